@@ -1,0 +1,130 @@
+"""The serial chain: what a robot arm is to every function of this library.
+
+A chain never changes. Its numbers are arrays (the leaves of a pytree), so that any of them may be traced: differentiate the
+reach with respect to a link's length by `equinox.tree_at`. Its names and joint types are static. Numbers that are concrete
+while JAX traces fold into the program, so close over a chain (`jax.jit(lambda q: forward_kinematics(chain, q))`) rather than
+pass it through `jit`: both are right, the first is several times faster.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import hashlib
+from typing import Any, Literal
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Bool, Float
+
+Array = jax.Array | np.ndarray
+JointType = Literal["revolute", "continuous", "prismatic"]
+
+
+class Body(eqx.Module):
+    """Mass [kg], centre of gravity [m] and inertia about it [kg m2] of what moves with one joint, in that joint's frame."""
+
+    mass: Float[Array, ""]
+    com: Float[Array, "3"]
+    inertia: Float[Array, "3 3"]
+
+
+class Box(eqx.Module):
+    """An oriented box around (a part of) a link: its centre's frame in the joint's frame, and half its edges [m]."""
+
+    joint_T_box: Float[Array, "4 4"]
+    half: Float[Array, "3"]
+    link: int = eqx.field(static=True)
+
+
+class Volume(eqx.Module):
+    """A swept-sphere volume: a ball of `radius` [m] swept over a point, a line or a triangle (1, 2 or 3 `corners` [m])."""
+
+    corners: Float[Array, "c 3"]
+    radius: Float[Array, ""]
+    link: int = eqx.field(static=True)
+
+
+class Chain(eqx.Module):
+    """A serial chain of n movable joints from a base to a tip; fixed joints are fused away.
+
+    `parent_T_joint[i]` is the frame of joint i at q_i = 0 in the (moved) frame of joint i-1, the base frame for i = 0.
+    `link_joint[l]` counts the movable joints between the base and link l: its frame is `link_offset[l]` in that joint's.
+    """
+
+    name: str = eqx.field(static=True)
+    joint_names: tuple[str, ...] = eqx.field(static=True)
+    joint_types: tuple[JointType, ...] = eqx.field(static=True)
+    link_names: tuple[str, ...] = eqx.field(static=True)
+    link_joint: tuple[int, ...] = eqx.field(static=True)
+    parent_T_joint: Float[Array, "n 4 4"]
+    axis: Float[Array, "n 3"]
+    joint_T_tip: Float[Array, "4 4"]
+    link_offset: Float[Array, "l 4 4"]
+    lower: Float[Array, " n"]
+    upper: Float[Array, " n"]
+    velocity: Float[Array, " n"]
+    world_T_base: Float[Array, "4 4"]
+    bodies: tuple[Body, ...] = ()
+    boxes: tuple[Box, ...] = ()
+    volumes: tuple[Volume, ...] = ()
+    self_pairs: tuple[tuple[int, int], ...] = eqx.field(static=True, default=())
+    spheres_per_box: int = eqx.field(static=True, default=8)
+    unread_meshes: tuple[str, ...] = eqx.field(static=True, default=())
+
+    @property
+    def num_joints(self) -> int:
+        return len(self.joint_names)
+
+    @property
+    def is_prismatic(self) -> tuple[bool, ...]:
+        return tuple(t == "prismatic" for t in self.joint_types)
+
+    def mounted(self, world_T_base: Any) -> Chain:
+        """The same chain standing elsewhere: `world_T_base` (4, 4) [m]. Poses stay in the base frame, collision is in the world's."""
+        return dataclasses.replace(self, world_T_base=world_T_base)
+
+    def with_tool(self, tip_T_tool: Any) -> Chain:
+        """The same chain with its tip moved to a tool frame, `tip_T_tool` (4, 4) [m]."""
+        return dataclasses.replace(self, joint_T_tip=self.joint_T_tip @ tip_T_tool)
+
+    def with_spheres(self, per_box: int) -> Chain:
+        """The same chain, each box covered by 1, 8, 64 or 512 spheres [Van Henten et al. 2010, App. A]."""
+        if per_box not in (1, 8, 64, 512):
+            raise ValueError(f"with_spheres: {per_box} spheres a box; allowed: 1, 8, 64, 512")
+        return dataclasses.replace(self, spheres_per_box=per_box)
+
+    # A concrete chain is a value: equal numbers, equal chain. So it may be a static argument of `jax.jit` and a cache's key.
+
+    @property
+    def digest(self) -> str:
+        """A hash of everything in the chain, to name it in caches and results. Needs concrete numbers."""
+        leaves, tree = jax.tree_util.tree_flatten(self)
+        content = hashlib.sha256(str(tree).encode())
+        for leaf in leaves:
+            content.update(np.ascontiguousarray(np.asarray(leaf, dtype=np.float64)).tobytes())
+        return content.hexdigest()
+
+    def __hash__(self) -> int:
+        return hash(self.digest)
+
+    def __eq__(self, other: object) -> bool:
+        return self is other or (isinstance(other, Chain) and self.digest == other.digest)
+
+
+def as_configuration(chain: Chain, q: Any) -> Float[Array, " n"]:
+    """`q` as a floating-point array of shape (n,), or a `ValueError` that says what was expected."""
+    q = jnp.asarray(q)
+    if q.shape != (chain.num_joints,):
+        raise ValueError(
+            f"q has shape {q.shape}; {chain.name} takes one configuration of shape ({chain.num_joints},) "
+            f"[{', '.join(chain.joint_names)}]; for a batch use jax.vmap"
+        )
+    return q if jnp.issubdtype(q.dtype, jnp.floating) else q.astype(jnp.result_type(float))
+
+
+def within_limits(chain: Chain, q: Any) -> Bool[Array, ""]:
+    """Whether `q` (n,) [rad, m] lies inside the joint limits, bounds included."""
+    q = as_configuration(chain, q)
+    return jnp.all((q >= jnp.asarray(chain.lower, q.dtype)) & (q <= jnp.asarray(chain.upper, q.dtype)))

@@ -1,0 +1,198 @@
+"""Distances between points, lines, triangles and convex bodies; negative inside a body [m].
+
+Everything is written on `Vec3` of arrays that broadcast against each other. Two ideas carry the module. The signed distance
+to a convex body is a convex function of the point; so the distance of a swept line or triangle to any body is a convex
+minimisation over its skeleton. And at that minimum the derivative with respect to where the minimum lies vanishes (or the
+minimum lies at an end): so the minimiser is found without derivatives, held fixed, and the distance at it has the right
+gradient [Danskin 1967].
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any
+
+import jax.numpy as jnp
+from jax import lax
+
+from jaxik.algebra import Rot3, Vec3, safe_sqrt
+
+_GOLDEN = (5.0**0.5 - 1.0) / 2.0
+_STEPS = 40  # golden-section steps: 0.618^40 = 4e-9 of the line, and the error in the distance is far smaller
+
+
+def norm(v: Vec3) -> Any:
+    """|v|, with gradient 0 at 0."""
+    return safe_sqrt(v.dot(v))
+
+
+def _ratio(a: Any, b: Any) -> Any:
+    """a / b, and 0 where b = 0."""
+    return jnp.where(b == 0.0, 0.0, a / jnp.where(b == 0.0, 1.0, b))
+
+
+def _clip01(t: Any) -> Any:
+    return jnp.clip(t, 0.0, 1.0)
+
+
+def _held(t: Any) -> Any:
+    return lax.stop_gradient(t)
+
+
+# --------------------------------------------------------------------------------------------------------------------
+# Skeletons: points, lines, triangles (>= 0)
+
+
+def point_point(p: Vec3, q: Vec3) -> Any:
+    return norm(p - q)
+
+
+def point_line(p: Vec3, a: Vec3, b: Vec3) -> Any:
+    """Point p to the segment ab [Ericson 2005, sec. 5.1.2]."""
+    along, arm = b - a, p - a
+    t = _held(_clip01(_ratio(arm.dot(along), along.dot(along))))
+    return norm(arm - along * t)
+
+
+def line_line(a: Vec3, b: Vec3, c: Vec3, d: Vec3) -> Any:
+    """Segment ab to segment cd [Ericson 2005, sec. 5.1.9]: the two lines' nearest points, then clamped to the ends."""
+    u, v, w = b - a, d - c, a - c
+    uu, vv, uv, uw, vw = u.dot(u), v.dot(v), u.dot(v), u.dot(w), v.dot(w)
+    s = _clip01(_ratio(uv * vw - uw * vv, uu * vv - uv * uv))
+    t = _clip01(_ratio(uv * s + vw, vv))
+    s, t = _held(_clip01(_ratio(uv * t - uw, uu))), _held(t)
+    interior = norm(w + u * s - v * t)
+    # the clamped pair is the nearest unless the lines are all but parallel, where the ends decide
+    ends = (point_line(a, c, d), point_line(b, c, d), point_line(c, a, b), point_line(d, a, b))
+    return _least([interior, *ends])
+
+
+def _least(values: list[Any]) -> Any:
+    least = values[0]
+    for value in values[1:]:
+        least = jnp.minimum(least, value)
+    return least
+
+
+def point_triangle(p: Vec3, a: Vec3, b: Vec3, c: Vec3) -> Any:
+    """Point p to the triangle abc: its plane where p projects inside, else the nearest edge."""
+    u, v, w = b - a, c - a, p - a
+    uu, uv, vv, wu, wv = u.dot(u), u.dot(v), v.dot(v), w.dot(u), w.dot(v)
+    determinant = uu * vv - uv * uv
+    s, t = _ratio(vv * wu - uv * wv, determinant), _ratio(uu * wv - uv * wu, determinant)
+    inside = (s >= 0.0) & (t >= 0.0) & (s + t <= 1.0) & (determinant > 0.0)
+    plane = norm(w - u * _held(s) - v * _held(t))
+    edges = _least([point_line(p, a, b), point_line(p, b, c), point_line(p, c, a)])
+    return jnp.where(inside, plane, edges)
+
+
+def line_triangle(p: Vec3, q: Vec3, a: Vec3, b: Vec3, c: Vec3) -> Any:
+    """Segment pq to the triangle abc; 0 where it passes through."""
+    normal = (b - a).cross(c - a)
+    before, after = normal.dot(p - a), normal.dot(q - a)
+    crosses = before * after <= 0.0
+    t = _ratio(before, before - after)
+    x = p + (q - p) * t
+    sides = [normal.dot((e - o).cross(x - o)) for o, e in ((a, b), (b, c), (c, a))]
+    through = crosses & (sides[0] >= 0.0) & (sides[1] >= 0.0) & (sides[2] >= 0.0) & (before != after)
+    apart = _least(
+        [
+            point_triangle(p, a, b, c),
+            point_triangle(q, a, b, c),
+            line_line(p, q, a, b),
+            line_line(p, q, b, c),
+            line_line(p, q, c, a),
+        ]
+    )
+    return jnp.where(through, 0.0, apart)
+
+
+def triangle_triangle(a: Vec3, b: Vec3, c: Vec3, d: Vec3, e: Vec3, f: Vec3) -> Any:
+    """Triangle abc to triangle def; 0 where they cross."""
+    first = [line_triangle(p, q, d, e, f) for p, q in ((a, b), (b, c), (c, a))]
+    return _least([*first, *(line_triangle(p, q, a, b, c) for p, q in ((d, e), (e, f), (f, d)))])
+
+
+def between(s: tuple[Vec3, ...], t: tuple[Vec3, ...]) -> Any:
+    """The distance of two skeletons with 1, 2 or 3 corners each."""
+    if len(s) > len(t):
+        return between(t, s)
+    pair = {
+        (1, 1): point_point,
+        (1, 2): point_line,
+        (1, 3): point_triangle,
+        (2, 2): line_line,
+        (2, 3): line_triangle,
+        (3, 3): triangle_triangle,
+    }[len(s), len(t)]
+    return pair(*s, *t)
+
+
+# --------------------------------------------------------------------------------------------------------------------
+# Convex bodies (signed)
+
+
+def point_box(p: Vec3, world_R_box: Rot3, centre: Vec3, half: Vec3) -> Any:
+    """Signed distance of a point to a box: to the surface outside, to the nearest face inside."""
+    local = world_R_box.T @ (p - centre)
+    beyond = Vec3(*(jnp.abs(x) - h for x, h in zip(local, half, strict=True)))
+    inside = jnp.maximum(jnp.maximum(beyond.x, beyond.y), beyond.z)
+    outside = norm(Vec3(*(jnp.maximum(x, 0.0) for x in beyond)))
+    return jnp.where(inside <= 0.0, inside, outside)
+
+
+def point_cylinder(p: Vec3, world_R_cylinder: Rot3, centre: Vec3, radius: Any, half: Any) -> Any:
+    """Signed distance of a point to a cylinder about its frame's z."""
+    local = world_R_cylinder.T @ (p - centre)
+    radial = safe_sqrt(local.x * local.x + local.y * local.y) - radius
+    axial = jnp.abs(local.z) - half
+    inside = jnp.maximum(radial, axial)
+    r, z = jnp.maximum(radial, 0.0), jnp.maximum(axial, 0.0)
+    return jnp.where(inside <= 0.0, inside, safe_sqrt(r * r + z * z))
+
+
+def to_body(skeleton: tuple[Vec3, ...], body: Callable[[Vec3], Any]) -> Any:
+    """The least value of a convex `body` (a signed distance) over a point, a line or a triangle."""
+    if len(skeleton) == 1:
+        return body(skeleton[0])
+    held = [Vec3(*(_held(x) for x in corner)) for corner in skeleton]
+    if len(skeleton) == 2:
+        t = _golden(lambda t: body(_blend(held, (1.0 - t, t))))
+        return body(_blend(skeleton, (1.0 - _held(t), _held(t))))
+    # lines parallel to the first edge: the least value on each is convex in its distance from the edge
+    a, b, c = held
+
+    def along(v: Any) -> Any:
+        return _golden(lambda t: body(_blend((a, b, c), ((1.0 - t) * (1.0 - v), t * (1.0 - v), v))))
+
+    def least(v: Any) -> Any:
+        t = along(v)
+        return body(_blend((a, b, c), ((1.0 - t) * (1.0 - v), t * (1.0 - v), v)))
+
+    v = _golden(least)
+    t = along(v)
+    weights = tuple(_held(w) for w in ((1.0 - t) * (1.0 - v), t * (1.0 - v), v))
+    return body(_blend(skeleton, weights))
+
+
+def _blend(corners: Any, weights: Any) -> Vec3:
+    return Vec3(*(sum(w * c[i] for w, c in zip(weights, corners, strict=True)) for i in range(3)))
+
+
+def _golden(value: Callable[[Any], Any]) -> Any:
+    """The minimiser of a convex function on [0, 1], elementwise, ends included [Kiefer 1953]."""
+    start = jnp.zeros_like(_held(value(0.0)))
+
+    def narrow(_: Any, bounds: Any) -> Any:
+        low, high = bounds
+        left, right = high - _GOLDEN * (high - low), low + _GOLDEN * (high - low)
+        keep_left = _held(value(left)) <= _held(value(right))
+        return jnp.where(keep_left, low, left), jnp.where(keep_left, right, high)
+
+    low, high = lax.fori_loop(0, _STEPS, narrow, (start, start + 1.0))
+    inner = (low + high) / 2.0
+    best, least = inner, value(inner)
+    for end in (0.0, 1.0):
+        at_end = value(jnp.full_like(inner, end))
+        best, least = jnp.where(at_end <= least, end, best), jnp.minimum(at_end, least)
+    return best

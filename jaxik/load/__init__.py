@@ -1,0 +1,70 @@
+"""Robot files to chains. The only place that reads them."""
+
+from __future__ import annotations
+
+import dataclasses
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from jaxik.chain import Chain
+from jaxik.load.mjcf import load_mjcf
+from jaxik.load.srdf import disabled_pairs
+from jaxik.load.toml import load_toml
+from jaxik.load.urdf import load_urdf
+from jaxik.result import LoadError
+from jaxik.spheres import self_collision_pairs
+
+__all__ = ["LoadError", "load", "models_folder"]
+
+
+def models_folder() -> Path:
+    """Where the shipped robots and scenes lie: inside the wheel, or beside the package in a checkout."""
+    inside = Path(__file__).parents[1] / "models"
+    return inside if inside.is_dir() else Path(__file__).parents[2] / "models"
+
+
+def load(
+    source: str | Path,
+    tip: str | None = None,
+    base: str | None = None,
+    *,
+    tool: Any = None,
+    meshes: bool = False,
+    srdf: str | Path | None = None,
+) -> Chain:
+    """The serial chain of a shipped model (`"p6r"`) or of a file: `.urdf`, `.xml` (MJCF) or `.toml`.
+
+    `tip` and `base` name links (bodies or a site in MJCF); without them the chain runs from the root to the only leaf.
+    `tool` (4, 4) moves the tip [m]. `meshes=True` reads collision meshes (URDF) for the boxes around them; without it a
+    chain with meshes has its kinematics, and `clearance` says what is missing. `srdf` names a file whose
+    `disable_collisions` pairs are not checked.
+
+    Raises `LoadError` (a `ValueError`) with one line: the file, the element, what is allowed, the mend.
+    """
+    path = _locate(source)
+    if tool is not None and np.shape(tool) != (4, 4):
+        raise ValueError(f"tool has shape {np.shape(tool)}; it is tip_T_tool, of shape (4, 4)")
+    tool = None if tool is None else np.asarray(tool, dtype=np.float64)
+    kind = path.suffix.lower()
+    if kind == ".urdf":
+        chain = load_urdf(path, tip, base, tool, meshes)
+    elif kind in (".xml", ".mjcf"):
+        chain = load_mjcf(path, tip, base, tool)
+    elif kind == ".toml":
+        chain = load_toml(path, tip, base, tool)
+    else:
+        raise LoadError(path, "file", f"ending '{kind}'", "allowed: .urdf, .xml (MJCF), .toml")
+    disabled = frozenset() if srdf is None else disabled_pairs(Path(srdf))
+    return dataclasses.replace(chain, self_pairs=self_collision_pairs(chain, disabled))
+
+
+def _locate(source: str | Path) -> Path:
+    path = Path(source)
+    if path.suffix:
+        return path
+    shipped = {p.stem: p for p in sorted(models_folder().glob("*.toml"))}
+    if str(source) not in shipped:
+        raise LoadError(str(source), "robot", "no such shipped model", f"shipped: {', '.join(shipped)}; or give a file")
+    return shipped[str(source)]

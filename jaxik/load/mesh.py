@@ -1,0 +1,55 @@
+"""Boxes around meshes, and which mesh files a model may name."""
+
+from __future__ import annotations
+
+from pathlib import Path, PurePosixPath
+
+import numpy as np
+
+from jaxik.load.assemble import MAX_BYTES
+from jaxik.result import LoadError
+
+# A ROS package keeps its model in urdf/ and its meshes beside that folder, so the model's folder is then the package's.
+_INNER_FOLDERS = ("urdf", "urdfs", "xacro", "robots", "mjcf", "xml")
+
+
+def resolve(path: Path, where: str, name: str) -> Path | None:
+    """The file that a mesh name means: `package://name/...` below the nearest folder above of that name, else below the
+    model's own folder. None where no such package is above. A path that leaves that folder is refused."""
+    folder = path.resolve().parent
+    root = folder.parent if folder.name in _INNER_FOLDERS else folder
+    if name.startswith("package://"):
+        package, _, rest = name.removeprefix("package://").partition("/")
+        above = [p for p in (folder, *folder.parents) if p.name == package]
+        if ".." in PurePosixPath(rest).parts or package in ("", ".", ".."):
+            raise LoadError(path, where, f"mesh '{name[:80]}' leaves its package", "name a file inside it")
+        return above[0] / rest if above else None
+    if "://" in name and not name.startswith("file://"):
+        raise LoadError(path, where, f"mesh '{name[:80]}' is no file", "give a path or package://")
+    try:
+        target = (folder / name.removeprefix("file://")).resolve()
+    except (OSError, ValueError, RuntimeError):
+        raise LoadError(path, where, f"mesh '{name[:80]}' is no path", "give a path below the model's folder") from None
+    if not target.is_relative_to(root):
+        raise LoadError(path, where, f"mesh '{name[:80]}' lies outside the model's folder", f"move it below {root.name}/")
+    return target
+
+
+def bounding_box(path: Path, where: str, name: str, scale: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """The smallest oriented box around a mesh: its frame in the mesh's, and half its edges [m]."""
+    import trimesh  # half a second to import, and only meshes need it
+
+    target = resolve(path, where, name)
+    if target is None or not target.is_file():
+        mend = "put it there, or load with meshes=False for the kinematics alone"
+        raise LoadError(path, where, f"mesh '{name[:80]}' is not found", mend)
+    if target.stat().st_size > 4 * MAX_BYTES:
+        raise LoadError(path, where, f"mesh '{name[:80]}' is larger than {4 * MAX_BYTES} bytes", "simplify it")
+    try:
+        mesh = trimesh.load(target, force="mesh", process=False)
+        points = np.asarray(mesh.vertices, dtype=np.float64) * scale
+        to_origin, extents = trimesh.bounds.oriented_bounds(points)
+    except Exception as error:  # a parser for every format: whatever it raises is the file's fault
+        mend = "give STL, OBJ, PLY or (with pip install pycollada) DAE"
+        raise LoadError(path, where, f"mesh '{name[:80]}' cannot be read ({type(error).__name__})", mend) from None
+    return np.linalg.inv(to_origin), np.asarray(extents) / 2.0

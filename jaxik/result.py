@@ -1,0 +1,29 @@
+"""Why a target has no answer, and the one error that reading a file can raise."""
+
+from __future__ import annotations
+
+from enum import IntEnum
+from pathlib import Path
+
+
+class Reason(IntEnum):
+    """What happened to a target; in a batch each element has its own."""
+
+    SOLVED = 0
+    OUT_OF_REACH = 1  # no configuration at all has the pose
+    LIMITS = 2  # configurations have it, none inside the joint limits
+    COLLISION = 3  # configurations inside the limits have it, all of them collide
+    NOT_CONVERGED = 4
+    INVALID = 5  # the target itself is no pose: NaN, not a rotation
+
+    @property
+    def text(self) -> str:
+        return self.name.lower().replace("_", " ")
+
+
+class LoadError(ValueError):
+    """A file that cannot be used. One line: the file, the element, what is allowed, the mend."""
+
+    def __init__(self, file: str | Path, element: str, problem: str, mend: str = ""):
+        line = f"{file}: {element}: {problem}" + (f"; {mend}" if mend else "")
+        super().__init__(" ".join(line.split()))

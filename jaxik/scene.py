@@ -1,0 +1,171 @@
+"""Obstacles and fruits in a z-up world [m], and how they are padded to a few sizes.
+
+A scene is a pytree of arrays, so obstacles may be traced (moved, differentiated) and two scenes padded to the same sizes run
+the same compiled program. Every obstacle belongs to a named object: a leaf of fifteen points is one object.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+from typing import Any
+
+import equinox as eqx
+import jax
+import numpy as np
+from jaxtyping import Float
+
+from jaxik.chain import Array
+
+FAR = 1e6  # [m] where padding stands: exact in float32 as a square, and no scene file may hold more than 100 m
+SIZES = (0, 8, 32, 128, 512, 2048, 8192, 32768)
+KINDS = ("points", "spheres", "capsules", "boxes", "cylinders")
+
+
+class Points(eqx.Module):
+    """Points of one common `radius` [m] (0 for bare points): the cheapest obstacle, one square root a configuration."""
+
+    center: Float[Array, "k 3"]
+    radius: Float[Array, ""]
+
+
+class Spheres(eqx.Module):
+    center: Float[Array, "k 3"]
+    radius: Float[Array, " k"]
+
+
+class Capsules(eqx.Module):
+    """Segments from `a` to `b`, swept by a ball."""
+
+    a: Float[Array, "k 3"]
+    b: Float[Array, "k 3"]
+    radius: Float[Array, " k"]
+
+
+class Boxes(eqx.Module):
+    """`half` holds half the edges along the axes of `world_T_box`."""
+
+    world_T_box: Float[Array, "k 4 4"]
+    half: Float[Array, "k 3"]
+
+
+class Cylinders(eqx.Module):
+    """Round about z of `world_T_cylinder`, from -`half` to `half` along it."""
+
+    world_T_cylinder: Float[Array, "k 4 4"]
+    radius: Float[Array, " k"]
+    half: Float[Array, " k"]
+
+
+class Fruit(eqx.Module):
+    """What is to be picked: the tip goes to `position`, and may turn about `axis`."""
+
+    position: Float[Array, "3"]
+    axis: Float[Array, "3"]
+    name: str = eqx.field(static=True)
+
+
+class Scene(eqx.Module):
+    """Obstacles by kind; `owners` gives, kind by kind in the order of `KINDS`, the object that each obstacle belongs to.
+
+    `removable[i]` says whether object i may be taken away for a fruit's sake (leaves may, stems may not). A fruit that is an
+    obstacle to others is the object of its own name.
+    """
+
+    points: Points
+    spheres: Spheres
+    capsules: Capsules
+    boxes: Boxes
+    cylinders: Cylinders
+    fruits: tuple[Fruit, ...] = ()
+    name: str = eqx.field(static=True, default="scene")
+    object_names: tuple[str, ...] = eqx.field(static=True, default=())
+    removable: tuple[bool, ...] = eqx.field(static=True, default=())
+    owners: tuple[tuple[int, ...], ...] = eqx.field(static=True, default=((),) * 5)
+
+    @property
+    def counts(self) -> dict[str, int]:
+        """How many obstacles of each kind there are, padding included."""
+        return {k: int(jax.tree_util.tree_leaves(getattr(self, k))[0].shape[0]) for k in KINDS}
+
+    def without(self, objects: Any) -> Scene:
+        """The scene with these objects (indices) moved out of the way; shapes stay."""
+        gone = set(objects)
+        masks = {k: np.array([o in gone for o in owners], bool) for k, owners in zip(KINDS, self.owners, strict=True)}
+        return dataclasses.replace(self, **{k: _moved_away(getattr(self, k), masks[k]) for k in KINDS})
+
+    def padded(self) -> Scene:
+        """The scene with each kind padded to the next of a few sizes by obstacles that are out of the way."""
+        kinds, owners = {}, []
+        for kind, own in zip(KINDS, self.owners, strict=True):
+            count = self.counts[kind]
+            extra = next((s for s in SIZES if s >= count), count) - count
+            kinds[kind] = _padded(getattr(self, kind), extra)
+            owners.append((*own, *([-1] * (count + extra - len(own)))))
+        return dataclasses.replace(self, owners=tuple(owners), **kinds)
+
+
+def _moved_away(obstacles: Any, mask: np.ndarray) -> Any:
+    if not mask.any():
+        return obstacles
+
+    def move(leaf: Any) -> Any:
+        if leaf.ndim == 0 or leaf.ndim == 1:
+            return leaf
+        column = mask.reshape(-1, *([1] * (leaf.ndim - 1)))
+        far = np.full(leaf.shape[1:], FAR)
+        if leaf.shape[1:] == (4, 4):
+            far = np.eye(4) + np.pad(np.full((3, 1), FAR), ((0, 1), (3, 0)))
+        return np.where(column, far.astype(leaf.dtype), leaf)
+
+    moved = jax.tree_util.tree_map(move, obstacles)
+    # a box's `half` is a size, not a place
+    return dataclasses.replace(moved, half=obstacles.half) if isinstance(obstacles, Boxes) else moved
+
+
+def _padded(obstacles: Any, extra: int) -> Any:
+    if not extra:
+        return obstacles
+
+    def pad(leaf: Any) -> Any:
+        if leaf.ndim == 0:
+            return leaf
+        return np.concatenate([leaf, np.zeros((extra, *leaf.shape[1:]), leaf.dtype)])
+
+    count = jax.tree_util.tree_leaves(obstacles)[0].shape[0]
+    return _moved_away(jax.tree_util.tree_map(pad, obstacles), np.arange(count + extra) >= count)
+
+
+def make_scene(
+    points: Any = (),
+    point_radius: float = 0.0,
+    spheres: Any = (),
+    capsules: Any = (),
+    boxes: Any = (),
+    cylinders: Any = (),
+    name: str = "scene",
+) -> Scene:
+    """A scene from plain arrays, each obstacle an object of its own [m].
+
+    `points` (k, 3); `spheres` (k, 4) centre and radius; `capsules` (k, 7) both ends and radius; `boxes` pairs of a (4, 4) frame
+    and three edges; `cylinders` triples of a (4, 4) frame, radius and length.
+    """
+    p = np.asarray(points, dtype=np.float64).reshape(-1, 3)
+    s = np.asarray(spheres, dtype=np.float64).reshape(-1, 4)
+    c = np.asarray(capsules, dtype=np.float64).reshape(-1, 7)
+    box_frames = np.array([b[0] for b in boxes], dtype=np.float64).reshape(-1, 4, 4)
+    halves = np.array([b[1] for b in boxes], dtype=np.float64).reshape(-1, 3) / 2.0
+    round_frames = np.array([y[0] for y in cylinders], dtype=np.float64).reshape(-1, 4, 4)
+    sizes = np.array([y[1:] for y in cylinders], dtype=np.float64).reshape(-1, 2)
+    counts = [len(p), len(s), len(c), len(box_frames), len(round_frames)]
+    starts = np.cumsum([0, *counts])
+    return Scene(
+        Points(p, np.asarray(point_radius, dtype=np.float64)),
+        Spheres(s[:, :3], s[:, 3]),
+        Capsules(c[:, :3], c[:, 3:6], c[:, 6]),
+        Boxes(box_frames, halves),
+        Cylinders(round_frames, sizes[:, 0], sizes[:, 1] / 2.0),
+        name=name,
+        object_names=tuple(f"{k[:-1]}{i}" for k, n in zip(KINDS, counts, strict=True) for i in range(n)),
+        removable=(True,) * sum(counts),
+        owners=tuple(tuple(range(a, a + n)) for a, n in zip(starts, counts, strict=False)),
+    )

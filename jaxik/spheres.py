@@ -1,0 +1,172 @@
+"""Links as bounding spheres and swept-sphere volumes.
+
+An oriented box is cut into 1, 8, 64 or 512 equal boxes (each level halves every edge), and each is replaced by the sphere
+through its corners [Van Henten et al. 2010, App. A; Hubbard 1996]. A cut box lies in its parent box, and its sphere in its
+parent's sphere: so a coarse distance is never larger than a finer one, which is what makes the hierarchy exact
+(`collision.hierarchical_clearance`).
+"""
+
+from __future__ import annotations
+
+from typing import Any, NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Float
+
+from jaxik.algebra import BASE, Frame, Scalar, Vec3, shared
+from jaxik.chain import Array, Box, Chain
+from jaxik.kinematics import joint_frames
+
+LEVELS = {1: 0, 8: 1, 64: 2, 512: 3}
+
+
+def box_spheres(box: Box, per_box: int) -> tuple[Float[Array, "k 3"], Float[Array, ""]]:
+    """Centres in the joint's frame and the common radius [m] of a box's spheres, `per_box` = 1, 8, 64 or 512 of them.
+
+    The order is hierarchical: the children of sphere i of one level are spheres 8 i to 8 i + 7 of the next.
+    """
+    xp = jnp if isinstance(box.half, jax.Array) or isinstance(box.joint_T_box, jax.Array) else np
+    corners = np.stack(np.meshgrid(*([[-0.5, 0.5]] * 3), indexing="ij"), axis=-1).reshape(8, 3)
+    grid = np.zeros((1, 3))
+    for level in range(LEVELS[per_box]):
+        grid = (grid[:, None] + corners * 2.0**-level).reshape(-1, 3)
+    centres = xp.asarray(box.joint_T_box)[:3, 3] + (grid * box.half) @ xp.asarray(box.joint_T_box)[:3, :3].T
+    return centres, xp.sqrt(xp.sum(xp.asarray(box.half) ** 2)) * 2.0 ** -LEVELS[per_box]
+
+
+class Skeleton(NamedTuple):
+    """The swept-sphere volumes of a chain in the world, by corner count: `corners[c]` are Vec3 of arrays, one entry a volume."""
+
+    corners: tuple[Vec3, ...]
+    radius: Any
+    link: np.ndarray
+
+
+class _Local(NamedTuple):
+    corners: np.ndarray | jax.Array  # (k, c, 3) in the joint's frame
+    radius: np.ndarray | jax.Array
+    link: np.ndarray
+
+
+def _local_volumes(chain: Chain, count: int) -> _Local | None:
+    """The chain's volumes with `count` corners, ordered by link; spheres of boxes among those with one."""
+    parts = [(v.link, v.corners[None], v.radius) for v in chain.volumes if v.corners.shape[0] == count]
+    if count == 1:
+        for box in chain.boxes:
+            centres, radius = box_spheres(box, chain.spheres_per_box)
+            parts.append((box.link, centres[:, None], radius))
+    if not parts:
+        return None
+    parts.sort(key=lambda part: part[0])
+    traced = any(isinstance(x, jax.Array) for part in parts for x in part[1:])
+    xp = jnp if traced else np
+    sizes = [part[1].shape[0] for part in parts]
+    return _Local(
+        xp.concatenate([part[1] for part in parts]),
+        xp.concatenate([xp.full(n, part[2]) for n, part in zip(sizes, parts, strict=True)]),
+        np.repeat([part[0] for part in parts], sizes),
+    )
+
+
+def skeletons(chain: Chain, q: Any, dtype: Any, root: Frame | None = None) -> dict[int, Skeleton]:
+    """The chain's volumes in the world for scalars `q`, by corner count (1, 2, 3); kinds that the chain lacks are left out.
+
+    With NumPy scalars of shape (N, 1) each entry of a Vec3 has shape (N, k).
+    """
+    snap = float(np.finfo(dtype).eps)
+    root = Frame.of(chain.world_T_base, snap) if root is None else root
+    moved = (root, *joint_frames(chain, q, root, dtype).joints)
+    found = {}
+    for count in (1, 2, 3):
+        local = _local_volumes(chain, count)
+        if local is None:
+            continue
+        corners = tuple(_carried(chain, moved, local.corners[:, c], local.link, dtype) for c in range(count))
+        radius = local.radius if isinstance(local.radius, jax.Array) else np.asarray(local.radius, dtype)
+        found[count] = Skeleton(corners, radius, local.link)
+    return found
+
+
+def _carried(chain: Chain, frames: tuple[Frame, ...], points: Any, link: np.ndarray, dtype: Any) -> Vec3:
+    """Points given in their joints' frames, in the root frame: runs of one joint share its frame."""
+    joint = np.array([chain.link_joint[i] for i in link])
+    cuts = [0, *(np.flatnonzero(np.diff(joint)) + 1), len(joint)]
+    pieces: list[Vec3] = []
+    for start, stop in zip(cuts[:-1], cuts[1:], strict=True):
+        local = points[start:stop]
+        local = local if isinstance(local, jax.Array) else np.asarray(local, dtype)
+        pieces.append(frames[joint[start]] @ Vec3(local[:, 0], local[:, 1], local[:, 2]))
+    sizes = np.diff(cuts)
+    return Vec3(*(_joined([p[i] for p in pieces], sizes) for i in range(3)))
+
+
+def _joined(pieces: list[Scalar], sizes: np.ndarray) -> Any:
+    if not any(isinstance(p, jax.Array) for p in pieces):
+        lead = np.broadcast_shapes(*(np.shape(p)[:-1] for p in pieces))
+        return np.concatenate([np.broadcast_to(p, (*lead, n)) for p, n in zip(pieces, sizes, strict=True)], axis=-1)
+    return shared(jnp.concatenate([jnp.broadcast_to(p, (n,)) for p, n in zip(pieces, sizes, strict=True)]))
+
+
+def link_spheres(chain: Chain, q: Float[Array, " n"]) -> tuple[Float[Array, "s 3"], Float[Array, " s"]]:
+    """Centres in the world [m] and radii [m] of the chain's spheres at `q` (n,); lines and triangles are not among them."""
+    q = jnp.asarray(q)
+    found = skeletons(chain, [q[i] for i in range(chain.num_joints)], q.dtype).get(1)
+    if found is None:
+        return jnp.zeros((0, 3), q.dtype), jnp.zeros(0, q.dtype)
+    return jnp.stack([jnp.asarray(c, q.dtype) for c in found.corners[0]], axis=-1), jnp.asarray(found.radius, q.dtype)
+
+
+def self_collision_pairs(
+    chain: Chain, disabled: frozenset[frozenset[str]] = frozenset(), samples: int = 512
+) -> tuple[tuple[int, int], ...]:
+    """The pairs of links worth a check against each other.
+
+    Left out: links that move together or are neighbours on the chain, pairs in `disabled` (SRDF), and pairs that touch in at
+    least 95 % of random configurations (fixed seed): their shapes overlap by design and would always report a collision.
+    """
+    links = sorted({b.link for b in chain.boxes} | {v.link for v in chain.volumes})
+    joint = chain.link_joint
+    pairs = [
+        (a, b)
+        for i, a in enumerate(links)
+        for b in links[i + 1 :]
+        if abs(joint[a] - joint[b]) > 1 and frozenset((chain.link_names[a], chain.link_names[b])) not in disabled
+    ]
+    if not pairs:
+        return ()
+    rng = np.random.default_rng(0)
+    lower = np.where(np.isfinite(chain.lower), chain.lower, -np.pi)
+    upper = np.where(np.isfinite(chain.upper), chain.upper, np.pi)
+    q = rng.uniform(lower, upper, (samples, chain.num_joints))
+    columns = [q[:, i, None] for i in range(chain.num_joints)]
+    centres, radii, owner = [], [], []
+    for count, skeleton in skeletons(chain, columns, np.float64, Frame(*BASE)).items():
+        for weights in _samples(count):
+            corner = [sum(w * c[i] for w, c in zip(weights, skeleton.corners, strict=True)) for i in range(3)]
+            width = len(skeleton.link)
+            centres.append(np.stack([np.broadcast_to(c, (samples, width)) for c in corner], axis=-1))
+            radii.append(skeleton.radius)
+            owner.append(skeleton.link)
+    p, r, o = np.concatenate(centres, axis=1), np.concatenate(radii), np.concatenate(owner)
+    return tuple((a, b) for a, b in pairs if _touching(p, r, o == a, o == b) < 0.95)
+
+
+def _samples(count: int) -> np.ndarray:
+    """Barycentric weights of sample points of a point, a line, a triangle."""
+    steps = np.linspace(0.0, 1.0, 7)
+    if count == 1:
+        return np.ones((1, 1))
+    if count == 2:
+        return np.stack([1.0 - steps, steps], axis=1)
+    return np.array([(u, v, 1.0 - u - v) for u in steps for v in steps if u + v <= 1.0 + 1e-9])
+
+
+def _touching(p: np.ndarray, r: np.ndarray, a: np.ndarray, b: np.ndarray) -> float:
+    """The share of configurations in which any sphere of a touches any of b."""
+    hit = np.zeros(len(p), bool)
+    for i in np.flatnonzero(a):
+        gap = np.linalg.norm(p[:, i, None] - p[:, b], axis=-1) - r[i] - r[b]
+        hit |= gap.min(axis=1) <= 0.0
+    return float(hit.mean())
