@@ -57,7 +57,7 @@ class Cylinders(eqx.Module):
 
 
 class Fruit(eqx.Module):
-    """What is to be picked: the tip goes to `position`, and may turn about `axis`."""
+    """What is to be picked: the tip goes to `position` [m] and may turn about `axis` (unit, up along the fruit)."""
 
     position: Float[Array, "3"]
     axis: Float[Array, "3"]
@@ -135,37 +135,68 @@ def _padded(obstacles: Any, extra: int) -> Any:
     return _moved_away(jax.tree_util.tree_map(pad, obstacles), np.arange(count + extra) >= count)
 
 
-def make_scene(
-    points: Any = (),
-    point_radius: float = 0.0,
-    spheres: Any = (),
-    capsules: Any = (),
-    boxes: Any = (),
-    cylinders: Any = (),
-    name: str = "scene",
-) -> Scene:
-    """A scene from plain arrays, each obstacle an object of its own [m].
+class SceneBuilder:
+    """Collects named objects and fruits into a `Scene`. All lengths in metres, the world's z up."""
 
-    `points` (k, 3); `spheres` (k, 4) centre and radius; `capsules` (k, 7) both ends and radius; `boxes` pairs of a (4, 4) frame
-    and three edges; `cylinders` triples of a (4, 4) frame, radius and length.
-    """
-    p = np.asarray(points, dtype=np.float64).reshape(-1, 3)
-    s = np.asarray(spheres, dtype=np.float64).reshape(-1, 4)
-    c = np.asarray(capsules, dtype=np.float64).reshape(-1, 7)
-    box_frames = np.array([b[0] for b in boxes], dtype=np.float64).reshape(-1, 4, 4)
-    halves = np.array([b[1] for b in boxes], dtype=np.float64).reshape(-1, 3) / 2.0
-    round_frames = np.array([y[0] for y in cylinders], dtype=np.float64).reshape(-1, 4, 4)
-    sizes = np.array([y[1:] for y in cylinders], dtype=np.float64).reshape(-1, 2)
-    counts = [len(p), len(s), len(c), len(box_frames), len(round_frames)]
-    starts = np.cumsum([0, *counts])
-    return Scene(
-        Points(p, np.asarray(point_radius, dtype=np.float64)),
-        Spheres(s[:, :3], s[:, 3]),
-        Capsules(c[:, :3], c[:, 3:6], c[:, 6]),
-        Boxes(box_frames, halves),
-        Cylinders(round_frames, sizes[:, 0], sizes[:, 1] / 2.0),
-        name=name,
-        object_names=tuple(f"{k[:-1]}{i}" for k, n in zip(KINDS, counts, strict=True) for i in range(n)),
-        removable=(True,) * sum(counts),
-        owners=tuple(tuple(range(a, a + n)) for a, n in zip(starts, counts, strict=False)),
-    )
+    def __init__(self, name: str = "scene", point_radius: float = 0.0):
+        self.name, self.point_radius = name, point_radius
+        self.names: list[str] = []
+        self.removable: list[bool] = []
+        self.fruits: list[Fruit] = []
+        self.rows: dict[str, list[Any]] = {k: [] for k in KINDS}
+        self.owners: dict[str, list[int]] = {k: [] for k in KINDS}
+
+    def add(self, name: str, removable: bool = True, **obstacles: Any) -> None:
+        """An object of `points` (k, 3), `spheres` (k, 4) centre and radius, `capsules` (k, 7) both ends and radius, `boxes`
+        (pairs of a (4, 4) frame and three edges), `cylinders` (triples of a (4, 4) frame, radius and length)."""
+        self.names.append(name)
+        self.removable.append(removable)
+        for kind, rows in obstacles.items():
+            if kind not in KINDS:
+                raise ValueError(f"obstacle kind '{kind}'; allowed: {', '.join(KINDS)}")
+            rows = list(rows)
+            self.rows[kind] += rows
+            self.owners[kind] += [len(self.names) - 1] * len(rows)
+
+    def add_fruit(
+        self, name: str, position: Any, axis: Any = (0.0, 0.0, 1.0), length: float = 0.0, radius: float = 0.0
+    ) -> None:
+        """A fruit; with a `radius` its body, hanging `length` below `position`, is an obstacle to all others."""
+        up = np.asarray(axis, dtype=np.float64)
+        up = up / np.linalg.norm(up)
+        top = np.asarray(position, dtype=np.float64)
+        self.fruits.append(Fruit(top, up, name))
+        body = [[*top, *(top - length * up), radius]] if radius > 0.0 else []
+        self.add(name, removable=False, capsules=body)
+
+    def scene(self) -> Scene:
+        def array(kind: str, width: int) -> np.ndarray:
+            return np.array(self.rows[kind], dtype=np.float64).reshape(-1, width)
+
+        def framed(kind: str, width: int) -> tuple[np.ndarray, np.ndarray]:
+            frames = np.array([r[0] for r in self.rows[kind]], dtype=np.float64).reshape(-1, 4, 4)
+            return frames, np.array([np.ravel(r[1:]) for r in self.rows[kind]], dtype=np.float64).reshape(-1, width)
+
+        spheres, capsules = array("spheres", 4), array("capsules", 7)
+        (boxes, edges), (cylinders, sizes) = framed("boxes", 3), framed("cylinders", 2)
+        return Scene(
+            Points(array("points", 3), np.asarray(self.point_radius, dtype=np.float64)),
+            Spheres(spheres[:, :3], spheres[:, 3]),
+            Capsules(capsules[:, :3], capsules[:, 3:6], capsules[:, 6]),
+            Boxes(boxes, edges / 2.0),
+            Cylinders(cylinders, sizes[:, 0], sizes[:, 1] / 2.0),
+            tuple(self.fruits),
+            name=self.name,
+            object_names=tuple(self.names),
+            removable=tuple(self.removable),
+            owners=tuple(tuple(self.owners[k]) for k in KINDS),
+        )
+
+
+def make_scene(point_radius: float = 0.0, name: str = "scene", **obstacles: Any) -> Scene:
+    """A scene from plain arrays, each obstacle an object of its own; the keywords are those of `SceneBuilder.add` [m]."""
+    builder = SceneBuilder(name, point_radius)
+    for kind, rows in obstacles.items():
+        for i, row in enumerate(rows):
+            builder.add(f"{kind}_{i + 1}", **{kind: [row]})
+    return builder.scene()

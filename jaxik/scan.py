@@ -1,0 +1,486 @@
+"""Every posture that picks a fruit, on a grid of approach angles, leading joints (the slide) and branches; and why if none.
+
+Van Henten et al. (2010, sec. 4) scan in two steps: the angle of the last three links first, then the slide at that angle.
+Here the superset is scanned at once (every angle with every slide position and all eight branches), because in a batch it
+costs less than deciding what to leave out; the two steps are `approach_angles` and `scan(..., angles=[best])`. Where the
+grid has no posture, `recover` looks between its points: first a finer grid around the nearest misses, then gradient ascent.
+That recovery is what the paper left open.
+
+The drivers of this module run on the host: they chunk, pad to one shape, and drop candidates as soon as they are out.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import functools
+from collections.abc import Callable, Iterator
+from typing import Any, NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from jaxik.chain import Chain
+from jaxik.closed_form import BRANCHES, closed_form, closed_form_obstacle
+from jaxik.collision import clearance, object_clearances, self_clearance
+from jaxik.costs import joint_freedom
+from jaxik.kinematics import jacobian
+from jaxik.result import Reason
+from jaxik.scene import Fruit, Scene
+
+# Rows a compiled call. Not a power of two: columns of 2^k rows fall into the same cache sets and evict each other.
+CHUNK = 3000
+LIMIT_LENGTH = 0.1  # [m/rad] at which a joint past its limit weighs against clearance while a miss is mended
+
+
+@dataclasses.dataclass(frozen=True)
+class Weights:
+    """What makes a posture good: `clearance * min(D, reach)/reach + freedom * F`, both shares in [0, 1].
+
+    D is the clearance [m], F the freedom of the least free joint (`costs.joint_freedom`); `reach` is the distance beyond which
+    more clearance is worth nothing, 75 mm as in (6) of Van Henten et al. 2010.
+    """
+
+    clearance: float = 1.0
+    freedom: float = 0.5
+    reach: float = 0.075
+
+    def __post_init__(self) -> None:
+        if not (self.clearance >= 0.0 and self.freedom >= 0.0 and self.reach > 0.0):
+            raise ValueError(f"weights {self}: clearance and freedom are >= 0 and reach > 0")
+
+    def score(self, clearance: np.ndarray, freedom: np.ndarray) -> np.ndarray:
+        return self.clearance * np.clip(clearance, 0.0, self.reach) / self.reach + self.freedom * np.clip(freedom, 0.0, 1.0)
+
+
+@dataclasses.dataclass(frozen=True)
+class Grasp:
+    """How the tip meets a fruit: its direction `up` (tip frame) lies along the fruit's axis, `approach` points at the fruit.
+
+    The default is the gripper of (5) in Van Henten et al. 2010: the tool's x-axis points down the fruit.
+    """
+
+    up: tuple[float, float, float] = (-1.0, 0.0, 0.0)
+    approach: tuple[float, float, float] = (0.0, 0.0, 1.0)
+
+
+class Table(NamedTuple):
+    """All candidates inside the limits, a row each; clearance [m], angle [rad], leading joints [m, rad]."""
+
+    angle: np.ndarray
+    leading: np.ndarray
+    branch: np.ndarray
+    q: np.ndarray
+    clearance: np.ndarray
+    freedom: np.ndarray
+    score: np.ndarray
+
+    def best(self, margin: float) -> int | None:
+        """The row with the best score among those with at least `margin` of clearance [m]."""
+        free = np.flatnonzero(self.clearance >= margin)
+        return int(free[np.argmax(self.score[free])]) if len(free) else None
+
+
+class Scan(NamedTuple):
+    """A scanned fruit: the grid, the fate of every candidate as a `Reason`, (angles, leading, branches), and the table.
+
+    `near_limits` are the valid candidates that miss the limits by least, as (angle, leading, branch) indices.
+    """
+
+    fruit: Fruit
+    angles: np.ndarray
+    leading: np.ndarray
+    status: np.ndarray
+    table: Table
+    near_limits: np.ndarray
+
+    @property
+    def reason(self) -> Reason:
+        """SOLVED, or how far the best candidate came."""
+        for reason in (Reason.SOLVED, Reason.COLLISION, Reason.LIMITS):
+            if np.any(self.status == reason):
+                return reason
+        return Reason.OUT_OF_REACH
+
+
+# --------------------------------------------------------------------------------------------------------------------
+# Compiled once a chain
+
+
+@functools.lru_cache(maxsize=16)
+def _solver(chain: Chain) -> Callable[..., Any]:
+    return jax.jit(jax.vmap(functools.partial(closed_form, chain)))
+
+
+@functools.lru_cache(maxsize=16)
+def _measures(chain: Chain) -> Callable[..., Any]:
+    return jax.jit(jax.vmap(lambda q, scene: (clearance(chain, scene, q), joint_freedom(chain, q)), in_axes=(0, None)))
+
+
+@functools.lru_cache(maxsize=16)
+def _contacts(chain: Chain) -> Callable[..., Any]:
+    def contacts(q: Any, scene: Scene) -> Any:
+        return object_clearances(chain, scene, q), self_clearance(chain, q)
+
+    return jax.jit(jax.vmap(contacts, in_axes=(0, None)))
+
+
+@functools.lru_cache(maxsize=16)
+def _ascent(chain: Chain) -> Callable[..., Any]:
+    """What recovery raises (`_worth`), its gradient in q, and the Jacobian."""
+
+    def worth(q: Any, scene: Scene) -> Any:
+        return _worth(chain, clearance(chain, scene, q), q)
+
+    def each(q: Any, scene: Scene) -> Any:
+        return *jax.value_and_grad(worth)(q, scene), jacobian(chain, q)
+
+    return jax.jit(jax.vmap(each, in_axes=(0, None)))
+
+
+def _worth(chain: Chain, distance: Any, q: Any) -> Any:
+    """The clearance, or the room to the limits if that is less: positive exactly where a posture is admissible."""
+    room = jnp.minimum(q - jnp.asarray(chain.lower, q.dtype), jnp.asarray(chain.upper, q.dtype) - q)
+    return jnp.minimum(distance, LIMIT_LENGTH * jnp.min(room))
+
+
+def _in_chunks(function: Callable[..., Any], *columns: np.ndarray, fixed: tuple[Any, ...] = ()) -> list[np.ndarray]:
+    """`function` over rows, in chunks padded to one shape, as NumPy arrays."""
+    parts = []
+    for start in range(0, len(columns[0]), CHUNK):
+        rows = [c[start : start + CHUNK] for c in columns]
+        count = len(rows[0])
+        padded = [np.concatenate([r, np.repeat(r[:1], CHUNK - count, axis=0)]) for r in rows]
+        parts.append([np.asarray(x)[:count] for x in jax.tree_util.tree_leaves(function(*padded, *fixed))])
+    return [np.concatenate(each) for each in zip(*parts, strict=True)]
+
+
+# --------------------------------------------------------------------------------------------------------------------
+# The scan
+
+
+def grasp_poses(chain: Chain, fruit: Fruit, angles: np.ndarray, grasp: Grasp | None = None) -> np.ndarray:
+    """The tip frames in the base (a, 4, 4) that hold `fruit` at the given angles [rad] about its axis.
+
+    At angle 0 the approach is along the world's y (its x where the axis is y), turned right-handed about the axis from there.
+    """
+    grasp = grasp or Grasp()
+    up, reference = fruit.axis, np.array([0.0, 1.0, 0.0])
+    if abs(up @ reference) > 0.99:
+        reference = np.array([1.0, 0.0, 0.0])
+    forward = reference - up * (up @ reference)
+    forward /= np.linalg.norm(forward)
+    side = np.cross(up, forward)
+    approach = np.cos(angles)[:, None] * forward + np.sin(angles)[:, None] * side
+    world = np.stack([np.broadcast_to(up, approach.shape), approach, np.cross(up, approach)], axis=-1)
+    tool = np.stack([grasp.up, grasp.approach, np.cross(grasp.up, grasp.approach)], axis=-1)
+    poses = np.tile(np.eye(4), (len(angles), 1, 1))
+    poses[:, :3, :3], poses[:, :3, 3] = world @ tool.T, fruit.position
+    return np.linalg.inv(chain.world_T_base) @ poses
+
+
+def full_circle(count: int) -> np.ndarray:
+    """`count` angles from -pi up to, and without, pi [rad]."""
+    return -np.pi + 2.0 * np.pi * np.arange(count) / count
+
+
+def leading_grid(chain: Chain, count: int) -> np.ndarray:
+    """A grid (m, k) over the ranges of the k leading joints, `count` values each; one empty row for k = 0."""
+    k = chain.num_joints - 6
+    low = np.where(np.isfinite(chain.lower[:k]), chain.lower[:k], -np.pi)
+    high = np.where(np.isfinite(chain.upper[:k]), chain.upper[:k], np.pi)
+    axes = [np.linspace(a, b, count) for a, b in zip(low, high, strict=True)]
+    return np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1).reshape(-1, k) if k else np.zeros((1, 0))
+
+
+def scan(
+    chain: Chain,
+    scene: Scene,
+    fruit: Fruit,
+    angles: int | np.ndarray = 72,
+    slides: int | np.ndarray = 41,
+    weights: Weights | None = None,
+    margin: float = 0.005,
+    grasp: Grasp | None = None,
+) -> Scan:
+    """All candidates for a fruit: approach angles x leading joints x branches, with limits, clearance and freedom.
+
+    `angles` and `slides` are counts or the values themselves [rad], (m, k) [m, rad]. The fruit itself is no obstacle. A
+    candidate is SOLVED in `status` with at least `margin` [m] of clearance.
+
+    Raises `ValueError` where the chain has no closed form.
+    """
+    reason = closed_form_obstacle(chain)
+    if reason:
+        raise ValueError(f"{chain.name}: a scan needs the closed form, and {reason}")
+    at = full_circle(angles) if isinstance(angles, int) else np.asarray(angles, dtype=np.float64)
+    lead = leading_grid(chain, slides) if isinstance(slides, int) else np.asarray(slides).reshape(-1, chain.num_joints - 6)
+    poses = grasp_poses(chain, fruit, at, grasp)
+    a, s = (x.ravel() for x in np.meshgrid(np.arange(len(at)), np.arange(len(lead)), indexing="ij"))
+    q, status, rows, near = _candidates(chain, poses, at, lead, a, s)
+    distance, freedom = _measured(chain, scene, fruit, q)
+    grid = status.reshape(-1)
+    grid[rows] = np.where(distance >= margin, Reason.SOLVED, Reason.COLLISION)
+    cell, branch = np.divmod(rows, BRANCHES)
+    score = (weights or Weights()).score(distance, freedom)
+    table = Table(at[a[cell]], lead[s[cell]], branch, q, distance, freedom, score)
+    shape = (len(at), len(lead), BRANCHES)
+    return Scan(fruit, at, lead, grid.reshape(shape), table, np.stack(np.unravel_index(near, shape), axis=-1))
+
+
+def _candidates(
+    chain: Chain, poses: np.ndarray, at: np.ndarray, lead: np.ndarray, a: np.ndarray, s: np.ndarray
+) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
+    """Postures inside the limits, the status of all candidates, the rows of those inside, and the nearest past the limits."""
+    inside, status, misses, rows = [], [], [], []
+    for start in range(0, len(a), CHUNK):  # so that a million candidates never stand in memory at once
+        part = slice(start, start + CHUNK)
+        q, valid, within = _in_chunks(_solver(chain), poses[a[part]].astype(np.float32), lead[s[part]].astype(np.float32))
+        q, valid, within = q.reshape(-1, chain.num_joints), valid.ravel(), within.ravel()
+        status.append(np.where(valid, Reason.LIMITS, Reason.OUT_OF_REACH).astype(np.int8))
+        rows.append(np.flatnonzero(within) + start * BRANCHES)
+        inside.append(q[within])
+        past = np.flatnonzero(valid & ~within)
+        violation = np.maximum(chain.lower - q[past], q[past] - chain.upper).max(axis=1)
+        order = np.argsort(violation)[:MISSES]
+        misses.append(np.stack([violation[order], past[order] + start * BRANCHES], axis=-1))
+    worst = np.concatenate(misses)
+    near = worst[np.argsort(worst[:, 0])[:MISSES], 1].astype(int)
+    return np.concatenate(inside), np.concatenate(status), np.concatenate(rows), near
+
+
+MISSES = 16  # candidates that recovery starts from
+
+
+def _others(scene: Scene, fruit: Fruit) -> Scene:
+    """The scene without the fruit that is being picked, padded."""
+    own = [i for i, name in enumerate(scene.object_names) if name == fruit.name]
+    return scene.without(own).padded()
+
+
+def _measured(chain: Chain, scene: Scene, fruit: Fruit, q: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    if not len(q):
+        return np.zeros(0), np.zeros(0)
+    distance, freedom = _in_chunks(_measures(chain), q, fixed=(_others(scene, fruit),))
+    return distance, freedom
+
+
+# --------------------------------------------------------------------------------------------------------------------
+# The first of the paper's two steps
+
+
+def last_links(chain: Chain, count: int = 3) -> Chain:
+    """The last `count` joints as a chain of their own, which `mounted` puts anywhere."""
+    n = chain.num_joints - count
+    kept = [i for i, j in enumerate(chain.link_joint) if j > n]
+    index = {link: k for k, link in enumerate(kept)}
+    return dataclasses.replace(
+        chain,
+        joint_names=chain.joint_names[n:],
+        joint_types=chain.joint_types[n:],
+        link_names=tuple(chain.link_names[i] for i in kept),
+        link_joint=tuple(chain.link_joint[i] - n for i in kept),
+        link_offset=chain.link_offset[kept],
+        parent_T_joint=np.concatenate([np.eye(4)[None], chain.parent_T_joint[n + 1 :]]),
+        axis=chain.axis[n:],
+        lower=chain.lower[n:],
+        upper=chain.upper[n:],
+        velocity=chain.velocity[n:],
+        bodies=(),
+        boxes=tuple(dataclasses.replace(b, link=index[b.link]) for b in chain.boxes if b.link in index),
+        volumes=tuple(dataclasses.replace(v, link=index[v.link]) for v in chain.volumes if v.link in index),
+        self_pairs=(),
+    )
+
+
+def approach_angles(
+    chain: Chain, scene: Scene, fruit: Fruit, angles: int | np.ndarray = 72, grasp: Grasp | None = None
+) -> tuple[np.ndarray, np.ndarray]:
+    """The approach angles [rad] from best to worst, and the clearance [m] of the last three links, straight, at each.
+
+    Source: Van Henten et al. 2010, sec. 4.1, step 1.
+    """
+    at = full_circle(angles) if isinstance(angles, int) else np.asarray(angles, dtype=np.float64)
+    hand = last_links(chain)
+    rest = np.zeros(hand.num_joints)
+    straight = hand.joint_T_tip
+    for frame in hand.parent_T_joint[::-1]:
+        straight = frame @ straight
+    placed = chain.world_T_base @ grasp_poses(chain, fruit, at, grasp) @ np.linalg.inv(straight)
+    others = _others(scene, fruit)
+    each = jax.jit(jax.vmap(lambda frame: clearance(hand.mounted(frame), others, rest)))
+    distance = np.asarray(each(placed))
+    order = np.argsort(-distance, kind="stable")
+    return at[order], distance[order]
+
+
+def scan_two_step(
+    chain: Chain, scene: Scene, fruit: Fruit, angles: int = 72, slides: int = 41, **options: Any
+) -> tuple[Scan, int]:
+    """The paper's two steps, with the recovery that it lacks: where the best angle has no posture the next one is taken.
+
+    Returns the scan of the first angle that has one (else of the best angle) and how many angles were tried.
+    """
+    order, _ = approach_angles(chain, scene, fruit, angles, options.get("grasp"))
+    first = None
+    for tried, angle in enumerate(order, 1):
+        found = scan(chain, scene, fruit, np.array([angle]), slides, **options)
+        first = first or found
+        if found.reason == Reason.SOLVED:
+            return found, tried
+    assert first is not None
+    return first, len(order)
+
+
+# --------------------------------------------------------------------------------------------------------------------
+# Recovery
+
+
+class Recovered(NamedTuple):
+    """A posture found between the grid's points, and how: "finer grid" or "gradient"."""
+
+    row: Table
+    how: str
+
+
+def recover(
+    chain: Chain,
+    scene: Scene,
+    found: Scan,
+    weights: Weights | None = None,
+    margin: float = 0.005,
+    grasp: Grasp | None = None,
+    steps: int = 40,
+) -> Recovered | None:
+    """A posture near the misses of a scan that has none: a grid ten times finer around them, then gradient ascent.
+
+    The gradient is exact. Along the self-motion (the tip stays) the joints follow angle and leading joints by
+    `J_arm dq_arm = twist - J_lead dq_lead`, and every step ends in the closed form, so the pose never drifts.
+    """
+    starts = _misses(found)
+    if not len(starts):
+        return None
+    for spread in _finer(chain, found, starts):
+        finer = scan(chain, scene, found.fruit, *spread, weights=weights, margin=margin, grasp=grasp)
+        best = finer.table.best(margin)
+        if best is not None:
+            return Recovered(Table(*(column[best : best + 1] for column in finer.table)), "finer grid")
+    return _climb(chain, scene, found, starts, weights or Weights(), margin, grasp, steps)
+
+
+def _misses(found: Scan) -> np.ndarray:
+    """The nearest misses as rows (angle, leading..., branch): by clearance, then by how little a limit is passed."""
+    table = found.table
+    order = np.argsort(-table.clearance)[:MISSES]
+    close = np.column_stack([table.angle[order], table.leading[order], table.branch[order]])
+    a, s, b = found.near_limits.T
+    return np.concatenate([close, np.column_stack([found.angles[a], found.leading[s], b])])
+
+
+def _finer(chain: Chain, found: Scan, starts: np.ndarray) -> Iterator[tuple[np.ndarray, np.ndarray]]:
+    """Around the few best distinct cells: a tenth of the grid's step, one step to either side."""
+    step = 2.0 * np.pi / max(len(found.angles), 2)
+    lead = found.leading
+    width = np.array([np.min(np.diff(np.unique(c)), initial=np.inf) if len(np.unique(c)) > 1 else 0.0 for c in lead.T])
+    fine = np.linspace(-1.0, 1.0, 21)
+    cells = np.unique(starts[:, :-1], axis=0, return_index=True)[1]
+    k = chain.num_joints - 6
+    for row in starts[np.sort(cells)][:4]:
+        axes = [np.clip(row[1 + i] + fine * width[i], chain.lower[i], chain.upper[i]) for i in range(k)]
+        grid = np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1).reshape(-1, k) if k else np.zeros((1, 0))
+        yield row[0] + fine * step, grid
+
+
+def _climb(
+    chain: Chain,
+    scene: Scene,
+    found: Scan,
+    starts: np.ndarray,
+    weights: Weights,
+    margin: float,
+    grasp: Grasp | None,
+    steps: int,
+) -> Recovered | None:
+    others = _others(scene, found.fruit)
+    k = chain.num_joints - 6
+    axis = chain.world_T_base[:3, :3].T @ found.fruit.axis
+    branch = starts[:, -1].astype(int)
+    rows = np.arange(len(starts))
+
+    def solve(u: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        poses = grasp_poses(chain, found.fruit, u[:, 0], grasp)
+        q, valid, _ = _in_chunks(_solver(chain), poses.astype(np.float32), u[:, 1:].astype(np.float32))
+        return q[rows, branch], valid[rows, branch]
+
+    def measure(q: np.ndarray) -> list[np.ndarray]:
+        return _in_chunks(_ascent(chain), q, fixed=(others,))
+
+    u, stride = starts[:, :-1].copy(), np.full(len(starts), 0.1)
+    q, _ = solve(u)
+    worth, slope, jacobians = measure(q)
+    for _ in range(steps):
+        direction = _self_motion(jacobians.astype(np.float64), slope.astype(np.float64), axis, k)
+        trial = u + stride[:, None] * direction
+        trial[:, 1:] = np.clip(trial[:, 1:], chain.lower[:k], chain.upper[:k])
+        trial_q, valid = solve(trial)
+        trial_worth, trial_slope, trial_jacobians = measure(trial_q)
+        better = valid & (trial_worth > worth)
+        u, q = np.where(better[:, None], trial, u), np.where(better[:, None], trial_q, q)
+        worth, slope = np.where(better, trial_worth, worth), np.where(better[:, None], trial_slope, slope)
+        jacobians = np.where(better[:, None, None], trial_jacobians, jacobians)
+        stride = np.where(better, np.minimum(1.5 * stride, 0.3), 0.4 * stride)
+        if np.max(worth) > margin:
+            break
+    distance, freedom = _measured(chain, scene, found.fruit, q)
+    inside = np.all((q >= chain.lower) & (q <= chain.upper), axis=1)
+    table = Table(u[:, 0], u[:, 1:], branch, q, np.where(inside, distance, -np.inf), freedom, weights.score(distance, freedom))
+    best = table.best(margin)
+    return None if best is None else Recovered(Table(*(c[best : best + 1] for c in table)), "gradient")
+
+
+def _self_motion(jacobians: np.ndarray, slope: np.ndarray, axis: np.ndarray, k: int) -> np.ndarray:
+    """The unit direction in (angle, leading joints) that raises a function of q with gradient `slope` most."""
+    arm = jacobians[:, :, k:]
+    turn = np.broadcast_to(np.concatenate([np.zeros(3), axis])[:, None], (len(arm), 6, 1))
+    moved = np.linalg.pinv(arm) @ np.concatenate([turn, -jacobians[:, :, :k]], axis=2)  # pinv: the wrist may be singular
+    gradient = np.einsum("bi,bij->bj", slope[:, k:], moved)
+    gradient[:, 1:] += slope[:, :k]
+    return gradient / np.maximum(np.linalg.norm(gradient, axis=1, keepdims=True), 1e-12)
+
+
+# --------------------------------------------------------------------------------------------------------------------
+# What stands in the way
+
+
+class Blockers(NamedTuple):
+    """Objects in the way of a fruit: the share of candidate postures that each blocks, and a smallest set to remove.
+
+    `removal` is None where no removable set opens a posture (the robot hits itself or what may not be removed).
+    """
+
+    names: tuple[str, ...]
+    share: tuple[float, ...]
+    removal: tuple[str, ...] | None
+    row: int | None  # of the table: the posture that the removal opens
+
+
+def blockers(chain: Chain, scene: Scene, found: Scan, margin: float = 0.005) -> Blockers:
+    """Which objects stand in the way of a scanned fruit, and the fewest whose removal opens a posture of its table.
+
+    A posture opens exactly when all that it touches is removed; so the smallest set is the smallest of the sets that the
+    candidates touch, no search needed. Of equal sets the one with the most clearance to what stays is taken.
+    """
+    if not len(found.table.q):
+        return Blockers((), (), None, None)
+    distance, own = _in_chunks(_contacts(chain), found.table.q, fixed=(_others(scene, found.fruit),))
+    hit = distance < margin
+    share = hit.mean(axis=0)
+    order = [int(i) for i in np.argsort(-share, kind="stable") if share[i] > 0.0]
+    possible = np.flatnonzero((own >= margin) & ~np.any(hit & ~np.array(scene.removable, bool), axis=1))
+    names = tuple(scene.object_names[i] for i in order)
+    shares = tuple(float(share[i]) for i in order)
+    if not len(possible):
+        return Blockers(names, shares, None, None)
+    stays = np.where(hit, np.inf, distance).min(axis=1, initial=np.inf)
+    row = min(possible, key=lambda i: (int(hit[i].sum()), -float(min(stays[i], own[i]))))
+    return Blockers(names, shares, tuple(scene.object_names[i] for i in np.flatnonzero(hit[row])), int(row))
