@@ -4,9 +4,11 @@ from jaxik.chain import Chain, within_limits
 from jaxik.closed_form import ClosedForm, admissible_turns, closed_form, closed_form_obstacle
 from jaxik.collision import clearance, object_clearances, self_clearance
 from jaxik.kinematics import bias_acceleration, forward_kinematics, jacobian, link_frames, manipulability
-from jaxik.load import load
+from jaxik.harvest import Harvest, harvest
+from jaxik.load import load, load_scene
 from jaxik.result import LoadError, Reason
-from jaxik.scene import Fruit, Scene, make_scene
+from jaxik.scan import Grasp, Weights, blockers, scan
+from jaxik.scene import Fruit, Scene, SceneBuilder, make_scene
 from jaxik.spheres import link_spheres
 
 __version__ = "0.1.0"
@@ -15,22 +17,30 @@ __all__ = [
     "Chain",
     "ClosedForm",
     "Fruit",
+    "Grasp",
+    "Harvest",
     "LoadError",
     "Reason",
     "Scene",
+    "SceneBuilder",
+    "Weights",
     "admissible_turns",
     "bias_acceleration",
+    "blockers",
     "clearance",
     "closed_form",
     "closed_form_obstacle",
     "forward_kinematics",
+    "harvest",
     "jacobian",
     "link_frames",
     "link_spheres",
     "load",
+    "load_scene",
     "make_scene",
     "manipulability",
     "object_clearances",
+    "scan",
     "self_clearance",
     "within_limits",
 ]

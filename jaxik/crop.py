@@ -2,7 +2,7 @@
 
 High-wire cultivation as Van Henten et al. (2003, 2010) describe it, generated (nothing here is measured): stems hang from a
 wire in a row along x, leaves stand about them as clouds of about 15 points, fruits of 300 mm hang vertically. The robot's
-slide lies along x at y = 0, the row at about y = 0.75 m, z is up [m].
+slide lies along x at y = 0, the row at about y = 0.72 m, z is up [m].
 """
 
 from __future__ import annotations
@@ -22,12 +22,12 @@ def cucumber_row(seed: int = 0, plants: int = 5, leaves: int = 4, fruits: int = 
     rng = np.random.default_rng(seed)
     builder = SceneBuilder(name=f"cucumber_row_{seed}", point_radius=0.01)
     start = 0.5 - 0.125 * (plants - 1)
-    stems = [np.array([start + 0.25 * i + rng.normal(0, 0.02), 0.75 + rng.normal(0, 0.02)]) for i in range(plants)]
+    stems = [np.array([start + 0.25 * i + rng.normal(0, 0.02), 0.72 + rng.normal(0, 0.02)]) for i in range(plants)]
     for i, (x, y) in enumerate(stems):
         lean = rng.normal(0, 0.02, 2)
         line = [*np.round((x, y, 0.0), 3), *np.round((x + lean[0], y + lean[1], 2.0), 3), 0.008]
         builder.add(f"stem_{i + 1}", capsules=[line], removable=False)
-    builder.add("wire", capsules=[[start - 0.3, 0.75, 2.0, start + 0.25 * plants + 0.05, 0.75, 2.0, 0.002]], removable=False)
+    builder.add("wire", capsules=[[start - 0.3, 0.72, 2.0, start + 0.25 * plants + 0.05, 0.72, 2.0, 0.002]], removable=False)
     for i, (x, y) in enumerate(stems):
         for k in range(leaves):
             # most leaves of a row stand into the aisle, some behind
@@ -37,7 +37,7 @@ def cucumber_row(seed: int = 0, plants: int = 5, leaves: int = 4, fruits: int = 
     for i in range(fruits):
         x, y = stems[i % plants]
         around, out = rng.uniform(-np.pi, 0.0), rng.uniform(0.05, 0.12)
-        top = np.array([x + out * np.cos(around), y + out * np.sin(around), rng.uniform(0.45, 1.05)])
+        top = np.array([x + out * np.cos(around), y + out * np.sin(around), rng.uniform(0.35, 0.8)])
         builder.add_fruit(f"fruit_{i + 1}", np.round(top, 3), length=0.3, radius=0.02)
     return builder.scene()
 

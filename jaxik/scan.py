@@ -144,13 +144,15 @@ def _worth(chain: Chain, distance: Any, q: Any) -> Any:
     return jnp.minimum(distance, LIMIT_LENGTH * jnp.min(room))
 
 
-def _in_chunks(function: Callable[..., Any], *columns: np.ndarray, fixed: tuple[Any, ...] = ()) -> list[np.ndarray]:
+def _in_chunks(
+    function: Callable[..., Any], *columns: np.ndarray, fixed: tuple[Any, ...] = (), size: int = CHUNK
+) -> list[np.ndarray]:
     """`function` over rows, in chunks padded to one shape, as NumPy arrays."""
     parts = []
-    for start in range(0, len(columns[0]), CHUNK):
-        rows = [c[start : start + CHUNK] for c in columns]
+    for start in range(0, len(columns[0]), size):
+        rows = [c[start : start + size] for c in columns]
         count = len(rows[0])
-        padded = [np.concatenate([r, np.repeat(r[:1], CHUNK - count, axis=0)]) for r in rows]
+        padded = [np.concatenate([r, np.repeat(r[:1], size - count, axis=0)]) for r in rows]
         parts.append([np.asarray(x)[:count] for x in jax.tree_util.tree_leaves(function(*padded, *fixed))])
     return [np.concatenate(each) for each in zip(*parts, strict=True)]
 
@@ -350,7 +352,7 @@ def recover(
     weights: Weights | None = None,
     margin: float = 0.005,
     grasp: Grasp | None = None,
-    steps: int = 40,
+    steps: int = 25,
 ) -> Recovered | None:
     """A posture near the misses of a scan that has none: a grid ten times finer around them, then gradient ascent.
 
@@ -413,7 +415,7 @@ def _climb(
         return q[rows, branch], valid[rows, branch]
 
     def measure(q: np.ndarray) -> list[np.ndarray]:
-        return _in_chunks(_ascent(chain), q, fixed=(others,))
+        return _in_chunks(_ascent(chain), q, fixed=(others,), size=2 * MISSES)
 
     u, stride = starts[:, :-1].copy(), np.full(len(starts), 0.1)
     q, _ = solve(u)
@@ -429,7 +431,7 @@ def _climb(
         worth, slope = np.where(better, trial_worth, worth), np.where(better[:, None], trial_slope, slope)
         jacobians = np.where(better[:, None, None], trial_jacobians, jacobians)
         stride = np.where(better, np.minimum(1.5 * stride, 0.3), 0.4 * stride)
-        if np.max(worth) > margin:
+        if np.max(worth) > margin or np.max(stride) < 1e-4:
             break
     distance, freedom = _measured(chain, scene, found.fruit, q)
     inside = np.all((q >= chain.lower) & (q <= chain.upper), axis=1)

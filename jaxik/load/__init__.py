@@ -9,14 +9,16 @@ from typing import Any
 import numpy as np
 
 from jaxik.chain import Chain
+from jaxik.load import scene as scene_files
 from jaxik.load.mjcf import load_mjcf
 from jaxik.load.srdf import disabled_pairs
 from jaxik.load.toml import load_toml
 from jaxik.load.urdf import load_urdf
 from jaxik.result import LoadError
+from jaxik.scene import Scene
 from jaxik.spheres import self_collision_pairs
 
-__all__ = ["LoadError", "load", "models_folder"]
+__all__ = ["LoadError", "load", "load_scene", "models_folder"]
 
 
 def models_folder() -> Path:
@@ -60,11 +62,20 @@ def load(
     return dataclasses.replace(chain, self_pairs=self_collision_pairs(chain, disabled))
 
 
-def _locate(source: str | Path) -> Path:
+def load_scene(source: str | Path) -> Scene:
+    """A shipped scene (`"cucumber_row"`) or a scene file: `.toml`, or labelled points as `.csv` or `.ply`.
+
+    Raises `LoadError` (a `ValueError`) with one line: the file, the element, what is allowed, the mend.
+    """
+    return scene_files.load_scene(_locate(source, "scene"))
+
+
+def _locate(source: str | Path, what: str = "robot") -> Path:
     path = Path(source)
     if path.suffix:
         return path
-    shipped = {p.stem: p for p in sorted(models_folder().glob("*.toml"))}
+    folder = models_folder() / "scenes" if what == "scene" else models_folder()
+    shipped = {p.stem: p for p in sorted(folder.glob("*.toml"))}
     if str(source) not in shipped:
-        raise LoadError(str(source), "robot", "no such shipped model", f"shipped: {', '.join(shipped)}; or give a file")
+        raise LoadError(str(source), what, f"no such shipped {what}", f"shipped: {', '.join(shipped)}; or give a file")
     return shipped[str(source)]

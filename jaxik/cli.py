@@ -1,0 +1,146 @@
+"""The commands: `jaxik harvest`."""
+
+from __future__ import annotations
+
+import csv
+import dataclasses
+import os
+import shutil
+import sys
+import tempfile
+from pathlib import Path
+from typing import Annotated
+
+import numpy as np
+import tyro
+
+import jaxik
+from jaxik.harvest import Harvest
+from jaxik.scan import Weights
+
+
+@dataclasses.dataclass
+class HarvestArguments:
+    """The best collision-free posture for every fruit of a scene, as a table, a file and a picture."""
+
+    robot: str = "p6r"
+    """A shipped model or a robot file (.urdf, .xml, .toml)."""
+    scene: str = "cucumber_row"
+    """A shipped scene or a scene file (.toml, or labelled points as .csv or .ply)."""
+    tip: str | None = None
+    """The link to bring to the fruit; needed where the robot has several."""
+    weights: Weights = dataclasses.field(default_factory=Weights)
+    """What makes a posture good."""
+    angles: int = 72
+    """Approach angles about the fruit."""
+    slides: int = 41
+    """Positions of each leading joint."""
+    margin: float = 0.005
+    """Least clearance [m]."""
+    out: Path = Path("harvest")
+    """Folder for postures.csv, postures.npz and harvest.png."""
+
+
+def run_harvest(arguments: HarvestArguments) -> None:
+    """Load, harvest with a progress bar, write, and end with one line of counts and times."""
+    from rich.console import Console
+    from rich.progress import Progress
+
+    if arguments.angles < 1 or arguments.slides < 1:
+        raise ValueError(f"--angles {arguments.angles} --slides {arguments.slides}: both are at least 1")
+    chain = jaxik.load(arguments.robot, tip=arguments.tip)
+    scene = jaxik.load_scene(arguments.scene)
+    _compilation_cache()
+    with Progress(console=Console(stderr=True)) as bar:
+        task = bar.add_task("harvest", total=len(scene.fruits))
+        result = jaxik.harvest(
+            chain,
+            scene,
+            arguments.weights,
+            arguments.angles,
+            arguments.slides,
+            arguments.margin,
+            progress=lambda name: bar.update(task, advance=1, description=f"harvest {name}"),
+        )
+    _print_table(result)
+    write_harvest(result, arguments.out)
+    counts = ", ".join(f"{int(n)} {r}" for r, n in zip(*np.unique(result.arrays()["reason"], return_counts=True), strict=True))
+    print(
+        f"{len(result.rows)} fruits: {counts}; {result.candidates} candidates in {result.seconds:.1f} s; wrote {arguments.out}/"
+    )
+
+
+def _compilation_cache() -> None:
+    """JAX's persistent cache, so that the second run compiles nothing. Only the commands touch the configuration."""
+    import jax
+
+    folder = Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache") / "jaxik"
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+    except OSError:
+        return  # a read-only home costs time, not the result
+    jax.config.update("jax_compilation_cache_dir", str(folder))
+    jax.config.update("jax_persistent_cache_min_compile_time_secs", 0.1)
+
+
+def _print_table(result: Harvest) -> None:
+    from rich.console import Console
+    from rich.table import Table
+
+    table = Table(title=f"{result.chain.name} in {result.scene.name}")
+    for heading in ("fruit", "result", *result.chain.joint_names, "clearance [mm]", "freedom", "found by, or remove"):
+        table.add_column(heading, justify="left" if heading in ("fruit", "result") else "right")
+    for row in result.rows:
+        joints = [
+            (f"{x:.3f}" if p else f"{np.degrees(x):.1f}") if row.success else ""
+            for x, p in zip(row.q, result.chain.is_prismatic, strict=True)
+        ]
+        note = row.found_by if row.success else ", ".join((row.blockers.removal if row.blockers else None) or ())
+        numbers = [f"{1000 * row.clearance:.0f}", f"{row.freedom:.2f}"] if row.success else ["", ""]
+        table.add_row(row.fruit, row.reason.text, *joints, *numbers, note)
+    Console(width=max(120, Console().width)).print(table)
+    print("joints in degrees, prismatic ones in metres")
+
+
+def write_harvest(result: Harvest, out: Path) -> None:
+    """postures.csv, postures.npz (no pickle) and harvest.png in `out`, written aside and then renamed: all or nothing new."""
+    from jaxik.plot import plot_harvest
+
+    out.mkdir(parents=True, exist_ok=True)
+    aside = Path(tempfile.mkdtemp(prefix=".harvest-", dir=out))
+    try:
+        arrays = result.arrays()
+        np.savez(aside / "postures.npz", allow_pickle=False, **arrays)
+        with (aside / "postures.csv").open("w", newline="") as file:
+            columns = [k for k, v in arrays.items() if k not in ("q", "joint_names") and len(v) == len(result.rows)]
+            writer = csv.writer(file)
+            writer.writerow([*columns, *result.chain.joint_names])
+            for i, row in enumerate(result.rows):
+                writer.writerow([*(arrays[k][i] for k in columns), *row.q])
+        plot_harvest(result, aside / "harvest.png")
+        for file_written in sorted(aside.iterdir()):
+            os.replace(file_written, out / file_written.name)
+    finally:
+        shutil.rmtree(aside, ignore_errors=True)
+
+
+def main() -> None:
+    """The entry point. A mistake in the input ends with one line and exit code 2."""
+    arguments = tyro.cli(
+        Annotated[HarvestArguments, tyro.conf.subcommand("harvest")] | Annotated[_About, tyro.conf.subcommand("about")],  # type: ignore[arg-type]
+        prog="jaxik",
+        description=jaxik.__doc__,
+    )
+    try:
+        if isinstance(arguments, HarvestArguments):
+            run_harvest(arguments)
+        else:
+            print(f"jaxik {jaxik.__version__}")
+    except (ValueError, OSError) as error:
+        print(f"jaxik: {error}", file=sys.stderr)
+        raise SystemExit(2) from None
+
+
+@dataclasses.dataclass
+class _About:
+    """The version."""
