@@ -1,0 +1,18 @@
+"""Robots that no one here wrote, from example-robot-data; the folder is where pip puts it."""
+
+from pathlib import Path
+
+import pinocchio
+
+FOLDER = Path(pinocchio.__file__).parents[4] / "share" / "example-robot-data" / "robots"
+
+# file, tip link: prismatic, continuous and oblique joints among them
+ROBOTS = {
+    "panda": ("panda_description/urdf/panda.urdf", "panda_link8"),
+    "ur5": ("ur_description/urdf/ur5_robot.urdf", "tool0"),
+    "kinova": ("kinova_description/robots/kinova.urdf", "j2s6s200_end_effector"),
+    "tiago": ("tiago_description/robots/tiago_no_hand.urdf", "wrist_ft_tool_link"),
+    "talos arm": ("talos_data/robots/talos_left_arm.urdf", "gripper_left_base_link"),
+    "baxter": ("baxter_description/urdf/baxter.urdf", "left_hand"),
+    "pr2": ("pr2_description/urdf/pr2.urdf", "r_wrist_roll_link"),
+}

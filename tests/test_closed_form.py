@@ -1,0 +1,169 @@
+"""The closed form: round trips over random arms, branches against EAIK, singularities, edges, refusals."""
+
+import dataclasses
+from pathlib import Path
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from robots import FOLDER, ROBOTS
+
+import jaxik
+from jaxik.load.assemble import Joint, assemble
+
+
+def _rotation(rng):
+    q, _ = np.linalg.qr(rng.normal(size=(3, 3)))
+    return q * np.sign(np.linalg.det(q))
+
+
+def _frame(rotation, translation):
+    frame = np.eye(4)
+    frame[:3, :3], frame[:3, 3] = rotation, translation
+    return frame
+
+
+def random_arm(seed, right_angled=False, slide=False):
+    """Any arm of the family: tilted shoulder, offsets everywhere, oblique wrist, axes and zeros turned at random."""
+    rng = np.random.default_rng(seed)
+    h, p = rng.normal(size=(6, 3)), rng.normal(size=(6, 3)) * 0.4
+    if right_angled:
+        h[1], h[3] = np.cross(h[0], h[1]), rng.normal(size=3)
+        h[4] = np.cross(h[3], h[4])
+        h[5] = np.cross(h[4], rng.normal(size=3))
+    h[2] = h[1] * rng.choice([-1.0, 1.0])
+    p[4] = p[5] = p[3]
+    h /= np.linalg.norm(h, axis=1, keepdims=True)
+    joints, before = [], np.eye(4)
+    if slide:
+        axis = rng.normal(size=3)
+        joints.append(Joint("slide", "prismatic", np.eye(4), "cart", axis / np.linalg.norm(axis), -1.0, 1.0))
+    for i in range(6):
+        here = _frame(_rotation(rng), p[i])
+        joints.append(Joint(f"j{i}", "revolute", np.linalg.inv(before) @ here, f"l{i}", here[:3, :3].T @ h[i], -7.0, 7.0))
+        before = here
+    return assemble(Path("random"), f"arm{seed}", "base", joints, {}, _frame(_rotation(rng), rng.normal(size=3) * 0.2))
+
+
+def _round_trip(chain, q, dtype=jnp.float64):
+    k = chain.num_joints - 6
+    pose = jax.jit(jax.vmap(lambda q: jaxik.forward_kinematics(chain, q)))
+    target = pose(q)
+    found = jax.jit(jax.vmap(lambda p, s: jaxik.closed_form(chain, p, s)))(target.astype(dtype), q[:, :k].astype(dtype))
+    back = pose(found.q.reshape(-1, chain.num_joints)).reshape(len(q), 8, 4, 4)
+    error = np.max(np.abs(back - target[:, None]), axis=(2, 3))
+    return found, np.where(found.valid, error, 0.0)
+
+
+@pytest.mark.parametrize("seed", range(10))
+def test_round_trip_of_random_arms(seed):
+    chain = random_arm(seed, right_angled=seed % 2 == 0, slide=seed % 3 == 0)
+    q = np.random.default_rng(seed).uniform(-np.pi, np.pi, (10_000, chain.num_joints))
+    q[:, : chain.num_joints - 6] /= 4
+    found, error = _round_trip(chain, q)
+    assert np.all(np.asarray(found.valid).any(axis=1))
+    assert error.max() <= 1e-10
+    apart = np.abs((np.asarray(found.q) - q[:, None] + np.pi) % (2 * np.pi) - np.pi).max(axis=2)
+    nearest = np.where(found.valid, apart, np.inf).min(axis=1)
+    assert np.quantile(nearest, 0.99) <= 1e-10  # near a singularity single joints lose digits, the pose does not
+
+
+def _eaik_wrist(chain):
+    """The same arm for EAIK: axes and points at q = 0 (the last point carries on to the tip)."""
+    frame, h, p = np.eye(4), [], []
+    for i in range(6):
+        frame = frame @ chain.parent_T_joint[i]
+        h.append(frame[:3, :3] @ chain.axis[i])
+        p.append(frame[:3, 3])
+    frame = frame @ chain.joint_T_tip
+    offsets = np.diff(np.array([np.zeros(3), *p, frame[:3, 3]]), axis=0)
+    return np.array(h), offsets, frame[:3, :3]
+
+
+@pytest.mark.parametrize("seed", [0, 1, 2, 3])
+def test_branches_against_eaik(seed):
+    from eaik.IK_HP import HPRobot
+
+    chain = random_arm(seed, right_angled=seed % 2 == 0)
+    h, offsets, end = _eaik_wrist(chain)
+    robot = HPRobot(h.T, offsets.T)
+    q = np.random.default_rng(seed).uniform(-np.pi, np.pi, (60, 6))
+    found, _ = _round_trip(chain, q)
+    for i in range(len(q)):
+        pose = np.asarray(jaxik.forward_kinematics(chain, q[i]))
+        theirs = robot.IK(_frame(pose[:3, :3] @ end.T, pose[:3, 3]))
+        exact = [s for s, approximate in zip(theirs.Q, theirs.is_LS, strict=True) if not approximate]
+        ours = np.asarray(found.q[i])[np.asarray(found.valid[i])]
+        assert len(ours) == len(exact)
+        for s in exact:
+            apart = np.abs((ours - s + np.pi) % (2 * np.pi) - np.pi).max(axis=1)
+            assert apart.min() <= 1e-6
+
+
+@pytest.mark.parametrize("dtype, bound", [(jnp.float64, 1e-10), (jnp.float32, 5e-5)])
+def test_wrist_singularity_and_its_neighbourhood(dtype, bound):
+    chain = jaxik.load("p6r")
+    offsets = np.array([0.0, 1e-15, 1e-12, 1e-9, 1e-7, 1e-5, 1e-3, -1e-9])
+    q = np.tile([0.4, 0.3, -0.5, -0.4, 0.7, 0.0, 0.5], (len(offsets), 1))
+    q[:, 5] = offsets
+    found, error = _round_trip(chain, jnp.asarray(q), dtype)
+    assert np.all(np.asarray(found.valid).any(axis=1)) and np.all(np.isfinite(found.q))
+    assert error.max() <= bound
+    assert np.any(np.asarray(found.q[0])[:, 6] == 0.0)  # (B25-B28): the last joint is set to 0
+    gradient = jax.jacfwd(lambda p: jaxik.closed_form(chain, p, jnp.asarray(0.4, dtype)).q)
+    assert np.all(np.isfinite(gradient(jaxik.forward_kinematics(chain, q[0]).astype(dtype))))
+
+
+def test_edge_of_the_workspace():
+    chain = jaxik.load("p6r")
+    straight = -np.pi / 2 - np.arctan2(0.09, 0.255) + np.pi / 2 - np.pi / 2
+    q = np.tile([0.4, 0.3, -0.5, straight, 0.7, 0.4, 0.5], (1, 1))
+    pose = np.asarray(jaxik.forward_kinematics(chain, q[0]))
+    found, error = _round_trip(chain, q)
+    assert np.asarray(found.valid).any() and error.max() <= 1e-10
+    outward = pose[:3, 3] - np.array([0.0, 0.35, 0.4])
+    pose[:3, 3] += 0.5 * outward / np.linalg.norm(outward)
+    beyond = jaxik.closed_form(chain, pose, 0.4)
+    assert not np.any(beyond.valid) and np.all(np.isfinite(beyond.q))
+
+
+def test_gradient_against_finite_differences():
+    chain, q = jaxik.load("p6r"), jnp.asarray([0.4, 0.3, -0.5, -0.4, 0.7, 0.6, 0.5])
+    pose = jaxik.forward_kinematics(chain, q)
+    solve = lambda s: jaxik.closed_form(chain, pose, s)
+    step = 1e-6
+    numeric = (solve(0.4 + step).q - solve(0.4 - step).q) / (2 * step)
+    exact = jax.jacfwd(lambda s: solve(s).q)(0.4)
+    valid = np.asarray(solve(0.4).valid)
+    assert valid.any() and np.allclose(exact[valid], numeric[valid], atol=1e-7)
+
+
+def test_limits_and_turns():
+    chain = jaxik.load("p6r")
+    q = jnp.asarray([0.4, 0.3, -0.5, -0.4, 0.7, 0.6, 3.3])  # past pi, inside +-200 deg
+    found = jaxik.closed_form(chain, jaxik.forward_kinematics(chain, q), q[0])
+    inside = np.asarray(found.q)[np.asarray(found.within_limits)]
+    assert len(inside) and np.all((inside >= chain.lower) & (inside <= chain.upper))
+    turns = [t for s in inside for t in jaxik.admissible_turns(chain, s)]
+    assert len(turns) > len(inside) and min(np.max(np.abs(t - q)) for t in turns) <= 1e-10
+    not_a_pose = jaxik.closed_form(chain, jnp.full((4, 4), jnp.nan), 0.1)
+    assert not np.any(not_a_pose.valid)
+
+
+@pytest.mark.parametrize("name, words", [("planar2", "2 joints"), ("crops_v2", "axes"), ("chembuly9", "axes")])
+def test_chains_outside_the_family_are_refused_with_the_reason(name, words):
+    chain = jaxik.load(name)
+    with pytest.raises(ValueError, match=words):
+        jaxik.closed_form(chain, jnp.eye(4), jnp.zeros(chain.num_joints - 6 if chain.num_joints > 6 else 0))
+
+
+def test_ur5_has_no_spherical_wrist():
+    file, tip = ROBOTS["ur5"]
+    assert "spherical" in jaxik.closed_form_obstacle(jaxik.load(FOLDER / file, tip=tip))
+
+
+def test_traced_numbers_are_refused():
+    chain = jaxik.load("p6r")
+    traced = dataclasses.replace(chain, parent_T_joint=jnp.asarray(chain.parent_T_joint))
+    assert "traced" in jaxik.closed_form_obstacle(traced)

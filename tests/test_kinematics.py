@@ -1,0 +1,179 @@
+"""Kinematics of real robots against Pinocchio, pytorch-kinematics and MJX; batches, derivatives, precision."""
+
+import warnings
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import mujoco
+import numpy as np
+import pinocchio as pin
+import pytest
+from robots import FOLDER, ROBOTS
+
+import jaxik
+
+SHIPPED = ["p6r", "crops_v2", "chembuly9", "pendulum4", "planar2"]
+
+
+def _range(chain):
+    return np.where(np.isfinite(chain.lower), chain.lower, -np.pi), np.where(np.isfinite(chain.upper), chain.upper, np.pi)
+
+
+def _random(chain, count, seed=0):
+    return np.random.default_rng(seed).uniform(*_range(chain), (count, chain.num_joints))
+
+
+class Oracle:
+    """Pinocchio's answer for a chain of jaxik."""
+
+    def __init__(self, path, chain, tip):
+        self.model = pin.buildModelFromUrdf(str(path))
+        self.data, self.tip = self.model.createData(), self.model.getFrameId(tip)
+        self.joints = [self.model.joints[self.model.getJointId(n)] for n in chain.joint_names]
+
+    def state(self, q):
+        full = pin.neutral(self.model)
+        for joint, value in zip(self.joints, q, strict=True):
+            wide = joint.nq == 2
+            full[joint.idx_q : joint.idx_q + joint.nq] = [np.cos(value), np.sin(value)] if wide else [value]
+        return full
+
+    def velocity(self, qdot):
+        full = np.zeros(self.model.nv)
+        for joint, value in zip(self.joints, qdot, strict=True):
+            full[joint.idx_v] = value
+        return full
+
+    def pose(self, q):
+        pin.framesForwardKinematics(self.model, self.data, self.state(q))
+        return self.data.oMf[self.tip].homogeneous
+
+    def jacobian(self, q):
+        full = pin.computeFrameJacobian(self.model, self.data, self.state(q), self.tip, pin.LOCAL_WORLD_ALIGNED)
+        return full[:, [j.idx_v for j in self.joints]]
+
+    def bias(self, q, qdot):
+        zero = np.zeros(self.model.nv)
+        pin.forwardKinematics(self.model, self.data, self.state(q), self.velocity(qdot), zero)
+        return pin.getFrameClassicalAcceleration(self.model, self.data, self.tip, pin.LOCAL_WORLD_ALIGNED).vector
+
+
+@pytest.mark.parametrize("name", ROBOTS)
+def test_against_pinocchio(name):
+    file, tip = ROBOTS[name]
+    chain = jaxik.load(FOLDER / file, tip=tip)
+    oracle, q = Oracle(FOLDER / file, chain, tip), _random(chain, 20)
+    qdot = np.random.default_rng(1).normal(size=q.shape)
+    pose = jax.jit(jax.vmap(lambda q: jaxik.forward_kinematics(chain, q)))
+    jacobian = jax.jit(jax.vmap(lambda q: jaxik.jacobian(chain, q)))(q)
+    bias = jax.jit(jax.vmap(lambda q, v: jaxik.bias_acceleration(chain, q, v)))(q, qdot)
+    single = pose(q.astype(np.float32))
+    assert single.dtype == jnp.float32
+    for i in range(len(q)):
+        truth = oracle.pose(q[i])
+        assert np.max(np.abs(pose(q)[i] - truth)) <= 1e-12 * max(1.0, np.abs(truth).max())
+        assert np.max(np.abs(jacobian[i] - oracle.jacobian(q[i]))) <= 1e-12 * max(1.0, np.abs(jacobian[i]).max())
+        assert np.max(np.abs(bias[i] - oracle.bias(q[i], qdot[i]))) <= 1e-11 * max(1.0, np.abs(bias[i]).max())
+        rounded = oracle.pose(q[i].astype(np.float32).astype(np.float64))
+        assert np.max(np.abs(single[i] - rounded)) <= 2e-6
+
+
+def test_against_pytorch_kinematics():
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")  # deprecations inside torch are not ours
+        import pytorch_kinematics as pk
+        import torch
+
+        file, tip = ROBOTS["panda"]
+        model = pk.build_serial_chain_from_urdf((FOLDER / file).read_bytes(), tip).to(dtype=torch.float64)
+        chain = jaxik.load(FOLDER / file, tip=tip)
+        q = _random(chain, 20)
+        truth = model.forward_kinematics(torch.tensor(q)).get_matrix().numpy()
+        jacobian = model.jacobian(torch.tensor(q)).numpy()
+    assert np.max(np.abs(jax.vmap(lambda q: jaxik.forward_kinematics(chain, q))(q) - truth)) <= 1e-12
+    assert np.max(np.abs(jax.vmap(lambda q: jaxik.jacobian(chain, q))(q) - jacobian)) <= 1e-12
+
+
+MJCF = """<mujoco><compiler angle="degree"/><worldbody><body name="cart" pos="0.1 0 0.3">
+<joint name="lift" type="slide" axis="0 0 1" range="0 1" ref="0.1"/><geom type="box" size=".1 .1 .05"/>
+<body name="arm" pos="0 0.2 0" euler="10 20 30"><joint name="yaw" axis="0 1 0" pos="0.05 0 0.02" range="-90 120"/>
+<joint name="roll" axis="0.6 0 0.8" ref="30"/><geom type="capsule" fromto="0 0 0 .3 0 0" size=".03"/>
+<body name="hand" pos="0.3 0 0"><joint name="turn" axis="1 0 0"/><geom size=".04"/><site name="tcp" pos="0 0 .1"/></body>
+</body></body></worldbody></mujoco>"""
+
+
+def test_mjcf_against_mujoco_and_mjx(tmp_path):
+    from mujoco import mjx
+
+    path = tmp_path / "arm.xml"
+    path.write_text(MJCF)
+    chain = jaxik.load(path, tip="tcp")
+    assert chain.joint_types == ("prismatic", "revolute", "continuous", "continuous")
+    model = mujoco.MjModel.from_xml_path(str(path))
+    data = mujoco.MjData(model)
+    device = mjx.put_model(model)
+    for q in _random(chain, 10):
+        data.qpos[:] = q
+        mujoco.mj_forward(model, data)
+        pose = np.asarray(jaxik.forward_kinematics(chain, q))
+        assert np.max(np.abs(pose[:3, 3] - data.site("tcp").xpos)) <= 1e-12
+        assert np.max(np.abs(pose[:3, :3].ravel() - data.site("tcp").xmat)) <= 1e-12
+        linear, angular = np.zeros((3, 4)), np.zeros((3, 4))
+        mujoco.mj_jacSite(model, data, linear, angular, 0)
+        assert np.max(np.abs(jaxik.jacobian(chain, q) - np.vstack([linear, angular]))) <= 1e-12
+        moved = mjx.kinematics(device, mjx.make_data(device).replace(qpos=jnp.asarray(q)))
+        assert np.max(np.abs(pose[:3, 3] - moved.site_xpos[0])) <= 1e-12
+
+
+@pytest.mark.parametrize("name", SHIPPED)
+def test_jacobian_is_the_derivative(name):
+    chain = jaxik.load(name)
+    q = jnp.asarray(_random(chain, 1)[0])
+    position = lambda q: jaxik.forward_kinematics(chain, q)[:3, 3]
+    forward, reverse = jax.jacfwd(position)(q), jax.jacrev(position)(q)
+    assert np.allclose(forward, jaxik.jacobian(chain, q)[:3], atol=1e-14)
+    assert np.allclose(forward, reverse, atol=1e-14)
+
+
+@pytest.mark.parametrize("name", ["p6r", "crops_v2", "pendulum4"])
+def test_manipulability(name):
+    chain = jaxik.load(name)
+    q = jnp.asarray(_random(chain, 1)[0])
+    values = np.linalg.svd(jaxik.jacobian(chain, q), compute_uv=False)[: min(6, chain.num_joints)]
+    # the pendulum's Jacobian has rank 3 of 4, where rounding under the root leaves its square root
+    tolerance = 1e-7 if name == "pendulum4" else 1e-12
+    assert abs(jaxik.manipulability(chain, q) - np.prod(values)) <= tolerance
+    assert np.all(np.isfinite(jax.grad(lambda q: jaxik.manipulability(chain, q))(jnp.zeros(chain.num_joints))))
+
+
+def test_batches_agree_with_one():
+    chain = jaxik.load("p6r")
+    q = jnp.asarray(_random(chain, 4096), jnp.float32)
+    for function in (jaxik.forward_kinematics, jaxik.jacobian):
+        each = lambda q, f=function: f(chain, q)
+        alone, seven, many = jax.jit(each)(q[0]), jax.jit(jax.vmap(each))(q[:7]), jax.jit(jax.vmap(each))(q)
+        nested = jax.jit(jax.vmap(jax.vmap(each)))(q.reshape(64, 64, 7)).reshape(many.shape)
+        # XLA contracts a multiply-add where a fusion lets it, so the last bits may differ; this is the bound
+        for other in (alone, seven[0], nested[0]):
+            assert np.max(np.abs(other - many[0])) <= 4 * np.finfo(np.float32).eps
+        assert np.max(np.abs(nested - many)) <= 4 * np.finfo(np.float32).eps
+
+
+def test_reach_differentiates_with_respect_to_a_link_length():
+    chain, q = jaxik.load("p6r"), jnp.asarray([0.3, 0.2, -0.5, -0.4, 0.3, 0.5, 0.1])
+
+    def reach(length):
+        frames = jnp.asarray(chain.parent_T_joint).at[3, 0, 3].set(length)
+        longer = eqx.tree_at(lambda c: c.parent_T_joint, chain, frames)
+        return jnp.linalg.norm(jaxik.forward_kinematics(longer, q)[:3, 3])
+
+    step = 1e-6
+    numeric = (reach(0.25 + step) - reach(0.25 - step)) / (2 * step)
+    assert abs(jax.grad(reach)(0.25) - numeric) <= 1e-8
+    assert abs(reach(0.25) - jnp.linalg.norm(jaxik.forward_kinematics(chain, q)[:3, 3])) <= 1e-14
+
+
+def test_a_wrong_shape_is_refused():
+    with pytest.raises(ValueError, match="takes one configuration of shape"):
+        jaxik.forward_kinematics(jaxik.load("planar2"), jnp.zeros(3))
