@@ -82,7 +82,7 @@ class Chain(eqx.Module):
         return tuple(t == "prismatic" for t in self.joint_types)
 
     def mounted(self, world_T_base: Any) -> Chain:
-        """The same chain standing elsewhere: `world_T_base` (4, 4) [m]. Poses stay in the base frame, collision is in the world's."""
+        """The same chain standing elsewhere: `world_T_base` (4, 4) [m]. Poses stay in the base's."""
         return dataclasses.replace(self, world_T_base=world_T_base)
 
     def with_tool(self, tip_T_tool: Any) -> Chain:

@@ -166,7 +166,7 @@ def _in_plane(normal: np.ndarray, v: np.ndarray) -> float:
 
 
 def _axes(chain: Chain) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Directions (6, 3) and points (6, 3) of the last six axes at q = 0, and the tip (4, 4), in the first one's parent frame."""
+    """Directions (6, 3) and points (6, 3) of the last six axes at q = 0, and the tip (4, 4), in the first's parent frame."""
     if not all(isinstance(x, np.ndarray) for x in (chain.parent_T_joint, chain.axis, chain.joint_T_tip)):
         raise TypeError("traced chain")
     frame, h, p = np.eye(4), [], []
@@ -231,7 +231,7 @@ def _geometry(chain: Chain) -> Geometry:
 
 def _solve(chain: Chain, g: Geometry, pose: Frame, head: list[Scalar], dtype: Any) -> tuple[list[Any], list[Any]]:
     eps = float(np.finfo(dtype).eps)
-    vector = lambda v: Vec3(*constants(v, eps))  # noqa: E731
+    vector = lambda v: Vec3(*constants(v, eps))
     to_plane = Rot3(Vec3(0.0, 1.0, 0.0), vector([-g.cos_tilt, 0.0, g.sin_tilt]), vector([g.sin_tilt, 0.0, g.cos_tilt]))
     to_wrist = Rot3.of(constants(g.plane_R_wrist.T, eps))
     target = (_leading_frame(chain, head, dtype) @ Frame.of(g.base_T_shoulder, eps)).inverse() @ pose
@@ -244,7 +244,8 @@ def _solve(chain: Chain, g: Geometry, pose: Frame, head: list[Scalar], dtype: An
         turned = shared([to_plane @ v for v in turned])
         for q2, q3, (sin23, cos23), margin3 in _elbow(g, point, eps):
             inner = [Vec3(v.x * cos23 + v.y * sin23, v.y * cos23 - v.x * sin23, v.z) for v in turned]
-            for q4, q5, q6, margin5 in _wrist(chain, g, *shared([to_wrist @ v for v in inner]), eps):
+            aim, beside = shared([to_wrist @ v for v in inner])
+            for q4, q5, q6, margin5 in _wrist(chain, g, aim, beside, eps):
                 branches.append((q1, q2, q3, q4, q5, q6))
                 margins.append(jnp.minimum(jnp.minimum(margin1, margin3), margin5))
     return branches, margins
@@ -261,6 +262,9 @@ def _leading_frame(chain: Chain, head: list[Scalar], dtype: Any) -> Frame:
         joint_types=chain.joint_types[:n],
         parent_T_joint=chain.parent_T_joint[:n],
         axis=chain.axis[:n],
+        lower=chain.lower[:n],
+        upper=chain.upper[:n],
+        velocity=chain.velocity[:n],
     )
     return joint_frames(first, head, BASE, dtype).joints[-1]
 

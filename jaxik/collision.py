@@ -88,10 +88,10 @@ def _bodies(kind: str, scene: Scene, dtype: Any) -> tuple[Callable[[tuple[Vec3, 
     centre = columns(frames[:, :3, 3])
     if kind == "boxes":
         half = columns(obstacles.half)
-        body = lambda p: distance.point_box(p, rotation, centre, half)  # noqa: E731
+        body = lambda p: distance.point_box(p, rotation, centre, half)
     else:
         radius, length = jnp.asarray(obstacles.radius, dtype), jnp.asarray(obstacles.half, dtype)
-        body = lambda p: distance.point_cylinder(p, rotation, centre, radius, length)  # noqa: E731
+        body = lambda p: distance.point_cylinder(p, rotation, centre, radius, length)
     return lambda s: distance.to_body(s, body), 0.0
 
 
@@ -201,4 +201,3 @@ def _box_centres(chain: Chain, columns: Any) -> tuple[np.ndarray, np.ndarray]:
     bare = dataclasses.replace(chain, volumes=(), boxes=tuple(sorted(chain.boxes, key=lambda b: b.link)))
     spheres = skeletons(bare, columns, np.float64)[1]
     return np.stack([np.broadcast_to(c, (len(spheres.link),)) for c in spheres.corners[0]], axis=-1), spheres.radius
-

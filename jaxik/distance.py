@@ -117,15 +117,15 @@ def between(s: tuple[Vec3, ...], t: tuple[Vec3, ...]) -> Any:
     """The distance of two skeletons with 1, 2 or 3 corners each."""
     if len(s) > len(t):
         return between(t, s)
-    pair = {
+    pairs: dict[tuple[int, int], Callable[..., Any]] = {
         (1, 1): point_point,
         (1, 2): point_line,
         (1, 3): point_triangle,
         (2, 2): line_line,
         (2, 3): line_triangle,
         (3, 3): triangle_triangle,
-    }[len(s), len(t)]
-    return pair(*s, *t)
+    }
+    return pairs[len(s), len(t)](*s, *t)
 
 
 # --------------------------------------------------------------------------------------------------------------------

@@ -112,23 +112,21 @@ def harvest(
     return Harvest(chain, scene, tuple(rows), time.perf_counter() - start, candidates)
 
 
-def _posture(
-    chain: Chain, scene: Scene, found: Scan, weights: Weights | None, margin: float, grasp: Grasp | None
-) -> Posture:
+def _posture(chain: Chain, scene: Scene, found: Scan, weights: Weights | None, margin: float, grasp: Grasp | None) -> Posture:
     best, how = found.table.best(margin), "grid"
     row = None if best is None else Table(*(column[best : best + 1] for column in found.table))
     if row is None:
         recovered = recover(chain, scene, found, weights, margin, grasp)
         row, how = (recovered.row, recovered.how) if recovered else (None, "")
     if row is None:
-        nothing = np.full(chain.num_joints, np.nan)
+        nothing, nans = np.full(chain.num_joints, np.nan), (np.nan,) * 6
         in_the_way = blockers(chain, scene, found, margin) if found.reason == Reason.COLLISION else None
-        return Posture(found.fruit.name, found.reason, nothing, *([np.nan] * 6), "", in_the_way, found)
+        return Posture(found.fruit.name, found.reason, nothing, *nans, "", in_the_way, found)
     q = row.q[0].astype(np.float64)
     pose = grasp_poses(chain, found.fruit, row.angle, grasp)[0]
     errors = pose_errors(chain, q, pose)
-    measures = (float(x[0]) for x in (row.angle, row.clearance, row.freedom, row.score))
-    return Posture(found.fruit.name, Reason.SOLVED, q, *measures, *errors, how, None, found)
+    angle, distance, freedom, score = (float(x[0]) for x in (row.angle, row.clearance, row.freedom, row.score))
+    return Posture(found.fruit.name, Reason.SOLVED, q, angle, distance, freedom, score, *errors, how, None, found)
 
 
 def pose_errors(chain: Chain, q: np.ndarray, pose: np.ndarray) -> tuple[float, float]:

@@ -7,11 +7,11 @@ from typing import Any
 
 import numpy as np
 
+from jaxik.algebra import Frame
 from jaxik.chain import Chain
 from jaxik.harvest import Harvest, Posture
 from jaxik.kinematics import joint_frames
 from jaxik.result import Reason
-from jaxik.algebra import Frame
 from jaxik.spheres import skeletons
 
 COLOURS = {Reason.SOLVED: "tab:green", Reason.COLLISION: "tab:red", Reason.LIMITS: "tab:orange"}
@@ -39,7 +39,9 @@ def plot_harvest(result: Harvest, path: Path, fruit: str | None = None) -> None:
     _draw_fates(axes[1, 1], result)
     state = f"clearance {1000 * row.clearance:.0f} mm, freedom {row.freedom:.2f}" if row.success else row.reason.text
     solved = int(result.success.sum())
-    figure.suptitle(f"{result.chain.name}, {result.scene.name}: {solved} of {len(result.rows)} fruits; shown: {row.fruit}, {state}")
+    figure.suptitle(
+        f"{result.chain.name}, {result.scene.name}: {solved} of {len(result.rows)} fruits; shown: {row.fruit}, {state}"
+    )
     figure.savefig(path, dpi=110, format="png")
 
 

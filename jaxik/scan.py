@@ -405,7 +405,7 @@ def _climb(
 ) -> Recovered | None:
     others = _others(scene, found.fruit)
     k = chain.num_joints - 6
-    axis = chain.world_T_base[:3, :3].T @ found.fruit.axis
+    axis = np.asarray(chain.world_T_base[:3, :3].T @ found.fruit.axis)
     branch = starts[:, -1].astype(int)
     rows = np.arange(len(starts))
 

@@ -198,5 +198,5 @@ def make_scene(point_radius: float = 0.0, name: str = "scene", **obstacles: Any)
     builder = SceneBuilder(name, point_radius)
     for kind, rows in obstacles.items():
         for i, row in enumerate(rows):
-            builder.add(f"{kind}_{i + 1}", **{kind: [row]})
+            builder.add(f"{kind}_{i + 1}", True, **{kind: [row]})
     return builder.scene()

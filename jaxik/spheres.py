@@ -8,6 +8,7 @@ parent's sphere: so a coarse distance is never larger than a finer one, which is
 
 from __future__ import annotations
 
+import itertools
 from typing import Any, NamedTuple
 
 import jax
@@ -37,7 +38,7 @@ def box_spheres(box: Box, per_box: int) -> tuple[Float[Array, "k 3"], Float[Arra
 
 
 class Skeleton(NamedTuple):
-    """The swept-sphere volumes of a chain in the world, by corner count: `corners[c]` are Vec3 of arrays, one entry a volume."""
+    """Swept-sphere volumes in the world, all with as many corners: `corners[c]` are Vec3 of arrays, one entry a volume."""
 
     corners: tuple[Vec3, ...]
     radius: Any
@@ -94,7 +95,7 @@ def _carried(chain: Chain, frames: tuple[Frame, ...], points: Any, link: np.ndar
     joint = np.array([chain.link_joint[i] for i in link])
     cuts = [0, *(np.flatnonzero(np.diff(joint)) + 1), len(joint)]
     pieces: list[Vec3] = []
-    for start, stop in zip(cuts[:-1], cuts[1:], strict=True):
+    for start, stop in itertools.pairwise(cuts):
         local = points[start:stop]
         local = local if isinstance(local, jax.Array) else np.asarray(local, dtype)
         pieces.append(frames[joint[start]] @ Vec3(local[:, 0], local[:, 1], local[:, 2]))

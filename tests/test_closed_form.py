@@ -87,7 +87,7 @@ def test_branches_against_eaik(seed):
 
     chain = random_arm(seed, right_angled=seed % 2 == 0)
     h, offsets, end = _eaik_wrist(chain)
-    robot = HPRobot(h.T, offsets.T)
+    robot = HPRobot(h, offsets)
     q = np.random.default_rng(seed).uniform(-np.pi, np.pi, (60, 6))
     found, _ = _round_trip(chain, q)
     for i in range(len(q)):

@@ -52,7 +52,9 @@ def test_p6r_satisfies_the_appendix():
     along = a3 + a4 * np.cos(t3) + a5 * np.cos(t3 + t4) - d5 * np.sin(t3 + t4)
     assert abs(np.cos(t2) * p[0] + np.sin(t2) * (slide - p[2]) - along) <= 1e-15
     assert abs(p[1] - d2 - (-a4 * np.sin(t3) - a5 * np.sin(t3 + t4) - d5 * np.cos(t3 + t4))) <= 1e-15
-    assert np.allclose(chain.world_T_base[:3, :3] @ [0, 0, 1], (1, 0, 0)) and np.allclose(chain.world_T_base[:3, 1], (0, 0, 1, 0)[:3])
+    assert np.allclose(chain.world_T_base[:3, :3] @ [0, 0, 1], (1, 0, 0)) and np.allclose(
+        chain.world_T_base[:3, 1], (0, 0, 1, 0)[:3]
+    )
 
 
 @pytest.mark.parametrize("path", sorted(models_folder().glob("*.toml")), ids=lambda p: p.stem)

@@ -5,6 +5,7 @@ from __future__ import annotations
 import dataclasses
 from collections.abc import Iterable, Sequence
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -45,7 +46,7 @@ class Link:
     meshes: list[str] = dataclasses.field(default_factory=list)
 
 
-def rpy_matrix(rpy: Sequence[float]) -> np.ndarray:
+def rpy_matrix(rpy: Any) -> np.ndarray:
     """`Rz(yaw) Ry(pitch) Rx(roll)`, URDF's fixed-axis angles [rad]."""
     (cr, cp, cy), (sr, sp, sy) = np.cos(rpy), np.sin(rpy)
     return np.array(
@@ -57,7 +58,7 @@ def rpy_matrix(rpy: Sequence[float]) -> np.ndarray:
     )
 
 
-def frame(translation: Sequence[float] = (0.0, 0.0, 0.0), rotation: np.ndarray | None = None) -> np.ndarray:
+def frame(translation: Any = (0.0, 0.0, 0.0), rotation: np.ndarray | None = None) -> np.ndarray:
     """A (4, 4) frame."""
     matrix = np.eye(4)
     matrix[:3, :3] = np.eye(3) if rotation is None else rotation

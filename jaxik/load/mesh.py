@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path, PurePosixPath
+from typing import Any
 
 import numpy as np
 
@@ -46,7 +47,7 @@ def bounding_box(path: Path, where: str, name: str, scale: np.ndarray) -> tuple[
     if target.stat().st_size > 4 * MAX_BYTES:
         raise LoadError(path, where, f"mesh '{name[:80]}' is larger than {4 * MAX_BYTES} bytes", "simplify it")
     try:
-        mesh = trimesh.load(target, force="mesh", process=False)
+        mesh: Any = trimesh.load(target, force="mesh", process=False)
         points = np.asarray(mesh.vertices, dtype=np.float64) * scale
         to_origin, extents = trimesh.bounds.oriented_bounds(points)
     except Exception as error:  # a parser for every format: whatever it raises is the file's fault

@@ -73,7 +73,7 @@ class Table:
             raise self.fail(f"'{given[0]}' is not {what}", f"write {what}") from None
         if np.any(np.isnan(values)):
             raise self.fail(f"'{given[0]}' holds NaN", "write numbers")
-        return values * choices[given[0]]
+        return np.asarray(values * choices[given[0]])
 
     def number(self, key: str, unit: str, default: float | None = None) -> float:
         return float(self.array(key, unit, (), default))

@@ -140,4 +140,6 @@ def _shape(path: Path, where: str, origin: np.ndarray, shape: Element, link: Lin
             resolve(path, where, name)  # refused here, not first when someone asks for the meshes
             link.meshes.append(name)
     else:
-        raise LoadError(path, where, f"geometry <{shape.tag}> is not supported", "allowed: box, sphere, cylinder, capsule, mesh")
+        raise LoadError(
+            path, where, f"geometry <{shape.tag}> is not supported", "allowed: box, sphere, cylinder, capsule, mesh"
+        )
