@@ -31,7 +31,7 @@ Scalar = Any  # float | jax.Array of shape () | np.ndarray
 
 
 def _is(a: Scalar, value: float) -> bool:
-    return isinstance(a, float) and a == value
+    return isinstance(a, float) and bool(a == value)
 
 
 def add(a: Scalar, b: Scalar) -> Scalar:

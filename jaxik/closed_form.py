@@ -73,7 +73,7 @@ class Geometry:
     wrist_across: np.ndarray  # (2, 3) across_6 and h_6 x across_6, in the wrist frame at q = 0
 
 
-def closed_form(chain: Chain, pose: Float[Array, "4 4"], slide: Float[Array, "..."] | None = None) -> ClosedForm:
+def closed_form(chain: Chain, pose: Float[Array, "4 4"], slide: Float[Array, "..."] | float | None = None) -> ClosedForm:
     """All joint positions with `base_T_tip = pose` (4, 4) [m], for given leading joints `slide` [m, rad].
 
     `slide` has shape () for one leading joint, (k,) for k, and is left out for none. Differentiable in both. Source: Van Henten

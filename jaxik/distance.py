@@ -22,8 +22,10 @@ _STEPS = 40  # golden-section steps: 0.618^40 = 4e-9 of the line, and the error 
 
 
 def norm(v: Vec3) -> Any:
-    """|v|, with gradient 0 at 0."""
-    return safe_sqrt(v.dot(v))
+    """|v|, and 0 with gradient 0 where rounding of coordinates near 1 m leaves no direction (8 eps)."""
+    square = v.dot(v)
+    floor = (8.0 * float(jnp.finfo(jnp.result_type(square)).eps)) ** 2
+    return safe_sqrt(jnp.where(square > floor, square, 0.0))
 
 
 def _ratio(a: Any, b: Any) -> Any:

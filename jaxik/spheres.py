@@ -34,7 +34,7 @@ def box_spheres(box: Box, per_box: int) -> tuple[Float[Array, "k 3"], Float[Arra
     for level in range(LEVELS[per_box]):
         grid = (grid[:, None] + corners * 2.0**-level).reshape(-1, 3)
     centres = xp.asarray(box.joint_T_box)[:3, 3] + (grid * box.half) @ xp.asarray(box.joint_T_box)[:3, :3].T
-    return centres, xp.sqrt(xp.sum(xp.asarray(box.half) ** 2)) * 2.0 ** -LEVELS[per_box]
+    return centres, xp.asarray(xp.sqrt(xp.sum(xp.asarray(box.half) ** 2)) * 2.0 ** -LEVELS[per_box])
 
 
 class Skeleton(NamedTuple):

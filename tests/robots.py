@@ -13,6 +13,5 @@ ROBOTS = {
     "kinova": ("kinova_description/robots/kinova.urdf", "j2s6s200_end_effector"),
     "tiago": ("tiago_description/robots/tiago_no_hand.urdf", "wrist_ft_tool_link"),
     "talos arm": ("talos_data/robots/talos_left_arm.urdf", "gripper_left_base_link"),
-    "baxter": ("baxter_description/urdf/baxter.urdf", "left_hand"),
     "pr2": ("pr2_description/urdf/pr2.urdf", "r_wrist_roll_link"),
 }

@@ -119,7 +119,7 @@ def test_edge_of_the_workspace():
     chain = jaxik.load("p6r")
     straight = -np.pi / 2 - np.arctan2(0.09, 0.255) + np.pi / 2 - np.pi / 2
     q = np.tile([0.4, 0.3, -0.5, straight, 0.7, 0.4, 0.5], (1, 1))
-    pose = np.asarray(jaxik.forward_kinematics(chain, q[0]))
+    pose = np.array(jaxik.forward_kinematics(chain, q[0]))
     found, error = _round_trip(chain, q)
     assert np.asarray(found.valid).any() and error.max() <= 1e-10
     outward = pose[:3, 3] - np.array([0.0, 0.35, 0.4])

@@ -1,0 +1,130 @@
+"""Distances against coal on random primitives, gradients against finite differences, the hierarchy against the flat answer."""
+
+from functools import partial
+
+import coal
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+import jaxik
+from jaxik import distance
+from jaxik.algebra import Rot3, Vec3
+from jaxik.collision import hierarchical_clearance, hierarchical_collision
+
+
+def _rotation(rng):
+    q, _ = np.linalg.qr(rng.normal(size=(3, 3)))
+    return q * np.sign(np.linalg.det(q))
+
+
+def _coal(shape_a, a, shape_b, b):
+    request, result = coal.DistanceRequest(), coal.DistanceResult()
+    request.enable_signed_distance = True
+    request.gjk_tolerance = 1e-12
+    return coal.distance(shape_a, coal.Transform3s(*a), shape_b, coal.Transform3s(*b), request, result)
+
+
+def _vec(v):
+    return Vec3(*(jnp.asarray(x) for x in v))
+
+
+def _box_distance(rows, centre, half, p):
+    return distance.point_box(p, rows, centre, half)
+
+
+@pytest.mark.parametrize("kind", ["box", "cylinder", "capsule"])
+def test_points_against_coal(kind):
+    rng = np.random.default_rng(0)
+    for _ in range(40):
+        turn, centre, p = _rotation(rng), rng.normal(size=3), rng.normal(size=3) * 2.0
+        size = rng.uniform(0.2, 1.0, 3)
+        rows = Rot3(*(_vec(r) for r in turn))
+        if kind == "box":
+            shape, ours = coal.Box(*(2 * size)), distance.point_box(_vec(p), rows, _vec(centre), _vec(size))
+        elif kind == "cylinder":
+            shape = coal.Cylinder(size[0], 2 * size[1])
+            ours = distance.point_cylinder(_vec(p), rows, _vec(centre), size[0], size[1])
+        else:
+            shape, along = coal.Capsule(size[0], 2 * size[1]), turn[:, 2] * size[1]
+            ours = distance.point_line(_vec(p), _vec(centre - along), _vec(centre + along)) - size[0]
+        theirs = _coal(coal.Sphere(0.01), (np.eye(3), p), shape, (turn, centre)) + 0.01
+        if theirs > 0.02:  # coal's own depth of penetration is iterative
+            assert abs(float(ours) - theirs) <= 1e-6
+
+
+def test_lines_against_coal():
+    rng = np.random.default_rng(1)
+    for _ in range(40):
+        turns, centres = [_rotation(rng) for _ in range(2)], rng.normal(size=(2, 3)) * 1.5
+        half = rng.uniform(0.2, 1.0, 2)
+        ends = [(c - t[:, 2] * h, c + t[:, 2] * h) for c, t, h in zip(centres, turns, half, strict=True)]
+        ours = distance.line_line(*(_vec(e) for pair in ends for e in pair)) - 0.2
+        shapes = [coal.Capsule(0.1, 2 * h) for h in half]
+        theirs = _coal(shapes[0], (turns[0], centres[0]), shapes[1], (turns[1], centres[1]))
+        if theirs > 0.01:
+            assert abs(float(ours) - theirs) <= 1e-6
+        edges = rng.uniform(0.2, 0.6, 3)
+        rows = Rot3(*(_vec(r) for r in turns[1]))
+        swept = distance.to_body(tuple(_vec(e) for e in ends[0]), partial(_box_distance, rows, _vec(centres[1]), _vec(edges)))
+        theirs = _coal(shapes[0], (turns[0], centres[0]), coal.Box(*(2 * edges)), (turns[1], centres[1]))
+        if theirs > 0.01:
+            assert abs(float(swept) - 0.1 - theirs) <= 1e-6
+
+
+def _scene(rng):
+    return jaxik.make_scene(
+        points=rng.uniform(-0.6, 0.6, (20, 3)) + np.array([0.4, 0.5, 0.6]),
+        spheres=[[0.5, 0.9, 0.5, 0.05]],
+        capsules=[[0.2, 0.8, 0.0, 0.2, 0.8, 1.0, 0.02]],
+        boxes=[(np.eye(4), (0.1, 0.1, 0.1))],
+        cylinders=[(np.eye(4), 0.05, 0.3)],
+    )
+
+
+@pytest.mark.parametrize("name", ["p6r", "crops_v2", "chembuly9"])
+def test_gradient_of_the_clearance(name):
+    chain, rng = jaxik.load(name), np.random.default_rng(2)
+    scene = _scene(rng)
+    clearance = jax.jit(lambda q: jaxik.clearance(chain, scene, q))
+    slope, step = jax.jit(jax.grad(clearance)), 1e-6
+    agreed = 0
+    for q in rng.uniform(chain.lower, chain.upper, (20, chain.num_joints)):
+        exact = np.asarray(slope(q))
+        assert np.all(np.isfinite(exact))
+        sides = np.array([[clearance(q + s * step * e) for s in (1, -1)] for e in np.eye(len(q))])
+        numeric = (sides[:, 0] - sides[:, 1]) / (2 * step)
+        smooth = np.abs(sides.sum(axis=1) - 2 * clearance(q)).max() <= 1e-10  # no change of the closest pair in between
+        agreed += bool(smooth) and np.max(np.abs(exact - numeric)) <= 1e-6
+        assert not smooth or np.max(np.abs(exact - numeric)) <= 1e-5
+    assert agreed >= 10
+
+
+@pytest.mark.parametrize("per_box", [1, 8, 64])
+def test_the_hierarchy_gives_the_flat_answer(per_box):
+    chain, rng = jaxik.load("p6r").with_spheres(per_box), np.random.default_rng(3)
+    scene = jaxik.make_scene(points=rng.uniform(-1, 1, (60, 3)) + np.array([0.4, 0.4, 0.8]))
+    flat = jax.jit(lambda q: jnp.min(_flat(chain, scene, q)))
+    for q in rng.uniform(chain.lower, chain.upper, (10, 7)):
+        least, looked = hierarchical_clearance(chain, scene, q)
+        assert abs(least - flat(q)) <= 1e-12
+        assert hierarchical_collision(chain, scene, q)[0] == (float(flat(q)) <= 0.0)
+        assert per_box < 64 or looked < 7 * per_box * 60
+
+
+def _flat(chain, scene, q):
+    centres, radii = jaxik.link_spheres(chain, q)
+    return jnp.linalg.norm(centres[:, None] - scene.points.center, axis=-1) - radii[:, None]
+
+
+def test_padding_and_removal_change_nothing_else():
+    chain, rng = jaxik.load("p6r"), np.random.default_rng(4)
+    scene = _scene(rng)
+    q = jnp.asarray(rng.uniform(chain.lower, chain.upper))
+    assert jaxik.clearance(chain, scene, q) == jaxik.clearance(chain, scene.padded(), q)
+    objects = np.asarray(jaxik.object_clearances(chain, scene, q))
+    least = min(objects.min(), float(jaxik.self_clearance(chain, q)))
+    assert abs(jaxik.clearance(chain, scene, q) - least) <= 1e-12
+    removed = scene.without([int(objects.argmin())])
+    assert np.isinf(jaxik.object_clearances(chain, removed, q)[objects.argmin()])
