@@ -46,6 +46,7 @@ def _held(t: Any) -> Any:
 
 
 def point_point(p: Vec3, q: Vec3) -> Any:
+    """Point p to point q."""
     return norm(p - q)
 
 

@@ -29,6 +29,8 @@ class Points(eqx.Module):
 
 
 class Spheres(eqx.Module):
+    """Balls, each with its own radius [m]."""
+
     center: Float[Array, "k 3"]
     radius: Float[Array, " k"]
 
