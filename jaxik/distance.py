@@ -18,12 +18,16 @@ from jax import lax
 from jaxik.algebra import Rot3, Vec3, safe_sqrt
 
 _GOLDEN = (5.0**0.5 - 1.0) / 2.0
-_STEPS = 40  # golden-section steps: 0.618^40 = 4e-9 of the line, and the error in the distance is far smaller
+_STEPS = {4: 32, 8: 64}  # golden-section steps to the rounding of float32 and float64: 0.618^32 = 2e-7, 0.618^64 = 4e-14
 
 
 def norm(v: Vec3) -> Any:
-    """|v|, and 0 with gradient 0 where rounding of coordinates near 1 m leaves no direction (8 eps)."""
-    square = v.dot(v)
+    """|v|, and 0 with gradient 0 where `root` sees no direction."""
+    return root(v.dot(v))
+
+
+def root(square: Any) -> Any:
+    """A distance from its square; 0 with gradient 0 where rounding of coordinates near 1 m leaves no direction (8 eps)."""
     floor = (8.0 * float(jnp.finfo(jnp.result_type(square)).eps)) ** 2
     return safe_sqrt(jnp.where(square > floor, square, 0.0))
 
@@ -158,41 +162,47 @@ def to_body(skeleton: tuple[Vec3, ...], body: Callable[[Vec3], Any]) -> Any:
     """The least value of a convex `body` (a signed distance) over a point, a line or a triangle."""
     if len(skeleton) == 1:
         return body(skeleton[0])
-    held = [Vec3(*(_held(x) for x in corner)) for corner in skeleton]
     if len(skeleton) == 2:
-        t = _golden(lambda t: body(_blend(held, (1.0 - t, t))))
-        return body(_blend(skeleton, (1.0 - _held(t), _held(t))))
+        return _least_on(lambda t: body(_blend(skeleton, (1.0 - t, t))))
     # lines parallel to the first edge: the least value on each is convex in its distance from the edge
-    a, b, c = held
-
-    def along(v: Any) -> Any:
-        return _golden(lambda t: body(_blend((a, b, c), ((1.0 - t) * (1.0 - v), t * (1.0 - v), v))))
-
-    def least(v: Any) -> Any:
-        t = along(v)
-        return body(_blend((a, b, c), ((1.0 - t) * (1.0 - v), t * (1.0 - v), v)))
-
-    v = _golden(least)
-    t = along(v)
-    weights = tuple(_held(w) for w in ((1.0 - t) * (1.0 - v), t * (1.0 - v), v))
-    return body(_blend(skeleton, weights))
+    return _least_on(lambda v: _least_on(lambda t: body(_blend(skeleton, ((1.0 - t) * (1.0 - v), t * (1.0 - v), v)))))
 
 
 def _blend(corners: Any, weights: Any) -> Vec3:
     return Vec3(*(sum(w * c[i] for w, c in zip(weights, corners, strict=True)) for i in range(3)))
 
 
+def _least_on(value: Callable[[Any], Any]) -> Any:
+    """The least value of a convex function on [0, 1], with its derivative in whatever else `value` depends on.
+
+    Inside a body the distance has kinks (two faces equally near), and there a line's minimum likes to be. Its derivative is
+    the mean of those on both sides, weighted so that the one along the line vanishes [Danskin 1967].
+    """
+    held = lambda t: _held(value(t))
+    t = _golden(held)
+    step = float(jnp.finfo(t.dtype).eps) ** 0.4
+    low, high = jnp.maximum(t - step, 0.0), jnp.minimum(t + step, 1.0)
+    least, before, after = held(t), held(low), held(high)
+    fall, rise = _ratio(before - least, t - low), _ratio(after - least, high - t)
+    inside = (t > 0.0) & (t < 1.0)
+    # on an end the minimum stays there
+    weight = jnp.where(inside, jnp.where(fall + rise > 0.0, _ratio(rise, fall + rise), 0.5), 1.0)
+    left, right = jnp.where(inside, low, t), jnp.where(inside, high, t)
+    slope = weight * value(left) + (1.0 - weight) * value(right)
+    return least + (slope - _held(slope))
+
+
 def _golden(value: Callable[[Any], Any]) -> Any:
     """The minimiser of a convex function on [0, 1], elementwise, ends included [Kiefer 1953]."""
-    start = jnp.zeros_like(_held(value(0.0)))
+    start = jnp.zeros_like(value(0.0))
 
     def narrow(_: Any, bounds: Any) -> Any:
         low, high = bounds
         left, right = high - _GOLDEN * (high - low), low + _GOLDEN * (high - low)
-        keep_left = _held(value(left)) <= _held(value(right))
+        keep_left = value(left) <= value(right)
         return jnp.where(keep_left, low, left), jnp.where(keep_left, right, high)
 
-    low, high = lax.fori_loop(0, _STEPS, narrow, (start, start + 1.0))
+    low, high = lax.fori_loop(0, _STEPS[start.dtype.itemsize], narrow, (start, start + 1.0))
     inner = (low + high) / 2.0
     best, least = inner, value(inner)
     for end in (0.0, 1.0):

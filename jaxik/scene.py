@@ -17,7 +17,7 @@ from jaxtyping import Float
 from jaxik.chain import Array
 
 FAR = 1e6  # [m] where padding stands: exact in float32 as a square, and no scene file may hold more than 100 m
-SIZES = (0, 8, 32, 128, 512, 2048, 8192, 32768)
+SIZES = (0, 8, 32, *(k * 2**n for n in range(5, 14) for k in (2, 3)))
 KINDS = ("points", "spheres", "capsules", "boxes", "cylinders")
 
 

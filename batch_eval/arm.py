@@ -1,0 +1,85 @@
+"""P6R: the closed form beside EAIK, the clearance, the harvest scan."""
+
+from __future__ import annotations
+
+import time
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from eaik.IK_HP import HPRobot
+from race import Entry, compiled
+
+import jaxik
+
+
+def eaik_robot(chain: jaxik.Chain) -> tuple[HPRobot, np.ndarray]:
+    """The last six joints for EAIK, the leading ones at 0, and its tip's rotation (3, 3), which it does not carry."""
+    frame, axes, points = np.eye(4), [], []
+    for parent_T_joint, axis in zip(chain.parent_T_joint, chain.axis, strict=True):
+        frame = frame @ parent_T_joint
+        axes.append(frame[:3, :3] @ axis)
+        points.append(frame[:3, 3])
+    tip = frame @ chain.joint_T_tip
+    offsets = np.diff(np.array([np.zeros(3), *points[-6:], tip[:3, 3]]), axis=0)
+    return HPRobot(np.array(axes[-6:]), offsets), tip[:3, :3]
+
+
+def closed_form_entries(dtype: Any, count: int = 50_000) -> list[Entry]:
+    """All eight branches, validity and limits, of random reachable poses at their slide positions.
+
+    EAIK has neither slide nor limits: it gets the same arm poses with the slide at 0. Its wish for a list of matrices is met
+    before the clock starts. jaxik's error is the worst pose of a branch that it calls valid.
+    """
+    with jax.enable_x64(True):
+        chain = jaxik.load("p6r")
+        q = np.random.default_rng(0).uniform(chain.lower, chain.upper, (count, 7))
+        pose = jax.jit(jax.vmap(lambda q: jaxik.forward_kinematics(chain, q)))
+        poses = np.asarray(pose(q))
+        arm_poses = np.array(pose(q * (np.arange(7) > 0)))
+    with jax.enable_x64(dtype == np.float64):
+        solve = jax.vmap(lambda pose, slide: jaxik.closed_form(chain, pose, slide))
+        run, seconds = compiled(solve, jnp.asarray(poses, dtype), jnp.asarray(q[:, 0], dtype))
+        found = run()
+    with jax.enable_x64(True):
+        back = np.asarray(pose(np.asarray(found.q, np.float64).reshape(-1, 7))).reshape(count, 8, 4, 4)
+    error = np.max(np.abs(back - poses[:, None]), axis=(2, 3))
+    valid = np.asarray(found.valid)
+    ours = Entry("jaxik", count, run, seconds, float(np.max(error, where=valid, initial=0.0)))
+    ours.success = float(valid.any(axis=1).mean())
+    robot, tip = eaik_robot(chain)
+    arm_poses[:, :3, :3] = arm_poses[:, :3, :3] @ tip.T
+    batch = list(arm_poses)
+    theirs = [Entry(f"EAIK, {n} threads", count, lambda n=n: robot.IK_batched(batch, n) and None) for n in (2, 4)]
+    return [ours, *theirs]
+
+
+def crop(points: int = 150) -> jaxik.Scene:
+    """One fruit among 150 leaf points, ten leaves of fifteen, as in Van Henten et al. 2010, sec. 5."""
+    rng = np.random.default_rng(0)
+    builder = jaxik.SceneBuilder("crop", point_radius=0.01)
+    builder.add_fruit("fruit_1", (0.5, 0.66, 0.6), length=0.3, radius=0.02)
+    for i in range(points // 15):
+        middle = np.array([0.5, 0.75, 0.65]) + rng.uniform(-1.0, 1.0, 3) * np.array([0.4, 0.1, 0.4])
+        builder.add(f"leaf_{i + 1}", points=middle + rng.normal(0.0, 0.04, (15, 3)))
+    return builder.scene()
+
+
+def clearance_entry(count: int = 10_000) -> Entry:
+    """Distances of 56 spheres to 150 points and to each other."""
+    chain, scene = jaxik.load("p6r"), crop()
+    q = np.random.default_rng(0).uniform(chain.lower, chain.upper, (count, 7)).astype(np.float32)
+    run, seconds = compiled(jax.vmap(lambda q: jaxik.clearance(chain, scene, q)), jnp.asarray(q))
+    return Entry("jaxik", count, run, seconds)
+
+
+def scan_entry(angles: int = 144, slides: int = 82) -> Entry:
+    """Every candidate (angle x slide x branch) of a fruit, with limits, clearance to 150 points and itself, and rank."""
+    chain, scene = jaxik.load("p6r"), crop()
+    run = lambda: jaxik.scan(chain, scene, scene.fruits[0], angles, slides) and None
+    start = time.perf_counter()
+    run()
+    entry = Entry("jaxik", angles * slides * 8, run, time.perf_counter() - start)
+    entry.success = float(jaxik.scan(chain, scene, scene.fruits[0], angles, slides).reason == jaxik.Reason.SOLVED)
+    return entry

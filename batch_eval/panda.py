@@ -1,0 +1,181 @@
+"""The seven joints of the Panda, up to `panda_link8`, for jaxik and for each peer at its best documented setting."""
+
+from __future__ import annotations
+
+import tempfile
+import warnings
+import xml.etree.ElementTree as ET
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import mujoco
+import numpy as np
+import pinocchio as pin
+from race import Entry, compiled
+
+import jaxik
+
+TIP = "panda_link8"
+ROBOTS = Path(pin.__file__).parents[4] / "share" / "example-robot-data" / "robots"
+
+
+def bare_urdf() -> Path:
+    """The example Panda without fingers and meshes: the same seven joints for everyone."""
+    root = ET.parse(ROBOTS / "panda_description/urdf/panda.urdf").getroot()
+    above = {j.find("child").get("link"): j for j in root.findall("joint")}  # type: ignore[union-attr]
+    kept, link = {TIP}, TIP
+    while link in above:
+        link = above[link].find("parent").get("link")  # type: ignore[union-attr,assignment]
+        kept.add(link)
+    for element in list(root):
+        child = element.find("child")
+        name = element.get("name") if child is None else child.get("link")
+        if element.tag not in ("joint", "link") or name not in kept:
+            root.remove(element)
+        for shape in (*element.findall("visual"), *element.findall("collision")):
+            element.remove(shape)
+    path = Path(tempfile.mkdtemp()) / "panda.urdf"
+    ET.ElementTree(root).write(path)
+    return path
+
+
+class Truth:
+    """Pinocchio in float64: what every contender's numbers are held against, and a contender itself."""
+
+    def __init__(self, urdf: Path):
+        self.model = pin.buildModelFromUrdf(str(urdf))
+        self.data, self.tip = self.model.createData(), self.model.getFrameId(TIP)
+
+    def pose(self, q: np.ndarray) -> np.ndarray:
+        pin.framesForwardKinematics(self.model, self.data, q.astype(np.float64))
+        return self.data.oMf[self.tip].homogeneous.copy()
+
+    def jacobian(self, q: np.ndarray) -> np.ndarray:
+        return pin.computeFrameJacobian(self.model, self.data, q.astype(np.float64), self.tip, pin.LOCAL_WORLD_ALIGNED)
+
+    def loops(self, rows: list[np.ndarray]) -> tuple[Callable[[], None], Callable[[], None]]:
+        """FK, and FK with Jacobian, one configuration after the other: C++ called from Python."""
+        model, data, tip = self.model, self.data, self.tip
+
+        def poses() -> None:
+            forward, update = pin.forwardKinematics, pin.updateFramePlacement
+            for row in rows:
+                forward(model, data, row)
+                update(model, data, tip)
+
+        def jacobians() -> None:
+            each, frame = pin.computeFrameJacobian, pin.LOCAL_WORLD_ALIGNED
+            for row in rows:
+                each(model, data, row, tip, frame)
+
+        return poses, jacobians
+
+
+def contenders(count: int = 65_536) -> tuple[list[Entry], list[Entry]]:
+    """Entries for the pose and for the Jacobian of `count` random configurations."""
+    urdf = bare_urdf()
+    chain, truth = jaxik.load(urdf, tip=TIP), Truth(urdf)
+    q = np.random.default_rng(0).uniform(chain.lower, chain.upper, (count, 7)).astype(np.float32)
+    few = q[:50]
+    poses = np.stack([truth.pose(row) for row in few])
+    jacobians = np.stack([truth.jacobian(row) for row in few])
+
+    def off(values: Any, true: np.ndarray) -> float:
+        return float(np.max(np.abs(np.asarray(values, np.float64) - true)))
+
+    def jaxs(who: str, function: Callable[..., Any], check: Callable[..., Any], true: Any, batch: Any = q) -> Entry:
+        run, seconds = compiled(function, jnp.asarray(batch))
+        return Entry(who, len(batch), run, seconds, off(check(few), true))
+
+    pose = jax.vmap(lambda q: jaxik.forward_kinematics(chain, q))
+    jacobian = jax.vmap(lambda q: jaxik.jacobian(chain, q))
+    forward, columns = [jaxs("jaxik", pose, pose, poses)], [jaxs("jaxik", jacobian, jacobian, jacobians)]
+    rows = [row.astype(np.float64) for row in q]
+    loops = truth.loops(rows)
+    for entries, loop in zip((forward, columns), loops, strict=True):
+        entries.append(Entry("Pinocchio, Python loop", count, loop))
+    for entries, torch_entry in zip((forward, columns), _torch(urdf, q, few, poses, jacobians, off), strict=True):
+        entries.append(torch_entry)
+    pyroki = _pyroki(urdf)
+    for name, function in pyroki.items():
+        forward.append(jaxs(name, function, lambda q, f=function: _matrices(f(jnp.asarray(q))), poses))
+    frax_pose, frax_jacobian = _frax(urdf, chain)
+    forward.append(jaxs("frax, vmap", frax_pose, frax_pose, poses))
+    columns.append(jaxs("frax, vmap", frax_jacobian, frax_jacobian, jacobians))
+    forward.append(_mjx(urdf, q[:4096], few, poses, off))
+    return forward, columns
+
+
+def _torch(urdf: Path, q: np.ndarray, few: np.ndarray, poses: np.ndarray, jacobians: np.ndarray, off: Any) -> list[Entry]:
+    import pytorch_kinematics as pk
+    import torch
+
+    model = pk.build_serial_chain_from_urdf(urdf.read_bytes(), TIP).to(dtype=torch.float32)
+    batch, sample = torch.tensor(q), torch.tensor(few)
+    with torch.no_grad():
+        matrices = model.forward_kinematics(sample).get_matrix().numpy()
+        columns = model.jacobian(sample).numpy()
+
+    def without_gradient(function: Callable[[Any], Any]) -> Callable[[], None]:
+        def run() -> None:
+            with torch.no_grad():
+                function(batch)
+
+        return run
+
+    who = f"pytorch-kinematics, {torch.get_num_threads()} threads"
+    return [
+        Entry(who, len(q), without_gradient(lambda b: model.forward_kinematics(b).get_matrix()), error=off(matrices, poses)),
+        Entry(who, len(q), without_gradient(model.jacobian), error=off(columns, jacobians)),
+    ]
+
+
+def _pyroki(urdf: Path) -> dict[str, Callable[..., Any]]:
+    import pyroki
+    import yourdfpy
+
+    robot = pyroki.Robot.from_urdf(yourdfpy.URDF.load(str(urdf), load_meshes=False, load_collision_meshes=False))
+    tip = robot.links.names.index(TIP)
+    return {
+        "PyRoki": lambda q: robot.forward_kinematics(q)[..., tip, :],
+        "PyRoki, unroll_fk": lambda q: robot.forward_kinematics(q, unroll_fk=True)[..., tip, :],
+    }
+
+
+def _matrices(wxyz_xyz: Any) -> np.ndarray:
+    poses = []
+    for row in np.asarray(wxyz_xyz, np.float64):
+        rotation = pin.Quaternion(*row[:4] / np.linalg.norm(row[:4])).toRotationMatrix()
+        poses.append(pin.SE3(rotation, row[4:]).homogeneous)
+    return np.stack(poses)
+
+
+def _frax(urdf: Path, chain: jaxik.Chain) -> tuple[Callable[..., Any], Callable[..., Any]]:
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")  # it advises single-threaded settings, which would slow everyone else
+        import frax
+
+        robot = frax.Manipulator(str(urdf), ee_offset=np.asarray(chain.joint_T_tip))
+    return jax.vmap(robot.ee_transform), jax.vmap(robot.ee_jacobian)
+
+
+def _mjx(urdf: Path, q: np.ndarray, few: np.ndarray, poses: np.ndarray, off: Any) -> Entry:
+    from mujoco import mjx
+
+    spec = mujoco.MjSpec.from_file(str(urdf))
+    spec.compiler.fusestatic = 0
+    model = mjx.put_model(spec.compile())
+    body = mujoco.mj_name2id(spec.compile(), mujoco.mjtObj.mjOBJ_BODY, TIP)
+    blank = mjx.make_data(model)
+
+    def pose(q: Any) -> Any:
+        moved = mjx.kinematics(model, blank.replace(qpos=q))
+        return moved.xmat[body], moved.xpos[body]
+
+    each = jax.vmap(pose)
+    run, seconds = compiled(each, jnp.asarray(q))
+    rotation, position = each(few)
+    return Entry("MJX, vmap", len(q), run, seconds, max(off(rotation, poses[:, :3, :3]), off(position, poses[:, :3, 3])))
