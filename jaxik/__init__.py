@@ -9,7 +9,7 @@ from jaxik.load import load, load_scene
 from jaxik.result import LoadError, Reason
 from jaxik.scan import Grasp, Weights, blockers, scan
 from jaxik.scene import Fruit, Scene, SceneBuilder, make_scene
-from jaxik.spheres import link_spheres
+from jaxik.spheres import link_circles, link_spheres
 
 __version__ = "0.1.0"
 
@@ -33,6 +33,7 @@ __all__ = [
     "forward_kinematics",
     "harvest",
     "jacobian",
+    "link_circles",
     "link_frames",
     "link_spheres",
     "load",

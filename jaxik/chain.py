@@ -95,6 +95,33 @@ class Chain(eqx.Module):
             raise ValueError(f"with_spheres: {per_box} spheres a box; allowed: 1, 8, 64, 512")
         return dataclasses.replace(self, spheres_per_box=per_box)
 
+    def part(self, first: int, last: int) -> Chain:
+        """Joints `first` to `last - 1` as a chain of their own, with what moves with them; its base is the parent of the first.
+
+        Its tip is the last joint's frame, or the chain's own tip where it ends there.
+        """
+        kept = [i for i, j in enumerate(self.link_joint) if first < j <= last]
+        link = {old: new for new, old in enumerate(kept)}
+        cut = slice(first, last)
+        return dataclasses.replace(
+            self,
+            joint_names=self.joint_names[cut],
+            joint_types=self.joint_types[cut],
+            link_names=tuple(self.link_names[i] for i in kept),
+            link_joint=tuple(self.link_joint[i] - first for i in kept),
+            parent_T_joint=self.parent_T_joint[cut],
+            axis=self.axis[cut],
+            joint_T_tip=self.joint_T_tip if last == self.num_joints else np.eye(4),
+            link_offset=self.link_offset[np.array(kept, int)],
+            lower=self.lower[cut],
+            upper=self.upper[cut],
+            velocity=self.velocity[cut],
+            bodies=self.bodies[cut],
+            boxes=tuple(dataclasses.replace(b, link=link[b.link]) for b in self.boxes if b.link in link),
+            volumes=tuple(dataclasses.replace(v, link=link[v.link]) for v in self.volumes if v.link in link),
+            self_pairs=tuple((link[a], link[b]) for a, b in self.self_pairs if a in link and b in link),
+        )
+
     # A concrete chain is a value: equal numbers, equal chain. So it may be a static argument of `jax.jit` and a cache's key.
 
     @property

@@ -253,20 +253,7 @@ def _solve(chain: Chain, g: Geometry, pose: Frame, head: list[Scalar], dtype: An
 
 def _leading_frame(chain: Chain, head: list[Scalar], dtype: Any) -> Frame:
     """The frame that the leading joints carry the arm's base to."""
-    n = len(head)
-    if n == 0:
-        return BASE
-    first = dataclasses.replace(
-        chain,
-        joint_names=chain.joint_names[:n],
-        joint_types=chain.joint_types[:n],
-        parent_T_joint=chain.parent_T_joint[:n],
-        axis=chain.axis[:n],
-        lower=chain.lower[:n],
-        upper=chain.upper[:n],
-        velocity=chain.velocity[:n],
-    )
-    return joint_frames(first, head, BASE, dtype).joints[-1]
+    return joint_frames(chain.part(0, len(head)), head, BASE, dtype).joints[-1] if head else BASE
 
 
 def _shoulder(g: Geometry, centre: Vec3, eps: float) -> list[Any]:

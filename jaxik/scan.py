@@ -30,6 +30,7 @@ from jaxik.scene import Fruit, Scene
 
 # Rows a compiled call. Not a power of two: columns of 2^k rows fall into the same cache sets and evict each other.
 CHUNK = 3000
+MEASURED = 1000  # of clearances: few candidates are inside the limits, and a chunk is always full
 LIMIT_LENGTH = 0.1  # [m/rad] at which a joint past its limit weighs against clearance while a miss is mended
 
 
@@ -263,36 +264,12 @@ def _others(scene: Scene, fruit: Fruit) -> Scene:
 def _measured(chain: Chain, scene: Scene, fruit: Fruit, q: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     if not len(q):
         return np.zeros(0), np.zeros(0)
-    distance, freedom = _in_chunks(_measures(chain), q, fixed=(_others(scene, fruit),))
+    distance, freedom = _in_chunks(_measures(chain), q, fixed=(_others(scene, fruit),), size=MEASURED)
     return distance, freedom
 
 
 # --------------------------------------------------------------------------------------------------------------------
 # The first of the paper's two steps
-
-
-def last_links(chain: Chain, count: int = 3) -> Chain:
-    """The last `count` joints as a chain of their own, which `mounted` puts anywhere."""
-    n = chain.num_joints - count
-    kept = [i for i, j in enumerate(chain.link_joint) if j > n]
-    index = {link: k for k, link in enumerate(kept)}
-    return dataclasses.replace(
-        chain,
-        joint_names=chain.joint_names[n:],
-        joint_types=chain.joint_types[n:],
-        link_names=tuple(chain.link_names[i] for i in kept),
-        link_joint=tuple(chain.link_joint[i] - n for i in kept),
-        link_offset=chain.link_offset[kept],
-        parent_T_joint=np.concatenate([np.eye(4)[None], chain.parent_T_joint[n + 1 :]]),
-        axis=chain.axis[n:],
-        lower=chain.lower[n:],
-        upper=chain.upper[n:],
-        velocity=chain.velocity[n:],
-        bodies=(),
-        boxes=tuple(dataclasses.replace(b, link=index[b.link]) for b in chain.boxes if b.link in index),
-        volumes=tuple(dataclasses.replace(v, link=index[v.link]) for v in chain.volumes if v.link in index),
-        self_pairs=(),
-    )
 
 
 def approach_angles(
@@ -303,14 +280,14 @@ def approach_angles(
     Source: Van Henten et al. 2010, sec. 4.1, step 1.
     """
     at = full_circle(angles) if isinstance(angles, int) else np.asarray(angles, dtype=np.float64)
-    hand = last_links(chain)
+    hand = chain.part(chain.num_joints - 3, chain.num_joints)
     rest = np.zeros(hand.num_joints)
     straight = hand.joint_T_tip
     for frame in hand.parent_T_joint[::-1]:
         straight = frame @ straight
     placed = chain.world_T_base @ grasp_poses(chain, fruit, at, grasp) @ np.linalg.inv(straight)
     others = _others(scene, fruit)
-    each = jax.jit(jax.vmap(lambda frame: clearance(hand.mounted(frame), others, rest)))
+    each = jax.jit(jax.vmap(lambda frame: jnp.min(object_clearances(hand.mounted(frame), others, rest))))
     distance = np.asarray(each(placed))
     order = np.argsort(-distance, kind="stable")
     return at[order], distance[order]
@@ -474,7 +451,7 @@ def blockers(chain: Chain, scene: Scene, found: Scan, margin: float = 0.005) -> 
     """
     if not len(found.table.q):
         return Blockers((), (), None, None)
-    distance, own = _in_chunks(_contacts(chain), found.table.q, fixed=(_others(scene, found.fruit),))
+    distance, own = _in_chunks(_contacts(chain), found.table.q, fixed=(_others(scene, found.fruit),), size=MEASURED)
     hit = distance < margin
     share = hit.mean(axis=0)
     order = [int(i) for i in np.argsort(-share, kind="stable") if share[i] > 0.0]

@@ -17,7 +17,7 @@ import numpy as np
 from jaxtyping import Float
 
 from jaxik.algebra import BASE, Frame, Scalar, Vec3, shared
-from jaxik.chain import Array, Box, Chain
+from jaxik.chain import Array, Box, Chain, Volume, as_configuration
 from jaxik.kinematics import joint_frames
 
 LEVELS = {1: 0, 8: 1, 64: 2, 512: 3}
@@ -112,11 +112,36 @@ def _joined(pieces: list[Scalar], sizes: np.ndarray) -> Any:
 
 def link_spheres(chain: Chain, q: Float[Array, " n"]) -> tuple[Float[Array, "s 3"], Float[Array, " s"]]:
     """Centres in the world [m] and radii [m] of the chain's spheres at `q` (n,); lines and triangles are not among them."""
-    q = jnp.asarray(q)
+    q = as_configuration(chain, q)
     found = skeletons(chain, [q[i] for i in range(chain.num_joints)], q.dtype).get(1)
     if found is None:
         return jnp.zeros((0, 3), q.dtype), jnp.zeros(0, q.dtype)
     return jnp.stack([jnp.asarray(c, q.dtype) for c in found.corners[0]], axis=-1), jnp.asarray(found.radius, q.dtype)
+
+
+def link_circles(chain: Chain, q: Float[Array, " n"], circles: int = 11, around: int = 12) -> Float[Array, "p 3"]:
+    """Points in the world [m] on the cylindrical links (capsules) of a chain: `circles` along each, `around` points on one.
+
+    What the box penalty of IJE 2022 (`costs.box_penalty`) asks for: "the surface of the link is considered as a series of
+    circles" (sec. 5). The capsules' numbers must be concrete. Raises `ValueError` where the chain has none.
+    """
+    lines = [v for v in chain.volumes if v.corners.shape[0] == 2]
+    if not lines:
+        raise ValueError(f"{chain.name}: has no cylindrical link; add capsules to its file")
+    q = as_configuration(chain, q)
+    root = Frame.of(chain.world_T_base, float(np.finfo(q.dtype).eps))
+    frames = (root, *joint_frames(chain, [q[i] for i in range(chain.num_joints)], root, q.dtype).joints)
+    links = np.repeat([v.link for v in lines], circles * around)
+    points = _carried(chain, frames, np.concatenate([_circles(v, circles, around) for v in lines]), links, q.dtype)
+    return jnp.stack([jnp.asarray(x, q.dtype) for x in points], axis=-1)
+
+
+def _circles(volume: Volume, circles: int, around: int) -> np.ndarray:
+    start, end = np.asarray(volume.corners, dtype=np.float64)
+    across = np.linalg.svd((end - start)[None])[2][1:]  # two directions across the line
+    turn = 2.0 * np.pi * np.arange(around) / around
+    ring = float(volume.radius) * np.stack([np.cos(turn), np.sin(turn)], axis=-1) @ across
+    return (np.linspace(start, end, circles)[:, None] + ring).reshape(-1, 3)
 
 
 def self_collision_pairs(

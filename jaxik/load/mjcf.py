@@ -87,12 +87,16 @@ def _rotation(quaternion: np.ndarray) -> np.ndarray:
 def _body_joints(path: Path, model: Any, body: int, name: str) -> list[Joint]:
     """A body's joints as a run; a hinge turns about its anchor, so the body's own frame is offset from it."""
     kinds = {2: "prismatic", 3: "revolute"}
+    coupled = _coupled(model)
     pending = frame(model.body_pos[body], _rotation(model.body_quat[body]))
     first, count = int(model.body_jntadr[body]), int(model.body_jntnum[body])
     run = []
     for i in range(first, first + count):
         joint = model.joint(i)
         label = joint.name or f"joint{i}"
+        if i in coupled:
+            mend = "drive it as a joint of its own: remove the equality"
+            raise LoadError(path, f"joint '{label}'", "an equality couples it to another (mimic)", mend)
         if int(joint.type[0]) not in kinds:
             mend = "allowed: hinge, slide; pass base= to start below it"
             raise LoadError(path, f"joint '{label}'", "a free or ball joint on the chain", mend)
@@ -112,6 +116,14 @@ def _body_joints(path: Path, model: Any, body: int, name: str) -> list[Joint]:
     if not run:
         return [Joint(f"{name}/fixed", "fixed", pending, name)]
     return [*run, Joint(f"{name}/fixed", "fixed", pending, name)]
+
+
+def _coupled(model: Any) -> set[int]:
+    """Joints that an active equality makes a function of another, or fixes."""
+    import mujoco
+
+    rows = range(model.neq)
+    return {int(model.eq_obj1id[i]) for i in rows if model.eq_type[i] == mujoco.mjtEq.mjEQ_JOINT and model.eq_active0[i]}
 
 
 def _about(axis: np.ndarray, angle: float) -> np.ndarray:

@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 
 from jaxik.chain import Chain
-from jaxik.load.assemble import Joint, Link, assemble, frame, read_bytes, rpy_matrix
+from jaxik.load.assemble import Joint, Link, assemble, frame, read_bytes, rpy_matrix, unique
 from jaxik.result import LoadError
 
 UNITS = {
@@ -136,6 +136,7 @@ def load_toml(path: Path, tip: str | None, base: str | None, tool: np.ndarray | 
         links[joint[-1].child] = link
     if not joints:
         raise model.fail("has no [[joint]]", "write one for each joint, from base to tip")
+    unique(path, "joint", (j.name for j in joints))
     for table in model.tables("shape"):
         _shape(table, links, joints)
     mount, tool_table = model.table("mount"), model.table("tool")
