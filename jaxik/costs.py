@@ -32,12 +32,12 @@ def harvest_orientation_cost(rotation: Float[Array, "3 3"]) -> Float[Array, ""]:
     return r[0, 0] ** 2 + r[1, 0] ** 2 + (1.0 + r[2, 0]) ** 2 + r[2, 1] ** 2 + r[2, 2] ** 2
 
 
-def proximity_penalty(clearance: Float[Array, ""], reach: float = 0.075) -> Float[Array, ""]:
+def proximity_penalty(clearance: Float[Array, ""] | float, reach: float = 0.075) -> Float[Array, ""]:
     """`J_dist` = 1 in contact, falling linearly to 0 at `reach` [m]. Source: Van Henten et al. 2010, (6)."""
     return jnp.clip(1.0 - jnp.asarray(clearance) / reach, 0.0, 1.0)
 
 
-def collision_cost(clearance: Float[Array, ""], activation: float, maximum: float = 1.0) -> Float[Array, ""]:
+def collision_cost(clearance: Float[Array, ""] | float, activation: float, maximum: float = 1.0) -> Float[Array, ""]:
     """`H_coll = s0/3 (d_a - d)^3` for `d < d_a`, else 0, with `s0 = 3 H_max / d_a^3`: `maximum` at d = 0.
 
     `clearance` and `activation` in metres. Twice continuously differentiable in d. Source: Schuetz 2017, (4.31).

@@ -1,0 +1,99 @@
+"""Cost functionals: the papers' own values and derivatives, finite differences, and the three transformations."""
+
+from functools import partial
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+import jaxik
+from jaxik import costs
+
+
+def _gradient_is_numeric(cost, q, tolerance=1e-7, step=1e-6):
+    q = np.asarray(q, dtype=np.float64)
+    sides = np.array([[cost(q + s * step * e) for s in (1, -1)] for e in np.eye(len(q))])
+    numeric = (sides[:, 0] - sides[:, 1]) / (2 * step)
+    assert np.allclose(jax.grad(cost)(q), numeric, atol=tolerance, rtol=1e-6)
+    assert np.allclose(jax.jacfwd(cost)(q), jax.jacrev(cost)(q), rtol=1e-12, atol=1e-14)
+
+
+def test_harvest_costs_are_those_of_the_paper():
+    down = np.array([[0.0, 1.0, 0.0], [0.0, 0.0, 1.0], [-1.0, 0.0, 0.0]])  # the tool's x along the base's -z
+    assert costs.harvest_orientation_cost(down) == 0.0
+    yaw = np.array([[np.cos(0.7), -np.sin(0.7), 0.0], [np.sin(0.7), np.cos(0.7), 0.0], [0.0, 0.0, 1.0]])
+    assert abs(costs.harvest_orientation_cost(yaw @ down)) <= 1e-30  # free about the vertical
+    assert costs.harvest_orientation_cost(np.eye(3)) == 3.0  # 1 + 0 + (1 + 0)^2 + 0 + 1
+    assert costs.position_cost(np.array([1.0, 2.0, 3.0]), np.array([1.0, 0.0, 0.0])) == 13.0
+    values = [float(costs.proximity_penalty(d)) for d in (-0.01, 0.0, 0.0375, 0.075, 1.0)]
+    assert np.allclose(values, (1.0, 1.0, 0.5, 0.0, 0.0), atol=1e-15)
+
+
+def test_collision_cost_is_twice_smooth():
+    cost = partial(costs.collision_cost, activation=0.1, maximum=4.0)
+    assert cost(0.0) == 4.0 and cost(0.1) == 0.0 and cost(0.2) == 0.0
+    slope, bend = jax.grad(cost), jax.grad(jax.grad(cost))
+    s0 = 3 * 4.0 / 0.1**3  # (4.31): d/dd = -s0 (d_a - d)^2
+    assert abs(slope(0.04) + s0 * 0.06**2) <= 1e-9 and slope(0.1) == 0.0 and bend(0.1) == 0.0
+
+
+def _range(chain):
+    return np.where(np.isfinite(chain.lower), chain.lower, -np.pi), np.where(np.isfinite(chain.upper), chain.upper, np.pi)
+
+
+@pytest.mark.parametrize("name", ["p6r", "crops_v2", "chembuly9", "pendulum4"])
+def test_joint_costs_have_the_analytic_derivative(name):
+    chain = jaxik.load(name)
+    rng = np.random.default_rng(0)
+    lower, upper = _range(chain)
+    for q in rng.uniform(lower, upper, (5, chain.num_joints)):
+        for cost in (costs.comfort_cost, costs.joint_limit_cost, costs.comfort_and_limit_cost):
+            _gradient_is_numeric(partial(cost, chain), q, tolerance=1e-5 if chain.lower[0] == 0.0 else 1e-7)
+    width, middle = upper - lower, (upper + lower) / 2
+    q = rng.uniform(lower, upper)
+    assert np.allclose(jax.grad(partial(costs.comfort_cost, chain))(q), (q - middle) / width**2, rtol=1e-12)  # (4.26)
+    assert costs.comfort_cost(chain, middle) <= 1e-30
+
+
+def test_joint_limit_cost_at_its_marks():
+    chain = jaxik.load("planar2")
+    lower, upper = _range(chain)
+    limited = np.isfinite(chain.lower) & np.isfinite(chain.upper)
+    middle, band = (lower + upper) / 2, 0.1 * (upper - lower)
+    assert costs.joint_limit_cost(chain, middle) == 0.0
+    assert abs(costs.joint_limit_cost(chain, np.where(limited, upper, middle)) - limited.sum()) <= 1e-12
+    at = np.where(limited, upper - band / 2, middle)  # (4.29): 3/band (1/2)^2
+    assert np.allclose(jax.grad(partial(costs.joint_limit_cost, chain))(at), np.where(limited, 0.75 / band, 0.0), rtol=1e-10)
+
+
+def test_freedom_and_sums():
+    chain = jaxik.load("p6r")
+    middle = (chain.lower + chain.upper) / 2
+    assert costs.joint_freedom(chain, middle) == 1.0
+    edge = middle.copy()
+    edge[3] = chain.upper[3]
+    assert abs(costs.joint_freedom(chain, edge)) <= 1e-15
+    total = costs.weighted_sum([(2.0, partial(costs.comfort_cost, chain)), (0.5, costs.damping_cost)])
+    assert abs(total(edge) - 2.0 * costs.comfort_cost(chain, edge) - 0.5 * np.sum(edge**2)) <= 1e-12
+
+
+def test_box_penalty_on_the_links_circles():
+    chain, q = jaxik.load("chembuly9"), np.full(9, 0.1)
+    points = np.asarray(jaxik.link_circles(chain, q, circles=5, around=6))
+    # each circle lies 1 cm from its link's axis
+    frames = np.asarray(jaxik.link_frames(chain, q))
+    lines = [v for v in chain.volumes if len(v.corners) == 2]
+    assert len(points) == len(lines) * 30
+    for volume, ring in zip(lines, points.reshape(len(lines), 30, 3), strict=True):
+        frame = frames[volume.link] @ np.linalg.inv(chain.link_offset[volume.link])
+        a, b = volume.corners @ frame[:3, :3].T + frame[:3, 3]
+        along = (b - a) / np.linalg.norm(b - a)
+        off = (ring - a) - np.outer((ring - a) @ along, along)
+        assert np.allclose(np.linalg.norm(off, axis=1), 0.01, atol=1e-14)
+    low, high = costs.bounding_box(points[:30])
+    far = np.array([9.0, 9.0, 9.0])
+    boxes = np.stack([low, far]), np.stack([high, far + 1.0])
+    assert costs.box_penalty(points, *boxes) == 100.0 and costs.box_penalty(points + 50.0, *boxes) == 0.0
+    with pytest.raises(ValueError, match="cylindrical"):
+        jaxik.link_circles(jaxik.load("p6r"), jnp.zeros(7))
