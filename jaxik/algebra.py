@@ -353,10 +353,10 @@ def atan2(y: Scalar, x: Scalar) -> Scalar:
 
 
 def safe_sqrt(x: Scalar) -> Scalar:
-    """`sqrt(max(x, 0))`, with derivative 0 where x <= 0 instead of infinity."""
+    """`sqrt(max(x, 0))`, with derivative 0 where x <= 0 instead of infinity; NaN stays NaN."""
     if isinstance(x, float):
         return math.sqrt(max(x, 0.0))
     if isinstance(x, np.ndarray):
         return np.sqrt(np.maximum(x, 0.0))
-    positive = x > 0.0  # the double where: https://jax.readthedocs.io/en/latest/faq.html (gradients contain NaN)
-    return jnp.where(positive, jnp.sqrt(jnp.where(positive, x, 1.0)), 0.0)
+    zero = x <= 0.0  # the double where: https://jax.readthedocs.io/en/latest/faq.html (gradients contain NaN)
+    return jnp.where(zero, 0.0, jnp.sqrt(jnp.where(zero, 1.0, x)))

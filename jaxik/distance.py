@@ -29,7 +29,7 @@ def norm(v: Vec3) -> Any:
 def root(square: Any) -> Any:
     """A distance from its square; 0 with gradient 0 where rounding of coordinates near 1 m leaves no direction (8 eps)."""
     floor = (8.0 * float(jnp.finfo(jnp.result_type(square)).eps)) ** 2
-    return safe_sqrt(jnp.where(square > floor, square, 0.0))
+    return safe_sqrt(jnp.where(square <= floor, 0.0, square))
 
 
 def _ratio(a: Any, b: Any) -> Any:
