@@ -142,4 +142,4 @@ def _determinant(matrix: list[list[Scalar]]) -> Scalar:
     pivot = jnp.maximum(matrix[0][0], 0.0)
     inverse = jnp.where(pivot > 0.0, 1.0 / jnp.where(pivot > 0.0, pivot, 1.0), 0.0)
     rest = [[x - row[0] * inverse * top for x, top in zip(row[1:], matrix[0][1:], strict=True)] for row in matrix[1:]]
-    return pivot * _determinant(rest)
+    return pivot * _determinant(shared(rest, derivative=True))
