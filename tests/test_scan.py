@@ -1,0 +1,162 @@
+"""Scans: the grid against brute force, the paper's two steps, recovery's slope against autodiff, blockers by brute force."""
+
+import itertools
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+import jaxik
+from jaxik.chain import within_limits
+from jaxik.costs import harvest_orientation_cost
+from jaxik.result import Reason
+from jaxik.scan import Weights, _self_motion, approach_angles, grasp_poses, recover, scan_two_step
+
+CHAIN = jaxik.load("p6r")
+
+
+def crop(*objects, position=(0.5, 0.66, 0.6)):
+    builder = jaxik.SceneBuilder("crop", point_radius=0.01)
+    builder.add_fruit("fruit_1", position, length=0.3, radius=0.02)
+    for name, removable, points in objects:
+        builder.add(name, removable, points=points)
+    return builder.scene()
+
+
+def wall(x, y=0.62, count=9):
+    """A vertical fence of points at x, in front of the fruit."""
+    return [(x, y, 0.3 + 0.06 * i) for i in range(count)]
+
+
+OPEN = crop(("leaf_1", True, wall(0.55)), ("leaf_2", True, wall(0.3)))
+
+
+def test_grasp_poses_satisfy_the_paper():
+    """(5) of Van Henten et al. 2010 as printed, in the base frame with the fruit's axis along the base's z."""
+    fruit = OPEN.fruits[0]
+    upright = CHAIN.mounted(np.eye(4))  # the base frame is the world's: the fruit's axis is its z
+    for pose in grasp_poses(upright, fruit, np.linspace(-3.0, 3.0, 7)):
+        assert harvest_orientation_cost(pose[:3, :3]) <= 1e-28
+        assert np.allclose(pose[:3, 3], fruit.position) and abs(np.linalg.det(pose[:3, :3]) - 1.0) <= 1e-14
+
+
+@pytest.fixture(scope="module")
+def found():
+    return jaxik.scan(CHAIN, OPEN, OPEN.fruits[0], angles=24, slides=7)
+
+
+def test_the_table_is_what_one_by_one_gives(found):
+    poses = grasp_poses(CHAIN, found.fruit, found.angles)
+    solve = jax.jit(lambda pose, slide: jaxik.closed_form(CHAIN, pose, slide))
+    rows = {
+        (int(np.argmin(np.abs(found.angles - a))), int(np.argmin(np.abs(found.leading[:, 0] - s))), int(b)): i
+        for i, (a, s, b) in enumerate(zip(found.table.angle, found.table.leading[:, 0], found.table.branch, strict=True))
+    }
+    assert len(rows) == len(found.table.q)
+    for i, k in itertools.product(range(0, 24, 5), range(7)):
+        one = solve(poses[i], found.leading[k, 0])
+        for b in range(8):
+            status, inside = found.status[i, k, b], bool(one.within_limits[b])
+            assert ((i, k, b) in rows) == inside == (status in (Reason.SOLVED, Reason.COLLISION))
+            assert inside or (status == Reason.LIMITS) == bool(one.valid[b])
+            if inside:
+                assert np.max(np.abs(found.table.q[rows[i, k, b]] - one.q[b])) <= 1e-4
+    others = OPEN.without([0])
+    for row in range(0, len(found.table.q), 17):
+        q = jnp.asarray(found.table.q[row], jnp.float64)
+        assert within_limits(CHAIN, np.clip(q, CHAIN.lower, CHAIN.upper)) and np.allclose(
+            q, np.clip(q, CHAIN.lower, CHAIN.upper)
+        )
+        assert abs(jaxik.clearance(CHAIN, others, q) - found.table.clearance[row]) <= 1e-5
+
+
+def test_weights_rank(found):
+    free = found.table.clearance >= 0.005
+    assert free.any()
+    for weights, column in ((Weights(1.0, 0.0, reach=10.0), found.table.clearance), (Weights(0.0, 1.0), found.table.freedom)):
+        best = jaxik.scan(CHAIN, OPEN, OPEN.fruits[0], 24, 7, weights).table.best(0.005)
+        assert column[best] == column[free].max()
+    with pytest.raises(ValueError, match="reach > 0"):
+        Weights(reach=0.0)
+
+
+def test_two_steps_take_the_next_angle_where_the_best_has_none(found):
+    order, distance = approach_angles(CHAIN, OPEN, OPEN.fruits[0], 24)
+    assert np.all(np.diff(distance) <= 0.0) and set(np.round(order, 9)) == set(np.round(found.angles, 9))
+    steps, tried = scan_two_step(CHAIN, OPEN, OPEN.fruits[0], 24, 7)
+    assert steps.reason == Reason.SOLVED and steps.angles[0] == order[tried - 1]
+    for angle in order[: tried - 1]:  # those before have no posture in the full scan either
+        assert not np.any(found.status[np.argmin(np.abs(found.angles - angle))] == Reason.SOLVED)
+
+
+def test_the_slope_of_recovery_is_autodiffs():
+    """Clearance over (angle, slide), differentiated through the closed form; the driver's own route is by Jacobian."""
+    fruit, others = OPEN.fruits[0], OPEN.without([0])
+    axis = CHAIN.world_T_base[:3, :3].T @ fruit.axis
+    centre, reference = np.linalg.inv(CHAIN.world_T_base) @ [*fruit.position, 1.0], grasp_poses(CHAIN, fruit, np.zeros(1))[0]
+
+    def pose(angle):
+        skew = np.array([[0, -axis[2], axis[1]], [axis[2], 0, -axis[0]], [-axis[1], axis[0], 0]])
+        turn = jnp.eye(3) + jnp.sin(angle) * skew + (1.0 - jnp.cos(angle)) * skew @ skew
+        top = jnp.concatenate([turn @ reference[:3, :3], centre[:3, None]], axis=1)
+        return jnp.concatenate([top, jnp.array([[0.0, 0.0, 0.0, 1.0]])])
+
+    worth = jax.jit(lambda q: jaxik.clearance(CHAIN, others, q))
+    through = jax.jit(jax.grad(lambda u, b: worth(jaxik.closed_form(CHAIN, pose(u[0]), u[1:]).q[b])))
+    slopes = jax.jit(jax.grad(worth))
+    found = jaxik.scan(CHAIN, OPEN, fruit, angles=12, slides=5)
+    rows = np.linspace(0, len(found.table.q) - 1, 6).astype(int)
+    for i in rows:
+        u, branch = np.array([found.table.angle[i], found.table.leading[i, 0]]), int(found.table.branch[i])
+        q = jaxik.closed_form(CHAIN, pose(u[0]), u[1:]).q[branch]
+        jacobian, slope = np.asarray(jaxik.jacobian(CHAIN, q)), np.asarray(slopes(q))
+        ours, exact = _self_motion(jacobian[None], slope[None], axis, 1)[0], np.asarray(through(u, branch))
+        assert np.allclose(ours, exact / np.linalg.norm(exact), atol=1e-6)
+
+
+def test_recovery_finds_what_the_grid_misses():
+    fine = jaxik.scan(CHAIN, OPEN, OPEN.fruits[0], 72, 41)
+    best = float(fine.table.clearance.max())
+    coarse = jaxik.scan(CHAIN, OPEN, OPEN.fruits[0], 7, 3, margin=0.95 * best)
+    assert coarse.reason != Reason.SOLVED  # so high a margin that so coarse a grid has nothing
+    mended = recover(CHAIN, OPEN, coarse, margin=float(coarse.table.clearance.max()) + 0.004)
+    assert mended is not None and mended.how in ("finer grid", "gradient")
+    assert mended.row.clearance[0] > coarse.table.clearance.max()
+    q = mended.row.q[0].astype(np.float64)
+    pose = grasp_poses(CHAIN, OPEN.fruits[0], mended.row.angle)[0]
+    assert np.max(np.abs(jaxik.forward_kinematics(CHAIN, q) - pose)) <= 2e-5
+    assert np.all((q >= CHAIN.lower - 1e-6) & (q <= CHAIN.upper + 1e-6))
+
+
+def test_each_reason():
+    far = crop(position=(0.5, 9.0, 0.6))
+    assert jaxik.scan(CHAIN, far, far.fruits[0], 12, 5).reason == Reason.OUT_OF_REACH
+    cage = [(0.5 + 0.09 * np.cos(a), 0.66 + 0.09 * np.sin(a), z) for a in np.linspace(0, 6, 24) for z in (0.55, 0.6, 0.65)]
+    shut = crop(("leaf_1", True, cage[::2]), ("post_1", False, cage[1::2]))
+    found = jaxik.scan(CHAIN, shut, shut.fruits[0], 24, 9)
+    assert found.reason == Reason.COLLISION
+    assert jaxik.blockers(CHAIN, shut, found).removal is None  # the post may not go
+    loose = crop(("leaf_1", True, cage[::2]), ("leaf_2", True, cage[1::2]))
+    assert set(jaxik.blockers(CHAIN, loose, jaxik.scan(CHAIN, loose, loose.fruits[0], 24, 9)).removal) <= {"leaf_1", "leaf_2"}
+    upside = jaxik.make_scene(points=[[0, 0, 0]])
+    with pytest.raises(ValueError, match="no fruit"):
+        jaxik.harvest(CHAIN, upside)
+    with pytest.raises(ValueError, match="needs the closed form"):
+        jaxik.scan(jaxik.load("crops_v2"), OPEN, OPEN.fruits[0])
+
+
+def test_a_million_candidates_stay_below_a_gibibyte(tmp_path):
+    import subprocess
+    import sys
+
+    code = """
+import jaxik
+scene = jaxik.load_scene("cucumber_row")
+found = jaxik.scan(jaxik.load("p6r"), scene, scene.fruits[0], 720, 174)
+peak = next(int(line.split()[1]) for line in open("/proc/self/status") if line.startswith("VmHWM"))
+print(found.status.size, peak * 1024)
+"""
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    candidates, peak = map(int, done.stdout.split())
+    assert candidates >= 1_000_000 and peak < 2**30
