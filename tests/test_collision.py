@@ -73,6 +73,127 @@ def test_lines_against_coal():
             assert abs(float(swept) - 0.1 - theirs) <= 1e-6
 
 
+def _gjk(corners, shape, place):
+    """Coal's distance of a triangle to a shape: its own solver, since `coal.distance` knows no triangles."""
+    difference, solver = coal.MinkowskiDiff(), coal.GJK(500, 1e-10)
+    frames = coal.Transform3s(np.eye(3), np.zeros(3)), coal.Transform3s(*place)
+    difference.set(coal.TriangleP(*corners), shape, *frames, False)
+    status = solver.evaluate(difference, np.array([1.0, 0.0, 0.0]), np.zeros(2, np.int32))
+    return solver.distance if status == coal.GJKStatus.NoCollision else 0.0
+
+
+def test_triangles_and_cylinders_against_coal():
+    rng = np.random.default_rng(5)
+    vec = lambda v: Vec3(*(jnp.asarray(x) for x in v))
+
+    @jax.jit
+    def distances(triangle, line, other, turn, centre, size):
+        corners, ends, others = (tuple(vec(c) for c in x) for x in (triangle, line, other))
+        rows, middle = Rot3(*(vec(r) for r in turn)), vec(centre)
+        box = partial(_box_distance, rows, middle, vec(size))
+        cylinder = lambda p: distance.point_cylinder(p, rows, middle, size[0], size[1])
+        flat = [distance.between(corners, x) for x in ((middle,), ends, others)]
+        return (
+            *flat,
+            distance.to_body(corners, box),
+            distance.to_body(corners, cylinder),
+            distance.to_body(others[:2], cylinder),
+        )
+
+    compared = np.zeros(6, int)
+    for _ in range(40):
+        turn, centre, size = _rotation(rng), rng.normal(size=3) * 1.5, rng.uniform(0.2, 0.8, 3)
+        place, first, second = (turn, centre), rng.normal(size=(3, 3)) * 0.6, rng.normal(size=(3, 3)) * 0.6 + 1.0
+        line = centre + np.array([[-1.0], [1.0]]) * turn[:, 2] * size[1]
+        cylinder, still = coal.Cylinder(size[0], 2 * size[1]), (np.eye(3), np.zeros(3))
+        pole = coal.Capsule(0.1, float(np.linalg.norm(second[1] - second[0])))
+        truth = [
+            _gjk(first, coal.Sphere(0.01), place) + 0.01,
+            _gjk(first, coal.Capsule(0.1, 2 * size[1]), place) + 0.1,
+            _gjk(first, coal.TriangleP(*second), still),
+            _gjk(first, coal.Box(*(2 * size)), place),
+            _gjk(first, cylinder, place),
+            _coal(pole, _between(*second[:2]), cylinder, place) + 0.1,
+        ]
+        apart = np.array(truth) > 0.11  # where coal's shapes, round ones too, do not touch
+        ours = np.array(distances(first, line, second, turn, centre, size))
+        compared += apart
+        assert np.max(np.abs(ours - truth), where=apart, initial=0.0) <= 1e-6
+    assert np.all(compared >= 15)
+
+
+def _between(a, b):
+    """The frame whose z runs along the segment ab."""
+    z = (b - a) / np.linalg.norm(b - a)
+    x = np.linalg.svd(z[None])[2][1]
+    return np.stack([x, np.cross(z, x), z], axis=1), (a + b) / 2
+
+
+def test_a_line_inside_a_box_has_the_slope_of_both_faces():
+    """Its deepest point lies where two faces are equally near: neither face's slope alone is right."""
+    rng, rows = np.random.default_rng(6), Rot3(*(_vec(r) for r in np.eye(3)))
+    body = partial(_box_distance, rows, _vec(np.zeros(3)), _vec(np.array([0.4, 0.3, 0.5])))
+    value = jax.jit(lambda p: distance.to_body((Vec3(*p[:3]), Vec3(*p[3:])), body))
+    slope = jax.jit(jax.grad(value))
+    for _ in range(20):
+        ends = rng.uniform(-0.2, 0.2, 6) + np.array([-0.8, -0.3, -0.1, 0.8, 0.3, 0.1])
+        numeric = [(value(ends + 1e-6 * e) - value(ends - 1e-6 * e)) / 2e-6 for e in np.eye(6)]
+        assert value(ends) < 0.0 and np.allclose(slope(ends), numeric, atol=1e-4)
+
+
+@pytest.mark.parametrize("name", ["p6r", "crops_v2", "chembuly9"])
+def test_the_robots_clearance_against_coal(name):
+    """Every pair, one by one, in coal: spheres and capsules of the robot to the scene and to each other."""
+    chain, rng = jaxik.load(name), np.random.default_rng(7)
+    scene = _scene(rng)
+    clearance = jax.jit(lambda q: jaxik.clearance(chain, scene, q))
+    compared = 0
+    for q in rng.uniform(chain.lower, chain.upper, (40, chain.num_joints)):
+        robot = _robot_bodies(chain, q)
+        theirs = [_coal(shape, place, *other) for _, shape, place in robot for other in _scene_bodies(scene)]
+        pairs = [(a, b) for a in robot for b in robot if (a[0], b[0]) in chain.self_pairs]
+        theirs += [_coal(a[1], a[2], b[1], b[2]) for a, b in pairs]
+        if min(theirs) > 0.005:
+            compared += 1
+            assert abs(float(clearance(q)) - min(theirs)) <= 1e-6
+        else:
+            assert clearance(q) <= 0.0051
+    assert compared
+
+
+def _robot_bodies(chain, q):
+    frames = np.asarray(jaxik.link_frames(chain, q)) @ np.linalg.inv(chain.link_offset)
+    bodies = []
+    for volume in chain.volumes:
+        frame = chain.world_T_base @ frames[volume.link]
+        corners, radius = volume.corners @ frame[:3, :3].T + frame[:3, 3], float(volume.radius)
+        assert len(corners) <= 2
+        if len(corners) == 1:
+            bodies.append((volume.link, coal.Sphere(radius), (np.eye(3), corners[0])))
+        else:
+            bodies.append(
+                (volume.link, coal.Capsule(radius, float(np.linalg.norm(corners[1] - corners[0]))), _between(*corners))
+            )
+    for box in chain.boxes:
+        frame = chain.world_T_base @ frames[box.link]
+        centres, radius = jaxik.spheres.box_spheres(box, chain.spheres_per_box)
+        places = centres @ frame[:3, :3].T + frame[:3, 3]
+        bodies += [(box.link, coal.Sphere(float(radius)), (np.eye(3), p)) for p in places]
+    return bodies
+
+
+def _scene_bodies(scene):
+    bodies = [(coal.Sphere(float(scene.points.radius)), (np.eye(3), c)) for c in scene.points.center]
+    bodies += [(coal.Sphere(float(r)), (np.eye(3), c)) for c, r in zip(scene.spheres.center, scene.spheres.radius, strict=True)]
+    for a, b, r in zip(scene.capsules.a, scene.capsules.b, scene.capsules.radius, strict=True):
+        bodies.append((coal.Capsule(float(r), float(np.linalg.norm(b - a))), _between(a, b)))
+    for frame, half in zip(scene.boxes.world_T_box, scene.boxes.half, strict=True):
+        bodies.append((coal.Box(*(2 * half)), (frame[:3, :3], frame[:3, 3])))
+    for frame, r, half in zip(scene.cylinders.world_T_cylinder, scene.cylinders.radius, scene.cylinders.half, strict=True):
+        bodies.append((coal.Cylinder(float(r), 2 * float(half)), (frame[:3, :3], frame[:3, 3])))
+    return bodies
+
+
 def _scene(rng):
     return jaxik.make_scene(
         points=rng.uniform(-0.6, 0.6, (20, 3)) + np.array([0.4, 0.5, 0.6]),
