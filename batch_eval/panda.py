@@ -22,11 +22,11 @@ TIP = "panda_link8"
 ROBOTS = Path(pin.__file__).parents[4] / "share" / "example-robot-data" / "robots"
 
 
-def bare_urdf() -> Path:
-    """The example Panda without fingers and meshes: the same seven joints for everyone."""
-    root = ET.parse(ROBOTS / "panda_description/urdf/panda.urdf").getroot()
+def bare_urdf(file: Path, tip: str) -> Path:
+    """A copy of a URDF with nothing but the links and joints from its root to `tip`, and no shapes: the same for everyone."""
+    root = ET.parse(file).getroot()
     above = {j.find("child").get("link"): j for j in root.findall("joint")}  # type: ignore[union-attr]
-    kept, link = {TIP}, TIP
+    kept, link = {tip}, tip
     while link in above:
         link = above[link].find("parent").get("link")  # type: ignore[union-attr,assignment]
         kept.add(link)
@@ -37,7 +37,7 @@ def bare_urdf() -> Path:
             root.remove(element)
         for shape in (*element.findall("visual"), *element.findall("collision")):
             element.remove(shape)
-    path = Path(tempfile.mkdtemp()) / "panda.urdf"
+    path = Path(tempfile.mkdtemp()) / file.name
     ET.ElementTree(root).write(path)
     return path
 
@@ -76,7 +76,7 @@ class Truth:
 
 def contenders(count: int = 65_536) -> tuple[list[Entry], list[Entry]]:
     """Entries for the pose and for the Jacobian of `count` random configurations."""
-    urdf = bare_urdf()
+    urdf = bare_urdf(ROBOTS / "panda_description/urdf/panda.urdf", TIP)
     chain, truth = jaxik.load(urdf, tip=TIP), Truth(urdf)
     q = np.random.default_rng(0).uniform(chain.lower, chain.upper, (count, 7)).astype(np.float32)
     few = q[:50]

@@ -1,10 +1,7 @@
 """Robots that no one here wrote, from example-robot-data; the folder is where pip puts it."""
 
-from pathlib import Path
-
-import pinocchio
-
-FOLDER = Path(pinocchio.__file__).parents[4] / "share" / "example-robot-data" / "robots"
+from panda import ROBOTS as FOLDER
+from panda import bare_urdf
 
 # file, tip link: prismatic, continuous and oblique joints among them
 ROBOTS = {
@@ -15,3 +12,9 @@ ROBOTS = {
     "talos arm": ("talos_data/robots/talos_left_arm.urdf", "gripper_left_base_link"),
     "pr2": ("pr2_description/urdf/pr2.urdf", "r_wrist_roll_link"),
 }
+
+
+def bare(name):
+    """The robot's chain alone, without shapes, as a file that every library reads."""
+    file, tip = ROBOTS[name]
+    return bare_urdf(FOLDER / file, tip), tip

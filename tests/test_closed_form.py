@@ -7,6 +7,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from arm import eaik_robot
 from robots import FOLDER, ROBOTS
 
 import jaxik
@@ -69,25 +70,10 @@ def test_round_trip_of_random_arms(seed):
     assert np.quantile(nearest, 0.99) <= 1e-10  # near a singularity single joints lose digits, the pose does not
 
 
-def _eaik_wrist(chain):
-    """The same arm for EAIK: axes and points at q = 0 (the last point carries on to the tip)."""
-    frame, h, p = np.eye(4), [], []
-    for i in range(6):
-        frame = frame @ chain.parent_T_joint[i]
-        h.append(frame[:3, :3] @ chain.axis[i])
-        p.append(frame[:3, 3])
-    frame = frame @ chain.joint_T_tip
-    offsets = np.diff(np.array([np.zeros(3), *p, frame[:3, 3]]), axis=0)
-    return np.array(h), offsets, frame[:3, :3]
-
-
 @pytest.mark.parametrize("seed", [0, 1, 2, 3])
 def test_branches_against_eaik(seed):
-    from eaik.IK_HP import HPRobot
-
     chain = random_arm(seed, right_angled=seed % 2 == 0)
-    h, offsets, end = _eaik_wrist(chain)
-    robot = HPRobot(h, offsets)
+    robot, end = eaik_robot(chain)
     q = np.random.default_rng(seed).uniform(-np.pi, np.pi, (60, 6))
     found, _ = _round_trip(chain, q)
     for i in range(len(q)):

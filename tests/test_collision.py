@@ -222,7 +222,7 @@ def test_gradient_of_the_clearance(name):
     assert agreed >= 10
 
 
-@pytest.mark.parametrize("per_box", [1, 8, 64])
+@pytest.mark.parametrize("per_box", [1, 8, 64, 512])
 def test_the_hierarchy_gives_the_flat_answer(per_box):
     chain, rng = jaxik.load("p6r").with_spheres(per_box), np.random.default_rng(3)
     scene = jaxik.make_scene(points=rng.uniform(-1, 1, (60, 3)) + np.array([0.4, 0.4, 0.8]))
@@ -232,6 +232,16 @@ def test_the_hierarchy_gives_the_flat_answer(per_box):
         assert abs(least - flat(q)) <= 1e-12
         assert hierarchical_collision(chain, scene, q)[0] == (float(flat(q)) <= 0.0)
         assert per_box < 64 or looked < 7 * per_box * 60
+
+
+@pytest.mark.parametrize("dtype", [np.float32, np.float64])
+def test_value_and_gradient_where_a_distance_is_zero(dtype):
+    chain = jaxik.load("p6r")
+    q = jnp.asarray([0.4, 0.3, -0.5, -0.4, 0.7, 0.6, 0.5], dtype)
+    centres, radii = jaxik.link_spheres(chain, q)
+    scene = jaxik.make_scene(points=[centres[40]], capsules=[[*centres[40], *(centres[40] + 1.0), 0.0]])
+    value, slope = jax.jit(jax.value_and_grad(lambda q: jaxik.clearance(chain, scene, q)))(q)
+    assert abs(value + radii[40]) <= 64 * np.finfo(dtype).eps and np.all(np.isfinite(slope))
 
 
 def _flat(chain, scene, q):

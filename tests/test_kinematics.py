@@ -1,6 +1,7 @@
 """Kinematics of real robots against Pinocchio, pytorch-kinematics and MJX; batches, derivatives, precision."""
 
 import warnings
+from pathlib import Path
 
 import equinox as eqx
 import jax
@@ -9,9 +10,10 @@ import mujoco
 import numpy as np
 import pinocchio as pin
 import pytest
-from robots import FOLDER, ROBOTS
+from robots import FOLDER, ROBOTS, bare
 
 import jaxik
+from jaxik.load.assemble import Joint, assemble
 
 SHIPPED = ["p6r", "crops_v2", "chembuly9", "pendulum4", "planar2"]
 
@@ -79,29 +81,59 @@ def test_against_pinocchio(name):
         assert np.max(np.abs(single[i] - rounded)) <= 2e-6
 
 
-def _float32_translation(frames):
-    rounded = np.array(frames)
-    rounded[..., :3, 3] = rounded[..., :3, 3].astype(np.float32)
-    return rounded
-
-
-def test_against_pytorch_kinematics():
+@pytest.mark.parametrize("name", ROBOTS)
+def test_against_pytorch_kinematics(name):
+    path, tip = bare(name)
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")  # deprecations inside torch are not ours
         import pytorch_kinematics as pk
         import torch
 
-        file, tip = ROBOTS["panda"]
-        model = pk.build_serial_chain_from_urdf((FOLDER / file).read_bytes(), tip).to(dtype=torch.float64)
-        chain = jaxik.load(FOLDER / file, tip=tip)
-        # it reads the file's translations in float32 (its own rounding, 2e-8 m); with the same numbers the rest must agree
-        where = lambda c: (c.parent_T_joint, c.joint_T_tip)
-        chain = eqx.tree_at(where, chain, tuple(_float32_translation(x) for x in where(chain)))
-        q = _random(chain, 20)
+        model = pk.build_serial_chain_from_urdf(path.read_bytes(), tip)
+        chain, read = jaxik.load(path, tip=tip), _as_they_read_it(model)
+        model, q = model.to(dtype=torch.float64), _random(chain, 20)
         truth = model.forward_kinematics(torch.tensor(q)).get_matrix().numpy()
         jacobian = model.jacobian(torch.tensor(q)).numpy()
-    assert np.max(np.abs(jax.vmap(lambda q: jaxik.forward_kinematics(chain, q))(q) - truth)) <= 1e-12
-    assert np.max(np.abs(jax.vmap(lambda q: jaxik.jacobian(chain, q))(q) - jacobian)) <= 1e-12
+    for ours, bound in ((read, 1e-12), (chain, 1e-6)):
+        assert np.max(np.abs(jax.vmap(lambda q, c=ours: jaxik.forward_kinematics(c, q))(q) - truth)) <= bound
+        assert np.max(np.abs(jax.vmap(lambda q, c=ours: jaxik.jacobian(c, q))(q) - jacobian)) <= bound
+
+
+def _as_they_read_it(model):
+    """The chain with pytorch-kinematics' own constants: it reads a file in float32, which costs up to 4e-7."""
+    joints = []
+    for frame in model._serial_frames:
+        joint = frame.joint
+        offset = np.eye(4) if joint.offset is None else joint.offset.get_matrix()[0].double().numpy()
+        moves = {} if joint.joint_type == "fixed" else {"axis": joint.axis.double().numpy()}
+        joints.append(Joint(f"joint {frame.name}", joint.joint_type, offset, f"link {frame.name}", **moves))
+    return assemble(Path("pytorch"), "pytorch", "root", joints, {})
+
+
+@pytest.mark.parametrize("name", ROBOTS)
+def test_against_mujoco_and_mjx(name):
+    from mujoco import mjx
+
+    path, tip = bare(name)
+    chain, spec = jaxik.load(path, tip=tip), mujoco.MjSpec.from_file(str(path))
+    spec.compiler.fusestatic, spec.compiler.balanceinertia, spec.compiler.boundmass = 0, 1, 1e-3  # some links have no inertia
+    spec.compiler.boundinertia = 1e-6
+    model = spec.compile()
+    data, body = mujoco.MjData(model), mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_BODY, tip)
+    assert [model.joint(i).name for i in range(model.njnt)] == list(chain.joint_names)
+    device = mjx.put_model(model)
+    blank, q = mjx.make_data(device), _random(chain, 5)
+    moved = jax.jit(jax.vmap(lambda q: mjx.kinematics(device, blank.replace(qpos=q))))(q)
+    for i, row in enumerate(q):
+        pose, jacobian = (np.asarray(f(chain, row)) for f in (jaxik.forward_kinematics, jaxik.jacobian))
+        data.qpos[:] = row
+        mujoco.mj_forward(model, data)
+        assert np.max(np.abs(pose[:3, 3] - data.xpos[body])) <= 1e-12
+        assert np.max(np.abs(pose[:3, :3].ravel() - data.xmat[body])) <= 1e-12
+        assert np.max(np.abs(pose[:3, 3] - moved.xpos[i, body])) <= 1e-12
+        linear, angular = np.zeros((2, 3, model.nv))
+        mujoco.mj_jacBody(model, data, linear, angular, body)
+        assert np.max(np.abs(jacobian - np.vstack([linear, angular]))) <= 1e-12
 
 
 MJCF = """<mujoco><compiler angle="degree"/><worldbody><body name="cart" pos="0.1 0 0.3">

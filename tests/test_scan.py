@@ -11,7 +11,7 @@ import jaxik
 from jaxik.chain import within_limits
 from jaxik.costs import harvest_orientation_cost
 from jaxik.result import Reason
-from jaxik.scan import Weights, _self_motion, approach_angles, grasp_poses, recover, scan_two_step
+from jaxik.scan import Weights, _climb, _misses, _self_motion, approach_angles, grasp_poses, recover, scan_two_step
 
 CHAIN = jaxik.load("p6r")
 
@@ -127,6 +127,15 @@ def test_recovery_finds_what_the_grid_misses():
     pose = grasp_poses(CHAIN, OPEN.fruits[0], mended.row.angle)[0]
     assert np.max(np.abs(jaxik.forward_kinematics(CHAIN, q) - pose)) <= 2e-5
     assert np.all((q >= CHAIN.lower - 1e-6) & (q <= CHAIN.upper + 1e-6))
+
+
+def test_gradient_ascent_alone_reaches_the_margin():
+    coarse = jaxik.scan(CHAIN, OPEN, OPEN.fruits[0], 7, 3)
+    margin = float(coarse.table.clearance.max()) + 0.003
+    climbed = _climb(CHAIN, OPEN, coarse, _misses(coarse), Weights(), margin, None, 25)
+    assert climbed is not None and climbed.how == "gradient" and climbed.row.clearance[0] >= margin
+    q = climbed.row.q[0].astype(np.float64)
+    assert np.max(np.abs(jaxik.forward_kinematics(CHAIN, q) - grasp_poses(CHAIN, OPEN.fruits[0], climbed.row.angle)[0])) <= 2e-5
 
 
 def test_each_reason():
