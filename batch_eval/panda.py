@@ -105,7 +105,7 @@ def contenders(count: int = 65_536) -> tuple[list[Entry], list[Entry]]:
     frax_pose, frax_jacobian = _frax(urdf, chain)
     forward.append(jaxs("frax, vmap", frax_pose, frax_pose, poses))
     columns.append(jaxs("frax, vmap", frax_jacobian, frax_jacobian, jacobians))
-    forward.append(_mjx(urdf, q[:4096], few, poses, off))
+    forward.append(_mjx(urdf, chain.joint_T_tip, q[:4096], few, poses, off))
     return forward, columns
 
 
@@ -162,18 +162,17 @@ def _frax(urdf: Path, chain: jaxik.Chain) -> tuple[Callable[..., Any], Callable[
     return jax.vmap(robot.ee_transform), jax.vmap(robot.ee_jacobian)
 
 
-def _mjx(urdf: Path, q: np.ndarray, few: np.ndarray, poses: np.ndarray, off: Any) -> Entry:
+def _mjx(urdf: Path, last_T_tip: np.ndarray, q: np.ndarray, few: np.ndarray, poses: np.ndarray, off: Any) -> Entry:
     from mujoco import mjx
 
-    spec = mujoco.MjSpec.from_file(str(urdf))
-    spec.compiler.fusestatic = 0
-    model = mjx.put_model(spec.compile())
-    body = mujoco.mj_name2id(spec.compile(), mujoco.mjtObj.mjOBJ_BODY, TIP)
-    blank = mjx.make_data(model)
+    # fixed bodies fused, as MuJoCo does by default: it is faster by 1.7; the tip is put back on the last body
+    compiled_model = mujoco.MjModel.from_xml_path(str(urdf))
+    model = mjx.put_model(compiled_model)
+    blank, last, tip = mjx.make_data(model), compiled_model.nbody - 1, jnp.asarray(last_T_tip)
 
     def pose(q: Any) -> Any:
         moved = mjx.kinematics(model, blank.replace(qpos=q))
-        return moved.xmat[body], moved.xpos[body]
+        return moved.xmat[last] @ tip[:3, :3], moved.xpos[last] + moved.xmat[last] @ tip[:3, 3]
 
     each = jax.vmap(pose)
     run, seconds = compiled(each, jnp.asarray(q))

@@ -84,27 +84,22 @@ def _draw_robot(axis: Any, chain: Chain, q: np.ndarray, i: int, j: int) -> None:
 
 
 def _draw_map(figure: Any, axis: Any, row: Posture) -> None:
-    """The best clearance over the branches, for each approach angle and first leading joint."""
-    found = row.scan
-    best = np.full(found.status.shape[:2], np.nan)
-    cells = (np.searchsorted(found.angles, found.table.angle), _leading_index(found.leading, found.table.leading))
-    for a, s, distance in zip(*cells, found.table.clearance, strict=True):
+    """The best clearance over branches and further leading joints, for each approach angle and first leading joint."""
+    found, table = row.scan, row.scan.table
+    leads = found.leading.shape[1] > 0
+    first = np.unique(found.leading[:, 0]) if leads else np.zeros(1)
+    columns = np.searchsorted(first, table.leading[:, 0]) if leads else np.zeros(len(table.angle), int)
+    best = np.full((len(found.angles), len(first)), np.nan)
+    for a, s, distance in zip(np.searchsorted(found.angles, table.angle), columns, table.clearance, strict=True):
         best[a, s] = np.fmax(best[a, s], distance)
-    extent = (0.0, float(len(found.leading)), float(np.degrees(found.angles[0])), float(np.degrees(found.angles[-1])))
-    if found.leading.shape[1] and len(found.leading) > 1:
-        extent = (float(found.leading[0, 0]), float(found.leading[-1, 0]), *extent[2:])
+    sides = (float(first[0]), float(first[-1])) if len(first) > 1 else (0.0, 1.0)
+    extent = (*sides, float(np.degrees(found.angles[0])), float(np.degrees(found.angles[-1])))
     span = max(float(np.nanmax(np.abs(best), initial=0.01)), 0.01) * 1000.0
     picture = axis.imshow(1000.0 * best, origin="lower", aspect="auto", extent=extent, cmap="RdYlGn", vmin=-span, vmax=span)
     figure.colorbar(picture, ax=axis, label="best clearance [mm]; blank: no posture inside the limits")
-    if row.success and found.leading.shape[1]:
+    if row.success and leads:
         axis.plot(row.q[0], np.degrees(row.angle), "k*", ms=12)
     axis.set(xlabel="leading joint [m, rad]", ylabel="approach angle [deg]", title=f"{row.fruit}: clearance map")
-
-
-def _leading_index(grid: np.ndarray, values: np.ndarray) -> np.ndarray:
-    if grid.shape[1] == 0:
-        return np.zeros(len(values), int)
-    return np.argmin(np.abs(grid[None] - values[:, None]).sum(-1), axis=1)
 
 
 def _draw_fates(axis: Any, result: Harvest) -> None:

@@ -187,13 +187,21 @@ def full_circle(count: int) -> np.ndarray:
     return -np.pi + 2.0 * np.pi * np.arange(count) / count
 
 
-def leading_grid(chain: Chain, count: int) -> np.ndarray:
-    """A grid (m, k) over the ranges of the k leading joints, `count` values each; one empty row for k = 0."""
+def leading_grid(chain: Chain, slides: int | np.ndarray) -> np.ndarray:
+    """Values (m, k) of the k leading joints: as given, or a grid over their ranges, a count each; one empty row for k = 0."""
     k = chain.num_joints - 6
+    if not k:
+        return np.zeros((1, 0))
+    if not isinstance(slides, int):
+        return np.asarray(slides, dtype=np.float64).reshape(-1, k)
     low = np.where(np.isfinite(chain.lower[:k]), chain.lower[:k], -np.pi)
     high = np.where(np.isfinite(chain.upper[:k]), chain.upper[:k], np.pi)
-    axes = [np.linspace(a, b, count) for a, b in zip(low, high, strict=True)]
-    return np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1).reshape(-1, k) if k else np.zeros((1, 0))
+    return _grid([np.linspace(a, b, slides) for a, b in zip(low, high, strict=True)])
+
+
+def _grid(axes: list[np.ndarray]) -> np.ndarray:
+    """All combinations of the values of several axes, a row each."""
+    return np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1).reshape(-1, len(axes))
 
 
 def scan(
@@ -217,7 +225,7 @@ def scan(
     if reason:
         raise ValueError(f"{chain.name}: a scan needs the closed form, and {reason}")
     at = full_circle(angles) if isinstance(angles, int) else np.asarray(angles, dtype=np.float64)
-    lead = leading_grid(chain, slides) if isinstance(slides, int) else np.asarray(slides).reshape(-1, chain.num_joints - 6)
+    lead = leading_grid(chain, slides)
     poses = grasp_poses(chain, fruit, at, grasp)
     a, s = (x.ravel() for x in np.meshgrid(np.arange(len(at)), np.arange(len(lead)), indexing="ij"))
     q, status, rows, near = _candidates(chain, poses, at, lead, a, s)
@@ -366,8 +374,7 @@ def _finer(chain: Chain, found: Scan, starts: np.ndarray) -> Iterator[tuple[np.n
     k = chain.num_joints - 6
     for row in starts[np.sort(cells)][:4]:
         axes = [np.clip(row[1 + i] + fine * width[i], chain.lower[i], chain.upper[i]) for i in range(k)]
-        grid = np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1).reshape(-1, k) if k else np.zeros((1, 0))
-        yield row[0] + fine * step, grid
+        yield row[0] + fine * step, _grid(axes) if k else np.zeros((1, 0))
 
 
 def _climb(

@@ -10,6 +10,7 @@ import pytest
 import jaxik
 from jaxik.chain import within_limits
 from jaxik.costs import harvest_orientation_cost
+from jaxik.load import models_folder
 from jaxik.result import Reason
 from jaxik.scan import Weights, _climb, _misses, _self_motion, approach_angles, grasp_poses, recover, scan_two_step
 
@@ -136,6 +137,32 @@ def test_gradient_ascent_alone_reaches_the_margin():
     assert climbed is not None and climbed.how == "gradient" and climbed.row.clearance[0] >= margin
     q = climbed.row.q[0].astype(np.float64)
     assert np.max(np.abs(jaxik.forward_kinematics(CHAIN, q) - grasp_poses(CHAIN, OPEN.fruits[0], climbed.row.angle)[0])) <= 2e-5
+
+
+@pytest.mark.parametrize("leading", [0, 2])
+def test_arms_with_other_numbers_of_leading_joints(leading, tmp_path):
+    """A fixed arm, and one whose slide stands on a lift; the picture too."""
+    from jaxik.plot import plot_harvest
+
+    if leading == 0:
+        chain = CHAIN.part(1, 7).mounted(CHAIN.world_T_base @ _lift(0.45))
+    else:
+        text = (models_folder() / "p6r.toml").read_text()
+        lift = '[[joint]]\nname = "lift"\ntype = "prismatic"\nlower = 0\nupper = 0.2\n\n'
+        path = tmp_path / "lifted.toml"
+        path.write_text(text.replace("[[joint]]", lift + "[[joint]]", 1))
+        chain = jaxik.load(path)
+    assert chain.num_joints == 6 + leading
+    result = jaxik.harvest(chain, OPEN, angles=36, slides=5)
+    assert result.rows[0].success and result.rows[0].position_error <= 2e-6
+    assert result.candidates == 36 * 5**leading * 8
+    plot_harvest(result, tmp_path / "harvest.png")
+
+
+def _lift(z):
+    frame = np.eye(4)
+    frame[2, 3] = z
+    return frame
 
 
 def test_each_reason():

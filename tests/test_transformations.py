@@ -24,9 +24,9 @@ FUNCTIONS = {
     "object_clearances": lambda q: jaxik.object_clearances(CHAIN, SCENE, q),
     "closed_form": lambda q: jaxik.closed_form(CHAIN, jaxik.forward_kinematics(CHAIN, q), q[0]).q,
 }
-# Results for a configuration alone, in a batch of 7, nested and in one of 4096. XLA contracts multiply-adds and vectorises the
-# ends of a loop as each program lets it, so the last bits may differ; measured: at most 1 eps of the largest entry for the
-# kinematics, and this bound holds for all. In closed form an angle near a singularity magnifies it: the pose is held instead.
+# Results for a configuration alone, in a batch of 7, nested and in one of 4096, in eps of the largest entry. Most have the same
+# bits. XLA contracts multiply-adds as each program lets it, so for the rest the last bits may differ: measured 1.6, held at 8.
+SAME_BITS = ("forward_kinematics", "jacobian", "link_frames", "clearance", "object_clearances", "closed_form")
 BITS = 8
 
 
@@ -49,17 +49,8 @@ def test_results_do_not_depend_on_the_batch(name, dtype):
     assert many.dtype == dtype
     alone, seven = jax.jit(f)(q[3]), jax.jit(jax.vmap(f))(q[:7])
     nested = jax.jit(jax.vmap(jax.vmap(f)))(q.reshape(64, 64, 7)).reshape(many.shape)
-    if name == "closed_form":
-        pose = jax.jit(jax.vmap(FUNCTIONS["forward_kinematics"]))
-        truth, back = pose(q), lambda solutions, k: np.asarray(pose(solutions[:, k]))
-        for k in range(8):
-            valid = np.abs(back(many, k) - truth).max(axis=(1, 2)) < 1e-3
-            assert _apart(back(many, k)[valid], back(nested, k)[valid]) <= 64 * np.finfo(dtype).eps
-        several = _apart(many[3], alone), _apart(many[:7], seven)
-        assert max(several) <= 1000 * np.finfo(dtype).eps
-        return
     for one, other in ((many[3], alone), (many[:7], seven), (many, nested)):
-        assert _apart(one, other) <= BITS * np.finfo(dtype).eps
+        assert _apart(one, other) <= (0 if name in SAME_BITS else BITS) * np.finfo(dtype).eps
 
 
 @pytest.mark.parametrize("name", FUNCTIONS)
