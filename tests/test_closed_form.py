@@ -76,8 +76,8 @@ def test_branches_against_eaik(seed):
     robot, end = eaik_robot(chain)
     q = np.random.default_rng(seed).uniform(-np.pi, np.pi, (60, 6))
     found, _ = _round_trip(chain, q)
-    for i in range(len(q)):
-        pose = np.asarray(jaxik.forward_kinematics(chain, q[i]))
+    poses = np.asarray(jax.jit(jax.vmap(lambda q: jaxik.forward_kinematics(chain, q)))(q))
+    for i, pose in enumerate(poses):
         theirs = robot.IK(_frame(pose[:3, :3] @ end.T, pose[:3, 3]))
         exact = [s for s, approximate in zip(theirs.Q, theirs.is_LS, strict=True) if not approximate]
         ours = np.asarray(found.q[i])[np.asarray(found.valid[i])]
