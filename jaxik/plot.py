@@ -28,14 +28,15 @@ def plot_harvest(result: Harvest, path: Path, fruit: str | None = None) -> None:
     row = _chosen(result, fruit)
     figure = Figure(figsize=(14, 9), layout="constrained")
     FigureCanvasAgg(figure)
-    axes = figure.subplots(2, 2)
+    axes = figure.subplots(2, 2, width_ratios=(3, 2))
     for axis, (i, j), title in ((axes[0, 0], (0, 2), "front (x, z)"), (axes[0, 1], (1, 2), "side (y, z)")):
         _draw_scene(axis, result, row, i, j)
         if row.success:
             _draw_robot(axis, result.chain, row.q, i, j)
         axis.set(xlabel=f"{'xyz'[i]} [m]", ylabel=f"{'xyz'[j]} [m]", title=title, aspect="equal")
+        axis.set_ylim(top=min(axis.get_ylim()[1], _height(result) + 0.5))  # stems and wires go on
     axes[0, 0].legend(fontsize=8, loc="upper right")
-    _draw_map(figure, axes[1, 0], row)
+    _draw_map(figure, axes[1, 0], row, result.chain)
     _draw_fates(axes[1, 1], result)
     state = f"clearance {1000 * row.clearance:.0f} mm, freedom {row.freedom:.2f}" if row.success else row.reason.text
     solved = int(result.success.sum())
@@ -43,6 +44,11 @@ def plot_harvest(result: Harvest, path: Path, fruit: str | None = None) -> None:
         f"{result.chain.name}, {result.scene.name}: {solved} of {len(result.rows)} fruits; shown: {row.fruit}, {state}"
     )
     figure.savefig(path, dpi=110, format="png")
+
+
+def _height(result: Harvest) -> float:
+    """The highest of leaf points and fruits [m]."""
+    return max(float(z) for z in (*result.scene.points.center[:, 2], *(f.position[2] for f in result.scene.fruits)))
 
 
 def _chosen(result: Harvest, fruit: str | None) -> Posture:
@@ -83,7 +89,7 @@ def _draw_robot(axis: Any, chain: Chain, q: np.ndarray, i: int, j: int) -> None:
     axis.plot(bones[:, i], bones[:, j], "k.-", lw=1.5, ms=5, label="joints and tip")
 
 
-def _draw_map(figure: Any, axis: Any, row: Posture) -> None:
+def _draw_map(figure: Any, axis: Any, row: Posture, chain: Chain) -> None:
     """The best clearance over branches and further leading joints, for each approach angle and first leading joint."""
     found, table = row.scan, row.scan.table
     leads = found.leading.shape[1] > 0
@@ -99,7 +105,8 @@ def _draw_map(figure: Any, axis: Any, row: Posture) -> None:
     figure.colorbar(picture, ax=axis, label="best clearance [mm]; blank: no posture inside the limits")
     if row.success and leads:
         axis.plot(row.q[0], np.degrees(row.angle), "k*", ms=12)
-    axis.set(xlabel="leading joint [m, rad]", ylabel="approach angle [deg]", title=f"{row.fruit}: clearance map")
+    lead = f"{chain.joint_names[0]} [{'m' if chain.is_prismatic[0] else 'rad'}]" if leads else "no leading joint"
+    axis.set(xlabel=lead, ylabel="approach angle [deg]", title=f"{row.fruit}: clearance map")
 
 
 def _draw_fates(axis: Any, result: Harvest) -> None:
