@@ -120,6 +120,7 @@ class Chain(eqx.Module):
             boxes=tuple(dataclasses.replace(b, link=link[b.link]) for b in self.boxes if b.link in link),
             volumes=tuple(dataclasses.replace(v, link=link[v.link]) for v in self.volumes if v.link in link),
             self_pairs=tuple((link[a], link[b]) for a, b in self.self_pairs if a in link and b in link),
+            unread_meshes=tuple(n for n in self.unread_meshes if self.link_names.index(n) in link),
         )
 
     # A concrete chain is a value: equal numbers, equal chain. So it may be a static argument of `jax.jit` and a cache's key.

@@ -34,7 +34,7 @@ def plot_harvest(result: Harvest, path: Path, fruit: str | None = None) -> None:
         if row.success:
             _draw_robot(axis, result.chain, row.q, i, j)
         axis.set(xlabel=f"{'xyz'[i]} [m]", ylabel=f"{'xyz'[j]} [m]", title=title, aspect="equal")
-        axis.set_ylim(top=min(axis.get_ylim()[1], _height(result) + 0.5))  # stems and wires go on
+        axis.set_ylim(top=min(axis.get_ylim()[1], _height(result, row) + 0.5))  # stems and wires go on
     axes[0, 0].legend(fontsize=8, loc="upper right")
     _draw_map(figure, axes[1, 0], row, result.chain)
     _draw_fates(axes[1, 1], result)
@@ -46,9 +46,16 @@ def plot_harvest(result: Harvest, path: Path, fruit: str | None = None) -> None:
     figure.savefig(path, dpi=110, format="png")
 
 
-def _height(result: Harvest) -> float:
-    """The highest of leaf points and fruits [m]."""
-    return max(float(z) for z in (*result.scene.points.center[:, 2], *(f.position[2] for f in result.scene.fruits)))
+def _height(result: Harvest, row: Posture) -> float:
+    """The highest of leaf points, fruits and joints [m]."""
+    joints = _bones(result.chain, row.q)[:, 2] if row.success else ()
+    return max(float(z) for z in (*result.scene.points.center[:, 2], *(f.position[2] for f in result.scene.fruits), *joints))
+
+
+def _bones(chain: Chain, q: np.ndarray) -> np.ndarray:
+    """Where the joints and the tip are in the world, (n + 1, 3) [m]."""
+    frames = joint_frames(chain, [float(x) for x in q], Frame.of(chain.world_T_base))
+    return np.array([[float(x) for x in f.translation] for f in (*frames.joints, frames.tip)])
 
 
 def _chosen(result: Harvest, fruit: str | None) -> Posture:
@@ -84,8 +91,7 @@ def _draw_robot(axis: Any, chain: Chain, q: np.ndarray, i: int, j: int) -> None:
                 axis.add_patch(Circle(point[[i, j]], radius, fc=colour, ec=colour, alpha=0.15 if count == 1 else 0.5))
             if count > 1:
                 axis.plot(points[:, i], points[:, j], color=colour, lw=2)
-    frames = joint_frames(chain, [float(x) for x in q], Frame.of(chain.world_T_base))
-    bones = np.array([[float(x) for x in f.translation] for f in (*frames.joints, frames.tip)])
+    bones = _bones(chain, q)
     axis.plot(bones[:, i], bones[:, j], "k.-", lw=1.5, ms=5, label="joints and tip")
 
 

@@ -182,17 +182,17 @@ def grasp_poses(chain: Chain, fruit: Fruit, angles: np.ndarray, grasp: Grasp | N
     return np.linalg.inv(chain.world_T_base) @ poses
 
 
-def full_circle(count: int) -> np.ndarray:
-    """`count` angles from -pi up to, and without, pi [rad]."""
-    return -np.pi + 2.0 * np.pi * np.arange(count) / count
+def approach_grid(angles: int | np.ndarray) -> np.ndarray:
+    """Angles [rad] as given, or so many from -pi up to, and without, pi."""
+    if not isinstance(angles, int):
+        return np.asarray(angles, dtype=np.float64)
+    return -np.pi + 2.0 * np.pi * np.arange(angles) / angles
 
 
 def leading_grid(chain: Chain, slides: int | np.ndarray) -> np.ndarray:
     """Values (m, k) of the k leading joints: as given, or a grid over their ranges, a count each; one empty row for k = 0."""
     k = chain.num_joints - 6
-    if not k:
-        return np.zeros((1, 0))
-    if not isinstance(slides, int):
+    if k and not isinstance(slides, int):
         return np.asarray(slides, dtype=np.float64).reshape(-1, k)
     low = np.where(np.isfinite(chain.lower[:k]), chain.lower[:k], -np.pi)
     high = np.where(np.isfinite(chain.upper[:k]), chain.upper[:k], np.pi)
@@ -200,7 +200,9 @@ def leading_grid(chain: Chain, slides: int | np.ndarray) -> np.ndarray:
 
 
 def _grid(axes: list[np.ndarray]) -> np.ndarray:
-    """All combinations of the values of several axes, a row each."""
+    """All combinations of the values of several axes, a row each; one empty row of no axes."""
+    if not axes:
+        return np.zeros((1, 0))
     return np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1).reshape(-1, len(axes))
 
 
@@ -224,7 +226,7 @@ def scan(
     reason = closed_form_obstacle(chain)
     if reason:
         raise ValueError(f"{chain.name}: a scan needs the closed form, and {reason}")
-    at = full_circle(angles) if isinstance(angles, int) else np.asarray(angles, dtype=np.float64)
+    at = approach_grid(angles)
     lead = leading_grid(chain, slides)
     poses = grasp_poses(chain, fruit, at, grasp)
     a, s = (x.ravel() for x in np.meshgrid(np.arange(len(at)), np.arange(len(lead)), indexing="ij"))
@@ -287,7 +289,7 @@ def approach_angles(
 
     Source: Van Henten et al. 2010, sec. 4.1, step 1.
     """
-    at = full_circle(angles) if isinstance(angles, int) else np.asarray(angles, dtype=np.float64)
+    at = approach_grid(angles)
     hand = chain.part(chain.num_joints - 3, chain.num_joints)
     rest = np.zeros(hand.num_joints)
     straight = hand.joint_T_tip
@@ -374,7 +376,7 @@ def _finer(chain: Chain, found: Scan, starts: np.ndarray) -> Iterator[tuple[np.n
     k = chain.num_joints - 6
     for row in starts[np.sort(cells)][:4]:
         axes = [np.clip(row[1 + i] + fine * width[i], chain.lower[i], chain.upper[i]) for i in range(k)]
-        yield row[0] + fine * step, _grid(axes) if k else np.zeros((1, 0))
+        yield row[0] + fine * step, _grid(axes)
 
 
 def _climb(

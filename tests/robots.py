@@ -1,5 +1,6 @@
 """Robots that no one here wrote, from example-robot-data; the folder is where pip puts it."""
 
+import numpy as np
 from panda import ROBOTS as FOLDER
 from panda import bare_urdf
 
@@ -18,3 +19,8 @@ def bare(name):
     """The robot's chain alone, without shapes, as a file that every library reads."""
     file, tip = ROBOTS[name]
     return bare_urdf(FOLDER / file, tip), tip
+
+
+def joint_range(chain):
+    """The limits, and +-pi where there are none."""
+    return np.where(np.isfinite(chain.lower), chain.lower, -np.pi), np.where(np.isfinite(chain.upper), chain.upper, np.pi)

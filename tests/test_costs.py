@@ -6,6 +6,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from robots import joint_range
 
 import jaxik
 from jaxik import costs
@@ -38,15 +39,11 @@ def test_collision_cost_is_twice_smooth():
     assert abs(slope(0.04) + s0 * 0.06**2) <= 1e-9 and slope(0.1) == 0.0 and bend(0.1) == 0.0
 
 
-def _range(chain):
-    return np.where(np.isfinite(chain.lower), chain.lower, -np.pi), np.where(np.isfinite(chain.upper), chain.upper, np.pi)
-
-
 @pytest.mark.parametrize("name", ["p6r", "crops_v2", "chembuly9", "pendulum4"])
 def test_joint_costs_have_the_analytic_derivative(name):
     chain = jaxik.load(name)
     rng = np.random.default_rng(0)
-    lower, upper = _range(chain)
+    lower, upper = joint_range(chain)
     for q in rng.uniform(lower, upper, (5, chain.num_joints)):
         for cost in (costs.comfort_cost, costs.joint_limit_cost, costs.comfort_and_limit_cost):
             _gradient_is_numeric(partial(cost, chain), q, tolerance=1e-5 if chain.lower[0] == 0.0 else 1e-7)
@@ -58,7 +55,7 @@ def test_joint_costs_have_the_analytic_derivative(name):
 
 def test_joint_limit_cost_at_its_marks():
     chain = jaxik.load("planar2")
-    lower, upper = _range(chain)
+    lower, upper = joint_range(chain)
     limited = np.isfinite(chain.lower) & np.isfinite(chain.upper)
     middle, band = (lower + upper) / 2, 0.1 * (upper - lower)
     assert costs.joint_limit_cost(chain, middle) == 0.0

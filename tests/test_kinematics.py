@@ -10,7 +10,7 @@ import mujoco
 import numpy as np
 import pinocchio as pin
 import pytest
-from robots import FOLDER, ROBOTS, bare
+from robots import FOLDER, ROBOTS, bare, joint_range
 
 import jaxik
 from jaxik.load.assemble import Joint, assemble
@@ -18,12 +18,8 @@ from jaxik.load.assemble import Joint, assemble
 SHIPPED = ["p6r", "crops_v2", "chembuly9", "pendulum4", "planar2"]
 
 
-def _range(chain):
-    return np.where(np.isfinite(chain.lower), chain.lower, -np.pi), np.where(np.isfinite(chain.upper), chain.upper, np.pi)
-
-
 def _random(chain, count, seed=0):
-    return np.random.default_rng(seed).uniform(*_range(chain), (count, chain.num_joints))
+    return np.random.default_rng(seed).uniform(*joint_range(chain), (count, chain.num_joints))
 
 
 class Oracle:

@@ -239,37 +239,7 @@ def _survives(reader, path):
     assert np.all(np.isfinite(numbers))
 
 
-@FUZZ
-@given(st.one_of(_mutated(URDF), st.binary(max_size=200)))
-def test_fuzz_urdf(tmp_path, content):
-    _survives(jaxik.load, write(tmp_path, "arm.urdf", content))
-
-
-@FUZZ
-@given(st.one_of(_mutated(TOML), st.binary(max_size=200)))
-def test_fuzz_toml(tmp_path, content):
-    _survives(jaxik.load, write(tmp_path, "arm.toml", content))
-
-
-@FUZZ
-@given(st.one_of(_mutated(MJCF), st.binary(max_size=200)))
-def test_fuzz_mjcf(tmp_path, content):
-    _survives(jaxik.load, write(tmp_path, "arm.xml", content))
-
-
-@FUZZ
-@given(st.one_of(_mutated(SCENE), st.binary(max_size=200)))
-def test_fuzz_scene_toml(tmp_path, content):
-    _survives(jaxik.load_scene, write(tmp_path, "scene.toml", content))
-
-
 CSV = "label,x,y,z\nleaf_1,0.1,0.7,0.5\nfruit_1,0.1,0.7,0.4\nfruit_1,0.1,0.7,0.2\n"
-
-
-@FUZZ
-@given(st.one_of(_mutated(CSV), st.binary(max_size=200)))
-def test_fuzz_scene_csv(tmp_path, content):
-    _survives(jaxik.load_scene, write(tmp_path, "scene.csv", content))
 
 
 def ply(rows, names):
@@ -282,10 +252,19 @@ def ply(rows, names):
 PLY = ply([(0.1, 0.7, 0.5, 1), (0.1, 0.7, 0.4, 2), (0.1, 0.7, 0.2, 2)], {1: "leaf_1", 2: "fruit_1"})
 
 
+@pytest.mark.parametrize(
+    "reader, name, sample",
+    [
+        *((jaxik.load, name, sample) for name, sample in FILES.items()),
+        (jaxik.load_scene, "scene.toml", SCENE),
+        (jaxik.load_scene, "scene.csv", CSV),
+        (jaxik.load_scene, "scene.ply", PLY.decode("latin-1")),
+    ],
+)
 @FUZZ
-@given(st.one_of(_mutated(PLY.decode("latin-1")), st.binary(max_size=200)))
-def test_fuzz_scene_ply(tmp_path, content):
-    _survives(jaxik.load_scene, write(tmp_path, "scene.ply", content))
+@given(data=st.data())
+def test_fuzz(tmp_path, reader, name, sample, data):
+    _survives(reader, write(tmp_path, name, data.draw(st.one_of(_mutated(sample), st.binary(max_size=200)))))
 
 
 # --------------------------------------------------------------------------------------------------------------------
