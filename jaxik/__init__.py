@@ -4,12 +4,14 @@ from jaxik.chain import Chain, within_limits
 from jaxik.closed_form import ClosedForm, admissible_turns, closed_form, closed_form_obstacle
 from jaxik.collision import clearance, object_clearances, self_clearance
 from jaxik.harvest import Harvest, harvest
+from jaxik.ik import IKOptions, IKResult, solve_ik
 from jaxik.kinematics import bias_acceleration, forward_kinematics, jacobian, link_frames, manipulability
 from jaxik.load import load, load_scene
 from jaxik.result import LoadError, Reason
 from jaxik.scan import Grasp, Weights, blockers, scan
 from jaxik.scene import Fruit, Scene, SceneBuilder, make_scene
 from jaxik.spheres import link_circles, link_spheres
+from jaxik.task import Task
 
 __version__ = "0.1.0"
 
@@ -19,10 +21,13 @@ __all__ = [
     "Fruit",
     "Grasp",
     "Harvest",
+    "IKOptions",
+    "IKResult",
     "LoadError",
     "Reason",
     "Scene",
     "SceneBuilder",
+    "Task",
     "Weights",
     "admissible_turns",
     "bias_acceleration",
@@ -43,5 +48,6 @@ __all__ = [
     "object_clearances",
     "scan",
     "self_clearance",
+    "solve_ik",
     "within_limits",
 ]

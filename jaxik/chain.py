@@ -81,6 +81,11 @@ class Chain(eqx.Module):
     def is_prismatic(self) -> tuple[bool, ...]:
         return tuple(t == "prismatic" for t in self.joint_types)
 
+    @property
+    def is_limited(self) -> np.ndarray:
+        """(n,): whether a joint has both limits."""
+        return np.isfinite(self.lower) & np.isfinite(self.upper)
+
     def mounted(self, world_T_base: Any) -> Chain:
         """The same chain standing elsewhere: `world_T_base` (4, 4) [m]. Poses stay in the base's."""
         return dataclasses.replace(self, world_T_base=world_T_base)
@@ -128,6 +133,13 @@ class Chain(eqx.Module):
     @property
     def digest(self) -> str:
         """A hash of everything in the chain, to name it in caches and results. Needs concrete numbers."""
+        known = self.__dict__.get("_digest")  # a chain never changes, and asks for this at every call of a cached function
+        if known is None:
+            known = self._computed_digest()
+            object.__setattr__(self, "_digest", known)
+        return known
+
+    def _computed_digest(self) -> str:
         leaves, tree = jax.tree_util.tree_flatten(self)
         content = hashlib.sha256(str(tree).encode())
         for leaf in leaves:
@@ -139,6 +151,12 @@ class Chain(eqx.Module):
 
     def __eq__(self, other: object) -> bool:
         return self is other or (isinstance(other, Chain) and self.digest == other.digest)
+
+
+def finite_limits(chain: Chain) -> tuple[np.ndarray, np.ndarray]:
+    """The limits (n,), and +-pi [rad] or +-1 [m] where a joint has none: a range to sample, draw or scale by."""
+    half = np.where(chain.is_prismatic, 1.0, np.pi)
+    return np.where(np.isfinite(chain.lower), chain.lower, -half), np.where(np.isfinite(chain.upper), chain.upper, half)
 
 
 def as_configuration(chain: Chain, q: Any) -> Float[Array, " n"]:

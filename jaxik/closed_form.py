@@ -29,7 +29,7 @@ import numpy as np
 from jaxtyping import Bool, Float
 
 from jaxik.algebra import BASE, Frame, Rot3, Scalar, Vec3, add, atan2, constants, mul, safe_sqrt, shared, stack, sub, traced
-from jaxik.chain import Array, Chain
+from jaxik.chain import Array, Chain, finite_limits
 from jaxik.kinematics import joint_frames
 
 TOLERANCE = 1e-7  # [m, rad] within which axes count as parallel, meeting or crossing
@@ -104,8 +104,8 @@ def into_limits(chain: Chain, q: Float[Array, "*b n"]) -> tuple[Float[Array, "*b
     A value that rounding puts past a limit is put on it.
     """
     lower, upper = jnp.asarray(chain.lower, q.dtype), jnp.asarray(chain.upper, q.dtype)
-    turns = np.isfinite(chain.lower + chain.upper) & ~np.array(chain.is_prismatic)
-    middle = jnp.asarray(np.where(turns, np.where(turns, chain.lower + chain.upper, 0.0) / 2.0, 0.0), q.dtype)
+    turns = chain.is_limited & ~np.array(chain.is_prismatic)
+    middle = jnp.asarray(np.where(turns, sum(finite_limits(chain)) / 2.0, 0.0), q.dtype)
     turned = q + jnp.where(turns, jnp.round((middle - q) / TURN) * TURN, 0.0)
     clipped = jnp.clip(turned, lower, upper)
     slack = 16.0 * float(jnp.finfo(q.dtype).eps)

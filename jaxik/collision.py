@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import dataclasses
 from collections.abc import Callable
-from functools import partial
+from functools import partial, reduce
 from typing import Any
 
 import jax
@@ -37,13 +37,26 @@ def clearance(chain: Chain, scene: Scene | None, q: Float[Array, " n"]) -> Float
 
     Raises `ValueError` for a chain without collision geometry, or whose meshes were not read.
     """
+    return jnp.min(link_clearances(chain, scene, q))
+
+
+def link_clearances(chain: Chain, scene: Scene | None, q: Float[Array, " n"]) -> Float[Array, " k"]:
+    """The clearance of each link that has collision geometry, in the order of the links [m]; `clearance` is their minimum.
+
+    A pair of links counts for the one nearer to the base. As constraints of an optimiser these are smoother than their minimum,
+    which jumps from link to link.
+    """
     q = as_configuration(chain, q)
     volumes = world_volumes(chain, q)
     nearest = _to_itself(chain, volumes, q.dtype)
     if scene is not None:
-        nearest += [d for kind in KINDS if scene.counts[kind] for d in _to_scene(kind, volumes, scene, q.dtype)]
-    distances = [jnp.asarray(jnp.inf, q.dtype), *(jnp.min(d) for d in nearest)]
-    smallest = jnp.min(jnp.stack(distances))
+        nearest += [found for kind in KINDS if scene.counts[kind] for found in _to_scene(kind, volumes, scene, q.dtype)]
+    parts: dict[int, list[Any]] = {int(link): [] for skeleton in volumes.values() for link in np.unique(skeleton.link)}
+    for links, distances in nearest:
+        for link in np.unique(links):
+            rows = np.flatnonzero(links == link)  # a run
+            parts[int(link)].append(jnp.min(distances[rows[0] : rows[-1] + 1]))
+    smallest = jnp.stack([reduce(jnp.minimum, parts[link], jnp.asarray(jnp.inf, q.dtype)) for link in sorted(parts)])
     return jnp.where(smallest > FAR / 2.0, jnp.inf, smallest)
 
 
@@ -198,21 +211,22 @@ def _obstacles(kind: str, scene: Scene, dtype: Any) -> tuple[Any, Gap]:
     return (rotation, centre, jnp.asarray(obstacles.radius, dtype), jnp.asarray(obstacles.half, dtype)), _cylinder_gap
 
 
-def _to_scene(kind: str, volumes: dict[int, Skeleton], scene: Scene, dtype: Any) -> list[Any]:
-    """The least distances of the volumes to the obstacles of a kind, an array for each corner count."""
+def _to_scene(kind: str, volumes: dict[int, Skeleton], scene: Scene, dtype: Any) -> list[tuple[np.ndarray, Any]]:
+    """The least distances of the volumes to the obstacles of a kind, with the volumes' links, for each corner count."""
     obstacles, gap = _obstacles(kind, scene, dtype)
     found = []
     for count, skeleton in volumes.items():
         ours = _volumes(skeleton, dtype)
         if kind == "points" and count == 1:  # one common radius: the nearest by squares, one root a sphere
             square = least(_square_gap, _unroll(kind, skeleton), ours, obstacles)
-            found.append(distance.root(square) - (ours[1] + jnp.asarray(scene.points.radius, dtype)))
+            gaps = distance.root(square) - (ours[1] + jnp.asarray(scene.points.radius, dtype))
         else:
-            found.append(least(gap, _unroll(kind, skeleton), ours, obstacles))
+            gaps = least(gap, _unroll(kind, skeleton), ours, obstacles)
+        found.append((skeleton.link, gaps))
     return found
 
 
-def _to_itself(chain: Chain, volumes: dict[int, Skeleton], dtype: Any) -> list[Any]:
+def _to_itself(chain: Chain, volumes: dict[int, Skeleton], dtype: Any) -> list[tuple[np.ndarray, Any]]:
     """The least distances over `chain.self_pairs`: of each link, and each two kinds of volumes, to all its later partners.
 
     A link's partners run from the first to the last as a whole, and a constant puts those between that do not count out of
@@ -229,7 +243,8 @@ def _to_itself(chain: Chain, volumes: dict[int, Skeleton], dtype: Any) -> list[A
                     (first, radius), (second, other_radius) = _volumes(rows, dtype), _volumes(columns, dtype)
                     counts = np.isin(columns.link, partners)
                     reach = jnp.where(counts, radius[:, None] + other_radius, -FAR)
-                    found.append(least(_reach_gap, max(1, 8 // (count * other_count) ** 2), second, (first, reach)))
+                    gaps = least(_reach_gap, max(1, 8 // (count * other_count) ** 2), second, (first, reach))
+                    found.append((np.full(len(columns.link), link), gaps))
     return found
 
 

@@ -13,7 +13,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float
 
-from jaxik.chain import Array, Chain, as_configuration
+from jaxik.chain import Array, Chain, as_configuration, finite_limits
 
 Cost = Callable[[Any], Any]
 
@@ -80,7 +80,7 @@ def joint_limit_cost(chain: Chain, q: Float[Array, " n"], soft: float = 0.1, ord
     without limits cost nothing. Source: Schuetz 2017, (4.27), (4.28).
     """
     q = as_configuration(chain, q)
-    limited = np.isfinite(chain.lower) & np.isfinite(chain.upper)
+    limited = chain.is_limited
     lower, upper = _range(chain)
     band = jnp.asarray(soft * (upper - lower), q.dtype)
     below = jnp.maximum(jnp.asarray(lower, q.dtype) + band - q, 0.0) / band
@@ -116,7 +116,7 @@ def joint_freedom(chain: Chain, q: Float[Array, " n"]) -> Float[Array, ""]:
     without limits is free.
     """
     q = as_configuration(chain, q)
-    counted = np.isfinite(chain.lower + chain.upper) & ~np.array(chain.is_prismatic)
+    counted = chain.is_limited & ~np.array(chain.is_prismatic)
     lower, upper = (jnp.asarray(x, q.dtype) for x in _range(chain))
     share = jnp.minimum(q - lower, upper - q) / ((upper - lower) / 2.0)
     return jnp.min(jnp.where(counted, share, 1.0))
@@ -124,7 +124,5 @@ def joint_freedom(chain: Chain, q: Float[Array, " n"]) -> Float[Array, ""]:
 
 def _range(chain: Chain) -> tuple[np.ndarray, np.ndarray]:
     """Limits, with +-pi (+-1 m) for those that are not, and a locked joint's range of 0 opened to keep quotients finite."""
-    half = np.where(chain.is_prismatic, 1.0, np.pi)
-    lower = np.where(np.isfinite(chain.lower), chain.lower, -half)
-    upper = np.where(np.isfinite(chain.upper), chain.upper, half)
+    lower, upper = finite_limits(chain)
     return lower, np.maximum(upper, lower + 1e-9)

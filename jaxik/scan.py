@@ -20,7 +20,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from jaxik.chain import Chain
+from jaxik.chain import Chain, finite_limits
 from jaxik.closed_form import BRANCHES, closed_form, closed_form_obstacle
 from jaxik.collision import clearance, object_clearances, self_clearance
 from jaxik.costs import joint_freedom
@@ -194,9 +194,8 @@ def leading_grid(chain: Chain, slides: int | np.ndarray) -> np.ndarray:
     k = chain.num_joints - 6
     if k and not isinstance(slides, int):
         return np.asarray(slides, dtype=np.float64).reshape(-1, k)
-    low = np.where(np.isfinite(chain.lower[:k]), chain.lower[:k], -np.pi)
-    high = np.where(np.isfinite(chain.upper[:k]), chain.upper[:k], np.pi)
-    return _grid([np.linspace(a, b, slides) for a, b in zip(low, high, strict=True)])
+    low, high = finite_limits(chain)
+    return _grid([np.linspace(a, b, slides) for a, b in zip(low[:k], high[:k], strict=True)])
 
 
 def _grid(axes: list[np.ndarray]) -> np.ndarray:

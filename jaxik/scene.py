@@ -95,6 +95,11 @@ class Scene(eqx.Module):
         masks = {k: np.array([o in gone for o in owners], bool) for k, owners in zip(KINDS, self.owners, strict=True)}
         return dataclasses.replace(self, **{k: _moved_away(getattr(self, k), masks[k]) for k in KINDS})
 
+    def geometry(self) -> Scene:
+        """The obstacles alone, padded and without names: scenes of like sizes then run the same compiled program."""
+        bare = {f.name: f.default for f in dataclasses.fields(self) if f.name not in KINDS}
+        return dataclasses.replace(self.padded(), **bare)
+
     def padded(self) -> Scene:
         """The scene with each kind padded to the next of a few sizes by obstacles that are out of the way."""
         kinds, owners = {}, []

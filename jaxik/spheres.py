@@ -17,7 +17,7 @@ import numpy as np
 from jaxtyping import Float
 
 from jaxik.algebra import BASE, Frame, Scalar, Vec3, shared
-from jaxik.chain import Array, Box, Chain, Volume, as_configuration
+from jaxik.chain import Array, Box, Chain, Volume, as_configuration, finite_limits
 from jaxik.kinematics import joint_frames
 
 LEVELS = {1: 0, 8: 1, 64: 2, 512: 3}
@@ -163,9 +163,7 @@ def self_collision_pairs(
     if not pairs:
         return ()
     rng = np.random.default_rng(0)
-    lower = np.where(np.isfinite(chain.lower), chain.lower, -np.pi)
-    upper = np.where(np.isfinite(chain.upper), chain.upper, np.pi)
-    q = rng.uniform(lower, upper, (samples, chain.num_joints))
+    q = rng.uniform(*finite_limits(chain), (samples, chain.num_joints))
     columns = [q[:, i, None] for i in range(chain.num_joints)]
     centres, radii, owner = [], [], []
     for count, skeleton in skeletons(chain, columns, np.float64, Frame(*BASE)).items():

@@ -8,13 +8,14 @@ from pathlib import Path
 import jaxik
 
 FLOORS = [
-    {"algebra", "result"},
-    {"chain"},
-    {"scene", "kinematics"},
+    {"algebra", "result", "batch"},
+    {"chain", "optimise", "task"},  # optimise knows no robot: it may import the algebra alone
+    {"scene", "kinematics", "reach"},
     {"spheres", "distance"},
     {"collision", "costs", "closed_form"},
     {"load"},  # above the spheres: a loaded chain knows which of its links may touch
-    {"crop", "scan"},
+    {"lanes", "seeds", "crop", "scan"},
+    {"ik"},
     {"harvest"},
     {"plot"},
     {"cli"},

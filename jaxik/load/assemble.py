@@ -94,8 +94,12 @@ def assemble(
     links: dict[str, Link],
     tool: np.ndarray | None = None,
     mount: np.ndarray | None = None,
+    carried: Sequence[tuple[str, Joint]] = (),
 ) -> Chain:
-    """The chain of `joints`, in order from `base`; fixed joints fuse into the frames of the next movable one."""
+    """The chain of `joints`, in order from `base`; fixed joints fuse into the frames of the next movable one.
+
+    `carried` are fixed joints, each with its parent link, that lead aside: what rides on the chain without being a part of it.
+    """
     unique(file, "joint", (j.name for j in joints))
     unique(file, "link", (base, *(j.child for j in joints)))
     movable = [_checked(file, j) for j in joints if j.type != "fixed"]
@@ -112,6 +116,12 @@ def assemble(
         names.append(joint.child)
         offsets.append(pending)
         counts.append(count)
+    for parent, joint in carried:
+        _finite(file, joint.element, "origin", joint.parent_T_joint)
+        at = names.index(parent)
+        names.append(joint.child)
+        offsets.append(offsets[at] @ joint.parent_T_joint)
+        counts.append(counts[at])
     tip = pending if tool is None else pending @ tool
     content = [links.get(n, Link()) for n in names]
     return Chain(

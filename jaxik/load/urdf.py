@@ -38,8 +38,21 @@ def load_urdf(path: Path, tip: str | None, base: str | None, tool: np.ndarray | 
     if base is not None and link != base:
         raise LoadError(path, f"tip '{tip}'", f"is not below base '{base}'", f"its root is '{link}'")
     names = [link, *(j.child for j in run)]
-    content = {name: _link(path, name, links[name], meshes) for name in names}
-    return assemble(path, root.get("name", path.stem), link, run[::-1], content, tool)
+    carried = _carried(path, names, above)
+    content = {name: _link(path, name, links[name], meshes) for name in (*names, *(j.child for _, j in carried))}
+    return assemble(path, root.get("name", path.stem), link, run[::-1], content, tool, carried=carried)
+
+
+def _carried(path: Path, chain: list[str], above: dict[str, tuple[Element, str]]) -> list[tuple[str, Joint]]:
+    """The fixed joints that lead aside from the chain, and on from there: a hand's fingers, a camera. With their parents."""
+    found: list[tuple[str, Joint]] = []
+    reached = list(chain)
+    for parent in reached:  # grows while it is read
+        for child, (element, its_parent) in above.items():
+            if its_parent == parent and child not in reached and element.get("type") == "fixed":
+                found.append((parent, _joint(path, element, child)))
+                reached.append(child)
+    return found
 
 
 def _parents(path: Path, joints: list[Element], links: dict[str, Element]) -> dict[str, tuple[Element, str]]:

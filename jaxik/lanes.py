@@ -1,0 +1,140 @@
+"""The compiled programs of inverse kinematics: each takes one start and one target, and runs a fixed number of SQP steps.
+
+They join the robot (`kinematics`, `collision`, `task`) to the solver (`optimise.sqp`), which knows none. Lengths are measured in a
+third of the chain's reach, so that damping and step bounds mean the same for a finger and for a crane. One program serves all
+limits, targets, weights and scenes of a chain: they are its arguments.
+"""
+
+from __future__ import annotations
+
+import functools
+from collections.abc import Callable, Sequence
+from typing import Any, NamedTuple
+
+import jax
+import jax.numpy as jnp
+
+from jaxik.algebra import Frame, Scalar, mul, safe_sqrt, shared, stack
+from jaxik.chain import Chain
+from jaxik.collision import clearance, link_clearances
+from jaxik.costs import Cost, collision_cost
+from jaxik.kinematics import jacobian_columns, joint_frames
+from jaxik.optimise import sqp
+from jaxik.optimise.qp import NONE, Rows
+from jaxik.reach import reach
+from jaxik.task import Task
+
+
+class Landed(NamedTuple):
+    """Where a lane ended: q (n,), and the errors of its tip [m], [rad]."""
+
+    q: Any
+    position_error: Any
+    rotation_error: Any
+
+
+class Extras(NamedTuple):
+    """What a lane minds beside its target: user's cost, and obstacles as a constraint or a penalty. Hashable: a program's key."""
+
+    cost: Cost | None = None
+    collision: str = "none"  # constraint, penalty
+    activation: float = 0.05
+    penalty: float = 100.0
+
+
+NOTHING = Extras()
+
+
+def unit_length(chain: Chain) -> float:
+    """The length [m] that counts as much as a radian."""
+    return reach(chain, False).length / 3.0
+
+
+@functools.lru_cache(maxsize=64)
+def landing(
+    chain: Chain, task: Task, iterations: int, options: sqp.Options, extras: Extras = NOTHING
+) -> Callable[..., Landed]:
+    """A compiled batch of SQP runs: (q, pose, lower, upper, weights[, scene, margin]) -> `Landed`; q and pose by rows."""
+    each = functools.partial(_land, chain, task, iterations, options, extras)
+    return jax.jit(jax.vmap(each, in_axes=(0, 0, None, None, None) + ((None, None) if extras.collision != "none" else ())))
+
+
+@functools.lru_cache(maxsize=64)
+def clearances(chain: Chain) -> Callable[..., Any]:
+    """A compiled batch of `clearance`: (q, scene)."""
+    return jax.jit(jax.vmap(lambda q, scene: clearance(chain, scene, q), in_axes=(0, None)))
+
+
+def _land(
+    chain: Chain,
+    task: Task,
+    iterations: int,
+    options: sqp.Options,
+    extras: Extras,
+    q: Any,
+    pose: Any,
+    low: Any,
+    high: Any,
+    weights: Any,
+    scene: Any = None,
+    margin: Any = None,
+) -> Landed:
+    n, dtype = chain.num_joints, q.dtype
+    target = Frame.of_entries([pose[i, j] for i in range(4) for j in range(4)])
+    scale = 1.0 / unit_length(chain)
+    metric = [
+        [weights[i] * (scale**2 if chain.is_prismatic[i] else 1.0) if i == j else 0.0 for j in range(n)] for i in range(n)
+    ]
+
+    def model(x: Sequence[Scalar]) -> sqp.Model:
+        frames = joint_frames(chain, x, dtype=dtype)
+        position, rotation = task.residual(frames.tip, target)
+        rows = task.rows(jacobian_columns(chain, frames), target)
+        scales = [scale] * len(position) + [1.0] * len(rotation)
+        value = shared([mul(s, v) for s, v in zip(scales, position + rotation, strict=True)])
+        equality = Rows(value, [[mul(s, v) for v in row] for s, row in zip(scales, rows, strict=True)])
+        cost, gradient, inequality = _beside(chain, extras, x, scene, margin, scale, dtype)
+        return sqp.Model(cost, gradient, equality, inequality)
+
+    scalars = lambda v: [v[i] for i in range(n)]
+    x = sqp.run(sqp.Problem(model, metric), scalars(q), scalars(low), scalars(high), iterations, options)
+    position, rotation = task.residual(joint_frames(chain, x, dtype=dtype).tip, target)
+    return Landed(stack(x, (n,), dtype), _norm(position, dtype), _norm(rotation, dtype))
+
+
+def _beside(
+    chain: Chain, extras: Extras, x: Sequence[Scalar], scene: Any, margin: Any, scale: float, dtype: Any
+) -> tuple[Scalar, list[Scalar], Rows]:
+    """Cost, its gradient, and the inequalities."""
+    n = chain.num_joints
+    if extras.cost is None and extras.collision == "none":
+        return 0.0, [0.0] * n, NONE
+    q = stack(x, (n,), dtype)
+    inequality, costs = NONE, []
+    if extras.cost is not None:
+        costs.append(extras.cost)
+    if extras.collision == "penalty":
+        apart = lambda q: link_clearances(chain, scene, q) - margin
+        costs.append(
+            lambda q: extras.penalty * jnp.sum(collision_cost(jnp.minimum(apart(q), extras.activation), extras.activation))
+        )
+    if extras.collision == "constraint":
+        value, jacobian = _value_and_jacobian(lambda q: link_clearances(chain, scene, q), q)
+        value = jnp.minimum(value, 1e3)  # a link with nothing to hit
+        count = len(value)
+        rows = [[scale * jacobian[i, k] for i in range(n)] for k in range(count)]
+        inequality = Rows([scale * (value[k] - margin) for k in range(count)], rows)
+    if not costs:
+        return 0.0, [0.0] * n, inequality
+    cost, gradient = jax.value_and_grad(lambda q: sum(c(q) for c in costs))(q)
+    return cost, [gradient[i] for i in range(n)], inequality
+
+
+def _value_and_jacobian(function: Callable[[Any], Any], q: Any) -> tuple[Any, Any]:
+    """`f(q)` (k,) and `df/dq` (n, k), forward: the robot's motion is run once for all n directions."""
+    value, push = jax.linearize(function, q)
+    return value, jax.vmap(push)(jnp.eye(len(q), dtype=q.dtype))
+
+
+def _norm(values: list[Scalar], dtype: Any) -> Any:
+    return safe_sqrt(jnp.asarray(sum(v * v for v in values), dtype)) if values else jnp.zeros((), dtype)

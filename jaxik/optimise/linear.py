@@ -1,0 +1,52 @@
+"""Small linear systems on scalars, written out, so that a batch of them is one fused loop with the batch as vector lane.
+
+A matrix is a list of rows of scalars (`algebra`); each stage of an elimination is used many times and therefore fenced.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any
+
+import jax.numpy as jnp
+from jax import lax
+
+from jaxik.algebra import Scalar, add, mul, shared, sub
+
+Matrix = Sequence[Sequence[Scalar]]
+
+
+def dot(a: Sequence[Scalar], b: Sequence[Scalar]) -> Scalar:
+    """`a . b` of two rows of scalars; constants fold."""
+    total: Scalar = 0.0
+    for x, y in zip(a, b, strict=True):
+        total = add(total, mul(x, y))
+    return total
+
+
+def product(matrix: Matrix, vector: Sequence[Scalar]) -> list[Scalar]:
+    """`A v`."""
+    return [dot(row, vector) for row in matrix]
+
+
+def cholesky_solve(matrix: Matrix, right: Sequence[Scalar], smallest: float) -> list[Any]:
+    """`x` with `A x = b` for a symmetric positive definite `A`, of which the lower triangle is read.
+
+    A pivot below `smallest` counts as `smallest`: rounding never turns one negative. [Golub and Van Loan 2013, alg. 4.2.1]
+    """
+    n = len(matrix)
+    factor: list[list[Any]] = [[] for _ in range(n)]
+    inverse: list[Any] = []
+    for j in range(n):
+        pivot = sub(matrix[j][j], dot(factor[j], factor[j]))
+        inverse.append(shared(lax.rsqrt(jnp.maximum(pivot, smallest))))
+        for i in range(j + 1, n):
+            factor[i].append(shared(mul(sub(matrix[i][j], dot(factor[i], factor[j])), inverse[j])))
+    forward: list[Any] = []
+    for i in range(n):
+        forward.append(shared(mul(sub(right[i], dot(factor[i], forward)), inverse[i])))
+    solution: list[Any] = []  # from the last to the first
+    for i in reversed(range(n)):
+        below = [factor[k][i] for k in reversed(range(i + 1, n))]
+        solution.append(shared(mul(sub(forward[i], dot(below, solution)), inverse[i])))
+    return solution[::-1]

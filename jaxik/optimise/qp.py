@@ -1,0 +1,95 @@
+"""The quadratic subproblem of one SQP step, for few unknowns, written out on scalars.
+
+    min_p  w (1/2 p' B p + g' p) + 1/2 |r + A p|^2 + 1/2 |min(0, c + C p)|^2      low <= p <= high
+
+Equations and inequalities are held by a quadratic penalty with the weight 1/w. That keeps the subproblem solvable where the
+linearised constraints contradict each other, is Levenberg-Marquardt damping with w where there is no cost, and costs nothing at
+the end: a fixed point has `r = w y` (y the multipliers), and w goes to its floor with the violation.
+
+Its minimum is piecewise that of a linear system. A primal-dual active set [Hintermueller, Ito, Kunisch 2002] finds the pieces:
+solve; hold what leaves its bounds there, count the inequalities that are broken, and solve again. A fixed, small number of
+passes keeps every lane of a batch in step; what a pass more would change, the next SQP step does.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any, NamedTuple
+
+import jax.numpy as jnp
+
+from jaxik.algebra import Scalar, add, mul, shared, sub
+from jaxik.optimise.linear import Matrix, cholesky_solve, dot, product
+
+
+class Rows(NamedTuple):
+    """Linearised functions of a step p: `value + matrix p`."""
+
+    value: Sequence[Scalar]
+    matrix: Matrix
+
+    def at(self, step: Sequence[Scalar]) -> list[Scalar]:
+        return [add(v, dot(row, step)) for v, row in zip(self.value, self.matrix, strict=True)]
+
+
+NONE = Rows((), ())
+
+
+def solve(
+    hessian: Matrix,
+    gradient: Sequence[Scalar],
+    equality: Rows,
+    inequality: Rows,
+    low: Sequence[Scalar],
+    high: Sequence[Scalar],
+    weight: Scalar,
+    passes: int = 2,
+    smallest: float = 1e-12,
+) -> list[Any]:
+    """The step p, n scalars, inside its bounds. `inequality` is wanted >= 0; `smallest` is the least pivot that counts."""
+    n = len(gradient)
+    # the part of the system that no pass changes
+    base = [[add(mul(weight, hessian[i][j]), dot(*_columns(equality.matrix, i, j))) for j in range(i + 1)] for i in range(n)]
+    right = [sub(-mul(weight, gradient[i]), dot(_column(equality.matrix, i), equality.value)) for i in range(n)]
+    base, right = shared(base), shared([jnp.asarray(b) for b in right])
+    broken = [jnp.where(v < 0.0, 1.0, 0.0) for v in inequality.value]
+    free: list[Any] = [1.0] * n
+    held: list[Any] = [0.0] * n
+    step: list[Any] = held
+    for last in (False,) * (passes - 1) + (True,):
+        counted = [[mul(on, x) for x in row] for on, row in zip(broken, inequality.matrix, strict=True)]
+        matrix = [
+            [add(base[i][j], dot(_column(counted, i), _column(inequality.matrix, j))) for j in range(i + 1)] for i in range(n)
+        ]
+        vector = [sub(right[i], dot(_column(counted, i), inequality.value)) for i in range(n)]
+        matrix, vector = _held(shared(matrix) if counted else matrix, vector, free, held)
+        step = cholesky_solve(matrix, vector, smallest)
+        clipped = [jnp.clip(p, a, b) for p, a, b in zip(step, low, high, strict=True)]
+        if last:
+            return clipped
+        free = shared([mul(f, jnp.where(p == c, 1.0, 0.0)) for f, p, c in zip(free, step, clipped, strict=True)])
+        held = shared([jnp.where(f == 1.0, 0.0, c) for f, c in zip(free, clipped, strict=True)])
+        broken = [jnp.where(v < 0.0, 1.0, 0.0) for v in inequality.at(clipped)]
+    return step
+
+
+def _held(matrix: Matrix, right: Sequence[Scalar], free: Sequence[Scalar], held: Sequence[Scalar]) -> tuple[Any, Any]:
+    """The system with the unknowns that are not `free` fixed at `held`."""
+    if all(isinstance(f, float) for f in free):
+        return matrix, right
+    n = len(right)
+    full = [[matrix[max(i, j)][min(i, j)] for j in range(n)] for i in range(n)]
+    moved = [sub(b, x) for b, x in zip(right, product(full, held), strict=True)]
+    masked = [
+        [add(mul(matrix[i][j], mul(free[i], free[j])), sub(1.0, free[i]) if i == j else 0.0) for j in range(i + 1)]
+        for i in range(n)
+    ]
+    return shared(masked), shared([add(mul(f, b), h) for f, b, h in zip(free, moved, held, strict=True)])
+
+
+def _column(matrix: Matrix, j: int) -> list[Scalar]:
+    return [row[j] for row in matrix]
+
+
+def _columns(matrix: Matrix, i: int, j: int) -> tuple[list[Scalar], list[Scalar]]:
+    return _column(matrix, i), _column(matrix, j)

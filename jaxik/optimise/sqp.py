@@ -1,0 +1,196 @@
+"""Sequential quadratic programming for many small problems at once; it knows no robot.
+
+    min_x  f(x)      r(x) = 0,   c(x) >= 0,   lower <= x <= upper
+
+Each step solves `qp.solve` for the problem linearised at x and moves there; x never leaves its bounds. What is the users' choice:
+
+hessian   "gauss_newton": B is the problem's metric, a positive definite matrix (of a sum of squares: its Gauss-Newton Hessian);
+          "bfgs": B is learned from differences of the Lagrangian's gradient, damped so that it stays positive definite
+          [Powell 1978; Nocedal and Wright 2006, proc. 18.2].
+merit     "none": every step is taken, damped by the violation, `w = damping |v|^2 + floor` [Sugihara 2011]. Fastest where
+          equations alone are to be solved and another start is cheap.
+          "l1" [Han 1977, Powell 1978] and "augmented_lagrangian" [Schittkowski 1981], the two that SQP codes offer: a step is
+          taken if it lowers the merit; otherwise the trust region shrinks (w grows), and x stays.
+
+    l1:                    f + s (sum |r| + sum max(0, -c)),             s above the largest multiplier
+    augmented Lagrangian:  f + y'r + s/2 |r|^2 + (|max(0, z - s c)|^2 - |z|^2) / 2 s
+
+A problem is a function from scalars to a `Model`; one lane of a batch is one problem, and `jax.vmap` makes the batch.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import functools
+from collections.abc import Callable, Sequence
+from typing import Any, Literal, NamedTuple, get_args
+
+import jax
+import jax.numpy as jnp
+from jax import lax
+
+from jaxik.algebra import Scalar, add, shared, sub
+from jaxik.optimise.linear import Matrix, dot, product
+from jaxik.optimise.qp import NONE, Rows, solve
+
+Hessian = Literal["gauss_newton", "bfgs"]
+Merit = Literal["none", "l1", "augmented_lagrangian"]
+
+
+class Model(NamedTuple):
+    """A problem linearised at a point: cost and gradient, equations, inequalities (wanted >= 0)."""
+
+    cost: Scalar
+    gradient: Sequence[Scalar]
+    equality: Rows
+    inequality: Rows = NONE
+
+    @property
+    def violation(self) -> Scalar:
+        """`|r|^2 + |min(0, c)|^2`."""
+        short = [jnp.minimum(v, 0.0) for v in self.inequality.value]
+        return add(dot(self.equality.value, self.equality.value), dot(short, short))
+
+
+class Problem(NamedTuple):
+    """`model` linearises at n scalars; `metric` (n x n, positive definite) is what a step's length is measured in."""
+
+    model: Callable[[Sequence[Scalar]], Model]
+    metric: Matrix
+
+
+@dataclasses.dataclass(frozen=True)
+class Options:
+    """How steps are made. `cap` bounds one step's largest component, in the metric; `passes` those of the active set."""
+
+    hessian: Hessian = "gauss_newton"
+    merit: Merit = "none"
+    damping: float = 0.05
+    floor: float = 1e-5
+    cap: float = 1.0
+    passes: int = 2
+    penalty: float = 10.0
+
+    def __post_init__(self) -> None:
+        for name, value, kinds in (("hessian", self.hessian, Hessian), ("merit", self.merit, Merit)):
+            if value not in get_args(kinds):
+                raise ValueError(f"sqp: {name} '{value}'; allowed: {', '.join(get_args(kinds))}")
+        if not (self.damping >= 0.0 and self.floor > 0.0 and self.cap > 0.0 and self.passes >= 1 and self.penalty > 0.0):
+            raise ValueError(f"sqp: {self}: damping >= 0, floor, cap and penalty > 0, passes >= 1")
+
+
+class State(NamedTuple):
+    """Where one problem stands; `radius` scales the damping (1 as given), `learned` is the lower triangle of B for "bfgs"."""
+
+    x: tuple[Any, ...]
+    model: Model
+    radius: Any
+    learned: Any
+
+
+def run(problem: Problem, x: Sequence[Any], low: Sequence[Any], high: Sequence[Any], iterations: int, options: Options) -> Any:
+    """x after so many steps; all are n scalars, x inside its bounds."""
+    if options.hessian == "gauss_newton" and options.merit == "none":  # nothing to remember but x
+        return lax.fori_loop(
+            0,
+            iterations,
+            lambda _, x: _moved(x, _step(problem, problem.model(x), x, low, high, options)[0], low, high),
+            tuple(x),
+        )
+    start = init(problem, x, options)
+    return lax.fori_loop(0, iterations, lambda _, state: advance(problem, state, low, high, options), start).x
+
+
+def init(problem: Problem, x: Sequence[Any], options: Options) -> State:
+    """The state at x."""
+    dtype = x[0].dtype
+    learned = tuple(tuple(row[: i + 1]) for i, row in enumerate(problem.metric)) if options.hessian == "bfgs" else ()
+    return State(tuple(x), _arrays(problem.model(x), dtype), jnp.ones_like(x[0]), _arrays(learned, dtype))
+
+
+def advance(problem: Problem, state: State, low: Sequence[Any], high: Sequence[Any], options: Options) -> State:
+    """One step, taken or refused by the merit."""
+    x, model, radius, learned = state
+    p, weight = _step(problem, model, x, low, high, options, radius, learned)
+    moved = _moved(x, p, low, high)
+    there = _arrays(problem.model(moved), x[0].dtype)
+    y = [r / weight for r in model.equality.at(p)]
+    z = [jnp.maximum(-c, 0.0) / weight for c in model.inequality.at(p)]
+    if options.hessian == "bfgs":
+        taken = [b - a for a, b in zip(x, moved, strict=True)]
+        change = [b - a for a, b in zip(_slope(model, y, z), _slope(there, y, z), strict=True)]
+        learned = _damped_bfgs(learned, taken, change)
+    if options.merit == "none":
+        return State(moved, there, radius, learned)
+    merit = _l1 if options.merit == "l1" else _augmented_lagrangian
+    better = merit(there, y, z, options.penalty) <= merit(model, y, z, options.penalty)
+    radius = jnp.clip(radius * jnp.where(better, 0.4, 6.0), 1e-4, 1e8)
+    x, model = jax.tree_util.tree_map(lambda new, old: jnp.where(better, new, old), (moved, there), (x, model))
+    return State(x, model, radius, learned)
+
+
+def _step(
+    problem: Problem, model: Model, x: Any, low: Any, high: Any, options: Options, radius: Any = 1.0, learned: Any = ()
+) -> Any:
+    """The step and the weight of its subproblem."""
+    weight = shared((options.damping * model.violation + options.floor) * radius)
+    hessian = _symmetric(learned) if learned else problem.metric
+    room = [[b - a for a, b in zip(x, bound, strict=True)] for bound in (low, high)]
+    p = solve(hessian, model.gradient, model.equality, model.inequality, *room, weight, options.passes, 1e-3 * options.floor)
+    length = functools.reduce(jnp.maximum, [abs(v) * problem.metric[i][i] ** 0.5 for i, v in enumerate(p)])
+    short = shared(jnp.minimum(1.0, options.cap / jnp.maximum(length, 1e-9)))
+    return [v * short for v in p], weight
+
+
+def _moved(x: Any, p: Any, low: Any, high: Any) -> tuple[Any, ...]:
+    return tuple(jnp.clip(a + v, b, c) for a, v, b, c in zip(x, p, low, high, strict=True))
+
+
+def _arrays(tree: Any, dtype: Any) -> Any:
+    """Scalars that fold as arrays: a loop carries arrays."""
+    return jax.tree_util.tree_map(lambda x: jnp.asarray(x, dtype), tree)
+
+
+def _symmetric(lower: Any) -> Any:
+    n = len(lower)
+    return [[lower[max(i, j)][min(i, j)] for j in range(n)] for i in range(n)]
+
+
+def _slope(model: Model, y: Sequence[Any], z: Sequence[Any]) -> list[Any]:
+    """The gradient of the Lagrangian `f + y'r - z'c`."""
+    up, down = _transposed_product(model.equality.matrix, y), _transposed_product(model.inequality.matrix, z)
+    n = len(model.gradient)
+    return [sub(add(g, up[i] if up else 0.0), down[i] if down else 0.0) for i, g in enumerate(model.gradient[:n])]
+
+
+def _transposed_product(matrix: Matrix, vector: Sequence[Any]) -> list[Any]:
+    return [dot(column, vector) for column in zip(*matrix, strict=True)]
+
+
+def _damped_bfgs(lower: Any, step: Sequence[Any], change: Sequence[Any]) -> Any:
+    """Powell's update: where the measured curvature is less than a fifth of B's, it is mixed with B's."""
+    old = product(_symmetric(lower), step)
+    curvature, measured = shared((dot(step, old), dot(step, change)))
+    mixed = jnp.where(
+        measured < 0.2 * curvature, 0.8 * curvature / jnp.where(curvature > measured, curvature - measured, 1.0), 1.0
+    )
+    kept = shared([mixed * c + (1.0 - mixed) * o for c, o in zip(change, old, strict=True)])
+    along = shared(dot(step, kept))
+    usable = (curvature > 1e-12) & (along > 1e-12)
+    a, b = (jnp.where(usable, 1.0 / jnp.where(usable, v, 1.0), 0.0) for v in (along, curvature))
+    return tuple(
+        tuple(x + kept[i] * kept[j] * a - old[i] * old[j] * b for j, x in enumerate(row)) for i, row in enumerate(lower)
+    )
+
+
+def _l1(model: Model, y: Sequence[Any], z: Sequence[Any], penalty: float) -> Any:
+    weight = functools.reduce(jnp.maximum, [2.0 * abs(v) for v in (*y, *z)], penalty)
+    broken = [abs(r) for r in model.equality.value] + [jnp.maximum(-c, 0.0) for c in model.inequality.value]
+    return model.cost + weight * sum(broken)
+
+
+def _augmented_lagrangian(model: Model, y: Sequence[Any], z: Sequence[Any], penalty: float) -> Any:
+    weight = functools.reduce(jnp.maximum, [2.0 * abs(v) for v in (*y, *z)], penalty)
+    equal = dot(y, model.equality.value) + 0.5 * weight * dot(model.equality.value, model.equality.value)
+    short = [jnp.maximum(v - weight * c, 0.0) ** 2 - v**2 for v, c in zip(z, model.inequality.value, strict=True)]
+    return model.cost + equal + sum(short) / (2.0 * weight)

@@ -1,0 +1,93 @@
+"""How far a chain can reach at most: a proof that a target is out of reach, where there is one.
+
+Choose a point on each joint's axis. Two points that follow each other ride on one link, so the way from the first to the last is
+no longer than the sum of the distances between them, whatever the joints do; the sum is least for the best choice of points, a
+convex problem. The last joint's point is known from the target's pose. A prismatic joint lengthens the way by its stroke.
+"""
+
+from __future__ import annotations
+
+import functools
+from typing import NamedTuple
+
+import numpy as np
+
+from jaxik.chain import Chain
+
+
+class Reach(NamedTuple):
+    """`|base_p - origin| <= longest`, and >= `shortest`, for p the point `tip_p` of the tip's frame [m].
+
+    `length` is that of the links without the slides, or of the slides where nothing turns: a finite measure of the chain.
+    """
+
+    origin: np.ndarray
+    tip_p: np.ndarray
+    longest: float
+    shortest: float
+    length: float
+
+    def excess(self, pose: np.ndarray) -> np.ndarray:
+        """How far (N,) the poses (N, 4, 4) lie beyond the bounds [m]: a positive one is out of reach."""
+        there = pose[:, :3, :3] @ self.tip_p + pose[:, :3, 3]
+        away = np.linalg.norm(there - self.origin, axis=1)
+        return np.maximum(away - self.longest, self.shortest - away)
+
+
+class _Way(NamedTuple):
+    """From a point `s a` on one axis to `origin + t d` on the next, both in the first one's link; `stroke` is what slides add."""
+
+    a: np.ndarray
+    origin: np.ndarray
+    d: np.ndarray
+    stroke: float
+
+    def ends(self, s: float, t: float) -> float:
+        return float(np.linalg.norm(self.origin + t * self.d - s * self.a))
+
+
+@functools.lru_cache(maxsize=64)
+def reach(chain: Chain, rotation: bool = True) -> Reach:
+    """The bounds of a chain; without `rotation` only the tip's position is known of a target. Reads concrete numbers."""
+    from scipy.optimize import minimize
+
+    ways, tip = _ways(chain, rotation)
+    places = len(ways) - 1  # the first way starts, and the last may end, at a point that is not free
+
+    def lengths(s: np.ndarray) -> list[float]:
+        return [w.ends(a, b) for w, a, b in zip(ways[1:], s, [*s[1:], 0.0], strict=True)]
+
+    def smooth(s: np.ndarray) -> float:
+        return float(np.sum(np.sqrt(np.square(lengths(s)) + 1e-8)))
+
+    s = minimize(smooth, np.zeros(places)).x if places else np.zeros(0)
+    first, strokes = ways[0], np.array([w.stroke for w in ways])
+    each = np.array([0.0, *lengths(s)])
+    if rotation:  # the last way leads to the tip, which then tells where the last axis is
+        each[-1] = 0.0
+    origin = first.origin + (s[0] * first.d if places else 0.0)
+    tip_p = tip[:3, :3].T @ ((s[-1] * ways[-1].a if places else np.zeros(3)) - tip[:3, 3]) if rotation else np.zeros(3)
+    most = each + strokes
+    least = each - strokes
+    shortest = max(0.0, float(np.max(least - (most.sum() - most)))) if np.all(np.isfinite(most)) else 0.0
+    stroke = float(strokes.sum())
+    length = float(each.sum()) or (stroke if 0.0 < stroke < np.inf else 1.0)
+    return Reach(origin, tip_p, float(most.sum()), shortest, length)
+
+
+def _ways(chain: Chain, rotation: bool) -> tuple[list[_Way], np.ndarray]:
+    """From the base to the first turning axis, from axis to axis, and to the tip; and the tip's frame in the last link."""
+    ways, frame, stroke, last = [], np.eye(4), 0.0, np.zeros(3)
+    for i, prismatic in enumerate(chain.is_prismatic):
+        frame = frame @ chain.parent_T_joint[i]
+        axis = np.asarray(chain.axis[i])
+        if prismatic:
+            low, high = float(chain.lower[i]), float(chain.upper[i])
+            stroke += (high - low) / 2.0
+            frame[:3, 3] += frame[:3, :3] @ axis * ((low + high) / 2.0 if np.isfinite(low + high) else 0.0)
+        else:
+            ways.append(_Way(last, frame[:3, 3].copy(), frame[:3, :3] @ axis, stroke))
+            frame, stroke, last = np.eye(4), 0.0, axis
+    frame = frame @ chain.joint_T_tip
+    ways.append(_Way(last, frame[:3, 3].copy(), np.zeros(3), stroke))
+    return ways, frame
