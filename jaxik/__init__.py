@@ -4,7 +4,8 @@ from jaxik.chain import Chain, within_limits
 from jaxik.closed_form import ClosedForm, admissible_turns, closed_form, closed_form_obstacle
 from jaxik.collision import clearance, object_clearances, self_clearance
 from jaxik.harvest import Harvest, harvest
-from jaxik.ik import IKOptions, IKResult, solve_ik
+from jaxik.ik import IKResult, solve_ik
+from jaxik.ik_options import IKOptions
 from jaxik.kinematics import bias_acceleration, forward_kinematics, jacobian, link_frames, manipulability
 from jaxik.load import load, load_scene
 from jaxik.result import LoadError, Reason

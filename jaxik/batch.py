@@ -1,8 +1,8 @@
 """Rows through a compiled function, block by block, in as many threads as there are cores.
 
-A block has one size, whatever the number of rows, and the last is filled up with copies of its first row: nothing compiles again
-for another number, and a row's result does not depend on which rows came with it. XLA runs a program of this size on one core
-and lets go of Python's lock meanwhile, so threads give the other cores work (1.8 times on two).
+A block has one size, whatever the number of rows, and the last is filled up with copies of its first row: nothing compiles
+again for another number, and a row's result does not depend on which rows came with it. XLA runs a program of this size on one
+core and lets go of Python's lock meanwhile, so threads give the other cores work (1.8 times on two).
 """
 
 from __future__ import annotations

@@ -11,7 +11,7 @@ from __future__ import annotations
 import dataclasses
 from collections.abc import Callable
 from functools import partial, reduce
-from typing import Any
+from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -20,8 +20,9 @@ from jax import lax
 from jaxtyping import Float
 
 from jaxik import distance
-from jaxik.algebra import Rot3, Vec3
+from jaxik.algebra import Frame, Rot3, Vec3, shared
 from jaxik.chain import Array, Chain, as_configuration
+from jaxik.kinematics import joint_frames
 from jaxik.scene import FAR, KINDS, Scene
 from jaxik.spheres import LEVELS, Skeleton, skeletons
 
@@ -43,21 +44,67 @@ def clearance(chain: Chain, scene: Scene | None, q: Float[Array, " n"]) -> Float
 def link_clearances(chain: Chain, scene: Scene | None, q: Float[Array, " n"]) -> Float[Array, " k"]:
     """The clearance of each link that has collision geometry, in the order of the links [m]; `clearance` is their minimum.
 
-    A pair of links counts for the one nearer to the base. As constraints of an optimiser these are smoother than their minimum,
-    which jumps from link to link.
+    A pair of links counts for the later one. As constraints of an optimiser these are smoother than their minimum, which jumps
+    from link to link.
     """
     q = as_configuration(chain, q)
-    volumes = world_volumes(chain, q)
-    nearest = _to_itself(chain, volumes, q.dtype)
-    if scene is not None:
-        nearest += [found for kind in KINDS if scene.counts[kind] for found in _to_scene(kind, volumes, scene, q.dtype)]
-    parts: dict[int, list[Any]] = {int(link): [] for skeleton in volumes.values() for link in np.unique(skeleton.link)}
-    for links, distances in nearest:
-        for link in np.unique(links):
-            rows = np.flatnonzero(links == link)  # a run
-            parts[int(link)].append(jnp.min(distances[rows[0] : rows[-1] + 1]))
-    smallest = jnp.stack([reduce(jnp.minimum, parts[link], jnp.asarray(jnp.inf, q.dtype)) for link in sorted(parts)])
-    return jnp.where(smallest > FAR / 2.0, jnp.inf, smallest)
+    parts = _parts(chain, scene, world_volumes(chain, q), q.dtype)
+    found: dict[int, list[Any]] = {link: [] for link in _links(chain)}
+    for part in parts:
+        distances = part.distances()
+        for link in np.unique(part.link):
+            rows = np.flatnonzero(part.link == link)  # a run
+            found[int(link)].append(jnp.min(distances[rows[0] : rows[-1] + 1]))
+    return _seen(jnp.stack([reduce(jnp.minimum, each, jnp.asarray(jnp.inf, q.dtype)) for each in found.values()]))
+
+
+def link_contacts(chain: Chain, scene: Scene | None, q: Float[Array, " n"]) -> tuple[Any, list[Any]]:
+    """`link_clearances` (k,), and their derivatives by each joint: n arrays (k,) [m/rad, 1].
+
+    A distance pulls on the volume that it belongs to with a force f (its gradient by the volume's place) and a moment m about
+    the origin, and on the other one with their opposites, since moving both together changes nothing. So only joints between
+    the two take part: `dD/dq_j = z_j . (m - p_j x f)` if joint j turns, `z_j . f` if it slides. That costs one pull an
+    obstacle, where forward differentiation moves the whole robot n times: 5 times the speed, and half the compile time.
+    """
+    q = as_configuration(chain, q)
+    parts = _parts(chain, scene, world_volumes(chain, q), q.dtype)
+    links = _links(chain)
+    if not parts:
+        return jnp.full(len(links), jnp.inf, q.dtype), [jnp.zeros(len(links), q.dtype)] * chain.num_joints
+    pulls = [part.pulls() for part in parts]
+    table = [jnp.concatenate([jnp.broadcast_to(p[i], p[0].shape) for p in pulls]) for i in range(7)]
+    below = np.concatenate([np.full(len(part.link), part.other_joint) for part in parts])
+    nearest = _nearest_of_each(table[0], np.concatenate([part.link for part in parts]), links)
+    smallest, fx, fy, fz, mx, my, mz = (shared(column[nearest]) for column in table)
+    force, moment = Vec3(fx, fy, fz), Vec3(mx, my, mz)
+    other, own = jnp.asarray(below)[nearest], np.array([chain.link_joint[link] for link in links])
+    root = Frame.of(chain.world_T_base, float(np.finfo(q.dtype).eps))
+    frames = joint_frames(chain, [q[i] for i in range(chain.num_joints)], root, q.dtype)
+    rows = []
+    for j, (axis, frame, prismatic) in enumerate(zip(frames.axes, frames.joints, chain.is_prismatic, strict=True)):
+        slope = axis.dot(force) if prismatic else axis.dot(moment - frame.translation.cross(force))
+        rows.append(jnp.where((other <= j) & (own > j) & (smallest < FAR / 2.0), slope, 0.0))
+    return _seen(smallest), rows
+
+
+def _nearest_of_each(distances: Any, link: np.ndarray, links: list[int]) -> Any:
+    """For each of `links` the row of its least distance, where `link` says whose each row is; past the end if it has none."""
+    own = [np.flatnonzero(link == each) for each in links]
+    width = max(len(rows) for rows in own)
+    table = np.array([[*rows, *[len(link)] * (width - len(rows))] for rows in own])
+    padded = jnp.append(distances, jnp.asarray(2.0 * FAR, distances.dtype))
+    column = jnp.argmin(padded[table], axis=1)
+    return jnp.take_along_axis(jnp.asarray(table), column[:, None], axis=1)[:, 0]
+
+
+def _seen(distances: Any) -> Any:
+    """Distances, infinite where there is nothing but padding."""
+    return jnp.where(distances > FAR / 2.0, jnp.inf, distances)
+
+
+def _links(chain: Chain) -> list[int]:
+    """The links that have collision geometry."""
+    return sorted({b.link for b in chain.boxes} | {v.link for v in chain.volumes})
 
 
 def self_clearance(chain: Chain, q: Float[Array, " n"]) -> Float[Array, ""]:
@@ -168,9 +215,9 @@ def _cylinder_gap(volumes: Any, cylinder: Any) -> Any:
     return distance.to_body(volumes[0], lambda p: distance.point_cylinder(p, *cylinder)) - volumes[1]
 
 
-def _reach_gap(corners: Any, other: Any) -> Any:
+def _reach_gap(volumes: Any, other: Any) -> Any:
     """To another volume of the robot, which brings the radii to take off for each of ours."""
-    return distance.between(corners, other[0]) - other[1]
+    return distance.between(volumes[0], other[0]) - other[1]
 
 
 def _swapped(gap: Gap, a: Any, b: Any) -> Any:
@@ -211,23 +258,56 @@ def _obstacles(kind: str, scene: Scene, dtype: Any) -> tuple[Any, Gap]:
     return (rotation, centre, jnp.asarray(obstacles.radius, dtype), jnp.asarray(obstacles.half, dtype)), _cylinder_gap
 
 
-def _to_scene(kind: str, volumes: dict[int, Skeleton], scene: Scene, dtype: Any) -> list[tuple[np.ndarray, Any]]:
-    """The least distances of the volumes to the obstacles of a kind, with the volumes' links, for each corner count."""
+class _Part(NamedTuple):
+    """Volumes and what they are measured against: obstacles (`other_joint` 0), or an earlier link that `other_joint` moves."""
+
+    gap: Gap
+    unroll: int
+    volumes: Any
+    others: Any
+    link: np.ndarray
+    other_joint: int = 0
+    added: Any = None  # squares are compared where all radii are one, and this is what the root is short of then
+
+    def distances(self, volumes: Any = None) -> Any:
+        """The least distance of each volume."""
+        value = least(self.gap, self.unroll, self.volumes if volumes is None else volumes, self.others)
+        return value if self.added is None else distance.root(value) - self.added
+
+    def pulls(self) -> list[Any]:
+        """The least distance of each volume, its force and its moment: seven arrays."""
+        value, pull = jax.vjp(self.distances, self.volumes)
+        ((corners, _),) = pull(jnp.ones_like(value))
+        force = reduce(Vec3.__add__, corners)
+        moment = reduce(Vec3.__add__, [c.cross(g) for c, g in zip(self.volumes[0], corners, strict=True)])
+        return [value, *force, *moment]
+
+
+def _parts(chain: Chain, scene: Scene | None, volumes: dict[int, Skeleton], dtype: Any) -> list[_Part]:
+    """All that is to be measured."""
+    found = []
+    if scene is not None:
+        for kind in (k for k in KINDS if scene.counts[k]):
+            found += _to_scene(kind, volumes, scene, dtype)
+    return found + _to_itself(chain, volumes, dtype)
+
+
+def _to_scene(kind: str, volumes: dict[int, Skeleton], scene: Scene, dtype: Any) -> list[_Part]:
+    """The volumes against the obstacles of a kind, a part for each corner count."""
     obstacles, gap = _obstacles(kind, scene, dtype)
     found = []
     for count, skeleton in volumes.items():
-        ours = _volumes(skeleton, dtype)
+        ours, unroll = _volumes(skeleton, dtype), _unroll(kind, skeleton)
         if kind == "points" and count == 1:  # one common radius: the nearest by squares, one root a sphere
-            square = least(_square_gap, _unroll(kind, skeleton), ours, obstacles)
-            gaps = distance.root(square) - (ours[1] + jnp.asarray(scene.points.radius, dtype))
+            added = ours[1] + jnp.asarray(scene.points.radius, dtype)
+            found.append(_Part(_square_gap, unroll, ours, obstacles, skeleton.link, added=added))
         else:
-            gaps = least(gap, _unroll(kind, skeleton), ours, obstacles)
-        found.append((skeleton.link, gaps))
+            found.append(_Part(gap, unroll, ours, obstacles, skeleton.link))
     return found
 
 
-def _to_itself(chain: Chain, volumes: dict[int, Skeleton], dtype: Any) -> list[tuple[np.ndarray, Any]]:
-    """The least distances over `chain.self_pairs`: of each link, and each two kinds of volumes, to all its later partners.
+def _to_itself(chain: Chain, volumes: dict[int, Skeleton], dtype: Any) -> list[_Part]:
+    """The volumes over `chain.self_pairs`: of each link, and each two kinds of volumes, all its later partners.
 
     A link's partners run from the first to the last as a whole, and a constant puts those between that do not count out of
     the way.
@@ -243,8 +323,9 @@ def _to_itself(chain: Chain, volumes: dict[int, Skeleton], dtype: Any) -> list[t
                     (first, radius), (second, other_radius) = _volumes(rows, dtype), _volumes(columns, dtype)
                     counts = np.isin(columns.link, partners)
                     reach = jnp.where(counts, radius[:, None] + other_radius, -FAR)
-                    gaps = least(_reach_gap, max(1, 8 // (count * other_count) ** 2), second, (first, reach))
-                    found.append((np.full(len(columns.link), link), gaps))
+                    unroll = max(1, 8 // (count * other_count) ** 2)
+                    moved_by = chain.link_joint[link]
+                    found.append(_Part(_reach_gap, unroll, (second, None), (first, reach), columns.link, moved_by))
     return found
 
 

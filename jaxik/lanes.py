@@ -1,8 +1,8 @@
 """The compiled programs of inverse kinematics: each takes one start and one target, and runs a fixed number of SQP steps.
 
-They join the robot (`kinematics`, `collision`, `task`) to the solver (`optimise.sqp`), which knows none. Lengths are measured in a
-third of the chain's reach, so that damping and step bounds mean the same for a finger and for a crane. One program serves all
-limits, targets, weights and scenes of a chain: they are its arguments.
+They join the robot (`kinematics`, `collision`, `task`) to the solver (`optimise.sqp`), which knows none. Lengths are measured
+in a third of the chain's reach, so that damping and step bounds mean the same for a finger and for a crane. One program serves
+all limits, targets, weights and scenes of a chain: they are its arguments.
 """
 
 from __future__ import annotations
@@ -16,7 +16,7 @@ import jax.numpy as jnp
 
 from jaxik.algebra import Frame, Scalar, mul, safe_sqrt, shared, stack
 from jaxik.chain import Chain
-from jaxik.collision import clearance, link_clearances
+from jaxik.collision import clearance, link_clearances, link_contacts
 from jaxik.costs import Cost, collision_cost
 from jaxik.kinematics import jacobian_columns, joint_frames
 from jaxik.optimise import sqp
@@ -34,7 +34,8 @@ class Landed(NamedTuple):
 
 
 class Extras(NamedTuple):
-    """What a lane minds beside its target: user's cost, and obstacles as a constraint or a penalty. Hashable: a program's key."""
+    """What a lane minds beside its target: user's cost, and obstacles as a constraint or a penalty. Hashable: a program's
+    key."""
 
     cost: Cost | None = None
     collision: str = "none"  # constraint, penalty
@@ -51,9 +52,7 @@ def unit_length(chain: Chain) -> float:
 
 
 @functools.lru_cache(maxsize=64)
-def landing(
-    chain: Chain, task: Task, iterations: int, options: sqp.Options, extras: Extras = NOTHING
-) -> Callable[..., Landed]:
+def landing(chain: Chain, task: Task, iterations: int, options: sqp.Options, extras: Extras = NOTHING) -> Callable[..., Landed]:
     """A compiled batch of SQP runs: (q, pose, lower, upper, weights[, scene, margin]) -> `Landed`; q and pose by rows."""
     each = functools.partial(_land, chain, task, iterations, options, extras)
     return jax.jit(jax.vmap(each, in_axes=(0, 0, None, None, None) + ((None, None) if extras.collision != "none" else ())))
@@ -119,21 +118,15 @@ def _beside(
             lambda q: extras.penalty * jnp.sum(collision_cost(jnp.minimum(apart(q), extras.activation), extras.activation))
         )
     if extras.collision == "constraint":
-        value, jacobian = _value_and_jacobian(lambda q: link_clearances(chain, scene, q), q)
-        value = jnp.minimum(value, 1e3)  # a link with nothing to hit
-        count = len(value)
-        rows = [[scale * jacobian[i, k] for i in range(n)] for k in range(count)]
-        inequality = Rows([scale * (value[k] - margin) for k in range(count)], rows)
+        value, slopes = link_contacts(chain, scene, q)
+        apart = shared(scale * (jnp.minimum(value, 1e3) - margin))  # infinite for a link with nothing to hit
+        slopes = shared([scale * slope for slope in slopes])
+        count = range(len(value))
+        inequality = Rows([apart[k] for k in count], [[slope[k] for slope in slopes] for k in count])
     if not costs:
         return 0.0, [0.0] * n, inequality
     cost, gradient = jax.value_and_grad(lambda q: sum(c(q) for c in costs))(q)
     return cost, [gradient[i] for i in range(n)], inequality
-
-
-def _value_and_jacobian(function: Callable[[Any], Any], q: Any) -> tuple[Any, Any]:
-    """`f(q)` (k,) and `df/dq` (n, k), forward: the robot's motion is run once for all n directions."""
-    value, push = jax.linearize(function, q)
-    return value, jax.vmap(push)(jnp.eye(len(q), dtype=q.dtype))
 
 
 def _norm(values: list[Scalar], dtype: Any) -> Any:

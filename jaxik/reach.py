@@ -1,8 +1,8 @@
 """How far a chain can reach at most: a proof that a target is out of reach, where there is one.
 
-Choose a point on each joint's axis. Two points that follow each other ride on one link, so the way from the first to the last is
-no longer than the sum of the distances between them, whatever the joints do; the sum is least for the best choice of points, a
-convex problem. The last joint's point is known from the target's pose. A prismatic joint lengthens the way by its stroke.
+Choose a point on each joint's axis. Two points that follow each other ride on one link, so the way from the first to the last
+is no longer than the sum of the distances between them, whatever the joints do; the sum is least for the best choice of points,
+a convex problem. The last joint's point is known from the target's pose. A prismatic joint lengthens the way by its stroke.
 """
 
 from __future__ import annotations
@@ -35,7 +35,8 @@ class Reach(NamedTuple):
 
 
 class _Way(NamedTuple):
-    """From a point `s a` on one axis to `origin + t d` on the next, both in the first one's link; `stroke` is what slides add."""
+    """From a point `s a` on one axis to `origin + t d` on the next, both in the first one's link; `stroke` is what slides
+    add."""
 
     a: np.ndarray
     origin: np.ndarray

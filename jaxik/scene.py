@@ -97,8 +97,8 @@ class Scene(eqx.Module):
 
     def geometry(self) -> Scene:
         """The obstacles alone, padded and without names: scenes of like sizes then run the same compiled program."""
-        bare = {f.name: f.default for f in dataclasses.fields(self) if f.name not in KINDS}
-        return dataclasses.replace(self.padded(), **bare)
+        full = self.padded()
+        return Scene(full.points, full.spheres, full.capsules, full.boxes, full.cylinders)
 
     def padded(self) -> Scene:
         """The scene with each kind padded to the next of a few sizes by obstacles that are out of the way."""

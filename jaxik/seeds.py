@@ -3,7 +3,8 @@
 A seed has a number. Which configuration number k is depends on the target and on the user's `seed`, never on the batch.
 
 library          the nearest to the target, by pose, of 4096 (later 1024) configurations whose poses were computed once;
-                 number k searches the k-th such set. A search from there succeeds about twice as often as from a random configuration, and sooner.
+                 number k searches the k-th such set. A search from there succeeds about twice as often as from a random
+                 configuration, and sooner.
 uniform          independent and uniform inside the limits
 low_discrepancy  a Halton sequence inside the limits [Halton 1960], scrambled by `seed`
 near             the reference, then uniform around it in ever wider boxes
@@ -140,4 +141,4 @@ def branches(chain: Chain, inside: Range, seed: int, numbers: np.ndarray, poses:
 def any_branch(chain: Chain, poses: np.ndarray) -> np.ndarray:
     """Whether six joints with a closed form have poses (N, 4, 4) at all, limits aside."""
     _, valid, _ = in_blocks(_branches(chain), poses, np.zeros((len(poses), 0)), size=BLOCK, double=True)
-    return valid.any(axis=1)
+    return np.any(valid, axis=1)

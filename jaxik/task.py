@@ -29,8 +29,8 @@ NAMES = ("x", "y", "z", "roll", "pitch", "yaw")
 class Task:
     """Which of (x, y, z, roll, pitch, yaw) a target binds, along and about the axes of the target or of the base."""
 
-    bound: tuple[bool, bool, bool, bool, bool, bool] = (True,) * 6
-    axes: Axes = "tool"
+    bound: tuple[bool, ...] = (True,) * 6
+    axes: str = "tool"
 
     def __post_init__(self) -> None:
         if len(self.bound) != 6 or not any(self.bound):

@@ -24,3 +24,28 @@ def bare(name):
 def joint_range(chain):
     """The limits, and +-pi where there are none."""
     return np.where(np.isfinite(chain.lower), chain.lower, -np.pi), np.where(np.isfinite(chain.upper), chain.upper, np.pi)
+
+
+def pinocchio(chain):
+    """The chain's numbers as a Pinocchio model: its own kinematics, whatever the chain came from. Returns q -> tip pose (4, 4)."""
+    import pinocchio as pin
+
+    model, joint = pin.Model(), 0
+    for i, prismatic in enumerate(chain.is_prismatic):
+        kind = pin.JointModelPrismaticUnaligned if prismatic else pin.JointModelRevoluteUnaligned
+        placed = pin.SE3(chain.parent_T_joint[i][:3, :3], chain.parent_T_joint[i][:3, 3])
+        joint = model.addJoint(joint, kind(np.array(chain.axis[i])), placed, chain.joint_names[i])
+    data = model.createData()
+
+    def pose(q):
+        pin.forwardKinematics(model, data, np.asarray(q, np.float64))
+        return data.oMi[joint].homogeneous @ chain.joint_T_tip
+
+    return pose
+
+
+def pose_errors(pose, target):
+    """Position [m] and rotation [rad] error of two poses, by Pinocchio's logarithm."""
+    import pinocchio as pin
+
+    return np.linalg.norm(pose[:3, 3] - target[:3, 3]), np.linalg.norm(pin.log3(target[:3, :3].T @ pose[:3, :3]))

@@ -15,6 +15,8 @@ FLOORS = [
     {"collision", "costs", "closed_form"},
     {"load"},  # above the spheres: a loaded chain knows which of its links may touch
     {"lanes", "seeds", "crop", "scan"},
+    {"ik_options"},
+    {"multistart"},
     {"ik"},
     {"harvest"},
     {"plot"},

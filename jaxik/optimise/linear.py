@@ -29,6 +29,12 @@ def product(matrix: Matrix, vector: Sequence[Scalar]) -> list[Scalar]:
     return [dot(row, vector) for row in matrix]
 
 
+def full(lower: Matrix) -> list[list[Scalar]]:
+    """The symmetric matrix of a lower triangle."""
+    n = len(lower)
+    return [[lower[max(i, j)][min(i, j)] for j in range(n)] for i in range(n)]
+
+
 def cholesky_solve(matrix: Matrix, right: Sequence[Scalar], smallest: float) -> list[Any]:
     """`x` with `A x = b` for a symmetric positive definite `A`, of which the lower triangle is read.
 

@@ -7,7 +7,8 @@ linearised constraints contradict each other, is Levenberg-Marquardt damping wit
 the end: a fixed point has `r = w y` (y the multipliers), and w goes to its floor with the violation.
 
 Its minimum is piecewise that of a linear system. A primal-dual active set [Hintermueller, Ito, Kunisch 2002] finds the pieces:
-solve; hold what leaves its bounds there, count the inequalities that are broken, and solve again. A fixed, small number of
+solve; hold what leaves its bounds there, let go what its slope leads back inside, count the inequalities that are broken, and
+solve again. A fixed, small number of
 passes keeps every lane of a batch in step; what a pass more would change, the next SQP step does.
 """
 
@@ -19,7 +20,7 @@ from typing import Any, NamedTuple
 import jax.numpy as jnp
 
 from jaxik.algebra import Scalar, add, mul, shared, sub
-from jaxik.optimise.linear import Matrix, cholesky_solve, dot, product
+from jaxik.optimise.linear import Matrix, cholesky_solve, dot, full, product
 
 
 class Rows(NamedTuple):
@@ -55,22 +56,30 @@ def solve(
     broken = [jnp.where(v < 0.0, 1.0, 0.0) for v in inequality.value]
     free: list[Any] = [1.0] * n
     held: list[Any] = [0.0] * n
-    step: list[Any] = held
-    for last in (False,) * (passes - 1) + (True,):
+    for number in range(1, passes + 1):
         counted = [[mul(on, x) for x in row] for on, row in zip(broken, inequality.matrix, strict=True)]
         matrix = [
             [add(base[i][j], dot(_column(counted, i), _column(inequality.matrix, j))) for j in range(i + 1)] for i in range(n)
         ]
         vector = [sub(right[i], dot(_column(counted, i), inequality.value)) for i in range(n)]
-        matrix, vector = _held(shared(matrix) if counted else matrix, vector, free, held)
-        step = cholesky_solve(matrix, vector, smallest)
+        matrix, vector = (shared(matrix), shared(vector)) if counted else (matrix, vector)
+        step = cholesky_solve(*_held(matrix, vector, free, held), smallest)
         clipped = [jnp.clip(p, a, b) for p, a, b in zip(step, low, high, strict=True)]
-        if last:
-            return clipped
-        free = shared([mul(f, jnp.where(p == c, 1.0, 0.0)) for f, p, c in zip(free, step, clipped, strict=True)])
+        if number == passes:
+            break
+        wants = [jnp.zeros_like(p) for p in step]  # where the slope would move what was held before this pass
+        if number > 1:
+            wants = [b - a for a, b in zip(product(full(matrix), clipped), vector, strict=True)]
+        free = shared([_is_free(*each) for each in zip(free, step, clipped, wants, low, high, strict=True)])
         held = shared([jnp.where(f == 1.0, 0.0, c) for f, c in zip(free, clipped, strict=True)])
         broken = [jnp.where(v < 0.0, 1.0, 0.0) for v in inequality.at(clipped)]
-    return step
+    return clipped
+
+
+def _is_free(was: Any, step: Any, clipped: Any, wants: Any, low: Any, high: Any) -> Any:
+    """1 for an unknown inside its bounds, or held at one that its slope leads away from; else 0."""
+    released = (was == 0.0) & (((wants > 0.0) & (clipped < high)) | ((wants < 0.0) & (clipped > low)))
+    return jnp.where(released | ((was == 1.0) & (step == clipped)), 1.0, 0.0)
 
 
 def _held(matrix: Matrix, right: Sequence[Scalar], free: Sequence[Scalar], held: Sequence[Scalar]) -> tuple[Any, Any]:
@@ -78,8 +87,7 @@ def _held(matrix: Matrix, right: Sequence[Scalar], free: Sequence[Scalar], held:
     if all(isinstance(f, float) for f in free):
         return matrix, right
     n = len(right)
-    full = [[matrix[max(i, j)][min(i, j)] for j in range(n)] for i in range(n)]
-    moved = [sub(b, x) for b, x in zip(right, product(full, held), strict=True)]
+    moved = [sub(b, x) for b, x in zip(right, product(full(matrix), held), strict=True)]
     masked = [
         [add(mul(matrix[i][j], mul(free[i], free[j])), sub(1.0, free[i]) if i == j else 0.0) for j in range(i + 1)]
         for i in range(n)

@@ -2,7 +2,8 @@
 
     min_x  f(x)      r(x) = 0,   c(x) >= 0,   lower <= x <= upper
 
-Each step solves `qp.solve` for the problem linearised at x and moves there; x never leaves its bounds. What is the users' choice:
+Each step solves `qp.solve` for the problem linearised at x and moves there; x never leaves its bounds. What is the users'
+choice:
 
 hessian   "gauss_newton": B is the problem's metric, a positive definite matrix (of a sum of squares: its Gauss-Newton Hessian);
           "bfgs": B is learned from differences of the Lagrangian's gradient, damped so that it stays positive definite
@@ -10,7 +11,8 @@ hessian   "gauss_newton": B is the problem's metric, a positive definite matrix 
 merit     "none": every step is taken, damped by the violation, `w = damping |v|^2 + floor` [Sugihara 2011]. Fastest where
           equations alone are to be solved and another start is cheap.
           "l1" [Han 1977, Powell 1978] and "augmented_lagrangian" [Schittkowski 1981], the two that SQP codes offer: a step is
-          taken if it lowers the merit; otherwise the trust region shrinks (w grows), and x stays.
+          taken if it lowers the merit; otherwise x stays and the trust region shrinks, by adding to B. Along strongly curved
+          equations the first refuses good steps (the Maratos effect), the second does not.
 
     l1:                    f + s (sum |r| + sum max(0, -c)),             s above the largest multiplier
     augmented Lagrangian:  f + y'r + s/2 |r|^2 + (|max(0, z - s c)|^2 - |z|^2) / 2 s
@@ -29,8 +31,8 @@ import jax
 import jax.numpy as jnp
 from jax import lax
 
-from jaxik.algebra import Scalar, add, shared, sub
-from jaxik.optimise.linear import Matrix, dot, product
+from jaxik.algebra import Scalar, add, mul, shared, sub
+from jaxik.optimise.linear import Matrix, dot, full, product
 from jaxik.optimise.qp import NONE, Rows, solve
 
 Hessian = Literal["gauss_newton", "bfgs"]
@@ -63,8 +65,8 @@ class Problem(NamedTuple):
 class Options:
     """How steps are made. `cap` bounds one step's largest component, in the metric; `passes` those of the active set."""
 
-    hessian: Hessian = "gauss_newton"
-    merit: Merit = "none"
+    hessian: str = "gauss_newton"
+    merit: str = "none"
     damping: float = 0.05
     floor: float = 1e-5
     cap: float = 1.0
@@ -80,11 +82,12 @@ class Options:
 
 
 class State(NamedTuple):
-    """Where one problem stands; `radius` scales the damping (1 as given), `learned` is the lower triangle of B for "bfgs"."""
+    """Where one problem stands; B + `restraint` x metric is what a step is measured in where a merit decides, `learned` is the
+    lower triangle of B for "bfgs"."""
 
     x: tuple[Any, ...]
     model: Model
-    radius: Any
+    restraint: Any
     learned: Any
 
 
@@ -105,13 +108,13 @@ def init(problem: Problem, x: Sequence[Any], options: Options) -> State:
     """The state at x."""
     dtype = x[0].dtype
     learned = tuple(tuple(row[: i + 1]) for i, row in enumerate(problem.metric)) if options.hessian == "bfgs" else ()
-    return State(tuple(x), _arrays(problem.model(x), dtype), jnp.ones_like(x[0]), _arrays(learned, dtype))
+    return State(tuple(x), _arrays(problem.model(x), dtype), jnp.full_like(x[0], 1e-2), _arrays(learned, dtype))
 
 
 def advance(problem: Problem, state: State, low: Sequence[Any], high: Sequence[Any], options: Options) -> State:
     """One step, taken or refused by the merit."""
-    x, model, radius, learned = state
-    p, weight = _step(problem, model, x, low, high, options, radius, learned)
+    x, model, restraint, learned = state
+    p, weight = _step(problem, model, x, low, high, options, restraint, learned)
     moved = _moved(x, p, low, high)
     there = _arrays(problem.model(moved), x[0].dtype)
     y = [r / weight for r in model.equality.at(p)]
@@ -121,22 +124,27 @@ def advance(problem: Problem, state: State, low: Sequence[Any], high: Sequence[A
         change = [b - a for a, b in zip(_slope(model, y, z), _slope(there, y, z), strict=True)]
         learned = _damped_bfgs(learned, taken, change)
     if options.merit == "none":
-        return State(moved, there, radius, learned)
+        return State(moved, there, restraint, learned)
     merit = _l1 if options.merit == "l1" else _augmented_lagrangian
     better = merit(there, y, z, options.penalty) <= merit(model, y, z, options.penalty)
-    radius = jnp.clip(radius * jnp.where(better, 0.4, 6.0), 1e-4, 1e8)
+    restraint = jnp.clip(restraint * jnp.where(better, 0.3, 8.0), 1e-4, 1e8)
     x, model = jax.tree_util.tree_map(lambda new, old: jnp.where(better, new, old), (moved, there), (x, model))
-    return State(x, model, radius, learned)
+    return State(x, model, restraint, learned)
 
 
 def _step(
-    problem: Problem, model: Model, x: Any, low: Any, high: Any, options: Options, radius: Any = 1.0, learned: Any = ()
+    problem: Problem, model: Model, x: Any, low: Any, high: Any, options: Options, restraint: Any = 0.0, learned: Any = ()
 ) -> Any:
     """The step and the weight of its subproblem."""
-    weight = shared((options.damping * model.violation + options.floor) * radius)
-    hessian = _symmetric(learned) if learned else problem.metric
-    room = [[b - a for a, b in zip(x, bound, strict=True)] for bound in (low, high)]
-    p = solve(hessian, model.gradient, model.equality, model.inequality, *room, weight, options.passes, 1e-3 * options.floor)
+    weight = shared(options.damping * model.violation + options.floor)
+    hessian = full(learned) if learned else problem.metric
+    if options.merit != "none":  # the trust region's multiplier: steps for cost and constraints alike become shorter
+        rows = zip(hessian, problem.metric, strict=True)
+        hessian = [[add(b, mul(restraint, m)) for b, m in zip(*row, strict=True)] for row in rows]
+    below, above = ([b - a for a, b in zip(x, bound, strict=True)] for bound in (low, high))
+    p = solve(
+        hessian, model.gradient, model.equality, model.inequality, below, above, weight, options.passes, 1e-3 * options.floor
+    )
     length = functools.reduce(jnp.maximum, [abs(v) * problem.metric[i][i] ** 0.5 for i, v in enumerate(p)])
     short = shared(jnp.minimum(1.0, options.cap / jnp.maximum(length, 1e-9)))
     return [v * short for v in p], weight
@@ -149,11 +157,6 @@ def _moved(x: Any, p: Any, low: Any, high: Any) -> tuple[Any, ...]:
 def _arrays(tree: Any, dtype: Any) -> Any:
     """Scalars that fold as arrays: a loop carries arrays."""
     return jax.tree_util.tree_map(lambda x: jnp.asarray(x, dtype), tree)
-
-
-def _symmetric(lower: Any) -> Any:
-    n = len(lower)
-    return [[lower[max(i, j)][min(i, j)] for j in range(n)] for i in range(n)]
 
 
 def _slope(model: Model, y: Sequence[Any], z: Sequence[Any]) -> list[Any]:
@@ -169,7 +172,7 @@ def _transposed_product(matrix: Matrix, vector: Sequence[Any]) -> list[Any]:
 
 def _damped_bfgs(lower: Any, step: Sequence[Any], change: Sequence[Any]) -> Any:
     """Powell's update: where the measured curvature is less than a fifth of B's, it is mixed with B's."""
-    old = product(_symmetric(lower), step)
+    old = product(full(lower), step)
     curvature, measured = shared((dot(step, old), dot(step, change)))
     mixed = jnp.where(
         measured < 0.2 * curvature, 0.8 * curvature / jnp.where(curvature > measured, curvature - measured, 1.0), 1.0
@@ -183,14 +186,22 @@ def _damped_bfgs(lower: Any, step: Sequence[Any], change: Sequence[Any]) -> Any:
     )
 
 
+def _merit_weight(y: Sequence[Any], z: Sequence[Any], least: float) -> Any:
+    """Above twice the largest multiplier."""
+    weight: Any = least
+    for multiplier in (*y, *z):
+        weight = jnp.maximum(weight, 2.0 * abs(multiplier))
+    return weight
+
+
 def _l1(model: Model, y: Sequence[Any], z: Sequence[Any], penalty: float) -> Any:
-    weight = functools.reduce(jnp.maximum, [2.0 * abs(v) for v in (*y, *z)], penalty)
+    weight = _merit_weight(y, z, penalty)
     broken = [abs(r) for r in model.equality.value] + [jnp.maximum(-c, 0.0) for c in model.inequality.value]
     return model.cost + weight * sum(broken)
 
 
 def _augmented_lagrangian(model: Model, y: Sequence[Any], z: Sequence[Any], penalty: float) -> Any:
-    weight = functools.reduce(jnp.maximum, [2.0 * abs(v) for v in (*y, *z)], penalty)
+    weight = _merit_weight(y, z, penalty)
     equal = dot(y, model.equality.value) + 0.5 * weight * dot(model.equality.value, model.equality.value)
     short = [jnp.maximum(v - weight * c, 0.0) ** 2 - v**2 for v, c in zip(z, model.inequality.value, strict=True)]
     return model.cost + equal + sum(short) / (2.0 * weight)

@@ -1,0 +1,82 @@
+"""What `solve_ik` may be told."""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Mapping
+from typing import Any, Literal, get_args
+
+from jaxik import seeds
+from jaxik.costs import Cost
+from jaxik.optimise import sqp
+from jaxik.task import POSE, Task
+
+Choice = Literal["first", "closest", "clearance", "manipulability", "freedom", "comfort"]
+Collision = Literal["constraint", "penalty"]
+SEARCH = sqp.Options()
+AVOID = sqp.Options(passes=3)
+IMPROVE = sqp.Options(hessian="bfgs", merit="augmented_lagrangian", floor=1e-10, passes=3)
+
+
+@dataclasses.dataclass(frozen=True)
+class IKOptions:
+    """How `solve_ik` searches, and what it takes for an answer.
+
+    task: which of the six components a target binds (`Task`).
+    position_tolerance [m], rotation_tolerance [rad]: largest errors of an answer; one number, or one a target.
+    margin: least clearance with a scene [m].
+    seeds: where searches start (`jaxik.seeds`); "auto" is the closed form where the chain has one, else the library.
+    max_seeds: seeds a target gets before it is given up.
+    choice: which answer is taken: the "first" found; of all that `max_seeds` find, the "closest" to `reference`, the one with
+    the
+        largest "clearance", "manipulability" or joint "freedom", or the one nearest to the middle of the ranges ("comfort", or
+        to `reference` where it is given).
+    reference: a configuration (n,) or one a target (N, n); needed by "closest" and by the seeds "near".
+    norm: in which "closest" measures, "l2" or "linf", joints multiplied by `weights`.
+    solutions: so many different answers a target are returned, best first; turns by 2 pi count as different.
+    distinct: answers nearer to each other than this in every joint are one [rad, m].
+    locked: joints (by name) that stay at a value [rad, m].
+    weights: (n,) how unwilling each joint is to move, 1 unless given.
+    collision: how a scene enters the search: "constraint", or "penalty" (the smooth one of Schuetz 2017, (4.31), summed over
+    the
+        links, times `penalty`). Either way an answer keeps `margin`.
+    cost: a pure function of q (n,), made smaller within what the task leaves free, in `cost_iterations` steps.
+    search, avoid, improve: the solver's options for the search, for clearance, and for the cost.
+    """
+
+    task: Task = POSE
+    position_tolerance: Any = 1e-6
+    rotation_tolerance: Any = 1e-6
+    margin: float = 0.0
+    seeds: str = "auto"
+    max_seeds: int = 128
+    choice: str = "first"
+    reference: Any = None
+    norm: str = "l2"
+    solutions: int = 1
+    distinct: float = 0.05
+    locked: Mapping[str, float] = dataclasses.field(default_factory=dict)
+    weights: Any = None
+    collision: str = "constraint"
+    activation: float = 0.05
+    penalty: float = 100.0
+    cost: Cost | None = None
+    cost_iterations: int = 40
+    search: sqp.Options = SEARCH
+    avoid: sqp.Options = AVOID
+    improve: sqp.Options = IMPROVE
+
+    def __post_init__(self) -> None:
+        for name, value, kinds in (
+            ("seeds", self.seeds, seeds.Strategy),
+            ("choice", self.choice, Choice),
+            ("collision", self.collision, Collision),
+            ("norm", self.norm, Literal["l2", "linf"]),
+        ):
+            if value not in get_args(kinds):
+                raise ValueError(f"solve_ik: {name} '{value}'; allowed: {', '.join(get_args(kinds))}")
+        for name in ("max_seeds", "solutions", "cost_iterations"):
+            if getattr(self, name) < 1:
+                raise ValueError(f"solve_ik: {name} is {getattr(self, name)}; it is at least 1")
+        if self.reference is None and (self.choice == "closest" or self.seeds == "near"):
+            raise ValueError("solve_ik: choice 'closest' and seeds 'near' need a reference; give reference=q")

@@ -1,0 +1,417 @@
+"""The driver of inverse kinematics: seeds to lanes, wave by wave, until each target has an answer or a reason.
+
+A target is searched for from seeds (`seeds`) by SQP (`lanes`, `optimise.sqp`) in float32, a batch of lanes at a time. Lanes
+that have landed, or whose target has been reached, are dropped after every few steps and the rest is packed together again.
+What has landed is finished, and judged, in float64. Targets that are left get more seeds in the next, larger wave.
+
+Every number in this is a target's own: which seeds it gets, how many steps each runs, which answer is taken. So a target has
+the same result alone and among a million, and all runs in blocks of one size (`batch`): nothing compiles for another N.
+
+With a scene an answer must also keep `margin` of clearance. A posture that has the pose and collides is a start for a second
+search that holds the pose and moves the spare joints until the clearance, as a constraint, is kept.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Callable, Sequence
+from typing import Any, NamedTuple
+
+import jax
+import numpy as np
+
+from jaxik import lanes, seeds
+from jaxik.batch import in_blocks
+from jaxik.chain import Chain
+from jaxik.closed_form import TURN, closed_form_obstacle
+from jaxik.costs import Cost
+from jaxik.ik_options import IKOptions
+from jaxik.optimise import sqp
+from jaxik.reach import reach
+from jaxik.result import Reason
+from jaxik.scene import Scene
+
+LANES = 256  # a compiled call: half as many cost half as much again each, twice as many keep a single target waiting
+MEASURED = 64  # configurations a compiled call of clearances
+STEPS = 10  # of a lane before it is given up: what lands, lands by then (80 % of the Panda's, 82 % after 24)
+LANDED = 2e-3  # [rad], [unit lengths] from where three steps in float64 converge
+FINISH = sqp.Options(floor=1e-10, cap=0.1)
+FINISHING = 3
+PORTION = 65_536  # lanes at a time, which bounds the memory
+PUSHED, PUSHES = 4, 24  # colliding postures a target that are moved out of the obstacles, and the steps for it
+PUSH_MARGIN = 2e-4  # [m] more than is asked for, which the finish in float64 may use up
+UNLIMITED = np.arange(16)  # seeds for the question whether it was the limits
+KEPT, NEAR, RESCUE = 8, 0.05, 12  # so many misses, this near [rad, unit lengths], get so many more finishes
+
+
+@dataclasses.dataclass(frozen=True)
+class Job:
+    """What all targets share, and for each its tolerances (N, 2) and reference (N, n)."""
+
+    chain: Chain
+    scene: Scene | None
+    seed: int
+    options: IKOptions
+    low: np.ndarray
+    high: np.ndarray
+    weights: np.ndarray
+    inside: seeds.Range
+    unit: float
+    strategy: str
+    tolerance: np.ndarray
+    reference: np.ndarray | None
+
+    @staticmethod
+    def of(chain: Chain, scene: Scene | None, seed: int, options: IKOptions, count: int) -> Job:
+        n = chain.num_joints
+        low, high = np.array(chain.lower, np.float64), np.array(chain.upper, np.float64)
+        for name, value in options.locked.items():
+            if name not in chain.joint_names:
+                raise ValueError(f"locked: {chain.name} has no joint '{name}'; it has {', '.join(chain.joint_names)}")
+            i = chain.joint_names.index(name)
+            if not low[i] <= value <= high[i]:
+                raise ValueError(f"locked: {name} = {value:g} is outside its limits [{low[i]:g}, {high[i]:g}]")
+            low[i] = high[i] = value
+        weights = _shaped("weights", 1.0 if options.weights is None else options.weights, (n,))
+        if not np.all(weights > 0.0):
+            raise ValueError(f"weights {options.weights}: all are > 0; to hold a joint still, use locked")
+        tolerance = [_shaped(k, getattr(options, k), (count,)) for k in ("position_tolerance", "rotation_tolerance")]
+        if not all(np.all(t > 0.0) for t in tolerance):
+            raise ValueError("position_tolerance and rotation_tolerance are > 0")
+        reference = None if options.reference is None else _shaped("reference", options.reference, (count, n))
+        half = np.where(chain.is_prismatic, 1.0, np.pi)
+        finite = [np.where(np.isfinite(b), b, s * half) for b, s in ((low, -1.0), (high, 1.0))]
+        inside = seeds.Range(*(tuple(float(x) for x in b) for b in finite))
+        geometry = scene.geometry() if scene is not None else None
+        unit = lanes.unit_length(chain)
+        strategy = _strategy(chain, options)
+        return Job(
+            chain, geometry, seed, options, low, high, weights, inside, unit, strategy, np.stack(tolerance, 1), reference
+        )
+
+    def part(self, rows: slice) -> Job:
+        """The same for some of the targets."""
+        reference = None if self.reference is None else self.reference[rows]
+        return dataclasses.replace(self, tolerance=self.tolerance[rows], reference=reference)
+
+    @property
+    def limits(self) -> tuple[np.ndarray, ...]:
+        return self.low, self.high, self.weights
+
+    @property
+    def takes_first(self) -> bool:
+        return self.options.choice == "first" and self.options.solutions == 1
+
+
+def _shaped(name: str, value: Any, shape: tuple[int, ...]) -> np.ndarray:
+    given = np.asarray(value, dtype=np.float64)
+    try:
+        return np.broadcast_to(given, shape)
+    except ValueError:
+        raise ValueError(f"{name} has shape {given.shape}; allowed: a number or {shape}") from None
+
+
+def _strategy(chain: Chain, options: IKOptions) -> str:
+    if options.seeds not in ("auto", "closed_form"):
+        return options.seeds
+    whole = all(options.task.bound)
+    obstacle = closed_form_obstacle(chain) if whole else "the task leaves axes free"
+    if options.seeds == "closed_form" and obstacle:
+        raise ValueError(f"{chain.name}: seeds 'closed_form' need the closed form, and {obstacle}")
+    return "library" if obstacle else "closed_form"
+
+
+class Found(NamedTuple):
+    """Finished lanes inside the limits that have their targets' poses, in float64: columns of one length."""
+
+    target: np.ndarray
+    q: np.ndarray
+    position_error: np.ndarray
+    rotation_error: np.ndarray
+    clearance: np.ndarray
+    seed: np.ndarray
+    iterations: np.ndarray
+
+    def rows(self, kept: np.ndarray) -> Found:
+        return Found(*(column[kept] for column in self))
+
+    @staticmethod
+    def joined(parts: Sequence[Found]) -> Found:
+        return Found(*(np.concatenate(columns) for columns in zip(*parts, strict=True)))
+
+
+class Outcome(NamedTuple):
+    """What a search ends with: a `Reason` a target, all answers, postures that only collide, and the nearest misses."""
+
+    reason: np.ndarray
+    found: Found
+    stuck: Found
+    missed: Found
+
+
+def search(job: Job, poses: np.ndarray, valid: np.ndarray) -> Outcome:
+    """Answers for the poses (N, 4, 4) that are `valid` (N,), or reasons."""
+    reason = np.where(valid, np.where(_out_of_reach(job, poses), Reason.OUT_OF_REACH, Reason.NOT_CONVERGED), Reason.INVALID)
+    misses = _Misses(job)
+    answers, blocked, waiting = [_nothing(job)], [_nothing(job)], [_nothing(job)]
+    waves = _waves(job)
+    for number, numbers in enumerate(waves, 1):
+        for some in _portions(np.flatnonzero(reason == Reason.NOT_CONVERGED), len(numbers)):
+            free, colliding = _wave(job, poses, some, numbers, misses)
+            answers.append(free)
+            waiting.append(colliding)
+            reason[free.target] = Reason.SOLVED
+        if number == min(2, len(waves)) or number == len(waves):  # more seeds cost less than moving out of obstacles
+            stuck = Found.joined(waiting)
+            stuck = stuck.rows(reason[stuck.target] == Reason.NOT_CONVERGED)
+            freed = _pushed(job, poses, stuck)
+            answers.append(freed)
+            blocked.append(stuck)
+            waiting = [_nothing(job)]
+            reason[freed.target] = Reason.SOLVED
+    rescued, near = _rescued(job, poses, misses.near(reason))
+    reason[rescued.target] = Reason.SOLVED
+    found, stuck = Found.joined([*answers, rescued]), Found.joined([*blocked, near])
+    stuck = stuck.rows(reason[stuck.target] == Reason.NOT_CONVERGED)
+    reason[stuck.target] = Reason.COLLISION
+    reason = _beyond_limits(job, poses, reason)
+    if job.options.cost is not None:
+        found = _improved(job, poses, found)
+    return Outcome(reason, found, stuck, misses.nearest(job, poses, reason))
+
+
+def _out_of_reach(job: Job, poses: np.ndarray) -> np.ndarray:
+    task = job.options.task
+    if len(task.positions) < 3:
+        return np.zeros(len(poses), bool)
+    slack = 1e-9 + job.tolerance[:, 0] + (0.0 if len(task.rotations) < 3 else job.tolerance[:, 1] * job.unit)
+    return reach(job.chain, len(task.rotations) == 3).excess(poses) > slack
+
+
+def _waves(job: Job) -> list[np.ndarray]:
+    """The seeds' numbers, wave by wave. Few at first where one answer is enough, since most targets need no more."""
+    most = job.options.max_seeds
+    if job.options.choice != "first" or job.options.solutions > 1:
+        sizes = [most]
+    else:
+        sizes = [1, 4, 16, 32] if job.scene is None else [16, 48]
+    cuts = np.minimum(np.cumsum(sizes + [64] * (most // 64 + 1)), most)
+    cuts = np.unique(cuts)
+    return np.split(np.arange(most), cuts[:-1])
+
+
+def _portions(rows: np.ndarray, each: int) -> list[np.ndarray]:
+    """The rows in portions of at most `PORTION` lanes, `each` a row."""
+    size = max(1, PORTION // each)
+    return [rows[i : i + size] for i in range(0, len(rows), size)]
+
+
+def _wave(job: Job, poses: np.ndarray, some: np.ndarray, numbers: np.ndarray, misses: _Misses) -> tuple[Found, Found]:
+    """Searches `some` targets from seeds `numbers`: the answers, and postures that have the pose and collide."""
+    target, number = np.repeat(some, len(numbers)), np.tile(numbers, len(some))
+    landed = _descend(job, poses, _candidates(job, _starts(job, poses, some, numbers), target, number), misses)
+    found = _finish(job, poses, landed, misses)
+    collides = _collides(job, found)
+    return found.rows(~collides), found.rows(collides)
+
+
+def _collides(job: Job, found: Found) -> np.ndarray:
+    if job.scene is None:
+        return np.zeros(len(found.q), bool)
+    return ~(found.clearance >= job.options.margin)
+
+
+def _starts(job: Job, poses: np.ndarray, some: np.ndarray, numbers: np.ndarray) -> np.ndarray:
+    """Starts for all `some` targets x `numbers`, (lanes, n) in float32."""
+    n = job.chain.num_joints
+    at: np.ndarray = np.empty((len(some), len(numbers), n), np.float32)
+    for i, number in enumerate(int(k) for k in numbers):
+        if job.strategy == "near":
+            assert job.reference is not None
+            at[:, i] = seeds.near(job.inside, job.seed, number, job.reference[some])
+        elif job.strategy == "library" and number < seeds.SETS:
+            at[:, i] = seeds.nearest(job.chain, job.options.task, job.inside, job.unit, number, poses[some])
+        elif job.strategy == "low_discrepancy":
+            at[:, i] = seeds.low_discrepancy(job.inside, job.seed, job.options.max_seeds)[number]
+        else:
+            at[:, i] = seeds.uniform(job.inside, job.seed, number)
+    at = at.reshape(-1, n)
+    if job.strategy == "closed_form":
+        exact = seeds.branches(
+            job.chain, job.inside, job.seed, np.tile(numbers, len(some)), np.repeat(poses[some], len(numbers), 0)
+        )
+        at = np.where(np.isfinite(exact).all(axis=1, keepdims=True), exact, at)
+    return np.clip(at, job.low, job.high).astype(np.float32)
+
+
+def _descend(job: Job, poses: np.ndarray, starts: Found, misses: _Misses) -> Found:
+    """Runs the lanes, and returns those that have landed."""
+    program = lanes.landing(job.chain, job.options.task, STEPS, job.options.search)
+    start, pose = _single((starts.q, poses[starts.target]))
+    q, away, turned = in_blocks(program, start, pose, size=LANES, fixed=_single(job.limits))
+    enough = np.maximum(job.tolerance, [LANDED * job.unit, LANDED])[starts.target]
+    landed = (away <= enough[:, 0]) & (turned <= enough[:, 1])
+    ended = starts._replace(q=q.astype(np.float64), iterations=np.full(len(q), STEPS))
+    misses.note(ended.rows(~landed), (away / job.unit + turned)[~landed])
+    return ended.rows(landed)
+
+
+def _rescued(job: Job, poses: np.ndarray, near: Found) -> tuple[Found, Found]:
+    """Near misses after up to `RESCUE` more finishes, since next to a singularity convergence is slow: answers, and colliding
+    ones."""
+    free, blocked = [_nothing(job)], [_nothing(job)]
+    for _ in range(RESCUE):
+        if not len(near.q):
+            break
+        near = _polished(job, poses, near, _finisher(job), LANES)
+        near = near._replace(iterations=near.iterations + FINISHING)
+        exact, collides = _exact(job, near), _collides(job, near)
+        free.append(near.rows(exact & ~collides))
+        blocked.append(near.rows(exact & collides))
+        near = near.rows(~exact)
+    return Found.joined(free), Found.joined(blocked)
+
+
+def _exact(job: Job, found: Found) -> np.ndarray:
+    """Whose errors are within the target's tolerances."""
+    allowed = job.tolerance[found.target]
+    return (found.position_error <= allowed[:, 0]) & (found.rotation_error <= allowed[:, 1])
+
+
+def _candidates(job: Job, q: np.ndarray, target: np.ndarray, number: np.ndarray) -> Found:
+    """Lanes at their starts; the numbers that judge them are still to come."""
+    unknown = np.full(len(q), np.nan)
+    return Found(target, q.astype(np.float64), unknown, unknown, unknown, number, np.zeros(len(q), int))
+
+
+def _nothing(job: Job) -> Found:
+    empty = np.zeros(0, int)
+    return _candidates(job, np.zeros((0, job.chain.num_joints)), empty, empty)
+
+
+def _finisher(job: Job) -> Callable[..., Any]:
+    return lanes.landing(job.chain, job.options.task, FINISHING, FINISH)
+
+
+def _finish(job: Job, poses: np.ndarray, landed: Found, misses: _Misses) -> Found:
+    """In float64: the last steps, and whose errors are within the tolerances; with a scene their clearance."""
+    if not len(landed.q):
+        return landed
+    found = _polished(job, poses, landed, _finisher(job), LANES)
+    found = found._replace(iterations=found.iterations + FINISHING)
+    exact = _exact(job, found)
+    misses.note(found.rows(~exact), (found.position_error / job.unit + found.rotation_error)[~exact])
+    return found.rows(exact)
+
+
+def _polished(job: Job, poses: np.ndarray, lanes_: Found, program: Callable[..., Any], size: int, *more: Any) -> Found:
+    """The lanes after a float64 program, with errors and clearance."""
+    start = np.clip(lanes_.q, job.low, job.high)
+    fixed = (*job.limits, *more)
+    q, away, turned = in_blocks(program, start, poses[lanes_.target], size=size, fixed=fixed, double=True)
+    q = unwound(job.chain, q)
+    return lanes_._replace(q=q, position_error=away, rotation_error=turned, clearance=_clearance(job, q))
+
+
+def _clearance(job: Job, q: np.ndarray) -> np.ndarray:
+    if job.scene is None or not len(q):
+        return np.full(len(q), np.nan)
+    return in_blocks(lanes.clearances(job.chain), q, size=MEASURED, fixed=(job.scene,), double=True)[0]
+
+
+def unwound(chain: Chain, q: np.ndarray) -> np.ndarray:
+    """Continuous joints, and others without limits, in [-pi, pi]."""
+    turns = ~chain.is_limited & ~np.array(chain.is_prismatic)
+    return q - np.where(turns, np.round(q / TURN) * TURN, 0.0)
+
+
+def _pushed(job: Job, poses: np.ndarray, stuck: Found) -> Found:
+    """The answers that a search for clearance makes of the best few colliding postures of each target."""
+    chosen = stuck.rows(top(stuck.target, stuck.clearance, PUSHED))
+    if not len(chosen.q):
+        return chosen
+    program = lanes.landing(job.chain, job.options.task, PUSHES, job.options.avoid, _extras(job))
+    fixed = _single((*job.limits, job.scene, job.options.margin + PUSH_MARGIN))
+    q = in_blocks(program, *_single((chosen.q, poses[chosen.target])), size=MEASURED, fixed=fixed)[0]
+    moved = chosen._replace(q=q.astype(np.float64), iterations=chosen.iterations + PUSHES)
+    found = _finish(job, poses, moved, _Misses(job))
+    return found.rows(~_collides(job, found))
+
+
+def _extras(job: Job, cost: Cost | None = None) -> lanes.Extras:
+    collision = "none" if job.scene is None else job.options.collision
+    return lanes.Extras(cost, collision, job.options.activation, job.options.penalty)
+
+
+def _single(tree: Any) -> Any:
+    return jax.tree_util.tree_map(lambda x: np.asarray(x, np.float32), tree)
+
+
+def _improved(job: Job, poses: np.ndarray, found: Found) -> Found:
+    """The answers with the user's cost made smaller, where that leaves them answers."""
+    if not len(found.q):
+        return found
+    iterations = job.options.cost_iterations
+    program = lanes.landing(job.chain, job.options.task, iterations, job.options.improve, _extras(job, job.options.cost))
+    more = () if job.scene is None else (job.scene, np.float64(job.options.margin))
+    better = _polished(job, poses, found, program, MEASURED, *more)
+    kept = _exact(job, better) & ~_collides(job, better)
+    better = better._replace(iterations=found.iterations + iterations)
+    return Found(*(np.where(kept.reshape(-1, *[1] * (b.ndim - 1)), b, a) for a, b in zip(found, better, strict=True)))
+
+
+def _beyond_limits(job: Job, poses: np.ndarray, reason: np.ndarray) -> np.ndarray:
+    """LIMITS for targets that a search without limits reaches; where a closed form knows all answers, it decides."""
+    left = np.flatnonzero(reason == Reason.NOT_CONVERGED)
+    if not len(left):
+        return reason
+    if job.chain.num_joints == 6 and job.strategy == "closed_form" and not job.options.locked:
+        any_valid = seeds.any_branch(job.chain, poses[left])
+        reason[left] = np.where(any_valid, Reason.LIMITS, Reason.OUT_OF_REACH)
+        return reason
+    held = job.low == job.high  # what is locked stays so
+    around = np.where(held, job.low, -np.pi), np.where(held, job.high, np.pi)
+    free = dataclasses.replace(
+        job,
+        scene=None,
+        low=np.where(held, job.low, -np.inf),
+        high=np.where(held, job.high, np.inf),
+        inside=seeds.Range(*(tuple(float(x) for x in bound) for bound in around)),
+        options=dataclasses.replace(job.options, choice="first", solutions=1),
+    )
+    for some in _portions(left, len(UNLIMITED)):
+        found, _ = _wave(free, poses, some, UNLIMITED, _Misses(job))
+        reason[found.target] = Reason.LIMITS
+    return reason
+
+
+class _Misses:
+    """The lanes of each target that came nearest, `KEPT` of them."""
+
+    def __init__(self, job: Job):
+        self.lanes, self.error = _nothing(job), np.zeros(0)
+
+    def note(self, ended: Found, error: np.ndarray) -> None:
+        """More lanes, and how far each stayed from its target [rad, unit lengths]."""
+        error = np.nan_to_num(np.concatenate([self.error, error]), nan=np.inf)
+        self.lanes = Found.joined([self.lanes, ended])
+        kept = top(self.lanes.target, -error, KEPT)
+        self.lanes, self.error = self.lanes.rows(kept), error[kept]
+
+    def near(self, reason: np.ndarray) -> Found:
+        """Those of targets searched for in vain that came within `NEAR`."""
+        return self.lanes.rows((self.error < NEAR) & (reason[self.lanes.target] == Reason.NOT_CONVERGED))
+
+    def nearest(self, job: Job, poses: np.ndarray, reason: np.ndarray) -> Found:
+        """The nearest of each target without an answer, judged in float64."""
+        left = np.flatnonzero(reason[self.lanes.target] != Reason.SOLVED)
+        left = left[top(self.lanes.target[left], -self.error[left], 1)]
+        found = self.lanes.rows(left)
+        return _polished(job, poses, found, _finisher(job), LANES) if len(left) else found
+
+
+def top(target: np.ndarray, score: np.ndarray, count: int) -> np.ndarray:
+    """The rows with the `count` largest scores of each target, by target and from the best on; of equal ones the first."""
+    order = np.lexsort((-score, target))
+    sorted_targets = target[order]
+    return order[np.arange(len(order)) - np.searchsorted(sorted_targets, sorted_targets) < count]

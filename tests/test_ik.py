@@ -1,0 +1,356 @@
+"""Inverse kinematics against Pinocchio's forward kinematics; reasons; independence of the batch; every option."""
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from robots import ROBOTS, bare, joint_range, pinocchio, pose_errors
+
+import jaxik
+from jaxik import Reason, lanes
+from jaxik.optimise import sqp
+
+POSITION = 1e-6  # [m], the default tolerances
+ROTATION = 1e-6  # [rad]
+SLACK = 1e-9  # between two libraries' kinematics
+
+
+def chain_of(name):
+    if name in ROBOTS:
+        file, tip = bare(name)
+        return jaxik.load(file, tip=tip)
+    return jaxik.load(name)
+
+
+def reachable(chain, count, seed=0):
+    """Poses of random configurations, by Pinocchio."""
+    q = np.random.default_rng(seed).uniform(*joint_range(chain), (count, chain.num_joints))
+    pose = pinocchio(chain)
+    return np.stack([pose(row) for row in q])
+
+
+def assert_solves(chain, result, targets, position=POSITION, rotation=ROTATION):
+    """Each answer has its pose for Pinocchio, says its errors rightly, and is inside the limits."""
+    pose = pinocchio(chain)
+    for q, target, away, turned in zip(
+        result.q[result.success],
+        targets[result.success],
+        result.position_error[result.success],
+        result.rotation_error[result.success],
+        strict=True,
+    ):
+        position_error, rotation_error = pose_errors(pose(q), target)
+        assert position_error <= position + SLACK and rotation_error <= rotation + SLACK
+        assert abs(position_error - away) < SLACK and abs(rotation_error - turned) < 1e-7
+        assert np.all(q >= chain.lower) and np.all(q <= chain.upper)
+
+
+@pytest.fixture(scope="module")
+def panda():
+    return chain_of("panda")
+
+
+@pytest.mark.parametrize("name", ["panda", "ur5", "tiago", "kinova", "p6r", "crops_v2", "chembuly9"])
+def test_reachable_poses_are_solved(name):
+    chain = chain_of(name)
+    targets = reachable(chain, 500)
+    result = jaxik.solve_ik(chain, targets)
+    assert result.success.mean() >= 0.998, result.counts()
+    assert_solves(chain, result, targets)
+
+
+def test_alone_and_in_any_batch_the_same(panda):
+    targets = reachable(panda, 400, seed=3)
+    targets[7, :3, 3] += 9.0
+    whole = jaxik.solve_ik(panda, targets)
+    for rows in (slice(0, 17), slice(100, 300), slice(7, 8)):
+        some = jaxik.solve_ik(panda, targets[rows])
+        for name in ("q", "reason", "seed", "iterations", "position_error"):
+            np.testing.assert_array_equal(getattr(some, name), getattr(whole, name)[rows])
+    alone = jaxik.solve_ik(panda, targets[123])
+    assert alone.q.shape == (7,) and alone.reason is Reason.SOLVED
+    np.testing.assert_array_equal(alone.q, whole.q[123])
+    again = jaxik.solve_ik(panda, targets[::-1])
+    np.testing.assert_array_equal(again.q[::-1], whole.q)
+
+
+def test_nothing_compiles_for_another_number(panda):
+    targets = reachable(panda, 1000, seed=4)
+    programs = []
+    for count in (1, 17, 1000):
+        jaxik.solve_ik(panda, targets[:count])
+        programs.append(sum(p._cache_size() for p in _programs(panda)))
+    assert programs[0] == programs[1] == programs[2]
+
+
+def _programs(chain):
+    from jaxik.ik_options import SEARCH
+    from jaxik.multistart import FINISH, FINISHING, STEPS
+    from jaxik.task import POSE
+
+    return [lanes.landing(chain, POSE, STEPS, SEARCH), lanes.landing(chain, POSE, FINISHING, FINISH)]
+
+
+def test_reasons(panda):
+    targets = reachable(panda, 6, seed=5)
+    targets[0, :3, 3] = [5.0, 0.0, 0.0]
+    targets[1, 0, 0] = np.nan
+    targets[2, :3, :3] *= 1.01
+    targets[3, :3, 0] *= -1.0  # a reflection
+    targets[4, 3] = [0.0, 0.0, 0.1, 1.0]
+    result = jaxik.solve_ik(panda, targets)
+    expected = [Reason.OUT_OF_REACH, *[Reason.INVALID] * 4, Reason.SOLVED]
+    assert [Reason(int(r)) for r in result.reason] == expected
+    assert result.counts() == {"solved": 1, "out of reach": 1, "invalid": 4}
+    np.testing.assert_array_equal(result.success, [r == Reason.SOLVED for r in expected])
+    assert np.isnan(result.q[:5]).all()
+
+
+def test_behind_limits():
+    chain = chain_of("ur5")
+    targets = reachable(chain, 40, seed=6)
+    narrow = jaxik.Chain(**{k: getattr(chain, k) for k in chain.__dataclass_fields__} | {"upper": chain.lower + 0.3})
+    result = jaxik.solve_ik(narrow, targets)
+    assert (result.reason == Reason.LIMITS).mean() > 0.9 and not result.success.any()
+    assert np.all((result.q >= narrow.lower) & (result.q <= narrow.upper))
+
+
+def test_six_joints_with_a_closed_form_are_decided():
+    p6r = chain_of("p6r")
+    arm = p6r.part(1, 7)
+    assert not jaxik.closed_form_obstacle(arm)
+    pose = reachable(arm, 1, seed=1)[0]
+    pose[:3, 3] *= 0.05 / np.linalg.norm(pose[:3, 3])  # inside its own shoulder
+    assert jaxik.solve_ik(arm, pose).reason in (Reason.OUT_OF_REACH, Reason.LIMITS)
+
+
+@settings(max_examples=40, deadline=None)
+@given(st.data())
+def test_never_a_wrong_solved(panda, data):
+    """Whatever a target is, an answer has its pose, and a target further away than the arm is long has none."""
+    number = st.floats(-2.0, 2.0, allow_nan=False)
+    kind = data.draw(st.sampled_from(["pose", "matrix", "far", "near miss", "nan"]))
+    target = reachable(panda, 1, seed=data.draw(st.integers(0, 10_000)))[0]
+    if kind == "matrix":
+        target[:3, :3] = np.reshape(data.draw(st.lists(number, min_size=9, max_size=9)), (3, 3))
+    elif kind == "far":
+        target[:3, 3] *= 2.0 / np.linalg.norm(target[:3, 3])
+    elif kind == "near miss":
+        target[:3, 3] *= data.draw(st.floats(0.8, 1.4))
+    elif kind == "nan":
+        target[data.draw(st.integers(0, 3)), data.draw(st.integers(0, 3))] = data.draw(st.sampled_from([np.nan, np.inf]))
+    result = jaxik.solve_ik(panda, target, max_seeds=8)
+    assert result.success == (result.reason == Reason.SOLVED)
+    if result.success:
+        position, rotation = pose_errors(pinocchio(panda)(result.q), target)
+        assert position <= POSITION + SLACK and rotation <= 2e-4  # of a matrix that is a rotation to 1e-4 only
+        assert np.all((result.q >= panda.lower) & (result.q <= panda.upper))
+    if kind in ("far", "nan"):
+        assert not result.success
+
+
+def test_mistakes_are_one_line(panda):
+    eye = np.eye(4)
+    for call, words in (
+        (lambda: jaxik.solve_ik(panda, np.eye(3)), ("(3, 3)", "(N, 4, 4)")),
+        (lambda: jaxik.solve_ik(panda, np.zeros(3)), ("(3,)", "(4, 4)")),
+        (lambda: jaxik.solve_ik(panda, "pose"), ("str",)),
+        (lambda: jaxik.solve_ik(panda, eye, tolerance=1), ("tolerance", "position_tolerance")),
+        (lambda: jaxik.solve_ik(panda, eye, seeds="sobol"), ("sobol", "library")),
+        (lambda: jaxik.solve_ik(panda, eye, choice="best"), ("best", "closest")),
+        (lambda: jaxik.solve_ik(panda, eye, choice="closest"), ("reference",)),
+        (lambda: jaxik.solve_ik(panda, eye, seeds="closed_form"), ("closed form", "spherical wrist")),
+        (lambda: jaxik.solve_ik(panda, eye, locked={"elbow": 0.0}), ("elbow", "panda_joint1")),
+        (lambda: jaxik.solve_ik(panda, eye, locked={"panda_joint4": 1.0}), ("panda_joint4", "limits")),
+        (lambda: jaxik.solve_ik(panda, eye, weights=np.ones(6)), ("weights", "(6,)", "(7,)")),
+        (lambda: jaxik.solve_ik(panda, eye, weights=np.zeros(7)), ("> 0", "locked")),
+        (lambda: jaxik.solve_ik(panda, eye, position_tolerance=-1.0), ("position_tolerance",)),
+        (lambda: jaxik.solve_ik(panda, [eye, eye], position_tolerance=[1e-3] * 3), ("(3,)", "(2,)")),
+        (lambda: jaxik.solve_ik(panda, eye, reference=np.zeros(5), choice="closest"), ("reference", "(5,)")),
+        (lambda: jaxik.solve_ik(panda, eye, max_seeds=0), ("max_seeds",)),
+        (lambda: jaxik.solve_ik(panda, eye, choice="clearance"), ("scene",)),
+        (lambda: jaxik.Task((False,) * 6), ("at least one",)),
+        (lambda: jaxik.Task((True,) * 6, "world"), ("world", "tool")),
+        (lambda: sqp.Options(merit="l2"), ("l2", "augmented_lagrangian")),
+    ):
+        with pytest.raises(ValueError) as caught:
+            call()
+        line = str(caught.value)
+        assert "\n" not in line and all(w in line for w in words), line
+
+
+def test_an_empty_batch(panda):
+    result = jaxik.solve_ik(panda, np.zeros((0, 4, 4)))
+    assert len(result) == 0 and result.q.shape == (0, 7) and result.solutions.shape == (0, 1, 7) and result.counts() == {}
+
+
+def test_tolerance_of_each_target():
+    """A position 4 mm out of reach is an answer to whoever allows the miss."""
+    arm = jaxik.load("planar2")  # two links of one metre
+    in_plane = jaxik.Task((True, True, False, False, False, False), "base")
+    result = jaxik.solve_ik(arm, [[2.004, 0.0, 0.0]] * 3, task=in_plane, position_tolerance=[1e-3, 5e-3, 0.02])
+    assert list(result.success) == [False, True, True]
+    assert np.all(result.position_error >= 0.004 - SLACK) and np.all(result.position_error[1:] <= [5e-3, 0.02])
+
+
+def _swing(pose, target, axis):
+    return np.arccos(np.clip(pose[:3, axis] @ target[:3, axis], -1.0, 1.0))
+
+
+def test_free_axes(panda):
+    targets = reachable(panda, 60, seed=8)
+    pose = pinocchio(panda)
+    yaw = jaxik.solve_ik(panda, targets, task=jaxik.Task((True,) * 5 + (False,)))
+    assert yaw.success.all()
+    turned = []
+    for q, target in zip(yaw.q, targets, strict=True):
+        reached = pose(q)
+        assert np.linalg.norm(reached[:3, 3] - target[:3, 3]) < 2 * POSITION and _swing(reached, target, 2) < 1e-5
+        turned.append(pose_errors(reached, target)[1])
+    assert max(turned) > 0.1  # the freedom is used
+    position = jaxik.solve_ik(panda, targets[:, :3, 3], task=jaxik.Task((True,) * 3 + (False,) * 3))
+    assert position.success.all() and np.all(position.rotation_error == 0.0)
+    for q, target in zip(position.q, targets, strict=True):
+        assert np.linalg.norm(pose(q)[:3, 3] - target[:3, 3]) < 2 * POSITION
+    # along the tool's z and about the base's z: four components are bound
+    base = jaxik.solve_ik(panda, targets, task=jaxik.Task((True, True, False, True, True, False), "base"))
+    assert base.success.all()
+    for q, target in zip(base.q, targets, strict=True):
+        reached = pose(q)
+        assert np.linalg.norm((reached - target)[:2, 3]) < 2 * POSITION
+        assert np.arccos(np.clip(reached[2, :3] @ target[2, :3], -1.0, 1.0)) < 1e-5
+    tool = jaxik.solve_ik(panda, targets, task=jaxik.Task((True, True, False, False, False, True), "tool"))
+    assert tool.success.all()
+    for q, target in zip(tool.q, targets, strict=True):
+        assert np.linalg.norm((target[:3, :3].T @ (pose(q) - target)[:3, 3])[:2]) < 2 * POSITION
+
+
+def test_locked_joints_stay(panda):
+    targets = reachable(panda, 40, seed=9)
+    result = jaxik.solve_ik(panda, targets, locked={"panda_joint3": 0.1})
+    assert result.success.mean() > 0.5 and np.all(result.q[result.success, 2] == 0.1)
+    assert_solves(panda, result, targets)
+
+
+@pytest.mark.parametrize("strategy", ["uniform", "low_discrepancy", "library"])
+def test_other_seeds(panda, strategy):
+    targets = reachable(panda, 60, seed=10)
+    result = jaxik.solve_ik(panda, targets, seeds=strategy)
+    assert result.success.all()
+    assert_solves(panda, result, targets)
+    if strategy != "library":
+        assert np.any(jaxik.solve_ik(panda, targets, seed=1, seeds=strategy).q != result.q)
+
+
+def test_near_a_configuration(panda):
+    q = np.random.default_rng(11).uniform(panda.lower, panda.upper, (60, 7))
+    pose = pinocchio(panda)
+    targets = np.stack([pose(row) for row in q])
+    moved = np.clip(q + np.random.default_rng(12).normal(0.0, 0.02, q.shape), panda.lower, panda.upper)
+    result = jaxik.solve_ik(panda, targets, reference=moved, seeds="near")
+    assert result.success.all() and np.mean(result.seed == 0) > 0.9
+    assert np.median(np.abs(result.q - q).max(axis=1)) < 0.1
+
+
+def test_choices(panda):
+    targets = reachable(panda, 30, seed=13)
+    reference = np.random.default_rng(14).uniform(panda.lower, panda.upper)
+    first = jaxik.solve_ik(panda, targets)
+    away = lambda result: np.linalg.norm(result.q - reference, axis=1)
+    most = lambda result: np.abs(result.q - reference).max(axis=1)
+    closest = jaxik.solve_ik(panda, targets, choice="closest", reference=reference, max_seeds=64)
+    largest = jaxik.solve_ik(panda, targets, choice="closest", reference=reference, max_seeds=64, norm="linf")
+    assert (
+        closest.success.all()
+        and np.all(away(closest) <= away(first) + 1e-9)
+        and away(closest).mean() < 0.8 * away(first).mean()
+    )
+    assert most(largest).mean() <= most(closest).mean() + 1e-9
+    freedom = jax.vmap(lambda q: jaxik.costs.joint_freedom(panda, q))
+    manipulability = jax.vmap(lambda q: jaxik.manipulability(panda, q))
+    for choice, measure in (("freedom", freedom), ("manipulability", manipulability)):
+        result = jaxik.solve_ik(panda, targets, choice=choice, max_seeds=64)
+        assert result.success.all() and measure(result.q).mean() > measure(first.q).mean()
+        assert_solves(panda, result, targets)
+    comfort = jaxik.solve_ik(panda, targets, choice="comfort", max_seeds=64)
+    cost = jax.vmap(lambda q: jaxik.costs.comfort_cost(panda, q))
+    assert cost(comfort.q).mean() < cost(first.q).mean()
+
+
+def test_different_solutions_and_turns():
+    chain = chain_of("ur5")  # +-2 pi: every answer has turns
+    target = reachable(chain, 1, seed=15)[0]
+    result = jaxik.solve_ik(chain, target, solutions=40, max_seeds=64)
+    found = result.solutions[: result.num_solutions]
+    assert result.num_solutions == 40 and np.isfinite(found).all()
+    apart = np.abs(found[:, None] - found).max(axis=2) + np.eye(len(found))
+    assert apart.min() > 0.05
+    whole_turns = np.abs(found[:, None] - found) / (2.0 * np.pi)
+    assert np.any((whole_turns.max(axis=2) > 0.9) & (np.abs(whole_turns - np.round(whole_turns)).max(axis=2) < 1e-6))
+    pose = pinocchio(chain)
+    assert all(max(pose_errors(pose(q), target)) < 2 * POSITION for q in found)
+    reference = result.q + np.array([2.0 * np.pi, 0, 0, 0, 0, 0]) * np.where(result.q[0] > 0.0, -1.0, 1.0)
+    turned = jaxik.solve_ik(chain, target, choice="closest", reference=reference)
+    assert np.linalg.norm(turned.q - reference) < 1e-3
+
+
+def test_continuous_joints_wrap():
+    chain = chain_of("kinova")
+    result = jaxik.solve_ik(chain, reachable(chain, 100, seed=16))
+    endless = ~np.isfinite(chain.lower)
+    assert endless.any() and np.all(np.abs(result.q[:, endless]) <= np.pi + 1e-12)
+
+
+def test_a_cost_in_the_null_space(panda):
+    targets = reachable(panda, 40, seed=17)
+    middle = jnp.asarray((panda.lower + panda.upper) / 2.0)
+    cost = lambda q: jnp.sum((q - middle.astype(q.dtype)) ** 2)
+    plain, better = jaxik.solve_ik(panda, targets), jaxik.solve_ik(panda, targets, cost=cost)
+    assert better.success.all()
+    assert_solves(panda, better, targets)
+    assert np.all(jax.vmap(cost)(better.q) <= jax.vmap(cost)(plain.q) + 1e-9)
+    # a minimum: the slope within the null space of the joints that are not at a limit vanishes
+    left = []
+    for q in better.q:
+        free = (q > panda.lower + 1e-6) & (q < panda.upper - 1e-6)
+        columns = np.asarray(jaxik.jacobian(panda, q))[:, free]
+        slope = 2.0 * (q - np.asarray(middle))[free]
+        left.append(np.abs(slope - np.linalg.pinv(columns) @ (columns @ slope)).max())
+    assert np.median(left) < 1e-6
+
+
+def test_a_scene_is_kept_clear_of():
+    chain = jaxik.load("chembuly9")
+    scene = jaxik.make_scene(
+        boxes=[(_at(0.45, 0.0, 0.3), (0.1, 0.6, 0.1)), (_at(0.2, 0.35, 0.5), (0.3, 0.1, 0.3))], spheres=[[0.3, -0.3, 0.4, 0.12]]
+    )
+    targets = reachable(chain, 60, seed=18)
+    alone = jaxik.solve_ik(chain, targets)
+    distance = jax.jit(jax.vmap(lambda q: jaxik.clearance(chain, scene, q)))
+    result = jaxik.solve_ik(chain, targets, scene, margin=0.01)
+    assert set(np.unique(result.reason)) <= {Reason.SOLVED, Reason.COLLISION, Reason.NOT_CONVERGED}
+    assert result.success.sum() > np.sum(distance(alone.q) >= 0.01) and result.success.sum() >= 20
+    assert np.all(distance(result.q[result.success]) >= 0.01 - SLACK)
+    np.testing.assert_allclose(result.clearance, distance(result.q), atol=SLACK)
+    assert_solves(chain, result, targets)
+    stuck = result.reason == Reason.COLLISION
+    assert np.all(result.clearance[stuck] < 0.01) and np.all(result.position_error[stuck] < POSITION)
+    roomy = jaxik.solve_ik(chain, targets, scene, margin=0.01, choice="clearance", max_seeds=64)
+    both = roomy.success & result.success
+    assert roomy.clearance[both].mean() > result.clearance[both].mean()
+
+
+def test_inside_an_obstacle_is_a_collision():
+    chain = jaxik.load("chembuly9")
+    target = reachable(chain, 1, seed=19)[0]
+    scene = jaxik.make_scene(spheres=[[*(chain.world_T_base @ target)[:3, 3], 0.1]])
+    result = jaxik.solve_ik(chain, target, scene)
+    assert result.reason is Reason.COLLISION and not result.success and result.clearance < 0.0
+
+
+def _at(x, y, z):
+    frame = np.eye(4)
+    frame[:3, 3] = x, y, z
+    return frame

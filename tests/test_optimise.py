@@ -1,0 +1,137 @@
+"""The quadratic subproblem and the SQP against scipy, on problems without a robot."""
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from scipy.optimize import lsq_linear, minimize
+
+from jaxik.optimise import sqp
+from jaxik.optimise.linear import cholesky_solve
+from jaxik.optimise.qp import NONE, Rows, solve
+
+
+def scalars(x):
+    return [x[i] for i in range(len(x))]
+
+
+def rows(value, matrix):
+    return Rows(scalars(value), [scalars(row) for row in matrix])
+
+
+@pytest.mark.parametrize("n", [1, 2, 6, 9])
+def test_cholesky_solve(n):
+    rng = np.random.default_rng(n)
+    a = rng.normal(size=(n, n))
+    a, b = jnp.asarray(a @ a.T + np.eye(n)), jnp.asarray(rng.normal(size=n))
+    x = cholesky_solve([scalars(row) for row in a], scalars(b), 1e-12)
+    np.testing.assert_allclose(jnp.stack(x), np.linalg.solve(a, b), rtol=1e-10)
+
+
+@pytest.mark.parametrize("seed", range(8))
+def test_qp_with_bounds_against_scipy(seed):
+    """Minimising |r + A p|^2 + w |p|^2 between bounds is a bounded least-squares problem."""
+    rng = np.random.default_rng(seed)
+    r, a, weight = rng.normal(size=6), rng.normal(size=(6, 7)), 0.1
+    low, high = -rng.uniform(0.05, 0.6, 7), rng.uniform(0.05, 0.6, 7)
+    metric = [[1.0 if i == j else 0.0 for j in range(7)] for i in range(7)]
+    bounds = [scalars(jnp.asarray(b)) for b in (low, high)]
+    p = jnp.stack(solve(metric, [0.0] * 7, rows(jnp.asarray(r), jnp.asarray(a)), NONE, *bounds, weight, passes=8))
+    full, right = np.vstack([a, np.sqrt(weight) * np.eye(7)]), np.concatenate([-r, np.zeros(7)])
+    expected = lsq_linear(full, right, (low, high), tol=1e-14)
+    assert np.all(p >= low) and np.all(p <= high)
+    cost = lambda p: float(np.sum((full @ p - right) ** 2))
+    np.testing.assert_allclose(cost(np.asarray(p)), cost(expected.x), rtol=1e-9)
+
+
+def test_qp_counts_only_broken_inequalities():
+    metric = [[1.0, 0.0], [0.0, 1.0]]
+    wide = [jnp.full((), s * 10.0) for s in (-1.0, -1.0)], [jnp.full((), 10.0)] * 2
+    broken = rows(jnp.array([-1.0, 5.0]), jnp.array([[1.0, 0.0], [0.0, 1.0]]))
+    p = jnp.stack(solve(metric, [0.0, 0.0], NONE, broken, *wide, 1e-8, passes=3))
+    np.testing.assert_allclose(p, [1.0, 0.0], atol=1e-6)
+
+
+# Hock and Schittkowski 1981, with their numbers: (objective, equations, inequalities, start, bounds)
+PROBLEMS = {
+    "HS6": (lambda x: (1 - x[0]) ** 2, lambda x: [10 * (x[1] - x[0] ** 2)], lambda x: [], [-1.2, 1.0], (-10, 10)),
+    "HS7": (
+        lambda x: jnp.log(1 + x[0] ** 2) - x[1],
+        lambda x: [(1 + x[0] ** 2) ** 2 + x[1] ** 2 - 4],
+        lambda x: [],
+        [2.0, 2.0],
+        (-10, 10),
+    ),
+    "HS10": (
+        lambda x: x[0] - x[1],
+        lambda x: [],
+        lambda x: [-3 * x[0] ** 2 + 2 * x[0] * x[1] - x[1] ** 2 + 1],
+        [-1, 1],
+        (-10, 10),
+    ),
+    "HS12": (
+        lambda x: 0.5 * x[0] ** 2 + x[1] ** 2 - x[0] * x[1] - 7 * x[0] - 7 * x[1],
+        lambda x: [],
+        lambda x: [25 - 4 * x[0] ** 2 - x[1] ** 2],
+        [0.0, 0.0],
+        (-10, 10),
+    ),
+    "HS35": (
+        lambda x: (
+            9 - 8 * x[0] - 6 * x[1] - 4 * x[2] + 2 * x[0] ** 2 + 2 * x[1] ** 2 + x[2] ** 2 + 2 * x[0] * x[1] + 2 * x[0] * x[2]
+        ),
+        lambda x: [],
+        lambda x: [3 - x[0] - x[1] - 2 * x[2]],
+        [0.5, 0.5, 0.5],
+        (0, 10),
+    ),
+}
+
+
+def model_of(objective, equations, inequalities):
+    def model(x):
+        x = jnp.stack(x)
+        cost, gradient = jax.value_and_grad(objective)(x)
+        parts = []
+        for functions in (equations, inequalities):
+            count = len(functions(x))
+            stacked = lambda x, f=functions: jnp.stack(f(x))
+            parts.append(rows(stacked(x), jax.jacfwd(stacked)(x)) if count else NONE)
+        return sqp.Model(cost, scalars(gradient), *parts)
+
+    return model
+
+
+# HS6 runs along a parabola: the textbook case of the Maratos effect, where l1 refuses the good steps
+PAIRS = [(name, merit) for name in PROBLEMS for merit in ("l1", "augmented_lagrangian") if (name, merit) != ("HS6", "l1")]
+
+
+@pytest.mark.parametrize(("name", "merit"), PAIRS)
+def test_sqp_against_slsqp(name, merit):
+    objective, equations, inequalities, start, (low, high) = PROBLEMS[name]
+    n = len(start)
+    identity = [[1.0 if i == j else 0.0 for j in range(n)] for i in range(n)]
+    options = sqp.Options("bfgs", merit, floor=1e-9, cap=2.0, passes=4)
+    bounds = [scalars(jnp.full(n, float(b))) for b in (low, high)]
+    problem = sqp.Problem(model_of(objective, equations, inequalities), identity)
+    run = jax.jit(lambda x: jnp.stack(sqp.run(problem, scalars(x), *bounds, 200, options)))
+    found = run(jnp.asarray(start, float))
+    constraints = [
+        {"type": kind, "fun": lambda x, f=f: np.array(f(x), float)}
+        for kind, f in (("eq", equations), ("ineq", inequalities))
+        if f(np.array(start, float))
+    ]
+    expected = minimize(objective, start, bounds=[(low, high)] * n, constraints=constraints, method="SLSQP", tol=1e-9)
+    assert expected.success
+    np.testing.assert_allclose(found, expected.x, atol=1e-4)
+    assert all(abs(v) < 1e-6 for v in equations(found)) and all(v > -1e-6 for v in inequalities(found))
+
+
+def test_a_batch_is_its_lanes():
+    objective, equations, inequalities, start, _ = PROBLEMS["HS7"]
+    options, bounds = sqp.Options("bfgs", "l1"), [scalars(jnp.full(2, s * 10.0)) for s in (-1, 1)]
+    problem = sqp.Problem(model_of(objective, equations, inequalities), [[1.0, 0.0], [0.0, 1.0]])
+    run = lambda x: jnp.stack(sqp.run(problem, scalars(x), *bounds, 12, options))
+    starts = jnp.asarray(start) + 0.1 * jnp.arange(6.0)[:, None]
+    together = jax.jit(jax.vmap(run))(starts)
+    np.testing.assert_allclose(together, jnp.stack([jax.jit(run)(x) for x in starts]), atol=1e-12)
