@@ -6,8 +6,9 @@ from jaxik.collision import clearance, object_clearances, self_clearance
 from jaxik.harvest import Harvest, harvest
 from jaxik.ik import IKResult, solve_ik
 from jaxik.ik_options import IKOptions
+from jaxik.implicit import implicit_ik
 from jaxik.kinematics import bias_acceleration, forward_kinematics, jacobian, link_frames, manipulability
-from jaxik.load import load, load_scene
+from jaxik.load import load, load_scene, load_targets
 from jaxik.result import LoadError, Reason
 from jaxik.scan import Grasp, Weights, blockers, scan
 from jaxik.scene import Fruit, Scene, SceneBuilder, make_scene
@@ -38,12 +39,14 @@ __all__ = [
     "closed_form_obstacle",
     "forward_kinematics",
     "harvest",
+    "implicit_ik",
     "jacobian",
     "link_circles",
     "link_frames",
     "link_spheres",
     "load",
     "load_scene",
+    "load_targets",
     "make_scene",
     "manipulability",
     "object_clearances",

@@ -40,6 +40,7 @@ FINISHING = 3
 PORTION = 65_536  # lanes at a time, which bounds the memory
 PUSHED, PUSHES = 4, 24  # colliding postures a target that are moved out of the obstacles, and the steps for it
 PUSH_MARGIN = 2e-4  # [m] more than is asked for, which the finish in float64 may use up
+IMPROVE_MARGIN = 1e-8  # [m] likewise, of an answer that leans on an obstacle for the sake of its cost
 UNLIMITED = np.arange(16)  # seeds for the question whether it was the limits
 KEPT, NEAR, RESCUE = 8, 0.05, 12  # so many misses, this near [rad, unit lengths], get so many more finishes
 
@@ -353,7 +354,7 @@ def _improved(job: Job, poses: np.ndarray, found: Found) -> Found:
         return found
     iterations = job.options.cost_iterations
     program = lanes.landing(job.chain, job.options.task, iterations, job.options.improve, _extras(job, job.options.cost))
-    more = () if job.scene is None else (job.scene, np.float64(job.options.margin))
+    more = () if job.scene is None else (job.scene, np.float64(job.options.margin + IMPROVE_MARGIN))
     better = _polished(job, poses, found, program, MEASURED, *more)
     kept = _exact(job, better) & ~_collides(job, better)
     better = better._replace(iterations=found.iterations + iterations)

@@ -22,7 +22,7 @@ import jax.numpy as jnp
 from jaxik.algebra import Frame, Rot3, Scalar, Vec3, add, atan2, mul, safe_sqrt, shared, sub
 
 Axes = Literal["tool", "base"]
-NAMES = ("x", "y", "z", "roll", "pitch", "yaw")
+COMPONENTS = ("x", "y", "z", "roll", "pitch", "yaw")
 
 
 @dataclasses.dataclass(frozen=True)
@@ -34,7 +34,7 @@ class Task:
 
     def __post_init__(self) -> None:
         if len(self.bound) != 6 or not any(self.bound):
-            raise ValueError(f"task: bound {self.bound}; six booleans for {', '.join(NAMES)}, at least one true")
+            raise ValueError(f"task: bound {self.bound}; six booleans for {', '.join(COMPONENTS)}, at least one true")
         if self.axes not in get_args(Axes):
             raise ValueError(f"task: axes '{self.axes}'; allowed: {', '.join(get_args(Axes))}")
 
@@ -46,10 +46,15 @@ class Task:
     def rotations(self) -> tuple[int, ...]:
         return tuple(i for i in range(3) if self.bound[3 + i])
 
+    @property
+    def _in_tool(self) -> bool:
+        """Whether the axes are the target's; with nothing free they do not matter, and the base's cost nothing."""
+        return self.axes == "tool" and not all(self.bound)
+
     def residual(self, tip: Frame, target: Frame) -> tuple[list[Scalar], list[Scalar]]:
         """The bound components of position [m] and rotation [rad]."""
         apart = tip.translation - target.translation
-        if self.axes == "tool":
+        if self._in_tool:
             apart = target.rotation.T @ apart
         turned = self._turned(tip, target) if self.rotations else None
         return [apart[i] for i in self.positions], _rotation(turned, self.rotations) if turned else []
@@ -57,17 +62,17 @@ class Task:
     def rows(self, columns: list[tuple[Scalar, ...]], target: Frame) -> list[list[Scalar]]:
         """The rows of the geometric Jacobian (its columns in base axes) for the bound components."""
         linear, angular = [Vec3(*c[:3]) for c in columns], [Vec3(*c[3:]) for c in columns]
-        if self.axes == "tool" and len(self.positions) + len(self.rotations) < 6:
+        if self._in_tool:
             back = target.rotation.T
             linear, angular = [back @ v for v in linear], [back @ v for v in angular]
         return [[v[i] for v in linear] for i in self.positions] + [[v[i] for v in angular] for i in self.rotations]
 
     def _turned(self, tip: Frame, target: Frame) -> Rot3:
         back = target.rotation.T
-        return back @ tip.rotation if self.axes == "tool" else tip.rotation @ back
+        return back @ tip.rotation if self._in_tool else tip.rotation @ back
 
 
-POSE = Task(axes="base")  # with nothing free the axes do not matter, and the base's cost nothing
+POSE = Task()
 POSITION = Task((True, True, True, False, False, False), "base")
 
 

@@ -27,7 +27,7 @@ def joint_range(chain):
 
 
 def pinocchio(chain):
-    """The chain's numbers as a Pinocchio model: its own kinematics, whatever the chain came from. Returns q -> tip pose (4, 4)."""
+    """q -> tip pose (4, 4) by Pinocchio's kinematics, from the chain's numbers, whatever file they came from."""
     import pinocchio as pin
 
     model, joint = pin.Model(), 0

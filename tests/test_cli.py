@@ -1,11 +1,13 @@
 """The command: what it writes, how it refuses, and that nothing half-written stays."""
 
 import csv
+import json
 import os
 import subprocess
 import sys
 
 import numpy as np
+import pyarrow.parquet
 import pytest
 
 import jaxik
@@ -101,3 +103,87 @@ def test_a_mistake_in_an_option_names_it(monkeypatch, capsys, option, words):
 def test_about(monkeypatch, capsys):
     call(monkeypatch, "about")
     assert capsys.readouterr().out == f"jaxik {jaxik.__version__}\n"
+
+
+def wxyz(rotation):
+    import pinocchio as pin
+
+    x, y, z, w = pin.Quaternion(rotation).coeffs()
+    return w, x, y, z
+
+
+def targets_file(path, poses):
+    """The same poses in the format of the ending."""
+    rows = [(*pose[:3, 3], *wxyz(pose[:3, :3])) for pose in poses]
+    if path.suffix == ".csv":
+        lines = ["name,x,y,z,qw,qx,qy,qz", *(",".join(["target", *map(repr, map(float, row))]) for row in rows)]
+        path.write_text("\n".join(lines))
+    elif path.suffix == ".json":
+        path.write_text(json.dumps([{"position": list(row[:3]), "wxyz": list(row[3:])} for row in rows]))
+    else:
+        np.savez(path, poses=np.array(poses))
+    return path
+
+
+def test_ik_writes_the_answers_of_any_file(tmp_path, monkeypatch, capsys):
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "cache"))
+    monkeypatch.setattr(cli, "_compilation_cache", lambda: None)
+    chain = jaxik.load("chembuly9")
+    q = np.random.default_rng(0).uniform(chain.lower, chain.upper, (5, chain.num_joints))
+    poses = [np.asarray(jaxik.forward_kinematics(chain, row)) for row in q]
+    poses[3] = poses[3] + np.pad([[7.0]], ((0, 3), (3, 0)))  # seven metres away
+    tables = []
+    for ending in (".csv", ".npz", ".json"):
+        out = tmp_path / f"answers{ending}.npz"
+        call(monkeypatch, "ik", "chembuly9", targets_file(tmp_path / f"targets{ending}", poses), "--out", out)
+        lines = capsys.readouterr().out.splitlines()
+        assert lines[0] == "out of reach: 1" and lines[1].startswith("4 of 5 targets solved in ")
+        with np.load(out, allow_pickle=False) as arrays:
+            tables.append(dict(arrays))
+        assert tuple(tables[-1]["joint_names"]) == chain.joint_names
+        assert list(tables[-1]["reason"]) == ["solved"] * 3 + ["out of reach", "solved"]
+    for i in (0, 1, 2, 4):
+        np.testing.assert_allclose(jaxik.forward_kinematics(chain, tables[0]["q"][i]), poses[i], atol=2e-6)
+    np.testing.assert_allclose(tables[1]["q"], tables[2]["q"], atol=1e-5)
+    out = tmp_path / "positions.parquet"
+    (tmp_path / "positions.csv").write_text("x,y,z\n" + "\n".join(",".join(map(str, p[:3, 3])) for p in poses))
+    call(monkeypatch, "ik", "chembuly9", tmp_path / "positions.csv", "--out", out)
+    table = pyarrow.parquet.read_table(out).to_pydict()
+    assert table["reason"] == ["solved"] * 3 + ["out of reach", "solved"] and set(chain.joint_names) < set(table)
+
+
+@pytest.mark.parametrize(
+    "content, ending, words",
+    [
+        ("x,y\n1,2\n", ".csv", ("header", "lacks z")),
+        ("x,y,z,qw\n1,2,3,1\n", ".csv", ("header", "qx, qy, qz")),
+        ("x,y,z\n1,2,three\n", ".csv", ("line 2", "'z'", "three")),
+        ("x,y,z\n1,2\n", ".csv", ("line 2", "'z'")),
+        ("[{]", ".json", ("malformed JSON",)),
+        ("{}", ".json", ("list of objects",)),
+        ('[{"place": 1}]', ".json", ("position", "wxyz")),
+        ('[{"position": [1, 2]}]', ".json", ("target 1", "'position'")),
+        ('[{"position": [1, 2, 3]}, {"pose": 1}]', ".json", ("all alike",)),
+        ("no zip", ".npz", ("no NPZ",)),
+        ("", ".txt", ("'.txt'", ".csv, .npz, .json")),
+    ],
+)
+def test_targets_are_refused_in_one_line(tmp_path, monkeypatch, capsys, content, ending, words):
+    path = tmp_path / f"targets{ending}"
+    path.write_text(content)
+    with pytest.raises(SystemExit) as caught:
+        call(monkeypatch, "ik", "planar2", path, "--out", tmp_path / "ik.npz")
+    line = capsys.readouterr().err.strip()
+    assert caught.value.code == 2 and "\n" not in line and all(w in line for w in (path.name, *words)), line
+    assert not (tmp_path / "ik.npz").exists()
+
+
+def test_ik_refuses_an_ending_that_it_cannot_write(tmp_path, monkeypatch, capsys):
+    with pytest.raises(SystemExit):
+        call(monkeypatch, "ik", "planar2", "absent.csv", "--out", tmp_path / "ik.xlsx")
+    assert ".npz, .parquet" in capsys.readouterr().err
+    np.savez(tmp_path / "wrong.npz", poses=np.zeros((2, 3, 3)))
+    for file, words in (("wrong.npz", "(2, 3, 3)"), ("absent.csv", "cannot be read")):
+        with pytest.raises(SystemExit):
+            call(monkeypatch, "ik", "planar2", tmp_path / file)
+        assert words in capsys.readouterr().err

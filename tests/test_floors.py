@@ -14,7 +14,7 @@ FLOORS = [
     {"spheres", "distance"},
     {"collision", "costs", "closed_form"},
     {"load"},  # above the spheres: a loaded chain knows which of its links may touch
-    {"lanes", "seeds", "crop", "scan"},
+    {"lanes", "seeds", "implicit", "crop", "scan"},
     {"ik_options"},
     {"multistart"},
     {"ik"},

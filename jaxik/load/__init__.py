@@ -12,13 +12,14 @@ from jaxik.chain import Chain
 from jaxik.load import scene as scene_files
 from jaxik.load.mjcf import load_mjcf
 from jaxik.load.srdf import disabled_pairs
+from jaxik.load.targets import load_targets
 from jaxik.load.toml import load_toml
 from jaxik.load.urdf import load_urdf
 from jaxik.result import LoadError
 from jaxik.scene import Scene
 from jaxik.spheres import self_collision_pairs
 
-__all__ = ["LoadError", "load", "load_scene", "models_folder"]
+__all__ = ["LoadError", "load", "load_scene", "load_targets", "models_folder"]
 
 
 def models_folder() -> Path:

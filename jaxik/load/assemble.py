@@ -66,12 +66,12 @@ def frame(translation: Any = (0.0, 0.0, 0.0), rotation: np.ndarray | None = None
     return matrix
 
 
-def read_bytes(path: Path) -> bytes:
+def read_bytes(path: Path, most: int = MAX_BYTES) -> bytes:
     """The file's content, or the one line that says why not."""
     try:
         size = path.stat().st_size
-        if size > MAX_BYTES:
-            raise LoadError(path, "file", f"{size} bytes", f"at most {MAX_BYTES} are read")
+        if size > most:
+            raise LoadError(path, "file", f"{size} bytes", f"at most {most} are read")
         return path.read_bytes()
     except OSError as error:
         raise LoadError(path, "file", f"cannot be read ({error.strerror or error})", "check the path") from None

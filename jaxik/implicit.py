@@ -1,0 +1,67 @@
+"""Gradients through a solved inverse kinematics."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+from jax import lax
+from jaxtyping import Float
+
+from jaxik.algebra import Frame
+from jaxik.chain import Array, Chain, as_configuration
+from jaxik.collision import link_clearances
+from jaxik.costs import Cost
+from jaxik.kinematics import joint_frames
+from jaxik.optimise.implicit import Implicit, Program, implicit
+from jaxik.scene import Scene
+from jaxik.task import POSE, Task
+
+
+def implicit_ik(
+    chain: Chain,
+    target: Float[Array, "4 4"],
+    q: Float[Array, " n"],
+    scene: Scene | None = None,
+    cost: Cost | None = None,
+    task: Task = POSE,
+    margin: float = 0.0,
+) -> Implicit:
+    """A solution `q` (n,) as a differentiable function of the target, the chain's numbers and the scene.
+
+    `x` is q; its derivative is that of the solution that moves on with them: `q` minimises `cost` over what the task leaves
+    free, or, without one, moves as little as possible, `dq = -J+ dr`. Joints on their limits and links at `margin` [m] from the
+    scene stay there. `defined` is False where there is no derivative: at a singularity, where `q` is no (or no isolated)
+    solution, or where a limit or an obstacle is touched without being pushed against. Use float64. Traced: jit, vmap and
+    differentiate it.
+
+    Source: Fiacco 1976, through `optimise.implicit`.
+    """
+    q = as_configuration(chain, q)
+    n, dtype = chain.num_joints, q.dtype
+
+    # what is traced may be differentiated; the rest stays concrete and folds, which spares half the compile time
+    leaves, tree = jax.tree_util.tree_flatten((chain, target, scene, lax.stop_gradient(q)))
+    traced = [i for i, leaf in enumerate(leaves) if isinstance(leaf, jax.core.Tracer)]
+
+    def whole(t: Any) -> Any:
+        given = dict(zip(traced, t, strict=True))
+        return jax.tree_util.tree_unflatten(tree, [given.get(i, leaf) for i, leaf in enumerate(leaves)])
+
+    def equality(x: Any, t: Any) -> Any:
+        its_chain, its_target, *_ = whole(t)
+        frames = joint_frames(its_chain, [x[i] for i in range(n)], dtype=dtype)
+        wanted = jnp.asarray(its_target, dtype)
+        position, rotation = task.residual(frames.tip, Frame.of_entries([wanted[i, j] for i in range(4) for j in range(4)]))
+        return jnp.stack([*position, *rotation])
+
+    def inequality(x: Any, t: Any) -> Any:
+        its_chain, _, its_scene, _ = whole(t)
+        return jnp.zeros(0, dtype) if scene is None else link_clearances(its_chain, its_scene, x) - margin
+
+    def least(x: Any, t: Any) -> Any:
+        return 0.5 * jnp.sum((x - whole(t)[3]) ** 2) if cost is None else cost(x)
+
+    bounds = (jnp.asarray(b, dtype) for b in (chain.lower, chain.upper))
+    return implicit(Program(least, equality, inequality), q, [leaves[i] for i in traced], *bounds)
