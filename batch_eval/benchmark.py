@@ -22,7 +22,20 @@ from race import Entry, race
 from rich.console import Console
 from rich.table import Table
 
-PACKAGES = ("jaxik", "jax", "numpy", "pin", "pytorch-kinematics", "torch", "almond-pyroki", "frax", "mujoco-mjx", "eaik")
+PACKAGES = (
+    "jaxik",
+    "jax",
+    "numpy",
+    "pin",
+    "pytorch-kinematics",
+    "torch",
+    "almond-pyroki",
+    "frax",
+    "mujoco-mjx",
+    "eaik",
+    "mink",
+    "pin-pink",
+)
 
 
 def machine() -> dict[str, Any]:

@@ -1,6 +1,6 @@
 """Batched, differentiable kinematics for redundant robot arms, on JAX."""
 
-from jaxik.chain import Chain, within_limits
+from jaxik.chain import Chain, finite_limits, within_limits
 from jaxik.closed_form import ClosedForm, admissible_turns, closed_form, closed_form_obstacle
 from jaxik.collision import clearance, object_clearances, self_clearance
 from jaxik.harvest import Harvest, harvest
@@ -37,6 +37,7 @@ __all__ = [
     "clearance",
     "closed_form",
     "closed_form_obstacle",
+    "finite_limits",
     "forward_kinematics",
     "harvest",
     "implicit_ik",

@@ -57,7 +57,8 @@ def point_point(p: Vec3, q: Vec3) -> Any:
 def point_line(p: Vec3, a: Vec3, b: Vec3) -> Any:
     """Point p to the segment ab [Ericson 2005, sec. 5.1.2]."""
     along, arm = b - a, p - a
-    t = _held(_clip01(_ratio(arm.dot(along), along.dot(along))))
+    # not held: second derivatives need the motion of the nearest point, and here it is cheap and safe
+    t = _clip01(_ratio(arm.dot(along), along.dot(along)))
     return norm(arm - along * t)
 
 

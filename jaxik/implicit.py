@@ -33,8 +33,8 @@ def implicit_ik(
     `x` is q; its derivative is that of the solution that moves on with them: `q` minimises `cost` over what the task leaves
     free, or, without one, moves as little as possible, `dq = -J+ dr`. Joints on their limits and links at `margin` [m] from the
     scene stay there. `defined` is False where there is no derivative: at a singularity, where `q` is no (or no isolated)
-    solution, or where a limit or an obstacle is touched without being pushed against. Use float64. Traced: jit, vmap and
-    differentiate it.
+    solution, where a limit or an obstacle is touched without being pushed against, or where a capsule or triangle of the robot
+    leans on anything but points and spheres. Use float64. Traced: jit, vmap and differentiate it.
 
     Source: Fiacco 1976, through `optimise.implicit`.
     """
@@ -63,5 +63,18 @@ def implicit_ik(
     def least(x: Any, t: Any) -> Any:
         return 0.5 * jnp.sum((x - whole(t)[3]) ** 2) if cost is None else cost(x)
 
+    exact = scene is None or _curved_rightly(chain, scene)
     bounds = (jnp.asarray(b, dtype) for b in (chain.lower, chain.upper))
-    return implicit(Program(least, equality, inequality), q, [leaves[i] for i in traced], *bounds)
+    found = implicit(Program(least, equality, inequality), q, [leaves[i] for i in traced], *bounds)
+    if exact:
+        return found
+    away = lax.stop_gradient(inequality(q, [leaves[i] for i in traced]))
+    return found._replace(defined=found.defined & jnp.all(away > 1e-4))
+
+
+def _curved_rightly(chain: Chain, scene: Scene) -> bool:
+    """Whether second derivatives of all distances are known: where two lines, or a line and a body, are nearest is held fixed
+    while they are differentiated (`distance`), which is exact for the first derivative only."""
+    spheres_only = all(volume.corners.shape[0] == 1 for volume in chain.volumes)
+    only_points = not any(scene.counts[kind] for kind in ("capsules", "boxes", "cylinders")) and not chain.self_pairs
+    return spheres_only or (only_points and all(volume.corners.shape[0] <= 2 for volume in chain.volumes))

@@ -1,0 +1,214 @@
+"""How fast and how sure `solve_ik` is beside its peers, all in one run: `python batch_eval/ik_benchmark.py [--goals FOLDER]`.
+
+Needs `pip install -e ".[test,peers]"`. Prints tables and writes `batch_eval/ik_benchmark.json`. FOLDER holds the Panda problems
+of MotionBenchMaker (`motionbenchmaker.py`); without it that part is left out. All answers are judged by Pinocchio.
+
+Published, not measured here: PyRoki states 15 us a pose, in batches, on an RTX 4090.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import subprocess
+import sys
+import time
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import ik_peers
+import motionbenchmaker
+import numpy as np
+import panda
+import pinocchio as pin
+from benchmark import machine
+
+import jaxik
+
+POSITION, ROTATION = ik_peers.POSITION, ik_peers.ROTATION
+ROBOTS = {  # file under example-robot-data, tip; or a shipped model
+    "Panda": ("panda_description/urdf/panda.urdf", "panda_link8"),
+    "UR5": ("ur_description/urdf/ur5_robot.urdf", "tool0"),
+    "iiwa 14": ("iiwa_description/urdf/iiwa14.urdf", "iiwa_link_ee"),
+    "TIAGo, with its lift": ("tiago_description/robots/tiago_no_hand.urdf", "wrist_ft_tool_link"),
+    "p6r": None,
+    "crops_v2": None,
+    "chembuly9": None,
+}
+
+
+def pose_of(chain: jaxik.Chain) -> Callable[[np.ndarray], np.ndarray]:
+    """q -> tip pose by Pinocchio, from the chain's numbers."""
+    model, joint = pin.Model(), 0
+    for i, prismatic in enumerate(chain.is_prismatic):
+        kind = pin.JointModelPrismaticUnaligned if prismatic else pin.JointModelRevoluteUnaligned
+        placed = pin.SE3(chain.parent_T_joint[i][:3, :3], chain.parent_T_joint[i][:3, 3])
+        joint = model.addJoint(joint, kind(np.array(chain.axis[i])), placed, chain.joint_names[i])
+    data = model.createData()
+
+    def pose(q: np.ndarray) -> np.ndarray:
+        pin.forwardKinematics(model, data, np.asarray(q, np.float64))
+        return data.oMi[joint].homogeneous @ chain.joint_T_tip
+
+    return pose
+
+
+def targets(chain: jaxik.Chain, count: int) -> np.ndarray:
+    """Poses of configurations uniform inside the limits (+-pi, +-1 m where there are none), seed 0."""
+    low, high = jaxik.finite_limits(chain)
+    pose = pose_of(chain)
+    return np.stack([pose(q) for q in np.random.default_rng(0).uniform(low, high, (count, chain.num_joints))])
+
+
+def judge(
+    chain: jaxik.Chain, q: np.ndarray, poses: np.ndarray, position: float = POSITION, rotation: float = ROTATION
+) -> float:
+    """The share of configurations inside the limits that have their poses."""
+    pose, good = pose_of(chain), 0
+    for row, target in zip(q, poses, strict=True):
+        inside = np.all((row >= chain.lower - 1e-6) & (row <= chain.upper + 1e-6))  # a float32 limit is not yet broken
+        reached = pose(row) if np.all(np.isfinite(row)) else np.full((4, 4), np.inf)
+        with np.errstate(invalid="ignore"):
+            away = np.linalg.norm(reached[:3, 3] - target[:3, 3])
+        turned = np.linalg.norm(pin.log3(target[:3, :3].T @ reached[:3, :3])) if np.isfinite(away) else np.inf
+        good += bool(inside and away <= position * 1.001 and turned <= rotation * 1.001)
+    return good / len(poses)
+
+
+def timed(run: Callable[[], Any], rounds: int) -> tuple[Any, float, float]:
+    """What `run` returns, the time of its first call, and the median of the others [s]."""
+    start = time.perf_counter()
+    result = run()
+    first, times = time.perf_counter() - start, []
+    for _ in range(rounds):
+        start = time.perf_counter()
+        result = run()
+        times.append(time.perf_counter() - start)
+    return result, first, float(np.median(times))
+
+
+def row(who: str, count: int, first: float, each: float, success: float) -> dict[str, Any]:
+    """One line of the result, printed."""
+    line = {"who": who, "targets": count, "us_each": 1e6 * each / count, "first_call_s": first, "success": success}
+    print(
+        f"{who:36s} {count:6d} targets {line['us_each']:12.1f} us each, first call {first:6.1f} s, solved {100 * success:.2f} %"
+    )
+    return line
+
+
+def beside_peers() -> list[dict[str, Any]]:
+    """The Panda, random reachable poses."""
+    urdf = panda.bare_urdf(panda.ROBOTS / ROBOTS["Panda"][0], panda.TIP)  # type: ignore[index]
+    chain = jaxik.load(urdf, tip=panda.TIP)
+    poses, rows = targets(chain, 2000), []
+    ours = lambda count: (
+        lambda: jaxik.solve_ik(chain, poses[:count], position_tolerance=POSITION, rotation_tolerance=ROTATION).q
+    )
+    for count, rounds in ((2000, 15), (1, 15)):
+        q, first, each = timed(ours(count), rounds)
+        rows.append(row("jaxik", count, first, each, judge(chain, q, poses[:count])))
+    for name, solver, count in (
+        ("PyRoki, vmap, one start", ik_peers.pyroki_solver, 1000),
+        ("pytorch-kinematics, 10 starts", ik_peers.torch_solver, 1000),
+        ("mink, up to 10 starts", ik_peers.mink_solver, 100),
+        ("pink, up to 10 starts", ik_peers.pink_solver, 100),
+    ):
+        run = solver(urdf)
+        q, first, each = timed(lambda run=run, count=count: run(poses[:count]), 3)
+        rows.append(row(name, count, first, each, judge(chain, q, poses[:count])))
+    return rows
+
+
+def other_robots() -> list[dict[str, Any]]:
+    """Success and time on every robot; EAIK's arm (p6r) has a closed form, and its seeds are that."""
+    rows = []
+    for name, place in ROBOTS.items():
+        file = None if place is None else panda.bare_urdf(panda.ROBOTS / place[0], place[1])
+        chain = jaxik.load(name) if file is None else jaxik.load(file, tip=place[1])  # type: ignore[index]
+        poses = targets(chain, 2000)
+        solve = lambda chain=chain, poses=poses: jaxik.solve_ik(
+            chain, poses, position_tolerance=POSITION, rotation_tolerance=ROTATION
+        )
+        result, first, each = timed(solve, 5)
+        rows.append(row(f"{name}, {chain.num_joints} joints", len(poses), first, each, judge(chain, result.q, poses)))
+    return rows
+
+
+def goals(folder: Path) -> dict[str, Any]:
+    """MotionBenchMaker's goals, one call each, warm: pose to 1e-4 m and 1e-3 rad, clearance >= 0 of the robot's spheres."""
+    chain = motionbenchmaker.panda(folder)
+    pose, times, answers, free = pose_of(chain), [], [], 0
+    problems = list(motionbenchmaker.goals(folder))
+    wanted = [pose(goal.q) for goal in problems]
+    loose = {"position_tolerance": 1e-4, "rotation_tolerance": 1e-3}
+    solve = lambda goal, target: jaxik.solve_ik(chain, target, goal.scene, **loose)
+    for _ in range(2):  # the first round compiles
+        times, answers = [], []
+        for goal, target in zip(problems, wanted, strict=True):
+            start = time.perf_counter()
+            answers.append(solve(goal, target))
+            times.append(time.perf_counter() - start)
+    for goal, answer in zip(problems, answers, strict=True):
+        free += bool(answer.success and float(jaxik.clearance(chain, goal.scene, answer.q)) >= -1e-7)
+    solved = [bool(a.success) for a in answers]
+    exact = judge(chain, np.stack([a.q for a in answers])[solved], np.stack(wanted)[solved], 1e-4, 1e-3)
+    p50, p95 = np.percentile(times, [50, 95])
+    failed = {g.name: a.reason.text for g, a in zip(problems, answers, strict=True) if not a.success}
+    result = {
+        "goals": len(problems),
+        "solved": float(np.mean(solved)),
+        "of_these_exact": exact,
+        "free": free,
+        "p50_ms": 1e3 * float(p50),
+        "p95_ms": 1e3 * float(p95),
+        "mean_ms": 1e3 * float(np.mean(times)),
+        "failed": failed,
+    }
+    print(json.dumps(result))
+    return result
+
+
+COLD = """
+import time, numpy as np, jaxik
+chain, pose = jaxik.load({urdf!r}, tip={tip!r}), np.load({file!r})
+start = time.perf_counter()
+result = jaxik.solve_ik(chain, pose)
+print(time.perf_counter() - start, bool(result.success))
+"""
+
+
+def cold(folder: Path) -> float:
+    """Seconds of the first call, compilation and all, in a fresh process."""
+    urdf = panda.bare_urdf(panda.ROBOTS / ROBOTS["Panda"][0], panda.TIP)  # type: ignore[index]
+    file = folder / "pose.npy"
+    np.save(file, targets(jaxik.load(urdf, tip=panda.TIP), 1)[0])
+    code = COLD.format(urdf=str(urdf), tip=panda.TIP, file=str(file))
+    seconds = [
+        float(subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True).stdout.split()[0])
+        for _ in range(3)
+    ]
+    return float(np.median(seconds))
+
+
+def main() -> None:
+    """Run all parts and write the JSON."""
+    import tempfile
+
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--goals", type=Path, help="folder with MotionBenchMaker's Panda problems")
+    parser.add_argument("--out", type=Path, default=Path(__file__).with_suffix(".json"))
+    arguments = parser.parse_args()
+    result: dict[str, Any] = {"machine": machine()}
+    print(json.dumps(result["machine"]))
+    result["cold_s"] = cold(Path(tempfile.mkdtemp()))
+    print(f"first call in a fresh process: {result['cold_s']:.1f} s")
+    result["panda"] = beside_peers()
+    result["robots"] = other_robots()
+    if arguments.goals:
+        result["goals"] = goals(arguments.goals)
+    arguments.out.write_text(json.dumps(result, indent=1) + "\n")
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,147 @@
+"""Inverse kinematics of the bare Panda by peers, each at its best documented setting: poses (N, 4, 4) to configurations (N, 7).
+
+A contender is a function of the poses; what it returns is judged by Pinocchio, not by what it says of itself.
+"""
+
+from __future__ import annotations
+
+import warnings
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pinocchio as pin
+from panda import TIP
+
+Solver = Callable[[np.ndarray], np.ndarray]
+POSITION, ROTATION = 1e-5, 1e-4  # what the benchmark asks for [m], [rad]
+RESTARTS, STEPS = 10, 100  # of solvers that follow one start at a time
+
+
+def pyroki_solver(urdf: Path) -> Solver:
+    """PyRoki's basic example: a Levenberg-Marquardt least-squares problem with an analytic pose cost and limits, `vmap`-ed."""
+    import jaxlie
+    import jaxls
+    import pyroki
+    import yourdfpy
+
+    robot = pyroki.Robot.from_urdf(yourdfpy.URDF.load(str(urdf), load_meshes=False, load_collision_meshes=False))
+    tip, variable = jnp.asarray(robot.links.names.index(TIP)), robot.joint_var_cls(0)
+
+    def solve(wxyz_xyz: Any) -> Any:
+        target = jaxlie.SE3(wxyz_xyz)
+        costs = [
+            pyroki.costs.pose_cost_analytic_jac(robot, variable, target, tip, pos_weight=50.0, ori_weight=10.0),
+            pyroki.costs.limit_constraint(robot, variable),
+        ]
+        problem = jaxls.LeastSquaresProblem(costs=costs, variables=[variable]).analyze()
+        options = {
+            "verbose": False,
+            "linear_solver": "dense_cholesky",
+            "trust_region": jaxls.TrustRegionConfig(lambda_initial=1.0),
+        }
+        return problem.solve(**options)[variable]
+
+    batch = jax.jit(jax.vmap(solve))
+
+    def run(poses: np.ndarray) -> np.ndarray:
+        coefficients = [pin.Quaternion(pose[:3, :3]).coeffs()[[3, 0, 1, 2]] for pose in poses]
+        return np.asarray(batch(jnp.asarray(np.concatenate([coefficients, poses[:, :3, 3]], axis=1), jnp.float32)))
+
+    return run
+
+
+def torch_solver(urdf: Path) -> Solver:
+    """pytorch-kinematics' damped pseudo-inverse with ten random starts a pose, its own refinement at the limits on."""
+    import pytorch_kinematics as pk
+    import torch
+
+    chain = pk.build_serial_chain_from_urdf(urdf.read_bytes(), TIP).to(dtype=torch.float32)
+    limits = torch.tensor(chain.get_joint_limits()).T
+    torch.manual_seed(0)
+    solver = pk.PseudoInverseIK(
+        chain,
+        pos_tolerance=POSITION,
+        rot_tolerance=ROTATION,
+        num_retries=RESTARTS,
+        joint_limits=limits,
+        max_iterations=STEPS,
+        early_stopping_any_converged=True,
+    )
+
+    def run(poses: np.ndarray) -> np.ndarray:
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore")
+            found = solver.solve(pk.Transform3d(matrix=torch.tensor(poses, dtype=torch.float32)))
+        first = torch.argmax(found.converged.int(), dim=1)
+        return found.solutions[torch.arange(len(poses)), first].detach().numpy()
+
+    return run
+
+
+def _restarted(step: Callable[[np.ndarray, np.ndarray], tuple[np.ndarray, bool]], low: np.ndarray, high: np.ndarray) -> Solver:
+    """A solver that takes one step at a time, followed from up to `RESTARTS` random starts."""
+
+    def run(poses: np.ndarray) -> np.ndarray:
+        rng, found = np.random.default_rng(1), []  # not the targets' own
+        for pose in poses:
+            done = False
+            for _ in range(RESTARTS):
+                q = rng.uniform(low, high)
+                for _ in range(STEPS):
+                    q, done = step(q, pose)
+                    if done:
+                        break
+                if done:
+                    break
+            found.append(q)
+        return np.array(found)
+
+    return run
+
+
+def mink_solver(urdf: Path) -> Solver:
+    """mink: a frame task and the configuration limit, its differential inverse kinematics integrated over unit steps."""
+    import mink
+    import mujoco
+
+    spec = mujoco.MjSpec.from_file(str(urdf))
+    spec.compiler.fusestatic = False
+    model = spec.compile()
+    configuration = mink.Configuration(model)
+    task = mink.FrameTask(TIP, "body", position_cost=1.0, orientation_cost=1.0, lm_damping=1e-6)
+    limits = [mink.ConfigurationLimit(model)]
+
+    def step(q: np.ndarray, pose: np.ndarray) -> tuple[np.ndarray, bool]:
+        configuration.update(q)
+        task.set_target(mink.SE3.from_matrix(pose))
+        error = task.compute_error(configuration)
+        if np.linalg.norm(error[:3]) <= POSITION and np.linalg.norm(error[3:]) <= ROTATION:
+            return q, True
+        velocity = mink.solve_ik(configuration, [task], 1.0, "daqp", damping=1e-6, limits=limits)
+        return configuration.integrate(velocity, 1.0), False
+
+    return _restarted(step, *model.jnt_range.T)
+
+
+def pink_solver(urdf: Path) -> Solver:
+    """pink: the same on Pinocchio."""
+    import pink
+
+    model = pin.buildModelFromUrdf(str(urdf))
+    data = model.createData()
+    task = pink.FrameTask(TIP, position_cost=1.0, orientation_cost=1.0, lm_damping=1e-6)
+
+    def step(q: np.ndarray, pose: np.ndarray) -> tuple[np.ndarray, bool]:
+        configuration = pink.Configuration(model, data, np.clip(q, model.lowerPositionLimit, model.upperPositionLimit))
+        task.set_target(pin.SE3(pose[:3, :3], pose[:3, 3]))
+        error = task.compute_error(configuration)
+        if np.linalg.norm(error[:3]) <= POSITION and np.linalg.norm(error[3:]) <= ROTATION:
+            return q, True
+        velocity = pink.solve_ik(configuration, [task], 1.0, solver="daqp", damping=1e-6, safety_break=False)
+        return configuration.integrate(velocity, 1.0), False
+
+    return _restarted(step, model.lowerPositionLimit, model.upperPositionLimit)
