@@ -12,6 +12,7 @@ import argparse
 import json
 import subprocess
 import sys
+import tempfile
 import time
 from collections.abc import Callable
 from pathlib import Path
@@ -30,12 +31,33 @@ POSITION, ROTATION = ik_peers.POSITION, ik_peers.ROTATION
 ROBOTS = {  # file under example-robot-data, tip; or a shipped model
     "Panda": ("panda_description/urdf/panda.urdf", "panda_link8"),
     "UR5": ("ur_description/urdf/ur5_robot.urdf", "tool0"),
-    "iiwa 14": ("iiwa_description/urdf/iiwa14.urdf", "iiwa_link_ee"),
+    "iiwa 14": None,
     "TIAGo, with its lift": ("tiago_description/robots/tiago_no_hand.urdf", "wrist_ft_tool_link"),
     "p6r": None,
     "crops_v2": None,
     "chembuly9": None,
 }
+
+
+def iiwa() -> jaxik.Chain:
+    """KUKA LBR iiwa 14: lengths and limits of its data sheet, in standard DH; no file of it is among the other robots'."""
+    lines = ['name = "iiwa14"', 'convention = "standard_dh"']
+    for i, (d, alpha, limit) in enumerate(
+        ((0.36, -90, 170), (0, 90, 120), (0.42, 90, 170), (0, -90, 120), (0.4, -90, 170), (0, 90, 120), (0.126, 0, 175)), 1
+    ):
+        lines += ["[[joint]]", f'name = "joint{i}"', 'type = "revolute"', f"d = {d}", f"alpha_deg = {alpha}"]
+        lines += [f"lower_deg = {-limit}", f"upper_deg = {limit}"]
+    path = Path(tempfile.mkdtemp()) / "iiwa14.toml"
+    path.write_text("\n".join(lines))
+    return jaxik.load(path)
+
+
+def robot(name: str) -> jaxik.Chain:
+    """One of `ROBOTS`."""
+    place = ROBOTS[name]
+    if place is None:
+        return iiwa() if name == "iiwa 14" else jaxik.load(name)
+    return jaxik.load(panda.bare_urdf(panda.ROBOTS / place[0], place[1]), tip=place[1])
 
 
 def pose_of(chain: jaxik.Chain) -> Callable[[np.ndarray], np.ndarray]:
@@ -123,9 +145,8 @@ def beside_peers() -> list[dict[str, Any]]:
 def other_robots() -> list[dict[str, Any]]:
     """Success and time on every robot; EAIK's arm (p6r) has a closed form, and its seeds are that."""
     rows = []
-    for name, place in ROBOTS.items():
-        file = None if place is None else panda.bare_urdf(panda.ROBOTS / place[0], place[1])
-        chain = jaxik.load(name) if file is None else jaxik.load(file, tip=place[1])  # type: ignore[index]
+    for name in ROBOTS:
+        chain = robot(name)
         poses = targets(chain, 2000)
         solve = lambda chain=chain, poses=poses: jaxik.solve_ik(
             chain, poses, position_tolerance=POSITION, rotation_tolerance=ROTATION
@@ -193,8 +214,6 @@ def cold(folder: Path) -> float:
 
 def main() -> None:
     """Run all parts and write the JSON."""
-    import tempfile
-
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--goals", type=Path, help="folder with MotionBenchMaker's Panda problems")
     parser.add_argument("--out", type=Path, default=Path(__file__).with_suffix(".json"))

@@ -1,4 +1,4 @@
-"""The README's table of speeds, from `benchmark.json`: `python batch_eval/report.py`."""
+"""The README's tables, from `benchmark.json` and `ik_benchmark.json`: `python batch_eval/report.py`."""
 
 from __future__ import annotations
 
@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import Any
 
 RESULT = Path(__file__).with_name("benchmark.json")
+IK_RESULT = Path(__file__).with_name("ik_benchmark.json")
 
 
 def markdown(result: dict[str, Any]) -> str:
@@ -29,9 +30,30 @@ def markdown(result: dict[str, Any]) -> str:
     return "\n".join(lines)
 
 
+def ik_markdown(result: dict[str, Any]) -> str:
+    """A row for each contender and each robot, and a line on the collision-free goals."""
+    lines = ["| random reachable poses | targets a call | time each | solved |", "| --- | --- | --- | --- |"]
+    for row in (*result["panda"], *result["robots"][1:]):
+        name = f"Panda: {row['who']}" if row in result["panda"] else f"jaxik: {row['who']}"
+        lines.append(f"| {name} | {row['targets']:,} | {_duration(row['us_each'])} | {100 * row['success']:.2f} % |")
+    goals = result["goals"]
+    lines += [
+        "",
+        f"Of the {goals['goals']} Panda goals of MotionBenchMaker, among its obstacles, "
+        f"{round(goals['goals'] * goals['solved'])} are solved without a collision,",
+        f"one call each, warm: {goals['p50_ms']:.1f} ms (median), {goals['p95_ms']:.1f} ms (95 %). The first call of a process "
+        f"compiles for {result['cold_s']:.0f} s.",
+    ]
+    return "\n".join(lines)
+
+
+def _duration(us: float) -> str:
+    return f"{us:.0f} us" if us < 1000.0 else f"{us / 1000.0:.1f} ms"
+
+
 def _times(ratio: float) -> str:
     return f"{ratio:.1f}x" if ratio < 10 else f"{ratio:,.0f}x"
 
 
 if __name__ == "__main__":
-    print(markdown(json.loads(RESULT.read_text())))
+    print(markdown(json.loads(RESULT.read_text())), ik_markdown(json.loads(IK_RESULT.read_text())), sep="\n\n")

@@ -9,6 +9,7 @@ from jaxik.ik_options import IKOptions
 from jaxik.implicit import implicit_ik
 from jaxik.kinematics import bias_acceleration, forward_kinematics, jacobian, link_frames, manipulability
 from jaxik.load import load, load_scene, load_targets
+from jaxik.mapping import fit_mapping
 from jaxik.result import LoadError, Reason
 from jaxik.scan import Grasp, Weights, blockers, scan
 from jaxik.scene import Fruit, Scene, SceneBuilder, make_scene
@@ -38,6 +39,7 @@ __all__ = [
     "closed_form",
     "closed_form_obstacle",
     "finite_limits",
+    "fit_mapping",
     "forward_kinematics",
     "harvest",
     "implicit_ik",

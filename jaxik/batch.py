@@ -24,7 +24,8 @@ def cores() -> int:
 
 
 @functools.cache
-def _threads() -> ThreadPoolExecutor:
+def threads() -> ThreadPoolExecutor:
+    """As many as there are cores."""
     return ThreadPoolExecutor(cores(), thread_name_prefix="jaxik")
 
 
@@ -45,5 +46,5 @@ def in_blocks(
             return [np.asarray(x)[:here] for x in jax.tree_util.tree_leaves(function(*padded, *fixed))]
 
     starts = range(0, count, size)
-    parts = [block(s) for s in starts] if len(starts) == 1 else list(_threads().map(block, starts))
+    parts = [block(s) for s in starts] if len(starts) == 1 else list(threads().map(block, starts))
     return [np.concatenate(each) if len(each) > 1 else each[0] for each in zip(*parts, strict=True)]

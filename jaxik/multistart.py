@@ -14,14 +14,16 @@ search that holds the pose and moves the spare joints until the clearance, as a 
 from __future__ import annotations
 
 import dataclasses
+import functools
 from collections.abc import Callable, Sequence
+from concurrent.futures import Future
 from typing import Any, NamedTuple
 
 import jax
 import numpy as np
 
 from jaxik import lanes, seeds
-from jaxik.batch import in_blocks
+from jaxik.batch import in_blocks, threads
 from jaxik.chain import Chain
 from jaxik.closed_form import TURN, closed_form_obstacle
 from jaxik.costs import Cost
@@ -34,9 +36,9 @@ from jaxik.scene import Scene
 LANES = 256  # a compiled call: half as many cost half as much again each, twice as many keep a single target waiting
 MEASURED = 64  # configurations a compiled call of clearances
 STEPS = 10  # of a lane before it is given up: what lands, lands by then (80 % of the Panda's, 82 % after 24)
-LANDED = 2e-3  # [rad], [unit lengths] from where three steps in float64 converge
+LANDED = 2e-3  # [rad], [unit lengths] from where two steps in float64 reach 1e-6 nearly always
 FINISH = sqp.Options(floor=1e-10, cap=0.1)
-FINISHING = 3
+FINISHING = 2
 PORTION = 65_536  # lanes at a time, which bounds the memory
 PUSHED, PUSHES = 4, 24  # colliding postures a target that are moved out of the obstacles, and the steps for it
 PUSH_MARGIN = 2e-4  # [m] more than is asked for, which the finish in float64 may use up
@@ -156,6 +158,7 @@ def search(job: Job, poses: np.ndarray, valid: np.ndarray) -> Outcome:
     misses = _Misses(job)
     answers, blocked, waiting = [_nothing(job)], [_nothing(job)], [_nothing(job)]
     waves = _waves(job)
+    _finisher_ready(_finisher(job), job.chain.num_joints)
     for number, numbers in enumerate(waves, 1):
         for some in _portions(np.flatnonzero(reason == Reason.NOT_CONVERGED), len(numbers)):
             free, colliding = _wave(job, poses, some, numbers, misses)
@@ -170,9 +173,12 @@ def search(job: Job, poses: np.ndarray, valid: np.ndarray) -> Outcome:
             blocked.append(stuck)
             waiting = [_nothing(job)]
             reason[freed.target] = Reason.SOLVED
-    rescued, near = _rescued(job, poses, misses.near(reason))
-    reason[rescued.target] = Reason.SOLVED
-    found, stuck = Found.joined([*answers, rescued]), Found.joined([*blocked, near])
+        if number == min(3, len(waves)) or number == len(waves):  # what is left by now is near a singularity, or unreachable
+            rescued, near = _rescued(job, poses, misses.near(reason))
+            answers.append(rescued)
+            blocked.append(near)
+            reason[rescued.target] = Reason.SOLVED
+    found, stuck = Found.joined(answers), Found.joined(blocked)
     stuck = stuck.rows(reason[stuck.target] == Reason.NOT_CONVERGED)
     reason[stuck.target] = Reason.COLLISION
     reason = _beyond_limits(job, poses, reason)
@@ -257,6 +263,13 @@ def _descend(job: Job, poses: np.ndarray, starts: Found, misses: _Misses) -> Fou
     return ended.rows(landed)
 
 
+@functools.lru_cache(maxsize=64)
+def _finisher_ready(program: Callable[..., Any], n: int) -> Future[Any]:
+    """Lets another thread compile what finishes lanes while the search compiles: a quarter of the first call's time."""
+    limits = np.zeros(n), np.zeros(n), np.ones(n)
+    return threads().submit(in_blocks, program, np.zeros((1, n)), np.eye(4)[None], size=LANES, fixed=limits, double=True)
+
+
 def _rescued(job: Job, poses: np.ndarray, near: Found) -> tuple[Found, Found]:
     """Near misses after up to `RESCUE` more finishes, since next to a singularity convergence is slow: answers, and colliding
     ones."""
@@ -269,7 +282,7 @@ def _rescued(job: Job, poses: np.ndarray, near: Found) -> tuple[Found, Found]:
         exact, collides = _exact(job, near), _collides(job, near)
         free.append(near.rows(exact & ~collides))
         blocked.append(near.rows(exact & collides))
-        near = near.rows(~exact)
+        near = near.rows(~exact & ~np.isin(near.target, near.target[exact]))
     return Found.joined(free), Found.joined(blocked)
 
 
@@ -298,7 +311,9 @@ def _finish(job: Job, poses: np.ndarray, landed: Found, misses: _Misses) -> Foun
     """In float64: the last steps, and whose errors are within the tolerances; with a scene their clearance."""
     if not len(landed.q):
         return landed
-    found = _polished(job, poses, landed, _finisher(job), LANES)
+    program = _finisher(job)
+    _finisher_ready(program, job.chain.num_joints).result()
+    found = _polished(job, poses, landed, program, LANES)
     found = found._replace(iterations=found.iterations + FINISHING)
     exact = _exact(job, found)
     misses.note(found.rows(~exact), (found.position_error / job.unit + found.rotation_error)[~exact])

@@ -10,14 +10,14 @@ import jaxik
 FLOORS = [
     {"algebra", "result", "batch"},
     {"chain", "optimise", "task"},  # optimise knows no robot: it may import the algebra alone
-    {"scene", "kinematics", "reach"},
+    {"scene", "kinematics", "reach", "mapping"},
     {"spheres", "distance"},
     {"collision", "costs", "closed_form"},
     {"load"},  # above the spheres: a loaded chain knows which of its links may touch
     {"lanes", "seeds", "implicit", "crop", "scan"},
     {"ik_options"},
     {"multistart"},
-    {"ik"},
+    {"ik", "baselines"},
     {"harvest"},
     {"plot"},
     {"cli"},
