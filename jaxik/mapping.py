@@ -24,7 +24,7 @@ class Mapping(NamedTuple):
         return np.polyval(self.coefficients, np.asarray(image, np.float64))
 
 
-def fit_mapping(image: Float[Array, " k"], field: Float[Array, " k"], degree: int = 2) -> Mapping:
+def fit_mapping(image: Float[Array, " k"], field: Float[Array, " m"], degree: int = 2) -> Mapping:
     """The least-squares polynomial through pairs of image [pixel] and field coordinates, by NumPy's `polyfit`.
 
     Raises `ValueError` for fewer pairs than coefficients, pairs that are not finite, or too few different pixels.

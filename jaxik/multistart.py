@@ -1,14 +1,15 @@
 """The driver of inverse kinematics: seeds to lanes, wave by wave, until each target has an answer or a reason.
 
-A target is searched for from seeds (`seeds`) by SQP (`lanes`, `optimise.sqp`) in float32, a batch of lanes at a time. Lanes
-that have landed, or whose target has been reached, are dropped after every few steps and the rest is packed together again.
-What has landed is finished, and judged, in float64. Targets that are left get more seeds in the next, larger wave.
+A target is searched for from seeds (`seeds`) by SQP (`lanes`, `optimise.sqp`) in float32, a few steps from each. What has
+landed is finished, and judged, in float64; what came near gets more steps. Targets that are left get more seeds in the next,
+larger wave: most need one, and dropping those that have an answer is what makes the batch fast.
 
 Every number in this is a target's own: which seeds it gets, how many steps each runs, which answer is taken. So a target has
 the same result alone and among a million, and all runs in blocks of one size (`batch`): nothing compiles for another N.
 
-With a scene an answer must also keep `margin` of clearance. A posture that has the pose and collides is a start for a second
-search that holds the pose and moves the spare joints until the clearance, as a constraint, is kept.
+With a scene an answer must also keep `margin` of clearance. Where no seed leads to such a posture, one that has the pose and
+collides is the start of a second search, which holds the pose and moves the spare joints until the clearance, as a constraint,
+is kept.
 """
 
 from __future__ import annotations

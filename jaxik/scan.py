@@ -20,6 +20,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+from jaxik.batch import in_blocks
 from jaxik.chain import Chain, finite_limits
 from jaxik.closed_form import BRANCHES, closed_form, closed_form_obstacle
 from jaxik.collision import clearance, object_clearances, self_clearance
@@ -145,19 +146,6 @@ def _worth(chain: Chain, distance: Any, q: Any) -> Any:
     return jnp.minimum(distance, LIMIT_LENGTH * jnp.min(room))
 
 
-def _in_chunks(
-    function: Callable[..., Any], *columns: np.ndarray, fixed: tuple[Any, ...] = (), size: int = CHUNK
-) -> list[np.ndarray]:
-    """`function` over rows, in chunks padded to one shape, as NumPy arrays."""
-    parts = []
-    for start in range(0, len(columns[0]), size):
-        rows = [c[start : start + size] for c in columns]
-        count = len(rows[0])
-        padded = [np.concatenate([r, np.repeat(r[:1], size - count, axis=0)]) for r in rows]
-        parts.append([np.asarray(x)[:count] for x in jax.tree_util.tree_leaves(function(*padded, *fixed))])
-    return [np.concatenate(each) for each in zip(*parts, strict=True)]
-
-
 # --------------------------------------------------------------------------------------------------------------------
 # The scan
 
@@ -247,7 +235,9 @@ def _candidates(
     inside, status, misses, rows = [], [], [], []
     for start in range(0, len(a), CHUNK):  # so that a million candidates never stand in memory at once
         part = slice(start, start + CHUNK)
-        q, valid, within = _in_chunks(_solver(chain), poses[a[part]].astype(np.float32), lead[s[part]].astype(np.float32))
+        q, valid, within = in_blocks(
+            _solver(chain), poses[a[part]].astype(np.float32), lead[s[part]].astype(np.float32), size=CHUNK
+        )
         q, valid, within = q.reshape(-1, chain.num_joints), valid.ravel(), within.ravel()
         status.append(np.where(valid, Reason.LIMITS, Reason.OUT_OF_REACH).astype(np.int8))
         rows.append(np.flatnonzero(within) + start * BRANCHES)
@@ -273,7 +263,7 @@ def _others(scene: Scene, fruit: Fruit) -> Scene:
 def _measured(chain: Chain, scene: Scene, fruit: Fruit, q: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     if not len(q):
         return np.zeros(0), np.zeros(0)
-    distance, freedom = _in_chunks(_measures(chain), q, fixed=(_others(scene, fruit),), size=MEASURED)
+    distance, freedom = in_blocks(_measures(chain), q, fixed=(_others(scene, fruit),), size=MEASURED)
     return distance, freedom
 
 
@@ -396,11 +386,11 @@ def _climb(
 
     def solve(u: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         poses = grasp_poses(chain, found.fruit, u[:, 0], grasp)
-        q, valid, _ = _in_chunks(_solver(chain), poses.astype(np.float32), u[:, 1:].astype(np.float32))
+        q, valid, _ = in_blocks(_solver(chain), poses.astype(np.float32), u[:, 1:].astype(np.float32), size=CHUNK)
         return q[rows, branch], valid[rows, branch]
 
     def measure(q: np.ndarray) -> list[np.ndarray]:
-        return _in_chunks(_ascent(chain), q, fixed=(others,), size=2 * MISSES)
+        return in_blocks(_ascent(chain), q, fixed=(others,), size=2 * MISSES)
 
     u, stride = starts[:, :-1].copy(), np.full(len(starts), 0.1)
     q, _ = solve(u)
@@ -459,7 +449,7 @@ def blockers(chain: Chain, scene: Scene, found: Scan, margin: float = 0.005) -> 
     """
     if not len(found.table.q):
         return Blockers((), (), None, None)
-    distance, own = _in_chunks(_contacts(chain), found.table.q, fixed=(_others(scene, found.fruit),), size=MEASURED)
+    distance, own = in_blocks(_contacts(chain), found.table.q, fixed=(_others(scene, found.fruit),), size=MEASURED)
     hit = distance < margin
     share = hit.mean(axis=0)
     order = [int(i) for i in np.argsort(-share, kind="stable") if share[i] > 0.0]

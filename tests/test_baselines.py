@@ -1,0 +1,78 @@
+"""The baselines do what their sources say, and the trellis crops are as the paper describes them."""
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from robots import bare, pinocchio, pose_errors
+from scipy.optimize import root
+
+import jaxik
+from jaxik.baselines import global_search, newton_ik
+from jaxik.costs import box_penalty
+from jaxik.crop import TRELLIS_TARGETS, trellis_crop
+from jaxik.optimise.newton import damped_least_squares, newton_raphson
+
+POSITION = jaxik.Task((True,) * 3 + (False,) * 3)
+
+
+def test_roots_against_scipy():
+    residual = lambda x: jnp.stack([x[0] ** 2 + x[1] ** 2 - 2.0, jnp.exp(x[0] - 1.0) + x[1] ** 3 - 2.0])
+    start = jnp.array([1.2, 0.8])
+    expected = root(lambda x: np.asarray(residual(x)), start, tol=1e-12).x
+    newton = newton_raphson(residual, start)
+    damped = damped_least_squares(residual, start)
+    np.testing.assert_allclose(newton.x, expected, atol=1e-9)
+    np.testing.assert_allclose(damped.x, expected, atol=1e-8)
+    assert newton.iterations < damped.iterations <= 100
+    assert newton_raphson(residual, start * jnp.nan).iterations == 0
+
+
+def test_newton_reaches_a_near_pose():
+    file, tip = bare("panda")
+    chain = jaxik.load(file, tip=tip)
+    pose = pinocchio(chain)
+    goal = np.array([0.3, 0.2, -0.4, -1.5, 0.5, 1.6, 0.4])
+    for damping in (0.0, 0.02):
+        found = newton_ik(chain, pose(goal), goal + 0.05, damping, tolerance=1e-10)
+        assert found.residual <= 1e-10 and max(pose_errors(pose(found.x), pose(goal))) < 1e-9
+
+
+def test_the_global_search_lowers_its_objective_inside_the_limits():
+    chain = jaxik.load("chembuly9")
+    target = np.eye(4)
+    target[:3, 3] = np.array(TRELLIS_TARGETS["bitter_gourd"][0]) / 100.0
+    few, many = (global_search(chain, target, task=POSITION, generations=g, seed=1) for g in (5, 150))
+    assert many.objective < few.objective and many.objective < 1e-4
+    assert many.evaluations == 151 * 15 * 9  # the first population and 150 generations
+    assert np.all((many.q >= chain.lower) & (many.q <= chain.upper))
+    away = pinocchio(chain)(many.q)[:3, 3] - target[:3, 3]
+    np.testing.assert_allclose(away @ away, many.objective, rtol=1e-6)
+
+
+@pytest.mark.parametrize("kind", TRELLIS_TARGETS)
+def test_trellis_crops(kind):
+    scene, again = trellis_crop(kind), trellis_crop(kind)
+    assert scene.object_names == again.object_names and scene.counts["boxes"] > 20
+    np.testing.assert_array_equal(scene.boxes.half, again.boxes.half)
+    targets = np.array(TRELLIS_TARGETS[kind]) / 100.0
+    fruits = np.stack([fruit.position for fruit in scene.fruits])
+    np.testing.assert_allclose(fruits[: len(targets)], targets)
+    assert np.all((fruits[:, 2] >= 0.5) & (fruits[:, 2] <= 1.2))
+    centre = np.asarray(scene.boxes.world_T_box)[:, :3, 3]
+    lower, upper = centre - scene.boxes.half, centre + scene.boxes.half
+    assert box_penalty(jnp.asarray(targets), lower, upper) == 0.0  # no target stands in a box
+    with pytest.raises(ValueError, match=r"mango.*bitter_gourd, tindora, guava"):
+        trellis_crop("mango")
+
+
+def test_a_target_of_the_paper_among_its_boxes():
+    chain, scene = jaxik.load("chembuly9"), trellis_crop("bitter_gourd")
+    targets = np.array(TRELLIS_TARGETS["bitter_gourd"][:6]) / 100.0
+    others = scene.without([i for i, name in enumerate(scene.object_names) if name in {f"fruit_{k}" for k in range(1, 7)}])
+    result = jaxik.solve_ik(chain, targets, others, task=POSITION, position_tolerance=1e-9, margin=0.005)
+    pose = pinocchio(chain)
+    assert result.success.all(), result.counts()
+    assert max(np.linalg.norm(pose(q)[:3, 3] - p) for q, p in zip(result.q, targets, strict=True)) <= 1e-9
+    assert np.all((result.q >= chain.lower) & (result.q <= chain.upper)) and np.all(result.clearance >= 0.005)
+    assert np.all(jax.jit(jax.vmap(lambda q: jaxik.clearance(chain, others, q)))(result.q) >= 0.005 - 1e-9)
