@@ -161,7 +161,7 @@ def test_mistakes_are_one_line(panda):
         (lambda: jaxik.solve_ik(panda, eye, seeds="sobol"), ("sobol", "library")),
         (lambda: jaxik.solve_ik(panda, eye, choice="best"), ("best", "closest")),
         (lambda: jaxik.solve_ik(panda, eye, choice="closest"), ("reference",)),
-        (lambda: jaxik.solve_ik(panda, eye, seeds="closed_form"), ("closed form", "spherical wrist")),
+        (lambda: jaxik.solve_ik(panda, eye, seeds="closed_form"), ("closed form", "parallel")),
         (lambda: jaxik.solve_ik(panda, eye, locked={"elbow": 0.0}), ("elbow", "panda_joint1")),
         (lambda: jaxik.solve_ik(panda, eye, locked={"panda_joint4": 1.0}), ("panda_joint4", "limits")),
         (lambda: jaxik.solve_ik(panda, eye, weights=np.ones(6)), ("weights", "(6,)", "(7,)")),
