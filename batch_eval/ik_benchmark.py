@@ -25,6 +25,7 @@ import numpy as np
 import panda
 import pinocchio as pin
 from benchmark import machine
+from panda import pose_of
 
 import jaxik
 
@@ -59,22 +60,6 @@ def robot(name: str) -> jaxik.Chain:
     if place is None:
         return iiwa() if name == "iiwa 14" else jaxik.load(name)
     return jaxik.load(panda.bare_urdf(panda.ROBOTS / place[0], place[1]), tip=place[1])
-
-
-def pose_of(chain: jaxik.Chain) -> Callable[[np.ndarray], np.ndarray]:
-    """q -> tip pose by Pinocchio, from the chain's numbers."""
-    model, joint = pin.Model(), 0
-    for i, prismatic in enumerate(chain.is_prismatic):
-        kind = pin.JointModelPrismaticUnaligned if prismatic else pin.JointModelRevoluteUnaligned
-        placed = pin.SE3(chain.parent_T_joint[i][:3, :3], chain.parent_T_joint[i][:3, 3])
-        joint = model.addJoint(joint, kind(np.array(chain.axis[i])), placed, chain.joint_names[i])
-    data = model.createData()
-
-    def pose(q: np.ndarray) -> np.ndarray:
-        pin.forwardKinematics(model, data, np.asarray(q, np.float64))
-        return data.oMi[joint].homogeneous @ chain.joint_T_tip
-
-    return pose
 
 
 def targets(chain: jaxik.Chain, count: int) -> np.ndarray:

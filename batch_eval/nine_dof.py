@@ -15,7 +15,7 @@ from typing import Any
 import jax
 import numpy as np
 from benchmark import machine
-from ik_benchmark import pose_of
+from panda import pose_of
 
 import jaxik
 from jaxik.baselines import global_search, newton_ik

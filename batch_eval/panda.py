@@ -42,6 +42,22 @@ def bare_urdf(file: Path, tip: str) -> Path:
     return path
 
 
+def pose_of(chain: jaxik.Chain) -> Callable[[np.ndarray], np.ndarray]:
+    """q -> tip pose (4, 4) by Pinocchio's kinematics, from the chain's numbers, whatever file they came from."""
+    model, joint = pin.Model(), 0
+    for i, prismatic in enumerate(chain.is_prismatic):
+        kind = pin.JointModelPrismaticUnaligned if prismatic else pin.JointModelRevoluteUnaligned
+        placed = pin.SE3(chain.parent_T_joint[i][:3, :3], chain.parent_T_joint[i][:3, 3])
+        joint = model.addJoint(joint, kind(np.array(chain.axis[i])), placed, chain.joint_names[i])
+    data = model.createData()
+
+    def pose(q: np.ndarray) -> np.ndarray:
+        pin.forwardKinematics(model, data, np.asarray(q, np.float64))
+        return data.oMi[joint].homogeneous @ chain.joint_T_tip
+
+    return pose
+
+
 class Truth:
     """Pinocchio in float64: what every contender's numbers are held against, and a contender itself."""
 

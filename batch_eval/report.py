@@ -56,4 +56,6 @@ def _times(ratio: float) -> str:
 
 
 if __name__ == "__main__":
-    print(markdown(json.loads(RESULT.read_text())), ik_markdown(json.loads(IK_RESULT.read_text())), sep="\n\n")
+    print(markdown(json.loads(RESULT.read_text())))
+    if IK_RESULT.exists():  # each benchmark is run by itself
+        print("\n" + ik_markdown(json.loads(IK_RESULT.read_text())))

@@ -1,6 +1,7 @@
 """Robots that no one here wrote, from example-robot-data; the folder is where pip puts it."""
 
 import numpy as np
+import panda
 from panda import ROBOTS as FOLDER
 from panda import bare_urdf
 
@@ -26,22 +27,7 @@ def joint_range(chain):
     return np.where(np.isfinite(chain.lower), chain.lower, -np.pi), np.where(np.isfinite(chain.upper), chain.upper, np.pi)
 
 
-def pinocchio(chain):
-    """q -> tip pose (4, 4) by Pinocchio's kinematics, from the chain's numbers, whatever file they came from."""
-    import pinocchio as pin
-
-    model, joint = pin.Model(), 0
-    for i, prismatic in enumerate(chain.is_prismatic):
-        kind = pin.JointModelPrismaticUnaligned if prismatic else pin.JointModelRevoluteUnaligned
-        placed = pin.SE3(chain.parent_T_joint[i][:3, :3], chain.parent_T_joint[i][:3, 3])
-        joint = model.addJoint(joint, kind(np.array(chain.axis[i])), placed, chain.joint_names[i])
-    data = model.createData()
-
-    def pose(q):
-        pin.forwardKinematics(model, data, np.asarray(q, np.float64))
-        return data.oMi[joint].homogeneous @ chain.joint_T_tip
-
-    return pose
+pinocchio = panda.pose_of  # q -> tip pose, by Pinocchio, from a chain's numbers
 
 
 def pose_errors(pose, target):
