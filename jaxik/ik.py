@@ -32,10 +32,10 @@ ORTHONORMAL = 1e-4  # how far R'R may be from 1 in a target that is still a pose
 class IKResult:
     """One entry a target; of a single target, the entries themselves.
 
-    q (n,) [rad, m] is the answer, or, where there is none, the nearest miss inside the limits (NaN for an invalid target).
-    position_error [m] and rotation_error [rad] belong to q, in float64; clearance [m] too (NaN without a scene). seed is the
-    number of the seed that led to q, iterations the SQP steps from there. solutions (k, n) holds all different answers, best
-    first, NaN where there are no more; num_solutions counts them.
+    q (n,) [rad, m] is the answer, or, where there is none, the nearest miss inside the limits (NaN for a target that is invalid
+    or proven out of reach: it is not searched for). position_error [m] and rotation_error [rad] belong to q, in float64;
+    clearance [m] too (NaN without a scene). seed is the number of the seed that led to q, iterations the SQP steps from there.
+    solutions (k, n) holds all different answers, best first, NaN where there are no more; num_solutions counts them.
     """
 
     q: Any
@@ -86,7 +86,8 @@ def solve_ik(
     parts = []
     for start in range(0, max(1, len(poses)), TARGETS):
         rows = slice(start, start + TARGETS)
-        parts.append(_columns(job.part(rows), search(job.part(rows), poses[rows], valid[rows])))
+        part = job.part(rows)
+        parts.append(_columns(part, search(part, poses[rows], valid[rows])))
         if progress:
             progress(min(start + TARGETS, len(poses)))
     joined = {k: np.concatenate([p[k] for p in parts]) for k in parts[0]}

@@ -326,7 +326,7 @@ def _polished(job: Job, poses: np.ndarray, lanes_: Found, program: Callable[...,
     start = np.clip(lanes_.q, job.low, job.high)
     fixed = (*job.limits, *more)
     q, away, turned = in_blocks(program, start, poses[lanes_.target], size=size, fixed=fixed, double=True)
-    q = unwound(job.chain, q)
+    q = np.where(job.low == job.high, q, unwound(job.chain, q))  # what is locked stays as the user wrote it
     return lanes_._replace(q=q, position_error=away, rotation_error=turned, clearance=_clearance(job, q))
 
 
@@ -338,7 +338,7 @@ def _clearance(job: Job, q: np.ndarray) -> np.ndarray:
 
 def unwound(chain: Chain, q: np.ndarray) -> np.ndarray:
     """Continuous joints, and others without limits, in [-pi, pi]."""
-    turns = ~chain.is_limited & ~np.array(chain.is_prismatic)
+    turns = np.isinf(chain.lower) & np.isinf(chain.upper) & ~np.array(chain.is_prismatic)
     return q - np.where(turns, np.round(q / TURN) * TURN, 0.0)
 
 
