@@ -14,15 +14,19 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pinocchio as pin
+from arm import eaik_robot
 from panda import TIP
+
+from jaxik import Chain, finite_limits
 
 Solver = Callable[[np.ndarray], np.ndarray]
 POSITION, ROTATION = 1e-5, 1e-4  # what the benchmark asks for [m], [rad]
 RESTARTS, STEPS = 10, 100  # of solvers that follow one start at a time
 
 
-def pyroki_solver(urdf: Path) -> Solver:
-    """PyRoki's basic example: a Levenberg-Marquardt least-squares problem with an analytic pose cost and limits, `vmap`-ed."""
+def pyroki_solver(urdf: Path, hard_limits: bool) -> Solver:
+    """PyRoki's basic example, `vmap`-ed: Levenberg-Marquardt on an analytic pose cost, limits as a constraint (its augmented
+    Lagrangian) or as a cost (cheaper, and its answers are clipped to the limits)."""
     import jaxlie
     import jaxls
     import pyroki
@@ -35,7 +39,9 @@ def pyroki_solver(urdf: Path) -> Solver:
         target = jaxlie.SE3(wxyz_xyz)
         costs = [
             pyroki.costs.pose_cost_analytic_jac(robot, variable, target, tip, pos_weight=50.0, ori_weight=10.0),
-            pyroki.costs.limit_constraint(robot, variable),
+            pyroki.costs.limit_constraint(robot, variable)
+            if hard_limits
+            else pyroki.costs.limit_cost(robot, variable, weight=100.0),
         ]
         problem = jaxls.LeastSquaresProblem(costs=costs, variables=[variable]).analyze()
         options = {
@@ -43,13 +49,33 @@ def pyroki_solver(urdf: Path) -> Solver:
             "linear_solver": "dense_cholesky",
             "trust_region": jaxls.TrustRegionConfig(lambda_initial=1.0),
         }
-        return problem.solve(**options)[variable]
+        q = problem.solve(**options)[variable]
+        return q if hard_limits else jnp.clip(q, robot.joints.lower_limits, robot.joints.upper_limits)
 
     batch = jax.jit(jax.vmap(solve))
 
     def run(poses: np.ndarray) -> np.ndarray:
         coefficients = [pin.Quaternion(pose[:3, :3]).coeffs()[[3, 0, 1, 2]] for pose in poses]
         return np.asarray(batch(jnp.asarray(np.concatenate([coefficients, poses[:, :3, 3]], axis=1), jnp.float32)))
+
+    return run
+
+
+def eaik_solver(chain: Chain) -> Solver:
+    """EAIK on an arm of six joints whose geometry it knows: of all branches the one that leaves the limits least."""
+    robot, tip_R = eaik_robot(chain)
+    low, high = finite_limits(chain)
+
+    def run(poses: np.ndarray) -> np.ndarray:
+        batch = poses.copy()
+        batch[:, :3, :3] = batch[:, :3, :3] @ tip_R.T
+        found = []
+        for answer in robot.IK_batched(list(batch), 2):
+            branches = np.array(answer.Q).reshape(-1, 6)
+            past = np.maximum(low - branches, branches - high).max(axis=1)
+            exact = ~np.array(answer.is_LS, bool)
+            found.append(branches[np.argmin(np.where(exact, past, np.inf))] if exact.any() else np.full(6, np.nan))
+        return np.array(found)
 
     return run
 

@@ -34,10 +34,11 @@ def ik_markdown(result: dict[str, Any]) -> str:
     """A row for each contender and each robot, and a line on the collision-free goals."""
     lines = ["| random reachable poses | targets a call | time each | solved |", "| --- | --- | --- | --- |"]
     for row in (*result["panda"], *result["robots"][1:]):
-        name = f"Panda: {row['who']}" if row in result["panda"] else f"jaxik: {row['who']}"
-        lines.append(f"| {name} | {row['targets']:,} | {_duration(row['us_each'])} | {100 * row['success']:.2f} % |")
+        lines.append(f"| {row['who']} | {row['targets']:,} | {_duration(row['us_each'])} | {100 * row['success']:.2f} % |")
     goals = result["goals"]
     lines += [
+        "",
+        *(f"- Published: {line}." for line in result["published"]),
         "",
         f"Of the {goals['goals']} Panda goals of MotionBenchMaker, among its obstacles, "
         f"{round(goals['goals'] * goals['solved'])} are solved without a collision,",

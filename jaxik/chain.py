@@ -153,10 +153,18 @@ class Chain(eqx.Module):
         return self is other or (isinstance(other, Chain) and self.digest == other.digest)
 
 
-def finite_limits(chain: Chain) -> tuple[np.ndarray, np.ndarray]:
-    """The limits (n,), and +-pi [rad] or +-1 [m] where a joint has none: a range to sample, draw or scale by."""
+def finite_range(chain: Chain, lower: Any, upper: Any) -> tuple[np.ndarray, np.ndarray]:
+    """Limits (n,) to sample, draw or scale by: a joint without any ranges over +-pi [rad] or +-1 [m], one with a single limit
+    over as much beside it."""
     half = np.where(chain.is_prismatic, 1.0, np.pi)
-    return np.where(np.isfinite(chain.lower), chain.lower, -half), np.where(np.isfinite(chain.upper), chain.upper, half)
+    below, above = np.isfinite(lower), np.isfinite(upper)
+    low = np.where(below, lower, np.where(above, upper - 2.0 * half, -half))
+    return low, np.where(above, upper, np.where(below, lower + 2.0 * half, half))
+
+
+def finite_limits(chain: Chain) -> tuple[np.ndarray, np.ndarray]:
+    """`finite_range` of the chain's own limits."""
+    return finite_range(chain, chain.lower, chain.upper)
 
 
 def as_configuration(chain: Chain, q: Any) -> Float[Array, " n"]:

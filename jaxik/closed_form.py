@@ -22,8 +22,10 @@ import dataclasses
 import functools
 import itertools
 import math
+from collections.abc import Callable
 from typing import Any, NamedTuple
 
+import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Bool, Float
@@ -98,13 +100,19 @@ def closed_form(chain: Chain, pose: Float[Array, "4 4"], slide: Float[Array, "..
     return ClosedForm(q, valid, valid & inside)
 
 
+@functools.lru_cache(maxsize=16)
+def closed_forms(chain: Chain) -> Callable[..., ClosedForm]:
+    """A compiled batch of `closed_form`: (poses, leading joints), by rows."""
+    return jax.jit(jax.vmap(functools.partial(closed_form, chain)))
+
+
 def into_limits(chain: Chain, q: Float[Array, "*b n"]) -> tuple[Float[Array, "*b n"], Bool[Array, "*b"]]:
     """Each joint turned by the multiple of 2 pi that brings it nearest to the middle of its range, and whether all fit.
 
     A value that rounding puts past a limit is put on it.
     """
     lower, upper = jnp.asarray(chain.lower, q.dtype), jnp.asarray(chain.upper, q.dtype)
-    turns = chain.is_limited & ~np.array(chain.is_prismatic)
+    turns = (np.isfinite(chain.lower) | np.isfinite(chain.upper)) & ~np.array(chain.is_prismatic)
     middle = jnp.asarray(np.where(turns, sum(finite_limits(chain)) / 2.0, 0.0), q.dtype)
     turned = q + jnp.where(turns, jnp.round((middle - q) / TURN) * TURN, 0.0)
     clipped = jnp.clip(turned, lower, upper)

@@ -37,7 +37,7 @@ def proximity_penalty(clearance: Float[Array, ""] | float, reach: float = 0.075)
     return jnp.clip(1.0 - jnp.asarray(clearance) / reach, 0.0, 1.0)
 
 
-def collision_cost(clearance: Float[Array, ""] | float, activation: float, maximum: float = 1.0) -> Float[Array, ""]:
+def collision_cost(clearance: Float[Array, "*b"] | float, activation: float, maximum: float = 1.0) -> Float[Array, "*b"]:
     """`H_coll = s0/3 (d_a - d)^3` for `d < d_a`, else 0, with `s0 = 3 H_max / d_a^3`: `maximum` at d = 0.
 
     `clearance` and `activation` in metres. Twice continuously differentiable in d. Source: Schuetz 2017, (4.31).

@@ -14,9 +14,9 @@ from typing import Any, NamedTuple
 import jax
 import jax.numpy as jnp
 
-from jaxik.algebra import Frame, Scalar, mul, safe_sqrt, shared, stack
+from jaxik.algebra import Frame, Scalar, add, mul, safe_sqrt, shared, stack
 from jaxik.chain import Chain
-from jaxik.collision import clearance, link_clearances, link_contacts
+from jaxik.collision import clearance, link_contacts
 from jaxik.costs import Cost, collision_cost
 from jaxik.kinematics import jacobian_columns, joint_frames
 from jaxik.optimise import sqp
@@ -106,27 +106,24 @@ def _beside(
 ) -> tuple[Scalar, list[Scalar], Rows]:
     """Cost, its gradient, and the inequalities."""
     n = chain.num_joints
-    if extras.cost is None and extras.collision == "none":
-        return 0.0, [0.0] * n, NONE
-    q = stack(x, (n,), dtype)
-    inequality, costs = NONE, []
+    cost: Scalar = 0.0
+    gradient: list[Scalar] = [0.0] * n
+    inequality, q = NONE, stack(x, (n,), dtype)
     if extras.cost is not None:
-        costs.append(extras.cost)
+        cost, slope = jax.value_and_grad(extras.cost)(q)
+        gradient = [slope[i] for i in range(n)]
+    if extras.collision != "none":
+        apart, slopes = link_contacts(chain, scene, q)
+        apart = jnp.minimum(apart, 1e3) - margin  # infinite for a link with nothing to hit
     if extras.collision == "penalty":
-        apart = lambda q: link_clearances(chain, scene, q) - margin
-        costs.append(
-            lambda q: extras.penalty * jnp.sum(collision_cost(jnp.minimum(apart(q), extras.activation), extras.activation))
-        )
+        penalty = lambda d: extras.penalty * jnp.sum(collision_cost(d, extras.activation))
+        more, rise = jax.value_and_grad(penalty)(apart)
+        cost, gradient = add(cost, more), [add(g, jnp.sum(rise * slope)) for g, slope in zip(gradient, slopes, strict=True)]
     if extras.collision == "constraint":
-        value, slopes = link_contacts(chain, scene, q)
-        apart = shared(scale * (jnp.minimum(value, 1e3) - margin))  # infinite for a link with nothing to hit
-        slopes = shared([scale * slope for slope in slopes])
-        count = range(len(value))
+        apart, slopes = shared(scale * apart), shared([scale * slope for slope in slopes])
+        count = range(len(apart))
         inequality = Rows([apart[k] for k in count], [[slope[k] for slope in slopes] for k in count])
-    if not costs:
-        return 0.0, [0.0] * n, inequality
-    cost, gradient = jax.value_and_grad(lambda q: sum(c(q) for c in costs))(q)
-    return cost, [gradient[i] for i in range(n)], inequality
+    return cost, gradient, inequality
 
 
 def _norm(values: list[Scalar], dtype: Any) -> Any:

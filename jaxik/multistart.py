@@ -25,7 +25,7 @@ import numpy as np
 
 from jaxik import lanes, seeds
 from jaxik.batch import in_blocks, threads
-from jaxik.chain import Chain
+from jaxik.chain import Chain, finite_range
 from jaxik.closed_form import TURN, closed_form_obstacle
 from jaxik.costs import Cost
 from jaxik.ik_options import IKOptions
@@ -83,8 +83,7 @@ class Job:
         if not all(np.all(t > 0.0) for t in tolerance):
             raise ValueError("position_tolerance and rotation_tolerance are > 0")
         reference = None if options.reference is None else _shaped("reference", options.reference, (count, n))
-        half = np.where(chain.is_prismatic, 1.0, np.pi)
-        finite = [np.where(np.isfinite(b), b, s * half) for b, s in ((low, -1.0), (high, 1.0))]
+        finite = finite_range(chain, low, high)
         inside = seeds.Range(*(tuple(float(x) for x in b) for b in finite))
         geometry = scene.geometry() if scene is not None else None
         unit = lanes.unit_length(chain)

@@ -50,30 +50,35 @@ class _Way(NamedTuple):
 @functools.lru_cache(maxsize=64)
 def reach(chain: Chain, rotation: bool = True) -> Reach:
     """The bounds of a chain; without `rotation` only the tip's position is known of a target. Reads concrete numbers."""
-    from scipy.optimize import minimize
-
     ways, tip = _ways(chain, rotation)
-    places = len(ways) - 1  # the first way starts, and the last may end, at a point that is not free
-
-    def lengths(s: np.ndarray) -> list[float]:
-        return [w.ends(a, b) for w, a, b in zip(ways[1:], s, [*s[1:], 0.0], strict=True)]
-
-    def smooth(s: np.ndarray) -> float:
-        return float(np.sum(np.sqrt(np.square(lengths(s)) + 1e-8)))
-
-    s = minimize(smooth, np.zeros(places)).x if places else np.zeros(0)
     first, strokes = ways[0], np.array([w.stroke for w in ways])
-    each = np.array([0.0, *lengths(s)])
-    if rotation:  # the last way leads to the tip, which then tells where the last axis is
-        each[-1] = 0.0
-    origin = first.origin + (s[0] * first.d if places else 0.0)
-    tip_p = tip[:3, :3].T @ ((s[-1] * ways[-1].a if places else np.zeros(3)) - tip[:3, 3]) if rotation else np.zeros(3)
+    between = ways[1:-1] if rotation else ways[1:]  # with its rotation the tip tells where the last axis is
+    s = _straightest(between)
+    each = np.zeros(len(ways))
+    each[1 : len(between) + 1] = [w.ends(a, b) for w, a, b in zip(between, s, s[1:], strict=False)]
+    origin = first.origin + (s[0] * first.d)
+    tip_p = tip[:3, :3].T @ (s[-1] * ways[-1].a - tip[:3, 3]) if rotation else np.zeros(3)
     most = each + strokes
     least = each - strokes
     shortest = max(0.0, float(np.max(least - (most.sum() - most)))) if np.all(np.isfinite(most)) else 0.0
     stroke = float(strokes.sum())
     length = float(each.sum()) or (stroke if 0.0 < stroke < np.inf else 1.0)
     return Reach(origin, tip_p, float(most.sum()), shortest, length)
+
+
+def _straightest(ways: list[_Way]) -> np.ndarray:
+    """The points (len(ways) + 1,) on the axes that make the way shortest, by reweighted least squares [Weiszfeld 1937].
+    Any points give a bound, these the best."""
+    count = len(ways)
+    slopes = np.zeros((count, 3, count + 1))
+    for i, way in enumerate(ways):
+        slopes[i, :, i], slopes[i, :, i + 1] = -way.a, way.d
+    origins, s = np.array([way.origin for way in ways]).reshape(count, 3), np.zeros(count + 1)
+    for _ in range(100 if count else 0):
+        length = np.linalg.norm(origins + slopes @ s, axis=1)
+        root = (1.0 / np.sqrt(np.maximum(length, 1e-6)))[:, None]
+        s = np.linalg.lstsq((root[..., None] * slopes).reshape(3 * count, -1), -(root * origins).reshape(-1), rcond=None)[0]
+    return s
 
 
 def _ways(chain: Chain, rotation: bool) -> tuple[list[_Way], np.ndarray]:

@@ -22,7 +22,7 @@ import numpy as np
 
 from jaxik.batch import in_blocks
 from jaxik.chain import Chain, finite_limits
-from jaxik.closed_form import BRANCHES, closed_form, closed_form_obstacle
+from jaxik.closed_form import BRANCHES, closed_form_obstacle, closed_forms
 from jaxik.collision import clearance, object_clearances, self_clearance
 from jaxik.costs import joint_freedom
 from jaxik.kinematics import jacobian
@@ -107,11 +107,6 @@ class Scan(NamedTuple):
 
 # --------------------------------------------------------------------------------------------------------------------
 # Compiled once a chain
-
-
-@functools.lru_cache(maxsize=16)
-def _solver(chain: Chain) -> Callable[..., Any]:
-    return jax.jit(jax.vmap(functools.partial(closed_form, chain)))
 
 
 @functools.lru_cache(maxsize=16)
@@ -236,7 +231,7 @@ def _candidates(
     for start in range(0, len(a), CHUNK):  # so that a million candidates never stand in memory at once
         part = slice(start, start + CHUNK)
         q, valid, within = in_blocks(
-            _solver(chain), poses[a[part]].astype(np.float32), lead[s[part]].astype(np.float32), size=CHUNK
+            closed_forms(chain), poses[a[part]].astype(np.float32), lead[s[part]].astype(np.float32), size=CHUNK
         )
         q, valid, within = q.reshape(-1, chain.num_joints), valid.ravel(), within.ravel()
         status.append(np.where(valid, Reason.LIMITS, Reason.OUT_OF_REACH).astype(np.int8))
@@ -386,7 +381,7 @@ def _climb(
 
     def solve(u: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         poses = grasp_poses(chain, found.fruit, u[:, 0], grasp)
-        q, valid, _ = in_blocks(_solver(chain), poses.astype(np.float32), u[:, 1:].astype(np.float32), size=CHUNK)
+        q, valid, _ = in_blocks(closed_forms(chain), poses.astype(np.float32), u[:, 1:].astype(np.float32), size=CHUNK)
         return q[rows, branch], valid[rows, branch]
 
     def measure(q: np.ndarray) -> list[np.ndarray]:

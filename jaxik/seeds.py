@@ -14,15 +14,13 @@ closed_form      the branches of the closed form for one position of the leading
 from __future__ import annotations
 
 import functools
-from collections.abc import Callable
-from typing import Any, Literal, NamedTuple
+from typing import Literal, NamedTuple
 
-import jax
 import numpy as np
 
 from jaxik.batch import in_blocks
 from jaxik.chain import Chain
-from jaxik.closed_form import BRANCHES, closed_form
+from jaxik.closed_form import BRANCHES, closed_forms
 from jaxik.kinematics import joint_frames
 from jaxik.task import Task
 
@@ -116,11 +114,6 @@ def nearest(chain: Chain, task: Task, inside: Range, length: float, number: int,
 # The closed form
 
 
-@functools.lru_cache(maxsize=16)
-def _branches(chain: Chain) -> Callable[..., Any]:
-    return jax.jit(jax.vmap(functools.partial(closed_form, chain)))
-
-
 def branches(chain: Chain, inside: Range, seed: int, numbers: np.ndarray, poses: np.ndarray) -> np.ndarray:
     """Branches of the closed form (N, n) for each pose (N, 4, 4): with leading joints, number k is the best branch at the k-th
     position of a low-discrepancy sequence; without, the k-th best. Best is what leaves the limits least. NaN where none is."""
@@ -130,7 +123,7 @@ def branches(chain: Chain, inside: Range, seed: int, numbers: np.ndarray, poses:
         rank = np.zeros(len(poses), int)
     else:
         lead, rank = np.zeros((len(poses), 0)), numbers % BRANCHES
-    q, valid, _ = in_blocks(_branches(chain), poses.astype(np.float32), lead.astype(np.float32), size=BLOCK)
+    q, valid, _ = in_blocks(closed_forms(chain), poses.astype(np.float32), lead.astype(np.float32), size=BLOCK)
     past = np.maximum(np.array(inside.low) - q, q - np.array(inside.high)).max(axis=-1)
     order = np.argsort(np.where(valid, np.maximum(past, 0.0), np.inf), axis=1, kind="stable")
     picked = np.take_along_axis(order, rank[:, None], axis=1)
@@ -140,5 +133,5 @@ def branches(chain: Chain, inside: Range, seed: int, numbers: np.ndarray, poses:
 
 def any_branch(chain: Chain, poses: np.ndarray) -> np.ndarray:
     """Whether six joints with a closed form have poses (N, 4, 4) at all, limits aside."""
-    _, valid, _ = in_blocks(_branches(chain), poses, np.zeros((len(poses), 0)), size=BLOCK, double=True)
+    _, valid, _ = in_blocks(closed_forms(chain), poses, np.zeros((len(poses), 0)), size=BLOCK, double=True)
     return np.any(valid, axis=1)

@@ -86,19 +86,15 @@ def test_triangles_and_cylinders_against_coal():
     rng = np.random.default_rng(5)
     vec = lambda v: Vec3(*(jnp.asarray(x) for x in v))
 
-    @jax.jit
-    def distances(triangle, line, other, turn, centre, size):
-        corners, ends, others = (tuple(vec(c) for c in x) for x in (triangle, line, other))
+    def bodies(turn, centre, size):
         rows, middle = Rot3(*(vec(r) for r in turn)), vec(centre)
-        box = partial(_box_distance, rows, middle, vec(size))
         cylinder = lambda p: distance.point_cylinder(p, rows, middle, size[0], size[1])
-        flat = [distance.between(corners, x) for x in ((middle,), ends, others)]
-        return (
-            *flat,
-            distance.to_body(corners, box),
-            distance.to_body(corners, cylinder),
-            distance.to_body(others[:2], cylinder),
-        )
+        return partial(_box_distance, rows, middle, vec(size)), cylinder
+
+    corners = lambda points: tuple(vec(c) for c in points)
+    between = jax.jit(lambda a, b: distance.between(corners(a), corners(b)))
+    to_box = jax.jit(lambda a, *body: distance.to_body(corners(a), bodies(*body)[0]))
+    to_cylinder = jax.jit(lambda a, *body: distance.to_body(corners(a), bodies(*body)[1]))
 
     compared = np.zeros(6, int)
     for _ in range(40):
@@ -116,7 +112,9 @@ def test_triangles_and_cylinders_against_coal():
             _coal(pole, _between(*second[:2]), cylinder, place) + 0.1,
         ]
         apart = np.array(truth) > 0.11  # where coal's shapes, round ones too, do not touch
-        ours = np.array(distances(first, line, second, turn, centre, size))
+        body = turn, centre, size
+        ours = [between(first, centre[None]), between(first, line), between(first, second)]
+        ours = np.array([*ours, to_box(first, *body), to_cylinder(first, *body), to_cylinder(second[:2], *body)])
         compared += apart
         assert np.max(np.abs(ours - truth), where=apart, initial=0.0) <= 1e-6
     assert np.all(compared >= 15)
@@ -204,10 +202,10 @@ def _scene(rng):
     )
 
 
-@pytest.mark.parametrize("name", ["p6r", "crops_v2", "chembuly9"])
-def test_gradient_of_the_clearance(name):
+@pytest.mark.parametrize("name, alone", [("crops_v2", True), ("chembuly9", False)])  # p6r: test_transformations
+def test_gradient_of_the_clearance(name, alone):
     chain, rng = jaxik.load(name), np.random.default_rng(2)
-    scene = _scene(rng)
+    scene = jaxik.make_scene() if alone else _scene(rng)
     clearance = jax.jit(lambda q: jaxik.clearance(chain, scene, q))
     slope, step = jax.jit(jax.grad(clearance)), 1e-6
     agreed = 0

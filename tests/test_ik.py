@@ -1,5 +1,7 @@
 """Inverse kinematics against Pinocchio's forward kinematics; reasons; independence of the batch; every option."""
 
+import dataclasses
+
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -303,6 +305,29 @@ def test_continuous_joints_wrap():
     assert endless.any() and np.all(np.abs(result.q[:, endless]) <= np.pi + 1e-12)
 
 
+def test_a_single_limit_is_not_turned_past():
+    whole = chain_of("kinova")
+    endless = int(np.flatnonzero(~np.isfinite(whole.lower))[-1])
+    upper = np.where(np.arange(whole.num_joints) == endless, -4.0, whole.upper)
+    chain = dataclasses.replace(whole, upper=upper)
+    targets = reachable(whole, 60, seed=20)
+    result = jaxik.solve_ik(chain, targets)
+    assert result.success.mean() > 0.9
+    assert_solves(chain, result, targets)
+
+
+def test_a_locked_joint_stays_where_it_is_beyond_a_turn():
+    chain = chain_of("kinova")
+    name = chain.joint_names[int(np.flatnonzero(~np.isfinite(chain.lower))[0])]
+    i = chain.joint_names.index(name)
+    q = np.random.default_rng(21).uniform(*joint_range(chain), (20, chain.num_joints))
+    q[:, i] = 4.0
+    targets = np.stack([pinocchio(chain)(row) for row in q])
+    result = jaxik.solve_ik(chain, targets, locked={name: 4.0}, seeds="near", reference=q)
+    assert result.success.all() and np.all(result.q[:, i] == 4.0)
+    assert_solves(chain, result, targets)
+
+
 def test_a_cost_in_the_null_space(panda):
     targets = reachable(panda, 40, seed=17)
     middle = jnp.asarray((panda.lower + panda.upper) / 2.0)
@@ -321,15 +346,14 @@ def test_a_cost_in_the_null_space(panda):
     assert np.median(left) < 1e-6
 
 
-def test_a_scene_is_kept_clear_of():
+@pytest.mark.parametrize("collision", ["constraint", "penalty"])
+def test_a_scene_is_kept_clear_of(collision):
     chain = jaxik.load("chembuly9")
-    scene = jaxik.make_scene(
-        boxes=[(_at(0.45, 0.0, 0.3), (0.1, 0.6, 0.1)), (_at(0.2, 0.35, 0.5), (0.3, 0.1, 0.3))], spheres=[[0.3, -0.3, 0.4, 0.12]]
-    )
+    scene = _cell([0.3, -0.3, 0.4], 0.12)
     targets = reachable(chain, 60, seed=18)
     alone = jaxik.solve_ik(chain, targets)
     distance = jax.jit(jax.vmap(lambda q: jaxik.clearance(chain, scene, q)))
-    result = jaxik.solve_ik(chain, targets, scene, margin=0.01)
+    result = jaxik.solve_ik(chain, targets, scene, margin=0.01, collision=collision)
     assert set(np.unique(result.reason)) <= {Reason.SOLVED, Reason.COLLISION, Reason.NOT_CONVERGED}
     assert result.success.sum() > np.sum(distance(alone.q) >= 0.01) and result.success.sum() >= 20
     assert np.all(distance(result.q[result.success]) >= 0.01 - SLACK)
@@ -337,7 +361,7 @@ def test_a_scene_is_kept_clear_of():
     assert_solves(chain, result, targets)
     stuck = result.reason == Reason.COLLISION
     assert np.all(result.clearance[stuck] < 0.01) and np.all(result.position_error[stuck] < POSITION)
-    roomy = jaxik.solve_ik(chain, targets, scene, margin=0.01, choice="clearance", max_seeds=64)
+    roomy = jaxik.solve_ik(chain, targets, scene, margin=0.01, choice="clearance", max_seeds=64, collision=collision)
     both = roomy.success & result.success
     assert roomy.clearance[both].mean() > result.clearance[both].mean()
 
@@ -345,9 +369,15 @@ def test_a_scene_is_kept_clear_of():
 def test_inside_an_obstacle_is_a_collision():
     chain = jaxik.load("chembuly9")
     target = reachable(chain, 1, seed=19)[0]
-    scene = jaxik.make_scene(spheres=[[*(chain.world_T_base @ target)[:3, 3], 0.1]])
+    scene = _cell((chain.world_T_base @ target)[:3, 3], 0.1)
     result = jaxik.solve_ik(chain, target, scene)
     assert result.reason is Reason.COLLISION and not result.success and result.clearance < 0.0
+
+
+def _cell(centre, radius):
+    """Two boxes and a sphere: one shape of scene, so that the tests share what is compiled for it."""
+    boxes = [(_at(0.45, 0.0, 0.3), (0.1, 0.6, 0.1)), (_at(0.2, 0.35, 0.5), (0.3, 0.1, 0.3))]
+    return jaxik.make_scene(boxes=boxes, spheres=[[*centre, radius]])
 
 
 def _at(x, y, z):

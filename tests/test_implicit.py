@@ -1,6 +1,7 @@
 """Derivatives of solutions against finite differences of the solver itself."""
 
 import dataclasses
+from pathlib import Path
 
 import jax
 import jax.numpy as jnp
@@ -10,6 +11,7 @@ from robots import bare, pinocchio
 
 import jaxik
 
+MODELS = Path(__file__).parents[1] / "models"
 STEP = 1e-4
 RELATIVE = 1e-3  # of differences over the tolerance of the solver
 
@@ -111,31 +113,48 @@ def test_by_link_length_with_limits_held(pendulum):
     close(derivative[defined], ends, found.q[defined])
 
 
-def test_by_an_obstacle_that_is_pushed_against(pendulum):
-    chain = pendulum
-    cost, targets = middle_cost(chain), poses(chain, 60, seed=4)
+@pytest.fixture
+def beads(tmp_path):
+    """The pendulum with a sphere at each link's end: next to boxes only points have second derivatives."""
+    text = (MODELS / "pendulum4.toml").read_text()
+    text = text.replace(
+        '"capsule"\npoints = [[0, 0, 0], [0, 1, 0]]\nradius = 0', '"sphere"\npoints = [[0, 1, 0]]\nradius = 0.02'
+    )
+    (tmp_path / "beads.toml").write_text(text)
+    return dataclasses.replace(jaxik.load(tmp_path / "beads.toml"), self_pairs=())
+
+
+@pytest.mark.parametrize("obstacle", ["sphere", "box"])
+def test_by_an_obstacle_that_is_pushed_against(obstacle, pendulum, beads):
+    chain = {"sphere": pendulum, "box": beads}[obstacle]
+    cost, targets = middle_cost(chain), poses(chain, 120, seed=4)
     plain = solved(chain, targets, cost, task=IN_PLANE)
     elbow = np.median(jax.vmap(lambda q: jaxik.link_frames(chain, q))(plain.q)[:, 3, :3, 3], axis=0)
 
-    def ball(x):
-        place = chain.world_T_base[:3, :3] @ elbow + chain.world_T_base[:3, 3]
-        return jaxik.make_scene(spheres=[[*place + np.array([x, 0.0, 0.0]), 0.3]])
+    def scene(x):
+        frame = np.eye(4)
+        frame[:3, 3] = chain.world_T_base[:3, :3] @ elbow + chain.world_T_base[:3, 3] + np.array([x, 0.0, 0.0])
+        if obstacle == "sphere":
+            return jaxik.make_scene(spheres=[[*frame[:3, 3], 0.3]])
+        frame[:2, :2] = [[0.8, -0.6], [0.6, 0.8]]
+        return jaxik.make_scene(boxes=[(frame, (0.8, 0.4, 0.5))])
 
     more = {"task": IN_PLANE, "margin": 0.01}
-    found = solved(chain, targets, cost, scene=ball(0.0), **more)
+    found = solved(chain, targets, cost, scene=scene(0.0), **more)
 
     def move(x, target, q):
-        scene = ball(0.0)
-        centre = scene.spheres.center + jnp.stack([x, 0.0 * x, 0.0 * x])
-        scene = dataclasses.replace(scene, spheres=dataclasses.replace(scene.spheres, center=centre))
-        return jaxik.implicit_ik(chain, target, q, scene, cost, IN_PLANE, margin=0.01)
+        still, along = scene(0.0), jnp.stack([x, 0.0 * x, 0.0 * x])
+        spheres = dataclasses.replace(still.spheres, center=still.spheres.center + along)
+        boxes = dataclasses.replace(still.boxes, world_T_box=still.boxes.world_T_box + jnp.zeros((4, 4)).at[:3, 3].set(along))
+        moved = dataclasses.replace(still, spheres=spheres, boxes=boxes)
+        return jaxik.implicit_ik(chain, target, q, moved, cost, IN_PLANE, margin=0.01)
 
     leans = found.success & (np.abs(found.clearance - 0.01) < 1e-7)
     leans &= np.asarray(jax.jit(jax.vmap(lambda t, q: move(jnp.zeros(()), t, q).defined))(targets, found.q))
     assert leans.sum() >= 4
     targets, q = targets[leans], found.q[leans]
     slope = jax.jit(jax.vmap(lambda t, q: jax.jacfwd(lambda x: move(x, t, q).x)(jnp.zeros(()))))(targets, q)
-    ends = [solved(chain, targets, cost, scene=ball(s * STEP), seeds="near", reference=q, **more).q for s in (1.0, -1.0)]
+    ends = [solved(chain, targets, cost, scene=scene(s * STEP), seeds="near", reference=q, **more).q for s in (1.0, -1.0)]
     close(np.asarray(slope), ends, q)
 
 
