@@ -1,4 +1,4 @@
-"""The README's tables, from `benchmark.json` and `ik_benchmark.json`: `python batch_eval/report.py`."""
+"""The README's tables, from the benchmarks' JSON files beside this one: `python batch_eval/report.py`."""
 
 from __future__ import annotations
 
@@ -6,8 +6,7 @@ import json
 from pathlib import Path
 from typing import Any
 
-RESULT = Path(__file__).with_name("benchmark.json")
-IK_RESULT = Path(__file__).with_name("ik_benchmark.json")
+HERE = Path(__file__).parent
 
 
 def markdown(result: dict[str, Any]) -> str:
@@ -48,6 +47,33 @@ def ik_markdown(result: dict[str, Any]) -> str:
     return "\n".join(lines)
 
 
+def nine_dof_markdown(result: dict[str, Any]) -> str:
+    """A row for each target of the nine-joint paper, beside what that states."""
+    lines = [
+        "| crop, target [cm] | position error [m] | clearance [mm] | inside the limits | time | paper: 1e-9 m, 54 s |",
+        "| --- | --- | --- | --- | --- | --- |",
+    ]
+    for i, row in enumerate(result["ours"]):
+        broken = result["paper"][i]["limits_broken"] if i < len(result["paper"]) else None
+        theirs = "-" if broken is None else f"outside: {', '.join(broken)}" if broken else "inside the limits"
+        place = f"{row['crop'].replace('_', ' ')}, {', '.join(f'{x:g}' for x in row['target_cm'])}"
+        ours = (
+            f"{row['error_m']:.0e} | {1e3 * row['clearance_m']:.1f} | {'yes' if row['limits_kept'] else 'no'}"
+            if row["reason"] == "solved"
+            else f"{row['reason']} | - | -"
+        )
+        lines.append(f"| {place} | {ours} | {row['ms']:.1f} ms | {theirs} |")
+    return "\n".join(lines)
+
+
+TABLES = {"benchmark.json": markdown, "ik_benchmark.json": ik_markdown, "nine_dof.json": nine_dof_markdown}
+
+
+def tables() -> list[str]:
+    """One a benchmark."""
+    return [table(json.loads((HERE / name).read_text())) for name, table in TABLES.items()]
+
+
 def _duration(us: float) -> str:
     return f"{us:.0f} us" if us < 1000.0 else f"{us / 1000.0:.1f} ms"
 
@@ -57,6 +83,4 @@ def _times(ratio: float) -> str:
 
 
 if __name__ == "__main__":
-    print(markdown(json.loads(RESULT.read_text())))
-    if IK_RESULT.exists():  # each benchmark is run by itself
-        print("\n" + ik_markdown(json.loads(IK_RESULT.read_text())))
+    print("\n\n".join(tables()))

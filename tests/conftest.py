@@ -1,17 +1,30 @@
 """jaxtyping shapes are checked by beartype in every test; float64 is on, and float32 is asked for where it is judged."""
 
-from jaxtyping import install_import_hook
-
-with install_import_hook("jaxik", "beartype.beartype"):
-    import jaxik  # noqa: F401
-
+import atexit
+import gc
 import os
+import shutil
 import tempfile
+from importlib.util import find_spec
 from pathlib import Path
 
-import jax
+from jaxtyping import install_import_hook
+
+CACHE = "JAX_COMPILATION_CACHE_DIR"  # the processes of one run share what they compile; another run starts anew
+if "PYTEST_XDIST_WORKER" not in os.environ:
+    os.environ[CACHE] = tempfile.mkdtemp(prefix="jaxik-tests-")
+    atexit.register(shutil.rmtree, os.environ[CACHE], ignore_errors=True)
+
+# not the arithmetic on scalars: its types are Any, and a trace calls it a hundred thousand times
+UNTYPED = ("__init__", "algebra", "distance", "linear", "qp")
+HOME = Path(find_spec("jaxik").origin).parent
+TYPED = [".".join(("jaxik", *p.relative_to(HOME).with_suffix("").parts)) for p in HOME.rglob("*.py") if p.stem not in UNTYPED]
+
+with install_import_hook(TYPED, "beartype.beartype"):
+    import jaxik  # noqa: F401
+
+import jax  # noqa: E402
 
 jax.config.update("jax_enable_x64", True)
-# the processes of one run share what they compile; nothing is left over from another run
-run = os.environ.get("PYTEST_XDIST_TESTRUNUID", str(os.getpid()))
-jax.config.update("jax_compilation_cache_dir", str(Path(tempfile.gettempdir()) / f"jaxik-tests-{run}"))
+jax.config.update("jax_persistent_cache_min_compile_time_secs", 0.3)
+gc.set_threshold(100_000, 50, 100)  # traces make many objects and little garbage

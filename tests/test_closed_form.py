@@ -57,7 +57,7 @@ def _round_trip(chain, q, dtype=jnp.float64):
     return found, np.where(found.valid, error, 0.0), np.asarray(target)
 
 
-@pytest.mark.parametrize("seed", range(10))
+@pytest.mark.parametrize("seed", range(6))
 def test_round_trip_of_random_arms(seed):
     chain = random_arm(seed, right_angled=seed % 2 == 0, slide=seed % 3 == 0)
     q = np.random.default_rng(seed).uniform(-np.pi, np.pi, (10_000, chain.num_joints))

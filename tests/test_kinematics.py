@@ -117,16 +117,18 @@ def test_against_mujoco_and_mjx(name):
     model = spec.compile()
     data, body = mujoco.MjData(model), mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_BODY, tip)
     assert [model.joint(i).name for i in range(model.njnt)] == list(chain.joint_names)
-    device = mjx.put_model(model)
-    blank, q = mjx.make_data(device), _random(chain, 5)
-    moved = jax.jit(jax.vmap(lambda q: mjx.kinematics(device, blank.replace(qpos=q))))(q)
-    for i, row in enumerate(q):
-        pose, jacobian = (np.asarray(f(chain, row)) for f in (jaxik.forward_kinematics, jaxik.jacobian))
+    q = _random(chain, 5)
+    ours = jax.jit(jax.vmap(lambda q: (jaxik.forward_kinematics(chain, q), jaxik.jacobian(chain, q))))(q)
+    if name in ("tiago", "kinova"):  # it compiles long; all kinds of joints are among these
+        device = mjx.put_model(model)
+        blank = mjx.make_data(device)
+        moved = jax.jit(jax.vmap(lambda q: mjx.kinematics(device, blank.replace(qpos=q))))(q).xpos[:, body]
+        assert np.max(np.abs(moved - ours[0][:, :3, 3])) <= 1e-12
+    for row, pose, jacobian in zip(q, *map(np.asarray, ours), strict=True):
         data.qpos[:] = row
         mujoco.mj_forward(model, data)
         assert np.max(np.abs(pose[:3, 3] - data.xpos[body])) <= 1e-12
         assert np.max(np.abs(pose[:3, :3].ravel() - data.xmat[body])) <= 1e-12
-        assert np.max(np.abs(pose[:3, 3] - moved.xpos[i, body])) <= 1e-12
         linear, angular = np.zeros((2, 3, model.nv))
         mujoco.mj_jacBody(model, data, linear, angular, body)
         assert np.max(np.abs(jacobian - np.vstack([linear, angular]))) <= 1e-12
