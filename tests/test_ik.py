@@ -346,14 +346,15 @@ def test_a_cost_in_the_null_space(panda):
     assert np.median(left) < 1e-6
 
 
-@pytest.mark.parametrize("collision", ["constraint", "penalty"])
-def test_a_scene_is_kept_clear_of(collision):
+def test_a_scene_is_kept_clear_of():
     chain = jaxik.load("chembuly9")
-    scene = _cell([0.3, -0.3, 0.4], 0.12)
+    scene = jaxik.make_scene(
+        boxes=[(_at(0.45, 0.0, 0.3), (0.1, 0.6, 0.1)), (_at(0.2, 0.35, 0.5), (0.3, 0.1, 0.3))], spheres=[[0.3, -0.3, 0.4, 0.12]]
+    )
     targets = reachable(chain, 60, seed=18)
     alone = jaxik.solve_ik(chain, targets)
     distance = jax.jit(jax.vmap(lambda q: jaxik.clearance(chain, scene, q)))
-    result = jaxik.solve_ik(chain, targets, scene, margin=0.01, collision=collision)
+    result = jaxik.solve_ik(chain, targets, scene, margin=0.01)
     assert set(np.unique(result.reason)) <= {Reason.SOLVED, Reason.COLLISION, Reason.NOT_CONVERGED}
     assert result.success.sum() > np.sum(distance(alone.q) >= 0.01) and result.success.sum() >= 20
     assert np.all(distance(result.q[result.success]) >= 0.01 - SLACK)
@@ -361,23 +362,28 @@ def test_a_scene_is_kept_clear_of(collision):
     assert_solves(chain, result, targets)
     stuck = result.reason == Reason.COLLISION
     assert np.all(result.clearance[stuck] < 0.01) and np.all(result.position_error[stuck] < POSITION)
-    roomy = jaxik.solve_ik(chain, targets, scene, margin=0.01, choice="clearance", max_seeds=64, collision=collision)
+    roomy = jaxik.solve_ik(chain, targets, scene, margin=0.01, choice="clearance", max_seeds=64)
     both = roomy.success & result.success
     assert roomy.clearance[both].mean() > result.clearance[both].mean()
 
 
-def test_inside_an_obstacle_is_a_collision():
-    chain = jaxik.load("chembuly9")
-    target = reachable(chain, 1, seed=19)[0]
-    scene = _cell((chain.world_T_base @ target)[:3, 3], 0.1)
-    result = jaxik.solve_ik(chain, target, scene)
-    assert result.reason is Reason.COLLISION and not result.success and result.clearance < 0.0
-
-
-def _cell(centre, radius):
-    """Two boxes and a sphere: one shape of scene, so that the tests share what is compiled for it."""
-    boxes = [(_at(0.45, 0.0, 0.3), (0.1, 0.6, 0.1)), (_at(0.2, 0.35, 0.5), (0.3, 0.1, 0.3))]
-    return jaxik.make_scene(boxes=boxes, spheres=[[*centre, radius]])
+@pytest.mark.parametrize("collision", ["constraint", "penalty"])
+def test_both_forms_of_collision_find_what_is_free(collision):
+    chain, in_plane = jaxik.load("pendulum4"), jaxik.Task((True, True, False, False, False, False), "base")
+    targets = reachable(chain, 60, seed=19)
+    middle = (chain.world_T_base @ targets[0])[:3, 3]
+    scene = jaxik.make_scene(spheres=[[*middle, 0.3]])
+    alone = jaxik.solve_ik(chain, targets, task=in_plane)
+    result = jaxik.solve_ik(chain, targets, scene, task=in_plane, margin=0.01, collision=collision)
+    distance = jax.jit(jax.vmap(lambda q: jaxik.clearance(chain, scene, q)))
+    assert result.success.sum() > np.sum(distance(alone.q) >= 0.01)
+    assert np.all(distance(result.q[result.success]) >= 0.01 - SLACK)
+    pose = pinocchio(chain)
+    assert all(
+        np.linalg.norm(pose(q)[:2, 3] - target[:2, 3]) <= POSITION + SLACK
+        for q, target in zip(result.q[result.success], targets[result.success], strict=True)
+    )
+    assert result.reason[0] == Reason.COLLISION and result.clearance[0] < 0.0  # its target is inside the obstacle
 
 
 def _at(x, y, z):

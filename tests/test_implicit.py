@@ -50,6 +50,16 @@ def close(derivative, ends, middle):
     np.testing.assert_array_less(apart[calm], RELATIVE * size[calm])
 
 
+def derivative(function, by=jax.jacfwd):
+    """Of a solution `function(p, target, q)` by p, and whether it is defined: one program."""
+
+    def both(p, target, q):
+        found = lambda p: (lambda f: (f.x, f.defined))(function(p, target, q))
+        return by(found, has_aux=True)(p)
+
+    return both
+
+
 IN_PLANE = jaxik.Task((True, True, False, False, False, False), "base")
 
 
@@ -66,9 +76,8 @@ def test_by_target(pendulum):
     def moved(p, target, q):
         return jaxik.implicit_ik(pendulum, target.at[:2, 3].set(p), q, cost=cost, task=IN_PLANE)
 
-    each = lambda mode: jax.jit(jax.vmap(lambda t, q: mode(lambda p: moved(p, t, q).x)(t[:2, 3])))
-    forward, backward = (each(mode)(targets, found.q) for mode in (jax.jacfwd, jax.jacrev))
-    defined = np.asarray(jax.jit(jax.vmap(lambda t, q: moved(t[:2, 3], t, q).defined))(targets, found.q))
+    each = lambda by: jax.jit(jax.vmap(lambda t, q: derivative(moved, by)(t[:2, 3], t, q)))(targets, found.q)
+    (forward, defined), (backward, _) = (map(np.asarray, each(by)) for by in (jax.jacfwd, jax.jacrev))
     assert defined.mean() > 0.5
     np.testing.assert_allclose(forward, backward, atol=1e-9 * np.abs(forward).max())
     for axis in range(2):
@@ -76,18 +85,24 @@ def test_by_target(pendulum):
         shift[axis, 3] = STEP
         again = {"task": IN_PLANE, "seeds": "near", "reference": found.q}
         ends = [solved(pendulum, targets + s * shift, cost, **again).q[defined] for s in (1.0, -1.0)]
-        close(np.asarray(forward)[defined, :, axis], ends, found.q[defined])
+        close(forward[defined, :, axis], ends, found.q[defined])
 
 
-def test_without_a_cost_the_move_is_least(panda):
+@pytest.fixture(scope="module")
+def by_position(panda):
+    """(target, q) -> dq/dp and whether it is defined."""
+    least = derivative(lambda p, target, q: jaxik.implicit_ik(panda, target.at[:3, 3].set(p), q))
+    return jax.jit(lambda target, q: least(target[:3, 3], target, q))
+
+
+def test_without_a_cost_the_move_is_least(panda, by_position):
     targets = poses(panda, 40, seed=3)
     plain = jaxik.solve_ik(panda, targets)
-    least = lambda p, target, q: jaxik.implicit_ik(panda, target.at[:3, 3].set(p), q).x
-    derivative = jax.jit(jax.vmap(lambda t, q: jax.jacfwd(least)(t[:3, 3], t, q)))(targets, plain.q)
+    slope = np.stack([by_position(t, q)[0] for t, q in zip(targets, plain.q, strict=True)])
     inside = np.all((plain.q > panda.lower + 1e-3) & (plain.q < panda.upper - 1e-3), axis=1)
     columns = np.asarray(jax.jit(jax.vmap(lambda q: jaxik.jacobian(panda, q)))(plain.q))
     assert inside.sum() > 10
-    np.testing.assert_allclose(derivative[inside], np.linalg.pinv(columns)[inside][:, :, :3], atol=1e-6)
+    np.testing.assert_allclose(slope[inside], np.linalg.pinv(columns)[inside][:, :, :3], atol=1e-6)
 
 
 def test_by_link_length_with_limits_held(pendulum):
@@ -104,13 +119,12 @@ def test_by_link_length_with_limits_held(pendulum):
     found = solved(chain, targets, cost, task=IN_PLANE)
     assert found.success.all()
     length = lambda by, t, q: jaxik.implicit_ik(longer(by), t, q, cost=cost, task=IN_PLANE)
-    defined = np.asarray(jax.jit(jax.vmap(lambda t, q: length(0.0, t, q).defined))(targets, found.q))
-    derivative = np.asarray(jax.jit(jax.vmap(lambda t, q: jax.jacfwd(lambda b: length(b, t, q).x)(0.0)))(targets, found.q))
+    slope, defined = map(np.asarray, jax.jit(jax.vmap(lambda t, q: derivative(length)(0.0, t, q)))(targets, found.q))
     at_limit = np.abs(np.abs(found.q) - 0.8) < 1e-9
-    assert at_limit[defined].any(axis=1).sum() > 4 and np.all(derivative[defined][at_limit[defined]] == 0.0)
+    assert at_limit[defined].any(axis=1).sum() > 4 and np.all(slope[defined][at_limit[defined]] == 0.0)
     again = {"task": IN_PLANE, "seeds": "near", "reference": found.q}
     ends = [solved(longer(s * STEP), targets, cost, **again).q[defined] for s in (1.0, -1.0)]
-    close(derivative[defined], ends, found.q[defined])
+    close(slope[defined], ends, found.q[defined])
 
 
 @pytest.fixture
@@ -150,16 +164,16 @@ def test_by_an_obstacle_that_is_pushed_against(obstacle, pendulum, beads):
         return jaxik.implicit_ik(chain, target, q, moved, cost, IN_PLANE, margin=0.01)
 
     leans = found.success & (np.abs(found.clearance - 0.01) < 1e-7)
-    leans &= np.asarray(jax.jit(jax.vmap(lambda t, q: move(jnp.zeros(()), t, q).defined))(targets, found.q))
+    slope, defined = map(np.asarray, jax.jit(jax.vmap(lambda t, q: derivative(move)(jnp.zeros(()), t, q)))(targets, found.q))
+    leans &= defined
     assert leans.sum() >= 4
     targets, q = targets[leans], found.q[leans]
-    slope = jax.jit(jax.vmap(lambda t, q: jax.jacfwd(lambda x: move(x, t, q).x)(jnp.zeros(()))))(targets, q)
     ends = [solved(chain, targets, cost, scene=scene(s * STEP), seeds="near", reference=q, **more).q for s in (1.0, -1.0)]
-    close(np.asarray(slope), ends, q)
+    close(slope[leans], ends, q)
 
 
-def test_not_defined(panda):
-    defined = jax.jit(lambda target, q: jaxik.implicit_ik(panda, target, q).defined)
+def test_not_defined(panda, by_position):
+    defined = lambda target, q: by_position(target, q)[1]
     pose = pinocchio(panda)
     plain = np.array([0.3, 0.2, -0.4, -1.5, 0.5, 1.6, 0.4])
     assert defined(pose(plain), plain)
