@@ -35,7 +35,8 @@ from jaxik.result import Reason
 from jaxik.scene import Scene
 
 LANES = 256  # a compiled call: half as many cost half as much again each, twice as many keep a single target waiting
-MEASURED = 64  # configurations a compiled call of clearances
+MEASURED = 64  # configurations a compiled call where a scene or a cost is looked at in each step
+CHECKED = 16  # configurations a compiled call of clearances: as many as a first wave finds for one target
 STEPS = 10  # of a lane before it is given up: what lands, lands by then (80 % of the Panda's, 82 % after 24)
 LANDED = 2e-3  # [rad], [unit lengths] from where two steps in float64 reach 1e-6 nearly always
 FINISH = sqp.Options(floor=1e-10, cap=0.1)
@@ -332,7 +333,7 @@ def _polished(job: Job, poses: np.ndarray, lanes_: Found, program: Callable[...,
 def _clearance(job: Job, q: np.ndarray) -> np.ndarray:
     if job.scene is None or not len(q):
         return np.full(len(q), np.nan)
-    return in_blocks(lanes.clearances(job.chain), q, size=MEASURED, fixed=(job.scene,), double=True)[0]
+    return in_blocks(lanes.clearances(job.chain), q, size=CHECKED, fixed=(job.scene,), double=True)[0]
 
 
 def unwound(chain: Chain, q: np.ndarray) -> np.ndarray:
