@@ -14,7 +14,7 @@ from typing import Any, NamedTuple
 import jax
 import jax.numpy as jnp
 
-from jaxik.algebra import Frame, Scalar, add, mul, safe_sqrt, shared, stack
+from jaxik.algebra import Frame, Scalar, add, mul, shared, stack
 from jaxik.chain import Chain
 from jaxik.collision import clearance, link_contacts
 from jaxik.costs import Cost, collision_cost
@@ -26,7 +26,7 @@ from jaxik.task import Task
 
 
 class Landed(NamedTuple):
-    """Where a lane ended: q (n,), and the errors of its tip [m], [rad]."""
+    """Where lanes ended: q (lanes, n), and the errors of their tips (lanes,) [m], [rad]."""
 
     q: Any
     position_error: Any
@@ -54,8 +54,7 @@ def unit_length(chain: Chain) -> float:
 @functools.lru_cache(maxsize=64)
 def landing(chain: Chain, task: Task, iterations: int, options: sqp.Options, extras: Extras = NOTHING) -> Callable[..., Landed]:
     """A compiled batch of SQP runs: (q, pose, lower, upper, weights[, scene, margin]) -> `Landed`; q and pose by rows."""
-    each = functools.partial(_land, chain, task, iterations, options, extras)
-    return jax.jit(jax.vmap(each, in_axes=(0, 0, None, None, None) + ((None, None) if extras.collision != "none" else ())))
+    return jax.jit(functools.partial(_land, chain, task, iterations, options, extras))
 
 
 @functools.lru_cache(maxsize=64)
@@ -79,13 +78,13 @@ def _land(
     margin: Any = None,
 ) -> Landed:
     n, dtype = chain.num_joints, q.dtype
-    target = Frame.of_entries([pose[i, j] for i in range(4) for j in range(4)])
     scale = 1.0 / unit_length(chain)
     metric = [
         [weights[i] * (scale**2 if chain.is_prismatic[i] else 1.0) if i == j else 0.0 for j in range(n)] for i in range(n)
     ]
 
-    def model(x: Sequence[Scalar]) -> sqp.Model:
+    def model(pose: Any, x: Sequence[Scalar]) -> sqp.Model:
+        target = Frame.of_entries([pose[i, j] for i in range(4) for j in range(4)])
         frames = joint_frames(chain, x, dtype=dtype)
         position, rotation = task.residual(frames.tip, target)
         rows = task.rows(jacobian_columns(chain, frames), target)
@@ -95,10 +94,11 @@ def _land(
         cost, gradient, inequality = _beside(chain, extras, x, scene, margin, scale, dtype)
         return sqp.Model(cost, gradient, equality, inequality)
 
-    scalars = lambda v: [v[i] for i in range(n)]
-    x = sqp.run(sqp.Problem(model, metric), scalars(q), scalars(low), scalars(high), iterations, options)
-    position, rotation = task.residual(joint_frames(chain, x, dtype=dtype).tip, target)
-    return Landed(stack(x, (n,), dtype), _norm(position, dtype), _norm(rotation, dtype))
+    problem = lambda pose: sqp.Problem(functools.partial(model, pose), metric)
+    found, apart = sqp.run(problem, pose, q, low, high, sum(task.bound), iterations, options)
+    places = len(task.positions)
+    size = lambda part: jnp.sqrt(jnp.sum(part**2, axis=1))
+    return Landed(found, size(apart[:, :places]) / scale, size(apart[:, places:]))
 
 
 def _beside(
@@ -124,7 +124,3 @@ def _beside(
         count = range(len(apart))
         inequality = Rows([apart[k] for k in count], [[slope[k] for slope in slopes] for k in count])
     return cost, gradient, inequality
-
-
-def _norm(values: list[Scalar], dtype: Any) -> Any:
-    return safe_sqrt(jnp.asarray(sum(v * v for v in values), dtype)) if values else jnp.zeros((), dtype)

@@ -91,17 +91,34 @@ class State(NamedTuple):
     learned: Any
 
 
-def run(problem: Problem, x: Sequence[Any], low: Sequence[Any], high: Sequence[Any], iterations: int, options: Options) -> Any:
-    """x after so many steps; all are n scalars, x inside its bounds."""
+def run(
+    problem: Callable[[Any], Problem], each: Any, x: Any, low: Any, high: Any, equations: int, iterations: int, options: Options
+) -> tuple[Any, Any]:
+    """x (lanes, n) after so many steps, and the values there of its `equations` (lanes, m).
+
+    `problem` makes a lane's problem of its part of `each`, whose leaves have a row a lane; x is inside its bounds (n,).
+    The loop is around the batch: around each lane, JAX would trace its body three times.
+    """
+    lower, upper = ([bound[i] for i in range(x.shape[1])] for bound in (low, high))
+    start = tuple(x[:, i] for i in range(x.shape[1]))
     if options.hessian == "gauss_newton" and options.merit == "none":  # nothing to remember but x
-        return lax.fori_loop(
-            0,
-            iterations,
-            lambda _, x: _moved(x, _step(problem, problem.model(x), x, low, high, options)[0], low, high),
-            tuple(x),
-        )
-    start = init(problem, x, options)
-    return lax.fori_loop(0, iterations, lambda _, state: advance(problem, state, low, high, options), start).x
+
+        def turn(i: Any, x: Any, own: Any) -> Any:
+            model = problem(own).model(x)
+            moved = _moved(x, _step(problem(own), model, x, lower, upper, options)[0], lower, upper)
+            # the last turn only looks: a second copy of the model after the loop would compile for a second
+            x = tuple(jnp.where(i < iterations, a, b) for a, b in zip(moved, x, strict=True))
+            return x, jnp.stack([jnp.asarray(v, x[0].dtype) for v in model.equality.value])
+
+        turns = jax.vmap(turn, in_axes=(None, 0, 0))
+        unseen = jnp.zeros((len(x), equations), x.dtype)
+        found, value = lax.fori_loop(0, iterations + 1, lambda i, before: turns(i, before[0], each), (start, unseen))
+        return jnp.stack(found, axis=1), value
+    begin = jax.vmap(lambda x, own: init(problem(own), x, options))
+    step = jax.vmap(lambda state, own: advance(problem(own), state, lower, upper, options))
+    end = lax.fori_loop(0, iterations, lambda _, state: step(state, each), begin(start, each))
+    values = end.model.equality.value
+    return jnp.stack(end.x, axis=1), jnp.stack(values, axis=1) if values else jnp.zeros((len(x), 0), x.dtype)
 
 
 def init(problem: Problem, x: Sequence[Any], options: Options) -> State:
