@@ -58,7 +58,7 @@ def nine_dof_markdown(result: dict[str, Any]) -> str:
         theirs = "-" if broken is None else f"outside: {', '.join(broken)}" if broken else "inside the limits"
         place = f"{row['crop'].replace('_', ' ')}, {', '.join(f'{x:g}' for x in row['target_cm'])}"
         ours = (
-            f"{row['error_m']:.0e} | {1e3 * row['clearance_m']:.1f} | {'yes' if row['limits_kept'] else 'no'}"
+            f"{row['error_m']:.1g} | {1e3 * row['clearance_m']:.1f} | {'yes' if row['limits_kept'] else 'no'}"
             if row["reason"] == "solved"
             else f"{row['reason']} | - | -"
         )
