@@ -1,0 +1,131 @@
+"""Optimal control in discrete time, for states that are small and horizons that are long; it knows no robot.
+
+    y_0 given,   y_{k+1}, v_k = step(y_k, w_k, p_k),   L = dt sum_k cost(y_k, v_k, w_k, p_k),   k = 0 .. N-1
+
+The state y is a tuple of vectors, w the input, p what is known of the future at each sample, v an output that costs may look at
+(a velocity). The gradient is that of Pontryagin's minimum principle [Schuetz 2017, (5.5), (5.9)] for the discrete system:
+
+    lambda_N = 0,   lambda_k = dt l_y' + step_y' lambda_{k+1},   g_k = l_w' + step_w' lambda_{k+1} / dt
+
+With explicit Euler steps this is the text's adjoint equation, integrated backwards by Euler; with others the adjoint of that
+integrator, so that g is the exact gradient of L (by the inner product `dt sum_k a_k' b_k`) and not an approximation of it.
+
+Only the roll-out and the sum over lambda are sequential. Everything that costs, the derivatives of steps and costs, is done for
+all samples at once, which on a CPU is what its vector units are for.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any, NamedTuple
+
+import jax
+import jax.numpy as jnp
+from jax import lax
+
+
+class Problem(NamedTuple):
+    """`step(y, w, p) -> (y, v)` over `dt` [s], and `cost(y, v, w, p)` per second."""
+
+    step: Callable[..., Any]
+    cost: Callable[..., Any]
+    dt: float
+
+
+class Run(NamedTuple):
+    """A roll-out: states (N+1, ..) each, outputs (N, ..), and the cost of each sample (N,), whose sum times dt is L."""
+
+    y: Any
+    v: Any
+    costs: Any
+    total: Any
+
+
+def roll_out(problem: Problem, y: Any, w: Any, p: Any) -> Run:
+    """From y along the inputs w (N, m)."""
+
+    def advance(y: Any, now: Any) -> Any:
+        after, v = problem.step(y, *now)
+        return after, (after, v)
+
+    _, (later, v) = lax.scan(advance, y, (w, p))
+    states = jax.tree_util.tree_map(lambda a, b: jnp.concatenate([a[None], b]), y, later)
+    costs = jax.vmap(problem.cost)(_head(states), v, w, p)
+    return Run(states, v, costs, problem.dt * jnp.sum(costs))
+
+
+def gradient(problem: Problem, run: Run, w: Any, p: Any) -> tuple[Any, Any]:
+    """g (N, m) at the inputs that made `run`, and the adjoint variables (N+1, ..) of each part of the state."""
+    y = _head(run.y)
+    slopes = jax.vmap(jax.grad(problem.cost, argnums=(0, 1, 2)))(y, run.v, w, p)
+    parts = range(len(y))
+
+    def by(i: int, y: Any, w: Any, p: Any) -> Any:
+        """The step's derivatives by part i of the state, or by the input after the last part."""
+        if i == len(y):
+            return jax.jacfwd(lambda x: problem.step(y, x, p))(w)
+        return jax.jacfwd(lambda x: problem.step((*y[:i], x, *y[i + 1 :]), w, p))(y[i])
+
+    derivatives = [jax.vmap(lambda y, w, p, i=i: by(i, y, w, p))(y, w, p) for i in (*parts, len(y))]
+
+    def back(after: Any, now: Any) -> Any:
+        (l_y, l_v, l_w), each = now
+        pulled = [sum(a @ d for a, d in zip(after, to_y, strict=True)) for to_y, _ in each]
+        through = [l_v @ to_v for _, to_v in each]
+        before = tuple(problem.dt * (l_y[i] + through[i]) + pulled[i] for i in parts)
+        return before, (before, l_w + through[-1] + pulled[-1] / problem.dt)
+
+    end = jax.tree_util.tree_map(lambda a: jnp.zeros_like(a[0]), y)
+    _, (adjoint, g) = lax.scan(back, end, (slopes, derivatives), reverse=True)
+    return g, jax.tree_util.tree_map(lambda a, b: jnp.concatenate([a, b[None]]), adjoint, end)
+
+
+def _head(states: Any) -> Any:
+    return jax.tree_util.tree_map(lambda a: a[:-1], states)
+
+
+def euler(field: Callable[..., Any], dt: float) -> Callable[..., Any]:
+    """`x + dt f(x, u, p_0)`, and f; p holds the samples of one step, the first at its start."""
+
+    def step(x: Any, u: Any, p: Any) -> Any:
+        v = field(x, u, _sample(p, 0))
+        return x + dt * v, v
+
+    return step
+
+
+def runge_kutta(field: Callable[..., Any], dt: float) -> Callable[..., Any]:
+    """The classic fourth order; p holds samples at the start, the middle and the end, u is held."""
+
+    def step(x: Any, u: Any, p: Any) -> Any:
+        a = field(x, u, _sample(p, 0))
+        b = field(x + 0.5 * dt * a, u, _sample(p, 1))
+        c = field(x + 0.5 * dt * b, u, _sample(p, 1))
+        d = field(x + dt * c, u, _sample(p, 2))
+        return x + dt / 6.0 * (a + 2.0 * b + 2.0 * c + d), a
+
+    return step
+
+
+def _sample(p: Any, i: int) -> Any:
+    return jax.tree_util.tree_map(lambda a: a[i], p)
+
+
+def of_velocity(integrate: Callable[..., Any]) -> Callable[..., Any]:
+    """The input is what the field takes [Schuetz 2017, (5.5)]: state (x,)."""
+
+    def step(y: Any, w: Any, p: Any) -> Any:
+        x, v = integrate(y[0], w, p)
+        return (x,), v
+
+    return step
+
+
+def of_acceleration(integrate: Callable[..., Any], dt: float) -> Callable[..., Any]:
+    """The input is the rate of what the field takes [(5.7)-(5.9)]: state (x, u); u is held over a step."""
+
+    def step(y: Any, w: Any, p: Any) -> Any:
+        x, v = integrate(*y, p)
+        return (x, y[1] + dt * w), v
+
+    return step

@@ -1,0 +1,150 @@
+"""Where the tip is to be at each moment: lines, arcs and curves through via points, with velocity and acceleration.
+
+A path gives the tip's pose for s in [0, 1]; a quintic in time runs s from 0 to 1 and starts and ends at rest:
+
+    s(t) = 10 x^3 - 15 x^4 + 6 x^5,   x = t / duration                              [Schuetz 2017, (5.40), (5.41)]
+
+Before the start and after the end the tip stands still, so a horizon may outrun the end. Paths are pytrees of arrays: they may
+be traced, moved and batched. A path of positions has no rotation of its own; it keeps the one it is given.
+"""
+
+from __future__ import annotations
+
+from typing import Any, NamedTuple
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Float
+
+from jaxik.algebra import Rot3
+from jaxik.chain import Array
+from jaxik.task import rotation_vector
+
+
+class Motion(NamedTuple):
+    """What is asked of the tip at a moment, in the base frame: `base_T_tip` (4, 4) [m], velocity and acceleration (6,), linear
+    then angular [m/s, rad/s; m/s2, rad/s2]."""
+
+    pose: Float[Array, "*t 4 4"]
+    velocity: Float[Array, "*t 6"]
+    acceleration: Float[Array, "*t 6"]
+
+
+class Line(eqx.Module):
+    """A straight line from `start` to `end` (4, 4), turning about one axis by the shorter way."""
+
+    start: Float[Array, "4 4"]
+    end: Float[Array, "4 4"]
+
+    def pose(self, s: Any) -> Any:
+        """Position (3,) and rotation (3, 3) at s."""
+        start, end = jnp.asarray(self.start), jnp.asarray(self.end)
+        turn = rotation_log(start[:3, :3].T @ end[:3, :3])
+        return start[:3, 3] + s * (end[:3, 3] - start[:3, 3]), start[:3, :3] @ rotation_exp(s * turn)
+
+
+class Arc(eqx.Module):
+    """From `start` (4, 4) by `angle` [rad] around the line through `centre` (3,) along `axis` (3,), as around a stem; the tool
+    turns along, so that it keeps facing the axis, or keeps its rotation (`turning=False`)."""
+
+    start: Float[Array, "4 4"]
+    centre: Float[Array, "3"]
+    axis: Float[Array, "3"]
+    angle: Float[Array, ""] | float
+    turning: bool = eqx.field(static=True, default=True)
+
+    def pose(self, s: Any) -> Any:
+        """Position (3,) and rotation (3, 3) at s."""
+        start, centre, axis = jnp.asarray(self.start), jnp.asarray(self.centre), jnp.asarray(self.axis)
+        turn = rotation_exp(s * self.angle * axis / jnp.linalg.norm(axis))
+        rotation = turn @ start[:3, :3] if self.turning else start[:3, :3] + 0.0 * s
+        return centre + turn @ (start[:3, 3] - centre), rotation
+
+
+class Curve(eqx.Module):
+    """Through via points with continuous velocity and acceleration: a cubic spline of position and of the rotation vector from
+    the first pose. Made by `via`."""
+
+    knots: Float[Array, " k"]
+    coefficients: Float[Array, "k1 4 6"]
+    first: Float[Array, "3 3"]
+
+    def pose(self, s: Any) -> Any:
+        """Position (3,) and rotation (3, 3) at s."""
+        knots = jnp.asarray(self.knots)
+        i = jnp.clip(jnp.searchsorted(knots, s, side="right") - 1, 0, len(knots) - 2)
+        x, c = s - knots[i], jnp.asarray(self.coefficients)[i]
+        value = ((c[0] * x + c[1]) * x + c[2]) * x + c[3]
+        return value[:3], jnp.asarray(self.first) @ rotation_exp(value[3:])
+
+
+Path = Line | Arc | Curve
+
+
+def via(poses: Any) -> Curve:
+    """The curve through poses (k, 4, 4) or positions (k, 3), k >= 2, reached at times in proportion to their distances.
+
+    Raises `ValueError` for another shape or equal neighbours. Each pose may be turned by less than pi from the first.
+    """
+    from scipy.interpolate import CubicSpline
+    from scipy.spatial.transform import Rotation
+
+    given = np.asarray(poses, np.float64)
+    if given.ndim == 2 and given.shape[1] == 3:
+        given = np.tile(np.eye(4), (len(given), 1, 1)) + np.pad(given[:, :, None], ((0, 0), (0, 1), (3, 0)))
+    if given.ndim != 3 or given.shape[1:] != (4, 4) or len(given) < 2:
+        raise ValueError(f"via: poses of shape {np.shape(poses)}; allowed: (k, 4, 4) or (k, 3) with k >= 2")
+    first = given[0, :3, :3]
+    turned = Rotation.from_matrix(first.T @ given[:, :3, :3]).as_rotvec()
+    values = np.concatenate([given[:, :3, 3], turned], axis=1)
+    away = np.linalg.norm(np.diff(values, axis=0), axis=1)
+    if not np.all(away > 0.0):
+        raise ValueError(f"via: points {int(np.argmin(away))} and {int(np.argmin(away)) + 1} are equal; leave one out")
+    knots = np.concatenate([[0.0], np.cumsum(away)]) / away.sum()
+    spline = CubicSpline(knots, values, bc_type="natural" if len(values) > 2 else "clamped")
+    return Curve(knots, np.moveaxis(spline.c, 0, 1), first)
+
+
+def motion(path: Path, duration: float, t: Any) -> Motion:
+    """What `path` asks at time t [s], which may be an array. Traced; `duration` > 0 [s]."""
+    t = jnp.asarray(t)
+    if t.ndim:
+        return jax.vmap(lambda t: motion(path, duration, t))(t)
+    x = jnp.clip(t / duration, 0.0, 1.0)
+    s = ((6.0 * x - 15.0) * x + 10.0) * x**3
+    rate = ((30.0 * x - 60.0) * x + 30.0) * x**2 / duration
+    rate_2 = ((120.0 * x - 180.0) * x + 60.0) * x / duration**2
+
+    def moving(s: Any) -> Any:
+        """Pose, and its derivatives by s as a twist."""
+        (position, rotation), (slope, turn) = jax.jvp(path.pose, (s,), (jnp.ones_like(s),))
+        return (position, rotation), jnp.concatenate([slope, _vector(turn @ rotation.T)])
+
+    ((position, rotation), first), (_, second) = jax.jvp(moving, (s,), (jnp.ones_like(s),))
+    pose = jnp.block([[rotation, position[:, None]], [jnp.zeros((1, 3)), jnp.ones((1, 1))]]).astype(position.dtype)
+    return Motion(pose, first * rate, second * rate**2 + first * rate_2)
+
+
+def _vector(skew: Any) -> Any:
+    return 0.5 * jnp.stack([skew[2, 1] - skew[1, 2], skew[0, 2] - skew[2, 0], skew[1, 0] - skew[0, 1]])
+
+
+def rotation_log(rotation: Any) -> Any:
+    """The rotation vector (3,) of a rotation (3, 3) [rad]."""
+    return jnp.stack([jnp.asarray(x) for x in rotation_vector(Rot3.of([rotation[i, j] for i in range(3) for j in range(3)]))])
+
+
+def rotation_exp(vector: Any) -> Any:
+    """The rotation (3, 3) of a rotation vector (3,) [rad] (Rodrigues), with all derivatives at 0."""
+    x, y, z = vector
+    cross = jnp.array([[0.0, -1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, 0.0]]) * z
+    cross += jnp.array([[0.0, 0.0, 1.0], [0.0, 0.0, 0.0], [-1.0, 0.0, 0.0]]) * y
+    cross += jnp.array([[0.0, 0.0, 0.0], [0.0, 0.0, -1.0], [0.0, 1.0, 0.0]]) * x
+    square = x * x + y * y + z * z
+    small = square < 1e-6
+    angle = jnp.sqrt(jnp.where(small, 1.0, square))
+    sine = jnp.where(small, 1.0 - square / 6.0 + square**2 / 120.0, jnp.sin(angle) / angle)
+    versine = jnp.where(small, 0.5 - square / 24.0 + square**2 / 720.0, (1.0 - jnp.cos(angle)) / angle**2)
+    return jnp.eye(3) + sine * cross + versine * cross @ cross

@@ -1,0 +1,160 @@
+"""Redundancy resolved moment by moment: joint rates that move the tip as its task asks and spend what is left on a cost.
+
+    qdot  = u + W^-1 J' A^-1 (wdot_eff - J u),             A = J W^-1 J'       velocity level
+    qddot = u + W^-1 J' A^-1 (wddot_eff - Jdot qdot - J u)                     acceleration level
+
+which is `J#_W wdot + (1 - J#_W J) u` with one solution of a small linear system instead of a pseudoinverse [Klein and Huang
+1983]. What names these schemes is u:
+
+    rmrc    u = 0                         resolved motion rate control [Whitney 1969; Schuetz 2017, (4.9)]
+    asc     u = -alpha W^-1 dH/dq         automatic supervisory control [Liegeois 1977; (4.12)]
+    rac     u = -alpha W^-1 dH/dq - zeta qdot      resolved acceleration control [Luh et al. 1980; (4.16)], with the damping
+                                                   term (4.23), whose derivative by qdot it is
+
+The task is closed: `wdot_eff = wdot + K werr` and `wddot_eff = wddot + K' werrdot + K werr` (4.18), (4.19), so that integration
+does not drift. Near a singularity the pivots of A's Cholesky factorisation that fall below `floor` times their diagonal entry
+(the squared sine between a row of J and those before it) are raised, smoothly, towards it: rates stay bounded, the tip lags,
+and `damping` says how much was added. Where it is 0 the null space is exact.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any, NamedTuple
+
+import jax
+import jax.numpy as jnp
+from jaxtyping import Float
+
+from jaxik.algebra import Frame, Scalar, add, mul, shared, stack, sub
+from jaxik.chain import Array, Chain, as_configuration
+from jaxik.costs import Cost
+from jaxik.kinematics import JointFrames, bias_acceleration, jacobian_columns, joint_frames
+from jaxik.optimise.linear import damped_solve, dot
+from jaxik.path import Motion
+from jaxik.task import POSE, Task
+
+FLOOR = 1e-4  # sine 0.01 between what the task's rows ask
+
+
+class Resolved(NamedTuple):
+    """Rates (n,) of the joints, or their accelerations; the task's error (m,) before they act, in the task's axes [m, rad]; and
+    the damping that was needed, 0 where none."""
+
+    rate: Float[Array, "*b n"]
+    error: Float[Array, "*b m"]
+    damping: Float[Array, "*b"]
+
+
+def resolve_velocity(
+    chain: Chain,
+    q: Float[Array, " n"],
+    motion: Motion,
+    u: Float[Array, " n"],
+    task: Task = POSE,
+    gain: float = 1.0,
+    weights: Any = None,
+    floor: float = FLOOR,
+) -> Resolved:
+    """The joint velocities that follow `motion` and otherwise come nearest to u [rad/s, m/s], by the norm of `weights` (n,).
+
+    `gain` [1/s] pulls the tip back to its path. Traced. Raises `ValueError` for a q of another shape.
+    """
+    q = as_configuration(chain, q)
+    at = _At(chain, q, motion, task)
+    wanted = [sub(v, mul(gain, e)) for v, e in zip(at.components(motion.velocity), at.error, strict=True)]
+    return at.resolved(wanted, jnp.asarray(u, q.dtype), weights, floor)
+
+
+def resolve_acceleration(
+    chain: Chain,
+    q: Float[Array, " n"],
+    qdot: Float[Array, " n"],
+    motion: Motion,
+    u: Float[Array, " n"],
+    task: Task = POSE,
+    gains: tuple[float, float] = (1.0, 2.0),
+    weights: Any = None,
+    floor: float = FLOOR,
+) -> Resolved:
+    """The joint accelerations that follow `motion` and otherwise come nearest to u [rad/s2, m/s2].
+
+    `gains` (K [1/s2], K' [1/s]) pull the tip back to its path; K' = 2 sqrt(K) without overshoot. Traced.
+    """
+    q = as_configuration(chain, q)
+    at = _At(chain, q, motion, task)
+    qdot = jnp.asarray(qdot, q.dtype)
+    rates = [qdot[i] for i in range(chain.num_joints)]
+    bias = at.components(bias_acceleration(chain, q, qdot))
+    asked, now = at.components(motion.acceleration), at.components(motion.velocity)
+    wanted = []
+    for a, v, row, e, b in zip(asked, now, at.rows, at.error, bias, strict=True):
+        slow = sub(v, dot(row, rates))
+        wanted.append(sub(add(a, mul(gains[1], slow)), add(mul(gains[0], e), b)))
+    return at.resolved(wanted, jnp.asarray(u, q.dtype), weights, floor)
+
+
+def rmrc(chain: Chain, q: Float[Array, " n"], motion: Motion, **options: Any) -> Resolved:
+    """Resolved motion rate control: the least joint velocities. Options are those of `resolve_velocity`."""
+    return resolve_velocity(chain, q, motion, jnp.zeros(chain.num_joints), **options)
+
+
+def asc(
+    chain: Chain, q: Float[Array, " n"], motion: Motion, cost: Cost, alpha: float = 1.0, weights: Any = None, **options: Any
+) -> Resolved:
+    """Automatic supervisory control: down the gradient of `cost` by `alpha` in the null space."""
+    return resolve_velocity(chain, q, motion, _downhill(chain, q, cost, alpha, weights), weights=weights, **options)
+
+
+def rac(
+    chain: Chain,
+    q: Float[Array, " n"],
+    qdot: Float[Array, " n"],
+    motion: Motion,
+    cost: Cost | None = None,
+    alpha: float = 1.0,
+    damping: float = 1.0,
+    weights: Any = None,
+    **options: Any,
+) -> Resolved:
+    """Resolved acceleration control: down the gradient of `cost`, the null-space velocity damped by `damping` [1/s]."""
+    u = _downhill(chain, q, cost, alpha, weights) - damping * jnp.asarray(qdot)
+    return resolve_acceleration(chain, q, qdot, motion, u, weights=weights, **options)
+
+
+def _downhill(chain: Chain, q: Any, cost: Cost | None, alpha: float, weights: Any) -> Any:
+    if cost is None:
+        return jnp.zeros(chain.num_joints)
+    slope = jax.grad(cost)(as_configuration(chain, q))
+    return -alpha * (slope if weights is None else slope / jnp.asarray(weights, slope.dtype))
+
+
+class _At:
+    """A configuration on scalars: the task's rows of the Jacobian and its error."""
+
+    def __init__(self, chain: Chain, q: Any, motion: Motion, task: Task):
+        self.task, self.dtype, self.n = task, q.dtype, chain.num_joints
+        pose = jnp.asarray(motion.pose, q.dtype)
+        self.target = Frame.of_entries([pose[i, j] for i in range(4) for j in range(4)])
+        self.frames: JointFrames = joint_frames(chain, [q[i] for i in range(self.n)], dtype=q.dtype)
+        self.rows = shared(task.rows(jacobian_columns(chain, self.frames), self.target))
+        position, rotation = task.residual(self.frames.tip, self.target)
+        self.error = position + rotation
+
+    def components(self, twist: Any) -> list[Scalar]:
+        """Of a twist (6,) in base axes those that the task binds."""
+        twist = jnp.asarray(twist, self.dtype)
+        return [row[0] for row in self.task.rows([tuple(twist[i] for i in range(6))], self.target)]
+
+    def resolved(self, wanted: Sequence[Scalar], u: Any, weights: Any, floor: float) -> Resolved:
+        """`u + W^-1 J' A^-1 (wanted - J u)`."""
+        inverse = [1.0] * self.n if weights is None else [1.0 / weights[i] for i in range(self.n)]
+        m, rows, free = len(self.rows), self.rows, [u[i] for i in range(self.n)]
+        scaled = [[mul(w, x) for w, x in zip(inverse, row, strict=True)] for row in rows]
+        gram = [[dot(scaled[i], rows[j]) for j in range(i + 1)] for i in range(m)]
+        short = [sub(w, dot(row, free)) for w, row in zip(wanted, rows, strict=True)]
+        y, damping = damped_solve(shared(gram), shared(short), floor)
+        rate = [add(free[i], dot([row[i] for row in scaled], y)) for i in range(self.n)]
+        return Resolved(
+            stack(rate, (self.n,), self.dtype), stack(self.error, (m,), self.dtype), jnp.asarray(damping, self.dtype)
+        )

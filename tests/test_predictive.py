@@ -1,0 +1,235 @@
+"""Paths, instantaneous and predictive redundancy resolution: against differences, Pinocchio, autodiff and the thesis."""
+
+import dataclasses
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pinocchio as pin
+import pytest
+from robots import bare, pinocchio
+
+import jaxik
+from jaxik.optimise import ocp
+from jaxik.optimise.descent import Descent
+from jaxik.path import Arc, Line, motion, via
+from jaxik.predictive import Horizon, future, objective, predict, problem, quadratic_cost
+from jaxik.redundancy import asc, rac, resolve_velocity, rmrc
+
+IN_PLANE = jaxik.Task((True, True, False, False, False, False), "base")
+START = np.radians([30.0, -30.0, -30.0, -60.0])  # of the pendulum, Schuetz 2017, table 5.1
+OBSTACLE, ACTIVATION = (1.0, 1.1, 0.0), 0.2
+
+
+@pytest.fixture(scope="module")
+def panda():
+    file, tip = bare("panda")
+    return jaxik.load(file, tip=tip)
+
+
+@pytest.fixture(scope="module")
+def pendulum():
+    return dataclasses.replace(jaxik.load("pendulum4"), self_pairs=())
+
+
+@pytest.fixture(scope="module")
+def line(pendulum):
+    start = np.asarray(jaxik.forward_kinematics(pendulum, START))
+    end = start.copy()
+    end[:2, 3] = 0.5, 0.0
+    return Line(start, end)
+
+
+def near_obstacle(pendulum):
+    """(5.35): a third of the cubed depth."""
+    scene = jaxik.make_scene(points=[OBSTACLE])
+    return lambda q: jnp.maximum(ACTIVATION - jaxik.clearance(pendulum, scene, q), 0.0) ** 3 / 3.0
+
+
+def poses(count):
+    rng = np.random.default_rng(2)
+    found = np.tile(np.eye(4), (count, 1, 1))
+    found[:, :3, 3] = rng.normal(size=(count, 3))
+    found[:, :3, :3] = [pin.exp3(rng.normal(size=3) * 0.7) for _ in range(count)]
+    return found
+
+
+@pytest.mark.parametrize("kind", ["line", "arc", "stem", "via", "points"])
+def test_velocity_and_acceleration_are_the_derivatives(kind):
+    given = poses(4)
+    path = {
+        "line": lambda: Line(given[0], given[1]),
+        "arc": lambda: Arc(given[0], np.array([0.3, 0.2, 0.1]), np.array([0.1, 0.2, 2.0]), 1.7),
+        "stem": lambda: Arc(given[0], np.array([0.3, 0.2, 0.1]), np.array([0.0, 0.0, 1.0]), -1.0, turning=False),
+        "via": lambda: via(given),
+        "points": lambda: via(given[:, :3, 3]),
+    }[kind]()
+    at, step = jax.jit(lambda t: motion(path, 3.0, t)), 1e-5
+    for t in (0.0, 0.7, 1.4, 2.9, 3.0):
+        here, before, after = (jax.tree_util.tree_map(np.asarray, at(t + s * step)) for s in (0, -1, 1))
+        linear = (after.pose[:3, 3] - before.pose[:3, 3]) / (2 * step)
+        angular = pin.log3(after.pose[:3, :3] @ before.pose[:3, :3].T) / (2 * step)
+        np.testing.assert_allclose(here.velocity, [*linear, *angular], atol=1e-7)
+        rate = (after.velocity - before.velocity) / (2 * step)
+        if 0.0 < t < 3.0:
+            np.testing.assert_allclose(here.acceleration, rate, atol=1e-6)
+        np.testing.assert_allclose(here.pose[:3, :3] @ here.pose[:3, :3].T, np.eye(3), atol=1e-12)
+    for t in (-1.0, 0.0, 3.0, 9.0):
+        assert np.all(at(t).velocity == 0.0) and np.abs(at(t).acceleration).max() < 1e-12  # at rest at and beyond the ends
+    if kind in ("line", "via"):
+        np.testing.assert_allclose(at(0.0).pose, given[0], atol=1e-12)
+        np.testing.assert_allclose(at(3.0).pose, given[1] if kind == "line" else given[3], atol=1e-12)
+
+
+def test_a_curve_needs_two_different_points():
+    with pytest.raises(ValueError, match="k >= 2"):
+        via(np.zeros((1, 3)))
+    with pytest.raises(ValueError, match="points 0 and 1 are equal"):
+        via(np.zeros((2, 3)))
+
+
+def test_rates_are_the_pseudoinverse(panda):
+    """RMRC, and that null-space motion leaves the task alone; the Jacobian is the closest pose's by Pinocchio's kinematics."""
+    pose, rng = pinocchio(panda), np.random.default_rng(0)
+    path = Line(*poses(2))
+    follow = jax.jit(lambda q, m, u: resolve_velocity(panda, q, m, u, gain=0.0))
+    weighted = jax.jit(lambda q, m: rmrc(panda, q, m, gain=0.0, weights=np.arange(1.0, 8.0)))
+    asked = motion(path, 2.0, 0.8)
+    for _ in range(10):
+        q = rng.uniform(panda.lower, panda.upper)
+        step = 1e-6
+        columns = []
+        for e in np.eye(7) * step:
+            after, before = pose(q + e), pose(q - e)
+            columns.append([*(after - before)[:3, 3], *pin.log3(after[:3, :3] @ before[:3, :3].T)])
+        jacobian = np.array(columns).T / (2 * step)
+        least = np.linalg.pinv(jacobian) @ asked.velocity
+        found = follow(q, asked, np.zeros(7))
+        assert found.damping == 0.0
+        np.testing.assert_allclose(found.rate, least, atol=1e-6 * max(1.0, np.abs(least).max()))
+        free = follow(q, asked, rng.normal(size=7)).rate - found.rate
+        assert np.abs(np.asarray(jaxik.jacobian(panda, q)) @ free).max() < 1e-10 and np.abs(free).max() > 1e-3
+        w = np.diag(1.0 / np.arange(1.0, 8.0))
+        theirs = w @ jacobian.T @ np.linalg.solve(jacobian @ w @ jacobian.T, asked.velocity)
+        np.testing.assert_allclose(weighted(q, asked).rate, theirs, atol=1e-6 * max(1.0, np.abs(theirs).max()))
+
+
+def test_at_a_singularity_rates_stay_bounded_and_it_is_said(pendulum):
+    straight = np.zeros(4)
+    pose = np.asarray(jaxik.forward_kinematics(pendulum, straight))
+    further = pose.copy()
+    further[1, 3] += 1.0  # beyond the reach
+    asked = motion(Line(pose, further), 1.0, 0.5)
+    found = jax.jit(lambda q: rmrc(pendulum, q, asked, task=IN_PLANE))(straight)
+    assert found.damping > 0.0 and np.all(np.isfinite(found.rate)) and np.abs(found.rate).max() < 1e3
+
+
+def test_instantaneous_costs_of_the_thesis(pendulum, line):
+    """Fig. 5.2's sums over 100 steps of 40 ms: 62 and 9.8, where 500 weighs the cost and 50 the gradient."""
+    cost = near_obstacle(pendulum)
+
+    def step(q, t):
+        rate = asc(pendulum, q, motion(line, 4.0, t), cost, alpha=50.0, task=IN_PLANE).rate
+        return q + 0.04 * rate, (jnp.sum(rate**2), 500.0 * cost(q), q)
+
+    _, (speed, collision, q) = jax.jit(lambda: jax.lax.scan(step, jnp.asarray(START), 0.04 * jnp.arange(100.0)))()
+    assert abs(float(jnp.sum(speed)) / 62.0 - 1.0) < 0.03 and abs(float(jnp.sum(collision)) / 9.8 - 1.0) < 0.03
+    np.testing.assert_allclose(jaxik.forward_kinematics(pendulum, q[0])[:2, 3], [1.0, 2.0 + np.sqrt(3.0)], atol=1e-15)
+
+
+def test_accelerations_follow_without_drift(panda):
+    q = np.array([0.3, 0.2, -0.4, -1.5, 0.5, 1.6, 0.4])
+    start = pinocchio(panda)(q)
+    end = start.copy()
+    end[:3, 3] += [-0.1, 0.1, -0.1]
+    end[:3, :3] = start[:3, :3] @ pin.exp3(np.array([-0.2, -0.1, 0.1]))
+    path, dt = Line(start, end), 1e-3
+    middle = jnp.asarray((panda.lower + panda.upper) / 2.0)
+    cost = lambda q: 0.5 * jnp.sum((q - middle) ** 2)
+
+    def step(state, t):
+        q, qdot = state
+        found = rac(panda, q, qdot, motion(path, 1.0, t), cost, damping=5.0, gains=(100.0, 20.0))
+        return (q + dt * qdot + 0.5 * dt**2 * found.rate, qdot + dt * found.rate), jnp.abs(found.error).max()
+
+    (q, _), errors = jax.jit(lambda: jax.lax.scan(step, (jnp.asarray(q), jnp.zeros(7)), dt * jnp.arange(1000.0)))()
+    assert errors.max() < 1e-4 and np.abs(pinocchio(panda)(q) - end).max() < 1e-5
+
+
+COSTS = {
+    "velocity and effort": lambda pendulum: quadratic_cost(),
+    "collision": lambda pendulum: quadratic_cost(lambda q: 500.0 * near_obstacle(pendulum)(q)),
+    "limits and comfort": lambda pendulum: quadratic_cost(
+        lambda q: jaxik.costs.joint_limit_cost(pendulum, q, 0.25) + 0.5 * jaxik.costs.comfort_cost(pendulum, q)
+    ),
+    "of time": lambda pendulum: lambda q, qdot, w, t: jnp.sum(q**2) * t + jnp.sum(qdot**4) + jnp.sum(jnp.cos(w)),
+}
+
+
+# each cost with each integrator, and each level with both
+CASES = [(n, i, "acceleration") for n in COSTS for i in ("euler", "runge_kutta")]
+CASES += [("of time", i, "velocity") for i in ("euler", "runge_kutta")]
+
+
+@pytest.mark.parametrize(("name", "integrator", "level"), CASES)
+def test_gradient_adjoint_and_differences_agree(name, integrator, level, pendulum, line):
+    horizon = Horizon(0.08, 12, level, integrator, IN_PLANE)
+    cost, ahead = COSTS[name](pendulum), future(line, 4.0, horizon, start=1.6)
+    q = jnp.asarray(START) + 0.3
+    goal = objective(pendulum, cost, horizon, q, ahead)
+    rng = np.random.default_rng(0)
+    w, along = 0.5 * jnp.asarray(rng.normal(size=(2, 12, 4)))
+    value = lambda w: goal.value(w)[0]
+    adjoint = jax.jit(lambda w: goal.gradient(w, goal.value(w)[1]))(w)
+    total = jax.jit(value)
+    np.testing.assert_allclose(adjoint * horizon.dt, jax.jit(jax.grad(value))(w), rtol=1e-9, atol=1e-11)
+    step = 1e-5
+    numeric = (total(w + step * along) - total(w - step * along)) / (2 * step)
+    assert abs(float(goal.inner(adjoint, along)) - numeric) <= 1e-6 * max(1.0, abs(float(numeric)))
+
+
+def test_the_adjoint_equations_of_the_text(pendulum, line):
+    """(5.37): lambda_2' = -N'(zeta f + lambda_1), integrated backwards by Euler, is what the solver's adjoint is."""
+    horizon = Horizon(0.04, 30, task=IN_PLANE)
+    ahead, control = future(line, 4.0, horizon), problem(pendulum, quadratic_cost(), horizon)
+    w = 0.3 * jnp.asarray(np.random.default_rng(1).normal(size=(30, 4)))
+    q = jnp.asarray(START)
+    run = ocp.roll_out(control, (q, jnp.zeros(4)), w, ahead)
+    g, (first, second) = jax.jit(lambda run: ocp.gradient(control, run, w, ahead))(run)
+    for k in (3, 17):
+        columns = np.asarray(jaxik.jacobian(pendulum, run.y[0][k]))[:2]
+        projector = np.eye(4) - np.linalg.pinv(columns) @ columns
+        rate = -projector.T @ (2.0 * run.v[k] + first[k + 1])
+        np.testing.assert_allclose((second[k + 1] - second[k]) / horizon.dt, rate, atol=1e-9)
+        np.testing.assert_allclose(g[k], 2.0 * w[k] + second[k + 1], atol=1e-12)  # dH/dw, (5.9)
+
+
+@pytest.mark.parametrize(
+    "direction, search", [("fletcher_reeves", "polynomial"), ("steepest", "backtracking"), ("hager_zhang", "fixed")]
+)
+def test_looking_ahead_beats_the_moment(direction, search, pendulum, line):
+    cost = quadratic_cost(lambda q: 500.0 * near_obstacle(pendulum)(q))
+    horizon = Horizon(0.04, 100, task=IN_PLANE, descend=Descent(direction, search, step=0.01 if search == "fixed" else 0.05))
+    found = predict(pendulum, line, 4.0, START, cost, horizon)
+    totals = np.asarray(found.totals)[: int(found.iterations) + 1] / horizon.dt
+    assert np.all(np.diff(totals) <= 0.0)
+    assert totals[-1] < 58.0  # from 75 without an input; the next local minimum is 56.7, the moment costs 62 + 9.8
+
+
+def test_whatever_the_input_the_tip_keeps_to_its_path(pendulum, line):
+    """To the integrator's error: at 10 ms with K = 10."""
+    horizon = Horizon(0.01, 400, integrator="runge_kutta", task=IN_PLANE, gain=10.0)
+    control, ahead = problem(pendulum, quadratic_cost(), horizon), future(line, 4.0, horizon)
+    w = 0.5 * jnp.asarray(np.random.default_rng(1).normal(size=(400, 4)))
+    q = jax.jit(lambda: ocp.roll_out(control, (jnp.asarray(START), jnp.zeros(4)), w, ahead).y[0])()
+    reached = np.stack([pinocchio(pendulum)(row) for row in np.asarray(q[:-1])])
+    assert np.abs(reached - ahead.asked.pose[:, 0])[:, :2, 3].max() < 1e-6
+
+
+def test_mistakes_are_one_line(pendulum, line):
+    with pytest.raises(ValueError, match="level 'force'; allowed: velocity, acceleration"):
+        Horizon(level="force")
+    with pytest.raises(ValueError, match="direction 'up'"):
+        Descent("up")
+    with pytest.raises(ValueError, match=r"takes \(4,\)"):
+        predict(pendulum, line, 4.0, np.zeros(3), quadratic_cost(), Horizon(0.04, 10, task=IN_PLANE))
