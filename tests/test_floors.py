@@ -10,12 +10,12 @@ import jaxik
 FLOORS = [
     {"algebra", "result", "batch"},
     {"chain", "optimise", "task"},  # optimise knows no robot: it may import the algebra alone
-    {"scene", "kinematics", "reach", "mapping"},
+    {"scene", "kinematics", "reach", "mapping", "path"},
     {"spheres", "distance"},
     {"collision", "costs", "closed_form"},
     {"load"},  # above the spheres: a loaded chain knows which of its links may touch
-    {"lanes", "seeds", "implicit", "crop", "scan"},
-    {"ik_options"},
+    {"lanes", "seeds", "implicit", "crop", "scan", "redundancy"},
+    {"ik_options", "predictive"},
     {"multistart"},
     {"ik", "baselines"},
     {"harvest"},

@@ -54,7 +54,7 @@ def panda():
     return chain_of("panda")
 
 
-@pytest.mark.parametrize("name", ["panda", "ur5", "tiago", "kinova", "p6r", "crops_v2", "chembuly9"])
+@pytest.mark.parametrize("name", ["panda", "ur5", "tiago", "p6r", "crops_v2", "chembuly9"])
 def test_reachable_poses_are_solved(name):
     chain = chain_of(name)
     targets = reachable(chain, 500)
@@ -300,7 +300,10 @@ def test_different_solutions_and_turns():
 
 def test_continuous_joints_wrap():
     chain = chain_of("kinova")
-    result = jaxik.solve_ik(chain, reachable(chain, 100, seed=16))
+    targets = reachable(chain, 500, seed=16)
+    result = jaxik.solve_ik(chain, targets)
+    assert result.success.mean() >= 0.998, result.counts()
+    assert_solves(chain, result, targets)
     endless = ~np.isfinite(chain.lower)
     assert endless.any() and np.all(np.abs(result.q[:, endless]) <= np.pi + 1e-12)
 
