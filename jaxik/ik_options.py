@@ -4,9 +4,10 @@ from __future__ import annotations
 
 import dataclasses
 from collections.abc import Mapping
-from typing import Any, Literal, get_args
+from typing import Any, Literal
 
 from jaxik import seeds
+from jaxik.choice import check_choices
 from jaxik.costs import Cost
 from jaxik.optimise import sqp
 from jaxik.task import POSE, Task
@@ -67,14 +68,13 @@ class IKOptions:
     improve: sqp.Options = IMPROVE
 
     def __post_init__(self) -> None:
-        for name, value, kinds in (
-            ("seeds", self.seeds, seeds.Strategy),
-            ("choice", self.choice, Choice),
-            ("collision", self.collision, Collision),
-            ("norm", self.norm, Literal["l2", "linf"]),
-        ):
-            if value not in get_args(kinds):
-                raise ValueError(f"solve_ik: {name} '{value}'; allowed: {', '.join(get_args(kinds))}")
+        check_choices(
+            "solve_ik",
+            seeds=(self.seeds, seeds.Strategy),
+            choice=(self.choice, Choice),
+            collision=(self.collision, Collision),
+            norm=(self.norm, Literal["l2", "linf"]),
+        )
         for name in ("max_seeds", "solutions", "cost_iterations"):
             if getattr(self, name) < 1:
                 raise ValueError(f"solve_ik: {name} is {getattr(self, name)}; it is at least 1")

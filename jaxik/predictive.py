@@ -16,13 +16,14 @@ from __future__ import annotations
 import dataclasses
 import functools
 from collections.abc import Callable
-from typing import Any, Literal, NamedTuple, get_args
+from typing import Any, Literal, NamedTuple
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 
 from jaxik.chain import Chain
+from jaxik.choice import check_choices
 from jaxik.costs import Cost
 from jaxik.optimise import descent, ocp
 from jaxik.path import Motion, Path, motion
@@ -61,9 +62,7 @@ class Horizon:
     descend: descent.Descent = DESCEND
 
     def __post_init__(self) -> None:
-        for name, value, kinds in (("level", self.level, Level), ("integrator", self.integrator, Integrator)):
-            if value not in get_args(kinds):
-                raise ValueError(f"horizon: {name} '{value}'; allowed: {', '.join(get_args(kinds))}")
+        check_choices("horizon", level=(self.level, Level), integrator=(self.integrator, Integrator))
         if not (self.dt > 0.0 and self.count >= 1 and self.gain >= 0.0):
             raise ValueError(
                 f"horizon: dt {self.dt}, count {self.count}, gain {self.gain}; allowed: dt > 0, count >= 1, gain >= 0"

@@ -29,7 +29,7 @@ from jaxtyping import Float
 from jaxik.algebra import Frame, Scalar, add, mul, shared, stack, sub
 from jaxik.chain import Array, Chain, as_configuration
 from jaxik.costs import Cost
-from jaxik.kinematics import JointFrames, bias_acceleration, jacobian_columns, joint_frames
+from jaxik.kinematics import bias_acceleration, jacobian_columns, joint_frames
 from jaxik.optimise.linear import damped_solve, dot
 from jaxik.path import Motion
 from jaxik.task import POSE, Task
@@ -136,9 +136,9 @@ class _At:
         self.task, self.dtype, self.n = task, q.dtype, chain.num_joints
         pose = jnp.asarray(motion.pose, q.dtype)
         self.target = Frame.of_entries([pose[i, j] for i in range(4) for j in range(4)])
-        self.frames: JointFrames = joint_frames(chain, [q[i] for i in range(self.n)], dtype=q.dtype)
-        self.rows = shared(task.rows(jacobian_columns(chain, self.frames), self.target))
-        position, rotation = task.residual(self.frames.tip, self.target)
+        frames = joint_frames(chain, [q[i] for i in range(self.n)], dtype=q.dtype)
+        self.rows = shared(task.rows(jacobian_columns(chain, frames), self.target))
+        position, rotation = task.residual(frames.tip, self.target)
         self.error = position + rotation
 
     def components(self, twist: Any) -> list[Scalar]:

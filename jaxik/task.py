@@ -15,11 +15,12 @@ sum of squares is still exact for the first two, since a turn's angle grows by t
 from __future__ import annotations
 
 import dataclasses
-from typing import Any, Literal, get_args
+from typing import Any, Literal
 
 import jax.numpy as jnp
 
 from jaxik.algebra import Frame, Rot3, Scalar, Vec3, add, atan2, mul, safe_sqrt, shared, sub
+from jaxik.choice import check_choices
 
 Axes = Literal["tool", "base"]
 COMPONENTS = ("x", "y", "z", "roll", "pitch", "yaw")
@@ -35,8 +36,7 @@ class Task:
     def __post_init__(self) -> None:
         if len(self.bound) != 6 or not any(self.bound):
             raise ValueError(f"task: bound {self.bound}; six booleans for {', '.join(COMPONENTS)}, at least one true")
-        if self.axes not in get_args(Axes):
-            raise ValueError(f"task: axes '{self.axes}'; allowed: {', '.join(get_args(Axes))}")
+        check_choices("task", axes=(self.axes, Axes))
 
     @property
     def positions(self) -> tuple[int, ...]:

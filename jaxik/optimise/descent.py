@@ -26,11 +26,13 @@ from __future__ import annotations
 
 import dataclasses
 from collections.abc import Callable
-from typing import Any, Literal, NamedTuple, get_args
+from typing import Any, Literal, NamedTuple
 
 import jax
 import jax.numpy as jnp
 from jax import lax
+
+from jaxik.choice import check_choices
 
 Direction = Literal["steepest", "hestenes_stiefel", "fletcher_reeves", "polak_ribiere", "hager_zhang"]
 Search = Literal["fixed", "backtracking", "polynomial", "secant"]
@@ -60,9 +62,7 @@ class Descent:
     trials: int = 10
 
     def __post_init__(self) -> None:
-        for name, value, kinds in (("direction", self.direction, Direction), ("search", self.search, Search)):
-            if value not in get_args(kinds):
-                raise ValueError(f"descent: {name} '{value}'; allowed: {', '.join(get_args(kinds))}")
+        check_choices("descent", direction=(self.direction, Direction), search=(self.search, Search))
         positive = self.iterations >= 1 and self.trials >= 1 and self.tolerance >= 0.0 and self.step > 0.0
         if not (positive and 0.0 < self.rho < 1.0):
             raise ValueError(f"descent: {self}: iterations, trials >= 1, tolerance >= 0, step > 0, 0 < rho < 1")
@@ -71,15 +71,14 @@ class Descent:
 
 
 class State(NamedTuple):
-    """Where a descent stands: the input, its cost and what came with that; the last gradient and direction; the last change of
-    both for the secant; the interval; iterations done, the last alpha and beta, and whether it is over."""
+    """Where a descent stands: the input, its cost and what came with that; the last gradient and direction; the interval;
+    iterations done, the last alpha and beta, and whether it is over."""
 
     w: Any
     cost: Any
     aux: Any
     gradient: Any
     direction: Any
-    moved: Any
     interval: Any
     iterations: Any
     alpha: Any
@@ -106,7 +105,7 @@ def init(objective: Objective, w: Any, options: Descent) -> State:
     none = jnp.zeros_like(w)
     interval = jnp.asarray(options.interval, w.dtype)
     zero = jnp.zeros((), w.dtype)
-    return State(w, cost, aux, none, none, none, interval, jnp.zeros((), int), zero, zero, jnp.zeros((), bool))
+    return State(w, cost, aux, none, none, interval, jnp.zeros((), int), zero, zero, jnp.zeros((), bool))
 
 
 def advance(objective: Objective, state: State, options: Descent) -> State:
@@ -118,7 +117,7 @@ def advance(objective: Objective, state: State, options: Descent) -> State:
     slope = inner(g, s)
     descends = slope < 0.0
     s, slope, beta = jnp.where(descends, s, -g), jnp.where(descends, slope, -inner(g, g)), jnp.where(descends, beta, 0.0)
-    alpha, interval = _alpha(objective, state, s, g, slope, options)
+    alpha, interval = _alpha(objective, state, g, s, slope, options)
     w = state.w + alpha * s
     cost, aux = objective.value(w)
     better = cost <= state.cost
@@ -126,7 +125,7 @@ def advance(objective: Objective, state: State, options: Descent) -> State:
     fall = state.cost - cost
     done = ~better | (fall < options.tolerance * jnp.abs(state.cost))
     kept_w, kept_cost, kept_aux = keep((w, cost, aux), (state.w, state.cost, state.aux))
-    return State(kept_w, kept_cost, kept_aux, g, s, alpha * s, interval, state.iterations + 1, alpha, beta, done)
+    return State(kept_w, kept_cost, kept_aux, g, s, interval, state.iterations + 1, alpha, beta, done)
 
 
 def run(objective: Objective, w: Any, options: Descent) -> Descended:
@@ -164,13 +163,13 @@ def _beta(kind: str, inner: Any, g: Any, before: Any, s: Any) -> Any:
     return _ratio(inner(g, y) - 2.0 * inner(s, g) * _ratio(inner(y, y), along), along)
 
 
-def _alpha(objective: Objective, state: State, s: Any, g: Any, slope: Any, options: Descent) -> Any:
+def _alpha(objective: Objective, state: State, g: Any, s: Any, slope: Any, options: Descent) -> Any:
     """The step along s, and the next interval."""
     if options.search == "fixed":
         return jnp.asarray(options.step, g.dtype), state.interval
     if options.search == "secant":
-        change = g - state.gradient
-        alpha = _ratio(objective.inner(state.moved, state.moved), objective.inner(state.moved, change))
+        moved, change = state.alpha * state.direction, g - state.gradient
+        alpha = _ratio(objective.inner(moved, moved), objective.inner(moved, change))
         return jnp.where((state.iterations == 0) | ~(alpha > 0.0), options.step, alpha), state.interval
     at = lambda alpha: objective.value(state.w + alpha * s)[0]
     if options.search == "backtracking":

@@ -53,10 +53,10 @@ def damped_solve(matrix: Matrix, right: Sequence[Scalar], floor: float) -> tuple
     added: list[Any] = [0.0]
 
     def raised(pivot: Any, diagonal: Any) -> Any:
-        least = jnp.maximum(floor * diagonal, 1e-30)
-        short = jnp.maximum(least - jnp.maximum(pivot, 0.0), 0.0) / least
+        least, pivot = jnp.maximum(floor * diagonal, 1e-30), jnp.maximum(pivot, 0.0)
+        short = jnp.maximum(least - pivot, 0.0) / least
         added.append(shared(floor * short**2))
-        return shared(jnp.maximum(pivot, 0.0) + least * short**2)
+        return shared(pivot + least * short**2)
 
     return _solve(matrix, right, raised), functools.reduce(jnp.maximum, added)
 

@@ -25,13 +25,14 @@ from __future__ import annotations
 import dataclasses
 import functools
 from collections.abc import Callable, Sequence
-from typing import Any, Literal, NamedTuple, get_args
+from typing import Any, Literal, NamedTuple
 
 import jax
 import jax.numpy as jnp
 from jax import lax
 
 from jaxik.algebra import Scalar, add, mul, shared, sub
+from jaxik.choice import check_choices
 from jaxik.optimise.linear import Matrix, dot, full, product
 from jaxik.optimise.qp import NONE, Rows, solve
 
@@ -74,9 +75,7 @@ class Options:
     penalty: float = 10.0
 
     def __post_init__(self) -> None:
-        for name, value, kinds in (("hessian", self.hessian, Hessian), ("merit", self.merit, Merit)):
-            if value not in get_args(kinds):
-                raise ValueError(f"sqp: {name} '{value}'; allowed: {', '.join(get_args(kinds))}")
+        check_choices("sqp", hessian=(self.hessian, Hessian), merit=(self.merit, Merit))
         if not (self.damping >= 0.0 and self.floor > 0.0 and self.cap > 0.0 and self.passes >= 1 and self.penalty > 0.0):
             raise ValueError(f"sqp: {self}: damping >= 0, floor, cap and penalty > 0, passes >= 1")
 
@@ -104,8 +103,9 @@ def run(
     if options.hessian == "gauss_newton" and options.merit == "none":  # nothing to remember but x
 
         def turn(i: Any, x: Any, own: Any) -> Any:
-            model = problem(own).model(x)
-            moved = _moved(x, _step(problem(own), model, x, lower, upper, options)[0], lower, upper)
+            mine = problem(own)
+            model = mine.model(x)
+            moved = _moved(x, _step(mine, model, x, lower, upper, options)[0], lower, upper)
             # the last turn only looks: a second copy of the model after the loop would compile for a second
             x = tuple(jnp.where(i < iterations, a, b) for a, b in zip(moved, x, strict=True))
             return x, jnp.stack([jnp.asarray(v, x[0].dtype) for v in model.equality.value])
