@@ -38,7 +38,7 @@ def clearance(chain: Chain, scene: Scene | None, q: Float[Array, " n"]) -> Float
 
     Raises `ValueError` for a chain without collision geometry, or whose meshes were not read.
     """
-    return jnp.min(link_clearances(chain, scene, q))
+    return _measured(chain, scene, q, [_links(chain)])[0]
 
 
 def link_clearances(chain: Chain, scene: Scene | None, q: Float[Array, " n"]) -> Float[Array, " k"]:
@@ -47,37 +47,64 @@ def link_clearances(chain: Chain, scene: Scene | None, q: Float[Array, " n"]) ->
     A pair of links counts for the later one. As constraints of an optimiser these are smoother than their minimum, which jumps
     from link to link.
     """
-    q = as_configuration(chain, q)
-    parts = _parts(chain, scene, world_volumes(chain, q), q.dtype)
-    found: dict[int, list[Any]] = {link: [] for link in _links(chain)}
-    for part in parts:
-        distances = part.distances()
-        for link in np.unique(part.link):
-            rows = np.flatnonzero(part.link == link)  # a run
-            found[int(link)].append(jnp.min(distances[rows[0] : rows[-1] + 1]))
-    return _seen(jnp.stack([reduce(jnp.minimum, each, jnp.asarray(jnp.inf, q.dtype)) for each in found.values()]))
+    return _measured(chain, scene, q, [[link] for link in _links(chain)])
 
 
 def link_contacts(chain: Chain, scene: Scene | None, q: Float[Array, " n"]) -> tuple[Any, list[Any]]:
-    """`link_clearances` (k,), and their derivatives by each joint: n arrays (k,) [m/rad, 1].
+    """`link_clearances` (k,), and their derivatives by each joint: n arrays (k,) [m/rad, 1]."""
+    return _contacts(chain, scene, as_configuration(chain, q), [[link] for link in _links(chain)])
+
+
+def _measured(chain: Chain, scene: Scene | None, q: Any, groups: list[list[int]]) -> Any:
+    """The least distance of each group of links, whose derivative by q is that of `_contacts`."""
+    q = as_configuration(chain, q)
+    if any(isinstance(leaf, jax.Array) for leaf in jax.tree_util.tree_leaves(chain)):  # the shape itself may be differentiated
+        return _distances(chain, scene, q, groups)
+    measure = jax.custom_jvp(lambda scene, q: _distances(chain, scene, q, groups))
+
+    def rule(primals: Any, tangents: Any) -> Any:
+        still = all(isinstance(t, jax.custom_derivatives.SymbolicZero) for t in jax.tree_util.tree_leaves(tangents[0]))
+        if not still:
+            made = jax.tree_util.tree_map(_materialised, tangents, is_leaf=_is_zero)
+            return jax.jvp(lambda scene, q: _distances(chain, scene, q, groups), primals, made)
+        value, rows = _contacts(chain, *primals, groups)
+        turned = _materialised(tangents[1])
+        return value, sum(row * turned[j] for j, row in enumerate(rows))
+
+    measure.defjvp(rule, symbolic_zeros=True)
+    return measure(scene, q)
+
+
+def _distances(chain: Chain, scene: Scene | None, q: Any, groups: list[list[int]]) -> Any:
+    parts = _parts(chain, scene, world_volumes(chain, q), q.dtype)
+    everything = [(part.distances(), part.link) for part in parts]
+    found = []
+    for links in groups:
+        least = [jnp.min(_rows(d, np.isin(link, links))) for d, link in everything if np.isin(link, links).any()]
+        found.append(reduce(jnp.minimum, least, jnp.asarray(jnp.inf, q.dtype)))
+    return _seen(jnp.stack(found))
+
+
+def _contacts(chain: Chain, scene: Scene | None, q: Any, groups: list[list[int]]) -> tuple[Any, list[Any]]:
+    """The least distance of each group of links (k,), and its derivatives by each joint.
 
     A distance pulls on the volume that it belongs to with a force f (its gradient by the volume's place) and a moment m about
     the origin, and on the other one with their opposites, since moving both together changes nothing. So only joints between
     the two take part: `dD/dq_j = z_j . (m - p_j x f)` if joint j turns, `z_j . f` if it slides. That costs one pull an
     obstacle, where forward differentiation moves the whole robot n times: 5 times the speed, and half the compile time.
     """
-    q = as_configuration(chain, q)
     parts = _parts(chain, scene, world_volumes(chain, q), q.dtype)
-    links = _links(chain)
     if not parts:
-        return jnp.full(len(links), jnp.inf, q.dtype), [jnp.zeros(len(links), q.dtype)] * chain.num_joints
+        return jnp.full(len(groups), jnp.inf, q.dtype), [jnp.zeros(len(groups), q.dtype)] * chain.num_joints
     pulls = [part.pulls() for part in parts]
-    table = [jnp.concatenate([jnp.broadcast_to(p[i], p[0].shape) for p in pulls]) for i in range(7)]
-    below = np.concatenate([np.full(len(part.link), part.other_joint) for part in parts])
-    nearest = _nearest_of_each(table[0], np.concatenate([part.link for part in parts]), links)
+    nothing = jnp.array([2.0 * FAR], q.dtype)  # what a link is from where there is nothing to hit
+    table = [jnp.concatenate([*(jnp.broadcast_to(p[i], p[0].shape) for p in pulls), nothing]) for i in range(7)]
+    link = np.concatenate([part.link for part in parts])
+    nearest = _nearest_of_each(table[0], link, groups)
     smallest, fx, fy, fz, mx, my, mz = (shared(column[nearest]) for column in table)
     force, moment = Vec3(fx, fy, fz), Vec3(mx, my, mz)
-    other, own = jnp.asarray(below)[nearest], np.array([chain.link_joint[link] for link in links])
+    below = np.concatenate([*(np.broadcast_to(part.other_joint, len(part.link)) for part in parts), [0]])
+    other, own = jnp.asarray(below)[nearest], jnp.asarray([*np.array(chain.link_joint)[link], 0])[nearest]
     root = Frame.of(chain.world_T_base, float(np.finfo(q.dtype).eps))
     frames = joint_frames(chain, [q[i] for i in range(chain.num_joints)], root, q.dtype)
     rows = []
@@ -87,13 +114,27 @@ def link_contacts(chain: Chain, scene: Scene | None, q: Float[Array, " n"]) -> t
     return _seen(smallest), rows
 
 
-def _nearest_of_each(distances: Any, link: np.ndarray, links: list[int]) -> Any:
-    """For each of `links` the row of its least distance, where `link` says whose each row is; past the end if it has none."""
-    own = [np.flatnonzero(link == each) for each in links]
+def _is_zero(tangent: Any) -> bool:
+    return isinstance(tangent, jax.custom_derivatives.SymbolicZero)
+
+
+def _materialised(tangent: Any) -> Any:
+    return jnp.zeros(tangent.shape, tangent.dtype) if _is_zero(tangent) else tangent
+
+
+def _rows(values: Any, wanted: np.ndarray) -> Any:
+    """Those of a vector that are wanted: a slice where they are a run."""
+    rows = np.flatnonzero(wanted)
+    run = rows[-1] - rows[0] == len(rows) - 1
+    return values[rows[0] : rows[-1] + 1] if run else values[rows]
+
+
+def _nearest_of_each(distances: Any, link: np.ndarray, groups: list[list[int]]) -> Any:
+    """For each group of links the row of its least distance, the row after all if it has none; `link` says whose each is."""
+    own = [np.flatnonzero(np.isin(link, links)) for links in groups]
     width = max(len(rows) for rows in own)
     table = np.array([[*rows, *[len(link)] * (width - len(rows))] for rows in own])
-    padded = jnp.append(distances, jnp.asarray(2.0 * FAR, distances.dtype))
-    column = jnp.argmin(padded[table], axis=1)
+    column = jnp.argmin(distances[table], axis=1)
     return jnp.take_along_axis(jnp.asarray(table), column[:, None], axis=1)[:, 0]
 
 
@@ -259,14 +300,15 @@ def _obstacles(kind: str, scene: Scene, dtype: Any) -> tuple[Any, Gap]:
 
 
 class _Part(NamedTuple):
-    """Volumes and what they are measured against: obstacles (`other_joint` 0), or an earlier link that `other_joint` moves."""
+    """Volumes and what they are measured against: obstacles (`other_joint` 0), or an earlier link that `other_joint` moves, one
+    or one each."""
 
     gap: Gap
     unroll: int
     volumes: Any
     others: Any
     link: np.ndarray
-    other_joint: int = 0
+    other_joint: Any = 0
     added: Any = None  # squares are compared where all radii are one, and this is what the root is short of then
 
     def distances(self, volumes: Any = None) -> Any:
@@ -307,25 +349,44 @@ def _to_scene(kind: str, volumes: dict[int, Skeleton], scene: Scene, dtype: Any)
 
 
 def _to_itself(chain: Chain, volumes: dict[int, Skeleton], dtype: Any) -> list[_Part]:
-    """The volumes over `chain.self_pairs`: of each link, and each two kinds of volumes, all its later partners.
+    """The volumes over `chain.self_pairs`, for each two kinds of volumes.
 
-    A link's partners run from the first to the last as a whole, and a constant puts those between that do not count out of
-    the way.
+    Spheres are many and their distance is short: a link's later partners run from the first to the last as a whole, and a
+    constant puts those between that do not count out of the way. Lines and triangles are few and their distance is long to
+    compile: all their pairs are one array.
     """
     found = []
     for count, ours in volumes.items():
         for other_count, theirs in volumes.items():
-            for link in sorted({pair[0] for pair in chain.self_pairs}):
-                partners = [b for a, b in chain.self_pairs if a == link]
-                mine, wanted = ours.link == link, np.isin(theirs.link, partners)
-                if mine.any() and wanted.any():
-                    rows, columns = _run(ours, mine), _run(theirs, wanted)
-                    (first, radius), (second, other_radius) = _volumes(rows, dtype), _volumes(columns, dtype)
-                    counts = np.isin(columns.link, partners)
-                    reach = jnp.where(counts, radius[:, None] + other_radius, -FAR)
-                    unroll = max(1, 8 // (count * other_count) ** 2)
-                    moved_by = chain.link_joint[link]
-                    found.append(_Part(_reach_gap, unroll, (second, None), (first, reach), columns.link, moved_by))
+            if count == other_count == 1:
+                found += _runs(chain, ours, dtype)
+                continue
+            meet = {link: [b for a, b in chain.self_pairs if a == link] for link in set(ours.link)}
+            pairs = [
+                (j, i) for j in range(len(theirs.link)) for i in range(len(ours.link)) if theirs.link[j] in meet[ours.link[i]]
+            ]
+            if pairs:
+                second, first = np.array(pairs).T
+                (mine, radius), (other, other_radius) = _volumes(ours, dtype), _volumes(theirs, dtype)
+                own = jax.tree_util.tree_map(lambda x, first=first: x[first][None], mine)
+                reach = (radius[first] + other_radius[second])[None]
+                moved_by = np.array([chain.link_joint[link] for link in ours.link])[first]
+                moving = jax.tree_util.tree_map(lambda x, second=second: x[second], other)
+                found.append(_Part(_reach_gap, 1, (moving, None), (own, reach), theirs.link[second], moved_by))
+    return found
+
+
+def _runs(chain: Chain, spheres: Skeleton, dtype: Any) -> list[_Part]:
+    """Each link's spheres against those of its later partners."""
+    found = []
+    for link in sorted({pair[0] for pair in chain.self_pairs}):
+        partners = [b for a, b in chain.self_pairs if a == link]
+        mine, wanted = spheres.link == link, np.isin(spheres.link, partners)
+        if mine.any() and wanted.any():
+            rows, columns = _run(spheres, mine), _run(spheres, wanted)
+            (first, radius), (second, other_radius) = _volumes(rows, dtype), _volumes(columns, dtype)
+            reach = jnp.where(np.isin(columns.link, partners), radius[:, None] + other_radius, -FAR)
+            found.append(_Part(_reach_gap, 8, (second, None), (first, reach), columns.link, chain.link_joint[link]))
     return found
 
 

@@ -12,10 +12,11 @@ from __future__ import annotations
 from collections.abc import Callable
 from typing import Any
 
+import jax
 import jax.numpy as jnp
 from jax import lax
 
-from jaxik.algebra import Rot3, Vec3, safe_sqrt
+from jaxik.algebra import Rot3, Vec3, safe_sqrt, shared
 
 _GOLDEN = (5.0**0.5 - 1.0) / 2.0
 _STEPS = {4: 32, 8: 64}  # golden-section steps to the rounding of float32 and float64: 0.618^32 = 2e-7, 0.618^64 = 4e-14
@@ -62,17 +63,41 @@ def point_line(p: Vec3, a: Vec3, b: Vec3) -> Any:
     return norm(arm - along * t)
 
 
+@jax.custom_jvp
 def line_line(a: Vec3, b: Vec3, c: Vec3, d: Vec3) -> Any:
-    """Segment ab to segment cd [Ericson 2005, sec. 5.1.9]: the two lines' nearest points, then clamped to the ends."""
+    """Segment ab to segment cd."""
+    return _line_gap(a, b, c, d, *_nearest_on_lines(a, b, c, d))
+
+
+@line_line.defjvp
+def _line_line_jvp(primals: Any, tangents: Any) -> Any:
+    held = shared(_held(_nearest_on_lines(*primals)))
+    return jax.jvp(lambda *ends: _line_gap(*ends, *held), primals, tangents)
+
+
+def _line_gap(a: Vec3, b: Vec3, c: Vec3, d: Vec3, s: Any, t: Any) -> Any:
+    return norm((a - c) + (b - a) * s - (d - c) * t)
+
+
+def _nearest_on_lines(a: Vec3, b: Vec3, c: Vec3, d: Vec3) -> tuple[Any, Any]:
+    """Where on ab and where on cd they are nearest [Ericson 2005, sec. 5.1.9]: the two lines' nearest points, then clamped to
+    the ends. That pair is the nearest unless the lines are all but parallel, where an end of one of them decides."""
     u, v, w = b - a, d - c, a - c
     uu, vv, uv, uw, vw = u.dot(u), v.dot(v), u.dot(v), u.dot(w), v.dot(w)
-    s = _clip01(_ratio(uv * vw - uw * vv, uu * vv - uv * uv))
-    t = _clip01(_ratio(uv * s + vw, vv))
-    s, t = _held(_clip01(_ratio(uv * t - uw, uu))), _held(t)
-    interior = norm(w + u * s - v * t)
-    # the clamped pair is the nearest unless the lines are all but parallel, where the ends decide
-    ends = (point_line(a, c, d), point_line(b, c, d), point_line(c, a, b), point_line(d, a, b))
-    return _least([interior, *ends])
+    on_second = lambda s: _clip01(_ratio(uv * s + vw, vv))
+    on_first = lambda t: _clip01(_ratio(uv * t - uw, uu))
+
+    def square(s: Any, t: Any) -> Any:
+        apart = w + u * s - v * t
+        return apart.dot(apart)
+
+    t = on_second(_clip01(_ratio(uv * vw - uw * vv, uu * vv - uv * uv)))
+    s, zero, one = on_first(t), jnp.zeros_like(uu), jnp.ones_like(uu)
+    least = square(s, t)
+    for x, y in ((zero, on_second(zero)), (one, on_second(one)), (on_first(zero), zero), (on_first(one), one)):
+        closer = square(x, y) < least
+        least, s, t = jnp.where(closer, square(x, y), least), jnp.where(closer, x, s), jnp.where(closer, y, t)
+    return s, t
 
 
 def _least(values: list[Any]) -> Any:

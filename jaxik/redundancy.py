@@ -137,7 +137,7 @@ class _At:
         pose = jnp.asarray(motion.pose, q.dtype)
         self.target = Frame.of_entries([pose[i, j] for i in range(4) for j in range(4)])
         frames = joint_frames(chain, [q[i] for i in range(self.n)], dtype=q.dtype)
-        self.rows = shared(task.rows(jacobian_columns(chain, frames), self.target))
+        self.rows = shared(task.rows(jacobian_columns(chain, frames), self.target), True)
         position, rotation = task.residual(frames.tip, self.target)
         self.error = position + rotation
 
@@ -153,7 +153,7 @@ class _At:
         scaled = [[mul(w, x) for w, x in zip(inverse, row, strict=True)] for row in rows]
         gram = [[dot(scaled[i], rows[j]) for j in range(i + 1)] for i in range(m)]
         short = [sub(w, dot(row, free)) for w, row in zip(wanted, rows, strict=True)]
-        y, damping = damped_solve(shared(gram), shared(short), floor)
+        y, damping = damped_solve(shared(gram, True), shared(short, True), floor)
         rate = [add(free[i], dot([row[i] for row in scaled], y)) for i in range(self.n)]
         return Resolved(
             stack(rate, (self.n,), self.dtype), stack(self.error, (m,), self.dtype), jnp.asarray(damping, self.dtype)

@@ -8,7 +8,7 @@ from pathlib import Path
 import jaxik
 
 FLOORS = [
-    {"algebra", "result", "batch", "choice"},
+    {"algebra", "kernel", "result", "batch", "choice"},
     {"chain", "optimise", "task"},  # optimise knows no robot: it may import the algebra alone
     {"scene", "kinematics", "reach", "mapping", "path"},
     {"spheres", "distance"},

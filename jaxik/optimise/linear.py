@@ -55,8 +55,8 @@ def damped_solve(matrix: Matrix, right: Sequence[Scalar], floor: float) -> tuple
     def raised(pivot: Any, diagonal: Any) -> Any:
         least, pivot = jnp.maximum(floor * diagonal, 1e-30), jnp.maximum(pivot, 0.0)
         short = jnp.maximum(least - pivot, 0.0) / least
-        added.append(shared(floor * short**2))
-        return shared(pivot + least * short**2)
+        added.append(shared(floor * short**2, True))
+        return shared(pivot + least * short**2, True)
 
     return _solve(matrix, right, raised), functools.reduce(jnp.maximum, added)
 
@@ -68,14 +68,14 @@ def _solve(matrix: Matrix, right: Sequence[Scalar], mend: Callable[[Any, Any], A
     inverse: list[Any] = []
     for j in range(n):
         pivot = sub(matrix[j][j], dot(factor[j], factor[j]))
-        inverse.append(shared(lax.rsqrt(mend(pivot, matrix[j][j]))))
+        inverse.append(shared(lax.rsqrt(mend(pivot, matrix[j][j])), True))
         for i in range(j + 1, n):
-            factor[i].append(shared(mul(sub(matrix[i][j], dot(factor[i], factor[j])), inverse[j])))
+            factor[i].append(shared(mul(sub(matrix[i][j], dot(factor[i], factor[j])), inverse[j]), True))
     forward: list[Any] = []
     for i in range(n):
-        forward.append(shared(mul(sub(right[i], dot(factor[i], forward)), inverse[i])))
+        forward.append(shared(mul(sub(right[i], dot(factor[i], forward)), inverse[i]), True))
     solution: list[Any] = []  # from the last to the first
     for i in reversed(range(n)):
         below = [factor[k][i] for k in reversed(range(i + 1, n))]
-        solution.append(shared(mul(sub(forward[i], dot(below, solution)), inverse[i])))
+        solution.append(shared(mul(sub(forward[i], dot(below, solution)), inverse[i]), True))
     return solution[::-1]

@@ -10,8 +10,8 @@ The state y is a tuple of vectors, w the input, p what is known of the future at
 With explicit Euler steps this is the text's adjoint equation, integrated backwards by Euler; with others the adjoint of that
 integrator, so that g is the exact gradient of L (by the inner product `dt sum_k a_k' b_k`) and not an approximation of it.
 
-Only the roll-out and the sum over lambda are sequential. Everything that costs, the derivatives of steps and costs, is done for
-all samples at once, which on a CPU is what its vector units are for.
+Only the roll-out and the sweep over lambda are sequential, and on a CPU each is one kernel (`one_kernel`). What a cost asks,
+distances above all, is done for all samples at once, which is what vector units are for.
 """
 
 from __future__ import annotations
@@ -22,6 +22,8 @@ from typing import Any, NamedTuple
 import jax
 import jax.numpy as jnp
 from jax import lax
+
+from jaxik.kernel import one_kernel
 
 
 class Problem(NamedTuple):
@@ -48,7 +50,7 @@ def roll_out(problem: Problem, y: Any, w: Any, p: Any) -> Run:
         after, v = problem.step(y, *now)
         return after, (after, v)
 
-    _, (later, v) = lax.scan(advance, y, (w, p))
+    _, (later, v) = one_kernel(lambda y, w, p: lax.scan(advance, y, (w, p)))(y, w, p)
     states = jax.tree_util.tree_map(lambda a, b: jnp.concatenate([a[None], b]), y, later)
     costs = jax.vmap(problem.cost)(_head(states), v, w, p)
     return Run(states, v, costs, problem.dt * jnp.sum(costs))
@@ -56,27 +58,19 @@ def roll_out(problem: Problem, y: Any, w: Any, p: Any) -> Run:
 
 def gradient(problem: Problem, run: Run, w: Any, p: Any) -> tuple[Any, Any]:
     """g (N, m) at the inputs that made `run`, and the adjoint variables (N+1, ..) of each part of the state."""
-    y = _head(run.y)
+    dt, y = problem.dt, _head(run.y)
     slopes = jax.vmap(jax.grad(problem.cost, argnums=(0, 1, 2)))(y, run.v, w, p)
-    parts = range(len(y))
-
-    def by(i: int, y: Any, w: Any, p: Any) -> Any:
-        """The step's derivatives by part i of the state, or by the input after the last part."""
-        if i == len(y):
-            return jax.jacfwd(lambda x: problem.step(y, x, p))(w)
-        return jax.jacfwd(lambda x: problem.step((*y[:i], x, *y[i + 1 :]), w, p))(y[i])
-
-    derivatives = [jax.vmap(lambda y, w, p, i=i: by(i, y, w, p))(y, w, p) for i in (*parts, len(y))]
 
     def back(after: Any, now: Any) -> Any:
-        (l_y, l_v, l_w), each = now
-        pulled = [sum(a @ d for a, d in zip(after, to_y, strict=True)) for to_y, _ in each]
-        through = [l_v @ to_v for _, to_v in each]
-        before = tuple(problem.dt * (l_y[i] + through[i]) + pulled[i] for i in parts)
-        return before, (before, l_w + through[-1] + pulled[-1] / problem.dt)
+        y, w, p, (l_y, l_v, l_w) = now
+        _, pull = jax.vjp(lambda y, w: problem.step(y, w, p), y, w)
+        by_y, by_w = pull((after, dt * l_v))
+        before = jax.tree_util.tree_map(lambda own, pulled: dt * own + pulled, l_y, by_y)
+        return before, (before, l_w + by_w / dt)
 
     end = jax.tree_util.tree_map(lambda a: jnp.zeros_like(a[0]), y)
-    _, (adjoint, g) = lax.scan(back, end, (slopes, derivatives), reverse=True)
+    sweep = one_kernel(lambda end, each: lax.scan(back, end, each, reverse=True))
+    _, (adjoint, g) = sweep(end, (y, w, p, slopes))
     return g, jax.tree_util.tree_map(lambda a, b: jnp.concatenate([a, b[None]]), adjoint, end)
 
 
