@@ -35,14 +35,19 @@ def _is(a: Scalar, value: float) -> bool:
     return isinstance(a, float) and bool(a == value)
 
 
+def _alike(a: Scalar, b: Scalar) -> bool:
+    """Whether the plain operation takes them: NumPy's, with its promotion, costs twice the time to trace."""
+    return isinstance(a, jax.Array) and isinstance(b, jax.Array) and a.aval == b.aval
+
+
 def add(a: Scalar, b: Scalar) -> Scalar:
     """`a + b`; 0 folds."""
-    return b if _is(a, 0.0) else a if _is(b, 0.0) else a + b
+    return b if _is(a, 0.0) else a if _is(b, 0.0) else lax.add(a, b) if _alike(a, b) else a + b
 
 
 def sub(a: Scalar, b: Scalar) -> Scalar:
     """`a - b`; 0 folds."""
-    return -b if _is(a, 0.0) else a if _is(b, 0.0) else a - b
+    return -b if _is(a, 0.0) else a if _is(b, 0.0) else lax.sub(a, b) if _alike(a, b) else a - b
 
 
 def mul(a: Scalar, b: Scalar) -> Scalar:
@@ -53,7 +58,7 @@ def mul(a: Scalar, b: Scalar) -> Scalar:
         return b if _is(a, 1.0) else a
     if _is(a, -1.0) or _is(b, -1.0):
         return -b if _is(a, -1.0) else -a
-    return a * b
+    return lax.mul(a, b) if _alike(a, b) else a * b
 
 
 def dot3(a: Sequence[Scalar], b: Sequence[Scalar]) -> Scalar:
@@ -217,13 +222,17 @@ def shared(scalars: Any, derivative: bool = False) -> Any:
 
 @functools.partial(jax.custom_jvp, nondiff_argnums=(1,))
 def _fence(x: jax.Array, derivative: bool) -> jax.Array:
-    return x / (x * 0.0 + 1.0)
+    return lax.div(x, _one(x))
+
+
+def _one(x: jax.Array) -> jax.Array:
+    return lax.add(lax.mul(x, 0.0), 1.0)
 
 
 @_fence.defjvp
 def _fence_jvp(derivative: bool, primals: Any, tangents: Any) -> Any:
-    one = lax.stop_gradient(primals[0]) * 0.0 + 1.0 if derivative else 1.0
-    return _fence(*primals, derivative), tangents[0] / one
+    tangent = lax.div(tangents[0], _one(lax.stop_gradient(primals[0]))) if derivative else tangents[0]
+    return _fence(*primals, derivative), tangent
 
 
 # --------------------------------------------------------------------------------------------------------------------

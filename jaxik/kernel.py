@@ -35,32 +35,34 @@ def one_kernel(function: Callable[..., Any]) -> Callable[..., Any]:
         if jax.default_backend() != "cpu":
             return function(*args)
         program, shape = jax.make_jaxpr(function, return_shape=True)(*args)
-        run = lambda consts, *flat: jaxpr_as_fun(ClosedJaxpr(program.jaxpr, consts))(*flat)
-        count = len(program.consts)  # what the function closes over may be traced, too
-        whole = _whole(lambda *flat: run(flat[:count], *flat[count:]), 1)
-        flat = whole(*map(jnp.asarray, program.consts), *jax.tree_util.tree_leaves(args))
+        consts = list(map(jnp.asarray, program.consts))  # what the function closes over may be traced, too
+        flat = _whole(program.jaxpr, len(consts), 1)(*consts, *jax.tree_util.tree_leaves(args))
         return jax.tree_util.tree_unflatten(jax.tree_util.tree_structure(shape), flat)
 
     return call
 
 
-def _whole(function: Callable[..., Any], lanes: int) -> Callable[..., Any]:
+def _whole(program: Jaxpr, count: int, lanes: int) -> Callable[..., Any]:
+    """The program, of its `count` constants and its arguments, as one kernel."""
+    run = lambda *args: jaxpr_as_fun(ClosedJaxpr(program, args[:count]))(*args[count:])
+    fits = lanes <= _LANES and _fits(program)
+
     @custom_vmap
     def whole(*args: Any) -> Any:
-        program = jax.make_jaxpr(function)(*args)
-        if lanes > _LANES or not _fits(program.jaxpr):
-            return jaxpr_as_fun(program)(*args)
+        if not fits:
+            return run(*args)
         with set_xla_metadata(xla_cpu_small_call="true", inlineable="false"):
-            return jax.jit(jaxpr_as_fun(program))(*_computed(args))
+            return jax.jit(lambda *args: (run(*args), _touched(args)))(*_computed(args))[0]
 
     @whole.def_vmap
     def _(size: int, batched: Any, *args: Any) -> Any:
-        rows = jax.vmap(function, in_axes=tuple(0 if each else None for each in batched))
-        found = _whole(rows, lanes * size)(*args)
+        rows = jax.vmap(run, in_axes=tuple(0 if each else None for each in batched))
+        closed = jax.make_jaxpr(rows)(*args)
+        found = _whole(closed.jaxpr, len(closed.consts), lanes * size)(*closed.consts, *args)
         return found, [True] * len(found)
 
     call = jax.custom_jvp(whole)
-    call.defjvp(lambda primals, tangents: jax.jvp(function, primals, tangents))
+    call.defjvp(lambda primals, tangents: jax.jvp(run, primals, tangents))
     return call
 
 
@@ -82,7 +84,12 @@ def _fits(jaxpr: Jaxpr, inside: bool = False) -> bool:
     return True
 
 
-def _computed(args: Any) -> Any:
-    """The same arrays, as results: XLA's compiler stops at a constant that is large. A zero that it does not see is added."""
+def _touched(args: tuple[Any, ...]) -> Any:
+    """Something of every argument: XLA's compiler stops at one that nothing needs."""
+    return [lax.index_in_dim(x.reshape(-1), 0) for x in args]
+
+
+def _computed(args: tuple[Any, ...]) -> Any:
+    """The same arrays, as results: it stops at large constants, too. A zero is added that it does not see through."""
     zero = lax.iota(jnp.int32, 2)[0]
-    return jax.tree_util.tree_map(lambda x: x + zero.astype(x.dtype) if jnp.issubdtype(x.dtype, jnp.number) else x, args)
+    return [x + zero.astype(x.dtype) if jnp.issubdtype(x.dtype, jnp.number) else x for x in args]

@@ -9,13 +9,17 @@ so that whatever u is the path is followed, and optimal control needs no constra
     min over the input of   int l(q, qdot, input, t) dt                                         (5.10)
 
 The text's cost is `quadratic_cost`: `l = H(q) + zeta_qdot/2 qdot'qdot + zeta_u/2 u'u` (5.11)-(5.14); any pure function will do.
+
+The start is given (5.5), or free (5.4): then any configuration with the tip at the path's start may be taken. The text's
+transversality condition, N lambda(0) = 0, is that the cost does not change as the start moves on that manifold; so it is
+solved for by one more input, a null-space motion from the given start before the clock runs.
 """
 
 from __future__ import annotations
 
 import dataclasses
 import functools
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from typing import Any, Literal, NamedTuple
 
 import jax
@@ -24,7 +28,7 @@ import numpy as np
 
 from jaxik.chain import Chain
 from jaxik.choice import check_choices
-from jaxik.costs import Cost
+from jaxik.kernel import one_kernel
 from jaxik.optimise import descent, ocp
 from jaxik.path import Motion, Path, motion
 from jaxik.redundancy import FLOOR, resolve_velocity
@@ -33,14 +37,19 @@ from jaxik.task import POSE, Task
 DESCEND = descent.Descent()
 Level = Literal["velocity", "acceleration"]
 Integrator = Literal["euler", "runge_kutta"]
-RunningCost = Callable[[Any, Any, Any, Any], Any]  # (q, qdot, input, t) -> per second
+Start = Literal["given", "free"]
+Each = Literal["path", "duration", "guess", "given"]
+RunningCost = Callable[..., Any]  # (q, qdot, input, t), and what is given, if anything is: cost per second
 
 
-def quadratic_cost(position: Cost | None = None, velocity: float = 2.0, effort: float = 2.0) -> RunningCost:
-    """`l = H(q) + velocity/2 qdot'qdot + effort/2 w'w`. Source: Schuetz 2017, (5.11)-(5.14)."""
+def quadratic_cost(position: Callable[..., Any] | None = None, velocity: float = 2.0, effort: float = 2.0) -> RunningCost:
+    """`l = H(q) + velocity/2 qdot'qdot + effort/2 w'w`. Source: Schuetz 2017, (5.11)-(5.14).
 
-    def running(q: Any, qdot: Any, w: Any, t: Any) -> Any:
-        level = 0.0 if position is None else position(q)
+    `position` is H, of q and, if something is given to the cost (a scene, weights), of that.
+    """
+
+    def running(q: Any, qdot: Any, w: Any, t: Any, *given: Any) -> Any:
+        level = 0.0 if position is None else position(q, *given)
         return level + 0.5 * velocity * jnp.sum(qdot**2) + 0.5 * effort * jnp.sum(w**2)
 
     return running
@@ -49,7 +58,7 @@ def quadratic_cost(position: Cost | None = None, velocity: float = 2.0, effort: 
 @dataclasses.dataclass(frozen=True)
 class Horizon:
     """How the future is looked at: `count` samples of `dt` [s]; on which `level` the input acts; the `integrator`; the task and
-    the gain [1/s] that holds the tip on its path; the joints' `weights`; and how to `descend`."""
+    the gain [1/s] that holds the tip on its path; the joints' `weights`; whether the `start` is free; how to `descend`."""
 
     dt: float = 0.01
     count: int = 200
@@ -59,10 +68,12 @@ class Horizon:
     gain: float = 1.0
     weights: tuple[float, ...] | None = None
     floor: float = FLOOR
+    start: str = "given"
     descend: descent.Descent = DESCEND
 
     def __post_init__(self) -> None:
-        check_choices("horizon", level=(self.level, Level), integrator=(self.integrator, Integrator))
+        choices = {"level": (self.level, Level), "integrator": (self.integrator, Integrator), "start": (self.start, Start)}
+        check_choices("horizon", **choices)
         if not (self.dt > 0.0 and self.count >= 1 and self.gain >= 0.0):
             raise ValueError(
                 f"horizon: dt {self.dt}, count {self.count}, gain {self.gain}; allowed: dt > 0, count >= 1, gain >= 0"
@@ -70,33 +81,40 @@ class Horizon:
 
 
 class Future(NamedTuple):
-    """What is known of the path at each sample: what is asked at the start, middle and end of the step, and the time [s]."""
+    """What is known of the path at each sample: what is asked at the stages of its step, and the time [s]."""
 
     asked: Motion
     time: Any
 
 
 class Prediction(NamedTuple):
-    """The best motion found: q (N+1, n), qdot and input w (N, n), each sample's cost (N,); the total (its integral) after each
-    iteration, and how many there were."""
+    """The best motion found: q (N+1, n), qdot and input w (N, n), each sample's cost (N,) per second; and the record of the
+    descent: how many iterations, the total (the cost's integral) before and after each, alpha and beta of each, then NaN."""
 
     q: Any
     qdot: Any
     w: Any
     costs: Any
-    totals: Any
     iterations: Any
+    totals: Any
+    alphas: Any
+    betas: Any
+
+    @property
+    def total(self) -> Any:
+        """The integral of the cost."""
+        return jnp.nanmin(self.totals, axis=-1)
 
 
-def future(path: Path, duration: float, horizon: Horizon, start: Any = 0.0) -> Future:
-    """The samples of a horizon that begins at `start` [s] of a path."""
+def future(path: Path, duration: Any, horizon: Horizon, start: Any = 0.0) -> Future:
+    """The samples of a horizon that begins at `start` [s] of a path; beyond the path's end the tip stands still."""
     time = start + horizon.dt * jnp.arange(horizon.count)
-    stages = time[:, None] + horizon.dt * jnp.array([0.0, 0.5, 1.0])
-    asked = motion(path, duration, stages.reshape(-1))
-    return Future(Motion(*(x.reshape(horizon.count, 3, *x.shape[1:]) for x in asked)), time)
+    stages = jnp.array([0.0] if horizon.integrator == "euler" else [0.0, 0.5, 1.0])
+    asked = motion(path, duration, (time[:, None] + horizon.dt * stages).reshape(-1))
+    return Future(Motion(*(x.reshape(horizon.count, len(stages), *x.shape[1:]) for x in asked)), time)
 
 
-def problem(chain: Chain, cost: RunningCost, horizon: Horizon) -> ocp.Problem:
+def problem(chain: Chain, cost: RunningCost, horizon: Horizon, *given: Any) -> ocp.Problem:
     """The optimal control problem; its samples are a `Future`."""
 
     def field(q: Any, u: Any, asked: Motion) -> Any:
@@ -104,44 +122,138 @@ def problem(chain: Chain, cost: RunningCost, horizon: Horizon) -> ocp.Problem:
 
     integrate = (ocp.euler if horizon.integrator == "euler" else ocp.runge_kutta)(field, horizon.dt)
     move = ocp.of_velocity(integrate) if horizon.level == "velocity" else ocp.of_acceleration(integrate, horizon.dt)
-    return ocp.Problem(lambda y, w, p: move(y, w, p.asked), lambda y, v, w, p: cost(y[0], v, w, p.time), horizon.dt)
+    return ocp.Problem(lambda y, w, p: move(y, w, p.asked), lambda y, v, w, p: cost(y[0], v, w, p.time, *given), horizon.dt)
 
 
-def objective(chain: Chain, cost: RunningCost, horizon: Horizon, q: Any, ahead: Future) -> descent.Objective:
-    """The cost of an input as `descent` wants it, with the inner product `int a'b dt` (5.24)."""
-    control = problem(chain, cost, horizon)
-    start = (q,) if horizon.level == "velocity" else (q, jnp.zeros_like(q))
+def objective(
+    chain: Chain, cost: RunningCost, horizon: Horizon, q: Any, ahead: Future, given: tuple[Any, ...] = (), u: Any = None
+) -> descent.Objective:
+    """The cost of an input as `descent` wants it, with the inner product `int a'b dt` (5.24); `u` is that of the start.
 
-    def value(w: Any) -> Any:
-        run = ocp.roll_out(control, start, w, ahead)
+    A free start is one more row before the others: the motion before the clock runs, over sqrt(dt), which makes it of one
+    measure with them.
+    """
+    control = problem(chain, cost, horizon, *given)
+    root = horizon.dt**0.5
+    free = horizon.start == "free"
+    begin = lambda first: self_motion(chain, q, root * first, ahead, horizon)
+    rest = () if horizon.level == "velocity" else (jnp.zeros_like(q) if u is None else u,)
+
+    def value(z: Any) -> Any:
+        run = ocp.roll_out(control, ((begin(z[0]) if free else q), *rest), z[1:] if free else z, ahead)
         return run.total, run
 
-    inner = lambda a, b: horizon.dt * jnp.sum(a * b)
-    return descent.Objective(value, lambda w, run: ocp.gradient(control, run, w, ahead)[0], inner)
+    def slope(z: Any, run: ocp.Run) -> Any:
+        if not free:
+            return ocp.gradient(control, run, z, ahead)[0]
+        g, adjoint = ocp.gradient(control, run, z[1:], ahead)
+        _, pull = jax.vjp(begin, z[0])
+        return jnp.concatenate([pull(adjoint[0][0])[0][None] / horizon.dt, g])
+
+    # traced once, however often it is asked for
+    return descent.Objective(jax.jit(value), slope, lambda a, b: horizon.dt * jnp.sum(a * b))
+
+
+def self_motion(chain: Chain, q: Any, along: Any, ahead: Future, horizon: Horizon, turns: int = 12) -> Any:
+    """Where a motion that leaves the tip at the path's start ends: of `qdot = (1 - J# J) along` after 1 s, brought back to the
+    path by Newton steps."""
+    pose = jax.tree_util.tree_map(lambda x: x[0, 0], ahead.asked).pose
+    asked = Motion(pose, jnp.zeros(6, pose.dtype), jnp.zeros(6, pose.dtype))
+
+    def turn(q: Any, share: Any) -> Any:
+        step = resolve_velocity(chain, q, asked, share * along, horizon.task, 1.0, horizon.weights, horizon.floor).rate
+        return q + step, None
+
+    shares = jnp.concatenate([jnp.full(turns, 1.0 / turns), jnp.zeros(4)]).astype(q.dtype)
+    return one_kernel(lambda q, along, shares: jax.lax.scan(lambda q, s: turn(q, s), q, shares)[0])(q, along, shares)
 
 
 @functools.lru_cache(maxsize=32)
-def _program(chain: Chain, cost: RunningCost, horizon: Horizon) -> Callable[..., Prediction]:
-    def solve(q: Any, w: Any, ahead: Future) -> Prediction:
-        found = descent.run(objective(chain, cost, horizon, q, ahead), w, horizon.descend)
+def _program(
+    chain: Chain, cost: RunningCost, horizon: Horizon, axes: tuple[int | None, ...] | None
+) -> Callable[..., Prediction]:
+    def solve(q: Any, w: Any, path: Path, duration: Any, given: tuple[Any, ...]) -> Prediction:
+        ahead = future(path, duration, horizon)
+        found = descent.run(objective(chain, cost, horizon, q, ahead, given), w, horizon.descend)
         run = found.aux
-        return Prediction(run.y[0], run.v, found.w, run.costs, found.costs, found.iterations)
+        w = found.w[1:] if horizon.start == "free" else found.w
+        return Prediction(run.y[0], run.v, w, run.costs, found.iterations, found.costs, found.alphas, found.betas)
 
-    return jax.jit(solve)
+    return jax.jit(solve if axes is None else jax.vmap(solve, in_axes=axes))
 
 
 def predict(
-    chain: Chain, path: Path, duration: float, q: Any, cost: RunningCost, horizon: Horizon, guess: Any = None
+    chain: Chain,
+    path: Path,
+    duration: Any,
+    q: Any,
+    cost: RunningCost,
+    horizon: Horizon,
+    guess: Any = None,
+    given: Any = None,
+    each: Sequence[str] = (),
 ) -> Prediction:
-    """The null-space motion from q (n,) along `path` within the horizon. `guess` (count, n) is the first input, 0 unless given.
+    """The null-space motion from q (n,) along `path`, timed over `duration` [s], within the horizon.
 
-    Raises `ValueError` for a q or guess of another shape.
+    `guess` (count, n) is the first input, 0 unless given. `given`, any pytree, is handed to the cost as its last argument: what
+    may change from call to call without compiling again. With q (b, n) it is b scenarios in one call, every field of the result
+    with a leading axis b, and each is what it is alone; `each` names what else has one entry a scenario ("path", "duration",
+    "guess", "given").
+
+    Raises `ValueError` for a q or guess of another shape, or another name in `each`.
     """
     q = jnp.asarray(q, jnp.result_type(float))
-    w = jnp.zeros((horizon.count, chain.num_joints), q.dtype) if guess is None else jnp.asarray(guess, q.dtype)
-    if q.shape != (chain.num_joints,) or w.shape != (horizon.count, chain.num_joints):
+    rows = horizon.count + (horizon.start == "free")
+    shape = (rows, chain.num_joints)
+    check_each("predict", each)
+    many = q.ndim == 2
+    if guess is None:
+        w = jnp.zeros(shape, q.dtype)
+    else:
+        w = jnp.asarray(guess, q.dtype)
+        if horizon.start == "free" and w.shape[-2:] == (horizon.count, chain.num_joints):
+            w = jnp.concatenate([jnp.zeros_like(w[..., :1, :]), w], axis=-2)
+    wanted = (q.shape[0], *shape) if "guess" in each else shape
+    if q.shape[-1:] != (chain.num_joints,) or q.ndim not in (1, 2) or w.shape != wanted or (each and not many):
         raise ValueError(
-            f"predict: q {np.shape(q)} and guess {w.shape}; {chain.name} takes ({chain.num_joints},) and "
-            f"({horizon.count}, {chain.num_joints})"
+            f"predict: q {np.shape(q)} and guess {w.shape}; {chain.name} takes ({chain.num_joints},) and {shape}, or a leading "
+            f"axis of q, and of what `each` names"
         )
-    return _program(chain, cost, horizon)(q, w, future(path, duration, horizon))
+    axes = None
+    if many:
+        axes = (0, *(0 if name in each else None for name in ("guess", "path", "duration", "given")))
+    return _program(chain, cost, horizon, axes)(q, w, path, duration, () if given is None else (given,))
+
+
+def check_each(who: str, each: Sequence[str]) -> None:
+    """Whether all names are such as may have an entry a scenario."""
+    for name in each:
+        check_choices(who, each=(name, Each))
+
+
+def multistart(
+    chain: Chain,
+    path: Path,
+    duration: Any,
+    q: Any,
+    cost: RunningCost,
+    horizon: Horizon,
+    starts: int = 1000,
+    spread: float = 2.0,
+    seed: int = 0,
+    given: Any = None,
+) -> Prediction:
+    """`predict` from `starts` first inputs, the best first: 0, and smooth random ones, for the global picture.
+
+    A random input is a sum of the first five cosines of the horizon, of random amplitudes [`spread` rad/s2 or rad/s] that fall
+    with their frequency, so that it moves the arm and does not shake it.
+    """
+    count, n = horizon.count, chain.num_joints
+    rng = np.random.default_rng(seed)
+    order = np.arange(5)
+    waves = np.cos(np.pi * order[:, None] * (np.arange(count) + 0.5) / count)
+    inputs = np.einsum("skn,kt->stn", spread * rng.normal(size=(starts, 5, n)) / (1.0 + order)[:, None], waves)
+    inputs[0] = 0.0
+    found = predict(chain, path, duration, np.tile(q, (starts, 1)), cost, horizon, inputs, given, ("guess",))
+    best = np.argsort(np.nan_to_num(np.asarray(found.total), nan=np.inf), kind="stable")
+    return jax.tree_util.tree_map(lambda x: np.asarray(x)[best], found)

@@ -16,7 +16,7 @@ FLOORS = [
     {"load"},  # above the spheres: a loaded chain knows which of its links may touch
     {"lanes", "seeds", "implicit", "crop", "scan", "redundancy"},
     {"ik_options", "predictive"},
-    {"multistart"},
+    {"multistart", "moving_horizon"},
     {"ik", "baselines"},
     {"harvest"},
     {"plot"},

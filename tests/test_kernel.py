@@ -1,4 +1,4 @@
-"""A loop as one kernel gives what the loop gives: alone, batched, differentiated, with constants, and where it cannot be one."""
+"""A loop as one kernel gives what the loop gives: alone, batched, differentiated, with constants, and where it cannot be."""
 
 import jax
 import jax.numpy as jnp

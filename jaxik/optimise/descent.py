@@ -8,6 +8,8 @@ direction   beta_j, with y = g_j - g_{j-1} and the inner product of the space
   fletcher_reeves    <g_j, g_j> / <g_{j-1}, g_{j-1}>           [Fletcher and Reeves 1964]
   polak_ribiere      <g_j, y> / <g_{j-1}, g_{j-1}>             [Polak and Ribiere 1969]
   hager_zhang        <y - 2 s <y, y> / <s, y>, g_j> / <s, y>   [Hager and Zhang 2005]
+  lbfgs              none: s = -H g with the inverse Hessian H of the last `memory` steps, by optax [Liu and Nocedal 1989];
+                     its natural step is 1: `QUASI_NEWTON`
 
 search      alpha_j
   fixed         `step`
@@ -15,7 +17,7 @@ search      alpha_j
                 where it must run until it does)
   polynomial    the least of a parabola through three points of an interval that adapts (alg. 5; its printed rules grow the
                 interval for a minimum anywhere but near the lower end and never let it shrink: here it grows for a minimum near
-                the upper end and shrinks for one near the lower)
+                the upper end and shrinks for one near the lower; where the cost rises it shrinks tenfold and is tried again)
   secant        <dw, dw> over <dw, dg>, the two-point step of Barzilai and Borwein, which (5.32) writes for the directions
 
 A direction that does not descend is replaced by -g. The driver stops as the text does: after `iterations`, where the cost falls
@@ -34,7 +36,7 @@ from jax import lax
 
 from jaxik.choice import check_choices
 
-Direction = Literal["steepest", "hestenes_stiefel", "fletcher_reeves", "polak_ribiere", "hager_zhang"]
+Direction = Literal["steepest", "hestenes_stiefel", "fletcher_reeves", "polak_ribiere", "hager_zhang", "lbfgs"]
 Search = Literal["fixed", "backtracking", "polynomial", "secant"]
 
 
@@ -60,6 +62,7 @@ class Descent:
     armijo: float = 1e-4
     rho: float = 0.62
     trials: int = 10
+    memory: int = 10
 
     def __post_init__(self) -> None:
         check_choices("descent", direction=(self.direction, Direction), search=(self.search, Search))
@@ -70,15 +73,19 @@ class Descent:
             raise ValueError(f"descent: interval {self.interval}; allowed: 0 < first < last")
 
 
+QUASI_NEWTON = Descent("lbfgs", "backtracking", iterations=500, tolerance=1e-8, step=1.0, rho=0.5, trials=20)
+
+
 class State(NamedTuple):
-    """Where a descent stands: the input, its cost and what came with that; the last gradient and direction; the interval;
-    iterations done, the last alpha and beta, and whether it is over."""
+    """Where a descent stands: the input, its cost and what came with that; the last gradient and direction, and what the
+    quasi-Newton method remembers; the interval; iterations done, the last alpha and beta, and whether it is over."""
 
     w: Any
     cost: Any
     aux: Any
     gradient: Any
     direction: Any
+    memory: Any
     interval: Any
     iterations: Any
     alpha: Any
@@ -103,29 +110,34 @@ def init(objective: Objective, w: Any, options: Descent) -> State:
     """At the first guess."""
     cost, aux = objective.value(w)
     none = jnp.zeros_like(w)
+    memory = _quasi_newton(options).init(w) if options.direction == "lbfgs" else ()
     interval = jnp.asarray(options.interval, w.dtype)
     zero = jnp.zeros((), w.dtype)
-    return State(w, cost, aux, none, none, interval, jnp.zeros((), int), zero, zero, jnp.zeros((), bool))
+    return State(w, cost, aux, none, none, memory, interval, jnp.zeros((), int), zero, zero, jnp.zeros((), bool))
 
 
-def advance(objective: Objective, state: State, options: Descent) -> State:
-    """One iteration."""
-    inner, first = objective.inner, state.iterations == 0
+def advance(objective: Objective, state: State, options: Descent, measured: bool = True) -> State:
+    """One iteration. Not `measured`, the cost is what the line search expects and `aux` is left as it was: where the next thing
+    to do is to evaluate the objective anyway, that saves one evaluation."""
+    inner = objective.inner
     g = objective.gradient(state.w, state.aux)
-    beta = jnp.where(first, 0.0, _beta(options.direction, inner, g, state.gradient, state.direction))
-    s = -g + beta * state.direction
+    s, beta, memory = _direction(objective, state, g, options)
     slope = inner(g, s)
     descends = slope < 0.0
     s, slope, beta = jnp.where(descends, s, -g), jnp.where(descends, slope, -inner(g, g)), jnp.where(descends, beta, 0.0)
-    alpha, interval = _alpha(objective, state, g, s, slope, options)
-    w = state.w + alpha * s
-    cost, aux = objective.value(w)
+    alpha, interval, expected, there = _search(objective, state, g, s, slope, options)
+    cost, aux = (expected, state.aux) if not measured else there or objective.value(state.w + alpha * s)
     better = cost <= state.cost
     keep = lambda new, old: jax.tree_util.tree_map(lambda a, b: jnp.where(better, a, b), new, old)
-    fall = state.cost - cost
-    done = ~better | (fall < options.tolerance * jnp.abs(state.cost))
-    kept_w, kept_cost, kept_aux = keep((w, cost, aux), (state.w, state.cost, state.aux))
-    return State(kept_w, kept_cost, kept_aux, g, s, interval, state.iterations + 1, alpha, beta, done)
+    w, kept_cost, kept_aux = keep((state.w + alpha * s, cost, aux), (state.w, state.cost, state.aux))
+    over = better & (state.cost - cost < options.tolerance * jnp.abs(state.cost))
+    if options.search == "polynomial":
+        interval = jnp.where(better, interval, 0.1 * state.interval)
+        s = jnp.where(better, s, jnp.zeros_like(s))  # and from here straight down
+        over |= ~(interval[1] > 1e-6 * options.interval[1]) | ~(cost == cost)
+    else:
+        over |= ~better
+    return State(w, kept_cost, kept_aux, g, s, memory, interval, state.iterations + 1, alpha, beta, over)
 
 
 def run(objective: Objective, w: Any, options: Descent) -> Descended:
@@ -163,34 +175,54 @@ def _beta(kind: str, inner: Any, g: Any, before: Any, s: Any) -> Any:
     return _ratio(inner(g, y) - 2.0 * inner(s, g) * _ratio(inner(y, y), along), along)
 
 
-def _alpha(objective: Objective, state: State, g: Any, s: Any, slope: Any, options: Descent) -> Any:
-    """The step along s, and the next interval."""
-    if options.search == "fixed":
-        return jnp.asarray(options.step, g.dtype), state.interval
+def _quasi_newton(options: Descent) -> Any:
+    import optax  # late: not everyone needs it
+
+    return optax.scale_by_lbfgs(options.memory)
+
+
+def _direction(objective: Objective, state: State, g: Any, options: Descent) -> tuple[Any, Any, Any]:
+    """s, beta, and the memory."""
+    if options.direction == "lbfgs":
+        scaled, memory = _quasi_newton(options).update(g, state.memory, state.w)
+        return -scaled, jnp.zeros((), g.dtype), memory
+    beta = _beta(options.direction, objective.inner, g, state.gradient, state.direction)
+    beta = jnp.where(state.iterations == 0, 0.0, beta)
+    return -g + beta * state.direction, beta, ()
+
+
+def _search(objective: Objective, state: State, g: Any, s: Any, slope: Any, options: Descent) -> tuple[Any, Any, Any, Any]:
+    """The step along s, the next interval, the cost to expect, and what the objective is there if that was asked."""
+    at = lambda alpha: objective.value(state.w + alpha * s)
+    alpha, interval = jnp.asarray(options.step, g.dtype), state.interval
+    if options.search == "backtracking":
+        short_of = lambda now: ~(now[2][0] <= state.cost + options.armijo * now[0] * slope)
+        more = lambda now: short_of(now) & (now[1] < options.trials)
+        shorter = lambda now: (options.rho * now[0], now[1] + 1, at(options.rho * now[0]))
+        alpha, _, there = lax.while_loop(more, shorter, (alpha, 0, at(alpha)))
+        return alpha, interval, there[0], there
+    if options.search == "polynomial":
+        alpha, interval, expected = _polynomial(lambda alpha: at(alpha)[0], state.interval)
+        return alpha, interval, expected, None
     if options.search == "secant":
         moved, change = state.alpha * state.direction, g - state.gradient
-        alpha = _ratio(objective.inner(moved, moved), objective.inner(moved, change))
-        return jnp.where((state.iterations == 0) | ~(alpha > 0.0), options.step, alpha), state.interval
-    at = lambda alpha: objective.value(state.w + alpha * s)[0]
-    if options.search == "backtracking":
-        enough = lambda alpha: at(alpha) <= state.cost + options.armijo * alpha * slope
-        shorter = lambda both: (options.rho * both[0], both[1] + 1)
-        more = lambda both: ~enough(both[0]) & (both[1] < options.trials)
-        return lax.while_loop(more, shorter, (jnp.asarray(options.step, g.dtype), 0))[0], state.interval
-    return _polynomial(at, state.interval)
+        two_points = _ratio(objective.inner(moved, moved), objective.inner(moved, change))
+        alpha = jnp.where((state.iterations == 0) | ~(two_points > 0.0), alpha, two_points)
+    return alpha, interval, state.cost + alpha * slope, None
 
 
 def _polynomial(at: Callable[[Any], Any], interval: Any, near: float = 0.1, factor: float = 2.0) -> Any:
-    """Alg. 5: alpha, and the interval for the next time. The three costs are one batch."""
+    """Alg. 5: alpha, the interval for the next time, and the parabola's least. The three costs are one batch."""
     low, high = interval
-    middle = 0.5 * (low + high)
+    middle, half = 0.5 * (low + high), 0.5 * (high - low)
     costs = jax.vmap(at)(jnp.stack([low, middle, high]))
-    half = middle - low
-    c1 = (costs[2] - costs[0]) / (2.0 * half)  # about the middle
-    c2 = (costs[2] - 2.0 * costs[1] + costs[0]) / (2.0 * half**2)
-    least = middle - c1 / (2.0 * jnp.where(c2 > 0.0, c2, 1.0))
+    slope = (costs[2] - costs[0]) / (2.0 * half)  # about the middle
+    bend = (costs[2] - 2.0 * costs[1] + costs[0]) / (2.0 * half**2)
+    least = middle - slope / (2.0 * jnp.where(bend > 0.0, bend, 1.0))
     end = jnp.where(costs[0] <= jnp.minimum(costs[1], costs[2]), low, jnp.where(costs[2] <= costs[1], high, middle))
-    least = jnp.where(c2 > 0.0, least, end)
+    least = jnp.where(bend > 0.0, least, end)
     upper, lower = least >= high - near * (high - low), least <= low + near * (high - low)
     scale = jnp.where(upper, factor, jnp.where(lower, 1.0 / factor, 1.0))
-    return jnp.clip(least, low, high), interval * scale
+    alpha = jnp.clip(least, low, high)
+    expected = costs[1] + (slope + bend * (alpha - middle)) * (alpha - middle)
+    return alpha, interval * scale, expected
