@@ -67,7 +67,7 @@ def _measured(chain: Chain, scene: Scene | None, q: Any, groups: list[list[int]]
         if not still:
             made = jax.tree_util.tree_map(_materialised, tangents, is_leaf=_is_zero)
             return jax.jvp(lambda scene, q: _distances(chain, scene, q, groups), primals, made)
-        value, rows = _contacts(chain, *primals, groups)
+        value, rows = _contacts(chain, primals[0], primals[1], groups)
         turned = _materialised(tangents[1])
         return value, sum(row * turned[j] for j, row in enumerate(rows))
 

@@ -21,9 +21,11 @@ import jax.numpy as jnp
 import numpy as np
 
 from jaxik.chain import Chain
+from jaxik.judge import Course, judge
 from jaxik.optimise import descent
-from jaxik.path import Path
+from jaxik.path import Path, motion
 from jaxik.predictive import Horizon, RunningCost, future, objective, problem
+from jaxik.redundancy import resolve_velocity
 
 
 class State(NamedTuple):
@@ -42,12 +44,15 @@ class State(NamedTuple):
 
 class Sample(NamedTuple):
     """What to do now: at q (n,) [rad, m] move with qdot (n,). And where the plan that this sample began with leads, (N+1, n),
-    and what it costs in all; what this sample's iterations make of it, the next one begins with."""
+    and what it costs in all; what this sample's iterations make of it, the next one begins with. The tip's error (m,) [m, rad],
+    and the damping that a singularity needed, 0 where none."""
 
     q: Any
     qdot: Any
     planned: Any
     total: Any
+    error: Any
+    damping: Any
 
 
 @dataclasses.dataclass(frozen=True)
@@ -104,32 +109,44 @@ class MovingHorizon:
         here = (state.q, state.u) if horizon.level == "acceleration" else (state.q,)
         there, qdot = control.step(here, found.w[0], jax.tree_util.tree_map(lambda x: x[0], ahead))
         shift = lambda x: jnp.concatenate([x[1:], jnp.zeros_like(x[:1])])
-        plan = map(shift, (found.w, found.gradient, found.direction))
+        w, gradient, direction = map(shift, (found.w, found.gradient, found.direction))
         u = there[1] if horizon.level == "acceleration" else state.u
-        after = State(there[0], u, state.time + horizon.dt, *plan, found.interval, found.iterations)
-        return after, Sample(state.q, qdot, warm.aux.y[0], warm.cost)
+        first = jax.tree_util.tree_map(lambda x: x[0, 0], ahead.asked)
+        task, gain, weights, floor = horizon.task, horizon.gain, horizon.weights, horizon.floor
+        now = resolve_velocity(self.chain, state.q, first, here[-1], task, gain, weights, floor)
+        after = State(there[0], u, state.time + horizon.dt, w, gradient, direction, found.interval, found.iterations)
+        return after, Sample(state.q, qdot, warm.aux.y[0], warm.cost, now.error, now.damping)
 
 
-class Followed(NamedTuple):
-    """A motion under a moving horizon: time (k,) [s], q (k, n), qdot (k, n), and what each sample's plan costs in all (k,)."""
+class Moved(NamedTuple):
+    """A motion under a moving horizon: time (k,) [s], q (k, n), qdot (k, n), what each sample's plan costs in all (k,), the tip's
+    error (k, m) and the damping (k,); the `Reason`, and the sample where it happened."""
 
     time: Any
     q: Any
     qdot: Any
     total: Any
+    error: Any
+    damping: Any
+    reason: Any
+    sample: Any
 
 
 def follow_predictively(
     control: MovingHorizon, path: Path, duration: float, q: Any, given: Callable[[float], Any] | Any = None, until: Any = None
-) -> Followed:
+) -> Moved:
     """The whole motion from q (n,), to `until` [s], by default the path's end. `given` may be a function of the time [s]: of a
     scene that moves."""
     until = duration if until is None else until
-    count = round(float(until) / control.horizon.dt)
+    dt, horizon = control.horizon.dt, control.horizon
+    time = dt * np.arange(round(float(until) / dt))
     state, samples = control.start(q), []
-    for k in range(count):
-        now = given(k * control.horizon.dt) if callable(given) else given
-        state, sample = control.step(state, path, duration, now)
-        samples.append(jax.tree_util.tree_map(np.asarray, (sample.q, sample.qdot, sample.total)))
-    columns = [np.stack(column) for column in zip(*samples, strict=True)]
-    return Followed(control.horizon.dt * np.arange(count), *columns)
+    for t in time:
+        state, sample = control.step(state, path, duration, given(t) if callable(given) else given)
+        samples.append(sample._replace(planned=None))
+    found = jax.tree_util.tree_map(lambda *rows: np.stack([np.asarray(row) for row in rows]), *samples)
+    asked = motion(path, duration, time)
+    held = np.zeros(len(time), bool)
+    course = Course(found.q, found.qdot, found.error, found.damping, held, asked.pose, asked.velocity)
+    reason, k = judge(control.chain, horizon.task, course, horizon.tolerance, keep=True)
+    return Moved(time, found.q, found.qdot, found.total, found.error, found.damping, np.asarray(reason), np.asarray(k))

@@ -28,6 +28,7 @@ import numpy as np
 
 from jaxik.chain import Chain
 from jaxik.choice import check_choices
+from jaxik.judge import Course, judge
 from jaxik.kernel import one_kernel
 from jaxik.optimise import descent, ocp
 from jaxik.path import Motion, Path, motion
@@ -58,7 +59,7 @@ def quadratic_cost(position: Callable[..., Any] | None = None, velocity: float =
 @dataclasses.dataclass(frozen=True)
 class Horizon:
     """How the future is looked at: `count` samples of `dt` [s]; on which `level` the input acts; the `integrator`; the task and
-    the gain [1/s] that holds the tip on its path; the joints' `weights`; whether the `start` is free; how to `descend`."""
+    the gain [1/s] that holds the tip on its path; the joints' `weights`; whether the `start` is free; how to `descend`; and the tip's error [m, rad] that is too much."""
 
     dt: float = 0.01
     count: int = 200
@@ -70,6 +71,7 @@ class Horizon:
     floor: float = FLOOR
     start: str = "given"
     descend: descent.Descent = DESCEND
+    tolerance: float = 0.05
 
     def __post_init__(self) -> None:
         choices = {"level": (self.level, Level), "integrator": (self.integrator, Integrator), "start": (self.start, Start)}
@@ -88,13 +90,18 @@ class Future(NamedTuple):
 
 
 class Prediction(NamedTuple):
-    """The best motion found: q (N+1, n), qdot and input w (N, n), each sample's cost (N,) per second; and the record of the
+    """The best motion found: q (N+1, n), qdot and input w (N, n), each sample's cost (N,) per second; the tip's error (N, m), the
+    damping that singularities needed (N,), the `Reason` and the sample where it happened (`judge`); and the record of the
     descent: how many iterations, the total (the cost's integral) before and after each, alpha and beta of each, then NaN."""
 
     q: Any
     qdot: Any
     w: Any
     costs: Any
+    error: Any
+    damping: Any
+    reason: Any
+    sample: Any
     iterations: Any
     totals: Any
     alphas: Any
@@ -177,9 +184,21 @@ def _program(
         found = descent.run(objective(chain, cost, horizon, q, ahead, given), w, horizon.descend)
         run = found.aux
         w = found.w[1:] if horizon.start == "free" else found.w
-        return Prediction(run.y[0], run.v, w, run.costs, found.iterations, found.costs, found.alphas, found.betas)
+        record = found.iterations, found.costs, found.alphas, found.betas
+        return Prediction(run.y[0], run.v, w, run.costs, *_judged(chain, horizon, run, ahead), *record)
 
     return jax.jit(solve if axes is None else jax.vmap(solve, in_axes=axes))
+
+
+def _judged(chain: Chain, horizon: Horizon, run: ocp.Run, ahead: Future) -> tuple[Any, Any, Any, Any]:
+    """Error, damping, reason and sample."""
+    q, asked = run.y[0][:-1], jax.tree_util.tree_map(lambda x: x[:, 0], ahead.asked)
+    resolve = lambda q, asked: resolve_velocity(
+        chain, q, asked, jnp.zeros_like(q), horizon.task, horizon.gain, horizon.weights, horizon.floor
+    )
+    found = jax.vmap(resolve)(q, asked)
+    course = Course(q, run.v, found.error, found.damping, jnp.zeros(len(q), bool), asked.pose, asked.velocity)
+    return found.error, found.damping, *judge(chain, horizon.task, course, horizon.tolerance, keep=True)
 
 
 def predict(

@@ -35,6 +35,14 @@ from jaxik.path import Motion
 from jaxik.task import POSE, Task
 
 FLOOR = 1e-4  # sine 0.01 between what the task's rows ask
+_PASSES = 4  # of holding joints at their bounds
+
+
+class Box(NamedTuple):
+    """Bounds (n,) of the joints' rates, or accelerations."""
+
+    low: Any
+    high: Any
 
 
 class Resolved(NamedTuple):
@@ -55,15 +63,17 @@ def resolve_velocity(
     gain: float = 1.0,
     weights: Any = None,
     floor: float = FLOOR,
+    box: Box | None = None,
 ) -> Resolved:
     """The joint velocities that follow `motion` and otherwise come nearest to u [rad/s, m/s], by the norm of `weights` (n,).
 
-    `gain` [1/s] pulls the tip back to its path. Traced. Raises `ValueError` for a q of another shape.
+    `gain` [1/s] pulls the tip back to its path. `box` holds what the velocities must lie between. Traced. Raises `ValueError`
+    for a q of another shape.
     """
     q = as_configuration(chain, q)
     at = _At(chain, q, motion, task)
     wanted = [sub(v, mul(gain, e)) for v, e in zip(at.components(motion.velocity), at.error, strict=True)]
-    return at.resolved(wanted, jnp.asarray(u, q.dtype), weights, floor)
+    return at.resolved(wanted, jnp.asarray(u, q.dtype), weights, floor, box)
 
 
 def resolve_acceleration(
@@ -76,10 +86,12 @@ def resolve_acceleration(
     gains: tuple[float, float] = (1.0, 2.0),
     weights: Any = None,
     floor: float = FLOOR,
+    box: Box | None = None,
 ) -> Resolved:
     """The joint accelerations that follow `motion` and otherwise come nearest to u [rad/s2, m/s2].
 
-    `gains` (K [1/s2], K' [1/s]) pull the tip back to its path; K' = 2 sqrt(K) without overshoot. Traced.
+    `gains` (K [1/s2], K' [1/s]) pull the tip back to its path; K' = 2 sqrt(K) without overshoot. `box` holds what the
+    accelerations must lie between. Traced.
     """
     q = as_configuration(chain, q)
     at = _At(chain, q, motion, task)
@@ -91,7 +103,7 @@ def resolve_acceleration(
     for a, v, row, e, b in zip(asked, now, at.rows, at.error, bias, strict=True):
         slow = sub(v, dot(row, rates))
         wanted.append(sub(add(a, mul(gains[1], slow)), add(mul(gains[0], e), b)))
-    return at.resolved(wanted, jnp.asarray(u, q.dtype), weights, floor)
+    return at.resolved(wanted, jnp.asarray(u, q.dtype), weights, floor, box)
 
 
 def rmrc(chain: Chain, q: Float[Array, " n"], motion: Motion, **options: Any) -> Resolved:
@@ -100,7 +112,13 @@ def rmrc(chain: Chain, q: Float[Array, " n"], motion: Motion, **options: Any) ->
 
 
 def asc(
-    chain: Chain, q: Float[Array, " n"], motion: Motion, cost: Cost, alpha: float = 1.0, weights: Any = None, **options: Any
+    chain: Chain,
+    q: Float[Array, " n"],
+    motion: Motion,
+    cost: Cost | None,
+    alpha: float = 1.0,
+    weights: Any = None,
+    **options: Any,
 ) -> Resolved:
     """Automatic supervisory control: down the gradient of `cost` by `alpha` in the null space."""
     return resolve_velocity(chain, q, motion, _downhill(chain, q, cost, alpha, weights), weights=weights, **options)
@@ -146,15 +164,32 @@ class _At:
         twist = jnp.asarray(twist, self.dtype)
         return [row[0] for row in self.task.rows([tuple(twist[i] for i in range(6))], self.target)]
 
-    def resolved(self, wanted: Sequence[Scalar], u: Any, weights: Any, floor: float) -> Resolved:
-        """`u + W^-1 J' A^-1 (wanted - J u)`."""
-        inverse = [1.0] * self.n if weights is None else [1.0 / weights[i] for i in range(self.n)]
-        m, rows, free = len(self.rows), self.rows, [u[i] for i in range(self.n)]
+    def resolved(self, wanted: Sequence[Scalar], u: Any, weights: Any, floor: float, box: Box | None) -> Resolved:
+        """`u + W^-1 J' A^-1 (wanted - J u)`; inside a box, with those joints held at their bounds that would leave it.
+
+        A held joint has no inverse weight, and its u is the bound. The others take over what it cannot do, as long as they can
+        (saturation in the null space [Flacco, De Luca, Khatib 2012], all that leave at once).
+        """
+        n, m = self.n, len(self.rows)
+        inverse: list[Scalar] = [1.0] * n if weights is None else [1.0 / weights[i] for i in range(n)]
+        free = [u[i] for i in range(n)]
+        if box is None:
+            rate, damping = self._solved(wanted, free, inverse, floor)
+        else:
+            low, high = ([jnp.asarray(b, self.dtype)[i] for i in range(n)] for b in box)
+            for _ in range(_PASSES):
+                rate, damping = self._solved(wanted, free, inverse, floor)
+                inside = [jnp.clip(x, a, b) for x, a, b in zip(rate, low, high, strict=True)]
+                leaves = [x != y for x, y in zip(rate, inside, strict=True)]
+                free = shared([jnp.where(out, y, x) for out, x, y in zip(leaves, free, inside, strict=True)])
+                inverse = shared([jnp.where(out, 0.0, w) for out, w in zip(leaves, inverse, strict=True)])
+            rate = inside
+        return Resolved(stack(rate, (n,), self.dtype), stack(self.error, (m,), self.dtype), jnp.asarray(damping, self.dtype))
+
+    def _solved(self, wanted: Sequence[Scalar], free: Any, inverse: Any, floor: float) -> tuple[list[Scalar], Any]:
+        m, rows = len(self.rows), self.rows
         scaled = [[mul(w, x) for w, x in zip(inverse, row, strict=True)] for row in rows]
         gram = [[dot(scaled[i], rows[j]) for j in range(i + 1)] for i in range(m)]
         short = [sub(w, dot(row, free)) for w, row in zip(wanted, rows, strict=True)]
         y, damping = damped_solve(shared(gram, True), shared(short, True), floor)
-        rate = [add(free[i], dot([row[i] for row in scaled], y)) for i in range(self.n)]
-        return Resolved(
-            stack(rate, (self.n,), self.dtype), stack(self.error, (m,), self.dtype), jnp.asarray(damping, self.dtype)
-        )
+        return [add(free[i], dot([row[i] for row in scaled], y)) for i in range(self.n)], damping

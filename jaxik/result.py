@@ -14,7 +14,9 @@ class Reason(IntEnum):
     LIMITS = 2  # configurations have it, none inside the joint limits
     COLLISION = 3  # configurations inside the limits have it, all of them collide
     NOT_CONVERGED = 4
-    INVALID = 5  # the target itself is no pose: NaN, not a rotation
+    INVALID = 5  # the target itself is no pose: NaN, not a rotation; of a motion: not a number from here on
+    SINGULAR = 6  # of a motion: the arm cannot move as the path asks, and the tip falls behind
+    STILL = 7  # of a motion: the path has no length; the tip stands still
 
     @property
     def text(self) -> str:

@@ -14,8 +14,8 @@ FLOORS = [
     {"spheres", "distance"},
     {"collision", "costs", "closed_form"},
     {"load"},  # above the spheres: a loaded chain knows which of its links may touch
-    {"lanes", "seeds", "implicit", "crop", "scan", "redundancy"},
-    {"ik_options", "predictive"},
+    {"lanes", "seeds", "implicit", "crop", "scan", "redundancy", "judge"},
+    {"ik_options", "predictive", "follow"},
     {"multistart", "moving_horizon"},
     {"ik", "baselines"},
     {"harvest"},
