@@ -47,7 +47,7 @@ def judge(chain: Chain, task: Task, course: Course, tolerance: float, keep: bool
     behind = jnp.where(jnp.any(course.damping * since > 0.0), Reason.SINGULAR, Reason.NOT_CONVERGED)
     behind = jnp.where(jnp.any(course.held & since) | outside[k], Reason.LIMITS, behind)
     failed = jnp.where(lost[k], Reason.INVALID, jnp.where(beyond & late[k], Reason.OUT_OF_REACH, behind))
-    moves = jnp.any(course.velocity != 0.0)
+    moves = jnp.any(jnp.abs(course.velocity) > 100.0 * jnp.finfo(course.q.dtype).eps)
     well_done = jnp.where(moves, Reason.SOLVED, Reason.STILL)
     any_fails = jnp.any(fails)
     return jnp.where(any_fails, failed, well_done), jnp.where(any_fails, k, jnp.where(moves, count, 0))

@@ -119,8 +119,8 @@ class MovingHorizon:
 
 
 class Moved(NamedTuple):
-    """A motion under a moving horizon: time (k,) [s], q (k, n), qdot (k, n), what each sample's plan costs in all (k,), the tip's
-    error (k, m) and the damping (k,); the `Reason`, and the sample where it happened."""
+    """A motion under a moving horizon: time (k,) [s], q (k, n), qdot (k, n), what each sample's plan costs in all (k,), the
+    tip's error (k, m) and the damping (k,); the `Reason`, and the sample where it happened."""
 
     time: Any
     q: Any

@@ -59,7 +59,8 @@ def quadratic_cost(position: Callable[..., Any] | None = None, velocity: float =
 @dataclasses.dataclass(frozen=True)
 class Horizon:
     """How the future is looked at: `count` samples of `dt` [s]; on which `level` the input acts; the `integrator`; the task and
-    the gain [1/s] that holds the tip on its path; the joints' `weights`; whether the `start` is free; how to `descend`; and the tip's error [m, rad] that is too much."""
+    the gain [1/s] that holds the tip on its path; the joints' `weights`; whether the `start` is free; how to `descend`; what
+    error of the tip [m, rad] is too much."""
 
     dt: float = 0.01
     count: int = 200
@@ -90,8 +91,8 @@ class Future(NamedTuple):
 
 
 class Prediction(NamedTuple):
-    """The best motion found: q (N+1, n), qdot and input w (N, n), each sample's cost (N,) per second; the tip's error (N, m), the
-    damping that singularities needed (N,), the `Reason` and the sample where it happened (`judge`); and the record of the
+    """The best motion found: q (N+1, n), qdot and input w (N, n), each sample's cost (N,) per second; the tip's error (N, m),
+    the damping that singularities needed (N,), the `Reason` and the sample where it happened (`judge`); and the record of the
     descent: how many iterations, the total (the cost's integral) before and after each, alpha and beta of each, then NaN."""
 
     q: Any

@@ -16,7 +16,7 @@ FLOORS = [
     {"load"},  # above the spheres: a loaded chain knows which of its links may touch
     {"lanes", "seeds", "implicit", "crop", "scan", "redundancy", "judge"},
     {"ik_options", "predictive", "follow"},
-    {"multistart", "moving_horizon"},
+    {"multistart", "moving_horizon", "boundary"},
     {"ik", "baselines"},
     {"harvest"},
     {"plot"},

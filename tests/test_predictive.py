@@ -9,12 +9,14 @@ import numpy as np
 import pinocchio as pin
 import pytest
 from robots import bare, pinocchio
+from scipy.optimize import lsq_linear, minimize
 
 import jaxik
-from jaxik.optimise import ocp
-from jaxik.optimise.descent import Descent
+from jaxik.boundary import boundary_value
+from jaxik.optimise import ilqr, ocp
+from jaxik.optimise.descent import QUASI_NEWTON, Descent
 from jaxik.path import Arc, Line, motion, via
-from jaxik.predictive import Horizon, future, objective, predict, problem, quadratic_cost
+from jaxik.predictive import Horizon, future, multistart, objective, predict, problem, quadratic_cost
 from jaxik.redundancy import asc, rac, resolve_velocity, rmrc
 
 IN_PLANE = jaxik.Task((True, True, False, False, False, False), "base")
@@ -244,3 +246,92 @@ def test_mistakes_are_one_line(pendulum, line):
         Descent("up")
     with pytest.raises(ValueError, match=r"takes \(4,\)"):
         predict(pendulum, line, 4.0, np.zeros(3), quadratic_cost(), Horizon(0.04, 10, task=IN_PLANE))
+
+
+def test_quasi_newton_finds_what_the_thesis_did_not(pendulum, line):
+    """Fig. 5.2: the text's best is 46 + 2.7; by its count (sums over samples of 40 ms, 500 weighs the cost)."""
+    collision = lambda q: 500.0 * near_obstacle(pendulum)(q)
+    found = predict(
+        pendulum, line, 4.0, START, quadratic_cost(collision), Horizon(0.04, 100, task=IN_PLANE, descend=QUASI_NEWTON)
+    )
+    speed, near = np.sum(np.asarray(found.qdot) ** 2), np.sum(jax.vmap(collision)(found.q[:-1]))
+    assert speed + near < 46.0 + 2.7
+    assert found.reason == jaxik.Reason.SOLVED
+    np.testing.assert_allclose(found.q[0], START)
+
+
+def test_scenarios_in_one_call_are_each_what_they_are_alone(pendulum, line):
+    horizon = Horizon(0.1, 20, task=IN_PLANE, descend=Descent(iterations=5))
+    cost = quadratic_cost(lambda q, weight: weight * 0.5 * jnp.sum((q - 0.3) ** 2))
+    rng = np.random.default_rng(0)
+    starts, weights, guesses = START + 0.1 * rng.normal(size=(3, 4)), np.array([0.0, 1.0, np.nan]), rng.normal(size=(3, 20, 4))
+    many = predict(pendulum, line, 4.0, starts, cost, horizon, guesses, weights, ("guess", "given"))
+    for i in range(3):
+        alone = predict(pendulum, line, 4.0, starts[i], cost, horizon, guesses[i], weights[i])
+        np.testing.assert_allclose(many.q[i], alone.q, atol=1e-9)
+        np.testing.assert_allclose(many.totals[i], alone.totals, rtol=1e-9)
+        assert (many.reason[i], many.iterations[i]) == (alone.reason, alone.iterations)
+    best = multistart(pendulum, line, 4.0, START, cost, horizon, starts=8, given=1.0)
+    assert best.q.shape == (8, 21, 4) and np.all(np.diff(best.total) >= 0.0)
+    with pytest.raises(ValueError, match="each 'cost'; allowed: path, duration, guess, given"):
+        predict(pendulum, line, 4.0, starts, cost, horizon, each=("cost",))
+
+
+def test_a_free_start_is_the_best_on_its_manifold(pendulum, line):
+    """(5.4): the tip is where it was, the cost is less, and N lambda(0) = 0; and TPBVP agrees, to the samples' length."""
+    cost = quadratic_cost(lambda q: 0.5 * jnp.sum((q - 0.3) ** 2))
+    horizon = Horizon(
+        0.02, 100, "velocity", "runge_kutta", IN_PLANE, descend=dataclasses.replace(QUASI_NEWTON, tolerance=1e-12)
+    )
+    given = predict(pendulum, line, 2.0, START, cost, horizon)
+    free = predict(pendulum, line, 2.0, START, cost, dataclasses.replace(horizon, start="free"))
+    assert free.total < given.total - 0.01
+    np.testing.assert_allclose(pinocchio(pendulum)(np.asarray(free.q[0]))[:2, 3], [1.0, 2.0 + np.sqrt(3.0)], atol=1e-9)
+    control, ahead = problem(pendulum, cost, horizon), future(line, 2.0, horizon)
+    run = jax.jit(lambda q, w: ocp.roll_out(control, (q,), w, ahead))(free.q[0], free.w)
+    _, (adjoint,) = jax.jit(lambda run, w: ocp.gradient(control, run, w, ahead))(run, free.w)
+    columns = np.asarray(jaxik.jacobian(pendulum, free.q[0]))[:2]
+    across = (np.eye(4) - np.linalg.pinv(columns) @ columns) @ adjoint[0]
+    assert np.abs(across).max() < 1e-4 * np.abs(adjoint[0]).max()
+    for one, start in ((given, "given"), (free, "free")):
+        reference = boundary_value(pendulum, line, 2.0, START, cost, dataclasses.replace(horizon, start=start), one)
+        assert reference.success
+        assert abs(reference.total / float(one.total) - 1.0) < 5e-3
+        np.testing.assert_allclose(reference.q[-1], one.q[-1], atol=5e-3)
+
+
+def test_ilqr_agrees_and_keeps_its_bounds(pendulum, line):
+    cost = quadratic_cost(lambda q: 2.0 * jnp.sum((q - 0.3) ** 2))
+    horizon = Horizon(0.1, 20, task=IN_PLANE, descend=dataclasses.replace(QUASI_NEWTON, tolerance=1e-13))
+    quasi = predict(pendulum, line, 2.0, START, cost, horizon)
+    control, ahead = problem(pendulum, cost, horizon), future(line, 2.0, horizon)
+    solve = jax.jit(
+        lambda bound: ilqr.solve(control, (jnp.asarray(START), jnp.zeros(4)), jnp.zeros((20, 4)), ahead, -bound, bound)
+    )
+    found = solve(jnp.inf)
+    assert abs(float(found.run.total / quasi.total) - 1.0) < 1e-7
+    np.testing.assert_allclose(found.w, quasi.w, atol=1e-3)
+    bound = 0.3 * float(jnp.abs(found.w).max())
+    held = solve(bound)
+    assert jnp.abs(held.w).max() <= bound and held.run.total > found.run.total
+    goal = objective(pendulum, cost, horizon, jnp.asarray(START), ahead)
+    total, slope = (
+        jax.jit(lambda w: goal.value(w.reshape(20, 4))[0]),
+        jax.jit(lambda w: goal.gradient(w.reshape(20, 4), goal.value(w.reshape(20, 4))[1])),
+    )
+    theirs = minimize(
+        total, held.w.ravel() * 0.0, jac=lambda w: 0.1 * np.asarray(slope(w)).ravel(), bounds=[(-bound, bound)] * 80, method="L-BFGS-B",
+        options={"ftol": 1e-15, "gtol": 1e-10, "maxiter": 2000},
+    )  # fmt: skip
+    assert float(held.run.total) <= theirs.fun * (1.0 + 1e-6)
+
+
+def test_box_qp_against_scipy():
+    rng, solve = np.random.default_rng(0), jax.jit(ilqr.box_qp)
+    for _ in range(30):
+        root, target = rng.normal(size=(7, 5)), rng.normal(size=7)
+        low, high = -rng.uniform(0.0, 0.5, 5), rng.uniform(0.0, 0.5, 5)
+        x, free = solve(root.T @ root, -root.T @ target, low, high)
+        theirs = lsq_linear(root, target, (low, high), tol=1e-14)
+        np.testing.assert_allclose(x, theirs.x, atol=1e-7)
+        assert np.all((np.asarray(free) == 1.0) == ((x > low) & (x < high)))

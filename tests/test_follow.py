@@ -1,0 +1,143 @@
+"""Whole motions, moment by moment and under a moving horizon: against Pinocchio, their limits, and what must go wrong."""
+
+import dataclasses
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from robots import pinocchio
+
+import jaxik
+import jaxik.optimise.descent
+from jaxik.follow import Follow, follow
+from jaxik.moving_horizon import MovingHorizon, follow_predictively
+from jaxik.path import Line, motion
+from jaxik.predictive import Horizon, quadratic_cost
+from jaxik.result import Reason
+
+IN_PLANE = jaxik.Task((True, True, False, False, False, False), "base")
+START = np.radians([30.0, -30.0, -30.0, -60.0])  # of the pendulum, Schuetz 2017, table 5.1
+
+
+@pytest.fixture(scope="module")
+def pendulum():
+    return dataclasses.replace(jaxik.load("pendulum4"), self_pairs=())
+
+
+@pytest.fixture(scope="module")
+def to(pendulum):
+    """A line from a configuration's tip to a point of the plane."""
+
+    def line(x, y, q=START):
+        start = pinocchio(pendulum)(np.asarray(q))
+        end = start.copy()
+        end[:2, 3] = x, y
+        return Line(start, end)
+
+    return line
+
+
+COMFORT = lambda q: 0.5 * jnp.sum((q - 0.3) ** 2)
+
+
+@pytest.mark.parametrize("scheme", ["asc", "rac"])
+def test_the_tip_is_on_its_path_to_a_micrometre(scheme, pendulum, to):
+    found = follow(pendulum, to(0.5, 0.0), 4.0, START, COMFORT, Follow(scheme, task=IN_PLANE))
+    assert found.success and found.sample == len(found.time) == 4001
+    asked = np.asarray(motion(to(0.5, 0.0), 4.0, found.time).pose)[::50, :2, 3]
+    reached = np.array([pinocchio(pendulum)(q)[:2, 3] for q in found.q[::50]])
+    assert np.abs(reached - asked).max() < 1e-6
+    np.testing.assert_allclose(found.q[0], START)
+    still = follow(pendulum, to(0.5, 0.0), 4.0, START, None, Follow("rmrc", task=IN_PLANE))
+    assert COMFORT(found.q[-1]) < COMFORT(still.q[-1])  # and the null space went where it was told
+
+
+def test_limits_are_kept(pendulum, to):
+    narrow = dataclasses.replace(pendulum, lower=np.full(4, -1.3), upper=np.full(4, 1.3), velocity=np.full(4, 0.8))
+    how = Follow("asc", dt=0.002, task=IN_PLANE, acceleration=3.0)
+    found = follow(narrow, to(0.5, 0.5), 4.0, START, COMFORT, how)
+    free = follow(narrow, to(0.5, 0.5), 4.0, START, COMFORT, dataclasses.replace(how, limits=False, acceleration=None))
+    assert np.abs(free.q).max() > 1.3 or np.abs(free.qdot).max() > 0.8  # or the test tests nothing
+    k = int(found.sample)
+    assert np.abs(found.q).max() <= 1.3 + 1e-9 and np.abs(found.qdot).max() <= 0.8 + 1e-9
+    assert np.abs(np.diff(found.qdot[: max(k - 1, 2)], axis=0)).max() <= 3.0 * 0.002 + 1e-9
+    assert np.abs(found.error).max() <= how.tolerance
+
+
+def test_what_goes_wrong_is_said_where_it_happens(pendulum, to):
+    coarse = Follow(dt=0.01, task=IN_PLANE)
+    run = lambda path, q=START, how=coarse, duration=2.0: follow(pendulum, path, duration, q, None, how)
+    far, straight = run(to(3.5, 4.0)), np.zeros(4)
+    assert far.reason == Reason.OUT_OF_REACH and 0 < far.sample < 200
+    asked = np.asarray(motion(to(3.5, 4.0), 2.0, far.time).pose)[: far.sample, :2, 3]
+    reached = np.array([pinocchio(pendulum)(q)[:2, 3] for q in far.q[: far.sample]])
+    assert np.abs(reached - asked).max() <= coarse.tolerance + 1e-9  # the motion up to there is intact
+    assert np.all(far.q[far.sample :] == far.q[far.sample - 1]) and np.all(far.qdot[far.sample - 1 :] == 0.0)
+    singular = run(to(0.0, 4.0, straight), straight)
+    assert singular.reason == Reason.SINGULAR and 0 < singular.sample < 200 and singular.damping.max() > 0.0
+    still = run(to(1.0, 2.0 + 3.0**0.5))
+    assert still.reason == Reason.STILL and np.abs(still.error).max() < 1e-9 and not still.success
+    lame = run(to(0.5, 0.0), how=dataclasses.replace(coarse, weights=(np.nan, 1.0, 1.0, 1.0)))
+    assert lame.reason == Reason.INVALID and lame.sample == 0 and np.all(lame.q == START)
+    hasty = run(to(0.5, 0.0), how=dataclasses.replace(coarse, acceleration=1.0), duration=0.5)
+    assert hasty.reason == Reason.LIMITS and np.abs(hasty.error).max() <= coarse.tolerance
+    assert run(to(np.nan, 0.0)).reason == Reason.INVALID
+
+
+def test_many_motions_are_each_what_they_are_alone(pendulum, to):
+    paths = [to(0.5, 0.0), to(3.5, 4.0), to(-0.5, 1.0)]
+    together = jax.tree_util.tree_map(lambda *leaves: np.stack(leaves), *paths)
+    how = Follow(dt=0.01, task=IN_PLANE)
+    many = follow(pendulum, together, 2.0, np.tile(START, (3, 1)), None, how, each=("path",))
+    for i, path in enumerate(paths):
+        alone = follow(pendulum, path, 2.0, START, None, how)
+        assert (many.reason[i], many.sample[i]) == (alone.reason, alone.sample)
+        np.testing.assert_allclose(many.q[i], alone.q, atol=1e-9)
+
+
+def test_mistakes_are_one_line(pendulum, to):
+    with pytest.raises(ValueError, match="scheme 'fast'; allowed: rmrc, asc, rac"):
+        Follow("fast")
+    with pytest.raises(ValueError, match=r"duration 0\.0; allowed: a positive"):
+        follow(pendulum, to(0.5, 0.0), 0.0, START)
+    with pytest.raises(ValueError, match=r"takes \(4,\)"):
+        follow(pendulum, to(0.5, 0.0), 1.0, np.zeros(3))
+    with pytest.raises(ValueError, match="quasi-Newton"):
+        MovingHorizon(pendulum, quadratic_cost(), Horizon(descend=jaxik.optimise.descent.QUASI_NEWTON))
+
+
+def hidden_obstacle(q, *given):
+    """(5.35) of a point that may be anywhere: what is given to the cost."""
+    scene, pendulum = given[0], dataclasses.replace(jaxik.load("pendulum4"), self_pairs=())
+    return 500.0 / 3.0 * jnp.maximum(0.2 - jaxik.clearance(pendulum, scene, q), 0.0) ** 3
+
+
+def test_a_moving_horizon(pendulum, to):
+    """Velocity is continuous, the arm comes to rest behind the path's end, and obstacles and targets move without a compiler."""
+    horizon = Horizon(0.04, 25, task=IN_PLANE, gain=25.0)
+    control = MovingHorizon(pendulum, quadratic_cost(hidden_obstacle), horizon)
+    at = lambda x: jaxik.make_scene(points=[[x, 1.1, 0.0]])
+    found = follow_predictively(control, to(0.5, 0.0), 4.0, START, lambda t: at(1.0 + 0.05 * t), until=6.0)
+    assert found.reason == Reason.SOLVED and np.abs(found.error).max() < 0.01
+    # no jump: what a sample changes is an acceleration of the path's size (1.4 m/s2) on links of 1 m, times 40 ms
+    assert np.abs(np.diff(found.qdot, axis=0)).max() < 0.04 * 3.0
+    np.testing.assert_allclose(np.diff(found.q, axis=0), 0.04 * found.qdot[:-1], atol=1e-12)
+    moving = np.abs(found.qdot).max()
+    assert np.abs(found.qdot[-1]).max() < 0.1 * moving
+    follow_predictively(control, to(-0.5, 0.5), 3.0, START, at(-1.0), until=0.2)
+    assert control._program._cache_size() == 1
+    state = control.start(START)
+    control.step(state, to(0.5, 0.0), 4.0, at(1.0))
+    assert state.w.is_deleted()  # its memory was used again
+
+
+def test_velocity_level_jumps_where_acceleration_level_does_not(pendulum, to):
+    """Fig. 5.9: the plan's input is the velocity itself, and at the start it jumps from rest."""
+    cost = quadratic_cost(lambda q: 2.0 * jnp.sum((q - 0.3) ** 2))
+    first = {}
+    for level in ("velocity", "acceleration"):
+        control = MovingHorizon(pendulum, cost, Horizon(0.04, 25, level, task=IN_PLANE, gain=25.0))
+        found = follow_predictively(control, to(0.5, 0.0), 4.0, START, until=1.0)
+        first[level] = np.abs(np.diff(np.vstack([np.zeros(4), found.qdot]), axis=0)).max()
+    assert first["velocity"] > 3.0 * first["acceleration"]
