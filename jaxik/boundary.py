@@ -161,7 +161,7 @@ def _first(system: _System, q: Any, end: float, nodes: int, guess: Prediction | 
         z = np.zeros((count, nodes + 1))
         z[:n] = rows[pick].T
         return time[pick], z
-    time = dt * np.arange(len(guess.q))
+    time = np.linspace(0.0, end, len(guess.q))
     z = np.zeros((count, len(time)))
     z[:n] = np.asarray(guess.q).T
     if system.rate_level:
