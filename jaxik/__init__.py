@@ -1,8 +1,10 @@
 """Batched, differentiable kinematics for redundant robot arms, on JAX."""
 
+from jaxik.boundary import boundary_value
 from jaxik.chain import Chain, finite_limits, within_limits
 from jaxik.closed_form import ClosedForm, admissible_turns, closed_form, closed_form_obstacle
 from jaxik.collision import clearance, object_clearances, self_clearance
+from jaxik.follow import Follow, follow
 from jaxik.harvest import Harvest, harvest
 from jaxik.ik import IKResult, solve_ik
 from jaxik.ik_options import IKOptions
@@ -10,6 +12,11 @@ from jaxik.implicit import implicit_ik
 from jaxik.kinematics import bias_acceleration, forward_kinematics, jacobian, link_frames, manipulability
 from jaxik.load import load, load_scene, load_targets
 from jaxik.mapping import fit_mapping
+from jaxik.moving_horizon import MovingHorizon, follow_predictively
+from jaxik.optimise.descent import QUASI_NEWTON, Descent
+from jaxik.path import Arc, Line, motion, via
+from jaxik.predictive import Horizon, multistart, predict, quadratic_cost
+from jaxik.redundancy import asc, rac, resolve_acceleration, resolve_velocity, rmrc
 from jaxik.result import LoadError, Reason
 from jaxik.scan import Grasp, Weights, blockers, scan
 from jaxik.scene import Fruit, Scene, SceneBuilder, make_scene
@@ -19,27 +26,38 @@ from jaxik.task import Task
 __version__ = "0.1.0"
 
 __all__ = [
+    "QUASI_NEWTON",
+    "Arc",
     "Chain",
     "ClosedForm",
+    "Descent",
+    "Follow",
     "Fruit",
     "Grasp",
     "Harvest",
+    "Horizon",
     "IKOptions",
     "IKResult",
+    "Line",
     "LoadError",
+    "MovingHorizon",
     "Reason",
     "Scene",
     "SceneBuilder",
     "Task",
     "Weights",
     "admissible_turns",
+    "asc",
     "bias_acceleration",
     "blockers",
+    "boundary_value",
     "clearance",
     "closed_form",
     "closed_form_obstacle",
     "finite_limits",
     "fit_mapping",
+    "follow",
+    "follow_predictively",
     "forward_kinematics",
     "harvest",
     "implicit_ik",
@@ -52,9 +70,18 @@ __all__ = [
     "load_targets",
     "make_scene",
     "manipulability",
+    "motion",
+    "multistart",
     "object_clearances",
+    "predict",
+    "quadratic_cost",
+    "rac",
+    "resolve_acceleration",
+    "resolve_velocity",
+    "rmrc",
     "scan",
     "self_clearance",
     "solve_ik",
+    "via",
     "within_limits",
 ]

@@ -226,7 +226,9 @@ def _fence(x: jax.Array, derivative: bool) -> jax.Array:
 
 
 def _one(x: jax.Array) -> jax.Array:
-    return lax.add(lax.mul(x, 0.0), 1.0)
+    if x.aval.weak_type:  # and stays so: it must not promote what it meets
+        return x * 0.0 + 1.0
+    return lax.add(lax.mul(x, x.dtype.type(0.0)), x.dtype.type(1.0))
 
 
 @_fence.defjvp
