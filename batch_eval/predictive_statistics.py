@@ -1,9 +1,9 @@
 """Random motions of the four-joint pendulum by every direction and search: `python batch_eval/predictive_statistics.py`.
 
-Schuetz 2017, sec. 5.2.4 (table 5.2, figs. 5.5-5.8) with 1,000 random settings where the thesis has 100: q0 in +-120 deg, goals in
-[-1.5, 1.5] x [0, 3] m, no obstacle, comfort pose and joint limits in the cost. The improvement is that of the thesis: its integral
-without the input's effort, beside that of the instantaneous motion with the same cost's gradient. A run is a success where its
-improvement is within 5 % of the best method's. Writes `predictive_statistics.json`.
+Schuetz 2017, sec. 5.2.4 (table 5.2, figs. 5.5-5.8) with 1,000 random settings where the thesis has 100: q0 in +-120 deg, goals
+in [-1.5, 1.5] x [0, 3] m, no obstacle, comfort pose and joint limits in the cost. The improvement is that of the thesis: the
+integral without the input's effort, beside that of the instantaneous motion with the same cost's gradient. A run is a success
+where its improvement is within 5 % of the best method's. Writes `predictive_statistics.json`.
 """
 
 from __future__ import annotations

@@ -107,7 +107,7 @@ def via(poses: Any) -> Curve:
     return Curve(knots, np.moveaxis(spline.c, 0, 1), first)
 
 
-def motion(path: Path, duration: float, t: Any) -> Motion:
+def motion(path: Path, duration: Any, t: Any) -> Motion:
     """What `path` asks at time t [s], which may be an array. Traced; `duration` > 0 [s]."""
     t = jnp.asarray(t)
     if t.ndim:
