@@ -69,7 +69,6 @@ def main(count: int) -> dict[str, Any]:
     ways = paths(q, goals)
     cost = jaxik.quadratic_cost(configuration_cost)
     horizon = Horizon(DT, COUNT, task=TASK)
-    # the moment's motion goes down the same gradient: a plan of velocity level whose input it is
     alike = follow_gradient(q, ways)
     results, rows = {}, []
     for name, descend in methods().items():

@@ -61,6 +61,11 @@ def mul(a: Scalar, b: Scalar) -> Scalar:
     return lax.mul(a, b) if _alike(a, b) else a * b
 
 
+def ratio(a: Any, b: Any) -> Any:
+    """`a / b`, and 0 where b = 0."""
+    return jnp.where(b == 0.0, 0.0, a / jnp.where(b == 0.0, 1.0, b))
+
+
 def dot3(a: Sequence[Scalar], b: Sequence[Scalar]) -> Scalar:
     """`a . b` of two triples of scalars."""
     return add(add(mul(a[0], b[0]), mul(a[1], b[1])), mul(a[2], b[2]))

@@ -21,7 +21,7 @@ import numpy as np
 from jaxik.chain import Chain
 from jaxik.path import Path, motion
 from jaxik.predictive import Horizon, Prediction, RunningCost
-from jaxik.redundancy import resolve_velocity
+from jaxik.redundancy import Resolved
 
 
 class Boundary(NamedTuple):
@@ -99,8 +99,7 @@ class _System:
         self.rate_level = horizon.level == "acceleration"
 
     def velocity(self, t: Any, q: Any, u: Any) -> Any:
-        h, asked = self.horizon, motion(self.path, self.duration, t)
-        return resolve_velocity(self.chain, q, asked, u, h.task, h.gain, h.weights, h.floor).rate
+        return self.horizon.resolve(self.chain, q, motion(self.path, self.duration, t), u).rate
 
     def hamiltonian(self, t: Any, z: Any, w: Any) -> Any:
         n = self.n
@@ -133,20 +132,19 @@ class _System:
         if self.horizon.start == "given":
             return jnp.concatenate([a[:n] - start, a[n : 2 * n] if self.rate_level else a[:0], last])
         q, adjoint = a[:n], jnp.split(a, 2)[1][:n]
-        still = motion(self.path, self.duration, 0.0)
-        still = still._replace(velocity=0.0 * still.velocity)
-        h = self.horizon
-        none = resolve_velocity(self.chain, q, still, adjoint, h.task, 0.0, h.weights, h.floor)  # its rate is N lambda
+        none = self.across(q, adjoint)
         rest = a[n : 2 * n] if self.rate_level else a[:0]
         return jnp.concatenate([none.error, basis.T @ none.rate, rest, last])
 
+    def across(self, q: Any, u: Any) -> Resolved:
+        """The tip's error at the path's start, and N u as rate; a path starts at rest."""
+        return self.horizon.resolve(self.chain, q, motion(self.path, self.duration, 0.0), u, gain=0.0)
+
     def null_space(self, q: Any) -> Any:
         """A basis (n, n - m) of the motions that leave the tip where it is."""
-        h, still = self.horizon, motion(self.path, self.duration, 0.0)
-        still = still._replace(velocity=0.0 * still.velocity)
-        project = lambda u: resolve_velocity(self.chain, q, still, u, h.task, 0.0, h.weights, h.floor).rate
+        project = lambda u: self.across(q, u).rate
         vectors, _, _ = np.linalg.svd(np.asarray(jax.jit(jax.vmap(project))(jnp.eye(self.n))).T)
-        return jnp.asarray(vectors[:, : self.n - sum(h.task.bound)])
+        return jnp.asarray(vectors[:, : self.n - sum(self.horizon.task.bound)])
 
 
 def _first(system: _System, q: Any, end: float, nodes: int, guess: Prediction | None) -> tuple[Any, Any]:

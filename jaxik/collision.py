@@ -60,13 +60,12 @@ def _measured(chain: Chain, scene: Scene | None, q: Any, groups: list[list[int]]
     q = as_configuration(chain, q)
     if any(isinstance(leaf, jax.Array) for leaf in jax.tree_util.tree_leaves(chain)):  # the shape itself may be differentiated
         return _distances(chain, scene, q, groups)
-    measure = jax.custom_jvp(lambda scene, q: _distances(chain, scene, q, groups))
+    direct = lambda scene, q: _distances(chain, scene, q, groups)
+    measure = jax.custom_jvp(direct)
 
     def rule(primals: Any, tangents: Any) -> Any:
-        still = all(isinstance(t, jax.custom_derivatives.SymbolicZero) for t in jax.tree_util.tree_leaves(tangents[0]))
-        if not still:
-            made = jax.tree_util.tree_map(_materialised, tangents, is_leaf=_is_zero)
-            return jax.jvp(lambda scene, q: _distances(chain, scene, q, groups), primals, made)
+        if not all(map(_is_zero, jax.tree_util.tree_leaves(tangents[0], is_leaf=_is_zero))):  # the scene moves, too
+            return jax.jvp(direct, primals, jax.tree_util.tree_map(_materialised, tangents, is_leaf=_is_zero))
         value, rows = _contacts(chain, primals[0], primals[1], groups)
         turned = _materialised(tangents[1])
         return value, sum(row * turned[j] for j, row in enumerate(rows))
@@ -124,9 +123,13 @@ def _materialised(tangent: Any) -> Any:
 
 def _rows(values: Any, wanted: np.ndarray) -> Any:
     """Those of a vector that are wanted: a slice where they are a run."""
+    rows, run = np.flatnonzero(wanted), _from_first_to_last(wanted)
+    return values[run] if run.stop - run.start == len(rows) else values[rows]
+
+
+def _from_first_to_last(wanted: np.ndarray) -> slice:
     rows = np.flatnonzero(wanted)
-    run = rows[-1] - rows[0] == len(rows) - 1
-    return values[rows[0] : rows[-1] + 1] if run else values[rows]
+    return slice(int(rows[0]), int(rows[-1]) + 1)
 
 
 def _nearest_of_each(distances: Any, link: np.ndarray, groups: list[list[int]]) -> Any:
@@ -361,10 +364,8 @@ def _to_itself(chain: Chain, volumes: dict[int, Skeleton], dtype: Any) -> list[_
             if count == other_count == 1:
                 found += _runs(chain, ours, dtype)
                 continue
-            meet = {link: [b for a, b in chain.self_pairs if a == link] for link in set(ours.link)}
-            pairs = [
-                (j, i) for j in range(len(theirs.link)) for i in range(len(ours.link)) if theirs.link[j] in meet[ours.link[i]]
-            ]
+            meet = set(chain.self_pairs)
+            pairs = [(j, i) for j, b in enumerate(theirs.link) for i, a in enumerate(ours.link) if (a, b) in meet]
             if pairs:
                 second, first = np.array(pairs).T
                 (mine, radius), (other, other_radius) = _volumes(ours, dtype), _volumes(theirs, dtype)
@@ -392,8 +393,7 @@ def _runs(chain: Chain, spheres: Skeleton, dtype: Any) -> list[_Part]:
 
 def _run(skeleton: Skeleton, wanted: np.ndarray) -> Skeleton:
     """The volumes from the first to the last that is wanted: a slice, where a selection would be a gather."""
-    rows = np.flatnonzero(wanted)
-    cut = slice(int(rows[0]), int(rows[-1]) + 1)
+    cut = _from_first_to_last(wanted)
     return Skeleton(tuple(Vec3(*(x[cut] for x in c)) for c in skeleton.corners), skeleton.radius[cut], skeleton.link[cut])
 
 

@@ -16,7 +16,7 @@ import jax
 import jax.numpy as jnp
 from jax import lax
 
-from jaxik.algebra import Rot3, Vec3, safe_sqrt, shared
+from jaxik.algebra import Rot3, Vec3, ratio, safe_sqrt, shared
 
 _GOLDEN = (5.0**0.5 - 1.0) / 2.0
 _STEPS = {4: 32, 8: 64}  # golden-section steps to the rounding of float32 and float64: 0.618^32 = 2e-7, 0.618^64 = 4e-14
@@ -31,11 +31,6 @@ def root(square: Any) -> Any:
     """A distance from its square; 0 with gradient 0 where rounding of coordinates near 1 m leaves no direction (8 eps)."""
     floor = (8.0 * float(jnp.finfo(jnp.result_type(square)).eps)) ** 2
     return safe_sqrt(jnp.where(square <= floor, 0.0, square))
-
-
-def _ratio(a: Any, b: Any) -> Any:
-    """a / b, and 0 where b = 0."""
-    return jnp.where(b == 0.0, 0.0, a / jnp.where(b == 0.0, 1.0, b))
 
 
 def _clip01(t: Any) -> Any:
@@ -59,7 +54,7 @@ def point_line(p: Vec3, a: Vec3, b: Vec3) -> Any:
     """Point p to the segment ab [Ericson 2005, sec. 5.1.2]."""
     along, arm = b - a, p - a
     # not held: second derivatives need the motion of the nearest point, and here it is cheap and safe
-    t = _clip01(_ratio(arm.dot(along), along.dot(along)))
+    t = _clip01(ratio(arm.dot(along), along.dot(along)))
     return norm(arm - along * t)
 
 
@@ -84,14 +79,14 @@ def _nearest_on_lines(a: Vec3, b: Vec3, c: Vec3, d: Vec3) -> tuple[Any, Any]:
     the ends. That pair is the nearest unless the lines are all but parallel, where an end of one of them decides."""
     u, v, w = b - a, d - c, a - c
     uu, vv, uv, uw, vw = u.dot(u), v.dot(v), u.dot(v), u.dot(w), v.dot(w)
-    on_second = lambda s: _clip01(_ratio(uv * s + vw, vv))
-    on_first = lambda t: _clip01(_ratio(uv * t - uw, uu))
+    on_second = lambda s: _clip01(ratio(uv * s + vw, vv))
+    on_first = lambda t: _clip01(ratio(uv * t - uw, uu))
 
     def square(s: Any, t: Any) -> Any:
         apart = w + u * s - v * t
         return apart.dot(apart)
 
-    t = on_second(_clip01(_ratio(uv * vw - uw * vv, uu * vv - uv * uv)))
+    t = on_second(_clip01(ratio(uv * vw - uw * vv, uu * vv - uv * uv)))
     s, zero, one = on_first(t), jnp.zeros_like(uu), jnp.ones_like(uu)
     least = square(s, t)
     for x, y in ((zero, on_second(zero)), (one, on_second(one)), (on_first(zero), zero), (on_first(one), one)):
@@ -112,7 +107,7 @@ def point_triangle(p: Vec3, a: Vec3, b: Vec3, c: Vec3) -> Any:
     u, v, w = b - a, c - a, p - a
     uu, uv, vv, wu, wv = u.dot(u), u.dot(v), v.dot(v), w.dot(u), w.dot(v)
     determinant = uu * vv - uv * uv
-    s, t = _ratio(vv * wu - uv * wv, determinant), _ratio(uu * wv - uv * wu, determinant)
+    s, t = ratio(vv * wu - uv * wv, determinant), ratio(uu * wv - uv * wu, determinant)
     inside = (s >= 0.0) & (t >= 0.0) & (s + t <= 1.0) & (determinant > 0.0)
     plane = norm(w - u * _held(s) - v * _held(t))
     edges = _least([point_line(p, a, b), point_line(p, b, c), point_line(p, c, a)])
@@ -124,7 +119,7 @@ def line_triangle(p: Vec3, q: Vec3, a: Vec3, b: Vec3, c: Vec3) -> Any:
     normal = (b - a).cross(c - a)
     before, after = normal.dot(p - a), normal.dot(q - a)
     crosses = before * after <= 0.0
-    t = _ratio(before, before - after)
+    t = ratio(before, before - after)
     x = p + (q - p) * t
     sides = [normal.dot((e - o).cross(x - o)) for o, e in ((a, b), (b, c), (c, a))]
     through = crosses & (sides[0] >= 0.0) & (sides[1] >= 0.0) & (sides[2] >= 0.0) & (before != after)
@@ -209,10 +204,10 @@ def _least_on(value: Callable[[Any], Any]) -> Any:
     step = float(jnp.finfo(t.dtype).eps) ** 0.4
     low, high = jnp.maximum(t - step, 0.0), jnp.minimum(t + step, 1.0)
     least, before, after = held(t), held(low), held(high)
-    fall, rise = _ratio(before - least, t - low), _ratio(after - least, high - t)
+    fall, rise = ratio(before - least, t - low), ratio(after - least, high - t)
     inside = (t > 0.0) & (t < 1.0)
     # on an end the minimum stays there
-    weight = jnp.where(inside, jnp.where(fall + rise > 0.0, _ratio(rise, fall + rise), 0.5), 1.0)
+    weight = jnp.where(inside, jnp.where(fall + rise > 0.0, ratio(rise, fall + rise), 0.5), 1.0)
     left, right = jnp.where(inside, low, t), jnp.where(inside, high, t)
     slope = weight * value(left) + (1.0 - weight) * value(right)
     return least + (slope - _held(slope))

@@ -21,7 +21,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from jaxik.chain import Chain
-from jaxik.choice import check_choices
+from jaxik.choice import batch_axes, check_choices, check_each
 from jaxik.costs import Cost
 from jaxik.judge import Course, judge
 from jaxik.kernel import one_kernel
@@ -32,7 +32,6 @@ from jaxik.result import Reason
 from jaxik.task import POSE, Task
 
 Scheme = Literal["rmrc", "asc", "rac"]
-Integrator = Literal["euler", "runge_kutta"]
 Each = Literal["path", "duration"]
 
 
@@ -60,7 +59,7 @@ class Follow:
     floor: float = FLOOR
 
     def __post_init__(self) -> None:
-        check_choices("follow", scheme=(self.scheme, Scheme), integrator=(self.integrator, Integrator))
+        check_choices("follow", scheme=(self.scheme, Scheme), integrator=(self.integrator, ocp.Integrator))
         if not (self.dt > 0.0 and self.tolerance > 0.0 and (self.gain is None or 0.0 <= self.gain * self.dt < 2.0)):
             raise ValueError(
                 f"follow: dt {self.dt}, tolerance {self.tolerance}, gain {self.gain}; allowed: dt > 0, tolerance > 0, "
@@ -103,8 +102,7 @@ def follow(
     Raises `ValueError` for a q of another shape, a duration that is not positive, or a name in `each` that is not known.
     """
     q = np.asarray(q, np.float64)
-    for name in each:
-        check_choices("follow", each=(name, Each))
+    check_each("follow", each, Each)
     lasts = np.atleast_1d(np.asarray(duration, np.float64))
     if q.ndim not in (1, 2) or q.shape[-1] != chain.num_joints or (each and q.ndim == 1):
         raise ValueError(
@@ -114,7 +112,7 @@ def follow(
     if not np.all((lasts > 0.0) & np.isfinite(lasts)):
         raise ValueError(f"follow: duration {duration}; allowed: a positive number of seconds")
     count = round(float(lasts.max()) / how.dt) + 1
-    axes = None if q.ndim == 1 else (0, *(0 if name in each else None for name in ("path", "duration")))
+    axes = None if q.ndim == 1 else (0, *batch_axes(each, Each))
     found = _program(chain, cost, how, count, axes)(jnp.asarray(q), path, duration)
     return Followed(how.dt * np.arange(count), *map(np.asarray, found))
 
@@ -173,8 +171,7 @@ def _moved(
     down = cost if how.scheme == "asc" else None
     box = Box(low, high) if boxed else None
     resolve = lambda q, asked: asc(chain, q, asked, down, how.alpha, gain=gain, box=box, **options)
-    integrate = ocp.euler if how.integrator == "euler" else ocp.runge_kutta
-    after, _ = integrate(lambda q, _, asked: resolve(q, asked).rate, dt)(q, None, stages)
+    after, _ = ocp.integrator(how.integrator, lambda q, _, asked: resolve(q, asked).rate, dt)(q, None, stages)
     rate = (after - q) / dt
     return (after, rate), resolve(q, start), _held(rate, low, high)
 

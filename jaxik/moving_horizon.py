@@ -25,7 +25,6 @@ from jaxik.judge import Course, judge
 from jaxik.optimise import descent
 from jaxik.path import Path, motion
 from jaxik.predictive import Horizon, RunningCost, future, objective, problem
-from jaxik.redundancy import resolve_velocity
 
 
 class State(NamedTuple):
@@ -112,8 +111,7 @@ class MovingHorizon:
         w, gradient, direction = map(shift, (found.w, found.gradient, found.direction))
         u = there[1] if horizon.level == "acceleration" else state.u
         first = jax.tree_util.tree_map(lambda x: x[0, 0], ahead.asked)
-        task, gain, weights, floor = horizon.task, horizon.gain, horizon.weights, horizon.floor
-        now = resolve_velocity(self.chain, state.q, first, here[-1], task, gain, weights, floor)
+        now = horizon.resolve(self.chain, state.q, first, state.u)
         after = State(there[0], u, state.time + horizon.dt, w, gradient, direction, found.interval, found.iterations)
         return after, Sample(state.q, qdot, warm.aux.y[0], warm.cost, now.error, now.damping)
 

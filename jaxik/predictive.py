@@ -27,19 +27,18 @@ import jax.numpy as jnp
 import numpy as np
 
 from jaxik.chain import Chain
-from jaxik.choice import check_choices
+from jaxik.choice import batch_axes, check_choices, check_each
 from jaxik.judge import Course, judge
 from jaxik.kernel import one_kernel
 from jaxik.optimise import descent, ocp
 from jaxik.path import Motion, Path, motion
-from jaxik.redundancy import FLOOR, resolve_velocity
+from jaxik.redundancy import FLOOR, Resolved, resolve_velocity
 from jaxik.task import POSE, Task
 
 DESCEND = descent.Descent()
 Level = Literal["velocity", "acceleration"]
-Integrator = Literal["euler", "runge_kutta"]
 Start = Literal["given", "free"]
-Each = Literal["path", "duration", "guess", "given"]
+Each = Literal["guess", "path", "duration", "given"]  # as the compiled program takes them
 RunningCost = Callable[..., Any]  # (q, qdot, input, t), and what is given, if anything is: cost per second
 
 
@@ -75,12 +74,17 @@ class Horizon:
     tolerance: float = 0.05
 
     def __post_init__(self) -> None:
-        choices = {"level": (self.level, Level), "integrator": (self.integrator, Integrator), "start": (self.start, Start)}
+        choices = {"level": (self.level, Level), "integrator": (self.integrator, ocp.Integrator), "start": (self.start, Start)}
         check_choices("horizon", **choices)
         if not (self.dt > 0.0 and self.count >= 1 and self.gain >= 0.0):
             raise ValueError(
                 f"horizon: dt {self.dt}, count {self.count}, gain {self.gain}; allowed: dt > 0, count >= 1, gain >= 0"
             )
+
+    def resolve(self, chain: Chain, q: Any, asked: Motion, u: Any, gain: float | None = None) -> Resolved:
+        """`resolve_velocity` with these options; with another `gain` if one is given."""
+        gain = self.gain if gain is None else gain
+        return resolve_velocity(chain, q, asked, u, self.task, gain, self.weights, self.floor)
 
 
 class Future(NamedTuple):
@@ -125,10 +129,8 @@ def future(path: Path, duration: Any, horizon: Horizon, start: Any = 0.0) -> Fut
 def problem(chain: Chain, cost: RunningCost, horizon: Horizon, *given: Any) -> ocp.Problem:
     """The optimal control problem; its samples are a `Future`."""
 
-    def field(q: Any, u: Any, asked: Motion) -> Any:
-        return resolve_velocity(chain, q, asked, u, horizon.task, horizon.gain, horizon.weights, horizon.floor).rate
-
-    integrate = (ocp.euler if horizon.integrator == "euler" else ocp.runge_kutta)(field, horizon.dt)
+    field = lambda q, u, asked: horizon.resolve(chain, q, asked, u).rate
+    integrate = ocp.integrator(horizon.integrator, field, horizon.dt)
     move = ocp.of_velocity(integrate) if horizon.level == "velocity" else ocp.of_acceleration(integrate, horizon.dt)
     return ocp.Problem(lambda y, w, p: move(y, w, p.asked), lambda y, v, w, p: cost(y[0], v, w, p.time, *given), horizon.dt)
 
@@ -168,12 +170,9 @@ def self_motion(chain: Chain, q: Any, along: Any, ahead: Future, horizon: Horizo
     pose = jax.tree_util.tree_map(lambda x: x[0, 0], ahead.asked).pose
     asked = Motion(pose, jnp.zeros(6, pose.dtype), jnp.zeros(6, pose.dtype))
 
-    def turn(q: Any, share: Any) -> Any:
-        step = resolve_velocity(chain, q, asked, share * along, horizon.task, 1.0, horizon.weights, horizon.floor).rate
-        return q + step, None
-
+    turn = lambda q, share: (q + horizon.resolve(chain, q, asked, share * along, 1.0).rate, None)
     shares = jnp.concatenate([jnp.full(turns, 1.0 / turns), jnp.zeros(4)]).astype(q.dtype)
-    return one_kernel(lambda q, along, shares: jax.lax.scan(lambda q, s: turn(q, s), q, shares)[0])(q, along, shares)
+    return one_kernel(lambda q, shares: jax.lax.scan(turn, q, shares)[0])(q, shares)
 
 
 @functools.lru_cache(maxsize=32)
@@ -194,10 +193,7 @@ def _program(
 def _judged(chain: Chain, horizon: Horizon, run: ocp.Run, ahead: Future) -> tuple[Any, Any, Any, Any]:
     """Error, damping, reason and sample."""
     q, asked = run.y[0][:-1], jax.tree_util.tree_map(lambda x: x[:, 0], ahead.asked)
-    resolve = lambda q, asked: resolve_velocity(
-        chain, q, asked, jnp.zeros_like(q), horizon.task, horizon.gain, horizon.weights, horizon.floor
-    )
-    found = jax.vmap(resolve)(q, asked)
+    found = jax.vmap(lambda q, asked: horizon.resolve(chain, q, asked, jnp.zeros_like(q)))(q, asked)
     course = Course(q, run.v, found.error, found.damping, jnp.zeros(len(q), bool), asked.pose, asked.velocity)
     return found.error, found.damping, *judge(chain, horizon.task, course, horizon.tolerance, keep=True)
 
@@ -225,7 +221,7 @@ def predict(
     q = jnp.asarray(q, jnp.result_type(float))
     rows = horizon.count + (horizon.start == "free")
     shape = (rows, chain.num_joints)
-    check_each("predict", each)
+    check_each("predict", each, Each)
     many = q.ndim == 2
     if guess is None:
         w = jnp.zeros(shape, q.dtype)
@@ -239,16 +235,8 @@ def predict(
             f"predict: q {np.shape(q)} and guess {w.shape}; {chain.name} takes ({chain.num_joints},) and {shape}, or a leading "
             f"axis of q, and of what `each` names"
         )
-    axes = None
-    if many:
-        axes = (0, *(0 if name in each else None for name in ("guess", "path", "duration", "given")))
+    axes = (0, *batch_axes(each, Each)) if many else None
     return _program(chain, cost, horizon, axes)(q, w, path, duration, () if given is None else (given,))
-
-
-def check_each(who: str, each: Sequence[str]) -> None:
-    """Whether all names are such as may have an entry a scenario."""
-    for name in each:
-        check_choices(who, each=(name, Each))
 
 
 def multistart(

@@ -34,6 +34,7 @@ import jax
 import jax.numpy as jnp
 from jax import lax
 
+from jaxik.algebra import ratio
 from jaxik.choice import check_choices
 
 Direction = Literal["steepest", "hestenes_stiefel", "fletcher_reeves", "polak_ribiere", "hager_zhang", "lbfgs"]
@@ -157,22 +158,18 @@ def run(objective: Objective, w: Any, options: Descent) -> Descended:
     return Descended(end.w, end.cost, end.aux, end.iterations, *history)
 
 
-def _ratio(a: Any, b: Any) -> Any:
-    return jnp.where(b == 0.0, 0.0, a / jnp.where(b == 0.0, 1.0, b))
-
-
 def _beta(kind: str, inner: Any, g: Any, before: Any, s: Any) -> Any:
     if kind == "steepest":
         return 0.0
     y = g - before
     if kind == "hestenes_stiefel":
-        return _ratio(inner(g, y), inner(s, y))
+        return ratio(inner(g, y), inner(s, y))
     if kind == "fletcher_reeves":
-        return _ratio(inner(g, g), inner(before, before))
+        return ratio(inner(g, g), inner(before, before))
     if kind == "polak_ribiere":
-        return _ratio(inner(g, y), inner(before, before))
+        return ratio(inner(g, y), inner(before, before))
     along = inner(s, y)
-    return _ratio(inner(g, y) - 2.0 * inner(s, g) * _ratio(inner(y, y), along), along)
+    return ratio(inner(g, y) - 2.0 * inner(s, g) * ratio(inner(y, y), along), along)
 
 
 def _quasi_newton(options: Descent) -> Any:
@@ -206,7 +203,7 @@ def _search(objective: Objective, state: State, g: Any, s: Any, slope: Any, opti
         return alpha, interval, expected, None
     if options.search == "secant":
         moved, change = state.alpha * state.direction, g - state.gradient
-        two_points = _ratio(objective.inner(moved, moved), objective.inner(moved, change))
+        two_points = ratio(objective.inner(moved, moved), objective.inner(moved, change))
         alpha = jnp.where((state.iterations == 0) | ~(two_points > 0.0), alpha, two_points)
     return alpha, interval, state.cost + alpha * slope, None
 

@@ -98,8 +98,6 @@ def _parts(x: Any, y: Any) -> Any:
 
 
 def _quadratics(problem: ocp.Problem, run: ocp.Run, w: Any, p: Any) -> _Quadratic:
-    states = jax.tree_util.tree_map(lambda s: s[:-1], run.y)
-
     def sample(y: Any, v: Any, w: Any, p: Any) -> _Quadratic:
         def move(x: Any, w: Any) -> Any:
             after, v = problem.step(_parts(x, y), w, p)
@@ -119,7 +117,7 @@ def _quadratics(problem: ocp.Problem, run: ocp.Run, w: Any, p: Any) -> _Quadrati
             a, b, by_x.T @ slope, by_w.T @ slope, by_x.T @ bend @ by_x, by_w.T @ bend @ by_x, by_w.T @ bend @ by_w
         )
 
-    return jax.vmap(sample)(states, run.v, w, p)
+    return jax.vmap(sample)(ocp.head(run.y), run.v, w, p)
 
 
 def _backward(quadratic: _Quadratic, w: Any, low: Any, high: Any, mu: Any, dt: float) -> tuple[Any, Any, Any]:
@@ -154,8 +152,7 @@ def _forward(
         after, _ = problem.step(y, w, p)
         return after, w
 
-    states = jax.tree_util.tree_map(lambda s: s[:-1], run.y)
-    _, inputs = lax.scan(step, y, (states, w, change, feedback, p))
+    _, inputs = lax.scan(step, y, (ocp.head(run.y), w, change, feedback, p))
     return inputs, ocp.roll_out(problem, y, inputs, p)
 
 

@@ -17,13 +17,15 @@ distances above all, is done for all samples at once, which is what vector units
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import Any, NamedTuple
+from typing import Any, Literal, NamedTuple
 
 import jax
 import jax.numpy as jnp
 from jax import lax
 
 from jaxik.kernel import one_kernel
+
+Integrator = Literal["euler", "runge_kutta"]
 
 
 class Problem(NamedTuple):
@@ -52,13 +54,13 @@ def roll_out(problem: Problem, y: Any, w: Any, p: Any) -> Run:
 
     _, (later, v) = one_kernel(lambda y, w, p: lax.scan(advance, y, (w, p)))(y, w, p)
     states = jax.tree_util.tree_map(lambda a, b: jnp.concatenate([a[None], b]), y, later)
-    costs = jax.vmap(problem.cost)(_head(states), v, w, p)
+    costs = jax.vmap(problem.cost)(head(states), v, w, p)
     return Run(states, v, costs, problem.dt * jnp.sum(costs))
 
 
 def gradient(problem: Problem, run: Run, w: Any, p: Any) -> tuple[Any, Any]:
     """g (N, m) at the inputs that made `run`, and the adjoint variables (N+1, ..) of each part of the state."""
-    dt, y = problem.dt, _head(run.y)
+    dt, y = problem.dt, head(run.y)
     slopes = jax.vmap(jax.grad(problem.cost, argnums=(0, 1, 2)))(y, run.v, w, p)
 
     def back(after: Any, now: Any) -> Any:
@@ -74,7 +76,8 @@ def gradient(problem: Problem, run: Run, w: Any, p: Any) -> tuple[Any, Any]:
     return g, jax.tree_util.tree_map(lambda a, b: jnp.concatenate([a, b[None]]), adjoint, end)
 
 
-def _head(states: Any) -> Any:
+def head(states: Any) -> Any:
+    """All states (N+1, ..) but the last."""
     return jax.tree_util.tree_map(lambda a: a[:-1], states)
 
 
@@ -106,6 +109,11 @@ def runge_kutta(field: Callable[..., Any], dt: float) -> Callable[..., Any]:
         return x + dt / 6.0 * (v[0] + 2.0 * (v[1] + v[2]) + v[3]), v[0]
 
     return step
+
+
+def integrator(name: str, field: Callable[..., Any], dt: float) -> Callable[..., Any]:
+    """The one of that name."""
+    return (euler if name == "euler" else runge_kutta)(field, dt)
 
 
 def _sample(p: Any, i: int) -> Any:
