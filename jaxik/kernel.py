@@ -49,7 +49,7 @@ def _whole(program: Jaxpr, count: int, lanes: int) -> Callable[..., Any]:
 
     @custom_vmap
     def whole(*args: Any) -> Any:
-        if not fits:
+        if not fits or any(x.size == 0 for x in args):  # of an empty batch there is nothing to touch
             return run(*args)
         with set_xla_metadata(xla_cpu_small_call="true", inlineable="false"):
             return jax.jit(lambda *args: (run(*args), _touched(args)))(*_computed(args))[0]

@@ -35,7 +35,7 @@ def test_the_same_as_the_loop(name):
     plain, whole = BODIES[name], one_kernel(BODIES[name])
     equal(jax.jit(whole)(y, w), plain(y, w))
     equal(jax.jit(lambda: whole(y, w))(), plain(y, w))  # all constant
-    for size in (2, 100):
+    for size in (0, 2, 100):
         many = y + jnp.arange(float(size))[:, None]
         equal(jax.jit(jax.vmap(whole, (0, None)))(many, w), jax.vmap(plain, (0, None))(many, w))
 
