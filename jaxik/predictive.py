@@ -38,7 +38,7 @@ from jaxik.task import POSE, Task
 DESCEND = descent.Descent()
 Level = Literal["velocity", "acceleration"]
 Start = Literal["given", "free"]
-Each = Literal["guess", "path", "duration", "given"]  # as the compiled program takes them
+Each = Literal["path", "duration", "guess", "given"]  # as the compiled program takes them
 RunningCost = Callable[..., Any]  # (q, qdot, input, t), and what is given, if anything is: cost per second
 
 
@@ -179,7 +179,7 @@ def self_motion(chain: Chain, q: Any, along: Any, ahead: Future, horizon: Horizo
 def _program(
     chain: Chain, cost: RunningCost, horizon: Horizon, axes: tuple[int | None, ...] | None
 ) -> Callable[..., Prediction]:
-    def solve(q: Any, w: Any, path: Path, duration: Any, given: tuple[Any, ...]) -> Prediction:
+    def solve(q: Any, path: Path, duration: Any, w: Any, given: tuple[Any, ...]) -> Prediction:
         ahead = future(path, duration, horizon)
         found = descent.run(objective(chain, cost, horizon, q, ahead, given), w, horizon.descend)
         run = found.aux
@@ -236,7 +236,7 @@ def predict(
             f"axis of q, and of what `each` names"
         )
     axes = (0, *batch_axes(each, Each)) if many else None
-    return _program(chain, cost, horizon, axes)(q, w, path, duration, () if given is None else (given,))
+    return _program(chain, cost, horizon, axes)(q, path, duration, w, () if given is None else (given,))
 
 
 def multistart(
