@@ -31,7 +31,7 @@ ARM = dataclasses.replace(jaxik.load("pendulum4"), self_pairs=())
 
 def configuration_cost(q: Any) -> Any:
     """(5.42), (5.43) with table 5.2's weights."""
-    return 0.5 * jaxik.costs.comfort_cost(ARM, q) + jaxik.costs.joint_limit_cost(ARM, q, np.pi / 2)
+    return 0.5 * jaxik.costs.comfort_cost(ARM, q) + jaxik.costs.joint_limit_cost(ARM, q, 0.25)
 
 
 def settings(count: int) -> tuple[np.ndarray, np.ndarray]:

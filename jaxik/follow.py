@@ -159,8 +159,8 @@ def _moved(
     options: dict[str, Any] = {"task": how.task, "weights": how.weights, "floor": how.floor}
     low, high = _rates(limits, q, qdot, dt)
     boxed = how.limits or how.acceleration is not None
-    start = jax.tree_util.tree_map(lambda x: x[0], stages)
     if how.scheme == "rac":
+        start = jax.tree_util.tree_map(lambda x: x[0], stages)
         slow = 0.5 / dt if how.gain is None else how.gain
         box = Box((low - qdot) / dt, (high - qdot) / dt) if boxed else None
         gains = (0.25 * slow**2, slow)
@@ -170,10 +170,14 @@ def _moved(
     gain = 1.0 / dt if how.gain is None else how.gain
     down = cost if how.scheme == "asc" else None
     box = Box(low, high) if boxed else None
-    resolve = lambda q, asked: asc(chain, q, asked, down, how.alpha, gain=gain, box=box, **options)
-    after, _ = ocp.integrator(how.integrator, lambda q, _, asked: resolve(q, asked).rate, dt)(q, None, stages)
+
+    def field(q: Any, _: Any, asked: Motion) -> tuple[Any, Resolved]:
+        found = asc(chain, q, asked, down, how.alpha, gain=gain, box=box, **options)
+        return found.rate, found
+
+    after, _, found = ocp.integrator(how.integrator, field, dt)(q, None, stages)
     rate = (after - q) / dt
-    return (after, rate), resolve(q, start), _held(rate, low, high)
+    return (after, rate), found, _held(rate, low, high)
 
 
 def _held(rate: Any, low: Any, high: Any) -> Any:

@@ -98,22 +98,27 @@ class MovingHorizon:
         horizon, options = self.horizon, self.horizon.descend
         ahead = future(path, duration, horizon, state.time)
         goal = objective(self.chain, self.cost, horizon, state.q, ahead, given, state.u)
-        warm = descent.init(goal, state.w, options)._replace(
+        plan = descent.unmeasured(goal, state.w, options)._replace(
             gradient=state.gradient, direction=state.direction, interval=state.interval, iterations=state.samples
         )
-        turn = lambda found, _: (descent.advance(goal, found, options), None)
-        found = jax.lax.scan(turn, warm, None, self.iterations - 1)[0] if self.iterations > 1 else warm
-        found = descent.advance(goal, found, options, measured=False)
-        control = problem(self.chain, self.cost, horizon, *given)
-        here = (state.q, state.u) if horizon.level == "acceleration" else (state.q,)
-        there, qdot = control.step(here, found.w[0], jax.tree_util.tree_map(lambda x: x[0], ahead))
+        turn = lambda plan, _: (descent.glance(goal, plan, options),) * 2
+        plan, each = jax.lax.scan(turn, plan, None, self.iterations)
+        first = jax.tree_util.tree_map(lambda x: x[0], each.aux)  # the roll-out of the plan as it was
+        now = jax.tree_util.tree_map(lambda x: x[0], first.seen)
+        q, qdot, u = self._moved(state, plan.w[0], first, ahead, given)
         shift = lambda x: jnp.concatenate([x[1:], jnp.zeros_like(x[:1])])
-        w, gradient, direction = map(shift, (found.w, found.gradient, found.direction))
-        u = there[1] if horizon.level == "acceleration" else state.u
-        first = jax.tree_util.tree_map(lambda x: x[0, 0], ahead.asked)
-        now = horizon.resolve(self.chain, state.q, first, state.u)
-        after = State(there[0], u, state.time + horizon.dt, w, gradient, direction, found.interval, found.iterations)
-        return after, Sample(state.q, qdot, warm.aux.y[0], warm.cost, now.error, now.damping)
+        w, gradient, direction = map(shift, (plan.w, plan.gradient, plan.direction))
+        after = State(q, u, state.time + horizon.dt, w, gradient, direction, plan.interval, plan.iterations)
+        return after, Sample(state.q, qdot, first.y[0], first.total, now.error, now.damping)
+
+    def _moved(self, state: State, w: Any, run: Any, ahead: Any, given: tuple[Any, ...]) -> tuple[Any, Any, Any]:
+        """q of the next sample, qdot until then, and the next u, for the first input w of the new plan. On acceleration level
+        this moves the arm after the next sample only: till then it is the roll-out."""
+        if self.horizon.level == "acceleration":
+            return run.y[0][1], run.v[0], state.u + self.horizon.dt * w
+        control = problem(self.chain, self.cost, self.horizon, *given)
+        (q,), qdot, _ = control.step((state.q,), w, jax.tree_util.tree_map(lambda x: x[0], ahead))
+        return q, qdot, state.u
 
 
 class Moved(NamedTuple):

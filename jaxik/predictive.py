@@ -122,14 +122,20 @@ def future(path: Path, duration: Any, horizon: Horizon, start: Any = 0.0) -> Fut
     """The samples of a horizon that begins at `start` [s] of a path; beyond the path's end the tip stands still."""
     time = start + horizon.dt * jnp.arange(horizon.count)
     stages = jnp.array([0.0] if horizon.integrator == "euler" else [0.0, 0.5, 1.0])
-    asked = motion(path, duration, (time[:, None] + horizon.dt * stages).reshape(-1))
+    times = (time[:, None] + horizon.dt * stages).reshape(-1)
+    asked = one_kernel(lambda path, duration, times: jax.lax.map(lambda t: motion(path, duration, t), times))(
+        path, jnp.asarray(duration, times.dtype), times
+    )
     return Future(Motion(*(x.reshape(horizon.count, len(stages), *x.shape[1:]) for x in asked)), time)
 
 
 def problem(chain: Chain, cost: RunningCost, horizon: Horizon, *given: Any) -> ocp.Problem:
-    """The optimal control problem; its samples are a `Future`."""
+    """The optimal control problem; its samples are a `Future`, and what it sees of each is the `Resolved`."""
 
-    field = lambda q, u, asked: horizon.resolve(chain, q, asked, u).rate
+    def field(q: Any, u: Any, asked: Motion) -> tuple[Any, Resolved]:
+        found = horizon.resolve(chain, q, asked, u)
+        return found.rate, found
+
     integrate = ocp.integrator(horizon.integrator, field, horizon.dt)
     move = ocp.of_velocity(integrate) if horizon.level == "velocity" else ocp.of_acceleration(integrate, horizon.dt)
     return ocp.Problem(lambda y, w, p: move(y, w, p.asked), lambda y, v, w, p: cost(y[0], v, w, p.time, *given), horizon.dt)
@@ -192,10 +198,10 @@ def _program(
 
 def _judged(chain: Chain, horizon: Horizon, run: ocp.Run, ahead: Future) -> tuple[Any, Any, Any, Any]:
     """Error, damping, reason and sample."""
-    q, asked = run.y[0][:-1], jax.tree_util.tree_map(lambda x: x[:, 0], ahead.asked)
-    found = jax.vmap(lambda q, asked: horizon.resolve(chain, q, asked, jnp.zeros_like(q)))(q, asked)
-    course = Course(q, run.v, found.error, found.damping, jnp.zeros(len(q), bool), asked.pose, asked.velocity)
-    return found.error, found.damping, *judge(chain, horizon.task, course, horizon.tolerance, keep=True)
+    seen, asked = run.seen, jax.tree_util.tree_map(lambda x: x[:, 0], ahead.asked)
+    held = jnp.zeros(horizon.count, bool)
+    course = Course(run.y[0][:-1], run.v, seen.error, seen.damping, held, asked.pose, asked.velocity)
+    return seen.error, seen.damping, *judge(chain, horizon.task, course, horizon.tolerance, keep=True)
 
 
 def predict(

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from scipy.optimize import lsq_linear, minimize
 
-from jaxik.optimise import sqp
+from jaxik.optimise import descent, sqp
 from jaxik.optimise.linear import cholesky_solve
 from jaxik.optimise.qp import NONE, Rows, solve
 
@@ -135,3 +135,26 @@ def test_a_batch_is_its_lanes():
     run = jax.jit(lambda x: sqp.run(problem, x, x, *bounds, 1, 12, options)[0])
     starts = jnp.asarray(start) + 0.1 * jnp.arange(6.0)[:, None]
     np.testing.assert_allclose(run(starts), jnp.concatenate([run(x[None]) for x in starts]), atol=1e-12)
+
+
+@pytest.mark.parametrize("direction", ["steepest", "hestenes_stiefel", "fletcher_reeves", "polak_ribiere", "hager_zhang"])
+def test_a_descent_at_rest_wakes_up(direction):
+    """One iteration a sample, in float32: a long rest wears no interval down, and a minimum that moves is followed."""
+    curvature, options = jnp.logspace(-1.0, 2.0, 6, dtype=np.float32), descent.Descent(direction)
+
+    def moved(centre):
+        value = lambda w: (0.5 * jnp.sum(curvature * (w - centre) ** 2) + 1.0, w)
+        return descent.Objective(value, lambda w, _: curvature * (w - centre), jnp.dot)
+
+    rest = jnp.zeros(6, np.float32)
+    step = jax.jit(lambda state, centre: descent.glance(moved(centre), state, options))
+    state = descent.unmeasured(moved(rest), rest, options)
+    for _ in range(300):
+        state = step(state, rest)
+    assert np.all(np.isfinite(state.w)) and state.interval[1] >= options.interval[1]
+    costs = []
+    for k in range(120):
+        centre = rest + 0.3 + 0.001 * k
+        state = step(state, centre)
+        costs.append(float(moved(centre).value(state.w)[0]) - 1.0)
+    assert max(costs[20:]) < 0.01 * costs[0] and costs[-1] < 0.01

@@ -20,8 +20,10 @@ search      alpha_j
                 the upper end and shrinks for one near the lower; where the cost rises it shrinks tenfold and is tried again)
   secant        <dw, dw> over <dw, dg>, the two-point step of Barzilai and Borwein, which (5.32) writes for the directions
 
-A direction that does not descend is replaced by -g. The driver stops as the text does: after `iterations`, where the cost falls
-by less than `tolerance` of itself, or where it rises, and then what was before is kept.
+A direction that does not descend is replaced by -g; and beta is 0 where the gradient is far from orthogonal to the last one,
+`|<g_j, g_{j-1}>| > restart <g_j, g_j>` [Powell 1977], as where the problem has changed in between (the text has no restarts:
+`restart=inf`). The driver stops as the text does: after `iterations`, where the cost falls by less than `tolerance` of itself,
+or where it rises, and then what was before is kept.
 """
 
 from __future__ import annotations
@@ -64,6 +66,7 @@ class Descent:
     rho: float = 0.62
     trials: int = 10
     memory: int = 10
+    restart: float = 0.2
 
     def __post_init__(self) -> None:
         check_choices("descent", direction=(self.direction, Direction), search=(self.search, Search))
@@ -74,6 +77,7 @@ class Descent:
             raise ValueError(f"descent: interval {self.interval}; allowed: 0 < first < last")
 
 
+_SHARES = 1e-6, 1e3  # of the first interval: how far a polynomial's may shrink and grow
 QUASI_NEWTON = Descent("lbfgs", "backtracking", iterations=500, tolerance=1e-8, step=1.0, rho=0.5, trials=20)
 
 
@@ -109,7 +113,16 @@ class Descended(NamedTuple):
 
 def init(objective: Objective, w: Any, options: Descent) -> State:
     """At the first guess."""
-    cost, aux = objective.value(w)
+    return _begun(w, *objective.value(w), options)
+
+
+def unmeasured(objective: Objective, w: Any, options: Descent) -> State:
+    """At a first guess that `glance` will evaluate."""
+    cost, aux = jax.tree_util.tree_map(lambda x: jnp.zeros(x.shape, x.dtype), jax.eval_shape(objective.value, w))
+    return _begun(w, cost, aux, options)
+
+
+def _begun(w: Any, cost: Any, aux: Any, options: Descent) -> State:
     none = jnp.zeros_like(w)
     memory = _quasi_newton(options).init(w) if options.direction == "lbfgs" else ()
     interval = jnp.asarray(options.interval, w.dtype)
@@ -117,28 +130,69 @@ def init(objective: Objective, w: Any, options: Descent) -> State:
     return State(w, cost, aux, none, none, memory, interval, jnp.zeros((), int), zero, zero, jnp.zeros((), bool))
 
 
-def advance(objective: Objective, state: State, options: Descent, measured: bool = True) -> State:
-    """One iteration. Not `measured`, the cost is what the line search expects and `aux` is left as it was: where the next thing
-    to do is to evaluate the objective anyway, that saves one evaluation."""
-    inner = objective.inner
-    g = objective.gradient(state.w, state.aux)
-    s, beta, memory = _direction(objective, state, g, options)
-    slope = inner(g, s)
-    descends = slope < 0.0
-    s, slope, beta = jnp.where(descends, s, -g), jnp.where(descends, slope, -inner(g, g)), jnp.where(descends, beta, 0.0)
-    alpha, interval, expected, there = _search(objective, state, g, s, slope, options)
-    cost, aux = (expected, state.aux) if not measured else there or objective.value(state.w + alpha * s)
-    better = cost <= state.cost
+class _Heading(NamedTuple):
+    """The gradient, the direction and its slope, beta, and what the quasi-Newton method remembers."""
+
+    g: Any
+    s: Any
+    slope: Any
+    beta: Any
+    memory: Any
+
+
+def advance(objective: Objective, state: State, options: Descent) -> State:
+    """One iteration."""
+    heading = _heading(objective, state, options)
+    alpha, interval, _, there = _search(objective, state, heading, options)
+    cost, aux = there or objective.value(state.w + alpha * heading.s)
+    return _accepted(state, heading, alpha, interval, cost, aux, options)
+
+
+def glance(objective: Objective, state: State, options: Descent) -> State:
+    """One iteration that evaluates the objective where it begins and not where it ends: the cost is then what the line search
+    expects, and `aux` that of the beginning. For where the objective is another one each time.
+
+    With a polynomial search all evaluations are turns of one loop, and compile once.
+    """
+    if options.search != "polynomial":
+        cost, aux = objective.value(state.w)
+        state = state._replace(cost=cost, aux=aux)
+        heading = _heading(objective, state, options)
+        alpha, interval, expected, _ = _search(objective, state, heading, options)
+        return _accepted(state, heading, alpha, interval, expected, aux, options)
+    lengths = jnp.append(_three(state.interval), 0.0)
+
+    def turn(k: Any, now: Any) -> Any:
+        z, costs, aux, heading = now
+        cost, there = objective.value(z)
+        first = lambda: (there, _heading(objective, state._replace(cost=cost, aux=there), options))
+        aux, heading = lax.cond(k == 0, first, lambda: (aux, heading))
+        return state.w + lengths[k] * heading.s, costs.at[k].set(cost), aux, heading
+
+    none, zero = jnp.zeros_like(state.w), jnp.zeros((), state.w.dtype)
+    start = state.w, jnp.zeros(4, state.w.dtype), state.aux, _Heading(none, none, zero, zero, state.memory)
+    _, costs, aux, heading = lax.fori_loop(0, 4, turn, start)
+    state = state._replace(cost=costs[0], aux=aux)
+    return _accepted(state, heading, *_parabola(costs[1:], costs[0], state.interval), aux, options)
+
+
+def _accepted(state: State, heading: _Heading, alpha: Any, interval: Any, cost: Any, aux: Any, options: Descent) -> State:
+    """The state after a step, or, where the cost rises by more than its rounding, the one before."""
+    w, s = state.w + alpha * heading.s, heading.s
+    better = cost <= state.cost + _rounding(state.cost)
     keep = lambda new, old: jax.tree_util.tree_map(lambda a, b: jnp.where(better, a, b), new, old)
-    w, kept_cost, kept_aux = keep((state.w + alpha * s, cost, aux), (state.w, state.cost, state.aux))
+    w, kept_cost, kept_aux = keep((w, cost, aux), (state.w, state.cost, state.aux))
     over = better & (state.cost - cost < options.tolerance * jnp.abs(state.cost))
     if options.search == "polynomial":
-        interval = jnp.where(better, interval, 0.1 * state.interval)
+        least, most = (share * jnp.asarray(options.interval, interval.dtype) for share in _SHARES)
+        interval = jnp.clip(jnp.where(better, interval, 0.1 * state.interval), least, most)
         s = jnp.where(better, s, jnp.zeros_like(s))  # and from here straight down
-        over |= ~(interval[1] > 1e-6 * options.interval[1]) | ~(cost == cost)
+        over |= (interval[1] <= least[1]) | ~(cost == cost)
     else:
         over |= ~better
-    return State(w, kept_cost, kept_aux, g, s, memory, interval, state.iterations + 1, alpha, beta, over)
+    return State(
+        w, kept_cost, kept_aux, heading.g, s, heading.memory, interval, state.iterations + 1, alpha, heading.beta, over
+    )
 
 
 def run(objective: Objective, w: Any, options: Descent) -> Descended:
@@ -178,18 +232,26 @@ def _quasi_newton(options: Descent) -> Any:
     return optax.scale_by_lbfgs(options.memory)
 
 
-def _direction(objective: Objective, state: State, g: Any, options: Descent) -> tuple[Any, Any, Any]:
-    """s, beta, and the memory."""
+def _heading(objective: Objective, state: State, options: Descent) -> _Heading:
+    inner = objective.inner
+    g = objective.gradient(state.w, state.aux)
     if options.direction == "lbfgs":
         scaled, memory = _quasi_newton(options).update(g, state.memory, state.w)
-        return -scaled, jnp.zeros((), g.dtype), memory
-    beta = _beta(options.direction, objective.inner, g, state.gradient, state.direction)
-    beta = jnp.where(state.iterations == 0, 0.0, beta)
-    return -g + beta * state.direction, beta, ()
+        s, beta = -scaled, jnp.zeros((), g.dtype)
+    else:
+        beta = _beta(options.direction, inner, g, state.gradient, state.direction)
+        again = jnp.abs(inner(g, state.gradient)) > options.restart * inner(g, g)
+        beta = jnp.where((state.iterations == 0) | again, 0.0, beta)
+        s, memory = -g + beta * state.direction, ()
+    slope = inner(g, s)
+    descends = slope < 0.0
+    s, slope = jnp.where(descends, s, -g), jnp.where(descends, slope, -inner(g, g))
+    return _Heading(g, s, slope, jnp.where(descends, beta, 0.0), memory)
 
 
-def _search(objective: Objective, state: State, g: Any, s: Any, slope: Any, options: Descent) -> tuple[Any, Any, Any, Any]:
+def _search(objective: Objective, state: State, heading: _Heading, options: Descent) -> tuple[Any, Any, Any, Any]:
     """The step along s, the next interval, the cost to expect, and what the objective is there if that was asked."""
+    g, s, slope = heading.g, heading.s, heading.slope
     at = lambda alpha: objective.value(state.w + alpha * s)
     alpha, interval = jnp.asarray(options.step, g.dtype), state.interval
     if options.search == "backtracking":
@@ -199,8 +261,8 @@ def _search(objective: Objective, state: State, g: Any, s: Any, slope: Any, opti
         alpha, _, there = lax.while_loop(more, shorter, (alpha, 0, at(alpha)))
         return alpha, interval, there[0], there
     if options.search == "polynomial":
-        alpha, interval, expected = _polynomial(lambda alpha: at(alpha)[0], state.interval)
-        return alpha, interval, expected, None
+        costs = jax.vmap(lambda alpha: at(alpha)[0])(_three(interval))
+        return *_parabola(costs, state.cost, interval), None
     if options.search == "secant":
         moved, change = state.alpha * state.direction, g - state.gradient
         two_points = ratio(objective.inner(moved, moved), objective.inner(moved, change))
@@ -208,18 +270,27 @@ def _search(objective: Objective, state: State, g: Any, s: Any, slope: Any, opti
     return alpha, interval, state.cost + alpha * slope, None
 
 
-def _polynomial(at: Callable[[Any], Any], interval: Any, near: float = 0.1, factor: float = 2.0) -> Any:
-    """Alg. 5: alpha, the interval for the next time, and the parabola's least. The three costs are one batch."""
-    low, high = interval
-    middle, half = 0.5 * (low + high), 0.5 * (high - low)
-    costs = jax.vmap(at)(jnp.stack([low, middle, high]))
+def _three(interval: Any) -> Any:
+    """Both ends and the middle."""
+    return jnp.stack([interval[0], 0.5 * (interval[0] + interval[1]), interval[1]])
+
+
+def _parabola(costs: Any, cost: Any, interval: Any, near: float = 0.1, factor: float = 2.0) -> tuple[Any, Any, Any]:
+    """Alg. 5, of the `costs` at three points and that at 0: alpha, the interval for the next time, and the parabola's least."""
+    low, middle, high = _three(interval)
+    half = 0.5 * (high - low)
     slope = (costs[2] - costs[0]) / (2.0 * half)  # about the middle
     bend = (costs[2] - 2.0 * costs[1] + costs[0]) / (2.0 * half**2)
     least = middle - slope / (2.0 * jnp.where(bend > 0.0, bend, 1.0))
     end = jnp.where(costs[0] <= jnp.minimum(costs[1], costs[2]), low, jnp.where(costs[2] <= costs[1], high, middle))
     least = jnp.where(bend > 0.0, least, end)
     upper, lower = least >= high - near * (high - low), least <= low + near * (high - low)
+    upper |= jnp.max(jnp.abs(costs - cost)) <= _rounding(cost)  # so short a step that nothing can be told
     scale = jnp.where(upper, factor, jnp.where(lower, 1.0 / factor, 1.0))
     alpha = jnp.clip(least, low, high)
     expected = costs[1] + (slope + bend * (alpha - middle)) * (alpha - middle)
     return alpha, interval * scale, expected
+
+
+def _rounding(cost: Any) -> Any:
+    return 8.0 * jnp.finfo(cost.dtype).eps * jnp.abs(cost)

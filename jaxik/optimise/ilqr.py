@@ -100,7 +100,7 @@ def _parts(x: Any, y: Any) -> Any:
 def _quadratics(problem: ocp.Problem, run: ocp.Run, w: Any, p: Any) -> _Quadratic:
     def sample(y: Any, v: Any, w: Any, p: Any) -> _Quadratic:
         def move(x: Any, w: Any) -> Any:
-            after, v = problem.step(_parts(x, y), w, p)
+            after, v, _ = problem.step(_parts(x, y), w, p)
             return _flat(after), v
 
         x = _flat(y)
@@ -149,7 +149,7 @@ def _forward(
     def step(y: Any, now: Any) -> Any:
         before, w, change, feedback, p = now
         w = jnp.clip(w + change + feedback @ (_flat(y) - _flat(before)), low, high)
-        after, _ = problem.step(y, w, p)
+        after, *_ = problem.step(y, w, p)
         return after, w
 
     _, inputs = lax.scan(step, y, (ocp.head(run.y), w, change, feedback, p))

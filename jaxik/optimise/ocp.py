@@ -1,6 +1,6 @@
 """Optimal control in discrete time, for states that are small and horizons that are long; it knows no robot.
 
-    y_0 given,   y_{k+1}, v_k = step(y_k, w_k, p_k),   L = dt sum_k cost(y_k, v_k, w_k, p_k),   k = 0 .. N-1
+    y_0 given,   y_{k+1}, v_k, .. = step(y_k, w_k, p_k),   L = dt sum_k cost(y_k, v_k, w_k, p_k),   k = 0 .. N-1
 
 The state y is a tuple of vectors, w the input, p what is known of the future at each sample, v an output that costs may look at
 (a velocity). The gradient is that of Pontryagin's minimum principle [Schuetz 2017, (5.5), (5.9)] for the discrete system:
@@ -29,7 +29,8 @@ Integrator = Literal["euler", "runge_kutta"]
 
 
 class Problem(NamedTuple):
-    """`step(y, w, p) -> (y, v)` over `dt` [s], and `cost(y, v, w, p)` per second."""
+    """`step(y, w, p) -> (y, v, seen)` over `dt` [s], where `seen` is what is to be recorded besides; `cost(y, v, w, p)` per
+    second."""
 
     step: Callable[..., Any]
     cost: Callable[..., Any]
@@ -37,10 +38,12 @@ class Problem(NamedTuple):
 
 
 class Run(NamedTuple):
-    """A roll-out: states (N+1, ..) each, outputs (N, ..), and the cost of each sample (N,), whose sum times dt is L."""
+    """A roll-out: states (N+1, ..) each, outputs and what was seen (N, ..), and the cost of each sample (N,), whose sum times
+    dt is L."""
 
     y: Any
     v: Any
+    seen: Any
     costs: Any
     total: Any
 
@@ -49,13 +52,13 @@ def roll_out(problem: Problem, y: Any, w: Any, p: Any) -> Run:
     """From y along the inputs w (N, m)."""
 
     def advance(y: Any, now: Any) -> Any:
-        after, v = problem.step(y, *now)
-        return after, (after, v)
+        after, *rest = problem.step(y, *now)
+        return after, (after, *rest)
 
-    _, (later, v) = one_kernel(lambda y, w, p: lax.scan(advance, y, (w, p)))(y, w, p)
+    _, (later, v, seen) = one_kernel(lambda y, w, p: lax.scan(advance, y, (w, p)))(y, w, p)
     states = jax.tree_util.tree_map(lambda a, b: jnp.concatenate([a[None], b]), y, later)
     costs = jax.vmap(problem.cost)(head(states), v, w, p)
-    return Run(states, v, costs, problem.dt * jnp.sum(costs))
+    return Run(states, v, seen, costs, problem.dt * jnp.sum(costs))
 
 
 def gradient(problem: Problem, run: Run, w: Any, p: Any) -> tuple[Any, Any]:
@@ -65,7 +68,7 @@ def gradient(problem: Problem, run: Run, w: Any, p: Any) -> tuple[Any, Any]:
 
     def back(after: Any, now: Any) -> Any:
         y, w, p, (l_y, l_v, l_w) = now
-        _, pull = jax.vjp(lambda y, w: problem.step(y, w, p), y, w)
+        _, pull = jax.vjp(lambda y, w: problem.step(y, w, p)[:2], y, w)
         by_y, by_w = pull((after, dt * l_v))
         before = jax.tree_util.tree_map(lambda own, pulled: dt * own + pulled, l_y, by_y)
         return before, (before, l_w + by_w / dt)
@@ -82,17 +85,18 @@ def head(states: Any) -> Any:
 
 
 def euler(field: Callable[..., Any], dt: float) -> Callable[..., Any]:
-    """`x + dt f(x, u, p_0)`, and f; p holds the samples of one step, the first at its start."""
+    """`x + dt f(x, u, p_0)`, f, and what was seen, for a field that gives these; p holds the samples of one step."""
 
     def step(x: Any, u: Any, p: Any) -> Any:
-        v = field(x, u, _sample(p, 0))
-        return x + dt * v, v
+        v, seen = field(x, u, _sample(p, 0))
+        return x + dt * v, v, seen
 
     return step
 
 
 def runge_kutta(field: Callable[..., Any], dt: float) -> Callable[..., Any]:
-    """The classic fourth order, and f at the start; p holds samples at the start, the middle and the end, u is held.
+    """The classic fourth order, with f and what is seen at the start; p holds samples at the start, the middle and the end, u
+    is held.
 
     Its stages are turns of a loop: written out, they would compile four times, and their derivatives too.
     """
@@ -100,19 +104,19 @@ def runge_kutta(field: Callable[..., Any], dt: float) -> Callable[..., Any]:
     def step(x: Any, u: Any, p: Any) -> Any:
         def stage(before: Any, now: Any) -> Any:
             share, sample = now
-            v = field(x + dt * share * before, u, sample)
-            return v, v
+            v, seen = field(x + dt * share * before, u, sample)
+            return v, (v, seen)
 
         shares = jnp.array([0.0, 0.5, 0.5, 1.0], x.dtype)
         samples = jax.tree_util.tree_map(lambda a: a[jnp.array([0, 1, 1, 2])], p)
-        _, v = lax.scan(stage, jnp.zeros_like(x), (shares, samples))
-        return x + dt / 6.0 * (v[0] + 2.0 * (v[1] + v[2]) + v[3]), v[0]
+        _, (v, seen) = lax.scan(stage, jnp.zeros_like(x), (shares, samples))
+        return x + dt / 6.0 * (v[0] + 2.0 * (v[1] + v[2]) + v[3]), v[0], _sample(seen, 0)
 
     return step
 
 
 def integrator(name: str, field: Callable[..., Any], dt: float) -> Callable[..., Any]:
-    """The one of that name."""
+    """The one of that name, of a `field(x, u, p) -> (f, seen)`."""
     return (euler if name == "euler" else runge_kutta)(field, dt)
 
 
@@ -124,8 +128,8 @@ def of_velocity(integrate: Callable[..., Any]) -> Callable[..., Any]:
     """The input is what the field takes [Schuetz 2017, (5.5)]: state (x,)."""
 
     def step(y: Any, w: Any, p: Any) -> Any:
-        x, v = integrate(y[0], w, p)
-        return (x,), v
+        x, *rest = integrate(y[0], w, p)
+        return (x,), *rest
 
     return step
 
@@ -134,7 +138,7 @@ def of_acceleration(integrate: Callable[..., Any], dt: float) -> Callable[..., A
     """The input is the rate of what the field takes [(5.7)-(5.9)]: state (x, u); u is held over a step."""
 
     def step(y: Any, w: Any, p: Any) -> Any:
-        x, v = integrate(*y, p)
-        return (x, y[1] + dt * w), v
+        x, *rest = integrate(*y, p)
+        return (x, y[1] + dt * w), *rest
 
     return step
