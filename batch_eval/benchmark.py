@@ -31,6 +31,7 @@ PACKAGES = (
     "torch",
     "almond-pyroki",
     "frax",
+    "casadi",
     "mujoco-mjx",
     "eaik",
     "mink",

@@ -66,7 +66,49 @@ def nine_dof_markdown(result: dict[str, Any]) -> str:
     return "\n".join(lines)
 
 
-TABLES = {"benchmark.json": markdown, "ik_benchmark.json": ik_markdown, "nine_dof.json": nine_dof_markdown}
+def predictive_markdown(result: dict[str, Any]) -> str:
+    """A row for each horizon, and before them the instantaneous motion."""
+    lines = [
+        "| nine joints | one sample: p50, p99 | CasADi: p50, p99 | peak speed [1/s2] | clearance | beyond limits |",
+        "| --- | --- | --- | --- | --- | --- |",
+    ]
+    motion = lambda row: f"{row['peak_speed']:.1f} | {1e3 * row['clearance_m']:.0f} mm | {row['beyond_limits']:.3f} |"
+    for row in result["instantaneous"]:
+        lines.append(f"| instantaneous, gradient x {row['alpha']:g} | - | - | {motion(row)}")
+    for row in result["real_time"]:
+        lines.append(
+            f"| horizon {row['horizon_s']:g} s | {row['p50_ms']:.1f}, {row['p99_ms']:.1f} ms | "
+            f"{row['casadi_p50_ms']:.1f}, {row['casadi_p99_ms']:.1f} ms | {motion(row)}"
+        )
+    return "\n".join(lines)
+
+
+def statistics_markdown(result: dict[str, Any]) -> str:
+    """Success and time of each direction (rows) and search (columns), and of the others."""
+    rows = {row["who"]: row for row in result["rows"]}
+    cell = lambda row: f"{100 * row['success']:.1f} %, {row['ms_alone']:.1f} ms"
+    pairs = [who.split(", ") for who in rows if who.count(",") == 1 and not who.startswith("lbfgs")]
+    directions, searches = (list(dict.fromkeys(pair[i] for pair in pairs)) for i in (0, 1))
+    searches.append("polynomial, restarts")
+    lines = [f"| direction | {' | '.join(searches)} |", "| --- " * (1 + len(searches)) + "|"]
+    for direction in directions:
+        found = [rows.get(f"{direction}, {search}") for search in searches]
+        lines.append(f"| {direction.replace('_', ' ')} | {' | '.join(cell(row) if row else '-' for row in found)} |")
+    others = (
+        f"L-BFGS: {cell(rows['lbfgs, backtracking'])}. Boundary value problem: {cell(rows['tpbvp'])}; the thesis: 84 %, 1.14 s."
+    )
+    mean = 100 * result["improvement_of_best"]
+    best = f"The best improves the instantaneous motion by {mean:.1f} % on average; the thesis: 16 %."
+    return "\n".join([*lines, "", others, best])
+
+
+TABLES = {
+    "benchmark.json": markdown,
+    "ik_benchmark.json": ik_markdown,
+    "nine_dof.json": nine_dof_markdown,
+    "predictive_benchmark.json": predictive_markdown,
+    "predictive_statistics.json": statistics_markdown,
+}
 
 
 def tables() -> list[str]:

@@ -7,7 +7,6 @@ core and lets go of Python's lock meanwhile, so threads give the other cores wor
 
 from __future__ import annotations
 
-import contextlib
 import functools
 import os
 from collections.abc import Callable
@@ -15,6 +14,7 @@ from concurrent.futures import ThreadPoolExecutor
 from typing import Any
 
 import jax
+import jax.numpy as jnp
 import numpy as np
 
 
@@ -34,15 +34,15 @@ def in_blocks(
 ) -> list[np.ndarray]:
     """`function(*rows, *fixed)` over the rows of `columns`, in blocks of `size`; its leaves as NumPy arrays.
 
-    With `double` it runs in float64 whatever JAX is set to.
+    With `double` it runs in float64 whatever JAX is set to; else as it is set here, which other threads would not know.
     """
-    count = len(columns[0])
+    count, wide = len(columns[0]), double or jnp.result_type(float) == np.float64
 
     def block(start: int) -> list[np.ndarray]:
         rows = [c[start : start + size] for c in columns]
         here = len(rows[0])
         padded = [np.concatenate([r, np.repeat(r[:1], size - here, axis=0)]) if here < size else r for r in rows]
-        with jax.enable_x64(True) if double else contextlib.nullcontext():
+        with jax.enable_x64(wide):
             return [np.asarray(x)[:here] for x in jax.tree_util.tree_leaves(function(*padded, *fixed))]
 
     starts = range(0, count, size)

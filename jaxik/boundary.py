@@ -12,6 +12,8 @@ are SciPy's, in float64.
 
 from __future__ import annotations
 
+import functools
+from collections.abc import Callable
 from typing import Any, NamedTuple
 
 import jax
@@ -58,22 +60,20 @@ def boundary_value(
     from scipy.integrate import simpson, solve_bvp
 
     with jax.enable_x64(True):
-        system = _System(chain, path, duration, cost, horizon, () if given is None else (given,))
+        programs, world = _programs(chain, cost, horizon), (path, float(duration), () if given is None else (given,))
         n, start = chain.num_joints, np.asarray(q, np.float64)
         end = horizon.dt * horizon.count
-        time, first = _first(system, start, end, nodes, guess)
-        basis = system.null_space(start)
-        rates = jax.jit(jax.vmap(system.rates, (0, 1), 1))
-        ends = jax.jit(lambda a, b: system.ends(a, b, start, basis))
+        time, first = _first(programs, world, horizon, start, end, nodes, guess)
+        basis = _null_space(programs.across(world, start), n - sum(horizon.task.bound))
         found = solve_bvp(
-            lambda t, y: _padded(rates, t, y),
-            lambda a, b: np.asarray(ends(a, b)),
+            lambda t, y: _padded(lambda t, y: programs.rates(world, t, y), t, y),
+            lambda a, b: np.asarray(programs.ends(world, a, b, start, basis)),
             time,
             first,
             tol=tolerance,
             max_nodes=max_nodes,
         )
-        w, costs = jax.jit(jax.vmap(system.input_and_cost, (0, 1)))(found.x, found.y)
+        w, costs = programs.input_and_cost(world, found.x, found.y)
         states = len(first) // 2
         u = found.y[n : 2 * n].T if states == 2 * n else np.asarray(w)
         return Boundary(
@@ -90,10 +90,37 @@ def boundary_value(
         )
 
 
+class _Programs(NamedTuple):
+    """Compiled functions of a world: path, duration and what is given to the cost."""
+
+    rates: Callable[..., Any]
+    ends: Callable[..., Any]
+    input_and_cost: Callable[..., Any]
+    across: Callable[..., Any]
+    motion: Callable[..., Any]
+
+
+@functools.lru_cache(maxsize=8)
+def _programs(chain: Chain, cost: RunningCost, horizon: Horizon) -> _Programs:
+    def instantaneous(world: Any, q: Any, times: Any) -> Any:
+        at = _System(chain, cost, horizon, *world)
+        turn = lambda q, t: (q + (times[1] - times[0]) * at.velocity(t, q, jnp.zeros_like(q)), q)
+        return jax.lax.scan(turn, q, times)[1]
+
+    system = lambda world: _System(chain, cost, horizon, *world)
+    return _Programs(
+        jax.jit(lambda world, t, z: jax.vmap(system(world).rates, (0, 1), 1)(t, z)),
+        jax.jit(lambda world, *ends: system(world).ends(*ends)),
+        jax.jit(lambda world, t, z: jax.vmap(system(world).input_and_cost, (0, 1))(t, z)),
+        jax.jit(lambda world, q: jax.vmap(lambda u: system(world).across(q, u).rate)(jnp.eye(chain.num_joints))),
+        jax.jit(instantaneous),
+    )
+
+
 class _System:
     """The equations of one problem; z holds the state and the adjoint variables."""
 
-    def __init__(self, chain: Chain, path: Path, duration: float, cost: RunningCost, horizon: Horizon, given: tuple[Any, ...]):
+    def __init__(self, chain: Chain, cost: RunningCost, horizon: Horizon, path: Path, duration: Any, given: tuple[Any, ...]):
         self.chain, self.path, self.duration, self.cost = chain, path, duration, cost
         self.horizon, self.given, self.n = horizon, given, chain.num_joints
         self.rate_level = horizon.level == "acceleration"
@@ -140,30 +167,30 @@ class _System:
         """The tip's error at the path's start, and N u as rate; a path starts at rest."""
         return self.horizon.resolve(self.chain, q, motion(self.path, self.duration, 0.0), u, gain=0.0)
 
-    def null_space(self, q: Any) -> Any:
-        """A basis (n, n - m) of the motions that leave the tip where it is."""
-        project = lambda u: self.across(q, u).rate
-        vectors, _, _ = np.linalg.svd(np.asarray(jax.jit(jax.vmap(project))(jnp.eye(self.n))).T)
-        return jnp.asarray(vectors[:, : self.n - sum(self.horizon.task.bound)])
+
+def _null_space(projected: Any, size: int) -> Any:
+    """A basis (n, size) of the motions that leave the tip where it is; `projected` (n, n) are those that come of unit ones."""
+    vectors, _, _ = np.linalg.svd(np.asarray(projected).T)
+    return vectors[:, :size]
 
 
-def _first(system: _System, q: Any, end: float, nodes: int, guess: Prediction | None) -> tuple[Any, Any]:
-    n, count = system.n, 4 * system.n if system.rate_level else 2 * system.n
-    dt = system.horizon.dt
+def _first(
+    programs: _Programs, world: Any, horizon: Horizon, q: Any, end: float, nodes: int, guess: Prediction | None
+) -> tuple[Any, Any]:
+    n = len(q)
+    count = 4 * n if horizon.level == "acceleration" else 2 * n
     if guess is None:
-        steps = max(nodes, round(end / dt))
-        turn = lambda q, t: (q + end / steps * system.velocity(t, q, jnp.zeros(n)), q)
+        steps = max(nodes, horizon.count)
         time = np.linspace(0.0, end, steps + 1)
-        rows = np.asarray(jax.jit(lambda q: jax.lax.scan(turn, q, jnp.asarray(time))[1])(jnp.asarray(q)))
         pick = np.linspace(0, steps, nodes + 1).round().astype(int)
         z = np.zeros((count, nodes + 1))
-        z[:n] = rows[pick].T
+        z[:n] = np.asarray(programs.motion(world, q, time))[pick].T
         return time[pick], z
     time = np.linspace(0.0, end, len(guess.q))
     z = np.zeros((count, len(time)))
     z[:n] = np.asarray(guess.q).T
-    if system.rate_level:
-        z[n : 2 * n, 1:] = dt * np.cumsum(np.asarray(guess.w), axis=0).T
+    if horizon.level == "acceleration":
+        z[n : 2 * n, 1:] = horizon.dt * np.cumsum(np.asarray(guess.w), axis=0).T
     return time, z
 
 

@@ -12,7 +12,7 @@ from jax.custom_batching import custom_vmap
 from jax.experimental.xla_metadata import set_xla_metadata
 from jax.extend.core import ClosedJaxpr, Jaxpr, jaxpr_as_fun
 
-_LANES = 64  # beyond, a list of kernels is as fast; and XLA would spread some over threads, which a whole cannot
+LANES = 64  # beyond, a list of kernels is as fast; and XLA would spread some over threads, which a whole cannot
 _LARGE = 4096  # elements; what sums or multiplies so many XLA gives to a library, which a whole cannot call
 _LOOPS = ("while", "scan", "cond", "jit", "pjit", "closed_call", "custom_jvp_call", "custom_vjp_call", "custom_vmap_call")
 _NEVER: tuple[str, ...] = ("scatter", "sort", "top_k", "fft", "conv_general", "callback", "ffi", "random", "reduce_window")
@@ -45,7 +45,7 @@ def one_kernel(function: Callable[..., Any]) -> Callable[..., Any]:
 def _whole(program: Jaxpr, count: int, lanes: int) -> Callable[..., Any]:
     """The program, of its `count` constants and its arguments, as one kernel."""
     run = lambda *args: jaxpr_as_fun(ClosedJaxpr(program, args[:count]))(*args[count:])
-    fits = lanes <= _LANES and _fits(program)
+    fits = lanes <= LANES and _fits(program)
 
     @custom_vmap
     def whole(*args: Any) -> Any:

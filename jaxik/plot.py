@@ -48,11 +48,11 @@ def plot_harvest(result: Harvest, path: Path, fruit: str | None = None) -> None:
 
 def _height(result: Harvest, row: Posture) -> float:
     """The highest of leaf points, fruits and joints [m]."""
-    joints = _bones(result.chain, row.q)[:, 2] if row.success else ()
+    joints = bones(result.chain, row.q)[:, 2] if row.success else ()
     return max(float(z) for z in (*result.scene.points.center[:, 2], *(f.position[2] for f in result.scene.fruits), *joints))
 
 
-def _bones(chain: Chain, q: np.ndarray) -> np.ndarray:
+def bones(chain: Chain, q: np.ndarray) -> np.ndarray:
     """Where the joints and the tip are in the world, (n + 1, 3) [m]."""
     frames = joint_frames(chain, [float(x) for x in q], Frame.of(chain.world_T_base))
     return np.array([[float(x) for x in f.translation] for f in (*frames.joints, frames.tip)])
@@ -91,8 +91,8 @@ def _draw_robot(axis: Any, chain: Chain, q: np.ndarray, i: int, j: int) -> None:
                 axis.add_patch(Circle(point[[i, j]], radius, fc=colour, ec=colour, alpha=0.15 if count == 1 else 0.5))
             if count > 1:
                 axis.plot(points[:, i], points[:, j], color=colour, lw=2)
-    bones = _bones(chain, q)
-    axis.plot(bones[:, i], bones[:, j], "k.-", lw=1.5, ms=5, label="joints and tip")
+    joints = bones(chain, q)
+    axis.plot(joints[:, i], joints[:, j], "k.-", lw=1.5, ms=5, label="joints and tip")
 
 
 def _draw_map(figure: Any, axis: Any, row: Posture, chain: Chain) -> None:

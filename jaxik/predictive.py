@@ -26,10 +26,11 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+from jaxik.batch import in_blocks
 from jaxik.chain import Chain
 from jaxik.choice import batch_axes, check_choices, check_each
 from jaxik.judge import Course, judge
-from jaxik.kernel import one_kernel
+from jaxik.kernel import LANES, one_kernel
 from jaxik.optimise import descent, ocp
 from jaxik.path import Motion, Path, motion
 from jaxik.redundancy import FLOOR, Resolved, resolve_velocity
@@ -242,7 +243,22 @@ def predict(
             f"axis of q, and of what `each` names"
         )
     axes = (0, *batch_axes(each, Each)) if many else None
-    return _program(chain, cost, horizon, axes)(q, path, duration, w, () if given is None else (given,))
+    program, args = _program(chain, cost, horizon, axes), (q, path, duration, w, () if given is None else (given,))
+    return program(*args) if axes is None else _in_blocks(program, axes, args)
+
+
+def _in_blocks(program: Callable[..., Prediction], axes: tuple[int | None, ...], args: tuple[Any, ...]) -> Prediction:
+    """Many scenarios go through a CPU's caches and cores block by block, where the roll-outs are one kernel still."""
+    rows, tree = jax.tree_util.tree_flatten(tuple(a for a, axis in zip(args, axes, strict=True) if axis == 0))
+    traced = any(isinstance(x, jax.core.Tracer) for x in jax.tree_util.tree_leaves(args))
+    if traced or len(rows[0]) <= LANES or jax.default_backend() != "cpu":
+        return program(*args)
+
+    def block(*rows: Any) -> Prediction:
+        own = iter(jax.tree_util.tree_unflatten(tree, rows))
+        return program(*(next(own) if axis == 0 else a for a, axis in zip(args, axes, strict=True)))
+
+    return Prediction(*in_blocks(block, *map(np.asarray, rows), size=LANES))
 
 
 def multistart(

@@ -137,10 +137,21 @@ def test_a_batch_is_its_lanes():
     np.testing.assert_allclose(run(starts), jnp.concatenate([run(x[None]) for x in starts]), atol=1e-12)
 
 
+def test_a_parabola_is_believed_where_it_was_measured():
+    """Through 1, 50, 1000 its least is -88: as an expectation that once let a controller step into a wall."""
+    interval = jnp.array([0.005, 0.1])
+    alpha, narrower, expected = descent._parabola(jnp.array([1.0, 50.0, 1000.0]), jnp.array(0.99), interval)
+    assert (alpha, expected) == (0.005, 1.0) and narrower[1] == 0.05
+    alpha, same, expected = descent._parabola(jnp.array([3.0, 1.0, 3.0]), jnp.array(5.0), interval)
+    assert (alpha, expected) == (pytest.approx(0.0525), 1.0) and same[1] == 0.1
+    alpha, wider, expected = descent._parabola(jnp.array([3.0, 2.0, 1.0]), jnp.array(5.0), interval)
+    assert (alpha, expected) == (0.1, 1.0) and wider[1] == 0.2
+
+
 @pytest.mark.parametrize("direction", ["steepest", "hestenes_stiefel", "fletcher_reeves", "polak_ribiere", "hager_zhang"])
 def test_a_descent_at_rest_wakes_up(direction):
     """One iteration a sample, in float32: a long rest wears no interval down, and a minimum that moves is followed."""
-    curvature, options = jnp.logspace(-1.0, 2.0, 6, dtype=np.float32), descent.Descent(direction)
+    curvature, options = jnp.logspace(-1.0, 1.0, 6, dtype=np.float32), descent.Descent(direction)
 
     def moved(centre):
         value = lambda w: (0.5 * jnp.sum(curvature * (w - centre) ** 2) + 1.0, w)

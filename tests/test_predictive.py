@@ -271,6 +271,9 @@ def test_scenarios_in_one_call_are_each_what_they_are_alone(pendulum, line):
         np.testing.assert_allclose(many.q[i], alone.q, atol=1e-9)
         np.testing.assert_allclose(many.totals[i], alone.totals, rtol=1e-9)
         assert (many.reason[i], many.iterations[i]) == (alone.reason, alone.iterations)
+    rows = np.arange(70) % 3  # more than go into one block
+    wide = predict(pendulum, line, 4.0, starts[rows], cost, horizon, guesses[rows], weights[rows], ("guess", "given"))
+    np.testing.assert_allclose(wide.q, np.asarray(many.q)[rows], atol=1e-9)
     best = multistart(pendulum, line, 4.0, START, cost, horizon, starts=8, given=1.0)
     assert best.q.shape == (8, 21, 4) and np.all(np.diff(best.total) >= 0.0)
     with pytest.raises(ValueError, match="each 'cost'; allowed: path, duration, guess, given"):

@@ -17,7 +17,8 @@ search      alpha_j
                 where it must run until it does)
   polynomial    the least of a parabola through three points of an interval that adapts (alg. 5; its printed rules grow the
                 interval for a minimum anywhere but near the lower end and never let it shrink: here it grows for a minimum near
-                the upper end and shrinks for one near the lower; where the cost rises it shrinks tenfold and is tried again)
+                the upper end and shrinks for one near the lower; between points that are not higher on both sides a parabola
+                is not believed, and the lower end is taken; where the cost rises the interval shrinks tenfold)
   secant        <dw, dw> over <dw, dg>, the two-point step of Barzilai and Borwein, which (5.32) writes for the directions
 
 A direction that does not descend is replaced by -g; and beta is 0 where the gradient is far from orthogonal to the last one,
@@ -56,7 +57,7 @@ class Descent:
     """How to descend. `step` is the fixed step, the first of a backtracking, and the first secant's; `interval` is the
     polynomial's first; `armijo`, `rho` and `trials` are those of alg. 4."""
 
-    direction: str = "fletcher_reeves"
+    direction: str = "hager_zhang"
     search: str = "polynomial"
     iterations: int = 100
     tolerance: float = 1e-4
@@ -239,7 +240,7 @@ def _heading(objective: Objective, state: State, options: Descent) -> _Heading:
         scaled, memory = _quasi_newton(options).update(g, state.memory, state.w)
         s, beta = -scaled, jnp.zeros((), g.dtype)
     else:
-        beta = _beta(options.direction, inner, g, state.gradient, state.direction)
+        beta = jnp.asarray(_beta(options.direction, inner, g, state.gradient, state.direction), g.dtype)
         again = jnp.abs(inner(g, state.gradient)) > options.restart * inner(g, g)
         beta = jnp.where((state.iterations == 0) | again, 0.0, beta)
         s, memory = -g + beta * state.direction, ()
@@ -276,20 +277,21 @@ def _three(interval: Any) -> Any:
 
 
 def _parabola(costs: Any, cost: Any, interval: Any, near: float = 0.1, factor: float = 2.0) -> tuple[Any, Any, Any]:
-    """Alg. 5, of the `costs` at three points and that at 0: alpha, the interval for the next time, and the parabola's least."""
+    """Alg. 5, of the `costs` at three points and that at 0: alpha, the interval for the next time, and the cost to expect.
+
+    The parabola's least is taken between points that are higher; else the lower end, for what lies beyond was not seen.
+    """
     low, middle, high = _three(interval)
     half = 0.5 * (high - low)
     slope = (costs[2] - costs[0]) / (2.0 * half)  # about the middle
     bend = (costs[2] - 2.0 * costs[1] + costs[0]) / (2.0 * half**2)
+    between = (costs[1] <= costs[0]) & (costs[1] <= costs[2]) & (bend > 0.0)
     least = middle - slope / (2.0 * jnp.where(bend > 0.0, bend, 1.0))
-    end = jnp.where(costs[0] <= jnp.minimum(costs[1], costs[2]), low, jnp.where(costs[2] <= costs[1], high, middle))
-    least = jnp.where(bend > 0.0, least, end)
-    upper, lower = least >= high - near * (high - low), least <= low + near * (high - low)
+    alpha = jnp.where(between, least, jnp.where(costs[2] < costs[0], high, low))
+    upper, lower = alpha >= high - near * (high - low), alpha <= low + near * (high - low)
     upper |= jnp.max(jnp.abs(costs - cost)) <= _rounding(cost)  # so short a step that nothing can be told
     scale = jnp.where(upper, factor, jnp.where(lower, 1.0 / factor, 1.0))
-    alpha = jnp.clip(least, low, high)
-    expected = costs[1] + (slope + bend * (alpha - middle)) * (alpha - middle)
-    return alpha, interval * scale, expected
+    return alpha, interval * scale, jnp.min(costs)
 
 
 def _rounding(cost: Any) -> Any:

@@ -1,0 +1,44 @@
+"""The four-joint pendulum that is to pass an obstacle [Schuetz 2017, table 5.1, figs. 5.1-5.4]."""
+
+from __future__ import annotations
+
+import dataclasses
+import functools
+from collections.abc import Callable
+from typing import Any
+
+import jax.numpy as jnp
+import numpy as np
+
+import jaxik
+
+DT, DURATION = 0.04, 4.0
+START = np.radians([30.0, -30.0, -30.0, -60.0])
+OBSTACLE, ACTIVATION, STEEP = (1.0, 1.1, 0.0), 0.2, 500.0
+IN_PLANE = jaxik.Task((True, True, False, False, False, False), "base")
+# the text's instantaneous motion goes down 50 times the gradient whose cost weighs 500
+INSTANTANEOUS = jaxik.Follow("asc", DT, "euler", IN_PLANE, alpha=0.1, gain=1.0, limits=False, tolerance=0.1)
+
+
+@functools.cache
+def arm() -> jaxik.Chain:
+    """It may pass through itself."""
+    return dataclasses.replace(jaxik.load("pendulum4"), self_pairs=())
+
+
+def path(chain: jaxik.Chain) -> jaxik.Line:
+    start = np.asarray(jaxik.forward_kinematics(chain, START))
+    end = start.copy()
+    end[:2, 3] = 0.5, 0.0
+    return jaxik.Line(start, end)
+
+
+def position_cost(chain: jaxik.Chain) -> Callable[[Any], Any]:
+    """(5.35), weighted."""
+    scene = jaxik.make_scene(points=[OBSTACLE])
+    return lambda q: STEEP / 3.0 * jnp.maximum(ACTIVATION - jaxik.clearance(chain, scene, q), 0.0) ** 3
+
+
+def horizon(descend: jaxik.Descent = jaxik.QUASI_NEWTON) -> jaxik.Horizon:
+    """The whole path, at the text's samples."""
+    return jaxik.Horizon(DT, round(DURATION / DT), task=IN_PLANE, descend=descend)

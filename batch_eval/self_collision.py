@@ -1,0 +1,69 @@
+"""Nine joints that must get past themselves: `crops_v2` in place of the thesis' prototype 1, whose numbers are not printed.
+
+Schuetz 2017, sec. 5.3.2 (figs. 5.10, 5.11): the tip moves from below to above on a straight line, and the arm would fold into
+its own prismatic joint. The slide is weighted, so that the revolute joints do the work.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import functools
+from collections.abc import Callable
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+import jaxik
+from jaxik.collision import link_clearances
+from jaxik.predictive import Horizon
+
+DT, DURATION = 0.01, 4.0
+START = np.array([0.56, 0.42, -1.4, 1.18, 0.48, 1.54, -0.05, 0.34, 0.54])
+RISE = 1.19  # [m]
+NEAR, STEEP = 0.1, 500.0  # activation [m] and weight of the collision cost (4.31)
+LIMITS, SOFT = 5.0, 0.1  # weight and soft share of the joint limits' cost (4.27)
+VELOCITY, EFFORT = 2.0, 0.2
+WEIGHTS = (30.0,) + (1.0,) * 8
+POSITION = jaxik.Task((True, True, True, False, False, False))
+
+
+@functools.cache
+def arm() -> jaxik.Chain:
+    """Without the pairs of links that no posture brings further apart than the cost reaches: they would always cost."""
+    chain = jaxik.load("crops_v2")
+    q = np.random.default_rng(0).uniform(chain.lower, chain.upper, (300, chain.num_joints))
+    only = lambda pair: dataclasses.replace(chain, self_pairs=(pair,))
+    apart = lambda pair: float(jnp.max(jax.vmap(lambda q: jaxik.self_clearance(only(pair), q))(q)))
+    return dataclasses.replace(chain, self_pairs=tuple(pair for pair in chain.self_pairs if apart(pair) > NEAR))
+
+
+def path(chain: jaxik.Chain) -> jaxik.Line:
+    start = np.asarray(jaxik.forward_kinematics(chain, START))
+    end = start.copy()
+    end[2, 3] += RISE
+    return jaxik.Line(start, end)
+
+
+def position_cost(chain: jaxik.Chain) -> Callable[[Any], Any]:
+    """H(q): self-collision, summed over links, and joint limits."""
+
+    def cost(q: Any) -> Any:
+        depth = jnp.maximum(NEAR - link_clearances(chain, None, q), 0.0)
+        return LIMITS * jaxik.costs.joint_limit_cost(chain, q, SOFT) + STEEP / 3.0 * jnp.sum(depth**3)
+
+    return cost
+
+
+def horizon(seconds: float) -> Horizon:
+    return Horizon(DT, round(seconds / DT), task=POSITION, gain=10.0, weights=WEIGHTS)
+
+
+def controller(chain: jaxik.Chain, seconds: float) -> jaxik.MovingHorizon:
+    """One iteration a sample."""
+    return jaxik.MovingHorizon(chain, jaxik.quadratic_cost(position_cost(chain), VELOCITY, EFFORT), horizon(seconds))
+
+
+def instantaneous(chain: jaxik.Chain, alpha: float) -> jaxik.Follow:
+    return jaxik.Follow("asc", DT, "euler", POSITION, alpha, gain=10.0, weights=WEIGHTS, limits=False)
