@@ -3,7 +3,7 @@
 Nine joints past themselves (`self_collision.py`) under horizons of 0.15 to 2 s, one iteration of conjugate gradients a sample
 of 10 ms, 2,000 samples each, in float32 and on one core; beside each sample CasADi's generated C does an iteration's work (one
 gradient, three costs) at the same plan, and once, in float64, both are compared. Then the pendulum: 256 scenarios beside one,
-and its optimum: the best of 1,000 first inputs, refined at 1 ms by four solvers that share little.
+and its optimum: the best of 1,000 first inputs, refined at 1 ms by four solvers that share little. Parts can be named.
 """
 
 from __future__ import annotations
@@ -184,13 +184,29 @@ def apart(what: str) -> Any:
     return json.loads(done.stdout.splitlines()[-1])
 
 
-def main() -> dict[str, Any]:
-    result: dict[str, Any] = {"machine": machine(), "first_call_s": apart("--first-call"), "real_time": apart("--one-core")}
-    print(json.dumps(result["real_time"], indent=1), flush=True)
-    result |= {"instantaneous": instantaneous(), "scenarios": scenarios()}
-    print(json.dumps(result["scenarios"], indent=1), flush=True)
+def in_double(run: Callable[[], Any]) -> Any:
     with jax.enable_x64(True):
-        return result | {"casadi_differs_by": oracle(), "pendulum": optimum()}
+        return run()
+
+
+PARTS: dict[str, Callable[[], Any]] = {
+    "first_call_s": lambda: apart("--first-call"),
+    "real_time": lambda: apart("--one-core"),
+    "instantaneous": instantaneous,
+    "scenarios": scenarios,
+    "casadi_differs_by": lambda: in_double(oracle),
+    "pendulum": lambda: in_double(optimum),
+}
+
+
+def main(parts: list[str]) -> None:
+    """Run these parts, or all, and keep the results of the others."""
+    path = Path(__file__).with_suffix(".json")
+    result = json.loads(path.read_text()) if path.exists() and parts else {}
+    for name in parts or PARTS:
+        result |= {"machine": machine(), name: PARTS[name]()}
+        print(name, json.dumps(result[name], indent=1), flush=True)
+        path.write_text(json.dumps(result, indent=1) + "\n")
 
 
 if __name__ == "__main__":
@@ -200,6 +216,4 @@ if __name__ == "__main__":
         os.sched_setaffinity(0, {0})
         print(json.dumps([real_time(seconds) for seconds in HORIZONS]))
     else:
-        result = main()
-        print(json.dumps(result["pendulum"], indent=1))
-        Path(__file__).with_suffix(".json").write_text(json.dumps(result, indent=1) + "\n")
+        main(sys.argv[1:])

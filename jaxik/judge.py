@@ -37,7 +37,8 @@ def judge(chain: Chain, task: Task, course: Course, tolerance: float, keep: bool
     finite = lambda x: jnp.all(jnp.isfinite(x.reshape(count, -1)), axis=1)
     lost = ~(finite(course.q) & finite(course.qdot) & finite(course.error) & finite(course.pose))
     near = 1e-6 * (1.0 + jnp.abs(course.q))
-    outside = jnp.any((course.q < chain.lower - near) | (course.q > chain.upper + near), axis=1) & keep & ~lost
+    lower, upper = (jnp.asarray(bound, course.q.dtype) for bound in (chain.lower, chain.upper))
+    outside = jnp.any((course.q < lower - near) | (course.q > upper + near), axis=1) & keep & ~lost
     late = ~(jnp.max(jnp.abs(course.error), axis=1) <= tolerance) & ~lost
     fails = lost | outside | late
     k, index = jnp.argmax(fails), jnp.arange(count)
