@@ -195,10 +195,10 @@ def _draw_nine(axis: Any, motion: Shown, t: float) -> None:
     for volume in chain.volumes:
         ends = volume.corners @ frames[volume.link][:3, :3].T + frames[volume.link][:3, 3]
         colour = "0.4" if volume.link == chain.volumes[0].link else motion.colour
-        axis.plot(*ends.T, color=colour, lw=90 * float(volume.radius), solid_capstyle="round", alpha=0.8)
+        axis.plot(*ends.T, color=colour, lw=110 * float(volume.radius), solid_capstyle="round", alpha=0.8)
     line = case.path(chain)
     axis.plot(*np.array([line.start[:3, 3], line.end[:3, 3]]).T, color=GREEN, lw=1.5)
-    axis.set(xlim=(-0.6, 0.6), ylim=(-0.2, 1.0), zlim=(0.4, 2.0), box_aspect=(1.2, 1.2, 1.6))
+    axis.set(xlim=(-0.4, 0.5), ylim=(0.0, 0.8), zlim=(0.4, 1.9), box_aspect=(0.9, 0.8, 1.5))
     axis.view_init(elev=15, azim=-60)
     axis.tick_params(labelsize=6)
 
