@@ -26,6 +26,7 @@ def arm() -> jaxik.Chain:
     return dataclasses.replace(jaxik.load("pendulum4"), self_pairs=())
 
 
+@functools.cache
 def path(chain: jaxik.Chain) -> jaxik.Line:
     start = np.asarray(jaxik.forward_kinematics(chain, START))
     end = start.copy()

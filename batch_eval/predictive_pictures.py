@@ -148,7 +148,7 @@ def statistics(result: dict[str, Any]) -> Any:
         dict(zip(("whislo", "q1", "med", "q3", "whishi"), 100 * np.minimum(row["behind_best"], 1.0), strict=True))
         for row in rows
     ]
-    axes[1].bxp(boxes, positions=place, orientation="horizontal", showfliers=False)
+    axes[1].bxp(boxes, positions=place, orientation="horizontal", showfliers=False, manage_ticks=False)
     axes[1].axvspan(0, 5, color="0.9", zorder=0)
     axes[1].set(xlabel="improvement short of the best method's [points]; 5, 25, 50, 75, 95 %", xlim=(-0.5, 20))
     axes[2].barh(place, [row["ms_alone"] for row in rows], color=colours)

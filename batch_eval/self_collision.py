@@ -39,6 +39,7 @@ def arm() -> jaxik.Chain:
     return dataclasses.replace(chain, self_pairs=tuple(pair for pair in chain.self_pairs if apart(pair) > NEAR))
 
 
+@functools.cache
 def path(chain: jaxik.Chain) -> jaxik.Line:
     start = np.asarray(jaxik.forward_kinematics(chain, START))
     end = start.copy()
