@@ -169,3 +169,13 @@ def test_a_descent_at_rest_wakes_up(direction):
         state = step(state, centre)
         costs.append(float(moved(centre).value(state.w)[0]) - 1.0)
     assert max(costs[20:]) < 0.01 * costs[0] and costs[-1] < 0.01
+
+
+@pytest.mark.parametrize(("restart", "beta"), [(0.2, 0.0), (np.inf, 1.0)])
+def test_directions_restart_where_gradients_agree(restart, beta):
+    """The same gradient twice is as far from orthogonal as can be [Powell 1977]."""
+    options = descent.Descent("fletcher_reeves", restart=restart)
+    flat = descent.Objective(lambda w: (jnp.sum(w), w), lambda w, _: jnp.ones_like(w), jnp.dot)
+    first = descent.advance(flat, descent.init(flat, jnp.zeros(3), options), options)
+    assert first.beta == 0.0
+    assert descent.advance(flat, first, options).beta == pytest.approx(beta)
