@@ -78,6 +78,11 @@ def _step(chain: jaxik.Chain) -> ca.Function:
     return ca.Function("step", [state, w, asked], [ca.vertcat(q + case.DT * rate, u + case.DT * w), cost])
 
 
+def targets(asked: jaxik.path.Motion) -> np.ndarray:
+    """The tip's position and velocity at each sample, (6, count), as `programs` take them."""
+    return np.concatenate([asked.pose[:, 0, :3, 3], asked.velocity[:, 0, :3]], axis=1).T
+
+
 def programs(chain: jaxik.Chain, count: int) -> tuple[Callable[..., Any], Callable[..., Any]]:
     """`cost(state, w, asked)` and `cost_and_gradient`, of w (9, count), as compiled C."""
     state, w, asked = ca.MX.sym("x", 2 * chain.num_joints), ca.MX.sym("w", chain.num_joints, count), ca.MX.sym("p", 6, count)

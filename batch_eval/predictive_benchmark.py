@@ -49,7 +49,7 @@ def real_time(seconds: float) -> dict[str, Any]:
         if k % per_motion == 0:
             state = control.start(case.START)
         x, plan, asked = np.concatenate([state.q, state.u]), np.array(state.w.T), look(state.time)
-        wanted = np.concatenate([asked.pose[:, 0, :3, 3], asked.velocity[:, 0, :3]], axis=1).T
+        wanted = casadi_peer.targets(asked)
         begin = time.perf_counter()
         both(x, plan, wanted), cost(x, plan, wanted), cost(x, plan, wanted), cost(x, plan, wanted)
         theirs.append(1e3 * (time.perf_counter() - begin))
@@ -86,11 +86,11 @@ def character(chain: jaxik.Chain, q: np.ndarray, qdot: np.ndarray) -> dict[str, 
 
 
 def instantaneous() -> list[dict[str, Any]]:
-    chain = case.arm()
-    follow = lambda alpha: jaxik.follow(
-        chain, case.path(chain), case.DURATION, case.START, case.position_cost(chain), case.instantaneous(chain, alpha)
-    )
-    return [{"alpha": alpha, **character(chain, *(np.asarray(x) for x in follow(alpha)[1:3]))} for alpha in ALPHAS]
+    chain, rows = case.arm(), []
+    for alpha in ALPHAS:
+        moved = case.instantaneous(chain, alpha)
+        rows.append({"alpha": alpha, **character(chain, moved.q, moved.qdot)})
+    return rows
 
 
 def oracle(count: int = 200) -> dict[str, float]:
@@ -104,8 +104,8 @@ def oracle(count: int = 200) -> dict[str, float]:
     total, run = jax.jit(goal.value)(plan)
     gradient = case.DT * np.asarray(jax.jit(goal.gradient)(plan, run))
     _, both = casadi_peer.programs(chain, count)
-    wanted = np.concatenate([ahead.asked.pose[:, 0, :3, 3], ahead.asked.velocity[:, 0, :3]], axis=1).T
-    theirs, slope = both(np.concatenate([case.START, np.zeros(chain.num_joints)]), plan.T, wanted)
+    start = np.concatenate([case.START, np.zeros(chain.num_joints)])
+    theirs, slope = both(start, plan.T, casadi_peer.targets(ahead.asked))
     differs = np.max(np.abs(np.asarray(slope).T - gradient)) / np.max(np.abs(gradient))
     return {"cost": abs(float(theirs) / float(total) - 1.0), "gradient": float(differs)}
 

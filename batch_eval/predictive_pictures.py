@@ -63,7 +63,7 @@ def nine_joint_motions(seconds: Sequence[float] = (0.15, 2.0), alpha: float = 1.
     """The instantaneous one, and those under moving horizons."""
     chain = case.arm()
     path, colours = case.path(chain), plt.get_cmap("viridis")(np.linspace(0.3, 0.8, len(seconds)))
-    now = jaxik.follow(chain, path, case.DURATION, case.START, case.position_cost(chain), case.instantaneous(chain, alpha))
+    now = case.instantaneous(chain, alpha)
     shown = [Shown("instantaneous", GREY, case.DT, now.q[:-1], now.qdot[:-1])]
     for horizon, colour in zip(seconds, colours, strict=True):
         moved = jaxik.follow_predictively(case.controller(chain, horizon), path, case.DURATION, case.START)

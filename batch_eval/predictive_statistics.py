@@ -20,17 +20,17 @@ from typing import Any, get_args
 import jax
 import jax.numpy as jnp
 import numpy as np
+import pendulum
 from benchmark import machine
 from scipy.interpolate import CubicSpline
 
 import jaxik
 from jaxik.optimise.descent import QUASI_NEWTON, Descent, Direction, Search
-from jaxik.predictive import Horizon, future, objective
+from jaxik.predictive import future, objective
 
-DT, COUNT = 0.04, 100
-HORIZON = Horizon(DT, COUNT, task=jaxik.Task((True, True, False, False, False, False), "base"))
+HORIZON, ARM = pendulum.horizon(), pendulum.arm()
+DT, COUNT = HORIZON.dt, HORIZON.count
 PERCENTILES = [5, 25, 50, 75, 95]
-ARM = dataclasses.replace(jaxik.load("pendulum4"), self_pairs=())
 
 
 def configuration_cost(q: Any) -> Any:

@@ -66,5 +66,7 @@ def controller(chain: jaxik.Chain, seconds: float) -> jaxik.MovingHorizon:
     return jaxik.MovingHorizon(chain, jaxik.quadratic_cost(position_cost(chain), VELOCITY, EFFORT), horizon(seconds))
 
 
-def instantaneous(chain: jaxik.Chain, alpha: float) -> jaxik.Follow:
-    return jaxik.Follow("asc", DT, "euler", POSITION, alpha, gain=10.0, weights=WEIGHTS, limits=False)
+def instantaneous(chain: jaxik.Chain, alpha: float) -> Any:
+    """The motion that goes down `alpha` times the cost's gradient at every moment."""
+    how = jaxik.Follow("asc", DT, "euler", POSITION, alpha, gain=10.0, weights=WEIGHTS, limits=False)
+    return jaxik.follow(chain, path(chain), DURATION, START, position_cost(chain), how)
