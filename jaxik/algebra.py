@@ -5,8 +5,8 @@ configuration becomes, under `jax.vmap`, one fused loop whose vector lane is the
 a hundred tiny kernels. And a scalar that is a Python float is a constant: sums and products with 0 and +-1 fold away while
 JAX traces, so that a robot's right angles cost nothing.
 
-A scalar is a Python `float`, a JAX array of shape `()`, or a NumPy array of any one shape (then the same expression is
-evaluated by NumPy over a batch, without a compiler).
+A scalar is a Python `float`, a JAX array of shape `()`, a NumPy array of any one shape (then the same expression is
+evaluated by NumPy over a batch, without a compiler), or a `ball.Ball` (then its range is bounded).
 
 XLA's own `sin`, `cos` and `arctan2` are the slowest part of such a loop on a CPU; `sincos` and `atan2` below are polynomials
 there and the native functions on other platforms. Derivatives never pass through the polynomials (`custom_jvp`).
@@ -24,7 +24,9 @@ import jax.numpy as jnp
 import numpy as np
 from jax import lax
 
-Scalar = Any  # float | jax.Array of shape () | np.ndarray
+from jaxik.ball import Ball, direction
+
+Scalar = Any  # float | jax.Array of shape () | np.ndarray | Ball
 
 
 # --------------------------------------------------------------------------------------------------------------------
@@ -328,6 +330,9 @@ def sincos(x: Scalar) -> tuple[Scalar, Scalar]:
         return math.sin(x), math.cos(x)
     if isinstance(x, np.ndarray):
         return np.sin(x), np.cos(x)
+    if isinstance(x, Ball):
+        sine, cosine = _sincos(x.mid)
+        return Ball(sine, x.rad), Ball(cosine, x.rad)
     return _sincos(x)
 
 
@@ -368,6 +373,8 @@ def atan2(y: Scalar, x: Scalar) -> Scalar:
         return math.atan2(y, x)
     if isinstance(y, np.ndarray) or isinstance(x, np.ndarray):
         return np.arctan2(y, x)
+    if isinstance(y, Ball) or isinstance(x, Ball):
+        return direction(y, x, atan2)
     dtype = jnp.result_type(y, x)
     return _atan2(jnp.asarray(y, dtype), jnp.asarray(x, dtype))
 
@@ -378,5 +385,7 @@ def safe_sqrt(x: Scalar) -> Scalar:
         return math.sqrt(max(x, 0.0))
     if isinstance(x, np.ndarray):
         return np.sqrt(np.maximum(x, 0.0))
+    if isinstance(x, Ball):
+        return x.square_root()
     zero = x <= 0.0  # the double where: https://jax.readthedocs.io/en/latest/faq.html (gradients contain NaN)
     return jnp.where(zero, 0.0, jnp.sqrt(jnp.where(zero, 1.0, x)))

@@ -31,11 +31,14 @@ import numpy as np
 from jaxtyping import Bool, Float
 
 from jaxik.algebra import BASE, Frame, Rot3, Scalar, Vec3, add, atan2, constants, mul, safe_sqrt, shared, stack, sub, traced
+from jaxik.ball import minimum, where, whole
 from jaxik.chain import Array, Chain, finite_limits
 from jaxik.kinematics import joint_frames
 
 TOLERANCE = 1e-7  # [m, rad] within which axes count as parallel, meeting or crossing
 BRANCHES = 8
+BOTH = (1.0, -1.0)  # signs of the two roots of a joint
+WAYS = tuple(itertools.product(BOTH, BOTH))  # of shoulder and elbow, in the order of the branches
 TURN = 2.0 * math.pi
 
 
@@ -92,18 +95,40 @@ def closed_form(chain: Chain, pose: Float[Array, "4 4"], slide: Float[Array, "..
     if pose.shape != (4, 4) or given.shape != (leading,):
         raise ValueError(f"closed_form: pose {pose.shape} and slide {given.shape}; expected (4, 4) and ({leading},)")
     dtype = jnp.result_type(pose, given, jnp.float32)
+    branches, margins = branch_angles(chain, pose.astype(dtype), given.astype(dtype))
     head = [given[i].astype(dtype) for i in range(leading)]
-    branches, margins = _solve(chain, _geometry(chain), Frame.of_entries(traced(pose.astype(dtype))), head, dtype)
     q = shared(stack([x for branch in branches for x in (*head, *branch)], (BRANCHES, chain.num_joints), dtype))
     q, inside = into_limits(chain, q)
     valid = shared(stack(margins, (BRANCHES,), dtype)) >= 0.0  # NaN is not
     return ClosedForm(q, valid, valid & inside)
 
 
+def branch_angles(chain: Chain, pose: Any, leading: Any) -> tuple[list[Any], list[Any]]:
+    """Of each branch the six angles [rad] as scalars, somewhere in [-2 pi, 2 pi], and a margin: >= 0 where it has the pose."""
+    found = [each for half in half_branches(chain, pose, leading) for each in wrist_branches(chain, half, pose.dtype)]
+    return [angles for angles, _ in found], [margin for _, margin in found]
+
+
 @functools.lru_cache(maxsize=16)
 def closed_forms(chain: Chain) -> Callable[..., ClosedForm]:
     """A compiled batch of `closed_form`: (poses, leading joints), by rows."""
     return jax.jit(jax.vmap(functools.partial(closed_form, chain)))
+
+
+@functools.lru_cache(maxsize=16)
+def closed_branches(chain: Chain) -> Callable[..., Any]:
+    """Compiled, by rows of poses, leading joints and branch numbers: that branch alone, its joints (n,) and whether they have
+    the pose inside the limits; a fifth of the time of all eight."""
+
+    def branch(pose: Any, leading: Any, number: Any) -> Any:
+        sign = lambda bit: jnp.where(number & bit, -1.0, 1.0).astype(pose.dtype)
+        (half,) = half_branches(chain, pose, leading, (sign(4),), (sign(2),))
+        wrists = [(*angles, margin) for angles, margin in wrist_branches(chain, half, pose.dtype)]
+        *angles, margin = (jnp.where(number & 1, two, one) for one, two in zip(*wrists, strict=True))
+        q, inside = into_limits(chain, jnp.stack([*leading, *angles]))
+        return q, (margin >= 0.0) & inside
+
+    return jax.jit(jax.vmap(branch))
 
 
 def into_limits(chain: Chain, q: Float[Array, "*b n"]) -> tuple[Float[Array, "*b n"], Bool[Array, "*b"]]:
@@ -237,26 +262,49 @@ def _geometry(chain: Chain) -> Geometry:
 # Solution
 
 
-def _solve(chain: Chain, g: Geometry, pose: Frame, head: list[Scalar], dtype: Any) -> tuple[list[Any], list[Any]]:
-    eps = float(np.finfo(dtype).eps)
+class HalfBranch(NamedTuple):
+    """Joints 1 to 3 of two branches, as scalars: angles [rad], their sines and cosines, h_6 and a direction across it as the
+    pose has them in the frame of axes 4 and 5, and a margin, how far a root is from turning complex."""
+
+    angles: tuple[Scalar, Scalar, Scalar]
+    turns: tuple[Any, Any, Any]
+    third: Vec3
+    across: Vec3
+    margin: Scalar
+
+
+def half_branches(chain: Chain, pose: Any, leading: Any, shoulders: Any = BOTH, elbows: Any = BOTH) -> list[HalfBranch]:
+    """The ways to bring Q, where axes 4 to 6 meet, to where the pose (4, 4) has it, four or those of the signs asked for. What
+    of them is not used is not computed."""
+    g, eps = _geometry(chain), float(np.finfo(pose.dtype).eps)
+    head = [leading[i] for i in range(chain.num_joints - 6)]
     vector = lambda v: Vec3(*constants(v, eps))
     to_plane = Rot3(Vec3(0.0, 1.0, 0.0), vector([-g.cos_tilt, 0.0, g.sin_tilt]), vector([g.sin_tilt, 0.0, g.cos_tilt]))
     to_wrist = Rot3.of(constants(g.plane_R_wrist.T, eps))
-    target = (_leading_frame(chain, head, dtype) @ Frame.of(g.base_T_shoulder, eps)).inverse() @ pose
+    base_T_tip = Frame.of_entries(traced(pose))
+    target = (_leading_frame(chain, head, pose.dtype) @ Frame.of(g.base_T_shoulder, eps)).inverse() @ base_T_tip
     centre, third, across = shared(
         (target @ vector(g.tip_Q), target.rotation @ vector(g.axis_6), target.rotation @ vector(g.across_6))
     )
-    branches, margins = [], []  # a margin is how far a root is from turning complex
-    for q1, (sin1, cos1), point, margin1 in _shoulder(g, centre, eps):
+    found = []
+    for q1, turn1, point, margin1 in _shoulder(g, centre, shoulders, eps):
+        sin1, cos1 = turn1
         turned = [Vec3(add(mul(v.x, cos1), mul(v.y, sin1)), sub(mul(v.y, cos1), mul(v.x, sin1)), v.z) for v in (third, across)]
         turned = shared([to_plane @ v for v in turned])
-        for q2, q3, (sin23, cos23), margin3 in _elbow(g, point, eps):
+        for q2, q3, turn2, turn3, margin3 in _elbow(g, point, elbows, eps):
+            (sin2, cos2), (sin3, cos3) = turn2, turn3
+            sin23, cos23 = shared((sin2 * cos3 + cos2 * sin3, cos2 * cos3 - sin2 * sin3))
             inner = [Vec3(v.x * cos23 + v.y * sin23, v.y * cos23 - v.x * sin23, v.z) for v in turned]
             aim, beside = shared([to_wrist @ v for v in inner])
-            for q4, q5, q6, margin5 in _wrist(chain, g, aim, beside, eps):
-                branches.append((q1, q2, q3, q4, q5, q6))
-                margins.append(jnp.minimum(jnp.minimum(margin1, margin3), margin5))
-    return branches, margins
+            turns = turn1, turn2, (g.elbow_sign * sin3, cos3)
+            found.append(HalfBranch((q1, q2, q3), turns, aim, beside, minimum(margin1, margin3)))
+    return found
+
+
+def wrist_branches(chain: Chain, half: HalfBranch, dtype: Any) -> list[tuple[tuple[Scalar, ...], Scalar]]:
+    """The two branches that begin so: their six angles, and their margin."""
+    wrists = _wrist(chain, _geometry(chain), half.third, half.across, float(np.finfo(dtype).eps))
+    return [((*half.angles, q4, q5, q6), minimum(half.margin, margin)) for q4, q5, q6, margin in wrists]
 
 
 def _leading_frame(chain: Chain, head: list[Scalar], dtype: Any) -> Frame:
@@ -264,7 +312,7 @@ def _leading_frame(chain: Chain, head: list[Scalar], dtype: Any) -> Frame:
     return joint_frames(chain.part(0, len(head)), head, BASE, dtype).joints[-1] if head else BASE
 
 
-def _shoulder(g: Geometry, centre: Vec3, eps: float) -> list[Any]:
+def _shoulder(g: Geometry, centre: Vec3, signs: Any, eps: float) -> list[Any]:
     """Joint 1 of `x cos + y sin = kappa`, its sine and cosine, and Q in the plane across h_2 from axis 2."""
     x, y, z = centre
     kappa = sub(g.along / g.sin_tilt, mul(constants(g.cos_tilt / g.sin_tilt, eps)[0], z))
@@ -273,45 +321,46 @@ def _shoulder(g: Geometry, centre: Vec3, eps: float) -> list[Any]:
     margin = shared(rest + 64.0 * eps * (square + kappa * kappa))
     root = shared(safe_sqrt(rest))
     on_axis = square <= eps * eps  # Q on axis 1: any angle will do, 0 is taken
-    inverse = jnp.where(on_axis, 0.0, 1.0 / jnp.where(on_axis, 1.0, square))
+    inverse = where(on_axis, 0.0, 1.0 / where(on_axis, 1.0, square))
     a, b = constants(g.axis_2, eps)
     down = sub(sub(mul(constants(g.sin_tilt, eps)[0], z), mul(constants(g.cos_tilt, eps)[0], kappa)), b)
     found = []
-    for side in (root, -root):
+    for sign in signs:
+        side = root * sign
         sin, cos = kappa * y + x * side, kappa * x - y * side
-        turn = shared((sin * inverse, jnp.where(on_axis, 1.0, cos * inverse)))
+        turn = shared((sin * inverse, where(on_axis, 1.0, cos * inverse)))
         found.append((atan2(sin, cos), turn, (sub(-side, a), down), margin))
     return found
 
 
-def _elbow(g: Geometry, point: tuple[Scalar, Scalar], eps: float) -> list[Any]:
-    """Joints 2 and 3 of the triangle with sides `upper`, `lower` and the distance of `point`, and the turn of their sum."""
+def _elbow(g: Geometry, point: tuple[Scalar, Scalar], signs: Any, eps: float) -> list[Any]:
+    """Joints 2 and 3 of the triangle with sides `upper`, `lower` and the distance of `point`, with sines and cosines, those of
+    the angle between the links as they turn about h_2."""
     a, b = point
     square = shared(a * a + b * b)
     scale = 1.0 / (4.0 * g.upper * g.lower)
     cos2 = (square - (g.upper - g.lower) ** 2) * scale  # of half the angle between the links
     sin2 = ((g.upper + g.lower) ** 2 - square) * scale
     slack = 64.0 * eps * (1.0 + (g.upper + g.lower) ** 2 * scale)
-    margin = shared(jnp.minimum(cos2, sin2) + slack)
+    margin = shared(minimum(cos2, sin2) + slack)
     half_cos, half_sin = safe_sqrt(cos2), safe_sqrt(sin2)
     angle = 2.0 * atan2(half_sin, half_cos)
     sine, cosine = shared((2.0 * half_sin * half_cos, cos2 - sin2))
     folded = square <= eps * eps
-    inverse = jnp.where(folded, 0.0, 1.0 / jnp.where(folded, 1.0, square))
+    inverse = where(folded, 0.0, 1.0 / where(folded, 1.0, square))
     su, cu = math.sin(g.upper_angle), math.cos(g.upper_angle)
     se, ce = math.sin(g.elbow_angle), math.cos(g.elbow_angle)
     found = []
-    for sign in (1.0, -1.0):
+    for sign in signs:
         s = sine * sign
         # the two links from axis 2 to Q before joint 2 turns, and the turn that brings them to the point
         lx, ly = g.upper + g.lower * cosine, g.lower * s
         px, py = cu * lx - su * ly, su * lx + cu * ly
         sin, cos = px * b - py * a, px * a + py * b
-        sin_2, cos_2 = sin * inverse, jnp.where(folded, 1.0, cos * inverse)
+        sin_2, cos_2 = sin * inverse, where(folded, 1.0, cos * inverse)
         sin_3, cos_3 = s * ce - cosine * se, cosine * ce + s * se
-        turn = shared((sin_2 * cos_3 + cos_2 * sin_3, cos_2 * cos_3 - sin_2 * sin_3))
         q3 = g.elbow_sign * wrapped(sign * angle - g.elbow_angle)
-        found.append((atan2(sin, cos), q3, turn, margin))
+        found.append((atan2(sin, cos), q3, (sin_2, cos_2), (sin_3, cos_3), margin))
     return found
 
 
@@ -321,18 +370,18 @@ def _wrist(chain: Chain, g: Geometry, third: Vec3, across: Vec3, eps: float) -> 
     flat = shared(third.x * third.x + third.y * third.y)
     # half the angle between h_4 and h_6, from the sine where it is small and from the cosine where that is
     near = third.z >= 0.0
-    large = (1.0 + jnp.abs(third.z)) / 2.0
+    large = (1.0 + abs(third.z)) / 2.0
     small = flat / (4.0 * large)
-    sin2, cos2 = jnp.where(near, small, large), jnp.where(near, large, small)
+    sin2, cos2 = where(near, small, large), where(near, large, small)
     scale = 1.0 / (math.sin(g.alpha) * math.sin(g.beta))
     closest, farthest = constants([math.sin((g.alpha - g.beta) / 2) ** 2, math.cos((g.alpha + g.beta) / 2) ** 2], eps)
     sin2, cos2 = mul(sub(sin2, closest), scale), mul(sub(cos2, farthest), scale)
-    margin = shared(jnp.minimum(sin2, cos2) + 64.0 * eps * scale)
+    margin = shared(minimum(sin2, cos2) + 64.0 * eps * scale)
     half_sin, half_cos = safe_sqrt(sin2), safe_sqrt(cos2)
     angle = 2.0 * atan2(half_sin, half_cos)
     sine, cosine = shared((2.0 * half_sin * half_cos, cos2 - sin2))
     singular = flat <= (64.0 * eps) ** 2
-    inverse = jnp.where(singular, 0.0, 1.0 / jnp.where(singular, 1.0, flat))
+    inverse = where(singular, 0.0, 1.0 / where(singular, 1.0, flat))
     s0, c0 = constants([math.sin(g.wrist_zero), math.cos(g.wrist_zero)], eps)
     e1, e2 = (Vec3(*constants(v, eps)) for v in g.wrist_across)
     last = float(np.clip(0.0, chain.lower[-1], chain.upper[-1]))
@@ -347,21 +396,22 @@ def _wrist(chain: Chain, g: Geometry, third: Vec3, across: Vec3, eps: float) -> 
         # joint 4 turns h_6, as joint 5 leaves it, to its azimuth; in line it turns `across` instead
         wx, wy = sub(mul(cb, sa), mul(mul(sb, ca), cosine)), mul(-sb, s)
         forward = back.T @ e1
-        sin4 = jnp.where(singular, sub(mul(aim.y, forward.x), mul(aim.x, forward.y)), sub(mul(third.y, wx), mul(third.x, wy)))
-        cos4 = jnp.where(singular, add(mul(aim.x, forward.x), mul(aim.y, forward.y)), add(mul(third.x, wx), mul(third.y, wy)))
-        length = jnp.where(singular, 1.0, inverse)
+        sin4 = where(singular, sub(mul(aim.y, forward.x), mul(aim.x, forward.y)), sub(mul(third.y, wx), mul(third.x, wy)))
+        cos4 = where(singular, add(mul(aim.x, forward.x), mul(aim.y, forward.y)), add(mul(third.x, wx), mul(third.y, wy)))
+        length = where(singular, 1.0, inverse)
         s4, c4 = shared((sin4 * length, cos4 * length))
         rest = back @ Vec3(across.x * c4 + across.y * s4, across.y * c4 - across.x * s4, across.z)
-        q6 = jnp.where(singular, last, atan2(e2.dot(rest), e1.dot(rest)))
+        q6 = where(singular, last, atan2(e2.dot(rest), e1.dot(rest)))
         q5 = wrapped(sign * angle - g.wrist_zero)
-        found.append((atan2(sin4, cos4), q5, q6, jnp.minimum(margin, jnp.where(q6 == q6, 1.0, -1.0))))
+        found.append((atan2(sin4, cos4), q5, q6, minimum(margin, where(q6 == q6, 1.0, -1.0))))
     if right_angled:
-        q4, q5, q6, margin = found[0]
-        flip = jnp.where(singular, 0.0, math.pi)
+        q4, q5, q6, margin = shared(found[0])
+        found[0] = q4, q5, q6, margin
+        flip = where(singular, 0.0, math.pi)
         found.append((wrapped(q4 + flip), wrapped(-angle - g.wrist_zero), wrapped(q6 + flip), margin))
     return found
 
 
 def wrapped(angle: Scalar) -> Scalar:
     """The angle in [-pi, pi] [rad]."""
-    return angle - jnp.round(angle / TURN) * TURN
+    return angle - whole(angle / TURN) * TURN

@@ -24,7 +24,22 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float
 
-from jaxik.algebra import BASE, IDENTITY, ZERO, Frame, Rot3, Scalar, Vec3, constants, mul, safe_sqrt, shared, sincos, stack
+from jaxik.algebra import (
+    BASE,
+    IDENTITY,
+    ZERO,
+    Frame,
+    Rot3,
+    Scalar,
+    Vec3,
+    atan2,
+    constants,
+    mul,
+    safe_sqrt,
+    shared,
+    sincos,
+    stack,
+)
 from jaxik.chain import Array, Chain, as_configuration
 
 
@@ -68,6 +83,15 @@ def forward_kinematics(chain: Chain, q: Float[Array, " n"]) -> Float[Array, "4 4
     """
     frames, dtype = _frames(chain, q)
     return stack(frames.tip.entries, (4, 4), dtype)
+
+
+def pose_errors(chain: Chain, q: Sequence[Scalar], pose: Sequence[Scalar]) -> tuple[Scalar, Scalar]:
+    """Position [m] and rotation [rad] error of the tip, at n scalars `q`, against the sixteen entries of `base_T_tip`."""
+    tip, aim = joint_frames(chain, q).tip, Frame.of_entries(pose)
+    x, y, z = tip.rotation.T @ aim.rotation
+    away, skew = tip.translation - aim.translation, Vec3(z.y - y.z, x.z - z.x, y.x - x.y)
+    sine, cosine = safe_sqrt(skew.dot(skew)) / 2.0, (x.x + y.y + z.z - 1.0) / 2.0
+    return safe_sqrt(away.dot(away)), atan2(sine, cosine)
 
 
 def link_frames(chain: Chain, q: Float[Array, " n"]) -> Float[Array, "l 4 4"]:

@@ -146,7 +146,12 @@ def _worth(chain: Chain, distance: Any, q: Any) -> Any:
 
 
 def grasp_poses(chain: Chain, fruit: Fruit, angles: np.ndarray, grasp: Grasp | None = None) -> np.ndarray:
-    """The tip frames in the base (a, 4, 4) that hold `fruit` at the given angles [rad] about its axis.
+    """`fruit_frames` in the chain's base."""
+    return np.linalg.inv(chain.world_T_base) @ fruit_frames(fruit, angles, grasp)
+
+
+def fruit_frames(fruit: Fruit, angles: np.ndarray, grasp: Grasp | None = None) -> np.ndarray:
+    """The tip frames in the world (a, 4, 4) that hold `fruit` at the given angles [rad] about its axis.
 
     At angle 0 the approach is along the world's y (its x where the axis is y), turned right-handed about the axis from there.
     """
@@ -162,7 +167,7 @@ def grasp_poses(chain: Chain, fruit: Fruit, angles: np.ndarray, grasp: Grasp | N
     tool = np.stack([grasp.up, grasp.approach, np.cross(grasp.up, grasp.approach)], axis=-1)
     poses = np.tile(np.eye(4), (len(angles), 1, 1))
     poses[:, :3, :3], poses[:, :3, 3] = world @ tool.T, fruit.position
-    return np.linalg.inv(chain.world_T_base) @ poses
+    return poses
 
 
 def approach_grid(angles: int | np.ndarray) -> np.ndarray:
@@ -178,10 +183,10 @@ def leading_grid(chain: Chain, slides: int | np.ndarray) -> np.ndarray:
     if k and not isinstance(slides, int):
         return np.asarray(slides, dtype=np.float64).reshape(-1, k)
     low, high = finite_limits(chain)
-    return _grid([np.linspace(a, b, slides) for a, b in zip(low[:k], high[:k], strict=True)])
+    return grid([np.linspace(a, b, slides) for a, b in zip(low[:k], high[:k], strict=True)])
 
 
-def _grid(axes: list[np.ndarray]) -> np.ndarray:
+def grid(axes: list[np.ndarray]) -> np.ndarray:
     """All combinations of the values of several axes, a row each; one empty row of no axes."""
     if not axes:
         return np.zeros((1, 0))
@@ -251,8 +256,7 @@ MISSES = 16  # candidates that recovery starts from
 
 def _others(scene: Scene, fruit: Fruit) -> Scene:
     """The scene without the fruit that is being picked, padded."""
-    own = [i for i, name in enumerate(scene.object_names) if name == fruit.name]
-    return scene.without(own).padded()
+    return scene.without([fruit.name]).padded()
 
 
 def _measured(chain: Chain, scene: Scene, fruit: Fruit, q: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -360,7 +364,7 @@ def _finer(chain: Chain, found: Scan, starts: np.ndarray) -> Iterator[tuple[np.n
     k = chain.num_joints - 6
     for row in starts[np.sort(cells)][:4]:
         axes = [np.clip(row[1 + i] + fine * width[i], chain.lower[i], chain.upper[i]) for i in range(k)]
-        yield row[0] + fine * step, _grid(axes)
+        yield row[0] + fine * step, grid(axes)
 
 
 def _climb(

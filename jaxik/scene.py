@@ -90,10 +90,25 @@ class Scene(eqx.Module):
         return {k: int(jax.tree_util.tree_leaves(getattr(self, k))[0].shape[0]) for k in KINDS}
 
     def without(self, objects: Any) -> Scene:
-        """The scene with these objects (indices) moved out of the way; shapes stay."""
+        """The scene with these objects (indices or names) moved out of the way; shapes stay. Who is not there cannot be."""
         gone = set(objects)
+        gone |= {i for i, name in enumerate(self.object_names) if name in gone}
         masks = {k: np.array([o in gone for o in owners], bool) for k, owners in zip(KINDS, self.owners, strict=True)}
         return dataclasses.replace(self, **{k: _moved_away(getattr(self, k), masks[k]) for k in KINDS})
+
+    def moved(self, a_T_world: np.ndarray) -> Scene:
+        """The same scene as seen from another frame: all its points `p` become `a_T_world @ p`."""
+        turn, shift = a_T_world[:3, :3], a_T_world[:3, 3]
+        to = lambda points: np.asarray(points) @ turn.T + shift
+        return dataclasses.replace(
+            self,
+            points=dataclasses.replace(self.points, center=to(self.points.center)),
+            spheres=dataclasses.replace(self.spheres, center=to(self.spheres.center)),
+            capsules=dataclasses.replace(self.capsules, a=to(self.capsules.a), b=to(self.capsules.b)),
+            boxes=dataclasses.replace(self.boxes, world_T_box=a_T_world @ self.boxes.world_T_box),
+            cylinders=dataclasses.replace(self.cylinders, world_T_cylinder=a_T_world @ self.cylinders.world_T_cylinder),
+            fruits=tuple(dataclasses.replace(f, position=to(f.position), axis=turn @ f.axis) for f in self.fruits),
+        )
 
     def geometry(self) -> Scene:
         """The obstacles alone, padded and without names: scenes of like sizes then run the same compiled program."""
