@@ -1,0 +1,164 @@
+"""What a grid of leading positions (of the slide) can have missed: found between its points, or proven not to be there.
+
+Between two positions of the grid the closed form is evaluated on balls (`ball`): the slide anywhere in the cell. If then no
+branch can be inside the limits, the cell is empty, and that is a proof. What is left is halved, and so on; the middle of each
+cell is a position of its own, and where a branch is inside the limits there, the grid missed it. A target whose cells are all
+empty is out of reach for any position of the slide; one that has some left at the end stays open, and says so.
+"""
+
+from __future__ import annotations
+
+import functools
+import itertools
+from collections.abc import Callable
+from typing import Any, NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from jaxik.algebra import Frame
+from jaxik.ball import Ball, possible, whole
+from jaxik.batch import in_blocks
+from jaxik.chain import Chain, finite_limits
+from jaxik.closed_form import TURN, WAYS, half_branches, wrist_branches
+from jaxik.kinematics import joint_frames
+from jaxik.leading import arm_of, may_be_inside
+from jaxik.reach import reach
+
+BLOCK = 2000  # cells a compiled call
+PORTION = 2000  # targets whose cells stand in memory
+COARSE = 9  # positions of each leading joint that are enough to tell what is far away
+SLACK = 1e-9  # more than float64 rounds by
+
+
+class Between(NamedTuple):
+    """Of each target (N,): the leading position (N, k) and branch that were found, NaN and -1 if none; and whether it is open:
+    neither found nor excluded."""
+
+    leading: np.ndarray
+    branch: np.ndarray
+    open: np.ndarray
+
+
+def between(chain: Chain, poses: np.ndarray, slides: int, depth: int) -> Between:
+    """Looks between the positions of `scan.leading_grid(chain, slides)` for the poses `base_T_tip` (N, 4, 4) that have no
+    posture on it, halving what stays possible `depth` times. In float64."""
+    k = chain.num_joints - 6
+    found = Between(np.full((len(poses), k), np.nan), np.full(len(poses), -1), np.zeros(len(poses), bool))
+    if k:  # six joints have all their postures
+        for start in range(0, len(poses), PORTION):
+            part = slice(start, start + PORTION)
+            _search(chain, poses[part], slides, depth, Between(*(column[part] for column in found)))
+    return found
+
+
+def _search(chain: Chain, poses: np.ndarray, slides: int, depth: int, found: Between) -> None:
+    arm = arm_of(chain)
+    centres, half = _cells(chain, slides)
+    target, cell = np.nonzero(_within_reach(chain, poses, centres, half))
+    centre = centres[cell]
+    halves = np.array(list(itertools.product(*((-0.5, 0.5),) * centre.shape[1])))
+    for level in range(depth + 1):
+        if not len(target):
+            return
+        (may,) = in_blocks(_reaches(arm), poses[target], centre, fixed=(half,), size=BLOCK, double=True)
+        cell, way = np.nonzero(may)
+        columns = poses[target[cell]], centre[cell], np.array(WAYS)[way]
+        open_, wrist = in_blocks(_enclosed(arm), *columns, fixed=(half,), size=BLOCK, double=True)
+        hits = np.flatnonzero(wrist >= 0)
+        hits = hits[np.unique(target[cell[hits]], return_index=True)[1]]
+        first = cell[hits]
+        found.leading[target[first]], found.branch[target[first]] = centre[first], 2 * way[hits] + wrist[hits]
+        left = np.zeros(len(target), bool)
+        left[cell[open_]] = True
+        left &= found.branch[target] < 0
+        target, centre = target[left], centre[left]
+        if level < depth:
+            target = np.repeat(target, len(halves))
+            centre = (centre[:, None] + halves * half).reshape(-1, centre.shape[1])
+            half = half / 2.0
+    found.open[target] = True
+
+
+def within_reach(chain: Chain, poses: np.ndarray) -> np.ndarray:
+    """Whether the arm comes near enough to each of the poses (N, 4, 4) at any leading position; where not, that is a proof."""
+    k = chain.num_joints - 6
+    return np.any(_within_reach(chain, poses, *_cells(chain, COARSE)), axis=1) if k else np.ones(len(poses), bool)
+
+
+def _cells(chain: Chain, slides: int) -> tuple[np.ndarray, np.ndarray]:
+    """The middles (m, k) of the cells between the grid's positions, and half their edges (k,)."""
+    k = chain.num_joints - 6
+    low, high = (x[:k] for x in finite_limits(chain))
+    count = max(slides - 1, 1)
+    half = (high - low) / (2.0 * count)
+    axes = [a + h * (2.0 * np.arange(count) + 1.0) for a, h in zip(low, half, strict=True)]
+    return np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1).reshape(-1, k), half
+
+
+def _within_reach(chain: Chain, poses: np.ndarray, centres: np.ndarray, half: np.ndarray) -> np.ndarray:
+    """Which cells (N, m) may have the arm near enough to a pose, by its reach: cheap, and most are not."""
+    k = len(half)
+    if any(not p for p in chain.is_prismatic[:k]):  # a turn moves the arm's base by what its own reach is
+        return np.ones((len(poses), len(centres)), bool)
+    return _near_enough(chain, poses, centres, float(half.sum()) + SLACK)
+
+
+def _near_enough(chain: Chain, poses: np.ndarray, leading: np.ndarray, slack: float) -> np.ndarray:
+    """Whether poses (N, 4, 4) are within the arm's reach, and `slack` [m] more, at leading positions (m, k): (N, m)."""
+    bound = reach(chain.part(chain.num_joints - 6, chain.num_joints))
+    points = bound.point(poses)
+    origin = (_shoulders(chain, leading) @ np.append(bound.origin, 1.0))[:, :3]
+    # |p - o|^2 as one product of matrices: a fifth of the time of differences, and rounding is far below the slack
+    square = points @ (-2.0 * origin.T)
+    square += np.einsum("ni,ni->n", points, points)[:, None]
+    return square <= (bound.longest + slack) ** 2 - np.sum(origin * origin, axis=1)
+
+
+def _shoulders(chain: Chain, leading: np.ndarray) -> np.ndarray:
+    """The frames (m, 4, 4) that the leading joints carry the arm's base to."""
+    k = leading.shape[1]
+    if not k:
+        return np.eye(4)[None]
+    frame: Frame = joint_frames(chain.part(0, k), list(leading.astype(np.float64).T)).joints[-1]
+    return np.stack([np.broadcast_to(np.asarray(x, np.float64), len(leading)) for x in frame.entries], -1).reshape(-1, 4, 4)
+
+
+@functools.lru_cache(maxsize=64)
+def _reaches(chain: Chain) -> Callable[..., Any]:
+    """Compiled, by rows: which of the ways (4,) of joints 1 to 3 can be inside the limits anywhere in a cell. Most cannot, and
+    what is left costs four times as much to look at."""
+
+    def cell(pose: Any, centre: Any, half: Any) -> Any:
+        ways = half_branches(chain, pose, [Ball(c, h) for c, h in zip(centre, half, strict=True)])
+        return jnp.stack([possible(way.margin >= -SLACK) & may_be_inside(chain, way.turns, SLACK) for way in ways])
+
+    return jax.jit(jax.vmap(cell, in_axes=(0, 0, None)))
+
+
+@functools.lru_cache(maxsize=64)
+def _enclosed(chain: Chain) -> Callable[..., Any]:
+    """Compiled, by rows, for the way of joints 1 to 3 that has these signs: whether one of its two branches can be inside the
+    limits anywhere in a cell, and the first that is in its middle, or -1."""
+
+    def cell(pose: Any, centre: Any, signs: Any, half: Any) -> tuple[Any, Any]:
+        leading = [Ball(c, h) for c, h in zip(centre, half, strict=True)]
+        (way,) = half_branches(chain, pose, leading, signs[:1], signs[1:])
+        (may, one), (may_two, two) = (_inside(chain, *branch) for branch in wrist_branches(chain, way, pose.dtype))
+        return may | may_two, jnp.where(one, 0, jnp.where(two, 1, -1))
+
+    return jax.jit(jax.vmap(cell, in_axes=(0, 0, 0, None)))
+
+
+def _inside(chain: Chain, angles: Any, margin: Ball) -> tuple[Any, Any]:
+    """Whether the last six joints, at these balls of angles, can be inside their limits, and whether they are in the middle."""
+    low, high = (x[-6:] for x in finite_limits(chain))
+    middle, reach_ = (low + high) / 2.0, (high - low) / 2.0
+    may, is_ = possible(margin >= -SLACK), margin.mid >= 0.0
+    for i in np.flatnonzero(chain.is_limited[-6:]):
+        away = angles[i] - middle[i]
+        away = abs(away - whole(away * (1.0 / TURN)) * TURN)
+        may &= possible(away <= reach_[i] + SLACK)
+        is_ &= away.mid <= reach_[i]
+    return may, is_
