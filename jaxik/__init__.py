@@ -20,7 +20,9 @@ from jaxik.redundancy import asc, rac, resolve_acceleration, resolve_velocity, r
 from jaxik.result import LoadError, Reason
 from jaxik.scan import Grasp, Weights, blockers, scan
 from jaxik.scene import Fruit, Scene, SceneBuilder, make_scene
+from jaxik.score import likely_postures, log_reach_score, reach_score
 from jaxik.spheres import link_circles, link_spheres
+from jaxik.sweep import Study, Sweep, sweep
 from jaxik.task import Task
 
 __version__ = "0.1.0"
@@ -44,6 +46,8 @@ __all__ = [
     "Reason",
     "Scene",
     "SceneBuilder",
+    "Study",
+    "Sweep",
     "Task",
     "Weights",
     "admissible_turns",
@@ -62,12 +66,14 @@ __all__ = [
     "harvest",
     "implicit_ik",
     "jacobian",
+    "likely_postures",
     "link_circles",
     "link_frames",
     "link_spheres",
     "load",
     "load_scene",
     "load_targets",
+    "log_reach_score",
     "make_scene",
     "manipulability",
     "motion",
@@ -76,12 +82,14 @@ __all__ = [
     "predict",
     "quadratic_cost",
     "rac",
+    "reach_score",
     "resolve_acceleration",
     "resolve_velocity",
     "rmrc",
     "scan",
     "self_clearance",
     "solve_ik",
+    "sweep",
     "via",
     "within_limits",
 ]

@@ -9,7 +9,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from jaxik.chain import Chain
-from jaxik.kinematics import joint_frames
+from jaxik.kinematics import pose_errors
 from jaxik.result import Reason
 from jaxik.scan import Blockers, Grasp, Scan, Table, Weights, blockers, grasp_poses, recover, scan
 from jaxik.scene import Scene
@@ -124,15 +124,6 @@ def _posture(chain: Chain, scene: Scene, found: Scan, weights: Weights | None, m
         return Posture(found.fruit.name, found.reason, nothing, *nans, "", in_the_way, found)
     q = row.q[0].astype(np.float64)
     pose = grasp_poses(chain, found.fruit, row.angle, grasp)[0]
-    errors = pose_errors(chain, q, pose)
+    away, turned = pose_errors(chain, q.tolist(), pose.ravel().tolist())
     angle, distance, freedom, score = (float(x[0]) for x in (row.angle, row.clearance, row.freedom, row.score))
-    return Posture(found.fruit.name, Reason.SOLVED, q, angle, distance, freedom, score, *errors, how, None, found)
-
-
-def pose_errors(chain: Chain, q: np.ndarray, pose: np.ndarray) -> tuple[float, float]:
-    """Position [m] and rotation [rad] error of the tip at `q` (n,) against `pose` (4, 4), in float64 whatever JAX is set to."""
-    tip = joint_frames(chain, [np.asarray(x, dtype=np.float64) for x in q]).tip
-    actual = np.array([float(x) for x in tip.entries]).reshape(4, 4)
-    turn = actual[:3, :3].T @ pose[:3, :3]
-    sine = np.linalg.norm([turn[2, 1] - turn[1, 2], turn[0, 2] - turn[2, 0], turn[1, 0] - turn[0, 1]]) / 2.0
-    return float(np.linalg.norm(actual[:3, 3] - pose[:3, 3])), float(np.arctan2(sine, (np.trace(turn) - 1.0) / 2.0))
+    return Posture(found.fruit.name, Reason.SOLVED, q, angle, distance, freedom, score, away, turned, how, None, found)

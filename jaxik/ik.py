@@ -79,7 +79,7 @@ def solve_ik(
     Raises `ValueError` for arguments of a wrong shape, name or range.
     """
     options = dataclasses.replace(options or IKOptions(), **_known(changes))
-    poses, valid, single = _poses(targets, options.task)
+    poses, valid, single = as_poses(targets, options.task)
     if scene is None and options.choice == "clearance":
         raise ValueError("solve_ik: choice 'clearance' needs a scene; for the robot alone give jaxik.make_scene()")
     job = Job.of(chain, scene, seed, options, len(poses))
@@ -105,7 +105,7 @@ def _known(changes: dict[str, Any]) -> dict[str, Any]:
     return changes
 
 
-def _poses(targets: Any, task: Task) -> tuple[np.ndarray, np.ndarray, bool]:
+def as_poses(targets: Any, task: Task) -> tuple[np.ndarray, np.ndarray, bool]:
     """Target poses (N, 4, 4) with their rotations made orthonormal, which of them are poses, and whether it is a single one."""
     try:
         given = np.asarray(targets, dtype=np.float64)
@@ -158,7 +158,7 @@ def _score(job: Job, found: Found) -> np.ndarray:
         away = np.abs(unwound(chain, found.q - reference[found.target])) * job.weights
         return -(away.max(axis=1) if job.options.norm == "linf" else np.sqrt(np.sum(away**2, axis=1)))
     measure = {"manipulability": manipulability, "freedom": joint_freedom, "comfort": comfort_cost}[choice]
-    value = in_blocks(_measure(chain, measure), found.q, size=MEASURED, double=True)[0] if len(found.q) else np.zeros(0)
+    value = in_blocks(_measure(chain, measure), found.q, size=MEASURED, double=True)[0]
     return -value if choice == "comfort" else value
 
 

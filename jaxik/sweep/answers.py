@@ -1,0 +1,377 @@
+"""What a study asks of one chunk of targets: a row of numbers for each, the same whichever targets come with it.
+
+With a closed form, all positions of the leading joints and all branches are looked at; else the search of `solve_ik` answers.
+All that runs here is in the robot's base frame: targets and obstacles come to it, so another place compiles nothing.
+"""
+
+from __future__ import annotations
+
+import functools
+from collections.abc import Callable, Iterator
+from typing import Any, NamedTuple
+
+import jax
+import numpy as np
+
+from jaxik.algebra import traced
+from jaxik.batch import in_blocks
+from jaxik.between import between, within_reach
+from jaxik.chain import Chain, finite_limits
+from jaxik.closed_form import closed_branches, closed_forms
+from jaxik.collision import clearance
+from jaxik.costs import joint_freedom
+from jaxik.ik import IKResult, as_poses, solve_ik
+from jaxik.kinematics import manipulability, pose_errors
+from jaxik.leading import NOTHING, arm_of, freest
+from jaxik.reach import reach
+from jaxik.result import Reason
+from jaxik.scan import MEASURED, grid, leading_grid
+from jaxik.scene import Scene, make_scene
+from jaxik.sweep.study import Study, Variant
+
+GIVEN = ("position", "quaternion")  # columns that are the target's own, whatever it is asked of
+PORTION = 6000  # targets at a time whose colliding candidates stand in memory
+EXACT = 1000  # rows a compiled call of what only the answers are asked for
+SLACK = 1e-9  # [m]
+NEAR = 2  # postures of a target that collides on the grid beside which a clear one is looked for
+
+
+class Column(NamedTuple):
+    """One variable of the results: its type, what stands where there is no answer, and its words for the store."""
+
+    dtype: str
+    nothing: Any
+    attributes: dict[str, Any]
+    dims: tuple[str, ...] = ()
+
+
+def _column(dtype: str, nothing: Any, name: str, units: str | None = None, *dims: str, **more: Any) -> Column:
+    return Column(dtype, nothing, {"long_name": name, **({"units": units} if units else {}), **more}, dims)
+
+
+FREEDOM = "smallest distance of a revolute joint to its nearest limit, as a share of half its range (1: all in the middle)"
+COLUMNS = {
+    "position": _column("f8", np.nan, "where the tool goes", "m", "xyz"),
+    "quaternion": _column("f8", np.nan, "how the tool is turned there; NaN where its rotation is free", None, "wxyz"),
+    "reachable": _column("bool", False, "a posture inside the limits has the target and, where asked for, is clear"),
+    "reason": _column(
+        "i1",
+        -1,
+        "what became of the target",
+        flag_values=[int(r) for r in Reason][:6],
+        flag_meanings=" ".join(r.name.lower() for r in list(Reason)[:6]),
+    ),
+    "proven": _column("bool", False, "reachable, or proven not to be for any position of the leading joints"),
+    "between": _column("bool", False, "found between the positions of the grid of leading joints, where the grid has none"),
+    "solutions": _column("i4", 0, "number of different postures found that are inside the limits and clear"),
+    "q": _column("f8", np.nan, "best posture", "rad, m for prismatic joints", "joint"),
+    "position_error": _column("f4", np.nan, "distance of the tip from the target at q", "m"),
+    "rotation_error": _column("f4", np.nan, "angle between the tip and the target at q", "rad"),
+    "clearance": _column("f4", np.nan, "smallest distance of the robot at q to the scene and to itself", "m"),
+    "manipulability": _column("f4", np.nan, "sqrt(det(J J')) at q [Yoshikawa 1985]", "m^3 rad^3, as the joints are"),
+    "limit_margin": _column("f4", np.nan, FREEDOM, "1"),
+}
+
+
+def answer(study: Study, variant: Variant, rows: slice) -> dict[str, np.ndarray]:
+    """The columns of some of the study's targets for one variant, one row a target."""
+    numbers = np.arange(rows.start, rows.stop)
+    given = study.targets.poses_at(numbers)
+    count, chain = rows.stop - rows.start, variant.chain
+    columns = {k: blank(c, count, {"joint": study.joints, "xyz": 3, "wxyz": 4}) for k, c in COLUMNS.items()}
+    columns["position"][:] = given[:, :3, 3]
+    if not study.targets.free_rotation:
+        columns["quaternion"][:] = study.targets.wxyz_at(numbers)
+    base_T_world = np.linalg.inv(chain.world_T_base)
+    poses, valid = base_T_world @ given if study.targets.frame == "world" else given, np.ones(count, bool)
+    if study.targets.poses is not None:  # someone else's, who may have got them wrong
+        poses, valid, _ = as_poses(poses, study.ik.task)
+    around = _Surroundings.of(study, rows, base_T_world) if study.collision else None
+    solve = _closed_form if study.method(chain) == "closed form" else _search
+    for name, values in solve(study, chain.mounted(np.eye(4)), poses, valid, around).items():
+        columns[name][:] = values if name != "q" else _padded(values, study.joints)
+    return columns
+
+
+class _Surroundings(NamedTuple):
+    """What postures keep clear of, in the robot's base: scenes, and which is each target's (N,)."""
+
+    scenes: dict[int, Scene]
+    crop: np.ndarray
+
+    @staticmethod
+    def of(study: Study, rows: slice, base_T_world: np.ndarray) -> _Surroundings:
+        crops = study.targets.crop
+        crop = np.zeros(rows.stop - rows.start, int) if crops is None else crops[rows]
+        scene = lambda c: (study.scene or make_scene()) if crops is None else study.targets.scenes[c]
+        return _Surroundings({int(c): scene(c).moved(base_T_world).geometry() for c in np.unique(crop)}, crop)
+
+    def part(self, rows: Any) -> _Surroundings:
+        """Of some of the targets."""
+        return _Surroundings(self.scenes, self.crop[rows])
+
+    def groups(self, owner: np.ndarray) -> Iterator[tuple[Scene, np.ndarray]]:
+        """Each scene with those of the rows that have its target for `owner`."""
+        crop = self.crop[owner]
+        for c in np.unique(crop):
+            yield self.scenes[int(c)], np.flatnonzero(crop == c)
+
+    def measured(self, chain: Chain, q: np.ndarray, owner: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Clearance [m] and freedom of postures (P, n) of the targets `owner` (P,), in float32."""
+        distance, freedom = np.zeros(len(q), np.float32), np.zeros(len(q), np.float32)
+        for scene, rows in self.groups(owner):
+            values = in_blocks(_clear(arm_of(chain)), q[rows].astype(np.float32), fixed=(scene,), size=MEASURED, double=False)
+            distance[rows], freedom[rows] = values
+        return distance, freedom
+
+
+def blank(column: Column, count: int, sizes: dict[str, int]) -> np.ndarray:
+    """A column of `count` rows without an answer; `sizes` are those of its dimensions besides."""
+    return np.full((count, *(sizes[d] for d in column.dims)), column.nothing, column.dtype)
+
+
+def _padded(q: np.ndarray, joints: int) -> np.ndarray:
+    return np.concatenate([q, np.full((len(q), joints - q.shape[1]), np.nan)], axis=1)
+
+
+# --------------------------------------------------------------------------------------------------------------------
+# By the closed form
+
+
+class _Best(NamedTuple):
+    """The best of each target's postures, if any: its leading position (N, k) and branch; how many there are, or why none."""
+
+    leading: np.ndarray
+    branch: np.ndarray
+    solutions: np.ndarray
+    clearance: np.ndarray
+    reason: np.ndarray
+
+    @staticmethod
+    def nothing(count: int, k: int) -> _Best:
+        numbers = np.zeros((count, k)), np.zeros(count, int), np.zeros(count, np.int32), np.full(count, np.nan, np.float32)
+        return _Best(*numbers, np.full(count, Reason.OUT_OF_REACH, np.int8))
+
+
+def _closed_form(
+    study: Study, chain: Chain, poses: np.ndarray, valid: np.ndarray, around: _Surroundings | None
+) -> dict[str, np.ndarray]:
+    """The postures of poses (N, 4, 4) on the grid of leading positions and, where it has none, between them."""
+    beyond = ~valid | (reach(chain).excess(poses) > SLACK) | ~within_reach(chain, poses)
+    columns = _no_answer(chain, len(poses)) | {
+        "reason": np.where(valid, Reason.OUT_OF_REACH, Reason.INVALID).astype(np.int8),
+        "proven": beyond,
+        "between": np.zeros(len(poses), bool),
+    }
+    asked = np.flatnonzero(~beyond)
+    if len(asked):
+        near_by = None if around is None else around.part(asked)
+        best, near = _on_grid(study, chain, poses[asked], near_by)
+        columns["reason"][asked], columns["solutions"][asked] = best.reason, best.solutions
+        _answered(columns, chain, poses, asked, best)
+        kinds = (Reason.OUT_OF_REACH, Reason.LIMITS) if study.refine else ()
+        missing = asked[np.isin(columns["reason"][asked], kinds)]
+        found, open_ = _between(study, chain, poses[missing], None if around is None else around.part(missing))
+        columns["proven"][missing[~open_]] = True
+        _better(columns, chain, poses, missing, found)
+        if near_by is not None and study.refine:
+            _better(columns, chain, poses, asked, _beside(study, chain, poses[asked], near, near_by))
+    columns["reachable"] = columns["reason"] == Reason.SOLVED
+    columns["proven"] |= columns["reachable"]
+    return columns
+
+
+def _better(columns: dict[str, np.ndarray], chain: Chain, poses: np.ndarray, asked: np.ndarray, found: _Best) -> None:
+    """What was found between the grid's positions for targets that have nothing on it: a posture, or at least one that only
+    collides."""
+    better = np.flatnonzero(np.isin(found.reason, (Reason.SOLVED, Reason.COLLISION)))
+    asked, found = asked[better], _Best(*(column[better] for column in found))
+    columns["reason"][asked], columns["solutions"][asked] = found.reason, found.solutions
+    _answered(columns, chain, poses, asked, found)
+    columns["between"][asked] = columns["reason"][asked] == Reason.SOLVED
+
+
+def _answered(columns: dict[str, np.ndarray], chain: Chain, poses: np.ndarray, asked: np.ndarray, best: _Best) -> None:
+    """Solves the best postures of the targets `asked` again in float64. One that is there past a limit, by what float32 rounds,
+    is none."""
+    some = np.flatnonzero(best.reason == Reason.SOLVED)
+    q, inside = _exact(chain, poses[asked[some]], best.leading[some], best.branch[some])
+    past = asked[some[~inside]]
+    columns["reason"][past], columns["solutions"][past] = Reason.LIMITS, 0
+    some = some[inside]
+    _fill(columns, chain, asked[some], q[inside], poses[asked[some]])
+    columns["clearance"][asked[some]] = best.clearance[some]
+
+
+def _between(study: Study, chain: Chain, poses: np.ndarray, around: _Surroundings | None) -> tuple[_Best, np.ndarray]:
+    """What `between` finds for poses that have nothing on the grid; and which stay open."""
+    found = between(chain, poses, study.slides, study.refine)
+    best = _Best.nothing(len(poses), found.leading.shape[1])
+    rows = np.flatnonzero(found.branch >= 0)
+    best.leading[rows], best.branch[rows], best.reason[rows], best.solutions[rows] = (
+        found.leading[rows],
+        found.branch[rows],
+        Reason.SOLVED,
+        1,
+    )
+    if around is not None and len(rows):
+        q, _ = _exact(chain, poses[rows], found.leading[rows], found.branch[rows])
+        best.clearance[rows], _ = around.measured(chain, q, rows)
+        hits = rows[~(best.clearance[rows] >= study.margin)]
+        best.reason[hits], best.solutions[hits], found.open[hits] = Reason.COLLISION, 0, True
+    return best, found.open
+
+
+def _no_answer(chain: Chain, count: int) -> dict[str, np.ndarray]:
+    names = ("solutions", "q", "position_error", "rotation_error", "clearance", "manipulability", "limit_margin")
+    return {k: blank(COLUMNS[k], count, {"joint": chain.num_joints}) for k in names}
+
+
+def _fill(columns: dict[str, np.ndarray], chain: Chain, rows: np.ndarray, q: np.ndarray, poses: np.ndarray) -> None:
+    """What postures `q` of the targets `rows` are worth."""
+    if not len(rows):
+        return
+    columns["q"][rows] = q
+    names = ("position_error", "rotation_error", "manipulability", "limit_margin")
+    for name, values in zip(names, in_blocks(_worth(chain), q, poses, size=EXACT, double=True), strict=True):
+        columns[name][rows] = values
+
+
+@functools.lru_cache(maxsize=64)
+def _worth(chain: Chain) -> Callable[..., Any]:
+    errors = lambda q, pose: pose_errors(chain, list(q), traced(pose))
+    return jax.jit(jax.vmap(lambda q, pose: (*errors(q, pose), manipulability(chain, q), joint_freedom(chain, q))))
+
+
+def _exact(chain: Chain, poses: np.ndarray, leading: np.ndarray, branch: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """One branch of each pose in float64 (N, n), and whether it is inside the limits (N,)."""
+    if not len(poses):
+        return np.zeros((0, chain.num_joints)), np.zeros(0, bool)
+    q, within = in_blocks(closed_branches(arm_of(chain)), poses, leading, branch, size=EXACT, double=True)
+    return q, within
+
+
+def _on_grid(study: Study, chain: Chain, poses: np.ndarray, around: _Surroundings | None) -> tuple[_Best, _Near]:
+    """The best over the grid of leading positions; and of targets whose postures all collide, the nearest to be clear."""
+    leading = leading_grid(chain, study.slides)
+    found = freest(chain, poses, leading)
+    counts = np.bitwise_count(found.branches).sum(axis=1, dtype=np.int32)
+    beyond = np.where(found.freedom > NOTHING, Reason.LIMITS, Reason.OUT_OF_REACH)
+    reason = np.where(counts > 0, Reason.SOLVED, beyond).astype(np.int8)
+    none = np.full(len(poses), np.nan, np.float32)
+    best = _Best(leading[found.lead], found.branch.copy(), counts, none, reason)
+    near = [_Near.nothing(leading.shape[1])]
+    if around is None:
+        return best, near[0]
+    for start in range(0, len(poses), PORTION):
+        part = slice(start, start + PORTION)
+        target, lead = np.nonzero(found.branches[part])
+        inside = np.unpackbits(found.branches[part][target, lead, None], axis=1, bitorder="little")
+        some = _Best(*(column[part] for column in best))
+        close = _avoid(study, chain, poses[part], target, leading[lead], inside, around.part(part), some)
+        near.append(_Near(close.target + start, close.leading))
+    return best, _Near(*(np.concatenate(columns) for columns in zip(*near, strict=True)))
+
+
+class _Near(NamedTuple):
+    """Targets, and leading positions at which they have a posture that hardly collides."""
+
+    target: np.ndarray
+    leading: np.ndarray
+
+    @staticmethod
+    def nothing(k: int) -> _Near:
+        return _Near(np.zeros(0, int), np.zeros((0, k)))
+
+
+def _beside(study: Study, chain: Chain, poses: np.ndarray, near: _Near, around: _Surroundings) -> _Best:
+    """The best at leading positions beside those where a target's postures only just collide."""
+    found = _Best.nothing(len(poses), near.leading.shape[1])
+    k = near.leading.shape[1]
+    if not k or not len(near.target):
+        return found
+    low, high = (x[:k] for x in finite_limits(chain))
+    steps = grid([np.linspace(-0.75, 0.75, 7)] * k) * (high - low) / max(study.slides - 1, 1)
+    leading = np.clip(near.leading[:, None] + steps, low, high).reshape(-1, k)
+    target = np.repeat(near.target, len(steps))
+    for first in range(0, len(poses), PORTION):  # all of a target at once
+        part = slice(*np.searchsorted(target, (first, first + PORTION)))
+        _avoid(study, chain, poses, target[part], leading[part], None, around, found)
+    return found
+
+
+def _avoid(
+    study: Study,
+    chain: Chain,
+    poses: np.ndarray,
+    target: np.ndarray,
+    leading: np.ndarray,
+    inside: np.ndarray | None,
+    around: _Surroundings,
+    best: _Best,
+) -> _Near:
+    """Of the postures of targets (P,) at leading positions (P, k), of which those `inside` (P, 8) count (all inside the limits
+    if it is None), the best that is clear goes into `best`; of targets without any, the nearest to be."""
+    if not len(target):
+        return _Near.nothing(leading.shape[1])
+    pairs = poses[target].astype(np.float32), leading.astype(np.float32)
+    q, _, within = in_blocks(closed_forms(arm_of(chain)), *pairs, size=MEASURED, double=False)
+    pair, branch = np.nonzero(within if inside is None else inside)
+    q, owner = q[pair, branch], target[pair]
+    distance, freedom = around.measured(chain, q, owner)
+    clear = distance >= study.margin
+    touched = np.unique(owner)
+    best.solutions[touched] = np.bincount(owner[clear], minlength=len(poses))[touched]
+    best.reason[touched] = np.where(best.solutions[touched] > 0, Reason.SOLVED, Reason.COLLISION)
+    score = study.weights.score(distance, freedom)
+    first = _first(owner, np.where(clear, -score, np.inf), 1)  # of equal scores the first on the grid
+    first = first[clear[first]]
+    best.leading[owner[first]], best.branch[owner[first]] = leading[pair[first]], branch[first]
+    best.clearance[owner[first]] = distance[first]
+    close = _first(owner, -distance, NEAR)
+    close = close[best.reason[owner[close]] == Reason.COLLISION]
+    return _Near(owner[close], leading[pair[close]])
+
+
+def _first(owner: np.ndarray, cost: np.ndarray, count: int) -> np.ndarray:
+    """The rows with the `count` least costs of each owner, in the order of the owners."""
+    order = np.lexsort((cost, owner))  # stable: of equal costs the first comes first
+    starts = np.flatnonzero(np.diff(owner[order], prepend=-1))
+    rank = np.arange(len(order)) - np.repeat(starts, np.diff(np.append(starts, len(order))))
+    return order[rank < count]
+
+
+@functools.lru_cache(maxsize=64)
+def _clear(chain: Chain) -> Callable[..., Any]:
+    return jax.jit(jax.vmap(lambda q, scene: (clearance(chain, scene, q), joint_freedom(chain, q)), in_axes=(0, None)))
+
+
+# --------------------------------------------------------------------------------------------------------------------
+# By search
+
+
+def _search(
+    study: Study, chain: Chain, poses: np.ndarray, valid: np.ndarray, around: _Surroundings | None
+) -> dict[str, np.ndarray]:
+    """The answers of `solve_ik`."""
+    asked = np.where(valid[:, None, None], poses, np.nan)
+    if around is None:
+        return _searched(study, chain, asked, None)
+    columns = {k: blank(c, len(poses), {"joint": chain.num_joints}) for k, c in COLUMNS.items() if k not in GIVEN}
+    for scene, rows in around.groups(np.arange(len(poses))):
+        for name, values in _searched(study, chain, asked[rows], scene).items():
+            columns[name][rows] = values
+    return columns
+
+
+def _searched(study: Study, chain: Chain, poses: np.ndarray, scene: Scene | None) -> dict[str, np.ndarray]:
+    found: IKResult = solve_ik(chain, poses, scene, study.seed, study.ik)
+    columns = _no_answer(chain, len(poses))
+    rows = np.flatnonzero(found.success)
+    _fill(columns, chain, rows, found.q[rows], poses[rows])
+    if not all(study.ik.task.bound):  # what the target leaves free is no error
+        columns["rotation_error"][rows] = np.nan
+    columns["clearance"][rows] = found.clearance[rows]
+    columns["solutions"] = np.asarray(found.num_solutions, np.int32)
+    sure = np.isin(found.reason, (Reason.SOLVED, Reason.OUT_OF_REACH, Reason.INVALID))
+    return columns | {"reason": found.reason.astype(np.int8), "reachable": found.success, "proven": sure}

@@ -1,0 +1,215 @@
+"""Results on disk: a Zarr store that `xarray.open_zarr` reads, which a chunk enters whole or not at all.
+
+A chunk's arrays are written one by one, each file aside and then renamed (Zarr does that), and last its check sum in `crc`. So
+what has a check sum is finished, whenever the process was killed; what has none is computed again and written over. Nothing in
+the store says when or in how many sittings it was made: it ends with the same bits.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import json
+import os
+import shutil
+import warnings
+import zlib
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from jaxik.result import Reason
+from jaxik.sweep.answers import COLUMNS, GIVEN, Column
+from jaxik.sweep.study import Study
+
+UNFINISHED = -1
+LABELS = {"xyz": ("x", "y", "z"), "wxyz": ("w", "x", "y", "z")}
+
+
+class StoreError(ValueError):
+    """A store that cannot be gone on with. One line: the store, what is wrong, the mend."""
+
+
+class Store:
+    """One study's results in the folder `path`."""
+
+    def __init__(self, path: Path, study: Study, group: Any):
+        self.path, self.study, self.group = path, study, group
+
+    @staticmethod
+    def of(path: str | Path, study: Study) -> Store:
+        """The store of this study: a new one, or the one that is there if it holds the same study.
+
+        Raises `StoreError` where it holds another, and says in what; `OSError` where it cannot be written.
+        """
+        import zarr
+
+        path = Path(path)
+        if not path.exists():
+            _create(path, study)
+        try:
+            group = zarr.open_group(str(path), mode="r+")
+            known = json.loads(str(group.attrs["study"]))
+        except (KeyError, ValueError, OSError) as error:
+            raise StoreError(f"{path}: is no store of a sweep ({type(error).__name__}); write elsewhere") from None
+        changes = "; ".join(_changes(known, json.loads(json.dumps(study.describe()))))
+        if changes:
+            raise StoreError(f"{path}: holds another study: {changes}; write elsewhere, or take that study")
+        return Store(path, study, group)
+
+    def finished(self) -> np.ndarray:
+        """Whether each piece of work is done, by its number."""
+        return np.asarray(self.group["crc"][...]).reshape(-1) != UNFINISHED
+
+    def write(self, number: int, columns: dict[str, np.ndarray]) -> None:
+        """One chunk, its check sum last."""
+        variant, chunk, rows = self.study.work(number)
+        for name, values in columns.items():
+            if name in GIVEN and number >= self.study.chunks:
+                continue  # the first variant wrote them
+            self.group[name][(*self._at(name, variant.index), rows)] = values
+        self.group["crc"][(*variant.index, chunk)] = check_sum(columns)
+
+    def read(self, number: int) -> dict[str, np.ndarray]:
+        """A finished chunk. Raises `StoreError` where what is read is not what was written."""
+        variant, chunk, rows = self.study.work(number)
+        where = f"{self.path}: chunk {number}, targets {rows.start} to {rows.stop - 1}"
+        mend = "run again with repair, and it is computed anew"
+        columns = {}
+        for name in COLUMNS:
+            try:
+                columns[name] = np.asarray(self.group[name][(*self._at(name, variant.index), rows)])
+            except Exception as error:  # each codec has its own
+                raise StoreError(f"{where}: '{name}' is damaged ({' '.join(str(error).split())}); {mend}") from None
+        if check_sum(columns) != int(self.group["crc"][(*variant.index, chunk)]):
+            raise StoreError(f"{where}: a file is missing or damaged (the check sum differs); {mend}")
+        return columns
+
+    def forget(self, number: int) -> None:
+        """Makes a piece of work unfinished."""
+        variant, chunk, _ = self.study.work(number)
+        self.group["crc"][(*variant.index, chunk)] = UNFINISHED
+
+    def finish(self, attributes: dict[str, Any]) -> None:
+        """What is known once all is done; and what a killed process left half-written goes."""
+        for left in self.path.rglob("*.partial"):
+            left.unlink(missing_ok=True)
+        if any(self.group.attrs.get(k) != v for k, v in attributes.items()):
+            self.group.attrs.update(attributes)
+            _consolidate(self.path)
+
+    def _at(self, name: str, index: tuple[int, ...]) -> tuple[int, ...]:
+        return () if name in GIVEN else index
+
+
+def check_sum(columns: dict[str, np.ndarray]) -> int:
+    """CRC-32 of a chunk's numbers."""
+    found = 0
+    for name in COLUMNS:
+        found = zlib.crc32(np.ascontiguousarray(columns[name]).tobytes(), found)
+    return found
+
+
+def _create(path: Path, study: Study) -> None:
+    """An empty store, made aside and renamed: there whole, or not at all."""
+    import zarr
+
+    path.parent.mkdir(parents=True, exist_ok=True)
+    aside = path.with_name(f".{os.getpid()}-{path.name}")
+    try:
+        group = zarr.create_group(str(aside), attributes=_attributes(study))
+        axes = tuple(name for name, _ in study.axes)
+        sizes = {"joint": study.joints, "xyz": 3, "wxyz": 4}
+        for name, column in COLUMNS.items():
+            _array(group, name, column, study, () if name in GIVEN else axes, sizes)
+        crc = Column("i8", UNFINISHED, {"long_name": f"CRC-32 of a finished chunk; {UNFINISHED} while it is not"})
+        shape = (*study.shape, study.chunks)
+        _new(group, "crc", crc, shape, (1,) * len(shape), (*axes, "chunk"))
+        for name, labels in (*study.axes, *LABELS.items(), *_joint_names(study)):
+            values = np.array(labels, object if isinstance(labels[0], str) else np.float64)
+            kind: Any = str if values.dtype == object else "f8"
+            array = group.create_array(name, shape=values.shape, dtype=kind, dimension_names=(name,))
+            array[...] = values
+        _consolidate(aside)
+        with contextlib.suppress(FileExistsError):  # another shard was first
+            try:
+                os.rename(aside, path)
+            except OSError as error:
+                if not path.is_dir():
+                    raise error
+    finally:
+        shutil.rmtree(aside, ignore_errors=True)
+
+
+def _joint_names(study: Study) -> Iterator[tuple[str, tuple[str, ...]]]:
+    """The joints' names, where all robots have the same."""
+    names = {v.chain.joint_names for v in study.variants}
+    if len(names) == 1:
+        yield "joint", next(iter(names))
+
+
+def _array(group: Any, name: str, column: Column, study: Study, axes: tuple[str, ...], sizes: dict[str, int]) -> None:
+    more = tuple(sizes[d] for d in column.dims)
+    shape = (*(study.shape if axes else ()), len(study.targets), *more)
+    chunks = (*((1,) * len(axes)), min(study.chunk, len(study.targets)), *more)
+    _new(group, name, column, shape, chunks, (*axes, "target", *column.dims))
+
+
+def _new(group: Any, name: str, column: Column, shape: Any, chunks: Any, dims: Any) -> None:
+    from zarr.codecs import Crc32cCodec, ZstdCodec
+
+    group.create_array(
+        name,
+        shape=shape,
+        chunks=chunks,
+        dtype=column.dtype,
+        fill_value=column.nothing,
+        dimension_names=dims,
+        attributes=column.attributes,
+        compressors=[ZstdCodec(level=1), Crc32cCodec()],
+        config={"write_empty_chunks": True},  # a missing file is then a damage, not a chunk of nothing
+    )
+
+
+def _consolidate(path: Path) -> None:
+    import zarr
+
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")  # "not part of the specification": xarray asks for it all the same
+        zarr.consolidate_metadata(str(path))
+
+
+def _attributes(study: Study) -> dict[str, Any]:
+    known = study.describe()
+    first = study.variants[0].chain
+    return {
+        "title": study.name,
+        "study": json.dumps(known),
+        "frame": "targets are base_T_tip" if study.targets.frame == "base" else "targets are world_T_tip, the world's z up",
+        "quaternion_order": "wxyz",
+        "units": "m, rad",
+        "coordinates": " ".join(GIVEN),
+        "models": known["models"],
+        "methods": sorted({study.method(v.chain) for v in study.variants}),
+        "joint_names": {str(v.chain.name): list(v.chain.joint_names) for v in study.variants},
+        "joint_types": list(first.joint_types),
+        "seed": study.seed,
+        "versions": known["versions"],
+        "position_tolerance": study.ik.position_tolerance,
+        "rotation_tolerance": study.ik.rotation_tolerance,
+        "margin": study.margin if study.collision else None,
+        "reasons": {r.text: int(r) for r in list(Reason)[:6]},
+        "grid": [[float(x) for x in axis] for axis in study.targets.axes],
+        "targets_per_position": study.targets.turns,
+    }
+
+
+def _changes(old: Any, new: Any, where: str = "") -> Iterator[str]:
+    """What differs, in words."""
+    if isinstance(old, dict) and isinstance(new, dict):
+        for key in sorted(set(old) | set(new)):
+            yield from _changes(old.get(key), new.get(key), f"{where}.{key}" if where else key)
+    elif old != new:
+        short = lambda value: (text := json.dumps(value)) and (text if len(text) <= 60 else f"{text[:57]}...")
+        yield f"{where} was {short(old)} and is {short(new)}"

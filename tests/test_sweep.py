@@ -1,0 +1,471 @@
+"""Sweeps: answers against EAIK over the same slides and Pinocchio, the store, resume after kill -9, refusals, a cluster."""
+
+import dataclasses
+import errno
+import itertools
+import json
+import os
+import pickle
+import signal
+import subprocess
+import sys
+import time
+import warnings
+from pathlib import Path
+
+import numpy as np
+import pytest
+import xarray
+from arm import eaik_robot
+from robots import bare, pinocchio, pose_errors
+
+import jaxik
+from jaxik import Reason
+from jaxik.sweep.cluster import _on_worker, _piece
+from jaxik.sweep.store import StoreError
+from jaxik.sweep.targets import directions
+
+GRID = {
+    "kind": "grid",
+    "x": [-0.1, 1.1, 7],
+    "y": [0.2, 0.8, 5],
+    "z": [0.1, 0.8, 5],
+    "directions": [[0, 1, 0], [0.5, 1, -0.5]],
+    "roll_deg": [0, 90],
+}
+SMALL = {"robot": "p6r", "slides": 11, "chunk": 100, "audited": 0, "targets": GRID}
+CROWDED = SMALL | {"collision": {"scene": "cucumber_row"}, "slides": 5, "chunk": 50}
+BARE = dataclasses.replace(jaxik.load("p6r"), boxes=())
+DATA = ("reachable", "reason", "proven", "between", "solutions", "q", "clearance", "limit_margin", "manipulability")
+
+
+@pytest.fixture(scope="module")
+def small(tmp_path_factory):
+    """An uninterrupted sweep, for all that only look at it."""
+    return jaxik.sweep(SMALL, tmp_path_factory.mktemp("small") / "s.zarr")
+
+
+def same(a, b):
+    """Whether two stores hold the same numbers."""
+    return all(np.array_equal(a[k].values, b[k].values, equal_nan=a[k].dtype.kind == "f") for k in DATA)
+
+
+def bits(folder):
+    return {p.relative_to(folder).as_posix(): p.read_bytes() for p in sorted(folder.rglob("*")) if p.is_file()}
+
+
+# --------------------------------------------------------------------------------------------------------------------
+# Answers
+
+
+def test_map_is_that_of_eaik_over_the_same_slides(small):
+    """Reachable and the number of postures, EAIK looped over the slide and the limits applied to what it finds."""
+    chain, data = small.study.variants[0].chain, small.dataset()
+    robot, tip = eaik_robot(chain)
+    poses = np.linalg.inv(chain.world_T_base) @ small.study.targets.part(0, len(small.study.targets))
+    slides = np.linspace(0.0, 1.0, 11)
+    lower, upper = chain.lower[1:], chain.upper[1:]
+    for i in range(0, len(poses), 7):
+        count = 0
+        for slide in slides:
+            pose = poses[i].copy()
+            pose[:3, 3] -= [0.0, 0.0, slide]  # the slide runs along the base's z
+            pose[:3, :3] = pose[:3, :3] @ tip.T
+            found = robot.IK(pose)
+            q = np.array(found.Q)[~np.array(found.is_LS)].reshape(-1, 6)
+            turned = q + np.round(((lower + upper) / 2.0 - q) / (2.0 * np.pi)) * 2.0 * np.pi
+            count += int(np.sum(np.all((turned >= lower) & (turned <= upper), axis=1)))
+        grid = 0 if data.between.values[i] else int(data.solutions.values[i])
+        assert grid == count, (i, poses[i])
+
+
+def test_postures_have_their_targets_by_pinocchio(small):
+    chain, data = small.study.variants[0].chain, small.dataset()
+    reached = np.flatnonzero(data.reachable.values)
+    assert 0.1 < len(reached) / len(data.target) < 0.95
+    forward = pinocchio(chain)
+    for i in reached[::9]:
+        target = np.eye(4)
+        w, x, y, z = data.quaternion.values[i]
+        target[:3, :3] = [
+            [1 - 2 * (y * y + z * z), 2 * (x * y - z * w), 2 * (x * z + y * w)],
+            [2 * (x * y + z * w), 1 - 2 * (x * x + z * z), 2 * (y * z - x * w)],
+            [2 * (x * z - y * w), 2 * (y * z + x * w), 1 - 2 * (x * x + y * y)],
+        ]
+        target[:3, 3] = data.position.values[i]
+        q = data.q.values[i]
+        errors = pose_errors(chain.world_T_base @ forward(q), target)
+        assert max(errors) < 1e-9 and np.all((q >= chain.lower) & (q <= chain.upper))
+        assert abs(data.position_error.values[i] - errors[0]) < 1e-9
+    assert np.isnan(data.q.values[~data.reachable.values]).all()
+
+
+def test_nothing_is_missed_that_was_said_to_be_proven():
+    """A grid 100 times denser finds no target that the coarse sweep calls proven, and the coarse one leaves few open."""
+    few = SMALL | {"slides": 6, "audited": 0, "targets": GRID | {"x": [-0.3, 1.2, 12], "y": [0.1, 0.9, 9]}}
+    coarse, dense = (sweep_values(few | changes) for changes in ({}, {"slides": 501, "refine": 0}))
+    missed = dense["reachable"] & ~coarse["reachable"]
+    assert not np.any(missed & coarse["proven"])
+    assert coarse["between"].sum() >= 5, "the coarse grid misses some, or this shows nothing"
+    assert (~coarse["proven"]).mean() < 0.03
+    assert np.all(coarse["reachable"] | ~(dense["reachable"] & coarse["proven"]))
+    alone = sweep_values(few | {"refine": 0})
+    found = dense["reachable"] & ~(coarse["reachable"] & ~coarse["between"])
+    assert np.all(found <= (coarse["between"] | ~coarse["proven"])) and np.all(alone["proven"] <= coarse["proven"])
+
+
+def sweep_values(study, rows=None):
+    from jaxik.sweep.answers import answer
+
+    read = jaxik.Study.of(study)
+    return answer(read, read.variants[0], slice(0, len(read.targets)) if rows is None else rows)
+
+
+def test_collisions_are_those_of_the_scan():
+    """Against `scan`, a target at a time: the number of clear postures, and the clearance of the best."""
+    found = sweep_values(CROWDED | {"refine": 0})
+    study = jaxik.Study.of(CROWDED)
+    chain, scene = study.variants[0].chain, study.scene
+    reached = np.flatnonzero(found["reachable"])
+    assert {int(r) for r in Reason if r <= 3} <= {*found["reason"].tolist(), int(Reason.LIMITS)}
+    for i in reached[::20]:
+        assert abs(float(jaxik.clearance(chain, scene, found["q"][i])) - found["clearance"][i]) < 1e-5
+        assert found["clearance"][i] >= study.margin - 1e-6
+    blocked = np.flatnonzero(found["reason"] == Reason.COLLISION)
+    poses = np.linalg.inv(chain.world_T_base) @ study.targets.part(0, len(study.targets))
+    for i in blocked[::20]:
+        for slide in np.linspace(0.0, 1.0, 5):
+            each = jaxik.closed_form(chain, poses[i], slide)
+            for q in np.asarray(each.q)[np.asarray(each.within_limits)]:
+                assert float(jaxik.clearance(chain, scene, q)) < study.margin + 1e-6
+
+
+def test_search_answers_what_has_no_closed_form():
+    file, tip = bare("panda")
+    panda = jaxik.load(file, tip=tip)
+    study = {
+        "robot": panda,
+        "chunk": 64,
+        "targets": {"kind": "grid", "x": [0.2, 1.1, 4], "y": [-0.4, 0.4, 3], "z": [0.0, 0.8, 3], "directions": 2},
+    }
+    found = sweep_values(study)
+    assert np.mean(found["reachable"]) > 0.3 and np.any(found["reason"] == Reason.OUT_OF_REACH)
+    forward, read = pinocchio(panda), jaxik.Study.of(study)
+    poses = read.targets.part(0, len(read.targets))
+    for i in np.flatnonzero(found["reachable"])[::5]:
+        assert max(pose_errors(forward(found["q"][i]), poses[i])) < 2e-6
+    free = sweep_values(study | {"targets": study["targets"] | {"directions": "any"}})
+    assert free["reachable"].sum() >= found["reachable"].reshape(-1, 2).any(axis=1).sum()
+    assert np.isnan(free["quaternion"]).all() and np.isnan(free["rotation_error"]).all()
+
+
+def test_what_is_missed_is_measured(tmp_path):
+    """The audit's rates, against sweeps of the same targets with the same efforts; and its bound against SciPy's own test."""
+    from scipy.stats import binomtest
+
+    from jaxik.sweep.audit import bound
+
+    study = SMALL | {"refine": 0, "slides": 4, "audited": 10**6, "chunk": 700}
+    known = jaxik.sweep(study, tmp_path / "a.zarr").dataset().attrs
+    efforts = known["audit"]["closed form"]
+    assert efforts["efforts"] == [1, 2, 4, 16] and efforts["sample"] == 700
+    reached = [sweep_values(study | {"slides": n})["reachable"] for n in efforts["efforts"]]
+    truth = np.any(reached, axis=0)
+    assert np.allclose(efforts["rates"], [np.mean(~r[truth]) for r in reached])
+    assert known["false_negative_rate"] == efforts["rates"][2] > 0.0
+    for missed, of in ((0, 100), (3, 50), (7, 7)):
+        limit = bound(missed, of)
+        assert limit == 1.0 or abs(binomtest(missed, of, limit, "less").pvalue - 0.05) < 1e-6
+
+
+def test_rows_do_not_depend_on_what_comes_with_them(small):
+    """The same bits alone, in odd parts, and for chunks of another size."""
+    whole = small.dataset().load()
+    for rows in (slice(17, 18), slice(3, 90), slice(100, 333)):
+        part = sweep_values(SMALL, rows)
+        for name in DATA:
+            assert np.array_equal(part[name], whole[name].values[rows], equal_nan=part[name].dtype.kind == "f"), name
+
+
+def test_chunks_of_another_size(small, tmp_path):
+    other = jaxik.sweep(SMALL | {"chunk": 333}, tmp_path / "o.zarr")
+    assert other.total == 3 and same(small.dataset(), other.dataset())
+
+
+# --------------------------------------------------------------------------------------------------------------------
+# Studies
+
+
+def test_axes_are_robots_bases_and_parameters(tmp_path):
+    study = SMALL | {
+        "robots": ["p6r", {"file": "p6r", "name": "twin"}],
+        "base": {"y": [0.0, 0.1]},
+        "parameters": {"slide.upper": [0.3, 1.0]},
+        "targets": GRID | {"x": [0.0, 1.0, 3], "y": [0.4, 0.8, 2], "z": [0.2, 0.6, 2]},
+    }
+    del study["robot"]
+    data = jaxik.sweep(study, tmp_path / "a.zarr").dataset()
+    assert data.reachable.dims == ("robot", "base", "slide.upper", "target") and data.reachable.shape == (2, 2, 2, 48)
+    assert data.q.dims[-1] == "joint" and list(data.robot.values) == ["p6r", "twin"]
+    assert np.array_equal(data.reachable.sel(robot="p6r"), data.reachable.sel(robot="twin"))
+    more, less = (data.reachable.isel(robot=0, base=0).sel({"slide.upper": x}).values for x in (1.0, 0.3))
+    assert np.all(less <= more) and less.sum() < more.sum()
+    assert np.nanmax(data.q.sel({"slide.upper": 0.3}).values[..., 0]) <= 0.3
+    moved = data.q.isel(robot=0, base=1).sel({"slide.upper": 1.0}).values
+    reached = np.flatnonzero(np.isfinite(moved[:, 0]))
+    chain = jaxik.load("p6r")
+    for i in reached[::5]:
+        at = chain.world_T_base @ pinocchio(chain)(moved[i])
+        assert np.allclose(at[:3, 3] + [0.0, 0.1, 0.0], data.position.values[i], atol=1e-9)
+
+
+def test_robots_with_other_numbers_of_joints_share_a_store(tmp_path):
+    """The one with fewer joints has NaN after them, in its pieces for a cluster too."""
+    p6r, arm = jaxik.load("p6r"), dataclasses.replace(jaxik.load("p6r").part(1, 7), name="arm", boxes=())
+    study = jaxik.Study.of({"robots": [p6r, arm], **{k: v for k, v in SMALL.items() if k != "robot"}, "chunk": 20})
+    done = jaxik.sweep(study, tmp_path / "m.zarr", shard=(1, 9)).dataset()
+    assert done.q.sizes["joint"] == 7 and done.q.sizes["robot"] == 2
+    number = study.chunks + 9
+    number, columns = _on_worker(number, *pickle.loads(pickle.dumps(_piece(study, number))))
+    reached = np.flatnonzero(columns["reachable"])
+    assert len(reached) and np.isnan(columns["q"][:, 6]).all() and np.isfinite(columns["q"][reached, :6]).all()
+    poses = study.targets.poses_at(np.arange(180, 200))
+    for i in reached[:3]:
+        assert max(pose_errors(arm.world_T_base @ pinocchio(arm)(columns["q"][i, :6]), poses[i])) < 1e-9
+
+
+def test_a_link_s_length(tmp_path):
+    changed = jaxik.Study.of(SMALL | {"parameters": {"theta4": {"length": [0.25, 0.35]}}})
+    short, long = (v.chain for v in changed.variants)
+    assert np.allclose(np.linalg.norm(long.parent_T_joint[3][:3, 3]), 0.35) and np.allclose(
+        short.parent_T_joint, jaxik.load("p6r").parent_T_joint
+    )
+    q = np.array([0.3, 0.2, -0.5, -0.4, 0.3, 0.5, 0.1])
+    assert not np.allclose(pinocchio(long)(q), pinocchio(short)(q))
+    link = short.link_joint.index(3)
+    for old, new in zip(short.boxes, long.boxes, strict=True):
+        grown = np.max(new.half) - np.max(old.half)
+        assert (grown > 0.01) == (old.link == link)
+
+
+def test_kinds_of_targets(tmp_path):
+    voxels = jaxik.Study.of({"robot": "planar2", "targets": {"kind": "voxels", "size": 0.5}}).targets
+    assert voxels.free_rotation and all(len(a) >= 4 for a in voxels.axes)
+    assert np.allclose(voxels.part(0, 1)[0, :3, 3], [a[0] for a in voxels.axes])
+    crop = jaxik.Study.of({"robot": "p6r", "targets": {"kind": "crop", "crops": 2, "angles": 6}}).targets
+    assert len(crop) == 2 * 12 * 6 and crop.crop.max() == 23
+    (tmp_path / "t.csv").write_text("x,y,z,qw,qx,qy,qz\n0.5,0.6,0.4,1,0,0,0\n0.5,0.6,0.4,0,0,0,0\n")
+    (tmp_path / "s.toml").write_text('robot = "p6r"\nslides = 11\naudited = 0\n[targets]\nkind = "file"\npath = "t.csv"\n')
+    done = jaxik.sweep(tmp_path / "s.toml")
+    assert done.path == tmp_path / "s.zarr" and done.counts.get("invalid") == 1
+    unit = directions(50)
+    assert np.allclose(np.linalg.norm(unit, axis=1), 1.0) and np.linalg.norm(unit.mean(axis=0)) < 0.01
+
+
+def test_crops_keep_clear_of_their_own_scene():
+    study = {"robot": "p6r", "slides": 5, "collision": {}, "targets": {"kind": "crop", "crops": 1, "angles": 4}}
+    study["collision"] = {"margin": 0.005}
+    found, read = sweep_values(study), jaxik.Study.of(study)
+    reached = np.flatnonzero(found["reachable"])
+    assert len(reached) and np.any(found["reason"] == Reason.COLLISION)
+    for i in reached[:5]:
+        scene = read.targets.scenes[read.targets.crop[i]]
+        assert abs(float(jaxik.clearance(read.variants[0].chain, scene, found["q"][i])) - found["clearance"][i]) < 1e-5
+
+
+@pytest.mark.parametrize(
+    ("change", "words"),
+    [
+        ({"robot": None}, "no robot"),
+        ({"slide": 3}, "unknown key 'slide'"),
+        ({"chunk": 0}, "chunk = 0"),
+        ({"targets": GRID | {"x": [0, 1]}}, "'x' is not 3 numbers"),
+        ({"targets": GRID | {"kind": "ball"}}, "allowed: grid, voxels, file, crop"),
+        ({"targets": GRID | {"directions": [[0, 0, 0]]}}, "a direction has no length"),
+        ({"parameters": {"slide.width": [1]}}, "allowed: JOINT.lower"),
+        ({"parameters": {"elbow.length": [1]}}, "has no joint 'elbow'"),
+        ({"parameters": {"slide.upper": [-1]}}, "crosses the other limit"),
+        ({"parameters": {"a.x": [1], "b.x": [1], "c.x": [1]}}, "vary at most two"),
+        ({"collision": {"margins": 1}}, "unknown key 'margins'"),
+        ({"robot": BARE, "collision": {"scene": "cucumber_row"}}, "no collision geometry"),
+        ({"ik": {"choice": "best"}}, "choice 'best'"),
+        ({"robots": ["p6r", "p6r"], "robot": None}, "two robots of one name"),
+    ],
+)
+def test_a_study_that_cannot_be_read(change, words):
+    study = {k: v for k, v in (SMALL | change).items() if v is not None}
+    with pytest.raises(ValueError, match=words.replace("[", r"\[")) as error:
+        jaxik.Study.of(study)
+    assert "\n" not in str(error.value)
+
+
+# --------------------------------------------------------------------------------------------------------------------
+# The store
+
+
+def test_store_is_read_by_xarray_and_says_what_it_holds(small):
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        data = xarray.open_zarr(small.path).load()
+    assert data.q.dims == ("target", "joint") and list(data.joint.values) == list(small.study.variants[0].chain.joint_names)
+    known = data.attrs
+    assert known["quaternion_order"] == "wxyz" and known["complete"] and known["versions"]["jaxik"] == jaxik.__version__
+    assert small.study.variants[0].chain.digest[:16] in known["models"]["only"] and known["seed"] == 0
+    assert data.clearance.attrs["units"] == "m" and "limits" in data.reason.attrs["flag_meanings"]
+    assert known["undecided"] == int((~data.proven).sum()) and sum(known["counts"].values()) == len(data.target)
+    assert not any(b"pickle" in content for content in bits(small.path).values())
+
+
+KILLED = """
+import sys, time, json, jaxik
+print("up", flush=True)
+jaxik.sweep(json.loads(sys.argv[1]), sys.argv[2], progress=lambda done, total: print(done, flush=True))
+"""
+
+
+def test_killed_at_any_moment_it_ends_with_the_same_bits(small, tmp_path):
+    """kill -9 after a few of its chunks and a random while; then a rerun to the end. Finished chunks are not touched again."""
+    rng, path = np.random.default_rng(0), tmp_path / "k.zarr"
+    for turn in range(3):
+        process = subprocess.Popen(
+            [sys.executable, "-c", KILLED, json.dumps(SMALL), str(path)], stdout=subprocess.PIPE, text=True
+        )
+        first = next(int(line) for line in process.stdout if line.strip().isdigit())
+        for line in process.stdout:
+            if int(line) >= first + 100:
+                break
+        time.sleep(rng.uniform(0.0, 0.05))
+        process.send_signal(signal.SIGKILL)
+        process.wait()
+        process.stdout.close()
+        chunks = {p: p.stat().st_mtime_ns for p in path.glob("crc/c/*")}
+        assert len(chunks) >= turn + 1
+    jaxik.sweep(SMALL, path)
+    assert all(p.stat().st_mtime_ns == t for p, t in chunks.items())
+    assert bits(path) == bits(small.path)
+
+
+def test_shards_fill_one_store(small, tmp_path):
+    path = tmp_path / "s.zarr"
+    first = jaxik.sweep(SMALL, path, shard="1/2")
+    assert not first.complete and first.done == 4 and "complete" not in first.dataset().attrs
+    second = jaxik.sweep(SMALL, path, shard=(2, 2))
+    assert second.complete and bits(path) == bits(small.path)
+    for shard in ("0/2", "3/2", "half"):
+        with pytest.raises(ValueError, match="write i/n"):
+            jaxik.sweep(SMALL, path, shard=shard)
+
+
+def test_stop_and_go_on(small, tmp_path):
+    seen = []
+    stopped = jaxik.sweep(SMALL, tmp_path / "s.zarr", progress=lambda d, t: seen.append(d), stop=lambda: len(seen) >= 3)
+    assert 2 <= stopped.done < stopped.total
+    assert jaxik.sweep(SMALL, tmp_path / "s.zarr").complete and bits(tmp_path / "s.zarr") == bits(small.path)
+
+
+def test_another_study_is_refused_and_named(small):
+    changed = SMALL | {"slides": 12, "targets": GRID | {"z": [0.1, 0.8, 6]}}
+    with pytest.raises(StoreError, match=r"slides was 11 and is 12; targets.axis_z was .* 5. and is .* 6.; targets.count"):
+        jaxik.sweep(changed, small.path)
+    with pytest.raises(StoreError, match=r"models.only was .*p6r"):
+        jaxik.sweep(SMALL | {"robot": jaxik.load("p6r").with_spheres(64)}, small.path)
+
+
+def test_damage_is_found_named_and_mended(small, tmp_path):
+    path = tmp_path / "d.zarr"
+    jaxik.sweep(SMALL, path)
+    flipped = path / "q" / "c" / "2" / "0"
+    content = bytearray(flipped.read_bytes())
+    content[len(content) // 2] ^= 1
+    flipped.write_bytes(content)
+    with pytest.raises(StoreError, match=r"chunk 2, targets 200 to 299: 'q' is damaged .* repair"):
+        jaxik.sweep(SMALL, path)
+    (path / "reason" / "c" / "4").unlink()
+    jaxik.sweep(SMALL, path, repair=True)
+    assert bits(path) == bits(small.path)
+    (tmp_path / "other").mkdir()
+    with pytest.raises(StoreError, match="is no store of a sweep"):
+        jaxik.sweep(SMALL, tmp_path / "other")
+
+
+def test_a_disk_that_is_full_loses_nothing(small, tmp_path, monkeypatch):
+    """The system's own refusal, from the third chunk on; then there is room again."""
+    from jaxik.sweep.store import Store
+
+    write, calls = Store.write, itertools.count()
+
+    def full(self, number, columns):
+        if next(calls) >= 2:
+            raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
+        write(self, number, columns)
+
+    monkeypatch.setattr(Store, "write", full)
+    with pytest.raises(OSError, match=r"chunk 2 could not be written \(No space left on device\); mend that and run again"):
+        jaxik.sweep(SMALL, tmp_path / "f.zarr")
+    monkeypatch.undo()
+    assert jaxik.sweep(SMALL, tmp_path / "f.zarr").complete and bits(tmp_path / "f.zarr") == bits(small.path)
+    with pytest.raises(OSError):
+        jaxik.sweep(SMALL, Path(os.devnull) / "nowhere.zarr")
+
+
+def test_command(tmp_path, small):
+    """From a TOML file by the command; Ctrl-C ends after the running chunk, and the same command goes on."""
+    grid = "\n".join(f"{k} = {json.dumps(v)}" for k, v in GRID.items())
+    (tmp_path / "small.toml").write_text(f'robot = "p6r"\nslides = 11\nchunk = 100\naudited = 0\n[targets]\n{grid}\n')
+    command = [sys.executable, "-c", "from jaxik.cli import main; main()", "sweep", "small.toml"]
+    process = subprocess.Popen(command, cwd=tmp_path, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
+    while not list(tmp_path.glob("small.zarr/crc/c/*")) and process.poll() is None:
+        time.sleep(0.005)
+    process.send_signal(signal.SIGINT)
+    out, err = process.communicate()
+    stopped = process.returncode == 130
+    assert process.returncode in (0, 130) and "chunks in" in out and (not stopped or "goes on" in err), (out, err)
+    again = subprocess.run(command, cwd=tmp_path, capture_output=True, text=True)
+    assert again.returncode == 0 and "7 of 7 chunks" in again.stdout
+    kept = ("q", "reason", "crc")  # the study's name differs, and only that
+    assert {k: v for k, v in bits(tmp_path / "small.zarr").items() if k.split("/")[0] in kept} == {
+        k: v for k, v in bits(small.path).items() if k.split("/")[0] in kept
+    }
+    (tmp_path / "bad.toml").write_text('robot = "p6r"\n[targets]\nkind = "grid"\n')
+    bad = subprocess.run([*command[:-1], "bad.toml"], cwd=tmp_path, capture_output=True, text=True)
+    assert bad.returncode == 2 and "targets: 'x' is missing" in bad.stderr and "Traceback" not in bad.stderr
+
+
+# --------------------------------------------------------------------------------------------------------------------
+# A cluster
+
+
+def dask(*words, folder):
+    command = [sys.executable, "-m", "dask", *words, "--scheduler-file", str(folder / "scheduler.json")]
+    return subprocess.Popen(command, cwd=folder, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
+
+
+def test_a_cluster_makes_the_same_store_though_a_worker_dies(small, tmp_path, monkeypatch):
+    """A scheduler and two workers on loopback; one worker is killed once the first chunk is there."""
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "cache"))
+    local = ("--host", "127.0.0.1", "--no-dashboard")
+    running = [dask("scheduler", *local, "--port", "0", folder=tmp_path)]
+    try:
+        while not (tmp_path / "scheduler.json").exists():
+            time.sleep(0.05)
+        address = json.loads((tmp_path / "scheduler.json").read_text())["address"]
+        workers = [dask("worker", *local, "--nthreads", "1", "--no-nanny", folder=tmp_path) for _ in range(2)]
+        running += workers
+        from distributed import Client
+
+        with Client(address, set_as_default=False) as client:
+            client.wait_for_workers(2, timeout=60)
+
+        def progress(done, total):
+            if done > 0:
+                workers[0].kill()
+
+        done = jaxik.sweep(SMALL, tmp_path / "c.zarr", cluster=address, progress=progress)
+        assert done.complete and workers[0].wait() == -signal.SIGKILL and workers[1].poll() is None
+        assert bits(tmp_path / "c.zarr") == bits(small.path)
+    finally:
+        for process in running:
+            process.kill()
+            process.wait()
+    with pytest.raises(ValueError, match="no scheduler answers"):
+        jaxik.sweep(SMALL, tmp_path / "d.zarr", cluster="tcp://127.0.0.1:9")
