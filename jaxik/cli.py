@@ -1,4 +1,4 @@
-"""The commands: `jaxik harvest`, `jaxik ik`."""
+"""The commands: `jaxik harvest`, `jaxik ik`, `jaxik sweep`, `jaxik view`."""
 
 from __future__ import annotations
 
@@ -6,16 +6,18 @@ import csv
 import dataclasses
 import os
 import shutil
+import signal
 import sys
 import tempfile
 import time
 from pathlib import Path
-from typing import Annotated, Literal
+from typing import Annotated, Any, Literal
 
 import numpy as np
 import tyro
 
 import jaxik
+from jaxik.batch import compilation_cache
 from jaxik.harvest import Harvest
 from jaxik.scan import Weights
 from jaxik.task import COMPONENTS
@@ -52,7 +54,7 @@ def run_harvest(arguments: HarvestArguments) -> None:
         raise ValueError(f"--angles {arguments.angles} --slides {arguments.slides}: both are at least 1")
     chain = jaxik.load(arguments.robot, tip=arguments.tip)
     scene = jaxik.load_scene(arguments.scene)
-    _compilation_cache()
+    compilation_cache()
     with Progress(console=Console(stderr=True)) as bar:
         task = bar.add_task("harvest", total=len(scene.fruits))
         result = jaxik.harvest(
@@ -122,7 +124,7 @@ def run_ik(arguments: IKArguments) -> None:
     task = jaxik.Task(tuple(name not in free for name in COMPONENTS), arguments.axes)
     names = [f.name for f in dataclasses.fields(jaxik.IKOptions)]
     chosen = {k: v for k, v in dataclasses.asdict(arguments).items() if k in names}
-    _compilation_cache()
+    compilation_cache()
     start = time.perf_counter()
     with Progress(console=Console(stderr=True)) as bar:
         line = bar.add_task("ik", total=len(targets))
@@ -165,17 +167,125 @@ def _write_parquet(path: Path, columns: dict[str, np.ndarray]) -> None:
     pyarrow.parquet.write_table(pyarrow.table(columns), path)
 
 
-def _compilation_cache() -> None:
-    """JAX's persistent cache, so that the second run compiles nothing. Only the commands touch the configuration."""
-    import jax
+@dataclasses.dataclass
+class SweepArguments:
+    """Where a robot can reach: all targets of a study into a Zarr store, resumed where an earlier run was stopped."""
 
-    folder = Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache") / "jaxik"
-    try:
-        folder.mkdir(parents=True, exist_ok=True)
-    except OSError:
-        return  # a read-only home costs time, not the result
-    jax.config.update("jax_compilation_cache_dir", str(folder))
-    jax.config.update("jax_persistent_cache_min_compile_time_secs", 0.1)
+    study: tyro.conf.Positional[Path]
+    """The study (.toml)."""
+    out: Path | None = None
+    """The store; the study's name with .zarr unless given."""
+    shard: str = "1/1"
+    """i/n: every n-th chunk, beginning with the i-th; n such processes fill one store."""
+    cluster: str | None = None
+    """Address of a Dask scheduler whose workers compute (needs the extra `cluster`)."""
+    repair: bool = False
+    """Compute damaged chunks again."""
+    plot: bool = False
+    """Draw what the store holds: slices, reasons, what was missed."""
+
+
+def run_sweep(arguments: SweepArguments) -> None:
+    """Work through a study with a progress bar, and end with one line of counts and times. Ctrl-C ends after the chunk."""
+    from rich.console import Console
+    from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
+
+    compilation_cache()
+    study = jaxik.Study.of(arguments.study)
+    start = time.perf_counter()
+    console = Console(stderr=True)
+    columns = (
+        TextColumn("sweep"),
+        BarColumn(),
+        MofNCompleteColumn(),
+        TextColumn("{task.fields[rate]} targets/s"),
+        TimeRemainingColumn(),
+    )
+    with Progress(*columns, console=console) as bar, _Interrupt(console) as asked:
+        line = bar.add_task("sweep", total=None, rate="-")
+        begun: list[int] = []
+
+        def show(done: int, total: int) -> None:
+            begun.append(done)
+            rate = (done - begun[0]) / (time.perf_counter() - start)
+            bar.update(line, completed=done, total=total, rate=f"{rate:,.0f}" if done > begun[0] else "-")
+
+        out = arguments.out or arguments.study.with_suffix(".zarr")
+        result = jaxik.sweep(
+            study,
+            out,
+            shard=arguments.shard,
+            cluster=arguments.cluster,
+            repair=arguments.repair,
+            progress=show,
+            stop=lambda: asked.stop,
+        )
+    counts = ", ".join(f"{n:,} {reason}" for reason, n in result.counts.items())
+    state = f"{result.done} of {result.total} chunks"
+    print(f"{counts or 'nothing yet'}; {state} in {time.perf_counter() - start:.1f} s; wrote {out}")
+    if arguments.plot:
+        from jaxik.plot_sweep import plot_sweep
+
+        picture = out.with_suffix(".png")
+        plot_sweep(out, picture)
+        print(f"drew {picture}")
+    if asked.stop and not result.complete:
+        print("stopped; run the same command again and it goes on", file=sys.stderr)
+        raise SystemExit(130)
+
+
+class _Interrupt:
+    """While it is open, the first Ctrl-C only sets `stop`; the second interrupts as ever."""
+
+    def __init__(self, console: Any):
+        self.stop, self.console = False, console
+
+    def __enter__(self) -> _Interrupt:
+        self.before = signal.signal(signal.SIGINT, self._asked)
+        return self
+
+    def _asked(self, number: int, frame: Any) -> None:
+        self.stop = True
+        self.console.print("stopping after this chunk; Ctrl-C again leaves it")
+        signal.signal(signal.SIGINT, self.before)
+
+    def __exit__(self, *error: Any) -> None:
+        signal.signal(signal.SIGINT, self.before)
+
+
+@dataclasses.dataclass
+class ViewArguments:
+    """A page in the browser: the robot with joints to drag, the scene, a sweep's map, each fruit's posture."""
+
+    robot: tyro.conf.Positional[str] = "p6r"
+    """A shipped model or a robot file (.urdf, .xml, .toml)."""
+    scene: str | None = None
+    """A shipped scene or a scene file."""
+    store: Path | None = None
+    """What `jaxik sweep` wrote: its map."""
+    harvest: bool = False
+    """Harvest the scene first, to show the posture of each fruit."""
+    tip: str | None = None
+    """The link at the tip; needed where the robot has several."""
+    host: str = "127.0.0.1"
+    """Where the page is served; 0.0.0.0 shows it to the network."""
+    port: int = 8080
+    """The port of the page; the next free one if it is taken."""
+
+
+def run_view(arguments: ViewArguments) -> None:
+    """Serve the page until Ctrl-C."""
+    from jaxik.view import Page
+
+    compilation_cache()
+    chain = jaxik.load(arguments.robot, tip=arguments.tip, meshes=True)
+    if arguments.harvest and arguments.scene is None:
+        raise ValueError("--harvest: needs a --scene with fruits, e.g. --scene cucumber_row")
+    scene = None if arguments.scene is None else jaxik.load_scene(arguments.scene)
+    picked = jaxik.harvest(chain, scene) if arguments.harvest and scene is not None else None
+    page = Page(chain, scene, arguments.store, picked, arguments.host, arguments.port)
+    print(f"open {page.url} in a browser; Ctrl-C ends", flush=True)
+    page.wait()
 
 
 def _print_table(result: Harvest) -> None:
@@ -224,6 +334,8 @@ def main() -> None:
     arguments = tyro.cli(
         Annotated[HarvestArguments, tyro.conf.subcommand("harvest")]
         | Annotated[IKArguments, tyro.conf.subcommand("ik")]
+        | Annotated[SweepArguments, tyro.conf.subcommand("sweep")]
+        | Annotated[ViewArguments, tyro.conf.subcommand("view")]
         | Annotated[_About, tyro.conf.subcommand("about")],  # type: ignore[arg-type]
         prog="jaxik",
         description=jaxik.__doc__,
@@ -233,6 +345,10 @@ def main() -> None:
             run_harvest(arguments)
         elif isinstance(arguments, IKArguments):
             run_ik(arguments)
+        elif isinstance(arguments, SweepArguments):
+            run_sweep(arguments)
+        elif isinstance(arguments, ViewArguments):
+            run_view(arguments)
         else:
             print(f"jaxik {jaxik.__version__}")
     except (ValueError, OSError) as error:

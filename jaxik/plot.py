@@ -14,7 +14,14 @@ from jaxik.kinematics import joint_frames
 from jaxik.result import Reason
 from jaxik.spheres import skeletons
 
-COLOURS = {Reason.SOLVED: "tab:green", Reason.COLLISION: "tab:red", Reason.LIMITS: "tab:orange"}
+COLOURS = {
+    Reason.SOLVED: "tab:green",
+    Reason.OUT_OF_REACH: "silver",
+    Reason.LIMITS: "tab:orange",
+    Reason.COLLISION: "tab:red",
+    Reason.NOT_CONVERGED: "tab:purple",
+    Reason.INVALID: "black",
+}
 
 
 def plot_harvest(result: Harvest, path: Path, fruit: str | None = None) -> None:

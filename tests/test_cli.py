@@ -67,7 +67,7 @@ def test_it_writes_table_picture_and_arrays(tmp_path):
 )
 def test_a_mistake_is_one_line_and_exit_code_2(tmp_path, monkeypatch, capsys, arguments, words):
     monkeypatch.chdir(tmp_path)
-    monkeypatch.setattr(cli, "_compilation_cache", lambda: None)
+    monkeypatch.setattr(cli, "compilation_cache", lambda: None)
     (tmp_path / "broken.toml").write_text("[broken")
     with pytest.raises(SystemExit) as exit:
         call(monkeypatch, "harvest", *arguments)
@@ -127,7 +127,7 @@ def targets_file(path, poses):
 
 def test_ik_writes_the_answers_of_any_file(tmp_path, monkeypatch, capsys):
     monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "cache"))
-    monkeypatch.setattr(cli, "_compilation_cache", lambda: None)
+    monkeypatch.setattr(cli, "compilation_cache", lambda: None)
     chain = jaxik.load("chembuly9")
     q = np.random.default_rng(0).uniform(chain.lower, chain.upper, (5, chain.num_joints))
     poses = [np.asarray(jaxik.forward_kinematics(chain, row)) for row in q]

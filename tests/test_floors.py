@@ -8,18 +8,21 @@ from pathlib import Path
 import jaxik
 
 FLOORS = [
+    {"ball"},
     {"algebra", "kernel", "result", "batch", "choice"},
     {"chain", "optimise", "task"},  # optimise knows no robot: it may import the algebra alone
     {"scene", "kinematics", "reach", "mapping", "path"},
     {"spheres", "distance"},
     {"collision", "costs", "closed_form"},
     {"load"},  # above the spheres: a loaded chain knows which of its links may touch
-    {"lanes", "seeds", "implicit", "crop", "scan", "redundancy", "judge"},
-    {"ik_options", "predictive", "follow"},
-    {"multistart", "moving_horizon", "boundary"},
+    {"lanes", "seeds", "implicit", "crop", "leading", "redundancy", "judge"},
+    {"scan", "between", "ik_options", "predictive", "follow"},
+    {"multistart", "score", "moving_horizon", "boundary"},
     {"ik", "baselines"},
-    {"harvest"},
+    {"harvest", "sweep"},
     {"plot"},
+    {"plot_sweep"},
+    {"view"},
     {"cli"},
 ]
 ROOT = Path(jaxik.__file__).parent
