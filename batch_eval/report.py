@@ -102,12 +102,58 @@ def statistics_markdown(result: dict[str, Any]) -> str:
     return "\n".join([*lines, "", others, best])
 
 
+def sweep_markdown(result: dict[str, Any]) -> str:
+    """A row for each kind of sweep, and lines on its scaling and its kills."""
+    lines = ["| sweep | targets | targets/s | false negatives, in 95 % at most |", "| --- | --- | --- | --- |"]
+    eaik, kills, scaling = result["eaik"], result["kills"]["killed"], result["scaling"]
+    wall, cpu = scaling["wall"], scaling["cpu"]
+    grid, proof = (eaik[f"jaxik_refine_{refine}"] for refine in (0, 5))
+    most = lambda row: f"{100 * row['false_negative_rate']:.2f} %, {100 * row['false_negative_bound_95']:.2f} %"
+    rows = [
+        (f"p6r, limits, {eaik['slides']} positions of the slide", eaik["targets"], grid, "-"),
+        ("the same, and between them", eaik["targets"], proof, f"0, but for {proof['undecided']:,} undecided"),
+        ("p6r in the shipped crop, with its spheres", result["crop"]["targets"], result["crop"], most(result["crop"])),
+        *((f"{name}, by multistart", row["targets"], row, most(row)) for name, row in result["search"].items()),
+    ]
+    lines += [f"| {name} | {count:,} | {row['per_second']:,.0f} | {missed} |" for name, count, row, missed in rows]
+    times = [f"{row['times_eaik']:.0f} and {row['times_eaik_with_limits']:.0f}" for row in (grid, proof)]
+    span = lambda what: (result["scene"][what][0], result["scene"][what][-1])
+    ends = lambda what: " to ".join(f"{count:,} ({rate:,.0f}/s)" for count, rate in span(what)) + f" {what}"
+    least, largest = min(scaling["targets"]), max(scaling["targets"])
+    off = [f"{100 * max(map(abs, row['deviation'])):.0f} %" for row in (wall, cpu)]
+    lines += [
+        "",
+        f"EAIK, two threads, in a loop over the same positions: {eaik['eaik_us']:.0f} us a target for its solutions alone,",
+        f"{eaik['eaik_with_limits_us']:.0f} us with the limits looked at by NumPy. The first row is {times[0]} times",
+        f"faster, the second {times[1]} times. From {least:,} to {largest:,} targets the time is",
+        f"{wall['first_seconds']:.2f} s and {wall['us_per_target']:.1f} us a target, within {off[0]} (CPU time: {off[1]}), in",
+        f"{scaling['resident_gib']:.1f} GiB. Two processes do {result['processes']['ratio']:.2f} times the work of one.",
+        f"Killed {kills} times at random moments, a store ends with the same bits. With {ends('obstacles')};",
+        f"with {ends('spheres')}.",
+    ]
+    return "\n".join(lines)
+
+
+def base_markdown(result: dict[str, Any]) -> str:
+    """What grids of bases pick, and what ascents do."""
+    here, *corners = result["ascents"]
+    lines = ["| where to stand | fruits picked | time |", "| --- | --- | --- |"]
+    lines.append(f"| where it stands | {result['where_it_stands']} of {result['fruits']} | - |")
+    lines += [f"| best of a grid of {g['bases']} bases | {g['picked']} | {g['seconds']:.1f} s |" for g in result["grids"]]
+    lines.append(f"| ascent from where it stands | {here['picked']} | {here['seconds']:.1f} s |")
+    found, longest = sorted((c["picked"] for c in corners), reverse=True), max(c["seconds"] for c in corners)
+    lines.append(f"| ascents from {len(corners)} corners of a box | {', '.join(map(str, found))} | {longest:.1f} s at most |")
+    return "\n".join(lines)
+
+
 TABLES = {
+    "base_placement.json": base_markdown,
     "benchmark.json": markdown,
     "ik_benchmark.json": ik_markdown,
     "nine_dof.json": nine_dof_markdown,
     "predictive_benchmark.json": predictive_markdown,
     "predictive_statistics.json": statistics_markdown,
+    "sweep_benchmark.json": sweep_markdown,
 }
 
 
