@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
+import contextlib
 import dataclasses
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from pathlib import Path
-from typing import Any
+from typing import Any, BinaryIO
 
 import numpy as np
 
@@ -66,15 +67,23 @@ def frame(translation: Any = (0.0, 0.0, 0.0), rotation: np.ndarray | None = None
     return matrix
 
 
-def read_bytes(path: Path, most: int = MAX_BYTES) -> bytes:
-    """The file's content, or the one line that says why not."""
+@contextlib.contextmanager
+def opened(path: Path, most: int = MAX_BYTES) -> Iterator[BinaryIO]:
+    """The file, to read its bytes; or the one line that says why not."""
     try:
         size = path.stat().st_size
         if size > most:
             raise LoadError(path, "file", f"{size} bytes", f"at most {most} are read")
-        return path.read_bytes()
+        with path.open("rb") as file:
+            yield file
     except OSError as error:
         raise LoadError(path, "file", f"cannot be read ({error.strerror or error})", "check the path") from None
+
+
+def read_bytes(path: Path) -> bytes:
+    """The file's content, or the one line that says why not."""
+    with opened(path) as file:
+        return file.read()
 
 
 def unique(file: Path, kind: str, names: Iterable[str]) -> None:

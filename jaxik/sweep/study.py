@@ -20,7 +20,8 @@ import numpy as np
 from jaxik.chain import Chain
 from jaxik.closed_form import closed_form_obstacle
 from jaxik.ik_options import IKOptions
-from jaxik.load import load, load_scene, load_targets
+from jaxik.load import load, load_scene
+from jaxik.load.targets import read_targets
 from jaxik.load.toml import Table, read_toml
 from jaxik.scan import Grasp, Weights
 from jaxik.scene import Scene
@@ -420,12 +421,12 @@ def _targets(table: Table, folder: Path, chains: list[Chain], seed: int, grasp: 
 def _given_targets(row: Table, folder: Path, frame: str, grasp: Grasp) -> Targets:
     row.asked.update(("path", "poses"))
     known = row.content.get("poses")
-    poses = load_targets(folder / row.text("path")) if known is None else np.asarray(known, np.float64)
-    if poses.ndim == 3 and poses.shape[1:] == (4, 4):
+    poses = read_targets(folder / row.text("path")) if known is None else np.asarray(known, np.float64)
+    if poses.shape[1:] in ((4, 4), (7,)):
         return Targets("file", frame, np.zeros((0, 3, 3)), poses=poses)
     if poses.ndim == 2 and poses.shape[1] == 3:
         return Targets("file", frame, _rotations(row, grasp), positions=poses)
-    raise row.fail(f"poses of shape {poses.shape}", "allowed: (N, 4, 4), or positions (N, 3)")
+    raise row.fail(f"poses of shape {poses.shape}", "allowed: (N, 4, 4); (N, 7) of x, y, z, qw, qx, qy, qz; positions (N, 3)")
 
 
 def _axis(row: Table, key: str) -> np.ndarray:

@@ -13,6 +13,7 @@ import numpy as np
 
 from jaxik.chain import Chain
 from jaxik.crop import cucumber_row, trellis_crop
+from jaxik.load.targets import as_frames
 from jaxik.reach import reach
 from jaxik.scan import Grasp, approach_grid, fruit_frames
 from jaxik.scene import Scene
@@ -26,9 +27,9 @@ class Targets:
     """Positions times tool rotations, or poses one by one; in the world, or in each robot's base where `frame` is "base".
 
     `axes` are the values of x, y and z of a grid [m]; `positions` (p, 3), where there is no grid, any points. `rotations`
-    (t, 3, 3) turn the tool's axes into the frame's; none of them (0, 3, 3) leaves the rotation free. `poses` (N, 4, 4) stand
-    for both where every target has its own. `crop` (N,) numbers the scene of `scenes` that a target belongs to: its crop
-    without the fruit that is picked.
+    (t, 3, 3) turn the tool's axes into the frame's; none of them (0, 3, 3) leaves the rotation free. `poses` (N, 4, 4), or
+    positions with quaternions (N, 7), stand for both where every target has its own. `crop` (N,) numbers the scene of `scenes`
+    that a target belongs to: its crop without the fruit that is picked.
     """
 
     kind: str
@@ -66,7 +67,7 @@ class Targets:
     def poses_at(self, rows: np.ndarray) -> np.ndarray:
         """The poses (r, 4, 4) of targets by number; with the identity for a rotation that is free."""
         if self.poses is not None:
-            return self.poses[rows]
+            return as_frames(self.poses[rows])
         position, turn = np.divmod(rows, self.turns)
         poses = np.tile(np.eye(4), (len(rows), 1, 1))
         if self.axes:
@@ -81,7 +82,7 @@ class Targets:
     def wxyz_at(self, rows: np.ndarray) -> np.ndarray:
         """The unit quaternions (r, 4) of targets whose rotation is not free, w >= 0; NaN where it is none."""
         if self.poses is not None:
-            return wxyz(self.poses[rows, :3, :3])
+            return wxyz(self.poses_at(rows)[:, :3, :3])
         return wxyz(self.rotations)[rows % self.turns]
 
     def at(self, rows: np.ndarray) -> Targets:
@@ -106,7 +107,7 @@ class Targets:
         known |= {f"axis_{n}": [float(a[0]), float(a[-1]), len(a)] for n, a in zip("xyz", self.axes, strict=False)}
         arrays = {"rotations": self.rotations, "positions": self.positions, "poses": self.poses}
         given = {k: v for k, v in arrays.items() if v is not None and len(v)}
-        known |= {k: hashlib.sha256(np.ascontiguousarray(v).tobytes()).hexdigest()[:16] for k, v in given.items()}
+        known |= {k: hashlib.sha256(np.ascontiguousarray(v).data).hexdigest()[:16] for k, v in given.items()}
         return known
 
 
