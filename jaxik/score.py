@@ -106,8 +106,12 @@ def likely_postures(
     """Of one target's alternative poses `world_T_tip` (a, 4, 4) the `count` most promising (count, 4, 4), with postures
     (count, n): of all branches at `slides` positions of each leading joint, past limits and reach too, those of the best worth.
 
-    A host function for chains with a closed form; others take the answers of `solve_ik`.
+    A host function for chains with a closed form; others take the answers of `solve_ik`. Raises `ValueError` where the chain
+    has none, or no pose is one.
     """
+    poses = np.asarray(poses, np.float64)
+    if poses.ndim != 3 or poses.shape[1:] != (4, 4) or not np.isfinite(poses).all(axis=(1, 2)).any():
+        raise ValueError(f"poses of shape {poses.shape} hold no finite frame; give (a, 4, 4), world_T_tip")
     leading = leading_grid(chain, slides)
     local = np.linalg.inv(np.asarray(chain.world_T_base)) @ poses
     pose, lead = (x.ravel() for x in np.meshgrid(np.arange(len(poses)), np.arange(len(leading)), indexing="ij"))

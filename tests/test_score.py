@@ -6,6 +6,7 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
+import pytest
 
 import jaxik
 from jaxik.scan import fruit_frames
@@ -28,7 +29,7 @@ def test_gradient_by_base_link_and_scene_is_that_of_differences():
     at, q = jaxik.likely_postures(CHAIN, around, fruit_frames(fruit, np.linspace(-np.pi, np.pi, 24, endpoint=False)))
     at, q = jnp.asarray(at), jnp.asarray(q, float)
 
-    def score(x):
+    def score(x, around, at, q):
         """Of the base's shift (3), a link's length, and the leaves' shift (3)."""
         frames = jnp.asarray(CHAIN.parent_T_joint).at[3, 0, 3].add(x[3])
         chain = eqx.tree_at(lambda c: c.parent_T_joint, CHAIN.mounted(shifted(x[:3])), frames)
@@ -36,8 +37,9 @@ def test_gradient_by_base_link_and_scene_is_that_of_differences():
         return jaxik.reach_score(chain, eqx.tree_at(lambda s: s.points, around, points), at, q)
 
     both, step = jax.jit(jax.value_and_grad(score)), 1e-5
-    slope = np.asarray(both(jnp.zeros(7))[1])
-    differences = [(both(step * e)[0] - both(-step * e)[0]) / (2.0 * step) for e in np.eye(7)]
+    value = lambda x: both(x, around, at, q)[0]
+    slope = np.asarray(both(jnp.zeros(7), around, at, q)[1])
+    differences = [(value(step * e) - value(-step * e)) / (2.0 * step) for e in np.eye(7)]
     assert all(np.max(np.abs(slope[part])) > 1e-3 for part in (slice(0, 3), slice(3, 4), slice(4, 7)))
     assert np.allclose(slope, differences, rtol=2e-3, atol=2e-4 * float(np.max(np.abs(differences))))
 
@@ -72,3 +74,13 @@ def test_half_is_the_mark():
     log_score = lambda y: jaxik.log_reach_score(CHAIN.mounted(shifted(jnp.array([0.0, y, 0.0]))), AROUND, at, q)
     value, slope = jax.jit(jax.value_and_grad(log_score))(0.0)
     assert np.exp(value) < 0.5 and np.isfinite(value) and slope > 0.0  # a metre away it still says where to go
+
+
+def test_what_is_no_pose_is_left_out_or_refused():
+    poses = POSES[:3].copy()
+    poses[1] = np.nan
+    at, q = jaxik.likely_postures(CHAIN, AROUND, poses)
+    assert np.isfinite(at).all() and np.isfinite(q).all()
+    for bad in (poses[1:2], poses[:0], poses[0]):
+        with pytest.raises(ValueError, match="no finite frame"):
+            jaxik.likely_postures(CHAIN, AROUND, bad)

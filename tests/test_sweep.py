@@ -18,9 +18,11 @@ import pytest
 import xarray
 from arm import eaik_robot
 from robots import bare, pinocchio, pose_errors
+from scipy.spatial.transform import Rotation
 
 import jaxik
 from jaxik import Reason
+from jaxik.load import models_folder
 from jaxik.sweep.cluster import _on_worker, _piece
 from jaxik.sweep.store import StoreError
 from jaxik.sweep.targets import directions
@@ -112,6 +114,22 @@ def test_nothing_is_missed_that_was_said_to_be_proven():
     alone = sweep_values(few | {"refine": 0})
     found = dense["reachable"] & ~(coarse["reachable"] & ~coarse["between"])
     assert np.all(found <= (coarse["between"] | ~coarse["proven"])) and np.all(alone["proven"] <= coarse["proven"])
+
+
+def test_two_leading_joints_of_which_one_turns(tmp_path):
+    turn = '[[joint]]\nname = "turn"\ntype = "revolute"\na = 0.2\nlower_deg = -60\nupper_deg = 60\n\n'
+    text = (models_folder() / "p6r.toml").read_text()
+    (tmp_path / "turned.toml").write_text(text.replace("[[joint]]", turn + "[[joint]]", 1))
+    chain = jaxik.load(tmp_path / "turned.toml")
+    few = {"x": [-0.3, 1.2, 6], "y": [0.1, 0.9, 5], "z": [0.1, 0.9, 4], "directions": [[0, 1, 0], [1, 1, 0]]}
+    study = {"robot": chain, "slides": 4, "audited": 0, "targets": {"kind": "grid"} | few}
+    coarse, dense = (sweep_values(study | changes) for changes in ({}, {"slides": 41, "refine": 0}))
+    assert not np.any(dense["reachable"] & ~coarse["reachable"] & coarse["proven"])
+    assert coarse["between"].any() and (~coarse["proven"]).mean() < 0.1
+    forward, poses = pinocchio(chain), np.linalg.inv(chain.world_T_base) @ jaxik.Study.of(study).targets.part(0, 240)
+    for i in np.flatnonzero(coarse["reachable"])[::9]:
+        q = coarse["q"][i]
+        assert max(pose_errors(forward(q), poses[i])) < 1e-9 and np.all((q >= chain.lower) & (q <= chain.upper))
 
 
 def sweep_values(study, rows=None):
@@ -258,6 +276,15 @@ def test_kinds_of_targets(tmp_path):
     (tmp_path / "s.toml").write_text('robot = "p6r"\nslides = 11\naudited = 0\n[targets]\nkind = "file"\npath = "t.csv"\n')
     done = jaxik.sweep(tmp_path / "s.toml")
     assert done.path == tmp_path / "s.zarr" and done.counts.get("invalid") == 1
+    rng = np.random.default_rng(5)
+    rows = np.concatenate([rng.uniform(-1.0, 1.0, (9, 3)), rng.normal(size=(9, 4))], axis=1)
+    np.savez(tmp_path / "t.npz", positions=rows[:, :3], wxyz=rows[:, 3:])
+    of = lambda **given: jaxik.Study.of({"robot": "p6r", "targets": {"kind": "file", **given}}).targets
+    for targets in (of(path=str(tmp_path / "t.npz")), of(poses=rows)):  # seven numbers each, until a chunk asks
+        frames, turned = targets.part(2, 9), Rotation.from_quat(rows[2:, [4, 5, 6, 3]])
+        assert targets.poses.shape == (9, 7) and np.allclose(frames[:, :3, :3], turned.as_matrix(), atol=1e-14)
+        assert np.allclose(frames[:, :3, 3], rows[2:, :3]) and np.all(frames[:, 3] == [0.0, 0.0, 0.0, 1.0])
+        assert np.allclose(targets.wxyz_at(np.arange(2, 9)), turned.as_quat(canonical=True)[:, [3, 0, 1, 2]])
     unit = directions(50)
     assert np.allclose(np.linalg.norm(unit, axis=1), 1.0) and np.linalg.norm(unit.mean(axis=0)) < 0.01
 
