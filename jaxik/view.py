@@ -16,6 +16,7 @@ from jaxik.plot import COLOURS, bones
 from jaxik.plot_sweep import Map, open_store, variant_map
 from jaxik.scene import Scene
 from jaxik.spheres import skeletons
+from jaxik.sweep.study import variant_name
 from jaxik.sweep.targets import wxyz
 
 SHOWN = 200_000  # points of a cloud that a browser still turns smoothly
@@ -39,7 +40,8 @@ class Page:
             import viser
         except ImportError:
             raise ValueError("jaxik view: viser is not installed; pip install 'jaxik[view]'") from None
-        self.chain, self.scene, self.harvest = chain, scene, harvest
+        self.home = self.chain = chain
+        self.scene, self.harvest = scene, harvest
         self.server = viser.ViserServer(host=host, port=port, label="jaxik", verbose=False)
         self.server.scene.set_up_direction("+z")
         self.server.initial_camera.position, self.server.initial_camera.look_at = (1.3, -1.1, 1.2), (0.6, 0.5, 0.45)
@@ -48,7 +50,7 @@ class Page:
         if scene is not None:
             self._scene(scene)
         if store is not None:
-            self.map = _Cloud(self.server, store, self.move)
+            self.map = _Cloud(self, store)
         if harvest is not None:
             self._fruits(harvest)
         self._robot()
@@ -68,8 +70,9 @@ class Page:
     def close(self) -> None:
         self.server.stop()
 
-    def move(self, q: np.ndarray) -> None:
-        """Shows the robot at `q` (n,) [rad, m]."""
+    def move(self, q: np.ndarray, world_T_base: np.ndarray | None = None) -> None:
+        """Shows the robot at `q` (n,) [rad, m], where it stands unless `world_T_base` (4, 4) puts it elsewhere."""
+        self.chain = self.home if world_T_base is None else self.home.mounted(world_T_base)
         for slider, value, prismatic in zip(self.sliders, q, self.chain.is_prismatic, strict=True):
             slider.value = float(value if prismatic else np.degrees(value))
         self._robot()
@@ -155,14 +158,17 @@ class Page:
 
 
 class _Cloud:
-    """A sweep's targets as points, coloured by reason or by a score; cut by a slice; a click shows a posture."""
+    """A sweep's targets as points, coloured by reason or by a score; cut by a slice; a click shows a posture.
 
-    def __init__(self, server: Any, store: str | Path, move: Any):
-        self.server, self.group, self.move = server, open_store(store), move
+    The robot stands where the variant has it. Of another robot, and of other lengths of its links, only the map is shown.
+    """
+
+    def __init__(self, page: Page, store: str | Path):
+        self.page, self.server, self.group = page, page.server, open_store(store)
         self.maps: dict[tuple[int, ...], Map] = {}
         shape = self.group["reason"].shape[:-1]
         self.indices = {_label(self.group, index): index for index in np.ndindex(*shape)}
-        gui = server.gui
+        gui = self.server.gui
         with gui.add_folder("map"):
             self.visible = gui.add_checkbox("targets", True)
             self.variant = gui.add_dropdown("of", list(self.indices))
@@ -174,8 +180,16 @@ class _Cloud:
             self.legend = gui.add_markdown("")
         for control in (self.visible, self.variant, self.colour, self.axis, self.cut, self.only, self.size):
             control.on_update(lambda _: self.draw())
-        server.scene.on_click()(self._clicked)
+        self.variant.on_update(lambda _: self.stand())
+        self.server.scene.on_click()(self._clicked)
+        self.stand()
         self.draw()
+
+    def stand(self) -> None:
+        """Puts the robot where the variant has it."""
+        index = self.indices[self.variant.value]
+        if self._drawn(index):
+            self.page.move(self.page.q, self._mount(index))
 
     def draw(self) -> None:
         """Draws the points that the controls leave."""
@@ -197,8 +211,19 @@ class _Cloud:
 
     def _map(self, index: tuple[int, ...]) -> Map:
         if index not in self.maps:
-            self.maps = {index: variant_map(self.group, index)}  # one at a time: a map may be large
+            shown = variant_map(self.group, index)
+            if self.group.attrs["frame"].startswith("targets are base"):
+                mount = self._mount(index)
+                shown = shown._replace(positions=shown.positions @ mount[:3, :3].T + mount[:3, 3])
+            self.maps = {index: shown}  # one at a time: a map may be large
         return self.maps[index]
+
+    def _mount(self, index: tuple[int, ...]) -> np.ndarray:
+        return np.array(self.group.attrs["mounts"][variant_name(index)])
+
+    def _drawn(self, index: tuple[int, ...]) -> bool:
+        """Whether the page's robot is the variant's."""
+        return self.group.attrs["models"][variant_name(index)].rpartition(" ")[0] == self.page.home.name
 
     def _colours(self, shown: Map, rows: np.ndarray, index: tuple[int, ...]) -> tuple[np.ndarray, str]:
         import matplotlib
@@ -237,9 +262,9 @@ class _Cloud:
         turns = int(self.group.attrs["targets_per_position"])
         part = slice(position * turns, (position + 1) * turns)
         found = np.flatnonzero(self.group["reachable"][(*index, part)])
-        if len(found):
+        if len(found) and self._drawn(index):
             q = np.asarray(self.group["q"][(*index, position * turns + int(found[0]))])
-            self.move(q[np.isfinite(q)])
+            self.page.move(q[np.isfinite(q)], self._mount(index))
 
 
 def _label(group: Any, index: tuple[int, ...]) -> str:

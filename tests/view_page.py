@@ -24,6 +24,7 @@ STUDY = {
     "robot": "p6r",
     "slides": 11,
     "audited": 0,
+    "base": {"z": [0.0, 0.25]},
     "targets": {
         "kind": "grid",
         "x": [-0.2, 1.2, 15],
@@ -84,6 +85,11 @@ def main(out):
             page.volumes.value = False
             page._robot()
             views["bones alone"] = settled(driver)
+            page.map.visible.value, page.map.variant.value = True, list(page.map.indices)[1]
+            page.map.stand()
+            page.map.draw()
+            assert np.isclose(page.chain.world_T_base[2, 3] - chain.world_T_base[2, 3], 0.25), "the robot stands elsewhere"
+            views["from a higher base"] = settled(driver)
             names = list(views)
             for a, b in itertools.pairwise(names):
                 change = np.mean(np.abs(views[a] - views[b]) > 20.0)

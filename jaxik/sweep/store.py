@@ -21,7 +21,7 @@ import numpy as np
 
 from jaxik.result import Reason
 from jaxik.sweep.answers import COLUMNS, GIVEN, Column
-from jaxik.sweep.study import Study
+from jaxik.sweep.study import Study, variant_name
 
 UNFINISHED = -1
 LABELS = {"xyz": ("x", "y", "z"), "wxyz": ("w", "x", "y", "z")}
@@ -191,6 +191,7 @@ def _attributes(study: Study) -> dict[str, Any]:
         "units": "m, rad",
         "coordinates": " ".join(GIVEN),
         "models": known["models"],
+        "mounts": {variant_name(v.index): np.asarray(v.chain.world_T_base).tolist() for v in study.variants},
         "methods": sorted({study.method(v.chain) for v in study.variants}),
         "joint_names": {str(v.chain.name): list(v.chain.joint_names) for v in study.variants},
         "joint_types": list(first.joint_types),

@@ -108,7 +108,7 @@ class Study:
         return {
             "name": self.name,
             "axes": {name: [str(label) for label in labels] for name, labels in self.axes},
-            "models": {"/".join(map(str, v.index)) or "only": f"{v.chain.name} {v.chain.digest[:16]}" for v in self.variants},
+            "models": {variant_name(v.index): f"{v.chain.name} {v.chain.digest[:16]}" for v in self.variants},
             "targets": self.targets.describe(),
             "scene": None if self.scene is None else f"{self.scene.name} {_digest(self.scene)}",
             "crops": [_digest(s) for s in self.targets.scenes] if self.collision else [],
@@ -127,6 +127,11 @@ class Study:
     def method(self, chain: Chain) -> str:
         """How a chain's targets are answered: "closed form" or "search"."""
         return "search" if self.targets.free_rotation or closed_form_obstacle(chain) else "closed form"
+
+
+def variant_name(index: tuple[int, ...]) -> str:
+    """How the store's attributes call a variant."""
+    return "/".join(map(str, index)) or "only"
 
 
 def _digest(scene: Scene) -> str:
