@@ -29,6 +29,7 @@ FIRST, LATER = 4096, 1024  # configurations of the first set, which every target
 SETS = 8  # sets; later numbers are uniform
 STREAM = 0x6A6178  # so that no user's own default_rng(seed) draws the same numbers: a test's targets would be in the library
 BLOCK = 64  # targets at a time, so that the distances to a set stay in the cache (1 MB)
+PIECE = 256  # of the set a product: BLAS makes one of this size on one core, and after a larger one keeps the others spinning
 
 
 class Range(NamedTuple):
@@ -106,7 +107,14 @@ def nearest(chain: Chain, task: Task, inside: Range, length: float, number: int,
     wanted = np.ones((-(-len(poses) // BLOCK), BLOCK, len(known.table)), np.float32)
     wanted.reshape(-1, len(known.table))[: len(poses), :-1] = _features(task, poses, length)
     products = np.empty((BLOCK, len(known.q)), np.float32)
-    found = [np.argmax(np.matmul(block, known.table, out=products), axis=1) for block in wanted]
+    pieces = [(known.table[:, i : i + PIECE], products[:, i : i + PIECE]) for i in range(0, len(known.q), PIECE)]
+
+    def first_nearest(block: np.ndarray) -> np.ndarray:
+        for table, product in pieces:
+            np.matmul(block, table, out=product)
+        return np.argmax(products, axis=1)
+
+    found = [first_nearest(block) for block in wanted]
     return known.q[np.concatenate(found)[: len(poses)]]
 
 
