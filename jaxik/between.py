@@ -30,6 +30,7 @@ BLOCK = 2000  # cells a compiled call
 PORTION = 8000  # targets whose cells stand in memory: their last, few cells fill a block
 COARSE = 9  # positions of each leading joint that are enough to tell what is far away
 SLACK = 1e-9  # more than float64 rounds by
+SIGNS = np.array(WAYS)
 
 
 class Between(NamedTuple):
@@ -56,16 +57,18 @@ def between(chain: Chain, poses: np.ndarray, slides: int, depth: int) -> Between
 def _search(chain: Chain, poses: np.ndarray, slides: int, depth: int, found: Between) -> None:
     arm = arm_of(chain)
     centres, half = _cells(chain, slides)
+    # poses are gathered block by block, in the block's own thread
+    reaches = lambda target, centre, half: _reaches(arm)(poses[target], centre, half)
+    enclosed = lambda target, centre, way, half: _enclosed(arm)(poses[target], centre, SIGNS[way], half)
     target, cell = np.nonzero(_within_reach(chain, poses, centres, half))
     centre = centres[cell]
     halves = np.array(list(itertools.product(*((-0.5, 0.5),) * centre.shape[1])))
     for level in range(depth + 1):
         if not len(target):
             return
-        (may,) = in_blocks(_reaches(arm), poses[target], centre, fixed=(half,), size=BLOCK, double=True)
+        (may,) = in_blocks(reaches, target, centre, fixed=(half,), size=BLOCK, double=True)
         cell, way = np.nonzero(may)
-        columns = poses[target[cell]], centre[cell], np.array(WAYS)[way]
-        open_, wrist = in_blocks(_enclosed(arm), *columns, fixed=(half,), size=BLOCK, double=True)
+        open_, wrist = in_blocks(enclosed, target[cell], centre[cell], way, fixed=(half,), size=BLOCK, double=True)
         hits = np.flatnonzero(wrist >= 0)
         hits = hits[np.unique(target[cell[hits]], return_index=True)[1]]
         first = cell[hits]
