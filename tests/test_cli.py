@@ -183,7 +183,14 @@ def test_ik_refuses_an_ending_that_it_cannot_write(tmp_path, monkeypatch, capsys
         call(monkeypatch, "ik", "planar2", "absent.csv", "--out", tmp_path / "ik.xlsx")
     assert ".npz, .parquet" in capsys.readouterr().err
     np.savez(tmp_path / "wrong.npz", poses=np.zeros((2, 3, 3)))
-    for file, words in (("wrong.npz", "(2, 3, 3)"), ("absent.csv", "cannot be read")):
+    np.savez_compressed(tmp_path / "cut.npz", poses=np.random.default_rng(0).normal(size=(50, 4, 4)))
+    content = bytearray((tmp_path / "cut.npz").read_bytes())
+    content[200:400] = bytes(200)
+    (tmp_path / "cut.npz").write_bytes(content)
+    with open(tmp_path / "one.npz", "wb") as file:
+        np.save(file, np.zeros(3))  # an NPY by its content
+    cases = ("wrong.npz", "(2, 3, 3)"), ("cut.npz", "no NPZ"), ("one.npz", "no NPZ"), ("absent.csv", "cannot be read")
+    for file, words in cases:
         with pytest.raises(SystemExit):
             call(monkeypatch, "ik", "planar2", tmp_path / file)
         assert words in capsys.readouterr().err
