@@ -86,14 +86,14 @@ class Targets:
         return wxyz(self.rotations)[rows % self.turns]
 
     def at(self, rows: np.ndarray) -> Targets:
-        """These targets alone (their numbers), held one by one."""
+        """These targets alone (their numbers) with their scenes, held one by one."""
         if self.free_rotation:
             return dataclasses.replace(self, axes=(), positions=self.poses_at(rows)[:, :3, 3])
-        crop = None if self.crop is None else self.crop[rows]
-        none = np.zeros((0, 3, 3))
-        return dataclasses.replace(
-            self, axes=(), positions=np.zeros((0, 3)), rotations=none, poses=self.poses_at(rows), crop=crop
-        )
+        alone = Targets(self.kind, self.frame, np.zeros((0, 3, 3)), poses=self.poses_at(rows))
+        if self.crop is None:
+            return alone
+        used, crop = np.unique(self.crop[rows], return_inverse=True)
+        return dataclasses.replace(alone, crop=crop, scenes=tuple(self.scenes[c] for c in used))
 
     def only(self, rows: slice) -> tuple[Targets, slice]:
         """Targets that hold no others than these, as far as they are held one by one; and where these are among them."""
