@@ -9,7 +9,6 @@ empty is out of reach for any position of the slide; one that has some left at t
 from __future__ import annotations
 
 import functools
-import itertools
 from collections.abc import Callable
 from typing import Any, NamedTuple
 
@@ -23,7 +22,7 @@ from jaxik.batch import in_blocks
 from jaxik.chain import Chain, finite_limits
 from jaxik.closed_form import TURN, WAYS, half_branches, wrist_branches
 from jaxik.kinematics import joint_frames
-from jaxik.leading import arm_of, may_be_inside
+from jaxik.leading import arm_of, grid, may_be_inside
 from jaxik.reach import reach
 
 BLOCK = 2000  # cells a compiled call
@@ -43,7 +42,7 @@ class Between(NamedTuple):
 
 
 def between(chain: Chain, poses: np.ndarray, slides: int, depth: int) -> Between:
-    """Looks between the positions of `scan.leading_grid(chain, slides)` for the poses `base_T_tip` (N, 4, 4) that have no
+    """Looks between the positions of `leading_grid(chain, slides)` for the poses `base_T_tip` (N, 4, 4) that have no
     posture on it, halving what stays possible `depth` times. In float64."""
     k = chain.num_joints - 6
     found = Between(np.full((len(poses), k), np.nan), np.full(len(poses), -1), np.zeros(len(poses), bool))
@@ -62,7 +61,7 @@ def _search(chain: Chain, poses: np.ndarray, slides: int, depth: int, found: Bet
     enclosed = lambda target, centre, way, half: _enclosed(arm)(poses[target], centre, SIGNS[way], half)
     target, cell = np.nonzero(_within_reach(chain, poses, centres, half))
     centre = centres[cell]
-    halves = np.array(list(itertools.product(*((-0.5, 0.5),) * centre.shape[1])))
+    halves = grid([np.array([-0.5, 0.5])] * centre.shape[1])
     for level in range(depth + 1):
         if not len(target):
             return
@@ -97,7 +96,7 @@ def _cells(chain: Chain, slides: int) -> tuple[np.ndarray, np.ndarray]:
     count = max(slides - 1, 1)
     half = (high - low) / (2.0 * count)
     axes = [a + h * (2.0 * np.arange(count) + 1.0) for a, h in zip(low, half, strict=True)]
-    return np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1).reshape(-1, k), half
+    return grid(axes), half
 
 
 def _within_reach(chain: Chain, poses: np.ndarray, centres: np.ndarray, half: np.ndarray) -> np.ndarray:

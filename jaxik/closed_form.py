@@ -95,18 +95,13 @@ def closed_form(chain: Chain, pose: Float[Array, "4 4"], slide: Float[Array, "..
     if pose.shape != (4, 4) or given.shape != (leading,):
         raise ValueError(f"closed_form: pose {pose.shape} and slide {given.shape}; expected (4, 4) and ({leading},)")
     dtype = jnp.result_type(pose, given, jnp.float32)
-    branches, margins = branch_angles(chain, pose.astype(dtype), given.astype(dtype))
-    head = [given[i].astype(dtype) for i in range(leading)]
-    q = shared(stack([x for branch in branches for x in (*head, *branch)], (BRANCHES, chain.num_joints), dtype))
+    pose, given = pose.astype(dtype), given.astype(dtype)
+    found = [each for half in half_branches(chain, pose, given) for each in wrist_branches(chain, half, dtype)]
+    head = [given[i] for i in range(leading)]
+    q = shared(stack([x for angles, _ in found for x in (*head, *angles)], (BRANCHES, chain.num_joints), dtype))
     q, inside = into_limits(chain, q)
-    valid = shared(stack(margins, (BRANCHES,), dtype)) >= 0.0  # NaN is not
+    valid = shared(stack([margin for _, margin in found], (BRANCHES,), dtype)) >= 0.0  # NaN is not
     return ClosedForm(q, valid, valid & inside)
-
-
-def branch_angles(chain: Chain, pose: Any, leading: Any) -> tuple[list[Any], list[Any]]:
-    """Of each branch the six angles [rad] as scalars, somewhere in [-2 pi, 2 pi], and a margin: >= 0 where it has the pose."""
-    found = [each for half in half_branches(chain, pose, leading) for each in wrist_branches(chain, half, pose.dtype)]
-    return [angles for angles, _ in found], [margin for _, margin in found]
 
 
 @functools.lru_cache(maxsize=16)

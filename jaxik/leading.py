@@ -30,6 +30,22 @@ NOTHING = -2.0  # freedom of a branch that does not have the pose; past its limi
 NEARLY = 1e-3  # of a cosine, by which what is not looked at closely may be past a limit
 
 
+def leading_grid(chain: Chain, slides: int | np.ndarray) -> np.ndarray:
+    """Values (m, k) of the k leading joints: as given, or a grid over their ranges, a count each; one empty row for k = 0."""
+    k = chain.num_joints - 6
+    if k and not isinstance(slides, int):
+        return np.asarray(slides, dtype=np.float64).reshape(-1, k)
+    low, high = finite_limits(chain)
+    return grid([np.linspace(a, b, slides) for a, b in zip(low[:k], high[:k], strict=True)])
+
+
+def grid(axes: list[np.ndarray]) -> np.ndarray:
+    """All combinations of the values of several axes, a row each; one empty row of no axes."""
+    if not axes:
+        return np.zeros((1, 0))
+    return np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1).reshape(-1, len(axes))
+
+
 class Freest(NamedTuple):
     """Of each target (N,): the freest branch over the leading positions, and what else is inside the limits.
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -30,15 +31,21 @@ def open_store(path: str | Path) -> Any:
     """The Zarr group of a sweep. Raises `ValueError` where there is none."""
     import zarr
 
-    try:
+    with contextlib.suppress(OSError, ValueError):
         group = zarr.open_group(str(path), mode="r")
-        return group if "reason" in group else _none(path)
-    except (OSError, ValueError):
-        return _none(path)
-
-
-def _none(path: str | Path) -> Any:
+        if "reason" in group:
+            return group
     raise ValueError(f"{path}: is no store of a sweep; make one with `jaxik sweep STUDY.toml`")
+
+
+def variant_axes(group: Any) -> list[str]:
+    """What varies besides the targets."""
+    return [n for n in (group["reason"].metadata.dimension_names or ()) if n != "target"]
+
+
+def variant_label(group: Any, index: tuple[int, ...]) -> str:
+    """A variant in words; none where there is only one."""
+    return ", ".join(f"{n} {group[n][i]}" for n, i in zip(variant_axes(group), index, strict=True))
 
 
 def shares(group: Any) -> np.ndarray:
@@ -51,13 +58,11 @@ def shares(group: Any) -> np.ndarray:
 def variant_map(group: Any, index: tuple[int, ...]) -> Map:
     """What the store says of one variant."""
     turns, shape = int(group.attrs["targets_per_position"]), group["reason"].shape
-    names = [n for n in (group["reason"].metadata.dimension_names or ()) if n != "target"]
-    label = ", ".join(f"{n} {group[n][i]}" for n, i in zip(names, index, strict=True))
     positions = np.asarray(group["position"][::turns])
     reachable = np.asarray(group["reachable"][(*index, slice(None))])
     axes = tuple(np.array(a) for a in group.attrs["grid"])
     return Map(
-        label,
+        variant_label(group, index),
         positions,
         reachable.reshape(-1, turns).mean(axis=1) if shape[-1] else np.zeros(0),
         np.asarray(group["reason"][(*index, slice(None))]),
@@ -138,7 +143,7 @@ def _draw_margins(axis: Any, shown: Map) -> None:
 
 
 def _draw_variants(axis: Any, group: Any, every: np.ndarray) -> None:
-    names = [n for n in group["reason"].metadata.dimension_names if n != "target"]
+    names = variant_axes(group)
     if every.ndim == 2:
         mesh = axis.imshow(100.0 * every, aspect="auto", cmap="viridis")
         axis.figure.colorbar(mesh, ax=axis, label="reachable [%]")

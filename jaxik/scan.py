@@ -21,11 +21,12 @@ import jax.numpy as jnp
 import numpy as np
 
 from jaxik.batch import in_blocks
-from jaxik.chain import Chain, finite_limits
+from jaxik.chain import Chain
 from jaxik.closed_form import BRANCHES, closed_form_obstacle, closed_forms
 from jaxik.collision import clearance, object_clearances, self_clearance
 from jaxik.costs import joint_freedom
 from jaxik.kinematics import jacobian
+from jaxik.leading import grid, leading_grid
 from jaxik.result import Reason
 from jaxik.scene import Fruit, Scene
 
@@ -175,22 +176,6 @@ def approach_grid(angles: int | np.ndarray) -> np.ndarray:
     if not isinstance(angles, int):
         return np.asarray(angles, dtype=np.float64)
     return -np.pi + 2.0 * np.pi * np.arange(angles) / angles
-
-
-def leading_grid(chain: Chain, slides: int | np.ndarray) -> np.ndarray:
-    """Values (m, k) of the k leading joints: as given, or a grid over their ranges, a count each; one empty row for k = 0."""
-    k = chain.num_joints - 6
-    if k and not isinstance(slides, int):
-        return np.asarray(slides, dtype=np.float64).reshape(-1, k)
-    low, high = finite_limits(chain)
-    return grid([np.linspace(a, b, slides) for a, b in zip(low[:k], high[:k], strict=True)])
-
-
-def grid(axes: list[np.ndarray]) -> np.ndarray:
-    """All combinations of the values of several axes, a row each; one empty row of no axes."""
-    if not axes:
-        return np.zeros((1, 0))
-    return np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1).reshape(-1, len(axes))
 
 
 def scan(

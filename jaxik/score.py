@@ -21,8 +21,7 @@ from jaxik.chain import Array, Chain, finite_limits
 from jaxik.closed_form import BRANCHES, closed_forms
 from jaxik.collision import clearance
 from jaxik.kinematics import forward_kinematics, jacobian
-from jaxik.leading import arm_of
-from jaxik.scan import leading_grid
+from jaxik.leading import arm_of, leading_grid
 from jaxik.scene import Scene
 
 DAMPING = 1e-2  # [m, rad m] below which a direction counts as one that the arm cannot move in

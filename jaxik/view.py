@@ -13,7 +13,7 @@ from jaxik.chain import Chain, finite_limits
 from jaxik.harvest import Harvest
 from jaxik.kinematics import joint_frames
 from jaxik.plot import COLOURS, bones
-from jaxik.plot_sweep import Map, open_store, variant_map
+from jaxik.plot_sweep import Map, open_store, variant_label, variant_map
 from jaxik.scene import Scene
 from jaxik.spheres import skeletons
 from jaxik.sweep.study import variant_name
@@ -167,7 +167,7 @@ class _Cloud:
         self.page, self.server, self.group = page, page.server, open_store(store)
         self.maps: dict[tuple[int, ...], Map] = {}
         shape = self.group["reason"].shape[:-1]
-        self.indices = {_label(self.group, index): index for index in np.ndindex(*shape)}
+        self.indices = {variant_label(self.group, index) or "all": index for index in np.ndindex(*shape)}
         gui = self.server.gui
         with gui.add_folder("map"):
             self.visible = gui.add_checkbox("targets", True)
@@ -265,11 +265,6 @@ class _Cloud:
         if len(found) and self._drawn(index):
             q = np.asarray(self.group["q"][(*index, position * turns + int(found[0]))])
             self.page.move(q[np.isfinite(q)], self._mount(index))
-
-
-def _label(group: Any, index: tuple[int, ...]) -> str:
-    names = [n for n in group["reason"].metadata.dimension_names if n != "target"]
-    return ", ".join(f"{n} {group[n][i]}" for n, i in zip(names, index, strict=True)) or "all"
 
 
 def _spheres(chain: Chain, q: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:

@@ -166,7 +166,7 @@ def _ended(store: Store) -> Sweep:
     counts = dict(sorted(counts.items(), key=lambda each: -each[1]))
     if finished.all():
         known: dict[str, Any] = {"complete": True, "counts": counts, "undecided": undecided}
-        if store.study.audited and any(store.group.attrs.get(k) != v for k, v in known.items()):
+        if store.study.audited and not store.knows(known):
             known |= audit(store)
         store.finish(known)
     return Sweep(store.path, store.study, int(finished.sum()), len(finished), counts)

@@ -22,10 +22,10 @@ from jaxik.collision import clearance
 from jaxik.costs import joint_freedom
 from jaxik.ik import IKResult, as_poses, solve_ik
 from jaxik.kinematics import manipulability, pose_errors
-from jaxik.leading import NOTHING, arm_of, freest
+from jaxik.leading import NOTHING, arm_of, freest, grid, leading_grid
 from jaxik.reach import reach
 from jaxik.result import Reason
-from jaxik.scan import MEASURED, grid, leading_grid
+from jaxik.scan import MEASURED
 from jaxik.scene import Scene, make_scene
 from jaxik.sweep.study import Study, Variant
 

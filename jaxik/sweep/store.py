@@ -91,11 +91,15 @@ class Store:
         variant, chunk, _ = self.study.work(number)
         self.group["crc"][(*variant.index, chunk)] = UNFINISHED
 
+    def knows(self, attributes: dict[str, Any]) -> bool:
+        """Whether the store's attributes say so already."""
+        return all(self.group.attrs.get(k) == v for k, v in attributes.items())
+
     def finish(self, attributes: dict[str, Any]) -> None:
         """What is known once all is done; and what a killed process left half-written goes."""
         for left in self.path.rglob("*.partial"):
             left.unlink(missing_ok=True)
-        if any(self.group.attrs.get(k) != v for k, v in attributes.items()):
+        if not self.knows(attributes):
             self.group.attrs.update(attributes)
             _consolidate(self.path)
 
