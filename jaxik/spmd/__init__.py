@@ -1,0 +1,16 @@
+"""One SIMD kernel a function: pure functions of one configuration, compiled for a batch of them on a CPU.
+
+    @spmd.kernel
+    def f(x, y): ...            # ordinary jnp, of one configuration
+
+    jax.jit(jax.vmap(f))        # one SIMD function over the batch on a CPU; the same function, by XLA, elsewhere
+
+It knows no robot. In the order in which a function passes through: `trace` (to a jaxpr), `scalarise` (to a `program` of scalars,
+with `elementary` functions by polynomials), `emit` (LLVM's language, a vector of lanes at a time), `handler` (what XLA
+calls), `machine` (machine code), `call` (kept in memory and on disk), `primitive` (batches, derivatives, lowering).
+"""
+
+from jaxik.spmd.kernel import kernel
+from jaxik.spmd.scalarise import Unsupported
+
+__all__ = ["Unsupported", "kernel"]

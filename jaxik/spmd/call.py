@@ -1,0 +1,160 @@
+"""Kernels by name: made once a program, registered with XLA, kept in memory and on disk."""
+
+from __future__ import annotations
+
+import contextlib
+import ctypes
+import dataclasses
+import functools
+import hashlib
+import importlib.metadata
+import os
+import tempfile
+import threading
+from pathlib import Path
+from typing import Any
+
+import jax
+import numpy as np
+
+from jaxik.spmd import machine
+from jaxik.spmd.emit import Emitter, stored
+from jaxik.spmd.handler import handler
+from jaxik.spmd.program import TYPES, Program
+from jaxik.spmd.scalarise import Unsupported, scalarised, type_of
+from jaxik.spmd.trace import Traced
+
+WORTH = 20_000  # operations on vectors that are worth waking a thread for, about 10 us
+GUESS = 8  # turns of a loop whose number is not known
+_lock = threading.RLock()
+_made: dict[tuple[str, tuple[bool, ...]], str | Unsupported] = {}
+
+
+@dataclasses.dataclass(frozen=True)
+class Plan:
+    """A kernel before it is machine code."""
+
+    program: Program
+    emitter: Emitter
+    width: int
+    text: str
+
+
+def plan(traced: Traced, shared: tuple[bool, ...], name: str) -> Plan:
+    """The text of a kernel; `shared` says which operands all lanes have in common. Raises `Unsupported`."""
+    program = scalarised(traced.closed, traced.structural)
+    inputs = [(type_of(a), int(np.prod(a.shape))) for a in traced.inputs]
+    outputs = [(type_of(a), int(np.prod(a.shape))) for a in traced.outputs]
+    wide = any(op.type == "double" for op in program.ops)
+    width = machine.vector_bits() // (64 if wide else 32)
+    emitter = Emitter(program, shared, [n for _, n in inputs], width)
+    text = emitter.function()
+    chunk = max(1, WORTH // max(_cost(program, emitter, program.top.body), 1))
+    rows_in = [(stored(kind), n, s) for (kind, n), s in zip(inputs, shared, strict=True)]
+    text += "\n" + handler(name, rows_in, [(stored(kind), n) for kind, n in outputs], width, chunk)
+    return Plan(program, emitter, width, text)
+
+
+def _cost(program: Program, emitter: Emitter, body: Any) -> int:
+    """Operations of one vector of lanes."""
+    total = 0
+    for v in body:
+        if v in emitter.live.needed:
+            op = program.ops[v]
+            if op.code == "loop":
+                inner = _cost(program, emitter, op.args[5]) + (_cost(program, emitter, op.args[3][0]) if op.args[3] else 0)
+                total += inner * (op.args[4] or GUESS)
+            elif op.code == "branch":
+                total += _cost(program, emitter, op.args[1]) + _cost(program, emitter, op.args[3])
+            else:
+                total += 1
+    return total
+
+
+def target(traced: Traced, shared: tuple[bool, ...]) -> str:
+    """The name that XLA knows the kernel by; it is made if there is none. Raises `Unsupported`."""
+    key = traced.digest, shared
+    with _lock:
+        known = _made.get(key)
+        if known is None:
+            try:
+                known = _make(traced, shared)
+            except Unsupported as error:
+                known = error
+            _made[key] = known
+    if isinstance(known, Unsupported):
+        raise known
+    return known
+
+
+def _make(traced: Traced, shared: tuple[bool, ...]) -> str:
+    if machine.llvm() is None:
+        raise Unsupported("a machine without llvmlite (pip install llvmlite)")
+    flags = "".join("s" if s else "r" for s in shared)
+    name = f"jaxik_{hashlib.sha256(f'{traced.digest}{flags}{_version()}'.encode()).hexdigest()[:32]}"
+    image = _read(name)
+    if image is None:
+        image = machine.compiled(plan(traced, shared, name).text)
+        _write(name, image)
+    address = machine.linked(name, image)
+    jax.ffi.register_ffi_target(name, jax.ffi.pycapsule(ctypes.CFUNCTYPE(ctypes.c_void_p)(address)), platform="cpu")
+    return name
+
+
+# --------------------------------------------------------------------------------------------------------------------
+# Disk
+
+
+@functools.cache
+def _version() -> str:
+    """What machine code depends on beside its program: this package, LLVM, JAX's calls, the processor."""
+    sources = b"".join(p.read_bytes() for p in sorted(Path(__file__).parent.glob("*.py")))
+    versions = [importlib.metadata.version(p) for p in ("llvmlite", "jaxlib")]
+    here = machine.llvm().get_host_cpu_name(), machine.features(), machine.llvm().get_default_triple()
+    return hashlib.sha256(sources + repr((versions, here)).encode()).hexdigest()
+
+
+def cache_folder() -> Path | None:
+    """Where compiled kernels lie: beside JAX's compilation cache, or in the user's cache folder; None where JAXIK_CACHE is
+    "off"."""
+    if os.environ.get("JAXIK_CACHE", "") == "off":
+        return None
+    beside = jax.config.jax_compilation_cache_dir
+    if beside:
+        return Path(beside) / "kernels"
+    return Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache") / "jaxik" / "kernels"
+
+
+def _read(name: str) -> bytes | None:
+    """The object of that name; None if there is none, or one that is damaged or somebody else's."""
+    folder = cache_folder()
+    if folder is None:
+        return None
+    try:
+        path = folder / name
+        if hasattr(os, "getuid") and path.stat().st_uid != os.getuid():
+            return None
+        content = path.read_bytes()
+    except OSError:
+        return None
+    check, image = content[:32], content[32:]
+    return image if image and hashlib.sha256(image).digest() == check else None
+
+
+def _write(name: str, image: bytes) -> None:
+    """Beside, then renamed: another process sees all of it or nothing. A folder that cannot be written costs time only."""
+    folder = cache_folder()
+    if folder is None:
+        return
+    with contextlib.suppress(OSError):
+        folder.mkdir(parents=True, exist_ok=True, mode=0o700)
+        handle, aside = tempfile.mkstemp(dir=folder)
+        try:
+            with os.fdopen(handle, "wb") as file:
+                file.write(hashlib.sha256(image).digest() + image)
+            os.replace(aside, folder / name)
+        except OSError:
+            os.unlink(aside)
+
+
+__all__ = ["TYPES", "Plan", "Unsupported", "cache_folder", "plan", "target"]

@@ -1,0 +1,82 @@
+"""From text to machine code: this machine's target, LLVM through llvmlite, and compiled objects kept on disk."""
+
+from __future__ import annotations
+
+import ctypes
+import functools
+import sys
+import threading
+from typing import Any
+
+import numpy as np
+
+
+@functools.cache
+def llvm() -> Any:
+    """llvmlite's binding, initialised; None where it is not installed."""
+    try:
+        import llvmlite.binding as binding
+    except ImportError:
+        return None
+    binding.initialize_native_target()
+    binding.initialize_native_asmprinter()
+    return binding
+
+
+@functools.cache
+def features() -> str:
+    return str(llvm().get_host_cpu_features().flatten())
+
+
+@functools.cache
+def vector_bits() -> int:
+    have = set(features().split(","))
+    return 512 if "+avx512f" in have and "+avx512dq" in have and "+avx512bw" in have else 256 if "+avx2" in have else 128
+
+
+@functools.cache
+def target_machine(level: int) -> Any:
+    target = llvm().Target.from_default_triple()
+    return target.create_target_machine(
+        cpu=llvm().get_host_cpu_name(), features=features(), opt=level, reloc="pic", codemodel="default"
+    )
+
+
+_lock = threading.Lock()
+_kept: list[Any] = []  # compiled code lives as long as the process: an executable may call it at any time
+
+
+@functools.cache
+def _jit() -> Any:
+    libc = ctypes.CDLL(None) if sys.platform != "win32" else ctypes.cdll.msvcrt
+    for name in ("malloc", "free", "sched_yield", "fmod", "fmodf", "memcpy", "memset", "memmove"):
+        function = getattr(libc, name, None)
+        if function is not None:
+            llvm().add_symbol(name, ctypes.cast(function, ctypes.c_void_p).value)
+    return llvm().create_lljit_compiler(target_machine(2), use_jit_link=False, suppress_errors=False)
+
+
+def attributes() -> str:
+    return (
+        f'attributes #0 = {{ nounwind "target-cpu"="{llvm().get_host_cpu_name()}" "target-features"="{features()}" '
+        f'"prefer-vector-width"="{vector_bits()}" "min-legal-vector-width"="{vector_bits()}" }}\n'
+    )
+
+
+def compiled(text: str, level: int = 2) -> bytes:
+    """An object file."""
+    b = llvm()
+    module = b.parse_assembly(text + attributes())
+    machine = target_machine(level)
+    module.triple, module.data_layout = machine.triple, str(machine.target_data)
+    return bytes(machine.emit_object(module))
+
+
+def linked(name: str, image: bytes) -> int:
+    """The address of a function of an object file."""
+    b = llvm()
+    with _lock:
+        jit = _jit()
+        library = b.JITLibraryBuilder().add_object_img(image).add_current_process().export_symbol(name).link(jit, name)
+        _kept.append(library)
+        return int(library[name])

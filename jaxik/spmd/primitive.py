@@ -1,0 +1,180 @@
+"""A kernel as a JAX primitive: batched by `vmap`, differentiated, lowered to one call on a CPU and to XLA elsewhere."""
+
+from __future__ import annotations
+
+import functools
+import math
+import warnings
+from collections.abc import Callable, Sequence
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jax.extend.core import Primitive, jaxpr_as_fun
+from jax.interpreters import ad, batching, mlir
+
+from jaxik.spmd import call
+from jaxik.spmd.scalarise import RULES, Array, Scalariser, Unsupported
+from jaxik.spmd.trace import Traced, _is_float
+
+Masks = tuple[tuple[bool, ...], ...]  # for each operand, which axes of the batch it has
+
+kernel_p = Primitive("spmd_kernel")
+kernel_p.multiple_results = True
+
+
+def bind(traced: Traced, args: Sequence[Any], batch: tuple[int, ...] = (), masks: Masks | None = None) -> list[Any]:
+    """The program of operands, each with those axes of `batch` in front that its mask names."""
+    return list(kernel_p.bind(*args, traced=traced, batch=batch, masks=masks or ((),) * len(args)))
+
+
+@kernel_p.def_abstract_eval
+def _(*avals: Any, traced: Traced, batch: tuple[int, ...], masks: Masks) -> list[Any]:
+    return [jax.core.ShapedArray((*batch, *a.shape), a.dtype) for a in traced.outputs]
+
+
+_first: dict[str, Traced] = {}  # of equal programs the one that came first, so that XLA compiles its call once
+
+
+@kernel_p.def_impl
+def _(*args: Any, traced: Traced, batch: tuple[int, ...], masks: Masks) -> list[Any]:
+    return _jitted(_first.setdefault(traced.digest, traced), batch, masks)(*args)
+
+
+@functools.lru_cache(maxsize=4096)
+def _jitted(traced: Traced, batch: tuple[int, ...], masks: Masks) -> Callable[..., list[Any]]:
+    return jax.jit(lambda *args: bind(traced, args, batch, masks))
+
+
+def _batched(args: Sequence[Any], dims: Sequence[Any], *, traced: Traced, batch: tuple[int, ...], masks: Masks) -> Any:
+    has = [d is not None for d in dims]
+    size = next(x.shape[d] for x, d in zip(args, dims, strict=True) if d is not None)
+    moved = [x if d is None else jnp.moveaxis(x, d, 0) for x, d in zip(args, dims, strict=True)]
+    outs = bind(traced, moved, (size, *batch), tuple((h, *m) for h, m in zip(has, masks, strict=True)))
+    return outs, [0] * len(outs)
+
+
+batching.primitive_batchers[kernel_p] = _batched
+
+
+def _jvp(primals: Sequence[Any], tangents: Sequence[Any], *, traced: Traced, batch: tuple[int, ...], masks: Masks) -> Any:
+    """One kernel gives values and derivatives; ordinary operations contract them with the tangents."""
+    active = tuple(i for i, t in enumerate(tangents) if not isinstance(t, ad.Zero) and _is_float(traced.inputs[i]))
+    count = len(traced.outputs)
+    if not active:
+        outs, slopes = bind(traced, primals, batch, masks), []
+    else:
+        found = bind(traced.derivative(active), primals, batch, masks)
+        outs, slopes = found[:count], found[count:]
+    results, given = [], iter(slopes)
+    for aval, out in zip(traced.outputs, outs, strict=True):
+        if not active or not _is_float(aval):
+            results.append(ad.Zero.from_primal_value(out))
+            continue
+        total = None
+        for i in active:
+            slope, axes = next(given), len(traced.inputs[i].shape)
+            own = iter(tangents[i].shape)
+            lead = [next(own) if m else 1 for m in masks[i]]
+            t = tangents[i].reshape(*lead, *[1] * len(aval.shape), *traced.inputs[i].shape)
+            part = jnp.sum(slope * t.astype(slope.dtype), axis=tuple(range(slope.ndim - axes, slope.ndim)))
+            total = part if total is None else total + part
+        results.append(total)
+    return outs, results
+
+
+ad.primitive_jvps[kernel_p] = _jvp
+
+
+# --------------------------------------------------------------------------------------------------------------------
+# Lowering
+
+
+def _by_xla(*args: Any, traced: Traced, batch: tuple[int, ...], masks: Masks) -> list[Any]:
+    """The same function by ordinary operations."""
+    function: Callable[..., Any] = jaxpr_as_fun(traced.closed)
+    for axis in reversed(range(len(batch))):
+        has = [m[axis] for m in masks]
+        inner = function
+        if any(has):
+            function = jax.vmap(inner, in_axes=tuple(0 if h else None for h in has))
+        else:
+            function = lambda *xs, inner=inner, n=batch[axis]: [jnp.broadcast_to(y, (n, *y.shape)) for y in inner(*xs)]
+    return list(function(*args))
+
+
+def _on_cpu(*args: Any, traced: Traced, batch: tuple[int, ...], masks: Masks) -> list[Any]:
+    outputs, lanes = traced.outputs, math.prod(batch)
+    if not lanes or not outputs:
+        return [jnp.zeros((*batch, *a.shape), a.dtype) for a in outputs]
+    grid, operands, shared = _grid(args, traced, batch, masks)
+    empty = [int(np.prod(a.shape)) == 0 for a in outputs]
+    if all(empty):
+        return [jnp.zeros((*batch, *a.shape), a.dtype) for a in outputs]
+    try:
+        name = call.target(traced, shared)
+    except Unsupported as error:
+        _warn(traced, str(error))
+        return _by_xla(*args, traced=traced, batch=batch, masks=masks)
+    sizes = [int(np.prod(a.shape)) for a in outputs]
+    shapes = [jax.ShapeDtypeStruct((*grid, n), a.dtype) for a, n in zip(outputs, sizes, strict=True)]
+    found = jax.ffi.ffi_call(name, shapes)(*operands)
+    return [x.reshape(*batch, *a.shape) for x, a in zip(found, outputs, strict=True)]
+
+
+def _grid(args: Sequence[Any], traced: Traced, batch: tuple[int, ...], masks: Masks) -> tuple[tuple[int, int], list[Any], tuple[bool, ...]]:
+    """(outer, inner) lanes, operands as (outer, inner, size) with 1 where they are shared, and which all lanes of one outer
+    index have in common. Axes that the same operands have are one; where more than two kinds are left, operands are repeated."""
+    patterns = [tuple(m[k] for m in masks) for k in range(len(batch))]
+    groups: list[tuple[tuple[bool, ...], int]] = []
+    for pattern, n in zip(patterns, batch, strict=True):
+        if groups and groups[-1][0] == pattern:
+            groups[-1] = pattern, groups[-1][1] * n
+        elif n > 1 or not groups:
+            groups.append((pattern, n))
+    if not groups:
+        groups = [((False,) * len(args), 1)]
+    small = len(groups) == 2 and groups[1][1] < 32
+    if len(groups) > 2 or small:  # repeat what some axes lack
+        lanes = math.prod(batch)
+        repeated = []
+        for x, mask, aval in zip(args, masks, traced.inputs, strict=True):
+            own = iter(x.shape)
+            widened = x.reshape(*[next(own) if m else 1 for m in mask], *aval.shape)
+            repeated.append(jnp.broadcast_to(widened, (*batch, *aval.shape)).reshape(lanes, *aval.shape) if any(mask) else x)
+        args, masks = repeated, tuple((any(m),) for m in masks)
+        groups = [(tuple(m[0] for m in masks), lanes)]
+    outer, inner = ((None, 1), groups[0]) if len(groups) == 1 else groups
+    operands, shared = [], []
+    for k, (x, aval) in enumerate(zip(args, traced.inputs, strict=True)):
+        o = outer[1] if outer[0] is not None and outer[0][k] else 1
+        i = inner[1] if inner[0][k] else 1
+        operands.append(x.reshape(o, i, int(np.prod(aval.shape))))
+        shared.append(not inner[0][k])
+    if math.prod(batch) == 1 and len(groups) == 1 and not any(groups[0][0]):  # one configuration is a batch of one
+        shared = [int(np.prod(a.shape)) > 64 for a in traced.inputs]
+    return (outer[1], inner[1]), operands, tuple(shared)
+
+
+_told: set[str] = set()
+
+
+def _warn(traced: Traced, why: str) -> None:
+    if traced.digest not in _told:
+        _told.add(traced.digest)
+        warnings.warn(f"jaxik.kernel: {traced.name} runs by XLA: a kernel cannot do {why}", stacklevel=2)
+
+
+mlir.register_lowering(kernel_p, mlir.lower_fun(_by_xla, multiple_results=True))
+mlir.register_lowering(kernel_p, mlir.lower_fun(_on_cpu, multiple_results=True), platform="cpu")
+
+
+def _inlined(s: Scalariser, eqn: Any, *xs: Array) -> list[Array]:
+    """A kernel inside another is part of it."""
+    if eqn.params["batch"]:
+        raise Unsupported("a batch of kernels inside a kernel")
+    return s.closed(eqn.params["traced"].closed, xs)
+
+
+RULES["spmd_kernel"] = _inlined

@@ -1,0 +1,349 @@
+"""What a kernel computes: scalar operations of one lane in static single assignment, with loops and branches that stay.
+
+A value is the index of an `Op`. Equal operations are one value, constants fold, and an operation stands in the outermost block
+that knows its arguments, so that what a loop does not change is computed before it; but never outside the branch that asks for
+it. Folding is exact: what IEEE arithmetic would give, NaN, infinities and signed zeros included. Only `structural` programs,
+which are derivatives, take a product with a constant 0 for 0: there it means that nothing depends on anything.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Callable, Sequence
+from typing import Any, NamedTuple
+
+import numpy as np
+
+# Types are LLVM's, but that unsigned integers are told apart.
+TYPES = {
+    np.dtype(np.bool_): "i1",
+    np.dtype(np.int32): "i32",
+    np.dtype(np.uint32): "u32",
+    np.dtype(np.int64): "i64",
+    np.dtype(np.uint64): "u64",
+    np.dtype(np.float32): "float",
+    np.dtype(np.float64): "double",
+}
+DTYPES = {name: dtype for dtype, name in TYPES.items()}
+FLOATS = ("float", "double")
+
+
+class Op(NamedTuple):
+    """An operation: its code, the type of its value, and its arguments (values, or what the code says)."""
+
+    code: str
+    type: str
+    args: tuple[Any, ...]
+
+
+@dataclasses.dataclass
+class Block:
+    """Operations in order. `hoists`: whether what does not depend on the block may stand before it."""
+
+    hoists: bool = True
+    body: list[int] = dataclasses.field(default_factory=list)
+    known: dict[Op, int] = dataclasses.field(default_factory=dict)
+
+
+@dataclasses.dataclass(frozen=True)
+class Memory:
+    """Numbers that are read by address: an operand of the kernel, a constant table, or a lane's own scratch."""
+
+    kind: str  # operand, constant, scratch
+    number: int
+    type: str
+    size: int
+
+
+class Program:
+    """Built op by op; afterwards `top`, `outputs` and what they refer to are the program."""
+
+    def __init__(self, structural: bool = False):
+        self.structural = structural
+        self.ops: list[Op] = []
+        self.depth: list[int] = []
+        self.constant: dict[int, Any] = {}  # value -> its number, a NumPy scalar
+        self.numbers: dict[tuple[str, bytes], int] = {}
+        self.top = Block()
+        self.blocks = [self.top]
+        self.tables: list[np.ndarray] = []
+        self.scratch: list[tuple[str, int]] = []  # type and how many numbers a lane
+        self.outputs: list[list[int]] = []
+
+    # ----------------------------------------------------------------------------------------------------------------
+    # Values
+
+    def number(self, value: Any, type: str) -> int:
+        """A constant."""
+        scalar = DTYPES[type].type(value)
+        key = (type, scalar.tobytes())
+        known = self.numbers.get(key)
+        if known is None:
+            known = self.numbers[key] = len(self.ops)
+            self.ops.append(Op("const", type, (scalar,)))
+            self.depth.append(0)
+            self.constant[known] = scalar
+        return known
+
+    def op(self, code: str, type: str, *args: Any) -> int:
+        """The value of an operation on values, folded where it can be."""
+        fold = _FOLDS.get(code)
+        if fold is not None:
+            folded = fold(self, type, *args)
+            if folded is not None:
+                return folded
+        if code in _EVALUATE and all(a in self.constant for a in args):
+            with np.errstate(all="ignore"):
+                return self.number(_EVALUATE[code](*(self.constant[a] for a in args)), type)
+        return self.place(Op(code, type, args), args)
+
+    def place(self, op: Op, needs: Sequence[int]) -> int:
+        """The operation in the outermost block that knows what it `needs`; one that is there already is taken."""
+        natural = max((self.depth[a] for a in needs), default=0)
+        last = len(self.blocks) - 1
+        for level in range(natural, last + 1):
+            known = self.blocks[level].known.get(op)
+            if known is not None:
+                return known
+        level = last
+        while level > natural and self.blocks[level].hoists:
+            level -= 1
+        value = self.append(op, level)
+        self.blocks[level].known[op] = value
+        return value
+
+    def append(self, op: Op, level: int = -1) -> int:
+        """The operation at the end of a block, whether or not there is one like it."""
+        level = len(self.blocks) - 1 if level < 0 else level
+        value = len(self.ops)
+        self.ops.append(op)
+        self.depth.append(level)
+        self.blocks[level].body.append(value)
+        return value
+
+    def param(self, type: str) -> int:
+        """A value that a loop gives to its body, one block further in than the current one."""
+        self.ops.append(Op("param", type, (len(self.ops),)))
+        self.depth.append(len(self.blocks) - 1)
+        return len(self.ops) - 1
+
+    # ----------------------------------------------------------------------------------------------------------------
+    # Memory
+
+    def table(self, numbers: np.ndarray) -> Memory:
+        self.tables.append(numbers)
+        return Memory("constant", len(self.tables) - 1, TYPES[numbers.dtype], numbers.size)
+
+    def room(self, type: str, size: int) -> Memory:
+        """Scratch of a lane, uninitialised."""
+        self.scratch.append((type, size))
+        return Memory("scratch", len(self.scratch) - 1, type, size)
+
+    def load(self, memory: Memory, offset: int, index: int | None = None, after: int | None = None) -> int:
+        """The number at a constant `offset`, plus the value `index`, which the caller keeps inside; `after` a value."""
+        if memory.kind == "constant" and index is None:
+            return self.number(self.tables[memory.number].ravel()[offset], memory.type)
+        op = Op("load", memory.type, (memory, offset, index, after))
+        return self.place(op, [v for v in (index, after) if v is not None])
+
+    def store(self, memory: Memory, offset: int, index: int | None, value: int, level: int = -1) -> int:
+        """Writes to scratch, at the end of a block; the store's own value is what a load comes `after`."""
+        return self.append(Op("store", memory.type, (memory, offset, index, value)), level)
+
+    # ----------------------------------------------------------------------------------------------------------------
+    # Loops and branches
+
+    def loop(
+        self,
+        init: Sequence[int],
+        again: Callable[[list[int]], int] | int,
+        body: Callable[[list[int]], Sequence[int]],
+    ) -> list[int]:
+        """Values after a loop that begins with `init`: as often as `again` says, or while `again(values)` holds.
+
+        A counted loop hands its body the turn's number, i32, before the carried values.
+        """
+        types = [self.ops[v].type for v in init]
+        counted = isinstance(again, int)
+        inner = Block()
+        self.blocks.append(inner)
+        count = [self.param("i32")] if counted else []
+        carried = [self.param(t) for t in types]
+        if counted:
+            condition = None
+        else:
+            test = Block()
+            self.blocks[-1] = test  # the test has a block of its own, before the body
+            condition = again(carried)  # type: ignore[operator]
+            self.blocks[-1] = inner
+            inner.known = dict(test.known)
+        results = list(body([*count, *carried]))
+        self.blocks.pop()
+        args = (
+            tuple(init),
+            tuple(count),
+            tuple(carried),
+            None if counted else (tuple(test.body), condition),
+            again if counted else None,
+            tuple(inner.body),
+            tuple(results),
+        )
+        whole = self.append(Op("loop", "void", args))
+        return [self.append(Op("result", t, (whole, i))) for i, t in enumerate(types)]
+
+    def branch(self, condition: int, yes: Callable[[], Sequence[int]], no: Callable[[], Sequence[int]]) -> list[int]:
+        """The values of `yes` where the condition holds, else those of `no`; a side that no lane takes is not run."""
+        sides = []
+        for side in (yes, no):
+            block = Block(hoists=False)
+            self.blocks.append(block)
+            results = tuple(side())
+            self.blocks.pop()
+            sides.append((tuple(block.body), results))
+        (yes_body, yes_values), (no_body, no_values) = sides
+        args = (condition, yes_body, yes_values, no_body, no_values)
+        whole = self.append(Op("branch", "void", args))
+        types = [self.ops[v].type for v in yes_values]
+        return [self.append(Op("result", t, (whole, i))) for i, t in enumerate(types)]
+
+
+# --------------------------------------------------------------------------------------------------------------------
+# Folding
+
+_WRAP = {"add": np.add, "sub": np.subtract, "mul": np.multiply}
+_COMPARE = {"eq": np.equal, "ne": np.not_equal, "lt": np.less, "le": np.less_equal, "gt": np.greater, "ge": np.greater_equal}
+_EVALUATE: dict[str, Callable[..., Any]] = {
+    **_WRAP,
+    **_COMPARE,
+    "fdiv": np.divide,
+    "neg": np.negative,
+    "abs": np.abs,
+    "sqrt": np.sqrt,
+    "floor": np.floor,
+    "ceil": np.ceil,
+    "rint": np.rint,
+    "trunc": np.trunc,
+    "max": np.maximum,
+    "min": np.minimum,
+    "and": np.bitwise_and,
+    "or": np.bitwise_or,
+    "xor": np.bitwise_xor,
+    "not": np.invert,
+}
+
+
+def _add(p: Program, type: str, a: int, b: int) -> int | None:
+    for x, other in ((a, b), (b, a)):
+        c = p.constant.get(x)
+        if c is not None and c == 0 and (p.structural or type not in FLOATS or np.signbit(c)):  # x + -0 is x
+            return other
+    return None
+
+
+def _sub(p: Program, type: str, a: int, b: int) -> int | None:
+    c = p.constant.get(b)
+    if c is not None and c == 0 and (p.structural or type not in FLOATS or not np.signbit(c)):
+        return a
+    if p.structural and p.constant.get(a) == 0:
+        return p.op("neg", type, b)
+    return None
+
+
+def _mul(p: Program, type: str, a: int, b: int) -> int | None:
+    for x, other in ((a, b), (b, a)):
+        c = p.constant.get(x)
+        if c is not None:
+            if c == 1:
+                return other
+            if c == -1 and type in FLOATS:
+                return p.op("neg", type, other)
+            if c == 0 and (p.structural or type not in FLOATS):
+                return p.number(0, type)
+    return None
+
+
+def _div(p: Program, type: str, a: int, b: int) -> int | None:
+    c = p.constant.get(b)
+    if c is None:
+        return p.number(0, type) if p.structural and p.constant.get(a) == 0 else None
+    if c == 1:
+        return a
+    exact = c != 0 and np.isfinite(c) and np.frexp(c)[0] in (0.5, -0.5) and np.isfinite(1 / c)
+    return p.op("mul", type, a, p.number(1 / c, type)) if exact else None
+
+
+def _neg(p: Program, type: str, a: int) -> int | None:
+    op = p.ops[a]
+    return op.args[0] if op.code == "neg" else None
+
+
+def _select(p: Program, type: str, condition: int, a: int, b: int) -> int | None:
+    if a == b:
+        return a
+    c = p.constant.get(condition)
+    if c is not None:
+        return a if c else b
+    if type == "i1":
+        yes, no = p.constant.get(a), p.constant.get(b)
+        if yes is not None and no is not None:
+            return condition if yes else p.op("not", "i1", condition)
+    return None
+
+
+def _and(p: Program, type: str, a: int, b: int) -> int | None:
+    for x, other in ((a, b), (b, a)):
+        c = p.constant.get(x)
+        if c is not None and type == "i1":
+            return other if c else x
+    return a if a == b else None
+
+
+def _or(p: Program, type: str, a: int, b: int) -> int | None:
+    for x, other in ((a, b), (b, a)):
+        c = p.constant.get(x)
+        if c is not None and type == "i1":
+            return x if c else other
+    return a if a == b else None
+
+
+def _not(p: Program, type: str, a: int) -> int | None:
+    op = p.ops[a]
+    return op.args[0] if op.code == "not" else None
+
+
+def _convert(p: Program, type: str, a: int) -> int | None:
+    if p.ops[a].type == type:
+        return a
+    c = p.constant.get(a)
+    if c is None:
+        return None
+    with np.errstate(all="ignore"):
+        return p.number(c.astype(DTYPES[type]) if type != "i1" else c != 0, type)
+
+
+def _bitcast(p: Program, type: str, a: int) -> int | None:
+    if p.ops[a].type == type:
+        return a
+    c = p.constant.get(a)
+    return None if c is None else p.number(c.view(DTYPES[type]), type)
+
+
+def _extreme(p: Program, type: str, a: int, b: int) -> int | None:
+    return a if a == b else None
+
+
+_FOLDS: dict[str, Callable[..., int | None]] = {
+    "add": _add,
+    "sub": _sub,
+    "mul": _mul,
+    "fdiv": _div,
+    "neg": _neg,
+    "select": _select,
+    "and": _and,
+    "or": _or,
+    "not": _not,
+    "convert": _convert,
+    "bitcast": _bitcast,
+    "max": _extreme,
+    "min": _extreme,
+}

@@ -1,0 +1,187 @@
+"""A function of one configuration as a jaxpr, and a name for it: equal programs have equal digests, in every process."""
+
+from __future__ import annotations
+
+import enum
+import functools
+import hashlib
+import uuid
+from collections.abc import Callable, Sequence
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jax.extend.core import ClosedJaxpr, Jaxpr, Literal, jaxpr_as_fun
+
+_OPERAND = 512  # entries of an array that is closed over, from which it is an operand: another table compiles nothing
+_FUNCTIONS = ("jvp_jaxpr_fun", "fwd_jaxpr_thunk", "bwd", "fwd", "out_trees", "transpose_rules", "rule", "in_tree", "out_tree")
+
+
+class Traced:
+    """A jaxpr whose constants are numbers; what it closed over beside them are its last arguments."""
+
+    def __init__(self, closed: ClosedJaxpr, structural: bool = False):
+        self.closed, self.structural = closed, structural
+        self.derivatives: dict[tuple[int, ...], Traced] = {}
+
+    @property
+    def inputs(self) -> list[Any]:
+        return [v.aval for v in self.closed.jaxpr.invars]
+
+    @property
+    def outputs(self) -> list[Any]:
+        return [v.aval for v in self.closed.jaxpr.outvars]
+
+    @functools.cached_property
+    def digest(self) -> str:
+        return digest(self.closed) + ("d" if self.structural else "")
+
+    @property
+    def name(self) -> str:
+        info = self.closed.jaxpr.debug_info
+        return str(getattr(info, "func_name", "a function"))
+
+    def __repr__(self) -> str:
+        return f"<{self.name} {self.digest[:8]}>"
+
+    def derivative(self, active: tuple[int, ...]) -> Traced:
+        """(inputs) -> outputs and, for each float output and each `active` input, the derivative, shaped (*output, *input)."""
+        if active not in self.derivatives:
+            self.derivatives[active] = Traced(_derivative(self.closed, active), True)
+        return self.derivatives[active]
+
+
+def trace(function: Callable[..., Any], args: Sequence[Any]) -> tuple[Traced, Any, list[Any]]:
+    """The function of flat `args`, the tree of its results, and what it closes over that is an operand."""
+    closed, shape = jax.make_jaxpr(function, return_shape=True)(*args)
+    tree = jax.tree_util.tree_structure(shape)
+    outer = [isinstance(c, jax.core.Tracer) or np.size(c) >= _OPERAND for c in closed.consts]
+    jaxpr = closed.jaxpr
+    inner_vars = [v for v, o in zip(jaxpr.constvars, outer, strict=True) if not o]
+    outer_vars = [v for v, o in zip(jaxpr.constvars, outer, strict=True) if o]
+    numbers = [np.asarray(c) for c, o in zip(closed.consts, outer, strict=True) if not o]
+    more = [c for c, o in zip(closed.consts, outer, strict=True) if o]
+    info = jaxpr.debug_info._replace(arg_names=None) if more else jaxpr.debug_info
+    whole = jaxpr.replace(constvars=inner_vars, invars=[*jaxpr.invars, *outer_vars], debug_info=info)
+    return Traced(ClosedJaxpr(whole, numbers)), tree, more
+
+
+def _is_float(aval: Any) -> bool:
+    return bool(jnp.issubdtype(aval.dtype, jnp.floating))
+
+
+def _derivative(closed: ClosedJaxpr, active: tuple[int, ...]) -> ClosedJaxpr:
+    """Forward, a column an input, or backward, a row an output: whichever are fewer."""
+    inputs, run = closed.in_avals, jaxpr_as_fun(closed)
+    smooth = [i for i, a in enumerate(closed.out_avals) if _is_float(a)]
+    wide = sum(int(np.prod(inputs[i].shape)) for i in active)
+    tall = sum(int(np.prod(closed.out_avals[i].shape)) for i in smooth)
+
+    def of(args: Sequence[Any]) -> tuple[Callable[..., Any], list[Any]]:
+        def function(*some: Any) -> Any:
+            whole = list(args)
+            for i, x in zip(active, some, strict=True):
+                whole[i] = x
+            outs = run(*whole)
+            return [outs[i] for i in smooth], outs
+
+        return function, [args[i] for i in active]
+
+    def basis(avals: Sequence[Any]) -> list[Any]:
+        sizes = [int(np.prod(a.shape)) for a in avals]
+        eye, cuts = np.eye(sum(sizes)), np.cumsum([0, *sizes])
+        return [jnp.asarray(eye[:, s:e].reshape(-1, *a.shape), a.dtype) for a, s, e in zip(avals, cuts, cuts[1:], strict=False)]
+
+    def forward(*args: Any) -> Any:
+        function, point = of(args)
+
+        def push(*tangent: Any) -> Any:
+            _, out, outs = jax.jvp(function, point, list(tangent), has_aux=True)
+            return out, outs
+
+        columns, outs = jax.vmap(push, out_axes=(0, None))(*basis([inputs[i] for i in active]))
+        cuts = np.cumsum([int(np.prod(inputs[i].shape)) for i in active])[:-1]
+        found = []
+        for column in columns:  # (wide, *output)
+            for i, part in zip(active, jnp.split(jnp.moveaxis(column, 0, -1), cuts, axis=-1), strict=True):
+                found.append(part.reshape(*column.shape[1:], *inputs[i].shape))
+        return [*outs, *found]
+
+    def backward(*args: Any) -> Any:
+        function, point = of(args)
+        _, pull, outs = jax.vjp(function, *point, has_aux=True)
+        rows = jax.vmap(lambda *cotangent: pull(list(cotangent)))(*basis([closed.out_avals[i] for i in smooth]))
+        cuts = np.cumsum([int(np.prod(closed.out_avals[i].shape)) for i in smooth])[:-1]
+        parts = [jnp.split(row, cuts, axis=0) for row in rows]  # by input, then by output
+        found = []
+        for k, out in enumerate(smooth):
+            for j, i in enumerate(active):
+                found.append(parts[j][k].reshape(*closed.out_avals[out].shape, *inputs[i].shape))
+        return [*outs, *found]
+
+    shapes = [jax.ShapeDtypeStruct(a.shape, a.dtype) for a in inputs]
+    if tall < wide:
+        try:
+            return jax.make_jaxpr(backward)(*shapes)
+        except ValueError:  # a while loop has no way back
+            pass
+    return jax.make_jaxpr(forward)(*shapes)
+
+
+# --------------------------------------------------------------------------------------------------------------------
+# Digest
+
+
+def digest(closed: ClosedJaxpr) -> str:
+    """A hash of what the jaxpr computes: operations, shapes, numbers; not of its names or of how it is differentiated."""
+    content = hashlib.sha256()
+    _jaxpr(closed.jaxpr, content)
+    for c in closed.consts:
+        _value(c, content)
+    return content.hexdigest()[:32]
+
+
+def _jaxpr(jaxpr: Jaxpr, content: Any) -> None:
+    numbers: dict[Any, int] = {}
+    number = lambda v: numbers.setdefault(v, len(numbers))
+    for v in (*jaxpr.constvars, *jaxpr.invars):
+        content.update(f"{number(v)}:{v.aval.str_short()};".encode())
+    for eqn in jaxpr.eqns:
+        content.update(f"|{eqn.primitive.name}(".encode())
+        for v in eqn.invars:
+            _value(v.val, content, v.aval) if isinstance(v, Literal) else content.update(f"{number(v)},".encode())
+        for key, value in sorted(eqn.params.items()):
+            if key not in _FUNCTIONS:
+                content.update(f"{key}=".encode())
+                _value(value, content)
+        content.update(b")")
+        for v in eqn.outvars:
+            content.update(f"{number(v)}:{v.aval.str_short()},".encode())
+    for v in jaxpr.outvars:
+        _value(v.val, content, v.aval) if isinstance(v, Literal) else content.update(f">{number(v)}".encode())
+
+
+def _value(value: Any, content: Any, aval: Any = None) -> None:
+    if isinstance(value, ClosedJaxpr):
+        _jaxpr(value.jaxpr, content)
+        for c in value.consts:
+            _value(c, content)
+    elif isinstance(value, Jaxpr):
+        _jaxpr(value, content)
+    elif isinstance(value, np.ndarray | np.generic | jax.Array) or (aval is not None and isinstance(value, int | float | bool)):
+        array = np.ascontiguousarray(np.asarray(value, None if aval is None else aval.dtype))
+        content.update(f"{array.dtype}{array.shape}".encode() + array.tobytes())
+    elif isinstance(value, tuple | list):
+        content.update(f"{type(value).__name__}[".encode())
+        for each in value:
+            _value(each, content)
+        content.update(b"]")
+    elif isinstance(value, dict):
+        for key in sorted(value, key=str):
+            content.update(f"{key}:".encode())
+            _value(value[key], content)
+    else:
+        text = f"{type(value).__name__}.{value.name}" if isinstance(value, enum.Enum) else repr(value)
+        # what has an address in its name is itself and nothing else
+        content.update((uuid.uuid4().hex if " at 0x" in text else text + ";").encode())
