@@ -25,6 +25,7 @@ import numpy as np
 from jax import lax
 
 from jaxik.ball import Ball, direction
+from jaxik.spmd.trace import tracing
 
 Scalar = Any  # float | jax.Array of shape () | np.ndarray | Ball
 
@@ -224,6 +225,8 @@ def shared(scalars: Any, derivative: bool = False) -> Any:
     With `derivative` the derivative is divided too, forward and backward. It is for recursions whose every stage is used many
     times (an elimination: its gradient went from 7500 to 20 ms); elsewhere it costs more than it saves.
     """
+    if tracing():
+        return scalars  # a kernel computes everything once
     return jax.tree_util.tree_map(lambda x: _fence(x, derivative) if isinstance(x, jax.Array) else x, scalars)
 
 

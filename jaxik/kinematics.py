@@ -41,6 +41,7 @@ from jaxik.algebra import (
     stack,
 )
 from jaxik.chain import Array, Chain, as_configuration
+from jaxik.spmd import kernel
 
 
 class JointFrames(NamedTuple):
@@ -76,6 +77,7 @@ def _frames(chain: Chain, q: Any) -> tuple[JointFrames, Any]:
     return joint_frames(chain, [q[i] for i in range(chain.num_joints)], dtype=q.dtype), q.dtype
 
 
+@kernel(models=1)
 def forward_kinematics(chain: Chain, q: Float[Array, " n"]) -> Float[Array, "4 4"]:
     """The tip frame in the base frame, `base_T_tip` [m].
 
@@ -94,6 +96,7 @@ def pose_errors(chain: Chain, q: Sequence[Scalar], pose: Sequence[Scalar]) -> tu
     return safe_sqrt(away.dot(away)), atan2(sine, cosine)
 
 
+@kernel(models=1)
 def link_frames(chain: Chain, q: Float[Array, " n"]) -> Float[Array, "l 4 4"]:
     """The frame of every link of `chain.link_names`, fixed ones too, in the base frame [m]."""
     frames, dtype = _frames(chain, q)
@@ -112,6 +115,7 @@ def jacobian_columns(chain: Chain, frames: JointFrames) -> list[tuple[Scalar, ..
     ]
 
 
+@kernel(models=1)
 def jacobian(chain: Chain, q: Float[Array, " n"]) -> Float[Array, "6 n"]:
     """The geometric Jacobian at the tip's origin in base axes: `(v, omega) = J qdot`, linear rows first [m, rad].
 
@@ -122,6 +126,7 @@ def jacobian(chain: Chain, q: Float[Array, " n"]) -> Float[Array, "6 n"]:
     return stack([c[row] for row in range(6) for c in columns], (6, chain.num_joints), dtype)
 
 
+@kernel(models=1)
 def bias_acceleration(chain: Chain, q: Float[Array, " n"], qdot: Float[Array, " n"]) -> Float[Array, "6"]:
     """`Jdot qdot`: the tip's acceleration with the joints unaccelerated, linear then angular, base axes [m/s2, rad/s2].
 
@@ -146,6 +151,7 @@ def _carried(omega: Vec3, alpha: Vec3, r: Vec3) -> Vec3:
     return alpha.cross(r) + omega.cross(omega.cross(r))
 
 
+@kernel(models=1)
 def manipulability(chain: Chain, q: Float[Array, " n"]) -> Float[Array, ""]:
     """Yoshikawa's measure `sqrt(det(J J'))`; 0 at a singularity, where its derivative is given as 0. [Yoshikawa 1985]
 

@@ -15,10 +15,11 @@ if "PYTEST_XDIST_WORKER" not in os.environ:
     os.environ[CACHE] = tempfile.mkdtemp(prefix="jaxik-tests-")
     atexit.register(shutil.rmtree, os.environ[CACHE], ignore_errors=True)
 
-# not the arithmetic on scalars: its types are Any, and a trace calls it a hundred thousand times
+# not the arithmetic on scalars, nor the compiler: their types are plain, and a trace calls them a hundred thousand times
 UNTYPED = ("__init__", "algebra", "distance", "linear", "qp")
 HOME = Path(find_spec("jaxik").origin).parent
-TYPED = [".".join(("jaxik", *p.relative_to(HOME).with_suffix("").parts)) for p in HOME.rglob("*.py") if p.stem not in UNTYPED]
+FILES = [p for p in HOME.rglob("*.py") if p.stem not in UNTYPED and p.parent.name != "spmd"]
+TYPED = [".".join(("jaxik", *p.relative_to(HOME).with_suffix("").parts)) for p in FILES]
 
 with install_import_hook(TYPED, "beartype.beartype"):
     import jaxik  # noqa: F401

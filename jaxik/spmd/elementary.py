@@ -41,8 +41,8 @@ def traced(name: str, kind: str) -> ClosedJaxpr:
     """The function as a jaxpr of scalars of a width, "float" or "double"."""
     function = FUNCTIONS[name]
     scalar = jax.ShapeDtypeStruct((), np.float32 if kind == "float" else np.float64)
-    with jax.enable_x64(kind == "double"):
-        return jax.make_jaxpr(function)(*[scalar] * (2 if name in ("atan2", "pow") else 1))
+    with jax.enable_x64(kind == "double" or name == "usual_pow"):
+        return jax.make_jaxpr(function)(*[scalar] * (2 if name in ("atan2", "usual_pow") else 1))
 
 
 def _polynomial(u: Any, coefficients: Sequence[float]) -> Any:
@@ -308,3 +308,10 @@ def asin(x: Any) -> Any:
 @_primitive("acos")
 def acos(x: Any) -> Any:
     return atan2(jnp.sqrt((1 - x) * (1 + x)), x)
+
+
+@_primitive("usual_pow")
+def usual_pow(x: Any, y: Any) -> Any:
+    """Of a positive, finite base in float32: in float64, where the logarithm has digits to spare."""
+    wide = exp(y.astype(np.float64) * log(x.astype(np.float64)))
+    return wide.astype(np.float32)

@@ -279,6 +279,8 @@ class Emitter:
             return f"fneg {full(kind)} {names[0]}" if kind in FLOATS else f"sub {full(kind)} zeroinitializer, {names[0]}" if wide else f"sub {llvm(kind)} 0, {names[0]}"
         if code in _INTRINSIC:
             return self.call(_INTRINSIC[code], kind, wide, names)
+        if code.startswith("libm_"):
+            return self.call(code.removeprefix("libm_"), kind, wide, names)
         if code == "abs":
             if kind in FLOATS:
                 return self.call("fabs", kind, wide, names)

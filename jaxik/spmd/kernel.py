@@ -3,48 +3,53 @@
 from __future__ import annotations
 
 import functools
-import weakref
 from collections.abc import Callable
 from typing import Any
 
 import jax
 import jax.numpy as jnp
-import numpy as np
 
 from jaxik.spmd.primitive import bind
 from jaxik.spmd.trace import Traced, trace
 
 
-def kernel(function: Callable[..., Any]) -> Callable[..., Any]:
+def kernel(function: Callable[..., Any] | None = None, *, models: int = 0) -> Callable[..., Any]:
     """The same function, compiled to one SIMD function over any batch on a CPU. Traced: `jit`, `vmap` and differentiate it.
 
     It takes and returns pytrees of arrays (float32, float64, int32, int64, unsigned, bool) of one configuration, and is pure: what
-    it closes over is read when it is first called with arguments of those shapes.
+    it closes over is read when it is first called with arguments of those shapes. Of the first `models` arguments (a robot)
+    the numbers fold into the program, except those that are traced; they are hashable, and equal ones share it.
     """
+    if function is None:
+        return functools.partial(kernel, models=models)
     known: dict[Any, tuple[Traced, Any]] = {}
 
     @functools.wraps(function)
     def call(*args: Any) -> Any:
         if jax.config.jax_disable_jit:
             return function(*args)
-        leaves, tree = jax.tree_util.tree_flatten(args)
+        fixed, rest = args[:models], args[models:]
+        model_leaves, model_tree = jax.tree_util.tree_flatten(fixed)
+        moving = [i for i, x in enumerate(model_leaves) if isinstance(x, jax.core.Tracer)]
+        leaves, tree = jax.tree_util.tree_flatten(rest)
         leaves = [x if isinstance(x, jax.Array) else jnp.asarray(x) for x in leaves]
-        key = tree, tuple((x.shape, x.dtype, x.weak_type) for x in leaves), jax.config.jax_enable_x64
-        found = known.get(key)
-        more: list[Any] = []
+        key = None if moving else (fixed, tree, tuple((x.shape, x.dtype, x.weak_type) for x in leaves), jax.config.jax_enable_x64)
+        found, more = known.get(key), []
+        operands = [*(model_leaves[i] for i in moving), *leaves]
         if found is None:
-            flat = lambda *leaves: function(*jax.tree_util.tree_unflatten(tree, leaves))
-            functools.update_wrapper(flat, function, ())
+
+            def flat(*operands: Any) -> Any:
+                inner = list(model_leaves)
+                for i, x in zip(moving, operands, strict=False):
+                    inner[i] = x
+                first = jax.tree_util.tree_unflatten(model_tree, inner) if moving else fixed
+                return function(*first, *jax.tree_util.tree_unflatten(tree, operands[len(moving) :]))
+
             flat.__name__ = getattr(function, "__name__", "a function")
-            traced, results, more = trace(flat, [jax.ShapeDtypeStruct(x.shape, x.dtype, weak_type=x.weak_type) for x in leaves])
-            found = traced, results
-            if not any(isinstance(c, jax.core.Tracer) for c in more):
-                if not more:
-                    known[key] = found
+            *found, more = trace(flat, [jax.ShapeDtypeStruct(x.shape, x.dtype, weak_type=x.weak_type) for x in operands])
+            if key is not None and not more:
+                known[key] = found
         traced, results = found
-        return jax.tree_util.tree_unflatten(results, bind(traced, [*leaves, *more]))
+        return jax.tree_util.tree_unflatten(results, bind(traced, [*operands, *more]))
 
     return call
-
-
-__all__ = ["kernel", "np", "weakref"]

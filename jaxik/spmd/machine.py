@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import ctypes
+import ctypes.util
 import functools
 import sys
 import threading
@@ -48,9 +49,13 @@ _kept: list[Any] = []  # compiled code lives as long as the process: an executab
 
 @functools.cache
 def _jit() -> Any:
-    libc = ctypes.CDLL(None) if sys.platform != "win32" else ctypes.cdll.msvcrt
-    for name in ("malloc", "free", "sched_yield", "fmod", "fmodf", "memcpy", "memset", "memmove"):
-        function = getattr(libc, name, None)
+    if sys.platform == "win32":
+        libraries = [ctypes.cdll.msvcrt, ctypes.CDLL("ucrtbase")]
+    else:
+        libraries = [ctypes.CDLL(None), ctypes.CDLL(ctypes.util.find_library("m"))]
+    floating = [name + width for name in ("fmod", "sin", "cos", "tan", "pow") for width in ("", "f")]
+    for name in ("malloc", "free", "sched_yield", "memcpy", "memset", "memmove", *floating):
+        function = next((getattr(lib, name) for lib in libraries if hasattr(lib, name)), None)
         if function is not None:
             llvm().add_symbol(name, ctypes.cast(function, ctypes.c_void_p).value)
     return llvm().create_lljit_compiler(target_machine(2), use_jit_link=False, suppress_errors=False)

@@ -157,12 +157,12 @@ def _grid(args: Sequence[Any], traced: Traced, batch: tuple[int, ...], masks: Ma
     return (outer[1], inner[1]), operands, tuple(shared)
 
 
-_told: set[str] = set()
+_told: set[tuple[str, str]] = set()
 
 
 def _warn(traced: Traced, why: str) -> None:
-    if traced.digest not in _told:
-        _told.add(traced.digest)
+    if (traced.name, why) not in _told:
+        _told.add((traced.name, why))
         warnings.warn(f"jaxik.kernel: {traced.name} runs by XLA: a kernel cannot do {why}", stacklevel=2)
 
 

@@ -50,8 +50,8 @@ class Array:
     def shape(self) -> tuple[int, ...]:
         return self.at.shape
 
-    def rearranged(self, at: np.ndarray) -> Array:
-        return dataclasses.replace(self, at=at)
+    def rearranged(self, at: Any) -> Array:
+        return Array(np.asarray(at), self.type, self.memory, self.after)
 
     @functools.cached_property
     def strides(self) -> tuple[int, ...] | None:
@@ -386,14 +386,54 @@ for _name in elementary.FUNCTIONS:
     RULES[_name] = _elementary(_name)
 
 
+def _rarely(s: Scalariser, name: str, kind: str, unless: Sequence[int], fast: Array, *xs: Array) -> Array:
+    """`fast`, but for entries where a condition of `unless` holds what the C library says; it is only asked if one does."""
+    p, shape = s.program, fast.shape
+    flat = [x.ravel().tolist() for x in np.broadcast_arrays(*map(s.values, xs))]
+    usual = s.values(fast).ravel().tolist()
+    libm = lambda: [
+        p.op("select", kind, u, p.op(f"libm_{name}", kind, *each), v)
+        for u, v, *each in zip(unless, usual, *flat, strict=True)
+    ]
+    return _unflattened(p.branch(s.fold("or", "i1", unless), libm, lambda: usual), [shape], [kind])[0] if usual else fast
+
+
+def _angle(name: str) -> Rule:
+    polynomial = _elementary(name)
+
+    def apply(s: Scalariser, eqn: Any, x: Array) -> Array:
+        fast, kind, p = polynomial(s, eqn, x), x.type, s.program
+        limit = p.number(elementary.FAR[4 if kind == "float" else 8], kind)
+        far = [p.op("gt", "i1", p.op("abs", kind, v), limit) for v in s.values(x).ravel().tolist()]
+        return _rarely(s, name, kind, far, fast, x)
+
+    return apply
+
+
+for _name in ("sin", "cos", "tan"):
+    RULES[_name] = _angle(_name)
+
+
 @rule("pow")
 def _pow(s: Scalariser, eqn: Any, x: Array, y: Array) -> Array:
+    p, kind = s.program, x.type
     if y.type not in FLOATS:
-        y = s.map("convert", x.type, y)
-    known = {float(s.program.constant.get(v, np.nan)) for v in s.values(y).ravel()} if y.at.size < 64 else {np.nan}
-    if known == {2.0}:
-        return s.map("mul", x.type, x, x)
-    return _elementary("pow")(s, eqn, x, y)
+        y = s.map("convert", kind, y)
+    power = {float(p.constant.get(v, np.nan)) for v in s.values(y).ravel().tolist()}
+    if power == {2.0}:
+        return s.map("mul", kind, x, x)
+    if power == {0.5}:  # pow(-inf, 0.5) is inf, and pow(-0, 0.5) is 0
+        root = s.map("add", kind, s.map("sqrt", kind, x), s.full((), 0, kind))
+        return s.map("select", kind, s.map("eq", "i1", x, s.full((), -np.inf, kind)), s.full((), np.inf, kind), root)
+    x, y = (Array(v, kind) for v in np.broadcast_arrays(s.values(x), s.values(y)))
+    if kind == "double":
+        return s.map("libm_pow", kind, x, y)
+    usual, special = _elementary("usual_pow")(s, eqn, x, y), []
+    for a, b in zip(x.at.ravel().tolist(), y.at.ravel().tolist(), strict=True):
+        plain = p.op("and", "i1", p.op("gt", "i1", a, p.number(0, kind)), p.op("lt", "i1", a, p.number(np.inf, kind)))
+        plain = p.op("and", "i1", plain, p.op("lt", "i1", p.op("abs", kind, b), p.number(np.inf, kind)))
+        special.append(p.op("not", "i1", plain))
+    return _rarely(s, "pow", kind, special, usual, x, y)
 
 
 # Where entries stand ------------------------------------------------------------------------------------------------

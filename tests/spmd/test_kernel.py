@@ -1,0 +1,254 @@
+"""A kernel as a citizen of JAX: transformations, batches, bits, caches, refusals."""
+
+import os
+import pickle
+import subprocess
+import sys
+import warnings
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from jax import lax
+
+from jaxik import spmd
+from jaxik.spmd import call
+
+
+def arm(q, lengths):
+    """A planar arm: positions of its joints, and a cost that has a loop in it."""
+    angle = jnp.cumsum(q)
+    x, y = jnp.cumsum(lengths * jnp.cos(angle)), jnp.cumsum(lengths * jnp.sin(angle))
+    near = lax.fori_loop(0, 3, lambda k, c: jnp.minimum(c, (x[k] - 1.0) ** 2 + jnp.abs(y[k])), jnp.asarray(9.0, q.dtype))
+    return jnp.stack([x, y]), near
+
+
+KERNEL = spmd.kernel(arm)
+RNG = np.random.default_rng(0)
+Q, LENGTHS = RNG.normal(size=(37, 4)), RNG.uniform(0.5, 1.0, (37, 4))
+
+
+def close(a, b, rtol=1e-9):
+    for x, y in zip(jax.tree_util.tree_leaves(a), jax.tree_util.tree_leaves(b), strict=True):
+        assert x.dtype == y.dtype and x.shape == y.shape
+        np.testing.assert_allclose(x, y, rtol=rtol, atol=rtol)
+
+
+DERIVATIVES = {
+    "grad": lambda f: jax.grad(lambda q, a: f(q, a)[1]),
+    "grad of lengths": lambda f: jax.grad(lambda q, a: jnp.sum(f(q, a)[0] ** 2), 1),
+    "jacfwd": lambda f: jax.jacfwd(f, (0, 1)),
+    "jacrev": lambda f: jax.jacrev(f, (0, 1)),
+    "hessian": lambda f: jax.hessian(lambda q, a: f(q, a)[0][1, 2] ** 2),
+    "jvp": lambda f: lambda q, a: jax.jvp(f, (q, a), (a, q))[1],
+    "vjp": lambda f: lambda q, a: jax.vjp(f, q, a)[1]((jnp.ones((2, 4)), 2.0)),
+    "linearize": lambda f: lambda q, a: jax.linearize(f, q, a)[1](a, q),
+    "checkpoint": lambda f: jax.grad(lambda q, a: jax.checkpoint(f)(q, a)[1] ** 2),
+    "third": lambda f: jax.jacfwd(jax.jacrev(jax.grad(lambda q, a: f(q, a)[0][0, 3]))),
+}
+
+
+@pytest.mark.parametrize("name", DERIVATIVES)
+def test_derivatives(name):
+    """Of a batch by batched and by shared operands, against the same function without the kernel."""
+    of_kernel, of_arm = DERIVATIVES[name](KERNEL), DERIVATIVES[name](arm)
+    for axes, lengths in (((0, 0), LENGTHS), ((0, None), LENGTHS[0])):
+        close(jax.jit(jax.vmap(of_kernel, axes))(Q, lengths), jax.jit(jax.vmap(of_arm, axes))(Q, lengths))
+    close(of_kernel(Q[0], LENGTHS[0]), of_arm(Q[0], LENGTHS[0]))
+
+
+def test_sum_over_a_batch_of_a_shared_operand():
+    total = lambda f: jax.grad(lambda a: jnp.sum(jax.vmap(f, (0, None))(Q, a)[1]))
+    close(total(KERNEL)(LENGTHS[0]), total(arm)(LENGTHS[0]))
+
+
+BATCHES = {
+    "nested": (lambda f: jax.vmap(jax.vmap(f)), (Q[:36].reshape(6, 6, 4), LENGTHS[:36].reshape(6, 6, 4))),
+    "outer lengths": (lambda f: jax.vmap(jax.vmap(f, (0, None))), (Q[:36].reshape(6, 6, 4), LENGTHS[:6])),
+    "outer lengths, many": (lambda f: jax.vmap(jax.vmap(f, (0, None))), (np.tile(Q, (3, 2, 1)), LENGTHS[:3])),
+    "crossed": (lambda f: jax.vmap(jax.vmap(f, (0, None)), (None, 0)), (Q, LENGTHS[:5])),
+    "crossed, many": (lambda f: jax.vmap(jax.vmap(f, (None, 0)), (0, None)), (Q, LENGTHS)),
+    "three": (
+        lambda f: jax.vmap(jax.vmap(jax.vmap(f, (0, None)), (None, 0)), (0, 0)),
+        (Q[:36].reshape(6, 6, 4), LENGTHS[:12].reshape(6, 2, 4)),
+    ),
+    "last axis": (lambda f: jax.vmap(f, (1, 0), (2, 0)), (Q.T, LENGTHS)),
+    "empty": (jax.vmap, (Q[:0], LENGTHS[:0])),
+    "one": (jax.vmap, (Q[:1], LENGTHS[:1])),
+    "in a scan": (
+        lambda f: lambda q, a: lax.scan(lambda c, x: (c + f(x[0], x[1])[1], f(x[0] + c, x[1])), 0.0, (q, a)),
+        (Q, LENGTHS),
+    ),
+    "in a while": (
+        lambda f: lambda q, a: lax.while_loop(lambda c: c[1] < 20, lambda c: (c[0] + f(q[0], a[0])[1], c[1] + 1), (0.0, 0)),
+        (Q, LENGTHS),
+    ),
+    "in a branch": (lambda f: lambda q, a: lax.cond(q[0, 0] > 0, f, lambda q, a: f(a, q), q[0], a[0]), (Q, LENGTHS)),
+}
+
+
+@pytest.mark.parametrize("name", BATCHES)
+def test_batches(name):
+    way, args = BATCHES[name]
+    close(jax.jit(way(KERNEL))(*args), jax.jit(way(arm))(*args))
+
+
+def test_without_jit():
+    with jax.disable_jit():
+        close(KERNEL(Q[0], LENGTHS[0]), arm(jnp.asarray(Q[0]), jnp.asarray(LENGTHS[0])))
+
+
+def test_shapes_and_ahead_of_time():
+    shapes = jax.eval_shape(jax.vmap(KERNEL), Q, LENGTHS)
+    assert [s.shape for s in shapes] == [(37, 2, 4), (37,)]
+    close(jax.jit(jax.vmap(KERNEL)).lower(Q, LENGTHS).compile()(Q, LENGTHS), jax.vmap(arm)(Q, LENGTHS))
+    twice = jax.jit(jax.vmap(spmd.kernel(lambda q: 2.0 * q[::-1])), donate_argnums=0)
+    close(twice(jnp.asarray(Q)), jnp.asarray(2.0 * Q[:, ::-1]))
+
+
+def test_both_widths():
+    with jax.enable_x64(False):
+        close(jax.jit(jax.vmap(KERNEL))(Q, LENGTHS), jax.jit(jax.vmap(arm))(Q, LENGTHS), 1e-5)
+        assert KERNEL(Q[0], LENGTHS[0])[1].dtype == np.float32
+    assert KERNEL(Q[0], LENGTHS[0])[1].dtype == np.float64
+
+
+def test_traced_outside():
+    """What a kernel closes over may be traced: it is an operand then."""
+
+    def total(lengths):
+        return jnp.sum(jax.vmap(spmd.kernel(lambda q: arm(q, lengths)[1]))(Q))
+
+    close(jax.jit(jax.grad(total))(LENGTHS[0]), jax.grad(lambda a: jnp.sum(jax.vmap(arm, (0, None))(Q, a)[1]))(LENGTHS[0]))
+
+
+@pytest.mark.parametrize("dtype", [np.float32, np.float64])
+def test_same_bits(dtype):
+    """Alone, in batches of any size, in any order, at any place, on one thread or more, with operands shared or not."""
+    q, a = RNG.normal(size=(20_000, 4)).astype(dtype), np.broadcast_to(LENGTHS[0].astype(dtype), (20_000, 4))
+    batch = jax.jit(jax.vmap(KERNEL))
+    whole = jax.tree_util.tree_map(np.asarray, batch(q, a))
+    check = lambda found, rows: [np.testing.assert_array_equal(f, w[rows]) for f, w in zip(found, whole, strict=True)]
+    order = RNG.permutation(20_000)
+    check(batch(q[order], a[order]), order)
+    for rows in (slice(5, 12), slice(100, 101), slice(3, 4099)):
+        check(batch(q[rows], a[rows]), rows)
+    check(jax.jit(jax.vmap(KERNEL, (0, None)))(q, a[0]), slice(None))
+    check(KERNEL(q[9], a[9]), 9)
+
+
+def test_nan_stays_in_its_lane():
+    q = Q.copy()
+    q[5] = np.nan
+    found = np.asarray(jax.vmap(KERNEL)(q, LENGTHS)[0])
+    assert np.isnan(found[5]).all() and np.isfinite(np.delete(found, 5, 0)).all()
+
+
+# --------------------------------------------------------------------------------------------------------------------
+# Caches
+
+
+def test_a_program_is_made_once():
+    before = len(call._made)
+    for k in range(3):  # another function each time, the same program
+        np.testing.assert_allclose(spmd.kernel(lambda q: 3.25 * q.sum() + 1.0)(Q[k]), 3.25 * Q[k].sum() + 1.0)
+    assert len(call._made) == before + 1
+    jax.vmap(spmd.kernel(lambda q: 3.25 * q.sum() + 1.0))(Q)
+    jax.vmap(spmd.kernel(lambda q: 3.25 * q.sum() + 1.0))(Q[:9])
+    assert len(call._made) == before + 1
+
+
+SCRIPT = """
+import jax, jax.numpy as jnp, numpy as np
+from jaxik import spmd
+from jaxik.spmd import machine
+made = []
+compiled = machine.compiled
+machine.compiled = lambda *args: made.append(1) or compiled(*args)
+print(float(spmd.kernel(lambda q: jnp.sin(q).sum() * 7.125)(np.ones(3))), len(made))
+"""
+
+
+def test_a_second_process_compiles_nothing(tmp_path):
+    environment = {**os.environ, "JAX_COMPILATION_CACHE_DIR": str(tmp_path)}
+    run = lambda: subprocess.run([sys.executable, "-c", SCRIPT], env=environment, capture_output=True, text=True, check=True)
+    first = run().stdout.split()
+    assert first[1] == "1" and run().stdout.split() == [first[0], "0"]
+    (file,) = (tmp_path / "kernels").iterdir()
+    good = file.read_bytes()
+    for bad in (b"", good[:100], good[:-1] + b"x", b"x" * 5000):  # damaged: made again
+        file.write_bytes(bad)
+        assert run().stdout.split() == [first[0], "1"] and file.read_bytes()[:4] == good[:4]
+
+
+def test_a_fork_goes_on():
+    """A child has its own threads, or none; jaxik's kernels keep their code."""
+    code = "import os, warnings; warnings.simplefilter('ignore')\n" + SCRIPT + "pid = os.fork()\nos._exit(0) if pid == 0 else None\n"
+    code += "assert os.waitpid(pid, 0)[1] == 0\n"
+    assert subprocess.run([sys.executable, "-c", code], capture_output=True, timeout=120).returncode == 0
+
+
+def test_pickle():
+    assert pickle.loads(pickle.dumps(call.cache_folder())) == call.cache_folder()
+
+
+# --------------------------------------------------------------------------------------------------------------------
+# What a kernel cannot do
+
+REFUSED = {
+    "callback": (lambda q: jax.pure_callback(lambda x: np.asarray(x) * 2, jax.ShapeDtypeStruct((4,), np.float64), q), "pure_callback"),
+    "random numbers": (lambda q: q + jax.random.normal(jax.random.key(0), (4,)), "random"),
+    "a library's factorisation": (lambda q: jnp.linalg.svd(jnp.outer(q, q))[1], "svd"),
+    "complex numbers": (lambda q: jnp.abs(q + 1j * q), "complex"),
+    "a large array": (lambda q: jnp.sum(jnp.sin(jnp.arange(1e6) * q[0])) * q, "entries"),
+    "half precision": (lambda q: q.astype(jnp.bfloat16).astype(q.dtype), "bfloat16"),
+}
+
+
+@pytest.mark.parametrize("name", REFUSED)
+def test_what_it_cannot_do_goes_to_xla(name):
+    """With one warning that says what it was."""
+    function, word = REFUSED[name]
+    with pytest.warns(UserWarning, match=f"runs by XLA: a kernel cannot do .*{word}") as told:
+        found = jax.jit(jax.vmap(spmd.kernel(function)))(Q)
+    assert len(told) == 1 and "\n" not in str(told[0].message)
+    close(found, jax.jit(jax.vmap(function))(Q), 1e-6)
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")  # said once
+        jax.jit(jax.vmap(spmd.kernel(function)))(Q[:3])
+
+
+# --------------------------------------------------------------------------------------------------------------------
+# Random programs
+
+UNARY = [jnp.sin, jnp.exp, jnp.tanh, jnp.abs, jnp.sqrt, jnp.square, jnp.negative, jnp.floor, lambda x: x[::-1], jnp.cumsum]
+BINARY = [jnp.add, jnp.subtract, jnp.multiply, jnp.divide, jnp.maximum, jnp.minimum, jnp.arctan2, lambda x, y: jnp.where(x > y, x, y)]
+LOOPS = [
+    lambda f, x, y: lax.fori_loop(0, 12, lambda k, c: f(c, y) * 0.5, x),
+    lambda f, x, y: lax.while_loop(lambda c: (c[1] < 5) & (c[0].sum() < 3), lambda c: (f(c[0], y), c[1] + 1), (x, 0))[0],
+    lambda f, x, y: lax.cond(x[0] > y[0], lambda: f(x, y), lambda: f(y, x)),
+    lambda f, x, y: lax.scan(lambda c, v: (f(c, y) * v, c), x, y)[0],
+    lambda f, x, y: f(x, y),
+]
+
+
+@settings(max_examples=40, deadline=None, derandomize=True)
+@given(st.lists(st.tuples(st.integers(0, 9), st.integers(0, 7), st.integers(0, 4), st.integers(0, 3), st.integers(0, 3)), min_size=1, max_size=5))
+def test_random_programs(steps):
+    """Against the same program by XLA, NaN and infinities among its numbers."""
+
+    def program(x, y):
+        values = [x, y, x * y, y - x]
+        for unary, binary, loop, a, b in steps:
+            one = lambda u, v, f=BINARY[binary], g=UNARY[unary]: f(g(u), v)
+            values.append(LOOPS[loop](one, values[-1 - a], values[-1 - b]))
+        return values[-1]
+
+    x, y = np.random.default_rng(len(steps)).normal(size=(2, 19, 3))
+    x[3, 1], y[7, 2], x[9] = np.nan, np.inf, 0.0
+    found, expected = jax.jit(jax.vmap(spmd.kernel(program)))(x, y), jax.jit(jax.vmap(program))(x, y)
+    with np.errstate(all="ignore"):
+        np.testing.assert_allclose(found, expected, rtol=1e-6, atol=1e-9)
