@@ -20,14 +20,14 @@ import numpy as np
 from jaxik.spmd import machine
 from jaxik.spmd.emit import Emitter, stored
 from jaxik.spmd.handler import handler
-from jaxik.spmd.program import TYPES, Program
+from jaxik.spmd.program import Program
 from jaxik.spmd.scalarise import Unsupported, scalarised, type_of
 from jaxik.spmd.trace import Traced
 
 WORTH = 20_000  # operations on vectors that are worth waking a thread for, about 10 us
 GUESS = 8  # turns of a loop whose number is not known
 _lock = threading.RLock()
-_made: dict[tuple[str, tuple[bool, ...]], str | Unsupported] = {}
+_made: dict[tuple[str, tuple[bool, ...]], Made | Unsupported] = {}
 
 
 @dataclasses.dataclass(frozen=True)
@@ -37,7 +37,18 @@ class Plan:
     program: Program
     emitter: Emitter
     width: int
+    chunk: int
     text: str
+
+
+@dataclasses.dataclass(frozen=True)
+class Made:
+    """A kernel: the `name` that XLA knows it by, what takes chunks of vectors of lanes, and how large these are."""
+
+    name: str
+    work: Any
+    width: int
+    chunk: int
 
 
 def plan(traced: Traced, shared: tuple[bool, ...], name: str) -> Plan:
@@ -52,7 +63,7 @@ def plan(traced: Traced, shared: tuple[bool, ...], name: str) -> Plan:
     chunk = max(1, WORTH // max(_cost(program, emitter, program.top.body), 1))
     rows_in = [(stored(kind), n, s) for (kind, n), s in zip(inputs, shared, strict=True)]
     text += "\n" + handler(name, rows_in, [(stored(kind), n) for kind, n in outputs], width, chunk)
-    return Plan(program, emitter, width, text)
+    return Plan(program, emitter, width, chunk, text)
 
 
 def _cost(program: Program, emitter: Emitter, body: Any) -> int:
@@ -71,8 +82,8 @@ def _cost(program: Program, emitter: Emitter, body: Any) -> int:
     return total
 
 
-def target(traced: Traced, shared: tuple[bool, ...]) -> str:
-    """The name that XLA knows the kernel by; it is made if there is none. Raises `Unsupported`."""
+def made(traced: Traced, shared: tuple[bool, ...]) -> Made:
+    """The kernel; it is made if there is none. Raises `Unsupported`."""
     key = traced.digest, shared
     with _lock:
         known = _made.get(key)
@@ -87,18 +98,20 @@ def target(traced: Traced, shared: tuple[bool, ...]) -> str:
     return known
 
 
-def _make(traced: Traced, shared: tuple[bool, ...]) -> str:
+def _make(traced: Traced, shared: tuple[bool, ...]) -> Made:
     if machine.llvm() is None:
         raise Unsupported("a machine without llvmlite (pip install llvmlite)")
     flags = "".join("s" if s else "r" for s in shared)
     name = f"jaxik_{hashlib.sha256(f'{traced.digest}{flags}{_version()}'.encode()).hexdigest()[:32]}"
-    image = _read(name)
-    if image is None:
-        image = machine.compiled(plan(traced, shared, name).text)
-        _write(name, image)
-    address = machine.linked(name, image)
+    stored = _read(name)
+    if stored is None:
+        planned = plan(traced, shared, name)
+        stored = np.array([planned.width, planned.chunk]).tobytes() + machine.compiled(planned.text)
+        _write(name, stored)
+    width, chunk = map(int, np.frombuffer(stored[:16], np.int64))
+    address, work = machine.linked(stored[16:], name, f"{name}_work")
     jax.ffi.register_ffi_target(name, jax.ffi.pycapsule(ctypes.CFUNCTYPE(ctypes.c_void_p)(address)), platform="cpu")
-    return name
+    return Made(name, ctypes.CFUNCTYPE(None, ctypes.c_void_p)(work), width, chunk)
 
 
 # --------------------------------------------------------------------------------------------------------------------
@@ -155,6 +168,3 @@ def _write(name: str, image: bytes) -> None:
             os.replace(aside, folder / name)
         except OSError:
             os.unlink(aside)
-
-
-__all__ = ["TYPES", "Plan", "Unsupported", "cache_folder", "plan", "target"]

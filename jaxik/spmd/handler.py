@@ -9,6 +9,7 @@ and this one take in turn; the last to leave frees what they share.
 
 from __future__ import annotations
 
+import platform
 import sys
 from collections.abc import Sequence
 
@@ -23,7 +24,7 @@ NEXT, DONE, TOTAL, CHUNK, INNER, VECTORS, HOLDERS, FIRST = range(8)  # words of 
 
 
 def handler(name: str, rows_in: Sequence[tuple[str, int, bool]], rows_out: Sequence[tuple[str, int]], width: int, chunk: int) -> str:
-    """The text: `rows_in` are type in memory, entries and whether lanes share it; `rows_out` the same of what is written;
+    """The text of `name`, and of `name_work`, which takes chunks of a table of words until none is left. `rows_in` are type in memory, entries and whether lanes share it; `rows_out` the same of what is written;
     `chunk` is how many vectors are worth a thread's while."""
     size = {"i8": 1, "i32": 4, "i64": 8, "float": 4, "double": 8}
     n_in, n_out = len(rows_in), len(rows_out)
@@ -33,6 +34,7 @@ def handler(name: str, rows_in: Sequence[tuple[str, int, bool]], rows_out: Seque
 
     # A range of vectors.
     put("define internal void @range(ptr %c, i64 %begin, i64 %end) #0 {\nentry:")
+    put(_flush("begin"))
     put(f"  %ins = alloca [{max(n_in, 1)} x ptr]\n  %outs = alloca [{max(n_out, 1)} x ptr]")
     for k, (kind, count, shared) in enumerate(rows_in):
         if not shared:
@@ -77,12 +79,13 @@ def handler(name: str, rows_in: Sequence[tuple[str, int, bool]], rows_out: Seque
     put("  call void @lanes(ptr %ins, ptr %outs)")
     for k, (kind, count) in enumerate(rows_out):
         put(f"  %c{k} = mul i64 %left, {count * size[kind]}\n  call void @llvm.memcpy.p0.p0.i64(ptr %w{k}, ptr %bo{k}, i64 %c{k}, i1 false)")
-    put("  br label %done\ndone:\n  %t1 = add i64 %t, 1\n  %more = icmp ult i64 %t1, %end\n  br i1 %more, label %next, label %out\nout:\n  ret void\n}")
+    put("  br label %done\ndone:\n  %t1 = add i64 %t, 1\n  %more = icmp ult i64 %t1, %end\n  br i1 %more, label %next, label %out\nout:")
+    put(_flush("end") + "\n  ret void\n}")
 
     pause = "  %ignored = call i32 @sched_yield()" if sys.platform != "win32" else ""
     put(
         f"""
-define internal void @work(ptr %c) #0 {{
+define void @{name}_work(ptr %c) #0 {{
 entry:
   %ptotal = getelementptr i64, ptr %c, i64 {TOTAL}
   %total = load i64, ptr %ptotal
@@ -118,7 +121,7 @@ no:
 }}
 define internal void @task(ptr %c) #0 {{
 entry:
-  call void @work(ptr %c)
+  call void @{name}_work(ptr %c)
   call void @leave(ptr %c)
   ret void
 }}
@@ -248,7 +251,7 @@ ok:
   %yet = icmp ult i64 %sent1, %helpers
   br i1 %yet, label %send, label %mine
 mine:
-  call void @work(ptr %c)
+  call void @{name}_work(ptr %c)
   %pdone = getelementptr i64, ptr %c, i64 {DONE}
   br label %wait
 wait:
@@ -281,10 +284,26 @@ declare void @llvm.memcpy.p0.p0.i64(ptr, ptr, i64, i1)
 declare ptr @malloc(i64)
 declare void @free(ptr)
 {"declare i32 @sched_yield()" if pause else ""}
+{_flush("declare")}
 !0 = !{{}}
 """
     )
     return "\n".join(lines)
+
+
+def _flush(what: str) -> str:
+    """Denormals count as 0, as XLA has it on its threads, on whichever thread this runs; before that is as it was after."""
+    if platform.machine().lower() not in ("x86_64", "amd64"):
+        return ""
+    if what == "begin":
+        return (
+            "  %state = alloca i32\n  %flushing = alloca i32\n  call void @llvm.x86.sse.stmxcsr(ptr %state)\n"
+            "  %csr = load i32, ptr %state\n  %csr1 = or i32 %csr, 32832\n  store i32 %csr1, ptr %flushing\n"
+            "  call void @llvm.x86.sse.ldmxcsr(ptr %flushing)"
+        )
+    if what == "end":
+        return "  call void @llvm.x86.sse.ldmxcsr(ptr %state)"
+    return "declare void @llvm.x86.sse.stmxcsr(ptr)\ndeclare void @llvm.x86.sse.ldmxcsr(ptr)"
 
 
 def _own_before(rows_in: Sequence[tuple[str, int, bool]], k: int) -> list[int]:

@@ -77,11 +77,12 @@ def compiled(text: str, level: int = 2) -> bytes:
     return bytes(machine.emit_object(module))
 
 
-def linked(name: str, image: bytes) -> int:
-    """The address of a function of an object file."""
-    b = llvm()
+def linked(image: bytes, *names: str) -> list[int]:
+    """The addresses of functions of an object file."""
+    builder = llvm().JITLibraryBuilder().add_object_img(image).add_current_process()
+    for name in names:
+        builder.export_symbol(name)
     with _lock:
-        jit = _jit()
-        library = b.JITLibraryBuilder().add_object_img(image).add_current_process().export_symbol(name).link(jit, name)
+        library = builder.link(_jit(), names[0])
         _kept.append(library)
-        return int(library[name])
+        return [int(library[name]) for name in names]

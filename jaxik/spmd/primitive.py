@@ -113,7 +113,7 @@ def _on_cpu(*args: Any, traced: Traced, batch: tuple[int, ...], masks: Masks) ->
     if all(empty):
         return [jnp.zeros((*batch, *a.shape), a.dtype) for a in outputs]
     try:
-        name = call.target(traced, shared)
+        name = call.made(traced, shared).name
     except Unsupported as error:
         _warn(traced, str(error))
         return _by_xla(*args, traced=traced, batch=batch, masks=masks)

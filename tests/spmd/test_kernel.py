@@ -199,7 +199,12 @@ def test_pickle():
 # What a kernel cannot do
 
 REFUSED = {
-    "callback": (lambda q: jax.pure_callback(lambda x: np.asarray(x) * 2, jax.ShapeDtypeStruct((4,), np.float64), q), "pure_callback"),
+    "callback": (
+        lambda q: jax.pure_callback(
+            lambda x: np.asarray(x) * 2, jax.ShapeDtypeStruct((4,), np.float64), q, vmap_method="expand_dims"
+        ),
+        "pure_callback",
+    ),
     "random numbers": (lambda q: q + jax.random.normal(jax.random.key(0), (4,)), "random"),
     "a library's factorisation": (lambda q: jnp.linalg.svd(jnp.outer(q, q))[1], "svd"),
     "complex numbers": (lambda q: jnp.abs(q + 1j * q), "complex"),
