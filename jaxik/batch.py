@@ -1,4 +1,4 @@
-"""Rows through a compiled function, block by block, in as many threads as there are cores.
+"""HostKernel through a compiled function, block by block, in as many threads as there are cores.
 
 A block has one size, whatever the number of rows, and the last is filled up with copies of its own rows: nothing compiles
 again for another number, and a row's result does not depend on which rows came with it. XLA runs a program of this size on one
@@ -17,6 +17,9 @@ from typing import Any
 import jax
 import jax.numpy as jnp
 import numpy as np
+
+from jaxik.spmd import Unsupported
+from jaxik.spmd.host import HostKernel
 
 
 def cores() -> int:
@@ -43,6 +46,11 @@ def in_blocks(
     would not know.
     """
     count, wide = len(columns[0]), jnp.result_type(float) == np.float64 if double is None else double
+    if isinstance(function, HostKernel):
+        try:
+            return function(*columns, *fixed, double=wide, threads=threads(), team=cores())
+        except Unsupported:
+            function = function.by_xla
 
     def block(start: int) -> list[np.ndarray]:
         rows = [c[start : start + size] for c in columns]

@@ -1,4 +1,4 @@
-"""The compiled programs of inverse kinematics: each takes one start and one target, and runs a fixed number of SQP steps.
+"""The programs of inverse kinematics: each takes one start and one target, and runs a fixed number of SQP steps.
 
 They join the robot (`kinematics`, `collision`, `task`) to the solver (`optimise.sqp`), which knows none. Lengths are measured
 in a third of the chain's reach, so that damping and step bounds mean the same for a finger and for a crane. One program serves
@@ -8,7 +8,7 @@ all limits, targets, weights and scenes of a chain: they are its arguments.
 from __future__ import annotations
 
 import functools
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from typing import Any, NamedTuple
 
 import jax
@@ -22,11 +22,12 @@ from jaxik.kinematics import jacobian_columns, joint_frames
 from jaxik.optimise import sqp
 from jaxik.optimise.qp import NONE, Rows
 from jaxik.reach import reach
+from jaxik.spmd.host import HostKernel
 from jaxik.task import Task
 
 
 class Landed(NamedTuple):
-    """Where lanes ended: q (lanes, n), and the errors of their tips (lanes,) [m], [rad]."""
+    """Where a lane ended: q (n,), and the errors of its tip [m], [rad]."""
 
     q: Any
     position_error: Any
@@ -52,15 +53,15 @@ def unit_length(chain: Chain) -> float:
 
 
 @functools.lru_cache(maxsize=64)
-def landing(chain: Chain, task: Task, iterations: int, options: sqp.Options, extras: Extras = NOTHING) -> Callable[..., Landed]:
-    """A compiled batch of SQP runs: (q, pose, lower, upper, weights[, scene, margin]) -> `Landed`; q and pose by rows."""
-    return jax.jit(functools.partial(_land, chain, task, iterations, options, extras))
+def landing(chain: Chain, task: Task, iterations: int, options: sqp.Options, extras: Extras = NOTHING) -> HostKernel:
+    """A batch of SQP runs: (q, pose, lower, upper, weights[, scene, margin]) -> `Landed`; q and pose by rows."""
+    return HostKernel(functools.partial(_land, chain, task, iterations, options, extras), 2)
 
 
 @functools.lru_cache(maxsize=64)
-def clearances(chain: Chain) -> Callable[..., Any]:
-    """A compiled batch of `clearance`: (q, scene)."""
-    return jax.jit(jax.vmap(lambda q, scene: clearance(chain, scene, q), in_axes=(0, None)))
+def clearances(chain: Chain) -> HostKernel:
+    """A batch of `clearance`: (q, scene)."""
+    return HostKernel(lambda q, scene: clearance(chain, scene, q), 1)
 
 
 def _land(
@@ -83,8 +84,9 @@ def _land(
         [weights[i] * (scale**2 if chain.is_prismatic[i] else 1.0) if i == j else 0.0 for j in range(n)] for i in range(n)
     ]
 
-    def model(pose: Any, x: Sequence[Scalar]) -> sqp.Model:
-        target = Frame.of_entries([pose[i, j] for i in range(4) for j in range(4)])
+    target = Frame.of_entries([pose[i, j] for i in range(4) for j in range(4)])
+
+    def model(x: Sequence[Scalar]) -> sqp.Model:
         frames = joint_frames(chain, x, dtype=dtype)
         position, rotation = task.residual(frames.tip, target)
         rows = task.rows(jacobian_columns(chain, frames), target)
@@ -94,11 +96,9 @@ def _land(
         cost, gradient, inequality = _beside(chain, extras, x, scene, margin, scale, dtype)
         return sqp.Model(cost, gradient, equality, inequality)
 
-    problem = lambda pose: sqp.Problem(functools.partial(model, pose), metric)
-    found, apart = sqp.run(problem, pose, q, low, high, sum(task.bound), iterations, options)
+    found, apart = sqp.run(sqp.Problem(model, metric), q, low, high, iterations, options)
     places = len(task.positions)
-    size = lambda part: jnp.sqrt(jnp.sum(part**2, axis=1))
-    return Landed(found, size(apart[:, :places]) / scale, size(apart[:, places:]))
+    return Landed(found, jnp.linalg.norm(apart[:places]) / scale, jnp.linalg.norm(apart[places:]))
 
 
 def _beside(

@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 from scipy.optimize import lsq_linear, minimize
 
+from jaxik import spmd
 from jaxik.optimise import descent, sqp
 from jaxik.optimise.linear import cholesky_solve
 from jaxik.optimise.qp import NONE, Rows, solve
@@ -113,9 +114,9 @@ def test_sqp_against_slsqp(name, merit):
     identity = [[1.0 if i == j else 0.0 for j in range(n)] for i in range(n)]
     options = sqp.Options("bfgs", merit, floor=1e-9, cap=2.0, passes=4)
     bounds = [jnp.full(n, float(b)) for b in (low, high)]
-    problem = lambda _: sqp.Problem(model_of(objective, equations, inequalities), identity)
+    problem = sqp.Problem(model_of(objective, equations, inequalities), identity)
     count = len(equations(jnp.zeros(n)))
-    run = jax.jit(lambda x: sqp.run(problem, x, x, *bounds, count, 200, options)[0])
+    run = jax.vmap(spmd.kernel(lambda x: sqp.run(problem, x, *bounds, 200, options)[0]))
     found = run(jnp.asarray([start], float))[0]
     constraints = [
         {"type": kind, "fun": lambda x, f=f: np.array(f(x), float)}
@@ -131,8 +132,8 @@ def test_sqp_against_slsqp(name, merit):
 def test_a_batch_is_its_lanes():
     objective, equations, inequalities, start, _ = PROBLEMS["HS7"]
     options, bounds = sqp.Options("bfgs", "l1"), [jnp.full(2, s * 10.0) for s in (-1, 1)]
-    problem = lambda _: sqp.Problem(model_of(objective, equations, inequalities), [[1.0, 0.0], [0.0, 1.0]])
-    run = jax.jit(lambda x: sqp.run(problem, x, x, *bounds, 1, 12, options)[0])
+    problem = sqp.Problem(model_of(objective, equations, inequalities), [[1.0, 0.0], [0.0, 1.0]])
+    run = jax.vmap(spmd.kernel(lambda x: sqp.run(problem, x, *bounds, 12, options)[0]))
     starts = jnp.asarray(start) + 0.1 * jnp.arange(6.0)[:, None]
     np.testing.assert_allclose(run(starts), jnp.concatenate([run(x[None]) for x in starts]), atol=1e-12)
 

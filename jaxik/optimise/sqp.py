@@ -17,7 +17,7 @@ merit     "none": every step is taken, damped by the violation, `w = damping |v|
     l1:                    f + s (sum |r| + sum max(0, -c)),             s above the largest multiplier
     augmented Lagrangian:  f + y'r + s/2 |r|^2 + (|max(0, z - s c)|^2 - |z|^2) / 2 s
 
-A problem is a function from scalars to a `Model`; one lane of a batch is one problem, and `jax.vmap` makes the batch.
+A problem is a function from scalars to a `Model`; one lane of a batch is one problem.
 """
 
 from __future__ import annotations
@@ -90,35 +90,21 @@ class State(NamedTuple):
     learned: Any
 
 
-def run(
-    problem: Callable[[Any], Problem], each: Any, x: Any, low: Any, high: Any, equations: int, iterations: int, options: Options
-) -> tuple[Any, Any]:
-    """x (lanes, n) after so many steps, and the values there of its `equations` (lanes, m).
-
-    `problem` makes a lane's problem of its part of `each`, whose leaves have a row a lane; x is inside its bounds (n,).
-    The loop is around the batch: around each lane, JAX would trace its body three times.
-    """
-    lower, upper = ([bound[i] for i in range(x.shape[1])] for bound in (low, high))
-    start = tuple(x[:, i] for i in range(x.shape[1]))
+def run(problem: Problem, x: Any, low: Any, high: Any, iterations: int, options: Options) -> tuple[Any, Any]:
+    """x (n,) after so many steps from x inside its bounds (n,), and the values there of its equations (m,)."""
+    lower, upper, start = ([v[i] for i in range(len(x))] for v in (low, high, x))
     if options.hessian == "gauss_newton" and options.merit == "none":  # nothing to remember but x
 
-        def turn(i: Any, x: Any, own: Any) -> Any:
-            mine = problem(own)
-            model = mine.model(x)
-            moved = _moved(x, _step(mine, model, x, lower, upper, options)[0], lower, upper)
-            # the last turn only looks: a second copy of the model after the loop would compile for a second
-            x = tuple(jnp.where(i < iterations, a, b) for a, b in zip(moved, x, strict=True))
-            return x, jnp.stack([jnp.asarray(v, x[0].dtype) for v in model.equality.value])
+        def turn(_: Any, x: Any) -> Any:
+            return _moved(x, _step(problem, problem.model(x), x, lower, upper, options)[0], lower, upper)
 
-        turns = jax.vmap(turn, in_axes=(None, 0, 0))
-        unseen = jnp.zeros((len(x), equations), x.dtype)
-        found, value = lax.fori_loop(0, iterations + 1, lambda i, before: turns(i, before[0], each), (start, unseen))
-        return jnp.stack(found, axis=1), value
-    begin = jax.vmap(lambda x, own: init(problem(own), x, options))
-    step = jax.vmap(lambda state, own: advance(problem(own), state, lower, upper, options))
-    end = lax.fori_loop(0, iterations, lambda _, state: step(state, each), begin(start, each))
-    values = end.model.equality.value
-    return jnp.stack(end.x, axis=1), jnp.stack(values, axis=1) if values else jnp.zeros((len(x), 0), x.dtype)
+        found = lax.fori_loop(0, iterations, turn, tuple(start))
+        values = problem.model(found).equality.value
+    else:
+        begin = init(problem, start, options)
+        end = lax.fori_loop(0, iterations, lambda _, state: advance(problem, state, lower, upper, options), begin)
+        found, values = end.x, end.model.equality.value
+    return jnp.stack(found), jnp.stack([jnp.asarray(v, x.dtype) for v in values]) if values else jnp.zeros(0, x.dtype)
 
 
 def init(problem: Problem, x: Sequence[Any], options: Options) -> State:

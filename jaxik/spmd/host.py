@@ -19,7 +19,7 @@ from jaxik.spmd.scalarise import Unsupported
 from jaxik.spmd.trace import Traced, trace
 
 
-class Rows:
+class HostKernel:
     """A function of one configuration over the rows of its first `lanes` arguments; the others, pytrees, all rows share.
 
     `double` says in which width it runs. `Unsupported` where there is no kernel for it (another platform among the reasons).
@@ -45,6 +45,15 @@ class Rows:
         if count:
             _run(made, operands, self.lanes, outs, count, threads, team)
         return outs
+
+    @functools.cached_property
+    def by_xla(self) -> Callable[..., Any]:
+        """The same as a compiled program of JAX."""
+
+        def batch(*args: Any) -> Any:
+            return jax.vmap(self.function, tuple(0 if k < self.lanes else None for k in range(len(args))))(*args)
+
+        return jax.jit(batch)
 
     def _made(self, tree: Any, shapes: Any, double: bool) -> tuple[Traced, call.Made]:
         if jax.default_backend() != "cpu":
@@ -77,11 +86,3 @@ def _run(made: call.Made, operands: list[np.ndarray], lanes: int, outs: list[np.
     made.work(address)
     for other in others:
         other.result()
-
-
-@functools.cache
-def available() -> bool:
-    """Whether kernels can run here."""
-    from jaxik.spmd import machine
-
-    return machine.llvm() is not None
