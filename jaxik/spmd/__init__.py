@@ -7,10 +7,13 @@
 
 It knows no robot. In the order in which a function passes through: `trace` (to a jaxpr), `scalarise` (to a `program` of scalars,
 with `elementary` functions by polynomials), `emit` (LLVM's language, a vector of lanes at a time), `handler` (what XLA
-calls), `machine` (machine code), `call` (kept in memory and on disk), `primitive` (batches, derivatives, lowering).
+calls), `machine` (machine code), `call` (kept in memory and on disk), `primitive` (batches, derivatives, lowering). `host` calls a
+kernel on NumPy arrays; `explain` says what was made of a function.
 """
 
+from jaxik.spmd.explain import Explanation, explain
+from jaxik.spmd.host import HostKernel
 from jaxik.spmd.kernel import kernel
 from jaxik.spmd.scalarise import Unsupported
 
-__all__ = ["Unsupported", "kernel"]
+__all__ = ["Explanation", "HostKernel", "Unsupported", "explain", "kernel"]

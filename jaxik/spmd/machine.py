@@ -68,13 +68,22 @@ def attributes() -> str:
     )
 
 
+def _parsed(text: str, machine: Any) -> Any:
+    module = llvm().parse_assembly(text + attributes())
+    module.triple, module.data_layout = machine.triple, str(machine.target_data)
+    return module
+
+
 def compiled(text: str, level: int = 2) -> bytes:
     """An object file."""
-    b = llvm()
-    module = b.parse_assembly(text + attributes())
     machine = target_machine(level)
-    module.triple, module.data_layout = machine.triple, str(machine.target_data)
-    return bytes(machine.emit_object(module))
+    return bytes(machine.emit_object(_parsed(text, machine)))
+
+
+def assembly(text: str, level: int = 2) -> str:
+    """The same, to read."""
+    machine = target_machine(level)
+    return str(machine.emit_assembly(_parsed(text, machine)))
 
 
 def linked(image: bytes, *names: str) -> list[int]:
