@@ -18,6 +18,8 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Bool, Float
 
+from jaxik.given import rigid_frame
+
 Array = jax.Array | np.ndarray
 JointType = Literal["revolute", "continuous", "prismatic"]
 
@@ -87,12 +89,18 @@ class Chain(eqx.Module):
         return np.isfinite(self.lower) & np.isfinite(self.upper)
 
     def mounted(self, world_T_base: Any) -> Chain:
-        """The same chain standing elsewhere: `world_T_base` (4, 4) [m]. Poses stay in the base's."""
-        return dataclasses.replace(self, world_T_base=world_T_base)
+        """The same chain standing elsewhere: `world_T_base` (4, 4) [m]. Poses stay in the base's.
+
+        Raises `ValueError` for what is no rigid frame.
+        """
+        return dataclasses.replace(self, world_T_base=rigid_frame("world_T_base", world_T_base))
 
     def with_tool(self, tip_T_tool: Any) -> Chain:
-        """The same chain with its tip moved to a tool frame, `tip_T_tool` (4, 4) [m]."""
-        return dataclasses.replace(self, joint_T_tip=self.joint_T_tip @ tip_T_tool)
+        """The same chain with its tip moved to a tool frame, `tip_T_tool` (4, 4) [m].
+
+        Raises `ValueError` for what is no rigid frame.
+        """
+        return dataclasses.replace(self, joint_T_tip=self.joint_T_tip @ rigid_frame("tip_T_tool", tip_T_tool))
 
     def with_spheres(self, per_box: int) -> Chain:
         """The same chain, each box covered by 1, 8, 64 or 512 spheres [Van Henten et al. 2010, App. A]."""
