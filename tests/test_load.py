@@ -286,7 +286,7 @@ def test_labelled_points(tmp_path, name, content):
         ("label,x,y,z\nleaf,1,2\n", ("line 2",)),
         ("label,x,y,z\nleaf,1,2,nan\nfruit_1,0,0,0\n", ("'leaf'", "NaN")),
         ("label,x,y,z\nleaf,1,2,300\nfruit_1,0,0,0\n", ("'leaf'", "300 m, over 100 m", "millimetres")),
-        ("label,x,y,z\nleaf,1,2,3\n", ("no fruit",)),
+        ("label,x,y,z\n", ("neither an object nor a fruit",)),
     ],
 )
 def test_bad_points_are_one_line(tmp_path, content, words):

@@ -9,8 +9,10 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from hypothesis.extra import numpy as hnp
+from scipy.spatial.transform import Rotation
 
 import jaxik
+from jaxik.load.scene import save_scene
 
 WIDTHS = {"points": 3, "spheres": 4, "capsules": 7}
 LEFT_HANDED, STRETCHED, HALF = np.diag([1.0, 1.0, -1.0, 1.0]), np.diag([1.001, 1.0, 1.0, 1.0]), np.diag([1.0, 1.0, 1.0, 0.5])
@@ -186,3 +188,102 @@ def test_random_obstacles_are_kept_or_refused(kind, rows, radius):
         body = dataclasses.asdict(getattr(scene, kind))
         back = np.column_stack([body[k] for k in ("center", "a", "b", "radius") if k in body and np.ndim(body[k])])
         assert np.array_equal(back, np.asarray(rows, float))
+
+
+# --------------------------------------------------------------------------------------------------------------------
+# Files
+
+
+def crowded(seed=0):
+    """Everything that a scene may hold, at numbers that no few digits can write."""
+    rng = np.random.default_rng(seed)
+    builder = jaxik.SceneBuilder('a "quoted" \\ name, \t é \x7f 🍅', point_radius=rng.uniform())
+
+    def pose(rotation=None):
+        frame = np.eye(4)
+        frame[:3, :3] = Rotation.random(random_state=rng).as_matrix() if rotation is None else rotation
+        frame[:3, 3] = rng.normal(size=3)
+        return frame
+
+    spheres = np.abs(rng.normal(size=(2, 4)))
+    straight = Rotation.from_euler("zyx", (0.3, np.pi / 2.0, 0.2)).as_matrix()
+    boxes = [(pose(), rng.uniform(size=3)), (pose(np.eye(3)), rng.uniform(size=3)), (pose(straight), rng.uniform(size=3))]
+    cylinders = [(pose(), *rng.uniform(size=2)) for _ in range(2)]
+    builder.add("leaf", points=rng.normal(size=(3, 3)), spheres=spheres, boxes=boxes, cylinders=cylinders)
+    builder.add('post "1"\\', False, capsules=np.abs(rng.normal(size=(2, 7))), boxes=boxes[1:2], points=[[1e-7, -0.0, 1e2]])
+    builder.add("plate", cylinders=[(pose(np.eye(3)), 0.5, 0.0)])
+    builder.add_fruit("hanging", rng.normal(size=3), (0.0, 0.0, 1.0), 0.3, 0.02)
+    builder.add_fruit("oblique", rng.normal(size=3), rng.normal(size=3), 0.3, 0.02)
+    builder.add_fruit("a place", rng.normal(size=3), rng.normal(size=3))
+    builder.add_fruit("apple", rng.normal(size=3), rng.normal(size=3), 0.0, 0.04)
+    return builder.scene()
+
+
+def same(a, b):
+    """Bit by bit, names and owners too."""
+    leaves = [jax.tree_util.tree_flatten(x) for x in (a, b)]
+    alike = zip(leaves[0][0], leaves[1][0], strict=True)
+    return leaves[0][1] == leaves[1][1] and all(np.asarray(x).tobytes() == np.asarray(y).tobytes() for x, y in alike)
+
+
+@pytest.mark.parametrize("seed", range(20))
+def test_a_file_keeps_a_scene_to_the_last_bit(tmp_path, seed):
+    path, scene = tmp_path / "scene.toml", crowded(seed)
+    save_scene(path, scene, 'a "quoted" \\ description')
+    assert same(jaxik.load_scene(path), scene)
+    turned = np.eye(4)
+    turned[:3, :3], turned[:3, 3] = Rotation.from_rotvec((0.3, -0.2, 0.9)).as_matrix(), (0.1, 0.2, 0.3)
+    save_scene(path, scene.moved(turned))
+    assert same(jaxik.load_scene(path), scene.moved(turned))
+
+
+def test_what_was_taken_away_is_not_written(tmp_path):
+    path, scene = tmp_path / "scene.toml", crowded()
+    save_scene(path, scene.without(["leaf", "hanging"]).padded())
+    back = jaxik.load_scene(path)
+    assert back.object_names == tuple(n for n in scene.object_names if n != "leaf") and len(back.fruits) == 4
+    assert back.counts == {"points": 1, "spheres": 0, "capsules": 4, "boxes": 1, "cylinders": 1}
+    with pytest.raises(ValueError, match="belong to no object"):
+        save_scene(path, scene.geometry())
+
+
+def test_rotations_in_a_file(tmp_path):
+    path = tmp_path / "scene.toml"
+    box = '[[object]]\nname = "a"\nboxes = [[0, 0, 0, 1, 2, 4], [1, 0, 0, 1, 2, 4]]\n'
+    unit, turn = "[[1, 0, 0], [0, 1, 0], [0, 0, 1]]", "[[0, -1, 0], [1, 0, 0], [0, 0, 1]]"
+
+    def load(more):
+        path.write_text(f'name = "s"\n{box}{more}\n')
+        return jaxik.load_scene(path)
+
+    assert np.array_equal(
+        load(f"rotations = [{unit}, {turn}]").boxes.world_T_box[1, :3, :3], [[0, -1, 0], [1, 0, 0], [0, 0, 1]]
+    )
+    assert np.allclose(load("rpy_deg = [0, 0, 90]").boxes.world_T_box[:, 0, 1], -1.0)
+    for more, words in (
+        (f"rotations = [{unit}]", "1 rotations for 2 boxes and cylinders"),
+        (f"rotations = [{unit}, {turn}]\nrpy = [0, 0, 1]", "say the same"),
+        ("rotations = [[1, 0, 0], [0, 1, 0], [0, 0, 1]]", "rows of 3 numbers"),
+        (f"rotations = [{unit}, [[1, 0, 0], [0, 1, 0], [0, 0, 2]]]", "boxes row 2.*no rigid frame"),
+        ("rpy = [0, 0, inf]", "'rpy' holds infinity"),
+    ):
+        with pytest.raises(jaxik.LoadError, match=words) as error:
+            load(more)
+        one_line(error, "scene.toml", "'a'")
+
+
+def test_a_scene_without_a_fruit_is_a_scene(tmp_path):
+    path = tmp_path / "cell.toml"
+    path.write_text('name = "cell"\n[[object]]\nname = "table"\nboxes = [[0.5, 0, -0.1, 1, 1, 0.1]]\n')
+    cell = jaxik.load_scene(path)
+    assert cell.counts["boxes"] == 1 and not cell.fruits
+    (tmp_path / "cell.csv").write_text("label,x,y,z\npost,0.5,0,0\n")
+    assert jaxik.load_scene(tmp_path / "cell.csv").object_names == ("post",)
+    with pytest.raises(ValueError, match="no fruit") as error:
+        jaxik.harvest(jaxik.load("p6r"), cell)
+    one_line(error, "cell")
+    for name, content in (("empty.toml", 'name = "cell"\n'), ("empty.csv", "label,x,y,z\n")):
+        (tmp_path / name).write_text(content)
+        with pytest.raises(jaxik.LoadError, match="neither") as error:
+            jaxik.load_scene(tmp_path / name)
+        one_line(error, name)

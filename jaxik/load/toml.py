@@ -69,7 +69,7 @@ class Table:
             if values.ndim != len(shape) or any(n not in (-1, m) for n, m in zip(shape, values.shape, strict=True)):
                 raise ValueError
         except (ValueError, TypeError, OverflowError):
-            what = f"{' x '.join('any' if n == -1 else str(n) for n in shape)} numbers" if shape else "a number"
+            what = _in_words(shape)
             raise self.fail(f"'{given[0]}' is not {what}", f"write {what}") from None
         if np.any(np.isnan(values)):
             raise self.fail(f"'{given[0]}' holds NaN", "write numbers")
@@ -77,6 +77,13 @@ class Table:
 
     def number(self, key: str, unit: str, default: float | None = None) -> float:
         return float(self.array(key, unit, (), default))
+
+    def turn(self) -> np.ndarray:
+        """The rotation (3, 3) under `rpy`."""
+        rpy = self.array("rpy", "angle", (3,), np.zeros(3))
+        if not np.all(np.isfinite(rpy)):
+            raise self.fail("'rpy' holds infinity", "write finite numbers")
+        return rpy_matrix(rpy)
 
     def tables(self, key: str) -> list[Table]:
         self.asked.add(key)
@@ -107,6 +114,14 @@ class Table:
         if isinstance(origin, dict) and not set(origin) <= self.read:
             stray = sorted(set(origin) - self.read)[0]
             raise self.fail(f"origin names '{stray[:40]}'", f"numbers of this table: {', '.join(sorted(self.read))}")
+
+
+def _in_words(shape: tuple[int, ...]) -> str:
+    """(3,) is "3 numbers", (-1, 6) "k rows of 6 numbers"."""
+    if not shape:
+        return "a number"
+    *rows, width = ("k" if n == -1 else str(n) for n in shape)
+    return " ".join([*(f"{n} rows of" for n in rows), f"{width} numbers"])
 
 
 def _numeric(value: Any) -> bool:
@@ -160,7 +175,7 @@ def _index(path: Path, what: str, name: str, names: list[str]) -> int:
 
 def _frame(table: Table) -> np.ndarray:
     translation = table.array("translation", "length", (3,), np.zeros(3))
-    return frame(translation, rpy_matrix(table.array("rpy", "angle", (3,), np.zeros(3))))
+    return frame(translation, table.turn())
 
 
 def _joint(table: Table, convention: str) -> tuple[list[Joint], Link]:
@@ -216,7 +231,7 @@ def _shape(table: Table, links: dict[str, Link], joints: list[Joint]) -> None:
         if not np.all((half > 0.0) & np.isfinite(half)):
             raise table.fail("'size' is not positive", "write three sizes > 0")
         centre = table.array("center", "length", (3,), np.zeros(3))
-        link.boxes.append((frame(centre, rpy_matrix(table.array("rpy", "angle", (3,), np.zeros(3)))), half))
+        link.boxes.append((frame(centre, table.turn()), half))
     else:
         count = {"sphere": 1, "capsule": 2, "triangle": 3}[kind]
         corners = table.array("points", "length", (count, 3))
