@@ -77,5 +77,7 @@ def _locate(source: str | Path, what: str = "robot") -> Path:
     folder = models_folder() / "scenes" if what == "scene" else models_folder()
     shipped = {p.stem: p for p in sorted(folder.glob("*.toml"))}
     if str(source) not in shipped:
+        if path.exists():
+            return path  # to be told that a file needs an ending
         raise LoadError(str(source), what, f"no such shipped {what}", f"shipped: {', '.join(shipped)}; or give a file")
     return shipped[str(source)]

@@ -6,6 +6,7 @@ degrees. A table may say where its numbers come from: `origin = {d = "paper", lo
 
 from __future__ import annotations
 
+import difflib
 import math
 import tomllib
 from collections.abc import Iterable
@@ -45,7 +46,8 @@ class Table:
         self.asked.add(key)
         value = self.content.get(key, default)
         if not isinstance(value, str) or not value or "\n" in value:
-            raise self.fail(f"'{key}' is {'missing' if value is None else 'not a word'}", f'write {key} = "..."')
+            fault = "missing" if value is None else "not a word"
+            raise self.fail(f"'{key}' is {fault}", f'{self._misspelt(key)}write {key} = "..."')
         if allowed and value not in allowed:
             raise self.fail(f"{key} = '{value[:40]}'", f"allowed: {', '.join(allowed)}")
         return value
@@ -59,7 +61,7 @@ class Table:
             raise self.fail(f"{' and '.join(given)} say the same", "keep one")
         if not given:
             if default is None:
-                raise self.fail(f"'{key}' is missing", f"write one of: {', '.join(choices)}")
+                raise self.fail(f"'{key}' is missing", f"{self._misspelt(key)}write one of: {', '.join(choices)}")
             return np.asarray(default, dtype=np.float64)
         self.read.add(given[0])
         try:
@@ -69,7 +71,7 @@ class Table:
             if values.ndim != len(shape) or any(n not in (-1, m) for n, m in zip(shape, values.shape, strict=True)):
                 raise ValueError
         except (ValueError, TypeError, OverflowError):
-            what = _in_words(shape)
+            what = in_words(shape)
             raise self.fail(f"'{given[0]}' is not {what}", f"write {what}") from None
         if np.any(np.isnan(values)):
             raise self.fail(f"'{given[0]}' holds NaN", "write numbers")
@@ -101,11 +103,22 @@ class Table:
         self.where = f"{self.where.split()[0]} '{name}'"
         return name
 
+    def only(self, allowed: Iterable[str]) -> None:
+        """Refuse every other key."""
+        unknown = sorted(str(key) for key in set(self.content) - set(allowed))
+        if unknown:
+            meant = difflib.get_close_matches(unknown[0], set(allowed), 1)
+            mend = f"did you mean '{meant[0]}'? " if meant else ""
+            raise self.fail(f"unknown key '{unknown[0][:40]}'", f"{mend}allowed: {', '.join(sorted(allowed))}")
+
+    def _misspelt(self, key: str) -> str:
+        """The question whether a key that nobody asked for stands for the one that is missing."""
+        close = difflib.get_close_matches(key, [str(k) for k in set(self.content) - self.asked], 1)
+        return f"is it '{close[0][:40]}'? " if close else ""
+
     def close(self) -> None:
         """Refuse unknown keys, and origins that name no number of this table."""
-        unknown = sorted(set(self.content) - self.asked)
-        if unknown:
-            raise self.fail(f"unknown key '{unknown[0][:40]}'", f"allowed: {', '.join(sorted(self.asked))}")
+        self.only(self.asked)
         origin = self.content.get("origin", {})
         words = origin.values() if isinstance(origin, dict) else [origin]
         for word in words:
@@ -116,7 +129,7 @@ class Table:
             raise self.fail(f"origin names '{stray[:40]}'", f"numbers of this table: {', '.join(sorted(self.read))}")
 
 
-def _in_words(shape: tuple[int, ...]) -> str:
+def in_words(shape: tuple[int, ...]) -> str:
     """(3,) is "3 numbers", (-1, 6) "k rows of 6 numbers"."""
     if not shape:
         return "a number"
