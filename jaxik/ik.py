@@ -16,6 +16,7 @@ import numpy as np
 from jaxik.batch import in_blocks
 from jaxik.chain import Chain
 from jaxik.closed_form import TURN, admissible_turns
+from jaxik.collision import check_geometry
 from jaxik.costs import comfort_cost, joint_freedom
 from jaxik.given import is_rigid
 from jaxik.ik_options import IKOptions
@@ -82,6 +83,8 @@ def solve_ik(
     poses, valid, single = as_poses(targets, options.task)
     if scene is None and options.choice == "clearance":
         raise ValueError("solve_ik: choice 'clearance' needs a scene; for the robot alone give jaxik.make_scene()")
+    if scene is not None:
+        check_geometry(chain)
     job = Job.of(chain, scene, seed, options, len(poses))
     parts = []
     for start in range(0, max(1, len(poses)), TARGETS):
