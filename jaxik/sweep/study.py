@@ -19,10 +19,12 @@ import numpy as np
 
 from jaxik.chain import Chain
 from jaxik.closed_form import closed_form_obstacle
+from jaxik.collision import check_geometry
 from jaxik.ik_options import IKOptions
 from jaxik.load import load, load_scene
 from jaxik.load.targets import read_targets
 from jaxik.load.toml import Table, read_toml
+from jaxik.reach import millimetres
 from jaxik.scan import Grasp, Weights
 from jaxik.scene import Scene
 from jaxik.sweep import targets as sources
@@ -32,6 +34,10 @@ from jaxik.task import Task
 CHUNK = 10_000
 POSITION_TOLERANCE, ROTATION_TOLERANCE = 1e-6, 1e-6  # [m], [rad]
 IK_KEYS = ("max_seeds", "choice", "seeds", "solutions")
+KEYS = (
+    *("name", "robot", "robots", "base", "parameters", "collision", "tool", "targets", "ik"),
+    *("seed", "slides", "refine", "chunk", "audited", "out", "origin"),
+)
 LENGTHS = ("length", "x", "y", "z")
 
 
@@ -147,6 +153,7 @@ def _digest(scene: Scene) -> str:
 
 def _read(table: Table, folder: Path) -> Study:
     given = table.content
+    table.only(KEYS)
     table.asked.update(("robot", "robots", "out"))
     name = table.text("name", "sweep")
     robots = _robots(table, folder)
@@ -366,9 +373,11 @@ def _collision(table: Table, folder: Path) -> tuple[Scene | None, bool, float, W
 
 
 def _check_geometry(table: Table, chain: Chain) -> None:
-    if not chain.boxes and not chain.volumes:
-        mend = "write {file = ..., meshes = true}" if chain.unread_meshes else "leave [collision] out, or give it boxes"
-        raise table.fail(f"[collision]: {chain.name} has no collision geometry", mend)
+    try:
+        check_geometry(chain)
+    except ValueError as error:
+        mend = "write {file = ..., meshes = true}" if chain.unread_meshes else "or leave [collision] out"
+        raise table.fail(f"[collision]: {error}", mend) from None
 
 
 def _grasp(table: Table) -> Grasp:
@@ -420,6 +429,10 @@ def _targets(table: Table, folder: Path, chains: list[Chain], seed: int, grasp: 
     row.close()
     if not len(targets):
         raise row.fail("no target", "give at least one")
+    some = targets.poses_at(np.unique(np.linspace(0, len(targets) - 1, 1000).astype(np.int64)))[:, :3, 3]
+    doubts = [millimetres(chain, some, frame == "world") for chain in chains]
+    if all(doubts):
+        raise row.fail(str(doubts[0]), "lengths are metres, or those of a key that ends in _mm")
     return targets
 
 
@@ -435,7 +448,8 @@ def _given_targets(row: Table, folder: Path, frame: str, grasp: Grasp) -> Target
 
 
 def _axis(row: Table, key: str) -> np.ndarray:
-    low, high, count = row.array(key, "length", (3,))
+    low, high, _ = row.array(key, "length", (3,))
+    count = next(float(row.content[k][2]) for k in row.read if k in (key, f"{key}_mm", f"{key}_cm"))  # which has no unit
     if not (np.isfinite(low + high) and count == int(count) and 1 <= count <= 10**6):
         raise row.fail(f"{key} = [{low:g}, {high:g}, {count:g}]", f"write {key} = [from, to, count] [m]")
     return np.linspace(low, high, int(count))
