@@ -170,7 +170,7 @@ class SceneBuilder:
     def __init__(self, name: str = "scene", point_radius: Any = 0.0):
         self.name = _word("scene", name)
         self.point_radius = _size("point_radius", point_radius)
-        self.names: list[str] = []
+        self.names: dict[str, None] = {}  # in their order
         self.removable: list[bool] = []
         self.fruits: list[Fruit] = []
         self.rows: dict[str, list[np.ndarray]] = {k: [] for k in KINDS}
@@ -207,7 +207,7 @@ class SceneBuilder:
         for kind, values in rows.items():
             self.rows[kind].append(values)
             self.owners[kind] += [len(self.names)] * len(values)
-        self.names.append(name)
+        self.names[name] = None
         self.removable.append(removable)
 
     def scene(self) -> Scene:

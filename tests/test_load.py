@@ -5,6 +5,7 @@ import json
 import struct
 import zipfile
 
+import jax
 import numpy as np
 import pytest
 from hypothesis import HealthCheck, given, settings
@@ -390,7 +391,7 @@ def test_arrays_of_targets(tmp_path, arrays, words):
 # Fuzz
 
 
-def _mutated(text):
+def _mutated(sample):
     """Files near a good one: pieces cut out, doubled, replaced by bytes, numbers and words that mean something elsewhere."""
     words = [
         "nan",
@@ -413,13 +414,15 @@ def _mutated(text):
         "&lt;",
     ]
     piece = st.one_of(st.sampled_from(words), st.binary(max_size=6).map(lambda b: b.decode("latin-1")))
+    binary = isinstance(sample, bytes)  # a character a byte, there and back
+    text = sample.decode("latin-1") if binary else sample
     cut = st.tuples(st.integers(0, len(text)), st.integers(0, 30), piece)
 
     def apply(cuts):
         result = text
         for start, length, new in cuts:
             result = result[:start] + new + result[start + length :]
-        return result.encode("utf-8", "surrogatepass")
+        return result.encode("latin-1", "replace") if binary else result.encode("utf-8", "surrogatepass")
 
     return st.lists(cut, min_size=1, max_size=4).map(apply)
 
@@ -433,10 +436,31 @@ def _survives(reader, path):
     except jaxik.LoadError as error:
         assert "\n" not in str(error)
         return
-    numbers = found.parent_T_joint if isinstance(found, jaxik.Chain) else found.points.center
-    assert np.all(np.isfinite(numbers))
+    if isinstance(found, np.ndarray):
+        assert found.shape[1:] in ((3,), (4, 4))
+        return
+    leaves = jax.tree_util.tree_leaves(found) if isinstance(found, jaxik.Scene) else [found.parent_T_joint]
+    assert all(np.all(np.isfinite(x)) for x in leaves)
 
 
+def packed(**arrays):
+    file = io.BytesIO()
+    np.savez_compressed(file, **arrays)
+    return file.getvalue()
+
+
+NPZ = packed(positions=np.ones((2, 3)), wxyz=np.ones((2, 4)))
+CELL = """name = "cell"
+[[object]]
+name = "a"
+boxes = [[0.5, 0, -0.1, 1, 1, 0.1]]
+cylinders = [[0.5, 0, 0, 0.1, 1]]
+rotations = [[[1, 0, 0], [0, 1, 0], [0, 0, 1]], [[0, -1, 0], [1, 0, 0], [0, 0, 1]]]
+[[fruit]]
+name = "b"
+position = [0, 0, 0]
+spheres = [[0, 0, 0, 0.1]]
+"""
 CSV = "label,x,y,z\nleaf_1,0.1,0.7,0.5\nfruit_1,0.1,0.7,0.4\nfruit_1,0.1,0.7,0.2\n"
 
 
@@ -455,8 +479,12 @@ PLY = ply([(0.1, 0.7, 0.5, 1), (0.1, 0.7, 0.4, 2), (0.1, 0.7, 0.2, 2)], {1: "lea
     [
         *((jaxik.load, name, sample) for name, sample in FILES.items()),
         (jaxik.load_scene, "scene.toml", SCENE),
+        (jaxik.load_scene, "cell.toml", CELL),
+        (jaxik.load_targets, "targets.csv", "x,y,z,qw,qx,qy,qz\n0.1,0.2,0.3,1,0,0,0\n0.2,0.2,0.3,0,1,0,0\n"),
+        (jaxik.load_targets, "targets.json", '[{"position": [1, 2.5, null], "wxyz": [1, 0, 0, 0]}]'),
+        (jaxik.load_targets, "targets.npz", NPZ),
         (jaxik.load_scene, "scene.csv", CSV),
-        (jaxik.load_scene, "scene.ply", PLY.decode("latin-1")),
+        (jaxik.load_scene, "scene.ply", PLY),
     ],
 )
 @FUZZ

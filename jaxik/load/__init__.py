@@ -48,7 +48,7 @@ def load(
     Raises `LoadError` (a `ValueError`) with one line: the file, the element, what is allowed, the mend.
     """
     path = _locate(source)
-    tool = None if tool is None else np.asarray(rigid_frame("tool (tip_T_tool)", tool))
+    tool = None if tool is None else np.asarray(rigid_frame("tool (tip_T_tool)", tool), np.float64)
     kind = path.suffix.lower()
     if kind == ".urdf":
         chain = load_urdf(path, tip, base, tool, meshes)
