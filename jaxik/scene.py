@@ -176,7 +176,7 @@ class SceneBuilder:
         self.rows: dict[str, list[np.ndarray]] = {k: [] for k in KINDS}
         self.owners: dict[str, list[int]] = {k: [] for k in KINDS}
 
-    def add(self, name: str, removable: bool = True, **obstacles: Any) -> None:
+    def add(self, name: str, removable: Any = True, **obstacles: Any) -> None:
         """An object of `points` (k, 3), `spheres` (k, 4) centre and radius, `capsules` (k, 7) both ends and radius, `boxes`
         (pairs of a (4, 4) frame and three edges), `cylinders` (triples of a (4, 4) frame, radius and length)."""
         self._put(name, removable, _each(f"object '{name}': ", obstacles))
@@ -201,14 +201,17 @@ class SceneBuilder:
         self._put(name, False, rows)
         self.fruits.append(Fruit(top, up, name))
 
-    def _put(self, name: str, removable: bool, rows: dict[str, np.ndarray]) -> None:
+    def _put(self, name: str, removable: Any, rows: dict[str, np.ndarray]) -> None:
         if _word("object", name) in self.names:
             raise ValueError(f"object '{name}': the name stands twice; give each its own")
+        if not isinstance(removable, bool | np.bool_):  # an array in this place were obstacles that never come
+            what = type(removable).__name__
+            raise ValueError(f"object '{name}': removable is {what}; allowed: True, False; obstacles go by keyword")
         for kind, values in rows.items():
             self.rows[kind].append(values)
             self.owners[kind] += [len(self.names)] * len(values)
         self.names[name] = None
-        self.removable.append(removable)
+        self.removable.append(bool(removable))
 
     def scene(self) -> Scene:
         points, spheres, capsules, boxes, cylinders = (

@@ -106,6 +106,8 @@ def test_a_refused_object_leaves_nothing_behind():
     builder = jaxik.SceneBuilder()
     with pytest.raises(ValueError, match="'leaf': spheres"):
         builder.add("leaf", points=[[0, 0, 0]], spheres=[[0, 0, 0]])
+    with pytest.raises(ValueError, match=r"'leaf': removable is list; .* by keyword"):
+        builder.add("leaf", [[0, 0, 0]])
     assert builder.scene().object_names == () and builder.scene().counts["points"] == 0
 
 
