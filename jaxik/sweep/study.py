@@ -450,7 +450,7 @@ def _given_targets(row: Table, folder: Path, frame: str, grasp: Grasp) -> Target
 def _axis(row: Table, key: str) -> np.ndarray:
     low, high, _ = row.array(key, "length", (3,))
     count = next(float(row.content[k][2]) for k in row.read if k in (key, f"{key}_mm", f"{key}_cm"))  # which has no unit
-    if not (np.isfinite(low + high) and count == int(count) and 1 <= count <= 10**6):
+    if not (np.isfinite(low + high) and count.is_integer() and 1 <= count <= 10**6):
         raise row.fail(f"{key} = [{low:g}, {high:g}, {count:g}]", f"write {key} = [from, to, count] [m]")
     return np.linspace(low, high, int(count))
 
