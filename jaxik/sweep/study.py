@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import dataclasses
 import hashlib
-import importlib.metadata
 import itertools
 from collections.abc import Callable, Mapping
 from pathlib import Path
@@ -17,6 +16,7 @@ from typing import Any
 import jax
 import numpy as np
 
+import jaxik
 from jaxik.chain import Chain
 from jaxik.closed_form import closed_form_obstacle
 from jaxik.ik_options import IKOptions
@@ -121,7 +121,7 @@ class Study:
             "chunk": self.chunk,
             "audited": self.audited,
             "ik": {k: getattr(self.ik, k) for k in (*IK_KEYS, "position_tolerance", "rotation_tolerance")},
-            "versions": {name: importlib.metadata.version(name) for name in ("jaxik", "jax", "numpy")},
+            "versions": {module.__name__: module.__version__ for module in (jaxik, jax, np)},
         }
 
     def method(self, chain: Chain) -> str:
