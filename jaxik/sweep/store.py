@@ -20,7 +20,7 @@ from typing import Any
 import numpy as np
 
 from jaxik.result import Reason
-from jaxik.sweep.answers import COLUMNS, GIVEN, Column
+from jaxik.sweep.answers import COLUMNS, GIVEN, Column, given_columns
 from jaxik.sweep.study import Study, variant_name
 
 UNFINISHED = -1
@@ -65,9 +65,7 @@ class Store:
     def write(self, number: int, columns: dict[str, np.ndarray]) -> None:
         """One chunk, its check sum last."""
         variant, chunk, rows = self.study.work(number)
-        for name, values in columns.items():
-            if name in GIVEN and number >= self.study.chunks:
-                continue  # the first variant wrote them
+        for name, values in columns.items():  # those of the targets too: which variant's piece comes first is not known
             self.group[name][(*self._at(name, variant.index), rows)] = values
         self.group["crc"][(*variant.index, chunk)] = check_sum(columns)
 
@@ -82,6 +80,10 @@ class Store:
                 columns[name] = np.asarray(self.group[name][(*self._at(name, variant.index), rows)])
             except Exception as error:  # each codec has its own
                 raise StoreError(f"{where}: '{name}' is damaged ({' '.join(str(error).split())}); {mend}") from None
+        unwritten = [name for name in GIVEN if number >= self.study.chunks and np.isnan(columns[name]).all()]
+        if unwritten:  # a store begun when only the first variant's pieces wrote them
+            given = given_columns(self.study.targets, rows)
+            columns |= {name: given[name] for name in unwritten}
         if check_sum(columns) != int(self.group["crc"][(*variant.index, chunk)]):
             raise StoreError(f"{where}: a file is missing or damaged (the check sum differs); {mend}")
         return columns
