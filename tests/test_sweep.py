@@ -324,13 +324,36 @@ def test_crops_keep_clear_of_their_own_scene():
         ({"robot": BARE, "collision": {"scene": "cucumber_row"}}, "no collision geometry"),
         ({"ik": {"choice": "best"}}, "choice 'best'"),
         ({"robots": ["p6r", "p6r"], "robot": None}, "two robots of one name"),
+        ({"out": "a.zarr"}, "unknown key 'out'"),
+        ({"robot": {"file": "p6r", "meshes": "no"}}, "meshes = 'no'"),
+        ({"tool": {"up": [1, 0, 0]}, "targets": GRID | {"directions": "any", "roll_deg": None}}, "no target has a direction"),
+        ({"targets": GRID | {"directions": "any"}}, "'roll' without directions"),
+        ({"targets": GRID | {"roll_deg": []}}, "roll holds no number"),
+        ({"targets": {"kind": "crop", "frame": "base"}}, "a crop stands in the world"),
+        ({"targets": {"poses": [[0, 1, 0]], "path": "a.csv"}}, "path and poses say the same"),
+        ({"base": {"y": []}}, "y holds no number"),
+        ({"base": {"y": [0.0, float("inf")]}}, "y holds inf"),
+        ({"parameters": {"slide.upper": []}}, "slide.upper holds no number"),
+        ({"collision": {"margin": float("inf")}}, "margin holds inf"),
+        ({"collision": {"reach": float("inf")}}, "reach holds inf"),
+        ({"ik": {"position_tolerance": 0.0}}, "position_tolerance = 0"),
+        ({"ik": {"rotation_tolerance": float("inf")}}, "rotation_tolerance holds inf"),
+        ({"chunk": float("inf")}, "chunk = inf"),
+        ({"targets": GRID | {"x": [0.0, 1.0, float("inf")]}}, r"x = [0, 1, inf]"),
     ],
 )
 def test_a_study_that_cannot_be_read(change, words):
     study = {k: v for k, v in (SMALL | change).items() if v is not None}
+    study["targets"] = {k: v for k, v in study["targets"].items() if v is not None}
     with pytest.raises(ValueError, match=words.replace("[", r"\[")) as error:
         jaxik.Study.of(study)
     assert "\n" not in str(error.value)
+
+
+def test_an_empty_collision_table_keeps_the_margin_in_a_search_too():
+    """The robot from itself, by the margin that the store names, whichever way its targets are answered."""
+    study = jaxik.Study.of({"robot": "crops_v2", "collision": {}, "targets": {"poses": [[0.5, 0.5, 0.5]]}})
+    assert study.collision and study.ik.margin == study.margin == 0.005
 
 
 # --------------------------------------------------------------------------------------------------------------------
