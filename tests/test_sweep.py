@@ -6,6 +6,7 @@ import itertools
 import json
 import os
 import pickle
+import shutil
 import signal
 import subprocess
 import sys
@@ -404,7 +405,7 @@ def test_shards_fill_one_store(two, tmp_path):
     assert not first.complete and first.done == 9 and "complete" not in first.dataset().attrs
     second = jaxik.sweep(TWO, path, shard=(2, 2))
     assert second.complete and bits(path) == bits(two.path)
-    for shard in ("0/2", "3/2", "half"):
+    for shard in ("0/2", "3/2", "half", 2, (1,), (1.0, 2.0), ("1", "2")):
         with pytest.raises(ValueError, match="write i/n"):
             jaxik.sweep(TWO, path, shard=shard)
 
@@ -479,6 +480,48 @@ def test_damage_is_found_named_and_mended(two, tmp_path):
     (tmp_path / "other").mkdir()
     with pytest.raises(StoreError, match="is no store of a sweep"):
         jaxik.sweep(TWO, tmp_path / "other")
+
+
+@pytest.mark.parametrize("name", ["reason", "proven"])
+def test_damage_in_another_shard_s_chunk(two, tmp_path, name):
+    """What is counted at the end is of all: a chunk that cannot be is named, and with repair it is open to its own shard."""
+    path = tmp_path / "d.zarr"
+    jaxik.sweep(TWO, path, shard="1/2")
+    spoil(path / name / "c" / "0" / "2")
+    with pytest.raises(StoreError, match=f"chunk 2, targets 44 to 65: '{name}' is damaged .* repair"):
+        jaxik.sweep(TWO, path, shard="2/2")
+    (path / "reason" / "c" / "0" / "4").unlink()
+    with pytest.raises(StoreError, match=r"chunk [24], .* (missing|damaged).* repair"):
+        jaxik.sweep(TWO, path, shard="2/2")
+    assert jaxik.sweep(TWO, path, shard="2/2", repair=True).done == 16
+    assert jaxik.sweep(TWO, path).complete and bits(path) == bits(two.path)
+
+
+def test_a_store_is_not_complete_while_chunks_are_mended(two, tmp_path):
+    path = tmp_path / "d.zarr"
+    shutil.copytree(two.path, path)
+    for chunk in range(9):
+        spoil(path / "reason" / "c" / "1" / str(chunk))
+    stopped = jaxik.sweep(TWO, path, repair=True, stop=lambda: True)
+    assert not stopped.complete and stopped.dataset().attrs["complete"] is False
+    killed, other = (
+        path / "q" / "c" / "0" / "3.ab.partial",
+        path / "zarr.ab.partial",
+    )  # half a chunk; another shard's, that ends too
+    killed.touch(), other.touch()
+    jaxik.sweep(TWO, path)
+    assert not killed.exists() and other.exists()
+    other.unlink()
+    assert jaxik.sweep(TWO, path).complete and bits(path) == bits(two.path)
+
+
+def test_shards_on_other_machines_with_the_same_number_of_process(tmp_path):
+    """Each makes the store aside; the first that is ready renames it, and none takes another's away."""
+    other = tmp_path / f".{os.getpid()}-s.zarr"
+    other.mkdir()
+    (other / "zarr.json").write_text("{")
+    assert jaxik.sweep(TWO, tmp_path / "s.zarr", shard=(1, 18)).done == 1
+    assert sorted(p.name for p in tmp_path.iterdir()) == [other.name, "s.zarr"] and (other / "zarr.json").exists()
 
 
 def test_a_disk_that_is_full_loses_nothing(two, tmp_path, monkeypatch):
