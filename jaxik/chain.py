@@ -18,6 +18,8 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Bool, Float
 
+from jaxik.choice import shown
+
 Array = jax.Array | np.ndarray
 JointType = Literal["revolute", "continuous", "prismatic"]
 
@@ -132,9 +134,10 @@ class Chain(Constant):
 
     def with_spheres(self, per_box: int) -> Chain:
         """The same chain, each box covered by 1, 8, 64 or 512 spheres [Van Henten et al. 2010, App. A]."""
-        if per_box not in (1, 8, 64, 512):
-            raise ValueError(f"with_spheres: {per_box} spheres a box; allowed: 1, 8, 64, 512")
-        return dataclasses.replace(self, spheres_per_box=per_box)
+        whole = isinstance(per_box, int | np.integer) and not isinstance(per_box, bool)
+        if not whole or per_box not in (1, 8, 64, 512):
+            raise ValueError(f"with_spheres: {shown(per_box)} spheres a box; allowed: 1, 8, 64, 512")
+        return dataclasses.replace(self, spheres_per_box=int(per_box))
 
     def part(self, first: int, last: int) -> Chain:
         """Joints `first` to `last - 1` as a chain of their own, with what moves with them; its base is the parent of the first.
@@ -207,7 +210,12 @@ def finite_limits(chain: Chain) -> tuple[np.ndarray, np.ndarray]:
 
 def as_configuration(chain: Chain, q: Any) -> Float[Array, " n"]:
     """`q` as a floating-point array of shape (n,), or a `ValueError` that says what was expected."""
-    q = jnp.asarray(q)
+    try:
+        given, q = q, jnp.asarray(q)
+    except (TypeError, ValueError, OverflowError):
+        raise ValueError(f"q is {shown(q)}; {chain.name} takes {chain.num_joints} numbers") from None
+    if not (jnp.issubdtype(q.dtype, jnp.floating) or jnp.issubdtype(q.dtype, jnp.integer)):
+        raise ValueError(f"q is {shown(given)}, {q.dtype}; {chain.name} takes {chain.num_joints} real numbers")
     if q.shape != (chain.num_joints,):
         raise ValueError(
             f"q has shape {q.shape}; {chain.name} takes one configuration of shape ({chain.num_joints},) "
