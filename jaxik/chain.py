@@ -208,14 +208,20 @@ def finite_limits(chain: Chain) -> tuple[np.ndarray, np.ndarray]:
     return finite_range(chain, chain.lower, chain.upper)
 
 
+def as_numbers(what: str, given: Any) -> jax.Array:
+    """`given`, traced or not, as an array of integers or floats. Raises `ValueError` for what is none."""
+    try:
+        array = jnp.asarray(given)
+    except (TypeError, ValueError, OverflowError):
+        raise ValueError(f"{what} is {shown(given)}; write an array of numbers") from None
+    if not (jnp.issubdtype(array.dtype, jnp.floating) or jnp.issubdtype(array.dtype, jnp.integer)):
+        raise ValueError(f"{what} is an array of {array.dtype}; write real numbers")
+    return array
+
+
 def as_configuration(chain: Chain, q: Any) -> Float[Array, " n"]:
     """`q` as a floating-point array of shape (n,), or a `ValueError` that says what was expected."""
-    try:
-        given, q = q, jnp.asarray(q)
-    except (TypeError, ValueError, OverflowError):
-        raise ValueError(f"q is {shown(q)}; {chain.name} takes {chain.num_joints} numbers") from None
-    if not (jnp.issubdtype(q.dtype, jnp.floating) or jnp.issubdtype(q.dtype, jnp.integer)):
-        raise ValueError(f"q is {shown(given)}, {q.dtype}; {chain.name} takes {chain.num_joints} real numbers")
+    q = as_numbers("q", q)
     if q.shape != (chain.num_joints,):
         raise ValueError(
             f"q has shape {q.shape}; {chain.name} takes one configuration of shape ({chain.num_joints},) "

@@ -86,6 +86,15 @@ def test_configurations_of_whole_numbers_and_lists(q):
 
 
 @cheap
+@given(ANYTHING)
+def test_closed_forms(value):
+    if not plain(value, 4, 4):
+        assert answer(jaxik.closed_form, P6R, value, 0.3) is None
+    if not plain(value) and not plain(value, 1):
+        assert answer(jaxik.closed_form, P6R, np.eye(4), value) is None
+
+
+@cheap
 @given(ANYTHING, ANYTHING)
 def test_tasks(bound, axes):
     task = answer(lambda: jaxik.Task(bound, axes))
