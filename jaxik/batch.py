@@ -12,11 +12,13 @@ import os
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeVar
 
 import jax
 import jax.numpy as jnp
 import numpy as np
+
+Cached = TypeVar("Cached", bound=Any)
 
 
 def cores() -> int:
@@ -24,6 +26,14 @@ def cores() -> int:
     return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
 
 
+def anew_in_forks(cached: Cached) -> Cached:
+    """A cached function that forgets what it knows in a process forked from this one, where no thread but one goes on."""
+    if hasattr(os, "register_at_fork"):
+        os.register_at_fork(after_in_child=cached.cache_clear)
+    return cached
+
+
+@anew_in_forks
 @functools.cache
 def threads() -> ThreadPoolExecutor:
     """As many as there are cores."""

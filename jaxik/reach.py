@@ -12,7 +12,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from jaxik.chain import Chain
+from jaxik.chain import Chain, read_only
 
 
 class Reach(NamedTuple):
@@ -83,7 +83,7 @@ def reach(chain: Chain, rotation: bool = True) -> Reach:
     shortest = max(0.0, float(np.max(least - (most.sum() - most)))) if np.all(np.isfinite(most)) else 0.0
     stroke = float(strokes.sum())
     length = float(each.sum()) or (stroke if 0.0 < stroke < np.inf else 1.0)
-    return Reach(origin, tip_p, float(most.sum()), shortest, length)
+    return read_only(Reach(origin, tip_p, float(most.sum()), shortest, length))
 
 
 def _straightest(ways: list[_Way]) -> np.ndarray:
