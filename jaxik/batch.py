@@ -1,4 +1,4 @@
-"""HostKernel through a compiled function, block by block, in as many threads as there are cores.
+"""Rows through a compiled function, block by block, in as many threads as there are cores.
 
 A block has one size, whatever the number of rows, and the last is filled up with copies of its own rows: nothing compiles
 again for another number, and a row's result does not depend on which rows came with it. XLA runs a program of this size on one
@@ -12,14 +12,15 @@ import os
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeVar
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 
-from jaxik.spmd import Unsupported
-from jaxik.spmd.host import HostKernel
+from jaxik.spmd import HostKernel, Unsupported
+
+Cached = TypeVar("Cached", bound=Any)
 
 
 def cores() -> int:
@@ -27,6 +28,14 @@ def cores() -> int:
     return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
 
 
+def anew_in_forks(cached: Cached) -> Cached:
+    """A cached function that forgets what it knows in a process forked from this one, where no thread but one goes on."""
+    if hasattr(os, "register_at_fork"):
+        os.register_at_fork(after_in_child=cached.cache_clear)
+    return cached
+
+
+@anew_in_forks
 @functools.cache
 def threads() -> ThreadPoolExecutor:
     """As many as there are cores."""

@@ -1,9 +1,9 @@
 """The serial chain: what a robot arm is to every function of this library.
 
-A chain never changes. Its numbers are arrays (the leaves of a pytree), so that any of them may be traced: differentiate the
-reach with respect to a link's length by `equinox.tree_at`. Its names and joint types are static. Numbers that are concrete
-while JAX traces fold into the program, so close over a chain (`jax.jit(lambda q: forward_kinematics(chain, q))`) rather than
-pass it through `jit`: both are right, the first is several times faster.
+A chain never changes: its arrays cannot be written. They are the leaves of a pytree, so that any of them may be traced:
+differentiate the reach with respect to a link's length by `equinox.tree_at`. Names and joint types are static. Numbers that are
+concrete while JAX traces fold into the program, so close over a chain (`jax.jit(lambda q: forward_kinematics(chain, q))`)
+rather than pass it through `jit`: both are right, the first is several times faster.
 """
 
 from __future__ import annotations
@@ -18,11 +18,47 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Bool, Float
 
+from jaxik.choice import shown
+from jaxik.given import rigid_frame
+
 Array = jax.Array | np.ndarray
 JointType = Literal["revolute", "continuous", "prismatic"]
 
 
-class Body(eqx.Module):
+def read_only(tree: Any) -> Any:
+    """A tree whose NumPy arrays nobody can write to: those that are so already, and copies of the others."""
+    return jax.tree_util.tree_map(lambda x: _read_only(x) if isinstance(x, np.ndarray) else x, tree)
+
+
+def _read_only(array: np.ndarray) -> np.ndarray:
+    owner: Any = array
+    while isinstance(owner, np.ndarray) and not owner.flags.writeable:  # a view is written to through what it looks at
+        if owner.base is None:
+            return array
+        owner = owner.base
+    copied = np.array(array)
+    copied.setflags(write=False)
+    return copied
+
+
+class Constant(eqx.Module):
+    """A pytree whose NumPy arrays nobody can write to, so that what is cached by its numbers stays true."""
+
+    def __post_init__(self) -> None:
+        self.freeze()
+
+    def __getstate__(self) -> dict[str, Any]:
+        return dict(vars(self))
+
+    def __setstate__(self, state: dict[str, Any]) -> None:  # of a copy or a pickle: their arrays are new
+        vars(self).update(state)
+        self.freeze()
+
+    def freeze(self) -> None:
+        vars(self).update({k: _read_only(v) for k, v in vars(self).items() if isinstance(v, np.ndarray)})
+
+
+class Body(Constant):
     """Mass [kg], centre of gravity [m] and inertia about it [kg m2] of what moves with one joint, in that joint's frame."""
 
     mass: Float[Array, ""]
@@ -30,7 +66,7 @@ class Body(eqx.Module):
     inertia: Float[Array, "3 3"]
 
 
-class Box(eqx.Module):
+class Box(Constant):
     """An oriented box around (a part of) a link: its centre's frame in the joint's frame, and half its edges [m]."""
 
     joint_T_box: Float[Array, "4 4"]
@@ -38,7 +74,7 @@ class Box(eqx.Module):
     link: int = eqx.field(static=True)
 
 
-class Volume(eqx.Module):
+class Volume(Constant):
     """A swept-sphere volume: a ball of `radius` [m] swept over a point, a line or a triangle (1, 2 or 3 `corners` [m])."""
 
     corners: Float[Array, "c 3"]
@@ -46,12 +82,15 @@ class Volume(eqx.Module):
     link: int = eqx.field(static=True)
 
 
-class Chain(eqx.Module):
+class Chain(Constant):
     """A serial chain of n movable joints from a base to a tip; fixed joints are fused away.
 
     `parent_T_joint[i]` is the frame of joint i at q_i = 0 in the (moved) frame of joint i-1, the base frame for i = 0.
     `link_joint[l]` counts the movable joints between the base and link l: its frame is `link_offset[l]` in that joint's.
     """
+
+    # not in the instance's dictionary, where Equinox would take it for part of the pytree's structure
+    __slots__ = ("_digest",)
 
     name: str = eqx.field(static=True)
     joint_names: tuple[str, ...] = eqx.field(static=True)
@@ -87,18 +126,25 @@ class Chain(eqx.Module):
         return np.isfinite(self.lower) & np.isfinite(self.upper)
 
     def mounted(self, world_T_base: Any) -> Chain:
-        """The same chain standing elsewhere: `world_T_base` (4, 4) [m]. Poses stay in the base's."""
-        return dataclasses.replace(self, world_T_base=world_T_base)
+        """The same chain standing elsewhere: `world_T_base` (4, 4) [m]. Poses stay in the base's.
+
+        Raises `ValueError` for what is no rigid frame.
+        """
+        return dataclasses.replace(self, world_T_base=rigid_frame("world_T_base", world_T_base))
 
     def with_tool(self, tip_T_tool: Any) -> Chain:
-        """The same chain with its tip moved to a tool frame, `tip_T_tool` (4, 4) [m]."""
-        return dataclasses.replace(self, joint_T_tip=self.joint_T_tip @ tip_T_tool)
+        """The same chain with its tip moved to a tool frame, `tip_T_tool` (4, 4) [m].
+
+        Raises `ValueError` for what is no rigid frame.
+        """
+        return dataclasses.replace(self, joint_T_tip=self.joint_T_tip @ rigid_frame("tip_T_tool", tip_T_tool))
 
     def with_spheres(self, per_box: int) -> Chain:
         """The same chain, each box covered by 1, 8, 64 or 512 spheres [Van Henten et al. 2010, App. A]."""
-        if per_box not in (1, 8, 64, 512):
-            raise ValueError(f"with_spheres: {per_box} spheres a box; allowed: 1, 8, 64, 512")
-        return dataclasses.replace(self, spheres_per_box=per_box)
+        whole = isinstance(per_box, int | np.integer) and not isinstance(per_box, bool)
+        if not whole or per_box not in (1, 8, 64, 512):
+            raise ValueError(f"with_spheres: {shown(per_box)} spheres a box; allowed: 1, 8, 64, 512")
+        return dataclasses.replace(self, spheres_per_box=int(per_box))
 
     def part(self, first: int, last: int) -> Chain:
         """Joints `first` to `last - 1` as a chain of their own, with what moves with them; its base is the parent of the first.
@@ -133,8 +179,10 @@ class Chain(eqx.Module):
     @property
     def digest(self) -> str:
         """A hash of everything in the chain, to name it in caches and results. Needs concrete numbers."""
-        known = self.__dict__.get("_digest")  # a chain never changes, and asks for this at every call of a cached function
+        known = getattr(self, "_digest", None)  # a chain never changes, and asks for this at every call of a cached function
         if known is None:
+            for each in (self, *self.bodies, *self.boxes, *self.volumes):
+                each.freeze()  # `eqx.tree_at` and `jax.tree_util.tree_map` put arrays in without a constructor
             known = self._computed_digest()
             object.__setattr__(self, "_digest", known)
         return known
@@ -167,9 +215,20 @@ def finite_limits(chain: Chain) -> tuple[np.ndarray, np.ndarray]:
     return finite_range(chain, chain.lower, chain.upper)
 
 
+def as_numbers(what: str, given: Any) -> jax.Array:
+    """`given`, traced or not, as an array of integers or floats. Raises `ValueError` for what is none."""
+    try:
+        array = jnp.asarray(given)
+    except (TypeError, ValueError, OverflowError):
+        raise ValueError(f"{what} is {shown(given)}; write an array of numbers") from None
+    if not (jnp.issubdtype(array.dtype, jnp.floating) or jnp.issubdtype(array.dtype, jnp.integer)):
+        raise ValueError(f"{what} is an array of {array.dtype}; write real numbers")
+    return array
+
+
 def as_configuration(chain: Chain, q: Any) -> Float[Array, " n"]:
     """`q` as a floating-point array of shape (n,), or a `ValueError` that says what was expected."""
-    q = jnp.asarray(q)
+    q = as_numbers("q", q)
     if q.shape != (chain.num_joints,):
         raise ValueError(
             f"q has shape {q.shape}; {chain.name} takes one configuration of shape ({chain.num_joints},) "

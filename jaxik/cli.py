@@ -8,7 +8,6 @@ import os
 import shutil
 import signal
 import sys
-import tempfile
 import time
 from pathlib import Path
 from typing import Annotated, Any, Literal
@@ -19,8 +18,11 @@ import tyro
 import jaxik
 from jaxik.batch import compilation_cache
 from jaxik.harvest import Harvest
+from jaxik.reach import millimetres
 from jaxik.scan import Weights
 from jaxik.task import COMPONENTS
+
+UNITS = {"angle": "rad", "clearance": "m", "position_error": "m", "rotation_error": "rad"}  # of a table's columns
 
 
 @dataclasses.dataclass
@@ -33,6 +35,8 @@ class HarvestArguments:
     """A shipped scene or a scene file (.toml, or labelled points as .csv or .ply)."""
     tip: str | None = None
     """The link to bring to the fruit; needed where the robot has several."""
+    meshes: bool = False
+    """Read the robot's collision meshes (URDF) for the boxes around them."""
     weights: Weights = dataclasses.field(default_factory=Weights)
     """What makes a posture good."""
     angles: int = 72
@@ -48,11 +52,14 @@ class HarvestArguments:
 def run_harvest(arguments: HarvestArguments) -> None:
     """Load, harvest with a progress bar, write, and end with one line of counts and times."""
     from rich.console import Console
+    from rich.markup import escape
     from rich.progress import Progress
 
     if arguments.angles < 1 or arguments.slides < 1:
         raise ValueError(f"--angles {arguments.angles} --slides {arguments.slides}: both are at least 1")
-    chain = jaxik.load(arguments.robot, tip=arguments.tip)
+    if arguments.out.is_file():
+        raise ValueError(f"--out {arguments.out}: is a file; name a folder")
+    chain = jaxik.load(arguments.robot, tip=arguments.tip, meshes=arguments.meshes)
     scene = jaxik.load_scene(arguments.scene)
     compilation_cache()
     with Progress(console=Console(stderr=True)) as bar:
@@ -64,7 +71,7 @@ def run_harvest(arguments: HarvestArguments) -> None:
             arguments.angles,
             arguments.slides,
             arguments.margin,
-            progress=lambda name: bar.update(task, advance=1, description=f"harvest {name}"),
+            progress=lambda name: bar.update(task, advance=1, description=escape(f"harvest {name}")),
         )
     _print_table(result)
     write_harvest(result, arguments.out)
@@ -88,6 +95,8 @@ class IKArguments:
     """The link that the targets are given in; the root unless given."""
     srdf: Path | None = None
     """A file that says which links are not checked against each other."""
+    meshes: bool = False
+    """Read the robot's collision meshes (URDF) for the boxes around them, which a scene needs."""
     scene: str | None = None
     """A shipped scene or a scene file: obstacles to keep clear of."""
     margin: float = 0.0
@@ -107,7 +116,7 @@ class IKArguments:
     seed: int = 0
     """Another number, another (deterministic) search."""
     out: Path = Path("ik.npz")
-    """The results: .npz, or .parquet (needs pyarrow)."""
+    """The results, joints in rad and m: .npz, .csv, or .parquet (needs pyarrow)."""
 
 
 def run_ik(arguments: IKArguments) -> None:
@@ -115,9 +124,11 @@ def run_ik(arguments: IKArguments) -> None:
     from rich.console import Console
     from rich.progress import Progress
 
-    if arguments.out.suffix not in (".npz", ".parquet"):
-        raise ValueError(f"--out {arguments.out}: ending '{arguments.out.suffix}'; allowed: .npz, .parquet")
-    chain = jaxik.load(arguments.robot, tip=arguments.tip, base=arguments.base, srdf=arguments.srdf)
+    if arguments.out.suffix not in (".npz", ".csv", ".parquet"):
+        raise ValueError(f"--out {arguments.out}: ending '{arguments.out.suffix}'; allowed: .npz, .csv, .parquet")
+    if arguments.out.is_dir():
+        raise ValueError(f"--out {arguments.out}: is a folder; name a file")
+    chain = jaxik.load(arguments.robot, tip=arguments.tip, base=arguments.base, srdf=arguments.srdf, meshes=arguments.meshes)
     scene = None if arguments.scene is None else jaxik.load_scene(arguments.scene)
     targets = jaxik.load_targets(arguments.targets)
     free = (*arguments.free, *(("roll", "pitch", "yaw") if targets.ndim == 2 else ()))  # a position says nothing of rotation
@@ -134,6 +145,12 @@ def run_ik(arguments: IKArguments) -> None:
         )
     seconds = time.perf_counter() - start
     write_ik(chain, result, arguments.out)
+    positions = targets if targets.ndim == 2 else targets[:, :3, 3]
+    if targets.ndim == 2:
+        print(f"position only: {arguments.targets} binds no rotation")
+    doubt = millimetres(chain, positions)
+    if doubt:
+        print(doubt)
     counts = result.counts()
     for reason, count in counts.items():
         if reason != "solved":
@@ -142,20 +159,32 @@ def run_ik(arguments: IKArguments) -> None:
 
 
 def write_ik(chain: jaxik.Chain, result: jaxik.IKResult, out: Path) -> None:
-    """The results of a batch, one row a target: arrays (.npz, no pickle) or a table (.parquet); written aside, then renamed."""
+    """The results of a batch, one row a target: arrays (.npz, no pickle) or a table (.csv, .parquet); written aside, then
+    renamed."""
     reasons = np.array([jaxik.Reason(int(r)).text for r in result.reason], dtype=str)
     names = ("success", "position_error", "rotation_error", "clearance", "seed", "iterations")
     columns = {"reason": reasons, **{name: getattr(result, name) for name in names}}
     out.parent.mkdir(parents=True, exist_ok=True)
     aside = out.with_name(f".{os.getpid()}-{out.name}")
+    table = {**columns, **dict(zip(chain.joint_names, result.q.T, strict=True))}
     try:
         if out.suffix == ".parquet":
-            _write_parquet(aside, {**columns, **dict(zip(chain.joint_names, result.q.T, strict=True))})
+            _write_parquet(aside, table)
+        elif out.suffix == ".csv":
+            _write_csv(aside, table)
         else:
             np.savez(aside, allow_pickle=False, joint_names=np.array(chain.joint_names), q=result.q, **columns)
         os.replace(aside, out)
     finally:
         aside.unlink(missing_ok=True)
+
+
+def _write_csv(path: Path, columns: dict[str, np.ndarray]) -> None:
+    """A table with its units in the header; joints are in rad and m."""
+    with path.open("w", newline="", encoding="utf-8") as file:
+        writer = csv.writer(file)
+        writer.writerow([f"{name} [{UNITS[name]}]" if name in UNITS else name for name in columns])
+        writer.writerows(zip(*(values.tolist() for values in columns.values()), strict=True))
 
 
 def _write_parquet(path: Path, columns: dict[str, np.ndarray]) -> None:
@@ -290,11 +319,12 @@ def run_view(arguments: ViewArguments) -> None:
 
 def _print_table(result: Harvest) -> None:
     from rich.console import Console
+    from rich.markup import escape
     from rich.table import Table
 
-    table = Table(title=f"{result.chain.name} in {result.scene.name}")
+    table = Table(title=escape(f"{result.chain.name} in {result.scene.name}"))
     for heading in ("fruit", "result", *result.chain.joint_names, "clearance [mm]", "freedom", "found by, or remove"):
-        table.add_column(heading, justify="left" if heading in ("fruit", "result") else "right")
+        table.add_column(escape(heading), justify="left" if heading in ("fruit", "result") else "right")
     for row in result.rows:
         joints = [
             (f"{x:.3f}" if p else f"{np.degrees(x):.1f}") if row.success else ""
@@ -302,35 +332,65 @@ def _print_table(result: Harvest) -> None:
         ]
         note = row.found_by if row.success else ", ".join((row.blockers.removal if row.blockers else None) or ())
         numbers = [f"{1000 * row.clearance:.0f}", f"{row.freedom:.2f}"] if row.success else ["", ""]
-        table.add_row(row.fruit, row.reason.text, *joints, *numbers, note)
+        table.add_row(*map(escape, (row.fruit, row.reason.text, *joints, *numbers, note)))
     Console(width=max(120, Console().width)).print(table)
     print("joints in degrees, prismatic ones in metres")
 
 
 def write_harvest(result: Harvest, out: Path) -> None:
-    """postures.csv, postures.npz (no pickle) and harvest.png in `out`, written aside and then renamed: all or nothing new."""
+    """postures.csv, postures.npz (no pickle) and harvest.png in the folder `out`.
+
+    All are written aside first. A new folder then appears whole, by one rename. In one that is there they are replaced one by
+    one, other files stay, and if one cannot be replaced, the old ones come back: only a process that is killed between those
+    three renames leaves files of two harvests.
+    """
     from jaxik.plot import plot_harvest
 
-    out.mkdir(parents=True, exist_ok=True)
-    aside = Path(tempfile.mkdtemp(prefix=".harvest-", dir=out))
+    there = out.is_dir()
+    home = out if there else out.parent
+    home.mkdir(parents=True, exist_ok=True)
+    aside = home / f".{os.getpid()}-{out.name}"
     try:
+        aside.mkdir()
         arrays = result.arrays()
         np.savez(aside / "postures.npz", allow_pickle=False, **arrays)
-        with (aside / "postures.csv").open("w", newline="") as file:
-            columns = [k for k, v in arrays.items() if k not in ("q", "joint_names") and len(v) == len(result.rows)]
-            writer = csv.writer(file)
-            writer.writerow([*columns, *result.chain.joint_names])
-            for i, row in enumerate(result.rows):
-                writer.writerow([*(arrays[k][i] for k in columns), *row.q])
+        joints = dict(zip(result.chain.joint_names, result.q.T, strict=True))
+        _write_csv(aside / "postures.csv", {k: v for k, v in arrays.items() if k not in ("q", "joint_names")} | joints)
         plot_harvest(result, aside / "harvest.png")
-        for file_written in sorted(aside.iterdir()):
-            os.replace(file_written, out / file_written.name)
+        if there:
+            _replace_all(aside, out)
+        else:
+            os.rename(aside, out)
     finally:
         shutil.rmtree(aside, ignore_errors=True)
 
 
+def _replace_all(aside: Path, out: Path) -> None:
+    """Moves the files of `aside` over those of `out`; where one cannot be, those before it become what they were."""
+    moved: list[Path] = []
+    files, kept = sorted(aside.iterdir()), aside / "kept"
+    kept.mkdir()
+    for file in files:
+        if (out / file.name).exists():
+            shutil.copy2(out / file.name, kept / file.name)
+    try:
+        for file in files:
+            os.replace(file, out / file.name)
+            moved.append(out / file.name)
+    except BaseException:
+        for path in moved:
+            if (kept / path.name).exists():
+                os.replace(kept / path.name, path)
+            else:
+                path.unlink()
+        raise
+
+
 def main() -> None:
     """The entry point. A mistake in the input ends with one line and exit code 2."""
+    if sys.argv[1:] == ["--version"]:
+        print(f"jaxik {jaxik.__version__}")
+        return
     arguments = tyro.cli(
         Annotated[HarvestArguments, tyro.conf.subcommand("harvest")]
         | Annotated[IKArguments, tyro.conf.subcommand("ik")]

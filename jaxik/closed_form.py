@@ -32,7 +32,7 @@ from jaxtyping import Bool, Float
 
 from jaxik.algebra import BASE, Frame, Rot3, Scalar, Vec3, add, atan2, constants, mul, safe_sqrt, shared, stack, sub, traced
 from jaxik.ball import minimum, where, whole
-from jaxik.chain import Array, Chain, finite_limits
+from jaxik.chain import Array, Chain, as_numbers, finite_limits
 from jaxik.kinematics import joint_frames
 
 TOLERANCE = 1e-7  # [m, rad] within which axes count as parallel, meeting or crossing
@@ -90,8 +90,8 @@ def closed_form(chain: Chain, pose: Float[Array, "4 4"], slide: Float[Array, "..
     if reason:
         raise ValueError(f"{chain.name} has no closed form here: {reason}")
     leading = chain.num_joints - 6
-    pose = jnp.asarray(pose)
-    given = jnp.zeros(0, pose.dtype) if slide is None else jnp.atleast_1d(jnp.asarray(slide))
+    pose = as_numbers("pose", pose)
+    given = jnp.zeros(0, pose.dtype) if slide is None else jnp.atleast_1d(as_numbers("slide", slide))
     if pose.shape != (4, 4) or given.shape != (leading,):
         raise ValueError(f"closed_form: pose {pose.shape} and slide {given.shape}; expected (4, 4) and ({leading},)")
     dtype = jnp.result_type(pose, given, jnp.float32)

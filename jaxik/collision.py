@@ -172,12 +172,17 @@ def object_clearances(chain: Chain, scene: Scene, q: Float[Array, " n"]) -> Floa
 
 def world_volumes(chain: Chain, q: Float[Array, " n"]) -> dict[int, Skeleton]:
     """The robot's swept-sphere volumes in the world, by corner count."""
+    check_geometry(chain)
+    return skeletons(chain, [q[i] for i in range(chain.num_joints)], q.dtype)
+
+
+def check_geometry(chain: Chain) -> None:
+    """What drivers ask before they compile anything. Raises `ValueError` for a chain that has no shapes to collide with."""
     if chain.unread_meshes:
         links = ", ".join(chain.unread_meshes[:5])
-        raise ValueError(f"{chain.name}: the meshes of {links} were not read; load the chain with meshes=True")
+        raise ValueError(f"{chain.name}: the meshes of {links} were not read; load the chain with meshes=True (--meshes)")
     if not chain.boxes and not chain.volumes:
         raise ValueError(f"{chain.name}: has no collision geometry; add shapes to its file (box, sphere, capsule, triangle)")
-    return skeletons(chain, [q[i] for i in range(chain.num_joints)], q.dtype)
 
 
 # --------------------------------------------------------------------------------------------------------------------
@@ -419,6 +424,7 @@ def hierarchical_collision(chain: Chain, scene: Scene, q: Float[Array, " n"]) ->
 
 
 def _descend(chain: Chain, scene: Scene, q: Any, detect: bool) -> tuple[float, int]:
+    check_geometry(chain)
     q = np.asarray(q, dtype=np.float64)
     columns = [q[i, None] for i in range(chain.num_joints)]
     obstacles = np.concatenate([scene.points.center, scene.spheres.center])

@@ -16,7 +16,9 @@ import numpy as np
 from jaxik.batch import in_blocks
 from jaxik.chain import Chain
 from jaxik.closed_form import TURN, admissible_turns
+from jaxik.collision import check_geometry
 from jaxik.costs import comfort_cost, joint_freedom
+from jaxik.given import is_rigid
 from jaxik.ik_options import IKOptions
 from jaxik.kinematics import manipulability
 from jaxik.multistart import MEASURED, Found, Job, Outcome, search, top, unwound
@@ -25,7 +27,6 @@ from jaxik.scene import Scene
 from jaxik.task import Task
 
 TARGETS = 16_384  # at a time, which bounds the memory
-ORTHONORMAL = 1e-4  # how far R'R may be from 1 in a target that is still a pose
 
 
 @dataclasses.dataclass(frozen=True)
@@ -82,6 +83,8 @@ def solve_ik(
     poses, valid, single = as_poses(targets, options.task)
     if scene is None and options.choice == "clearance":
         raise ValueError("solve_ik: choice 'clearance' needs a scene; for the robot alone give jaxik.make_scene()")
+    if scene is not None:
+        check_geometry(chain)
     job = Job.of(chain, scene, seed, options, len(poses))
     parts = []
     for start in range(0, max(1, len(poses)), TARGETS):
@@ -124,11 +127,8 @@ def as_poses(targets: Any, task: Task) -> tuple[np.ndarray, np.ndarray, bool]:
         raise ValueError(f"targets have shape {given.shape}; allowed: poses (4, 4) or (N, 4, 4){also}")
     single = poses.ndim == 2
     poses = poses.reshape(-1, 4, 4).copy()
-    rotation = poses[:, :3, :3]
+    rotation, valid = poses[:, :3, :3], is_rigid(poses)
     with np.errstate(all="ignore"):
-        off = np.abs(np.swapaxes(rotation, 1, 2) @ rotation - np.eye(3)).max(axis=(1, 2), initial=0.0)
-        valid = np.isfinite(poses).all(axis=(1, 2)) & (off <= ORTHONORMAL) & (np.linalg.det(rotation) > 0.0)
-        valid &= np.abs(poses[:, 3] - [0.0, 0.0, 0.0, 1.0]).max(axis=1, initial=0.0) <= ORTHONORMAL
         for _ in range(2):  # towards the nearest rotation, quadratically [Higham 1986]
             rotation = rotation @ (1.5 * np.eye(3) - 0.5 * np.swapaxes(rotation, 1, 2) @ rotation)
     poses[:, :3, :3] = rotation

@@ -7,7 +7,7 @@ from collections.abc import Mapping
 from typing import Any, Literal
 
 from jaxik import seeds
-from jaxik.choice import check_choices
+from jaxik.choice import check_choices, check_counts, check_finite, shown
 from jaxik.costs import Cost
 from jaxik.optimise import sqp
 from jaxik.task import POSE, Task
@@ -75,8 +75,12 @@ class IKOptions:
             collision=(self.collision, Collision),
             norm=(self.norm, Literal["l2", "linf"]),
         )
-        for name in ("max_seeds", "solutions", "cost_iterations"):
-            if getattr(self, name) < 1:
-                raise ValueError(f"solve_ik: {name} is {getattr(self, name)}; it is at least 1")
+        check_counts("solve_ik", max_seeds=self.max_seeds, solutions=self.solutions, cost_iterations=self.cost_iterations)
+        check_finite("solve_ik", margin=self.margin)
+        check_finite("solve_ik", 0.0, distinct=self.distinct, activation=self.activation, penalty=self.penalty)
+        if not isinstance(self.task, Task):
+            raise ValueError(f"solve_ik: task is {shown(self.task)}; write jaxik.Task((True, True, True, False, False, False))")
+        if not isinstance(self.locked, Mapping):
+            raise ValueError(f"solve_ik: locked is {shown(self.locked)}; write locked={{'joint': value}}")
         if self.reference is None and (self.choice == "closest" or self.seeds == "near"):
             raise ValueError("solve_ik: choice 'closest' and seeds 'near' need a reference; give reference=q")

@@ -24,7 +24,7 @@ import jax
 import numpy as np
 
 from jaxik import lanes, seeds
-from jaxik.batch import in_blocks, threads
+from jaxik.batch import anew_in_forks, in_blocks, threads
 from jaxik.chain import Chain, finite_range
 from jaxik.closed_form import TURN, closed_form_obstacle
 from jaxik.costs import Cost
@@ -264,6 +264,7 @@ def _descend(job: Job, poses: np.ndarray, starts: Found, misses: _Misses) -> Fou
     return ended.rows(landed)
 
 
+@anew_in_forks
 @functools.lru_cache(maxsize=64)
 def _finisher_ready(program: Callable[..., Any], n: int) -> Future[Any]:
     """Lets another thread compile what finishes lanes while the search compiles: a quarter of the first call's time."""

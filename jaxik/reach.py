@@ -12,7 +12,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from jaxik.chain import Chain
+from jaxik.chain import Chain, read_only
 
 
 class Reach(NamedTuple):
@@ -36,6 +36,22 @@ class Reach(NamedTuple):
         away = self.point(pose) - self.origin
         away = np.sqrt(np.einsum("ni,ni->n", away, away))
         return np.maximum(away - self.longest, self.shortest - away)
+
+
+FAR_OFF = 10.0  # reaches: no use for a target so far away, unless its unit is another
+
+
+def millimetres(chain: Chain, positions: np.ndarray, world: bool = False) -> str | None:
+    """In words, why positions (N, 3) [m] in the base (or the world) look like millimetres, if they do: most of them lie many
+    times beyond the chain's reach, and their thousandth does not."""
+    bound, known = reach(chain, rotation=False), positions[np.isfinite(positions).all(axis=1)]
+    origin = chain.world_T_base[:3, :3] @ bound.origin + chain.world_T_base[:3, 3] if world else bound.origin
+    if not len(known) or not np.isfinite(bound.longest):
+        return None
+    away, thousandth = (float(np.median(np.linalg.norm(known * unit - origin, axis=1))) for unit in (1.0, 1e-3))
+    if away <= FAR_OFF * bound.longest or thousandth > FAR_OFF * bound.longest:
+        return None
+    return f"targets lie about {away:.3g} m from {chain.name}, which reaches {bound.longest:.3g} m: are they millimetres?"
 
 
 class _Way(NamedTuple):
@@ -67,7 +83,7 @@ def reach(chain: Chain, rotation: bool = True) -> Reach:
     shortest = max(0.0, float(np.max(least - (most.sum() - most)))) if np.all(np.isfinite(most)) else 0.0
     stroke = float(strokes.sum())
     length = float(each.sum()) or (stroke if 0.0 < stroke < np.inf else 1.0)
-    return Reach(origin, tip_p, float(most.sum()), shortest, length)
+    return read_only(Reach(origin, tip_p, float(most.sum()), shortest, length))
 
 
 def _straightest(ways: list[_Way]) -> np.ndarray:

@@ -23,7 +23,7 @@ import numpy as np
 from jaxik.batch import in_blocks
 from jaxik.chain import Chain
 from jaxik.closed_form import BRANCHES, closed_form_obstacle, closed_forms
-from jaxik.collision import clearance, object_clearances, self_clearance
+from jaxik.collision import check_geometry, clearance, object_clearances, self_clearance
 from jaxik.costs import joint_freedom
 from jaxik.kinematics import jacobian
 from jaxik.leading import grid, leading_grid
@@ -193,11 +193,12 @@ def scan(
     `angles` and `slides` are counts or the values themselves [rad], (m, k) [m, rad]. The fruit itself is no obstacle. A
     candidate is SOLVED in `status` with at least `margin` [m] of clearance.
 
-    Raises `ValueError` where the chain has no closed form.
+    Raises `ValueError` where the chain has no closed form, or nothing to collide with.
     """
     reason = closed_form_obstacle(chain)
     if reason:
         raise ValueError(f"{chain.name}: a scan needs the closed form, and {reason}")
+    check_geometry(chain)
     at = approach_grid(angles)
     lead = leading_grid(chain, slides)
     poses = grasp_poses(chain, fruit, at, grasp)

@@ -7,7 +7,8 @@ the same compiled program. Every obstacle belongs to a named object: a leaf of f
 from __future__ import annotations
 
 import dataclasses
-from typing import Any
+from collections.abc import Iterator
+from typing import Any, NamedTuple
 
 import equinox as eqx
 import jax
@@ -15,8 +16,10 @@ import numpy as np
 from jaxtyping import Float
 
 from jaxik.chain import Array
+from jaxik.given import numbers, rigid_frame, shaped
 
-FAR = 1e6  # [m] where padding stands: exact in float32 as a square, and no scene file may hold more than 100 m
+LIMIT = 100.0  # [m] that anything may be away or long; a crop or a cell is smaller, one in millimetres is not
+FAR = 1e6  # [m] where padding stands: exact in float32 as a square, and far beyond LIMIT
 SIZES = (0, 8, 32, *(k * 2**n for n in range(5, 14) for k in (2, 3)))
 KINDS = ("points", "spheres", "capsules", "boxes", "cylinders")
 
@@ -158,55 +161,68 @@ def _padded(obstacles: Any, extra: int) -> Any:
 
 
 class SceneBuilder:
-    """Collects named objects and fruits into a `Scene`. All lengths in metres, the world's z up."""
+    """Collects named objects and fruits into a `Scene`. All lengths in metres, the world's z up.
 
-    def __init__(self, name: str = "scene", point_radius: float = 0.0):
-        self.name, self.point_radius = name, point_radius
-        self.names: list[str] = []
+    Raises `ValueError`, one line, for what is no obstacle: another shape, a number that is not finite, beyond `LIMIT` [m] or a
+    negative size, a frame that is not rigid, a name that stands twice. What is refused leaves nothing behind.
+    """
+
+    def __init__(self, name: str = "scene", point_radius: Any = 0.0):
+        self.name = _word("scene", name)
+        self.point_radius = _size("point_radius", point_radius)
+        self.names: dict[str, None] = {}  # in their order
         self.removable: list[bool] = []
         self.fruits: list[Fruit] = []
-        self.rows: dict[str, list[Any]] = {k: [] for k in KINDS}
+        self.rows: dict[str, list[np.ndarray]] = {k: [] for k in KINDS}
         self.owners: dict[str, list[int]] = {k: [] for k in KINDS}
 
-    def add(self, name: str, removable: bool = True, **obstacles: Any) -> None:
+    def add(self, name: str, removable: Any = True, **obstacles: Any) -> None:
         """An object of `points` (k, 3), `spheres` (k, 4) centre and radius, `capsules` (k, 7) both ends and radius, `boxes`
         (pairs of a (4, 4) frame and three edges), `cylinders` (triples of a (4, 4) frame, radius and length)."""
-        self.names.append(name)
-        self.removable.append(removable)
-        for kind, rows in obstacles.items():
-            if kind not in KINDS:
-                raise ValueError(f"obstacle kind '{kind}'; allowed: {', '.join(KINDS)}")
-            rows = list(rows)
-            self.rows[kind] += rows
-            self.owners[kind] += [len(self.names) - 1] * len(rows)
+        self._put(name, removable, _each(f"object '{name}': ", obstacles))
 
     def add_fruit(
-        self, name: str, position: Any, axis: Any = (0.0, 0.0, 1.0), length: float = 0.0, radius: float = 0.0
+        self,
+        name: str,
+        position: Any,
+        axis: Any = (0.0, 0.0, 1.0),
+        length: Any = 0.0,
+        radius: Any = 0.0,
+        **obstacles: Any,
     ) -> None:
-        """A fruit; with a `radius` its body, hanging `length` below `position`, is an obstacle to all others."""
-        up = np.asarray(axis, dtype=np.float64)
-        up = up / np.linalg.norm(up)
-        top = np.asarray(position, dtype=np.float64)
+        """A fruit; with a `radius` its body, hanging `length` below `position`, is an obstacle to all others. A body of another
+        form is given as `obstacles`, by the keywords of `add`."""
+        who = f"fruit '{name}': "
+        top = _in_metres(f"{who}position", shaped(f"{who}position", position, (3,)))
+        up, long, thick = _direction(f"{who}axis", axis), _size(f"{who}length", length), _size(f"{who}radius", radius)
+        rows = _each(who, obstacles)
+        if thick > 0.0:
+            rows["capsules"] = np.concatenate([hanging(top, up, long, thick)[None], rows.get("capsules", np.zeros((0, 7)))])
+        self._put(name, False, rows)
         self.fruits.append(Fruit(top, up, name))
-        body = [[*top, *(top - length * up), radius]] if radius > 0.0 else []
-        self.add(name, removable=False, capsules=body)
+
+    def _put(self, name: str, removable: Any, rows: dict[str, np.ndarray]) -> None:
+        if _word("object", name) in self.names:
+            raise ValueError(f"object '{name}': the name stands twice; give each its own")
+        if not isinstance(removable, bool | np.bool_):  # an array in this place were obstacles that never come
+            what = type(removable).__name__
+            raise ValueError(f"object '{name}': removable is {what}; allowed: True, False; obstacles go by keyword")
+        for kind, values in rows.items():
+            self.rows[kind].append(values)
+            self.owners[kind] += [len(self.names)] * len(values)
+        self.names[name] = None
+        self.removable.append(bool(removable))
 
     def scene(self) -> Scene:
-        def array(kind: str, width: int) -> np.ndarray:
-            return np.array(self.rows[kind], dtype=np.float64).reshape(-1, width)
-
-        def framed(kind: str, width: int) -> tuple[np.ndarray, np.ndarray]:
-            frames = np.array([r[0] for r in self.rows[kind]], dtype=np.float64).reshape(-1, 4, 4)
-            return frames, np.array([np.ravel(r[1:]) for r in self.rows[kind]], dtype=np.float64).reshape(-1, width)
-
-        spheres, capsules = array("spheres", 4), array("capsules", 7)
-        (boxes, edges), (cylinders, sizes) = framed("boxes", 3), framed("cylinders", 2)
+        points, spheres, capsules, boxes, cylinders = (
+            np.concatenate([np.zeros((0, ROWS[kind].width)), *self.rows[kind]]) for kind in KINDS
+        )
         return Scene(
-            Points(array("points", 3), np.asarray(self.point_radius, dtype=np.float64)),
+            Points(points, np.asarray(self.point_radius, dtype=np.float64)),
             Spheres(spheres[:, :3], spheres[:, 3]),
             Capsules(capsules[:, :3], capsules[:, 3:6], capsules[:, 6]),
-            Boxes(boxes, edges / 2.0),
-            Cylinders(cylinders, sizes[:, 0], sizes[:, 1] / 2.0),
+            Boxes(boxes[:, :16].reshape(-1, 4, 4), boxes[:, 16:] / 2.0),
+            Cylinders(cylinders[:, :16].reshape(-1, 4, 4), cylinders[:, 16], cylinders[:, 17] / 2.0),
             tuple(self.fruits),
             name=self.name,
             object_names=tuple(self.names),
@@ -215,10 +231,114 @@ class SceneBuilder:
         )
 
 
-def make_scene(point_radius: float = 0.0, name: str = "scene", **obstacles: Any) -> Scene:
-    """A scene from plain arrays, each obstacle an object of its own; the keywords are those of `SceneBuilder.add` [m]."""
+def make_scene(point_radius: Any = 0.0, name: str = "scene", **obstacles: Any) -> Scene:
+    """A scene from plain arrays, each obstacle an object of its own; the keywords are those of `SceneBuilder.add` [m].
+
+    Raises `ValueError` as `SceneBuilder` does.
+    """
     builder = SceneBuilder(name, point_radius)
-    for kind, rows in obstacles.items():
+    for kind, rows in _each("", obstacles).items():
         for i, row in enumerate(rows):
-            builder.add(f"{kind}_{i + 1}", True, **{kind: [row]})
+            builder._put(f"{kind}_{i + 1}", True, {kind: row[None]})
     return builder.scene()
+
+
+def hanging(top: Any, up: Any, length: float, radius: float) -> np.ndarray:
+    """The capsule (7,) of a fruit that hangs `length` [m] below `top`."""
+    return np.array([*top, *(top - length * up), radius])
+
+
+# --------------------------------------------------------------------------------------------------------------------
+# What is no obstacle
+
+
+class Row(NamedTuple):
+    """How many numbers stand for one obstacle (a frame is 16), how many of them, at the end, are sizes; and in words."""
+
+    width: int
+    sizes: int
+    words: str
+
+
+ROWS = {
+    "points": Row(3, 0, "(k, 3), rows of x, y, z"),
+    "spheres": Row(4, 1, "(k, 4), rows of x, y, z, radius"),
+    "capsules": Row(7, 1, "(k, 7), rows of both ends and the radius"),
+    "boxes": Row(19, 3, "pairs of a rigid (4, 4) frame and three edges"),
+    "cylinders": Row(18, 2, "triples of a rigid (4, 4) frame, radius and length"),
+}
+
+
+def _each(who: str, obstacles: dict[str, Any]) -> dict[str, np.ndarray]:
+    """The rows of each kind, checked."""
+    for kind in obstacles:
+        if kind not in KINDS:
+            raise ValueError(f"{who}obstacle kind '{kind}'; allowed: {', '.join(KINDS)}")
+    return {kind: _rows(f"{who}{kind}", given, ROWS[kind]) for kind, given in obstacles.items()}
+
+
+def _rows(what: str, given: Any, row: Row) -> np.ndarray:
+    """Obstacles of a kind as (k, width) numbers."""
+    if row.width > 16:
+        given = [_framed(f"{what} row {i}", each, row) for i, each in enumerate(_listed(what, given, row), 1)]
+    elif isinstance(given, Iterator):
+        given = list(given)
+    values = numbers(what, given)
+    if values.shape == (0,):  # an empty list has no width
+        values = values.reshape(0, row.width)
+    if values.ndim != 2 or values.shape[1] != row.width:
+        raise ValueError(f"{what} of shape {values.shape}; allowed: {row.words} [m]")
+    return _in_metres(what, values, row.sizes)
+
+
+def _framed(what: str, given: Any, row: Row) -> np.ndarray:
+    """A frame and sizes in one row."""
+    frame, *sizes = _listed(what, given, row) or [None]
+    frame = np.asarray(rigid_frame(f"{what}: frame", frame), np.float64)
+    values = numbers(f"{what}: sizes", sizes)
+    if values.shape not in ((row.sizes,), (1, row.sizes)):  # (frame, a, b, c) or (frame, (a, b, c))
+        raise ValueError(f"{what}: sizes of shape {values.shape}; allowed: {row.words} [m]")
+    return np.concatenate([frame.ravel(), values.ravel()])
+
+
+def _listed(what: str, given: Any, row: Row) -> list[Any]:
+    try:
+        return list(given)
+    except TypeError:
+        raise ValueError(f"{what}: {type(given).__name__}; allowed: {row.words} [m]") from None
+
+
+def _size(what: str, given: Any) -> float:
+    return float(_in_metres(what, shaped(what, given, ()), 1))
+
+
+def _in_metres(what: str, values: np.ndarray, sizes: int = 0) -> np.ndarray:
+    """`values` as they are, if they are finite, none beyond `LIMIT`, and the last `sizes` of a row not below zero."""
+    table = values.reshape(-1, values.shape[-1] if values.ndim else 1)
+    far, below = ~(np.abs(table) <= LIMIT), np.zeros(table.shape, bool)
+    below[:, table.shape[1] - sizes :] = table[:, table.shape[1] - sizes :] < 0.0
+    for row, column in np.argwhere(far | below)[:1]:
+        where, value = f"{what} row {row + 1}" if values.ndim == 2 else what, float(table[row, column])
+        if not np.isfinite(value):
+            raise ValueError(f"{where} holds {value:g}; write finite numbers, not NaN or infinity")
+        if far[row, column]:
+            raise ValueError(f"{where} holds {value:g} m, over {LIMIT:g} m; lengths are metres, not millimetres")
+        raise ValueError(f"{where} has the size {value:g} m; write 0 or more")
+    return values
+
+
+def _direction(what: str, given: Any) -> np.ndarray:
+    """A unit vector (3,); one that is given stays as it is, so that a file that holds it gives it back."""
+    axis = shaped(what, given, (3,))
+    if not np.all(np.isfinite(axis)):
+        raise ValueError(f"{what} holds {axis[~np.isfinite(axis)][0]:g}; write finite numbers, not NaN or infinity")
+    norm = float(np.linalg.norm(axis))
+    if not 1e-9 < norm < np.inf:
+        raise ValueError(f"{what} is no direction; write a unit vector such as (0, 0, 1)")
+    return axis if abs(norm - 1.0) <= 1e-15 else axis / norm
+
+
+def _word(what: str, name: Any) -> str:
+    if not isinstance(name, str) or name.splitlines() != [name]:
+        raise ValueError(f"{what}: the name {name!r} is not one line of text; write a word")
+    return name

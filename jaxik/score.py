@@ -19,7 +19,7 @@ from jaxtyping import Float
 
 from jaxik.chain import Array, Chain, finite_limits
 from jaxik.closed_form import BRANCHES, closed_forms
-from jaxik.collision import clearance
+from jaxik.collision import check_geometry, clearance
 from jaxik.kinematics import forward_kinematics, jacobian
 from jaxik.leading import arm_of, leading_grid
 from jaxik.scene import Scene
@@ -111,6 +111,8 @@ def likely_postures(
     poses = np.asarray(poses, np.float64)
     if poses.ndim != 3 or poses.shape[1:] != (4, 4) or not np.isfinite(poses).all(axis=(1, 2)).any():
         raise ValueError(f"poses of shape {poses.shape} hold no finite frame; give (a, 4, 4), world_T_tip")
+    if scene is not None:
+        check_geometry(chain)
     leading = leading_grid(chain, slides)
     local = np.linalg.inv(np.asarray(chain.world_T_base)) @ poses
     pose, lead = (x.ravel() for x in np.meshgrid(np.arange(len(poses)), np.arange(len(leading)), indexing="ij"))

@@ -19,7 +19,7 @@ from typing import Literal, NamedTuple
 import numpy as np
 
 from jaxik.batch import in_blocks
-from jaxik.chain import Chain
+from jaxik.chain import Chain, read_only
 from jaxik.closed_form import BRANCHES, closed_forms
 from jaxik.kinematics import joint_frames
 from jaxik.task import Task
@@ -47,7 +47,7 @@ class Range(NamedTuple):
 @functools.lru_cache(maxsize=256)
 def uniform(inside: Range, seed: int, number: int, count: int = 1) -> np.ndarray:
     """(count, n) configurations."""
-    return inside.between(np.random.default_rng((STREAM, seed, number)).random((count, len(inside.low))))
+    return read_only(inside.between(np.random.default_rng((STREAM, seed, number)).random((count, len(inside.low)))))
 
 
 @functools.lru_cache(maxsize=64)
@@ -55,7 +55,7 @@ def low_discrepancy(inside: Range, seed: int, count: int) -> np.ndarray:
     """The first `count` points of the sequence, (count, n)."""
     from scipy.stats import qmc
 
-    return inside.between(qmc.Halton(len(inside.low), seed=np.random.default_rng((STREAM, seed))).random(count))
+    return read_only(inside.between(qmc.Halton(len(inside.low), seed=np.random.default_rng((STREAM, seed))).random(count)))
 
 
 def near(inside: Range, seed: int, number: int, reference: np.ndarray) -> np.ndarray:
@@ -97,7 +97,7 @@ def _library(chain: Chain, task: Task, inside: Range, length: float, number: int
     tip = joint_frames(chain, list(q.T)).tip
     poses = np.stack([np.broadcast_to(e, (size,)) for e in tip.entries], axis=-1).reshape(-1, 4, 4)
     features = _features(task, poses, length)
-    return _Set(q.astype(np.float32), np.vstack([features.T, -0.5 * np.sum(features**2, axis=1)]))
+    return read_only(_Set(q.astype(np.float32), np.vstack([features.T, -0.5 * np.sum(features**2, axis=1)])))
 
 
 def nearest(chain: Chain, task: Task, inside: Range, length: float, number: int, poses: np.ndarray) -> np.ndarray:

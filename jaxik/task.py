@@ -18,9 +18,10 @@ import dataclasses
 from typing import Any, Literal
 
 import jax.numpy as jnp
+import numpy as np
 
 from jaxik.algebra import Frame, Rot3, Scalar, Vec3, add, atan2, mul, safe_sqrt, shared, sub
-from jaxik.choice import check_choices
+from jaxik.choice import check_choices, shown
 
 Axes = Literal["tool", "base"]
 COMPONENTS = ("x", "y", "z", "roll", "pitch", "yaw")
@@ -34,8 +35,10 @@ class Task:
     axes: str = "tool"
 
     def __post_init__(self) -> None:
-        if len(self.bound) != 6 or not any(self.bound):
-            raise ValueError(f"task: bound {self.bound}; six booleans for {', '.join(COMPONENTS)}, at least one true")
+        each = tuple(self.bound) if isinstance(self.bound, list | tuple | np.ndarray) else ()
+        if len(each) != 6 or not all(np.ndim(b) == 0 and b in (False, True) for b in each) or not any(each):
+            raise ValueError(f"task: bound {shown(self.bound)}; six booleans for {', '.join(COMPONENTS)}, at least one true")
+        object.__setattr__(self, "bound", tuple(bool(b) for b in each))  # hashable: a task is a cache's key
         check_choices("task", axes=(self.axes, Axes))
 
     @property

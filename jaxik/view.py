@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import functools
 import time
 from pathlib import Path
 from typing import Any
@@ -11,7 +12,8 @@ import numpy as np
 from jaxik.algebra import Frame
 from jaxik.chain import Chain, finite_limits
 from jaxik.harvest import Harvest
-from jaxik.kinematics import joint_frames
+from jaxik.kinematics import joint_frames, pose_errors
+from jaxik.load.targets import as_frames
 from jaxik.plot import COLOURS, bones
 from jaxik.plot_sweep import Map, open_store, variant_label, variant_map
 from jaxik.scene import Scene
@@ -35,11 +37,12 @@ class Page:
         host: str = "127.0.0.1",
         port: int = 8080,
     ):
-        """Serves the page on `host`, `port`. Raises `ValueError` where viser is not installed."""
+        """Serves the page on `host`, `port`. Raises `ValueError` without viser, and for a store of another robot."""
         try:
             import viser
         except ImportError:
             raise ValueError("jaxik view: viser is not installed; pip install 'jaxik[view]'") from None
+        group = None if store is None else _store_of(chain, store)
         self.home = self.chain = chain
         self.scene, self.harvest = scene, harvest
         self.server = viser.ViserServer(host=host, port=port, label="jaxik", verbose=False)
@@ -49,8 +52,8 @@ class Page:
         self._joints()
         if scene is not None:
             self._scene(scene)
-        if store is not None:
-            self.map = _Cloud(self, store)
+        if group is not None:
+            self.map = _Cloud(self, group)
         if harvest is not None:
             self._fruits(harvest)
         self._robot()
@@ -163,8 +166,9 @@ class _Cloud:
     The robot stands where the variant has it. Of another robot, and of other lengths of its links, only the map is shown.
     """
 
-    def __init__(self, page: Page, store: str | Path):
-        self.page, self.server, self.group = page, page.server, open_store(store)
+    def __init__(self, page: Page, group: Any):
+        self.page, self.server, self.group = page, page.server, group
+        self.fits = functools.cache(lambda index: _is_of(group, index, page.home))
         self.maps: dict[tuple[int, ...], Map] = {}
         shape = self.group["reason"].shape[:-1]
         self.indices = {variant_label(self.group, index) or "all": index for index in np.ndindex(*shape)}
@@ -188,7 +192,7 @@ class _Cloud:
     def stand(self) -> None:
         """Puts the robot where the variant has it."""
         index = self.indices[self.variant.value]
-        if self._drawn(index):
+        if self.fits(index):
             self.page.move(self.page.q, self._mount(index))
 
     def draw(self) -> None:
@@ -219,11 +223,7 @@ class _Cloud:
         return self.maps[index]
 
     def _mount(self, index: tuple[int, ...]) -> np.ndarray:
-        return np.array(self.group.attrs["mounts"][variant_name(index)])
-
-    def _drawn(self, index: tuple[int, ...]) -> bool:
-        """Whether the page's robot is the variant's."""
-        return self.group.attrs["models"][variant_name(index)].rpartition(" ")[0] == self.page.home.name
+        return _mount(self.group, index)
 
     def _colours(self, shown: Map, rows: np.ndarray, index: tuple[int, ...]) -> tuple[np.ndarray, str]:
         import matplotlib
@@ -262,9 +262,44 @@ class _Cloud:
         turns = int(self.group.attrs["targets_per_position"])
         part = slice(position * turns, (position + 1) * turns)
         found = np.flatnonzero(self.group["reachable"][(*index, part)])
-        if len(found) and self._drawn(index):
+        if len(found) and self.fits(index):
             q = np.asarray(self.group["q"][(*index, position * turns + int(found[0]))])
             self.page.move(q[np.isfinite(q)], self._mount(index))
+
+
+def _store_of(chain: Chain, store: str | Path) -> Any:
+    """The store, if one of its variants is of this robot."""
+    group = open_store(store)
+    if any(_is_of(group, index, chain) for index in np.ndindex(*group["reason"].shape[:-1])):
+        return group
+    names = sorted({model.rpartition(" ")[0] for model in group.attrs["models"].values()})
+    held = (
+        f"another {chain.name}, whose postures do not fit" if chain.name in names else f"{', '.join(names)}, not {chain.name}"
+    )
+    raise ValueError(f"{store}: holds {held}; view the robot (file and tip) that was swept")
+
+
+def _is_of(group: Any, index: tuple[int, ...], chain: Chain) -> bool:
+    """Whether a variant's robot is this one: its postures bring this one's tip to their targets. Shapes may differ, such as
+    meshes that one of both has not read."""
+    attributes, mount = group.attrs, _mount(group, index)
+    name, _, digest = attributes["models"][variant_name(index)].rpartition(" ")
+    if name != chain.name or attributes["joint_names"][name] != list(chain.joint_names):
+        return False
+    found = np.flatnonzero(group["reachable"][(*index, slice(None))])[:1]
+    if chain.mounted(mount).digest.startswith(digest) or not len(found):
+        return True
+    row = int(found[0])
+    pose = as_frames(np.concatenate([group["position"][row], group["quaternion"][row]])[None])[0]
+    if not attributes["frame"].startswith("targets are base"):
+        pose = np.linalg.inv(mount) @ pose
+    q = np.asarray(group["q"][(*index, row)])
+    away, turned = pose_errors(chain, q[np.isfinite(q)].tolist(), pose.ravel().tolist())
+    return bool(away < 1e-3 and not turned > 1e-2)  # NaN where the rotation is free
+
+
+def _mount(group: Any, index: tuple[int, ...]) -> np.ndarray:
+    return np.array(group.attrs["mounts"][variant_name(index)])
 
 
 def _spheres(chain: Chain, q: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:

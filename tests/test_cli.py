@@ -1,6 +1,7 @@
 """The command: what it writes, how it refuses, and that nothing half-written stays."""
 
 import csv
+import dataclasses
 import json
 import os
 import subprocess
@@ -9,10 +10,13 @@ import sys
 import numpy as np
 import pyarrow.parquet
 import pytest
+from robots import FOLDER, ROBOTS
 
 import jaxik
 from jaxik import cli
+from jaxik.collision import hierarchical_clearance
 
+GRID = {"kind": "grid", "x": [0, 1, 2], "y": [0.5, 0.8, 2], "z": [0.3, 0.5, 2]}
 SCENE = """name = "bench"
 point_radius = 0.01
 [[object]]
@@ -76,21 +80,96 @@ def test_a_mistake_is_one_line_and_exit_code_2(tmp_path, monkeypatch, capsys, ar
     assert sorted(p.name for p in tmp_path.iterdir()) == ["broken.toml"]
 
 
-def test_a_failed_write_leaves_the_old_files(tmp_path, monkeypatch):
-    scene = tmp_path / "bench.toml"
+@pytest.fixture(scope="module")
+def harvested(tmp_path_factory):
+    scene = tmp_path_factory.mktemp("bench") / "bench.toml"
     scene.write_text(SCENE)
-    result = jaxik.harvest(jaxik.load("p6r"), jaxik.load_scene(scene), angles=8, slides=5)
+    return jaxik.harvest(jaxik.load("p6r"), jaxik.load_scene(scene), angles=8, slides=5)
+
+
+def fails(*_):
+    raise OSError("disk full")
+
+
+def draws(_, path):
+    path.write_bytes(b"a picture")
+
+
+def contents(folder):
+    return {p.name: p.read_bytes() for p in folder.iterdir()}
+
+
+def test_a_failed_write_leaves_the_old_files(harvested, tmp_path, monkeypatch):
     out = tmp_path / "out"
     out.mkdir()
     (out / "postures.csv").write_text("old")
-
-    def fails(*_):
-        raise OSError("disk full")
-
     monkeypatch.setattr("jaxik.plot.plot_harvest", fails)
     with pytest.raises(OSError, match="disk full"):
-        cli.write_harvest(result, out)
-    assert [p.name for p in out.iterdir()] == ["postures.csv"] and (out / "postures.csv").read_text() == "old"
+        cli.write_harvest(harvested, out)
+    assert contents(out) == {"postures.csv": b"old"}
+    with pytest.raises(OSError, match="disk full"):
+        cli.write_harvest(harvested, tmp_path / "new" / "out")
+    assert [p.name for p in tmp_path.rglob("*") if p.name != "new"] == ["out", "postures.csv"]
+
+
+@pytest.mark.parametrize("number", range(3))
+def test_what_cannot_be_replaced_leaves_all_the_old_files(harvested, tmp_path, monkeypatch, number):
+    """Whichever of the three it is; one that was not there is not there again, and what else lies in the folder stays."""
+    monkeypatch.setattr("jaxik.plot.plot_harvest", draws)
+    out, replace, calls = tmp_path / "out", os.replace, []
+    out.mkdir()
+    for name in ("harvest.png", "postures.csv", "notes.txt"):
+        (out / name).write_text(f"old {name}")
+    before = contents(out)
+
+    def once(source, target):
+        if "postures" in str(target) or "harvest.png" in str(target):
+            calls.append(target)
+            if len(calls) == number + 1:
+                raise PermissionError(f"{target}: no")
+        replace(source, target)
+
+    monkeypatch.setattr(os, "replace", once)
+    with pytest.raises(PermissionError):
+        cli.write_harvest(harvested, out)
+    assert contents(out) == before
+    monkeypatch.setattr(os, "replace", replace)
+    cli.write_harvest(harvested, out)
+    after = contents(out)
+    assert set(after) == {*before, "postures.npz"} and after["notes.txt"] == b"old notes.txt"
+    assert not any(after[name].startswith(b"old") for name in set(after) - {"notes.txt"})
+
+
+def test_a_new_folder_has_the_mode_of_others(harvested, tmp_path, monkeypatch):
+    monkeypatch.setattr("jaxik.plot.plot_harvest", draws)
+    (tmp_path / "other").mkdir()
+    cli.write_harvest(harvested, tmp_path / "deep" / "out")
+    assert (tmp_path / "deep" / "out").stat().st_mode == (tmp_path / "other").stat().st_mode
+    assert [p.name for p in (tmp_path / "deep").iterdir()] == ["out"]
+
+
+def test_an_out_that_is_a_file_is_told_first(tmp_path, monkeypatch, capsys):
+    monkeypatch.setattr(jaxik, "harvest", lambda *_, **__: pytest.fail("computed"))
+    monkeypatch.setattr(jaxik, "solve_ik", lambda *_, **__: pytest.fail("computed"))
+    monkeypatch.setattr(cli, "compilation_cache", lambda: None)
+    (tmp_path / "file").write_text("")
+    (tmp_path / "ik.csv").mkdir()
+    assert "is a file" in refused(monkeypatch, capsys, "harvest", "--out", tmp_path / "file")
+    assert "is a folder" in refused(monkeypatch, capsys, "ik", "p6r", "absent.csv", "--out", tmp_path / "ik.csv")
+
+
+def test_units_are_said(harvested, tmp_path, monkeypatch, capsys):
+    """In the table, where brackets once were taken for a style, and in the header; the arrays keep their names."""
+    monkeypatch.setenv("COLUMNS", "240")
+    monkeypatch.setattr("jaxik.plot.plot_harvest", draws)
+    cli._print_table(harvested._replace(scene=dataclasses.replace(harvested.scene, name="bench [red]")))
+    printed = " ".join(capsys.readouterr().out.split())
+    assert "clearance [mm]" in printed and "bench [red]" in printed
+    cli.write_harvest(harvested, tmp_path / "out")
+    header = next(csv.reader((tmp_path / "out" / "postures.csv").read_text().splitlines()))
+    assert {"fruit", "reason", "angle [rad]", "clearance [m]", "position_error [m]", "rotation_error [rad]"} < set(header)
+    with np.load(tmp_path / "out" / "postures.npz", allow_pickle=False) as arrays:
+        assert {"fruit", "reason", "angle", "clearance", "position_error", "rotation_error", "q"} < set(arrays)
 
 
 @pytest.mark.parametrize("option, words", [(("--weights.reach", "0"), "reach > 0"), (("--wieghts.reach", "1"), "wieghts")])
@@ -98,6 +177,113 @@ def test_a_mistake_in_an_option_names_it(monkeypatch, capsys, option, words):
     with pytest.raises(SystemExit) as exit:
         call(monkeypatch, "harvest", *option)
     assert exit.value.code == 2 and words in capsys.readouterr().err
+
+
+def refused(monkeypatch, capsys, *arguments):
+    """The one line of a call that is refused."""
+    with pytest.raises(SystemExit) as exit:
+        call(monkeypatch, *arguments)
+    printed = capsys.readouterr().err.splitlines()  # a progress bar among them
+    lines = [line for line in printed if line.startswith("jaxik: ")]
+    assert exit.value.code == 2 and len(lines) == 1 and printed[-1] == lines[0], printed
+    return lines[0]
+
+
+def stopped(*_, **__):
+    raise ValueError("far enough")
+
+
+def test_meshes_are_asked_for(tmp_path, monkeypatch, capsys):
+    """What a scene needs is said before anything compiles, and can be given."""
+    monkeypatch.setattr(cli, "compilation_cache", lambda: None)
+    file, tip = ROBOTS["panda"]
+    targets = tmp_path / "targets.csv"
+    targets.write_text("x,y,z\n0.4,0.1,0.4\n")
+    words = ("ik", FOLDER / file, targets, "--tip", tip, "--scene", "cucumber_row", "--out", tmp_path / "ik.csv")
+    monkeypatch.setattr("jaxik.ik.search", stopped)
+    line = refused(monkeypatch, capsys, *words)
+    assert "meshes of panda_link0" in line and "meshes=True (--meshes)" in line
+    seen = []
+    monkeypatch.setattr(jaxik, "solve_ik", lambda chain, *_, **__: stopped(seen.append(chain)))
+    assert "far enough" in refused(monkeypatch, capsys, *words, "--meshes") and seen[0].boxes and not seen[0].unread_meshes
+    monkeypatch.setattr(jaxik, "harvest", lambda chain, *_, **__: stopped(seen.append(chain)))
+    line = refused(monkeypatch, capsys, "harvest", "--robot", FOLDER / file, "--tip", tip, "--meshes")
+    assert "far enough" in line and seen[1].boxes
+
+
+def test_drivers_say_what_is_missing_before_they_compile(monkeypatch):
+    bare, scene = dataclasses.replace(jaxik.load("p6r"), boxes=()), jaxik.load_scene("cucumber_row")
+    half = dataclasses.replace(jaxik.load("p6r"), unread_meshes=("upper_arm_link",))
+    for place in ("jaxik.ik.search", "jaxik.scan._candidates", "jaxik.score.closed_forms", "jaxik.closed_form.closed_forms"):
+        module, _, name = place.rpartition(".")
+        monkeypatch.setattr(sys.modules[module], name, lambda *_, **__: pytest.fail("compiled"))
+    for chain, words in ((bare, "no collision geometry"), (half, "meshes of upper_arm_link")):
+        study = {"robot": chain, "collision": {"scene": scene}, "targets": {"kind": "crop"}}
+        for driver in (
+            lambda chain: jaxik.solve_ik(chain, np.eye(4), scene),
+            lambda chain: jaxik.scan(chain, scene, scene.fruits[0]),
+            lambda chain: jaxik.harvest(chain, scene),
+            lambda chain: jaxik.likely_postures(chain, scene, np.eye(4)[None]),
+            lambda chain: hierarchical_clearance(chain, scene, np.zeros(7)),
+            lambda chain, study=study: jaxik.Study.of(study | {"targets": GRID}),
+        ):
+            with pytest.raises(ValueError, match=words) as error:
+                driver(chain)
+            assert "\n" not in str(error.value)
+
+
+def test_a_cell_without_a_fruit(tmp_path, monkeypatch, capsys):
+    """It is in the way of inverse kinematics and of a sweep; only a harvest needs fruits."""
+    monkeypatch.setattr(cli, "compilation_cache", lambda: None)
+    cell, targets = tmp_path / "cell.toml", tmp_path / "targets.csv"
+    cell.write_text('name = "cell"\n[[object]]\nname = "table"\nboxes = [[0.5, 0, -0.1, 1, 1, 0.1]]\n')
+    targets.write_text("x,y,z\n0.5,0.6,0.4\n")
+    seen = []
+    monkeypatch.setattr(jaxik, "solve_ik", lambda chain, poses, scene, *_, **__: stopped(seen.append(scene)))
+    assert "far enough" in refused(monkeypatch, capsys, "ik", "p6r", targets, "--scene", cell)
+    assert seen[0].object_names == ("table",)
+    study = jaxik.Study.of({"robot": "p6r", "collision": {"scene": str(cell)}, "targets": GRID})
+    assert study.scene.counts["boxes"] == 1
+    line = refused(monkeypatch, capsys, "harvest", "--scene", cell, "--out", tmp_path / "out")
+    assert "scene 'cell' has no fruit" in line
+    monkeypatch.setattr("jaxik.view.Page", lambda *_: stopped())
+    assert "far enough" in refused(monkeypatch, capsys, "view", "p6r", "--scene", cell)
+    assert "no fruit" in refused(monkeypatch, capsys, "view", "p6r", "--scene", cell, "--harvest")
+
+
+@pytest.mark.parametrize(
+    "targets, words",
+    [
+        ({"kind": "grid", "x": [-800, 800, 5], "y": [-800, 800, 5], "z": [0, 900, 5]}, "p6r, which reaches .* millimetres?"),
+        ({"kind": "grid", "x": [300, 800, 5], "y": [600, 600, 1], "z": [400, 400, 1], "frame": "base"}, "millimetres?"),
+        ({"kind": "file", "poses": [[500.0, 600.0, 400.0]]}, "millimetres?"),
+        ({"kind": "voxels", "size": 50}, "millimetres?"),
+    ],
+)
+def test_a_study_in_millimetres(targets, words):
+    with pytest.raises(ValueError, match=words) as error:
+        jaxik.Study.of({"robot": "p6r", "targets": targets})
+    assert "\n" not in str(error.value) and "targets: " in str(error.value)
+
+
+def test_a_study_that_is_far_away_or_says_its_unit():
+    far = {"kind": "grid", "x": [4.0, 5.0, 3], "y": [0.2, 0.9, 3], "z": [0.0, 1.0, 3]}
+    assert len(jaxik.Study.of({"robot": "p6r", "targets": far}).targets) == 27
+    small = {"kind": "grid", "x_mm": [-300, 1300, 17], "y_cm": [20, 90, 8], "z": [0, 1, 11]}
+    axes = jaxik.Study.of({"robot": "p6r", "targets": small}).targets.axes
+    assert [len(a) for a in axes] == [17, 8, 11] and np.allclose([a[[0, -1]] for a in axes[:2]], [[-0.3, 1.3], [0.2, 0.9]])
+
+
+@pytest.mark.parametrize("typo, words", [("target", "did you mean 'targets'"), ("colision", "did you mean 'collision'")])
+def test_a_misspelt_table_of_a_study_is_named(typo, words):
+    for study in ({"robot": "p6r", typo: GRID}, {"robot": "absent", typo: GRID}, {typo: GRID, "targets": GRID}):
+        with pytest.raises(ValueError, match=f"unknown key '{typo}'.*{words}"):
+            jaxik.Study.of(study)
+
+
+def test_version(monkeypatch, capsys):
+    call(monkeypatch, "--version")
+    assert capsys.readouterr().out == f"jaxik {jaxik.__version__}\n"
 
 
 def test_about(monkeypatch, capsys):
@@ -145,9 +331,21 @@ def test_ik_writes_the_answers_of_any_file(tmp_path, monkeypatch, capsys):
     for i in (0, 1, 2, 4):
         np.testing.assert_allclose(jaxik.forward_kinematics(chain, tables[0]["q"][i]), poses[i], atol=2e-6)
     np.testing.assert_allclose(tables[1]["q"], tables[2]["q"], atol=1e-5)
+    out = tmp_path / "table.csv"
+    call(monkeypatch, "ik", "chembuly9", tmp_path / "targets.csv", "--out", out)
+    rows = list(csv.DictReader(out.read_text().splitlines()))
+    assert [row["reason"] for row in rows] == list(tables[0]["reason"])
+    assert np.array_equal([[float(row[name]) for name in chain.joint_names] for row in rows], tables[0]["q"], equal_nan=True)
+    for name, unit in (("position_error", "m"), ("rotation_error", "rad"), ("clearance", "m")):
+        assert np.array_equal([float(row[f"{name} [{unit}]"]) for row in rows], tables[0][name], equal_nan=True)
+    millimetres = [np.vstack([np.column_stack([p[:3, :3], 1000.0 * p[:3, 3]]), p[3:]]) for p in poses]
+    call(monkeypatch, "ik", "chembuly9", targets_file(tmp_path / "mm.json", millimetres), "--out", out)
+    lines = capsys.readouterr().out.splitlines()[1:]
+    assert "out of reach: 5" in lines and any("chembuly9, which reaches" in x and "millimetres?" in x for x in lines)
     out = tmp_path / "positions.parquet"
     (tmp_path / "positions.csv").write_text("x,y,z\n" + "\n".join(",".join(map(str, p[:3, 3])) for p in poses))
     call(monkeypatch, "ik", "chembuly9", tmp_path / "positions.csv", "--out", out)
+    assert capsys.readouterr().out.splitlines()[0].startswith("position only: ")
     table = pyarrow.parquet.read_table(out).to_pydict()
     assert table["reason"] == ["solved"] * 3 + ["out of reach", "solved"] and set(chain.joint_names) < set(table)
 
@@ -181,7 +379,7 @@ def test_targets_are_refused_in_one_line(tmp_path, monkeypatch, capsys, content,
 def test_ik_refuses_an_ending_that_it_cannot_write(tmp_path, monkeypatch, capsys):
     with pytest.raises(SystemExit):
         call(monkeypatch, "ik", "planar2", "absent.csv", "--out", tmp_path / "ik.xlsx")
-    assert ".npz, .parquet" in capsys.readouterr().err
+    assert ".npz, .csv, .parquet" in capsys.readouterr().err
     np.savez(tmp_path / "wrong.npz", poses=np.zeros((2, 3, 3)))
     np.savez_compressed(tmp_path / "cut.npz", poses=np.random.default_rng(0).normal(size=(50, 4, 4)))
     content = bytearray((tmp_path / "cut.npz").read_bytes())

@@ -61,7 +61,7 @@ def test_the_shipped_row_is_the_generators(tmp_path):
 @pytest.mark.parametrize(
     "text, words",
     [
-        ('name = "s"\n[[object]]\nname = "a"\npoints = [[0, 0, 0]]\n', "no fruit"),
+        ('name = "s"\n', "neither an object nor a fruit"),
         ('name = "s"\n[[fruit]]\nname = "f"\nposition = [0, nan, 0]\n', "NaN"),
         ('name = "s"\n[[fruit]]\nname = "f"\nposition = [0, 700, 0]\n', "over 100 m"),
         ('name = "s"\n[[fruit]]\nname = "f"\nposition = [0, 1, 0]\n[[fruit]]\nname = "f"\nposition = [0, 1, 0]\n', "twice"),

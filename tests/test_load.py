@@ -1,7 +1,11 @@
 """Loaders: every refusal is one line that names file, element and mend; nothing but LoadError comes out of any bytes."""
 
+import io
+import json
 import struct
+import zipfile
 
+import jax
 import numpy as np
 import pytest
 from hypothesis import HealthCheck, given, settings
@@ -10,6 +14,7 @@ from robots import FOLDER, ROBOTS
 
 import jaxik
 from jaxik.collision import world_volumes
+from jaxik.load import targets as target_files
 from jaxik.load.assemble import MAX_BYTES
 
 URDF = """<robot name="arm"><link name="base"/><link name="upper"/><link name="tool"/>
@@ -140,6 +145,8 @@ def test_base_and_tip_are_found_or_refused(tmp_path):
         ("size = [0.1, 0.1, 0.2]", "size = [0.1, 0.1, 0]", ("shape 1", "not positive")),
         ('link = "turn_link"', 'link = "hand"', ("shape 1", "no such link 'hand'")),
         ('name = "arm"', "name = 3", ("'name'",)),
+        ("size = [0.1, 0.1, 0.2]", "sizes = [0.1, 0.1, 0.2]", ("'size' is missing", "is it 'sizes'?")),
+        ("[[shape]]", "[[shapes]]", ("unknown key 'shapes'", "did you mean 'shape'?")),
         ("[[shape]]", "[shape]", ("list of tables",)),
         ("[[joint]]", "[[joint", ("malformed TOML",)),
     ],
@@ -157,6 +164,14 @@ def test_toml_refusals(tmp_path, old, new, words):
         ('type="slide"', 'type="ball"', ("joint 'wrist'", "ball")),
         ("</worldbody>", '</worldbody><equality><joint joint1="wrist" joint2="shoulder"/></equality>', ("'wrist'", "mimic")),
         ('geom size=".1"', 'geom type="mesh" mesh="m"', ("MuJoCo refuses",)),
+        ("<worldbody>", '<compiler texturedir="/etc"/><worldbody>', ("texturedir", "outside")),
+        ("<worldbody>", '<asset><hfield name="m" file="../../m.png"/></asset><worldbody>', ("hfield", "outside")),
+        ("<worldbody>", '<asset><model name="m" file="../../m.xml"/></asset><worldbody>', ("model", "outside")),
+        ("<worldbody>", '<deformable><skin name="m" file="/m.skn"/></deformable><worldbody>', ("skin", "outside")),
+        *(
+            ("<worldbody>", f'<asset><texture type="cube" {key}="../../m.png"/></asset><worldbody>', (key, "outside"))
+            for key in ("file", "fileright", "fileleft", "fileup", "filedown", "filefront", "fileback")
+        ),
         ("<worldbody>", '<asset><mesh name="m" file="../../etc/m.stl"/></asset><worldbody>', ("outside",)),
         ("<worldbody>", '<include file="/etc/hostname"/><worldbody>', ("outside",)),
         ("<mujoco>", f"{EXTERNAL.replace('robot', 'mujoco')}<mujoco>", ("entity",)),
@@ -168,6 +183,44 @@ def test_mjcf_refusals(tmp_path, old, new, words):
     assert text != MJCF
     refused(write(tmp_path, "arm.xml", text), *words)
     refused(write(tmp_path, "good.xml", MJCF), "tip 'hand'", "bodies: world, upper, tool", tip="hand")
+
+
+def test_files_of_an_attached_model_stay_below_the_folder(tmp_path):
+    """What a model names in its assets is a model itself, with files beside it."""
+    model, part = tmp_path / "model", tmp_path / "model" / "part"
+    part.mkdir(parents=True)
+    attached = '<asset><model name="m" file="part/hand.xml"/></asset><worldbody>'
+    path = write(model, "arm.xml", MJCF.replace("<worldbody>", attached, 1))
+    write(part, "hand.xml", MJCF)
+    assert jaxik.load(path).num_joints == 2
+    write(model, "more.xml", '<mujocoinclude><default><geom density="1"/></default></mujocoinclude>')
+    write(part, "hand.xml", MJCF.replace("<worldbody>", '<include file="../more.xml"/><worldbody>', 1))
+    jaxik.load(path)  # not below part/, and below the model's folder
+    (tmp_path / "secret.stl").write_text("solid")
+    secret = '<asset><mesh name="s" file="../../secret.stl"/></asset><worldbody>'
+    for content in (MJCF.replace("<worldbody>", secret, 1), f"{EXTERNAL.replace('robot', 'mujoco')}{MJCF}", "<robot"):
+        write(part, "hand.xml", content)
+        with pytest.raises(jaxik.LoadError, match=r"outside|entity|malformed"):
+            jaxik.load(path)
+
+
+def test_an_include_has_any_root(tmp_path):
+    write(tmp_path, "more.xml", '<mujocoinclude><default><geom density="1"/></default></mujocoinclude>')
+    path = write(tmp_path, "arm.xml", MJCF.replace("<worldbody>", '<include file="more.xml"/><worldbody>', 1))
+    assert jaxik.load(path).num_joints == 2
+
+
+def test_a_mesh_file_reads_no_other_file(tmp_path):
+    """A material library outside of the folder, and an archive that grows, are left alone."""
+    mesh = '<link name="tool"><collision><geometry><mesh filename="m.obj"/></geometry></collision></link>'
+    path = write(tmp_path, "arm.urdf", URDF.replace('<link name="tool"/>', mesh))
+    corners = "\n".join(f"v {x} {y} {z}" for x in (0, 1) for y in (0, 1) for z in (0, 1))
+    write(tmp_path, "m.obj", f"mtllib ../secret.mtl\n{corners}\nf 1 2 3\nf 5 6 8\n")
+    assert np.allclose(sorted(jaxik.load(path, meshes=True).boxes[0].half), 0.5)
+    with zipfile.ZipFile(tmp_path / "m.zip", "w") as archive:
+        archive.write(tmp_path / "m.obj", "m.obj")
+    path = write(tmp_path, "arm.urdf", path.read_text().replace("m.obj", "m.zip"))
+    refused(path, "mesh 'm.zip'", "ending '.zip'", ".stl, .obj", meshes=True)
 
 
 @pytest.mark.parametrize("name", ["../../secret.stl", "/etc/secret.stl", "package://pkg/../secret.stl", "http://host/m.stl"])
@@ -183,16 +236,162 @@ def test_files_over_the_stated_size_are_refused(tmp_path):
     refused(write(tmp_path, "scene.csv", b"label,x,y,z\n" + b" " * MAX_BYTES), str(MAX_BYTES), reader=jaxik.load_scene)
 
 
+READERS = {".urdf": jaxik.load, ".xml": jaxik.load, ".toml": jaxik.load, ".ply": jaxik.load_scene}
+READERS |= {ending: jaxik.load_targets for ending in (".csv", ".npz", ".json")}
+
+
+@pytest.mark.parametrize("ending", READERS)
+def test_a_file_that_is_not_there_is_said_to_be_that(tmp_path, ending):
+    refused(tmp_path / f"absent{ending}", "cannot be read (No such file", "check the path", reader=READERS[ending])
+    with pytest.raises(jaxik.LoadError, match=r"^((?!malformed).)*$"):
+        READERS[ending](tmp_path / f"absent{ending}")
+    (tmp_path / f"folder{ending}").mkdir()
+    refused(tmp_path / f"folder{ending}", "cannot be read", "directory", reader=READERS[ending])
+    refused(write(tmp_path, f"empty{ending}", ""), reader=READERS[ending])
+    refused(tmp_path / f"{400 * 'a'}{ending}", "cannot be read", "too long", reader=READERS[ending])
+    with pytest.raises(jaxik.LoadError, match="null"):
+        READERS[ending](f"a\0{ending}")
+
+
+def test_siblings_of_a_robot_file_that_are_not_there(tmp_path):
+    arm = write(tmp_path, "arm.urdf", URDF)
+    with pytest.raises(jaxik.LoadError, match=r"absent.srdf: file: cannot be read"):
+        jaxik.load(arm, srdf=tmp_path / "absent.srdf")
+    for reader in (jaxik.load, jaxik.load_scene):
+        with pytest.raises(jaxik.LoadError, match="ending ''"):
+            reader(tmp_path)
+        with pytest.raises(jaxik.LoadError, match="no such shipped"):
+            reader("absent")
+
+
 def test_nearly_unit_axes_are_made_unit(tmp_path):
     chain = jaxik.load(write(tmp_path, "arm.urdf", URDF.replace('axis xyz="0 0 1"', 'axis xyz="0.577 0.577 0.577"')))
     assert abs(np.linalg.norm(chain.axis[0]) - 1.0) <= 1e-15
 
 
 # --------------------------------------------------------------------------------------------------------------------
+# Targets
+
+LOST = (
+    *("w,i,j,k", "roll,pitch,yaw", "Roll,Pitch,Yaw", "rx,ry,rz", "RX,RY,RZ", "a,b,c,d", "A,B,C", "yaw", "yaw_deg", "yaw [rad]"),
+    *("rotx,roty,rotz", "rot_x,rot_y,rot_z", "rotation_x,rotation_y,rotation_z", "q0,q1,q2,q3", "q1,q2,q3,q4", "ow,ox,oy,oz"),
+    *("Qw,Qx,Qy,Qz", "QX,QY,QZ,QW", "q_w,q_x,q_y,q_z", "quat_w,quat_x,quat_y,quat_z", "orientation.w,orientation.x"),
+    *(
+        "pose.orientation.x",
+        "phi,theta,psi",
+        "alpha,beta,gamma",
+        "r11,r12,r13,r21,r22,r23,r31,r32,r33",
+        "euler_x",
+        "axis_x,angle",
+    ),
+    *("w,p,r", "rvec_x,rvec_y,rvec_z", "heading", "wxyz", "tcp_rz_deg", "qi,qj,qk,qr", "nx,ny,nz", "W,P,R"),
+)
+SPARE = ("i", "name,label,id", "weight", "k,time", "w", "a,b", "rotation_error,position_error", "q1,q2,q3,q4,q5,q6", "ok,row")
+
+
+@pytest.mark.parametrize("columns", LOST)
+def test_a_rotation_by_other_names_is_not_lost(tmp_path, columns):
+    count = len(columns.split(","))
+    path = write(tmp_path, "targets.csv", f"x,y,z,{columns}\n1,2,3{',0' * count}\n")
+    refused(path, "header", columns.split(",")[0], "qw, qx, qy, qz", "position", reader=jaxik.load_targets)
+
+
+@pytest.mark.parametrize("columns", SPARE)
+def test_other_columns_are_not_read(tmp_path, columns):
+    count = len(columns.split(","))
+    path = write(tmp_path, "targets.csv", f"x,y,z,{columns}\n1,2,3{',0' * count}\n")
+    assert np.array_equal(jaxik.load_targets(path), [[1.0, 2.0, 3.0]])
+    path = write(tmp_path, "targets.csv", f"x,y,z,{columns},qw,qx,qy,qz,roll\n1,2,3{',0' * count},1,0,0,0,9\n")
+    assert jaxik.load_targets(path).shape == (1, 4, 4)  # the rotation is there
+
+
+@pytest.mark.parametrize(
+    "row, words",
+    [
+        ({"position": [1, 2, 3], "quaternion": [1, 0, 0, 0]}, ("'quaternion'", "wxyz")),
+        ({"position": [1, 2, 3], "xyzw": [0, 0, 0, 1]}, ("'xyzw'", "wxyz")),
+        ({"position": [1, 2, 3], "rpy": [0, 0, 0]}, ("'rpy'", "wxyz")),
+        ({"position": [1, 2, 3], "orientation": {}}, ("'orientation'", "wxyz")),
+        ({"position": [[1], [2], [3]]}, ("target 1", "'position' is not 3 numbers")),
+        ({"pose": list(range(16))}, ("target 1", "'pose' is not 4 rows of 4 numbers")),
+        ({"pose": [list(range(8))] * 2}, ("target 1", "'pose' is not 4 rows of 4 numbers")),
+        ({"position": ["1", "2", "3"]}, ("target 1", "'position' is not 3 numbers")),
+        ({"position": [True, 2, 3]}, ("target 1", "'position' is not 3 numbers")),
+        ({"position": [10**400, 2, 3]}, ("target 1", "'position'")),
+        ({"position": {}}, ("target 1", "'position'")),
+    ],
+)
+def test_targets_in_json_are_not_reshaped(tmp_path, row, words):
+    refused(write(tmp_path, "targets.json", json.dumps([row])), *words, reader=jaxik.load_targets)
+
+
+def test_a_target_left_out_in_json(tmp_path):
+    assert np.isnan(jaxik.load_targets(write(tmp_path, "t.json", '[{"position": [null, 0, 1]}]'))[0, 0])
+
+
+@pytest.mark.parametrize(
+    "content, words",
+    [
+        ("x,y,z,x\n1,2,3,4\n", ("column 'x'", "twice")),
+        ("x,y,z\n0,5,0,6,0,7\n", ("line 2", "6 fields for 3 columns")),
+        ("x;y;z\n0;5;0\n", ("header", "lacks x, y, z")),
+    ],
+)
+def test_rows_of_another_length(tmp_path, content, words):
+    refused(write(tmp_path, "targets.csv", content), *words, reader=jaxik.load_targets)
+    assert jaxik.load_targets(write(tmp_path, "good.csv", "x,y,z\n1,2,3,\n")).shape == (1, 3)  # a comma at the end is none
+
+
+def npy(shape, content=b"", dtype="<f8"):
+    head = io.BytesIO()
+    np.lib.format.write_array_header_1_0(head, {"descr": dtype, "fortran_order": False, "shape": shape})
+    return head.getvalue() + content
+
+
+def npz(path, **members):
+    with zipfile.ZipFile(path, "w", zipfile.ZIP_DEFLATED) as archive:
+        for name, content in members.items():
+            archive.writestr(f"{name}.npy", content)
+    return path
+
+
+def test_an_npz_is_bounded_by_what_it_holds(tmp_path, monkeypatch):
+    """By the sizes in the archive and the arrays' headers, before anything is unpacked."""
+    monkeypatch.setattr(target_files, "MOST", 2**16)
+    bomb = npz(tmp_path / "bomb.npz", positions=npy((100_000, 3), bytes(24 * 100_000)))
+    assert bomb.stat().st_size < 2**14
+    refused(bomb, "'positions'", "2400128 bytes", "at most 65536", reader=jaxik.load_targets)
+    small = npz(tmp_path / "wide.npz", positions=npy((10_000, 3), bytes(30_000), "|i1"))  # eight times that as numbers
+    refused(small, "'positions'", "240000 bytes", "at most 65536", reader=jaxik.load_targets)
+    liar = npz(tmp_path / "liar.npz", positions=npy((10**12, 3), bytes(24)))
+    refused(liar, "'positions'", "at most 65536", reader=jaxik.load_targets)
+    short = npz(tmp_path / "short.npz", positions=npy((20, 3), bytes(24)))
+    refused(short, "no NPZ of numbers", reader=jaxik.load_targets)
+    good = npz(tmp_path / "good.npz", positions=npy((2, 3), bytes(48)), others=npy((100_000, 3), bytes(24 * 100_000)))
+    assert jaxik.load_targets(good).shape == (2, 3)  # others are not read
+
+
+@pytest.mark.parametrize(
+    "arrays, words",
+    [
+        ({"positions": np.zeros((2, 3), complex)}, ("'positions'", "complex128")),
+        ({"positions": np.array([["1", "2", "3"]])}, ("'positions'", "<U1")),
+        ({"positions": np.zeros((2, 3), bool)}, ("'positions'", "bool")),
+        ({"positions": np.zeros((2, 3)), "quaternions": np.zeros((2, 4))}, ("'quaternions'", "wxyz")),
+        ({"positions": np.zeros((2, 3)), "rotations": np.zeros((2, 3, 3))}, ("'rotations'", "wxyz")),
+        ({"positions": np.array(1.0)}, ("shape ()", "(N, 3)")),
+    ],
+)
+def test_arrays_of_targets(tmp_path, arrays, words):
+    np.savez(tmp_path / "t.npz", **arrays)
+    refused(tmp_path / "t.npz", *words, reader=jaxik.load_targets)
+
+
+# --------------------------------------------------------------------------------------------------------------------
 # Fuzz
 
 
-def _mutated(text):
+def _mutated(sample):
     """Files near a good one: pieces cut out, doubled, replaced by bytes, numbers and words that mean something elsewhere."""
     words = [
         "nan",
@@ -215,13 +414,15 @@ def _mutated(text):
         "&lt;",
     ]
     piece = st.one_of(st.sampled_from(words), st.binary(max_size=6).map(lambda b: b.decode("latin-1")))
+    binary = isinstance(sample, bytes)  # a character a byte, there and back
+    text = sample.decode("latin-1") if binary else sample
     cut = st.tuples(st.integers(0, len(text)), st.integers(0, 30), piece)
 
     def apply(cuts):
         result = text
         for start, length, new in cuts:
             result = result[:start] + new + result[start + length :]
-        return result.encode("utf-8", "surrogatepass")
+        return result.encode("latin-1", "replace") if binary else result.encode("utf-8", "surrogatepass")
 
     return st.lists(cut, min_size=1, max_size=4).map(apply)
 
@@ -235,10 +436,31 @@ def _survives(reader, path):
     except jaxik.LoadError as error:
         assert "\n" not in str(error)
         return
-    numbers = found.parent_T_joint if isinstance(found, jaxik.Chain) else found.points.center
-    assert np.all(np.isfinite(numbers))
+    if isinstance(found, np.ndarray):
+        assert found.shape[1:] in ((3,), (4, 4))
+        return
+    leaves = jax.tree_util.tree_leaves(found) if isinstance(found, jaxik.Scene) else [found.parent_T_joint]
+    assert all(np.all(np.isfinite(x)) for x in leaves)
 
 
+def packed(**arrays):
+    file = io.BytesIO()
+    np.savez_compressed(file, **arrays)
+    return file.getvalue()
+
+
+NPZ = packed(positions=np.ones((2, 3)), wxyz=np.ones((2, 4)))
+CELL = """name = "cell"
+[[object]]
+name = "a"
+boxes = [[0.5, 0, -0.1, 1, 1, 0.1]]
+cylinders = [[0.5, 0, 0, 0.1, 1]]
+rotations = [[[1, 0, 0], [0, 1, 0], [0, 0, 1]], [[0, -1, 0], [1, 0, 0], [0, 0, 1]]]
+[[fruit]]
+name = "b"
+position = [0, 0, 0]
+spheres = [[0, 0, 0, 0.1]]
+"""
 CSV = "label,x,y,z\nleaf_1,0.1,0.7,0.5\nfruit_1,0.1,0.7,0.4\nfruit_1,0.1,0.7,0.2\n"
 
 
@@ -257,8 +479,12 @@ PLY = ply([(0.1, 0.7, 0.5, 1), (0.1, 0.7, 0.4, 2), (0.1, 0.7, 0.2, 2)], {1: "lea
     [
         *((jaxik.load, name, sample) for name, sample in FILES.items()),
         (jaxik.load_scene, "scene.toml", SCENE),
+        (jaxik.load_scene, "cell.toml", CELL),
+        (jaxik.load_targets, "targets.csv", "x,y,z,qw,qx,qy,qz\n0.1,0.2,0.3,1,0,0,0\n0.2,0.2,0.3,0,1,0,0\n"),
+        (jaxik.load_targets, "targets.json", '[{"position": [1, 2.5, null], "wxyz": [1, 0, 0, 0]}]'),
+        (jaxik.load_targets, "targets.npz", NPZ),
         (jaxik.load_scene, "scene.csv", CSV),
-        (jaxik.load_scene, "scene.ply", PLY.decode("latin-1")),
+        (jaxik.load_scene, "scene.ply", PLY),
     ],
 )
 @FUZZ
@@ -286,7 +512,7 @@ def test_labelled_points(tmp_path, name, content):
         ("label,x,y,z\nleaf,1,2\n", ("line 2",)),
         ("label,x,y,z\nleaf,1,2,nan\nfruit_1,0,0,0\n", ("'leaf'", "NaN")),
         ("label,x,y,z\nleaf,1,2,300\nfruit_1,0,0,0\n", ("'leaf'", "300 m, over 100 m", "millimetres")),
-        ("label,x,y,z\nleaf,1,2,3\n", ("no fruit",)),
+        ("label,x,y,z\n", ("neither an object nor a fruit",)),
     ],
 )
 def test_bad_points_are_one_line(tmp_path, content, words):

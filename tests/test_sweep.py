@@ -6,6 +6,7 @@ import itertools
 import json
 import os
 import pickle
+import shutil
 import signal
 import subprocess
 import sys
@@ -36,6 +37,7 @@ GRID = {
     "roll_deg": [0, 90],
 }
 SMALL = {"robot": "p6r", "slides": 11, "chunk": 100, "audited": 0, "targets": GRID}
+TWO = SMALL | {"base": {"y": [0.0, 0.1]}, "chunk": 22, "targets": GRID | {"x": [-0.1, 1.1, 3], "y": [0.3, 0.8, 3]}}
 CROWDED = SMALL | {"collision": {"scene": "cucumber_row"}, "slides": 5, "chunk": 50}
 BARE = dataclasses.replace(jaxik.load("p6r"), boxes=())
 DATA = ("reachable", "reason", "proven", "between", "solutions", "q", "clearance", "limit_margin", "manipulability")
@@ -45,6 +47,12 @@ DATA = ("reachable", "reason", "proven", "between", "solutions", "q", "clearance
 def small(tmp_path_factory):
     """An uninterrupted sweep, for all that only look at it."""
     return jaxik.sweep(SMALL, tmp_path_factory.mktemp("small") / "s.zarr")
+
+
+@pytest.fixture(scope="module")
+def two(tmp_path_factory):
+    """The same of two variants, nine chunks each, the last a short one: shard 2/2 has other chunks of the second."""
+    return jaxik.sweep(TWO, tmp_path_factory.mktemp("two") / "t.zarr")
 
 
 def same(a, b):
@@ -317,13 +325,36 @@ def test_crops_keep_clear_of_their_own_scene():
         ({"robot": BARE, "collision": {"scene": "cucumber_row"}}, "no collision geometry"),
         ({"ik": {"choice": "best"}}, "choice 'best'"),
         ({"robots": ["p6r", "p6r"], "robot": None}, "two robots of one name"),
+        ({"out": "a.zarr"}, "unknown key 'out'"),
+        ({"robot": {"file": "p6r", "meshes": "no"}}, "meshes = 'no'"),
+        ({"tool": {"up": [1, 0, 0]}, "targets": GRID | {"directions": "any", "roll_deg": None}}, "no target has a direction"),
+        ({"targets": GRID | {"directions": "any"}}, "'roll' without directions"),
+        ({"targets": GRID | {"roll_deg": []}}, "roll holds no number"),
+        ({"targets": {"kind": "crop", "frame": "base"}}, "a crop stands in the world"),
+        ({"targets": {"poses": [[0, 1, 0]], "path": "a.csv"}}, "path and poses say the same"),
+        ({"base": {"y": []}}, "y holds no number"),
+        ({"base": {"y": [0.0, float("inf")]}}, "y holds inf"),
+        ({"parameters": {"slide.upper": []}}, "slide.upper holds no number"),
+        ({"collision": {"margin": float("inf")}}, "margin holds inf"),
+        ({"collision": {"reach": float("inf")}}, "reach holds inf"),
+        ({"ik": {"position_tolerance": 0.0}}, "position_tolerance = 0"),
+        ({"ik": {"rotation_tolerance": float("inf")}}, "rotation_tolerance holds inf"),
+        ({"chunk": float("inf")}, "chunk = inf"),
+        ({"targets": GRID | {"x": [0.0, 1.0, float("inf")]}}, r"x = [0, 1, inf]"),
     ],
 )
 def test_a_study_that_cannot_be_read(change, words):
     study = {k: v for k, v in (SMALL | change).items() if v is not None}
+    study["targets"] = {k: v for k, v in study["targets"].items() if v is not None}
     with pytest.raises(ValueError, match=words.replace("[", r"\[")) as error:
         jaxik.Study.of(study)
     assert "\n" not in str(error.value)
+
+
+def test_an_empty_collision_table_keeps_the_margin_in_a_search_too():
+    """The robot from itself, by the margin that the store names, whichever way its targets are answered."""
+    study = jaxik.Study.of({"robot": "crops_v2", "collision": {}, "targets": {"poses": [[0.5, 0.5, 0.5]]}})
+    assert study.collision and study.ik.margin == study.margin == 0.005
 
 
 # --------------------------------------------------------------------------------------------------------------------
@@ -345,49 +376,72 @@ def test_store_is_read_by_xarray_and_says_what_it_holds(small):
 
 KILLED = """
 import sys, time, json, jaxik
-print("up", flush=True)
-jaxik.sweep(json.loads(sys.argv[1]), sys.argv[2], progress=lambda done, total: print(done, flush=True))
+jaxik.sweep(json.loads(sys.argv[1]), sys.argv[2], progress=lambda done, total: print(done, flush=True) or time.sleep(0.02))
 """
 
 
-def test_killed_at_any_moment_it_ends_with_the_same_bits(small, tmp_path):
-    """kill -9 after a few of its chunks and a random while; then a rerun to the end. Finished chunks are not touched again."""
+def test_killed_at_any_moment_it_ends_with_the_same_bits(two, tmp_path):
+    """kill -9 after one of its chunks and a random while; then a rerun to the end. Finished chunks are not touched again."""
     rng, path = np.random.default_rng(0), tmp_path / "k.zarr"
     for turn in range(3):
-        process = subprocess.Popen(
-            [sys.executable, "-c", KILLED, json.dumps(SMALL), str(path)], stdout=subprocess.PIPE, text=True
-        )
-        first = next(int(line) for line in process.stdout if line.strip().isdigit())
-        for line in process.stdout:
-            if int(line) >= first + 100:
-                break
+        command = [sys.executable, "-c", KILLED, json.dumps(TWO), str(path)]
+        process = subprocess.Popen(command, stdout=subprocess.PIPE, text=True)
+        first = int(next(process.stdout))
+        assert int(next(process.stdout)) > first
         time.sleep(rng.uniform(0.0, 0.05))
         process.send_signal(signal.SIGKILL)
-        process.wait()
+        assert process.wait() == -signal.SIGKILL
         process.stdout.close()
-        chunks = {p: p.stat().st_mtime_ns for p in path.glob("crc/c/*")}
-        assert len(chunks) >= turn + 1
-    jaxik.sweep(SMALL, path)
+        chunks = {p: p.stat().st_mtime_ns for p in path.glob("crc/c/*/*")}
+        assert turn + 1 <= len(chunks) < two.total
+    jaxik.sweep(TWO, path)
     assert all(p.stat().st_mtime_ns == t for p, t in chunks.items())
-    assert bits(path) == bits(small.path)
+    assert bits(path) == bits(two.path)
 
 
-def test_shards_fill_one_store(small, tmp_path):
+def test_shards_fill_one_store(two, tmp_path):
     path = tmp_path / "s.zarr"
-    first = jaxik.sweep(SMALL, path, shard="1/2")
-    assert not first.complete and first.done == 4 and "complete" not in first.dataset().attrs
-    second = jaxik.sweep(SMALL, path, shard=(2, 2))
-    assert second.complete and bits(path) == bits(small.path)
-    for shard in ("0/2", "3/2", "half"):
+    first = jaxik.sweep(TWO, path, shard="1/2")
+    assert not first.complete and first.done == 9 and "complete" not in first.dataset().attrs
+    second = jaxik.sweep(TWO, path, shard=(2, 2))
+    assert second.complete and bits(path) == bits(two.path)
+    for shard in ("0/2", "3/2", "half", 2, (1,), (1.0, 2.0), ("1", "2")):
         with pytest.raises(ValueError, match="write i/n"):
-            jaxik.sweep(SMALL, path, shard=shard)
+            jaxik.sweep(TWO, path, shard=shard)
 
 
-def test_stop_and_go_on(small, tmp_path):
-    seen = []
-    stopped = jaxik.sweep(SMALL, tmp_path / "s.zarr", progress=lambda d, t: seen.append(d), stop=lambda: len(seen) >= 3)
-    assert 2 <= stopped.done < stopped.total
-    assert jaxik.sweep(SMALL, tmp_path / "s.zarr").complete and bits(tmp_path / "s.zarr") == bits(small.path)
+@pytest.mark.parametrize("order", [("2/2", "2/2"), ("2/2", "1/1"), ("3/3", "2/3", "3/3", "1/3"), ("2/2", "3/4", "2/3", "1/2")])
+def test_shards_come_in_any_order_and_again(two, tmp_path, order):
+    """Each leaves whole rows: whatever variant a piece is of, its targets' positions stand beside its answers."""
+    for shard in order:
+        done = jaxik.sweep(TWO, tmp_path / "s.zarr", shard=shard)
+        data = done.dataset()
+        known = (data.reason >= 0).any("base").values
+        assert np.array_equal(np.isfinite(data.position.values).all(axis=1), known) and known.any()
+    assert jaxik.sweep(TWO, tmp_path / "s.zarr").complete and bits(tmp_path / "s.zarr") == bits(two.path)
+
+
+def test_a_store_begun_before_every_piece_wrote_its_targets_goes_on(two, tmp_path):
+    """Only those of the first variant did; one was killed between the two columns."""
+    path = tmp_path / "s.zarr"
+    jaxik.sweep(TWO, path, shard="2/2")
+    for chunk in (0, 2, 4, 6, 8):
+        for name in ("position", "quaternion"):
+            if (chunk, name) != (2, "position"):
+                (path / name / "c" / str(chunk) / "0").unlink()
+    assert jaxik.sweep(TWO, path, shard="2/2").done == 9
+    assert jaxik.sweep(TWO, path).complete and bits(path) == bits(two.path)
+
+
+def test_stop_and_go_on(two, tmp_path):
+    """In the first variant, where its last chunk is the second's first to come, and in the second."""
+    path, done = tmp_path / "s.zarr", 0
+    for count in (3, 6, 4):
+        seen = []
+        stopped = jaxik.sweep(TWO, path, progress=lambda d, t, seen=seen: seen.append(d), stop=lambda: len(seen) >= count)  # noqa: B023
+        assert done < stopped.done < stopped.total
+        done = stopped.done
+    assert jaxik.sweep(TWO, path).complete and bits(path) == bits(two.path)
 
 
 def test_another_study_is_refused_and_named(small):
@@ -398,24 +452,79 @@ def test_another_study_is_refused_and_named(small):
         jaxik.sweep(SMALL | {"robot": jaxik.load("p6r").with_spheres(64)}, small.path)
 
 
-def test_damage_is_found_named_and_mended(small, tmp_path):
-    path = tmp_path / "d.zarr"
-    jaxik.sweep(SMALL, path)
-    flipped = path / "q" / "c" / "2" / "0"
-    content = bytearray(flipped.read_bytes())
+def spoil(file):
+    content = bytearray(file.read_bytes())
     content[len(content) // 2] ^= 1
-    flipped.write_bytes(content)
-    with pytest.raises(StoreError, match=r"chunk 2, targets 200 to 299: 'q' is damaged .* repair"):
-        jaxik.sweep(SMALL, path)
-    (path / "reason" / "c" / "4").unlink()
-    jaxik.sweep(SMALL, path, repair=True)
-    assert bits(path) == bits(small.path)
+    file.write_bytes(content)
+
+
+def test_damage_is_found_named_and_mended(two, tmp_path):
+    """In both variants; of a target's position in whichever shard finds it."""
+    path = tmp_path / "d.zarr"
+    jaxik.sweep(TWO, path)
+    spoil(path / "q" / "c" / "1" / "2" / "0")
+    with pytest.raises(StoreError, match=r"chunk 11, targets 44 to 65: 'q' is damaged .* repair"):
+        jaxik.sweep(TWO, path)
+    (path / "reason" / "c" / "0" / "4").unlink()
+    jaxik.sweep(TWO, path, repair=True)
+    assert bits(path) == bits(two.path)
+    spoil(path / "position" / "c" / "8" / "0")
+    for shard in ("2/2", "1/2"):
+        with pytest.raises(StoreError, match="'position' is damaged"):
+            jaxik.sweep(TWO, path, shard=shard)
+    for repair in (True, False):
+        assert jaxik.sweep(TWO, path, shard="2/2", repair=repair).complete
+    (path / "quaternion" / "c" / "2" / "0").unlink()
+    jaxik.sweep(TWO, path, repair=True)
+    assert bits(path) == bits(two.path)
     (tmp_path / "other").mkdir()
     with pytest.raises(StoreError, match="is no store of a sweep"):
-        jaxik.sweep(SMALL, tmp_path / "other")
+        jaxik.sweep(TWO, tmp_path / "other")
 
 
-def test_a_disk_that_is_full_loses_nothing(small, tmp_path, monkeypatch):
+@pytest.mark.parametrize("name", ["reason", "proven"])
+def test_damage_in_another_shard_s_chunk(two, tmp_path, name):
+    """What is counted at the end is of all: a chunk that cannot be is named, and with repair it is open to its own shard."""
+    path = tmp_path / "d.zarr"
+    jaxik.sweep(TWO, path, shard="1/2")
+    spoil(path / name / "c" / "0" / "2")
+    with pytest.raises(StoreError, match=f"chunk 2, targets 44 to 65: '{name}' is damaged .* repair"):
+        jaxik.sweep(TWO, path, shard="2/2")
+    (path / "reason" / "c" / "0" / "4").unlink()
+    with pytest.raises(StoreError, match=r"chunk [24], .* (missing|damaged).* repair"):
+        jaxik.sweep(TWO, path, shard="2/2")
+    assert jaxik.sweep(TWO, path, shard="2/2", repair=True).done == 16
+    assert jaxik.sweep(TWO, path).complete and bits(path) == bits(two.path)
+
+
+def test_a_store_is_not_complete_while_chunks_are_mended(two, tmp_path):
+    path = tmp_path / "d.zarr"
+    shutil.copytree(two.path, path)
+    for chunk in range(9):
+        spoil(path / "reason" / "c" / "1" / str(chunk))
+    stopped = jaxik.sweep(TWO, path, repair=True, stop=lambda: True)
+    assert not stopped.complete and stopped.dataset().attrs["complete"] is False
+    killed, other = (
+        path / "q" / "c" / "0" / "3.ab.partial",
+        path / "zarr.ab.partial",
+    )  # half a chunk; another shard's, that ends too
+    killed.touch(), other.touch()
+    jaxik.sweep(TWO, path)
+    assert not killed.exists() and other.exists()
+    other.unlink()
+    assert jaxik.sweep(TWO, path).complete and bits(path) == bits(two.path)
+
+
+def test_shards_on_other_machines_with_the_same_number_of_process(tmp_path):
+    """Each makes the store aside; the first that is ready renames it, and none takes another's away."""
+    other = tmp_path / f".{os.getpid()}-s.zarr"
+    other.mkdir()
+    (other / "zarr.json").write_text("{")
+    assert jaxik.sweep(TWO, tmp_path / "s.zarr", shard=(1, 18)).done == 1
+    assert sorted(p.name for p in tmp_path.iterdir()) == [other.name, "s.zarr"] and (other / "zarr.json").exists()
+
+
+def test_a_disk_that_is_full_loses_nothing(two, tmp_path, monkeypatch):
     """The system's own refusal, from the third chunk on; then there is room again."""
     from jaxik.sweep.store import Store
 
@@ -428,33 +537,48 @@ def test_a_disk_that_is_full_loses_nothing(small, tmp_path, monkeypatch):
 
     monkeypatch.setattr(Store, "write", full)
     with pytest.raises(OSError, match=r"chunk 2 could not be written \(No space left on device\); mend that and run again"):
-        jaxik.sweep(SMALL, tmp_path / "f.zarr")
+        jaxik.sweep(TWO, tmp_path / "f.zarr")
     monkeypatch.undo()
-    assert jaxik.sweep(SMALL, tmp_path / "f.zarr").complete and bits(tmp_path / "f.zarr") == bits(small.path)
+    assert jaxik.sweep(TWO, tmp_path / "f.zarr").complete and bits(tmp_path / "f.zarr") == bits(two.path)
     with pytest.raises(OSError):
-        jaxik.sweep(SMALL, Path(os.devnull) / "nowhere.zarr")
+        jaxik.sweep(TWO, Path(os.devnull) / "nowhere.zarr")
 
 
-def test_command(tmp_path, small):
+HELD = """
+import signal, time
+from jaxik.sweep import Store
+write = Store.write
+def held(*given):  # the first chunk is on disk, and no other until Ctrl-C was heard: its second would be Python's own
+    write(*given)
+    while signal.getsignal(signal.SIGINT) is not signal.default_int_handler:
+        time.sleep(0.01)
+Store.write = held
+"""
+
+
+def test_command(tmp_path, two):
     """From a TOML file by the command; Ctrl-C ends after the running chunk, and the same command goes on."""
-    grid = "\n".join(f"{k} = {json.dumps(v)}" for k, v in GRID.items())
-    (tmp_path / "small.toml").write_text(f'robot = "p6r"\nslides = 11\nchunk = 100\naudited = 0\n[targets]\n{grid}\n')
-    command = [sys.executable, "-c", "from jaxik.cli import main; main()", "sweep", "small.toml"]
-    process = subprocess.Popen(command, cwd=tmp_path, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
-    while not list(tmp_path.glob("small.zarr/crc/c/*")) and process.poll() is None:
+    grid = "\n".join(f"{k} = {json.dumps(v)}" for k, v in TWO["targets"].items())
+    top = "\n".join(f"{k} = {json.dumps(v)}" for k, v in TWO.items() if k not in ("targets", "base"))
+    (tmp_path / "two.toml").write_text(f"{top}\n[base]\ny = [0.0, 0.1]\n[targets]\n{grid}\n")
+    main, sweep = "from jaxik.cli import main; main()", ("sweep", "two.toml")
+    run = {"cwd": tmp_path, "stdout": subprocess.PIPE, "stderr": subprocess.PIPE, "text": True}
+    process = subprocess.Popen([sys.executable, "-c", HELD + main, *sweep], **run)
+    while not list(tmp_path.glob("two.zarr/crc/c/*/*")) and process.poll() is None:
         time.sleep(0.005)
     process.send_signal(signal.SIGINT)
-    out, err = process.communicate()
-    stopped = process.returncode == 130
-    assert process.returncode in (0, 130) and "chunks in" in out and (not stopped or "goes on" in err), (out, err)
-    again = subprocess.run(command, cwd=tmp_path, capture_output=True, text=True)
-    assert again.returncode == 0 and "7 of 7 chunks" in again.stdout
+    out, err = process.communicate(timeout=60)
+    assert process.returncode == 130 and "of 18 chunks in" in out and "goes on" in err, (out, err)
+    assert 1 <= len(list(tmp_path.glob("two.zarr/crc/c/*/*"))) < 18
+    command = [sys.executable, "-c", main, *sweep]
+    again = subprocess.run(command, **run)
+    assert again.returncode == 0 and "18 of 18 chunks" in again.stdout
     kept = ("q", "reason", "crc")  # the study's name differs, and only that
-    assert {k: v for k, v in bits(tmp_path / "small.zarr").items() if k.split("/")[0] in kept} == {
-        k: v for k, v in bits(small.path).items() if k.split("/")[0] in kept
+    assert {k: v for k, v in bits(tmp_path / "two.zarr").items() if k.split("/")[0] in kept} == {
+        k: v for k, v in bits(two.path).items() if k.split("/")[0] in kept
     }
     (tmp_path / "bad.toml").write_text('robot = "p6r"\n[targets]\nkind = "grid"\n')
-    bad = subprocess.run([*command[:-1], "bad.toml"], cwd=tmp_path, capture_output=True, text=True)
+    bad = subprocess.run([*command[:-1], "bad.toml"], **run)
     assert bad.returncode == 2 and "targets: 'x' is missing" in bad.stderr and "Traceback" not in bad.stderr
 
 
@@ -467,7 +591,7 @@ def dask(*words, folder):
     return subprocess.Popen(command, cwd=folder, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
 
 
-def test_a_cluster_makes_the_same_store_though_a_worker_dies(small, tmp_path, monkeypatch):
+def test_a_cluster_makes_the_same_store_though_a_worker_dies(two, tmp_path, monkeypatch):
     """A scheduler and two workers on loopback; one worker is killed once the first chunk is there."""
     monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "cache"))
     local = ("--host", "127.0.0.1", "--no-dashboard")
@@ -487,12 +611,12 @@ def test_a_cluster_makes_the_same_store_though_a_worker_dies(small, tmp_path, mo
             if done > 0:
                 workers[0].kill()
 
-        done = jaxik.sweep(SMALL, tmp_path / "c.zarr", cluster=address, progress=progress)
+        done = jaxik.sweep(TWO, tmp_path / "c.zarr", cluster=address, progress=progress)
         assert done.complete and workers[0].wait() == -signal.SIGKILL and workers[1].poll() is None
-        assert bits(tmp_path / "c.zarr") == bits(small.path)
+        assert bits(tmp_path / "c.zarr") == bits(two.path)
     finally:
         for process in running:
             process.kill()
             process.wait()
     with pytest.raises(ValueError, match="no scheduler answers"):
-        jaxik.sweep(SMALL, tmp_path / "d.zarr", cluster="tcp://127.0.0.1:9")
+        jaxik.sweep(TWO, tmp_path / "d.zarr", cluster="tcp://127.0.0.1:9")

@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 
 from jaxik.chain import Chain
+from jaxik.given import rigid_frame
 from jaxik.load import scene as scene_files
 from jaxik.load.mjcf import load_mjcf
 from jaxik.load.srdf import disabled_pairs
@@ -47,9 +48,7 @@ def load(
     Raises `LoadError` (a `ValueError`) with one line: the file, the element, what is allowed, the mend.
     """
     path = _locate(source)
-    if tool is not None and np.shape(tool) != (4, 4):
-        raise ValueError(f"tool has shape {np.shape(tool)}; it is tip_T_tool, of shape (4, 4)")
-    tool = None if tool is None else np.asarray(tool, dtype=np.float64)
+    tool = None if tool is None else np.asarray(rigid_frame("tool (tip_T_tool)", tool), np.float64)
     kind = path.suffix.lower()
     if kind == ".urdf":
         chain = load_urdf(path, tip, base, tool, meshes)
@@ -78,5 +77,7 @@ def _locate(source: str | Path, what: str = "robot") -> Path:
     folder = models_folder() / "scenes" if what == "scene" else models_folder()
     shipped = {p.stem: p for p in sorted(folder.glob("*.toml"))}
     if str(source) not in shipped:
+        if path.exists():
+            return path  # to be told that a file needs an ending
         raise LoadError(str(source), what, f"no such shipped {what}", f"shipped: {', '.join(shipped)}; or give a file")
     return shipped[str(source)]

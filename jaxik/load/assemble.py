@@ -70,6 +70,8 @@ def frame(translation: Any = (0.0, 0.0, 0.0), rotation: np.ndarray | None = None
 @contextlib.contextmanager
 def opened(path: Path, most: int = MAX_BYTES) -> Iterator[BinaryIO]:
     """The file, to read its bytes; or the one line that says why not."""
+    if "\0" in str(path):
+        raise LoadError(repr(str(path)), "file", "cannot be read (its name holds a null character)", "check the path")
     try:
         size = path.stat().st_size
         if size > most:

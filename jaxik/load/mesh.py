@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import io
 from pathlib import Path, PurePosixPath
 from typing import Any
 
@@ -12,13 +13,19 @@ from jaxik.result import LoadError
 
 # A ROS package keeps its model in urdf/ and its meshes beside that folder, so the model's folder is then the package's.
 _INNER_FOLDERS = ("urdf", "urdfs", "xacro", "robots", "mjcf", "xml")
+FORMATS = (".stl", ".obj", ".ply", ".dae", ".off", ".glb")  # and no archive, whose size says nothing of its content's
 
 
-def resolve(path: Path, where: str, name: str) -> Path | None:
-    """The file that a mesh name means: `package://name/...` below the nearest folder above of that name, else below the
-    model's own folder. None where no such package is above. A path that leaves that folder is refused."""
+def home(path: Path) -> Path:
+    """The folder that a model's files lie below."""
     folder = path.resolve().parent
-    root = folder.parent if folder.name in _INNER_FOLDERS else folder
+    return folder.parent if folder.name in _INNER_FOLDERS else folder
+
+
+def resolve(path: Path, where: str, name: str, below: Path | None = None) -> Path | None:
+    """The file that a mesh name means: `package://name/...` below the nearest folder above of that name, else below the
+    model's own folder (or `below`). None where no such package is above. A path that leaves that folder is refused."""
+    folder, root = path.resolve().parent, below or home(path)
     if name.startswith("package://"):
         package, _, rest = name.removeprefix("package://").partition("/")
         above = [p for p in (folder, *folder.parents) if p.name == package]
@@ -46,8 +53,11 @@ def bounding_box(path: Path, where: str, name: str, scale: np.ndarray) -> tuple[
         raise LoadError(path, where, f"mesh '{name[:80]}' is not found", mend)
     if target.stat().st_size > 4 * MAX_BYTES:
         raise LoadError(path, where, f"mesh '{name[:80]}' is larger than {4 * MAX_BYTES} bytes", "simplify it")
+    if target.suffix.lower() not in FORMATS:
+        raise LoadError(path, where, f"mesh '{name[:80]}': ending '{target.suffix}'", f"allowed: {', '.join(FORMATS)}")
     try:
-        mesh: Any = trimesh.load(target, force="mesh", process=False)
+        content = io.BytesIO(target.read_bytes())  # not the path: a mesh may name other files, anywhere
+        mesh: Any = trimesh.load(content, file_type=target.suffix[1:].lower(), force="mesh", process=False)
         points = np.asarray(mesh.vertices, dtype=np.float64) * scale
         to_origin, extents = trimesh.bounds.oriented_bounds(points)
     except Exception as error:  # a parser for every format: whatever it raises is the file's fault

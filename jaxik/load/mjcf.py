@@ -9,9 +9,12 @@ import numpy as np
 
 from jaxik.chain import Chain
 from jaxik.load.assemble import Joint, Link, assemble, frame
-from jaxik.load.mesh import resolve
+from jaxik.load.mesh import home, resolve
 from jaxik.load.xml import parse
 from jaxik.result import LoadError
+
+FOLDERS = ("meshdir", "texturedir", "assetdir")
+MOST_FILES = 100
 
 
 def load_mjcf(path: Path, tip: str | None, base: str | None, tool: np.ndarray | None) -> Chain:
@@ -41,22 +44,22 @@ def load_mjcf(path: Path, tip: str | None, base: str | None, tool: np.ndarray | 
     return assemble(path, path.stem, names[start], joints, links, tool)
 
 
-def _check_files(path: Path, root: Path, seen: set[Path]) -> None:
-    """Every file that the model names, in includes too, lies below its folder."""
+def _check_files(path: Path, model: Path, seen: set[Path], below: Path | None = None) -> None:
+    """Every file that `model` names in its part `path`, in includes and attached models too, lies `below` a folder."""
     seen.add(path)
-    document = parse(path, "mujoco")
-    prefix = [document.find("compiler"), document.find("compiler")]
-    folders = [c.get(k, "") for c, k in zip(prefix, ("meshdir", "assetdir"), strict=True) if c is not None]
+    if len(seen) > MOST_FILES:
+        raise LoadError(model, "document", f"is made of more than {MOST_FILES} files", "write it in fewer")
+    document = parse(path, "mujoco" if len(seen) == 1 else None)  # what is included is stripped of its root
+    below = below or home(path)
+    folders = ["", *(c.get(key, "") for c in document.iter("compiler") for key in FOLDERS)]
     for element in document.iter():
-        for key in ("file", "meshdir", "texturedir", "assetdir"):
-            name = element.get(key)
-            if name is None:
-                continue
+        for key in (k for k in element.attrib if k.startswith("file") or k in FOLDERS):  # a cube's texture has six
+            name, part = element.get(key, ""), element.tag in ("include", "model") and key == "file"
             where = f"<{element.tag} {key}='{name[:80]}'>"
-            for folder in ("", *folders) if key == "file" and element.tag != "include" else ("",):
-                target = resolve(root, where, str(Path(folder) / name))
-            if element.tag == "include" and target is not None and target not in seen and len(seen) < 100:
-                _check_files(target, root, seen)
+            for folder in ("",) if part or key in FOLDERS else folders:
+                target = resolve(model, where, str(Path(folder) / name), below)
+            if part and target is not None and target not in seen:
+                _check_files(target, target if element.tag == "model" else model, seen, below)
 
 
 def _tip(path: Path, model: Any, bodies: dict[str, int], tip: str | None) -> tuple[int, np.ndarray]:

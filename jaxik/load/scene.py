@@ -2,24 +2,27 @@
 
 from __future__ import annotations
 
+import contextlib
 import csv
 import io
+import json
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from jaxik.load.assemble import MAX_BYTES, frame, read_bytes, rpy_matrix, unique
+from jaxik.load.assemble import MAX_BYTES, frame, read_bytes
 from jaxik.load.toml import Table, read_toml
 from jaxik.result import LoadError
-from jaxik.scene import Scene, SceneBuilder
+from jaxik.scene import FAR, KINDS, Fruit, Scene, SceneBuilder, hanging
 
-LIMIT = 100.0  # [m]; a crop or a cell is smaller, a file in millimetres is not
 FIXED = ("stem", "wire", "fruit", "pipe", "post", "gutter")  # labelled points that start so may not be removed
+WIDTHS = {"points": 3, "spheres": 4, "capsules": 7, "boxes": 6, "cylinders": 5}  # a frame is its centre here, and `rotations`
 
 
 def load_scene(path: Path) -> Scene:
-    """A scene with at least one fruit; see the README for the schema. Raises `LoadError`, one line."""
+    """A scene of objects, fruits, or both; the README has the schema. Raises `LoadError`, one line."""
     kind = path.suffix.lower()
     if kind == ".toml":
         scene = _from_toml(path)
@@ -29,32 +32,32 @@ def load_scene(path: Path) -> Scene:
         scene = _from_points(path, *_ply_points(path))
     else:
         raise LoadError(path, "file", f"ending '{kind}'", "allowed: .toml, .csv, .ply")
-    unique(path, "object", scene.object_names)
-    if not scene.fruits:
-        raise LoadError(path, "scene", "has no fruit", "add a [[fruit]], or points labelled fruit_1, fruit_2, ...")
+    if not scene.object_names:
+        raise LoadError(path, "scene", "holds neither an object nor a fruit", "add an [[object]], or labelled points")
     return scene
 
 
-def _checked(table: Table, key: str, values: np.ndarray) -> np.ndarray:
-    if not np.all(np.isfinite(values)):
-        raise table.fail(f"'{key}' holds NaN or infinity", "write finite numbers")
-    if np.any(np.abs(values) > LIMIT):
-        worst = values.ravel()[np.argmax(np.abs(values))]
-        raise table.fail(f"'{key}' holds {worst:g} m, over {LIMIT:g} m", f"lengths are metres: is the unit {key}_mm?")
-    return values
+@contextlib.contextmanager
+def _refused(path: Path) -> Iterator[None]:
+    """What `SceneBuilder` refuses is the file's fault."""
+    try:
+        yield
+    except LoadError:
+        raise
+    except ValueError as error:
+        raise LoadError(path, "scene", str(error)) from None
 
 
 def _from_toml(path: Path) -> Scene:
     table = read_toml(path)
     name = table.text("name")
     table.text("description", "-")
-    builder = SceneBuilder(name, float(_checked(table, "point_radius", table.array("point_radius", "length", (), 0.0))))
-    if builder.point_radius < 0.0:
-        raise table.fail("'point_radius' < 0", "write 0 or more")
-    for each in table.tables("object"):
-        _object(each, builder)
-    for each in table.tables("fruit"):
-        _fruit(each, builder)
+    with _refused(path):
+        builder = SceneBuilder(name, table.number("point_radius", "length", 0.0))
+        for each in table.tables("object"):
+            _object(each, builder)
+        for each in table.tables("fruit"):
+            _fruit(each, builder)
     table.close()
     return builder.scene()
 
@@ -69,34 +72,37 @@ def _flag(table: Table, key: str, default: bool) -> bool:
 
 def _object(table: Table, builder: SceneBuilder) -> None:
     name, removable = table.named(), _flag(table, "removable", True)
-    rows: dict[str, Any] = {}
-    for kind, width in (("points", 3), ("spheres", 4), ("capsules", 7), ("boxes", 6), ("cylinders", 5)):
-        rows[kind] = _checked(table, kind, table.array(kind, "length", (-1, width), np.zeros((0, width))))
-    sizes = {"spheres": rows["spheres"][:, 3:], "capsules": rows["capsules"][:, 6:]}
-    sizes |= {"boxes": rows["boxes"][:, 3:], "cylinders": rows["cylinders"][:, 3:]}
-    for kind, values in sizes.items():
-        if np.any(values < 0.0):
-            raise table.fail(f"'{kind}' has a size < 0", "write sizes of 0 or more")
-    turn = rpy_matrix(table.array("rpy", "angle", (3,), np.zeros(3)))
-    rows["boxes"] = [(frame(r[:3], turn), r[3:]) for r in rows["boxes"]]
-    rows["cylinders"] = [(frame(r[:3], turn), r[3], r[4]) for r in rows["cylinders"]]
-    if not any(len(r) for r in rows.values()):
-        raise table.fail("is empty", f"give it one of: {', '.join(rows)}")
+    rows = _rows(table)
+    if not rows:
+        raise table.fail("is empty", f"give it one of: {', '.join(WIDTHS)}")
     table.close()
     builder.add(name, removable, **rows)
 
 
 def _fruit(table: Table, builder: SceneBuilder) -> None:
     name = table.named()
-    position = _checked(table, "position", table.array("position", "length", (3,)))
-    axis = table.array("axis", "plain", (3,), (0.0, 0.0, 1.0))
-    length, radius = (_checked(table, k, table.array(k, "length", (), 0.0)) for k in ("length", "radius"))
+    position, axis = table.array("position", "length", (3,)), table.array("axis", "plain", (3,), (0.0, 0.0, 1.0))
     if not 0.5 < float(np.linalg.norm(axis)) < 2.0:
         raise table.fail("'axis' is no direction", "write a unit vector such as [0, 0, 1]")
-    if length < 0.0 or radius < 0.0:
-        raise table.fail("'length' or 'radius' < 0", "write 0 or more")
+    length, radius = (table.number(k, "length", 0.0) for k in ("length", "radius"))
+    rows = _rows(table)
     table.close()
-    builder.add_fruit(name, position, axis, float(length), float(radius))
+    builder.add_fruit(name, position, axis, length, radius, **rows)
+
+
+def _rows(table: Table) -> dict[str, Any]:
+    """The obstacles of an object or of a fruit, by kind."""
+    rows: dict[str, Any] = {k: table.array(k, "length", (-1, w), np.zeros((0, w))) for k, w in WIDTHS.items()}
+    turn, framed = table.turn() + 0.0, len(rows["boxes"]) + len(rows["cylinders"])  # + 0.0: no -0
+    turns = table.array("rotations", "plain", (-1, 3, 3), np.tile(turn, (framed, 1, 1)))
+    if {"rotations", "rpy"} <= table.read or {"rotations", "rpy_deg"} <= table.read:
+        raise table.fail("rotations and rpy say the same", "keep one")
+    if len(turns) != framed:
+        raise table.fail(f"{len(turns)} rotations for {framed} boxes and cylinders", "give each one, boxes first")
+    frames = [frame(r[:3], turn) for r, turn in zip([*rows["boxes"], *rows["cylinders"]], turns, strict=True)]
+    rows["boxes"] = [(f, r[3:]) for f, r in zip(frames, rows["boxes"], strict=False)]
+    rows["cylinders"] = [(f, *r[3:]) for f, r in zip(frames[len(rows["boxes"]) :], rows["cylinders"], strict=True)]
+    return {kind: values for kind, values in rows.items() if len(values)}
 
 
 def _csv_points(path: Path) -> tuple[list[str], np.ndarray]:
@@ -142,42 +148,81 @@ def _ply_points(path: Path) -> tuple[list[str], np.ndarray]:
 
 def _from_points(path: Path, labels: list[str], points: np.ndarray) -> Scene:
     """Points of one label are one object; a label that starts with `fruit` is a fruit at its points' centre."""
-    if not np.all(np.isfinite(points)):
-        raise LoadError(path, f"label '{labels[int(np.argmin(np.isfinite(points).all(axis=1)))]}'", "NaN or infinity")
-    if np.any(np.abs(points) > LIMIT):
-        worst = int(np.argmax(np.abs(points).max(axis=1)))
-        problem = f"{np.abs(points[worst]).max():g} m, over {LIMIT:g} m"
-        raise LoadError(path, f"label '{labels[worst]}'", problem, "lengths are metres, not millimetres")
-    builder = SceneBuilder(path.stem)
     kinds = np.array(labels)
-    for label in dict.fromkeys(labels):
-        cloud = points[kinds == label]
-        if label.lower().startswith("fruit"):
-            builder.add_fruit(label, cloud.mean(axis=0))
-        else:
-            builder.add(label, not label.lower().startswith(FIXED), points=cloud)
+    with _refused(path), np.errstate(invalid="ignore"):
+        builder = SceneBuilder(path.stem)
+        for label in dict.fromkeys(labels):
+            cloud = points[kinds == label]
+            if label.lower().startswith("fruit"):
+                builder.add_fruit(label, cloud.mean(axis=0))
+            else:
+                builder.add(label, not label.lower().startswith(FIXED), points=cloud)
     return builder.scene()
 
 
 def save_scene(path: Path, scene: Scene, description: str = "-") -> None:
-    """Write a scene of points, capsules and fruits as TOML, such as the generator makes."""
-    lines = [f'name = "{scene.name}"', f'description = "{description}"', f"point_radius = {float(scene.points.radius):g}"]
-    bodies = {f.name: f for f in scene.fruits}
-    owners = [np.array(o) for o in scene.owners]
+    """Write a scene as TOML: `load_scene` gives it back to the last bit, objects first and fruits after them, without what was
+    taken away (`Scene.without`).
+
+    Raises `ValueError` for obstacles that belong to no object (`Scene.geometry`), which a file cannot name.
+    """
+    if any(scene.counts[kind] > len(own) for kind, own in zip(KINDS, scene.owners, strict=True)):
+        raise ValueError(f"save_scene: obstacles of '{scene.name}' belong to no object; save what a SceneBuilder made")
+    fruits, tables = {f.name: f for f in scene.fruits}, _tables(scene)
+    head = [f"name = {_text(scene.name)}", f"description = {_text(description)}"]
+    parts = [[*head, f"point_radius = {float(scene.points.radius)!r}"]]
     for i, name in enumerate(scene.object_names):
-        capsules = np.hstack([scene.capsules.a, scene.capsules.b, scene.capsules.radius[:, None]])[owners[2] == i]
-        if name in bodies:
-            fruit, body = bodies[name], capsules[0]
-            length = float(np.linalg.norm(body[:3] - body[3:6]))
-            lines += ["", "[[fruit]]", f'name = "{name}"', f"position = {_row(fruit.position)}"]
-            lines += [f"axis = {_row(fruit.axis)}", f"length = {length:g}", f"radius = {body[6]:g}"]
-            continue
-        lines += ["", "[[object]]", f'name = "{name}"', f"removable = {str(scene.removable[i]).lower()}"]
-        for key, rows in (("points", scene.points.center[owners[0] == i]), ("capsules", capsules)):
-            if len(rows):
-                lines.append(f"{key} = [{', '.join(_row(r) for r in rows)}]")
-    path.write_text("\n".join(lines) + "\n")
+        rows = {kind: table[np.array(scene.owners[k]) == i] for k, (kind, table) in enumerate(tables.items())}
+        rows = {kind: r[np.abs(r).max(axis=1) < FAR / 2.0] for kind, r in rows.items() if len(r)}  # the rest was taken away
+        if name in fruits:
+            parts.append([f"[[fruit]]\nname = {_text(name)}", *_fruit_lines(fruits[name], rows), *_row_lines(rows)])
+        elif any(len(r) for r in rows.values()):
+            removable = str(scene.removable[i]).lower()
+            parts.append([f"[[object]]\nname = {_text(name)}", f"removable = {removable}", *_row_lines(rows)])
+    path.write_text("\n\n".join("\n".join(part) for part in parts) + "\n", encoding="utf-8")
 
 
-def _row(values: Any) -> str:
-    return f"[{', '.join(f'{float(v):g}' for v in values)}]"
+def _tables(scene: Scene) -> dict[str, np.ndarray]:
+    """All obstacles by kind, as rows of the numbers that `SceneBuilder` holds."""
+    radius, capsules = scene.spheres.radius, scene.capsules
+    boxes, cylinders = np.asarray(scene.boxes.world_T_box), np.asarray(scene.cylinders.world_T_cylinder)
+    return {
+        "points": np.asarray(scene.points.center),
+        "spheres": np.column_stack([scene.spheres.center, radius]),
+        "capsules": np.column_stack([capsules.a, capsules.b, capsules.radius]),
+        "boxes": np.column_stack([boxes.reshape(-1, 16), 2.0 * np.asarray(scene.boxes.half)]),
+        "cylinders": np.column_stack(
+            [cylinders.reshape(-1, 16), scene.cylinders.radius, 2.0 * np.asarray(scene.cylinders.half)]
+        ),
+    }
+
+
+def _fruit_lines(fruit: Fruit, rows: dict[str, np.ndarray]) -> list[str]:
+    """A fruit's own lines; `rows` loses the body where length and radius say it."""
+    lines = [f"position = {_numbers(fruit.position)}", f"axis = {_numbers(fruit.axis)}"]
+    for body in rows.get("capsules", ())[:1]:
+        long = float(np.linalg.norm(body[:3] - body[3:6]))
+        for length in (round(long, 12), long):  # as it was written, most likely
+            if body[6] > 0.0 and np.array_equal(hanging(fruit.position, fruit.axis, length, body[6]), body):
+                rows["capsules"] = rows["capsules"][1:]
+                return [*lines, f"length = {length!r}", f"radius = {float(body[6])!r}"]
+    return lines
+
+
+def _row_lines(rows: dict[str, np.ndarray]) -> list[str]:
+    """Obstacles, each frame as its centre; and the frames' rotations, where one is turned."""
+    frames = [r[:16].reshape(4, 4) for kind in ("boxes", "cylinders") for r in rows.get(kind, ())]
+    short = {k: np.column_stack([r[:, [3, 7, 11]], r[:, 16:]]) if k in ("boxes", "cylinders") else r for k, r in rows.items()}
+    lines = [f"{kind} = {_numbers(r)}" for kind, r in short.items() if len(r)]
+    turned = any(not np.array_equal(f[:3, :3], np.eye(3)) for f in frames)
+    return [*lines, f"rotations = {_numbers([f[:3, :3] for f in frames])}"] if turned else lines
+
+
+def _numbers(values: Any) -> str:
+    """Nested lists of floats, each in the fewest digits that give it back."""
+    return repr(np.asarray(values, np.float64).tolist())
+
+
+def _text(words: str) -> str:
+    """A TOML string: JSON's, which leaves one control character as it is."""
+    return json.dumps(words, ensure_ascii=False).replace("\x7f", "\\u007f")

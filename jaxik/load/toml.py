@@ -6,6 +6,7 @@ degrees. A table may say where its numbers come from: `origin = {d = "paper", lo
 
 from __future__ import annotations
 
+import difflib
 import math
 import tomllib
 from collections.abc import Iterable
@@ -45,7 +46,8 @@ class Table:
         self.asked.add(key)
         value = self.content.get(key, default)
         if not isinstance(value, str) or not value or "\n" in value:
-            raise self.fail(f"'{key}' is {'missing' if value is None else 'not a word'}", f'write {key} = "..."')
+            fault = "missing" if value is None else "not a word"
+            raise self.fail(f"'{key}' is {fault}", f'{self._misspelt(key)}write {key} = "..."')
         if allowed and value not in allowed:
             raise self.fail(f"{key} = '{value[:40]}'", f"allowed: {', '.join(allowed)}")
         return value
@@ -59,7 +61,7 @@ class Table:
             raise self.fail(f"{' and '.join(given)} say the same", "keep one")
         if not given:
             if default is None:
-                raise self.fail(f"'{key}' is missing", f"write one of: {', '.join(choices)}")
+                raise self.fail(f"'{key}' is missing", f"{self._misspelt(key)}write one of: {', '.join(choices)}")
             return np.asarray(default, dtype=np.float64)
         self.read.add(given[0])
         try:
@@ -69,7 +71,7 @@ class Table:
             if values.ndim != len(shape) or any(n not in (-1, m) for n, m in zip(shape, values.shape, strict=True)):
                 raise ValueError
         except (ValueError, TypeError, OverflowError):
-            what = f"{' x '.join('any' if n == -1 else str(n) for n in shape)} numbers" if shape else "a number"
+            what = in_words(shape)
             raise self.fail(f"'{given[0]}' is not {what}", f"write {what}") from None
         if np.any(np.isnan(values)):
             raise self.fail(f"'{given[0]}' holds NaN", "write numbers")
@@ -77,6 +79,13 @@ class Table:
 
     def number(self, key: str, unit: str, default: float | None = None) -> float:
         return float(self.array(key, unit, (), default))
+
+    def turn(self) -> np.ndarray:
+        """The rotation (3, 3) under `rpy`."""
+        rpy = self.array("rpy", "angle", (3,), np.zeros(3))
+        if not np.all(np.isfinite(rpy)):
+            raise self.fail("'rpy' holds infinity", "write finite numbers")
+        return rpy_matrix(rpy)
 
     def tables(self, key: str) -> list[Table]:
         self.asked.add(key)
@@ -94,11 +103,22 @@ class Table:
         self.where = f"{self.where.split()[0]} '{name}'"
         return name
 
+    def only(self, allowed: Iterable[str]) -> None:
+        """Refuse every other key."""
+        unknown = sorted(str(key) for key in set(self.content) - set(allowed))
+        if unknown:
+            meant = difflib.get_close_matches(unknown[0], set(allowed), 1)
+            mend = f"did you mean '{meant[0]}'? " if meant else ""
+            raise self.fail(f"unknown key '{unknown[0][:40]}'", f"{mend}allowed: {', '.join(sorted(allowed))}")
+
+    def _misspelt(self, key: str) -> str:
+        """The question whether a key that nobody asked for stands for the one that is missing."""
+        close = difflib.get_close_matches(key, [str(k) for k in set(self.content) - self.asked], 1)
+        return f"is it '{close[0][:40]}'? " if close else ""
+
     def close(self) -> None:
         """Refuse unknown keys, and origins that name no number of this table."""
-        unknown = sorted(set(self.content) - self.asked)
-        if unknown:
-            raise self.fail(f"unknown key '{unknown[0][:40]}'", f"allowed: {', '.join(sorted(self.asked))}")
+        self.only(self.asked)
         origin = self.content.get("origin", {})
         words = origin.values() if isinstance(origin, dict) else [origin]
         for word in words:
@@ -107,6 +127,14 @@ class Table:
         if isinstance(origin, dict) and not set(origin) <= self.read:
             stray = sorted(set(origin) - self.read)[0]
             raise self.fail(f"origin names '{stray[:40]}'", f"numbers of this table: {', '.join(sorted(self.read))}")
+
+
+def in_words(shape: tuple[int, ...]) -> str:
+    """(3,) is "3 numbers", (-1, 6) "k rows of 6 numbers"."""
+    if not shape:
+        return "a number"
+    *rows, width = ("k" if n == -1 else str(n) for n in shape)
+    return " ".join([*(f"{n} rows of" for n in rows), f"{width} numbers"])
 
 
 def _numeric(value: Any) -> bool:
@@ -160,7 +188,7 @@ def _index(path: Path, what: str, name: str, names: list[str]) -> int:
 
 def _frame(table: Table) -> np.ndarray:
     translation = table.array("translation", "length", (3,), np.zeros(3))
-    return frame(translation, rpy_matrix(table.array("rpy", "angle", (3,), np.zeros(3))))
+    return frame(translation, table.turn())
 
 
 def _joint(table: Table, convention: str) -> tuple[list[Joint], Link]:
@@ -216,7 +244,7 @@ def _shape(table: Table, links: dict[str, Link], joints: list[Joint]) -> None:
         if not np.all((half > 0.0) & np.isfinite(half)):
             raise table.fail("'size' is not positive", "write three sizes > 0")
         centre = table.array("center", "length", (3,), np.zeros(3))
-        link.boxes.append((frame(centre, rpy_matrix(table.array("rpy", "angle", (3,), np.zeros(3)))), half))
+        link.boxes.append((frame(centre, table.turn()), half))
     else:
         count = {"sphere": 1, "capsule": 2, "triangle": 3}[kind]
         corners = table.array("points", "length", (count, 3))

@@ -13,16 +13,17 @@ from jaxik.load.assemble import read_bytes
 from jaxik.result import LoadError
 
 
-def parse(path: Path, root_tag: str) -> Element:
-    """The root element; entities, external references and a foreign root are refused."""
+def parse(path: Path, root_tag: str | None) -> Element:
+    """The root element; entities, external references and a root of another tag (None: any will do) are refused."""
+    content = read_bytes(path)
     try:
-        root = fromstring(read_bytes(path), forbid_dtd=True)
+        root = fromstring(content, forbid_dtd=True)
     except DefusedXmlException as error:
         problem = f"a document type or entity ({type(error).__name__})"
         raise LoadError(path, "document", problem, "robot files need none: remove the declaration") from None
     except (ParseError, ValueError, LookupError) as error:  # LookupError: an encoding that Python does not know
         raise LoadError(path, "document", f"malformed XML ({error})", "mend the syntax") from None
-    if root.tag != root_tag:
+    if root_tag is not None and root.tag != root_tag:
         raise LoadError(path, f"element <{root.tag}>", f"the root is not <{root_tag}>", f"give a file with <{root_tag}>")
     return root
 

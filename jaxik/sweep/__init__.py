@@ -6,6 +6,7 @@
 from __future__ import annotations
 
 import itertools
+import operator
 import os
 import re
 from collections import deque
@@ -83,7 +84,7 @@ def sweep(
         done += _size(read, number)
         if progress:
             progress(done, total)
-    return _ended(store)
+    return _ended(store, repair)
 
 
 def _size(study: Study, number: int) -> int:
@@ -93,10 +94,13 @@ def _size(study: Study, number: int) -> int:
 
 def _shard(shard: str | tuple[int, int]) -> tuple[int, int]:
     given = re.fullmatch(r"(\d+)/(\d+)", shard) if isinstance(shard, str) else None
-    first, every = (int(given[1]), int(given[2])) if given else (0, 0) if isinstance(shard, str) else shard
-    if not 1 <= first <= every:
-        raise ValueError(f"shard {shard}: write i/n with 1 <= i <= n")
-    return first, every
+    try:
+        first, every = map(int, given.groups()) if given else map(operator.index, shard)  # type: ignore[arg-type]
+        if 1 <= first <= every:
+            return first, every
+    except (TypeError, ValueError):
+        pass
+    raise ValueError(f"shard {shard}: write i/n with 1 <= i <= n")
 
 
 def _intact(store: Store, number: int, repair: bool) -> bool:
@@ -151,22 +155,27 @@ def _on_disk(store: Store, number: int, written: Future[None]) -> int:
     return number
 
 
-def _ended(store: Store) -> Sweep:
-    """Counts, and, once all is done, what only the whole tells."""
+def _ended(store: Store, repair: bool) -> Sweep:
+    """Counts, and, once all is done, what only the whole tells. With `repair` a chunk that cannot be counted, which is another
+    shard's, is left for that to do."""
     finished = store.finished()
     counts: dict[str, int] = {}
     undecided = 0
     for number in np.flatnonzero(finished):
-        variant, _, rows = store.study.work(int(number))
-        reason = np.asarray(store.group["reason"][(*variant.index, rows)])
-        proven = np.asarray(store.group["proven"][(*variant.index, rows)])
+        try:
+            reason, proven = (store.column(int(number), name) for name in ("reason", "proven"))
+        except StoreError:
+            if not repair:
+                raise
+            store.forget(int(number))
+            finished[number] = False
+            continue
         undecided += int(np.sum(~proven))
         for r, n in zip(*np.unique(reason, return_counts=True), strict=True):
             counts[Reason(int(r)).text] = counts.get(Reason(int(r)).text, 0) + int(n)
     counts = dict(sorted(counts.items(), key=lambda each: -each[1]))
     if finished.all():
-        known: dict[str, Any] = {"complete": True, "counts": counts, "undecided": undecided}
-        if store.study.audited and not store.knows(known):
-            known |= audit(store)
-        store.finish(known)
+        counted = {"counts": counts, "undecided": undecided}
+        asked_again = audit(store) if store.study.audited and not store.knows(counted) else {}
+        store.finish({"complete": True} | counted | asked_again)
     return Sweep(store.path, store.study, int(finished.sum()), len(finished), counts)

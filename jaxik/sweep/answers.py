@@ -28,8 +28,9 @@ from jaxik.result import Reason
 from jaxik.scan import MEASURED
 from jaxik.scene import Scene, make_scene
 from jaxik.sweep.study import Study, Variant
+from jaxik.sweep.targets import Targets
 
-GIVEN = ("position", "quaternion")  # columns that are the target's own, whatever it is asked of
+GIVEN = ("position", "quaternion")  # columns that are the target's own, the same whatever it is asked of
 PORTION = 6000  # targets at a time whose colliding candidates stand in memory
 EXACT = 1000  # rows a compiled call of what only the answers are asked for
 SLACK = 1e-9  # [m]
@@ -75,13 +76,10 @@ COLUMNS = {
 
 def answer(study: Study, variant: Variant, rows: slice) -> dict[str, np.ndarray]:
     """The columns of some of the study's targets for one variant, one row a target."""
-    numbers = np.arange(rows.start, rows.stop)
-    given = study.targets.poses_at(numbers)
+    given = study.targets.part(rows.start, rows.stop)
     count, chain = rows.stop - rows.start, variant.chain
     columns = {k: blank(c, count, {"joint": study.joints, "xyz": 3, "wxyz": 4}) for k, c in COLUMNS.items()}
-    columns["position"][:] = given[:, :3, 3]
-    if not study.targets.free_rotation:
-        columns["quaternion"][:] = study.targets.wxyz_at(numbers)
+    columns |= given_columns(study.targets, rows)
     base_T_world = np.linalg.inv(chain.world_T_base)
     poses, valid = base_T_world @ given if study.targets.frame == "world" else given, np.ones(count, bool)
     if study.targets.poses is not None:  # someone else's, who may have got them wrong
@@ -91,6 +89,14 @@ def answer(study: Study, variant: Variant, rows: slice) -> dict[str, np.ndarray]
     for name, values in solve(study, chain.mounted(np.eye(4)), poses, valid, around).items():
         columns[name][:] = values if name != "q" else _padded(values, study.joints)
     return columns
+
+
+def given_columns(targets: Targets, rows: slice) -> dict[str, np.ndarray]:
+    """The columns `GIVEN` of some targets."""
+    numbers = np.arange(rows.start, rows.stop)
+    free = np.full((len(numbers), 4), np.nan)
+    turned = free if targets.free_rotation else targets.wxyz_at(numbers)
+    return dict(zip(GIVEN, (targets.positions_at(numbers), turned), strict=True))
 
 
 class _Surroundings(NamedTuple):

@@ -33,7 +33,8 @@ def audit(store: Store) -> dict[str, Any]:
     for v in np.unique(variant):
         each = study.variants[v]
         rows = target[variant == v]
-        seen = np.asarray(store.group["reachable"][(*each.index, slice(None))])[rows]
+        own = range(v * study.chunks, (v + 1) * study.chunks)
+        seen = np.concatenate([store.column(int(n), "reachable") for n in own])[rows]
         method = study.method(each.chain)
         found.setdefault(method, []).append(np.stack([*_again(study, each, rows, method), seen]))
     joined = {method: np.concatenate(parts, axis=1) for method, parts in found.items()}

@@ -1,8 +1,9 @@
 """Results on disk: a Zarr store that `xarray.open_zarr` reads, which a chunk enters whole or not at all.
 
 A chunk's arrays are written one by one, each file aside and then renamed (Zarr does that), and last its check sum in `crc`. So
-what has a check sum is finished, whenever the process was killed; what has none is computed again and written over. Nothing in
-the store says when or in how many sittings it was made: it ends with the same bits.
+what has a check sum is finished, whenever the process was killed; what has none is computed again and written over. A column
+that is nothing in all of a chunk has no file there; the check sum tells that from one that is lost. Nothing in the store says
+when or in how many sittings it was made: it ends with the same bits.
 """
 
 from __future__ import annotations
@@ -11,6 +12,7 @@ import contextlib
 import json
 import os
 import shutil
+import uuid
 import warnings
 import zlib
 from collections.abc import Iterator
@@ -20,7 +22,7 @@ from typing import Any
 import numpy as np
 
 from jaxik.result import Reason
-from jaxik.sweep.answers import COLUMNS, GIVEN, Column
+from jaxik.sweep.answers import COLUMNS, GIVEN, Column, given_columns
 from jaxik.sweep.study import Study, variant_name
 
 UNFINISHED = -1
@@ -65,43 +67,60 @@ class Store:
     def write(self, number: int, columns: dict[str, np.ndarray]) -> None:
         """One chunk, its check sum last."""
         variant, chunk, rows = self.study.work(number)
-        for name, values in columns.items():
-            if name in GIVEN and number >= self.study.chunks:
-                continue  # the first variant wrote them
+        for name, values in columns.items():  # those of the targets too: which variant's piece comes first is not known
             self.group[name][(*self._at(name, variant.index), rows)] = values
         self.group["crc"][(*variant.index, chunk)] = check_sum(columns)
 
     def read(self, number: int) -> dict[str, np.ndarray]:
         """A finished chunk. Raises `StoreError` where what is read is not what was written."""
         variant, chunk, rows = self.study.work(number)
-        where = f"{self.path}: chunk {number}, targets {rows.start} to {rows.stop - 1}"
-        mend = "run again with repair, and it is computed anew"
-        columns = {}
-        for name in COLUMNS:
-            try:
-                columns[name] = np.asarray(self.group[name][(*self._at(name, variant.index), rows)])
-            except Exception as error:  # each codec has its own
-                raise StoreError(f"{where}: '{name}' is damaged ({' '.join(str(error).split())}); {mend}") from None
+        columns = {name: self.column(number, name) for name in COLUMNS}
+        unwritten = [name for name in GIVEN if number >= self.study.chunks and np.isnan(columns[name]).all()]
+        if unwritten:  # a store begun when only the first variant's pieces wrote them
+            given = given_columns(self.study.targets, rows)
+            columns |= {name: given[name] for name in unwritten}
         if check_sum(columns) != int(self.group["crc"][(*variant.index, chunk)]):
-            raise StoreError(f"{where}: a file is missing or damaged (the check sum differs); {mend}")
+            raise self._damage(number, "a file is missing or damaged (the check sum differs)")
         return columns
 
+    def column(self, number: int, name: str) -> np.ndarray:
+        """One column of a finished chunk. Raises `StoreError` where it cannot be read."""
+        variant, _, rows = self.study.work(number)
+        try:
+            values = np.asarray(self.group[name][(*self._at(name, variant.index), rows)])
+        except Exception as error:  # each codec has its own
+            raise self._damage(number, f"'{name}' is damaged ({' '.join(str(error).split())})") from None
+        if name == "reason" and np.any(values == COLUMNS[name].nothing):
+            raise self._damage(number, f"the file of '{name}' is missing")
+        return values
+
+    def _damage(self, number: int, what: str) -> StoreError:
+        rows = self.study.work(number)[2]
+        where = f"{self.path}: chunk {number}, targets {rows.start} to {rows.stop - 1}"
+        return StoreError(f"{where}: {what}; run again with repair, and it is computed anew")
+
     def forget(self, number: int) -> None:
-        """Makes a piece of work unfinished."""
+        """Makes a piece of work unfinished, and the store incomplete."""
         variant, chunk, _ = self.study.work(number)
         self.group["crc"][(*variant.index, chunk)] = UNFINISHED
+        if self.knows({"complete": True}):
+            self._note({"complete": False})
 
     def knows(self, attributes: dict[str, Any]) -> bool:
         """Whether the store's attributes say so already."""
         return all(self.group.attrs.get(k) == v for k, v in attributes.items())
 
     def finish(self, attributes: dict[str, Any]) -> None:
-        """What is known once all is done; and what a killed process left half-written goes."""
-        for left in self.path.rglob("*.partial"):
+        """What is known once all is done; and what a killed process left half-written in the arrays goes. Beside them another
+        shard, which ends at the same time, may be writing what is known."""
+        for left in self.path.glob("*/**/*.partial"):
             left.unlink(missing_ok=True)
         if not self.knows(attributes):
-            self.group.attrs.update(attributes)
-            _consolidate(self.path)
+            self._note(attributes)
+
+    def _note(self, attributes: dict[str, Any]) -> None:
+        self.group.attrs.update(attributes)
+        _consolidate(self.path)
 
     def _at(self, name: str, index: tuple[int, ...]) -> tuple[int, ...]:
         return () if name in GIVEN else index
@@ -120,7 +139,7 @@ def _create(path: Path, study: Study) -> None:
     import zarr
 
     path.parent.mkdir(parents=True, exist_ok=True)
-    aside = path.with_name(f".{os.getpid()}-{path.name}")
+    aside = path.with_name(f".{uuid.uuid4().hex}-{path.name}")  # shards on two machines may be processes of one number
     try:
         group = zarr.create_group(str(aside), attributes=_attributes(study))
         axes = tuple(name for name, _ in study.axes)
@@ -172,7 +191,6 @@ def _new(group: Any, name: str, column: Column, shape: Any, chunks: Any, dims: A
         dimension_names=dims,
         attributes=column.attributes,
         compressors=[ZstdCodec(level=1), Crc32cCodec()],
-        config={"write_empty_chunks": True},  # a missing file is then a damage, not a chunk of nothing
     )
 
 

@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import dataclasses
 import hashlib
-import importlib.metadata
 import itertools
 from collections.abc import Callable, Mapping
 from pathlib import Path
@@ -17,12 +16,15 @@ from typing import Any
 import jax
 import numpy as np
 
+import jaxik
 from jaxik.chain import Chain
 from jaxik.closed_form import closed_form_obstacle
+from jaxik.collision import check_geometry
 from jaxik.ik_options import IKOptions
 from jaxik.load import load, load_scene
 from jaxik.load.targets import read_targets
 from jaxik.load.toml import Table, read_toml
+from jaxik.reach import millimetres
 from jaxik.scan import Grasp, Weights
 from jaxik.scene import Scene
 from jaxik.sweep import targets as sources
@@ -32,6 +34,10 @@ from jaxik.task import Task
 CHUNK = 10_000
 POSITION_TOLERANCE, ROTATION_TOLERANCE = 1e-6, 1e-6  # [m], [rad]
 IK_KEYS = ("max_seeds", "choice", "seeds", "solutions")
+KEYS = (
+    *("name", "robot", "robots", "base", "parameters", "collision", "tool", "targets", "ik"),
+    *("seed", "slides", "refine", "chunk", "audited", "origin"),
+)
 LENGTHS = ("length", "x", "y", "z")
 
 
@@ -121,7 +127,7 @@ class Study:
             "chunk": self.chunk,
             "audited": self.audited,
             "ik": {k: getattr(self.ik, k) for k in (*IK_KEYS, "position_tolerance", "rotation_tolerance")},
-            "versions": {name: importlib.metadata.version(name) for name in ("jaxik", "jax", "numpy")},
+            "versions": {module.__name__: module.__version__ for module in (jaxik, jax, np)},
         }
 
     def method(self, chain: Chain) -> str:
@@ -147,22 +153,25 @@ def _digest(scene: Scene) -> str:
 
 def _read(table: Table, folder: Path) -> Study:
     given = table.content
-    table.asked.update(("robot", "robots", "out"))
+    table.only(KEYS)
+    table.asked.update(("robot", "robots"))
     name = table.text("name", "sweep")
     robots = _robots(table, folder)
     bases, shapes = _bases(table), _shapes(table)
     axes, variants = _variants(table, robots, bases, shapes)
-    scene, collision, margin, weights = _collision(table, folder)
+    scene, margin, weights = _collision(table, folder)
+    collision = "collision" in given
     grasp = _grasp(table)
     seed = _count(table, "seed", 0, least=0)
     targets = _targets(table, folder, [v.chain for v in variants], seed, grasp)
     if targets.scenes and scene is not None:
         raise table.fail("the targets' crop and [collision] scene both say what is in the way", "keep one")
+    if "tool" in given and not targets.scenes and not len(targets.rotations):
+        raise table.fail("[tool] turns the tool into a direction, and no target has a direction", "leave it out")
     ik = _ik(table, targets, margin if collision else 0.0)
     counts = {k: _count(table, k, default) for k, default in (("slides", 41), ("chunk", CHUNK))}
     counts |= {k: _count(table, k, default, least=0) for k, default in (("refine", 5), ("audited", 2000))}
     table.close()
-    collision = collision or "collision" in given
     if collision:
         for variant in variants:
             _check_geometry(table, variant.chain)
@@ -171,9 +180,17 @@ def _read(table: Table, folder: Path) -> Study:
 
 def _count(table: Table, key: str, default: int, least: int = 1) -> int:
     value = table.number(key, "plain", float(default))
-    if not (value == int(value) and least <= value <= 2**53):
+    if not (value.is_integer() and least <= value <= 2**53):
         raise table.fail(f"{key} = {value:g}", f"write a whole number of at least {least}")
     return int(value)
+
+
+def _finite(row: Table, key: str, unit: str, shape: tuple[int, ...], default: Any = None) -> np.ndarray:
+    """The numbers under a key, at least one and all of them finite."""
+    values = row.array(key, unit, shape, default)
+    if not values.size or not np.isfinite(values).all():
+        raise row.fail(f"{key} holds {'inf' if values.size else 'no number'}", "write finite numbers, at least one")
+    return values
 
 
 def _file(folder: Path, source: str) -> str | Path:
@@ -198,8 +215,10 @@ def _robots(table: Table, folder: Path) -> list[tuple[str, Chain]]:
             row.asked.update(("meshes", "tip", "base"))
             srdf = _file(folder, row.text("srdf")) if "srdf" in each else None
             row.asked.add("srdf")
-            label = row.text("name", Path(file).stem)
-            chain = load(_file(folder, file), **options, srdf=srdf, meshes=bool(each.get("meshes", False)))
+            label, meshes = row.text("name", Path(file).stem), each.get("meshes", False)
+            if not isinstance(meshes, bool):
+                raise row.fail(f"meshes = {str(meshes)[:40]!r}", "write meshes = true, or false")
+            chain = load(_file(folder, file), **options, srdf=srdf, meshes=meshes)
             row.close()
             found.append((label, chain))
         else:
@@ -212,8 +231,8 @@ def _robots(table: Table, folder: Path) -> list[tuple[str, Chain]]:
 def _bases(table: Table) -> list[tuple[str, np.ndarray]]:
     """Placements in the world: every combination of the shifts along x, y, z [m] and turns about the world's z."""
     row = table.table("base")
-    values = [np.atleast_1d(row.array(k, "length", (-1,), [0.0])) for k in "xyz"]
-    yaw = row.array("yaw", "angle", (-1,), [0.0])
+    values = [_finite(row, k, "length", (-1,), [0.0]) for k in "xyz"]
+    yaw = _finite(row, "yaw", "angle", (-1,), [0.0])
     row.close()
     found = []
     for x, y, z, turn in itertools.product(*values, yaw):
@@ -232,7 +251,10 @@ def _shapes(table: Table) -> list[tuple[str, np.ndarray]]:
     found = []
     for key in row.content:
         name, unit = (key.removesuffix("_deg"), "angle") if key.endswith("_deg") else (key, "plain")
-        found.append((name, row.array(name, unit, (-1,))))
+        values = row.array(name, unit, (-1,))
+        if not len(values):
+            raise row.fail(f"{key} holds no number", "write one or several")
+        found.append((name, values))
     row.close()
     if len(found) > 2:
         raise row.fail(f"{len(found)} parameters", "vary at most two in a study")
@@ -348,27 +370,29 @@ def _with_geometry(chain: Chain, links: set[int], old: np.ndarray, new: np.ndarr
     return dataclasses.replace(chain, boxes=tuple(boxes), volumes=tuple(volumes))
 
 
-def _collision(table: Table, folder: Path) -> tuple[Scene | None, bool, float, Weights]:
+def _collision(table: Table, folder: Path) -> tuple[Scene | None, float, Weights]:
     row = table.table("collision")
     given = row.content
     row.asked.add("scene")
     scene = given.get("scene")
     if scene is not None and not isinstance(scene, Scene):
         scene = load_scene(_file(folder, row.text("scene")))
-    margin = row.number("margin", "length", 0.005)
+    margin = float(_finite(row, "margin", "length", (), 0.005))
     names = [f.name for f in dataclasses.fields(Weights)]
-    weights = {k: row.number(k, "plain", getattr(Weights(), k)) for k in names}
+    weights = {k: float(_finite(row, k, "plain", (), getattr(Weights(), k))) for k in names}
     row.close()
     try:
-        return scene, bool(given), margin, Weights(**weights)
+        return scene, margin, Weights(**weights)
     except ValueError as error:
         raise row.fail(str(error), "change them") from None
 
 
 def _check_geometry(table: Table, chain: Chain) -> None:
-    if not chain.boxes and not chain.volumes:
-        mend = "write {file = ..., meshes = true}" if chain.unread_meshes else "leave [collision] out, or give it boxes"
-        raise table.fail(f"[collision]: {chain.name} has no collision geometry", mend)
+    try:
+        check_geometry(chain)
+    except ValueError as error:
+        mend = "write {file = ..., meshes = true}" if chain.unread_meshes else "or leave [collision] out"
+        raise table.fail(f"[collision]: {error}", mend) from None
 
 
 def _grasp(table: Table) -> Grasp:
@@ -388,8 +412,11 @@ def _ik(table: Table, targets: Targets, margin: float) -> IKOptions:
     default = IKOptions()
     chosen: dict[str, Any] = {k: _count(row, k, getattr(default, k)) for k in ("max_seeds", "solutions")}
     chosen |= {k: row.text(k, getattr(default, k)) for k in ("choice", "seeds")}
-    chosen["position_tolerance"] = row.number("position_tolerance", "length", POSITION_TOLERANCE)
-    chosen["rotation_tolerance"] = row.number("rotation_tolerance", "angle", ROTATION_TOLERANCE)
+    tolerances = ("position_tolerance", "length", POSITION_TOLERANCE), ("rotation_tolerance", "angle", ROTATION_TOLERANCE)
+    for key, unit, usual in tolerances:
+        chosen[key] = float(_finite(row, key, unit, (), usual))
+        if not chosen[key] > 0.0:
+            raise row.fail(f"{key} = {chosen[key]:g}", "write a number > 0")
     row.close()
     try:
         task = Task((True, True, True, False, False, False), "base") if targets.free_rotation else IKOptions().task
@@ -406,6 +433,8 @@ def _targets(table: Table, folder: Path, chains: list[Chain], seed: int, grasp: 
         targets = _given_targets(row, folder, frame, grasp)
     elif kind == "crop":
         crop = row.text("crop", "cucumber_row", sources.CROPS)
+        if frame != "world":
+            raise row.fail(f"frame = '{frame}': a crop stands in the world", "leave it out")
         targets = sources.from_crops(crop, _count(row, "crops", 1), _count(row, "angles", 24), seed, grasp)
     else:
         turned = _rotations(row, grasp)
@@ -420,12 +449,18 @@ def _targets(table: Table, folder: Path, chains: list[Chain], seed: int, grasp: 
     row.close()
     if not len(targets):
         raise row.fail("no target", "give at least one")
+    some = targets.poses_at(np.unique(np.linspace(0, len(targets) - 1, 1000).astype(np.int64)))[:, :3, 3]
+    doubts = [millimetres(chain, some, frame == "world") for chain in chains]
+    if all(doubts):
+        raise row.fail(str(doubts[0]), "lengths are metres, or those of a key that ends in _mm")
     return targets
 
 
 def _given_targets(row: Table, folder: Path, frame: str, grasp: Grasp) -> Targets:
     row.asked.update(("path", "poses"))
     known = row.content.get("poses")
+    if known is not None and "path" in row.content:
+        raise row.fail("path and poses say the same", "keep one")
     poses = read_targets(folder / row.text("path")) if known is None else np.asarray(known, np.float64)
     if poses.shape[1:] in ((4, 4), (7,)):
         return Targets("file", frame, np.zeros((0, 3, 3)), poses=poses)
@@ -435,8 +470,9 @@ def _given_targets(row: Table, folder: Path, frame: str, grasp: Grasp) -> Target
 
 
 def _axis(row: Table, key: str) -> np.ndarray:
-    low, high, count = row.array(key, "length", (3,))
-    if not (np.isfinite(low + high) and count == int(count) and 1 <= count <= 10**6):
+    low, high, _ = row.array(key, "length", (3,))
+    count = next(float(row.content[k][2]) for k in row.read if k in (key, f"{key}_mm", f"{key}_cm"))  # which has no unit
+    if not (np.isfinite(low + high) and count.is_integer() and 1 <= count <= 10**6):
         raise row.fail(f"{key} = [{low:g}, {high:g}, {count:g}]", f"write {key} = [from, to, count] [m]")
     return np.linspace(low, high, int(count))
 
@@ -445,7 +481,9 @@ def _rotations(row: Table, grasp: Grasp) -> np.ndarray:
     """(t, 3, 3): every direction with every roll; none where any direction will do."""
     given = row.content.get("directions", "any")
     row.asked.update(("directions", "roll", "roll_deg"))
-    if given == "any":
+    if isinstance(given, str) and given == "any":
+        if "roll" in row.content or "roll_deg" in row.content:
+            raise row.fail("'roll' without directions turns nothing", "give directions, or leave it out")
         return np.zeros((0, 3, 3))
     if isinstance(given, list | tuple | np.ndarray):
         along = row.array("directions", "plain", (-1, 3))
@@ -453,4 +491,4 @@ def _rotations(row: Table, grasp: Grasp) -> np.ndarray:
             raise row.fail("a direction has no length", "write [x, y, z]")
     else:
         along = sources.directions(_count(row, "directions", 1))
-    return sources.rotations(along, row.array("roll", "angle", (-1,), [0.0]), grasp)
+    return sources.rotations(along, _finite(row, "roll", "angle", (-1,), [0.0]), grasp)

@@ -68,16 +68,21 @@ class Targets:
         """The poses (r, 4, 4) of targets by number; with the identity for a rotation that is free."""
         if self.poses is not None:
             return as_frames(self.poses[rows])
-        position, turn = np.divmod(rows, self.turns)
         poses = np.tile(np.eye(4), (len(rows), 1, 1))
-        if self.axes:
-            index = np.unravel_index(position, self.shape)
-            poses[:, :3, 3] = np.stack([a[i] for a, i in zip(self.axes, index, strict=True)], axis=-1)
-        else:
-            poses[:, :3, 3] = self.positions[position]
+        poses[:, :3, 3] = self.positions_at(rows)
         if len(self.rotations):
-            poses[:, :3, :3] = self.rotations[turn]
+            poses[:, :3, :3] = self.rotations[rows % self.turns]
         return poses
+
+    def positions_at(self, rows: np.ndarray) -> np.ndarray:
+        """The positions (r, 3) of targets by number [m]."""
+        if self.poses is not None:
+            given = self.poses[rows]
+            return given[:, :3, 3] if given.ndim == 3 else given[:, :3]
+        if not self.axes:
+            return self.positions[rows // self.turns]
+        index = np.unravel_index(rows // self.turns, self.shape)
+        return np.stack([a[i] for a, i in zip(self.axes, index, strict=True)], axis=-1)
 
     def wxyz_at(self, rows: np.ndarray) -> np.ndarray:
         """The unit quaternions (r, 4) of targets whose rotation is not free, w >= 0; NaN where it is none."""

@@ -1,0 +1,57 @@
+"""What a caller gives, as arrays of numbers; or the one line that says what was given, and what is allowed."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+RIGID = 1e-4  # how far R'R may be from 1 in a frame that is still one: rotations in files are rounded
+
+
+def numbers(what: str, given: Any) -> np.ndarray:
+    """`given` in float64. Raises `ValueError` for what is no array of integers or floats: text, truth values, ragged lists."""
+    try:
+        array = np.asarray(given)
+        if array.dtype.kind in "iuf":
+            return array.astype(np.float64)
+    except jax.errors.TracerArrayConversionError:
+        raise ValueError(f"{what}: traced; give numbers, and replace the arrays of what is made of them") from None
+    except (TypeError, ValueError, OverflowError):
+        pass
+    raise ValueError(f"{what}: {type(given).__name__} that is no array of numbers; write finite ints or floats")
+
+
+def shaped(what: str, given: Any, shape: tuple[int, ...]) -> np.ndarray:
+    """`numbers` of one shape. Raises `ValueError` for another."""
+    array = numbers(what, given)
+    if array.shape != shape:
+        raise ValueError(f"{what} of shape {array.shape}; allowed: {shape if shape else 'one number'}")
+    return array
+
+
+def is_rigid(frames: np.ndarray) -> np.ndarray:
+    """Whether each of `frames` (..., 4, 4) is finite, a right-handed rotation and a translation."""
+    rotation = frames[..., :3, :3]
+    with np.errstate(all="ignore"):
+        off = np.abs(np.swapaxes(rotation, -1, -2) @ rotation - np.eye(3)).max(axis=(-1, -2), initial=0.0)
+        last = np.abs(frames[..., 3, :] - [0.0, 0.0, 0.0, 1.0]).max(axis=-1, initial=0.0)
+        finite = np.isfinite(frames).all(axis=(-1, -2))
+        return np.asarray(finite & (off <= RIGID) & (last <= RIGID) & (np.linalg.det(rotation) > 0.0))
+
+
+def rigid_frame(what: str, given: Any) -> Any:
+    """`given` as a rigid frame (4, 4) [m]: in float64, or as it is where it is JAX's. Of a traced one the shape alone is known.
+
+    Raises `ValueError` for another shape, and for what shears, scales or mirrors.
+    """
+    if isinstance(given, jax.core.Tracer):
+        if given.shape != (4, 4):
+            raise ValueError(f"{what} of shape {given.shape}; allowed: (4, 4)")
+        return given
+    frame = shaped(what, given, (4, 4))
+    if not is_rigid(frame):
+        raise ValueError(f"{what} is no rigid frame; allowed: finite, a right-handed rotation, and 0 0 0 1 below")
+    return given if isinstance(given, jax.Array) and jnp.issubdtype(given.dtype, jnp.floating) else frame

@@ -1,0 +1,86 @@
+"""A chain never changes: nobody writes to its numbers, or to what is cached by them, however they came by it."""
+
+import copy
+import dataclasses
+import pickle
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+import jaxik
+from jaxik import seeds
+from jaxik.reach import reach
+
+CHAIN = jaxik.load("p6r")
+WAYS = {
+    "loaded": lambda chain: jaxik.load("p6r"),
+    "replaced": lambda chain: dataclasses.replace(chain, lower=np.array(chain.lower)),
+    "part": lambda chain: chain.part(1, 7),
+    "tool": lambda chain: chain.with_tool(np.eye(4)),
+    "copied": copy.copy,
+    "deep copy": copy.deepcopy,
+    "pickled": lambda chain: pickle.loads(pickle.dumps(chain)),
+    "tree_at": lambda chain: eqx.tree_at(lambda c: (c.lower, c.boxes[0].half), chain, (np.zeros(7), np.ones(3))),
+    "tree_map": lambda chain: jax.tree_util.tree_map(np.array, chain),
+}
+
+
+def arrays(tree):
+    return [x for x in jax.tree_util.tree_leaves(tree) if isinstance(x, np.ndarray)]
+
+
+@pytest.mark.parametrize("way", WAYS)
+def test_no_array_of_a_hashed_chain_can_be_written(way):
+    hash(CHAIN)
+    chain = WAYS[way](CHAIN)
+    before = chain.digest
+    assert len(arrays(chain)) > 10
+    for array in arrays(chain):
+        with pytest.raises(ValueError, match="read-only"):
+            array[...] = 0.0
+    assert chain.digest == before == chain._computed_digest()
+
+
+def test_a_chain_that_was_hashed_is_the_same_pytree():
+    """Or it would compile again as an argument, and what is made of it would be another chain to every cache."""
+    new, used = jaxik.load("p6r"), jaxik.load("p6r")
+    hash(used)
+    assert jax.tree_util.tree_structure(new) == jax.tree_util.tree_structure(used)
+    assert all(way(used).digest == new.digest for name, way in WAYS.items() if name not in ("part", "tree_at"))
+
+
+def test_arrays_given_to_a_chain_stay_their_owner_s():
+    """Whole, by a view that is read-only itself, and by `tree_at`, where the chain finds it when it is hashed."""
+    lower, frames, upper = np.array(CHAIN.lower), np.array(CHAIN.parent_T_joint), np.array(CHAIN.upper)
+    view = frames[:]
+    view.setflags(write=False)
+    chain = dataclasses.replace(CHAIN, lower=lower, parent_T_joint=view)
+    chain = eqx.tree_at(lambda c: c.upper, chain, upper)
+    assert chain == CHAIN
+    lower[0], frames[0, 0, 3], upper[0] = -9.0, 9.0, 9.0
+    assert chain == CHAIN and chain.digest == chain._computed_digest()
+    assert np.array_equal(chain.lower, CHAIN.lower) and np.array_equal(chain.parent_T_joint, CHAIN.parent_T_joint)
+
+
+def test_numbers_of_a_chain_may_be_jax_s_and_traced():
+    q = jnp.linspace(0.1, 0.7, 7)
+    with_jax = dataclasses.replace(CHAIN, joint_T_tip=jnp.asarray(CHAIN.joint_T_tip), lower=jnp.asarray(CHAIN.lower))
+    assert isinstance(with_jax.joint_T_tip, jax.Array) and isinstance(with_jax.digest, str)
+    height = lambda x: jaxik.forward_kinematics(CHAIN.with_tool(jnp.eye(4).at[2, 3].set(x)), q)[2, 3]
+    assert np.isclose(jax.grad(height)(0.1), jaxik.forward_kinematics(CHAIN, q)[2, 2])
+    one = jax.tree_util.tree_map(lambda x: x[0], jax.vmap(lambda x: CHAIN.with_tool(jnp.eye(4) * x))(jnp.ones(2)))
+    assert one.joint_T_tip.shape == (4, 4) and not jax.tree_util.tree_leaves(jax.tree_util.tree_map(lambda _: None, CHAIN))
+
+
+def test_what_is_cached_and_shared_cannot_be_written():
+    inside = seeds.Range((0.0, -1.0), (1.0, 1.0))
+    shared = [seeds.uniform(inside, 0, 3), seeds.low_discrepancy(inside, 0, 8), reach(CHAIN)]
+    shared.append(
+        seeds._library(CHAIN, jaxik.Task(), seeds.Range(tuple(CHAIN.lower.tolist()), tuple(CHAIN.upper.tolist())), 1.0, 0)
+    )
+    assert len(arrays(shared)) >= 6
+    for array in arrays(shared):
+        assert not array.flags.writeable

@@ -1,0 +1,291 @@
+"""Scenes from plain arrays: what is right arrives as it was given, the rest is refused in one line, and a file keeps it all."""
+
+import dataclasses
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from hypothesis.extra import numpy as hnp
+from scipy.spatial.transform import Rotation
+
+import jaxik
+from jaxik.load.scene import save_scene
+
+WIDTHS = {"points": 3, "spheres": 4, "capsules": 7}
+LEFT_HANDED, STRETCHED, HALF = np.diag([1.0, 1.0, -1.0, 1.0]), np.diag([1.001, 1.0, 1.0, 1.0]), np.diag([1.0, 1.0, 1.0, 0.5])
+
+
+def one_line(error, *words):
+    line = str(error.value)
+    assert "\n" not in line and all(w in line for w in words), line
+
+
+@pytest.mark.parametrize(
+    "given, words",
+    [
+        ({"spheres": [[0.1, 0.2, 0.3]] * 4}, ("spheres", "(4, 3)", "(k, 4)", "radius")),
+        ({"points": [[0.1, 0.2, 0.3, 0.4]] * 3}, ("points", "(3, 4)", "(k, 3)")),
+        ({"points": [0.1, 0.2, 0.3]}, ("points", "(3,)", "(k, 3)")),
+        ({"points": np.zeros((2, 3, 3))}, ("points", "(2, 3, 3)")),
+        ({"points": np.zeros((0, 5))}, ("points", "(0, 5)")),
+        ({"points": [[0, 0, 0], [0, 0]]}, ("points", "no array of numbers")),
+        ({"points": [["0", "0", "0"]]}, ("points", "no array of numbers")),
+        ({"points": [[None, 0, 0]]}, ("points", "no array of numbers")),
+        ({"points": [[True, False, True]]}, ("points", "no array of numbers")),
+        ({"points": [[1j, 0, 0]]}, ("points", "no array of numbers")),
+        ({"points": 3.0}, ("points", "()")),
+        ({"points": "abc"}, ("points", "no array of numbers")),
+        ({"points": None}, ("points", "no array of numbers")),
+        ({"points": [[0, 0, 0], [0, np.nan, 0]]}, ("points", "row 2", "nan", "finite")),
+        ({"points": [[0, np.inf, 0]]}, ("points", "row 1", "inf", "finite")),
+        ({"points": [[10**400, 0, 0]]}, ("points", "no array of numbers")),
+        ({"points": [[0, 700, 0]]}, ("points", "row 1", "700", "100 m")),
+        ({"spheres": [[0, 0, 0, 0.1], [0, 0, 0, -0.1]]}, ("spheres", "row 2", "-0.1", "0 or more")),
+        ({"capsules": [[0, 0, 0, 1, 0, 0]] * 7}, ("capsules", "(7, 6)", "(k, 7)")),
+        ({"capsules": [[0, 0, 0, 1, 0, 0, -1]]}, ("capsules", "row 1", "-1", "0 or more")),
+        ({"boxes": [(np.eye(4), 0.1)]}, ("boxes", "row 1", "three edges")),
+        ({"boxes": [(np.eye(4), 0.1)] * 3}, ("boxes", "row 1", "three edges")),
+        ({"boxes": [(np.eye(4), (0.1, 0.1))]}, ("boxes", "row 1", "three edges")),
+        ({"boxes": [(np.eye(4), (0.1, -0.1, 0.1))]}, ("boxes", "row 1", "-0.1")),
+        ({"boxes": [(np.eye(3), (0.1, 0.1, 0.1))]}, ("boxes", "row 1", "(3, 3)", "(4, 4)")),
+        ({"boxes": [(LEFT_HANDED, (0.1, 0.1, 0.1))]}, ("boxes", "row 1", "no rigid frame")),
+        ({"boxes": [(STRETCHED, (0.1, 0.1, 0.1))]}, ("boxes", "row 1", "no rigid frame")),
+        ({"boxes": [(np.eye(4) * np.nan, (0.1, 0.1, 0.1))]}, ("boxes", "row 1", "no rigid frame")),
+        ({"boxes": np.eye(4)}, ("boxes", "row 1")),
+        ({"boxes": 1}, ("boxes",)),
+        ({"boxes": [np.eye(4)]}, ("boxes", "row 1")),
+        ({"cylinders": [(np.eye(4), 0.1)]}, ("cylinders", "row 1", "radius", "length")),
+        ({"cylinders": [(np.eye(4), 0.1, -1.0)]}, ("cylinders", "row 1", "-1")),
+        ({"cylinders": [(HALF, 0.1, 1.0)]}, ("cylinders", "row 1", "no rigid frame")),
+        ({"sphere": [[0, 0, 0, 1]]}, ("'sphere'", "allowed: points, spheres")),
+        ({"sphere": []}, ("'sphere'", "allowed: points, spheres")),
+        ({"point_radius": -0.01}, ("point_radius", "-0.01")),
+        ({"point_radius": np.nan}, ("point_radius", "nan")),
+        ({"point_radius": [0.01, 0.02]}, ("point_radius", "(2,)")),
+        ({"point_radius": "1"}, ("point_radius", "no array of numbers")),
+    ],
+)
+def test_what_is_no_obstacle_is_refused(given, words):
+    with pytest.raises(ValueError) as error:
+        jaxik.make_scene(**given)
+    one_line(error, *words)
+
+
+@pytest.mark.parametrize(
+    "given, words",
+    [
+        ({"axis": (0, 0, 0)}, ("axis", "no direction")),
+        ({"axis": (0, np.nan, 1)}, ("axis", "nan")),
+        ({"axis": (0, 1)}, ("axis", "(2,)", "(3,)")),
+        ({"position": (0, np.inf, 0)}, ("position", "inf")),
+        ({"position": (0, 0)}, ("position", "(2,)", "(3,)")),
+        ({"position": (0, 700, 0)}, ("position", "700", "100 m")),
+        ({"length": -0.3}, ("length", "-0.3", "0 or more")),
+        ({"radius": -0.02}, ("radius", "-0.02", "0 or more")),
+        ({"radius": np.nan}, ("radius", "nan")),
+        ({"length": (0.3, 0.3)}, ("length", "(2,)")),
+        ({"name": "leaf"}, ("'leaf'", "twice")),
+        ({"name": ""}, ("name", "one line")),
+        ({"name": "a\nb"}, ("name", "one line")),
+    ],
+)
+def test_a_fruit_is_a_fruit(given, words):
+    builder = jaxik.SceneBuilder()
+    builder.add("leaf", points=[[0, 0, 0]])
+    with pytest.raises(ValueError) as error:
+        builder.add_fruit(**({"name": "fruit", "position": (0, 0, 0)} | given))
+    one_line(error, *words)
+    scene = builder.scene()  # and nothing of it stays
+    assert scene.object_names == ("leaf",) and not scene.fruits and scene.counts == jaxik.make_scene(points=[[0, 0, 0]]).counts
+
+
+def test_a_refused_object_leaves_nothing_behind():
+    builder = jaxik.SceneBuilder()
+    with pytest.raises(ValueError, match="'leaf': spheres"):
+        builder.add("leaf", points=[[0, 0, 0]], spheres=[[0, 0, 0]])
+    with pytest.raises(ValueError, match=r"'leaf': removable is list; .* by keyword"):
+        builder.add("leaf", [[0, 0, 0]])
+    assert builder.scene().object_names == () and builder.scene().counts["points"] == 0
+
+
+def test_any_array_of_numbers_is_taken():
+    wanted = np.array([[1.0, 2.0, 3.0], [4.0, 5.0, 6.0]])
+    forms = (
+        wanted, wanted.tolist(), wanted.astype(int), wanted.astype(np.float32), jnp.asarray(wanted), list(jnp.asarray(wanted)),
+        [tuple(jnp.asarray(x) for x in row) for row in wanted], (row for row in wanted),
+    )  # fmt: skip
+    for form in forms:
+        centers = jaxik.make_scene(points=form).points.center
+        assert centers.dtype == np.float64 and np.array_equal(centers, wanted)
+    frame = np.eye(4, dtype=int)
+    scene = jaxik.make_scene(
+        boxes=zip([frame], [np.array([1, 2, 4])], strict=True), cylinders=[[frame.tolist(), 1, np.int64(2)]]
+    )
+    assert np.array_equal(scene.boxes.half, [[0.5, 1.0, 2.0]]) and np.array_equal(scene.boxes.world_T_box, [np.eye(4)])
+    assert np.array_equal(scene.cylinders.radius, [1.0]) and np.array_equal(scene.cylinders.half, [1.0])
+    empty = jaxik.make_scene(points=[], spheres=np.zeros((0, 4)), boxes=(), point_radius=np.float32(0.5))
+    assert set(empty.counts.values()) == {0} and empty.points.radius == 0.5
+
+
+@pytest.mark.parametrize(
+    "frame, words",
+    [
+        (np.eye(3), ("(3, 3)", "(4, 4)")),
+        (STRETCHED, ("no rigid frame",)),
+        (LEFT_HANDED, ("no rigid frame",)),
+        (np.eye(4) * np.nan, ("no rigid frame",)),
+        ("abc", ("no array of numbers",)),
+    ],
+)
+def test_a_frame_that_is_not_rigid_moves_no_robot(frame, words):
+    chain = jaxik.load("planar2")
+    for move, name in (
+        (chain.mounted, "world_T_base"),
+        (chain.with_tool, "tip_T_tool"),
+        (lambda frame: jaxik.load("planar2", tool=frame), "tool"),
+    ):
+        with pytest.raises(ValueError) as error:
+            move(frame)
+        one_line(error, name, *words)
+
+
+def test_a_rigid_frame_is_taken_in_any_form():
+    chain, shift = jaxik.load("planar2"), np.eye(4, dtype=int)
+    shift[0, 3] = 2
+    for form in (shift, shift.tolist(), jnp.asarray(shift)):
+        assert chain.mounted(form).world_T_base[0, 3] == 2.0
+        assert np.array_equal(chain.with_tool(form).joint_T_tip, chain.joint_T_tip @ shift)
+    # what is traced is known by its shape alone, and has its gradient
+    assert jax.grad(lambda x: chain.with_tool(jnp.eye(4).at[0, 3].set(x)).joint_T_tip[0, 3])(0.1) == 1.0
+    with pytest.raises(ValueError, match=r"\(3, 3\)"):
+        jax.eval_shape(lambda x: chain.mounted(x).world_T_base, jnp.eye(3))
+
+
+numbers = st.one_of(st.floats(width=64), st.integers(), st.booleans(), st.text(max_size=2), st.none())
+arrays = hnp.arrays(
+    st.sampled_from([np.float64, np.float32, np.float16, np.int64, np.uint8, bool, np.complex128]),
+    hnp.array_shapes(min_dims=0, max_dims=3, min_side=0, max_side=7),
+)
+frames = st.one_of(st.just(np.eye(4)), arrays, numbers)
+anything = st.recursive(st.one_of(numbers, arrays), lambda inner: st.lists(inner, max_size=7), max_leaves=12)
+rows = st.one_of(anything, st.lists(st.tuples(frames, anything), max_size=3), st.lists(st.tuples(frames, anything, anything)))
+
+
+@settings(max_examples=150, deadline=None, derandomize=True)
+@given(kind=st.sampled_from((*WIDTHS, "boxes", "cylinders")), rows=rows, radius=st.one_of(st.just(0.0), anything))
+def test_random_obstacles_are_kept_or_refused(kind, rows, radius):
+    """Never reshaped: as many obstacles as rows, each finite, of no negative size."""
+    try:
+        scene = jaxik.make_scene(radius, **{kind: rows})
+    except ValueError as error:
+        assert "\n" not in str(error) and (kind in str(error) or "point_radius" in str(error))
+        return
+    assert scene.counts[kind] == len(rows) == len(scene.object_names) == len(scene.owners[jaxik.scene.KINDS.index(kind)])
+    leaves = jax.tree_util.tree_leaves(scene)
+    assert all(np.all(np.isfinite(x)) and np.max(np.abs(x), initial=0.0) <= 100.0 for x in leaves)
+    if kind in WIDTHS and len(rows):
+        body = dataclasses.asdict(getattr(scene, kind))
+        back = np.column_stack([body[k] for k in ("center", "a", "b", "radius") if k in body and np.ndim(body[k])])
+        assert np.array_equal(back, np.asarray(rows, float))
+
+
+# --------------------------------------------------------------------------------------------------------------------
+# Files
+
+
+def crowded(seed=0):
+    """Everything that a scene may hold, at numbers that no few digits can write."""
+    rng = np.random.default_rng(seed)
+    builder = jaxik.SceneBuilder('a "quoted" \\ name, \t é \x7f 🍅', point_radius=rng.uniform())
+
+    def pose(rotation=None):
+        frame = np.eye(4)
+        frame[:3, :3] = Rotation.random(random_state=rng).as_matrix() if rotation is None else rotation
+        frame[:3, 3] = rng.normal(size=3)
+        return frame
+
+    spheres = np.abs(rng.normal(size=(2, 4)))
+    straight = Rotation.from_euler("zyx", (0.3, np.pi / 2.0, 0.2)).as_matrix()
+    boxes = [(pose(), rng.uniform(size=3)), (pose(np.eye(3)), rng.uniform(size=3)), (pose(straight), rng.uniform(size=3))]
+    cylinders = [(pose(), *rng.uniform(size=2)) for _ in range(2)]
+    builder.add("leaf", points=rng.normal(size=(3, 3)), spheres=spheres, boxes=boxes, cylinders=cylinders)
+    builder.add('post "1"\\', False, capsules=np.abs(rng.normal(size=(2, 7))), boxes=boxes[1:2], points=[[1e-7, -0.0, 1e2]])
+    builder.add("plate", cylinders=[(pose(np.eye(3)), 0.5, 0.0)])
+    builder.add_fruit("hanging", rng.normal(size=3), (0.0, 0.0, 1.0), 0.3, 0.02)
+    builder.add_fruit("oblique", rng.normal(size=3), rng.normal(size=3), 0.3, 0.02)
+    builder.add_fruit("a place", rng.normal(size=3), rng.normal(size=3))
+    builder.add_fruit("apple", rng.normal(size=3), rng.normal(size=3), 0.0, 0.04)
+    return builder.scene()
+
+
+def same(a, b):
+    """Bit by bit, names and owners too."""
+    leaves = [jax.tree_util.tree_flatten(x) for x in (a, b)]
+    alike = zip(leaves[0][0], leaves[1][0], strict=True)
+    return leaves[0][1] == leaves[1][1] and all(np.asarray(x).tobytes() == np.asarray(y).tobytes() for x, y in alike)
+
+
+@pytest.mark.parametrize("seed", range(20))
+def test_a_file_keeps_a_scene_to_the_last_bit(tmp_path, seed):
+    path, scene = tmp_path / "scene.toml", crowded(seed)
+    save_scene(path, scene, 'a "quoted" \\ description')
+    assert same(jaxik.load_scene(path), scene)
+    turned = np.eye(4)
+    turned[:3, :3], turned[:3, 3] = Rotation.from_rotvec((0.3, -0.2, 0.9)).as_matrix(), (0.1, 0.2, 0.3)
+    save_scene(path, scene.moved(turned))
+    assert same(jaxik.load_scene(path), scene.moved(turned))
+
+
+def test_what_was_taken_away_is_not_written(tmp_path):
+    path, scene = tmp_path / "scene.toml", crowded()
+    save_scene(path, scene.without(["leaf", "hanging"]).padded())
+    back = jaxik.load_scene(path)
+    assert back.object_names == tuple(n for n in scene.object_names if n != "leaf") and len(back.fruits) == 4
+    assert back.counts == {"points": 1, "spheres": 0, "capsules": 4, "boxes": 1, "cylinders": 1}
+    with pytest.raises(ValueError, match="belong to no object"):
+        save_scene(path, scene.geometry())
+
+
+def test_rotations_in_a_file(tmp_path):
+    path = tmp_path / "scene.toml"
+    box = '[[object]]\nname = "a"\nboxes = [[0, 0, 0, 1, 2, 4], [1, 0, 0, 1, 2, 4]]\n'
+    unit, turn = "[[1, 0, 0], [0, 1, 0], [0, 0, 1]]", "[[0, -1, 0], [1, 0, 0], [0, 0, 1]]"
+
+    def load(more):
+        path.write_text(f'name = "s"\n{box}{more}\n')
+        return jaxik.load_scene(path)
+
+    assert np.array_equal(
+        load(f"rotations = [{unit}, {turn}]").boxes.world_T_box[1, :3, :3], [[0, -1, 0], [1, 0, 0], [0, 0, 1]]
+    )
+    assert np.allclose(load("rpy_deg = [0, 0, 90]").boxes.world_T_box[:, 0, 1], -1.0)
+    for more, words in (
+        (f"rotations = [{unit}]", "1 rotations for 2 boxes and cylinders"),
+        (f"rotations = [{unit}, {turn}]\nrpy = [0, 0, 1]", "say the same"),
+        ("rotations = [[1, 0, 0], [0, 1, 0], [0, 0, 1]]", "rows of 3 numbers"),
+        (f"rotations = [{unit}, [[1, 0, 0], [0, 1, 0], [0, 0, 2]]]", "boxes row 2.*no rigid frame"),
+        ("rpy = [0, 0, inf]", "'rpy' holds infinity"),
+    ):
+        with pytest.raises(jaxik.LoadError, match=words) as error:
+            load(more)
+        one_line(error, "scene.toml", "'a'")
+
+
+def test_a_scene_without_a_fruit_is_a_scene(tmp_path):
+    path = tmp_path / "cell.toml"
+    path.write_text('name = "cell"\n[[object]]\nname = "table"\nboxes = [[0.5, 0, -0.1, 1, 1, 0.1]]\n')
+    cell = jaxik.load_scene(path)
+    assert cell.counts["boxes"] == 1 and not cell.fruits
+    (tmp_path / "cell.csv").write_text("label,x,y,z\npost,0.5,0,0\n")
+    assert jaxik.load_scene(tmp_path / "cell.csv").object_names == ("post",)
+    with pytest.raises(ValueError, match="no fruit") as error:
+        jaxik.harvest(jaxik.load("p6r"), cell)
+    one_line(error, "cell")
+    for name, content in (("empty.toml", 'name = "cell"\n'), ("empty.csv", "label,x,y,z\n")):
+        (tmp_path / name).write_text(content)
+        with pytest.raises(jaxik.LoadError, match="neither") as error:
+            jaxik.load_scene(tmp_path / name)
+        one_line(error, name)
