@@ -9,10 +9,8 @@ empty is out of reach for any position of the slide; one that has some left at t
 from __future__ import annotations
 
 import functools
-from collections.abc import Callable
 from typing import Any, NamedTuple
 
-import jax
 import jax.numpy as jnp
 import numpy as np
 
@@ -24,6 +22,7 @@ from jaxik.closed_form import TURN, WAYS, half_branches, wrist_branches
 from jaxik.kinematics import joint_frames
 from jaxik.leading import arm_of, grid, may_be_inside
 from jaxik.reach import reach
+from jaxik.spmd import HostKernel
 
 BLOCK = 2000  # cells a compiled call
 PORTION = 8000  # targets whose cells stand in memory: their last, few cells fill a block
@@ -129,7 +128,7 @@ def _shoulders(chain: Chain, leading: np.ndarray) -> np.ndarray:
 
 
 @functools.lru_cache(maxsize=64)
-def _reaches(chain: Chain) -> Callable[..., Any]:
+def _reaches(chain: Chain) -> HostKernel:
     """Compiled, by rows: which of the ways (4,) of joints 1 to 3 can be inside the limits anywhere in a cell. Most cannot, and
     what is left costs four times as much to look at."""
 
@@ -137,11 +136,11 @@ def _reaches(chain: Chain) -> Callable[..., Any]:
         ways = half_branches(chain, pose, [Ball(c, h) for c, h in zip(centre, half, strict=True)])
         return jnp.stack([possible(way.margin >= -SLACK) & may_be_inside(chain, way.turns, SLACK) for way in ways])
 
-    return jax.jit(jax.vmap(cell, in_axes=(0, 0, None)))
+    return HostKernel(cell, 2)
 
 
 @functools.lru_cache(maxsize=64)
-def _enclosed(chain: Chain) -> Callable[..., Any]:
+def _enclosed(chain: Chain) -> HostKernel:
     """Compiled, by rows, for the way of joints 1 to 3 that has these signs: whether one of its two branches can be inside the
     limits anywhere in a cell, and the first that is in its middle, or -1."""
 
@@ -151,7 +150,7 @@ def _enclosed(chain: Chain) -> Callable[..., Any]:
         (may, one), (may_two, two) = (_inside(chain, *branch) for branch in wrist_branches(chain, way, pose.dtype))
         return may | may_two, jnp.where(one, 0, jnp.where(two, 1, -1))
 
-    return jax.jit(jax.vmap(cell, in_axes=(0, 0, 0, None)))
+    return HostKernel(cell, 3)
 
 
 def _inside(chain: Chain, angles: Any, margin: Ball) -> tuple[Any, Any]:

@@ -22,10 +22,8 @@ import dataclasses
 import functools
 import itertools
 import math
-from collections.abc import Callable
 from typing import Any, NamedTuple
 
-import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Bool, Float
@@ -34,6 +32,7 @@ from jaxik.algebra import BASE, Frame, Rot3, Scalar, Vec3, add, atan2, constants
 from jaxik.ball import minimum, where, whole
 from jaxik.chain import Array, Chain, as_numbers, finite_limits
 from jaxik.kinematics import joint_frames
+from jaxik.spmd import HostKernel, kernel
 
 TOLERANCE = 1e-7  # [m, rad] within which axes count as parallel, meeting or crossing
 BRANCHES = 8
@@ -78,6 +77,7 @@ class Geometry:
     wrist_across: np.ndarray  # (2, 3) across_6 and h_6 x across_6, in the wrist frame at q = 0
 
 
+@kernel(models=1)
 def closed_form(chain: Chain, pose: Float[Array, "4 4"], slide: Float[Array, "..."] | float | None = None) -> ClosedForm:
     """All joint positions with `base_T_tip = pose` (4, 4) [m], for given leading joints `slide` [m, rad].
 
@@ -105,14 +105,14 @@ def closed_form(chain: Chain, pose: Float[Array, "4 4"], slide: Float[Array, "..
 
 
 @functools.lru_cache(maxsize=16)
-def closed_forms(chain: Chain) -> Callable[..., ClosedForm]:
-    """A compiled batch of `closed_form`: (poses, leading joints), by rows."""
-    return jax.jit(jax.vmap(functools.partial(closed_form, chain)))
+def closed_forms(chain: Chain) -> HostKernel:
+    """A batch of `closed_form`: (poses, leading joints), by rows."""
+    return HostKernel(functools.partial(closed_form, chain), 2)
 
 
 @functools.lru_cache(maxsize=16)
-def closed_branches(chain: Chain) -> Callable[..., Any]:
-    """Compiled, by rows of poses, leading joints and branch numbers: that branch alone, its joints (n,) and whether they have
+def closed_branches(chain: Chain) -> HostKernel:
+    """By rows of poses, leading joints and branch numbers: that branch alone, its joints (n,) and whether they have
     the pose inside the limits; a fifth of the time of all eight."""
 
     def branch(pose: Any, leading: Any, number: Any) -> Any:
@@ -123,7 +123,7 @@ def closed_branches(chain: Chain) -> Callable[..., Any]:
         q, inside = into_limits(chain, jnp.stack([*leading, *angles]))
         return q, (margin >= 0.0) & inside
 
-    return jax.jit(jax.vmap(branch))
+    return HostKernel(branch, 3)
 
 
 def into_limits(chain: Chain, q: Float[Array, "*b n"]) -> tuple[Float[Array, "*b n"], Bool[Array, "*b"]]:

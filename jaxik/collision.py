@@ -25,10 +25,12 @@ from jaxik.chain import Array, Chain, as_configuration
 from jaxik.kinematics import joint_frames
 from jaxik.scene import FAR, KINDS, Scene
 from jaxik.spheres import LEVELS, Skeleton, skeletons
+from jaxik.spmd import kernel
 
 Gap = Callable[[Any, Any], Any]
 
 
+@kernel(models=1)
 def clearance(chain: Chain, scene: Scene | None, q: Float[Array, " n"]) -> Float[Array, ""]:
     """The smallest signed distance of the robot to the scene and to itself [m]; negative is depth of penetration.
 
@@ -41,6 +43,7 @@ def clearance(chain: Chain, scene: Scene | None, q: Float[Array, " n"]) -> Float
     return _measured(chain, scene, q, [_links(chain)])[0]
 
 
+@kernel(models=1)
 def link_clearances(chain: Chain, scene: Scene | None, q: Float[Array, " n"]) -> Float[Array, " k"]:
     """The clearance of each link that has collision geometry, in the order of the links [m]; `clearance` is their minimum.
 
@@ -151,11 +154,13 @@ def _links(chain: Chain) -> list[int]:
     return sorted({b.link for b in chain.boxes} | {v.link for v in chain.volumes})
 
 
+@kernel(models=1)
 def self_clearance(chain: Chain, q: Float[Array, " n"]) -> Float[Array, ""]:
     """The smallest signed distance of the robot to itself, over `chain.self_pairs` [m]."""
     return clearance(chain, None, q)
 
 
+@kernel(models=1)
 def object_clearances(chain: Chain, scene: Scene, q: Float[Array, " n"]) -> Float[Array, " o"]:
     """The robot's signed distance to each object of `scene.object_names` [m]; infinite to one that is moved away."""
     q = as_configuration(chain, q)

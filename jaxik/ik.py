@@ -10,7 +10,6 @@ import functools
 from collections.abc import Callable
 from typing import Any
 
-import jax
 import numpy as np
 
 from jaxik.batch import in_blocks
@@ -24,6 +23,7 @@ from jaxik.kinematics import manipulability
 from jaxik.multistart import MEASURED, Found, Job, Outcome, search, top, unwound
 from jaxik.result import Reason
 from jaxik.scene import Scene
+from jaxik.spmd import HostKernel
 from jaxik.task import Task
 
 TARGETS = 16_384  # at a time, which bounds the memory
@@ -163,8 +163,8 @@ def _score(job: Job, found: Found) -> np.ndarray:
 
 
 @functools.lru_cache(maxsize=32)
-def _measure(chain: Chain, function: Callable[..., Any]) -> Callable[..., Any]:
-    return jax.jit(jax.vmap(functools.partial(function, chain)))
+def _measure(chain: Chain, function: Callable[..., Any]) -> HostKernel:
+    return HostKernel(functools.partial(function, chain), 1)
 
 
 def _columns(job: Job, outcome: Outcome) -> dict[str, np.ndarray]:

@@ -11,10 +11,8 @@ from __future__ import annotations
 import dataclasses
 import functools
 import math
-from collections.abc import Callable
 from typing import Any, NamedTuple
 
-import jax
 import jax.numpy as jnp
 import numpy as np
 from jax import lax
@@ -24,6 +22,7 @@ from jaxik.ball import possible
 from jaxik.batch import in_blocks
 from jaxik.chain import Chain, finite_limits
 from jaxik.closed_form import TURN, WAYS, half_branches, wrist_branches
+from jaxik.spmd import HostKernel
 
 BLOCK = 6000  # targets a compiled call: few enough for the second cache, enough that starting a call costs nothing
 NOTHING = -2.0  # freedom of a branch that does not have the pose; past its limits the freest joint of all has -1 at least
@@ -109,7 +108,7 @@ def arm_of(chain: Chain) -> Chain:
 
 
 @functools.lru_cache(maxsize=64)
-def _may_have(chain: Chain, count: int) -> Callable[..., Any]:
+def _may_have(chain: Chain, count: int) -> HostKernel:
     """Compiled, by rows of poses, for the first `many` of the leading positions (count, k): a byte (count,), of each way of
     joints 1 to 3 a low bit if it may be inside the limits and a high bit if it has the pose."""
 
@@ -124,7 +123,7 @@ def _may_have(chain: Chain, count: int) -> Callable[..., Any]:
 
         return lax.fori_loop(0, many, turn, jnp.zeros(count, jnp.uint8))
 
-    return jax.jit(jax.vmap(target, in_axes=(0, None, None)))
+    return HostKernel(target, 1)
 
 
 def may_be_inside(chain: Chain, turns: Any, slack: float) -> Any:
@@ -140,7 +139,7 @@ def may_be_inside(chain: Chain, turns: Any, slack: float) -> Any:
 
 
 @functools.lru_cache(maxsize=64)
-def _half_freedom(chain: Chain) -> Callable[..., Any]:
+def _half_freedom(chain: Chain) -> HostKernel:
     """Compiled, by rows of poses and leading joints, for the way of joints 1 to 3 that has these signs: the freedom of the
     freer of its two branches (`NOTHING` where it does not have the pose), its number, and a bit for each that is inside."""
     low, high = finite_limits(chain)
@@ -165,4 +164,4 @@ def _half_freedom(chain: Chain) -> Callable[..., Any]:
         inside = (one >= 0.0).astype(jnp.uint8) | (two >= 0.0).astype(jnp.uint8) << 1
         return jnp.maximum(one, two), (two > one).astype(jnp.int32), inside
 
-    return jax.jit(jax.vmap(pair, in_axes=(0, 0, None, None)))
+    return HostKernel(pair, 2)

@@ -13,7 +13,7 @@ from __future__ import annotations
 
 import dataclasses
 import functools
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from typing import Any, NamedTuple
 
 import jax
@@ -29,6 +29,7 @@ from jaxik.kinematics import jacobian
 from jaxik.leading import grid, leading_grid
 from jaxik.result import Reason
 from jaxik.scene import Fruit, Scene
+from jaxik.spmd import HostKernel
 
 # Rows a compiled call. Not a power of two: columns of 2^k rows fall into the same cache sets and evict each other.
 CHUNK = 3000
@@ -111,20 +112,20 @@ class Scan(NamedTuple):
 
 
 @functools.lru_cache(maxsize=16)
-def _measures(chain: Chain) -> Callable[..., Any]:
-    return jax.jit(jax.vmap(lambda q, scene: (clearance(chain, scene, q), joint_freedom(chain, q)), in_axes=(0, None)))
+def _measures(chain: Chain) -> HostKernel:
+    return HostKernel(lambda q, scene: (clearance(chain, scene, q), joint_freedom(chain, q)), 1)
 
 
 @functools.lru_cache(maxsize=16)
-def _contacts(chain: Chain) -> Callable[..., Any]:
+def _contacts(chain: Chain) -> HostKernel:
     def contacts(q: Any, scene: Scene) -> Any:
         return object_clearances(chain, scene, q), self_clearance(chain, q)
 
-    return jax.jit(jax.vmap(contacts, in_axes=(0, None)))
+    return HostKernel(contacts, 1)
 
 
 @functools.lru_cache(maxsize=16)
-def _ascent(chain: Chain) -> Callable[..., Any]:
+def _ascent(chain: Chain) -> HostKernel:
     """What recovery raises (`_worth`), its gradient in q, and the Jacobian."""
 
     def worth(q: Any, scene: Scene) -> Any:
@@ -133,7 +134,7 @@ def _ascent(chain: Chain) -> Callable[..., Any]:
     def each(q: Any, scene: Scene) -> Any:
         return *jax.value_and_grad(worth)(q, scene), jacobian(chain, q)
 
-    return jax.jit(jax.vmap(each, in_axes=(0, None)))
+    return HostKernel(each, 1)
 
 
 def _worth(chain: Chain, distance: Any, q: Any) -> Any:

@@ -238,7 +238,10 @@ class Emitter:
                     found |= {x for pair in zip(args[2], args[4], strict=True) if any(y in live.varying for y in pair) for x in pair}
             elif code == "store":
                 found |= {args[3]} | ({args[2]} if args[2] in live.varying else set())
-            elif code not in ("const", "param", "load", "result") and v in live.varying:
+            elif code == "load":
+                if args[0].kind == "operand" and not self.shared[args[0].number] and args[2] is not None:
+                    found.add(args[2])  # a lane's own row at an index that all lanes agree on
+            elif code not in ("const", "param", "result") and v in live.varying:
                 found.update(args)
         found.update(v for row in self.program.outputs for v in row)
         return found
@@ -534,7 +537,7 @@ class Emitter:
 
     def _loop(self, v: int, op: Op) -> None:
         init, count, params, test, turns, body, results = op.args
-        live, ops = self.live, self.program.ops
+        live = self.live
         kept = [i for i, p in enumerate(params) if p in live.needed]
         before, head, inner, end = self.block, self.label("head"), self.label("turn"), self.label("end")
         self.line(f"br label %{head}")
@@ -674,7 +677,7 @@ class Emitter:
                 for block in due.get(v, ()):
                     self._output(*block)
         self.line("ret void")
-        head = [f"define internal void @lanes(ptr noalias %ins, ptr noalias %outs) #0 {{", "entry:"]
+        head = ["define internal void @lanes(ptr noalias %ins, ptr noalias %outs) #0 {", "entry:"]
         for kind, count in (("in", len(self.shared)), ("out", len(p.outputs))):
             for k in range(count):
                 head.append(f"  %{kind}p{k} = getelementptr ptr, ptr %{kind}s, i64 {k}")

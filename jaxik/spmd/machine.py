@@ -9,8 +9,6 @@ import sys
 import threading
 from typing import Any
 
-import numpy as np
-
 
 @functools.cache
 def llvm() -> Any:

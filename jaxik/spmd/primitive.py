@@ -20,6 +20,8 @@ from jaxik.spmd.trace import Traced, _is_float
 
 Masks = tuple[tuple[bool, ...], ...]  # for each operand, which axes of the batch it has
 
+_DENSE = 4096  # entries of a derivative, from which it is not formed
+
 kernel_p = Primitive("spmd_kernel")
 kernel_p.multiple_results = True
 
@@ -62,6 +64,10 @@ def _jvp(primals: Sequence[Any], tangents: Sequence[Any], *, traced: Traced, bat
     """One kernel gives values and derivatives; ordinary operations contract them with the tangents."""
     active = tuple(i for i, t in enumerate(tangents) if not isinstance(t, ad.Zero) and _is_float(traced.inputs[i]))
     count = len(traced.outputs)
+    size = sum(math.prod(a.shape) for a in traced.outputs if _is_float(a)) * sum(math.prod(traced.inputs[i].shape) for i in active)
+    if size > _DENSE:  # a matrix that a kernel would write and somebody read: JAX's own rules need none
+        whole = [ad.instantiate_zeros(t) for t in tangents]
+        return jax.jvp(functools.partial(_by_xla, traced=traced, batch=batch, masks=masks), list(primals), whole)
     if not active:
         outs, slopes = bind(traced, primals, batch, masks), []
     else:
@@ -70,7 +76,7 @@ def _jvp(primals: Sequence[Any], tangents: Sequence[Any], *, traced: Traced, bat
     results, given = [], iter(slopes)
     for aval, out in zip(traced.outputs, outs, strict=True):
         if not active or not _is_float(aval):
-            results.append(ad.Zero.from_primal_value(out))
+            results.append(ad.Zero(jax.typeof(out).to_tangent_aval()))
             continue
         total = None
         for i in active:
@@ -153,7 +159,7 @@ def _grid(args: Sequence[Any], traced: Traced, batch: tuple[int, ...], masks: Ma
         operands.append(x.reshape(o, i, int(np.prod(aval.shape))))
         shared.append(not inner[0][k])
     if math.prod(batch) == 1 and len(groups) == 1 and not any(groups[0][0]):  # one configuration is a batch of one
-        shared = [int(np.prod(a.shape)) > 64 for a in traced.inputs]
+        shared = [int(np.prod(a.shape)) > 16 for a in traced.inputs]
     return (outer[1], inner[1]), operands, tuple(shared)
 
 

@@ -7,10 +7,9 @@ All that runs here is in the robot's base frame: targets and obstacles come to i
 from __future__ import annotations
 
 import functools
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from typing import Any, NamedTuple
 
-import jax
 import numpy as np
 
 from jaxik.algebra import traced
@@ -27,6 +26,7 @@ from jaxik.reach import reach
 from jaxik.result import Reason
 from jaxik.scan import MEASURED
 from jaxik.scene import Scene, make_scene
+from jaxik.spmd import HostKernel
 from jaxik.sweep.study import Study, Variant
 from jaxik.sweep.targets import Targets
 
@@ -244,9 +244,9 @@ def _fill(columns: dict[str, np.ndarray], chain: Chain, rows: np.ndarray, q: np.
 
 
 @functools.lru_cache(maxsize=64)
-def _worth(chain: Chain) -> Callable[..., Any]:
+def _worth(chain: Chain) -> HostKernel:
     errors = lambda q, pose: pose_errors(chain, list(q), traced(pose))
-    return jax.jit(jax.vmap(lambda q, pose: (*errors(q, pose), manipulability(chain, q), joint_freedom(chain, q))))
+    return HostKernel(lambda q, pose: (*errors(q, pose), manipulability(chain, q), joint_freedom(chain, q)), 2)
 
 
 def _exact(chain: Chain, poses: np.ndarray, leading: np.ndarray, branch: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -348,8 +348,8 @@ def _first(owner: np.ndarray, cost: np.ndarray, count: int) -> np.ndarray:
 
 
 @functools.lru_cache(maxsize=64)
-def _clear(chain: Chain) -> Callable[..., Any]:
-    return jax.jit(jax.vmap(lambda q, scene: (clearance(chain, scene, q), joint_freedom(chain, q)), in_axes=(0, None)))
+def _clear(chain: Chain) -> HostKernel:
+    return HostKernel(lambda q, scene: (clearance(chain, scene, q), joint_freedom(chain, q)), 1)
 
 
 # --------------------------------------------------------------------------------------------------------------------
