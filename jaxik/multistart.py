@@ -7,9 +7,10 @@ larger wave: most need one, and dropping those that have an answer is what makes
 Every number in this is a target's own: which seeds it gets, how many steps each runs, which answer is taken. So a target has
 the same result alone and among a million, and all runs in blocks of one size (`batch`): nothing compiles for another N.
 
-With a scene an answer must also keep `margin` of clearance. Where no seed leads to such a posture, one that has the pose and
-collides is the start of a second search, which holds the pose and moves the spare joints until the clearance, as a constraint,
-is kept.
+With a scene an answer must also keep `margin` of clearance. Where no seed leads to such a posture, those that have the pose and
+collide, far apart from each other, are the starts of a second search, which holds the pose and moves the spare joints until the
+clearance, as a constraint, is kept. The free branch may also be one that few lanes land on: next to a singularity they creep, and
+two branches in five thousand goals were missed so. Therefore near misses get the steps that they need, whatever else collides.
 """
 
 from __future__ import annotations
@@ -42,11 +43,12 @@ LANDED = 2e-3  # [rad], [unit lengths] from where two steps in float64 reach 1e-
 FINISH = sqp.Options(floor=1e-10, cap=0.1)
 FINISHING = 2
 PORTION = 65_536  # lanes at a time, which bounds the memory
-PUSHED, PUSHES = 4, 24  # colliding postures a target that are moved out of the obstacles, and the steps for it
+PUSHED, PUSHES = (4, 16), 24  # colliding postures a target that are moved out of the obstacles, at first and at last; the steps
+APART = 0.4  # [rad, m] between these in some joint: nearer ones end at the same place
 PUSH_MARGIN = 2e-4  # [m] more than is asked for, which the finish in float64 may use up
 IMPROVE_MARGIN = 1e-8  # [m] likewise, of an answer that leans on an obstacle for the sake of its cost
 UNLIMITED = np.arange(16)  # seeds for the question whether it was the limits
-KEPT, NEAR, RESCUE = 8, 0.05, 12  # so many misses, this near [rad, unit lengths], get so many more finishes
+KEPT, NEAR, RESCUE = 32, 0.05, 12  # so many misses, this near [rad, unit lengths], get so many more finishes: 16 miss one in 31,000
 
 
 @dataclasses.dataclass(frozen=True)
@@ -84,11 +86,13 @@ class Job:
         if not all(np.all(t > 0.0) for t in tolerance):
             raise ValueError("position_tolerance and rotation_tolerance are > 0")
         reference = None if options.reference is None else _shaped("reference", options.reference, (count, n))
+        strategy = _strategy(chain, options)
         finite = finite_range(chain, low, high)
+        if strategy != "near":
+            finite = _one_turn(chain, *finite)
         inside = seeds.Range(*(tuple(float(x) for x in b) for b in finite))
         geometry = scene.geometry() if scene is not None else None
         unit = lanes.unit_length(chain)
-        strategy = _strategy(chain, options)
         return Job(
             chain, geometry, seed, options, low, high, weights, inside, unit, strategy, np.stack(tolerance, 1), reference
         )
@@ -105,6 +109,13 @@ class Job:
     @property
     def takes_first(self) -> bool:
         return self.options.choice == "first" and self.options.solutions == 1
+
+
+def _one_turn(chain: Chain, low: np.ndarray, high: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """The range (n,) in which searches start: of a joint that turns further, one turn about its middle. The rest holds the same
+    postures again, and limits to run into."""
+    over = np.where(chain.is_prismatic, 0.0, np.maximum(high - low - TURN, 0.0)) / 2.0
+    return low + over, high - over
 
 
 def _shaped(name: str, value: Any, shape: tuple[int, ...]) -> np.ndarray:
@@ -157,28 +168,27 @@ def search(job: Job, poses: np.ndarray, valid: np.ndarray) -> Outcome:
     """Answers for the poses (N, 4, 4) that are `valid` (N,), or reasons."""
     reason = np.where(valid, np.where(_out_of_reach(job, poses), Reason.OUT_OF_REACH, Reason.NOT_CONVERGED), Reason.INVALID)
     misses = _Misses(job)
-    answers, blocked, waiting = [_nothing(job)], [_nothing(job)], [_nothing(job)]
+    answers, blocked = [_nothing(job)], [_nothing(job)]
     waves = _waves(job)
     _finisher_ready(_finisher(job), job.chain.num_joints)
     for number, numbers in enumerate(waves, 1):
         for some in _portions(np.flatnonzero(reason == Reason.NOT_CONVERGED), len(numbers)):
             free, colliding = _wave(job, poses, some, numbers, misses)
             answers.append(free)
-            waiting.append(colliding)
+            blocked.append(colliding)
             reason[free.target] = Reason.SOLVED
-        if number == min(2, len(waves)) or number == len(waves):  # more seeds cost less than moving out of obstacles
-            stuck = Found.joined(waiting)
-            stuck = stuck.rows(reason[stuck.target] == Reason.NOT_CONVERGED)
-            freed = _pushed(job, poses, stuck)
-            answers.append(freed)
-            blocked.append(stuck)
-            waiting = [_nothing(job)]
-            reason[freed.target] = Reason.SOLVED
-        if number == min(3, len(waves)) or number == len(waves):  # what is left by now is near a singularity, or unreachable
+        last = number == len(waves)
+        if number == min(3, len(waves)) or last:  # what is left by now is near a singularity, or unreachable
             rescued, near = _rescued(job, poses, misses.near(reason))
             answers.append(rescued)
             blocked.append(near)
             reason[rescued.target] = Reason.SOLVED
+        if number == min(2, len(waves)) or last:  # more seeds cost less than moving out of obstacles
+            stuck = Found.joined(blocked)
+            blocked = [stuck.rows(reason[stuck.target] == Reason.NOT_CONVERGED)]
+            freed = _pushed(job, poses, blocked[0], PUSHED[last])
+            answers.append(freed)
+            reason[freed.target] = Reason.SOLVED
     found, stuck = Found.joined(answers), Found.joined(blocked)
     stuck = stuck.rows(reason[stuck.target] == Reason.NOT_CONVERGED)
     reason[stuck.target] = Reason.COLLISION
@@ -273,7 +283,7 @@ def _finisher_ready(program: Callable[..., Any], n: int) -> Future[Any]:
 
 def _rescued(job: Job, poses: np.ndarray, near: Found) -> tuple[Found, Found]:
     """Near misses after up to `RESCUE` more finishes, since next to a singularity convergence is slow: answers, and colliding
-    ones."""
+    ones. One that collides is no reason to leave the others: they may end on another branch."""
     free, blocked = [_nothing(job)], [_nothing(job)]
     for _ in range(RESCUE):
         if not len(near.q):
@@ -283,7 +293,7 @@ def _rescued(job: Job, poses: np.ndarray, near: Found) -> tuple[Found, Found]:
         exact, collides = _exact(job, near), _collides(job, near)
         free.append(near.rows(exact & ~collides))
         blocked.append(near.rows(exact & collides))
-        near = near.rows(~exact & ~np.isin(near.target, near.target[exact]))
+        near = near.rows(~exact & ~np.isin(near.target, near.target[exact & ~collides]))
     return Found.joined(free), Found.joined(blocked)
 
 
@@ -342,9 +352,9 @@ def unwound(chain: Chain, q: np.ndarray) -> np.ndarray:
     return q - np.where(turns, np.round(q / TURN) * TURN, 0.0)
 
 
-def _pushed(job: Job, poses: np.ndarray, stuck: Found) -> Found:
+def _pushed(job: Job, poses: np.ndarray, stuck: Found, count: int) -> Found:
     """The answers that a search for clearance makes of the best few colliding postures of each target."""
-    chosen = stuck.rows(top(stuck.target, stuck.clearance, PUSHED))
+    chosen = stuck.rows(_apart(stuck, count))
     if not len(chosen.q):
         return chosen
     program = lanes.landing(job.chain, job.options.task, PUSHES, job.options.avoid, _extras(job))
@@ -353,6 +363,20 @@ def _pushed(job: Job, poses: np.ndarray, stuck: Found) -> Found:
     moved = chosen._replace(q=q.astype(np.float64), iterations=chosen.iterations + PUSHES)
     found = _finish(job, poses, moved, _Misses(job))
     return found.rows(~_collides(job, found))
+
+
+def _apart(stuck: Found, count: int) -> np.ndarray:
+    """Up to `count` rows of each target, the freest first, none near one before it."""
+    order = top(stuck.target, stuck.clearance, len(stuck.q))
+    starts = np.flatnonzero(np.diff(stuck.target[order], prepend=-1))
+    kept = []
+    for rows in np.split(order, starts[1:]):
+        for _ in range(count):
+            if not len(rows):
+                break
+            kept.append(rows[0])
+            rows = rows[np.abs(stuck.q[rows] - stuck.q[rows[0]]).max(axis=1) > APART]
+    return np.array(kept, int)
 
 
 def _extras(job: Job, cost: Cost | None = None) -> lanes.Extras:
