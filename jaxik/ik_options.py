@@ -33,6 +33,9 @@ class IKOptions:
         largest "clearance", "manipulability" or joint "freedom", or the one nearest to the middle of the ranges ("comfort", or
         to `reference` where it is given).
     reference: a configuration (n,) or one a target (N, n); needed by "closest" and by the seeds "near".
+        Of one posture's turns by 2 pi inside the limits an answer is the one nearest to the reference; without one, and for
+        "freedom", the nearest to the middle of the ranges (of a joint without limits: to 0); "first", "clearance" and
+        "manipulability" with a `cost`: the one that costs less, where a joint has both limits.
     norm: in which "closest" measures, "l2" or "linf", joints multiplied by `weights`.
     solutions: so many different answers a target are returned, best first; turns by 2 pi count as different.
     distinct: answers nearer to each other than this in every joint are one [rad, m].

@@ -27,7 +27,7 @@ import numpy as np
 from jaxik import lanes, seeds
 from jaxik.batch import in_blocks, threads
 from jaxik.chain import Chain, finite_range
-from jaxik.closed_form import TURN, closed_form_obstacle
+from jaxik.closed_form import TURN, closed_form_obstacle, nearest_turns
 from jaxik.costs import Cost
 from jaxik.ik_options import IKOptions
 from jaxik.optimise import sqp
@@ -107,8 +107,22 @@ class Job:
         return self.low, self.high, self.weights
 
     @property
-    def takes_first(self) -> bool:
-        return self.options.choice == "first" and self.options.solutions == 1
+    def turnable(self) -> np.ndarray:
+        """(n,): which joints have several turns of one posture inside both their limits."""
+        return np.isfinite(self.high - self.low) & (self.high - self.low >= TURN) & ~np.array(self.chain.is_prismatic)
+
+    @property
+    def cost_turns(self) -> bool:
+        """Whether it is the user's cost that chooses between turns: a choice that they change goes first."""
+        return self.options.cost is not None and self.options.choice in ("first", "clearance", "manipulability")
+
+    def home(self, target: np.ndarray) -> np.ndarray:
+        """Of turns, the one nearest to this is taken, (rows, n): each target's reference; without one, and for freedom, the
+        middle of the ranges."""
+        if self.reference is not None and self.options.choice != "freedom":
+            return self.reference[target]
+        middle = np.array(sum(finite_range(self.chain, self.low, self.high))) / 2.0
+        return np.broadcast_to(middle, (len(target), len(middle)))
 
 
 def _one_turn(chain: Chain, low: np.ndarray, high: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -336,7 +350,7 @@ def _polished(job: Job, poses: np.ndarray, lanes_: Found, program: Callable[...,
     start = np.clip(lanes_.q, job.low, job.high)
     fixed = (*job.limits, *more)
     q, away, turned = in_blocks(program, start, poses[lanes_.target], size=size, fixed=fixed, double=True)
-    q = np.where(job.low == job.high, q, unwound(job.chain, q))  # what is locked stays as the user wrote it
+    q = nearest_turns(job.chain, q, job.home(lanes_.target), job.low, job.high)
     return lanes_._replace(q=q, position_error=away, rotation_error=turned, clearance=_clearance(job, q))
 
 
@@ -395,10 +409,37 @@ def _improved(job: Job, poses: np.ndarray, found: Found) -> Found:
     iterations = job.options.cost_iterations
     program = lanes.landing(job.chain, job.options.task, iterations, job.options.improve, _extras(job, job.options.cost))
     more = () if job.scene is None else (job.scene, np.float64(job.options.margin + IMPROVE_MARGIN))
-    better = _polished(job, poses, found, program, MEASURED, *more)
+    found = _cheaper_turns(job, found)
+    better = _cheaper_turns(job, _polished(job, poses, found, program, MEASURED, *more))
     kept = _exact(job, better) & ~_collides(job, better)
     better = better._replace(iterations=found.iterations + iterations)
     return Found(*(np.where(kept.reshape(-1, *[1] * (b.ndim - 1)), b, a) for a, b in zip(found, better, strict=True)))
+
+
+def _cheaper_turns(job: Job, found: Found) -> Found:
+    """Each joint turned by 2 pi, one after the other, as long as that makes the user's cost less."""
+    if not job.cost_turns or not job.turnable.any() or not len(found.q):
+        return found
+    q, price, less = found.q, costs(job, found.q), np.ones(1, bool)
+    turns = TURN * np.eye(job.chain.num_joints)[job.turnable]
+    while less.any():
+        less = np.zeros(len(q), bool)
+        for turn in (*turns, *-turns):
+            other = q + turn
+            asked = costs(job, other)
+            better = np.all((other >= job.low) & (other <= job.high), axis=1) & (asked < price)
+            q, price, less = np.where(better[:, None], other, q), np.where(better, asked, price), less | better
+    return found._replace(q=q)
+
+
+def costs(job: Job, q: np.ndarray) -> np.ndarray:
+    """The user's cost of configurations (N, n), in float64."""
+    return in_blocks(_rows(job.options.cost), q, size=MEASURED, double=True)[0]
+
+
+@functools.lru_cache(maxsize=32)
+def _rows(function: Callable[..., Any]) -> Callable[..., Any]:
+    return jax.jit(jax.vmap(function))
 
 
 def _beyond_limits(job: Job, poses: np.ndarray, reason: np.ndarray) -> np.ndarray:

@@ -183,6 +183,23 @@ def test_mistakes_are_one_line(panda):
         assert "\n" not in line and all(w in line for w in words), line
 
 
+def test_a_single_answer_is_one_row(panda):
+    targets = reachable(panda, 3, seed=5)
+    targets[1, 0, 0] = np.nan
+    batch, one, bad = (jaxik.solve_ik(panda, t) for t in (targets, targets[0], targets[1]))
+    assert len(one) == 1 and one.counts() == {"solved": 1} and bool(one) and not bool(bad)
+    (row,) = one
+    assert row.reason is Reason.SOLVED and np.array_equal(row.q, one.q) and one[0].q.shape == (7,)
+    assert len(batch) == 3 and [bool(r) for r in batch] == [True, False, True]
+    np.testing.assert_array_equal(np.stack([r.q for r in batch]), batch.q)
+    assert batch[-1].reason is Reason.SOLVED and np.array_equal(batch[batch.success].q, batch.q[[0, 2]])
+    assert len(batch[:2]) == 2
+    with pytest.raises(ValueError, match="3 targets.*success"):
+        bool(batch)
+    with pytest.raises(IndexError):
+        one[1]
+
+
 def test_an_empty_batch(panda):
     result = jaxik.solve_ik(panda, np.zeros((0, 4, 4)))
     assert len(result) == 0 and result.q.shape == (0, 7) and result.solutions.shape == (0, 1, 7) and result.counts() == {}
@@ -296,6 +313,85 @@ def test_different_solutions_and_turns():
     reference = result.q + np.array([2.0 * np.pi, 0, 0, 0, 0, 0]) * np.where(result.q[0] > 0.0, -1.0, 1.0)
     turned = jaxik.solve_ik(chain, target, choice="closest", reference=reference)
     assert np.linalg.norm(turned.q - reference) < 1e-3
+
+
+def _turned_further(chain, q, i):
+    """The posture `q` (n,) one or two turns of joint i away, inside the limits."""
+    for k in (-2, -1, 1, 2):
+        other = q.copy()
+        other[i] += 2.0 * np.pi * k
+        if chain.lower[i] <= other[i] <= chain.upper[i]:
+            yield other
+
+
+def assert_no_turn_is_better(chain, result, price):
+    """No single turn of an answer costs less."""
+    assert result.success.any()
+    for row in np.flatnonzero(result.success):
+        q = result.q[row]
+        for i in range(chain.num_joints):
+            assert all(price(row, q) <= price(row, other) + 1e-9 for other in _turned_further(chain, q, i))
+
+
+def test_locked_joints_are_not_turned():
+    chain = chain_of("ur5")
+    name, value = chain.joint_names[0], 0.2
+    q = np.random.default_rng(31).uniform(*joint_range(chain), (5, 6))
+    q[:, 0] = value
+    targets = np.stack([pinocchio(chain)(row) for row in q])
+    result = jaxik.solve_ik(chain, targets, locked={name: value}, solutions=8)
+    found = result.solutions[np.isfinite(result.solutions).all(axis=2)]
+    assert len(found) > 8 and np.all(found[:, 0] == value)
+
+
+def test_of_two_turns_the_better_one_is_taken():
+    """A turn by 2 pi changes what a choice weighs, or how far an answer is from the reference or the middle."""
+    chain = chain_of("ur5")  # +-2 pi
+    targets = reachable(chain, 30, seed=15)
+    reference = np.random.default_rng(32).uniform(*joint_range(chain), (30, 6))
+    middle = (chain.lower + chain.upper) / 2.0
+    to_middle = lambda row, q: np.abs(q - middle).sum()
+    to_reference = lambda row, q: np.abs(q - reference[row]).sum()
+    freedom = lambda row, q: -np.minimum(q - chain.lower, chain.upper - q).min()
+    for price, options in (
+        (to_middle, {}),
+        (to_middle, {"choice": "comfort"}),
+        (freedom, {"choice": "freedom", "reference": reference}),
+        (to_reference, {"reference": reference}),
+        (to_reference, {"reference": reference, "seeds": "near"}),
+        (to_reference, {"choice": "comfort", "reference": reference}),
+        (to_reference, {"choice": "closest", "reference": reference, "norm": "linf"}),
+    ):
+        result = jaxik.solve_ik(chain, targets, max_seeds=16, **options)
+        assert_no_turn_is_better(chain, result, price)
+        several = jaxik.solve_ik(chain, targets[:4], max_seeds=16, solutions=3, **_first_rows(options, 4))
+        assert np.array_equal(several.q[several.success], several.solutions[several.success, 0])
+        assert_no_turn_is_better(chain, several, price)
+
+
+def _first_rows(options, count):
+    return options | ({"reference": options["reference"][:count]} if "reference" in options else {})
+
+
+def test_a_cost_decides_between_turns():
+    chain = chain_of("ur5")
+    targets = reachable(chain, 20, seed=33)
+    away = np.array([4.0, -4.0, 4.0, -4.0, 4.0, -4.0])
+    cost = lambda q: jnp.sum((q - away) ** 2)
+    result = jaxik.solve_ik(chain, targets, cost=cost)
+    assert_solves(chain, result, targets)
+    assert_no_turn_is_better(chain, result, lambda row, q: np.sum((q - away) ** 2))
+
+
+def test_endless_joints_end_on_the_turn_of_the_reference():
+    chain = chain_of("kinova")
+    endless = ~np.isfinite(chain.lower)
+    targets = reachable(chain, 20, seed=16)
+    reference = np.where(endless, 9.0, 0.5 * sum(jaxik.finite_limits(chain)))
+    result = jaxik.solve_ik(chain, targets, reference=reference)
+    assert result.success.mean() > 0.9
+    assert np.all(np.abs(result.q[:, endless] - 9.0) <= np.pi + 1e-9)
+    assert_solves(chain, result, targets)
 
 
 def test_continuous_joints_wrap():
