@@ -85,15 +85,15 @@ def harvest(
     chain: Chain,
     scene: Scene,
     weights: Weights | None = None,
-    angles: int = 72,
-    slides: int = 41,
+    angles: Any = 72,
+    slides: Any = 41,
     margin: float = 0.005,
     grasp: Grasp | None = None,
     progress: Callable[[str], Any] | None = None,
 ) -> Harvest:
     """The best collision-free posture of `chain` for every fruit of `scene`, or the reason why there is none.
 
-    Scans all `angles` about a fruit's axis with all `slides` positions of the leading joints and all branches (`scan`), ranks
+    Scans all `angles` about a fruit's axis with all `slides` positions of the leading joints and all branches (`scan`, which takes values too), ranks
     by `weights`, recovers between the grid's points where the grid has nothing (`recover`), and for a fruit behind obstacles
     names them and the fewest to remove (`blockers`). `margin` is the least clearance [m]. `progress` is called with the name of
     each finished fruit.

@@ -7,7 +7,7 @@ from collections.abc import Mapping
 from typing import Any, Literal
 
 from jaxik import seeds
-from jaxik.choice import check_choices
+from jaxik.choice import as_count, check_choices
 from jaxik.costs import Cost
 from jaxik.optimise import sqp
 from jaxik.task import POSE, Task
@@ -79,7 +79,6 @@ class IKOptions:
             norm=(self.norm, Literal["l2", "linf"]),
         )
         for name in ("max_seeds", "solutions", "cost_iterations"):
-            if getattr(self, name) < 1:
-                raise ValueError(f"solve_ik: {name} is {getattr(self, name)}; it is at least 1")
+            object.__setattr__(self, name, as_count(f"solve_ik: {name}", getattr(self, name)))
         if self.reference is None and (self.choice == "closest" or self.seeds == "near"):
             raise ValueError("solve_ik: choice 'closest' and seeds 'near' need a reference; give reference=q")
