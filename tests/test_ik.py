@@ -12,6 +12,7 @@ from robots import ROBOTS, bare, joint_range, pinocchio, pose_errors
 
 import jaxik
 from jaxik import Reason, lanes
+from jaxik.chain import Volume
 from jaxik.optimise import sqp
 
 POSITION = 1e-6  # [m], the default tolerances
@@ -464,6 +465,22 @@ def test_a_scene_is_kept_clear_of():
     roomy = jaxik.solve_ik(chain, targets, scene, margin=0.01, choice="clearance", max_seeds=64)
     both = roomy.success & result.success
     assert roomy.clearance[both].mean() > result.clearance[both].mean()
+
+
+def test_a_free_branch_that_few_searches_land_on_is_found():
+    """Next to the wrist's singularity searches creep, and the branches where they do not collide here."""
+    bare_arm = chain_of("ur5")
+    ball = lambda name: Volume(np.zeros((1, 3)), np.asarray(0.05), bare_arm.link_names.index(name))
+    chain = dataclasses.replace(bare_arm, volumes=(ball("forearm_link"), ball("wrist_1_link"), ball("wrist_2_link")))
+    rng = np.random.default_rng(41)
+    scene = jaxik.make_scene(spheres=np.column_stack([rng.uniform(-0.8, 0.8, (60, 3)), np.full(60, 0.15)]))
+    q = rng.uniform(*joint_range(chain), (4000, 6))
+    q[:, 4] = rng.normal(0.0, 0.01, len(q))
+    free = np.asarray(jax.jit(jax.vmap(lambda q: jaxik.clearance(chain, scene, q)))(q)) > 0.0
+    targets = np.stack([pinocchio(chain)(row) for row in q[free][:400]])
+    result = jaxik.solve_ik(chain, targets, scene)
+    assert result.success.all(), result.counts()
+    assert_solves(chain, result, targets)
 
 
 @pytest.mark.parametrize("collision", ["constraint", "penalty"])
