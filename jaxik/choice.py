@@ -27,8 +27,8 @@ def batch_axes(each: Sequence[str], kinds: Any) -> tuple[int | None, ...]:
 
 
 def as_count(name: str, value: Any, also: str = "") -> int:
-    """`value`, an integer of any kind that is at least 1, as an int. Raises a `ValueError` of one line for anything else, `also`
-    saying what else is allowed."""
+    """`value`, an integer of any kind that is at least 1, as an int. Raises a `ValueError` of one line otherwise; `also` says
+    what else is allowed."""
     given = value if np.isscalar(value) or getattr(value, "shape", None) == () else None
     if given is None or np.asarray(given).dtype.kind not in "iu" or int(given) < 1:
         shown = type(value).__name__ if given is None else given
@@ -37,7 +37,7 @@ def as_count(name: str, value: Any, also: str = "") -> int:
 
 
 def as_count_or_values(name: str, value: Any, shape: tuple[int, ...]) -> int | np.ndarray:
-    """A count, or finite values in float64 of the `shape`, in which -1 is any number but 0; rows of one value may be given bare.
+    """A count, or finite values in float64 of the `shape`, in which -1 is any number but 0; rows of one value may be bare.
 
     Raises a `ValueError` of one line for anything else: a truth value, text, a lone float.
     """

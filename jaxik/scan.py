@@ -193,8 +193,8 @@ def scan(
 ) -> Scan:
     """All candidates for a fruit: approach angles x leading joints x branches, with limits, clearance and freedom.
 
-    `angles` and `slides` are counts or the values themselves, (m,) [rad] and (m, k) [m, rad]; of one slide (m,) too. The fruit itself is no obstacle. A
-    candidate is SOLVED in `status` with at least `margin` [m] of clearance.
+    `angles` and `slides` are counts or the values themselves, (m,) [rad] and (m, k) [m, rad]; of one slide (m,) too. The fruit
+    itself is no obstacle. A candidate is SOLVED in `status` with at least `margin` [m] of clearance.
 
     Raises `ValueError` where the chain has no closed form, and for what is neither a count nor values.
     """

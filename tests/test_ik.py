@@ -195,7 +195,7 @@ def test_a_single_answer_is_one_row(panda):
     np.testing.assert_array_equal(np.stack([r.q for r in batch]), batch.q)
     assert batch[-1].reason is Reason.SOLVED and np.array_equal(batch[batch.success].q, batch.q[[0, 2]])
     assert len(batch[:2]) == 2
-    with pytest.raises(ValueError, match="3 targets.*success"):
+    with pytest.raises(ValueError, match=r"3 targets.*success"):
         bool(batch)
     with pytest.raises(IndexError):
         one[1]
