@@ -49,7 +49,7 @@ PUSH_MARGIN = 2e-4  # [m] more than is asked for, which the finish in float64 ma
 IMPROVE_MARGIN = 1e-8  # [m] likewise, of an answer that leans on an obstacle for the sake of its cost
 UNLIMITED = np.arange(16)  # seeds for the question whether it was the limits
 KEPT, NEAR, RESCUE = 32, 0.05, 12  # so many misses, this near [rad, unit lengths], get so many more finishes
-CREEP = 0.95  # of its error, at most, is left of a miss after a finish, or it is at rest
+CREEP = 0.95  # of its error, at most, is left of a miss after a finish, or it is at rest; among obstacles it goes on, as some return
 
 
 @dataclasses.dataclass(frozen=True)
@@ -309,7 +309,7 @@ def _rescued(job: Job, poses: np.ndarray, near: Found) -> tuple[Found, Found]:
         exact, collides = _exact(job, near), _collides(job, near)
         free.append(near.rows(exact & ~collides))
         blocked.append(near.rows(exact & collides))
-        at_rest = _miss(job, near) > CREEP * error
+        at_rest = (job.scene is None) & (_miss(job, near) > CREEP * error)
         near = near.rows(~exact & ~at_rest & ~np.isin(near.target, near.target[exact & ~collides]))
     return Found.joined(free), Found.joined(blocked)
 
