@@ -49,7 +49,7 @@ PUSH_MARGIN = 2e-4  # [m] more than is asked for, which the finish in float64 ma
 IMPROVE_MARGIN = 1e-8  # [m] likewise, of an answer that leans on an obstacle for the sake of its cost
 UNLIMITED = np.arange(16)  # seeds for the question whether it was the limits
 KEPT, NEAR, RESCUE = 32, 0.05, 12  # so many misses, this near [rad, unit lengths], get so many more finishes
-CREEP = 0.95  # of its error, at most, is left of a miss after a finish, or it is at rest; among obstacles it goes on, as some return
+CREEP = 0.95  # of its error, at most, is left of a miss after a finish, or it is at rest; some return, so not among obstacles
 
 
 @dataclasses.dataclass(frozen=True)
