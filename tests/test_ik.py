@@ -175,7 +175,7 @@ def test_mistakes_are_one_line(panda):
         (lambda: jaxik.solve_ik(panda, eye, reference=0.0), ("reference", "()", "(7,)", "(1, 7)")),
         (lambda: jaxik.solve_ik(panda, eye, reference=np.full(7, np.nan)), ("reference", "NaN")),
         (lambda: jaxik.solve_ik(panda, eye, weights=np.full(7, np.inf)), ("weights", "finite")),
-        (lambda: jaxik.solve_ik(panda, eye, seed=0.5), ("seed", "0.5")),
+        (lambda: jaxik.solve_ik(panda, eye, seed=-1), ("seed", "-1")),
         (lambda: jaxik.solve_ik(panda, eye + 0j), ("targets", "numbers")),
         (lambda: jaxik.solve_ik(panda, eye, max_seeds=0), ("max_seeds",)),
         (lambda: jaxik.solve_ik(panda, eye, choice="clearance"), ("scene",)),
