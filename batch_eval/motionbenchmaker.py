@@ -40,17 +40,19 @@ def goals(folder: Path) -> Iterator[Goal]:
         world = yaml.load(files[name.replace("request", "scene")], yaml.CSafeLoader)["world"]
         joints = {c["joint_name"]: c["position"] for c in request["goal_constraints"][0]["joint_constraints"]}
         q = np.array([joints[f"panda_joint{i}"] for i in range(1, 8)])
-        yield Goal("/".join(Path(name).parts[-2:]), q, _scene(world))
+        yield Goal("/".join(Path(name).parts[-2:]), q, scene_of(world))
 
 
-def _scene(world: dict[str, Any]) -> jaxik.Scene:
+def scene_of(world: dict[str, Any]) -> jaxik.Scene:
+    """The collision objects of a MoveIt planning scene's `world`, each shape at its object's pose times its own."""
     builder = jaxik.SceneBuilder()
     for item in world["collision_objects"]:
         if "meshes" in item:
             raise ValueError(f"{item['id']}: a mesh, which this reader does not know")
         shapes: dict[str, list[Any]] = {"boxes": [], "cylinders": [], "spheres": []}
+        placed = _frame(item["pose"]) if "pose" in item else np.eye(4)  # the object's: its shapes' poses are relative to it
         for shape, pose in zip(item["primitives"], item["primitive_poses"], strict=True):
-            frame, size = _frame(pose), shape["dimensions"]
+            frame, size = placed @ _frame(pose), shape["dimensions"]
             if shape["type"] == "box":
                 shapes["boxes"].append((frame, size))
             elif shape["type"] == "cylinder":  # height, radius

@@ -18,6 +18,7 @@ from jaxik.algebra import Frame
 from jaxik.ball import Ball, possible, whole
 from jaxik.batch import in_blocks
 from jaxik.chain import Chain, finite_limits
+from jaxik.choice import as_count
 from jaxik.closed_form import TURN, WAYS, half_branches, wrist_branches
 from jaxik.kinematics import joint_frames
 from jaxik.leading import arm_of, grid, may_be_inside
@@ -40,10 +41,10 @@ class Between(NamedTuple):
     open: np.ndarray
 
 
-def between(chain: Chain, poses: np.ndarray, slides: int, depth: int) -> Between:
+def between(chain: Chain, poses: np.ndarray, slides: Any, depth: int) -> Between:
     """Looks between the positions of `leading_grid(chain, slides)` for the poses `base_T_tip` (N, 4, 4) that have no
     posture on it, halving what stays possible `depth` times. In float64."""
-    k = chain.num_joints - 6
+    k, slides = chain.num_joints - 6, as_count("slides", slides)
     found = Between(np.full((len(poses), k), np.nan), np.full(len(poses), -1), np.zeros(len(poses), bool))
     if k:  # six joints have all their postures
         for start in range(0, len(poses), PORTION):

@@ -1,4 +1,4 @@
-"""Options that are one word of a few, or a number."""
+"""Options that are one word of a few, a number, a count, or a count or the values themselves."""
 
 from __future__ import annotations
 
@@ -14,13 +14,6 @@ def check_choices(who: str, **choices: tuple[str, Any]) -> None:
     for name, (value, kinds) in choices.items():
         if not isinstance(value, str) or value not in get_args(kinds):
             raise ValueError(f"{who}: {name} '{shown(value)}'; allowed: {', '.join(get_args(kinds))}")
-
-
-def check_counts(who: str, **counts: Any) -> None:
-    """Raises likewise for what is no whole number of at least 1."""
-    for name, value in counts.items():
-        if isinstance(value, bool) or not isinstance(value, int | np.integer) or value < 1:
-            raise ValueError(f"{who}: {name} is {shown(value)}; it is a whole number of at least 1")
 
 
 def check_finite(who: str, least: float = -math.inf, **numbers: Any) -> None:
@@ -47,3 +40,31 @@ def check_each(who: str, each: Sequence[str], kinds: Any) -> None:
 def batch_axes(each: Sequence[str], kinds: Any) -> tuple[int | None, ...]:
     """The axis of a batch in each of `kinds`: the first, or none."""
     return tuple(0 if name in each else None for name in get_args(kinds))
+
+
+def as_count(name: str, value: Any, also: str = "") -> int:
+    """`value`, an integer of any kind that is at least 1, as an int. Raises a `ValueError` of one line otherwise; `also` says
+    what else is allowed."""
+    given = value if np.isscalar(value) or getattr(value, "shape", None) == () else None
+    if given is None or np.asarray(given).dtype.kind not in "iu" or int(given) < 1:
+        raise ValueError(f"{name} is {shown(value)}; allowed: a count, which is an integer and at least 1{also}")
+    return int(given)
+
+
+def as_count_or_values(name: str, value: Any, shape: tuple[int, ...]) -> int | np.ndarray:
+    """A count, or finite values in float64 of the `shape`, in which -1 is any number but 0; rows of one value may be bare.
+
+    Raises a `ValueError` of one line for anything else: a truth value, text, a lone float.
+    """
+    also = f", or finite values of shape ({', '.join('m' if n < 0 else str(n) for n in shape)}{',' * (len(shape) == 1)})"
+    try:
+        given = np.asarray(value)
+    except (TypeError, ValueError):  # ragged
+        raise ValueError(f"{name}: {type(value).__name__} that is no array; allowed: a count{also}") from None
+    if not given.ndim:
+        return as_count(name, value, also)
+    rows = given[:, None] if shape == (-1, 1) and given.ndim == 1 else given
+    fits = rows.ndim == len(shape) and rows.shape[1:] == shape[1:] and len(rows) > 0
+    if given.dtype.kind not in "iuf" or not fits or not np.isfinite(given).all():
+        raise ValueError(f"{name} has shape {given.shape}, {given.dtype}; allowed: a count{also}")
+    return rows.astype(np.float64)

@@ -141,21 +141,36 @@ def into_limits(chain: Chain, q: Float[Array, "*b n"]) -> tuple[Float[Array, "*b
     return jnp.where(fits, clipped, turned), jnp.all(fits, axis=-1)
 
 
-def admissible_turns(chain: Chain, q: Float[Array, " n"]) -> Float[np.ndarray, "m n"]:
+def admissible_turns(chain: Chain, q: Float[Array, " n"], lower: Any = None, upper: Any = None) -> Float[np.ndarray, "m n"]:
     """Every configuration inside the limits that differs from `q` (n,) by full turns of revolute joints. On the host.
 
-    A continuous joint, having no limits, keeps its value.
+    `lower` and `upper` (n,) are narrower limits than the chain's [rad, m]. A joint without both limits keeps its value.
     """
     q = np.asarray(q, dtype=np.float64)
+    lower, upper = chain.lower if lower is None else lower, chain.upper if upper is None else upper
     choices = []
-    for value, low, high, kind in zip(q, chain.lower, chain.upper, chain.joint_types, strict=True):
-        if kind == "revolute" and np.isfinite(low + high):
-            slack = 1e-12
-            first, last = math.ceil((low - value) / TURN - slack), math.floor((high - value) / TURN + slack)
-            choices.append([float(np.clip(value + TURN * k, low, high)) for k in range(first, last + 1)])
+    for value, low, high, prismatic in zip(q, lower, upper, chain.is_prismatic, strict=True):
+        if not prismatic and np.isfinite(low + high):
+            first, last = _turns(value, low, high)
+            choices.append([float(np.clip(value + TURN * k, low, high)) for k in range(int(first), int(last) + 1)])
         else:
             choices.append([float(value)] if low <= value <= high else [])
     return np.array(list(itertools.product(*choices))).reshape(-1, chain.num_joints)
+
+
+def nearest_turns(chain: Chain, q: Any, goal: Any, lower: Any, upper: Any) -> np.ndarray:
+    """`q` (..., n), each revolute joint turned by the multiple of 2 pi that brings it nearest to `goal` (..., n) inside the
+    limits (n,); what has no turn inside them, or a range of 0, keeps its value. On the host."""
+    first, last = _turns(q, lower, upper)
+    turns = np.clip(np.round((goal - q) / TURN), first, last)
+    moves = ~np.array(chain.is_prismatic) & (lower < upper) & (first <= last)
+    return np.where(moves, np.clip(q + np.where(moves, turns, 0.0) * TURN, lower, upper), q)
+
+
+def _turns(q: Any, lower: Any, upper: Any) -> tuple[Any, Any]:
+    """The first and the last multiple of 2 pi that leave q inside the limits, but for rounding."""
+    slack = 1e-12
+    return np.ceil((lower - q) / TURN - slack), np.floor((upper - q) / TURN + slack)
 
 
 # --------------------------------------------------------------------------------------------------------------------

@@ -85,18 +85,18 @@ def harvest(
     chain: Chain,
     scene: Scene,
     weights: Weights | None = None,
-    angles: int = 72,
-    slides: int = 41,
+    angles: Any = 72,
+    slides: Any = 41,
     margin: float = 0.005,
     grasp: Grasp | None = None,
     progress: Callable[[str], Any] | None = None,
 ) -> Harvest:
     """The best collision-free posture of `chain` for every fruit of `scene`, or the reason why there is none.
 
-    Scans all `angles` about a fruit's axis with all `slides` positions of the leading joints and all branches (`scan`), ranks
-    by `weights`, recovers between the grid's points where the grid has nothing (`recover`), and for a fruit behind obstacles
-    names them and the fewest to remove (`blockers`). `margin` is the least clearance [m]. `progress` is called with the name of
-    each finished fruit.
+    Scans all `angles` about a fruit's axis with all `slides` positions of the leading joints (counts or values) and all
+    branches (`scan`), ranks by `weights`, recovers between the grid's points where the grid has nothing (`recover`), and for a
+    fruit behind obstacles names them and the fewest to remove (`blockers`). `margin` is the least clearance [m]. `progress` is
+    called with the name of each finished fruit.
 
     Raises `ValueError` where the chain has no closed form or the scene no fruit. Source: Van Henten et al. 2010, sec. 4, 5.1.
     """

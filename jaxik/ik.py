@@ -7,20 +7,20 @@ from __future__ import annotations
 
 import dataclasses
 import functools
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from typing import Any
 
 import numpy as np
 
 from jaxik.batch import in_blocks
 from jaxik.chain import Chain
-from jaxik.closed_form import TURN, admissible_turns
+from jaxik.closed_form import admissible_turns
 from jaxik.collision import check_geometry
 from jaxik.costs import comfort_cost, joint_freedom
-from jaxik.given import is_rigid
+from jaxik.given import is_rigid, numbers
 from jaxik.ik_options import IKOptions
 from jaxik.kinematics import manipulability
-from jaxik.multistart import MEASURED, Found, Job, Outcome, search, top, unwound
+from jaxik.multistart import MEASURED, Found, Job, Outcome, costs, search, top, unwound
 from jaxik.result import Reason
 from jaxik.scene import Scene
 from jaxik.spmd import HostKernel
@@ -31,7 +31,8 @@ TARGETS = 16_384  # at a time, which bounds the memory
 
 @dataclasses.dataclass(frozen=True)
 class IKResult:
-    """One entry a target; of a single target, the entries themselves.
+    """One entry a target; of a single target, the entries themselves. `len`, iteration and indices go by targets, a single one
+    being one row; it is true if it is solved, and what a batch's truth is must be asked of `success`.
 
     q (n,) [rad, m] is the answer, or, where there is none, the nearest miss inside the limits (NaN for a target that is invalid
     or proven out of reach: it is not searched for). position_error [m] and rotation_error [rad] belong to q, in float64;
@@ -51,7 +52,23 @@ class IKResult:
     num_solutions: Any
 
     def __len__(self) -> int:
-        return len(self.reason)
+        """How many targets: 1 for a single one."""
+        return np.size(self.reason)
+
+    def __getitem__(self, rows: Any) -> IKResult:
+        """The entry of one target, or of those that a slice, mask or list picks. A single target's is number 0."""
+        if np.ndim(self.reason):
+            return _entries({k: v[rows] for k, v in vars(self).items()})
+        return IKResult(**{k: np.asarray(v)[None] for k, v in vars(self).items()})[rows]
+
+    def __iter__(self) -> Iterator[IKResult]:
+        return (self[i] for i in range(len(self)))
+
+    def __bool__(self) -> bool:
+        """Whether a single target is solved. Raises `ValueError` for a batch."""
+        if np.ndim(self.reason):
+            raise ValueError(f"the truth of {len(self)} targets is not one answer; ask success.all() or success.any()")
+        return bool(self.success)
 
     def counts(self) -> dict[str, int]:
         """How many targets ended for each reason, by its text."""
@@ -94,10 +111,14 @@ def solve_ik(
         if progress:
             progress(min(start + TARGETS, len(poses)))
     joined = {k: np.concatenate([p[k] for p in parts]) for k in parts[0]}
-    if not single:
-        return IKResult(**joined)
-    one = {k: v[0] for k, v in joined.items()}
-    return IKResult(**one | {"reason": Reason(int(one["reason"]))})
+    result = IKResult(**joined)
+    return result[0] if single else result
+
+
+def _entries(columns: dict[str, Any]) -> IKResult:
+    """A result of these columns, whose reason is a `Reason` where they are one target's."""
+    reason = columns["reason"]
+    return IKResult(**columns | {"reason": reason if np.ndim(reason) else Reason(int(reason))})
 
 
 def _known(changes: dict[str, Any]) -> dict[str, Any]:
@@ -110,12 +131,7 @@ def _known(changes: dict[str, Any]) -> dict[str, Any]:
 
 def as_poses(targets: Any, task: Task) -> tuple[np.ndarray, np.ndarray, bool]:
     """Target poses (N, 4, 4) with their rotations made orthonormal, which of them are poses, and whether it is a single one."""
-    try:
-        given = np.asarray(targets, dtype=np.float64)
-    except (TypeError, ValueError):
-        raise ValueError(
-            f"targets are no array of numbers but {type(targets).__name__}; allowed: (4, 4) or (N, 4, 4)"
-        ) from None
+    given = numbers("targets", targets)
     positions = not task.rotations and given.ndim in (1, 2) and given.shape[-1] == 3
     if positions:
         poses = np.tile(np.eye(4), (*given.shape[:-1], 1, 1))
@@ -155,7 +171,7 @@ def _score(job: Job, found: Found) -> np.ndarray:
         return np.nan_to_num(found.clearance)
     if choice == "closest" or (choice == "comfort" and reference is not None):
         assert reference is not None
-        away = np.abs(unwound(chain, found.q - reference[found.target])) * job.weights
+        away = np.abs(found.q - reference[found.target]) * job.weights
         return -(away.max(axis=1) if job.options.norm == "linf" else np.sqrt(np.sum(away**2, axis=1)))
     measure = {"manipulability": manipulability, "freedom": joint_freedom, "comfort": comfort_cost}[choice]
     value = in_blocks(_measure(chain, measure), found.q, size=MEASURED, double=True)[0]
@@ -184,7 +200,7 @@ def _columns(job: Job, outcome: Outcome) -> dict[str, np.ndarray]:
         "success": reason == Reason.SOLVED,
         "reason": reason,
     }
-    if k > 1 or job.options.choice == "closest":
+    if k > 1:
         found = _with_turns(job, found)
     score = _score(job, found)
     best = _best(found, score)
@@ -209,10 +225,11 @@ def _fill_distinct(job: Job, ranked: Found, columns: dict[str, np.ndarray]) -> N
 
 
 def _with_turns(job: Job, found: Found) -> Found:
-    """Answers with every turn of their joints by 2 pi that stays inside the limits."""
-    wide = (job.high - job.low >= TURN) & job.chain.is_limited & ~np.array(job.chain.is_prismatic)
-    if not wide.any() or not len(found.q):
+    """Answers with every turn of their joints by 2 pi that stays inside the problem's limits, of each the best turn first."""
+    if not job.turnable.any() or not len(found.q):
         return found
-    turned = [admissible_turns(job.chain, q) for q in found.q]
-    again = found.rows(np.repeat(np.arange(len(found.q)), [len(t) for t in turned]))
-    return again._replace(q=np.concatenate(turned))
+    turned = [admissible_turns(job.chain, q, job.low, job.high) for q in found.q]
+    row = np.repeat(np.arange(len(found.q)), [len(t) for t in turned])
+    again = found.rows(row)._replace(q=np.concatenate(turned))
+    price = costs(job, again.q) if job.cost_turns else np.abs(again.q - job.home(again.target)).sum(axis=1)
+    return again.rows(np.lexsort((price, row)))

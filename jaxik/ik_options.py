@@ -7,7 +7,7 @@ from collections.abc import Mapping
 from typing import Any, Literal
 
 from jaxik import seeds
-from jaxik.choice import check_choices, check_counts, check_finite, shown
+from jaxik.choice import as_count, check_choices, check_finite, shown
 from jaxik.costs import Cost
 from jaxik.optimise import sqp
 from jaxik.task import POSE, Task
@@ -33,6 +33,9 @@ class IKOptions:
         largest "clearance", "manipulability" or joint "freedom", or the one nearest to the middle of the ranges ("comfort", or
         to `reference` where it is given).
     reference: a configuration (n,) or one a target (N, n); needed by "closest" and by the seeds "near".
+        Of one posture's turns by 2 pi inside the limits an answer is the one nearest to the reference; without one, and for
+        "freedom", the nearest to the middle of the ranges (of a joint without limits: to 0); "first", "clearance" and
+        "manipulability" with a `cost`: the one that costs less, where a joint has both limits.
     norm: in which "closest" measures, "l2" or "linf", joints multiplied by `weights`.
     solutions: so many different answers a target are returned, best first; turns by 2 pi count as different.
     distinct: answers nearer to each other than this in every joint are one [rad, m].
@@ -75,7 +78,8 @@ class IKOptions:
             collision=(self.collision, Collision),
             norm=(self.norm, Literal["l2", "linf"]),
         )
-        check_counts("solve_ik", max_seeds=self.max_seeds, solutions=self.solutions, cost_iterations=self.cost_iterations)
+        for name in ("max_seeds", "solutions", "cost_iterations"):
+            object.__setattr__(self, name, as_count(f"solve_ik: {name}", getattr(self, name)))
         check_finite("solve_ik", margin=self.margin)
         check_finite("solve_ik", 0.0, distinct=self.distinct, activation=self.activation, penalty=self.penalty)
         if not isinstance(self.task, Task):

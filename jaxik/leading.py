@@ -21,6 +21,7 @@ from jaxik.algebra import shared
 from jaxik.ball import possible
 from jaxik.batch import in_blocks
 from jaxik.chain import Chain, finite_limits
+from jaxik.choice import as_count_or_values
 from jaxik.closed_form import TURN, WAYS, half_branches, wrist_branches
 from jaxik.spmd import HostKernel
 
@@ -29,11 +30,13 @@ NOTHING = -2.0  # freedom of a branch that does not have the pose; past its limi
 NEARLY = 1e-3  # of a cosine, by which what is not looked at closely may be past a limit
 
 
-def leading_grid(chain: Chain, slides: int | np.ndarray) -> np.ndarray:
-    """Values (m, k) of the k leading joints: as given, or a grid over their ranges, a count each; one empty row for k = 0."""
+def leading_grid(chain: Chain, slides: Any) -> np.ndarray:
+    """Values (m, k) of the k leading joints: as given (of one joint (m,) too), or a grid over their ranges, a count each; one
+    empty row for k = 0. Raises `ValueError` for what is neither a count nor such values."""
     k = chain.num_joints - 6
-    if k and not isinstance(slides, int):
-        return np.asarray(slides, dtype=np.float64).reshape(-1, k)
+    slides = as_count_or_values("slides", slides, (-1, k))
+    if isinstance(slides, np.ndarray):
+        return slides
     low, high = finite_limits(chain)
     return grid([np.linspace(a, b, slides) for a, b in zip(low[:k], high[:k], strict=True)])
 

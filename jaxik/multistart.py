@@ -7,9 +7,10 @@ larger wave: most need one, and dropping those that have an answer is what makes
 Every number in this is a target's own: which seeds it gets, how many steps each runs, which answer is taken. So a target has
 the same result alone and among a million, and all runs in blocks of one size (`batch`): nothing compiles for another N.
 
-With a scene an answer must also keep `margin` of clearance. Where no seed leads to such a posture, one that has the pose and
-collides is the start of a second search, which holds the pose and moves the spare joints until the clearance, as a constraint,
-is kept.
+With a scene an answer must also keep `margin` of clearance. Where no seed leads to such a posture, those that have the pose and
+collide, far apart from each other, are the starts of a second search, which holds the pose and moves the spare joints until the
+clearance, as a constraint, is kept. Or the free branch is one that few lanes land on, as next to a singularity they creep: so
+near misses get the steps that they need, whatever else collides (17 of 31,000 narrow goals were missed without).
 """
 
 from __future__ import annotations
@@ -23,10 +24,11 @@ from typing import Any, NamedTuple
 import jax
 import numpy as np
 
-from jaxik import lanes, seeds
+from jaxik import given, lanes, seeds
 from jaxik.batch import anew_in_forks, in_blocks, threads
 from jaxik.chain import Chain, finite_range
-from jaxik.closed_form import TURN, closed_form_obstacle
+from jaxik.choice import shown
+from jaxik.closed_form import TURN, closed_form_obstacle, nearest_turns
 from jaxik.costs import Cost
 from jaxik.ik_options import IKOptions
 from jaxik.optimise import sqp
@@ -42,11 +44,13 @@ LANDED = 2e-3  # [rad], [unit lengths] from where two steps in float64 reach 1e-
 FINISH = sqp.Options(floor=1e-10, cap=0.1)
 FINISHING = 2
 PORTION = 65_536  # lanes at a time, which bounds the memory
-PUSHED, PUSHES = 4, 24  # colliding postures a target that are moved out of the obstacles, and the steps for it
+PUSHED, PUSHES = (4, 64), 24  # colliding postures a target that are moved out of the obstacles, at first and at last; the steps
+APART = 0.2  # [rad, m] between these in some joint: nearer ones end at the same place
 PUSH_MARGIN = 2e-4  # [m] more than is asked for, which the finish in float64 may use up
 IMPROVE_MARGIN = 1e-8  # [m] likewise, of an answer that leans on an obstacle for the sake of its cost
 UNLIMITED = np.arange(16)  # seeds for the question whether it was the limits
-KEPT, NEAR, RESCUE = 8, 0.05, 12  # so many misses, this near [rad, unit lengths], get so many more finishes
+KEPT, NEAR, RESCUE = 32, 0.05, 12  # so many misses, this near [rad, unit lengths], get so many more finishes
+CREEP = 0.95  # of its error, at most, is left of a miss after a finish, or it is at rest; some return, so not among obstacles
 
 
 @dataclasses.dataclass(frozen=True)
@@ -78,17 +82,23 @@ class Job:
                 raise ValueError(f"locked: {name} = {value:g} is outside its limits [{low[i]:g}, {high[i]:g}]")
             low[i] = high[i] = value
         weights = _shaped("weights", 1.0 if options.weights is None else options.weights, (n,))
-        if not np.all(weights > 0.0):
-            raise ValueError(f"weights {options.weights}: all are > 0; to hold a joint still, use locked")
+        if not np.all((weights > 0.0) & np.isfinite(weights)):
+            raise ValueError(f"weights {shown(options.weights)}: all are finite and > 0; to hold a joint still, use locked")
+        if not isinstance(seed, int | np.integer) or isinstance(seed, bool) or seed < 0:
+            raise ValueError(f"seed is {shown(seed)}; it is a whole number of at least 0")
         tolerance = [_shaped(k, getattr(options, k), (count,)) for k in ("position_tolerance", "rotation_tolerance")]
         if not all(np.all(t > 0.0) for t in tolerance):
             raise ValueError("position_tolerance and rotation_tolerance are > 0")
-        reference = None if options.reference is None else _shaped("reference", options.reference, (count, n))
+        reference = None if options.reference is None else _shaped("reference", options.reference, (count, n), least=1)
+        if reference is not None and not np.isfinite(reference).all():
+            raise ValueError("reference holds NaN or infinity; write a configuration (n,), or one a target (N, n) [rad, m]")
+        strategy = _strategy(chain, options)
         finite = finite_range(chain, low, high)
+        if strategy != "near":
+            finite = _one_turn(chain, *finite)
         inside = seeds.Range(*(tuple(float(x) for x in b) for b in finite))
         geometry = scene.geometry() if scene is not None else None
         unit = lanes.unit_length(chain)
-        strategy = _strategy(chain, options)
         return Job(
             chain, geometry, seed, options, low, high, weights, inside, unit, strategy, np.stack(tolerance, 1), reference
         )
@@ -103,16 +113,38 @@ class Job:
         return self.low, self.high, self.weights
 
     @property
-    def takes_first(self) -> bool:
-        return self.options.choice == "first" and self.options.solutions == 1
+    def turnable(self) -> np.ndarray:
+        """(n,): which joints have several turns of one posture inside both their limits."""
+        return np.isfinite(self.high - self.low) & (self.high - self.low >= TURN) & ~np.array(self.chain.is_prismatic)
+
+    @property
+    def cost_turns(self) -> bool:
+        """Whether it is the user's cost that chooses between turns: a choice that they change goes first."""
+        return self.options.cost is not None and self.options.choice in ("first", "clearance", "manipulability")
+
+    def home(self, target: np.ndarray) -> np.ndarray:
+        """Of turns, the one nearest to this is taken, (rows, n): each target's reference; without one, and for freedom, the
+        middle of the ranges."""
+        if self.reference is not None and self.options.choice != "freedom":
+            return self.reference[target]
+        middle = np.array(sum(finite_range(self.chain, self.low, self.high))) / 2.0
+        return np.broadcast_to(middle, (len(target), len(middle)))
 
 
-def _shaped(name: str, value: Any, shape: tuple[int, ...]) -> np.ndarray:
-    given = np.asarray(value, dtype=np.float64)
-    try:
-        return np.broadcast_to(given, shape)
-    except ValueError:
-        raise ValueError(f"{name} has shape {given.shape}; allowed: a number or {shape}") from None
+def _one_turn(chain: Chain, low: np.ndarray, high: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """The range (n,) in which searches start: of a joint that turns further, one turn about its middle. The rest holds the same
+    postures again, and limits to run into."""
+    over = np.where(chain.is_prismatic, 0.0, np.maximum(high - low - TURN, 0.0)) / 2.0
+    return low + over, high - over
+
+
+def _shaped(name: str, value: Any, shape: tuple[int, ...], least: int = 0) -> np.ndarray:
+    """Numbers of the last axes of `shape`, of `least` one of them, repeated along the others."""
+    array = given.numbers(name, value)
+    if not (least <= array.ndim <= len(shape) and array.shape == shape[len(shape) - array.ndim :]):
+        allowed = [str(shape[k:]) if shape[k:] else "a number" for k in range(len(shape) - least, -1, -1)]
+        raise ValueError(f"{name} has shape {array.shape}; allowed: {' or '.join(allowed)}")
+    return np.broadcast_to(array, shape)
 
 
 def _strategy(chain: Chain, options: IKOptions) -> str:
@@ -157,28 +189,27 @@ def search(job: Job, poses: np.ndarray, valid: np.ndarray) -> Outcome:
     """Answers for the poses (N, 4, 4) that are `valid` (N,), or reasons."""
     reason = np.where(valid, np.where(_out_of_reach(job, poses), Reason.OUT_OF_REACH, Reason.NOT_CONVERGED), Reason.INVALID)
     misses = _Misses(job)
-    answers, blocked, waiting = [_nothing(job)], [_nothing(job)], [_nothing(job)]
+    answers, blocked = [_nothing(job)], [_nothing(job)]
     waves = _waves(job)
     _finisher_ready(_finisher(job), job.chain.num_joints)
     for number, numbers in enumerate(waves, 1):
         for some in _portions(np.flatnonzero(reason == Reason.NOT_CONVERGED), len(numbers)):
             free, colliding = _wave(job, poses, some, numbers, misses)
             answers.append(free)
-            waiting.append(colliding)
+            blocked.append(colliding)
             reason[free.target] = Reason.SOLVED
-        if number == min(2, len(waves)) or number == len(waves):  # more seeds cost less than moving out of obstacles
-            stuck = Found.joined(waiting)
-            stuck = stuck.rows(reason[stuck.target] == Reason.NOT_CONVERGED)
-            freed = _pushed(job, poses, stuck)
-            answers.append(freed)
-            blocked.append(stuck)
-            waiting = [_nothing(job)]
-            reason[freed.target] = Reason.SOLVED
-        if number == min(3, len(waves)) or number == len(waves):  # what is left by now is near a singularity, or unreachable
+        last = number == len(waves)
+        if number == min(3, len(waves)) or last:  # what is left by now is near a singularity, or unreachable
             rescued, near = _rescued(job, poses, misses.near(reason))
             answers.append(rescued)
             blocked.append(near)
             reason[rescued.target] = Reason.SOLVED
+        if number == min(2, len(waves)) or last:  # more seeds cost less than moving out of obstacles
+            stuck = Found.joined(blocked)
+            blocked = [stuck.rows(reason[stuck.target] == Reason.NOT_CONVERGED)]
+            freed = _pushed(job, poses, blocked[0], PUSHED[last])
+            answers.append(freed)
+            reason[freed.target] = Reason.SOLVED
     found, stuck = Found.joined(answers), Found.joined(blocked)
     stuck = stuck.rows(reason[stuck.target] == Reason.NOT_CONVERGED)
     reason[stuck.target] = Reason.COLLISION
@@ -274,18 +305,25 @@ def _finisher_ready(program: Callable[..., Any], n: int) -> Future[Any]:
 
 def _rescued(job: Job, poses: np.ndarray, near: Found) -> tuple[Found, Found]:
     """Near misses after up to `RESCUE` more finishes, since next to a singularity convergence is slow: answers, and colliding
-    ones."""
+    ones. One that collides is no reason to leave the others: they may end on another branch."""
     free, blocked = [_nothing(job)], [_nothing(job)]
     for _ in range(RESCUE):
         if not len(near.q):
             break
+        error = _miss(job, near)
         near = _polished(job, poses, near, _finisher(job), LANES)
         near = near._replace(iterations=near.iterations + FINISHING)
         exact, collides = _exact(job, near), _collides(job, near)
         free.append(near.rows(exact & ~collides))
         blocked.append(near.rows(exact & collides))
-        near = near.rows(~exact & ~np.isin(near.target, near.target[exact]))
+        at_rest = (job.scene is None) & (_miss(job, near) > CREEP * error)
+        near = near.rows(~exact & ~at_rest & ~np.isin(near.target, near.target[exact & ~collides]))
     return Found.joined(free), Found.joined(blocked)
+
+
+def _miss(job: Job, found: Found) -> np.ndarray:
+    """How far rows are from their targets [rad, unit lengths]; NaN before their first finish."""
+    return found.position_error / job.unit + found.rotation_error
 
 
 def _exact(job: Job, found: Found) -> np.ndarray:
@@ -318,7 +356,7 @@ def _finish(job: Job, poses: np.ndarray, landed: Found, misses: _Misses) -> Foun
     found = _polished(job, poses, landed, program, LANES)
     found = found._replace(iterations=found.iterations + FINISHING)
     exact = _exact(job, found)
-    misses.note(found.rows(~exact), (found.position_error / job.unit + found.rotation_error)[~exact])
+    misses.note(found.rows(~exact), _miss(job, found)[~exact])
     return found.rows(exact)
 
 
@@ -327,7 +365,7 @@ def _polished(job: Job, poses: np.ndarray, lanes_: Found, program: Callable[...,
     start = np.clip(lanes_.q, job.low, job.high)
     fixed = (*job.limits, *more)
     q, away, turned = in_blocks(program, start, poses[lanes_.target], size=size, fixed=fixed, double=True)
-    q = np.where(job.low == job.high, q, unwound(job.chain, q))  # what is locked stays as the user wrote it
+    q = nearest_turns(job.chain, q, job.home(lanes_.target), job.low, job.high)
     return lanes_._replace(q=q, position_error=away, rotation_error=turned, clearance=_clearance(job, q))
 
 
@@ -343,9 +381,9 @@ def unwound(chain: Chain, q: np.ndarray) -> np.ndarray:
     return q - np.where(turns, np.round(q / TURN) * TURN, 0.0)
 
 
-def _pushed(job: Job, poses: np.ndarray, stuck: Found) -> Found:
+def _pushed(job: Job, poses: np.ndarray, stuck: Found, count: int) -> Found:
     """The answers that a search for clearance makes of the best few colliding postures of each target."""
-    chosen = stuck.rows(top(stuck.target, stuck.clearance, PUSHED))
+    chosen = stuck.rows(_apart(stuck, count))
     if not len(chosen.q):
         return chosen
     program = lanes.landing(job.chain, job.options.task, PUSHES, job.options.avoid, _extras(job))
@@ -354,6 +392,20 @@ def _pushed(job: Job, poses: np.ndarray, stuck: Found) -> Found:
     moved = chosen._replace(q=q.astype(np.float64), iterations=chosen.iterations + PUSHES)
     found = _finish(job, poses, moved, _Misses(job))
     return found.rows(~_collides(job, found))
+
+
+def _apart(stuck: Found, count: int) -> np.ndarray:
+    """Up to `count` rows of each target, the freest first, none near one before it."""
+    order = top(stuck.target, stuck.clearance, len(stuck.q))
+    starts = np.flatnonzero(np.diff(stuck.target[order], prepend=-1))
+    kept = []
+    for rows in np.split(order, starts[1:]):
+        for _ in range(count):
+            if not len(rows):
+                break
+            kept.append(rows[0])
+            rows = rows[np.abs(stuck.q[rows] - stuck.q[rows[0]]).max(axis=1) > APART]
+    return np.array(kept, int)
 
 
 def _extras(job: Job, cost: Cost | None = None) -> lanes.Extras:
@@ -372,10 +424,37 @@ def _improved(job: Job, poses: np.ndarray, found: Found) -> Found:
     iterations = job.options.cost_iterations
     program = lanes.landing(job.chain, job.options.task, iterations, job.options.improve, _extras(job, job.options.cost))
     more = () if job.scene is None else (job.scene, np.float64(job.options.margin + IMPROVE_MARGIN))
-    better = _polished(job, poses, found, program, MEASURED, *more)
+    found = _cheaper_turns(job, found)
+    better = _cheaper_turns(job, _polished(job, poses, found, program, MEASURED, *more))
     kept = _exact(job, better) & ~_collides(job, better)
     better = better._replace(iterations=found.iterations + iterations)
     return Found(*(np.where(kept.reshape(-1, *[1] * (b.ndim - 1)), b, a) for a, b in zip(found, better, strict=True)))
+
+
+def _cheaper_turns(job: Job, found: Found) -> Found:
+    """Each joint turned by 2 pi, one after the other, as long as that makes the user's cost less."""
+    if not job.cost_turns or not job.turnable.any() or not len(found.q):
+        return found
+    q, price, less = found.q, costs(job, found.q), np.ones(1, bool)
+    turns = TURN * np.eye(job.chain.num_joints)[job.turnable]
+    while less.any():
+        less = np.zeros(len(q), bool)
+        for turn in (*turns, *-turns):
+            other = q + turn
+            asked = costs(job, other)
+            better = np.all((other >= job.low) & (other <= job.high), axis=1) & (asked < price)
+            q, price, less = np.where(better[:, None], other, q), np.where(better, asked, price), less | better
+    return found._replace(q=q)
+
+
+def costs(job: Job, q: np.ndarray) -> np.ndarray:
+    """The user's cost of configurations (N, n), in float64."""
+    return in_blocks(_rows(job.options.cost), q, size=MEASURED, double=True)[0]
+
+
+@functools.lru_cache(maxsize=32)
+def _rows(function: Callable[..., Any]) -> Callable[..., Any]:
+    return jax.jit(jax.vmap(function))
 
 
 def _beyond_limits(job: Job, poses: np.ndarray, reason: np.ndarray) -> np.ndarray:

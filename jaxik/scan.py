@@ -22,6 +22,7 @@ import numpy as np
 
 from jaxik.batch import in_blocks
 from jaxik.chain import Chain
+from jaxik.choice import as_count_or_values
 from jaxik.closed_form import BRANCHES, closed_form_obstacle, closed_forms
 from jaxik.collision import check_geometry, clearance, object_clearances, self_clearance
 from jaxik.costs import joint_freedom
@@ -50,8 +51,9 @@ class Weights:
     reach: float = 0.075
 
     def __post_init__(self) -> None:
-        if not (self.clearance >= 0.0 and self.freedom >= 0.0 and self.reach > 0.0):
-            raise ValueError(f"weights {self}: clearance and freedom are >= 0 and reach > 0")
+        finite = np.isfinite([self.clearance, self.freedom, self.reach]).all()
+        if not (finite and self.clearance >= 0.0 and self.freedom >= 0.0 and self.reach > 0.0):
+            raise ValueError(f"weights {self}: clearance and freedom are >= 0 and reach > 0, all finite numbers")
 
     def score(self, clearance: np.ndarray, freedom: np.ndarray) -> np.ndarray:
         return self.clearance * np.clip(clearance, 0.0, self.reach) / self.reach + self.freedom * np.clip(freedom, 0.0, 1.0)
@@ -172,10 +174,11 @@ def fruit_frames(fruit: Fruit, angles: np.ndarray, grasp: Grasp | None = None) -
     return poses
 
 
-def approach_grid(angles: int | np.ndarray) -> np.ndarray:
-    """Angles [rad] as given, or so many from -pi up to, and without, pi."""
-    if not isinstance(angles, int):
-        return np.asarray(angles, dtype=np.float64)
+def approach_grid(angles: Any) -> np.ndarray:
+    """Angles (m,) [rad] as given, or so many from -pi up to, and without, pi. Raises `ValueError` for what is neither."""
+    angles = as_count_or_values("angles", angles, (-1,))
+    if isinstance(angles, np.ndarray):
+        return angles
     return -np.pi + 2.0 * np.pi * np.arange(angles) / angles
 
 
@@ -183,18 +186,19 @@ def scan(
     chain: Chain,
     scene: Scene,
     fruit: Fruit,
-    angles: int | np.ndarray = 72,
-    slides: int | np.ndarray = 41,
+    angles: Any = 72,
+    slides: Any = 41,
     weights: Weights | None = None,
     margin: float = 0.005,
     grasp: Grasp | None = None,
 ) -> Scan:
     """All candidates for a fruit: approach angles x leading joints x branches, with limits, clearance and freedom.
 
-    `angles` and `slides` are counts or the values themselves [rad], (m, k) [m, rad]. The fruit itself is no obstacle. A
-    candidate is SOLVED in `status` with at least `margin` [m] of clearance.
+    `angles` and `slides` are counts or the values themselves, (m,) [rad] and (m, k) [m, rad]; of one slide (m,) too. The fruit
+    itself is no obstacle. A candidate is SOLVED in `status` with at least `margin` [m] of clearance.
 
-    Raises `ValueError` where the chain has no closed form, or nothing to collide with.
+    Raises `ValueError` where the chain has no closed form, or nothing to collide with, and for what is neither a count nor
+    values.
     """
     reason = closed_form_obstacle(chain)
     if reason:
@@ -258,7 +262,7 @@ def _measured(chain: Chain, scene: Scene, fruit: Fruit, q: np.ndarray) -> tuple[
 
 
 def approach_angles(
-    chain: Chain, scene: Scene, fruit: Fruit, angles: int | np.ndarray = 72, grasp: Grasp | None = None
+    chain: Chain, scene: Scene, fruit: Fruit, angles: Any = 72, grasp: Grasp | None = None
 ) -> tuple[np.ndarray, np.ndarray]:
     """The approach angles [rad] from best to worst, and the clearance [m] of the last three links, straight, at each.
 
@@ -279,7 +283,7 @@ def approach_angles(
 
 
 def scan_two_step(
-    chain: Chain, scene: Scene, fruit: Fruit, angles: int = 72, slides: int = 41, **options: Any
+    chain: Chain, scene: Scene, fruit: Fruit, angles: Any = 72, slides: Any = 41, **options: Any
 ) -> tuple[Scan, int]:
     """The paper's two steps, with the recovery that it lacks: where the best angle has no posture the next one is taken.
 

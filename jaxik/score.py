@@ -100,7 +100,7 @@ def _twist(tip: Any, wanted: Any) -> Any:
 
 
 def likely_postures(
-    chain: Chain, scene: Scene | None, poses: np.ndarray, count: int = 8, slides: int = 11, margin: float = 0.005
+    chain: Chain, scene: Scene | None, poses: np.ndarray, count: int = 8, slides: Any = 11, margin: float = 0.005
 ) -> tuple[np.ndarray, np.ndarray]:
     """Of one target's alternative poses `world_T_tip` (a, 4, 4) the `count` most promising (count, 4, 4), with postures
     (count, n): of all branches at `slides` positions of each leading joint, past limits and reach too, those of the best worth.

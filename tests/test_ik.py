@@ -12,6 +12,7 @@ from robots import ROBOTS, bare, joint_range, pinocchio, pose_errors
 
 import jaxik
 from jaxik import Reason, lanes
+from jaxik.chain import Volume
 from jaxik.optimise import sqp
 
 POSITION = 1e-6  # [m], the default tolerances
@@ -171,6 +172,11 @@ def test_mistakes_are_one_line(panda):
         (lambda: jaxik.solve_ik(panda, eye, position_tolerance=-1.0), ("position_tolerance",)),
         (lambda: jaxik.solve_ik(panda, [eye, eye], position_tolerance=[1e-3] * 3), ("(3,)", "(2,)")),
         (lambda: jaxik.solve_ik(panda, eye, reference=np.zeros(5), choice="closest"), ("reference", "(5,)")),
+        (lambda: jaxik.solve_ik(panda, eye, reference=0.0), ("reference", "()", "(7,)", "(1, 7)")),
+        (lambda: jaxik.solve_ik(panda, eye, reference=np.full(7, np.nan)), ("reference", "NaN")),
+        (lambda: jaxik.solve_ik(panda, eye, weights=np.full(7, np.inf)), ("weights", "finite")),
+        (lambda: jaxik.solve_ik(panda, eye, seed=-1), ("seed", "-1")),
+        (lambda: jaxik.solve_ik(panda, eye + 0j), ("targets", "numbers")),
         (lambda: jaxik.solve_ik(panda, eye, max_seeds=0), ("max_seeds",)),
         (lambda: jaxik.solve_ik(panda, eye, choice="clearance"), ("scene",)),
         (lambda: jaxik.Task((False,) * 6), ("at least one",)),
@@ -181,6 +187,23 @@ def test_mistakes_are_one_line(panda):
             call()
         line = str(caught.value)
         assert "\n" not in line and all(w in line for w in words), line
+
+
+def test_a_single_answer_is_one_row(panda):
+    targets = reachable(panda, 3, seed=5)
+    targets[1, 0, 0] = np.nan
+    batch, one, bad = (jaxik.solve_ik(panda, t) for t in (targets, targets[0], targets[1]))
+    assert len(one) == 1 and one.counts() == {"solved": 1} and bool(one) and not bool(bad)
+    (row,) = one
+    assert row.reason is Reason.SOLVED and np.array_equal(row.q, one.q) and one[0].q.shape == (7,)
+    assert len(batch) == 3 and [bool(r) for r in batch] == [True, False, True]
+    np.testing.assert_array_equal(np.stack([r.q for r in batch]), batch.q)
+    assert batch[-1].reason is Reason.SOLVED and np.array_equal(batch[batch.success].q, batch.q[[0, 2]])
+    assert len(batch[:2]) == 2
+    with pytest.raises(ValueError, match=r"3 targets.*success"):
+        bool(batch)
+    with pytest.raises(IndexError):
+        one[1]
 
 
 def test_an_empty_batch(panda):
@@ -298,6 +321,85 @@ def test_different_solutions_and_turns():
     assert np.linalg.norm(turned.q - reference) < 1e-3
 
 
+def _turned_further(chain, q, i):
+    """The posture `q` (n,) one or two turns of joint i away, inside the limits."""
+    for k in (-2, -1, 1, 2):
+        other = q.copy()
+        other[i] += 2.0 * np.pi * k
+        if chain.lower[i] <= other[i] <= chain.upper[i]:
+            yield other
+
+
+def assert_no_turn_is_better(chain, result, price):
+    """No single turn of an answer costs less."""
+    assert result.success.any()
+    for row in np.flatnonzero(result.success):
+        q = result.q[row]
+        for i in range(chain.num_joints):
+            assert all(price(row, q) <= price(row, other) + 1e-9 for other in _turned_further(chain, q, i))
+
+
+def test_locked_joints_are_not_turned():
+    chain = chain_of("ur5")
+    name, value = chain.joint_names[0], 0.2
+    q = np.random.default_rng(31).uniform(*joint_range(chain), (5, 6))
+    q[:, 0] = value
+    targets = np.stack([pinocchio(chain)(row) for row in q])
+    result = jaxik.solve_ik(chain, targets, locked={name: value}, solutions=8)
+    found = result.solutions[np.isfinite(result.solutions).all(axis=2)]
+    assert len(found) > 8 and np.all(found[:, 0] == value)
+
+
+def test_of_two_turns_the_better_one_is_taken():
+    """A turn by 2 pi changes what a choice weighs, or how far an answer is from the reference or the middle."""
+    chain = chain_of("ur5")  # +-2 pi
+    targets = reachable(chain, 30, seed=15)
+    reference = np.random.default_rng(32).uniform(*joint_range(chain), (30, 6))
+    middle = (chain.lower + chain.upper) / 2.0
+    to_middle = lambda row, q: np.abs(q - middle).sum()
+    to_reference = lambda row, q: np.abs(q - reference[row]).sum()
+    freedom = lambda row, q: -np.minimum(q - chain.lower, chain.upper - q).min()
+    for price, options in (
+        (to_middle, {}),
+        (to_middle, {"choice": "comfort"}),
+        (freedom, {"choice": "freedom", "reference": reference}),
+        (to_reference, {"reference": reference}),
+        (to_reference, {"reference": reference, "seeds": "near"}),
+        (to_reference, {"choice": "comfort", "reference": reference}),
+        (to_reference, {"choice": "closest", "reference": reference, "norm": "linf"}),
+    ):
+        result = jaxik.solve_ik(chain, targets, max_seeds=16, **options)
+        assert_no_turn_is_better(chain, result, price)
+        several = jaxik.solve_ik(chain, targets[:4], max_seeds=16, solutions=3, **_first_rows(options, 4))
+        assert np.array_equal(several.q[several.success], several.solutions[several.success, 0])
+        assert_no_turn_is_better(chain, several, price)
+
+
+def _first_rows(options, count):
+    return options | ({"reference": options["reference"][:count]} if "reference" in options else {})
+
+
+def test_a_cost_decides_between_turns():
+    chain = chain_of("ur5")
+    targets = reachable(chain, 20, seed=33)
+    away = np.array([4.0, -4.0, 4.0, -4.0, 4.0, -4.0])
+    cost = lambda q: jnp.sum((q - away) ** 2)
+    result = jaxik.solve_ik(chain, targets, cost=cost)
+    assert_solves(chain, result, targets)
+    assert_no_turn_is_better(chain, result, lambda row, q: np.sum((q - away) ** 2))
+
+
+def test_endless_joints_end_on_the_turn_of_the_reference():
+    chain = chain_of("kinova")
+    endless = ~np.isfinite(chain.lower)
+    targets = reachable(chain, 20, seed=16)
+    reference = np.where(endless, 9.0, 0.5 * sum(jaxik.finite_limits(chain)))
+    result = jaxik.solve_ik(chain, targets, reference=reference)
+    assert result.success.mean() > 0.9
+    assert np.all(np.abs(result.q[:, endless] - 9.0) <= np.pi + 1e-9)
+    assert_solves(chain, result, targets)
+
+
 def test_continuous_joints_wrap():
     chain = chain_of("kinova")
     targets = reachable(chain, 500, seed=16)
@@ -368,6 +470,22 @@ def test_a_scene_is_kept_clear_of():
     roomy = jaxik.solve_ik(chain, targets, scene, margin=0.01, choice="clearance", max_seeds=64)
     both = roomy.success & result.success
     assert roomy.clearance[both].mean() > result.clearance[both].mean()
+
+
+def test_a_free_branch_that_few_searches_land_on_is_found():
+    """Next to the wrist's singularity searches creep, and the branches where they do not collide here."""
+    bare_arm = chain_of("ur5")
+    ball = lambda name: Volume(np.zeros((1, 3)), np.asarray(0.05), bare_arm.link_names.index(name))
+    chain = dataclasses.replace(bare_arm, volumes=(ball("forearm_link"), ball("wrist_1_link"), ball("wrist_2_link")))
+    rng = np.random.default_rng(41)
+    scene = jaxik.make_scene(spheres=np.column_stack([rng.uniform(-0.8, 0.8, (60, 3)), np.full(60, 0.15)]))
+    q = rng.uniform(*joint_range(chain), (4000, 6))
+    q[:, 4] = rng.normal(0.0, 0.01, len(q))
+    free = np.asarray(jax.jit(jax.vmap(lambda q: jaxik.clearance(chain, scene, q)))(q)) > 0.0
+    targets = np.stack([pinocchio(chain)(row) for row in q[free][:400]])
+    result = jaxik.solve_ik(chain, targets, scene)
+    assert result.success.all(), result.counts()
+    assert_solves(chain, result, targets)
 
 
 @pytest.mark.parametrize("collision", ["constraint", "penalty"])

@@ -186,3 +186,36 @@ def test_each_reason():
 def test_a_million_candidates_stay_below_a_gibibyte():
     memory = scan_memory()
     assert memory["candidates"] >= 1_000_000 and memory["peak_bytes"] < 2**30
+
+
+def test_counts_of_any_integer_and_values_of_any_sequence(found):
+    """A count is an integer of any kind; what is neither a count nor values is refused in one line."""
+    fruit = OPEN.fruits[0]
+    same = lambda **grid: jaxik.scan(CHAIN, OPEN, fruit, **{"angles": 24, "slides": 7} | grid).status
+    low, high = CHAIN.lower[0], CHAIN.upper[0]
+    for angles in (np.int64(24), np.uint8(24), np.array(24), found.angles, list(found.angles)):
+        assert np.array_equal(same(angles=angles), found.status)
+    for slides in (np.int64(7), np.array(7), np.linspace(low, high, 7), list(np.linspace(low, high, 7)), found.leading):
+        assert np.array_equal(same(slides=slides), found.status)
+    for grid, words in (
+        ({"angles": True}, "angles"),
+        ({"slides": False}, "slides"),
+        ({"slides": 5.0}, "slides is 5.0"),
+        ({"slides": np.array(0.4)}, "slides is 0.4"),
+        ({"angles": 0}, "at least 1"),
+        ({"slides": -3}, "at least 1"),
+        ({"angles": [0.0, np.nan]}, "finite"),
+        ({"angles": []}, "angles"),
+        ({"angles": np.zeros((2, 2))}, r"\(2, 2\)"),
+        ({"slides": np.zeros((3, 2))}, r"\(3, 2\)"),
+        ({"slides": [[np.inf]]}, "finite"),
+        ({"slides": "41"}, "slides"),
+        ({"angles": None}, "angles"),
+        ({"angles": [[0.0], [0.0, 1.0]]}, "angles"),
+    ):
+        with pytest.raises(ValueError, match=words) as caught:
+            same(**grid)
+        assert "\n" not in str(caught.value)
+    for values in ({"clearance": np.nan}, {"freedom": np.inf}, {"reach": np.inf}):
+        with pytest.raises(ValueError, match="weights"):
+            Weights(**values)
