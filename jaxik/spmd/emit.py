@@ -12,10 +12,11 @@ import struct
 from collections.abc import Iterator, Sequence
 from typing import Any
 
-from jaxik.spmd.program import FLOATS, Memory, Op, Program
+from jaxik.spmd.program import DTYPES, FLOATS, Memory, Op, Program, Whole
 
-BITS = {"i1": 1, "i32": 32, "u32": 32, "i64": 64, "u64": 64, "float": 32, "double": 64}
-BYTES = {"i1": 1, "i32": 4, "u32": 4, "i64": 8, "u64": 8, "float": 4, "double": 8}
+STACK = 65_536  # bytes of one table that a thread's stack may hold
+BITS = {"i1": 1, "i8": 8, "u8": 8, "i16": 16, "u16": 16, "i32": 32, "u32": 32, "i64": 64, "u64": 64, "float": 32, "double": 64}
+BYTES = {"i1": 1, "i8": 1, "u8": 1, "i16": 2, "u16": 2, "i32": 4, "u32": 4, "i64": 8, "u64": 8, "float": 4, "double": 8}
 
 
 def llvm(kind: str) -> str:
@@ -25,6 +26,20 @@ def llvm(kind: str) -> str:
 def stored(kind: str) -> str:
     """The type in memory: a truth is a byte."""
     return "i8" if kind == "i1" else llvm(kind)
+
+
+def room(name: str, size: int) -> list[str]:
+    """Lines that give `%name` so many bytes, aligned: on the stack, or where that would be too small from the heap, as
+    `%name.all`, which is to be freed."""
+    if size <= STACK:
+        return [f"  %{name} = alloca [{max(size, 1)} x i8], align 64"]
+    return [
+        f"  %{name}.all = call ptr @malloc(i64 {size + 64})",
+        f"  %{name}.at = ptrtoint ptr %{name}.all to i64",
+        f"  %{name}.up = add i64 %{name}.at, 63",
+        f"  %{name}.on = and i64 %{name}.up, -64",
+        f"  %{name} = inttoptr i64 %{name}.on to ptr",
+    ]
 
 
 def literal(value: Any, kind: str) -> str:
@@ -46,7 +61,11 @@ class Live:
         self.results: dict[int, set[int]] = {}  # loop or branch -> numbers of those of its results that are needed
         self._survey(program.top.body)
         self.needed: set[int] = set()
-        self._mark([v for row in program.outputs for v in row])
+        for row in program.outputs:
+            if isinstance(row, Whole):
+                self._mark([v for v in (row.after, *self.stores.get(row.memory.number, ())) if v >= 0])
+            else:
+                self._mark(list(row))
         self.varying: set[int] = set()
         while self._spread(program.top.body):
             pass
@@ -243,7 +262,7 @@ class Emitter:
                     found.add(args[2])  # a lane's own row at an index that all lanes agree on
             elif code not in ("const", "param", "result") and v in live.varying:
                 found.update(args)
-        found.update(v for row in self.program.outputs for v in row)
+        found.update(v for row in self.program.outputs if not isinstance(row, Whole) for v in row)
         return found
 
     # ----------------------------------------------------------------------------------------------------------------
@@ -465,7 +484,7 @@ class Emitter:
 
     def _read(self, base: str, size: int, first: int, count: int, kind: str) -> list[str]:
         lines, self.lines = self.lines, []  # in the entry, where every block sees them
-        align = {"i8": 1, "i32": 4, "i64": 8, "float": 4, "double": 8}[kind]
+        align = BYTES[kind]
         if size == 1:
             columns = [self.assign(f"load <{self.width} x {kind}>, ptr {base}, align {align}")]
         else:
@@ -504,10 +523,10 @@ class Emitter:
         c, d = pick(wide[2], wide[3], (0, 4, 1, 5)), pick(wide[2], wide[3], (2, 6, 3, 7))
         return [pick(a, c, (0, 1, 4, 5)), pick(a, c, (2, 3, 6, 7)), pick(b, d, (0, 1, 4, 5)), pick(b, d, (2, 3, 6, 7))]
 
-    def _write(self, number: int, size: int, first: int, count: int, columns: list[str], kind: str) -> None:
+    def _write(self, base: str, size: int, first: int, count: int, columns: list[str], kind: str) -> None:
         """`count` columns from `first` on into rows of `size`."""
-        base, n = f"%out{number}", self.width
-        align = {"i8": 1, "i32": 4, "i64": 8, "float": 4, "double": 8}[kind]
+        n = self.width
+        align = BYTES[kind]
         if size == 1:
             self.line(f"store <{n} x {kind}> {columns[0]}, ptr {base}, align {align}")
             return
@@ -657,10 +676,14 @@ class Emitter:
         """`define internal void @lanes(ptr %ins, ptr %outs)`, tables and declarations."""
         p, n = self.program, self.width
         self.prologue: list[str] = []
+        used = {op.args[0].number for op in (p.ops[v] for v in self.live.needed) if op.code == "store"}
         due: dict[int, list[tuple[int, int, int]]] = {}  # the last value that a block of columns waits for -> the block
         order = {v: i for i, v in enumerate(p.top.body)}
         blocks = []
         for number, row in enumerate(p.outputs):
+            if isinstance(row, Whole):
+                due.setdefault(row.after, []).append((number, 0, 0))
+                continue
             size = len(row)
             count = {1: 1, 2: 2, 3: 2}.get(size, 4)
             starts = sorted({min(s, size - count) for s in range(0, size, count)}) if size else []
@@ -676,6 +699,9 @@ class Emitter:
                 self.one(v)
                 for block in due.get(v, ()):
                     self._output(*block)
+        for k, (kind, size) in enumerate(p.scratch):
+            if k in used and n * size * BYTES[kind] > STACK:
+                self.line(f"call void @free(ptr %scratch{k}.all)")
         self.line("ret void")
         head = ["define internal void @lanes(ptr noalias %ins, ptr noalias %outs) #0 {", "entry:"]
         for kind, count in (("in", len(self.shared)), ("out", len(p.outputs))):
@@ -683,17 +709,46 @@ class Emitter:
                 head.append(f"  %{kind}p{k} = getelementptr ptr, ptr %{kind}s, i64 {k}")
                 head.append(f"  %{kind}{k} = load ptr, ptr %{kind}p{k}, !invariant.load !0")
         for k, (kind, size) in enumerate(p.scratch):
-            if k in {op.args[0].number for op in (p.ops[v] for v in self.live.needed) if op.code == "store"}:
-                head.append(f"  %scratch{k} = alloca [{size} x <{n} x {stored(kind)}>], align {max(n * BYTES[kind], 1)}")
+            if k in used:
+                head += room(f"scratch{k}", n * size * BYTES[kind])
         text = [*head, *self.prologue, *self.lines, "}"]
         for k, table in enumerate(p.tables):
-            kind = next(t for t in BYTES if BYTES[t] == table.dtype.itemsize and _matches(t, table.dtype))
+            kind = next(name for name, dtype in DTYPES.items() if dtype == table.dtype)
             entries = ", ".join(f"{stored(kind)} {literal(x, kind) if kind != 'i1' else int(x)}" for x in table.ravel().tolist())
             text.append(f"@table{k} = private unnamed_addr constant [{table.size} x {stored(kind)}] [{entries}], align 64")
         return "\n".join([*text, *sorted(self.declared)])
 
+    def _copied(self, number: int, memory: Memory) -> None:
+        """A lane's scratch into its row, in a loop over four columns at a time; the last four may have been copied before."""
+        kind, n, size = stored(memory.type), self.width, memory.size
+        before, head, end = self.block, self.label("copy"), self.label("copied")
+        self.line(f"br label %{head}")
+        self.start(head)
+        at = self.fresh()
+        step = self.fresh()
+        self.line(f"{at} = phi i64 [ 0, %{before} ], [ {step}, %{head} ]")
+        first = self.call_umin(at, size - 4)
+        columns = []
+        for k in range(4):
+            place = self.assign(f"getelementptr <{n} x {kind}>, ptr %scratch{memory.number}, i64 {first}")
+            place = self.assign(f"getelementptr <{n} x {kind}>, ptr {place}, i64 {k}")
+            columns.append(self.assign(f"load <{n} x {kind}>, ptr {place}, align {n * BYTES[memory.type]}"))
+        base = self.assign(f"getelementptr {kind}, ptr %out{number}, i64 {first}")
+        self._write(base, size, 0, 4, columns, kind)
+        self.line(f"{step} = add i64 {at}, 4")
+        more = self.assign(f"icmp ult i64 {step}, {size}")
+        self.line(f"br i1 {more}, label %{head}, label %{end}")
+        self.start(end)
+
+    def call_umin(self, value: str, most: int) -> str:
+        self.declared.add("declare i64 @llvm.umin.i64(i64, i64)")
+        return self.assign(f"call i64 @llvm.umin.i64(i64 {value}, i64 {most})")
+
     def _output(self, number: int, first: int, count: int) -> None:
         row = self.program.outputs[number]
+        if isinstance(row, Whole):
+            self._copied(number, row.memory)
+            return
         columns = []
         kind = "i1"
         for v in row[first : first + count]:
@@ -702,10 +757,4 @@ class Emitter:
             if kind == "i1":
                 name = self.assign(f"zext {self.vector(kind)} {name} to <{self.width} x i8>")
             columns.append(name)
-        self._write(number, len(row), first, count, columns, stored(kind))
-
-
-def _matches(kind: str, dtype: Any) -> bool:
-    from jaxik.spmd.program import DTYPES
-
-    return bool(DTYPES[kind] == dtype)
+        self._write(f"%out{number}", len(row), first, count, columns, stored(kind))

@@ -13,6 +13,8 @@ import platform
 import sys
 from collections.abc import Sequence
 
+from jaxik.spmd.emit import STACK, room
+
 # Offsets [bytes] in the structures of the C API.
 FRAME = {"extension": 8, "api": 16, "context": 24, "stage": 32, "arguments": 72, "results": 112}
 BUFFER = {"data": 24, "dims": 40}
@@ -26,7 +28,7 @@ NEXT, DONE, TOTAL, CHUNK, INNER, VECTORS, HOLDERS, FIRST = range(8)  # words of 
 def handler(name: str, rows_in: Sequence[tuple[str, int, bool]], rows_out: Sequence[tuple[str, int]], width: int, chunk: int) -> str:
     """The text of `name`, and of `name_work`, which takes chunks of a table of words until none is left. `rows_in` are type in memory, entries and whether lanes share it; `rows_out` the same of what is written;
     `chunk` is how many vectors are worth a thread's while."""
-    size = {"i8": 1, "i32": 4, "i64": 8, "float": 4, "double": 8}
+    size = {"i8": 1, "i16": 2, "i32": 4, "i64": 8, "float": 4, "double": 8}
     n_in, n_out = len(rows_in), len(rows_out)
     words = FIRST + 2 * n_in + n_out
     lines: list[str] = []
@@ -38,9 +40,9 @@ def handler(name: str, rows_in: Sequence[tuple[str, int, bool]], rows_out: Seque
     put(f"  %ins = alloca [{max(n_in, 1)} x ptr]\n  %outs = alloca [{max(n_out, 1)} x ptr]")
     for k, (kind, count, shared) in enumerate(rows_in):
         if not shared:
-            put(f"  %bi{k} = alloca [{max(width * count, 1)} x {kind}], align 64")
+            lines += room(f"bi{k}", width * count * size[kind])
     for k, (kind, count) in enumerate(rows_out):
-        put(f"  %bo{k} = alloca [{max(width * count, 1)} x {kind}], align 64")
+        lines += room(f"bo{k}", width * count * size[kind])
     for word, what in ((INNER, "inner"), (VECTORS, "vectors")):
         put(f"  %p{what} = getelementptr i64, ptr %c, i64 {word}\n  %{what} = load i64, ptr %p{what}")
     for k in range(n_in):
@@ -80,6 +82,9 @@ def handler(name: str, rows_in: Sequence[tuple[str, int, bool]], rows_out: Seque
     for k, (kind, count) in enumerate(rows_out):
         put(f"  %c{k} = mul i64 %left, {count * size[kind]}\n  call void @llvm.memcpy.p0.p0.i64(ptr %w{k}, ptr %bo{k}, i64 %c{k}, i1 false)")
     put("  br label %done\ndone:\n  %t1 = add i64 %t, 1\n  %more = icmp ult i64 %t1, %end\n  br i1 %more, label %next, label %out\nout:")
+    for name, (kind, count, *shared) in [*((f"bi{k}", row) for k, row in enumerate(rows_in)), *((f"bo{k}", row) for k, row in enumerate(rows_out))]:
+        if shared != [True] and width * count * size[kind] > STACK:
+            put(f"  call void @free(ptr %{name}.all)")
     put(_flush("end") + "\n  ret void\n}")
 
     pause = "  %ignored = call i32 @sched_yield()" if sys.platform != "win32" else ""

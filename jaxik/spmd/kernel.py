@@ -8,6 +8,7 @@ from typing import Any
 
 import jax
 import jax.numpy as jnp
+import numpy as np
 
 from jaxik.spmd.primitive import bind
 from jaxik.spmd.trace import Traced, trace
@@ -32,6 +33,8 @@ def kernel(function: Callable[..., Any] | None = None, *, models: int = 0) -> Ca
         model_leaves, model_tree = jax.tree_util.tree_flatten(fixed)
         moving = [i for i, x in enumerate(model_leaves) if isinstance(x, jax.core.Tracer)]
         leaves, tree = jax.tree_util.tree_flatten(rest)
+        if not all(isinstance(x, jax.Array) or np.asarray(x).dtype.kind in "biuf" for x in leaves):
+            return function(*args)  # what is no number is the function's own to refuse
         leaves = [x if isinstance(x, jax.Array) else jnp.asarray(x) for x in leaves]
         key = None if moving else (fixed, tree, tuple((x.shape, x.dtype, x.weak_type) for x in leaves), jax.config.jax_enable_x64)
         found, more = known.get(key), []

@@ -17,6 +17,10 @@ import numpy as np
 # Types are LLVM's, but that unsigned integers are told apart.
 TYPES = {
     np.dtype(np.bool_): "i1",
+    np.dtype(np.int8): "i8",
+    np.dtype(np.uint8): "u8",
+    np.dtype(np.int16): "i16",
+    np.dtype(np.uint16): "u16",
     np.dtype(np.int32): "i32",
     np.dtype(np.uint32): "u32",
     np.dtype(np.int64): "i64",
@@ -55,6 +59,13 @@ class Memory:
     size: int
 
 
+class Whole(NamedTuple):
+    """An output that is all of a lane's scratch, in order, once the value `after` is there."""
+
+    memory: Memory
+    after: int
+
+
 class Program:
     """Built op by op; afterwards `top`, `outputs` and what they refer to are the program."""
 
@@ -68,7 +79,7 @@ class Program:
         self.blocks = [self.top]
         self.tables: list[np.ndarray] = []
         self.scratch: list[tuple[str, int]] = []  # type and how many numbers a lane
-        self.outputs: list[list[int]] = []
+        self.outputs: list[list[int] | Whole] = []
 
     # ----------------------------------------------------------------------------------------------------------------
     # Values

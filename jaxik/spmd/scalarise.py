@@ -18,7 +18,7 @@ import numpy as np
 from jax.extend.core import ClosedJaxpr, Jaxpr, Literal
 
 from jaxik.spmd import elementary
-from jaxik.spmd.program import FLOATS, TYPES, Memory, Program
+from jaxik.spmd.program import FLOATS, TYPES, Memory, Program, Whole
 
 UNROLLED = 64  # operations of a scan's turns together, up to which it is written out
 FLAT = 32  # operations of both sides, up to which a branch is a selection
@@ -80,7 +80,7 @@ def scalarised(closed: ClosedJaxpr, structural: bool = False) -> Program:
         memory = Memory("operand", number, kind, int(np.prod(shape)))
         operands.append(Array(np.arange(memory.size).reshape(shape), kind, memory))
     results = s.run(closed.jaxpr, [s.known(c) for c in closed.consts], operands)
-    s.program.outputs = [s.values(x).ravel().tolist() for x in results]
+    s.program.outputs = [s.output(x) for x in results]
     return s.program
 
 
@@ -139,6 +139,14 @@ class Scalariser:
         load, memory = self.program.load, array.memory
         flat = [load(memory, int(i), None, array.after) for i in array.at.ravel()]
         return np.array(flat, np.int64).reshape(array.shape)
+
+    def output(self, array: Array) -> list[int] | Whole:
+        """The entries as values; or as memory, where they are what a loop has stacked."""
+        memory, size = array.memory, array.at.size
+        if memory is not None and memory.kind == "scratch" and size == memory.size > UNROLLED:
+            if np.array_equal(array.at.ravel(), np.arange(size)):
+                return Whole(memory, -1 if array.after is None else array.after)
+        return list(self.values(array).ravel().tolist())
 
     def entry(self, array: Array, place: Sequence[Any]) -> int:
         """The value at `place`: for each axis an index, or (value, shift, how many there may be) for a computed one, inside."""
