@@ -188,9 +188,9 @@ def _held(rate: Any, low: Any, high: Any) -> Any:
 def _rates(limits: tuple[Any, ...], q: Any, qdot: Any, dt: float) -> tuple[Any, Any]:
     """What the rates (n,) of the next sample must lie between."""
     lower, upper, velocity, acceleration = limits
-    stop = lambda way: jnp.minimum(way / dt, jnp.sqrt(2.0 * jnp.minimum(acceleration * way, 1e12)))
-    low = jnp.maximum(-velocity, -stop(jnp.maximum(q - lower, 0.0)))
-    high = jnp.minimum(velocity, stop(jnp.maximum(upper - q, 0.0)))
+    # at a limit nothing is left of the way, and any acceleration, an infinite one too, stops there: not inf times 0
+    stop = lambda way: jnp.where(way > 0.0, jnp.minimum(way / dt, jnp.sqrt(2.0 * acceleration * way)), 0.0)
+    low, high = jnp.maximum(-velocity, -stop(q - lower)), jnp.minimum(velocity, stop(upper - q))
     # what the acceleration allows, as far as the others do
     low_near, high_near = qdot - acceleration * dt, qdot + acceleration * dt
     return jnp.minimum(jnp.maximum(low, low_near), high_near), jnp.maximum(jnp.minimum(high, high_near), low_near)

@@ -65,6 +65,33 @@ def test_limits_are_kept(pendulum, to):
     assert np.abs(found.error).max() <= how.tolerance
 
 
+@pytest.mark.parametrize("scheme, acceleration", [("asc", None), ("asc", (9.0, np.inf, 9.0, np.inf)), ("rac", None)])
+def test_a_motion_may_begin_at_a_limit(scheme, acceleration, pendulum, to):
+    """Each joint exactly at one of its limits, or without any, with an acceleration limit or without."""
+    lower, upper = np.array([START[0], -np.inf, START[2] - 2.0, START[3]]), np.array([3.0, START[1], START[2], np.inf])
+    chain = dataclasses.replace(pendulum, lower=lower, upper=upper, velocity=np.array([2.0, np.inf, 2.0, np.inf]))
+    how = Follow(scheme, dt=0.01, task=IN_PLANE, acceleration=acceleration)
+    found = follow(chain, to(0.8, 2.8), 4.0, START, COMFORT, how)
+    assert found.reason == Reason.SOLVED
+    assert np.all(found.q >= lower - 1e-9) and np.all(found.q <= upper + 1e-9)
+    reached = pinocchio(pendulum)(found.q[-1])[:2, 3]
+    np.testing.assert_allclose(reached, [0.8, 2.8], atol=1e-5)
+
+
+@pytest.mark.parametrize("slide, rise", [(0.0, -0.05), (1.0, 0.05)])
+def test_a_slide_may_begin_at_its_end(slide, rise):
+    """And stay there, where the path would press it beyond."""
+    chain = jaxik.load("p6r")
+    q = np.array([slide, 0.2, -0.5, -0.4, 0.3, 0.5, 0.1])
+    start = pinocchio(chain)(q)
+    end = start.copy()
+    end[2, 3] += rise
+    found = follow(chain, Line(start, end), 2.0, q, None, Follow(dt=0.01))
+    assert found.reason == Reason.SOLVED and slide in (chain.lower[0], chain.upper[0])
+    np.testing.assert_allclose(found.q[:, 0], slide, atol=1e-6)
+    np.testing.assert_allclose(pinocchio(chain)(found.q[-1]), end, atol=1e-5)
+
+
 def test_what_goes_wrong_is_said_where_it_happens(pendulum, to):
     coarse = Follow(dt=0.01, task=IN_PLANE)
     run = lambda path, q=START, how=coarse, duration=2.0: follow(pendulum, path, duration, q, None, how)
