@@ -27,7 +27,7 @@ from jaxik.judge import Course, judge
 from jaxik.kernel import one_kernel
 from jaxik.optimise import ocp
 from jaxik.path import Motion, Path, motion
-from jaxik.redundancy import FLOOR, Box, Resolved, asc, rac
+from jaxik.redundancy import FLOOR, Box, Resolved, asc, loop_gain, rac, settles
 from jaxik.result import Reason
 from jaxik.task import POSE, Task
 
@@ -60,7 +60,7 @@ class Follow:
 
     def __post_init__(self) -> None:
         check_choices("follow", scheme=(self.scheme, Scheme), integrator=(self.integrator, ocp.Integrator))
-        if not (self.dt > 0.0 and self.tolerance > 0.0 and (self.gain is None or 0.0 <= self.gain * self.dt < 2.0)):
+        if not (self.dt > 0.0 and self.tolerance > 0.0 and settles(self.gain, self.dt)):
             raise ValueError(
                 f"follow: dt {self.dt}, tolerance {self.tolerance}, gain {self.gain}; allowed: dt > 0, tolerance > 0, "
                 "0 <= gain dt < 2"
@@ -161,18 +161,17 @@ def _moved(
     boxed = how.limits or how.acceleration is not None
     if how.scheme == "rac":
         start = jax.tree_util.tree_map(lambda x: x[0], stages)
-        slow = 0.5 / dt if how.gain is None else how.gain
+        slow = loop_gain(how.gain, dt, 0.5)
         box = Box((low - qdot) / dt, (high - qdot) / dt) if boxed else None
         gains = (0.25 * slow**2, slow)
         found = rac(chain, q, qdot, start, cost, how.alpha, how.damping, gains=gains, box=box, **options)
         faster = qdot + dt * found.rate
         return (q + 0.5 * dt * (qdot + faster), faster), found, _held(faster, low, high)
-    gain = 1.0 / dt if how.gain is None else how.gain
     down = cost if how.scheme == "asc" else None
     box = Box(low, high) if boxed else None
 
     def field(q: Any, _: Any, asked: Motion) -> tuple[Any, Resolved]:
-        found = asc(chain, q, asked, down, how.alpha, gain=gain, box=box, **options)
+        found = asc(chain, q, asked, down, how.alpha, gain=loop_gain(how.gain, dt), box=box, **options)
         return found.rate, found
 
     after, _, found = ocp.integrator(how.integrator, field, dt)(q, None, stages)

@@ -42,7 +42,7 @@ COMFORT = lambda q: 0.5 * jnp.sum((q - 0.3) ** 2)
 
 
 def asked_in_plane(x, y, duration, time):
-    """Where the tip should be (k, 2) on its way from START to (x, y): the quintic of Schuetz 2017, (5.40), (5.41), once more."""
+    """Where the tip should be (k, 2) on its way from START to (x, y), by the quintic of Schuetz 2017, (5.40), (5.41)."""
     start, share = np.array([1.0, 2.0 + np.sqrt(3.0)]), np.clip(time / duration, 0.0, 1.0)[:, None]
     return start + (10.0 * share**3 - 15.0 * share**4 + 6.0 * share**5) * (np.array([x, y]) - start)
 
@@ -154,7 +154,7 @@ def hidden_obstacle(q, *given):
 
 def test_a_moving_horizon(pendulum, to):
     """Velocity is continuous, the arm rests behind the path's end, and obstacles and targets move without a compiler."""
-    horizon = Horizon(0.04, 25, task=IN_PLANE, gain=25.0)
+    horizon = Horizon(0.04, 25, task=IN_PLANE)
     control = MovingHorizon(pendulum, quadratic_cost(hidden_obstacle), horizon)
     at = lambda x: jaxik.make_scene(points=[[x, 1.1, 0.0]])
     found = follow_predictively(control, to(0.5, 0.0), 4.0, START, lambda t: at(1.0 + 0.05 * t), until=6.0)
@@ -174,6 +174,6 @@ def test_a_moving_horizon(pendulum, to):
 def test_velocity_level_jumps(pendulum, to):
     """Fig. 5.9: where the plan's input is the velocity itself it jumps from rest, as that of acceleration level does not."""
     cost = quadratic_cost(lambda q: 2.0 * jnp.sum((q - 0.3) ** 2))
-    control = MovingHorizon(pendulum, cost, Horizon(0.04, 25, "velocity", task=IN_PLANE, gain=25.0))
+    control = MovingHorizon(pendulum, cost, Horizon(0.04, 25, "velocity", task=IN_PLANE))
     found = follow_predictively(control, to(0.5, 0.0), 4.0, START, until=0.4)
     assert np.abs(found.qdot[0]).max() > 0.04 * 3.0 and found.reason == Reason.SOLVED

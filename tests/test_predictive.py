@@ -222,7 +222,8 @@ def test_the_adjoint_equations_of_the_text(pendulum, line):
 )
 def test_looking_ahead_beats_the_moment(direction, search, pendulum, line):
     cost = quadratic_cost(lambda q: 500.0 * near_obstacle(pendulum)(q))
-    horizon = Horizon(0.04, 100, task=IN_PLANE, descend=Descent(direction, search, step=0.01 if search == "fixed" else 0.05))
+    step = 0.01 if search == "fixed" else 0.05
+    horizon = Horizon(0.04, 100, task=IN_PLANE, gain=1.0, descend=Descent(direction, search, step=step))
     found = predict(pendulum, line, 4.0, START, cost, horizon)
     totals = np.asarray(found.totals)[: int(found.iterations) + 1] / horizon.dt
     assert np.all(np.diff(totals) <= 0.0)
@@ -239,7 +240,23 @@ def test_whatever_the_input_the_tip_keeps_to_its_path(pendulum, line):
     assert np.abs(reached - ahead.asked.pose[:, 0])[:, :2, 3].max() < 1e-6
 
 
+@pytest.mark.parametrize(("dt", "most"), [(0.01, 2e-4), (0.04, 3e-3)])
+def test_the_tip_is_held_unless_told_otherwise(dt, most, pendulum):
+    """It is off by what one of Euler's steps loses, half its acceleration times dt^2, not by the sum of all."""
+    start, end, count = np.array([1.0, 2.0 + np.sqrt(3.0)]), np.array([0.5, 0.0]), round(4.0 / dt)
+    path = Line(*(pin.SE3(np.eye(3), np.array([*p, 0.0])).homogeneous for p in (start, end)))
+    horizon = Horizon(dt, count, task=IN_PLANE, descend=Descent(iterations=5))
+    found = predict(pendulum, path, 4.0, START, quadratic_cost(lambda q: jnp.sum((q - 0.3) ** 2)), horizon)
+    x = np.linspace(0.0, 1.0, count + 1)[:, None]
+    asked = start + (10.0 * x**3 - 15.0 * x**4 + 6.0 * x**5) * (end - start)  # Schuetz 2017, (5.40), (5.41)
+    reached = np.array([pinocchio(pendulum)(q)[:2, 3] for q in np.asarray(found.q)])
+    assert found.reason == jaxik.Reason.SOLVED
+    assert np.linalg.norm(reached - asked, axis=1).max() < most
+
+
 def test_mistakes_are_one_line(pendulum, line):
+    with pytest.raises(ValueError, match=r"gain 60.0; allowed: .*0 <= gain dt < 2"):
+        Horizon(0.04, gain=60.0)
     with pytest.raises(ValueError, match="level 'force'; allowed: velocity, acceleration"):
         Horizon(level="force")
     with pytest.raises(ValueError, match="direction 'up'"):
@@ -252,7 +269,7 @@ def test_quasi_newton_finds_what_the_thesis_did_not(pendulum, line):
     """Fig. 5.2: the text's best is 46 + 2.7; by its count (sums over samples of 40 ms, 500 weighs the cost)."""
     collision = lambda q: 500.0 * near_obstacle(pendulum)(q)
     found = predict(
-        pendulum, line, 4.0, START, quadratic_cost(collision), Horizon(0.04, 100, task=IN_PLANE, descend=QUASI_NEWTON)
+        pendulum, line, 4.0, START, quadratic_cost(collision), Horizon(0.04, 100, task=IN_PLANE, gain=1.0, descend=QUASI_NEWTON)
     )
     speed, near = np.sum(np.asarray(found.qdot) ** 2), np.sum(jax.vmap(collision)(found.q[:-1]))
     assert speed + near < 46.0 + 2.7
