@@ -26,7 +26,7 @@ from jaxik.costs import Cost
 from jaxik.judge import Course, judge
 from jaxik.kernel import one_kernel
 from jaxik.optimise import ocp
-from jaxik.path import Motion, Path, motion
+from jaxik.path import Motion, Path, check_duration, motion
 from jaxik.redundancy import FLOOR, Box, Resolved, asc, loop_gain, rac, settles
 from jaxik.result import Reason
 from jaxik.task import POSE, Task
@@ -103,15 +103,13 @@ def follow(
     """
     q = np.asarray(q, np.float64)
     check_each("follow", each, Each)
-    lasts = np.atleast_1d(np.asarray(duration, np.float64))
+    check_duration("follow", duration)
     if q.ndim not in (1, 2) or q.shape[-1] != chain.num_joints or (each and q.ndim == 1):
         raise ValueError(
             f"follow: q has the shape {q.shape}; "
             f"{chain.name} takes ({chain.num_joints},), or rows of it, as where `each` names something"
         )
-    if not np.all((lasts > 0.0) & np.isfinite(lasts)):
-        raise ValueError(f"follow: duration {duration}; allowed: a positive number of seconds")
-    count = round(float(lasts.max()) / how.dt) + 1
+    count = round(float(np.max(duration)) / how.dt) + 1
     axes = None if q.ndim == 1 else (0, *batch_axes(each, Each))
     found = _program(chain, cost, how, count, axes)(jnp.asarray(q), path, duration)
     return Followed(how.dt * np.arange(count), *map(np.asarray, found))

@@ -23,7 +23,7 @@ import numpy as np
 from jaxik.chain import Chain
 from jaxik.judge import Course, judge
 from jaxik.optimise import descent
-from jaxik.path import Path, motion
+from jaxik.path import Path, check_duration, motion
 from jaxik.predictive import Horizon, RunningCost, future, objective, problem
 
 
@@ -140,7 +140,8 @@ def follow_predictively(
     control: MovingHorizon, path: Path, duration: float, q: Any, given: Callable[[float], Any] | Any = None, until: Any = None
 ) -> Moved:
     """The whole motion from q (n,), to `until` [s], by default the path's end. `given` may be a function of the time [s]: of a
-    scene that moves."""
+    scene that moves. Raises `ValueError` for a duration that is not positive."""
+    check_duration("moving horizon", duration)
     until = duration if until is None else until
     dt, horizon = control.horizon.dt, control.horizon
     time = dt * np.arange(round(float(until) / dt))

@@ -32,7 +32,7 @@ from jaxik.choice import batch_axes, check_choices, check_each
 from jaxik.judge import Course, judge
 from jaxik.kernel import LANES, one_kernel
 from jaxik.optimise import descent, ocp
-from jaxik.path import Motion, Path, motion
+from jaxik.path import Motion, Path, check_duration, motion
 from jaxik.redundancy import FLOOR, Resolved, loop_gain, resolve_velocity, settles
 from jaxik.task import POSE, Task
 
@@ -223,12 +223,13 @@ def predict(
     with a leading axis b, and each is what it is alone; `each` names what else has one entry a scenario ("path", "duration",
     "guess", "given").
 
-    Raises `ValueError` for a q or guess of another shape, or another name in `each`.
+    Raises `ValueError` for a q or guess of another shape, a duration that is not positive, or another name in `each`.
     """
     q = jnp.asarray(q, jnp.result_type(float))
     rows = horizon.count + (horizon.start == "free")
     shape = (rows, chain.num_joints)
     check_each("predict", each, Each)
+    check_duration("predict", duration)
     many = q.ndim == 2
     if guess is None:
         w = jnp.zeros(shape, q.dtype)
