@@ -102,6 +102,33 @@ def test_a_stretched_arm_is_at_the_bound(rotation):
     assert -1e-6 < bound.excess(folded).max() <= ROUNDING and bound.shortest > 1.0
 
 
+def test_offsets_along_parallel_axes_lengthen_no_arm():
+    """The points on the axes are chosen best: those of a SCARA lie at one height."""
+    arm = jaxik.load("pendulum4")
+    frames = np.array(arm.parent_T_joint)
+    frames[1:, 2, 3] = 1.0, -2.0, 1.0
+    scara = dataclasses.replace(arm, parent_T_joint=frames)
+    for rotation in (True, False):
+        assert -1e-6 < reach(scara, rotation).excess(tips(scara, np.zeros((1, 4)))).max() <= ROUNDING
+
+
+def test_a_telescope_is_at_its_bound():
+    """Slides one after the other add their strokes; and where none turns, a rotation tells nothing."""
+    arm = jaxik.load("planar2")
+    axis, still = np.tile([1.0, 0.0, 0.0], (2, 1)), np.tile(np.eye(4), (2, 1, 1))
+    slides = dataclasses.replace(
+        arm,
+        joint_types=("prismatic",) * 2,
+        axis=axis,
+        parent_T_joint=still,
+        lower=np.array([0.0, -0.5]),
+        upper=np.array([1.0, 2.0]),
+    )
+    ends = tips(slides, [slides.lower, slides.upper])
+    for rotation in (True, False):
+        assert np.all(np.abs(reach(slides, rotation).excess(ends)) <= ROUNDING)
+
+
 def test_strokes_count_on_both_sides():
     """A slide of 1 m before an arm: its tip may be half a metre further, or nearer, than from the middle."""
     chain = jaxik.load("p6r")
