@@ -20,7 +20,9 @@ from jaxtyping import Float
 
 from jaxik.algebra import Rot3
 from jaxik.chain import Array
-from jaxik.task import POSE, rotation_vector
+from jaxik.task import rotation_vector
+
+RIGID = 1e-4  # how far a pose may be from a rotation and a translation
 
 
 class Motion(NamedTuple):
@@ -131,8 +133,6 @@ def _via_values(poses: Any) -> tuple[np.ndarray, np.ndarray]:
     """Positions and rotation vectors from the first (k, 6), and the first rotation (3, 3)."""
     from scipy.spatial.transform import Rotation
 
-    from jaxik.ik import as_poses
-
     try:
         given = np.asarray(poses, np.float64)
     except (TypeError, ValueError):
@@ -141,13 +141,18 @@ def _via_values(poses: Any) -> tuple[np.ndarray, np.ndarray]:
         given = np.tile(np.eye(4), (len(given), 1, 1)) + np.pad(given[:, :, None], ((0, 0), (0, 1), (3, 0)))
     if given.ndim != 3 or given.shape[1:] != (4, 4) or len(given) < 2:
         raise ValueError(f"via: poses of shape {np.shape(poses)}; allowed: (k, 4, 4) or (k, 3) with k >= 2")
-    given, valid, _ = as_poses(given, POSE)
+    with np.errstate(invalid="ignore"):
+        right = (np.linalg.det(given[:, :3, :3]) > 0.0)[:, None, None]
+        rotations = Rotation.from_matrix(np.where(right, given[:, :3, :3], np.eye(3)))  # the nearest ones
+        rigid = np.tile(np.eye(4), (len(given), 1, 1))
+        rigid[:, :3, :3], rigid[:, :3, 3] = rotations.as_matrix(), given[:, :3, 3]
+        valid = np.abs(given - rigid).max(axis=(1, 2)) <= RIGID
     if not np.all(valid):
         raise ValueError(
             f"via: pose {int(np.argmin(valid))} is no pose; allowed: finite, an orthonormal rotation, last row 0 0 0 1"
         )
-    first = given[0, :3, :3]
-    turned = Rotation.from_matrix(first.T @ given[:, :3, :3]).as_rotvec()
+    first = rigid[0, :3, :3]
+    turned = (rotations[0].inv() * rotations).as_rotvec()
     # the same rotation by the other way round is nearer to the one before where the shorter way between them passes pi
     angle = np.linalg.norm(turned, axis=1, keepdims=True)
     other = turned - np.divide(2.0 * np.pi * turned, angle, out=np.zeros_like(turned), where=angle > 0.0)
