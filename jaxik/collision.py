@@ -32,7 +32,8 @@ Gap = Callable[[Any, Any], Any]
 
 @kernel(models=1)
 def clearance(chain: Chain, scene: Scene | None, q: Float[Array, " n"]) -> Float[Array, ""]:
-    """The smallest signed distance of the robot to the scene and to itself [m]; negative is depth of penetration.
+    """The smallest signed distance of the robot to the scene and to itself [m]; negative is depth of penetration, of a line in
+    a box or a cylinder that of its deepest point (`distance`).
 
     `D = min |c_A - c_B| - (R_A + R_B)` over the robot's spheres and the obstacles [Van Henten et al. 2010, (A2)], likewise for
     lines and triangles [Schuetz 2017, sec. 4.2.2] and for boxes and cylinders. Infinite where there is nothing to hit. The

@@ -26,8 +26,8 @@ from jaxik.costs import Cost
 from jaxik.judge import Course, judge
 from jaxik.kernel import one_kernel
 from jaxik.optimise import ocp
-from jaxik.path import Motion, Path, motion
-from jaxik.redundancy import FLOOR, Box, Resolved, asc, rac
+from jaxik.path import Motion, Path, check_duration, motion
+from jaxik.redundancy import FLOOR, Box, Resolved, asc, loop_gain, rac, settles
 from jaxik.result import Reason
 from jaxik.task import POSE, Task
 
@@ -60,7 +60,7 @@ class Follow:
 
     def __post_init__(self) -> None:
         check_choices("follow", scheme=(self.scheme, Scheme), integrator=(self.integrator, ocp.Integrator))
-        if not (self.dt > 0.0 and self.tolerance > 0.0 and (self.gain is None or 0.0 <= self.gain * self.dt < 2.0)):
+        if not (self.dt > 0.0 and self.tolerance > 0.0 and settles(self.gain, self.dt)):
             raise ValueError(
                 f"follow: dt {self.dt}, tolerance {self.tolerance}, gain {self.gain}; allowed: dt > 0, tolerance > 0, "
                 "0 <= gain dt < 2"
@@ -103,15 +103,13 @@ def follow(
     """
     q = np.asarray(q, np.float64)
     check_each("follow", each, Each)
-    lasts = np.atleast_1d(np.asarray(duration, np.float64))
+    check_duration("follow", duration)
     if q.ndim not in (1, 2) or q.shape[-1] != chain.num_joints or (each and q.ndim == 1):
         raise ValueError(
             f"follow: q has the shape {q.shape}; "
             f"{chain.name} takes ({chain.num_joints},), or rows of it, as where `each` names something"
         )
-    if not np.all((lasts > 0.0) & np.isfinite(lasts)):
-        raise ValueError(f"follow: duration {duration}; allowed: a positive number of seconds")
-    count = round(float(lasts.max()) / how.dt) + 1
+    count = round(float(np.max(duration)) / how.dt) + 1
     axes = None if q.ndim == 1 else (0, *batch_axes(each, Each))
     found = _program(chain, cost, how, count, axes)(jnp.asarray(q), path, duration)
     return Followed(how.dt * np.arange(count), *map(np.asarray, found))
@@ -161,18 +159,17 @@ def _moved(
     boxed = how.limits or how.acceleration is not None
     if how.scheme == "rac":
         start = jax.tree_util.tree_map(lambda x: x[0], stages)
-        slow = 0.5 / dt if how.gain is None else how.gain
+        slow = loop_gain(how.gain, dt, 0.5)
         box = Box((low - qdot) / dt, (high - qdot) / dt) if boxed else None
         gains = (0.25 * slow**2, slow)
         found = rac(chain, q, qdot, start, cost, how.alpha, how.damping, gains=gains, box=box, **options)
         faster = qdot + dt * found.rate
         return (q + 0.5 * dt * (qdot + faster), faster), found, _held(faster, low, high)
-    gain = 1.0 / dt if how.gain is None else how.gain
     down = cost if how.scheme == "asc" else None
     box = Box(low, high) if boxed else None
 
     def field(q: Any, _: Any, asked: Motion) -> tuple[Any, Resolved]:
-        found = asc(chain, q, asked, down, how.alpha, gain=gain, box=box, **options)
+        found = asc(chain, q, asked, down, how.alpha, gain=loop_gain(how.gain, dt), box=box, **options)
         return found.rate, found
 
     after, _, found = ocp.integrator(how.integrator, field, dt)(q, None, stages)
@@ -188,9 +185,9 @@ def _held(rate: Any, low: Any, high: Any) -> Any:
 def _rates(limits: tuple[Any, ...], q: Any, qdot: Any, dt: float) -> tuple[Any, Any]:
     """What the rates (n,) of the next sample must lie between."""
     lower, upper, velocity, acceleration = limits
-    stop = lambda way: jnp.minimum(way / dt, jnp.sqrt(2.0 * jnp.minimum(acceleration * way, 1e12)))
-    low = jnp.maximum(-velocity, -stop(jnp.maximum(q - lower, 0.0)))
-    high = jnp.minimum(velocity, stop(jnp.maximum(upper - q, 0.0)))
+    # at a limit nothing is left of the way, and any acceleration, an infinite one too, stops there: not inf times 0
+    stop = lambda way: jnp.where(way > 0.0, jnp.minimum(way / dt, jnp.sqrt(2.0 * acceleration * way)), 0.0)
+    low, high = jnp.maximum(-velocity, -stop(q - lower)), jnp.minimum(velocity, stop(upper - q))
     # what the acceleration allows, as far as the others do
     low_near, high_near = qdot - acceleration * dt, qdot + acceleration * dt
     return jnp.minimum(jnp.maximum(low, low_near), high_near), jnp.maximum(jnp.minimum(high, high_near), low_near)

@@ -23,7 +23,7 @@ import numpy as np
 from jaxik.chain import Chain
 from jaxik.judge import Course, judge
 from jaxik.optimise import descent
-from jaxik.path import Path, motion
+from jaxik.path import Path, check_duration, motion
 from jaxik.predictive import Horizon, RunningCost, future, objective, problem
 
 
@@ -42,9 +42,9 @@ class State(NamedTuple):
 
 
 class Sample(NamedTuple):
-    """What to do now: at q (n,) [rad, m] move with qdot (n,). And where the plan that this sample began with leads, (N+1, n),
-    and what it costs in all; what this sample's iterations make of it, the next one begins with. The tip's error (m,) [m, rad],
-    and the damping that a singularity needed, 0 where none."""
+    """What to do now: at q (n,) [rad, m] move with qdot (n,), which leads to the next sample's q. And where the plan that this
+    sample began with leads, (N+1, n), and what it costs in all; what this sample's iterations make of it, the next one begins
+    with. The tip's error (m,) [m, rad], and the damping that a singularity needed, 0 where none."""
 
     q: Any
     qdot: Any
@@ -105,20 +105,21 @@ class MovingHorizon:
         plan, each = jax.lax.scan(turn, plan, None, self.iterations)
         first = jax.tree_util.tree_map(lambda x: x[0], each.aux)  # the roll-out of the plan as it was
         now = jax.tree_util.tree_map(lambda x: x[0], first.seen)
-        q, qdot, u = self._moved(state, plan.w[0], first, ahead, given)
+        q, u = self._moved(state, plan.w[0], first, ahead, given)
+        qdot = (q - state.q) / horizon.dt
         shift = lambda x: jnp.concatenate([x[1:], jnp.zeros_like(x[:1])])
         w, gradient, direction = map(shift, (plan.w, plan.gradient, plan.direction))
         after = State(q, u, state.time + horizon.dt, w, gradient, direction, plan.interval, plan.iterations)
         return after, Sample(state.q, qdot, first.y[0], first.total, now.error, now.damping)
 
-    def _moved(self, state: State, w: Any, run: Any, ahead: Any, given: tuple[Any, ...]) -> tuple[Any, Any, Any]:
-        """q of the next sample, qdot until then, and the next u, for the first input w of the new plan. On acceleration level
-        this moves the arm after the next sample only: till then it is the roll-out."""
+    def _moved(self, state: State, w: Any, run: Any, ahead: Any, given: tuple[Any, ...]) -> tuple[Any, Any]:
+        """q of the next sample, and the next u, for the first input w of the new plan. On acceleration level this moves the arm
+        after the next sample only: till then it is the roll-out."""
         if self.horizon.level == "acceleration":
-            return run.y[0][1], run.v[0], state.u + self.horizon.dt * w
+            return run.y[0][1], state.u + self.horizon.dt * w
         control = problem(self.chain, self.cost, self.horizon, *given)
-        (q,), qdot, _ = control.step((state.q,), w, jax.tree_util.tree_map(lambda x: x[0], ahead))
-        return q, qdot, state.u
+        (q,), *_ = control.step((state.q,), w, jax.tree_util.tree_map(lambda x: x[0], ahead))
+        return q, state.u
 
 
 class Moved(NamedTuple):
@@ -139,7 +140,8 @@ def follow_predictively(
     control: MovingHorizon, path: Path, duration: float, q: Any, given: Callable[[float], Any] | Any = None, until: Any = None
 ) -> Moved:
     """The whole motion from q (n,), to `until` [s], by default the path's end. `given` may be a function of the time [s]: of a
-    scene that moves."""
+    scene that moves. Raises `ValueError` for a duration that is not positive."""
+    check_duration("moving horizon", duration)
     until = duration if until is None else until
     dt, horizon = control.horizon.dt, control.horizon
     time = dt * np.arange(round(float(until) / dt))

@@ -22,6 +22,8 @@ from jaxik.algebra import Rot3
 from jaxik.chain import Array
 from jaxik.task import rotation_vector
 
+RIGID = 1e-4  # how far a pose may be from a rotation and a translation
+
 
 class Motion(NamedTuple):
     """What is asked of the tip at a moment, in the base frame: `base_T_tip` (4, 4) [m], velocity and acceleration (6,), linear
@@ -40,7 +42,7 @@ class Line(eqx.Module):
 
     def pose(self, s: Any) -> Any:
         """Position (3,) and rotation (3, 3) at s."""
-        start, end = jnp.asarray(self.start), jnp.asarray(self.end)
+        start, end = _fields("line", start=(self.start, (4, 4)), end=(self.end, (4, 4)))
         turn = rotation_log(start[:3, :3].T @ end[:3, :3])
         return start[:3, 3] + s * (end[:3, 3] - start[:3, 3]), start[:3, :3] @ rotation_exp(s * turn)
 
@@ -57,8 +59,14 @@ class Arc(eqx.Module):
 
     def pose(self, s: Any) -> Any:
         """Position (3,) and rotation (3, 3) at s."""
-        start, centre, axis = jnp.asarray(self.start), jnp.asarray(self.centre), jnp.asarray(self.axis)
-        turn = rotation_exp(s * self.angle * axis / jnp.linalg.norm(axis))
+        fields = {
+            "start": (self.start, (4, 4)),
+            "centre": (self.centre, (3,)),
+            "axis": (self.axis, (3,)),
+            "angle": (self.angle, ()),
+        }
+        start, centre, axis, angle = _fields("arc", **fields)
+        turn = rotation_exp(s * angle * axis / jnp.linalg.norm(axis))
         rotation = turn @ start[:3, :3] if self.turning else start[:3, :3] + 0.0 * s
         return centre + turn @ (start[:3, 3] - centre), rotation
 
@@ -83,22 +91,36 @@ class Curve(eqx.Module):
 Path = Line | Arc | Curve
 
 
+def _fields(who: str, **fields: tuple[Any, tuple[int, ...]]) -> list[Any]:
+    """A path's arrays, `name=(value, shape)`, in that order."""
+    arrays = []
+    for name, (value, shape) in fields.items():
+        arrays.append(jnp.asarray(value))
+        if arrays[-1].shape != shape:
+            raise ValueError(
+                f"{who}: {name} has the shape {arrays[-1].shape}; allowed: {shape}, or rows of it where `each` names the path"
+            )
+    return arrays
+
+
+def check_duration(who: str, duration: Any) -> None:
+    """Raises a `ValueError` of one line, `who` asking, for a duration, or durations, that are known and not positive."""
+    if isinstance(duration, jax.core.Tracer):
+        return
+    seconds = np.asarray(duration)
+    if seconds.dtype.kind not in "fiu" or not np.all((seconds > 0.0) & np.isfinite(seconds)):
+        raise ValueError(f"{who}: duration {duration}; allowed: a positive number of seconds")
+
+
 def via(poses: Any) -> Curve:
     """The curve through poses (k, 4, 4) or positions (k, 3), k >= 2, reached at times in proportion to their distances.
 
-    Raises `ValueError` for another shape or equal neighbours. Each pose may be turned by less than pi from the first.
+    Each pose may be turned by less than pi from the first, and so may what lies between two, by the shorter way. Raises
+    `ValueError` for one that is, for another shape, for what is no pose, and for equal neighbours.
     """
     from scipy.interpolate import CubicSpline
-    from scipy.spatial.transform import Rotation
 
-    given = np.asarray(poses, np.float64)
-    if given.ndim == 2 and given.shape[1] == 3:
-        given = np.tile(np.eye(4), (len(given), 1, 1)) + np.pad(given[:, :, None], ((0, 0), (0, 1), (3, 0)))
-    if given.ndim != 3 or given.shape[1:] != (4, 4) or len(given) < 2:
-        raise ValueError(f"via: poses of shape {np.shape(poses)}; allowed: (k, 4, 4) or (k, 3) with k >= 2")
-    first = given[0, :3, :3]
-    turned = Rotation.from_matrix(first.T @ given[:, :3, :3]).as_rotvec()
-    values = np.concatenate([given[:, :3, 3], turned], axis=1)
+    values, first = _via_values(poses)
     away = np.linalg.norm(np.diff(values, axis=0), axis=1)
     if not np.all(away > 0.0):
         raise ValueError(f"via: points {int(np.argmin(away))} and {int(np.argmin(away)) + 1} are equal; leave one out")
@@ -107,8 +129,50 @@ def via(poses: Any) -> Curve:
     return Curve(knots, np.moveaxis(spline.c, 0, 1), first)
 
 
+def _via_values(poses: Any) -> tuple[np.ndarray, np.ndarray]:
+    """Positions and rotation vectors from the first (k, 6), and the first rotation (3, 3)."""
+    from scipy.spatial.transform import Rotation
+
+    try:
+        given = np.asarray(poses, np.float64)
+    except (TypeError, ValueError):
+        raise ValueError("via: poses are no array of numbers; allowed: (k, 4, 4) or (k, 3) with k >= 2") from None
+    if given.ndim == 2 and given.shape[1] == 3:
+        given = np.tile(np.eye(4), (len(given), 1, 1)) + np.pad(given[:, :, None], ((0, 0), (0, 1), (3, 0)))
+    if given.ndim != 3 or given.shape[1:] != (4, 4) or len(given) < 2:
+        raise ValueError(f"via: poses of shape {np.shape(poses)}; allowed: (k, 4, 4) or (k, 3) with k >= 2")
+    with np.errstate(invalid="ignore"):
+        right = (np.linalg.det(given[:, :3, :3]) > 0.0)[:, None, None]
+        rotations = Rotation.from_matrix(np.where(right, given[:, :3, :3], np.eye(3)))  # the nearest ones
+        rigid = np.tile(np.eye(4), (len(given), 1, 1))
+        rigid[:, :3, :3], rigid[:, :3, 3] = rotations.as_matrix(), given[:, :3, 3]
+        valid = np.abs(given - rigid).max(axis=(1, 2)) <= RIGID
+    if not np.all(valid):
+        raise ValueError(
+            f"via: pose {int(np.argmin(valid))} is no pose; allowed: finite, an orthonormal rotation, last row 0 0 0 1"
+        )
+    first = rigid[0, :3, :3]
+    turned = (rotations[0].inv() * rotations).as_rotvec()
+    # the same rotation by the other way round is nearer to the one before where the shorter way between them passes pi
+    angle = np.linalg.norm(turned, axis=1, keepdims=True)
+    other = turned - np.divide(2.0 * np.pi * turned, angle, out=np.zeros_like(turned), where=angle > 0.0)
+    before = np.concatenate([turned[:1], turned[:-1]])
+    gap = lambda x: np.linalg.norm(x - before, axis=1)
+    beyond = (angle[:, 0] > 0.0) & (gap(other) <= gap(turned) + 1e-9)
+    if np.any(beyond):
+        k = int(np.argmax(beyond))
+        raise ValueError(
+            f"via: pose {k} is turned by pi or more from the first; allowed: less; another path may take over before it"
+        )
+    return np.concatenate([given[:, :3, 3], turned], axis=1), first
+
+
 def motion(path: Path, duration: Any, t: Any) -> Motion:
-    """What `path` asks at time t [s], which may be an array. Traced; `duration` > 0 [s]."""
+    """What `path` asks at time t [s], which may be an array. Traced; `duration` > 0 [s].
+
+    Raises `ValueError` for a duration that is known not to be, and for a path whose arrays have other shapes.
+    """
+    check_duration("motion", duration)
     t = jnp.asarray(t)
     if t.ndim:
         return jax.vmap(lambda t: motion(path, duration, t))(t)

@@ -32,8 +32,8 @@ from jaxik.choice import batch_axes, check_choices, check_each
 from jaxik.judge import Course, judge
 from jaxik.kernel import LANES, one_kernel
 from jaxik.optimise import descent, ocp
-from jaxik.path import Motion, Path, motion
-from jaxik.redundancy import FLOOR, Resolved, resolve_velocity
+from jaxik.path import Motion, Path, check_duration, motion
+from jaxik.redundancy import FLOOR, Resolved, loop_gain, resolve_velocity, settles
 from jaxik.task import POSE, Task
 
 DESCEND = descent.Descent()
@@ -59,15 +59,15 @@ def quadratic_cost(position: Callable[..., Any] | None = None, velocity: float =
 @dataclasses.dataclass(frozen=True)
 class Horizon:
     """How the future is looked at: `count` samples of `dt` [s]; on which `level` the input acts; the `integrator`; the task and
-    the gain [1/s] that holds the tip on its path; the joints' `weights`; whether the `start` is free; how to `descend`; what
-    error of the tip [m, rad] is too much."""
+    the `gain` [1/s] that holds the tip on its path, by default 1/dt, which takes a sample's error back in the next; the joints'
+    `weights`; whether the `start` is free; how to `descend`; what error of the tip [m, rad] is too much."""
 
     dt: float = 0.01
     count: int = 200
     level: str = "acceleration"
     integrator: str = "euler"
     task: Task = POSE
-    gain: float = 1.0
+    gain: float | None = None
     weights: tuple[float, ...] | None = None
     floor: float = FLOOR
     start: str = "given"
@@ -77,14 +77,14 @@ class Horizon:
     def __post_init__(self) -> None:
         choices = {"level": (self.level, Level), "integrator": (self.integrator, ocp.Integrator), "start": (self.start, Start)}
         check_choices("horizon", **choices)
-        if not (self.dt > 0.0 and self.count >= 1 and self.gain >= 0.0):
+        if not (self.dt > 0.0 and self.count >= 1 and settles(self.gain, self.dt)):
             raise ValueError(
-                f"horizon: dt {self.dt}, count {self.count}, gain {self.gain}; allowed: dt > 0, count >= 1, gain >= 0"
+                f"horizon: dt {self.dt}, count {self.count}, gain {self.gain}; allowed: dt > 0, count >= 1, 0 <= gain dt < 2"
             )
 
     def resolve(self, chain: Chain, q: Any, asked: Motion, u: Any, gain: float | None = None) -> Resolved:
         """`resolve_velocity` with these options; with another `gain` if one is given."""
-        gain = self.gain if gain is None else gain
+        gain = loop_gain(self.gain, self.dt) if gain is None else gain
         return resolve_velocity(chain, q, asked, u, self.task, gain, self.weights, self.floor)
 
 
@@ -223,12 +223,13 @@ def predict(
     with a leading axis b, and each is what it is alone; `each` names what else has one entry a scenario ("path", "duration",
     "guess", "given").
 
-    Raises `ValueError` for a q or guess of another shape, or another name in `each`.
+    Raises `ValueError` for a q or guess of another shape, a duration that is not positive, or another name in `each`.
     """
     q = jnp.asarray(q, jnp.result_type(float))
     rows = horizon.count + (horizon.start == "free")
     shape = (rows, chain.num_joints)
     check_each("predict", each, Each)
+    check_duration("predict", duration)
     many = q.ndim == 2
     if guess is None:
         w = jnp.zeros(shape, q.dtype)

@@ -70,7 +70,8 @@ class _Way(NamedTuple):
 @functools.lru_cache(maxsize=64)
 def reach(chain: Chain, rotation: bool = True) -> Reach:
     """The bounds of a chain; without `rotation` only the tip's position is known of a target. Reads concrete numbers."""
-    ways, tip = _ways(chain, rotation)
+    ways, tip = _ways(chain)
+    rotation = rotation and len(ways) > 1  # it tells nothing where no joint turns
     first, strokes = ways[0], np.array([w.stroke for w in ways])
     between = ways[1:-1] if rotation else ways[1:]  # with its rotation the tip tells where the last axis is
     s = _straightest(between)
@@ -101,7 +102,7 @@ def _straightest(ways: list[_Way]) -> np.ndarray:
     return s
 
 
-def _ways(chain: Chain, rotation: bool) -> tuple[list[_Way], np.ndarray]:
+def _ways(chain: Chain) -> tuple[list[_Way], np.ndarray]:
     """From the base to the first turning axis, from axis to axis, and to the tip; and the tip's frame in the last link."""
     ways, frame, stroke, last = [], np.eye(4), 0.0, np.zeros(3)
     for i, prismatic in enumerate(chain.is_prismatic):

@@ -38,6 +38,17 @@ FLOOR = 1e-4  # sine 0.01 between what the task's rows ask
 _PASSES = 4  # of holding joints at their bounds
 
 
+def loop_gain(gain: float | None, dt: float, default: float = 1.0) -> float:
+    """The gain [1/s] of a closed loop of samples of `dt` [s]: unless one is given, `default` of what is lost is taken back in
+    the next sample."""
+    return default / dt if gain is None else gain
+
+
+def settles(gain: float | None, dt: float) -> bool:
+    """Whether the loop takes back, in each sample, more than nothing and less than twice what was lost."""
+    return 0.0 <= loop_gain(gain, dt) * dt < 2.0
+
+
 class Box(NamedTuple):
     """Bounds (n,) of the joints' rates, or accelerations."""
 

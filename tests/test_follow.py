@@ -12,7 +12,7 @@ import jaxik
 import jaxik.optimise.descent
 from jaxik.follow import Follow, follow
 from jaxik.moving_horizon import MovingHorizon, follow_predictively
-from jaxik.path import Line, motion
+from jaxik.path import Line
 from jaxik.predictive import Horizon, quadratic_cost
 from jaxik.result import Reason
 
@@ -41,13 +41,23 @@ def to(pendulum):
 COMFORT = lambda q: 0.5 * jnp.sum((q - 0.3) ** 2)
 
 
+def asked_in_plane(x, y, duration, time):
+    """Where the tip should be (k, 2) on its way from START to (x, y), by the quintic of Schuetz 2017, (5.40), (5.41)."""
+    start, share = np.array([1.0, 2.0 + np.sqrt(3.0)]), np.clip(time / duration, 0.0, 1.0)[:, None]
+    return start + (10.0 * share**3 - 15.0 * share**4 + 6.0 * share**5) * (np.array([x, y]) - start)
+
+
+def tips(chain, rows):
+    """Where it is (k, 2), by Pinocchio."""
+    pose = pinocchio(chain)
+    return np.array([pose(q)[:2, 3] for q in rows])
+
+
 @pytest.mark.parametrize("scheme", ["asc", "rac"])
 def test_the_tip_is_on_its_path_to_a_micrometre(scheme, pendulum, to):
     found = follow(pendulum, to(0.5, 0.0), 4.0, START, COMFORT, Follow(scheme, task=IN_PLANE))
     assert found.success and found.sample == len(found.time) == 4001
-    asked = np.asarray(motion(to(0.5, 0.0), 4.0, found.time).pose)[::50, :2, 3]
-    reached = np.array([pinocchio(pendulum)(q)[:2, 3] for q in found.q[::50]])
-    assert np.abs(reached - asked).max() < 1e-6
+    assert np.abs(tips(pendulum, found.q[::50]) - asked_in_plane(0.5, 0.0, 4.0, found.time[::50])).max() < 1e-6
     np.testing.assert_allclose(found.q[0], START)
     still = follow(pendulum, to(0.5, 0.0), 4.0, START, None, Follow("rmrc", task=IN_PLANE))
     assert COMFORT(found.q[-1]) < COMFORT(still.q[-1])  # and the null space went where it was told
@@ -60,9 +70,39 @@ def test_limits_are_kept(pendulum, to):
     free = follow(narrow, to(0.5, 0.5), 4.0, START, COMFORT, dataclasses.replace(how, limits=False, acceleration=None))
     assert np.abs(free.q).max() > 1.3 or np.abs(free.qdot).max() > 0.8  # or the test tests nothing
     k = int(found.sample)
+    assert found.reason == Reason.LIMITS and np.abs(found.q).max() > 1.29  # such is the end; and it goes as far as it can
+    reached, asked = tips(narrow, found.q[:k:20]), asked_in_plane(0.5, 0.5, 4.0, found.time[:k:20])
+    assert np.abs(reached - asked).max() <= how.tolerance and np.linalg.norm(reached[-1] - reached[0]) > 1.0
     assert np.abs(found.q).max() <= 1.3 + 1e-9 and np.abs(found.qdot).max() <= 0.8 + 1e-9
     assert np.abs(np.diff(found.qdot[: max(k - 1, 2)], axis=0)).max() <= 3.0 * 0.002 + 1e-9
     assert np.abs(found.error).max() <= how.tolerance
+
+
+@pytest.mark.parametrize("scheme, acceleration", [("asc", None), ("asc", (9.0, np.inf, 9.0, np.inf)), ("rac", None)])
+def test_a_motion_may_begin_at_a_limit(scheme, acceleration, pendulum, to):
+    """Each joint exactly at one of its limits, or without any, with an acceleration limit or without."""
+    lower, upper = np.array([START[0], -np.inf, START[2] - 2.0, START[3]]), np.array([3.0, START[1], START[2], np.inf])
+    chain = dataclasses.replace(pendulum, lower=lower, upper=upper, velocity=np.array([2.0, np.inf, 2.0, np.inf]))
+    how = Follow(scheme, dt=0.01, task=IN_PLANE, acceleration=acceleration)
+    found = follow(chain, to(0.8, 2.8), 4.0, START, COMFORT, how)
+    assert found.reason == Reason.SOLVED
+    assert np.all(found.q >= lower - 1e-9) and np.all(found.q <= upper + 1e-9)
+    reached = pinocchio(pendulum)(found.q[-1])[:2, 3]
+    np.testing.assert_allclose(reached, [0.8, 2.8], atol=1e-5)
+
+
+@pytest.mark.parametrize("slide, rise", [(0.0, -0.05), (1.0, 0.05)])
+def test_a_slide_may_begin_at_its_end(slide, rise):
+    """And stay there, where the path would press it beyond."""
+    chain = jaxik.load("p6r")
+    q = np.array([slide, 0.2, -0.5, -0.4, 0.3, 0.5, 0.1])
+    start = pinocchio(chain)(q)
+    end = start.copy()
+    end[2, 3] += rise
+    found = follow(chain, Line(start, end), 2.0, q, None, Follow(dt=0.01))
+    assert found.reason == Reason.SOLVED and slide in (chain.lower[0], chain.upper[0])
+    np.testing.assert_allclose(found.q[:, 0], slide, atol=1e-6)
+    np.testing.assert_allclose(pinocchio(chain)(found.q[-1]), end, atol=1e-5)
 
 
 def test_what_goes_wrong_is_said_where_it_happens(pendulum, to):
@@ -70,8 +110,7 @@ def test_what_goes_wrong_is_said_where_it_happens(pendulum, to):
     run = lambda path, q=START, how=coarse, duration=2.0: follow(pendulum, path, duration, q, None, how)
     far, straight = run(to(3.5, 4.0)), np.zeros(4)
     assert far.reason == Reason.OUT_OF_REACH and 0 < far.sample < 200
-    asked = np.asarray(motion(to(3.5, 4.0), 2.0, far.time).pose)[: far.sample, :2, 3]
-    reached = np.array([pinocchio(pendulum)(q)[:2, 3] for q in far.q[: far.sample]])
+    reached, asked = tips(pendulum, far.q[: far.sample]), asked_in_plane(3.5, 4.0, 2.0, far.time[: far.sample])
     assert np.abs(reached - asked).max() <= coarse.tolerance + 1e-9  # the motion up to there is intact
     assert np.all(far.q[far.sample :] == far.q[far.sample - 1]) and np.all(far.qdot[far.sample - 1 :] == 0.0)
     singular = run(to(0.0, 4.0, straight), straight)
@@ -115,7 +154,7 @@ def hidden_obstacle(q, *given):
 
 def test_a_moving_horizon(pendulum, to):
     """Velocity is continuous, the arm rests behind the path's end, and obstacles and targets move without a compiler."""
-    horizon = Horizon(0.04, 25, task=IN_PLANE, gain=25.0)
+    horizon = Horizon(0.04, 25, task=IN_PLANE)
     control = MovingHorizon(pendulum, quadratic_cost(hidden_obstacle), horizon)
     at = lambda x: jaxik.make_scene(points=[[x, 1.1, 0.0]])
     found = follow_predictively(control, to(0.5, 0.0), 4.0, START, lambda t: at(1.0 + 0.05 * t), until=6.0)
@@ -133,8 +172,11 @@ def test_a_moving_horizon(pendulum, to):
 
 
 def test_velocity_level_jumps(pendulum, to):
-    """Fig. 5.9: where the plan's input is the velocity itself it jumps from rest, as that of acceleration level does not."""
+    """Fig. 5.9: where the plan's input is the velocity itself it jumps from rest, as that of acceleration level does not.
+
+    And qdot leads from sample to sample, whatever the integrator."""
     cost = quadratic_cost(lambda q: 2.0 * jnp.sum((q - 0.3) ** 2))
-    control = MovingHorizon(pendulum, cost, Horizon(0.04, 25, "velocity", task=IN_PLANE, gain=25.0))
+    control = MovingHorizon(pendulum, cost, Horizon(0.04, 25, "velocity", "runge_kutta", IN_PLANE))
     found = follow_predictively(control, to(0.5, 0.0), 4.0, START, until=0.4)
     assert np.abs(found.qdot[0]).max() > 0.04 * 3.0 and found.reason == Reason.SOLVED
+    np.testing.assert_allclose(np.diff(found.q, axis=0), 0.04 * found.qdot[:-1], atol=1e-12)

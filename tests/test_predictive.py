@@ -3,6 +3,7 @@
 import dataclasses
 import functools
 
+import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -84,11 +85,77 @@ def test_velocity_and_acceleration_are_the_derivatives(kind):
         np.testing.assert_allclose(at(3.0).pose, given[1] if kind == "line" else given[3], atol=1e-12)
 
 
-def test_a_curve_needs_two_different_points():
-    with pytest.raises(ValueError, match="k >= 2"):
-        via(np.zeros((1, 3)))
-    with pytest.raises(ValueError, match="points 0 and 1 are equal"):
-        via(np.zeros((2, 3)))
+def turned(*degrees):
+    """Poses a metre apart, turned about z by so much."""
+    return np.stack(
+        [pin.SE3(pin.exp3(np.radians([0.0, 0.0, d])), np.array([i, 0.0, 0.0])).homogeneous for i, d in enumerate(degrees)]
+    )
+
+
+@pytest.mark.parametrize(
+    ("poses", "words"),
+    [
+        (np.zeros((1, 3)), "via: poses of shape \\(1, 3\\); allowed: .* k >= 2"),
+        ([[0.0, 0.0, 0.0], [1.0, 1.0]], "via: poses are no array of numbers"),
+        (np.zeros((3, 3)), "via: points 0 and 1 are equal; leave one out"),
+        ([[0.0, 0.0, 0.0], [1.0, 0.0, 0.0], [np.nan, 0.0, 0.0]], "via: pose 2 is no pose; .*finite"),
+        ([[0.0, 0.0, 0.0], [np.inf, 0.0, 0.0]], "via: pose 1 is no pose; .*finite"),
+        (turned(0, 10) * np.array([2.0, 2.0, 2.0, 1.0]), "via: pose 0 is no pose; .*orthonormal"),
+        (turned(0, 10) * np.array([1.0, 1.0, -1.0, 1.0]), "via: pose 0 is no pose; .*orthonormal"),
+        (turned(0, 10) * np.array([[1.0], [1.0], [1.0], [2.0]]), "via: pose 0 is no pose"),
+        (turned(0, 180), "via: pose 1 is turned by pi or more from the first"),
+        (turned(0, 100, 200), "via: pose 2 is turned by pi or more from the first"),
+        (turned(0, -100, -170, -200), "via: pose 3 is turned by pi or more from the first"),
+    ],
+)
+def test_a_curve_refuses_what_it_cannot_go_through(poses, words):
+    with pytest.raises(ValueError, match=words) as refused:
+        via(poses)
+    assert "\n" not in str(refused.value)
+
+
+def test_a_curve_turns_by_nearly_pi():
+    path, given = via(turned(0, 100, 179)), turned(0, 100, 179)
+    for t, pose in ((0.0, given[0]), (3.0, given[2])):
+        np.testing.assert_allclose(motion(path, 3.0, t).pose, pose, atol=1e-12)
+    turns = [np.degrees(pin.log3(np.asarray(p)[:3, :3])[2]) for p in motion(path, 3.0, np.linspace(0.0, 3.0, 30)).pose]
+    assert np.all(np.diff(turns) > -1e-9)  # and does not come back the other way
+
+
+@pytest.mark.parametrize(
+    ("path", "name", "value", "words"),
+    [
+        (Line(np.eye(4), np.eye(4)), "start", np.eye(3), "line: start has the shape \\(3, 3\\); allowed: \\(4, 4\\)"),
+        (
+            Line(np.eye(4), np.eye(4)),
+            "end",
+            np.zeros((2, 4, 4)),
+            "line: end has the shape \\(2, 4, 4\\); .* rows of it .* `each`",
+        ),
+        (Arc(np.eye(4), np.zeros(3), np.ones(3), 1.0), "centre", np.zeros(2), "arc: centre has the shape \\(2,\\)"),
+        (
+            Arc(np.eye(4), np.zeros(3), np.ones(3), 1.0),
+            "angle",
+            np.zeros(3),
+            "arc: angle has the shape \\(3,\\); allowed: \\(\\)",
+        ),
+    ],
+)
+def test_a_path_of_another_shape_is_refused(path, name, value, words):
+    path = eqx.tree_at(lambda p: getattr(p, name), path, value)  # as without the types that tests check
+    with pytest.raises(ValueError, match=words):
+        motion(path, 1.0, 0.5)
+
+
+@pytest.mark.parametrize("duration", [0.0, -1.0, np.nan, np.inf])
+def test_a_path_takes_time(duration, pendulum, line):
+    """It stood still for a negative one, without a word."""
+    horizon = Horizon(0.1, 20, task=IN_PLANE, descend=Descent(iterations=5))
+    calls = [lambda: motion(line, duration, 0.5), lambda: predict(pendulum, line, duration, START, quadratic_cost(), horizon)]
+    calls += [lambda: boundary_value(pendulum, line, duration, START, quadratic_cost(), horizon)]
+    for call in calls:
+        with pytest.raises(ValueError, match=r"duration .*; allowed: a positive number of seconds"):
+            call()
 
 
 def test_rates_are_the_pseudoinverse(panda):
@@ -222,7 +289,8 @@ def test_the_adjoint_equations_of_the_text(pendulum, line):
 )
 def test_looking_ahead_beats_the_moment(direction, search, pendulum, line):
     cost = quadratic_cost(lambda q: 500.0 * near_obstacle(pendulum)(q))
-    horizon = Horizon(0.04, 100, task=IN_PLANE, descend=Descent(direction, search, step=0.01 if search == "fixed" else 0.05))
+    step = 0.01 if search == "fixed" else 0.05
+    horizon = Horizon(0.04, 100, task=IN_PLANE, gain=1.0, descend=Descent(direction, search, step=step))
     found = predict(pendulum, line, 4.0, START, cost, horizon)
     totals = np.asarray(found.totals)[: int(found.iterations) + 1] / horizon.dt
     assert np.all(np.diff(totals) <= 0.0)
@@ -239,7 +307,23 @@ def test_whatever_the_input_the_tip_keeps_to_its_path(pendulum, line):
     assert np.abs(reached - ahead.asked.pose[:, 0])[:, :2, 3].max() < 1e-6
 
 
+@pytest.mark.parametrize(("dt", "most"), [(0.01, 2e-4), (0.04, 3e-3)])
+def test_the_tip_is_held_unless_told_otherwise(dt, most, pendulum):
+    """It is off by what one of Euler's steps loses, half its acceleration times dt^2, not by the sum of all."""
+    start, end, count = np.array([1.0, 2.0 + np.sqrt(3.0)]), np.array([0.5, 0.0]), round(4.0 / dt)
+    path = Line(*(pin.SE3(np.eye(3), np.array([*p, 0.0])).homogeneous for p in (start, end)))
+    horizon = Horizon(dt, count, task=IN_PLANE, descend=Descent(iterations=5))
+    found = predict(pendulum, path, 4.0, START, quadratic_cost(lambda q: jnp.sum((q - 0.3) ** 2)), horizon)
+    x = np.linspace(0.0, 1.0, count + 1)[:, None]
+    asked = start + (10.0 * x**3 - 15.0 * x**4 + 6.0 * x**5) * (end - start)  # Schuetz 2017, (5.40), (5.41)
+    reached = np.array([pinocchio(pendulum)(q)[:2, 3] for q in np.asarray(found.q)])
+    assert found.reason == jaxik.Reason.SOLVED
+    assert np.linalg.norm(reached - asked, axis=1).max() < most
+
+
 def test_mistakes_are_one_line(pendulum, line):
+    with pytest.raises(ValueError, match=r"gain 60.0; allowed: .*0 <= gain dt < 2"):
+        Horizon(0.04, gain=60.0)
     with pytest.raises(ValueError, match="level 'force'; allowed: velocity, acceleration"):
         Horizon(level="force")
     with pytest.raises(ValueError, match="direction 'up'"):
@@ -252,7 +336,7 @@ def test_quasi_newton_finds_what_the_thesis_did_not(pendulum, line):
     """Fig. 5.2: the text's best is 46 + 2.7; by its count (sums over samples of 40 ms, 500 weighs the cost)."""
     collision = lambda q: 500.0 * near_obstacle(pendulum)(q)
     found = predict(
-        pendulum, line, 4.0, START, quadratic_cost(collision), Horizon(0.04, 100, task=IN_PLANE, descend=QUASI_NEWTON)
+        pendulum, line, 4.0, START, quadratic_cost(collision), Horizon(0.04, 100, task=IN_PLANE, gain=1.0, descend=QUASI_NEWTON)
     )
     speed, near = np.sum(np.asarray(found.qdot) ** 2), np.sum(jax.vmap(collision)(found.q[:-1]))
     assert speed + near < 46.0 + 2.7
