@@ -17,6 +17,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float
 
+from jaxik.batch import in_blocks
 from jaxik.chain import Array, Chain, finite_limits
 from jaxik.closed_form import BRANCHES, closed_forms
 from jaxik.collision import check_geometry, clearance
@@ -116,7 +117,7 @@ def likely_postures(
     leading = leading_grid(chain, slides)
     local = np.linalg.inv(np.asarray(chain.world_T_base)) @ poses
     pose, lead = (x.ravel() for x in np.meshgrid(np.arange(len(poses)), np.arange(len(leading)), indexing="ij"))
-    q, _, _ = in_blocks(closed_forms(arm_of(chain)), local[pose], leading[lead], size=BLOCK, double=False)
+    q, _, _ = in_blocks(closed_forms(arm_of(chain)), local[pose], leading[lead], size=256, double=False)
     q, at = np.asarray(q).reshape(-1, chain.num_joints), np.repeat(poses[pose], BRANCHES, axis=0)
     home = chain.mounted(np.eye(4))
     moved = None if scene is None else scene.moved(np.linalg.inv(np.asarray(chain.world_T_base))).geometry()

@@ -429,25 +429,34 @@ class Emitter:
             place = self._address(self._base(memory), stored(kind), offset, index)
             self._loaded(v, kind, stored(kind), place, False)
             return
-        # lanes at addresses of their own
-        base, row = self._base(memory), self.sizes[memory.number] if own else 1
-        numbers = self.assign(f"add <{self.width} x i32> {self.name(index, True) if index is not None else 'zeroinitializer'}, splat (i32 {offset})")
+        pointers = f"<{self.width} x ptr> {self._places(memory, offset, index)}"
+        shape = f"<{self.width} x {stored(kind)}>"
+        read = self._masked("gather", memory, [pointers], shape)
+        self.line(f"%v{v} = icmp ne {shape} {read}, zeroinitializer" if kind == "i1" else f"%v{v} = " + self._same(shape, read))
+
+    def _places(self, memory: Memory, offset: int, index: int | None) -> str:
+        """The addresses of lanes that each have their own."""
+        n, kind = self.width, stored(memory.type)
+        numbers = self.assign(f"add <{n} x i32> {self.name(index, True) if index is not None else 'zeroinitializer'}, splat (i32 {offset})")
+        step = self.sizes[memory.number] if memory.kind == "operand" and not self.shared[memory.number] else 0
         if memory.kind == "scratch":
-            numbers = self.assign(f"mul <{self.width} x i32> {numbers}, splat (i32 {self.width})")
-        if own or memory.kind == "scratch":
-            step = row if own else 1
-            lanes = ", ".join(f"i32 {step * k}" for k in range(self.width))
-            numbers = self.assign(f"add <{self.width} x i32> {numbers}, <{lanes}>")
-        pointers = self.assign(f"getelementptr {stored(kind)}, ptr {base}, <{self.width} x i32> {numbers}")
-        memory_type = f"<{self.width} x {stored(kind)}>"
-        suffix = f"v{self.width}{ {'float': 'f32', 'double': 'f64'}.get(stored(kind), stored(kind)) }"
-        name = f"@llvm.masked.gather.{suffix}.v{self.width}p0"
-        self.declared.add(f"declare {memory_type} {name}(<{self.width} x ptr>, i32, <{self.width} x i1>, {memory_type})")
-        read = f"call {memory_type} {name}(<{self.width} x ptr> {pointers}, i32 {BYTES[kind]}, <{self.width} x i1> splat (i1 true), {memory_type} zeroinitializer)"
-        if kind == "i1":
-            self.line(f"%v{v} = icmp ne {memory_type} {self.assign(read)}, zeroinitializer")
-        else:
-            self.line(f"%v{v} = {read}")
+            numbers, step = self.assign(f"mul <{n} x i32> {numbers}, splat (i32 {n})"), 1
+        if step:
+            lanes = ", ".join(f"i32 {step * k}" for k in range(n))
+            numbers = self.assign(f"add <{n} x i32> {numbers}, <{lanes}>")
+        return self.assign(f"getelementptr {kind}, ptr {self._base(memory)}, <{n} x i32> {numbers}")
+
+    def _masked(self, what: str, memory: Memory, args: Sequence[str], shape: str) -> str:
+        n, kind = self.width, stored(memory.type)
+        name = f"@llvm.masked.{what}.v{n}{ {'float': 'f32', 'double': 'f64'}.get(kind, kind) }.v{n}p0"
+        whole = [*args, f"i32 {BYTES[memory.type]}", f"<{n} x i1> splat (i1 true)", *([f"{shape} zeroinitializer"] if shape else [])]
+        types = [a.rsplit(" ", 1)[0] if "splat" not in a else a.split(" splat")[0] for a in whole]
+        self.declared.add(f"declare {shape or 'void'} {name}({', '.join(types)})")
+        call = f"call {shape or 'void'} {name}({', '.join(whole)})"
+        if shape:
+            return self.assign(call)
+        self.line(call)
+        return ""
 
     def _loaded(self, v: int, kind: str, shape: str, place: str, wide: bool) -> None:
         align = self.width * BYTES[kind] if wide else BYTES[kind]
@@ -544,6 +553,9 @@ class Emitter:
         shape, what = f"<{self.width} x {stored(kind)}>", self.name(value, True)
         if kind == "i1":
             what = self.assign(f"zext {self.vector(kind)} {what} to {shape}")
+        if index in self.live.varying:  # lanes at addresses of their own
+            self._masked("scatter", memory, [f"{shape} {what}", f"<{self.width} x ptr> {self._places(memory, offset, index)}"], "")
+            return
         place = self._address(f"%scratch{memory.number}", shape, offset, index)
         self.line(f"store {shape} {what}, ptr {place}, align {self.width * BYTES[kind]}")
 
@@ -727,7 +739,7 @@ class Emitter:
         at = self.fresh()
         step = self.fresh()
         self.line(f"{at} = phi i64 [ 0, %{before} ], [ {step}, %{head} ]")
-        first = self.call_umin(at, size - 4)
+        first = self.assign(f"call i64 @llvm.umin.i64(i64 {at}, i64 {size - 4})")
         columns = []
         for k in range(4):
             place = self.assign(f"getelementptr <{n} x {kind}>, ptr %scratch{memory.number}, i64 {first}")
@@ -739,10 +751,6 @@ class Emitter:
         more = self.assign(f"icmp ult i64 {step}, {size}")
         self.line(f"br i1 {more}, label %{head}, label %{end}")
         self.start(end)
-
-    def call_umin(self, value: str, most: int) -> str:
-        self.declared.add("declare i64 @llvm.umin.i64(i64, i64)")
-        return self.assign(f"call i64 @llvm.umin.i64(i64 {value}, i64 {most})")
 
     def _output(self, number: int, first: int, count: int) -> None:
         row = self.program.outputs[number]

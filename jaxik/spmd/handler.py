@@ -31,6 +31,8 @@ def handler(name: str, rows_in: Sequence[tuple[str, int, bool]], rows_out: Seque
     size = {"i8": 1, "i16": 2, "i32": 4, "i64": 8, "float": 4, "double": 8}
     n_in, n_out = len(rows_in), len(rows_out)
     words = FIRST + 2 * n_in + n_out
+    own = [(f"bi{k}", kind, count) for k, (kind, count, shared) in enumerate(rows_in) if not shared]
+    own += [(f"bo{k}", kind, count) for k, (kind, count) in enumerate(rows_out)]
     lines: list[str] = []
     put = lines.append
 
@@ -38,11 +40,8 @@ def handler(name: str, rows_in: Sequence[tuple[str, int, bool]], rows_out: Seque
     put("define internal void @range(ptr %c, i64 %begin, i64 %end) #0 {\nentry:")
     put(_flush("begin"))
     put(f"  %ins = alloca [{max(n_in, 1)} x ptr]\n  %outs = alloca [{max(n_out, 1)} x ptr]")
-    for k, (kind, count, shared) in enumerate(rows_in):
-        if not shared:
-            lines += room(f"bi{k}", width * count * size[kind])
-    for k, (kind, count) in enumerate(rows_out):
-        lines += room(f"bo{k}", width * count * size[kind])
+    for buffer, kind, count in own:
+        lines += room(buffer, width * count * size[kind])
     for word, what in ((INNER, "inner"), (VECTORS, "vectors")):
         put(f"  %p{what} = getelementptr i64, ptr %c, i64 {word}\n  %{what} = load i64, ptr %p{what}")
     for k in range(n_in):
@@ -82,9 +81,9 @@ def handler(name: str, rows_in: Sequence[tuple[str, int, bool]], rows_out: Seque
     for k, (kind, count) in enumerate(rows_out):
         put(f"  %c{k} = mul i64 %left, {count * size[kind]}\n  call void @llvm.memcpy.p0.p0.i64(ptr %w{k}, ptr %bo{k}, i64 %c{k}, i1 false)")
     put("  br label %done\ndone:\n  %t1 = add i64 %t, 1\n  %more = icmp ult i64 %t1, %end\n  br i1 %more, label %next, label %out\nout:")
-    for name, (kind, count, *shared) in [*((f"bi{k}", row) for k, row in enumerate(rows_in)), *((f"bo{k}", row) for k, row in enumerate(rows_out))]:
-        if shared != [True] and width * count * size[kind] > STACK:
-            put(f"  call void @free(ptr %{name}.all)")
+    for buffer, kind, count in own:
+        if width * count * size[kind] > STACK:
+            put(f"  call void @free(ptr %{buffer}.all)")
     put(_flush("end") + "\n  ret void\n}")
 
     pause = "  %ignored = call i32 @sched_yield()" if sys.platform != "win32" else ""

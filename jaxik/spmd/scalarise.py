@@ -545,19 +545,52 @@ def _dynamic_slice(s: Scalariser, eqn: Any, x: Array, *starts: Array) -> Array:
 
 @rule("dynamic_update_slice")
 def _dynamic_update_slice(s: Scalariser, eqn: Any, x: Array, update: Array, *starts: Array) -> Array:
-    p, old, new = s.program, s.values(x).copy(), s.values(update)
     first = [s.clamped(s.values(i).item(), n - m) for i, n, m in zip(starts, x.shape, update.shape, strict=True)]
-    computed = [k for k, f in enumerate(first) if not isinstance(f, int)]
-    ranges = [range(old.shape[k] - new.shape[k] + 1) if k in computed else (f,) for k, f in enumerate(first)]
-    if int(np.prod([len(r) for r in ranges])) * new.size > LARGEST:
-        raise Unsupported(f"an update at a computed index of an array of {old.size} entries")
-    for start in itertools.product(*ranges):
-        here = [p.op("eq", "i1", first[k].value, p.number(start[k], p.ops[first[k].value].type)) for k in computed]
-        for place in np.ndindex(*new.shape):
-            spot = tuple(a + b for a, b in zip(start, place, strict=True))
-            value = int(new[place])
-            old[spot] = p.op("select", x.type, s.fold("and", "i1", here), value, int(old[spot])) if here else value
+    new = s.values(update)
+    spots = []
+    for place in np.ndindex(*new.shape):
+        spot = [f + i if isinstance(f, int) else (f.value, i) for f, i in zip(first, place, strict=True)]
+        spots.append((spot, None, int(new[place])))
+    return _updated(s, x, spots, lambda before, value: value)
+
+
+def _updated(s: Scalariser, x: Array, spots: Sequence[Any], join: Callable[[int, int], int]) -> Array:
+    """x with values joined in. A spot is, for each axis, an index or (value, shift), which is inside; the condition under which
+    it is there at all, or None; and the value. Few places are chosen among by selections, many written to scratch."""
+    p, old = s.program, s.values(x).copy()
+    choices = lambda spot: [range(i[1], n) if isinstance(i, tuple) else (i,) for i, n in zip(spot, old.shape, strict=True)]
+    if sum(int(np.prod([len(c) for c in choices(spot)])) for spot, *_ in spots) > max(CHOICES * CHOICES, old.size):
+        return _written(s, x, spots, join)
+    for spot, holds, value in spots:
+        for target in itertools.product(*choices(spot)):
+            tests = [] if holds is None else [holds]
+            for i, k in zip(spot, target, strict=True):
+                if isinstance(i, tuple):
+                    tests.append(p.op("eq", "i1", i[0], p.number(k - i[1], p.ops[i[0]].type)))
+            new = join(int(old[target]), value)
+            old[target] = p.op("select", x.type, s.fold("and", "i1", tests), new, int(old[target])) if tests else new
     return Array(old, x.type)
+
+
+def _written(s: Scalariser, x: Array, spots: Sequence[Any], join: Callable[[int, int], int]) -> Array:
+    p, memory = s.program, s.program.room(x.type, x.at.size)
+    strides = [int(np.prod(x.shape[k + 1 :])) for k in range(len(x.shape))]
+    after = 0
+    for i, v in enumerate(s.values(x).ravel().tolist()):
+        after = p.store(memory, i, None, v)
+    for spot, holds, value in spots:
+        offset, index = 0, None
+        for i, step in zip(spot, strides, strict=True):
+            offset += step * (i[1] if isinstance(i, tuple) else i)
+            if isinstance(i, tuple):
+                kind = p.ops[i[0]].type
+                term = p.op("convert", "i32", p.op("mul", kind, i[0], p.number(step, kind)))
+                index = term if index is None else p.op("add", "i32", index, term)
+        before = p.load(memory, offset, index, after)
+        new = join(before, value)
+        new = new if holds is None else p.op("select", x.type, holds, new, before)
+        after = p.store(memory, offset, index, new)
+    return Array(np.arange(x.at.size).reshape(x.shape), x.type, memory, after)
 
 
 @rule("gather")
@@ -611,42 +644,30 @@ def _scatter(s: Scalariser, eqn: Any, x: Array, indices: Array, updates: Array) 
     d, mode = params["dimension_numbers"], params["mode"]
     code = eqn.primitive.name.replace("_", "-").partition("-")[2]
     join = (lambda before, value: p.op(code, x.type, before, value)) if code else (lambda before, value: value)
-    old, new, starts = s.values(x).copy(), s.values(updates), s.values(indices)
+    new, starts = s.values(updates), s.values(indices)
     scatter_axes = [k for k in range(new.ndim) if k not in d.update_window_dims]
-    kept = [k for k in range(old.ndim) if k not in d.inserted_window_dims and k not in d.operand_batching_dims]
+    kept = [k for k in range(len(x.shape)) if k not in d.inserted_window_dims and k not in d.operand_batching_dims]
     drops = mode in (jax.lax.GatherScatterMode.FILL_OR_DROP, None)
+    spots = []
     for place in np.ndindex(*new.shape):
         batch = tuple(place[k] for k in scatter_axes)
-        spot: list[Any] = [0] * old.ndim
+        spot: list[Any] = [0] * len(x.shape)
         for k, axis in zip(d.update_window_dims, kept, strict=True):
             spot[axis] = place[k]
         for axis, index_axis in zip(d.operand_batching_dims, d.scatter_indices_batching_dims, strict=True):
             spot[axis] = batch[index_axis]
-        here, choices = [], [[i] for i in spot]
-        outside = False
+        inside = []
         for axis, v in zip(d.scatter_dims_to_operand_dims, starts[batch].tolist(), strict=True):
-            known = p.constant.get(v)
-            if known is None:
-                if not drops:
-                    v = s.clamped(v, old.shape[axis] - 1)
-                    v = v.value if isinstance(v, Computed) else p.number(v, "i32")
-                choices[axis] = list(range(spot[axis], old.shape[axis]))
-                here.append((axis, v, spot[axis]))
-            else:
-                at = int(known) + spot[axis]
-                outside |= not 0 <= at < old.shape[axis]
-                choices[axis] = [min(max(at, 0), old.shape[axis] - 1)]
-        if outside and drops:
-            continue
-        if len(here) and int(np.prod([len(c) for c in choices])) * new.size > LARGEST:
-            raise Unsupported(f"an update at a computed index of an array of {old.size} entries")
-        for target in itertools.product(*choices):
-            value = join(int(old[target]), int(new[place]))
-            if here:
-                tests = [p.op("eq", "i1", v, p.number(target[axis] - shift, p.ops[v].type)) for axis, v, shift in here]
-                value = p.op("select", x.type, s.fold("and", "i1", tests), value, int(old[target]))
-            old[target] = value
-    return Array(old, x.type)
+            shift, last, kind = spot[axis], x.shape[axis] - 1, p.ops[v].type
+            if drops:
+                inside += [p.op("ge", "i1", v, p.number(0, kind)), p.op("le", "i1", v, p.number(last - shift, kind))]
+            start = s.clamped(v, last - shift)
+            spot[axis] = start + shift if isinstance(start, int) else (start.value, shift)
+        holds = s.fold("and", "i1", inside) if inside else None
+        known = p.constant.get(holds) if holds is not None else True
+        if known is None or known:
+            spots.append((spot, holds if known is None else None, int(new[place])))
+    return _updated(s, x, spots, join)
 
 
 # Sums, orders -------------------------------------------------------------------------------------------------------

@@ -257,3 +257,20 @@ def test_random_programs(steps):
     found, expected = jax.jit(jax.vmap(spmd.kernel(program)))(x, y), jax.jit(jax.vmap(program))(x, y)
     with np.errstate(all="ignore"):
         np.testing.assert_allclose(found, expected, rtol=1e-6, atol=1e-9)
+
+
+@pytest.mark.parametrize("dtype", [np.float32, np.float64, np.int32, np.bool_])
+@pytest.mark.parametrize("turns", [70, 3001])
+def test_what_a_loop_stacks_is_written_row_by_row(dtype, turns):
+    """More than a stack holds, and a count that is no multiple of four."""
+
+    def roll(x, table):
+        def turn(c, row):
+            after = 0.9 * c + row
+            return after, (after.astype(dtype), c.sum() > 0)
+
+        return lax.scan(turn, x, table)[1]
+
+    x, table = RNG.normal(size=(37, 3)), RNG.normal(size=(turns, 3))
+    close(jax.jit(jax.vmap(spmd.kernel(roll), (0, None)))(x, table), jax.jit(jax.vmap(roll, (0, None)))(x, table), 1e-5)
+    close(spmd.kernel(roll)(x[0], table), jax.jit(roll)(x[0], table), 1e-5)

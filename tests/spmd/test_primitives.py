@@ -114,7 +114,7 @@ WHOLE = {
 }
 
 
-@pytest.mark.parametrize("dtype", [np.int32, np.uint32, np.int64, np.uint64])
+@pytest.mark.parametrize("dtype", [np.int8, np.uint8, np.int16, np.uint16, np.int32, np.uint32, np.int64, np.uint64])
 @pytest.mark.parametrize("name", WHOLE)
 def test_integers(name, dtype):
     kernel, oracle = WHOLE[name]
@@ -288,6 +288,8 @@ COMPUTED = {
     "branch in a loop": lambda x, i: lax.fori_loop(
         0, 40, lambda k, c: lax.cond(c > 1, lambda c: jnp.sin(c * c) * jnp.exp(-c), lambda c: jnp.cos(c) + 0.3 * c**3, c), x[0]
     ),
+    "written at computed places": lambda x, i: jnp.zeros(300, x.dtype).at[jnp.array([7, 90, 7]) * i].add(x[:3]).at[i + 298].set(9)[::7],
+    "a window written": lambda x, i: lax.dynamic_update_slice(jnp.arange(200.0, dtype=x.dtype).reshape(20, 10), x.reshape(2, 3), (9 * i, i)),
     "stacked and read back": lambda x, i: lax.scan(lambda c, y: (c + y, c), x[0], jnp.tile(x, 20))[1][17 * i],
 }
 
