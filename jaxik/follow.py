@@ -24,11 +24,11 @@ from jaxik.chain import Chain
 from jaxik.choice import batch_axes, check_choices, check_each
 from jaxik.costs import Cost
 from jaxik.judge import Course, judge
-from jaxik.kernel import one_kernel
 from jaxik.optimise import ocp
 from jaxik.path import Motion, Path, check_duration, motion
 from jaxik.redundancy import FLOOR, Box, Resolved, asc, loop_gain, rac, settles
 from jaxik.result import Reason
+from jaxik.spmd import kernel
 from jaxik.task import POSE, Task
 
 Scheme = Literal["rmrc", "asc", "rac"]
@@ -130,7 +130,7 @@ def _program(
             after, found, held = _moved(chain, cost, how, limits, q, qdot, stages)
             return after, (q, (after[0] - q) / how.dt, found.error, found.damping, held)
 
-        _, (at, moving, error, damping, held) = one_kernel(
+        _, (at, moving, error, damping, held) = kernel(
             lambda q, stages: jax.lax.scan(turn, (q, jnp.zeros_like(q)), stages)
         )(q, stages)
         course = Course(at, moving, error, damping, held, stages.pose[:, 0], stages.velocity[:, 0])

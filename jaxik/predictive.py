@@ -30,12 +30,13 @@ from jaxik.batch import in_blocks
 from jaxik.chain import Chain
 from jaxik.choice import batch_axes, check_choices, check_each
 from jaxik.judge import Course, judge
-from jaxik.kernel import LANES, one_kernel
 from jaxik.optimise import descent, ocp
 from jaxik.path import Motion, Path, check_duration, motion
 from jaxik.redundancy import FLOOR, Resolved, loop_gain, resolve_velocity, settles
+from jaxik.spmd import kernel
 from jaxik.task import POSE, Task
 
+LANES = 64  # scenarios a call, so that their roll-outs stay in the caches
 DESCEND = descent.Descent()
 Level = Literal["velocity", "acceleration"]
 Start = Literal["given", "free"]
@@ -124,7 +125,7 @@ def future(path: Path, duration: Any, horizon: Horizon, start: Any = 0.0) -> Fut
     time = start + horizon.dt * jnp.arange(horizon.count)
     stages = jnp.array([0.0] if horizon.integrator == "euler" else [0.0, 0.5, 1.0])
     times = (time[:, None] + horizon.dt * stages).reshape(-1)
-    asked = one_kernel(lambda path, duration, times: jax.lax.map(lambda t: motion(path, duration, t), times))(
+    asked = kernel(lambda path, duration, times: jax.lax.map(lambda t: motion(path, duration, t), times))(
         path, jnp.asarray(duration, times.dtype), times
     )
     return Future(Motion(*(x.reshape(horizon.count, len(stages), *x.shape[1:]) for x in asked)), time)
@@ -179,7 +180,7 @@ def self_motion(chain: Chain, q: Any, along: Any, ahead: Future, horizon: Horizo
 
     turn = lambda q, share: (q + horizon.resolve(chain, q, asked, share * along, 1.0).rate, None)
     shares = jnp.concatenate([jnp.full(turns, 1.0 / turns), jnp.zeros(4)]).astype(q.dtype)
-    return one_kernel(lambda q, shares: jax.lax.scan(turn, q, shares)[0])(q, shares)
+    return kernel(lambda q, shares: jax.lax.scan(turn, q, shares)[0])(q, shares)
 
 
 @functools.lru_cache(maxsize=32)

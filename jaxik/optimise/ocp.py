@@ -10,7 +10,7 @@ The state y is a tuple of vectors, w the input, p what is known of the future at
 With explicit Euler steps this is the text's adjoint equation, integrated backwards by Euler; with others the adjoint of that
 integrator, so that g is the exact gradient of L (by the inner product `dt sum_k a_k' b_k`) and not an approximation of it.
 
-Only the roll-out and the sweep over lambda are sequential, and on a CPU each is one kernel (`one_kernel`). What a cost asks,
+Only the roll-out and the sweep over lambda are sequential, and on a CPU each is one kernel (`spmd.kernel`). What a cost asks,
 distances above all, is done for all samples at once, which is what vector units are for.
 """
 
@@ -23,7 +23,7 @@ import jax
 import jax.numpy as jnp
 from jax import lax
 
-from jaxik.kernel import one_kernel
+from jaxik.spmd import kernel
 
 Integrator = Literal["euler", "runge_kutta"]
 
@@ -55,7 +55,7 @@ def roll_out(problem: Problem, y: Any, w: Any, p: Any) -> Run:
         after, *rest = problem.step(y, *now)
         return after, (after, *rest)
 
-    _, (later, v, seen) = one_kernel(lambda y, w, p: lax.scan(advance, y, (w, p)))(y, w, p)
+    _, (later, v, seen) = kernel(lambda y, w, p: lax.scan(advance, y, (w, p)))(y, w, p)
     states = jax.tree_util.tree_map(lambda a, b: jnp.concatenate([a[None], b]), y, later)
     costs = jax.vmap(problem.cost)(head(states), v, w, p)
     return Run(states, v, seen, costs, problem.dt * jnp.sum(costs))
@@ -74,7 +74,7 @@ def gradient(problem: Problem, run: Run, w: Any, p: Any) -> tuple[Any, Any]:
         return before, (before, l_w + by_w / dt)
 
     end = jax.tree_util.tree_map(lambda a: jnp.zeros_like(a[0]), y)
-    sweep = one_kernel(lambda end, each: lax.scan(back, end, each, reverse=True))
+    sweep = kernel(lambda end, each: lax.scan(back, end, each, reverse=True))
     _, (adjoint, g) = sweep(end, (y, w, p, slopes))
     return g, jax.tree_util.tree_map(lambda a, b: jnp.concatenate([a, b[None]]), adjoint, end)
 
