@@ -130,9 +130,9 @@ def _program(
             after, found, held = _moved(chain, cost, how, limits, q, qdot, stages)
             return after, (q, (after[0] - q) / how.dt, found.error, found.damping, held)
 
-        _, (at, moving, error, damping, held) = kernel(
-            lambda q, stages: jax.lax.scan(turn, (q, jnp.zeros_like(q)), stages)
-        )(q, stages)
+        _, (at, moving, error, damping, held) = kernel(lambda q, stages: jax.lax.scan(turn, (q, jnp.zeros_like(q)), stages))(
+            q, stages
+        )
         course = Course(at, moving, error, damping, held, stages.pose[:, 0], stages.velocity[:, 0])
         reason, sample = judge(chain, how.task, course, how.tolerance, how.limits)
         return (*_standing(course, jnp.where(reason == Reason.STILL, count, sample)), reason, sample)

@@ -9,7 +9,8 @@ import jaxik
 
 FLOORS = [
     {"ball"},
-    {"algebra", "kernel", "result", "batch", "choice"},
+    {"spmd", "given"},  # the compiler knows no robot
+    {"algebra", "result", "batch", "choice"},
     {"chain", "optimise", "task"},  # optimise knows no robot: it may import the algebra alone
     {"scene", "kinematics", "reach", "mapping", "path"},
     {"spheres", "distance"},

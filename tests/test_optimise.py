@@ -115,7 +115,6 @@ def test_sqp_against_slsqp(name, merit):
     options = sqp.Options("bfgs", merit, floor=1e-9, cap=2.0, passes=4)
     bounds = [jnp.full(n, float(b)) for b in (low, high)]
     problem = sqp.Problem(model_of(objective, equations, inequalities), identity)
-    count = len(equations(jnp.zeros(n)))
     run = jax.vmap(spmd.kernel(lambda x: sqp.run(problem, x, *bounds, 200, options)[0]))
     found = run(jnp.asarray([start], float))[0]
     constraints = [

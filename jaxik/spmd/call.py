@@ -132,7 +132,7 @@ def cache_folder() -> Path | None:
     "off"."""
     if os.environ.get("JAXIK_CACHE", "") == "off":
         return None
-    beside = jax.config.jax_compilation_cache_dir
+    beside = jax.config.values["jax_compilation_cache_dir"]
     if beside:
         return Path(beside) / "kernels"
     return Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache") / "jaxik" / "kernels"

@@ -1,15 +1,15 @@
 """Elementary functions by additions, multiplications, divisions and square roots: what a vector unit has.
 
 Each is an ordinary function of scalars in float32 or float64, inlined wherever a kernel calls the primitive of its name. The
-bounds are in units in the last place of the result (of 1 for sine and cosine, of pi for atan2) and are held by tests
-against mpmath. NaN gives NaN, and the edges (zeros, infinities, what is out of the domain) are those of IEEE 754's own functions.
+bounds are in units in the last place of the result (of 1 for sine and cosine, of pi for atan2 and acos), and tests hold them
+against mpmath. NaN gives NaN, and the edges (zeros, infinities, what is out of the domain) are those of IEEE 754's functions.
 
-    sin, cos        2       |x| <= 1e4 in float32, 1e6 in float64; beyond, the C library is called lane by lane
-    tan             4       as sine and cosine
-    atan2, atan     3       asin, acos 4
-    exp, exp2       2       expm1, tanh, sinh, cosh 5
-    log, log2       3       log1p 4, asinh, acosh, atanh 8, cbrt 4
-    pow             2       float32 in float64; float64 by the C library
+    sin, cos            2    |x| <= 1e4 in float32, 1e6 in float64; beyond, the C library is asked lane by lane
+    tan                 6    as sine and cosine
+    atan2               2    atan 3, asin, acos 4
+    exp, log            3    exp2 3, log1p 4, expm1, tanh, sinh, cosh 5, logistic, cbrt 4
+    asinh, acosh, atanh 8
+    pow                 2    float32 in float64, and what is special by the C library, as is float64
 """
 
 from __future__ import annotations
@@ -72,7 +72,10 @@ def _exponential(x: Any, shift: float) -> Any:
     """`exp(x) + shift` for shift 0 or -1, by Taylor's series on |r| <= ln 2 / 2."""
     size, kind = x.dtype.itemsize, x.dtype.type
     highest = {4: 130.0, 8: 1026.0}[size]
-    k = lax.round(lax.clamp(kind(-160.0 if size == 4 else -1090.0), x * kind(1 / math.log(2)), kind(highest)), lax.RoundingMethod.TO_NEAREST_EVEN)
+    k = lax.round(
+        lax.clamp(kind(-160.0 if size == 4 else -1090.0), x * kind(1 / math.log(2)), kind(highest)),
+        lax.RoundingMethod.TO_NEAREST_EVEN,
+    )
     r = x
     for part in _LN2[size]:
         r = r - k * kind(part)
@@ -122,7 +125,7 @@ def exp2(x: Any) -> Any:
 def log(x: Any) -> Any:
     """`e ln 2 + 2 artanh(f)`, f = (m - 1) / (m + 1), by its series on |f| <= 3 - sqrt 8."""
     size, kind = x.dtype.itemsize, x.dtype.type
-    integer, mantissa, bias = (np.int32, 23, 127) if size == 4 else (np.int64, 52, 1023)
+    integer, mantissa = (np.int32, 23) if size == 4 else (np.int64, 52)
     tiny = x < np.finfo(x.dtype).tiny  # denormal
     scaled = jnp.where(tiny, x * kind(2.0**mantissa), x)
     bits = lax.bitcast_convert_type(scaled, integer)

@@ -44,7 +44,8 @@ def room(name: str, size: int) -> list[str]:
 
 def literal(value: Any, kind: str) -> str:
     if kind in FLOATS:
-        return "0x%016X" % struct.unpack("<Q", struct.pack("<d", float(value)))
+        (bits,) = struct.unpack("<Q", struct.pack("<d", float(value)))
+        return f"0x{bits:016X}"
     if kind == "i1":
         return "true" if value else "false"
     return str(int(value))
@@ -99,7 +100,11 @@ class Live:
                 whole, i = op.args
                 self.results.setdefault(whole, set()).add(i)
                 args = ops[whole].args
-                todo += [whole, args[0][i], args[6][i], args[2][i]] if ops[whole].code == "loop" else [whole, args[2][i], args[4][i]]
+                todo += (
+                    [whole, args[0][i], args[6][i], args[2][i]]
+                    if ops[whole].code == "loop"
+                    else [whole, args[2][i], args[4][i]]
+                )
             elif op.code == "loop":
                 if op.args[3] is not None:
                     todo.append(op.args[3][1])
@@ -232,7 +237,10 @@ class Emitter:
         if v in self.splat and v not in self.live.varying:
             kind = self.program.ops[v].type
             one = self.assign(f"insertelement {self.vector(kind)} poison, {llvm(kind)} %v{v}, i32 0")
-            self.line(f"%s{v} = shufflevector {self.vector(kind)} {one}, {self.vector(kind)} poison, <{self.width} x i32> zeroinitializer")
+            self.line(
+                f"%s{v} = shufflevector {self.vector(kind)} {one}, {self.vector(kind)} poison, "
+                f"<{self.width} x i32> zeroinitializer"
+            )
 
     def call(self, name: str, kind: str, wide: bool, args: Sequence[str]) -> str:
         shape = self.vector(kind) if wide else llvm(kind)
@@ -254,7 +262,9 @@ class Emitter:
                 if v in live.varying:
                     found |= {*args[2], *args[4]}
                 else:
-                    found |= {x for pair in zip(args[2], args[4], strict=True) if any(y in live.varying for y in pair) for x in pair}
+                    found |= {
+                        x for pair in zip(args[2], args[4], strict=True) if any(y in live.varying for y in pair) for x in pair
+                    }
             elif code == "store":
                 found |= {args[3]} | ({args[2]} if args[2] in live.varying else set())
             elif code == "load":
@@ -296,9 +306,15 @@ class Emitter:
             truth = f"<{self.width} x i1>" if wide else "i1"
             return f"select {truth} {names[0]}, {full(kind)} {names[1]}, {full(kind)} {names[2]}"
         if code == "not":
-            return f"xor {full(kind)} {names[0]}, {'splat (' if wide else ''}{llvm(kind) + ' ' if wide else ''}{'true' if kind == 'i1' else '-1'}{')' if wide else ''}"
+            return f"xor {full(kind)} {names[0]}, {self._constant(-1, kind, wide)}"
         if code == "neg":
-            return f"fneg {full(kind)} {names[0]}" if kind in FLOATS else f"sub {full(kind)} zeroinitializer, {names[0]}" if wide else f"sub {llvm(kind)} 0, {names[0]}"
+            return (
+                f"fneg {full(kind)} {names[0]}"
+                if kind in FLOATS
+                else f"sub {full(kind)} zeroinitializer, {names[0]}"
+                if wide
+                else f"sub {llvm(kind)} 0, {names[0]}"
+            )
         if code in _INTRINSIC:
             return self.call(_INTRINSIC[code], kind, wide, names)
         if code.startswith("libm_"):
@@ -308,7 +324,7 @@ class Emitter:
                 return self.call("fabs", kind, wide, names)
             below = self.assign(f"sub {full(kind)} {'zeroinitializer' if wide else '0'}, {names[0]}")
             truth = self.assign(f"icmp slt {full(kind)} {names[0]}, {'zeroinitializer' if wide else '0'}")
-            return f"select {'<%d x i1>' % self.width if wide else 'i1'} {truth}, {full(kind)} {below}, {full(kind)} {names[0]}"
+            return f"select {self._truth(wide)} {truth}, {full(kind)} {below}, {full(kind)} {names[0]}"
         return getattr(self, f"_op_{code}")(op, wide, full, names)
 
     def _comparison(self, code: str, source: str, shape: str, names: Sequence[str]) -> str:
@@ -369,7 +385,8 @@ class Emitter:
         return f"frem {full(op.type)} {names[0]}, {names[1]}"
 
     def _constant(self, value: int, kind: str, wide: bool) -> str:
-        return f"splat ({llvm(kind)} {value})" if wide else str(value)
+        text = literal(value, kind)
+        return f"splat ({llvm(kind)} {text})" if wide else text
 
     def _op_idiv(self, op: Op, wide: bool, full: Any, names: list[str], remainder: bool = False) -> str:
         """By 0: -1, or what was divided; of the smallest by -1: itself, or 0. As XLA has it, and without a trap."""
@@ -399,7 +416,9 @@ class Emitter:
         inside = self.assign(f"icmp ule {shape} {names[1]}, {most}")
         by = self.assign(f"select {truth} {inside}, {shape} {names[1]}, {shape} {most}")
         value = self.assign(f"{code} {shape} {names[0]}, {by}")
-        return f"select {truth} {inside}, {shape} {value}, {shape} {value if code == 'ashr' else self._constant(0, op.type, wide)}"
+        return (
+            f"select {truth} {inside}, {shape} {value}, {shape} {value if code == 'ashr' else self._constant(0, op.type, wide)}"
+        )
 
     def _op_shl(self, op: Op, wide: bool, full: Any, names: list[str]) -> str:
         return self._shift(op, wide, full, names, "shl")
@@ -422,7 +441,9 @@ class Emitter:
             self.line(f"%v{v} = {column}")
             return
         if memory.kind == "scratch" and index not in self.live.varying:
-            place = self._address(f"%scratch{memory.number}", self.vector(kind) if kind != "i1" else f"<{self.width} x i8>", offset, index)
+            place = self._address(
+                f"%scratch{memory.number}", self.vector(kind) if kind != "i1" else f"<{self.width} x i8>", offset, index
+            )
             self._loaded(v, kind, f"<{self.width} x {stored(kind)}>", place, True)
             return
         if not wide:
@@ -437,7 +458,9 @@ class Emitter:
     def _places(self, memory: Memory, offset: int, index: int | None) -> str:
         """The addresses of lanes that each have their own."""
         n, kind = self.width, stored(memory.type)
-        numbers = self.assign(f"add <{n} x i32> {self.name(index, True) if index is not None else 'zeroinitializer'}, splat (i32 {offset})")
+        numbers = self.assign(
+            f"add <{n} x i32> {self.name(index, True) if index is not None else 'zeroinitializer'}, splat (i32 {offset})"
+        )
         step = self.sizes[memory.number] if memory.kind == "operand" and not self.shared[memory.number] else 0
         if memory.kind == "scratch":
             numbers, step = self.assign(f"mul <{n} x i32> {numbers}, splat (i32 {n})"), 1
@@ -449,7 +472,12 @@ class Emitter:
     def _masked(self, what: str, memory: Memory, args: Sequence[str], shape: str) -> str:
         n, kind = self.width, stored(memory.type)
         name = f"@llvm.masked.{what}.v{n}{ {'float': 'f32', 'double': 'f64'}.get(kind, kind) }.v{n}p0"
-        whole = [*args, f"i32 {BYTES[memory.type]}", f"<{n} x i1> splat (i1 true)", *([f"{shape} zeroinitializer"] if shape else [])]
+        whole = [
+            *args,
+            f"i32 {BYTES[memory.type]}",
+            f"<{n} x i1> splat (i1 true)",
+            *([f"{shape} zeroinitializer"] if shape else []),
+        ]
         types = [a.rsplit(" ", 1)[0] if "splat" not in a else a.split(" splat")[0] for a in whole]
         self.declared.add(f"declare {shape or 'void'} {name}({', '.join(types)})")
         call = f"call {shape or 'void'} {name}({', '.join(whole)})"
@@ -466,7 +494,9 @@ class Emitter:
         self.define(v, read)
 
     def _base(self, memory: Memory) -> str:
-        return {"operand": f"%in{memory.number}", "constant": f"@table{memory.number}", "scratch": f"%scratch{memory.number}"}[memory.kind]
+        return {"operand": f"%in{memory.number}", "constant": f"@table{memory.number}", "scratch": f"%scratch{memory.number}"}[
+            memory.kind
+        ]
 
     def _address(self, base: str, shape: str, offset: int, index: int | None) -> str:
         if index is None:
@@ -525,7 +555,13 @@ class Emitter:
     def _exchanged(self, wide: list[str], count: int, kind: str) -> list[str]:
         """Transposes `count` x `count` blocks along the vectors."""
         n = self.width
-        pick = lambda a, b, pattern: self._shuffle(a, b, n, kind, [g * count + k if k < count else n + g * count + k - count for g in range(n // count) for k in pattern])
+        pick = lambda a, b, pattern: self._shuffle(
+            a,
+            b,
+            n,
+            kind,
+            [g * count + k if k < count else n + g * count + k - count for g in range(n // count) for k in pattern],
+        )
         if count == 2:
             return [pick(wide[0], wide[1], (0, 2)), pick(wide[0], wide[1], (1, 3))]
         a, b = pick(wide[0], wide[1], (0, 4, 1, 5)), pick(wide[0], wide[1], (2, 6, 3, 7))
@@ -554,7 +590,9 @@ class Emitter:
         if kind == "i1":
             what = self.assign(f"zext {self.vector(kind)} {what} to {shape}")
         if index in self.live.varying:  # lanes at addresses of their own
-            self._masked("scatter", memory, [f"{shape} {what}", f"<{self.width} x ptr> {self._places(memory, offset, index)}"], "")
+            self._masked(
+                "scatter", memory, [f"{shape} {what}", f"<{self.width} x ptr> {self._places(memory, offset, index)}"], ""
+            )
             return
         place = self._address(f"%scratch{memory.number}", shape, offset, index)
         self.line(f"store {shape} {what}, ptr {place}, align {self.width * BYTES[kind]}")
@@ -604,7 +642,9 @@ class Emitter:
         lines = []
         for i, name in zip(kept, new, strict=True):
             p = params[i]
-            lines.append(f"  %v{p} = phi {self.shape(p)} [ {self.name(init[i], p in live.varying)}, %{before} ], [ {name}, %{last} ]")
+            lines.append(
+                f"  %v{p} = phi {self.shape(p)} [ {self.name(init[i], p in live.varying)}, %{before} ], [ {name}, %{last} ]"
+            )
         if masked:
             lines.append(f"  {active} = phi <{self.width} x i1> [ splat (i1 true), %{before} ], [ {now}, %{last} ]")
         if count:
@@ -726,7 +766,9 @@ class Emitter:
         text = [*head, *self.prologue, *self.lines, "}"]
         for k, table in enumerate(p.tables):
             kind = next(name for name, dtype in DTYPES.items() if dtype == table.dtype)
-            entries = ", ".join(f"{stored(kind)} {literal(x, kind) if kind != 'i1' else int(x)}" for x in table.ravel().tolist())
+            entries = ", ".join(
+                f"{stored(kind)} {literal(x, kind) if kind != 'i1' else int(x)}" for x in table.ravel().tolist()
+            )
             text.append(f"@table{k} = private unnamed_addr constant [{table.size} x {stored(kind)}] [{entries}], align 64")
         return "\n".join([*text, *sorted(self.declared)])
 

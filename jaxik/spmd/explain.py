@@ -20,8 +20,8 @@ from jaxik.spmd.trace import trace
 
 @dataclasses.dataclass(frozen=True)
 class Explanation:
-    """`operations` of one vector of lanes by kind, those of a loop counted once; `loops` with how often each turns (0: until its
-    lanes are done); `branches`; the `width` in lanes; `spilled` bytes of the stack that hold what no register had room for, and
+    """`operations` of one vector of lanes by kind, those of a loop counted once; `loops` with how often each turns (0: until
+    its lanes are done); `branches`; the `width` in lanes; `spilled` bytes of the stack that hold what no register had room for, and
     what loops read by address; `bytes` of machine code; or `refused`, why the function goes to XLA."""
 
     name: str
@@ -37,7 +37,11 @@ class Explanation:
         if self.refused:
             return f"{self.name}: by XLA, since a kernel cannot do {self.refused}"
         counts = ", ".join(f"{n} {code}" for code, n in sorted(self.operations.items(), key=lambda each: -each[1]))
-        turns = f"; {len(self.loops)} loops of {', '.join(str(n) if n else 'so many' for n in self.loops)} turns" if self.loops else ""
+        turns = (
+            f"; {len(self.loops)} loops of {', '.join(str(n) if n else 'so many' for n in self.loops)} turns"
+            if self.loops
+            else ""
+        )
         sides = f"; {self.branches} branches" if self.branches else ""
         return (
             f"{self.name}: {sum(self.operations.values())} operations on vectors of {self.width} lanes ({counts}){turns}{sides}; "

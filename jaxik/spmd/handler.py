@@ -25,67 +25,103 @@ EXECUTE, VERSION = 3, (0, 3)
 NEXT, DONE, TOTAL, CHUNK, INNER, VECTORS, HOLDERS, FIRST = range(8)  # words of what threads share; then addresses and strides
 
 
-def handler(name: str, rows_in: Sequence[tuple[str, int, bool]], rows_out: Sequence[tuple[str, int]], width: int, chunk: int) -> str:
-    """The text of `name`, and of `name_work`, which takes chunks of a table of words until none is left. `rows_in` are type in memory, entries and whether lanes share it; `rows_out` the same of what is written;
-    `chunk` is how many vectors are worth a thread's while."""
-    size = {"i8": 1, "i16": 2, "i32": 4, "i64": 8, "float": 4, "double": 8}
+SIZE = {"i8": 1, "i16": 2, "i32": 4, "i64": 8, "float": 4, "double": 8}
+
+
+class _Text(list[str]):
+    """Lines of a function."""
+
+    def put(self, *lines: str) -> None:
+        self.extend("  " + line for line in lines)
+
+    def label(self, name: str) -> None:
+        self.append(f"{name}:")
+
+    def word(self, name: str, kind: str, base: str, number: int) -> None:
+        """`%name`, read from the word of that number."""
+        self.put(f"%{name}.at = getelementptr i64, ptr %{base}, i64 {number}", f"%{name} = load {kind}, ptr %{name}.at")
+
+    def field(self, name: str, kind: str, base: str, offset: int) -> None:
+        """`%name`, read from so many bytes on."""
+        self.put(f"%{name}.at = getelementptr i8, ptr %{base}, i64 {offset}", f"%{name} = load {kind}, ptr %{name}.at")
+
+    def keep(self, kind: str, value: str, base: str, number: int) -> None:
+        """Writes a word."""
+        at = f"%{base}.{number}.to"
+        self.put(f"{at} = getelementptr i64, ptr %{base}, i64 {number}", f"store {kind} {value}, ptr {at}")
+
+
+def _range(rows_in: Sequence[tuple[str, int, bool]], rows_out: Sequence[tuple[str, int]], width: int) -> list[str]:
+    """`range(words, begin, end)`: vectors of lanes, the last of an outer index through buffers of its own."""
     n_in, n_out = len(rows_in), len(rows_out)
-    words = FIRST + 2 * n_in + n_out
-    own = [(f"bi{k}", kind, count) for k, (kind, count, shared) in enumerate(rows_in) if not shared]
-    own += [(f"bo{k}", kind, count) for k, (kind, count) in enumerate(rows_out)]
-    lines: list[str] = []
-    put = lines.append
-
-    # A range of vectors.
-    put("define internal void @range(ptr %c, i64 %begin, i64 %end) #0 {\nentry:")
-    put(_flush("begin"))
-    put(f"  %ins = alloca [{max(n_in, 1)} x ptr]\n  %outs = alloca [{max(n_out, 1)} x ptr]")
-    for buffer, kind, count in own:
-        lines += room(buffer, width * count * size[kind])
-    for word, what in ((INNER, "inner"), (VECTORS, "vectors")):
-        put(f"  %p{what} = getelementptr i64, ptr %c, i64 {word}\n  %{what} = load i64, ptr %p{what}")
+    bytes_in, bytes_out = [n * SIZE[kind] for kind, n, _ in rows_in], [n * SIZE[kind] for kind, n in rows_out]
+    own = [k for k, (*_, shared) in enumerate(rows_in) if not shared]
+    buffers = [(f"bi{k}", width * bytes_in[k]) for k in own] + [(f"bo{k}", width * bytes_out[k]) for k in range(n_out)]
+    t = _Text()
+    t.append("define internal void @range(ptr %c, i64 %begin, i64 %end) #0 {")
+    t.label("entry")
+    t.put(*_flush("begin"), f"%ins = alloca [{max(n_in, 1)} x ptr]", f"%outs = alloca [{max(n_out, 1)} x ptr]")
+    for name, size in buffers:
+        t += room(name, size)
+    t.word("inner", "i64", "c", INNER)
+    t.word("vectors", "i64", "c", VECTORS)
     for k in range(n_in):
-        put(f"  %pa{k} = getelementptr i64, ptr %c, i64 {FIRST + 2 * k}\n  %a{k} = load ptr, ptr %pa{k}")
-        put(f"  %ps{k} = getelementptr i64, ptr %c, i64 {FIRST + 2 * k + 1}\n  %s{k} = load i64, ptr %ps{k}")
+        t.word(f"a{k}", "ptr", "c", FIRST + 2 * k)
+        t.word(f"s{k}", "i64", "c", FIRST + 2 * k + 1)
     for k in range(n_out):
-        put(f"  %pr{k} = getelementptr i64, ptr %c, i64 {FIRST + 2 * n_in + k}\n  %r{k} = load ptr, ptr %pr{k}")
-    put("  %any = icmp ult i64 %begin, %end\n  br i1 %any, label %next, label %out\nnext:")
-    put("  %t = phi i64 [ %begin, %entry ], [ %t1, %done ]")
-    put("  %o = udiv i64 %t, %vectors\n  %first = mul i64 %o, %vectors\n  %k = sub i64 %t, %first")
-    put(f"  %row = mul i64 %k, {width}\n  %left = sub i64 %inner, %row\n  %before = mul i64 %o, %inner\n  %at = add i64 %before, %row")
-    for k, (kind, count, shared) in enumerate(rows_in):
-        put(f"  %so{k} = mul i64 %o, %s{k}\n  %u{k} = getelementptr i8, ptr %a{k}, i64 %so{k}")
-        if shared:
-            put(f"  %v{k} = getelementptr i8, ptr %u{k}, i64 0")
-        else:
-            put(f"  %sr{k} = mul i64 %row, {count * size[kind]}\n  %v{k} = getelementptr i8, ptr %u{k}, i64 %sr{k}")
-        put(f"  %pi{k} = getelementptr ptr, ptr %ins, i64 {k}\n  store ptr %v{k}, ptr %pi{k}")
-    for k, (kind, count) in enumerate(rows_out):
-        put(f"  %sw{k} = mul i64 %at, {count * size[kind]}\n  %w{k} = getelementptr i8, ptr %r{k}, i64 %sw{k}")
-        put(f"  %po{k} = getelementptr ptr, ptr %outs, i64 {k}\n  store ptr %w{k}, ptr %po{k}")
-    put(f"  %whole = icmp uge i64 %left, {width}\n  br i1 %whole, label %full, label %part\nfull:")
-    put("  call void @lanes(ptr %ins, ptr %outs)\n  br label %done\npart:")
-    for k, (kind, count, shared) in enumerate(rows_in):
-        if shared:
-            continue
-        put(f"  br label %fill{k}\nfill{k}:\n  %f{k} = phi i64 [ 0, %{'part' if not _own_before(rows_in, k) else f'filled{_own_before(rows_in, k)[-1]}'} ], [ %g{k}, %fill{k} ]")
-        put(f"  %h{k} = sub i64 %left, 1\n  %m{k} = call i64 @llvm.umin.i64(i64 %f{k}, i64 %h{k})")
-        put(f"  %n{k} = mul i64 %m{k}, {count * size[kind]}\n  %from{k} = getelementptr i8, ptr %v{k}, i64 %n{k}")
-        put(f"  %d{k} = mul i64 %f{k}, {count * size[kind]}\n  %to{k} = getelementptr i8, ptr %bi{k}, i64 %d{k}")
-        put(f"  call void @llvm.memcpy.p0.p0.i64(ptr %to{k}, ptr %from{k}, i64 {count * size[kind]}, i1 false)")
-        put(f"  %g{k} = add i64 %f{k}, 1\n  %e{k} = icmp ult i64 %g{k}, {width}\n  br i1 %e{k}, label %fill{k}, label %filled{k}\nfilled{k}:")
-        put(f"  store ptr %bi{k}, ptr %pi{k}")
+        t.word(f"r{k}", "ptr", "c", FIRST + 2 * n_in + k)
+    t.put("%any = icmp ult i64 %begin, %end", "br i1 %any, label %next, label %out")
+    t.label("next")
+    t.put("%t = phi i64 [ %begin, %entry ], [ %t1, %done ]")
+    t.put("%o = udiv i64 %t, %vectors", "%first = mul i64 %o, %vectors", "%k = sub i64 %t, %first")
+    t.put(f"%row = mul i64 %k, {width}", "%left = sub i64 %inner, %row", "%last = sub i64 %left, 1")
+    t.put("%before = mul i64 %o, %inner", "%at = add i64 %before, %row")
+    for k, (*_, shared) in enumerate(rows_in):
+        t.put(f"%so{k} = mul i64 %o, %s{k}", f"%u{k} = getelementptr i8, ptr %a{k}, i64 %so{k}")
+        t.put(f"%sr{k} = mul i64 {0 if shared else '%row'}, {bytes_in[k]}", f"%v{k} = getelementptr i8, ptr %u{k}, i64 %sr{k}")
+        t.put(f"%pi{k} = getelementptr ptr, ptr %ins, i64 {k}", f"store ptr %v{k}, ptr %pi{k}")
     for k in range(n_out):
-        put(f"  store ptr %bo{k}, ptr %po{k}")
-    put("  call void @lanes(ptr %ins, ptr %outs)")
-    for k, (kind, count) in enumerate(rows_out):
-        put(f"  %c{k} = mul i64 %left, {count * size[kind]}\n  call void @llvm.memcpy.p0.p0.i64(ptr %w{k}, ptr %bo{k}, i64 %c{k}, i1 false)")
-    put("  br label %done\ndone:\n  %t1 = add i64 %t, 1\n  %more = icmp ult i64 %t1, %end\n  br i1 %more, label %next, label %out\nout:")
-    for buffer, kind, count in own:
-        if width * count * size[kind] > STACK:
-            put(f"  call void @free(ptr %{buffer}.all)")
-    put(_flush("end") + "\n  ret void\n}")
+        t.put(f"%sw{k} = mul i64 %at, {bytes_out[k]}", f"%w{k} = getelementptr i8, ptr %r{k}, i64 %sw{k}")
+        t.put(f"%po{k} = getelementptr ptr, ptr %outs, i64 {k}", f"store ptr %w{k}, ptr %po{k}")
+    t.put(f"%whole = icmp uge i64 %left, {width}", "br i1 %whole, label %full, label %part")
+    t.label("full")
+    t.put("call void @lanes(ptr %ins, ptr %outs)", "br label %done")
+    t.label("part")
+    come = "part"
+    for k in own:
+        t.put(f"br label %fill{k}")
+        t.label(f"fill{k}")
+        t.put(f"%f{k} = phi i64 [ 0, %{come} ], [ %g{k}, %fill{k} ]", f"%m{k} = call i64 @llvm.umin.i64(i64 %f{k}, i64 %last)")
+        t.put(f"%n{k} = mul i64 %m{k}, {bytes_in[k]}", f"%from{k} = getelementptr i8, ptr %v{k}, i64 %n{k}")
+        t.put(f"%d{k} = mul i64 %f{k}, {bytes_in[k]}", f"%to{k} = getelementptr i8, ptr %bi{k}, i64 %d{k}")
+        t.put(f"call void @llvm.memcpy.p0.p0.i64(ptr %to{k}, ptr %from{k}, i64 {bytes_in[k]}, i1 false)")
+        t.put(f"%g{k} = add i64 %f{k}, 1", f"%e{k} = icmp ult i64 %g{k}, {width}")
+        t.put(f"br i1 %e{k}, label %fill{k}, label %filled{k}")
+        come = f"filled{k}"
+        t.label(come)
+        t.put(f"store ptr %bi{k}, ptr %pi{k}")
+    t.put(*(f"store ptr %bo{k}, ptr %po{k}" for k in range(n_out)), "call void @lanes(ptr %ins, ptr %outs)")
+    for k in range(n_out):
+        t.put(f"%c{k} = mul i64 %left, {bytes_out[k]}")
+        t.put(f"call void @llvm.memcpy.p0.p0.i64(ptr %w{k}, ptr %bo{k}, i64 %c{k}, i1 false)")
+    t.put("br label %done")
+    t.label("done")
+    t.put("%t1 = add i64 %t, 1", "%more = icmp ult i64 %t1, %end", "br i1 %more, label %next, label %out")
+    t.label("out")
+    t.put(*(f"call void @free(ptr %{name}.all)" for name, size in buffers if size > STACK), *_flush("end"), "ret void")
+    return [*t, "}"]
 
+
+def handler(
+    name: str, rows_in: Sequence[tuple[str, int, bool]], rows_out: Sequence[tuple[str, int]], width: int, chunk: int
+) -> str:
+    """The text of `name`, and of `name_work`, which takes chunks of a table of words until none is left. `rows_in` are type in
+    memory, entries and whether lanes share it; `rows_out` the same of what is written; `chunk` is how many vectors are worth a
+    thread's while."""
+    n_in = len(rows_in)
+    words = FIRST + 2 * n_in + len(rows_out)
+    lines = _range(rows_in, rows_out, width)
+    put = lines.append
     pause = "  %ignored = call i32 @sched_yield()" if sys.platform != "win32" else ""
     put(
         f"""
@@ -168,24 +204,30 @@ go:
   %prets = getelementptr i8, ptr %frame, i64 {FRAME["results"]}
   %rets = load ptr, ptr %prets"""
     )
+    t = _Text()
     for k, (kind, count, shared) in enumerate(rows_in):
-        put(f"  %xp{k} = getelementptr ptr, ptr %args, i64 {k}\n  %x{k} = load ptr, ptr %xp{k}")
-        put(f"  %xd{k} = getelementptr i8, ptr %x{k}, i64 {BUFFER['data']}\n  %data{k} = load ptr, ptr %xd{k}")
-        put(f"  %xs{k} = getelementptr i8, ptr %x{k}, i64 {BUFFER['dims']}\n  %dims{k} = load ptr, ptr %xs{k}")
-        put(f"  %outer{k} = load i64, ptr %dims{k}\n  %one{k} = icmp eq i64 %outer{k}, 1")
-        put(f"  %pin{k} = getelementptr i64, ptr %dims{k}, i64 1\n  %in{k} = load i64, ptr %pin{k}")
-        put(f"  %bytes{k} = mul i64 {'1' if shared else f'%in{k}'}, {count * size[kind]}\n  %step{k} = select i1 %one{k}, i64 0, i64 %bytes{k}")
-        put(f"  %za{k} = getelementptr i64, ptr %here, i64 {FIRST + 2 * k}\n  store ptr %data{k}, ptr %za{k}")
-        put(f"  %zs{k} = getelementptr i64, ptr %here, i64 {FIRST + 2 * k + 1}\n  store i64 %step{k}, ptr %zs{k}")
-    for k in range(n_out):
-        put(f"  %yp{k} = getelementptr ptr, ptr %rets, i64 {k}\n  %y{k} = load ptr, ptr %yp{k}")
-        put(f"  %yd{k} = getelementptr i8, ptr %y{k}, i64 {BUFFER['data']}\n  %out{k} = load ptr, ptr %yd{k}")
-        put(f"  %zo{k} = getelementptr i64, ptr %here, i64 {FIRST + 2 * n_in + k}\n  store ptr %out{k}, ptr %zo{k}")
-    put(f"  %ys = getelementptr i8, ptr %y0, i64 {BUFFER['dims']}\n  %ydims = load ptr, ptr %ys\n  %outer = load i64, ptr %ydims")
-    put("  %pinner = getelementptr i64, ptr %ydims, i64 1\n  %inner = load i64, ptr %pinner")
-    put(f"  %padded = add i64 %inner, {width - 1}\n  %vectors = udiv i64 %padded, {width}\n  %total = mul i64 %outer, %vectors")
+        t.word(f"x{k}", "ptr", "args", k)
+        t.field(f"data{k}", "ptr", f"x{k}", BUFFER["data"])
+        t.field(f"dims{k}", "ptr", f"x{k}", BUFFER["dims"])
+        t.word(f"outer{k}", "i64", f"dims{k}", 0)
+        t.word(f"in{k}", "i64", f"dims{k}", 1)
+        t.put(f"%bytes{k} = mul i64 {1 if shared else f'%in{k}'}, {count * SIZE[kind]}")
+        t.put(f"%one{k} = icmp eq i64 %outer{k}, 1", f"%step{k} = select i1 %one{k}, i64 0, i64 %bytes{k}")
+        t.keep("ptr", f"%data{k}", "here", FIRST + 2 * k)
+        t.keep("i64", f"%step{k}", "here", FIRST + 2 * k + 1)
+    for k in range(len(rows_out)):
+        t.word(f"y{k}", "ptr", "rets", k)
+        t.field(f"out{k}", "ptr", f"y{k}", BUFFER["data"])
+        t.keep("ptr", f"%out{k}", "here", FIRST + 2 * n_in + k)
+    t.field("dims", "ptr", "y0", BUFFER["dims"])
+    t.word("outer", "i64", "dims", 0)
+    t.word("inner", "i64", "dims", 1)
+    t.put(
+        f"%padded = add i64 %inner, {width - 1}", f"%vectors = udiv i64 %padded, {width}", "%total = mul i64 %outer, %vectors"
+    )
     for word, what in ((INNER, "%inner"), (VECTORS, "%vectors"), (TOTAL, "%total"), (NEXT, "0"), (DONE, "0")):
-        put(f"  %q{word} = getelementptr i64, ptr %here, i64 {word}\n  store i64 {what}, ptr %q{word}")
+        t.keep("i64", what, "here", word)
+    lines += t
     put(
         f"""
   %large = icmp ugt i64 %total, {chunk}
@@ -288,27 +330,27 @@ declare void @llvm.memcpy.p0.p0.i64(ptr, ptr, i64, i1)
 declare ptr @malloc(i64)
 declare void @free(ptr)
 {"declare i32 @sched_yield()" if pause else ""}
-{_flush("declare")}
+{chr(10).join(_flush("declare"))}
 !0 = !{{}}
 """
     )
     return "\n".join(lines)
 
 
-def _flush(what: str) -> str:
+def _flush(what: str) -> list[str]:
     """Denormals count as 0, as XLA has it on its threads, on whichever thread this runs; before that is as it was after."""
     if platform.machine().lower() not in ("x86_64", "amd64"):
-        return ""
+        return []
     if what == "begin":
-        return (
-            "  %state = alloca i32\n  %flushing = alloca i32\n  call void @llvm.x86.sse.stmxcsr(ptr %state)\n"
-            "  %csr = load i32, ptr %state\n  %csr1 = or i32 %csr, 32832\n  store i32 %csr1, ptr %flushing\n"
-            "  call void @llvm.x86.sse.ldmxcsr(ptr %flushing)"
-        )
+        return [
+            "%state = alloca i32",
+            "%flushing = alloca i32",
+            "call void @llvm.x86.sse.stmxcsr(ptr %state)",
+            "%csr = load i32, ptr %state",
+            "%csr1 = or i32 %csr, 32832",
+            "store i32 %csr1, ptr %flushing",
+            "call void @llvm.x86.sse.ldmxcsr(ptr %flushing)",
+        ]
     if what == "end":
-        return "  call void @llvm.x86.sse.ldmxcsr(ptr %state)"
-    return "declare void @llvm.x86.sse.stmxcsr(ptr)\ndeclare void @llvm.x86.sse.ldmxcsr(ptr)"
-
-
-def _own_before(rows_in: Sequence[tuple[str, int, bool]], k: int) -> list[int]:
-    return [j for j in range(k) if not rows_in[j][2]]
+        return ["call void @llvm.x86.sse.ldmxcsr(ptr %state)"]
+    return ["declare void @llvm.x86.sse.stmxcsr(ptr)", "declare void @llvm.x86.sse.ldmxcsr(ptr)"]

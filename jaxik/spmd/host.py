@@ -20,17 +20,23 @@ from jaxik.spmd.trace import Traced, trace
 
 
 class HostKernel:
-    """A function of one configuration over the rows of its first `lanes` arguments; the others, pytrees, all rows share.
-
-    `double` says in which width it runs. `Unsupported` where there is no kernel for it (another platform among the reasons).
-    """
+    """A function of one configuration over the rows of its first `lanes` arguments; the others, pytrees, all rows share."""
 
     def __init__(self, function: Callable[..., Any], lanes: int):
         self.function, self.lanes = function, lanes
         self.known: dict[Any, tuple[Traced, call.Made]] = {}
 
-    def __call__(self, *args: Any, double: bool, threads: ThreadPoolExecutor | None = None, team: int = 1) -> list[np.ndarray]:
-        """Its results' leaves, each with a row a row; `team` threads of the pool and this one share the work."""
+    def __call__(self, *args: Any) -> Any:
+        """By a kernel, or by XLA where there is none, in the width that JAX is set to here."""
+        try:
+            return self.run(*args, double=jax.dtypes.canonicalize_dtype(float) == np.float64)
+        except Unsupported:
+            return self.by_xla(*args)
+
+    def run(self, *args: Any, double: bool, threads: ThreadPoolExecutor | None = None, team: int = 1) -> list[np.ndarray]:
+        """Its results' leaves, each with a row a row; `team` threads of the pool and this one share the work.
+
+        Raises `Unsupported`."""
         width = np.float64 if double else np.float32
         shared, tree = jax.tree_util.tree_flatten(args[self.lanes :])
         operands = [_array(x, width) for x in (*args[: self.lanes], *shared)]
@@ -73,7 +79,9 @@ def _array(x: Any, width: Any) -> np.ndarray:
     return np.ascontiguousarray(x, np.int32) if x.dtype.kind == "i" else np.ascontiguousarray(x)
 
 
-def _run(made: call.Made, operands: list[np.ndarray], lanes: int, outs: list[np.ndarray], count: int, threads: Any, team: int) -> None:
+def _run(
+    made: call.Made, operands: list[np.ndarray], lanes: int, outs: list[np.ndarray], count: int, threads: Any, team: int
+) -> None:
     words = np.zeros(FIRST + 2 * len(operands) + len(outs), np.int64)
     vectors = -(-count // made.width)
     words[TOTAL], words[INNER], words[VECTORS] = vectors, count, vectors

@@ -17,9 +17,10 @@ from jaxik.spmd.trace import Traced, trace
 def kernel(function: Callable[..., Any] | None = None, *, models: int = 0) -> Callable[..., Any]:
     """The same function, compiled to one SIMD function over any batch on a CPU. Traced: `jit`, `vmap` and differentiate it.
 
-    It takes and returns pytrees of arrays (float32, float64, int32, int64, unsigned, bool) of one configuration, and is pure: what
-    it closes over is read when it is first called with arguments of those shapes. Of the first `models` arguments (a robot)
-    the numbers fold into the program, except those that are traced; they are hashable, and equal ones share it.
+    It takes and returns pytrees of arrays (floats, integers and truth values of up to 64 bits) of one configuration, and is
+    pure: what it closes over is read when it is first called with arguments of those shapes. Of the first `models` arguments
+    (a robot) the numbers fold into the program, except those that are traced; they are hashable, and equal ones share it.
+    What a kernel cannot do runs by XLA, with one warning that says what it was.
     """
     if function is None:
         return functools.partial(kernel, models=models)
@@ -27,7 +28,7 @@ def kernel(function: Callable[..., Any] | None = None, *, models: int = 0) -> Ca
 
     @functools.wraps(function)
     def call(*args: Any) -> Any:
-        if jax.config.jax_disable_jit:
+        if jax.config.values["jax_disable_jit"]:
             return function(*args)
         fixed, rest = args[:models], args[models:]
         model_leaves, model_tree = jax.tree_util.tree_flatten(fixed)
@@ -36,7 +37,9 @@ def kernel(function: Callable[..., Any] | None = None, *, models: int = 0) -> Ca
         if not all(isinstance(x, jax.Array) or np.asarray(x).dtype.kind in "biuf" for x in leaves):
             return function(*args)  # what is no number is the function's own to refuse
         leaves = [x if isinstance(x, jax.Array) else jnp.asarray(x) for x in leaves]
-        key = None if moving else (fixed, tree, tuple((x.shape, x.dtype, x.weak_type) for x in leaves), jax.config.jax_enable_x64)
+        key = (
+            None if moving else (fixed, tree, tuple((x.shape, x.dtype, x.weak_type) for x in leaves), jnp.result_type(float))
+        )
         found, more = known.get(key), []
         operands = [*(model_leaves[i] for i in moving), *leaves]
         if found is None:

@@ -64,7 +64,9 @@ def _jvp(primals: Sequence[Any], tangents: Sequence[Any], *, traced: Traced, bat
     """One kernel gives values and derivatives; ordinary operations contract them with the tangents."""
     active = tuple(i for i, t in enumerate(tangents) if not isinstance(t, ad.Zero) and _is_float(traced.inputs[i]))
     count = len(traced.outputs)
-    size = sum(math.prod(a.shape) for a in traced.outputs if _is_float(a)) * sum(math.prod(traced.inputs[i].shape) for i in active)
+    size = sum(math.prod(a.shape) for a in traced.outputs if _is_float(a)) * sum(
+        math.prod(traced.inputs[i].shape) for i in active
+    )
     if size > _DENSE:  # a matrix that a kernel would write and somebody read: JAX's own rules need none
         whole = [ad.instantiate_zeros(t) for t in tangents]
         return jax.jvp(functools.partial(_by_xla, traced=traced, batch=batch, masks=masks), list(primals), whole)
@@ -129,9 +131,11 @@ def _on_cpu(*args: Any, traced: Traced, batch: tuple[int, ...], masks: Masks) ->
     return [x.reshape(*batch, *a.shape) for x, a in zip(found, outputs, strict=True)]
 
 
-def _grid(args: Sequence[Any], traced: Traced, batch: tuple[int, ...], masks: Masks) -> tuple[tuple[int, int], list[Any], tuple[bool, ...]]:
+def _grid(
+    args: Sequence[Any], traced: Traced, batch: tuple[int, ...], masks: Masks
+) -> tuple[tuple[int, int], list[Any], tuple[bool, ...]]:
     """(outer, inner) lanes, operands as (outer, inner, size) with 1 where they are shared, and which all lanes of one outer
-    index have in common. Axes that the same operands have are one; where more than two kinds are left, operands are repeated."""
+    index have in common. Axes that the same operands have are one; of more than two kinds operands are repeated."""
     patterns = [tuple(m[k] for m in masks) for k in range(len(batch))]
     groups: list[tuple[tuple[bool, ...], int]] = []
     for pattern, n in zip(patterns, batch, strict=True):

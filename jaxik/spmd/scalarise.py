@@ -1,7 +1,7 @@
 """From a jaxpr of one configuration to a `Program`: every array an array of scalars, known while compiling.
 
-An array is a NumPy array of values, so reshapes, slices, stacks, transposes and gathers at constant indices are NumPy's and cost
-nothing at run time. An operand, a table of constants or what a loop stacks is an array of addresses instead, read where it is
+An array is a NumPy array of values, so reshapes, slices, stacks, transposes and gathers at constant indices are NumPy's and
+cost nothing at run time. An operand, a table of constants or what a loop stacks is an array of addresses instead, read where it is
 needed: a row of it at a loop's index is a load. One small rule a primitive, in a table; what has none is refused by name.
 """
 
@@ -33,7 +33,7 @@ class Computed(NamedTuple):
     value: int
 
 
-class Unsupported(NotImplementedError):
+class Unsupported(NotImplementedError):  # noqa: N818 - of functions that are in order, and run elsewhere
     """What a kernel cannot do; one line that names it."""
 
 
@@ -143,9 +143,10 @@ class Scalariser:
     def output(self, array: Array) -> list[int] | Whole:
         """The entries as values; or as memory, where they are what a loop has stacked."""
         memory, size = array.memory, array.at.size
-        if memory is not None and memory.kind == "scratch" and size == memory.size > UNROLLED:
-            if np.array_equal(array.at.ravel(), np.arange(size)):
-                return Whole(memory, -1 if array.after is None else array.after)
+        large = memory is not None and memory.kind == "scratch" and size == memory.size > UNROLLED
+        if large and np.array_equal(array.at.ravel(), np.arange(size)):
+            assert memory is not None and array.after is not None
+            return Whole(memory, array.after)
         return list(self.values(array).ravel().tolist())
 
     def entry(self, array: Array, place: Sequence[Any]) -> int:
@@ -217,9 +218,13 @@ class Scalariser:
         array = array.rearranged(array.at[static])
         if all(isinstance(s, int) for s in starts):
             return array
-        among = [1 if isinstance(s, int) else array.shape[k] - n + 1 for k, (s, n) in enumerate(zip(starts, sizes, strict=True))]
+        among = [
+            1 if isinstance(s, int) else array.shape[k] - n + 1 for k, (s, n) in enumerate(zip(starts, sizes, strict=True))
+        ]
         at = [
-            self.entry(array, [i if isinstance(s, int) else (s.value, i, m) for s, i, m in zip(starts, place, among, strict=True)])
+            self.entry(
+                array, [i if isinstance(s, int) else (s.value, i, m) for s, i, m in zip(starts, place, among, strict=True)]
+            )
             for place in np.ndindex(*sizes)
         ]
         return Array(np.array(at, np.int64).reshape(sizes), array.type)
@@ -294,7 +299,12 @@ def _rem(s: Scalariser, eqn: Any, a: Array, b: Array) -> Array:
 
 @rule("shift_left", "shift_right_logical", "shift_right_arithmetic")
 def _shift(s: Scalariser, eqn: Any, a: Array, b: Array) -> Array:
-    return s.map({"shift_left": "shl", "shift_right_logical": "lshr", "shift_right_arithmetic": "ashr"}[eqn.primitive.name], _kind(eqn), a, b)
+    return s.map(
+        {"shift_left": "shl", "shift_right_logical": "lshr", "shift_right_arithmetic": "ashr"}[eqn.primitive.name],
+        _kind(eqn),
+        a,
+        b,
+    )
 
 
 @rule("sign")
@@ -400,8 +410,7 @@ def _rarely(s: Scalariser, name: str, kind: str, unless: Sequence[int], fast: Ar
     flat = [x.ravel().tolist() for x in np.broadcast_arrays(*map(s.values, xs))]
     usual = s.values(fast).ravel().tolist()
     libm = lambda: [
-        p.op("select", kind, u, p.op(f"libm_{name}", kind, *each), v)
-        for u, v, *each in zip(unless, usual, *flat, strict=True)
+        p.op("select", kind, u, p.op(f"libm_{name}", kind, *each), v) for u, v, *each in zip(unless, usual, *flat, strict=True)
     ]
     return _unflattened(p.branch(s.fold("or", "i1", unless), libm, lambda: usual), [shape], [kind])[0] if usual else fast
 
@@ -533,7 +542,9 @@ def _pad(s: Scalariser, eqn: Any, x: Array, value: Array) -> Array:
 @rule("iota")
 def _iota(s: Scalariser, eqn: Any) -> Array:
     shape, axis = eqn.outvars[0].aval.shape, eqn.params["dimension"]
-    return s.known(np.broadcast_to(np.arange(shape[axis]).reshape(-1, *[1] * (len(shape) - axis - 1)), shape), eqn.outvars[0].aval)
+    return s.known(
+        np.broadcast_to(np.arange(shape[axis]).reshape(-1, *[1] * (len(shape) - axis - 1)), shape), eqn.outvars[0].aval
+    )
 
 
 @rule("dynamic_slice")
@@ -606,7 +617,15 @@ def _gather(s: Scalariser, eqn: Any, x: Array, indices: Array) -> Array:
         value = params["fill_value"]
         dtype = np.dtype(eqn.outvars[0].aval.dtype)
         if value is None:
-            value = np.nan if dtype.kind == "f" else np.iinfo(dtype).min if dtype.kind == "i" else np.iinfo(dtype).max if dtype.kind == "u" else True
+            value = (
+                np.nan
+                if dtype.kind == "f"
+                else np.iinfo(dtype).min
+                if dtype.kind == "i"
+                else np.iinfo(dtype).max
+                if dtype.kind == "u"
+                else True
+            )
         missing = p.number(value, x.type)
     out = np.empty(shape, np.int64)
     cache: dict[Any, Any] = {}
@@ -638,7 +657,17 @@ def _gather(s: Scalariser, eqn: Any, x: Array, indices: Array) -> Array:
     return Array(out, x.type)
 
 
-@rule("scatter", "scatter-add", "scatter_add", "scatter-mul", "scatter_mul", "scatter-min", "scatter_min", "scatter-max", "scatter_max")
+@rule(
+    "scatter",
+    "scatter-add",
+    "scatter_add",
+    "scatter-mul",
+    "scatter_mul",
+    "scatter-min",
+    "scatter_min",
+    "scatter-max",
+    "scatter_max",
+)
 def _scatter(s: Scalariser, eqn: Any, x: Array, indices: Array, updates: Array) -> Array:
     params, p = eqn.params, s.program
     d, mode = params["dimension_numbers"], params["mode"]
@@ -689,7 +718,9 @@ def _reduce(s: Scalariser, eqn: Any, x: Array) -> Array:
         edge = {"max": -np.inf, "min": np.inf} if dtype.kind == "f" else {}
         if dtype.kind in "iu":
             edge = {"max": np.iinfo(dtype).min, "min": np.iinfo(dtype).max}
-        return s.full(eqn.outvars[0].aval.shape, {"sum": 0, "or": 0, "xor": 0, "prod": 1, "and": -1} .get(name, edge.get(name, 0)), x.type)
+        return s.full(
+            eqn.outvars[0].aval.shape, {"sum": 0, "or": 0, "xor": 0, "prod": 1, "and": -1}.get(name, edge.get(name, 0)), x.type
+        )
     flat = [s.fold(code, x.type, row) for row in rows.reshape(-1, rows.shape[-1]).tolist()]
     return Array(np.array(flat, np.int64).reshape(eqn.outvars[0].aval.shape), x.type)
 
@@ -777,7 +808,21 @@ def _dot_general(s: Scalariser, eqn: Any, a: Array, b: Array) -> Array:
 # Calls, branches, loops ---------------------------------------------------------------------------------------------
 
 
-@rule("jit", "pjit", "closed_call", "core_call", "custom_jvp_call", "custom_vjp_call", "custom_vjp_call_jaxpr", "checkpoint", "remat", "remat2", "custom_vmap_call", "custom_lin", "run_state")
+@rule(
+    "jit",
+    "pjit",
+    "closed_call",
+    "core_call",
+    "custom_jvp_call",
+    "custom_vjp_call",
+    "custom_vjp_call_jaxpr",
+    "checkpoint",
+    "remat",
+    "remat2",
+    "custom_vmap_call",
+    "custom_lin",
+    "run_state",
+)
 def _call(s: Scalariser, eqn: Any, *xs: Array) -> list[Array]:
     for name in ("jaxpr", "call_jaxpr", "fun_jaxpr", "call"):
         if isinstance(eqn.params.get(name), ClosedJaxpr | Jaxpr):

@@ -104,7 +104,10 @@ def _derivative(closed: ClosedJaxpr, active: tuple[int, ...]) -> ClosedJaxpr:
     def basis(avals: Sequence[Any]) -> list[Any]:
         sizes = [int(np.prod(a.shape)) for a in avals]
         eye, cuts = np.eye(sum(sizes)), np.cumsum([0, *sizes])
-        return [jnp.asarray(eye[:, s:e].reshape(len(eye), *a.shape), a.dtype) for a, s, e in zip(avals, cuts, cuts[1:], strict=False)]
+        return [
+            jnp.asarray(eye[:, s:e].reshape(len(eye), *a.shape), a.dtype)
+            for a, s, e in zip(avals, cuts, cuts[1:], strict=False)
+        ]
 
     def forward(*args: Any) -> Any:
         function, point = of(args)

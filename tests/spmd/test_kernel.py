@@ -186,7 +186,11 @@ def test_a_second_process_compiles_nothing(tmp_path):
 
 def test_a_fork_goes_on():
     """A child has its own threads, or none; jaxik's kernels keep their code."""
-    code = "import os, warnings; warnings.simplefilter('ignore')\n" + SCRIPT + "pid = os.fork()\nos._exit(0) if pid == 0 else None\n"
+    code = (
+        "import os, warnings; warnings.simplefilter('ignore')\n"
+        + SCRIPT
+        + "pid = os.fork()\nos._exit(0) if pid == 0 else None\n"
+    )
     code += "assert os.waitpid(pid, 0)[1] == 0\n"
     assert subprocess.run([sys.executable, "-c", code], capture_output=True, timeout=120).returncode == 0
 
@@ -230,7 +234,16 @@ def test_what_it_cannot_do_goes_to_xla(name):
 # Random programs
 
 UNARY = [jnp.sin, jnp.exp, jnp.tanh, jnp.abs, jnp.sqrt, jnp.square, jnp.negative, jnp.floor, lambda x: x[::-1], jnp.cumsum]
-BINARY = [jnp.add, jnp.subtract, jnp.multiply, jnp.divide, jnp.maximum, jnp.minimum, jnp.arctan2, lambda x, y: jnp.where(x > y, x, y)]
+BINARY = [
+    jnp.add,
+    jnp.subtract,
+    jnp.multiply,
+    jnp.divide,
+    jnp.maximum,
+    jnp.minimum,
+    jnp.arctan2,
+    lambda x, y: jnp.where(x > y, x, y),
+]
 LOOPS = [
     lambda f, x, y: lax.fori_loop(0, 12, lambda k, c: f(c, y) * 0.5, x),
     lambda f, x, y: lax.while_loop(lambda c: (c[1] < 5) & (c[0].sum() < 3), lambda c: (f(c[0], y), c[1] + 1), (x, 0))[0],
@@ -241,7 +254,13 @@ LOOPS = [
 
 
 @settings(max_examples=40, deadline=None, derandomize=True)
-@given(st.lists(st.tuples(st.integers(0, 9), st.integers(0, 7), st.integers(0, 4), st.integers(0, 3), st.integers(0, 3)), min_size=1, max_size=5))
+@given(
+    st.lists(
+        st.tuples(st.integers(0, 9), st.integers(0, 7), st.integers(0, 4), st.integers(0, 3), st.integers(0, 3)),
+        min_size=1,
+        max_size=5,
+    )
+)
 def test_random_programs(steps):
     """Against the same program by XLA, NaN and infinities among its numbers."""
 

@@ -1,5 +1,5 @@
-"""Every primitive that a kernel knows, by itself: against NumPy where IEEE 754 defines the result, against mpmath where a bound is
-stated, and against XLA's own for what moves entries about. In both widths, at the edges, for every count of lanes."""
+"""Every primitive that a kernel knows, by itself: against NumPy where IEEE 754 defines the result, against mpmath where a bound
+is stated, and against XLA's own for what moves entries about. In both widths and at the edges."""
 
 import jax
 import jax.numpy as jnp
@@ -183,15 +183,28 @@ def ulps(found, exact, dtype, of):
 def test_elementary(name, dtype):
     kernel, oracle, bound, of, (low, high) = ELEMENTARY[name]
     rng = np.random.default_rng(1)
-    x = np.concatenate([rng.uniform(low, high, 700), rng.uniform(-1e-3, 1e-3, 100).clip(low, high)]).astype(dtype).clip(low, high)
+    x = (
+        np.concatenate([rng.uniform(low, high, 700), rng.uniform(-1e-3, 1e-3, 100).clip(low, high)])
+        .astype(dtype)
+        .clip(low, high)
+    )
     with mpmath.workdps(40):
         exact = [oracle(mpmath.mpf(float(v))) for v in x]
     assert ulps(np.asarray(lanes(kernel, x)), exact, dtype, of) <= bound
     edge = np.array([0.0, -0.0, 1.0, -1.0, np.inf, -np.inf, np.nan, 1000.0, -1000.0], dtype)
     with np.errstate(all="ignore"):
-        host = {"asin": "arcsin", "acos": "arccos", "atan": "arctan", "asinh": "arcsinh", "acosh": "arccosh", "atanh": "arctanh"}
+        host = {
+            "asin": "arcsin",
+            "acos": "arccos",
+            "atan": "arctan",
+            "asinh": "arcsinh",
+            "acosh": "arccosh",
+            "atanh": "arctanh",
+        }
         expected = 1 / (1 + np.exp(-edge)) if name == "logistic" else getattr(np, host.get(name, name))(edge)
-    np.testing.assert_allclose(lanes(kernel, edge), expected, rtol=bound * np.finfo(dtype).eps, atol=bound * np.finfo(dtype).eps)
+    np.testing.assert_allclose(
+        lanes(kernel, edge), expected, rtol=bound * np.finfo(dtype).eps, atol=bound * np.finfo(dtype).eps
+    )
 
 
 @pytest.mark.parametrize("dtype", WIDTHS)
@@ -207,9 +220,16 @@ def test_atan2_and_pow(dtype):
     a, b = pairs(EDGES, dtype)
     with np.errstate(all="ignore"):
         np.testing.assert_allclose(lanes(jnp.arctan2, a, b), np.arctan2(a, b), rtol=4 * np.finfo(dtype).eps)
-        np.testing.assert_allclose(lanes(jnp.power, a, b), np.power(a, b), rtol=4 * np.finfo(dtype).eps, atol=np.finfo(dtype).tiny)
+        np.testing.assert_allclose(
+            lanes(jnp.power, a, b), np.power(a, b), rtol=4 * np.finfo(dtype).eps, atol=np.finfo(dtype).tiny
+        )
         for power in (0.5, 1.5, -0.5, 2.0, 3.0):
-            np.testing.assert_allclose(lanes(lambda x, p=power: x**p, a), np.power(a, np.full_like(a, power)), rtol=4 * np.finfo(dtype).eps, atol=np.finfo(dtype).tiny)
+            np.testing.assert_allclose(
+                lanes(lambda x, p=power: x**p, a),
+                np.power(a, np.full_like(a, power)),
+                rtol=4 * np.finfo(dtype).eps,
+                atol=np.finfo(dtype).tiny,
+            )
 
 
 @pytest.mark.parametrize("dtype", WIDTHS)
@@ -288,8 +308,12 @@ COMPUTED = {
     "branch in a loop": lambda x, i: lax.fori_loop(
         0, 40, lambda k, c: lax.cond(c > 1, lambda c: jnp.sin(c * c) * jnp.exp(-c), lambda c: jnp.cos(c) + 0.3 * c**3, c), x[0]
     ),
-    "written at computed places": lambda x, i: jnp.zeros(300, x.dtype).at[jnp.array([7, 90, 7]) * i].add(x[:3]).at[i + 298].set(9)[::7],
-    "a window written": lambda x, i: lax.dynamic_update_slice(jnp.arange(200.0, dtype=x.dtype).reshape(20, 10), x.reshape(2, 3), (9 * i, i)),
+    "written at computed places": lambda x, i: (
+        jnp.zeros(300, x.dtype).at[jnp.array([7, 90, 7]) * i].add(x[:3]).at[i + 298].set(9)[::7]
+    ),
+    "a window written": lambda x, i: lax.dynamic_update_slice(
+        jnp.arange(200.0, dtype=x.dtype).reshape(20, 10), x.reshape(2, 3), (9 * i, i)
+    ),
     "stacked and read back": lambda x, i: lax.scan(lambda c, y: (c + y, c), x[0], jnp.tile(x, 20))[1][17 * i],
 }
 
