@@ -9,7 +9,7 @@ import jaxik
 
 FLOORS = [
     {"ball"},
-    {"algebra", "kernel", "result", "batch", "choice"},
+    {"algebra", "kernel", "result", "batch", "choice", "given"},
     {"chain", "optimise", "task"},  # optimise knows no robot: it may import the algebra alone
     {"scene", "kinematics", "reach", "mapping", "path"},
     {"spheres", "distance"},
