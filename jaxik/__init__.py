@@ -22,6 +22,7 @@ from jaxik.scan import Grasp, Weights, blockers, scan
 from jaxik.scene import Fruit, Scene, SceneBuilder, make_scene
 from jaxik.score import likely_postures, log_reach_score, reach_score
 from jaxik.spheres import link_circles, link_spheres
+from jaxik.spmd import kernel
 from jaxik.sweep import Study, Sweep, sweep
 from jaxik.task import Task
 
@@ -66,6 +67,7 @@ __all__ = [
     "harvest",
     "implicit_ik",
     "jacobian",
+    "kernel",
     "likely_postures",
     "link_circles",
     "link_frames",

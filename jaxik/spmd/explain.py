@@ -21,8 +21,8 @@ from jaxik.spmd.trace import trace
 @dataclasses.dataclass(frozen=True)
 class Explanation:
     """`operations` of one vector of lanes by kind, those of a loop counted once; `loops` with how often each turns (0: until
-    its lanes are done); `branches`; the `width` in lanes; `spilled` bytes of the stack that hold what no register had room for, and
-    what loops read by address; `bytes` of machine code; or `refused`, why the function goes to XLA."""
+    its lanes are done); `branches`; the `width` in lanes; `spilled` bytes of the stack, which hold what no register had room
+    for and what loops read by address; `bytes` of machine code; or `refused`, why the function goes to XLA."""
 
     name: str
     operations: dict[str, int]
@@ -44,8 +44,8 @@ class Explanation:
         )
         sides = f"; {self.branches} branches" if self.branches else ""
         return (
-            f"{self.name}: {sum(self.operations.values())} operations on vectors of {self.width} lanes ({counts}){turns}{sides}; "
-            f"{self.spilled} bytes of stack, {self.bytes} of machine code"
+            f"{self.name}: {sum(self.operations.values())} operations on vectors of {self.width} lanes ({counts})"
+            f"{turns}{sides}; {self.spilled} bytes of stack, {self.bytes} of machine code"
         )
 
 

@@ -73,10 +73,10 @@ class HostKernel:
 
 
 def _array(x: Any, width: Any) -> np.ndarray:
+    """Row by row in memory, floats in `width`, integers as JAX has them."""
     x = np.asarray(x)
-    if x.dtype.kind == "f":
-        return np.ascontiguousarray(x, width)
-    return np.ascontiguousarray(x, np.int32) if x.dtype.kind == "i" else np.ascontiguousarray(x)
+    kind = width if x.dtype.kind == "f" else np.int32 if x.dtype == np.int64 else x.dtype
+    return np.asarray(x, kind, order="C")
 
 
 def _run(

@@ -24,38 +24,37 @@ def kernel(function: Callable[..., Any] | None = None, *, models: int = 0) -> Ca
     """
     if function is None:
         return functools.partial(kernel, models=models)
-    known: dict[Any, tuple[Traced, Any]] = {}
+    known: dict[Any, tuple[Traced, Any, list[Any]]] = {}
 
     @functools.wraps(function)
     def call(*args: Any) -> Any:
         if jax.config.values["jax_disable_jit"]:
             return function(*args)
         fixed, rest = args[:models], args[models:]
-        model_leaves, model_tree = jax.tree_util.tree_flatten(fixed)
-        moving = [i for i, x in enumerate(model_leaves) if isinstance(x, jax.core.Tracer)]
+        numbers, model_tree = jax.tree_util.tree_flatten(fixed)
+        moving = [i for i, x in enumerate(numbers) if isinstance(x, jax.core.Tracer)]
         leaves, tree = jax.tree_util.tree_flatten(rest)
         if not all(isinstance(x, jax.Array) or np.asarray(x).dtype.kind in "biuf" for x in leaves):
             return function(*args)  # what is no number is the function's own to refuse
         leaves = [x if isinstance(x, jax.Array) else jnp.asarray(x) for x in leaves]
-        key = (
-            None if moving else (fixed, tree, tuple((x.shape, x.dtype, x.weak_type) for x in leaves), jnp.result_type(float))
-        )
-        found, more = known.get(key), []
-        operands = [*(model_leaves[i] for i in moving), *leaves]
+        operands = [*(numbers[i] for i in moving), *leaves]
+        shapes = [jax.ShapeDtypeStruct(x.shape, x.dtype, weak_type=x.weak_type) for x in operands]
+        key = None if moving else (fixed, tree, tuple((x.shape, x.dtype, x.weak_type) for x in shapes), jnp.result_type(float))
+        found = known.get(key)
         if found is None:
 
             def flat(*operands: Any) -> Any:
-                inner = list(model_leaves)
+                inner = list(numbers)
                 for i, x in zip(moving, operands, strict=False):
                     inner[i] = x
-                first = jax.tree_util.tree_unflatten(model_tree, inner) if moving else fixed
-                return function(*first, *jax.tree_util.tree_unflatten(tree, operands[len(moving) :]))
+                models = jax.tree_util.tree_unflatten(model_tree, inner) if moving else fixed
+                return function(*models, *jax.tree_util.tree_unflatten(tree, operands[len(moving) :]))
 
             flat.__name__ = getattr(function, "__name__", "a function")
-            *found, more = trace(flat, [jax.ShapeDtypeStruct(x.shape, x.dtype, weak_type=x.weak_type) for x in operands])
-            if key is not None and not more:
+            found = trace(flat, shapes)
+            if key is not None and not found[2]:  # what it closes over may be another array in the next call
                 known[key] = found
-        traced, results = found
+        traced, results, more = found
         return jax.tree_util.tree_unflatten(results, bind(traced, [*operands, *more]))
 
     return call

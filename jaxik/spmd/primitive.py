@@ -75,7 +75,8 @@ def _jvp(primals: Sequence[Any], tangents: Sequence[Any], *, traced: Traced, bat
     else:
         found = bind(traced.derivative(active), primals, batch, masks)
         outs, slopes = found[:count], found[count:]
-    results, given = [], iter(slopes)
+    results: list[Any] = []
+    given = iter(slopes)
     for aval, out in zip(traced.outputs, outs, strict=True):
         if not active or not _is_float(aval):
             results.append(ad.Zero(jax.typeof(out).to_tangent_aval()))

@@ -1,8 +1,8 @@
 """From a jaxpr of one configuration to a `Program`: every array an array of scalars, known while compiling.
 
 An array is a NumPy array of values, so reshapes, slices, stacks, transposes and gathers at constant indices are NumPy's and
-cost nothing at run time. An operand, a table of constants or what a loop stacks is an array of addresses instead, read where it is
-needed: a row of it at a loop's index is a load. One small rule a primitive, in a table; what has none is refused by name.
+cost nothing at run time. An operand, a table of constants or what a loop stacks is an array of addresses instead, read where
+it is needed: a row of it at a loop's index is a load. One small rule a primitive, in a table; what has none is refused by name.
 """
 
 from __future__ import annotations
@@ -837,25 +837,18 @@ def _platform_index(s: Scalariser, eqn: Any) -> Array:
     return s.known(np.int32(index))
 
 
-def _weight(jaxpr: Jaxpr) -> int:
-    """How many scalar operations a jaxpr is, roughly; infinite with a loop in it."""
+def _weight(jaxpr: Any) -> int:
+    """How many scalar operations a jaxpr is, roughly; more than any limit with a loop in it."""
     total = 0
     for eqn in jaxpr.eqns:
         if eqn.primitive.name in ("scan", "while"):
-            return 10**9
+            return MOST
         total += sum(int(np.prod(v.aval.shape)) for v in eqn.outvars)
-        for sub in _inner(eqn):
-            total += _weight(sub)
+        for param in eqn.params.values():
+            for each in param if isinstance(param, tuple | list) else (param,):
+                if isinstance(each, ClosedJaxpr | Jaxpr):
+                    total += _weight(getattr(each, "jaxpr", each))
     return total
-
-
-def _inner(eqn: Any) -> list[Jaxpr]:
-    found = []
-    for param in eqn.params.values():
-        for each in param if isinstance(param, tuple | list) else (param,):
-            if isinstance(each, ClosedJaxpr | Jaxpr):
-                found.append(getattr(each, "jaxpr", each))
-    return found
 
 
 @rule("cond")

@@ -161,6 +161,7 @@ def digest(closed: ClosedJaxpr) -> str:
 def _jaxpr(jaxpr: Jaxpr, content: Any) -> None:
     numbers: dict[Any, int] = {}
     number = lambda v: numbers.setdefault(v, len(numbers))
+    v: Any
     for v in (*jaxpr.constvars, *jaxpr.invars):
         content.update(f"{number(v)}:{v.aval.str_short()};".encode())
     for eqn in jaxpr.eqns:
