@@ -11,6 +11,7 @@ import importlib.metadata
 import os
 import tempfile
 import threading
+from concurrent.futures import Future
 from pathlib import Path
 from typing import Any
 
@@ -26,8 +27,8 @@ from jaxik.spmd.trace import Traced
 
 WORTH = 20_000  # operations on vectors that are worth waking a thread for, about 10 us
 GUESS = 8  # turns of a loop whose number is not known
-_lock = threading.RLock()
-_made: dict[tuple[str, tuple[bool, ...]], Made | Unsupported] = {}
+_lock = threading.Lock()
+_made: dict[tuple[str, tuple[bool, ...]], Future[Made]] = {}
 
 
 @dataclasses.dataclass(frozen=True)
@@ -86,16 +87,28 @@ def made(traced: Traced, shared: tuple[bool, ...]) -> Made:
     """The kernel; it is made if there is none. Raises `Unsupported`."""
     key = traced.digest, shared
     with _lock:
-        known = _made.get(key)
-        if known is None:
-            try:
-                known = _make(traced, shared)
-            except Unsupported as error:
-                known = error
-            _made[key] = known
-    if isinstance(known, Unsupported):
-        raise known
-    return known
+        first = key not in _made
+        promise = _made.setdefault(key, Future())
+    if first:  # other threads make others meanwhile
+        try:
+            promise.set_result(_make(traced, shared))
+        except BaseException as error:
+            promise.set_exception(error)
+            if not isinstance(error, Unsupported):
+                _made.pop(key)
+    return promise.result()
+
+
+def _after_fork() -> None:
+    """What another thread was making is nobody's now."""
+    global _lock
+    _lock = threading.Lock()
+    for key in [k for k, promise in _made.items() if not promise.done()]:
+        del _made[key]
+
+
+if hasattr(os, "register_at_fork"):
+    os.register_at_fork(after_in_child=_after_fork)
 
 
 def _make(traced: Traced, shared: tuple[bool, ...]) -> Made:

@@ -487,7 +487,7 @@ class Emitter:
         return ""
 
     def _loaded(self, v: int, kind: str, shape: str, place: str, wide: bool) -> None:
-        align = self.width * BYTES[kind] if wide else BYTES[kind]
+        align = min(self.width * BYTES[kind], 64) if wide else BYTES[kind]
         read = f"load {shape}, ptr {place}, align {align}"
         if kind == "i1":
             read = f"icmp ne {shape} {self.assign(read)}, {'zeroinitializer' if wide else '0'}"
@@ -595,7 +595,7 @@ class Emitter:
             )
             return
         place = self._address(f"%scratch{memory.number}", shape, offset, index)
-        self.line(f"store {shape} {what}, ptr {place}, align {self.width * BYTES[kind]}")
+        self.line(f"store {shape} {what}, ptr {place}, align {min(self.width * BYTES[kind], 64)}")
 
     # ----------------------------------------------------------------------------------------------------------------
     # Loops and branches
@@ -786,7 +786,7 @@ class Emitter:
         for k in range(4):
             place = self.assign(f"getelementptr <{n} x {kind}>, ptr %scratch{memory.number}, i64 {first}")
             place = self.assign(f"getelementptr <{n} x {kind}>, ptr {place}, i64 {k}")
-            columns.append(self.assign(f"load <{n} x {kind}>, ptr {place}, align {n * BYTES[memory.type]}"))
+            columns.append(self.assign(f"load <{n} x {kind}>, ptr {place}, align {min(n * BYTES[memory.type], 64)}"))
         base = self.assign(f"getelementptr {kind}, ptr %out{number}, i64 {first}")
         self._write(base, size, 0, 4, columns, kind)
         self.line(f"{step} = add i64 {at}, 4")

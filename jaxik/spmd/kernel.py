@@ -13,6 +13,8 @@ import numpy as np
 from jaxik.spmd.primitive import bind
 from jaxik.spmd.trace import Traced, trace
 
+KEPT = 256  # jaxprs of one function, of robots and shapes; their machine code is kept for good
+
 
 def kernel(function: Callable[..., Any] | None = None, *, models: int = 0) -> Callable[..., Any]:
     """The same function, compiled to one SIMD function over any batch on a CPU. Traced: `jit`, `vmap` and differentiate it.
@@ -53,6 +55,8 @@ def kernel(function: Callable[..., Any] | None = None, *, models: int = 0) -> Ca
             flat.__name__ = getattr(function, "__name__", "a function")
             found = trace(flat, shapes)
             if key is not None and not found[2]:  # what it closes over may be another array in the next call
+                if len(known) >= KEPT:
+                    known.pop(next(iter(known)))
                 known[key] = found
         traced, results, more = found
         return jax.tree_util.tree_unflatten(results, bind(traced, [*operands, *more]))

@@ -56,7 +56,7 @@ def _jit() -> Any:
         function = next((getattr(lib, name) for lib in libraries if hasattr(lib, name)), None)
         if function is not None:
             llvm().add_symbol(name, ctypes.cast(function, ctypes.c_void_p).value)
-    return llvm().create_lljit_compiler(target_machine(2), use_jit_link=False, suppress_errors=False)
+    return llvm().create_lljit_compiler(target_machine(2), use_jit_link=sys.platform != "win32", suppress_errors=False)
 
 
 def attributes() -> str:
