@@ -33,6 +33,7 @@ from jaxtyping import Bool, Float
 from jaxik.algebra import BASE, Frame, Rot3, Scalar, Vec3, add, atan2, constants, mul, safe_sqrt, shared, stack, sub, traced
 from jaxik.ball import minimum, where, whole
 from jaxik.chain import Array, Chain, as_numbers, finite_limits
+from jaxik.given import shaped
 from jaxik.kinematics import joint_frames
 
 TOLERANCE = 1e-7  # [m, rad] within which axes count as parallel, meeting or crossing
@@ -145,9 +146,12 @@ def admissible_turns(chain: Chain, q: Float[Array, " n"], lower: Any = None, upp
     """Every configuration inside the limits that differs from `q` (n,) by full turns of revolute joints. On the host.
 
     `lower` and `upper` (n,) are narrower limits than the chain's [rad, m]. A joint without both limits keeps its value.
+    Raises `ValueError` for another shape.
     """
-    q = np.asarray(q, dtype=np.float64)
-    lower, upper = chain.lower if lower is None else lower, chain.upper if upper is None else upper
+    shape = (chain.num_joints,)
+    q = shaped("admissible_turns: q", q, shape)
+    lower = chain.lower if lower is None else shaped("admissible_turns: lower", lower, shape)
+    upper = chain.upper if upper is None else shaped("admissible_turns: upper", upper, shape)
     choices = []
     for value, low, high, prismatic in zip(q, lower, upper, chain.is_prismatic, strict=True):
         if not prismatic and np.isfinite(low + high):
