@@ -219,6 +219,7 @@ def finite_range(chain: Chain, lower: Any, upper: Any) -> tuple[np.ndarray, np.n
 
 def finite_limits(chain: Chain) -> tuple[np.ndarray, np.ndarray]:
     """`finite_range` of the chain's own limits."""
+    check_kind("finite_limits", "chain", chain, Chain)
     return finite_range(chain, chain.lower, chain.upper)
 
 
@@ -243,7 +244,7 @@ def as_shaped(what: str, given: Any, shape: tuple[int, ...]) -> jax.Array:
 
 def as_configuration(chain: Chain, q: Any) -> Float[Array, " n"]:
     """`q` as a floating-point array of shape (n,), or a `ValueError` that says what was expected."""
-    check_kind("this", "chain", chain, Chain)
+    check_kind("configuration", "chain", chain, Chain)
     q = as_numbers("q", q)
     if q.shape != (chain.num_joints,):
         raise ValueError(

@@ -33,6 +33,7 @@ from jaxtyping import Bool, Float
 from jaxik.algebra import BASE, Frame, Rot3, Scalar, Vec3, add, atan2, constants, mul, safe_sqrt, shared, stack, sub, traced
 from jaxik.ball import minimum, where, whole
 from jaxik.chain import Array, Chain, as_numbers, finite_limits
+from jaxik.choice import check_kind
 from jaxik.given import shaped
 from jaxik.kinematics import joint_frames
 
@@ -183,6 +184,7 @@ def _turns(q: Any, lower: Any, upper: Any) -> tuple[Any, Any]:
 
 def closed_form_obstacle(chain: Chain) -> str:
     """Why the chain has no closed form here, or an empty string. Reads the chain's concrete numbers."""
+    check_kind("closed_form", "chain", chain, Chain)
     if chain.num_joints < 6:
         return f"it has {chain.num_joints} joints, and six revolute ones are needed"
     if any(chain.is_prismatic[-6:]):

@@ -82,7 +82,7 @@ class Job:
             if not low[i] <= value <= high[i]:
                 raise ValueError(f"locked: {name} = {value:g} is outside its limits [{low[i]:g}, {high[i]:g}]")
             low[i] = high[i] = value
-        weights = _shaped("weights", 1.0 if options.weights is None else options.weights, (n,))
+        weights = np.ones(n) if options.weights is None else _shaped("weights", options.weights, (n,), least=1)
         if not np.all((weights > 0.0) & np.isfinite(weights)):
             raise ValueError(f"weights {shown(options.weights)}: all are finite and > 0; to hold a joint still, use locked")
         check_seed("solve_ik", seed)
