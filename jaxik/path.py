@@ -122,6 +122,9 @@ def check_path(who: str, path: Path, duration: Any, rows: tuple[int, ...] = ()) 
     another shape, or that is known and not positive."""
     if not isinstance(path, Path):
         raise ValueError(f"{who}: path is {shown(path)}; allowed: a Line, an Arc, what via(poses) makes")
+    for leaf in jax.tree_util.tree_leaves(path):
+        if not isinstance(leaf, jax.Array):  # text, of which a compiled program says three pages
+            numbers(f"{who}: path", leaf)
     known = is_known(duration)
     seconds = numbers(f"{who}: duration", duration) if known else jnp.asarray(duration)
     if seconds.shape != rows or (known and not np.all((seconds > 0.0) & np.isfinite(seconds))):

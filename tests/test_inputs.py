@@ -251,6 +251,7 @@ def test_what_is_of_another_kind():
     refused("chain is 3", jaxik.closed_form_obstacle, 3)
     refused("scene is 3", jaxik.clearance, ARM, 3, ZEROS)
     refused(r"weights has shape \(\)", jaxik.solve_ik, ARM, np.eye(4), task=XY, weights=44)
+    refused("path: str", jaxik.follow, ARM, dataclasses.replace(LINE, start="here"), 1.0, ZEROS)
     refused("path is 3", jaxik.follow, ARM, 3, 1.0, ZEROS)
     refused("duration", jaxik.follow, ARM, LINE, [1.0, 1.0], ZEROS)
     refused("up", jaxik.Grasp, up=(0.0, 0.0, 2.0))
