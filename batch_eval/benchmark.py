@@ -18,7 +18,7 @@ import arm
 import fresh
 import numpy as np
 import panda
-from race import Entry, race
+from race import Entry, processor, race
 from rich.console import Console
 from rich.table import Table
 
@@ -41,14 +41,9 @@ PACKAGES = (
 
 def machine() -> dict[str, Any]:
     """The CPU and the versions."""
-    words = [line.split(":", 1)[1].strip() for line in _lines("/proc/cpuinfo") if line.startswith("model name")]
     versions = {name: importlib.metadata.version(name) for name in PACKAGES}
     cores = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count()
-    return {"cpu": words[0] if words else platform.processor(), "cores": cores, "python": platform.python_version(), **versions}
-
-
-def _lines(path: str) -> list[str]:
-    return Path(path).read_text().splitlines() if Path(path).exists() else []
+    return {"cpu": processor(), "cores": cores, "python": platform.python_version(), **versions}
 
 
 def show(work: str, entries: list[Entry]) -> list[dict[str, Any]]:

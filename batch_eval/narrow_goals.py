@@ -18,6 +18,7 @@ import jax
 import numpy as np
 from panda import ROBOTS as FOLDER
 from panda import pose_of
+from race import processor
 
 import jaxik
 
@@ -108,7 +109,7 @@ def main() -> None:
     parser.add_argument("--robots", nargs="+", choices=ROBOTS, default=list(ROBOTS))
     parser.add_argument("--out", type=Path, default=Path(__file__).with_suffix(".json"))
     arguments = parser.parse_args()
-    result: dict[str, Any] = {"jax": jax.__version__, "narrow_m": [LEAST, NARROW], "robots": {}}
+    result: dict[str, Any] = {"cpu": processor(), "jax": jax.__version__, "narrow_m": [LEAST, NARROW], "robots": {}}
     for name in arguments.robots:
         chain = robot(name)
         scene = obstacles(name, chain)

@@ -146,10 +146,21 @@ def base_markdown(result: dict[str, Any]) -> str:
     return "\n".join(lines)
 
 
+def narrow_markdown(result: dict[str, Any]) -> str:
+    """A row for each robot: goals with little room, and with more."""
+    low, high = (1000 * x for x in result["narrow_m"])
+    lines = [f"| goals among obstacles | {low:g} to {high:g} mm of room | more |", "| --- | --- | --- |"]
+    for name, rows in result["robots"].items():
+        both = [f"{row['solved']:,} of {row['goals']:,}" if (row := rows.get(kind)) else "-" for kind in ("narrow", "easy")]
+        lines.append(f"| {name} | {both[0]} | {both[1]} |")
+    return "\n".join(lines)
+
+
 TABLES = {
     "base_placement.json": base_markdown,
     "benchmark.json": markdown,
     "ik_benchmark.json": ik_markdown,
+    "narrow_goals.json": narrow_markdown,
     "nine_dof.json": nine_dof_markdown,
     "predictive_benchmark.json": predictive_markdown,
     "predictive_statistics.json": statistics_markdown,

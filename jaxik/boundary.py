@@ -21,7 +21,9 @@ import jax.numpy as jnp
 import numpy as np
 
 from jaxik.chain import Chain
-from jaxik.path import Path, check_duration, motion
+from jaxik.choice import as_count, check_finite
+from jaxik.given import shaped
+from jaxik.path import Path, check_path, motion
 from jaxik.predictive import Horizon, Prediction, RunningCost
 from jaxik.redundancy import Resolved
 
@@ -56,13 +58,17 @@ def boundary_value(
     max_nodes: int = 20000,
 ) -> Boundary:
     """Solve it over the horizon from q (n,), beginning with `guess` or, on `nodes` equal steps, with the instantaneous motion's
-    q, and u = lambda = 0. Runs on the host. Raises `ValueError` for a duration that is not positive."""
+    q, and u = lambda = 0. Runs on the host. Raises `ValueError` for a q of another shape, a duration that is not positive, a
+    path that `motion` refuses, and counts or a tolerance that are none."""
     from scipy.integrate import simpson, solve_bvp
 
-    check_duration("boundary value", duration)
+    check_path("boundary value", path, duration)
+    nodes, max_nodes = as_count("boundary value: nodes", nodes), as_count("boundary value: max_nodes", max_nodes)
+    check_finite("boundary value", np.finfo(float).eps, tolerance=tolerance)
     with jax.enable_x64(True):
+        path.pose(0.0)
         programs, world = _programs(chain, cost, horizon), (path, float(duration), () if given is None else (given,))
-        n, start = chain.num_joints, np.asarray(q, np.float64)
+        n, start = chain.num_joints, shaped("boundary value: q", q, (chain.num_joints,))
         end = horizon.dt * horizon.count
         time, first = _first(programs, world, horizon, start, end, nodes, guess)
         basis = _null_space(programs.across(world, start), n - sum(horizon.task.bound))

@@ -18,7 +18,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Bool, Float
 
-from jaxik.choice import shown
+from jaxik.choice import check_kind, shown
 from jaxik.given import rigid_frame
 
 Array = jax.Array | np.ndarray
@@ -149,8 +149,15 @@ class Chain(Constant):
     def part(self, first: int, last: int) -> Chain:
         """Joints `first` to `last - 1` as a chain of their own, with what moves with them; its base is the parent of the first.
 
-        Its tip is the last joint's frame, or the chain's own tip where it ends there.
+        Its tip is the last joint's frame, or the chain's own tip where it ends there. Raises `ValueError` for joints that the
+        chain does not have.
         """
+        whole = all(isinstance(i, int | np.integer) and not isinstance(i, bool) for i in (first, last))
+        if not (whole and 0 <= first <= last <= self.num_joints):
+            raise ValueError(
+                f"part: joints {shown(first)} to {shown(last)}; allowed: 0 <= first <= last <= {self.num_joints}, whole numbers"
+            )
+        first, last = int(first), int(last)  # the links' joints are static, and plain
         kept = [i for i, j in enumerate(self.link_joint) if first < j <= last]
         link = {old: new for new, old in enumerate(kept)}
         cut = slice(first, last)
@@ -212,6 +219,7 @@ def finite_range(chain: Chain, lower: Any, upper: Any) -> tuple[np.ndarray, np.n
 
 def finite_limits(chain: Chain) -> tuple[np.ndarray, np.ndarray]:
     """`finite_range` of the chain's own limits."""
+    check_kind("finite_limits", "chain", chain, Chain)
     return finite_range(chain, chain.lower, chain.upper)
 
 
@@ -226,8 +234,17 @@ def as_numbers(what: str, given: Any) -> jax.Array:
     return array
 
 
+def as_shaped(what: str, given: Any, shape: tuple[int, ...]) -> jax.Array:
+    """`as_numbers` of one shape. Raises `ValueError` for another."""
+    array = as_numbers(what, given)
+    if array.shape != shape:
+        raise ValueError(f"{what} has the shape {array.shape}; allowed: {shape if shape else 'one number'}")
+    return array
+
+
 def as_configuration(chain: Chain, q: Any) -> Float[Array, " n"]:
     """`q` as a floating-point array of shape (n,), or a `ValueError` that says what was expected."""
+    check_kind("configuration", "chain", chain, Chain)
     q = as_numbers("q", q)
     if q.shape != (chain.num_joints,):
         raise ValueError(

@@ -20,9 +20,28 @@ def check_finite(who: str, least: float = -math.inf, **numbers: Any) -> None:
     """Raises likewise for what is no finite number, or less than `least`."""
     for name, value in numbers.items():
         number = isinstance(value, int | float | np.integer | np.floating) and not isinstance(value, bool)
-        if not (number and math.isfinite(value) and value >= least):
+        if not (number and _is_finite(value) and value >= least):
             allowed = "a finite number" + (f" of at least {least:g}" if math.isfinite(least) else "")
             raise ValueError(f"{who}: {name} is {shown(value)}; it is {allowed}")
+
+
+def _is_finite(value: Any) -> bool:
+    try:
+        return math.isfinite(value)
+    except OverflowError:  # a whole number beyond the floats
+        return False
+
+
+def check_kind(who: str, name: str, value: Any, kind: type, optional: bool = False) -> None:
+    """Raises likewise for what is no `kind`, nor None where that is allowed."""
+    if not isinstance(value, kind) and not (optional and value is None):
+        raise ValueError(f"{who}: {name} is {shown(value)}; write a jaxik.{kind.__name__}")
+
+
+def check_seed(who: str, seed: Any) -> None:
+    """Raises likewise for what is no whole number of at least 0."""
+    if not isinstance(seed, int | np.integer) or isinstance(seed, bool) or seed < 0:
+        raise ValueError(f"{who}: seed is {shown(seed)}; it is a whole number of at least 0")
 
 
 def shown(value: Any) -> str:

@@ -31,6 +31,8 @@ from jaxtyping import Bool, Float
 from jaxik.algebra import BASE, Frame, Rot3, Scalar, Vec3, add, atan2, constants, mul, safe_sqrt, shared, stack, sub, traced
 from jaxik.ball import minimum, where, whole
 from jaxik.chain import Array, Chain, as_numbers, finite_limits
+from jaxik.choice import check_kind
+from jaxik.given import shaped
 from jaxik.kinematics import joint_frames
 from jaxik.spmd import HostKernel, kernel
 
@@ -145,9 +147,12 @@ def admissible_turns(chain: Chain, q: Float[Array, " n"], lower: Any = None, upp
     """Every configuration inside the limits that differs from `q` (n,) by full turns of revolute joints. On the host.
 
     `lower` and `upper` (n,) are narrower limits than the chain's [rad, m]. A joint without both limits keeps its value.
+    Raises `ValueError` for another shape.
     """
-    q = np.asarray(q, dtype=np.float64)
-    lower, upper = chain.lower if lower is None else lower, chain.upper if upper is None else upper
+    shape = (chain.num_joints,)
+    q = shaped("admissible_turns: q", q, shape)
+    lower = chain.lower if lower is None else shaped("admissible_turns: lower", lower, shape)
+    upper = chain.upper if upper is None else shaped("admissible_turns: upper", upper, shape)
     choices = []
     for value, low, high, prismatic in zip(q, lower, upper, chain.is_prismatic, strict=True):
         if not prismatic and np.isfinite(low + high):
@@ -179,6 +184,7 @@ def _turns(q: Any, lower: Any, upper: Any) -> tuple[Any, Any]:
 
 def closed_form_obstacle(chain: Chain) -> str:
     """Why the chain has no closed form here, or an empty string. Reads the chain's concrete numbers."""
+    check_kind("closed_form", "chain", chain, Chain)
     if chain.num_joints < 6:
         return f"it has {chain.num_joints} joints, and six revolute ones are needed"
     if any(chain.is_prismatic[-6:]):

@@ -22,6 +22,7 @@ from jaxtyping import Float
 from jaxik import distance
 from jaxik.algebra import Frame, Rot3, Vec3, shared
 from jaxik.chain import Array, Chain, as_configuration
+from jaxik.choice import check_kind
 from jaxik.kinematics import joint_frames
 from jaxik.scene import FAR, KINDS, Scene
 from jaxik.spheres import LEVELS, Skeleton, skeletons
@@ -41,6 +42,7 @@ def clearance(chain: Chain, scene: Scene | None, q: Float[Array, " n"]) -> Float
 
     Raises `ValueError` for a chain without collision geometry, or whose meshes were not read.
     """
+    check_kind("clearance", "scene", scene, Scene, optional=True)
     return _measured(chain, scene, q, [_links(chain)])[0]
 
 

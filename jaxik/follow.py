@@ -21,11 +21,12 @@ import jax.numpy as jnp
 import numpy as np
 
 from jaxik.chain import Chain
-from jaxik.choice import batch_axes, check_choices, check_each
+from jaxik.choice import batch_axes, check_choices, check_each, check_finite, check_kind, shown
 from jaxik.costs import Cost
+from jaxik.given import numbers, positive
 from jaxik.judge import Course, judge
 from jaxik.optimise import ocp
-from jaxik.path import Motion, Path, check_duration, motion
+from jaxik.path import Motion, Path, check_path, motion
 from jaxik.redundancy import FLOOR, Box, Resolved, asc, loop_gain, rac, settles
 from jaxik.result import Reason
 from jaxik.spmd import kernel
@@ -60,13 +61,18 @@ class Follow:
 
     def __post_init__(self) -> None:
         check_choices("follow", scheme=(self.scheme, Scheme), integrator=(self.integrator, ocp.Integrator))
+        check_kind("follow", "task", self.task, Task)
+        check_finite("follow", dt=self.dt, tolerance=self.tolerance, gain=0.0 if self.gain is None else self.gain)
+        check_finite("follow", 0.0, alpha=self.alpha, damping=self.damping, floor=self.floor)
+        if not isinstance(self.limits, bool | np.bool_):
+            raise ValueError(f"follow: limits is {shown(self.limits)}; allowed: True, False")
+        object.__setattr__(self, "weights", positive("follow: weights", self.weights))  # hashable: a program is made for them
+        object.__setattr__(self, "acceleration", positive("follow: acceleration [rad/s2, m/s2]", self.acceleration, True))
         if not (self.dt > 0.0 and self.tolerance > 0.0 and settles(self.gain, self.dt)):
             raise ValueError(
                 f"follow: dt {self.dt}, tolerance {self.tolerance}, gain {self.gain}; allowed: dt > 0, tolerance > 0, "
                 "0 <= gain dt < 2"
             )
-        if self.acceleration is not None and not np.all(np.asarray(self.acceleration) > 0.0):
-            raise ValueError(f"follow: acceleration {self.acceleration}; allowed: positive [rad/s2, m/s2]")
 
 
 class Followed(NamedTuple):
@@ -99,15 +105,21 @@ def follow(
     """The motion from q (n,), at rest, along `path`, timed over `duration` [s]; `cost` is what the null space goes down.
 
     With q (b, n) it is b motions in one call; `each` names what else has one entry a motion ("path", "duration").
-    Raises `ValueError` for a q of another shape, a duration that is not positive, or a name in `each` that is not known.
+    Raises `ValueError` for a q of another shape, what is no path, a duration that is not positive, weights or accelerations of
+    another length, or a name in `each` that is not known.
     """
-    q = np.asarray(q, np.float64)
+    q = numbers("follow: q", q)
     check_each("follow", each, Each)
-    check_duration("follow", duration)
+    check_path("follow", path, duration, q.shape[:1] if "duration" in each else ())
     if q.ndim not in (1, 2) or q.shape[-1] != chain.num_joints or (each and q.ndim == 1):
         raise ValueError(
             f"follow: q has the shape {q.shape}; "
             f"{chain.name} takes ({chain.num_joints},), or rows of it, as where `each` names something"
+        )
+    if isinstance(how.acceleration, tuple) and len(how.acceleration) != chain.num_joints:
+        raise ValueError(
+            f"follow: acceleration has {len(how.acceleration)} numbers; allowed: one, or one for each of the "
+            f"{chain.num_joints} joints of {chain.name}"
         )
     count = round(float(np.max(duration)) / how.dt) + 1
     axes = None if q.ndim == 1 else (0, *batch_axes(each, Each))

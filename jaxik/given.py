@@ -8,6 +8,8 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+from jaxik.choice import shown
+
 RIGID = 1e-4  # how far R'R may be from 1 in a frame that is still one: rotations in files are rounded
 
 
@@ -30,6 +32,39 @@ def shaped(what: str, given: Any, shape: tuple[int, ...]) -> np.ndarray:
     if array.shape != shape:
         raise ValueError(f"{what} of shape {array.shape}; allowed: {shape if shape else 'one number'}")
     return array
+
+
+def is_known(given: Any) -> bool:
+    """Whether nothing of it is traced."""
+    return not any(isinstance(leaf, jax.core.Tracer) for leaf in jax.tree_util.tree_leaves(given))
+
+
+def direction(what: str, given: Any) -> np.ndarray:
+    """A unit vector (3,); one that is given stays as it is, so that a file that holds it gives it back.
+
+    Raises `ValueError` for another shape, and for what has no length or is not finite.
+    """
+    axis = shaped(what, given, (3,))
+    if not np.all(np.isfinite(axis)):
+        raise ValueError(f"{what} holds {axis[~np.isfinite(axis)][0]:g}; write finite numbers, not NaN or infinity")
+    norm = float(np.linalg.norm(axis))
+    if not 1e-9 < norm < np.inf:
+        raise ValueError(f"{what} is no direction; write a unit vector such as (0, 0, 1)")
+    return axis if abs(norm - 1.0) <= 1e-15 else axis / norm
+
+
+def positive(what: str, given: Any, lone: bool = False) -> float | tuple[float, ...] | None:
+    """`given` (n,), one finite number a joint, as a tuple; where a `lone` one for all is allowed, which is a bound, infinity is
+    allowed, too. None as it is. Raises `ValueError` for another shape, and for what is not above zero.
+    """
+    if given is None:
+        return None
+    values = numbers(what, given)
+    fits = values.size > 0 and values.ndim <= 1 and (lone or (values.ndim and np.isfinite(values).all()))
+    if not (fits and (values > 0.0).all()):
+        also = "one number, or one" if lone else "one finite number"
+        raise ValueError(f"{what} is {shown(given)}; allowed: {also} a joint, all above zero")
+    return tuple(values.tolist()) if values.ndim else float(values)
 
 
 def is_rigid(frames: np.ndarray) -> np.ndarray:

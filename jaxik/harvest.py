@@ -9,6 +9,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from jaxik.chain import Chain
+from jaxik.choice import check_kind
 from jaxik.kinematics import pose_errors
 from jaxik.result import Reason
 from jaxik.scan import Blockers, Grasp, Scan, Table, Weights, blockers, grasp_poses, recover, scan
@@ -100,6 +101,7 @@ def harvest(
 
     Raises `ValueError` where the chain has no closed form or the scene no fruit. Source: Van Henten et al. 2010, sec. 4, 5.1.
     """
+    check_kind("harvest", "scene", scene, Scene)
     if not scene.fruits:
         raise ValueError(f"scene '{scene.name}' has no fruit; add one with SceneBuilder.add_fruit")
     start, rows, candidates = time.perf_counter(), [], 0

@@ -7,7 +7,7 @@ from collections.abc import Mapping
 from typing import Any, Literal
 
 from jaxik import seeds
-from jaxik.choice import as_count, check_choices, check_finite, shown
+from jaxik.choice import as_count, check_choices, check_finite, check_kind, shown
 from jaxik.costs import Cost
 from jaxik.optimise import sqp
 from jaxik.task import POSE, Task
@@ -82,8 +82,7 @@ class IKOptions:
             object.__setattr__(self, name, as_count(f"solve_ik: {name}", getattr(self, name)))
         check_finite("solve_ik", margin=self.margin)
         check_finite("solve_ik", 0.0, distinct=self.distinct, activation=self.activation, penalty=self.penalty)
-        if not isinstance(self.task, Task):
-            raise ValueError(f"solve_ik: task is {shown(self.task)}; write jaxik.Task((True, True, True, False, False, False))")
+        check_kind("solve_ik", "task", self.task, Task)
         if not isinstance(self.locked, Mapping):
             raise ValueError(f"solve_ik: locked is {shown(self.locked)}; write locked={{'joint': value}}")
         if self.reference is None and (self.choice == "closest" or self.seeds == "near"):

@@ -10,7 +10,7 @@ from jax import lax
 from jaxtyping import Float
 
 from jaxik.algebra import Frame
-from jaxik.chain import Array, Chain, as_configuration
+from jaxik.chain import Array, Chain, as_configuration, as_shaped
 from jaxik.collision import link_clearances
 from jaxik.costs import Cost
 from jaxik.kinematics import joint_frames
@@ -36,9 +36,11 @@ def implicit_ik(
     solution, where a limit or an obstacle is touched without being pushed against, or where a capsule or triangle of the robot
     leans on anything but points and spheres. Use float64. Traced: jit, vmap and differentiate it.
 
-    Source: Fiacco 1976, through `optimise.implicit`.
+    Raises `ValueError` for a target, q or margin of another shape. Source: Fiacco 1976, through `optimise.implicit`.
     """
     q = as_configuration(chain, q)
+    as_shaped("target", target, (4, 4))
+    as_shaped("margin", margin, ())
     n, dtype = chain.num_joints, q.dtype
 
     # what is traced may be differentiated; the rest stays concrete and folds, which spares half the compile time

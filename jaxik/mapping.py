@@ -11,6 +11,8 @@ import numpy as np
 from jaxtyping import Float
 
 from jaxik.chain import Array
+from jaxik.choice import as_count
+from jaxik.given import numbers
 
 
 class Mapping(NamedTuple):
@@ -29,7 +31,8 @@ def fit_mapping(image: Float[Array, " k"], field: Float[Array, " m"], degree: in
 
     Raises `ValueError` for fewer pairs than coefficients, pairs that are not finite, or too few different pixels.
     """
-    x, y = np.asarray(image, np.float64), np.asarray(field, np.float64)
+    x, y = numbers("fit_mapping: image", image), numbers("fit_mapping: field", field)
+    degree = as_count("fit_mapping: degree", degree)
     if x.shape != y.shape or x.ndim != 1:
         raise ValueError(f"fit_mapping: image has shape {x.shape} and field {y.shape}; allowed: (k,) each")
     if not np.all(np.isfinite(x)) or not np.all(np.isfinite(y)):
@@ -38,6 +41,9 @@ def fit_mapping(image: Float[Array, " k"], field: Float[Array, " m"], degree: in
         raise ValueError(
             f"fit_mapping: {len(np.unique(x))} different pixels for degree {degree}; measure at least {degree + 1}"
         )
+    with np.errstate(all="ignore"):
+        if not np.isfinite(x**degree @ x**degree) or not np.isfinite(y @ y):
+            raise ValueError(f"fit_mapping: numbers whose powers up to {degree} overflow; use smaller units")
     coefficients = np.polyfit(x, y, degree)
     left, spread = y - np.polyval(coefficients, x), y - y.mean()
     return Mapping(coefficients, float(1.0 - (left @ left) / (spread @ spread)) if spread.any() else 1.0)

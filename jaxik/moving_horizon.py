@@ -20,10 +20,11 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from jaxik.chain import Chain
+from jaxik.chain import Chain, as_shaped
+from jaxik.choice import as_count, check_finite
 from jaxik.judge import Course, judge
 from jaxik.optimise import descent
-from jaxik.path import Path, check_duration, motion
+from jaxik.path import Path, check_path, motion
 from jaxik.predictive import Horizon, RunningCost, future, objective, problem
 
 
@@ -68,8 +69,7 @@ class MovingHorizon:
     iterations: int = 1
 
     def __post_init__(self) -> None:
-        if self.iterations < 1:
-            raise ValueError(f"moving horizon: iterations {self.iterations}; allowed: 1 or more")
+        object.__setattr__(self, "iterations", as_count("moving horizon: iterations", self.iterations))
         if self.horizon.start == "free" or self.horizon.descend.direction == "lbfgs":
             raise ValueError(
                 "moving horizon: the start is where the robot is, and quasi-Newton steps do not survive a shift; allowed: "
@@ -78,16 +78,17 @@ class MovingHorizon:
 
     def start(self, q: Any) -> State:
         """At rest at q (n,), with an empty plan. Raises `ValueError` for another shape."""
-        q = jnp.array(q, jnp.result_type(float))
         n = self.chain.num_joints
-        if q.shape != (n,):
-            raise ValueError(f"moving horizon: q has the shape {q.shape}; {self.chain.name} takes ({n},)")
+        # a copy: a step uses its state up
+        q = jnp.array(as_shaped(f"moving horizon: q of {self.chain.name}", q, (n,)), jnp.result_type(float))
         plan = jnp.zeros((self.horizon.count, n), q.dtype)
         interval = jnp.array(self.horizon.descend.interval, q.dtype)
         return State(q, jnp.zeros_like(q), jnp.zeros((), q.dtype), plan, plan + 0, plan + 0, interval, jnp.zeros((), int))
 
     def step(self, state: State, path: Path, duration: Any, given: Any = None) -> tuple[State, Sample]:
-        """The next sample's state, and what to do until then. The given state is used up."""
+        """The next sample's state, and what to do until then. The given state is used up. Raises `ValueError` for what is no
+        path, and for a duration that is known and not positive."""
+        check_path("moving horizon", path, duration)
         return self._program(state, path, duration, () if given is None else (given,))
 
     @functools.cached_property
@@ -140,11 +141,13 @@ def follow_predictively(
     control: MovingHorizon, path: Path, duration: float, q: Any, given: Callable[[float], Any] | Any = None, until: Any = None
 ) -> Moved:
     """The whole motion from q (n,), to `until` [s], by default the path's end. `given` may be a function of the time [s]: of a
-    scene that moves. Raises `ValueError` for a duration that is not positive."""
-    check_duration("moving horizon", duration)
-    until = duration if until is None else until
+    scene that moves. Raises `ValueError` for what is no path, a duration that is not positive, and an `until` before the first
+    sample."""
+    check_path("moving horizon", path, duration)
     dt, horizon = control.horizon.dt, control.horizon
-    time = dt * np.arange(round(float(until) / dt))
+    until = float(duration) if until is None else until
+    check_finite("moving horizon", dt, until=until)
+    time = dt * np.arange(round(until / dt))
     state, samples = control.start(q), []
     for t in time:
         state, sample = control.step(state, path, duration, given(t) if callable(given) else given)

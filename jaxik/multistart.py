@@ -27,7 +27,7 @@ import numpy as np
 from jaxik import given, lanes, seeds
 from jaxik.batch import anew_in_forks, in_blocks, threads
 from jaxik.chain import Chain, finite_range
-from jaxik.choice import shown
+from jaxik.choice import check_finite, check_seed, shown
 from jaxik.closed_form import TURN, closed_form_obstacle, nearest_turns
 from jaxik.costs import Cost
 from jaxik.ik_options import IKOptions
@@ -77,15 +77,15 @@ class Job:
         for name, value in options.locked.items():
             if name not in chain.joint_names:
                 raise ValueError(f"locked: {chain.name} has no joint '{name}'; it has {', '.join(chain.joint_names)}")
+            check_finite("locked", **{name: value})
             i = chain.joint_names.index(name)
             if not low[i] <= value <= high[i]:
                 raise ValueError(f"locked: {name} = {value:g} is outside its limits [{low[i]:g}, {high[i]:g}]")
             low[i] = high[i] = value
-        weights = _shaped("weights", 1.0 if options.weights is None else options.weights, (n,))
+        weights = np.ones(n) if options.weights is None else _shaped("weights", options.weights, (n,), least=1)
         if not np.all((weights > 0.0) & np.isfinite(weights)):
             raise ValueError(f"weights {shown(options.weights)}: all are finite and > 0; to hold a joint still, use locked")
-        if not isinstance(seed, int | np.integer) or isinstance(seed, bool) or seed < 0:
-            raise ValueError(f"seed is {shown(seed)}; it is a whole number of at least 0")
+        check_seed("solve_ik", seed)
         tolerance = [_shaped(k, getattr(options, k), (count,)) for k in ("position_tolerance", "rotation_tolerance")]
         if not all(np.all(t > 0.0) for t in tolerance):
             raise ValueError("position_tolerance and rotation_tolerance are > 0")

@@ -19,10 +19,10 @@ import numpy as np
 from jaxtyping import Float
 
 from jaxik.algebra import Rot3
-from jaxik.chain import Array
+from jaxik.chain import Array, as_numbers
+from jaxik.choice import shown
+from jaxik.given import RIGID, direction, is_known, is_rigid, numbers, rigid_frame
 from jaxik.task import rotation_vector
-
-RIGID = 1e-4  # how far a pose may be from a rotation and a translation
 
 
 class Motion(NamedTuple):
@@ -66,6 +66,8 @@ class Arc(eqx.Module):
             "angle": (self.angle, ()),
         }
         start, centre, axis, angle = _fields("arc", **fields)
+        if is_known(self.axis):
+            axis = jnp.asarray(direction("arc: axis", self.axis), jnp.result_type(axis, float))
         turn = rotation_exp(s * angle * axis / jnp.linalg.norm(axis))
         rotation = turn @ start[:3, :3] if self.turning else start[:3, :3] + 0.0 * s
         return centre + turn @ (start[:3, 3] - centre), rotation
@@ -92,24 +94,42 @@ Path = Line | Arc | Curve
 
 
 def _fields(who: str, **fields: tuple[Any, tuple[int, ...]]) -> list[Any]:
-    """A path's arrays, `name=(value, shape)`, in that order."""
+    """A path's arrays, `name=(value, shape)`, in that order; a traced frame that is not rigid as NaN, which has a reason."""
     arrays = []
     for name, (value, shape) in fields.items():
-        arrays.append(jnp.asarray(value))
-        if arrays[-1].shape != shape:
-            raise ValueError(
-                f"{who}: {name} has the shape {arrays[-1].shape}; allowed: {shape}, or rows of it where `each` names the path"
-            )
+        what = f"{who}: {name}"
+        array = as_numbers(what, value)
+        if array.shape != shape:
+            raise ValueError(f"{what} has the shape {array.shape}; allowed: {shape}, or rows of it where `each` names the path")
+        known = is_known(value)
+        if known and not np.isfinite(np.asarray(value, np.float64)).all():
+            raise ValueError(f"{what} holds NaN or infinity; write finite numbers")
+        if shape == (4, 4):
+            array = jnp.asarray(rigid_frame(what, value)) if known else jnp.where(_is_rigid(array), array, jnp.nan)
+        arrays.append(array)
     return arrays
 
 
-def check_duration(who: str, duration: Any) -> None:
-    """Raises a `ValueError` of one line, `who` asking, for a duration, or durations, that are known and not positive."""
-    if isinstance(duration, jax.core.Tracer):
-        return
-    seconds = np.asarray(duration)
-    if seconds.dtype.kind not in "fiu" or not np.all((seconds > 0.0) & np.isfinite(seconds)):
-        raise ValueError(f"{who}: duration {duration}; allowed: a positive number of seconds")
+def _is_rigid(frame: Any) -> Any:
+    """`given.is_rigid` of a traced frame (4, 4)."""
+    x, y, z = frame[:3, :3]
+    off = jnp.stack([x @ x - 1.0, y @ y - 1.0, x @ y, *(jnp.cross(x, y) - z), *(frame[3] - jnp.array([0.0, 0.0, 0.0, 1.0]))])
+    return jnp.max(jnp.abs(off)) <= RIGID
+
+
+def check_path(who: str, path: Path, duration: Any, rows: tuple[int, ...] = ()) -> None:
+    """Raises a `ValueError` of one line, `who` asking, for what is no path, and for a duration, or one for each of `rows`, of
+    another shape, or that is known and not positive."""
+    if not isinstance(path, Path):
+        raise ValueError(f"{who}: path is {shown(path)}; allowed: a Line, an Arc, what via(poses) makes")
+    for leaf in jax.tree_util.tree_leaves(path):
+        if not isinstance(leaf, jax.Array):  # text, of which a compiled program says three pages
+            numbers(f"{who}: path", leaf)
+    known = is_known(duration)
+    seconds = numbers(f"{who}: duration", duration) if known else jnp.asarray(duration)
+    if seconds.shape != rows or (known and not np.all((seconds > 0.0) & np.isfinite(seconds))):
+        each = f" each, of shape {rows}" if rows else ""
+        raise ValueError(f"{who}: duration {shown(duration)}; allowed: a positive number of seconds{each}")
 
 
 def via(poses: Any) -> Curve:
@@ -133,25 +153,18 @@ def _via_values(poses: Any) -> tuple[np.ndarray, np.ndarray]:
     """Positions and rotation vectors from the first (k, 6), and the first rotation (3, 3)."""
     from scipy.spatial.transform import Rotation
 
-    try:
-        given = np.asarray(poses, np.float64)
-    except (TypeError, ValueError):
-        raise ValueError("via: poses are no array of numbers; allowed: (k, 4, 4) or (k, 3) with k >= 2") from None
+    given = numbers("via: poses", poses)
     if given.ndim == 2 and given.shape[1] == 3:
         given = np.tile(np.eye(4), (len(given), 1, 1)) + np.pad(given[:, :, None], ((0, 0), (0, 1), (3, 0)))
     if given.ndim != 3 or given.shape[1:] != (4, 4) or len(given) < 2:
         raise ValueError(f"via: poses of shape {np.shape(poses)}; allowed: (k, 4, 4) or (k, 3) with k >= 2")
-    with np.errstate(invalid="ignore"):
-        right = (np.linalg.det(given[:, :3, :3]) > 0.0)[:, None, None]
-        rotations = Rotation.from_matrix(np.where(right, given[:, :3, :3], np.eye(3)))  # the nearest ones
-        rigid = np.tile(np.eye(4), (len(given), 1, 1))
-        rigid[:, :3, :3], rigid[:, :3, 3] = rotations.as_matrix(), given[:, :3, 3]
-        valid = np.abs(given - rigid).max(axis=(1, 2)) <= RIGID
+    valid = is_rigid(given)
     if not np.all(valid):
         raise ValueError(
             f"via: pose {int(np.argmin(valid))} is no pose; allowed: finite, an orthonormal rotation, last row 0 0 0 1"
         )
-    first = rigid[0, :3, :3]
+    rotations = Rotation.from_matrix(given[:, :3, :3])  # the nearest ones; where one holds infinity, LAPACK does not return
+    first = rotations[0].as_matrix()
     turned = (rotations[0].inv() * rotations).as_rotvec()
     # the same rotation by the other way round is nearer to the one before where the shorter way between them passes pi
     angle = np.linalg.norm(turned, axis=1, keepdims=True)
@@ -170,10 +183,12 @@ def _via_values(poses: Any) -> tuple[np.ndarray, np.ndarray]:
 def motion(path: Path, duration: Any, t: Any) -> Motion:
     """What `path` asks at time t [s], which may be an array. Traced; `duration` > 0 [s].
 
-    Raises `ValueError` for a duration that is known not to be, and for a path whose arrays have other shapes.
+    Raises `ValueError` for a duration that is known not to be, for a path whose arrays have other shapes, and for one whose
+    frames are known and not rigid, or whose axis is no direction; where they are traced, the motion is NaN.
     """
-    check_duration("motion", duration)
-    t = jnp.asarray(t)
+    check_path("motion", path, duration)
+    t = as_numbers("motion: t", t)
+    duration = float(duration) if isinstance(duration, int) else duration  # of any size
     if t.ndim:
         return jax.vmap(lambda t: motion(path, duration, t))(t)
     x = jnp.clip(t / duration, 0.0, 1.0)

@@ -27,11 +27,12 @@ import jax.numpy as jnp
 import numpy as np
 
 from jaxik.batch import in_blocks
-from jaxik.chain import Chain
-from jaxik.choice import batch_axes, check_choices, check_each
+from jaxik.chain import Chain, as_numbers
+from jaxik.choice import as_count, batch_axes, check_choices, check_each, check_finite, check_kind, check_seed
+from jaxik.given import positive, shaped
 from jaxik.judge import Course, judge
 from jaxik.optimise import descent, ocp
-from jaxik.path import Motion, Path, check_duration, motion
+from jaxik.path import Motion, Path, check_path, motion
 from jaxik.redundancy import FLOOR, Resolved, loop_gain, resolve_velocity, settles
 from jaxik.spmd import kernel
 from jaxik.task import POSE, Task
@@ -78,10 +79,14 @@ class Horizon:
     def __post_init__(self) -> None:
         choices = {"level": (self.level, Level), "integrator": (self.integrator, ocp.Integrator), "start": (self.start, Start)}
         check_choices("horizon", **choices)
-        if not (self.dt > 0.0 and self.count >= 1 and settles(self.gain, self.dt)):
-            raise ValueError(
-                f"horizon: dt {self.dt}, count {self.count}, gain {self.gain}; allowed: dt > 0, count >= 1, 0 <= gain dt < 2"
-            )
+        check_kind("horizon", "task", self.task, Task)
+        check_finite("horizon", dt=self.dt, gain=0.0 if self.gain is None else self.gain)
+        check_finite("horizon", 0.0, floor=self.floor, tolerance=self.tolerance)
+        check_kind("horizon", "descend", self.descend, descent.Descent)
+        object.__setattr__(self, "count", as_count("horizon: count", self.count))
+        object.__setattr__(self, "weights", positive("horizon: weights", self.weights))  # hashable: a program is made for them
+        if not (self.dt > 0.0 and settles(self.gain, self.dt)):
+            raise ValueError(f"horizon: dt {self.dt}, gain {self.gain}; allowed: dt > 0, 0 <= gain dt < 2")
 
     def resolve(self, chain: Chain, q: Any, asked: Motion, u: Any, gain: float | None = None) -> Resolved:
         """`resolve_velocity` with these options; with another `gain` if one is given."""
@@ -224,18 +229,19 @@ def predict(
     with a leading axis b, and each is what it is alone; `each` names what else has one entry a scenario ("path", "duration",
     "guess", "given").
 
-    Raises `ValueError` for a q or guess of another shape, a duration that is not positive, or another name in `each`.
+    Raises `ValueError` for a q, guess or weights of another shape, what is no path, a duration that is not positive, or another
+    name in `each`.
     """
-    q = jnp.asarray(q, jnp.result_type(float))
+    q = as_numbers("predict: q", q).astype(jnp.result_type(float))
     rows = horizon.count + (horizon.start == "free")
     shape = (rows, chain.num_joints)
     check_each("predict", each, Each)
-    check_duration("predict", duration)
+    check_path("predict", path, duration, q.shape[:1] if "duration" in each else ())
     many = q.ndim == 2
     if guess is None:
         w = jnp.zeros(shape, q.dtype)
     else:
-        w = jnp.asarray(guess, q.dtype)
+        w = as_numbers("predict: guess", guess).astype(q.dtype)
         if horizon.start == "free" and w.shape[-2:] == (horizon.count, chain.num_joints):
             w = jnp.concatenate([jnp.zeros_like(w[..., :1, :]), w], axis=-2)
     wanted = (q.shape[0], *shape) if "guess" in each else shape
@@ -278,9 +284,13 @@ def multistart(
     """`predict` from `starts` first inputs, the best first: 0, and smooth random ones, for the global picture.
 
     A random input is a sum of the first five cosines of the horizon, of random amplitudes [`spread` rad/s2 or rad/s] that fall
-    with their frequency, so that it moves the arm and does not shake it.
+    with their frequency, so that it moves the arm and does not shake it. Raises `ValueError` as `predict` does, and for a
+    number of starts, a spread or a seed that is none.
     """
     count, n = horizon.count, chain.num_joints
+    q, starts = shaped("multistart: q", q, (n,)), as_count("multistart: starts", starts)
+    check_finite("multistart", 0.0, spread=spread)
+    check_seed("multistart", seed)
     rng = np.random.default_rng(seed)
     order = np.arange(5)
     waves = np.cos(np.pi * order[:, None] * (np.arange(count) + 0.5) / count)

@@ -24,11 +24,14 @@ from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
+import numpy as np
 from jaxtyping import Float
 
 from jaxik.algebra import Frame, Scalar, add, mul, shared, stack, sub
-from jaxik.chain import Array, Chain, as_configuration
+from jaxik.chain import Array, Chain, as_configuration, as_shaped
+from jaxik.choice import shown
 from jaxik.costs import Cost
+from jaxik.given import is_known
 from jaxik.kinematics import bias_acceleration, jacobian_columns, joint_frames
 from jaxik.optimise.linear import damped_solve, dot
 from jaxik.path import Motion
@@ -79,12 +82,14 @@ def resolve_velocity(
     """The joint velocities that follow `motion` and otherwise come nearest to u [rad/s, m/s], by the norm of `weights` (n,).
 
     `gain` [1/s] pulls the tip back to its path. `box` holds what the velocities must lie between. Traced. Raises `ValueError`
-    for a q of another shape.
+    for an array of another shape, and for weights that are known and not above zero.
     """
     q = as_configuration(chain, q)
     at = _At(chain, q, motion, task)
-    wanted = [sub(v, mul(gain, e)) for v, e in zip(at.components(motion.velocity), at.error, strict=True)]
-    return at.resolved(wanted, jnp.asarray(u, q.dtype), weights, floor, box)
+    as_shaped("gain", gain, ())
+    asked = at.components("velocity", motion.velocity)
+    wanted = [sub(v, mul(gain, e)) for v, e in zip(asked, at.error, strict=True)]
+    return at.resolved(wanted, u, weights, floor, box)
 
 
 def resolve_acceleration(
@@ -102,19 +107,19 @@ def resolve_acceleration(
     """The joint accelerations that follow `motion` and otherwise come nearest to u [rad/s2, m/s2].
 
     `gains` (K [1/s2], K' [1/s]) pull the tip back to its path; K' = 2 sqrt(K) without overshoot. `box` holds what the
-    accelerations must lie between. Traced.
+    accelerations must lie between. Traced. Raises `ValueError` as `resolve_velocity` does.
     """
     q = as_configuration(chain, q)
     at = _At(chain, q, motion, task)
-    qdot = jnp.asarray(qdot, q.dtype)
+    qdot = as_shaped("qdot", qdot, q.shape).astype(q.dtype)
     rates = [qdot[i] for i in range(chain.num_joints)]
-    bias = at.components(bias_acceleration(chain, q, qdot))
-    asked, now = at.components(motion.acceleration), at.components(motion.velocity)
+    bias = at.components("bias", bias_acceleration(chain, q, qdot))
+    asked, now = at.components("acceleration", motion.acceleration), at.components("velocity", motion.velocity)
     wanted = []
     for a, v, row, e, b in zip(asked, now, at.rows, at.error, bias, strict=True):
         slow = sub(v, dot(row, rates))
         wanted.append(sub(add(a, mul(gains[1], slow)), add(mul(gains[0], e), b)))
-    return at.resolved(wanted, jnp.asarray(u, q.dtype), weights, floor, box)
+    return at.resolved(wanted, u, weights, floor, box)
 
 
 def rmrc(chain: Chain, q: Float[Array, " n"], motion: Motion, **options: Any) -> Resolved:
@@ -147,7 +152,7 @@ def rac(
     **options: Any,
 ) -> Resolved:
     """Resolved acceleration control: down the gradient of `cost`, the null-space velocity damped by `damping` [1/s]."""
-    u = _downhill(chain, q, cost, alpha, weights) - damping * jnp.asarray(qdot)
+    u = _downhill(chain, q, cost, alpha, weights) - damping * as_configuration(chain, qdot)
     return resolve_acceleration(chain, q, qdot, motion, u, weights=weights, **options)
 
 
@@ -155,24 +160,33 @@ def _downhill(chain: Chain, q: Any, cost: Cost | None, alpha: float, weights: An
     if cost is None:
         return jnp.zeros(chain.num_joints)
     slope = jax.grad(cost)(as_configuration(chain, q))
-    return -alpha * (slope if weights is None else slope / jnp.asarray(weights, slope.dtype))
+    as_shaped("alpha", alpha, ())
+    return -alpha * (slope if weights is None else slope / _weights(chain, weights).astype(slope.dtype))
+
+
+def _weights(chain: Chain, weights: Any) -> jax.Array:
+    """One above zero a joint (n,), as far as they are known."""
+    array = as_shaped(f"weights of the joints of {chain.name}", weights, (chain.num_joints,))
+    if is_known(weights) and not np.all((np.asarray(weights) > 0.0) & np.isfinite(np.asarray(weights))):
+        raise ValueError(f"weights {shown(weights)}: all are finite and > 0")
+    return array
 
 
 class _At:
     """A configuration on scalars: the task's rows of the Jacobian and its error."""
 
     def __init__(self, chain: Chain, q: Any, motion: Motion, task: Task):
-        self.task, self.dtype, self.n = task, q.dtype, chain.num_joints
-        pose = jnp.asarray(motion.pose, q.dtype)
+        self.chain, self.task, self.dtype, self.n = chain, task, q.dtype, chain.num_joints
+        pose = as_shaped("pose", motion.pose, (4, 4)).astype(q.dtype)
         self.target = Frame.of_entries([pose[i, j] for i in range(4) for j in range(4)])
         frames = joint_frames(chain, [q[i] for i in range(self.n)], dtype=q.dtype)
         self.rows = shared(task.rows(jacobian_columns(chain, frames), self.target), True)
         position, rotation = task.residual(frames.tip, self.target)
         self.error = position + rotation
 
-    def components(self, twist: Any) -> list[Scalar]:
+    def components(self, what: str, twist: Any) -> list[Scalar]:
         """Of a twist (6,) in base axes those that the task binds."""
-        twist = jnp.asarray(twist, self.dtype)
+        twist = as_shaped(what, twist, (6,)).astype(self.dtype)
         return [row[0] for row in self.task.rows([tuple(twist[i] for i in range(6))], self.target)]
 
     def resolved(self, wanted: Sequence[Scalar], u: Any, weights: Any, floor: float, box: Box | None) -> Resolved:
@@ -182,6 +196,9 @@ class _At:
         (saturation in the null space [Flacco, De Luca, Khatib 2012], all that leave at once).
         """
         n, m = self.n, len(self.rows)
+        u = as_shaped("u", u, (n,)).astype(self.dtype)
+        if weights is not None:
+            _weights(self.chain, weights)
         inverse: list[Scalar] = [1.0] * n if weights is None else [1.0 / weights[i] for i in range(n)]
         free = [u[i] for i in range(n)]
         if box is None:

@@ -22,10 +22,11 @@ import numpy as np
 
 from jaxik.batch import in_blocks
 from jaxik.chain import Chain
-from jaxik.choice import as_count_or_values
+from jaxik.choice import as_count_or_values, check_finite, check_kind, shown
 from jaxik.closed_form import BRANCHES, closed_form_obstacle, closed_forms
 from jaxik.collision import check_geometry, clearance, object_clearances, self_clearance
 from jaxik.costs import joint_freedom
+from jaxik.given import shaped
 from jaxik.kinematics import jacobian
 from jaxik.leading import grid, leading_grid
 from jaxik.result import Reason
@@ -51,8 +52,8 @@ class Weights:
     reach: float = 0.075
 
     def __post_init__(self) -> None:
-        finite = np.isfinite([self.clearance, self.freedom, self.reach]).all()
-        if not (finite and self.clearance >= 0.0 and self.freedom >= 0.0 and self.reach > 0.0):
+        check_finite("weights", **dataclasses.asdict(self))
+        if not (self.clearance >= 0.0 and self.freedom >= 0.0 and self.reach > 0.0):
             raise ValueError(f"weights {self}: clearance and freedom are >= 0 and reach > 0, all finite numbers")
 
     def score(self, clearance: np.ndarray, freedom: np.ndarray) -> np.ndarray:
@@ -63,11 +64,21 @@ class Weights:
 class Grasp:
     """How the tip meets a fruit: its direction `up` (tip frame) lies along the fruit's axis, `approach` points at the fruit.
 
-    The default is the gripper of (5) in Van Henten et al. 2010: the tool's x-axis points down the fruit.
+    The default is the gripper of (5) in Van Henten et al. 2010: the tool's x-axis points down the fruit. Raises `ValueError`
+    for what are no unit vectors at a right angle.
     """
 
     up: tuple[float, float, float] = (-1.0, 0.0, 0.0)
     approach: tuple[float, float, float] = (0.0, 0.0, 1.0)
+
+    def __post_init__(self) -> None:
+        up, approach = (shaped(f"grasp: {name}", getattr(self, name), (3,)) for name in ("up", "approach"))
+        unit = np.allclose([np.linalg.norm(up), np.linalg.norm(approach)], 1.0, atol=1e-6)
+        if not (unit and abs(up @ approach) <= 1e-6):
+            raise ValueError(
+                f"grasp: up {shown(self.up)} and approach {shown(self.approach)} are no unit vectors at a right angle; "
+                "write e.g. up = (-1, 0, 0), approach = (0, 0, 1)"
+            )
 
 
 class Table(NamedTuple):
@@ -197,9 +208,13 @@ def scan(
     `angles` and `slides` are counts or the values themselves, (m,) [rad] and (m, k) [m, rad]; of one slide (m,) too. The fruit
     itself is no obstacle. A candidate is SOLVED in `status` with at least `margin` [m] of clearance.
 
-    Raises `ValueError` where the chain has no closed form, or nothing to collide with, and for what is neither a count nor
-    values.
+    Raises `ValueError` where the chain has no closed form, or nothing to collide with, for what is neither a count nor values,
+    and for a fruit, weights, grasp or margin that is none.
     """
+    check_kind("scan", "fruit", fruit, Fruit)
+    check_kind("scan", "weights", weights, Weights, optional=True)
+    check_kind("scan", "grasp", grasp, Grasp, optional=True)
+    check_finite("scan", margin=margin)
     reason = closed_form_obstacle(chain)
     if reason:
         raise ValueError(f"{chain.name}: a scan needs the closed form, and {reason}")
@@ -437,6 +452,8 @@ def blockers(chain: Chain, scene: Scene, found: Scan, margin: float = 0.005) -> 
     A posture opens exactly when all that it touches is removed; so the smallest set is the smallest of the sets that the
     candidates touch, no search needed. Of equal sets the one with the most clearance to what stays is taken.
     """
+    check_kind("blockers", "found", found, Scan)
+    check_finite("blockers", margin=margin)
     if not len(found.table.q):
         return Blockers((), (), None, None)
     distance, own = in_blocks(_contacts(chain), found.table.q, fixed=(_others(scene, found.fruit),), size=MEASURED)

@@ -16,7 +16,8 @@ import numpy as np
 from jaxtyping import Float
 
 from jaxik.chain import Array
-from jaxik.given import numbers, rigid_frame, shaped
+from jaxik.choice import shown
+from jaxik.given import direction, numbers, rigid_frame, shaped
 
 LIMIT = 100.0  # [m] that anything may be away or long; a crop or a cell is smaller, one in millimetres is not
 FAR = 1e6  # [m] where padding stands: exact in float32 as a square, and far beyond LIMIT
@@ -179,7 +180,7 @@ class SceneBuilder:
     def add(self, name: str, removable: Any = True, **obstacles: Any) -> None:
         """An object of `points` (k, 3), `spheres` (k, 4) centre and radius, `capsules` (k, 7) both ends and radius, `boxes`
         (pairs of a (4, 4) frame and three edges), `cylinders` (triples of a (4, 4) frame, radius and length)."""
-        self._put(name, removable, _each(f"object '{name}': ", obstacles))
+        self._put(name, removable, _each(f"object '{shown(name)}': ", obstacles))
 
     def add_fruit(
         self,
@@ -192,9 +193,9 @@ class SceneBuilder:
     ) -> None:
         """A fruit; with a `radius` its body, hanging `length` below `position`, is an obstacle to all others. A body of another
         form is given as `obstacles`, by the keywords of `add`."""
-        who = f"fruit '{name}': "
+        who = f"fruit '{shown(name)}': "
         top = _in_metres(f"{who}position", shaped(f"{who}position", position, (3,)))
-        up, long, thick = _direction(f"{who}axis", axis), _size(f"{who}length", length), _size(f"{who}radius", radius)
+        up, long, thick = direction(f"{who}axis", axis), _size(f"{who}length", length), _size(f"{who}radius", radius)
         rows = _each(who, obstacles)
         if thick > 0.0:
             rows["capsules"] = np.concatenate([hanging(top, up, long, thick)[None], rows.get("capsules", np.zeros((0, 7)))])
@@ -203,10 +204,10 @@ class SceneBuilder:
 
     def _put(self, name: str, removable: Any, rows: dict[str, np.ndarray]) -> None:
         if _word("object", name) in self.names:
-            raise ValueError(f"object '{name}': the name stands twice; give each its own")
+            raise ValueError(f"object '{shown(name)}': the name stands twice; give each its own")
         if not isinstance(removable, bool | np.bool_):  # an array in this place were obstacles that never come
             what = type(removable).__name__
-            raise ValueError(f"object '{name}': removable is {what}; allowed: True, False; obstacles go by keyword")
+            raise ValueError(f"object '{shown(name)}': removable is {what}; allowed: True, False; obstacles go by keyword")
         for kind, values in rows.items():
             self.rows[kind].append(values)
             self.owners[kind] += [len(self.names)] * len(values)
@@ -327,18 +328,7 @@ def _in_metres(what: str, values: np.ndarray, sizes: int = 0) -> np.ndarray:
     return values
 
 
-def _direction(what: str, given: Any) -> np.ndarray:
-    """A unit vector (3,); one that is given stays as it is, so that a file that holds it gives it back."""
-    axis = shaped(what, given, (3,))
-    if not np.all(np.isfinite(axis)):
-        raise ValueError(f"{what} holds {axis[~np.isfinite(axis)][0]:g}; write finite numbers, not NaN or infinity")
-    norm = float(np.linalg.norm(axis))
-    if not 1e-9 < norm < np.inf:
-        raise ValueError(f"{what} is no direction; write a unit vector such as (0, 0, 1)")
-    return axis if abs(norm - 1.0) <= 1e-15 else axis / norm
-
-
 def _word(what: str, name: Any) -> str:
     if not isinstance(name, str) or name.splitlines() != [name]:
-        raise ValueError(f"{what}: the name {name!r} is not one line of text; write a word")
+        raise ValueError(f"{what}: the name {shown(repr(name))} is not one line of text; write a word")
     return name

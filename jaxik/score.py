@@ -18,9 +18,11 @@ import numpy as np
 from jaxtyping import Float
 
 from jaxik.batch import in_blocks
-from jaxik.chain import Array, Chain, finite_limits
+from jaxik.chain import Array, Chain, as_numbers, as_shaped, finite_limits
+from jaxik.choice import as_count, check_finite
 from jaxik.closed_form import BRANCHES, closed_forms
 from jaxik.collision import check_geometry, clearance
+from jaxik.given import numbers
 from jaxik.kinematics import forward_kinematics, jacobian
 from jaxik.leading import arm_of, leading_grid
 from jaxik.scene import Scene
@@ -62,13 +64,20 @@ def log_reach_score(
     temperature: Any = 0.05,
 ) -> Float[Array, ""]:
     """The logarithm of `reach_score`: what to add up over targets and climb, for it has a slope metres away too, where the
-    score itself is 0 to the last bit."""
+    score itself is 0 to the last bit. Raises `ValueError` for other shapes."""
+    poses, q = as_numbers("poses", poses), as_numbers("q", q)
+    if poses.shape != (*q.shape[:1], 4, 4) or q.shape[1:] != (chain.num_joints,) or not len(q):
+        raise ValueError(
+            f"poses {poses.shape} and q {q.shape}; {chain.name} takes (k, 4, 4) and (k, {chain.num_joints}), k >= 1"
+        )
+    as_shaped("margin", margin, ())
+    as_shaped("temperature", temperature, ())
     varied, fixed = eqx.partition(chain, lambda leaf: isinstance(leaf, jax.Array))
     # one copy of what is differentiated for each posture: backward, one sum over them instead of one for each use of a number,
     # which compiles three times as fast
     own = jax.tree_util.tree_map(lambda leaf: jnp.broadcast_to(leaf, (len(q), *leaf.shape)), varied)
     each = jax.vmap(lambda own, pose, posture: _worth(eqx.combine(own, fixed), scene, pose, posture, margin, temperature))
-    best = temperature * jax.nn.logsumexp(each(own, jnp.asarray(poses), jnp.asarray(q)) / temperature)
+    best = temperature * jax.nn.logsumexp(each(own, poses, q) / temperature)
     return jax.nn.log_sigmoid(best / WIDTH)
 
 
@@ -109,7 +118,8 @@ def likely_postures(
     A host function for chains with a closed form; others take the answers of `solve_ik`. Raises `ValueError` where the chain
     has none, or no pose is one.
     """
-    poses = np.asarray(poses, np.float64)
+    poses, count = numbers("poses", poses), as_count("likely_postures: count", count)
+    check_finite("likely_postures", margin=margin)
     if poses.ndim != 3 or poses.shape[1:] != (4, 4) or not np.isfinite(poses).all(axis=(1, 2)).any():
         raise ValueError(f"poses of shape {poses.shape} hold no finite frame; give (a, 4, 4), world_T_tip")
     if scene is not None:

@@ -18,6 +18,7 @@ from jaxtyping import Float
 
 from jaxik.algebra import BASE, Frame, Scalar, Vec3, shared
 from jaxik.chain import Array, Box, Chain, Volume, as_configuration, finite_limits
+from jaxik.choice import as_count
 from jaxik.kinematics import joint_frames
 
 LEVELS = {1: 0, 8: 1, 64: 2, 512: 3}
@@ -128,6 +129,7 @@ def link_circles(chain: Chain, q: Float[Array, " n"], circles: int = 11, around:
     lines = [v for v in chain.volumes if v.corners.shape[0] == 2]
     if not lines:
         raise ValueError(f"{chain.name}: has no cylindrical link; add capsules to its file")
+    circles, around = as_count("link_circles: circles", circles), as_count("link_circles: around", around)
     q = as_configuration(chain, q)
     root = Frame.of(chain.world_T_base, float(np.finfo(q.dtype).eps))
     frames = (root, *joint_frames(chain, [q[i] for i in range(chain.num_joints)], root, q.dtype).joints)

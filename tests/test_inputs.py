@@ -129,3 +129,132 @@ def test_options(name, value):
 def test_options_that_are_numpy_s():
     options = jaxik.IKOptions(max_seeds=np.int64(3), margin=np.float32(0.5), task=jaxik.Task([True] * 3 + [0] * 3))
     assert dataclasses.replace(options, max_seeds=3).max_seeds == 3 and options.task.bound == (True,) * 3 + (False,) * 3
+
+
+XY = jaxik.Task((True, True, False, False, False, False), "base")
+LINE = jaxik.Line(np.eye(4), np.eye(4))
+MIRRORED, SCALED = np.diag([1.0, 1.0, -1.0, 1.0]), np.diag([2.0, 2.0, 2.0, 1.0])
+HORIZON = jaxik.Horizon(0.1, 2, task=XY)
+COST = jaxik.quadratic_cost()
+NOW = jaxik.motion(LINE, 1.0, 0.5)
+ZEROS = np.zeros(2)
+
+
+def refused(words, function, *given, **options):
+    """In one line that says so."""
+    with jax.enable_x64(True), pytest.raises(ValueError, match=words) as error:
+        function(*given, **options)
+    assert "\n" not in str(error.value) and len(str(error.value)) < 400
+
+
+@pytest.mark.parametrize("made", [jaxik.Follow, jaxik.Horizon])
+@pytest.mark.parametrize("weights", [(1.0, -1.0), (1.0, 0.0), (1.0, np.nan), (1.0, np.inf), 2.0, (), [[1.0, 1.0]], "12"])
+def test_weights_are_above_zero(made, weights):
+    refused("weights", made, weights=weights)
+
+
+def test_weights_and_accelerations_are_one_a_joint():
+    """Those of joints that a chain does not have were left out without a word."""
+    for weights in ((1.0,), (1.0, 2.0, 3.0)):
+        follow = jaxik.Follow(dt=0.1, task=XY, weights=weights)
+        refused(r"weights .* planar2 .*; allowed: \(2,\)", jaxik.follow, ARM, LINE, 1.0, ZEROS, how=follow)
+        horizon = dataclasses.replace(HORIZON, weights=weights)
+        refused(r"weights .* planar2 .*; allowed: \(2,\)", jaxik.predict, ARM, LINE, 1.0, ZEROS, COST, horizon)
+        hasty = jaxik.Follow(dt=0.1, task=XY, acceleration=weights)
+        refused("one for each of the 2 joints", jaxik.follow, ARM, LINE, 1.0, ZEROS, how=hasty)
+    for each in ((1.0, -1.0), (1.0, np.nan), 0.0, ()):
+        refused("acceleration", jaxik.Follow, acceleration=each)
+    lists = jaxik.Follow(weights=[1, 2], acceleration=np.array([1.0, np.inf]))  # programs are kept by it
+    assert hash(lists) == hash(jaxik.Follow(weights=(1.0, 2.0), acceleration=(1.0, np.inf)))
+
+
+@pytest.mark.parametrize("frame", [MIRRORED, SCALED, np.full((4, 4), np.nan)])
+def test_a_path_of_no_rigid_frame(frame):
+    """It was followed, as what it is not; where it is traced it has a reason."""
+    refused("line: end", jaxik.motion, jaxik.Line(np.eye(4), frame), 1.0, 0.5)
+    refused("arc: start", jaxik.motion, jaxik.Arc(frame, np.zeros(3), np.ones(3), 1.0), 1.0, 0.5)
+    moved = jaxik.follow(ARM, jaxik.Line(np.eye(4), frame), 0.2, ZEROS + 0.1, how=jaxik.Follow(dt=0.1, task=XY))
+    assert moved.reason == jaxik.Reason.INVALID
+    traced = jax.jit(lambda path: jaxik.motion(path, 1.0, 1.0).pose)
+    assert not np.isfinite(traced(jaxik.Line(np.eye(4), frame))).any(axis=1)[:3].any()
+    assert np.array_equal(traced(LINE), np.eye(4))
+
+
+@pytest.mark.parametrize("entry", [1e300, np.inf, np.nan, -1.0])
+def test_a_curve_through_no_pose(entry):
+    """Of one that held infinity the nearest rotation was looked for, without end."""
+    poses = np.stack([np.eye(4)] * 2)
+    poses[1, :2, :2], poses[1, :3, 3] = [[0.8, -0.6], [0.6, 0.8]], 1.0
+    poses[1, 0, 0] = entry
+    refused("via: pose 1 is no pose", jaxik.via, poses)
+
+
+def test_an_arc_about_no_axis():
+    for axis in (np.zeros(3), [np.nan, 0.0, 1.0]):
+        refused("arc: axis", jaxik.motion, jaxik.Arc(np.eye(4), np.zeros(3), axis, 1.0), 1.0, 0.5)
+
+
+@cheap
+@given(st.sampled_from((jaxik.Follow, jaxik.Horizon, jaxik.Descent, jaxik.Weights, jaxik.Grasp)), st.data())
+def test_options_of_motions_and_scans(made, data):
+    """None is a truth value where a number stands, not a number, or a task that is none."""
+    field = data.draw(st.sampled_from([f for f in dataclasses.fields(made) if f.name != "limits"]))
+    value = data.draw(ANYTHING)
+    options = answer(lambda: made(**{field.name: value}))
+    if options is not None:
+        hash(options)  # programs are kept by it
+        assert not isinstance(value, bool) and (value is None or not np.isnan(np.asarray(value, float)).any())
+
+
+@cheap
+@given(st.sampled_from(("q", "u", "weights", "pose", "velocity", "gain")), ANYTHING)
+def test_resolved_rates(name, value):
+    """Of an array that was too long the rest was left out."""
+    shapes = {"pose": (4, 4), "velocity": (6,), "gain": ()}
+    if plain(value, *shapes.get(name, (2,))) or (name == "weights" and value is None):
+        return
+    moved = NOW._replace(**{name: value}) if name in ("pose", "velocity") else NOW
+    given = {"q": ZEROS, "motion": moved, "u": ZEROS, "task": XY} | ({} if moved is not NOW else {name: value})
+    assert answer(lambda: jaxik.resolve_velocity(ARM, **given)) is None
+
+
+@cheap
+@given(ANYTHING)
+def test_other_arrays_and_counts(value):
+    pairs, poses = [1.0, 2.0, 3.0, 4.0], np.tile(np.eye(4), (2, 1, 1))
+    calls = {
+        (4,): [lambda: jaxik.fit_mapping(value, pairs), lambda: jaxik.fit_mapping(pairs, value)],
+        (2,): [lambda: jaxik.admissible_turns(ARM, value), lambda: jaxik.MovingHorizon(ARM, COST, HORIZON).start(value)],
+        (2, 7): [lambda: jaxik.reach_score(P6R, None, poses, value)],
+        (4, 4): [lambda: jaxik.implicit_ik(ARM, value, ZEROS, task=XY)],
+    }
+    for shape, each in calls.items():
+        assert plain(value, *shape) or [answer(call) for call in each] == [None] * len(each)
+    if not plain(value) or np.asarray(value).dtype.kind not in "iu" or value < 1:
+        counts = [lambda: jaxik.fit_mapping(pairs, pairs, value), lambda: jaxik.MovingHorizon(ARM, COST, HORIZON, value)]
+        counts += [lambda: jaxik.multistart(ARM, LINE, 1.0, ZEROS, COST, HORIZON, value)]
+        counts += [lambda: jaxik.link_circles(jaxik.load("pendulum4"), np.zeros(4), value)]
+        assert [answer(call) for call in counts] == [None] * len(counts)
+    if not isinstance(value, int) or not 0 <= value <= 7:
+        assert answer(P6R.part, value, 7) is None or isinstance(value, np.integer)
+
+
+def test_what_is_of_another_kind():
+    fruit = jaxik.load_scene("cucumber_row").fruits[0]
+    for kind in ("weights", "grasp"):
+        refused(f"{kind} is False; write a jaxik", jaxik.scan, P6R, SCENE, fruit, 2, 2, **{kind: False})
+    refused("margin is nan", jaxik.scan, P6R, SCENE, fruit, 2, 2, margin=np.nan)
+    refused("fruit is 3", jaxik.scan, P6R, SCENE, 3)
+    refused("scene is 3", jaxik.harvest, P6R, 3)
+    refused("chain is 3", jaxik.forward_kinematics, 3, ZEROS)
+    refused("chain is 3", jaxik.finite_limits, 3)
+    refused("chain is 3", jaxik.closed_form_obstacle, 3)
+    refused("scene is 3", jaxik.clearance, ARM, 3, ZEROS)
+    refused(r"weights has shape \(\)", jaxik.solve_ik, ARM, np.eye(4), task=XY, weights=44)
+    refused("path: str", jaxik.follow, ARM, dataclasses.replace(LINE, start="here"), 1.0, ZEROS)
+    refused("path is 3", jaxik.follow, ARM, 3, 1.0, ZEROS)
+    refused("duration", jaxik.follow, ARM, LINE, [1.0, 1.0], ZEROS)
+    refused("up", jaxik.Grasp, up=(0.0, 0.0, 2.0))
+    refused("margin", jaxik.IKOptions, margin=10**400)
+    refused("no such shipped", jaxik.load, "x" * 300)
+    refused("overflow", jaxik.fit_mapping, [1.0, 2.0, 1e300, 4.0], [1.0, 2.0, 3.0, 4.0])

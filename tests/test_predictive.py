@@ -96,7 +96,7 @@ def turned(*degrees):
     ("poses", "words"),
     [
         (np.zeros((1, 3)), "via: poses of shape \\(1, 3\\); allowed: .* k >= 2"),
-        ([[0.0, 0.0, 0.0], [1.0, 1.0]], "via: poses are no array of numbers"),
+        ([[0.0, 0.0, 0.0], [1.0, 1.0]], "via: poses: list that is no array of numbers"),
         (np.zeros((3, 3)), "via: points 0 and 1 are equal; leave one out"),
         ([[0.0, 0.0, 0.0], [1.0, 0.0, 0.0], [np.nan, 0.0, 0.0]], "via: pose 2 is no pose; .*finite"),
         ([[0.0, 0.0, 0.0], [np.inf, 0.0, 0.0]], "via: pose 1 is no pose; .*finite"),

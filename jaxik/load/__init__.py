@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 import dataclasses
+import os
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from jaxik.chain import Chain
+from jaxik.choice import shown
 from jaxik.given import rigid_frame
 from jaxik.load import scene as scene_files
 from jaxik.load.mjcf import load_mjcf
@@ -77,7 +79,7 @@ def _locate(source: str | Path, what: str = "robot") -> Path:
     folder = models_folder() / "scenes" if what == "scene" else models_folder()
     shipped = {p.stem: p for p in sorted(folder.glob("*.toml"))}
     if str(source) not in shipped:
-        if path.exists():
+        if os.path.exists(path):  # of a name that no file can have, too
             return path  # to be told that a file needs an ending
-        raise LoadError(str(source), what, f"no such shipped {what}", f"shipped: {', '.join(shipped)}; or give a file")
+        raise LoadError(shown(source), what, f"no such shipped {what}", f"shipped: {', '.join(shipped)}; or give a file")
     return shipped[str(source)]

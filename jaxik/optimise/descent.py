@@ -38,7 +38,8 @@ import jax.numpy as jnp
 from jax import lax
 
 from jaxik.algebra import ratio
-from jaxik.choice import check_choices
+from jaxik.choice import as_count, check_choices, check_finite, shown
+from jaxik.given import numbers
 
 Direction = Literal["steepest", "hestenes_stiefel", "fletcher_reeves", "polak_ribiere", "hager_zhang", "lbfgs"]
 Search = Literal["fixed", "backtracking", "polynomial", "secant"]
@@ -71,11 +72,17 @@ class Descent:
 
     def __post_init__(self) -> None:
         check_choices("descent", direction=(self.direction, Direction), search=(self.search, Search))
-        positive = self.iterations >= 1 and self.trials >= 1 and self.tolerance >= 0.0 and self.step > 0.0
-        if not (positive and 0.0 < self.rho < 1.0):
-            raise ValueError(f"descent: {self}: iterations, trials >= 1, tolerance >= 0, step > 0, 0 < rho < 1")
-        if not 0.0 < self.interval[0] < self.interval[1]:
-            raise ValueError(f"descent: interval {self.interval}; allowed: 0 < first < last")
+        for name in ("iterations", "trials", "memory"):
+            object.__setattr__(self, name, as_count(f"descent: {name}", getattr(self, name)))
+        check_finite("descent", 0.0, tolerance=self.tolerance, step=self.step, armijo=self.armijo, rho=self.rho)
+        if self.restart != float("inf"):  # never
+            check_finite("descent", 0.0, restart=self.restart)
+        if not (self.step > 0.0 and 0.0 < self.rho < 1.0):
+            raise ValueError(f"descent: step {self.step}, rho {self.rho}; allowed: step > 0, 0 < rho < 1")
+        interval = numbers("descent: interval", self.interval)
+        if interval.shape != (2,) or not 0.0 < interval[0] < interval[1] < float("inf"):
+            raise ValueError(f"descent: interval {shown(self.interval)}; allowed: 0 < first < last")
+        object.__setattr__(self, "interval", tuple(interval.tolist()))
 
 
 _SHARES = 1e-6, 1e3  # of the first interval: how far a polynomial's may shrink and grow

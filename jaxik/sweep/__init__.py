@@ -17,6 +17,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from jaxik.choice import shown
 from jaxik.result import Reason
 from jaxik.sweep.answers import answer
 from jaxik.sweep.audit import audit
@@ -100,7 +101,7 @@ def _shard(shard: str | tuple[int, int]) -> tuple[int, int]:
             return first, every
     except (TypeError, ValueError):
         pass
-    raise ValueError(f"shard {shard}: write i/n with 1 <= i <= n")
+    raise ValueError(f"shard {shown(shard)}: write i/n with 1 <= i <= n")
 
 
 def _intact(store: Store, number: int, repair: bool) -> bool:
