@@ -9,8 +9,9 @@ import jaxik
 
 FLOORS = [
     {"ball"},
-    {"spmd", "given"},  # the compiler knows no robot
+    {"spmd"},  # the compiler knows no robot
     {"algebra", "result", "batch", "choice"},
+    {"given"},
     {"chain", "optimise", "task"},  # optimise knows no robot: it may import the algebra alone
     {"scene", "kinematics", "reach", "mapping", "path"},
     {"spheres", "distance"},

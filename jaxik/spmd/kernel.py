@@ -53,7 +53,10 @@ def kernel(function: Callable[..., Any] | None = None, *, models: int = 0) -> Ca
                 return function(*models, *jax.tree_util.tree_unflatten(tree, operands[len(moving) :]))
 
             flat.__name__ = getattr(function, "__name__", "a function")
-            found = trace(flat, shapes)
+            try:
+                found = trace(flat, shapes)
+            except (TypeError, ValueError):
+                return function(*args)  # says what is wrong in its own words, of what was given
             if key is not None and not found[2]:  # what it closes over may be another array in the next call
                 if len(known) >= KEPT:
                     known.pop(next(iter(known)))
