@@ -37,8 +37,7 @@ print(json.dumps({"candidates": found.status.size, "before_bytes": before, "peak
 
 def _run(*arguments: str, cache: str | None = None) -> tuple[str, float]:
     environment = {**os.environ, "MPLBACKEND": "Agg"}
-    if cache:
-        environment["XDG_CACHE_HOME"] = cache
+    environment |= {"XDG_CACHE_HOME": cache} if cache else {"JAXIK_CACHE": "off"}
     start = time.perf_counter()
     done = subprocess.run([sys.executable, *arguments], env=environment, capture_output=True, text=True, check=True)
     return done.stdout, time.perf_counter() - start

@@ -10,6 +10,7 @@ from jaxik.ik import IKResult, solve_ik
 from jaxik.ik_options import IKOptions
 from jaxik.implicit import implicit_ik
 from jaxik.kinematics import bias_acceleration, forward_kinematics, jacobian, link_frames, manipulability
+from jaxik.lanes import descend
 from jaxik.load import load, load_scene, load_targets
 from jaxik.mapping import fit_mapping
 from jaxik.moving_horizon import MovingHorizon, follow_predictively
@@ -59,6 +60,7 @@ __all__ = [
     "clearance",
     "closed_form",
     "closed_form_obstacle",
+    "descend",
     "finite_limits",
     "fit_mapping",
     "follow",

@@ -9,12 +9,12 @@ from typing import Any, Literal
 from jaxik import seeds
 from jaxik.choice import as_count, check_choices, check_finite, check_kind, shown
 from jaxik.costs import Cost
+from jaxik.lanes import SEARCH
 from jaxik.optimise import sqp
 from jaxik.task import POSE, Task
 
 Choice = Literal["first", "closest", "clearance", "manipulability", "freedom", "comfort"]
 Collision = Literal["constraint", "penalty"]
-SEARCH = sqp.Options()
 AVOID = sqp.Options(passes=3)
 IMPROVE = sqp.Options(hessian="bfgs", merit="augmented_lagrangian", floor=1e-10, passes=3)
 

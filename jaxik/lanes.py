@@ -13,17 +13,19 @@ from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
+from jaxtyping import Float
 
 from jaxik.algebra import Frame, Scalar, add, mul, shared, stack
-from jaxik.chain import Chain
+from jaxik.chain import Array, Chain, as_configuration
+from jaxik.choice import as_count
 from jaxik.collision import clearance, link_contacts
 from jaxik.costs import Cost, collision_cost
 from jaxik.kinematics import jacobian_columns, joint_frames
 from jaxik.optimise import sqp
 from jaxik.optimise.qp import NONE, Rows
 from jaxik.reach import reach
-from jaxik.spmd.host import HostKernel
-from jaxik.task import Task
+from jaxik.spmd import HostKernel, kernel
+from jaxik.task import POSE, Task
 
 
 class Landed(NamedTuple):
@@ -45,11 +47,36 @@ class Extras(NamedTuple):
 
 
 NOTHING = Extras()
+SEARCH = sqp.Options()
 
 
 def unit_length(chain: Chain) -> float:
     """The length [m] that counts as much as a radian."""
     return reach(chain, False).length / 3.0
+
+
+def descend(
+    chain: Chain,
+    target: Float[Array, "4 4"],
+    q: Float[Array, " n"],
+    task: Task = POSE,
+    iterations: int = 20,
+    options: sqp.Options = SEARCH,
+) -> Landed:
+    """`iterations` SQP steps from the seed q (n,) towards `base_T_tip = target` (4, 4) [m], inside the chain's limits. Traced.
+
+    One lane of what `solve_ik` makes of many seeds, for control loops and pipelines of one's own: `jit` and `vmap` it. Nothing
+    is judged but by the errors it returns: where they are not small, another seed is wanted. For the derivative of a
+    solution `implicit_ik` needs none of the steps. Raises `ValueError` for a q of another shape.
+    """
+    return _descend(chain, task, as_count("iterations", iterations), options, jnp.asarray(target), as_configuration(chain, q))
+
+
+@kernel(models=4)
+def _descend(chain: Chain, task: Task, iterations: int, options: sqp.Options, target: Any, q: Any) -> Landed:
+    low, high = jnp.asarray(chain.lower, q.dtype), jnp.asarray(chain.upper, q.dtype)
+    start, weights = jnp.clip(q, low, high), jnp.ones_like(q)
+    return _land(chain, task, iterations, options, NOTHING, start, target.astype(q.dtype), low, high, weights)
 
 
 @functools.lru_cache(maxsize=64)

@@ -511,3 +511,20 @@ def _at(x, y, z):
     frame = np.eye(4)
     frame[:3, 3] = x, y, z
     return frame
+
+
+def test_a_descent_may_be_traced(panda):
+    """From seeds near by, in a batch, inside jit; judged by Pinocchio."""
+    rng = np.random.default_rng(11)
+    q = rng.uniform(*joint_range(panda), (64, 7))
+    poses = np.array([pinocchio(panda)(x) for x in q])
+    near = np.clip(q + rng.uniform(-0.2, 0.2, q.shape), panda.lower, panda.upper)
+    found = jax.jit(jax.vmap(lambda t, x: jaxik.descend(panda, t, x)))(poses, near)
+    assert np.all((found.q >= panda.lower) & (found.q <= panda.upper))
+    landed = np.asarray(found.position_error) < 1e-6
+    assert landed.mean() > 0.9
+    for target, x, e in zip(poses[landed], np.asarray(found.q)[landed], np.asarray(found.position_error)[landed], strict=True):
+        position, _ = pose_errors(pinocchio(panda)(x), target)
+        assert position == pytest.approx(e, abs=1e-9)
+    with pytest.raises(ValueError, match=r"descend.*implicit_ik"):
+        jax.jit(lambda t: jaxik.solve_ik(panda, t).q)(poses[0])
