@@ -57,7 +57,7 @@ def in_blocks(
     count, wide = len(columns[0]), jnp.result_type(float) == np.float64 if double is None else double
     if isinstance(function, HostKernel):
         try:
-            return function.run(*columns, *fixed, double=wide, threads=threads(), team=cores())
+            return function.run(*columns, *fixed, double=double, threads=threads(), team=cores())
         except Unsupported:
             function = function.by_xla
 

@@ -2,7 +2,7 @@
 
 A seed has a number. Which configuration number k is depends on the target and on the user's `seed`, never on the batch.
 
-library          the nearest to the target, by pose, of 4096 (later 1024) configurations whose poses were computed once;
+library          the nearest to the target, by pose, of 1024 (later 512) configurations whose poses were computed once;
                  number k searches the k-th such set. A search from there succeeds about twice as often as from a random
                  configuration, and sooner.
 uniform          independent and uniform inside the limits
@@ -14,22 +14,24 @@ closed_form      the branches of the closed form for one position of the leading
 from __future__ import annotations
 
 import functools
-from typing import Literal, NamedTuple
+from typing import Any, Literal, NamedTuple
 
+import jax
+import jax.numpy as jnp
 import numpy as np
 
 from jaxik.batch import in_blocks
 from jaxik.chain import Chain, read_only
 from jaxik.closed_form import BRANCHES, closed_forms
 from jaxik.kinematics import joint_frames
+from jaxik.spmd import HostKernel
 from jaxik.task import Task
 
 Strategy = Literal["auto", "library", "uniform", "low_discrepancy", "near", "closed_form"]
-FIRST, LATER = 4096, 1024  # configurations of the first set, which every target asks, and of those after it
+FIRST, LATER = 1024, 512  # configurations of the first set, which every target asks, and of those after it
 SETS = 8  # sets; later numbers are uniform
 STREAM = 0x6A6178  # so that no user's own default_rng(seed) draws the same numbers: a test's targets would be in the library
-BLOCK = 64  # targets at a time, so that the distances to a set stay in the cache (1 MB)
-PIECE = 256  # of the set a product: BLAS makes one of this size on one core, and after a larger one keeps the others spinning
+BLOCK = 64  # targets at a time where XLA has to do it
 
 
 class Range(NamedTuple):
@@ -83,7 +85,7 @@ def _features(task: Task, poses: np.ndarray, length: float) -> np.ndarray:
 
 
 class _Set(NamedTuple):
-    """Configurations (m, n), and for `f` their features the table (f', -|f|^2/2)': its product with (g, 1) is largest where
+    """Configurations (m, n), and for `f` their features the table (f, -|f|^2/2): its product with (g, 1) is largest where
     |f - g| is least."""
 
     q: np.ndarray
@@ -97,25 +99,30 @@ def _library(chain: Chain, task: Task, inside: Range, length: float, number: int
     tip = joint_frames(chain, list(q.T)).tip
     poses = np.stack([np.broadcast_to(e, (size,)) for e in tip.entries], axis=-1).reshape(-1, 4, 4)
     features = _features(task, poses, length)
-    return read_only(_Set(q.astype(np.float32), np.vstack([features.T, -0.5 * np.sum(features**2, axis=1)])))
+    return read_only(_Set(q.astype(np.float32), np.column_stack([features, -0.5 * np.sum(features**2, axis=1)])))
 
 
 def nearest(chain: Chain, task: Task, inside: Range, length: float, number: int, poses: np.ndarray) -> np.ndarray:
     """For each pose (N, 4, 4) the configuration (N, n) of set `number` that is nearest to it."""
     known = _library(chain, task, inside, length, number)
-    # whole blocks, whatever N is: a product's rounding then does not depend on the batch
-    wanted = np.ones((-(-len(poses) // BLOCK), BLOCK, len(known.table)), np.float32)
-    wanted.reshape(-1, len(known.table))[: len(poses), :-1] = _features(task, poses, length)
-    products = np.empty((BLOCK, len(known.q)), np.float32)
-    pieces = [(known.table[:, i : i + PIECE], products[:, i : i + PIECE]) for i in range(0, len(known.q), PIECE)]
+    (found,) = in_blocks(NEAREST, _features(task, poses, length), fixed=(known.table,), size=BLOCK, double=False)
+    return known.q[found]
 
-    def first_nearest(block: np.ndarray) -> np.ndarray:
-        for table, product in pieces:
-            np.matmul(block, table, out=product)
-        return np.argmax(products, axis=1)
 
-    found = [first_nearest(block) for block in wanted]
-    return known.q[np.concatenate(found)[: len(poses)]]
+def _first_largest(wanted: Any, table: Any) -> Any:
+    """The row of the table (m, f + 1) whose product with (wanted, 1) is largest; of equal ones the first."""
+
+    def turn(best: Any, row: Any) -> Any:
+        k, entries = row
+        value = entries[:-1] @ wanted + entries[-1]
+        better = value > best[0]
+        return (jnp.where(better, value, best[0]), jnp.where(better, k, best[1])), None
+
+    start = jnp.asarray(-jnp.inf, wanted.dtype), jnp.int32(0)
+    return jax.lax.scan(turn, start, (jnp.arange(len(table), dtype=jnp.int32), table), unroll=4)[0][1]
+
+
+NEAREST = HostKernel(_first_largest, 1)
 
 
 # --------------------------------------------------------------------------------------------------------------------

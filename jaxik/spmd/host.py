@@ -29,14 +29,20 @@ class HostKernel:
     def __call__(self, *args: Any) -> Any:
         """By a kernel, or by XLA where there is none, in the width that JAX is set to here."""
         try:
-            return self.run(*args, double=jax.dtypes.canonicalize_dtype(float) == np.float64)
+            return self.run(*args)
         except Unsupported:
             return self.by_xla(*args)
 
-    def run(self, *args: Any, double: bool, threads: ThreadPoolExecutor | None = None, team: int = 1) -> list[np.ndarray]:
-        """Its results' leaves, each with a row a row; `team` threads of the pool and this one share the work.
+    def run(
+        self, *args: Any, double: bool | None = None, threads: ThreadPoolExecutor | None = None, team: int = 1
+    ) -> list[np.ndarray]:
+        """Its results' leaves, each with a row a row; `team` threads of the pool and this one share the work. `double` says in
+        which width; None is that of the rows, as JAX would take them here.
 
         Raises `Unsupported`."""
+        if double is None:
+            floats = [x.dtype for x in map(np.asarray, args[: self.lanes]) if x.dtype.kind == "f"]
+            double = jax.dtypes.canonicalize_dtype(np.result_type(*floats, np.float32)) == np.float64
         width = np.float64 if double else np.float32
         shared, tree = jax.tree_util.tree_flatten(args[self.lanes :])
         operands = [_array(x, width) for x in (*args[: self.lanes], *shared)]
