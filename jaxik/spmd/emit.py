@@ -506,11 +506,9 @@ class Emitter:
         return self.assign(f"getelementptr {shape}, ptr {place}, i64 {offset}") if offset else place
 
     def _column(self, memory: Memory, offset: int) -> str:
-        """A lane's own operand: four columns at a time, each row's four read together and transposed."""
+        """A lane's own operand: a few columns at a time, which each row gives together, transposed."""
         size, kind = self.sizes[memory.number], memory.type
-        here = min(4, size)
-        if here == 3:
-            here = 2
+        here = self.together(size)
         first = min(offset - offset % here, size - here)
         known = self.rows.get((memory.number, first))
         if known is None:
@@ -737,7 +735,7 @@ class Emitter:
                 due.setdefault(row.after, []).append((number, 0, 0))
                 continue
             size = len(row)
-            count = {1: 1, 2: 2, 3: 2}.get(size, 4)
+            count = self.together(size)
             starts = sorted({min(s, size - count) for s in range(0, size, count)}) if size else []
             blocks += [(number, s, count) for s in starts]
         for number, first, count in blocks:
@@ -772,24 +770,29 @@ class Emitter:
             text.append(f"@table{k} = private unnamed_addr constant [{table.size} x {stored(kind)}] [{entries}], align 64")
         return "\n".join([*text, *sorted(self.declared)])
 
+    def together(self, size: int) -> int:
+        """How many columns of a row of `size` are transposed together: 1, 2 or 4, and no more than there are lanes."""
+        return {1: 1, 2: 2, 3: 2}.get(min(size, self.width), 4)
+
     def _copied(self, number: int, memory: Memory) -> None:
-        """A lane's scratch into its row, in a loop over four columns at a time; the last four may have been copied before."""
+        """A lane's scratch into its row, in a loop over a few columns at a time; the last may have been copied before."""
         kind, n, size = stored(memory.type), self.width, memory.size
+        count = self.together(size)
         before, head, end = self.block, self.label("copy"), self.label("copied")
         self.line(f"br label %{head}")
         self.start(head)
         at = self.fresh()
         step = self.fresh()
         self.line(f"{at} = phi i64 [ 0, %{before} ], [ {step}, %{head} ]")
-        first = self.assign(f"call i64 @llvm.umin.i64(i64 {at}, i64 {size - 4})")
+        first = self.assign(f"call i64 @llvm.umin.i64(i64 {at}, i64 {size - count})")
         columns = []
-        for k in range(4):
+        for k in range(count):
             place = self.assign(f"getelementptr <{n} x {kind}>, ptr %scratch{memory.number}, i64 {first}")
             place = self.assign(f"getelementptr <{n} x {kind}>, ptr {place}, i64 {k}")
             columns.append(self.assign(f"load <{n} x {kind}>, ptr {place}, align {min(n * BYTES[memory.type], 64)}"))
         base = self.assign(f"getelementptr {kind}, ptr %out{number}, i64 {first}")
-        self._write(base, size, 0, 4, columns, kind)
-        self.line(f"{step} = add i64 {at}, 4")
+        self._write(base, size, 0, count, columns, kind)
+        self.line(f"{step} = add i64 {at}, {count}")
         more = self.assign(f"icmp ult i64 {step}, {size}")
         self.line(f"br i1 {more}, label %{head}, label %{end}")
         self.start(end)
