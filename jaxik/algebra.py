@@ -25,6 +25,7 @@ import numpy as np
 from jax import lax
 
 from jaxik.ball import Ball, direction
+from jaxik.spmd.elementary import ATAN, COS, HALF_PI, SIN
 from jaxik.spmd.trace import tracing
 
 Scalar = Any  # float | jax.Array of shape () | np.ndarray | Ball
@@ -250,37 +251,6 @@ def _fence_jvp(derivative: bool, primals: Any, tangents: Any) -> Any:
 # --------------------------------------------------------------------------------------------------------------------
 # Elementary functions
 
-# Coefficients: Chebyshev interpolants in u = r^2, computed in 60-digit arithmetic, of
-#   (sin(r)/r - 1)/u and (cos(r) - 1 + u/2)/u^2 on |r| <= pi/4,  (atan(r)/r - 1)/u on |r| <= tan(pi/8).
-# Their own error is below 4e-8 (float32) and 1e-17 (float64) of the result.
-_SIN = {
-    4: (-0.166666646617146985, 0.00833274815408503215, -0.000195878657021018751),
-    8: (
-        *(-0.166666666666666646, 0.00833333333333094729, -0.000198412698367567725),
-        *(2.75573161016178744e-6, -2.50511316502351815e-8, 1.59181152632659752e-10),
-    ),
-}
-_COS = {
-    4: (0.0416666646589014037, -0.00138883029191136328, 0.0000245479168536910169),
-    8: (
-        *(0.0416666666666666654, -0.00138888888888873965, 0.0000248015872987645608),
-        *(-2.7557317271145146e-7, 2.08761461465586116e-9, -1.13826236474746046e-11),
-    ),
-}
-_ATAN = {
-    4: (-0.333332865464485786, 0.199912353380514267, -0.140240965910966664, 0.0852027782802816339),
-    8: (
-        *(-0.333333333333333302, 0.199999999999955165, -0.142857142846656808, 0.111111110151870187),
-        *(-0.0909090457530648908, 0.0769218312537689209, -0.066645105255089366, 0.0585814090486632828),
-        *(-0.0508540783458948426, 0.0392304477847930952, -0.0191754047111049337),
-    ),
-}
-# pi/2 in parts, the first two short enough that k times them is exact for |k| < 2^13 (float32) and 2^20 (float64)
-# [Cody and Waite, Software Manual for the Elementary Functions, 1980].
-_HALF_PI = {
-    4: (1.5703125, 4.837512969970703125e-4, 7.5497899548918821692e-8),
-    8: (1.57079632673412561417, 6.07710050630396597660e-11, 2.0222662487959507324e-21),
-}
 _TAN_PI_8 = math.sqrt(2.0) - 1.0
 
 
@@ -301,11 +271,11 @@ def _sincos_polynomial(x: jax.Array) -> tuple[jax.Array, jax.Array]:
     size = x.dtype.itemsize
     k = lax.round(x * (2.0 / math.pi), lax.RoundingMethod.TO_NEAREST_EVEN)
     r = x
-    for part in _HALF_PI[size]:
+    for part in HALF_PI[size]:
         r = r - k * part
     u = r * r
-    sin = r + r * u * _horner(u, _SIN[size])
-    cos = 1.0 - 0.5 * u + u * u * _horner(u, _COS[size])
+    sin = r + r * u * _horner(u, SIN[size])
+    cos = 1.0 - 0.5 * u + u * u * _horner(u, COS[size])
     quadrant = k.astype(jnp.int32)
     odd = (quadrant & 1) == 1
     s, c = jnp.where(odd, cos, sin), jnp.where(odd, sin, cos)
@@ -346,7 +316,7 @@ def _atan2_polynomial(y: jax.Array, x: jax.Array) -> jax.Array:
     far = small > _TAN_PI_8 * large
     ratio = jnp.where(far, small - large, small) / jnp.where(far, small + large, jnp.where(large == 0.0, 1.0, large))
     u = ratio * ratio
-    angle = ratio + ratio * u * _horner(u, _ATAN[y.dtype.itemsize])
+    angle = ratio + ratio * u * _horner(u, ATAN[y.dtype.itemsize])
     angle = jnp.where(far, math.pi / 4 + angle, angle)
     angle = jnp.where(ay > ax, math.pi / 2 - angle, angle)
     angle = jnp.where(jnp.signbit(x), math.pi - angle, angle)

@@ -216,21 +216,21 @@ def cbrt(x: Any) -> Any:
 
 # Chebyshev interpolants in u = r^2, computed in 60-digit arithmetic, of (sin(r)/r - 1)/u and (cos(r) - 1 + u/2)/u^2 on
 # |r| <= pi/4, and (atan(r)/r - 1)/u on |r| <= tan(pi/8). Their own error is below 4e-8 (float32) and 1e-17 (float64).
-_SIN = {
+SIN = {
     4: (-0.166666646617146985, 0.00833274815408503215, -0.000195878657021018751),
     8: (
         *(-0.166666666666666646, 0.00833333333333094729, -0.000198412698367567725),
         *(2.75573161016178744e-6, -2.50511316502351815e-8, 1.59181152632659752e-10),
     ),
 }
-_COS = {
+COS = {
     4: (0.0416666646589014037, -0.00138883029191136328, 0.0000245479168536910169),
     8: (
         *(0.0416666666666666654, -0.00138888888888873965, 0.0000248015872987645608),
         *(-2.7557317271145146e-7, 2.08761461465586116e-9, -1.13826236474746046e-11),
     ),
 }
-_ATAN = {
+ATAN = {
     4: (-0.333332865464485786, 0.199912353380514267, -0.140240965910966664, 0.0852027782802816339),
     8: (
         *(-0.333333333333333302, 0.199999999999955165, -0.142857142846656808, 0.111111110151870187),
@@ -239,7 +239,7 @@ _ATAN = {
     ),
 }
 # pi/2 in parts, the first two short enough that k times them is exact for |k| < 2^13 (float32) and 2^20 (float64)
-_HALF_PI = {
+HALF_PI = {
     4: (1.5703125, 4.837512969970703125e-4, 7.5497899548918821692e-8),
     8: (1.57079632673412561417, 6.07710050630396597660e-11, 2.0222662487959507324e-21),
 }
@@ -251,11 +251,11 @@ def sincos(x: Any) -> tuple[Any, Any]:
     size, kind = x.dtype.itemsize, x.dtype.type
     k = lax.round(x * kind(2.0 / math.pi), lax.RoundingMethod.TO_NEAREST_EVEN)
     r = x
-    for part in _HALF_PI[size]:
+    for part in HALF_PI[size]:
         r = r - k * kind(part)
     u = r * r
-    sin = r + r * u * _polynomial(u, _SIN[size])
-    cos = 1 - kind(0.5) * u + u * u * _polynomial(u, _COS[size])
+    sin = r + r * u * _polynomial(u, SIN[size])
+    cos = 1 - kind(0.5) * u + u * u * _polynomial(u, COS[size])
     quadrant = k.astype(np.int32)
     odd = (quadrant & 1) == 1
     s, c = jnp.where(odd, cos, sin), jnp.where(odd, sin, cos)
@@ -290,7 +290,7 @@ def atan2(y: Any, x: Any) -> Any:
     below = jnp.where(far, small + large, jnp.where(large == 0, kind(1), large))
     ratio = jnp.where(large == np.inf, kind(0) * small, jnp.where(far, small - large, small) / below)
     u = ratio * ratio
-    angle = ratio + ratio * u * _polynomial(u, _ATAN[x.dtype.itemsize])
+    angle = ratio + ratio * u * _polynomial(u, ATAN[x.dtype.itemsize])
     angle = jnp.where(far, kind(math.pi / 4) + angle, angle)
     angle = jnp.where(ay > ax, kind(math.pi / 2) - angle, angle)
     angle = jnp.where(jnp.signbit(x), kind(math.pi) - angle, angle)

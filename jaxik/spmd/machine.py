@@ -1,4 +1,4 @@
-"""From text to machine code: this machine's target, LLVM through llvmlite, and compiled objects kept on disk."""
+"""From text to machine code: this machine's target, LLVM through llvmlite, objects linked into the process."""
 
 from __future__ import annotations
 
