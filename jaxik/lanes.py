@@ -36,6 +36,15 @@ class Landed(NamedTuple):
     rotation_error: Any
 
 
+class Settled(NamedTuple):
+    """Where a lane of a search came to rest, after how many steps."""
+
+    q: Any
+    position_error: Any
+    rotation_error: Any
+    iterations: Any
+
+
 class Extras(NamedTuple):
     """What a lane minds beside its target: user's cost, and obstacles as a constraint or a penalty. Hashable: a program's
     key."""
@@ -86,6 +95,12 @@ def landing(chain: Chain, task: Task, iterations: int, options: sqp.Options, ext
 
 
 @functools.lru_cache(maxsize=64)
+def settling(chain: Chain, task: Task, options: sqp.Options) -> HostKernel:
+    """A batch of `sqp.settle`: (q, pose, lower, upper, weights, most, aim, creep) -> `Settled`; q and pose by rows."""
+    return HostKernel(functools.partial(_settle, chain, task, options), 2)
+
+
+@functools.lru_cache(maxsize=64)
 def clearances(chain: Chain) -> HostKernel:
     """A batch of `clearance`: (q, scene)."""
     return HostKernel(lambda q, scene: clearance(chain, scene, q), 1)
@@ -105,12 +120,43 @@ def _land(
     scene: Any = None,
     margin: Any = None,
 ) -> Landed:
-    n, dtype = chain.num_joints, q.dtype
+    problem = _problem(chain, task, extras, pose, weights, scene, margin, q.dtype)
+    return Landed(*_apart(chain, task, *sqp.run(problem, q, low, high, iterations, options)))
+
+
+def _settle(
+    chain: Chain,
+    task: Task,
+    options: sqp.Options,
+    q: Any,
+    pose: Any,
+    low: Any,
+    high: Any,
+    weights: Any,
+    most: Any,
+    aim: Any,
+    creep: Any,
+) -> Settled:
+    problem = _problem(chain, task, NOTHING, pose, weights, None, None, q.dtype)
+    found, apart, count = sqp.settle(problem, jnp.clip(q, low, high), low, high, most, aim, creep, options)
+    return Settled(*_apart(chain, task, found, apart), count)
+
+
+def _apart(chain: Chain, task: Task, found: Any, apart: Any) -> tuple[Any, Any, Any]:
+    """A configuration, and from its equations' values the errors [m], [rad]."""
+    places = len(task.positions)
+    return found, jnp.linalg.norm(apart[:places]) * unit_length(chain), jnp.linalg.norm(apart[places:])
+
+
+def _problem(
+    chain: Chain, task: Task, extras: Extras, pose: Any, weights: Any, scene: Any, margin: Any, dtype: Any
+) -> sqp.Problem:
+    """The tip at `pose`, and what `extras` mind, as equations, cost and inequalities of the joints."""
+    n = chain.num_joints
     scale = 1.0 / unit_length(chain)
     metric = [
         [weights[i] * (scale**2 if chain.is_prismatic[i] else 1.0) if i == j else 0.0 for j in range(n)] for i in range(n)
     ]
-
     target = Frame.of_entries([pose[i, j] for i in range(4) for j in range(4)])
 
     def model(x: Sequence[Scalar]) -> sqp.Model:
@@ -123,9 +169,7 @@ def _land(
         cost, gradient, inequality = _beside(chain, extras, x, scene, margin, scale, dtype)
         return sqp.Model(cost, gradient, equality, inequality)
 
-    found, apart = sqp.run(sqp.Problem(model, metric), q, low, high, iterations, options)
-    places = len(task.positions)
-    return Landed(found, jnp.linalg.norm(apart[:places]) / scale, jnp.linalg.norm(apart[places:]))
+    return sqp.Problem(model, metric)
 
 
 def _beside(

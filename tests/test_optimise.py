@@ -8,7 +8,7 @@ from scipy.optimize import lsq_linear, minimize
 
 from jaxik import spmd
 from jaxik.optimise import descent, sqp
-from jaxik.optimise.linear import cholesky_solve
+from jaxik.optimise.linear import definite_solve
 from jaxik.optimise.qp import NONE, Rows, solve
 
 
@@ -21,11 +21,11 @@ def rows(value, matrix):
 
 
 @pytest.mark.parametrize("n", [1, 2, 6, 9])
-def test_cholesky_solve(n):
+def test_definite_solve(n):
     rng = np.random.default_rng(n)
     a = rng.normal(size=(n, n))
     a, b = jnp.asarray(a @ a.T + np.eye(n)), jnp.asarray(rng.normal(size=n))
-    x = cholesky_solve([scalars(row) for row in a], scalars(b), 1e-12)
+    x = definite_solve([scalars(row) for row in a], scalars(b), 1e-12)
     np.testing.assert_allclose(jnp.stack(x), np.linalg.solve(a, b), rtol=1e-10)
 
 

@@ -10,7 +10,6 @@ from collections.abc import Callable, Sequence
 from typing import Any
 
 import jax.numpy as jnp
-from jax import lax
 
 from jaxik.algebra import Scalar, add, mul, shared, sub
 
@@ -36,10 +35,10 @@ def full(lower: Matrix) -> list[list[Scalar]]:
     return [[lower[max(i, j)][min(i, j)] for j in range(n)] for i in range(n)]
 
 
-def cholesky_solve(matrix: Matrix, right: Sequence[Scalar], smallest: float) -> list[Any]:
+def definite_solve(matrix: Matrix, right: Sequence[Scalar], smallest: float) -> list[Any]:
     """`x` with `A x = b` for a symmetric positive definite `A`, of which the lower triangle is read.
 
-    A pivot below `smallest` counts as `smallest`: rounding never turns one negative. [Golub and Van Loan 2013, alg. 4.2.1]
+    A pivot below `smallest` counts as `smallest`: rounding never turns one negative.
     """
     return _solve(matrix, right, lambda pivot, _: jnp.maximum(pivot, smallest))
 
@@ -62,20 +61,23 @@ def damped_solve(matrix: Matrix, right: Sequence[Scalar], floor: float) -> tuple
 
 
 def _solve(matrix: Matrix, right: Sequence[Scalar], mend: Callable[[Any, Any], Any]) -> list[Any]:
-    """By Cholesky's factorisation, each pivot as `mend(pivot, diagonal entry)` has it."""
+    """By the factors L D L' [Golub and Van Loan 2013, alg. 4.1.2], each pivot as `mend(pivot, diagonal entry)` has it. Without
+    Cholesky's square roots, which take a vector unit as long as twenty products."""
     n = len(matrix)
-    factor: list[list[Any]] = [[] for _ in range(n)]
+    lower: list[list[Any]] = [[] for _ in range(n)]  # L, whose diagonal is 1
+    pivots: list[Any] = []
     inverse: list[Any] = []
     for j in range(n):
-        pivot = sub(matrix[j][j], dot(factor[j], factor[j]))
-        inverse.append(shared(lax.rsqrt(mend(pivot, matrix[j][j])), True))
+        row = shared([mul(x, d) for x, d in zip(lower[j], pivots, strict=True)], True)
+        pivots.append(shared(mend(sub(matrix[j][j], dot(lower[j], row)), matrix[j][j]), True))
+        inverse.append(shared(1.0 / pivots[j], True))
         for i in range(j + 1, n):
-            factor[i].append(shared(mul(sub(matrix[i][j], dot(factor[i], factor[j])), inverse[j]), True))
+            lower[i].append(shared(mul(sub(matrix[i][j], dot(lower[i], row)), inverse[j]), True))
     forward: list[Any] = []
     for i in range(n):
-        forward.append(shared(mul(sub(right[i], dot(factor[i], forward)), inverse[i]), True))
+        forward.append(shared(sub(right[i], dot(lower[i], forward)), True))
     solution: list[Any] = []  # from the last to the first
     for i in reversed(range(n)):
-        below = [factor[k][i] for k in reversed(range(i + 1, n))]
-        solution.append(shared(mul(sub(forward[i], dot(below, solution)), inverse[i]), True))
+        below = [lower[k][i] for k in reversed(range(i + 1, n))]
+        solution.append(shared(sub(mul(forward[i], inverse[i]), dot(below, solution)), True))
     return solution[::-1]

@@ -20,7 +20,7 @@ from typing import Any, NamedTuple
 import jax.numpy as jnp
 
 from jaxik.algebra import Scalar, add, mul, shared, sub
-from jaxik.optimise.linear import Matrix, cholesky_solve, dot, full, product
+from jaxik.optimise.linear import Matrix, definite_solve, dot, full, product
 
 
 class Rows(NamedTuple):
@@ -63,7 +63,7 @@ def solve(
         ]
         vector = [sub(right[i], dot(_column(counted, i), inequality.value)) for i in range(n)]
         matrix, vector = (shared(matrix), shared(vector)) if counted else (matrix, vector)
-        step = cholesky_solve(*_held(matrix, vector, free, held), smallest)
+        step = definite_solve(*_held(matrix, vector, free, held), smallest)
         clipped = [jnp.clip(p, a, b) for p, a, b in zip(step, low, high, strict=True)]
         if number == passes:
             break

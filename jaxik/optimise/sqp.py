@@ -107,6 +107,30 @@ def run(problem: Problem, x: Any, low: Any, high: Any, iterations: int, options:
     return jnp.stack(found), jnp.stack([jnp.asarray(v, x.dtype) for v in values]) if values else jnp.zeros(0, x.dtype)
 
 
+def settle(
+    problem: Problem, x: Any, low: Any, high: Any, most: Any, aim: Any, creep: Any, options: Options
+) -> tuple[Any, Any, Any]:
+    """Gauss-Newton steps from x inside its bounds (n,), every one taken, until the equations' norm is `aim` or less, or after
+    two steps still above `creep` times what it was, or `most` steps are done: x (n,), the equations' values there, and how many
+    steps it took. Options' merit and hessian are not asked."""
+    lower, upper, start = ([v[i] for i in range(len(x))] for v in (low, high, x))
+
+    def turn(state: Any) -> Any:
+        count, _, x, _, (last, before) = state
+        model = problem.model(x)
+        error = jnp.sqrt(model.violation)
+        rests = (error <= aim) | (error > creep * before) | (count >= most)
+        moved = lambda: _moved(x, _step(problem, model, x, lower, upper, options)[0], lower, upper)
+        x = lax.cond(rests, lambda: x, moved)
+        return jnp.where(rests, count, count + 1), rests, x, _arrays(tuple(model.equality.value), error.dtype), (error, last)
+
+    far = jnp.full_like(start[0], jnp.inf)
+    values = jax.eval_shape(lambda: _arrays(tuple(problem.model(start).equality.value), far.dtype))
+    begin = jnp.int32(0), jnp.bool_(False), tuple(start), tuple(jnp.zeros_like(far) for _ in values), (far, far)
+    count, _, found, values, _ = lax.while_loop(lambda state: ~state[1], turn, begin)
+    return jnp.stack(found), jnp.stack(values), count
+
+
 def init(problem: Problem, x: Sequence[Any], options: Options) -> State:
     """The state at x."""
     dtype = x[0].dtype

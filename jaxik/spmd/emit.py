@@ -12,6 +12,8 @@ import struct
 from collections.abc import Iterator, Sequence
 from typing import Any
 
+import numpy as np
+
 from jaxik.spmd.program import DTYPES, FLOATS, Memory, Op, Program, Whole
 
 STACK = 65_536  # bytes of one table that a thread's stack may hold
@@ -365,11 +367,7 @@ class Emitter:
         if source in FLOATS and kind in FLOATS:
             return f"{'fpext' if kind == 'double' else 'fptrunc'} {a} {names[0]} to {b}"
         if source in FLOATS:
-            way = "fptoui" if kind[0] == "u" else "fptosi"
-            suffix = lambda k: (f"v{self.width}" if wide else "") + {"float": "f32", "double": "f64"}.get(k, llvm(k))
-            full_name = f"@llvm.{way}.sat.{suffix(kind)}.{suffix(source)}"
-            self.declared.add(f"declare {b} {full_name}({a})")
-            return f"call {b} {full_name}({a} {names[0]})"
+            return self._saturated(source, kind, wide, full, names[0])
         if kind in FLOATS:
             return f"{'uitofp' if source[0] == 'u' or source == 'i1' else 'sitofp'} {a} {names[0]} to {b}"
         if BITS[source] == BITS[kind]:
@@ -378,13 +376,31 @@ class Emitter:
             return f"trunc {a} {names[0]} to {b}"
         return f"{'zext' if source[0] == 'u' or source == 'i1' else 'sext'} {a} {names[0]} to {b}"
 
+    def _saturated(self, source: str, kind: str, wide: bool, full: Any, x: str) -> str:
+        """A float's whole part, the nearest number that the integers have, 0 for NaN. Not by LLVM's `fptosi.sat`, which takes
+        a vector apart: half of what a step of inverse kinematics did."""
+        a, b, truth = full(source), full(kind), self._truth(wide)
+        unsigned, number = kind[0] == "u", np.float32 if source == "float" else np.float64
+        least, most = (0, 2 ** BITS[kind] - 1) if unsigned else (-(2 ** (BITS[kind] - 1)), 2 ** (BITS[kind] - 1) - 1)
+        past = number(most + 1)  # exact; the float before it is the largest that may be converted
+        low, high = (self._constant(float(v), source, wide) for v in (least, np.nextafter(past, number(0))))
+        above = self.assign(f"fcmp ogt {a} {x}, {low}")  # false for NaN
+        inside = self.assign(f"select {truth} {above}, {a} {x}, {a} {low}")
+        below = self.assign(f"fcmp olt {a} {inside}, {high}")
+        inside = self.assign(f"select {truth} {below}, {a} {inside}, {a} {high}")
+        whole = self.assign(f"{'fptoui' if unsigned else 'fptosi'} {a} {inside} to {b}")
+        over = self.assign(f"fcmp oge {a} {x}, {self._constant(float(past), source, wide)}")
+        whole = self.assign(f"select {truth} {over}, {b} {self._constant(most, kind, wide)}, {b} {whole}")
+        nan = self.assign(f"fcmp uno {a} {x}, {x}")
+        return f"select {truth} {nan}, {b} {self._constant(0, kind, wide)}, {b} {whole}"
+
     def _op_bitcast(self, op: Op, wide: bool, full: Any, names: list[str]) -> str:
         return f"bitcast {full(self.program.ops[op.args[0]].type)} {names[0]} to {full(op.type)}"
 
     def _op_frem(self, op: Op, wide: bool, full: Any, names: list[str]) -> str:
         return f"frem {full(op.type)} {names[0]}, {names[1]}"
 
-    def _constant(self, value: int, kind: str, wide: bool) -> str:
+    def _constant(self, value: float, kind: str, wide: bool) -> str:
         text = literal(value, kind)
         return f"splat ({llvm(kind)} {text})" if wide else text
 
