@@ -202,7 +202,10 @@ class Chain(Constant):
         return content.hexdigest()
 
     def __hash__(self) -> int:
-        return hash(self.digest)
+        try:  # every call of a cached function asks, and equinox takes its time for an attribute
+            return hash(object.__getattribute__(self, "_digest"))
+        except AttributeError:
+            return hash(self.digest)
 
     def __eq__(self, other: object) -> bool:
         return self is other or (isinstance(other, Chain) and self.digest == other.digest)

@@ -185,14 +185,18 @@ def _turns(q: Any, lower: Any, upper: Any) -> tuple[Any, Any]:
 def closed_form_obstacle(chain: Chain) -> str:
     """Why the chain has no closed form here, or an empty string. Reads the chain's concrete numbers."""
     check_kind("closed_form", "chain", chain, Chain)
+    if not all(isinstance(x, np.ndarray) for x in (chain.parent_T_joint, chain.axis, chain.joint_T_tip)):
+        return "its numbers are traced; closed_form reads them while tracing, so close over the chain"
+    return _obstacle(chain)
+
+
+@functools.lru_cache(maxsize=64)
+def _obstacle(chain: Chain) -> str:
     if chain.num_joints < 6:
         return f"it has {chain.num_joints} joints, and six revolute ones are needed"
     if any(chain.is_prismatic[-6:]):
         return f"joint '{chain.joint_names[-6:][chain.is_prismatic[-6:].index(True)]}' among the last six is prismatic"
-    try:
-        h, p, _ = _axes(chain)
-    except TypeError:
-        return "its numbers are traced; closed_form reads them while tracing, so close over the chain"
+    h, p, _ = _axes(chain)
     tilt = float(np.linalg.norm(np.cross(h[1], h[2])))
     if tilt > TOLERANCE:
         return f"axes 2 and 3 of the last six joints are {tilt:.2g} rad from parallel ({TOLERANCE:g} allowed)"
@@ -216,8 +220,6 @@ def _in_plane(normal: np.ndarray, v: np.ndarray) -> float:
 
 def _axes(chain: Chain) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Directions (6, 3) and points (6, 3) of the last six axes at q = 0, and the tip (4, 4), in the first's parent frame."""
-    if not all(isinstance(x, np.ndarray) for x in (chain.parent_T_joint, chain.axis, chain.joint_T_tip)):
-        raise TypeError("traced chain")
     frame, h, p = np.eye(4), [], []
     for parent_T_joint, axis in zip(chain.parent_T_joint[-6:], chain.axis[-6:], strict=True):
         frame = frame @ parent_T_joint

@@ -6,28 +6,33 @@ Several tips at once are out of scope.
 from __future__ import annotations
 
 import dataclasses
-import functools
 from collections.abc import Callable, Iterator
 from typing import Any
 
 import jax
+import jax.numpy as jnp
 import numpy as np
 
+from jaxik import lanes
 from jaxik.batch import in_blocks
 from jaxik.chain import Chain
 from jaxik.closed_form import admissible_turns
 from jaxik.collision import check_geometry
 from jaxik.costs import comfort_cost, joint_freedom
-from jaxik.given import is_rigid, numbers
+from jaxik.given import RIGID, numbers
+from jaxik.ik_job import Job
 from jaxik.ik_options import IKOptions
 from jaxik.kinematics import manipulability
-from jaxik.multistart import MEASURED, Found, Job, Outcome, costs, search, top, unwound
+from jaxik.multistart import MEASURED, Found, Outcome, costs, search, unwound
 from jaxik.result import Reason
 from jaxik.scene import Scene
 from jaxik.spmd import HostKernel
 from jaxik.task import Task
 
 TARGETS = 16_384  # at a time, which bounds the memory
+
+
+DEFAULT = IKOptions()
 
 
 @dataclasses.dataclass(frozen=True)
@@ -97,7 +102,9 @@ def solve_ik(
 
     Raises `ValueError` for arguments of a wrong shape, name or range.
     """
-    options = dataclasses.replace(options or IKOptions(), **_known(changes))
+    options = options or DEFAULT
+    if changes:
+        options = dataclasses.replace(options, **_known(changes))
     poses, valid, single = as_poses(targets, options.task)
     if scene is None and options.choice == "clearance":
         raise ValueError("solve_ik: choice 'clearance' needs a scene; for the robot alone give jaxik.make_scene()")
@@ -111,7 +118,7 @@ def solve_ik(
         parts.append(_columns(part, search(part, poses[rows], valid[rows])))
         if progress:
             progress(min(start + TARGETS, len(poses)))
-    joined = {k: np.concatenate([p[k] for p in parts]) for k in parts[0]}
+    joined = parts[0] if len(parts) == 1 else {k: np.concatenate([p[k] for p in parts]) for k in parts[0]}
     result = IKResult(**joined)
     return result[0] if single else result
 
@@ -145,15 +152,23 @@ def as_poses(targets: Any, task: Task) -> tuple[np.ndarray, np.ndarray, bool]:
     if poses.ndim not in (2, 3) or poses.shape[-2:] != (4, 4):
         also = " or positions (3,), (N, 3)" if not task.rotations else ""
         raise ValueError(f"targets have shape {given.shape}; allowed: poses (4, 4) or (N, 4, 4){also}")
-    single = poses.ndim == 2
-    poses = poses.reshape(-1, 4, 4).copy()
-    rotation, valid = poses[:, :3, :3], is_rigid(poses)
-    with np.errstate(all="ignore"):
-        for _ in range(2):  # towards the nearest rotation, quadratically [Higham 1986]
-            rotation = rotation @ (1.5 * np.eye(3) - 0.5 * np.swapaxes(rotation, 1, 2) @ rotation)
-    poses[:, :3, :3] = rotation
-    poses[~valid] = np.eye(4)
-    return poses, valid, single
+    cleaned, valid = in_blocks(RIGID_POSE, poses.reshape(-1, 4, 4), size=MEASURED, double=True)
+    return cleaned, valid, poses.ndim == 2
+
+
+def _rigid_pose(pose: Any) -> tuple[Any, Any]:
+    """A pose (4, 4) with its rotation made orthonormal, and whether it was one (as `given.is_rigid`); else the identity."""
+    rotation, last = pose[:3, :3], jnp.array([0.0, 0.0, 0.0, 1.0])
+    off = jnp.max(jnp.abs(rotation.T @ rotation - jnp.eye(3)))
+    right_handed = jnp.dot(jnp.cross(rotation[0], rotation[1]), rotation[2]) > 0.0
+    valid = jnp.all(jnp.isfinite(pose)) & (off <= RIGID) & jnp.all(jnp.abs(pose[3] - last) <= RIGID) & right_handed
+    for _ in range(2):  # towards the nearest rotation, quadratically [Higham 1986]
+        rotation = rotation @ (1.5 * jnp.eye(3) - 0.5 * rotation.T @ rotation)
+    pose = jnp.concatenate([jnp.concatenate([rotation, pose[:3, 3:]], axis=1), last[None]])
+    return jnp.where(valid, pose, jnp.eye(4)), valid
+
+
+RIGID_POSE = HostKernel(_rigid_pose, 1)
 
 
 # --------------------------------------------------------------------------------------------------------------------
@@ -162,15 +177,17 @@ def as_poses(targets: Any, task: Task) -> tuple[np.ndarray, np.ndarray, bool]:
 
 def _best(found: Found, score: np.ndarray) -> Found:
     """The row with the largest score of each target; of equal ones that with the lowest seed."""
-    order = np.argsort(found.seed, kind="stable")
-    return found.rows(order[top(found.target[order], score[order], 1)])
+    if not len(found.q):
+        return found
+    order = np.lexsort((found.seed, -score, found.target))
+    return found.rows(order[np.diff(found.target[order], prepend=-1) != 0])
 
 
 def _score(job: Job, found: Found) -> np.ndarray:
     """How good answers are by the user's choice; more is better."""
     choice, chain, reference = job.options.choice, job.chain, job.reference
     if choice == "first":
-        return -found.iterations.astype(float)
+        return -found.seed.astype(float) if job.options.cost is None else -costs(job, found.q)
     if choice == "clearance":
         return np.nan_to_num(found.clearance)
     if choice == "closest" or (choice == "comfort" and reference is not None):
@@ -178,25 +195,17 @@ def _score(job: Job, found: Found) -> np.ndarray:
         away = np.abs(found.q - reference[found.target]) * job.weights
         return -(away.max(axis=1) if job.options.norm == "linf" else np.sqrt(np.sum(away**2, axis=1)))
     measure = {"manipulability": manipulability, "freedom": joint_freedom, "comfort": comfort_cost}[choice]
-    value = in_blocks(_measure(chain, measure), found.q, size=MEASURED, double=True)[0]
+    value = in_blocks(lanes.measure(measure, chain), found.q, size=MEASURED, double=True)[0]
     return -value if choice == "comfort" else value
-
-
-@functools.lru_cache(maxsize=32)
-def _measure(chain: Chain, function: Callable[..., Any]) -> HostKernel:
-    return HostKernel(functools.partial(function, chain), 1)
 
 
 def _columns(job: Job, outcome: Outcome) -> dict[str, np.ndarray]:
     """The result's columns: of each target the best answer, else the freest of those that collide, else the nearest miss."""
     reason, found, stuck = outcome.reason, outcome.found, outcome.stuck
     count, n, k = len(reason), job.chain.num_joints, job.options.solutions
-    blank = np.full(count, np.nan)
-    columns = {
+    columns: dict[str, np.ndarray] = {
         "q": np.full((count, n), np.nan),
-        "position_error": blank.copy(),
-        "rotation_error": blank.copy(),
-        "clearance": blank.copy(),
+        **{name: np.full(count, np.nan) for name in ("position_error", "rotation_error", "clearance")},
         "seed": np.full(count, -1),
         "iterations": np.zeros(count, int),
         "solutions": np.full((count, k, n), np.nan),
@@ -209,8 +218,9 @@ def _columns(job: Job, outcome: Outcome) -> dict[str, np.ndarray]:
     score = _score(job, found)
     best = _best(found, score)
     for part in (outcome.missed, _best(stuck, stuck.clearance), best):
-        for name in ("q", "position_error", "rotation_error", "clearance", "seed", "iterations"):
-            columns[name][part.target] = getattr(part, name)
+        if len(part.q):
+            for name in ("q", "position_error", "rotation_error", "clearance", "seed", "iterations"):
+                columns[name][part.target] = getattr(part, name)
     if k == 1:
         columns["solutions"][best.target, 0], columns["num_solutions"][best.target] = best.q, 1
     else:

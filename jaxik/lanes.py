@@ -8,7 +8,7 @@ all limits, targets, weights and scenes of a chain: they are its arguments.
 from __future__ import annotations
 
 import functools
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from typing import Any, NamedTuple
 
 import jax
@@ -96,8 +96,14 @@ def landing(chain: Chain, task: Task, iterations: int, options: sqp.Options, ext
 
 @functools.lru_cache(maxsize=64)
 def settling(chain: Chain, task: Task, options: sqp.Options) -> HostKernel:
-    """A batch of `sqp.settle`: (q, pose, lower, upper, weights, most, aim, creep) -> `Settled`; q and pose by rows."""
-    return HostKernel(functools.partial(_settle, chain, task, options), 2)
+    """A batch of `sqp.settle`: (q, pose, aim, lower, upper, weights, most, creep) -> `Settled`; the first three by rows."""
+    return HostKernel(functools.partial(_settle, chain, task, options), 3)
+
+
+@functools.lru_cache(maxsize=64)
+def measure(function: Callable[..., Any], *known: Any) -> HostKernel:
+    """A batch of a function of configurations, behind what is `known`."""
+    return HostKernel(functools.partial(function, *known), 1)
 
 
 @functools.lru_cache(maxsize=64)
@@ -130,11 +136,11 @@ def _settle(
     options: sqp.Options,
     q: Any,
     pose: Any,
+    aim: Any,
     low: Any,
     high: Any,
     weights: Any,
     most: Any,
-    aim: Any,
     creep: Any,
 ) -> Settled:
     problem = _problem(chain, task, NOTHING, pose, weights, None, None, q.dtype)

@@ -1,11 +1,12 @@
 """The driver of inverse kinematics: seeds to lanes, wave by wave, until each target has an answer or a reason.
 
 A target is searched for from seeds (`seeds`) by SQP (`lanes`, `optimise.sqp`) in float32, a few steps from each. What has
-landed is finished, and judged, in float64; what came near gets more steps. Targets that are left get more seeds in the next,
-larger wave: most need one, and dropping those that have an answer is what makes the batch fast.
+landed is finished, and judged, in float64. Targets that are left get more seeds in the next, larger wave: most need one, and
+dropping those that have an answer is what makes the batch fast. Few targets take several waves in one: a vector of lanes costs
+what one lane does.
 
-Every number in this is a target's own: which seeds it gets, how many steps each runs, which answer is taken. So a target has
-the same result alone and among a million, and all runs in blocks of one size (`batch`): nothing compiles for another N.
+Every number in this is a target's own: which seeds it gets, how many steps each runs, and that the first seed that leads to an
+answer is taken. So a target has the same result alone and among a million.
 
 With a scene an answer must also keep `margin` of clearance. Where no seed leads to such a posture, those that have the pose and
 collide, far apart from each other, are the starts of a second search, which holds the pose and moves the spare joints until the
@@ -17,144 +18,41 @@ from __future__ import annotations
 
 import dataclasses
 import functools
+import itertools
 from collections.abc import Callable, Sequence
 from concurrent.futures import Future
 from typing import Any, NamedTuple
 
-import jax
 import numpy as np
 
-from jaxik import given, lanes, seeds
+from jaxik import lanes, seeds
 from jaxik.batch import anew_in_forks, in_blocks, threads
-from jaxik.chain import Chain, finite_range
-from jaxik.choice import check_finite, check_seed, shown
-from jaxik.closed_form import TURN, closed_form_obstacle, nearest_turns
+from jaxik.chain import Chain
+from jaxik.closed_form import TURN, nearest_turns
 from jaxik.costs import Cost
-from jaxik.ik_options import IKOptions
+from jaxik.ik_job import Job
 from jaxik.optimise import sqp
 from jaxik.reach import reach
 from jaxik.result import Reason
-from jaxik.scene import Scene
 
-LANES = 256  # a compiled call: half as many cost half as much again each, twice as many keep a single target waiting
-MEASURED = 64  # configurations a compiled call where a scene or a cost is looked at in each step
-CHECKED = 16  # configurations a compiled call of clearances: as many as a first wave finds for one target
-STEPS = 10  # of a lane before it is given up: what lands, lands by then (80 % of the Panda's, 82 % after 24)
-LANDED = 2e-3  # [rad], [unit lengths] from where two steps in float64 reach 1e-6 nearly always
+LANES = 256  # rows a call where XLA has to do it
+MEASURED = 64  # likewise where a scene or a cost is looked at in each step
+CHECKED = 16  # likewise of clearances
+TOGETHER = 16  # lanes that cost hardly more than one
+EARLY, STEPS = 6, 10  # of a lane before it is given up, from an early seed and a late one: most that land need four
+ARRIVED = 2e-5  # [rad], [unit lengths]: steps in float32 lead no further
+LANDED = 2e-3  # from where a few steps in float64 reach 1e-9 nearly always
 FINISH = sqp.Options(floor=1e-10, cap=0.1)
-FINISHING = 2
+FINISHING = 4  # steps at most
 PORTION = 65_536  # lanes at a time, which bounds the memory
 PUSHED, PUSHES = (4, 64), 24  # colliding postures a target that are moved out of the obstacles, at first and at last; the steps
 APART = 0.2  # [rad, m] between these in some joint: nearer ones end at the same place
 PUSH_MARGIN = 2e-4  # [m] more than is asked for, which the finish in float64 may use up
 IMPROVE_MARGIN = 1e-8  # [m] likewise, of an answer that leans on an obstacle for the sake of its cost
-UNLIMITED = np.arange(16)  # seeds for the question whether it was the limits
-KEPT, NEAR, RESCUE = 32, 0.05, 12  # so many misses, this near [rad, unit lengths], get so many more finishes
-CREEP = 0.95  # of its error, at most, is left of a miss after a finish, or it is at rest; some return, so not among obstacles
-
-
-@dataclasses.dataclass(frozen=True)
-class Job:
-    """What all targets share, and for each its tolerances (N, 2) and reference (N, n)."""
-
-    chain: Chain
-    scene: Scene | None
-    seed: int
-    options: IKOptions
-    low: np.ndarray
-    high: np.ndarray
-    weights: np.ndarray
-    inside: seeds.Range
-    unit: float
-    strategy: str
-    tolerance: np.ndarray
-    reference: np.ndarray | None
-
-    @staticmethod
-    def of(chain: Chain, scene: Scene | None, seed: int, options: IKOptions, count: int) -> Job:
-        n = chain.num_joints
-        low, high = np.array(chain.lower, np.float64), np.array(chain.upper, np.float64)
-        for name, value in options.locked.items():
-            if name not in chain.joint_names:
-                raise ValueError(f"locked: {chain.name} has no joint '{name}'; it has {', '.join(chain.joint_names)}")
-            check_finite("locked", **{name: value})
-            i = chain.joint_names.index(name)
-            if not low[i] <= value <= high[i]:
-                raise ValueError(f"locked: {name} = {value:g} is outside its limits [{low[i]:g}, {high[i]:g}]")
-            low[i] = high[i] = value
-        weights = np.ones(n) if options.weights is None else _shaped("weights", options.weights, (n,), least=1)
-        if not np.all((weights > 0.0) & np.isfinite(weights)):
-            raise ValueError(f"weights {shown(options.weights)}: all are finite and > 0; to hold a joint still, use locked")
-        check_seed("solve_ik", seed)
-        tolerance = [_shaped(k, getattr(options, k), (count,)) for k in ("position_tolerance", "rotation_tolerance")]
-        if not all(np.all(t > 0.0) for t in tolerance):
-            raise ValueError("position_tolerance and rotation_tolerance are > 0")
-        reference = None if options.reference is None else _shaped("reference", options.reference, (count, n), least=1)
-        if reference is not None and not np.isfinite(reference).all():
-            raise ValueError("reference holds NaN or infinity; write a configuration (n,), or one a target (N, n) [rad, m]")
-        strategy = _strategy(chain, options)
-        finite = finite_range(chain, low, high)
-        if strategy != "near":
-            finite = _one_turn(chain, *finite)
-        inside = seeds.Range(*(tuple(float(x) for x in b) for b in finite))
-        geometry = scene.geometry() if scene is not None else None
-        unit = lanes.unit_length(chain)
-        return Job(
-            chain, geometry, seed, options, low, high, weights, inside, unit, strategy, np.stack(tolerance, 1), reference
-        )
-
-    def part(self, rows: slice) -> Job:
-        """The same for some of the targets."""
-        reference = None if self.reference is None else self.reference[rows]
-        return dataclasses.replace(self, tolerance=self.tolerance[rows], reference=reference)
-
-    @property
-    def limits(self) -> tuple[np.ndarray, ...]:
-        return self.low, self.high, self.weights
-
-    @property
-    def turnable(self) -> np.ndarray:
-        """(n,): which joints have several turns of one posture inside both their limits."""
-        return np.isfinite(self.high - self.low) & (self.high - self.low >= TURN) & ~np.array(self.chain.is_prismatic)
-
-    @property
-    def cost_turns(self) -> bool:
-        """Whether it is the user's cost that chooses between turns: a choice that they change goes first."""
-        return self.options.cost is not None and self.options.choice in ("first", "clearance", "manipulability")
-
-    def home(self, target: np.ndarray) -> np.ndarray:
-        """Of turns, the one nearest to this is taken, (rows, n): each target's reference; without one, and for freedom, the
-        middle of the ranges."""
-        if self.reference is not None and self.options.choice != "freedom":
-            return self.reference[target]
-        middle = np.array(sum(finite_range(self.chain, self.low, self.high))) / 2.0
-        return np.broadcast_to(middle, (len(target), len(middle)))
-
-
-def _one_turn(chain: Chain, low: np.ndarray, high: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """The range (n,) in which searches start: of a joint that turns further, one turn about its middle. The rest holds the same
-    postures again, and limits to run into."""
-    over = np.where(chain.is_prismatic, 0.0, np.maximum(high - low - TURN, 0.0)) / 2.0
-    return low + over, high - over
-
-
-def _shaped(name: str, value: Any, shape: tuple[int, ...], least: int = 0) -> np.ndarray:
-    """Numbers of the last axes of `shape`, of `least` one of them, repeated along the others."""
-    array = given.numbers(name, value)
-    if not (least <= array.ndim <= len(shape) and array.shape == shape[len(shape) - array.ndim :]):
-        allowed = [str(shape[k:]) if shape[k:] else "a number" for k in range(len(shape) - least, -1, -1)]
-        raise ValueError(f"{name} has shape {array.shape}; allowed: {' or '.join(allowed)}")
-    return np.broadcast_to(array, shape)
-
-
-def _strategy(chain: Chain, options: IKOptions) -> str:
-    if options.seeds not in ("auto", "closed_form"):
-        return options.seeds
-    whole = all(options.task.bound)
-    obstacle = closed_form_obstacle(chain) if whole else "the task leaves axes free"
-    if options.seeds == "closed_form" and obstacle:
-        raise ValueError(f"{chain.name}: seeds 'closed_form' need the closed form, and {obstacle}")
-    return "library" if obstacle else "closed_form"
+IMPROVED = 16  # answers of a target that a cost is made smaller from, the cheapest that are apart
+UNLIMITED = 16  # seeds for the question whether it was the limits
+KEPT, NEAR, RESCUE = 32, 0.05, 24  # so many misses, this near [rad, unit lengths], get so many more steps
+CREEP = 0.95  # of its error, at most, is left of a miss after two steps, or it is at rest; some return, so not among obstacles
 
 
 class Found(NamedTuple):
@@ -169,11 +67,17 @@ class Found(NamedTuple):
     iterations: np.ndarray
 
     def rows(self, kept: np.ndarray) -> Found:
+        """Those that a mask or a list of numbers picks."""
+        if kept.dtype == bool:
+            if kept.all():
+                return self
+            kept = np.flatnonzero(kept)
         return Found(*(column[kept] for column in self))
 
     @staticmethod
     def joined(parts: Sequence[Found]) -> Found:
-        return Found(*(np.concatenate(columns) for columns in zip(*parts, strict=True)))
+        parts = [p for p in parts if len(p.target)] or parts[:1]
+        return parts[0] if len(parts) == 1 else Found(*(np.concatenate(columns) for columns in zip(*parts, strict=True)))
 
 
 class Outcome(NamedTuple):
@@ -185,38 +89,58 @@ class Outcome(NamedTuple):
     missed: Found
 
 
+class Wave(NamedTuple):
+    """Seeds `first` to `last` (not counted), the steps from each, and what comes after them: more steps for near misses, and
+    colliding postures moved out of the obstacles, so many a target."""
+
+    first: int
+    last: int
+    steps: int
+    rescues: bool
+    pushes: int
+
+    @property
+    def size(self) -> int:
+        return self.last - self.first
+
+
 def search(job: Job, poses: np.ndarray, valid: np.ndarray) -> Outcome:
     """Answers for the poses (N, 4, 4) that are `valid` (N,), or reasons."""
     reason = np.where(valid, np.where(_out_of_reach(job, poses), Reason.OUT_OF_REACH, Reason.NOT_CONVERGED), Reason.INVALID)
     misses = _Misses(job)
-    answers, blocked = [_nothing(job)], [_nothing(job)]
-    waves = _waves(job)
+    answers, blocked = [misses.parts[0]], [misses.parts[0]]
     _finisher_ready(_finisher(job), job.chain.num_joints)
-    for number, numbers in enumerate(waves, 1):
-        for some in _portions(np.flatnonzero(reason == Reason.NOT_CONVERGED), len(numbers)):
-            free, colliding = _wave(job, poses, some, numbers, misses)
+    waves = _waves(job)
+    left = np.flatnonzero(reason == Reason.NOT_CONVERGED)
+    while waves and len(left):
+        wave, waves = _joined_waves(waves, len(left))
+        for some in _portions(left, wave.size):
+            free, colliding = _search_wave(job, poses, some, wave, misses)
             answers.append(free)
             blocked.append(colliding)
             reason[free.target] = Reason.SOLVED
-        last = number == len(waves)
-        if number == min(3, len(waves)) or last:  # what is left by now is near a singularity, or unreachable
+        if not len(left := np.flatnonzero(reason == Reason.NOT_CONVERGED)):
+            break
+        if wave.rescues:  # what is left by now is near a singularity, or unreachable
             rescued, near = _rescued(job, poses, misses.near(reason))
             answers.append(rescued)
             blocked.append(near)
             reason[rescued.target] = Reason.SOLVED
-        if number == min(2, len(waves)) or last:  # more seeds cost less than moving out of obstacles
+        if wave.pushes:  # more seeds cost less than moving out of obstacles
             stuck = Found.joined(blocked)
             blocked = [stuck.rows(reason[stuck.target] == Reason.NOT_CONVERGED)]
-            freed = _pushed(job, poses, blocked[0], PUSHED[last])
+            freed = _pushed(job, poses, blocked[0], wave.pushes)
             answers.append(freed)
             reason[freed.target] = Reason.SOLVED
+        left = np.flatnonzero(reason == Reason.NOT_CONVERGED)
     found, stuck = Found.joined(answers), Found.joined(blocked)
     stuck = stuck.rows(reason[stuck.target] == Reason.NOT_CONVERGED)
     reason[stuck.target] = Reason.COLLISION
     reason = _beyond_limits(job, poses, reason)
+    found = _at_home(job, found)
     if job.options.cost is not None:
         found = _improved(job, poses, found)
-    return Outcome(reason, found, stuck, misses.nearest(job, poses, reason))
+    return Outcome(reason, found, _at_home(job, stuck), _at_home(job, misses.nearest(job, poses, reason)))
 
 
 def _out_of_reach(job: Job, poses: np.ndarray) -> np.ndarray:
@@ -227,16 +151,39 @@ def _out_of_reach(job: Job, poses: np.ndarray) -> np.ndarray:
     return reach(job.chain, len(task.rotations) == 3).excess(poses) > slack
 
 
-def _waves(job: Job) -> list[np.ndarray]:
-    """The seeds' numbers, wave by wave. Few at first where one answer is enough, since most targets need no more."""
+def _waves(job: Job) -> list[Wave]:
+    """Few seeds at first where one answer is enough, since most targets need no more."""
     most = job.options.max_seeds
-    if job.options.choice != "first" or job.options.solutions > 1:
-        sizes = [most]
+    if not job.first_will_do:
+        sizes, rescue, push = [most], 1, 1
+    elif job.scene is None:
+        sizes, rescue, push = [1, 1, 2, 4, 8, 16, 32], 5, 0
     else:
-        sizes = [1, 4, 16, 32] if job.scene is None else [16, 48]
-    cuts = np.minimum(np.cumsum(sizes + [64] * (most // 64 + 1)), most)
-    cuts = np.unique(cuts)
-    return np.split(np.arange(most), cuts[:-1])
+        sizes, rescue, push = [16, 48], 3, 2
+    ends = sorted({min(end, most) for end in itertools.accumulate(sizes + [64] * (most // 64 + 1))})
+    return [
+        Wave(
+            first,
+            last,
+            EARLY if job.scene is None and last <= 16 else STEPS,
+            number == min(rescue, len(ends)) or last == most,
+            0 if job.scene is None else PUSHED[1] if last == most else PUSHED[0] if number == push else 0,
+        )
+        for number, (first, last) in enumerate(itertools.pairwise([0, *ends]), 1)
+    ]
+
+
+def _joined_waves(waves: list[Wave], targets: int) -> tuple[Wave, list[Wave]]:
+    """The next wave of so few `targets` that several fit in one, and those after it."""
+    number = 1
+    while (
+        number < len(waves)
+        and not (waves[number - 1].rescues or waves[number - 1].pushes)
+        and waves[number].steps == waves[0].steps
+        and targets * (waves[number].last - waves[0].first) <= TOGETHER
+    ):
+        number += 1
+    return waves[number - 1]._replace(first=waves[0].first), waves[number:]
 
 
 def _portions(rows: np.ndarray, each: int) -> list[np.ndarray]:
@@ -245,13 +192,100 @@ def _portions(rows: np.ndarray, each: int) -> list[np.ndarray]:
     return [rows[i : i + size] for i in range(0, len(rows), size)]
 
 
-def _wave(job: Job, poses: np.ndarray, some: np.ndarray, numbers: np.ndarray, misses: _Misses) -> tuple[Found, Found]:
-    """Searches `some` targets from seeds `numbers`: the answers, and postures that have the pose and collide."""
-    target, number = np.repeat(some, len(numbers)), np.tile(numbers, len(some))
-    landed = _descend(job, poses, _candidates(job, _starts(job, poses, some, numbers), target, number), misses)
-    found = _finish(job, poses, landed, misses)
+def _search_wave(job: Job, poses: np.ndarray, some: np.ndarray, wave: Wave, misses: _Misses) -> tuple[Found, Found]:
+    """Searches `some` targets from the wave's seeds: the answers, and postures that have the pose and collide."""
+    target, number = np.repeat(some, wave.size), np.tile(np.arange(wave.first, wave.last), len(some))
+    start = _starts(job, poses, some, wave.first, wave.last).reshape(len(target), -1)
+    ended = _settled(job, poses, _candidates(job, start, target, number), wave.steps, double=False)
+    landed = _within(ended, np.maximum(job.tolerance, [LANDED * job.unit, LANDED]))
+    misses.note(ended.rows(~landed))
+    found = _finish(job, poses, ended.rows(landed), misses)
+    if job.scene is None:
+        return found, _nothing(job)
+    found = _cleared(job, found)
     collides = _collides(job, found)
     return found.rows(~collides), found.rows(collides)
+
+
+def _starts(job: Job, poses: np.ndarray, some: np.ndarray, first: int, last: int) -> np.ndarray:
+    """Seeds `first` to `last` of `some` targets, (len(some), last - first, n)."""
+    if job.strategy == "near":
+        assert job.reference is not None
+        return seeds.near(job.inside, job.seed, first, last, job.reference[some])
+    if job.strategy == "closed_form":
+        return seeds.branches(job.chain, job.inside, job.seed, first, last, poses[some])
+    if job.strategy == "library":
+        return seeds.library(job.chain, job.options.task, job.inside, job.unit, job.seed, first, last, poses[some])
+    if job.strategy == "low_discrepancy":
+        each = seeds.low_discrepancy(job.inside, job.seed, job.options.max_seeds)[first:last]
+    else:
+        each = seeds.uniforms(job.inside, job.seed, first, last)
+    return np.broadcast_to(each, (len(some), *each.shape))
+
+
+def _settled(job: Job, poses: np.ndarray, lanes_: Found, most: int, double: bool = True, creep: float = np.inf) -> Found:
+    """The lanes after up to `most` steps, with their errors."""
+    program = _finisher(job) if double else lanes.settling(job.chain, job.options.task, job.options.search)
+    aim = job.aim[lanes_.target] if double else np.full(len(lanes_.target), ARRIVED)
+    rows, fixed = (lanes_.q, poses[lanes_.target], aim), (*job.limits, most, creep)
+    q, away, turned, count = in_blocks(program, *rows, size=LANES, fixed=fixed, double=double)
+    return lanes_._replace(q=q, position_error=away, rotation_error=turned, iterations=lanes_.iterations + count)
+
+
+def _finisher(job: Job) -> Callable[..., Any]:
+    return lanes.settling(job.chain, job.options.task, FINISH)
+
+
+@anew_in_forks
+@functools.lru_cache(maxsize=64)
+def _finisher_ready(program: Callable[..., Any], n: int) -> Future[Any]:
+    """Lets another thread compile what finishes lanes while the search compiles: a quarter of the first call's time."""
+    rows, fixed = (np.zeros((1, n)), np.eye(4)[None], np.zeros(1)), (np.zeros(n), np.zeros(n), np.ones(n), 0, 0.0)
+    return threads().submit(in_blocks, program, *rows, size=LANES, fixed=fixed, double=True)
+
+
+def _finish(job: Job, poses: np.ndarray, landed: Found, misses: _Misses) -> Found:
+    """In float64: the last steps, and whose errors are within the tolerances."""
+    if not len(landed.q):
+        return landed
+    _finisher_ready(_finisher(job), job.chain.num_joints).result()
+    found = _settled(job, poses, landed, FINISHING)
+    exact = _within(found, job.tolerance)
+    misses.note(found.rows(~exact))
+    return found.rows(exact)
+
+
+def _within(found: Found, tolerance: np.ndarray) -> np.ndarray:
+    """Whose errors are no more than their target's of the tolerances (N, 2)."""
+    allowed = tolerance[found.target]
+    return (found.position_error <= allowed[:, 0]) & (found.rotation_error <= allowed[:, 1])
+
+
+def _rescued(job: Job, poses: np.ndarray, near: Found) -> tuple[Found, Found]:
+    """Near misses after up to `RESCUE` more steps, since next to a singularity convergence is slow: answers, and colliding
+    ones."""
+    if not len(near.q):
+        return near, near
+    near = _settled(job, poses, near, RESCUE, creep=CREEP if job.scene is None else np.inf)
+    near = _cleared(job, near.rows(_within(near, job.tolerance)))
+    collides = _collides(job, near)
+    return near.rows(~collides), near.rows(collides)
+
+
+def _miss(job: Job, found: Found) -> np.ndarray:
+    """How far rows are from their targets [rad, unit lengths]."""
+    return found.position_error / job.unit + found.rotation_error
+
+
+def _candidates(job: Job, q: np.ndarray, target: np.ndarray, number: np.ndarray) -> Found:
+    """Lanes at their starts; the numbers that judge them are still to come."""
+    unknown = np.full(len(q), np.nan)
+    return Found(target, q, unknown, unknown, unknown, number, np.zeros(len(q), int))
+
+
+def _nothing(job: Job) -> Found:
+    empty = np.zeros(0, int)
+    return _candidates(job, np.zeros((0, job.chain.num_joints)), empty, empty)
 
 
 def _collides(job: Job, found: Found) -> np.ndarray:
@@ -260,119 +294,20 @@ def _collides(job: Job, found: Found) -> np.ndarray:
     return ~(found.clearance >= job.options.margin)
 
 
-def _starts(job: Job, poses: np.ndarray, some: np.ndarray, numbers: np.ndarray) -> np.ndarray:
-    """Starts for all `some` targets x `numbers`, (lanes, n) in float32."""
-    n = job.chain.num_joints
-    at: np.ndarray = np.empty((len(some), len(numbers), n), np.float32)
-    for i, number in enumerate(int(k) for k in numbers):
-        if job.strategy == "near":
-            assert job.reference is not None
-            at[:, i] = seeds.near(job.inside, job.seed, number, job.reference[some])
-        elif job.strategy == "library" and number < seeds.SETS:
-            at[:, i] = seeds.nearest(job.chain, job.options.task, job.inside, job.unit, number, poses[some])
-        elif job.strategy == "low_discrepancy":
-            at[:, i] = seeds.low_discrepancy(job.inside, job.seed, job.options.max_seeds)[number]
-        else:
-            at[:, i] = seeds.uniform(job.inside, job.seed, number)
-    at = at.reshape(-1, n)
-    if job.strategy == "closed_form":
-        exact = seeds.branches(
-            job.chain, job.inside, job.seed, np.tile(numbers, len(some)), np.repeat(poses[some], len(numbers), 0)
-        )
-        at = np.where(np.isfinite(exact).all(axis=1, keepdims=True), exact, at)
-    return np.clip(at, job.low, job.high).astype(np.float32)
+def _cleared(job: Job, found: Found) -> Found:
+    """With their clearance, where there is a scene."""
+    if job.scene is None or not len(found.q):
+        return found
+    return found._replace(
+        clearance=in_blocks(lanes.clearances(job.chain), found.q, size=CHECKED, fixed=(job.scene,), double=True)[0]
+    )
 
 
-def _descend(job: Job, poses: np.ndarray, starts: Found, misses: _Misses) -> Found:
-    """Runs the lanes, and returns those that have landed."""
-    program = lanes.landing(job.chain, job.options.task, STEPS, job.options.search)
-    start, pose = _single((starts.q, poses[starts.target]))
-    q, away, turned = in_blocks(program, start, pose, size=LANES, fixed=_single(job.limits))
-    enough = np.maximum(job.tolerance, [LANDED * job.unit, LANDED])[starts.target]
-    landed = (away <= enough[:, 0]) & (turned <= enough[:, 1])
-    ended = starts._replace(q=q.astype(np.float64), iterations=np.full(len(q), STEPS))
-    misses.note(ended.rows(~landed), (away / job.unit + turned)[~landed])
-    return ended.rows(landed)
-
-
-@anew_in_forks
-@functools.lru_cache(maxsize=64)
-def _finisher_ready(program: Callable[..., Any], n: int) -> Future[Any]:
-    """Lets another thread compile what finishes lanes while the search compiles: a quarter of the first call's time."""
-    limits = np.zeros(n), np.zeros(n), np.ones(n)
-    return threads().submit(in_blocks, program, np.zeros((1, n)), np.eye(4)[None], size=LANES, fixed=limits, double=True)
-
-
-def _rescued(job: Job, poses: np.ndarray, near: Found) -> tuple[Found, Found]:
-    """Near misses after up to `RESCUE` more finishes, since next to a singularity convergence is slow: answers, and colliding
-    ones. One that collides is no reason to leave the others: they may end on another branch."""
-    free, blocked = [_nothing(job)], [_nothing(job)]
-    for _ in range(RESCUE):
-        if not len(near.q):
-            break
-        error = _miss(job, near)
-        near = _polished(job, poses, near, _finisher(job), LANES)
-        near = near._replace(iterations=near.iterations + FINISHING)
-        exact, collides = _exact(job, near), _collides(job, near)
-        free.append(near.rows(exact & ~collides))
-        blocked.append(near.rows(exact & collides))
-        at_rest = (job.scene is None) & (_miss(job, near) > CREEP * error)
-        near = near.rows(~exact & ~at_rest & ~np.isin(near.target, near.target[exact & ~collides]))
-    return Found.joined(free), Found.joined(blocked)
-
-
-def _miss(job: Job, found: Found) -> np.ndarray:
-    """How far rows are from their targets [rad, unit lengths]; NaN before their first finish."""
-    return found.position_error / job.unit + found.rotation_error
-
-
-def _exact(job: Job, found: Found) -> np.ndarray:
-    """Whose errors are within the target's tolerances."""
-    allowed = job.tolerance[found.target]
-    return (found.position_error <= allowed[:, 0]) & (found.rotation_error <= allowed[:, 1])
-
-
-def _candidates(job: Job, q: np.ndarray, target: np.ndarray, number: np.ndarray) -> Found:
-    """Lanes at their starts; the numbers that judge them are still to come."""
-    unknown = np.full(len(q), np.nan)
-    return Found(target, q.astype(np.float64), unknown, unknown, unknown, number, np.zeros(len(q), int))
-
-
-def _nothing(job: Job) -> Found:
-    empty = np.zeros(0, int)
-    return _candidates(job, np.zeros((0, job.chain.num_joints)), empty, empty)
-
-
-def _finisher(job: Job) -> Callable[..., Any]:
-    return lanes.landing(job.chain, job.options.task, FINISHING, FINISH)
-
-
-def _finish(job: Job, poses: np.ndarray, landed: Found, misses: _Misses) -> Found:
-    """In float64: the last steps, and whose errors are within the tolerances; with a scene their clearance."""
-    if not len(landed.q):
-        return landed
-    program = _finisher(job)
-    _finisher_ready(program, job.chain.num_joints).result()
-    found = _polished(job, poses, landed, program, LANES)
-    found = found._replace(iterations=found.iterations + FINISHING)
-    exact = _exact(job, found)
-    misses.note(found.rows(~exact), _miss(job, found)[~exact])
-    return found.rows(exact)
-
-
-def _polished(job: Job, poses: np.ndarray, lanes_: Found, program: Callable[..., Any], size: int, *more: Any) -> Found:
-    """The lanes after a float64 program, with errors and clearance."""
-    start = np.clip(lanes_.q, job.low, job.high)
-    fixed = (*job.limits, *more)
-    q, away, turned = in_blocks(program, start, poses[lanes_.target], size=size, fixed=fixed, double=True)
-    q = nearest_turns(job.chain, q, job.home(lanes_.target), job.low, job.high)
-    return lanes_._replace(q=q, position_error=away, rotation_error=turned, clearance=_clearance(job, q))
-
-
-def _clearance(job: Job, q: np.ndarray) -> np.ndarray:
-    if job.scene is None or not len(q):
-        return np.full(len(q), np.nan)
-    return in_blocks(lanes.clearances(job.chain), q, size=CHECKED, fixed=(job.scene,), double=True)[0]
+def _at_home(job: Job, found: Found) -> Found:
+    """Each joint on the turn that is nearest to the target's home."""
+    if not job.may_turn.any() or not len(found.q):
+        return found
+    return found._replace(q=nearest_turns(job.chain, found.q, job.home(found.target), job.low, job.high))
 
 
 def unwound(chain: Chain, q: np.ndarray) -> np.ndarray:
@@ -383,29 +318,26 @@ def unwound(chain: Chain, q: np.ndarray) -> np.ndarray:
 
 def _pushed(job: Job, poses: np.ndarray, stuck: Found, count: int) -> Found:
     """The answers that a search for clearance makes of the best few colliding postures of each target."""
-    chosen = stuck.rows(_apart(stuck, count))
+    chosen = stuck.rows(_apart(stuck, stuck.clearance, count))
     if not len(chosen.q):
         return chosen
     program = lanes.landing(job.chain, job.options.task, PUSHES, job.options.avoid, _extras(job))
-    fixed = _single((*job.limits, job.scene, job.options.margin + PUSH_MARGIN))
-    q = in_blocks(program, *_single((chosen.q, poses[chosen.target])), size=MEASURED, fixed=fixed)[0]
-    moved = chosen._replace(q=q.astype(np.float64), iterations=chosen.iterations + PUSHES)
-    found = _finish(job, poses, moved, _Misses(job))
+    fixed = (*job.limits, job.scene, job.options.margin + PUSH_MARGIN)
+    q = in_blocks(program, chosen.q, poses[chosen.target], size=MEASURED, fixed=fixed, double=False)[0]
+    moved = chosen._replace(q=q, iterations=chosen.iterations + PUSHES)
+    found = _cleared(job, _finish(job, poses, moved, _Misses(job)))
     return found.rows(~_collides(job, found))
 
 
-def _apart(stuck: Found, count: int) -> np.ndarray:
-    """Up to `count` rows of each target, the freest first, none near one before it."""
-    order = top(stuck.target, stuck.clearance, len(stuck.q))
-    starts = np.flatnonzero(np.diff(stuck.target[order], prepend=-1))
-    kept = []
-    for rows in np.split(order, starts[1:]):
-        for _ in range(count):
-            if not len(rows):
-                break
-            kept.append(rows[0])
-            rows = rows[np.abs(stuck.q[rows] - stuck.q[rows[0]]).max(axis=1) > APART]
-    return np.array(kept, int)
+def _apart(found: Found, score: np.ndarray, count: int) -> np.ndarray:
+    """Up to `count` rows of each target, those with the largest score first, none near one before it."""
+    order, kept = top(found.target, score, len(found.q)), [np.zeros(0, int)]
+    while len(order) and len(kept) <= count:
+        begins = np.diff(found.target[order], prepend=-1) != 0
+        best = order[begins]
+        kept.append(best)
+        order = order[np.abs(found.q[order] - found.q[best[np.cumsum(begins) - 1]]).max(axis=1) > APART]
+    return np.concatenate(kept)
 
 
 def _extras(job: Job, cost: Cost | None = None) -> lanes.Extras:
@@ -413,21 +345,21 @@ def _extras(job: Job, cost: Cost | None = None) -> lanes.Extras:
     return lanes.Extras(cost, collision, job.options.activation, job.options.penalty)
 
 
-def _single(tree: Any) -> Any:
-    return jax.tree_util.tree_map(lambda x: np.asarray(x, np.float32), tree)
-
-
 def _improved(job: Job, poses: np.ndarray, found: Found) -> Found:
     """The answers with the user's cost made smaller, where that leaves them answers."""
     if not len(found.q):
         return found
+    found = _cheaper_turns(job, found)
+    if job.options.choice == "first":
+        found = found.rows(_apart(found, -costs(job, found.q), max(IMPROVED, job.options.solutions)))
     iterations = job.options.cost_iterations
     program = lanes.landing(job.chain, job.options.task, iterations, job.options.improve, _extras(job, job.options.cost))
-    more = () if job.scene is None else (job.scene, np.float64(job.options.margin + IMPROVE_MARGIN))
-    found = _cheaper_turns(job, found)
-    better = _cheaper_turns(job, _polished(job, poses, found, program, MEASURED, *more))
-    kept = _exact(job, better) & ~_collides(job, better)
-    better = better._replace(iterations=found.iterations + iterations)
+    more = () if job.scene is None else (job.scene, job.options.margin + IMPROVE_MARGIN)
+    rows = found.q, poses[found.target]
+    q, away, turned = in_blocks(program, *rows, size=MEASURED, fixed=(*job.limits, *more), double=True)
+    better = found._replace(q=q, position_error=away, rotation_error=turned, iterations=found.iterations + iterations)
+    better = _cheaper_turns(job, _cleared(job, _at_home(job, better)))
+    kept = _within(better, job.tolerance) & ~_collides(job, better)
     return Found(*(np.where(kept.reshape(-1, *[1] * (b.ndim - 1)), b, a) for a, b in zip(found, better, strict=True)))
 
 
@@ -449,12 +381,7 @@ def _cheaper_turns(job: Job, found: Found) -> Found:
 
 def costs(job: Job, q: np.ndarray) -> np.ndarray:
     """The user's cost of configurations (N, n), in float64."""
-    return in_blocks(_rows(job.options.cost), q, size=MEASURED, double=True)[0]
-
-
-@functools.lru_cache(maxsize=32)
-def _rows(function: Callable[..., Any]) -> Callable[..., Any]:
-    return jax.jit(jax.vmap(function))
+    return in_blocks(lanes.measure(job.options.cost), q, size=MEASURED, double=True)[0]
 
 
 def _beyond_limits(job: Job, poses: np.ndarray, reason: np.ndarray) -> np.ndarray:
@@ -473,11 +400,11 @@ def _beyond_limits(job: Job, poses: np.ndarray, reason: np.ndarray) -> np.ndarra
         scene=None,
         low=np.where(held, job.low, -np.inf),
         high=np.where(held, job.high, np.inf),
-        inside=seeds.Range(*(tuple(float(x) for x in bound) for bound in around)),
-        options=dataclasses.replace(job.options, choice="first", solutions=1),
+        inside=seeds.Range(*(tuple(bound.tolist()) for bound in around)),
+        options=dataclasses.replace(job.options, choice="first", solutions=1, cost=None),
     )
-    for some in _portions(left, len(UNLIMITED)):
-        found, _ = _wave(free, poses, some, UNLIMITED, _Misses(job))
+    for some in _portions(left, UNLIMITED):
+        found, _ = _search_wave(free, poses, some, Wave(0, UNLIMITED, STEPS, False, 0), _Misses(job))
         reason[found.target] = Reason.LIMITS
     return reason
 
@@ -486,25 +413,32 @@ class _Misses:
     """The lanes of each target that came nearest, `KEPT` of them."""
 
     def __init__(self, job: Job):
-        self.lanes, self.error = _nothing(job), np.zeros(0)
+        self.job, self.parts = job, [_nothing(job)]
 
-    def note(self, ended: Found, error: np.ndarray) -> None:
-        """More lanes, and how far each stayed from its target [rad, unit lengths]."""
-        error = np.nan_to_num(np.concatenate([self.error, error]), nan=np.inf)
-        self.lanes = Found.joined([self.lanes, ended])
-        kept = top(self.lanes.target, -error, KEPT)
-        self.lanes, self.error = self.lanes.rows(kept), error[kept]
+    def note(self, ended: Found) -> None:
+        """More lanes."""
+        self.parts.append(ended)
+        if sum(len(part.target) for part in self.parts) > PORTION:
+            self.parts = [self._nearest(Found.joined(self.parts), KEPT)]
+
+    def _nearest(self, lanes_: Found, count: int) -> Found:
+        """So many of each target, those with the least errors."""
+        return lanes_.rows(top(lanes_.target, -np.nan_to_num(_miss(self.job, lanes_), nan=np.inf), count))
 
     def near(self, reason: np.ndarray) -> Found:
         """Those of targets searched for in vain that came within `NEAR`."""
-        return self.lanes.rows((self.error < NEAR) & (reason[self.lanes.target] == Reason.NOT_CONVERGED))
+        noted = Found.joined(self.parts)
+        lanes_ = self._nearest(noted.rows(reason[noted.target] == Reason.NOT_CONVERGED), KEPT)
+        return lanes_.rows(_miss(self.job, lanes_) < NEAR)
 
     def nearest(self, job: Job, poses: np.ndarray, reason: np.ndarray) -> Found:
         """The nearest of each target without an answer, judged in float64."""
-        left = np.flatnonzero(reason[self.lanes.target] != Reason.SOLVED)
-        left = left[top(self.lanes.target[left], -self.error[left], 1)]
-        found = self.lanes.rows(left)
-        return _polished(job, poses, found, _finisher(job), LANES) if len(left) else found
+        noted = Found.joined(self.parts)
+        noted = noted.rows(reason[noted.target] != Reason.SOLVED)
+        if not len(noted.target):
+            return noted
+        found = self._nearest(noted, 1)
+        return _cleared(job, _settled(job, poses, found, FINISHING))
 
 
 def top(target: np.ndarray, score: np.ndarray, count: int) -> np.ndarray:

@@ -22,7 +22,7 @@ import numpy as np
 
 from jaxik.batch import in_blocks
 from jaxik.chain import Chain, read_only
-from jaxik.closed_form import BRANCHES, closed_forms
+from jaxik.closed_form import BRANCHES, closed_form, closed_forms
 from jaxik.kinematics import joint_frames
 from jaxik.spmd import HostKernel
 from jaxik.task import Task
@@ -60,12 +60,20 @@ def low_discrepancy(inside: Range, seed: int, count: int) -> np.ndarray:
     return read_only(inside.between(qmc.Halton(len(inside.low), seed=np.random.default_rng((STREAM, seed))).random(count)))
 
 
-def near(inside: Range, seed: int, number: int, reference: np.ndarray) -> np.ndarray:
-    """(n,): number 0 is the reference itself; the box is a tenth of the range at first and all of it from number 32 on."""
+@functools.lru_cache(maxsize=64)
+def uniforms(inside: Range, seed: int, first: int, last: int) -> np.ndarray:
+    """Numbers `first` to `last` (not counted), (last - first, n)."""
+    return read_only(np.concatenate([uniform(inside, seed, number) for number in range(first, last)]))
+
+
+def near(inside: Range, seed: int, first: int, last: int, reference: np.ndarray) -> np.ndarray:
+    """Numbers `first` to `last` around references (N, n), (N, last - first, n): number 0 is the reference itself; the box is a
+    tenth of the range at first and all of it from number 32 on."""
+    numbers = np.arange(first, last)
+    width = np.where(numbers == 0, 0.0, np.minimum(1.0, 0.1 * 10.0 ** (numbers / 32.0)))
     low, high = np.array(inside.low), np.array(inside.high)
-    width = 0.0 if number == 0 else min(1.0, 0.1 * 10.0 ** (number / 32.0))
-    away = (np.random.default_rng((STREAM, seed, number)).random(len(low)) - 0.5) * width * (high - low)
-    return np.clip(reference + away, low, high)
+    away = uniforms(inside, seed, first, last) - (low + high) / 2.0
+    return np.clip(reference[:, None] + width[:, None] * away, low, high)
 
 
 # --------------------------------------------------------------------------------------------------------------------
@@ -93,7 +101,7 @@ class _Set(NamedTuple):
 
 
 @functools.lru_cache(maxsize=64)
-def _library(chain: Chain, task: Task, inside: Range, length: float, number: int) -> _Set:
+def _set(chain: Chain, task: Task, inside: Range, length: float, number: int) -> _Set:
     size = LATER if number else FIRST
     q = uniform(inside, 0, number, size)  # the user's seed does not change it: it is built once a chain
     tip = joint_frames(chain, list(q.T)).tip
@@ -102,15 +110,29 @@ def _library(chain: Chain, task: Task, inside: Range, length: float, number: int
     return read_only(_Set(q.astype(np.float32), np.column_stack([features, -0.5 * np.sum(features**2, axis=1)])))
 
 
-def nearest(chain: Chain, task: Task, inside: Range, length: float, number: int, poses: np.ndarray) -> np.ndarray:
-    """For each pose (N, 4, 4) the configuration (N, n) of set `number` that is nearest to it."""
-    known = _library(chain, task, inside, length, number)
-    (found,) = in_blocks(NEAREST, _features(task, poses, length), fixed=(known.table,), size=BLOCK, double=False)
-    return known.q[found]
+@functools.lru_cache(maxsize=64)
+def _sets(chain: Chain, task: Task, inside: Range, length: float, first: int, last: int) -> list[_Set]:
+    return [_set(chain, task, inside, length, number) for number in range(first, last)]
 
 
-def _first_largest(wanted: Any, table: Any) -> Any:
-    """The row of the table (m, f + 1) whose product with (wanted, 1) is largest; of equal ones the first."""
+def library(
+    chain: Chain, task: Task, inside: Range, length: float, seed: int, first: int, last: int, poses: np.ndarray
+) -> np.ndarray:
+    """Numbers `first` to `last` for poses (N, 4, 4), (N, last - first, n)."""
+    at = np.empty((len(poses), last - first, chain.num_joints), np.float32)
+    sets = _sets(chain, task, inside, length, first, min(last, SETS))
+    if sets:
+        tables = [each.table for each in sets]
+        found = in_blocks(NEAREST, _features(task, poses, length), fixed=(tables,), size=BLOCK, double=False)
+        for k, rows in enumerate(found):
+            at[:, k] = sets[k].q[rows]
+    if last > SETS:
+        at[:, len(sets) :] = uniforms(inside, seed, max(SETS, first), last)
+    return at
+
+
+def _first_largest(wanted: Any, tables: list[Any]) -> list[Any]:
+    """Of each table (m, f + 1) the row whose product with (wanted, 1) is largest; of equal ones the first."""
 
     def turn(best: Any, row: Any) -> Any:
         k, entries = row
@@ -119,7 +141,8 @@ def _first_largest(wanted: Any, table: Any) -> Any:
         return (jnp.where(better, value, best[0]), jnp.where(better, k, best[1])), None
 
     start = jnp.asarray(-jnp.inf, wanted.dtype), jnp.int32(0)
-    return jax.lax.scan(turn, start, (jnp.arange(len(table), dtype=jnp.int32), table), unroll=4)[0][1]
+    rows = lambda table: (jnp.arange(len(table), dtype=jnp.int32), table)
+    return [jax.lax.scan(turn, start, rows(table), unroll=4)[0][1] for table in tables]
 
 
 NEAREST = HostKernel(_first_largest, 1)
@@ -129,21 +152,34 @@ NEAREST = HostKernel(_first_largest, 1)
 # The closed form
 
 
-def branches(chain: Chain, inside: Range, seed: int, numbers: np.ndarray, poses: np.ndarray) -> np.ndarray:
-    """Branches of the closed form (N, n) for each pose (N, 4, 4): with leading joints, number k is the best branch at the k-th
-    position of a low-discrepancy sequence; without, the k-th best. Best is what leaves the limits least. NaN where none is."""
-    n = chain.num_joints
-    if n > 6:
-        lead = low_discrepancy(Range(inside.low[:-6], inside.high[:-6]), seed, int(numbers.max(initial=0)) + 1)[numbers]
-        rank = np.zeros(len(poses), int)
-    else:
-        lead, rank = np.zeros((len(poses), 0)), numbers % BRANCHES
-    q, valid, _ = in_blocks(closed_forms(chain), poses.astype(np.float32), lead.astype(np.float32), size=BLOCK)
-    past = np.maximum(np.array(inside.low) - q, q - np.array(inside.high)).max(axis=-1)
-    order = np.argsort(np.where(valid, np.maximum(past, 0.0), np.inf), axis=1, kind="stable")
-    picked = np.take_along_axis(order, rank[:, None], axis=1)
-    chosen = np.take_along_axis(q, picked[..., None], axis=1)[:, 0]
-    return np.where(np.take_along_axis(valid, picked, axis=1), chosen, np.nan)
+def branches(chain: Chain, inside: Range, seed: int, first: int, last: int, poses: np.ndarray) -> np.ndarray:
+    """Numbers `first` to `last` of the closed form's branches for poses (N, 4, 4), (N, last - first, n). With leading joints
+    number k is the best branch at the k-th position of a low-discrepancy sequence; without, the k-th best of the eight. Best is
+    what leaves the limits least; where there is none, the start is a uniform one."""
+    numbers = np.tile(np.arange(first, last), len(poses))
+    lead = np.zeros((len(numbers), 0))
+    if chain.num_joints > 6:
+        lead = low_discrepancy(Range(inside.low[:-6], inside.high[:-6]), seed, 2 ** int(last - 1).bit_length())[numbers]
+    instead = uniforms(inside, seed, first, last)[numbers - first]
+    rows = np.repeat(poses, last - first, axis=0), lead, numbers.astype(np.int32), instead
+    fixed = np.array(inside.low), np.array(inside.high)
+    (at,) = in_blocks(_branch(chain), *rows, fixed=fixed, size=BLOCK, double=False)
+    return at.reshape(len(poses), last - first, -1)
+
+
+@functools.lru_cache(maxsize=64)
+def _branch(chain: Chain) -> HostKernel:
+    def chosen(pose: Any, lead: Any, number: Any, instead: Any, low: Any, high: Any) -> Any:
+        q, valid, _ = closed_form(chain, pose, lead)
+        past = jnp.maximum(jnp.max(jnp.maximum(low - q, q - high), axis=1), 0.0)
+        past = jnp.where(valid, past, jnp.inf)
+        k = jnp.arange(BRANCHES)
+        rank = 0 if lead.size else number
+        place = jnp.sum((past[None] < past[:, None]) | ((past[None] == past[:, None]) & (k[None] < k[:, None])), axis=1)
+        mine = (place == rank) & valid
+        return jnp.where(jnp.any(mine), jnp.sum(jnp.where(mine[:, None], q, 0.0), axis=0), instead)
+
+    return HostKernel(chosen, 4)
 
 
 def any_branch(chain: Chain, poses: np.ndarray) -> np.ndarray:

@@ -79,7 +79,7 @@ def test_what_is_cached_and_shared_cannot_be_written():
     inside = seeds.Range((0.0, -1.0), (1.0, 1.0))
     shared = [seeds.uniform(inside, 0, 3), seeds.low_discrepancy(inside, 0, 8), reach(CHAIN)]
     shared.append(
-        seeds._library(CHAIN, jaxik.Task(), seeds.Range(tuple(CHAIN.lower.tolist()), tuple(CHAIN.upper.tolist())), 1.0, 0)
+        seeds._set(CHAIN, jaxik.Task(), seeds.Range(tuple(CHAIN.lower.tolist()), tuple(CHAIN.upper.tolist())), 1.0, 0)
     )
     assert len(arrays(shared)) >= 6
     for array in arrays(shared):

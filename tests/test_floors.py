@@ -19,7 +19,8 @@ FLOORS = [
     {"load"},  # above the spheres: a loaded chain knows which of its links may touch
     {"lanes", "seeds", "implicit", "crop", "leading", "redundancy", "judge"},
     {"scan", "between", "ik_options", "predictive", "follow"},
-    {"multistart", "score", "moving_horizon", "boundary"},
+    {"ik_job", "score", "moving_horizon", "boundary"},
+    {"multistart"},
     {"ik", "baselines"},
     {"harvest", "sweep"},
     {"plot"},

@@ -43,14 +43,12 @@ class HostKernel:
         if double is None:
             floats = [x.dtype for x in map(np.asarray, args[: self.lanes]) if x.dtype.kind == "f"]
             double = jax.dtypes.canonicalize_dtype(np.result_type(*floats, np.float32)) == np.float64
-        width = np.float64 if double else np.float32
         shared, tree = jax.tree_util.tree_flatten(args[self.lanes :])
-        operands = [_array(x, width) for x in (*args[: self.lanes], *shared)]
-        shapes = tuple((x.shape[1:] if k < self.lanes else x.shape, x.dtype.char) for k, x in enumerate(operands))
-        key = tree, shapes, double
+        operands = [_array(x, double) for x in (*args[: self.lanes], *shared)]
+        key = tree, double, tuple([(x.shape[1:] if k < self.lanes else x.shape, x.dtype) for k, x in enumerate(operands)])
         found = self.known.get(key)
         if found is None:
-            found = self.known[key] = self._made(tree, shapes, double)
+            found = self.known[key] = self._made(*key)
         traced, made = found
         count = len(operands[0])
         outs = [np.empty((count, *a.shape), a.dtype) for a in traced.outputs]
@@ -67,22 +65,25 @@ class HostKernel:
 
         return jax.jit(batch)
 
-    def _made(self, tree: Any, shapes: Any, double: bool) -> tuple[Traced, call.Made]:
+    def _made(self, tree: Any, double: bool, shapes: Any) -> tuple[Traced, call.Made]:
         if jax.default_backend() != "cpu":
             raise Unsupported("another platform than a CPU")
         with jax.enable_x64(double):
             flat = lambda *x: self.function(*x[: self.lanes], *jax.tree_util.tree_unflatten(tree, x[self.lanes :]))
-            traced, _, more = trace(flat, [jax.ShapeDtypeStruct(s, np.dtype(t)) for s, t in shapes])
+            traced, _, more = trace(flat, [jax.ShapeDtypeStruct(*each) for each in shapes])
         if more:
             raise Unsupported("large arrays that are closed over")
         return traced, call.made(traced, tuple(k >= self.lanes for k in range(len(shapes))))
 
 
-def _array(x: Any, width: Any) -> np.ndarray:
-    """Row by row in memory, floats in `width`, integers as JAX has them."""
+_KINDS = {np.dtype(np.int64): np.dtype(np.int32)}  # what a kernel has in place of a type
+_WIDTHS = {w: {np.dtype(f"f{k}"): np.dtype(f"f{w}") for k in (2, 4, 8)} | _KINDS for w in (4, 8)}
+
+
+def _array(x: Any, double: bool) -> np.ndarray:
+    """Row by row in memory, floats in the width, integers as JAX has them."""
     x = np.asarray(x)
-    kind = width if x.dtype.kind == "f" else np.int32 if x.dtype == np.int64 else x.dtype
-    return np.asarray(x, kind, order="C")
+    return np.asarray(x, _WIDTHS[8 if double else 4].get(x.dtype, x.dtype), order="C")
 
 
 def _run(
