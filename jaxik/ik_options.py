@@ -28,10 +28,9 @@ class IKOptions:
     margin: least clearance with a scene [m].
     seeds: where searches start (`jaxik.seeds`); "auto" is the closed form where the chain has one, else the library.
     max_seeds: seeds a target gets before it is given up.
-    choice: which answer is taken: the "first" found; of all that `max_seeds` find, the "closest" to `reference`, the one with
-    the
-        largest "clearance", "manipulability" or joint "freedom", or the one nearest to the middle of the ranges ("comfort", or
-        to `reference` where it is given).
+    choice: which answer is taken: that of the "first" seed that leads to one, or with a `cost` the cheapest; or of all that
+        `max_seeds` find the "closest" to `reference`, the one with the largest "clearance", "manipulability" or joint
+        "freedom", or the one nearest to the middle of the ranges ("comfort", or to `reference` where it is given).
     reference: a configuration (n,) or one a target (N, n); needed by "closest" and by the seeds "near".
         Of one posture's turns by 2 pi inside the limits an answer is the one nearest to the reference; without one, and for
         "freedom", the nearest to the middle of the ranges (of a joint without limits: to 0); "first", "clearance" and
@@ -42,9 +41,10 @@ class IKOptions:
     locked: joints (by name) that stay at a value [rad, m].
     weights: (n,) how unwilling each joint is to move, 1 unless given.
     collision: how a scene enters the search: "constraint", or "penalty" (the smooth one of Schuetz 2017, (4.31), summed over
-    the
-        links, times `penalty`). Either way an answer keeps `margin`.
-    cost: a pure function of q (n,), made smaller within what the task leaves free, in `cost_iterations` steps.
+        the links, times `penalty`). Either way an answer keeps `margin`.
+    cost: a pure function of q (n,), made smaller within what the task leaves free, in `cost_iterations` steps from the
+        cheapest answers of `max_seeds` seeds. It needs a derivative there, and a warning says where it has none. A function
+        defined once is traced once; a lambda written anew in each call is traced again, and compiles nothing.
     search, avoid, improve: the solver's options for the search, for clearance, and for the cost.
     """
 

@@ -112,6 +112,12 @@ def clearances(chain: Chain) -> HostKernel:
     return HostKernel(lambda q, scene: clearance(chain, scene, q), 1)
 
 
+@functools.lru_cache(maxsize=64)
+def slope(cost: Cost) -> HostKernel:
+    """A batch of a cost's gradients (n,)."""
+    return HostKernel(jax.grad(cost), 1)
+
+
 def _land(
     chain: Chain,
     task: Task,

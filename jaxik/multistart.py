@@ -19,6 +19,7 @@ from __future__ import annotations
 import dataclasses
 import functools
 import itertools
+import warnings
 from collections.abc import Callable, Sequence
 from concurrent.futures import Future
 from typing import Any, NamedTuple
@@ -39,7 +40,7 @@ LANES = 256  # rows a call where XLA has to do it
 MEASURED = 64  # likewise where a scene or a cost is looked at in each step
 CHECKED = 16  # likewise of clearances
 TOGETHER = 16  # lanes that cost hardly more than one
-EARLY, STEPS = 6, 10  # of a lane before it is given up, from an early seed and a late one: most that land need four
+EARLY, STEPS = 7, 16  # of a lane before it is given up, from an early seed and a late one: most that land need four
 ARRIVED = 2e-5  # [rad], [unit lengths]: steps in float32 lead no further
 LANDED = 2e-3  # from where a few steps in float64 reach 1e-9 nearly always
 FINISH = sqp.Options(floor=1e-10, cap=0.1)
@@ -49,7 +50,7 @@ PUSHED, PUSHES = (4, 64), 24  # colliding postures a target that are moved out o
 APART = 0.2  # [rad, m] between these in some joint: nearer ones end at the same place
 PUSH_MARGIN = 2e-4  # [m] more than is asked for, which the finish in float64 may use up
 IMPROVE_MARGIN = 1e-8  # [m] likewise, of an answer that leans on an obstacle for the sake of its cost
-IMPROVED = 16  # answers of a target that a cost is made smaller from, the cheapest that are apart
+IMPROVED = 32  # answers of a target that a cost is made smaller from, the cheapest that are apart
 UNLIMITED = 16  # seeds for the question whether it was the limits
 KEPT, NEAR, RESCUE = 32, 0.05, 24  # so many misses, this near [rad, unit lengths], get so many more steps
 CREEP = 0.95  # of its error, at most, is left of a miss after two steps, or it is at rest; some return, so not among obstacles
@@ -356,11 +357,25 @@ def _improved(job: Job, poses: np.ndarray, found: Found) -> Found:
     program = lanes.landing(job.chain, job.options.task, iterations, job.options.improve, _extras(job, job.options.cost))
     more = () if job.scene is None else (job.scene, job.options.margin + IMPROVE_MARGIN)
     rows = found.q, poses[found.target]
+    _check_slopes(job, found)
     q, away, turned = in_blocks(program, *rows, size=MEASURED, fixed=(*job.limits, *more), double=True)
     better = found._replace(q=q, position_error=away, rotation_error=turned, iterations=found.iterations + iterations)
     better = _cheaper_turns(job, _cleared(job, _at_home(job, better)))
     kept = _within(better, job.tolerance) & ~_collides(job, better)
     return Found(*(np.where(kept.reshape(-1, *[1] * (b.ndim - 1)), b, a) for a, b in zip(found, better, strict=True)))
+
+
+def _check_slopes(job: Job, found: Found) -> None:
+    """Warns where the user's cost has no derivative: no step can follow it from there."""
+    (slopes,) = in_blocks(lanes.slope(job.options.cost), found.q, size=MEASURED, double=True)
+    bad = np.flatnonzero(~np.isfinite(slopes).all(axis=1))
+    if len(bad):
+        q, slope = (np.array2string(x[bad[0]], precision=4, separator=", ", max_line_width=1000) for x in (found.q, slopes))
+        warnings.warn(
+            f"solve_ik: the cost's derivative is {slope} at q = {q}, and at {len(bad) - 1} more of {len(slopes)} answers, which "
+            "stay as they were found; a root, a norm or a division by what is 0 there has none: write sqrt(x + 1e-12)",
+            stacklevel=5,
+        )
 
 
 def _cheaper_turns(job: Job, found: Found) -> Found:

@@ -1,11 +1,13 @@
 """Inverse kinematics against Pinocchio's forward kinematics; reasons; independence of the batch; every option."""
 
 import dataclasses
+import functools
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+import scipy
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from robots import ROBOTS, bare, joint_range, pinocchio, pose_errors
@@ -14,6 +16,7 @@ import jaxik
 from jaxik import Reason, lanes
 from jaxik.chain import Volume
 from jaxik.optimise import sqp
+from jaxik.spmd import call
 
 POSITION = 1e-6  # [m], the default tolerances
 ROTATION = 1e-6  # [rad]
@@ -449,6 +452,46 @@ def test_a_cost_in_the_null_space(panda):
         slope = 2.0 * (q - np.asarray(middle))[free]
         left.append(np.abs(slope - np.linalg.pinv(columns) @ (columns @ slope)).max())
     assert np.median(left) < 1e-6
+
+
+def _apart(pose, target, q):
+    """The six components of a pose's residual."""
+    reached = pose(q)
+    turned = scipy.spatial.transform.Rotation.from_matrix(reached[:3, :3] @ target[:3, :3].T)
+    return np.concatenate([reached[:3, 3] - target[:3, 3], turned.as_rotvec()])
+
+
+def test_of_several_minima_the_best(panda):
+    """Against SLSQP of scipy from many starts, on Pinocchio's kinematics."""
+    targets, pose = reachable(panda, 2, seed=1), pinocchio(panda)
+    found = jaxik.solve_ik(panda, targets, cost=lambda q: jnp.sum(q**2))
+    assert_solves(panda, found, targets)
+    starts = np.random.default_rng(2).uniform(panda.lower, panda.upper, (12, 7))
+    for q, target in zip(found.q, targets, strict=True):
+        held = {"type": "eq", "fun": functools.partial(_apart, pose, target)}
+        bounds = list(zip(panda.lower, panda.upper, strict=True))
+        peers = [scipy.optimize.minimize(lambda x: x @ x, x, bounds=bounds, constraints=held, method="SLSQP") for x in starts]
+        least = min(p.fun for p in peers if np.abs(held["fun"](p.x)).max() < 1e-6)
+        assert q @ q <= least + 1e-4
+
+
+def test_a_cost_without_a_derivative_says_so(panda):
+    target = reachable(panda, 1, seed=1)
+    answer = jaxik.solve_ik(panda, target, max_seeds=4)
+    broken = lambda q: jnp.sqrt(jnp.sum(q[:3] ** 2) * 0.0)
+    with pytest.warns(UserWarning, match=r"derivative is \[nan.*at q = .*root") as said:
+        found = jaxik.solve_ik(panda, target, cost=broken, max_seeds=4)
+    assert len(said) == 1 and found.success.all() and np.isfinite(answer.q).all()
+    assert_solves(panda, found, target)
+
+
+def test_a_lambda_written_anew_compiles_nothing(panda):
+    target = reachable(panda, 1, seed=1)
+    solve = lambda: jaxik.solve_ik(panda, target, cost=lambda q: jnp.sum((q - 0.5) ** 2), max_seeds=4)
+    first = solve()
+    made = len(call._made)
+    np.testing.assert_array_equal(solve().q, first.q)
+    assert len(call._made) == made
 
 
 def test_a_scene_is_kept_clear_of():
