@@ -372,7 +372,7 @@ def _check_slopes(job: Job, found: Found) -> None:
     if len(bad):
         q, slope = (np.array2string(x[bad[0]], precision=4, separator=", ", max_line_width=1000) for x in (found.q, slopes))
         warnings.warn(
-            f"solve_ik: the cost's derivative is {slope} at q = {q}, and at {len(bad) - 1} more of {len(slopes)} answers, which "
+            f"solve_ik: the cost's derivative is {slope} at q = {q} and at {len(bad) - 1} more of {len(slopes)} answers, which "
             "stay as they were found; a root, a norm or a division by what is 0 there has none: write sqrt(x + 1e-12)",
             stacklevel=5,
         )

@@ -16,7 +16,7 @@ import jaxik
 from jaxik import Reason, lanes
 from jaxik.chain import Volume
 from jaxik.optimise import sqp
-from jaxik.spmd import call
+from jaxik.spmd import call as kernels
 
 POSITION = 1e-6  # [m], the default tolerances
 ROTATION = 1e-6  # [rad]
@@ -489,9 +489,9 @@ def test_a_lambda_written_anew_compiles_nothing(panda):
     target = reachable(panda, 1, seed=1)
     solve = lambda: jaxik.solve_ik(panda, target, cost=lambda q: jnp.sum((q - 0.5) ** 2), max_seeds=4)
     first = solve()
-    made = len(call._made)
+    made = len(kernels._made)
     np.testing.assert_array_equal(solve().q, first.q)
-    assert len(call._made) == made
+    assert len(kernels._made) == made
 
 
 def test_a_scene_is_kept_clear_of():
