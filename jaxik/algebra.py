@@ -14,9 +14,8 @@ there and the native functions on other platforms. Derivatives never pass throug
 
 from __future__ import annotations
 
-import functools
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from typing import Any, NamedTuple
 
 import jax
@@ -25,8 +24,7 @@ import numpy as np
 from jax import lax
 
 from jaxik.ball import Ball, direction
-from jaxik.spmd.elementary import ATAN, COS, HALF_PI, SIN
-from jaxik.spmd.trace import tracing
+from jaxik.spmd import elementary
 
 Scalar = Any  # float | jax.Array of shape () | np.ndarray | Ball
 
@@ -215,76 +213,14 @@ def stack(entries: Sequence[Scalar], shape: tuple[int, ...], dtype: Any) -> jax.
     return jnp.stack([jnp.asarray(e, dtype) for e in entries]).reshape(shape)
 
 
-def shared(scalars: Any, derivative: bool = False) -> Any:
-    """The same scalars, computed once on a CPU however many results use them.
-
-    XLA's CPU backend fuses each output into a loop of its own and computes again whatever is cheap: without this the twelve
-    entries of a tip frame evaluate every sine twelve times. What it holds for expensive it never repeats, and a division is;
-    so this divides by a 1 that no simplifier sees through (`0 x + 1` is not 1 for NaN). Exact for finite x. Measured:
-    Jacobians 2 times, closed form 5 times faster. `lax.optimization_barrier`, meant for such things, is dropped before fusion.
-
-    With `derivative` the derivative is divided too, forward and backward. It is for recursions whose every stage is used many
-    times (an elimination: its gradient went from 7500 to 20 ms); elsewhere it costs more than it saves.
-    """
-    if tracing():
-        return scalars  # a kernel computes everything once
-    return jax.tree_util.tree_map(lambda x: _fence(x, derivative) if isinstance(x, jax.Array) else x, scalars)
-
-
-@functools.partial(jax.custom_jvp, nondiff_argnums=(1,))
-def _fence(x: jax.Array, derivative: bool) -> jax.Array:
-    return lax.div(x, _one(x))
-
-
-def _one(x: jax.Array) -> jax.Array:
-    if x.aval.weak_type:  # and stays so: it must not promote what it meets
-        return x * 0.0 + 1.0
-    return lax.add(lax.mul(x, x.dtype.type(0.0)), x.dtype.type(1.0))
-
-
-@_fence.defjvp
-def _fence_jvp(derivative: bool, primals: Any, tangents: Any) -> Any:
-    tangent = lax.div(tangents[0], _one(lax.stop_gradient(primals[0]))) if derivative else tangents[0]
-    return _fence(*primals, derivative), tangent
-
-
 # --------------------------------------------------------------------------------------------------------------------
 # Elementary functions
-
-_TAN_PI_8 = math.sqrt(2.0) - 1.0
-
-
-def _horner(u: jax.Array, coefficients: Sequence[float]) -> jax.Array:
-    value = jnp.full_like(u, coefficients[-1])
-    for c in reversed(coefficients[:-1]):
-        value = value * u + c
-    return value
-
-
-def _by_platform(polynomial: Callable[..., Any], native: Callable[..., Any], *args: jax.Array) -> Any:
-    if args[0].dtype not in (jnp.float32, jnp.float64):
-        return native(*args)
-    return lax.platform_dependent(*args, cpu=polynomial, default=native)
-
-
-def _sincos_polynomial(x: jax.Array) -> tuple[jax.Array, jax.Array]:
-    size = x.dtype.itemsize
-    k = lax.round(x * (2.0 / math.pi), lax.RoundingMethod.TO_NEAREST_EVEN)
-    r = x
-    for part in HALF_PI[size]:
-        r = r - k * part
-    u = r * r
-    sin = r + r * u * _horner(u, SIN[size])
-    cos = 1.0 - 0.5 * u + u * u * _horner(u, COS[size])
-    quadrant = k.astype(jnp.int32)
-    odd = (quadrant & 1) == 1
-    s, c = jnp.where(odd, cos, sin), jnp.where(odd, sin, cos)
-    return shared((jnp.where((quadrant & 2) == 2, -s, s), jnp.where(((quadrant + 1) & 2) == 2, -c, c)))
 
 
 @jax.custom_jvp
 def _sincos(x: jax.Array) -> tuple[jax.Array, jax.Array]:
-    return _by_platform(_sincos_polynomial, lambda x: (jnp.sin(x), jnp.cos(x)), x)
+    native = lambda x: (jnp.sin(x), jnp.cos(x))
+    return lax.platform_dependent(x, cpu=elementary.sincos, default=native) if x.dtype.itemsize >= 4 else native(x)
 
 
 @_sincos.defjvp
@@ -309,23 +245,9 @@ def sincos(x: Scalar) -> tuple[Scalar, Scalar]:
     return _sincos(x)
 
 
-def _atan2_polynomial(y: jax.Array, x: jax.Array) -> jax.Array:
-    ax, ay = jnp.abs(x), jnp.abs(y)
-    small, large = jnp.minimum(ax, ay), jnp.maximum(ax, ay)
-    # atan(t) = pi/4 + atan((t - 1)/(t + 1)): one division, whichever of the two is taken
-    far = small > _TAN_PI_8 * large
-    ratio = jnp.where(far, small - large, small) / jnp.where(far, small + large, jnp.where(large == 0.0, 1.0, large))
-    u = ratio * ratio
-    angle = ratio + ratio * u * _horner(u, ATAN[y.dtype.itemsize])
-    angle = jnp.where(far, math.pi / 4 + angle, angle)
-    angle = jnp.where(ay > ax, math.pi / 2 - angle, angle)
-    angle = jnp.where(jnp.signbit(x), math.pi - angle, angle)
-    return jnp.where(jnp.signbit(y), -angle, angle)
-
-
 @jax.custom_jvp
 def _atan2(y: jax.Array, x: jax.Array) -> jax.Array:
-    return _by_platform(_atan2_polynomial, jnp.arctan2, y, x)
+    return jnp.arctan2(y, x)
 
 
 @_atan2.defjvp

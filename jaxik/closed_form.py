@@ -28,7 +28,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Bool, Float
 
-from jaxik.algebra import BASE, Frame, Rot3, Scalar, Vec3, add, atan2, constants, mul, safe_sqrt, shared, stack, sub, traced
+from jaxik.algebra import BASE, Frame, Rot3, Scalar, Vec3, add, atan2, constants, mul, safe_sqrt, stack, sub, traced
 from jaxik.ball import minimum, where, whole
 from jaxik.chain import Array, Chain, as_numbers, finite_limits
 from jaxik.choice import check_kind
@@ -100,9 +100,9 @@ def closed_form(chain: Chain, pose: Float[Array, "4 4"], slide: Float[Array, "..
     pose, given = pose.astype(dtype), given.astype(dtype)
     found = [each for half in half_branches(chain, pose, given) for each in wrist_branches(chain, half, dtype)]
     head = [given[i] for i in range(leading)]
-    q = shared(stack([x for angles, _ in found for x in (*head, *angles)], (BRANCHES, chain.num_joints), dtype))
-    q, inside = into_limits(chain, q)
-    valid = shared(stack([margin for _, margin in found], (BRANCHES,), dtype)) >= 0.0  # NaN is not
+    all_joints = [x for angles, _ in found for x in (*head, *angles)]
+    q, inside = into_limits(chain, stack(all_joints, (BRANCHES, chain.num_joints), dtype))
+    valid = stack([margin for _, margin in found], (BRANCHES,), dtype) >= 0.0  # NaN is not
     return ClosedForm(q, valid, valid & inside)
 
 
@@ -301,19 +301,18 @@ def half_branches(chain: Chain, pose: Any, leading: Any, shoulders: Any = BOTH, 
     to_wrist = Rot3.of(constants(g.plane_R_wrist.T, eps))
     base_T_tip = Frame.of_entries(traced(pose))
     target = (_leading_frame(chain, head, pose.dtype) @ Frame.of(g.base_T_shoulder, eps)).inverse() @ base_T_tip
-    centre, third, across = shared(
-        (target @ vector(g.tip_Q), target.rotation @ vector(g.axis_6), target.rotation @ vector(g.across_6))
-    )
+    centre = target @ vector(g.tip_Q)
+    third, across = target.rotation @ vector(g.axis_6), target.rotation @ vector(g.across_6)
     found = []
     for q1, turn1, point, margin1 in _shoulder(g, centre, shoulders, eps):
         sin1, cos1 = turn1
         turned = [Vec3(add(mul(v.x, cos1), mul(v.y, sin1)), sub(mul(v.y, cos1), mul(v.x, sin1)), v.z) for v in (third, across)]
-        turned = shared([to_plane @ v for v in turned])
+        turned = [to_plane @ v for v in turned]
         for q2, q3, turn2, turn3, margin3 in _elbow(g, point, elbows, eps):
             (sin2, cos2), (sin3, cos3) = turn2, turn3
-            sin23, cos23 = shared((sin2 * cos3 + cos2 * sin3, cos2 * cos3 - sin2 * sin3))
+            sin23, cos23 = sin2 * cos3 + cos2 * sin3, cos2 * cos3 - sin2 * sin3
             inner = [Vec3(v.x * cos23 + v.y * sin23, v.y * cos23 - v.x * sin23, v.z) for v in turned]
-            aim, beside = shared([to_wrist @ v for v in inner])
+            aim, beside = [to_wrist @ v for v in inner]
             turns = turn1, turn2, (g.elbow_sign * sin3, cos3)
             found.append(HalfBranch((q1, q2, q3), turns, aim, beside, minimum(margin1, margin3)))
     return found
@@ -336,8 +335,8 @@ def _shoulder(g: Geometry, centre: Vec3, signs: Any, eps: float) -> list[Any]:
     kappa = sub(g.along / g.sin_tilt, mul(constants(g.cos_tilt / g.sin_tilt, eps)[0], z))
     square = x * x + y * y
     rest = square - kappa * kappa
-    margin = shared(rest + 64.0 * eps * (square + kappa * kappa))
-    root = shared(safe_sqrt(rest))
+    margin = rest + 64.0 * eps * (square + kappa * kappa)
+    root = safe_sqrt(rest)
     on_axis = square <= eps * eps  # Q on axis 1: any angle will do, 0 is taken
     inverse = where(on_axis, 0.0, 1.0 / where(on_axis, 1.0, square))
     a, b = constants(g.axis_2, eps)
@@ -346,7 +345,7 @@ def _shoulder(g: Geometry, centre: Vec3, signs: Any, eps: float) -> list[Any]:
     for sign in signs:
         side = root * sign
         sin, cos = kappa * y + x * side, kappa * x - y * side
-        turn = shared((sin * inverse, where(on_axis, 1.0, cos * inverse)))
+        turn = sin * inverse, where(on_axis, 1.0, cos * inverse)
         found.append((atan2(sin, cos), turn, (sub(-side, a), down), margin))
     return found
 
@@ -355,15 +354,15 @@ def _elbow(g: Geometry, point: tuple[Scalar, Scalar], signs: Any, eps: float) ->
     """Joints 2 and 3 of the triangle with sides `upper`, `lower` and the distance of `point`, with sines and cosines, those of
     the angle between the links as they turn about h_2."""
     a, b = point
-    square = shared(a * a + b * b)
+    square = a * a + b * b
     scale = 1.0 / (4.0 * g.upper * g.lower)
     cos2 = (square - (g.upper - g.lower) ** 2) * scale  # of half the angle between the links
     sin2 = ((g.upper + g.lower) ** 2 - square) * scale
     slack = 64.0 * eps * (1.0 + (g.upper + g.lower) ** 2 * scale)
-    margin = shared(minimum(cos2, sin2) + slack)
+    margin = minimum(cos2, sin2) + slack
     half_cos, half_sin = safe_sqrt(cos2), safe_sqrt(sin2)
     angle = 2.0 * atan2(half_sin, half_cos)
-    sine, cosine = shared((2.0 * half_sin * half_cos, cos2 - sin2))
+    sine, cosine = 2.0 * half_sin * half_cos, cos2 - sin2
     folded = square <= eps * eps
     inverse = where(folded, 0.0, 1.0 / where(folded, 1.0, square))
     su, cu = math.sin(g.upper_angle), math.cos(g.upper_angle)
@@ -385,7 +384,7 @@ def _elbow(g: Geometry, point: tuple[Scalar, Scalar], signs: Any, eps: float) ->
 def _wrist(chain: Chain, g: Geometry, third: Vec3, across: Vec3, eps: float) -> list[Any]:
     """Joints 4, 5, 6 from h_6 and a direction across it, both as the pose has them, in the frame of axes 4 and 5."""
     sa, ca, sb, cb = constants([math.sin(g.alpha), math.cos(g.alpha), math.sin(g.beta), math.cos(g.beta)], eps)
-    flat = shared(third.x * third.x + third.y * third.y)
+    flat = third.x * third.x + third.y * third.y
     # half the angle between h_4 and h_6, from the sine where it is small and from the cosine where that is
     near = third.z >= 0.0
     large = (1.0 + abs(third.z)) / 2.0
@@ -394,10 +393,10 @@ def _wrist(chain: Chain, g: Geometry, third: Vec3, across: Vec3, eps: float) -> 
     scale = 1.0 / (math.sin(g.alpha) * math.sin(g.beta))
     closest, farthest = constants([math.sin((g.alpha - g.beta) / 2) ** 2, math.cos((g.alpha + g.beta) / 2) ** 2], eps)
     sin2, cos2 = mul(sub(sin2, closest), scale), mul(sub(cos2, farthest), scale)
-    margin = shared(minimum(sin2, cos2) + 64.0 * eps * scale)
+    margin = minimum(sin2, cos2) + 64.0 * eps * scale
     half_sin, half_cos = safe_sqrt(sin2), safe_sqrt(cos2)
     angle = 2.0 * atan2(half_sin, half_cos)
-    sine, cosine = shared((2.0 * half_sin * half_cos, cos2 - sin2))
+    sine, cosine = 2.0 * half_sin * half_cos, cos2 - sin2
     singular = flat <= (64.0 * eps) ** 2
     inverse = where(singular, 0.0, 1.0 / where(singular, 1.0, flat))
     s0, c0 = constants([math.sin(g.wrist_zero), math.cos(g.wrist_zero)], eps)
@@ -417,13 +416,13 @@ def _wrist(chain: Chain, g: Geometry, third: Vec3, across: Vec3, eps: float) -> 
         sin4 = where(singular, sub(mul(aim.y, forward.x), mul(aim.x, forward.y)), sub(mul(third.y, wx), mul(third.x, wy)))
         cos4 = where(singular, add(mul(aim.x, forward.x), mul(aim.y, forward.y)), add(mul(third.x, wx), mul(third.y, wy)))
         length = where(singular, 1.0, inverse)
-        s4, c4 = shared((sin4 * length, cos4 * length))
+        s4, c4 = sin4 * length, cos4 * length
         rest = back @ Vec3(across.x * c4 + across.y * s4, across.y * c4 - across.x * s4, across.z)
         q6 = where(singular, last, atan2(e2.dot(rest), e1.dot(rest)))
         q5 = wrapped(sign * angle - g.wrist_zero)
         found.append((atan2(sin4, cos4), q5, q6, minimum(margin, where(q6 == q6, 1.0, -1.0))))
     if right_angled:
-        q4, q5, q6, margin = shared(found[0])
+        q4, q5, q6, margin = found[0]
         found[0] = q4, q5, q6, margin
         flip = where(singular, 0.0, math.pi)
         found.append((wrapped(q4 + flip), wrapped(-angle - g.wrist_zero), wrapped(q6 + flip), margin))

@@ -20,7 +20,7 @@ from jax import lax
 from jaxtyping import Float
 
 from jaxik import distance
-from jaxik.algebra import Frame, Rot3, Vec3, shared
+from jaxik.algebra import Frame, Rot3, Vec3
 from jaxik.chain import Array, Chain, as_configuration
 from jaxik.choice import check_kind
 from jaxik.kinematics import joint_frames
@@ -106,7 +106,7 @@ def _contacts(chain: Chain, scene: Scene | None, q: Any, groups: list[list[int]]
     table = [jnp.concatenate([*(jnp.broadcast_to(p[i], p[0].shape) for p in pulls), nothing]) for i in range(7)]
     link = np.concatenate([part.link for part in parts])
     nearest = _nearest_of_each(table[0], link, groups)
-    smallest, fx, fy, fz, mx, my, mz = (shared(column[nearest]) for column in table)
+    smallest, fx, fy, fz, mx, my, mz = (column[nearest] for column in table)
     force, moment = Vec3(fx, fy, fz), Vec3(mx, my, mz)
     below = np.concatenate([*(np.broadcast_to(part.other_joint, len(part.link)) for part in parts), [0]])
     other, own = jnp.asarray(below)[nearest], jnp.asarray([*np.array(chain.link_joint)[link], 0])[nearest]

@@ -21,7 +21,7 @@ import jax
 import jax.numpy as jnp
 from jax import lax
 
-from jaxik.algebra import Rot3, Vec3, ratio, safe_sqrt, shared
+from jaxik.algebra import Rot3, Vec3, ratio, safe_sqrt
 
 _GOLDEN = (5.0**0.5 - 1.0) / 2.0
 _STEPS = {4: 32, 8: 64}  # golden-section steps to the rounding of float32 and float64: 0.618^32 = 2e-7, 0.618^64 = 4e-14
@@ -71,7 +71,7 @@ def line_line(a: Vec3, b: Vec3, c: Vec3, d: Vec3) -> Any:
 
 @line_line.defjvp
 def _line_line_jvp(primals: Any, tangents: Any) -> Any:
-    held = shared(_held(_nearest_on_lines(*primals)))
+    held = _held(_nearest_on_lines(*primals))
     return jax.jvp(lambda *ends: _line_gap(*ends, *held), primals, tangents)
 
 

@@ -36,7 +36,6 @@ from jaxik.algebra import (
     constants,
     mul,
     safe_sqrt,
-    shared,
     sincos,
     stack,
 )
@@ -67,7 +66,7 @@ def joint_frames(chain: Chain, q: Sequence[Scalar], root: Frame = BASE, dtype: A
         else:
             motion = Frame(Rot3.about(axis, *sincos(q[i])), ZERO)
         axes.append(frame.rotation @ axis)  # the joint's own motion leaves its axis where it is
-        frame = shared(frame @ motion)
+        frame = frame @ motion
         frames.append(frame)
     return JointFrames(tuple(frames), tuple(axes), frame @ Frame.of(chain.joint_T_tip, snap))
 
@@ -172,4 +171,4 @@ def _determinant(matrix: list[list[Scalar]]) -> Scalar:
     pivot = jnp.maximum(matrix[0][0], 0.0)
     inverse = jnp.where(pivot > 0.0, 1.0 / jnp.where(pivot > 0.0, pivot, 1.0), 0.0)
     rest = [[x - row[0] * inverse * top for x, top in zip(row[1:], matrix[0][1:], strict=True)] for row in matrix[1:]]
-    return pivot * _determinant(shared(rest, derivative=True))
+    return pivot * _determinant(rest)

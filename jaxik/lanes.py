@@ -15,7 +15,7 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Float
 
-from jaxik.algebra import Frame, Scalar, add, mul, shared, stack
+from jaxik.algebra import Frame, Scalar, add, mul, stack
 from jaxik.chain import Array, Chain, as_configuration
 from jaxik.choice import as_count
 from jaxik.collision import clearance, link_contacts
@@ -176,7 +176,7 @@ def _problem(
         position, rotation = task.residual(frames.tip, target)
         rows = task.rows(jacobian_columns(chain, frames), target)
         scales = [scale] * len(position) + [1.0] * len(rotation)
-        value = shared([mul(s, v) for s, v in zip(scales, position + rotation, strict=True)])
+        value = [mul(s, v) for s, v in zip(scales, position + rotation, strict=True)]
         equality = Rows(value, [[mul(s, v) for v in row] for s, row in zip(scales, rows, strict=True)])
         cost, gradient, inequality = _beside(chain, extras, x, scene, margin, scale, dtype)
         return sqp.Model(cost, gradient, equality, inequality)
@@ -203,7 +203,7 @@ def _beside(
         more, rise = jax.value_and_grad(penalty)(apart)
         cost, gradient = add(cost, more), [add(g, jnp.sum(rise * slope)) for g, slope in zip(gradient, slopes, strict=True)]
     if extras.collision == "constraint":
-        apart, slopes = shared(scale * apart), shared([scale * slope for slope in slopes])
+        apart, slopes = scale * apart, [scale * slope for slope in slopes]
         count = range(len(apart))
         inequality = Rows([apart[k] for k in count], [[slope[k] for slope in slopes] for k in count])
     return cost, gradient, inequality

@@ -17,7 +17,6 @@ import jax.numpy as jnp
 import numpy as np
 from jax import lax
 
-from jaxik.algebra import shared
 from jaxik.ball import possible
 from jaxik.batch import in_blocks
 from jaxik.chain import Chain, finite_limits
@@ -158,7 +157,7 @@ def _half_freedom(chain: Chain) -> HostKernel:
             else:
                 each = 1.0 - jnp.abs(away - jnp.round(away * (1.0 / TURN)) * TURN) * (1.0 / half[i])
             least = jnp.minimum(least, each)
-        return shared(jnp.where(margin >= 0.0, jnp.maximum(least, -1.0), NOTHING))
+        return jnp.where(margin >= 0.0, jnp.maximum(least, -1.0), NOTHING)
 
     def pair(pose: Any, leading: Any, shoulder: Any, elbow: Any) -> Any:
         head = [leading[i] for i in range(chain.num_joints - 6)]

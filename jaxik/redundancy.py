@@ -27,7 +27,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float
 
-from jaxik.algebra import Frame, Scalar, add, mul, shared, stack, sub
+from jaxik.algebra import Frame, Scalar, add, mul, stack, sub
 from jaxik.chain import Array, Chain, as_configuration, as_shaped
 from jaxik.choice import shown
 from jaxik.costs import Cost
@@ -180,7 +180,7 @@ class _At:
         pose = as_shaped("pose", motion.pose, (4, 4)).astype(q.dtype)
         self.target = Frame.of_entries([pose[i, j] for i in range(4) for j in range(4)])
         frames = joint_frames(chain, [q[i] for i in range(self.n)], dtype=q.dtype)
-        self.rows = shared(task.rows(jacobian_columns(chain, frames), self.target), True)
+        self.rows = task.rows(jacobian_columns(chain, frames), self.target)
         position, rotation = task.residual(frames.tip, self.target)
         self.error = position + rotation
 
@@ -209,8 +209,8 @@ class _At:
                 rate, damping = self._solved(wanted, free, inverse, floor)
                 inside = [jnp.clip(x, a, b) for x, a, b in zip(rate, low, high, strict=True)]
                 leaves = [x != y for x, y in zip(rate, inside, strict=True)]
-                free = shared([jnp.where(out, y, x) for out, x, y in zip(leaves, free, inside, strict=True)])
-                inverse = shared([jnp.where(out, 0.0, w) for out, w in zip(leaves, inverse, strict=True)])
+                free = [jnp.where(out, y, x) for out, x, y in zip(leaves, free, inside, strict=True)]
+                inverse = [jnp.where(out, 0.0, w) for out, w in zip(leaves, inverse, strict=True)]
             rate = inside
         return Resolved(stack(rate, (n,), self.dtype), stack(self.error, (m,), self.dtype), jnp.asarray(damping, self.dtype))
 
@@ -219,5 +219,5 @@ class _At:
         scaled = [[mul(w, x) for w, x in zip(inverse, row, strict=True)] for row in rows]
         gram = [[dot(scaled[i], rows[j]) for j in range(i + 1)] for i in range(m)]
         short = [sub(w, dot(row, free)) for w, row in zip(wanted, rows, strict=True)]
-        y, damping = damped_solve(shared(gram, True), shared(short, True), floor)
+        y, damping = damped_solve(gram, short, floor)
         return [add(free[i], dot([row[i] for row in scaled], y)) for i in range(self.n)], damping

@@ -16,7 +16,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float
 
-from jaxik.algebra import BASE, Frame, Scalar, Vec3, shared
+from jaxik.algebra import BASE, Frame, Scalar, Vec3
 from jaxik.chain import Array, Box, Chain, Volume, as_configuration, finite_limits
 from jaxik.choice import as_count
 from jaxik.kinematics import joint_frames
@@ -108,7 +108,7 @@ def _joined(pieces: list[Scalar], sizes: np.ndarray) -> Any:
     if not any(isinstance(p, jax.Array) for p in pieces):
         lead = np.broadcast_shapes(*(np.shape(p)[:-1] for p in pieces))
         return np.concatenate([np.broadcast_to(p, (*lead, n)) for p, n in zip(pieces, sizes, strict=True)], axis=-1)
-    return shared(jnp.concatenate([jnp.broadcast_to(p, (n,)) for p, n in zip(pieces, sizes, strict=True)]))
+    return jnp.concatenate([jnp.broadcast_to(p, (n,)) for p, n in zip(pieces, sizes, strict=True)])
 
 
 def link_spheres(chain: Chain, q: Float[Array, " n"]) -> tuple[Float[Array, "s 3"], Float[Array, " s"]]:

@@ -20,7 +20,7 @@ from typing import Any, Literal
 import jax.numpy as jnp
 import numpy as np
 
-from jaxik.algebra import Frame, Rot3, Scalar, Vec3, add, atan2, mul, safe_sqrt, shared, sub
+from jaxik.algebra import Frame, Rot3, Scalar, Vec3, add, atan2, mul, safe_sqrt, sub
 from jaxik.choice import check_choices, shown
 
 Axes = Literal["tool", "base"]
@@ -94,13 +94,13 @@ def rotation_vector(e: Rot3) -> Vec3:
     """`log E`: the axis times the angle in [0, pi] [rad]. At pi, where the axis has two directions, one of them."""
     v = Vec3(sub(e[2].y, e[1].z), sub(e[0].z, e[2].x), sub(e[1].x, e[0].y)) * 0.5
     cosine = 0.5 * (e[0].x + e[1].y + e[2].z - 1.0)
-    sine = shared(safe_sqrt(v.dot(v)))
+    sine = safe_sqrt(v.dot(v))
     angle = atan2(sine, cosine)
     eps = float(jnp.finfo(jnp.result_type(cosine)).eps)
     near_pi = (cosine < 0.0) & (sine < 30.0 * eps**0.5)
-    scale = shared(jnp.where(sine > 0.0, angle / jnp.where(sine > 0.0, sine, 1.0), 1.0))
+    scale = jnp.where(sine > 0.0, angle / jnp.where(sine > 0.0, sine, 1.0), 1.0)
     flipped = _axis_of_half_turn(e, v)
-    return Vec3(*shared([jnp.where(near_pi, f * angle, x * scale) for x, f in zip(v, flipped, strict=True)]))
+    return Vec3(*[jnp.where(near_pi, f * angle, x * scale) for x, f in zip(v, flipped, strict=True)])
 
 
 def _axis_of_half_turn(e: Rot3, v: Vec3) -> Vec3:
@@ -123,10 +123,10 @@ def _swing(e: Rot3, k: int) -> Vec3:
     direction = e.T[k]  # of axis k after the turn
     i, j = (k + 1) % 3, (k + 2) % 3
     # k x direction: along i it is -direction_j, along j it is direction_i
-    sine = shared(safe_sqrt(add(mul(direction[i], direction[i]), mul(direction[j], direction[j]))))
+    sine = safe_sqrt(add(mul(direction[i], direction[i]), mul(direction[j], direction[j])))
     angle = atan2(sine, direction[k])
     opposite = (sine == 0.0) & (direction[k] < 0.0)  # any axis across will do
-    scale = shared(jnp.where(sine > 0.0, angle / jnp.where(sine > 0.0, sine, 1.0), 1.0))
+    scale = jnp.where(sine > 0.0, angle / jnp.where(sine > 0.0, sine, 1.0), 1.0)
     parts: list[Any] = [0.0, 0.0, 0.0]
     parts[i] = jnp.where(opposite, angle, -direction[j] * scale)
     parts[j] = direction[i] * scale

@@ -1,6 +1,6 @@
-"""Small linear systems on scalars, written out, so that a batch of them is one fused loop with the batch as vector lane.
+"""Small linear systems on scalars, written out, with the batch as vector lane.
 
-A matrix is a list of rows of scalars (`algebra`); each stage of an elimination is used many times and therefore fenced.
+A matrix is a list of rows of scalars (`algebra`).
 """
 
 from __future__ import annotations
@@ -11,7 +11,7 @@ from typing import Any
 
 import jax.numpy as jnp
 
-from jaxik.algebra import Scalar, add, mul, shared, sub
+from jaxik.algebra import Scalar, add, mul, sub
 
 Matrix = Sequence[Sequence[Scalar]]
 
@@ -54,8 +54,8 @@ def damped_solve(matrix: Matrix, right: Sequence[Scalar], floor: float) -> tuple
     def raised(pivot: Any, diagonal: Any) -> Any:
         least, pivot = jnp.maximum(floor * diagonal, 1e-30), jnp.maximum(pivot, 0.0)
         short = jnp.maximum(least - pivot, 0.0) / least
-        added.append(shared(floor * short**2, True))
-        return shared(pivot + least * short**2, True)
+        added.append(floor * short**2)
+        return pivot + least * short**2
 
     return _solve(matrix, right, raised), functools.reduce(jnp.maximum, added)
 
@@ -68,16 +68,16 @@ def _solve(matrix: Matrix, right: Sequence[Scalar], mend: Callable[[Any, Any], A
     pivots: list[Any] = []
     inverse: list[Any] = []
     for j in range(n):
-        row = shared([mul(x, d) for x, d in zip(lower[j], pivots, strict=True)], True)
-        pivots.append(shared(mend(sub(matrix[j][j], dot(lower[j], row)), matrix[j][j]), True))
-        inverse.append(shared(1.0 / pivots[j], True))
+        row = [mul(x, d) for x, d in zip(lower[j], pivots, strict=True)]
+        pivots.append(mend(sub(matrix[j][j], dot(lower[j], row)), matrix[j][j]))
+        inverse.append(1.0 / pivots[j])
         for i in range(j + 1, n):
-            lower[i].append(shared(mul(sub(matrix[i][j], dot(lower[i], row)), inverse[j]), True))
+            lower[i].append(mul(sub(matrix[i][j], dot(lower[i], row)), inverse[j]))
     forward: list[Any] = []
-    for i in range(n):
-        forward.append(shared(sub(right[i], dot(lower[i], forward)), True))
+    for row, b in zip(lower, right, strict=True):
+        forward.append(sub(b, dot(row, forward)))
     solution: list[Any] = []  # from the last to the first
     for i in reversed(range(n)):
         below = [lower[k][i] for k in reversed(range(i + 1, n))]
-        solution.append(shared(sub(mul(forward[i], inverse[i]), dot(below, solution)), True))
+        solution.append(sub(mul(forward[i], inverse[i]), dot(below, solution)))
     return solution[::-1]

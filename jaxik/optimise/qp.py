@@ -19,7 +19,7 @@ from typing import Any, NamedTuple
 
 import jax.numpy as jnp
 
-from jaxik.algebra import Scalar, add, mul, shared, sub
+from jaxik.algebra import Scalar, add, mul, sub
 from jaxik.optimise.linear import Matrix, definite_solve, dot, full, product
 
 
@@ -52,7 +52,7 @@ def solve(
     # the part of the system that no pass changes
     base = [[add(mul(weight, hessian[i][j]), dot(*_columns(equality.matrix, i, j))) for j in range(i + 1)] for i in range(n)]
     right = [sub(-mul(weight, gradient[i]), dot(_column(equality.matrix, i), equality.value)) for i in range(n)]
-    base, right = shared(base), shared([jnp.asarray(b) for b in right])
+    right = [jnp.asarray(b) for b in right]
     broken = [jnp.where(v < 0.0, 1.0, 0.0) for v in inequality.value]
     free: list[Any] = [1.0] * n
     held: list[Any] = [0.0] * n
@@ -62,7 +62,6 @@ def solve(
             [add(base[i][j], dot(_column(counted, i), _column(inequality.matrix, j))) for j in range(i + 1)] for i in range(n)
         ]
         vector = [sub(right[i], dot(_column(counted, i), inequality.value)) for i in range(n)]
-        matrix, vector = (shared(matrix), shared(vector)) if counted else (matrix, vector)
         step = definite_solve(*_held(matrix, vector, free, held), smallest)
         clipped = [jnp.clip(p, a, b) for p, a, b in zip(step, low, high, strict=True)]
         if number == passes:
@@ -70,8 +69,8 @@ def solve(
         wants = [jnp.zeros_like(p) for p in step]  # where the slope would move what was held before this pass
         if number > 1:
             wants = [b - a for a, b in zip(product(full(matrix), clipped), vector, strict=True)]
-        free = shared([_is_free(*each) for each in zip(free, step, clipped, wants, low, high, strict=True)])
-        held = shared([jnp.where(f == 1.0, 0.0, c) for f, c in zip(free, clipped, strict=True)])
+        free = [_is_free(*each) for each in zip(free, step, clipped, wants, low, high, strict=True)]
+        held = [jnp.where(f == 1.0, 0.0, c) for f, c in zip(free, clipped, strict=True)]
         broken = [jnp.where(v < 0.0, 1.0, 0.0) for v in inequality.at(clipped)]
     return clipped
 
@@ -92,7 +91,7 @@ def _held(matrix: Matrix, right: Sequence[Scalar], free: Sequence[Scalar], held:
         [add(mul(matrix[i][j], mul(free[i], free[j])), sub(1.0, free[i]) if i == j else 0.0) for j in range(i + 1)]
         for i in range(n)
     ]
-    return shared(masked), shared([add(mul(f, b), h) for f, b, h in zip(free, moved, held, strict=True)])
+    return masked, [add(mul(f, b), h) for f, b, h in zip(free, moved, held, strict=True)]
 
 
 def _column(matrix: Matrix, j: int) -> list[Scalar]:

@@ -31,7 +31,7 @@ import jax
 import jax.numpy as jnp
 from jax import lax
 
-from jaxik.algebra import Scalar, add, mul, shared, sub
+from jaxik.algebra import Scalar, add, mul, sub
 from jaxik.choice import check_choices
 from jaxik.optimise.linear import Matrix, dot, full, product
 from jaxik.optimise.qp import NONE, Rows, solve
@@ -163,7 +163,7 @@ def _step(
     problem: Problem, model: Model, x: Any, low: Any, high: Any, options: Options, restraint: Any = 0.0, learned: Any = ()
 ) -> Any:
     """The step and the weight of its subproblem."""
-    weight = shared(options.damping * model.violation + options.floor)
+    weight = options.damping * model.violation + options.floor
     hessian = full(learned) if learned else problem.metric
     if options.merit != "none":  # the trust region's multiplier: steps for cost and constraints alike become shorter
         rows = zip(hessian, problem.metric, strict=True)
@@ -173,7 +173,7 @@ def _step(
         hessian, model.gradient, model.equality, model.inequality, below, above, weight, options.passes, 1e-3 * options.floor
     )
     length = functools.reduce(jnp.maximum, [abs(v) * problem.metric[i][i] ** 0.5 for i, v in enumerate(p)])
-    short = shared(jnp.minimum(1.0, options.cap / jnp.maximum(length, 1e-9)))
+    short = jnp.minimum(1.0, options.cap / jnp.maximum(length, 1e-9))
     return [v * short for v in p], weight
 
 
@@ -200,12 +200,12 @@ def _transposed_product(matrix: Matrix, vector: Sequence[Any]) -> list[Any]:
 def _damped_bfgs(lower: Any, step: Sequence[Any], change: Sequence[Any]) -> Any:
     """Powell's update: where the measured curvature is less than a fifth of B's, it is mixed with B's."""
     old = product(full(lower), step)
-    curvature, measured = shared((dot(step, old), dot(step, change)))
+    curvature, measured = dot(step, old), dot(step, change)
     mixed = jnp.where(
         measured < 0.2 * curvature, 0.8 * curvature / jnp.where(curvature > measured, curvature - measured, 1.0), 1.0
     )
-    kept = shared([mixed * c + (1.0 - mixed) * o for c, o in zip(change, old, strict=True)])
-    along = shared(dot(step, kept))
+    kept = [mixed * c + (1.0 - mixed) * o for c, o in zip(change, old, strict=True)]
+    along = dot(step, kept)
     usable = (curvature > 1e-12) & (along > 1e-12)
     a, b = (jnp.where(usable, 1.0 / jnp.where(usable, v, 1.0), 0.0) for v in (along, curvature))
     return tuple(

@@ -256,7 +256,7 @@ def sincos(x: Any) -> tuple[Any, Any]:
     u = r * r
     sin = r + r * u * _polynomial(u, SIN[size])
     cos = 1 - kind(0.5) * u + u * u * _polynomial(u, COS[size])
-    quadrant = k.astype(np.int32)
+    quadrant = _bits(k + kind({4: 1.5 * 2**23, 8: 1.5 * 2**52}[size]))  # whose last bits are k's: quicker than a conversion
     odd = (quadrant & 1) == 1
     s, c = jnp.where(odd, cos, sin), jnp.where(odd, sin, cos)
     return jnp.where((quadrant & 2) == 2, -s, s), jnp.where(((quadrant + 1) & 2) == 2, -c, c)
