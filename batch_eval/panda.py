@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import functools
 import tempfile
 import warnings
 import xml.etree.ElementTree as ET
@@ -14,7 +15,7 @@ import jax.numpy as jnp
 import mujoco
 import numpy as np
 import pinocchio as pin
-from race import Entry, compiled
+from race import PLAIN, Entry, compiled, single
 
 import jaxik
 
@@ -106,9 +107,12 @@ def contenders(count: int = 65_536) -> tuple[list[Entry], list[Entry]]:
         run, seconds = compiled(function, jnp.asarray(batch))
         return Entry(who, len(batch), run, seconds, off(check(few), true))
 
-    pose = jax.vmap(lambda q: jaxik.forward_kinematics(chain, q))
-    jacobian = jax.vmap(lambda q: jaxik.jacobian(chain, q))
-    forward, columns = [jaxs("jaxik", pose, pose, poses)], [jaxs("jaxik", jacobian, jacobian, jacobians)]
+    def ours(function: Callable[..., Any], true: np.ndarray) -> list[Entry]:
+        batches = {"jaxik": function, PLAIN: function.__wrapped__}  # type: ignore[attr-defined]
+        each = {who: jax.vmap(functools.partial(f, chain)) for who, f in batches.items()}
+        return [jaxs(who, f, f, true) for who, f in each.items()]
+
+    forward, columns = ours(jaxik.forward_kinematics, poses), ours(jaxik.jacobian, jacobians)
     rows = [row.astype(np.float64) for row in q]
     loops = truth.loops(rows)
     for entries, loop in zip((forward, columns), loops, strict=True):
@@ -123,6 +127,24 @@ def contenders(count: int = 65_536) -> tuple[list[Entry], list[Entry]]:
     columns.append(jaxs("frax, vmap", frax_jacobian, frax_jacobian, jacobians))
     forward.append(_mjx(urdf, chain.joint_T_tip, q[:4096], few, poses, off))
     return forward, columns
+
+
+def single_calls() -> dict[str, dict[str, Callable[[], Any]]]:
+    """One configuration: the pose and the Jacobian, each by calls that wait for their results."""
+    urdf = bare_urdf(ROBOTS / "panda_description/urdf/panda.urdf", TIP)
+    chain, truth = jaxik.load(urdf, tip=TIP), Truth(urdf)
+    row = np.random.default_rng(0).uniform(chain.lower, chain.upper)
+    q = jnp.asarray(row, jnp.float32)
+    works = {}
+    for name, function, loop in zip(
+        ("forward kinematics, Panda", "Jacobian, Panda"),
+        (jaxik.forward_kinematics, jaxik.jacobian),
+        truth.loops([row]),
+        strict=True,
+    ):
+        works[name] = single(functools.partial(function, chain), functools.partial(function.__wrapped__, chain), q)
+        works[name]["Pinocchio, from Python"] = loop
+    return works
 
 
 def _torch(urdf: Path, q: np.ndarray, few: np.ndarray, poses: np.ndarray, jacobians: np.ndarray, off: Any) -> list[Entry]:
