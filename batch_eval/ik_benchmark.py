@@ -76,7 +76,7 @@ def row(who: str, count: int, first: float, each: float, success: float) -> dict
 
 def beside_peers() -> list[dict[str, Any]]:
     """The Panda, random reachable poses."""
-    urdf = panda.bare_urdf(panda.ROBOTS / ROBOTS["Panda"][0], panda.TIP)  # type: ignore[index]
+    urdf = panda.urdf_file()
     chain = jaxik.load(urdf, tip=panda.TIP)
     poses, rows = targets(chain, 2000), []
     ours = lambda poses: jaxik.solve_ik(chain, poses, position_tolerance=POSITION, rotation_tolerance=ROTATION).q

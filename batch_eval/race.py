@@ -119,15 +119,8 @@ def percentiles(times: list[float]) -> tuple[float, float]:
 
 def machine() -> dict[str, Any]:
     """The CPU and the versions of what is installed."""
-    versions = {d.name: d.version for d in map(_distribution, PACKAGES) if d is not None}
+    versions = {name: found.version for name in PACKAGES for found in importlib.metadata.distributions(name=name)}
     return {"cpu": processor(), "cores": len(cores()), "python": platform.python_version(), **versions}
-
-
-def _distribution(name: str) -> importlib.metadata.Distribution | None:
-    try:
-        return importlib.metadata.distribution(name)
-    except importlib.metadata.PackageNotFoundError:
-        return None
 
 
 def cores() -> list[int]:
