@@ -76,7 +76,9 @@ def _run(*arguments: str, cache: str | None = None) -> tuple[str, float]:
     environment |= {"MPLBACKEND": "Agg"}
     environment |= {"XDG_CACHE_HOME": cache} if cache else {"JAXIK_CACHE": "off"}
     start = time.perf_counter()
-    done = subprocess.run([sys.executable, *arguments], env=environment, capture_output=True, text=True, check=True)
+    done = subprocess.run([sys.executable, *arguments], env=environment, capture_output=True, text=True)
+    if done.returncode:
+        raise RuntimeError(done.stderr[-300:])
     return done.stdout, time.perf_counter() - start
 
 

@@ -26,7 +26,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import problems
-from race import PLAIN, Entry, alone, compiled, from_scratch, machine, percentiles, race, single
+from race import PLAIN, Entry, alone, clocked, compiled, from_scratch, machine, percentiles, race, single
 
 import jaxik
 
@@ -103,18 +103,14 @@ def clearance(gradient: bool, small: bool) -> dict[str, Any]:
 def harvest_scan(small: bool) -> dict[str, Any]:
     chain, scene = jaxik.load("p6r"), jaxik.load_scene("cucumber_row")
     size = (24, 12) if small else (144, 82)
-    return clocked(lambda: jaxik.scan(chain, scene, scene.fruits[0], *size) and None, 8 * size[0] * size[1])
+    return driven(lambda: jaxik.scan(chain, scene, scene.fruits[0], *size) and None, 8 * size[0] * size[1])
 
 
-def clocked(run: Callable[[], Any], count: int, rounds: int = 5) -> dict[str, Any]:
+def driven(run: Callable[[], Any], count: int, rounds: int = 5) -> dict[str, Any]:
     """The first call of what drives the device from the host, and the later ones."""
-    times = []
-    for _ in range(1 + rounds):
-        start = time.perf_counter()
-        jax.block_until_ready(run())
-        times.append(time.perf_counter() - start)
-    p50, p95 = percentiles(times[1:])
-    return {"count": count, "first_call_s": times[0], "p50_s": p50, "p95_s": p95, "us_each": 1e6 * p50 / count}
+    first, *times = [clocked(run)[1] for _ in range(1 + rounds)]
+    p50, p95 = percentiles(times)
+    return {"count": count, "first_call_s": first, "p50_s": p50, "p95_s": p95, "us_each": 1e6 * p50 / count}
 
 
 def one(name: str, small: bool) -> dict[str, Any]:
@@ -135,7 +131,7 @@ def inverse(name: str, counts: tuple[int, ...], small: bool) -> dict[str, Any]:
         poses = problems.targets(chain, min(count, 50) if small else count)
         tolerances = {"position_tolerance": problems.POSITION, "rotation_tolerance": problems.ROTATION}
         solve = lambda poses=poses, tolerances=tolerances: jaxik.solve_ik(chain, poses, **tolerances).q
-        row, q = clocked(solve, len(poses)), np.asarray(solve(), np.float64)
+        row, q = driven(solve, len(poses)), np.asarray(solve(), np.float64)
         found[f"{count:,} poses"] = row | {"success": problems.solved(chain, q, problems.tips(chain, q), poses)}
     return found
 
@@ -156,7 +152,7 @@ def among_leaves(small: bool) -> dict[str, Any]:
     free = np.asarray(jax.vmap(lambda q: jaxik.clearance(chain, scene, q))(q)) > 0.005
     poses = problems.tips(chain, q[free])[: 4 if small else 100]
     solve = lambda: jaxik.solve_ik(chain, poses, scene)
-    return clocked(lambda: solve().q, len(poses), rounds=2) | {"success": float(np.mean(solve().success))}
+    return driven(lambda: solve().q, len(poses), rounds=2) | {"success": float(np.mean(solve().success))}
 
 
 def sweep(small: bool) -> dict[str, Any]:
@@ -164,7 +160,7 @@ def sweep(small: bool) -> dict[str, Any]:
     n = 4 if small else 16
     grid = {"kind": "grid", "x": [0, 1.6, 2 * n], "y": [0.2, 1.0, n], "z": [0, 1.2, n], "directions": [[0, 1, 0], [1, 1, 0]]}
     study = {"robot": "p6r", "slides": 41, "targets": grid}
-    return clocked(lambda: jaxik.sweep(study, Path(tempfile.mkdtemp()) / "s.zarr") and None, 4 * n**3, rounds=2)
+    return driven(lambda: jaxik.sweep(study, Path(tempfile.mkdtemp()) / "s.zarr") and None, 4 * n**3, rounds=2)
 
 
 def first_call(name: str, small: bool) -> dict[str, Any]:
@@ -195,7 +191,7 @@ def peer_inverse(who: str, small: bool) -> dict[str, Any]:
         "scikit-robot": functools.partial(ik_peers.skrobot_solver, steps=ik_peers.STEPS),
     }
     solve, poses = make[who](urdf), problems.targets(chain, 20 if small else 1000)
-    row, q = clocked(lambda: solve(poses), len(poses), rounds=2), np.asarray(solve(poses), np.float64)
+    row, q = driven(lambda: solve(poses), len(poses), rounds=2), np.asarray(solve(poses), np.float64)
     return row | {"success": problems.solved(chain, q, problems.tips(chain, q), poses)}
 
 

@@ -23,7 +23,7 @@ import panda
 import problems
 from panda import pose_of
 from problems import POSITION, ROTATION, targets
-from race import from_scratch, machine, percentiles
+from race import clocked, from_scratch, machine, percentiles
 
 import jaxik
 
@@ -51,12 +51,6 @@ def judge(chain: jaxik.Chain, q: np.ndarray, poses: np.ndarray, *tolerances: flo
     pose = pose_of(chain)
     reached = np.stack([pose(row) if np.isfinite(row).all() else np.full((4, 4), np.nan) for row in q])
     return problems.solved(chain, q, reached, poses, *tolerances)
-
-
-def clocked(run: Callable[[], Any]) -> tuple[Any, float]:
-    """What `run` returns, and its time [s]."""
-    start = time.perf_counter()
-    return run(), time.perf_counter() - start
 
 
 def timed(run: Callable[[], Any], rounds: int) -> tuple[Any, float, float]:

@@ -84,9 +84,7 @@ def race(entries: list[Entry], rounds: int = 11, least: float = 0.05, most: floa
         for entry in entries:
             spent = 0.0
             while spent < least and (len(entry.times) < 3 or sum(entry.times) < most):
-                start = time.perf_counter()
-                jax.block_until_ready(entry.run())
-                entry.times.append(time.perf_counter() - start)
+                entry.times.append(clocked(entry.run)[1])
                 spent += entry.times[-1]
     return entries
 
@@ -95,6 +93,12 @@ def single(function: Callable[..., Any], plain: Callable[..., Any], *args: Any) 
     """Calls of a kernel for one configuration, jitted and eager, and of the function that it was made of."""
     run = lambda f: lambda: jax.block_until_ready(f(*args))
     return {"jaxik, jitted": run(jax.jit(function)), "jaxik, eager": run(function), PLAIN: run(jax.jit(plain))}
+
+
+def clocked(run: Callable[[], Any]) -> tuple[Any, float]:
+    """What `run` returns, once it is there, and the seconds that this took."""
+    start = time.perf_counter()
+    return jax.block_until_ready(run()), time.perf_counter() - start
 
 
 def alone(calls: dict[str, Callable[[], Any]], rounds: int = 11, each: int = 100) -> dict[str, tuple[float, float]]:
