@@ -2,14 +2,16 @@
 
 from __future__ import annotations
 
+import functools
 import time
+from collections.abc import Callable
 from typing import Any
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 from eaik.IK_HP import HPRobot
-from race import Entry, compiled
+from race import PLAIN, Entry, compiled, single
 
 import jaxik
 
@@ -39,8 +41,9 @@ def closed_form_entries(dtype: Any, count: int = 50_000) -> list[Entry]:
         poses = np.asarray(pose(q))
         arm_poses = np.array(pose(q * (np.arange(7) > 0)))
     with jax.enable_x64(dtype == np.float64):
-        solve = jax.vmap(lambda pose, slide: jaxik.closed_form(chain, pose, slide))
-        run, seconds = compiled(solve, jnp.asarray(poses, dtype), jnp.asarray(q[:, 0], dtype))
+        batch = jnp.asarray(poses, dtype), jnp.asarray(q[:, 0], dtype)
+        run, seconds = compiled(jax.vmap(functools.partial(jaxik.closed_form, chain)), *batch)
+        plain = Entry(PLAIN, count, *compiled(jax.vmap(functools.partial(jaxik.closed_form.__wrapped__, chain)), *batch))
         found = run()
     with jax.enable_x64(True):
         back = np.asarray(pose(np.asarray(found.q, np.float64).reshape(-1, 7))).reshape(count, 8, 4, 4)
@@ -50,9 +53,22 @@ def closed_form_entries(dtype: Any, count: int = 50_000) -> list[Entry]:
     ours = Entry("jaxik", count, run, seconds, worst, success)
     robot, tip = eaik_robot(chain)
     arm_poses[:, :3, :3] = arm_poses[:, :3, :3] @ tip.T
-    batch = list(arm_poses)
-    theirs = [Entry(f"EAIK, {n} threads", count, lambda n=n: robot.IK_batched(batch, n) and None) for n in (2, 4)]
-    return [ours, *theirs]
+    matrices = list(arm_poses)
+    theirs = [Entry(f"EAIK, {n} threads", count, lambda n=n: robot.IK_batched(matrices, n) and None) for n in (2, 4)]
+    return [ours, plain, *theirs]
+
+
+def single_calls() -> dict[str, dict[str, Callable[[], Any]]]:
+    """One pose: all eight branches by calls that wait for their results."""
+    chain = jaxik.load("p6r")
+    q = np.random.default_rng(0).uniform(chain.lower, chain.upper)
+    pose = jaxik.forward_kinematics(chain, jnp.asarray(q * (np.arange(7) > 0)))  # the slide at 0, as EAIK has none
+    solve = functools.partial(jaxik.closed_form, chain)
+    works = single(solve, functools.partial(jaxik.closed_form.__wrapped__, chain), pose, jnp.zeros(()))
+    robot, tip = eaik_robot(chain)
+    matrix = np.array(pose, np.float64)
+    matrix[:3, :3] = matrix[:3, :3] @ tip.T
+    return {"closed form, P6R, all 8 branches": works | {"EAIK, from Python": lambda: robot.IK(matrix)}}
 
 
 def crop(points: int = 150) -> jaxik.Scene:

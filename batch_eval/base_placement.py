@@ -18,8 +18,8 @@ from typing import Any
 import jax
 import jax.numpy as jnp
 import numpy as np
-from benchmark import machine
 from matplotlib.figure import Figure
+from race import machine
 
 import jaxik
 from jaxik.scan import approach_grid, fruit_frames

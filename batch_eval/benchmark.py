@@ -7,10 +7,7 @@ machines.
 from __future__ import annotations
 
 import argparse
-import importlib.metadata
 import json
-import os
-import platform
 from pathlib import Path
 from typing import Any
 
@@ -18,32 +15,9 @@ import arm
 import fresh
 import numpy as np
 import panda
-from race import Entry, processor, race
+from race import Entry, alone, from_scratch, machine, race
 from rich.console import Console
 from rich.table import Table
-
-PACKAGES = (
-    "jaxik",
-    "jax",
-    "numpy",
-    "pin",
-    "pytorch-kinematics",
-    "torch",
-    "almond-pyroki",
-    "frax",
-    "casadi",
-    "mujoco-mjx",
-    "eaik",
-    "mink",
-    "pin-pink",
-)
-
-
-def machine() -> dict[str, Any]:
-    """The CPU and the versions."""
-    versions = {name: importlib.metadata.version(name) for name in PACKAGES}
-    cores = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count()
-    return {"cpu": processor(), "cores": cores, "python": platform.python_version(), **versions}
 
 
 def show(work: str, entries: list[Entry]) -> list[dict[str, Any]]:
@@ -80,6 +54,7 @@ def main() -> None:
     parser.add_argument("--out", type=Path, default=Path(__file__).with_suffix(".json"))
     parser.add_argument("--rounds", type=int, default=11)
     arguments = parser.parse_args()
+    from_scratch()
     result: dict[str, Any] = {"machine": machine()}
     print(json.dumps(result["machine"]))
     rows: list[dict[str, Any]] = []
@@ -94,6 +69,13 @@ def main() -> None:
     ):
         rows += show(work, race(entries, arguments.rounds))
     result["rows"] = rows
+    result["one_configuration"] = [
+        {"work": work, "who": who, "p50_us": 1e6 * p50, "p95_us": 1e6 * p95}
+        for work, calls in (panda.single_calls() | arm.single_calls()).items()
+        for who, (p50, p95) in alone(calls, arguments.rounds).items()
+    ]
+    result["first_call_s"], result["second_process_s"] = fresh.first_call("eager forward_kinematics")
+    result["two_threads_of_two_processes"] = fresh.threads_of_processes()
     result["compile_fk_jacobian_clearance_s"] = fresh.compile_seconds()
     result["scan_memory"] = fresh.scan_memory()
     result["harvest_cold_s"], result["harvest_warm_cache_s"] = fresh.cold_starts()

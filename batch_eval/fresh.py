@@ -1,4 +1,4 @@
-"""What only a fresh process can tell: cold starts, compile times, memory."""
+"""What only a fresh process can tell: first calls, cold starts, compile times, memory, threads beside processes."""
 
 from __future__ import annotations
 
@@ -9,6 +9,42 @@ import sys
 import tempfile
 import time
 from pathlib import Path
+
+import numpy as np
+import problems
+from race import cores
+
+import jaxik
+
+FIRST = """
+import sys, time
+import jax, numpy as np
+import jaxik
+chain, poses = jaxik.load(sys.argv[1]), np.load(sys.argv[2])
+start = time.perf_counter()
+jax.block_until_ready({call})
+print(time.perf_counter() - start)
+"""
+CALLS = {
+    "eager forward_kinematics": "jaxik.forward_kinematics(chain, np.zeros(chain.num_joints))",
+    "solve_ik of ten targets": "jaxik.solve_ik(chain, poses).q",
+}
+
+CROWD = """
+import itertools, os, sys, time
+os.sched_setaffinity(0, map(int, sys.argv[1].split(",")))  # before XLA counts its threads
+import jax, numpy as np
+import jaxik
+chain, count = jaxik.load("p6r"), int(sys.argv[2])
+q = jax.numpy.asarray(np.random.default_rng(0).uniform(chain.lower, chain.upper, (count, chain.num_joints)), "float32")
+run = jax.jit(jax.vmap(lambda q: jaxik.forward_kinematics(chain, q)))
+for line in itertools.chain(["0.2"], sys.stdin):
+    calls, start, spent = 0, time.perf_counter(), 0.0
+    while spent < float(line):
+        jax.block_until_ready(run(q))
+        calls, spent = calls + 1, time.perf_counter() - start
+    print(calls * count / spent, flush=True)
+"""
 
 COMPILE = """
 import time
@@ -36,11 +72,55 @@ print(json.dumps({"candidates": found.status.size, "before_bytes": before, "peak
 
 
 def _run(*arguments: str, cache: str | None = None) -> tuple[str, float]:
-    environment = {**os.environ, "MPLBACKEND": "Agg"}
+    environment = {k: v for k, v in os.environ.items() if k not in ("JAXIK_CACHE", "JAX_COMPILATION_CACHE_DIR")}
+    environment |= {"MPLBACKEND": "Agg"}
     environment |= {"XDG_CACHE_HOME": cache} if cache else {"JAXIK_CACHE": "off"}
     start = time.perf_counter()
-    done = subprocess.run([sys.executable, *arguments], env=environment, capture_output=True, text=True, check=True)
+    done = subprocess.run([sys.executable, *arguments], env=environment, capture_output=True, text=True)
+    if done.returncode:
+        raise RuntimeError(done.stderr[-300:])
     return done.stdout, time.perf_counter() - start
+
+
+def first_call(name: str, rounds: int = 3) -> tuple[float, float]:
+    """Seconds, imports apart, of one of `CALLS` as the first in a process, with the Panda: compiling all, and with the kernels
+    on disk; medians of `rounds` processes."""
+    with tempfile.TemporaryDirectory() as folder:
+        robot, poses = problems.sheet("Panda"), Path(folder) / "poses.npy"
+        np.save(poses, problems.targets(jaxik.load(robot), 10))
+        command = "-c", FIRST.format(call=CALLS[name]), str(robot), str(poses)
+        seconds = lambda cache: float(_run(*command, cache=cache)[0])
+        seconds(folder)  # fills the cache
+        cold, kept = (float(np.median([seconds(cache) for _ in range(rounds)])) for cache in (None, folder))
+    return cold, kept
+
+
+def threads_of_processes(count: int = 65_536, rounds: int = 5, seconds: float = 1.0) -> float | None:
+    """Forward kinematics a second of one process with two threads, as a share of what two processes of one thread each reach,
+    together, on the same two cores; in turns, the median. None on one core."""
+    if len(cores()) < 2:
+        return None
+    one, two = map(str, cores()[:2])
+
+    def start(where: str) -> subprocess.Popen[str]:
+        command = [sys.executable, "-c", CROWD, where, str(count)]
+        return subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True)
+
+    def together(processes: list[subprocess.Popen[str]]) -> float:
+        for process in processes:
+            print(seconds, file=process.stdin, flush=True)
+        return sum(float(process.stdout.readline()) for process in processes)  # type: ignore[union-attr]
+
+    threads, pair = start(f"{one},{two}"), [start(one), start(two)]
+    everyone = [threads, *pair]
+    try:
+        for process in everyone:
+            process.stdout.readline()  # type: ignore[union-attr] # warm
+        return float(np.median([together([threads]) / together(pair) for _ in range(rounds)]))
+    finally:
+        for process in everyone:
+            process.kill()
+            process.communicate()
 
 
 def compile_seconds() -> float:

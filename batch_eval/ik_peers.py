@@ -16,11 +16,11 @@ import numpy as np
 import pinocchio as pin
 from arm import eaik_robot
 from panda import TIP
+from problems import POSITION, ROTATION
 
 from jaxik import Chain, finite_limits
 
 Solver = Callable[[np.ndarray], np.ndarray]
-POSITION, ROTATION = 1e-5, 1e-4  # what the benchmark asks for [m], [rad]
 RESTARTS, STEPS = 10, 100  # of solvers that follow one start at a time
 
 
@@ -104,6 +104,35 @@ def torch_solver(urdf: Path) -> Solver:
             found = solver.solve(pk.Transform3d(matrix=torch.tensor(poses, dtype=torch.float32)))
         first = torch.argmax(found.converged.int(), dim=1)
         return found.solutions[torch.arange(len(poses)), first].detach().numpy()
+
+    return run
+
+
+def skrobot_solver(urdf: Path, steps: int) -> Solver:
+    """scikit-robot's batch solver on JAX, in float64 as its authors have it: damped least squares, 30 steps unless told, from
+    ten random starts a pose, the best one taken. Its damping of 0.01 lands 68 % of Panda's poses in 30 steps, this 95 %."""
+    from skrobot.kinematics import create_batch_ik_solver
+    from skrobot.models.urdf import RobotModelFromURDF
+
+    robot, x64 = RobotModelFromURDF(urdf_file=str(urdf)), jax.config.jax_enable_x64
+    tip = robot.__dict__[TIP]
+    links = [link for link in robot.link_lists(tip) if link.joint in robot.joint_list]  # the fixed tip has no joint to turn
+    solve = create_batch_ik_solver(robot, links, tip, backend_name="jax", method="jacobian")
+    jax.config.update("jax_enable_x64", x64)  # which it sets for all
+    options = {
+        "max_iterations": steps,
+        "damping": 1e-4,
+        "attempts_per_pose": RESTARTS,
+        "retry_seed": "random",
+        "random_initial_range": 0.7,
+        "pos_threshold": POSITION,
+        "rot_threshold": ROTATION,
+    }
+
+    def run(poses: np.ndarray) -> np.ndarray:
+        np.random.seed(0)  # where its starts come from
+        with jax.enable_x64(True):
+            return np.asarray(solve(poses[:, :3, 3], poses[:, :3, :3], **options)[0])
 
     return run
 

@@ -14,8 +14,8 @@ from typing import Any
 
 import jax
 import numpy as np
-from benchmark import machine
 from panda import pose_of
+from race import machine
 
 import jaxik
 from jaxik.baselines import global_search, newton_ik

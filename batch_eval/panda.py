@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import functools
 import tempfile
 import warnings
 import xml.etree.ElementTree as ET
@@ -14,7 +15,7 @@ import jax.numpy as jnp
 import mujoco
 import numpy as np
 import pinocchio as pin
-from race import Entry, compiled
+from race import PLAIN, Entry, compiled, single
 
 import jaxik
 
@@ -40,6 +41,11 @@ def bare_urdf(file: Path, tip: str) -> Path:
     path = Path(tempfile.mkdtemp()) / file.name
     ET.ElementTree(root).write(path)
     return path
+
+
+def urdf_file() -> Path:
+    """The Panda's, bare."""
+    return bare_urdf(ROBOTS / "panda_description/urdf/panda.urdf", TIP)
 
 
 def pose_of(chain: jaxik.Chain) -> Callable[[np.ndarray], np.ndarray]:
@@ -92,7 +98,7 @@ class Truth:
 
 def contenders(count: int = 65_536) -> tuple[list[Entry], list[Entry]]:
     """Entries for the pose and for the Jacobian of `count` random configurations."""
-    urdf = bare_urdf(ROBOTS / "panda_description/urdf/panda.urdf", TIP)
+    urdf = urdf_file()
     chain, truth = jaxik.load(urdf, tip=TIP), Truth(urdf)
     q = np.random.default_rng(0).uniform(chain.lower, chain.upper, (count, 7)).astype(np.float32)
     few = q[:50]
@@ -106,23 +112,44 @@ def contenders(count: int = 65_536) -> tuple[list[Entry], list[Entry]]:
         run, seconds = compiled(function, jnp.asarray(batch))
         return Entry(who, len(batch), run, seconds, off(check(few), true))
 
-    pose = jax.vmap(lambda q: jaxik.forward_kinematics(chain, q))
-    jacobian = jax.vmap(lambda q: jaxik.jacobian(chain, q))
-    forward, columns = [jaxs("jaxik", pose, pose, poses)], [jaxs("jaxik", jacobian, jacobian, jacobians)]
+    def ours(function: Callable[..., Any], true: np.ndarray) -> list[Entry]:
+        batches = {"jaxik": function, PLAIN: function.__wrapped__}  # type: ignore[attr-defined]
+        each = {who: jax.vmap(functools.partial(f, chain)) for who, f in batches.items()}
+        return [jaxs(who, f, f, true) for who, f in each.items()]
+
+    forward, columns = ours(jaxik.forward_kinematics, poses), ours(jaxik.jacobian, jacobians)
     rows = [row.astype(np.float64) for row in q]
     loops = truth.loops(rows)
     for entries, loop in zip((forward, columns), loops, strict=True):
         entries.append(Entry("Pinocchio, Python loop", count, loop))
     for entries, torch_entry in zip((forward, columns), _torch(urdf, q, few, poses, jacobians, off), strict=True):
         entries.append(torch_entry)
-    pyroki = _pyroki(urdf)
-    for name, function in pyroki.items():
+    for name, function in pyroki_poses(urdf).items():
         forward.append(jaxs(name, function, lambda q, f=function: _matrices(f(jnp.asarray(q))), poses))
-    frax_pose, frax_jacobian = _frax(urdf, chain)
+    frax_pose, frax_jacobian = frax_functions(urdf, chain)
     forward.append(jaxs("frax, vmap", frax_pose, frax_pose, poses))
     columns.append(jaxs("frax, vmap", frax_jacobian, frax_jacobian, jacobians))
-    forward.append(_mjx(urdf, chain.joint_T_tip, q[:4096], few, poses, off))
+    mjx_pose = mjx_poses(urdf, chain)
+    forward.append(jaxs("MJX, vmap", mjx_pose, lambda q: _homogeneous(*mjx_pose(q)), poses, q[:4096]))
     return forward, columns
+
+
+def single_calls() -> dict[str, dict[str, Callable[[], Any]]]:
+    """One configuration: the pose and the Jacobian, each by calls that wait for their results."""
+    urdf = urdf_file()
+    chain, truth = jaxik.load(urdf, tip=TIP), Truth(urdf)
+    row = np.random.default_rng(0).uniform(chain.lower, chain.upper)
+    q = jnp.asarray(row, jnp.float32)
+    works = {}
+    for name, function, loop in zip(
+        ("forward kinematics, Panda", "Jacobian, Panda"),
+        (jaxik.forward_kinematics, jaxik.jacobian),
+        truth.loops([row]),
+        strict=True,
+    ):
+        works[name] = single(functools.partial(function, chain), functools.partial(function.__wrapped__, chain), q)
+        works[name]["Pinocchio, from Python"] = loop
+    return works
 
 
 def _torch(urdf: Path, q: np.ndarray, few: np.ndarray, poses: np.ndarray, jacobians: np.ndarray, off: Any) -> list[Entry]:
@@ -149,7 +176,8 @@ def _torch(urdf: Path, q: np.ndarray, few: np.ndarray, poses: np.ndarray, jacobi
     ]
 
 
-def _pyroki(urdf: Path) -> dict[str, Callable[..., Any]]:
+def pyroki_poses(urdf: Path) -> dict[str, Callable[..., Any]]:
+    """(N, 7) -> (N, 7), quaternions first, each way that it has."""
     import pyroki
     import yourdfpy
 
@@ -169,7 +197,14 @@ def _matrices(wxyz_xyz: Any) -> np.ndarray:
     return np.stack(poses)
 
 
-def _frax(urdf: Path, chain: jaxik.Chain) -> tuple[Callable[..., Any], Callable[..., Any]]:
+def _homogeneous(rotations: Any, positions: Any) -> np.ndarray:
+    poses = np.tile(np.eye(4), (len(positions), 1, 1))
+    poses[:, :3, :3], poses[:, :3, 3] = rotations, positions
+    return poses
+
+
+def frax_functions(urdf: Path, chain: jaxik.Chain) -> tuple[Callable[..., Any], Callable[..., Any]]:
+    """Pose and Jacobian of a batch."""
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")  # it advises single-threaded settings, which would slow everyone else
         import frax
@@ -178,19 +213,17 @@ def _frax(urdf: Path, chain: jaxik.Chain) -> tuple[Callable[..., Any], Callable[
     return jax.vmap(robot.ee_transform), jax.vmap(robot.ee_jacobian)
 
 
-def _mjx(urdf: Path, last_T_tip: np.ndarray, q: np.ndarray, few: np.ndarray, poses: np.ndarray, off: Any) -> Entry:
+def mjx_poses(urdf: Path, chain: jaxik.Chain) -> Callable[..., Any]:
+    """(N, 7) -> rotations and positions."""
     from mujoco import mjx
 
     # fixed bodies fused, as MuJoCo does by default: it is faster by 1.7; the tip is put back on the last body
-    compiled_model = mujoco.MjModel.from_xml_path(str(urdf))
-    model = mjx.put_model(compiled_model)
-    blank, last, tip = mjx.make_data(model), compiled_model.nbody - 1, jnp.asarray(last_T_tip)
+    fused = mujoco.MjModel.from_xml_path(str(urdf))
+    model = mjx.put_model(fused)
+    blank, last, tip = mjx.make_data(model), fused.nbody - 1, jnp.asarray(chain.joint_T_tip)
 
     def pose(q: Any) -> Any:
         moved = mjx.kinematics(model, blank.replace(qpos=q))
         return moved.xmat[last] @ tip[:3, :3], moved.xpos[last] + moved.xmat[last] @ tip[:3, 3]
 
-    each = jax.vmap(pose)
-    run, seconds = compiled(each, jnp.asarray(q))
-    rotation, position = each(few)
-    return Entry("MJX, vmap", len(q), run, seconds, max(off(rotation, poses[:, :3, :3]), off(position, poses[:, :3, 3])))
+    return jax.vmap(pose)

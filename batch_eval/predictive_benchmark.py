@@ -24,7 +24,7 @@ import jax.numpy as jnp
 import numpy as np
 import pendulum
 import self_collision as case
-from benchmark import machine
+from race import machine
 
 import jaxik
 from jaxik.optimise import ilqr

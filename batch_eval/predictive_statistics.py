@@ -21,7 +21,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pendulum
-from benchmark import machine
+from race import machine
 from scipy.interpolate import CubicSpline
 
 import jaxik

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import dataclasses
+import importlib.metadata
+import os
 import platform
 import time
 from collections.abc import Callable
@@ -11,6 +13,25 @@ from typing import Any
 
 import jax
 import numpy as np
+
+PACKAGES = (
+    "jaxik",
+    "jax",
+    "numpy",
+    "llvmlite",
+    "pin",
+    "pytorch-kinematics",
+    "torch",
+    "almond-pyroki",
+    "frax",
+    "casadi",
+    "mujoco-mjx",
+    "eaik",
+    "mink",
+    "pin-pink",
+    "scikit-robot",
+)
+PLAIN = "the same function, plain jax.jit"  # kernels keep it as `__wrapped__`
 
 
 @dataclasses.dataclass
@@ -34,13 +55,13 @@ class Entry:
         return self.count / float(np.median(self.times))
 
     def row(self, work: str) -> dict[str, Any]:
-        p50, p95 = np.percentile(self.times, [50, 95])
+        p50, p95 = percentiles(self.times)
         return {
             "work": work,
             "who": self.who,
             "count": self.count,
-            "p50_s": float(p50),
-            "p95_s": float(p95),
+            "p50_s": p50,
+            "p95_s": p95,
             "per_second": self.rate,
             "compile_s": self.compile_s,
             "error": self.error,
@@ -63,11 +84,58 @@ def race(entries: list[Entry], rounds: int = 11, least: float = 0.05, most: floa
         for entry in entries:
             spent = 0.0
             while spent < least and (len(entry.times) < 3 or sum(entry.times) < most):
-                start = time.perf_counter()
-                jax.block_until_ready(entry.run())
-                entry.times.append(time.perf_counter() - start)
+                entry.times.append(clocked(entry.run)[1])
                 spent += entry.times[-1]
     return entries
+
+
+def single(function: Callable[..., Any], plain: Callable[..., Any], *args: Any) -> dict[str, Callable[[], Any]]:
+    """Calls of a kernel for one configuration, jitted and eager, and of the function that it was made of."""
+    run = lambda f: lambda: jax.block_until_ready(f(*args))
+    return {"jaxik, jitted": run(jax.jit(function)), "jaxik, eager": run(function), PLAIN: run(jax.jit(plain))}
+
+
+def clocked(run: Callable[[], Any]) -> tuple[Any, float]:
+    """What `run` returns, once it is there, and the seconds that this took."""
+    start = time.perf_counter()
+    return jax.block_until_ready(run()), time.perf_counter() - start
+
+
+def alone(calls: dict[str, Callable[[], Any]], rounds: int = 11, each: int = 100) -> dict[str, tuple[float, float]]:
+    """p50 and p95 [s] of single calls, which wait for their own results; in turns, `each` of one contender at a time."""
+    times: dict[str, list[float]] = {who: [] for who in calls}
+    for call in calls.values():
+        call()  # warm
+    for _ in range(rounds):
+        for who, call in calls.items():
+            for _ in range(each):
+                start = time.perf_counter()
+                call()
+                times[who].append(time.perf_counter() - start)
+    return {who: percentiles(spent) for who, spent in times.items()}
+
+
+def percentiles(times: list[float]) -> tuple[float, float]:
+    """The median, and what 95 % stay below."""
+    p50, p95 = np.percentile(times, [50, 95])
+    return float(p50), float(p95)
+
+
+def machine() -> dict[str, Any]:
+    """The CPU and the versions of what is installed."""
+    versions = {name: found.version for name in PACKAGES for found in importlib.metadata.distributions(name=name)}
+    return {"cpu": processor(), "cores": len(cores()), "python": platform.python_version(), **versions}
+
+
+def cores() -> list[int]:
+    """Those that this process may use."""
+    return sorted(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else list(range(os.cpu_count() or 1))
+
+
+def from_scratch() -> None:
+    """From here on times of compiling are those of compiling: no kernel and no program comes from disk."""
+    os.environ["JAXIK_CACHE"] = "off"
+    jax.config.update("jax_enable_compilation_cache", False)
 
 
 def processor() -> str:

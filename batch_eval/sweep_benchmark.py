@@ -22,7 +22,7 @@ from typing import Any
 import numpy as np
 import panda
 from arm import eaik_robot
-from benchmark import machine
+from race import machine
 
 import jaxik
 

@@ -22,7 +22,7 @@ def kernel(function: Callable[..., Any] | None = None, *, models: int = 0) -> Ca
     It takes and returns pytrees of arrays (floats, integers and truth values of up to 64 bits) of one configuration, and is
     pure: what it closes over is read when it is first called with arguments of those shapes. Of the first `models` arguments
     (a robot) the numbers fold into the program, except those that are traced; they are hashable, and equal ones share it.
-    What a kernel cannot do runs by XLA, with one warning that says what it was.
+    What a kernel cannot do runs by XLA, with one warning that says what it was. `__wrapped__` is the function itself.
     """
     if function is None:
         return functools.partial(kernel, models=models)
