@@ -5,7 +5,6 @@ from __future__ import annotations
 import enum
 import functools
 import hashlib
-import threading
 import uuid
 from collections.abc import Callable, Sequence
 from typing import Any
@@ -17,14 +16,6 @@ from jax.extend.core import ClosedJaxpr, Jaxpr, Literal, jaxpr_as_fun
 
 _OPERAND = 512  # entries of an array that is closed over, from which it is an operand: another table compiles nothing
 _FUNCTIONS = ("jvp_jaxpr_fun", "fwd_jaxpr_thunk", "bwd", "fwd", "out_trees", "transpose_rules", "rule", "in_tree", "out_tree")
-
-
-_here = threading.local()
-
-
-def tracing() -> bool:
-    """Whether a kernel is being traced in this thread."""
-    return bool(getattr(_here, "depth", 0))
 
 
 class Traced:
@@ -63,11 +54,7 @@ class Traced:
 
 def trace(function: Callable[..., Any], args: Sequence[Any]) -> tuple[Traced, Any, list[Any]]:
     """The function of flat `args`, the tree of its results, and what it closes over that is an operand."""
-    _here.depth = getattr(_here, "depth", 0) + 1
-    try:
-        closed, shape = jax.make_jaxpr(function, return_shape=True)(*args)
-    finally:
-        _here.depth -= 1
+    closed, shape = jax.make_jaxpr(function, return_shape=True)(*args)
     tree = jax.tree_util.tree_structure(shape)
     outer = [isinstance(c, jax.core.Tracer) or np.size(c) >= _OPERAND for c in closed.consts]
     jaxpr = closed.jaxpr
