@@ -1,8 +1,7 @@
-"""Rows through a compiled function, block by block, in as many threads as there are cores.
+"""Rows through a compiled function, in as many threads as there are cores.
 
-A block has one size, whatever the number of rows, and the last is filled up with copies of its own rows: nothing compiles
-again for another number, and a row's result does not depend on which rows came with it. XLA runs a program of this size on one
-core and lets go of Python's lock meanwhile, so threads give the other cores work (1.8 times on two).
+A kernel takes them all at once. Where XLA has to do it, it goes block by block, each of one size and the last filled up with
+copies of its own rows: nothing compiles again for another number, and a row's result does not depend on which came with it.
 """
 
 from __future__ import annotations
@@ -45,11 +44,12 @@ def threads() -> ThreadPoolExecutor:
 def in_blocks(
     function: Callable[..., Any],
     *columns: np.ndarray,
-    size: int,
+    size: int = 256,
     fixed: tuple[Any, ...] = (),
     double: bool | None = None,
 ) -> list[np.ndarray]:
-    """`function(*rows, *fixed)` over the rows of `columns`, which may be none, in blocks of `size`; its leaves as NumPy arrays.
+    """`function(*rows, *fixed)` over the rows of `columns`, which may be none; its leaves as NumPy arrays. `size` rows are a
+    block where XLA has to do it.
 
     `double` says whether it runs in float64 or float32 whatever JAX is set to; None is as it is set here, which other threads
     would not know.

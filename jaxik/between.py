@@ -25,7 +25,6 @@ from jaxik.leading import arm_of, grid, may_be_inside
 from jaxik.reach import reach
 from jaxik.spmd import HostKernel
 
-BLOCK = 2000  # cells a compiled call
 PORTION = 8000  # targets whose cells stand in memory: their last, few cells fill a block
 COARSE = 9  # positions of each leading joint that are enough to tell what is far away
 SLACK = 1e-9  # more than float64 rounds by
@@ -65,9 +64,9 @@ def _search(chain: Chain, poses: np.ndarray, slides: int, depth: int, found: Bet
     for level in range(depth + 1):
         if not len(target):
             return
-        (may,) = in_blocks(reaches, target, centre, fixed=(half,), size=BLOCK, double=True)
+        (may,) = in_blocks(reaches, target, centre, fixed=(half,), double=True)
         cell, way = np.nonzero(may)
-        open_, wrist = in_blocks(enclosed, target[cell], centre[cell], way, fixed=(half,), size=BLOCK, double=True)
+        open_, wrist = in_blocks(enclosed, target[cell], centre[cell], way, fixed=(half,), double=True)
         hits = np.flatnonzero(wrist >= 0)
         hits = hits[np.unique(target[cell[hits]], return_index=True)[1]]
         first = cell[hits]

@@ -23,7 +23,7 @@ from jaxik.given import RIGID, numbers
 from jaxik.ik_job import Job
 from jaxik.ik_options import IKOptions
 from jaxik.kinematics import manipulability
-from jaxik.multistart import MEASURED, Found, Outcome, costs, search, unwound
+from jaxik.multistart import Found, Outcome, costs, search, unwound
 from jaxik.result import Reason
 from jaxik.scene import Scene
 from jaxik.spmd import HostKernel
@@ -152,7 +152,7 @@ def as_poses(targets: Any, task: Task) -> tuple[np.ndarray, np.ndarray, bool]:
     if poses.ndim not in (2, 3) or poses.shape[-2:] != (4, 4):
         also = " or positions (3,), (N, 3)" if not task.rotations else ""
         raise ValueError(f"targets have shape {given.shape}; allowed: poses (4, 4) or (N, 4, 4){also}")
-    cleaned, valid = in_blocks(RIGID_POSE, poses.reshape(-1, 4, 4), size=MEASURED, double=True)
+    cleaned, valid = in_blocks(RIGID_POSE, poses.reshape(-1, 4, 4), double=True)
     return cleaned, valid, poses.ndim == 2
 
 
@@ -195,7 +195,7 @@ def _score(job: Job, found: Found) -> np.ndarray:
         away = np.abs(found.q - reference[found.target]) * job.weights
         return -(away.max(axis=1) if job.options.norm == "linf" else np.sqrt(np.sum(away**2, axis=1)))
     measure = {"manipulability": manipulability, "freedom": joint_freedom, "comfort": comfort_cost}[choice]
-    value = in_blocks(lanes.measure(measure, chain), found.q, size=MEASURED, double=True)[0]
+    value = in_blocks(lanes.measure(measure, chain), found.q, double=True)[0]
     return -value if choice == "comfort" else value
 
 

@@ -24,7 +24,6 @@ from jaxik.choice import as_count_or_values
 from jaxik.closed_form import TURN, WAYS, half_branches, wrist_branches
 from jaxik.spmd import HostKernel
 
-BLOCK = 6000  # targets a compiled call: few enough for the second cache, enough that starting a call costs nothing
 NOTHING = -2.0  # freedom of a branch that does not have the pose; past its limits the freest joint of all has -1 at least
 NEARLY = 1e-3  # of a cosine, by which what is not looked at closely may be past a limit
 
@@ -72,7 +71,7 @@ def freest(chain: Chain, poses: np.ndarray, leading: np.ndarray) -> Freest:
         pairs = np.flatnonzero((may & (1 << half)) != 0).astype(np.int32)
         if not len(pairs):
             continue
-        freedom, wrist, inside = in_blocks(solve, pairs, fixed=tuple(map(np.float32, signs)), size=BLOCK, double=False)
+        freedom, wrist, inside = in_blocks(solve, pairs, fixed=tuple(map(np.float32, signs)), double=False)
         branches[pairs] |= inside << 2 * half
         target, best = _first_most(pairs // count, freedom)
         better = freedom[best] > found.freedom[target]
@@ -95,7 +94,7 @@ def _worth_solving(arm: Chain, poses: np.ndarray, leading: np.ndarray) -> np.nda
     """Of each pair (N * m,) a bit a way of joints 1 to 3 that may be inside the limits; of targets without one, that exists."""
     size = next(s for s in (4**n for n in range(2, 16)) if s >= len(leading))
     padded = np.concatenate([leading, np.repeat(leading[:1], size - len(leading), axis=0)])
-    (may,) = in_blocks(_may_have(arm, size), poses, fixed=(padded, np.int32(len(leading))), size=BLOCK, double=False)
+    (may,) = in_blocks(_may_have(arm, size), poses, fixed=(padded, np.int32(len(leading))), double=False)
     may = may[:, : len(leading)]
     inside = may & 15
     return np.where(inside.any(axis=1, keepdims=True), inside, may >> 4).ravel()

@@ -36,9 +36,6 @@ from jaxik.optimise import sqp
 from jaxik.reach import reach
 from jaxik.result import Reason
 
-LANES = 256  # rows a call where XLA has to do it
-MEASURED = 64  # likewise where a scene or a cost is looked at in each step
-CHECKED = 16  # likewise of clearances
 TOGETHER = 16  # lanes that cost hardly more than one
 EARLY, STEPS = 7, 16  # of a lane before it is given up, from an early seed and a late one: most that land need four
 ARRIVED = 2e-5  # [rad], [unit lengths]: steps in float32 lead no further
@@ -229,7 +226,7 @@ def _settled(job: Job, poses: np.ndarray, lanes_: Found, most: int, double: bool
     program = _finisher(job) if double else lanes.settling(job.chain, job.options.task, job.options.search)
     aim = job.aim[lanes_.target] if double else np.full(len(lanes_.target), ARRIVED)
     rows, fixed = (lanes_.q, poses[lanes_.target], aim), (*job.limits, most, creep)
-    q, away, turned, count = in_blocks(program, *rows, size=LANES, fixed=fixed, double=double)
+    q, away, turned, count = in_blocks(program, *rows, fixed=fixed, double=double)
     return lanes_._replace(q=q, position_error=away, rotation_error=turned, iterations=lanes_.iterations + count)
 
 
@@ -242,7 +239,7 @@ def _finisher(job: Job) -> Callable[..., Any]:
 def _finisher_ready(program: Callable[..., Any], n: int) -> Future[Any]:
     """Lets another thread compile what finishes lanes while the search compiles: a quarter of the first call's time."""
     rows, fixed = (np.zeros((1, n)), np.eye(4)[None], np.zeros(1)), (np.zeros(n), np.zeros(n), np.ones(n), 0, 0.0)
-    return threads().submit(in_blocks, program, *rows, size=LANES, fixed=fixed, double=True)
+    return threads().submit(in_blocks, program, *rows, fixed=fixed, double=True)
 
 
 def _finish(job: Job, poses: np.ndarray, landed: Found, misses: _Misses) -> Found:
@@ -299,9 +296,7 @@ def _cleared(job: Job, found: Found) -> Found:
     """With their clearance, where there is a scene."""
     if job.scene is None or not len(found.q):
         return found
-    return found._replace(
-        clearance=in_blocks(lanes.clearances(job.chain), found.q, size=CHECKED, fixed=(job.scene,), double=True)[0]
-    )
+    return found._replace(clearance=in_blocks(lanes.clearances(job.chain), found.q, fixed=(job.scene,), double=True)[0])
 
 
 def _at_home(job: Job, found: Found) -> Found:
@@ -324,7 +319,7 @@ def _pushed(job: Job, poses: np.ndarray, stuck: Found, count: int) -> Found:
         return chosen
     program = lanes.landing(job.chain, job.options.task, PUSHES, job.options.avoid, _extras(job))
     fixed = (*job.limits, job.scene, job.options.margin + PUSH_MARGIN)
-    q = in_blocks(program, chosen.q, poses[chosen.target], size=MEASURED, fixed=fixed, double=False)[0]
+    q = in_blocks(program, chosen.q, poses[chosen.target], fixed=fixed, double=False)[0]
     moved = chosen._replace(q=q, iterations=chosen.iterations + PUSHES)
     found = _cleared(job, _finish(job, poses, moved, _Misses(job)))
     return found.rows(~_collides(job, found))
@@ -358,7 +353,7 @@ def _improved(job: Job, poses: np.ndarray, found: Found) -> Found:
     more = () if job.scene is None else (job.scene, job.options.margin + IMPROVE_MARGIN)
     rows = found.q, poses[found.target]
     _check_slopes(job, found)
-    q, away, turned = in_blocks(program, *rows, size=MEASURED, fixed=(*job.limits, *more), double=True)
+    q, away, turned = in_blocks(program, *rows, fixed=(*job.limits, *more), double=True)
     better = found._replace(q=q, position_error=away, rotation_error=turned, iterations=found.iterations + iterations)
     better = _cheaper_turns(job, _cleared(job, _at_home(job, better)))
     kept = _within(better, job.tolerance) & ~_collides(job, better)
@@ -367,7 +362,7 @@ def _improved(job: Job, poses: np.ndarray, found: Found) -> Found:
 
 def _check_slopes(job: Job, found: Found) -> None:
     """Warns where the user's cost has no derivative: no step can follow it from there."""
-    (slopes,) = in_blocks(lanes.slope(job.options.cost), found.q, size=MEASURED, double=True)
+    (slopes,) = in_blocks(lanes.slope(job.options.cost), found.q, double=True)
     bad = np.flatnonzero(~np.isfinite(slopes).all(axis=1))
     if len(bad):
         q, slope = (np.array2string(x[bad[0]], precision=4, separator=", ", max_line_width=1000) for x in (found.q, slopes))
@@ -396,7 +391,7 @@ def _cheaper_turns(job: Job, found: Found) -> Found:
 
 def costs(job: Job, q: np.ndarray) -> np.ndarray:
     """The user's cost of configurations (N, n), in float64."""
-    return in_blocks(lanes.measure(job.options.cost), q, size=MEASURED, double=True)[0]
+    return in_blocks(lanes.measure(job.options.cost), q, double=True)[0]
 
 
 def _beyond_limits(job: Job, poses: np.ndarray, reason: np.ndarray) -> np.ndarray:

@@ -33,9 +33,7 @@ from jaxik.result import Reason
 from jaxik.scene import Fruit, Scene
 from jaxik.spmd import HostKernel
 
-# Rows a compiled call. Not a power of two: columns of 2^k rows fall into the same cache sets and evict each other.
-CHUNK = 3000
-MEASURED = 1000  # of clearances: few candidates are inside the limits, and a chunk is always full
+CHUNK = 3000  # candidates at a time
 LIMIT_LENGTH = 0.1  # [m/rad] at which a joint past its limit weighs against clearance while a miss is mended
 
 
@@ -241,9 +239,7 @@ def _candidates(
     inside, status, misses, rows = [], [], [], []
     for start in range(0, len(a), CHUNK):  # so that a million candidates never stand in memory at once
         part = slice(start, start + CHUNK)
-        q, valid, within = in_blocks(
-            closed_forms(chain), poses[a[part]].astype(np.float32), lead[s[part]].astype(np.float32), size=CHUNK
-        )
+        q, valid, within = in_blocks(closed_forms(chain), poses[a[part]].astype(np.float32), lead[s[part]].astype(np.float32))
         q, valid, within = q.reshape(-1, chain.num_joints), valid.ravel(), within.ravel()
         status.append(np.where(valid, Reason.LIMITS, Reason.OUT_OF_REACH).astype(np.int8))
         rows.append(np.flatnonzero(within) + start * BRANCHES)
@@ -268,7 +264,7 @@ def _others(scene: Scene, fruit: Fruit) -> Scene:
 def _measured(chain: Chain, scene: Scene, fruit: Fruit, q: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     if not len(q):
         return np.zeros(0), np.zeros(0)
-    distance, freedom = in_blocks(_measures(chain), q, fixed=(_others(scene, fruit),), size=MEASURED)
+    distance, freedom = in_blocks(_measures(chain), q, fixed=(_others(scene, fruit),))
     return distance, freedom
 
 
@@ -391,11 +387,11 @@ def _climb(
 
     def solve(u: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         poses = grasp_poses(chain, found.fruit, u[:, 0], grasp)
-        q, valid, _ = in_blocks(closed_forms(chain), poses.astype(np.float32), u[:, 1:].astype(np.float32), size=CHUNK)
+        q, valid, _ = in_blocks(closed_forms(chain), poses.astype(np.float32), u[:, 1:].astype(np.float32))
         return q[rows, branch], valid[rows, branch]
 
     def measure(q: np.ndarray) -> list[np.ndarray]:
-        return in_blocks(_ascent(chain), q, fixed=(others,), size=2 * MISSES)
+        return in_blocks(_ascent(chain), q, fixed=(others,))
 
     u, stride = starts[:, :-1].copy(), np.full(len(starts), 0.1)
     q, _ = solve(u)
@@ -456,7 +452,7 @@ def blockers(chain: Chain, scene: Scene, found: Scan, margin: float = 0.005) -> 
     check_finite("blockers", margin=margin)
     if not len(found.table.q):
         return Blockers((), (), None, None)
-    distance, own = in_blocks(_contacts(chain), found.table.q, fixed=(_others(scene, found.fruit),), size=MEASURED)
+    distance, own = in_blocks(_contacts(chain), found.table.q, fixed=(_others(scene, found.fruit),))
     hit = distance < margin
     share = hit.mean(axis=0)
     order = [int(i) for i in np.argsort(-share, kind="stable") if share[i] > 0.0]

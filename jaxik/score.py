@@ -127,7 +127,7 @@ def likely_postures(
     leading = leading_grid(chain, slides)
     local = np.linalg.inv(np.asarray(chain.world_T_base)) @ poses
     pose, lead = (x.ravel() for x in np.meshgrid(np.arange(len(poses)), np.arange(len(leading)), indexing="ij"))
-    q, _, _ = in_blocks(closed_forms(arm_of(chain)), local[pose], leading[lead], size=256, double=False)
+    q, _, _ = in_blocks(closed_forms(arm_of(chain)), local[pose], leading[lead], double=False)
     q, at = np.asarray(q).reshape(-1, chain.num_joints), np.repeat(poses[pose], BRANCHES, axis=0)
     home = chain.mounted(np.eye(4))
     moved = None if scene is None else scene.moved(np.linalg.inv(np.asarray(chain.world_T_base))).geometry()

@@ -31,7 +31,6 @@ Strategy = Literal["auto", "library", "uniform", "low_discrepancy", "near", "clo
 FIRST, LATER = 1024, 512  # configurations of the first set, which every target asks, and of those after it
 SETS = 8  # sets; later numbers are uniform
 STREAM = 0x6A6178  # so that no user's own default_rng(seed) draws the same numbers: a test's targets would be in the library
-BLOCK = 64  # targets at a time where XLA has to do it
 
 
 class Range(NamedTuple):
@@ -123,7 +122,7 @@ def library(
     sets = _sets(chain, task, inside, length, first, min(last, SETS))
     if sets:
         tables = [each.table for each in sets]
-        found = in_blocks(NEAREST, _features(task, poses, length), fixed=(tables,), size=BLOCK, double=False)
+        found = in_blocks(NEAREST, _features(task, poses, length), fixed=(tables,), double=False)
         for k, rows in enumerate(found):
             at[:, k] = sets[k].q[rows]
     if last > SETS:
@@ -163,7 +162,7 @@ def branches(chain: Chain, inside: Range, seed: int, first: int, last: int, pose
     instead = uniforms(inside, seed, first, last)[numbers - first]
     rows = np.repeat(poses, last - first, axis=0), lead, numbers.astype(np.int32), instead
     fixed = np.array(inside.low), np.array(inside.high)
-    (at,) = in_blocks(_branch(chain), *rows, fixed=fixed, size=BLOCK, double=False)
+    (at,) = in_blocks(_branch(chain), *rows, fixed=fixed, double=False)
     return at.reshape(len(poses), last - first, -1)
 
 
@@ -184,5 +183,5 @@ def _branch(chain: Chain) -> HostKernel:
 
 def any_branch(chain: Chain, poses: np.ndarray) -> np.ndarray:
     """Whether six joints with a closed form have poses (N, 4, 4) at all, limits aside."""
-    _, valid, _ = in_blocks(closed_forms(chain), poses, np.zeros((len(poses), 0)), size=BLOCK, double=True)
+    _, valid, _ = in_blocks(closed_forms(chain), poses, np.zeros((len(poses), 0)), double=True)
     return np.any(valid, axis=1)

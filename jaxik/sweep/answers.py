@@ -24,7 +24,6 @@ from jaxik.kinematics import manipulability, pose_errors
 from jaxik.leading import NOTHING, arm_of, freest, grid, leading_grid
 from jaxik.reach import reach
 from jaxik.result import Reason
-from jaxik.scan import MEASURED
 from jaxik.scene import Scene, make_scene
 from jaxik.spmd import HostKernel
 from jaxik.sweep.study import Study, Variant
@@ -32,7 +31,6 @@ from jaxik.sweep.targets import Targets
 
 GIVEN = ("position", "quaternion")  # columns that are the target's own, the same whatever it is asked of
 PORTION = 6000  # targets at a time whose colliding candidates stand in memory
-EXACT = 1000  # rows a compiled call of what only the answers are asked for
 SLACK = 1e-9  # [m]
 NEAR = 2  # postures of a target that collides on the grid beside which a clear one is looked for
 
@@ -126,7 +124,7 @@ class _Surroundings(NamedTuple):
         """Clearance [m] and freedom of postures (P, n) of the targets `owner` (P,), in float32."""
         distance, freedom = np.zeros(len(q), np.float32), np.zeros(len(q), np.float32)
         for scene, rows in self.groups(owner):
-            values = in_blocks(_clear(arm_of(chain)), q[rows].astype(np.float32), fixed=(scene,), size=MEASURED, double=False)
+            values = in_blocks(_clear(arm_of(chain)), q[rows].astype(np.float32), fixed=(scene,), double=False)
             distance[rows], freedom[rows] = values
         return distance, freedom
 
@@ -239,7 +237,7 @@ def _fill(columns: dict[str, np.ndarray], chain: Chain, rows: np.ndarray, q: np.
         return
     columns["q"][rows] = q
     names = ("position_error", "rotation_error", "manipulability", "limit_margin")
-    for name, values in zip(names, in_blocks(_worth(chain), q, poses, size=EXACT, double=True), strict=True):
+    for name, values in zip(names, in_blocks(_worth(chain), q, poses, double=True), strict=True):
         columns[name][rows] = values
 
 
@@ -253,7 +251,7 @@ def _exact(chain: Chain, poses: np.ndarray, leading: np.ndarray, branch: np.ndar
     """One branch of each pose in float64 (N, n), and whether it is inside the limits (N,)."""
     if not len(poses):
         return np.zeros((0, chain.num_joints)), np.zeros(0, bool)
-    q, within = in_blocks(closed_branches(arm_of(chain)), poses, leading, branch, size=EXACT, double=True)
+    q, within = in_blocks(closed_branches(arm_of(chain)), poses, leading, branch, double=True)
     return q, within
 
 
@@ -321,7 +319,7 @@ def _avoid(
     if not len(target):
         return _Near.nothing(leading.shape[1])
     pairs = poses[target].astype(np.float32), leading.astype(np.float32)
-    q, _, within = in_blocks(closed_forms(arm_of(chain)), *pairs, size=MEASURED, double=False)
+    q, _, within = in_blocks(closed_forms(arm_of(chain)), *pairs, double=False)
     pair, branch = np.nonzero(within if inside is None else inside)
     q, owner = q[pair, branch], target[pair]
     distance, freedom = around.measured(chain, q, owner)
