@@ -13,7 +13,7 @@ import platform
 import sys
 from collections.abc import Sequence
 
-from jaxik.spmd.emit import STACK, room
+from jaxik.spmd.text import STACK, buffer
 
 # Offsets [bytes] in the structures of the C API.
 FRAME = {"extension": 8, "api": 16, "context": 24, "stage": 32, "arguments": 72, "results": 112}
@@ -62,7 +62,7 @@ def _range(rows_in: Sequence[tuple[str, int, bool]], rows_out: Sequence[tuple[st
     t.label("entry")
     t.put(*_flush("begin"), f"%ins = alloca [{max(n_in, 1)} x ptr]", f"%outs = alloca [{max(n_out, 1)} x ptr]")
     for name, size in buffers:
-        t += room(name, size)
+        t += buffer(name, size)
     t.word("inner", "i64", "c", INNER)
     t.word("vectors", "i64", "c", VECTORS)
     for k in range(n_in):
