@@ -5,8 +5,10 @@ from __future__ import annotations
 from collections.abc import Callable
 from typing import Any, NamedTuple
 
-from jaxik.spmd.program import FLOATS
-from jaxik.spmd.text import BITS, Text, is_unsigned, mangled
+import numpy as np
+
+from jaxik.spmd.program import DTYPES, FLOATS
+from jaxik.spmd.text import BITS, Text, is_unsigned
 
 BINARY = {"add": "add", "sub": "sub", "mul": "mul", "and": "and", "or": "or", "xor": "xor"}
 FLOAT_BINARY = {"add": "fadd", "sub": "fsub", "mul": "fmul", "fdiv": "fdiv", "frem": "frem"}
@@ -104,11 +106,21 @@ def _convert(t: Text, e: Expression) -> str:
 
 
 def _saturated(t: Text, e: Expression) -> str:
-    """A float as an integer: the nearest one that there is, and 0 of NaN."""
-    a, b, lanes = t.shape(e.source, e.wide), t.shape(e.type, e.wide), f"v{t.width}" if e.wide else ""
-    name = f"@llvm.fpto{'ui' if e.type[0] == 'u' else 'si'}.sat.{lanes}{mangled(e.type)}.{lanes}{mangled(e.source)}"
-    t.declared.add(f"declare {b} {name}({a})")
-    return f"call {b} {name}({a} {e.names[0]})"
+    """A float's whole part, the nearest number that the integers have, 0 for NaN. Not by LLVM's `fptosi.sat`, which takes a
+    vector apart: half of what a step of inverse kinematics did."""
+    shape, (x,), number = t.shape(e.source, e.wide), e.names, DTYPES[e.source].type
+    unsigned, bits = is_unsigned(e.type), BITS[e.type]
+    least, most = (0, 2**bits - 1) if unsigned else (-(2 ** (bits - 1)), 2 ** (bits - 1) - 1)
+    past = number(most + 1)  # exact; the float before it is the largest that may be converted
+    inside = x
+    for order, bound in (("ogt", number(least)), ("olt", np.nextafter(past, number(0)))):
+        edge = t.constant(bound, e.source, e.wide)
+        holds = t.assign(f"fcmp {order} {shape} {inside}, {edge}")  # false for NaN
+        inside = t.assign(f"select {t.shape('i1', e.wide)} {holds}, {shape} {inside}, {shape} {edge}")
+    whole = t.assign(f"{'fptoui' if unsigned else 'fptosi'} {shape} {inside} to {t.shape(e.type, e.wide)}")
+    over = t.assign(f"fcmp oge {shape} {x}, {t.constant(past, e.source, e.wide)}")
+    whole = t.assign(_select(t, e, over, t.constant(most, e.type, e.wide), whole))
+    return _select(t, e, t.assign(f"fcmp uno {shape} {x}, {x}"), t.constant(0, e.type, e.wide), whole)
 
 
 def _bitcast(t: Text, e: Expression) -> str:
