@@ -21,10 +21,9 @@ import numpy as np
 
 from jaxik.spmd import machine
 from jaxik.spmd.emit import Emitter
-from jaxik.spmd.handler import handler
+from jaxik.spmd.handler import Row, handler
 from jaxik.spmd.program import Program
 from jaxik.spmd.scalarise import Unsupported, scalarised, type_of
-from jaxik.spmd.text import stored
 from jaxik.spmd.trace import Traced
 
 WORTH = 20_000  # operations on vectors that are worth waking a thread for, about 10 us
@@ -57,16 +56,16 @@ class Made:
 def plan(traced: Traced, shared: tuple[bool, ...], name: str) -> Plan:
     """The text of a kernel; `shared` says which operands all lanes have in common. Raises `Unsupported`."""
     program = scalarised(traced.closed, traced.structural)
-    inputs = [(type_of(a), int(np.prod(a.shape))) for a in traced.inputs]
-    outputs = [(type_of(a), int(np.prod(a.shape))) for a in traced.outputs]
+    row = lambda aval, shared: Row(type_of(aval), int(np.prod(aval.shape)), shared)
+    rows_in = [row(a, s) for a, s in zip(traced.inputs, shared, strict=True)]
+    rows_out = [row(a, False) for a in traced.outputs]
     wide = any(op.type == "double" for op in program.ops)
     width = machine.vector_bits() // (64 if wide else 32)
     emitter = Emitter(program, shared, width)
     text = emitter.function()
     needed = emitter.live.needed
     chunk = max(1, WORTH // max(_cost(program, needed, program.top.body), 1))
-    rows_in = [(stored(kind), n, s) for (kind, n), s in zip(inputs, shared, strict=True)]
-    text += "\n" + handler(name, rows_in, [(stored(kind), n) for kind, n in outputs], width, chunk)
+    text += "\n" + handler(name, rows_in, rows_out, width, chunk)
     return Plan(program, needed, width, chunk, text)
 
 

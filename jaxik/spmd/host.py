@@ -14,8 +14,8 @@ import jax
 import numpy as np
 
 from jaxik.spmd import call
-from jaxik.spmd.handler import CHUNK, FIRST, INNER, TOTAL, VECTORS
 from jaxik.spmd.scalarise import Unsupported
+from jaxik.spmd.threads import CHUNK, FIRST, INNER, TOTAL, VECTORS
 from jaxik.spmd.trace import Traced, trace
 
 

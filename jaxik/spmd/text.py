@@ -61,14 +61,11 @@ def released(name: str, size: int) -> list[str]:
     return [f"  call void @free(ptr %{name}.all)"] if size > STACK else []
 
 
-class Text:
-    """Lines of a function, with names for what has none. `kind` is a type as a `Program` has it, or as it is `stored`; `wide`
-    says whether a value is a vector, with an entry a lane, or a scalar that all lanes share."""
+class Lines:
+    """Lines of a function, with names for what has none."""
 
-    def __init__(self, width: int):
-        self.width = width
+    def __init__(self) -> None:
         self.lines: list[str] = []
-        self.declared: set[str] = set()
         self.block = "entry"
         self._names = 0
 
@@ -99,8 +96,15 @@ class Text:
         yield
         self.lines = here
 
-    # ----------------------------------------------------------------------------------------------------------------
-    # Types and what is written often
+
+class Text(Lines):
+    """Of a function over vectors of `width` lanes. `kind` is a type as a `Program` has it, or as it is `stored`; `wide` says
+    whether a value is a vector, with an entry a lane, or a scalar that all lanes share."""
+
+    def __init__(self, width: int):
+        super().__init__()
+        self.width = width
+        self.declared: set[str] = set()
 
     def vector(self, kind: str) -> str:
         return f"<{self.width} x {llvm(kind)}>"
