@@ -18,6 +18,8 @@ from jaxik.spmd.scalarise import Unsupported
 from jaxik.spmd.threads import CHUNK, FIRST, INNER, TOTAL, VECTORS
 from jaxik.spmd.trace import Traced, trace
 
+_NARROW = {np.dtype(np.int64): np.dtype(np.int32), np.dtype(np.uint64): np.dtype(np.uint32)}
+
 
 class HostKernel:
     """A function of one configuration over the rows of its first `lanes` arguments; the others, pytrees, all rows share."""
@@ -39,20 +41,20 @@ class HostKernel:
         """Its results' leaves, each with a row a row; `team` threads of the pool and this one share the work. `double` says in
         which width; None is that of the rows, as JAX would take them here.
 
-        Raises `Unsupported`."""
+        Raises `Unsupported`, and `ValueError` where the first arguments have not as many rows each."""
         if double is None:
             floats = [x.dtype for x in map(np.asarray, args[: self.lanes]) if x.dtype.kind == "f"]
             double = jax.dtypes.canonicalize_dtype(np.result_type(*floats, np.float32)) == np.float64
         width = np.float64 if double else np.float32
         shared, tree = jax.tree_util.tree_flatten(args[self.lanes :])
         operands = [_array(x, width) for x in (*args[: self.lanes], *shared)]
+        count = _rows(operands, self.lanes)
         shapes = tuple((x.shape[1:] if k < self.lanes else x.shape, x.dtype.char) for k, x in enumerate(operands))
         key = tree, shapes, double
         found = self.known.get(key)
         if found is None:
             found = self.known[key] = self._made(tree, shapes, double)
         traced, made = found
-        count = len(operands[0])
         outs = [np.empty((count, *a.shape), a.dtype) for a in traced.outputs]
         if count:
             _run(made, operands, self.lanes, outs, count, threads, team)
@@ -79,10 +81,18 @@ class HostKernel:
 
 
 def _array(x: Any, width: Any) -> np.ndarray:
-    """Row by row in memory, floats in `width`, integers as JAX has them."""
+    """Row by row in memory, in this machine's order of bytes; floats in `width`, integers as JAX has them."""
     x = np.asarray(x)
-    kind = width if x.dtype.kind == "f" else np.int32 if x.dtype == np.int64 else x.dtype
-    return np.asarray(x, kind, order="C")
+    native = x.dtype if x.dtype.isnative else x.dtype.newbyteorder("=")
+    return np.asarray(x, width if native.kind == "f" else _NARROW.get(native, native), order="C")
+
+
+def _rows(operands: list[np.ndarray], lanes: int) -> int:
+    count = operands[0].shape[:1]
+    if not count or any(x.shape[:1] != count for x in operands[1:lanes]):
+        shapes = ", ".join(str(x.shape) for x in operands[:lanes])
+        raise ValueError(f"HostKernel: the first {lanes} arguments have a row a lane, as many each; here shapes {shapes}")
+    return int(count[0])
 
 
 def _run(
@@ -96,7 +106,9 @@ def _run(
     team = min(team, -(-vectors // made.chunk)) if threads is not None else 1
     words[CHUNK] = vectors if team == 1 else max(1, made.chunk // 2, vectors // (8 * team))
     address = words.ctypes.data
-    others = [threads.submit(made.work, address) for _ in range(team - 1)]
+    # the arrays are held until each thread is done, even if this one is interrupted
+    work = lambda *held: made.work(address)
+    others = [threads.submit(work, words, operands, outs) for _ in range(team - 1)]
     made.work(address)
     for other in others:
         other.result()
