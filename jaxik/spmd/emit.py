@@ -17,7 +17,7 @@ from jaxik.spmd.arithmetic import Expression, instruction
 from jaxik.spmd.liveness import Liveness
 from jaxik.spmd.memory import Accesses
 from jaxik.spmd.program import TYPES, Branch, Loop, Memory, Op, Program, Whole
-from jaxik.spmd.text import ALIGNED, BYTES, Text, buffer, literal, released, stored
+from jaxik.spmd.text import ALIGNED, BYTES, Text, buffers, literal, stored
 from jaxik.spmd.values import Values
 
 Block = tuple[int, int, int]  # of an output: its number, the first of the columns, how many
@@ -46,17 +46,16 @@ class Emitter:
                 self._operation(v)
                 for block in due.get(v, ()):
                     self._output(*block)
-        scratch = self._scratch()
-        t.lines += [line for each in scratch for line in released(*each)]
+        scratch, released = buffers(self._scratch())
+        t.lines += released
         t.line("ret void")
         head = ["define internal void @lanes(ptr noalias %ins, ptr noalias %outs) #0 {", "entry:"]
         for kind, count in (("in", self.operands), ("out", len(self.program.outputs))):
             for k in range(count):
                 head.append(f"  %{kind}p{k} = getelementptr ptr, ptr %{kind}s, i64 {k}")
                 head.append(f"  %{kind}{k} = load ptr, ptr %{kind}p{k}, !invariant.load !0")
-        head += [line for each in scratch for line in buffer(*each)]
         tables = [_table(k, numbers) for k, numbers in enumerate(self.program.tables)]
-        return "\n".join([*head, *self.memory.entry, *t.lines, "}", *tables, *sorted(t.declared)])
+        return "\n".join([*head, *scratch, *self.memory.entry, *t.lines, "}", *tables, *sorted(t.declared)])
 
     def _due(self) -> dict[int, list[Block]]:
         """The last value that a block of output columns waits for (-1: none), and the blocks: written as soon as they can be,

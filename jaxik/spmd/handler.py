@@ -13,7 +13,7 @@ import platform
 from collections.abc import Sequence
 from typing import NamedTuple
 
-from jaxik.spmd.text import BYTES, Lines, buffer, released
+from jaxik.spmd.text import BYTES, Lines, buffers
 from jaxik.spmd.threads import API, DONE, FIRST, INNER, NEXT, TOTAL, VECTORS, parallel, work
 
 # Offsets [bytes] in the structures of the C API.
@@ -96,11 +96,11 @@ def handler(name: str, rows_in: Sequence[Row], rows_out: Sequence[Row], width: i
 def _range(rows_in: Sequence[Row], rows_out: Sequence[Row], width: int) -> str:
     """`range(words, begin, end)`: vectors of lanes, the last of an outer index through buffers of its own."""
     t, own = _Words(), [k for k, row in enumerate(rows_in) if not row.shared]
-    buffers = [(f"bi{k}", width * rows_in[k].bytes) for k in own]
-    buffers += [(f"bo{k}", width * row.bytes) for k, row in enumerate(rows_out)]
+    results = [(f"bo{k}", width * row.bytes) for k, row in enumerate(rows_out)]
+    own_rows, released = buffers([*((f"bi{k}", width * rows_in[k].bytes) for k in own), *results])
     t.lines += ["define internal void @range(ptr %c, i64 %begin, i64 %end) #0 {", "entry:"]
     t.put(*FLUSHES.begin, f"%ins = alloca [{max(len(rows_in), 1)} x ptr]", f"%outs = alloca [{max(len(rows_out), 1)} x ptr]")
-    t.lines += [line for each in buffers for line in buffer(*each)]
+    t.lines += own_rows
     t.word("inner", "i64", "c", INNER)
     t.word("vectors", "i64", "c", VECTORS)
     t.put("%any = icmp ult i64 %begin, %end", "br i1 %any, label %next, label %out")
@@ -118,7 +118,7 @@ def _range(rows_in: Sequence[Row], rows_out: Sequence[Row], width: int) -> str:
     t.start("done")
     t.put("%next_turn = add i64 %turn, 1", "%more = icmp ult i64 %next_turn, %end", "br i1 %more, label %next, label %out")
     t.start("out")
-    t.lines += [line for each in buffers for line in released(*each)]
+    t.lines += released
     t.put(*FLUSHES.end, "ret void")
     return "\n".join([*t.lines, "}"])
 

@@ -9,7 +9,7 @@ from typing import Any
 
 from jaxik.spmd.program import FLOATS
 
-STACK = 65_536  # bytes of one table that a thread's stack may hold
+STACK = 65_536  # bytes that a function may have of a thread's stack; some threads have half a megabyte
 ALIGNED = 64  # bytes: a cache line, and the widest vector
 BITS = {"i1": 1, "i8": 8, "u8": 8, "i16": 16, "u16": 16, "i32": 32, "u32": 32, "i64": 64, "u64": 64, "float": 32, "double": 64}
 BYTES = {kind: max(bits // 8, 1) for kind, bits in BITS.items()}
@@ -43,22 +43,24 @@ def literal(value: Any, kind: str) -> str:
     return str(int(value))
 
 
-def buffer(name: str, size: int) -> list[str]:
-    """Lines that give `%name` so many bytes, aligned: on the stack, or where that would be too small from the heap, as
-    `%name.all`, which `released` frees."""
-    if size <= STACK:
-        return [f"  %{name} = alloca [{max(size, 1)} x i8], align {ALIGNED}"]
-    return [
-        f"  %{name}.all = call ptr @malloc(i64 {size + ALIGNED})",
-        f"  %{name}.at = ptrtoint ptr %{name}.all to i64",
-        f"  %{name}.up = add i64 %{name}.at, {ALIGNED - 1}",
-        f"  %{name}.on = and i64 %{name}.up, -{ALIGNED}",
-        f"  %{name} = inttoptr i64 %{name}.on to ptr",
-    ]
-
-
-def released(name: str, size: int) -> list[str]:
-    return [f"  call void @free(ptr %{name}.all)"] if size > STACK else []
+def buffers(wanted: Sequence[tuple[str, int]]) -> tuple[list[str], list[str]]:
+    """Lines that give each `%name` so many bytes, aligned, and lines that give them back: on the stack as long as there is
+    room, then from the heap."""
+    begin, end, left = [], [], STACK
+    for name, size in wanted:
+        if size <= left:
+            left -= size
+            begin.append(f"  %{name} = alloca [{max(size, 1)} x i8], align {ALIGNED}")
+            continue
+        begin += [
+            f"  %{name}.all = call ptr @malloc(i64 {size + ALIGNED})",
+            f"  %{name}.at = ptrtoint ptr %{name}.all to i64",
+            f"  %{name}.up = add i64 %{name}.at, {ALIGNED - 1}",
+            f"  %{name}.on = and i64 %{name}.up, -{ALIGNED}",
+            f"  %{name} = inttoptr i64 %{name}.on to ptr",
+        ]
+        end.append(f"  call void @free(ptr %{name}.all)")
+    return begin, end
 
 
 class Lines:

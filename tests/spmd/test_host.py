@@ -1,9 +1,13 @@
 """A kernel on NumPy arrays, without XLA: whatever arrays a driver has."""
 
+import threading
 import weakref
 
+import jax
+import jax.numpy as jnp
 import numpy as np
 import pytest
+from jax import lax
 
 from jaxik import spmd
 
@@ -90,3 +94,24 @@ def test_arrays_outlive_an_interrupt():
     pool.tasks.clear()
     del task, args
     assert seen() is None
+
+
+def test_many_tables_need_no_large_stack():
+    """Each of sixteen would do by itself; a thread of half a megabyte holds them all."""
+
+    def roll(x):
+        return lax.scan(lambda c, k: (0.9 * c + k, tuple(c + n for n in range(16))), x, jnp.arange(900.0, dtype=np.float32))[1]
+
+    kernel, x, found = spmd.HostKernel(roll, 1), np.ones(20, np.float32), []
+    kernel.run(x)  # compiled where there is room
+    before = threading.stack_size(512 * 1024)
+    try:
+        thread = threading.Thread(target=lambda: found.extend(kernel.run(x)))
+        thread.start()
+        thread.join()
+    finally:
+        threading.stack_size(before)
+    expected = np.asarray(jax.vmap(roll)(x)[0])
+    for n, table in enumerate(found):
+        np.testing.assert_allclose(table, expected + n, rtol=1e-5)
+    assert len(found) == 16
