@@ -59,10 +59,13 @@ no:
 def parallel(name: str, words: int, chunk: int) -> str:
     """`parallel(words, api, context)`: all vectors, by this thread and by as many of XLA's as have something to do. It waits
     for chunks that others have begun, never for one to begin: without a pool, or with a busy one, it does all by itself."""
+    return "\n".join((_decision(chunk), _sharing(name, words, chunk), _ASKING, _DECLARED))
+
+
+def _decision(chunk: int) -> str:
     return f"""
 define internal void @parallel(ptr %here, ptr %api, ptr %ctx) #0 {{
 entry:
-  %asked = alloca [5 x ptr], align 8
   %ptotal = getelementptr i64, ptr %here, i64 {TOTAL}
   %total = load i64, ptr %ptotal
   %large = icmp ugt i64 %total, {chunk}
@@ -78,6 +81,17 @@ many:
   %several = icmp ugt i64 %team, 1
   br i1 %several, label %share, label %alone
 share:
+  call void @share(ptr %here, ptr %api, ptr %ctx, i64 %team, i64 %total)
+  ret void
+}}"""
+
+
+def _sharing(name: str, words: int, chunk: int) -> str:
+    """`share(words, api, context, team, total)`: the rest of the team get a copy of the words, which outlives this call."""
+    return f"""
+define internal void @share(ptr %here, ptr %api, ptr %ctx, i64 %team, i64 %total) #0 {{
+entry:
+  %asked = alloca [5 x ptr], align 8
   %parts = mul i64 %team, 8
   %even = udiv i64 %total, %parts
   %piece = call i64 @llvm.umax.i64(i64 %even, i64 {max(chunk // 2, 1)})
@@ -87,7 +101,10 @@ share:
   store i64 %team, ptr %pholders
   %c = call ptr @malloc(i64 {8 * words})
   %got = icmp ne ptr %c, null
-  br i1 %got, label %copy, label %alone
+  br i1 %got, label %copy, label %poor
+poor:
+  call void @range(ptr %here, i64 0, i64 %total)
+  ret void
 copy:
   call void @llvm.memcpy.p0.p0.i64(ptr %c, ptr %here, i64 {8 * words}, i1 false)
   store [5 x ptr] [ptr inttoptr (i64 40 to ptr), ptr null, ptr null, ptr @task, ptr null], ptr %asked
@@ -126,7 +143,11 @@ yield:
 end:
   call void @leave(ptr %c)
   ret void
-}}
+}}"""
+
+
+# What XLA is asked for, and what is done with its errors.
+_ASKING = f"""
 define internal i64 @workers(ptr %api, ptr %ctx) #0 {{
 entry:
   %found = alloca i64
@@ -159,7 +180,9 @@ entry:
   %d = load ptr, ptr %pd
   call void %d(ptr %args)
   ret void
-}}
+}}"""
+
+_DECLARED = """
 declare i64 @llvm.umin.i64(i64, i64)
 declare i64 @llvm.umax.i64(i64, i64)
 declare void @llvm.memcpy.p0.p0.i64(ptr, ptr, i64, i1)
