@@ -11,6 +11,7 @@ import importlib.metadata
 import os
 import tempfile
 import threading
+from collections.abc import Sequence, Set
 from concurrent.futures import Future
 from pathlib import Path
 from typing import Any
@@ -19,8 +20,8 @@ import jax
 import numpy as np
 
 from jaxik.spmd import machine
-from jaxik.spmd.emit import Emitter, stored
-from jaxik.spmd.handler import handler
+from jaxik.spmd.emit import Emitter
+from jaxik.spmd.handler import Row, handler
 from jaxik.spmd.program import Program
 from jaxik.spmd.scalarise import Unsupported, scalarised, type_of
 from jaxik.spmd.trace import Traced
@@ -36,7 +37,7 @@ class Plan:
     """A kernel before it is machine code."""
 
     program: Program
-    emitter: Emitter
+    needed: Set[int]  # its operations that the outputs need
     width: int
     chunk: int
     text: str
@@ -55,31 +56,25 @@ class Made:
 def plan(traced: Traced, shared: tuple[bool, ...], name: str) -> Plan:
     """The text of a kernel; `shared` says which operands all lanes have in common. Raises `Unsupported`."""
     program = scalarised(traced.closed, traced.structural)
-    inputs = [(type_of(a), int(np.prod(a.shape))) for a in traced.inputs]
-    outputs = [(type_of(a), int(np.prod(a.shape))) for a in traced.outputs]
+    row = lambda aval, shared: Row(type_of(aval), int(np.prod(aval.shape)), shared)
+    rows_in = [row(a, s) for a, s in zip(traced.inputs, shared, strict=True)]
+    rows_out = [row(a, False) for a in traced.outputs]
     wide = any(op.type == "double" for op in program.ops)
     width = machine.vector_bits() // (64 if wide else 32)
-    emitter = Emitter(program, shared, [n for _, n in inputs], width)
+    emitter = Emitter(program, shared, width)
     text = emitter.function()
-    chunk = max(1, WORTH // max(_cost(program, emitter, program.top.body), 1))
-    rows_in = [(stored(kind), n, s) for (kind, n), s in zip(inputs, shared, strict=True)]
-    text += "\n" + handler(name, rows_in, [(stored(kind), n) for kind, n in outputs], width, chunk)
-    return Plan(program, emitter, width, chunk, text)
+    needed = emitter.live.needed
+    chunk = max(1, WORTH // max(_cost(program, needed, program.top.body), 1))
+    text += "\n" + handler(name, rows_in, rows_out, width, chunk)
+    return Plan(program, needed, width, chunk, text)
 
 
-def _cost(program: Program, emitter: Emitter, body: Any) -> int:
+def _cost(program: Program, needed: Set[int], body: Sequence[int]) -> int:
     """Operations of one vector of lanes."""
     total = 0
-    for v in body:
-        if v in emitter.live.needed:
-            op = program.ops[v]
-            if op.code == "loop":
-                inner = _cost(program, emitter, op.args[5]) + (_cost(program, emitter, op.args[3][0]) if op.args[3] else 0)
-                total += inner * (op.args[4] or GUESS)
-            elif op.code == "branch":
-                total += _cost(program, emitter, op.args[1]) + _cost(program, emitter, op.args[3])
-            else:
-                total += 1
+    for op in (program.ops[v] for v in body if v in needed):
+        inner = [_cost(program, needed, b) for b in op.args.bodies] if op.code in ("loop", "branch") else [1]
+        total += sum(inner) * ((op.args.turns or GUESS) if op.code == "loop" else 1)
     return total
 
 

@@ -13,7 +13,6 @@ import jax.numpy as jnp
 import numpy as np
 
 from jaxik.spmd import call, machine
-from jaxik.spmd.program import Program
 from jaxik.spmd.scalarise import Unsupported
 from jaxik.spmd.trace import trace
 
@@ -65,7 +64,7 @@ def explain(function: Callable[..., Any], *args: Any) -> Explanation:
         return Explanation(name, {}, (), 0, 0, 0, 0, str(error))
     operations: collections.Counter[str] = collections.Counter()
     loops: list[int] = []
-    branches = _count(plan.program, plan.emitter.live.needed, plan.program.top.body, operations, loops)
+    branches = _count(plan, plan.program.top.body, operations, loops)
     assembly = machine.assembly(plan.text)
     inside = re.search(r"^lanes:(.*?)^\s*\.size\s+lanes", assembly, re.M | re.S)
     frames = re.findall(r"subq\s+\$(\d+), %rsp|sub\s+sp, sp, #(\d+)", inside.group(1)) if inside else []
@@ -73,20 +72,12 @@ def explain(function: Callable[..., Any], *args: Any) -> Explanation:
     return Explanation(name, dict(operations), tuple(loops), branches, plan.width, spilled, len(machine.compiled(plan.text)))
 
 
-def _count(program: Program, needed: set[int], body: Sequence[int], operations: Any, loops: list[int]) -> int:
+def _count(plan: call.Plan, body: Sequence[int], operations: collections.Counter[str], loops: list[int]) -> int:
     branches = 0
-    for v in body:
-        if v not in needed:
-            continue
-        op = program.ops[v]
-        if op.code == "loop":
-            loops.append(op.args[4] or 0)
-            for inner in (op.args[3][0] if op.args[3] else (), op.args[5]):
-                branches += _count(program, needed, inner, operations, loops)
-        elif op.code == "branch":
-            branches += 1
-            for inner in (op.args[1], op.args[3]):
-                branches += _count(program, needed, inner, operations, loops)
+    for op in (plan.program.ops[v] for v in body if v in plan.needed):
+        if op.code in ("loop", "branch"):
+            loops += [op.args.turns or 0] if op.code == "loop" else []
+            branches += (op.code == "branch") + sum(_count(plan, inner, operations, loops) for inner in op.args.bodies)
         elif op.code not in ("result", "param", "const"):
             operations[op.code] += 1
     return branches

@@ -14,9 +14,11 @@ import jax
 import numpy as np
 
 from jaxik.spmd import call
-from jaxik.spmd.handler import CHUNK, FIRST, INNER, TOTAL, VECTORS
 from jaxik.spmd.scalarise import Unsupported
+from jaxik.spmd.threads import CHUNK, FIRST, INNER, TOTAL, VECTORS
 from jaxik.spmd.trace import Traced, trace
+
+_NARROW = {np.dtype(np.int64): np.dtype(np.int32), np.dtype(np.uint64): np.dtype(np.uint32)}
 
 
 class HostKernel:
@@ -39,18 +41,19 @@ class HostKernel:
         """Its results' leaves, each with a row a row; `team` threads of the pool and this one share the work. `double` says in
         which width; None is that of the rows, as JAX would take them here.
 
-        Raises `Unsupported`."""
+        Raises `Unsupported`, and `ValueError` where the first arguments have not as many rows each."""
         if double is None:
             floats = [x.dtype for x in map(np.asarray, args[: self.lanes]) if x.dtype.kind == "f"]
             double = jax.dtypes.canonicalize_dtype(np.result_type(*floats, np.float32)) == np.float64
         shared, tree = jax.tree_util.tree_flatten(args[self.lanes :])
-        operands = [_array(x, double) for x in (*args[: self.lanes], *shared)]
+        width = np.dtype(np.float64 if double else np.float32)
+        operands = [_array(x, width) for x in (*args[: self.lanes], *shared)]
+        count = _rows(operands, self.lanes)
         key = tree, double, tuple([(x.shape[1:] if k < self.lanes else x.shape, x.dtype) for k, x in enumerate(operands)])
         found = self.known.get(key)
         if found is None:
             found = self.known[key] = self._made(*key)
         traced, made = found
-        count = len(operands[0])
         outs = [np.empty((count, *a.shape), a.dtype) for a in traced.outputs]
         if count:
             _run(made, operands, self.lanes, outs, count, threads, team)
@@ -76,14 +79,19 @@ class HostKernel:
         return traced, call.made(traced, tuple(k >= self.lanes for k in range(len(shapes))))
 
 
-_KINDS = {np.dtype(np.int64): np.dtype(np.int32)}  # what a kernel has in place of a type
-_WIDTHS = {w: {np.dtype(f"f{k}"): np.dtype(f"f{w}") for k in (2, 4, 8)} | _KINDS for w in (4, 8)}
-
-
-def _array(x: Any, double: bool) -> np.ndarray:
-    """Row by row in memory, floats in the width, integers as JAX has them."""
+def _array(x: Any, width: Any) -> np.ndarray:
+    """Row by row in memory, in this machine's order of bytes; floats in `width`, integers as JAX has them."""
     x = np.asarray(x)
-    return np.asarray(x, _WIDTHS[8 if double else 4].get(x.dtype, x.dtype), order="C")
+    native = x.dtype if x.dtype.isnative else x.dtype.newbyteorder("=")
+    return np.asarray(x, width if native.kind == "f" else _NARROW.get(native, native), order="C")
+
+
+def _rows(operands: list[np.ndarray], lanes: int) -> int:
+    count = operands[0].shape[:1]
+    if not count or any(x.shape[:1] != count for x in operands[1:lanes]):
+        shapes = ", ".join(str(x.shape) for x in operands[:lanes])
+        raise ValueError(f"HostKernel: the first {lanes} arguments have a row a lane, as many each; here shapes {shapes}")
+    return int(count[0])
 
 
 def _run(
@@ -97,7 +105,9 @@ def _run(
     team = min(team, -(-vectors // made.chunk)) if threads is not None else 1
     words[CHUNK] = vectors if team == 1 else max(1, made.chunk // 2, vectors // (8 * team))
     address = words.ctypes.data
-    others = [threads.submit(made.work, address) for _ in range(team - 1)]
+    # the arrays are held until each thread is done, even if this one is interrupted
+    work = lambda *held: made.work(address)
+    others = [threads.submit(work, words, operands, outs) for _ in range(team - 1)]
     made.work(address)
     for other in others:
         other.result()

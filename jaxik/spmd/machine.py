@@ -34,10 +34,10 @@ def vector_bits() -> int:
 
 
 @functools.cache
-def target_machine(level: int) -> Any:
+def target_machine() -> Any:
     target = llvm().Target.from_default_triple()
     return target.create_target_machine(
-        cpu=llvm().get_host_cpu_name(), features=features(), opt=level, reloc="pic", codemodel="default"
+        cpu=llvm().get_host_cpu_name(), features=features(), opt=2, reloc="pic", codemodel="default"
     )
 
 
@@ -56,7 +56,7 @@ def _jit() -> Any:
         function = next((getattr(lib, name) for lib in libraries if hasattr(lib, name)), None)
         if function is not None:
             llvm().add_symbol(name, ctypes.cast(function, ctypes.c_void_p).value)
-    return llvm().create_lljit_compiler(target_machine(2), use_jit_link=sys.platform != "win32", suppress_errors=False)
+    return llvm().create_lljit_compiler(target_machine(), use_jit_link=sys.platform != "win32", suppress_errors=False)
 
 
 def attributes() -> str:
@@ -66,22 +66,20 @@ def attributes() -> str:
     )
 
 
-def _parsed(text: str, machine: Any) -> Any:
+def _parsed(text: str) -> Any:
     module = llvm().parse_assembly(text + attributes())
-    module.triple, module.data_layout = machine.triple, str(machine.target_data)
+    module.triple, module.data_layout = target_machine().triple, str(target_machine().target_data)
     return module
 
 
-def compiled(text: str, level: int = 2) -> bytes:
+def compiled(text: str) -> bytes:
     """An object file."""
-    machine = target_machine(level)
-    return bytes(machine.emit_object(_parsed(text, machine)))
+    return bytes(target_machine().emit_object(_parsed(text)))
 
 
-def assembly(text: str, level: int = 2) -> str:
+def assembly(text: str) -> str:
     """The same, to read."""
-    machine = target_machine(level)
-    return str(machine.emit_assembly(_parsed(text, machine)))
+    return str(target_machine().emit_assembly(_parsed(text)))
 
 
 def linked(image: bytes, *names: str) -> list[int]:

@@ -16,7 +16,7 @@ from jax.interpreters import ad, batching, mlir
 
 from jaxik.spmd import call
 from jaxik.spmd.scalarise import RULES, Array, Scalariser, Unsupported
-from jaxik.spmd.trace import Traced, _is_float
+from jaxik.spmd.trace import Traced, is_float
 
 Masks = tuple[tuple[bool, ...], ...]  # for each operand, which axes of the batch it has
 
@@ -62,9 +62,9 @@ batching.primitive_batchers[kernel_p] = _batched
 
 def _jvp(primals: Sequence[Any], tangents: Sequence[Any], *, traced: Traced, batch: tuple[int, ...], masks: Masks) -> Any:
     """One kernel gives values and derivatives; ordinary operations contract them with the tangents."""
-    active = tuple(i for i, t in enumerate(tangents) if not isinstance(t, ad.Zero) and _is_float(traced.inputs[i]))
+    active = tuple(i for i, t in enumerate(tangents) if not isinstance(t, ad.Zero) and is_float(traced.inputs[i]))
     count = len(traced.outputs)
-    size = sum(math.prod(a.shape) for a in traced.outputs if _is_float(a)) * sum(
+    size = sum(math.prod(a.shape) for a in traced.outputs if is_float(a)) * sum(
         math.prod(traced.inputs[i].shape) for i in active
     )
     if size > _DENSE:  # a matrix that a kernel would write and somebody read: JAX's own rules need none
@@ -78,7 +78,7 @@ def _jvp(primals: Sequence[Any], tangents: Sequence[Any], *, traced: Traced, bat
     results: list[Any] = []
     given = iter(slopes)
     for aval, out in zip(traced.outputs, outs, strict=True):
-        if not active or not _is_float(aval):
+        if not active or not is_float(aval):
             results.append(ad.Zero(jax.typeof(out).to_tangent_aval()))
             continue
         total = None

@@ -33,11 +33,60 @@ FLOATS = ("float", "double")
 
 
 class Op(NamedTuple):
-    """An operation: its code, the type of its value, and its arguments (values, or what the code says)."""
+    """An operation: its code, the type of its value, and its arguments: values, or a `Load`, `Store`, `Loop` or `Branch`."""
 
     code: str
     type: str
-    args: tuple[Any, ...]
+    args: Any
+
+
+class Load(NamedTuple):
+    """Arguments of a `load`: the number at `offset`, plus the value `at` if there is one, readable `after` a value."""
+
+    memory: Memory
+    offset: int
+    at: int | None
+    after: int | None
+
+
+class Store(NamedTuple):
+    """Arguments of a `store` of a `value`, addressed as a `load` is."""
+
+    memory: Memory
+    offset: int
+    at: int | None
+    value: int
+
+
+class Loop(NamedTuple):
+    """Arguments of a `loop`: `params` are what `init` and then `results` give to each turn. It turns so many
+    `turns`, the number of each being the value `turn`, or while its `test` holds: a body, and the value that says so."""
+
+    init: tuple[int, ...]
+    turn: tuple[int, ...]
+    params: tuple[int, ...]
+    test: tuple[tuple[int, ...], int] | None
+    turns: int | None
+    body: tuple[int, ...]
+    results: tuple[int, ...]
+
+    @property
+    def bodies(self) -> list[tuple[int, ...]]:
+        return [self.body] if self.test is None else [self.test[0], self.body]
+
+
+class Branch(NamedTuple):
+    """Arguments of a `branch`: two bodies, and the values that each ends with."""
+
+    condition: int
+    yes: tuple[int, ...]
+    yes_values: tuple[int, ...]
+    no: tuple[int, ...]
+    no_values: tuple[int, ...]
+
+    @property
+    def bodies(self) -> list[tuple[int, ...]]:
+        return [self.yes, self.no]
 
 
 @dataclasses.dataclass
@@ -154,12 +203,12 @@ class Program:
         """The number at a constant `offset`, plus the value `index`, which the caller keeps inside; `after` a value."""
         if memory.kind == "constant" and index is None:
             return self.number(self.tables[memory.number].ravel()[offset], memory.type)
-        op = Op("load", memory.type, (memory, offset, index, after))
+        op = Op("load", memory.type, Load(memory, offset, index, after))
         return self.place(op, [v for v in (index, after) if v is not None])
 
     def store(self, memory: Memory, offset: int, index: int | None, value: int, level: int = -1) -> int:
         """Writes to scratch, at the end of a block; the store's own value is what a load comes `after`."""
-        return self.append(Op("store", memory.type, (memory, offset, index, value)), level)
+        return self.append(Op("store", memory.type, Store(memory, offset, index, value)), level)
 
     # ----------------------------------------------------------------------------------------------------------------
     # Loops and branches
@@ -175,30 +224,21 @@ class Program:
         A counted loop hands its body the turn's number, i32, before the carried values.
         """
         types = [self.ops[v].type for v in init]
-        counted = isinstance(again, int)
-        inner = Block()
+        inner, test = Block(), None
         self.blocks.append(inner)
-        count = [self.param("i32")] if counted else []
+        turn = [self.param("i32")] if isinstance(again, int) else []
         carried = [self.param(t) for t in types]
-        if counted:
-            condition = None
-        else:
-            test = Block()
-            self.blocks[-1] = test  # the test has a block of its own, before the body
-            condition = again(carried)  # type: ignore[operator]
+        if not isinstance(again, int):
+            before = Block()
+            self.blocks[-1] = before  # the test has a block of its own, before the body
+            holds = again(carried)
             self.blocks[-1] = inner
-            inner.known = dict(test.known)
-        results = list(body([*count, *carried]))
+            inner.known = dict(before.known)
+            test = tuple(before.body), holds
+        results = tuple(body([*turn, *carried]))
         self.blocks.pop()
-        args = (
-            tuple(init),
-            tuple(count),
-            tuple(carried),
-            None if counted else (tuple(test.body), condition),
-            again if counted else None,
-            tuple(inner.body),
-            tuple(results),
-        )
+        turns = again if isinstance(again, int) else None
+        args = Loop(tuple(init), tuple(turn), tuple(carried), test, turns, tuple(inner.body), results)
         whole = self.append(Op("loop", "void", args))
         return [self.append(Op("result", t, (whole, i))) for i, t in enumerate(types)]
 
@@ -212,7 +252,7 @@ class Program:
             self.blocks.pop()
             sides.append((tuple(block.body), results))
         (yes_body, yes_values), (no_body, no_values) = sides
-        args = (condition, yes_body, yes_values, no_body, no_values)
+        args = Branch(condition, yes_body, yes_values, no_body, no_values)
         whole = self.append(Op("branch", "void", args))
         types = [self.ops[v].type for v in yes_values]
         return [self.append(Op("result", t, (whole, i))) for i, t in enumerate(types)]

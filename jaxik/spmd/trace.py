@@ -67,14 +67,14 @@ def trace(function: Callable[..., Any], args: Sequence[Any]) -> tuple[Traced, An
     return Traced(ClosedJaxpr(whole, numbers)), tree, more
 
 
-def _is_float(aval: Any) -> bool:
+def is_float(aval: Any) -> bool:
     return bool(jnp.issubdtype(aval.dtype, jnp.floating))
 
 
 def _derivative(closed: ClosedJaxpr, active: tuple[int, ...]) -> ClosedJaxpr:
     """Forward, a column an input, or backward, a row an output: whichever are fewer."""
     inputs, run = closed.in_avals, jaxpr_as_fun(closed)
-    smooth = [i for i, a in enumerate(closed.out_avals) if _is_float(a)]
+    smooth = [i for i, a in enumerate(closed.out_avals) if is_float(a)]
     wide = sum(int(np.prod(inputs[i].shape)) for i in active)
     tall = sum(int(np.prod(closed.out_avals[i].shape)) for i in smooth)
 

@@ -1,0 +1,117 @@
+"""A kernel on NumPy arrays, without XLA: whatever arrays a driver has."""
+
+import threading
+import weakref
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from jax import lax
+
+from jaxik import spmd
+
+RNG = np.random.default_rng(0)
+X, Y = RNG.normal(size=(2, 37, 3)).astype(np.float32)
+N = RNG.integers(-9, 9, (37, 1))
+
+
+def mixed(x, n, table):
+    return x[0] * table[n[0] % 2] + n[0]
+
+
+KERNEL = spmd.HostKernel(mixed, 2)
+TABLE = np.array([3.0, 5.0], np.float32)
+EXPECTED = X[:, 0] * TABLE[N[:, 0] % 2] + N[:, 0].astype(np.float32)
+
+
+def unaligned(x):
+    return np.frombuffer(b"x" + x.tobytes(), np.uint8)[1:].view(x.dtype).reshape(x.shape)
+
+
+ARRAYS = {
+    "as they are": lambda a: a,
+    "by columns": np.asfortranarray,
+    "every other": lambda a: np.repeat(a, 2, 0)[::2],
+    "backwards": lambda a: a[::-1].copy()[::-1],
+    "big-endian": lambda a: a.astype(a.dtype.newbyteorder(">")),
+    "unaligned": unaligned,
+    "read-only": lambda a: np.frombuffer(a.tobytes(), a.dtype).reshape(a.shape),
+    "lists": np.ndarray.tolist,
+}
+
+
+@pytest.mark.parametrize("integer", [np.int8, np.int32, np.int64])
+@pytest.mark.parametrize("name", ARRAYS)
+def test_arrays_of_any_layout(name, integer):
+    lay = ARRAYS[name]
+    table = TABLE if name == "lists" else lay(TABLE)
+    (found,) = KERNEL.run(lay(X), lay(N.astype(integer)), table, double=False)
+    np.testing.assert_array_equal(found, EXPECTED)
+
+
+def test_unsigned_integers_of_64_bits():
+    (found,) = spmd.HostKernel(lambda n: n[::-1] + 1, 1).run(np.arange(74, dtype=np.uint64).reshape(37, 2), double=False)
+    np.testing.assert_array_equal(found, np.arange(74).reshape(37, 2)[:, ::-1] + 1)
+
+
+@pytest.mark.parametrize("rows", [0, 1, 15, 16, 17, 31, 33])
+def test_any_number_of_rows(rows):
+    np.testing.assert_array_equal(KERNEL.run(X[:rows], N[:rows], TABLE)[0], EXPECTED[:rows])
+
+
+@pytest.mark.parametrize(("x", "n"), [(X, N[:5]), (X[:5], N), (X[0, 0], N), (X, N[0, 0])])
+def test_rows_that_do_not_go_together_are_refused(x, n):
+    """Instead of reading what lies behind them."""
+    with pytest.raises(ValueError, match=r"the first 2 arguments have a row a lane, as many each; here shapes \(") as told:
+        KERNEL.run(x, n, TABLE)
+    assert "\n" not in str(told.value)
+
+
+def test_arrays_outlive_an_interrupt():
+    """Ctrl-C while another thread writes: the arrays go when that thread is done, not before."""
+
+    class Interrupted:
+        def __init__(self):
+            self.tasks = []
+
+        def submit(self, *task):
+            self.tasks.append(task)
+            return self
+
+        def result(self):
+            raise KeyboardInterrupt
+
+    pool, kernel, x = Interrupted(), spmd.HostKernel(lambda x: x + x, 1), np.ones((2_000_000, 1), np.float32)
+    seen = weakref.ref(x)
+    try:
+        kernel.run(x, threads=pool, team=2)
+    except KeyboardInterrupt:
+        del x
+    assert len(pool.tasks) == 1 and seen() is not None
+    for task, *args in pool.tasks:
+        task(*args)
+    pool.tasks.clear()
+    del task, args
+    assert seen() is None
+
+
+def test_many_tables_need_no_large_stack():
+    """Each of sixteen would do by itself; a thread of half a megabyte holds them all."""
+
+    def roll(x):
+        return lax.scan(lambda c, k: (0.9 * c + k, tuple(c + n for n in range(16))), x, jnp.arange(900.0, dtype=np.float32))[1]
+
+    kernel, x, found = spmd.HostKernel(roll, 1), np.ones(20, np.float32), []
+    kernel.run(x)  # compiled where there is room
+    before = threading.stack_size(512 * 1024)
+    try:
+        thread = threading.Thread(target=lambda: found.extend(kernel.run(x)))
+        thread.start()
+        thread.join()
+    finally:
+        threading.stack_size(before)
+    expected = np.asarray(jax.vmap(roll)(x)[0])
+    for n, table in enumerate(found):
+        np.testing.assert_allclose(table, expected + n, rtol=1e-5)
+    assert len(found) == 16
