@@ -20,26 +20,36 @@ from jaxik.spmd.trace import Traced, trace
 
 
 class HostKernel:
-    """A function of one configuration over the rows of its first `lanes` arguments; the others, pytrees, all rows share."""
+    """A function of one configuration over the rows of its first `lanes` arguments; the others, pytrees, all rows share.
+
+        reach = HostKernel(lambda q, base: jnp.linalg.norm(q - base), 1)
+        (distances,) = reach.run(points, base)  # (b, 2), (2,) -> [(b,)]
+
+    The function is pure and hashes as itself, and is traced once for each set of shapes: keep the object. Rows are arrays
+    (b, ...), in any units; integers of 64 bits are taken as 32, as JAX has them.
+    """
 
     def __init__(self, function: Callable[..., Any], lanes: int):
         self.function, self.lanes = function, lanes
         self.known: dict[Any, tuple[Traced, call.Made]] = {}
 
-    def __call__(self, *args: Any) -> Any:
-        """By a kernel, or by XLA where there is none, in the width that JAX is set to here."""
+    def __call__(self, *args: Any) -> list[np.ndarray]:
+        """Its results' leaves, each (b, ...), by a kernel, or by XLA where there is none, in the width that JAX is set to
+        here. Raises `ValueError` if the arguments do not have as many rows as each other."""
         try:
             return self.run(*args)
         except Unsupported:
-            return self.by_xla(*args)
+            return [np.asarray(x) for x in jax.tree_util.tree_leaves(self.by_xla(*args))]
 
     def run(
         self, *args: Any, double: bool | None = None, threads: ThreadPoolExecutor | None = None, team: int = 1
     ) -> list[np.ndarray]:
-        """Its results' leaves, each with a row a row; `team` threads of the pool and this one share the work. `double` says in
-        which width; None is that of the rows, as JAX would take them here.
+        """Its results' leaves, each (b, ...), by a kernel. `team` threads, those of the pool and this one, share the work.
+        `double` says in which width floats are taken and computed; None is that of the rows, as JAX would take them here.
 
-        Raises `Unsupported`."""
+        Raises `Unsupported`, in one line, where there is no kernel: of such a function, on another platform, without llvmlite;
+        and `ValueError` if the arguments do not have as many rows as each other.
+        """
         if double is None:
             floats = [x.dtype for x in map(np.asarray, args[: self.lanes]) if x.dtype.kind == "f"]
             double = jax.dtypes.canonicalize_dtype(np.result_type(*floats, np.float32)) == np.float64
@@ -47,6 +57,8 @@ class HostKernel:
         shared, tree = jax.tree_util.tree_flatten(args[self.lanes :])
         operands = [_array(x, width) for x in (*args[: self.lanes], *shared)]
         shapes = tuple((x.shape[1:] if k < self.lanes else x.shape, x.dtype.char) for k, x in enumerate(operands))
+        if len({x.shape[:1] for x in operands[: self.lanes]}) > 1 or not operands[0].ndim:
+            raise ValueError(f"arrays of as many rows each are asked for, not {[x.shape for x in operands[: self.lanes]]}")
         key = tree, shapes, double
         found = self.known.get(key)
         if found is None:
@@ -79,9 +91,9 @@ class HostKernel:
 
 
 def _array(x: Any, width: Any) -> np.ndarray:
-    """Row by row in memory, floats in `width`, integers as JAX has them."""
+    """Row by row in memory, floats in `width`, integers of 64 bits in 32."""
     x = np.asarray(x)
-    kind = width if x.dtype.kind == "f" else np.int32 if x.dtype == np.int64 else x.dtype
+    kind = width if x.dtype.kind == "f" else {"int64": np.int32, "uint64": np.uint32}.get(x.dtype.name, x.dtype)
     return np.asarray(x, kind, order="C")
 
 
