@@ -44,7 +44,7 @@ def _(*args: Any, traced: Traced, batch: tuple[int, ...], masks: Masks) -> list[
     return _jitted(_first.setdefault(traced.digest, traced), batch, masks)(*args)
 
 
-@functools.lru_cache(maxsize=4096)
+@functools.lru_cache(maxsize=512)  # an executable of XLA takes 1.5 MB
 def _jitted(traced: Traced, batch: tuple[int, ...], masks: Masks) -> Callable[..., list[Any]]:
     return jax.jit(lambda *args: bind(traced, args, batch, masks))
 
