@@ -114,7 +114,7 @@ if hasattr(os, "register_at_fork"):
 
 def _make(traced: Traced, shared: tuple[bool, ...]) -> Made:
     if machine.llvm() is None:
-        raise Unsupported("a machine without llvmlite (pip install llvmlite)")
+        raise Unsupported("without llvmlite (pip install llvmlite)")
     flags = "".join("s" if s else "r" for s in shared)
     name = f"{_OURS}{hashlib.sha256(f'{traced.digest}{flags}{_version()}'.encode()).hexdigest()[:32]}"
     stored = _read(name)

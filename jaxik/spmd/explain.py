@@ -71,10 +71,10 @@ def explain(function: Callable[..., Any], *args: Any) -> Explanation:
     name = getattr(function, "__name__", "a function")
     try:
         if jax.default_backend() != "cpu":
-            raise Unsupported("another platform than a CPU")
+            raise Unsupported("other platforms than a CPU")
         traced, _, _ = trace(flat, [jax.ShapeDtypeStruct(x.shape, x.dtype) for x in leaves])
         if machine.llvm() is None:
-            raise Unsupported("a machine without llvmlite (pip install llvmlite)")
+            raise Unsupported("without llvmlite (pip install llvmlite)")
         shared = tuple(int(np.prod(a.shape)) > 64 for a in traced.inputs)
         plan = call.plan(traced, shared, "explained")
     except Unsupported as error:

@@ -81,7 +81,7 @@ class HostKernel:
 
     def _made(self, tree: Any, shapes: Any, double: bool) -> tuple[Traced, call.Made]:
         if jax.default_backend() != "cpu":
-            raise Unsupported("another platform than a CPU")
+            raise Unsupported("other platforms than a CPU")
         with jax.enable_x64(double):
             flat = lambda *x: self.function(*x[: self.lanes], *jax.tree_util.tree_unflatten(tree, x[self.lanes :]))
             traced, _, more = trace(flat, [jax.ShapeDtypeStruct(s, np.dtype(t)) for s, t in shapes])

@@ -172,9 +172,10 @@ _told: set[tuple[str, str]] = set()
 
 
 def _warn(traced: Traced, why: str) -> None:
-    if (traced.name, why) not in _told:
-        _told.add((traced.name, why))
-        warnings.warn(f"jaxik.kernel: {traced.name} runs by XLA: a kernel cannot do {why}", stacklevel=2)
+    name = traced.name if call.machine.llvm() else "everything"
+    if (name, why) not in _told:
+        _told.add((name, why))
+        warnings.warn(f"jaxik.kernel: {name} runs by XLA: a kernel cannot do {why}", stacklevel=2)
 
 
 mlir.register_lowering(kernel_p, mlir.lower_fun(_by_xla, multiple_results=True))

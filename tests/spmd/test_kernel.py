@@ -264,6 +264,24 @@ def test_what_it_cannot_do_goes_to_xla(name):
         jax.jit(jax.vmap(spmd.kernel(function)))(Q[:3])
 
 
+def test_a_derivative_is_called_that_of_its_function():
+    def smallest(q):
+        return jnp.sort(jnp.tile(q, 9))[0]
+
+    with pytest.warns(UserWarning, match="the derivative of smallest runs by XLA: a kernel cannot do the primitive 'sort'"):
+        close(jax.grad(spmd.kernel(smallest))(Q[0]), jax.grad(smallest)(jnp.asarray(Q[0])))
+
+
+def test_without_llvmlite(monkeypatch):
+    """One warning for all functions."""
+    monkeypatch.setattr(call.machine, "llvm", lambda: None)
+    one, other = spmd.kernel(lambda q: 2.0 * q - 17.0), spmd.kernel(lambda q: 3.0 * q - 17.0)
+    with pytest.warns(UserWarning, match="everything runs by XLA: a kernel cannot do without llvmlite") as told:
+        close((one(Q), jax.vmap(other)(Q)), (2.0 * Q - 17.0, 3.0 * Q - 17.0))
+    assert len(told) == 1
+    assert spmd.explain(lambda q: q - 17.0, Q[0]).refused == "without llvmlite (pip install llvmlite)"
+
+
 # --------------------------------------------------------------------------------------------------------------------
 # Random programs
 
