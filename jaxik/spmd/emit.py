@@ -12,6 +12,8 @@ import struct
 from collections.abc import Iterator, Sequence
 from typing import Any
 
+import numpy as np
+
 from jaxik.spmd.program import DTYPES, FLOATS, Memory, Op, Program, Whole
 
 STACK = 65_536  # bytes of one table that a thread's stack may hold
@@ -365,11 +367,7 @@ class Emitter:
         if source in FLOATS and kind in FLOATS:
             return f"{'fpext' if kind == 'double' else 'fptrunc'} {a} {names[0]} to {b}"
         if source in FLOATS:
-            way = "fptoui" if kind[0] == "u" else "fptosi"
-            suffix = lambda k: (f"v{self.width}" if wide else "") + {"float": "f32", "double": "f64"}.get(k, llvm(k))
-            full_name = f"@llvm.{way}.sat.{suffix(kind)}.{suffix(source)}"
-            self.declared.add(f"declare {b} {full_name}({a})")
-            return f"call {b} {full_name}({a} {names[0]})"
+            return self._whole(names[0], source, kind, wide, full)
         if kind in FLOATS:
             return f"{'uitofp' if source[0] == 'u' or source == 'i1' else 'sitofp'} {a} {names[0]} to {b}"
         if BITS[source] == BITS[kind]:
@@ -378,13 +376,30 @@ class Emitter:
             return f"trunc {a} {names[0]} to {b}"
         return f"{'zext' if source[0] == 'u' or source == 'i1' else 'sext'} {a} {names[0]} to {b}"
 
+    def _whole(self, x: str, source: str, kind: str, wide: bool, full: Any) -> str:
+        """A number cut to a whole one in the range of `kind`, NaN to 0; `llvm.fptosi.sat` would do so lane by lane."""
+        limits: Any = np.iinfo(DTYPES[kind])  # type: ignore[type-var]
+        shape, truth = full(source), self._truth(wide)
+        low, high = (DTYPES[source].type(v) for v in (limits.min, limits.max))
+        last = np.nextafter(high, low) if int(high) > limits.max else high  # the largest that is inside
+        above = self.assign(f"fcmp ogt {shape} {x}, {self._constant(low, source, wide)}")
+        inside = self.assign(f"select {truth} {above}, {shape} {x}, {shape} {self._constant(low, source, wide)}")
+        below = self.assign(f"fcmp olt {shape} {inside}, {self._constant(last, source, wide)}")
+        inside = self.assign(f"select {truth} {below}, {shape} {inside}, {shape} {self._constant(last, source, wide)}")
+        value = self.assign(f"{'fptoui' if kind[0] == 'u' else 'fptosi'} {shape} {inside} to {full(kind)}")
+        beyond = self.assign(f"fcmp oge {shape} {x}, {self._constant(high, source, wide)}")
+        most, zero = (self._constant(v, kind, wide) for v in (limits.max, 0))
+        value = self.assign(f"select {truth} {beyond}, {full(kind)} {most}, {full(kind)} {value}")
+        number = self.assign(f"fcmp ord {shape} {x}, {x}")
+        return f"select {truth} {number}, {full(kind)} {value}, {full(kind)} {zero}"
+
     def _op_bitcast(self, op: Op, wide: bool, full: Any, names: list[str]) -> str:
         return f"bitcast {full(self.program.ops[op.args[0]].type)} {names[0]} to {full(op.type)}"
 
     def _op_frem(self, op: Op, wide: bool, full: Any, names: list[str]) -> str:
         return f"frem {full(op.type)} {names[0]}, {names[1]}"
 
-    def _constant(self, value: int, kind: str, wide: bool) -> str:
+    def _constant(self, value: Any, kind: str, wide: bool) -> str:
         text = literal(value, kind)
         return f"splat ({llvm(kind)} {text})" if wide else text
 
