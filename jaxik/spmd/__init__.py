@@ -8,7 +8,7 @@
 It knows no robot. In the order in which a function passes through: `trace` (to a jaxpr), `scalarise` (to a `program` of
 scalars, with `elementary` functions by polynomials), `emit` (LLVM's language, a vector of lanes at a time), `handler` (what XLA
 calls), `machine` (machine code), `call` (kept in memory and on disk), `primitive` (batches, derivatives, lowering). `host`
-calls a kernel on NumPy arrays; `explain` says what was made of a function.
+calls a kernel on NumPy arrays; `explain` says what was made of a function. `docs/kernels.md` tells it from the beginning.
 """
 
 from jaxik.spmd.explain import Explanation, explain

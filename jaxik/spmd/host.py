@@ -25,8 +25,8 @@ class HostKernel:
         reach = HostKernel(lambda q, base: jnp.linalg.norm(q - base), 1)
         (distances,) = reach.run(points, base)  # (b, 2), (2,) -> [(b,)]
 
-    The function is pure and hashes as itself, and is traced once for each set of shapes: keep the object. Rows are arrays
-    (b, ...), in any units; integers of 64 bits are taken as 32, as JAX has them.
+    The function is pure and is traced once for each set of shapes: keep the object. Rows are arrays (b, ...), in any units;
+    integers of 64 bits are taken as 32.
     """
 
     def __init__(self, function: Callable[..., Any], lanes: int):
