@@ -10,6 +10,7 @@ scalars, with `elementary` functions by polynomials), `emit` (LLVM's language, a
 what varies by `liveness`, names by `values`, instructions by `arithmetic`, loads and stores by `memory` and by `rows`, all
 written as `text`), `handler` (what XLA calls) and `threads`, `machine` (machine code), `call` (kept in memory and on disk),
 `primitive` (batches, derivatives, lowering). `host` calls a kernel on NumPy arrays; `explain` says what was made of a function.
+`docs/kernels.md` tells it from the beginning.
 """
 
 from jaxik.spmd.explain import Explanation, explain

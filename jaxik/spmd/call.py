@@ -28,6 +28,7 @@ from jaxik.spmd.trace import Traced
 
 WORTH = 20_000  # operations on vectors that are worth waking a thread for, about 10 us
 GUESS = 8  # turns of a loop whose number is not known
+LIMIT = 2**28  # bytes of the objects on disk, some 10,000 kernels; beyond, those longest not used go
 _lock = threading.Lock()
 _made: dict[tuple[str, tuple[bool, ...]], Future[Made]] = {}
 
@@ -108,9 +109,9 @@ if hasattr(os, "register_at_fork"):
 
 def _make(traced: Traced, shared: tuple[bool, ...]) -> Made:
     if machine.llvm() is None:
-        raise Unsupported("a machine without llvmlite (pip install llvmlite)")
+        raise Unsupported("without llvmlite (pip install llvmlite)")
     flags = "".join("s" if s else "r" for s in shared)
-    name = f"jaxik_{hashlib.sha256(f'{traced.digest}{flags}{_version()}'.encode()).hexdigest()[:32]}"
+    name = f"{_OURS}{hashlib.sha256(f'{traced.digest}{flags}{_version()}'.encode()).hexdigest()[:32]}"
     stored = _read(name)
     if stored is None:
         planned = plan(traced, shared, name)
@@ -124,6 +125,10 @@ def _make(traced: Traced, shared: tuple[bool, ...]) -> Made:
 
 # --------------------------------------------------------------------------------------------------------------------
 # Disk
+
+
+_OURS = "jaxik_"  # how the names of kernels begin, and of their files
+_unseen = LIMIT  # bytes that this process has written since it last looked how large the folder is
 
 
 @functools.cache
@@ -158,6 +163,8 @@ def _read(name: str) -> bytes | None:
         content = path.read_bytes()
     except OSError:
         return None
+    with contextlib.suppress(OSError):  # a folder to read only
+        os.utime(path)
     check, image = content[:32], content[32:]
     return image if image and hashlib.sha256(image).digest() == check else None
 
@@ -169,10 +176,36 @@ def _write(name: str, image: bytes) -> None:
         return
     with contextlib.suppress(OSError):
         folder.mkdir(parents=True, exist_ok=True, mode=0o700)
-        handle, aside = tempfile.mkstemp(dir=folder)
+        handle, aside = tempfile.mkstemp(dir=folder, prefix=_OURS)
         try:
             with os.fdopen(handle, "wb") as file:
                 file.write(hashlib.sha256(image).digest() + image)
             os.replace(aside, folder / name)
         except OSError:
             os.unlink(aside)
+        _bound(folder, len(image))
+
+
+def _bound(folder: Path, more: int) -> None:
+    """Looks at the folder now and then, and removes what was longest not used if it holds more than `LIMIT`. Others may do so
+    too: who misses an object makes it again, who has opened one reads it to its end."""
+    global _unseen
+    _unseen += more
+    if _unseen < LIMIT // 16:
+        return
+    _unseen = 0
+    files = []
+    for path in folder.glob(f"{_OURS}*"):
+        with contextlib.suppress(OSError):
+            state = path.stat()
+            files.append((state.st_mtime_ns, state.st_size, path))
+    excess = sum(size for _, size, _ in files) - LIMIT
+    if excess <= 0:
+        return
+    excess += LIMIT // 8  # room for a while
+    for _, size, path in sorted(files):
+        if excess <= 0:
+            break
+        with contextlib.suppress(OSError):
+            path.unlink()
+        excess -= size

@@ -22,26 +22,36 @@ _NARROW = {np.dtype(np.int64): np.dtype(np.int32), np.dtype(np.uint64): np.dtype
 
 
 class HostKernel:
-    """A function of one configuration over the rows of its first `lanes` arguments; the others, pytrees, all rows share."""
+    """A function of one configuration over the rows of its first `lanes` arguments; the others, pytrees, all rows share.
+
+        reach = HostKernel(lambda q, base: jnp.linalg.norm(q - base), 1)
+        (distances,) = reach.run(points, base)  # (b, 2), (2,) -> [(b,)]
+
+    The function is pure and is traced once for each set of shapes: keep the object. Rows are arrays (b, ...), in any units;
+    integers of 64 bits are taken as 32.
+    """
 
     def __init__(self, function: Callable[..., Any], lanes: int):
         self.function, self.lanes = function, lanes
         self.known: dict[Any, tuple[Traced, call.Made]] = {}
 
-    def __call__(self, *args: Any) -> Any:
-        """By a kernel, or by XLA where there is none, in the width that JAX is set to here."""
+    def __call__(self, *args: Any) -> list[np.ndarray]:
+        """Its results' leaves, each (b, ...), by a kernel, or by XLA where there is none, in the width that JAX is set to
+        here. Raises `ValueError` if the arguments do not have as many rows as each other."""
         try:
             return self.run(*args)
         except Unsupported:
-            return self.by_xla(*args)
+            return [np.asarray(x) for x in jax.tree_util.tree_leaves(self.by_xla(*args))]
 
     def run(
         self, *args: Any, double: bool | None = None, threads: ThreadPoolExecutor | None = None, team: int = 1
     ) -> list[np.ndarray]:
-        """Its results' leaves, each with a row a row; `team` threads of the pool and this one share the work. `double` says in
-        which width; None is that of the rows, as JAX would take them here.
+        """Its results' leaves, each (b, ...), by a kernel. `team` threads, those of the pool and this one, share the work.
+        `double` says in which width floats are taken and computed; None is that of the rows, as JAX would take them here.
 
-        Raises `Unsupported`, and `ValueError` where the first arguments have not as many rows each."""
+        Raises `Unsupported`, in one line, where there is no kernel: of such a function, on another platform, without llvmlite;
+        and `ValueError` if the arguments do not have as many rows as each other.
+        """
         if double is None:
             floats = [x.dtype for x in map(np.asarray, args[: self.lanes]) if x.dtype.kind == "f"]
             double = jax.dtypes.canonicalize_dtype(np.result_type(*floats, np.float32)) == np.float64
@@ -70,7 +80,7 @@ class HostKernel:
 
     def _made(self, tree: Any, double: bool, shapes: Any) -> tuple[Traced, call.Made]:
         if jax.default_backend() != "cpu":
-            raise Unsupported("another platform than a CPU")
+            raise Unsupported("other platforms than a CPU")
         with jax.enable_x64(double):
             flat = lambda *x: self.function(*x[: self.lanes], *jax.tree_util.tree_unflatten(tree, x[self.lanes :]))
             traced, _, more = trace(flat, [jax.ShapeDtypeStruct(*each) for each in shapes])

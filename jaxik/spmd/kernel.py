@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import functools
 from collections.abc import Callable
 from typing import Any
@@ -19,10 +20,18 @@ KEPT = 256  # jaxprs of one function, of robots and shapes; their machine code i
 def kernel(function: Callable[..., Any] | None = None, *, models: int = 0) -> Callable[..., Any]:
     """The same function, compiled to one SIMD function over any batch on a CPU. Traced: `jit`, `vmap` and differentiate it.
 
-    It takes and returns pytrees of arrays (floats, integers and truth values of up to 64 bits) of one configuration, and is
-    pure: what it closes over is read when it is first called with arguments of those shapes. Of the first `models` arguments
-    (a robot) the numbers fold into the program, except those that are traced; they are hashable, and equal ones share it.
-    What a kernel cannot do runs by XLA, with one warning that says what it was. `__wrapped__` is the function itself.
+        @kernel
+        def gap(q, ball):  # (2,), (2,) -> ()
+            return jnp.linalg.norm(q - ball)
+
+        jax.jit(jax.vmap(gap, (0, None)))(points, ball)  # (b, 2), (2,) -> (b,)
+
+    It takes and returns pytrees of arrays (floats, integers and truth values of up to 64 bits) of one configuration, of any
+    shapes and units, and is pure: what it closes over is read when it is first called with arguments of those shapes. Of the
+    first `models` arguments (a robot) the numbers fold into the program, except those that are traced; they are hashable, and
+    equal ones share it. What a kernel cannot do runs by XLA, with one warning that says what it was: none of it raises. What
+    the function itself raises, of arguments that it cannot take, comes from a call of it without a kernel; that function is
+    `__wrapped__`.
     """
     if function is None:
         return functools.partial(kernel, models=models)
@@ -53,9 +62,9 @@ def kernel(function: Callable[..., Any] | None = None, *, models: int = 0) -> Ca
                 return function(*models, *jax.tree_util.tree_unflatten(tree, operands[len(moving) :]))
 
             flat.__name__ = getattr(function, "__name__", "a function")
-            try:
+            with contextlib.suppress(TypeError, ValueError):
                 found = trace(flat, shapes)
-            except (TypeError, ValueError):
+            if found is None:
                 return function(*args)  # says what is wrong in its own words, of what was given
             if key is not None and not found[2]:  # what it closes over may be another array in the next call
                 if len(known) >= KEPT:
@@ -64,4 +73,5 @@ def kernel(function: Callable[..., Any] | None = None, *, models: int = 0) -> Ca
         traced, results, more = found
         return jax.tree_util.tree_unflatten(results, bind(traced, [*operands, *more]))
 
+    call.models = models  # type: ignore[attr-defined]
     return call

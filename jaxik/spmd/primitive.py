@@ -44,7 +44,7 @@ def _(*args: Any, traced: Traced, batch: tuple[int, ...], masks: Masks) -> list[
     return _jitted(_first.setdefault(traced.digest, traced), batch, masks)(*args)
 
 
-@functools.lru_cache(maxsize=4096)
+@functools.lru_cache(maxsize=512)  # an executable of XLA takes 1.5 MB
 def _jitted(traced: Traced, batch: tuple[int, ...], masks: Masks) -> Callable[..., list[Any]]:
     return jax.jit(lambda *args: bind(traced, args, batch, masks))
 
@@ -172,9 +172,10 @@ _told: set[tuple[str, str]] = set()
 
 
 def _warn(traced: Traced, why: str) -> None:
-    if (traced.name, why) not in _told:
-        _told.add((traced.name, why))
-        warnings.warn(f"jaxik.kernel: {traced.name} runs by XLA: a kernel cannot do {why}", stacklevel=2)
+    name = traced.name if call.machine.llvm() else "everything"
+    if (name, why) not in _told:
+        _told.add((name, why))
+        warnings.warn(f"jaxik.kernel: {name} runs by XLA: a kernel cannot do {why}", stacklevel=2)
 
 
 mlir.register_lowering(kernel_p, mlir.lower_fun(_by_xla, multiple_results=True))

@@ -34,7 +34,7 @@ class Computed(NamedTuple):
 
 
 class Unsupported(NotImplementedError):  # noqa: N818 - of functions that are in order, and run elsewhere
-    """What a kernel cannot do; one line that names it."""
+    """What a kernel cannot do; one line that names it. `HostKernel.run` raises it, `kernel` warns and goes to XLA."""
 
 
 @dataclasses.dataclass(frozen=True, eq=False)

@@ -21,8 +21,9 @@ _FUNCTIONS = ("jvp_jaxpr_fun", "fwd_jaxpr_thunk", "bwd", "fwd", "out_trees", "tr
 class Traced:
     """A jaxpr whose constants are numbers; what it closed over beside them are its last arguments."""
 
-    def __init__(self, closed: ClosedJaxpr, structural: bool = False):
+    def __init__(self, closed: ClosedJaxpr, structural: bool = False, name: str = ""):
         self.closed, self.structural = closed, structural
+        self.name = name or str(getattr(closed.jaxpr.debug_info, "func_name", "a function"))
         self.derivatives: dict[tuple[int, ...], Traced] = {}
 
     @property
@@ -37,18 +38,13 @@ class Traced:
     def digest(self) -> str:
         return digest(self.closed) + ("d" if self.structural else "")
 
-    @property
-    def name(self) -> str:
-        info = self.closed.jaxpr.debug_info
-        return str(getattr(info, "func_name", "a function"))
-
     def __repr__(self) -> str:
         return f"<{self.name} {self.digest[:8]}>"
 
     def derivative(self, active: tuple[int, ...]) -> Traced:
         """(inputs) -> outputs and, for each float output and each `active` input, the derivative, shaped (*output, *input)."""
         if active not in self.derivatives:
-            self.derivatives[active] = Traced(_derivative(self.closed, active), True)
+            self.derivatives[active] = Traced(_derivative(self.closed, active), True, f"the derivative of {self.name}")
         return self.derivatives[active]
 
 

@@ -115,3 +115,22 @@ def test_many_tables_need_no_large_stack():
     for n, table in enumerate(found):
         np.testing.assert_allclose(table, expected + n, rtol=1e-5)
     assert len(found) == 16
+
+
+FACTORS = spmd.HostKernel(lambda x: jnp.linalg.svd(jnp.outer(x, x))[1], 1)
+
+
+def test_what_a_kernel_cannot_do_comes_in_the_same_form_from_xla():
+    (found,) = FACTORS(X)
+    assert type(found) is np.ndarray
+    np.testing.assert_allclose(found[:, 0], np.sum(X**2, 1), rtol=1e-5)
+    with pytest.raises(spmd.Unsupported, match="svd"):
+        FACTORS.run(X)
+
+
+@pytest.mark.parametrize("dtype", [np.int64, np.uint64, np.int32, np.uint32, np.int8, np.uint8, np.bool_])
+@pytest.mark.parametrize("double", [False, True])
+def test_whole_numbers_of_all_widths(dtype, double):
+    x = np.arange(40).astype(dtype)
+    (found,) = spmd.HostKernel(lambda x: x.astype(jnp.float32) + 1, 1).run(x, double=double)
+    np.testing.assert_array_equal(found, x.astype(np.float32) + 1)

@@ -185,6 +185,40 @@ def test_a_second_process_compiles_nothing(tmp_path):
         assert run().stdout.split() == [first[0], "1"] and file.read_bytes()[:4] == good[:4]
 
 
+OBJECTS = """
+import sys
+from jaxik.spmd import call
+call.LIMIT = 50_000
+for k in range(300):
+    name, image = f"jaxik_{sys.argv[1]}{k}", bytes([k % 256]) * 1000
+    call._write(name, image)
+    assert call._read(name) in (image, None)  # another process may have removed it
+"""
+
+
+def test_the_folder_of_objects_is_bounded(tmp_path):
+    """Two processes write twelve times as much as there may be."""
+    (tmp_path / "kernels").mkdir()
+    (tmp_path / "kernels" / "notes").write_text("mine" * 100)
+    environment = {**os.environ, "JAX_COMPILATION_CACHE_DIR": str(tmp_path)}
+    each = [subprocess.Popen([sys.executable, "-c", OBJECTS, name], env=environment) for name in "ab"]
+    assert [p.wait(120) for p in each] == [0, 0]
+    files = list((tmp_path / "kernels").iterdir())
+    assert tmp_path / "kernels" / "notes" in files  # nobody else's
+    assert 20_000 < sum(f.stat().st_size for f in files) < 60_000
+
+
+def test_what_is_used_stays_on_disk(tmp_path, monkeypatch):
+    monkeypatch.setattr(call, "cache_folder", lambda: tmp_path)
+    monkeypatch.setattr(call, "LIMIT", 50_000)
+    for k in range(200):
+        call._write(f"jaxik_{k}", b"x" * 1000)
+        os.utime(tmp_path / f"jaxik_{k}", ns=(10**9 * k, 10**9 * k))  # an hour's work, without the hour
+        os.utime(tmp_path / "jaxik_0", ns=(0, 0))
+        assert call._read("jaxik_0") == b"x" * 1000
+    assert call._read("jaxik_1") is None and call._read("jaxik_199") is not None
+
+
 def test_a_fork_goes_on():
     """A child has its own threads, or none; jaxik's kernels keep their code."""
     code = (
@@ -229,6 +263,24 @@ def test_what_it_cannot_do_goes_to_xla(name):
     with warnings.catch_warnings():
         warnings.simplefilter("error")  # said once
         jax.jit(jax.vmap(spmd.kernel(function)))(Q[:3])
+
+
+def test_a_derivative_is_called_that_of_its_function():
+    def smallest(q):
+        return jnp.sort(jnp.tile(q, 9))[0]
+
+    with pytest.warns(UserWarning, match="the derivative of smallest runs by XLA: a kernel cannot do the primitive 'sort'"):
+        close(jax.grad(spmd.kernel(smallest))(Q[0]), jax.grad(smallest)(jnp.asarray(Q[0])))
+
+
+def test_without_llvmlite(monkeypatch):
+    """One warning for all functions."""
+    monkeypatch.setattr(call.machine, "llvm", lambda: None)
+    one, other = spmd.kernel(lambda q: 2.0 * q - 17.0), spmd.kernel(lambda q: 3.0 * q - 17.0)
+    with pytest.warns(UserWarning, match="everything runs by XLA: a kernel cannot do without llvmlite") as told:
+        close((one(Q), jax.vmap(other)(Q)), (2.0 * Q - 17.0, 3.0 * Q - 17.0))
+    assert len(told) == 1
+    assert spmd.explain(lambda q: q - 17.0, Q[0]).refused == "without llvmlite (pip install llvmlite)"
 
 
 # --------------------------------------------------------------------------------------------------------------------
