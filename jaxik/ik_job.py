@@ -39,12 +39,16 @@ class Job:
     def of(chain: Chain, scene: Scene | None, seed: int, options: IKOptions, count: int) -> Job:
         n = chain.num_joints
         low, high = _limits(chain, options)
-        weights = np.ones(n) if options.weights is None else _shaped("weights", options.weights, (n,), least=1)
-        if not np.all((weights > 0.0) & np.isfinite(weights)):
-            raise ValueError(f"weights {shown(options.weights)}: all are finite and > 0; to hold a joint still, use locked")
+        weights = np.ones(n)
+        if options.weights is not None:
+            weights = _shaped("weights", options.weights, (n,), least=1)
+            if not np.all((weights > 0.0) & np.isfinite(weights)):
+                raise ValueError(f"weights {shown(options.weights)}: all are finite and > 0; to hold a joint still, use locked")
         check_seed("solve_ik", seed)
-        tolerance = [_shaped(k, getattr(options, k), (count,)) for k in ("position_tolerance", "rotation_tolerance")]
-        if not all(np.all(t > 0.0) for t in tolerance):
+        tolerance = np.empty((count, 2))
+        for i, name in enumerate(("position_tolerance", "rotation_tolerance")):
+            tolerance[:, i] = _shaped(name, getattr(options, name), (count,))
+        if not (tolerance > 0.0).all():
             raise ValueError("position_tolerance and rotation_tolerance are > 0")
         reference = None if options.reference is None else _shaped("reference", options.reference, (count, n), least=1)
         if reference is not None and not np.isfinite(reference).all():
@@ -53,9 +57,7 @@ class Job:
         inside = _range(chain, tuple(low.tolist()), tuple(high.tolist()), strategy != "near")
         geometry = scene.geometry() if scene is not None else None
         unit = lanes.unit_length(chain)
-        return Job(
-            chain, geometry, seed, options, low, high, weights, inside, unit, strategy, np.stack(tolerance, 1), reference
-        )
+        return Job(chain, geometry, seed, options, low, high, weights, inside, unit, strategy, tolerance, reference)
 
     def part(self, rows: slice) -> Job:
         """The same for some of the targets."""

@@ -36,7 +36,7 @@ from jaxik.optimise import sqp
 from jaxik.reach import reach
 from jaxik.result import Reason
 
-TOGETHER = 16  # lanes that cost hardly more than one
+TOGETHER = 4  # lanes that cost hardly more than one, their seeds' look-up counted
 EARLY, STEPS = 7, 16  # of a lane before it is given up, from an early seed and a late one: most that land need four
 ARRIVED = 2e-5  # [rad], [unit lengths]: steps in float32 lead no further
 LANDED = 2e-3  # from where a few steps in float64 reach 1e-9 nearly always
@@ -50,6 +50,7 @@ IMPROVE_MARGIN = 1e-8  # [m] likewise, of an answer that leans on an obstacle fo
 IMPROVED = 32  # answers of a target that a cost is made smaller from, the cheapest that are apart
 UNLIMITED = 16  # seeds for the question whether it was the limits
 KEPT, NEAR, RESCUE = 32, 0.05, 24  # so many misses, this near [rad, unit lengths], get so many more steps
+SOLVED, OPEN = int(Reason.SOLVED), int(Reason.NOT_CONVERGED)
 CREEP = 0.95  # of its error, at most, is left of a miss after two steps, or it is at rest; some return, so not among obstacles
 
 
@@ -104,40 +105,38 @@ class Wave(NamedTuple):
 
 def search(job: Job, poses: np.ndarray, valid: np.ndarray) -> Outcome:
     """Answers for the poses (N, 4, 4) that are `valid` (N,), or reasons."""
-    reason = np.where(valid, np.where(_out_of_reach(job, poses), Reason.OUT_OF_REACH, Reason.NOT_CONVERGED), Reason.INVALID)
-    misses = _Misses(job)
-    answers, blocked = [misses.parts[0]], [misses.parts[0]]
+    nothing, misses = _nothing(job), _Misses(job)
+    reason = np.where(valid, np.where(_out_of_reach(job, poses), Reason.OUT_OF_REACH, OPEN), Reason.INVALID)
+    answers, blocked = [nothing], [nothing]
     _finisher_ready(_finisher(job), job.chain.num_joints)
-    waves = _waves(job)
-    left = np.flatnonzero(reason == Reason.NOT_CONVERGED)
-    while waves and len(left):
+    waves = _waves(job.options.max_seeds, job.first_will_do, job.scene is not None)
+    while waves and len(left := np.flatnonzero(reason == OPEN)):
         wave, waves = _joined_waves(waves, len(left))
         for some in _portions(left, wave.size):
             free, colliding = _search_wave(job, poses, some, wave, misses)
             answers.append(free)
             blocked.append(colliding)
-            reason[free.target] = Reason.SOLVED
-        if not len(left := np.flatnonzero(reason == Reason.NOT_CONVERGED)):
-            break
-        if wave.rescues:  # what is left by now is near a singularity, or unreachable
+            reason[free.target] = SOLVED
+        if wave.rescues and OPEN in reason:  # what is left by now is near a singularity, or unreachable
             rescued, near = _rescued(job, poses, misses.near(reason))
             answers.append(rescued)
             blocked.append(near)
-            reason[rescued.target] = Reason.SOLVED
-        if wave.pushes:  # more seeds cost less than moving out of obstacles
+            reason[rescued.target] = SOLVED
+        if wave.pushes and OPEN in reason:  # more seeds cost less than moving out of obstacles
             stuck = Found.joined(blocked)
-            blocked = [stuck.rows(reason[stuck.target] == Reason.NOT_CONVERGED)]
+            blocked = [stuck.rows(reason[stuck.target] == OPEN)]
             freed = _pushed(job, poses, blocked[0], wave.pushes)
             answers.append(freed)
-            reason[freed.target] = Reason.SOLVED
-        left = np.flatnonzero(reason == Reason.NOT_CONVERGED)
-    found, stuck = Found.joined(answers), Found.joined(blocked)
-    stuck = stuck.rows(reason[stuck.target] == Reason.NOT_CONVERGED)
-    reason[stuck.target] = Reason.COLLISION
-    reason = _beyond_limits(job, poses, reason)
-    found = _at_home(job, found)
+            reason[freed.target] = SOLVED
+    found = _at_home(job, Found.joined(answers))
     if job.options.cost is not None:
         found = _improved(job, poses, found)
+    if (reason == SOLVED).all():
+        return Outcome(reason, found, nothing, nothing)
+    stuck = Found.joined(blocked)
+    stuck = stuck.rows(reason[stuck.target] == OPEN)
+    reason[stuck.target] = Reason.COLLISION
+    reason = _beyond_limits(job, poses, reason)
     return Outcome(reason, found, _at_home(job, stuck), _at_home(job, misses.nearest(job, poses, reason)))
 
 
@@ -149,29 +148,29 @@ def _out_of_reach(job: Job, poses: np.ndarray) -> np.ndarray:
     return reach(job.chain, len(task.rotations) == 3).excess(poses) > slack
 
 
-def _waves(job: Job) -> list[Wave]:
-    """Few seeds at first where one answer is enough, since most targets need no more."""
-    most = job.options.max_seeds
-    if not job.first_will_do:
+@functools.lru_cache(maxsize=64)
+def _waves(most: int, first_will_do: bool, scene: bool) -> tuple[Wave, ...]:
+    """Of `most` seeds few at first where one answer is enough, since most targets need no more."""
+    if not first_will_do:
         sizes, rescue, push = [most], 1, 1
-    elif job.scene is None:
+    elif not scene:
         sizes, rescue, push = [1, 1, 2, 4, 8, 16, 32], 5, 0
     else:
         sizes, rescue, push = [16, 48], 3, 2
     ends = sorted({min(end, most) for end in itertools.accumulate(sizes + [64] * (most // 64 + 1))})
-    return [
+    return tuple(
         Wave(
             first,
             last,
-            EARLY if job.scene is None and last <= 16 else STEPS,
+            EARLY if not scene and last <= 16 else STEPS,
             number == min(rescue, len(ends)) or last == most,
-            0 if job.scene is None else PUSHED[1] if last == most else PUSHED[0] if number == push else 0,
+            0 if not scene else PUSHED[1] if last == most else PUSHED[0] if number == push else 0,
         )
         for number, (first, last) in enumerate(itertools.pairwise([0, *ends]), 1)
-    ]
+    )
 
 
-def _joined_waves(waves: list[Wave], targets: int) -> tuple[Wave, list[Wave]]:
+def _joined_waves(waves: tuple[Wave, ...], targets: int) -> tuple[Wave, tuple[Wave, ...]]:
     """The next wave of so few `targets` that several fit in one, and those after it."""
     number = 1
     while (
@@ -196,7 +195,7 @@ def _search_wave(job: Job, poses: np.ndarray, some: np.ndarray, wave: Wave, miss
     start = _starts(job, poses, some, wave.first, wave.last).reshape(len(target), -1)
     ended = _settled(job, poses, _candidates(job, start, target, number), wave.steps, double=False)
     landed = _within(ended, np.maximum(job.tolerance, [LANDED * job.unit, LANDED]))
-    misses.note(ended.rows(~landed))
+    misses.note(ended, landed)
     found = _finish(job, poses, ended.rows(landed), misses)
     if job.scene is None:
         return found, _nothing(job)
@@ -249,7 +248,7 @@ def _finish(job: Job, poses: np.ndarray, landed: Found, misses: _Misses) -> Foun
     _finisher_ready(_finisher(job), job.chain.num_joints).result()
     found = _settled(job, poses, landed, FINISHING)
     exact = _within(found, job.tolerance)
-    misses.note(found.rows(~exact))
+    misses.note(found, exact)
     return found.rows(exact)
 
 
@@ -301,7 +300,7 @@ def _cleared(job: Job, found: Found) -> Found:
 
 def _at_home(job: Job, found: Found) -> Found:
     """Each joint on the turn that is nearest to the target's home."""
-    if not job.may_turn.any() or not len(found.q):
+    if not len(found.q) or not job.may_turn.any():
         return found
     return found._replace(q=nearest_turns(job.chain, found.q, job.home(found.target), job.low, job.high))
 
@@ -396,7 +395,7 @@ def costs(job: Job, q: np.ndarray) -> np.ndarray:
 
 def _beyond_limits(job: Job, poses: np.ndarray, reason: np.ndarray) -> np.ndarray:
     """LIMITS for targets that a search without limits reaches; where a closed form knows all answers, it decides."""
-    left = np.flatnonzero(reason == Reason.NOT_CONVERGED)
+    left = np.flatnonzero(reason == OPEN)
     if not len(left):
         return reason
     if job.chain.num_joints == 6 and job.strategy == "closed_form" and not job.options.locked:
@@ -423,13 +422,24 @@ class _Misses:
     """The lanes of each target that came nearest, `KEPT` of them."""
 
     def __init__(self, job: Job):
-        self.job, self.parts = job, [_nothing(job)]
+        self.job, self.count = job, 0
+        self.parts: list[tuple[Found, np.ndarray]] = []
 
-    def note(self, ended: Found) -> None:
-        """More lanes."""
-        self.parts.append(ended)
-        if sum(len(part.target) for part in self.parts) > PORTION:
-            self.parts = [self._nearest(Found.joined(self.parts), KEPT)]
+    def note(self, ended: Found, well: np.ndarray) -> None:
+        """More lanes: those that did not end `well`."""
+        self.parts.append((ended, well))
+        self.count += len(well)
+        if self.count > PORTION:
+            kept = self._nearest(self._all(), KEPT)
+            self.parts, self.count = [(kept, np.zeros(len(kept.q), bool))], len(kept.q)
+
+    def _all(self) -> Found:
+        return Found.joined([_nothing(self.job), *(ended.rows(~well) for ended, well in self.parts)])
+
+    def _left(self, reason: np.ndarray, count: int) -> Found:
+        """So many of each target without an answer."""
+        noted = self._all()
+        return self._nearest(noted.rows(reason[noted.target] != SOLVED), count)
 
     def _nearest(self, lanes_: Found, count: int) -> Found:
         """So many of each target, those with the least errors."""
@@ -437,18 +447,13 @@ class _Misses:
 
     def near(self, reason: np.ndarray) -> Found:
         """Those of targets searched for in vain that came within `NEAR`."""
-        noted = Found.joined(self.parts)
-        lanes_ = self._nearest(noted.rows(reason[noted.target] == Reason.NOT_CONVERGED), KEPT)
+        lanes_ = self._left(reason, KEPT)
         return lanes_.rows(_miss(self.job, lanes_) < NEAR)
 
     def nearest(self, job: Job, poses: np.ndarray, reason: np.ndarray) -> Found:
         """The nearest of each target without an answer, judged in float64."""
-        noted = Found.joined(self.parts)
-        noted = noted.rows(reason[noted.target] != Reason.SOLVED)
-        if not len(noted.target):
-            return noted
-        found = self._nearest(noted, 1)
-        return _cleared(job, _settled(job, poses, found, FINISHING))
+        found = self._left(reason, 1)
+        return _cleared(job, _settled(job, poses, found, FINISHING)) if len(found.q) else found
 
 
 def top(target: np.ndarray, score: np.ndarray, count: int) -> np.ndarray:

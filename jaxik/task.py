@@ -15,6 +15,7 @@ sum of squares is still exact for the first two, since a turn's angle grows by t
 from __future__ import annotations
 
 import dataclasses
+import functools
 from typing import Any, Literal
 
 import jax.numpy as jnp
@@ -41,11 +42,11 @@ class Task:
         object.__setattr__(self, "bound", tuple(bool(b) for b in each))  # hashable: a task is a cache's key
         check_choices("task", axes=(self.axes, Axes))
 
-    @property
+    @functools.cached_property
     def positions(self) -> tuple[int, ...]:
         return tuple(i for i in range(3) if self.bound[i])
 
-    @property
+    @functools.cached_property
     def rotations(self) -> tuple[int, ...]:
         return tuple(i for i in range(3) if self.bound[3 + i])
 
