@@ -26,6 +26,9 @@ class HostKernel:
         self.function, self.lanes = function, lanes
         self.known: dict[Any, tuple[Traced, call.Made]] = {}
 
+    def __reduce__(self) -> Any:
+        return HostKernel, (self.function, self.lanes)  # another process makes its own
+
     def __call__(self, *args: Any) -> Any:
         """By a kernel, or by XLA where there is none, in the width that JAX is set to here."""
         try:

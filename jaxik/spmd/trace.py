@@ -27,6 +27,11 @@ def tracing() -> bool:
     return bool(getattr(_here, "depth", 0))
 
 
+def on_one_device() -> Any:
+    """A context in which one lane's program has no part in a mesh of devices; only the kernel around it has."""
+    return jax.sharding.use_abstract_mesh(jax.sharding.AbstractMesh((), ()))
+
+
 class Traced:
     """A jaxpr whose constants are numbers; what it closed over beside them are its last arguments."""
 
@@ -57,7 +62,8 @@ class Traced:
     def derivative(self, active: tuple[int, ...]) -> Traced:
         """(inputs) -> outputs and, for each float output and each `active` input, the derivative, shaped (*output, *input)."""
         if active not in self.derivatives:
-            self.derivatives[active] = Traced(_derivative(self.closed, active), True)
+            with on_one_device():
+                self.derivatives[active] = Traced(_derivative(self.closed, active), True)
         return self.derivatives[active]
 
 
@@ -65,7 +71,8 @@ def trace(function: Callable[..., Any], args: Sequence[Any]) -> tuple[Traced, An
     """The function of flat `args`, the tree of its results, and what it closes over that is an operand."""
     _here.depth = getattr(_here, "depth", 0) + 1
     try:
-        closed, shape = jax.make_jaxpr(function, return_shape=True)(*args)
+        with on_one_device():
+            closed, shape = jax.make_jaxpr(function, return_shape=True)(*args)
     finally:
         _here.depth -= 1
     tree = jax.tree_util.tree_structure(shape)
@@ -137,12 +144,11 @@ def _derivative(closed: ClosedJaxpr, active: tuple[int, ...]) -> ClosedJaxpr:
         return [*outs, *found]
 
     shapes = [jax.ShapeDtypeStruct(a.shape, a.dtype) for a in inputs]
-    if tall < wide:
-        try:
-            return jax.make_jaxpr(backward)(*shapes)
-        except ValueError:  # a while loop has no way back
-            pass
-    return jax.make_jaxpr(forward)(*shapes)
+    way, other = (backward, forward) if tall < wide else (forward, backward)
+    try:
+        return jax.make_jaxpr(way)(*shapes)
+    except (TypeError, ValueError):  # a while loop has no way back, a custom_vjp none forward
+        return jax.make_jaxpr(other)(*shapes)
 
 
 # --------------------------------------------------------------------------------------------------------------------
