@@ -9,21 +9,13 @@ import pytest
 from jax import lax
 
 from jaxik import spmd
-from jaxik.spmd import primitive
 
 EDGES = [0.0, -0.0, 1.0, -1.0, np.inf, -np.inf, np.nan, 0.5, -2.5, 3.5, 1e30, -1e30, 1e-30, 2.0, 7.0, -7.3]
 WIDTHS = [np.float32, np.float64]
 INTEGERS = [0, 1, -1, 2, 7, -7, 31, 33, 2**31 - 1, -(2**31), 12345]
 
 
-@pytest.fixture(autouse=True)
-def nothing_goes_to_xla(monkeypatch):
-    """What is refused would be compared with itself."""
-
-    def refused(traced, why):
-        raise AssertionError(f"a kernel cannot do {why}")
-
-    monkeypatch.setattr(primitive, "warn", refused)
+pytestmark = pytest.mark.usefixtures("only_kernels")
 
 
 def lanes(function, *columns):
