@@ -218,11 +218,14 @@ def test_a_second_process_compiles_nothing(tmp_path):
 
 
 def test_a_fork_goes_on():
-    """A child has its own threads, or none; jaxik's kernels keep their code."""
+    """A child has its own threads, or none; jaxik's kernels keep their code, and it makes others."""
     code = (
         "import os, warnings; warnings.simplefilter('ignore')\n"
         + SCRIPT
-        + "pid = os.fork()\nos._exit(0) if pid == 0 else None\n"
+        + "old, new = (spmd.HostKernel(lambda q, k=k: k * q, 1) for k in (2.0, 3.0))\n"
+        + "x = np.arange(5.0, dtype=np.float32)\n"
+        + "same = lambda: all((f.run(x)[0] == k * x).all() for f, k in ((old, 2), (new, 3)))\n"
+        + "old.run(x)\npid = os.fork()\nos._exit(0 if same() else 1) if pid == 0 else None\n"
     )
     code += "assert os.waitpid(pid, 0)[1] == 0\n"
     assert subprocess.run([sys.executable, "-c", code], capture_output=True, timeout=120).returncode == 0
