@@ -37,7 +37,7 @@ def bind(traced: Traced, args: Sequence[Any], batch: tuple[int, ...] = (), masks
 @kernel_p.def_abstract_eval
 def _(*avals: Any, traced: Traced, batch: tuple[int, ...], masks: Masks) -> list[Any]:
     shapes = [((*batch, *a.shape), a.dtype) for a in traced.outputs]
-    if not _varying(avals):
+    if not avals or avals[0].sharding.mesh.empty:
         return [jax.core.ShapedArray(*each) for each in shapes]
     mesh, axes = avals[0].sharding.mesh, avals[0].mat
     whole = lambda shape: jax.sharding.NamedSharding(mesh, jax.sharding.PartitionSpec(*[None] * len(shape)))

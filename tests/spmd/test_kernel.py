@@ -257,6 +257,9 @@ close = lambda x, y: np.testing.assert_allclose(x, y, rtol=1e-5)
 close(shared(jax.vmap(kernel, (0, None)), P("i"), P(), P("i"))(q, a), jax.vmap(of, (0, None))(q, a))
 close(shared(jax.grad(total(kernel), 1), P("i"), P(), P())(q, a), jax.grad(alone)(a))
 close(jax.grad(lambda a: shared(total(kernel), P("i"), P(), P())(q, a))(a), jax.grad(alone)(a))
+expected = jax.vmap(jax.grad(of), (0, None))(q, a)
+with jax.set_mesh(jax.make_mesh((2,), ("i",), axis_types=(AxisType.Explicit,))):  # shardings are part of types
+    close(jax.jit(jax.vmap(jax.grad(kernel), (0, None)))(jax.device_put(q, P("i")), a), expected)
 try:
     shared(jax.vmap(kernel, (0, None)), P("i"), P(), P())(q, a)
 except ValueError:
