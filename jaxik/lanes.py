@@ -15,7 +15,7 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Float
 
-from jaxik.algebra import Frame, Scalar, add, mul, stack
+from jaxik.algebra import Frame, Scalar, add, mul, safe_sqrt, stack
 from jaxik.chain import Array, Chain, as_configuration
 from jaxik.choice import as_count
 from jaxik.collision import clearance, link_contacts
@@ -157,7 +157,8 @@ def _settle(
 def _apart(chain: Chain, task: Task, found: Any, apart: Any) -> tuple[Any, Any, Any]:
     """A configuration, and from its equations' values the errors [m], [rad]."""
     places = len(task.positions)
-    return found, jnp.linalg.norm(apart[:places]) * unit_length(chain), jnp.linalg.norm(apart[places:])
+    length = lambda x: safe_sqrt(jnp.sum(x**2))
+    return found, length(apart[:places]) * unit_length(chain), length(apart[places:])
 
 
 def _problem(

@@ -25,7 +25,20 @@ with install_import_hook(TYPED, "beartype.beartype"):
     import jaxik  # noqa: F401
 
 import jax  # noqa: E402
+import pytest  # noqa: E402
+
+from jaxik.spmd import primitive  # noqa: E402
 
 jax.config.update("jax_enable_x64", True)
 jax.config.update("jax_persistent_cache_min_compile_time_secs", 0.3)
 gc.set_threshold(100_000, 50, 100)  # traces make many objects and little garbage
+
+
+@pytest.fixture
+def only_kernels(monkeypatch):
+    """What goes to XLA after all would be compared with itself."""
+
+    def refused(traced, why):
+        raise AssertionError(f"{traced.name}: a kernel cannot do {why}")
+
+    monkeypatch.setattr(primitive, "warn", refused)

@@ -99,6 +99,13 @@ def _power_of_two(k: Any) -> Any:
     return lax.bitcast_convert_type((k.astype(integer) + bias) << mantissa, k.dtype)
 
 
+def _inverse_power(x: Any) -> Any:
+    """The power of two that takes a positive, finite x between 1 and 4."""
+    mantissa, bias = (23, 127) if x.dtype == np.float32 else (52, 1023)
+    exponent = _bits(x) & ~((1 << mantissa) - 1)
+    return _bits(jnp.maximum((2 * bias << mantissa) - exponent, 1 << mantissa), x.dtype)
+
+
 @_primitive("exp")
 def exp(x: Any) -> Any:
     """e**x, within 2 ulp; 0 and infinity beyond the range."""
@@ -199,7 +206,8 @@ def acosh(x: Any) -> Any:
     """Inverse hyperbolic cosine, within 8 ulp; NaN below 1."""
     large = x > 1e9 if _wide(x) else x > 1e5
     near = jnp.where(large, 1, x) - 1
-    return jnp.where(large, log(x) + x.dtype.type(math.log(2)), log1p(near + jnp.sqrt(near * (near + 2))))
+    value = jnp.where(large, log(x) + x.dtype.type(math.log(2)), log1p(near + jnp.sqrt(near * (near + 2))))
+    return jnp.where(x < 1, x.dtype.type(np.nan), value)
 
 
 @_primitive("atanh")
@@ -302,10 +310,12 @@ def atan2(y: Any, x: Any) -> Any:
     ax, ay = jnp.abs(x), jnp.abs(y)
     ax, ay = (jnp.where((ax == np.inf) & (ay == np.inf), kind(1), v) for v in (ax, ay))
     small, large = jnp.minimum(ax, ay), jnp.maximum(ax, ay)
+    scale = _inverse_power(large)  # neither their sum nor their difference leaves the range
+    low, high = small * scale, large * scale
     # atan(t) = pi/4 + atan((t - 1)/(t + 1)): one division, whichever of the two is taken
-    far = small > kind(math.sqrt(2.0) - 1.0) * large
-    below = jnp.where(far, small + large, jnp.where(large == 0, kind(1), large))
-    ratio = jnp.where(large == np.inf, kind(0) * small, jnp.where(far, small - large, small) / below)
+    far = low > kind(math.sqrt(2.0) - 1.0) * high
+    below = jnp.where(far, low + high, jnp.where(high == 0, kind(1), high))
+    ratio = jnp.where(large == np.inf, kind(0) * small, jnp.where(far, low - high, low) / below)
     u = ratio * ratio
     angle = ratio + ratio * u * _polynomial(u, ATAN[x.dtype.itemsize])
     angle = jnp.where(far, kind(math.pi / 4) + angle, angle)

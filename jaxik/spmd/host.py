@@ -37,6 +37,9 @@ class HostKernel:
         self.function, self.lanes = function, lanes
         self.known: dict[Any, tuple[Traced, call.Made]] = {}
 
+    def __reduce__(self) -> Any:
+        return HostKernel, (self.function, self.lanes)  # another process makes its own
+
     def __call__(self, *args: Any) -> list[np.ndarray]:
         """Its results' leaves, each (b, ...), by a kernel, or by XLA where there is none, in the width that JAX is set to
         here. Raises `ValueError` if the arguments do not have as many rows as each other."""

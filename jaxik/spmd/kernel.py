@@ -11,10 +11,18 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from jaxik.spmd.primitive import bind
+from jaxik.spmd.primitive import bind, warn
+from jaxik.spmd.scalarise import Unsupported, scalarised
 from jaxik.spmd.trace import Traced, trace
 
 KEPT = 256  # jaxprs of one function, of robots and shapes; their machine code is kept for good
+
+
+class _Known(dict[Any, tuple[Traced, Any, list[Any]]]):
+    """What has been traced; a pickled kernel leaves it behind."""
+
+    def __reduce__(self) -> Any:
+        return _Known, ()
 
 
 def kernel(function: Callable[..., Any] | None = None, *, models: int = 0) -> Callable[..., Any]:
@@ -35,7 +43,7 @@ def kernel(function: Callable[..., Any] | None = None, *, models: int = 0) -> Ca
     """
     if function is None:
         return functools.partial(kernel, models=models)
-    known: dict[Any, tuple[Traced, Any, list[Any]]] = {}
+    known = _Known()
 
     @functools.wraps(function)
     def call(*args: Any) -> Any:
@@ -71,6 +79,12 @@ def kernel(function: Callable[..., Any] | None = None, *, models: int = 0) -> Ca
                     known.pop(next(iter(known)))
                 known[key] = found
         traced, results, more = found
+        if traced.closed.effects:  # what prints or talks to other lanes stands where it is called, or it would be lost
+            try:
+                scalarised(traced.closed)
+            except Unsupported as error:
+                warn(traced, str(error))
+                return function(*args)
         return jax.tree_util.tree_unflatten(results, bind(traced, [*operands, *more]))
 
     call.models = models  # type: ignore[attr-defined]

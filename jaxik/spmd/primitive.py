@@ -5,7 +5,7 @@ from __future__ import annotations
 import functools
 import math
 import warnings
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from typing import Any
 
 import jax
@@ -16,7 +16,7 @@ from jax.interpreters import ad, batching, mlir
 
 from jaxik.spmd import call
 from jaxik.spmd.scalarise import RULES, Array, Scalariser, Unsupported
-from jaxik.spmd.trace import Traced, is_float
+from jaxik.spmd.trace import Traced, is_float, on_one_device
 
 Masks = tuple[tuple[bool, ...], ...]  # for each operand, which axes of the batch it has
 
@@ -28,12 +28,25 @@ kernel_p.multiple_results = True
 
 def bind(traced: Traced, args: Sequence[Any], batch: tuple[int, ...] = (), masks: Masks | None = None) -> list[Any]:
     """The program of operands, each with those axes of `batch` in front that its mask names."""
+    axes = _varying(map(jax.typeof, args))
+    if axes:  # inside `shard_map` with its checks: what one operand differs along, all do
+        args = [jax.lax.pcast(x, tuple(axes - _varying([jax.typeof(x)])), to="varying") for x in args]
     return list(kernel_p.bind(*args, traced=traced, batch=batch, masks=masks or ((),) * len(args)))
 
 
 @kernel_p.def_abstract_eval
 def _(*avals: Any, traced: Traced, batch: tuple[int, ...], masks: Masks) -> list[Any]:
-    return [jax.core.ShapedArray((*batch, *a.shape), a.dtype) for a in traced.outputs]
+    shapes = [((*batch, *a.shape), a.dtype) for a in traced.outputs]
+    if not avals or avals[0].sharding.mesh.empty:
+        return [jax.core.ShapedArray(*each) for each in shapes]
+    mesh, axes = avals[0].sharding.mesh, avals[0].mat
+    whole = lambda shape: jax.sharding.NamedSharding(mesh, jax.sharding.PartitionSpec(*[None] * len(shape)))
+    return [jax.core.ShapedArray(s, t, sharding=whole(s), manual_axis_type=axes) for s, t in shapes]
+
+
+def _varying(avals: Iterable[Any]) -> frozenset[Any]:
+    """The manual axes of a mesh along which operands differ."""
+    return frozenset().union(*(a.mat.varying for a in avals))
 
 
 _first: dict[str, Traced] = {}  # of equal programs the one that came first, so that XLA compiles its call once
@@ -124,7 +137,7 @@ def _on_cpu(*args: Any, traced: Traced, batch: tuple[int, ...], masks: Masks) ->
     try:
         name = call.made(traced, shared).name
     except Unsupported as error:
-        _warn(traced, str(error))
+        warn(traced, str(error))
         return _by_xla(*args, traced=traced, batch=batch, masks=masks)
     sizes = [int(np.prod(a.shape)) for a in outputs]
     shapes = [jax.ShapeDtypeStruct((*grid, n), a.dtype) for a, n in zip(outputs, sizes, strict=True)]
@@ -171,15 +184,23 @@ def _grid(
 _told: set[tuple[str, str]] = set()
 
 
-def _warn(traced: Traced, why: str) -> None:
+def warn(traced: Traced, why: str) -> None:
     name = traced.name if call.machine.llvm() else "everything"
     if (name, why) not in _told:
         _told.add((name, why))
         warnings.warn(f"jaxik.kernel: {name} runs by XLA: a kernel cannot do {why}", stacklevel=2)
 
 
-mlir.register_lowering(kernel_p, mlir.lower_fun(_by_xla, multiple_results=True))
-mlir.register_lowering(kernel_p, mlir.lower_fun(_on_cpu, multiple_results=True), platform="cpu")
+def _lowered(ctx: Any, *args: Any, way: Callable[..., Any], **params: Any) -> Any:
+    if ctx.module_context.lowering_parameters.for_export:
+        way = _by_xla  # another process has no kernel of that name
+    plain = [jax.core.ShapedArray(a.shape, a.dtype) for a in ctx.avals_in]
+    with on_one_device():
+        return mlir.lower_fun(way, multiple_results=True)(ctx.replace(avals_in=plain), *args, **params)
+
+
+mlir.register_lowering(kernel_p, functools.partial(_lowered, way=_by_xla))
+mlir.register_lowering(kernel_p, functools.partial(_lowered, way=_on_cpu), platform="cpu")
 
 
 def _inlined(s: Scalariser, eqn: Any, *xs: Array) -> list[Array]:

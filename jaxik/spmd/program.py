@@ -32,6 +32,13 @@ DTYPES = {name: dtype for dtype, name in TYPES.items()}
 FLOATS = ("float", "double")
 
 
+def limits(dtype: np.dtype[Any]) -> tuple[Any, Any]:
+    """The smallest and the largest number of a type."""
+    if dtype.kind == "f":
+        return -np.inf, np.inf
+    return (False, True) if dtype.kind == "b" else (int(np.iinfo(dtype).min), int(np.iinfo(dtype).max))
+
+
 class Op(NamedTuple):
     """An operation: its code, the type of its value, and its arguments: values, or a `Load`, `Store`, `Loop` or `Branch`."""
 
@@ -319,7 +326,8 @@ def _div(p: Program, type: str, a: int, b: int) -> int | None:
         return p.number(0, type) if p.structural and p.constant.get(a) == 0 else None
     if c == 1:
         return a
-    exact = c != 0 and np.isfinite(c) and np.frexp(c)[0] in (0.5, -0.5) and np.isfinite(1 / c)
+    tiny = np.finfo(c.dtype).tiny  # neither it nor its inverse may be a denormal, which counts as 0
+    exact = tiny <= abs(c) <= 1 / tiny and np.frexp(c)[0] in (0.5, -0.5)
     return p.op("mul", type, a, p.number(1 / c, type)) if exact else None
 
 
@@ -368,8 +376,18 @@ def _convert(p: Program, type: str, a: int) -> int | None:
     c = p.constant.get(a)
     if c is None:
         return None
+    if p.ops[a].type in FLOATS and type not in FLOATS and type != "i1":
+        return p.number(_whole(float(c), DTYPES[type]), type)
     with np.errstate(all="ignore"):
         return p.number(c.astype(DTYPES[type]) if type != "i1" else c != 0, type)
+
+
+def _whole(c: float, dtype: np.dtype[Any]) -> int:
+    """Towards 0, and to the nearest there is; NaN is 0."""
+    if not np.isfinite(c):
+        return 0 if c != c else int(limits(dtype)[c > 0])
+    low, high = limits(dtype)
+    return int(min(max(int(c), low), high))
 
 
 def _bitcast(p: Program, type: str, a: int) -> int | None:

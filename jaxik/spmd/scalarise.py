@@ -18,7 +18,7 @@ import numpy as np
 from jax.extend.core import ClosedJaxpr, Jaxpr, Literal
 
 from jaxik.spmd import elementary
-from jaxik.spmd.program import FLOATS, TYPES, Memory, Program, Whole
+from jaxik.spmd.program import DTYPES, FLOATS, TYPES, Memory, Program, Whole, limits
 
 UNROLLED = 64  # operations of a scan's turns together, up to which it is written out
 FLAT = 32  # operations of both sides, up to which a branch is a selection
@@ -28,7 +28,7 @@ LARGEST = 16_384  # entries of an array whose every entry is a value
 
 
 class Computed(NamedTuple):
-    """An index that is a value, inside its range."""
+    """An index that is a value, i32, inside its range."""
 
     value: int
 
@@ -162,9 +162,7 @@ class Scalariser:
         if array.memory is not None and array.strides is not None:
             index = None
             for axis in computed:
-                index_type = p.ops[place[axis][0]].type
-                step = p.op("mul", index_type, place[axis][0], p.number(array.strides[axis], index_type))
-                step = p.op("convert", "i32", step)
+                step = p.op("mul", "i32", place[axis][0], p.number(array.strides[axis], "i32"))
                 index = step if index is None else p.op("add", "i32", index, step)
             return p.load(array.memory, int(array.at[fixed]), index, array.after)
         axis = computed[0]  # one choice after the other
@@ -172,8 +170,7 @@ class Scalariser:
         pick = lambda k: self.entry(array, [*place[:axis], shift + k, *place[axis + 1 :]])
         found = pick(0)
         for k in range(1, among):
-            index_type = p.ops[value].type
-            here = p.op("eq", "i1", value, p.number(k, index_type))
+            here = p.op("eq", "i1", value, p.number(k, "i32"))
             found = p.op("select", array.type, here, pick(k), found)
         return found
 
@@ -200,17 +197,35 @@ class Scalariser:
         self.spilled[id(array)] = array, spilled  # the array is kept, so that its id is
         return spilled
 
+    def index(self, value: int) -> int:
+        """An index of a type that holds any axis' length."""
+        return self.program.op("convert", "i32", value) if DTYPES[self.program.ops[value].type].itemsize < 4 else value
+
     def clamped(self, value: int, last: int) -> int | Computed:
         """A start index kept in [0, last]: a number if it is known."""
-        p = self.program
+        p, value = self.program, self.index(value)
         known = p.constant.get(value)
         if known is not None:
-            return int(np.clip(known, 0, last))
+            return min(max(int(known), 0), last)
         kind = p.ops[value].type
         if last == 0:
             return 0
         low = value if kind[0] == "u" else p.op("max", kind, value, p.number(0, kind))
-        return Computed(p.op("min", kind, low, p.number(last, kind)))
+        return Computed(p.op("convert", "i32", p.op("min", kind, low, p.number(last, kind))))
+
+    def corner(
+        self, x: Array, axes: Sequence[int], sizes: Sequence[int], starts: Sequence[int], checked: bool
+    ) -> tuple[list[Any], int | None]:
+        """Where a window of `sizes` begins that `starts` along `axes`, moved inside; if `checked`, whether it was inside."""
+        p, inside = self.program, []
+        at: list[Any] = [0] * len(sizes)
+        for axis, value in zip(axes, starts, strict=True):
+            value, last = self.index(value), x.shape[axis] - sizes[axis]
+            at[axis] = self.clamped(value, last)
+            if checked:
+                kind = p.ops[value].type
+                inside += [p.op("ge", "i1", value, p.number(0, kind)), p.op("le", "i1", value, p.number(last, kind))]
+        return at, self.fold("and", "i1", inside) if inside else None
 
     def window(self, array: Array, starts: Sequence[Any], sizes: Sequence[int]) -> Array:
         """A slice of `sizes` from `starts`."""
@@ -547,6 +562,12 @@ def _iota(s: Scalariser, eqn: Any) -> Array:
     )
 
 
+@rule("empty", "empty2")
+def _empty(s: Scalariser, eqn: Any) -> Array:
+    """What nobody reads before it is written: the buffers of a loop's way back."""
+    return s.full(eqn.outvars[0].aval.shape, 0, _kind(eqn))
+
+
 @rule("dynamic_slice")
 def _dynamic_slice(s: Scalariser, eqn: Any, x: Array, *starts: Array) -> Array:
     sizes = eqn.params["slice_sizes"]
@@ -577,7 +598,7 @@ def _updated(s: Scalariser, x: Array, spots: Sequence[Any], join: Callable[[int,
             tests = [] if holds is None else [holds]
             for i, k in zip(spot, target, strict=True):
                 if isinstance(i, tuple):
-                    tests.append(p.op("eq", "i1", i[0], p.number(k - i[1], p.ops[i[0]].type)))
+                    tests.append(p.op("eq", "i1", i[0], p.number(k - i[1], "i32")))
             new = join(int(old[target]), value)
             old[target] = p.op("select", x.type, s.fold("and", "i1", tests), new, int(old[target])) if tests else new
     return Array(old, x.type)
@@ -594,8 +615,7 @@ def _written(s: Scalariser, x: Array, spots: Sequence[Any], join: Callable[[int,
         for i, step in zip(spot, strides, strict=True):
             offset += step * (i[1] if isinstance(i, tuple) else i)
             if isinstance(i, tuple):
-                kind = p.ops[i[0]].type
-                term = p.op("convert", "i32", p.op("mul", kind, i[0], p.number(step, kind)))
+                term = p.op("mul", "i32", i[0], p.number(step, "i32"))
                 index = term if index is None else p.op("add", "i32", index, term)
         before = p.load(memory, offset, index, after)
         new = join(before, value)
@@ -632,17 +652,10 @@ def _gather(s: Scalariser, eqn: Any, x: Array, indices: Array) -> Array:
     for place in np.ndindex(*shape):
         batch = tuple(place[k] for k in batch_axes)
         if batch not in cache:
-            start: list[Any] = [0] * len(sizes)
-            inside = []
-            for axis, v in zip(d.start_index_map, starts[batch].tolist() if starts.ndim else [], strict=True):
-                last = x.shape[axis] - sizes[axis]
-                start[axis] = s.clamped(v, last)
-                if fill:
-                    kind = p.ops[v].type
-                    inside += [p.op("ge", "i1", v, p.number(0, kind)), p.op("le", "i1", v, p.number(last, kind))]
+            start, holds = s.corner(x, d.start_index_map, sizes, starts[batch].tolist(), fill)
             for axis, index_axis in zip(d.operand_batching_dims, d.start_indices_batching_dims, strict=True):
                 start[axis] = batch[index_axis]
-            cache[batch] = start, s.fold("and", "i1", inside) if inside else None
+            cache[batch] = start, holds
         start, holds = cache[batch]
         offset = [0] * len(sizes)
         for k, axis in zip(d.offset_dims, kept, strict=True):
@@ -661,6 +674,7 @@ def _gather(s: Scalariser, eqn: Any, x: Array, indices: Array) -> Array:
     "scatter",
     "scatter-add",
     "scatter_add",
+    "scatter-sub",
     "scatter-mul",
     "scatter_mul",
     "scatter-min",
@@ -671,30 +685,32 @@ def _gather(s: Scalariser, eqn: Any, x: Array, indices: Array) -> Array:
 def _scatter(s: Scalariser, eqn: Any, x: Array, indices: Array, updates: Array) -> Array:
     params, p = eqn.params, s.program
     d, mode = params["dimension_numbers"], params["mode"]
-    code = eqn.primitive.name.replace("_", "-").partition("-")[2]
-    join = (lambda before, value: p.op(code, x.type, before, value)) if code else (lambda before, value: value)
+    code, update = eqn.primitive.name.replace("_", "-").partition("-")[2], params["update_jaxpr"]
+    if code:
+        join = lambda before, value: p.op(code, x.type, before, value)
+    elif update is not None:  # a function of what was there
+        scalar = lambda v: Array(np.array(v), x.type)
+        join = lambda before, value: s.run(update, params["update_consts"], [scalar(before), scalar(value)])[0].at.item()
+    else:
+        join = lambda before, value: value
     new, starts = s.values(updates), s.values(indices)
     scatter_axes = [k for k in range(new.ndim) if k not in d.update_window_dims]
     kept = [k for k in range(len(x.shape)) if k not in d.inserted_window_dims and k not in d.operand_batching_dims]
+    sizes = [1] * len(x.shape)
+    for k, axis in zip(d.update_window_dims, kept, strict=True):
+        sizes[axis] = new.shape[k]
     drops = mode in (jax.lax.GatherScatterMode.FILL_OR_DROP, None)
     spots = []
     for place in np.ndindex(*new.shape):
         batch = tuple(place[k] for k in scatter_axes)
-        spot: list[Any] = [0] * len(x.shape)
-        for k, axis in zip(d.update_window_dims, kept, strict=True):
-            spot[axis] = place[k]
+        at, holds = s.corner(x, d.scatter_dims_to_operand_dims, sizes, starts[batch].tolist(), drops)
         for axis, index_axis in zip(d.operand_batching_dims, d.scatter_indices_batching_dims, strict=True):
-            spot[axis] = batch[index_axis]
-        inside = []
-        for axis, v in zip(d.scatter_dims_to_operand_dims, starts[batch].tolist(), strict=True):
-            shift, last, kind = spot[axis], x.shape[axis] - 1, p.ops[v].type
-            if drops:
-                inside += [p.op("ge", "i1", v, p.number(0, kind)), p.op("le", "i1", v, p.number(last - shift, kind))]
-            start = s.clamped(v, last - shift)
-            spot[axis] = start + shift if isinstance(start, int) else (start.value, shift)
-        holds = s.fold("and", "i1", inside) if inside else None
+            at[axis] = batch[index_axis]
         known = p.constant.get(holds) if holds is not None else True
         if known is None or known:
+            for k, axis in zip(d.update_window_dims, kept, strict=True):
+                at[axis] = at[axis] + place[k] if isinstance(at[axis], int) else (at[axis].value, place[k])
+            spot = [(i.value, 0) if isinstance(i, Computed) else i for i in at]
             spots.append((spot, holds if known is None else None, int(new[place])))
     return _updated(s, x, spots, join)
 
@@ -705,7 +721,14 @@ def _scatter(s: Scalariser, eqn: Any, x: Array, indices: Array, updates: Array) 
 def _along(x: np.ndarray, axes: Sequence[int]) -> np.ndarray:
     """The entries along `axes` as a last axis."""
     kept = [k for k in range(x.ndim) if k not in axes]
-    return np.transpose(x, (*kept, *axes)).reshape(*(x.shape[k] for k in kept), -1)
+    return np.transpose(x, (*kept, *axes)).reshape(*(x.shape[k] for k in kept), int(np.prod([x.shape[k] for k in axes])))
+
+
+def _neutral(name: str, dtype: np.dtype[Any]) -> Any:
+    """What a reduction of nothing gives."""
+    if name in ("max", "min"):
+        return limits(dtype)[name == "min"]
+    return ~dtype.type(0) if name == "and" else int(name == "prod")
 
 
 @rule("reduce_sum", "reduce_prod", "reduce_max", "reduce_min", "reduce_and", "reduce_or", "reduce_xor")
@@ -714,13 +737,7 @@ def _reduce(s: Scalariser, eqn: Any, x: Array) -> Array:
     code = {"sum": "add", "prod": "mul"}.get(name, name)
     rows = _along(s.values(x), eqn.params["axes"])
     if rows.shape[-1] == 0:
-        dtype = np.dtype(eqn.outvars[0].aval.dtype)
-        edge = {"max": -np.inf, "min": np.inf} if dtype.kind == "f" else {}
-        if dtype.kind in "iu":
-            edge = {"max": np.iinfo(dtype).min, "min": np.iinfo(dtype).max}
-        return s.full(
-            eqn.outvars[0].aval.shape, {"sum": 0, "or": 0, "xor": 0, "prod": 1, "and": -1}.get(name, edge.get(name, 0)), x.type
-        )
+        return s.full(eqn.outvars[0].aval.shape, _neutral(name, DTYPES[x.type]), x.type)
     flat = [s.fold(code, x.type, row) for row in rows.reshape(-1, rows.shape[-1]).tolist()]
     return Array(np.array(flat, np.int64).reshape(eqn.outvars[0].aval.shape), x.type)
 
@@ -796,10 +813,11 @@ def _dot_general(s: Scalariser, eqn: Any, a: Array, b: Array) -> Array:
     if not (x.size and y.size):
         return s.full(out, 0, kind)
     zero = {v for v, c in p.constant.items() if c == 0}
+    times, plus = ("and", "or") if kind == "i1" else ("mul", "add")
 
     def dot(u: list[int], v: list[int]) -> int:
-        products = [p.op("mul", kind, i, j) for i, j in zip(u, v, strict=True) if i not in zero and j not in zero]
-        return s.fold("add", kind, products) if products else p.number(0, kind)
+        products = [p.op(times, kind, i, j) for i, j in zip(u, v, strict=True) if i not in zero and j not in zero]
+        return s.fold(plus, kind, products) if products else p.number(0, kind)
 
     flat = [dot(u, v) for us, vs in zip(left.tolist(), right.tolist(), strict=True) for u in us for v in vs]
     return Array(np.array(flat, np.int64).reshape(out), kind)

@@ -18,6 +18,11 @@ _OPERAND = 512  # entries of an array that is closed over, from which it is an o
 _FUNCTIONS = ("jvp_jaxpr_fun", "fwd_jaxpr_thunk", "bwd", "fwd", "out_trees", "transpose_rules", "rule", "in_tree", "out_tree")
 
 
+def on_one_device() -> Any:
+    """A context in which one lane's program has no part in a mesh of devices; only the kernel around it has."""
+    return jax.sharding.use_abstract_mesh(jax.sharding.AbstractMesh((), ()))
+
+
 class Traced:
     """A jaxpr whose constants are numbers; what it closed over beside them are its last arguments."""
 
@@ -44,13 +49,16 @@ class Traced:
     def derivative(self, active: tuple[int, ...]) -> Traced:
         """(inputs) -> outputs and, for each float output and each `active` input, the derivative, shaped (*output, *input)."""
         if active not in self.derivatives:
-            self.derivatives[active] = Traced(_derivative(self.closed, active), True, f"the derivative of {self.name}")
+            with on_one_device():
+                way = _derivative(self.closed, active)
+            self.derivatives[active] = Traced(way, True, f"the derivative of {self.name}")
         return self.derivatives[active]
 
 
 def trace(function: Callable[..., Any], args: Sequence[Any]) -> tuple[Traced, Any, list[Any]]:
     """The function of flat `args`, the tree of its results, and what it closes over that is an operand."""
-    closed, shape = jax.make_jaxpr(function, return_shape=True)(*args)
+    with on_one_device():
+        closed, shape = jax.make_jaxpr(function, return_shape=True)(*args)
     tree = jax.tree_util.tree_structure(shape)
     outer = [isinstance(c, jax.core.Tracer) or np.size(c) >= _OPERAND for c in closed.consts]
     jaxpr = closed.jaxpr
@@ -120,12 +128,11 @@ def _derivative(closed: ClosedJaxpr, active: tuple[int, ...]) -> ClosedJaxpr:
         return [*outs, *found]
 
     shapes = [jax.ShapeDtypeStruct(a.shape, a.dtype) for a in inputs]
-    if tall < wide:
-        try:
-            return jax.make_jaxpr(backward)(*shapes)
-        except ValueError:  # a while loop has no way back
-            pass
-    return jax.make_jaxpr(forward)(*shapes)
+    way, other = (backward, forward) if tall < wide else (forward, backward)
+    try:
+        return jax.make_jaxpr(way)(*shapes)
+    except (TypeError, ValueError):  # a while loop has no way back, a custom_vjp none forward
+        return jax.make_jaxpr(other)(*shapes)
 
 
 # --------------------------------------------------------------------------------------------------------------------

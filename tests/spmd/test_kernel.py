@@ -6,14 +6,18 @@ import subprocess
 import sys
 import warnings
 
+import cloudpickle
 import jax
+import jax.export
 import jax.numpy as jnp
 import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from jax import lax
+from jax.experimental import io_callback
 
+import jaxik
 from jaxik import spmd
 from jaxik.spmd import call
 
@@ -58,6 +62,32 @@ def test_derivatives(name):
     for axes, lengths in (((0, 0), LENGTHS), ((0, None), LENGTHS[0])):
         close(jax.jit(jax.vmap(of_kernel, axes))(Q, lengths), jax.jit(jax.vmap(of_arm, axes))(Q, lengths))
     close(of_kernel(Q[0], LENGTHS[0]), of_arm(Q[0], LENGTHS[0]))
+
+
+LOOPS_BACK = {
+    "scan": lambda x: lax.scan(lambda c, r: (c * x[0] + jnp.sin(r), c), x[1], jnp.tile(x, 20))[1].sum(),
+    "a branch in a loop": lambda x: lax.fori_loop(
+        0, 40, lambda k, c: lax.cond(c[0] > 0, lambda c: jnp.sin(c) * x, lambda c: 0.3 * c - jnp.exp(0.1 * x), c), x
+    ).sum(),
+}
+
+
+@pytest.mark.parametrize("name", LOOPS_BACK)
+def test_the_way_back_through_loops_is_a_kernel_too(name):
+    function, x = LOOPS_BACK[name], RNG.normal(size=(5, 3))
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        for way in (lambda f: jax.grad(f), lambda f: spmd.kernel(jax.grad(f))):
+            close(jax.jit(jax.vmap(way(spmd.kernel(function))))(x), jax.jit(jax.vmap(jax.grad(function)))(x))
+
+
+def test_a_custom_vjp_is_followed():
+    """Its rule is three times the derivative, so that it is seen; it has no way forward."""
+    rule = jax.custom_vjp(jnp.sin)
+    rule.defvjp(lambda x: (jnp.sin(x), x), lambda x, g: (3 * g * jnp.cos(x),))
+    for function in (lambda q: 2 * rule(q), lambda q: jnp.sum(rule(q))):
+        total = lambda f: jax.grad(lambda q: jnp.sum(f(q) ** 2))
+        close(total(spmd.kernel(function))(Q[0]), total(function)(Q[0]))
 
 
 def test_sum_over_a_batch_of_a_shared_operand():
@@ -106,6 +136,9 @@ def test_shapes_and_ahead_of_time():
     shapes = jax.eval_shape(jax.vmap(KERNEL), Q, LENGTHS)
     assert [s.shape for s in shapes] == [(37, 2, 4), (37,)]
     close(jax.jit(jax.vmap(KERNEL)).lower(Q, LENGTHS).compile()(Q, LENGTHS), jax.vmap(arm)(Q, LENGTHS))
+    exported = jax.export.export(jax.jit(jax.vmap(KERNEL)))(*jax.export.symbolic_args_specs((Q, LENGTHS), "b, 4"))
+    assert "custom_call @jaxik" not in exported.mlir_module()  # another process has no such kernel
+    close(exported.call(Q[:5], LENGTHS[:5]), jax.vmap(arm)(Q[:5], LENGTHS[:5]))
     twice = jax.jit(jax.vmap(spmd.kernel(lambda q: 2.0 * q[::-1])), donate_argnums=0)
     close(twice(jnp.asarray(Q)), jnp.asarray(2.0 * Q[:, ::-1]))
 
@@ -220,18 +253,61 @@ def test_what_is_used_stays_on_disk(tmp_path, monkeypatch):
 
 
 def test_a_fork_goes_on():
-    """A child has its own threads, or none; jaxik's kernels keep their code."""
+    """A child has its own threads, or none; jaxik's kernels keep their code, and it makes others."""
     code = (
         "import os, warnings; warnings.simplefilter('ignore')\n"
         + SCRIPT
-        + "pid = os.fork()\nos._exit(0) if pid == 0 else None\n"
+        + "old, new = (spmd.HostKernel(lambda q, k=k: k * q, 1) for k in (2.0, 3.0))\n"
+        + "x = np.arange(5.0, dtype=np.float32)\n"
+        + "same = lambda: all((f.run(x)[0] == k * x).all() for f, k in ((old, 2), (new, 3)))\n"
+        + "old.run(x)\npid = os.fork()\nos._exit(0 if same() else 1) if pid == 0 else None\n"
     )
     code += "assert os.waitpid(pid, 0)[1] == 0\n"
     assert subprocess.run([sys.executable, "-c", code], capture_output=True, timeout=120).returncode == 0
 
 
 def test_pickle():
-    assert pickle.loads(pickle.dumps(call.cache_folder())) == call.cache_folder()
+    """Of a kernel that has run, as Dask sends what a script defines; and of a robot, whose kernels the other process makes."""
+    chain, q = jaxik.load("planar2"), Q[0, :2]
+    for kernel in (jaxik.forward_kinematics, spmd.kernel(lambda chain, q: q * chain.num_joints, models=1)):
+        there, same = cloudpickle.loads(cloudpickle.dumps((kernel, chain))) if kernel(chain, q) is not None else ()
+        close(there(same, q), kernel(chain, q), 0)
+    host = spmd.HostKernel(arm, 2)
+    found = host.run(Q, LENGTHS)
+    close(pickle.loads(pickle.dumps(host)).run(Q, LENGTHS), found, 0)
+
+
+DEVICES = """
+import sys, jax, jax.numpy as jnp, numpy as np
+from jax.sharding import AxisType, PartitionSpec as P
+from jaxik import spmd
+mesh = jax.make_mesh((2,), ("i",), axis_types=(AxisType.Auto,))
+of = lambda q, a: jnp.sum(a * jnp.cos(jnp.cumsum(q)))
+kernel = spmd.kernel(of)
+q, a = np.random.default_rng(0).normal(size=(8, 4)), np.arange(1.0, 5.0)
+shared = lambda f, *specs: jax.jit(jax.shard_map(f, mesh=mesh, in_specs=specs[:-1], out_specs=specs[-1]))
+total = lambda f: lambda q, a: jax.lax.psum(jnp.sum(jax.vmap(f, (0, None))(q, a)), "i")
+alone = lambda a: jnp.sum(jax.vmap(of, (0, None))(q, a))
+close = lambda x, y: np.testing.assert_allclose(x, y, rtol=1e-5)
+close(shared(jax.vmap(kernel, (0, None)), P("i"), P(), P("i"))(q, a), jax.vmap(of, (0, None))(q, a))
+close(shared(jax.grad(total(kernel), 1), P("i"), P(), P())(q, a), jax.grad(alone)(a))
+close(jax.grad(lambda a: shared(total(kernel), P("i"), P(), P())(q, a))(a), jax.grad(alone)(a))
+expected = jax.vmap(jax.grad(of), (0, None))(q, a)
+with jax.set_mesh(jax.make_mesh((2,), ("i",), axis_types=(AxisType.Explicit,))):  # shardings are part of types
+    close(jax.jit(jax.vmap(jax.grad(kernel), (0, None)))(jax.device_put(q, P("i")), a), expected)
+try:
+    shared(jax.vmap(kernel, (0, None)), P("i"), P(), P())(q, a)
+except ValueError:
+    print("refused")
+"""
+
+
+def test_several_devices():
+    """`shard_map` knows that a result differs along a mesh where an operand does: or sums over devices would have wrong
+    derivatives."""
+    environment = {**os.environ, "XLA_FLAGS": "--xla_force_host_platform_device_count=2"}
+    done = subprocess.run([sys.executable, "-c", DEVICES], env=environment, capture_output=True, text=True, timeout=120)
+    assert done.stdout == "refused\n", done.stderr
 
 
 # --------------------------------------------------------------------------------------------------------------------
@@ -281,6 +357,31 @@ def test_without_llvmlite(monkeypatch):
         close((one(Q), jax.vmap(other)(Q)), (2.0 * Q - 17.0, 3.0 * Q - 17.0))
     assert len(told) == 1
     assert spmd.explain(lambda q: q - 17.0, Q[0]).refused == "without llvmlite (pip install llvmlite)"
+
+
+EFFECTS = {
+    "ordered": (lambda see: lambda q: (io_callback(see, None, q[0], ordered=True), 2 * q)[1], "io_callback"),
+    "unordered": (lambda see: lambda q: (jax.debug.callback(see, q[0]), 2 * q)[1], "debug_callback"),
+}
+
+
+@pytest.mark.parametrize("name", EFFECTS)
+def test_an_effect_happens(name):
+    """Though nobody reads the kernel's results."""
+    make, word = EFFECTS[name]
+    seen = []
+    kernel = spmd.kernel(make(lambda x: seen.append(float(x))))
+    with pytest.warns(UserWarning, match=word):
+        close(jax.jit(kernel)(Q[0]), 2 * Q[0])
+    jax.jit(lambda q: (kernel(q), 1)[1])(Q[1])
+    jax.effects_barrier()
+    assert seen == [Q[0, 0], Q[1, 0]]
+
+
+def test_lanes_that_talk_to_each_other():
+    mean = spmd.kernel(lambda q: q - lax.pmean(q, "lanes") + lax.axis_index("lanes"))
+    with pytest.warns(UserWarning, match="psum"):
+        close(jax.vmap(mean, axis_name="lanes")(Q), jnp.asarray(Q - Q.mean(0) + np.arange(37)[:, None]))
 
 
 # --------------------------------------------------------------------------------------------------------------------

@@ -16,6 +16,9 @@ WIDTHS = [np.float32, np.float64]
 INTEGERS = [0, 1, -1, 2, 7, -7, 31, 33, 2**31 - 1, -(2**31), 12345]
 
 
+pytestmark = pytest.mark.usefixtures("only_kernels")
+
+
 def lanes(function, *columns):
     """The kernel over rows."""
     return jax.jit(jax.vmap(spmd.kernel(function)))(*columns)
@@ -147,6 +150,31 @@ def test_conversions_are_of_whole_vectors():
     """LLVM's own saturating conversion of 16 lanes is 16 scalar ones, 500 bytes, and takes `exp` to a quarter of its speed."""
     size = lambda f: spmd.explain(f, np.ones(8, np.float32)).bytes
     assert size(lambda x: x.astype(jnp.int32)) < size(lambda x: lax.bitcast_convert_type(x, jnp.int32)) + 8 * 200
+
+
+@pytest.mark.parametrize("dtype", WIDTHS)
+def test_constants_are_converted_as_operands_are(dtype):
+    """What is beyond a type's range is its end, NaN is 0; XLA has it so for operands, and folds constants likewise."""
+    x = np.array([*EDGES, 300.7, -300.7, 2.0**31, -(2.0**63), 2.0**64], dtype)
+    whole = (np.int8, np.uint8, np.int16, np.uint16, np.int32, np.uint32, np.int64, np.uint64)
+    to = lambda x: [lax.convert_element_type(x, t) for t in whole]
+    of_constants = lambda _: [jnp.stack(c) for c in zip(*(to(lax.full((2,), v, dtype)[0]) for v in x), strict=True)]
+    expected = jax.jit(to)(x)
+    for found in (lanes(to, x), spmd.kernel(of_constants)(0.0)):
+        for f, e in zip(found, expected, strict=True):
+            same(f, e)
+
+
+@pytest.mark.parametrize("dtype", WIDTHS)
+def test_at_the_ends_of_the_range(dtype):
+    """Where a sum, or the inverse of a power of two, is no normal number."""
+    big, tiny = np.finfo(dtype).max, np.finfo(dtype).tiny
+    y, x = (v.ravel() for v in np.meshgrid(*2 * [np.array([big, -big / 2, big / 3, 1.0, 1.5 * tiny, -tiny], dtype)]))
+    with np.errstate(all="ignore"):
+        np.testing.assert_allclose(lanes(jnp.arctan2, y, x), np.arctan2(y, x), rtol=4 * np.finfo(dtype).eps, atol=tiny)
+    power = dtype(2.0) ** (np.finfo(dtype).maxexp - 1)
+    same(lanes(lambda x: x / power, np.array([power, 2 * tiny, -big], dtype)), np.array([1, 0, -big / power], dtype))
+    same(lanes(jnp.arccosh, np.array([0.5, -big, -1e30, np.nan], dtype)), np.full(4, np.nan, dtype))
 
 
 def test_bits():
@@ -313,6 +341,95 @@ def test_arrays(name, dtype):
     for f, e in zip(jax.tree_util.tree_leaves(found), jax.tree_util.tree_leaves(expected), strict=True):
         assert f.dtype == e.dtype
         np.testing.assert_allclose(f, e, rtol=40 * np.finfo(dtype).eps, atol=40 * np.finfo(dtype).eps)
+
+
+NOTHING = {
+    "sums": lambda x: (x.sum(0), x.sum(1), x.prod(), jnp.any(x, 0), jnp.all(x, 1), x.max(1, initial=1), x.min(initial=0)),
+    "moves": lambda x: (jnp.concatenate([x, x]), x.T, jnp.cumsum(x, 1), jnp.sort(x), jnp.pad(x, 1), jnp.stack([x, x])),
+    "products": lambda x: (x @ x.T, x.T @ x),
+}
+
+
+@pytest.mark.parametrize("dtype", [np.float32, np.int8, np.uint32, np.bool_])
+@pytest.mark.parametrize("name", NOTHING)
+def test_of_nothing(name, dtype):
+    """Arrays without entries, what is made of them, and the neutral elements of reductions."""
+    x = np.zeros((5, 3, 0), dtype)
+    for f, e in zip(lanes(NOTHING[name], x), jax.jit(jax.vmap(NOTHING[name]))(x), strict=True):
+        assert f.dtype == e.dtype
+        same(f, e)
+
+
+def test_products_of_truths():
+    x = np.random.default_rng(5).random((9, 6)) < 0.6
+    for way in (jnp.dot, lambda a, b: jnp.outer(a, b) @ b):
+        same(lanes(lambda x, way=way: way(x, x[::-1]), x), jax.jit(jax.vmap(lambda x, way=way: way(x, x[::-1])))(x))
+
+
+INDEXED = {
+    "slices": lambda x, i: (lax.dynamic_slice(x, (i,), (3,)), lax.dynamic_slice((2 * x)[::-1], (i,), (2,))),
+    "read": lambda x, i: (x.at[i].get(mode="clip"), x[::-1].at[i].get(mode="clip"), x.reshape(-1, 3)[i]),
+    "written": lambda x, i: (lax.dynamic_update_slice(x, 2 * x[:3], (i,)), x.at[i].add(1.0, mode="clip")),
+}
+
+
+@pytest.mark.parametrize("length", [6, 300])
+@pytest.mark.parametrize("dtype", [np.uint8, np.int16, np.uint32, np.uint64])
+def test_indices_of_any_type(dtype, length):
+    """Beyond what they index, and of types that do not hold an axis' length or a negative step."""
+    x = np.random.default_rng(6).normal(size=(8, length)).astype(np.float32)
+    i = np.array([0, 1, 5, 127, -1, -128, 200, 2**31], np.int64).astype(dtype)
+    run = lambda x, i: [y for way in INDEXED.values() for y in way(x, i)]
+    for f, e in zip(lanes(run, x, i), jax.jit(jax.vmap(run))(x, i), strict=True):
+        same(f, np.asarray(e))
+
+
+SCATTERS = {
+    lax.scatter: lambda old, new: new,
+    lax.scatter_add: np.add,
+    lax.scatter_sub: np.subtract,
+    lax.scatter_mul: np.multiply,
+    lax.scatter_min: np.minimum,
+    lax.scatter_max: np.maximum,
+}
+
+
+@pytest.mark.parametrize("mode", [lax.GatherScatterMode.CLIP, lax.GatherScatterMode.FILL_OR_DROP])
+@pytest.mark.parametrize("length", [5, 100])
+def test_windows_over_the_edge(length, mode):
+    """A window that does not fit is moved, or dropped, as a whole."""
+    into = lax.ScatterDimensionNumbers((0,), (), (0,))
+    out_of = lax.GatherDimensionNumbers((0,), (), (0,))
+
+    def run(x, i):
+        written = [f(x, jnp.stack([i]), 10 * x[:3], into, mode=mode) for f in SCATTERS]
+        fixed = [lax.scatter(x, jnp.array([k]), 10 * x[:3], into, mode=mode) for k in (-2, 1, length - 1)]
+        return [*written, *fixed, lax.gather(x, jnp.stack([i]), out_of, (3,), mode=mode)]
+
+    def written(x, i, operation):
+        found, fits = x.copy(), 0 <= i <= length - 3
+        if fits or mode == lax.GatherScatterMode.CLIP:
+            here = slice(np.clip(i, 0, length - 3), np.clip(i, 0, length - 3) + 3)
+            found[here] = operation(x[here], 10 * x[:3])
+        return found
+
+    places = np.arange(-4, 9).astype(np.int32) * (length // 5)
+    x = np.random.default_rng(7).normal(size=(13, length)).astype(np.float32)
+    found = lanes(run, x, places)
+    for f, operation in zip(found, SCATTERS.values(), strict=False):
+        same(f, [written(*each, operation) for each in zip(x, places, strict=True)])
+    for f, k in zip(found[6:], (-2, 1, length - 1), strict=False):
+        same(f, [written(row, k, SCATTERS[lax.scatter]) for row in x])
+    fits = (places >= 0) & (places <= length - 3) | (mode == lax.GatherScatterMode.CLIP)
+    at = np.clip(places, 0, length - 3)[:, None] + np.arange(3)
+    same(found[9], np.where(fits[:, None], np.take_along_axis(x, at, 1), np.float32(np.nan)))
+
+
+def test_a_function_applied_at_an_index():
+    x, i = np.random.default_rng(8).normal(size=(9, 6)), np.arange(9) % 6
+    expected = x.copy()
+    expected[np.arange(9), i] = np.square(x[np.arange(9), i])
+    same(lanes(lambda x, i: x.at[i].apply(jnp.square), x, i), expected)
 
 
 COMPUTED = {

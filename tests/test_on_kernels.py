@@ -1,0 +1,186 @@
+"""Every public function that runs on kernels: its bits, whatever it is called with, and its derivatives by all it is given.
+
+Judged by the same function as ordinary operations of JAX, and by central differences.
+"""
+
+import dataclasses
+from concurrent.futures import ThreadPoolExecutor
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from jax.extend.core import jaxpr_as_fun
+
+import jaxik
+from jaxik import collision, kinematics
+from jaxik.closed_form import closed_branches, closed_forms
+from jaxik.spmd import kernel, primitive
+from jaxik.spmd.kernel import __file__ as kernel_file
+
+pytestmark = pytest.mark.usefixtures("only_kernels")
+ARM, PLANAR, GANTRY = jaxik.load("pendulum4"), jaxik.load("planar2"), jaxik.load("p6r")
+SCENE = jaxik.make_scene(
+    points=[[1.2, 0.9, 0.1], [-0.6, 1.5, 0.0]], point_radius=0.02, capsules=[[2.5, 0.0, -1.0, 2.5, 0.0, 1.0, 0.1]]
+)
+POSITION = jaxik.Task((True, True, False, False, False, False), "base")
+
+
+def _longer(q, extra):
+    """By what the robot is made of."""
+    chain = eqx.tree_at(
+        lambda c: c.parent_T_joint, PLANAR, jnp.asarray(PLANAR.parent_T_joint, q.dtype).at[1:, :3, 3].add(extra)
+    )
+    return jaxik.forward_kinematics(chain, q)
+
+
+def _moved(q, shift):
+    """By where the obstacles are."""
+    scene = eqx.tree_at(lambda s: s.points.center, SCENE, jnp.asarray(SCENE.points.center, q.dtype) + shift)
+    return collision.link_clearances(PLANAR, scene, q)
+
+
+@kernel
+def _costs(q):
+    """A user's: what `costs` offers, in one kernel."""
+    at = jaxik.forward_kinematics(ARM, q)
+    terms = [
+        jaxik.costs.position_cost(at[:3, 3], jnp.array([0.3, 0.2, 0.1], q.dtype)),
+        jaxik.costs.harvest_orientation_cost(at[:3, :3]),
+        jaxik.costs.comfort_and_limit_cost(ARM, q),
+        jaxik.costs.damping_cost(q),
+        jaxik.costs.joint_freedom(ARM, q),
+        jaxik.costs.proximity_penalty(q[0]),
+        jaxik.costs.collision_cost(q[1], 0.5),
+    ]
+    return jnp.stack([jnp.asarray(t, q.dtype) for t in terms])
+
+
+@kernel
+def _errors(q, pose):
+    return jnp.stack(kinematics.pose_errors(ARM, list(q), list(pose.ravel())))
+
+
+# name: a function of float operands, and how a lane's are made of numbers in (-1, 1)
+ANGLES = lambda n: lambda u: (2.0 * u[:n],)
+FUNCTIONS = {
+    "forward_kinematics": (lambda q: jaxik.forward_kinematics(ARM, q), ANGLES(4)),
+    "forward_kinematics of traced links": (_longer, lambda u: (2.0 * u[:2], 0.1 * u[2:5])),
+    "link_frames": (lambda q: jaxik.link_frames(ARM, q), ANGLES(4)),
+    "jacobian": (lambda q: jaxik.jacobian(ARM, q), ANGLES(4)),
+    "bias_acceleration": (lambda q, v: jaxik.bias_acceleration(ARM, q, v), lambda u: (2.0 * u[:4], u[4:8])),
+    "manipulability": (lambda q: jaxik.manipulability(PLANAR, q), ANGLES(2)),
+    "pose errors": (_errors, lambda u: (2.0 * u[:4], jaxik.forward_kinematics.__wrapped__(ARM, 2.0 * u[4:8]))),
+    "costs": (_costs, ANGLES(4)),
+    "closed_form": (
+        lambda pose, slide: jaxik.closed_form(GANTRY, pose, slide),
+        lambda u: (jaxik.forward_kinematics.__wrapped__(GANTRY, 0.5 * u[:7]), 0.5 * u[0]),
+    ),
+    "clearance": (lambda q: jaxik.clearance(PLANAR, SCENE, q), ANGLES(2)),
+    "link_clearances of traced obstacles": (_moved, lambda u: (2.0 * u[:2], 0.1 * u[2:5])),
+    "object_clearances": (lambda q: jaxik.object_clearances(PLANAR, SCENE, q), ANGLES(2)),
+    "self_clearance": (lambda q: jaxik.self_clearance(ARM, q), ANGLES(4)),
+    "descend": (
+        lambda pose, q: jaxik.descend(PLANAR, pose, q, POSITION, iterations=3),
+        lambda u: (jaxik.forward_kinematics.__wrapped__(PLANAR, 2.0 * u[:2]), 2.0 * u[2:4]),
+    ),
+}
+
+
+def test_the_list_is_whole():
+    """What `jaxik` makes public and decorates with `kernel` is here."""
+    decorated = [n for n in jaxik.__all__ if getattr(getattr(jaxik, n), "__code__", None) is not None]
+    on_kernels = {n for n in decorated if getattr(jaxik, n).__code__.co_filename == kernel_file} - {"kernel"}
+    assert len(on_kernels) > 6 and on_kernels <= {name.partition(" ")[0] for name in FUNCTIONS}
+
+
+def _operands(name, count, dtype):
+    u = np.random.default_rng(11).uniform(-1.0, 1.0, (count, 8))
+    return jax.tree_util.tree_map(lambda x: np.asarray(x, dtype), jax.jit(jax.vmap(FUNCTIONS[name][1]))(u))
+
+
+@pytest.mark.parametrize("dtype", [np.float32, np.float64])
+@pytest.mark.parametrize("name", FUNCTIONS)
+def test_same_bits(name, dtype):
+    """Alone, in a few, in 4,096 that threads share, and in any order."""
+    function, operands = FUNCTIONS[name][0], _operands(name, 4096, dtype)
+    batch = jax.jit(jax.vmap(function))
+    whole = jax.tree_util.tree_map(np.asarray, batch(*operands))
+    assert all(x.dtype in (dtype, bool) for x in jax.tree_util.tree_leaves(whole))
+
+    def check(found, rows):
+        for f, w in zip(jax.tree_util.tree_leaves(found), jax.tree_util.tree_leaves(whole), strict=True):
+            np.testing.assert_array_equal(f, w[rows])
+
+    order = np.random.default_rng(12).permutation(4096)
+    check(batch(*(x[order] for x in operands)), order)
+    for rows in (slice(5, 12), slice(100, 164)):  # one thread
+        check(batch(*(x[rows] for x in operands)), rows)
+    check(jax.jit(function)(*(x[9] for x in operands)), 9)
+
+
+HOSTS = {  # what runs without XLA, of poses and slides
+    "closed_forms": (closed_forms(GANTRY), lambda pose, slide: (pose, slide)),
+    "closed_branches": (
+        closed_branches(GANTRY),
+        lambda pose, slide: (pose, slide[:, None], np.arange(999, dtype=np.int32) % 8),
+    ),
+}
+
+
+@pytest.mark.parametrize("double", [False, True])
+@pytest.mark.parametrize("name", HOSTS)
+def test_same_bits_on_the_host(name, double):
+    """On one thread, and on two that take a few vectors at a time."""
+    host, of = HOSTS[name]
+    operands = of(*_operands("closed_form", 999, np.float64 if double else np.float32))
+    whole = host.run(*operands, double=double)
+    key = next(k for k in host.known if k[1] == double)
+    traced, made = host.known[key]
+    host.known[key] = traced, dataclasses.replace(made, chunk=2)
+    order = np.random.default_rng(13).permutation(999)
+    with ThreadPoolExecutor(1) as threads:
+        shared = host.run(*operands, double=double, threads=threads, team=2)
+        turned = host.run(*(x[order] for x in operands), double=double, threads=threads, team=2)
+    host.known[key] = traced, made
+    few = host.run(*(x[5:12] for x in operands), double=double)
+    for w, s, t, f in zip(whole, shared, turned, few, strict=True):
+        np.testing.assert_array_equal(s, w)
+        np.testing.assert_array_equal(t, w[order])
+        np.testing.assert_array_equal(f, w[5:12])
+
+
+@pytest.fixture
+def by_xla(monkeypatch):
+    """The same as ordinary operations of JAX, with JAX's own rules of derivatives."""
+
+    def run(function, args, together):
+        with monkeypatch.context() as patch:
+            patch.setattr(primitive.kernel_p, "bind", lambda *xs, traced, **_: jaxpr_as_fun(traced.closed)(*xs))
+            return (jax.jit(function) if together else function)(*args)
+
+    return run
+
+
+@pytest.mark.parametrize("name", FUNCTIONS)
+def test_derivatives(name, by_xla):
+    """By every float operand, forward and backward."""
+    function, operands = FUNCTIONS[name][0], _operands(name, 3, np.float64)
+    floats = lambda *xs: [y for y in jax.tree_util.tree_leaves(function(*xs)) if jnp.issubdtype(y.dtype, jnp.floating)]
+    everywhere = tuple(range(len(operands)))
+    every = lambda way: jax.vmap(way(floats, everywhere))
+    forward, backward = jax.jit(every(jax.jacfwd))(*operands), jax.jit(every(jax.jacrev))(*operands)
+    expected = by_xla(every(jax.jacfwd), operands, together=name != "closed_form")  # which XLA would compile for 15 s
+    for f, b, e in zip(*map(jax.tree_util.tree_leaves, (forward, backward, expected)), strict=True):
+        np.testing.assert_allclose(b, f, rtol=1e-9, atol=1e-9)
+        np.testing.assert_allclose(f, e, rtol=1e-9, atol=1e-9 * np.max(np.abs(e), initial=1.0))
+    batch, step = jax.jit(jax.vmap(floats)), 1e-6
+    for k, x in enumerate(operands):
+        for entry in np.ndindex(*x.shape[1:]):
+            shift = np.zeros_like(x)
+            shift[:, *entry] = step
+            ends = [batch(*operands[:k], x + s, *operands[k + 1 :]) for s in (shift, -shift)]
+            for high, low, slope in zip(*ends, forward, strict=True):
+                numeric = (high - low) / (2 * step)
+                np.testing.assert_allclose(slope[k][(..., *entry)], numeric, rtol=2e-5, atol=2e-5)
