@@ -10,6 +10,7 @@ and this one take in turn; the last to leave frees what they share. Buffers othe
 from __future__ import annotations
 
 import platform
+import sys
 from collections.abc import Sequence
 from typing import NamedTuple
 
@@ -22,6 +23,8 @@ BUFFER = {"type": 16, "data": 24, "rank": 32, "dims": 40}
 METADATA = {"kind": 8, "metadata": 24, "major": 24, "minor": 28}
 EXECUTE, INVALID_ARGUMENT, VERSION = 3, 3, (0, 3)
 DATA_TYPES = {"i1": 1, "i8": 2, "i16": 3, "i32": 4, "i64": 5, "u8": 6, "u16": 7, "u32": 8, "u64": 9, "float": 11, "double": 12}
+
+LARGE, MADV_HUGEPAGE = 1 << 22, 14  # bytes of a result for which Linux is asked for large pages
 
 REFUSAL = "jaxik: a kernel's operands or results have another type or shape than it was made for"
 
@@ -186,10 +189,28 @@ def _entry(name: str, rows_in: Sequence[Row], rows_out: Sequence[Row], width: in
     for k in range(len(rows_out)):
         t.field(f"y{k}.data", "ptr", f"y{k}", BUFFER["data"])
         t.keep("ptr", f"%y{k}.data", "here", FIRST + 2 * len(rows_in) + k)
+        if sys.platform == "linux":
+            _advise(t, k, rows_out[k].bytes)
     t.put("call void @parallel(ptr %here, ptr %api, ptr %context)", "ret ptr null")
     t.start("other")
     t.put("%refused = call ptr @refused(ptr %api)", "ret ptr %refused")
     return "\n".join([*t.lines, "}"])
+
+
+def _advise(t: _Words, k: int, size: int) -> None:
+    """Asks for large pages where a result is large and new, as NumPy does: to come upon one small page after the other takes
+    longer than to compute what goes there."""
+    t.put(f"%rows{k} = mul i64 %outer, %inner", f"%bytes{k} = mul i64 %rows{k}, {size}")
+    t.put(f"%large{k} = icmp uge i64 %bytes{k}, {LARGE}", f"br i1 %large{k}, label %advise{k}, label %advised{k}")
+    t.start(f"advise{k}")
+    t.put(
+        f"%begin{k} = ptrtoint ptr %y{k}.data to i64",
+        f"%next{k} = add i64 %begin{k}, 4095",
+        f"%page{k} = and i64 %next{k}, -4096",
+    )
+    t.put(f"%cut{k} = sub i64 %bytes{k}, 4096", f"%from{k} = inttoptr i64 %page{k} to ptr")
+    t.put(f"call i32 @madvise(ptr %from{k}, i64 %cut{k}, i32 {MADV_HUGEPAGE})", f"br label %advised{k}")
+    t.start(f"advised{k}")
 
 
 def _checked(t: _Words, rows_in: Sequence[Row], rows_out: Sequence[Row]) -> None:

@@ -52,7 +52,7 @@ def _jit() -> Any:
     else:
         libraries = [ctypes.CDLL(None), ctypes.CDLL(ctypes.util.find_library("m"))]
     floating = [name + width for name in ("fmod", "sin", "cos", "tan", "pow") for width in ("", "f")]
-    for name in ("malloc", "free", "sched_yield", "memcpy", "memset", "memmove", *floating):
+    for name in ("malloc", "free", "madvise", "sched_yield", "memcpy", "memset", "memmove", *floating):
         function = next((getattr(lib, name) for lib in libraries if hasattr(lib, name)), None)
         if function is not None:
             llvm().add_symbol(name, ctypes.cast(function, ctypes.c_void_p).value)

@@ -223,3 +223,11 @@ def test_denormals_are_flushed_inside_only():
     assert (found == 0).all() and (before > 0).all()
     np.testing.assert_array_equal(tiny * half, before)
     np.testing.assert_array_equal(jax.jit(jax.vmap(spmd.kernel(lambda x: x * 3.0)))(tiny), found)
+
+
+def test_a_result_of_many_pages():
+    """For which large ones are asked."""
+    x = np.random.default_rng(0).normal(size=(140_000, 1)).astype(np.float32)
+    found = jax.jit(jax.vmap(spmd.kernel(lambda x: x[0] * jnp.arange(1.0, 17.0, dtype=np.float32))))(x)
+    assert found.nbytes > 2 * handler.LARGE
+    np.testing.assert_array_equal(found, x * np.arange(1.0, 17.0, dtype=np.float32))
