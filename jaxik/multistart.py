@@ -36,7 +36,7 @@ from jaxik.optimise import sqp
 from jaxik.reach import reach
 from jaxik.result import Reason
 
-TOGETHER = 4  # lanes that cost hardly more than one, their seeds' look-up counted
+TOGETHER = (4, 64)  # lanes that cost less than another wave, in the first and in later ones
 EARLY, STEPS = 7, 16  # of a lane before it is given up, from an early seed and a late one: most that land need four
 ARRIVED = 2e-5  # [rad], [unit lengths]: steps in float32 lead no further
 LANDED = 2e-3  # from where a few steps in float64 reach 1e-9 nearly always
@@ -177,7 +177,7 @@ def _joined_waves(waves: tuple[Wave, ...], targets: int) -> tuple[Wave, tuple[Wa
         number < len(waves)
         and not (waves[number - 1].rescues or waves[number - 1].pushes)
         and waves[number].steps == waves[0].steps
-        and targets * (waves[number].last - waves[0].first) <= TOGETHER
+        and targets * (waves[number].last - waves[0].first) <= TOGETHER[waves[0].first > 0]
     ):
         number += 1
     return waves[number - 1]._replace(first=waves[0].first), waves[number:]

@@ -20,6 +20,7 @@ from jaxik.spmd.scalarise import Unsupported
 from jaxik.spmd.threads import CHUNK, FIRST, INNER, TOTAL, VECTORS
 from jaxik.spmd.trace import Traced, trace
 
+PAYS = 4  # chunks a thread for which it is worth to wake one from Python, about 40 us
 _NARROW = {np.dtype(np.int64): np.dtype(np.int32), np.dtype(np.uint64): np.dtype(np.uint32)}
 
 
@@ -122,7 +123,7 @@ def _run(
     made: call.Made, operands: list[np.ndarray], lanes: int, outs: list[np.ndarray], count: int, threads: Any, team: int
 ) -> None:
     vectors = -(-count // made.width)
-    team = min(team, -(-vectors // made.chunk)) if threads is not None else 1
+    team = max(1, min(team, vectors // (PAYS * made.chunk))) if threads is not None else 1
     words = array.array("q", bytes(8 * FIRST))
     words[TOTAL], words[INNER], words[VECTORS] = vectors, count, vectors
     words[CHUNK] = vectors if team == 1 else max(1, made.chunk // 2, vectors // (8 * team))
@@ -135,4 +136,5 @@ def _run(
     others = [threads.submit(work, words, operands, outs) for _ in range(team - 1)]
     made.work(address)
     for other in others:
-        other.result()
+        if not other.cancel():  # one that has not begun is not waited for
+            other.result()

@@ -79,7 +79,7 @@ def test_arrays_outlive_an_interrupt():
             self.tasks.append(task)
             return self
 
-        def result(self):
+        def cancel(self):
             raise KeyboardInterrupt
 
     pool, kernel, x = Interrupted(), spmd.HostKernel(lambda x: x + x, 1), np.ones((2_000_000, 1), np.float32)
