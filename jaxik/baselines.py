@@ -9,12 +9,12 @@ from __future__ import annotations
 from collections.abc import Callable
 from typing import Any, NamedTuple
 
-import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float
 
 from jaxik.algebra import Frame
+from jaxik.batch import in_blocks
 from jaxik.chain import Array, Chain, as_configuration, finite_limits
 from jaxik.collision import clearance
 from jaxik.costs import box_penalty, proximity_penalty
@@ -22,6 +22,7 @@ from jaxik.kinematics import joint_frames
 from jaxik.optimise.newton import Root, damped_least_squares, newton_raphson
 from jaxik.scene import Scene
 from jaxik.spheres import link_circles
+from jaxik.spmd import HostKernel, kernel
 from jaxik.task import POSE, Task
 
 
@@ -29,6 +30,7 @@ def residual(chain: Chain, target: Float[Array, "4 4"], task: Task = POSE) -> Ca
     """q (n,) -> what the tip misses of the target: the bound components [m], [rad]."""
     wanted = jnp.asarray(target)
 
+    @kernel
     def missed(q: Any) -> Any:
         tip = joint_frames(chain, [q[i] for i in range(chain.num_joints)], dtype=q.dtype).tip
         entries = wanted.astype(q.dtype)
@@ -93,13 +95,12 @@ def global_search(
             total += box_penalty(link_circles(chain, q), *boxes)
         return total
 
-    each, looked = jax.jit(jax.vmap(objective)), 0
+    each, looked = HostKernel(objective, 1), 0
 
     def evaluate(columns: np.ndarray) -> np.ndarray:
         nonlocal looked
         looked += columns.shape[1]
-        with jax.enable_x64(True):
-            return np.asarray(each(columns.T))
+        return in_blocks(each, columns.T, double=True)[0]
 
     found = differential_evolution(
         evaluate,

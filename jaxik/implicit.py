@@ -16,6 +16,7 @@ from jaxik.costs import Cost
 from jaxik.kinematics import joint_frames
 from jaxik.optimise.implicit import Implicit, Program, implicit
 from jaxik.scene import Scene
+from jaxik.spmd import kernel
 from jaxik.task import POSE, Task
 
 
@@ -51,6 +52,7 @@ def implicit_ik(
         given = dict(zip(traced, t, strict=True))
         return jax.tree_util.tree_unflatten(tree, [given.get(i, leaf) for i, leaf in enumerate(leaves)])
 
+    @kernel
     def equality(x: Any, t: Any) -> Any:
         its_chain, its_target, *_ = whole(t)
         frames = joint_frames(its_chain, [x[i] for i in range(n)], dtype=dtype)
@@ -60,8 +62,9 @@ def implicit_ik(
 
     def inequality(x: Any, t: Any) -> Any:
         its_chain, _, its_scene, _ = whole(t)
-        return jnp.zeros(0, dtype) if scene is None else link_clearances(its_chain, its_scene, x) - margin
+        return jnp.zeros(0, dtype) if scene is None else link_clearances(its_chain, its_scene, x) - margin  # a kernel
 
+    @kernel
     def least(x: Any, t: Any) -> Any:
         return 0.5 * jnp.sum((x - whole(t)[3]) ** 2) if cost is None else cost(x)
 

@@ -13,6 +13,8 @@ import jax
 import jax.numpy as jnp
 from jax import lax
 
+from jaxik.optimise.linear import definite_solve
+
 
 class Root(NamedTuple):
     """Where an iteration ended: x (n,), the largest component of r there, and the number of steps."""
@@ -33,7 +35,7 @@ def damped_least_squares(
     """The same with a bounded step next to singularities, and slower convergence for it. Traced."""
 
     def step(a: Any, r: Any) -> Any:
-        return a.T @ jnp.linalg.solve(a @ a.T + damping**2 * jnp.eye(len(r), dtype=r.dtype), r)
+        return a.T @ jnp.stack(definite_solve(a @ a.T + damping**2 * jnp.eye(len(r), dtype=r.dtype), r, 0.0))
 
     return _iterated(residual, step, x, tolerance, iterations)
 
