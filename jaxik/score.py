@@ -11,7 +11,6 @@ from __future__ import annotations
 import functools
 from typing import Any
 
-import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -25,7 +24,9 @@ from jaxik.collision import check_geometry, clearance
 from jaxik.given import numbers
 from jaxik.kinematics import forward_kinematics, jacobian
 from jaxik.leading import arm_of, leading_grid
+from jaxik.optimise.linear import definite_solve
 from jaxik.scene import Scene
+from jaxik.spmd import HostKernel, kernel
 
 DAMPING = 1e-2  # [m, rad m] below which a direction counts as one that the arm cannot move in
 SHORT = 0.03  # [m, rad] that the tip falls short by and that weighs as much as a joint past its limit by half its range
@@ -72,15 +73,12 @@ def log_reach_score(
         )
     as_shaped("margin", margin, ())
     as_shaped("temperature", temperature, ())
-    varied, fixed = eqx.partition(chain, lambda leaf: isinstance(leaf, jax.Array))
-    # one copy of what is differentiated for each posture: backward, one sum over them instead of one for each use of a number,
-    # which compiles three times as fast
-    own = jax.tree_util.tree_map(lambda leaf: jnp.broadcast_to(leaf, (len(q), *leaf.shape)), varied)
-    each = jax.vmap(lambda own, pose, posture: _worth(eqx.combine(own, fixed), scene, pose, posture, margin, temperature))
-    best = temperature * jax.nn.logsumexp(each(own, poses, q) / temperature)
+    each = jax.vmap(lambda pose, posture: _worth(chain, scene, pose, posture, margin, temperature))
+    best = temperature * jax.nn.logsumexp(each(poses, q) / temperature)
     return jax.nn.log_sigmoid(best / WIDTH)
 
 
+@kernel(models=1)
 def _worth(chain: Chain, scene: Scene | None, pose: Any, q: Any, margin: Any, temperature: Any) -> Any:
     """The least margin of a posture that follows its target."""
     q, short = _following(chain, pose, jax.lax.stop_gradient(q))
@@ -94,16 +92,17 @@ def _worth(chain: Chain, scene: Scene | None, pose: Any, q: Any, margin: Any, te
 
 def _following(chain: Chain, pose: Any, q: Any) -> tuple[Any, Any]:
     """The posture moved after its target by one step, and how far the tip then falls short of it [m, rad]."""
-    wanted = jnp.linalg.inv(jnp.asarray(chain.world_T_base, q.dtype)) @ pose
+    base, pose = jnp.asarray(chain.world_T_base, q.dtype), jnp.asarray(pose, q.dtype)
+    wanted = base[:3, :3].T @ jnp.concatenate([pose[:3, :3], pose[:3, 3:] - base[:3, 3:]], axis=1)
     residual, columns = _twist(forward_kinematics(chain, q), wanted), jacobian(chain, q)
-    step = columns.T @ jnp.linalg.solve(columns @ columns.T + DAMPING**2 * jnp.eye(6, dtype=q.dtype), residual)
+    step = columns.T @ jnp.stack(definite_solve(columns @ columns.T + DAMPING**2 * jnp.eye(6, dtype=q.dtype), residual, 0.0))
     q = q + step * jnp.minimum(1.0, STEP / jnp.sqrt(step @ step + 1e-12))
     left = _twist(forward_kinematics(chain, q), wanted)
     return q, jnp.sqrt(left @ left + 1e-8) - 1e-4
 
 
 def _twist(tip: Any, wanted: Any) -> Any:
-    """What carries `tip` to `wanted` (4, 4): the shift [m], and the turn [rad] as its sine about its axis."""
+    """What carries `tip` (4, 4) to `wanted` (3, 4): the shift [m], and the turn [rad] as its sine about its axis."""
     turn = wanted[:3, :3] @ tip[:3, :3].T
     skew = (turn - turn.T) / 2.0
     return jnp.concatenate([wanted[:3, 3] - tip[:3, 3], jnp.stack([skew[2, 1], skew[0, 2], skew[1, 0]])])
@@ -131,12 +130,11 @@ def likely_postures(
     q, at = np.asarray(q).reshape(-1, chain.num_joints), np.repeat(poses[pose], BRANCHES, axis=0)
     home = chain.mounted(np.eye(4))
     moved = None if scene is None else scene.moved(np.linalg.inv(np.asarray(chain.world_T_base))).geometry()
-    worth = np.asarray(_worths(home)(np.repeat(local[pose], BRANCHES, axis=0).astype(np.float32), q, moved, margin))
+    (worth,) = in_blocks(_worths(home), np.repeat(local[pose], BRANCHES, axis=0), q, fixed=(moved, margin), double=False)
     best = np.argsort(-np.where(np.isfinite(worth), worth, -np.inf), kind="stable")[:count]
     return at[best], q[best]
 
 
 @functools.lru_cache(maxsize=16)
-def _worths(chain: Chain) -> Any:
-    each = lambda pose, q, scene, margin: _worth(chain, scene, pose, q, margin, 0.01)
-    return jax.jit(jax.vmap(each, in_axes=(0, 0, None, None)))
+def _worths(chain: Chain) -> HostKernel:
+    return HostKernel(lambda pose, q, scene, margin: _worth(chain, scene, pose, q, margin, 0.01), 2)

@@ -27,6 +27,7 @@ from jaxik.spmd.scalarise import Unsupported, scalarised, type_of
 from jaxik.spmd.trace import Traced
 
 WORTH = 20_000  # operations on vectors that are worth waking a thread for, about 10 us
+QUICK = 30_000  # operations from which LLVM's good code takes seconds, more than linearly, and is not asked for
 GUESS = 8  # turns of a loop whose number is not known
 LIMIT = 2**28  # bytes of the objects on disk, some 10,000 kernels; beyond, those longest not used go
 _lock = threading.Lock()
@@ -115,7 +116,9 @@ def _make(traced: Traced, shared: tuple[bool, ...]) -> Made:
     stored = _read(name)
     if stored is None:
         planned = plan(traced, shared, name)
-        stored = np.array([planned.width, planned.chunk]).tobytes() + machine.compiled(planned.text)
+        stored = np.array([planned.width, planned.chunk]).tobytes() + machine.compiled(
+            planned.text, len(planned.needed) > QUICK
+        )
         _write(name, stored)
     width, chunk = map(int, np.frombuffer(stored[:16], np.int64))
     address, work = machine.linked(stored[16:], name, f"{name}_work")

@@ -82,7 +82,7 @@ def explain(function: Callable[..., Any], *args: Any) -> Explanation:
     loops: list[int] = []
     branches = _count(plan, plan.program.top.body, operations, loops)
     spills, stack = _stack(plan.text)
-    size = len(machine.compiled(plan.text))
+    size = len(machine.compiled(plan.text, len(plan.needed) > call.QUICK))
     return Explanation(name, dict(operations), tuple(loops), branches, plan.width, spills, stack, size)
 
 

@@ -100,7 +100,7 @@ def _jvp(primals: Sequence[Any], tangents: Sequence[Any], *, traced: Traced, bat
             own = iter(tangents[i].shape)
             lead = [next(own) if m else 1 for m in masks[i]]
             t = tangents[i].reshape(*lead, *[1] * len(aval.shape), *traced.inputs[i].shape)
-            part = jnp.sum(slope * t.astype(slope.dtype), axis=tuple(range(slope.ndim - axes, slope.ndim)))
+            part = jnp.sum(slope * t, axis=tuple(range(slope.ndim - axes, slope.ndim))).astype(aval.dtype)  # widths may mix
             total = part if total is None else total + part
         results.append(total)
     return outs, results

@@ -447,3 +447,29 @@ def test_what_a_loop_stacks_is_written_row_by_row(dtype, turns):
     x, table = RNG.normal(size=(37, 3)), RNG.normal(size=(turns, 3))
     close(jax.jit(jax.vmap(spmd.kernel(roll), (0, None)))(x, table), jax.jit(jax.vmap(roll, (0, None)))(x, table), 1e-5)
     close(spmd.kernel(roll)(x[0], table), jax.jit(roll)(x[0], table), 1e-5)
+
+
+def test_quick_code_has_the_same_bits(monkeypatch):
+    """What a program too large for LLVM's good code gets."""
+    monkeypatch.setattr(call, "cache_folder", lambda: None)
+    good = jax.jit(jax.vmap(spmd.kernel(lambda q, a: arm(q, a)[1])))(Q, LENGTHS)
+    monkeypatch.setattr(call, "QUICK", 0)
+    monkeypatch.setattr(call, "_made", {})
+    monkeypatch.setattr(call, "_version", lambda: "another name")
+    quick = jax.jit(jax.vmap(spmd.kernel(lambda q, a: arm(q, a)[1])))(Q, LENGTHS)
+    np.testing.assert_array_equal(quick, good)
+    assert call._made
+
+
+def test_a_derivative_of_mixed_widths():
+    """Backward, a slope has the width of its operand; what it adds to a result has that of the result."""
+
+    def fall(x, y):
+        return jnp.sum(x * y.astype(np.float32)[:, None], axis=0)[:1]
+
+    outer = spmd.kernel(lambda x, y: spmd.kernel(fall)(x, y) - x[0, :1])
+    x, y = Q[:3].astype(np.float32), LENGTHS[0][:3]
+    for way in (jax.jacfwd, jax.jacrev):
+        for f, e in zip(way(outer, (0, 1))(x, y), way(lambda x, y: fall(x, y) - x[0, :1], (0, 1))(x, y), strict=True):
+            assert f.dtype == e.dtype
+            close(f, e, 1e-5)
