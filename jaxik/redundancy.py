@@ -173,7 +173,8 @@ class _At:
         self.target = Frame.of_entries(traced(as_shaped("pose", motion.pose, (4, 4)).astype(q.dtype)))
         frames = joint_frames(chain, traced(q), dtype=q.dtype)
         self.rows = jnp.asarray(task.rows(jacobian_columns(chain, frames), self.target), q.dtype)
-        self.error = jnp.asarray(sum(task.residual(frames.tip, self.target), start=[]), q.dtype)
+        position, rotation = task.residual(frames.tip, self.target)
+        self.error = jnp.asarray(position + rotation, q.dtype)
 
     def components(self, what: str, twist: Any) -> Any:
         """Of a twist (6,) in base axes those that the task binds (m,)."""
