@@ -1,15 +1,13 @@
 """The algebra of rigid motions on scalars.
 
-A vector here is three scalars and a frame twelve, not arrays. Two things follow. A function written on them for *one*
-configuration becomes, under `jax.vmap`, one fused loop whose vector lane is the batch, where small matrix products would be
-a hundred tiny kernels. And a scalar that is a Python float is a constant: sums and products with 0 and +-1 fold away while
-JAX traces, so that a robot's right angles cost nothing.
+A vector here is three scalars and a frame twelve, not arrays. A scalar that is a Python float is a constant: sums and products
+with 0 and +-1 fold away while JAX traces, so that a robot's right angles cost nothing, not even where XLA runs the function.
 
 A scalar is a Python `float`, a JAX array of shape `()`, a NumPy array of any one shape (then the same expression is
 evaluated by NumPy over a batch, without a compiler), or a `ball.Ball` (then its range is bounded).
 
-XLA's own `sin`, `cos` and `arctan2` are the slowest part of such a loop on a CPU; `sincos` and `atan2` below are polynomials
-there and the native functions on other platforms. Derivatives never pass through the polynomials (`custom_jvp`).
+XLA's own `sin` and `cos` are slow on a CPU; `sincos` below is polynomials there and the native functions on other platforms.
+Derivatives never pass through the polynomials (`custom_jvp`).
 """
 
 from __future__ import annotations
@@ -68,11 +66,6 @@ def ratio(a: Any, b: Any) -> Any:
     return jnp.where(b == 0.0, 0.0, a / jnp.where(b == 0.0, 1.0, b))
 
 
-def dot3(a: Sequence[Scalar], b: Sequence[Scalar]) -> Scalar:
-    """`a . b` of two triples of scalars."""
-    return add(add(mul(a[0], b[0]), mul(a[1], b[1])), mul(a[2], b[2]))
-
-
 def constants(values: Any, snap: float = 0.0) -> list[Any]:
     """The entries of an array as scalars: floats that fold if it is concrete, traced scalars if it is not.
 
@@ -86,7 +79,7 @@ def constants(values: Any, snap: float = 0.0) -> list[Any]:
     return [next((w for w in (0.0, 1.0, -1.0) if abs(x - w) <= snap), x) for x in flat]
 
 
-def traced(values: jax.Array) -> list[Any]:
+def traced(values: Any) -> list[Any]:
     """The entries of an array as scalars of its dtype, none of which folds."""
     return [values[i] for i in np.ndindex(values.shape)]
 
@@ -115,7 +108,7 @@ class Vec3(NamedTuple):
         return Vec3(mul(self.x, s), mul(self.y, s), mul(self.z, s))
 
     def dot(self, o: Vec3) -> Scalar:
-        return dot3(self, o)
+        return add(add(mul(self.x, o.x), mul(self.y, o.y)), mul(self.z, o.z))
 
     def cross(self, o: Vec3) -> Vec3:
         return Vec3(
@@ -206,10 +199,7 @@ BASE = Frame(IDENTITY, ZERO)
 
 
 def stack(entries: Sequence[Scalar], shape: tuple[int, ...], dtype: Any) -> jax.Array:
-    """Scalars to one array of `shape`, in one flat stack.
-
-    Nested stacks, one a row, break the fused loop into pieces and cost ten times as much on a CPU.
-    """
+    """Scalars to one array of `shape`."""
     return jnp.stack([jnp.asarray(e, dtype) for e in entries]).reshape(shape)
 
 
@@ -253,10 +243,7 @@ def _atan2(y: jax.Array, x: jax.Array) -> jax.Array:
 @_atan2.defjvp
 def _atan2_jvp(primals: Any, tangents: Any) -> Any:
     (y, x), (dy, dx) = primals, tangents
-    square = x * x + y * y
-    origin = square == 0.0  # no direction there, and none is invented
-    inverse = jnp.where(origin, 0.0, 1.0 / jnp.where(origin, 1.0, square))
-    return _atan2(y, x), (x * dy - y * dx) * inverse
+    return _atan2(y, x), ratio(x * dy - y * dx, x * x + y * y)  # at the origin there is no direction, and none is invented
 
 
 def atan2(y: Scalar, x: Scalar) -> Scalar:

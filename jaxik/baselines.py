@@ -13,7 +13,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float
 
-from jaxik.algebra import Frame
+from jaxik.algebra import Frame, traced
 from jaxik.batch import in_blocks
 from jaxik.chain import Array, Chain, as_configuration, finite_limits
 from jaxik.collision import clearance
@@ -32,10 +32,9 @@ def residual(chain: Chain, target: Float[Array, "4 4"], task: Task = POSE) -> Ca
 
     @kernel
     def missed(q: Any) -> Any:
-        tip = joint_frames(chain, [q[i] for i in range(chain.num_joints)], dtype=q.dtype).tip
-        entries = wanted.astype(q.dtype)
-        position, rotation = task.residual(tip, Frame.of_entries([entries[i, j] for i in range(4) for j in range(4)]))
-        return jnp.stack([*position, *rotation])
+        tip = joint_frames(chain, traced(q), dtype=q.dtype).tip
+        position, rotation = task.residual(tip, Frame.of_entries(traced(wanted.astype(q.dtype))))
+        return jnp.stack(position + rotation)
 
     return missed
 

@@ -103,27 +103,19 @@ def _within_reach(chain: Chain, poses: np.ndarray, centres: np.ndarray, half: np
     k = len(half)
     if any(not p for p in chain.is_prismatic[:k]):  # a turn moves the arm's base by what its own reach is
         return np.ones((len(poses), len(centres)), bool)
-    return _near_enough(chain, poses, centres, float(half.sum()) + SLACK)
-
-
-def _near_enough(chain: Chain, poses: np.ndarray, leading: np.ndarray, slack: float) -> np.ndarray:
-    """Whether poses (N, 4, 4) are within the arm's reach, and `slack` [m] more, at leading positions (m, k): (N, m)."""
     bound = reach(chain.part(chain.num_joints - 6, chain.num_joints))
     points = bound.point(poses)
-    origin = (_shoulders(chain, leading) @ np.append(bound.origin, 1.0))[:, :3]
+    origin = (_shoulders(chain, centres) @ np.append(bound.origin, 1.0))[:, :3]
     # |p - o|^2 by its parts: a fifth of the time of differences, and rounding is far below the slack. Not by `@`: BLAS lets its
     # threads spin for a while after a product, on the cores that the other chunk wants
     square = np.einsum("ni,mi->nm", points, -2.0 * origin)
     square += np.einsum("ni,ni->n", points, points)[:, None]
-    return square <= (bound.longest + slack) ** 2 - np.sum(origin * origin, axis=1)
+    return square <= (bound.longest + float(half.sum()) + SLACK) ** 2 - np.sum(origin * origin, axis=1)
 
 
 def _shoulders(chain: Chain, leading: np.ndarray) -> np.ndarray:
     """The frames (m, 4, 4) that the leading joints carry the arm's base to."""
-    k = leading.shape[1]
-    if not k:
-        return np.eye(4)[None]
-    frame: Frame = joint_frames(chain.part(0, k), list(leading.astype(np.float64).T)).joints[-1]
+    frame: Frame = joint_frames(chain.part(0, leading.shape[1]), list(leading.astype(np.float64).T)).joints[-1]
     return np.stack([np.broadcast_to(np.asarray(x, np.float64), len(leading)) for x in frame.entries], -1).reshape(-1, 4, 4)
 
 

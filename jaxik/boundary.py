@@ -71,7 +71,8 @@ def boundary_value(
         n, start = chain.num_joints, shaped("boundary value: q", q, (chain.num_joints,))
         end = horizon.dt * horizon.count
         time, first = _first(programs, world, horizon, start, end, nodes, guess)
-        basis = _null_space(programs.across(world, start), n - sum(horizon.task.bound))
+        free = np.linalg.svd(np.asarray(programs.across(world, start)).T)[0]  # first the motions that leave the tip in place
+        basis = free[:, : n - sum(horizon.task.bound)]
         found = solve_bvp(
             lambda t, y: _padded(lambda t, y: programs.rates(world, t, y), t, y),
             lambda a, b: np.asarray(programs.ends(world, a, b, start, basis)),
@@ -173,12 +174,6 @@ class _System:
     def across(self, q: Any, u: Any) -> Resolved:
         """The tip's error at the path's start, and N u as rate; a path starts at rest."""
         return self.horizon.resolve(self.chain, q, motion(self.path, self.duration, 0.0), u, gain=0.0)
-
-
-def _null_space(projected: Any, size: int) -> Any:
-    """A basis (n, size) of the motions that leave the tip where it is; `projected` (n, n) are those that come of unit ones."""
-    vectors, _, _ = np.linalg.svd(np.asarray(projected).T)
-    return vectors[:, :size]
 
 
 def _first(

@@ -99,8 +99,7 @@ def closed_form(chain: Chain, pose: Float[Array, "4 4"], slide: Float[Array, "..
     dtype = jnp.result_type(pose, given, jnp.float32)
     pose, given = pose.astype(dtype), given.astype(dtype)
     found = [each for half in half_branches(chain, pose, given) for each in wrist_branches(chain, half, dtype)]
-    head = [given[i] for i in range(leading)]
-    all_joints = [x for angles, _ in found for x in (*head, *angles)]
+    all_joints = [x for angles, _ in found for x in (*traced(given), *angles)]
     q, inside = into_limits(chain, stack(all_joints, (BRANCHES, chain.num_joints), dtype))
     valid = stack([margin for _, margin in found], (BRANCHES,), dtype) >= 0.0  # NaN is not
     return ClosedForm(q, valid, valid & inside)
@@ -300,7 +299,8 @@ def half_branches(chain: Chain, pose: Any, leading: Any, shoulders: Any = BOTH, 
     to_plane = Rot3(Vec3(0.0, 1.0, 0.0), vector([-g.cos_tilt, 0.0, g.sin_tilt]), vector([g.sin_tilt, 0.0, g.cos_tilt]))
     to_wrist = Rot3.of(constants(g.plane_R_wrist.T, eps))
     base_T_tip = Frame.of_entries(traced(pose))
-    target = (_leading_frame(chain, head, pose.dtype) @ Frame.of(g.base_T_shoulder, eps)).inverse() @ base_T_tip
+    base = joint_frames(chain.part(0, len(head)), head, BASE, pose.dtype).joints[-1] if head else BASE  # the arm's
+    target = (base @ Frame.of(g.base_T_shoulder, eps)).inverse() @ base_T_tip
     centre = target @ vector(g.tip_Q)
     third, across = target.rotation @ vector(g.axis_6), target.rotation @ vector(g.across_6)
     found = []
@@ -322,11 +322,6 @@ def wrist_branches(chain: Chain, half: HalfBranch, dtype: Any) -> list[tuple[tup
     """The two branches that begin so: their six angles, and their margin."""
     wrists = _wrist(chain, _geometry(chain), half.third, half.across, float(np.finfo(dtype).eps))
     return [((*half.angles, q4, q5, q6), minimum(half.margin, margin)) for q4, q5, q6, margin in wrists]
-
-
-def _leading_frame(chain: Chain, head: list[Scalar], dtype: Any) -> Frame:
-    """The frame that the leading joints carry the arm's base to."""
-    return joint_frames(chain.part(0, len(head)), head, BASE, dtype).joints[-1] if head else BASE
 
 
 def _shoulder(g: Geometry, centre: Vec3, signs: Any, eps: float) -> list[Any]:
@@ -423,7 +418,6 @@ def _wrist(chain: Chain, g: Geometry, third: Vec3, across: Vec3, eps: float) -> 
         found.append((atan2(sin4, cos4), q5, q6, minimum(margin, where(q6 == q6, 1.0, -1.0))))
     if right_angled:
         q4, q5, q6, margin = found[0]
-        found[0] = q4, q5, q6, margin
         flip = where(singular, 0.0, math.pi)
         found.append((wrapped(q4 + flip), wrapped(-angle - g.wrist_zero), wrapped(q6 + flip), margin))
     return found

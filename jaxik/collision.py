@@ -1,9 +1,8 @@
 """How far a robot is from the scene and from itself.
 
 The robot is a set of swept-sphere volumes (`spheres.Skeleton`), the scene a set of obstacles by kind; `distance` knows each
-pair. What is left here is the order of the work, which decides its speed: one loop over obstacles, a few unrolled at a time,
-that keeps the least distance of every volume of the whole batch (`least`). So nothing of size volumes x obstacles ever
-exists. Alone, on two cores, the loop makes 1e10 distances a second; a broadcast difference and a minimum over it make 1e9.
+pair. What is left here is the order of the work: one loop over obstacles that keeps the least distance of every volume of the
+whole batch (`least`), so that nothing of size volumes x obstacles ever exists.
 """
 
 from __future__ import annotations
@@ -20,7 +19,7 @@ from jax import lax
 from jaxtyping import Float
 
 from jaxik import distance
-from jaxik.algebra import Frame, Rot3, Vec3
+from jaxik.algebra import Frame, Rot3, Vec3, traced
 from jaxik.chain import Array, Chain, as_configuration
 from jaxik.choice import check_kind
 from jaxik.kinematics import joint_frames
@@ -85,7 +84,7 @@ def _distances(chain: Chain, scene: Scene | None, q: Any, groups: list[list[int]
     everything = [(part.distances(), part.link) for part in parts]
     found = []
     for links in groups:
-        least = [jnp.min(_rows(d, np.isin(link, links))) for d, link in everything if np.isin(link, links).any()]
+        least = [jnp.min(d[np.isin(link, links)]) for d, link in everything if np.isin(link, links).any()]
         found.append(reduce(jnp.minimum, least, jnp.asarray(jnp.inf, q.dtype)))
     return _seen(jnp.stack(found))
 
@@ -111,7 +110,7 @@ def _contacts(chain: Chain, scene: Scene | None, q: Any, groups: list[list[int]]
     below = np.concatenate([*(np.broadcast_to(part.other_joint, len(part.link)) for part in parts), [0]])
     other, own = jnp.asarray(below)[nearest], jnp.asarray([*np.array(chain.link_joint)[link], 0])[nearest]
     root = Frame.of(chain.world_T_base, float(np.finfo(q.dtype).eps))
-    frames = joint_frames(chain, [q[i] for i in range(chain.num_joints)], root, q.dtype)
+    frames = joint_frames(chain, traced(q), root, q.dtype)
     rows = []
     for j, (axis, frame, prismatic) in enumerate(zip(frames.axes, frames.joints, chain.is_prismatic, strict=True)):
         slope = axis.dot(force) if prismatic else axis.dot(moment - frame.translation.cross(force))
@@ -125,17 +124,6 @@ def _is_zero(tangent: Any) -> bool:
 
 def _materialised(tangent: Any) -> Any:
     return jnp.zeros(tangent.shape, tangent.dtype) if _is_zero(tangent) else tangent
-
-
-def _rows(values: Any, wanted: np.ndarray) -> Any:
-    """Those of a vector that are wanted: a slice where they are a run."""
-    rows, run = np.flatnonzero(wanted), _from_first_to_last(wanted)
-    return values[run] if run.stop - run.start == len(rows) else values[rows]
-
-
-def _from_first_to_last(wanted: np.ndarray) -> slice:
-    rows = np.flatnonzero(wanted)
-    return slice(int(rows[0]), int(rows[-1]) + 1)
 
 
 def _nearest_of_each(distances: Any, link: np.ndarray, groups: list[list[int]]) -> Any:
@@ -173,7 +161,7 @@ def object_clearances(chain: Chain, scene: Scene, q: Float[Array, " n"]) -> Floa
         if owners:
             obstacles, gap = _obstacles(kind, scene, q.dtype)
             for skeleton in volumes.values():
-                each = least(partial(_swapped, gap), _unroll(kind, skeleton), obstacles, _volumes(skeleton, q.dtype))
+                each = least(lambda a, b, gap=gap: gap(b, a), obstacles, _volumes(skeleton, q.dtype))
                 nearest = nearest.at[np.array(owners)].min(jnp.where(each > FAR / 2.0, jnp.inf, each))
     return nearest[:-1]
 
@@ -181,7 +169,7 @@ def object_clearances(chain: Chain, scene: Scene, q: Float[Array, " n"]) -> Floa
 def world_volumes(chain: Chain, q: Float[Array, " n"]) -> dict[int, Skeleton]:
     """The robot's swept-sphere volumes in the world, by corner count."""
     check_geometry(chain)
-    return skeletons(chain, [q[i] for i in range(chain.num_joints)], q.dtype)
+    return skeletons(chain, traced(q), q.dtype)
 
 
 def check_geometry(chain: Chain) -> None:
@@ -197,30 +185,26 @@ def check_geometry(chain: Chain) -> None:
 # The loop
 
 
-@partial(jax.custom_jvp, nondiff_argnums=(0, 1))
-def least(gap: Gap, unroll: int, volumes: Any, others: Any) -> Any:
+@partial(jax.custom_jvp, nondiff_argnums=(0,))
+def least(gap: Gap, volumes: Any, others: Any) -> Any:
     """`min_k gap(volumes, others[k])` for every volume; `gap` takes a pytree of (s,) arrays and one entry of `others`.
 
     The derivative is that of the nearest pair, taken on that pair alone [Danskin 1967]: it costs a second loop, which keeps
     the index, and nothing is stored for the way back. `gap` is a function of this module, not a closure.
     """
-    start = _nothing(gap, volumes, others)
-    if _count(others) <= unroll:
-        for k in range(_count(others)):
-            start = jnp.minimum(start, gap(volumes, _entry(others, k)))
-        return start
-    return lax.scan(lambda found, other: (jnp.minimum(found, gap(volumes, other)), None), start, others, unroll=unroll)[0]
+    closer = lambda found, other: (jnp.minimum(found, gap(volumes, other)), None)
+    return lax.scan(closer, _nothing(gap, volumes, others), others)[0]
 
 
 @least.defjvp
-def _least_jvp(gap: Gap, unroll: int, primals: Any, tangents: Any) -> Any:
+def _least_jvp(gap: Gap, primals: Any, tangents: Any) -> Any:
     volumes, others = primals
-    nearest = _nearest(gap, unroll, *lax.stop_gradient(primals))
+    nearest = _nearest(gap, *lax.stop_gradient(primals))
     picked = partial(_entry, k=nearest)
     return jax.jvp(gap, (volumes, picked(others)), (tangents[0], picked(tangents[1])))
 
 
-def _nearest(gap: Gap, unroll: int, volumes: Any, others: Any) -> Any:
+def _nearest(gap: Gap, volumes: Any, others: Any) -> Any:
     """The index of the nearest of `others` for every volume."""
 
     def step(found: Any, other: Any) -> Any:
@@ -231,7 +215,7 @@ def _nearest(gap: Gap, unroll: int, volumes: Any, others: Any) -> Any:
 
     smallest = _nothing(gap, volumes, others)
     start = smallest, jnp.zeros(smallest.shape, jnp.int32)
-    (_, index), _ = lax.scan(step, start, (jnp.arange(_count(others), dtype=jnp.int32), others), unroll=unroll)
+    (_, index), _ = lax.scan(step, start, (jnp.arange(_count(others), dtype=jnp.int32), others))
     return index
 
 
@@ -277,18 +261,6 @@ def _reach_gap(volumes: Any, other: Any) -> Any:
     return distance.between(volumes[0], other[0]) - other[1]
 
 
-def _swapped(gap: Gap, a: Any, b: Any) -> Any:
-    return gap(b, a)
-
-
-def _unroll(kind: str, skeleton: Skeleton) -> int:
-    """How many turns of the loop are written out: fewer, the longer one is."""
-    corners = len(skeleton.corners)
-    if kind in ("boxes", "cylinders"):
-        return 8 if corners == 1 else 1
-    return max(1, 8 // (corners * corners * (1 if kind in ("points", "spheres") else 2)))
-
-
 def _columns(a: Any, dtype: Any) -> Vec3:
     a = jnp.asarray(a, dtype)
     return Vec3(a[:, 0], a[:, 1], a[:, 2])
@@ -320,7 +292,6 @@ class _Part(NamedTuple):
     or one each."""
 
     gap: Gap
-    unroll: int
     volumes: Any
     others: Any
     link: np.ndarray
@@ -329,7 +300,7 @@ class _Part(NamedTuple):
 
     def distances(self, volumes: Any = None) -> Any:
         """The least distance of each volume."""
-        value = least(self.gap, self.unroll, self.volumes if volumes is None else volumes, self.others)
+        value = least(self.gap, self.volumes if volumes is None else volumes, self.others)
         return value if self.added is None else distance.root(value) - self.added
 
     def pulls(self) -> list[Any]:
@@ -355,59 +326,52 @@ def _to_scene(kind: str, volumes: dict[int, Skeleton], scene: Scene, dtype: Any)
     obstacles, gap = _obstacles(kind, scene, dtype)
     found = []
     for count, skeleton in volumes.items():
-        ours, unroll = _volumes(skeleton, dtype), _unroll(kind, skeleton)
+        ours = _volumes(skeleton, dtype)
         if kind == "points" and count == 1:  # one common radius: the nearest by squares, one root a sphere
             added = ours[1] + jnp.asarray(scene.points.radius, dtype)
-            found.append(_Part(_square_gap, unroll, ours, obstacles, skeleton.link, added=added))
+            found.append(_Part(_square_gap, ours, obstacles, skeleton.link, added=added))
         else:
-            found.append(_Part(gap, unroll, ours, obstacles, skeleton.link))
+            found.append(_Part(gap, ours, obstacles, skeleton.link))
     return found
 
 
 def _to_itself(chain: Chain, volumes: dict[int, Skeleton], dtype: Any) -> list[_Part]:
     """The volumes over `chain.self_pairs`, for each two kinds of volumes.
 
-    Spheres are many and their distance is short: a link's later partners run from the first to the last as a whole, and a
-    constant puts those between that do not count out of the way. Lines and triangles are few and their distance is long to
-    compile: all their pairs are one array.
+    Spheres are many and their distance is short: a loop over those of a link, against all of its later partners. Lines and
+    triangles are few and their distance is long to compile: all their pairs are one array.
     """
     found = []
     for count, ours in volumes.items():
         for other_count, theirs in volumes.items():
             if count == other_count == 1:
-                found += _runs(chain, ours, dtype)
+                found += _by_link(chain, ours, dtype)
                 continue
             meet = set(chain.self_pairs)
             pairs = [(j, i) for j, b in enumerate(theirs.link) for i, a in enumerate(ours.link) if (a, b) in meet]
             if pairs:
                 second, first = np.array(pairs).T
-                (mine, radius), (other, other_radius) = _volumes(ours, dtype), _volumes(theirs, dtype)
-                own = jax.tree_util.tree_map(lambda x, first=first: x[first][None], mine)
-                reach = (radius[first] + other_radius[second])[None]
-                moved_by = np.array([chain.link_joint[link] for link in ours.link])[first]
-                moving = jax.tree_util.tree_map(lambda x, second=second: x[second], other)
-                found.append(_Part(_reach_gap, 1, (moving, None), (own, reach), theirs.link[second], moved_by))
+                (mine, radius), (other, other_radius) = (
+                    _volumes(each.chosen(rows), dtype) for each, rows in ((ours, first), (theirs, second))
+                )
+                own = jax.tree_util.tree_map(lambda x: x[None], mine)
+                moved_by = np.array(chain.link_joint)[ours.link[first]]
+                others = own, (radius + other_radius)[None]
+                found.append(_Part(_reach_gap, (other, None), others, theirs.link[second], moved_by))
     return found
 
 
-def _runs(chain: Chain, spheres: Skeleton, dtype: Any) -> list[_Part]:
+def _by_link(chain: Chain, spheres: Skeleton, dtype: Any) -> list[_Part]:
     """Each link's spheres against those of its later partners."""
     found = []
     for link in sorted({pair[0] for pair in chain.self_pairs}):
-        partners = [b for a, b in chain.self_pairs if a == link]
-        mine, wanted = spheres.link == link, np.isin(spheres.link, partners)
-        if mine.any() and wanted.any():
-            rows, columns = _run(spheres, mine), _run(spheres, wanted)
-            (first, radius), (second, other_radius) = _volumes(rows, dtype), _volumes(columns, dtype)
-            reach = jnp.where(np.isin(columns.link, partners), radius[:, None] + other_radius, -FAR)
-            found.append(_Part(_reach_gap, 8, (second, None), (first, reach), columns.link, chain.link_joint[link]))
+        mine = np.flatnonzero(spheres.link == link)
+        theirs = np.flatnonzero(np.isin(spheres.link, [b for a, b in chain.self_pairs if a == link]))
+        if len(mine) and len(theirs):
+            (first, radius), (second, other_radius) = (_volumes(spheres.chosen(rows), dtype) for rows in (mine, theirs))
+            others = first, radius[:, None] + other_radius
+            found.append(_Part(_reach_gap, (second, None), others, spheres.link[theirs], chain.link_joint[link]))
     return found
-
-
-def _run(skeleton: Skeleton, wanted: np.ndarray) -> Skeleton:
-    """The volumes from the first to the last that is wanted: a slice, where a selection would be a gather."""
-    cut = _from_first_to_last(wanted)
-    return Skeleton(tuple(Vec3(*(x[cut] for x in c)) for c in skeleton.corners), skeleton.radius[cut], skeleton.link[cut])
 
 
 # --------------------------------------------------------------------------------------------------------------------

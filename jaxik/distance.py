@@ -15,6 +15,7 @@ they do and not how far. The sign is right throughout.
 from __future__ import annotations
 
 from collections.abc import Callable
+from functools import reduce
 from typing import Any
 
 import jax
@@ -100,13 +101,6 @@ def _nearest_on_lines(a: Vec3, b: Vec3, c: Vec3, d: Vec3) -> tuple[Any, Any]:
     return s, t
 
 
-def _least(values: list[Any]) -> Any:
-    least = values[0]
-    for value in values[1:]:
-        least = jnp.minimum(least, value)
-    return least
-
-
 def point_triangle(p: Vec3, a: Vec3, b: Vec3, c: Vec3) -> Any:
     """Point p to the triangle abc: its plane where p projects inside, else the nearest edge."""
     u, v, w = b - a, c - a, p - a
@@ -115,7 +109,7 @@ def point_triangle(p: Vec3, a: Vec3, b: Vec3, c: Vec3) -> Any:
     s, t = ratio(vv * wu - uv * wv, determinant), ratio(uu * wv - uv * wu, determinant)
     inside = (s >= 0.0) & (t >= 0.0) & (s + t <= 1.0) & (determinant > 0.0)
     plane = norm(w - u * _held(s) - v * _held(t))
-    edges = _least([point_line(p, a, b), point_line(p, b, c), point_line(p, c, a)])
+    edges = reduce(jnp.minimum, [point_line(p, o, e) for o, e in ((a, b), (b, c), (c, a))])
     return jnp.where(inside, plane, edges)
 
 
@@ -126,24 +120,17 @@ def line_triangle(p: Vec3, q: Vec3, a: Vec3, b: Vec3, c: Vec3) -> Any:
     crosses = before * after <= 0.0
     t = ratio(before, before - after)
     x = p + (q - p) * t
-    sides = [normal.dot((e - o).cross(x - o)) for o, e in ((a, b), (b, c), (c, a))]
+    edges = (a, b), (b, c), (c, a)
+    sides = [normal.dot((e - o).cross(x - o)) for o, e in edges]
     through = crosses & (sides[0] >= 0.0) & (sides[1] >= 0.0) & (sides[2] >= 0.0) & (before != after)
-    apart = _least(
-        [
-            point_triangle(p, a, b, c),
-            point_triangle(q, a, b, c),
-            line_line(p, q, a, b),
-            line_line(p, q, b, c),
-            line_line(p, q, c, a),
-        ]
-    )
-    return jnp.where(through, 0.0, apart)
+    apart = [point_triangle(p, a, b, c), point_triangle(q, a, b, c), *(line_line(p, q, o, e) for o, e in edges)]
+    return jnp.where(through, 0.0, reduce(jnp.minimum, apart))
 
 
 def triangle_triangle(a: Vec3, b: Vec3, c: Vec3, d: Vec3, e: Vec3, f: Vec3) -> Any:
     """Triangle abc to triangle def; 0 where they cross."""
     first = [line_triangle(p, q, d, e, f) for p, q in ((a, b), (b, c), (c, a))]
-    return _least([*first, *(line_triangle(p, q, a, b, c) for p, q in ((d, e), (e, f), (f, d)))])
+    return reduce(jnp.minimum, [*first, *(line_triangle(p, q, a, b, c) for p, q in ((d, e), (e, f), (f, d)))])
 
 
 def between(s: tuple[Vec3, ...], t: tuple[Vec3, ...]) -> Any:

@@ -9,11 +9,10 @@ import jax.numpy as jnp
 from jax import lax
 from jaxtyping import Float
 
-from jaxik.algebra import Frame
+from jaxik.baselines import residual
 from jaxik.chain import Array, Chain, as_configuration, as_shaped
 from jaxik.collision import link_clearances
 from jaxik.costs import Cost
-from jaxik.kinematics import joint_frames
 from jaxik.optimise.implicit import Implicit, Program, implicit
 from jaxik.scene import Scene
 from jaxik.spmd import kernel
@@ -42,7 +41,7 @@ def implicit_ik(
     q = as_configuration(chain, q)
     as_shaped("target", target, (4, 4))
     as_shaped("margin", margin, ())
-    n, dtype = chain.num_joints, q.dtype
+    dtype = q.dtype
 
     # what is traced may be differentiated; the rest stays concrete and folds, which spares half the compile time
     leaves, tree = jax.tree_util.tree_flatten((chain, target, scene, lax.stop_gradient(q)))
@@ -52,21 +51,12 @@ def implicit_ik(
         given = dict(zip(traced, t, strict=True))
         return jax.tree_util.tree_unflatten(tree, [given.get(i, leaf) for i, leaf in enumerate(leaves)])
 
-    @kernel
-    def equality(x: Any, t: Any) -> Any:
-        its_chain, its_target, *_ = whole(t)
-        frames = joint_frames(its_chain, [x[i] for i in range(n)], dtype=dtype)
-        wanted = jnp.asarray(its_target, dtype)
-        position, rotation = task.residual(frames.tip, Frame.of_entries([wanted[i, j] for i in range(4) for j in range(4)]))
-        return jnp.stack([*position, *rotation])
+    equality = kernel(lambda x, t: residual(whole(t)[0], whole(t)[1], task)(x))
+    least = kernel(lambda x, t: 0.5 * jnp.sum((x - whole(t)[3]) ** 2) if cost is None else cost(x))
 
     def inequality(x: Any, t: Any) -> Any:
         its_chain, _, its_scene, _ = whole(t)
         return jnp.zeros(0, dtype) if scene is None else link_clearances(its_chain, its_scene, x) - margin  # a kernel
-
-    @kernel
-    def least(x: Any, t: Any) -> Any:
-        return 0.5 * jnp.sum((x - whole(t)[3]) ** 2) if cost is None else cost(x)
 
     exact = scene is None or _curved_rightly(chain, scene)
     bounds = (jnp.asarray(b, dtype) for b in (chain.lower, chain.upper))

@@ -34,10 +34,11 @@ from jaxik.algebra import (
     Vec3,
     atan2,
     constants,
-    mul,
+    ratio,
     safe_sqrt,
     sincos,
     stack,
+    traced,
 )
 from jaxik.chain import Array, Chain, as_configuration
 from jaxik.spmd import kernel
@@ -73,7 +74,7 @@ def joint_frames(chain: Chain, q: Sequence[Scalar], root: Frame = BASE, dtype: A
 
 def _frames(chain: Chain, q: Any) -> tuple[JointFrames, Any]:
     q = as_configuration(chain, q)
-    return joint_frames(chain, [q[i] for i in range(chain.num_joints)], dtype=q.dtype), q.dtype
+    return joint_frames(chain, traced(q), dtype=q.dtype), q.dtype
 
 
 @kernel(models=1)
@@ -158,17 +159,13 @@ def manipulability(chain: Chain, q: Float[Array, " n"]) -> Float[Array, ""]:
     product of the Jacobian's singular values.
     """
     frames, dtype = _frames(chain, q)
-    columns = jacobian_columns(chain, frames)
-    vectors = list(zip(*columns, strict=True)) if len(columns) >= 6 else columns
-    gram = [[sum((mul(x, y) for x, y in zip(a, b, strict=True)), start=0.0) for b in vectors] for a in vectors]
-    return safe_sqrt(jnp.asarray(_determinant(gram), dtype))
+    columns = jnp.asarray(jacobian_columns(chain, frames), dtype).reshape(-1, 6)
+    return safe_sqrt(_determinant(columns.T @ columns if len(columns) >= 6 else columns @ columns.T))
 
 
-def _determinant(matrix: list[list[Scalar]]) -> Scalar:
-    """Of a positive semidefinite matrix of scalars, by elimination without pivoting; a pivot at 0 makes it 0."""
-    if not matrix:
-        return 1.0
-    pivot = jnp.maximum(matrix[0][0], 0.0)
-    inverse = jnp.where(pivot > 0.0, 1.0 / jnp.where(pivot > 0.0, pivot, 1.0), 0.0)
-    rest = [[x - row[0] * inverse * top for x, top in zip(row[1:], matrix[0][1:], strict=True)] for row in matrix[1:]]
-    return pivot * _determinant(rest)
+def _determinant(matrix: Any) -> Any:
+    """Of a small positive semidefinite matrix, by elimination without pivoting; a pivot at 0 makes it 0."""
+    if not len(matrix):
+        return jnp.ones((), matrix.dtype)
+    pivot, below = jnp.maximum(matrix[0, 0], 0.0), matrix[1:, 0]
+    return pivot * _determinant(matrix[1:, 1:] - jnp.outer(below, ratio(below, pivot)))

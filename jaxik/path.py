@@ -18,7 +18,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float
 
-from jaxik.algebra import Rot3
+from jaxik.algebra import Rot3, traced
 from jaxik.chain import Array, as_numbers
 from jaxik.choice import shown
 from jaxik.given import RIGID, direction, is_known, is_rigid, numbers, rigid_frame
@@ -212,7 +212,7 @@ def _vector(skew: Any) -> Any:
 
 def rotation_log(rotation: Any) -> Any:
     """The rotation vector (3,) of a rotation (3, 3) [rad]."""
-    return jnp.stack([jnp.asarray(x) for x in rotation_vector(Rot3.of([rotation[i, j] for i in range(3) for j in range(3)]))])
+    return jnp.stack([jnp.asarray(x) for x in rotation_vector(Rot3.of(traced(rotation)))])
 
 
 def rotation_exp(vector: Any) -> Any:

@@ -37,7 +37,7 @@ from jaxik.redundancy import FLOOR, Resolved, loop_gain, resolve_velocity, settl
 from jaxik.spmd import kernel
 from jaxik.task import POSE, Task
 
-LANES = 64  # scenarios a call, so that their roll-outs stay in the caches
+LANES = 64  # scenarios a call where there are more: another number compiles nothing
 DESCEND = descent.Descent()
 Level = Literal["velocity", "acceleration"]
 Start = Literal["given", "free"]
@@ -256,7 +256,7 @@ def predict(
 
 
 def _in_blocks(program: Callable[..., Prediction], axes: tuple[int | None, ...], args: tuple[Any, ...]) -> Prediction:
-    """Many scenarios go through a CPU's caches and cores block by block, where the roll-outs are one kernel still."""
+    """Many scenarios go block by block, on a CPU."""
     rows, tree = jax.tree_util.tree_flatten(tuple(a for a, axis in zip(args, axes, strict=True) if axis == 0))
     traced = any(isinstance(x, jax.core.Tracer) for x in jax.tree_util.tree_leaves(args))
     if traced or len(rows[0]) <= LANES or jax.default_backend() != "cpu":

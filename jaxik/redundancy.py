@@ -19,7 +19,6 @@ and `damping` says how much was added. Where it is 0 the null space is exact.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from typing import Any, NamedTuple
 
 import jax
@@ -27,13 +26,13 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float
 
-from jaxik.algebra import Frame, Scalar, add, mul, stack, sub
+from jaxik.algebra import Frame, traced
 from jaxik.chain import Array, Chain, as_configuration, as_shaped
 from jaxik.choice import shown
 from jaxik.costs import Cost
 from jaxik.given import is_known
 from jaxik.kinematics import bias_acceleration, jacobian_columns, joint_frames
-from jaxik.optimise.linear import damped_solve, dot
+from jaxik.optimise.linear import damped_solve
 from jaxik.path import Motion
 from jaxik.task import POSE, Task
 
@@ -87,9 +86,7 @@ def resolve_velocity(
     q = as_configuration(chain, q)
     at = _At(chain, q, motion, task)
     as_shaped("gain", gain, ())
-    asked = at.components("velocity", motion.velocity)
-    wanted = [sub(v, mul(gain, e)) for v, e in zip(asked, at.error, strict=True)]
-    return at.resolved(wanted, u, weights, floor, box)
+    return at.resolved(at.components("velocity", motion.velocity) - gain * at.error, u, weights, floor, box)
 
 
 def resolve_acceleration(
@@ -112,13 +109,9 @@ def resolve_acceleration(
     q = as_configuration(chain, q)
     at = _At(chain, q, motion, task)
     qdot = as_shaped("qdot", qdot, q.shape).astype(q.dtype)
-    rates = [qdot[i] for i in range(chain.num_joints)]
     bias = at.components("bias", bias_acceleration(chain, q, qdot))
-    asked, now = at.components("acceleration", motion.acceleration), at.components("velocity", motion.velocity)
-    wanted = []
-    for a, v, row, e, b in zip(asked, now, at.rows, at.error, bias, strict=True):
-        slow = sub(v, dot(row, rates))
-        wanted.append(sub(add(a, mul(gains[1], slow)), add(mul(gains[0], e), b)))
+    slow = at.components("velocity", motion.velocity) - at.rows @ qdot
+    wanted = at.components("acceleration", motion.acceleration) + gains[1] * slow - gains[0] * at.error - bias
     return at.resolved(wanted, u, weights, floor, box)
 
 
@@ -173,51 +166,43 @@ def _weights(chain: Chain, weights: Any) -> jax.Array:
 
 
 class _At:
-    """A configuration on scalars: the task's rows of the Jacobian and its error."""
+    """A configuration: the task's rows of the Jacobian (m, n) and its error (m,)."""
 
     def __init__(self, chain: Chain, q: Any, motion: Motion, task: Task):
-        self.chain, self.task, self.dtype, self.n = chain, task, q.dtype, chain.num_joints
-        pose = as_shaped("pose", motion.pose, (4, 4)).astype(q.dtype)
-        self.target = Frame.of_entries([pose[i, j] for i in range(4) for j in range(4)])
-        frames = joint_frames(chain, [q[i] for i in range(self.n)], dtype=q.dtype)
-        self.rows = task.rows(jacobian_columns(chain, frames), self.target)
+        self.chain, self.task, self.dtype = chain, task, q.dtype
+        self.target = Frame.of_entries(traced(as_shaped("pose", motion.pose, (4, 4)).astype(q.dtype)))
+        frames = joint_frames(chain, traced(q), dtype=q.dtype)
+        self.rows = jnp.asarray(task.rows(jacobian_columns(chain, frames), self.target), q.dtype)
         position, rotation = task.residual(frames.tip, self.target)
-        self.error = position + rotation
+        self.error = jnp.asarray(position + rotation, q.dtype)
 
-    def components(self, what: str, twist: Any) -> list[Scalar]:
-        """Of a twist (6,) in base axes those that the task binds."""
+    def components(self, what: str, twist: Any) -> Any:
+        """Of a twist (6,) in base axes those that the task binds (m,)."""
         twist = as_shaped(what, twist, (6,)).astype(self.dtype)
-        return [row[0] for row in self.task.rows([tuple(twist[i] for i in range(6))], self.target)]
+        return jnp.asarray(self.task.rows([tuple(twist)], self.target))[:, 0]
 
-    def resolved(self, wanted: Sequence[Scalar], u: Any, weights: Any, floor: float, box: Box | None) -> Resolved:
+    def resolved(self, wanted: Any, u: Any, weights: Any, floor: float, box: Box | None) -> Resolved:
         """`u + W^-1 J' A^-1 (wanted - J u)`; inside a box, with those joints held at their bounds that would leave it.
 
         A held joint has no inverse weight, and its u is the bound. The others take over what it cannot do, as long as they can
         (saturation in the null space [Flacco, De Luca, Khatib 2012], all that leave at once).
         """
-        n, m = self.n, len(self.rows)
-        u = as_shaped("u", u, (n,)).astype(self.dtype)
-        if weights is not None:
-            _weights(self.chain, weights)
-        inverse: list[Scalar] = [1.0] * n if weights is None else [1.0 / weights[i] for i in range(n)]
-        free = [u[i] for i in range(n)]
+        n, wanted = self.chain.num_joints, wanted.astype(self.dtype)
+        free = as_shaped("u", u, (n,)).astype(self.dtype)
+        inverse = jnp.ones(n, self.dtype) if weights is None else 1.0 / _weights(self.chain, weights).astype(self.dtype)
         if box is None:
             rate, damping = self._solved(wanted, free, inverse, floor)
         else:
-            low, high = ([jnp.asarray(b, self.dtype)[i] for i in range(n)] for b in box)
+            low, high = (jnp.asarray(b, self.dtype) for b in box)
             for _ in range(_PASSES):
                 rate, damping = self._solved(wanted, free, inverse, floor)
-                inside = [jnp.clip(x, a, b) for x, a, b in zip(rate, low, high, strict=True)]
-                leaves = [x != y for x, y in zip(rate, inside, strict=True)]
-                free = [jnp.where(out, y, x) for out, x, y in zip(leaves, free, inside, strict=True)]
-                inverse = [jnp.where(out, 0.0, w) for out, w in zip(leaves, inverse, strict=True)]
+                inside = jnp.clip(rate, low, high)
+                leaves = rate != inside
+                free, inverse = jnp.where(leaves, inside, free), jnp.where(leaves, 0.0, inverse)
             rate = inside
-        return Resolved(stack(rate, (n,), self.dtype), stack(self.error, (m,), self.dtype), jnp.asarray(damping, self.dtype))
+        return Resolved(rate, self.error, damping)
 
-    def _solved(self, wanted: Sequence[Scalar], free: Any, inverse: Any, floor: float) -> tuple[list[Scalar], Any]:
-        m, rows = len(self.rows), self.rows
-        scaled = [[mul(w, x) for w, x in zip(inverse, row, strict=True)] for row in rows]
-        gram = [[dot(scaled[i], rows[j]) for j in range(i + 1)] for i in range(m)]
-        short = [sub(w, dot(row, free)) for w, row in zip(wanted, rows, strict=True)]
-        y, damping = damped_solve(gram, short, floor)
-        return [add(free[i], dot([row[i] for row in scaled], y)) for i in range(self.n)], damping
+    def _solved(self, wanted: Any, free: Any, inverse: Any, floor: float) -> tuple[Any, Any]:
+        scaled = self.rows * inverse
+        y, damping = damped_solve(scaled @ self.rows.T, wanted - self.rows @ free, floor)
+        return free + jnp.stack(y) @ scaled, damping

@@ -122,30 +122,23 @@ class Scan(NamedTuple):
 # Compiled once a chain
 
 
-@functools.lru_cache(maxsize=16)
-def _measures(chain: Chain) -> HostKernel:
+@functools.lru_cache(maxsize=64)
+def measures(chain: Chain) -> HostKernel:
+    """A batch of clearances [m] and freedoms: (q, scene)."""
     return HostKernel(lambda q, scene: (clearance(chain, scene, q), joint_freedom(chain, q)), 1)
 
 
 @functools.lru_cache(maxsize=16)
 def _contacts(chain: Chain) -> HostKernel:
-    def contacts(q: Any, scene: Scene) -> Any:
-        return object_clearances(chain, scene, q), self_clearance(chain, q)
-
-    return HostKernel(contacts, 1)
+    return HostKernel(lambda q, scene: (object_clearances(chain, scene, q), self_clearance(chain, q)), 1)
 
 
 @functools.lru_cache(maxsize=16)
 def _ascent(chain: Chain) -> HostKernel:
     """What recovery raises (`_worth`), its gradient in q, and the Jacobian."""
 
-    def worth(q: Any, scene: Scene) -> Any:
-        return _worth(chain, clearance(chain, scene, q), q)
-
-    def each(q: Any, scene: Scene) -> Any:
-        return *jax.value_and_grad(worth)(q, scene), jacobian(chain, q)
-
-    return HostKernel(each, 1)
+    worth = jax.value_and_grad(lambda q, scene: _worth(chain, clearance(chain, scene, q), q))
+    return HostKernel(lambda q, scene: (*worth(q, scene), jacobian(chain, q)), 1)
 
 
 def _worth(chain: Chain, distance: Any, q: Any) -> Any:
@@ -264,7 +257,7 @@ def _others(scene: Scene, fruit: Fruit) -> Scene:
 def _measured(chain: Chain, scene: Scene, fruit: Fruit, q: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     if not len(q):
         return np.zeros(0), np.zeros(0)
-    distance, freedom = in_blocks(_measures(chain), q, fixed=(_others(scene, fruit),))
+    distance, freedom = in_blocks(measures(chain), q, fixed=(_others(scene, fruit),))
     return distance, freedom
 
 
@@ -390,9 +383,7 @@ def _climb(
         q, valid, _ = in_blocks(closed_forms(chain), poses.astype(np.float32), u[:, 1:].astype(np.float32))
         return q[rows, branch], valid[rows, branch]
 
-    def measure(q: np.ndarray) -> list[np.ndarray]:
-        return in_blocks(_ascent(chain), q, fixed=(others,))
-
+    measure = lambda q: in_blocks(_ascent(chain), q, fixed=(others,))
     u, stride = starts[:, :-1].copy(), np.full(len(starts), 0.1)
     q, _ = solve(u)
     worth, slope, jacobians = measure(q)

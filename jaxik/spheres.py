@@ -16,7 +16,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float
 
-from jaxik.algebra import BASE, Frame, Scalar, Vec3
+from jaxik.algebra import BASE, Frame, Scalar, Vec3, traced
 from jaxik.chain import Array, Box, Chain, Volume, as_configuration, finite_limits
 from jaxik.choice import as_count
 from jaxik.kinematics import joint_frames
@@ -45,15 +45,14 @@ class Skeleton(NamedTuple):
     radius: Any
     link: np.ndarray
 
-
-class _Local(NamedTuple):
-    corners: np.ndarray | jax.Array  # (k, c, 3) in the joint's frame
-    radius: np.ndarray | jax.Array
-    link: np.ndarray
+    def chosen(self, rows: np.ndarray) -> Skeleton:
+        """Some of them."""
+        return Skeleton(tuple(Vec3(*(x[rows] for x in c)) for c in self.corners), self.radius[rows], self.link[rows])
 
 
-def _local_volumes(chain: Chain, count: int) -> _Local | None:
-    """The chain's volumes with `count` corners, ordered by link; spheres of boxes among those with one."""
+def _local_volumes(chain: Chain, count: int) -> tuple[Any, Any, np.ndarray] | None:
+    """The chain's volumes with `count` corners, ordered by link; spheres of boxes among those with one: corners (k, c, 3) in
+    their joints' frames, radii (k,) and links (k,)."""
     parts = [(v.link, v.corners[None], v.radius) for v in chain.volumes if v.corners.shape[0] == count]
     if count == 1:
         for box in chain.boxes:
@@ -62,14 +61,11 @@ def _local_volumes(chain: Chain, count: int) -> _Local | None:
     if not parts:
         return None
     parts.sort(key=lambda part: part[0])
-    traced = any(isinstance(x, jax.Array) for part in parts for x in part[1:])
-    xp = jnp if traced else np
-    sizes = [part[1].shape[0] for part in parts]
-    return _Local(
-        xp.concatenate([part[1] for part in parts]),
-        xp.concatenate([xp.full(n, part[2]) for n, part in zip(sizes, parts, strict=True)]),
-        np.repeat([part[0] for part in parts], sizes),
-    )
+    links, corners, radii = zip(*parts, strict=True)
+    xp = jnp if any(isinstance(x, jax.Array) for x in (*corners, *radii)) else np
+    sizes = [len(each) for each in corners]
+    each = xp.concatenate([xp.full(n, r) for n, r in zip(sizes, radii, strict=True)])
+    return xp.concatenate(corners), each, np.repeat(links, sizes)
 
 
 def skeletons(chain: Chain, q: Any, dtype: Any, root: Frame | None = None) -> dict[int, Skeleton]:
@@ -85,9 +81,9 @@ def skeletons(chain: Chain, q: Any, dtype: Any, root: Frame | None = None) -> di
         local = _local_volumes(chain, count)
         if local is None:
             continue
-        corners = tuple(_carried(chain, moved, local.corners[:, c], local.link, dtype) for c in range(count))
-        radius = local.radius if isinstance(local.radius, jax.Array) else np.asarray(local.radius, dtype)
-        found[count] = Skeleton(corners, radius, local.link)
+        points, radius, link = local
+        corners = tuple(_carried(chain, moved, points[:, c], link, dtype) for c in range(count))
+        found[count] = Skeleton(corners, radius if isinstance(radius, jax.Array) else np.asarray(radius, dtype), link)
     return found
 
 
@@ -105,16 +101,15 @@ def _carried(chain: Chain, frames: tuple[Frame, ...], points: Any, link: np.ndar
 
 
 def _joined(pieces: list[Scalar], sizes: np.ndarray) -> Any:
-    if not any(isinstance(p, jax.Array) for p in pieces):
-        lead = np.broadcast_shapes(*(np.shape(p)[:-1] for p in pieces))
-        return np.concatenate([np.broadcast_to(p, (*lead, n)) for p, n in zip(pieces, sizes, strict=True)], axis=-1)
-    return jnp.concatenate([jnp.broadcast_to(p, (n,)) for p, n in zip(pieces, sizes, strict=True)])
+    xp = jnp if any(isinstance(p, jax.Array) for p in pieces) else np
+    lead = np.broadcast_shapes(*(np.shape(p)[:-1] for p in pieces))
+    return xp.concatenate([xp.broadcast_to(p, (*lead, n)) for p, n in zip(pieces, sizes, strict=True)], axis=-1)
 
 
 def link_spheres(chain: Chain, q: Float[Array, " n"]) -> tuple[Float[Array, "s 3"], Float[Array, " s"]]:
     """Centres in the world [m] and radii [m] of the chain's spheres at `q` (n,); lines and triangles are not among them."""
     q = as_configuration(chain, q)
-    found = skeletons(chain, [q[i] for i in range(chain.num_joints)], q.dtype).get(1)
+    found = skeletons(chain, traced(q), q.dtype).get(1)
     if found is None:
         return jnp.zeros((0, 3), q.dtype), jnp.zeros(0, q.dtype)
     return jnp.stack([jnp.asarray(c, q.dtype) for c in found.corners[0]], axis=-1), jnp.asarray(found.radius, q.dtype)
@@ -132,7 +127,7 @@ def link_circles(chain: Chain, q: Float[Array, " n"], circles: int = 11, around:
     circles, around = as_count("link_circles: circles", circles), as_count("link_circles: around", around)
     q = as_configuration(chain, q)
     root = Frame.of(chain.world_T_base, float(np.finfo(q.dtype).eps))
-    frames = (root, *joint_frames(chain, [q[i] for i in range(chain.num_joints)], root, q.dtype).joints)
+    frames = (root, *joint_frames(chain, traced(q), root, q.dtype).joints)
     links = np.repeat([v.link for v in lines], circles * around)
     points = _carried(chain, frames, np.concatenate([_circles(v, circles, around) for v in lines]), links, q.dtype)
     return jnp.stack([jnp.asarray(x, q.dtype) for x in points], axis=-1)
@@ -168,7 +163,7 @@ def self_collision_pairs(
     q = rng.uniform(*finite_limits(chain), (samples, chain.num_joints))
     columns = [q[:, i, None] for i in range(chain.num_joints)]
     centres, radii, owner = [], [], []
-    for count, skeleton in skeletons(chain, columns, np.float64, Frame(*BASE)).items():
+    for count, skeleton in skeletons(chain, columns, np.float64, BASE).items():
         for weights in _samples(count):
             corner = [sum(w * c[i] for w, c in zip(weights, skeleton.corners, strict=True)) for i in range(3)]
             width = len(skeleton.link)

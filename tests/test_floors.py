@@ -16,12 +16,12 @@ FLOORS = [
     {"scene", "kinematics", "reach", "mapping", "path"},
     {"spheres", "distance"},
     {"collision", "costs", "closed_form"},
-    {"load"},  # above the spheres: a loaded chain knows which of its links may touch
+    {"load", "baselines"},  # above the spheres: a loaded chain knows which of its links may touch
     {"lanes", "seeds", "implicit", "crop", "leading", "redundancy", "judge"},
     {"scan", "between", "ik_options", "predictive", "follow"},
     {"ik_job", "score", "moving_horizon", "boundary"},
     {"multistart"},
-    {"ik", "baselines"},
+    {"ik"},
     {"harvest", "sweep"},
     {"plot"},
     {"plot_sweep"},

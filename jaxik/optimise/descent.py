@@ -158,30 +158,12 @@ def advance(objective: Objective, state: State, options: Descent) -> State:
 
 def glance(objective: Objective, state: State, options: Descent) -> State:
     """One iteration that evaluates the objective where it begins and not where it ends: the cost is then what the line search
-    expects, and `aux` that of the beginning. For where the objective is another one each time.
-
-    With a polynomial search all evaluations are turns of one loop, and compile once.
-    """
-    if options.search != "polynomial":
-        cost, aux = objective.value(state.w)
-        state = state._replace(cost=cost, aux=aux)
-        heading = _heading(objective, state, options)
-        alpha, interval, expected, _ = _search(objective, state, heading, options)
-        return _accepted(state, heading, alpha, interval, expected, aux, options)
-    lengths = jnp.append(_three(state.interval), 0.0)
-
-    def turn(k: Any, now: Any) -> Any:
-        z, costs, aux, heading = now
-        cost, there = objective.value(z)
-        first = lambda: (there, _heading(objective, state._replace(cost=cost, aux=there), options))
-        aux, heading = lax.cond(k == 0, first, lambda: (aux, heading))
-        return state.w + lengths[k] * heading.s, costs.at[k].set(cost), aux, heading
-
-    none, zero = jnp.zeros_like(state.w), jnp.zeros((), state.w.dtype)
-    start = state.w, jnp.zeros(4, state.w.dtype), state.aux, _Heading(none, none, zero, zero, state.memory)
-    _, costs, aux, heading = lax.fori_loop(0, 4, turn, start)
-    state = state._replace(cost=costs[0], aux=aux)
-    return _accepted(state, heading, *_parabola(costs[1:], costs[0], state.interval), aux, options)
+    expects, and `aux` that of the beginning. For where the objective is another one each time."""
+    cost, aux = objective.value(state.w)
+    state = state._replace(cost=cost, aux=aux)
+    heading = _heading(objective, state, options)
+    alpha, interval, expected, _ = _search(objective, state, heading, options)
+    return _accepted(state, heading, alpha, interval, expected, aux, options)
 
 
 def _accepted(state: State, heading: _Heading, alpha: Any, interval: Any, cost: Any, aux: Any, options: Descent) -> State:

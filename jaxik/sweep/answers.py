@@ -17,13 +17,13 @@ from jaxik.batch import in_blocks
 from jaxik.between import between, within_reach
 from jaxik.chain import Chain, finite_limits
 from jaxik.closed_form import closed_branches, closed_forms
-from jaxik.collision import clearance
 from jaxik.costs import joint_freedom
 from jaxik.ik import IKResult, as_poses, solve_ik
 from jaxik.kinematics import manipulability, pose_errors
 from jaxik.leading import NOTHING, arm_of, freest, grid, leading_grid
 from jaxik.reach import reach
 from jaxik.result import Reason
+from jaxik.scan import measures
 from jaxik.scene import Scene, make_scene
 from jaxik.spmd import HostKernel
 from jaxik.sweep.study import Study, Variant
@@ -124,8 +124,7 @@ class _Surroundings(NamedTuple):
         """Clearance [m] and freedom of postures (P, n) of the targets `owner` (P,), in float32."""
         distance, freedom = np.zeros(len(q), np.float32), np.zeros(len(q), np.float32)
         for scene, rows in self.groups(owner):
-            values = in_blocks(_clear(arm_of(chain)), q[rows].astype(np.float32), fixed=(scene,), double=False)
-            distance[rows], freedom[rows] = values
+            distance[rows], freedom[rows] = in_blocks(measures(arm_of(chain)), q[rows], fixed=(scene,), double=False)
         return distance, freedom
 
 
@@ -212,12 +211,8 @@ def _between(study: Study, chain: Chain, poses: np.ndarray, around: _Surrounding
     found = between(chain, poses, study.slides, study.refine)
     best = _Best.nothing(len(poses), found.leading.shape[1])
     rows = np.flatnonzero(found.branch >= 0)
-    best.leading[rows], best.branch[rows], best.reason[rows], best.solutions[rows] = (
-        found.leading[rows],
-        found.branch[rows],
-        Reason.SOLVED,
-        1,
-    )
+    best.leading[rows], best.branch[rows] = found.leading[rows], found.branch[rows]
+    best.reason[rows], best.solutions[rows] = Reason.SOLVED, 1
     if around is not None and len(rows):
         q, _ = _exact(chain, poses[rows], found.leading[rows], found.branch[rows])
         best.clearance[rows], _ = around.measured(chain, q, rows)
@@ -343,11 +338,6 @@ def _first(owner: np.ndarray, cost: np.ndarray, count: int) -> np.ndarray:
     starts = np.flatnonzero(np.diff(owner[order], prepend=-1))
     rank = np.arange(len(order)) - np.repeat(starts, np.diff(np.append(starts, len(order))))
     return order[rank < count]
-
-
-@functools.lru_cache(maxsize=64)
-def _clear(chain: Chain) -> HostKernel:
-    return HostKernel(lambda q, scene: (clearance(chain, scene, q), joint_freedom(chain, q)), 1)
 
 
 # --------------------------------------------------------------------------------------------------------------------
