@@ -128,6 +128,14 @@ def search(job: Job, poses: np.ndarray, valid: np.ndarray) -> Outcome:
             freed = _pushed(job, poses, blocked[0], wave.pushes)
             answers.append(freed)
             reason[freed.target] = SOLVED
+    missed = nothing
+    if OPEN in reason:
+        missed = misses.nearest(job, poses, reason)
+        landed, collides = _within(missed, job.tolerance), _collides(job, missed)
+        answers.append(missed.rows(landed & ~collides))  # late, but it has the pose
+        blocked.append(missed.rows(landed & collides))
+        reason[answers[-1].target] = SOLVED
+        missed = missed.rows(~landed)
     found = _at_home(job, Found.joined(answers))
     if job.options.cost is not None:
         found = _improved(job, poses, found)
@@ -137,7 +145,7 @@ def search(job: Job, poses: np.ndarray, valid: np.ndarray) -> Outcome:
     stuck = stuck.rows(reason[stuck.target] == OPEN)
     reason[stuck.target] = Reason.COLLISION
     reason = _beyond_limits(job, poses, reason)
-    return Outcome(reason, found, _at_home(job, stuck), _at_home(job, misses.nearest(job, poses, reason)))
+    return Outcome(reason, found, _at_home(job, stuck), _at_home(job, missed))
 
 
 def _out_of_reach(job: Job, poses: np.ndarray) -> np.ndarray:
@@ -158,11 +166,12 @@ def _waves(most: int, first_will_do: bool, scene: bool) -> tuple[Wave, ...]:
     else:
         sizes, rescue, push = [16, 48], 3, 2
     ends = sorted({min(end, most) for end in itertools.accumulate(sizes + [64] * (most // 64 + 1))})
+    early = 0 if scene else min(16, most // 8)  # a lane is given up early where many more seeds follow
     return tuple(
         Wave(
             first,
             last,
-            EARLY if not scene and last <= 16 else STEPS,
+            EARLY if last <= early else STEPS,
             number == min(rescue, len(ends)) or last == most,
             0 if not scene else PUSHED[1] if last == most else PUSHED[0] if number == push else 0,
         )
@@ -214,7 +223,7 @@ def _starts(job: Job, poses: np.ndarray, some: np.ndarray, first: int, last: int
     if job.strategy == "library":
         return seeds.library(job.chain, job.options.task, job.inside, job.unit, job.seed, first, last, poses[some])
     if job.strategy == "low_discrepancy":
-        each = seeds.low_discrepancy(job.inside, job.seed, job.options.max_seeds)[first:last]
+        each = seeds.low_discrepancy(job.inside, job.seed, max(job.options.max_seeds, last))[first:last]
     else:
         each = seeds.uniforms(job.inside, job.seed, first, last)
     return np.broadcast_to(each, (len(some), *each.shape))

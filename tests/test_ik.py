@@ -262,6 +262,26 @@ def test_locked_joints_stay(panda):
     assert_solves(panda, result, targets)
 
 
+@pytest.mark.parametrize("strategy", ["uniform", "low_discrepancy", "near", "library"])
+def test_a_miss_inside_the_limits_is_no_answer(panda, strategy):
+    """Few seeds, which end early: none that has the pose inside the limits is called beyond them."""
+    targets = reachable(panda, 60, seed=5)
+    targets[1::5, :3, 3] *= 1.15
+    for max_seeds in (1, 2, 5):
+        result = jaxik.solve_ik(
+            panda, targets, seeds=strategy, max_seeds=max_seeds, reference=np.clip(0.0, panda.lower, panda.upper)
+        )
+        assert not result.success.all()
+        assert not np.any(~result.success & (result.position_error <= POSITION) & (result.rotation_error <= ROTATION))
+        assert_solves(panda, result, targets)
+
+
+def test_a_lone_seed_is_not_given_up_early():
+    """Where no other follows it gets the steps that it needs: 42% of these were solved without."""
+    chain = chain_of("ur5")
+    assert jaxik.solve_ik(chain, reachable(chain, 500, seed=9), seeds="uniform", max_seeds=1).success.mean() > 0.7
+
+
 @pytest.mark.parametrize("strategy", ["uniform", "low_discrepancy", "library"])
 def test_other_seeds(panda, strategy):
     targets = reachable(panda, 60, seed=10)
