@@ -279,8 +279,9 @@ def _rescued(job: Job, poses: np.ndarray, near: Found) -> tuple[Found, Found]:
 
 
 def _miss(job: Job, found: Found) -> np.ndarray:
-    """How far rows are from their targets [rad, unit lengths]."""
-    return found.position_error / job.unit + found.rotation_error
+    """How far rows are from their targets [rad, unit lengths]; in float64, so that they rank the same whatever they are joined
+    with."""
+    return found.position_error.astype(np.float64) / job.unit + found.rotation_error
 
 
 def _candidates(job: Job, q: np.ndarray, target: np.ndarray, number: np.ndarray) -> Found:

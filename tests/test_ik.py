@@ -82,6 +82,18 @@ def test_alone_and_in_any_batch_the_same(panda):
     np.testing.assert_array_equal(again.q[::-1], whole.q)
 
 
+def test_misses_rank_the_same_beside_one_that_is_finished(panda):
+    """Equal errors in float32 stay equal where another target's, in float64, are ranked with them."""
+    width = panda.upper - panda.lower
+    narrow = dataclasses.replace(panda, lower=panda.lower + 0.3 * width, upper=panda.lower + 0.6 * width)
+    targets = np.concatenate([reachable(narrow, 1), reachable(panda, 60, seed=3)])
+    alone = jaxik.solve_ik(narrow, targets[1:], max_seeds=32)
+    beside = jaxik.solve_ik(narrow, targets, max_seeds=32, position_tolerance=[1e-300, *[1e-6] * 60])[1:]
+    assert not alone.success.any()
+    np.testing.assert_array_equal(beside.seed, alone.seed)
+    np.testing.assert_array_equal(beside.q, alone.q)
+
+
 def test_nothing_compiles_for_another_number(panda):
     targets = reachable(panda, 1000, seed=4)
     programs = []
