@@ -204,6 +204,29 @@ def test_mistakes_are_one_line(panda):
         assert "\n" not in line and all(w in line for w in words), line
 
 
+def _raises(q):
+    raise RuntimeError("a cost of two\nlines")
+
+
+@pytest.mark.parametrize(
+    ("cost", "words"),
+    [
+        (_raises, ("RuntimeError", "a cost of two", "(7,)")),
+        (lambda q: np.sum(np.asarray(q) ** 2), ("TracerArrayConversionError", "jax.numpy")),
+        (lambda q: 1.0 if q[0] > 0.0 else 2.0, ("TracerBoolConversionError", "jnp.where")),
+        (lambda q: jnp.sum((q - jnp.zeros(6)) ** 2), ("(7,), (6,)",)),
+        (lambda q: q**2, ("float64 of shape (7,)", "one float")),
+        (lambda q: 1, ("int", "one float")),
+        (lambda q: None, ("NoneType", "one float")),
+    ],
+)
+def test_a_cost_that_is_none_is_one_line(panda, cost, words):
+    with pytest.raises(ValueError) as caught:
+        jaxik.solve_ik(panda, reachable(panda, 1), cost=cost)
+    line = str(caught.value)
+    assert "\n" not in line and all(w in line for w in ("solve_ik: the cost", *words)), line
+
+
 def test_a_single_answer_is_one_row(panda):
     targets = reachable(panda, 3, seed=5)
     targets[1, 0, 0] = np.nan
