@@ -152,8 +152,9 @@ def _out_of_reach(job: Job, poses: np.ndarray) -> np.ndarray:
     task = job.options.task
     if len(task.positions) < 3:
         return np.zeros(len(poses), bool)
-    slack = 1e-9 + job.tolerance[:, 0] + (0.0 if len(task.rotations) < 3 else job.tolerance[:, 1] * job.unit)
-    return reach(job.chain, len(task.rotations) == 3).excess(poses) > slack
+    bound = reach(job.chain, len(task.rotations) == 3)
+    slack = job.tolerance @ [1.0, np.linalg.norm(bound.tip_p)]  # a turn of the tip moves the point that is bounded
+    return bound.excess(poses) > 1e-9 + slack
 
 
 @functools.lru_cache(maxsize=64)

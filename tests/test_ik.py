@@ -258,6 +258,22 @@ def test_tolerance_of_each_target():
     assert np.all(result.position_error >= 0.004 - SLACK) and np.all(result.position_error[1:] <= [5e-3, 0.02])
 
 
+def test_within_a_coarse_tolerance_nothing_is_proven_out_of_reach():
+    """Poses of a long tool, turned by nearly the tolerance: a turn moves the wrist by the tool's length times the angle."""
+    arm = chain_of("ur5")
+    tip = np.array(arm.joint_T_tip)
+    tip[:3, 3] += 3.0 * tip[:3, 2]
+    chain = dataclasses.replace(arm, joint_T_tip=tip)
+    q = np.random.default_rng(0).uniform(*joint_range(chain), (300, 6))
+    q[:, 2] = 0.0  # stretched
+    targets = np.stack([pinocchio(chain)(row) for row in q])
+    turns = scipy.spatial.transform.Rotation.random(300, random_state=1).as_rotvec()
+    turns *= 0.0999 / np.linalg.norm(turns, axis=1, keepdims=True)
+    targets[:, :3, :3] = scipy.spatial.transform.Rotation.from_rotvec(turns).as_matrix() @ targets[:, :3, :3]
+    result = jaxik.solve_ik(chain, targets, rotation_tolerance=0.1, max_seeds=1)
+    assert not np.any(result.reason == Reason.OUT_OF_REACH), result.counts()
+
+
 def _swing(pose, target, axis):
     return np.arccos(np.clip(pose[:3, axis] @ target[:3, axis], -1.0, 1.0))
 
