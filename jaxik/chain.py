@@ -75,7 +75,8 @@ class Box(Constant):
 
 
 class Volume(Constant):
-    """A swept-sphere volume: a ball of `radius` [m] swept over a point, a line or a triangle (1, 2 or 3 `corners` [m])."""
+    """A swept-sphere volume: a ball of `radius` [m] swept over a point, a line or a triangle (1, 2 or 3 `corners` [m], in the
+    frame of the link's joint)."""
 
     corners: Float[Array, "c 3"]
     radius: Float[Array, ""]

@@ -154,7 +154,7 @@ def admissible_turns(chain: Chain, q: Float[Array, " n"], lower: Any = None, upp
     upper = chain.upper if upper is None else shaped("admissible_turns: upper", upper, shape)
     choices = []
     for value, low, high, prismatic in zip(q, lower, upper, chain.is_prismatic, strict=True):
-        if not prismatic and np.isfinite(low + high):
+        if not prismatic and np.isfinite(high - low):
             first, last = _turns(value, low, high)
             choices.append([float(np.clip(value + TURN * k, low, high)) for k in range(int(first), int(last) + 1)])
         else:

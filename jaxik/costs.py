@@ -6,16 +6,34 @@ scheme and a trajectory optimiser share them.
 
 from __future__ import annotations
 
+import functools
 from collections.abc import Callable, Sequence
 from typing import Any
 
+import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float
 
 from jaxik.chain import Array, Chain, as_configuration, finite_limits
+from jaxik.choice import shown
 
 Cost = Callable[[Any], Any]
+
+
+@functools.lru_cache(maxsize=64)
+def check_cost(who: str, cost: Cost, n: int) -> None:
+    """Raises a `ValueError` of one line, `who` asking, for what cannot be traced at q (n,), or gives there no single float."""
+    try:
+        with jax.enable_x64(True):
+            value = jax.eval_shape(cost, jax.ShapeDtypeStruct((n,), np.float64))
+    except Exception as error:  # whatever a user's function raises
+        said = (str(error).splitlines() or [""])[0].rstrip(".")
+        mend = f"it is traced at q ({n},): write it with jax.numpy, and jnp.where for if"
+        raise ValueError(f"{who}: the cost raises {type(error).__name__}: {shown(said)}; {mend}") from error
+    if not (isinstance(value, jax.ShapeDtypeStruct) and value.shape == () and jnp.issubdtype(value.dtype, jnp.floating)):
+        gave = f"{value.dtype} of shape {value.shape}" if isinstance(value, jax.ShapeDtypeStruct) else type(value).__name__
+        raise ValueError(f"{who}: the cost gives {gave}; it is a function of q ({n},) that gives one float, of shape ()")
 
 
 def position_cost(position: Float[Array, "3"], target: Float[Array, "3"]) -> Float[Array, ""]:

@@ -12,6 +12,7 @@ from jaxik import given, lanes, seeds
 from jaxik.chain import Chain, finite_range
 from jaxik.choice import check_finite, check_seed, shown
 from jaxik.closed_form import TURN, closed_form_obstacle
+from jaxik.costs import check_cost
 from jaxik.ik_options import IKOptions
 from jaxik.scene import Scene
 
@@ -44,6 +45,8 @@ class Job:
             weights = _shaped("weights", options.weights, (n,), least=1)
             if not np.all((weights > 0.0) & np.isfinite(weights)):
                 raise ValueError(f"weights {shown(options.weights)}: all are finite and > 0; to hold a joint still, use locked")
+        if options.cost is not None:
+            check_cost("solve_ik", options.cost, n)
         check_seed("solve_ik", seed)
         tolerance = np.empty((count, 2))
         for i, name in enumerate(("position_tolerance", "rotation_tolerance")):

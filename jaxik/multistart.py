@@ -128,6 +128,14 @@ def search(job: Job, poses: np.ndarray, valid: np.ndarray) -> Outcome:
             freed = _pushed(job, poses, blocked[0], wave.pushes)
             answers.append(freed)
             reason[freed.target] = SOLVED
+    missed = nothing
+    if OPEN in reason:
+        missed = misses.nearest(job, poses, reason)
+        landed, collides = _within(missed, job.tolerance), _collides(job, missed)
+        answers.append(missed.rows(landed & ~collides))  # late, but it has the pose
+        blocked.append(missed.rows(landed & collides))
+        reason[answers[-1].target] = SOLVED
+        missed = missed.rows(~landed)
     found = _at_home(job, Found.joined(answers))
     if job.options.cost is not None:
         found = _improved(job, poses, found)
@@ -137,15 +145,16 @@ def search(job: Job, poses: np.ndarray, valid: np.ndarray) -> Outcome:
     stuck = stuck.rows(reason[stuck.target] == OPEN)
     reason[stuck.target] = Reason.COLLISION
     reason = _beyond_limits(job, poses, reason)
-    return Outcome(reason, found, _at_home(job, stuck), _at_home(job, misses.nearest(job, poses, reason)))
+    return Outcome(reason, found, _at_home(job, stuck), _at_home(job, missed))
 
 
 def _out_of_reach(job: Job, poses: np.ndarray) -> np.ndarray:
     task = job.options.task
     if len(task.positions) < 3:
         return np.zeros(len(poses), bool)
-    slack = 1e-9 + job.tolerance[:, 0] + (0.0 if len(task.rotations) < 3 else job.tolerance[:, 1] * job.unit)
-    return reach(job.chain, len(task.rotations) == 3).excess(poses) > slack
+    bound = reach(job.chain, len(task.rotations) == 3)
+    slack = job.tolerance @ [1.0, np.linalg.norm(bound.tip_p)]  # a turn of the tip moves the point that is bounded
+    return bound.excess(poses) > 1e-9 + slack
 
 
 @functools.lru_cache(maxsize=64)
@@ -158,11 +167,12 @@ def _waves(most: int, first_will_do: bool, scene: bool) -> tuple[Wave, ...]:
     else:
         sizes, rescue, push = [16, 48], 3, 2
     ends = sorted({min(end, most) for end in itertools.accumulate(sizes + [64] * (most // 64 + 1))})
+    early = 0 if scene else min(16, most // 8)  # a lane is given up early where many more seeds follow
     return tuple(
         Wave(
             first,
             last,
-            EARLY if not scene and last <= 16 else STEPS,
+            EARLY if last <= early else STEPS,
             number == min(rescue, len(ends)) or last == most,
             0 if not scene else PUSHED[1] if last == most else PUSHED[0] if number == push else 0,
         )
@@ -214,7 +224,7 @@ def _starts(job: Job, poses: np.ndarray, some: np.ndarray, first: int, last: int
     if job.strategy == "library":
         return seeds.library(job.chain, job.options.task, job.inside, job.unit, job.seed, first, last, poses[some])
     if job.strategy == "low_discrepancy":
-        each = seeds.low_discrepancy(job.inside, job.seed, job.options.max_seeds)[first:last]
+        each = seeds.low_discrepancy(job.inside, job.seed, max(job.options.max_seeds, last))[first:last]
     else:
         each = seeds.uniforms(job.inside, job.seed, first, last)
     return np.broadcast_to(each, (len(some), *each.shape))
@@ -270,8 +280,9 @@ def _rescued(job: Job, poses: np.ndarray, near: Found) -> tuple[Found, Found]:
 
 
 def _miss(job: Job, found: Found) -> np.ndarray:
-    """How far rows are from their targets [rad, unit lengths]."""
-    return found.position_error / job.unit + found.rotation_error
+    """How far rows are from their targets [rad, unit lengths]; in float64, so that they rank the same whatever they are joined
+    with."""
+    return found.position_error.astype(np.float64) / job.unit + found.rotation_error
 
 
 def _candidates(job: Job, q: np.ndarray, target: np.ndarray, number: np.ndarray) -> Found:

@@ -8,7 +8,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 from arm import eaik_robot
-from robots import FOLDER, ROBOTS
+from robots import FOLDER, ROBOTS, bare
 
 import jaxik
 from jaxik.load.assemble import Joint, assemble
@@ -132,6 +132,12 @@ def test_limits_and_turns():
     assert len(turns) > len(inside) and min(np.max(np.abs(t - q)) for t in turns) <= 1e-10
     not_a_pose = jaxik.closed_form(chain, jnp.full((4, 4), jnp.nan), 0.1)
     assert not np.any(not_a_pose.valid)
+
+
+def test_an_endless_joint_keeps_its_turn():
+    """Without a sum of infinities, which NumPy warns of."""
+    file, tip = bare("kinova")
+    np.testing.assert_array_equal(jaxik.admissible_turns(jaxik.load(file, tip=tip), np.full(6, 2.0)), [np.full(6, 2.0)])
 
 
 @pytest.mark.parametrize("name, words", [("planar2", "2 joints"), ("crops_v2", "axes"), ("chembuly9", "axes")])

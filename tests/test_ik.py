@@ -82,6 +82,18 @@ def test_alone_and_in_any_batch_the_same(panda):
     np.testing.assert_array_equal(again.q[::-1], whole.q)
 
 
+def test_misses_rank_the_same_beside_one_that_is_finished(panda):
+    """Equal errors in float32 stay equal where another target's, in float64, are ranked with them."""
+    width = panda.upper - panda.lower
+    narrow = dataclasses.replace(panda, lower=panda.lower + 0.3 * width, upper=panda.lower + 0.6 * width)
+    targets = np.concatenate([reachable(narrow, 1), reachable(panda, 60, seed=3)])
+    alone = jaxik.solve_ik(narrow, targets[1:], max_seeds=32)
+    beside = jaxik.solve_ik(narrow, targets, max_seeds=32, position_tolerance=[1e-300, *[1e-6] * 60])[1:]
+    assert not alone.success.any()
+    np.testing.assert_array_equal(beside.seed, alone.seed)
+    np.testing.assert_array_equal(beside.q, alone.q)
+
+
 def test_nothing_compiles_for_another_number(panda):
     targets = reachable(panda, 1000, seed=4)
     programs = []
@@ -192,6 +204,29 @@ def test_mistakes_are_one_line(panda):
         assert "\n" not in line and all(w in line for w in words), line
 
 
+def _raises(q):
+    raise RuntimeError("a cost of two\nlines")
+
+
+@pytest.mark.parametrize(
+    ("cost", "words"),
+    [
+        (_raises, ("RuntimeError", "a cost of two", "(7,)")),
+        (lambda q: np.sum(np.asarray(q) ** 2), ("TracerArrayConversionError", "jax.numpy")),
+        (lambda q: 1.0 if q[0] > 0.0 else 2.0, ("TracerBoolConversionError", "jnp.where")),
+        (lambda q: jnp.sum((q - jnp.zeros(6)) ** 2), ("(7,), (6,)",)),
+        (lambda q: q**2, ("float64 of shape (7,)", "one float")),
+        (lambda q: 1, ("int", "one float")),
+        (lambda q: None, ("NoneType", "one float")),
+    ],
+)
+def test_a_cost_that_is_none_is_one_line(panda, cost, words):
+    with pytest.raises(ValueError) as caught:
+        jaxik.solve_ik(panda, reachable(panda, 1), cost=cost)
+    line = str(caught.value)
+    assert "\n" not in line and all(w in line for w in ("solve_ik: the cost", *words)), line
+
+
 def test_a_single_answer_is_one_row(panda):
     targets = reachable(panda, 3, seed=5)
     targets[1, 0, 0] = np.nan
@@ -221,6 +256,22 @@ def test_tolerance_of_each_target():
     result = jaxik.solve_ik(arm, [[2.004, 0.0, 0.0]] * 3, task=in_plane, position_tolerance=[1e-3, 5e-3, 0.02])
     assert list(result.success) == [False, True, True]
     assert np.all(result.position_error >= 0.004 - SLACK) and np.all(result.position_error[1:] <= [5e-3, 0.02])
+
+
+def test_within_a_coarse_tolerance_nothing_is_proven_out_of_reach():
+    """Poses of a long tool, turned by nearly the tolerance: a turn moves the wrist by the tool's length times the angle."""
+    arm = chain_of("ur5")
+    tip = np.array(arm.joint_T_tip)
+    tip[:3, 3] += 3.0 * tip[:3, 2]
+    chain = dataclasses.replace(arm, joint_T_tip=tip)
+    q = np.random.default_rng(0).uniform(*joint_range(chain), (300, 6))
+    q[:, 2] = 0.0  # stretched
+    targets = np.stack([pinocchio(chain)(row) for row in q])
+    turns = scipy.spatial.transform.Rotation.random(300, random_state=1).as_rotvec()
+    turns *= 0.0999 / np.linalg.norm(turns, axis=1, keepdims=True)
+    targets[:, :3, :3] = scipy.spatial.transform.Rotation.from_rotvec(turns).as_matrix() @ targets[:, :3, :3]
+    result = jaxik.solve_ik(chain, targets, rotation_tolerance=0.1, max_seeds=1)
+    assert not np.any(result.reason == Reason.OUT_OF_REACH), result.counts()
 
 
 def _swing(pose, target, axis):
@@ -260,6 +311,26 @@ def test_locked_joints_stay(panda):
     result = jaxik.solve_ik(panda, targets, locked={"panda_joint3": 0.1})
     assert result.success.mean() > 0.5 and np.all(result.q[result.success, 2] == 0.1)
     assert_solves(panda, result, targets)
+
+
+@pytest.mark.parametrize("strategy", ["uniform", "low_discrepancy", "near", "library"])
+def test_a_miss_inside_the_limits_is_no_answer(panda, strategy):
+    """Few seeds, which end early: none that has the pose inside the limits is called beyond them."""
+    targets = reachable(panda, 60, seed=5)
+    targets[1::5, :3, 3] *= 1.15
+    for max_seeds in (1, 2, 5):
+        result = jaxik.solve_ik(
+            panda, targets, seeds=strategy, max_seeds=max_seeds, reference=np.clip(0.0, panda.lower, panda.upper)
+        )
+        assert not result.success.all()
+        assert not np.any(~result.success & (result.position_error <= POSITION) & (result.rotation_error <= ROTATION))
+        assert_solves(panda, result, targets)
+
+
+def test_a_lone_seed_is_not_given_up_early():
+    """Where no other follows it gets the steps that it needs: 42% of these were solved without."""
+    chain = chain_of("ur5")
+    assert jaxik.solve_ik(chain, reachable(chain, 500, seed=9), seeds="uniform", max_seeds=1).success.mean() > 0.7
 
 
 @pytest.mark.parametrize("strategy", ["uniform", "low_discrepancy", "library"])

@@ -36,7 +36,7 @@ class HostKernel:
 
     def __init__(self, function: Callable[..., Any], lanes: int):
         self.function, self.lanes = function, lanes
-        self.known: dict[Any, tuple[Traced, call.Made]] = {}
+        self.known: dict[Any, tuple[Traced, call.Made, list[np.ndarray]]] = {}
 
     def __reduce__(self) -> Any:
         return HostKernel, (self.function, self.lanes)  # another process makes its own
@@ -70,7 +70,8 @@ class HostKernel:
         found = self.known.get(key)
         if found is None:
             found = self.known[key] = self._made(*key)
-        traced, made = found
+        traced, made, more = found
+        operands += more
         outs = [np.empty((count, *a.shape), a.dtype) for a in traced.outputs]
         if count:
             _run(made, operands, self.lanes, outs, count, threads, team)
@@ -85,15 +86,17 @@ class HostKernel:
 
         return jax.jit(batch)
 
-    def _made(self, tree: Any, double: bool, shapes: Any, kinds: str) -> tuple[Traced, call.Made]:
+    def _made(self, tree: Any, double: bool, shapes: Any, kinds: str) -> tuple[Traced, call.Made, list[np.ndarray]]:
+        """What is traced, its kernel, and the large arrays that the function closes over, which are operands."""
         if jax.default_backend() != "cpu":
             raise Unsupported("other platforms than a CPU")
         with jax.enable_x64(double):
             flat = lambda *x: self.function(*x[: self.lanes], *jax.tree_util.tree_unflatten(tree, x[self.lanes :]))
             traced, _, more = trace(flat, [jax.ShapeDtypeStruct(s, np.dtype(k)) for s, k in zip(shapes, kinds, strict=True)])
-        if more:
-            raise Unsupported("large arrays that are closed over")
-        return traced, call.made(traced, tuple(k >= self.lanes for k in range(len(shapes))))
+        if any(isinstance(x, jax.core.Tracer) for x in more):
+            raise Unsupported("traced arrays that are closed over")
+        arrays = [np.ascontiguousarray(x) for x in more]
+        return traced, call.made(traced, tuple(k >= self.lanes for k in range(len(traced.inputs)))), arrays
 
 
 def _array(x: Any, width: Any) -> np.ndarray:

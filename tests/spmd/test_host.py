@@ -134,3 +134,12 @@ def test_whole_numbers_of_all_widths(dtype, double):
     x = np.arange(40).astype(dtype)
     (found,) = spmd.HostKernel(lambda x: x.astype(jnp.float32) + 1, 1).run(x, double=double)
     np.testing.assert_array_equal(found, x.astype(np.float32) + 1)
+
+
+@pytest.mark.parametrize("double", [False, True])
+def test_a_large_array_that_is_closed_over_is_an_operand(double):
+    tables = np.random.default_rng(8).normal(size=(2, 200, 7))
+    x = np.random.default_rng(9).normal(size=(37, 7))
+    for table in tables:
+        (found,) = spmd.HostKernel(lambda q, table=table: jnp.sum((table @ q) ** 2), 1).run(x, double=double)
+        np.testing.assert_allclose(found, np.sum((x @ table.T) ** 2, axis=1), rtol=1e-12 if double else 1e-4)
