@@ -171,9 +171,9 @@ def object_clearances(chain: Chain, scene: Scene, q: Float[Array, " n"]) -> Floa
     nearest = jnp.full(len(scene.object_names) + 1, jnp.inf, q.dtype)  # the last collects the padding
     for kind, owners in zip(KINDS, scene.owners, strict=True):
         if owners:
-            obstacles, gap = _obstacles(kind, scene, q.dtype)
+            obstacles, gap = obstacles_of(kind, scene, q.dtype)
             for skeleton in volumes.values():
-                each = least(partial(_swapped, gap), _unroll(kind, skeleton), obstacles, _volumes(skeleton, q.dtype))
+                each = least(partial(_swapped, gap), _unroll(kind, skeleton), obstacles, columns_of(skeleton, q.dtype))
                 nearest = nearest.at[np.array(owners)].min(jnp.where(each > FAR / 2.0, jnp.inf, each))
     return nearest[:-1]
 
@@ -294,12 +294,12 @@ def _columns(a: Any, dtype: Any) -> Vec3:
     return Vec3(a[:, 0], a[:, 1], a[:, 2])
 
 
-def _volumes(skeleton: Skeleton, dtype: Any) -> tuple[tuple[Vec3, ...], Any]:
+def columns_of(skeleton: Skeleton, dtype: Any) -> tuple[tuple[Vec3, ...], Any]:
     corners = tuple(Vec3(*(jnp.asarray(x, dtype) for x in corner)) for corner in skeleton.corners)
     return corners, jnp.asarray(skeleton.radius, dtype)
 
 
-def _obstacles(kind: str, scene: Scene, dtype: Any) -> tuple[Any, Gap]:
+def obstacles_of(kind: str, scene: Scene, dtype: Any) -> tuple[Any, Gap]:
     """All obstacles of a kind as a pytree of columns, and the gap that reads one of them."""
     obstacles = getattr(scene, kind)
     if kind in ("points", "spheres"):
@@ -352,10 +352,10 @@ def _parts(chain: Chain, scene: Scene | None, volumes: dict[int, Skeleton], dtyp
 
 def _to_scene(kind: str, volumes: dict[int, Skeleton], scene: Scene, dtype: Any) -> list[_Part]:
     """The volumes against the obstacles of a kind, a part for each corner count."""
-    obstacles, gap = _obstacles(kind, scene, dtype)
+    obstacles, gap = obstacles_of(kind, scene, dtype)
     found = []
     for count, skeleton in volumes.items():
-        ours, unroll = _volumes(skeleton, dtype), _unroll(kind, skeleton)
+        ours, unroll = columns_of(skeleton, dtype), _unroll(kind, skeleton)
         if kind == "points" and count == 1:  # one common radius: the nearest by squares, one root a sphere
             added = ours[1] + jnp.asarray(scene.points.radius, dtype)
             found.append(_Part(_square_gap, unroll, ours, obstacles, skeleton.link, added=added))
@@ -381,7 +381,7 @@ def _to_itself(chain: Chain, volumes: dict[int, Skeleton], dtype: Any) -> list[_
             pairs = [(j, i) for j, b in enumerate(theirs.link) for i, a in enumerate(ours.link) if (a, b) in meet]
             if pairs:
                 second, first = np.array(pairs).T
-                (mine, radius), (other, other_radius) = _volumes(ours, dtype), _volumes(theirs, dtype)
+                (mine, radius), (other, other_radius) = columns_of(ours, dtype), columns_of(theirs, dtype)
                 own = jax.tree_util.tree_map(lambda x, first=first: x[first][None], mine)
                 reach = (radius[first] + other_radius[second])[None]
                 moved_by = np.array([chain.link_joint[link] for link in ours.link])[first]
@@ -398,7 +398,7 @@ def _runs(chain: Chain, spheres: Skeleton, dtype: Any) -> list[_Part]:
         mine, wanted = spheres.link == link, np.isin(spheres.link, partners)
         if mine.any() and wanted.any():
             rows, columns = _run(spheres, mine), _run(spheres, wanted)
-            (first, radius), (second, other_radius) = _volumes(rows, dtype), _volumes(columns, dtype)
+            (first, radius), (second, other_radius) = columns_of(rows, dtype), columns_of(columns, dtype)
             reach = jnp.where(np.isin(columns.link, partners), radius[:, None] + other_radius, -FAR)
             found.append(_Part(_reach_gap, 8, (second, None), (first, reach), columns.link, chain.link_joint[link]))
     return found
