@@ -4,6 +4,7 @@ from jaxik.boundary import boundary_value
 from jaxik.chain import Chain, finite_limits, within_limits
 from jaxik.closed_form import ClosedForm, admissible_turns, closed_form, closed_form_obstacle
 from jaxik.collision import clearance, object_clearances, self_clearance
+from jaxik.contacts import explain
 from jaxik.follow import Follow, follow
 from jaxik.harvest import Harvest, harvest
 from jaxik.ik import IKResult, solve_ik
@@ -61,6 +62,7 @@ __all__ = [
     "closed_form",
     "closed_form_obstacle",
     "descend",
+    "explain",
     "finite_limits",
     "fit_mapping",
     "follow",

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import collections
 import csv
 import dataclasses
 import os
@@ -22,6 +23,7 @@ from jaxik.reach import millimetres
 from jaxik.scan import Weights
 from jaxik.task import COMPONENTS
 
+LOOKED = 32  # colliding postures that are asked what they collide with
 UNITS = {"angle": "rad", "clearance": "m", "position_error": "m", "rotation_error": "rad"}  # of a table's columns
 
 
@@ -155,7 +157,17 @@ def run_ik(arguments: IKArguments) -> None:
     for reason, count in counts.items():
         if reason != "solved":
             print(f"{reason}: {count}")
+    colliding = result.q[result.reason == jaxik.Reason.COLLISION][:LOOKED]
+    if len(colliding):
+        print(f"of {len(colliding)} that collide: {_offenders(chain, scene, colliding)}")
     print(f"{counts.get('solved', 0)} of {len(result)} targets solved in {seconds:.2f} s; wrote {arguments.out}")
+
+
+def _offenders(chain: jaxik.Chain, scene: jaxik.Scene | None, postures: np.ndarray) -> str:
+    """Which pairs of names are nearest, in words, the most frequent first."""
+    worst = [jaxik.explain(chain, scene, q, 1).contacts[0] for q in postures]
+    pairs = collections.Counter(f"{contact.link} and {contact.other}" for contact in worst)
+    return ", ".join(f"{count} by {pair}" for pair, count in pairs.most_common(5))
 
 
 def write_ik(chain: jaxik.Chain, result: jaxik.IKResult, out: Path) -> None:

@@ -159,9 +159,9 @@ def object_clearances(chain: Chain, scene: Scene, q: Float[Array, " n"]) -> Floa
     nearest = jnp.full(len(scene.object_names) + 1, jnp.inf, q.dtype)  # the last collects the padding
     for kind, owners in zip(KINDS, scene.owners, strict=True):
         if owners:
-            obstacles, gap = _obstacles(kind, scene, q.dtype)
+            obstacles, gap = obstacles_of(kind, scene, q.dtype)
             for skeleton in volumes.values():
-                each = least(lambda a, b, gap=gap: gap(b, a), obstacles, _volumes(skeleton, q.dtype))
+                each = least(lambda a, b, gap=gap: gap(b, a), obstacles, columns_of(skeleton, q.dtype))
                 nearest = nearest.at[np.array(owners)].min(jnp.where(each > FAR / 2.0, jnp.inf, each))
     return nearest[:-1]
 
@@ -266,12 +266,12 @@ def _columns(a: Any, dtype: Any) -> Vec3:
     return Vec3(a[:, 0], a[:, 1], a[:, 2])
 
 
-def _volumes(skeleton: Skeleton, dtype: Any) -> tuple[tuple[Vec3, ...], Any]:
+def columns_of(skeleton: Skeleton, dtype: Any) -> tuple[tuple[Vec3, ...], Any]:
     corners = tuple(Vec3(*(jnp.asarray(x, dtype) for x in corner)) for corner in skeleton.corners)
     return corners, jnp.asarray(skeleton.radius, dtype)
 
 
-def _obstacles(kind: str, scene: Scene, dtype: Any) -> tuple[Any, Gap]:
+def obstacles_of(kind: str, scene: Scene, dtype: Any) -> tuple[Any, Gap]:
     """All obstacles of a kind as a pytree of columns, and the gap that reads one of them."""
     obstacles = getattr(scene, kind)
     if kind in ("points", "spheres"):
@@ -323,10 +323,10 @@ def _parts(chain: Chain, scene: Scene | None, volumes: dict[int, Skeleton], dtyp
 
 def _to_scene(kind: str, volumes: dict[int, Skeleton], scene: Scene, dtype: Any) -> list[_Part]:
     """The volumes against the obstacles of a kind, a part for each corner count."""
-    obstacles, gap = _obstacles(kind, scene, dtype)
+    obstacles, gap = obstacles_of(kind, scene, dtype)
     found = []
     for count, skeleton in volumes.items():
-        ours = _volumes(skeleton, dtype)
+        ours = columns_of(skeleton, dtype)
         if kind == "points" and count == 1:  # one common radius: the nearest by squares, one root a sphere
             added = ours[1] + jnp.asarray(scene.points.radius, dtype)
             found.append(_Part(_square_gap, ours, obstacles, skeleton.link, added=added))
@@ -352,7 +352,7 @@ def _to_itself(chain: Chain, volumes: dict[int, Skeleton], dtype: Any) -> list[_
             if pairs:
                 second, first = np.array(pairs).T
                 (mine, radius), (other, other_radius) = (
-                    _volumes(each.chosen(rows), dtype) for each, rows in ((ours, first), (theirs, second))
+                    columns_of(each.chosen(rows), dtype) for each, rows in ((ours, first), (theirs, second))
                 )
                 own = jax.tree_util.tree_map(lambda x: x[None], mine)
                 moved_by = np.array(chain.link_joint)[ours.link[first]]
@@ -368,7 +368,7 @@ def _by_link(chain: Chain, spheres: Skeleton, dtype: Any) -> list[_Part]:
         mine = np.flatnonzero(spheres.link == link)
         theirs = np.flatnonzero(np.isin(spheres.link, [b for a, b in chain.self_pairs if a == link]))
         if len(mine) and len(theirs):
-            (first, radius), (second, other_radius) = (_volumes(spheres.chosen(rows), dtype) for rows in (mine, theirs))
+            (first, radius), (second, other_radius) = (columns_of(spheres.chosen(rows), dtype) for rows in (mine, theirs))
             others = first, radius[:, None] + other_radius
             found.append(_Part(_reach_gap, (second, None), others, spheres.link[theirs], chain.link_joint[link]))
     return found

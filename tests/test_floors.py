@@ -17,7 +17,7 @@ FLOORS = [
     {"spheres", "distance"},
     {"collision", "costs", "closed_form"},
     {"load", "baselines"},  # above the spheres: a loaded chain knows which of its links may touch
-    {"lanes", "seeds", "implicit", "crop", "leading", "redundancy", "judge"},
+    {"contacts", "lanes", "seeds", "implicit", "crop", "leading", "redundancy", "judge"},
     {"scan", "between", "ik_options", "predictive", "follow"},
     {"ik_job", "score", "moving_horizon", "boundary"},
     {"multistart"},

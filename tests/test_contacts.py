@@ -1,0 +1,97 @@
+"""What stands in the way, by name: pairs against coal, the first pair against the clearance."""
+
+import coal
+import numpy as np
+import pytest
+
+import jaxik
+from jaxik.cli import _offenders
+
+ARM = jaxik.load("pendulum4")
+TURN = np.array([[0.8, -0.6, 0.0], [0.6, 0.8, 0.0], [0.0, 0.0, 1.0]])
+
+
+@pytest.fixture(scope="module")
+def scene():
+    box = np.eye(4)
+    box[:3, :3], box[:3, 3] = TURN, [1.5, 0.4, 0.1]
+    builder = jaxik.SceneBuilder("yard")
+    builder.add("crate", boxes=[(box, (0.8, 0.4, 0.5))])
+    builder.add("ball", spheres=[[-1.0, 1.2, 0.0, 0.3]])
+    builder.add("bar", capsules=[[-2.0, -1.5, 0.3, 2.0, -1.0, 0.3, 0.05]])
+    return builder.scene()
+
+
+def shape_of(chain, link, q):
+    """The capsule of a link, by jaxik's own frames, which other tests hold."""
+    (volume,) = [v for v in chain.volumes if chain.link_names[v.link] == link]
+    frame = chain.world_T_base @ np.asarray(jaxik.link_frames(chain, q))[volume.link]
+    a, b = volume.corners @ frame[:3, :3].T + frame[:3, 3]
+    return coal.Capsule(float(volume.radius), float(np.linalg.norm(b - a))), a, b
+
+
+def placed(a, b):
+    axis = (b - a) / np.linalg.norm(b - a)
+    other = np.linalg.svd(axis[None])[2][1:]
+    turn = np.column_stack([*other, axis])
+    turn[:, 0] *= np.linalg.det(turn)
+    return coal.Transform3s(turn, (a + b) / 2.0)
+
+
+def test_pairs_are_coals(scene):
+    obstacles = {
+        "crate": (coal.Box(0.8, 0.4, 0.5), coal.Transform3s(TURN, np.array([1.5, 0.4, 0.1]))),
+        "ball": (coal.Sphere(0.3), coal.Transform3s(np.eye(3), np.array([-1.0, 1.2, 0.0]))),
+        "bar": (coal.Capsule(0.05, float(np.hypot(4.0, 0.5))), placed(np.array([-2.0, -1.5, 0.3]), np.array([2.0, -1.0, 0.3]))),
+    }
+    compared = 0
+    for q in np.random.default_rng(0).uniform(-2.0, 2.0, (6, 4)):
+        found = jaxik.explain(ARM, scene, q, 30)
+        assert found.contacts[0].distance == pytest.approx(float(jaxik.clearance(ARM, scene, q)), abs=1e-9)
+        assert [c.distance for c in found.contacts] == sorted(c.distance for c in found.contacts)
+        assert len({(c.link, c.other) for c in found.contacts}) == len(found.contacts)
+        for contact in found.contacts:
+            if contact.other in obstacles and contact.distance > 0.01:
+                shape, a, b = shape_of(ARM, contact.link, q)
+                result = coal.DistanceResult()
+                coal.distance(shape, placed(a, b), *obstacles[contact.other], coal.DistanceRequest(), result)
+                assert contact.distance == pytest.approx(result.min_distance, abs=1e-6)
+                theirs = result.getNearestPoint1(), result.getNearestPoint2()
+                for ours, point in zip((contact.point, contact.other_point), theirs, strict=True):
+                    assert np.linalg.norm(ours - point) < 1e-3
+                compared += 1
+    assert compared > 20
+
+
+def test_it_reads_as_sentences(scene):
+    q = np.array([3.0, 0.0, 0.0, 0.0])
+    found = jaxik.explain(ARM, scene, q, 3)
+    lines = str(found).splitlines()
+    assert len(lines) == len(found.contacts) + len(found.limits) and all(" mm at (" in line for line in lines[:3])
+    assert all(line.endswith("side its limits") or "beyond" in line for line in lines[3:])
+    assert found.colliding == tuple(c for c in found.contacts if c.distance < 0.0)
+
+
+def test_without_a_scene_and_bad_use(scene):
+    panda = jaxik.load("p6r")
+    middle = np.add(*jaxik.finite_limits(panda)) / 2.0
+    found = jaxik.explain(panda, None, middle)
+    assert {c.other for c in found.contacts} <= set(panda.link_names)
+    assert found.contacts[0].distance == pytest.approx(float(jaxik.self_clearance(panda, middle)), abs=1e-9)
+    for wrong in (
+        lambda: jaxik.explain(panda, scene, middle[:3]),
+        lambda: jaxik.explain(panda, scene, middle, 0),
+    ):
+        with pytest.raises(ValueError) as told:
+            wrong()
+        assert "\n" not in str(told.value)
+
+
+def test_the_command_names_offenders(scene):
+    """The most frequent pair first."""
+    postures = np.random.default_rng(1).uniform(-2.0, 2.0, (7, 4))
+    nearest = [jaxik.explain(ARM, scene, q).contacts[0] for q in postures]
+    said = _offenders(ARM, scene, postures)
+    counts = [int(part.split()[0]) for part in said.split(", ")]
+    assert sum(counts) == 7 and counts == sorted(counts, reverse=True)
+    assert all(f"by {c.link} and {c.other}" in said for c in nearest)
