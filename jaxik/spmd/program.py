@@ -122,6 +122,9 @@ class Whole(NamedTuple):
     after: int
 
 
+_COMMUTE = ("add", "mul", "and", "or", "xor", "eq", "ne")
+
+
 class Program:
     """Built op by op; afterwards `top`, `outputs` and what they refer to are the program."""
 
@@ -159,6 +162,8 @@ class Program:
             folded = fold(self, type, *args)
             if folded is not None:
                 return folded
+        if code in _COMMUTE and args[1] < args[0]:
+            args = args[::-1]  # so that `b a` is known where `a b` is
         if code in _EVALUATE and all(a in self.constant for a in args):
             with np.errstate(all="ignore"):
                 return self.number(_EVALUATE[code](*(self.constant[a] for a in args)), type)
