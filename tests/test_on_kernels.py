@@ -137,13 +137,13 @@ def test_same_bits_on_the_host(name, double):
     operands = of(*_operands("closed_form", 999, np.float64 if double else np.float32))
     whole = host.run(*operands, double=double)
     key = next(k for k in host.known if k[1] == double)
-    traced, made = host.known[key]
-    host.known[key] = traced, dataclasses.replace(made, chunk=2)
+    traced, made, *more = known = host.known[key]
+    host.known[key] = traced, dataclasses.replace(made, chunk=2), *more
     order = np.random.default_rng(13).permutation(999)
     with ThreadPoolExecutor(1) as threads:
         shared = host.run(*operands, double=double, threads=threads, team=2)
         turned = host.run(*(x[order] for x in operands), double=double, threads=threads, team=2)
-    host.known[key] = traced, made
+    host.known[key] = known
     few = host.run(*(x[5:12] for x in operands), double=double)
     for w, s, t, f in zip(whole, shared, turned, few, strict=True):
         np.testing.assert_array_equal(s, w)
