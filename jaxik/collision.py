@@ -244,7 +244,8 @@ def _square_gap(volumes: Any, point: Any) -> Any:
     return apart.dot(apart)
 
 
-def _skeleton_gap(volumes: Any, other: Any) -> Any:
+def skeleton_gap(volumes: Any, other: Any) -> Any:
+    """To one swept-sphere obstacle, or one volume of another link."""
     return distance.between(volumes[0], other[0]) - (volumes[1] + other[1])
 
 
@@ -267,6 +268,7 @@ def _columns(a: Any, dtype: Any) -> Vec3:
 
 
 def columns_of(skeleton: Skeleton, dtype: Any) -> tuple[tuple[Vec3, ...], Any]:
+    """Volumes as the gaps take them: corners and radii."""
     corners = tuple(Vec3(*(jnp.asarray(x, dtype) for x in corner)) for corner in skeleton.corners)
     return corners, jnp.asarray(skeleton.radius, dtype)
 
@@ -276,10 +278,10 @@ def obstacles_of(kind: str, scene: Scene, dtype: Any) -> tuple[Any, Gap]:
     obstacles = getattr(scene, kind)
     if kind in ("points", "spheres"):
         centre = _columns(obstacles.center, dtype)
-        return ((centre,), jnp.broadcast_to(jnp.asarray(obstacles.radius, dtype), centre.x.shape)), _skeleton_gap
+        return ((centre,), jnp.broadcast_to(jnp.asarray(obstacles.radius, dtype), centre.x.shape)), skeleton_gap
     if kind == "capsules":
         ends = (_columns(obstacles.a, dtype), _columns(obstacles.b, dtype))
-        return (ends, jnp.asarray(obstacles.radius, dtype)), _skeleton_gap
+        return (ends, jnp.asarray(obstacles.radius, dtype)), skeleton_gap
     frames = jnp.asarray(obstacles.world_T_box if kind == "boxes" else obstacles.world_T_cylinder, dtype)
     rotation, centre = Rot3(*(_columns(frames[:, i, :3], dtype) for i in range(3))), _columns(frames[:, :3, 3], dtype)
     if kind == "boxes":

@@ -17,10 +17,9 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float
 
-from jaxik import distance
 from jaxik.chain import Array, Chain, as_configuration
 from jaxik.choice import as_count, check_kind
-from jaxik.collision import columns_of, obstacles_of, world_volumes
+from jaxik.collision import columns_of, obstacles_of, skeleton_gap, world_volumes
 from jaxik.given import numbers
 from jaxik.scene import FAR, KINDS, Scene
 
@@ -125,8 +124,8 @@ def _with_itself(chain: Chain, volumes: Any) -> Iterator[_Pairs]:
             wanted = meet[theirs.link[:, None], mine.link]
             if wanted.any():
                 ours, others = columns_of(mine, jnp.float64), columns_of(theirs, jnp.float64)
-                apart = np.asarray(_apart(_between, ours, others))
-                yield _Pairs(_between, ours, others, mine.link, theirs.link, True, np.where(wanted, apart, np.inf))
+                apart = np.asarray(_apart(skeleton_gap, ours, others))
+                yield _Pairs(skeleton_gap, ours, others, mine.link, theirs.link, True, np.where(wanted, apart, np.inf))
 
 
 @partial(jax.jit, static_argnums=0)
@@ -140,10 +139,6 @@ def _pull(gap: Any, corners: Any, radius: Any, other: Any) -> Any:
     """One distance (1,), and its derivative by each corner."""
     value, pull = jax.vjp(lambda corners: gap((corners, radius), other), corners)
     return value, pull(jnp.ones(1))[0]
-
-
-def _between(volumes: Any, other: Any) -> Any:
-    return distance.between(volumes[0], other[0]) - (volumes[1] + other[1])
 
 
 def _nearest(pairs: list[_Pairs]) -> list[tuple[int, int, int]]:

@@ -30,8 +30,6 @@ from jaxik.spmd import HostKernel
 from jaxik.task import Task
 
 TARGETS = 16_384  # at a time, which bounds the memory
-
-
 DEFAULT = IKOptions()
 
 

@@ -24,11 +24,13 @@ def llvm() -> Any:
 
 @functools.cache
 def features() -> str:
+    """What this processor can do, as LLVM writes it: "+avx2,..."."""
     return str(llvm().get_host_cpu_features().flatten())
 
 
 @functools.cache
 def vector_bits() -> int:
+    """How wide a vector is here."""
     have = set(features().split(","))
     return 512 if "+avx512f" in have and "+avx512dq" in have and "+avx512bw" in have else 256 if "+avx2" in have else 128
 
@@ -61,6 +63,7 @@ def _jit() -> Any:
 
 
 def attributes() -> str:
+    """What every function of a kernel says of this processor."""
     return (
         f'attributes #0 = {{ nounwind "target-cpu"="{llvm().get_host_cpu_name()}" "target-features"="{features()}" '
         f'"prefer-vector-width"="{vector_bits()}" "min-legal-vector-width"="{vector_bits()}" }}\n'

@@ -185,6 +185,7 @@ _told: set[tuple[str, str]] = set()
 
 
 def warn(traced: Traced, why: str) -> None:
+    """Says once of each function why it runs by XLA."""
     name = traced.name if call.machine.llvm() else "everything"
     if (name, why) not in _told:
         _told.add((name, why))

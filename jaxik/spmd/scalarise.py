@@ -65,6 +65,7 @@ class Array:
 
 
 def type_of(aval: Any) -> str:
+    """A program's type for an array's. Raises `Unsupported` for what has none."""
     name = TYPES.get(np.dtype(aval.dtype)) if not jax.dtypes.issubdtype(aval.dtype, jax.dtypes.extended) else None
     if name is None:
         raise Unsupported(f"numbers of type {aval.dtype}")
@@ -267,6 +268,8 @@ RULES: dict[str, Rule] = {}
 
 
 def rule(*names: str) -> Callable[[Rule], Rule]:
+    """Registers how the primitives of these names become scalars."""
+
     def register(function: Rule) -> Rule:
         RULES.update(dict.fromkeys(names, function))
         return function

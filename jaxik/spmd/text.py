@@ -31,10 +31,12 @@ def mangled(kind: str) -> str:
 
 
 def is_unsigned(kind: str) -> bool:
+    """Whether numbers of this type have no sign; truths have none."""
     return kind[0] == "u" or kind == "i1"
 
 
 def literal(value: Any, kind: str) -> str:
+    """A number as LLVM writes it: floats by their bits."""
     if kind in FLOATS:
         (bits,) = struct.unpack("<Q", struct.pack("<d", float(value)))
         return f"0x{bits:016X}"

@@ -72,6 +72,7 @@ def trace(function: Callable[..., Any], args: Sequence[Any]) -> tuple[Traced, An
 
 
 def is_float(aval: Any) -> bool:
+    """Whether an array holds floats: what has derivatives."""
     return bool(jnp.issubdtype(aval.dtype, jnp.floating))
 
 
