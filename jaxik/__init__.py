@@ -3,7 +3,7 @@
 from jaxik.boundary import boundary_value
 from jaxik.chain import Chain, finite_limits, within_limits
 from jaxik.closed_form import ClosedForm, admissible_turns, closed_form, closed_form_obstacle
-from jaxik.collision import clearance, object_clearances, self_clearance
+from jaxik.collision import clearance, collides, object_clearances, self_clearance
 from jaxik.contacts import explain
 from jaxik.follow import Follow, follow
 from jaxik.harvest import Harvest, harvest
@@ -61,6 +61,7 @@ __all__ = [
     "clearance",
     "closed_form",
     "closed_form_obstacle",
+    "collides",
     "descend",
     "explain",
     "finite_limits",

@@ -19,7 +19,8 @@ from jaxtyping import Float
 
 from jaxik.chain import Array, Chain, as_configuration
 from jaxik.choice import as_count, check_kind
-from jaxik.collision import columns_of, obstacles_of, skeleton_gap, world_volumes
+from jaxik.collision import world_volumes
+from jaxik.gaps import columns_of, obstacles_of, skeleton_gap
 from jaxik.given import numbers
 from jaxik.scene import FAR, KINDS, Scene
 
@@ -106,7 +107,7 @@ def _with_scene(scene: Scene | None, volumes: Any) -> Iterator[_Pairs]:
         return
     for kind, owners in zip(KINDS, scene.owners, strict=True):
         if scene.counts[kind]:
-            others, gap = obstacles_of(kind, scene, jnp.float64)
+            gap, others = obstacles_of(kind, getattr(scene, kind), jnp.float64)
             owner = np.array([*owners, *[-1] * (scene.counts[kind] - len(owners))], int)
             for skeleton in volumes.values():
                 ours = columns_of(skeleton, jnp.float64)

@@ -20,6 +20,7 @@ from jaxik.closed_form import admissible_turns
 from jaxik.collision import check_geometry
 from jaxik.costs import comfort_cost, joint_freedom
 from jaxik.given import RIGID, numbers
+from jaxik.hierarchy import Surroundings
 from jaxik.ik_job import Job
 from jaxik.ik_options import IKOptions
 from jaxik.kinematics import manipulability
@@ -83,7 +84,7 @@ class IKResult:
 def solve_ik(
     chain: Chain,
     targets: Any,
-    scene: Scene | None = None,
+    scene: Scene | Surroundings | None = None,
     seed: int = 0,
     options: IKOptions | None = None,
     progress: Callable[[int], Any] | None = None,

@@ -13,6 +13,7 @@ from jaxik.chain import Chain, finite_range
 from jaxik.choice import check_finite, check_seed, shown
 from jaxik.closed_form import TURN, closed_form_obstacle
 from jaxik.costs import check_cost
+from jaxik.hierarchy import Surroundings, surroundings
 from jaxik.ik_options import IKOptions
 from jaxik.scene import Scene
 
@@ -24,7 +25,7 @@ class Job:
     """What all targets share, and for each its tolerances (N, 2) and reference (N, n)."""
 
     chain: Chain
-    scene: Scene | None
+    scene: Surroundings | None
     seed: int
     options: IKOptions
     low: np.ndarray
@@ -37,7 +38,7 @@ class Job:
     reference: np.ndarray | None
 
     @staticmethod
-    def of(chain: Chain, scene: Scene | None, seed: int, options: IKOptions, count: int) -> Job:
+    def of(chain: Chain, scene: Scene | Surroundings | None, seed: int, options: IKOptions, count: int) -> Job:
         n = chain.num_joints
         low, high = _limits(chain, options)
         weights = np.ones(n)
@@ -58,9 +59,9 @@ class Job:
             raise ValueError("reference holds NaN or infinity; write a configuration (n,), or one a target (N, n) [rad, m]")
         strategy = _strategy(chain, options)
         inside = _range(chain, tuple(low.tolist()), tuple(high.tolist()), strategy != "near")
-        geometry = scene.geometry() if scene is not None else None
+        around = surroundings(scene) if scene is not None else None
         unit = lanes.unit_length(chain)
-        return Job(chain, geometry, seed, options, low, high, weights, inside, unit, strategy, tolerance, reference)
+        return Job(chain, around, seed, options, low, high, weights, inside, unit, strategy, tolerance, reference)
 
     def part(self, rows: slice) -> Job:
         """The same for some of the targets."""

@@ -24,9 +24,10 @@ from jaxik.batch import in_blocks
 from jaxik.chain import Chain
 from jaxik.choice import as_count_or_values, check_finite, check_kind, shown
 from jaxik.closed_form import BRANCHES, closed_form_obstacle, closed_forms
-from jaxik.collision import check_geometry, clearance, object_clearances, self_clearance
+from jaxik.collision import by_object, check_geometry, clearance, object_clearances, self_clearance
 from jaxik.costs import joint_freedom
 from jaxik.given import shaped
+from jaxik.hierarchy import surroundings
 from jaxik.kinematics import jacobian
 from jaxik.leading import grid, leading_grid
 from jaxik.result import Reason
@@ -129,8 +130,8 @@ def measures(chain: Chain) -> HostKernel:
 
 
 @functools.lru_cache(maxsize=16)
-def _contacts(chain: Chain) -> HostKernel:
-    return HostKernel(lambda q, scene: (object_clearances(chain, scene, q), self_clearance(chain, q)), 1)
+def _contacts(chain: Chain, objects: int) -> HostKernel:
+    return HostKernel(lambda q, around: (by_object(chain, objects, around, q), self_clearance(chain, q)), 1)
 
 
 @functools.lru_cache(maxsize=16)
@@ -250,14 +251,14 @@ MISSES = 16  # candidates that recovery starts from
 
 
 def _others(scene: Scene, fruit: Fruit) -> Scene:
-    """The scene without the fruit that is being picked, padded."""
-    return scene.without([fruit.name]).padded()
+    """The scene without the fruit that is being picked."""
+    return scene.without([fruit.name])
 
 
 def _measured(chain: Chain, scene: Scene, fruit: Fruit, q: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     if not len(q):
         return np.zeros(0), np.zeros(0)
-    distance, freedom = in_blocks(measures(chain), q, fixed=(_others(scene, fruit),))
+    distance, freedom = in_blocks(measures(chain), q, fixed=(surroundings(_others(scene, fruit)),))
     return distance, freedom
 
 
@@ -372,7 +373,7 @@ def _climb(
     grasp: Grasp | None,
     steps: int,
 ) -> Recovered | None:
-    others = _others(scene, found.fruit)
+    others = surroundings(_others(scene, found.fruit))
     k = chain.num_joints - 6
     axis = np.asarray(chain.world_T_base[:3, :3].T @ found.fruit.axis)
     branch = starts[:, -1].astype(int)
@@ -443,7 +444,8 @@ def blockers(chain: Chain, scene: Scene, found: Scan, margin: float = 0.005) -> 
     check_finite("blockers", margin=margin)
     if not len(found.table.q):
         return Blockers((), (), None, None)
-    distance, own = in_blocks(_contacts(chain), found.table.q, fixed=(_others(scene, found.fruit),))
+    around = surroundings(_others(scene, found.fruit), by_object=True)
+    distance, own = in_blocks(_contacts(chain, len(scene.object_names)), found.table.q, fixed=(around,))
     hit = distance < margin
     share = hit.mean(axis=0)
     order = [int(i) for i in np.argsort(-share, kind="stable") if share[i] > 0.0]

@@ -22,6 +22,7 @@ from jaxik.choice import as_count, check_finite
 from jaxik.closed_form import BRANCHES, closed_forms
 from jaxik.collision import check_geometry, clearance
 from jaxik.given import numbers
+from jaxik.hierarchy import Surroundings, surroundings
 from jaxik.kinematics import forward_kinematics, jacobian
 from jaxik.leading import arm_of, leading_grid
 from jaxik.optimise.linear import definite_solve
@@ -73,20 +74,21 @@ def log_reach_score(
         )
     as_shaped("margin", margin, ())
     as_shaped("temperature", temperature, ())
-    each = jax.vmap(lambda pose, posture: _worth(chain, scene, pose, posture, margin, temperature))
+    around = None if scene is None else surroundings(scene)
+    each = jax.vmap(lambda pose, posture: _worth(chain, around, pose, posture, margin, temperature))
     best = temperature * jax.nn.logsumexp(each(poses, q) / temperature)
     return jax.nn.log_sigmoid(best / WIDTH)
 
 
 @kernel(models=1)
-def _worth(chain: Chain, scene: Scene | None, pose: Any, q: Any, margin: Any, temperature: Any) -> Any:
+def _worth(chain: Chain, around: Surroundings | None, pose: Any, q: Any, margin: Any, temperature: Any) -> Any:
     """The least margin of a posture that follows its target."""
     q, short = _following(chain, pose, jax.lax.stop_gradient(q))
     low, high = (jnp.asarray(x, q.dtype) for x in finite_limits(chain))
     share = jnp.minimum(q - low, high - q) / jnp.maximum((high - low) / 2.0, 1e-9)
     margins = [jnp.where(chain.is_limited, share, 1.0)]
-    if scene is not None:
-        margins.append((clearance(chain, scene, q) - margin)[None] / REACH)
+    if around is not None:
+        margins.append((clearance(chain, around, q) - margin)[None] / REACH)
     return -temperature * jax.nn.logsumexp(-jnp.concatenate(margins) / temperature) - short / SHORT
 
 
@@ -129,12 +131,12 @@ def likely_postures(
     q, _, _ = in_blocks(closed_forms(arm_of(chain)), local[pose], leading[lead], double=False)
     q, at = np.asarray(q).reshape(-1, chain.num_joints), np.repeat(poses[pose], BRANCHES, axis=0)
     home = chain.mounted(np.eye(4))
-    moved = None if scene is None else scene.moved(np.linalg.inv(np.asarray(chain.world_T_base))).geometry()
-    (worth,) = in_blocks(_worths(home), np.repeat(local[pose], BRANCHES, axis=0), q, fixed=(moved, margin), double=False)
+    around = None if scene is None else surroundings(scene.moved(np.linalg.inv(np.asarray(chain.world_T_base))))
+    (worth,) = in_blocks(_worths(home), np.repeat(local[pose], BRANCHES, axis=0), q, fixed=(around, margin), double=False)
     best = np.argsort(-np.where(np.isfinite(worth), worth, -np.inf), kind="stable")[:count]
     return at[best], q[best]
 
 
 @functools.lru_cache(maxsize=16)
 def _worths(chain: Chain) -> HostKernel:
-    return HostKernel(lambda pose, q, scene, margin: _worth(chain, scene, pose, q, margin, 0.01), 2)
+    return HostKernel(lambda pose, q, around, margin: _worth(chain, around, pose, q, margin, 0.01), 2)

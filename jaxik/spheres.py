@@ -50,7 +50,7 @@ class Skeleton(NamedTuple):
         return Skeleton(tuple(Vec3(*(x[rows] for x in c)) for c in self.corners), self.radius[rows], self.link[rows])
 
 
-def _local_volumes(chain: Chain, count: int) -> tuple[Any, Any, np.ndarray] | None:
+def local_volumes(chain: Chain, count: int) -> tuple[Any, Any, np.ndarray] | None:
     """The chain's volumes with `count` corners, ordered by link; spheres of boxes among those with one: corners (k, c, 3) in
     their joints' frames, radii (k,) and links (k,)."""
     parts = [(v.link, v.corners[None], v.radius) for v in chain.volumes if v.corners.shape[0] == count]
@@ -78,7 +78,7 @@ def skeletons(chain: Chain, q: Any, dtype: Any, root: Frame | None = None) -> di
     moved = (root, *joint_frames(chain, q, root, dtype).joints)
     found = {}
     for count in (1, 2, 3):
-        local = _local_volumes(chain, count)
+        local = local_volumes(chain, count)
         if local is None:
             continue
         points, radius, link = local

@@ -1,5 +1,6 @@
 """Distances against coal on random primitives, gradients against finite differences, the hierarchy against the flat answer."""
 
+import dataclasses
 from functools import partial
 
 import coal
@@ -12,6 +13,9 @@ import jaxik
 from jaxik import distance
 from jaxik.algebra import Rot3, Vec3
 from jaxik.collision import hierarchical_clearance, hierarchical_collision
+from jaxik.hierarchy import surroundings
+from jaxik.nearest import Space
+from jaxik.spmd import HostKernel
 
 
 def _rotation(rng):
@@ -265,6 +269,36 @@ def test_value_and_gradient_where_a_distance_is_zero(dtype):
     scene = jaxik.make_scene(points=[centres[40]], capsules=[[*centres[40], *(centres[40] + 1.0), 0.0]])
     value, slope = jax.jit(jax.value_and_grad(lambda q: jaxik.clearance(chain, scene, q)))(q)
     assert abs(value + radii[40]) <= 64 * np.finfo(dtype).eps and np.all(np.isfinite(slope))
+
+
+@pytest.mark.parametrize("dtype", [np.float32, np.float64])
+@pytest.mark.parametrize("name", ["p6r", "crops_v2"])
+def test_what_is_skipped_changes_no_bit(name, dtype, only_kernels):
+    """The flat search and that of the hierarchy, of the robot, each link and each object; and what `collides` says."""
+    chain, rng = jaxik.load(name), np.random.default_rng(8)
+    scene = surroundings(_scene(rng))
+    kernels = []
+    for skips in (True, False):
+        both = lambda space: (space.all(tracked=True), space.each(lambda found: found.distance))
+        kernels.append(HostKernel(lambda q, s, skips=skips, both=both: both(Space(chain, s, q, skips)), 1))
+    q = rng.uniform(chain.lower, chain.upper, (300, chain.num_joints)).astype(dtype)
+    skipped, flat = (each.run(q, scene) for each in kernels)
+    assert np.array_equal(skipped[0], flat[0]) and np.array_equal(skipped[-1], flat[-1])
+    assert np.array_equal(skipped[-1].min(axis=1), flat[0])
+    for margin in (0.0, 0.05, float(np.median(flat[0]))):
+        (hits,) = HostKernel(lambda q, s: jaxik.collides(chain, s, q, dtype(margin)), 1).run(q, scene)  # noqa: B023
+        assert np.array_equal(hits, flat[0] < dtype(margin)) and (margin != 0.0 or 0 < hits.sum() < 300)
+
+
+def test_nothing_is_hidden_by_nan():
+    chain, scene = jaxik.load("planar2"), jaxik.make_scene(spheres=[[1.5, 0.2, 0.0, 0.1]], capsules=[[1, 1, 0, 2, 1, 0, 0.1]])
+    distance = jax.jit(lambda scene, q: jaxik.clearance(chain, scene, q))
+    assert np.isfinite(distance(scene, np.zeros(2)))
+    assert np.isnan(distance(scene, np.array([0.0, np.nan])))
+    assert jaxik.collides(chain, scene, np.array([0.0, np.nan]))
+    bad = dataclasses.replace(scene, spheres=jaxik.scene.Spheres(scene.spheres.center * np.nan, scene.spheres.radius))
+    assert np.isnan(distance(bad, np.zeros(2)))
+    assert np.isnan(jaxik.clearance(chain, bad, np.zeros(2)))
 
 
 def _flat(chain, scene, q):

@@ -15,6 +15,8 @@ FLOORS = [
     {"chain", "optimise", "task"},  # optimise knows no robot: it may import the algebra alone
     {"scene", "kinematics", "reach", "mapping", "path"},
     {"spheres", "distance"},
+    {"gaps", "hierarchy"},
+    {"nearest"},
     {"collision", "costs", "closed_form"},
     {"load", "baselines"},  # above the spheres: a loaded chain knows which of its links may touch
     {"contacts", "lanes", "seeds", "implicit", "crop", "leading", "redundancy", "judge"},

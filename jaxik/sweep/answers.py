@@ -18,13 +18,14 @@ from jaxik.between import between, within_reach
 from jaxik.chain import Chain, finite_limits
 from jaxik.closed_form import closed_branches, closed_forms
 from jaxik.costs import joint_freedom
+from jaxik.hierarchy import Surroundings, surroundings
 from jaxik.ik import IKResult, as_poses, solve_ik
 from jaxik.kinematics import manipulability, pose_errors
 from jaxik.leading import NOTHING, arm_of, freest, grid, leading_grid
 from jaxik.reach import reach
 from jaxik.result import Reason
 from jaxik.scan import measures
-from jaxik.scene import Scene, make_scene
+from jaxik.scene import make_scene
 from jaxik.spmd import HostKernel
 from jaxik.sweep.study import Study, Variant
 from jaxik.sweep.targets import Targets
@@ -82,7 +83,7 @@ def answer(study: Study, variant: Variant, rows: slice) -> dict[str, np.ndarray]
     poses, valid = base_T_world @ given if study.targets.frame == "world" else given, np.ones(count, bool)
     if study.targets.poses is not None:  # someone else's, who may have got them wrong
         poses, valid, _ = as_poses(poses, study.ik.task)
-    around = _Surroundings.of(study, rows, base_T_world) if study.collision else None
+    around = _Crops.of(study, rows, base_T_world) if study.collision else None
     solve = _closed_form if study.method(chain) == "closed form" else _search
     for name, values in solve(study, chain.mounted(np.eye(4)), poses, valid, around).items():
         columns[name][:] = values if name != "q" else _padded(values, study.joints)
@@ -97,24 +98,24 @@ def given_columns(targets: Targets, rows: slice) -> dict[str, np.ndarray]:
     return dict(zip(GIVEN, (targets.positions_at(numbers), turned), strict=True))
 
 
-class _Surroundings(NamedTuple):
+class _Crops(NamedTuple):
     """What postures keep clear of, in the robot's base: scenes, and which is each target's (N,)."""
 
-    scenes: dict[int, Scene]
+    scenes: dict[int, Surroundings]
     crop: np.ndarray
 
     @staticmethod
-    def of(study: Study, rows: slice, base_T_world: np.ndarray) -> _Surroundings:
+    def of(study: Study, rows: slice, base_T_world: np.ndarray) -> _Crops:
         crops = study.targets.crop
         crop = np.zeros(rows.stop - rows.start, int) if crops is None else crops[rows]
         scene = lambda c: (study.scene or make_scene()) if crops is None else study.targets.scenes[c]
-        return _Surroundings({int(c): scene(c).moved(base_T_world).geometry() for c in np.unique(crop)}, crop)
+        return _Crops({int(c): surroundings(scene(c).moved(base_T_world)) for c in np.unique(crop)}, crop)
 
-    def part(self, rows: Any) -> _Surroundings:
+    def part(self, rows: Any) -> _Crops:
         """Of some of the targets."""
-        return _Surroundings(self.scenes, self.crop[rows])
+        return _Crops(self.scenes, self.crop[rows])
 
-    def groups(self, owner: np.ndarray) -> Iterator[tuple[Scene, np.ndarray]]:
+    def groups(self, owner: np.ndarray) -> Iterator[tuple[Surroundings, np.ndarray]]:
         """Each scene with those of the rows that have its target for `owner`."""
         crop = self.crop[owner]
         for c in np.unique(crop):
@@ -157,7 +158,7 @@ class _Best(NamedTuple):
 
 
 def _closed_form(
-    study: Study, chain: Chain, poses: np.ndarray, valid: np.ndarray, around: _Surroundings | None
+    study: Study, chain: Chain, poses: np.ndarray, valid: np.ndarray, around: _Crops | None
 ) -> dict[str, np.ndarray]:
     """The postures of poses (N, 4, 4) on the grid of leading positions and, where it has none, between them."""
     beyond = ~valid | (reach(chain).excess(poses) > SLACK) | ~within_reach(chain, poses)
@@ -206,7 +207,7 @@ def _answered(columns: dict[str, np.ndarray], chain: Chain, poses: np.ndarray, a
     columns["clearance"][asked[some]] = best.clearance[some]
 
 
-def _between(study: Study, chain: Chain, poses: np.ndarray, around: _Surroundings | None) -> tuple[_Best, np.ndarray]:
+def _between(study: Study, chain: Chain, poses: np.ndarray, around: _Crops | None) -> tuple[_Best, np.ndarray]:
     """What `between` finds for poses that have nothing on the grid; and which stay open."""
     found = between(chain, poses, study.slides, study.refine)
     best = _Best.nothing(len(poses), found.leading.shape[1])
@@ -250,7 +251,7 @@ def _exact(chain: Chain, poses: np.ndarray, leading: np.ndarray, branch: np.ndar
     return q, within
 
 
-def _on_grid(study: Study, chain: Chain, poses: np.ndarray, around: _Surroundings | None) -> tuple[_Best, _Near]:
+def _on_grid(study: Study, chain: Chain, poses: np.ndarray, around: _Crops | None) -> tuple[_Best, _Near]:
     """The best over the grid of leading positions; and of targets whose postures all collide, the nearest to be clear."""
     leading = leading_grid(chain, study.slides)
     found = freest(chain, poses, leading)
@@ -283,7 +284,7 @@ class _Near(NamedTuple):
         return _Near(np.zeros(0, int), np.zeros((0, k)))
 
 
-def _beside(study: Study, chain: Chain, poses: np.ndarray, near: _Near, around: _Surroundings) -> _Best:
+def _beside(study: Study, chain: Chain, poses: np.ndarray, near: _Near, around: _Crops) -> _Best:
     """The best at leading positions beside those where a target's postures only just collide."""
     found = _Best.nothing(len(poses), near.leading.shape[1])
     k = near.leading.shape[1]
@@ -306,7 +307,7 @@ def _avoid(
     target: np.ndarray,
     leading: np.ndarray,
     inside: np.ndarray | None,
-    around: _Surroundings,
+    around: _Crops,
     best: _Best,
 ) -> _Near:
     """Of the postures of targets (P,) at leading positions (P, k), of which those `inside` (P, 8) count (all inside the limits
@@ -344,9 +345,7 @@ def _first(owner: np.ndarray, cost: np.ndarray, count: int) -> np.ndarray:
 # By search
 
 
-def _search(
-    study: Study, chain: Chain, poses: np.ndarray, valid: np.ndarray, around: _Surroundings | None
-) -> dict[str, np.ndarray]:
+def _search(study: Study, chain: Chain, poses: np.ndarray, valid: np.ndarray, around: _Crops | None) -> dict[str, np.ndarray]:
     """The answers of `solve_ik`."""
     asked = np.where(valid[:, None, None], poses, np.nan)
     if around is None:
@@ -358,7 +357,7 @@ def _search(
     return columns
 
 
-def _searched(study: Study, chain: Chain, poses: np.ndarray, scene: Scene | None) -> dict[str, np.ndarray]:
+def _searched(study: Study, chain: Chain, poses: np.ndarray, scene: Surroundings | None) -> dict[str, np.ndarray]:
     found: IKResult = solve_ik(chain, poses, scene, study.seed, study.ik)
     columns = _no_answer(chain, len(poses))
     rows = np.flatnonzero(found.success)

@@ -1,0 +1,57 @@
+"""The distance of a robot's volumes, (corners, radius), to an obstacle of each kind or to a volume of another link [m].
+
+Volumes and obstacles are columns: `Vec3` of arrays and arrays of sizes, which broadcast against each other.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any
+
+import jax.numpy as jnp
+
+from jaxik import distance
+from jaxik.algebra import Rot3, Vec3
+from jaxik.spheres import Skeleton
+
+Gap = Callable[[Any, Any], Any]
+
+
+def square_gap(volumes: Any, point: Any) -> Any:
+    """The square of the distance of centres."""
+    apart = volumes[0][0] - point[0][0]
+    return apart.dot(apart)
+
+
+def skeleton_gap(volumes: Any, other: Any) -> Any:
+    """To one swept-sphere obstacle, or one volume of another link."""
+    return distance.between(volumes[0], other[0]) - (volumes[1] + other[1])
+
+
+def box_gap(volumes: Any, box: Any) -> Any:
+    return distance.to_body(volumes[0], lambda p: distance.point_box(p, *box)) - volumes[1]
+
+
+def cylinder_gap(volumes: Any, cylinder: Any) -> Any:
+    return distance.to_body(volumes[0], lambda p: distance.point_cylinder(p, *cylinder)) - volumes[1]
+
+
+def obstacles_of(kind: str, obstacles: Any, dtype: Any) -> tuple[Gap, Any]:
+    """The gap to an obstacle of a kind, and all of them as columns."""
+    columns = lambda a: Vec3(*(jnp.asarray(a, dtype)[:, i] for i in range(3)))
+    radius = lambda: jnp.broadcast_to(jnp.asarray(obstacles.radius, dtype), jnp.shape(obstacles.center)[:1])
+    if kind in ("points", "spheres"):
+        return skeleton_gap, ((columns(obstacles.center),), radius())
+    if kind == "capsules":
+        return skeleton_gap, ((columns(obstacles.a), columns(obstacles.b)), jnp.asarray(obstacles.radius, dtype))
+    frames = jnp.asarray(obstacles.world_T_box if kind == "boxes" else obstacles.world_T_cylinder, dtype)
+    rotation, centre = Rot3(*(columns(frames[:, i, :3]) for i in range(3))), columns(frames[:, :3, 3])
+    if kind == "boxes":
+        return box_gap, (rotation, centre, columns(obstacles.half))
+    return cylinder_gap, (rotation, centre, jnp.asarray(obstacles.radius, dtype), jnp.asarray(obstacles.half, dtype))
+
+
+def columns_of(skeleton: Skeleton, dtype: Any) -> tuple[tuple[Vec3, ...], Any]:
+    """Volumes as the gaps take them."""
+    corners = tuple(Vec3(*(jnp.asarray(x, dtype) for x in corner)) for corner in skeleton.corners)
+    return corners, jnp.asarray(skeleton.radius, dtype)

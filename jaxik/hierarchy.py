@@ -1,0 +1,272 @@
+"""A robot's volumes and a scene's obstacles in two levels of bounding spheres, so that what is far is not measured.
+
+Leaves hold a few neighbours each, branches the leaves of a link or of a region of the scene [Van Henten et al. 2010, App. A;
+Hubbard 1996]. `nearest` walks through pairs of them. All of it is made on the host, in NumPy; of a scene or a robot that is
+traced, in the order that it has.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import functools
+from typing import Any, NamedTuple
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jax import lax
+
+from jaxik.chain import Chain
+from jaxik.scene import FAR, KINDS, Scene
+from jaxik.spheres import local_volumes
+
+LEAF = {"points": 4, "spheres": 4, "capsules": 1, "boxes": 1, "cylinders": 1}  # obstacles a leaf
+LEAVES = (16, 128, 1024, 8192, 65536)  # what is compiled for: up to so many leaves, of which those that are there are looked at
+SLACK = 1e-4  # [m] that a bounding sphere is larger: nothing is lost to rounding in float32, 100 m from the origin
+
+
+class Balls(NamedTuple):
+    """Bounding spheres: centres (b, 3) and radii (b,) [m]."""
+
+    center: Any
+    radius: Any
+
+
+class Obstacles(eqx.Module):
+    """Those of one `kind`, ordered by place: leaves of `LEAF` rows each; branch b holds the leaves `first[b]` to `last[b]`, not
+    counted, and is one of the `count` that are there if b is less. `unsound` is 0, or NaN where a number of theirs is."""
+
+    kind: str = eqx.field(static=True)
+    rows: Any
+    leaves: Balls
+    branches: Balls
+    first: Any
+    last: Any
+    count: Any
+    unsound: Any
+
+
+Surroundings = tuple[Obstacles, ...]
+
+
+def surroundings(scene: Scene | Surroundings | None, by_object: bool = False) -> Surroundings:
+    """The scene's obstacles by kind; what is out of the way is left out where that is known. `by_object`: branch b holds what
+    belongs to object b."""
+    if scene is None:
+        return ()
+    if not isinstance(scene, Scene):
+        return scene
+    groups = scene.owners if by_object else [None] * len(KINDS)
+    objects = len(scene.object_names) if by_object else None
+    return tuple(_obstacles(k, getattr(scene, k), g, objects) for k, g in zip(KINDS, groups, strict=True) if scene.counts[k])
+
+
+def _obstacles(kind: str, rows: Any, owners: Any, objects: int | None) -> Obstacles:
+    size, known = LEAF[kind], not is_traced(rows)
+    xp = np if known else jnp
+    rows = jax.tree_util.tree_map(np.asarray, rows) if known else rows
+    center, radius = _extent(kind, rows if known else lax.stop_gradient(rows), xp)
+    there = np.arange(len(radius)) if not known else np.flatnonzero(~(np.abs(center).max(axis=1) > FAR / 2.0))
+    if objects is None:
+        groups = [there]
+    else:
+        owner = np.array([*owners, *[-1] * (len(radius) - len(owners))])[there]
+        groups = [there[owner == each] for each in range(objects)]
+    if known:
+        groups = [g[by_place(center[g], size)] for g in groups]
+    order = np.concatenate([np.pad(g, (0, -len(g) % size), "edge") if len(g) else g for g in groups]).astype(int)
+    leaves = len(order) // size
+    if objects is None:
+        fan = max(4, round(leaves**0.5))
+        first = np.arange(0, leaves, fan)
+        last = np.minimum(first + fan, leaves)
+    else:
+        last = np.cumsum([-(-len(g) // size) for g in groups])
+        first = np.append(0, last[:-1])
+    room = max(leaves, len(first))
+    room = next((n for n in LEAVES if n >= room), room) if known else room
+    balls = around(center[order].reshape(-1, size, 3), radius[order].reshape(-1, size), xp)
+    places = np.append(order, np.zeros((room - leaves) * size, int))
+    return Obstacles(
+        kind,
+        jax.tree_util.tree_map(lambda x: x if x.ndim == 0 else x[places], rows),
+        Balls(*(_filled(x, room) for x in balls)),
+        Balls(*(_filled(x, room) for x in _joined(balls, first, last, xp))),
+        _filled(first.astype(np.int32), room),
+        _filled(last.astype(np.int32), room),
+        np.asarray(len(first), np.int32),
+        xp.sum(center) * 0.0 + xp.sum(radius) * 0.0,
+    )
+
+
+def is_traced(tree: Any) -> bool:
+    return any(isinstance(leaf, jax.core.Tracer) for leaf in jax.tree_util.tree_leaves(tree))
+
+
+def _filled(x: Any, room: int) -> Any:
+    missing = room - len(x)
+    xp = np if isinstance(x, np.ndarray) else jnp
+    return x if missing == 0 else xp.concatenate([x, xp.zeros((missing, *x.shape[1:]), x.dtype)])
+
+
+def _extent(kind: str, rows: Any, xp: Any) -> tuple[Any, Any]:
+    """Of each obstacle the centre (k, 3) and radius (k,) of a sphere around it."""
+    if kind in ("points", "spheres"):
+        return xp.asarray(rows.center), xp.broadcast_to(xp.asarray(rows.radius), rows.center.shape[:1])
+    if kind == "capsules":
+        return (rows.a + rows.b) / 2.0, xp.sqrt(xp.sum((rows.b - rows.a) ** 2, axis=1)) / 2.0 + rows.radius
+    if kind == "boxes":
+        return rows.world_T_box[:, :3, 3], xp.sqrt(xp.sum(rows.half**2, axis=1))
+    return rows.world_T_cylinder[:, :3, 3], xp.sqrt(rows.radius**2 + rows.half**2)
+
+
+def around(center: Any, radius: Any, xp: Any = np) -> Balls:
+    """Of each group of balls (g, k, 3), (g, k) one around all."""
+    reach = radius[..., None]
+    middle = ((center + reach).max(axis=1) + (center - reach).min(axis=1)) / 2.0 if center.shape[1] > 1 else center[:, 0]
+    away = xp.sqrt(xp.sum((center - middle[:, None]) ** 2, axis=-1)) + radius
+    return Balls(middle, away.max(axis=1) + SLACK)
+
+
+def _joined(balls: Balls, first: np.ndarray, last: np.ndarray, xp: Any) -> Balls:
+    """Around runs of balls, from `first` to `last`, not counted; of none a ball far away."""
+    most = int(np.max(last - first, initial=1))
+    rows = np.minimum(first[:, None] + np.arange(most), np.maximum(last[:, None] - 1, 0))
+    if not len(balls.radius):
+        return Balls(np.full((len(first), 3), FAR), np.zeros(len(first)))
+    found = around(balls.center[rows], balls.radius[rows], xp)
+    return Balls(xp.where((last > first)[:, None], found.center, FAR), found.radius)
+
+
+def by_place(points: np.ndarray, size: int) -> np.ndarray:
+    """An order of points (k, 3) in which runs of `size` are neighbours: halved again and again across the longest extent."""
+    order, starts = np.arange(len(points)), np.zeros(1, int)
+    while len(points):
+        ends = np.append(starts[1:], len(points))
+        lengths = ends - starts
+        if lengths.max() <= size:
+            break
+        here = points[order]
+        extent = np.maximum.reduceat(here, starts) - np.minimum.reduceat(here, starts)
+        segment = np.repeat(np.arange(len(starts)), lengths)
+        along = here[np.arange(len(here)), extent.argmax(axis=1)[segment]]
+        order = order[np.lexsort((along, segment))]
+        halves = starts + (-(-lengths // size) + 1) // 2 * size
+        starts = np.unique(np.concatenate([starts, halves[lengths > size]]))
+    return order
+
+
+# --------------------------------------------------------------------------------------------------------------------
+# The robot
+
+
+class Volumes(NamedTuple):
+    """Those with as many corners: leaves of `size` rows; part p has the leaves `first[p]` to `last[p]`, not counted.
+
+    `corners` (v, c, 3) and `leaves` in the frames of `joint` (v,); `even`: whether the radii in a leaf are the same."""
+
+    corners: Any
+    radius: Any
+    joint: np.ndarray
+    link: np.ndarray
+    size: int
+    leaves: Balls
+    first: np.ndarray
+    last: np.ndarray
+    even: bool
+
+    @property
+    def arity(self) -> int:
+        return int(self.corners.shape[1])
+
+
+@dataclasses.dataclass(frozen=True)
+class Robot:
+    """A chain's volumes by corner count, and its parts: links from the tip to the base, each with a sphere around it.
+
+    `other[first[p]:last[p]]` are the parts before p, on the way from the base, that it is checked against.
+    """
+
+    links: tuple[int, ...]
+    joint: np.ndarray
+    parts: Balls
+    kinds: tuple[Volumes, ...]
+    other: np.ndarray
+    first: np.ndarray
+    last: np.ndarray
+
+
+def robot(chain: Chain) -> Robot:
+    """Raises nothing; `collision.check_geometry` says what is missing."""
+    return _robot(chain) if is_traced(chain) else _known_robot(chain)
+
+
+@functools.lru_cache(maxsize=64)
+def _known_robot(chain: Chain) -> Robot:
+    return _robot(chain)
+
+
+def _robot(chain: Chain) -> Robot:
+    links = tuple(sorted({b.link for b in chain.boxes} | {v.link for v in chain.volumes}, reverse=True))
+    part = {link: p for p, link in enumerate(links)}
+    kinds = tuple(v for v in (_volumes(chain, links, count) for count in (1, 2, 3)) if v is not None)
+    before: list[list[int]] = [[] for _ in links]
+    for a, b in chain.self_pairs:
+        if a in part and b in part:
+            before[part[b]].append(part[a])
+    ends = np.cumsum([len(each) for each in before], dtype=np.int32)
+    joint = np.array([chain.link_joint[link] for link in links], np.int32)
+    other = np.array([p for each in before for p in each], np.int32)
+    return Robot(links, joint, _parts(links, kinds), kinds, other, np.append(np.int32(0), ends[:-1]), ends)
+
+
+def _parts(links: tuple[int, ...], kinds: tuple[Volumes, ...]) -> Balls:
+    """A sphere around each link."""
+    found = []
+    for p in range(len(links)):
+        rows = [np.arange(v.first[p], v.last[p]) for v in kinds]
+        xp = jnp if is_traced([v.leaves for v in kinds]) else np
+        center = xp.concatenate([v.leaves.center[r] for v, r in zip(kinds, rows, strict=True)])
+        radius = xp.concatenate([v.leaves.radius[r] for v, r in zip(kinds, rows, strict=True)])
+        found.append(around(center[None], radius[None], xp))
+    return Balls(*(xp.concatenate(x) for x in zip(*found, strict=True))) if found else Balls(np.zeros((0, 3)), np.zeros(0))
+
+
+def _volumes(chain: Chain, links: tuple[int, ...], count: int) -> Volumes | None:
+    local = local_volumes(chain, count)
+    if local is None:
+        return None
+    corners, radius, link = local
+    fixed = lax.stop_gradient((corners, radius)) if is_traced((corners, radius)) else (corners, radius)
+    xp = jnp if is_traced(fixed) else np
+    center, reach = _balls_of(fixed, xp)
+    size = _leaf_size([int(np.sum(link == each)) for each in links]) if count == 1 else 1
+    rows, first, last, leaves = [], [], [], 0
+    for each in links:
+        own = np.flatnonzero(link == each)
+        if len(own) and size > 1 and xp is np:
+            own = own[by_place(center[own], size)]
+        own = np.pad(own, (0, -len(own) % size), "edge") if len(own) else own
+        rows.append(own)
+        first.append(leaves)
+        leaves += len(own) // size
+        last.append(leaves)
+    order = np.concatenate(rows)
+    balls = around(center[order].reshape(-1, size, 3), reach[order].reshape(-1, size), xp)
+    joint = np.array(chain.link_joint, np.int32)[link[order]]
+    even = xp is np and bool(np.all(np.ptp(radius[order].reshape(-1, size), axis=1) == 0.0))
+    bounds = np.array(first, np.int32), np.array(last, np.int32)
+    return Volumes(corners[order], radius[order], joint, link[order], size, balls, *bounds, even)
+
+
+def _balls_of(volumes: Any, xp: Any) -> tuple[Any, Any]:
+    """Spheres around volumes, centres and radii."""
+    corners, radius = volumes
+    middle = (corners.max(axis=1) + corners.min(axis=1)) / 2.0
+    return middle, xp.sqrt(xp.sum((corners - middle[:, None]) ** 2, axis=-1)).max(axis=1) + radius
+
+
+def _leaf_size(counts: list[int]) -> int:
+    """How many spheres go together: as many as leave not a third of the places empty."""
+    return next(n for n in (8, 4, 2, 1) if sum(-(-c // n) * n for c in counts) <= 1.5 * sum(counts))

@@ -1,0 +1,309 @@
+"""The search for the nearest pair: of a robot's volume and an obstacle, or two of its volumes.
+
+It goes from the tip to the base, part by part, through `hierarchy`'s two levels on both sides. What cannot be nearer than the
+least distance so far, in any lane of a kernel's vector, is skipped: the loops and branches stay such in machine code. The least
+distance is that of the flat search, to the last bit, since skipping takes part in no arithmetic.
+"""
+
+from __future__ import annotations
+
+import functools
+import itertools
+from collections.abc import Callable
+from typing import Any, NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jax import lax
+
+from jaxik import distance, hierarchy
+from jaxik.algebra import Frame, Vec3, stack, traced
+from jaxik.chain import Chain
+from jaxik.gaps import Gap, obstacles_of, skeleton_gap, square_gap
+from jaxik.hierarchy import Robot, Surroundings, Volumes
+from jaxik.kinematics import joint_frames
+
+
+class Found(NamedTuple):
+    """A least distance [m]; of which volume, and of which obstacle or other volume, where that is asked for (else None)."""
+
+    distance: Any
+    mine: Any = None
+    other: Any = None
+
+
+class Placed(NamedTuple):
+    """Volumes of one corner count in the world: their leaves' spheres, centres and radii, and their corners, as columns."""
+
+    leaves: tuple[Vec3, Any]
+    corners: tuple[Vec3, ...]
+    radius: Any
+
+
+class Others(NamedTuple):
+    """What volumes are measured against, of one kind: rows, and leaves of `size` of them; `even`: balls with like radii in a
+    leaf. Their numbers, for all kinds together, begin at `origin`."""
+
+    columns: Any
+    gap: Gap
+    leaves: Any
+    size: int
+    even: bool
+    origin: int
+
+    @property
+    def rows(self) -> int:
+        return len(jax.tree_util.tree_leaves(self.columns)[0])
+
+
+class Space:
+    """A robot at one configuration, among what surrounds it."""
+
+    def __init__(self, chain: Chain, surroundings: Surroundings, q: Any, skips: bool = True):
+        self.robot, self.obstacles, self.dtype, self.skips = hierarchy.robot(chain), surroundings, q.dtype, skips
+        self.prismatic = chain.is_prismatic
+        root = Frame.of(chain.world_T_base, float(np.finfo(q.dtype).eps))
+        self.joints = joint_frames(chain, traced(q), root, q.dtype)
+        self.frames = jnp.stack([stack(f.entries[:12], (12,), q.dtype) for f in (root, *self.joints.joints)])
+        self.parts, self.placed = _placed(self.robot, self.frames, q.dtype)
+        self.first = np.cumsum(
+            [0, *(len(v.radius) for v in self.robot.kinds)]
+        ).tolist()  # volumes of each kind, in one numbering
+        self.others: list[Others] = []
+        for o in surroundings:
+            gap, columns = obstacles_of(o.kind, o.rows, q.dtype)
+            self._add(columns, gap, _cast(o.leaves, q.dtype), hierarchy.LEAF[o.kind], o.kind == "points")
+        for v, placed in zip(self.robot.kinds, self.placed, strict=True):
+            self._add((placed.corners, placed.radius), skeleton_gap, placed.leaves, v.size, v.even and v.arity == 1)
+
+    def _add(self, columns: Any, gap: Gap, leaves: Any, size: int, even: bool) -> None:
+        origin = self.others[-1].origin + self.others[-1].rows if self.others else 0
+        self.others.append(Others(columns, gap, leaves, size, even, origin))
+
+    # ----------------------------------------------------------------------------------------------------------------
+    # Which pairs
+
+    def all(self, start: Any = jnp.inf, tracked: bool = False, enough: Any = None) -> Found:
+        """The nearest pair of all that are nearer than `start` [m]; the search ends where one is nearer than `enough`."""
+        count = len(self.robot.links)
+
+        def goes_on(state: Any) -> Any:
+            p, found = state
+            return (p < count) if enough is None else (p < count) & ~(found.distance < enough)
+
+        step = lambda state: (state[0] + 1, self.part(*state))
+        return lax.while_loop(goes_on, step, (jnp.int32(0), _start(start, tracked, self.dtype)))[1]
+
+    def each(self, then: Callable[[Found], Any], tracked: bool = False) -> Any:
+        """`then` of the nearest pair of each part, in arrays with an entry a link, from the base on."""
+        one = lambda _, p: (None, then(self.part(p, _start(jnp.inf, tracked, self.dtype))))
+        found = lax.scan(one, None, jnp.arange(len(self.robot.links), dtype=jnp.int32))[1]
+        return jax.tree_util.tree_map(lambda x: x[::-1], found)
+
+    def objects(self, count: int, then: Callable[[Found], Any], tracked: bool = False) -> Any:
+        """`then` of the nearest pair of each object, which is branch after branch of the obstacles."""
+
+        def one(_: Any, b: Any) -> Any:
+            found = _start(jnp.inf, tracked, self.dtype)
+            for k in range(len(self.obstacles)):
+                step = lambda p, found, k=k: self._to_branch(p, _ball(self.parts, p), k, b, found)
+                found = lax.fori_loop(jnp.int32(0), jnp.int32(len(self.robot.links)), step, found)
+            return None, then(found)
+
+        return lax.scan(one, None, jnp.arange(count, dtype=jnp.int32))[1]
+
+    def part(self, p: Any, found: Found) -> Found:
+        """The nearest pair of part p, a later one of two parts, or what was `found` if none is nearer."""
+        ball = _ball(self.parts, p)
+        for k, obstacles in enumerate(self.obstacles):
+            step = lambda b, found, k=k: self._to_branch(p, ball, k, b, found)
+            found = lax.fori_loop(jnp.int32(0), jnp.asarray(obstacles.count, jnp.int32), step, found)
+        return self._to_itself(p, ball, found) if len(self.robot.other) else found
+
+    def _to_branch(self, p: Any, ball: Any, k: int, b: Any, found: Found) -> Found:
+        """Part p against branch b of the obstacles of kind k."""
+        obstacles = self.obstacles[k]
+        first, last = _at(obstacles.first, b), _at(obstacles.last, b)
+        inside = lambda found: self._leaves(p, first, last, self.others[k], found)
+        return self._if_near(found, ball, _ball(_cast(obstacles.branches, self.dtype), b), inside)
+
+    def _to_itself(self, p: Any, ball: Any, found: Found) -> Found:
+        robot = self.robot
+
+        def pair(k: Any, found: Found) -> Found:
+            o = _at(robot.other, k)
+
+            def inside(found: Found) -> Found:
+                for volumes, others in zip(robot.kinds, self.others[len(self.obstacles) :], strict=True):
+                    found = self._leaves(p, _at(volumes.first, o), _at(volumes.last, o), others, found)
+                return found
+
+            return self._if_near(found, ball, _ball(self.parts, o), inside)
+
+        return lax.fori_loop(_at(robot.first, p), _at(robot.last, p), pair, found)
+
+    def _leaves(self, p: Any, first: Any, last: Any, others: Others, found: Found) -> Found:
+        """All leaves of part p against those of the others from `first` to `last`, not counted."""
+        for volumes, placed, origin in zip(self.robot.kinds, self.placed, self.first, strict=False):
+            squares = others.even and volumes.arity == 1
+
+            def own(i: Any, found: Found, v: Any = (volumes, placed, origin, squares)) -> Found:
+                volumes, placed, origin, squares = v
+                ball, mine = _ball(placed.leaves, i), _rows((placed.corners, placed.radius), i, volumes.size)
+
+                def other(j: Any, found: Found) -> Found:
+                    theirs = _rows(others.columns, j, others.size)
+                    places = origin + i * volumes.size, others.origin + j * others.size
+                    inside = lambda found: _nearer(found, mine, theirs, others.gap, squares, volumes.even, places)
+                    return self._if_near(found, ball, _ball(others.leaves, j), inside)
+
+                return lax.fori_loop(first, last, other, found)
+
+            found = lax.fori_loop(_at(volumes.first, p), _at(volumes.last, p), own, found)
+        return found
+
+    def _if_near(self, found: Found, a: Any, b: Any, inside: Callable[[Found], Found]) -> Found:
+        """What is found `inside` two spheres, unless they are further apart than what is found already."""
+        if not self.skips:
+            return inside(found)
+        (center, radius), (other, other_radius) = a, b
+        apart, reach = center - other, found.distance + (radius + other_radius)
+        return lax.cond(apart.dot(apart) < reach * reach, inside, lambda found: found, found)
+
+    # ----------------------------------------------------------------------------------------------------------------
+    # One pair
+
+    def gap(self, found: Found) -> Any:
+        """The distance of a pair that was found, with its derivative in everything that it depends on [Danskin 1967]."""
+        value = self._of_pair(found, lambda gap, own, other, _: gap(own, other), jnp.zeros((), self.dtype))
+        return found.distance + jnp.where(found.mine >= 0, value - lax.stop_gradient(value), 0.0)
+
+    def slopes(self, found: Found) -> list[Any]:
+        """The derivatives of a found pair's distance by each joint.
+
+        A distance pulls on the volume that it belongs to with a force f (its gradient by the volume's place) and a moment m
+        about the origin, and on the other one with their opposites, since moving both together changes nothing. So only
+        joints between the two take part: `dD/dq_j = z_j . (m - p_j x f)` if joint j turns, `z_j . f` if it slides. That costs
+        one pull, where forward differentiation moves the whole robot n times.
+        """
+
+        def pull(gap: Gap, own: Any, other: Any, between: Any) -> Any:
+            corners, radius = own
+            value, back = jax.vjp(lambda corners: gap((corners, radius), other), corners)
+            (slope,) = back(jnp.ones_like(value))
+            force = functools.reduce(Vec3.__add__, slope)
+            moment = functools.reduce(Vec3.__add__, [c.cross(f) for c, f in zip(corners, slope, strict=True)])
+            return force, moment, between
+
+        zero, none = Vec3(*[jnp.zeros((), self.dtype)] * 3), jnp.int32(0)
+        force, moment, (own, other) = self._of_pair(found, pull, (zero, zero, (none, none)))
+        rows = []
+        for j, (axis, frame) in enumerate(zip(self.joints.axes, self.joints.joints, strict=True)):
+            turns = axis.dot(moment - frame.translation.cross(force))
+            rows.append(jnp.where((other <= j) & (own > j), axis.dot(force) if self.prismatic[j] else turns, 0.0))
+        return rows
+
+    def _of_pair(self, found: Found, function: Callable[..., Any], nothing: Any) -> Any:
+        """`function(gap, own, other, joints)` of a found pair, or `nothing`; the joints are those that move the one and the
+        other."""
+        value = nothing
+        for volumes, origin in zip(self.robot.kinds, self.first, strict=False):
+            for k, others in enumerate(self.others):
+                i, j = found.mine - origin, found.other - others.origin
+                here = (i >= 0) & (i < len(volumes.radius)) & (j >= 0) & (j < others.rows)
+                theirs = self.robot.kinds[k - len(self.obstacles)] if k >= len(self.obstacles) else None
+
+                def inside(value: Any, v: Any = (volumes, others, theirs, i, j)) -> Any:
+                    volumes, others, theirs, i, j = v
+                    own, above = self._volume(volumes, i)
+                    other, below = jax.tree_util.tree_map(lambda x: _at(x, j), others.columns), jnp.int32(0)
+                    if theirs is not None:
+                        other, below = self._volume(theirs, j)
+                    return function(others.gap, own, other, (above, below))
+
+                value = lax.cond(here, inside, lambda value: value, value)
+        return value
+
+    def _volume(self, volumes: Volumes, i: Any) -> Any:
+        """One volume, whose number may differ from lane to lane, and its joint."""
+        joint, local = _at(volumes.joint, i), _at(jnp.asarray(volumes.corners, self.dtype), i)
+        frame = Frame.of_entries(traced(_at(self.frames, joint)))
+        corners = tuple(frame @ Vec3(*traced(local[c])) for c in range(volumes.arity))
+        return (corners, _at(jnp.asarray(volumes.radius, self.dtype), i)), joint
+
+
+def _start(start: Any, tracked: bool, dtype: Any) -> Found:
+    nobody = jnp.int32(-1) if tracked else None
+    return Found(jnp.asarray(start, dtype), nobody, nobody)
+
+
+def _placed(robot: Robot, frames: Any, dtype: Any) -> tuple[tuple[Vec3, Any], tuple[Placed, ...]]:
+    """The spheres of the parts, and the volumes, in the world: one loop over all points, each by its joint's frame."""
+    local, joint = [robot.parts.center], [robot.joint]
+    for v in robot.kinds:
+        local += [v.leaves.center, *(v.corners[:, c] for c in range(v.arity))]
+        joint += [v.joint[:: v.size], *[v.joint] * v.arity]
+    xp = jnp if hierarchy.is_traced(local) else np
+    points, joints = xp.concatenate(local).astype(dtype), np.concatenate(joint)
+    moved = lambda _, row: (None, tuple(Frame.of_entries(traced(_at(frames, row[1]))) @ Vec3(*traced(row[0]))))
+    columns = lax.scan(moved, None, (jnp.asarray(points), jnp.asarray(joints)))[1]
+    cuts = itertools.pairwise(np.cumsum([0, *(len(x) for x in local)]))
+    parts, *rest = [Vec3(*(x[a:b] for x in columns)) for a, b in cuts]
+    sized = lambda x: jnp.asarray(x, dtype)
+    found = []
+    for v in robot.kinds:
+        found.append(Placed((rest[0], sized(v.leaves.radius)), tuple(rest[1 : 1 + v.arity]), sized(v.radius)))
+        rest = rest[1 + v.arity :]
+    return (parts, sized(robot.parts.radius)), tuple(found)
+
+
+def _nearer(found: Found, mine: Any, theirs: Any, gap: Any, squares: bool, even: bool, places: Any) -> Found:
+    """The least distance of a few volumes to a few others, if it is less.
+
+    Where radii are equal the least square is looked for, and one root taken: of all, or of each volume."""
+    columns = jax.tree_util.tree_map(lambda x: x[:, None], theirs)
+    key = (square_gap if squares else gap)(mine, columns)  # (others, volumes)
+    first, second = (None, None) if found.mine is None else np.indices(key.shape, np.int32)[::-1]
+    key, first, second = _least(key, first, second)
+    if squares and not even:
+        key = distance.root(key) - (mine[1] + theirs[1][0])
+    key, first, second = _least(key, first, second)
+    if squares and even:
+        key = distance.root(key) - (mine[1][0] + theirs[1][0])
+    closer = key < found.distance
+    chosen = lambda new, old: jnp.where(closer, new, old)
+    if found.mine is None:
+        return Found(chosen(key, found.distance))
+    return Found(chosen(key, found.distance), chosen(first + places[0], found.mine), chosen(second + places[1], found.other))
+
+
+def _least(key: Any, *marks: Any) -> tuple[Any, ...]:
+    """The least along the first axis, and its marks. Not by `min`, which minds NaN: that costs three times as much."""
+
+    def halved(x: Any, closer: Any) -> Any:
+        half = len(closer)
+        return None if x is None else jnp.concatenate([jnp.where(closer, x[half : 2 * half], x[:half]), x[2 * half :]])
+
+    while len(key) > 1:
+        closer = key[len(key) // 2 : len(key) // 2 * 2] < key[: len(key) // 2]
+        key, marks = halved(key, closer), tuple(halved(m, closer) for m in marks)
+    return key[0], *(None if m is None else m[0] for m in marks)
+
+
+def _at(x: Any, i: Any) -> Any:
+    return lax.dynamic_index_in_dim(jnp.asarray(x), i, keepdims=False)
+
+
+def _rows(columns: Any, i: Any, size: int) -> Any:
+    return jax.tree_util.tree_map(lambda x: lax.dynamic_slice_in_dim(x, i * size, size), columns)
+
+
+def _ball(balls: Any, i: Any) -> Any:
+    """One of some, its centre and its radius."""
+    return jax.tree_util.tree_map(lambda x: _at(x, i), balls)
+
+
+def _cast(balls: hierarchy.Balls, dtype: Any) -> Any:
+    center = jnp.asarray(balls.center, dtype)
+    return Vec3(center[:, 0], center[:, 1], center[:, 2]), jnp.asarray(balls.radius, dtype)
