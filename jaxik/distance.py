@@ -15,7 +15,7 @@ they do and not how far. The sign is right throughout.
 from __future__ import annotations
 
 from collections.abc import Callable
-from functools import reduce
+from functools import partial, reduce
 from typing import Any
 
 import jax
@@ -25,6 +25,7 @@ from jax import lax
 from jaxik.algebra import Rot3, Vec3, ratio, safe_sqrt
 
 _GOLDEN = (5.0**0.5 - 1.0) / 2.0
+_NEWTON = {4: 8, 8: 10}  # steps to a cylinder: in 100,000 random cases 8 reach rounding
 _STEPS = {4: 32, 8: 64}  # golden-section steps to the rounding of float32 and float64: 0.618^32 = 2e-7, 0.618^64 = 4e-14
 
 
@@ -171,18 +172,135 @@ def point_cylinder(p: Vec3, world_R_cylinder: Rot3, centre: Vec3, radius: Any, h
     return jnp.where(inside <= 0.0, inside, safe_sqrt(r * r + z * z))
 
 
-def to_body(skeleton: tuple[Vec3, ...], body: Callable[[Vec3], Any]) -> Any:
-    """The least value of a convex `body` (a signed distance) over a point, a line or a triangle."""
+def skeleton_box(skeleton: tuple[Vec3, ...], world_R_box: Rot3, centre: Vec3, half: Vec3) -> Any:
+    """The least signed distance to a box over a point, a line or a triangle."""
     if len(skeleton) == 1:
-        return body(skeleton[0])
-    if len(skeleton) == 2:
-        return _least_on(lambda t: body(_blend(skeleton, (1.0 - t, t))))
-    # lines parallel to the first edge: the least value on each is convex in its distance from the edge
-    return _least_on(lambda v: _least_on(lambda t: body(_blend(skeleton, ((1.0 - t) * (1.0 - v), t * (1.0 - v), v)))))
+        return point_box(skeleton[0], world_R_box, centre, half)
+    return _on_lines([world_R_box.T @ (p - centre) for p in skeleton], lambda a, b: _line_box(a, b, half))
 
 
-def _blend(corners: Any, weights: Any) -> Vec3:
-    return Vec3(*(sum(w * c[i] for w, c in zip(weights, corners, strict=True)) for i in range(3)))
+def skeleton_cylinder(skeleton: tuple[Vec3, ...], world_R_cylinder: Rot3, centre: Vec3, radius: Any, half: Any) -> Any:
+    """The least signed distance to a cylinder about its frame's z over a point, a line or a triangle."""
+    if len(skeleton) == 1:
+        return point_cylinder(skeleton[0], world_R_cylinder, centre, radius, half)
+    local = [world_R_cylinder.T @ (p - centre) for p in skeleton]
+    return _on_lines(local, lambda a, b: _line_cylinder(a, b, radius, half))
+
+
+def _on_lines(corners: list[Vec3], line: Callable[[Vec3, Vec3], Any]) -> Any:
+    """The least value of a convex function over a line or a triangle, which knows it of lines: that of those parallel to the
+    triangle's first edge is convex in their distance from it."""
+    if len(corners) == 2:
+        return line(*corners)
+    a, b, c = corners
+    return _least_on(lambda v: line(a * (1.0 - v) + c * v, b * (1.0 - v) + c * v))
+
+
+def _line_box(a: Vec3, b: Vec3, half: Vec3) -> Any:
+    """The segment ab to a box about the origin along the axes.
+
+    Outside: half the derivative of the squared distance at t is `sum_i u_i (x_i - clip(x_i, -h_i, h_i))` with x = a + u t. It
+    grows with t, and is linear between the six t where some x_i = +-h_i: its zero lies between two of them. Inside: the depth
+    is the least of the largest of six linear functions, `max_i (+-x_i - h_i)`, of which three grow and three fall: so it is the
+    largest of the values where one that grows meets one that falls, and of those at the ends. Both exact.
+    """
+    u = b - a
+    beyond = lambda t: Vec3(*(x - jnp.clip(x, -h, h) for x, h in zip(a + u * t, half, strict=True)))
+    slope = lambda t: u.dot(beyond(t))
+    low, high = _bracket(slope, [ratio(side - x, v) for x, v, h in zip(a, u, half, strict=True) for side in (-h, h)])
+    between = low[0] + (high[0] - low[0]) * _clip01(ratio(-low[1], high[1] - low[1]))
+    t = _least_between(low, high, between)
+    outside = norm(beyond(t))
+    grows = [(jnp.abs(v), jnp.where(v < 0.0, -x, x) - h) for x, v, h in zip(a, u, half, strict=True)]
+    falls_off = [(jnp.abs(v), jnp.where(v < 0.0, x, -x) - h) for x, v, h in zip(a, u, half, strict=True)]
+    inside = [c for _, c in grows] + [c - v for v, c in falls_off]
+    for v, c in grows:
+        for w, d in falls_off:
+            inside.append(jnp.where(jnp.abs(d - c) < v + w, ratio(w * c + v * d, v + w), c))  # else they meet beyond the ends
+    deepest = reduce(jnp.maximum, inside)
+    return jnp.where(deepest <= 0.0, deepest, outside)
+
+
+def _line_cylinder(a: Vec3, b: Vec3, radius: Any, half: Any) -> Any:
+    """The segment ab to a cylinder about z, between -half and half.
+
+    Inside: of the larger of two convex functions, the distances past the side and past the caps, the least is at an end, where
+    one of them is least, or where they meet: where `x^2 + y^2 = (r - h +- z)^2`, two quadratic equations. Outside: the zero of
+    the derivative, which grows: by Newton's steps, and by halves where one leaves the bracket.
+    """
+    u = b - a
+    at = lambda t: a + u * t
+    radial = lambda p: safe_sqrt(p.x * p.x + p.y * p.y) - radius
+    axial = lambda p: jnp.abs(p.z) - half
+    deep = lambda p: jnp.maximum(radial(p), axial(p))
+    across = u.x * u.x + u.y * u.y
+    nearest = _clip01(ratio(-(a.x * u.x + a.y * u.y), across))
+    zero = jnp.zeros_like(nearest)
+    places = [zero, zero + 1.0, nearest, _clip01(ratio(-a.z, u.z))]
+    for sign in (1.0, -1.0):
+        rim = radius - half + sign * a.z
+        p, q = across - u.z * u.z, a.x * u.x + a.y * u.y - sign * rim * u.z
+        rest = a.x * a.x + a.y * a.y - rim * rim
+        spread = safe_sqrt(q * q - p * rest)
+        larger = -(q + jnp.where(q < 0.0, -spread, spread))  # the root that does not cancel, the other by their product
+        places += [_clip01(ratio(larger, p)), _clip01(ratio(rest, larger))]
+    inside = reduce(jnp.minimum, [deep(at(t)) for t in places])
+
+    p = at(_nearest_to_cylinder(*_held((a, b, radius, half))))
+    out, past = jnp.maximum(radial(p), 0.0), jnp.maximum(axial(p), 0.0)
+    return jnp.where(inside <= 0.0, inside, safe_sqrt(out * out + past * past))
+
+
+def _nearest_to_cylinder(a: Vec3, b: Vec3, radius: Any, half: Any) -> Any:
+    """Where on the segment ab, which is outside, the distance to the cylinder is least."""
+    u = b - a
+    across = u.x * u.x + u.y * u.y
+
+    def slope(t: Any) -> tuple[Any, Any]:
+        """Half the derivative of the square of the distance, and its derivative."""
+        p = a + u * t
+        length = safe_sqrt(p.x * p.x + p.y * p.y)
+        out, past = jnp.maximum(length - radius, 0.0), jnp.maximum(jnp.abs(p.z) - half, 0.0)
+        away = ratio(p.x * u.x + p.y * u.y, length)
+        rise = away * away + ratio(out, length) * (across - away * away)
+        value = out * away + past * u.z * jnp.sign(p.z)
+        return value, jnp.where(out > 0.0, rise, 0.0) + jnp.where(past > 0.0, u.z * u.z, 0.0)
+
+    def narrow(_: Any, state: Any) -> Any:
+        low, high, t, best, least = state
+        value, rise = slope(t)
+        closer = jnp.abs(value) < least
+        low, high = jnp.where(value <= 0.0, t, low), jnp.where(value >= 0.0, t, high)
+        step = t - ratio(value, rise)
+        step = jnp.where((step >= low) & (step <= high), step, (low + high) / 2.0)
+        return low, high, step, jnp.where(closer, t, best), jnp.where(closer, jnp.abs(value), least)
+
+    middle, chord = a.x * u.x + a.y * u.y, a.x * a.x + a.y * a.y - radius * radius
+    spread = safe_sqrt(middle * middle - across * chord)
+    enters, leaves = ratio(-middle - spread, across), ratio(-middle + spread, across)
+    kinks = [ratio(-half - a.z, u.z), ratio(half - a.z, u.z), ratio(-middle, across), enters, leaves]
+    low, high = _bracket(lambda t: slope(t)[0], kinks)
+    start = low[0] + (high[0] - low[0]) * _clip01(ratio(-low[1], high[1] - low[1]))
+    state = low[0], high[0], start, start, jnp.full_like(start, jnp.inf)
+    return _least_between(low, high, lax.fori_loop(0, _NEWTON[start.dtype.itemsize], narrow, state)[3])
+
+
+def _bracket(slope: Callable[[Any], Any], kinks: list[Any]) -> tuple[Any, Any]:
+    """The zero of a `slope` that grows on [0, 1] lies between two (t, slope): of the ends and the `kinks`, where it turns."""
+    zero = jnp.zeros_like(kinks[0])
+    low, high = (zero, slope(zero)), (zero + 1.0, slope(zero + 1.0))
+    for t in map(_clip01, kinks):
+        value = slope(t)
+        low = jax.tree_util.tree_map(partial(jnp.where, (value <= 0.0) & (t > low[0])), (t, value), low)
+        high = jax.tree_util.tree_map(partial(jnp.where, (value >= 0.0) & (t < high[0])), (t, value), high)
+    return low, high
+
+
+def _least_between(low: Any, high: Any, t: Any) -> Any:
+    """Where a convex function on [0, 1] is least: at `t` between the two, at an end, or in the middle of what is flat."""
+    flat = (low[1] == 0.0) & (high[1] == 0.0)
+    end = jnp.where(low[1] > 0.0, 0.0, jnp.where(high[1] < 0.0, 1.0, t))
+    return _held(jnp.where(flat, (low[0] + high[0]) / 2.0, end))
 
 
 def _least_on(value: Callable[[Any], Any]) -> Any:

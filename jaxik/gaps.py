@@ -29,11 +29,11 @@ def skeleton_gap(volumes: Any, other: Any) -> Any:
 
 
 def box_gap(volumes: Any, box: Any) -> Any:
-    return distance.to_body(volumes[0], lambda p: distance.point_box(p, *box)) - volumes[1]
+    return distance.skeleton_box(volumes[0], *box) - volumes[1]
 
 
 def cylinder_gap(volumes: Any, cylinder: Any) -> Any:
-    return distance.to_body(volumes[0], lambda p: distance.point_cylinder(p, *cylinder)) - volumes[1]
+    return distance.skeleton_cylinder(volumes[0], *cylinder) - volumes[1]
 
 
 def obstacles_of(kind: str, obstacles: Any, dtype: Any) -> tuple[Gap, Any]:

@@ -1,7 +1,6 @@
 """Distances against coal on random primitives, gradients against finite differences, the hierarchy against the flat answer."""
 
 import dataclasses
-from functools import partial
 
 import coal
 import jax
@@ -41,10 +40,6 @@ def _vec(v):
     return Vec3(*(jnp.asarray(x) for x in v))
 
 
-def _box_distance(rows, centre, half, p):
-    return distance.point_box(p, rows, centre, half)
-
-
 @pytest.mark.parametrize("kind", ["box", "cylinder", "capsule"])
 def test_points_against_coal(kind):
     rng = np.random.default_rng(0)
@@ -72,7 +67,7 @@ def test_points_against_coal(kind):
 def test_lines_against_coal():
     """Lines in a body are as deep as their deepest point: at least so far they must move."""
     rng, compared = np.random.default_rng(1), np.zeros(3, int)
-    to_box = jax.jit(lambda ends, *box: distance.to_body(ends, partial(_box_distance, *box)))
+    to_box = jax.jit(lambda ends, *box: distance.skeleton_box(ends, *box))
     for i in range(160):
         turns, centres = [_rotation(rng) for _ in range(2)], rng.normal(size=(2, 3)) * (1.5 if i < 40 else 0.6)
         half = rng.uniform(0.2, 1.0, 2)
@@ -109,15 +104,11 @@ def test_triangles_and_cylinders_against_coal():
     rng = np.random.default_rng(5)
     vec = lambda v: Vec3(*(jnp.asarray(x) for x in v))
 
-    def bodies(turn, centre, size):
-        rows, middle = Rot3(*(vec(r) for r in turn)), vec(centre)
-        cylinder = lambda p: distance.point_cylinder(p, rows, middle, size[0], size[1])
-        return partial(_box_distance, rows, middle, vec(size)), cylinder
-
+    rows = lambda turn: Rot3(*(vec(r) for r in turn))
     corners = lambda points: tuple(vec(c) for c in points)
     between = jax.jit(lambda a, b: distance.between(corners(a), corners(b)))
-    to_box = jax.jit(lambda a, *body: distance.to_body(corners(a), bodies(*body)[0]))
-    to_cylinder = jax.jit(lambda a, *body: distance.to_body(corners(a), bodies(*body)[1]))
+    to_box = jax.jit(lambda a, turn, at, size: distance.skeleton_box(corners(a), rows(turn), vec(at), vec(size)))
+    to_cylinder = jax.jit(lambda a, turn, at, size: distance.skeleton_cylinder(corners(a), rows(turn), vec(at), *size[:2]))
 
     compared, crossed = np.zeros((2, 6), int)
     reached = np.array([0.01, 0.1, 0.0, 0.0, 0.0, 0.1])  # what coal's round shapes add
@@ -158,8 +149,8 @@ def _between(a, b):
 def test_a_line_inside_a_box_has_the_slope_of_both_faces():
     """Its deepest point lies where two faces are equally near: neither face's slope alone is right."""
     rng, rows = np.random.default_rng(6), Rot3(*(_vec(r) for r in np.eye(3)))
-    body = partial(_box_distance, rows, _vec(np.zeros(3)), _vec(np.array([0.4, 0.3, 0.5])))
-    value = jax.jit(lambda p: distance.to_body((Vec3(*p[:3]), Vec3(*p[3:])), body))
+    box = rows, _vec(np.zeros(3)), _vec(np.array([0.4, 0.3, 0.5]))
+    value = jax.jit(lambda p: distance.skeleton_box((Vec3(*p[:3]), Vec3(*p[3:])), *box))
     slope = jax.jit(jax.grad(value))
     for _ in range(20):
         ends = rng.uniform(-0.2, 0.2, 6) + np.array([-0.8, -0.3, -0.1, 0.8, 0.3, 0.1])
