@@ -86,14 +86,13 @@ class Space:
 
     def all(self, start: Any = jnp.inf, tracked: bool = False, enough: Any = None) -> Found:
         """The nearest pair of all that are nearer than `start` [m]; the search ends where one is nearer than `enough`."""
-        count = len(self.robot.links)
 
-        def goes_on(state: Any) -> Any:
-            p, found = state
-            return (p < count) if enough is None else (p < count) & ~(found.distance < enough)
+        def step(p: Any, found: Found) -> Found:  # not a loop with an end a lane: then p would be a lane's own, too
+            go_on = lambda found: self.part(p, found)
+            return go_on(found) if enough is None else lax.cond(found.distance < enough, lambda found: found, go_on, found)
 
-        step = lambda state: (state[0] + 1, self.part(*state))
-        return lax.while_loop(goes_on, step, (jnp.int32(0), _start(start, tracked, self.dtype)))[1]
+        count = jnp.int32(len(self.robot.links))
+        return lax.fori_loop(jnp.int32(0), count, step, _start(start, tracked, self.dtype))
 
     def each(self, then: Callable[[Found], Any], tracked: bool = False) -> Any:
         """`then` of the nearest pair of each part, in arrays with an entry a link, from the base on."""
