@@ -107,7 +107,7 @@ def _with_scene(scene: Scene | None, volumes: Any) -> Iterator[_Pairs]:
         return
     for kind, owners in zip(KINDS, scene.owners, strict=True):
         if scene.counts[kind]:
-            gap, others = obstacles_of(kind, getattr(scene, kind), jnp.float64)
+            gap, others = obstacles_of(kind, vars(getattr(scene, kind)), jnp.float64)
             owner = np.array([*owners, *[-1] * (scene.counts[kind] - len(owners))], int)
             for skeleton in volumes.values():
                 ours = columns_of(skeleton, jnp.float64)

@@ -5,7 +5,7 @@ Volumes and obstacles are columns: `Vec3` of arrays and arrays of sizes, which b
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from typing import Any
 
 import jax.numpy as jnp
@@ -36,19 +36,22 @@ def cylinder_gap(volumes: Any, cylinder: Any) -> Any:
     return distance.skeleton_cylinder(volumes[0], *cylinder) - volumes[1]
 
 
-def obstacles_of(kind: str, obstacles: Any, dtype: Any) -> tuple[Gap, Any]:
-    """The gap to an obstacle of a kind, and all of them as columns."""
+def obstacles_of(kind: str, rows: Mapping[str, Any], dtype: Any) -> tuple[Gap, Any]:
+    """The gap to an obstacle of a kind, and those that have these `rows`, the fields of the scene's, as columns."""
     columns = lambda a: Vec3(*(jnp.asarray(a, dtype)[:, i] for i in range(3)))
-    radius = lambda: jnp.broadcast_to(jnp.asarray(obstacles.radius, dtype), jnp.shape(obstacles.center)[:1])
-    if kind in ("points", "spheres"):
-        return skeleton_gap, ((columns(obstacles.center),), radius())
-    if kind == "capsules":
-        return skeleton_gap, ((columns(obstacles.a), columns(obstacles.b)), jnp.asarray(obstacles.radius, dtype))
-    frames = jnp.asarray(obstacles.world_T_box if kind == "boxes" else obstacles.world_T_cylinder, dtype)
-    rotation, centre = Rot3(*(columns(frames[:, i, :3]) for i in range(3))), columns(frames[:, :3, 3])
     if kind == "boxes":
-        return box_gap, (rotation, centre, columns(obstacles.half))
-    return cylinder_gap, (rotation, centre, jnp.asarray(obstacles.radius, dtype), jnp.asarray(obstacles.half, dtype))
+        return box_gap, (*_frames(rows["world_T_box"], dtype), columns(rows["half"]))
+    if kind == "cylinders":
+        sizes = (jnp.asarray(rows[name], dtype) for name in ("radius", "half"))
+        return cylinder_gap, (*_frames(rows["world_T_cylinder"], dtype), *sizes)
+    corners = tuple(columns(rows[name]) for name in (("a", "b") if kind == "capsules" else ("center",)))
+    return skeleton_gap, (corners, jnp.broadcast_to(jnp.asarray(rows["radius"], dtype), corners[0].x.shape))
+
+
+def _frames(frames: Any, dtype: Any) -> tuple[Rot3, Vec3]:
+    column = lambda i, j: jnp.asarray(frames, dtype)[:, i, j]
+    rotation = Rot3(*(Vec3(*(column(i, j) for j in range(3))) for i in range(3)))
+    return rotation, Vec3(*(column(i, 3) for i in range(3)))
 
 
 def columns_of(skeleton: Skeleton, dtype: Any) -> tuple[tuple[Vec3, ...], Any]:

@@ -11,7 +11,6 @@ import dataclasses
 import functools
 from typing import Any, NamedTuple
 
-import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -22,6 +21,8 @@ from jaxik.scene import FAR, KINDS, Scene
 from jaxik.spheres import local_volumes
 
 LEAF = {"points": 4, "spheres": 4, "capsules": 1, "boxes": 1, "cylinders": 1}  # obstacles a leaf
+PLACE = {"points": "center", "spheres": "center", "capsules": "a", "boxes": "world_T_box", "cylinders": "world_T_cylinder"}
+FAN = 4  # leaves a branch, at least
 LEAVES = (16, 128, 1024, 8192, 65536)  # what is compiled for: up to so many leaves, of which those that are there are looked at
 SLACK = 1e-4  # [m] that a bounding sphere is larger: nothing is lost to rounding in float32, 100 m from the origin
 
@@ -33,12 +34,18 @@ class Balls(NamedTuple):
     radius: Any
 
 
-class Obstacles(eqx.Module):
+@functools.partial(
+    jax.tree_util.register_dataclass,
+    data_fields=["rows", "leaves", "branches", "first", "last", "count", "unsound"],
+    meta_fields=["kind"],
+)
+@dataclasses.dataclass(frozen=True)
+class Obstacles:
     """Those of one `kind`, ordered by place: leaves of `LEAF` rows each; branch b holds the leaves `first[b]` to `last[b]`, not
     counted, and is one of the `count` that are there if b is less. `unsound` is 0, or NaN where a number of theirs is."""
 
-    kind: str = eqx.field(static=True)
-    rows: Any
+    kind: str
+    rows: dict[str, Any]
     leaves: Balls
     branches: Balls
     first: Any
@@ -57,15 +64,23 @@ def surroundings(scene: Scene | Surroundings | None, by_object: bool = False) ->
         return ()
     if not isinstance(scene, Scene):
         return scene
-    groups = scene.owners if by_object else [None] * len(KINDS)
-    objects = len(scene.object_names) if by_object else None
-    return tuple(_obstacles(k, getattr(scene, k), g, objects) for k, g in zip(KINDS, groups, strict=True) if scene.counts[k])
+    if is_traced(scene):
+        return _surroundings(scene, by_object)
+    return scene.remembered(("surroundings", by_object), lambda: _surroundings(scene, by_object))
 
 
-def _obstacles(kind: str, rows: Any, owners: Any, objects: int | None) -> Obstacles:
+def _surroundings(scene: Scene, by_object: bool) -> Surroundings:
+    found = []
+    for kind, owners in zip(KINDS, scene.owners, strict=True):
+        rows = dict(vars(getattr(scene, kind)))
+        if len(rows[PLACE[kind]]):
+            found.append(_obstacles(kind, rows, owners, len(scene.object_names) if by_object else None))
+    return tuple(found)
+
+
+def _obstacles(kind: str, rows: dict[str, Any], owners: Any, objects: int | None) -> Obstacles:
     size, known = LEAF[kind], not is_traced(rows)
     xp = np if known else jnp
-    rows = jax.tree_util.tree_map(np.asarray, rows) if known else rows
     center, radius = _extent(kind, rows if known else lax.stop_gradient(rows), xp)
     there = np.arange(len(radius)) if not known else np.flatnonzero(~(np.abs(center).max(axis=1) > FAR / 2.0))
     if objects is None:
@@ -75,27 +90,28 @@ def _obstacles(kind: str, rows: Any, owners: Any, objects: int | None) -> Obstac
         groups = [there[owner == each] for each in range(objects)]
     if known:
         groups = [g[by_place(center[g], size)] for g in groups]
-    order = np.concatenate([np.pad(g, (0, -len(g) % size), "edge") if len(g) else g for g in groups]).astype(int)
+    order = np.concatenate([g if len(g) % size == 0 else np.pad(g, (0, -len(g) % size), "edge") for g in groups]).astype(int)
     leaves = len(order) // size
     if objects is None:
-        fan = max(4, round(leaves**0.5))
+        fan = max(FAN, round(leaves**0.5))
         first = np.arange(0, leaves, fan)
         last = np.minimum(first + fan, leaves)
     else:
         last = np.cumsum([-(-len(g) // size) for g in groups])
-        first = np.append(0, last[:-1])
+        first = last - [-(-len(g) // size) for g in groups]
     room = max(leaves, len(first))
     room = next((n for n in LEAVES if n >= room), room) if known else room
     balls = around(center[order].reshape(-1, size, 3), radius[order].reshape(-1, size), xp)
-    places = np.append(order, np.zeros((room - leaves) * size, int))
+    filled = lambda x: _filled(x, room, xp)
+    placed = lambda x: x if np.ndim(x) == 0 else _filled(x[order], room * size, xp)
     return Obstacles(
         kind,
-        jax.tree_util.tree_map(lambda x: x if x.ndim == 0 else x[places], rows),
-        Balls(*(_filled(x, room) for x in balls)),
-        Balls(*(_filled(x, room) for x in _joined(balls, first, last, xp))),
-        _filled(first.astype(np.int32), room),
-        _filled(last.astype(np.int32), room),
-        np.asarray(len(first), np.int32),
+        {name: placed(x) for name, x in rows.items()},
+        Balls(*map(filled, balls)),
+        Balls(*map(filled, _joined(balls, first, last, xp))),
+        _filled(first.astype(np.int32), room, np),
+        _filled(last.astype(np.int32), room, np),
+        np.int32(len(first)),
         xp.sum(center) * 0.0 + xp.sum(radius) * 0.0,
     )
 
@@ -104,21 +120,27 @@ def is_traced(tree: Any) -> bool:
     return any(isinstance(leaf, jax.core.Tracer) for leaf in jax.tree_util.tree_leaves(tree))
 
 
-def _filled(x: Any, room: int) -> Any:
-    missing = room - len(x)
-    xp = np if isinstance(x, np.ndarray) else jnp
-    return x if missing == 0 else xp.concatenate([x, xp.zeros((missing, *x.shape[1:]), x.dtype)])
+def _filled(x: Any, room: int, xp: Any) -> Any:
+    """With zeros after it, which nobody reads."""
+    if len(x) == room:
+        return x
+    if xp is jnp:
+        return jnp.concatenate([x, jnp.zeros((room - len(x), *x.shape[1:]), x.dtype)])
+    whole = np.zeros((room, *x.shape[1:]), x.dtype)
+    whole[: len(x)] = x
+    return whole
 
 
-def _extent(kind: str, rows: Any, xp: Any) -> tuple[Any, Any]:
+def _extent(kind: str, rows: dict[str, Any], xp: Any) -> tuple[Any, Any]:
     """Of each obstacle the centre (k, 3) and radius (k,) of a sphere around it."""
+    place, radius = rows[PLACE[kind]], rows.get("radius", 0.0)
     if kind in ("points", "spheres"):
-        return xp.asarray(rows.center), xp.broadcast_to(xp.asarray(rows.radius), rows.center.shape[:1])
+        return place, xp.broadcast_to(radius, place.shape[:1])
     if kind == "capsules":
-        return (rows.a + rows.b) / 2.0, xp.sqrt(xp.sum((rows.b - rows.a) ** 2, axis=1)) / 2.0 + rows.radius
+        return (rows["a"] + rows["b"]) / 2.0, xp.sqrt(xp.sum((rows["b"] - rows["a"]) ** 2, axis=1)) / 2.0 + radius
     if kind == "boxes":
-        return rows.world_T_box[:, :3, 3], xp.sqrt(xp.sum(rows.half**2, axis=1))
-    return rows.world_T_cylinder[:, :3, 3], xp.sqrt(rows.radius**2 + rows.half**2)
+        return place[:, :3, 3], xp.sqrt(xp.sum(rows["half"] ** 2, axis=1))
+    return place[:, :3, 3], xp.sqrt(radius**2 + rows["half"] ** 2)
 
 
 def around(center: Any, radius: Any, xp: Any = np) -> Balls:
@@ -142,7 +164,7 @@ def _joined(balls: Balls, first: np.ndarray, last: np.ndarray, xp: Any) -> Balls
 def by_place(points: np.ndarray, size: int) -> np.ndarray:
     """An order of points (k, 3) in which runs of `size` are neighbours: halved again and again across the longest extent."""
     order, starts = np.arange(len(points)), np.zeros(1, int)
-    while len(points):
+    while len(points) > FAN * size:  # fewer are looked at together
         ends = np.append(starts[1:], len(points))
         lengths = ends - starts
         if lengths.max() <= size:

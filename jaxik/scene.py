@@ -7,7 +7,7 @@ the same compiled program. Every obstacle belongs to a named object: a leaf of f
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Iterator
+from collections.abc import Callable, Hashable, Iterator
 from typing import Any, NamedTuple
 
 import equinox as eqx
@@ -15,7 +15,7 @@ import jax
 import numpy as np
 from jaxtyping import Float
 
-from jaxik.chain import Array
+from jaxik.chain import Array, Constant
 from jaxik.choice import shown
 from jaxik.given import direction, numbers, rigid_frame, shaped
 
@@ -25,21 +25,21 @@ SIZES = (0, 8, 32, *(k * 2**n for n in range(5, 14) for k in (2, 3)))
 KINDS = ("points", "spheres", "capsules", "boxes", "cylinders")
 
 
-class Points(eqx.Module):
+class Points(Constant):
     """Points of one common `radius` [m] (0 for bare points): the cheapest obstacle, one square root a configuration."""
 
     center: Float[Array, "k 3"]
     radius: Float[Array, ""]
 
 
-class Spheres(eqx.Module):
+class Spheres(Constant):
     """Balls, each with its own radius [m]."""
 
     center: Float[Array, "k 3"]
     radius: Float[Array, " k"]
 
 
-class Capsules(eqx.Module):
+class Capsules(Constant):
     """Segments from `a` to `b`, swept by a ball."""
 
     a: Float[Array, "k 3"]
@@ -47,14 +47,14 @@ class Capsules(eqx.Module):
     radius: Float[Array, " k"]
 
 
-class Boxes(eqx.Module):
+class Boxes(Constant):
     """`half` holds half the edges along the axes of `world_T_box`."""
 
     world_T_box: Float[Array, "k 4 4"]
     half: Float[Array, "k 3"]
 
 
-class Cylinders(eqx.Module):
+class Cylinders(Constant):
     """Round about z of `world_T_cylinder`, from -`half` to `half` along it."""
 
     world_T_cylinder: Float[Array, "k 4 4"]
@@ -62,7 +62,7 @@ class Cylinders(eqx.Module):
     half: Float[Array, " k"]
 
 
-class Fruit(eqx.Module):
+class Fruit(Constant):
     """What is to be picked: the tip goes to `position` [m] and may turn about `axis` (unit, up along the fruit)."""
 
     position: Float[Array, "3"]
@@ -70,12 +70,14 @@ class Fruit(eqx.Module):
     name: str = eqx.field(static=True)
 
 
-class Scene(eqx.Module):
+class Scene(Constant):
     """Obstacles by kind; `owners` gives, kind by kind in the order of `KINDS`, the object that each obstacle belongs to.
 
     `removable[i]` says whether object i may be taken away for a fruit's sake (leaves may, stems may not). A fruit that is an
     obstacle to others is the object of its own name.
     """
+
+    __slots__ = ("_known",)  # not in the instance's dictionary, where Equinox would take it for part of the pytree
 
     points: Points
     spheres: Spheres
@@ -87,6 +89,17 @@ class Scene(eqx.Module):
     object_names: tuple[str, ...] = eqx.field(static=True, default=())
     removable: tuple[bool, ...] = eqx.field(static=True, default=())
     owners: tuple[tuple[int, ...], ...] = eqx.field(static=True, default=((),) * 5)
+
+    def remembered(self, what: Hashable, make: Callable[[], Any]) -> Any:
+        """What is made of the scene once, since it never changes; of a scene with concrete numbers."""
+        known = getattr(self, "_known", None)
+        if known is None:
+            for kind in KINDS:
+                getattr(self, kind).freeze()  # `eqx.tree_at` puts arrays in without a constructor
+            object.__setattr__(self, "_known", known := {})
+        if what not in known:
+            known[what] = make()
+        return known[what]
 
     @property
     def counts(self) -> dict[str, int]:
