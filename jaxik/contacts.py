@@ -21,7 +21,7 @@ from jaxik.chain import Array, Chain, as_configuration
 from jaxik.choice import as_count, check_kind
 from jaxik.collision import columns_of, obstacles_of, skeleton_gap, world_volumes
 from jaxik.given import numbers
-from jaxik.scene import FAR, KINDS, Scene
+from jaxik.scene import FAR, KINDS, Scene, check_scene
 
 
 @dataclasses.dataclass(frozen=True)
@@ -78,6 +78,8 @@ def explain(chain: Chain, scene: Scene | None, q: Float[Array, " n"], count: int
     Raises `ValueError` for a chain without collision geometry or a q of another shape.
     """
     check_kind("explain", "scene", scene, Scene, optional=True)
+    if scene is not None:
+        check_scene(scene)
     count = as_count("explain: count", count)
     posture = np.asarray(as_configuration(chain, numbers("explain: q", q)), np.float64)
     with jax.enable_x64(True):

@@ -3,6 +3,7 @@
 from functools import partial
 
 import coal
+import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -262,7 +263,8 @@ def test_value_and_gradient_where_a_distance_is_zero(dtype):
     chain = jaxik.load("p6r")
     q = jnp.asarray([0.4, 0.3, -0.5, -0.4, 0.7, 0.6, 0.5], dtype)
     centres, radii = jaxik.link_spheres(chain, q)
-    scene = jaxik.make_scene(points=[centres[40]], capsules=[[*centres[40], *(centres[40] + 1.0), 0.0]])
+    scene = jaxik.make_scene(points=[centres[40]], capsules=[[*centres[40], *(centres[40] + 1.0), 1.0]])
+    scene = eqx.tree_at(lambda s: s.capsules.radius, scene, np.zeros(1))  # thinner than a scene is made
     value, slope = jax.jit(jax.value_and_grad(lambda q: jaxik.clearance(chain, scene, q)))(q)
     assert abs(value + radii[40]) <= 64 * np.finfo(dtype).eps and np.all(np.isfinite(slope))
 
