@@ -93,7 +93,7 @@ class Scene(eqx.Module):
     @property
     def counts(self) -> dict[str, int]:
         """How many obstacles of each kind there are, padding included."""
-        return {k: int(jax.tree_util.tree_leaves(getattr(self, k))[0].shape[0]) for k in KINDS}
+        return {k: _count(getattr(self, k)) for k in KINDS}
 
     def without(self, objects: Any) -> Scene:
         """The scene with these objects (indices or names; a lone name is one) moved out of the way; shapes stay.
@@ -135,22 +135,21 @@ class Scene(eqx.Module):
 
     def geometry(self) -> Scene:
         """The obstacles alone, padded and without names: scenes of like sizes then run the same compiled program."""
-        full = self.padded()
-        return Scene(full.points, full.spheres, full.capsules, full.boxes, full.cylinders)
+        return Scene(**self._padded_kinds())
 
     def padded(self) -> Scene:
         """The scene with each kind padded to the next of a few sizes by obstacles that are out of the way.
 
         Raises `ValueError` as `check_scene`.
         """
+        kinds = self._padded_kinds()
+        counts = [_count(obstacles) for obstacles in kinds.values()]
+        owners = tuple((*own, *[-1] * (n - len(own))) for own, n in zip(self.owners, counts, strict=True))
+        return dataclasses.replace(self, owners=owners, **kinds)
+
+    def _padded_kinds(self) -> dict[str, Any]:
         check_scene(self)
-        kinds, owners = {}, []
-        for kind, own in zip(KINDS, self.owners, strict=True):
-            count = self.counts[kind]
-            extra = next((s for s in SIZES if s >= count), count) - count
-            kinds[kind] = _padded(getattr(self, kind), extra)
-            owners.append((*own, *([-1] * (count + extra - len(own)))))
-        return dataclasses.replace(self, owners=tuple(owners), **kinds)
+        return {kind: _padded(getattr(self, kind)) for kind in KINDS}
 
 
 def _moved_away(obstacles: Any, mask: np.ndarray) -> Any:
@@ -171,7 +170,14 @@ def _moved_away(obstacles: Any, mask: np.ndarray) -> Any:
     return dataclasses.replace(moved, half=obstacles.half) if isinstance(obstacles, Boxes) else moved
 
 
-def _padded(obstacles: Any, extra: int) -> Any:
+def _count(obstacles: Any) -> int:
+    return int(jax.tree_util.tree_leaves(obstacles)[0].shape[0])
+
+
+def _padded(obstacles: Any) -> Any:
+    """As many as the next of `SIZES`, or as there are where there are more."""
+    count = _count(obstacles)
+    extra = next((s for s in SIZES if s >= count), count) - count
     if not extra:
         return obstacles
 
@@ -180,7 +186,6 @@ def _padded(obstacles: Any, extra: int) -> Any:
             return leaf
         return np.concatenate([leaf, np.zeros((extra, *leaf.shape[1:]), leaf.dtype)])
 
-    count = jax.tree_util.tree_leaves(obstacles)[0].shape[0]
     return _moved_away(jax.tree_util.tree_map(pad, obstacles), np.arange(count + extra) >= count)
 
 

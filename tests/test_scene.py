@@ -389,7 +389,7 @@ PLY = "ply\nformat ascii 1.0\nelement vertex 1\nproperty float x\nproperty float
 @pytest.mark.parametrize(
     "name, content, words",
     [
-        ("s.csv", "label,x,y,z\na,0,0,0\na,nan,0,0\n", ("line 3", "nan", "finite")),
+        ("s.csv", "label,x,y,z\na,0,0,0\na,nan,0,0\n", ("line 3", "NaN", "finite")),
         ("s.csv", "label,x,y,z\na,0,0,1e400\n", ("line 2", "finite")),
         ("s.ply", PLY.format("float") + "0 0 0 1.5\n", ("1.5", "integer label")),
         ("s.ply", PLY.format("float") + "0 0 0 nan\n", ("nan", "integer label")),

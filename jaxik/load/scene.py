@@ -131,10 +131,10 @@ def _csv_points(path: Path) -> tuple[list[str], np.ndarray]:
             if len(values) != 3 or not label.strip():
                 raise ValueError
             points.append([float(v) for v in values])
-            if not all(map(math.isfinite, points[-1])):
-                raise ValueError
         except ValueError:
-            raise LoadError(path, f"line {number}", f"'{','.join(row)[:40]}'", "write label,x,y,z, finite numbers") from None
+            raise LoadError(path, f"line {number}", f"'{','.join(row)[:40]}'", "write label,x,y,z") from None
+        if not all(map(math.isfinite, points[-1])):
+            raise LoadError(path, f"line {number}", f"'{label[:40]}' holds NaN or infinity", "write finite numbers")
         labels.append(label.strip())
     return labels, np.array(points, dtype=np.float64).reshape(-1, 3)
 
