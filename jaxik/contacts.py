@@ -18,10 +18,11 @@ import numpy as np
 from jaxtyping import Float
 
 from jaxik.chain import Array, Chain, as_configuration
-from jaxik.choice import as_count, check_kind
-from jaxik.collision import columns_of, obstacles_of, skeleton_gap, world_volumes
+from jaxik.choice import as_count, check_finite, check_kind
+from jaxik.collision import check_geometry, columns_of, obstacles_of, skeleton_gap
 from jaxik.given import numbers
 from jaxik.scene import FAR, KINDS, Scene, check_scene
+from jaxik.spheres import skeletons
 
 
 @dataclasses.dataclass(frozen=True)
@@ -70,9 +71,9 @@ class Surroundings:
         return "\n".join(map(str, (*self.contacts, *self.limits)))
 
 
-def explain(chain: Chain, scene: Scene | None, q: Float[Array, " n"], count: int = 5) -> Surroundings:
+def explain(chain: Chain, scene: Scene | None, q: Float[Array, " n"], count: int = 5, below: float = np.inf) -> Surroundings:
     """What is nearest to the robot at `q` (n,) [rad, m]: the `count` nearest pairs of a link with an object of the scene or
-    with another link, and the `count` joints nearest to a limit.
+    with another link, those nearer than `below` [m], and the `count` joints nearest to a limit.
 
     Each pair of names stands once, at its least distance; the first pair's is `clearance`. A host function, in float64.
     Raises `ValueError` for a chain without collision geometry or a q of another shape.
@@ -81,12 +82,15 @@ def explain(chain: Chain, scene: Scene | None, q: Float[Array, " n"], count: int
     if scene is not None:
         check_scene(scene)
     count = as_count("explain: count", count)
+    if below != np.inf:
+        check_finite("explain", below=below)
     posture = np.asarray(as_configuration(chain, numbers("explain: q", q)), np.float64)
+    check_geometry(chain)
+    volumes = skeletons(chain, posture.tolist(), np.float64)
     with jax.enable_x64(True):
-        volumes = world_volumes(chain, jnp.asarray(posture))
         pairs = [*_with_scene(scene, volumes), *_with_itself(chain, volumes)]
-        found = _nearest(pairs)[:count]
-        contacts = tuple(_contact(chain, scene, pairs, *each) for each in found)
+        found = [row for apart, *row in _nearest(pairs)[:count] if apart < below]
+        contacts = tuple(_contact(chain, scene, pairs, *row) for row in found)
     return Surroundings(contacts, _limits(chain, posture)[:count])
 
 
@@ -143,8 +147,8 @@ def _pull(gap: Any, corners: Any, radius: Any, other: Any) -> Any:
     return value, pull(jnp.ones(1))[0]
 
 
-def _nearest(pairs: list[_Pairs]) -> list[tuple[int, int, int]]:
-    """(which of `pairs`, other, volume) of each two names' least distance, the least first."""
+def _nearest(pairs: list[_Pairs]) -> list[tuple[float, int, int, int]]:
+    """Each two names' least distance, the least first, and which of `pairs`, other and volume it belongs to."""
     best: dict[tuple[bool, int, int], tuple[float, int, int, int]] = {}
     for number, each in enumerate(pairs):
         names = np.stack(np.broadcast_arrays(each.owners[:, None], each.links), axis=-1).reshape(-1, 2)
@@ -155,7 +159,7 @@ def _nearest(pairs: list[_Pairs]) -> list[tuple[int, int, int]]:
             entry = float(each.distances[other, volume]), number, int(other), int(volume)
             key = each.itself, int(names[row][0]), int(names[row][1])
             best[key] = min(best.get(key, entry), entry)
-    return [(n, other, volume) for apart, n, other, volume in sorted(best.values()) if np.isfinite(apart)]
+    return [row for row in sorted(best.values()) if np.isfinite(row[0])]
 
 
 def _contact(chain: Chain, scene: Scene | None, pairs: list[_Pairs], number: int, other: int, volume: int) -> Contact:
