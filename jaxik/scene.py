@@ -199,7 +199,7 @@ class SceneBuilder:
 
     def __init__(self, name: str = "scene", point_radius: Any = 0.0):
         self.name = _word("scene", name)
-        self.point_radius = _size("point_radius", point_radius)
+        self.point_radius = size("point_radius", point_radius)
         self.names: dict[str, None] = {}  # in their order
         self.removable: list[bool] = []
         self.fruits: list[Fruit] = []
@@ -229,8 +229,8 @@ class SceneBuilder:
         """A fruit; with a `radius` its body, hanging `length` below `position`, is an obstacle to all others. A body of another
         form is given as `obstacles`, by the keywords of `add`."""
         who = f"fruit '{shown(name)}': "
-        top = _in_metres(f"{who}position", shaped(f"{who}position", position, (3,)))
-        up, long, thick = direction(f"{who}axis", axis), _size(f"{who}length", length), _size(f"{who}radius", radius)
+        top = in_metres(f"{who}position", shaped(f"{who}position", position, (3,)))
+        up, long, thick = direction(f"{who}axis", axis), size(f"{who}length", length), size(f"{who}radius", radius)
         rows = _each(who, obstacles)
         if long > 0.0 and not thick:
             raise ValueError(f"{who}length {long:g} m without a radius is no body; give both, or its obstacles")
@@ -331,7 +331,7 @@ def _rows(what: str, given: Any, row: Row) -> np.ndarray:
     for i, radius in np.argwhere(values[:, row.radius] <= 0.0)[:1]:
         size = values[i, row.radius][radius]
         raise ValueError(f"{what} row {i + 1} has the radius {size:g} m; write one above 0, or what has none as points")
-    return _in_metres(what, values, row.sizes)
+    return in_metres(what, values, row.sizes)
 
 
 def _few(what: str, count: int) -> None:
@@ -409,11 +409,11 @@ def _check_values(who: str, obstacles: Any) -> None:
                 raise ValueError(f"{who} row {row + 1}: {name} {shown(values[row])}; {mend}")
 
 
-def _size(what: str, given: Any) -> float:
-    return float(_in_metres(what, shaped(what, given, ()), 1))
+def size(what: str, given: Any) -> float:
+    return float(in_metres(what, shaped(what, given, ()), 1))
 
 
-def _in_metres(what: str, values: np.ndarray, sizes: int = 0) -> np.ndarray:
+def in_metres(what: str, values: np.ndarray, sizes: int = 0) -> np.ndarray:
     """`values` as they are, if they are finite, none beyond `LIMIT`, and the last `sizes` of a row not below zero."""
     table = values.reshape(-1, values.shape[-1] if values.ndim else 1)
     far, below = ~(np.abs(table) <= LIMIT), np.zeros(table.shape, bool)
