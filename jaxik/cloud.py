@@ -67,8 +67,8 @@ class Cloud(eqx.Module):
 def make_cloud(points: Any, radius: Any = 0.0, spacing: Any = 0.01, margin: Any = 0.1, thin: Any = 0.0) -> Cloud:
     """`points` (k, 3) [m] and a grid over them, of this `spacing` [m], that goes `margin` [m] beyond.
 
-    Points that stand twice are taken once; with `thin` [m] one of each voxel of that edge, which adds to `Cloud.bound`. A second
-    or a few for a million nodes. Raises `ValueError`, one line, for what are no points, and for a spacing that needs more than
+    Points that stand twice are taken once; with `thin` [m] one of each voxel of that edge, which adds to `Cloud.bound`. Takes
+    seconds for a million nodes. Raises `ValueError`, one line, for what are no points, and for a spacing that needs more than
     64 MB of nodes.
     """
     given = numbers("make_cloud: points", points)
