@@ -24,6 +24,8 @@ from jaxik.given import numbers
 from jaxik.scene import FAR, KINDS, Scene, check_scene
 from jaxik.spheres import skeletons
 
+BLOCK = 2**20  # distances at a time, which bounds the memory
+
 
 @dataclasses.dataclass(frozen=True)
 class Contact:
@@ -96,7 +98,8 @@ def explain(chain: Chain, scene: Scene | None, q: Float[Array, " n"], count: int
 
 @dataclasses.dataclass(frozen=True)
 class _Pairs:
-    """Volumes of one kind against obstacles or volumes of one kind: distances (others, volumes), and who they belong to."""
+    """Volumes of one kind against obstacles or volumes of one kind, who they belong to, and of each two names in a block of
+    them the least distance: rows (distance, other, volume)."""
 
     gap: Any
     volumes: Any
@@ -104,7 +107,7 @@ class _Pairs:
     links: np.ndarray
     owners: np.ndarray
     itself: bool
-    distances: np.ndarray
+    least: np.ndarray
 
 
 def _with_scene(scene: Scene | None, volumes: Any) -> Iterator[_Pairs]:
@@ -115,9 +118,7 @@ def _with_scene(scene: Scene | None, volumes: Any) -> Iterator[_Pairs]:
             others, gap = obstacles_of(kind, scene, jnp.float64)
             owner = np.array([*owners, *[-1] * (scene.counts[kind] - len(owners))], int)
             for skeleton in volumes.values():
-                ours = columns_of(skeleton, jnp.float64)
-                apart = np.asarray(_apart(gap, ours, others))
-                yield _Pairs(gap, ours, others, skeleton.link, owner, False, np.where(apart > FAR / 2.0, np.inf, apart))
+                yield from _blocks(gap, skeleton, others, owner)
 
 
 def _with_itself(chain: Chain, volumes: Any) -> Iterator[_Pairs]:
@@ -127,11 +128,32 @@ def _with_itself(chain: Chain, volumes: Any) -> Iterator[_Pairs]:
         meet[a, b] = True
     for mine in volumes.values():
         for theirs in volumes.values():
-            wanted = meet[theirs.link[:, None], mine.link]
-            if wanted.any():
-                ours, others = columns_of(mine, jnp.float64), columns_of(theirs, jnp.float64)
-                apart = np.asarray(_apart(skeleton_gap, ours, others))
-                yield _Pairs(skeleton_gap, ours, others, mine.link, theirs.link, True, np.where(wanted, apart, np.inf))
+            if meet[np.ix_(np.unique(theirs.link), np.unique(mine.link))].any():
+                yield from _blocks(skeleton_gap, mine, columns_of(theirs, jnp.float64), theirs.link, meet)
+
+
+def _blocks(gap: Any, skeleton: Any, others: Any, owners: np.ndarray, meet: np.ndarray | None = None) -> Iterator[_Pairs]:
+    """Block by block of the others, all of one size (the last overlaps the one before), so that one program does them all."""
+    ours, links = columns_of(skeleton, jnp.float64), skeleton.link
+    others = jax.tree_util.tree_map(np.asarray, others)
+    rows = min(len(owners), max(1, BLOCK // len(links)))
+    for start in sorted({*range(0, len(owners) - rows, rows), len(owners) - rows}):
+        block = slice(start, start + rows)
+        apart = np.asarray(_apart(gap, ours, jax.tree_util.tree_map(lambda x, block=block: x[block], others)))
+        seen = apart < FAR / 2.0 if meet is None else meet[owners[block, None], links]
+        least = _least(np.where(seen, apart, np.inf), owners[block], links)
+        least[:, 1] += start
+        yield _Pairs(gap, ours, others, links, owners, meet is not None, least)
+
+
+def _least(apart: np.ndarray, owners: np.ndarray, links: np.ndarray) -> np.ndarray:
+    """Of each owner and link the least distance, if it is finite, and where it stands: rows (distance, row, column)."""
+    names = (owners[:, None] + 1) * (links.max() + 1) + links  # an owner -1 is the scene
+    least = np.full(names.max() + 1, np.inf)
+    np.minimum.at(least, names, apart)
+    row, column = np.nonzero((apart == least[names]) & np.isfinite(apart))
+    first = np.unique(names[row, column], return_index=True)[1]
+    return np.column_stack([apart[row, column], row, column])[first]
 
 
 @partial(jax.jit, static_argnums=0)
@@ -149,17 +171,14 @@ def _pull(gap: Any, corners: Any, radius: Any, other: Any) -> Any:
 
 def _nearest(pairs: list[_Pairs]) -> list[tuple[float, int, int, int]]:
     """Each two names' least distance, the least first, and which of `pairs`, other and volume it belongs to."""
-    best: dict[tuple[bool, int, int], tuple[float, int, int, int]] = {}
-    for number, each in enumerate(pairs):
-        names = np.stack(np.broadcast_arrays(each.owners[:, None], each.links), axis=-1).reshape(-1, 2)
-        order = np.argsort(each.distances, axis=None, kind="stable")
-        _, first = np.unique(names[order], axis=0, return_index=True)
-        for row in order[first]:
-            other, volume = np.unravel_index(row, each.distances.shape)
-            entry = float(each.distances[other, volume]), number, int(other), int(volume)
-            key = each.itself, int(names[row][0]), int(names[row][1])
-            best[key] = min(best.get(key, entry), entry)
-    return [row for row in sorted(best.values()) if np.isfinite(row[0])]
+    if not pairs:
+        return []
+    number = np.repeat(np.arange(len(pairs)), [len(each.least) for each in pairs])
+    apart, other, volume = np.concatenate([each.least for each in pairs]).T
+    names = [(each.itself, each.owners[int(o)], each.links[int(v)]) for each in pairs for _, o, v in each.least]
+    order = np.lexsort((volume, other, number, apart))
+    _, first = np.unique(np.array(names, int).reshape(-1, 3)[order], axis=0, return_index=True)
+    return [(float(apart[i]), int(number[i]), int(other[i]), int(volume[i])) for i in order[np.sort(first)]]
 
 
 def _contact(chain: Chain, scene: Scene | None, pairs: list[_Pairs], number: int, other: int, volume: int) -> Contact:

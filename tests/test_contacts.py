@@ -75,6 +75,18 @@ def test_it_reads_as_sentences(scene):
     assert found.colliding == tuple(c for c in found.contacts if c.distance < 0.0)
 
 
+def test_blocks_change_nothing(scene, monkeypatch):
+    """A few distances at a time, so that memory does not grow with the scene: blocks of one obstacle, of two, which overlap."""
+    builder = jaxik.SceneBuilder("cloud", 0.01)
+    for i in range(4):
+        builder.add(f"leaf_{i}", points=np.random.default_rng(i).uniform(-3.0, 3.0, (6, 3)))
+    asked = [(around, q) for around in (scene, builder.scene()) for q in np.random.default_rng(2).uniform(-2.0, 2.0, (2, 4))]
+    whole = [str(jaxik.explain(ARM, around, q, 99)) for around, q in asked]
+    for block in (1, 9, 50):
+        monkeypatch.setattr("jaxik.contacts.BLOCK", block)
+        assert [str(jaxik.explain(ARM, around, q, 99)) for around, q in asked] == whole
+
+
 def test_without_a_scene_and_bad_use(scene):
     panda = jaxik.load("p6r")
     middle = np.add(*jaxik.finite_limits(panda)) / 2.0
