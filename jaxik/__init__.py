@@ -1,5 +1,6 @@
 """Batched, differentiable kinematics for redundant robot arms, on JAX."""
 
+from jaxik.attach import Attached, attach
 from jaxik.boundary import boundary_value
 from jaxik.chain import Chain, finite_limits, within_limits
 from jaxik.closed_form import ClosedForm, admissible_turns, closed_form, closed_form_obstacle
@@ -33,6 +34,7 @@ __version__ = "0.1.0"
 __all__ = [
     "QUASI_NEWTON",
     "Arc",
+    "Attached",
     "Chain",
     "ClosedForm",
     "Descent",
@@ -55,6 +57,7 @@ __all__ = [
     "Weights",
     "admissible_turns",
     "asc",
+    "attach",
     "bias_acceleration",
     "blockers",
     "boundary_value",

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import difflib
 import math
 from collections.abc import Sequence
 from typing import Any, get_args
@@ -48,6 +49,14 @@ def shown(value: Any) -> str:
     """What was given, short enough for the one line that refuses it."""
     line = " ".join(str(value).split())
     return line if len(line) <= 60 else f"{line[:57]}..."
+
+
+def no_such(who: str, what: str, name: str, names: Sequence[str]) -> str:
+    """The line that refuses a `name` which is none of `names`: the nearest of them, and the first few."""
+    close = difflib.get_close_matches(name, names, 1)
+    meant = f"did you mean '{shown(close[0])}'? " if close else ""
+    rest = f", ... ({len(names)} in all)" if len(names) > 8 else ""
+    return f"{who}: no {what} '{shown(name)}'; {meant}allowed: {', '.join(map(shown, names[:8]))}{rest}"
 
 
 def check_each(who: str, each: Sequence[str], kinds: Any) -> None:

@@ -20,7 +20,7 @@ import jaxik
 from jaxik.batch import compilation_cache
 from jaxik.harvest import Harvest
 from jaxik.reach import millimetres
-from jaxik.scan import Weights
+from jaxik.scan import Blockers, Weights
 from jaxik.task import COMPONENTS
 
 LOOKED = 32  # colliding postures that are asked what they collide with
@@ -157,16 +157,15 @@ def run_ik(arguments: IKArguments) -> None:
     for reason, count in counts.items():
         if reason != "solved":
             print(f"{reason}: {count}")
-    colliding = result.q[result.reason == jaxik.Reason.COLLISION][:LOOKED]
+    colliding = result[result.reason == jaxik.Reason.COLLISION][:LOOKED]
     if len(colliding):
-        print(f"of {len(colliding)} that collide: {_offenders(chain, scene, colliding)}")
+        print(f"of {len(colliding)} that collide: {_offenders(colliding)}")
     print(f"{counts.get('solved', 0)} of {len(result)} targets solved in {seconds:.2f} s; wrote {arguments.out}")
 
 
-def _offenders(chain: jaxik.Chain, scene: jaxik.Scene | None, postures: np.ndarray) -> str:
+def _offenders(colliding: jaxik.IKResult) -> str:
     """Which pairs of names are nearest, in words, the most frequent first."""
-    worst = [jaxik.explain(chain, scene, q, 1).contacts[0] for q in postures]
-    pairs = collections.Counter(f"{contact.link} and {contact.other}" for contact in worst)
+    pairs = collections.Counter(f"{nearest.link} and {nearest.other}" for nearest, *_ in colliding.offenders)
     return ", ".join(f"{count} by {pair}" for pair, count in pairs.most_common(5))
 
 
@@ -342,11 +341,20 @@ def _print_table(result: Harvest) -> None:
             (f"{x:.3f}" if p else f"{np.degrees(x):.1f}") if row.success else ""
             for x, p in zip(row.q, result.chain.is_prismatic, strict=True)
         ]
-        note = row.found_by if row.success else ", ".join((row.blockers.removal if row.blockers else None) or ())
+        note = row.found_by if row.success else _in_the_way(row.blockers)
         numbers = [f"{1000 * row.clearance:.0f}", f"{row.freedom:.2f}"] if row.success else ["", ""]
         table.add_row(*map(escape, (row.fruit, row.reason.text, *joints, *numbers, note)))
     Console(width=max(120, Console().width)).print(table)
     print("joints in degrees, prismatic ones in metres")
+
+
+def _in_the_way(found: Blockers | None) -> str:
+    """What to remove; where that does not help, what blocks most postures, or the robot itself."""
+    if found is None:
+        return ""
+    if found.removal:
+        return ", ".join(found.removal)
+    return f"behind {', '.join(found.names[:3])}" if found.names else "the robot hits itself"
 
 
 def write_harvest(result: Harvest, out: Path) -> None:

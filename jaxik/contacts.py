@@ -18,11 +18,14 @@ import numpy as np
 from jaxtyping import Float
 
 from jaxik.chain import Array, Chain, as_configuration
-from jaxik.choice import as_count, check_kind
-from jaxik.collision import world_volumes
+from jaxik.choice import as_count, check_finite, check_kind
+from jaxik.collision import check_geometry
 from jaxik.gaps import columns_of, obstacles_of, skeleton_gap
 from jaxik.given import numbers
-from jaxik.scene import FAR, KINDS, Scene
+from jaxik.scene import FAR, KINDS, Scene, check_scene
+from jaxik.spheres import skeletons
+
+BLOCK = 2**20  # distances at a time, which bounds the memory
 
 
 @dataclasses.dataclass(frozen=True)
@@ -71,27 +74,33 @@ class Surroundings:
         return "\n".join(map(str, (*self.contacts, *self.limits)))
 
 
-def explain(chain: Chain, scene: Scene | None, q: Float[Array, " n"], count: int = 5) -> Surroundings:
+def explain(chain: Chain, scene: Scene | None, q: Float[Array, " n"], count: int = 5, below: float = np.inf) -> Surroundings:
     """What is nearest to the robot at `q` (n,) [rad, m]: the `count` nearest pairs of a link with an object of the scene or
-    with another link, and the `count` joints nearest to a limit.
+    with another link, those nearer than `below` [m], and the `count` joints nearest to a limit.
 
     Each pair of names stands once, at its least distance; the first pair's is `clearance`. A host function, in float64.
     Raises `ValueError` for a chain without collision geometry or a q of another shape.
     """
     check_kind("explain", "scene", scene, Scene, optional=True)
+    if scene is not None:
+        check_scene(scene)
     count = as_count("explain: count", count)
+    if below != np.inf:
+        check_finite("explain", below=below)
     posture = np.asarray(as_configuration(chain, numbers("explain: q", q)), np.float64)
+    check_geometry(chain)
+    volumes = skeletons(chain, posture.tolist(), np.float64)
     with jax.enable_x64(True):
-        volumes = world_volumes(chain, jnp.asarray(posture))
         pairs = [*_with_scene(scene, volumes), *_with_itself(chain, volumes)]
-        found = _nearest(pairs)[:count]
-        contacts = tuple(_contact(chain, scene, pairs, *each) for each in found)
+        found = [row for apart, *row in _nearest(pairs)[:count] if apart < below]
+        contacts = tuple(_contact(chain, scene, pairs, *row) for row in found)
     return Surroundings(contacts, _limits(chain, posture)[:count])
 
 
 @dataclasses.dataclass(frozen=True)
 class _Pairs:
-    """Volumes of one kind against obstacles or volumes of one kind: distances (others, volumes), and who they belong to."""
+    """Volumes of one kind against obstacles or volumes of one kind, who they belong to, and of each two names in a block of
+    them the least distance: rows (distance, other, volume)."""
 
     gap: Any
     volumes: Any
@@ -99,7 +108,7 @@ class _Pairs:
     links: np.ndarray
     owners: np.ndarray
     itself: bool
-    distances: np.ndarray
+    least: np.ndarray
 
 
 def _with_scene(scene: Scene | None, volumes: Any) -> Iterator[_Pairs]:
@@ -110,9 +119,7 @@ def _with_scene(scene: Scene | None, volumes: Any) -> Iterator[_Pairs]:
             gap, others = obstacles_of(kind, vars(getattr(scene, kind)), jnp.float64)
             owner = np.array([*owners, *[-1] * (scene.counts[kind] - len(owners))], int)
             for skeleton in volumes.values():
-                ours = columns_of(skeleton, jnp.float64)
-                apart = np.asarray(_apart(gap, ours, others))
-                yield _Pairs(gap, ours, others, skeleton.link, owner, False, np.where(apart > FAR / 2.0, np.inf, apart))
+                yield from _blocks(gap, skeleton, others, owner)
 
 
 def _with_itself(chain: Chain, volumes: Any) -> Iterator[_Pairs]:
@@ -122,11 +129,32 @@ def _with_itself(chain: Chain, volumes: Any) -> Iterator[_Pairs]:
         meet[a, b] = True
     for mine in volumes.values():
         for theirs in volumes.values():
-            wanted = meet[theirs.link[:, None], mine.link]
-            if wanted.any():
-                ours, others = columns_of(mine, jnp.float64), columns_of(theirs, jnp.float64)
-                apart = np.asarray(_apart(skeleton_gap, ours, others))
-                yield _Pairs(skeleton_gap, ours, others, mine.link, theirs.link, True, np.where(wanted, apart, np.inf))
+            if meet[np.ix_(np.unique(theirs.link), np.unique(mine.link))].any():
+                yield from _blocks(skeleton_gap, mine, columns_of(theirs, jnp.float64), theirs.link, meet)
+
+
+def _blocks(gap: Any, skeleton: Any, others: Any, owners: np.ndarray, meet: np.ndarray | None = None) -> Iterator[_Pairs]:
+    """Block by block of the others, all of one size (the last overlaps the one before), so that one program does them all."""
+    ours, links = columns_of(skeleton, jnp.float64), skeleton.link
+    others = jax.tree_util.tree_map(np.asarray, others)
+    rows = min(len(owners), max(1, BLOCK // len(links)))
+    for start in sorted({*range(0, len(owners) - rows, rows), len(owners) - rows}):
+        block = slice(start, start + rows)
+        apart = np.asarray(_apart(gap, ours, jax.tree_util.tree_map(lambda x, block=block: x[block], others)))
+        seen = apart < FAR / 2.0 if meet is None else meet[owners[block, None], links]
+        least = _least(np.where(seen, apart, np.inf), owners[block], links)
+        least[:, 1] += start
+        yield _Pairs(gap, ours, others, links, owners, meet is not None, least)
+
+
+def _least(apart: np.ndarray, owners: np.ndarray, links: np.ndarray) -> np.ndarray:
+    """Of each owner and link the least distance, if it is finite, and where it stands: rows (distance, row, column)."""
+    names = (owners[:, None] + 1) * (links.max() + 1) + links  # an owner -1 is the scene
+    least = np.full(names.max() + 1, np.inf)
+    np.minimum.at(least, names, apart)
+    row, column = np.nonzero((apart == least[names]) & np.isfinite(apart))
+    first = np.unique(names[row, column], return_index=True)[1]
+    return np.column_stack([apart[row, column], row, column])[first]
 
 
 @partial(jax.jit, static_argnums=0)
@@ -142,19 +170,16 @@ def _pull(gap: Any, corners: Any, radius: Any, other: Any) -> Any:
     return value, pull(jnp.ones(1))[0]
 
 
-def _nearest(pairs: list[_Pairs]) -> list[tuple[int, int, int]]:
-    """(which of `pairs`, other, volume) of each two names' least distance, the least first."""
-    best: dict[tuple[bool, int, int], tuple[float, int, int, int]] = {}
-    for number, each in enumerate(pairs):
-        names = np.stack(np.broadcast_arrays(each.owners[:, None], each.links), axis=-1).reshape(-1, 2)
-        order = np.argsort(each.distances, axis=None, kind="stable")
-        _, first = np.unique(names[order], axis=0, return_index=True)
-        for row in order[first]:
-            other, volume = np.unravel_index(row, each.distances.shape)
-            entry = float(each.distances[other, volume]), number, int(other), int(volume)
-            key = each.itself, int(names[row][0]), int(names[row][1])
-            best[key] = min(best.get(key, entry), entry)
-    return [(n, other, volume) for apart, n, other, volume in sorted(best.values()) if np.isfinite(apart)]
+def _nearest(pairs: list[_Pairs]) -> list[tuple[float, int, int, int]]:
+    """Each two names' least distance, the least first, and which of `pairs`, other and volume it belongs to."""
+    if not pairs:
+        return []
+    number = np.repeat(np.arange(len(pairs)), [len(each.least) for each in pairs])
+    apart, other, volume = np.concatenate([each.least for each in pairs]).T
+    names = [(each.itself, each.owners[int(o)], each.links[int(v)]) for each in pairs for _, o, v in each.least]
+    order = np.lexsort((volume, other, number, apart))
+    _, first = np.unique(np.array(names, int).reshape(-1, 3)[order], axis=0, return_index=True)
+    return [(float(apart[i]), int(number[i]), int(other[i]), int(volume[i])) for i in order[np.sort(first)]]
 
 
 def _contact(chain: Chain, scene: Scene | None, pairs: list[_Pairs], number: int, other: int, volume: int) -> Contact:

@@ -14,7 +14,10 @@ RIGID = 1e-4  # how far R'R may be from 1 in a frame that is still one: rotation
 
 
 def numbers(what: str, given: Any) -> np.ndarray:
-    """`given` in float64. Raises `ValueError` for what is no array of integers or floats: text, truth values, ragged lists."""
+    """`given` in float64. Raises `ValueError` for what is no array of integers or floats: text, truth values, ragged
+    lists, masked entries."""
+    if isinstance(given, np.ma.MaskedArray) and np.ma.is_masked(given):  # what lies under a mask would come back
+        raise ValueError(f"{what}: masked entries; write finite ints or floats, and leave out what is not known")
     try:
         array = np.asarray(given)
         if array.dtype.kind in "iuf":

@@ -17,7 +17,7 @@ import numpy as np
 from jax import lax
 
 from jaxik.chain import Chain
-from jaxik.scene import FAR, KINDS, Scene
+from jaxik.scene import FAR, KINDS, Scene, check_scene
 from jaxik.spheres import local_volumes
 
 LEAF = {"points": 4, "spheres": 4, "capsules": 1, "boxes": 1, "cylinders": 1}  # obstacles a leaf
@@ -59,13 +59,15 @@ Surroundings = tuple[Obstacles, ...]
 
 def surroundings(scene: Scene | Surroundings | None, by_object: bool = False) -> Surroundings:
     """The scene's obstacles by kind; what is out of the way is left out where that is known. `by_object`: branch b holds what
-    belongs to object b."""
+    belongs to object b. Raises `ValueError` for arrays that were put in by hand and are none of a scene."""
     if scene is None:
         return ()
     if not isinstance(scene, Scene):
         return scene
     if is_traced(scene):
+        check_scene(scene)
         return _surroundings(scene, by_object)
+    scene.remembered("checked", lambda: check_scene(scene))
     return scene.remembered(("surroundings", by_object), lambda: _surroundings(scene, by_object))
 
 

@@ -252,7 +252,7 @@ MISSES = 16  # candidates that recovery starts from
 
 def _others(scene: Scene, fruit: Fruit) -> Scene:
     """The scene without the fruit that is being picked."""
-    return scene.without([fruit.name])
+    return scene.without([n for n in scene.object_names if n == fruit.name])
 
 
 def _measured(chain: Chain, scene: Scene, fruit: Fruit, q: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import dataclasses
 from collections.abc import Callable, Hashable, Iterator
+from operator import length_hint
 from typing import Any, NamedTuple
 
 import equinox as eqx
@@ -16,12 +17,13 @@ import numpy as np
 from jaxtyping import Float
 
 from jaxik.chain import Array, Constant
-from jaxik.choice import shown
-from jaxik.given import direction, numbers, rigid_frame, shaped
+from jaxik.choice import no_such, shown
+from jaxik.given import direction, is_known, is_rigid, numbers, rigid_frame, shaped
 
 LIMIT = 100.0  # [m] that anything may be away or long; a crop or a cell is smaller, one in millimetres is not
 FAR = 1e6  # [m] where padding stands: exact in float32 as a square, and far beyond LIMIT
 SIZES = (0, 8, 32, *(k * 2**n for n in range(5, 14) for k in (2, 3)))
+MOST = 2**17  # obstacles of a kind: more are a scan that wants thinning
 KINDS = ("points", "spheres", "capsules", "boxes", "cylinders")
 
 
@@ -104,17 +106,34 @@ class Scene(Constant):
     @property
     def counts(self) -> dict[str, int]:
         """How many obstacles of each kind there are, padding included."""
-        return {k: int(jax.tree_util.tree_leaves(getattr(self, k))[0].shape[0]) for k in KINDS}
+        return {k: _count(getattr(self, k)) for k in KINDS}
 
     def without(self, objects: Any) -> Scene:
-        """The scene with these objects (indices or names) moved out of the way; shapes stay. Who is not there cannot be."""
-        gone = set(objects)
-        gone |= {i for i, name in enumerate(self.object_names) if name in gone}
+        """The scene with these objects (indices or names; a lone name is one) moved out of the way; shapes stay.
+
+        Raises `ValueError` for an object that is not there.
+        """
+        gone = {self._index(each) for each in ([objects] if isinstance(objects, str) else objects)}
         masks = {k: np.array([o in gone for o in owners], bool) for k, owners in zip(KINDS, self.owners, strict=True)}
         return dataclasses.replace(self, **{k: _moved_away(getattr(self, k), masks[k]) for k in KINDS})
 
-    def moved(self, a_T_world: np.ndarray) -> Scene:
-        """The same scene as seen from another frame: all its points `p` become `a_T_world @ p`."""
+    def _index(self, given: Any) -> int:
+        """Which object an index or a name means."""
+        if isinstance(given, str):
+            if given not in self.object_names:
+                raise ValueError(no_such(f"scene '{self.name}'", "object", given, self.object_names))
+            return self.object_names.index(given)
+        if not isinstance(given, int | np.integer) or not 0 <= given < len(self.object_names):
+            most = len(self.object_names) - 1
+            raise ValueError(f"scene '{self.name}': object {shown(given)}; allowed: names, or indices 0 to {most}")
+        return int(given)
+
+    def moved(self, a_T_world: Any) -> Scene:
+        """The same scene as seen from another frame: all its points `p` become `a_T_world @ p`.
+
+        Raises `ValueError` for what is no rigid frame.
+        """
+        a_T_world = rigid_frame("moved: a_T_world", a_T_world)
         turn, shift = a_T_world[:3, :3], a_T_world[:3, 3]
         to = lambda points: np.asarray(points) @ turn.T + shift
         return dataclasses.replace(
@@ -129,18 +148,21 @@ class Scene(Constant):
 
     def geometry(self) -> Scene:
         """The obstacles alone, padded and without names: scenes of like sizes then run the same compiled program."""
-        full = self.padded()
-        return Scene(full.points, full.spheres, full.capsules, full.boxes, full.cylinders)
+        return Scene(**self._padded_kinds())
 
     def padded(self) -> Scene:
-        """The scene with each kind padded to the next of a few sizes by obstacles that are out of the way."""
-        kinds, owners = {}, []
-        for kind, own in zip(KINDS, self.owners, strict=True):
-            count = self.counts[kind]
-            extra = next((s for s in SIZES if s >= count), count) - count
-            kinds[kind] = _padded(getattr(self, kind), extra)
-            owners.append((*own, *([-1] * (count + extra - len(own)))))
-        return dataclasses.replace(self, owners=tuple(owners), **kinds)
+        """The scene with each kind padded to the next of a few sizes by obstacles that are out of the way.
+
+        Raises `ValueError` as `check_scene`.
+        """
+        kinds = self._padded_kinds()
+        counts = [_count(obstacles) for obstacles in kinds.values()]
+        owners = tuple((*own, *[-1] * (n - len(own))) for own, n in zip(self.owners, counts, strict=True))
+        return dataclasses.replace(self, owners=owners, **kinds)
+
+    def _padded_kinds(self) -> dict[str, Any]:
+        check_scene(self)
+        return {kind: _padded(getattr(self, kind)) for kind in KINDS}
 
 
 def _moved_away(obstacles: Any, mask: np.ndarray) -> Any:
@@ -161,7 +183,14 @@ def _moved_away(obstacles: Any, mask: np.ndarray) -> Any:
     return dataclasses.replace(moved, half=obstacles.half) if isinstance(obstacles, Boxes) else moved
 
 
-def _padded(obstacles: Any, extra: int) -> Any:
+def _count(obstacles: Any) -> int:
+    return int(jax.tree_util.tree_leaves(obstacles)[0].shape[0])
+
+
+def _padded(obstacles: Any) -> Any:
+    """As many as the next of `SIZES`, or as there are where there are more."""
+    count = _count(obstacles)
+    extra = next((s for s in SIZES if s >= count), count) - count
     if not extra:
         return obstacles
 
@@ -170,7 +199,6 @@ def _padded(obstacles: Any, extra: int) -> Any:
             return leaf
         return np.concatenate([leaf, np.zeros((extra, *leaf.shape[1:]), leaf.dtype)])
 
-    count = jax.tree_util.tree_leaves(obstacles)[0].shape[0]
     return _moved_away(jax.tree_util.tree_map(pad, obstacles), np.arange(count + extra) >= count)
 
 
@@ -178,12 +206,13 @@ class SceneBuilder:
     """Collects named objects and fruits into a `Scene`. All lengths in metres, the world's z up.
 
     Raises `ValueError`, one line, for what is no obstacle: another shape, a number that is not finite, beyond `LIMIT` [m] or a
-    negative size, a frame that is not rigid, a name that stands twice. What is refused leaves nothing behind.
+    negative size, a radius of 0 (what has none is points), a frame that is not rigid, more than `MOST` of a kind; an object
+    without obstacles, a name that stands twice. Plates may be 0 thick. What is refused leaves nothing behind.
     """
 
     def __init__(self, name: str = "scene", point_radius: Any = 0.0):
         self.name = _word("scene", name)
-        self.point_radius = _size("point_radius", point_radius)
+        self.point_radius = size("point_radius", point_radius)
         self.names: dict[str, None] = {}  # in their order
         self.removable: list[bool] = []
         self.fruits: list[Fruit] = []
@@ -193,7 +222,13 @@ class SceneBuilder:
     def add(self, name: str, removable: Any = True, **obstacles: Any) -> None:
         """An object of `points` (k, 3), `spheres` (k, 4) centre and radius, `capsules` (k, 7) both ends and radius, `boxes`
         (pairs of a (4, 4) frame and three edges), `cylinders` (triples of a (4, 4) frame, radius and length)."""
-        self._put(name, removable, _each(f"object '{shown(name)}': ", obstacles))
+        who = f"object '{shown(name)}': "
+        if not isinstance(removable, bool | np.bool_):  # an array in this place were obstacles that never come
+            raise ValueError(f"{who}removable is {type(removable).__name__}; allowed: True, False; obstacles go by keyword")
+        rows = _each(who, obstacles)
+        if not any(map(len, rows.values())):
+            raise ValueError(f"{who}has no obstacle; give it one of: {', '.join(KINDS)}")
+        self._put(name, bool(removable), rows)
 
     def add_fruit(
         self,
@@ -207,31 +242,32 @@ class SceneBuilder:
         """A fruit; with a `radius` its body, hanging `length` below `position`, is an obstacle to all others. A body of another
         form is given as `obstacles`, by the keywords of `add`."""
         who = f"fruit '{shown(name)}': "
-        top = _in_metres(f"{who}position", shaped(f"{who}position", position, (3,)))
-        up, long, thick = direction(f"{who}axis", axis), _size(f"{who}length", length), _size(f"{who}radius", radius)
+        top = in_metres(f"{who}position", shaped(f"{who}position", position, (3,)))
+        up, long, thick = direction(f"{who}axis", axis), size(f"{who}length", length), size(f"{who}radius", radius)
         rows = _each(who, obstacles)
+        if long > 0.0 and not thick:
+            raise ValueError(f"{who}length {long:g} m without a radius is no body; give both, or its obstacles")
         if thick > 0.0:
             rows["capsules"] = np.concatenate([hanging(top, up, long, thick)[None], rows.get("capsules", np.zeros((0, 7)))])
         self._put(name, False, rows)
         self.fruits.append(Fruit(top, up, name))
 
-    def _put(self, name: str, removable: Any, rows: dict[str, np.ndarray]) -> None:
+    def _put(self, name: str, removable: bool, rows: dict[str, np.ndarray]) -> None:
         if _word("object", name) in self.names:
             raise ValueError(f"object '{shown(name)}': the name stands twice; give each its own")
-        if not isinstance(removable, bool | np.bool_):  # an array in this place were obstacles that never come
-            what = type(removable).__name__
-            raise ValueError(f"object '{shown(name)}': removable is {what}; allowed: True, False; obstacles go by keyword")
+        for kind, values in rows.items():
+            _few(f"object '{shown(name)}': {kind}", len(self.owners[kind]) + len(values))
         for kind, values in rows.items():
             self.rows[kind].append(values)
             self.owners[kind] += [len(self.names)] * len(values)
         self.names[name] = None
-        self.removable.append(bool(removable))
+        self.removable.append(removable)
 
     def scene(self) -> Scene:
         points, spheres, capsules, boxes, cylinders = (
             np.concatenate([np.zeros((0, ROWS[kind].width)), *self.rows[kind]]) for kind in KINDS
         )
-        return Scene(
+        scene = Scene(
             Points(points, np.asarray(self.point_radius, dtype=np.float64)),
             Spheres(spheres[:, :3], spheres[:, 3]),
             Capsules(capsules[:, :3], capsules[:, 3:6], capsules[:, 6]),
@@ -243,6 +279,8 @@ class SceneBuilder:
             removable=tuple(self.removable),
             owners=tuple(tuple(self.owners[k]) for k in KINDS),
         )
+        scene.remembered("checked", lambda: None)  # as each obstacle was
+        return scene
 
 
 def make_scene(point_radius: Any = 0.0, name: str = "scene", **obstacles: Any) -> Scene:
@@ -267,19 +305,21 @@ def hanging(top: Any, up: Any, length: float, radius: float) -> np.ndarray:
 
 
 class Row(NamedTuple):
-    """How many numbers stand for one obstacle (a frame is 16), how many of them, at the end, are sizes; and in words."""
+    """How many numbers stand for one obstacle (a frame is 16), how many of them, at the end, are sizes, which of them is the
+    radius, if one is; and in words."""
 
     width: int
     sizes: int
+    radius: slice
     words: str
 
 
 ROWS = {
-    "points": Row(3, 0, "(k, 3), rows of x, y, z"),
-    "spheres": Row(4, 1, "(k, 4), rows of x, y, z, radius"),
-    "capsules": Row(7, 1, "(k, 7), rows of both ends and the radius"),
-    "boxes": Row(19, 3, "pairs of a rigid (4, 4) frame and three edges"),
-    "cylinders": Row(18, 2, "triples of a rigid (4, 4) frame, radius and length"),
+    "points": Row(3, 0, slice(0), "(k, 3), rows of x, y, z"),
+    "spheres": Row(4, 1, slice(3, 4), "(k, 4), rows of x, y, z, radius"),
+    "capsules": Row(7, 1, slice(6, 7), "(k, 7), rows of both ends and the radius"),
+    "boxes": Row(19, 3, slice(0), "pairs of a rigid (4, 4) frame and three edges"),
+    "cylinders": Row(18, 2, slice(16, 17), "triples of a rigid (4, 4) frame, radius and length"),
 }
 
 
@@ -293,6 +333,7 @@ def _each(who: str, obstacles: dict[str, Any]) -> dict[str, np.ndarray]:
 
 def _rows(what: str, given: Any, row: Row) -> np.ndarray:
     """Obstacles of a kind as (k, width) numbers."""
+    _few(what, length_hint(given))  # before they are copied
     if row.width > 16:
         given = [_framed(f"{what} row {i}", each, row) for i, each in enumerate(_listed(what, given, row), 1)]
     elif isinstance(given, Iterator):
@@ -302,13 +343,24 @@ def _rows(what: str, given: Any, row: Row) -> np.ndarray:
         values = values.reshape(0, row.width)
     if values.ndim != 2 or values.shape[1] != row.width:
         raise ValueError(f"{what} of shape {values.shape}; allowed: {row.words} [m]")
-    return _in_metres(what, values, row.sizes)
+    for i, radius in np.argwhere(values[:, row.radius] <= 0.0)[:1]:
+        size = values[i, row.radius][radius]
+        raise ValueError(f"{what} row {i + 1} has the radius {size:g} m; write one above 0, or what has none as points")
+    return in_metres(what, values, row.sizes)
+
+
+def _few(what: str, count: int) -> None:
+    if count > MOST:
+        raise ValueError(f"{what}: {count:,} in the scene; at most {MOST:,}; thin them, e.g. to one in a few millimetres")
 
 
 def _framed(what: str, given: Any, row: Row) -> np.ndarray:
     """A frame and sizes in one row."""
     frame, *sizes = _listed(what, given, row) or [None]
-    frame = np.asarray(rigid_frame(f"{what}: frame", frame), np.float64)
+    frame = numbers(f"{what}: frame", frame)
+    if frame.shape != (4, 4):
+        raise ValueError(f"{what}: frame of shape {frame.shape}; allowed: {row.words} [m]")
+    frame = np.asarray(rigid_frame(f"{what}: frame", frame))
     values = numbers(f"{what}: sizes", sizes)
     if values.shape not in ((row.sizes,), (1, row.sizes)):  # (frame, a, b, c) or (frame, (a, b, c))
         raise ValueError(f"{what}: sizes of shape {values.shape}; allowed: {row.words} [m]")
@@ -322,11 +374,61 @@ def _listed(what: str, given: Any, row: Row) -> list[Any]:
         raise ValueError(f"{what}: {type(given).__name__}; allowed: {row.words} [m]") from None
 
 
-def _size(what: str, given: Any) -> float:
-    return float(_in_metres(what, shaped(what, given, ()), 1))
+SHAPES: dict[str, dict[str, tuple[int, ...]]] = {  # of one obstacle; the points' radius is that of all
+    "points": {"center": (3,)},
+    "spheres": {"center": (3,), "radius": ()},
+    "capsules": {"a": (3,), "b": (3,), "radius": ()},
+    "boxes": {"world_T_box": (4, 4), "half": (3,)},
+    "cylinders": {"world_T_cylinder": (4, 4), "radius": (), "half": ()},
+}
 
 
-def _in_metres(what: str, values: np.ndarray, sizes: int = 0) -> np.ndarray:
+def check_scene(scene: Scene) -> None:
+    """What drivers ask of a scene, whose arrays may have been replaced by hand.
+
+    Raises `ValueError`, one line, for arrays of other shapes and, where they are not traced, for numbers that are not finite,
+    negative sizes and frames that are not rigid. What is far away may be padding.
+    """
+    for kind, owners in zip(KINDS, scene.owners, strict=True):
+        obstacles, who, count = getattr(scene, kind), f"scene '{scene.name}': {kind}", -1
+        for name, shape in SHAPES[kind].items():
+            _check_shape(f"{who}: {name}", getattr(obstacles, name), (count, *shape))
+            count = len(getattr(obstacles, name))
+        if kind == "points":
+            _check_shape(f"{who}: radius", obstacles.radius, ())
+        if len(owners) > count:
+            raise ValueError(f"{who}: {count} for {len(owners)} owners; make the scene anew (make_scene, SceneBuilder)")
+        if count and is_known(obstacles):
+            _check_values(who, obstacles)
+
+
+def _check_shape(what: str, array: Any, shape: tuple[int, ...]) -> None:
+    """Of -1 entries there are any number."""
+    if not isinstance(array, np.ndarray | np.generic | jax.Array) or array.dtype.kind not in "iuf":
+        raise ValueError(f"{what}: {type(array).__name__} that is no array of numbers")
+    if len(array.shape) != len(shape) or any(n not in (-1, m) for n, m in zip(shape, array.shape, strict=True)):
+        raise ValueError(f"{what} has the shape {array.shape}; allowed: {str(shape).replace('-1', 'k')}")
+
+
+def _check_values(who: str, obstacles: Any) -> None:
+    for name, array in vars(obstacles).items():
+        values = np.atleast_1d(array)
+        faults = [(~np.isfinite(values), "write finite numbers, not NaN or infinity")]
+        if name in ("radius", "half"):
+            faults.append((values < 0.0, "write 0 or more"))
+        if name.startswith("world_T"):
+            faults.append((~is_rigid(values), "is no rigid frame; allowed: a right-handed rotation, and 0 0 0 1 below"))
+        for wrong, mend in faults:
+            if wrong.any():
+                row = np.argwhere(wrong)[0, 0]
+                raise ValueError(f"{who} row {row + 1}: {name} {shown(values[row])}; {mend}")
+
+
+def size(what: str, given: Any) -> float:
+    return float(in_metres(what, shaped(what, given, ()), 1))
+
+
+def in_metres(what: str, values: np.ndarray, sizes: int = 0) -> np.ndarray:
     """`values` as they are, if they are finite, none beyond `LIMIT`, and the last `sizes` of a row not below zero."""
     table = values.reshape(-1, values.shape[-1] if values.ndim else 1)
     far, below = ~(np.abs(table) <= LIMIT), np.zeros(table.shape, bool)
@@ -342,6 +444,6 @@ def _in_metres(what: str, values: np.ndarray, sizes: int = 0) -> np.ndarray:
 
 
 def _word(what: str, name: Any) -> str:
-    if not isinstance(name, str) or name.splitlines() != [name]:
+    if not isinstance(name, str) or name.splitlines() != [name] or not name.strip():
         raise ValueError(f"{what}: the name {shown(repr(name))} is not one line of text; write a word")
     return name

@@ -15,6 +15,7 @@ from robots import FOLDER, ROBOTS
 import jaxik
 from jaxik import cli
 from jaxik.collision import hierarchical_clearance
+from jaxik.scan import Blockers
 
 GRID = {"kind": "grid", "x": [0, 1, 2], "y": [0.5, 0.8, 2], "z": [0.3, 0.5, 2]}
 SCENE = """name = "bench"
@@ -156,6 +157,13 @@ def test_an_out_that_is_a_file_is_told_first(tmp_path, monkeypatch, capsys):
     (tmp_path / "ik.csv").mkdir()
     assert "is a file" in refused(monkeypatch, capsys, "harvest", "--out", tmp_path / "file")
     assert "is a folder" in refused(monkeypatch, capsys, "ik", "p6r", "absent.csv", "--out", tmp_path / "ik.csv")
+
+
+def test_what_hides_a_fruit_is_named():
+    found = Blockers(("stem_1", "wire", "leaf_1", "leaf_2"), (0.9, 0.3, 0.2, 0.1), None, None)
+    assert cli._in_the_way(None) == "" and cli._in_the_way(found) == "behind stem_1, wire, leaf_1"
+    assert cli._in_the_way(found._replace(removal=("leaf_1",))) == "leaf_1"
+    assert cli._in_the_way(found._replace(names=(), share=())) == "the robot hits itself"
 
 
 def test_units_are_said(harvested, tmp_path, monkeypatch, capsys):

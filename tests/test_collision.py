@@ -3,6 +3,7 @@
 import dataclasses
 
 import coal
+import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -257,7 +258,8 @@ def test_value_and_gradient_where_a_distance_is_zero(dtype):
     chain = jaxik.load("p6r")
     q = jnp.asarray([0.4, 0.3, -0.5, -0.4, 0.7, 0.6, 0.5], dtype)
     centres, radii = jaxik.link_spheres(chain, q)
-    scene = jaxik.make_scene(points=[centres[40]], capsules=[[*centres[40], *(centres[40] + 1.0), 0.0]])
+    scene = jaxik.make_scene(points=[centres[40]], capsules=[[*centres[40], *(centres[40] + 1.0), 1.0]])
+    scene = eqx.tree_at(lambda s: s.capsules.radius, scene, np.zeros(1))  # thinner than a scene is made
     value, slope = jax.jit(jax.value_and_grad(lambda q: jaxik.clearance(chain, scene, q)))(q)
     assert abs(value + radii[40]) <= 64 * np.finfo(dtype).eps and np.all(np.isfinite(slope))
 
@@ -289,7 +291,8 @@ def test_nothing_is_hidden_by_nan():
     assert jaxik.collides(chain, scene, np.array([0.0, np.nan]))
     bad = dataclasses.replace(scene, spheres=jaxik.scene.Spheres(scene.spheres.center * np.nan, scene.spheres.radius))
     assert np.isnan(distance(bad, np.zeros(2)))
-    assert np.isnan(jaxik.clearance(chain, bad, np.zeros(2)))
+    with pytest.raises(ValueError, match="spheres row 1: center .*finite"):  # of one that is known
+        jaxik.clearance(chain, bad, np.zeros(2))
 
 
 def _flat(chain, scene, q):

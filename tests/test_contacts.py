@@ -1,11 +1,14 @@
 """What stands in the way, by name: pairs against coal, the first pair against the clearance."""
 
+import dataclasses
+
 import coal
 import numpy as np
 import pytest
 
 import jaxik
 from jaxik.cli import _offenders
+from jaxik.result import Reason
 
 ARM = jaxik.load("pendulum4")
 TURN = np.array([[0.8, -0.6, 0.0], [0.6, 0.8, 0.0], [0.0, 0.0, 1.0]])
@@ -72,6 +75,18 @@ def test_it_reads_as_sentences(scene):
     assert found.colliding == tuple(c for c in found.contacts if c.distance < 0.0)
 
 
+def test_blocks_change_nothing(scene, monkeypatch):
+    """A few distances at a time, so that memory does not grow with the scene: blocks of one obstacle, of two, which overlap."""
+    builder = jaxik.SceneBuilder("cloud", 0.01)
+    for i in range(4):
+        builder.add(f"leaf_{i}", points=np.random.default_rng(i).uniform(-3.0, 3.0, (6, 3)))
+    asked = [(around, q) for around in (scene, builder.scene()) for q in np.random.default_rng(2).uniform(-2.0, 2.0, (2, 4))]
+    whole = [str(jaxik.explain(ARM, around, q, 99)) for around, q in asked]
+    for block in (1, 9, 50):
+        monkeypatch.setattr("jaxik.contacts.BLOCK", block)
+        assert [str(jaxik.explain(ARM, around, q, 99)) for around, q in asked] == whole
+
+
 def test_without_a_scene_and_bad_use(scene):
     panda = jaxik.load("p6r")
     middle = np.add(*jaxik.finite_limits(panda)) / 2.0
@@ -81,17 +96,38 @@ def test_without_a_scene_and_bad_use(scene):
     for wrong in (
         lambda: jaxik.explain(panda, scene, middle[:3]),
         lambda: jaxik.explain(panda, scene, middle, 0),
+        lambda: jaxik.explain(panda, scene, middle, 5, np.nan),
     ):
         with pytest.raises(ValueError) as told:
             wrong()
         assert "\n" not in str(told.value)
 
 
+def ended(scene, postures, reasons, margin=0.0):
+    """A result of these postures."""
+    columns = dict.fromkeys((f.name for f in dataclasses.fields(jaxik.IKResult)), np.zeros(len(postures)))
+    given = {"q": postures, "reason": np.array(reasons), "solved_in": (ARM, scene, margin)}
+    return jaxik.IKResult(**columns | given)
+
+
+def test_a_result_names_offenders(scene):
+    postures = np.random.default_rng(1).uniform(-2.0, 2.0, (7, 4))
+    result = ended(scene, postures, [Reason.COLLISION] * 6 + [Reason.SOLVED], 0.2)
+    assert len(result.offenders) == 7 and result.offenders[6] == () == result[6].offenders
+    for q, offenders, row in zip(postures[:6], result.offenders, result, strict=False):
+        everything = jaxik.explain(ARM, scene, q, 99).contacts
+        near = [str(c) for c in everything if c.distance < 0.2] or [str(everything[0])]
+        assert [str(c) for c in offenders] == [str(c) for c in row.offenders] == near
+    assert [len(o) for o in result[2:4].offenders] == [len(o) for o in result.offenders[2:4]]
+    assert ended(None, postures, [Reason.COLLISION] * 7)[0].offenders  # the arm alone
+    assert not dataclasses.replace(result, solved_in=None).offenders[0]
+
+
 def test_the_command_names_offenders(scene):
     """The most frequent pair first."""
     postures = np.random.default_rng(1).uniform(-2.0, 2.0, (7, 4))
     nearest = [jaxik.explain(ARM, scene, q).contacts[0] for q in postures]
-    said = _offenders(ARM, scene, postures)
+    said = _offenders(ended(scene, postures, [Reason.COLLISION] * 7))
     counts = [int(part.split()[0]) for part in said.split(", ")]
     assert sum(counts) == 7 and counts == sorted(counts, reverse=True)
     assert all(f"by {c.link} and {c.other}" in said for c in nearest)

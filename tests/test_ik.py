@@ -619,6 +619,9 @@ def test_both_forms_of_collision_find_what_is_free(collision):
         for q, target in zip(result.q[result.success], targets[result.success], strict=True)
     )
     assert result.reason[0] == Reason.COLLISION and result.clearance[0] < 0.0  # its target is inside the obstacle
+    (nearest, *_) = result[0].offenders
+    assert nearest.other == "spheres_1" and abs(nearest.distance - result.clearance[0]) <= SLACK
+    assert not any(offenders for offenders, solved in zip(result.offenders, result.success, strict=True) if solved)
 
 
 def _at(x, y, z):

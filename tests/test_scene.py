@@ -2,6 +2,7 @@
 
 import dataclasses
 
+import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -43,9 +44,11 @@ def one_line(error, *words):
         ({"points": [[0, np.inf, 0]]}, ("points", "row 1", "inf", "finite")),
         ({"points": [[10**400, 0, 0]]}, ("points", "no array of numbers")),
         ({"points": [[0, 700, 0]]}, ("points", "row 1", "700", "100 m")),
-        ({"spheres": [[0, 0, 0, 0.1], [0, 0, 0, -0.1]]}, ("spheres", "row 2", "-0.1", "0 or more")),
+        ({"spheres": [[0, 0, 0, 0.1], [0, 0, 0, -0.1]]}, ("spheres", "row 2", "radius -0.1", "above 0")),
+        ({"spheres": [[0, 0, 0, 0.1], [0, 0, 0, 0]]}, ("spheres", "row 2", "radius 0 m", "above 0", "points")),
         ({"capsules": [[0, 0, 0, 1, 0, 0]] * 7}, ("capsules", "(7, 6)", "(k, 7)")),
-        ({"capsules": [[0, 0, 0, 1, 0, 0, -1]]}, ("capsules", "row 1", "-1", "0 or more")),
+        ({"capsules": [[0, 0, 0, 1, 0, 0, -1]]}, ("capsules", "row 1", "radius -1", "above 0")),
+        ({"capsules": [[0, 0, 0, 1, 0, 0, 0]]}, ("capsules", "row 1", "radius 0 m", "above 0")),
         ({"boxes": [(np.eye(4), 0.1)]}, ("boxes", "row 1", "three edges")),
         ({"boxes": [(np.eye(4), 0.1)] * 3}, ("boxes", "row 1", "three edges")),
         ({"boxes": [(np.eye(4), (0.1, 0.1))]}, ("boxes", "row 1", "three edges")),
@@ -57,6 +60,12 @@ def one_line(error, *words):
         ({"boxes": np.eye(4)}, ("boxes", "row 1")),
         ({"boxes": 1}, ("boxes",)),
         ({"boxes": [np.eye(4)]}, ("boxes", "row 1")),
+        ({"boxes": [[0, 0, 0, 1, 1, 1]]}, ("boxes", "row 1", "pairs of a rigid (4, 4) frame and three edges")),
+        ({"boxes": (np.eye(4), (1, 1, 1))}, ("boxes", "row 1", "pairs of a rigid (4, 4) frame and three edges")),
+        ({"cylinders": [(np.eye(4), 0.0, 1.0)]}, ("cylinders", "row 1", "radius 0 m", "above 0")),
+        ({"points": np.ma.masked_array([[0.0, 1.0, 2.0]], [[False, True, False]])}, ("points", "masked")),
+        ({"points": np.zeros((1_000_000, 3))}, ("points", "1,000,000", "at most", "thin")),
+        ({"points": np.broadcast_to(0.0, (5_000_000, 3))}, ("points", "5,000,000", "at most")),
         ({"cylinders": [(np.eye(4), 0.1)]}, ("cylinders", "row 1", "radius", "length")),
         ({"cylinders": [(np.eye(4), 0.1, -1.0)]}, ("cylinders", "row 1", "-1")),
         ({"cylinders": [(HALF, 0.1, 1.0)]}, ("cylinders", "row 1", "no rigid frame")),
@@ -90,6 +99,9 @@ def test_what_is_no_obstacle_is_refused(given, words):
         ({"name": "leaf"}, ("'leaf'", "twice")),
         ({"name": ""}, ("name", "one line")),
         ({"name": "a\nb"}, ("name", "one line")),
+        ({"name": " \t"}, ("name", "one line")),
+        ({"length": 0.3}, ("length 0.3", "radius")),
+        ({"spheres": [[0, 0, 0, 0]]}, ("spheres", "row 1", "radius 0 m")),
     ],
 )
 def test_a_fruit_is_a_fruit(given, words):
@@ -108,6 +120,13 @@ def test_a_refused_object_leaves_nothing_behind():
         builder.add("leaf", points=[[0, 0, 0]], spheres=[[0, 0, 0]])
     with pytest.raises(ValueError, match=r"'leaf': removable is list; .* by keyword"):
         builder.add("leaf", [[0, 0, 0]])
+    for nothing in ({}, {"points": []}, {"points": np.zeros((0, 3)), "boxes": []}):
+        with pytest.raises(ValueError, match=r"'leaf': has no obstacle; .* points, spheres"):
+            builder.add("leaf", **nothing)
+    with pytest.raises(ValueError, match="at most"):  # in all, too
+        for i in range(3):
+            builder.add(f"cloud {i}", points=np.zeros((50_000, 3)))
+    builder = jaxik.SceneBuilder()
     assert builder.scene().object_names == () and builder.scene().counts["points"] == 0
 
 
@@ -162,6 +181,69 @@ def test_a_rigid_frame_is_taken_in_any_form():
     assert jax.grad(lambda x: chain.with_tool(jnp.eye(4).at[0, 3].set(x)).joint_T_tip[0, 3])(0.1) == 1.0
     with pytest.raises(ValueError, match=r"\(3, 3\)"):
         jax.eval_shape(lambda x: chain.mounted(x).world_T_base, jnp.eye(3))
+
+
+def hand_made(kind, **arrays):
+    """A scene whose arrays of a kind were put in without a constructor's looking at them."""
+    frame = np.eye(4)
+    scene = jaxik.make_scene(
+        points=[[1, 2, 3]], spheres=[[1, 2, 3, 0.1]], capsules=[[1, 2, 3, 1, 2, 4, 0.1]],
+        boxes=[(frame, (1, 1, 1))], cylinders=[(frame, 0.1, 1)],
+    )  # fmt: skip
+    return eqx.tree_at(lambda s: [getattr(getattr(s, kind), k) for k in arrays], scene, list(arrays.values()))
+
+
+@pytest.mark.parametrize(
+    "kind, arrays, words",
+    [
+        ("points", {"center": np.array([[0.0, np.nan, 0.0]])}, ("points row 1", "nan", "finite")),
+        ("points", {"center": np.zeros((1, 4))}, ("points: center", "(1, 4)", "(k, 3)")),
+        ("points", {"center": np.zeros(3)}, ("points: center", "(3,)", "(k, 3)")),
+        ("points", {"center": np.zeros((0, 3))}, ("points", "0", "1 owner")),
+        ("points", {"radius": np.array(-1.0)}, ("points", "-1", "0 or more")),
+        ("points", {"radius": np.zeros(1)}, ("points: radius", "(1,)", "()")),
+        ("spheres", {"center": np.zeros((1, 4))}, ("spheres: center", "(1, 4)", "(k, 3)")),
+        ("spheres", {"radius": np.array([np.inf])}, ("spheres row 1", "inf", "finite")),
+        ("spheres", {"radius": np.array([-0.1])}, ("spheres row 1", "-0.1", "0 or more")),
+        ("spheres", {"radius": np.zeros(2)}, ("spheres: radius", "(2,)", "(1,)")),
+        ("spheres", {"radius": 0.1}, ("spheres: radius", "float", "no array of numbers")),
+        ("spheres", {"center": [[0, 0, 0]]}, ("spheres: center", "list")),
+        ("spheres", {"center": np.array([["0", "0", "0"]])}, ("spheres: center", "no array of numbers")),
+        ("capsules", {"b": np.array([[0, np.nan, 0]])}, ("capsules row 1", "nan")),
+        ("capsules", {"b": np.zeros((2, 3))}, ("capsules: b", "(2, 3)", "(1, 3)")),
+        ("boxes", {"half": np.array([[0.1, -0.1, 0.1]])}, ("boxes row 1", "-0.1")),
+        ("boxes", {"half": np.zeros((1, 1))}, ("boxes: half", "(1, 1)", "(1, 3)")),
+        ("boxes", {"world_T_box": np.zeros((1, 4, 4))}, ("boxes row 1", "no rigid frame")),
+        ("boxes", {"world_T_box": LEFT_HANDED[None]}, ("boxes row 1", "no rigid frame")),
+        ("cylinders", {"world_T_cylinder": np.full((1, 4, 4), np.nan)}, ("cylinders row 1", "nan")),
+        ("cylinders", {"half": np.array([-1.0])}, ("cylinders row 1", "-1")),
+    ],
+)
+def test_drivers_refuse_what_was_put_in_by_hand(kind, arrays, words):
+    scene, chain = hand_made(kind, **arrays), jaxik.load("pendulum4")
+    for ask in (
+        lambda: jaxik.solve_ik(chain, np.eye(4), scene),
+        lambda: jaxik.explain(chain, scene, np.zeros(4)),
+        lambda: scene.padded(),
+    ):
+        with pytest.raises(ValueError) as error:
+            ask()
+        one_line(error, "scene", *words)
+
+
+def test_names_that_are_left_out_are_there():
+    scene = crowded()
+    assert same(scene.without("leaf"), scene.without(["leaf"])) and same(scene.without([0]), scene.without(["leaf"]))
+    assert same(scene.without([]), scene)
+    for gone, words in ((["laef"], ("'laef'", "did you mean 'leaf'?")), ("lea", ("'lea'", "'leaf'")), ([7], ("7", "0 to 6"))):
+        with pytest.raises(ValueError) as error:
+            scene.without(gone)
+        one_line(error, *words)
+
+
+def test_a_scene_moves_rigidly():
+    with pytest.raises(ValueError, match="a_T_world is no rigid frame"):
+        crowded().moved(STRETCHED)
 
 
 numbers = st.one_of(st.floats(width=64), st.integers(), st.booleans(), st.text(max_size=2), st.none())
@@ -272,6 +354,52 @@ def test_rotations_in_a_file(tmp_path):
         with pytest.raises(jaxik.LoadError, match=words) as error:
             load(more)
         one_line(error, "scene.toml", "'a'")
+
+
+@pytest.mark.parametrize(
+    "lines, words",
+    [
+        ("sphere = [[0, 0, 0, 1]]", ("unknown key 'sphere'", "did you mean 'spheres'?")),
+        ("spheres = [[0, 0, 1]]", ("'spheres'", "rows of x, y, z, radius")),
+        ("capsules = [[0, 0, 1]]", ("'capsules'", "both ends and the radius")),
+        ("boxes = [[0, 0, 1]]", ("'boxes'", "centre, three edges")),
+        ("cylinders = [[0, 0, 1]]", ("'cylinders'", "centre, radius, length")),
+        ("spheres = [[0, 0, 1, 0]]", ("spheres row 1", "radius 0 m", "above 0")),
+        ("cylinders = [[0, 0, 1, 0, 1]]", ("cylinders row 1", "radius 0 m", "above 0")),
+        ("boxes = [[0, 0, 1, 1, -1, 1]]", ("boxes row 1", "-1")),
+        ("points = [[nan, 0, 0]]", ("'points'", "NaN")),
+        ("points = [[0, 0, 0]]\nrpy = [0, 0, 1]", ("rpy", "no box and no cylinder")),
+        ("points = []", ("'points'", "rows of x, y, z")),
+        ("", ("is empty", "points, spheres")),
+    ],
+)
+def test_a_file_with_a_bad_object(tmp_path, lines, words):
+    path = tmp_path / "scene.toml"
+    path.write_text(f'name = "s"\n[[object]]\nname = "a"\n{lines}\n')
+    with pytest.raises(jaxik.LoadError) as error:
+        jaxik.load_scene(path)
+    one_line(error, "scene.toml", "'a'", *words)
+
+
+PLY = "ply\nformat ascii 1.0\nelement vertex 1\nproperty float x\nproperty float y\n" + (
+    "property float z\nproperty {} label\nend_header\n"
+)
+
+
+@pytest.mark.parametrize(
+    "name, content, words",
+    [
+        ("s.csv", "label,x,y,z\na,0,0,0\na,nan,0,0\n", ("line 3", "NaN", "finite")),
+        ("s.csv", "label,x,y,z\na,0,0,1e400\n", ("line 2", "finite")),
+        ("s.ply", PLY.format("float") + "0 0 0 1.5\n", ("1.5", "integer label")),
+        ("s.ply", PLY.format("float") + "0 0 0 nan\n", ("nan", "integer label")),
+    ],
+)
+def test_a_file_with_bad_points(tmp_path, name, content, words):
+    (tmp_path / name).write_text(content)
+    with pytest.raises(jaxik.LoadError) as error:
+        jaxik.load_scene(tmp_path / name)
+    one_line(error, name, *words)
 
 
 def test_a_scene_without_a_fruit_is_a_scene(tmp_path):

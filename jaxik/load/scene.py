@@ -6,6 +6,7 @@ import contextlib
 import csv
 import io
 import json
+import math
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
@@ -19,6 +20,13 @@ from jaxik.scene import FAR, KINDS, Fruit, Scene, SceneBuilder, hanging
 
 FIXED = ("stem", "wire", "fruit", "pipe", "post", "gutter")  # labelled points that start so may not be removed
 WIDTHS = {"points": 3, "spheres": 4, "capsules": 7, "boxes": 6, "cylinders": 5}  # a frame is its centre here, and `rotations`
+WORDS = {
+    "points": "x, y, z",
+    "spheres": "x, y, z, radius",
+    "capsules": "both ends and the radius",
+    "boxes": "centre, three edges",
+    "cylinders": "centre, radius, length",
+}
 
 
 def load_scene(path: Path) -> Scene:
@@ -73,9 +81,9 @@ def _flag(table: Table, key: str, default: bool) -> bool:
 def _object(table: Table, builder: SceneBuilder) -> None:
     name, removable = table.named(), _flag(table, "removable", True)
     rows = _rows(table)
+    table.close()
     if not rows:
         raise table.fail("is empty", f"give it one of: {', '.join(WIDTHS)}")
-    table.close()
     builder.add(name, removable, **rows)
 
 
@@ -92,11 +100,13 @@ def _fruit(table: Table, builder: SceneBuilder) -> None:
 
 def _rows(table: Table) -> dict[str, Any]:
     """The obstacles of an object or of a fruit, by kind."""
-    rows: dict[str, Any] = {k: table.array(k, "length", (-1, w), np.zeros((0, w))) for k, w in WIDTHS.items()}
+    rows: dict[str, Any] = {k: table.array(k, "length", (-1, w), np.zeros((0, w)), WORDS[k]) for k, w in WIDTHS.items()}
     turn, framed = table.turn() + 0.0, len(rows["boxes"]) + len(rows["cylinders"])  # + 0.0: no -0
     turns = table.array("rotations", "plain", (-1, 3, 3), np.tile(turn, (framed, 1, 1)))
     if {"rotations", "rpy"} <= table.read or {"rotations", "rpy_deg"} <= table.read:
         raise table.fail("rotations and rpy say the same", "keep one")
+    if not framed and {"rpy", "rpy_deg"} & table.read:
+        raise table.fail("rpy turns boxes and cylinders, and there is no box and no cylinder", "leave it out")
     if len(turns) != framed:
         raise table.fail(f"{len(turns)} rotations for {framed} boxes and cylinders", "give each one, boxes first")
     frames = [frame(r[:3], turn) for r, turn in zip([*rows["boxes"], *rows["cylinders"]], turns, strict=True)]
@@ -123,6 +133,8 @@ def _csv_points(path: Path) -> tuple[list[str], np.ndarray]:
             points.append([float(v) for v in values])
         except ValueError:
             raise LoadError(path, f"line {number}", f"'{','.join(row)[:40]}'", "write label,x,y,z") from None
+        if not all(map(math.isfinite, points[-1])):
+            raise LoadError(path, f"line {number}", f"'{label[:40]}' holds NaN or infinity", "write finite numbers")
         labels.append(label.strip())
     return labels, np.array(points, dtype=np.float64).reshape(-1, 3)
 
@@ -136,14 +148,17 @@ def _ply_points(path: Path) -> tuple[list[str], np.ndarray]:
         cloud = trimesh.load(io.BytesIO(content), file_type="ply")
         vertices = cloud.metadata["_ply_raw"]["vertex"]["data"]
         points = np.stack([np.asarray(vertices[k], dtype=np.float64) for k in "xyz"], axis=-1)
-        numbers = np.asarray(vertices["label"]).astype(int).ravel()
+        numbers = np.asarray(vertices["label"]).ravel()
     except Exception as error:  # whatever a parser for every variant raises is the file's fault
         mend = "give vertices with x, y, z and an integer label"
         raise LoadError(path, "document", f"cannot be read as PLY ({type(error).__name__})", mend) from None
+    odd = numbers[~np.equal(numbers, np.round(numbers))]
+    if len(odd):
+        raise LoadError(path, "document", f"label {odd[0]:g}", "give vertices with x, y, z and an integer label")
     header = content[: min(len(content), MAX_BYTES)].split(b"end_header")[0].decode("ascii", "replace")
     words = [line.split() for line in header.splitlines() if line.startswith("comment label ")]
     names = {int(w[2]): w[3] for w in words if len(w) == 4 and w[2].isdigit()}
-    return [names.get(n, f"object_{n}") for n in numbers], points.reshape(-1, 3)
+    return [names.get(n, f"object_{n}") for n in numbers.astype(int)], points.reshape(-1, 3)
 
 
 def _from_points(path: Path, labels: list[str], points: np.ndarray) -> Scene:

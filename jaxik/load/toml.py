@@ -52,8 +52,8 @@ class Table:
             raise self.fail(f"{key} = '{value[:40]}'", f"allowed: {', '.join(allowed)}")
         return value
 
-    def array(self, key: str, unit: str, shape: tuple[int, ...], default: Any = None) -> np.ndarray:
-        """The numbers under `key` or `key` with a unit's ending, in SI; -1 in `shape` is any length."""
+    def array(self, key: str, unit: str, shape: tuple[int, ...], default: Any = None, row: str = "") -> np.ndarray:
+        """The numbers under `key` or `key` with a unit's ending, in SI; -1 in `shape` is any length, `row` what is in one."""
         choices = {key + ending: factor for ending, factor in UNITS[unit].items()}
         self.asked.update(choices)
         given = [k for k in choices if k in self.content]
@@ -72,7 +72,7 @@ class Table:
                 raise ValueError
         except (ValueError, TypeError, OverflowError):
             what = in_words(shape)
-            raise self.fail(f"'{given[0]}' is not {what}", f"write {what}") from None
+            raise self.fail(f"'{given[0]}' is not {what}", f"write {f'rows of {row}' if row else what}") from None
         if np.any(np.isnan(values)):
             raise self.fail(f"'{given[0]}' holds NaN", "write numbers")
         return np.asarray(values * choices[given[0]])
