@@ -102,9 +102,11 @@ class Coal(Peer):
         self.robot.addAllCollisionPairs()
         name = [self.model.frames[body.parentFrame].name for body in self.robot.geometryObjects]
         left_out = {frozenset(pair) for pair in ignored(chain, srdf)}
-        for pair in list(self.robot.collisionPairs):
-            if frozenset((name[pair.first], name[pair.second])) in left_out:
-                self.robot.removeCollisionPair(pair)
+        pairs = [(pair.first, pair.second) for pair in self.robot.collisionPairs]
+        self.robot.removeAllCollisionPairs()
+        for a, b in pairs:
+            if frozenset((name[a], name[b])) not in left_out:
+                self.robot.addCollisionPair(pin.CollisionPair(a, b))
         self.data = self.model.createData()
         self.columns = [self.model.joints[self.model.getJointId(name)].idx_q for name in chain.joint_names]
 
