@@ -25,7 +25,7 @@ import jaxik
 
 
 def frames(scene: jaxik.Scene) -> list[tuple[str, np.ndarray, tuple[float, ...]]]:
-    """Each obstacle's kind, frame (4, 4) and sizes: a box's half edges, a cylinder's radius and half length, a ball's radius."""
+    """Each obstacle's kind, frame (4, 4) and sizes: half edges of a box, radius and half length of a cylinder, a radius."""
     if scene.counts["points"] or scene.counts["capsules"]:
         raise ValueError("points and capsules, which the peers here do not all know")
     placed = []
@@ -193,9 +193,8 @@ class MuJoCo(Peer):
 
 
 class Batched(Peer):
-    """Peers on JAX: `batch(boxes, capsules, q)`, one program for each number of them. Boxes are frames and half edges; cylinders
-    are capsules (frames, radii, half lengths of the axes), which is all that these two know of them: longer by a radius at each
-    end."""
+    """Peers on JAX: `batch(boxes, capsules, q)`, one program for each number of them. Boxes are frames, half edges; cylinders
+    are capsules (frames, radii, half lengths of the axes), all that these two know of them: longer by a radius at each end."""
 
     batch: Callable[..., Any]
 
@@ -221,7 +220,7 @@ class PyRoki(Batched):
         file = yourdfpy.URDF.load(str(bare(urdf)), load_meshes=False, load_collision_meshes=False)
         robot = pyroki.Robot.from_urdf(file)
         links = {name: {"centers": c.tolist(), "radii": r.tolist()} for name, (c, r) in spheres(urdf).items()}
-        body = RobotCollision.from_sphere_decomposition(links, file, tuple(ignored(chain, srdf)), ignore_immediate_adjacents=False)
+        body = RobotCollision.from_sphere_decomposition(links, file, tuple(ignored(chain, srdf)))
         order = np.array([chain.joint_names.index(name) for name in robot.joints.actuated_names])
 
         def pose(frame: Any) -> Any:

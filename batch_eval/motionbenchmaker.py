@@ -5,7 +5,7 @@ A folder is laid out as VAMP ships them, with nothing renamed:
 - the robot: `*_spherized.urdf`, spheres for its links, or else the one `*.urdf` there, whose meshes are then read; `*.srdf`
   says which links are not checked against each other and, by its one `<end_effector>`, where the tip is (or `tip=`);
 - the problems: `requestNNNN.yaml` beside `sceneNNNN.yaml`, in any folder below or in a `*.tar.*`, as robowflex writes MoveIt's
-  messages. `scene_sensedNNNN`, `scene_pcdNNNN`, `pathNNNN` and `config` stand beside them in the full data set and are not read.
+  messages. The full data set has `scene_sensedNNNN`, `scene_pcdNNNN`, `pathNNNN` and `config` beside them, which are not read.
 
 A goal is the pose that a goal configuration has, which a request states by `joint_constraints`, in any order; each of several
 `goal_constraints` is a goal of its own. An object's shapes stand at the pose of its frame (`fixed_frame_transforms`), times its
