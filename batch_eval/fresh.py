@@ -25,6 +25,20 @@ start = time.perf_counter()
 jax.block_until_ready({call})
 print(time.perf_counter() - start)
 """
+GOALS = """
+import json, pathlib, sys, time
+sys.path.insert(0, sys.argv[4])
+import numpy as np
+import jaxik, motionbenchmaker
+folder, tip, poses = pathlib.Path(sys.argv[1]), sys.argv[2] or None, np.load(sys.argv[3])
+chain, times = motionbenchmaker.robot(folder, tip), []
+for goal, pose in zip(motionbenchmaker.goals(folder, chain), poses):
+    start = time.perf_counter()
+    jaxik.solve_ik(chain, pose, goal.scene, position_tolerance=1e-4, rotation_tolerance=1e-3)
+    times.append(time.perf_counter() - start)
+warm = float(np.median(times))
+print(json.dumps({"first_s": times[0], "slowest_later_s": max(times[1:]), "beyond_warm_s": sum(times) - warm * len(times)}))
+"""
 CALLS = {
     "eager forward_kinematics": "jaxik.forward_kinematics(chain, np.zeros(chain.num_joints))",
     "solve_ik of ten targets": "jaxik.solve_ik(chain, poses).q",
@@ -93,6 +107,18 @@ def first_call(name: str, rounds: int = 3) -> tuple[float, float]:
         seconds(folder)  # fills the cache
         cold, kept = (float(np.median([seconds(cache) for _ in range(rounds)])) for cache in (None, folder))
     return cold, kept
+
+
+def first_goals(folder: Path, tip: str | None, poses: np.ndarray) -> dict[str, dict[str, float]]:
+    """Seconds that a fresh process loses to compiling on its way through MotionBenchMaker's goals, one call each: in the first
+    call, in the slowest later one (the first hard goal, the next size of scene), in all of them. Compiling all, and with the
+    kernels on disk."""
+    with tempfile.TemporaryDirectory() as place:
+        np.save(Path(place) / "poses.npy", poses)
+        command = "-c", GOALS, str(folder), tip or "", str(Path(place) / "poses.npy"), str(Path(__file__).parent)
+        caches = {"fill": place, "compiling": None, "kernels_on_disk": place}
+        found = {name: json.loads(_run(*command, cache=cache)[0]) for name, cache in caches.items()}
+    return {name: found[name] for name in ("compiling", "kernels_on_disk")}
 
 
 def threads_of_processes(count: int = 65_536, rounds: int = 5, seconds: float = 1.0) -> float | None:

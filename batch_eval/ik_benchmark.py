@@ -1,7 +1,8 @@
 """How fast and how sure `solve_ik` is beside its peers, all in one run: `python batch_eval/ik_benchmark.py [--goals FOLDER]`.
 
-Needs `pip install -e ".[test,peers]"`. Prints tables and writes `batch_eval/ik_benchmark.json`. FOLDER holds the Panda problems
-of MotionBenchMaker (`motionbenchmaker.py`); without it that part is left out. All answers are judged by Pinocchio.
+Needs `pip install -e ".[test,peers]"`. Prints tables and writes `batch_eval/ik_benchmark.json`. FOLDER holds a robot and its
+problems of MotionBenchMaker (`motionbenchmaker.py`); without it that part is left out. All answers are judged by Pinocchio,
+those among obstacles also by coal.
 """
 
 from __future__ import annotations
@@ -9,7 +10,6 @@ from __future__ import annotations
 import argparse
 import functools
 import json
-import time
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -21,6 +21,7 @@ import motionbenchmaker
 import numpy as np
 import panda
 import problems
+from collision_peers import Coal
 from panda import pose_of
 from problems import POSITION, ROTATION, targets
 from race import clocked, from_scratch, machine, percentiles
@@ -113,45 +114,84 @@ def other_robots() -> list[dict[str, Any]]:
     return rows
 
 
-def goals(folder: Path) -> dict[str, Any]:
-    """MotionBenchMaker's goals, one call each, warm: pose to 1e-4 m and 1e-3 rad, clearance >= 0 of the robot's spheres."""
-    chain = motionbenchmaker.panda(folder)
-    pose, times, answers, free = pose_of(chain), [], [], 0
-    problems = list(motionbenchmaker.goals(folder))
+LOOSE = {"position_tolerance": 1e-4, "rotation_tolerance": 1e-3}  # of the goals among obstacles [m], [rad]
+TOUCH = 1e-6  # [m] that float32 does not tell from contact
+AROUND, SPREAD, EVERY = 100, 0.2, 10  # targets a batch, their joints' deviation from the goal's, and which scenes have one
+
+
+def goals(folder: Path, tip: str | None = None) -> dict[str, Any]:
+    """MotionBenchMaker's goals among obstacles, to 1e-4 m and 1e-3 rad: one call each, and batches of targets of a scene.
+
+    Judged from outside: the pose by Pinocchio, free of collision by coal. A goal's own configuration may collide, too; those
+    that do not are `own_free`, and all of them have an answer.
+    """
+    chain = motionbenchmaker.robot(folder, tip)
+    problems = list(motionbenchmaker.goals(folder, chain))
+    pose, coal = pose_of(chain), Coal(chain, *motionbenchmaker.files(folder))
     wanted = [pose(goal.q) for goal in problems]
-    loose = {"position_tolerance": 1e-4, "rotation_tolerance": 1e-3}
-    solve = lambda goal, target: jaxik.solve_ik(chain, target, goal.scene, **loose)
     for _ in range(2):  # the first round compiles
-        times, answers = [], []
-        for goal, target in zip(problems, wanted, strict=True):
-            start = time.perf_counter()
-            answers.append(solve(goal, target))
-            times.append(time.perf_counter() - start)
-    distance = jax.jit(lambda scene, q: jaxik.clearance(chain, scene, q))
+        each = [
+            clocked(lambda goal=goal, target=target: jaxik.solve_ik(chain, target, goal.scene, **LOOSE))
+            for goal, target in zip(problems, wanted, strict=True)
+        ]
+    answers, times = zip(*each, strict=True)
+    solved = np.array([bool(answer.success) for answer in answers])
+    apart = []
     for goal, answer in zip(problems, answers, strict=True):
-        free += bool(answer.success and float(distance(goal.scene.geometry(), answer.q)) >= -1e-6)  # in float32
-    solved = [bool(a.success) for a in answers]
-    exact = judge(chain, np.stack([a.q for a in answers])[solved], np.stack(wanted)[solved], 1e-4, 1e-3)
-    p50, p95 = np.percentile(times, [50, 95])
-    failed = {g.name: a.reason.text for g, a in zip(problems, answers, strict=True) if not a.success}
+        apart.append(coal.clearance(goal.scene, np.stack([goal.q, answer.q])) >= -TOUCH)
+        coal.scenes.clear()  # the pairs of 700 scenes are gigabytes
+    own, free = np.transpose(apart)
+    p50, p95 = percentiles(times)
     result = {
+        "robot": chain.name,
+        "elsewhere": list(problems[0].elsewhere),
         "goals": len(problems),
         "solved": float(np.mean(solved)),
-        "of_these_exact": exact,
-        "free": free,
-        "p50_ms": 1e3 * float(p50),
-        "p95_ms": 1e3 * float(p95),
+        "of_these_exact": judge(chain, np.stack([a.q for a in answers])[solved], np.stack(wanted)[solved], 1e-4, 1e-3),
+        "free": int((solved & free).sum()),
+        "own_free": int(own.sum()),
+        "own_free_solved": int((own & solved).sum()),
+        "p50_ms": 1e3 * p50,
+        "p95_ms": 1e3 * p95,
         "mean_ms": 1e3 * float(np.mean(times)),
-        "failed": failed,
+        "failed": {g.name: a.reason.text for g, a in zip(problems, answers, strict=True) if not a.success},
+        "fresh": fresh.first_goals(folder, tip, np.stack(wanted)),
+        "batch": goal_batches(chain, problems[::EVERY]),
     }
     print(json.dumps(result))
     return result
 
 
+def goal_batches(chain: jaxik.Chain, problems: list[motionbenchmaker.Goal]) -> dict[str, float]:
+    """Calls for many targets of one scene. The data set has one goal a scene; so a batch is the goal and the poses of random
+    configurations around it that are free, `SPREAD` about each joint [rad, m] and less where there is no room: all of them have
+    an answer. One call a scene, warm."""
+    pose, rng = pose_of(chain), np.random.default_rng(0)
+    measure = jax.jit(jax.vmap(lambda scene, q: jaxik.clearance(chain, scene, q), in_axes=(None, 0)))
+    solved, times = [], []
+    for goal in problems:
+        free, spread = goal.q[None], SPREAD
+        while len(free) < AROUND:
+            near = np.clip(goal.q + spread * rng.normal(size=(512, chain.num_joints)), chain.lower, chain.upper)
+            room = np.asarray(measure(goal.scene.geometry(), near.astype(np.float32))) > TOUCH
+            free, spread = np.concatenate([free, near[room]])[:AROUND], spread / 2.0
+        targets = np.stack([pose(q) for q in free])
+        solve = lambda goal=goal, targets=targets: jaxik.solve_ik(chain, targets, goal.scene, **LOOSE)
+        solve()  # a new size of scene compiles
+        answers, spent = clocked(solve)
+        solved.append(judge(chain, answers.q, targets, 1e-4, 1e-3))
+        times.append(spent / AROUND)
+    p50, p95 = percentiles(times)
+    figures = {"mean_ms": 1e3 * float(np.mean(times)), "p50_ms": 1e3 * p50, "p95_ms": 1e3 * p95}
+    return {"scenes": len(problems), "each": AROUND, "solved": float(np.mean(solved))} | figures
+
+
 def main() -> None:
     """Run all parts and write the JSON."""
     parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--goals", type=Path, help="folder with MotionBenchMaker's Panda problems")
+    parser.add_argument("--goals", type=Path, help="folder with a robot's MotionBenchMaker problems")
+    parser.add_argument("--tip", help="its arm's last link, where its SRDF does not say it")
+    parser.add_argument("--only-goals", action="store_true", help="neither peers nor other robots")
     parser.add_argument("--out", type=Path, default=Path(__file__).with_suffix(".json"))
     arguments = parser.parse_args()
     from_scratch()
@@ -160,10 +200,11 @@ def main() -> None:
     result["cold_s"], result["second_process_s"] = fresh.first_call("solve_ik of ten targets")
     seconds = f"{result['cold_s']:.2f} s, with its kernels on disk {result['second_process_s']:.2f} s"
     print(f"first call in a fresh process, of ten targets: {seconds}")
-    result["panda"] = beside_peers()
-    result["robots"] = other_robots()
+    if not arguments.only_goals:
+        result["panda"] = beside_peers()
+        result["robots"] = other_robots()
     if arguments.goals:
-        result["goals"] = goals(arguments.goals)
+        result["goals"] = goals(arguments.goals, arguments.tip)
     arguments.out.write_text(json.dumps(result, indent=1) + "\n")
 
 

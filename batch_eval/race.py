@@ -6,6 +6,7 @@ import dataclasses
 import importlib.metadata
 import os
 import platform
+import subprocess
 import time
 from collections.abc import Callable
 from pathlib import Path
@@ -25,6 +26,8 @@ PACKAGES = (
     "almond-pyroki",
     "frax",
     "casadi",
+    "coal",
+    "mujoco",
     "mujoco-mjx",
     "eaik",
     "mink",
@@ -130,6 +133,16 @@ def machine() -> dict[str, Any]:
 def cores() -> list[int]:
     """Those that this process may use."""
     return sorted(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else list(range(os.cpu_count() or 1))
+
+
+def on_cores(count: int, *command: str) -> None:
+    """Run a command on the first `count` of these cores, so that XLA counts as many threads."""
+    here = cores()
+    os.sched_setaffinity(0, here[:count])  # of this thread, whose child inherits it
+    try:
+        subprocess.run(command, check=True)
+    finally:
+        os.sched_setaffinity(0, here)
 
 
 def from_scratch() -> None:
