@@ -17,6 +17,7 @@ from jaxik.hierarchy import Surroundings, surroundings
 from jaxik.ik_options import IKOptions
 from jaxik.scene import Scene
 
+ROUNDED = 1e-6  # [rad] that limits of +-180 degrees may be short of a turn in a file
 EXACT = 1e-9  # [rad], [unit lengths]: what an answer's error becomes, and less where the tolerances ask for less
 
 
@@ -73,6 +74,18 @@ class Job:
     @property
     def limits(self) -> tuple[np.ndarray, ...]:
         return self.low, self.high, self.weights
+
+    @functools.cached_property
+    def circles(self) -> np.ndarray:
+        """(n,): which joints turn all the way round inside their limits, but for what a file rounds off [rad]."""
+        span = self.high - self.low
+        return ~np.array(self.chain.is_prismatic) & np.isfinite(span) & (span >= TURN - ROUNDED)
+
+    @functools.cached_property
+    def round_limits(self) -> tuple[np.ndarray, ...]:
+        """`limits` for searches: no wall where a joint may go on, on the next turn."""
+        low, high, weights = self.limits
+        return np.where(self.circles, -np.inf, low), np.where(self.circles, np.inf, high), weights
 
     @property
     def first_will_do(self) -> bool:

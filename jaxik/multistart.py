@@ -44,6 +44,7 @@ FINISH = sqp.Options(floor=1e-10, cap=0.1)
 FINISHING = 4  # steps at most
 PORTION = 65_536  # lanes at a time, which bounds the memory
 PUSHED, PUSHES = (4, 64), 24  # colliding postures a target that are moved out of the obstacles, at first and at last; the steps
+HOPS = 2  # from branch to branch, of an arm without spare joints
 APART = 0.2  # [rad, m] between these in some joint: nearer ones end at the same place
 PUSH_MARGIN = 2e-4  # [m] more than is asked for, which the finish in float64 may use up
 IMPROVE_MARGIN = 1e-8  # [m] likewise, of an answer that leans on an obstacle for the sake of its cost
@@ -125,7 +126,7 @@ def search(job: Job, poses: np.ndarray, valid: np.ndarray) -> Outcome:
         if wave.pushes and OPEN in reason:  # more seeds cost less than moving out of obstacles
             stuck = Found.joined(blocked)
             blocked = [stuck.rows(reason[stuck.target] == OPEN)]
-            freed = _pushed(job, poses, blocked[0], wave.pushes)
+            freed = (_hopped if _is_fixed(job) else _pushed)(job, poses, blocked[0], wave.pushes)
             answers.append(freed)
             reason[freed.target] = SOLVED
     missed = nothing
@@ -203,7 +204,12 @@ def _search_wave(job: Job, poses: np.ndarray, some: np.ndarray, wave: Wave, miss
     """Searches `some` targets from the wave's seeds: the answers, and postures that have the pose and collide."""
     target, number = np.repeat(some, wave.size), np.tile(np.arange(wave.first, wave.last), len(some))
     start = _starts(job, poses, some, wave.first, wave.last).reshape(len(target), -1)
-    ended = _settled(job, poses, _candidates(job, start, target, number), wave.steps, double=False)
+    return _searched(job, poses, _candidates(job, start, target, number), wave.steps, misses)
+
+
+def _searched(job: Job, poses: np.ndarray, lanes_: Found, steps: int, misses: _Misses) -> tuple[Found, Found]:
+    """The answers that so many steps lead to, and postures that have the pose and collide."""
+    ended = _settled(job, poses, lanes_, steps, double=False)
     landed = _within(ended, np.maximum(job.tolerance, [LANDED * job.unit, LANDED]))
     misses.note(ended, landed)
     found = _finish(job, poses, ended.rows(landed), misses)
@@ -234,9 +240,16 @@ def _settled(job: Job, poses: np.ndarray, lanes_: Found, most: int, double: bool
     """The lanes after up to `most` steps, with their errors."""
     program = _finisher(job) if double else lanes.settling(job.chain, job.options.task, job.options.search)
     aim = job.aim[lanes_.target] if double else np.full(len(lanes_.target), ARRIVED)
-    rows, fixed = (lanes_.q, poses[lanes_.target], aim), (*job.limits, most, creep)
+    rows, fixed = (lanes_.q, poses[lanes_.target], aim), (*job.round_limits, most, creep)
     q, away, turned, count = in_blocks(program, *rows, fixed=fixed, double=double)
+    q = _inside(job, q) if job.circles.any() else q
     return lanes_._replace(q=q, position_error=away, rotation_error=turned, iterations=lanes_.iterations + count)
+
+
+def _inside(job: Job, q: np.ndarray) -> np.ndarray:
+    """Joints that turn all the way round, by whole turns back inside their limits."""
+    out = job.circles & ((q < job.low) | (q > job.high))
+    return np.where(out, np.minimum(job.low + np.mod(q - job.low, TURN), job.high), q).astype(q.dtype) if out.any() else q
 
 
 def _finisher(job: Job) -> Callable[..., Any]:
@@ -333,6 +346,31 @@ def _pushed(job: Job, poses: np.ndarray, stuck: Found, count: int) -> Found:
     moved = chosen._replace(q=q, iterations=chosen.iterations + PUSHES)
     found = _cleared(job, _finish(job, poses, moved, _Misses(job)))
     return found.rows(~_collides(job, found))
+
+
+def _is_fixed(job: Job) -> bool:
+    """Whether a posture that has its pose cannot move: what collides is freed on another branch only."""
+    return int(np.sum(job.low < job.high)) <= sum(job.options.task.bound)
+
+
+def _hopped(job: Job, poses: np.ndarray, stuck: Found, count: int) -> Found:
+    """The answers on other branches than colliding postures: from these, with one joint mirrored or turned by half."""
+    answers, reached = [_nothing(job)], stuck
+    for _ in range(HOPS):
+        chosen = reached.rows(_apart(reached, reached.clearance, count))
+        joints = np.arange(chosen.q.shape[1])
+        mirrored, turned = (np.repeat(chosen.q[:, None], len(joints), axis=1) for _ in range(2))
+        mirrored[:, joints, joints] *= -1.0
+        turned[:, joints, joints] -= np.where(job.chain.is_prismatic, 0.0, np.copysign(np.pi, turned[:, joints, joints]))
+        start = np.concatenate([mirrored, turned], axis=1)
+        row = np.repeat(np.arange(len(chosen.q)), start.shape[1])
+        lanes_ = chosen.rows(row)._replace(q=np.clip(start.reshape(len(row), -1), job.low, job.high))
+        free, reached = _searched(job, poses, lanes_, STEPS, _Misses(job))
+        answers.append(free)
+        reached = reached.rows(~np.isin(reached.target, free.target))
+        if not len(reached.q):
+            break
+    return Found.joined(answers)
 
 
 def _apart(found: Found, score: np.ndarray, count: int) -> np.ndarray:

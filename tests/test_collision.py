@@ -291,7 +291,7 @@ def test_nothing_is_hidden_by_nan():
     assert jaxik.collides(chain, scene, np.array([0.0, np.nan]))
     bad = dataclasses.replace(scene, spheres=jaxik.scene.Spheres(scene.spheres.center * np.nan, scene.spheres.radius))
     assert np.isnan(distance(bad, np.zeros(2)))
-    with pytest.raises(ValueError, match="spheres row 1: center .*finite"):  # of one that is known
+    with pytest.raises(ValueError, match=r"spheres row 1: center .*finite"):  # of one that is known
         jaxik.clearance(chain, bad, np.zeros(2))
 
 
