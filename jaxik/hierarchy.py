@@ -17,7 +17,7 @@ import numpy as np
 from jax import lax
 
 from jaxik.chain import Chain
-from jaxik.scene import FAR, KINDS, Scene, check_scene
+from jaxik.scene import FAR, KINDS, Scene, check_scene, is_remembered, remembered
 from jaxik.spheres import local_volumes
 
 LEAF = {"points": 4, "spheres": 4, "capsules": 1, "boxes": 1, "cylinders": 1}  # obstacles a leaf
@@ -64,11 +64,11 @@ def surroundings(scene: Scene | Surroundings | None, by_object: bool = False) ->
         return ()
     if not isinstance(scene, Scene):
         return scene
-    if is_traced(scene):
+    if not is_remembered(scene) and is_traced(scene):
         check_scene(scene)
         return _surroundings(scene, by_object)
-    scene.remembered("checked", lambda: check_scene(scene))
-    return scene.remembered(("surroundings", by_object), lambda: _surroundings(scene, by_object))
+    remembered(scene, "checked", lambda: check_scene(scene))
+    return remembered(scene, ("surroundings", by_object), lambda: _surroundings(scene, by_object))
 
 
 def _surroundings(scene: Scene, by_object: bool) -> Surroundings:
@@ -166,7 +166,7 @@ def _joined(balls: Balls, first: np.ndarray, last: np.ndarray, xp: Any) -> Balls
 def by_place(points: np.ndarray, size: int) -> np.ndarray:
     """An order of points (k, 3) in which runs of `size` are neighbours: halved again and again across the longest extent."""
     order, starts = np.arange(len(points)), np.zeros(1, int)
-    while len(points) > FAN * size:  # fewer are looked at together
+    while len(points) > 4 * FAN * size:  # fewer are soon looked through
         ends = np.append(starts[1:], len(points))
         lengths = ends - starts
         if lengths.max() <= size:

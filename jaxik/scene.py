@@ -92,17 +92,6 @@ class Scene(Constant):
     removable: tuple[bool, ...] = eqx.field(static=True, default=())
     owners: tuple[tuple[int, ...], ...] = eqx.field(static=True, default=((),) * 5)
 
-    def remembered(self, what: Hashable, make: Callable[[], Any]) -> Any:
-        """What is made of the scene once, since it never changes; of a scene with concrete numbers."""
-        known = getattr(self, "_known", None)
-        if known is None:
-            for kind in KINDS:
-                getattr(self, kind).freeze()  # `eqx.tree_at` puts arrays in without a constructor
-            object.__setattr__(self, "_known", known := {})
-        if what not in known:
-            known[what] = make()
-        return known[what]
-
     @property
     def counts(self) -> dict[str, int]:
         """How many obstacles of each kind there are, padding included."""
@@ -163,6 +152,24 @@ class Scene(Constant):
     def _padded_kinds(self) -> dict[str, Any]:
         check_scene(self)
         return {kind: _padded(getattr(self, kind)) for kind in KINDS}
+
+
+def is_remembered(scene: Scene) -> bool:
+    """Whether something of the scene is; then its numbers are concrete."""
+    return getattr(scene, "_known", None) is not None
+
+
+def remembered(scene: Scene, what: Hashable, make: Callable[[], Any]) -> Any:
+    """What is made of a scene once, since it never changes; of one with concrete numbers. No method: Equinox takes 50 us to
+    look one up."""
+    known = getattr(scene, "_known", None)
+    if known is None:
+        for kind in KINDS:
+            getattr(scene, kind).freeze()  # `eqx.tree_at` puts arrays in without a constructor
+        object.__setattr__(scene, "_known", known := {})
+    if what not in known:
+        known[what] = make()
+    return known[what]
 
 
 def _moved_away(obstacles: Any, mask: np.ndarray) -> Any:
@@ -279,7 +286,7 @@ class SceneBuilder:
             removable=tuple(self.removable),
             owners=tuple(tuple(self.owners[k]) for k in KINDS),
         )
-        scene.remembered("checked", lambda: None)  # as each obstacle was
+        remembered(scene, "checked", lambda: None)  # as each obstacle was
         return scene
 
 
