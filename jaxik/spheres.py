@@ -9,6 +9,7 @@ parent's sphere: so a coarse distance is never larger than a finer one, which is
 from __future__ import annotations
 
 import itertools
+from collections.abc import Mapping
 from typing import Any, NamedTuple
 
 import jax
@@ -141,6 +142,15 @@ def _circles(volume: Volume, circles: int, around: int) -> np.ndarray:
     return (np.linspace(start, end, circles)[:, None] + ring).reshape(-1, 3)
 
 
+class SelfCollisions(NamedTuple):
+    """The pairs of links worth a check; those left out because they touch in the default pose, with by how much [m]; and the
+    share of random configurations in which any of the pairs touches."""
+
+    pairs: tuple[tuple[int, int], ...]
+    at_home: dict[tuple[int, int], float]
+    share: float
+
+
 def self_collision_pairs(
     chain: Chain, disabled: frozenset[frozenset[str]] = frozenset(), samples: int = 512
 ) -> tuple[tuple[int, int], ...]:
@@ -148,6 +158,21 @@ def self_collision_pairs(
 
     Left out: links that move together or are neighbours on the chain, pairs in `disabled` (SRDF), and pairs that touch in at
     least 95 % of random configurations (fixed seed): their shapes overlap by design and would always report a collision.
+    """
+    return self_collisions(chain, disabled, samples).pairs
+
+
+def self_collisions(
+    chain: Chain,
+    disabled: frozenset[frozenset[str]] = frozenset(),
+    samples: int = 512,
+    beyond: Mapping[str, float] | None = None,
+) -> SelfCollisions:
+    """`self_collision_pairs`, and what else is known of them. `beyond` says how far fitted shapes reach beyond their links [m].
+
+    With it pairs are left out as well that touch in the default pose, as MoveIt's setup assistant has it, and links two joints
+    apart that are never (5 %) further from each other than their shapes reach beyond them, such as a wrist's: the model cannot
+    tell whether these touch.
     """
     links = sorted({b.link for b in chain.boxes} | {v.link for v in chain.volumes})
     joint = chain.link_joint
@@ -158,20 +183,39 @@ def self_collision_pairs(
         if abs(joint[a] - joint[b]) > 1 and frozenset((chain.link_names[a], chain.link_names[b])) not in disabled
     ]
     if not pairs:
-        return ()
+        return SelfCollisions((), {}, 0.0)
     rng = np.random.default_rng(0)
-    q = rng.uniform(*finite_limits(chain), (samples, chain.num_joints))
+    q = np.vstack([rng.uniform(*finite_limits(chain), (samples, chain.num_joints)), default_pose(chain)])
     columns = [q[:, i, None] for i in range(chain.num_joints)]
     centres, radii, owner = [], [], []
     for count, skeleton in skeletons(chain, columns, np.float64, BASE).items():
         for weights in _samples(count):
             corner = [sum(w * c[i] for w, c in zip(weights, skeleton.corners, strict=True)) for i in range(3)]
             width = len(skeleton.link)
-            centres.append(np.stack([np.broadcast_to(c, (samples, width)) for c in corner], axis=-1))
+            centres.append(np.stack([np.broadcast_to(c, (len(q), width)) for c in corner], axis=-1))
             radii.append(skeleton.radius)
             owner.append(skeleton.link)
     p, r, o = np.concatenate(centres, axis=1), np.concatenate(radii), np.concatenate(owner)
-    return tuple((a, b) for a, b in pairs if _touching(p, r, o == a, o == b) < 0.95)
+    kept, at_home, hit = [], {}, np.zeros(samples, bool)
+    for a, b in pairs:
+        gaps = _gaps(p, r, o == a, o == b)
+        apart, home = gaps[:-1], float(gaps[-1])
+        if beyond and home <= 0.0:
+            at_home[a, b] = -home
+        else:
+            untold = (
+                sum(beyond.get(chain.link_names[i], 0.0) for i in (a, b)) if beyond and abs(joint[a] - joint[b]) == 2 else 0.0
+            )
+            if np.mean(apart <= untold) < 0.95:
+                kept.append((a, b))
+                hit |= apart <= 0.0
+    return SelfCollisions(tuple(kept), at_home, float(hit.mean()))
+
+
+def default_pose(chain: Chain) -> np.ndarray:
+    """0 for each joint, or the middle of its limits where they leave 0 out [rad, m]."""
+    lower, upper = finite_limits(chain)
+    return np.where((lower <= 0.0) & (upper >= 0.0), 0.0, (lower + upper) / 2.0)
 
 
 def _samples(count: int) -> np.ndarray:
@@ -184,10 +228,10 @@ def _samples(count: int) -> np.ndarray:
     return np.array([(u, v, 1.0 - u - v) for u in steps for v in steps if u + v <= 1.0 + 1e-9])
 
 
-def _touching(p: np.ndarray, r: np.ndarray, a: np.ndarray, b: np.ndarray) -> float:
-    """The share of configurations in which any sphere of a touches any of b."""
-    hit = np.zeros(len(p), bool)
+def _gaps(p: np.ndarray, r: np.ndarray, a: np.ndarray, b: np.ndarray) -> np.ndarray:
+    """The least distance of any sphere of a to any of b, at each configuration."""
+    least = np.full(len(p), np.inf)
     for i in np.flatnonzero(a):
         gap = np.linalg.norm(p[:, i, None] - p[:, b], axis=-1) - r[i] - r[b]
-        hit |= gap.min(axis=1) <= 0.0
-    return float(hit.mean())
+        least = np.minimum(least, gap.min(axis=1))
+    return least

@@ -1,4 +1,4 @@
-"""Boxes around meshes, and which mesh files a model may name."""
+"""The corners of meshes, boxes around them, and which mesh files a model may name."""
 
 from __future__ import annotations
 
@@ -43,8 +43,8 @@ def resolve(path: Path, where: str, name: str, below: Path | None = None) -> Pat
     return target
 
 
-def bounding_box(path: Path, where: str, name: str, scale: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """The smallest oriented box around a mesh: its frame in the mesh's, and half its edges [m]."""
+def vertices(path: Path, where: str, name: str, scale: np.ndarray) -> np.ndarray:
+    """The corners of a mesh (p, 3) [m], in its frame."""
     import trimesh  # half a second to import, and only meshes need it
 
     target = resolve(path, where, name)
@@ -59,8 +59,17 @@ def bounding_box(path: Path, where: str, name: str, scale: np.ndarray) -> tuple[
         content = io.BytesIO(target.read_bytes())  # not the path: a mesh may name other files, anywhere
         mesh: Any = trimesh.load(content, file_type=target.suffix[1:].lower(), force="mesh", process=False)
         points = np.asarray(mesh.vertices, dtype=np.float64) * scale
-        to_origin, extents = trimesh.bounds.oriented_bounds(points)
+        if not len(points) or not np.all(np.isfinite(points)):
+            raise ValueError("no corners, or such that are not finite")
     except Exception as error:  # a parser for every format: whatever it raises is the file's fault
         mend = "give STL, OBJ, PLY or (with pip install pycollada) DAE"
         raise LoadError(path, where, f"mesh '{name[:80]}' cannot be read ({type(error).__name__})", mend) from None
+    return points
+
+
+def bounding_box(points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """The smallest oriented box around points: its frame in theirs, and half its edges [m]."""
+    import trimesh
+
+    to_origin, extents = trimesh.bounds.oriented_bounds(points)
     return np.linalg.inv(to_origin), np.asarray(extents) / 2.0

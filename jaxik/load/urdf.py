@@ -2,19 +2,45 @@
 
 from __future__ import annotations
 
+import dataclasses
 from pathlib import Path
 from xml.etree.ElementTree import Element
 
 import numpy as np
 
 from jaxik.chain import Chain
+from jaxik.fit import Fit, LinkFit, fitted, mean_protrusion
 from jaxik.load.assemble import JOINT_TYPES, Joint, Link, assemble, frame, rpy_matrix, unique
-from jaxik.load.mesh import bounding_box, resolve
+from jaxik.load.mesh import bounding_box, resolve, vertices
 from jaxik.load.xml import attribute, numbers, parse
 from jaxik.result import LoadError
 
 
-def load_urdf(path: Path, tip: str | None, base: str | None, tool: np.ndarray | None, meshes: bool) -> Chain:
+@dataclasses.dataclass
+class Meshes:
+    """How collision meshes are read: as capsules by `fit`, or one box each where it is None. Then `beyond` says how far those
+    of each link reach beyond its meshes [m], and `report` is filled if asked for."""
+
+    fit: Fit | None
+    report: list[LinkFit] | None = None
+    beyond: dict[str, float] = dataclasses.field(default_factory=dict)
+
+    def add(self, link: Link, path: Path, where: str, name: str, origin: np.ndarray, scale: np.ndarray) -> None:
+        """Puts the shapes of one mesh on its link."""
+        points = vertices(path, where, name, scale)
+        if self.fit is None:
+            mesh_T_box, half = bounding_box(points)
+            link.boxes.append((origin @ mesh_T_box, half))
+            return
+        found = fitted(points, self.fit)
+        link.volumes += [(e @ origin[:3, :3].T + origin[:3, 3], float(r)) for e, r in zip(found.ends, found.radii, strict=True)]
+        owner, protrusion = where.split("'")[1], float(found.protrusion.max())
+        self.beyond[owner] = max(self.beyond.get(owner, 0.0), protrusion)
+        if self.report is not None:
+            self.report.append(LinkFit(owner, name, len(found.radii), protrusion, mean_protrusion(points, found)))
+
+
+def load_urdf(path: Path, tip: str | None, base: str | None, tool: np.ndarray | None, meshes: Meshes | None) -> Chain:
     """The serial chain from link `base` (the root) to link `tip` (the only leaf)."""
     root = parse(path, "robot")
     elements = {kind: root.findall(kind) for kind in ("link", "joint")}
@@ -103,7 +129,7 @@ def _joint(path: Path, element: Element, child: str) -> Joint:
     return joint
 
 
-def _link(path: Path, name: str, element: Element, meshes: bool) -> Link:
+def _link(path: Path, name: str, element: Element, meshes: Meshes | None) -> Link:
     where, link = f"link '{name}'", Link()
     inertial = element.find("inertial")
     if inertial is not None:
@@ -125,7 +151,7 @@ def _link(path: Path, name: str, element: Element, meshes: bool) -> Link:
     return link
 
 
-def _shape(path: Path, where: str, origin: np.ndarray, shape: Element, link: Link, meshes: bool) -> None:
+def _shape(path: Path, where: str, origin: np.ndarray, shape: Element, link: Link, meshes: Meshes | None) -> None:
     def size(key: str, count: int = 1) -> np.ndarray:
         values = numbers(path, f"{where} <{shape.tag}>", shape, key, None, count)
         if np.any(values <= 0.0):
@@ -146,9 +172,8 @@ def _shape(path: Path, where: str, origin: np.ndarray, shape: Element, link: Lin
     elif shape.tag == "mesh":
         name = attribute(path, f"{where} <mesh>", shape, "filename")
         scale = numbers(path, f"{where} <mesh>", shape, "scale", "1 1 1", 3)
-        if meshes:
-            mesh_T_box, half = bounding_box(path, where, name, scale)
-            link.boxes.append((origin @ mesh_T_box, half))
+        if meshes is not None:
+            meshes.add(link, path, where, name, origin, scale)
         else:
             resolve(path, where, name)  # refused here, not first when someone asks for the meshes
             link.meshes.append(name)
