@@ -17,7 +17,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from jaxik.choice import shown
-from jaxik.spmd.call import _read, _write
+from jaxik.spmd import cache
 
 ROUNDING = 1e-9  # [m] that a radius has in addition, for what places its capsule in the world
 THICK = 1e-6  # [m] that a flat mesh is made thick
@@ -87,7 +87,7 @@ def fitted(points: np.ndarray, fit: Fit) -> Fitted:
     """Capsules that hold the convex hull of `points` (p, 3) [m]; read from disk where they are known."""
     key = hashlib.sha256(np.ascontiguousarray(points, np.float64).tobytes() + repr((_VERSION, fit)).encode())
     name = f"jaxik_fit_{key.hexdigest()[:32]}"
-    stored = _read(name)
+    stored = cache.read(name)
     if stored is not None:
         try:
             table = np.load(io.BytesIO(stored), allow_pickle=False)
@@ -97,7 +97,7 @@ def fitted(points: np.ndarray, fit: Fit) -> Fitted:
     found = _fit(np.asarray(points, np.float64), fit)
     file = io.BytesIO()
     np.save(file, np.column_stack([found.ends.reshape(-1, 6), found.radii, found.protrusion]))
-    _write(name, file.getvalue())
+    cache.write(name, file.getvalue())
     return found
 
 

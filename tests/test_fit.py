@@ -34,7 +34,7 @@ MESHES = {
 def cache(tmp_path, monkeypatch):
     """What is fitted here is not found from elsewhere."""
     folder = tmp_path / "kernels"
-    monkeypatch.setattr("jaxik.spmd.call.cache_folder", lambda: folder)
+    monkeypatch.setattr("jaxik.spmd.cache.cache_folder", lambda: folder)
     return folder
 
 
