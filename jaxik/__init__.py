@@ -5,7 +5,8 @@ from jaxik.chain import Chain, finite_limits, within_limits
 from jaxik.closed_form import ClosedForm, admissible_turns, closed_form, closed_form_obstacle
 from jaxik.collision import clearance, object_clearances, self_clearance
 from jaxik.contacts import explain
-from jaxik.fit import Fit, LinkFit
+from jaxik.fit import Fit
+from jaxik.fit_report import LinkFit
 from jaxik.follow import Follow, follow
 from jaxik.harvest import Harvest, harvest
 from jaxik.ik import IKResult, solve_ik

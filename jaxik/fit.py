@@ -3,38 +3,41 @@
 The hull is cut by planes into convex pieces, the worst piece first, and a capsule is fitted around each. A capsule is convex:
 it holds a piece when it holds the piece's corners, so the capsules together hold the whole hull and nothing is sampled. The
 signed distance s to a convex body is convex, too, so over a capsule of radius r with its ends at a and b in the body it is at
-most `r + max(s(a), s(b))`, and reaches that: this is the protrusion, and what the fit makes small.
+most `r + max(s(a), s(b))`, and reaches that: this is the protrusion.
+
+What the fit makes small is the excess: how far a capsule crosses the planes that it should keep behind. Those are the faces of
+the hull, moved out by the accuracy that is asked for, and planes beside it where other links pass (`robot_fit`): a flange may
+reach far to where nothing ever is, and must not towards the link that turns a centimetre before it.
 """
 
 from __future__ import annotations
 
 import dataclasses
-import hashlib
-import io
 from collections.abc import Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
 
 from jaxik.choice import shown
-from jaxik.spmd import cache
+from jaxik.convex import directions
 
 ROUNDING = 1e-9  # [m] that a radius has in addition, for what places its capsule in the world
 THICK = 1e-6  # [m] that a flat mesh is made thick
 SIZE = 20.0  # extent of what is optimised: the line search starts with steps of one
 POINTS = 48  # directions whose extreme corners and faces stand for all while a capsule is optimised
 WORTH = 0.2  # of its longest side that a piece's other side has at least, to be tried for a cut
-SMOOTH = (0.2, 0.05, 0.01)  # temperatures of the maxima
-_VERSION = 1  # of what is stored
+SMOOTH = (0.1, 0.02)  # temperatures of the maxima
+STEPS = 20  # of a descent at each
 
 
 @dataclasses.dataclass(frozen=True)
 class Fit:
-    """How links' collision meshes become capsules: as few as come within `accuracy` [m] of the mesh's convex hull, at most
-    `most` a mesh. The protrusion that was reached is told by `fit_report`. Raises `ValueError` for what is neither."""
+    """How links' collision meshes become capsules: as few as come within `accuracy` [m] of the mesh's convex hull, and keep to
+    their half of the gap where other links pass, at most `most` a mesh. What was reached is told by `fit_report`. Raises
+    `ValueError` for what is neither."""
 
     accuracy: Any = 0.025
-    most: Any = 10
+    most: Any = 16
 
     def __post_init__(self) -> None:
         number = isinstance(self.accuracy, int | float | np.number) and not isinstance(self.accuracy, bool | np.bool_)
@@ -51,17 +54,6 @@ class Fitted(NamedTuple):
     ends: np.ndarray
     radii: np.ndarray
     protrusion: np.ndarray
-
-
-class LinkFit(NamedTuple):
-    """What `fit_report` tells of one mesh: its link, its file, the number of capsules, and how far they reach beyond its convex
-    hull [m]: at most, and in the mean over the capsules' common surface. Every capsule model covers its hull."""
-
-    link: str
-    mesh: str
-    capsules: int
-    protrusion: float
-    mean: float
 
 
 class _Hull(NamedTuple):
@@ -81,38 +73,36 @@ class _Piece(NamedTuple):
     ends: np.ndarray  # (2, 3) of its capsule
     radius: float
     protrusion: float
+    excess: float
 
 
-def fitted(points: np.ndarray, fit: Fit) -> Fitted:
-    """Capsules that hold the convex hull of `points` (p, 3) [m]; read from disk where they are known."""
-    key = hashlib.sha256(np.ascontiguousarray(points, np.float64).tobytes() + repr((_VERSION, fit)).encode())
-    name = f"jaxik_fit_{key.hexdigest()[:32]}"
-    stored = cache.read(name)
-    if stored is not None:
-        try:
-            table = np.load(io.BytesIO(stored), allow_pickle=False)
-            return Fitted(table[:, :6].reshape(-1, 2, 3), table[:, 6], table[:, 7])
-        except (ValueError, IndexError, EOFError):
-            pass  # of another make: it is made again
-    found = _fit(np.asarray(points, np.float64), fit)
-    file = io.BytesIO()
-    np.save(file, np.column_stack([found.ends.reshape(-1, 6), found.radii, found.protrusion]))
-    cache.write(name, file.getvalue())
-    return found
-
-
-def _fit(points: np.ndarray, fit: Fit) -> Fitted:
+def fitted(points: np.ndarray, fit: Fit, keep: tuple[np.ndarray, np.ndarray] | None = None) -> Fitted:
+    """Capsules that hold the convex hull of `points` (p, 3) [m]. `keep` are directions (k, 3) in which they may reach only so
+    far beyond it (k,) [m]."""
+    points = np.asarray(points, np.float64)
     unit = SIZE / max(float(np.ptp(points, axis=0).max()), THICK)
     corners, hull = _convex(points, unit)
-    few = _representative(hull)
-    pieces = [_around(corners, hull, few)]
+    room = _room(corners, hull, fit.accuracy * unit, None if keep is None else (keep[0], keep[1] * unit), ROUNDING * unit)
+    pieces = [_around(corners, hull, room)]
     while len(pieces) < fit.most:
-        worst = max(range(len(pieces)), key=lambda i: pieces[i].protrusion)
-        if pieces[worst].protrusion <= (fit.accuracy - ROUNDING) * unit:
+        worst = max(range(len(pieces)), key=lambda i: pieces[i].excess)
+        if pieces[worst].excess <= 0.0:
             break
-        pieces[worst : worst + 1] = _divided(pieces[worst].corners, hull, few)
-    ends, radii, protrusion = (np.array(column) / unit for column in zip(*(p[1:] for p in pieces), strict=True))
+        pieces[worst : worst + 1] = _divided(pieces[worst].corners, hull, room)
+    ends, radii, protrusion = (np.array([p[i] for p in pieces]) / unit for i in (1, 2, 3))
     return Fitted(ends, radii + ROUNDING, protrusion + ROUNDING)
+
+
+def _room(
+    corners: np.ndarray, hull: _Hull, accuracy: float, keep: tuple[np.ndarray, np.ndarray] | None, rounding: float
+) -> _Hull:
+    """The planes that capsules should keep behind: some faces of the hull, moved out, and those of `keep`."""
+    few = np.unique((hull.normals @ directions(2 * POINTS).T).argmax(axis=0))
+    normals, offsets = [hull.normals[few]], [hull.offsets[few] + accuracy]
+    if keep is not None and len(keep[0]):
+        normals.append(keep[0])
+        offsets.append((corners @ keep[0].T).max(axis=0) + keep[1])
+    return _Hull(np.concatenate(normals), np.concatenate(offsets) - rounding, hull.middle)
 
 
 def _convex(points: np.ndarray, unit: float) -> tuple[np.ndarray, _Hull]:
@@ -130,25 +120,13 @@ def _convex(points: np.ndarray, unit: float) -> tuple[np.ndarray, _Hull]:
     return corners, _Hull(planes[:, :3], (corners @ planes[:, :3].T).max(axis=0), corners.mean(axis=0))
 
 
-def _directions(count: int) -> np.ndarray:
-    """Unit vectors spread over the sphere [Fibonacci's spiral]."""
-    i = np.arange(count) + 0.5
-    polar, turn = np.arccos(1.0 - 2.0 * i / count), np.pi * (1.0 + 5.0**0.5) * i
-    return np.stack([np.cos(turn) * np.sin(polar), np.sin(turn) * np.sin(polar), np.cos(polar)], axis=1)
-
-
-def _representative(hull: _Hull) -> _Hull:
-    few = np.unique((hull.normals @ _directions(2 * POINTS).T).argmax(axis=0))
-    return _Hull(hull.normals[few], hull.offsets[few], hull.middle)
-
-
 def _along(points: np.ndarray, ends: np.ndarray) -> np.ndarray:
     """Where on the line between `ends` each point is nearest, 0 to 1."""
     line = ends[1] - ends[0]
     return np.asarray(np.clip((points - ends[0]) @ line / max(float(line @ line), 1e-18), 0.0, 1.0))
 
 
-def _away(points: np.ndarray, ends: np.ndarray) -> np.ndarray:
+def away(points: np.ndarray, ends: np.ndarray) -> np.ndarray:
     """From the line between `ends` to the points (p, 3)."""
     t = _along(points, ends)[:, None]
     return points - (1.0 - t) * ends[0] - t * ends[1]
@@ -162,11 +140,11 @@ def _sides(corners: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     return axes[order], low[order], high[order]
 
 
-def _around(corners: np.ndarray, hull: _Hull, few: _Hull) -> _Piece:
-    """The capsule about a piece whose protrusion from the hull is small."""
+def _around(corners: np.ndarray, hull: _Hull, room: _Hull) -> _Piece:
+    """The capsule about a piece whose excess is small."""
     from scipy.optimize import minimize
 
-    some = corners[np.unique((corners @ _directions(POINTS).T).argmax(axis=0))] if len(corners) > POINTS else corners
+    some = corners[np.unique((corners @ directions(POINTS).T).argmax(axis=0))] if len(corners) > POINTS else corners
     axes, low, high = _sides(corners)
     half = (high - low) / 2.0
     reach = max(half[0] - half[1], 0.2 * half[0]) * axes[0]
@@ -174,19 +152,20 @@ def _around(corners: np.ndarray, hull: _Hull, few: _Hull) -> _Piece:
     start = np.stack([centre - reach, centre + reach])
     x = start.ravel()
     for temperature in SMOOTH:
-        x = minimize(_smooth, x, (some, few, temperature), "L-BFGS-B", jac=True, options={"maxiter": 25}).x
-    return min((_measured(ends, corners, hull) for ends in (start, x.reshape(2, 3))), key=lambda piece: piece.protrusion)
+        # not L-BFGS-B: its compiled part wakes the threads of BLAS for six numbers
+        x = minimize(_smooth, x, (some, room, temperature), "BFGS", jac=True, options={"maxiter": STEPS}).x
+    return min((_measured(ends, corners, hull, room) for ends in (start, x.reshape(2, 3))), key=lambda piece: piece.excess)
 
 
-def _smooth(x: np.ndarray, corners: np.ndarray, hull: _Hull, temperature: float) -> tuple[float, np.ndarray]:
-    """Radius + signed distance of the ends, both maxima made smooth, and the slope."""
+def _smooth(x: np.ndarray, corners: np.ndarray, room: _Hull, temperature: float) -> tuple[float, np.ndarray]:
+    """The excess, its maxima made smooth, and its slope."""
     ends = x.reshape(2, 3)
-    t, away = _along(corners, ends), _away(corners, ends)
-    length = np.sqrt(np.sum(away * away, axis=1)) + 1e-12
+    t, apart = _along(corners, ends), away(corners, ends)
+    length = np.sqrt(np.sum(apart * apart, axis=1)) + 1e-12
     radius, share = _soft(length, temperature)
-    depth, on = _soft(ends @ hull.normals.T - hull.offsets, temperature)
-    pull = (share / length)[:, None] * away
-    slope = on @ hull.normals - np.stack([(1.0 - t) @ pull, t @ pull])
+    depth, on = _soft(ends @ room.normals.T - room.offsets, temperature)
+    pull = (share / length)[:, None] * apart
+    slope = on @ room.normals - np.stack([(1.0 - t) @ pull, t @ pull])
     return radius + depth, slope.ravel()
 
 
@@ -198,33 +177,34 @@ def _soft(values: np.ndarray, temperature: float) -> tuple[float, np.ndarray]:
     return float(most + temperature * np.log(total)), weights / total
 
 
-def _measured(ends: np.ndarray, corners: np.ndarray, hull: _Hull) -> _Piece:
+def _measured(ends: np.ndarray, corners: np.ndarray, hull: _Hull, room: _Hull) -> _Piece:
     """The piece with a capsule between `ends`, moved into the hull, where the protrusion is exact."""
     for i, end in enumerate(ends):
         beyond = hull.normals @ end - hull.offsets
         inner = hull.normals @ hull.middle - hull.offsets
         back = np.max(np.where(beyond > 0.0, beyond / np.maximum(beyond - inner, 1e-12), 0.0))
         ends = np.where(np.arange(2)[:, None] == i, end + back * (hull.middle - end), ends)
-    radius = float(np.linalg.norm(_away(corners, ends), axis=1).max())
-    return _Piece(corners, ends, radius, radius + float(hull.beyond(ends).max()))
+    radius = float(np.linalg.norm(away(corners, ends), axis=1).max())
+    return _Piece(corners, ends, radius, *(radius + float(body.beyond(ends).max()) for body in (hull, room)))
 
 
-def _divided(corners: np.ndarray, hull: _Hull, few: _Hull) -> list[_Piece]:
+def _divided(corners: np.ndarray, hull: _Hull, room: _Hull) -> list[_Piece]:
     """Two pieces in place of one, cut in the middle of one of its longer sides."""
     axes, low, high = _sides(corners)
     best: list[_Piece] = []
     for axis, start, end in zip(axes, low, high, strict=True):
         if end - start < WORTH * (high[0] - low[0]):
             break
-        pair = [_around(part, hull, few) for part in _cut(corners, axis, (start + end) / 2.0)]
+        pair = [_around(part, hull, room) for part in _cut(corners, axis, (start + end) / 2.0)]
         if not best or _worth(pair) < _worth(best):
             best = pair
     return best
 
 
 def _worth(pair: Sequence[_Piece]) -> float:
-    worse, better = sorted((p.protrusion for p in pair), reverse=True)
-    return worse + 0.25 * better
+    """What is left to mend, the worse piece counting most; of two that need no mending, what is tighter."""
+    worse, better = sorted((p.excess for p in pair), reverse=True)
+    return max(worse, 0.0) + 0.25 * max(better, 0.0) + 1e-3 * (worse + better)
 
 
 def _cut(corners: np.ndarray, normal: np.ndarray, offset: float) -> list[np.ndarray]:
@@ -250,18 +230,7 @@ def _edges(corners: np.ndarray) -> np.ndarray:
     return np.unique(np.sort(pairs, axis=1), axis=0)
 
 
-def mean_protrusion(points: np.ndarray, found: Fitted) -> float:
-    """How far the common surface of the capsules lies beyond the convex hull of `points`, in the mean over samples [m]."""
-    hull = _convex(points, 1.0)[1]
-    along, around = np.linspace(0.0, 1.0, 9), _directions(128)
-    beyond: list[np.ndarray] = []
-    for i, (ends, radius) in enumerate(zip(found.ends, found.radii, strict=True)):
-        line = (1.0 - along[:, None]) * ends[0] + along[:, None] * ends[1]
-        surface = (line[:, None] + radius * around).reshape(-1, 3)
-        own = np.ones(len(surface), bool)
-        for j, (other, width) in enumerate(zip(found.ends, found.radii, strict=True)):
-            inside = width - (1e-6 if i == j else 0.0)  # a sphere's sample may lie in its own capsule
-            own &= np.linalg.norm(_away(surface, other), axis=1) >= inside
-        beyond.append(np.maximum(hull.beyond(surface[own]), 0.0))
-    every: Any = np.concatenate(beyond)
-    return float(every.mean()) if len(every) else 0.0
+def mean_protrusion(points: np.ndarray, surface: np.ndarray) -> float:
+    """How far a model's `surface` (k, 3) lies beyond the convex hull of `points` in the mean [m]."""
+    beyond = np.maximum(_convex(points, 1.0)[1].beyond(surface), 0.0)
+    return float(beyond.mean()) if len(beyond) else 0.0

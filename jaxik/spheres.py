@@ -9,7 +9,6 @@ parent's sphere: so a coarse distance is never larger than a finer one, which is
 from __future__ import annotations
 
 import itertools
-from collections.abc import Mapping
 from typing import Any, NamedTuple
 
 import jax
@@ -143,11 +142,11 @@ def _circles(volume: Volume, circles: int, around: int) -> np.ndarray:
 
 
 class SelfCollisions(NamedTuple):
-    """The pairs of links worth a check; those left out because they touch in the default pose, with by how much [m]; and the
-    share of random configurations in which any of the pairs touches."""
+    """The pairs of links worth a check; those of them that touch in the default pose; and the share of random configurations
+    in which any of them touches."""
 
     pairs: tuple[tuple[int, int], ...]
-    at_home: dict[tuple[int, int], float]
+    at_home: tuple[tuple[int, int], ...]
     share: float
 
 
@@ -162,28 +161,22 @@ def self_collision_pairs(
     return self_collisions(chain, disabled, samples).pairs
 
 
-def self_collisions(
-    chain: Chain,
-    disabled: frozenset[frozenset[str]] = frozenset(),
-    samples: int = 512,
-    beyond: Mapping[str, float] | None = None,
-) -> SelfCollisions:
-    """`self_collision_pairs`, and what else is known of them. `beyond` says how far fitted shapes reach beyond their links [m].
-
-    With it pairs are left out as well that touch in the default pose, as MoveIt's setup assistant has it, and links two joints
-    apart that are never (5 %) further from each other than their shapes reach beyond them, such as a wrist's: the model cannot
-    tell whether these touch.
-    """
-    links = sorted({b.link for b in chain.boxes} | {v.link for v in chain.volumes})
-    joint = chain.link_joint
-    pairs = [
+def candidate_pairs(chain: Chain, links: set[int], disabled: frozenset[frozenset[str]]) -> list[tuple[int, int]]:
+    """The pairs of some links that are neither neighbours, nor move together, nor are `disabled`."""
+    joint, ordered = chain.link_joint, sorted(links)
+    return [
         (a, b)
-        for i, a in enumerate(links)
-        for b in links[i + 1 :]
+        for i, a in enumerate(ordered)
+        for b in ordered[i + 1 :]
         if abs(joint[a] - joint[b]) > 1 and frozenset((chain.link_names[a], chain.link_names[b])) not in disabled
     ]
+
+
+def self_collisions(chain: Chain, disabled: frozenset[frozenset[str]] = frozenset(), samples: int = 512) -> SelfCollisions:
+    """`self_collision_pairs`, and what else is known of them."""
+    pairs = candidate_pairs(chain, {b.link for b in chain.boxes} | {v.link for v in chain.volumes}, disabled)
     if not pairs:
-        return SelfCollisions((), {}, 0.0)
+        return SelfCollisions((), (), 0.0)
     rng = np.random.default_rng(0)
     q = np.vstack([rng.uniform(*finite_limits(chain), (samples, chain.num_joints)), default_pose(chain)])
     columns = [q[:, i, None] for i in range(chain.num_joints)]
@@ -196,20 +189,10 @@ def self_collisions(
             radii.append(skeleton.radius)
             owner.append(skeleton.link)
     p, r, o = np.concatenate(centres, axis=1), np.concatenate(radii), np.concatenate(owner)
-    kept, at_home, hit = [], {}, np.zeros(samples, bool)
-    for a, b in pairs:
-        gaps = _gaps(p, r, o == a, o == b)
-        apart, home = gaps[:-1], float(gaps[-1])
-        if beyond and home <= 0.0:
-            at_home[a, b] = -home
-        else:
-            untold = (
-                sum(beyond.get(chain.link_names[i], 0.0) for i in (a, b)) if beyond and abs(joint[a] - joint[b]) == 2 else 0.0
-            )
-            if np.mean(apart <= untold) < 0.95:
-                kept.append((a, b))
-                hit |= apart <= 0.0
-    return SelfCollisions(tuple(kept), at_home, float(hit.mean()))
+    touch = {(a, b): _touching(p, r, o == a, o == b) for a, b in pairs}
+    kept = {pair: hit for pair, hit in touch.items() if hit[:-1].mean() < 0.95}
+    share = np.any([hit[:-1] for hit in kept.values()], axis=0).mean() if kept else 0.0
+    return SelfCollisions(tuple(kept), tuple(pair for pair, hit in kept.items() if hit[-1]), float(share))
 
 
 def default_pose(chain: Chain) -> np.ndarray:
@@ -228,10 +211,10 @@ def _samples(count: int) -> np.ndarray:
     return np.array([(u, v, 1.0 - u - v) for u in steps for v in steps if u + v <= 1.0 + 1e-9])
 
 
-def _gaps(p: np.ndarray, r: np.ndarray, a: np.ndarray, b: np.ndarray) -> np.ndarray:
-    """The least distance of any sphere of a to any of b, at each configuration."""
-    least = np.full(len(p), np.inf)
+def _touching(p: np.ndarray, r: np.ndarray, a: np.ndarray, b: np.ndarray) -> np.ndarray:
+    """The configurations in which any sphere of a touches any of b."""
+    hit = np.zeros(len(p), bool)
     for i in np.flatnonzero(a):
         gap = np.linalg.norm(p[:, i, None] - p[:, b], axis=-1) - r[i] - r[b]
-        least = np.minimum(least, gap.min(axis=1))
-    return least
+        hit |= gap.min(axis=1) <= 0.0
+    return hit

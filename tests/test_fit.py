@@ -5,10 +5,13 @@ import numpy as np
 import pytest
 import trimesh
 from robots import FOLDER, ROBOTS
+from scipy.spatial.transform import Rotation
 from test_load import URDF, write
 
 import jaxik
 from jaxik import fit as fitting
+from jaxik import robot_fit
+from jaxik.convex import Body, overlap, separated
 from jaxik.fit import Fit, fitted
 
 ROUNDING = 1e-9
@@ -61,7 +64,7 @@ def test_the_hull_is_held(name):
     inside = away(np.concatenate([points, mixed]), found).min(axis=0)
     assert inside.max() <= 1e-7  # coal's tolerance; the numbers themselves hold it to rounding
     every = np.concatenate([points, mixed])
-    exact = [np.linalg.norm(fitting._away(every, e), axis=1) - r for e, r in zip(found.ends, found.radii, strict=True)]
+    exact = [np.linalg.norm(fitting.away(every, e), axis=1) - r for e, r in zip(found.ends, found.radii, strict=True)]
     assert np.min(exact, axis=0).max() <= ROUNDING
 
 
@@ -94,18 +97,38 @@ def test_more_capsules_come_closer():
     assert len(fitted(MESHES["cylinder"], Fit(0.03)).radii) < 4  # and no more than the accuracy asks for
 
 
-def test_a_fit_is_made_once_and_the_same_again(cache, monkeypatch):
-    first = fitted(MESHES["L"], Fit())
+ARM = """<robot name="arm">
+<link name="base"><collision><geometry><cylinder radius="0.1" length="0.1"/></geometry></collision></link>
+<joint name="turn" type="revolute"><parent link="base"/><child link="hub"/><axis xyz="0 0 1"/>
+<limit lower="-3" upper="3"/></joint>
+<link name="hub"/>
+<joint name="lift" type="revolute"><parent link="hub"/><child link="arm"/><origin xyz="0 0 0.12"/><axis xyz="0 1 0"/>
+<limit lower="-2.4" upper="2.4"/></joint>
+<link name="arm"><collision><origin xyz="0 0 0.2"/><geometry><box size="0.06 0.06 0.4"/></geometry></collision></link>
+<joint name="twist" type="revolute"><parent link="arm"/><child link="tip"/><origin xyz="0 0 0.45"/><axis xyz="0 0 1"/>
+<limit lower="-3" upper="3"/></joint>
+<link name="tip"><collision><geometry><sphere radius="0.03"/></geometry></collision></link>
+</robot>"""
+
+
+@pytest.fixture
+def arm(tmp_path):
+    return write(tmp_path, "arm.urdf", ARM)
+
+
+def test_a_model_is_made_once_and_the_same_again(arm, cache, monkeypatch):
+    first = jaxik.load(arm, meshes=True)
     (file,) = cache.iterdir()
-    again = lambda: all(np.array_equal(a, b) for a, b in zip(first, fitted(MESHES["L"], Fit()), strict=True))
     with monkeypatch.context() as held:
-        held.setattr(fitting, "_fit", None)  # not asked
-        assert again()
+        held.setattr(robot_fit, "_Links", None)  # not asked
+        assert jaxik.load(arm, meshes=True) == first
     for damaged in (b"", b"damaged", file.read_bytes()[:-1]):
         file.write_bytes(damaged)
-        assert again()  # made again, to the same numbers
-    fitting._write(file.name, b"of another make")
-    assert again()
+        assert jaxik.load(arm, meshes=True) == first  # made again, to the same numbers
+    robot_fit.write(file.name, b"of another make")
+    assert jaxik.load(arm, meshes=True) == first
+    jaxik.load(arm, meshes=True, fit=Fit(0.01))
+    assert len(list(cache.iterdir())) == 2
 
 
 @pytest.mark.parametrize(
@@ -145,8 +168,53 @@ def test_a_report_says_what_was_fitted(tmp_path):
 def test_a_default_pose_in_collision_is_told():
     """Panda's hand lies in link 5 where all joints are 0; MoveIt's own file leaves the pair out for that, too ("Default")."""
     file, _ = ROBOTS["panda"]
-    with pytest.warns(UserWarning, match="panda_link5 and panda_hand by .* mm"):
+    with pytest.warns(UserWarning, match="panda_link5 and panda_hand by 41.* mm"):
         chain = jaxik.load(FOLDER / file, tip="panda_hand", meshes=True)
     named = {frozenset((chain.link_names[a], chain.link_names[b])) for a, b in chain.self_pairs}
     assert frozenset(("panda_link5", "panda_hand")) not in named
-    assert frozenset(("panda_link0", "panda_link7")) in named
+    assert frozenset(("panda_link0", "panda_link6")) in named
+
+
+def as_coal(points):
+    corners = coal.StdVec_Vec3s()
+    for point in points:
+        corners.append(point)
+    return coal.Convex.convexHull(corners, True, "Qt")
+
+
+@pytest.mark.parametrize("first, second", [("L", "cylinder"), ("plate", "L"), ("cylinder", "plate")])
+def test_distances_of_hulls_are_coals(first, second):
+    """Which touch, how far the others are apart, in which direction, and by how much the touching overlap."""
+    a, b = MESHES[first], MESHES[second]
+    turn = Rotation.random(300, random_state=4).as_matrix()
+    turn[:30] = np.eye(3)  # faces along faces
+    place = np.random.default_rng(4).normal(size=(300, 3)) * 0.15
+    request, told, one, other = coal.DistanceRequest(), coal.DistanceResult(), as_coal(a), as_coal(b)
+    true = np.empty(300)
+    for i in range(300):
+        told.clear()
+        true[i] = coal.distance(one, coal.Transform3s.Identity(), other, coal.Transform3s(turn[i], place[i]), request, told)
+    gap, across = separated(Body(a), Body(b), turn, place)
+    apart = true > 1e-7
+    assert 30 < apart.sum() < 270 and np.array_equal(gap > 0.0, apart)
+    np.testing.assert_allclose(gap[apart], true[apart], rtol=2e-4)
+    corners = np.einsum("nij,pj->npi", turn, b) + place[:, None]
+    seen = (corners @ across[:, :, None])[..., 0].min(axis=1) - (across @ a.T).max(axis=1)
+    np.testing.assert_allclose(seen[apart], gap[apart], atol=1e-12)  # a plane with nothing in between, as wide as told
+    soon = separated(Body(a), Body(b), turn, place, 0.01)[0]
+    assert (
+        np.array_equal(soon > 0.0, apart)
+        and np.all(np.minimum(gap, 0.01) * (1.0 - 2e-4) <= soon)
+        and np.all(soon <= gap + 1e-12)
+    )
+    depth = overlap(Body(a, 0.001), Body(b), turn[~apart], place[~apart]) - 0.001
+    assert np.all(depth >= -true[~apart] - 1e-6) and np.median(depth + true[~apart]) < 2e-4  # never told less than it is
+
+
+def test_pairs_are_those_that_collide(arm, tmp_path):
+    """A pair that never touches is not checked, one that does is; files and users leave out others."""
+    pairs = lambda *a, **k: {tuple(c.link_names[i] for i in p) for c in [jaxik.load(*a, **k)] for p in c.self_pairs}
+    assert pairs(arm, meshes=True) == {("base", "arm")}  # the tip turns beside the base, out of its reach
+    assert pairs(arm, meshes=True, ignore=[("arm", "base")]) == set()
+    above = write(tmp_path, "above.urdf", ARM.replace("2.4", "1.5"))
+    assert pairs(above, meshes=True) == set()  # and the arm above it

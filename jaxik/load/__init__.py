@@ -5,6 +5,7 @@ from __future__ import annotations
 import dataclasses
 import os
 import warnings
+from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any
 
@@ -12,17 +13,21 @@ import numpy as np
 
 from jaxik.chain import Chain
 from jaxik.choice import check_kind, shown
-from jaxik.fit import Fit, LinkFit
+from jaxik.fit import Fit
+from jaxik.fit_report import LinkFit, link_fits
 from jaxik.given import rigid_frame
 from jaxik.load import scene as scene_files
+from jaxik.load.ignore import ignored
+from jaxik.load.mesh import Meshes
 from jaxik.load.mjcf import load_mjcf
 from jaxik.load.srdf import disabled_pairs
 from jaxik.load.targets import load_targets
 from jaxik.load.toml import load_toml
-from jaxik.load.urdf import Meshes, load_urdf
+from jaxik.load.urdf import load_urdf
 from jaxik.result import LoadError
+from jaxik.robot_fit import Shape, modelled
 from jaxik.scene import Scene
-from jaxik.spheres import SelfCollisions, self_collisions
+from jaxik.spheres import self_collisions
 
 __all__ = ["LoadError", "fit_report", "load", "load_scene", "load_targets", "models_folder"]
 
@@ -44,67 +49,87 @@ def load(
     meshes: bool = False,
     fit: Any = FIT,
     srdf: str | Path | None = None,
+    ignore: Any = (),
 ) -> Chain:
     """The serial chain of a shipped model (`"p6r"`) or of a file: `.urdf`, `.xml` (MJCF) or `.toml`.
 
     `tip` and `base` name links (bodies or a site in MJCF); without them the chain runs from the root to the only leaf.
-    `tool` (4, 4) moves the tip [m]. `meshes=True` reads collision meshes (URDF) and fits capsules around their convex
-    hulls (`fit`; None puts one box around each mesh); without it a chain with meshes has its kinematics, and `clearance` says
-    what is missing. `srdf` names a file whose
-    `disable_collisions` pairs are not checked.
+    `tool` (4, 4) moves the tip [m]. `meshes=True` reads collision meshes and fits capsules around their convex hulls (`fit`;
+    None puts one box around each mesh); without it a URDF with meshes has its kinematics, and `clearance` says what is
+    missing. `srdf` names a file whose `disable_collisions` pairs are not checked. `ignore` lists what is not checked, either:
+    pairs of links, pairs of a link and an object of the scene, and links that no object of a scene counts for.
 
     Raises `LoadError` (a `ValueError`) with one line: the file, the element, what is allowed, the mend.
     """
     path = _locate(source)
     tool = None if tool is None else np.asarray(rigid_frame("tool (tip_T_tool)", tool), np.float64)
-    kind = path.suffix.lower()
     check_kind("load", "fit", fit, Fit, optional=True)
-    reader = Meshes(fit) if meshes else None
+    chain, shapes = _read(path, tip, base, tool, Meshes(fit is not None) if meshes else None)
+    apart, beside = ignored(path, chain, ignore)
+    disabled = apart | (frozenset() if srdf is None else disabled_pairs(Path(srdf)))
+    chain = dataclasses.replace(chain, ignored=chain.ignored + beside)
+    if shapes:
+        model = modelled(chain, shapes, fit, disabled)
+        _tell(chain, "links' hulls", model.at_home, model.colliding)
+        return dataclasses.replace(chain, volumes=chain.volumes + model.volumes(shapes), self_pairs=model.pairs)
+    found = self_collisions(chain, disabled)
+    if meshes:
+        _tell(chain, "boxes", dict.fromkeys(found.at_home), found.share)
+    return dataclasses.replace(chain, self_pairs=found.pairs)
+
+
+def _read(
+    path: Path, tip: str | None, base: str | None, tool: np.ndarray | None, meshes: Meshes | None
+) -> tuple[Chain, list[Shape]]:
+    """The chain of a file, and the shapes that are to be fitted."""
+    kind = path.suffix.lower()
     if kind == ".urdf":
-        chain = load_urdf(path, tip, base, tool, reader)
+        chain = load_urdf(path, tip, base, tool, meshes)
     elif kind in (".xml", ".mjcf"):
-        chain = load_mjcf(path, tip, base, tool)
+        chain = load_mjcf(path, tip, base, tool, meshes)
     elif kind == ".toml":
         chain = load_toml(path, tip, base, tool)
     else:
         raise LoadError(path, "file", f"ending '{kind}'", "allowed: .urdf, .xml (MJCF), .toml")
-    disabled = frozenset() if srdf is None else disabled_pairs(Path(srdf))
-    found = self_collisions(chain, disabled, beyond=None if reader is None else reader.beyond)
-    if reader is not None:
-        _tell(chain, found, reader.beyond)
-    return dataclasses.replace(chain, self_pairs=found.pairs)
+    return chain, [] if meshes is None else meshes.shapes(chain)
 
 
-def _tell(chain: Chain, found: SelfCollisions, beyond: dict[str, float]) -> None:
-    """One line where the robot's model collides with itself in its default pose, by more than its shapes are too large, or
-    mostly: a pose that it cannot take, or a model that is none of it."""
-    named = {tuple(chain.link_names[i] for i in pair): depth for pair, depth in found.at_home.items()}
-    deep = [
-        f"{a} and {b} by {1e3 * depth:.0f} mm" for (a, b), depth in named.items() if depth > beyond.get(a, 0) + beyond.get(b, 0)
+def _tell(chain: Chain, what: str, at_home: Mapping[tuple[int, int], float | None], share: float) -> None:
+    """One line where a robot's shapes collide in its default pose, or mostly: what they say of the robot is not true, then."""
+    named = [
+        f"{chain.link_names[a]} and {chain.link_names[b]}" + ("" if depth is None else f" by {1e3 * depth:.1f} mm")
+        for (a, b), depth in at_home.items()
     ]
-    if deep:
-        what = (
-            f"touches itself in its default pose, and is not checked there: {'; '.join(deep[:3])}{'; ...' if deep[3:] else ''}"
-        )
-    elif found.share > 0.5:
-        what = f"touches itself in {found.share:.0%} of random configurations"
+    if named:
+        checked = "" if None in at_home.values() else ", and are not checked against each other"
+        told = f"collide in its default pose{checked}: {'; '.join(named[:3])}{'; ...' if named[3:] else ''}"
+    elif share > 0.5:
+        told = f"collide in {share:.0%} of random configurations"
     else:
         return
-    warnings.warn(f"{chain.name}: its collision model {what}; fit closer (fit=), or disable pairs (srdf=)", stacklevel=3)
+    warnings.warn(f"{chain.name}: its {what} {told}; disable pairs that may touch (srdf=, ignore=)", stacklevel=3)
 
 
-def fit_report(source: str | Path, tip: str | None = None, base: str | None = None, *, fit: Fit = FIT) -> tuple[LinkFit, ...]:
-    """What `load(..., meshes=True, fit=fit)` puts around each collision mesh of a URDF: one `LinkFit` a mesh.
+def fit_report(
+    source: str | Path,
+    tip: str | None = None,
+    base: str | None = None,
+    *,
+    fit: Fit = FIT,
+    srdf: str | Path | None = None,
+    ignore: Any = (),
+    progress: Callable[[int, int], None] | None = None,
+) -> tuple[LinkFit, ...]:
+    """What `load(..., meshes=True, fit=fit)` puts around each collision mesh of a file: one `LinkFit` a mesh.
 
-    Raises `LoadError` as `load` does, and where the file is no URDF.
+    `progress` hears of how many meshes are fitted, of how many. Raises `LoadError` as `load` does.
     """
     path = _locate(source)
-    if path.suffix.lower() != ".urdf":
-        raise LoadError(path, "file", f"ending '{path.suffix}'", "meshes are fitted for .urdf")
     check_kind("fit_report", "fit", fit, Fit)
-    told: list[LinkFit] = []
-    load_urdf(path, tip, base, None, Meshes(fit, told))
-    return tuple(told)
+    chain, shapes = _read(path, tip, base, None, Meshes(True))
+    disabled = (frozenset() if srdf is None else disabled_pairs(Path(srdf))) | ignored(path, chain, ignore)[0]
+    told = None if progress is None else lambda done: progress(done, len(shapes))
+    return link_fits(chain, shapes, modelled(chain, shapes, fit, disabled, told))
 
 
 def load_scene(source: str | Path) -> Scene:

@@ -2,42 +2,16 @@
 
 from __future__ import annotations
 
-import dataclasses
 from pathlib import Path
 from xml.etree.ElementTree import Element
 
 import numpy as np
 
 from jaxik.chain import Chain
-from jaxik.fit import Fit, LinkFit, fitted, mean_protrusion
 from jaxik.load.assemble import JOINT_TYPES, Joint, Link, assemble, frame, rpy_matrix, unique
-from jaxik.load.mesh import bounding_box, resolve, vertices
+from jaxik.load.mesh import Meshes, add_box, add_cylinder, read_mesh, resolve
 from jaxik.load.xml import attribute, numbers, parse
 from jaxik.result import LoadError
-
-
-@dataclasses.dataclass
-class Meshes:
-    """How collision meshes are read: as capsules by `fit`, or one box each where it is None. Then `beyond` says how far those
-    of each link reach beyond its meshes [m], and `report` is filled if asked for."""
-
-    fit: Fit | None
-    report: list[LinkFit] | None = None
-    beyond: dict[str, float] = dataclasses.field(default_factory=dict)
-
-    def add(self, link: Link, path: Path, where: str, name: str, origin: np.ndarray, scale: np.ndarray) -> None:
-        """Puts the shapes of one mesh on its link."""
-        points = vertices(path, where, name, scale)
-        if self.fit is None:
-            mesh_T_box, half = bounding_box(points)
-            link.boxes.append((origin @ mesh_T_box, half))
-            return
-        found = fitted(points, self.fit)
-        link.volumes += [(e @ origin[:3, :3].T + origin[:3, 3], float(r)) for e, r in zip(found.ends, found.radii, strict=True)]
-        owner, protrusion = where.split("'")[1], float(found.protrusion.max())
-        self.beyond[owner] = max(self.beyond.get(owner, 0.0), protrusion)
-        if self.report is not None:
-            self.report.append(LinkFit(owner, name, len(found.radii), protrusion, mean_protrusion(points, found)))
 
 
 def load_urdf(path: Path, tip: str | None, base: str | None, tool: np.ndarray | None, meshes: Meshes | None) -> Chain:
@@ -147,11 +121,13 @@ def _link(path: Path, name: str, element: Element, meshes: Meshes | None) -> Lin
     for collision in element.findall("collision"):
         geometry = collision.find("geometry")
         for shape in () if geometry is None else geometry:
-            _shape(path, where, _origin(path, where, collision), shape, link, meshes)
+            _shape(path, name, _origin(path, where, collision), shape, link, meshes)
     return link
 
 
-def _shape(path: Path, where: str, origin: np.ndarray, shape: Element, link: Link, meshes: Meshes | None) -> None:
+def _shape(path: Path, owner: str, origin: np.ndarray, shape: Element, link: Link, meshes: Meshes | None) -> None:
+    where = f"link '{owner}'"
+
     def size(key: str, count: int = 1) -> np.ndarray:
         values = numbers(path, f"{where} <{shape.tag}>", shape, key, None, count)
         if np.any(values <= 0.0):
@@ -159,12 +135,12 @@ def _shape(path: Path, where: str, origin: np.ndarray, shape: Element, link: Lin
         return values
 
     if shape.tag == "box":
-        link.boxes.append((origin, size("size", 3) / 2.0))
+        add_box(meshes, owner, link, origin, size("size", 3) / 2.0)
     elif shape.tag == "sphere":
         link.volumes.append((origin[None, :3, 3], float(size("radius")[0])))
     elif shape.tag == "cylinder":
         radius, length = float(size("radius")[0]), float(size("length")[0])
-        link.boxes.append((origin, np.array([radius, radius, length / 2.0])))
+        add_cylinder(meshes, owner, link, origin, radius, length / 2.0)
     elif shape.tag == "capsule":  # not in the standard, read by several simulators
         radius, length = float(size("radius")[0]), float(size("length")[0])
         ends = np.array([[0.0, 0.0, -length / 2.0], [0.0, 0.0, length / 2.0]])
@@ -173,7 +149,7 @@ def _shape(path: Path, where: str, origin: np.ndarray, shape: Element, link: Lin
         name = attribute(path, f"{where} <mesh>", shape, "filename")
         scale = numbers(path, f"{where} <mesh>", shape, "scale", "1 1 1", 3)
         if meshes is not None:
-            meshes.add(link, path, where, name, origin, scale)
+            meshes.mesh(owner, link, name, origin, *read_mesh(path, where, name, scale))
         else:
             resolve(path, where, name)  # refused here, not first when someone asks for the meshes
             link.meshes.append(name)
