@@ -6,6 +6,8 @@ from jaxik.chain import Chain, finite_limits, within_limits
 from jaxik.closed_form import ClosedForm, admissible_turns, closed_form, closed_form_obstacle
 from jaxik.collision import clearance, collides, object_clearances, self_clearance
 from jaxik.contacts import explain
+from jaxik.fit import Fit
+from jaxik.fit_report import LinkFit
 from jaxik.follow import Follow, follow
 from jaxik.harvest import Harvest, harvest
 from jaxik.ik import IKResult, solve_ik
@@ -13,7 +15,7 @@ from jaxik.ik_options import IKOptions
 from jaxik.implicit import implicit_ik
 from jaxik.kinematics import bias_acceleration, forward_kinematics, jacobian, link_frames, manipulability
 from jaxik.lanes import descend
-from jaxik.load import load, load_scene, load_targets
+from jaxik.load import fit_report, load, load_scene, load_targets, save
 from jaxik.mapping import fit_mapping
 from jaxik.moving_horizon import MovingHorizon, follow_predictively
 from jaxik.optimise.descent import QUASI_NEWTON, Descent
@@ -38,6 +40,7 @@ __all__ = [
     "Chain",
     "ClosedForm",
     "Descent",
+    "Fit",
     "Follow",
     "Fruit",
     "Grasp",
@@ -46,6 +49,7 @@ __all__ = [
     "IKOptions",
     "IKResult",
     "Line",
+    "LinkFit",
     "LoadError",
     "MovingHorizon",
     "Reason",
@@ -69,6 +73,7 @@ __all__ = [
     "explain",
     "finite_limits",
     "fit_mapping",
+    "fit_report",
     "follow",
     "follow_predictively",
     "forward_kinematics",
@@ -96,6 +101,7 @@ __all__ = [
     "resolve_acceleration",
     "resolve_velocity",
     "rmrc",
+    "save",
     "scan",
     "self_clearance",
     "solve_ik",

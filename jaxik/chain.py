@@ -88,6 +88,7 @@ class Chain(Constant):
 
     `parent_T_joint[i]` is the frame of joint i at q_i = 0 in the (moved) frame of joint i-1, the base frame for i = 0.
     `link_joint[l]` counts the movable joints between the base and link l: its frame is `link_offset[l]` in that joint's.
+    `self_pairs` are the links to check against each other, `ignored` links with the object of a scene ("*": any) not to check.
     """
 
     # not in the instance's dictionary, where Equinox would take it for part of the pytree's structure
@@ -112,6 +113,7 @@ class Chain(Constant):
     self_pairs: tuple[tuple[int, int], ...] = eqx.field(static=True, default=())
     spheres_per_box: int = eqx.field(static=True, default=8)
     unread_meshes: tuple[str, ...] = eqx.field(static=True, default=())
+    ignored: tuple[tuple[int, str], ...] = eqx.field(static=True, default=())
 
     @property
     def num_joints(self) -> int:
@@ -180,6 +182,7 @@ class Chain(Constant):
             volumes=tuple(dataclasses.replace(v, link=link[v.link]) for v in self.volumes if v.link in link),
             self_pairs=tuple((link[a], link[b]) for a, b in self.self_pairs if a in link and b in link),
             unread_meshes=tuple(n for n in self.unread_meshes if self.link_names.index(n) in link),
+            ignored=tuple((link[i], name) for i, name in self.ignored if i in link),
         )
 
     # A concrete chain is a value: equal numbers, equal chain. So it may be a static argument of `jax.jit` and a cache's key.

@@ -38,7 +38,7 @@ class HarvestArguments:
     tip: str | None = None
     """The link to bring to the fruit; needed where the robot has several."""
     meshes: bool = False
-    """Read the robot's collision meshes (URDF) for the boxes around them."""
+    """Read the robot's collision meshes (URDF) for capsules around them."""
     weights: Weights = dataclasses.field(default_factory=Weights)
     """What makes a posture good."""
     angles: int = 72
@@ -98,7 +98,7 @@ class IKArguments:
     srdf: Path | None = None
     """A file that says which links are not checked against each other."""
     meshes: bool = False
-    """Read the robot's collision meshes (URDF) for the boxes around them, which a scene needs."""
+    """Read the robot's collision meshes (URDF) for capsules around them, which a scene needs."""
     scene: str | None = None
     """A shipped scene or a scene file: obstacles to keep clear of."""
     margin: float = 0.0

@@ -141,6 +141,15 @@ def _circles(volume: Volume, circles: int, around: int) -> np.ndarray:
     return (np.linspace(start, end, circles)[:, None] + ring).reshape(-1, 3)
 
 
+class SelfCollisions(NamedTuple):
+    """The pairs of links worth a check; those of them that touch in the default pose; and the share of random configurations
+    in which any of them touches."""
+
+    pairs: tuple[tuple[int, int], ...]
+    at_home: tuple[tuple[int, int], ...]
+    share: float
+
+
 def self_collision_pairs(
     chain: Chain, disabled: frozenset[frozenset[str]] = frozenset(), samples: int = 512
 ) -> tuple[tuple[int, int], ...]:
@@ -149,29 +158,47 @@ def self_collision_pairs(
     Left out: links that move together or are neighbours on the chain, pairs in `disabled` (SRDF), and pairs that touch in at
     least 95 % of random configurations (fixed seed): their shapes overlap by design and would always report a collision.
     """
-    links = sorted({b.link for b in chain.boxes} | {v.link for v in chain.volumes})
-    joint = chain.link_joint
-    pairs = [
+    return self_collisions(chain, disabled, samples).pairs
+
+
+def candidate_pairs(chain: Chain, links: set[int], disabled: frozenset[frozenset[str]]) -> list[tuple[int, int]]:
+    """The pairs of some links that are neither neighbours, nor move together, nor are `disabled`."""
+    joint, ordered = chain.link_joint, sorted(links)
+    return [
         (a, b)
-        for i, a in enumerate(links)
-        for b in links[i + 1 :]
+        for i, a in enumerate(ordered)
+        for b in ordered[i + 1 :]
         if abs(joint[a] - joint[b]) > 1 and frozenset((chain.link_names[a], chain.link_names[b])) not in disabled
     ]
+
+
+def self_collisions(chain: Chain, disabled: frozenset[frozenset[str]] = frozenset(), samples: int = 512) -> SelfCollisions:
+    """`self_collision_pairs`, and what else is known of them."""
+    pairs = candidate_pairs(chain, {b.link for b in chain.boxes} | {v.link for v in chain.volumes}, disabled)
     if not pairs:
-        return ()
+        return SelfCollisions((), (), 0.0)
     rng = np.random.default_rng(0)
-    q = rng.uniform(*finite_limits(chain), (samples, chain.num_joints))
+    q = np.vstack([rng.uniform(*finite_limits(chain), (samples, chain.num_joints)), default_pose(chain)])
     columns = [q[:, i, None] for i in range(chain.num_joints)]
     centres, radii, owner = [], [], []
     for count, skeleton in skeletons(chain, columns, np.float64, BASE).items():
         for weights in _samples(count):
             corner = [sum(w * c[i] for w, c in zip(weights, skeleton.corners, strict=True)) for i in range(3)]
             width = len(skeleton.link)
-            centres.append(np.stack([np.broadcast_to(c, (samples, width)) for c in corner], axis=-1))
+            centres.append(np.stack([np.broadcast_to(c, (len(q), width)) for c in corner], axis=-1))
             radii.append(skeleton.radius)
             owner.append(skeleton.link)
     p, r, o = np.concatenate(centres, axis=1), np.concatenate(radii), np.concatenate(owner)
-    return tuple((a, b) for a, b in pairs if _touching(p, r, o == a, o == b) < 0.95)
+    touch = {(a, b): _touching(p, r, o == a, o == b) for a, b in pairs}
+    kept = {pair: hit for pair, hit in touch.items() if hit[:-1].mean() < 0.95}
+    share = np.any([hit[:-1] for hit in kept.values()], axis=0).mean() if kept else 0.0
+    return SelfCollisions(tuple(kept), tuple(pair for pair, hit in kept.items() if hit[-1]), float(share))
+
+
+def default_pose(chain: Chain) -> np.ndarray:
+    """0 for each joint, or the middle of its limits where they leave 0 out [rad, m]."""
+    lower, upper = finite_limits(chain)
+    return np.where((lower <= 0.0) & (upper >= 0.0), 0.0, (lower + upper) / 2.0)
 
 
 def _samples(count: int) -> np.ndarray:
@@ -184,10 +211,10 @@ def _samples(count: int) -> np.ndarray:
     return np.array([(u, v, 1.0 - u - v) for u in steps for v in steps if u + v <= 1.0 + 1e-9])
 
 
-def _touching(p: np.ndarray, r: np.ndarray, a: np.ndarray, b: np.ndarray) -> float:
-    """The share of configurations in which any sphere of a touches any of b."""
+def _touching(p: np.ndarray, r: np.ndarray, a: np.ndarray, b: np.ndarray) -> np.ndarray:
+    """The configurations in which any sphere of a touches any of b."""
     hit = np.zeros(len(p), bool)
     for i in np.flatnonzero(a):
         gap = np.linalg.norm(p[:, i, None] - p[:, b], axis=-1) - r[i] - r[b]
         hit |= gap.min(axis=1) <= 0.0
-    return float(hit.mean())
+    return hit

@@ -201,6 +201,7 @@ def stopped(*_, **__):
     raise ValueError("far enough")
 
 
+@pytest.mark.filterwarnings("ignore:panda. its .* collide in its default pose")  # `test_fit` holds that it is said
 def test_meshes_are_asked_for(tmp_path, monkeypatch, capsys):
     """What a scene needs is said before anything compiles, and can be given."""
     monkeypatch.setattr(cli, "compilation_cache", lambda: None)
@@ -213,10 +214,10 @@ def test_meshes_are_asked_for(tmp_path, monkeypatch, capsys):
     assert "meshes of panda_link0" in line and "meshes=True (--meshes)" in line
     seen = []
     monkeypatch.setattr(jaxik, "solve_ik", lambda chain, *_, **__: stopped(seen.append(chain)))
-    assert "far enough" in refused(monkeypatch, capsys, *words, "--meshes") and seen[0].boxes and not seen[0].unread_meshes
+    assert "far enough" in refused(monkeypatch, capsys, *words, "--meshes") and seen[0].volumes and not seen[0].unread_meshes
     monkeypatch.setattr(jaxik, "harvest", lambda chain, *_, **__: stopped(seen.append(chain)))
     line = refused(monkeypatch, capsys, "harvest", "--robot", FOLDER / file, "--tip", tip, "--meshes")
-    assert "far enough" in line and seen[1].boxes
+    assert "far enough" in line and seen[1].volumes
 
 
 def test_drivers_say_what_is_missing_before_they_compile(monkeypatch):

@@ -4,25 +4,35 @@ from __future__ import annotations
 
 import dataclasses
 import os
+import warnings
+from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from jaxik.chain import Chain
-from jaxik.choice import shown
+from jaxik.choice import check_kind, shown
+from jaxik.fit import Fit
+from jaxik.fit_report import LinkFit, link_fits
 from jaxik.given import rigid_frame
 from jaxik.load import scene as scene_files
+from jaxik.load.ignore import ignored
+from jaxik.load.mesh import Meshes
 from jaxik.load.mjcf import load_mjcf
+from jaxik.load.save import read_chain, save
 from jaxik.load.srdf import disabled_pairs
 from jaxik.load.targets import load_targets
-from jaxik.load.toml import load_toml
+from jaxik.load.toml import load_toml, read_toml
 from jaxik.load.urdf import load_urdf
 from jaxik.result import LoadError
+from jaxik.robot_fit import Shape, modelled
 from jaxik.scene import Scene
-from jaxik.spheres import self_collision_pairs
+from jaxik.spheres import self_collisions
 
-__all__ = ["LoadError", "load", "load_scene", "load_targets", "models_folder"]
+__all__ = ["LoadError", "fit_report", "load", "load_scene", "load_targets", "models_folder", "save"]
+
+FIT = Fit()
 
 
 def models_folder() -> Path:
@@ -38,30 +48,104 @@ def load(
     *,
     tool: Any = None,
     meshes: bool = False,
+    fit: Any = FIT,
     srdf: str | Path | None = None,
+    ignore: Any = (),
 ) -> Chain:
     """The serial chain of a shipped model (`"p6r"`) or of a file: `.urdf`, `.xml` (MJCF) or `.toml`.
 
     `tip` and `base` name links (bodies or a site in MJCF); without them the chain runs from the root to the only leaf.
-    `tool` (4, 4) moves the tip [m]. `meshes=True` reads collision meshes (URDF) for the boxes around them; without it a
-    chain with meshes has its kinematics, and `clearance` says what is missing. `srdf` names a file whose
-    `disable_collisions` pairs are not checked.
+    `tool` (4, 4) moves the tip [m]. `meshes=True` reads collision meshes and fits capsules around their convex hulls (`fit`;
+    None puts one box around each mesh); without it a URDF with meshes has its kinematics, and `clearance` says what is
+    missing. `srdf` names a file whose `disable_collisions` pairs are not checked. `ignore` lists what is not checked, either:
+    pairs of links, pairs of a link and an object of the scene, and links that no object of a scene counts for.
 
     Raises `LoadError` (a `ValueError`) with one line: the file, the element, what is allowed, the mend.
     """
     path = _locate(source)
     tool = None if tool is None else np.asarray(rigid_frame("tool (tip_T_tool)", tool), np.float64)
+    check_kind("load", "fit", fit, Fit, optional=True)
+    chain, shapes, pairs = _read(path, tip, base, tool, Meshes(fit is not None) if meshes else None)
+    apart, beside = ignored(path, chain, ignore)
+    disabled = apart | (frozenset() if srdf is None else disabled_pairs(Path(srdf)))
+    chain = dataclasses.replace(chain, ignored=tuple(dict.fromkeys(chain.ignored + beside)))
+    if pairs is not None:
+        names = chain.link_names
+        kept = tuple(pair for pair in pairs if frozenset(names[i] for i in pair) not in disabled)
+        return dataclasses.replace(chain, self_pairs=kept)
+    if shapes:
+        model = modelled(chain, shapes, fit, disabled)
+        _tell(chain, "links' hulls", model.at_home, model.colliding)
+        return dataclasses.replace(chain, volumes=chain.volumes + model.volumes(shapes), self_pairs=model.pairs)
+    found = self_collisions(chain, disabled)
+    if meshes:
+        _tell(chain, "boxes", dict.fromkeys(found.at_home), found.share)
+    return dataclasses.replace(chain, self_pairs=found.pairs)
+
+
+def _read(
+    path: Path, tip: str | None, base: str | None, tool: np.ndarray | None, meshes: Meshes | None
+) -> tuple[Chain, list[Shape], tuple[tuple[int, int], ...] | None]:
+    """The chain of a file, the shapes that are to be fitted, and the pairs of links to check where the file says them."""
     kind = path.suffix.lower()
     if kind == ".urdf":
         chain = load_urdf(path, tip, base, tool, meshes)
     elif kind in (".xml", ".mjcf"):
-        chain = load_mjcf(path, tip, base, tool)
+        chain = load_mjcf(path, tip, base, tool, meshes)
     elif kind == ".toml":
+        model = read_toml(path)
+        if model.content.get("convention") == "chain":
+            chain = _saved(path, read_chain(model), tip, base, tool)
+            return chain, [], chain.self_pairs
         chain = load_toml(path, tip, base, tool)
     else:
         raise LoadError(path, "file", f"ending '{kind}'", "allowed: .urdf, .xml (MJCF), .toml")
-    disabled = frozenset() if srdf is None else disabled_pairs(Path(srdf))
-    return dataclasses.replace(chain, self_pairs=self_collision_pairs(chain, disabled))
+    return chain, [] if meshes is None else meshes.shapes(chain), None
+
+
+def _saved(path: Path, chain: Chain, tip: str | None, base: str | None, tool: np.ndarray | None) -> Chain:
+    """A chain that `save` wrote has its base and its tip."""
+    if tip is not None or base is not None:
+        raise LoadError(path, f"tip '{tip}', base '{base}'", "are fixed in a saved chain", "leave them out, or use chain.part")
+    return chain if tool is None else chain.with_tool(tool)
+
+
+def _tell(chain: Chain, what: str, at_home: Mapping[tuple[int, int], float | None], share: float) -> None:
+    """One line where a robot's shapes collide in its default pose, or mostly: what they say of the robot is not true, then."""
+    named = [
+        f"{chain.link_names[a]} and {chain.link_names[b]}" + ("" if depth is None else f" by {1e3 * depth:.1f} mm")
+        for (a, b), depth in at_home.items()
+    ]
+    if named:
+        checked = "" if None in at_home.values() else ", and are not checked against each other"
+        told = f"collide in its default pose{checked}: {'; '.join(named[:3])}{'; ...' if named[3:] else ''}"
+    elif share > 0.5:
+        told = f"collide in {share:.0%} of random configurations"
+    else:
+        return
+    warnings.warn(f"{chain.name}: its {what} {told}; disable pairs that may touch (srdf=, ignore=)", stacklevel=3)
+
+
+def fit_report(
+    source: str | Path,
+    tip: str | None = None,
+    base: str | None = None,
+    *,
+    fit: Fit = FIT,
+    srdf: str | Path | None = None,
+    ignore: Any = (),
+    progress: Callable[[int, int], None] | None = None,
+) -> tuple[LinkFit, ...]:
+    """What `load(..., meshes=True, fit=fit)` puts around each collision mesh of a file: one `LinkFit` a mesh.
+
+    `progress` hears of how many meshes are fitted, of how many. Raises `LoadError` as `load` does.
+    """
+    path = _locate(source)
+    check_kind("fit_report", "fit", fit, Fit)
+    chain, shapes, _ = _read(path, tip, base, None, Meshes(True))
+    disabled = (frozenset() if srdf is None else disabled_pairs(Path(srdf))) | ignored(path, chain, ignore)[0]
+    told = None if progress is None else lambda done: progress(done, len(shapes))
+    return link_fits(chain, shapes, modelled(chain, shapes, fit, disabled, told))
 
 
 def load_scene(source: str | Path) -> Scene:

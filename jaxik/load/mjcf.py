@@ -9,7 +9,7 @@ import numpy as np
 
 from jaxik.chain import Chain
 from jaxik.load.assemble import Joint, Link, assemble, frame
-from jaxik.load.mesh import home, resolve
+from jaxik.load.mesh import Meshes, add_box, add_cylinder, home, resolve
 from jaxik.load.xml import parse
 from jaxik.result import LoadError
 
@@ -17,7 +17,7 @@ FOLDERS = ("meshdir", "texturedir", "assetdir")
 MOST_FILES = 100
 
 
-def load_mjcf(path: Path, tip: str | None, base: str | None, tool: np.ndarray | None) -> Chain:
+def load_mjcf(path: Path, tip: str | None, base: str | None, tool: np.ndarray | None, meshes: Meshes | None = None) -> Chain:
     """The serial chain from body `base` (the world) to body or site `tip` (the only leaf)."""
     import mujoco  # a second to import, and only MJCF needs it
 
@@ -39,7 +39,7 @@ def load_mjcf(path: Path, tip: str | None, base: str | None, tool: np.ndarray | 
         raise LoadError(path, f"tip '{tip}'", f"is not below base '{base}'", "choose a base above the tip")
     names = {i: name for name, i in bodies.items()}
     joints = [j for i in run[::-1] for j in _body_joints(path, model, i, names[i])]
-    links = {names[i]: _link(model, i) for i in (start, *run)}
+    links = {names[i]: _link(model, i, names[i], meshes) for i in (start, *run)}
     tool = tip_T_site if tool is None else tip_T_site @ tool
     return assemble(path, path.stem, names[start], joints, links, tool)
 
@@ -133,7 +133,7 @@ def _about(axis: np.ndarray, angle: float) -> np.ndarray:
     return _rotation(np.concatenate([[np.cos(angle / 2.0)], np.sin(angle / 2.0) * axis]))
 
 
-def _link(model: Any, body: int) -> Link:
+def _link(model: Any, body: int, name: str, meshes: Meshes | None) -> Link:
     import mujoco
 
     inertia_frame = _rotation(model.body_iquat[body])
@@ -153,7 +153,15 @@ def _link(model: Any, body: int) -> Link:
         elif geom.type[0] == mujoco.mjtGeom.mjGEOM_CAPSULE:
             ends = np.array([[0.0, 0.0, -geom.size[1]], [0.0, 0.0, geom.size[1]]])
             link.volumes.append((ends @ body_T_geom[:3, :3].T + body_T_geom[:3, 3], float(geom.size[0])))
+        elif geom.type[0] == mujoco.mjtGeom.mjGEOM_CYLINDER:
+            add_cylinder(meshes, name, link, body_T_geom, float(geom.size[0]), float(geom.size[1]))
+        elif geom.type[0] == mujoco.mjtGeom.mjGEOM_MESH and meshes is not None:
+            mesh = model.mesh(int(geom.dataid[0]))
+            corner, face = int(mesh.vertadr[0]), int(mesh.faceadr[0])
+            points = np.array(model.mesh_vert[corner : corner + int(mesh.vertnum[0])], np.float64)
+            faces = np.array(model.mesh_face[face : face + int(mesh.facenum[0])])
+            meshes.mesh(name, link, mesh.name, body_T_geom, points, faces)
         else:
             centre, half = np.split(np.array(model.geom_aabb[i]), 2)
-            link.boxes.append((body_T_geom @ frame(centre), half))
+            add_box(meshes, name, link, body_T_geom @ frame(centre), half)
     return link

@@ -9,12 +9,12 @@ import numpy as np
 
 from jaxik.chain import Chain
 from jaxik.load.assemble import JOINT_TYPES, Joint, Link, assemble, frame, rpy_matrix, unique
-from jaxik.load.mesh import bounding_box, resolve
+from jaxik.load.mesh import Meshes, add_box, add_cylinder, read_mesh, resolve
 from jaxik.load.xml import attribute, numbers, parse
 from jaxik.result import LoadError
 
 
-def load_urdf(path: Path, tip: str | None, base: str | None, tool: np.ndarray | None, meshes: bool) -> Chain:
+def load_urdf(path: Path, tip: str | None, base: str | None, tool: np.ndarray | None, meshes: Meshes | None) -> Chain:
     """The serial chain from link `base` (the root) to link `tip` (the only leaf)."""
     root = parse(path, "robot")
     elements = {kind: root.findall(kind) for kind in ("link", "joint")}
@@ -103,7 +103,7 @@ def _joint(path: Path, element: Element, child: str) -> Joint:
     return joint
 
 
-def _link(path: Path, name: str, element: Element, meshes: bool) -> Link:
+def _link(path: Path, name: str, element: Element, meshes: Meshes | None) -> Link:
     where, link = f"link '{name}'", Link()
     inertial = element.find("inertial")
     if inertial is not None:
@@ -121,11 +121,13 @@ def _link(path: Path, name: str, element: Element, meshes: bool) -> Link:
     for collision in element.findall("collision"):
         geometry = collision.find("geometry")
         for shape in () if geometry is None else geometry:
-            _shape(path, where, _origin(path, where, collision), shape, link, meshes)
+            _shape(path, name, _origin(path, where, collision), shape, link, meshes)
     return link
 
 
-def _shape(path: Path, where: str, origin: np.ndarray, shape: Element, link: Link, meshes: bool) -> None:
+def _shape(path: Path, owner: str, origin: np.ndarray, shape: Element, link: Link, meshes: Meshes | None) -> None:
+    where = f"link '{owner}'"
+
     def size(key: str, count: int = 1) -> np.ndarray:
         values = numbers(path, f"{where} <{shape.tag}>", shape, key, None, count)
         if np.any(values <= 0.0):
@@ -133,12 +135,12 @@ def _shape(path: Path, where: str, origin: np.ndarray, shape: Element, link: Lin
         return values
 
     if shape.tag == "box":
-        link.boxes.append((origin, size("size", 3) / 2.0))
+        add_box(meshes, owner, link, origin, size("size", 3) / 2.0)
     elif shape.tag == "sphere":
         link.volumes.append((origin[None, :3, 3], float(size("radius")[0])))
     elif shape.tag == "cylinder":
         radius, length = float(size("radius")[0]), float(size("length")[0])
-        link.boxes.append((origin, np.array([radius, radius, length / 2.0])))
+        add_cylinder(meshes, owner, link, origin, radius, length / 2.0)
     elif shape.tag == "capsule":  # not in the standard, read by several simulators
         radius, length = float(size("radius")[0]), float(size("length")[0])
         ends = np.array([[0.0, 0.0, -length / 2.0], [0.0, 0.0, length / 2.0]])
@@ -146,9 +148,8 @@ def _shape(path: Path, where: str, origin: np.ndarray, shape: Element, link: Lin
     elif shape.tag == "mesh":
         name = attribute(path, f"{where} <mesh>", shape, "filename")
         scale = numbers(path, f"{where} <mesh>", shape, "scale", "1 1 1", 3)
-        if meshes:
-            mesh_T_box, half = bounding_box(path, where, name, scale)
-            link.boxes.append((origin @ mesh_T_box, half))
+        if meshes is not None:
+            meshes.mesh(owner, link, name, origin, *read_mesh(path, where, name, scale))
         else:
             resolve(path, where, name)  # refused here, not first when someone asks for the meshes
             link.meshes.append(name)

@@ -2,14 +2,12 @@
 
 from __future__ import annotations
 
-import contextlib
 import ctypes
 import dataclasses
 import functools
 import hashlib
 import importlib.metadata
 import os
-import tempfile
 import threading
 from collections.abc import Sequence, Set
 from concurrent.futures import Future
@@ -19,7 +17,7 @@ from typing import Any
 import jax
 import numpy as np
 
-from jaxik.spmd import machine
+from jaxik.spmd import cache, machine
 from jaxik.spmd.emit import Emitter
 from jaxik.spmd.handler import Row, handler
 from jaxik.spmd.program import Program
@@ -29,7 +27,6 @@ from jaxik.spmd.trace import Traced
 WORTH = 20_000  # operations on vectors that are worth waking a thread for, about 10 us
 QUICK = 30_000  # operations from which LLVM's good code takes seconds, more than linearly, and is not asked for
 GUESS = 8  # turns of a loop whose number is not known
-LIMIT = 2**28  # bytes of the objects on disk, some 10,000 kernels; beyond, those longest not used go
 _lock = threading.Lock()
 _made: dict[tuple[str, tuple[bool, ...]], Future[Made]] = {}
 
@@ -112,14 +109,14 @@ def _make(traced: Traced, shared: tuple[bool, ...]) -> Made:
     if machine.llvm() is None:
         raise Unsupported("without llvmlite (pip install llvmlite)")
     flags = "".join("s" if s else "r" for s in shared)
-    name = f"{_OURS}{hashlib.sha256(f'{traced.digest}{flags}{_version()}'.encode()).hexdigest()[:32]}"
-    stored = _read(name)
+    name = f"{cache.OURS}{hashlib.sha256(f'{traced.digest}{flags}{_version()}'.encode()).hexdigest()[:32]}"
+    stored = cache.read(name)
     if stored is None:
         planned = plan(traced, shared, name)
         stored = np.array([planned.width, planned.chunk]).tobytes() + machine.compiled(
             planned.text, len(planned.needed) > QUICK
         )
-        _write(name, stored)
+        cache.write(name, stored)
     width, chunk = map(int, np.frombuffer(stored[:16], np.int64))
     address, work = machine.linked(stored[16:], name, f"{name}_work")
     jax.ffi.register_ffi_target(name, jax.ffi.pycapsule(ctypes.CFUNCTYPE(ctypes.c_void_p)(address)), platform="cpu")
@@ -130,10 +127,6 @@ def _make(traced: Traced, shared: tuple[bool, ...]) -> Made:
 # Disk
 
 
-_OURS = "jaxik_"  # how the names of kernels begin, and of their files
-_unseen = LIMIT  # bytes that this process has written since it last looked how large the folder is
-
-
 @functools.cache
 def _version() -> str:
     """What machine code depends on beside its program: this package, LLVM, JAX's calls, the processor."""
@@ -141,74 +134,3 @@ def _version() -> str:
     versions = [importlib.metadata.version(p) for p in ("llvmlite", "jaxlib")]
     here = machine.llvm().get_host_cpu_name(), machine.features(), machine.llvm().get_default_triple()
     return hashlib.sha256(sources + repr((versions, here)).encode()).hexdigest()
-
-
-def cache_folder() -> Path | None:
-    """Where compiled kernels lie: beside JAX's compilation cache, or in the user's cache folder; None where JAXIK_CACHE is
-    "off"."""
-    if os.environ.get("JAXIK_CACHE", "") == "off":
-        return None
-    beside = jax.config.values["jax_compilation_cache_dir"]
-    if beside:
-        return Path(beside) / "kernels"
-    return Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache") / "jaxik" / "kernels"
-
-
-def _read(name: str) -> bytes | None:
-    """The object of that name; None if there is none, or one that is damaged or somebody else's."""
-    folder = cache_folder()
-    if folder is None:
-        return None
-    try:
-        path = folder / name
-        if hasattr(os, "getuid") and path.stat().st_uid != os.getuid():
-            return None
-        content = path.read_bytes()
-    except OSError:
-        return None
-    with contextlib.suppress(OSError):  # a folder to read only
-        os.utime(path)
-    check, image = content[:32], content[32:]
-    return image if image and hashlib.sha256(image).digest() == check else None
-
-
-def _write(name: str, image: bytes) -> None:
-    """Beside, then renamed: another process sees all of it or nothing. A folder that cannot be written costs time only."""
-    folder = cache_folder()
-    if folder is None:
-        return
-    with contextlib.suppress(OSError):
-        folder.mkdir(parents=True, exist_ok=True, mode=0o700)
-        handle, aside = tempfile.mkstemp(dir=folder, prefix=_OURS)
-        try:
-            with os.fdopen(handle, "wb") as file:
-                file.write(hashlib.sha256(image).digest() + image)
-            os.replace(aside, folder / name)
-        except OSError:
-            os.unlink(aside)
-        _bound(folder, len(image))
-
-
-def _bound(folder: Path, more: int) -> None:
-    """Looks at the folder now and then, and removes what was longest not used if it holds more than `LIMIT`. Others may do so
-    too: who misses an object makes it again, who has opened one reads it to its end."""
-    global _unseen
-    _unseen += more
-    if _unseen < LIMIT // 16:
-        return
-    _unseen = 0
-    files = []
-    for path in folder.glob(f"{_OURS}*"):
-        with contextlib.suppress(OSError):
-            state = path.stat()
-            files.append((state.st_mtime_ns, state.st_size, path))
-    excess = sum(size for _, size, _ in files) - LIMIT
-    if excess <= 0:
-        return
-    excess += LIMIT // 8  # room for a while
-    for _, size, path in sorted(files):
-        if excess <= 0:
-            break
-        with contextlib.suppress(OSError):
-            path.unlink()
-        excess -= size

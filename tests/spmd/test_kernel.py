@@ -19,7 +19,7 @@ from jax.experimental import io_callback
 
 import jaxik
 from jaxik import spmd
-from jaxik.spmd import call
+from jaxik.spmd import cache, call
 
 
 def arm(q, lengths):
@@ -220,12 +220,12 @@ def test_a_second_process_compiles_nothing(tmp_path):
 
 OBJECTS = """
 import sys
-from jaxik.spmd import call
-call.LIMIT = 50_000
+from jaxik.spmd import cache
+cache.LIMIT = 50_000
 for k in range(300):
     name, image = f"jaxik_{sys.argv[1]}{k}", bytes([k % 256]) * 1000
-    call._write(name, image)
-    assert call._read(name) in (image, None)  # another process may have removed it
+    cache.write(name, image)
+    assert cache.read(name) in (image, None)  # another process may have removed it
 """
 
 
@@ -242,14 +242,14 @@ def test_the_folder_of_objects_is_bounded(tmp_path):
 
 
 def test_what_is_used_stays_on_disk(tmp_path, monkeypatch):
-    monkeypatch.setattr(call, "cache_folder", lambda: tmp_path)
-    monkeypatch.setattr(call, "LIMIT", 50_000)
+    monkeypatch.setattr(cache, "cache_folder", lambda: tmp_path)
+    monkeypatch.setattr(cache, "LIMIT", 50_000)
     for k in range(200):
-        call._write(f"jaxik_{k}", b"x" * 1000)
+        cache.write(f"jaxik_{k}", b"x" * 1000)
         os.utime(tmp_path / f"jaxik_{k}", ns=(10**9 * k, 10**9 * k))  # an hour's work, without the hour
         os.utime(tmp_path / "jaxik_0", ns=(0, 0))
-        assert call._read("jaxik_0") == b"x" * 1000
-    assert call._read("jaxik_1") is None and call._read("jaxik_199") is not None
+        assert cache.read("jaxik_0") == b"x" * 1000
+    assert cache.read("jaxik_1") is None and cache.read("jaxik_199") is not None
 
 
 def test_a_fork_goes_on():
@@ -451,7 +451,7 @@ def test_what_a_loop_stacks_is_written_row_by_row(dtype, turns):
 
 def test_quick_code_has_the_same_bits(monkeypatch):
     """What a program too large for LLVM's good code gets."""
-    monkeypatch.setattr(call, "cache_folder", lambda: None)
+    monkeypatch.setattr(cache, "cache_folder", lambda: None)
     good = jax.jit(jax.vmap(spmd.kernel(lambda q, a: arm(q, a)[1])))(Q, LENGTHS)
     monkeypatch.setattr(call, "QUICK", 0)
     monkeypatch.setattr(call, "_made", {})

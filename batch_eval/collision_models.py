@@ -1,0 +1,199 @@
+"""Collision models from meshes against the truth: capsules fitted to links, and coal's distances of the links' convex hulls.
+
+    python batch_eval/collision_models.py [--accuracy 0.01] [--most 8] [--count 2000] [--json collision_models.json] [robot ...]
+
+For each robot, at random configurations inside its limits and over the pairs of links that the chain checks: how many collide
+by the model and not by the hulls (false), or by the hulls deeper than 3 mm and not by the model (missed). Needs
+`pip install -e ".[test]"`; the robots are those of example-robot-data.
+"""
+
+from __future__ import annotations
+
+import argparse
+import dataclasses
+import json
+import os
+import tempfile
+import time
+from pathlib import Path
+from typing import Any
+from xml.etree import ElementTree
+
+import coal
+import jax
+import jax.numpy as jnp
+import numpy as np
+import trimesh
+from panda import ROBOTS as FOLDER
+from scipy.spatial import ConvexHull
+
+import jaxik
+
+DEEP = 0.003  # [m] of penetration that a model must see
+ROBOTS = {  # file under example-robot-data, tip, base
+    "UR10": ("ur_description/urdf/ur10_robot.urdf", "tool0", None),
+    "xArm7": ("xarm_description/urdf/xarm7.urdf", "link_eef", None),
+    "Kinova j2s6s200": ("kinova_description/robots/kinova.urdf", "j2s6s200_end_effector", None),
+    "Panda": ("panda_description/urdf/panda.urdf", "panda_link8", None),
+    "TIAGo": ("tiago_description/robots/tiago_no_hand.urdf", "wrist_ft_tool_link", None),
+    "Talos' arm": ("talos_data/robots/talos_left_arm.urdf", "gripper_left_base_link", None),
+}
+Transform = tuple[np.ndarray, np.ndarray]
+
+
+def home(chain: jaxik.Chain) -> np.ndarray:
+    """0, or the middle of a joint's limits where 0 is outside."""
+    inside = (chain.lower <= 0.0) & (chain.upper >= 0.0)
+    with np.errstate(invalid="ignore"):
+        return np.where(inside, 0.0, (chain.lower + chain.upper) / 2.0)
+
+
+def draw(chain: jaxik.Chain, count: int) -> np.ndarray:
+    """Random configurations, and the home pose before them."""
+    lower = np.where(np.isfinite(chain.lower), chain.lower, -np.pi)
+    upper = np.where(np.isfinite(chain.upper), chain.upper, np.pi)
+    return np.vstack([home(chain), np.random.default_rng(7).uniform(lower, upper, (count, chain.num_joints))])
+
+
+def convex(points: np.ndarray) -> Any:
+    corners = coal.StdVec_Vec3s()
+    for point in points[ConvexHull(points).vertices]:
+        corners.append(point)
+    return coal.Convex.convexHull(corners, True, "Qt")
+
+
+def origin(element: ElementTree.Element) -> np.ndarray:
+    """A URDF origin, its angles by trimesh."""
+    found = element.find("origin")
+    read = lambda key: [float(x) for x in ("0 0 0" if found is None else found.get(key, "0 0 0")).split()]
+    frame = trimesh.transformations.euler_matrix(*read("rpy"), "sxyz")
+    frame[:3, 3] = read("xyz")
+    return np.asarray(frame)
+
+
+def shape(geometry: ElementTree.Element, frame: np.ndarray) -> Any:
+    """What coal makes of a collision element, and the frame it stands in."""
+    kind = next(iter(geometry))
+    number = lambda key, default="": np.array([float(x) for x in kind.get(key, default).split()])
+    if kind.tag == "mesh":
+        name = kind.get("filename", "").split("example-robot-data/robots/")[-1]
+        mesh: Any = trimesh.load(FOLDER / name.removeprefix("package://"), force="mesh", process=False)
+        points = np.asarray(mesh.vertices) * number("scale", "1 1 1")
+        return convex(points @ frame[:3, :3].T + frame[:3, 3]), np.eye(4)
+    if kind.tag == "box":
+        return coal.Box(*number("size")), frame
+    if kind.tag == "sphere":
+        return coal.Sphere(float(number("radius")[0])), frame
+    return coal.Cylinder(float(number("radius")[0]), float(number("length")[0])), frame
+
+
+class Hulls:
+    """The links as coal sees them, at given configurations."""
+
+    def __init__(self, file: Path, chain: jaxik.Chain, q: np.ndarray) -> None:
+        self.shapes: dict[int, list[Any]] = {}
+        for element in ElementTree.parse(file).getroot().findall("link"):
+            if element.get("name") in chain.link_names:
+                link = chain.link_names.index(str(element.get("name")))
+                parts = [(c.find("geometry"), origin(c)) for c in element.findall("collision")]
+                self.shapes[link] = [shape(g, o) for g, o in parts if g is not None]
+        self.frames = np.asarray(jax.jit(jax.vmap(lambda q: jaxik.link_frames(chain, q)))(jnp.asarray(q)))
+
+    def distances(self, a: int, b: int) -> np.ndarray:
+        """The signed distance of two links at each configuration [m]."""
+        request, found = coal.DistanceRequest(), coal.DistanceResult()
+        least = np.full(len(self.frames), np.inf)
+        for one, one_frame in self.shapes.get(a, []):
+            for other, other_frame in self.shapes.get(b, []):
+                for i, frames in enumerate(self.frames):
+                    found.clear()
+                    first, second = (
+                        coal.Transform3s(f[:3, :3], f[:3, 3]) for f in (frames[a] @ one_frame, frames[b] @ other_frame)
+                    )
+                    least[i] = min(least[i], coal.distance(one, first, other, second, request, found))
+        return least
+
+
+def timed(make: Any) -> tuple[float, Any]:
+    start = time.perf_counter()
+    made = jax.block_until_ready(make())
+    return time.perf_counter() - start, made
+
+
+def measure(name: str, fit: jaxik.Fit | None, count: int) -> dict[str, Any]:
+    """One robot's row."""
+    file, tip, base = ROBOTS[name]
+    load = lambda: jaxik.load(FOLDER / file, tip=tip, base=base, meshes=True, fit=fit)
+    seconds, chain = timed(load)
+    again, _ = timed(load)
+    told = jaxik.fit_report(FOLDER / file, tip=tip, base=base, fit=fit) if fit else ()
+    q = draw(chain, count)
+    own = jax.jit(jax.vmap(lambda q: jaxik.self_clearance(chain, q)))
+    first, _ = timed(lambda: own(jnp.asarray(q)))
+    each, model = timed(lambda: own(jnp.asarray(q)))
+    hulls = Hulls(FOLDER / file, chain, q)
+    by_pair = {pair: hulls.distances(*pair) for pair in chain.self_pairs}
+    truth, model = np.min([*by_pair.values()], axis=0), np.asarray(model)
+    blame = {}
+    for (a, b), distance in by_pair.items():
+        alone = dataclasses.replace(
+            chain,
+            self_pairs=((a, b),),
+            volumes=tuple(v for v in chain.volumes if v.link in (a, b)),
+            boxes=tuple(v for v in chain.boxes if v.link in (a, b)),
+        )
+        if PAIRS:
+            found = np.asarray(jax.jit(jax.vmap(lambda q, c=alone: jaxik.self_clearance(c, q)))(jnp.asarray(q)))
+            blame[f"{chain.link_names[a]}-{chain.link_names[b]}"] = float(np.mean((found <= 0.0) & (distance > 0.0)))
+    return {
+        "robot": name,
+        "meshes": len(told),
+        "volumes": len(chain.volumes),
+        "boxes": len(chain.boxes),
+        "pairs": len(chain.self_pairs),
+        "load [s]": seconds,
+        "load again [s]": again,
+        "protrusion max [mm]": 1e3 * max((t.protrusion for t in told), default=0.0),
+        "protrusion mean [mm]": 1e3 * float(np.mean([t.mean for t in told] or [0.0])),
+        "free by hulls": float(np.mean(truth[1:] > 0.0)),
+        "false": float(np.mean((model[1:] <= 0.0) & (truth[1:] > 0.0))),
+        "missed": int(np.sum((model[1:] > 0.0) & (truth[1:] < -DEEP))),
+        "home by model [mm]": 1e3 * float(model[0]),
+        "home by hulls [mm]": 1e3 * float(truth[0]),
+        "first [s]": first,
+        "self-clearance [us]": 1e6 * each / len(q),
+        "worst pairs": dict(sorted(blame.items(), key=lambda item: -item[1])[:4]),
+    }
+
+
+PAIRS = False  # whether each pair of links is judged alone, too, which compiles as many kernels
+
+
+def main() -> None:
+    global PAIRS
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("robot", nargs="*", help=", ".join(ROBOTS))
+    parser.add_argument("--accuracy", type=float, default=jaxik.Fit().accuracy)
+    parser.add_argument("--most", type=int, default=jaxik.Fit().most)
+    parser.add_argument("--boxes", action="store_true", help="one box around each mesh instead")
+    parser.add_argument("--pairs", action="store_true", help="name the pairs of links that are to blame")
+    parser.add_argument("--count", type=int, default=2000)
+    parser.add_argument("--json")
+    given = parser.parse_args()
+    PAIRS = given.pairs
+    jax.config.update("jax_enable_x64", True)
+    fit = None if given.boxes else jaxik.Fit(given.accuracy, given.most)
+    rows = []
+    for name in given.robot or ROBOTS:
+        rows.append(row := measure(name, fit, given.count))
+        show = lambda v: f"{v:.3g}" if isinstance(v, float) else v
+        print("  ".join(f"{k} {show(v)}" for k, v in row.items() if v != {}), flush=True)
+    if given.json:
+        setting = None if fit is None else dataclasses.asdict(fit)
+        Path(given.json).write_text(json.dumps({"fit": setting, "count": given.count, "rows": rows}, indent=2) + "\n")
+
+
+if __name__ == "__main__":
+    with tempfile.TemporaryDirectory() as folder:  # the time to fit is that of a first load
+        os.environ.setdefault("XDG_CACHE_HOME", folder)
+        main()

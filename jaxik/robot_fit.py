@@ -1,0 +1,325 @@
+"""A robot's collision model from its links' shapes: the pairs of links to check, and capsules that are close where it matters.
+
+The truth is the convex hull of each shape. It is asked in random configurations (`convex`) for each pair of links: pairs that
+touch in the default pose or always are left out, and those that never do, which a search from the nearest configurations
+confirms. Where two links pass each other closely without touching, each keeps behind the plane in the middle of the gap: these
+planes are what `fit` is told. So capsules are spent where links pass each other, and each is tight on that side alone.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import io
+from collections.abc import Callable, Sequence
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from jaxik.algebra import BASE
+from jaxik.chain import Chain, Volume, finite_limits
+from jaxik.convex import Body, apart, directions, overlap, separated
+from jaxik.fit import Fit, Fitted, fitted
+from jaxik.kinematics import joint_frames
+from jaxik.spheres import candidate_pairs, default_pose
+from jaxik.spmd.cache import read, write
+
+SAMPLES = 2000  # random configurations
+ALWAYS = 0.95  # of them in which a pair touches that is not checked
+DEEP = 0.003  # [m] that a pair may overlap and still be left out
+OFTEN = 0.05  # of them from which a pair is checked in any case
+SPARED = 0.01  # of them, the closest, that a fit does not try to tell from collisions
+CLOSEST = 0.25  # of the accuracy, which is the least that a fit tries to keep to
+BINS = 400  # directions for which the closest pass alone counts
+NEAREST, CHILDREN, ROUNDS = 12, 6, 8  # of the search for a collision
+SECTIONS = 32  # corners that stand for a circle
+_VERSION = 2  # of what is stored
+
+Pair = tuple[int, int]
+
+
+class Shape(NamedTuple):
+    """A shape of a link whose hull is fitted: the link, what the file calls it, its corners (p, 3) in the joint's frame [m],
+    and its triangles (f, 3), where they are not those of the hull."""
+
+    link: int
+    name: str
+    corners: np.ndarray
+    faces: np.ndarray | None = None
+
+
+class Model(NamedTuple):
+    """What was fitted: capsules for each shape, the pairs of links to check, those that touch in the default pose and by how
+    much [m], and of the random configurations the share that collides by the hulls, and falsely by the model (links', too)."""
+
+    fits: tuple[Fitted, ...]
+    pairs: tuple[Pair, ...]
+    at_home: dict[Pair, float]
+    colliding: float
+    false: float
+    false_by_link: dict[int, float]
+    home_free: bool
+
+    def volumes(self, shapes: Sequence[Shape]) -> tuple[Volume, ...]:
+        """The capsules as volumes of their links."""
+        return tuple(
+            Volume(ends, np.asarray(radius), shape.link)
+            for shape, found in zip(shapes, self.fits, strict=True)
+            for ends, radius in zip(found.ends, found.radii, strict=True)
+        )
+
+
+def modelled(
+    chain: Chain,
+    shapes: Sequence[Shape],
+    fit: Fit,
+    disabled: frozenset[frozenset[str]] = frozenset(),
+    progress: Callable[[int], None] | None = None,
+) -> Model:
+    """The model of a chain whose other volumes are exact; read from disk where it is known. `progress` hears of each shape."""
+    content = hashlib.sha256(repr((_VERSION, fit, sorted(map(sorted, disabled)), chain.digest)).encode())
+    for shape in shapes:
+        content.update(repr((shape.link, shape.corners.shape)).encode() + np.ascontiguousarray(shape.corners).tobytes())
+    name = f"jaxik_fit_{content.hexdigest()[:32]}"
+    stored = read(name)
+    if stored is not None:
+        try:
+            return _unpacked(stored)
+        except (ValueError, KeyError, IndexError, EOFError, OSError):
+            pass  # of another make: it is made again
+    found = _Links(chain, shapes, disabled).model(fit, progress)
+    write(name, _packed(found))
+    return found
+
+
+def _packed(model: Model) -> bytes:
+    file = io.BytesIO()
+    rows = [np.column_stack([np.full(len(f.radii), i), f.ends.reshape(-1, 6), *f[1:]]) for i, f in enumerate(model.fits)]
+    np.savez(
+        file,
+        allow_pickle=False,
+        capsules=np.concatenate(rows) if rows else np.zeros((0, 9)),
+        count=len(model.fits),
+        pairs=np.array(model.pairs, int).reshape(-1, 2),
+        home=np.array([(*pair, depth) for pair, depth in model.at_home.items()]).reshape(-1, 3),
+        shares=np.array([model.colliding, model.false, model.home_free]),
+        links=np.array([*model.false_by_link.items()]).reshape(-1, 2),
+    )
+    return file.getvalue()
+
+
+def _unpacked(stored: bytes) -> Model:
+    with np.load(io.BytesIO(stored), allow_pickle=False) as table:
+        rows = [table["capsules"][table["capsules"][:, 0] == i] for i in range(int(table["count"]))]
+        return Model(
+            tuple(Fitted(r[:, 1:7].reshape(-1, 2, 3), r[:, 7], r[:, 8]) for r in rows),
+            tuple((int(a), int(b)) for a, b in table["pairs"]),
+            {(int(a), int(b)): float(depth) for a, b, depth in table["home"]},
+            float(table["shares"][0]),
+            float(table["shares"][1]),
+            {int(link): float(share) for link, share in table["links"]},
+            bool(table["shares"][2]),
+        )
+
+
+def hull_corners(points: np.ndarray) -> np.ndarray:
+    """Those of the points (p, 3) that are corners of their convex hull; all of them where they are flat."""
+    from scipy.spatial import ConvexHull, QhullError
+
+    try:
+        return np.asarray(points[ConvexHull(points).vertices])
+    except (QhullError, ValueError):
+        return points
+
+
+class _Pass(NamedTuple):
+    """Two bodies that come close: their numbers, the configurations, the gaps [m] and the directions between them, in the
+    frame of the first's joint; and the second's turn in it."""
+
+    first: int
+    second: int
+    rows: np.ndarray
+    gap: np.ndarray
+    across: np.ndarray
+    turn: np.ndarray
+
+
+class _Links:
+    """The links' hulls in random configurations, the default pose before them."""
+
+    def __init__(self, chain: Chain, shapes: Sequence[Shape], disabled: frozenset[frozenset[str]]):
+        self.chain, self.shapes = chain, shapes
+        exact = [(v.link, Body(np.asarray(v.corners, np.float64), float(v.radius))) for v in chain.volumes]
+        self.bodies = [(s.link, Body(hull_corners(s.corners))) for s in shapes] + exact
+        self.balls = [_ball(body) for _, body in self.bodies]
+        self.pairs = candidate_pairs(chain, {link for link, _ in self.bodies}, disabled)
+        self.limits = finite_limits(chain)
+        rng = np.random.default_rng(0)
+        self.q = np.vstack([default_pose(chain), rng.uniform(*self.limits, (SAMPLES, chain.num_joints))])
+        self.frames = _frames(chain, self.q)
+
+    def model(self, fit: Fit, progress: Callable[[int], None] | None) -> Model:
+        """Pairs, planes, capsules, and what they say of the samples."""
+        passes = {pair: self.passes(pair, 2.0 * fit.accuracy) for pair in self.pairs}
+        gaps = {pair: self.least(found) for pair, found in passes.items()}
+        at_home = {pair: float(self.depth(pair, self.q[:1])[0]) for pair, gap in gaps.items() if gap[0] <= 0.0}
+        kept = [p for p, gap in gaps.items() if gap[0] > 0.0 and np.mean(gap[1:] <= 0.0) < ALWAYS and self.collides(p, gap)]
+        least = np.min([gaps[p] for p in kept], axis=0) if kept else np.full(len(self.q), np.inf)
+        planes = self.planes([each for p in kept for each in passes[p]], least, fit.accuracy)
+        fits = []
+        for number, shape in enumerate(self.shapes):
+            fits.append(fitted(shape.corners, fit, planes[number]))
+            if progress is not None:
+                progress(number + 1)
+        hit = {pair: self.touching(pair, fits) & (least > 0.0) for pair in kept}
+        false = np.any([*hit.values()], axis=0) if hit else np.zeros(len(self.q), bool)
+        by_link = {
+            link: float(np.any([h[1:] for pair, h in hit.items() if link in pair], axis=0).mean())
+            for link in sorted({link for pair in hit for link in pair})
+        }
+        return Model(
+            tuple(fits), tuple(kept), at_home, float(np.mean(least[1:] <= 0.0)), float(false[1:].mean()), by_link, not false[0]
+        )
+
+    def of(self, link: int) -> list[int]:
+        """The numbers of a link's bodies."""
+        return [i for i, (owner, _) in enumerate(self.bodies) if owner == link]
+
+    def between(self, pair: Pair, frames: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Where the second link's joint stands in the frame of the first's: turns (n, 3, 3) and places (n, 3)."""
+        a, b = (frames[self.chain.link_joint[link]] for link in pair)
+        back = a[:, :3, :3].transpose(0, 2, 1)
+        return back @ b[:, :3, :3], np.einsum("nij,nj->ni", back, b[:, :3, 3] - a[:, :3, 3])
+
+    def bound(self, i: int, j: int, turn: np.ndarray, place: np.ndarray) -> np.ndarray:
+        """How far two bodies are apart at least (n,), by the balls around them."""
+        (centre, radius), (other, width) = self.balls[i], self.balls[j]
+        return np.asarray(np.linalg.norm(turn @ other + place - centre, axis=1) - radius - width)
+
+    def passes(self, pair: Pair, near: float) -> list[_Pass]:
+        """Where bodies of a pair of links come nearer than `near`."""
+        turn, place = self.between(pair, self.frames)
+        found = []
+        for i in self.of(pair[0]):
+            for j in self.of(pair[1]):
+                rows = np.flatnonzero(self.bound(i, j, turn, place) < near)
+                gap, across = separated(self.bodies[i][1], self.bodies[j][1], turn[rows], place[rows], near)
+                close = gap < near
+                found.append(_Pass(i, j, rows[close], gap[close], across[close], turn[rows[close]]))
+        return found
+
+    def least(self, passes: Sequence[_Pass]) -> np.ndarray:
+        """The gap of a pair of links in each configuration [m], infinite where it is not close."""
+        least = np.full(len(self.q), np.inf)
+        for each in passes:
+            least[each.rows] = np.minimum(least[each.rows], each.gap)
+        return least
+
+    def depth(self, pair: Pair, q: np.ndarray) -> np.ndarray:
+        """How far a pair of links overlaps at configurations `q` (n,) [m]."""
+        turn, place = self.between(pair, _frames(self.chain, q))
+        each = [(self.bodies[i][1], self.bodies[j][1]) for i in self.of(pair[0]) for j in self.of(pair[1])]
+        return np.asarray(np.max([overlap(a, b, turn, place) for a, b in each], axis=0))
+
+    def gaps(self, pair: Pair, q: np.ndarray, enough: float) -> np.ndarray:
+        """The gap of a pair of links at configurations `q` (n,) [m], at least `enough` where it is no less; 0 if they touch."""
+        turn, place = self.between(pair, _frames(self.chain, q))
+        least = np.full(len(q), max(enough, 1e-9))
+        for i in self.of(pair[0]):
+            for j in self.of(pair[1]):
+                rows = np.flatnonzero(self.bound(i, j, turn, place) < least)
+                found = apart(self.bodies[i][1], self.bodies[j][1], turn[rows], place[rows], float(least.max()))
+                least[rows] = np.minimum(least[rows], np.maximum(found, 0.0))
+        return least
+
+    def collides(self, pair: Pair, gap: np.ndarray) -> bool:
+        """Whether a pair of links ever overlaps by more than `DEEP`: as it is in the samples, or after a search from the
+        nearest of them that only turns the joints between the two."""
+        touching = np.flatnonzero(gap <= 0.0)
+        if len(touching):
+            return len(touching) > OFTEN * len(gap) or bool(self.depth(pair, self.q[touching]).max() > DEEP)
+        joints = np.arange(*sorted(self.chain.link_joint[link] for link in pair))
+        turn, place = self.between(pair, self.frames)
+        bound = np.min([self.bound(i, j, turn, place) for i in self.of(pair[0]) for j in self.of(pair[1])], axis=0)
+        best = self.q[np.argsort(np.where(np.isfinite(gap), gap - 1.0, bound), kind="stable")[:NEAREST]]
+        value, (low, high), rng = self.gaps(pair, best, np.inf), self.limits, np.random.default_rng(1)
+        for turned in range(ROUNDS):
+            born = np.repeat(best, CHILDREN, axis=0)
+            born[:, joints] += 0.25 * 0.6**turned * (high - low)[joints] * rng.normal(size=(len(born), len(joints)))
+            born = np.vstack([best, np.clip(born, low, high)])
+            value = np.concatenate([value, self.gaps(pair, born[NEAREST:], float(value.max()))])
+            touching = np.flatnonzero(value <= 0.0)
+            if len(touching) and self.depth(pair, born[touching]).max() > DEEP:
+                return True
+            order = np.argsort(value, kind="stable")[:NEAREST]
+            best, value = born[order], value[order]
+        return False
+
+    def planes(self, passes: Sequence[_Pass], least: np.ndarray, accuracy: float) -> list[tuple[np.ndarray, np.ndarray]]:
+        """For each body the directions (k, 3) in which others pass it, and half of the gap there (k,) [m]."""
+        free = np.sort(least[least > 0.0])
+        closest = max(2.0 * CLOSEST * accuracy, float(free[min(int(SPARED * len(least)), len(free) - 1)]) if len(free) else 0.0)
+        told: list[list[Any]] = [[] for _ in self.bodies]
+        for each in passes:
+            ok = (each.gap > 0.0) & (least[each.rows] > 0.0) & ((least[each.rows] >= closest) | (each.rows == 0))
+            across, half = each.across[ok], each.gap[ok] / 2.0
+            told[each.first].append((across, half))
+            told[each.second].append((-np.einsum("nji,nj->ni", each.turn[ok], across), half))
+        return [_closest(found) for found in told]
+
+    def touching(self, pair: Pair, fits: Sequence[Fitted]) -> np.ndarray:
+        """The configurations in which the capsules of a pair of links touch."""
+        turn, place = self.between(pair, self.frames)
+        hit = np.zeros(len(self.q), bool)
+        (ends, radii), (others, widths) = (self.capsules(link, fits) for link in pair)
+        for (a, b), radius in zip(ends, radii, strict=True):
+            for (c, d), width in zip(others, widths, strict=True):
+                rows = np.flatnonzero(~hit)
+                start, end = turn[rows] @ c + place[rows], turn[rows] @ d + place[rows]
+                hit[rows] = line_gaps(a, b, start, end) <= radius + width
+        return hit
+
+    def capsules(self, link: int, fits: Sequence[Fitted]) -> tuple[list[Any], list[float]]:
+        ends: list[Any] = []
+        radii: list[float] = []
+        for i in self.of(link):
+            if i < len(fits):
+                ends, radii = [*ends, *fits[i].ends], [*radii, *fits[i].radii]
+            else:
+                corners = self.bodies[i][1].corners
+                ends, radii = [*ends, (corners[0], corners[-1])], [*radii, self.bodies[i][1].radius]
+        return ends, radii
+
+
+def _ball(body: Body) -> tuple[np.ndarray, float]:
+    centre = (body.corners.min(axis=0) + body.corners.max(axis=0)) / 2.0
+    return centre, float(np.linalg.norm(body.corners - centre, axis=1).max()) + body.radius
+
+
+def _frames(chain: Chain, q: np.ndarray) -> np.ndarray:
+    """The frames of the base and of each joint (joints + 1, n, 4, 4) in the base's."""
+    found = (BASE, *joint_frames(chain, list(q.T), BASE, np.float64).joints)
+    entries = [[np.broadcast_to(np.asarray(x, np.float64), len(q)) for x in frame.entries] for frame in found]
+    return np.moveaxis(np.array(entries), 1, 2).reshape(len(found), len(q), 4, 4)
+
+
+def _closest(found: Sequence[tuple[np.ndarray, np.ndarray]]) -> tuple[np.ndarray, np.ndarray]:
+    """Of passes in nearly the same direction the closest."""
+    if not found:
+        return np.zeros((0, 3)), np.zeros(0)
+    across, half = (np.concatenate(column) for column in zip(*found, strict=True))
+    order = np.argsort(half, kind="stable")
+    across, half = across[order], half[order]
+    first = np.unique((across @ directions(BINS).T).argmax(axis=1), return_index=True)[1]
+    return across[first], half[first]
+
+
+def line_gaps(a: np.ndarray, b: np.ndarray, c: np.ndarray, d: np.ndarray) -> np.ndarray:
+    """Segment ab (3,) to segments cd (n, 3) [Ericson 2005, sec. 5.1.9; `distance.line_line` for NumPy]."""
+    u, v, w = b - a, d - c, a - c
+    uu, vv, uv, uw, vw = u @ u, np.sum(v * v, axis=1), v @ u, w @ u, np.sum(v * w, axis=1)
+    over = lambda x, y: np.clip(x / np.maximum(y, 1e-18), 0.0, 1.0)
+    on_second, on_first = lambda s: over(uv * s + vw, vv), lambda t: over(uv * t - uw, uu)
+    t = on_second(over(uv * vw - uw * vv, uu * vv - uv * uv))
+    zero, one = np.zeros(len(c)), np.ones(len(c))
+    tried = [(on_first(t), t)] + [(s, on_second(s)) for s in (zero, one)] + [(on_first(t), t) for t in (zero, one)]
+    return np.asarray(np.min([np.linalg.norm(w + u * s[:, None] - v * t[:, None], axis=1) for s, t in tried], axis=0))

@@ -1,0 +1,220 @@
+"""Capsules fitted to meshes: they hold the hull, reach as far beyond it as is told, and are made once."""
+
+import coal
+import numpy as np
+import pytest
+import trimesh
+from robots import FOLDER, ROBOTS
+from scipy.spatial.transform import Rotation
+from test_load import URDF, write
+
+import jaxik
+from jaxik import fit as fitting
+from jaxik import robot_fit
+from jaxik.convex import Body, overlap, separated
+from jaxik.fit import Fit, fitted
+
+ROUNDING = 1e-9
+
+
+def l_shape():
+    """Two bars, whose hull fills the corner between them."""
+    bars = [trimesh.creation.box((0.4, 0.06, 0.06)), trimesh.creation.box((0.06, 0.06, 0.3))]
+    bars[1].apply_translation((0.17, 0.0, 0.15))
+    return np.concatenate([b.vertices for b in bars])
+
+
+MESHES = {
+    "L": l_shape(),
+    "cylinder": np.asarray(trimesh.creation.cylinder(0.05, 0.3, sections=24).vertices),
+    "plate": np.asarray(trimesh.creation.box((0.3, 0.2, 0.002)).vertices),
+    "flat": np.array([[0.0, 0.0, 0.0], [0.3, 0.0, 0.0], [0.0, 0.2, 0.0], [0.3, 0.2, 0.0]]),
+    "line": np.array([[0.0, 0.0, 0.0], [0.1, 0.2, 0.3]]),
+}
+
+
+@pytest.fixture(autouse=True)
+def cache(tmp_path, monkeypatch):
+    """What is fitted here is not found from elsewhere."""
+    folder = tmp_path / "kernels"
+    monkeypatch.setattr("jaxik.spmd.cache.cache_folder", lambda: folder)
+    return folder
+
+
+def away(points, found):
+    """How far each point lies outside of each capsule [m], by coal."""
+    request, told = coal.DistanceRequest(), coal.DistanceResult()
+    ball, table = coal.Sphere(1e-12), np.empty((len(found.radii), len(points)))
+    for i, ((a, b), radius) in enumerate(zip(found.ends, found.radii, strict=True)):
+        line = b - a
+        turn = trimesh.geometry.align_vectors((0.0, 0.0, 1.0), line) if np.linalg.norm(line) > 1e-12 else np.eye(4)
+        capsule, at = coal.Capsule(radius, float(np.linalg.norm(line))), coal.Transform3s(turn[:3, :3], (a + b) / 2.0)
+        for j, point in enumerate(points):
+            told.clear()
+            table[i, j] = coal.distance(capsule, at, ball, coal.Transform3s(np.eye(3), point), request, told)
+    return table
+
+
+@pytest.mark.parametrize("name", MESHES)
+def test_the_hull_is_held(name):
+    """Every corner and every sample of the hull's inside lies in a capsule."""
+    points = MESHES[name]
+    found = fitted(points, Fit(0.01, 6))
+    mixed = np.random.default_rng(0).dirichlet(np.full(len(points), 0.2), 300) @ points
+    inside = away(np.concatenate([points, mixed]), found).min(axis=0)
+    assert inside.max() <= 1e-7  # coal's tolerance; the numbers themselves hold it to rounding
+    every = np.concatenate([points, mixed])
+    exact = [np.linalg.norm(fitting.away(every, e), axis=1) - r for e, r in zip(found.ends, found.radii, strict=True)]
+    assert np.min(exact, axis=0).max() <= ROUNDING
+
+
+@pytest.mark.parametrize("name", ["L", "cylinder", "plate"])
+def test_the_protrusion_is_what_is_told(name):
+    """No sample of a capsule's surface lies further from the hull, and some lie as far (coal)."""
+    points = MESHES[name]
+    found = fitted(points, Fit(0.01, 6))
+    corners = coal.StdVec_Vec3s()
+    for point in points:
+        corners.append(point)
+    hull = coal.Convex.convexHull(corners, True, "Qt")
+    request, told = coal.DistanceRequest(), coal.DistanceResult()
+    rng = np.random.default_rng(1)
+    for ends, radius, protrusion in zip(found.ends, found.radii, found.protrusion, strict=True):
+        outward = rng.normal(size=(300, 3))
+        outward /= np.linalg.norm(outward, axis=1, keepdims=True)
+        beyond = []
+        for point in np.concatenate([end + radius * outward for end in ends]):
+            told.clear()
+            ball = coal.Transform3s(np.eye(3), point)
+            beyond.append(coal.distance(hull, coal.Transform3s.Identity(), coal.Sphere(1e-9), ball, request, told))
+        assert max(beyond) <= protrusion + 1e-6
+        assert max(beyond) >= 0.8 * protrusion
+
+
+def test_more_capsules_come_closer():
+    few, more = (fitted(MESHES["cylinder"], Fit(0.001, most)).protrusion.max() for most in (2, 16))
+    assert more < 0.7 * few
+    assert len(fitted(MESHES["cylinder"], Fit(0.03)).radii) < 4  # and no more than the accuracy asks for
+
+
+ARM = """<robot name="arm">
+<link name="base"><collision><geometry><cylinder radius="0.1" length="0.1"/></geometry></collision></link>
+<joint name="turn" type="revolute"><parent link="base"/><child link="hub"/><axis xyz="0 0 1"/>
+<limit lower="-3" upper="3"/></joint>
+<link name="hub"/>
+<joint name="lift" type="revolute"><parent link="hub"/><child link="arm"/><origin xyz="0 0 0.12"/><axis xyz="0 1 0"/>
+<limit lower="-2.4" upper="2.4"/></joint>
+<link name="arm"><collision><origin xyz="0 0 0.2"/><geometry><box size="0.06 0.06 0.4"/></geometry></collision></link>
+<joint name="twist" type="revolute"><parent link="arm"/><child link="tip"/><origin xyz="0 0 0.45"/><axis xyz="0 0 1"/>
+<limit lower="-3" upper="3"/></joint>
+<link name="tip"><collision><geometry><sphere radius="0.03"/></geometry></collision></link>
+</robot>"""
+
+
+@pytest.fixture
+def arm(tmp_path):
+    return write(tmp_path, "arm.urdf", ARM)
+
+
+def test_a_model_is_made_once_and_the_same_again(arm, cache, monkeypatch):
+    first = jaxik.load(arm, meshes=True)
+    (file,) = cache.iterdir()
+    with monkeypatch.context() as held:
+        held.setattr(robot_fit, "_Links", None)  # not asked
+        assert jaxik.load(arm, meshes=True) == first
+    for damaged in (b"", b"damaged", file.read_bytes()[:-1]):
+        file.write_bytes(damaged)
+        assert jaxik.load(arm, meshes=True) == first  # made again, to the same numbers
+    robot_fit.write(file.name, b"of another make")
+    assert jaxik.load(arm, meshes=True) == first
+    jaxik.load(arm, meshes=True, fit=Fit(0.01))
+    assert len(list(cache.iterdir())) == 2
+
+
+@pytest.mark.parametrize(
+    "options, words",
+    [
+        ({"accuracy": 0.0}, "accuracy=0.0; allowed: 0.0001 to 10"),
+        ({"accuracy": float("nan")}, "accuracy=nan"),
+        ({"accuracy": "4 mm"}, "accuracy=4 mm"),
+        ({"most": 0}, "most=0 capsules a mesh; allowed: 1 to 256"),
+        ({"most": 2.5}, "most=2.5"),
+        ({"most": True}, "most=True"),
+    ],
+)
+def test_bad_options_are_one_line(options, words):
+    with pytest.raises(ValueError) as caught:
+        Fit(**options)
+    assert words in str(caught.value) and "\n" not in str(caught.value)
+    with pytest.raises(ValueError, match=r"write a jaxik\.Fit"):
+        jaxik.load(FOLDER / ROBOTS["panda"][0], tip="panda_link8", meshes=True, fit="close")
+
+
+def test_a_report_says_what_was_fitted(tmp_path):
+    """In the units of the file, for each mesh: the scale is in, and so is its place on the link."""
+    trimesh.creation.box((100.0, 100.0, 400.0)).export(tmp_path / "bar.stl")
+    mesh = '<link name="tool"><collision><origin xyz="0 0 0.5"/><geometry><mesh filename="bar.stl" scale="0.001 0.001 0.001"/>'
+    path = write(tmp_path, "arm.urdf", URDF.replace('<link name="tool"/>', mesh + "</geometry></collision></link>"))
+    (told,) = jaxik.fit_report(path, fit=Fit(0.03))
+    assert told.link == "tool" and told.mesh == "bar.stl" and 0.0 < told.mean < told.protrusion <= 0.03
+    chain = jaxik.load(path, meshes=True, fit=Fit(0.03))
+    fitted_here = [v for v in chain.volumes if chain.link_names[v.link] == "tool"]
+    assert len(fitted_here) == told.capsules and not chain.unread_meshes
+    assert {len(v.corners) for v in fitted_here} == {2}
+    box = jaxik.load(path, meshes=True, fit=None).boxes[-1]
+    assert np.allclose(sorted(box.half), [0.05, 0.05, 0.2]) and box.joint_T_box[2, 3] == pytest.approx(0.5)
+
+
+def test_a_default_pose_in_collision_is_told():
+    """Panda's hand lies in link 5 where all joints are 0; MoveIt's own file leaves the pair out for that, too ("Default")."""
+    file, _ = ROBOTS["panda"]
+    with pytest.warns(UserWarning, match="panda_link5 and panda_hand by 41.* mm"):
+        chain = jaxik.load(FOLDER / file, tip="panda_hand", meshes=True)
+    named = {frozenset((chain.link_names[a], chain.link_names[b])) for a, b in chain.self_pairs}
+    assert frozenset(("panda_link5", "panda_hand")) not in named
+    assert frozenset(("panda_link0", "panda_link6")) in named
+
+
+def as_coal(points):
+    corners = coal.StdVec_Vec3s()
+    for point in points:
+        corners.append(point)
+    return coal.Convex.convexHull(corners, True, "Qt")
+
+
+@pytest.mark.parametrize("first, second", [("L", "cylinder"), ("plate", "L"), ("cylinder", "plate")])
+def test_distances_of_hulls_are_coals(first, second):
+    """Which touch, how far the others are apart, in which direction, and by how much the touching overlap."""
+    a, b = MESHES[first], MESHES[second]
+    turn = Rotation.random(300, random_state=4).as_matrix()
+    turn[:30] = np.eye(3)  # faces along faces
+    place = np.random.default_rng(4).normal(size=(300, 3)) * 0.15
+    request, told, one, other = coal.DistanceRequest(), coal.DistanceResult(), as_coal(a), as_coal(b)
+    true = np.empty(300)
+    for i in range(300):
+        told.clear()
+        true[i] = coal.distance(one, coal.Transform3s.Identity(), other, coal.Transform3s(turn[i], place[i]), request, told)
+    gap, across = separated(Body(a), Body(b), turn, place)
+    apart = true > 1e-7
+    assert 30 < apart.sum() < 270 and np.array_equal(gap > 0.0, apart)
+    np.testing.assert_allclose(gap[apart], true[apart], rtol=2e-4)
+    corners = np.einsum("nij,pj->npi", turn, b) + place[:, None]
+    seen = (corners @ across[:, :, None])[..., 0].min(axis=1) - (across @ a.T).max(axis=1)
+    np.testing.assert_allclose(seen[apart], gap[apart], atol=1e-12)  # a plane with nothing in between, as wide as told
+    soon = separated(Body(a), Body(b), turn, place, 0.01)[0]
+    assert (
+        np.array_equal(soon > 0.0, apart)
+        and np.all(np.minimum(gap, 0.01) * (1.0 - 2e-4) <= soon)
+        and np.all(soon <= gap + 1e-12)
+    )
+    depth = overlap(Body(a, 0.001), Body(b), turn[~apart], place[~apart]) - 0.001
+    assert np.all(depth >= -true[~apart] - 1e-6) and np.median(depth + true[~apart]) < 2e-4  # never told less than it is
+
+
+def test_pairs_are_those_that_collide(arm, tmp_path):
+    """A pair that never touches is not checked, one that does is; files and users leave out others."""
+    pairs = lambda *a, **k: {tuple(c.link_names[i] for i in p) for c in [jaxik.load(*a, **k)] for p in c.self_pairs}
+    assert pairs(arm, meshes=True) == {("base", "arm")}  # the tip turns beside the base, out of its reach
+    assert pairs(arm, meshes=True, ignore=[("arm", "base")]) == set()
+    above = write(tmp_path, "above.urdf", ARM.replace("2.4", "1.5"))
+    assert pairs(above, meshes=True) == set()  # and the arm above it
