@@ -19,14 +19,14 @@ from jaxtyping import Bool, Float
 from jaxik.algebra import traced
 from jaxik.chain import Array, Chain, as_configuration
 from jaxik.choice import check_kind
-from jaxik.hierarchy import Surroundings, surroundings
+from jaxik.hierarchy import Grouped, grouped
 from jaxik.nearest import Space
 from jaxik.scene import FAR, Scene
 from jaxik.spheres import LEVELS, Skeleton, skeletons
 from jaxik.spmd import kernel
 
 
-def clearance(chain: Chain, scene: Scene | Surroundings | None, q: Float[Array, " n"]) -> Float[Array, ""]:
+def clearance(chain: Chain, scene: Scene | Grouped | None, q: Float[Array, " n"]) -> Float[Array, ""]:
     """The smallest signed distance of the robot to the scene and to itself [m]; negative is depth of penetration, of a line in
     a box or a cylinder that of its deepest point (`distance`). Traced.
 
@@ -35,13 +35,13 @@ def clearance(chain: Chain, scene: Scene | Surroundings | None, q: Float[Array, 
     gradient is that of the closest pair; where a sphere's centre lies on a point it is 0.
 
     A scene that is known while JAX traces is ordered by place, so that most of it need not be measured: close over it, or give
-    what `hierarchy.surroundings` makes of it. Raises `ValueError` for a chain without collision geometry, or whose meshes were
+    what `hierarchy.grouped` makes of it. Raises `ValueError` for a chain without collision geometry, or whose meshes were
     not read.
     """
     return _clearance(chain, _around("clearance", chain, scene), q)
 
 
-def link_clearances(chain: Chain, scene: Scene | Surroundings | None, q: Float[Array, " n"]) -> Float[Array, " k"]:
+def link_clearances(chain: Chain, scene: Scene | Grouped | None, q: Float[Array, " n"]) -> Float[Array, " k"]:
     """The clearance of each link that has collision geometry, in the order of the links [m]; `clearance` is their minimum.
     Traced.
 
@@ -56,7 +56,7 @@ def self_clearance(chain: Chain, q: Float[Array, " n"]) -> Float[Array, ""]:
     return _clearance(chain, _around("self_clearance", chain, None), q)
 
 
-def collides(chain: Chain, scene: Scene | Surroundings | None, q: Float[Array, " n"], margin: Any = 0.0) -> Bool[Array, ""]:
+def collides(chain: Chain, scene: Scene | Grouped | None, q: Float[Array, " n"], margin: Any = 0.0) -> Bool[Array, ""]:
     """Whether the robot comes nearer than `margin` [m] to the scene or to itself: `clearance < margin`, or NaN. Traced.
 
     Many times faster than the clearance, since what is further away than the margin is not measured, and the first that is
@@ -69,21 +69,21 @@ def object_clearances(chain: Chain, scene: Scene, q: Float[Array, " n"]) -> Floa
     """The robot's signed distance to each object of `scene.object_names` [m]; infinite to one that is moved away. Traced."""
     check_kind("object_clearances", "scene", scene, Scene)
     check_geometry(chain)
-    return by_object(chain, len(scene.object_names), surroundings(scene, by_object=True), q)
+    return by_object(chain, len(scene.object_names), grouped(scene, chain, by_object=True), q)
 
 
-def link_contacts(chain: Chain, around: Surroundings, q: Any) -> tuple[Any, list[Any]]:
+def link_contacts(chain: Chain, around: Grouped, q: Any) -> tuple[Any, list[Any]]:
     """`link_clearances` (k,), and their derivatives by each joint: n arrays (k,) [m/rad, 1]."""
     space = Space(chain, around, as_configuration(chain, q))
     return space.each(lambda found: (_seen(found.distance), space.slopes(found)), tracked=True)
 
 
-def _around(who: str, chain: Chain, scene: Any) -> Surroundings:
+def _around(who: str, chain: Chain, scene: Any) -> Grouped:
     if not isinstance(scene, tuple):
         check_kind(who, "scene", scene, Scene, optional=True)
     check_kind(who, "chain", chain, Chain)
     check_geometry(chain)
-    return surroundings(scene)
+    return grouped(scene, chain)
 
 
 def world_volumes(chain: Chain, q: Float[Array, " n"]) -> dict[int, Skeleton]:
@@ -106,38 +106,38 @@ def check_geometry(chain: Chain) -> None:
 
 
 @kernel(models=1)
-def _clearance(chain: Chain, around: Surroundings, q: Any) -> Any:
+def _clearance(chain: Chain, around: Grouped, q: Any) -> Any:
     return _measured(chain, around, q, lambda space, then, tracked: then(space.all(tracked=tracked)))
 
 
 @kernel(models=1)
-def _link_clearances(chain: Chain, around: Surroundings, q: Any) -> Any:
+def _link_clearances(chain: Chain, around: Grouped, q: Any) -> Any:
     return _measured(chain, around, q, lambda space, then, tracked: space.each(then, tracked))
 
 
 @kernel(models=2)
-def by_object(chain: Chain, count: int, around: Surroundings, q: Any) -> Any:
+def by_object(chain: Chain, count: int, around: Grouped, q: Any) -> Any:
     """`object_clearances` (count,) to obstacles that are ordered so."""
     return _measured(chain, around, q, lambda space, then, tracked: space.objects(count, then, tracked))
 
 
 @kernel(models=1)
-def _collides(chain: Chain, around: Surroundings, q: Any, margin: Any) -> Any:
+def _collides(chain: Chain, around: Grouped, q: Any, margin: Any) -> Any:
     q = as_configuration(chain, q)
     margin = jnp.asarray(margin, q.dtype)
     least = Space(chain, around, q).all(margin, enough=margin).distance
     return ~((least >= margin) & (_unsound(around, q) == 0.0))
 
 
-def _measured(chain: Chain, around: Surroundings, q: Any, search: Callable[..., Any]) -> Any:
+def _measured(chain: Chain, around: Grouped, q: Any, search: Callable[..., Any]) -> Any:
     """What `search` finds, whose derivative by q is that of `Space.slopes`."""
     q = as_configuration(chain, q)
 
-    def direct(around: Surroundings, q: Any) -> Any:
+    def direct(around: Grouped, q: Any) -> Any:
         space = Space(chain, around, q)
         return search(Space(*lax.stop_gradient((chain, around, q))), lambda found: _seen(space.gap(found)), True)
 
-    def plain(around: Surroundings, q: Any) -> Any:
+    def plain(around: Grouped, q: Any) -> Any:
         return search(Space(chain, around, q), lambda found: _seen(found.distance), False)
 
     def rule(primals: Any, tangents: Any) -> Any:
@@ -154,7 +154,7 @@ def _measured(chain: Chain, around: Surroundings, q: Any, search: Callable[..., 
     return (direct if shaped else measure)(around, q) + _unsound(around, q)
 
 
-def _unsound(around: Surroundings, q: Any) -> Any:
+def _unsound(around: Grouped, q: Any) -> Any:
     """0, or NaN where a number of the scene or of q is: comparisons, by which the nearest is found, do not carry it on."""
     return lax.stop_gradient(sum((o.unsound.astype(q.dtype) for o in around), start=0.0 * jnp.sum(q)))
 

@@ -91,7 +91,7 @@ def explain(chain: Chain, scene: Scene | None, q: Float[Array, " n"], count: int
     check_geometry(chain)
     volumes = skeletons(chain, posture.tolist(), np.float64)
     with jax.enable_x64(True):
-        pairs = [*_with_scene(scene, volumes), *_with_itself(chain, volumes)]
+        pairs = [*_with_scene(chain, scene, volumes), *_with_itself(chain, volumes)]
         found = [row for apart, *row in _nearest(pairs)[:count] if apart < below]
         contacts = tuple(_contact(chain, scene, pairs, *row) for row in found)
     return Surroundings(contacts, _limits(chain, posture)[:count])
@@ -111,15 +111,18 @@ class _Pairs:
     least: np.ndarray
 
 
-def _with_scene(scene: Scene | None, volumes: Any) -> Iterator[_Pairs]:
+def _with_scene(chain: Chain, scene: Scene | None, volumes: Any) -> Iterator[_Pairs]:
     if scene is None:
         return
+    meet = np.ones((len(scene.object_names) + 1, len(chain.link_names)), bool)  # the last for what has no name
+    for link, what in chain.ignored:
+        meet[[what in ("*", name) for name in (*scene.object_names, "")], link] = False
     for kind, owners in zip(KINDS, scene.owners, strict=True):
         if scene.counts[kind]:
             gap, others = obstacles_of(kind, vars(getattr(scene, kind)), jnp.float64)
             owner = np.array([*owners, *[-1] * (scene.counts[kind] - len(owners))], int)
             for skeleton in volumes.values():
-                yield from _blocks(gap, skeleton, others, owner)
+                yield from _blocks(gap, skeleton, others, owner, meet, False)
 
 
 def _with_itself(chain: Chain, volumes: Any) -> Iterator[_Pairs]:
@@ -130,21 +133,22 @@ def _with_itself(chain: Chain, volumes: Any) -> Iterator[_Pairs]:
     for mine in volumes.values():
         for theirs in volumes.values():
             if meet[np.ix_(np.unique(theirs.link), np.unique(mine.link))].any():
-                yield from _blocks(skeleton_gap, mine, columns_of(theirs, jnp.float64), theirs.link, meet)
+                yield from _blocks(skeleton_gap, mine, columns_of(theirs, jnp.float64), theirs.link, meet, True)
 
 
-def _blocks(gap: Any, skeleton: Any, others: Any, owners: np.ndarray, meet: np.ndarray | None = None) -> Iterator[_Pairs]:
-    """Block by block of the others, all of one size (the last overlaps the one before), so that one program does them all."""
+def _blocks(gap: Any, skeleton: Any, others: Any, owners: np.ndarray, meet: np.ndarray, itself: bool) -> Iterator[_Pairs]:
+    """Block by block of the others, all of one size (the last overlaps the one before), so that one program does them all;
+    `meet` says which owner counts for which link."""
     ours, links = columns_of(skeleton, jnp.float64), skeleton.link
     others = jax.tree_util.tree_map(np.asarray, others)
     rows = min(len(owners), max(1, BLOCK // len(links)))
     for start in sorted({*range(0, len(owners) - rows, rows), len(owners) - rows}):
         block = slice(start, start + rows)
         apart = np.asarray(_apart(gap, ours, jax.tree_util.tree_map(lambda x, block=block: x[block], others)))
-        seen = apart < FAR / 2.0 if meet is None else meet[owners[block, None], links]
+        seen = (apart < FAR / 2.0) & meet[owners[block, None], links]
         least = _least(np.where(seen, apart, np.inf), owners[block], links)
         least[:, 1] += start
-        yield _Pairs(gap, ours, others, links, owners, meet is not None, least)
+        yield _Pairs(gap, ours, others, links, owners, itself, least)
 
 
 def _least(apart: np.ndarray, owners: np.ndarray, links: np.ndarray) -> np.ndarray:

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import dataclasses
 import functools
+import itertools
 from typing import Any, NamedTuple
 
 import jax
@@ -34,15 +35,11 @@ class Balls(NamedTuple):
     radius: Any
 
 
-@functools.partial(
-    jax.tree_util.register_dataclass,
-    data_fields=["rows", "leaves", "branches", "first", "last", "count", "unsound"],
-    meta_fields=["kind"],
-)
 @dataclasses.dataclass(frozen=True)
 class Obstacles:
     """Those of one `kind`, ordered by place: leaves of `LEAF` rows each; branch b holds the leaves `first[b]` to `last[b]`, not
-    counted, and is one of the `count` that are there if b is less. `unsound` is 0, or NaN where a number of theirs is."""
+    counted, and is one of the `count` that are there if b is less; `ignored[b]` are the `bits` of links that it does not
+    count for. `unsound` is 0, or NaN where a number of theirs is."""
 
     kind: str
     rows: dict[str, Any]
@@ -50,69 +47,88 @@ class Obstacles:
     branches: Balls
     first: Any
     last: Any
+    ignored: Any
     count: Any
     unsound: Any
 
 
-Surroundings = tuple[Obstacles, ...]
+_LEAVES = [field.name for field in dataclasses.fields(Obstacles) if field.name != "kind"]
+jax.tree_util.register_dataclass(Obstacles, data_fields=_LEAVES, meta_fields=["kind"])
+Grouped = tuple[Obstacles, ...]
 
 
-def surroundings(scene: Scene | Surroundings | None, by_object: bool = False) -> Surroundings:
-    """The scene's obstacles by kind; what is out of the way is left out where that is known. `by_object`: branch b holds what
-    belongs to object b. Raises `ValueError` for arrays that were put in by hand and are none of a scene."""
+def grouped(scene: Scene | Grouped | None, chain: Chain, by_object: bool = False) -> Grouped:
+    """The scene's obstacles by kind, for a chain; what is out of the way is left out where that is known. `by_object`: branch b
+    holds what belongs to object b.
+
+    Raises `ValueError` for arrays that were put in by hand and are none of a scene, and for a chain that ignores too much.
+    """
     if scene is None:
         return ()
     if not isinstance(scene, Scene):
         return scene
     if not is_remembered(scene) and is_traced(scene):
         check_scene(scene)
-        return _surroundings(scene, by_object)
+        return _grouped(scene, chain.ignored, by_object)
     remembered(scene, "checked", lambda: check_scene(scene))
-    return remembered(scene, ("surroundings", by_object), lambda: _surroundings(scene, by_object))
+    return remembered(scene, (chain.ignored, by_object), lambda: _grouped(scene, chain.ignored, by_object))
 
 
-def _surroundings(scene: Scene, by_object: bool) -> Surroundings:
+def bits(ignored: tuple[tuple[int, str], ...]) -> dict[int, int]:
+    """The bit that stands for each link that ignores something."""
+    links = sorted({link for link, _ in ignored})
+    if len(links) > 31:
+        raise ValueError(f"ignore: {len(links)} links of which objects are ignored; allowed: 31")
+    return {link: 1 << k for k, link in enumerate(links)}
+
+
+def _grouped(scene: Scene, ignored: tuple[tuple[int, str], ...], by_object: bool) -> Grouped:
+    bit = bits(ignored)
+    masks = [sum({bit[link] for link, what in ignored if what in ("*", name)}) for name in (*scene.object_names, "")]
     found = []
     for kind, owners in zip(KINDS, scene.owners, strict=True):
         rows = dict(vars(getattr(scene, kind)))
-        if len(rows[PLACE[kind]]):
-            found.append(_obstacles(kind, rows, owners, len(scene.object_names) if by_object else None))
+        count = len(rows[PLACE[kind]])
+        if count:
+            owner = np.array([*owners, *[-1] * (count - len(owners))], int)
+            found.append(_obstacles(kind, rows, owner, np.array(masks, np.int32), by_object))
     return tuple(found)
 
 
-def _obstacles(kind: str, rows: dict[str, Any], owners: Any, objects: int | None) -> Obstacles:
+def _obstacles(kind: str, rows: dict[str, Any], owner: np.ndarray, masks: np.ndarray, by_object: bool) -> Obstacles:
+    """`masks` of each object, and of what belongs to none, at last."""
     size, known = LEAF[kind], not is_traced(rows)
     xp = np if known else jnp
     center, radius = _extent(kind, rows if known else lax.stop_gradient(rows), xp)
     there = np.arange(len(radius)) if not known else np.flatnonzero(~(np.abs(center).max(axis=1) > FAR / 2.0))
-    if objects is None:
-        groups = [there]
-    else:
-        owner = np.array([*owners, *[-1] * (len(radius) - len(owners))])[there]
-        groups = [there[owner == each] for each in range(objects)]
+    key = owner[there] if by_object else masks[owner[there]]
+    keys = np.arange(len(masks) - 1) if by_object else np.unique(key)
+    groups = [there[key == each] for each in keys] if len(keys) != 1 or by_object else [there]
     if known:
         groups = [g[by_place(center[g], size)] for g in groups]
-    order = np.concatenate([g if len(g) % size == 0 else np.pad(g, (0, -len(g) % size), "edge") for g in groups]).astype(int)
-    leaves = len(order) // size
-    if objects is None:
-        fan = max(FAN, round(leaves**0.5))
-        first = np.arange(0, leaves, fan)
-        last = np.minimum(first + fan, leaves)
-    else:
-        last = np.cumsum([-(-len(g) // size) for g in groups])
-        first = last - [-(-len(g) // size) for g in groups]
+    ends = np.cumsum([-(-len(g) // size) for g in groups], dtype=int)
+    leaves = int(ends[-1]) if len(ends) else 0
+    padded = [g if len(g) % size == 0 else np.pad(g, (0, -len(g) % size), "edge") for g in groups]
+    order = np.concatenate([np.zeros(0, int), *padded])
+    fan = leaves + 1 if by_object else max(FAN, round(leaves**0.5))  # leaves a branch, at most
+    begins = [np.arange(a, max(b, a + by_object), fan) for a, b in itertools.pairwise([0, *ends])]
+    first = np.concatenate([np.zeros(0, int), *begins])
+    group = np.repeat(np.arange(len(groups)), [len(b) for b in begins])
+    last = np.minimum(first + fan, ends[group]) if len(first) else first
+    ignores = (masks[:-1] if by_object else keys)[group].astype(np.int32)
     room = max(leaves, len(first))
     room = next((n for n in LEAVES if n >= room), room) if known else room
     balls = around(center[order].reshape(-1, size, 3), radius[order].reshape(-1, size), xp)
-    filled = lambda x: _filled(x, room, xp)
+    filled, numbered = lambda x: _filled(x, room, xp), lambda x: _filled(x.astype(np.int32), room, np)
     placed = lambda x: x if np.ndim(x) == 0 else _filled(x[order], room * size, xp)
     return Obstacles(
         kind,
         {name: placed(x) for name, x in rows.items()},
         Balls(*map(filled, balls)),
         Balls(*map(filled, _joined(balls, first, last, xp))),
-        _filled(first.astype(np.int32), room, np),
-        _filled(last.astype(np.int32), room, np),
+        numbered(first),
+        numbered(last),
+        numbered(ignores),
         np.int32(len(first)),
         xp.sum(center) * 0.0 + xp.sum(radius) * 0.0,
     )

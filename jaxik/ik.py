@@ -22,7 +22,7 @@ from jaxik.collision import check_geometry
 from jaxik.contacts import explain
 from jaxik.costs import comfort_cost, joint_freedom
 from jaxik.given import RIGID, numbers
-from jaxik.hierarchy import Surroundings
+from jaxik.hierarchy import Grouped
 from jaxik.ik_job import Job
 from jaxik.ik_options import IKOptions
 from jaxik.kinematics import manipulability
@@ -102,7 +102,7 @@ class IKResult:
 def solve_ik(
     chain: Chain,
     targets: Any,
-    scene: Scene | Surroundings | None = None,
+    scene: Scene | Grouped | None = None,
     seed: int = 0,
     options: IKOptions | None = None,
     progress: Callable[[int], Any] | None = None,

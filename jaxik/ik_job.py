@@ -13,7 +13,7 @@ from jaxik.chain import Chain, finite_range
 from jaxik.choice import check_finite, check_seed, shown
 from jaxik.closed_form import TURN, closed_form_obstacle
 from jaxik.costs import check_cost
-from jaxik.hierarchy import Surroundings, surroundings
+from jaxik.hierarchy import Grouped, grouped
 from jaxik.ik_options import IKOptions
 from jaxik.scene import Scene
 
@@ -26,7 +26,7 @@ class Job:
     """What all targets share, and for each its tolerances (N, 2) and reference (N, n)."""
 
     chain: Chain
-    scene: Surroundings | None
+    scene: Grouped | None
     seed: int
     options: IKOptions
     low: np.ndarray
@@ -39,7 +39,7 @@ class Job:
     reference: np.ndarray | None
 
     @staticmethod
-    def of(chain: Chain, scene: Scene | Surroundings | None, seed: int, options: IKOptions, count: int) -> Job:
+    def of(chain: Chain, scene: Scene | Grouped | None, seed: int, options: IKOptions, count: int) -> Job:
         n = chain.num_joints
         low, high = _limits(chain, options)
         weights = np.ones(n)
@@ -60,7 +60,7 @@ class Job:
             raise ValueError("reference holds NaN or infinity; write a configuration (n,), or one a target (N, n) [rad, m]")
         strategy = _strategy(chain, options)
         inside = _range(chain, tuple(low.tolist()), tuple(high.tolist()), strategy != "near")
-        around = surroundings(scene) if scene is not None else None
+        around = grouped(scene, chain) if scene is not None else None
         unit = lanes.unit_length(chain)
         return Job(chain, around, seed, options, low, high, weights, inside, unit, strategy, tolerance, reference)
 

@@ -21,7 +21,7 @@ from jaxik import distance, hierarchy
 from jaxik.algebra import Frame, Vec3, stack, traced
 from jaxik.chain import Chain
 from jaxik.gaps import Gap, obstacles_of, skeleton_gap, square_gap
-from jaxik.hierarchy import Robot, Surroundings, Volumes
+from jaxik.hierarchy import Grouped, Robot, Volumes
 from jaxik.kinematics import joint_frames
 
 
@@ -60,9 +60,11 @@ class Others(NamedTuple):
 class Space:
     """A robot at one configuration, among what surrounds it."""
 
-    def __init__(self, chain: Chain, surroundings: Surroundings, q: Any, skips: bool = True):
+    def __init__(self, chain: Chain, surroundings: Grouped, q: Any, skips: bool = True):
         self.robot, self.obstacles, self.dtype, self.skips = hierarchy.robot(chain), surroundings, q.dtype, skips
         self.prismatic = chain.is_prismatic
+        bit = hierarchy.bits(chain.ignored)
+        self.bits = np.array([bit.get(link, 0) for link in self.robot.links], np.int32) if bit else None
         root = Frame.of(chain.world_T_base, float(np.finfo(q.dtype).eps))
         self.joints = joint_frames(chain, traced(q), root, q.dtype)
         self.frames = jnp.stack([stack(f.entries[:12], (12,), q.dtype) for f in (root, *self.joints.joints)])
@@ -125,6 +127,9 @@ class Space:
         obstacles = self.obstacles[k]
         first, last = _at(obstacles.first, b), _at(obstacles.last, b)
         inside = lambda found: self._leaves(p, first, last, self.others[k], found)
+        if self.bits is not None:
+            counts = _at(obstacles.ignored, b) & _at(self.bits, p) == 0
+            inside = lambda found, leaves=inside: lax.cond(counts, leaves, lambda found: found, found)
         return self._if_near(found, ball, _ball(_cast(obstacles.branches, self.dtype), b), inside)
 
     def _to_itself(self, p: Any, ball: Any, found: Found) -> Found:

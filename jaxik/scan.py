@@ -27,7 +27,7 @@ from jaxik.closed_form import BRANCHES, closed_form_obstacle, closed_forms
 from jaxik.collision import by_object, check_geometry, clearance, object_clearances, self_clearance
 from jaxik.costs import joint_freedom
 from jaxik.given import shaped
-from jaxik.hierarchy import surroundings
+from jaxik.hierarchy import grouped
 from jaxik.kinematics import jacobian
 from jaxik.leading import grid, leading_grid
 from jaxik.result import Reason
@@ -258,7 +258,7 @@ def _others(scene: Scene, fruit: Fruit) -> Scene:
 def _measured(chain: Chain, scene: Scene, fruit: Fruit, q: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     if not len(q):
         return np.zeros(0), np.zeros(0)
-    distance, freedom = in_blocks(measures(chain), q, fixed=(surroundings(_others(scene, fruit)),))
+    distance, freedom = in_blocks(measures(chain), q, fixed=(grouped(_others(scene, fruit), chain),))
     return distance, freedom
 
 
@@ -373,7 +373,7 @@ def _climb(
     grasp: Grasp | None,
     steps: int,
 ) -> Recovered | None:
-    others = surroundings(_others(scene, found.fruit))
+    others = grouped(_others(scene, found.fruit), chain)
     k = chain.num_joints - 6
     axis = np.asarray(chain.world_T_base[:3, :3].T @ found.fruit.axis)
     branch = starts[:, -1].astype(int)
@@ -444,7 +444,7 @@ def blockers(chain: Chain, scene: Scene, found: Scan, margin: float = 0.005) -> 
     check_finite("blockers", margin=margin)
     if not len(found.table.q):
         return Blockers((), (), None, None)
-    around = surroundings(_others(scene, found.fruit), by_object=True)
+    around = grouped(_others(scene, found.fruit), chain, by_object=True)
     distance, own = in_blocks(_contacts(chain, len(scene.object_names)), found.table.q, fixed=(around,))
     hit = distance < margin
     share = hit.mean(axis=0)

@@ -22,7 +22,7 @@ from jaxik.choice import as_count, check_finite
 from jaxik.closed_form import BRANCHES, closed_forms
 from jaxik.collision import check_geometry, clearance
 from jaxik.given import numbers
-from jaxik.hierarchy import Surroundings, surroundings
+from jaxik.hierarchy import Grouped, grouped
 from jaxik.kinematics import forward_kinematics, jacobian
 from jaxik.leading import arm_of, leading_grid
 from jaxik.optimise.linear import definite_solve
@@ -74,14 +74,14 @@ def log_reach_score(
         )
     as_shaped("margin", margin, ())
     as_shaped("temperature", temperature, ())
-    around = None if scene is None else surroundings(scene)
+    around = None if scene is None else grouped(scene, chain)
     each = jax.vmap(lambda pose, posture: _worth(chain, around, pose, posture, margin, temperature))
     best = temperature * jax.nn.logsumexp(each(poses, q) / temperature)
     return jax.nn.log_sigmoid(best / WIDTH)
 
 
 @kernel(models=1)
-def _worth(chain: Chain, around: Surroundings | None, pose: Any, q: Any, margin: Any, temperature: Any) -> Any:
+def _worth(chain: Chain, around: Grouped | None, pose: Any, q: Any, margin: Any, temperature: Any) -> Any:
     """The least margin of a posture that follows its target."""
     q, short = _following(chain, pose, jax.lax.stop_gradient(q))
     low, high = (jnp.asarray(x, q.dtype) for x in finite_limits(chain))
@@ -131,7 +131,7 @@ def likely_postures(
     q, _, _ = in_blocks(closed_forms(arm_of(chain)), local[pose], leading[lead], double=False)
     q, at = np.asarray(q).reshape(-1, chain.num_joints), np.repeat(poses[pose], BRANCHES, axis=0)
     home = chain.mounted(np.eye(4))
-    around = None if scene is None else surroundings(scene.moved(np.linalg.inv(np.asarray(chain.world_T_base))))
+    around = None if scene is None else grouped(scene.moved(np.linalg.inv(np.asarray(chain.world_T_base))), chain)
     (worth,) = in_blocks(_worths(home), np.repeat(local[pose], BRANCHES, axis=0), q, fixed=(around, margin), double=False)
     best = np.argsort(-np.where(np.isfinite(worth), worth, -np.inf), kind="stable")[:count]
     return at[best], q[best]

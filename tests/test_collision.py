@@ -13,7 +13,7 @@ import jaxik
 from jaxik import distance
 from jaxik.algebra import Rot3, Vec3
 from jaxik.collision import hierarchical_clearance, hierarchical_collision
-from jaxik.hierarchy import surroundings
+from jaxik.hierarchy import grouped
 from jaxik.nearest import Space
 from jaxik.spmd import HostKernel
 
@@ -269,7 +269,7 @@ def test_value_and_gradient_where_a_distance_is_zero(dtype):
 def test_what_is_skipped_changes_no_bit(name, dtype, only_kernels):
     """The flat search and that of the hierarchy, of the robot, each link and each object; and what `collides` says."""
     chain, rng = jaxik.load(name), np.random.default_rng(8)
-    scene = surroundings(_scene(rng))
+    scene = grouped(_scene(rng), chain)
     kernels = []
     for skips in (True, False):
         both = lambda space: (space.all(tracked=True), space.each(lambda found: found.distance))
@@ -281,6 +281,31 @@ def test_what_is_skipped_changes_no_bit(name, dtype, only_kernels):
     for margin in (0.0, 0.05, float(np.median(flat[0]))):
         (hits,) = HostKernel(lambda q, s: jaxik.collides(chain, s, q, dtype(margin)), 1).run(q, scene)  # noqa: B023
         assert np.array_equal(hits, flat[0] < dtype(margin)) and (margin != 0.0 or 0 < hits.sum() < 300)
+
+
+def test_links_ignore_objects():
+    """The clearance is the least of what is left: each link's own, to the objects that count for it, and to other links."""
+    whole, rng = jaxik.load("p6r"), np.random.default_rng(9)
+    builder = jaxik.SceneBuilder()
+    builder.add("floor", boxes=[(np.eye(4), (2.0, 2.0, 0.5))])
+    builder.add("poles", capsules=[[x, 0.8, 0.0, x, 0.8, 1.0, 0.02] for x in np.linspace(0.0, 1.0, 9)])
+    scene, q = builder.scene(), rng.uniform(whole.lower, whole.upper, (50, 7))
+    shoulder, forearm = (whole.link_names.index(name) for name in ("shoulder", "forearm"))
+    chain = dataclasses.replace(whole, ignored=((shoulder, "*"), (forearm, "floor")))
+    alone = dataclasses.replace(whole, self_pairs=())
+    links = sorted({b.link for b in whole.boxes})
+    to = lambda name: np.array(jax.vmap(lambda q: jaxik.collision.link_clearances(alone, scene.without([name]), q))(q))
+    counted = {"floor": to("poles"), "poles": to("floor")}
+    counted["floor"][:, [links.index(shoulder), links.index(forearm)]] = np.inf
+    counted["poles"][:, links.index(shoulder)] = np.inf
+    itself = np.array(jax.vmap(lambda q: jaxik.self_clearance(whole, q))(q))
+    expected = np.minimum(np.minimum(*(each.min(axis=1) for each in counted.values())), itself)
+    assert np.array_equal(jax.vmap(lambda q: jaxik.clearance(chain, scene, q))(q), expected)
+    objects = jax.vmap(lambda q: jaxik.object_clearances(chain, scene, q))(q)
+    assert np.array_equal(objects, np.stack([counted[name].min(axis=1) for name in scene.object_names], axis=1))
+    assert np.any(objects > np.asarray(jax.vmap(lambda q: jaxik.object_clearances(whole, scene, q))(q)))
+    told = [jaxik.explain(chain, scene, x, 1).contacts[0].distance for x in q[:5]]
+    assert np.allclose(told, expected[:5], rtol=0.0, atol=1e-12)
 
 
 def test_nothing_is_hidden_by_nan():

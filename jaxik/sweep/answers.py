@@ -18,7 +18,7 @@ from jaxik.between import between, within_reach
 from jaxik.chain import Chain, finite_limits
 from jaxik.closed_form import closed_branches, closed_forms
 from jaxik.costs import joint_freedom
-from jaxik.hierarchy import Surroundings, surroundings
+from jaxik.hierarchy import Grouped, grouped
 from jaxik.ik import IKResult, as_poses, solve_ik
 from jaxik.kinematics import manipulability, pose_errors
 from jaxik.leading import NOTHING, arm_of, freest, grid, leading_grid
@@ -83,7 +83,7 @@ def answer(study: Study, variant: Variant, rows: slice) -> dict[str, np.ndarray]
     poses, valid = base_T_world @ given if study.targets.frame == "world" else given, np.ones(count, bool)
     if study.targets.poses is not None:  # someone else's, who may have got them wrong
         poses, valid, _ = as_poses(poses, study.ik.task)
-    around = _Crops.of(study, rows, base_T_world) if study.collision else None
+    around = _Crops.of(study, chain, rows, base_T_world) if study.collision else None
     solve = _closed_form if study.method(chain) == "closed form" else _search
     for name, values in solve(study, chain.mounted(np.eye(4)), poses, valid, around).items():
         columns[name][:] = values if name != "q" else _padded(values, study.joints)
@@ -101,21 +101,21 @@ def given_columns(targets: Targets, rows: slice) -> dict[str, np.ndarray]:
 class _Crops(NamedTuple):
     """What postures keep clear of, in the robot's base: scenes, and which is each target's (N,)."""
 
-    scenes: dict[int, Surroundings]
+    scenes: dict[int, Grouped]
     crop: np.ndarray
 
     @staticmethod
-    def of(study: Study, rows: slice, base_T_world: np.ndarray) -> _Crops:
+    def of(study: Study, chain: Chain, rows: slice, base_T_world: np.ndarray) -> _Crops:
         crops = study.targets.crop
         crop = np.zeros(rows.stop - rows.start, int) if crops is None else crops[rows]
         scene = lambda c: (study.scene or make_scene()) if crops is None else study.targets.scenes[c]
-        return _Crops({int(c): surroundings(scene(c).moved(base_T_world)) for c in np.unique(crop)}, crop)
+        return _Crops({int(c): grouped(scene(c).moved(base_T_world), chain) for c in np.unique(crop)}, crop)
 
     def part(self, rows: Any) -> _Crops:
         """Of some of the targets."""
         return _Crops(self.scenes, self.crop[rows])
 
-    def groups(self, owner: np.ndarray) -> Iterator[tuple[Surroundings, np.ndarray]]:
+    def groups(self, owner: np.ndarray) -> Iterator[tuple[Grouped, np.ndarray]]:
         """Each scene with those of the rows that have its target for `owner`."""
         crop = self.crop[owner]
         for c in np.unique(crop):
@@ -357,7 +357,7 @@ def _search(study: Study, chain: Chain, poses: np.ndarray, valid: np.ndarray, ar
     return columns
 
 
-def _searched(study: Study, chain: Chain, poses: np.ndarray, scene: Surroundings | None) -> dict[str, np.ndarray]:
+def _searched(study: Study, chain: Chain, poses: np.ndarray, scene: Grouped | None) -> dict[str, np.ndarray]:
     found: IKResult = solve_ik(chain, poses, scene, study.seed, study.ik)
     columns = _no_answer(chain, len(poses))
     rows = np.flatnonzero(found.success)
