@@ -8,6 +8,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from scipy.spatial import cKDTree
 
 import jaxik
 from jaxik import distance
@@ -281,6 +282,26 @@ def test_what_is_skipped_changes_no_bit(name, dtype, only_kernels):
     for margin in (0.0, 0.05, float(np.median(flat[0]))):
         (hits,) = HostKernel(lambda q, s: jaxik.collides(chain, s, q, dtype(margin)), 1).run(q, scene)  # noqa: B023
         assert np.array_equal(hits, flat[0] < dtype(margin)) and (margin != 0.0 or 0 < hits.sum() < 300)
+
+
+def test_a_cloud_of_points_against_a_tree():
+    """20,000 points, in kernels that are the same for 30,000: distances by scipy's tree, alone and as objects."""
+    chain, rng = jaxik.load("p6r"), np.random.default_rng(10)
+    alone = dataclasses.replace(chain, self_pairs=())
+    measure = HostKernel(lambda q, s: jaxik.clearance(alone, s, q), 1)
+    q = rng.uniform(chain.lower, chain.upper, (40, 7))
+    for count in (20_000, 30_000):
+        points = rng.uniform(-1.5, 1.5, (count, 3)) + np.array([0.4, 0.4, 0.8])
+        builder = jaxik.SceneBuilder("crop", point_radius=0.01)
+        builder.add("near", points=points[: count // 2])
+        builder.add("far", points=points[count // 2 :])
+        scene = builder.scene()
+        centres, radii = jax.vmap(lambda q: jaxik.link_spheres(chain, q))(q)
+        away = [cKDTree(part).query(centres)[0] - radii - 0.01 for part in np.split(points, 2)]
+        truth = np.stack([each.min(axis=1) for each in away], axis=1)
+        assert np.allclose(measure.run(q, grouped(scene, alone))[0], truth.min(axis=1), rtol=0.0, atol=1e-12)
+        assert len(measure.known) == 1
+    assert np.allclose(jax.vmap(lambda q: jaxik.object_clearances(chain, scene, q))(q), truth, rtol=0.0, atol=1e-12)
 
 
 def test_links_ignore_objects():
