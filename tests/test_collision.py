@@ -67,7 +67,7 @@ def test_points_against_coal(kind):
 
 
 def test_lines_against_coal():
-    """Lines in a body are as deep as their deepest point: at least so far they must move."""
+    """Apart, overlapping by their radii, and crossing: a line in a box is as deep as its shortest way out."""
     rng, compared = np.random.default_rng(1), np.zeros(3, int)
     to_box = jax.jit(lambda ends, *box: distance.skeleton_box(ends, *box))
     for i in range(160):
@@ -82,13 +82,7 @@ def test_lines_against_coal():
         box = Rot3(*(_vec(r) for r in turns[1])), _vec(centres[1]), _vec(edges)
         swept = float(to_box(tuple(_vec(e) for e in ends[0]), *box))
         theirs = _coal(shapes[0], (turns[0], centres[0]), coal.Box(*(2 * edges)), (turns[1], centres[1]))
-        if theirs >= -0.1:  # the line itself is outside
-            assert abs(swept - 0.1 - theirs) <= (APART if theirs > 0.01 else DEEP)
-        else:
-            points = ends[0][0] + np.linspace(0.0, 1.0, 201)[:, None] * (ends[0][1] - ends[0][0])
-            inside = np.abs((points - centres[1]) @ turns[1]) - edges
-            deepest = np.min(np.max(inside, axis=1))  # to half the way between two points, at most 5 mm
-            assert theirs - DEEP <= swept - 0.1 and deepest - 0.005 <= swept <= deepest + 1e-9
+        assert abs(swept - 0.1 - theirs) <= (APART if theirs > 0.01 else DEEP)
         compared += theirs > 0.0, -0.1 <= theirs <= 0.0, theirs < -0.1
     assert np.all(compared >= 5)
 
@@ -148,8 +142,7 @@ def _between(a, b):
     return np.stack([x, np.cross(z, x), z], axis=1), (a + b) / 2
 
 
-def test_a_line_inside_a_box_has_the_slope_of_both_faces():
-    """Its deepest point lies where two faces are equally near: neither face's slope alone is right."""
+def test_the_slope_of_a_line_that_crosses_a_box():
     rng, rows = np.random.default_rng(6), Rot3(*(_vec(r) for r in np.eye(3)))
     box = rows, _vec(np.zeros(3)), _vec(np.array([0.4, 0.3, 0.5]))
     value = jax.jit(lambda p: distance.skeleton_box((Vec3(*p[:3]), Vec3(*p[3:])), *box))
@@ -175,9 +168,9 @@ def test_the_robots_clearance_against_coal(name):
         (shape, _), (other, _) = pairs[int(np.argmin(theirs))]
         least, ours = min(theirs), float(clearance(q))
         assert least - DEEP <= ours and (ours <= 0.0) == (least <= 0.0)
-        if isinstance(shape, coal.Sphere) or not isinstance(other, coal.Box | coal.Cylinder) or least > -shape.radius:
+        if isinstance(shape, coal.Sphere) or not isinstance(other, coal.Cylinder) or least > -shape.radius:
             compared += least > 0.0, least <= 0.0
-            assert abs(ours - least) <= (APART if least > 0.005 else DEEP)  # all but a line in a box or a cylinder
+            assert abs(ours - least) <= (APART if least > 0.005 else DEEP)  # all but a line in a cylinder
     assert np.all(compared)
 
 
