@@ -14,6 +14,7 @@ from jaxik.kinematics import bias_acceleration, forward_kinematics, jacobian, li
 from jaxik.lanes import descend
 from jaxik.load import load, load_scene, load_targets
 from jaxik.mapping import fit_mapping
+from jaxik.motion_clearance import MotionClearance, motion_clearance, motion_collides
 from jaxik.moving_horizon import MovingHorizon, follow_predictively
 from jaxik.optimise.descent import QUASI_NEWTON, Descent
 from jaxik.path import Arc, Line, motion, via
@@ -45,6 +46,7 @@ __all__ = [
     "IKResult",
     "Line",
     "LoadError",
+    "MotionClearance",
     "MovingHorizon",
     "Reason",
     "Scene",
@@ -83,6 +85,8 @@ __all__ = [
     "make_scene",
     "manipulability",
     "motion",
+    "motion_clearance",
+    "motion_collides",
     "multistart",
     "object_clearances",
     "predict",
