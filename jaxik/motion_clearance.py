@@ -146,9 +146,17 @@ _sloped.defjvp(lambda primals, tangents: (primals[0], tangents[1]))
 # The march
 
 
+class _Asked(NamedTuple):
+    """What the caller wants to know, see `motion_clearance`; `first`: any sample that touches will do."""
+
+    margin: Any
+    resolution: Any
+    enough: Any
+    first: bool
+
+
 class _Measured(NamedTuple):
-    """A configuration of the motion: its fraction, the distances of each row (links to the scene, links to earlier ones), and how
-    fast each row's link moves."""
+    """A configuration of the motion: its fraction, the distances of each row, and how fast each row's link moves."""
 
     t: Any
     apart: Any
@@ -156,7 +164,8 @@ class _Measured(NamedTuple):
 
 
 class _State(NamedTuple):
-    """Up to `here.t` all is proven to be above `level`; the next step that is safe is `step`, and `hope` times it is tried."""
+    """Up to `here` all keeps `bound`; the next step that is safe is `step`, and `hope` times it is tried. `least` is the least
+    distance measured, at `nearest`."""
 
     here: _Measured
     step: Any
@@ -171,78 +180,89 @@ class _State(NamedTuple):
 def _advanced(
     first: bool, chain: Chain, scene: Any, q_from: Any, q_to: Any, margin: Any, resolution: Any, enough: Any, extent: Any
 ) -> MotionClearance:
+    """The march of the links against each other, which is cheap and has the smaller steps, and then that against the scene: as far
+    as the first came, and no finer than it needs beside the first."""
     dtype = q_from.dtype
-    moved = q_to - q_from
-    rows = [*_scene_rows(chain, scene), *_self_rows(chain)]
-    zero, one, never = jnp.zeros((), dtype), jnp.ones((), dtype), jnp.asarray(jnp.inf, dtype)
-    if not rows:
-        return MotionClearance(never, never, zero, jnp.zeros((), jnp.int32))
-    fastest, bent, length = _row_bounds(chain, rows, q_from, q_to)
-    allowance = ROUNDING * float(jnp.finfo(dtype).eps) * (extent + _size(chain, jnp.max(length), q_from, q_to))
-    alone = dataclasses.replace(chain, self_pairs=())
-    later = np.searchsorted(_links(chain), [row.link for row in _self_rows(chain)])
+    zero, one = jnp.zeros((), dtype), jnp.ones((), dtype)
+    asked = _Asked(margin, resolution, jnp.minimum(enough, FAR / 4.0), first)
+    end = _State(_Measured(one, 0, 0), one, one, FAR * one, zero, FAR * one, jnp.zeros((), bool), jnp.zeros((), jnp.int32))
+    itself = chain if chain.self_pairs else None
+    for part, there in ((itself, None), (dataclasses.replace(chain, self_pairs=()), scene)):
+        if part is None or (part is not itself and scene is None):
+            continue
+        rows = _rows(part)
+        bounds = _row_bounds(part, rows, q_from, q_to)
+        short = ROUNDING * float(jnp.finfo(dtype).eps) * (extent + _size(chain, bounds.length, q_from, q_to))
+        columns = np.searchsorted(_links(part), [row.link for row in rows])
 
-    def measured(t: Any) -> _Measured:
-        q = q_from + t * moved
-        apart = []
-        if scene is not None:
-            apart.append(link_clearances(alone, scene, q))
-        if chain.self_pairs:
-            apart.append(link_clearances(chain, None, q)[later])
-        distances = jnp.minimum(jnp.concatenate(apart) - allowance, FAR)  # numbers, where there is nothing to hit
-        return _Measured(t, distances, _speeds(chain, rows, q, moved))
+        def measured(t: Any, part: Any = part, rows: Any = rows, there: Any = there, columns: Any = columns, short: Any = short) -> Any:
+            q = q_from + t * (q_to - q_from)
+            apart = link_clearances(part, there, q)[columns] - short
+            return _Measured(t, jnp.minimum(apart, FAR), _speeds(part, rows, q, q_to - q_from))  # numbers, where nothing is
+
+        end = _marched_on(measured, bounds, asked, end)
+    free = end.here.t >= 1.0
+    known = lambda x: jnp.where(jnp.isnan(end.least), jnp.nan, x)
+    bound = jnp.where(free, end.bound, jnp.minimum(end.bound, margin))
+    return MotionClearance(
+        known(jnp.where(bound > FAR / 8.0, jnp.inf, bound)),
+        known(jnp.where(free, jnp.inf, end.here.t)),
+        known(end.nearest),
+        end.count,
+    )
+
+
+def _marched_on(measured: Any, bounds: _Bounds, asked: _Asked, before: _State) -> _State:
+    """One march from 0 to where the one `before` ended, whose other results it continues."""
+    margin, resolution, enough, first = asked
+    dtype = before.least.dtype
 
     def level(least: Any) -> Any:
-        """What need not be proven beyond: the least measured, to the resolution."""
-        return jnp.minimum(jnp.maximum(least - resolution, margin), jnp.minimum(enough, FAR / 4.0))
+        """What need not be looked at more closely: all above the least measured, to the resolution."""
+        return jnp.minimum(jnp.maximum(least - resolution, margin), enough)
 
     def around(at: _Measured, least: Any) -> Any:
         """For how long each row stays above the level, before and after."""
         gap = jnp.maximum(at.apart - level(least), resolution)
-        slow = 2.0 * gap / (at.speed + jnp.sqrt(at.speed**2 + 2.0 * bent * gap))
-        return jnp.maximum(slow, gap / fastest)
+        slow = 2.0 * gap / (at.speed + jnp.sqrt(at.speed**2 + 2.0 * bounds.acceleration * gap))
+        return jnp.maximum(slow, gap / bounds.speed)
 
     def kept(at: _Measured, s: Any) -> Any:
-        """What each row has left, s before or after."""
-        return at.apart - jnp.minimum(s * (at.speed + 0.5 * bent * s), fastest * s)
+        """What is left of every row, s before or after."""
+        return jnp.min(at.apart - jnp.minimum(s * (at.speed + 0.5 * bounds.acceleration * s), bounds.speed * s))
 
     def advance(state: _State) -> _State:
-        here = state.here
-        there = measured(jnp.minimum(here.t + state.hope * state.step, 1.0))
+        here, there = state.here, measured(jnp.minimum(state.here.t + state.hope * state.step, until))
         s, now = there.t - here.t, jnp.min(there.apart)
         least = jnp.minimum(state.least, now)
-        touches = ~(now > margin + resolution)
-        met = jnp.all(around(here, least) + around(there, least) >= s) & ~touches
+        touches = ~(now > margin + resolution)  # NaN does
         sure = state.hope == 1.0
-        on = sure | met
-        between = jnp.min(jnp.minimum(kept(here, 0.5 * s), kept(there, 0.5 * s)))
-        here = jax.tree_util.tree_map(lambda a, b: jnp.where(on, a, b), there, here)
+        on = sure | (jnp.all(around(here, least) + around(there, least) >= s) & ~touches)
+        between = jnp.maximum(jnp.minimum(kept(here, 0.5 * s), kept(there, 0.5 * s)), jnp.minimum(level(least), now))
+        onwards = jax.tree_util.tree_map(lambda a, b: jnp.where(on, a, b), there, here)
         return _State(
-            here,
-            jnp.min(around(here, least)),
+            onwards,
+            jnp.min(around(onwards, least)),
             jnp.where(on, 2.0, 1.0).astype(dtype),
             least,
             jnp.where(now < state.least, there.t, state.nearest),
-            jnp.where(on, jnp.minimum(state.bound, jnp.maximum(between, jnp.minimum(level(least), now))), state.bound),
-            touches & (True if first else sure),
+            jnp.where(on, jnp.minimum(state.bound, between), state.bound),
+            touches & (first | sure),
             state.count + 1,
         )
 
-    going = lambda state: (state.here.t + state.step < 1.0) & ~state.hit & (state.count < MOST)
-    nowhere = _Measured(zero, jnp.full(len(rows), FAR, dtype), jnp.zeros(len(rows), dtype))
-    start = _State(nowhere, zero, one, FAR * one, zero, FAR * one, jnp.zeros((), bool), jnp.zeros((), jnp.int32))
-    end = lax.while_loop(going, advance, start)
-
-    rest = 1.0 - end.here.t
-    free = ~end.hit & (end.here.t + end.step >= 1.0)
-    last = jnp.maximum(jnp.min(kept(end.here, rest)), level(end.least))
-    whole = jnp.minimum(end.bound, last)
-    part = jnp.minimum(end.bound, margin)
-    known = ~jnp.isnan(end.least)
-    number = lambda x: jnp.where(known, x, jnp.nan)
-    seen = lambda x: jnp.where(x > FAR / 8.0, jnp.inf, x)
-    return MotionClearance(
-        number(seen(jnp.where(free, whole, part))), number(jnp.where(free, jnp.inf, end.here.t)), number(end.nearest), end.count
+    until, rows = before.here.t, len(bounds.speed)
+    zero, one = jnp.zeros((), dtype), jnp.ones((), dtype)
+    nowhere = _Measured(zero, jnp.full(rows, FAR, dtype), jnp.zeros(rows, dtype))
+    start = before._replace(here=nowhere, step=zero, hope=one, hit=jnp.zeros((), bool), count=jnp.zeros((), jnp.int32))
+    due = lambda state: (state.here.t + state.step < until) | ((state.count == 0) & ~(before.hit & first))
+    end = lax.while_loop(lambda state: due(state) & ~state.hit & (state.count < MOST), advance, start)
+    through = ~due(end) & ~end.hit
+    last = jnp.maximum(kept(end.here, until - end.here.t), level(end.least))
+    return end._replace(
+        here=_Measured(jnp.where(through, until, end.here.t), 0, 0),
+        bound=jnp.where(through, jnp.minimum(end.bound, last), end.bound),
+        count=end.count + before.count,
     )
 
 
@@ -260,12 +280,11 @@ class _Row(NamedTuple):
     moved: tuple[tuple[int, int], ...]
 
 
-def _scene_rows(chain: Chain, scene: Any) -> list[_Row]:
-    return [] if scene is None else [_Row(link, ((link, 0),)) for link in _links(chain)]
-
-
-def _self_rows(chain: Chain) -> list[_Row]:
+def _rows(chain: Chain) -> list[_Row]:
+    """Those of the later links of pairs; without any, of all against the scene."""
     joint, found = chain.link_joint, []
+    if not chain.self_pairs:
+        return [_Row(link, ((link, 0),)) for link in _links(chain)]
     for link in sorted({later for _, later in chain.self_pairs}):
         pairs = [sorted((a, link), key=lambda i: joint[i]) for a, later in chain.self_pairs if later == link]
         found.append(_Row(link, tuple(sorted({(high, joint[low]) for low, high in pairs}))))
