@@ -1,0 +1,176 @@
+"""Bounds between samples: never free where a dense sampling hits, tight to the resolution, safe where nothing is known."""
+
+import dataclasses
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from motions import dense, judged, motions
+
+import jaxik
+
+WRONG = (  # what a judgement counts that must not be
+    "free, but the dense sampling hits",
+    "does not collide, but the dense sampling hits",
+    "bound above the least",
+    "contact after the first hit",
+    "not free with the resolution to spare",
+    "collides with the resolution to spare",
+)
+
+
+def stems(rng, at, spread, count=12):
+    """Thin capsules, points and a plate of a millimetre."""
+    middle, half = at + rng.normal(size=(count, 3)) * spread, rng.normal(size=(count, 3)) * 0.1
+    plate = np.eye(4)
+    plate[:3, 3] = at + np.array([0.0, 0.0, 2.0 * spread])
+    return jaxik.make_scene(
+        points=at + rng.normal(size=(count, 3)) * spread,
+        capsules=np.column_stack([middle - half, middle + half, rng.uniform(0.0005, 0.002, count)]),
+        boxes=[(plate, (0.2, 0.2, 0.001))],
+    )
+
+
+@pytest.fixture(scope="module")
+def p6r():
+    return jaxik.load("p6r"), stems(np.random.default_rng(0), np.array([0.5, 0.5, 0.6]), 0.25)
+
+
+def test_never_free_where_a_dense_sampling_hits(p6r):
+    """A slide and six turning joints, in float32; `batch_eval/motions.py` does this for 100,000 motions of six robots."""
+    found = judged(*p6r, *motions(*p6r, 400), samples=400)
+    assert [found[name] for name in WRONG] == [0] * len(WRONG)
+    assert 0.2 < found["free"] / found["motions"] < 0.95 and found["dense sampling hits"] > 20
+    assert found["slack_mm"]["most"] <= 1.05
+
+
+def test_no_tunnelling_through_a_thin_stem():
+    """The stem is 0.1 mm thick and both ends and all tenths of the motion are clear of it by 5 cm and more."""
+    arm = jaxik.load("planar2")
+    q_from, q_to = np.array([-1.0, 0.3]), np.array([1.0, 0.3])
+    tip = np.asarray(jaxik.forward_kinematics(arm, np.array([0.123, 0.3])))[:2, 3]
+    scene = jaxik.make_scene(capsules=[[*tip * 0.9, -0.5, *tip * 0.9, 0.5, 5e-5]])
+    between = jax.jit(jax.vmap(lambda q: jaxik.clearance(arm, scene, q)))
+    assert between(np.linspace(q_from, q_to, 11)).min() > 0.01
+    found = jaxik.motion_clearance(arm, scene, q_from, q_to)
+    first = float(dense(arm, scene, 20000)(q_from[None], q_to[None], np.zeros(1))[1][0])
+    assert not found.free and found.clearance <= 0.0 and first - 2e-3 < found.contact <= first
+    assert jaxik.motion_collides(arm, scene, q_from, q_to)
+    depth = jaxik.motion_clearance(arm, scene, q_from, q_to, -np.inf, 1e-4)  # on to the end, and no less is proven
+    assert depth.free and depth.clearance < 0.0
+
+
+def test_bounds_of_speed_hold():
+    """Speeds by the twist of a ball are no less than those of the skeleton's corners, by differences; the configuration's bounds,
+    of speed and of acceleration, hold at random ones. A chain whose middle joint slides."""
+    from jaxik.algebra import traced
+    from jaxik.motion_clearance import _row_bounds, _rows, _speeds
+    from jaxik.spheres import skeletons
+
+    chain = jaxik.load("chembuly9")
+    rows, step = _rows(dataclasses.replace(chain, self_pairs=())), 1e-4
+    places = jax.jit(lambda q: [jnp.stack(jnp.broadcast_arrays(*c)) for s in skeletons(chain, traced(q), q.dtype).values() for c in s.corners])
+    links = np.concatenate([s.link for s in skeletons(chain, list(np.zeros(9)), np.float64).values() for _ in s.corners])
+    rng, near = np.random.default_rng(1), []
+    for _ in range(20):
+        q_from, q_to = rng.uniform(*jaxik.finite_limits(chain), (2, 9))
+        bounds = _row_bounds(chain, rows, q_from, q_to)
+        t = rng.uniform()
+        before, here, after = (np.concatenate(places(q_from + s * (q_to - q_from)), axis=1) for s in (t - step, t, t + step))
+        speed = np.linalg.norm(after - before, axis=0) / (2 * step)
+        bent = np.linalg.norm(after - 2 * here + before, axis=0) / step**2
+        most = _speeds(chain, rows, q_from + t * (q_to - q_from), q_to - q_from)
+        for i, row in enumerate(rows):
+            own = links == row.link
+            assert speed[own].max() <= most[i] + 1e-6 and most[i] <= bounds.speed[i] * 3.0 + 1e-9
+            assert speed[own].max() <= bounds.speed[i] + 1e-6 and bent[own].max() <= bounds.acceleration[i] + 1e-3
+            near.append(speed[own].max() / max(float(most[i]), 1e-9))
+    assert np.median(near) > 0.6  # and are not idle
+
+
+@pytest.mark.parametrize("dtype", [np.float32, np.float64])
+def test_motions_that_do_not_move(p6r, dtype):
+    chain, scene = p6r
+    march = jax.jit(lambda a, b: jaxik.motion_clearance(chain, scene, a, b))
+    for q in motions(chain, scene, 3)[0].astype(dtype):
+        found, apart = march(q, q), jaxik.clearance(chain, scene, q)
+        assert found.free and found.evaluations == 2 and found.clearance.dtype == dtype
+        assert 0.0 <= apart - found.clearance <= 1e-4 and np.isinf(found.contact)
+    for bad in (np.nan, np.inf):
+        found = march(q, q.copy() + np.array([0, 0, bad, 0, 0, 0, 0], dtype))
+        assert np.isnan(found.clearance) and not found.free
+
+
+def test_what_begins_in_contact_ends_there(p6r):
+    chain, scene = p6r
+    limits = jaxik.finite_limits(chain)
+    apart = jax.jit(jax.vmap(lambda q: jaxik.clearance(chain, scene, q)))
+    q = np.random.default_rng(2).uniform(*limits, (200, 7))
+    q = q[np.asarray(apart(q)) < -0.01][0]
+    found = jaxik.motion_clearance(chain, scene, q, q + 0.1)
+    assert found.contact == 0.0 and not found.free and found.clearance == pytest.approx(float(jaxik.clearance(chain, scene, q)), abs=1e-9)
+
+
+def test_a_batch_is_its_rows_and_enough_is_enough(p6r, only_kernels):
+    chain, scene = p6r
+    q_from, q_to = motions(chain, scene, 24)
+    asked = lambda a, b: jaxik.motion_clearance(chain, scene, a, b)
+    batch, one = jax.jit(jax.vmap(asked))(q_from, q_to), jax.jit(asked)
+    for i in range(0, 24, 5):
+        for field, row in zip(batch, one(q_from[i], q_to[i]), strict=True):
+            assert np.array_equal(field[i], row, equal_nan=True)
+    planner = jax.jit(jax.vmap(lambda a, b: jaxik.motion_clearance(chain, scene, a, b, 0.0, 1e-3, 0.0)))(q_from, q_to)
+    assert np.array_equal(planner.free, batch.free) and np.all(planner.clearance[planner.free] >= 0.0)
+    assert planner.evaluations[planner.free].mean() < 0.5 * batch.evaluations[batch.free].mean()
+    collides = jax.jit(jax.vmap(lambda a, b: jaxik.motion_collides(chain, scene, a, b)))(q_from, q_to)
+    assert np.array_equal(collides, ~batch.free)
+
+
+def test_slope_is_that_of_the_least_configuration(p6r):
+    chain, scene = p6r
+    q_from, q_to = (x.astype(np.float64) for x in motions(chain, scene, 8))
+    bound = lambda a, b: jaxik.motion_clearance(chain, scene, a, b).clearance
+    by_from, by_to = jax.jit(jax.vmap(jax.grad(bound, (0, 1))))(q_from, q_to)
+    t = jax.jit(jax.vmap(lambda a, b: jaxik.motion_clearance(chain, scene, a, b)))(q_from, q_to).nearest[:, None]
+    slope = jax.jit(jax.vmap(jax.grad(lambda q: jaxik.clearance(chain, scene, q))))(q_from + t * (q_to - q_from))
+    assert np.allclose(by_from, (1.0 - t) * slope, atol=1e-9) and np.allclose(by_to, t * slope, atol=1e-9)
+    pushed = jax.grad(lambda x: jaxik.motion_clearance(chain, scene, q_from[0], q_to[0] + x).clearance)(jnp.zeros(7))
+    assert np.allclose(pushed, by_to[0], atol=1e-9)
+
+
+def test_nothing_to_hit_fixed_links_and_exhaustion(monkeypatch):
+    arm = jaxik.load("pendulum4")
+    alone = dataclasses.replace(arm, self_pairs=())
+    q = np.zeros(4)
+    for scene in (None, jaxik.make_scene(), jaxik.make_scene(spheres=[[1.0, 0.0, 0.0, 0.1]]).without(["spheres_1"])):
+        found = jaxik.motion_clearance(alone, scene, q, q + 1.0)
+        assert np.isinf(found.clearance) and found.free
+    only = arm.part(0, 1)  # its other joint turns nothing that has a shape
+    still = jaxik.motion_clearance(only, jaxik.make_scene(points=[[0.0, 3.0, 0.0]]), np.zeros(1), np.full(1, 0.2))
+    assert still.free and still.clearance > 1.5
+    monkeypatch.setattr("jaxik.motion_clearance.MOST", 3)  # in float32, which nothing else here has been compiled for
+    scene = jaxik.make_scene(points=[[0.0, -0.5, 0.0]])
+    short = jaxik.motion_clearance(alone, scene, np.float32(q), np.float32(q + 1.0))
+    assert not short.free and 0.0 < short.contact < 1.0 and short.clearance <= 0.0
+
+
+@pytest.mark.parametrize(
+    "change, said",
+    [
+        ({"q_to": np.zeros(3)}, "q has shape (3,)"),
+        ({"q_from": "home"}, "q is home"),
+        ({"scene": "crop"}, "scene is crop"),
+        ({"chain": None}, "chain is None"),
+        ({"margin": [0.0, 1.0]}, "margin has the shape (2,)"),
+        ({"resolution": 0.0}, "resolution is 0"),
+        ({"resolution": np.nan}, "resolution is nan"),
+        ({"margin": "5 mm"}, "margin is 5 mm"),
+    ],
+)
+def test_bad_use_is_one_line(change, said):
+    given = {"chain": jaxik.load("planar2"), "scene": None, "q_from": np.zeros(2), "q_to": np.ones(2)} | change
+    for function in (jaxik.motion_clearance, jaxik.motion_collides):
+        with pytest.raises(ValueError) as told:
+            function(**given)
+        assert said in str(told.value) and "\n" not in str(told.value)
