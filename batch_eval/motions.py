@@ -1,9 +1,9 @@
 """Whether `motion_clearance` ever says free where a dense sampling hits, and how tight its bound is: random motions.
 
 `python batch_eval/motions.py` prints a line a robot and writes `batch_eval/motions.json`. Half of the obstacles are thin: stems of
-one to three millimetres, plates of two, bare points. A motion begins at a random free configuration and goes a random share of the
-way to another. The truth is `clearance` in float64 at `SAMPLES` equal steps, and finer about the least of them; the bound is in
-float32. Needs `pip install -e ".[test]"`; two of the robots are those of example-robot-data, with their collision meshes.
+one to three millimetres, plates of two, bare points. A motion begins at a random free configuration and goes a random share of
+the way to another. The truth is `clearance` in float64 at `SAMPLES` equal steps, and finer about the least of them; the bound is
+in float32. Needs `pip install -e ".[test]"`; two of the robots are those of example-robot-data, with their collision meshes.
 """
 
 from __future__ import annotations
@@ -38,7 +38,8 @@ ROBOTS = {  # file under example-robot-data and tip; or a shipped model
     "Panda": ("panda_description/urdf/panda.urdf", "panda_link8"),
     "TIAGo": ("tiago_description/robots/tiago_no_hand.urdf", "wrist_ft_tool_link"),
 }
-SHARES = {"p6r": 0.7, "chembuly9": 0.1, "crops_v2": 0.01, "pendulum4": 0.02, "Panda": 0.15, "TIAGo": 0.02}  # by the truth's cost
+# of the motions: the truth of capsules among boxes takes a hundred times that of spheres
+SHARES = {"p6r": 0.7, "chembuly9": 0.1, "crops_v2": 0.01, "pendulum4": 0.02, "Panda": 0.15, "TIAGo": 0.02}
 
 
 def robot(name: str) -> jaxik.Chain:

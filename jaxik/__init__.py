@@ -1,5 +1,6 @@
 """Batched, differentiable kinematics for redundant robot arms, on JAX."""
 
+from jaxik.advancement import MotionClearance, motion_clearance, motion_collides
 from jaxik.boundary import boundary_value
 from jaxik.chain import Chain, finite_limits, within_limits
 from jaxik.closed_form import ClosedForm, admissible_turns, closed_form, closed_form_obstacle
@@ -14,7 +15,6 @@ from jaxik.kinematics import bias_acceleration, forward_kinematics, jacobian, li
 from jaxik.lanes import descend
 from jaxik.load import load, load_scene, load_targets
 from jaxik.mapping import fit_mapping
-from jaxik.motion_clearance import MotionClearance, motion_clearance, motion_collides
 from jaxik.moving_horizon import MovingHorizon, follow_predictively
 from jaxik.optimise.descent import QUASI_NEWTON, Descent
 from jaxik.path import Arc, Line, motion, via

@@ -1,18 +1,18 @@
 """How near a robot comes to the scene and to itself on the whole straight way between two configurations.
 
-Samples alone miss what is thinner than their steps. Here each measured configuration says how long the motion stays clear around
-it, by conservative advancement [Mirtich 1996; Schwarzer, Saha, Latombe 2005]: with `q(t) = q_from + t (q_to - q_from)`, a link
-whose points move at speed `v` at t and are accelerated by at most `a` anywhere has moved at t + s by no more than
+Samples alone miss what is thinner than their steps. Here each measured configuration says for how long the motion stays clear
+around it, by conservative advancement [Mirtich 1996; Schwarzer, Saha, Latombe 2005]. With `q(t) = q_from + t dq`, a link whose
+points move at a speed of at most v at t, and are accelerated by at most a anywhere, has moved at t + s by no more than
 
     min(v s + a s^2 / 2, V s),     V = sum_j |dq_j| r_j,     a = sum_j |dq_j| r_j (|dq_j| + 2 sum_{i<j} |dq_i|)
 
-and its distance to anything that stands still has changed by no more than that. v is measured, by the twist of a ball about the
-link's skeleton; r_j, how far a point of the link ever is from joint j's axis, follows from the lengths of the chain and the
-travel of its slides (a slide has 1 in place of r_j in V, adds `2 |dq_j| sum_{i<j} |dq_i|` to a, and turns nothing). Two links
-move relative to each other by the joints between them alone.
+and its distance to what stands still has changed by no more than that. v is measured, by the twist of a ball about the link's
+skeleton; r_j, how far a point of the link ever is from joint j's axis, follows from the chain's lengths and the travel of its
+slides. A slide has 1 in place of r_j in V, `2 |dq_j| sum_{i<j} |dq_i|` in a, and is no i: it turns nothing. Two links move
+relative to each other by the joints between them alone.
 
-So the motion is marched along: from what was measured at t one step forward that is safe, or twice as far in the hope that what is
-measured there reaches back; where it does not, the safe step follows.
+From what was measured the march takes one step that is safe; or twice as far, in the hope that what is measured there reaches
+back, and where it does not, the safe step follows.
 """
 
 from __future__ import annotations
@@ -35,22 +35,22 @@ from jaxik.scene import FAR, KINDS, Scene
 from jaxik.spheres import box_spheres
 from jaxik.spmd import kernel
 
-MOST = 4096  # configurations that are measured on one motion; what is not proven then counts as not free
-ROUNDING = 8.0  # of `clearance` and of the motion, in units of what the working precision makes of lengths: see `_allowance`
+MOST = 4096  # configurations that are measured on one motion, each for the robot itself and the scene
+ROUNDING = 8.0  # what the working precision may add to a clearance on the way, in units of its step at the lengths of `_size`
 
 
 class MotionClearance(NamedTuple):
-    """What is proven of a motion; of a batch of motions each field has its leading axes."""
+    """What is proven of a motion; of a batch of motions each field has its leading axes.
+
+    `clearance` is a bound from below over the motion [m]; where it is not free, over its part before `contact`, and no more than
+    the margin. Before the fraction `contact` (0 to 1) all of it is proven to be free; it is infinite where all of the motion
+    is. `nearest` is the fraction at which the least clearance was measured, `evaluations` how many configurations were.
+    """
 
     clearance: Float[Array, "..."]
-    """What the motion keeps clear by at least [m]: the true minimum is at most `resolution` more, and a rounding allowance. Where
-    the motion is not free, that of its part before `contact`, and no more than the margin."""
     contact: Float[Array, "..."]
-    """The fraction of the motion, 0 to 1, before which all of it is proven to be free; infinite where all of it is."""
     nearest: Float[Array, "..."]
-    """The fraction at which the least clearance was measured."""
     evaluations: Int[Array, "..."]
-    """How many configurations were measured."""
 
     @property
     def free(self) -> Bool[Array, "..."]:
@@ -67,21 +67,24 @@ def motion_clearance(
     resolution: Any = 1e-3,
     enough: Any = np.inf,
 ) -> MotionClearance:
-    """A bound from below of the clearance [m] over the whole motion `q_from + t (q_to - q_from)`, 0 <= t <= 1, between samples, too.
+    """A bound from below of the clearance [m] on the whole motion `q_from + t (q_to - q_from)`, 0 <= t <= 1, between samples, too.
 
-    Traced: `jit`, `vmap`; one kernel on a CPU. A motion is free where it is proven to keep more than `margin` [m] throughout;
-    then `clearance <= min_t D(q(t)) <= clearance + resolution`, but for `ROUNDING`. It is proven wherever it keeps `margin +
-    resolution`; of what is between, and of what begins there, it is not. Else the march ends, at `contact`, and what comes after
-    is not looked at; with `margin=-inf` none ends, and depths of penetration are bounded likewise. Clearances above `enough` [m] are
-    not told apart, which a planner that asks for `enough=margin` has in a fraction of the time: then `clearance >= min(min_t D(q(t))
-    - resolution, enough)`.
+    Traced: `jit` and `vmap` it; one kernel on a CPU. With `D(t)` the `clearance` of a configuration, a motion that keeps more than
+    `margin + resolution` [m] throughout is proven free, one that comes to `margin` never is, and
 
-    Joint values are taken as they are: no turn is shortened, no limit looked at. NaN gives NaN, which is not `free`; of a motion
-    that needs more than `MOST` configurations the rest is not free.
+        clearance <= min_t D(t) <= clearance + resolution
 
-    The derivative of `clearance` by everything is that of the least configuration measured (`nearest`), held there [Danskin
-    1967]; the other fields have none. Raises `ValueError` as `clearance` does, and for what is no number for the last three.
-    Source: Schwarzer, Saha, Latombe, Adaptive dynamic collision checking for single and multiple articulated robots, 2005.
+    of a free one, but for rounding (`ROUNDING`: 1e-5 m for an arm of 1 m in float32, 2e-14 in float64). The march ends where it
+    comes to less than `margin + resolution`, at `contact`, which is 0 for what begins there; what comes after is not looked
+    at. With `margin=-inf` it goes on to the end, and bounds the depth of penetration. Clearances above `enough` [m] are not told
+    apart: a planner asks for `enough=margin`, which takes a tenth of the configurations.
+
+    Joints' values are taken as they are: no turn is shortened, no limit looked at. NaN in a motion is NaN in its results, and
+    not free. What is left after `MOST` configurations counts as not free. The derivative of `clearance`, by anything, is that
+    of the configuration at `nearest`, held there [Danskin 1967]; the other fields have none.
+
+    Raises `ValueError` as `clearance` does, and for a resolution that is not above zero. Source: Schwarzer, Saha, Latombe,
+    Adaptive dynamic collision checking for single and multiple articulated robots in complex environments, 2005.
     """
     return _march("motion_clearance", False, chain, scene, q_from, q_to, margin, resolution, enough)
 
@@ -94,9 +97,10 @@ def motion_collides(
     margin: Any = 0.0,
     resolution: Any = 1e-3,
 ) -> Bool[Array, ""]:
-    """Whether the motion is not proven to keep `margin` [m]: `motion_clearance(..).free`, denied, and sooner known.
+    """Whether the motion `q_from + t (q_to - q_from)` is not proven to keep `margin` [m]: `motion_clearance(..).free`, denied, and
+    known sooner.
 
-    Never false where the motion comes nearer than `margin`, nor true where it keeps `margin + resolution`, but for `ROUNDING` and
+    Never false where it comes to `margin`; never true where it keeps more than `margin + resolution`, but for rounding and
     `MOST`; true for NaN.
     """
     return ~_march("motion_collides", True, chain, scene, q_from, q_to, margin, resolution, margin).free
@@ -118,12 +122,10 @@ def _march(who: str, first: bool, chain: Any, scene: Any, q_from: Any, q_to: Any
 
 
 @kernel(models=2)
-def _marched(
-    chain: Chain, first: bool, scene: Any, q_from: Any, q_to: Any, *numbers: Any
-) -> MotionClearance:
+def _marched(chain: Chain, first: bool, scene: Any, q_from: Any, q_to: Any, *numbers: Any) -> MotionClearance:
     dtype = jnp.result_type(q_from, q_to)
-    q_from, q_to, *numbers = (x.astype(dtype) for x in (q_from, q_to, *numbers))
-    found = _advanced(first, *map(_held, (chain, scene, q_from, q_to, *numbers)))
+    q_from, q_to = q_from.astype(dtype), q_to.astype(dtype)
+    found = _advanced(first, *map(_held, (chain, scene, q_from, q_to, *(x.astype(dtype) for x in numbers))))
     nearest = q_from + found.nearest * (q_to - q_from)
     return found._replace(clearance=_sloped(found.clearance, clearance(chain, scene, nearest)))
 
@@ -182,34 +184,33 @@ def _advanced(
 ) -> MotionClearance:
     """The march of the links against each other, which is cheap and has the smaller steps, and then that against the scene: as far
     as the first came, and no finer than it needs beside the first."""
-    dtype = q_from.dtype
-    zero, one = jnp.zeros((), dtype), jnp.ones((), dtype)
+    zero, one, far = (jnp.asarray(x, q_from.dtype) for x in (0.0, 1.0, FAR))
     asked = _Asked(margin, resolution, jnp.minimum(enough, FAR / 4.0), first)
-    end = _State(_Measured(one, 0, 0), one, one, FAR * one, zero, FAR * one, jnp.zeros((), bool), jnp.zeros((), jnp.int32))
-    itself = chain if chain.self_pairs else None
-    for part, there in ((itself, None), (dataclasses.replace(chain, self_pairs=()), scene)):
-        if part is None or (part is not itself and scene is None):
-            continue
-        rows = _rows(part)
-        bounds = _row_bounds(part, rows, q_from, q_to)
-        short = ROUNDING * float(jnp.finfo(dtype).eps) * (extent + _size(chain, bounds.length, q_from, q_to))
-        columns = np.searchsorted(_links(part), [row.link for row in rows])
-
-        def measured(t: Any, part: Any = part, rows: Any = rows, there: Any = there, columns: Any = columns, short: Any = short) -> Any:
-            q = q_from + t * (q_to - q_from)
-            apart = link_clearances(part, there, q)[columns] - short
-            return _Measured(t, jnp.minimum(apart, FAR), _speeds(part, rows, q, q_to - q_from))  # numbers, where nothing is
-
-        end = _marched_on(measured, bounds, asked, end)
+    end = _State(_Measured(one, 0, 0), one, one, far, zero, far, jnp.zeros((), bool), jnp.zeros((), jnp.int32))
+    if chain.self_pairs:
+        end = _marched_on(*_ruler(chain, None, q_from, q_to, extent), asked, end)
+    if scene is not None:
+        alone = dataclasses.replace(chain, self_pairs=())
+        end = _marched_on(*_ruler(alone, scene, q_from, q_to, extent), asked, end)
     free = end.here.t >= 1.0
-    known = lambda x: jnp.where(jnp.isnan(end.least), jnp.nan, x)
     bound = jnp.where(free, end.bound, jnp.minimum(end.bound, margin))
-    return MotionClearance(
-        known(jnp.where(bound > FAR / 8.0, jnp.inf, bound)),
-        known(jnp.where(free, jnp.inf, end.here.t)),
-        known(end.nearest),
-        end.count,
-    )
+    found = jnp.where(bound > FAR / 8.0, jnp.inf, bound), jnp.where(free, jnp.inf, end.here.t), end.nearest
+    return MotionClearance(*(jnp.where(jnp.isnan(end.least), jnp.nan, x) for x in found), end.count)
+
+
+def _ruler(chain: Chain, scene: Any, q_from: Any, q_to: Any, extent: Any) -> tuple[Any, _Bounds]:
+    """What measures one configuration of the motion by its fraction, less what rounding may have added, and the rows' bounds."""
+    rows, moved = _rows(chain), q_to - q_from
+    bounds = _row_bounds(chain, rows, q_from, q_to)
+    short = ROUNDING * float(jnp.finfo(q_from.dtype).eps) * (extent + _size(chain, bounds.length, q_from, q_to))
+    columns = np.searchsorted(_links(chain), [row.link for row in rows])
+
+    def measured(t: Any) -> _Measured:
+        q = q_from + t * moved
+        apart = jnp.minimum(link_clearances(chain, scene, q)[columns] - short, FAR)  # a number, where there is nothing to hit
+        return _Measured(t, apart, _speeds(chain, rows, q, moved))
+
+    return measured, bounds
 
 
 def _marched_on(measured: Any, bounds: _Bounds, asked: _Asked, before: _State) -> _State:
