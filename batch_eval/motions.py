@@ -1,9 +1,10 @@
 """Whether `motion_clearance` ever says free where a dense sampling hits, and how tight its bound is: random motions.
 
-`python batch_eval/motions.py` prints a line a robot and writes `batch_eval/motions.json`. Half of the obstacles are thin: stems of
-one to three millimetres, plates of two, bare points. A motion begins at a random free configuration and goes a random share of
-the way to another. The truth is `clearance` in float64 at `SAMPLES` equal steps, and finer about the least of them; the bound is
-in float32. Needs `pip install -e ".[test]"`; two of the robots are those of example-robot-data, with their collision meshes.
+`python batch_eval/motions.py` prints a line a robot and writes `batch_eval/motions.json`. Half of the obstacles are thin: stems
+of one to three millimetres, plates of two, bare points. A motion begins at a random free configuration and goes a random share
+of the way to another. The truth is `clearance` in float64 at `SAMPLES` equal steps, and finer about the least of them; the
+bound is in float32. Needs `pip install -e ".[test]"`; two of the robots are those of example-robot-data, with their collision
+meshes.
 """
 
 from __future__ import annotations

@@ -42,9 +42,9 @@ ROUNDING = 8.0  # what the working precision may add to a clearance on the way, 
 class MotionClearance(NamedTuple):
     """What is proven of a motion; of a batch of motions each field has its leading axes.
 
-    `clearance` is a bound from below over the motion [m]; where it is not free, over its part before `contact`, and no more than
-    the margin. Before the fraction `contact` (0 to 1) all of it is proven to be free; it is infinite where all of the motion
-    is. `nearest` is the fraction at which the least clearance was measured, `evaluations` how many configurations were.
+    `clearance` is a bound from below over the motion [m]; where it is not free, over its part up to `contact`, and no more
+    than the margin. Before the fraction `contact` (0 to 1) all of it is proven to be free; it is infinite where all of the
+    motion is. `nearest` is the fraction at which the least clearance was measured, `evaluations` how many configurations were.
     """
 
     clearance: Float[Array, "..."]
@@ -67,17 +67,17 @@ def motion_clearance(
     resolution: Any = 1e-3,
     enough: Any = np.inf,
 ) -> MotionClearance:
-    """A bound from below of the clearance [m] on the whole motion `q_from + t (q_to - q_from)`, 0 <= t <= 1, between samples, too.
+    """A bound from below of the clearance [m] on the whole motion `q_from + t (q_to - q_from)`, 0 <= t <= 1, not at samples.
 
-    Traced: `jit` and `vmap` it; one kernel on a CPU. With `D(t)` the `clearance` of a configuration, a motion that keeps more than
-    `margin + resolution` [m] throughout is proven free, one that comes to `margin` never is, and
+    Traced: `jit` and `vmap` it; one kernel on a CPU. With `D(t)` the `clearance` of a configuration, a motion that keeps more
+    than `margin + resolution` [m] throughout is proven free, one that comes to `margin` never is, and
 
         clearance <= min_t D(t) <= clearance + resolution
 
     of a free one, but for rounding (`ROUNDING`: 1e-5 m for an arm of 1 m in float32, 2e-14 in float64). The march ends where it
     comes to less than `margin + resolution`, at `contact`, which is 0 for what begins there; what comes after is not looked
-    at. With `margin=-inf` it goes on to the end, and bounds the depth of penetration. Clearances above `enough` [m] are not told
-    apart: a planner asks for `enough=margin`, which takes a tenth of the configurations.
+    at. With `margin=-inf` it goes on to the end, and bounds the depth of penetration. Clearances above `enough` [m] are not
+    told apart: a planner asks for `enough=margin`, which takes a tenth of the configurations.
 
     Joints' values are taken as they are: no turn is shortened, no limit looked at. NaN in a motion is NaN in its results, and
     not free. What is left after `MOST` configurations counts as not free. The derivative of `clearance`, by anything, is that
@@ -97,8 +97,8 @@ def motion_collides(
     margin: Any = 0.0,
     resolution: Any = 1e-3,
 ) -> Bool[Array, ""]:
-    """Whether the motion `q_from + t (q_to - q_from)` is not proven to keep `margin` [m]: `motion_clearance(..).free`, denied, and
-    known sooner.
+    """Whether the motion `q_from + t (q_to - q_from)` is not proven to keep `margin` [m]: `motion_clearance(..).free`, denied,
+    and known sooner.
 
     Never false where it comes to `margin`; never true where it keeps more than `margin + resolution`, but for rounding and
     `MOST`; true for NaN.
@@ -182,8 +182,8 @@ class _State(NamedTuple):
 def _advanced(
     first: bool, chain: Chain, scene: Any, q_from: Any, q_to: Any, margin: Any, resolution: Any, enough: Any, extent: Any
 ) -> MotionClearance:
-    """The march of the links against each other, which is cheap and has the smaller steps, and then that against the scene: as far
-    as the first came, and no finer than it needs beside the first."""
+    """The march of the links against each other, which is cheap and has the smaller steps, and then that against the scene: as
+    far as the first came, and no finer than it needs beside the first."""
     zero, one, far = (jnp.asarray(x, q_from.dtype) for x in (0.0, 1.0, FAR))
     asked = _Asked(margin, resolution, jnp.minimum(enough, FAR / 4.0), first)
     end = _State(_Measured(one, 0, 0), one, one, far, zero, far, jnp.zeros((), bool), jnp.zeros((), jnp.int32))
@@ -195,11 +195,12 @@ def _advanced(
     free = end.here.t >= 1.0
     bound = jnp.where(free, end.bound, jnp.minimum(end.bound, margin))
     found = jnp.where(bound > FAR / 8.0, jnp.inf, bound), jnp.where(free, jnp.inf, end.here.t), end.nearest
-    return MotionClearance(*(jnp.where(jnp.isnan(end.least), jnp.nan, x) for x in found), end.count)
+    clear, contact, nearest = (jnp.where(jnp.isnan(end.least), jnp.nan, x) for x in found)
+    return MotionClearance(clear, contact, nearest, end.count)
 
 
 def _ruler(chain: Chain, scene: Any, q_from: Any, q_to: Any, extent: Any) -> tuple[Any, _Bounds]:
-    """What measures one configuration of the motion by its fraction, less what rounding may have added, and the rows' bounds."""
+    """What measures one configuration of the motion, less what rounding may have added, and the bounds of its rows."""
     rows, moved = _rows(chain), q_to - q_from
     bounds = _row_bounds(chain, rows, q_from, q_to)
     short = ROUNDING * float(jnp.finfo(q_from.dtype).eps) * (extent + _size(chain, bounds.length, q_from, q_to))
@@ -352,8 +353,8 @@ def _row_bounds(chain: Chain, rows: list[_Row], q_from: Any, q_to: Any) -> _Boun
 
 
 def _speeds(chain: Chain, rows: list[_Row], q: Any, moved: Any) -> Any:
-    """How fast the points of each row's link move at `q` at most, by fractions of the motion (k,): the twist of a ball about its
-    skeleton, of all joints that move it relative to what it may hit."""
+    """How fast the points of each row's link move at `q` at most, by fractions of the motion (k,): the twist of a ball about
+    its skeleton, of all joints that move it relative to what it may hit."""
     root = Frame.of(chain.world_T_base, float(np.finfo(q.dtype).eps))
     frames, rates = joint_frames(chain, traced(q), root, q.dtype), traced(moved)
     found: dict[tuple[int, int], Any] = {}

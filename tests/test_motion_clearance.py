@@ -63,10 +63,10 @@ def test_no_tunnelling_through_a_thin_stem():
 
 
 def test_bounds_of_speed_hold():
-    """Speeds by the twist of a ball are no less than those of the skeleton's corners, by differences; the configuration's bounds,
-    of speed and of acceleration, hold at random ones. A chain whose middle joint slides."""
-    from jaxik.algebra import traced
+    """Speeds by the twist of a ball are no less than those of the skeleton's corners, by differences; the motion's bounds of
+    speed and acceleration hold at random fractions. A chain whose middle joint slides."""
     from jaxik.advancement import _row_bounds, _rows, _speeds
+    from jaxik.algebra import traced
     from jaxik.spheres import skeletons
 
     chain = jaxik.load("chembuly9")
