@@ -158,6 +158,7 @@ def test_nothing_to_hit_fixed_links_and_exhaustion():
         and still.evaluations == 1
         and still.clearance == pytest.approx(float(jaxik.clearance(fixed, scene, q)), abs=1e-9)
     )
+    scene = jaxik.make_scene(points=[[0.5, -1.0, 0.0]])
     short = jaxik.motion_clearance(alone, scene, q, q + 1.0, 0.0, 1e-9)  # a resolution that would take a million
     assert not short.free and 0.0 < short.contact < 1.0 and short.clearance <= 0.0 and short.evaluations == 4096
 
