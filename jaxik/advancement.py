@@ -76,8 +76,8 @@ def motion_clearance(
 
     of a free one, but for rounding (`ROUNDING`: 1e-5 m for an arm of 1 m in float32, 2e-14 in float64). The march ends where it
     comes to less than `margin + resolution`, at `contact`, which is 0 for what begins there; what comes after is not looked
-    at. With `margin=-inf` it goes on to the end, and bounds the depth of penetration. Clearances above `enough` [m] are not
-    told apart: a planner asks for `enough=margin`, which takes a tenth of the configurations.
+    at. With `margin=-inf` it goes on to the end, and bounds the depth of penetration. Clearances above `enough` [m], at
+    least the margin, are not told apart: a planner asks for `enough=margin`, which takes a tenth of the configurations.
 
     Joints' values are taken as they are: no turn is shortened, no limit looked at. NaN in a motion is NaN in its results, and
     not free. What is left after `MOST` configurations counts as not free. The derivative of `clearance`, by anything, is that
@@ -185,14 +185,15 @@ def _advanced(
     """The march of the links against each other, which is cheap and has the smaller steps, and then that against the scene: as
     far as the first came, and no finer than it needs beside the first."""
     zero, one, far = (jnp.asarray(x, q_from.dtype) for x in (0.0, 1.0, FAR))
-    asked = _Asked(margin, resolution, jnp.minimum(enough, FAR / 4.0), first)
+    resolution = jnp.where(resolution > 0.0, resolution, jnp.nan)  # a traced one: then nothing is proven
+    asked = _Asked(margin, resolution, jnp.clip(enough, margin, FAR / 4.0), first)
     end = _State(_Measured(one, 0, 0), one, one, far, zero, far, jnp.zeros((), bool), jnp.zeros((), jnp.int32))
     if chain.self_pairs:
         end = _marched_on(*_ruler(chain, None, q_from, q_to, extent), asked, end)
     if scene is not None:
         alone = dataclasses.replace(chain, self_pairs=())
         end = _marched_on(*_ruler(alone, scene, q_from, q_to, extent), asked, end)
-    free = end.here.t >= 1.0
+    free = ~end.hit & (end.here.t >= 1.0)
     bound = jnp.where(free, end.bound, jnp.minimum(end.bound, margin))
     found = jnp.where(bound > FAR / 8.0, jnp.inf, bound), jnp.where(free, jnp.inf, end.here.t), end.nearest
     clear, contact, nearest = (jnp.where(jnp.isnan(end.least), jnp.nan, x) for x in found)
@@ -257,19 +258,19 @@ def _marched_on(measured: Any, bounds: _Bounds, asked: _Asked, before: _State) -
     zero, one = jnp.zeros((), dtype), jnp.ones((), dtype)
     nowhere = _Measured(zero, jnp.full(rows, FAR, dtype), jnp.zeros(rows, dtype))
     start = before._replace(here=nowhere, step=zero, hope=one, hit=jnp.zeros((), bool), count=jnp.zeros((), jnp.int32))
-    due = lambda state: (state.here.t + state.step < until) | ((state.count == 0) & ~(before.hit & first))
+    # NaN is due: what cannot be compared is no proof
+    due = lambda state: ~(state.here.t + state.step >= until) | ((state.count == 0) & ~(before.hit & first))
     end = lax.while_loop(lambda state: due(state) & ~state.hit & (state.count < MOST), advance, start)
     through = ~due(end) & ~end.hit
     last = jnp.maximum(kept(end.here, until - end.here.t), level(end.least))
     return end._replace(
         here=_Measured(jnp.where(through, until, end.here.t), 0, 0),
         bound=jnp.where(through, jnp.minimum(end.bound, last), end.bound),
+        hit=end.hit | before.hit,
         count=end.count + before.count,
     )
 
 
-# --------------------------------------------------------------------------------------------------------------------
-# How far and how fast
 # --------------------------------------------------------------------------------------------------------------------
 # How far and how fast
 

@@ -134,6 +134,13 @@ def test_a_batch_is_its_rows_and_enough_is_enough(p6r, march, only_kernels):
     planner = jax.jit(jax.vmap(lambda a, b: jaxik.motion_clearance(chain, scene, a, b, enough=0.0)))(q_from, q_to)
     assert np.array_equal(planner.free, batch.free) and np.all(planner.clearance[planner.free] >= 0.0)
     assert planner.evaluations[planner.free].mean() < 0.5 * batch.evaluations[batch.free].mean()
+    ask = jax.jit(
+        jax.vmap(lambda a, b, *numbers: jaxik.motion_clearance(chain, scene, a, b, *numbers), (0, 0, None, None, None))
+    )
+    kept = ask(q_from, q_to, 0.005, 1e-3, 0.0)  # enough, and less than the margin
+    assert np.all(kept.free <= (batch.clearance >= 0.003)) and np.all(kept.clearance[kept.free] >= 0.005)
+    for odd in ((np.nan, 1e-3, 0.0), (0.0, np.nan, 0.0), (0.0, -1e-3, 0.0), (0.0, 1e-3, np.nan)):
+        assert not np.any(ask(q_from, q_to, *odd).free)  # traced numbers that prove nothing
     collides = jax.jit(jax.vmap(lambda a, b: jaxik.motion_collides(chain, scene, a, b)))(q_from, q_to)
     assert np.array_equal(collides, ~batch.free)
 
