@@ -1,5 +1,6 @@
 """Batched, differentiable kinematics for redundant robot arms, on JAX."""
 
+from jaxik.advancement import MotionClearance, motion_clearance, motion_collides
 from jaxik.attach import Attached, attach
 from jaxik.boundary import boundary_value
 from jaxik.chain import Chain, finite_limits, within_limits
@@ -51,6 +52,7 @@ __all__ = [
     "Line",
     "LinkFit",
     "LoadError",
+    "MotionClearance",
     "MovingHorizon",
     "Reason",
     "Scene",
@@ -92,6 +94,8 @@ __all__ = [
     "make_scene",
     "manipulability",
     "motion",
+    "motion_clearance",
+    "motion_collides",
     "multistart",
     "object_clearances",
     "predict",
