@@ -14,7 +14,7 @@ from jaxik.ik_options import IKOptions
 from jaxik.implicit import implicit_ik
 from jaxik.kinematics import bias_acceleration, forward_kinematics, jacobian, link_frames, manipulability
 from jaxik.lanes import descend
-from jaxik.load import fit_report, load, load_scene, load_targets
+from jaxik.load import fit_report, load, load_scene, load_targets, save
 from jaxik.mapping import fit_mapping
 from jaxik.moving_horizon import MovingHorizon, follow_predictively
 from jaxik.optimise.descent import QUASI_NEWTON, Descent
@@ -97,6 +97,7 @@ __all__ = [
     "resolve_acceleration",
     "resolve_velocity",
     "rmrc",
+    "save",
     "scan",
     "self_clearance",
     "solve_ik",

@@ -20,16 +20,17 @@ from jaxik.load import scene as scene_files
 from jaxik.load.ignore import ignored
 from jaxik.load.mesh import Meshes
 from jaxik.load.mjcf import load_mjcf
+from jaxik.load.save import read_chain, save
 from jaxik.load.srdf import disabled_pairs
 from jaxik.load.targets import load_targets
-from jaxik.load.toml import load_toml
+from jaxik.load.toml import load_toml, read_toml
 from jaxik.load.urdf import load_urdf
 from jaxik.result import LoadError
 from jaxik.robot_fit import Shape, modelled
 from jaxik.scene import Scene
 from jaxik.spheres import self_collisions
 
-__all__ = ["LoadError", "fit_report", "load", "load_scene", "load_targets", "models_folder"]
+__all__ = ["LoadError", "fit_report", "load", "load_scene", "load_targets", "models_folder", "save"]
 
 FIT = Fit()
 
@@ -64,10 +65,14 @@ def load(
     path = _locate(source)
     tool = None if tool is None else np.asarray(rigid_frame("tool (tip_T_tool)", tool), np.float64)
     check_kind("load", "fit", fit, Fit, optional=True)
-    chain, shapes = _read(path, tip, base, tool, Meshes(fit is not None) if meshes else None)
+    chain, shapes, pairs = _read(path, tip, base, tool, Meshes(fit is not None) if meshes else None)
     apart, beside = ignored(path, chain, ignore)
     disabled = apart | (frozenset() if srdf is None else disabled_pairs(Path(srdf)))
-    chain = dataclasses.replace(chain, ignored=chain.ignored + beside)
+    chain = dataclasses.replace(chain, ignored=tuple(dict.fromkeys(chain.ignored + beside)))
+    if pairs is not None:
+        names = chain.link_names
+        kept = tuple(pair for pair in pairs if frozenset(names[i] for i in pair) not in disabled)
+        return dataclasses.replace(chain, self_pairs=kept)
     if shapes:
         model = modelled(chain, shapes, fit, disabled)
         _tell(chain, "links' hulls", model.at_home, model.colliding)
@@ -80,18 +85,29 @@ def load(
 
 def _read(
     path: Path, tip: str | None, base: str | None, tool: np.ndarray | None, meshes: Meshes | None
-) -> tuple[Chain, list[Shape]]:
-    """The chain of a file, and the shapes that are to be fitted."""
+) -> tuple[Chain, list[Shape], tuple[tuple[int, int], ...] | None]:
+    """The chain of a file, the shapes that are to be fitted, and the pairs of links to check where the file says them."""
     kind = path.suffix.lower()
     if kind == ".urdf":
         chain = load_urdf(path, tip, base, tool, meshes)
     elif kind in (".xml", ".mjcf"):
         chain = load_mjcf(path, tip, base, tool, meshes)
     elif kind == ".toml":
+        model = read_toml(path)
+        if model.content.get("convention") == "chain":
+            chain = _saved(path, read_chain(model), tip, base, tool)
+            return chain, [], chain.self_pairs
         chain = load_toml(path, tip, base, tool)
     else:
         raise LoadError(path, "file", f"ending '{kind}'", "allowed: .urdf, .xml (MJCF), .toml")
-    return chain, [] if meshes is None else meshes.shapes(chain)
+    return chain, [] if meshes is None else meshes.shapes(chain), None
+
+
+def _saved(path: Path, chain: Chain, tip: str | None, base: str | None, tool: np.ndarray | None) -> Chain:
+    """A chain that `save` wrote has its base and its tip."""
+    if tip is not None or base is not None:
+        raise LoadError(path, f"tip '{tip}', base '{base}'", "are fixed in a saved chain", "leave them out, or use chain.part")
+    return chain if tool is None else chain.with_tool(tool)
 
 
 def _tell(chain: Chain, what: str, at_home: Mapping[tuple[int, int], float | None], share: float) -> None:
@@ -126,7 +142,7 @@ def fit_report(
     """
     path = _locate(source)
     check_kind("fit_report", "fit", fit, Fit)
-    chain, shapes = _read(path, tip, base, None, Meshes(True))
+    chain, shapes, _ = _read(path, tip, base, None, Meshes(True))
     disabled = (frozenset() if srdf is None else disabled_pairs(Path(srdf))) | ignored(path, chain, ignore)[0]
     told = None if progress is None else lambda done: progress(done, len(shapes))
     return link_fits(chain, shapes, modelled(chain, shapes, fit, disabled, told))

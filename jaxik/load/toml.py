@@ -80,6 +80,21 @@ class Table:
     def number(self, key: str, unit: str, default: float | None = None) -> float:
         return float(self.array(key, unit, (), default))
 
+    def finite(self, key: str, shape: tuple[int, ...], least: float = -math.inf) -> np.ndarray:
+        """Likewise numbers without a unit that are finite, and none of them less than `least`."""
+        values = self.array(key, "plain", shape)
+        if not np.all(np.isfinite(values) & (values >= least)):
+            raise self.fail(f"'{key}' is out of range", "write finite numbers" + ("" if least < 0.0 else f" >= {least:g}"))
+        return values
+
+    def listed(self, key: str) -> list[Any]:
+        """The list under `key`, empty unless given."""
+        self.asked.add(key)
+        value = self.content.get(key, [])
+        if not isinstance(value, list):
+            raise self.fail(f"'{key}' is not a list", f"write {key} = [...]")
+        return value
+
     def turn(self) -> np.ndarray:
         """The rotation (3, 3) under `rpy`."""
         rpy = self.array("rpy", "angle", (3,), np.zeros(3))

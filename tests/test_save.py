@@ -1,0 +1,132 @@
+"""Chains to files and back: TOML to the last bit; a URDF of spheres that hold the collision model."""
+
+import dataclasses
+
+import numpy as np
+import pytest
+from robots import FOLDER, ROBOTS
+from test_load import write
+
+import jaxik
+from jaxik.chain import Volume
+from jaxik.load.spherized import _covering
+
+SHIPPED = ("p6r", "crops_v2", "chembuly9", "pendulum4", "planar2")
+
+
+@pytest.mark.parametrize("name", SHIPPED)
+def test_a_chain_is_read_as_it_was_written(tmp_path, name):
+    chain = (
+        jaxik.load(name).with_spheres(64).mounted(np.array([[0, -1, 0, 0.1], [1, 0, 0, 0.2], [0, 0, 1, 1 / 3], [0, 0, 0, 1]]))
+    )
+    assert jaxik.save(chain, tmp_path / "chain.toml") == 0.0
+    assert jaxik.load(tmp_path / "chain.toml") == chain
+
+
+@pytest.mark.filterwarnings("ignore:panda. its .* collide in its default pose")  # `test_fit` holds that it is said
+def test_a_fitted_model_is_read_as_it_was_written(tmp_path):
+    file, tip = ROBOTS["panda"]
+    chain = jaxik.load(FOLDER / file, tip=tip, meshes=True, ignore=["panda_link0", ("panda_link2", 'a "table"')])
+    assert chain.ignored == ((chain.link_names.index("panda_link0"), "*"), (chain.link_names.index("panda_link2"), 'a "table"'))
+    jaxik.save(chain, tmp_path / "panda.toml")
+    again = jaxik.load(tmp_path / "panda.toml")
+    assert again == chain and again.volumes and again.self_pairs == chain.self_pairs and again.ignored == chain.ignored
+    a, b = (chain.link_names[i] for i in chain.self_pairs[0])
+    fewer = jaxik.load(tmp_path / "panda.toml", ignore=[(b, a)])
+    assert fewer.self_pairs == chain.self_pairs[1:]
+    part = chain.part(1, 7)
+    assert part.ignored == ((part.link_names.index("panda_link2"), 'a "table"'),) and "panda_link0" not in part.link_names
+    unread = jaxik.load(FOLDER / file, tip=tip)
+    jaxik.save(unread, tmp_path / "unread.toml")
+    assert jaxik.load(tmp_path / "unread.toml") == unread
+    with pytest.raises(ValueError, match=r"panda_link0.* are not read"):
+        jaxik.save(unread, tmp_path / "unread.urdf")
+
+
+def mixed():
+    """A triangle and a capsule on a chain with a slide, and boxes."""
+    chain = jaxik.load("p6r")
+    more = [Volume(np.array([[0.0, 0.1, 0.0], [0.1, 0.1, 0.1], [-0.1, 0.2, 0.1]]), np.asarray(0.02), chain.boxes[-1].link)]
+    more.append(Volume(np.array([[0.0, 0.1, 0.0], [0.1, 0.1, 0.1]]), np.asarray(0.03), chain.boxes[0].link))
+    return dataclasses.replace(chain, volumes=(*chain.volumes, *more))
+
+
+def test_spheres_hold_the_model(tmp_path):
+    """In a URDF that stands and moves as the chain does, and reach no further than is told."""
+    chain = mixed()
+    told = jaxik.save(chain, tmp_path / "spheres.urdf", beyond=0.004)
+    assert 0.0 < told <= 0.004 and f"at most {1e3 * told:.1f} mm" in (tmp_path / "spheres.urdf").read_text()
+    other = jaxik.load(tmp_path / "spheres.urdf", tip="tool")
+    assert {len(v.corners) for v in other.volumes} == {1} and not other.boxes
+    q = np.random.default_rng(0).uniform(*jaxik.finite_limits(chain))
+    pose = jaxik.forward_kinematics(chain.mounted(np.eye(4)), q)
+    np.testing.assert_allclose(jaxik.forward_kinematics(other, q), pose, atol=2e-6)
+    rng = np.random.default_rng(1)
+    frames = {name: np.eye(4) if o is None else o for name, o in zip(chain.link_names, chain.link_offset, strict=True)}
+    for volume in chain.volumes:
+        name = chain.link_names[volume.link]
+        back = other.link_offset[other.link_names.index(name)] @ np.linalg.inv(frames[name])
+        mine = [v for v in other.volumes if other.link_names[v.link] == name]
+        inside = rng.dirichlet(np.ones(len(volume.corners)), 300) @ np.asarray(volume.corners)
+        outward = rng.normal(size=(300, 3))
+        skin = inside + float(volume.radius) * outward / np.linalg.norm(outward, axis=1, keepdims=True)
+        skin = skin @ back[:3, :3].T + back[:3, 3]
+        gaps = [np.linalg.norm(skin - v.corners[0], axis=1) - float(v.radius) for v in mine]
+        assert np.min(gaps, axis=0).max() < 1e-9
+
+
+@pytest.mark.parametrize("count", [1, 2, 3])
+def test_a_cover_reaches_as_far_as_is_told(count):
+    rng = np.random.default_rng(count)
+    for _ in range(20):
+        corners, radius, beyond = 0.1 * rng.normal(size=(count, 3)), rng.uniform(0.01, 0.1), rng.uniform(0.002, 0.02)
+        centres, reach = _covering(corners, radius, beyond)
+        assert reach <= beyond + 1e-12
+        # corners, edges and the inside, each with what is around it
+        inside = np.concatenate([corners, *(rng.dirichlet(np.full(count, a), 400) @ corners for a in (0.05, 0.5))])
+        outward = rng.normal(size=inside.shape)
+        skin = inside + radius * outward / np.linalg.norm(outward, axis=1, keepdims=True)
+        gaps = np.linalg.norm(skin[:, None] - centres, axis=2).min(axis=1) - radius - reach
+        assert gaps.max() <= 1e-9
+
+
+def test_bad_files_are_one_line(tmp_path):
+    chain = jaxik.load("planar2")
+    jaxik.save(chain, tmp_path / "chain.toml")
+    text = (tmp_path / "chain.toml").read_text()
+    bad = {
+        "pairs = []": ('pairs = [["link1"]]', "pairs holds"),
+        'type = "revolute"': ('type = "fixed"', "type = 'fixed'"),
+        "spheres_per_box = 8": ("spheres_per_box = 9", "spheres_per_box = 9"),
+        "joint = 1": ("joint = 7", "joint = 7"),
+        "radius = 0.05": ("radius = -0.05", "'radius' is out of range"),
+        'link = "link1"': ('link = "hand"', "link = 'hand'"),
+        "ignore = []": ('ignore = ["hand"]', "no such link 'hand'"),
+        "velocity =": ("speed =", "'velocity' is missing"),
+    }
+    for old, (new, words) in bad.items():
+        assert old in text, old
+        path = write(tmp_path, "bad.toml", text.replace(old, new))
+        with pytest.raises(jaxik.LoadError) as caught:
+            jaxik.load(path)
+        assert words in str(caught.value) and "\n" not in str(caught.value)
+    with pytest.raises(jaxik.LoadError, match="fixed in a saved chain"):
+        jaxik.load(tmp_path / "chain.toml", tip="link1")
+    with pytest.raises(ValueError, match=r"ending '.yaml'; allowed: .toml, .urdf"):
+        jaxik.save(chain, tmp_path / "chain.yaml")
+
+
+@pytest.mark.parametrize(
+    "entries, words",
+    [
+        ([("hand", "table")], "no such link 'hand'; links: base, q1_axis, link1"),
+        ("link1", "is no list"),
+        ([("link1", "link2", "table")], "is no link and no pair"),
+        ([3], "is no link and no pair"),
+    ],
+)
+def test_bad_ignores_are_one_line(entries, words):
+    with pytest.raises(jaxik.LoadError) as caught:
+        jaxik.load("planar2", ignore=entries)
+    assert words.split(";")[0] in str(caught.value) and words.split("; ")[-1] in str(caught.value)
+    assert "\n" not in str(caught.value)
