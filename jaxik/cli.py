@@ -20,6 +20,7 @@ import tyro
 import jaxik
 from jaxik.batch import compilation_cache
 from jaxik.harvest import Harvest
+from jaxik.load import link_meshes
 from jaxik.reach import millimetres
 from jaxik.scan import Weights
 from jaxik.task import COMPONENTS
@@ -387,7 +388,8 @@ def run_view(arguments: ViewArguments) -> None:
         raise ValueError("--harvest: needs a --scene with fruits, e.g. --scene cucumber_row")
     scene = None if arguments.scene is None else jaxik.load_scene(arguments.scene)
     picked = jaxik.harvest(chain, scene) if arguments.harvest and scene is not None else None
-    page = Page(chain, scene, arguments.store, picked, arguments.host, arguments.port)
+    meshes = link_meshes(arguments.robot, arguments.tip)
+    page = Page(chain, scene, arguments.store, picked, arguments.host, arguments.port, meshes)
     print(f"open {page.url} in a browser; Ctrl-C ends", flush=True)
     page.wait()
 
