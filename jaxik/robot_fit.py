@@ -31,10 +31,11 @@ SPARED = 0.01  # of them, the closest, that a fit does not try to tell from coll
 CLOSEST, CLOSE = 0.25, 0.006  # of the accuracy, and [m]: the least that a fit tries to keep to
 BINS = 400  # directions for which the closest pass alone counts
 NEAREST, CHILDREN, ROUNDS = 12, 6, 8  # of the search for a collision
+FAR = 1e3  # [m] by which what is close goes before what is not
 FITS = 2  # of all shapes
 WORTH = 3e-4  # of false collisions, in shares, that a capsule is worth
 SECTIONS = 32  # corners that stand for a circle
-_VERSION = 4  # of what is stored
+_VERSION = 5  # of what is stored
 
 Pair = tuple[int, int]
 
@@ -247,38 +248,40 @@ class _Links:
         each = [(self.bodies[i][1], self.bodies[j][1]) for i in self.of(pair[0]) for j in self.of(pair[1])]
         return np.asarray(np.max([overlap(a, b, turn, place) for a, b in each], axis=0))
 
-    def gaps(self, pair: Pair, q: np.ndarray, enough: float) -> np.ndarray:
-        """The gap of a pair of links at configurations `q` (n,) [m], at least `enough` where it is no less; 0 if they touch."""
+    def signed(self, pair: Pair, q: np.ndarray, enough: float) -> np.ndarray:
+        """The gap of a pair of links at configurations `q` (n,) [m], at least `enough` where it is no less; where they overlap,
+        by how much, less than 0."""
         turn, place = self.between(pair, _frames(self.chain, q))
         least = np.full(len(q), max(enough, 1e-9))
         for i in self.of(pair[0]):
             for j in self.of(pair[1]):
                 rows = np.flatnonzero(self.bound(i, j, turn, place) < least)
                 found = apart(self.bodies[i][1], self.bodies[j][1], turn[rows], place[rows], float(least.max()))
-                least[rows] = np.minimum(least[rows], np.maximum(found, 0.0))
+                least[rows] = np.minimum(least[rows], found)
+        touching = least <= 0.0
+        least[touching] = -self.depth(pair, q[touching]) if touching.any() else 0.0
         return least
 
     def collides(self, pair: Pair, gap: np.ndarray) -> bool:
         """Whether a pair of links ever overlaps by more than `DEEP`: as it is in the samples, or after a search from the
         nearest of them that only turns the joints between the two."""
         touching = np.flatnonzero(gap <= 0.0)
-        if len(touching):
-            return len(touching) > OFTEN * len(gap) or bool(self.depth(pair, self.q[touching]).max() > DEEP)
+        if len(touching) > OFTEN * len(gap) or (len(touching) and self.depth(pair, self.q[touching]).max() > DEEP):
+            return True
         joints = np.arange(*sorted(self.chain.link_joint[link] for link in pair))
         turn, place = self.between(pair, self.frames)
         bound = np.min([self.bound(i, j, turn, place) for i in self.of(pair[0]) for j in self.of(pair[1])], axis=0)
-        best = self.q[np.argsort(np.where(np.isfinite(gap), gap - 1.0, bound), kind="stable")[:NEAREST]]
-        value, (low, high), rng = self.gaps(pair, best, np.inf), self.limits, np.random.default_rng(1)
+        best = self.q[np.argsort(np.where(np.isfinite(gap), gap - FAR, bound), kind="stable")[:NEAREST]]
+        value, (low, high), rng = self.signed(pair, best, np.inf), self.limits, np.random.default_rng(1)
         for turned in range(ROUNDS):
             born = np.repeat(best, CHILDREN, axis=0)
             born[:, joints] += 0.25 * 0.6**turned * (high - low)[joints] * rng.normal(size=(len(born), len(joints)))
-            born = np.vstack([best, np.clip(born, low, high)])
-            value = np.concatenate([value, self.gaps(pair, born[NEAREST:], float(value.max()))])
-            touching = np.flatnonzero(value <= 0.0)
-            if len(touching) and self.depth(pair, born[touching]).max() > DEEP:
+            born = np.clip(born, low, high)
+            every = np.concatenate([value, self.signed(pair, born, float(value.max()))])
+            order = np.argsort(every, kind="stable")[:NEAREST]
+            best, value = np.vstack([best, born])[order], every[order]
+            if value[0] < -DEEP:
                 return True
-            order = np.argsort(value, kind="stable")[:NEAREST]
-            best, value = born[order], value[order]
         return False
 
     def share(self, each: _Pass, fits: Sequence[Fitted]) -> np.ndarray:
