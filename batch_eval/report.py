@@ -230,6 +230,22 @@ def motions_markdown(result: dict[str, Any]) -> str:
     return "\n".join(lines)
 
 
+def model_markdown(result: dict[str, Any]) -> str:
+    """A row for each robot: its collision model's size and what it says falsely, in two settings."""
+    fit = result["finer"]["fit"]
+    lines = [
+        f"| robot | volumes | protrusion, most, mean | free by hulls | false | missed | finer ({1e3 * fit['accuracy']:.0f} mm, "
+        f"{fit['most']} a mesh): volumes | false | missed |",
+        "| --- | --- | --- | --- | --- | --- | --- | --- | --- |",
+    ]
+    for row, finer in zip(result["default"]["rows"], result["finer"]["rows"], strict=True):
+        reach = f"{row['protrusion max [mm]']:.0f} mm, {row['protrusion mean [mm]']:.0f} mm"
+        shares = f"{100 * row['free by hulls']:.1f} % | {100 * row['false']:.1f} % | {row['missed']}"
+        more = f"{finer['volumes']} | {100 * finer['false']:.1f} % | {finer['missed']}"
+        lines.append(f"| {row['robot']} | {row['volumes']} | {reach} | {shares} | {more} |")
+    return "\n".join(lines)
+
+
 TABLES = {
     "base_placement.json": base_markdown,
     "benchmark.json": markdown,

@@ -1,4 +1,4 @@
-"""The commands: `jaxik harvest`, `jaxik ik`, `jaxik sweep`, `jaxik view`."""
+"""The commands: `jaxik harvest`, `jaxik ik`, `jaxik sweep`, `jaxik fit`, `jaxik view`."""
 
 from __future__ import annotations
 
@@ -10,6 +10,7 @@ import shutil
 import signal
 import sys
 import time
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
@@ -19,6 +20,7 @@ import tyro
 import jaxik
 from jaxik.batch import compilation_cache
 from jaxik.harvest import Harvest
+from jaxik.load import link_meshes
 from jaxik.reach import millimetres
 from jaxik.scan import Blockers, Weights
 from jaxik.task import COMPONENTS
@@ -294,6 +296,68 @@ class _Interrupt:
 
 
 @dataclasses.dataclass
+class FitArguments:
+    """Capsules around a robot's collision meshes: how close they come, and a file of the robot with them."""
+
+    robot: tyro.conf.Positional[str]
+    """A robot file with meshes (.urdf, .xml)."""
+    tip: str | None = None
+    """The link at the tip; needed where the robot has several."""
+    base: str | None = None
+    """The link that the chain starts from; the root unless given."""
+    accuracy: float = 1e3 * jaxik.Fit().accuracy
+    """How far a capsule may reach beyond its mesh's hull [mm]."""
+    most: int = jaxik.Fit().most
+    """Capsules a mesh, at most."""
+    srdf: Path | None = None
+    """A file that says which links are not checked against each other."""
+    to: Path | None = None
+    """A file to write: .toml, which jaxik loads as it is; .urdf, in which spheres are the links, for other programs."""
+
+
+def run_fit(arguments: FitArguments) -> None:
+    """Fit with a progress bar, and end with a table of the meshes, and the file."""
+    from rich.console import Console
+    from rich.progress import Progress
+
+    if arguments.to is not None and arguments.to.suffix not in (".toml", ".urdf"):
+        raise ValueError(f"--to {arguments.to}: ending '{arguments.to.suffix}'; allowed: .toml, .urdf")
+    fit = jaxik.Fit(arguments.accuracy / 1e3, arguments.most)
+    what: dict[str, Any] = {"tip": arguments.tip, "base": arguments.base, "srdf": arguments.srdf, "fit": fit}
+    start = time.perf_counter()
+    with Progress(console=Console(stderr=True)) as bar:
+        line = bar.add_task("fit", total=None)
+        show = lambda done, of: bar.update(line, completed=done, total=of)
+        report = jaxik.fit_report(arguments.robot, progress=show, **what)
+    seconds = time.perf_counter() - start
+    chain = jaxik.load(arguments.robot, meshes=True, **what)
+    _print_fits(chain.name, report)
+    false = max((row.false for row in report), default=0.0)
+    print(
+        f"{len(chain.volumes)} volumes, {len(chain.self_pairs)} pairs of links to check, in {seconds:.1f} s; "
+        f"the worst link falsely collides with others in {false:.1%} of random configurations"
+    )
+    if arguments.to is not None:
+        beyond = jaxik.save(chain, arguments.to)
+        print(f"wrote {arguments.to}" + (f", spheres up to {1e3 * beyond:.1f} mm beyond the volumes" if beyond else ""))
+
+
+def _print_fits(name: str, report: Sequence[jaxik.LinkFit]) -> None:
+    from rich.console import Console
+    from rich.markup import escape
+    from rich.table import Table
+
+    table = Table(title=escape(f"{name}: capsules around its meshes, lengths in mm"))
+    for heading in ("link", "mesh", "volumes", "coverage", "protrusion", "mean", "gap", "false collisions"):
+        table.add_column(heading, justify="left" if heading in ("link", "mesh") else "right")
+    for row in report:
+        lengths = (f"{1e3 * x:.1f}" for x in (row.protrusion, row.mean, row.gap))
+        short = row.mesh.rpartition("/")[2]
+        table.add_row(escape(row.link), escape(short), str(row.capsules), f"{row.coverage:.1%}", *lengths, f"{row.false:.1%}")
+    Console(width=max(120, Console().width)).print(table)
+
+
+@dataclasses.dataclass
 class ViewArguments:
     """A page in the browser: the robot with joints to drag, the scene, a sweep's map, each fruit's posture."""
 
@@ -323,7 +387,8 @@ def run_view(arguments: ViewArguments) -> None:
         raise ValueError("--harvest: needs a --scene with fruits, e.g. --scene cucumber_row")
     scene = None if arguments.scene is None else jaxik.load_scene(arguments.scene)
     picked = jaxik.harvest(chain, scene) if arguments.harvest and scene is not None else None
-    page = Page(chain, scene, arguments.store, picked, arguments.host, arguments.port)
+    meshes = link_meshes(arguments.robot, arguments.tip)
+    page = Page(chain, scene, arguments.store, picked, arguments.host, arguments.port, meshes)
     print(f"open {page.url} in a browser; Ctrl-C ends", flush=True)
     page.wait()
 
@@ -415,6 +480,7 @@ def main() -> None:
         Annotated[HarvestArguments, tyro.conf.subcommand("harvest")]
         | Annotated[IKArguments, tyro.conf.subcommand("ik")]
         | Annotated[SweepArguments, tyro.conf.subcommand("sweep")]
+        | Annotated[FitArguments, tyro.conf.subcommand("fit")]
         | Annotated[ViewArguments, tyro.conf.subcommand("view")]
         | Annotated[_About, tyro.conf.subcommand("about")],  # type: ignore[arg-type]
         prog="jaxik",
@@ -427,6 +493,8 @@ def main() -> None:
             run_ik(arguments)
         elif isinstance(arguments, SweepArguments):
             run_sweep(arguments)
+        elif isinstance(arguments, FitArguments):
+            run_fit(arguments)
         elif isinstance(arguments, ViewArguments):
             run_view(arguments)
         else:

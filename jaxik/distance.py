@@ -6,8 +6,8 @@ minimisation over its skeleton. And at that minimum the derivative with respect 
 minimum lies at an end): so the minimiser is found without derivatives, held fixed, and the distance at it has the right
 gradient [Danskin 1967].
 
-What a negative distance says: the shortest way out, of points, and so of spheres, of lines, of triangles in boxes, and where only
-radii overlap. A triangle that enters a cylinder is as deep as the deepest of some lines in it: it must move at least so far. A
+What a negative distance says: the shortest way out, of points, and so of spheres, of lines, of triangles in boxes, and where
+only radii overlap. A triangle that enters a cylinder is as deep as the deepest of some lines in it: it must move at least so far. A
 triangle that another skeleton crosses is 0 apart from it: that tells that they do, not how far. The sign is always right.
 """
 

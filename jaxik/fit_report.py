@@ -51,14 +51,9 @@ def _measured(shape: Shape, found: Fitted) -> tuple[float, float, float, float]:
 
 def surface(shape: Shape) -> np.ndarray:
     """Points spread over a shape's triangles, and its corners."""
-    from scipy.spatial import ConvexHull, QhullError
-
-    points, faces = shape.corners, shape.faces
-    if faces is None or not len(faces):
-        try:
-            faces = ConvexHull(points).simplices
-        except QhullError:
-            return points
+    points, faces = shape.corners, shape.triangles
+    if not len(faces):
+        return points
     a, b, c = (points[faces[:, i]] for i in range(3))
     area = np.linalg.norm(np.cross(b - a, c - a), axis=1)
     rng = np.random.default_rng(0)

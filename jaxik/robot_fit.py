@@ -2,8 +2,8 @@
 
 The truth is the convex hull of each shape. It is asked in random configurations (`convex`) for each pair of links: pairs that
 touch in the default pose or always are left out, and those that never do, which a search from the nearest configurations
-confirms. Where two links pass each other closely without touching, each keeps behind the plane in the middle of the gap: these
-planes are what `fit` is told. So capsules are spent where links pass each other, and each is tight on that side alone.
+confirms. Where two links pass each other closely without touching, each keeps behind a plane in the gap: these planes are what
+`fit` is told. So capsules are spent where links pass each other, and each is tight on that side alone.
 """
 
 from __future__ import annotations
@@ -28,11 +28,14 @@ ALWAYS = 0.95  # of them in which a pair touches that is not checked
 DEEP = 0.003  # [m] that a pair may overlap and still be left out
 OFTEN = 0.05  # of them from which a pair is checked in any case
 SPARED = 0.01  # of them, the closest, that a fit does not try to tell from collisions
-CLOSEST = 0.25  # of the accuracy, which is the least that a fit tries to keep to
+CLOSEST, CLOSE = 0.25, 0.006  # of the accuracy, and [m]: the least that a fit tries to keep to
 BINS = 400  # directions for which the closest pass alone counts
 NEAREST, CHILDREN, ROUNDS = 12, 6, 8  # of the search for a collision
+FAR = 1e3  # [m] by which what is close goes before what is not
+FITS = 2  # of all shapes
+WORTH = 3e-4  # of false collisions, in shares, that a capsule is worth
 SECTIONS = 32  # corners that stand for a circle
-_VERSION = 2  # of what is stored
+_VERSION = 5  # of what is stored
 
 Pair = tuple[int, int]
 
@@ -46,6 +49,18 @@ class Shape(NamedTuple):
     corners: np.ndarray
     faces: np.ndarray | None = None
 
+    @property
+    def triangles(self) -> np.ndarray:
+        """The triangles (f, 3) of its surface; none of what is flat and has no faces."""
+        from scipy.spatial import ConvexHull, QhullError
+
+        if self.faces is not None and len(self.faces):
+            return self.faces
+        try:
+            return np.asarray(ConvexHull(self.corners).simplices)
+        except (QhullError, ValueError):
+            return np.zeros((0, 3), int)
+
 
 class Model(NamedTuple):
     """What was fitted: capsules for each shape, the pairs of links to check, those that touch in the default pose and by how
@@ -58,6 +73,11 @@ class Model(NamedTuple):
     false: float
     false_by_link: dict[int, float]
     home_free: bool
+
+    @property
+    def worth(self) -> tuple[bool, float]:
+        """What makes one model better than another, if it is less."""
+        return not self.home_free, self.false + WORTH * sum(len(found.radii) for found in self.fits)
 
     def volumes(self, shapes: Sequence[Shape]) -> tuple[Volume, ...]:
         """The capsules as volumes of their links."""
@@ -164,21 +184,29 @@ class _Links:
         at_home = {pair: float(self.depth(pair, self.q[:1])[0]) for pair, gap in gaps.items() if gap[0] <= 0.0}
         kept = [p for p, gap in gaps.items() if gap[0] > 0.0 and np.mean(gap[1:] <= 0.0) < ALWAYS and self.collides(p, gap)]
         least = np.min([gaps[p] for p in kept], axis=0) if kept else np.full(len(self.q), np.inf)
-        planes = self.planes([each for p in kept for each in passes[p]], least, fit.accuracy)
-        fits = []
-        for number, shape in enumerate(self.shapes):
-            fits.append(fitted(shape.corners, fit, planes[number]))
-            if progress is not None:
-                progress(number + 1)
+        close = [each for p in kept for each in passes[p]]
+        shares = [np.full(len(each.rows), 0.5) for each in close]
+        best: Model | None = None
+        for turn in range(FITS):  # the second time each gets of a gap what it needed of it the first time
+            fits, keep = [], self.planes(close, shares, least, fit.accuracy)
+            for number, shape in enumerate(self.shapes):
+                fits.append(fitted(shape.corners, fit, keep[number]))
+                if progress is not None:
+                    progress(turn * len(self.shapes) + number + 1)
+            made = self.judged(fits, kept, at_home, least)
+            best = made if best is None or made.worth < best.worth else best
+            shares = [self.share(each, fits) for each in close]
+        assert best is not None
+        return best
+
+    def judged(self, fits: Sequence[Fitted], kept: Sequence[Pair], at_home: dict[Pair, float], least: np.ndarray) -> Model:
+        """The model that capsules make, with what it says of the samples."""
         hit = {pair: self.touching(pair, fits) & (least > 0.0) for pair in kept}
-        false = np.any([*hit.values()], axis=0) if hit else np.zeros(len(self.q), bool)
-        by_link = {
-            link: float(np.any([h[1:] for pair, h in hit.items() if link in pair], axis=0).mean())
-            for link in sorted({link for pair in hit for link in pair})
-        }
-        return Model(
-            tuple(fits), tuple(kept), at_home, float(np.mean(least[1:] <= 0.0)), float(false[1:].mean()), by_link, not false[0]
-        )
+        share = lambda hits: float(np.any([np.zeros(len(self.q), bool), *hits], axis=0)[1:].mean())
+        by_link = {link: share([h for pair, h in hit.items() if link in pair]) for link in {link for p in kept for link in p}}
+        home_free = not any(h[0] for h in hit.values())
+        colliding = float(np.mean(least[1:] <= 0.0))
+        return Model(tuple(fits), tuple(kept), at_home, colliding, share(hit.values()), by_link, home_free)
 
     def of(self, link: int) -> list[int]:
         """The numbers of a link's bodies."""
@@ -220,50 +248,69 @@ class _Links:
         each = [(self.bodies[i][1], self.bodies[j][1]) for i in self.of(pair[0]) for j in self.of(pair[1])]
         return np.asarray(np.max([overlap(a, b, turn, place) for a, b in each], axis=0))
 
-    def gaps(self, pair: Pair, q: np.ndarray, enough: float) -> np.ndarray:
-        """The gap of a pair of links at configurations `q` (n,) [m], at least `enough` where it is no less; 0 if they touch."""
+    def signed(self, pair: Pair, q: np.ndarray, enough: float) -> np.ndarray:
+        """The gap of a pair of links at configurations `q` (n,) [m], at least `enough` where it is no less; where they overlap,
+        by how much, less than 0."""
         turn, place = self.between(pair, _frames(self.chain, q))
         least = np.full(len(q), max(enough, 1e-9))
         for i in self.of(pair[0]):
             for j in self.of(pair[1]):
                 rows = np.flatnonzero(self.bound(i, j, turn, place) < least)
                 found = apart(self.bodies[i][1], self.bodies[j][1], turn[rows], place[rows], float(least.max()))
-                least[rows] = np.minimum(least[rows], np.maximum(found, 0.0))
+                least[rows] = np.minimum(least[rows], found)
+        touching = least <= 0.0
+        least[touching] = -self.depth(pair, q[touching]) if touching.any() else 0.0
         return least
 
     def collides(self, pair: Pair, gap: np.ndarray) -> bool:
         """Whether a pair of links ever overlaps by more than `DEEP`: as it is in the samples, or after a search from the
         nearest of them that only turns the joints between the two."""
         touching = np.flatnonzero(gap <= 0.0)
-        if len(touching):
-            return len(touching) > OFTEN * len(gap) or bool(self.depth(pair, self.q[touching]).max() > DEEP)
+        if len(touching) > OFTEN * len(gap) or (len(touching) and self.depth(pair, self.q[touching]).max() > DEEP):
+            return True
         joints = np.arange(*sorted(self.chain.link_joint[link] for link in pair))
         turn, place = self.between(pair, self.frames)
         bound = np.min([self.bound(i, j, turn, place) for i in self.of(pair[0]) for j in self.of(pair[1])], axis=0)
-        best = self.q[np.argsort(np.where(np.isfinite(gap), gap - 1.0, bound), kind="stable")[:NEAREST]]
-        value, (low, high), rng = self.gaps(pair, best, np.inf), self.limits, np.random.default_rng(1)
+        best = self.q[np.argsort(np.where(np.isfinite(gap), gap - FAR, bound), kind="stable")[:NEAREST]]
+        value, (low, high), rng = self.signed(pair, best, np.inf), self.limits, np.random.default_rng(1)
         for turned in range(ROUNDS):
             born = np.repeat(best, CHILDREN, axis=0)
             born[:, joints] += 0.25 * 0.6**turned * (high - low)[joints] * rng.normal(size=(len(born), len(joints)))
-            born = np.vstack([best, np.clip(born, low, high)])
-            value = np.concatenate([value, self.gaps(pair, born[NEAREST:], float(value.max()))])
-            touching = np.flatnonzero(value <= 0.0)
-            if len(touching) and self.depth(pair, born[touching]).max() > DEEP:
+            born = np.clip(born, low, high)
+            every = np.concatenate([value, self.signed(pair, born, float(value.max()))])
+            order = np.argsort(every, kind="stable")[:NEAREST]
+            best, value = np.vstack([best, born])[order], every[order]
+            if value[0] < -DEEP:
                 return True
-            order = np.argsort(value, kind="stable")[:NEAREST]
-            best, value = born[order], value[order]
         return False
 
-    def planes(self, passes: Sequence[_Pass], least: np.ndarray, accuracy: float) -> list[tuple[np.ndarray, np.ndarray]]:
-        """For each body the directions (k, 3) in which others pass it, and half of the gap there (k,) [m]."""
+    def share(self, each: _Pass, fits: Sequence[Fitted]) -> np.ndarray:
+        """Of each gap what the first's capsules take of it, beside those of the second."""
+        own = self.taken(each.first, each.across, fits)
+        other = self.taken(each.second, -np.einsum("nji,nj->ni", each.turn, each.across), fits)
+        return np.asarray(np.clip(own / np.maximum(own + other, 1e-6), 0.2, 0.8))
+
+    def taken(self, body: int, across: np.ndarray, fits: Sequence[Fitted]) -> np.ndarray:
+        """How far a body's capsules reach beyond its hull in the directions `across` (n, 3) [m]."""
+        if body >= len(fits):
+            return np.zeros(len(across))
+        found = fits[body]
+        reach = ((found.ends @ across.T).max(axis=1) + found.radii[:, None]).max(axis=0)
+        return np.asarray(np.maximum(reach - (self.bodies[body][1].corners @ across.T).max(axis=0), 0.0))
+
+    def planes(
+        self, passes: Sequence[_Pass], shares: Sequence[np.ndarray], least: np.ndarray, accuracy: float
+    ) -> list[tuple[np.ndarray, np.ndarray]]:
+        """For each body the directions (k, 3) in which others pass it, and its share of the gap there (k,) [m]."""
         free = np.sort(least[least > 0.0])
-        closest = max(2.0 * CLOSEST * accuracy, float(free[min(int(SPARED * len(least)), len(free) - 1)]) if len(free) else 0.0)
+        spared = float(free[min(int(SPARED * len(least)), len(free) - 1)]) if len(free) else 0.0
+        closest = max(2.0 * min(CLOSEST * accuracy, CLOSE), spared)
         told: list[list[Any]] = [[] for _ in self.bodies]
-        for each in passes:
+        for each, share in zip(passes, shares, strict=True):
             ok = (each.gap > 0.0) & (least[each.rows] > 0.0) & ((least[each.rows] >= closest) | (each.rows == 0))
-            across, half = each.across[ok], each.gap[ok] / 2.0
-            told[each.first].append((across, half))
-            told[each.second].append((-np.einsum("nji,nj->ni", each.turn[ok], across), half))
+            across, gap, part = each.across[ok], each.gap[ok], share[ok]
+            told[each.first].append((across, part * gap))
+            told[each.second].append((-np.einsum("nji,nj->ni", each.turn[ok], across), (1.0 - part) * gap))
         return [_closest(found) for found in told]
 
     def touching(self, pair: Pair, fits: Sequence[Fitted]) -> np.ndarray:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import functools
 import time
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
@@ -16,13 +17,14 @@ from jaxik.kinematics import joint_frames, pose_errors
 from jaxik.load.targets import as_frames
 from jaxik.plot import COLOURS, bones
 from jaxik.plot_sweep import Map, open_store, variant_label, variant_map
+from jaxik.robot_fit import Shape
 from jaxik.scene import Scene
 from jaxik.spheres import skeletons
 from jaxik.sweep.study import variant_name
 from jaxik.sweep.targets import wxyz
 
 SHOWN = 200_000  # points of a cloud that a browser still turns smoothly
-LEAF, WOOD, FRUIT = (110, 150, 60), (140, 100, 60), (240, 190, 40)
+LEAF, WOOD, FRUIT, METAL = (110, 150, 60), (140, 100, 60), (240, 190, 40), (120, 120, 125)
 
 
 class Page:
@@ -36,15 +38,19 @@ class Page:
         harvest: Harvest | None = None,
         host: str = "127.0.0.1",
         port: int = 8080,
+        meshes: Sequence[Shape] = (),
     ):
-        """Serves the page on `host`, `port`. Raises `ValueError` without viser, and for a store of another robot."""
+        """Serves the page on `host`, `port`; `meshes` are shown beside the collision model (`load.link_meshes`).
+
+        Raises `ValueError` without viser, and for a store of another robot.
+        """
         try:
             import viser
         except ImportError:
             raise ValueError("jaxik view: viser is not installed; pip install 'jaxik[view]'") from None
         group = None if store is None else _store_of(chain, store)
         self.home = self.chain = chain
-        self.scene, self.harvest = scene, harvest
+        self.scene, self.harvest, self.shapes = scene, harvest, [shape for shape in meshes if len(shape.triangles)]
         self.server = viser.ViserServer(host=host, port=port, label="jaxik", verbose=False)
         self.server.scene.set_up_direction("+z")
         self.server.initial_camera.position, self.server.initial_camera.look_at = (1.3, -1.1, 1.2), (0.6, 0.5, 0.45)
@@ -88,6 +94,7 @@ class Page:
         with self.server.gui.add_folder(self.chain.name):
             self.volumes = self.server.gui.add_checkbox("spheres", True)
             self.volumes.on_update(lambda _: self._robot())
+            self.meshes = self._meshes()
             self.sliders = []
             for i, name in enumerate(self.chain.joint_names):
                 prismatic = self.chain.is_prismatic[i]
@@ -97,6 +104,17 @@ class Page:
                 slider = self.server.gui.add_slider(label, float(a), float(b), step, float(np.clip(0.0, a, b)))
                 slider.on_update(lambda _: self._robot())
                 self.sliders.append(slider)
+
+    def _meshes(self) -> list[Any]:
+        """The links' meshes, and a switch for them."""
+        if not self.shapes:
+            return []
+        root, seen = self.server.scene.add_frame("/meshes", show_axes=False), self.server.gui.add_checkbox("meshes", True)
+        seen.on_update(lambda _: setattr(root, "visible", seen.value))
+        return [
+            self.server.scene.add_mesh_simple(f"/meshes/{i}", s.corners, s.triangles, color=METAL, flat_shading=True)
+            for i, s in enumerate(self.shapes)
+        ]
 
     @property
     def q(self) -> np.ndarray:
@@ -116,6 +134,10 @@ class Page:
             if self.chain.boxes or self.chain.volumes:
                 centres, radii, link = _spheres(self.chain, q)
                 _balls(scene, "/robot/spheres", centres, radii, _palette(link), opacity=0.55).visible = self.volumes.value
+            moved = _joints(self.chain, q) if self.meshes else []
+            for shape, mesh in zip(self.shapes, self.meshes, strict=True):
+                frame = moved[self.chain.link_joint[shape.link]]
+                mesh.wxyz, mesh.position = _wxyz(frame), frame[:3, 3]
 
     def _scene(self, world: Scene) -> None:
         show = self.server.scene
@@ -361,7 +383,13 @@ def _wxyz(frame: np.ndarray) -> np.ndarray:
     return wxyz(np.asarray(frame)[None, :3, :3])[0]
 
 
+def _joints(chain: Chain, q: np.ndarray) -> list[np.ndarray]:
+    """The frames of the base, of each joint and of the tip in the world."""
+    root = Frame.of(chain.world_T_base)
+    found = joint_frames(chain, [float(x) for x in q], root)
+    return [np.array([float(x) for x in frame.entries]).reshape(4, 4) for frame in (root, *found.joints, found.tip)]
+
+
 def _turn(chain: Chain, q: np.ndarray) -> np.ndarray:
     """The tip's rotation in the world."""
-    tip = joint_frames(chain, [float(x) for x in q], Frame.of(chain.world_T_base)).tip
-    return _wxyz(np.array([float(x) for x in tip.entries]).reshape(4, 4))
+    return _wxyz(_joints(chain, q)[-1])

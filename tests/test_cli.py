@@ -11,6 +11,7 @@ import numpy as np
 import pyarrow.parquet
 import pytest
 from robots import FOLDER, ROBOTS
+from test_fit import ARM
 
 import jaxik
 from jaxik import cli
@@ -401,3 +402,21 @@ def test_ik_refuses_an_ending_that_it_cannot_write(tmp_path, monkeypatch, capsys
         with pytest.raises(SystemExit):
             call(monkeypatch, "ik", "planar2", tmp_path / file)
         assert words in capsys.readouterr().err
+
+
+def test_a_fit_is_told_and_written(tmp_path, monkeypatch, capsys):
+    """A row a mesh, and a file that holds what was fitted."""
+    monkeypatch.setattr("jaxik.spmd.cache.cache_folder", lambda: None)
+    (tmp_path / "arm.urdf").write_text(ARM)
+    for name in ("model.toml", "model.urdf"):
+        call(monkeypatch, "fit", tmp_path / "arm.urdf", "--accuracy", 15, "--to", tmp_path / name)
+        *table, counts, wrote = capsys.readouterr().out.splitlines()
+        chain = jaxik.load(tmp_path / "arm.urdf", meshes=True, fit=jaxik.Fit(0.015))
+        assert counts.startswith(f"{len(chain.volumes)} volumes, 1 pairs of links to check, in ")
+        rows = [[word.strip() for word in line.split("\u2502")[1:-1]] for line in table if line.startswith("\u2502")]
+        assert [row[:2] for row in rows] == [["base", "cylinder"], ["arm", "box"]]
+        assert sum(int(row[2]) for row in rows) == len(chain.volumes) - 1 and {row[3] for row in rows} == {"100.0%"}
+        assert str(tmp_path / name) in wrote and ("spheres up to" in wrote) == (name == "model.urdf")
+    assert jaxik.load(tmp_path / "model.toml") == chain
+    assert len(jaxik.load(tmp_path / "model.urdf", tip="tool").volumes) > len(chain.volumes)
+    assert "allowed: .toml, .urdf" in refused(monkeypatch, capsys, "fit", tmp_path / "arm.urdf", "--to", "model.txt")

@@ -144,8 +144,8 @@ def _between(a, b):
 
 
 def test_lines_in_cylinders_against_all_directions():
-    """The depth of a convex body in another is the least overlap along any direction [Ericson 2005, sec. 5.2.1]: that of scipy's
-    best of many. Coal's routine for a capsule and a cylinder gives 1e308 in some of these cases."""
+    """The depth of a convex body in another is the least overlap along any direction: that of scipy's best of many.
+    Coal's routine for a capsule and a cylinder gives 1e308 in some of these cases."""
     rng, count = np.random.default_rng(12), 300
     ends, (radius, half) = rng.normal(size=(count, 2, 3)) * 0.6, rng.uniform(0.1, 0.9, (2, count))
     turn = np.array([_rotation(rng) for _ in range(count)])
@@ -163,7 +163,7 @@ def test_lines_in_cylinders_against_all_directions():
             return np.min(n @ local.T, axis=-1) - radius[i] * np.hypot(n[..., 0], n[..., 1]) - half[i] * np.abs(n[..., 2])
 
         starts = directions[np.argsort(-apart(directions))[:150:10]]
-        best = max(-minimize(lambda n: -apart(n), n, method="Nelder-Mead", tol=1e-10).fun for n in starts)  # noqa: B023
+        best = max(-minimize(lambda n: -apart(n), n, method="Nelder-Mead", tol=1e-10).fun for n in starts)
         assert abs(ours[i] - best) <= 1e-8
 
 

@@ -218,3 +218,34 @@ def test_pairs_are_those_that_collide(arm, tmp_path):
     assert pairs(arm, meshes=True, ignore=[("arm", "base")]) == set()
     above = write(tmp_path, "above.urdf", ARM.replace("2.4", "1.5"))
     assert pairs(above, meshes=True) == set()  # and the arm above it
+
+
+MJCF = """<mujoco><asset><mesh name="bar" file="bar.stl"/></asset><worldbody>
+<body name="arm"><joint name="turn" axis="0 0 1" range="-1 1" limited="true"/>
+<geom type="mesh" mesh="bar" pos="0 0 0.5" mass="1"/><geom type="sphere" size="0.05" mass="1"/>
+<geom type="capsule" fromto="0 0 0 0 0 0.3" size="0.04" mass="1"/>
+<geom type="cylinder" size="0.06 0.02" pos="0.2 0 0" mass="1"/></body></worldbody></mujoco>"""
+
+
+def test_mjcf_is_fitted_as_a_urdf_is(tmp_path):
+    """The mesh that MuJoCo has moved to its centre of mass stands where it was; a ball and a capsule of the file stay."""
+    bar = trimesh.creation.box((0.1, 0.1, 0.4))
+    bar.apply_translation((0.3, 0.0, 0.0))
+    bar.export(tmp_path / "bar.stl")
+    path = write(tmp_path, "arm.xml", MJCF)
+    chain = jaxik.load(path, tip="arm", meshes=True)
+    rows = {row.mesh: row for row in jaxik.fit_report(path, tip="arm")}
+    assert set(rows) == {"bar", "cylinder"} and all(row.protrusion <= 0.025 and row.coverage == 1.0 for row in rows.values())
+    exact, fitted_here = chain.volumes[:2], chain.volumes[2:]
+    assert [float(v.radius) for v in exact] == [0.05, 0.04] and [len(v.corners) for v in exact] == [1, 2]
+    assert not chain.boxes and len(fitted_here) == sum(row.capsules for row in rows.values())
+    for corner in bar.vertices + np.array([0.0, 0.0, 0.5]):
+        assert min(np.linalg.norm(fitting.away(corner[None], v.corners)[0]) - v.radius for v in fitted_here) <= 1e-7
+    assert jaxik.load(path, tip="arm").boxes  # as before where nobody asks
+
+
+def test_what_is_nearest_is_named(arm):
+    """In the model that was fitted, by the links' names."""
+    chain = jaxik.load(arm, meshes=True)
+    told = jaxik.explain(chain, None, np.array([0.0, 2.3, 0.0]), 1).contacts[0]
+    assert (told.link, told.other) == ("arm", "base") and told.distance < 0.0

@@ -10,13 +10,13 @@ import jaxik
 FLOORS = [
     {"ball"},
     {"spmd"},  # the compiler knows no robot
-    {"algebra", "result", "batch", "choice"},
-    {"given"},
+    {"algebra", "result", "batch", "choice", "convex"},
+    {"given", "fit"},
     {"chain", "optimise", "task"},  # optimise knows no robot: it may import the algebra alone
     {"scene", "kinematics", "reach", "mapping", "path"},
     {"spheres", "distance"},
-    {"gaps", "hierarchy"},
-    {"nearest"},
+    {"gaps", "hierarchy", "robot_fit"},
+    {"nearest", "fit_report"},
     {"collision", "costs", "closed_form"},
     {"load", "baselines"},  # above the spheres: a loaded chain knows which of its links may touch
     {"advancement", "contacts", "lanes", "seeds", "implicit", "crop", "leading", "redundancy", "judge"},

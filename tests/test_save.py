@@ -79,12 +79,15 @@ def test_spheres_hold_the_model(tmp_path):
 def test_a_cover_reaches_as_far_as_is_told(count):
     rng = np.random.default_rng(count)
     for _ in range(20):
-        corners, radius, beyond = rng.normal(size=(count, 3)), rng.uniform(0.01, 0.1), rng.uniform(0.001, 0.02)
+        corners, radius, beyond = 0.1 * rng.normal(size=(count, 3)), rng.uniform(0.01, 0.1), rng.uniform(0.002, 0.02)
         centres, reach = _covering(corners, radius, beyond)
         assert reach <= beyond + 1e-12
-        inside = rng.dirichlet(np.ones(count), 500) @ corners
-        held = np.sqrt((radius + reach) ** 2 - radius**2)  # then the ball around each point is held, too
-        assert np.min(np.linalg.norm(inside[:, None] - centres, axis=2), axis=1).max() <= held + 1e-9
+        # corners, edges and the inside, each with what is around it
+        inside = np.concatenate([corners, *(rng.dirichlet(np.full(count, a), 400) @ corners for a in (0.05, 0.5))])
+        outward = rng.normal(size=inside.shape)
+        skin = inside + radius * outward / np.linalg.norm(outward, axis=1, keepdims=True)
+        gaps = np.linalg.norm(skin[:, None] - centres, axis=2).min(axis=1) - radius - reach
+        assert gaps.max() <= 1e-9
 
 
 def test_bad_files_are_one_line(tmp_path):

@@ -26,11 +26,11 @@ from jaxik.load.targets import load_targets
 from jaxik.load.toml import load_toml, read_toml
 from jaxik.load.urdf import load_urdf
 from jaxik.result import LoadError
-from jaxik.robot_fit import Shape, modelled
+from jaxik.robot_fit import FITS, Shape, modelled
 from jaxik.scene import Scene
 from jaxik.spheres import self_collisions
 
-__all__ = ["LoadError", "fit_report", "load", "load_scene", "load_targets", "models_folder", "save"]
+__all__ = ["LoadError", "fit_report", "link_meshes", "load", "load_scene", "load_targets", "models_folder", "save"]
 
 FIT = Fit()
 
@@ -138,14 +138,19 @@ def fit_report(
 ) -> tuple[LinkFit, ...]:
     """What `load(..., meshes=True, fit=fit)` puts around each collision mesh of a file: one `LinkFit` a mesh.
 
-    `progress` hears of how many meshes are fitted, of how many. Raises `LoadError` as `load` does.
+    `progress` hears of how many fits are made, of how many. Raises `LoadError` as `load` does.
     """
     path = _locate(source)
     check_kind("fit_report", "fit", fit, Fit)
     chain, shapes, _ = _read(path, tip, base, None, Meshes(True))
     disabled = (frozenset() if srdf is None else disabled_pairs(Path(srdf))) | ignored(path, chain, ignore)[0]
-    told = None if progress is None else lambda done: progress(done, len(shapes))
+    told = None if progress is None else lambda done: progress(done, FITS * len(shapes))
     return link_fits(chain, shapes, modelled(chain, shapes, fit, disabled, told))
+
+
+def link_meshes(source: str | Path, tip: str | None = None, base: str | None = None) -> list[Shape]:
+    """The collision meshes, boxes and cylinders of a file's links, in the frames of the joints that move them, to look at."""
+    return _read(_locate(source), tip, base, None, Meshes(True))[1]
 
 
 def load_scene(source: str | Path) -> Scene:

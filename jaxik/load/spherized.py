@@ -49,7 +49,7 @@ def spherized(chain: Chain, beyond: float) -> tuple[str, float]:
         if chain.joint_types[i] == "continuous":
             limit = {k: v for k, v in limit.items() if k not in ("lower", "upper")}
         ElementTree.SubElement(joint, "limit", {k: repr(float(v)) for k, v in limit.items() if np.isfinite(v)})
-    tool = next(n for n in ("tool", *(f"tool_{i}" for i in itertools.count())) if n not in (*names, *chain.link_names))
+    tool = next(n for i in itertools.count() if (n := f"tool_{i}" if i else "tool") not in (*names, *chain.link_names))
     ElementTree.SubElement(root, "link", name=tool)
     _fixed(root, tool, names[-1], chain.joint_T_tip)
     count = sum(map(len, spheres.values()))
@@ -108,20 +108,20 @@ def _rpy(turn: np.ndarray) -> tuple[float, float, float]:
 
 
 def _covering(corners: np.ndarray, radius: float, beyond: float) -> tuple[np.ndarray, float]:
-    """Centres (k, 3) of spheres that hold a swept-sphere volume, and how far they reach beyond it, at most `beyond` [m]."""
-    if len(corners) == 1 or not np.ptp(corners, axis=0).any():
-        return corners[:1], 0.0
-    held = np.sqrt((radius + beyond) ** 2 - radius**2)  # half of what a sphere holds of the skeleton
+    """Centres (k, 3) of spheres that hold a swept-sphere volume, and how far they reach beyond it, at most `beyond` [m].
+
+    What is r away from the skeleton lies across it there. So a centre on the skeleton, d from the nearest point, holds it with
+    a radius of `sqrt(r^2 + d^2)`; centres stand on the ends and edges, too, where all of them have one nearest on their own.
+    """
     longest = max(float(np.linalg.norm(a - b)) for a in corners for b in corners)
+    if longest == 0.0:
+        return corners[:1], 0.0
+    held = np.sqrt((radius + beyond) ** 2 - radius**2)
+    share = 0.5 if len(corners) == 2 else 3.0**-0.5  # of its longest side that a point of a triangle is from its corners
+    count = int(np.ceil(share * longest / held))
+    steps = np.arange(count + 1)
     if len(corners) == 2:
-        count = int(np.ceil(longest / (2.0 * held)))
-        at = (np.arange(count) + 0.5) / count
-        centres, away = (1.0 - at)[:, None] * corners[0] + at[:, None] * corners[1], longest / (2.0 * count)
-    else:  # small triangles, each within the ball about its middle: of a triangle that is at most 2/3 of its longest side
-        count = int(np.ceil(longest / (1.5 * held)))
-        upward = [(3 * i + 1, 3 * j + 1) for i in range(count) for j in range(count - i)]
-        downward = [(3 * i + 2, 3 * j + 2) for i in range(count - 1) for j in range(count - 1 - i)]
-        share = np.array(upward + downward) / (3.0 * count)
-        centres = corners[0] + share @ (corners[1:] - corners[0])
-        away = float(np.linalg.norm(corners - corners.mean(axis=0), axis=1).max()) / count
-    return centres, float(np.sqrt(radius**2 + away**2) - radius)
+        weights = np.stack([count - steps, steps], axis=1)
+    else:
+        weights = np.array([(i, j, count - i - j) for i in steps for j in steps if i + j <= count])
+    return weights / count @ corners, float(np.sqrt(radius**2 + (share * longest / count) ** 2) - radius)
