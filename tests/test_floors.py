@@ -19,7 +19,7 @@ FLOORS = [
     {"nearest", "fit_report"},
     {"collision", "costs", "closed_form"},
     {"load", "baselines"},  # above the spheres: a loaded chain knows which of its links may touch
-    {"advancement", "contacts", "lanes", "seeds", "implicit", "crop", "leading", "redundancy", "judge"},
+    {"advancement", "attach", "contacts", "lanes", "seeds", "implicit", "crop", "leading", "redundancy", "judge"},
     {"scan", "between", "ik_options", "predictive", "follow"},
     {"ik_job", "score", "moving_horizon", "boundary"},
     {"multistart"},
