@@ -55,18 +55,17 @@ def between(chain: Chain, poses: np.ndarray, slides: Any, depth: int) -> Between
 def _search(chain: Chain, poses: np.ndarray, slides: int, depth: int, found: Between) -> None:
     arm = arm_of(chain)
     centres, half = _cells(chain, slides)
-    # poses are gathered block by block, in the block's own thread
-    reaches = lambda target, centre, half: _reaches(arm)(poses[target], centre, half)
-    enclosed = lambda target, centre, way, half: _enclosed(arm)(poses[target], centre, SIGNS[way], half)
+    cells = lambda target, centre: (poses[target], centre)
+    ways = lambda target, centre, way: (poses[target], centre, SIGNS[way])
     target, cell = np.nonzero(_within_reach(chain, poses, centres, half))
     centre = centres[cell]
     halves = grid([np.array([-0.5, 0.5])] * centre.shape[1])
     for level in range(depth + 1):
         if not len(target):
             return
-        (may,) = in_blocks(reaches, target, centre, fixed=(half,), double=True)
+        (may,) = in_blocks(_reaches(arm), target, centre, fixed=(half,), double=True, rows=cells)
         cell, way = np.nonzero(may)
-        open_, wrist = in_blocks(enclosed, target[cell], centre[cell], way, fixed=(half,), double=True)
+        open_, wrist = in_blocks(_enclosed(arm), target[cell], centre[cell], way, fixed=(half,), double=True, rows=ways)
         hits = np.flatnonzero(wrist >= 0)
         hits = hits[np.unique(target[cell[hits]], return_index=True)[1]]
         first = cell[hits]

@@ -63,7 +63,7 @@ def freest(chain: Chain, poses: np.ndarray, leading: np.ndarray) -> Freest:
     """The freest posture of each of the poses `base_T_tip` (N, 4, 4) over `leading` (m, k) [m, rad]; in float32."""
     poses, leading, arm = poses.astype(np.float32), leading.astype(np.float32), arm_of(chain)
     count, zeros = len(leading), np.zeros(len(poses), np.int32)
-    solve = lambda pair, *signs: _half_freedom(arm)(poses[pair // count], leading[pair % count], *signs)
+    rows = lambda pair: (poses.take(pair // count, axis=0), leading.take(pair % count, axis=0))
     branches = np.zeros(len(poses) * count, np.uint8)
     found = Freest(np.full(len(poses), NOTHING, np.float32), zeros, zeros.copy(), branches.reshape(-1, count))
     may = _worth_solving(arm, poses, leading)
@@ -71,7 +71,7 @@ def freest(chain: Chain, poses: np.ndarray, leading: np.ndarray) -> Freest:
         pairs = np.flatnonzero((may & (1 << half)) != 0).astype(np.int32)
         if not len(pairs):
             continue
-        freedom, wrist, inside = in_blocks(solve, pairs, fixed=tuple(map(np.float32, signs)), double=False)
+        freedom, wrist, inside = in_blocks(_half_freedom(arm), pairs, fixed=tuple(map(np.float32, signs)), double=False, rows=rows)
         branches[pairs] |= inside << 2 * half
         target, best = _first_most(pairs // count, freedom)
         better = freedom[best] > found.freedom[target]
