@@ -100,6 +100,7 @@ def _worth_solving(arm: Chain, poses: np.ndarray, leading: np.ndarray) -> np.nda
     return np.where(inside.any(axis=1, keepdims=True), inside, may >> 4).ravel()
 
 
+@functools.lru_cache(maxsize=64)
 def arm_of(chain: Chain) -> Chain:
     """The chain without its mount and the strokes of its leading slides, which enter no program of this module: another place
     or another stroke compiles nothing."""

@@ -25,7 +25,7 @@ from jaxik.leading import NOTHING, arm_of, freest, grid, leading_grid
 from jaxik.reach import reach
 from jaxik.result import Reason
 from jaxik.scan import measures
-from jaxik.scene import make_scene
+from jaxik.scene import Scene, make_scene
 from jaxik.spmd import HostKernel
 from jaxik.sweep.study import Study, Variant
 from jaxik.sweep.targets import Targets
@@ -85,7 +85,7 @@ def answer(study: Study, variant: Variant, rows: slice) -> dict[str, np.ndarray]
         poses, valid, _ = as_poses(poses, study.ik.task)
     around = _Crops.of(study, rows, base_T_world) if study.collision else None
     solve = _closed_form if study.method(chain) == "closed form" else _search
-    for name, values in solve(study, chain.mounted(np.eye(4)), poses, valid, around).items():
+    for name, values in solve(study, _at_home(chain), poses, valid, around).items():
         columns[name][:] = values if name != "q" else _padded(values, study.joints)
     return columns
 
@@ -108,8 +108,8 @@ class _Crops(NamedTuple):
     def of(study: Study, rows: slice, base_T_world: np.ndarray) -> _Crops:
         crops = study.targets.crop
         crop = np.zeros(rows.stop - rows.start, int) if crops is None else crops[rows]
-        scene = lambda c: (study.scene or make_scene()) if crops is None else study.targets.scenes[c]
-        return _Crops({int(c): surroundings(scene(c).moved(base_T_world)) for c in np.unique(crop)}, crop)
+        scene = lambda c: (study.scene or EMPTY) if crops is None else study.targets.scenes[c]
+        return _Crops({int(c): _seen_from(base_T_world, scene(c)) for c in np.unique(crop)}, crop)
 
     def part(self, rows: Any) -> _Crops:
         """Of some of the targets."""
@@ -127,6 +127,26 @@ class _Crops(NamedTuple):
         for scene, rows in self.groups(owner):
             distance[rows], freedom[rows] = in_blocks(measures(arm_of(chain)), q[rows], fixed=(scene,), double=False)
         return distance, freedom
+
+
+EMPTY = make_scene()
+
+
+def _seen_from(base_T_world: np.ndarray, scene: Scene) -> Surroundings:
+    """A scene's obstacles in a base's frame; the scene remembers the last, since chunk after chunk asks for the same."""
+    last, base = scene.remembered("in a base", dict), base_T_world.tobytes()
+    found: Surroundings | None = last.get(base)
+    if found is None:
+        found = surroundings(scene.moved(base_T_world))
+        last.clear()
+        last[base] = found
+    return found
+
+
+@functools.lru_cache(maxsize=64)
+def _at_home(chain: Chain) -> Chain:
+    """The chain with its base in the world's origin."""
+    return chain.mounted(np.eye(4))
 
 
 def blank(column: Column, count: int, sizes: dict[str, int]) -> np.ndarray:
