@@ -115,10 +115,12 @@ class Space:
     def part(self, p: Any, found: Found) -> Found:
         """The nearest pair of part p, a later one of two parts, or what was `found` if none is nearer."""
         ball = _ball(self.parts, p)
+        if len(self.robot.other):  # before the obstacles: it is near whatever the scene, and rules most of them out
+            found = self._to_itself(p, ball, found)
         for k, obstacles in enumerate(self.obstacles):
             step = lambda b, found, k=k: self._to_branch(p, ball, k, b, found)
             found = lax.fori_loop(jnp.int32(0), jnp.asarray(obstacles.count, jnp.int32), step, found)
-        return self._to_itself(p, ball, found) if len(self.robot.other) else found
+        return found
 
     def _to_branch(self, p: Any, ball: Any, k: int, b: Any, found: Found) -> Found:
         """Part p against branch b of the obstacles of kind k."""
