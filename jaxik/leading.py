@@ -71,9 +71,13 @@ def freest(chain: Chain, poses: np.ndarray, leading: np.ndarray) -> Freest:
         pairs = np.flatnonzero((may & (1 << half)) != 0).astype(np.int32)
         if not len(pairs):
             continue
-        freedom, wrist, inside = in_blocks(_half_freedom(arm), pairs, fixed=tuple(map(np.float32, signs)), double=False, rows=rows)
+        freedom, wrist, inside = in_blocks(
+            _half_freedom(arm), pairs, fixed=tuple(map(np.float32, signs)), double=False, rows=rows
+        )
         branches[pairs] |= inside << 2 * half
-        target, best = _first_most(pairs // count, freedom)
+        target = pairs // count
+        best = first_most(target, freedom)
+        target = target[best]
         better = freedom[best] > found.freedom[target]
         target, best = target[better], best[better]
         found.freedom[target], found.lead[target] = freedom[best], pairs[best] % count
@@ -81,13 +85,14 @@ def freest(chain: Chain, poses: np.ndarray, leading: np.ndarray) -> Freest:
     return found
 
 
-def _first_most(owner: np.ndarray, value: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Of rows in the order of their owners: the owners, and the first row of each that has its largest value."""
+def first_most(owner: np.ndarray, value: np.ndarray) -> np.ndarray:
+    """Of rows in the order of their owners: the first row of each that has its largest value."""
+    if not len(owner):
+        return np.zeros(0, int)
     starts = np.flatnonzero(np.diff(owner, prepend=-1))
     most = np.repeat(np.maximum.reduceat(value, starts), np.diff(starts, append=len(owner)))
     rows = np.flatnonzero(value == most)
-    rows = rows[np.diff(owner[rows], prepend=-1) != 0]
-    return owner[rows], rows
+    return rows[np.diff(owner[rows], prepend=-1) != 0]
 
 
 def _worth_solving(arm: Chain, poses: np.ndarray, leading: np.ndarray) -> np.ndarray:
