@@ -119,6 +119,18 @@ def closed_branches(chain: Chain) -> HostKernel:
     return HostKernel(functools.partial(one_branch, chain), 3)
 
 
+@functools.lru_cache(maxsize=16)
+def valid_branches(chain: Chain) -> HostKernel:
+    """By rows of poses and leading joints: a byte with one bit a branch that has the pose, whose angles are not computed."""
+
+    def bits(pose: Any, leading: Any) -> Any:
+        halves = half_branches(chain, pose, leading)
+        margins = [margin for half in halves for _, margin in wrist_branches(chain, half, pose.dtype)]
+        return functools.reduce(jnp.bitwise_or, [(m >= 0.0).astype(jnp.uint8) << b for b, m in enumerate(margins)])
+
+    return HostKernel(bits, 2)
+
+
 def one_branch(chain: Chain, pose: Any, leading: Any, number: Any) -> tuple[Any, Any]:
     """Of a pose, leading joints and a branch number: the joints (n,), and whether they have the pose in the limits. Traced."""
     sign = lambda bit: jnp.where(number & bit, -1.0, 1.0).astype(pose.dtype)
