@@ -81,7 +81,8 @@ def answer(study: Study, variant: Variant, rows: slice) -> dict[str, np.ndarray]
     columns = {k: blank(c, count, {"joint": study.joints, "xyz": 3, "wxyz": 4}) for k, c in COLUMNS.items()}
     columns |= given_columns(study.targets, rows)
     base_T_world = np.linalg.inv(chain.world_T_base)
-    poses, valid = base_T_world @ given if study.targets.frame == "world" else given, np.ones(count, bool)
+    elsewhere = study.targets.frame == "world" and not np.array_equal(base_T_world, np.eye(4))
+    poses, valid = base_T_world @ given if elsewhere else given, np.ones(count, bool)
     if study.targets.poses is not None:  # someone else's, who may have got them wrong
         poses, valid, _ = as_poses(poses, study.ik.task)
     around = _Crops.of(study, rows, base_T_world) if study.collision else None
