@@ -20,6 +20,7 @@ import numpy as np
 from jaxik.spmd import HostKernel, Unsupported
 
 Cached = TypeVar("Cached", bound=Any)
+GATHERED = 16384  # rows at a time that are made for a kernel: few calls, and they stay in the caches
 
 
 def cores() -> int:
@@ -47,28 +48,39 @@ def in_blocks(
     size: int = 256,
     fixed: tuple[Any, ...] = (),
     double: bool | None = None,
+    rows: Callable[..., tuple[np.ndarray, ...]] | None = None,
 ) -> list[np.ndarray]:
     """`function(*rows, *fixed)` over the rows of `columns`, which may be none; its leaves as NumPy arrays. `size` rows are a
-    block where XLA has to do it.
+    block where XLA has to do it. `rows`, of some rows of `columns`, are those that the function takes: made block by block, in
+    the block's own thread.
 
     `double` says whether it runs in float64 or float32 whatever JAX is set to; None is as it is set here, which other threads
     would not know.
     """
-    count, wide = len(columns[0]), jnp.result_type(float) == np.float64 if double is None else double
+    wide = jnp.result_type(float) == np.float64 if double is None else double
+    made = rows or (lambda *columns: columns)
     if isinstance(function, HostKernel):
+        kernel, function = function, function.by_xla
         try:
-            return function.run(*columns, *fixed, double=double, threads=threads(), team=cores())
+            if rows is None:
+                return kernel.run(*columns, *fixed, double=double, threads=threads(), team=cores())
+            return _by_blocks(lambda *part: kernel.run(*made(*part), *fixed, double=wide), columns, GATHERED)
         except Unsupported:
-            function = function.by_xla
+            pass
 
-    def block(start: int) -> list[np.ndarray]:
-        rows = [c[start : start + size] for c in columns]
-        here = len(rows[0])
-        padded = [np.resize(r, (size, *r.shape[1:])) if here < size else r for r in rows]  # of no rows it makes zeros
+    def block(*part: np.ndarray) -> list[np.ndarray]:
+        here = len(part[0])
+        padded = [np.resize(r, (size, *r.shape[1:])) if here < size else r for r in part]  # of no rows it makes zeros
         with jax.enable_x64(wide):
-            return [np.asarray(x)[:here] for x in jax.tree_util.tree_leaves(function(*padded, *fixed))]
+            return [np.asarray(x)[:here] for x in jax.tree_util.tree_leaves(function(*made(*padded), *fixed))]
 
-    starts = range(0, max(count, 1), size)
+    return _by_blocks(block, columns, size)
+
+
+def _by_blocks(function: Callable[..., list[np.ndarray]], columns: tuple[np.ndarray, ...], size: int) -> list[np.ndarray]:
+    """`function` over so many rows at a time, in several threads."""
+    block = lambda start: function(*(c[start : start + size] for c in columns))
+    starts = range(0, max(len(columns[0]), 1), size)
     parts = [block(s) for s in starts] if len(starts) == 1 else list(threads().map(block, starts))
     return [np.concatenate(each) if len(each) > 1 else each[0] for each in zip(*parts, strict=True)]
 

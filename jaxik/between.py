@@ -22,7 +22,7 @@ from jaxik.choice import as_count
 from jaxik.closed_form import TURN, WAYS, half_branches, wrist_branches
 from jaxik.kinematics import joint_frames
 from jaxik.leading import arm_of, grid, may_be_inside
-from jaxik.reach import reach
+from jaxik.reach import Reach, reach
 from jaxik.spmd import HostKernel
 
 PORTION = 8000  # targets whose cells stand in memory: their last, few cells fill a block
@@ -55,18 +55,17 @@ def between(chain: Chain, poses: np.ndarray, slides: Any, depth: int) -> Between
 def _search(chain: Chain, poses: np.ndarray, slides: int, depth: int, found: Between) -> None:
     arm = arm_of(chain)
     centres, half = _cells(chain, slides)
-    # poses are gathered block by block, in the block's own thread
-    reaches = lambda target, centre, half: _reaches(arm)(poses[target], centre, half)
-    enclosed = lambda target, centre, way, half: _enclosed(arm)(poses[target], centre, SIGNS[way], half)
-    target, cell = np.nonzero(_within_reach(chain, poses, centres, half))
+    cells = lambda target, centre: (poses[target], centre)
+    ways = lambda target, centre, way: (poses[target], centre, SIGNS[way])
+    target, cell = np.nonzero(_within_reach(chain, poses, slides))
     centre = centres[cell]
     halves = grid([np.array([-0.5, 0.5])] * centre.shape[1])
     for level in range(depth + 1):
         if not len(target):
             return
-        (may,) = in_blocks(reaches, target, centre, fixed=(half,), double=True)
+        (may,) = in_blocks(_reaches(arm), target, centre, fixed=(half,), double=True, rows=cells)
         cell, way = np.nonzero(may)
-        open_, wrist = in_blocks(enclosed, target[cell], centre[cell], way, fixed=(half,), double=True)
+        open_, wrist = in_blocks(_enclosed(arm), target[cell], centre[cell], way, fixed=(half,), double=True, rows=ways)
         hits = np.flatnonzero(wrist >= 0)
         hits = hits[np.unique(target[cell[hits]], return_index=True)[1]]
         first = cell[hits]
@@ -85,7 +84,7 @@ def _search(chain: Chain, poses: np.ndarray, slides: int, depth: int, found: Bet
 def within_reach(chain: Chain, poses: np.ndarray) -> np.ndarray:
     """Whether the arm comes near enough to each of the poses (N, 4, 4) at any leading position; where not, that is a proof."""
     k = chain.num_joints - 6
-    return np.any(_within_reach(chain, poses, *_cells(chain, COARSE)), axis=1) if k else np.ones(len(poses), bool)
+    return np.any(_within_reach(chain, poses, COARSE), axis=1) if k else np.ones(len(poses), bool)
 
 
 def _cells(chain: Chain, slides: int) -> tuple[np.ndarray, np.ndarray]:
@@ -98,25 +97,31 @@ def _cells(chain: Chain, slides: int) -> tuple[np.ndarray, np.ndarray]:
     return grid(axes), half
 
 
-def _within_reach(chain: Chain, poses: np.ndarray, centres: np.ndarray, half: np.ndarray) -> np.ndarray:
+def _within_reach(chain: Chain, poses: np.ndarray, slides: int) -> np.ndarray:
     """Which cells (N, m) may have the arm near enough to a pose, by its reach: cheap, and most are not."""
-    k = len(half)
-    if any(not p for p in chain.is_prismatic[:k]):  # a turn moves the arm's base by what its own reach is
-        return np.ones((len(poses), len(centres)), bool)
-    bound = reach(chain.part(chain.num_joints - 6, chain.num_joints))
+    count = max(slides - 1, 1) ** (chain.num_joints - 6)
+    if any(not p for p in chain.is_prismatic[: chain.num_joints - 6]):  # a turn moves the arm's base by what its own reach is
+        return np.ones((len(poses), count), bool)
+    bound, origin, within = _spheres(chain, slides)
     points = bound.point(poses)
-    origin = (_shoulders(chain, centres) @ np.append(bound.origin, 1.0))[:, :3]
     # |p - o|^2 by its parts: a fifth of the time of differences, and rounding is far below the slack. Not by `@`: BLAS lets its
     # threads spin for a while after a product, on the cores that the other chunk wants
     square = np.einsum("ni,mi->nm", points, -2.0 * origin)
     square += np.einsum("ni,ni->n", points, points)[:, None]
-    return square <= (bound.longest + float(half.sum()) + SLACK) ** 2 - np.sum(origin * origin, axis=1)
+    found: np.ndarray = square <= within
+    return found
 
 
-def _shoulders(chain: Chain, leading: np.ndarray) -> np.ndarray:
-    """The frames (m, 4, 4) that the leading joints carry the arm's base to."""
-    frame: Frame = joint_frames(chain.part(0, leading.shape[1]), list(leading.astype(np.float64).T)).joints[-1]
-    return np.stack([np.broadcast_to(np.asarray(x, np.float64), len(leading)) for x in frame.entries], -1).reshape(-1, 4, 4)
+@functools.lru_cache(maxsize=64)
+def _spheres(chain: Chain, slides: int) -> tuple[Reach, np.ndarray, np.ndarray]:
+    """The arm's reach; and of each cell the sphere's centre (m, 3) that it fills, and `radius^2 - |centre|^2` (m,)."""
+    centres, half = _cells(chain, slides)
+    bound = reach(chain.part(chain.num_joints - 6, chain.num_joints))
+    leading = centres.astype(np.float64).T
+    frame: Frame = joint_frames(chain.part(0, len(half)), list(leading)).joints[-1]
+    frames = np.stack([np.broadcast_to(np.asarray(x, np.float64), len(centres)) for x in frame.entries], -1).reshape(-1, 4, 4)
+    origin = (frames @ np.append(bound.origin, 1.0))[:, :3]
+    return bound, origin, (bound.longest + float(half.sum()) + SLACK) ** 2 - np.sum(origin * origin, axis=1)
 
 
 @functools.lru_cache(maxsize=64)

@@ -116,15 +116,29 @@ def closed_branches(chain: Chain) -> HostKernel:
     """By rows of poses, leading joints and branch numbers: that branch alone, its joints (n,) and whether they have
     the pose inside the limits; a fifth of the time of all eight."""
 
-    def branch(pose: Any, leading: Any, number: Any) -> Any:
-        sign = lambda bit: jnp.where(number & bit, -1.0, 1.0).astype(pose.dtype)
-        (half,) = half_branches(chain, pose, leading, (sign(4),), (sign(2),))
-        wrists = [(*angles, margin) for angles, margin in wrist_branches(chain, half, pose.dtype)]
-        *angles, margin = (jnp.where(number & 1, two, one) for one, two in zip(*wrists, strict=True))
-        q, inside = into_limits(chain, jnp.stack([*leading, *angles]))
-        return q, (margin >= 0.0) & inside
+    return HostKernel(functools.partial(one_branch, chain), 3)
 
-    return HostKernel(branch, 3)
+
+@functools.lru_cache(maxsize=16)
+def valid_branches(chain: Chain) -> HostKernel:
+    """By rows of poses and leading joints: a byte with one bit a branch that has the pose, whose angles are not computed."""
+
+    def bits(pose: Any, leading: Any) -> Any:
+        halves = half_branches(chain, pose, leading)
+        margins = [margin for half in halves for _, margin in wrist_branches(chain, half, pose.dtype)]
+        return functools.reduce(jnp.bitwise_or, [(m >= 0.0).astype(jnp.uint8) << b for b, m in enumerate(margins)])
+
+    return HostKernel(bits, 2)
+
+
+def one_branch(chain: Chain, pose: Any, leading: Any, number: Any) -> tuple[Any, Any]:
+    """Of a pose, leading joints and a branch number: the joints (n,), and whether they have the pose in the limits. Traced."""
+    sign = lambda bit: jnp.where(number & bit, -1.0, 1.0).astype(pose.dtype)
+    (half,) = half_branches(chain, pose, leading, (sign(4),), (sign(2),))
+    wrists = [(*angles, margin) for angles, margin in wrist_branches(chain, half, pose.dtype)]
+    *angles, margin = (jnp.where(number & 1, two, one) for one, two in zip(*wrists, strict=True))
+    q, inside = into_limits(chain, jnp.stack([*leading, *angles]))
+    return q, (margin >= 0.0) & inside
 
 
 def into_limits(chain: Chain, q: Float[Array, "*b n"]) -> tuple[Float[Array, "*b n"], Bool[Array, "*b"]]:

@@ -8,7 +8,7 @@ gradient [Danskin 1967].
 
 What a negative distance says: the shortest way out, of points, and so of spheres, of lines, of triangles in boxes, and where
 only radii overlap. A triangle that enters a cylinder is as deep as the deepest of some lines in it: it must move at least so
-far. A triangle that another skeleton crosses is 0 apart from it: that tells that they do, not how far. The sign is always right.
+far. A triangle that another skeleton crosses is 0 apart from it: that tells that they do, not how far. The sign is right.
 """
 
 from __future__ import annotations

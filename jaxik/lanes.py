@@ -108,7 +108,7 @@ def measure(function: Callable[..., Any], *known: Any) -> HostKernel:
 
 @functools.lru_cache(maxsize=64)
 def clearances(chain: Chain) -> HostKernel:
-    """A batch of `clearance`: (q, surroundings)."""
+    """A batch of `clearance`: (q, around)."""
     return HostKernel(lambda q, scene: clearance(chain, scene, q), 1)
 
 

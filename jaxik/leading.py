@@ -63,17 +63,23 @@ def freest(chain: Chain, poses: np.ndarray, leading: np.ndarray) -> Freest:
     """The freest posture of each of the poses `base_T_tip` (N, 4, 4) over `leading` (m, k) [m, rad]; in float32."""
     poses, leading, arm = poses.astype(np.float32), leading.astype(np.float32), arm_of(chain)
     count, zeros = len(leading), np.zeros(len(poses), np.int32)
-    solve = lambda pair, *signs: _half_freedom(arm)(poses[pair // count], leading[pair % count], *signs)
+    rows = lambda pair: (poses.take(pair // count, axis=0), leading.take(pair % count, axis=0))
     branches = np.zeros(len(poses) * count, np.uint8)
     found = Freest(np.full(len(poses), NOTHING, np.float32), zeros, zeros.copy(), branches.reshape(-1, count))
     may = _worth_solving(arm, poses, leading)
+    some = np.flatnonzero(may)
+    may = may[some]
     for half, signs in enumerate(WAYS):
-        pairs = np.flatnonzero((may & (1 << half)) != 0).astype(np.int32)
+        pairs = some[(may & (1 << half)) != 0].astype(np.int32)
         if not len(pairs):
             continue
-        freedom, wrist, inside = in_blocks(solve, pairs, fixed=tuple(map(np.float32, signs)), double=False)
+        freedom, wrist, inside = in_blocks(
+            _half_freedom(arm), pairs, fixed=tuple(map(np.float32, signs)), double=False, rows=rows
+        )
         branches[pairs] |= inside << 2 * half
-        target, best = _first_most(pairs // count, freedom)
+        target = pairs // count
+        best = first_most(target, freedom)
+        target = target[best]
         better = freedom[best] > found.freedom[target]
         target, best = target[better], best[better]
         found.freedom[target], found.lead[target] = freedom[best], pairs[best] % count
@@ -81,25 +87,28 @@ def freest(chain: Chain, poses: np.ndarray, leading: np.ndarray) -> Freest:
     return found
 
 
-def _first_most(owner: np.ndarray, value: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Of rows in the order of their owners: the owners, and the first row of each that has its largest value."""
+def first_most(owner: np.ndarray, value: np.ndarray) -> np.ndarray:
+    """Of rows in the order of their owners: the first row of each that has its largest value."""
+    if not len(owner):
+        return np.zeros(0, int)
     starts = np.flatnonzero(np.diff(owner, prepend=-1))
     most = np.repeat(np.maximum.reduceat(value, starts), np.diff(starts, append=len(owner)))
     rows = np.flatnonzero(value == most)
-    rows = rows[np.diff(owner[rows], prepend=-1) != 0]
-    return owner[rows], rows
+    return rows[np.diff(owner[rows], prepend=-1) != 0]
 
 
 def _worth_solving(arm: Chain, poses: np.ndarray, leading: np.ndarray) -> np.ndarray:
     """Of each pair (N * m,) a bit a way of joints 1 to 3 that may be inside the limits; of targets without one, that exists."""
     size = next(s for s in (4**n for n in range(2, 16)) if s >= len(leading))
     padded = np.concatenate([leading, np.repeat(leading[:1], size - len(leading), axis=0)])
-    (may,) = in_blocks(_may_have(arm, size), poses, fixed=(padded, np.int32(len(leading))), double=False)
+    may, inside = in_blocks(_may_have(arm, size), poses, fixed=(padded, np.int32(len(leading))), double=False)
     may = may[:, : len(leading)]
-    inside = may & 15
-    return np.where(inside.any(axis=1, keepdims=True), inside, may >> 4).ravel()
+    found = may & 15
+    found[~inside] = may[~inside] >> 4
+    return found.ravel()
 
 
+@functools.lru_cache(maxsize=64)
 def arm_of(chain: Chain) -> Chain:
     """The chain without its mount and the strokes of its leading slides, which enter no program of this module: another place
     or another stroke compiles nothing."""
@@ -111,18 +120,20 @@ def arm_of(chain: Chain) -> Chain:
 @functools.lru_cache(maxsize=64)
 def _may_have(chain: Chain, count: int) -> HostKernel:
     """Compiled, by rows of poses, for the first `many` of the leading positions (count, k): a byte (count,), of each way of
-    joints 1 to 3 a low bit if it may be inside the limits and a high bit if it has the pose."""
+    joints 1 to 3 a low bit if it may be inside the limits and a high bit if it has the pose; and whether any may be inside."""
 
     def target(pose: Any, leading: Any, many: Any) -> Any:
-        def turn(i: Any, found: Any) -> Any:
+        def turn(i: Any, so_far: Any) -> Any:
+            found, any_inside = so_far
             bits: list[Any] = []
             for j, half in enumerate(half_branches(chain, pose, leading[i])):
                 has = half.margin >= 0.0
                 inside = has & may_be_inside(chain, half.turns, NEARLY)
+                any_inside = any_inside | inside
                 bits += [has.astype(jnp.uint8) << (4 + j), inside.astype(jnp.uint8) << j]
-            return lax.dynamic_update_index_in_dim(found, functools.reduce(jnp.bitwise_or, bits), i, 0)
+            return lax.dynamic_update_index_in_dim(found, functools.reduce(jnp.bitwise_or, bits), i, 0), any_inside
 
-        return lax.fori_loop(0, many, turn, jnp.zeros(count, jnp.uint8))
+        return lax.fori_loop(0, many, turn, (jnp.zeros(count, jnp.uint8), jnp.zeros((), bool)))
 
     return HostKernel(target, 1)
 

@@ -60,8 +60,8 @@ class Others(NamedTuple):
 class Space:
     """A robot at one configuration, among what surrounds it."""
 
-    def __init__(self, chain: Chain, surroundings: Grouped, q: Any, skips: bool = True):
-        self.robot, self.obstacles, self.dtype, self.skips = hierarchy.robot(chain), surroundings, q.dtype, skips
+    def __init__(self, chain: Chain, around: Grouped, q: Any, skips: bool = True):
+        self.robot, self.obstacles, self.dtype, self.skips = hierarchy.robot(chain), around, q.dtype, skips
         self.prismatic = chain.is_prismatic
         bit = hierarchy.bits(chain.ignored)
         self.bits = np.array([bit.get(link, 0) for link in self.robot.links], np.int32) if bit else None
@@ -73,7 +73,7 @@ class Space:
             [0, *(len(v.radius) for v in self.robot.kinds)]
         ).tolist()  # volumes of each kind, in one numbering
         self.others: list[Others] = []
-        for o in surroundings:
+        for o in around:
             gap, columns = obstacles_of(o.kind, o.rows, q.dtype)
             self._add(columns, gap, _cast(o.leaves, q.dtype), hierarchy.LEAF[o.kind], o.kind == "points")
         for v, placed in zip(self.robot.kinds, self.placed, strict=True):
@@ -117,10 +117,12 @@ class Space:
     def part(self, p: Any, found: Found) -> Found:
         """The nearest pair of part p, a later one of two parts, or what was `found` if none is nearer."""
         ball = _ball(self.parts, p)
+        if len(self.robot.other):  # before the obstacles: it is near whatever the scene, and rules most of them out
+            found = self._to_itself(p, ball, found)
         for k, obstacles in enumerate(self.obstacles):
             step = lambda b, found, k=k: self._to_branch(p, ball, k, b, found)
             found = lax.fori_loop(jnp.int32(0), jnp.asarray(obstacles.count, jnp.int32), step, found)
-        return self._to_itself(p, ball, found) if len(self.robot.other) else found
+        return found
 
     def _to_branch(self, p: Any, ball: Any, k: int, b: Any, found: Found) -> Found:
         """Part p against branch b of the obstacles of kind k."""
@@ -160,6 +162,8 @@ class Space:
                     theirs = _rows(others.columns, j, others.size)
                     places = origin + i * volumes.size, others.origin + j * others.size
                     inside = lambda found: _nearer(found, mine, theirs, others.gap, squares, volumes.even, places)
+                    if others.size == 1 and volumes.size > 1 and self.skips:  # a sphere around a long one says little
+                        inside = _once(lambda: others.gap(((ball[0],), ball[1]), _alone(theirs)), inside)
                     return self._if_near(found, ball, _ball(others.leaves, j), inside)
 
                 return lax.fori_loop(first, last, other, found)
@@ -260,6 +264,16 @@ def _placed(robot: Robot, frames: Any, dtype: Any) -> tuple[tuple[Vec3, Any], tu
         found.append(Placed((rest[0], sized(v.leaves.radius)), tuple(rest[1 : 1 + v.arity]), sized(v.radius)))
         rest = rest[1 + v.arity :]
     return (parts, sized(robot.parts.radius)), tuple(found)
+
+
+def _once(bound: Callable[[], Any], inside: Callable[[Found], Found]) -> Callable[[Found], Found]:
+    """What is found `inside`, where the bound of its distances is less than what is found already."""
+    return lambda found: lax.cond(bound() < found.distance, inside, lambda found: found, found)
+
+
+def _alone(columns: Any) -> Any:
+    """The one row of columns."""
+    return jax.tree_util.tree_map(lambda x: x[0], columns)
 
 
 def _nearer(found: Found, mine: Any, theirs: Any, gap: Any, squares: bool, even: bool, places: Any) -> Found:

@@ -23,7 +23,7 @@ import numpy as np
 from jaxik.batch import in_blocks
 from jaxik.chain import Chain
 from jaxik.choice import as_count_or_values, check_finite, check_kind, shown
-from jaxik.closed_form import BRANCHES, closed_form_obstacle, closed_forms
+from jaxik.closed_form import BRANCHES, closed_branches, closed_form_obstacle, closed_forms, valid_branches
 from jaxik.collision import by_object, check_geometry, clearance, object_clearances, self_clearance
 from jaxik.costs import joint_freedom
 from jaxik.given import shaped
@@ -31,10 +31,9 @@ from jaxik.hierarchy import grouped
 from jaxik.kinematics import jacobian
 from jaxik.leading import grid, leading_grid
 from jaxik.result import Reason
-from jaxik.scene import Fruit, Scene
+from jaxik.scene import Fruit, Scene, remembered
 from jaxik.spmd import HostKernel
 
-CHUNK = 3000  # candidates at a time
 LIMIT_LENGTH = 0.1  # [m/rad] at which a joint past its limit weighs against clearance while a miss is mended
 
 
@@ -214,37 +213,32 @@ def scan(
     at = approach_grid(angles)
     lead = leading_grid(chain, slides)
     poses = grasp_poses(chain, fruit, at, grasp)
-    a, s = (x.ravel() for x in np.meshgrid(np.arange(len(at)), np.arange(len(lead)), indexing="ij"))
-    q, status, rows, near = _candidates(chain, poses, at, lead, a, s)
-    distance, freedom = _measured(chain, scene, fruit, q)
-    grid = status.reshape(-1)
-    grid[rows] = np.where(distance >= margin, Reason.SOLVED, Reason.COLLISION)
-    cell, branch = np.divmod(rows, BRANCHES)
-    score = (weights or Weights()).score(distance, freedom)
-    table = Table(at[a[cell]], lead[s[cell]], branch, q, distance, freedom, score)
     shape = (len(at), len(lead), BRANCHES)
-    return Scan(fruit, at, lead, grid.reshape(shape), table, np.stack(np.unravel_index(near, shape), axis=-1))
+    q, status, rows, near = _candidates(chain, poses, lead)
+    distance, freedom = _measured(chain, scene, fruit, q)
+    status[rows] = np.where(distance >= margin, Reason.SOLVED, Reason.COLLISION)
+    angle, position, branch = np.unravel_index(rows, shape)
+    score = (weights or Weights()).score(distance, freedom)
+    table = Table(at[angle], lead[position], branch, q, distance, freedom, score)
+    return Scan(fruit, at, lead, status.reshape(shape), table, np.stack(np.unravel_index(near, shape), axis=-1))
 
 
-def _candidates(
-    chain: Chain, poses: np.ndarray, at: np.ndarray, lead: np.ndarray, a: np.ndarray, s: np.ndarray
-) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
-    """Postures inside the limits, the status of all candidates, the rows of those inside, and the nearest past the limits."""
-    inside, status, misses, rows = [], [], [], []
-    for start in range(0, len(a), CHUNK):  # so that a million candidates never stand in memory at once
-        part = slice(start, start + CHUNK)
-        q, valid, within = in_blocks(closed_forms(chain), poses[a[part]].astype(np.float32), lead[s[part]].astype(np.float32))
-        q, valid, within = q.reshape(-1, chain.num_joints), valid.ravel(), within.ravel()
-        status.append(np.where(valid, Reason.LIMITS, Reason.OUT_OF_REACH).astype(np.int8))
-        rows.append(np.flatnonzero(within) + start * BRANCHES)
-        inside.append(q[within])
-        past = np.flatnonzero(valid & ~within)
-        violation = np.maximum(chain.lower - q[past], q[past] - chain.upper).max(axis=1)
-        order = np.argsort(violation)[:MISSES]
-        misses.append(np.stack([violation[order], past[order] + start * BRANCHES], axis=-1))
-    worst = np.concatenate(misses)
-    near = worst[np.argsort(worst[:, 0])[:MISSES], 1].astype(int)
-    return np.concatenate(inside), np.concatenate(status), np.concatenate(rows), near
+def _candidates(chain: Chain, poses: np.ndarray, lead: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
+    """Of all poses at all leading positions: postures inside the limits, the status of all candidates, the rows of those
+    inside, and the nearest past the limits. All are asked which branches have the pose; only these are solved."""
+    poses, leading, count = poses.astype(np.float32), lead.astype(np.float32), len(lead)
+    cell = lambda pair: (poses.take(pair // count, axis=0), leading.take(pair % count, axis=0))
+    pairs = np.arange(len(poses) * count, dtype=np.int32)
+    (bits,) = in_blocks(valid_branches(chain), pairs, double=False, rows=cell)
+    valid = np.flatnonzero(np.unpackbits(bits, bitorder="little").view(bool))
+    posture = lambda row: (*cell(row // BRANCHES), (row % BRANCHES).astype(np.int32))
+    q, within = in_blocks(closed_branches(chain), valid, double=False, rows=posture)
+    status = np.full(len(pairs) * BRANCHES, Reason.OUT_OF_REACH, np.int8)
+    status[valid] = Reason.LIMITS
+    past = ~within
+    violation = np.maximum(chain.lower - q[past], q[past] - chain.upper).max(axis=1)
+    near = valid[past][np.argsort(violation, kind="stable")[:MISSES]]
+    return q[within], status, valid[within], near
 
 
 MISSES = 16  # candidates that recovery starts from
@@ -252,7 +246,8 @@ MISSES = 16  # candidates that recovery starts from
 
 def _others(scene: Scene, fruit: Fruit) -> Scene:
     """The scene without the fruit that is being picked."""
-    return scene.without([n for n in scene.object_names if n == fruit.name])
+    own = [name for name in scene.object_names if name == fruit.name]
+    return remembered(scene, ("without", fruit.name), lambda: scene.without(own))
 
 
 def _measured(chain: Chain, scene: Scene, fruit: Fruit, q: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

@@ -458,6 +458,12 @@ def spoil(file):
     file.write_bytes(content)
 
 
+def test_files_are_those_that_zarr_writes(two, tmp_path, monkeypatch):
+    """Bit by bit, the short last chunk and columns of nothing among them."""
+    monkeypatch.setattr(sys.modules[StoreError.__module__], "_put", lambda *_: False)
+    assert bits(jaxik.sweep(TWO, tmp_path / "z.zarr").path) == bits(two.path)
+
+
 def test_damage_is_found_named_and_mended(two, tmp_path):
     """In both variants; of a target's position in whichever shard finds it."""
     path = tmp_path / "d.zarr"

@@ -16,16 +16,17 @@ from jaxik.algebra import traced
 from jaxik.batch import in_blocks
 from jaxik.between import between, within_reach
 from jaxik.chain import Chain, finite_limits
-from jaxik.closed_form import closed_branches, closed_forms
+from jaxik.closed_form import BRANCHES, closed_branches, closed_forms, one_branch
+from jaxik.collision import clearance
 from jaxik.costs import joint_freedom
 from jaxik.hierarchy import Grouped, grouped
 from jaxik.ik import IKResult, as_poses, solve_ik
 from jaxik.kinematics import manipulability, pose_errors
-from jaxik.leading import NOTHING, arm_of, freest, grid, leading_grid
+from jaxik.leading import NOTHING, arm_of, first_most, freest, grid, leading_grid
 from jaxik.reach import reach
 from jaxik.result import Reason
 from jaxik.scan import measures
-from jaxik.scene import make_scene
+from jaxik.scene import Scene, make_scene, remembered
 from jaxik.spmd import HostKernel
 from jaxik.sweep.study import Study, Variant
 from jaxik.sweep.targets import Targets
@@ -80,12 +81,13 @@ def answer(study: Study, variant: Variant, rows: slice) -> dict[str, np.ndarray]
     columns = {k: blank(c, count, {"joint": study.joints, "xyz": 3, "wxyz": 4}) for k, c in COLUMNS.items()}
     columns |= given_columns(study.targets, rows)
     base_T_world = np.linalg.inv(chain.world_T_base)
-    poses, valid = base_T_world @ given if study.targets.frame == "world" else given, np.ones(count, bool)
+    elsewhere = study.targets.frame == "world" and not np.array_equal(base_T_world, np.eye(4))
+    poses, valid = base_T_world @ given if elsewhere else given, np.ones(count, bool)
     if study.targets.poses is not None:  # someone else's, who may have got them wrong
         poses, valid, _ = as_poses(poses, study.ik.task)
     around = _Crops.of(study, chain, rows, base_T_world) if study.collision else None
     solve = _closed_form if study.method(chain) == "closed form" else _search
-    for name, values in solve(study, chain.mounted(np.eye(4)), poses, valid, around).items():
+    for name, values in solve(study, _at_home(chain), poses, valid, around).items():
         columns[name][:] = values if name != "q" else _padded(values, study.joints)
     return columns
 
@@ -108,25 +110,60 @@ class _Crops(NamedTuple):
     def of(study: Study, chain: Chain, rows: slice, base_T_world: np.ndarray) -> _Crops:
         crops = study.targets.crop
         crop = np.zeros(rows.stop - rows.start, int) if crops is None else crops[rows]
-        scene = lambda c: (study.scene or make_scene()) if crops is None else study.targets.scenes[c]
-        return _Crops({int(c): grouped(scene(c).moved(base_T_world), chain) for c in np.unique(crop)}, crop)
+        scene = lambda c: (study.scene or EMPTY) if crops is None else study.targets.scenes[c]
+        return _Crops({int(c): _seen_from(base_T_world, scene(c), chain) for c in np.unique(crop)}, crop)
 
     def part(self, rows: Any) -> _Crops:
         """Of some of the targets."""
         return _Crops(self.scenes, self.crop[rows])
 
-    def groups(self, owner: np.ndarray) -> Iterator[tuple[Grouped, np.ndarray]]:
+    def groups(self, owner: np.ndarray) -> Iterator[tuple[Grouped, Any]]:
         """Each scene with those of the rows that have its target for `owner`."""
+        if len(self.scenes) == 1:
+            yield next(iter(self.scenes.values())), slice(None)
+            return
         crop = self.crop[owner]
         for c in np.unique(crop):
             yield self.scenes[int(c)], np.flatnonzero(crop == c)
 
-    def measured(self, chain: Chain, q: np.ndarray, owner: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Clearance [m] and freedom of postures (P, n) of the targets `owner` (P,), in float32."""
-        distance, freedom = np.zeros(len(q), np.float32), np.zeros(len(q), np.float32)
-        for scene, rows in self.groups(owner):
-            distance[rows], freedom[rows] = in_blocks(measures(arm_of(chain)), q[rows], fixed=(scene,), double=False)
+    def measured(self, kernel: HostKernel, owner: np.ndarray, *columns: np.ndarray, rows: Any = None) -> tuple[np.ndarray, ...]:
+        """Clearance [m] and freedom, by a kernel of rows and a scene, of postures of the targets `owner` (P,), in float32."""
+        distance, freedom = np.zeros(len(owner), np.float32), np.zeros(len(owner), np.float32)
+        for scene, some in self.groups(owner):
+            part = [column[some] for column in columns]
+            distance[some], freedom[some] = in_blocks(kernel, *part, fixed=(scene,), double=False, rows=rows)
         return distance, freedom
+
+
+@functools.lru_cache(maxsize=64)
+def _branch_measures(chain: Chain) -> HostKernel:
+    """`measures` of a branch, by rows of poses, leading joints and its number."""
+
+    def measured(pose: Any, leading: Any, number: Any, scene: Any) -> tuple[Any, Any]:
+        q, _ = one_branch(chain, pose, leading, number)
+        return clearance(chain, scene, q), joint_freedom(chain, q)
+
+    return HostKernel(measured, 3)
+
+
+EMPTY = make_scene()
+
+
+def _seen_from(base_T_world: np.ndarray, scene: Scene, chain: Chain) -> Grouped:
+    """A scene's obstacles in a base's frame; the scene remembers the last, since chunk after chunk asks for the same."""
+    last, base = remembered(scene, "in a base", dict), (base_T_world.tobytes(), chain.ignored)
+    found: Grouped | None = last.get(base)
+    if found is None:
+        found = grouped(scene.moved(base_T_world), chain)
+        last.clear()
+        last[base] = found
+    return found
+
+
+@functools.lru_cache(maxsize=64)
+def _at_home(chain: Chain) -> Chain:
+    """The chain with its base in the world's origin."""
+    return chain.mounted(np.eye(4))
 
 
 def blank(column: Column, count: int, sizes: dict[str, int]) -> np.ndarray:
@@ -216,7 +253,7 @@ def _between(study: Study, chain: Chain, poses: np.ndarray, around: _Crops | Non
     best.reason[rows], best.solutions[rows] = Reason.SOLVED, 1
     if around is not None and len(rows):
         q, _ = _exact(chain, poses[rows], found.leading[rows], found.branch[rows])
-        best.clearance[rows], _ = around.measured(chain, q, rows)
+        best.clearance[rows], _ = around.measured(measures(arm_of(chain)), rows, q)
         hits = rows[~(best.clearance[rows] >= study.margin)]
         best.reason[hits], best.solutions[hits], found.open[hits] = Reason.COLLISION, 0, True
     return best, found.open
@@ -265,8 +302,10 @@ def _on_grid(study: Study, chain: Chain, poses: np.ndarray, around: _Crops | Non
         return best, near[0]
     for start in range(0, len(poses), PORTION):
         part = slice(start, start + PORTION)
-        target, lead = np.nonzero(found.branches[part])
-        inside = np.unpackbits(found.branches[part][target, lead, None], axis=1, bitorder="little")
+        bits = found.branches[part].ravel()
+        some_bits = np.flatnonzero(bits != 0)
+        target, lead = np.divmod(some_bits, len(leading))
+        inside = np.unpackbits(bits[some_bits], bitorder="little").view(bool)
         some = _Best(*(column[part] for column in best))
         close = _avoid(study, chain, poses[part], target, leading[lead], inside, around.part(part), some)
         near.append(_Near(close.target + start, close.leading))
@@ -310,35 +349,40 @@ def _avoid(
     around: _Crops,
     best: _Best,
 ) -> _Near:
-    """Of the postures of targets (P,) at leading positions (P, k), of which those `inside` (P, 8) count (all inside the limits
-    if it is None), the best that is clear goes into `best`; of targets without any, the nearest to be."""
+    """Of the postures of targets (P,) at leading positions (P, k), of which those `inside` (P * 8,) count (all
+    inside the limits if it is None), the best that is clear goes into `best`; of targets without any, the nearest to be."""
     if not len(target):
         return _Near.nothing(leading.shape[1])
-    pairs = poses[target].astype(np.float32), leading.astype(np.float32)
-    q, _, within = in_blocks(closed_forms(arm_of(chain)), *pairs, double=False)
-    pair, branch = np.nonzero(within if inside is None else inside)
-    q, owner = q[pair, branch], target[pair]
-    distance, freedom = around.measured(chain, q, owner)
-    clear = distance >= study.margin
-    touched = np.unique(owner)
+    arm, poses, leads = arm_of(chain), poses.astype(np.float32), leading.astype(np.float32)
+    if inside is None:
+        _, _, inside = in_blocks(closed_forms(arm), poses[target], leads, double=False)
+    pair, branch = np.divmod(np.flatnonzero(inside), BRANCHES)
+    owner = target[pair]
+    if not len(owner):
+        return _Near.nothing(leading.shape[1])
+    rows = lambda owner, pair, branch: (poses.take(owner, axis=0), leads.take(pair, axis=0), branch)
+    distance, freedom = around.measured(_branch_measures(arm), owner, owner, pair, branch, rows=rows)
+    clear = np.flatnonzero(distance >= study.margin)
+    touched = owner[np.diff(owner, prepend=-1) != 0]
     best.solutions[touched] = np.bincount(owner[clear], minlength=len(poses))[touched]
     best.reason[touched] = np.where(best.solutions[touched] > 0, Reason.SOLVED, Reason.COLLISION)
-    score = study.weights.score(distance, freedom)
-    first = _first(owner, np.where(clear, -score, np.inf), 1)  # of equal scores the first on the grid
-    first = first[clear[first]]
+    first = clear[first_most(owner[clear], study.weights.score(distance[clear], freedom[clear]))]
     best.leading[owner[first]], best.branch[owner[first]] = leading[pair[first]], branch[first]
     best.clearance[owner[first]] = distance[first]
-    close = _first(owner, -distance, NEAR)
-    close = close[best.reason[owner[close]] == Reason.COLLISION]
+    hits = np.flatnonzero(best.reason[owner] == Reason.COLLISION)
+    close = hits[_most(owner[hits], distance[hits], NEAR)]
     return _Near(owner[close], leading[pair[close]])
 
 
-def _first(owner: np.ndarray, cost: np.ndarray, count: int) -> np.ndarray:
-    """The rows with the `count` least costs of each owner, in the order of the owners."""
-    order = np.lexsort((cost, owner))  # stable: of equal costs the first comes first
-    starts = np.flatnonzero(np.diff(owner[order], prepend=-1))
-    rank = np.arange(len(order)) - np.repeat(starts, np.diff(np.append(starts, len(order))))
-    return order[rank < count]
+def _most(owner: np.ndarray, value: np.ndarray, count: int) -> np.ndarray:
+    """Of rows in the order of their owners: those with the `count` largest values of each, the largest first."""
+    left, found = np.arange(len(owner)), []
+    for _ in range(count):
+        best = first_most(owner[left], value[left])
+        found.append(left[best])
+        left = np.delete(left, best)
+    rows = np.concatenate(found)
+    return rows[np.argsort(owner[rows], kind="stable")]
 
 
 # --------------------------------------------------------------------------------------------------------------------

@@ -9,6 +9,7 @@ when or in how many sittings it was made: it ends with the same bits.
 from __future__ import annotations
 
 import contextlib
+import functools
 import json
 import os
 import shutil
@@ -26,6 +27,7 @@ from jaxik.sweep.answers import COLUMNS, GIVEN, Column, given_columns
 from jaxik.sweep.study import Study, variant_name
 
 UNFINISHED = -1
+CRC = Column("i8", UNFINISHED, {"long_name": f"CRC-32 of a finished chunk; {UNFINISHED} while it is not"})
 LABELS = {"xyz": ("x", "y", "z"), "wxyz": ("w", "x", "y", "z")}
 
 
@@ -38,6 +40,7 @@ class Store:
 
     def __init__(self, path: Path, study: Study, group: Any):
         self.path, self.study, self.group = path, study, group
+        self._array = functools.cache(lambda name: group[name])  # which reads its description again
 
     @staticmethod
     def of(path: str | Path, study: Study) -> Store:
@@ -68,8 +71,12 @@ class Store:
         """One chunk, its check sum last."""
         variant, chunk, rows = self.study.work(number)
         for name, values in columns.items():  # those of the targets too: which variant's piece comes first is not known
-            self.group[name][(*self._at(name, variant.index), rows)] = values
-        self.group["crc"][(*variant.index, chunk)] = check_sum(columns)
+            index = self._at(name, variant.index)
+            if not _put(self.path / name, self._array(name), (*index, chunk), values, COLUMNS[name]):
+                self._array(name)[(*index, rows)] = values
+        at, summed = (*variant.index, chunk), check_sum(columns)
+        if not _put(self.path / "crc", self._array("crc"), at, np.array([summed]), CRC):
+            self._array("crc")[at] = summed
 
     def read(self, number: int) -> dict[str, np.ndarray]:
         """A finished chunk. Raises `StoreError` where what is read is not what was written."""
@@ -130,8 +137,37 @@ def check_sum(columns: dict[str, np.ndarray]) -> int:
     """CRC-32 of a chunk's numbers."""
     found = 0
     for name in COLUMNS:
-        found = zlib.crc32(np.ascontiguousarray(columns[name]).tobytes(), found)
+        found = zlib.crc32(np.ascontiguousarray(columns[name]).data.cast("B"), found)
     return found
+
+
+def _put(folder: Path, array: Any, number: tuple[int, ...], values: np.ndarray, column: Column) -> bool:
+    """Writes the one file of a Zarr array that holds a chunk, the bits that Zarr would write, a quarter of the time: it
+    hands every array from thread to thread. False where that is Zarr's own to do: an array of another make."""
+    try:
+        from google_crc32c import value as crc32c
+        from numcodecs import zstd
+    except ImportError:
+        return False
+    if [type(c).__name__ for c in array.metadata.codecs] != ["BytesCodec", "ZstdCodec", "Crc32cCodec"]:
+        return False
+    whole = np.full(array.chunks, column.nothing, np.dtype(column.dtype).newbyteorder("<"))
+    whole.reshape(-1, *values.shape[1:])[: len(values)] = values
+    file = folder.joinpath("c", *(str(i) for i in number), *("0" for _ in column.dims))
+    if np.all(np.isnan(whole)) if column.nothing != column.nothing else not np.any(whole != column.nothing):
+        file.unlink(missing_ok=True)  # nothing in all of it
+        return True
+    packed = zstd.compress(whole, array.metadata.codecs[1].level, array.metadata.codecs[1].checksum)
+    aside = file.with_suffix(f".{uuid.uuid4().hex}.partial")
+    try:
+        file.parent.mkdir(parents=True, exist_ok=True)
+        with aside.open("wb") as opened:
+            opened.write(packed)
+            opened.write(crc32c(packed).to_bytes(4, "little"))
+        aside.replace(file)
+    finally:
+        aside.unlink(missing_ok=True)
+    return True
 
 
 def _create(path: Path, study: Study) -> None:
@@ -146,9 +182,8 @@ def _create(path: Path, study: Study) -> None:
         sizes = {"joint": study.joints, "xyz": 3, "wxyz": 4}
         for name, column in COLUMNS.items():
             _array(group, name, column, study, () if name in GIVEN else axes, sizes)
-        crc = Column("i8", UNFINISHED, {"long_name": f"CRC-32 of a finished chunk; {UNFINISHED} while it is not"})
         shape = (*study.shape, study.chunks)
-        _new(group, "crc", crc, shape, (1,) * len(shape), (*axes, "chunk"))
+        _new(group, "crc", CRC, shape, (1,) * len(shape), (*axes, "chunk"))
         for name, labels in (*study.axes, *LABELS.items(), *_joint_names(study)):
             values = np.array(labels, object if isinstance(labels[0], str) else np.float64)
             kind: Any = str if values.dtype == object else "f8"
