@@ -76,7 +76,8 @@ class Space:
         self.others: list[Others] = []
         for o in surroundings:
             gap, columns = obstacles_of(o.kind, o.rows, q.dtype)
-            self._add(columns, gap, _cast(o.leaves, q.dtype), hierarchy.LEAF[o.kind], o.kind == "points")
+            size = len(jax.tree_util.tree_leaves(columns)[0]) // len(o.leaves.radius)
+            self._add(columns, gap, _cast(o.leaves, q.dtype), size, o.kind == "points")
         for v, placed in zip(self.robot.kinds, self.placed, strict=True):
             self._add((placed.corners, placed.radius), skeleton_gap, placed.leaves, v.size, v.even and v.arity == 1)
 
