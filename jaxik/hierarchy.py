@@ -21,7 +21,7 @@ from jaxik.chain import Chain
 from jaxik.scene import FAR, KINDS, Scene, check_scene, is_remembered, remembered
 from jaxik.spheres import local_volumes
 
-LEAF = {"points": 4, "spheres": 4, "capsules": 1, "boxes": 1, "cylinders": 1}  # obstacles a leaf
+LEAF = {"points": 4, "spheres": 4, "capsules": 1, "boxes": 1, "cylinders": 1}  # obstacles a leaf, where there are a few
 PLACE = {"points": "center", "spheres": "center", "capsules": "a", "boxes": "world_T_box", "cylinders": "world_T_cylinder"}
 FAN = 4  # leaves a branch, at least
 LEAVES = (16, 128, 1024, 8192, 65536)  # what is compiled for: up to so many leaves, of which those that are there are looked at
@@ -97,7 +97,8 @@ def _grouped(scene: Scene, ignored: tuple[tuple[int, str], ...], by_object: bool
 
 def _obstacles(kind: str, rows: dict[str, Any], owner: np.ndarray, masks: np.ndarray, by_object: bool) -> Obstacles:
     """`masks` of each object, and of what belongs to none, at last."""
-    size, known = LEAF[kind], not is_traced(rows)
+    known = not is_traced(rows)
+    size = LEAF[kind] if not known or len(rows[PLACE[kind]]) > FAN else 1  # a few fill no leaf
     xp = np if known else jnp
     center, radius = _extent(kind, rows if known else lax.stop_gradient(rows), xp)
     there = np.arange(len(radius)) if not known else np.flatnonzero(~(np.abs(center).max(axis=1) > FAR / 2.0))

@@ -24,6 +24,8 @@ from jaxik.gaps import Gap, obstacles_of, skeleton_gap, square_gap
 from jaxik.hierarchy import Grouped, Robot, Volumes
 from jaxik.kinematics import joint_frames
 
+FEW = 16  # points of a robot, up to which they are moved without a loop
+
 
 class Found(NamedTuple):
     """A least distance [m]; of which volume, and of which obstacle or other volume, where that is asked for (else None)."""
@@ -75,7 +77,8 @@ class Space:
         self.others: list[Others] = []
         for o in around:
             gap, columns = obstacles_of(o.kind, o.rows, q.dtype)
-            self._add(columns, gap, _cast(o.leaves, q.dtype), hierarchy.LEAF[o.kind], o.kind == "points")
+            size = len(jax.tree_util.tree_leaves(columns)[0]) // len(o.leaves.radius)
+            self._add(columns, gap, _cast(o.leaves, q.dtype), size, o.kind == "points")
         for v, placed in zip(self.robot.kinds, self.placed, strict=True):
             self._add((placed.corners, placed.radius), skeleton_gap, placed.leaves, v.size, v.even and v.arity == 1)
 
@@ -247,7 +250,8 @@ def _start(start: Any, tracked: bool, dtype: Any) -> Found:
 
 
 def _placed(robot: Robot, frames: Any, dtype: Any) -> tuple[tuple[Vec3, Any], tuple[Placed, ...]]:
-    """The spheres of the parts, and the volumes, in the world: one loop over all points, each by its joint's frame."""
+    """The spheres of the parts, and the volumes, in the world: one loop over all points, each by its joint's frame; written out
+    where they are few, so that a planar robot's zeros fold."""
     local, joint = [robot.parts.center], [robot.joint]
     for v in robot.kinds:
         local += [v.leaves.center, *(v.corners[:, c] for c in range(v.arity))]
@@ -255,7 +259,12 @@ def _placed(robot: Robot, frames: Any, dtype: Any) -> tuple[tuple[Vec3, Any], tu
     xp = jnp if hierarchy.is_traced(local) else np
     points, joints = xp.concatenate(local).astype(dtype), np.concatenate(joint)
     moved = lambda _, row: (None, tuple(Frame.of_entries(traced(_at(frames, row[1]))) @ Vec3(*traced(row[0]))))
-    columns = lax.scan(moved, None, (jnp.asarray(points), jnp.asarray(joints)))[1]
+    if len(points) <= FEW and xp is np:
+        columns = jax.tree_util.tree_map(
+            lambda *x: jnp.stack(x), *(moved(None, row)[1] for row in zip(points, joints, strict=True))
+        )
+    else:
+        columns = lax.scan(moved, None, (jnp.asarray(points), jnp.asarray(joints)))[1]
     cuts = itertools.pairwise(np.cumsum([0, *(len(x) for x in local)]))
     parts, *rest = [Vec3(*(x[a:b] for x in columns)) for a, b in cuts]
     sized = lambda x: jnp.asarray(x, dtype)

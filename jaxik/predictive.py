@@ -136,8 +136,9 @@ def future(path: Path, duration: Any, horizon: Horizon, start: Any = 0.0) -> Fut
     return Future(Motion(*(x.reshape(horizon.count, len(stages), *x.shape[1:]) for x in asked)), time)
 
 
-def problem(chain: Chain, cost: RunningCost, horizon: Horizon, *given: Any) -> ocp.Problem:
-    """The optimal control problem; its samples are a `Future`, and what it sees of each is the `Resolved`."""
+def problem(chain: Chain, cost: RunningCost, horizon: Horizon, *given: Any, many: bool = False) -> ocp.Problem:
+    """The optimal control problem, of one or `many` scenarios; its samples are a `Future`, and what it sees of each is the
+    `Resolved`."""
 
     def field(q: Any, u: Any, asked: Motion) -> tuple[Any, Resolved]:
         found = horizon.resolve(chain, q, asked, u)
@@ -145,18 +146,26 @@ def problem(chain: Chain, cost: RunningCost, horizon: Horizon, *given: Any) -> o
 
     integrate = ocp.integrator(horizon.integrator, field, horizon.dt)
     move = ocp.of_velocity(integrate) if horizon.level == "velocity" else ocp.of_acceleration(integrate, horizon.dt)
-    return ocp.Problem(lambda y, w, p: move(y, w, p.asked), lambda y, v, w, p: cost(y[0], v, w, p.time, *given), horizon.dt)
+    step, per_second = lambda y, w, p: move(y, w, p.asked), lambda y, v, w, p: cost(y[0], v, w, p.time, *given)
+    return ocp.Problem(step, per_second, horizon.dt, many)
 
 
 def objective(
-    chain: Chain, cost: RunningCost, horizon: Horizon, q: Any, ahead: Future, given: tuple[Any, ...] = (), u: Any = None
+    chain: Chain,
+    cost: RunningCost,
+    horizon: Horizon,
+    q: Any,
+    ahead: Future,
+    given: tuple[Any, ...] = (),
+    u: Any = None,
+    many: bool = False,
 ) -> descent.Objective:
     """The cost of an input as `descent` wants it, with the inner product `int a'b dt` (5.24); `u` is that of the start.
 
     A free start is one more row before the others: the motion before the clock runs, over sqrt(dt), which makes it of one
     measure with them.
     """
-    control = problem(chain, cost, horizon, *given)
+    control = problem(chain, cost, horizon, *given, many=many)
     root = horizon.dt**0.5
     free = horizon.start == "free"
     begin = lambda first: self_motion(chain, q, root * first, ahead, horizon)
@@ -173,8 +182,13 @@ def objective(
         _, pull = jax.vjp(begin, z[0])
         return jnp.concatenate([pull(adjoint[0][0])[0][None] / horizon.dt, g])
 
+    def along(z: Any, s: Any, alphas: Any) -> Any:
+        first = jax.vmap(lambda alpha: begin(z[0] + alpha * s[0]) if free else q)(alphas)
+        starts = (first, *(jnp.broadcast_to(x, (len(alphas), *x.shape)) for x in rest))
+        return ocp.totals_along(control, starts, *((z[1:], s[1:]) if free else (z, s)), alphas, ahead)
+
     # traced once, however often it is asked for
-    return descent.Objective(jax.jit(value), slope, lambda a, b: horizon.dt * jnp.sum(a * b))
+    return descent.Objective(jax.jit(value), slope, lambda a, b: horizon.dt * jnp.sum(a * b), along if many else None)
 
 
 def self_motion(chain: Chain, q: Any, along: Any, ahead: Future, horizon: Horizon, turns: int = 12) -> Any:
@@ -194,7 +208,9 @@ def _program(
 ) -> Callable[..., Prediction]:
     def solve(q: Any, path: Path, duration: Any, w: Any, given: tuple[Any, ...]) -> Prediction:
         ahead = future(path, duration, horizon)
-        found = descent.run(objective(chain, cost, horizon, q, ahead, given), w, horizon.descend)
+        many = axes is not None and jax.default_backend() == "cpu"
+        goal = objective(chain, cost, horizon, q, ahead, given, many=many)
+        found = descent.run(goal, w, horizon.descend)
         run = found.aux
         w = found.w[1:] if horizon.start == "free" else found.w
         record = found.iterations, found.costs, found.alphas, found.betas

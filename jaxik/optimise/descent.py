@@ -46,11 +46,13 @@ Search = Literal["fixed", "backtracking", "polynomial", "secant"]
 
 
 class Objective(NamedTuple):
-    """`value(w) -> (L, aux)`, `gradient(w, aux) -> g` and the inner product that g is the gradient by."""
+    """`value(w) -> (L, aux)`, `gradient(w, aux) -> g` and the inner product that g is the gradient by; and, where they are
+    faster together, `along(w, s, alphas) -> L` of each `w + alpha s`."""
 
     value: Callable[[Any], tuple[Any, Any]]
     gradient: Callable[[Any, Any], Any]
     inner: Callable[[Any, Any], Any]
+    along: Callable[[Any, Any, Any], Any] | None = None
 
 
 @dataclasses.dataclass(frozen=True)
@@ -251,7 +253,8 @@ def _search(objective: Objective, state: State, heading: _Heading, options: Desc
         alpha, _, there = lax.while_loop(more, shorter, (alpha, 0, at(alpha)))
         return alpha, interval, there[0], there
     if options.search == "polynomial":
-        costs = jax.vmap(lambda alpha: at(alpha)[0])(_three(interval))
+        three = _three(interval)
+        costs = objective.along(state.w, s, three) if objective.along else jax.vmap(lambda alpha: at(alpha)[0])(three)
         return *_parabola(costs, state.cost, interval), None
     if options.search == "secant":
         moved, change = state.alpha * state.direction, g - state.gradient

@@ -11,7 +11,8 @@ With explicit Euler steps this is the text's adjoint equation, integrated backwa
 integrator, so that g is the exact gradient of L (by the inner product `dt sum_k a_k' b_k`) and not an approximation of it.
 
 Only the roll-out and the sweep over lambda are sequential, and on a CPU each is one kernel (`spmd.kernel`). What a cost asks,
-distances above all, is done for all samples at once, which is what vector units are for.
+distances above all, is done for all samples at once, which is what vector units are for; unless there are scenarios enough to
+fill these, and then it is done on the way, where the step's kinematics are at hand.
 """
 
 from __future__ import annotations
@@ -30,11 +31,12 @@ Integrator = Literal["euler", "runge_kutta"]
 
 class Problem(NamedTuple):
     """`step(y, w, p) -> (y, v, seen)` over `dt` [s], where `seen` is what is to be recorded besides; `cost(y, v, w, p)` per
-    second."""
+    second, asked on the way if `many` scenarios share the program, else of all samples at once."""
 
     step: Callable[..., Any]
     cost: Callable[..., Any]
     dt: float
+    many: bool = False
 
 
 class Run(NamedTuple):
@@ -52,22 +54,42 @@ def roll_out(problem: Problem, y: Any, w: Any, p: Any) -> Run:
     """From y along the inputs w (N, m)."""
 
     def advance(y: Any, now: Any) -> Any:
-        after, *rest = problem.step(y, *now)
-        return after, (after, *rest)
+        after, v, seen = problem.step(y, *now)
+        return after, (after, v, seen, problem.cost(y, v, *now) if problem.many else None)
 
-    _, (later, v, seen) = kernel(lambda y, w, p: lax.scan(advance, y, (w, p)))(y, w, p)
+    _, (later, v, seen, costs) = kernel(lambda y, w, p: lax.scan(advance, y, (w, p)))(y, w, p)
     states = jax.tree_util.tree_map(lambda a, b: jnp.concatenate([a[None], b]), y, later)
-    costs = jax.vmap(problem.cost)(head(states), v, w, p)
+    if not problem.many:
+        costs = jax.vmap(problem.cost)(head(states), v, w, p)
     return Run(states, v, seen, costs, problem.dt * jnp.sum(costs))
+
+
+def totals_along(problem: Problem, y: Any, w: Any, s: Any, alphas: Any, p: Any) -> Any:
+    """L (k,) of the inputs `w + alpha s`, each from its state of y (k, ..): side by side in one kernel, whose turns would else
+    wait for one chain of operations."""
+    cost = kernel(problem.cost)  # a batch of it is written out, whatever it is
+
+    def advance(y: Any, now: Any) -> Any:
+        w, s, p = now
+
+        def each(y: Any, alpha: Any) -> Any:
+            after, v, _ = problem.step(y, w + alpha * s, p)
+            return after, cost(y, v, w + alpha * s, p)
+
+        return jax.vmap(each)(y, alphas)
+
+    costs = kernel(lambda y, alphas, each: lax.scan(advance, y, each)[1])(y, alphas, (w, s, p))
+    return problem.dt * jnp.sum(costs, axis=0)
 
 
 def gradient(problem: Problem, run: Run, w: Any, p: Any) -> tuple[Any, Any]:
     """g (N, m) at the inputs that made `run`, and the adjoint variables (N+1, ..) of each part of the state."""
     dt, y = problem.dt, head(run.y)
-    slopes = jax.vmap(jax.grad(problem.cost, argnums=(0, 1, 2)))(y, run.v, w, p)
+    slope = jax.grad(problem.cost, argnums=(0, 1, 2))
 
     def back(after: Any, now: Any) -> Any:
-        y, w, p, (l_y, l_v, l_w) = now
+        y, w, p, of_cost = now
+        l_y, l_v, l_w = slope(y, of_cost, w, p) if problem.many else of_cost
         _, pull = jax.vjp(lambda y, w: problem.step(y, w, p)[:2], y, w)
         by_y, by_w = pull((after, dt * l_v))
         before = jax.tree_util.tree_map(lambda own, pulled: dt * own + pulled, l_y, by_y)
@@ -75,7 +97,7 @@ def gradient(problem: Problem, run: Run, w: Any, p: Any) -> tuple[Any, Any]:
 
     end = jax.tree_util.tree_map(lambda a: jnp.zeros_like(a[0]), y)
     sweep = kernel(lambda end, each: lax.scan(back, end, each, reverse=True))
-    _, (adjoint, g) = sweep(end, (y, w, p, slopes))
+    _, (adjoint, g) = sweep(end, (y, w, p, run.v if problem.many else jax.vmap(slope)(y, run.v, w, p)))
     return g, jax.tree_util.tree_map(lambda a, b: jnp.concatenate([a, b[None]]), adjoint, end)
 
 

@@ -21,6 +21,7 @@ from jaxik.spmd.trace import Traced, is_float, on_one_device
 Masks = tuple[tuple[bool, ...], ...]  # for each operand, which axes of the batch it has
 
 _DENSE = 4096  # entries of a derivative, from which it is not formed
+_FEW = 4  # kernels of a batch inside a kernel
 
 kernel_p = Primitive("spmd_kernel")
 kernel_p.multiple_results = True
@@ -205,10 +206,16 @@ mlir.register_lowering(kernel_p, functools.partial(_lowered, way=_on_cpu), platf
 
 
 def _inlined(s: Scalariser, eqn: Any, *xs: Array) -> list[Array]:
-    """A kernel inside another is part of it."""
-    if eqn.params["batch"]:
-        raise Unsupported("a batch of kernels inside a kernel")
-    return s.closed(eqn.params["traced"].closed, xs)
+    """A kernel inside another is part of it; of a few, each."""
+    closed, batch, masks = eqn.params["traced"].closed, eqn.params["batch"], eqn.params["masks"]
+    if math.prod(batch) > _FEW:
+        raise Unsupported(f"a batch of more than {_FEW} kernels inside a kernel")
+    own = lambda x, mask, place: x.rearranged(x.at[tuple(i for i, has in zip(place, mask, strict=True) if has)])
+    each = [s.closed(closed, [own(x, m, place) for x, m in zip(xs, masks, strict=True)]) for place in np.ndindex(*batch)]
+    if not batch:
+        return each[0]
+    joined = lambda ys: np.stack([s.values(y) for y in ys]).reshape(*batch, *ys[0].shape)
+    return [Array(joined(ys), ys[0].type) for ys in zip(*each, strict=True)]
 
 
 RULES["spmd_kernel"] = _inlined

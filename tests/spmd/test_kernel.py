@@ -116,6 +116,10 @@ BATCHES = {
         lambda f: lambda q, a: lax.while_loop(lambda c: c[1] < 20, lambda c: (c[0] + f(q[0], a[0])[1], c[1] + 1), (0.0, 0)),
         (Q, LENGTHS),
     ),
+    "a few in a kernel": (
+        lambda f: (spmd.kernel if f is KERNEL else jax.jit)(lambda q, a: jax.vmap(f, (0, None), (1, 0))(q, a)),
+        (Q[:3], LENGTHS[0]),
+    ),
     "in a branch": (lambda f: lambda q, a: lax.cond(q[0, 0] > 0, f, lambda q, a: f(a, q), q[0], a[0]), (Q, LENGTHS)),
 }
 
