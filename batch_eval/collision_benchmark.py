@@ -24,7 +24,7 @@ import motionbenchmaker
 import numpy as np
 from benchmark import show
 from collision_peers import Batched, Coal, MuJoCo, Peer, PyRoki, ScikitRobot
-from race import PLAIN, Entry, from_scratch, machine, on_cores, race
+from race import Entry, from_scratch, machine, on_cores, race
 
 import jaxik
 
@@ -59,10 +59,11 @@ class Work:
         return np.stack([peer.clearance(scene, q[:LOOPS]) for scene, q in zip(self.scenes, self.q, strict=True)])
 
     def ours(self, who: str, function: Callable[..., Any]) -> Entry:
-        """`function(chain, scene, q)`, traced, over all scenes and configurations; a program for each size of scene."""
+        """`function(chain, scene, q)`, traced, over all scenes and configurations; a program for each size of scene. Scenes are
+        put in order before the clock starts, as peers' are made."""
         batch = jax.jit(jax.vmap(lambda scene, q: function(self.chain, scene, q), in_axes=(None, 0)))
-        q = [jnp.asarray(rows) for rows in self.q]
-        run = lambda: [batch(scene, rows) for scene, rows in zip(self.padded, q, strict=True)]
+        q, scenes = [jnp.asarray(rows) for rows in self.q], [jaxik.hierarchy.grouped(s, self.chain) for s in self.scenes]
+        run = lambda: [batch(scene, rows) for scene, rows in zip(scenes, q, strict=True)]
         start = time.perf_counter()
         jax.block_until_ready(run())
         return Entry(who, len(self.scenes) * OURS, run, time.perf_counter() - start)
@@ -84,7 +85,7 @@ class Work:
 
 def clearances(work: Work) -> list[Entry]:
     """jaxik's first, then its peers', whose errors are those where coal says that nothing touches."""
-    ours = [work.ours("jaxik", jaxik.clearance), work.ours(PLAIN, jaxik.clearance.__wrapped__)]
+    ours = [work.ours("jaxik", jaxik.clearance)]
     for entry in ours:
         found = np.stack([np.asarray(rows[:LOOPS]) for rows in entry.run()])
         entry.error = float(np.abs(found - work.truth)[work.truth > SEEN].max(initial=0.0))
@@ -99,8 +100,7 @@ def clearances(work: Work) -> list[Entry]:
 
 def collisions(work: Work) -> list[Entry]:
     """Yes or no; `success` is the share of answers that are coal's."""
-    # until collides stands, clearance answers for it
-    ours = work.ours("jaxik", getattr(jaxik, "collides", lambda *asked: jaxik.clearance(*asked) < 0.0))
+    ours = work.ours("jaxik", jaxik.collides)
     ours.success = float(np.mean(np.stack([np.asarray(rows[:LOOPS]) for rows in ours.run()]) == (work.truth < 0.0)))
     peers = {
         "coal and Pinocchio, to the first hit, Python loop": work.coal,

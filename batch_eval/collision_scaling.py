@@ -60,7 +60,7 @@ def measured(chain: jaxik.Chain, scene: jaxik.Scene, function: Callable[..., Any
 
 def series(rounds: int) -> list[dict[str, Any]]:
     """Every point of every line, for the cores of this process."""
-    works = {"clearance": jaxik.clearance} | ({"collides": jaxik.collides} if hasattr(jaxik, "collides") else {})
+    works = {"clearance": jaxik.clearance, "collides": jaxik.collides}
     p6r, rows = jaxik.load("p6r"), []
     cases = [(kind, count, p6r, crowd(kind, count)) for kind in ("points", "capsules") for count in OBSTACLES]
     cases += [("spheres", 7 * level, p6r.with_spheres(level), arm.crop()) for level in LEVELS]

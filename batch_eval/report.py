@@ -249,6 +249,7 @@ def model_markdown(result: dict[str, Any]) -> str:
 TABLES = {
     "base_placement.json": base_markdown,
     "benchmark.json": markdown,
+    "collision_benchmark.json": collision_markdown,
     "ik_benchmark.json": ik_markdown,
     "motions.json": motions_markdown,
     "narrow_goals.json": narrow_markdown,
