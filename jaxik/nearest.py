@@ -260,9 +260,8 @@ def _placed(robot: Robot, frames: Any, dtype: Any) -> tuple[tuple[Vec3, Any], tu
     points, joints = xp.concatenate(local).astype(dtype), np.concatenate(joint)
     moved = lambda _, row: (None, tuple(Frame.of_entries(traced(_at(frames, row[1]))) @ Vec3(*traced(row[0]))))
     if len(points) <= FEW and xp is np:
-        columns = jax.tree_util.tree_map(
-            lambda *x: jnp.stack(x), *(moved(None, row)[1] for row in zip(points, joints, strict=True))
-        )
+        each = [moved(None, row)[1] for row in zip(points, joints, strict=True)]
+        columns = tuple(jnp.stack(x) for x in zip(*each, strict=True))
     else:
         columns = lax.scan(moved, None, (jnp.asarray(points), jnp.asarray(joints)))[1]
     cuts = itertools.pairwise(np.cumsum([0, *(len(x) for x in local)]))

@@ -46,7 +46,7 @@ Search = Literal["fixed", "backtracking", "polynomial", "secant"]
 
 
 class Objective(NamedTuple):
-    """`value(w) -> (L, aux)`, `gradient(w, aux) -> g` and the inner product that g is the gradient by; and, where they are
+    """`value(w) -> (L, aux)`, `gradient(w, aux) -> g` and the inner product that g is the gradient by; and, where that is
     faster together, `along(w, s, alphas) -> L` of each `w + alpha s`."""
 
     value: Callable[[Any], tuple[Any, Any]]

@@ -117,7 +117,7 @@ BATCHES = {
         (Q, LENGTHS),
     ),
     "a few in a kernel": (
-        lambda f: (spmd.kernel if f is KERNEL else jax.jit)(lambda q, a: jax.vmap(f, (0, None), (1, 0))(q, a)),
+        lambda f: (spmd.kernel if f is KERNEL else jax.jit)(lambda q, a: jax.vmap(f, (0, None))(q, a)),
         (Q[:3], LENGTHS[0]),
     ),
     "in a branch": (lambda f: lambda q, a: lax.cond(q[0, 0] > 0, f, lambda q, a: f(a, q), q[0], a[0]), (Q, LENGTHS)),
