@@ -195,6 +195,7 @@ def model_markdown(result: dict[str, Any]) -> str:
 TABLES = {
     "base_placement.json": base_markdown,
     "benchmark.json": markdown,
+    "collision_models.json": model_markdown,
     "ik_benchmark.json": ik_markdown,
     "narrow_goals.json": narrow_markdown,
     "nine_dof.json": nine_dof_markdown,
