@@ -250,6 +250,7 @@ TABLES = {
     "base_placement.json": base_markdown,
     "benchmark.json": markdown,
     "collision_benchmark.json": collision_markdown,
+    "collision_models.json": model_markdown,
     "ik_benchmark.json": ik_markdown,
     "motions.json": motions_markdown,
     "narrow_goals.json": narrow_markdown,
