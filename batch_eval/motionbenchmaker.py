@@ -108,7 +108,9 @@ def scene_of(message: dict[str, Any]) -> jaxik.Scene:
     moved = {t["child_frame_id"]: _placed(t["transform"]) for t in message.get("fixed_frame_transforms") or ()}
     builder = jaxik.SceneBuilder()
     for item in world.get("collision_objects") or ():
-        builder.add(item["id"], True, **_shapes(item, moved))
+        shapes = _shapes(item, moved)
+        if any(shapes.values()):  # an object may be a name alone
+            builder.add(item["id"], True, **shapes)
     return builder.scene()
 
 

@@ -87,7 +87,8 @@ def _grouped(scene: Scene, ignored: tuple[tuple[int, str], ...], by_object: bool
     masks = [sum({bit[link] for link, what in ignored if what in ("*", name)}) for name in (*scene.object_names, "")]
     found = []
     for kind, owners in zip(KINDS, scene.owners, strict=True):
-        rows = dict(vars(getattr(scene, kind)))
+        given = vars(getattr(scene, kind))
+        rows = dict(given) if is_traced(given) else {name: np.asarray(x) for name, x in given.items()}
         count = len(rows[PLACE[kind]])
         if count:
             owner = np.array([*owners, *[-1] * (count - len(owners))], int)
