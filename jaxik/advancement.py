@@ -27,9 +27,10 @@ from jax import lax
 from jaxtyping import Bool, Float, Int
 
 from jaxik.algebra import ZERO, Frame, Vec3, traced
-from jaxik.chain import Array, Chain, as_configuration, as_shaped
+from jaxik.chain import Array, Chain, as_configuration, as_shaped, solid_links
 from jaxik.choice import check_finite, check_kind
 from jaxik.collision import check_geometry, clearance, link_clearances
+from jaxik.given import is_known
 from jaxik.hierarchy import grouped
 from jaxik.kinematics import joint_frames
 from jaxik.scene import FAR, KINDS, Scene
@@ -206,7 +207,7 @@ def _ruler(chain: Chain, scene: Any, q_from: Any, q_to: Any, extent: Any) -> tup
     rows, moved = _rows(chain), q_to - q_from
     bounds = _row_bounds(chain, rows, q_from, q_to)
     short = ROUNDING * float(jnp.finfo(q_from.dtype).eps) * (extent + _size(chain, bounds.length, q_from, q_to))
-    columns = np.searchsorted(_links(chain), [row.link for row in rows])
+    columns = np.searchsorted(solid_links(chain), [row.link for row in rows])
 
     def measured(t: Any) -> _Measured:
         q = q_from + t * moved
@@ -288,16 +289,11 @@ def _rows(chain: Chain) -> list[_Row]:
     """Those of the later links of pairs; without any, of all against the scene."""
     joint, found = chain.link_joint, []
     if not chain.self_pairs:
-        return [_Row(link, ((link, 0),)) for link in _links(chain)]
+        return [_Row(link, ((link, 0),)) for link in solid_links(chain)]
     for link in sorted({later for _, later in chain.self_pairs}):
         pairs = [sorted((a, link), key=lambda i: joint[i]) for a, later in chain.self_pairs if later == link]
         found.append(_Row(link, tuple(sorted({(high, joint[low]) for low, high in pairs}))))
     return found
-
-
-def _links(chain: Chain) -> list[int]:
-    """The links that have collision geometry, as `link_clearances` has them."""
-    return sorted({b.link for b in chain.boxes} | {v.link for v in chain.volumes})
 
 
 def _corners(chain: Chain, link: int) -> Any:
@@ -392,6 +388,6 @@ def _size(chain: Chain, length: Any, q_from: Any, q_to: Any) -> Any:
 def _extent(scene: Scene | None) -> Any:
     """How large the numbers of a scene are [m], but for what is moved away."""
     leaves = [] if scene is None else jax.tree_util.tree_leaves([getattr(scene, kind) for kind in KINDS])
-    xp = jnp if any(isinstance(x, jax.core.Tracer) for x in leaves) else np
+    xp = np if is_known(leaves) else jnp
     sizes = [xp.max(xp.where(xp.abs(x) < FAR / 2.0, xp.abs(x), 0.0), initial=0.0) for x in map(xp.asarray, leaves)]
     return xp.max(xp.stack([xp.asarray(x, float) for x in sizes])) if sizes else 0.0

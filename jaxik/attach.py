@@ -10,7 +10,7 @@ import numpy as np
 from jaxtyping import Float
 
 from jaxik.algebra import Frame
-from jaxik.chain import Array, Box, Chain, Volume, as_configuration
+from jaxik.chain import Array, Box, Chain, Volume, as_configuration, solid_links
 from jaxik.choice import check_kind, no_such, shown
 from jaxik.given import numbers
 from jaxik.kinematics import joint_frames
@@ -60,7 +60,6 @@ def attach(chain: Chain, scene: Scene, name: str, q: Float[Array, " n"], touches
         raise ValueError(
             f"attach: '{shown(name)}' has {count:,} obstacles; at most {MOST:,}; put a few spheres or boxes around it"
         )
-    solid = {b.link for b in chain.boxes} | {v.link for v in chain.volumes}
     held = dataclasses.replace(
         chain,
         link_names=(*chain.link_names, name),
@@ -68,7 +67,7 @@ def attach(chain: Chain, scene: Scene, name: str, q: Float[Array, " n"], touches
         link_offset=np.concatenate([chain.link_offset, np.eye(4)[None]]),
         boxes=(*chain.boxes, *boxes),
         volumes=(*chain.volumes, *volumes),
-        self_pairs=(*chain.self_pairs, *((i, link) for i in sorted(solid - free))),
+        self_pairs=(*chain.self_pairs, *((i, link) for i in solid_links(chain) if i not in free)),
     )
     return Attached(held, scene.without([name]))
 

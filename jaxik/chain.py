@@ -215,6 +215,11 @@ class Chain(Constant):
         return self is other or (isinstance(other, Chain) and self.digest == other.digest)
 
 
+def solid_links(chain: Chain) -> list[int]:
+    """The links that have collision geometry, from the base on."""
+    return sorted({box.link for box in chain.boxes} | {volume.link for volume in chain.volumes})
+
+
 def finite_range(chain: Chain, lower: Any, upper: Any) -> tuple[np.ndarray, np.ndarray]:
     """Limits (n,) to sample, draw or scale by: a joint without any ranges over +-pi [rad] or +-1 [m], one with a single limit
     over as much beside it."""

@@ -16,13 +16,12 @@ import numpy as np
 from jax import lax
 from jaxtyping import Bool, Float
 
-from jaxik.algebra import traced
 from jaxik.chain import Array, Chain, as_configuration
 from jaxik.choice import check_kind
 from jaxik.hierarchy import Grouped, grouped
 from jaxik.nearest import Space
 from jaxik.scene import FAR, Scene
-from jaxik.spheres import LEVELS, Skeleton, skeletons
+from jaxik.spheres import LEVELS, skeletons
 from jaxik.spmd import kernel
 
 
@@ -59,8 +58,7 @@ def self_clearance(chain: Chain, q: Float[Array, " n"]) -> Float[Array, ""]:
 def collides(chain: Chain, scene: Scene | Grouped | None, q: Float[Array, " n"], margin: Any = 0.0) -> Bool[Array, ""]:
     """Whether the robot comes nearer than `margin` [m] to the scene or to itself: `clearance < margin`, or NaN. Traced.
 
-    Many times faster than the clearance, since what is further away than the margin is not measured, and the first that is
-    nearer ends it.
+    Faster than the clearance, since what is further away than the margin is not measured, and the first that is nearer ends it.
     """
     return _collides(chain, _around("collides", chain, scene), q, margin)
 
@@ -84,12 +82,6 @@ def _around(who: str, chain: Chain, scene: Any) -> Grouped:
     check_kind(who, "chain", chain, Chain)
     check_geometry(chain)
     return grouped(scene, chain)
-
-
-def world_volumes(chain: Chain, q: Float[Array, " n"]) -> dict[int, Skeleton]:
-    """The robot's swept-sphere volumes in the world, by corner count."""
-    check_geometry(chain)
-    return skeletons(chain, traced(q), q.dtype)
 
 
 def check_geometry(chain: Chain) -> None:
@@ -166,11 +158,8 @@ def _is_zero(tangent: Any) -> bool:
 def _materialised(tangent: Any) -> Any:
     if not _is_zero(tangent):
         return tangent
-    return (
-        np.zeros(tangent.shape, tangent.dtype)
-        if tangent.dtype == jax.dtypes.float0
-        else jnp.zeros(tangent.shape, tangent.dtype)
-    )
+    xp = np if tangent.dtype == jax.dtypes.float0 else jnp
+    return xp.zeros(tangent.shape, tangent.dtype)
 
 
 def _seen(distance: Any) -> Any:

@@ -303,25 +303,21 @@ def _way_out_of_ellipse(x: Any, y: Any, radius: Any, w: Any) -> Any:
 
     held = _held((x, y, w, radius))
 
-    def narrow(_: Any, state: Any) -> Any:
-        low, high, t = state
+    def slope(t: Any) -> tuple[Any, Any]:
+        """Minus the derivative of the way, times what is above 0; and the derivative of that."""
         x, y, w, _ = held
         sine, cosine, rise = terms(t, *held)
-        slope, size = y * cosine - w * x * sine, w * w * cosine * cosine + sine * sine
-        value = slope * size - rise * (1.0 - w * w) * sine * cosine
-        curve = (slope * sine * cosine - rise * (cosine * cosine - sine * sine)) * (1.0 - w * w)
-        curve = curve - (w * x * cosine + y * sine) * size
-        low, high = jnp.where(value >= 0.0, t, low), jnp.where(value <= 0.0, t, high)
-        step = t - ratio(value, curve)
-        return low, high, jnp.where((step >= low) & (step <= high), step, (low + high) / 2.0)
+        turn, size = y * cosine - w * x * sine, w * w * cosine * cosine + sine * sine
+        value = turn * size - rise * (1.0 - w * w) * sine * cosine
+        curve = (turn * sine * cosine - rise * (cosine * cosine - sine * sine)) * (1.0 - w * w)
+        return -value, (w * x * cosine + y * sine) * size - curve
 
     zero, pace = jnp.zeros_like(held[0]), math.pi / 16.0
     best, most = zero, way(zero, *held)
     for k in range(1, 9):
         value = way(zero + k * pace, *held)
         best, most = jnp.where(value > most, k * pace, best), jnp.maximum(value, most)
-    bracket = jnp.maximum(best - pace, 0.0), jnp.minimum(best + pace, math.pi / 2.0)
-    t = lax.fori_loop(0, _SLANTED[zero.dtype.itemsize], narrow, (*bracket, best))[2]
+    t = _zero(slope, jnp.maximum(best - pace, 0.0), jnp.minimum(best + pace, math.pi / 2.0), best, _SLANTED)
     return way(_held(jnp.where(way(t, *held) > most, t, best)), x, y, w, radius)
 
 
@@ -340,6 +336,21 @@ def _nearest_to_cylinder(a: Vec3, b: Vec3, radius: Any, half: Any) -> Any:
         value = out * away + past * u.z * jnp.sign(p.z)
         return value, jnp.where(out > 0.0, rise, 0.0) + jnp.where(past > 0.0, u.z * u.z, 0.0)
 
+    middle, chord = a.x * u.x + a.y * u.y, a.x * a.x + a.y * a.y - radius * radius
+    spread = safe_sqrt(middle * middle - across * chord)
+    enters, leaves = ratio(-middle - spread, across), ratio(-middle + spread, across)
+    kinks = [ratio(-half - a.z, u.z), ratio(half - a.z, u.z), ratio(-middle, across), enters, leaves]
+    low, high = _bracket(lambda t: slope(t)[0], kinks)
+    start = low[0] + (high[0] - low[0]) * _clip01(ratio(-low[1], high[1] - low[1]))
+    return _least_between(low, high, _zero(slope, low[0], high[0], start, _NEWTON))
+
+
+def _zero(slope: Callable[[Any], tuple[Any, Any]], low: Any, high: Any, start: Any, steps: dict[int, int]) -> Any:
+    """Where a function that grows is 0, between `low` and `high`: by Newton's steps, and by halves where one leads out.
+
+    `slope` gives the function and its derivative. The best of all that is looked at, since rounding may lead the last astray.
+    """
+
     def narrow(_: Any, state: Any) -> Any:
         low, high, t, best, least = state
         value, rise = slope(t)
@@ -349,14 +360,8 @@ def _nearest_to_cylinder(a: Vec3, b: Vec3, radius: Any, half: Any) -> Any:
         step = jnp.where((step >= low) & (step <= high), step, (low + high) / 2.0)
         return low, high, step, jnp.where(closer, t, best), jnp.where(closer, jnp.abs(value), least)
 
-    middle, chord = a.x * u.x + a.y * u.y, a.x * a.x + a.y * a.y - radius * radius
-    spread = safe_sqrt(middle * middle - across * chord)
-    enters, leaves = ratio(-middle - spread, across), ratio(-middle + spread, across)
-    kinks = [ratio(-half - a.z, u.z), ratio(half - a.z, u.z), ratio(-middle, across), enters, leaves]
-    low, high = _bracket(lambda t: slope(t)[0], kinks)
-    start = low[0] + (high[0] - low[0]) * _clip01(ratio(-low[1], high[1] - low[1]))
-    state = low[0], high[0], start, start, jnp.full_like(start, jnp.inf)
-    return _least_between(low, high, lax.fori_loop(0, _NEWTON[start.dtype.itemsize], narrow, state)[3])
+    state = low, high, start, start, jnp.full_like(start, jnp.inf)
+    return lax.fori_loop(0, steps[start.dtype.itemsize], narrow, state)[3]
 
 
 def _bracket(slope: Callable[[Any], Any], kinks: list[Any]) -> tuple[Any, Any]:

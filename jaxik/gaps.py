@@ -29,10 +29,12 @@ def skeleton_gap(volumes: Any, other: Any) -> Any:
 
 
 def box_gap(volumes: Any, box: Any) -> Any:
+    """To one box: its rotation, centre and half edges."""
     return distance.skeleton_box(volumes[0], *box) - volumes[1]
 
 
 def cylinder_gap(volumes: Any, cylinder: Any) -> Any:
+    """To one cylinder: its rotation, centre, radius and half its length."""
     return distance.skeleton_cylinder(volumes[0], *cylinder) - volumes[1]
 
 

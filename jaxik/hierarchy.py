@@ -17,12 +17,13 @@ import jax.numpy as jnp
 import numpy as np
 from jax import lax
 
-from jaxik.chain import Chain
-from jaxik.scene import FAR, KINDS, Scene, check_scene, is_remembered, remembered
+from jaxik.chain import Chain, solid_links
+from jaxik.given import is_known
+from jaxik.scene import FAR, KINDS, SHAPES, Scene, check_scene, is_remembered, remembered
 from jaxik.spheres import local_volumes
 
 LEAF = {"points": 4, "spheres": 4, "capsules": 1, "boxes": 1, "cylinders": 1}  # obstacles a leaf, where there are a few
-PLACE = {"points": "center", "spheres": "center", "capsules": "a", "boxes": "world_T_box", "cylinders": "world_T_cylinder"}
+PLACE = {kind: next(iter(fields)) for kind, fields in SHAPES.items()}  # the field that says where an obstacle is
 FAN = 4  # leaves a branch, at least
 LEAVES = (16, 128, 1024, 8192, 65536)  # what is compiled for: up to so many leaves, of which those that are there are looked at
 SLACK = 1e-4  # [m] that a bounding sphere is larger: nothing is lost to rounding in float32, 100 m from the origin
@@ -67,7 +68,7 @@ def grouped(scene: Scene | Grouped | None, chain: Chain, by_object: bool = False
         return ()
     if not isinstance(scene, Scene):
         return scene
-    if not is_remembered(scene) and is_traced(scene):
+    if not is_remembered(scene) and not is_known(scene):
         check_scene(scene)
         return _grouped(scene, chain.ignored, by_object)
     remembered(scene, "checked", lambda: check_scene(scene))
@@ -88,7 +89,7 @@ def _grouped(scene: Scene, ignored: tuple[tuple[int, str], ...], by_object: bool
     found = []
     for kind, owners in zip(KINDS, scene.owners, strict=True):
         given = vars(getattr(scene, kind))
-        rows = dict(given) if is_traced(given) else {name: np.asarray(x) for name, x in given.items()}
+        rows = {name: np.asarray(x) for name, x in given.items()} if is_known(given) else dict(given)
         count = len(rows[PLACE[kind]])
         if count:
             owner = np.array([*owners, *[-1] * (count - len(owners))], int)
@@ -98,7 +99,7 @@ def _grouped(scene: Scene, ignored: tuple[tuple[int, str], ...], by_object: bool
 
 def _obstacles(kind: str, rows: dict[str, Any], owner: np.ndarray, masks: np.ndarray, by_object: bool) -> Obstacles:
     """`masks` of each object, and of what belongs to none, at last."""
-    known = not is_traced(rows)
+    known = is_known(rows)
     size = LEAF[kind] if not known or len(rows[PLACE[kind]]) > FAN else 1  # a few fill no leaf
     xp = np if known else jnp
     center, radius = _extent(kind, rows if known else lax.stop_gradient(rows), xp)
@@ -134,10 +135,6 @@ def _obstacles(kind: str, rows: dict[str, Any], owner: np.ndarray, masks: np.nda
         np.int32(len(first)),
         xp.sum(center) * 0.0 + xp.sum(radius) * 0.0,
     )
-
-
-def is_traced(tree: Any) -> bool:
-    return any(isinstance(leaf, jax.core.Tracer) for leaf in jax.tree_util.tree_leaves(tree))
 
 
 def _filled(x: Any, room: int, xp: Any) -> Any:
@@ -241,7 +238,7 @@ class Robot:
 
 def robot(chain: Chain) -> Robot:
     """Raises nothing; `collision.check_geometry` says what is missing."""
-    return _robot(chain) if is_traced(chain) else _known_robot(chain)
+    return _known_robot(chain) if is_known(chain) else _robot(chain)
 
 
 @functools.lru_cache(maxsize=64)
@@ -250,7 +247,7 @@ def _known_robot(chain: Chain) -> Robot:
 
 
 def _robot(chain: Chain) -> Robot:
-    links = tuple(sorted({b.link for b in chain.boxes} | {v.link for v in chain.volumes}, reverse=True))
+    links = tuple(solid_links(chain)[::-1])
     part = {link: p for p, link in enumerate(links)}
     kinds = tuple(v for v in (_volumes(chain, links, count) for count in (1, 2, 3)) if v is not None)
     before: list[list[int]] = [[] for _ in links]
@@ -268,7 +265,7 @@ def _parts(links: tuple[int, ...], kinds: tuple[Volumes, ...]) -> Balls:
     found = []
     for p in range(len(links)):
         rows = [np.arange(v.first[p], v.last[p]) for v in kinds]
-        xp = jnp if is_traced([v.leaves for v in kinds]) else np
+        xp = np if is_known([v.leaves for v in kinds]) else jnp
         center = xp.concatenate([v.leaves.center[r] for v, r in zip(kinds, rows, strict=True)])
         radius = xp.concatenate([v.leaves.radius[r] for v, r in zip(kinds, rows, strict=True)])
         found.append(around(center[None], radius[None], xp))
@@ -280,14 +277,14 @@ def _volumes(chain: Chain, links: tuple[int, ...], count: int) -> Volumes | None
     if local is None:
         return None
     corners, radius, link = local
-    fixed = lax.stop_gradient((corners, radius)) if is_traced((corners, radius)) else (corners, radius)
-    xp = jnp if is_traced(fixed) else np
+    known = is_known((corners, radius))
+    fixed, xp = ((corners, radius), np) if known else (lax.stop_gradient((corners, radius)), jnp)
     center, reach = _balls_of(fixed, xp)
     size = _leaf_size([int(np.sum(link == each)) for each in links]) if count == 1 else 1
     rows, first, last, leaves = [], [], [], 0
     for each in links:
         own = np.flatnonzero(link == each)
-        if len(own) and size > 1 and xp is np:
+        if len(own) and size > 1 and known:
             own = own[by_place(center[own], size)]
         own = np.pad(own, (0, -len(own) % size), "edge") if len(own) else own
         rows.append(own)
@@ -297,7 +294,7 @@ def _volumes(chain: Chain, links: tuple[int, ...], count: int) -> Volumes | None
     order = np.concatenate(rows)
     balls = around(center[order].reshape(-1, size, 3), reach[order].reshape(-1, size), xp)
     joint = np.array(chain.link_joint, np.int32)[link[order]]
-    even = xp is np and bool(np.all(np.ptp(radius[order].reshape(-1, size), axis=1) == 0.0))
+    even = known and bool(np.all(np.ptp(radius[order].reshape(-1, size), axis=1) == 0.0))
     bounds = np.array(first, np.int32), np.array(last, np.int32)
     return Volumes(corners[order], radius[order], joint, link[order], size, balls, *bounds, even)
 

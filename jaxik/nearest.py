@@ -21,6 +21,7 @@ from jaxik import distance, hierarchy
 from jaxik.algebra import Frame, Vec3, stack, traced
 from jaxik.chain import Chain
 from jaxik.gaps import Gap, obstacles_of, skeleton_gap, square_gap
+from jaxik.given import is_known
 from jaxik.hierarchy import Grouped, Robot, Volumes
 from jaxik.kinematics import joint_frames
 
@@ -71,9 +72,8 @@ class Space:
         self.joints = joint_frames(chain, traced(q), root, q.dtype)
         self.frames = jnp.stack([stack(f.entries[:12], (12,), q.dtype) for f in (root, *self.joints.joints)])
         self.parts, self.placed = _placed(self.robot, self.frames, q.dtype)
-        self.first = np.cumsum(
-            [0, *(len(v.radius) for v in self.robot.kinds)]
-        ).tolist()  # volumes of each kind, in one numbering
+        sizes = [len(v.radius) for v in self.robot.kinds]
+        self.first = np.cumsum([0, *sizes]).tolist()  # of the volumes of each kind, in one numbering
         self.others: list[Others] = []
         for o in around:
             gap, columns = obstacles_of(o.kind, o.rows, q.dtype)
@@ -256,7 +256,7 @@ def _placed(robot: Robot, frames: Any, dtype: Any) -> tuple[tuple[Vec3, Any], tu
     for v in robot.kinds:
         local += [v.leaves.center, *(v.corners[:, c] for c in range(v.arity))]
         joint += [v.joint[:: v.size], *[v.joint] * v.arity]
-    xp = jnp if hierarchy.is_traced(local) else np
+    xp = np if is_known(local) else jnp
     points, joints = xp.concatenate(local).astype(dtype), np.concatenate(joint)
     moved = lambda _, row: (None, tuple(Frame.of_entries(traced(_at(frames, row[1]))) @ Vec3(*traced(row[0]))))
     if len(points) <= FEW and xp is np:

@@ -34,7 +34,6 @@ NEAREST, CHILDREN, ROUNDS = 12, 6, 8  # of the search for a collision
 FAR = 1e3  # [m] by which what is close goes before what is not
 FITS = 2  # of all shapes
 WORTH = 3e-4  # of false collisions, in shares, that a capsule is worth
-SECTIONS = 32  # corners that stand for a circle
 _VERSION = 5  # of what is stored
 
 Pair = tuple[int, int]

@@ -432,6 +432,7 @@ def _check_values(who: str, obstacles: Any) -> None:
 
 
 def size(what: str, given: Any) -> float:
+    """`given` as a length of 0 or more [m]. Raises `ValueError` for what is none."""
     return float(in_metres(what, shaped(what, given, ()), 1))
 
 

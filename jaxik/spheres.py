@@ -9,6 +9,7 @@ parent's sphere: so a coarse distance is never larger than a finer one, which is
 from __future__ import annotations
 
 import itertools
+from collections.abc import Iterable
 from typing import Any, NamedTuple
 
 import jax
@@ -17,7 +18,7 @@ import numpy as np
 from jaxtyping import Float
 
 from jaxik.algebra import BASE, Frame, Scalar, Vec3, traced
-from jaxik.chain import Array, Box, Chain, Volume, as_configuration, finite_limits
+from jaxik.chain import Array, Box, Chain, Volume, as_configuration, finite_limits, solid_links
 from jaxik.choice import as_count
 from jaxik.kinematics import joint_frames
 
@@ -44,10 +45,6 @@ class Skeleton(NamedTuple):
     corners: tuple[Vec3, ...]
     radius: Any
     link: np.ndarray
-
-    def chosen(self, rows: np.ndarray) -> Skeleton:
-        """Some of them."""
-        return Skeleton(tuple(Vec3(*(x[rows] for x in c)) for c in self.corners), self.radius[rows], self.link[rows])
 
 
 def local_volumes(chain: Chain, count: int) -> tuple[Any, Any, np.ndarray] | None:
@@ -150,18 +147,7 @@ class SelfCollisions(NamedTuple):
     share: float
 
 
-def self_collision_pairs(
-    chain: Chain, disabled: frozenset[frozenset[str]] = frozenset(), samples: int = 512
-) -> tuple[tuple[int, int], ...]:
-    """The pairs of links worth a check against each other.
-
-    Left out: links that move together or are neighbours on the chain, pairs in `disabled` (SRDF), and pairs that touch in at
-    least 95 % of random configurations (fixed seed): their shapes overlap by design and would always report a collision.
-    """
-    return self_collisions(chain, disabled, samples).pairs
-
-
-def candidate_pairs(chain: Chain, links: set[int], disabled: frozenset[frozenset[str]]) -> list[tuple[int, int]]:
+def candidate_pairs(chain: Chain, links: Iterable[int], disabled: frozenset[frozenset[str]]) -> list[tuple[int, int]]:
     """The pairs of some links that are neither neighbours, nor move together, nor are `disabled`."""
     joint, ordered = chain.link_joint, sorted(links)
     return [
@@ -173,8 +159,12 @@ def candidate_pairs(chain: Chain, links: set[int], disabled: frozenset[frozenset
 
 
 def self_collisions(chain: Chain, disabled: frozenset[frozenset[str]] = frozenset(), samples: int = 512) -> SelfCollisions:
-    """`self_collision_pairs`, and what else is known of them."""
-    pairs = candidate_pairs(chain, {b.link for b in chain.boxes} | {v.link for v in chain.volumes}, disabled)
+    """The pairs of links worth a check against each other.
+
+    Left out: links that move together or are neighbours on the chain, pairs in `disabled` (SRDF), and pairs that touch in at
+    least 95 % of random configurations (fixed seed): their shapes overlap by design and would always report a collision.
+    """
+    pairs = candidate_pairs(chain, solid_links(chain), disabled)
     if not pairs:
         return SelfCollisions((), (), 0.0)
     rng = np.random.default_rng(0)

@@ -13,7 +13,6 @@ from hypothesis import strategies as st
 from robots import FOLDER, ROBOTS
 
 import jaxik
-from jaxik.collision import world_volumes
 from jaxik.load import targets as target_files
 from jaxik.load.assemble import MAX_BYTES
 
@@ -537,7 +536,7 @@ def test_meshes_of_a_real_robot_lie_in_their_spheres():
 
     file, tip = ROBOTS["panda"]
     with pytest.raises(ValueError, match="meshes=True"):
-        world_volumes(jaxik.load(FOLDER / file, tip=tip), np.zeros(7))
+        jaxik.self_clearance(jaxik.load(FOLDER / file, tip=tip), np.zeros(7))
     chain = jaxik.load(FOLDER / file, tip=tip, meshes=True, fit=None)
     q = np.zeros(chain.num_joints)
     centres, radii = jaxik.link_spheres(chain, q)
