@@ -9,7 +9,8 @@ points move at a speed of at most v at t, and are accelerated by at most a anywh
 and its distance to what stands still has changed by no more than that. v is measured, by the twist of a ball about the link's
 skeleton; r_j, how far a point of the link ever is from joint j's axis, follows from the chain's lengths and the travel of its
 slides. A slide has 1 in place of r_j in V, `2 |dq_j| sum_{i<j} |dq_i|` in a, and is no i: it turns nothing. Two links move
-relative to each other by the joints between them alone.
+relative to each other by the joints between them alone. A bound that a table gives (`pair_table`) changes no faster than it
+says itself.
 
 From what was measured the march takes one step that is safe; or twice as far, in the hope that what is measured there reaches
 back, and where it does not, the safe step follows.
@@ -30,8 +31,8 @@ from jaxik.algebra import ZERO, Frame, Vec3, traced
 from jaxik.chain import Array, Chain, as_configuration, as_shaped, solid_links
 from jaxik.choice import check_finite, check_kind
 from jaxik.collision import check_geometry, clearance, link_clearances
-from jaxik.given import is_known
-from jaxik.hierarchy import grouped
+from jaxik.given import held, is_known
+from jaxik.hierarchy import grouped, pair_tables
 from jaxik.kinematics import joint_frames
 from jaxik.scene import FAR, KINDS, Scene
 from jaxik.spheres import box_spheres
@@ -127,14 +128,9 @@ def _march(who: str, first: bool, chain: Any, scene: Any, q_from: Any, q_to: Any
 
 @kernel(models=2)
 def _marched(chain: Chain, first: bool, scene: Any, q_from: Any, q_to: Any, *numbers: Any) -> MotionClearance:
-    found = _advanced(first, *map(_held, (chain, scene, q_from, q_to, *numbers)))
+    found = _advanced(first, *map(held, (chain, scene, q_from, q_to, *numbers)))
     nearest = q_from + found.nearest * (q_to - q_from)
     return found._replace(clearance=_sloped(found.clearance, clearance(chain, scene, nearest)))
-
-
-def _held(tree: Any) -> Any:
-    """Without derivatives; what is known stays known, so that it folds."""
-    return jax.tree_util.tree_map(lambda x: lax.stop_gradient(x) if isinstance(x, jax.Array) else x, tree)
 
 
 @jax.custom_jvp
@@ -347,7 +343,14 @@ def _row_bounds(chain: Chain, rows: list[_Row], q_from: Any, q_to: Any) -> _Boun
     travel = [furthest[j] if prismatic else 0.0 for j, prismatic in enumerate(chain.is_prismatic)]
     found = [[_bounds(chain, *each, turned, travel) for each in row.moved] for row in rows]
     most = lambda i: jnp.stack([jnp.max(jnp.stack([jnp.asarray(b[i], q_from.dtype) for b in each])) for each in found])
-    return _Bounds(most(0), most(1), most(2))
+    return _Bounds(jnp.maximum(most(0), _table_speeds(chain, rows, turned, q_from.dtype)), most(1), most(2))
+
+
+def _table_speeds(chain: Chain, rows: list[_Row], turned: list[Any], dtype: Any) -> Any:
+    """How fast the bounds of pairs' tables may change, of each row (k,), 0 without any."""
+    tables = pair_tables(chain)
+    found = [[t.speed(turned) for t in tables if t.links[1] == row.link] for row in rows]
+    return jnp.stack([jnp.max(jnp.stack([jnp.asarray(x, dtype) for x in (0.0, *each)])) for each in found])
 
 
 def _speeds(chain: Chain, rows: list[_Row], q: Any, moved: Any) -> Any:
@@ -369,7 +372,7 @@ def _speeds(chain: Chain, rows: list[_Row], q: Any, moved: Any) -> Any:
                 linear, angular = linear + axis.cross(place - frame.translation), angular + axis
             found[link, j] = jnp.sqrt(linear.dot(linear)) + radius * jnp.sqrt(angular.dot(angular))
     most = [jnp.max(jnp.stack([jnp.asarray(found[each], q.dtype) for each in row.moved])) for row in rows]
-    return jnp.stack(most)
+    return jnp.maximum(jnp.stack(most), _table_speeds(chain, rows, traced(jnp.abs(moved)), q.dtype))
 
 
 def _ball(corners: Any) -> tuple[list[Any], Any]:

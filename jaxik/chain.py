@@ -20,6 +20,7 @@ from jaxtyping import Bool, Float
 
 from jaxik.choice import check_kind, shown
 from jaxik.given import rigid_frame
+from jaxik.pair_table import PairTable
 
 Array = jax.Array | np.ndarray
 JointType = Literal["revolute", "continuous", "prismatic"]
@@ -88,7 +89,8 @@ class Chain(Constant):
 
     `parent_T_joint[i]` is the frame of joint i at q_i = 0 in the (moved) frame of joint i-1, the base frame for i = 0.
     `link_joint[l]` counts the movable joints between the base and link l: its frame is `link_offset[l]` in that joint's.
-    `self_pairs` are the links to check against each other, `ignored` links with the object of a scene ("*": any) not to check.
+    `self_pairs` are the links to check against each other, `ignored` links with the object of a scene ("*": any) not to check,
+    `pair_tables` what is known of pairs beside their volumes.
     """
 
     # not in the instance's dictionary, where Equinox would take it for part of the pytree's structure
@@ -114,6 +116,7 @@ class Chain(Constant):
     spheres_per_box: int = eqx.field(static=True, default=8)
     unread_meshes: tuple[str, ...] = eqx.field(static=True, default=())
     ignored: tuple[tuple[int, str], ...] = eqx.field(static=True, default=())
+    pair_tables: tuple[PairTable, ...] = eqx.field(static=True, default=())
 
     @property
     def num_joints(self) -> int:
@@ -183,6 +186,13 @@ class Chain(Constant):
             self_pairs=tuple((link[a], link[b]) for a, b in self.self_pairs if a in link and b in link),
             unread_meshes=tuple(n for n in self.unread_meshes if self.link_names.index(n) in link),
             ignored=tuple((link[i], name) for i, name in self.ignored if i in link),
+            pair_tables=tuple(
+                dataclasses.replace(
+                    t, links=(link[t.links[0]], link[t.links[1]]), joints=(t.joints[0] - first, t.joints[1] - first)
+                )
+                for t in self.pair_tables
+                if link.keys() >= {*t.links}
+            ),
         )
 
     # A concrete chain is a value: equal numbers, equal chain. So it may be a static argument of `jax.jit` and a cache's key.
@@ -218,6 +228,17 @@ class Chain(Constant):
 def solid_links(chain: Chain) -> list[int]:
     """The links that have collision geometry, from the base on."""
     return sorted({box.link for box in chain.boxes} | {volume.link for volume in chain.volumes})
+
+
+def geometry_between(chain: Chain, first: int, second: int) -> str:
+    """A hash of all that decides how far two links are apart at given joints' values: the joints between, and the shapes."""
+    cut, content = slice(*sorted((chain.link_joint[first], chain.link_joint[second]))), hashlib.sha256()
+    volumes = [(v.link == second, v.corners, v.radius) for v in chain.volumes if v.link in (first, second)]
+    boxes = [(b.link == second, b.joint_T_box, b.half) for b in chain.boxes if b.link in (first, second)]
+    content.update(repr((chain.joint_types[cut], len(volumes), len(boxes))).encode())
+    for each in (chain.parent_T_joint[cut], chain.axis[cut], *(x for shape in (*volumes, *boxes) for x in shape)):
+        content.update(np.ascontiguousarray(np.asarray(each, np.float64)).tobytes())
+    return content.hexdigest()
 
 
 def finite_range(chain: Chain, lower: Any, upper: Any) -> tuple[np.ndarray, np.ndarray]:

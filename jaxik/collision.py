@@ -18,6 +18,7 @@ from jaxtyping import Bool, Float
 
 from jaxik.chain import Array, Chain, as_configuration
 from jaxik.choice import check_kind
+from jaxik.given import held
 from jaxik.hierarchy import Grouped, grouped
 from jaxik.nearest import Space
 from jaxik.scene import FAR, Scene
@@ -127,7 +128,7 @@ def _measured(chain: Chain, around: Grouped, q: Any, search: Callable[..., Any])
 
     def direct(around: Grouped, q: Any) -> Any:
         space = Space(chain, around, q)
-        return search(Space(*lax.stop_gradient((chain, around, q))), lambda found: _seen(space.gap(found)), True)
+        return search(Space(*held((chain, around, q))), lambda found: _seen(space.gap(found)), True)
 
     def plain(around: Grouped, q: Any) -> Any:
         return search(Space(chain, around, q), lambda found: _seen(found.distance), False)
@@ -135,8 +136,8 @@ def _measured(chain: Chain, around: Grouped, q: Any, search: Callable[..., Any])
     def rule(primals: Any, tangents: Any) -> Any:
         if not all(map(_is_zero, jax.tree_util.tree_leaves(tangents[0], is_leaf=_is_zero))):  # the scene moves, too
             return jax.jvp(direct, primals, jax.tree_util.tree_map(_materialised, tangents, is_leaf=_is_zero))
-        space, held = Space(chain, *primals), Space(chain, *lax.stop_gradient(primals))
-        value, slopes = search(held, lambda found: (_seen(found.distance), space.slopes(found)), True)
+        space, fixed = Space(chain, *primals), Space(chain, *held(primals))
+        value, slopes = search(fixed, lambda found: (_seen(found.distance), space.slopes(found)), True)
         turned = _materialised(tangents[1])
         return value, sum(slope * turned[j] for j, slope in enumerate(slopes))
 

@@ -22,6 +22,7 @@ from jaxik.choice import as_count, check_finite, check_kind
 from jaxik.collision import check_geometry
 from jaxik.gaps import columns_of, obstacles_of, skeleton_gap
 from jaxik.given import numbers
+from jaxik.hierarchy import pair_tables
 from jaxik.scene import FAR, KINDS, Scene, check_scene
 from jaxik.spheres import skeletons
 
@@ -31,7 +32,7 @@ BLOCK = 2**20  # distances at a time, which bounds the memory
 @dataclasses.dataclass(frozen=True)
 class Contact:
     """A link of the robot and what it is near to, an object of the scene or an earlier link: the signed distance [m] (negative
-    is depth), and where on each of them they are nearest (3,) [m, world]."""
+    is depth), and where on each of them they are nearest (3,) [m, world]: on their volumes, where a table knows them better."""
 
     link: str
     other: str
@@ -92,7 +93,8 @@ def explain(chain: Chain, scene: Scene | None, q: Float[Array, " n"], count: int
     volumes = skeletons(chain, posture.tolist(), np.float64)
     with jax.enable_x64(True):
         pairs = [*_with_scene(chain, scene, volumes), *_with_itself(chain, volumes)]
-        found = [row for apart, *row in _nearest(pairs)[:count] if apart < below]
+        bounds = {table.links: float(table(posture)) for table in pair_tables(chain)}
+        found = [row for row in _nearest(pairs, bounds)[:count] if row[0] < below]
         contacts = tuple(_contact(chain, scene, pairs, *row) for row in found)
     return Surroundings(contacts, _limits(chain, posture)[:count])
 
@@ -174,19 +176,23 @@ def _pull(gap: Any, corners: Any, radius: Any, other: Any) -> Any:
     return value, pull(jnp.ones(1))[0]
 
 
-def _nearest(pairs: list[_Pairs]) -> list[tuple[float, int, int, int]]:
-    """Each two names' least distance, the least first, and which of `pairs`, other and volume it belongs to."""
+def _nearest(pairs: list[_Pairs], bounds: dict[tuple[int, int], float]) -> list[tuple[float, int, int, int]]:
+    """Each two names' least distance, the least first, and which of `pairs`, other and volume it belongs to. Two links are no
+    nearer than their entry in `bounds` says."""
     if not pairs:
         return []
     number = np.repeat(np.arange(len(pairs)), [len(each.least) for each in pairs])
     apart, other, volume = np.concatenate([each.least for each in pairs]).T
     names = [(each.itself, each.owners[int(o)], each.links[int(v)]) for each in pairs for _, o, v in each.least]
-    order = np.lexsort((volume, other, number, apart))
+    raised = np.maximum(apart, [bounds.get((a, b), -np.inf) if itself else -np.inf for itself, a, b in names])
+    order = np.lexsort((volume, other, number, apart, raised))
     _, first = np.unique(np.array(names, int).reshape(-1, 3)[order], axis=0, return_index=True)
-    return [(float(apart[i]), int(number[i]), int(other[i]), int(volume[i])) for i in order[np.sort(first)]]
+    return [(float(raised[i]), int(number[i]), int(other[i]), int(volume[i])) for i in order[np.sort(first)]]
 
 
-def _contact(chain: Chain, scene: Scene | None, pairs: list[_Pairs], number: int, other: int, volume: int) -> Contact:
+def _contact(
+    chain: Chain, scene: Scene | None, pairs: list[_Pairs], apart: float, number: int, other: int, volume: int
+) -> Contact:
     each = pairs[number]
     one = jax.tree_util.tree_map(lambda x: x[volume : volume + 1], each.volumes)
     obstacle = jax.tree_util.tree_map(lambda x: x[other], each.others)
@@ -198,7 +204,7 @@ def _contact(chain: Chain, scene: Scene | None, pairs: list[_Pairs], number: int
     owner = each.owners[other]
     name = chain.link_names[owner] if each.itself else scene.object_names[owner] if scene and owner >= 0 else "the scene"
     link = chain.link_names[each.links[volume]]
-    return Contact(link, name, gap, nearest - radius * force, nearest - (radius + gap) * force)
+    return Contact(link, name, apart, nearest - radius * force, nearest - (radius + gap) * force)
 
 
 def _limits(chain: Chain, q: np.ndarray) -> tuple[Limit, ...]:

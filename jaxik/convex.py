@@ -7,6 +7,7 @@ farthest corner w against v bounds the distance from below by v.w / |v|: where t
 from __future__ import annotations
 
 import itertools
+from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
@@ -86,6 +87,42 @@ def separated(a: Body, b: Body, turn: np.ndarray, place: np.ndarray, least: floa
         going &= (bound[lane] < need) & (now - bound[lane] > CLOSE * now)
         lane, simplex, used, v = lane[going], simplex[going], used[going], v[going]
     return np.maximum(bound, 0.0) - more, across
+
+
+def apart_at_least(a: Body, b: Body, turn: np.ndarray, place: np.ndarray) -> np.ndarray:
+    """How far two bodies are apart at least (n,), by the balls around them."""
+    (centre, radius), (other, width) = ball(a), ball(b)
+    return np.asarray(np.linalg.norm(turn @ other + place - centre, axis=1) - radius - width)
+
+
+def gaps(couples: Sequence[tuple[Body, Body]], turn: np.ndarray, place: np.ndarray, enough: float) -> np.ndarray:
+    """The least gap of couples of bodies (n,) [m], `enough` where it is no less; 0 or less where two touch."""
+    least = np.full(len(place), enough)
+    for a, b in couples:
+        rows = np.flatnonzero(apart_at_least(a, b, turn, place) < least)
+        least[rows] = np.minimum(least[rows], apart(a, b, turn[rows], place[rows], float(least.max())))
+    return least
+
+
+def depths(couples: Sequence[tuple[Body, Body]], turn: np.ndarray, place: np.ndarray) -> np.ndarray:
+    """By how much couples of bodies overlap at most (n,) [m]."""
+    return np.asarray(np.max([overlap(a, b, turn, place) for a, b in couples], axis=0))
+
+
+def ball(body: Body) -> tuple[np.ndarray, float]:
+    """The centre and radius of a ball around a body."""
+    centre = (body.corners.min(axis=0) + body.corners.max(axis=0)) / 2.0
+    return centre, float(np.linalg.norm(body.corners - centre, axis=1).max()) + body.radius
+
+
+def hull_corners(points: np.ndarray) -> np.ndarray:
+    """Those of the points (p, 3) that are corners of their convex hull; all of them where they are flat."""
+    from scipy.spatial import ConvexHull, QhullError
+
+    try:
+        return np.asarray(points[ConvexHull(points).vertices])
+    except (QhullError, ValueError):
+        return points
 
 
 def _nearest(simplex: np.ndarray, used: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

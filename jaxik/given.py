@@ -37,6 +37,11 @@ def shaped(what: str, given: Any, shape: tuple[int, ...]) -> np.ndarray:
     return array
 
 
+def held(tree: Any) -> Any:
+    """A tree without derivatives; what is known stays known, so that it folds."""
+    return jax.tree_util.tree_map(lambda x: jax.lax.stop_gradient(x) if isinstance(x, jax.Array) else x, tree)
+
+
 def is_known(given: Any) -> bool:
     """Whether nothing of it is traced."""
     return not any(isinstance(leaf, jax.core.Tracer) for leaf in jax.tree_util.tree_leaves(given))

@@ -17,8 +17,9 @@ import jax.numpy as jnp
 import numpy as np
 from jax import lax
 
-from jaxik.chain import Chain, solid_links
+from jaxik.chain import Chain, geometry_between, solid_links
 from jaxik.given import is_known
+from jaxik.pair_table import PairTable
 from jaxik.scene import FAR, KINDS, SHAPES, Scene, check_scene, is_remembered, remembered
 from jaxik.spheres import local_volumes
 
@@ -220,6 +221,18 @@ class Volumes(NamedTuple):
         return int(self.corners.shape[1])
 
 
+class Tables(NamedTuple):
+    """A chain's `pair_tables`: which of them each pair of parts has (-1: none), and of each table its joints (t, 2), its `axes`
+    (t, 2, 6), how many nodes it has along a joint (t,), where its bounds begin (t,), and the bounds of all."""
+
+    of: np.ndarray
+    joints: np.ndarray
+    axes: np.ndarray
+    size: np.ndarray
+    first: np.ndarray
+    bounds: np.ndarray
+
+
 @dataclasses.dataclass(frozen=True)
 class Robot:
     """A chain's volumes by corner count, and its parts: links from the tip to the base, each with a sphere around it.
@@ -234,6 +247,7 @@ class Robot:
     other: np.ndarray
     first: np.ndarray
     last: np.ndarray
+    tables: Tables
 
 
 def robot(chain: Chain) -> Robot:
@@ -257,7 +271,26 @@ def _robot(chain: Chain) -> Robot:
     ends = np.cumsum([len(each) for each in before], dtype=np.int32)
     joint = np.array([chain.link_joint[link] for link in links], np.int32)
     other = np.array([p for each in before for p in each], np.int32)
-    return Robot(links, joint, _parts(links, kinds), kinds, other, np.append(np.int32(0), ends[:-1]), ends)
+    first = np.append(np.int32(0), ends[:-1])
+    tables = _tables(chain, [(links[o], links[p]) for p, each in enumerate(before) for o in each])
+    return Robot(links, joint, _parts(links, kinds), kinds, other, first, ends, tables)
+
+
+def pair_tables(chain: Chain) -> list[PairTable]:
+    """Those that speak of the links as they are; none of a chain that is traced."""
+    if not is_known(chain):
+        return []
+    pairs = set(chain.self_pairs)
+    return [t for t in chain.pair_tables if t.links in pairs and t.geometry == geometry_between(chain, *t.links)]
+
+
+def _tables(chain: Chain, pairs: list[tuple[int, int]]) -> Tables:
+    found = pair_tables(chain)
+    number = {table.links: t for t, table in enumerate(found)}
+    of, size = np.array([number.get(pair, -1) for pair in pairs], np.int32), np.array([t.size for t in found], np.int32)
+    joints, axes = np.array([t.joints for t in found], np.int32), np.array([t.axes for t in found])
+    bounds = [np.zeros(0), *(t.bounds.ravel() for t in found)]
+    return Tables(of, joints, axes, size, np.cumsum([len(b) for b in bounds], dtype=np.int32)[:-1], np.concatenate(bounds))
 
 
 def _parts(links: tuple[int, ...], kinds: tuple[Volumes, ...]) -> Balls:

@@ -24,6 +24,7 @@ from jaxik.gaps import Gap, obstacles_of, skeleton_gap, square_gap
 from jaxik.given import is_known
 from jaxik.hierarchy import Grouped, Robot, Volumes
 from jaxik.kinematics import joint_frames
+from jaxik.pair_table import interpolated
 
 FEW = 16  # points of a robot, up to which they are moved without a loop
 
@@ -65,7 +66,7 @@ class Space:
 
     def __init__(self, chain: Chain, around: Grouped, q: Any, skips: bool = True):
         self.robot, self.obstacles, self.dtype, self.skips = hierarchy.robot(chain), around, q.dtype, skips
-        self.prismatic = chain.is_prismatic
+        self.prismatic, self.q, self.tabled = chain.is_prismatic, q, len(self.robot.tables.size) > 0
         bit = hierarchy.bits(chain.ignored)
         self.bits = np.array([bit.get(link, 0) for link in self.robot.links], np.int32) if bit else None
         root = Frame.of(chain.world_T_base, float(np.finfo(q.dtype).eps))
@@ -81,6 +82,7 @@ class Space:
             self._add(columns, gap, _cast(o.leaves, q.dtype), size, o.kind == "points")
         for v, placed in zip(self.robot.kinds, self.placed, strict=True):
             self._add((placed.corners, placed.radius), skeleton_gap, placed.leaves, v.size, v.even and v.arity == 1)
+        self.rows = self.others[-1].origin + self.others[-1].rows  # those of tables come after them
 
     def _add(self, columns: Any, gap: Gap, leaves: Any, size: int, even: bool) -> None:
         origin = self.others[-1].origin + self.others[-1].rows if self.others else 0
@@ -148,9 +150,40 @@ class Space:
                     found = self._leaves(p, _at(volumes.first, o), _at(volumes.last, o), others, found)
                 return found
 
-            return self._if_near(found, ball, _ball(self.parts, o), inside)
+            if not self.tabled:
+                return self._if_near(found, ball, _ball(self.parts, o), inside)
+            number = _at(robot.tables.of, k)
+            known = lambda found: self._beyond(number, found, inside)
+            either = lambda found: lax.cond(number >= 0, known, inside, found)
+            return self._if_near(found, ball, _ball(self.parts, o), either)
 
         return lax.fori_loop(_at(robot.first, p), _at(robot.last, p), pair, found)
+
+    def _beyond(self, number: Any, found: Found, inside: Callable[[Found], Found]) -> Found:
+        """What is found `inside` a pair of parts, but no nearer than its table says."""
+        bound = self._tabled_gap(number, self._joints_of(number))
+
+        def compared(found: Found) -> Found:
+            nearest = inside(found)
+            raised = bound > nearest.distance
+            distance = jnp.where(raised, bound, nearest.distance)
+            chosen = lambda new, old: None if old is None else jnp.where(distance < found.distance, new, old)
+            other = None if found.other is None else jnp.where(raised, self.rows + number, nearest.other)
+            return Found(chosen(distance, found.distance), chosen(nearest.mine, found.mine), chosen(other, found.other))
+
+        return lax.cond(bound < found.distance, compared, lambda found: found, found) if self.skips else compared(found)
+
+    def _joints_of(self, number: Any) -> tuple[Any, Any]:
+        """The values of a table's joints."""
+        joints = _at(self.robot.tables.joints, number)
+        return _at(self.q, joints[0]), _at(self.q, joints[1])
+
+    def _tabled_gap(self, number: Any, values: tuple[Any, Any]) -> Any:
+        """The bound that a table has for its joints' `values` [m]."""
+        tables = self.robot.tables
+        bounds, size, first = jnp.asarray(tables.bounds, self.dtype), _at(tables.size, number), _at(tables.first, number)
+        node = lambda i, j: _at(bounds, first + i * size + j)
+        return interpolated(values, _at(jnp.asarray(tables.axes, self.dtype), number), node, jnp)
 
     def _leaves(self, p: Any, first: Any, last: Any, others: Others, found: Found) -> Found:
         """All leaves of part p against those of the others from `first` to `last`, not counted."""
@@ -188,6 +221,8 @@ class Space:
     def gap(self, found: Found) -> Any:
         """The distance of a pair that was found, with its derivative in everything that it depends on [Danskin 1967]."""
         value = self._of_pair(found, lambda gap, own, other, _: gap(own, other), jnp.zeros((), self.dtype))
+        if self.tabled:
+            value = self._if_tabled(found, lambda t: self._tabled_gap(t, self._joints_of(t)), value)
         return found.distance + jnp.where(found.mine >= 0, value - lax.stop_gradient(value), 0.0)
 
     def slopes(self, found: Found) -> list[Any]:
@@ -213,7 +248,23 @@ class Space:
         for j, (axis, frame) in enumerate(zip(self.joints.axes, self.joints.joints, strict=True)):
             turns = axis.dot(moment - frame.translation.cross(force))
             rows.append(jnp.where((other <= j) & (own > j), axis.dot(force) if self.prismatic[j] else turns, 0.0))
-        return rows
+        if not self.tabled:
+            return rows
+
+        def steep(number: Any) -> tuple[Any, ...]:
+            joints, values = _at(self.robot.tables.joints, number), self._joints_of(number)
+            one, back = jax.vjp(lambda values: self._tabled_gap(number, values), values)
+            return tuple(
+                sum(jnp.where(joints[i] == j, s, 0.0) for i, s in enumerate(back(jnp.ones_like(one))[0]))
+                for j in range(len(rows))
+            )
+
+        return list(self._if_tabled(found, steep, tuple(rows)))
+
+    def _if_tabled(self, found: Found, function: Callable[[Any], Any], otherwise: Any) -> Any:
+        """`function` of the number of the table that a found pair's distance is from, if it is from one."""
+        number = found.other - self.rows
+        return lax.cond(number >= 0, lambda _: function(number), lambda value: value, otherwise)
 
     def _of_pair(self, found: Found, function: Callable[..., Any], nothing: Any) -> Any:
         """`function(gap, own, other, joints)` of a found pair, or `nothing`; the joints are those that move the one and the

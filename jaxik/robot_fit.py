@@ -4,10 +4,14 @@ The truth is the convex hull of each shape. It is asked in random configurations
 touch in the default pose or always are left out, and those that never do, which a search from the nearest configurations
 confirms. Where two links pass each other closely without touching, each keeps behind a plane in the gap: these planes are what
 `fit` is told. So capsules are spent where links pass each other, and each is tight on that side alone.
+
+Links that often pass closely get a table of their hulls' distance beside (`pair_table`), where two joints decide it: those
+between, or those that are left when the link before or behind is taken for what it sweeps by its own turn.
 """
 
 from __future__ import annotations
 
+import dataclasses
 import hashlib
 import io
 from collections.abc import Callable, Sequence
@@ -15,11 +19,11 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from jaxik.algebra import BASE
-from jaxik.chain import Chain, Volume, finite_limits
-from jaxik.convex import Body, apart, directions, overlap, separated
+from jaxik.chain import Chain, Volume, finite_limits, geometry_between
+from jaxik.convex import Body, apart_at_least, depths, directions, gaps, hull_corners, separated
 from jaxik.fit import Fit, Fitted, fitted
-from jaxik.kinematics import joint_frames
+from jaxik.pair_fit import between, frames, table_of
+from jaxik.pair_table import PairTable
 from jaxik.spheres import candidate_pairs, default_pose
 from jaxik.spmd.cache import read, write
 
@@ -34,7 +38,8 @@ NEAREST, CHILDREN, ROUNDS = 12, 6, 8  # of the search for a collision
 FAR = 1e3  # [m] by which what is close goes before what is not
 FITS = 2  # of all shapes
 WORTH = 3e-4  # of false collisions, in shares, that a capsule is worth
-_VERSION = 5  # of what is stored
+SELDOM = 0.002  # of them, in which a pair may collide falsely without a table
+_VERSION = 6  # of what is stored
 
 Pair = tuple[int, int]
 
@@ -72,19 +77,23 @@ class Model(NamedTuple):
     false: float
     false_by_link: dict[int, float]
     home_free: bool
+    tables: tuple[PairTable, ...]
 
     @property
     def worth(self) -> tuple[bool, float]:
         """What makes one model better than another, if it is less."""
         return not self.home_free, self.false + WORTH * sum(len(found.radii) for found in self.fits)
 
-    def volumes(self, shapes: Sequence[Shape]) -> tuple[Volume, ...]:
-        """The capsules as volumes of their links."""
-        return tuple(
+    def of(self, chain: Chain, shapes: Sequence[Shape]) -> Chain:
+        """The chain with its links' capsules as volumes, and what else the model says."""
+        volumes = [
             Volume(ends, np.asarray(radius), shape.link)
             for shape, found in zip(shapes, self.fits, strict=True)
             for ends, radius in zip(found.ends, found.radii, strict=True)
-        )
+        ]
+        chain = dataclasses.replace(chain, volumes=(*chain.volumes, *volumes), self_pairs=self.pairs)
+        tables = [dataclasses.replace(t, geometry=geometry_between(chain, *t.links)) for t in self.tables]
+        return dataclasses.replace(chain, pair_tables=tuple(tables))
 
 
 def modelled(
@@ -122,6 +131,8 @@ def _packed(model: Model) -> bytes:
         home=np.array([(*pair, depth) for pair, depth in model.at_home.items()]).reshape(-1, 3),
         shares=np.array([model.colliding, model.false, model.home_free]),
         links=np.array([*model.false_by_link.items()]).reshape(-1, 2),
+        tables=np.array([[*t.links, *t.joints, *t.low, *t.high, *t.turns, *t.reach] for t in model.tables]).reshape(-1, 12),
+        stored=np.array([np.frombuffer(t.stored, np.uint8) for t in model.tables], np.uint8),
     )
     return file.getvalue()
 
@@ -137,17 +148,14 @@ def _unpacked(stored: bytes) -> Model:
             float(table["shares"][1]),
             {int(link): float(share) for link, share in table["links"]},
             bool(table["shares"][2]),
+            tuple(map(_table_of, table["tables"].tolist(), table["stored"])),
         )
 
 
-def hull_corners(points: np.ndarray) -> np.ndarray:
-    """Those of the points (p, 3) that are corners of their convex hull; all of them where they are flat."""
-    from scipy.spatial import ConvexHull, QhullError
-
-    try:
-        return np.asarray(points[ConvexHull(points).vertices])
-    except (QhullError, ValueError):
-        return points
+def _table_of(row: list[float], bounds: np.ndarray) -> PairTable:
+    links, joints, low, high, turns, reach = (tuple(row[i : i + 2]) for i in range(0, 12, 2))
+    links, joints = (int(links[0]), int(links[1])), (int(joints[0]), int(joints[1]))
+    return PairTable(links, joints, low, high, tuple(map(bool, turns)), reach, bounds.tobytes(), geometry="")
 
 
 class _Pass(NamedTuple):
@@ -161,6 +169,10 @@ class _Pass(NamedTuple):
     across: np.ndarray
     turn: np.ndarray
 
+    def where(self, chosen: np.ndarray) -> _Pass:
+        """In some of the configurations."""
+        return self._replace(**{name: getattr(self, name)[chosen] for name in ("rows", "gap", "across", "turn")})
+
 
 class _Links:
     """The links' hulls in random configurations, the default pose before them."""
@@ -169,12 +181,11 @@ class _Links:
         self.chain, self.shapes = chain, shapes
         exact = [(v.link, Body(np.asarray(v.corners, np.float64), float(v.radius))) for v in chain.volumes]
         self.bodies = [(s.link, Body(hull_corners(s.corners))) for s in shapes] + exact
-        self.balls = [_ball(body) for _, body in self.bodies]
         self.pairs = candidate_pairs(chain, {link for link, _ in self.bodies}, disabled)
         self.limits = finite_limits(chain)
         rng = np.random.default_rng(0)
         self.q = np.vstack([default_pose(chain), rng.uniform(*self.limits, (SAMPLES, chain.num_joints))])
-        self.frames = _frames(chain, self.q)
+        self.frames = frames(chain, self.q)
 
     def model(self, fit: Fit, progress: Callable[[int], None] | None) -> Model:
         """Pairs, planes, capsules, and what they say of the samples."""
@@ -185,6 +196,7 @@ class _Links:
         least = np.min([gaps[p] for p in kept], axis=0) if kept else np.full(len(self.q), np.inf)
         close = [each for p in kept for each in passes[p]]
         shares = [np.full(len(each.rows), 0.5) for each in close]
+        tables: list[PairTable] = []
         best: Model | None = None
         for turn in range(FITS):  # the second time each gets of a gap what it needed of it the first time
             fits, keep = [], self.planes(close, shares, least, fit.accuracy)
@@ -192,44 +204,58 @@ class _Links:
                 fits.append(fitted(shape.corners, fit, keep[number]))
                 if progress is not None:
                     progress(turn * len(self.shapes) + number + 1)
-            made = self.judged(fits, kept, at_home, least)
+            hit = {pair: self.touching(pair, fits) & (least > 0.0) for pair in kept}
+            if turn == 0:
+                tables = self.tables(hit)
+                cleared = {t.links: t(self.q) > 0.0 for t in tables}
+                close = [each.where(~cleared[p][each.rows]) if p in cleared else each for p in kept for each in passes[p]]
+            made = self.judged(fits, hit, at_home, least, tables)
             best = made if best is None or made.worth < best.worth else best
             shares = [self.share(each, fits) for each in close]
         assert best is not None
         return best
 
-    def judged(self, fits: Sequence[Fitted], kept: Sequence[Pair], at_home: dict[Pair, float], least: np.ndarray) -> Model:
-        """The model that capsules make, with what it says of the samples."""
-        hit = {pair: self.touching(pair, fits) & (least > 0.0) for pair in kept}
+    def judged(
+        self,
+        fits: Sequence[Fitted],
+        hit: dict[Pair, np.ndarray],
+        at_home: dict[Pair, float],
+        least: np.ndarray,
+        tables: Sequence[PairTable],
+    ) -> Model:
+        """The model that capsules and tables make, with what it says of the samples. In some of them, `hit`, the capsules
+        falsely collide."""
+        hit = hit | {t.links: hit[t.links] & (t(self.q) <= 0.0) for t in tables}
         share = lambda hits: float(np.any([np.zeros(len(self.q), bool), *hits], axis=0)[1:].mean())
-        by_link = {link: share([h for pair, h in hit.items() if link in pair]) for link in {link for p in kept for link in p}}
+        by_link = {link: share([h for pair, h in hit.items() if link in pair]) for link in {link for p in hit for link in p}}
         home_free = not any(h[0] for h in hit.values())
         colliding = float(np.mean(least[1:] <= 0.0))
-        return Model(tuple(fits), tuple(kept), at_home, colliding, share(hit.values()), by_link, home_free)
+        return Model(tuple(fits), tuple(hit), at_home, colliding, share(hit.values()), by_link, home_free, tuple(tables))
+
+    def tables(self, hit: dict[Pair, np.ndarray]) -> list[PairTable]:
+        """Of the pairs of links that falsely collide in the default pose, or in more of the samples than `SELDOM`."""
+        often = [pair for pair, rows in hit.items() if rows[0] or rows[1:].mean() > SELDOM]
+        bodies = {link: [self.bodies[i][1] for i in self.of(link)] for pair in often for link in pair}
+        found = [table_of(self.chain, pair, bodies, self.limits, self.q[hit[pair]]) for pair in often]
+        return [table for table in found if table is not None]
 
     def of(self, link: int) -> list[int]:
         """The numbers of a link's bodies."""
         return [i for i, (owner, _) in enumerate(self.bodies) if owner == link]
 
-    def between(self, pair: Pair, frames: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Where the second link's joint stands in the frame of the first's: turns (n, 3, 3) and places (n, 3)."""
-        a, b = (frames[self.chain.link_joint[link]] for link in pair)
-        back = a[:, :3, :3].transpose(0, 2, 1)
-        return back @ b[:, :3, :3], np.einsum("nij,nj->ni", back, b[:, :3, 3] - a[:, :3, 3])
-
-    def bound(self, i: int, j: int, turn: np.ndarray, place: np.ndarray) -> np.ndarray:
-        """How far two bodies are apart at least (n,), by the balls around them."""
-        (centre, radius), (other, width) = self.balls[i], self.balls[j]
-        return np.asarray(np.linalg.norm(turn @ other + place - centre, axis=1) - radius - width)
+    def couples(self, pair: Pair) -> list[tuple[Body, Body]]:
+        """The bodies of a pair of links, each with each."""
+        return [(self.bodies[i][1], self.bodies[j][1]) for i in self.of(pair[0]) for j in self.of(pair[1])]
 
     def passes(self, pair: Pair, near: float) -> list[_Pass]:
         """Where bodies of a pair of links come nearer than `near`."""
-        turn, place = self.between(pair, self.frames)
+        turn, place = between(self.chain, pair, self.frames)
         found = []
         for i in self.of(pair[0]):
             for j in self.of(pair[1]):
-                rows = np.flatnonzero(self.bound(i, j, turn, place) < near)
-                gap, across = separated(self.bodies[i][1], self.bodies[j][1], turn[rows], place[rows], near)
+                a, b = self.bodies[i][1], self.bodies[j][1]
+                rows = np.flatnonzero(apart_at_least(a, b, turn, place) < near)
+                gap, across = separated(a, b, turn[rows], place[rows], near)
                 close = gap < near
                 found.append(_Pass(i, j, rows[close], gap[close], across[close], turn[rows[close]]))
         return found
@@ -243,22 +269,15 @@ class _Links:
 
     def depth(self, pair: Pair, q: np.ndarray) -> np.ndarray:
         """How far a pair of links overlaps at configurations `q` (n,) [m]."""
-        turn, place = self.between(pair, _frames(self.chain, q))
-        each = [(self.bodies[i][1], self.bodies[j][1]) for i in self.of(pair[0]) for j in self.of(pair[1])]
-        return np.asarray(np.max([overlap(a, b, turn, place) for a, b in each], axis=0))
+        return depths(self.couples(pair), *between(self.chain, pair, frames(self.chain, q)))
 
     def signed(self, pair: Pair, q: np.ndarray, enough: float) -> np.ndarray:
         """The gap of a pair of links at configurations `q` (n,) [m], at least `enough` where it is no less; where they overlap,
         by how much, less than 0."""
-        turn, place = self.between(pair, _frames(self.chain, q))
-        least = np.full(len(q), max(enough, 1e-9))
-        for i in self.of(pair[0]):
-            for j in self.of(pair[1]):
-                rows = np.flatnonzero(self.bound(i, j, turn, place) < least)
-                found = apart(self.bodies[i][1], self.bodies[j][1], turn[rows], place[rows], float(least.max()))
-                least[rows] = np.minimum(least[rows], found)
+        turn, place = between(self.chain, pair, frames(self.chain, q))
+        least = gaps(self.couples(pair), turn, place, max(enough, 1e-9))
         touching = least <= 0.0
-        least[touching] = -self.depth(pair, q[touching]) if touching.any() else 0.0
+        least[touching] = -depths(self.couples(pair), turn[touching], place[touching])
         return least
 
     def collides(self, pair: Pair, gap: np.ndarray) -> bool:
@@ -268,8 +287,8 @@ class _Links:
         if len(touching) > OFTEN * len(gap) or (len(touching) and self.depth(pair, self.q[touching]).max() > DEEP):
             return True
         joints = np.arange(*sorted(self.chain.link_joint[link] for link in pair))
-        turn, place = self.between(pair, self.frames)
-        bound = np.min([self.bound(i, j, turn, place) for i in self.of(pair[0]) for j in self.of(pair[1])], axis=0)
+        turn, place = between(self.chain, pair, self.frames)
+        bound = np.min([apart_at_least(a, b, turn, place) for a, b in self.couples(pair)], axis=0)
         best = self.q[np.argsort(np.where(np.isfinite(gap), gap - FAR, bound), kind="stable")[:NEAREST]]
         value, (low, high), rng = self.signed(pair, best, np.inf), self.limits, np.random.default_rng(1)
         for turned in range(ROUNDS):
@@ -314,7 +333,7 @@ class _Links:
 
     def touching(self, pair: Pair, fits: Sequence[Fitted]) -> np.ndarray:
         """The configurations in which the capsules of a pair of links touch."""
-        turn, place = self.between(pair, self.frames)
+        turn, place = between(self.chain, pair, self.frames)
         hit = np.zeros(len(self.q), bool)
         (ends, radii), (others, widths) = (self.capsules(link, fits) for link in pair)
         for (a, b), radius in zip(ends, radii, strict=True):
@@ -334,18 +353,6 @@ class _Links:
                 corners = self.bodies[i][1].corners
                 ends, radii = [*ends, (corners[0], corners[-1])], [*radii, self.bodies[i][1].radius]
         return ends, radii
-
-
-def _ball(body: Body) -> tuple[np.ndarray, float]:
-    centre = (body.corners.min(axis=0) + body.corners.max(axis=0)) / 2.0
-    return centre, float(np.linalg.norm(body.corners - centre, axis=1).max()) + body.radius
-
-
-def _frames(chain: Chain, q: np.ndarray) -> np.ndarray:
-    """The frames of the base and of each joint (joints + 1, n, 4, 4) in the base's."""
-    found = (BASE, *joint_frames(chain, list(q.T), BASE, np.float64).joints)
-    entries = [[np.broadcast_to(np.asarray(x, np.float64), len(q)) for x in frame.entries] for frame in found]
-    return np.moveaxis(np.array(entries), 1, 2).reshape(len(found), len(q), 4, 4)
 
 
 def _closest(found: Sequence[tuple[np.ndarray, np.ndarray]]) -> tuple[np.ndarray, np.ndarray]:

@@ -10,11 +10,11 @@ import jaxik
 FLOORS = [
     {"ball"},
     {"spmd"},  # the compiler knows no robot
-    {"algebra", "result", "batch", "choice", "convex"},
+    {"algebra", "result", "batch", "choice", "convex", "pair_table"},
     {"given", "fit"},
     {"chain", "optimise", "task"},  # optimise knows no robot: it may import the algebra alone
     {"scene", "kinematics", "reach", "mapping", "path"},
-    {"spheres", "distance"},
+    {"spheres", "distance", "pair_fit"},
     {"gaps", "hierarchy", "robot_fit"},
     {"nearest", "fit_report"},
     {"collision", "costs", "closed_form"},

@@ -76,7 +76,7 @@ def load(
     if shapes:
         model = modelled(chain, shapes, fit, disabled)
         _tell(chain, "links' hulls", model.at_home, model.colliding)
-        return dataclasses.replace(chain, volumes=chain.volumes + model.volumes(shapes), self_pairs=model.pairs)
+        return model.of(chain, shapes)
     found = self_collisions(chain, disabled)
     if meshes:
         _tell(chain, "boxes", dict.fromkeys(found.at_home), found.share)

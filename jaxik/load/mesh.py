@@ -11,11 +11,11 @@ import numpy as np
 
 from jaxik.chain import Chain
 from jaxik.load.assemble import MAX_BYTES, Link
+from jaxik.pair_fit import SECTIONS
 from jaxik.result import LoadError
 from jaxik.robot_fit import Shape
 
 # A ROS package keeps its model in urdf/ and its meshes beside that folder, so the model's folder is then the package's.
-SECTIONS = 32  # corners that stand for a circle
 _INNER_FOLDERS = ("urdf", "urdfs", "xacro", "robots", "mjcf", "xml")
 FORMATS = (".stl", ".obj", ".ply", ".dae", ".off", ".glb")  # and no archive, whose size says nothing of its content's
 

@@ -16,6 +16,7 @@ from jaxik.load.assemble import JOINT_TYPES
 from jaxik.load.ignore import ignored
 from jaxik.load.spherized import spherized
 from jaxik.load.toml import Table
+from jaxik.pair_table import PairTable, packed, unpacked
 from jaxik.spheres import LEVELS
 
 KINDS = {"sphere": 1, "capsule": 2, "triangle": 3}
@@ -67,6 +68,10 @@ def _toml(chain: Chain) -> str:
             "radius": volume.radius,
         }
         parts.append(f"[[shape]]\n{_lines(row)}")
+    for table in chain.pair_tables:
+        row = {"links": [names[i] for i in table.links], "joints": [chain.joint_names[j] for j in table.joints]}
+        row |= {key: list(getattr(table, key)) for key in ("low", "high", "turns", "reach")}
+        parts.append(f"[[table]]\n{_lines(row | {'bounds': packed(table.stored), 'geometry': table.geometry})}")
     return "\n\n".join(parts) + "\n"
 
 
@@ -119,15 +124,34 @@ def read_chain(model: Table) -> Chain:
         spheres_per_box=per_box,
         unread_meshes=tuple(place[0] for place in places if place[3]),
     )
-    pairs = []
-    for pair in model.listed("pairs"):
-        known = isinstance(pair, list) and len(pair) == 2 and all(n in names for n in pair)
-        if not known:
-            raise model.fail(f"pairs holds {str(pair)[:60]}", f"pairs of two of: {', '.join(names)}")
-        pairs.append((names.index(pair[0]), names.index(pair[1])))
+    pairs = [_two(model, "pairs", pair, names) for pair in model.listed("pairs")]
+    tables = [_table(table, chain) for table in model.tables("table")]
     beside = ignored(path, chain, model.listed("ignore"))[1]
     model.close()
-    return dataclasses.replace(chain, self_pairs=tuple(pairs), ignored=beside)
+    return dataclasses.replace(chain, self_pairs=tuple(pairs), ignored=beside, pair_tables=tuple(tables))
+
+
+def _two(table: Table, key: str, given: Any, names: Sequence[str]) -> tuple[int, int]:
+    """The numbers of two names."""
+    if not (isinstance(given, list) and len(given) == 2 and all(n in names for n in given)):
+        raise table.fail(f"{key} holds {str(given)[:60]}", f"two of: {', '.join(names)}")
+    return names.index(given[0]), names.index(given[1])
+
+
+def _table(table: Table, chain: Chain) -> PairTable:
+    links = _two(table, "links", table.listed("links"), chain.link_names)
+    joints = _two(table, "joints", table.listed("joints"), chain.joint_names)
+    low, high, reach = (tuple(table.finite(key, (2,)).tolist()) for key in ("low", "high", "reach"))
+    turns = tuple(table.listed("turns"))
+    if [*map(type, turns)] != [bool, bool]:
+        raise table.fail(f"turns = {str(turns)[:60]}", "two of: true, false")
+    bounds, geometry = table.text("bounds"), table.text("geometry")
+    try:
+        found = PairTable(links, joints, low, high, turns, reach, unpacked(bounds), geometry)
+    except ValueError:
+        raise table.fail("bounds cannot be read", "take the table out, or save the chain again") from None
+    table.close()
+    return found
 
 
 def _frame(table: Table, key: str = "frame") -> np.ndarray:

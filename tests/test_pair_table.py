@@ -1,0 +1,184 @@
+"""Tables of pairs of links: bounds of coal's distance, and the same however the nearest pair is sought."""
+
+import dataclasses
+import itertools
+
+import coal
+import jax
+import numpy as np
+import pytest
+from motions import dense
+from test_load import refused, write
+
+import jaxik
+from jaxik.chain import finite_limits
+from jaxik.collision import link_clearances
+from jaxik.convex import Body
+from jaxik.nearest import Space
+from jaxik.pair_fit import table_of
+from jaxik.spmd import kernel
+
+BASE, BEAM, TIP = (0.2, 0.16, 0.3), (0.5, 0.05, 0.05), (0.3, 0.03, 0.03)
+ARM = """<robot name="arm">
+<link name="base"><collision><geometry><box size="0.2 0.16 0.3"/></geometry></collision></link>
+<joint name="turn" type="continuous"><parent link="base"/><child link="hub"/><axis xyz="0 0 1"/></joint>
+<link name="hub"/>
+<joint name="lift" type="revolute"><parent link="hub"/><child link="beam"/><origin xyz="0 0 0.1"/><axis xyz="0 1 0"/>
+<limit lower="-2" upper="1.5"/></joint>
+<link name="beam"><collision><origin xyz="0.25 0.15 0"/><geometry><box size="0.5 0.05 0.05"/></geometry></collision></link>
+<joint name="twist" type="revolute"><parent link="beam"/><child link="tip"/><origin xyz="0.3 0.14 0"/><axis xyz="1 0 0"/>
+<limit lower="-3" upper="3"/></joint>
+<link name="tip"><collision><origin xyz="-0.15 0 0"/><geometry><box size="0.3 0.03 0.03"/></geometry></collision></link>
+</robot>"""
+SLIDING = ARM.replace('"lift" type="revolute"', '"lift" type="prismatic"').replace('axis xyz="0 1 0"', 'axis xyz="1 0 0"')
+SLIDING = SLIDING.replace('lower="-2" upper="1.5"', 'lower="-0.6" upper="0.2"')
+PLACES = {"base": np.zeros(3), "beam": np.array([0.25, 0.15, 0.0]), "tip": np.array([-0.15, 0.0, 0.0])}
+SIZES = {"base": BASE, "beam": BEAM, "tip": TIP}
+
+
+def corners(name):
+    half = np.array(SIZES[name]) / 2.0
+    return PLACES[name] + half * np.array(list(itertools.product((-1.0, 1.0), repeat=3)))
+
+
+def signed(chain, first, second, q):
+    """How far two links' boxes are apart, by coal."""
+    request, told = coal.DistanceRequest(), coal.DistanceResult()
+    request.enable_signed_distance = True
+    a, b = (coal.Box(*SIZES[name]) for name in (first, second))
+    frames = np.asarray(jax.vmap(lambda q: jaxik.link_frames(chain, q))(q))
+    index, found = [chain.link_names.index(name) for name in (first, second)], []
+    for one, other in frames[:, index]:
+        told.clear()
+        places = [coal.Transform3s(f[:3, :3], f[:3, :3] @ PLACES[n] + f[:3, 3]) for f, n in ((one, first), (other, second))]
+        found.append(coal.distance(a, places[0], b, places[1], request, told))
+    return np.array(found)
+
+
+@pytest.fixture(scope="module")
+def kinematics(tmp_path_factory):
+    folder = tmp_path_factory.mktemp("arms")
+    arms = {"turning": ARM, "sliding": SLIDING}
+    return {name: jaxik.load(write(folder, f"{name}.urdf", text), tip="tip") for name, text in arms.items()}
+
+
+@pytest.mark.parametrize("kind", ["turning", "sliding"])
+@pytest.mark.parametrize("other", ["beam", "tip"])
+def test_a_table_bounds_coals_distance(kinematics, kind, other):
+    """Inside the limits, beyond them and turns away; of the tip, which turns between, for all that it sweeps."""
+    chain, rng = kinematics[kind], np.random.default_rng(0)
+    links = {name: chain.link_names.index(name) for name in ("base", other)}
+    bodies = {links[name]: [Body(corners(name))] for name in links}
+    limits = finite_limits(chain)
+    inside = rng.uniform(*limits, (3000, 3))
+    true = signed(chain, "base", other, inside)
+    free = (true > 0.0) & (true < 0.01)
+    table = table_of(chain, tuple(links.values()), bodies, limits, inside[free])
+    assert table.joints == (0, 1) and table.turns == (True, False) and free.sum() > 50
+    over = table(inside) - true
+    assert np.abs(true).min() < 1e-4 and (true < 0.0).mean() > 0.02
+    assert over[np.abs(true) < 0.01].max() < 5e-4 and over.max() < 2e-3  # deep inside the nearest way out changes its side
+    if other == "beam":  # what sweeps nothing
+        assert np.median(-over[(true > 0.0) & (true < 0.02)]) < 3e-4
+    beyond = rng.uniform(limits[0] - 4.0, limits[1] + 4.0, (1000, 3))
+    assert (table(beyond) - signed(chain, "base", other, beyond)).max() < 2e-3
+    assert np.mean(table(inside[free]) > 0.0) > (0.9 if other == "beam" else 0.3)
+    moved = rng.normal(size=beyond.shape) * 0.05
+    changed = np.abs(table(beyond + moved) - table(beyond))
+    assert np.all(changed <= table.speed(np.abs(moved).T) + 1e-12) and np.max(changed / table.speed(np.abs(moved).T)) > 0.5
+
+
+@pytest.fixture(scope="module")
+def arm(tmp_path_factory):
+    return jaxik.load(write(tmp_path_factory.mktemp("arm"), "arm.urdf", ARM), tip="tip", meshes=True)
+
+
+@pytest.fixture(scope="module")
+def postures(arm):
+    return np.random.default_rng(1).uniform(*finite_limits(arm), (2000, 3))
+
+
+def test_a_fitted_robot_is_as_free_as_its_links(arm, postures):
+    """None missed that is deeper than 0.5 mm; without its tables the robot collides falsely."""
+    assert {tuple(arm.link_names[i] for i in t.links) for t in arm.pair_tables} >= {("base", "beam")}
+    true = np.minimum(signed(arm, "base", "beam", postures), signed(arm, "base", "tip", postures))
+    share = lambda chain: np.asarray(jax.vmap(lambda q: jaxik.self_clearance(chain, q))(postures)) <= 0.0
+    known, bare = share(arm), share(dataclasses.replace(arm, pair_tables=()))
+    assert np.all(bare | ~known) and not np.any(~known & (true < -5e-4))
+    known, bare = np.mean(known & (true > 0.0)), np.mean(bare & (true > 0.0))
+    assert known < 0.04 and bare > 2.0 * known
+
+
+def test_the_search_skips_and_stops_as_without(arm, postures):
+    """Flat and hierarchical distances are equal to the last bit, by links, too; so are the answers of `collides`."""
+    flat = kernel(lambda q: Space(arm, (), q, skips=False).all().distance)
+    found = np.asarray(jax.vmap(lambda q: jaxik.self_clearance(arm, q))(postures))
+    assert np.array_equal(np.asarray(jax.vmap(flat)(postures)), found)
+    assert np.array_equal(np.asarray(jax.vmap(lambda q: link_clearances(arm, None, q))(postures)).min(axis=1), found)
+    for margin in (0.0, 0.004):
+        assert np.array_equal(
+            np.asarray(jax.vmap(lambda q, m=margin: jaxik.collides(arm, None, q, m))(postures)), found < margin
+        )
+    for q, apart in zip(postures[:20], found, strict=False):
+        assert jaxik.explain(arm, None, q).contacts[0].distance == pytest.approx(float(apart), abs=1e-12)
+
+
+def test_gradients_are_differences(arm, postures):
+    """Where the table decides, whether q moves alone or the scene with it."""
+    scene = jaxik.make_scene(spheres=[[3.0, 0.0, 0.0, 0.1]])
+    apart = lambda q: jaxik.self_clearance(arm, q)
+    beside = lambda q, x: jaxik.clearance(
+        arm, dataclasses.replace(scene, spheres=dataclasses.replace(scene.spheres, radius=x)), q
+    )
+    slopes = np.asarray(jax.vmap(jax.grad(apart))(postures))
+    step = 1e-7 * np.eye(3)
+    change = np.stack([np.asarray(jax.vmap(apart)(postures + e) - jax.vmap(apart)(postures - e)) for e in step], axis=1) / 2e-7
+    off = np.abs(slopes - change).max(axis=1)
+    assert np.quantile(off, 0.95) < 1e-6  # all but those at a node's line or an edge
+    both = jax.vmap(jax.grad(beside, (0, 1)), (0, None))(postures[:200], scene.spheres.radius)
+    np.testing.assert_allclose(both[0], slopes[:200], atol=1e-12)
+    assert not np.any(both[1])
+
+
+def test_motions_are_proven_with_tables(arm, postures):
+    q_from, q_to = postures[:150], postures[150:300]
+    found = jax.vmap(lambda a, b: jaxik.motion_clearance(arm, None, a, b))(q_from, q_to)
+    margin = np.zeros(len(q_from))
+    least = np.asarray(dense(arm, None, 2000)(q_from, q_to, margin)[0])
+    free = np.asarray(found.free)
+    assert 0.05 < free.mean() < 0.95
+    assert np.all(found.clearance[free] <= least[free] + 1e-9) and np.all(least[free] <= found.clearance[free] + 2e-3)
+    assert np.all(least[~free] < 3e-3)
+
+
+def test_a_table_is_of_the_links_that_were_measured(arm, postures):
+    """Of others it says nothing: a link made thicker, moved, or differentiated by."""
+    apart = lambda chain: np.asarray(jax.vmap(lambda q: jaxik.self_clearance(chain, q))(postures[:200]))
+    bare = lambda chain: dataclasses.replace(chain, pair_tables=())
+    thick = dataclasses.replace(
+        arm, volumes=tuple(dataclasses.replace(v, radius=np.asarray(v.radius + 0.02)) for v in arm.volumes)
+    )
+    frames = np.array(arm.parent_T_joint)
+    frames[1, 2, 3] += 0.05
+    for other in (thick, dataclasses.replace(arm, parent_T_joint=frames)):
+        assert np.array_equal(apart(other), apart(bare(other)))
+    assert np.any(apart(arm) != apart(bare(arm)))
+    assert np.array_equal(apart(arm.mounted(np.diag([1.0, -1.0, -1.0, 1.0]))), apart(arm))
+    part = arm.part(0, 3)
+    assert part.pair_tables == ()  # its base is none of a part's links
+    grown = lambda x: jaxik.self_clearance(dataclasses.replace(arm, parent_T_joint=frames * x), postures[0])
+    assert np.isfinite(jax.grad(grown)(1.0))
+
+
+def test_tables_are_written_and_read(arm, tmp_path):
+    jaxik.save(arm, tmp_path / "arm.toml")
+    text = (tmp_path / "arm.toml").read_text()
+    assert jaxik.load(tmp_path / "arm.toml") == arm and len(text) < 40_000
+    for old, new, words in [
+        ('bounds = "', 'bounds = "!', "bounds cannot be read"),
+        ("turns = [true, false]", "turns = [true]", "turns"),
+        ('joints = ["turn", "lift"]', 'joints = ["turn", "yaw"]', "joints holds"),
+        ("geometry = ", "geometri = ", "geometri"),
+    ]:
+        assert old in text
+        refused(write(tmp_path, "bad.toml", text.replace(old, new)), words)
