@@ -412,7 +412,7 @@ def test_a_fit_is_told_and_written(tmp_path, monkeypatch, capsys):
         call(monkeypatch, "fit", tmp_path / "arm.urdf", "--accuracy", 15, "--to", tmp_path / name)
         *table, counts, wrote = capsys.readouterr().out.splitlines()
         chain = jaxik.load(tmp_path / "arm.urdf", meshes=True, fit=jaxik.Fit(0.015))
-        assert counts.startswith(f"{len(chain.volumes)} volumes, 1 pairs of links to check, in ")
+        assert counts.startswith(f"{len(chain.volumes)} volumes, 1 pairs of links to check, ")
         rows = [[word.strip() for word in line.split("\u2502")[1:-1]] for line in table if line.startswith("\u2502")]
         assert [row[:2] for row in rows] == [["base", "cylinder"], ["arm", "box"]]
         assert sum(int(row[2]) for row in rows) == len(chain.volumes) - 1 and {row[3] for row in rows} == {"100.0%"}
