@@ -246,11 +246,24 @@ def model_markdown(result: dict[str, Any]) -> str:
     return "\n".join(lines)
 
 
+def scaling_markdown(result: dict[str, Any]) -> str:
+    """A row for each kind and number: the times of both questions, on one core and on two."""
+    rows = {(row["what"], row["count"], row["work"], row["cores"]): row["ns"] / 1e3 for row in result["rows"]}
+    lines = ["| P6R | clearance, one core | two | collides, one core | two |", "| --- | --- | --- | --- | --- |"]
+    told = [("points", 10), ("points", 1000), ("points", 10_000), ("capsules", 10), ("capsules", 1000), ("capsules", 10_000)]
+    for what, count in told + [("spheres", each) for each in (7, 56, 448, 3584)]:
+        where = f"its 56 spheres, {count:,} {what}" if what != "spheres" else f"its {count:,} spheres, 150 points and itself"
+        times = [f"{rows[what, count, work, cores]:.2f} us" for work in ("clearance", "collides") for cores in (1, 2)]
+        lines.append(f"| {where} | {' | '.join(times)} |")
+    return "\n".join(lines)
+
+
 TABLES = {
     "base_placement.json": base_markdown,
     "benchmark.json": markdown,
     "collision_benchmark.json": collision_markdown,
     "collision_models.json": model_markdown,
+    "collision_scaling.json": scaling_markdown,
     "ik_benchmark.json": ik_markdown,
     "motions.json": motions_markdown,
     "narrow_goals.json": narrow_markdown,
