@@ -3,14 +3,13 @@
 `python batch_eval/motions.py` prints a line a robot and writes `batch_eval/motions.json`. Half of the obstacles are thin: stems
 of one to three millimetres, plates of two, bare points. A motion begins at a random free configuration and goes a random share
 of the way to another. The truth is `clearance` in float64 at `SAMPLES` equal steps, and finer about the least of them; the
-bound is in float32. Needs `pip install -e ".[test]"`; two of the robots are those of example-robot-data, with their collision
+bound is in float32. Needs `pip install -e ".[test]"`; three of the robots are those of example-robot-data, with their collision
 meshes.
 """
 
 from __future__ import annotations
 
 import argparse
-import dataclasses
 import json
 import time
 from pathlib import Path
@@ -26,7 +25,7 @@ from race import processor
 import jaxik
 
 COUNT = 100_000  # motions, over all robots
-SAMPLES, FINER = 1000, 64  # of a motion, and between the least one's neighbours
+SAMPLES, FINER = 4000, 64  # of a motion, and between the least one's neighbours
 BLOCK = 4096  # motions a call
 RESOLUTION = 1e-3  # [m]
 MARGINS = (0.0, 0.005)  # [m], in turn
@@ -37,33 +36,25 @@ ROBOTS = {  # file under example-robot-data and tip; or a shipped model
     "crops_v2": None,
     "pendulum4": None,
     "Panda": ("panda_description/urdf/panda.urdf", "panda_link8"),
+    "UR10": ("ur_description/urdf/ur10_robot.urdf", "tool0"),
     "TIAGo": ("tiago_description/robots/tiago_no_hand.urdf", "wrist_ft_tool_link"),
 }
 # of the motions: the truth of capsules among boxes takes a hundred times that of spheres
-SHARES = {"p6r": 0.7, "chembuly9": 0.1, "crops_v2": 0.0025, "pendulum4": 0.0025, "Panda": 0.19, "TIAGo": 0.005}
+SHARES = {"p6r": 0.6, "chembuly9": 0.1, "crops_v2": 0.0025, "pendulum4": 0.0025, "Panda": 0.19, "UR10": 0.1, "TIAGo": 0.005}
 
 
 def robot(name: str) -> jaxik.Chain:
     """One of `ROBOTS`, with its collision geometry."""
     place = ROBOTS[name]
-    return jaxik.load(name) if place is None else _apart(jaxik.load(FOLDER / place[0], tip=place[1], meshes=True))
-
-
-def _apart(chain: jaxik.Chain) -> jaxik.Chain:
-    """Without the pairs of links whose boxes' spheres touch more often than not: no motion would be free."""
-    only = [dataclasses.replace(chain, self_pairs=(pair,)) for pair in chain.self_pairs]
-    each = jax.jit(jax.vmap(lambda q: jnp.stack([jaxik.self_clearance(one, q) for one in only])))
-    q = np.random.default_rng(15).uniform(*jaxik.finite_limits(chain), (300, chain.num_joints))
-    free = np.mean(np.asarray(each(q)) > 0.01, axis=0) > 0.5
-    return dataclasses.replace(chain, self_pairs=tuple(p for p, kept in zip(chain.self_pairs, free, strict=True) if kept))
+    return jaxik.load(name) if place is None else jaxik.load(FOLDER / place[0], tip=place[1], meshes=True)
 
 
 def obstacles(chain: jaxik.Chain) -> jaxik.Scene:
     """Thin ones and thick ones about where the robot's parts come, by a fixed seed; none that is nearly always
     in the way."""
     rng, limits = np.random.default_rng(16), jaxik.finite_limits(chain)
-    frames = jax.jit(jax.vmap(lambda q: jaxik.link_frames(chain, q)))(rng.uniform(*limits, (500, chain.num_joints)))
-    places = (np.asarray(frames)[:, -1, :3, 3]) @ chain.world_T_base[:3, :3].T + chain.world_T_base[:3, 3]
+    frames = jax.jit(jax.vmap(lambda q: jaxik.forward_kinematics(chain, q)))(rng.uniform(*limits, (500, chain.num_joints)))
+    places = np.asarray(frames)[:, :3, 3] @ chain.world_T_base[:3, :3].T + chain.world_T_base[:3, 3]
     reach = float(np.linalg.norm(places - places.mean(axis=0), axis=1).max())
 
     def frame() -> np.ndarray:
