@@ -292,11 +292,10 @@ def _on_grid(study: Study, chain: Chain, poses: np.ndarray, around: _Crops | Non
     """The best over the grid of leading positions; and of targets whose postures all collide, the nearest to be clear."""
     leading = leading_grid(chain, study.slides)
     found = freest(chain, poses, leading)
-    counts = np.bitwise_count(found.branches).sum(axis=1, dtype=np.int32)
     beyond = np.where(found.freedom > NOTHING, Reason.LIMITS, Reason.OUT_OF_REACH)
-    reason = np.where(counts > 0, Reason.SOLVED, beyond).astype(np.int8)
+    reason = np.where(found.count > 0, Reason.SOLVED, beyond).astype(np.int8)
     none = np.full(len(poses), np.nan, np.float32)
-    best = _Best(leading[found.lead], found.branch.copy(), counts, none, reason)
+    best = _Best(leading[found.lead], found.branch, found.count, none, reason)
     near = [_Near.nothing(leading.shape[1])]
     if around is None:
         return best, near[0]
