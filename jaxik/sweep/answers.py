@@ -78,8 +78,6 @@ def answer(study: Study, variant: Variant, rows: slice) -> dict[str, np.ndarray]
     """The columns of some of the study's targets for one variant, one row a target."""
     given = study.targets.part(rows.start, rows.stop)
     count, chain = rows.stop - rows.start, variant.chain
-    columns = {k: blank(c, count, {"joint": study.joints, "xyz": 3, "wxyz": 4}) for k, c in COLUMNS.items()}
-    columns |= given_columns(study.targets, rows)
     base_T_world = np.linalg.inv(chain.world_T_base)
     elsewhere = study.targets.frame == "world" and not np.array_equal(base_T_world, np.eye(4))
     poses, valid = base_T_world @ given if elsewhere else given, np.ones(count, bool)
@@ -87,9 +85,10 @@ def answer(study: Study, variant: Variant, rows: slice) -> dict[str, np.ndarray]
         poses, valid, _ = as_poses(poses, study.ik.task)
     around = _Crops.of(study, chain, rows, base_T_world) if study.collision else None
     solve = _closed_form if study.method(chain) == "closed form" else _search
-    for name, values in solve(study, _at_home(chain), poses, valid, around).items():
-        columns[name][:] = values if name != "q" else _padded(values, study.joints)
-    return columns
+    found = given_columns(study.targets, rows) | solve(study, _at_home(chain), poses, valid, around)
+    found["q"] = _padded(found["q"], study.joints)
+    missing = {name: blank(COLUMNS[name], count, {}) for name in COLUMNS.keys() - found.keys()}
+    return missing | {name: np.asarray(values, COLUMNS[name].dtype) for name, values in found.items()}
 
 
 def given_columns(targets: Targets, rows: slice) -> dict[str, np.ndarray]:
@@ -172,7 +171,8 @@ def blank(column: Column, count: int, sizes: dict[str, int]) -> np.ndarray:
 
 
 def _padded(q: np.ndarray, joints: int) -> np.ndarray:
-    return np.concatenate([q, np.full((len(q), joints - q.shape[1]), np.nan)], axis=1)
+    more = joints - q.shape[1]
+    return np.concatenate([q, np.full((len(q), more), np.nan)], axis=1) if more else q
 
 
 # --------------------------------------------------------------------------------------------------------------------
