@@ -14,7 +14,7 @@ import numpy as np
 
 from jaxik.algebra import traced
 from jaxik.batch import in_blocks
-from jaxik.between import between, within_reach
+from jaxik.between import between, beyond
 from jaxik.chain import Chain, finite_limits
 from jaxik.closed_form import BRANCHES, closed_branches, closed_forms, one_branch
 from jaxik.collision import clearance
@@ -23,7 +23,6 @@ from jaxik.hierarchy import Grouped, grouped
 from jaxik.ik import IKResult, as_poses, solve_ik
 from jaxik.kinematics import manipulability, pose_errors
 from jaxik.leading import NOTHING, arm_of, first_most, freest, grid, leading_grid
-from jaxik.reach import reach
 from jaxik.result import Reason
 from jaxik.scan import measures
 from jaxik.scene import Scene, make_scene, remembered
@@ -33,7 +32,6 @@ from jaxik.sweep.targets import Targets
 
 GIVEN = ("position", "quaternion")  # columns that are the target's own, the same whatever it is asked of
 PORTION = 6000  # targets at a time whose colliding candidates stand in memory
-SLACK = 1e-9  # [m]
 NEAR = 2  # postures of a target that collides on the grid beside which a clear one is looked for
 
 
@@ -198,13 +196,13 @@ def _closed_form(
     study: Study, chain: Chain, poses: np.ndarray, valid: np.ndarray, around: _Crops | None
 ) -> dict[str, np.ndarray]:
     """The postures of poses (N, 4, 4) on the grid of leading positions and, where it has none, between them."""
-    beyond = ~valid | (reach(chain).excess(poses) > SLACK) | ~within_reach(chain, poses)
+    proven = ~valid | beyond(chain, poses)
     columns = _no_answer(chain, len(poses)) | {
         "reason": np.where(valid, Reason.OUT_OF_REACH, Reason.INVALID).astype(np.int8),
-        "proven": beyond,
+        "proven": proven,
         "between": np.zeros(len(poses), bool),
     }
-    asked = np.flatnonzero(~beyond)
+    asked = np.flatnonzero(~proven)
     if len(asked):
         near_by = None if around is None else around.part(asked)
         best, near = _on_grid(study, chain, poses[asked], near_by)
@@ -292,8 +290,8 @@ def _on_grid(study: Study, chain: Chain, poses: np.ndarray, around: _Crops | Non
     """The best over the grid of leading positions; and of targets whose postures all collide, the nearest to be clear."""
     leading = leading_grid(chain, study.slides)
     found = freest(chain, poses, leading)
-    beyond = np.where(found.freedom > NOTHING, Reason.LIMITS, Reason.OUT_OF_REACH)
-    reason = np.where(found.count > 0, Reason.SOLVED, beyond).astype(np.int8)
+    past = np.where(found.freedom > NOTHING, Reason.LIMITS, Reason.OUT_OF_REACH)
+    reason = np.where(found.count > 0, Reason.SOLVED, past).astype(np.int8)
     none = np.full(len(poses), np.nan, np.float32)
     best = _Best(leading[found.lead], found.branch, found.count, none, reason)
     near = [_Near.nothing(leading.shape[1])]

@@ -68,10 +68,11 @@ class Targets:
         """The poses (r, 4, 4) of targets by number; with the identity for a rotation that is free."""
         if self.poses is not None:
             return as_frames(self.poses[rows])
-        poses = np.tile(np.eye(4), (len(rows), 1, 1))
-        poses[:, :3, 3] = self.positions_at(rows)
+        turned = np.tile(np.eye(4), (self.turns, 1, 1))
         if len(self.rotations):
-            poses[:, :3, :3] = self.rotations[rows % self.turns]
+            turned[:, :3, :3] = self.rotations
+        poses = turned.take(rows % self.turns, axis=0)
+        poses[:, :3, 3] = self.positions_at(rows)
         return poses
 
     def positions_at(self, rows: np.ndarray) -> np.ndarray:
@@ -81,8 +82,10 @@ class Targets:
             return given[:, :3, 3] if given.ndim == 3 else given[:, :3]
         if not self.axes:
             return self.positions[rows // self.turns]
-        index = np.unravel_index(rows // self.turns, self.shape)
-        return np.stack([a[i] for a, i in zip(self.axes, index, strict=True)], axis=-1)
+        found = np.empty((len(rows), 3))
+        for k, index in enumerate(np.unravel_index(rows // self.turns, self.shape)):
+            self.axes[k].take(index, out=found[:, k])
+        return found
 
     def wxyz_at(self, rows: np.ndarray) -> np.ndarray:
         """The unit quaternions (r, 4) of targets whose rotation is not free, w >= 0; NaN where it is none."""
