@@ -64,28 +64,37 @@ class Targets:
         """The poses (stop - start, 4, 4) of the targets `start` to `stop - 1`."""
         return self.poses_at(np.arange(start, stop))
 
-    def poses_at(self, rows: np.ndarray) -> np.ndarray:
-        """The poses (r, 4, 4) of targets by number; with the identity for a rotation that is free."""
+    def poses_at(self, rows: np.ndarray, base_T_frame: np.ndarray | None = None) -> np.ndarray:
+        """The poses (r, 4, 4) of targets by number, in their frame or in a base; with the identity for a rotation that is
+        free."""
+        base_T_frame = np.eye(4) if base_T_frame is None else base_T_frame
         if self.poses is not None:
-            return as_frames(self.poses[rows])
+            return np.asarray(base_T_frame @ as_frames(self.poses[rows]))
         turned = np.tile(np.eye(4), (self.turns, 1, 1))
         if len(self.rotations):
             turned[:, :3, :3] = self.rotations
-        poses = turned.take(rows % self.turns, axis=0)
-        poses[:, :3, 3] = self.positions_at(rows)
+        poses = (base_T_frame @ turned).take(rows % self.turns, axis=0)
+        poses[:, :3, 3] = self.positions_at(rows, base_T_frame)
         return poses
 
-    def positions_at(self, rows: np.ndarray) -> np.ndarray:
-        """The positions (r, 3) of targets by number [m]."""
+    def positions_at(self, rows: np.ndarray, base_T_frame: np.ndarray | None = None) -> np.ndarray:
+        """The positions (r, 3) of targets by number [m], in their frame or in a base."""
         if self.poses is not None:
-            given = self.poses[rows]
-            return given[:, :3, 3] if given.ndim == 3 else given[:, :3]
+            return self.poses_at(rows, base_T_frame)[:, :3, 3]
+        number = rows // self.turns
+        low = int(number.min(initial=len(self)))
+        span = int(number.max(initial=-1)) + 1 - low
+        dense = span <= len(rows)  # as those of a chunk are, and few for many directions
+        places = self._places(np.arange(low, low + span) if dense else number)
+        if base_T_frame is not None:
+            places = np.einsum("ni,ji->nj", places, base_T_frame[:3, :3]) + base_T_frame[:3, 3]
+        return places.take(number - low, axis=0) if dense else places
+
+    def _places(self, number: np.ndarray) -> np.ndarray:
         if not self.axes:
-            return self.positions[rows // self.turns]
-        found = np.empty((len(rows), 3))
-        for k, index in enumerate(np.unravel_index(rows // self.turns, self.shape)):
-            self.axes[k].take(index, out=found[:, k])
-        return found
+            return self.positions[number]
+        index = np.unravel_index(number, self.shape)
+        return np.stack([a[i] for a, i in zip(self.axes, index, strict=True)], axis=-1)
 
     def wxyz_at(self, rows: np.ndarray) -> np.ndarray:
         """The unit quaternions (r, 4) of targets whose rotation is not free, w >= 0; NaN where it is none."""
