@@ -122,8 +122,8 @@ def _within_reach(chain: Chain, poses: np.ndarray, slides: int) -> np.ndarray:
 
 @functools.lru_cache(maxsize=64)
 def _spheres(chain: Chain, slides: int) -> tuple[Reach, np.ndarray, np.ndarray]:
-    """The arm's reach; and of each cell the sphere's centre (m, 3) that it fills, and `radius^2 - |centre|^2` (m,), which has no
-    bound where a leading joint turns: that moves the arm's base by what its own reach is."""
+    """The arm's reach; and of each cell the sphere's centre (m, 3) that it fills, and `radius^2 - |centre|^2` (m,): without
+    bound where a leading joint turns, which moves the arm's base by what its own reach is."""
     centres, half = _cells(chain, slides)
     k = len(half)
     bound = reach(chain.part(k, chain.num_joints))

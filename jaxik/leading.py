@@ -1,9 +1,9 @@
 """The best posture of a target over all positions of the leading joints (the slide).
 
 `scan` keeps every candidate of one fruit; this keeps, of each of millions of targets, what a map needs: which branches are
-inside the limits at which leading positions, and the freest of them. Most pairs of a target and a leading position have none,
-and joints 1 to 3 alone tell that without one angle: so a loop over the positions leaves a byte a pair, and only the pairs that
-may have a branch are solved. Three times faster than solving all, twelve times faster than looking at all candidates.
+inside the limits at which leading positions, and the freest of them. One loop over the positions, a target a lane: joints 1 to
+3 alone tell without one angle that most positions have none, and only what some lane still asks for there is solved. So lanes
+that are neighbours should be alike.
 """
 
 from __future__ import annotations
@@ -50,14 +50,14 @@ class Freest(NamedTuple):
     """Of each target (N,): the freest branch over the leading positions, and what else is inside the limits.
 
     `freedom` is that of `costs.joint_freedom`: >= 0 inside the limits, -1 to 0 past them, less where no branch has the pose.
-    `lead` is the row of the leading positions, `count` how many branches are inside over all of them, and `branches` (N, m) has
-    one bit a branch that is inside there.
+    `lead` is the row of the leading positions, `inside` how many branches are inside the limits over all of them, and
+    `branches` (N, m) has one bit for each that is inside there.
     """
 
     freedom: np.ndarray
     lead: np.ndarray
     branch: np.ndarray
-    count: np.ndarray
+    inside: np.ndarray
     branches: np.ndarray
 
 
@@ -100,38 +100,52 @@ def _freest(chain: Chain, size: int) -> HostKernel:
     """Compiled, by rows of poses: `Freest` over the first `many` of the leading positions (size, k); among the ways of joints 1
     to 3 that may be inside the limits or, if `past`, all that have the pose. What no lane asks for is not computed."""
 
-    def target(pose: Any, leading: Any, many: Any, past: Any) -> Freest:
-        def turn(i: Any, found: Freest) -> Freest:
+    def target(pose: Any, leading: Any, many: Any, past: Any) -> tuple[Any, ...]:
+        def turn(best: _Best, i: Any) -> tuple[_Best, Any]:
             ways = half_branches(chain, pose, leading[i])
             may = [(way.margin >= 0.0) & (past | may_be_inside(chain, way.turns, NEARLY)) for way in ways]
 
-            def solved(found: Freest) -> Freest:
+            def solved(best: _Best) -> _Best:
                 for number, way in enumerate(ways):
-                    better = functools.partial(_freer, chain, leading[i], i, number, way)
-                    found = lax.cond(may[number], better, lambda found: found, found)
-                return found
+                    freer = functools.partial(_freer, chain, leading[i], i, number, way)
+                    best = lax.cond(may[number], freer, lambda best: best, best)
+                return best
 
-            here = found._replace(branches=jnp.uint8(0))
-            here = lax.cond(functools.reduce(jnp.logical_or, may), solved, lambda found: found, here)
-            return here._replace(branches=lax.dynamic_update_index_in_dim(found.branches, here.branches, i, 0))
+            best = lax.cond(functools.reduce(jnp.logical_or, may), solved, lambda best: best, best)
+            return best._replace(here=jnp.uint8(0)), best.here
 
+        skip = lambda best, _: (best, jnp.uint8(0))
         zero = jnp.int32(0)
-        nothing = Freest(jnp.asarray(NOTHING, pose.dtype), zero, zero, zero, jnp.zeros(size, jnp.uint8))
-        return lax.fori_loop(0, many, turn, nothing)
+        nothing = _Best(jnp.asarray(NOTHING, pose.dtype), zero, zero, zero, jnp.uint8(0))
+        best, branches = lax.scan(lambda best, i: lax.cond(i < many, turn, skip, best, i), nothing, jnp.arange(size))
+        return *best[:-1], branches
 
     return HostKernel(target, 1)
 
 
-def _freer(chain: Chain, leading: Any, lead: Any, number: int, way: HalfBranch, found: Freest) -> Freest:
-    """With the two branches of a way of joints 1 to 3: of those that are as free the first way counts, and its first lead."""
+class _Best(NamedTuple):
+    """Of one target so far: the freest branch, how many are inside the limits, and a bit for each of those at this position."""
+
+    freedom: Any
+    lead: Any
+    branch: Any
+    inside: Any
+    here: Any
+
+
+def _freer(chain: Chain, leading: Any, lead: Any, number: int, way: HalfBranch, best: _Best) -> _Best:
+    """With the two branches of a way of joints 1 to 3; of those that are as free the first way counts, and its first lead."""
     one, two = (_freedom(chain, leading, *branch) for branch in wrist_branches(chain, way, leading.dtype))
     freedom, branch = jnp.maximum(one, two), 2 * number + (two > one).astype(jnp.int32)
-    better = (freedom > found.freedom) | ((freedom == found.freedom) & (branch // 2 < found.branch // 2))
-    inside = one >= 0.0, two >= 0.0
-    chosen = (jnp.where(better, *each) for each in zip((freedom, lead, branch), found[:3], strict=True))
-    count = found.count + sum(each.astype(jnp.int32) for each in inside)
-    bits = [each.astype(jnp.uint8) << 2 * number + k for k, each in enumerate(inside)]
-    return Freest(*chosen, count, functools.reduce(jnp.bitwise_or, bits, found.branches))
+    better = (freedom > best.freedom) | ((freedom == best.freedom) & (number < best.branch // 2))
+    bits = [(each >= 0.0).astype(jnp.uint8) for each in (one, two)]
+    return _Best(
+        jnp.where(better, freedom, best.freedom),
+        jnp.where(better, lead, best.lead),
+        jnp.where(better, branch, best.branch),
+        best.inside + sum(bits).astype(jnp.int32),
+        best.here | bits[0] << 2 * number | bits[1] << 2 * number + 1,
+    )
 
 
 def may_be_inside(chain: Chain, turns: Any, slack: float) -> Any:

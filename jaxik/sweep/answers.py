@@ -289,9 +289,9 @@ def _on_grid(study: Study, chain: Chain, poses: np.ndarray, around: _Crops | Non
     leading = leading_grid(chain, study.slides)
     found = freest(chain, poses, leading)
     past = np.where(found.freedom > NOTHING, Reason.LIMITS, Reason.OUT_OF_REACH)
-    reason = np.where(found.count > 0, Reason.SOLVED, past).astype(np.int8)
+    reason = np.where(found.inside > 0, Reason.SOLVED, past).astype(np.int8)
     none = np.full(len(poses), np.nan, np.float32)
-    best = _Best(leading[found.lead], found.branch, found.count, none, reason)
+    best = _Best(leading[found.lead], found.branch, found.inside, none, reason)
     near = [_Near.nothing(leading.shape[1])]
     if around is None:
         return best, near[0]
