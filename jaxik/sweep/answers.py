@@ -77,8 +77,8 @@ def answer(study: Study, variant: Variant, rows: slice) -> dict[str, np.ndarray]
     """The columns of some of the study's targets for one variant, one row a target."""
     count, chain = rows.stop - rows.start, variant.chain
     base_T_world = np.linalg.inv(chain.world_T_base)
-    base_T_frame = base_T_world if study.targets.frame == "world" else np.eye(4)
-    poses, valid = study.targets.poses_at(np.arange(rows.start, rows.stop), base_T_frame), np.ones(count, bool)
+    base_T_frame = base_T_world if study.targets.frame == "world" else None
+    poses, valid = study.targets.part(rows.start, rows.stop, base_T_frame), np.ones(count, bool)
     if study.targets.poses is not None:  # someone else's, who may have got them wrong
         poses, valid, _ = as_poses(poses, study.ik.task)
     around = _Crops.of(study, chain, rows, base_T_world) if study.collision else None

@@ -60,20 +60,21 @@ class Targets:
     def __len__(self) -> int:
         return int(np.prod(self.shape, dtype=np.int64)) * self.turns
 
-    def part(self, start: int, stop: int) -> np.ndarray:
-        """The poses (stop - start, 4, 4) of the targets `start` to `stop - 1`."""
-        return self.poses_at(np.arange(start, stop))
+    def part(self, start: int, stop: int, base_T_frame: np.ndarray | None = None) -> np.ndarray:
+        """The poses (stop - start, 4, 4) of the targets `start` to `stop - 1`, in their frame or in a base."""
+        return self.poses_at(np.arange(start, stop), base_T_frame)
 
     def poses_at(self, rows: np.ndarray, base_T_frame: np.ndarray | None = None) -> np.ndarray:
-        """The poses (r, 4, 4) of targets by number, in their frame or in a base; with the identity for a rotation that is
-        free."""
-        base_T_frame = np.eye(4) if base_T_frame is None else base_T_frame
+        """The poses (r, 4, 4) of targets by number, in their frame or in a base; a rotation that is free is the frame's."""
         if self.poses is not None:
-            return np.asarray(base_T_frame @ as_frames(self.poses[rows]))
+            frames = as_frames(self.poses[rows])
+            return frames if base_T_frame is None else base_T_frame @ frames
         turned = np.tile(np.eye(4), (self.turns, 1, 1))
         if len(self.rotations):
             turned[:, :3, :3] = self.rotations
-        poses = (base_T_frame @ turned).take(rows % self.turns, axis=0)
+        if base_T_frame is not None:
+            turned = base_T_frame @ turned
+        poses = turned.take(rows % self.turns, axis=0)
         poses[:, :3, 3] = self.positions_at(rows, base_T_frame)
         return poses
 
