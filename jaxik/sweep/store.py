@@ -157,17 +157,14 @@ def _put(folder: Path, array: Any, number: tuple[int, ...], values: np.ndarray, 
         whole = np.concatenate([whole, np.full((short, *whole.shape[1:]), column.nothing, whole.dtype)])
     file = folder.joinpath("c", *(str(i) for i in number), *("0" for _ in column.dims))
     if all(_nothing(some, column) for some in (whole[:100], whole)):
-        file.unlink(missing_ok=True)
+        file.unlink(missing_ok=True)  # nothing in all of it
         return True
     packed = zstd.compress(whole, array.metadata.codecs[1].level, array.metadata.codecs[1].checksum)
     aside = file.with_suffix(f".{uuid.uuid4().hex}.partial")
     try:
-        try:
-            opened = aside.open("wb")
-        except FileNotFoundError:
+        if not file.parent.exists():
             file.parent.mkdir(parents=True, exist_ok=True)
-            opened = aside.open("wb")
-        with opened:
+        with aside.open("wb") as opened:
             opened.write(packed)
             opened.write(crc32c(packed).to_bytes(4, "little"))
         aside.replace(file)
