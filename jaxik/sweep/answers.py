@@ -207,7 +207,7 @@ def _closed_form(
     asked = asked[np.argsort((asked % study.targets.turns).astype(np.uint16), kind="stable")]
     if len(asked):
         near_by = None if around is None else around.part(asked)
-        best, near = _on_grid(study, chain, poses[asked], near_by)
+        best, near = _on_grid(study, chain, poses.take(asked, axis=0), near_by)
         columns["reason"][asked], columns["solutions"][asked] = best.reason, best.solutions
         _answered(columns, chain, poses, asked, best)
         kinds = (Reason.OUT_OF_REACH, Reason.LIMITS) if study.refine else ()
@@ -239,10 +239,12 @@ def _answered(columns: dict[str, np.ndarray], chain: Chain, poses: np.ndarray, a
     rows = asked[some]
     if not len(rows):
         return
-    inside, *found = in_blocks(_posture(arm_of(chain)), poses[rows], best.leading[some], best.branch[some], double=True)
+    these = poses.take(rows, axis=0), best.leading[some], best.branch[some]
+    inside, *found = in_blocks(_posture(arm_of(chain)), *these, double=True)
     columns["reason"][rows[~inside]], columns["solutions"][rows[~inside]] = Reason.LIMITS, 0
+    good = slice(None) if inside.all() else inside  # nearly always: nothing is copied
     for name, values in zip(("clearance", *WORTH), (best.clearance[some], *found), strict=True):
-        columns[name][rows[inside]] = values[inside]
+        columns[name][rows[good]] = values[good]
 
 
 def _between(study: Study, chain: Chain, poses: np.ndarray, around: _Crops | None) -> tuple[_Best, np.ndarray]:
