@@ -207,7 +207,7 @@ def processes() -> dict[str, Any]:
 
 def kills() -> dict[str, Any]:
     """A sweep killed (-9) 20 times at random moments, each time begun again, beside one that was left alone."""
-    study = {"robot": "p6r", "slides": 11, "chunk": 250, "collision": {"scene": "cucumber_row"}, "audited": 500}
+    study = {"robot": "p6r", "slides": 11, "chunk": 50, "collision": {"scene": "cucumber_row"}, "audited": 500}
     study["targets"] = BOX | {"x": [-0.3, 1.3, 20], "y": [0.1, 0.9, 10], "z": [-0.2, 1.0, 20], "directions": DIRECTIONS}
     code = (
         "import sys, json, jaxik; from jaxik.batch import compilation_cache; compilation_cache()\n"
@@ -223,7 +223,7 @@ def kills() -> dict[str, Any]:
             before = len(list(Path(path).glob("crc/c/*")))
             while len(list(Path(path).glob("crc/c/*"))) == before and process.poll() is None and time.monotonic() - begun < 120:
                 time.sleep(0.01)
-            time.sleep(draw.uniform(0.0, 0.3))
+            time.sleep(draw.uniform(0.0, 0.1))
             if process.poll() is not None:
                 break
             process.send_signal(signal.SIGKILL)

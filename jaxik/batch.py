@@ -72,7 +72,7 @@ def in_blocks(
         here = len(part[0])
         padded = [np.resize(r, (size, *r.shape[1:])) if here < size else r for r in part]  # of no rows it makes zeros
         with jax.enable_x64(wide):
-            return [np.asarray(x)[:here] for x in jax.tree_util.tree_leaves(function(*made(*padded), *fixed))]
+            return [np.array(x)[:here] for x in jax.tree_util.tree_leaves(function(*made(*padded), *fixed))]
 
     return _by_blocks(block, columns, size)
 

@@ -81,10 +81,21 @@ def _search(chain: Chain, poses: np.ndarray, slides: int, depth: int, found: Bet
     found.open[target] = True
 
 
-def within_reach(chain: Chain, poses: np.ndarray) -> np.ndarray:
-    """Whether the arm comes near enough to each of the poses (N, 4, 4) at any leading position; where not, that is a proof."""
-    k = chain.num_joints - 6
-    return np.any(_within_reach(chain, poses, COARSE), axis=1) if k else np.ones(len(poses), bool)
+def beyond(chain: Chain, poses: np.ndarray) -> np.ndarray:
+    """Whether each of the poses (N, 4, 4) is proven to be out of reach: of the chain, or of the arm at any leading position."""
+    spheres = _spheres(chain, COARSE)
+    (found,) = in_blocks(_BEYOND, poses, fixed=(reach(chain), spheres[0].tip_p, *spheres[1:]), double=True)
+    return found
+
+
+def _beyond(pose: Any, bound: Reach, tip_p: Any, origin: Any, within: Any) -> Any:
+    whole, arm = (pose[:3, :3] @ p + pose[:3, 3] for p in (bound.tip_p, tip_p))
+    away = jnp.linalg.norm(whole - bound.origin)
+    far = (away > bound.longest + SLACK) | (away < bound.shortest - SLACK)
+    return far | ~jnp.any(arm @ arm - 2.0 * origin @ arm <= within)
+
+
+_BEYOND = HostKernel(_beyond, 1)
 
 
 def _cells(chain: Chain, slides: int) -> tuple[np.ndarray, np.ndarray]:
@@ -99,9 +110,6 @@ def _cells(chain: Chain, slides: int) -> tuple[np.ndarray, np.ndarray]:
 
 def _within_reach(chain: Chain, poses: np.ndarray, slides: int) -> np.ndarray:
     """Which cells (N, m) may have the arm near enough to a pose, by its reach: cheap, and most are not."""
-    count = max(slides - 1, 1) ** (chain.num_joints - 6)
-    if any(not p for p in chain.is_prismatic[: chain.num_joints - 6]):  # a turn moves the arm's base by what its own reach is
-        return np.ones((len(poses), count), bool)
     bound, origin, within = _spheres(chain, slides)
     points = bound.point(poses)
     # |p - o|^2 by its parts: a fifth of the time of differences, and rounding is far below the slack. Not by `@`: BLAS lets its
@@ -114,11 +122,14 @@ def _within_reach(chain: Chain, poses: np.ndarray, slides: int) -> np.ndarray:
 
 @functools.lru_cache(maxsize=64)
 def _spheres(chain: Chain, slides: int) -> tuple[Reach, np.ndarray, np.ndarray]:
-    """The arm's reach; and of each cell the sphere's centre (m, 3) that it fills, and `radius^2 - |centre|^2` (m,)."""
+    """The arm's reach; and of each cell the sphere's centre (m, 3) that it fills, and `radius^2 - |centre|^2` (m,): without
+    bound where a leading joint turns, which moves the arm's base by what its own reach is."""
     centres, half = _cells(chain, slides)
-    bound = reach(chain.part(chain.num_joints - 6, chain.num_joints))
-    leading = centres.astype(np.float64).T
-    frame: Frame = joint_frames(chain.part(0, len(half)), list(leading)).joints[-1]
+    k = len(half)
+    bound = reach(chain.part(k, chain.num_joints))
+    if not k or not all(chain.is_prismatic[:k]):
+        return bound, np.zeros((len(centres), 3)), np.full(len(centres), np.inf)
+    frame: Frame = joint_frames(chain.part(0, k), list(centres.astype(np.float64).T)).joints[-1]
     frames = np.stack([np.broadcast_to(np.asarray(x, np.float64), len(centres)) for x in frame.entries], -1).reshape(-1, 4, 4)
     origin = (frames @ np.append(bound.origin, 1.0))[:, :3]
     return bound, origin, (bound.longest + float(half.sum()) + SLACK) ** 2 - np.sum(origin * origin, axis=1)

@@ -1,9 +1,9 @@
 """The best posture of a target over all positions of the leading joints (the slide).
 
 `scan` keeps every candidate of one fruit; this keeps, of each of millions of targets, what a map needs: which branches are
-inside the limits at which leading positions, and the freest of them. Most pairs of a target and a leading position have none,
-and joints 1 to 3 alone tell that without one angle: so a loop over the positions leaves a byte a pair, and only the pairs that
-may have a branch are solved. Three times faster than solving all, twelve times faster than looking at all candidates.
+inside the limits at which leading positions, and the freest of them. One loop over the positions, a target a lane: joints 1 to
+3 alone tell without one angle that most positions have none, and only what some lane still asks for there is solved. So lanes
+that are neighbours should be alike.
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ from jaxik.ball import possible
 from jaxik.batch import in_blocks
 from jaxik.chain import Chain, finite_limits
 from jaxik.choice import as_count_or_values
-from jaxik.closed_form import TURN, WAYS, half_branches, wrist_branches
+from jaxik.closed_form import TURN, HalfBranch, half_branches, wrist_branches
 from jaxik.spmd import HostKernel
 
 NOTHING = -2.0  # freedom of a branch that does not have the pose; past its limits the freest joint of all has -1 at least
@@ -50,41 +50,30 @@ class Freest(NamedTuple):
     """Of each target (N,): the freest branch over the leading positions, and what else is inside the limits.
 
     `freedom` is that of `costs.joint_freedom`: >= 0 inside the limits, -1 to 0 past them, less where no branch has the pose.
-    `lead` is the row of the leading positions, `branches` (N, m) has one bit a branch that is inside the limits there.
+    `lead` is the row of the leading positions, `inside` how many branches are inside the limits over all of them, and
+    `branches` (N, m) has one bit for each that is inside there.
     """
 
     freedom: np.ndarray
     lead: np.ndarray
     branch: np.ndarray
+    inside: np.ndarray
     branches: np.ndarray
 
 
 def freest(chain: Chain, poses: np.ndarray, leading: np.ndarray) -> Freest:
     """The freest posture of each of the poses `base_T_tip` (N, 4, 4) over `leading` (m, k) [m, rad]; in float32."""
-    poses, leading, arm = poses.astype(np.float32), leading.astype(np.float32), arm_of(chain)
-    count, zeros = len(leading), np.zeros(len(poses), np.int32)
-    rows = lambda pair: (poses.take(pair // count, axis=0), leading.take(pair % count, axis=0))
-    branches = np.zeros(len(poses) * count, np.uint8)
-    found = Freest(np.full(len(poses), NOTHING, np.float32), zeros, zeros.copy(), branches.reshape(-1, count))
-    may = _worth_solving(arm, poses, leading)
-    some = np.flatnonzero(may)
-    may = may[some]
-    for half, signs in enumerate(WAYS):
-        pairs = some[(may & (1 << half)) != 0].astype(np.int32)
-        if not len(pairs):
-            continue
-        freedom, wrist, inside = in_blocks(
-            _half_freedom(arm), pairs, fixed=tuple(map(np.float32, signs)), double=False, rows=rows
-        )
-        branches[pairs] |= inside << 2 * half
-        target = pairs // count
-        best = first_most(target, freedom)
-        target = target[best]
-        better = freedom[best] > found.freedom[target]
-        target, best = target[better], best[better]
-        found.freedom[target], found.lead[target] = freedom[best], pairs[best] % count
-        found.branch[target] = 2 * half + wrist[best]
-    return found
+    size = next(s for s in (4**n for n in range(2, 16)) if s >= len(leading))
+    padded = np.concatenate([leading, np.repeat(leading[:1], size - len(leading), axis=0)])
+    asked = lambda poses, past: Freest(
+        *in_blocks(_freest(arm_of(chain), size), poses, fixed=(padded, np.int32(len(leading)), past), double=False)
+    )
+    poses = poses.astype(np.float32)
+    found = asked(poses, False)
+    none = np.flatnonzero(found.freedom == NOTHING)
+    for column, values in zip(found[:3], asked(poses[none], True), strict=False):
+        column[none] = values
+    return found._replace(branches=found.branches[:, : len(leading)])
 
 
 def first_most(owner: np.ndarray, value: np.ndarray) -> np.ndarray:
@@ -97,17 +86,6 @@ def first_most(owner: np.ndarray, value: np.ndarray) -> np.ndarray:
     return rows[np.diff(owner[rows], prepend=-1) != 0]
 
 
-def _worth_solving(arm: Chain, poses: np.ndarray, leading: np.ndarray) -> np.ndarray:
-    """Of each pair (N * m,) a bit a way of joints 1 to 3 that may be inside the limits; of targets without one, that exists."""
-    size = next(s for s in (4**n for n in range(2, 16)) if s >= len(leading))
-    padded = np.concatenate([leading, np.repeat(leading[:1], size - len(leading), axis=0)])
-    may, inside = in_blocks(_may_have(arm, size), poses, fixed=(padded, np.int32(len(leading))), double=False)
-    may = may[:, : len(leading)]
-    found = may & 15
-    found[~inside] = may[~inside] >> 4
-    return found.ravel()
-
-
 @functools.lru_cache(maxsize=64)
 def arm_of(chain: Chain) -> Chain:
     """The chain without its mount and the strokes of its leading slides, which enter no program of this module: another place
@@ -118,24 +96,56 @@ def arm_of(chain: Chain) -> Chain:
 
 
 @functools.lru_cache(maxsize=64)
-def _may_have(chain: Chain, count: int) -> HostKernel:
-    """Compiled, by rows of poses, for the first `many` of the leading positions (count, k): a byte (count,), of each way of
-    joints 1 to 3 a low bit if it may be inside the limits and a high bit if it has the pose; and whether any may be inside."""
+def _freest(chain: Chain, size: int) -> HostKernel:
+    """Compiled, by rows of poses: `Freest` over the first `many` of the leading positions (size, k); among the ways of joints 1
+    to 3 that may be inside the limits or, if `past`, all that have the pose. What no lane asks for is not computed."""
 
-    def target(pose: Any, leading: Any, many: Any) -> Any:
-        def turn(i: Any, so_far: Any) -> Any:
-            found, any_inside = so_far
-            bits: list[Any] = []
-            for j, half in enumerate(half_branches(chain, pose, leading[i])):
-                has = half.margin >= 0.0
-                inside = has & may_be_inside(chain, half.turns, NEARLY)
-                any_inside = any_inside | inside
-                bits += [has.astype(jnp.uint8) << (4 + j), inside.astype(jnp.uint8) << j]
-            return lax.dynamic_update_index_in_dim(found, functools.reduce(jnp.bitwise_or, bits), i, 0), any_inside
+    def target(pose: Any, leading: Any, many: Any, past: Any) -> tuple[Any, ...]:
+        def turn(best: _Best, i: Any) -> tuple[_Best, Any]:
+            ways = half_branches(chain, pose, leading[i])
+            may = [(way.margin >= 0.0) & (past | may_be_inside(chain, way.turns, NEARLY)) for way in ways]
 
-        return lax.fori_loop(0, many, turn, (jnp.zeros(count, jnp.uint8), jnp.zeros((), bool)))
+            def solved(best: _Best) -> _Best:
+                for number, way in enumerate(ways):
+                    freer = functools.partial(_freer, chain, leading[i], i, number, way)
+                    best = lax.cond(may[number], freer, lambda best: best, best)
+                return best
+
+            best = lax.cond(functools.reduce(jnp.logical_or, may), solved, lambda best: best, best)
+            return best._replace(here=jnp.uint8(0)), best.here
+
+        skip = lambda best, _: (best, jnp.uint8(0))
+        zero = jnp.int32(0)
+        nothing = _Best(jnp.asarray(NOTHING, pose.dtype), zero, zero, zero, jnp.uint8(0))
+        best, branches = lax.scan(lambda best, i: lax.cond(i < many, turn, skip, best, i), nothing, jnp.arange(size))
+        return *best[:-1], branches
 
     return HostKernel(target, 1)
+
+
+class _Best(NamedTuple):
+    """Of one target so far: the freest branch, how many are inside the limits, and a bit for each of those at this position."""
+
+    freedom: Any
+    lead: Any
+    branch: Any
+    inside: Any
+    here: Any
+
+
+def _freer(chain: Chain, leading: Any, lead: Any, number: int, way: HalfBranch, best: _Best) -> _Best:
+    """With the two branches of a way of joints 1 to 3; of those that are as free the first way counts, and its first lead."""
+    one, two = (_freedom(chain, leading, *branch) for branch in wrist_branches(chain, way, leading.dtype))
+    freedom, branch = jnp.maximum(one, two), 2 * number + (two > one).astype(jnp.int32)
+    better = (freedom > best.freedom) | ((freedom == best.freedom) & (number < best.branch // 2))
+    bits = [(each >= 0.0).astype(jnp.uint8) for each in (one, two)]
+    return _Best(
+        jnp.where(better, freedom, best.freedom),
+        jnp.where(better, lead, best.lead),
+        jnp.where(better, branch, best.branch),
+        best.inside + sum(bits).astype(jnp.int32),
+        best.here | bits[0] << 2 * number | bits[1] << 2 * number + 1,
+    )
 
 
 def may_be_inside(chain: Chain, turns: Any, slack: float) -> Any:
@@ -150,30 +160,17 @@ def may_be_inside(chain: Chain, turns: Any, slack: float) -> Any:
     return inside
 
 
-@functools.lru_cache(maxsize=64)
-def _half_freedom(chain: Chain) -> HostKernel:
-    """Compiled, by rows of poses and leading joints, for the way of joints 1 to 3 that has these signs: the freedom of the
-    freer of its two branches (`NOTHING` where it does not have the pose), its number, and a bit for each that is inside."""
+def _freedom(chain: Chain, leading: Any, angles: Any, margin: Any) -> Any:
+    """`costs.joint_freedom` of a branch, its angles turned to the middle of their ranges; `NOTHING` where it lacks the pose."""
     low, high = finite_limits(chain)
     middle, half = (low + high) / 2.0, np.maximum((high - low) / 2.0, 1e-9)
-    counted = np.flatnonzero(chain.is_limited & ~np.array(chain.is_prismatic))
-
-    def freedom(leading: Any, angles: Any, margin: Any) -> Any:
-        least: Any = 1.0
-        for i in counted:
-            away = [*leading, *angles][i] - middle[i]
-            if i < len(leading):  # given, and so inside
-                each = jnp.maximum(1.0 - jnp.abs(away) * (1.0 / half[i]), 0.0)
-            else:
-                each = 1.0 - jnp.abs(away - jnp.round(away * (1.0 / TURN)) * TURN) * (1.0 / half[i])
-            least = jnp.minimum(least, each)
-        return jnp.where(margin >= 0.0, jnp.maximum(least, -1.0), NOTHING)
-
-    def pair(pose: Any, leading: Any, shoulder: Any, elbow: Any) -> Any:
-        head = [leading[i] for i in range(chain.num_joints - 6)]
-        (way,) = half_branches(chain, pose, leading, (shoulder,), (elbow,))
-        one, two = (freedom(head, *branch) for branch in wrist_branches(chain, way, pose.dtype))
-        inside = (one >= 0.0).astype(jnp.uint8) | (two >= 0.0).astype(jnp.uint8) << 1
-        return jnp.maximum(one, two), (two > one).astype(jnp.int32), inside
-
-    return HostKernel(pair, 2)
+    joints = [*(leading[i] for i in range(chain.num_joints - 6)), *angles]
+    least: Any = 1.0
+    for i in np.flatnonzero(chain.is_limited & ~np.array(chain.is_prismatic)):
+        away = joints[i] - middle[i]
+        if i < chain.num_joints - 6:  # given, and so inside
+            each = jnp.maximum(1.0 - jnp.abs(away) * (1.0 / half[i]), 0.0)
+        else:
+            each = 1.0 - jnp.abs(away - jnp.round(away * (1.0 / TURN)) * TURN) * (1.0 / half[i])
+        least = jnp.minimum(least, each)
+    return jnp.where(margin >= 0.0, jnp.maximum(least, -1.0), NOTHING)

@@ -9,6 +9,7 @@ from hypothesis import strategies as st
 from robots import ROBOTS, bare, joint_range, pinocchio
 
 import jaxik
+from jaxik.between import beyond
 from jaxik.reach import reach
 
 SHIPPED = ["p6r", "crops_v2", "chembuly9", "pendulum4", "planar2"]
@@ -43,6 +44,19 @@ def test_no_configuration_lies_beyond(name, rotation):
     assert 0.0 <= bound.shortest <= bound.longest < np.inf and bound.length > 0.0
     away = np.linalg.norm(bound.point(tips(chain, rows)) - bound.origin, axis=1)
     assert away.max() > 0.5 * bound.longest  # nor is it just any large number
+
+
+def test_beyond_all_positions_of_the_slide():
+    """No pose that p6r has; all that lie further from the arm than half a coarse cell, wherever the slide is."""
+    chain, rng = jaxik.load("p6r"), np.random.default_rng(1)
+    poses = tips(chain, rng.uniform(chain.lower, chain.upper, (300, 7)))
+    assert not beyond(chain, poses).any()
+    poses[:, :3, 3] += rng.normal(size=(300, 3)) * 0.5
+    slides = np.zeros((101, 1, 4, 4))
+    slides[:, 0, 2, 3] = np.linspace(0.0, 1.0, 101)  # along the base's z
+    least = np.min([reach(chain.part(1, 7)).excess(poses - slide) for slide in slides], axis=0)
+    far = beyond(chain, poses)
+    assert np.all(least[far] > 0.0) and np.all(far[least > 1.0 / 16.0 + 0.005]) and 0.2 < far.mean() < 0.8
 
 
 def random_chain(rng, n, scale):

@@ -24,6 +24,7 @@ from scipy.spatial.transform import Rotation
 import jaxik
 from jaxik import Reason
 from jaxik.load import models_folder
+from jaxik.spmd import HostKernel
 from jaxik.sweep.cluster import _on_worker, _piece
 from jaxik.sweep.store import StoreError
 from jaxik.sweep.targets import directions
@@ -69,14 +70,15 @@ def bits(folder):
 
 
 def test_map_is_that_of_eaik_over_the_same_slides(small):
-    """Reachable and the number of postures, EAIK looped over the slide and the limits applied to what it finds."""
+    """Reachable, the number of postures and how free the best is, EAIK looped over the slide and the limits applied to what it
+    finds."""
     chain, data = small.study.variants[0].chain, small.dataset()
     robot, tip = eaik_robot(chain)
     poses = np.linalg.inv(chain.world_T_base) @ small.study.targets.part(0, len(small.study.targets))
     slides = np.linspace(0.0, 1.0, 11)
     lower, upper = chain.lower[1:], chain.upper[1:]
     for i in range(0, len(poses), 7):
-        count = 0
+        count, freest = 0, 0.0
         for slide in slides:
             pose = poses[i].copy()
             pose[:3, 3] -= [0.0, 0.0, slide]  # the slide runs along the base's z
@@ -85,8 +87,11 @@ def test_map_is_that_of_eaik_over_the_same_slides(small):
             q = np.array(found.Q)[~np.array(found.is_LS)].reshape(-1, 6)
             turned = q + np.round(((lower + upper) / 2.0 - q) / (2.0 * np.pi)) * 2.0 * np.pi
             count += int(np.sum(np.all((turned >= lower) & (turned <= upper), axis=1)))
+            room = np.minimum(turned - lower, upper - turned) / ((upper - lower) / 2.0)
+            freest = max(freest, np.max(np.min(room, axis=1), initial=0.0))
         grid = 0 if data.between.values[i] else int(data.solutions.values[i])
         assert grid == count, (i, poses[i])
+        assert not grid or abs(float(data.limit_margin.values[i]) - freest) < 1e-5
 
 
 def test_postures_have_their_targets_by_pinocchio(small):
@@ -124,7 +129,9 @@ def test_nothing_is_missed_that_was_said_to_be_proven():
     assert np.all(found <= (coarse["between"] | ~coarse["proven"])) and np.all(alone["proven"] <= coarse["proven"])
 
 
-def test_two_leading_joints_of_which_one_turns(tmp_path):
+def test_two_leading_joints_of_which_one_turns(tmp_path, monkeypatch):
+    """By kernels alone, those over 1,681 positions too."""
+    monkeypatch.setattr(HostKernel, "by_xla", None)
     turn = '[[joint]]\nname = "turn"\ntype = "revolute"\na = 0.2\nlower_deg = -60\nupper_deg = 60\n\n'
     text = (models_folder() / "p6r.toml").read_text()
     (tmp_path / "turned.toml").write_text(text.replace("[[joint]]", turn + "[[joint]]", 1))
@@ -293,6 +300,12 @@ def test_kinds_of_targets(tmp_path):
         assert targets.poses.shape == (9, 7) and np.allclose(frames[:, :3, :3], turned.as_matrix(), atol=1e-14)
         assert np.allclose(frames[:, :3, 3], rows[2:, :3]) and np.all(frames[:, 3] == [0.0, 0.0, 0.0, 1.0])
         assert np.allclose(targets.wxyz_at(np.arange(2, 9)), turned.as_quat(canonical=True)[:, [3, 0, 1, 2]])
+    base, some = np.linalg.inv(jaxik.load("p6r").world_T_base), np.array([700, 3, 3, 250])
+    for targets in (jaxik.Study.of(SMALL).targets, crop, of(poses=rows[:, :3], directions=4)):
+        chosen = some % len(targets)
+        assert np.allclose(targets.poses_at(chosen, base), base @ targets.poses_at(chosen), atol=1e-15)
+        assert np.array_equal(targets.poses_at(chosen), targets.part(0, len(targets))[chosen])
+        assert np.array_equal(targets.positions_at(chosen), targets.poses_at(chosen)[:, :3, 3])
     unit = directions(50)
     assert np.allclose(np.linalg.norm(unit, axis=1), 1.0) and np.linalg.norm(unit.mean(axis=0)) < 0.01
 

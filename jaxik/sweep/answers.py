@@ -14,7 +14,7 @@ import numpy as np
 
 from jaxik.algebra import traced
 from jaxik.batch import in_blocks
-from jaxik.between import between, within_reach
+from jaxik.between import between, beyond
 from jaxik.chain import Chain, finite_limits
 from jaxik.closed_form import BRANCHES, closed_branches, closed_forms, one_branch
 from jaxik.collision import clearance
@@ -23,7 +23,6 @@ from jaxik.hierarchy import Grouped, grouped
 from jaxik.ik import IKResult, as_poses, solve_ik
 from jaxik.kinematics import manipulability, pose_errors
 from jaxik.leading import NOTHING, arm_of, first_most, freest, grid, leading_grid
-from jaxik.reach import reach
 from jaxik.result import Reason
 from jaxik.scan import measures
 from jaxik.scene import Scene, make_scene, remembered
@@ -32,8 +31,8 @@ from jaxik.sweep.study import Study, Variant
 from jaxik.sweep.targets import Targets
 
 GIVEN = ("position", "quaternion")  # columns that are the target's own, the same whatever it is asked of
+WORTH = ("q", "position_error", "rotation_error", "manipulability", "limit_margin")  # columns of a posture
 PORTION = 6000  # targets at a time whose colliding candidates stand in memory
-SLACK = 1e-9  # [m]
 NEAR = 2  # postures of a target that collides on the grid beside which a clear one is looked for
 
 
@@ -76,20 +75,18 @@ COLUMNS = {
 
 def answer(study: Study, variant: Variant, rows: slice) -> dict[str, np.ndarray]:
     """The columns of some of the study's targets for one variant, one row a target."""
-    given = study.targets.part(rows.start, rows.stop)
     count, chain = rows.stop - rows.start, variant.chain
-    columns = {k: blank(c, count, {"joint": study.joints, "xyz": 3, "wxyz": 4}) for k, c in COLUMNS.items()}
-    columns |= given_columns(study.targets, rows)
     base_T_world = np.linalg.inv(chain.world_T_base)
-    elsewhere = study.targets.frame == "world" and not np.array_equal(base_T_world, np.eye(4))
-    poses, valid = base_T_world @ given if elsewhere else given, np.ones(count, bool)
+    base_T_frame = base_T_world if study.targets.frame == "world" else None
+    poses, valid = study.targets.part(rows.start, rows.stop, base_T_frame), np.ones(count, bool)
     if study.targets.poses is not None:  # someone else's, who may have got them wrong
         poses, valid, _ = as_poses(poses, study.ik.task)
     around = _Crops.of(study, chain, rows, base_T_world) if study.collision else None
     solve = _closed_form if study.method(chain) == "closed form" else _search
-    for name, values in solve(study, _at_home(chain), poses, valid, around).items():
-        columns[name][:] = values if name != "q" else _padded(values, study.joints)
-    return columns
+    found = given_columns(study.targets, rows) | solve(study, _at_home(chain), poses, valid, around)
+    found["q"] = _padded(found["q"], study.joints)
+    missing = {name: blank(COLUMNS[name], count, {}) for name in COLUMNS.keys() - found.keys()}
+    return missing | {name: np.asarray(values, COLUMNS[name].dtype) for name, values in found.items()}
 
 
 def given_columns(targets: Targets, rows: slice) -> dict[str, np.ndarray]:
@@ -172,7 +169,8 @@ def blank(column: Column, count: int, sizes: dict[str, int]) -> np.ndarray:
 
 
 def _padded(q: np.ndarray, joints: int) -> np.ndarray:
-    return np.concatenate([q, np.full((len(q), joints - q.shape[1]), np.nan)], axis=1)
+    more = joints - q.shape[1]
+    return np.concatenate([q, np.full((len(q), more), np.nan)], axis=1) if more else q
 
 
 # --------------------------------------------------------------------------------------------------------------------
@@ -198,16 +196,18 @@ def _closed_form(
     study: Study, chain: Chain, poses: np.ndarray, valid: np.ndarray, around: _Crops | None
 ) -> dict[str, np.ndarray]:
     """The postures of poses (N, 4, 4) on the grid of leading positions and, where it has none, between them."""
-    beyond = ~valid | (reach(chain).excess(poses) > SLACK) | ~within_reach(chain, poses)
+    proven = ~valid | beyond(chain, poses)
     columns = _no_answer(chain, len(poses)) | {
         "reason": np.where(valid, Reason.OUT_OF_REACH, Reason.INVALID).astype(np.int8),
-        "proven": beyond,
+        "proven": proven,
         "between": np.zeros(len(poses), bool),
     }
-    asked = np.flatnonzero(~beyond)
+    asked = np.flatnonzero(~proven)
+    # by tool direction: lanes that are neighbours then ask for the same positions and ways
+    asked = asked[np.argsort((asked % study.targets.turns).astype(np.uint16), kind="stable")]
     if len(asked):
         near_by = None if around is None else around.part(asked)
-        best, near = _on_grid(study, chain, poses[asked], near_by)
+        best, near = _on_grid(study, chain, poses.take(asked, axis=0), near_by)
         columns["reason"][asked], columns["solutions"][asked] = best.reason, best.solutions
         _answered(columns, chain, poses, asked, best)
         kinds = (Reason.OUT_OF_REACH, Reason.LIMITS) if study.refine else ()
@@ -236,12 +236,15 @@ def _answered(columns: dict[str, np.ndarray], chain: Chain, poses: np.ndarray, a
     """Solves the best postures of the targets `asked` again in float64. One that is there past a limit, by what float32 rounds,
     is none."""
     some = np.flatnonzero(best.reason == Reason.SOLVED)
-    q, inside = _exact(chain, poses[asked[some]], best.leading[some], best.branch[some])
-    past = asked[some[~inside]]
-    columns["reason"][past], columns["solutions"][past] = Reason.LIMITS, 0
-    some = some[inside]
-    _fill(columns, chain, asked[some], q[inside], poses[asked[some]])
-    columns["clearance"][asked[some]] = best.clearance[some]
+    rows = asked[some]
+    if not len(rows):
+        return
+    these = poses.take(rows, axis=0), best.leading[some], best.branch[some]
+    inside, *found = in_blocks(_posture(arm_of(chain)), *these, double=True)
+    columns["reason"][rows[~inside]], columns["solutions"][rows[~inside]] = Reason.LIMITS, 0
+    good = slice(None) if inside.all() else inside  # nearly always: nothing is copied
+    for name, values in zip(("clearance", *WORTH), (best.clearance[some], *found), strict=True):
+        columns[name][rows[good]] = values[good]
 
 
 def _between(study: Study, chain: Chain, poses: np.ndarray, around: _Crops | None) -> tuple[_Best, np.ndarray]:
@@ -252,7 +255,8 @@ def _between(study: Study, chain: Chain, poses: np.ndarray, around: _Crops | Non
     best.leading[rows], best.branch[rows] = found.leading[rows], found.branch[rows]
     best.reason[rows], best.solutions[rows] = Reason.SOLVED, 1
     if around is not None and len(rows):
-        q, _ = _exact(chain, poses[rows], found.leading[rows], found.branch[rows])
+        branches = closed_branches(arm_of(chain))
+        q, _ = in_blocks(branches, poses[rows], found.leading[rows], found.branch[rows], double=True)
         best.clearance[rows], _ = around.measured(measures(arm_of(chain)), rows, q)
         hits = rows[~(best.clearance[rows] >= study.margin)]
         best.reason[hits], best.solutions[hits], found.open[hits] = Reason.COLLISION, 0, True
@@ -264,39 +268,32 @@ def _no_answer(chain: Chain, count: int) -> dict[str, np.ndarray]:
     return {k: blank(COLUMNS[k], count, {"joint": chain.num_joints}) for k in names}
 
 
-def _fill(columns: dict[str, np.ndarray], chain: Chain, rows: np.ndarray, q: np.ndarray, poses: np.ndarray) -> None:
-    """What postures `q` of the targets `rows` are worth."""
-    if not len(rows):
-        return
-    columns["q"][rows] = q
-    names = ("position_error", "rotation_error", "manipulability", "limit_margin")
-    for name, values in zip(names, in_blocks(_worth(chain), q, poses, double=True), strict=True):
-        columns[name][rows] = values
+@functools.lru_cache(maxsize=64)
+def _worth(chain: Chain) -> HostKernel:
+    """`WORTH` of joint positions, by rows of these and the poses that they are for."""
+    errors = lambda q, pose: pose_errors(chain, list(q), traced(pose))
+    return HostKernel(lambda q, pose: (q, *errors(q, pose), manipulability(chain, q), joint_freedom(chain, q)), 2)
 
 
 @functools.lru_cache(maxsize=64)
-def _worth(chain: Chain) -> HostKernel:
-    errors = lambda q, pose: pose_errors(chain, list(q), traced(pose))
-    return HostKernel(lambda q, pose: (*errors(q, pose), manipulability(chain, q), joint_freedom(chain, q)), 2)
+def _posture(chain: Chain) -> HostKernel:
+    """By rows of poses, leading joints and a branch's number: whether it has the pose inside the limits, and its `WORTH`."""
 
+    def posture(pose: Any, leading: Any, number: Any) -> Any:
+        q, inside = one_branch(chain, pose, leading, number)
+        return inside, *_worth(chain).function(q, pose)
 
-def _exact(chain: Chain, poses: np.ndarray, leading: np.ndarray, branch: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """One branch of each pose in float64 (N, n), and whether it is inside the limits (N,)."""
-    if not len(poses):
-        return np.zeros((0, chain.num_joints)), np.zeros(0, bool)
-    q, within = in_blocks(closed_branches(arm_of(chain)), poses, leading, branch, double=True)
-    return q, within
+    return HostKernel(posture, 3)
 
 
 def _on_grid(study: Study, chain: Chain, poses: np.ndarray, around: _Crops | None) -> tuple[_Best, _Near]:
     """The best over the grid of leading positions; and of targets whose postures all collide, the nearest to be clear."""
     leading = leading_grid(chain, study.slides)
     found = freest(chain, poses, leading)
-    counts = np.bitwise_count(found.branches).sum(axis=1, dtype=np.int32)
-    beyond = np.where(found.freedom > NOTHING, Reason.LIMITS, Reason.OUT_OF_REACH)
-    reason = np.where(counts > 0, Reason.SOLVED, beyond).astype(np.int8)
+    past = np.where(found.freedom > NOTHING, Reason.LIMITS, Reason.OUT_OF_REACH)
+    reason = np.where(found.inside > 0, Reason.SOLVED, past).astype(np.int8)
     none = np.full(len(poses), np.nan, np.float32)
-    best = _Best(leading[found.lead], found.branch.copy(), counts, none, reason)
+    best = _Best(leading[found.lead], found.branch, found.inside, none, reason)
     near = [_Near.nothing(leading.shape[1])]
     if around is None:
         return best, near[0]
@@ -405,7 +402,9 @@ def _searched(study: Study, chain: Chain, poses: np.ndarray, scene: Grouped | No
     found: IKResult = solve_ik(chain, poses, scene, study.seed, study.ik)
     columns = _no_answer(chain, len(poses))
     rows = np.flatnonzero(found.success)
-    _fill(columns, chain, rows, found.q[rows], poses[rows])
+    worth = in_blocks(_worth(chain), found.q[rows], poses[rows], double=True) if len(rows) else []
+    for name, values in zip(WORTH, worth, strict=False):
+        columns[name][rows] = values
     if not all(study.ik.task.bound):  # what the target leaves free is no error
         columns["rotation_error"][rows] = np.nan
     columns["clearance"][rows] = found.clearance[rows]

@@ -151,16 +151,19 @@ def _put(folder: Path, array: Any, number: tuple[int, ...], values: np.ndarray, 
         return False
     if [type(c).__name__ for c in array.metadata.codecs] != ["BytesCodec", "ZstdCodec", "Crc32cCodec"]:
         return False
-    whole = np.full(array.chunks, column.nothing, np.dtype(column.dtype).newbyteorder("<"))
-    whole.reshape(-1, *values.shape[1:])[: len(values)] = values
+    whole = np.ascontiguousarray(values, np.dtype(column.dtype).newbyteorder("<"))
+    short = array.chunks[len(number) - 1] - len(values)
+    if short:
+        whole = np.concatenate([whole, np.full((short, *whole.shape[1:]), column.nothing, whole.dtype)])
     file = folder.joinpath("c", *(str(i) for i in number), *("0" for _ in column.dims))
-    if np.all(np.isnan(whole)) if column.nothing != column.nothing else not np.any(whole != column.nothing):
+    if all(_nothing(some, column) for some in (whole[:100], whole)):
         file.unlink(missing_ok=True)  # nothing in all of it
         return True
     packed = zstd.compress(whole, array.metadata.codecs[1].level, array.metadata.codecs[1].checksum)
     aside = file.with_suffix(f".{uuid.uuid4().hex}.partial")
     try:
-        file.parent.mkdir(parents=True, exist_ok=True)
+        if not file.parent.exists():
+            file.parent.mkdir(parents=True, exist_ok=True)
         with aside.open("wb") as opened:
             opened.write(packed)
             opened.write(crc32c(packed).to_bytes(4, "little"))
@@ -168,6 +171,11 @@ def _put(folder: Path, array: Any, number: tuple[int, ...], values: np.ndarray, 
     finally:
         aside.unlink(missing_ok=True)
     return True
+
+
+def _nothing(values: np.ndarray, column: Column) -> bool:
+    """Whether there is no answer in any of them."""
+    return bool(np.all(np.isnan(values)) if column.nothing != column.nothing else not np.any(values != column.nothing))
 
 
 def _create(path: Path, study: Study) -> None:

@@ -60,28 +60,41 @@ class Targets:
     def __len__(self) -> int:
         return int(np.prod(self.shape, dtype=np.int64)) * self.turns
 
-    def part(self, start: int, stop: int) -> np.ndarray:
-        """The poses (stop - start, 4, 4) of the targets `start` to `stop - 1`."""
-        return self.poses_at(np.arange(start, stop))
+    def part(self, start: int, stop: int, base_T_frame: np.ndarray | None = None) -> np.ndarray:
+        """The poses (stop - start, 4, 4) of the targets `start` to `stop - 1`, in their frame or in a base."""
+        return self.poses_at(np.arange(start, stop), base_T_frame)
 
-    def poses_at(self, rows: np.ndarray) -> np.ndarray:
-        """The poses (r, 4, 4) of targets by number; with the identity for a rotation that is free."""
+    def poses_at(self, rows: np.ndarray, base_T_frame: np.ndarray | None = None) -> np.ndarray:
+        """The poses (r, 4, 4) of targets by number, in their frame or in a base; a rotation that is free is the frame's."""
         if self.poses is not None:
-            return as_frames(self.poses[rows])
-        poses = np.tile(np.eye(4), (len(rows), 1, 1))
-        poses[:, :3, 3] = self.positions_at(rows)
+            frames = as_frames(self.poses[rows])
+            return frames if base_T_frame is None else base_T_frame @ frames
+        turned = np.tile(np.eye(4), (self.turns, 1, 1))
         if len(self.rotations):
-            poses[:, :3, :3] = self.rotations[rows % self.turns]
+            turned[:, :3, :3] = self.rotations
+        if base_T_frame is not None:
+            turned = base_T_frame @ turned
+        poses = turned.take(rows % self.turns, axis=0)
+        poses[:, :3, 3] = self.positions_at(rows, base_T_frame)
         return poses
 
-    def positions_at(self, rows: np.ndarray) -> np.ndarray:
-        """The positions (r, 3) of targets by number [m]."""
+    def positions_at(self, rows: np.ndarray, base_T_frame: np.ndarray | None = None) -> np.ndarray:
+        """The positions (r, 3) of targets by number [m], in their frame or in a base."""
         if self.poses is not None:
-            given = self.poses[rows]
-            return given[:, :3, 3] if given.ndim == 3 else given[:, :3]
+            return self.poses_at(rows, base_T_frame)[:, :3, 3]
+        number = rows // self.turns
+        low = int(number.min(initial=len(self)))
+        span = int(number.max(initial=-1)) + 1 - low
+        dense = span <= len(rows)  # as those of a chunk are, and few for many directions
+        places = self._places(np.arange(low, low + span) if dense else number)
+        if base_T_frame is not None:
+            places = np.einsum("ni,ji->nj", places, base_T_frame[:3, :3]) + base_T_frame[:3, 3]
+        return places.take(number - low, axis=0) if dense else places
+
+    def _places(self, number: np.ndarray) -> np.ndarray:
         if not self.axes:
-            return self.positions[rows // self.turns]
-        index = np.unravel_index(rows // self.turns, self.shape)
+            return self.positions[number]
+        index = np.unravel_index(number, self.shape)
         return np.stack([a[i] for a, i in zip(self.axes, index, strict=True)], axis=-1)
 
     def wxyz_at(self, rows: np.ndarray) -> np.ndarray:
