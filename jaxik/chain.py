@@ -3,7 +3,8 @@
 A chain never changes: its arrays cannot be written. They are the leaves of a pytree, so that any of them may be traced:
 differentiate the reach with respect to a link's length by `equinox.tree_at`. Names and joint types are static. Numbers that are
 concrete while JAX traces fold into the program, so close over a chain (`jax.jit(lambda q: forward_kinematics(chain, q))`)
-rather than pass it through `jit`: both are right, the first is several times faster.
+rather than pass it through `jit`: both are right, the first is several times faster. Only a chain whose shapes are such
+numbers is judged by its `pair_tables`, too; any other by its volumes alone, which are larger than the links.
 """
 
 from __future__ import annotations
@@ -230,13 +231,14 @@ def solid_links(chain: Chain) -> list[int]:
     return sorted({box.link for box in chain.boxes} | {volume.link for volume in chain.volumes})
 
 
-def geometry_between(chain: Chain, first: int, second: int) -> str:
-    """A hash of all that decides how far two links are apart at given joints' values: the joints between, and the shapes."""
-    cut, content = slice(*sorted((chain.link_joint[first], chain.link_joint[second]))), hashlib.sha256()
-    volumes = [(v.link == second, v.corners, v.radius) for v in chain.volumes if v.link in (first, second)]
-    boxes = [(b.link == second, b.joint_T_box, b.half) for b in chain.boxes if b.link in (first, second)]
-    content.update(repr((chain.joint_types[cut], len(volumes), len(boxes))).encode())
-    for each in (chain.parent_T_joint[cut], chain.axis[cut], *(x for shape in (*volumes, *boxes) for x in shape)):
+def geometry_between(chain: Chain, links: tuple[int, int], joints: tuple[int, int]) -> str:
+    """A hash of all that decides how far two links are apart at given values of the joints between, two of which are `joints`:
+    these joints' frames and axes, and the links' shapes."""
+    first, last = sorted(chain.link_joint[link] for link in links)
+    shapes = [(v.link == links[0], v.corners, v.radius) for v in chain.volumes if v.link in links]
+    shapes += [(b.link == links[0], b.joint_T_box, b.half) for b in chain.boxes if b.link in links]
+    content = hashlib.sha256(repr((chain.joint_types[first:last], [j - first for j in joints], len(shapes))).encode())
+    for each in (chain.parent_T_joint[first:last], chain.axis[first:last], *(x for shape in shapes for x in shape)):
         content.update(np.ascontiguousarray(np.asarray(each, np.float64)).tobytes())
     return content.hexdigest()
 

@@ -13,6 +13,7 @@ from typing import NamedTuple
 import numpy as np
 
 MANY = 400  # directions that are looked in for a way out
+BLOCK = 64  # places at a time, which bounds the memory
 STEPS = 60  # corners that are looked at, at most; a dozen is usual
 CLOSE = 1e-4  # of a distance, to which it is sought
 FLAT = 1e-12  # of a simplex' size squared, below which it has no inside
@@ -31,18 +32,33 @@ def overlap(a: Body, b: Body, turn: np.ndarray, place: np.ndarray) -> np.ndarray
 
     Less than 0 only where a plane lies between the two.
     """
-    return np.array([_way_out(a, b, r, t) for r, t in zip(turn, place, strict=True)])
+    return ways_out(a, b, turn, place)[0]
 
 
-def _way_out(a: Body, b: Body, turn: np.ndarray, place: np.ndarray) -> float:
-    corners = b.corners @ turn.T + place
-    depth = lambda across: (a.corners @ across.T).max(axis=0) - (corners @ across.T).min(axis=0)
-    across = directions(MANY)
-    for spread in (0.16, 0.04, 0.01, 0.0):
-        along = across[depth(across).argmin()]
-        across = along + spread * np.concatenate([np.zeros((1, 3)), directions(48), 0.4 * directions(16)])
-        across = across / np.linalg.norm(across, axis=1, keepdims=True)
-    return float(depth(across[:1])[0]) + a.radius + b.radius
+def ways_out(a: Body, b: Body, turn: np.ndarray, place: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """`overlap`, and the directions (n, 3) from a to b in which it is so much."""
+    depth, across = np.zeros(len(place)), np.zeros((len(place), 3))
+    for k in range(0, len(place), BLOCK):
+        rows = slice(k, k + BLOCK)
+        depth[rows], across[rows] = _ways_out(a, b, turn[rows], place[rows])
+    return depth + (a.radius + b.radius), across
+
+
+def _ways_out(a: Body, b: Body, turn: np.ndarray, place: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    depth = lambda across: support(a, across) + support(b, -across @ turn) - np.einsum("...ki,...i->...k", across, place)
+    rows, around = np.arange(len(place)), np.concatenate([np.zeros((1, 3)), directions(48), 0.4 * directions(16)])
+    along = directions(MANY)[depth(np.broadcast_to(directions(MANY), (len(place), MANY, 3))).argmin(axis=1)]
+    for spread in (0.16, 0.04, 0.01):
+        across = along[:, None] + spread * around
+        across = across / np.linalg.norm(across, axis=2, keepdims=True)
+        told = depth(across)
+        along = across[rows, told.argmin(axis=1)]
+    return told.min(axis=1), along
+
+
+def support(body: Body, across: np.ndarray) -> np.ndarray:
+    """How far a body's corners are in directions (..., 3) [m]."""
+    return np.asarray((across @ body.corners.T).max(axis=-1))
 
 
 def directions(count: int) -> np.ndarray:

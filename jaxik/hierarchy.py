@@ -235,9 +235,9 @@ class Tables(NamedTuple):
 
 @dataclasses.dataclass(frozen=True)
 class Robot:
-    """A chain's volumes by corner count, and its parts: links from the tip to the base, each with a sphere around it.
+    """A chain's volumes by corner count, and its parts: links, the last first, each with a sphere around it.
 
-    `other[first[p]:last[p]]` are the parts before p, on the way from the base, that it is checked against.
+    `other[first[p]:last[p]]` are the parts, of earlier links, that part p is checked against.
     """
 
     links: tuple[int, ...]
@@ -277,11 +277,12 @@ def _robot(chain: Chain) -> Robot:
 
 
 def pair_tables(chain: Chain) -> list[PairTable]:
-    """Those that speak of the links as they are; none of a chain that is traced."""
-    if not is_known(chain):
+    """Those that speak of the links as they are; none where these are JAX arrays, which a kernel takes as operands."""
+    measured = jax.tree_util.tree_leaves((chain.parent_T_joint, chain.axis, chain.volumes, chain.boxes))
+    if not chain.pair_tables or any(isinstance(x, jax.Array) for x in measured):
         return []
     pairs = set(chain.self_pairs)
-    return [t for t in chain.pair_tables if t.links in pairs and t.geometry == geometry_between(chain, *t.links)]
+    return [t for t in chain.pair_tables if t.links in pairs and t.geometry == geometry_between(chain, t.links, t.joints)]
 
 
 def _tables(chain: Chain, pairs: list[tuple[int, int]]) -> Tables:

@@ -230,8 +230,9 @@ class Space:
 
         A distance pulls on the volume that it belongs to with a force f (its gradient by the volume's place) and a moment m
         about the origin, and on the other one with their opposites, since moving both together changes nothing. So only
-        joints between the two take part: `dD/dq_j = z_j . (m - p_j x f)` if joint j turns, `z_j . f` if it slides. That costs
-        one pull, where forward differentiation moves the whole robot n times.
+        joints between the two take part: `dD/dq_j = z_j . (m - p_j x f)` if joint j turns the first, `z_j . f` if it slides,
+        and less than 0 by as much if it moves the other one. That costs one pull, where forward differentiation moves the whole
+        robot n times.
         """
 
         def pull(gap: Gap, own: Any, other: Any, between: Any) -> Any:
@@ -247,7 +248,8 @@ class Space:
         rows = []
         for j, (axis, frame) in enumerate(zip(self.joints.axes, self.joints.joints, strict=True)):
             turns = axis.dot(moment - frame.translation.cross(force))
-            rows.append(jnp.where((other <= j) & (own > j), axis.dot(force) if self.prismatic[j] else turns, 0.0))
+            rise = axis.dot(force) if self.prismatic[j] else turns
+            rows.append(jnp.where(own > j, jnp.where(other > j, 0.0, rise), jnp.where(other > j, -rise, 0.0)))
         if not self.tabled:
             return rows
 

@@ -11,23 +11,25 @@ import functools
 import itertools
 import math
 from collections.abc import Sequence
+from typing import Any, NamedTuple
 
 import numpy as np
 
 from jaxik.algebra import BASE
 from jaxik.chain import Chain
-from jaxik.convex import Body, depths, gaps, hull_corners
+from jaxik.convex import Body, gaps, hull_corners, separated, ways_out
 from jaxik.kinematics import joint_frames
-from jaxik.pair_table import PairTable, lowered, stored
+from jaxik.pair_table import PairTable, stored
 
-SIDE = 127  # values of each joint at which distances are measured, and every second a table's
+SIDE = 128  # values of each joint
 TURN = (-math.pi, math.pi)
-ENOUGH = 0.03  # [m] from which on gaps are not told apart
+ENOUGH = 0.1  # [m] from which on gaps are not told apart
 USEFUL = 0.3  # of what it is made for, which a table at least says is free
 SECTIONS = 32  # corners that stand for a circle
-SHALLOW = 2  # places of a grid, by which depth is measured from where links are apart
+BLOCK = 256  # places at a time, which bounds the memory
 
 Limits = tuple[np.ndarray, np.ndarray]
+Couples = list[tuple[Body, Body]]
 
 
 def frames(chain: Chain, q: np.ndarray) -> np.ndarray:
@@ -51,36 +53,73 @@ def table_of(
     near, far = sorted(pair, key=lambda link: chain.link_joint[link])
     first, last = chain.link_joint[near], chain.link_joint[far]
     before, after = (not chain.is_prismatic[j] for j in (first, last - 1))  # whether these joints may sweep their links
-    sides = [k for k in range(first, last - 1) if k - first <= before and last - 2 - k <= after]
-    tables = [_table(chain, near, far, k, bodies, limits) for k in sides]
-    worth = [(float(np.mean(table(q) > 0.0)), table) for table in tables if table is not None]
-    share, best = max(worth, key=lambda each: each[0], default=(0.0, None))
-    return None if best is None or share < USEFUL else dataclasses.replace(best, links=pair)
+    best: tuple[float, int, Couples] = USEFUL, 0, []
+    for k in range(first, last - 1):
+        if k - first <= before and last - 2 - k <= after:
+            couples = _couples(chain, near, far, k, bodies)
+            still = np.where(np.isin(np.arange(chain.num_joints), (k, k + 1)), q, 0.0)  # the others are swept
+            share = float(np.mean(gaps(couples, *between(chain, (near, far), frames(chain, still)), ENOUGH) > 0.0))
+            best = max(best, (share, k, couples), key=lambda each: each[0])
+    if not best[2]:
+        return None
+    table = _table(chain, near, far, *best[1:], limits)
+    return dataclasses.replace(table, links=pair) if np.mean(table(q) > 0.0) >= USEFUL else None
 
 
-def _table(chain: Chain, near: int, far: int, k: int, bodies: dict[int, list[Body]], limits: Limits) -> PairTable | None:
-    """A table by joints k and k + 1, of the link nearer to the base and the one further; None where they touch always."""
+def _couples(chain: Chain, near: int, far: int, k: int, bodies: dict[int, list[Body]]) -> Couples:
+    """The bodies of the link nearer to the base, each with each of the one further: or, where joints lie between beside k and
+    k + 1, all that they sweep by them."""
     axes, frame = np.asarray(chain.axis, np.float64), np.asarray(chain.parent_T_joint, np.float64)
     first, last, mine, theirs = chain.link_joint[near], chain.link_joint[far], bodies[near], bodies[far]
     if k > first:
         mine = [_swept(body, frame[first, :3, 3], frame[first, :3, :3] @ axes[first]) for body in mine]
     if k + 2 < last:
         theirs = [_swept(body, np.zeros(3), axes[last - 1]) for body in theirs]
+    return list(itertools.product(mine, theirs))
+
+
+def _table(chain: Chain, near: int, far: int, k: int, couples: Couples, limits: Limits) -> PairTable:
+    """A table by joints k and k + 1, the others between at 0."""
+    axes, frame = np.asarray(chain.axis, np.float64), np.asarray(chain.parent_T_joint, np.float64)
+    first, last = chain.link_joint[near], chain.link_joint[far]
     own = functools.reduce(np.matmul, frame[first : k + 1])  # joint k, seen from the nearer link
-    other = functools.reduce(np.matmul, frame[k + 2 : last], np.eye(4))  # the further link, seen from joint k + 1
-    moved = [(_corners(mine) - own[:3, 3]) @ own[:3, :3], _corners(theirs) @ other[:3, :3].T + other[:3, 3]]
-    reach = [1.0 if chain.is_prismatic[k + i] else _farthest(moved[i], axes[k + i]) for i in range(2)]
+    other = np.linalg.inv(functools.reduce(np.matmul, frame[k + 2 : last], np.eye(4)))  # joint k + 1, seen from the further one
+    slides = [chain.is_prismatic[j] for j in (k, k + 1)]
+    turns = [Axis(f[:3, 3], f[:3, :3] @ axes[j], s) for j, f, s in zip((k, k + 1), (own, other), slides, strict=True)]
+    reach = [
+        max(float(np.linalg.norm(turn.moved(body.corners), axis=1).max()) for body in each)
+        for turn, each in zip(turns, zip(*couples, strict=True), strict=True)
+    ]
 
     ranges = [_range(chain, j, limits) for j in (k, k + 1)]
     q = np.zeros((SIDE * SIDE, chain.num_joints))
     q[:, k : k + 2] = np.stack(np.meshgrid(*(np.linspace(*r, SIDE) for r in ranges), indexing="ij"), axis=-1).reshape(-1, 2)
-    falls = [r * (high - low) / (SIDE - 1) for r, (low, high) in zip(reach, ranges, strict=True)]
-    couples = list(itertools.product(mine, theirs))
-    grid = _signed_grid(couples, *between(chain, (near, far), frames(chain, q)), falls)
-    if grid is None:
-        return None
-    (low, high), turns = zip(*ranges, strict=True), tuple(r == TURN for r in ranges)
-    return PairTable((near, far), (k, k + 1), low, high, turns, tuple(reach), stored(lowered(grid)), geometry="")
+    steps = [(high - low) / (SIDE - 1) for low, high in ranges]
+    places = between(chain, (near, far), frames(chain, q))
+    found = [_signed(a, b, *places) for a, b in couples]
+    distance = np.minimum(np.min([gap for gap, _ in found], axis=0), ENOUGH)
+    wraps = tuple(r == TURN for r in ranges)
+    each = zip(couples, found, strict=True)
+    excess = [_excess(a, b, *places, across, distance, turns, steps) for (a, b), (_, across) in each]
+    bounds = distance.reshape(SIDE, SIDE) - _of_nodes(np.max(excess, axis=0), wraps)
+    for axis, whole in enumerate(wraps):
+        ends = np.take(bounds, [0, -1], axis).min(axis=axis, keepdims=True)  # the same place, but for rounding
+        bounds[(slice(None),) * axis + ([0, -1],)] = ends if whole else np.take(bounds, [0, -1], axis)
+    low, high = zip(*ranges, strict=True)
+    return PairTable((near, far), (k, k + 1), low, high, wraps, tuple(reach), stored(bounds), geometry="")
+
+
+class Axis(NamedTuple):
+    """Of a joint, seen from a link: a point on it, its direction, and whether it slides."""
+
+    origin: np.ndarray
+    along: np.ndarray
+    slides: bool
+
+    def moved(self, points: np.ndarray) -> np.ndarray:
+        """How fast points (..., p, 3) move with the joint [m/rad, 1]."""
+        along = self.along[..., None, :]
+        return np.broadcast_to(along, points.shape) if self.slides else np.cross(along, points - self.origin[..., None, :])
 
 
 def _range(chain: Chain, joint: int, limits: Limits) -> tuple[float, float]:
@@ -88,15 +127,6 @@ def _range(chain: Chain, joint: int, limits: Limits) -> tuple[float, float]:
     low, high = (float(limit[joint]) for limit in limits)
     whole = not chain.is_prismatic[joint] and high - low > TURN[1] - TURN[0] - 1e-6
     return TURN if whole else (low, max(high, low + 1e-3))
-
-
-def _corners(bodies: Sequence[Body]) -> np.ndarray:
-    return np.concatenate([body.corners for body in bodies])
-
-
-def _farthest(corners: np.ndarray, axis: np.ndarray) -> float:
-    """How far corners are from an axis through the origin at most [m/rad]."""
-    return float(np.linalg.norm(np.cross(corners, axis), axis=1).max())
 
 
 def _swept(body: Body, origin: np.ndarray, axis: np.ndarray) -> Body:
@@ -109,26 +139,126 @@ def _swept(body: Body, origin: np.ndarray, axis: np.ndarray) -> Body:
     return body._replace(corners=hull_corners((origin + along + wide).reshape(-1, 3)))
 
 
-def _signed_grid(
-    couples: Sequence[tuple[Body, Body]], turn: np.ndarray, place: np.ndarray, falls: Sequence[float]
-) -> np.ndarray | None:
-    """The signed distance of couples of bodies on a square grid of places, up to `ENOUGH` [m]; None where all touch.
+def _signed(a: Body, b: Body, turn: np.ndarray, place: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """How far two bodies are apart (n,) [m], and the directions (n, 3) from a to b in which they are; less than 0 where they
+    overlap. No less than `ENOUGH` where it is more."""
+    gap, across = separated(a, b, turn, place, ENOUGH)
+    inside = np.flatnonzero(gap <= 0.0)
+    depth, across[inside] = ways_out(a, b, turn[inside], place[inside])
+    gap[inside] = -depth
+    return gap, across
 
-    Depth is measured next to where they are apart. Deeper inside it grows by `falls` a step (2,) [m], as fast as it can.
+
+def _excess(
+    a: Body,
+    b: Body,
+    turn: np.ndarray,
+    place: np.ndarray,
+    across: np.ndarray,
+    distance: np.ndarray,
+    axes: Sequence[Axis],
+    steps: Sequence[float],
+) -> np.ndarray:
+    """By how much interpolation between the nodes' `distance` may be too large in each cell (SIDE - 1, SIDE - 1) [m].
+
+    In any direction n two bodies are apart by `min_x n.x - max_y n.y` over the corners x of b and y of a, which is no more than
+    their distance. Within half a step of a node n is the node's, kept in the frame of a, of b or of what is between the joints,
+    whichever is best: a corner's height along it changes at the speeds of the joints that move it there, and by its arcs. So
+    each corner says by how much it may come closer than the interpolation does, in each of the quarters around the node.
     """
-    from scipy.ndimage import binary_erosion
+    grid, half = distance.reshape(SIDE, SIDE), (steps[0] / 2.0, steps[1] / 2.0)
+    before = [np.diff(grid, axis=k, prepend=np.take(grid, [0], k)) / steps[k] for k in range(2)]
+    after = [np.diff(grid, axis=k, append=np.take(grid, [-1], k)) / steps[k] for k in range(2)]
+    mixed = np.abs(np.diff(np.diff(grid, axis=0), axis=1)) / 4.0
+    over = np.empty((2, 2, SIDE * SIDE))
+    for start in range(0, SIDE * SIDE, BLOCK):
+        rows = slice(start, start + BLOCK)
+        nodes = _Nodes.of(a, b, turn[rows], place[rows], across[rows], axes, half)
+        for i, j in itertools.product(range(2), repeat=2):
+            slopes = [(after if side else before)[k].ravel()[rows] for k, side in enumerate((i, j))]
+            over[i, j, rows] = distance[rows] - nodes.least(slopes, (2 * i - 1, 2 * j - 1)) + (a.radius + b.radius)
+    quarter = lambda i, j: over[i, j].reshape(SIDE, SIDE)[1 - i : SIDE - i, 1 - j : SIDE - j]
+    return np.asarray(np.max([np.zeros_like(mixed), *(quarter(i, j) + mixed for i in range(2) for j in range(2))], axis=0))
 
-    size = math.isqrt(len(place))
-    grid = gaps(couples, turn, place, ENOUGH)
-    inside = (grid <= 0.0).reshape(size, size)
-    if inside.all():
-        return None
-    shallow = (inside & ~binary_erosion(inside, iterations=SHALLOW, border_value=1)).ravel()
-    grid[inside.ravel()] = -np.inf
-    grid[shallow] = -depths(couples, turn[shallow], place[shallow])
-    grid = grid.reshape(size, size)
-    while np.isneginf(grid).any():
-        edged = np.pad(grid, 1, constant_values=-np.inf)
-        rows, columns = np.maximum(edged[:-2], edged[2:])[:, 1:-1], np.maximum(edged[:, :-2], edged[:, 2:])[1:-1]
-        grid = np.where(np.isneginf(grid), np.maximum(rows - falls[0], columns - falls[1]), grid)
-    return grid
+
+class _Corners(NamedTuple):
+    """Of a body's corners (n, p): how high they are along a direction, how fast they rise with each joint, and how far they go
+    from there within half a step by the arc of the joint next to the body, and with the other's [m]."""
+
+    height: np.ndarray
+    speeds: list[np.ndarray]
+    arc: np.ndarray
+    arcs: np.ndarray
+
+    @classmethod
+    def of(
+        cls,
+        body: Body,
+        turn: np.ndarray,
+        place: np.ndarray,
+        across: np.ndarray,
+        axes: Sequence[Axis],
+        next_to: int,
+        half: Sequence[float],
+    ) -> _Corners:
+        """Of a body at `turn` and `place`, next to one of the joints, whose axes have origins and directions (n, 3)."""
+        points = np.einsum("nij,pj->npi", turn, body.corners) + place[:, None]
+        moved = [axis.moved(points) for axis in axes]
+        speeds = [np.einsum("npi,ni->np", each, across) for each in moved]
+        inner, outer = (np.linalg.norm(moved[k], axis=2) for k in (next_to, 1 - next_to))
+        own, other = half[next_to], half[1 - next_to]
+        arc = 0.5 * inner * own**2 * (not axes[next_to].slides)
+        more = 0.5 * (outer + inner * own) * other**2 + inner * own * other
+        return cls(np.einsum("npi,ni->np", points, across), speeds, arc, arc + more * (not axes[1 - next_to].slides))
+
+
+class _Nodes(NamedTuple):
+    """Two bodies at some nodes."""
+
+    first: _Corners
+    second: _Corners
+    half: Sequence[float]
+
+    @classmethod
+    def of(
+        cls,
+        a: Body,
+        b: Body,
+        turn: np.ndarray,
+        place: np.ndarray,
+        across: np.ndarray,
+        axes: Sequence[Axis],
+        half: Sequence[float],
+    ) -> _Nodes:
+        near, far = axes
+        seen = [
+            Axis(np.broadcast_to(near.origin, place.shape), np.broadcast_to(near.along, place.shape), near.slides),
+            Axis(turn @ far.origin + place, turn @ far.along, far.slides),
+        ]
+        still = np.broadcast_to(np.eye(3), turn.shape)
+        return cls(
+            _Corners.of(a, still, np.zeros_like(place), across, seen, 0, half),
+            _Corners.of(b, turn, place, across, seen, 1, half),
+            half,
+        )
+
+    def least(self, slopes: Sequence[np.ndarray], signs: Sequence[int]) -> np.ndarray:
+        """How far the bodies are apart at least in one of the quarters around the nodes (n,), less what the interpolation's
+        `slopes` add there."""
+
+        def falls(corners: _Corners, joints: Sequence[int]) -> Any:
+            each = [np.maximum(signs[k] * (slopes[k][:, None] - corners.speeds[k]), 0.0) * self.half[k] for k in joints]
+            return sum(each) + (corners.arcs if len(joints) == 2 else corners.arc if len(joints) else 0.0)
+
+        found = []
+        for cut in range(3):  # the direction goes with the first body, with what is between, with the second
+            low = (self.second.height - falls(self.second, range(cut, 2))).min(axis=1)
+            found.append(low - (self.first.height + falls(self.first, range(cut))).max(axis=1))
+        return np.asarray(np.max(found, axis=0))
+
+
+def _of_nodes(cells: np.ndarray, wraps: Sequence[bool]) -> np.ndarray:
+    """The largest of the cells around each node; around those at both ends of a whole turn, of both."""
+    for axis, whole in enumerate(wraps):
+        cells = np.pad(cells, [(1, 1) if k == axis else (0, 0) for k in range(2)], "wrap" if whole else "edge")
+    return np.asarray(np.maximum(np.maximum(cells[1:, 1:], cells[:-1, :-1]), np.maximum(cells[1:, :-1], cells[:-1, 1:])))

@@ -2,8 +2,9 @@
 
 Links two joints apart pass each other within millimetres in most postures: an upper arm beside the base, a flange beside the
 forearm. Volumes that are a few millimetres larger than the links say collision there where there is none. But two joints
-decide it alone. So the links' own distance is measured once, over a grid of both joints' values (`robot_fit`), and read between
-its nodes: a bound from below, as that of the volumes is. The greater of the two counts.
+decide it alone. So the links' own distance is measured once, over a grid of both joints' values, less what interpolation may
+add between the nodes (`pair_fit`): what is read is a bound from below, as the distance of the volumes is. The greater of the
+two counts.
 
 Beyond the grid the bound falls as fast as a distance can change: by no more than `reach`, how far the link is from the joint's
 axis, for each radian, and by 1 m for each metre of a slide.
@@ -21,7 +22,7 @@ from typing import Any
 
 import numpy as np
 
-STEP = 1e-5  # [m] in which bounds are stored
+STEP = 2e-5  # [m] in which bounds are stored
 LEAST = 8  # nodes along a joint
 MOST = 2**21  # bytes of a table
 ENDLESS = 1e30  # a turn that nothing is wrapped by
@@ -34,7 +35,7 @@ class PairTable:
     `links` and `joints` are their numbers in the chain, the earlier first. The grid goes from `low` to `high` [rad, m], ends
     included; a joint that `turns` is wrapped into it. `reach` [m/rad, 1] bounds how fast the distance changes. `stored` holds
     the bounds row by row, a row a value of the first joint: little-endian int16 in units of `STEP`. `geometry` says which
-    links were measured (`Chain.geometry`): of others the table knows nothing.
+    links were measured (`chain.geometry_between`): of others the table knows nothing.
     """
 
     links: tuple[int, int]
@@ -101,22 +102,8 @@ def interpolated(values: Sequence[Any], axes: Any, node: Callable[[Any, Any], An
     return (1.0 - s) * before + s * after - short
 
 
-def lowered(fine: np.ndarray) -> np.ndarray:
-    """Every second row and column of distances over a grid, as bounds: each less what interpolation between them is too large
-    by at any of the places around that were left out."""
-    bounds = fine[::2, ::2]
-    between = np.empty_like(fine)
-    between[::2, ::2] = bounds
-    between[1::2, ::2] = (bounds[1:] + bounds[:-1]) / 2.0
-    between[:, 1::2] = (between[:, :-1:2] + between[:, 2::2]) / 2.0
-    over = np.pad(np.maximum(between - fine, 0.0), 1)
-    rows, columns = fine.shape
-    around = [over[i : i + rows : 2, j : j + columns : 2] for i in range(3) for j in range(3)]
-    return np.asarray(bounds - np.max(around, axis=0))
-
-
 def stored(bounds: np.ndarray) -> bytes:
-    """As `PairTable` holds them: rounded down, and no less than int16 can say."""
+    """As `PairTable` holds them: rounded down; but a depth of more than 0.65 m, which int16 cannot say, is told as that."""
     return np.clip(np.floor(bounds / STEP), -32768, 32767).astype("<i2").tobytes()
 
 

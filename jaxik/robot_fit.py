@@ -92,7 +92,7 @@ class Model(NamedTuple):
             for ends, radius in zip(found.ends, found.radii, strict=True)
         ]
         chain = dataclasses.replace(chain, volumes=(*chain.volumes, *volumes), self_pairs=self.pairs)
-        tables = [dataclasses.replace(t, geometry=geometry_between(chain, *t.links)) for t in self.tables]
+        tables = [dataclasses.replace(t, geometry=geometry_between(chain, t.links, t.joints)) for t in self.tables]
         return dataclasses.replace(chain, pair_tables=tuple(tables))
 
 

@@ -260,6 +260,29 @@ def test_gradient_of_the_clearance(name, alone):
     assert agreed >= 10
 
 
+POST = """<robot name="arm"><link name="base"/>
+<joint name="turn" type="revolute"><parent link="base"/><child link="upper"/><axis xyz="0 0 1"/>
+<limit lower="-3" upper="3"/></joint>
+<link name="upper"><collision><origin xyz="0.2 0 0"/><geometry><sphere radius="0.05"/></geometry></collision></link>
+<joint name="bend" type="revolute"><origin xyz="0.4 0 0"/><parent link="upper"/><child link="fore"/><axis xyz="0 1 0"/>
+<limit lower="-3" upper="3"/></joint>
+<link name="fore"><collision><origin xyz="0.2 0 0"/><geometry><sphere radius="0.05"/></geometry></collision></link>
+<joint name="still" type="fixed"><origin xyz="0.1 0.5 0"/><parent link="base"/><child link="post"/></joint>
+<link name="post"><collision><geometry><sphere radius="0.05"/></geometry></collision></link></robot>"""
+
+
+def test_a_later_link_may_be_nearer_to_the_base(tmp_path):
+    """What is fixed beside an arm is its last link; distances to it fall and rise with all joints before the other link."""
+    (tmp_path / "arm.urdf").write_text(POST)
+    chain = jaxik.load(tmp_path / "arm.urdf", tip="fore")
+    assert [chain.link_names[i] for i in chain.self_pairs[0]] == ["fore", "post"]
+    apart, step = jax.jit(lambda q: jaxik.self_clearance(chain, q)), 1e-6
+    slope, around = jax.jit(jax.grad(apart)), np.eye(2) * step
+    for q in np.random.default_rng(0).uniform(-3.0, 3.0, (20, 2)):
+        numeric = [(apart(q + e) - apart(q - e)) / (2.0 * step) for e in around]
+        np.testing.assert_allclose(slope(q), numeric, atol=1e-8)
+
+
 @pytest.mark.parametrize("per_box", [1, 8, 64, 512])
 def test_the_hierarchy_gives_the_flat_answer(per_box):
     chain, rng = jaxik.load("p6r").with_spheres(per_box), np.random.default_rng(3)

@@ -145,6 +145,9 @@ def _table(table: Table, chain: Chain) -> PairTable:
     turns = tuple(table.listed("turns"))
     if [*map(type, turns)] != [bool, bool]:
         raise table.fail(f"turns = {str(turns)[:60]}", "two of: true, false")
+    first, last = sorted(chain.link_joint[link] for link in links)
+    if not first <= joints[0] == joints[1] - 1 < last - 1:
+        raise table.fail("joints are not two successive ones between the links", "take the table out, or save the chain again")
     bounds, geometry = table.text("bounds"), table.text("geometry")
     try:
         found = PairTable(links, joints, low, high, turns, reach, unpacked(bounds), geometry)
