@@ -190,6 +190,7 @@ def test_manipulability(name):
 def test_reach_differentiates_with_respect_to_a_link_length():
     chain, q = jaxik.load("p6r"), jnp.asarray([0.3, 0.2, -0.5, -0.4, 0.3, 0.5, 0.1])
 
+    @jax.jit
     def reach(length):
         frames = jnp.asarray(chain.parent_T_joint).at[3, 0, 3].set(length)
         longer = eqx.tree_at(lambda c: c.parent_T_joint, chain, frames)
