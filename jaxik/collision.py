@@ -38,7 +38,7 @@ def clearance(chain: Chain, scene: Scene | Grouped | None, q: Float[Array, " n"]
     what `hierarchy.grouped` makes of it. Raises `ValueError` for a chain without collision geometry, or whose meshes were
     not read.
     """
-    return _clearance(chain, _around("clearance", chain, scene), q)
+    return _clearance(chain, _around("clearance", chain, scene, q), q)
 
 
 def link_clearances(chain: Chain, scene: Scene | Grouped | None, q: Float[Array, " n"]) -> Float[Array, " k"]:
@@ -48,12 +48,12 @@ def link_clearances(chain: Chain, scene: Scene | Grouped | None, q: Float[Array,
     A pair of links counts for the later one. As constraints of an optimiser these are smoother than their minimum, which jumps
     from link to link.
     """
-    return _link_clearances(chain, _around("link_clearances", chain, scene), q)
+    return _link_clearances(chain, _around("link_clearances", chain, scene, q), q)
 
 
 def self_clearance(chain: Chain, q: Float[Array, " n"]) -> Float[Array, ""]:
     """The smallest signed distance of the robot to itself, over `chain.self_pairs` [m]. Traced."""
-    return _clearance(chain, _around("self_clearance", chain, None), q)
+    return _clearance(chain, _around("self_clearance", chain, None, q), q)
 
 
 def collides(chain: Chain, scene: Scene | Grouped | None, q: Float[Array, " n"], margin: Any = 0.0) -> Bool[Array, ""]:
@@ -61,14 +61,14 @@ def collides(chain: Chain, scene: Scene | Grouped | None, q: Float[Array, " n"],
 
     Faster than the clearance, since what is further away than the margin is not measured, and the first that is nearer ends it.
     """
-    return _collides(chain, _around("collides", chain, scene), q, margin)
+    return _collides(chain, _around("collides", chain, scene, q), q, margin)
 
 
 def object_clearances(chain: Chain, scene: Scene, q: Float[Array, " n"]) -> Float[Array, " o"]:
     """The robot's signed distance to each object of `scene.object_names` [m]; infinite to one that is moved away. Traced."""
     check_kind("object_clearances", "scene", scene, Scene)
     check_geometry(chain)
-    return by_object(chain, len(scene.object_names), grouped(scene, chain, by_object=True), q)
+    return by_object(chain, len(scene.object_names), _as_wide(grouped(scene, chain, by_object=True), q), q)
 
 
 def link_contacts(chain: Chain, around: Grouped, q: Any) -> tuple[Any, list[Any]]:
@@ -77,12 +77,21 @@ def link_contacts(chain: Chain, around: Grouped, q: Any) -> tuple[Any, list[Any]
     return space.each(lambda found: (_seen(found.distance), space.slopes(found)), tracked=True)
 
 
-def _around(who: str, chain: Chain, scene: Any) -> Grouped:
+def _around(who: str, chain: Chain, scene: Any, q: Any) -> Grouped:
     if not isinstance(scene, tuple):
         check_kind(who, "scene", scene, Scene, optional=True)
     check_kind(who, "chain", chain, Chain)
     check_geometry(chain)
-    return grouped(scene, chain)
+    return _as_wide(grouped(scene, chain), q)
+
+
+def _as_wide(around: Grouped, q: Any) -> Grouped:
+    """Its floats as wide as q: a kernel would narrow them one by one, for every few configurations anew."""
+    wide = getattr(q, "dtype", None)
+    if wide is None or not jnp.issubdtype(wide, jnp.floating):
+        return around
+    other = lambda x: x.dtype != wide and jnp.issubdtype(x.dtype, jnp.floating)
+    return jax.tree_util.tree_map(lambda x: x.astype(wide) if other(x) else x, around)
 
 
 def check_geometry(chain: Chain) -> None:

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import dataclasses
 from collections.abc import Iterator
-from functools import partial
+from functools import cache
 from typing import Any
 
 import jax
@@ -25,8 +25,9 @@ from jaxik.given import numbers
 from jaxik.hierarchy import pair_tables
 from jaxik.scene import FAR, KINDS, Scene, check_scene
 from jaxik.spheres import skeletons
+from jaxik.spmd import HostKernel
 
-BLOCK = 2**20  # distances at a time, which bounds the memory
+BLOCK = 2**18  # distances at a time, which bounds the memory
 
 
 @dataclasses.dataclass(frozen=True)
@@ -139,14 +140,14 @@ def _with_itself(chain: Chain, volumes: Any) -> Iterator[_Pairs]:
 
 
 def _blocks(gap: Any, skeleton: Any, others: Any, owners: np.ndarray, meet: np.ndarray, itself: bool) -> Iterator[_Pairs]:
-    """Block by block of the others, all of one size (the last overlaps the one before), so that one program does them all;
-    `meet` says which owner counts for which link."""
+    """Block by block of the others; `meet` says which owner counts for which link."""
     ours, links = columns_of(skeleton, jnp.float64), skeleton.link
-    others = jax.tree_util.tree_map(np.asarray, others)
-    rows = min(len(owners), max(1, BLOCK // len(links)))
-    for start in sorted({*range(0, len(owners) - rows, rows), len(owners) - rows}):
+    rows = max(1, BLOCK // len(links))
+    for start in range(0, len(owners), rows):
         block = slice(start, start + rows)
-        apart = np.asarray(_apart(gap, ours, jax.tree_util.tree_map(lambda x, block=block: x[block], others)))
+        other, volume = np.indices((len(owners[block]), len(links)))
+        (apart,) = _told(0, gap, (ours, volume.ravel()), (others, start + other.ravel()))
+        apart = apart.reshape(other.shape)
         seen = (apart < FAR / 2.0) & meet[owners[block, None], links]
         least = _least(np.where(seen, apart, np.inf), owners[block], links)
         least[:, 1] += start
@@ -163,17 +164,24 @@ def _least(apart: np.ndarray, owners: np.ndarray, links: np.ndarray) -> np.ndarr
     return np.column_stack([apart[row, column], row, column])[first]
 
 
-@partial(jax.jit, static_argnums=0)
-def _apart(gap: Any, volumes: Any, others: Any) -> Any:
-    """The distances (others, volumes)."""
-    return jax.vmap(lambda other: gap(volumes, other))(others)
+def _told(what: int, gap: Any, *sides: tuple[Any, np.ndarray]) -> list[np.ndarray]:
+    """What a kernel says of pairs: of each side its columns, and the row of each pair."""
+    leaves, trees = zip(*(jax.tree_util.tree_flatten(columns) for columns, _ in sides), strict=True)
+    rows = [np.asarray(x)[row] for part, (_, row) in zip(leaves, sides, strict=True) for x in part]
+    return _kernels(gap, *trees)[what](*rows)
 
 
-@partial(jax.jit, static_argnums=0)
-def _pull(gap: Any, corners: Any, radius: Any, other: Any) -> Any:
-    """One distance (1,), and its derivative by each corner."""
-    value, pull = jax.vjp(lambda corners: gap((corners, radius), other), corners)
-    return value, pull(jnp.ones(1))[0]
+@cache
+def _kernels(gap: Any, ours: Any, theirs: Any) -> tuple[HostKernel, HostKernel]:
+    """Of pairs in rows, given as the leaves of volumes and of others: the distance; and with it its derivative by each number
+    of the volume's corners. The same kernels for any number of them, which for XLA were programs of a second each."""
+    count = ours.num_leaves + theirs.num_leaves
+
+    def apart(*leaves: Any) -> Any:
+        unflatten = jax.tree_util.tree_unflatten
+        return gap(unflatten(ours, leaves[: ours.num_leaves]), unflatten(theirs, leaves[ours.num_leaves :]))
+
+    return HostKernel(apart, count), HostKernel(jax.value_and_grad(apart, range(ours.num_leaves - 1)), count)
 
 
 def _nearest(pairs: list[_Pairs], bounds: dict[tuple[int, int], float]) -> list[tuple[float, int, int, int]]:
@@ -194,13 +202,12 @@ def _contact(
     chain: Chain, scene: Scene | None, pairs: list[_Pairs], apart: float, number: int, other: int, volume: int
 ) -> Contact:
     each = pairs[number]
-    one = jax.tree_util.tree_map(lambda x: x[volume : volume + 1], each.volumes)
-    obstacle = jax.tree_util.tree_map(lambda x: x[other], each.others)
-    value, slopes = _pull(each.gap, *one, obstacle)
-    corners, slopes = (np.array([[float(x[0]) for x in corner] for corner in part]) for part in (one[0], slopes))
+    (gap,), *pull = _told(1, each.gap, (each.volumes, np.array([volume])), (each.others, np.array([other])))
+    corners = np.array([[x[volume] for x in corner] for corner in each.volumes[0]])
+    slopes = np.reshape(pull, corners.shape)
+    radius, gap = float(each.volumes[1][volume]), float(gap)
     force = slopes.sum(axis=0)
     nearest = (slopes @ force) @ corners if force.any() else corners.mean(axis=0)
-    radius, gap = float(one[1][0]), float(value[0])
     owner = each.owners[other]
     name = chain.link_names[owner] if each.itself else scene.object_names[owner] if scene and owner >= 0 else "the scene"
     link = chain.link_names[each.links[volume]]

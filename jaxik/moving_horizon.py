@@ -95,6 +95,10 @@ class MovingHorizon:
     def _program(self) -> Callable[..., tuple[State, Sample]]:
         return jax.jit(self._advance, donate_argnums=0)
 
+    @functools.cached_property
+    def _judged(self) -> Callable[[Course], tuple[Any, Any]]:
+        return jax.jit(lambda course: judge(self.chain, self.horizon.task, course, self.horizon.tolerance, keep=True))
+
     def _advance(self, state: State, path: Path, duration: Any, given: tuple[Any, ...]) -> tuple[State, Sample]:
         horizon, options = self.horizon, self.horizon.descend
         ahead = future(path, duration, horizon, state.time)
@@ -144,7 +148,7 @@ def follow_predictively(
     scene that moves. Raises `ValueError` for what is no path, a duration that is not positive, and an `until` before the first
     sample."""
     check_path("moving horizon", path, duration)
-    dt, horizon = control.horizon.dt, control.horizon
+    dt = control.horizon.dt
     until = float(duration) if until is None else until
     check_finite("moving horizon", dt, until=until)
     time = dt * np.arange(round(until / dt))
@@ -156,5 +160,5 @@ def follow_predictively(
     asked = motion(path, duration, time)
     held = np.zeros(len(time), bool)
     course = Course(found.q, found.qdot, found.error, found.damping, held, asked.pose, asked.velocity)
-    reason, k = judge(control.chain, horizon.task, course, horizon.tolerance, keep=True)
+    reason, k = control._judged(course)
     return Moved(time, found.q, found.qdot, found.total, found.error, found.damping, np.asarray(reason), np.asarray(k))

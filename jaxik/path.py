@@ -10,6 +10,7 @@ be traced, moved and batched. A path of positions has no rotation of its own; it
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from typing import Any, NamedTuple
 
 import equinox as eqx
@@ -22,6 +23,7 @@ from jaxik.algebra import Rot3, traced
 from jaxik.chain import Array, as_numbers
 from jaxik.choice import shown
 from jaxik.given import RIGID, direction, is_known, is_rigid, numbers, rigid_frame
+from jaxik.spmd import kernel
 from jaxik.task import rotation_vector
 
 
@@ -189,8 +191,22 @@ def motion(path: Path, duration: Any, t: Any) -> Motion:
     check_path("motion", path, duration)
     t = as_numbers("motion: t", t)
     duration = float(duration) if isinstance(duration, int) else duration  # of any size
-    if t.ndim:
-        return jax.vmap(lambda t: motion(path, duration, t))(t)
+    if is_known((path, duration, t)):
+        jax.eval_shape(path.pose, jax.ShapeDtypeStruct((), jnp.result_type(t, float)))  # raises for what is known to be wrong
+        return _compiled(path, duration, t)  # not operation by operation, each of which XLA would compile
+    return _each(_motion)(path, duration, t)
+
+
+def _each(function: Callable[..., Motion]) -> Callable[..., Motion]:
+    """For times of any shape."""
+
+    def run(path: Path, duration: Any, t: Any) -> Motion:
+        return jax.vmap(run, (None, None, 0))(path, duration, t) if t.ndim else function(path, duration, t)
+
+    return run
+
+
+def _motion(path: Path, duration: Any, t: Any) -> Motion:
     x = jnp.clip(t / duration, 0.0, 1.0)
     s = ((6.0 * x - 15.0) * x + 10.0) * x**3
     rate = ((30.0 * x - 60.0) * x + 30.0) * x**2 / duration
@@ -204,6 +220,9 @@ def motion(path: Path, duration: Any, t: Any) -> Motion:
     ((position, rotation), first), (_, second) = jax.jvp(moving, (s,), (jnp.ones_like(s),))
     pose = jnp.block([[rotation, position[:, None]], [jnp.zeros((1, 3)), jnp.ones((1, 1))]]).astype(position.dtype)
     return Motion(pose, first * rate, second * rate**2 + first * rate_2)
+
+
+_compiled = jax.jit(_each(kernel(_motion)))
 
 
 def _vector(skew: Any) -> Any:

@@ -12,11 +12,14 @@ from jaxtyping import install_import_hook
 
 CACHE = "JAX_COMPILATION_CACHE_DIR"  # the processes of one run share what they compile; another run starts anew
 if "PYTEST_XDIST_WORKER" not in os.environ:
-    os.environ[CACHE] = tempfile.mkdtemp(prefix="jaxik-tests-")
-    atexit.register(shutil.rmtree, os.environ[CACHE], ignore_errors=True)
+    home = tempfile.mkdtemp(prefix="jaxik-tests-")
+    # that of the commands is the same folder
+    os.environ |= {CACHE: f"{home}/jaxik", "XDG_CACHE_HOME": home}
+    atexit.register(shutil.rmtree, home, ignore_errors=True)
 
-# not the arithmetic on scalars, nor the compiler: their types are plain, and a trace calls them a hundred thousand times
-UNTYPED = ("__init__", "algebra", "distance", "linear", "qp")
+# not the arithmetic on scalars, nor the compiler, nor what fits: their types are plain (mypy's), and a trace, or a fit, calls
+# them a hundred thousand times
+UNTYPED = ("__init__", "algebra", "convex", "distance", "fit", "linear", "qp", "robot_fit")
 HOME = Path(find_spec("jaxik").origin).parent
 FILES = [p for p in HOME.rglob("*.py") if p.stem not in UNTYPED and p.parent.name != "spmd"]
 TYPED = [".".join(("jaxik", *p.relative_to(HOME).with_suffix("").parts)) for p in FILES]

@@ -406,7 +406,7 @@ def test_ik_refuses_an_ending_that_it_cannot_write(tmp_path, monkeypatch, capsys
 
 def test_a_fit_is_told_and_written(tmp_path, monkeypatch, capsys):
     """A row a mesh, and a file that holds what was fitted."""
-    monkeypatch.setattr("jaxik.spmd.cache.cache_folder", lambda: None)
+    monkeypatch.setattr("jaxik.spmd.cache.cache_folder", lambda: tmp_path / "made")  # here, and once
     (tmp_path / "arm.urdf").write_text(ARM)
     for name in ("model.toml", "model.urdf"):
         call(monkeypatch, "fit", tmp_path / "arm.urdf", "--accuracy", 15, "--to", tmp_path / name)

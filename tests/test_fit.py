@@ -33,12 +33,15 @@ MESHES = {
 }
 
 
+@pytest.fixture(scope="module")
+def made(tmp_path_factory):
+    return tmp_path_factory.mktemp("kernels")
+
+
 @pytest.fixture(autouse=True)
-def cache(tmp_path, monkeypatch):
-    """What is fitted here is not found from elsewhere."""
-    folder = tmp_path / "kernels"
-    monkeypatch.setattr("jaxik.spmd.cache.cache_folder", lambda: folder)
-    return folder
+def cache(made, monkeypatch):
+    """What is fitted here is not found from elsewhere, and made once."""
+    monkeypatch.setattr("jaxik.spmd.cache.cache_folder", lambda: made)
 
 
 def away(points, found):
@@ -116,18 +119,20 @@ def arm(tmp_path):
     return write(tmp_path, "arm.urdf", ARM)
 
 
-def test_a_model_is_made_once_and_the_same_again(arm, cache, monkeypatch):
-    first = jaxik.load(arm, meshes=True)
+def test_a_model_is_made_once_and_the_same_again(arm, tmp_path, monkeypatch):
+    cache, coarse = tmp_path / "empty", Fit(0.1, 2)  # quickly made
+    monkeypatch.setattr("jaxik.spmd.cache.cache_folder", lambda: cache)
+    first = jaxik.load(arm, meshes=True, fit=coarse)
     (file,) = cache.iterdir()
     with monkeypatch.context() as held:
         held.setattr(robot_fit, "_Links", None)  # not asked
-        assert jaxik.load(arm, meshes=True) == first
+        assert jaxik.load(arm, meshes=True, fit=coarse) == first
     for damaged in (b"", b"damaged", file.read_bytes()[:-1]):
         file.write_bytes(damaged)
-        assert jaxik.load(arm, meshes=True) == first  # made again, to the same numbers
+        assert jaxik.load(arm, meshes=True, fit=coarse) == first  # made again, to the same numbers
     robot_fit.write(file.name, b"of another make")
-    assert jaxik.load(arm, meshes=True) == first
-    jaxik.load(arm, meshes=True, fit=Fit(0.01))
+    assert jaxik.load(arm, meshes=True, fit=coarse) == first
+    jaxik.load(arm, meshes=True, fit=Fit(0.1, 1))
     assert len(list(cache.iterdir())) == 2
 
 

@@ -122,7 +122,7 @@ def test_against_mujoco_and_mjx(name):
     if name in ("tiago", "kinova"):  # it compiles long; all kinds of joints are among these
         device = mjx.put_model(model)
         blank = mjx.make_data(device)
-        moved = jax.jit(jax.vmap(lambda q: mjx.kinematics(device, blank.replace(qpos=q))))(q).xpos[:, body]
+        moved = jax.jit(jax.vmap(lambda q: mjx.kinematics(device, blank.replace(qpos=q)).xpos[body]))(q)
         assert np.max(np.abs(moved - ours[0][:, :3, 3])) <= 1e-12
     for row, pose, jacobian in zip(q, *map(np.asarray, ours), strict=True):
         data.qpos[:] = row
@@ -190,6 +190,7 @@ def test_manipulability(name):
 def test_reach_differentiates_with_respect_to_a_link_length():
     chain, q = jaxik.load("p6r"), jnp.asarray([0.3, 0.2, -0.5, -0.4, 0.3, 0.5, 0.1])
 
+    @jax.jit
     def reach(length):
         frames = jnp.asarray(chain.parent_T_joint).at[3, 0, 3].set(length)
         longer = eqx.tree_at(lambda c: c.parent_T_joint, chain, frames)

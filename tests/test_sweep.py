@@ -610,9 +610,8 @@ def dask(*words, folder):
     return subprocess.Popen(command, cwd=folder, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
 
 
-def test_a_cluster_makes_the_same_store_though_a_worker_dies(two, tmp_path, monkeypatch):
+def test_a_cluster_makes_the_same_store_though_a_worker_dies(two, tmp_path):
     """A scheduler and two workers on loopback; one worker is killed once the first chunk is there."""
-    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "cache"))
     local = ("--host", "127.0.0.1", "--no-dashboard")
     running = [dask("scheduler", *local, "--port", "0", folder=tmp_path)]
     try:

@@ -85,6 +85,7 @@ def test_validity_of_nan_is_false():
 def test_obstacles_may_be_traced():
     q = _configurations(1, np.float64)[0]
 
+    @jax.jit
     def moved(shift):
         scene = eqx.tree_at(lambda s: s.points.center, SCENE, jnp.asarray(SCENE.points.center) + shift)
         return jaxik.clearance(CHAIN, scene, q)

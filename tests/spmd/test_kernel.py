@@ -60,8 +60,9 @@ def test_derivatives(name):
     """Of a batch by batched and by shared operands, against the same function without the kernel."""
     of_kernel, of_arm = DERIVATIVES[name](KERNEL), DERIVATIVES[name](arm)
     for axes, lengths in (((0, 0), LENGTHS), ((0, None), LENGTHS[0])):
-        close(jax.jit(jax.vmap(of_kernel, axes))(Q, lengths), jax.jit(jax.vmap(of_arm, axes))(Q, lengths))
-    close(of_kernel(Q[0], LENGTHS[0]), of_arm(Q[0], LENGTHS[0]))
+        expected = jax.jit(jax.vmap(of_arm, axes))(Q, lengths)
+        close(jax.jit(jax.vmap(of_kernel, axes))(Q, lengths), expected)
+    close(of_kernel(Q[0], LENGTHS[0]), jax.tree_util.tree_map(lambda rows: rows[0], expected))  # operation by operation
 
 
 LOOPS_BACK = {
@@ -206,20 +207,23 @@ from jaxik.spmd import machine
 made = []
 compiled = machine.compiled
 machine.compiled = lambda *args: made.append(1) or compiled(*args)
-print(float(spmd.kernel(lambda q: jnp.sin(q).sum() * 7.125)(np.ones(3))), len(made))
+values = [float(spmd.kernel(lambda q, c=c: jnp.sin(q).sum() * c)(np.ones(3))) for c in (7.125, 8.25, 9.5, 10.75)]
+print(*values, len(made))
 """
 
 
 def test_a_second_process_compiles_nothing(tmp_path):
     environment = {**os.environ, "JAX_COMPILATION_CACHE_DIR": str(tmp_path)}
     run = lambda: subprocess.run([sys.executable, "-c", SCRIPT], env=environment, capture_output=True, text=True, check=True)
-    first = run().stdout.split()
-    assert first[1] == "1" and run().stdout.split() == [first[0], "0"]
-    (file,) = (tmp_path / "kernels").iterdir()
-    good = file.read_bytes()
-    for bad in (b"", good[:100], good[:-1] + b"x", b"x" * 5000):  # damaged: made again
+    *values, count = run().stdout.split()
+    assert count == "4" and run().stdout.split() == [*values, "0"]
+    files = sorted((tmp_path / "kernels").iterdir())
+    good = [file.read_bytes() for file in files]
+    damaged = b"", good[1][:100], good[2][:-1] + b"x", b"x" * 5000  # each is made again
+    for file, bad in zip(files, damaged, strict=True):
         file.write_bytes(bad)
-        assert run().stdout.split() == [first[0], "1"] and file.read_bytes()[:4] == good[:4]
+    assert run().stdout.split() == [*values, "4"]
+    assert [file.read_bytes()[:4] for file in files] == [each[:4] for each in good]
 
 
 OBJECTS = """
