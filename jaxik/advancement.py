@@ -9,8 +9,8 @@ points move at a speed of at most v at t, and are accelerated by at most a anywh
 and its distance to what stands still has changed by no more than that. v is measured, by the twist of a ball about the link's
 skeleton; r_j, how far a point of the link ever is from joint j's axis, follows from the chain's lengths and the travel of its
 slides. A slide has 1 in place of r_j in V, `2 |dq_j| sum_{i<j} |dq_i|` in a, and is no i: it turns nothing. Two links move
-relative to each other by the joints between them alone. A bound that a table gives (`pair_table`) changes no faster than it
-says itself.
+relative to each other by the joints between them alone. A bound that a table gives (`pair_table`) changes no faster than the
+table does anywhere.
 
 From what was measured the march takes one step that is safe; or twice as far, in the hope that what is measured there reaches
 back, and where it does not, the safe step follows.
@@ -34,10 +34,12 @@ from jaxik.collision import check_geometry, clearance, link_clearances
 from jaxik.given import held, is_known
 from jaxik.hierarchy import grouped, pair_tables
 from jaxik.kinematics import joint_frames
+from jaxik.pair_table import PairTable
 from jaxik.scene import FAR, KINDS, Scene
 from jaxik.spheres import box_spheres
 from jaxik.spmd import kernel
 
+SHALLOW = 0.005  # [m] of penetration, below which the bounds of tables may fall steeply
 MOST = 4096  # configurations that are measured on one motion, each for the robot itself and the scene
 ROUNDING = 8.0  # what rounding may add to a clearance on the way, in units of its step at the lengths of `_size`; measured: 0.5
 
@@ -187,10 +189,10 @@ def _advanced(
     asked = _Asked(margin, resolution, jnp.clip(enough, margin, FAR / 4.0), first)
     end = _State(_Measured(one, 0, 0), one, one, far, zero, far, jnp.zeros((), bool), jnp.zeros((), jnp.int32))
     if chain.self_pairs:
-        end = _marched_on(*_ruler(chain, None, q_from, q_to, extent), asked, end)
+        end = _marched_on(*_ruler(chain, None, q_from, q_to, extent, margin), asked, end)
     if scene is not None:
         alone = dataclasses.replace(chain, self_pairs=())
-        end = _marched_on(*_ruler(alone, scene, q_from, q_to, extent), asked, end)
+        end = _marched_on(*_ruler(alone, scene, q_from, q_to, extent, margin), asked, end)
     free = ~end.hit & (end.here.t >= 1.0)
     bound = jnp.where(free, end.bound, jnp.minimum(end.bound, margin))
     found = jnp.where(bound > FAR / 8.0, jnp.inf, bound), jnp.where(free, jnp.inf, end.here.t), end.nearest
@@ -198,19 +200,19 @@ def _advanced(
     return MotionClearance(clear, contact, nearest, end.count)
 
 
-def _ruler(chain: Chain, scene: Any, q_from: Any, q_to: Any, extent: Any) -> tuple[Any, _Bounds]:
+def _ruler(chain: Chain, scene: Any, q_from: Any, q_to: Any, extent: Any, margin: Any) -> tuple[Any, _Bounds]:
     """What measures one configuration of the motion, less what rounding may have added, and the bounds of its rows."""
     rows, moved = _rows(chain), q_to - q_from
-    bounds = _row_bounds(chain, rows, q_from, q_to)
+    bounds, tables = _row_bounds(chain, rows, q_from, q_to), _table_speeds(chain, rows, q_from, q_to, margin)
     short = ROUNDING * float(jnp.finfo(q_from.dtype).eps) * (extent + _size(chain, bounds.length, q_from, q_to))
     columns = np.searchsorted(solid_links(chain), [row.link for row in rows])
 
     def measured(t: Any) -> _Measured:
         q = q_from + t * moved
         apart = jnp.minimum(link_clearances(chain, scene, q)[columns] - short, FAR)  # a number, where there is nothing to hit
-        return _Measured(t, apart, _speeds(chain, rows, q, moved))
+        return _Measured(t, apart, jnp.maximum(_speeds(chain, rows, q, moved), tables))
 
-    return measured, bounds
+    return measured, bounds._replace(speed=jnp.maximum(bounds.speed, tables))
 
 
 def _marched_on(measured: Any, bounds: _Bounds, asked: _Asked, before: _State) -> _State:
@@ -343,14 +345,26 @@ def _row_bounds(chain: Chain, rows: list[_Row], q_from: Any, q_to: Any) -> _Boun
     travel = [furthest[j] if prismatic else 0.0 for j, prismatic in enumerate(chain.is_prismatic)]
     found = [[_bounds(chain, *each, turned, travel) for each in row.moved] for row in rows]
     most = lambda i: jnp.stack([jnp.max(jnp.stack([jnp.asarray(b[i], q_from.dtype) for b in each])) for each in found])
-    return _Bounds(jnp.maximum(most(0), _table_speeds(chain, rows, turned, q_from.dtype)), most(1), most(2))
+    return _Bounds(most(0), most(1), most(2))
 
 
-def _table_speeds(chain: Chain, rows: list[_Row], turned: list[Any], dtype: Any) -> Any:
-    """How fast the bounds of pairs' tables may change, of each row (k,), 0 without any."""
-    tables = pair_tables(chain)
-    found = [[t.speed(turned) for t in tables if t.links[1] == row.link] for row in rows]
-    return jnp.stack([jnp.max(jnp.stack([jnp.asarray(x, dtype) for x in (0.0, *each)])) for each in found])
+def _table_speeds(chain: Chain, rows: list[_Row], q_from: Any, q_to: Any, margin: Any) -> Any:
+    """How fast the bounds of pairs' tables change at most, of each row (k,), 0 without any; those above `-SHALLOW` alone where
+    the margin is, since what is deeper is below it, however fast."""
+    tables, moved = pair_tables(chain), jnp.abs(q_to - q_from)
+
+    def speed(table: PairTable) -> Any:
+        shallow, any_depth = table.slopes(-SHALLOW), table.slopes(-np.inf)
+        total: Any = 0.0
+        for k, j in enumerate(table.joints):
+            low, high = jnp.minimum(q_from[j], q_to[j]), jnp.maximum(q_from[j], q_to[j])
+            beyond = ~((low >= table.low[k]) & (high <= table.high[k])) & ~np.bool_(table.turns[k])
+            slope = jnp.where(margin >= -SHALLOW, shallow[k], any_depth[k])
+            total = total + moved[j] * jnp.where(beyond, jnp.maximum(slope, table.reach[k]), slope)
+        return total
+
+    found = [[speed(t) for t in tables if t.links[1] == row.link] for row in rows]
+    return jnp.stack([jnp.max(jnp.stack([jnp.asarray(x, q_from.dtype) for x in (0.0, *each)])) for each in found])
 
 
 def _speeds(chain: Chain, rows: list[_Row], q: Any, moved: Any) -> Any:
@@ -372,7 +386,7 @@ def _speeds(chain: Chain, rows: list[_Row], q: Any, moved: Any) -> Any:
                 linear, angular = linear + axis.cross(place - frame.translation), angular + axis
             found[link, j] = jnp.sqrt(linear.dot(linear)) + radius * jnp.sqrt(angular.dot(angular))
     most = [jnp.max(jnp.stack([jnp.asarray(found[each], q.dtype) for each in row.moved])) for row in rows]
-    return jnp.maximum(jnp.stack(most), _table_speeds(chain, rows, traced(jnp.abs(moved)), q.dtype))
+    return jnp.stack(most)
 
 
 def _ball(corners: Any) -> tuple[list[Any], Any]:

@@ -35,19 +35,20 @@ def overlap(a: Body, b: Body, turn: np.ndarray, place: np.ndarray) -> np.ndarray
     return ways_out(a, b, turn, place)[0]
 
 
-def ways_out(a: Body, b: Body, turn: np.ndarray, place: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """`overlap`, and the directions (n, 3) from a to b in which it is so much."""
+def ways_out(a: Body, b: Body, turn: np.ndarray, place: np.ndarray, count: int = MANY) -> tuple[np.ndarray, np.ndarray]:
+    """`overlap`, and the directions (n, 3) from a to b in which it is so much, found from `count` of all."""
     depth, across = np.zeros(len(place)), np.zeros((len(place), 3))
     for k in range(0, len(place), BLOCK):
         rows = slice(k, k + BLOCK)
-        depth[rows], across[rows] = _ways_out(a, b, turn[rows], place[rows])
+        depth[rows], across[rows] = _ways_out(a, b, turn[rows], place[rows], count)
     return depth + (a.radius + b.radius), across
 
 
-def _ways_out(a: Body, b: Body, turn: np.ndarray, place: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+def _ways_out(a: Body, b: Body, turn: np.ndarray, place: np.ndarray, count: int) -> tuple[np.ndarray, np.ndarray]:
     depth = lambda across: support(a, across) + support(b, -across @ turn) - np.einsum("...ki,...i->...k", across, place)
     rows, around = np.arange(len(place)), np.concatenate([np.zeros((1, 3)), directions(48), 0.4 * directions(16)])
-    along = directions(MANY)[depth(np.broadcast_to(directions(MANY), (len(place), MANY, 3))).argmin(axis=1)]
+    first = directions(count)
+    along = first[depth(np.broadcast_to(first, (len(place), count, 3))).argmin(axis=1)]
     for spread in (0.16, 0.04, 0.01):
         across = along[:, None] + spread * around
         across = across / np.linalg.norm(across, axis=2, keepdims=True)

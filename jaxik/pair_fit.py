@@ -26,7 +26,8 @@ TURN = (-math.pi, math.pi)
 ENOUGH = 0.1  # [m] from which on gaps are not told apart
 USEFUL = 0.3  # of what it is made for, which a table at least says is free
 SECTIONS = 32  # corners that stand for a circle
-BLOCK = 256  # places at a time, which bounds the memory
+FEW = 100  # directions in which depth is sought at first
+BLOCK = 512  # places at a time, which bounds the memory
 
 Limits = tuple[np.ndarray, np.ndarray]
 Couples = list[tuple[Body, Body]]
@@ -144,7 +145,7 @@ def _signed(a: Body, b: Body, turn: np.ndarray, place: np.ndarray) -> tuple[np.n
     overlap. No less than `ENOUGH` where it is more."""
     gap, across = separated(a, b, turn, place, ENOUGH)
     inside = np.flatnonzero(gap <= 0.0)
-    depth, across[inside] = ways_out(a, b, turn[inside], place[inside])
+    depth, across[inside] = ways_out(a, b, turn[inside], place[inside], FEW)
     gap[inside] = -depth
     return gap, across
 
@@ -202,14 +203,26 @@ class _Corners(NamedTuple):
         half: Sequence[float],
     ) -> _Corners:
         """Of a body at `turn` and `place`, next to one of the joints, whose axes have origins and directions (n, 3)."""
-        points = np.einsum("nij,pj->npi", turn, body.corners) + place[:, None]
-        moved = [axis.moved(points) for axis in axes]
-        speeds = [np.einsum("npi,ni->np", each, across) for each in moved]
-        inner, outer = (np.linalg.norm(moved[k], axis=2) for k in (next_to, 1 - next_to))
-        own, other = half[next_to], half[1 - next_to]
-        arc = 0.5 * inner * own**2 * (not axes[next_to].slides)
-        more = 0.5 * (outer + inner * own) * other**2 + inner * own * other
-        return cls(np.einsum("npi,ni->np", points, across), speeds, arc, arc + more * (not axes[1 - next_to].slides))
+        along = lambda way, shift: np.einsum("nij,ni->nj", turn, way) @ body.corners.T + _dot(way, shift)[:, None]
+        speeds, radii = [], []
+        for axis in axes:
+            away = place - axis.origin
+            if axis.slides:
+                speeds.append(np.broadcast_to(_dot(across, axis.along)[:, None], (len(place), len(body.corners))))
+                radii.append(np.ones(speeds[-1].shape))
+            else:
+                speeds.append(along(np.cross(across, axis.along), away))
+                square = np.sum(body.corners**2, axis=1) - _dot(away, away)[:, None] + 2.0 * along(away, away)
+                radii.append(np.sqrt(np.maximum(square - along(axis.along, away) ** 2, 0.0)))
+        (inner, outer), (own, other) = ([pair[next_to], pair[1 - next_to]] for pair in (radii, half))
+        turns = [float(not axes[k].slides) for k in (next_to, 1 - next_to)]
+        arc = 0.5 * turns[0] * inner * own**2
+        more = turns[1] * (0.5 * (outer + inner * own) * other**2 + inner * own * other)
+        return cls(along(across, place), speeds, np.asarray(arc), np.asarray(arc + more))
+
+
+def _dot(a: np.ndarray, b: np.ndarray) -> np.ndarray:
+    return np.asarray(np.einsum("ni,ni->n", a, b))
 
 
 class _Nodes(NamedTuple):

@@ -71,15 +71,15 @@ class PairTable:
     @property
     def axes(self) -> np.ndarray:
         """What `interpolated` takes of each joint (2, 6): the middle, the turn, the low end, cells a radian or metre, by how
-        much the bound may change over a cell [m], and the last node's number."""
+        much the bound falls over a cell beyond the ends [m], and the last node's number."""
         low, high, last = np.array(self.low), np.array(self.high), self.size - 1
-        rate, steps = last / (high - low), [np.abs(np.diff(self.bounds, axis=k)).max() for k in range(2)]
-        turn = np.where(self.turns, 2.0 * np.pi, ENDLESS)
-        return np.stack([(low + high) / 2.0, turn, low, rate, np.maximum(self.reach / rate, steps), np.full(2, last)], axis=1)
+        rate, turn = last / (high - low), np.where(self.turns, 2.0 * np.pi, ENDLESS)
+        return np.stack([(low + high) / 2.0, turn, low, rate, self.reach / rate, np.full(2, last)], axis=1)
 
-    def speed(self, moved: Any) -> Any:
-        """How fast the bound changes at most while the joints move by |dq| = `moved` (n,) in a unit of time [m]."""
-        return sum(moved[j] * rate * fall for j, (_, _, _, rate, fall, _) in zip(self.joints, self.axes, strict=True))
+    def slopes(self, least: float) -> np.ndarray:
+        """How fast the bound changes with each joint at most (2,) [m/rad, 1]: inside the grid, where it is above `least` [m]."""
+        bounds = np.maximum(self.bounds, least)
+        return np.array([np.abs(np.diff(bounds, axis=k)).max() for k in range(2)]) * self.axes[:, 3]
 
     def __call__(self, q: np.ndarray) -> np.ndarray:
         """The bounds at configurations `q` (..., n) [m]."""
