@@ -77,7 +77,7 @@ class PairTable:
         return np.stack([(low + high) / 2.0, turn, low, rate, self.reach / rate, np.full(2, last)], axis=1)
 
     def slopes(self, least: float) -> np.ndarray:
-        """How fast the bound changes with each joint at most (2,) [m/rad, 1]: inside the grid, where it is above `least` [m]."""
+        """How fast the bound changes with each joint at most (2,) [m/rad, 1]: in the grid, where above `least` [m]."""
         bounds = np.maximum(self.bounds, least)
         return np.array([np.abs(np.diff(bounds, axis=k)).max() for k in range(2)]) * self.axes[:, 3]
 
