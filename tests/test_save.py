@@ -165,6 +165,8 @@ def test_bad_files_are_one_line(tmp_path):
         ("link1", "is no list"),
         ([("link1", "link2", "table")], "is no link and no pair"),
         ([3], "is no link and no pair"),
+        ([("link1", "lnk2")], "did you mean 'link2'"),
+        ([("link1", "Link2")], "did you mean 'link2'"),
     ],
 )
 def test_bad_ignores_are_one_line(entries, words):

@@ -66,6 +66,8 @@ def load(
     path = _locate(source)
     tool = None if tool is None else np.asarray(rigid_frame("tool (tip_T_tool)", tool), np.float64)
     check_kind("load", "fit", fit, Fit, optional=True)
+    if fit is not FIT and not meshes:
+        raise ValueError(f"load: fit is {shown(fit)}, but no meshes are read; write meshes=True, or leave it out")
     chain, shapes, pairs = _read(path, tip, base, tool, Meshes(fit is not None) if meshes else None)
     apart, beside = ignored(path, chain, ignore)
     disabled = apart | (frozenset() if srdf is None else disabled_pairs(Path(srdf)))
