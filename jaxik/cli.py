@@ -307,7 +307,7 @@ class FitArguments:
     base: str | None = None
     """The link that the chain starts from; the root unless given."""
     accuracy: float = 1e3 * jaxik.Fit().accuracy
-    """How far a capsule may reach beyond its mesh's hull [mm]."""
+    """How far a capsule should reach beyond its mesh's hull, at most [mm]; the table says how far it does."""
     most: int = jaxik.Fit().most
     """Capsules a mesh, at most."""
     srdf: Path | None = None

@@ -103,7 +103,7 @@ class Scene(Constant):
 
         Raises `ValueError` for an object that is not there.
         """
-        several = isinstance(objects, Iterable) and not isinstance(objects, str) and getattr(objects, "ndim", 1)
+        several = isinstance(objects, Iterable) and not isinstance(objects, str) and getattr(objects, "ndim", 1) > 0
         gone = {self._index(each) for each in (objects if several else [objects])}
         masks = {k: np.array([o in gone for o in owners], bool) for k, owners in zip(KINDS, self.owners, strict=True)}
         return dataclasses.replace(self, **{k: _moved_away(getattr(self, k), masks[k]) for k in KINDS})
@@ -114,7 +114,8 @@ class Scene(Constant):
             if given not in self.object_names:
                 raise ValueError(no_such(f"scene '{self.name}'", "object", given, self.object_names))
             return self.object_names.index(given)
-        given = given[()] if isinstance(given, np.ndarray) and not given.ndim else given
+        if isinstance(given, np.ndarray | jax.Array) and is_known(given) and not given.ndim:
+            given = np.asarray(given)[()]
         whole = isinstance(given, int | np.integer) and not isinstance(given, bool)
         if not whole or not 0 <= given < len(self.object_names):
             most = len(self.object_names) - 1

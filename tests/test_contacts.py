@@ -97,6 +97,7 @@ def test_without_a_scene_and_bad_use(scene):
         lambda: jaxik.explain(panda, scene, middle[:3]),
         lambda: jaxik.explain(panda, scene, middle, 0),
         lambda: jaxik.explain(panda, scene, middle, 5, np.nan),
+        lambda: jaxik.explain(panda, scene, middle * np.nan),
     ):
         with pytest.raises(ValueError) as told:
             wrong()

@@ -237,7 +237,7 @@ def test_names_that_are_left_out_are_there():
     scene = crowded()
     assert same(scene.without("leaf"), scene.without(["leaf"])) and same(scene.without([0]), scene.without(["leaf"]))
     assert same(scene.without([]), scene)
-    for lone in (0, np.int64(0), np.array(0)):
+    for lone in (0, np.int64(0), np.array(0), jnp.array(0), jnp.array([0])):
         assert same(scene.without(lone), scene.without(["leaf"]))
     for gone, words in (
         (["laef"], ("'laef'", "did you mean 'leaf'?")),
