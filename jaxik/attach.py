@@ -12,6 +12,7 @@ from jaxtyping import Float
 from jaxik.algebra import Frame
 from jaxik.chain import Array, Box, Chain, Volume, solid_links
 from jaxik.choice import check_kind, no_such, shown
+from jaxik.given import check_known
 from jaxik.kinematics import as_posture, joint_frames
 from jaxik.scene import FAR, KINDS, SHAPES, Scene, check_scene
 
@@ -35,10 +36,11 @@ def attach(chain: Chain, scene: Scene, name: str, q: Float[Array, " n"], touches
     joint, too, and those that it `touches` (MoveIt's touch_links). It has no mass.
 
     Raises `ValueError` for an object that is not there, has no obstacle or the name of a link, for links that the chain does
-    not have, and for a q of another shape.
+    not have, for a q of another shape, and for what is traced.
     """
     check_kind("attach", "chain", chain, Chain)
     check_kind("attach", "scene", scene, Scene)
+    check_known("attach", chain=chain, scene=scene)
     check_scene(scene)
     last, link = chain.num_joints, len(chain.link_names)
     if name not in scene.object_names:

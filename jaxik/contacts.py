@@ -21,6 +21,7 @@ from jaxik.chain import Array, Chain
 from jaxik.choice import as_count, check_finite, check_kind
 from jaxik.collision import check_geometry
 from jaxik.gaps import columns_of, obstacles_of, skeleton_gap
+from jaxik.given import check_known
 from jaxik.hierarchy import pair_tables
 from jaxik.kinematics import as_posture
 from jaxik.scene import FAR, KINDS, Scene, check_scene
@@ -83,6 +84,7 @@ def explain(chain: Chain, scene: Scene | None, q: Float[Array, " n"], count: int
     Raises `ValueError` for a chain without collision geometry, or a q of another shape or with NaN or infinity.
     """
     check_kind("explain", "scene", scene, Scene, optional=True)
+    check_known("explain", chain=chain, scene=scene)
     if scene is not None:
         check_scene(scene)
     count = as_count("explain: count", count)
