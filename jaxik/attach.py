@@ -10,10 +10,10 @@ import numpy as np
 from jaxtyping import Float
 
 from jaxik.algebra import Frame
-from jaxik.chain import Array, Box, Chain, Volume, as_configuration, solid_links
+from jaxik.chain import Array, Box, Chain, Volume, solid_links
 from jaxik.choice import check_kind, no_such, shown
-from jaxik.given import numbers
-from jaxik.kinematics import joint_frames
+from jaxik.given import check_known
+from jaxik.kinematics import as_posture, joint_frames
 from jaxik.scene import FAR, KINDS, SHAPES, Scene, check_scene
 
 MOST = 1000  # volumes that an arm carries: each is measured against all obstacles
@@ -36,10 +36,11 @@ def attach(chain: Chain, scene: Scene, name: str, q: Float[Array, " n"], touches
     joint, too, and those that it `touches` (MoveIt's touch_links). It has no mass.
 
     Raises `ValueError` for an object that is not there, has no obstacle or the name of a link, for links that the chain does
-    not have, and for a q of another shape.
+    not have, for a q of another shape, and for what is traced.
     """
     check_kind("attach", "chain", chain, Chain)
     check_kind("attach", "scene", scene, Scene)
+    check_known("attach", chain=chain, scene=scene)
     check_scene(scene)
     last, link = chain.num_joints, len(chain.link_names)
     if name not in scene.object_names:
@@ -47,9 +48,7 @@ def attach(chain: Chain, scene: Scene, name: str, q: Float[Array, " n"], touches
     if name in chain.link_names:
         raise ValueError(f"attach: {chain.name} has a link '{shown(name)}' already; give the object another name")
     free = _links(chain, touches) | {i for i, joint in enumerate(chain.link_joint) if joint == last}
-    posture = np.asarray(as_configuration(chain, numbers("attach: q", q)), np.float64)
-    if not np.isfinite(posture).all():
-        raise ValueError("attach: q holds NaN or infinity; write a configuration [rad, m]")
+    posture = as_posture("attach", chain, q)
     frames = joint_frames(chain, posture.tolist(), Frame.of(chain.world_T_base)).joints
     joint_T_world = np.linalg.inv(np.array(frames[-1].entries, np.float64).reshape(4, 4))
     boxes, volumes = _carried(scene, name, joint_T_world, link)

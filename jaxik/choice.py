@@ -51,10 +51,15 @@ def shown(value: Any) -> str:
     return line if len(line) <= 60 else f"{line[:57]}..."
 
 
+def nearest(name: str, names: Sequence[str], alike: float = 0.6) -> str | None:
+    """The one of `names` that `name` may be a slip for, at least so `alike` (1: the same); None where none is."""
+    return next(iter(difflib.get_close_matches(name, names, 1, alike)), None)
+
+
 def no_such(who: str, what: str, name: str, names: Sequence[str]) -> str:
     """The line that refuses a `name` which is none of `names`: the nearest of them, and the first few."""
-    close = difflib.get_close_matches(name, names, 1)
-    meant = f"did you mean '{shown(close[0])}'? " if close else ""
+    close = nearest(name, names)
+    meant = f"did you mean '{shown(close)}'? " if close else ""
     rest = f", ... ({len(names)} in all)" if len(names) > 8 else ""
     return f"{who}: no {what} '{shown(name)}'; {meant}allowed: {', '.join(map(shown, names[:8]))}{rest}"
 

@@ -21,6 +21,7 @@ import jaxik
 from jaxik.batch import compilation_cache
 from jaxik.harvest import Harvest
 from jaxik.load import link_meshes
+from jaxik.load.srdf import unchecked
 from jaxik.reach import millimetres
 from jaxik.scan import Blockers, Weights
 from jaxik.task import COMPONENTS
@@ -306,7 +307,7 @@ class FitArguments:
     base: str | None = None
     """The link that the chain starts from; the root unless given."""
     accuracy: float = 1e3 * jaxik.Fit().accuracy
-    """How far a capsule may reach beyond its mesh's hull [mm]."""
+    """How far a capsule should reach beyond its mesh's hull, at most [mm]; the table says how far it does."""
     most: int = jaxik.Fit().most
     """Capsules a mesh, at most."""
     srdf: Path | None = None
@@ -340,7 +341,16 @@ def run_fit(arguments: FitArguments) -> None:
     )
     if arguments.to is not None:
         beyond = jaxik.save(chain, arguments.to)
-        print(f"wrote {arguments.to}" + (f", spheres up to {1e3 * beyond:.1f} mm beyond the volumes" if beyond else ""))
+        print(f"wrote {arguments.to}" + (_told(chain, arguments.to, beyond) if arguments.to.suffix == ".urdf" else ""))
+
+
+def _told(chain: jaxik.Chain, to: Path, beyond: float) -> str:
+    """What has to be known of a URDF of spheres."""
+    lost = f"; without {len(chain.pair_tables)} tables of distances" if chain.pair_tables else ""
+    return (
+        f", spheres up to {1e3 * beyond:.1f} mm beyond the volumes{lost}; who reads it has to disable "
+        f"{len(unchecked(chain))} pairs of links: {to.with_suffix('.srdf')}"
+    )
 
 
 def _print_fits(name: str, report: Sequence[jaxik.LinkFit]) -> None:

@@ -17,12 +17,13 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float
 
-from jaxik.chain import Array, Chain, as_configuration
+from jaxik.chain import Array, Chain
 from jaxik.choice import as_count, check_finite, check_kind
 from jaxik.collision import check_geometry
 from jaxik.gaps import columns_of, obstacles_of, skeleton_gap
-from jaxik.given import numbers
+from jaxik.given import check_known
 from jaxik.hierarchy import pair_tables
+from jaxik.kinematics import as_posture
 from jaxik.scene import FAR, KINDS, Scene, check_scene
 from jaxik.spheres import skeletons
 from jaxik.spmd import HostKernel
@@ -81,15 +82,16 @@ def explain(chain: Chain, scene: Scene | None, q: Float[Array, " n"], count: int
     with another link, those nearer than `below` [m], and the `count` joints nearest to a limit.
 
     Each pair of names stands once, at its least distance; the first pair's is `clearance`. A host function, in float64.
-    Raises `ValueError` for a chain without collision geometry or a q of another shape.
+    Raises `ValueError` for a chain without collision geometry, or a q of another shape or with NaN or infinity.
     """
     check_kind("explain", "scene", scene, Scene, optional=True)
+    check_known("explain", chain=chain, scene=scene)
     if scene is not None:
         check_scene(scene)
     count = as_count("explain: count", count)
     if below != np.inf:
         check_finite("explain", below=below)
-    posture = np.asarray(as_configuration(chain, numbers("explain: q", q)), np.float64)
+    posture = as_posture("explain", chain, q)
     check_geometry(chain)
     volumes = skeletons(chain, posture.tolist(), np.float64)
     with jax.enable_x64(True):

@@ -33,8 +33,8 @@ STEPS = 20  # of a descent at each
 @dataclasses.dataclass(frozen=True)
 class Fit:
     """How links' collision meshes become capsules: as few as come within `accuracy` [m] of the mesh's convex hull, and keep to
-    their half of the gap where other links pass, at most `most` a mesh. What was reached is told by `fit_report`. Raises
-    `ValueError` for what is neither."""
+    their half of the gap where other links pass; where `most` a mesh are too few for that, as close as these come. What was
+    reached is told by `fit_report`. Raises `ValueError` for what is neither."""
 
     accuracy: Any = 0.025
     most: Any = 16

@@ -47,6 +47,15 @@ def is_known(given: Any) -> bool:
     return not any(isinstance(leaf, jax.core.Tracer) for leaf in jax.tree_util.tree_leaves(given))
 
 
+def check_known(who: str, **given: Any) -> None:
+    """What runs on the host asks. Raises `ValueError` for what is traced."""
+    for name, value in given.items():
+        if not is_known(value):
+            raise ValueError(
+                f"{who}: {name} is traced; this runs on the host, outside of jit, vmap and grad, and takes numbers"
+            )
+
+
 def direction(what: str, given: Any) -> np.ndarray:
     """A unit vector (3,); one that is given stays as it is, so that a file that holds it gives it back.
 

@@ -41,7 +41,7 @@ class Balls(NamedTuple):
 class Obstacles:
     """Those of one `kind`, ordered by place: leaves of `LEAF` rows each; branch b holds the leaves `first[b]` to `last[b]`, not
     counted, and is one of the `count` that are there if b is less; `ignored[b]` are the `bits` of links that it does not
-    count for. `unsound` is 0, or NaN where a number of theirs is."""
+    count for, of a chain that ignores `ignores`. `unsound` is 0, or NaN where a number of theirs is."""
 
     kind: str
     rows: dict[str, Any]
@@ -52,10 +52,12 @@ class Obstacles:
     ignored: Any
     count: Any
     unsound: Any
+    ignores: tuple[tuple[int, str], ...]
 
 
-_LEAVES = [field.name for field in dataclasses.fields(Obstacles) if field.name != "kind"]
-jax.tree_util.register_dataclass(Obstacles, data_fields=_LEAVES, meta_fields=["kind"])
+_STATIC = ["kind", "ignores"]
+_LEAVES = [field.name for field in dataclasses.fields(Obstacles) if field.name not in _STATIC]
+jax.tree_util.register_dataclass(Obstacles, data_fields=_LEAVES, meta_fields=_STATIC)
 Grouped = tuple[Obstacles, ...]
 
 
@@ -63,11 +65,16 @@ def grouped(scene: Scene | Grouped | None, chain: Chain, by_object: bool = False
     """The scene's obstacles by kind, for a chain; what is out of the way is left out where that is known. `by_object`: branch b
     holds what belongs to object b.
 
-    Raises `ValueError` for arrays that were put in by hand and are none of a scene, and for a chain that ignores too much.
+    Raises `ValueError` for arrays that were put in by hand and are none of a scene, for a chain that ignores too much, and for
+    obstacles that were grouped for a chain that ignores others.
     """
     if scene is None:
         return ()
     if not isinstance(scene, Scene):
+        if any(obstacles.ignores != chain.ignored for obstacles in scene):
+            raise ValueError(
+                f"{chain.name}: the obstacles are grouped for another chain's `ignored`; group the scene for this one"
+            )
         return scene
     if not is_remembered(scene) and not is_known(scene):
         check_scene(scene)
@@ -94,11 +101,13 @@ def _grouped(scene: Scene, ignored: tuple[tuple[int, str], ...], by_object: bool
         count = len(rows[PLACE[kind]])
         if count:
             owner = np.array([*owners, *[-1] * (count - len(owners))], int)
-            found.append(_obstacles(kind, rows, owner, np.array(masks, np.int32), by_object))
+            found.append(_obstacles(kind, rows, owner, np.array(masks, np.int32), by_object, ignored))
     return tuple(found)
 
 
-def _obstacles(kind: str, rows: dict[str, Any], owner: np.ndarray, masks: np.ndarray, by_object: bool) -> Obstacles:
+def _obstacles(
+    kind: str, rows: dict[str, Any], owner: np.ndarray, masks: np.ndarray, by_object: bool, ignored: tuple[tuple[int, str], ...]
+) -> Obstacles:
     """`masks` of each object, and of what belongs to none, at last."""
     known = is_known(rows)
     size = LEAF[kind] if not known or len(rows[PLACE[kind]]) > FAN else 1  # a few fill no leaf
@@ -134,7 +143,8 @@ def _obstacles(kind: str, rows: dict[str, Any], owner: np.ndarray, masks: np.nda
         numbered(last),
         numbered(ignores),
         np.int32(len(first)),
-        xp.sum(center) * 0.0 + xp.sum(radius) * 0.0,
+        xp.asarray(sum(xp.sum(x) * 0.0 for x in rows.values())),
+        ignored,
     )
 
 

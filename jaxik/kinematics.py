@@ -41,7 +41,16 @@ from jaxik.algebra import (
     traced,
 )
 from jaxik.chain import Array, Chain, as_configuration
+from jaxik.given import numbers
 from jaxik.spmd import kernel
+
+
+def as_posture(who: str, chain: Chain, q: Any) -> np.ndarray:
+    """`q` (n,) [rad, m] in float64, of what runs on the host. Raises `ValueError` for another shape, NaN and infinity."""
+    posture = np.asarray(as_configuration(chain, numbers(f"{who}: q", q)), np.float64)
+    if not np.isfinite(posture).all():
+        raise ValueError(f"{who}: q holds NaN or infinity; write a configuration [rad, m]")
+    return posture
 
 
 class JointFrames(NamedTuple):

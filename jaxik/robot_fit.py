@@ -39,7 +39,7 @@ FAR = 1e3  # [m] by which what is close goes before what is not
 FITS = 2  # of all shapes
 WORTH = 3e-4  # of false collisions, in shares, that a capsule is worth
 SELDOM = 0.002  # of them, in which a pair may collide falsely without a table
-_VERSION = 6  # of what is stored
+_VERSION = 7  # of what is stored
 
 Pair = tuple[int, int]
 
@@ -104,9 +104,11 @@ def modelled(
     progress: Callable[[int], None] | None = None,
 ) -> Model:
     """The model of a chain whose other volumes are exact; read from disk where it is known. `progress` hears of each shape."""
-    content = hashlib.sha256(repr((_VERSION, fit, sorted(map(sorted, disabled)), chain.digest)).encode())
-    for shape in shapes:
-        content.update(repr((shape.link, shape.corners.shape)).encode() + np.ascontiguousarray(shape.corners).tobytes())
+    links = (chain.link_joint, chain.link_names, [v.link for v in chain.volumes], [s.link for s in shapes])
+    content = hashlib.sha256(repr((_VERSION, fit, sorted(map(sorted, disabled)), chain.joint_types, links)).encode())
+    exact = [part for v in chain.volumes for part in (v.corners, v.radius)]
+    for numbers in (chain.parent_T_joint, chain.axis, *finite_limits(chain), *exact, *(s.corners for s in shapes)):
+        content.update(repr(np.shape(numbers)).encode() + np.ascontiguousarray(numbers, np.float64).tobytes())
     name = f"jaxik_fit_{content.hexdigest()[:32]}"
     stored = read(name)
     if stored is not None:

@@ -7,12 +7,13 @@ the same compiled program. Every obstacle belongs to a named object: a leaf of f
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Callable, Hashable, Iterator
+from collections.abc import Callable, Hashable, Iterable, Iterator
 from operator import length_hint
 from typing import Any, NamedTuple
 
 import equinox as eqx
 import jax
+import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float
 
@@ -98,11 +99,12 @@ class Scene(Constant):
         return {k: _count(getattr(self, k)) for k in KINDS}
 
     def without(self, objects: Any) -> Scene:
-        """The scene with these objects (indices or names; a lone name is one) moved out of the way; shapes stay.
+        """The scene with these objects (indices or names, one or several) moved out of the way; shapes stay.
 
         Raises `ValueError` for an object that is not there.
         """
-        gone = {self._index(each) for each in ([objects] if isinstance(objects, str) else objects)}
+        several = isinstance(objects, Iterable) and not isinstance(objects, str) and getattr(objects, "ndim", 1) > 0
+        gone = {self._index(each) for each in (objects if several else [objects])}
         masks = {k: np.array([o in gone for o in owners], bool) for k, owners in zip(KINDS, self.owners, strict=True)}
         return dataclasses.replace(self, **{k: _moved_away(getattr(self, k), masks[k]) for k in KINDS})
 
@@ -112,7 +114,10 @@ class Scene(Constant):
             if given not in self.object_names:
                 raise ValueError(no_such(f"scene '{self.name}'", "object", given, self.object_names))
             return self.object_names.index(given)
-        if not isinstance(given, int | np.integer) or not 0 <= given < len(self.object_names):
+        if isinstance(given, np.ndarray | jax.Array) and is_known(given) and not given.ndim:
+            given = np.asarray(given)[()]
+        whole = isinstance(given, int | np.integer) and not isinstance(given, bool)
+        if not whole or not 0 <= given < len(self.object_names):
             most = len(self.object_names) - 1
             raise ValueError(f"scene '{self.name}': object {shown(given)}; allowed: names, or indices 0 to {most}")
         return int(given)
@@ -124,7 +129,7 @@ class Scene(Constant):
         """
         a_T_world = rigid_frame("moved: a_T_world", a_T_world)
         turn, shift = a_T_world[:3, :3], a_T_world[:3, 3]
-        to = lambda points: np.asarray(points) @ turn.T + shift
+        to = lambda points: points @ turn.T + shift
         return dataclasses.replace(
             self,
             points=dataclasses.replace(self.points, center=to(self.points.center)),
@@ -176,6 +181,8 @@ def _moved_away(obstacles: Any, mask: np.ndarray) -> Any:
     if not mask.any():
         return obstacles
 
+    xp = np if is_known(obstacles) else jnp
+
     def move(leaf: Any) -> Any:
         if leaf.ndim == 0 or leaf.ndim == 1:
             return leaf
@@ -183,7 +190,7 @@ def _moved_away(obstacles: Any, mask: np.ndarray) -> Any:
         far = np.full(leaf.shape[1:], FAR)
         if leaf.shape[1:] == (4, 4):
             far = np.eye(4) + np.pad(np.full((3, 1), FAR), ((0, 1), (3, 0)))
-        return np.where(column, far.astype(leaf.dtype), leaf)
+        return xp.where(column, far.astype(leaf.dtype), leaf)
 
     moved = jax.tree_util.tree_map(move, obstacles)
     # a box's `half` is a size, not a place
@@ -201,10 +208,12 @@ def _padded(obstacles: Any) -> Any:
     if not extra:
         return obstacles
 
+    xp = np if is_known(obstacles) else jnp
+
     def pad(leaf: Any) -> Any:
         if leaf.ndim == 0:
             return leaf
-        return np.concatenate([leaf, np.zeros((extra, *leaf.shape[1:]), leaf.dtype)])
+        return xp.concatenate([leaf, np.zeros((extra, *leaf.shape[1:]), leaf.dtype)])
 
     return _moved_away(jax.tree_util.tree_map(pad, obstacles), np.arange(count + extra) >= count)
 

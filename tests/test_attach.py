@@ -1,6 +1,7 @@
 """A grasped object moves with the arm: distances at another configuration against coal's, which is given the tip's motion."""
 
 import coal
+import jax
 import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
@@ -135,6 +136,11 @@ def test_bad_use_is_one_line(scene, change, words):
         jaxik.attach(**given)
     line = str(error.value)
     assert "\n" not in line and all(w in line for w in words), line
+
+
+def test_what_is_traced_is_refused(scene):
+    with pytest.raises(ValueError, match=r"^attach: scene is traced; .* takes numbers"):
+        jax.jit(lambda around: jaxik.attach(ARM, around, "ball", GRASP).scene)(scene)
 
 
 def test_what_is_gone_or_named_like_a_link_is_refused(scene):

@@ -417,6 +417,7 @@ def test_a_fit_is_told_and_written(tmp_path, monkeypatch, capsys):
         assert [row[:2] for row in rows] == [["base", "cylinder"], ["arm", "box"]]
         assert sum(int(row[2]) for row in rows) == len(chain.volumes) - 1 and {row[3] for row in rows} == {"100.0%"}
         assert str(tmp_path / name) in wrote and ("spheres up to" in wrote) == (name == "model.urdf")
+        assert (f"has to disable 2 pairs of links: {tmp_path / 'model.srdf'}" in wrote) == (name == "model.urdf")
     assert jaxik.load(tmp_path / "model.toml") == chain
     assert len(jaxik.load(tmp_path / "model.urdf", tip="tool").volumes) > len(chain.volumes)
     assert "allowed: .toml, .urdf" in refused(monkeypatch, capsys, "fit", tmp_path / "arm.urdf", "--to", "model.txt")

@@ -382,6 +382,60 @@ def test_nothing_is_hidden_by_nan():
         jaxik.clearance(chain, bad, np.zeros(2))
 
 
+@pytest.mark.parametrize(
+    "kind, place, size", [("boxes", "world_T_box", [(0.1, 0.1, 0.1)]), ("cylinders", "world_T_cylinder", (0.1, 0.1))]
+)
+def test_no_turned_obstacle_is_hidden_by_nan(kind, place, size):
+    """A rotation of NaN, at a place that is a number: of the search's bounding spheres none sees it."""
+    chain = jaxik.load("planar2")
+    scene = jaxik.make_scene(**{kind: [(np.eye(4), *size)]})
+    put = lambda frame: dataclasses.replace(scene, **{kind: dataclasses.replace(getattr(scene, kind), **{place: frame[None]})})
+    frame = np.eye(4)
+    frame[:2, 3] = 1.0, 1.5
+    asked = jax.jit(lambda T: (jaxik.clearance(chain, put(T), np.zeros(2)), jaxik.collides(chain, put(T), np.zeros(2))))
+    distance, hit = asked(frame)
+    assert np.isfinite(distance) and not hit
+    frame[0, 0] = np.nan
+    distance, hit = asked(frame)
+    assert np.isnan(distance) and hit
+
+
+@pytest.mark.parametrize("part", ["parent_T_joint", "world_T_base", "radius"])
+def test_no_chain_is_hidden_by_nan(part):
+    chain, scene = jaxik.load("planar2"), jaxik.make_scene(spheres=[[1.5, 0.9, 0.0, 0.1]])
+
+    def scaled(x):
+        if part == "radius":
+            return eqx.tree_at(lambda c: c.volumes[0].radius, chain, chain.volumes[0].radius * x)
+        return dataclasses.replace(chain, **{part: getattr(chain, part) * x})
+
+    asked = jax.jit(lambda x: (jaxik.clearance(scaled(x), scene, np.zeros(2)), jaxik.collides(scaled(x), scene, np.zeros(2))))
+    distance, hit = asked(1.0)
+    assert np.isfinite(distance) and not hit
+    distance, hit = asked(np.nan)
+    assert np.isnan(distance) and hit
+    for ask in (jaxik.clearance, jaxik.collides, jaxik.explain):  # of one that is known
+        with pytest.raises(ValueError, match=rf"^planar2: {part if part != 'radius' else 'volumes'} holds NaN or infinity"):
+            ask(scaled(np.nan), scene, np.zeros(2))
+
+
+def test_what_is_grouped_belongs_to_a_chain():
+    """What a chain ignores is written into the obstacles that are made for it; no other may take them."""
+    arm, scene = jaxik.load("planar2"), jaxik.make_scene(spheres=[[1.5, 0.2, 0.0, 0.1]])
+    apart = jaxik.load("planar2", ignore=["link1", "link2"])
+    assert jaxik.clearance(apart, grouped(scene, apart), np.zeros(2)) == np.inf
+    for chain, other in ((arm, apart), (apart, arm)):
+        with pytest.raises(ValueError, match=r"^planar2: .* another chain's"):
+            jaxik.clearance(chain, grouped(scene, other), np.zeros(2))
+
+
+def test_the_hierarchy_is_one_of_boxes():
+    arm, scene = jaxik.load("pendulum4"), jaxik.make_scene(points=[[1.0, 1.0, 0.0]])
+    for descend in (hierarchical_clearance, hierarchical_collision):
+        with pytest.raises(ValueError, match=r"pendulum4: .*boxes"):
+            descend(arm, scene, np.zeros(4))
+
+
 def _flat(chain, scene, q):
     centres, radii = jaxik.link_spheres(chain, q)
     return jnp.linalg.norm(centres[:, None] - scene.points.center, axis=-1) - radii[:, None]

@@ -3,6 +3,7 @@
 import dataclasses
 
 import coal
+import jax
 import numpy as np
 import pytest
 
@@ -97,6 +98,8 @@ def test_without_a_scene_and_bad_use(scene):
         lambda: jaxik.explain(panda, scene, middle[:3]),
         lambda: jaxik.explain(panda, scene, middle, 0),
         lambda: jaxik.explain(panda, scene, middle, 5, np.nan),
+        lambda: jaxik.explain(panda, scene, middle * np.nan),
+        lambda: jax.jit(lambda around: jaxik.explain(panda, around, middle).contacts[0].distance)(scene),
     ):
         with pytest.raises(ValueError) as told:
             wrong()

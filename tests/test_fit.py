@@ -132,6 +132,13 @@ def test_a_model_is_made_once_and_the_same_again(arm, tmp_path, monkeypatch):
         assert jaxik.load(arm, meshes=True, fit=coarse) == first  # made again, to the same numbers
     robot_fit.write(file.name, b"of another make")
     assert jaxik.load(arm, meshes=True, fit=coarse) == first
+    with monkeypatch.context() as held:  # nor for what no capsule depends on
+        held.setattr(robot_fit, "_Links", None)
+        tool = np.diag([1.0, -1.0, -1.0, 1.0])
+        again = jaxik.load(arm, meshes=True, fit=coarse, tool=tool, ignore=["base", ("arm", "table")])
+        assert again.volumes == first.volumes and again.ignored and np.array_equal(again.joint_T_tip, first.joint_T_tip @ tool)
+        write(arm.parent, "arm.urdf", ARM.replace('robot name="', 'robot name="another_'))
+        assert jaxik.load(arm, meshes=True, fit=coarse).volumes == first.volumes
     jaxik.load(arm, meshes=True, fit=Fit(0.1, 1))
     assert len(list(cache.iterdir())) == 2
 
@@ -153,6 +160,13 @@ def test_bad_options_are_one_line(options, words):
     assert words in str(caught.value) and "\n" not in str(caught.value)
     with pytest.raises(ValueError, match=r"write a jaxik\.Fit"):
         jaxik.load(FOLDER / ROBOTS["panda"][0], tip="panda_link8", meshes=True, fit="close")
+
+
+def test_a_fit_without_meshes_is_refused():
+    for fit in (Fit(0.01), None):
+        with pytest.raises(ValueError, match=r"^load: fit is .* meshes=True"):
+            jaxik.load("planar2", fit=fit)
+    assert jaxik.load("planar2") == jaxik.load("planar2", meshes=True)
 
 
 def test_a_report_says_what_was_fitted(tmp_path):

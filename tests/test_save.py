@@ -44,6 +44,16 @@ def test_a_fitted_model_is_read_as_it_was_written(tmp_path):
         jaxik.save(unread, tmp_path / "unread.urdf")
 
 
+def test_what_is_attached_stays_ignored(tmp_path):
+    """An object's name that is a link's by now still means the object, and entries keep their order."""
+    arm = jaxik.load("planar2", ignore=[("link2", "spheres_1"), "link1", ("link2", "table")])
+    scene = jaxik.make_scene(spheres=[[1.2, 0.3, 0.0, 0.05]])
+    held = jaxik.attach(arm, scene, "spheres_1", np.zeros(2)).chain
+    jaxik.save(held, tmp_path / "held.toml")
+    again = jaxik.load(tmp_path / "held.toml")
+    assert again.ignored == held.ignored != () and again == held
+
+
 def mixed():
     """A triangle and a capsule on a chain with a slide, and boxes."""
     chain = jaxik.load("p6r")
@@ -76,6 +86,38 @@ def test_spheres_hold_the_model(tmp_path):
         assert np.min(gaps, axis=0).max() < 1e-9
 
 
+def test_frames_take_names_that_are_free(tmp_path):
+    """A link that stands beside its joint, called as the joint's frame would be, keeps its place and its spheres."""
+    chain = jaxik.load("planar2")
+    names = tuple("q1_frame" if name == "link1" else name for name in chain.link_names)
+    beside = np.array(chain.link_offset)
+    beside[:, 0, 3] += 0.01
+    chain = dataclasses.replace(chain, link_names=names, link_offset=beside)
+    jaxik.save(chain, tmp_path / "named.urdf")
+    other = jaxik.load(tmp_path / "named.urdf", tip="tool")
+    for link, name in enumerate(names):
+        np.testing.assert_allclose(other.link_offset[other.link_names.index(name)], chain.link_offset[link], atol=1e-12)
+    assert {other.link_names[v.link] for v in other.volumes} == {names[v.link] for v in chain.volumes}
+    q, scene = np.array([0.3, -0.4]), jaxik.make_scene(spheres=[[1.2, 0.9, 0.0, 0.05]])
+    assert 0.0 <= jaxik.clearance(chain, scene, q) - jaxik.clearance(other, scene, q) <= 0.005
+
+
+def test_pairs_that_are_not_checked_are_written_beside(tmp_path):
+    """What another program has to be told, in the form that it reads; no file of somebody else's is written over."""
+    chain = mixed()
+    chain = dataclasses.replace(chain, self_pairs=chain.self_pairs[2:])
+    jaxik.save(chain, tmp_path / "spheres.urdf", beyond=0.02)
+    assert "the .srdf beside it names the pairs" in (tmp_path / "spheres.urdf").read_text()
+    other = jaxik.load(tmp_path / "spheres.urdf", tip="tool", srdf=tmp_path / "spheres.srdf")
+    named = lambda chain: {frozenset(chain.link_names[i] for i in pair) for pair in chain.self_pairs}
+    assert named(other) == named(chain)
+    jaxik.save(chain, tmp_path / "spheres.urdf", beyond=0.02)
+    mine = write(tmp_path, "other.srdf", "<robot name='mine'/>")
+    with pytest.raises(ValueError, match=r"other\.srdf is there, and is none of jaxik's; "):
+        jaxik.save(chain, tmp_path / "other.urdf")
+    assert mine.read_text() == "<robot name='mine'/>" and not (tmp_path / "other.urdf").exists()
+
+
 @pytest.mark.parametrize("count", [1, 2, 3])
 def test_a_cover_reaches_as_far_as_is_told(count):
     rng = np.random.default_rng(count)
@@ -102,7 +144,7 @@ def test_bad_files_are_one_line(tmp_path):
         "joint = 1": ("joint = 7", "joint = 7"),
         "radius = 0.05": ("radius = -0.05", "'radius' is out of range"),
         'link = "link1"': ('link = "hand"', "link = 'hand'"),
-        "ignore = []": ('ignore = ["hand"]', "no such link 'hand'"),
+        "ignored_objects = []": ('ignored_objects = [["hand", "table"]]', "ignored_objects holds ['hand', 'table']"),
         "velocity =": ("speed =", "'velocity' is missing"),
     }
     for old, (new, words) in bad.items():
@@ -124,6 +166,8 @@ def test_bad_files_are_one_line(tmp_path):
         ("link1", "is no list"),
         ([("link1", "link2", "table")], "is no link and no pair"),
         ([3], "is no link and no pair"),
+        ([("link1", "lnk2")], "did you mean 'link2'"),
+        ([("link1", "Link2")], "did you mean 'link2'"),
     ],
 )
 def test_bad_ignores_are_one_line(entries, words):

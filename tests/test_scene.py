@@ -14,9 +14,11 @@ from scipy.spatial.transform import Rotation
 
 import jaxik
 from jaxik.load.scene import save_scene
+from jaxik.scene import KINDS
 
 WIDTHS = {"points": 3, "spheres": 4, "capsules": 7}
 LEFT_HANDED, STRETCHED, HALF = np.diag([1.0, 1.0, -1.0, 1.0]), np.diag([1.001, 1.0, 1.0, 1.0]), np.diag([1.0, 1.0, 1.0, 0.5])
+TURNED = np.array([[0.0, -1.0, 0.0, 0.5], [1.0, 0.0, 0.0, 0.1], [0.0, 0.0, 1.0, -0.2], [0.0, 0.0, 0.0, 1.0]])
 
 
 def one_line(error, *words):
@@ -235,10 +237,31 @@ def test_names_that_are_left_out_are_there():
     scene = crowded()
     assert same(scene.without("leaf"), scene.without(["leaf"])) and same(scene.without([0]), scene.without(["leaf"]))
     assert same(scene.without([]), scene)
-    for gone, words in ((["laef"], ("'laef'", "did you mean 'leaf'?")), ("lea", ("'lea'", "'leaf'")), ([7], ("7", "0 to 6"))):
+    for lone in (0, np.int64(0), np.array(0), jnp.array(0), jnp.array([0])):
+        assert same(scene.without(lone), scene.without(["leaf"]))
+    for gone, words in (
+        (["laef"], ("'laef'", "did you mean 'leaf'?")),
+        ("lea", ("'lea'", "'leaf'")),
+        ([7], ("7", "0 to 6")),
+        (7, ("7", "0 to 6")),
+        (True, ("True", "0 to 6")),
+        ([True], ("True", "0 to 6")),
+        (None, ("None", "0 to 6")),
+        (1.5, ("1.5", "0 to 6")),
+    ):
         with pytest.raises(ValueError) as error:
             scene.without(gone)
         one_line(error, *words)
+
+
+@pytest.mark.parametrize("change", [lambda s: s.without("leaf"), lambda s: s.moved(TURNED), lambda s: s.padded()])
+def test_a_traced_scene_is_changed_as_a_known_one(change):
+    scene = crowded()
+    known, traced = change(scene), jax.jit(change)(scene)
+    leaves = jax.tree_util.tree_leaves
+    assert all(isinstance(x, np.ndarray) for kind in KINDS for x in leaves(getattr(known, kind)))
+    for mine, theirs in zip(leaves(known), leaves(traced), strict=True):
+        np.testing.assert_allclose(mine, theirs, rtol=1e-6, atol=1e-6)
 
 
 def test_a_scene_moves_rigidly():

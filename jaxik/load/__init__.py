@@ -58,14 +58,17 @@ def load(
     `tool` (4, 4) moves the tip [m]. `meshes=True` reads collision meshes and fits capsules around their convex hulls (`fit`;
     None puts one box around each mesh), with tables of the hulls' distance for links that pass too closely; without it a URDF
     with meshes has its kinematics, and `clearance` says what is missing. `srdf` names a file whose `disable_collisions` pairs
-    are not checked. `ignore` lists what is not checked, either: pairs of links, pairs of a link and an object of the scene, and
-    links that no object of a scene counts for.
+    are not checked. `ignore` lists what is not checked, either: pairs of links, pairs of a link and an object of the scene,
+    whose name is not nearly a link's, and links that no object of a scene counts for.
 
-    Raises `LoadError` (a `ValueError`) with one line: the file, the element, what is allowed, the mend.
+    Raises `LoadError` (a `ValueError`) with one line: the file, the element, what is allowed, the mend; and `ValueError` for a
+    `fit` without `meshes`.
     """
     path = _locate(source)
     tool = None if tool is None else np.asarray(rigid_frame("tool (tip_T_tool)", tool), np.float64)
     check_kind("load", "fit", fit, Fit, optional=True)
+    if fit is not FIT and not meshes:
+        raise ValueError(f"load: fit is {shown(fit)}, but no meshes are read; write meshes=True, or leave it out")
     chain, shapes, pairs = _read(path, tip, base, tool, Meshes(fit is not None) if meshes else None)
     apart, beside = ignored(path, chain, ignore)
     disabled = apart | (frozenset() if srdf is None else disabled_pairs(Path(srdf)))

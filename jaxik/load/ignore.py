@@ -7,15 +7,19 @@ from pathlib import Path
 from typing import Any
 
 from jaxik.chain import Chain
-from jaxik.choice import shown
+from jaxik.choice import nearest, shown
 from jaxik.result import LoadError
+
+ALIKE = (
+    0.8  # of its letters, as difflib counts them, that a name shares with a link's where it is one misspelt: 'Link2', 'link_2'
+)
 
 
 def ignored(path: Path, chain: Chain, entries: Any) -> tuple[frozenset[frozenset[str]], tuple[tuple[int, str], ...]]:
     """The pairs of links, and the pairs of a link's number with an object's name ("*": any), that `entries` say.
 
     An entry is a link's name (no object of a scene counts for it), two links' names, or those of a link and of an object; a
-    name that a link has means the link.
+    name that a link has means the link. One that is nearly a link's is refused: taken for an object's, it would be ignored.
     """
     apart: list[frozenset[str]] = []
     beside: list[tuple[int, str]] = []
@@ -25,10 +29,14 @@ def ignored(path: Path, chain: Chain, entries: Any) -> tuple[frozenset[frozenset
             raise LoadError(
                 path, f"ignore {shown(entry)}", f"no such link '{link[:40]}'", f"links: {', '.join(chain.link_names)}"
             )
-        if others and others[0] in chain.link_names:
-            apart.append(frozenset((link, others[0])))
+        other = others[0] if others else "*"
+        if other in chain.link_names:
+            apart.append(frozenset((link, other)))
+        elif meant := nearest(other, chain.link_names, ALIKE):
+            mend = f"did you mean '{meant}'? an object of the scene needs a name that is less like a link's"
+            raise LoadError(path, f"ignore {shown(entry)}", f"no such link '{shown(other)}'", mend)
         else:
-            beside.append((chain.link_names.index(link), others[0] if others else "*"))
+            beside.append((chain.link_names.index(link), other))
     return frozenset(apart), tuple(dict.fromkeys(beside))
 
 

@@ -11,10 +11,10 @@ from typing import Any
 import numpy as np
 
 from jaxik.chain import Body, Box, Chain, Volume
-from jaxik.choice import check_finite, check_kind
+from jaxik.choice import check_finite, check_kind, shown
 from jaxik.load.assemble import JOINT_TYPES
-from jaxik.load.ignore import ignored
 from jaxik.load.spherized import spherized
+from jaxik.load.srdf import check_ours, write_disabled
 from jaxik.load.toml import Table
 from jaxik.pair_table import PairTable, packed, unpacked
 from jaxik.spheres import LEVELS
@@ -26,15 +26,26 @@ def save(chain: Chain, path: str | Path, beyond: float = 0.005) -> float:
     """Writes a chain with its collision model: `.toml`, which `load` gives back to the last bit; or `.urdf`, each volume as
     spheres that reach at most `beyond` [m] further than it. Returns how far they do [m], 0 for TOML.
 
-    Raises `ValueError` for another ending, and for a URDF of a chain whose meshes were not read.
+    A URDF says nothing of pairs of links: those that the chain does not check are written beside it, as `.srdf`
+    (`load(.., srdf=)`). Its `pair_tables`, where links pass more closely than spheres tell, and the objects that it ignores
+    are in the TOML alone.
+
+    Raises `ValueError` for another ending, for a URDF of a chain whose meshes were not read, and where the `.srdf` would
+    replace one that is not from here.
     """
     check_kind("save", "chain", chain, Chain)
     check_finite("save", 1e-4, beyond=beyond)
     path = Path(path)
     if path.suffix not in (".toml", ".urdf"):
         raise ValueError(f"save: {path}: ending '{path.suffix}'; allowed: .toml, .urdf")
-    text, reach = (_toml(chain), 0.0) if path.suffix == ".toml" else spherized(chain, beyond)
+    if path.suffix == ".toml":
+        path.write_text(_toml(chain), encoding="utf-8")
+        return 0.0
+    pairs = path.with_suffix(".srdf")
+    check_ours(pairs)
+    text, reach = spherized(chain, beyond)
     path.write_text(text, encoding="utf-8")
+    write_disabled(chain, pairs)
     return reach
 
 
@@ -43,7 +54,7 @@ def _toml(chain: Chain) -> str:
     head["tip"], head["world_T_base"] = chain.joint_T_tip, chain.world_T_base
     names = chain.link_names
     head["pairs"] = [[names[a], names[b]] for a, b in chain.self_pairs]
-    head["ignore"] = [names[i] if other == "*" else [names[i], other] for i, other in chain.ignored]
+    head["ignored_objects"] = [[names[i], other] for i, other in chain.ignored]  # of a scene; a link may have such a name, too
     parts = [_lines(head)]
     for i, name in enumerate(chain.joint_names):
         row = {"name": name, "type": chain.joint_types[i], "frame": chain.parent_T_joint[i], "axis": chain.axis[i]}
@@ -88,7 +99,7 @@ def _written(value: Any) -> str:
 
 def read_chain(model: Table) -> Chain:
     """What `save` wrote. Raises `LoadError` where somebody has changed it to what is no chain."""
-    name, path = model.text("name"), model.path
+    name = model.text("name")
     model.text("convention")
     model.text("description", "-")
     joints, links = model.tables("joint"), model.tables("link")
@@ -126,9 +137,18 @@ def read_chain(model: Table) -> Chain:
     )
     pairs = [_two(model, "pairs", pair, names) for pair in model.listed("pairs")]
     tables = [_table(table, chain) for table in model.tables("table")]
-    beside = ignored(path, chain, model.listed("ignore"))[1]
+    beside = [_beside(model, entry, names) for entry in model.listed("ignored_objects")]
     model.close()
-    return dataclasses.replace(chain, self_pairs=tuple(pairs), ignored=beside, pair_tables=tuple(tables))
+    return dataclasses.replace(chain, self_pairs=tuple(pairs), ignored=tuple(beside), pair_tables=tuple(tables))
+
+
+def _beside(table: Table, given: Any, names: Sequence[str]) -> tuple[int, str]:
+    """The number of a link, and an object's name."""
+    if not (isinstance(given, list) and len(given) == 2 and given[0] in names and isinstance(given[1], str) and given[1]):
+        raise table.fail(
+            f"ignored_objects holds {shown(given)}", f'write ["link", "object"], of any object "*"; links: {", ".join(names)}'
+        )
+    return names.index(given[0]), given[1]
 
 
 def _two(table: Table, key: str, given: Any, names: Sequence[str]) -> tuple[int, int]:

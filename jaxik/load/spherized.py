@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import itertools
+from collections.abc import Sequence
 from typing import Any
 from xml.etree import ElementTree
 
@@ -10,6 +11,10 @@ import numpy as np
 
 from jaxik.chain import Chain
 from jaxik.spheres import box_spheres
+
+LOST = (
+    "the .srdf beside it names the pairs of links that are not to be checked; tables of distances and ignored objects are lost"
+)
 
 
 def spherized(chain: Chain, beyond: float) -> tuple[str, float]:
@@ -41,7 +46,7 @@ def spherized(chain: Chain, beyond: float) -> tuple[str, float]:
             ElementTree.SubElement(collision, "origin", xyz=_words(back[:3, :3] @ centre + back[:3, 3]), rpy="0 0 0")
             ElementTree.SubElement(ElementTree.SubElement(collision, "geometry"), "sphere", radius=repr(float(radius)))
         if name not in names:
-            _fixed(root, name, names[chain.link_joint[i]], chain.link_offset[i])
+            _fixed(root, name, names[chain.link_joint[i]], chain.link_offset[i], chain.joint_names)
     for i, name in enumerate(chain.joint_names):
         joint = _joined(root, name, chain.joint_types[i], names[i], names[i + 1], chain.parent_T_joint[i])
         ElementTree.SubElement(joint, "axis", xyz=_words(chain.axis[i]))
@@ -49,25 +54,31 @@ def spherized(chain: Chain, beyond: float) -> tuple[str, float]:
         if chain.joint_types[i] == "continuous":
             limit = {k: v for k, v in limit.items() if k not in ("lower", "upper")}
         ElementTree.SubElement(joint, "limit", {k: repr(float(v)) for k, v in limit.items() if np.isfinite(v)})
-    tool = next(n for i in itertools.count() if (n := f"tool_{i}" if i else "tool") not in (*names, *chain.link_names))
+    tool = _free("tool", (*names, *chain.link_names))
     ElementTree.SubElement(root, "link", name=tool)
-    _fixed(root, tool, names[-1], chain.joint_T_tip)
+    _fixed(root, tool, names[-1], chain.joint_T_tip, chain.joint_names)
     count = sum(map(len, spheres.values()))
     note = f"{count} spheres, which reach at most {1e3 * reach:.1f} mm beyond the collision model; the tip is '{tool}'"
     root.insert(0, ElementTree.Comment(f" {note} "))
+    root.insert(1, ElementTree.Comment(f" {LOST} "))
     ElementTree.indent(root)
     return ElementTree.tostring(root, encoding="unicode") + "\n", reach
 
 
 def _frame_names(chain: Chain) -> list[str]:
     """A link for the base's frame and each joint's: one of the chain's that stands there, or another."""
-    found = []
+    found: list[str] = []
     for joint in range(chain.num_joints + 1):
         there = [n for n, j, o in zip(chain.link_names, chain.link_joint, chain.link_offset, strict=True)
                  if j == joint and np.array_equal(o, np.eye(4))]  # fmt: skip
         named = "base_frame" if joint == 0 else f"{chain.joint_names[joint - 1]}_frame"
-        found.append(there[0] if there else named)
+        found.append(there[0] if there else _free(named, (*chain.link_names, *found)))
     return found
+
+
+def _free(name: str, taken: Sequence[str]) -> str:
+    """The name, or with a number after it where it is taken."""
+    return next(n for i in itertools.count() if (n := f"{name}_{i}" if i else name) not in taken)
 
 
 def _inertial(element: ElementTree.Element, chain: Chain, link: int, moved: bool) -> None:
@@ -90,8 +101,8 @@ def _joined(root: Any, name: str, kind: str, parent: str, child: str, frame: Any
     return joint
 
 
-def _fixed(root: Any, child: str, parent: str, frame: Any) -> None:
-    _joined(root, f"{child}_fixed", "fixed", parent, child, frame)
+def _fixed(root: Any, child: str, parent: str, frame: Any, taken: Sequence[str]) -> None:
+    _joined(root, _free(f"{child}_fixed", taken), "fixed", parent, child, frame)
 
 
 def _words(values: Any) -> str:
