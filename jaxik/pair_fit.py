@@ -21,7 +21,7 @@ from jaxik.convex import Body, gaps, hull_corners, separated, ways_out
 from jaxik.kinematics import joint_frames
 from jaxik.pair_table import PairTable, stored
 
-SIDE = 128  # values of each joint
+SIDES = 64, 256  # values of each joint, fewest and most
 TURN = (-math.pi, math.pi)
 ENOUGH = 0.1  # [m] from which on gaps are not told apart
 USEFUL = 0.3  # of what it is made for, which a table at least says is free
@@ -47,10 +47,16 @@ def between(chain: Chain, pair: tuple[int, int], frames: np.ndarray) -> tuple[np
     return back @ b[:, :3, :3], np.einsum("nij,nj->ni", back, b[:, :3, 3] - a[:, :3, 3])
 
 
+def side_of(accuracy: float) -> int:
+    """How many values of each joint a table has: what it is lowered by between them goes with their distance squared."""
+    return int(np.clip(round(128.0 * math.sqrt(0.025 / accuracy)), *SIDES))
+
+
 def table_of(
-    chain: Chain, pair: tuple[int, int], bodies: dict[int, list[Body]], limits: Limits, q: np.ndarray
+    chain: Chain, pair: tuple[int, int], bodies: dict[int, list[Body]], limits: Limits, q: np.ndarray, side: int
 ) -> PairTable | None:
-    """The table that says of most configurations `q` (k, n), in which a pair is free, that it is; None if of too few."""
+    """The table, of `side` values of each joint, that says of most configurations `q` (k, n), in which a pair is free, that it
+    is; None if of too few."""
     near, far = sorted(pair, key=lambda link: chain.link_joint[link])
     first, last = chain.link_joint[near], chain.link_joint[far]
     before, after = (not chain.is_prismatic[j] for j in (first, last - 1))  # whether these joints may sweep their links
@@ -63,7 +69,7 @@ def table_of(
             best = max(best, (share, k, couples), key=lambda each: each[0])
     if not best[2]:
         return None
-    table = _table(chain, near, far, *best[1:], limits)
+    table = _table(chain, near, far, *best[1:], limits, side)
     return dataclasses.replace(table, links=pair) if np.mean(table(q) > 0.0) >= USEFUL else None
 
 
@@ -79,7 +85,7 @@ def _couples(chain: Chain, near: int, far: int, k: int, bodies: dict[int, list[B
     return list(itertools.product(mine, theirs))
 
 
-def _table(chain: Chain, near: int, far: int, k: int, couples: Couples, limits: Limits) -> PairTable:
+def _table(chain: Chain, near: int, far: int, k: int, couples: Couples, limits: Limits, side: int) -> PairTable:
     """A table by joints k and k + 1, the others between at 0."""
     axes, frame = np.asarray(chain.axis, np.float64), np.asarray(chain.parent_T_joint, np.float64)
     first, last = chain.link_joint[near], chain.link_joint[far]
@@ -93,16 +99,16 @@ def _table(chain: Chain, near: int, far: int, k: int, couples: Couples, limits: 
     ]
 
     ranges = [_range(chain, j, limits) for j in (k, k + 1)]
-    q = np.zeros((SIDE * SIDE, chain.num_joints))
-    q[:, k : k + 2] = np.stack(np.meshgrid(*(np.linspace(*r, SIDE) for r in ranges), indexing="ij"), axis=-1).reshape(-1, 2)
-    steps = [(high - low) / (SIDE - 1) for low, high in ranges]
+    q = np.zeros((side * side, chain.num_joints))
+    q[:, k : k + 2] = np.stack(np.meshgrid(*(np.linspace(*r, side) for r in ranges), indexing="ij"), axis=-1).reshape(-1, 2)
+    steps = [(high - low) / (side - 1) for low, high in ranges]
     places = between(chain, (near, far), frames(chain, q))
     found = [_signed(a, b, *places) for a, b in couples]
     distance = np.minimum(np.min([gap for gap, _ in found], axis=0), ENOUGH)
     wraps = tuple(r == TURN for r in ranges)
     each = zip(couples, found, strict=True)
     excess = [_excess(a, b, *places, across, distance, turns, steps) for (a, b), (_, across) in each]
-    bounds = distance.reshape(SIDE, SIDE) - _of_nodes(np.max(excess, axis=0), wraps)
+    bounds = distance.reshape(side, side) - _of_nodes(np.max(excess, axis=0), wraps)
     for axis, whole in enumerate(wraps):
         ends = np.take(bounds, [0, -1], axis).min(axis=axis, keepdims=True)  # the same place, but for rounding
         bounds[(slice(None),) * axis + ([0, -1],)] = ends if whole else np.take(bounds, [0, -1], axis)
@@ -160,25 +166,26 @@ def _excess(
     axes: Sequence[Axis],
     steps: Sequence[float],
 ) -> np.ndarray:
-    """By how much interpolation between the nodes' `distance` may be too large in each cell (SIDE - 1, SIDE - 1) [m].
+    """By how much interpolation between the nodes' `distance` may be too large in each cell [m].
 
     In any direction n two bodies are apart by `min_x n.x - max_y n.y` over the corners x of b and y of a, which is no more than
     their distance. Within half a step of a node n is the node's, kept in the frame of a, of b or of what is between the joints,
     whichever is best: a corner's height along it changes at the speeds of the joints that move it there, and by its arcs. So
     each corner says by how much it may come closer than the interpolation does, in each of the quarters around the node.
     """
-    grid, half = distance.reshape(SIDE, SIDE), (steps[0] / 2.0, steps[1] / 2.0)
+    side = math.isqrt(len(distance))
+    grid, half = distance.reshape(side, side), (steps[0] / 2.0, steps[1] / 2.0)
     before = [np.diff(grid, axis=k, prepend=np.take(grid, [0], k)) / steps[k] for k in range(2)]
     after = [np.diff(grid, axis=k, append=np.take(grid, [-1], k)) / steps[k] for k in range(2)]
     mixed = np.abs(np.diff(np.diff(grid, axis=0), axis=1)) / 4.0
-    over = np.empty((2, 2, SIDE * SIDE))
-    for start in range(0, SIDE * SIDE, BLOCK):
+    over = np.empty((2, 2, side * side))
+    for start in range(0, side * side, BLOCK):
         rows = slice(start, start + BLOCK)
         nodes = _Nodes.of(a, b, turn[rows], place[rows], across[rows], axes, half)
         for i, j in itertools.product(range(2), repeat=2):
             slopes = [(after if side else before)[k].ravel()[rows] for k, side in enumerate((i, j))]
             over[i, j, rows] = distance[rows] - nodes.least(slopes, (2 * i - 1, 2 * j - 1)) + (a.radius + b.radius)
-    quarter = lambda i, j: over[i, j].reshape(SIDE, SIDE)[1 - i : SIDE - i, 1 - j : SIDE - j]
+    quarter = lambda i, j: over[i, j].reshape(side, side)[1 - i : side - i, 1 - j : side - j]
     return np.asarray(np.max([np.zeros_like(mixed), *(quarter(i, j) + mixed for i in range(2) for j in range(2))], axis=0))
 
 

@@ -22,7 +22,7 @@ import numpy as np
 from jaxik.chain import Chain, Volume, finite_limits, geometry_between
 from jaxik.convex import Body, apart_at_least, depths, directions, gaps, hull_corners, separated
 from jaxik.fit import Fit, Fitted, fitted
-from jaxik.pair_fit import between, frames, table_of
+from jaxik.pair_fit import between, frames, side_of, table_of
 from jaxik.pair_table import PairTable
 from jaxik.spheres import candidate_pairs, default_pose
 from jaxik.spmd.cache import read, write
@@ -39,7 +39,7 @@ FAR = 1e3  # [m] by which what is close goes before what is not
 FITS = 2  # of all shapes
 WORTH = 3e-4  # of false collisions, in shares, that a capsule is worth
 SELDOM = 0.002  # of them, in which a pair may collide falsely without a table
-_VERSION = 7  # of what is stored
+_VERSION = 8  # of what is stored
 
 Pair = tuple[int, int]
 
@@ -208,7 +208,7 @@ class _Links:
                     progress(turn * len(self.shapes) + number + 1)
             hit = {pair: self.touching(pair, fits) & (least > 0.0) for pair in kept}
             if turn == 0:
-                tables = self.tables(hit)
+                tables = self.tables(hit, side_of(fit.accuracy))
                 cleared = {t.links: t(self.q) > 0.0 for t in tables}
                 close = [each.where(~cleared[p][each.rows]) if p in cleared else each for p in kept for each in passes[p]]
             made = self.judged(fits, hit, at_home, least, tables)
@@ -234,11 +234,11 @@ class _Links:
         colliding = float(np.mean(least[1:] <= 0.0))
         return Model(tuple(fits), tuple(hit), at_home, colliding, share(hit.values()), by_link, home_free, tuple(tables))
 
-    def tables(self, hit: dict[Pair, np.ndarray]) -> list[PairTable]:
+    def tables(self, hit: dict[Pair, np.ndarray], side: int) -> list[PairTable]:
         """Of the pairs of links that falsely collide in the default pose, or in more of the samples than `SELDOM`."""
         often = [pair for pair, rows in hit.items() if rows[0] or rows[1:].mean() > SELDOM]
         bodies = {link: [self.bodies[i][1] for i in self.of(link)] for pair in often for link in pair}
-        found = [table_of(self.chain, pair, bodies, self.limits, self.q[hit[pair]]) for pair in often]
+        found = [table_of(self.chain, pair, bodies, self.limits, self.q[hit[pair]], side) for pair in often]
         return [table for table in found if table is not None]
 
     def of(self, link: int) -> list[int]:

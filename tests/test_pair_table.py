@@ -75,7 +75,7 @@ def test_a_table_bounds_coals_distance(kinematics, kind, other):
     inside = rng.uniform(*limits, (3000, 3))
     true = signed(chain, "base", other, inside)
     free = (true > 0.0) & (true < 0.01)
-    table = table_of(chain, tuple(links.values()), bodies, limits, inside[free])
+    table = table_of(chain, tuple(links.values()), bodies, limits, inside[free], 128)
     assert table.joints == (0, 1) and table.turns == (True, False) and free.sum() > 50
     assert np.abs(true).min() < 1e-4 and (true < 0.0).mean() > 0.02
     assert (table(inside) - true).max() < EXACT
@@ -105,7 +105,7 @@ def test_nothing_slips_between_the_nodes(kinematics, kind):
     inside = rng.uniform(*limits, (3000, 3))
     inside[:2000, 0] = rng.choice([0.0, np.pi, -np.pi], 2000) + 0.01 * rng.normal(size=2000)
     true = signed(chain, "base", "beam", inside, sizes, places)
-    table = table_of(chain, tuple(links.values()), bodies, limits, inside[true > 0.1])
+    table = table_of(chain, tuple(links.values()), bodies, limits, inside[true > 0.1], 128)
     assert ((true < 0.0) & (true > -0.004)).sum() > 50 and (table(inside) - true).max() < EXACT
     assert table(inside[true > 0.1]).min() > 0.03
 
