@@ -45,7 +45,7 @@ def march(p6r):
 
 
 def test_never_free_where_a_dense_sampling_hits(p6r):
-    """A slide and six turning joints, in float32; `batch_eval/motions.py` does this for 100,000 motions of six robots."""
+    """A slide and six turning joints, in float32; `batch_eval/motions.py` does this for 100,000 motions of seven robots."""
     found = judged(*p6r, *motions(*p6r, 400), samples=400)
     assert [found[name] for name in WRONG] == [0] * len(WRONG)
     assert 0.2 < found["free"] / found["motions"] < 0.95 and found["dense sampling hits"] > 20
