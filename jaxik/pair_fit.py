@@ -109,9 +109,8 @@ def _table(chain: Chain, near: int, far: int, k: int, couples: Couples, limits: 
     each = zip(couples, found, strict=True)
     excess = [_excess(a, b, *places, across, distance, turns, steps) for (a, b), (_, across) in each]
     bounds = distance.reshape(side, side) - _of_nodes(np.max(excess, axis=0), wraps)
-    for axis, whole in enumerate(wraps):
-        ends = np.take(bounds, [0, -1], axis).min(axis=axis, keepdims=True)  # the same place, but for rounding
-        bounds[(slice(None),) * axis + ([0, -1],)] = ends if whole else np.take(bounds, [0, -1], axis)
+    for way in (w for w, whole in zip((bounds, bounds.T), wraps, strict=True) if whole):
+        way[[0, -1]] = np.minimum(way[0], way[-1])  # the same place, but for rounding
     low, high = zip(*ranges, strict=True)
     return PairTable((near, far), (k, k + 1), low, high, wraps, tuple(reach), stored(bounds), geometry="")
 
@@ -183,7 +182,7 @@ def _excess(
         rows = slice(start, start + BLOCK)
         nodes = _Nodes.of(a, b, turn[rows], place[rows], across[rows], axes, half)
         for i, j in itertools.product(range(2), repeat=2):
-            slopes = [(after if side else before)[k].ravel()[rows] for k, side in enumerate((i, j))]
+            slopes = [(after if later else before)[k].ravel()[rows] for k, later in enumerate((i, j))]
             over[i, j, rows] = distance[rows] - nodes.least(slopes, (2 * i - 1, 2 * j - 1)) + (a.radius + b.radius)
     quarter = lambda i, j: over[i, j].reshape(side, side)[1 - i : side - i, 1 - j : side - j]
     return np.asarray(np.max([np.zeros_like(mixed), *(quarter(i, j) + mixed for i in range(2) for j in range(2))], axis=0))

@@ -192,10 +192,10 @@ class _Links:
     def model(self, fit: Fit, progress: Callable[[int], None] | None) -> Model:
         """Pairs, planes, capsules, and what they say of the samples."""
         passes = {pair: self.passes(pair, 2.0 * fit.accuracy) for pair in self.pairs}
-        gaps = {pair: self.least(found) for pair, found in passes.items()}
-        at_home = {pair: float(self.depth(pair, self.q[:1])[0]) for pair, gap in gaps.items() if gap[0] <= 0.0}
-        kept = [p for p, gap in gaps.items() if gap[0] > 0.0 and np.mean(gap[1:] <= 0.0) < ALWAYS and self.collides(p, gap)]
-        least = np.min([gaps[p] for p in kept], axis=0) if kept else np.full(len(self.q), np.inf)
+        gap_of = {pair: self.least(found) for pair, found in passes.items()}
+        at_home = {pair: float(self.depth(pair, self.q[:1])[0]) for pair, gap in gap_of.items() if gap[0] <= 0.0}
+        kept = [p for p, gap in gap_of.items() if gap[0] > 0.0 and np.mean(gap[1:] <= 0.0) < ALWAYS and self.collides(p, gap)]
+        least = np.min([gap_of[p] for p in kept], axis=0) if kept else np.full(len(self.q), np.inf)
         close = [each for p in kept for each in passes[p]]
         shares = [np.full(len(each.rows), 0.5) for each in close]
         tables: list[PairTable] = []

@@ -10,9 +10,7 @@ from jaxik.chain import Chain
 from jaxik.choice import nearest, shown
 from jaxik.result import LoadError
 
-ALIKE = (
-    0.8  # of its letters, as difflib counts them, that a name shares with a link's where it is one misspelt: 'Link2', 'link_2'
-)
+ALIKE = 0.8  # share of letters, by difflib, from which a name is a link's misspelt: 'Link2', 'link_2'
 
 
 def ignored(path: Path, chain: Chain, entries: Any) -> tuple[frozenset[frozenset[str]], tuple[tuple[int, str], ...]]:
