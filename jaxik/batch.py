@@ -72,7 +72,7 @@ def in_blocks(
         here = len(part[0])
         padded = [np.resize(r, (size, *r.shape[1:])) if here < size else r for r in part]  # of no rows it makes zeros
         with jax.enable_x64(wide):
-            return [np.array(x)[:here] for x in jax.tree_util.tree_leaves(function(*made(*padded), *fixed))]
+            return [np.asarray(x)[:here] for x in jax.tree_util.tree_leaves(function(*made(*padded), *fixed))]
 
     return _by_blocks(block, columns, size)
 
@@ -82,7 +82,7 @@ def _by_blocks(function: Callable[..., list[np.ndarray]], columns: tuple[np.ndar
     block = lambda start: function(*(c[start : start + size] for c in columns))
     starts = range(0, max(len(columns[0]), 1), size)
     parts = [block(s) for s in starts] if len(starts) == 1 else list(threads().map(block, starts))
-    return [np.concatenate(each) if len(each) > 1 else each[0] for each in zip(*parts, strict=True)]
+    return [np.concatenate(each) for each in zip(*parts, strict=True)]
 
 
 def compilation_cache() -> None:

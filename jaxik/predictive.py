@@ -37,7 +37,7 @@ from jaxik.redundancy import FLOOR, Resolved, loop_gain, resolve_velocity, settl
 from jaxik.spmd import kernel
 from jaxik.task import POSE, Task
 
-LANES = 64  # scenarios a call where there are more: another number compiles nothing
+LANES = 128  # scenarios a call where there are more: another number compiles nothing
 DESCEND = descent.Descent()
 Level = Literal["velocity", "acceleration"]
 Start = Literal["given", "free"]
@@ -255,7 +255,7 @@ def predict(
     check_path("predict", path, duration, q.shape[:1] if "duration" in each else ())
     many = q.ndim == 2
     if guess is None:
-        w = jnp.zeros(shape, q.dtype)
+        w = np.zeros(shape, q.dtype)
     else:
         w = as_numbers("predict: guess", guess).astype(q.dtype)
         if horizon.start == "free" and w.shape[-2:] == (horizon.count, chain.num_joints):

@@ -204,18 +204,20 @@ def run(objective: Objective, w: Any, options: Descent) -> Descended:
     return Descended(end.w, end.cost, end.aux, end.iterations, *history)
 
 
-def _beta(kind: str, inner: Any, g: Any, before: Any, s: Any) -> Any:
+def _beta(kind: str, square: Any, across: Any, before: Any, along: Any, along_before: Any) -> Any:
+    """Of inner products, so that no difference of gradients is formed: <g_j, g_j>, <g_j, g_{j-1}>, <g_{j-1}, g_{j-1}>,
+    <s, g_j>, <s, g_{j-1}>."""
     if kind == "steepest":
         return 0.0
-    y = g - before
+    change, curvature = square - across, along - along_before  # <g_j, y>, <s, y>
     if kind == "hestenes_stiefel":
-        return ratio(inner(g, y), inner(s, y))
+        return ratio(change, curvature)
     if kind == "fletcher_reeves":
-        return ratio(inner(g, g), inner(before, before))
+        return ratio(square, before)
     if kind == "polak_ribiere":
-        return ratio(inner(g, y), inner(before, before))
-    along = inner(s, y)
-    return ratio(inner(g, y) - 2.0 * inner(s, g) * ratio(inner(y, y), along), along)
+        return ratio(change, before)
+    changes = change + before - across  # <y, y>
+    return ratio(change - 2.0 * along * ratio(changes, curvature), curvature)
 
 
 def _quasi_newton(options: Descent) -> Any:
@@ -225,20 +227,20 @@ def _quasi_newton(options: Descent) -> Any:
 
 
 def _heading(objective: Objective, state: State, options: Descent) -> _Heading:
-    inner = objective.inner
+    inner, before, s = objective.inner, state.gradient, state.direction
     g = objective.gradient(state.w, state.aux)
+    square = inner(g, g)
     if options.direction == "lbfgs":
         scaled, memory = _quasi_newton(options).update(g, state.memory, state.w)
-        s, beta = -scaled, jnp.zeros((), g.dtype)
-    else:
-        beta = jnp.asarray(_beta(options.direction, inner, g, state.gradient, state.direction), g.dtype)
-        again = jnp.abs(inner(g, state.gradient)) > options.restart * inner(g, g)
-        beta = jnp.where((state.iterations == 0) | again, 0.0, beta)
-        s, memory = -g + beta * state.direction, ()
-    slope = inner(g, s)
-    descends = slope < 0.0
-    s, slope = jnp.where(descends, s, -g), jnp.where(descends, slope, -inner(g, g))
-    return _Heading(g, s, slope, jnp.where(descends, beta, 0.0), memory)
+        slope = -inner(g, scaled)
+        s, slope = jnp.where(slope < 0.0, -scaled, -g), jnp.where(slope < 0.0, slope, -square)
+        return _Heading(g, s, slope, jnp.zeros((), g.dtype), memory)
+    across, along = inner(g, before), inner(g, s)
+    beta = _beta(options.direction, square, across, inner(before, before), along, inner(before, s))
+    again = jnp.abs(across) > options.restart * square
+    beta = jnp.where((state.iterations == 0) | again, 0.0, jnp.asarray(beta, g.dtype))
+    beta = jnp.where(beta * along < square, beta, 0.0)  # else it does not descend
+    return _Heading(g, beta * s - g, beta * along - square, beta, ())
 
 
 def _search(objective: Objective, state: State, heading: _Heading, options: Descent) -> tuple[Any, Any, Any, Any]:
