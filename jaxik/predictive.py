@@ -255,7 +255,7 @@ def predict(
     check_path("predict", path, duration, q.shape[:1] if "duration" in each else ())
     many = q.ndim == 2
     if guess is None:
-        w = np.zeros(shape, q.dtype)
+        w: Any = np.zeros(shape, q.dtype)
     else:
         w = as_numbers("predict: guess", guess).astype(q.dtype)
         if horizon.start == "free" and w.shape[-2:] == (horizon.count, chain.num_joints):
