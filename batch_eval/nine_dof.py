@@ -18,9 +18,9 @@ from panda import pose_of
 from race import machine
 
 import jaxik
-from jaxik.baselines import global_search, newton_ik
 from jaxik.costs import box_penalty
-from jaxik.crop import TRELLIS_TARGETS, trellis_crop
+from jaxik.harvesting.crop import TRELLIS_TARGETS, trellis_crop
+from jaxik.ik.baselines import global_search, newton_ik
 
 PAPER_SECONDS = 54.0
 TASK = jaxik.Task((True,) * 3 + (False,) * 3)

@@ -27,8 +27,8 @@ import self_collision as case
 from race import machine
 
 import jaxik
+from jaxik.motions.predictive import future, objective, problem
 from jaxik.optimise import ilqr
-from jaxik.predictive import future, objective, problem
 
 SAMPLES, HORIZONS = 2000, (0.15, 0.5, 1.0, 2.0)
 ALPHAS = (0.3, 1.0, 3.0)

@@ -25,8 +25,8 @@ from race import machine
 from scipy.interpolate import CubicSpline
 
 import jaxik
+from jaxik.motions.predictive import future, objective
 from jaxik.optimise.descent import QUASI_NEWTON, Descent, Direction, Search
-from jaxik.predictive import future, objective
 
 HORIZON, ARM = pendulum.horizon(), pendulum.arm()
 DT, COUNT = HORIZON.dt, HORIZON.count

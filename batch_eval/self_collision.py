@@ -16,8 +16,8 @@ import jax.numpy as jnp
 import numpy as np
 
 import jaxik
-from jaxik.collision import link_clearances
-from jaxik.predictive import Horizon
+from jaxik.collision.clearances import link_clearances
+from jaxik.motions.predictive import Horizon
 
 DT, DURATION = 0.01, 4.0
 START = np.array([0.56, 0.42, -1.4, 1.18, 0.48, 1.54, -0.05, 0.34, 0.54])

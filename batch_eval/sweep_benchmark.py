@@ -184,7 +184,7 @@ def processes() -> dict[str, Any]:
     """One process on one core, and two on a core each, as shards of one store; the same study, in turn."""
     study = json.dumps(FREE | {"chunk": 25_000, "targets": BOX | {"directions": 10}})
     code = (
-        "import sys, json, os, time, jaxik; from jaxik.batch import compilation_cache; compilation_cache()\n"
+        "import sys, json, os, time, jaxik; from jaxik.spmd.batch import compilation_cache; compilation_cache()\n"
         "os.sched_setaffinity(0, {int(sys.argv[4])})\n"
         "ticks = []\n"
         "jaxik.sweep(json.loads(sys.argv[1]), sys.argv[2], shard=sys.argv[3], progress=lambda *_: ticks.append(time.time()))\n"
@@ -210,7 +210,7 @@ def kills() -> dict[str, Any]:
     study = {"robot": "p6r", "slides": 11, "chunk": 50, "collision": {"scene": "cucumber_row"}, "audited": 500}
     study["targets"] = BOX | {"x": [-0.3, 1.3, 20], "y": [0.1, 0.9, 10], "z": [-0.2, 1.0, 20], "directions": DIRECTIONS}
     code = (
-        "import sys, json, jaxik; from jaxik.batch import compilation_cache; compilation_cache()\n"
+        "import sys, json, jaxik; from jaxik.spmd.batch import compilation_cache; compilation_cache()\n"
         "jaxik.sweep(json.loads(sys.argv[1]), sys.argv[2])\n"
     )
     command = lambda path: [sys.executable, "-c", code, json.dumps(study), path]

@@ -1,36 +1,36 @@
 """Batched, differentiable kinematics for redundant robot arms, on JAX."""
 
-from jaxik.advancement import MotionClearance, motion_clearance, motion_collides
-from jaxik.attach import Attached, attach
-from jaxik.boundary import boundary_value
-from jaxik.chain import Chain, finite_limits, within_limits
-from jaxik.closed_form import ClosedForm, admissible_turns, closed_form, closed_form_obstacle
-from jaxik.collision import clearance, collides, object_clearances, self_clearance
-from jaxik.contacts import explain
-from jaxik.fit import Fit
-from jaxik.fit_report import LinkFit
-from jaxik.follow import Follow, follow
-from jaxik.harvest import Harvest, harvest
-from jaxik.ik import IKResult, solve_ik
-from jaxik.ik_options import IKOptions
-from jaxik.implicit import implicit_ik
-from jaxik.kinematics import bias_acceleration, forward_kinematics, jacobian, link_frames, manipulability
-from jaxik.lanes import descend
-from jaxik.load import fit_report, load, load_scene, load_targets, save
-from jaxik.mapping import fit_mapping
-from jaxik.moving_horizon import MovingHorizon, follow_predictively
+from jaxik.collision.advancement import MotionClearance, motion_clearance, motion_collides
+from jaxik.collision.attached import Attached, attach
+from jaxik.collision.clearances import clearance, collides, object_clearances, self_clearance
+from jaxik.collision.contacts import explain
+from jaxik.collision.scene import Fruit, Scene, SceneBuilder, make_scene
+from jaxik.collision.volumes import link_circles, link_spheres
+from jaxik.files import fit_report, load, load_scene, load_targets, save
+from jaxik.fitting.capsules import Fit
+from jaxik.fitting.report import LinkFit
+from jaxik.harvesting.driver import Harvest, harvest
+from jaxik.harvesting.mapping import fit_mapping
+from jaxik.harvesting.scanning import Grasp, Weights, blockers, scan
+from jaxik.ik.implicit import implicit_ik
+from jaxik.ik.lanes import descend
+from jaxik.ik.options import IKOptions
+from jaxik.ik.solve import IKResult, solve_ik
+from jaxik.motions.boundary import boundary_value
+from jaxik.motions.following import Follow, follow
+from jaxik.motions.moving_horizon import MovingHorizon, follow_predictively
+from jaxik.motions.path import Arc, Line, motion, via
+from jaxik.motions.predictive import Horizon, multistart, predict, quadratic_cost
+from jaxik.motions.redundancy import asc, rac, resolve_acceleration, resolve_velocity, rmrc
 from jaxik.optimise.descent import QUASI_NEWTON, Descent
-from jaxik.path import Arc, Line, motion, via
-from jaxik.predictive import Horizon, multistart, predict, quadratic_cost
-from jaxik.redundancy import asc, rac, resolve_acceleration, resolve_velocity, rmrc
-from jaxik.result import LoadError, Reason
-from jaxik.scan import Grasp, Weights, blockers, scan
-from jaxik.scene import Fruit, Scene, SceneBuilder, make_scene
-from jaxik.score import likely_postures, log_reach_score, reach_score
-from jaxik.spheres import link_circles, link_spheres
+from jaxik.reach.scoring import likely_postures, log_reach_score, reach_score
+from jaxik.reasons import LoadError, Reason
+from jaxik.robot.chain import Chain, finite_limits, within_limits
+from jaxik.robot.kinematics import bias_acceleration, forward_kinematics, jacobian, link_frames, manipulability
+from jaxik.robot.spherical_wrist import ClosedForm, admissible_turns, closed_form, closed_form_obstacle
+from jaxik.robot.task import Task
 from jaxik.spmd import kernel
-from jaxik.sweep import Study, Sweep, sweep
-from jaxik.task import Task
+from jaxik.sweeps import Study, Sweep, sweep
 
 __version__ = "0.1.0"
 

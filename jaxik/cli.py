@@ -18,13 +18,13 @@ import numpy as np
 import tyro
 
 import jaxik
-from jaxik.batch import compilation_cache
-from jaxik.harvest import Harvest
-from jaxik.load import link_meshes
-from jaxik.load.srdf import unchecked
-from jaxik.reach import millimetres
-from jaxik.scan import Blockers, Weights
-from jaxik.task import COMPONENTS
+from jaxik.files import link_meshes
+from jaxik.files.srdf import unchecked
+from jaxik.harvesting.driver import Harvest
+from jaxik.harvesting.scanning import Blockers, Weights
+from jaxik.robot.reach_bound import millimetres
+from jaxik.robot.task import COMPONENTS
+from jaxik.spmd.batch import compilation_cache
 
 LOOKED = 32  # colliding postures that are asked what they collide with
 UNITS = {"angle": "rad", "clearance": "m", "position_error": "m", "rotation_error": "rad"}  # of a table's columns
@@ -267,7 +267,7 @@ def run_sweep(arguments: SweepArguments) -> None:
     state = f"{result.done} of {result.total} chunks"
     print(f"{counts or 'nothing yet'}; {state} in {time.perf_counter() - start:.1f} s; wrote {out}")
     if arguments.plot:
-        from jaxik.plot_sweep import plot_sweep
+        from jaxik.view.sweep_picture import plot_sweep
 
         picture = out.with_suffix(".png")
         plot_sweep(out, picture)
@@ -390,7 +390,7 @@ class ViewArguments:
 
 def run_view(arguments: ViewArguments) -> None:
     """Serve the page until Ctrl-C."""
-    from jaxik.view import Page
+    from jaxik.view.page import Page
 
     compilation_cache()
     chain = jaxik.load(arguments.robot, tip=arguments.tip, meshes=True)
@@ -440,7 +440,7 @@ def write_harvest(result: Harvest, out: Path) -> None:
     one, other files stay, and if one cannot be replaced, the old ones come back: only a process that is killed between those
     three renames leaves files of two harvests.
     """
-    from jaxik.plot import plot_harvest
+    from jaxik.view.harvest_picture import plot_harvest
 
     there = out.is_dir()
     home = out if there else out.parent

@@ -15,8 +15,8 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float
 
-from jaxik.chain import Array, Chain, as_configuration, finite_limits
-from jaxik.choice import shown
+from jaxik.checks.options import shown
+from jaxik.robot.chain import Array, Chain, as_configuration, finite_limits
 
 Cost = Callable[[Any], Any]
 

@@ -6,7 +6,7 @@ import mpmath
 import numpy as np
 import pytest
 
-from jaxik import algebra
+from jaxik.spatial import algebra
 
 SAMPLES = np.random.default_rng(0).uniform(-1e4, 1e4, 3000)
 SMALL = np.random.default_rng(1).uniform(-8.0, 8.0, 2000)

@@ -13,8 +13,8 @@ import pytest
 from hypothesis import assume, example, given, settings
 from hypothesis import strategies as st
 
-from jaxik.algebra import atan2, safe_sqrt, sincos
-from jaxik.ball import Ball, minimum, possible, where, whole
+from jaxik.spatial.algebra import atan2, safe_sqrt, sincos
+from jaxik.spatial.ball import Ball, minimum, possible, where, whole
 
 mpmath.mp.dps = 50
 ROUNDING = 64 * np.finfo(np.float64).eps

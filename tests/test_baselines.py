@@ -8,9 +8,9 @@ from robots import bare, pinocchio, pose_errors
 from scipy.optimize import root
 
 import jaxik
-from jaxik.baselines import global_search, newton_ik
 from jaxik.costs import box_penalty
-from jaxik.crop import TRELLIS_TARGETS, trellis_crop
+from jaxik.harvesting.crop import TRELLIS_TARGETS, trellis_crop
+from jaxik.ik.baselines import global_search, newton_ik
 from jaxik.optimise.newton import damped_least_squares, newton_raphson
 
 POSITION = jaxik.Task((True,) * 3 + (False,) * 3)

@@ -9,8 +9,8 @@ import pytest
 FORKED = """
 import os, signal, threading
 import numpy as np
-from jaxik.batch import in_blocks
-from jaxik.multistart import _finisher_ready
+from jaxik.spmd.batch import in_blocks
+from jaxik.ik.search import _finisher_ready
 
 rows, opened = np.arange(100.0), threading.Event()
 twice = lambda: np.array_equal(in_blocks(lambda x: 2.0 * x, rows, size=10)[0], 2.0 * rows)

@@ -11,8 +11,8 @@ import numpy as np
 import pytest
 
 import jaxik
-from jaxik import seeds
-from jaxik.reach import reach
+from jaxik.ik import seeds
+from jaxik.robot.reach_bound import reach
 
 CHAIN = jaxik.load("p6r")
 WAYS = {

@@ -15,8 +15,8 @@ from test_fit import ARM
 
 import jaxik
 from jaxik import cli
-from jaxik.collision import hierarchical_clearance
-from jaxik.scan import Blockers
+from jaxik.collision.clearances import hierarchical_clearance
+from jaxik.harvesting.scanning import Blockers
 
 GRID = {"kind": "grid", "x": [0, 1, 2], "y": [0.5, 0.8, 2], "z": [0.3, 0.5, 2]}
 SCENE = """name = "bench"
@@ -105,7 +105,7 @@ def test_a_failed_write_leaves_the_old_files(harvested, tmp_path, monkeypatch):
     out = tmp_path / "out"
     out.mkdir()
     (out / "postures.csv").write_text("old")
-    monkeypatch.setattr("jaxik.plot.plot_harvest", fails)
+    monkeypatch.setattr("jaxik.view.harvest_picture.plot_harvest", fails)
     with pytest.raises(OSError, match="disk full"):
         cli.write_harvest(harvested, out)
     assert contents(out) == {"postures.csv": b"old"}
@@ -117,7 +117,7 @@ def test_a_failed_write_leaves_the_old_files(harvested, tmp_path, monkeypatch):
 @pytest.mark.parametrize("number", range(3))
 def test_what_cannot_be_replaced_leaves_all_the_old_files(harvested, tmp_path, monkeypatch, number):
     """Whichever of the three it is; one that was not there is not there again, and what else lies in the folder stays."""
-    monkeypatch.setattr("jaxik.plot.plot_harvest", draws)
+    monkeypatch.setattr("jaxik.view.harvest_picture.plot_harvest", draws)
     out, replace, calls = tmp_path / "out", os.replace, []
     out.mkdir()
     for name in ("harvest.png", "postures.csv", "notes.txt"):
@@ -143,7 +143,7 @@ def test_what_cannot_be_replaced_leaves_all_the_old_files(harvested, tmp_path, m
 
 
 def test_a_new_folder_has_the_mode_of_others(harvested, tmp_path, monkeypatch):
-    monkeypatch.setattr("jaxik.plot.plot_harvest", draws)
+    monkeypatch.setattr("jaxik.view.harvest_picture.plot_harvest", draws)
     (tmp_path / "other").mkdir()
     cli.write_harvest(harvested, tmp_path / "deep" / "out")
     assert (tmp_path / "deep" / "out").stat().st_mode == (tmp_path / "other").stat().st_mode
@@ -170,7 +170,7 @@ def test_what_hides_a_fruit_is_named():
 def test_units_are_said(harvested, tmp_path, monkeypatch, capsys):
     """In the table, where brackets once were taken for a style, and in the header; the arrays keep their names."""
     monkeypatch.setenv("COLUMNS", "240")
-    monkeypatch.setattr("jaxik.plot.plot_harvest", draws)
+    monkeypatch.setattr("jaxik.view.harvest_picture.plot_harvest", draws)
     cli._print_table(harvested._replace(scene=dataclasses.replace(harvested.scene, name="bench [red]")))
     printed = " ".join(capsys.readouterr().out.split())
     assert "clearance [mm]" in printed and "bench [red]" in printed
@@ -210,7 +210,7 @@ def test_meshes_are_asked_for(tmp_path, monkeypatch, capsys):
     targets = tmp_path / "targets.csv"
     targets.write_text("x,y,z\n0.4,0.1,0.4\n")
     words = ("ik", FOLDER / file, targets, "--tip", tip, "--scene", "cucumber_row", "--out", tmp_path / "ik.csv")
-    monkeypatch.setattr("jaxik.ik.search", stopped)
+    monkeypatch.setattr("jaxik.ik.solve.search", stopped)
     line = refused(monkeypatch, capsys, *words)
     assert "meshes of panda_link0" in line and "meshes=True (--meshes)" in line
     seen = []
@@ -224,7 +224,12 @@ def test_meshes_are_asked_for(tmp_path, monkeypatch, capsys):
 def test_drivers_say_what_is_missing_before_they_compile(monkeypatch):
     bare, scene = dataclasses.replace(jaxik.load("p6r"), boxes=()), jaxik.load_scene("cucumber_row")
     half = dataclasses.replace(jaxik.load("p6r"), unread_meshes=("upper_arm_link",))
-    for place in ("jaxik.ik.search", "jaxik.scan._candidates", "jaxik.score.closed_forms", "jaxik.closed_form.closed_forms"):
+    for place in (
+        "jaxik.ik.solve.search",
+        "jaxik.harvesting.scanning._candidates",
+        "jaxik.reach.scoring.closed_forms",
+        "jaxik.robot.spherical_wrist.closed_forms",
+    ):
         module, _, name = place.rpartition(".")
         monkeypatch.setattr(sys.modules[module], name, lambda *_, **__: pytest.fail("compiled"))
     for chain, words in ((bare, "no collision geometry"), (half, "meshes of upper_arm_link")):
@@ -256,7 +261,7 @@ def test_a_cell_without_a_fruit(tmp_path, monkeypatch, capsys):
     assert study.scene.counts["boxes"] == 1
     line = refused(monkeypatch, capsys, "harvest", "--scene", cell, "--out", tmp_path / "out")
     assert "scene 'cell' has no fruit" in line
-    monkeypatch.setattr("jaxik.view.Page", lambda *_: stopped())
+    monkeypatch.setattr("jaxik.view.page.Page", lambda *_: stopped())
     assert "far enough" in refused(monkeypatch, capsys, "view", "p6r", "--scene", cell)
     assert "no fruit" in refused(monkeypatch, capsys, "view", "p6r", "--scene", cell, "--harvest")
 

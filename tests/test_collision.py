@@ -12,11 +12,11 @@ from scipy.optimize import minimize
 from scipy.spatial import cKDTree
 
 import jaxik
-from jaxik import distance
-from jaxik.algebra import Rot3, Vec3
-from jaxik.collision import hierarchical_clearance, hierarchical_collision
-from jaxik.hierarchy import grouped
-from jaxik.nearest import Space
+from jaxik.collision import distance
+from jaxik.collision.clearances import hierarchical_clearance, hierarchical_collision
+from jaxik.collision.hierarchy import grouped
+from jaxik.collision.nearest import Space
+from jaxik.spatial.algebra import Rot3, Vec3
 from jaxik.spmd import HostKernel
 
 

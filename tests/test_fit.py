@@ -9,10 +9,10 @@ from scipy.spatial.transform import Rotation
 from test_load import URDF, write
 
 import jaxik
-from jaxik import fit as fitting
-from jaxik import robot_fit
-from jaxik.convex import Body, overlap, separated
-from jaxik.fit import Fit, fitted
+from jaxik.fitting import capsules as fitting
+from jaxik.fitting import model as robot_fit
+from jaxik.fitting.capsules import Fit, fitted
+from jaxik.fitting.convex import Body, overlap, separated
 
 ROUNDING = 1e-9
 

@@ -10,11 +10,11 @@ from robots import pinocchio
 
 import jaxik
 import jaxik.optimise.descent
-from jaxik.follow import Follow, follow
-from jaxik.moving_horizon import MovingHorizon, follow_predictively
-from jaxik.path import Line
-from jaxik.predictive import Horizon, quadratic_cost
-from jaxik.result import Reason
+from jaxik.motions.following import Follow, follow
+from jaxik.motions.moving_horizon import MovingHorizon, follow_predictively
+from jaxik.motions.path import Line
+from jaxik.motions.predictive import Horizon, quadratic_cost
+from jaxik.reasons import Reason
 
 IN_PLANE = jaxik.Task((True, True, False, False, False, False), "base")
 START = np.radians([30.0, -30.0, -30.0, -60.0])  # of the pendulum, Schuetz 2017, table 5.1

@@ -8,9 +8,9 @@ import numpy as np
 import pytest
 
 import jaxik
-from jaxik.crop import cucumber_row
-from jaxik.load.scene import save_scene
-from jaxik.result import Reason
+from jaxik.files.scene import save_scene
+from jaxik.harvesting.crop import cucumber_row
+from jaxik.reasons import Reason
 
 
 @pytest.fixture(scope="module")

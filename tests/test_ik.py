@@ -13,9 +13,10 @@ from hypothesis import strategies as st
 from robots import ROBOTS, bare, joint_range, pinocchio, pose_errors
 
 import jaxik
-from jaxik import Reason, lanes
-from jaxik.chain import Volume
+from jaxik import Reason
+from jaxik.ik import lanes
 from jaxik.optimise import sqp
+from jaxik.robot.chain import Volume
 from jaxik.spmd import call as kernels
 
 POSITION = 1e-6  # [m], the default tolerances
@@ -104,9 +105,9 @@ def test_nothing_compiles_for_another_number(panda):
 
 
 def _programs(chain):
-    from jaxik.ik_options import SEARCH
-    from jaxik.multistart import FINISH
-    from jaxik.task import POSE
+    from jaxik.ik.options import SEARCH
+    from jaxik.ik.search import FINISH
+    from jaxik.robot.task import POSE
 
     return [lanes.settling(chain, POSE, SEARCH), lanes.settling(chain, POSE, FINISH)]
 

@@ -13,8 +13,8 @@ from hypothesis import strategies as st
 from robots import FOLDER, ROBOTS
 
 import jaxik
-from jaxik.load import targets as target_files
-from jaxik.load.assemble import MAX_BYTES
+from jaxik.files import targets as target_files
+from jaxik.files.assemble import MAX_BYTES
 
 URDF = """<robot name="arm"><link name="base"/><link name="upper"/><link name="tool"/>
 <joint name="shoulder" type="revolute"><origin xyz="0 0 0.1"/><parent link="base"/><child link="upper"/><axis xyz="0 0 1"/>

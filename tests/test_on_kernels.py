@@ -14,10 +14,11 @@ import pytest
 from jax.extend.core import jaxpr_as_fun
 
 import jaxik
-from jaxik import collision, kinematics
-from jaxik.closed_form import closed_branches, closed_forms
+from jaxik.collision import clearances as collision
+from jaxik.robot import kinematics
+from jaxik.robot.spherical_wrist import closed_branches, closed_forms
 from jaxik.spmd import kernel, primitive
-from jaxik.spmd.kernel import __file__ as kernel_file
+from jaxik.spmd.decorator import __file__ as kernel_file
 
 pytestmark = pytest.mark.usefixtures("only_kernels")
 ARM, PLANAR, GANTRY = jaxik.load("pendulum4"), jaxik.load("planar2"), jaxik.load("p6r")

@@ -12,11 +12,11 @@ from motions import dense
 from test_load import refused, write
 
 import jaxik
-from jaxik.chain import finite_limits
-from jaxik.collision import link_clearances
-from jaxik.convex import Body
-from jaxik.nearest import Space
-from jaxik.pair_fit import table_of
+from jaxik.collision.clearances import link_clearances
+from jaxik.collision.nearest import Space
+from jaxik.fitting.convex import Body
+from jaxik.fitting.pair_tables import table_of
+from jaxik.robot.chain import finite_limits
 from jaxik.spmd import kernel
 
 BASE, BEAM, TIP = (0.2, 0.16, 0.3), (0.5, 0.05, 0.05), (0.3, 0.03, 0.03)

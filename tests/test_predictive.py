@@ -12,12 +12,12 @@ from robots import bare, pinocchio
 from scipy.optimize import lsq_linear, minimize
 
 import jaxik
-from jaxik.boundary import boundary_value
+from jaxik.motions.boundary import boundary_value
+from jaxik.motions.path import Arc, Line, motion, via
+from jaxik.motions.predictive import Horizon, future, multistart, objective, predict, problem, quadratic_cost
+from jaxik.motions.redundancy import asc, rac, resolve_velocity, rmrc
 from jaxik.optimise import ilqr, ocp
 from jaxik.optimise.descent import QUASI_NEWTON, Descent
-from jaxik.path import Arc, Line, motion, via
-from jaxik.predictive import Horizon, future, multistart, objective, predict, problem, quadratic_cost
-from jaxik.redundancy import asc, rac, resolve_velocity, rmrc
 
 IN_PLANE = jaxik.Task((True, True, False, False, False, False), "base")
 START = np.radians([30.0, -30.0, -30.0, -60.0])  # of the pendulum, Schuetz 2017, table 5.1

@@ -9,8 +9,8 @@ from hypothesis import strategies as st
 from robots import ROBOTS, bare, joint_range, pinocchio
 
 import jaxik
-from jaxik.between import beyond
-from jaxik.reach import reach
+from jaxik.reach.certify import beyond
+from jaxik.robot.reach_bound import reach
 
 SHIPPED = ["p6r", "crops_v2", "chembuly9", "pendulum4", "planar2"]
 ROUNDING = 1e-12  # [m]

@@ -8,8 +8,8 @@ from robots import FOLDER, ROBOTS
 from test_load import write
 
 import jaxik
-from jaxik.chain import Volume
-from jaxik.load.spherized import _covering
+from jaxik.files.spherized import _covering
+from jaxik.robot.chain import Volume
 
 SHIPPED = ("p6r", "crops_v2", "chembuly9", "pendulum4", "planar2")
 

@@ -9,11 +9,20 @@ import pytest
 from fresh import scan_memory
 
 import jaxik
-from jaxik.chain import within_limits
 from jaxik.costs import harvest_orientation_cost
-from jaxik.load import models_folder
-from jaxik.result import Reason
-from jaxik.scan import Weights, _climb, _misses, _self_motion, approach_angles, grasp_poses, recover, scan_two_step
+from jaxik.files import models_folder
+from jaxik.harvesting.scanning import (
+    Weights,
+    _climb,
+    _misses,
+    _self_motion,
+    approach_angles,
+    grasp_poses,
+    recover,
+    scan_two_step,
+)
+from jaxik.reasons import Reason
+from jaxik.robot.chain import within_limits
 
 CHAIN = jaxik.load("p6r")
 
@@ -143,7 +152,7 @@ def test_gradient_ascent_alone_reaches_the_margin():
 @pytest.mark.parametrize("leading", [0, 2])
 def test_arms_with_other_numbers_of_leading_joints(leading, tmp_path):
     """A fixed arm, and one whose slide stands on a lift; the picture too."""
-    from jaxik.plot import plot_harvest
+    from jaxik.view.harvest_picture import plot_harvest
 
     if leading == 0:
         chain = CHAIN.part(1, 7).mounted(CHAIN.world_T_base @ _lift(0.45))

@@ -13,8 +13,8 @@ from hypothesis.extra import numpy as hnp
 from scipy.spatial.transform import Rotation
 
 import jaxik
-from jaxik.load.scene import save_scene
-from jaxik.scene import KINDS
+from jaxik.collision.scene import KINDS
+from jaxik.files.scene import save_scene
 
 WIDTHS = {"points": 3, "spheres": 4, "capsules": 7}
 LEFT_HANDED, STRETCHED, HALF = np.diag([1.0, 1.0, -1.0, 1.0]), np.diag([1.001, 1.0, 1.0, 1.0]), np.diag([1.0, 1.0, 1.0, 0.5])

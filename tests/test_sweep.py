@@ -23,11 +23,11 @@ from scipy.spatial.transform import Rotation
 
 import jaxik
 from jaxik import Reason
-from jaxik.load import models_folder
+from jaxik.files import models_folder
 from jaxik.spmd import HostKernel
-from jaxik.sweep.cluster import _on_worker, _piece
-from jaxik.sweep.store import StoreError
-from jaxik.sweep.targets import directions
+from jaxik.sweeps.cluster import _on_worker, _piece
+from jaxik.sweeps.store import StoreError
+from jaxik.sweeps.targets import directions
 
 GRID = {
     "kind": "grid",
@@ -148,7 +148,7 @@ def test_two_leading_joints_of_which_one_turns(tmp_path, monkeypatch):
 
 
 def sweep_values(study, rows=None):
-    from jaxik.sweep.answers import answer
+    from jaxik.sweeps.answers import answer
 
     read = jaxik.Study.of(study)
     return answer(read, read.variants[0], slice(0, len(read.targets)) if rows is None else rows)
@@ -196,7 +196,7 @@ def test_what_is_missed_is_measured(tmp_path):
     """The audit's rates, against sweeps of the same targets with the same efforts; and its bound against SciPy's own test."""
     from scipy.stats import binomtest
 
-    from jaxik.sweep.audit import bound
+    from jaxik.sweeps.audit import bound
 
     study = SMALL | {"refine": 0, "slides": 4, "audited": 10**6, "chunk": 700}
     known = jaxik.sweep(study, tmp_path / "a.zarr").dataset().attrs
@@ -545,7 +545,7 @@ def test_shards_on_other_machines_with_the_same_number_of_process(tmp_path):
 
 def test_a_disk_that_is_full_loses_nothing(two, tmp_path, monkeypatch):
     """The system's own refusal, from the third chunk on; then there is room again."""
-    from jaxik.sweep.store import Store
+    from jaxik.sweeps.store import Store
 
     write, calls = Store.write, itertools.count()
 
@@ -565,7 +565,7 @@ def test_a_disk_that_is_full_loses_nothing(two, tmp_path, monkeypatch):
 
 HELD = """
 import signal, time
-from jaxik.sweep import Store
+from jaxik.sweeps import Store
 write = Store.write
 def held(*given):  # the first chunk is on disk, and no other until Ctrl-C was heard: its second would be Python's own
     write(*given)

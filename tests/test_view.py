@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 import jaxik
-from jaxik.view import Page
+from jaxik.view.page import Page
 
 STUDY = {
     "robot": "p6r",

@@ -18,7 +18,7 @@ from selenium import webdriver
 from selenium.webdriver.chrome.service import Service
 
 import jaxik
-from jaxik.view import Page
+from jaxik.view.page import Page
 
 STUDY = {
     "robot": "p6r",

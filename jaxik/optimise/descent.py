@@ -37,9 +37,9 @@ import jax
 import jax.numpy as jnp
 from jax import lax
 
-from jaxik.algebra import ratio
-from jaxik.choice import as_count, check_choices, check_finite, shown
-from jaxik.given import numbers
+from jaxik.checks.arrays import numbers
+from jaxik.checks.options import as_count, check_choices, check_finite, shown
+from jaxik.spatial.algebra import ratio
 
 Direction = Literal["steepest", "hestenes_stiefel", "fletcher_reeves", "polak_ribiere", "hager_zhang", "lbfgs"]
 Search = Literal["fixed", "backtracking", "polynomial", "secant"]

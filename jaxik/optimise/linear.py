@@ -11,7 +11,7 @@ from typing import Any
 
 import jax.numpy as jnp
 
-from jaxik.algebra import Scalar, add, mul, sub
+from jaxik.spatial.algebra import Scalar, add, mul, sub
 
 Matrix = Sequence[Sequence[Scalar]]
 

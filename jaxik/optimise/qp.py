@@ -19,8 +19,8 @@ from typing import Any, NamedTuple
 
 import jax.numpy as jnp
 
-from jaxik.algebra import Scalar, add, mul, sub
 from jaxik.optimise.linear import Matrix, definite_solve, dot, full, product
+from jaxik.spatial.algebra import Scalar, add, mul, sub
 
 
 class Rows(NamedTuple):

@@ -31,10 +31,10 @@ import jax
 import jax.numpy as jnp
 from jax import lax
 
-from jaxik.algebra import Scalar, add, mul, sub
-from jaxik.choice import check_choices
+from jaxik.checks.options import check_choices
 from jaxik.optimise.linear import Matrix, dot, full, product
 from jaxik.optimise.qp import NONE, Rows, solve
+from jaxik.spatial.algebra import Scalar, add, mul, sub
 
 Hessian = Literal["gauss_newton", "bfgs"]
 Merit = Literal["none", "l1", "augmented_lagrangian"]

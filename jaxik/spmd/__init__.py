@@ -13,9 +13,9 @@ written as `text`), `handler` (what XLA calls) and `threads`, `machine` (machine
 `docs/kernels.md` tells it from the beginning.
 """
 
-from jaxik.spmd.explain import Explanation, explain
+from jaxik.spmd.decorator import kernel
+from jaxik.spmd.explanation import Explanation, explain
 from jaxik.spmd.host import HostKernel
-from jaxik.spmd.kernel import kernel
 from jaxik.spmd.scalarise import Unsupported
 
 __all__ = ["Explanation", "HostKernel", "Unsupported", "explain", "kernel"]

@@ -1,0 +1,410 @@
+"""How near a robot comes to the scene and to itself on the whole straight way between two configurations.
+
+Samples alone miss what is thinner than their steps. Here each measured configuration says for how long the motion stays clear
+around it, by conservative advancement [Mirtich 1996; Schwarzer, Saha, Latombe 2005]. With `q(t) = q_from + t dq`, a link whose
+points move at a speed of at most v at t, and are accelerated by at most a anywhere, has moved at t + s by no more than
+
+    min(v s + a s^2 / 2, V s),     V = sum_j |dq_j| r_j,     a = sum_j |dq_j| r_j (|dq_j| + 2 sum_{i<j} |dq_i|)
+
+and its distance to what stands still has changed by no more than that. v is measured, by the twist of a ball about the link's
+skeleton; r_j, how far a point of the link ever is from joint j's axis, follows from the chain's lengths and the travel of its
+slides. A slide has 1 in place of r_j in V, `2 |dq_j| sum_{i<j} |dq_i|` in a, and is no i: it turns nothing. Two links move
+relative to each other by the joints between them alone. A bound that a table gives (`pair_table`) changes no faster than the
+table does anywhere.
+
+From what was measured the march takes one step that is safe; or twice as far, in the hope that what is measured there reaches
+back, and where it does not, the safe step follows.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+from typing import Any, NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jax import lax
+from jaxtyping import Bool, Float, Int
+
+from jaxik.checks.arrays import held, is_known
+from jaxik.checks.options import check_finite, check_kind
+from jaxik.collision.clearances import check_geometry, clearance, link_clearances
+from jaxik.collision.hierarchy import grouped, pair_tables
+from jaxik.collision.scene import FAR, KINDS, Scene
+from jaxik.collision.volumes import box_spheres
+from jaxik.robot.chain import Array, Chain, as_configuration, as_shaped, solid_links
+from jaxik.robot.kinematics import joint_frames
+from jaxik.robot.pair_table import PairTable
+from jaxik.spatial.algebra import ZERO, Frame, Vec3, traced
+from jaxik.spmd import kernel
+
+SHALLOW = 0.005  # [m] of penetration, below which the bounds of tables may fall steeply
+MOST = 4096  # configurations that are measured on one motion, each for the robot itself and the scene
+ROUNDING = 8.0  # what rounding may add to a clearance on the way, in units of its step at the lengths of `_size`; measured: 0.5
+
+
+class MotionClearance(NamedTuple):
+    """What is proven of a motion; of a batch of motions each field has its leading axes.
+
+    `clearance` is a bound from below over the motion [m]; where it is not free, over its part up to `contact`, and no more
+    than the margin. Before the fraction `contact` (0 to 1) all of it is proven to be free; it is infinite where all of the
+    motion is. `nearest` is the fraction at which the least clearance was measured, `evaluations` how many configurations were.
+    """
+
+    clearance: Float[Array, "..."]
+    contact: Float[Array, "..."]
+    nearest: Float[Array, "..."]
+    evaluations: Int[Array, "..."]
+
+    @property
+    def free(self) -> Bool[Array, "..."]:
+        """Whether the whole motion is proven to keep the margin; false for NaN."""
+        return self.contact > 1.0
+
+
+def motion_clearance(
+    chain: Chain,
+    scene: Scene | None,
+    q_from: Float[Array, " n"],
+    q_to: Float[Array, " n"],
+    margin: Any = 0.0,
+    resolution: Any = 1e-3,
+    enough: Any = np.inf,
+) -> MotionClearance:
+    """A bound from below of the clearance [m] on the whole motion `q_from + t (q_to - q_from)`, 0 <= t <= 1, not at samples.
+
+    Traced: `jit` and `vmap` it; one kernel on a CPU. With `D(t)` the `clearance` of a configuration, a motion that keeps more
+    than `margin + resolution` [m] throughout is proven free, one that comes to `margin` never is, and
+
+        clearance <= min_t D(t) <= clearance + resolution
+
+    of a free one, but for rounding (`ROUNDING`: 1e-5 m for an arm of 1 m in float32, 2e-14 in float64). The march ends where it
+    comes to less than `margin + resolution`, at `contact`, which is 0 for what begins there; what comes after is not looked
+    at. With `margin=-inf` it goes on to the end, and bounds the depth of penetration. Clearances above `enough` [m], at
+    least the margin, are not told apart: a planner asks for `enough=margin`, which takes a tenth of the configurations.
+
+    Joints' values are taken as they are: no turn is shortened, no limit looked at. NaN in a motion is NaN in its results, and
+    not free. What is left after `MOST` configurations counts as not free. The derivative of `clearance`, by anything, is that
+    of the configuration at `nearest`, held there [Danskin 1967]; the other fields have none.
+
+    Raises `ValueError` as `clearance` does, and for a resolution that is not above zero. Source: Schwarzer, Saha, Latombe,
+    Adaptive dynamic collision checking for single and multiple articulated robots in complex environments, 2005.
+    """
+    return _march("motion_clearance", False, chain, scene, q_from, q_to, margin, resolution, enough)
+
+
+def motion_collides(
+    chain: Chain,
+    scene: Scene | None,
+    q_from: Float[Array, " n"],
+    q_to: Float[Array, " n"],
+    margin: Any = 0.0,
+    resolution: Any = 1e-3,
+) -> Bool[Array, ""]:
+    """Whether the motion `q_from + t (q_to - q_from)` is not proven to keep `margin` [m]: `motion_clearance(..).free`, denied,
+    and known sooner.
+
+    Never false where it comes to `margin`; never true where it keeps more than `margin + resolution`, but for rounding and
+    `MOST`; true for NaN.
+    """
+    return ~_march("motion_collides", True, chain, scene, q_from, q_to, margin, resolution, margin).free
+
+
+def _march(who: str, first: bool, chain: Any, scene: Any, q_from: Any, q_to: Any, *numbers: Any) -> MotionClearance:
+    check_kind(who, "chain", chain, Chain)
+    check_kind(who, "scene", scene, Scene, optional=True)
+    check_geometry(chain)
+    q_from, q_to = as_configuration(chain, q_from), as_configuration(chain, q_to)
+    margin, resolution, enough = (
+        as_shaped(f"{who}: {name}", value, ()) for name, value in zip(("margin", "resolution", "enough"), numbers, strict=True)
+    )
+    if not isinstance(resolution, jax.core.Tracer):
+        check_finite(who, resolution=float(resolution))
+        if not resolution > 0.0:
+            raise ValueError(f"{who}: resolution is {float(resolution):g}; it is above zero [m]")
+    dtype = jnp.result_type(q_from, q_to)  # of all, so that one kernel serves every caller
+    each = (jnp.asarray(x, dtype) for x in (q_from, q_to, margin, resolution, enough, _extent(scene)))
+    return _marched(chain, first, None if scene is None else grouped(scene, chain), *each)
+
+
+@kernel(models=2)
+def _marched(chain: Chain, first: bool, scene: Any, q_from: Any, q_to: Any, *numbers: Any) -> MotionClearance:
+    found = _advanced(first, *map(held, (chain, scene, q_from, q_to, *numbers)))
+    nearest = q_from + found.nearest * (q_to - q_from)
+    return found._replace(clearance=_sloped(found.clearance, clearance(chain, scene, nearest)))
+
+
+@jax.custom_jvp
+def _sloped(value: Any, like: Any) -> Any:
+    """`value`, with the derivative of `like`."""
+    return value
+
+
+_sloped.defjvp(lambda primals, tangents: (primals[0], tangents[1]))
+
+
+# --------------------------------------------------------------------------------------------------------------------
+# The march
+
+
+class _Asked(NamedTuple):
+    """What the caller wants to know, see `motion_clearance`; `first`: any sample that touches will do."""
+
+    margin: Any
+    resolution: Any
+    enough: Any
+    first: bool
+
+
+class _Measured(NamedTuple):
+    """A configuration of the motion: its fraction, the distances of each row, and how fast each row's link moves."""
+
+    t: Any
+    apart: Any
+    speed: Any
+
+
+class _State(NamedTuple):
+    """Up to `here` all keeps `bound`; the next step that is safe is `step`, and `hope` times it is tried. `least` is the least
+    distance measured, at `nearest`."""
+
+    here: _Measured
+    step: Any
+    hope: Any
+    least: Any
+    nearest: Any
+    bound: Any
+    hit: Any
+    count: Any
+
+
+def _advanced(
+    first: bool, chain: Chain, scene: Any, q_from: Any, q_to: Any, margin: Any, resolution: Any, enough: Any, extent: Any
+) -> MotionClearance:
+    """The march of the links against each other, which is cheap and has the smaller steps, and then that against the scene: as
+    far as the first came, and no finer than it needs beside the first."""
+    zero, one, far = (jnp.asarray(x, q_from.dtype) for x in (0.0, 1.0, FAR))
+    resolution = jnp.where(resolution > 0.0, resolution, jnp.nan)  # a traced one: then nothing is proven
+    asked = _Asked(margin, resolution, jnp.clip(enough, margin, FAR / 4.0), first)
+    end = _State(_Measured(one, 0, 0), one, one, far, zero, far, jnp.zeros((), bool), jnp.zeros((), jnp.int32))
+    if chain.self_pairs:
+        end = _marched_on(*_ruler(chain, None, q_from, q_to, extent, margin), asked, end)
+    if scene is not None:
+        alone = dataclasses.replace(chain, self_pairs=())
+        end = _marched_on(*_ruler(alone, scene, q_from, q_to, extent, margin), asked, end)
+    free = ~end.hit & (end.here.t >= 1.0)
+    bound = jnp.where(free, end.bound, jnp.minimum(end.bound, margin))
+    found = jnp.where(bound > FAR / 8.0, jnp.inf, bound), jnp.where(free, jnp.inf, end.here.t), end.nearest
+    clear, contact, nearest = (jnp.where(jnp.isnan(end.least), jnp.nan, x) for x in found)
+    return MotionClearance(clear, contact, nearest, end.count)
+
+
+def _ruler(chain: Chain, scene: Any, q_from: Any, q_to: Any, extent: Any, margin: Any) -> tuple[Any, _Bounds]:
+    """What measures one configuration of the motion, less what rounding may have added, and the bounds of its rows."""
+    rows, moved = _rows(chain), q_to - q_from
+    bounds, tables = _row_bounds(chain, rows, q_from, q_to), _table_speeds(chain, rows, q_from, q_to, margin)
+    short = ROUNDING * float(jnp.finfo(q_from.dtype).eps) * (extent + _size(chain, bounds.length, q_from, q_to))
+    columns = np.searchsorted(solid_links(chain), [row.link for row in rows])
+
+    def measured(t: Any) -> _Measured:
+        q = q_from + t * moved
+        apart = jnp.minimum(link_clearances(chain, scene, q)[columns] - short, FAR)  # a number, where there is nothing to hit
+        return _Measured(t, apart, jnp.maximum(_speeds(chain, rows, q, moved), tables))
+
+    return measured, bounds._replace(speed=jnp.maximum(bounds.speed, tables))
+
+
+def _marched_on(measured: Any, bounds: _Bounds, asked: _Asked, before: _State) -> _State:
+    """One march from 0 to where the one `before` ended, whose other results it continues."""
+    margin, resolution, enough, first = asked
+    dtype = before.least.dtype
+
+    def level(least: Any) -> Any:
+        """What need not be looked at more closely: all above the least measured, to the resolution."""
+        return jnp.minimum(jnp.maximum(least - resolution, margin), enough)
+
+    def around(at: _Measured, least: Any) -> Any:
+        """For how long each row stays above the level, before and after."""
+        gap = jnp.maximum(at.apart - level(least), resolution)
+        slow = 2.0 * gap / (at.speed + jnp.sqrt(at.speed**2 + 2.0 * bounds.acceleration * gap))
+        return jnp.maximum(slow, gap / bounds.speed)
+
+    def kept(at: _Measured, s: Any) -> Any:
+        """What is left of every row, s before or after."""
+        return jnp.min(at.apart - jnp.minimum(s * (at.speed + 0.5 * bounds.acceleration * s), bounds.speed * s))
+
+    def advance(state: _State) -> _State:
+        here, there = state.here, measured(jnp.minimum(state.here.t + state.hope * state.step, until))
+        s, now = there.t - here.t, jnp.min(there.apart)
+        least = jnp.minimum(state.least, now)
+        touches = ~(now > margin + resolution)  # NaN does
+        sure = state.hope == 1.0
+        on = sure | (jnp.all(around(here, least) + around(there, least) >= s) & ~touches)
+        between = jnp.maximum(jnp.minimum(kept(here, 0.5 * s), kept(there, 0.5 * s)), jnp.minimum(level(least), now))
+        onwards = jax.tree_util.tree_map(lambda a, b: jnp.where(on, a, b), there, here)
+        return _State(
+            onwards,
+            jnp.min(around(onwards, least)),
+            jnp.where(on, 2.0, 1.0).astype(dtype),
+            least,
+            jnp.where(now < state.least, there.t, state.nearest),
+            jnp.where(on, jnp.minimum(state.bound, between), state.bound),
+            touches & (first | sure),
+            state.count + 1,
+        )
+
+    until, rows = before.here.t, len(bounds.speed)
+    zero, one = jnp.zeros((), dtype), jnp.ones((), dtype)
+    nowhere = _Measured(zero, jnp.full(rows, FAR, dtype), jnp.zeros(rows, dtype))
+    start = before._replace(here=nowhere, step=zero, hope=one, hit=jnp.zeros((), bool), count=jnp.zeros((), jnp.int32))
+    # NaN is due: what cannot be compared is no proof
+    due = lambda state: ~(state.here.t + state.step >= until) | ((state.count == 0) & ~(before.hit & first))
+    end = lax.while_loop(lambda state: due(state) & ~state.hit & (state.count < MOST), advance, start)
+    through = ~due(end) & ~end.hit
+    last = jnp.maximum(kept(end.here, until - end.here.t), level(end.least))
+    return end._replace(
+        here=_Measured(jnp.where(through, until, end.here.t), 0, 0),
+        bound=jnp.where(through, jnp.minimum(end.bound, last), end.bound),
+        hit=end.hit | before.hit,
+        count=end.count + before.count,
+    )
+
+
+# --------------------------------------------------------------------------------------------------------------------
+# How far and how fast
+
+
+class _Row(NamedTuple):
+    """A link's distance to the scene, or to earlier links: what moves in it, each a link and the number of joints that do not
+    move it, since they move what it may hit, too."""
+
+    link: int
+    moved: tuple[tuple[int, int], ...]
+
+
+def _rows(chain: Chain) -> list[_Row]:
+    """Those of the later links of pairs; without any, of all against the scene."""
+    joint, found = chain.link_joint, []
+    if not chain.self_pairs:
+        return [_Row(link, ((link, 0),)) for link in solid_links(chain)]
+    for link in sorted({later for _, later in chain.self_pairs}):
+        pairs = [sorted((a, link), key=lambda i: joint[i]) for a, later in chain.self_pairs if later == link]
+        found.append(_Row(link, tuple(sorted({(high, joint[low]) for low, high in pairs}))))
+    return found
+
+
+def _corners(chain: Chain, link: int) -> Any:
+    """The corners of a link's skeleton in its joint's frame (m, 3); its shapes are this, rounded."""
+    corners = [v.corners for v in chain.volumes if v.link == link]
+    corners += [box_spheres(box, chain.spheres_per_box)[0] for box in chain.boxes if box.link == link]
+    return _xp(*corners).concatenate(corners)
+
+
+def _xp(*arrays: Any) -> Any:
+    return jnp if any(isinstance(x, jax.Array) for x in arrays) else np
+
+
+class _Bounds(NamedTuple):
+    """Of what moves in a row, over the whole motion: the speed V, the acceleration a, both by fractions of the motion, and how
+    far any of it is from an axis."""
+
+    speed: Any
+    acceleration: Any
+    length: Any
+
+
+def _bounds(chain: Chain, link: int, other: int, turned: list[Any], travel: list[Any]) -> _Bounds:
+    """`turned`: |dq_j|, `travel`: how far a slide is ever out, 0 of what turns."""
+    corners = _corners(chain, link)
+    xp = _xp(corners, chain.axis, chain.parent_T_joint)
+    length = lambda rows: xp.max(xp.sqrt(xp.sum(xp.square(rows), axis=-1)))
+    arms, ever = {}, 0.0  # from the joint's axis; from its origin
+    for j in reversed(range(other, chain.link_joint[link])):
+        at_end = j + 1 == chain.link_joint[link]
+        beyond = corners if at_end else xp.asarray(chain.parent_T_joint[j + 1, :3, 3])[None]
+        after = ever if at_end else ever + travel[j + 1]
+        arms[j] = length(xp.cross(beyond, chain.axis[j])) + after
+        ever = length(beyond) + after
+    speed = acceleration = turning = 0.0
+    for j in sorted(arms):
+        if chain.is_prismatic[j]:
+            speed = speed + turned[j]
+            acceleration = acceleration + 2.0 * turned[j] * turning
+        else:
+            speed = speed + turned[j] * arms[j]
+            acceleration = acceleration + turned[j] * arms[j] * (turned[j] + 2.0 * turning)
+            turning = turning + turned[j]
+    return _Bounds(speed, acceleration, ever)
+
+
+def _row_bounds(chain: Chain, rows: list[_Row], q_from: Any, q_to: Any) -> _Bounds:
+    """Of each row (k,), the largest of what moves in it."""
+    furthest = jnp.maximum(jnp.abs(q_from), jnp.abs(q_to))
+    turned = traced(jnp.abs(q_to - q_from))
+    travel = [furthest[j] if prismatic else 0.0 for j, prismatic in enumerate(chain.is_prismatic)]
+    found = [[_bounds(chain, *each, turned, travel) for each in row.moved] for row in rows]
+    most = lambda i: jnp.stack([jnp.max(jnp.stack([jnp.asarray(b[i], q_from.dtype) for b in each])) for each in found])
+    return _Bounds(most(0), most(1), most(2))
+
+
+def _table_speeds(chain: Chain, rows: list[_Row], q_from: Any, q_to: Any, margin: Any) -> Any:
+    """How fast the bounds of pairs' tables change at most, of each row (k,), 0 without any; those above `-SHALLOW` alone where
+    the margin is, since what is deeper is below it, however fast."""
+    tables, moved = pair_tables(chain), jnp.abs(q_to - q_from)
+
+    def speed(table: PairTable) -> Any:
+        shallow, any_depth = table.slopes(-SHALLOW), table.slopes(-np.inf)
+        total: Any = 0.0
+        for k, j in enumerate(table.joints):
+            low, high = jnp.minimum(q_from[j], q_to[j]), jnp.maximum(q_from[j], q_to[j])
+            beyond = ~((low >= table.low[k]) & (high <= table.high[k])) & ~np.bool_(table.turns[k])
+            slope = jnp.where(margin >= -SHALLOW, shallow[k], any_depth[k])
+            total = total + moved[j] * jnp.where(beyond, jnp.maximum(slope, table.reach[k]), slope)
+        return total
+
+    found = [[speed(t) for t in tables if t.links[1] == row.link] for row in rows]
+    return jnp.stack([jnp.max(jnp.stack([jnp.asarray(x, q_from.dtype) for x in (0.0, *each)])) for each in found])
+
+
+def _speeds(chain: Chain, rows: list[_Row], q: Any, moved: Any) -> Any:
+    """How fast the points of each row's link move at `q` at most, by fractions of the motion (k,): the twist of a ball about
+    its skeleton, of all joints that move it relative to what it may hit."""
+    root = Frame.of(chain.world_T_base, float(np.finfo(q.dtype).eps))
+    frames, rates = joint_frames(chain, traced(q), root, q.dtype), traced(moved)
+    found: dict[tuple[int, int], Any] = {}
+    for link in sorted({link for row in rows for link, _ in row.moved}):
+        centre, radius = _ball(_corners(chain, link))
+        linear, angular = ZERO, ZERO
+        found[link, chain.link_joint[link]] = jnp.zeros((), q.dtype)
+        for j in reversed(range(chain.link_joint[link])):
+            axis, frame = frames.axes[j] * rates[j], frames.joints[j]
+            if chain.is_prismatic[j]:
+                linear = linear + axis
+            else:
+                place = frames.joints[chain.link_joint[link] - 1] @ Vec3(*centre)
+                linear, angular = linear + axis.cross(place - frame.translation), angular + axis
+            found[link, j] = jnp.sqrt(linear.dot(linear)) + radius * jnp.sqrt(angular.dot(angular))
+    most = [jnp.max(jnp.stack([jnp.asarray(found[each], q.dtype) for each in row.moved])) for row in rows]
+    return jnp.stack(most)
+
+
+def _ball(corners: Any) -> tuple[list[Any], Any]:
+    """The centre and radius of a ball about points (m, 3)."""
+    xp = _xp(corners)
+    centre = (xp.min(corners, axis=0) + xp.max(corners, axis=0)) / 2.0
+    return [centre[i] for i in range(3)], xp.sqrt(xp.max(xp.sum(xp.square(corners - centre), axis=-1)))
+
+
+def _size(chain: Chain, length: Any, q_from: Any, q_to: Any) -> Any:
+    """What rounding takes its share of, the robot's part [m]: its coordinates, and what a joint's value moves."""
+    base = jnp.max(jnp.abs(jnp.asarray(chain.world_T_base[:3, 3], q_from.dtype)))
+    return base + length * (1.0 + jnp.sum(jnp.maximum(jnp.abs(q_from), jnp.abs(q_to))))
+
+
+def _extent(scene: Scene | None) -> Any:
+    """How large the numbers of a scene are [m], but for what is moved away."""
+    leaves = [] if scene is None else jax.tree_util.tree_leaves([getattr(scene, kind) for kind in KINDS])
+    xp = np if is_known(leaves) else jnp
+    sizes = [xp.max(xp.where(xp.abs(x) < FAR / 2.0, xp.abs(x), 0.0), initial=0.0) for x in map(xp.asarray, leaves)]
+    return xp.max(xp.stack([xp.asarray(x, float) for x in sizes])) if sizes else 0.0

@@ -1,0 +1,114 @@
+"""What is grasped becomes part of the robot: it moves with the last joint, and is no obstacle any more."""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Iterable
+from typing import Any, NamedTuple
+
+import numpy as np
+from jaxtyping import Float
+
+from jaxik.checks.arrays import check_known
+from jaxik.checks.options import check_kind, no_such, shown
+from jaxik.collision.scene import FAR, KINDS, SHAPES, Scene, check_scene
+from jaxik.robot.chain import Array, Box, Chain, Volume, solid_links
+from jaxik.robot.kinematics import as_posture, joint_frames
+from jaxik.spatial.algebra import Frame
+
+MOST = 1000  # volumes that an arm carries: each is measured against all obstacles
+
+
+class Attached(NamedTuple):
+    """The robot with what it holds, and the scene without it."""
+
+    chain: Chain
+    scene: Scene
+
+
+def attach(chain: Chain, scene: Scene, name: str, q: Float[Array, " n"], touches: Iterable[str] = ()) -> Attached:
+    """The object `name`, as it lies when the robot is at `q` (n,) [rad, m], made a link of that name which moves with the last
+    joint; and the scene without it.
+
+    Points become balls of the scene's radius; spheres and capsules stay what they are; boxes become boxes of the chain, which
+    `spheres_per_box` spheres cover; a cylinder of radius r becomes the capsule about it that protrudes least, by at most
+    0.42 r. The link is checked against the scene and against the robot's other links, but for those that move with the last
+    joint, too, and those that it `touches` (MoveIt's touch_links). It has no mass.
+
+    Raises `ValueError` for an object that is not there, has no obstacle or the name of a link, for links that the chain does
+    not have, for a q of another shape, and for what is traced.
+    """
+    check_kind("attach", "chain", chain, Chain)
+    check_kind("attach", "scene", scene, Scene)
+    check_known("attach", chain=chain, scene=scene)
+    check_scene(scene)
+    last, link = chain.num_joints, len(chain.link_names)
+    if name not in scene.object_names:
+        raise ValueError(no_such("attach", "object", str(name), scene.object_names))
+    if name in chain.link_names:
+        raise ValueError(f"attach: {chain.name} has a link '{shown(name)}' already; give the object another name")
+    free = _links(chain, touches) | {i for i, joint in enumerate(chain.link_joint) if joint == last}
+    posture = as_posture("attach", chain, q)
+    frames = joint_frames(chain, posture.tolist(), Frame.of(chain.world_T_base)).joints
+    joint_T_world = np.linalg.inv(np.array(frames[-1].entries, np.float64).reshape(4, 4))
+    boxes, volumes = _carried(scene, name, joint_T_world, link)
+    if not boxes and not volumes:
+        raise ValueError(f"attach: '{shown(name)}' has no obstacle in '{scene.name}'; there is nothing to carry")
+    if len(boxes) + len(volumes) > MOST:
+        count = len(boxes) + len(volumes)
+        raise ValueError(
+            f"attach: '{shown(name)}' has {count:,} obstacles; at most {MOST:,}; put a few spheres or boxes around it"
+        )
+    held = dataclasses.replace(
+        chain,
+        link_names=(*chain.link_names, name),
+        link_joint=(*chain.link_joint, last),
+        link_offset=np.concatenate([chain.link_offset, np.eye(4)[None]]),
+        boxes=(*chain.boxes, *boxes),
+        volumes=(*chain.volumes, *volumes),
+        self_pairs=(*chain.self_pairs, *((i, link) for i in solid_links(chain) if i not in free)),
+    )
+    return Attached(held, scene.without([name]))
+
+
+def _links(chain: Chain, names: Iterable[str]) -> set[int]:
+    if isinstance(names, str):
+        raise ValueError(f"attach: touches is '{shown(names)}'; write a list of links, ['{shown(names)}']")
+    for name in (names := list(names)):
+        if name not in chain.link_names:
+            raise ValueError(no_such(f"attach: {chain.name}", "link", str(name), chain.link_names))
+    return {chain.link_names.index(name) for name in names}
+
+
+def _carried(scene: Scene, name: str, joint_T_world: np.ndarray, link: int) -> tuple[list[Box], list[Volume]]:
+    """The object's obstacles in the last joint's frame."""
+    own = {k: _rows(scene, k, owners, scene.object_names.index(name)) for k, owners in zip(KINDS, scene.owners, strict=True)}
+    local = lambda points: np.asarray(points, np.float64) @ joint_T_world[:3, :3].T + joint_T_world[:3, 3]
+    volume = lambda corners, radius: Volume(local(corners), np.asarray(radius, np.float64), link)
+    points, spheres, capsules, cylinders = scene.points, scene.spheres, scene.capsules, scene.cylinders
+    volumes = [volume(points.center[i][None], points.radius) for i in own["points"]]
+    volumes += [volume(spheres.center[i][None], spheres.radius[i]) for i in own["spheres"]]
+    volumes += [volume(np.stack([capsules.a[i], capsules.b[i]]), capsules.radius[i]) for i in own["capsules"]]
+    for i in own["cylinders"]:
+        volumes.append(volume(*_capsule(np.asarray(cylinders.world_T_cylinder[i]), cylinders.radius[i], cylinders.half[i])))
+    boxes = [Box(joint_T_world @ scene.boxes.world_T_box[i], np.asarray(scene.boxes.half[i]), link) for i in own["boxes"]]
+    return boxes, volumes
+
+
+def _rows(scene: Scene, kind: str, owners: tuple[int, ...], index: int) -> np.ndarray:
+    """The object's rows of a kind that were not taken away."""
+    obstacles = getattr(scene, kind)
+    place = np.asarray(getattr(obstacles, next(iter(SHAPES[kind]))))  # the centre, an end, the frame
+    there = np.abs(place).max(axis=tuple(range(1, place.ndim))) < FAR / 2.0
+    return np.flatnonzero((np.array(owners, int) == index) & there[: len(owners)])
+
+
+def _capsule(world_T_cylinder: np.ndarray, radius: Any, half: Any) -> tuple[np.ndarray, Any]:
+    """Ends and radius of the capsule about a cylinder whose largest protrusion is least.
+
+    With ends d inside the cylinder's it needs the radius sqrt(r^2 + d^2), and protrudes by that less r at the side, less d at
+    the ends. The first grows with d and the second falls: they meet at d = r, at (sqrt 2 - 1) r; a flat cylinder has d <= half.
+    """
+    inside = min(float(radius), float(half))
+    axis, centre = world_T_cylinder[:3, 2] * (float(half) - inside), world_T_cylinder[:3, 3]
+    return np.stack([centre - axis, centre + axis]), np.hypot(radius, inside)

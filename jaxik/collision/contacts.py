@@ -1,0 +1,223 @@
+"""What stands in a robot's way at one configuration, by name: on the host, for people.
+
+`clearance` is one number; here are the pairs behind it. The point of a volume's skeleton that is nearest comes from the
+distance's own gradient: a step f along the shortest way raises the distance by |f|, and corner c of the skeleton carries the
+share `f_c . f` of it, which is the point's weight.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Iterator
+from functools import cache
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Float
+
+from jaxik.checks.arrays import check_known
+from jaxik.checks.options import as_count, check_finite, check_kind
+from jaxik.collision.clearances import check_geometry
+from jaxik.collision.hierarchy import pair_tables
+from jaxik.collision.pairs import columns_of, obstacles_of, skeleton_gap
+from jaxik.collision.scene import FAR, KINDS, Scene, check_scene
+from jaxik.collision.volumes import skeletons
+from jaxik.robot.chain import Array, Chain
+from jaxik.robot.kinematics import as_posture
+from jaxik.spmd import HostKernel
+
+BLOCK = 2**18  # distances at a time, which bounds the memory
+
+
+@dataclasses.dataclass(frozen=True)
+class Contact:
+    """A link of the robot and what it is near to, an object of the scene or an earlier link: the signed distance [m] (negative
+    is depth), and where on each of them they are nearest (3,) [m, world]: on their volumes, where a table knows them better."""
+
+    link: str
+    other: str
+    distance: float
+    point: np.ndarray
+    other_point: np.ndarray
+
+    def __str__(self) -> str:
+        what = "collide by" if self.distance < 0.0 else "are apart by"
+        at = ", ".join(f"{x:.3f}" for x in self.point)
+        return f"{self.link} and {self.other} {what} {1000.0 * abs(self.distance):.1f} mm at ({at})"
+
+
+@dataclasses.dataclass(frozen=True)
+class Limit:
+    """A joint and how far it is inside its nearer limit [rad, m]; negative is beyond."""
+
+    joint: str
+    margin: float
+    unit: str
+
+    def __str__(self) -> str:
+        where = "inside its limits" if self.margin >= 0.0 else "beyond its limits"
+        return f"{self.joint} is {abs(self.margin):.3f} {self.unit} {where}"
+
+
+@dataclasses.dataclass(frozen=True)
+class Surroundings:
+    """The nearest pairs and the nearest limits, nearest first."""
+
+    contacts: tuple[Contact, ...]
+    limits: tuple[Limit, ...]
+
+    @property
+    def colliding(self) -> tuple[Contact, ...]:
+        """The pairs that collide."""
+        return tuple(c for c in self.contacts if c.distance < 0.0)
+
+    def __str__(self) -> str:
+        return "\n".join(map(str, (*self.contacts, *self.limits)))
+
+
+def explain(chain: Chain, scene: Scene | None, q: Float[Array, " n"], count: int = 5, below: float = np.inf) -> Surroundings:
+    """What is nearest to the robot at `q` (n,) [rad, m]: the `count` nearest pairs of a link with an object of the scene or
+    with another link, those nearer than `below` [m], and the `count` joints nearest to a limit.
+
+    Each pair of names stands once, at its least distance; the first pair's is `clearance`. A host function, in float64.
+    Raises `ValueError` for a chain without collision geometry, or a q of another shape or with NaN or infinity.
+    """
+    check_kind("explain", "scene", scene, Scene, optional=True)
+    check_known("explain", chain=chain, scene=scene)
+    if scene is not None:
+        check_scene(scene)
+    count = as_count("explain: count", count)
+    if below != np.inf:
+        check_finite("explain", below=below)
+    posture = as_posture("explain", chain, q)
+    check_geometry(chain)
+    volumes = skeletons(chain, posture.tolist(), np.float64)
+    with jax.enable_x64(True):
+        pairs = [*_with_scene(chain, scene, volumes), *_with_itself(chain, volumes)]
+        bounds = {table.links: float(table(posture)) for table in pair_tables(chain)}
+        found = [row for row in _nearest(pairs, bounds)[:count] if row[0] < below]
+        contacts = tuple(_contact(chain, scene, pairs, *row) for row in found)
+    return Surroundings(contacts, _limits(chain, posture)[:count])
+
+
+@dataclasses.dataclass(frozen=True)
+class _Pairs:
+    """Volumes of one kind against obstacles or volumes of one kind, who they belong to, and of each two names in a block of
+    them the least distance: rows (distance, other, volume)."""
+
+    gap: Any
+    volumes: Any
+    others: Any
+    links: np.ndarray
+    owners: np.ndarray
+    itself: bool
+    least: np.ndarray
+
+
+def _with_scene(chain: Chain, scene: Scene | None, volumes: Any) -> Iterator[_Pairs]:
+    if scene is None:
+        return
+    meet = np.ones((len(scene.object_names) + 1, len(chain.link_names)), bool)  # the last for what has no name
+    for link, what in chain.ignored:
+        meet[[what in ("*", name) for name in (*scene.object_names, "")], link] = False
+    for kind, owners in zip(KINDS, scene.owners, strict=True):
+        if scene.counts[kind]:
+            gap, others = obstacles_of(kind, vars(getattr(scene, kind)), jnp.float64)
+            owner = np.array([*owners, *[-1] * (scene.counts[kind] - len(owners))], int)
+            for skeleton in volumes.values():
+                yield from _blocks(gap, skeleton, others, owner, meet, False)
+
+
+def _with_itself(chain: Chain, volumes: Any) -> Iterator[_Pairs]:
+    """Of each pair of links the later one is the link, the earlier the other."""
+    meet = np.zeros((len(chain.link_names),) * 2, bool)
+    for a, b in chain.self_pairs:
+        meet[a, b] = True
+    for mine in volumes.values():
+        for theirs in volumes.values():
+            if meet[np.ix_(np.unique(theirs.link), np.unique(mine.link))].any():
+                yield from _blocks(skeleton_gap, mine, columns_of(theirs, jnp.float64), theirs.link, meet, True)
+
+
+def _blocks(gap: Any, skeleton: Any, others: Any, owners: np.ndarray, meet: np.ndarray, itself: bool) -> Iterator[_Pairs]:
+    """Block by block of the others; `meet` says which owner counts for which link."""
+    ours, links = columns_of(skeleton, jnp.float64), skeleton.link
+    rows = max(1, BLOCK // len(links))
+    for start in range(0, len(owners), rows):
+        block = slice(start, start + rows)
+        other, volume = np.indices((len(owners[block]), len(links)))
+        (apart,) = _told(0, gap, (ours, volume.ravel()), (others, start + other.ravel()))
+        apart = apart.reshape(other.shape)
+        seen = (apart < FAR / 2.0) & meet[owners[block, None], links]
+        least = _least(np.where(seen, apart, np.inf), owners[block], links)
+        least[:, 1] += start
+        yield _Pairs(gap, ours, others, links, owners, itself, least)
+
+
+def _least(apart: np.ndarray, owners: np.ndarray, links: np.ndarray) -> np.ndarray:
+    """Of each owner and link the least distance, if it is finite, and where it stands: rows (distance, row, column)."""
+    names = (owners[:, None] + 1) * (links.max() + 1) + links  # an owner -1 is the scene
+    least = np.full(names.max() + 1, np.inf)
+    np.minimum.at(least, names, apart)
+    row, column = np.nonzero((apart == least[names]) & np.isfinite(apart))
+    first = np.unique(names[row, column], return_index=True)[1]
+    return np.column_stack([apart[row, column], row, column])[first]
+
+
+def _told(what: int, gap: Any, *sides: tuple[Any, np.ndarray]) -> list[np.ndarray]:
+    """What a kernel says of pairs: of each side its columns, and the row of each pair."""
+    leaves, trees = zip(*(jax.tree_util.tree_flatten(columns) for columns, _ in sides), strict=True)
+    rows = [np.asarray(x)[row] for part, (_, row) in zip(leaves, sides, strict=True) for x in part]
+    return _kernels(gap, *trees)[what](*rows)
+
+
+@cache
+def _kernels(gap: Any, ours: Any, theirs: Any) -> tuple[HostKernel, HostKernel]:
+    """Of pairs in rows, given as the leaves of volumes and of others: the distance; and with it its derivative by each number
+    of the volume's corners. The same kernels for any number of them, which for XLA were programs of a second each."""
+    count = ours.num_leaves + theirs.num_leaves
+
+    def apart(*leaves: Any) -> Any:
+        unflatten = jax.tree_util.tree_unflatten
+        return gap(unflatten(ours, leaves[: ours.num_leaves]), unflatten(theirs, leaves[ours.num_leaves :]))
+
+    return HostKernel(apart, count), HostKernel(jax.value_and_grad(apart, range(ours.num_leaves - 1)), count)
+
+
+def _nearest(pairs: list[_Pairs], bounds: dict[tuple[int, int], float]) -> list[tuple[float, int, int, int]]:
+    """Each two names' least distance, the least first, and which of `pairs`, other and volume it belongs to. Two links are no
+    nearer than their entry in `bounds` says."""
+    if not pairs:
+        return []
+    number = np.repeat(np.arange(len(pairs)), [len(each.least) for each in pairs])
+    apart, other, volume = np.concatenate([each.least for each in pairs]).T
+    names = [(each.itself, each.owners[int(o)], each.links[int(v)]) for each in pairs for _, o, v in each.least]
+    raised = np.maximum(apart, [bounds.get((a, b), -np.inf) if itself else -np.inf for itself, a, b in names])
+    order = np.lexsort((volume, other, number, apart, raised))
+    _, first = np.unique(np.array(names, int).reshape(-1, 3)[order], axis=0, return_index=True)
+    return [(float(raised[i]), int(number[i]), int(other[i]), int(volume[i])) for i in order[np.sort(first)]]
+
+
+def _contact(
+    chain: Chain, scene: Scene | None, pairs: list[_Pairs], apart: float, number: int, other: int, volume: int
+) -> Contact:
+    each = pairs[number]
+    (gap,), *pull = _told(1, each.gap, (each.volumes, np.array([volume])), (each.others, np.array([other])))
+    corners = np.array([[x[volume] for x in corner] for corner in each.volumes[0]])
+    slopes = np.reshape(pull, corners.shape)
+    radius, gap = float(each.volumes[1][volume]), float(gap)
+    force = slopes.sum(axis=0)
+    nearest = (slopes @ force) @ corners if force.any() else corners.mean(axis=0)
+    owner = each.owners[other]
+    name = chain.link_names[owner] if each.itself else scene.object_names[owner] if scene and owner >= 0 else "the scene"
+    link = chain.link_names[each.links[volume]]
+    return Contact(link, name, apart, nearest - radius * force, nearest - (radius + gap) * force)
+
+
+def _limits(chain: Chain, q: np.ndarray) -> tuple[Limit, ...]:
+    margins = np.minimum(q - chain.lower, chain.upper - q)
+    units = ["m" if prismatic else "rad" for prismatic in chain.is_prismatic]
+    order = [i for i in np.argsort(margins, kind="stable") if np.isfinite(margins[i])]
+    return tuple(Limit(chain.joint_names[i], float(margins[i]), units[i]) for i in order)

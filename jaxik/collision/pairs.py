@@ -1,0 +1,62 @@
+"""The distance of a robot's volumes, (corners, radius), to an obstacle of each kind or to a volume of another link [m].
+
+Volumes and obstacles are columns: `Vec3` of arrays and arrays of sizes, which broadcast against each other.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from typing import Any
+
+import jax.numpy as jnp
+
+from jaxik.collision import distance
+from jaxik.collision.volumes import Skeleton
+from jaxik.spatial.algebra import Rot3, Vec3
+
+Gap = Callable[[Any, Any], Any]
+
+
+def square_gap(volumes: Any, point: Any) -> Any:
+    """The square of the distance of centres."""
+    apart = volumes[0][0] - point[0][0]
+    return apart.dot(apart)
+
+
+def skeleton_gap(volumes: Any, other: Any) -> Any:
+    """To one swept-sphere obstacle, or one volume of another link."""
+    return distance.between(volumes[0], other[0]) - (volumes[1] + other[1])
+
+
+def box_gap(volumes: Any, box: Any) -> Any:
+    """To one box: its rotation, centre and half edges."""
+    return distance.skeleton_box(volumes[0], *box) - volumes[1]
+
+
+def cylinder_gap(volumes: Any, cylinder: Any) -> Any:
+    """To one cylinder: its rotation, centre, radius and half its length."""
+    return distance.skeleton_cylinder(volumes[0], *cylinder) - volumes[1]
+
+
+def obstacles_of(kind: str, rows: Mapping[str, Any], dtype: Any) -> tuple[Gap, Any]:
+    """The gap to an obstacle of a kind, and those that have these `rows`, the fields of the scene's, as columns."""
+    columns = lambda a: Vec3(*(jnp.asarray(a, dtype)[:, i] for i in range(3)))
+    if kind == "boxes":
+        return box_gap, (*_frames(rows["world_T_box"], dtype), columns(rows["half"]))
+    if kind == "cylinders":
+        sizes = (jnp.asarray(rows[name], dtype) for name in ("radius", "half"))
+        return cylinder_gap, (*_frames(rows["world_T_cylinder"], dtype), *sizes)
+    corners = tuple(columns(rows[name]) for name in (("a", "b") if kind == "capsules" else ("center",)))
+    return skeleton_gap, (corners, jnp.broadcast_to(jnp.asarray(rows["radius"], dtype), corners[0].x.shape))
+
+
+def _frames(frames: Any, dtype: Any) -> tuple[Rot3, Vec3]:
+    column = lambda i, j: jnp.asarray(frames, dtype)[:, i, j]
+    rotation = Rot3(*(Vec3(*(column(i, j) for j in range(3))) for i in range(3)))
+    return rotation, Vec3(*(column(i, 3) for i in range(3)))
+
+
+def columns_of(skeleton: Skeleton, dtype: Any) -> tuple[tuple[Vec3, ...], Any]:
+    """Volumes as the gaps take them."""
+    corners = tuple(Vec3(*(jnp.asarray(x, dtype) for x in corner)) for corner in skeleton.corners)
+    return corners, jnp.asarray(skeleton.radius, dtype)

@@ -1,0 +1,210 @@
+"""Links as bounding spheres and swept-sphere volumes.
+
+An oriented box is cut into 1, 8, 64 or 512 equal boxes (each level halves every edge), and each is replaced by the sphere
+through its corners [Van Henten et al. 2010, App. A; Hubbard 1996]. A cut box lies in its parent box, and its sphere in its
+parent's sphere: so a coarse distance is never larger than a finer one, which is what makes the hierarchy exact
+(`collision.hierarchical_clearance`).
+"""
+
+from __future__ import annotations
+
+import itertools
+from collections.abc import Iterable
+from typing import Any, NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Float
+
+from jaxik.checks.options import as_count
+from jaxik.robot.chain import Array, Box, Chain, Volume, as_configuration, finite_limits, solid_links
+from jaxik.robot.kinematics import joint_frames
+from jaxik.spatial.algebra import BASE, Frame, Scalar, Vec3, traced
+
+LEVELS = {1: 0, 8: 1, 64: 2, 512: 3}
+
+
+def box_spheres(box: Box, per_box: int) -> tuple[Float[Array, "k 3"], Float[Array, ""]]:
+    """Centres in the joint's frame and the common radius [m] of a box's spheres, `per_box` = 1, 8, 64 or 512 of them.
+
+    The order is hierarchical: the children of sphere i of one level are spheres 8 i to 8 i + 7 of the next.
+    """
+    xp = jnp if isinstance(box.half, jax.Array) or isinstance(box.joint_T_box, jax.Array) else np
+    corners = np.stack(np.meshgrid(*([[-0.5, 0.5]] * 3), indexing="ij"), axis=-1).reshape(8, 3)
+    grid = np.zeros((1, 3))
+    for level in range(LEVELS[per_box]):
+        grid = (grid[:, None] + corners * 2.0**-level).reshape(-1, 3)
+    centres = xp.asarray(box.joint_T_box)[:3, 3] + (grid * box.half) @ xp.asarray(box.joint_T_box)[:3, :3].T
+    return centres, xp.asarray(xp.sqrt(xp.sum(xp.asarray(box.half) ** 2)) * 2.0 ** -LEVELS[per_box])
+
+
+class Skeleton(NamedTuple):
+    """Swept-sphere volumes in the world, all with as many corners: `corners[c]` are Vec3 of arrays, one entry a volume."""
+
+    corners: tuple[Vec3, ...]
+    radius: Any
+    link: np.ndarray
+
+
+def local_volumes(chain: Chain, count: int) -> tuple[Any, Any, np.ndarray] | None:
+    """The chain's volumes with `count` corners, ordered by link; spheres of boxes among those with one: corners (k, c, 3) in
+    their joints' frames, radii (k,) and links (k,)."""
+    parts = [(v.link, v.corners[None], v.radius) for v in chain.volumes if v.corners.shape[0] == count]
+    if count == 1:
+        for box in chain.boxes:
+            centres, radius = box_spheres(box, chain.spheres_per_box)
+            parts.append((box.link, centres[:, None], radius))
+    if not parts:
+        return None
+    parts.sort(key=lambda part: part[0])
+    links, corners, radii = zip(*parts, strict=True)
+    xp = jnp if any(isinstance(x, jax.Array) for x in (*corners, *radii)) else np
+    sizes = [len(each) for each in corners]
+    each = xp.concatenate([xp.full(n, r) for n, r in zip(sizes, radii, strict=True)])
+    return xp.concatenate(corners), each, np.repeat(links, sizes)
+
+
+def skeletons(chain: Chain, q: Any, dtype: Any, root: Frame | None = None) -> dict[int, Skeleton]:
+    """The chain's volumes in the world for scalars `q`, by corner count (1, 2, 3); kinds that the chain lacks are left out.
+
+    With NumPy scalars of shape (N, 1) each entry of a Vec3 has shape (N, k).
+    """
+    snap = float(np.finfo(dtype).eps)
+    root = Frame.of(chain.world_T_base, snap) if root is None else root
+    moved = (root, *joint_frames(chain, q, root, dtype).joints)
+    found = {}
+    for count in (1, 2, 3):
+        local = local_volumes(chain, count)
+        if local is None:
+            continue
+        points, radius, link = local
+        corners = tuple(_carried(chain, moved, points[:, c], link, dtype) for c in range(count))
+        found[count] = Skeleton(corners, radius if isinstance(radius, jax.Array) else np.asarray(radius, dtype), link)
+    return found
+
+
+def _carried(chain: Chain, frames: tuple[Frame, ...], points: Any, link: np.ndarray, dtype: Any) -> Vec3:
+    """Points given in their joints' frames, in the root frame: runs of one joint share its frame."""
+    joint = np.array([chain.link_joint[i] for i in link])
+    cuts = [0, *(np.flatnonzero(np.diff(joint)) + 1), len(joint)]
+    pieces: list[Vec3] = []
+    for start, stop in itertools.pairwise(cuts):
+        local = points[start:stop]
+        local = local if isinstance(local, jax.Array) else np.asarray(local, dtype)
+        pieces.append(frames[joint[start]] @ Vec3(local[:, 0], local[:, 1], local[:, 2]))
+    sizes = np.diff(cuts)
+    return Vec3(*(_joined([p[i] for p in pieces], sizes) for i in range(3)))
+
+
+def _joined(pieces: list[Scalar], sizes: np.ndarray) -> Any:
+    xp = jnp if any(isinstance(p, jax.Array) for p in pieces) else np
+    lead = np.broadcast_shapes(*(np.shape(p)[:-1] for p in pieces))
+    return xp.concatenate([xp.broadcast_to(p, (*lead, n)) for p, n in zip(pieces, sizes, strict=True)], axis=-1)
+
+
+def link_spheres(chain: Chain, q: Float[Array, " n"]) -> tuple[Float[Array, "s 3"], Float[Array, " s"]]:
+    """Centres in the world [m] and radii [m] of the chain's spheres at `q` (n,); lines and triangles are not among them."""
+    q = as_configuration(chain, q)
+    found = skeletons(chain, traced(q), q.dtype).get(1)
+    if found is None:
+        return jnp.zeros((0, 3), q.dtype), jnp.zeros(0, q.dtype)
+    return jnp.stack([jnp.asarray(c, q.dtype) for c in found.corners[0]], axis=-1), jnp.asarray(found.radius, q.dtype)
+
+
+def link_circles(chain: Chain, q: Float[Array, " n"], circles: int = 11, around: int = 12) -> Float[Array, "p 3"]:
+    """Points in the world [m] on the cylindrical links (capsules) of a chain: `circles` along each, `around` points on one.
+
+    What the box penalty of IJE 2022 (`costs.box_penalty`) asks for: "the surface of the link is considered as a series of
+    circles" (sec. 5). The capsules' numbers must be concrete. Raises `ValueError` where the chain has none.
+    """
+    lines = [v for v in chain.volumes if v.corners.shape[0] == 2]
+    if not lines:
+        raise ValueError(f"{chain.name}: has no cylindrical link; add capsules to its file")
+    circles, around = as_count("link_circles: circles", circles), as_count("link_circles: around", around)
+    q = as_configuration(chain, q)
+    root = Frame.of(chain.world_T_base, float(np.finfo(q.dtype).eps))
+    frames = (root, *joint_frames(chain, traced(q), root, q.dtype).joints)
+    links = np.repeat([v.link for v in lines], circles * around)
+    points = _carried(chain, frames, np.concatenate([_circles(v, circles, around) for v in lines]), links, q.dtype)
+    return jnp.stack([jnp.asarray(x, q.dtype) for x in points], axis=-1)
+
+
+def _circles(volume: Volume, circles: int, around: int) -> np.ndarray:
+    start, end = np.asarray(volume.corners, dtype=np.float64)
+    across = np.linalg.svd((end - start)[None])[2][1:]  # two directions across the line
+    turn = 2.0 * np.pi * np.arange(around) / around
+    ring = float(volume.radius) * np.stack([np.cos(turn), np.sin(turn)], axis=-1) @ across
+    return (np.linspace(start, end, circles)[:, None] + ring).reshape(-1, 3)
+
+
+class SelfCollisions(NamedTuple):
+    """The pairs of links worth a check; those of them that touch in the default pose; and the share of random configurations
+    in which any of them touches."""
+
+    pairs: tuple[tuple[int, int], ...]
+    at_home: tuple[tuple[int, int], ...]
+    share: float
+
+
+def candidate_pairs(chain: Chain, links: Iterable[int], disabled: frozenset[frozenset[str]]) -> list[tuple[int, int]]:
+    """The pairs of some links that are neither neighbours, nor move together, nor are `disabled`."""
+    joint, ordered = chain.link_joint, sorted(links)
+    return [
+        (a, b)
+        for i, a in enumerate(ordered)
+        for b in ordered[i + 1 :]
+        if abs(joint[a] - joint[b]) > 1 and frozenset((chain.link_names[a], chain.link_names[b])) not in disabled
+    ]
+
+
+def self_collisions(chain: Chain, disabled: frozenset[frozenset[str]] = frozenset(), samples: int = 512) -> SelfCollisions:
+    """The pairs of links worth a check against each other.
+
+    Left out: links that move together or are neighbours on the chain, pairs in `disabled` (SRDF), and pairs that touch in at
+    least 95 % of random configurations (fixed seed): their shapes overlap by design and would always report a collision.
+    """
+    pairs = candidate_pairs(chain, solid_links(chain), disabled)
+    if not pairs:
+        return SelfCollisions((), (), 0.0)
+    rng = np.random.default_rng(0)
+    q = np.vstack([rng.uniform(*finite_limits(chain), (samples, chain.num_joints)), default_pose(chain)])
+    columns = [q[:, i, None] for i in range(chain.num_joints)]
+    centres, radii, owner = [], [], []
+    for count, skeleton in skeletons(chain, columns, np.float64, BASE).items():
+        for weights in _samples(count):
+            corner = [sum(w * c[i] for w, c in zip(weights, skeleton.corners, strict=True)) for i in range(3)]
+            width = len(skeleton.link)
+            centres.append(np.stack([np.broadcast_to(c, (len(q), width)) for c in corner], axis=-1))
+            radii.append(skeleton.radius)
+            owner.append(skeleton.link)
+    p, r, o = np.concatenate(centres, axis=1), np.concatenate(radii), np.concatenate(owner)
+    touch = {(a, b): _touching(p, r, o == a, o == b) for a, b in pairs}
+    kept = {pair: hit for pair, hit in touch.items() if hit[:-1].mean() < 0.95}
+    share = np.any([hit[:-1] for hit in kept.values()], axis=0).mean() if kept else 0.0
+    return SelfCollisions(tuple(kept), tuple(pair for pair, hit in kept.items() if hit[-1]), float(share))
+
+
+def default_pose(chain: Chain) -> np.ndarray:
+    """0 for each joint, or the middle of its limits where they leave 0 out [rad, m]."""
+    lower, upper = finite_limits(chain)
+    return np.where((lower <= 0.0) & (upper >= 0.0), 0.0, (lower + upper) / 2.0)
+
+
+def _samples(count: int) -> np.ndarray:
+    """Barycentric weights of sample points of a point, a line, a triangle."""
+    steps = np.linspace(0.0, 1.0, 7)
+    if count == 1:
+        return np.ones((1, 1))
+    if count == 2:
+        return np.stack([1.0 - steps, steps], axis=1)
+    return np.array([(u, v, 1.0 - u - v) for u in steps for v in steps if u + v <= 1.0 + 1e-9])
+
+
+def _touching(p: np.ndarray, r: np.ndarray, a: np.ndarray, b: np.ndarray) -> np.ndarray:
+    """The configurations in which any sphere of a touches any of b."""
+    hit = np.zeros(len(p), bool)
+    for i in np.flatnonzero(a):
+        gap = np.linalg.norm(p[:, i, None] - p[:, b], axis=-1) - r[i] - r[b]
+        hit |= gap.min(axis=1) <= 0.0
+    return hit

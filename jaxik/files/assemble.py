@@ -1,0 +1,207 @@
+"""What every robot file becomes before it is a chain: a run of joints from base to tip, checked in one place."""
+
+from __future__ import annotations
+
+import contextlib
+import dataclasses
+from collections.abc import Iterable, Iterator, Sequence
+from pathlib import Path
+from typing import Any, BinaryIO
+
+import numpy as np
+
+from jaxik.reasons import LoadError
+from jaxik.robot.chain import Body, Box, Chain, Volume
+
+MAX_BYTES = 16 * 2**20  # of a robot or scene file; a mesh may have four times that
+JOINT_TYPES = ("revolute", "continuous", "prismatic", "fixed")
+
+
+@dataclasses.dataclass
+class Joint:
+    """A joint as the file has it; `element` says where it stands, for the error line."""
+
+    name: str
+    type: str
+    parent_T_joint: np.ndarray
+    child: str
+    axis: np.ndarray = dataclasses.field(default_factory=lambda: np.array([0.0, 0.0, 1.0]))
+    lower: float = -np.inf
+    upper: float = np.inf
+    velocity: float = np.inf
+
+    @property
+    def element(self) -> str:
+        return f"joint '{self.name}'"
+
+
+@dataclasses.dataclass
+class Link:
+    """What is fixed to a link's frame: inertia, boxes and swept-sphere volumes (link index not yet known)."""
+
+    mass: float = 0.0
+    com: np.ndarray = dataclasses.field(default_factory=lambda: np.zeros(3))
+    inertia: np.ndarray = dataclasses.field(default_factory=lambda: np.zeros((3, 3)))
+    boxes: list[tuple[np.ndarray, np.ndarray]] = dataclasses.field(default_factory=list)
+    volumes: list[tuple[np.ndarray, float]] = dataclasses.field(default_factory=list)
+    meshes: list[str] = dataclasses.field(default_factory=list)
+
+
+def rpy_matrix(rpy: Any) -> np.ndarray:
+    """`Rz(yaw) Ry(pitch) Rx(roll)`, URDF's fixed-axis angles [rad]."""
+    (cr, cp, cy), (sr, sp, sy) = np.cos(rpy), np.sin(rpy)
+    return np.array(
+        [
+            [cy * cp, cy * sp * sr - sy * cr, cy * sp * cr + sy * sr],
+            [sy * cp, sy * sp * sr + cy * cr, sy * sp * cr - cy * sr],
+            [-sp, cp * sr, cp * cr],
+        ]
+    )
+
+
+def frame(translation: Any = (0.0, 0.0, 0.0), rotation: np.ndarray | None = None) -> np.ndarray:
+    """A (4, 4) frame."""
+    matrix = np.eye(4)
+    matrix[:3, :3] = np.eye(3) if rotation is None else rotation
+    matrix[:3, 3] = translation
+    return matrix
+
+
+@contextlib.contextmanager
+def opened(path: Path, most: int = MAX_BYTES) -> Iterator[BinaryIO]:
+    """The file, to read its bytes; or the one line that says why not."""
+    if "\0" in str(path):
+        raise LoadError(repr(str(path)), "file", "cannot be read (its name holds a null character)", "check the path")
+    try:
+        size = path.stat().st_size
+        if size > most:
+            raise LoadError(path, "file", f"{size} bytes", f"at most {most} are read")
+        with path.open("rb") as file:
+            yield file
+    except OSError as error:
+        raise LoadError(path, "file", f"cannot be read ({error.strerror or error})", "check the path") from None
+
+
+def read_bytes(path: Path) -> bytes:
+    """The file's content, or the one line that says why not."""
+    with opened(path) as file:
+        return file.read()
+
+
+def unique(file: Path, kind: str, names: Iterable[str]) -> None:
+    """Refuse a name that stands twice."""
+    seen: set[str] = set()
+    for name in names:
+        if name in seen:
+            raise LoadError(file, f"{kind} '{name}'", "the name stands twice", "give each its own")
+        seen.add(name)
+
+
+def assemble(
+    file: Path,
+    name: str,
+    base: str,
+    joints: Sequence[Joint],
+    links: dict[str, Link],
+    tool: np.ndarray | None = None,
+    mount: np.ndarray | None = None,
+    carried: Sequence[tuple[str, Joint]] = (),
+) -> Chain:
+    """The chain of `joints`, in order from `base`; fixed joints fuse into the frames of the next movable one.
+
+    `carried` are fixed joints, each with its parent link, that lead aside: what rides on the chain without being a part of it.
+    """
+    unique(file, "joint", (j.name for j in joints))
+    unique(file, "link", (base, *(j.child for j in joints)))
+    movable = [_checked(file, j) for j in joints if j.type != "fixed"]
+    if not movable:
+        raise LoadError(file, f"chain from '{base}'", "has no movable joint", "choose another base or tip")
+    pending, offsets, frames, names = np.eye(4), [np.eye(4)], [], [base]
+    counts, count = [0], 0
+    for joint in joints:
+        _finite(file, joint.element, "origin", joint.parent_T_joint)
+        pending = pending @ joint.parent_T_joint
+        if joint.type != "fixed":
+            frames.append(pending)
+            pending, count = np.eye(4), count + 1
+        names.append(joint.child)
+        offsets.append(pending)
+        counts.append(count)
+    for parent, joint in carried:
+        _finite(file, joint.element, "origin", joint.parent_T_joint)
+        at = names.index(parent)
+        names.append(joint.child)
+        offsets.append(offsets[at] @ joint.parent_T_joint)
+        counts.append(counts[at])
+    tip = pending if tool is None else pending @ tool
+    content = [links.get(n, Link()) for n in names]
+    return Chain(
+        name=name,
+        joint_names=tuple(j.name for j in movable),
+        joint_types=tuple(j.type for j in movable),  # type: ignore[misc]
+        link_names=tuple(names),
+        link_joint=tuple(counts),
+        parent_T_joint=np.array(frames),
+        axis=np.array([j.axis for j in movable]),
+        joint_T_tip=tip,
+        link_offset=np.array(offsets),
+        lower=np.array([j.lower for j in movable]),
+        upper=np.array([j.upper for j in movable]),
+        velocity=np.array([j.velocity for j in movable]),
+        world_T_base=np.eye(4) if mount is None else mount,
+        bodies=_bodies(content, offsets, counts, count),
+        boxes=tuple(Box(o @ t, h, i) for i, (c, o) in enumerate(zip(content, offsets, strict=True)) for t, h in c.boxes),
+        volumes=tuple(
+            Volume(p @ o[:3, :3].T + o[:3, 3], np.asarray(r), i)
+            for i, (c, o) in enumerate(zip(content, offsets, strict=True))
+            for p, r in c.volumes
+        ),
+        unread_meshes=tuple(n for n, c in zip(names, content, strict=True) if c.meshes),
+    )
+
+
+def _finite(file: Path, element: str, what: str, values: np.ndarray) -> None:
+    if not np.all(np.isfinite(values)):
+        raise LoadError(file, element, f"{what} holds NaN or infinity", "write finite numbers")
+
+
+def _checked(file: Path, joint: Joint) -> Joint:
+    if joint.type not in JOINT_TYPES:
+        allowed = ", ".join(JOINT_TYPES)
+        raise LoadError(file, joint.element, f"type '{joint.type}' is not supported", f"allowed: {allowed}")
+    _finite(file, joint.element, "axis", joint.axis)
+    norm = float(np.linalg.norm(joint.axis))
+    if norm < 1e-9:
+        raise LoadError(file, joint.element, "the axis is zero", "write a unit vector such as 0 0 1")
+    if abs(norm - 1.0) > 1e-2:  # a rounded unit vector is made exact; anything else is more likely a slip
+        unit = " ".join(f"{a / norm:.6g}" for a in joint.axis)
+        raise LoadError(file, joint.element, f"the axis has length {norm:.6g}, not 1", f"write {unit}")
+    if joint.type == "continuous":
+        joint.lower, joint.upper = -np.inf, np.inf
+    for key in ("lower", "upper", "velocity"):
+        if np.isnan(getattr(joint, key)):
+            raise LoadError(file, joint.element, f"limit '{key}' is NaN", "write a number")
+    if joint.lower > joint.upper:
+        raise LoadError(file, joint.element, f"lower limit {joint.lower:g} > upper {joint.upper:g}", "swap them")
+    if joint.velocity < 0.0:
+        raise LoadError(file, joint.element, f"velocity limit {joint.velocity:g} < 0", "write a positive number")
+    return dataclasses.replace(joint, axis=joint.axis / norm)
+
+
+def _bodies(content: Sequence[Link], offsets: Sequence[np.ndarray], counts: Sequence[int], n: int) -> tuple[Body, ...]:
+    """The inertia of all links that move with a joint, about their common centre of gravity, in the joint's frame."""
+    if not any(link.mass for link in content):
+        return ()
+    bodies = []
+    for joint in range(1, n + 1):
+        parts = [(link, o) for link, o, c in zip(content, offsets, counts, strict=True) if c == joint and link.mass > 0.0]
+        mass = sum(link.mass for link, _ in parts)
+        centres = [o[:3, :3] @ link.com + o[:3, 3] for link, o in parts]
+        com = sum((link.mass * c for (link, _), c in zip(parts, centres, strict=True)), np.zeros(3)) / max(mass, 1e-300)
+        inertia = np.zeros((3, 3))
+        for (link, o), centre in zip(parts, centres, strict=True):
+            arm = centre - com
+            rotated = o[:3, :3] @ link.inertia @ o[:3, :3].T
+            inertia += rotated + link.mass * (arm @ arm * np.eye(3) - np.outer(arm, arm))  # Steiner
+        bodies.append(Body(np.asarray(mass, dtype=np.float64), com, inertia))
+    return tuple(bodies)

@@ -1,0 +1,127 @@
+"""The corners of meshes, boxes around them, and which mesh files a model may name."""
+
+from __future__ import annotations
+
+import dataclasses
+import io
+from pathlib import Path, PurePosixPath
+from typing import Any
+
+import numpy as np
+
+from jaxik.files.assemble import MAX_BYTES, Link
+from jaxik.fitting.model import Shape
+from jaxik.fitting.pair_tables import SECTIONS
+from jaxik.reasons import LoadError
+from jaxik.robot.chain import Chain
+
+# A ROS package keeps its model in urdf/ and its meshes beside that folder, so the model's folder is then the package's.
+_INNER_FOLDERS = ("urdf", "urdfs", "xacro", "robots", "mjcf", "xml")
+FORMATS = (".stl", ".obj", ".ply", ".dae", ".off", ".glb")  # and no archive, whose size says nothing of its content's
+
+
+@dataclasses.dataclass
+class Meshes:
+    """What is made of collision shapes: `fitted` ones are collected here while a file is read, in the frames of their links;
+    otherwise a mesh becomes the smallest box around it. Spheres and capsules stay what they are."""
+
+    fitted: bool
+    found: list[tuple[str, Shape]] = dataclasses.field(default_factory=list)
+
+    def mesh(
+        self, owner: str, link: Link, name: str, origin: np.ndarray, points: np.ndarray, faces: np.ndarray | None = None
+    ) -> None:
+        """A mesh by its corners (p, 3) in the frame `origin`, and its triangles (f, 3), those of its hull unless given."""
+        if self.fitted:
+            self.found.append((owner, Shape(0, name, points @ origin[:3, :3].T + origin[:3, 3], faces)))
+        else:
+            mesh_T_box, half = bounding_box(points)
+            link.boxes.append((origin @ mesh_T_box, half))
+
+    def shapes(self, chain: Chain) -> list[Shape]:
+        """What was collected, in the frames of the chain's joints."""
+        index = {name: i for i, name in enumerate(chain.link_names)}
+        return [_placed(shape, index[owner], chain.link_offset[index[owner]]) for owner, shape in self.found if owner in index]
+
+
+def _placed(shape: Shape, link: int, offset: Any) -> Shape:
+    return shape._replace(link=link, corners=shape.corners @ offset[:3, :3].T + offset[:3, 3])
+
+
+def add_box(meshes: Meshes | None, owner: str, link: Link, origin: np.ndarray, half: np.ndarray, name: str = "box") -> None:
+    """A box, to be fitted like a mesh where meshes are."""
+    if meshes is not None and meshes.fitted:
+        corners = np.stack(np.meshgrid(*([[-1.0, 1.0]] * 3), indexing="ij"), axis=-1).reshape(8, 3)
+        meshes.mesh(owner, link, name, origin, corners * half)
+    else:
+        link.boxes.append((origin, half))
+
+
+def add_cylinder(meshes: Meshes | None, owner: str, link: Link, origin: np.ndarray, radius: float, half: float) -> None:
+    """A cylinder about its frame's z, as a prism around it where meshes are fitted; a box otherwise."""
+    if meshes is not None and meshes.fitted:
+        turn = 2.0 * np.pi * np.arange(SECTIONS) / SECTIONS
+        ring = radius / np.cos(np.pi / SECTIONS) * np.stack([np.cos(turn), np.sin(turn)], axis=1)
+        ends = [np.column_stack([ring, np.full(SECTIONS, z)]) for z in (-half, half)]
+        meshes.mesh(owner, link, "cylinder", origin, np.concatenate(ends))
+    else:
+        link.boxes.append((origin, np.array([radius, radius, half])))
+
+
+def home(path: Path) -> Path:
+    """The folder that a model's files lie below."""
+    folder = path.resolve().parent
+    return folder.parent if folder.name in _INNER_FOLDERS else folder
+
+
+def resolve(path: Path, where: str, name: str, below: Path | None = None) -> Path | None:
+    """The file that a mesh name means: `package://name/...` below the nearest folder above of that name, else below the
+    model's own folder (or `below`). None where no such package is above. A path that leaves that folder is refused."""
+    folder, root = path.resolve().parent, below or home(path)
+    if name.startswith("package://"):
+        package, _, rest = name.removeprefix("package://").partition("/")
+        above = [p for p in (folder, *folder.parents) if p.name == package]
+        if ".." in PurePosixPath(rest).parts or package in ("", ".", ".."):
+            raise LoadError(path, where, f"mesh '{name[:80]}' leaves its package", "name a file inside it")
+        return above[0] / rest if above else None
+    if "://" in name and not name.startswith("file://"):
+        raise LoadError(path, where, f"mesh '{name[:80]}' is no file", "give a path or package://")
+    try:
+        target = (folder / name.removeprefix("file://")).resolve()
+    except (OSError, ValueError, RuntimeError):
+        raise LoadError(path, where, f"mesh '{name[:80]}' is no path", "give a path below the model's folder") from None
+    if not target.is_relative_to(root):
+        raise LoadError(path, where, f"mesh '{name[:80]}' lies outside the model's folder", f"move it below {root.name}/")
+    return target
+
+
+def read_mesh(path: Path, where: str, name: str, scale: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """The corners of a mesh (p, 3) [m], in its frame, and its triangles (f, 3)."""
+    import trimesh  # half a second to import, and only meshes need it
+
+    target = resolve(path, where, name)
+    if target is None or not target.is_file():
+        mend = "put it there, or load with meshes=False for the kinematics alone"
+        raise LoadError(path, where, f"mesh '{name[:80]}' is not found", mend)
+    if target.stat().st_size > 4 * MAX_BYTES:
+        raise LoadError(path, where, f"mesh '{name[:80]}' is larger than {4 * MAX_BYTES} bytes", "simplify it")
+    if target.suffix.lower() not in FORMATS:
+        raise LoadError(path, where, f"mesh '{name[:80]}': ending '{target.suffix}'", f"allowed: {', '.join(FORMATS)}")
+    try:
+        content = io.BytesIO(target.read_bytes())  # not the path: a mesh may name other files, anywhere
+        mesh: Any = trimesh.load(content, file_type=target.suffix[1:].lower(), force="mesh", process=False)
+        points = np.asarray(mesh.vertices, dtype=np.float64) * scale
+        if not len(points) or not np.all(np.isfinite(points)):
+            raise ValueError("no corners, or such that are not finite")
+    except Exception as error:  # a parser for every format: whatever it raises is the file's fault
+        mend = "give STL, OBJ, PLY or (with pip install pycollada) DAE"
+        raise LoadError(path, where, f"mesh '{name[:80]}' cannot be read ({type(error).__name__})", mend) from None
+    return points, np.asarray(mesh.faces).reshape(-1, 3)
+
+
+def bounding_box(points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """The smallest oriented box around points: its frame in theirs, and half its edges [m]."""
+    import trimesh
+
+    to_origin, extents = trimesh.bounds.oriented_bounds(points)
+    return np.linalg.inv(to_origin), np.asarray(extents) / 2.0

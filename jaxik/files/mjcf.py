@@ -1,0 +1,167 @@
+"""MJCF to a chain. MuJoCo itself compiles the file, so every default, class and include means what MuJoCo means by it."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from jaxik.files.assemble import Joint, Link, assemble, frame
+from jaxik.files.mesh import Meshes, add_box, add_cylinder, home, resolve
+from jaxik.files.xml import parse
+from jaxik.reasons import LoadError
+from jaxik.robot.chain import Chain
+
+FOLDERS = ("meshdir", "texturedir", "assetdir")
+MOST_FILES = 100
+
+
+def load_mjcf(path: Path, tip: str | None, base: str | None, tool: np.ndarray | None, meshes: Meshes | None = None) -> Chain:
+    """The serial chain from body `base` (the world) to body or site `tip` (the only leaf)."""
+    import mujoco  # a second to import, and only MJCF needs it
+
+    _check_files(path, path, set())
+    try:
+        model = mujoco.MjModel.from_xml_path(str(path))
+    except (ValueError, mujoco.FatalError) as error:
+        raise LoadError(path, "document", f"MuJoCo refuses it ({error})", "mend what it names") from None
+    bodies = {model.body(i).name or f"body{i}": i for i in range(model.nbody)}
+    end, tip_T_site = _tip(path, model, bodies, tip)
+    start = 0 if base is None else bodies.get(base, -1)
+    if start < 0:
+        raise LoadError(path, f"base '{base}'", "no such body", f"bodies: {', '.join(bodies)}")
+    run, body = [], end
+    while body not in (start, 0):
+        run.append(body)
+        body = int(model.body_parentid[body])
+    if body != start:
+        raise LoadError(path, f"tip '{tip}'", f"is not below base '{base}'", "choose a base above the tip")
+    names = {i: name for name, i in bodies.items()}
+    joints = [j for i in run[::-1] for j in _body_joints(path, model, i, names[i])]
+    links = {names[i]: _link(model, i, names[i], meshes) for i in (start, *run)}
+    tool = tip_T_site if tool is None else tip_T_site @ tool
+    return assemble(path, path.stem, names[start], joints, links, tool)
+
+
+def _check_files(path: Path, model: Path, seen: set[Path], below: Path | None = None) -> None:
+    """Every file that `model` names in its part `path`, in includes and attached models too, lies `below` a folder."""
+    seen.add(path)
+    if len(seen) > MOST_FILES:
+        raise LoadError(model, "document", f"is made of more than {MOST_FILES} files", "write it in fewer")
+    document = parse(path, "mujoco" if len(seen) == 1 else None)  # what is included is stripped of its root
+    below = below or home(path)
+    folders = ["", *(c.get(key, "") for c in document.iter("compiler") for key in FOLDERS)]
+    for element in document.iter():
+        for key in (k for k in element.attrib if k.startswith("file") or k in FOLDERS):  # a cube's texture has six
+            name, part = element.get(key, ""), element.tag in ("include", "model") and key == "file"
+            where = f"<{element.tag} {key}='{name[:80]}'>"
+            for folder in ("",) if part or key in FOLDERS else folders:
+                target = resolve(model, where, str(Path(folder) / name), below)
+            if part and target is not None and target not in seen:
+                _check_files(target, target if element.tag == "model" else model, seen, below)
+
+
+def _tip(path: Path, model: Any, bodies: dict[str, int], tip: str | None) -> tuple[int, np.ndarray]:
+    parents = np.asarray(model.body_parentid)
+    if tip is None:
+        leaves = [n for n, i in bodies.items() if i and i not in parents[1:]]
+        if len(leaves) != 1:
+            mend = f"pass tip=, one of: {', '.join(leaves)}"
+            raise LoadError(path, "tip", f"is not given and the tree has {len(leaves)} leaves", mend)
+        tip = leaves[0]
+    if tip in bodies:
+        return bodies[tip], np.eye(4)
+    for i in range(model.nsite):
+        site = model.site(i)
+        if site.name == tip:
+            return int(site.bodyid[0]), frame(site.pos, _rotation(site.quat))
+    raise LoadError(path, f"tip '{tip}'", "no such body or site", f"bodies: {', '.join(bodies)}")
+
+
+def _rotation(quaternion: np.ndarray) -> np.ndarray:
+    import mujoco
+
+    matrix = np.zeros(9)
+    mujoco.mju_quat2Mat(matrix, np.asarray(quaternion, dtype=np.float64))
+    return matrix.reshape(3, 3)
+
+
+def _body_joints(path: Path, model: Any, body: int, name: str) -> list[Joint]:
+    """A body's joints as a run; a hinge turns about its anchor, so the body's own frame is offset from it."""
+    kinds = {2: "prismatic", 3: "revolute"}
+    coupled = _coupled(model)
+    pending = frame(model.body_pos[body], _rotation(model.body_quat[body]))
+    first, count = int(model.body_jntadr[body]), int(model.body_jntnum[body])
+    run = []
+    for i in range(first, first + count):
+        joint = model.joint(i)
+        label = joint.name or f"joint{i}"
+        if i in coupled:
+            mend = "drive it as a joint of its own: remove the equality"
+            raise LoadError(path, f"joint '{label}'", "an equality couples it to another (mimic)", mend)
+        if int(joint.type[0]) not in kinds:
+            mend = "allowed: hinge, slide; pass base= to start below it"
+            raise LoadError(path, f"joint '{label}'", "a free or ball joint on the chain", mend)
+        anchor, kind = frame(joint.pos), kinds[int(joint.type[0])]
+        limited = bool(joint.limited[0])
+        lower, upper = (float(x) for x in joint.range) if limited else (-np.inf, np.inf)
+        kind = "continuous" if kind == "revolute" and not limited else kind
+        # MuJoCo moves a joint by qpos - qpos0
+        reference = float(joint.qpos0[0])
+        axis = np.asarray(joint.axis, dtype=np.float64)
+        if reference:
+            back = frame(-reference * axis) if kind == "prismatic" else frame(rotation=_about(axis, -reference))
+        else:
+            back = np.eye(4)
+        run.append(Joint(label, kind, pending @ anchor @ back, f"{name}/{label}", axis, lower, upper))
+        pending = np.linalg.inv(anchor)
+    if not run:
+        return [Joint(f"{name}/fixed", "fixed", pending, name)]
+    return [*run, Joint(f"{name}/fixed", "fixed", pending, name)]
+
+
+def _coupled(model: Any) -> set[int]:
+    """Joints that an active equality makes a function of another, or fixes."""
+    import mujoco
+
+    rows = range(model.neq)
+    return {int(model.eq_obj1id[i]) for i in rows if model.eq_type[i] == mujoco.mjtEq.mjEQ_JOINT and model.eq_active0[i]}
+
+
+def _about(axis: np.ndarray, angle: float) -> np.ndarray:
+    return _rotation(np.concatenate([[np.cos(angle / 2.0)], np.sin(angle / 2.0) * axis]))
+
+
+def _link(model: Any, body: int, name: str, meshes: Meshes | None) -> Link:
+    import mujoco
+
+    inertia_frame = _rotation(model.body_iquat[body])
+    link = Link(
+        mass=float(model.body_mass[body]),
+        com=np.array(model.body_ipos[body]),
+        inertia=inertia_frame @ np.diag(model.body_inertia[body]) @ inertia_frame.T,
+    )
+    first, count = int(model.body_geomadr[body]), int(model.body_geomnum[body])
+    for i in range(first, first + count):
+        geom = model.geom(i)
+        if not (geom.contype[0] or geom.conaffinity[0]) or geom.type[0] == mujoco.mjtGeom.mjGEOM_PLANE:
+            continue  # drawn only, or without end
+        body_T_geom = frame(geom.pos, _rotation(geom.quat))
+        if geom.type[0] == mujoco.mjtGeom.mjGEOM_SPHERE:
+            link.volumes.append((np.array(geom.pos)[None], float(geom.size[0])))
+        elif geom.type[0] == mujoco.mjtGeom.mjGEOM_CAPSULE:
+            ends = np.array([[0.0, 0.0, -geom.size[1]], [0.0, 0.0, geom.size[1]]])
+            link.volumes.append((ends @ body_T_geom[:3, :3].T + body_T_geom[:3, 3], float(geom.size[0])))
+        elif geom.type[0] == mujoco.mjtGeom.mjGEOM_CYLINDER:
+            add_cylinder(meshes, name, link, body_T_geom, float(geom.size[0]), float(geom.size[1]))
+        elif geom.type[0] == mujoco.mjtGeom.mjGEOM_MESH and meshes is not None:
+            mesh = model.mesh(int(geom.dataid[0]))
+            corner, face = int(mesh.vertadr[0]), int(mesh.faceadr[0])
+            points = np.array(model.mesh_vert[corner : corner + int(mesh.vertnum[0])], np.float64)
+            faces = np.array(model.mesh_face[face : face + int(mesh.facenum[0])])
+            meshes.mesh(name, link, mesh.name, body_T_geom, points, faces)
+        else:
+            centre, half = np.split(np.array(model.geom_aabb[i]), 2)
+            add_box(meshes, name, link, body_T_geom @ frame(centre), half)
+    return link

@@ -1,0 +1,138 @@
+"""A chain as a URDF whose links are spheres: what other programs read (PyRoki, cuRobo, VAMP's generator)."""
+
+from __future__ import annotations
+
+import itertools
+from collections.abc import Sequence
+from typing import Any
+from xml.etree import ElementTree
+
+import numpy as np
+
+from jaxik.collision.volumes import box_spheres
+from jaxik.robot.chain import Chain
+
+LOST = (
+    "the .srdf beside it names the pairs of links that are not to be checked; tables of distances and ignored objects are lost"
+)
+
+
+def spherized(chain: Chain, beyond: float) -> tuple[str, float]:
+    """A URDF of a chain whose links are spheres, and how far these reach beyond the chain's volumes [m], at most `beyond`.
+
+    Raises `ValueError` for a chain whose meshes were not read.
+    """
+    if chain.unread_meshes:
+        raise ValueError(f"save: the meshes of {', '.join(chain.unread_meshes)} are not read; load with meshes=True")
+    root = ElementTree.Element("robot", name=chain.name)
+    names = _frame_names(chain)
+    spheres: dict[int, list[tuple[np.ndarray, float]]] = {i: [] for i in range(len(chain.link_names))}
+    reach = 0.0
+    for volume in chain.volumes:
+        centres, more = _covering(np.asarray(volume.corners), float(volume.radius), beyond)
+        spheres[volume.link] += [(centre, float(volume.radius) + more) for centre in centres]
+        reach = max(reach, more)
+    for box in chain.boxes:
+        middles, size = box_spheres(box, chain.spheres_per_box)
+        spheres[box.link] += [(np.asarray(middle), float(size)) for middle in middles]
+    for name in names:
+        ElementTree.SubElement(root, "link", name=name)
+    for i, name in enumerate(chain.link_names):
+        element = root[names.index(name)] if name in names else ElementTree.SubElement(root, "link", name=name)
+        _inertial(element, chain, i, name in names)
+        back = np.linalg.inv(chain.link_offset[i])
+        for centre, radius in spheres[i]:
+            collision = ElementTree.SubElement(element, "collision")
+            ElementTree.SubElement(collision, "origin", xyz=_words(back[:3, :3] @ centre + back[:3, 3]), rpy="0 0 0")
+            ElementTree.SubElement(ElementTree.SubElement(collision, "geometry"), "sphere", radius=repr(float(radius)))
+        if name not in names:
+            _fixed(root, name, names[chain.link_joint[i]], chain.link_offset[i], chain.joint_names)
+    for i, name in enumerate(chain.joint_names):
+        joint = _joined(root, name, chain.joint_types[i], names[i], names[i + 1], chain.parent_T_joint[i])
+        ElementTree.SubElement(joint, "axis", xyz=_words(chain.axis[i]))
+        limit = {"lower": chain.lower[i], "upper": chain.upper[i], "velocity": chain.velocity[i], "effort": 0.0}
+        if chain.joint_types[i] == "continuous":
+            limit = {k: v for k, v in limit.items() if k not in ("lower", "upper")}
+        ElementTree.SubElement(joint, "limit", {k: repr(float(v)) for k, v in limit.items() if np.isfinite(v)})
+    tool = _free("tool", (*names, *chain.link_names))
+    ElementTree.SubElement(root, "link", name=tool)
+    _fixed(root, tool, names[-1], chain.joint_T_tip, chain.joint_names)
+    count = sum(map(len, spheres.values()))
+    note = f"{count} spheres, which reach at most {1e3 * reach:.1f} mm beyond the collision model; the tip is '{tool}'"
+    root.insert(0, ElementTree.Comment(f" {note} "))
+    root.insert(1, ElementTree.Comment(f" {LOST} "))
+    ElementTree.indent(root)
+    return ElementTree.tostring(root, encoding="unicode") + "\n", reach
+
+
+def _frame_names(chain: Chain) -> list[str]:
+    """A link for the base's frame and each joint's: one of the chain's that stands there, or another."""
+    found: list[str] = []
+    for joint in range(chain.num_joints + 1):
+        there = [n for n, j, o in zip(chain.link_names, chain.link_joint, chain.link_offset, strict=True)
+                 if j == joint and np.array_equal(o, np.eye(4))]  # fmt: skip
+        named = "base_frame" if joint == 0 else f"{chain.joint_names[joint - 1]}_frame"
+        found.append(there[0] if there else _free(named, (*chain.link_names, *found)))
+    return found
+
+
+def _free(name: str, taken: Sequence[str]) -> str:
+    """The name, or with a number after it where it is taken."""
+    return next(n for i in itertools.count() if (n := f"{name}_{i}" if i else name) not in taken)
+
+
+def _inertial(element: ElementTree.Element, chain: Chain, link: int, moved: bool) -> None:
+    """What moves with a joint, on the link that stands for its frame."""
+    if not (moved and chain.bodies and chain.link_joint[link]):
+        return
+    body = chain.bodies[chain.link_joint[link] - 1]
+    inertial = ElementTree.SubElement(element, "inertial")
+    ElementTree.SubElement(inertial, "origin", xyz=_words(body.com), rpy="0 0 0")
+    ElementTree.SubElement(inertial, "mass", value=repr(float(body.mass)))
+    entries = {f"i{'xyz'[i]}{'xyz'[j]}": repr(float(body.inertia[i, j])) for i in range(3) for j in range(i, 3)}
+    ElementTree.SubElement(inertial, "inertia", entries)
+
+
+def _joined(root: Any, name: str, kind: str, parent: str, child: str, frame: Any) -> ElementTree.Element:
+    joint = ElementTree.SubElement(root, "joint", name=name, type=kind)
+    ElementTree.SubElement(joint, "parent", link=parent)
+    ElementTree.SubElement(joint, "child", link=child)
+    ElementTree.SubElement(joint, "origin", xyz=_words(frame[:3, 3]), rpy=_words(_rpy(frame[:3, :3])))
+    return joint
+
+
+def _fixed(root: Any, child: str, parent: str, frame: Any, taken: Sequence[str]) -> None:
+    _joined(root, _free(f"{child}_fixed", taken), "fixed", parent, child, frame)
+
+
+def _words(values: Any) -> str:
+    return " ".join(repr(float(x)) for x in values)
+
+
+def _rpy(turn: np.ndarray) -> tuple[float, float, float]:
+    """The fixed-axis angles of a rotation, of which `rpy_matrix` makes it again."""
+    level = float(np.hypot(turn[0, 0], turn[1, 0]))
+    pitch = float(np.arctan2(-turn[2, 0], level))
+    if level < 1e-9:  # yaw and roll about one axis
+        return float(np.arctan2(-turn[1, 2], turn[1, 1])), pitch, 0.0
+    return float(np.arctan2(turn[2, 1], turn[2, 2])), pitch, float(np.arctan2(turn[1, 0], turn[0, 0]))
+
+
+def _covering(corners: np.ndarray, radius: float, beyond: float) -> tuple[np.ndarray, float]:
+    """Centres (k, 3) of spheres that hold a swept-sphere volume, and how far they reach beyond it, at most `beyond` [m].
+
+    What is r away from the skeleton lies across it there. So a centre on the skeleton, d from the nearest point, holds it with
+    a radius of `sqrt(r^2 + d^2)`; centres stand on the ends and edges, too, where all of them have one nearest on their own.
+    """
+    longest = max(float(np.linalg.norm(a - b)) for a in corners for b in corners)
+    if longest == 0.0:
+        return corners[:1], 0.0
+    held = np.sqrt((radius + beyond) ** 2 - radius**2)
+    share = 0.5 if len(corners) == 2 else 3.0**-0.5  # of its longest side that a point of a triangle is from its corners
+    count = int(np.ceil(share * longest / held))
+    steps = np.arange(count + 1)
+    if len(corners) == 2:
+        weights = np.stack([count - steps, steps], axis=1)
+    else:
+        weights = np.array([(i, j, count - i - j) for i in steps for j in steps if i + j <= count])
+    return weights / count @ corners, float(np.sqrt(radius**2 + (share * longest / count) ** 2) - radius)

@@ -1,0 +1,201 @@
+"""Target poses from CSV, NPZ or JSON."""
+
+from __future__ import annotations
+
+import csv
+import io
+import json
+import math
+import re
+import zipfile
+from collections.abc import Iterable, Iterator
+from pathlib import Path
+from typing import Any, BinaryIO
+
+import numpy as np
+
+from jaxik.files.assemble import opened
+from jaxik.files.toml import in_words
+from jaxik.reasons import LoadError
+
+POSITION, QUATERNION = ("x", "y", "z"), ("qw", "qx", "qy", "qz")
+FORMATS = ".csv, .npz, .json"
+MOST = 4 * 2**30  # bytes: thirty million poses
+
+# Names of rotations that are not ours: a word with or without a component, a letter and a component, entries of a matrix.
+TURNED = re.compile(
+    r"(^|[\W_])(((quat(ernion)?|rot(ation)?|orient(ation)?|ori|euler|axis|rotvec|rvec|angle)s?[\W_]?[wxyzijk0-9]"
+    r"|(quaternion|quat|rotation|rot|orientation|orient|euler|rotvec|rvec|angle|axis[\W_]?angle|rpy|ypr|wxyz|xyzw"
+    r"|roll|pitch|yaw|heading)s?)|q[\W_]?[wxyzijkr]|[now][xyz]|[ro][wxyz]|[rm][\W_]?[0-3][\W_]?[0-3])$"
+)
+GROUPS = ("wijk", "ijk", "abcd", "abc", "wpr", "uvw", ("phi", "theta"), ("theta", "psi"), ("alpha", "beta"))  # only together
+
+
+def load_targets(path: str | Path) -> np.ndarray:
+    """Poses (N, 4, 4), or positions (N, 3) where the file has no rotations [m].
+
+    CSV: columns x, y, z and, for poses, qw, qx, qy, qz; others are not read, unless they look like a rotation by another name,
+    which is refused (so in the other formats). NPZ: `poses` (N, 4, 4), or `positions` (N, 3) with
+    or without `wxyz` (N, 4). JSON: a list of objects with `pose` (4 rows of 4), or `position` with or without `wxyz`.
+    Quaternions are wxyz and are normalised; a zero or NaN one makes an invalid target, not an error.
+
+    Raises `LoadError` with one line: the file, the element, what is allowed, the mend.
+    """
+    return as_frames(read_targets(path))
+
+
+def read_targets(path: str | Path) -> np.ndarray:
+    """What `load_targets` reads, but a position with a quaternion (N, 7) as it stands: less than half the memory of a pose."""
+    path = Path(path)
+    readers = {".csv": _csv, ".npz": _npz, ".json": _json}
+    if path.suffix.lower() not in readers:
+        raise LoadError(path, "file", f"ending '{path.suffix}' is not known", f"allowed: {FORMATS}")
+    with opened(path, MOST) as file:
+        return readers[path.suffix.lower()](path, file)
+
+
+def as_frames(targets: np.ndarray) -> np.ndarray:
+    """Frames (N, 4, 4) of rows x, y, z, qw, qx, qy, qz (N, 7); all others as they are."""
+    if targets.shape[1:] != (7,):
+        return targets
+    with np.errstate(invalid="ignore", divide="ignore"):
+        w, x, y, z = (targets[:, 3:] / np.linalg.norm(targets[:, 3:], axis=1, keepdims=True)).T
+    frames = np.tile(np.eye(4), (len(targets), 1, 1))
+    frames[:, 0, :3] = np.stack([1 - 2 * (y * y + z * z), 2 * (x * y - z * w), 2 * (x * z + y * w)], axis=-1)
+    frames[:, 1, :3] = np.stack([2 * (x * y + z * w), 1 - 2 * (x * x + z * z), 2 * (y * z - x * w)], axis=-1)
+    frames[:, 2, :3] = np.stack([2 * (x * z - y * w), 2 * (y * z + x * w), 1 - 2 * (x * x + y * y)], axis=-1)
+    frames[:, :3, 3] = targets[:, :3]
+    return frames
+
+
+def _csv(path: Path, file: BinaryIO) -> np.ndarray:
+    try:
+        with io.TextIOWrapper(file, "utf-8-sig", newline="") as text:
+            rows = csv.reader(text)
+            header = [name.strip() for name in next(rows, [])]
+            columns = _columns(path, header)
+            return np.fromiter(_numbers(path, rows, columns, len(header)), np.float64).reshape(-1, len(columns))
+    except (UnicodeDecodeError, csv.Error) as error:
+        raise LoadError(path, "file", f"is no CSV ({error})", "write a header line and one line a target") from None
+
+
+def _columns(path: Path, header: list[str]) -> list[tuple[str, int]]:
+    missing = [name for name in POSITION if name not in header]
+    turned = [name for name in QUATERNION if name in header]
+    if missing or 0 < len(turned) < 4:
+        wanted = missing or [name for name in QUATERNION if name not in header]
+        raise LoadError(path, "header", f"lacks {', '.join(wanted)}", f"columns: {', '.join(POSITION + QUATERNION)}")
+    for name in (n for n in POSITION + QUATERNION if header.count(n) > 1):
+        raise LoadError(path, "header", f"column '{name}' stands twice", "keep one")
+    if not turned:
+        _refuse_lost_rotation(path, "header", header, ", ".join(QUATERNION))
+    return [(name, header.index(name)) for name in (*POSITION, *turned)]
+
+
+def _refuse_lost_rotation(path: Path, where: str, names: Iterable[str], known: str) -> None:
+    """A target whose rotation has a name that is not read would be solved as a position."""
+    plain = {re.sub(r"[ _]?[\[(].*|[ _](deg|rad)\w*$", "", name.casefold()): name for name in names}
+    lost = {n for n in plain if TURNED.search(n)}
+    numbered = {n for n in plain if re.fullmatch(r"q\d+", n)}  # four are a quaternion, others the joints
+    lost |= numbered if numbered in ({"q0", "q1", "q2", "q3"}, {"q1", "q2", "q3", "q4"}) else set()
+    for group in GROUPS:
+        lost |= set(group) if set(group) <= set(plain) else set()
+    if lost:
+        found = ", ".join(f"'{name}'" for n, name in plain.items() if n in lost)
+        mend = f"rotations are {known}; leave it out where the position is all"
+        raise LoadError(path, where, f"{found} looks like a rotation", mend)
+
+
+def _numbers(path: Path, rows: Any, columns: list[tuple[str, int]], width: int) -> Iterator[float]:
+    """Row by row: a file of ten million targets is never held as text."""
+    for row in filter(None, rows):
+        if any(row[width:]):
+            mend = "a decimal comma? write points"
+            raise LoadError(path, f"line {rows.line_num}", f"{len(row)} fields for {width} columns", mend)
+        for name, column in columns:
+            yield _number(path, f"line {rows.line_num}, column '{name}'", row[column] if column < len(row) else None)
+
+
+def _number(path: Path, where: str, text: Any) -> float:
+    try:
+        return float(text)
+    except (TypeError, ValueError):
+        raise LoadError(path, where, f"'{text}' is no number", "write a number, nan for a target to leave out") from None
+
+
+def _npz(path: Path, file: BinaryIO) -> np.ndarray:
+    try:
+        with zipfile.ZipFile(file) as archive:
+            names = [n.removesuffix(".npy") for n in archive.namelist()]
+            arrays = {k: _member(path, archive, k) for k in ("poses", "positions", "wxyz") if k in names}
+    except LoadError:
+        raise
+    except Exception as error:  # zip, its compression and NumPy each have their own
+        raise LoadError(path, "file", f"is no NPZ of numbers ({error})", "write it by numpy.savez") from None
+    if "poses" in arrays:
+        return _shaped(path, "poses", arrays["poses"], (4, 4))
+    if "positions" not in arrays:
+        raise LoadError(
+            path, "arrays", "no 'poses' and no 'positions'", "allowed: poses (N, 4, 4); positions (N, 3), wxyz (N, 4)"
+        )
+    positions = _shaped(path, "positions", arrays["positions"], (3,))
+    if "wxyz" not in arrays:
+        _refuse_lost_rotation(path, "arrays", names, "wxyz (N, 4)")
+        return positions
+    wxyz = _shaped(path, "wxyz", arrays["wxyz"], (4,))
+    if len(wxyz) != len(positions):
+        raise LoadError(path, "wxyz", f"{len(wxyz)} rows for {len(positions)} positions", "write as many")
+    return np.concatenate([positions, wxyz], axis=1)
+
+
+def _member(path: Path, archive: zipfile.ZipFile, name: str) -> np.ndarray:
+    """An array of the archive, if what it is unpacked to is neither too much nor something else than numbers."""
+    with archive.open(f"{name}.npy") as file:
+        header = {(1, 0): np.lib.format.read_array_header_1_0, (2, 0): np.lib.format.read_array_header_2_0}
+        shape, _, dtype = header[np.lib.format.read_magic(file)](file)
+    size = max(archive.getinfo(f"{name}.npy").file_size, 8 * math.prod(shape))
+    if size > MOST:
+        raise LoadError(path, f"'{name}'", f"unpacks to {size} bytes", f"at most {MOST} are read")
+    if dtype.kind not in "iuf":
+        raise LoadError(path, f"'{name}'", f"holds {dtype}", "write ints or floats")
+    with archive.open(f"{name}.npy") as file:
+        return np.asarray(np.lib.format.read_array(file, allow_pickle=False), np.float64)
+
+
+def _json(path: Path, file: BinaryIO) -> np.ndarray:
+    try:
+        rows = json.load(file)
+    except (ValueError, RecursionError) as error:
+        raise LoadError(path, "file", f"malformed JSON ({error})", "write a list of targets") from None
+    if not isinstance(rows, list) or not all(isinstance(row, dict) for row in rows):
+        raise LoadError(path, "file", "is no list of objects", 'write [{"position": [x, y, z], "wxyz": [w, x, y, z]}, ...]')
+    keys = {tuple(k for k in ("pose", "position", "wxyz") if k in row) for row in rows}
+    if len(keys) > 1 or keys - {("pose",), ("position",), ("position", "wxyz")}:
+        raise LoadError(path, "targets", f"hold {sorted(keys)}", "all alike: pose; or position; or position and wxyz")
+    if keys == {("position",)}:
+        _refuse_lost_rotation(path, "targets", dict.fromkeys(k for row in rows for k in row), "wxyz")
+    column = lambda key, shape: np.array([_array(path, i, row, key, shape) for i, row in enumerate(rows)]).reshape(-1, *shape)
+    if keys == {("pose",)}:
+        return column("pose", (4, 4))
+    turned = [column("wxyz", (4,))] if keys == {("position", "wxyz")} else []
+    return np.concatenate([column("position", (3,)), *turned], axis=1)
+
+
+def _array(path: Path, i: int, row: dict[str, Any], key: str, shape: tuple[int, ...]) -> np.ndarray:
+    try:
+        values = np.array(row[key], np.float64)  # null, which leaves a target out, is NaN
+        if values.shape == shape and _plain(row[key]):
+            return values
+    except (TypeError, ValueError, OverflowError):
+        pass
+    raise LoadError(path, f"target {i + 1}", f"'{key}' is not {in_words(shape)}", "write plain numbers")
+
+
+def _plain(value: Any) -> bool:
+    return all(map(_plain, value)) if isinstance(value, list) else value is None or type(value) in (int, float)
+
+
+def _shaped(path: Path, name: str, array: np.ndarray, shape: tuple[int, ...]) -> np.ndarray:
+    if array.shape[1:] != shape:
+        raise LoadError(path, name, f"has shape {array.shape}", f"allowed: (N, {', '.join(map(str, shape))})")
+    return array

@@ -1,0 +1,270 @@
+"""TOML model files and DH tables. The schema is in `docs` of the README ("A robot of your own").
+
+A number's unit is in its key: `d` is in metres, `d_mm` and `d_cm` are what they say; `alpha` is in radians, `alpha_deg` in
+degrees. A table may say where its numbers come from: `origin = {d = "paper", lower = "stand-in"}`.
+"""
+
+from __future__ import annotations
+
+import difflib
+import math
+import tomllib
+from collections.abc import Iterable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from jaxik.files.assemble import Joint, Link, assemble, frame, read_bytes, rpy_matrix, unique
+from jaxik.reasons import LoadError
+from jaxik.robot.chain import Chain
+
+UNITS = {
+    "length": {"": 1.0, "_mm": 1e-3, "_cm": 1e-2},
+    "angle": {"": 1.0, "_deg": math.pi / 180.0},
+    "inertia": {"": 1.0, "_gm2": 1e-3},
+    "plain": {"": 1.0},
+}
+ORIGINS = ("paper", "catalogue", "stand-in")
+CONVENTIONS = ("modified_dh", "standard_dh", "frames")
+
+
+class Table:
+    """A TOML table that is read key by key; `close` refuses what nobody asked for."""
+
+    def __init__(self, path: Path, where: str, content: Any):
+        if not isinstance(content, dict):
+            raise LoadError(path, where, "is not a table", f"write [{where}]")
+        self.path, self.where, self.content = path, where, content
+        self.asked: set[str] = {"origin"}
+        self.read: set[str] = set()
+
+    def fail(self, problem: str, mend: str) -> LoadError:
+        return LoadError(self.path, self.where, problem, mend)
+
+    def text(self, key: str, default: str | None = None, allowed: Iterable[str] = ()) -> str:
+        self.asked.add(key)
+        value = self.content.get(key, default)
+        if not isinstance(value, str) or not value or "\n" in value:
+            fault = "missing" if value is None else "not a word"
+            raise self.fail(f"'{key}' is {fault}", f'{self._misspelt(key)}write {key} = "..."')
+        if allowed and value not in allowed:
+            raise self.fail(f"{key} = '{value[:40]}'", f"allowed: {', '.join(allowed)}")
+        return value
+
+    def array(self, key: str, unit: str, shape: tuple[int, ...], default: Any = None, row: str = "") -> np.ndarray:
+        """The numbers under `key` or `key` with a unit's ending, in SI; -1 in `shape` is any length, `row` what is in one."""
+        choices = {key + ending: factor for ending, factor in UNITS[unit].items()}
+        self.asked.update(choices)
+        given = [k for k in choices if k in self.content]
+        if len(given) > 1:
+            raise self.fail(f"{' and '.join(given)} say the same", "keep one")
+        if not given:
+            if default is None:
+                raise self.fail(f"'{key}' is missing", f"{self._misspelt(key)}write one of: {', '.join(choices)}")
+            return np.asarray(default, dtype=np.float64)
+        self.read.add(given[0])
+        try:
+            if not _numeric(self.content[given[0]]):
+                raise ValueError
+            values = np.array(self.content[given[0]], dtype=np.float64)
+            if values.ndim != len(shape) or any(n not in (-1, m) for n, m in zip(shape, values.shape, strict=True)):
+                raise ValueError
+        except (ValueError, TypeError, OverflowError):
+            what = in_words(shape)
+            raise self.fail(f"'{given[0]}' is not {what}", f"write {f'rows of {row}' if row else what}") from None
+        if np.any(np.isnan(values)):
+            raise self.fail(f"'{given[0]}' holds NaN", "write numbers")
+        return np.asarray(values * choices[given[0]])
+
+    def number(self, key: str, unit: str, default: float | None = None) -> float:
+        return float(self.array(key, unit, (), default))
+
+    def finite(self, key: str, shape: tuple[int, ...], least: float = -math.inf) -> np.ndarray:
+        """Likewise numbers without a unit that are finite, and none of them less than `least`."""
+        values = self.array(key, "plain", shape)
+        if not np.all(np.isfinite(values) & (values >= least)):
+            raise self.fail(f"'{key}' is out of range", "write finite numbers" + ("" if least < 0.0 else f" >= {least:g}"))
+        return values
+
+    def listed(self, key: str) -> list[Any]:
+        """The list under `key`, empty unless given."""
+        self.asked.add(key)
+        value = self.content.get(key, [])
+        if not isinstance(value, list):
+            raise self.fail(f"'{key}' is not a list", f"write {key} = [...]")
+        return value
+
+    def turn(self) -> np.ndarray:
+        """The rotation (3, 3) under `rpy`."""
+        rpy = self.array("rpy", "angle", (3,), np.zeros(3))
+        if not np.all(np.isfinite(rpy)):
+            raise self.fail("'rpy' holds infinity", "write finite numbers")
+        return rpy_matrix(rpy)
+
+    def tables(self, key: str) -> list[Table]:
+        self.asked.add(key)
+        value = self.content.get(key, [])
+        if not isinstance(value, list):
+            raise self.fail(f"'{key}' is not a list of tables", f"write [[{key}]]")
+        return [Table(self.path, f"{key} {i + 1}", v) for i, v in enumerate(value)]
+
+    def table(self, key: str) -> Table:
+        self.asked.add(key)
+        return Table(self.path, key, self.content.get(key, {}))
+
+    def named(self) -> str:
+        name = self.text("name")
+        self.where = f"{self.where.split()[0]} '{name}'"
+        return name
+
+    def only(self, allowed: Iterable[str]) -> None:
+        """Refuse every other key."""
+        unknown = sorted(str(key) for key in set(self.content) - set(allowed))
+        if unknown:
+            meant = difflib.get_close_matches(unknown[0], set(allowed), 1)
+            mend = f"did you mean '{meant[0]}'? " if meant else ""
+            raise self.fail(f"unknown key '{unknown[0][:40]}'", f"{mend}allowed: {', '.join(sorted(allowed))}")
+
+    def _misspelt(self, key: str) -> str:
+        """The question whether a key that nobody asked for stands for the one that is missing."""
+        close = difflib.get_close_matches(key, [str(k) for k in set(self.content) - self.asked], 1)
+        return f"is it '{close[0][:40]}'? " if close else ""
+
+    def close(self) -> None:
+        """Refuse unknown keys, and origins that name no number of this table."""
+        self.only(self.asked)
+        origin = self.content.get("origin", {})
+        words = origin.values() if isinstance(origin, dict) else [origin]
+        for word in words:
+            if word not in ORIGINS:
+                raise self.fail(f"origin '{str(word)[:40]}'", f"allowed: {', '.join(ORIGINS)}")
+        if isinstance(origin, dict) and not set(origin) <= self.read:
+            stray = sorted(set(origin) - self.read)[0]
+            raise self.fail(f"origin names '{stray[:40]}'", f"numbers of this table: {', '.join(sorted(self.read))}")
+
+
+def in_words(shape: tuple[int, ...]) -> str:
+    """(3,) is "3 numbers", (-1, 6) "k rows of 6 numbers"."""
+    if not shape:
+        return "a number"
+    *rows, width = ("k" if n == -1 else str(n) for n in shape)
+    return " ".join([*(f"{n} rows of" for n in rows), f"{width} numbers"])
+
+
+def _numeric(value: Any) -> bool:
+    if isinstance(value, list):
+        return all(_numeric(v) for v in value)
+    return isinstance(value, int | float) and not isinstance(value, bool)
+
+
+def read_toml(path: Path) -> Table:
+    """The whole file as a table."""
+    try:
+        return Table(path, "file", tomllib.loads(read_bytes(path).decode()))
+    except (tomllib.TOMLDecodeError, UnicodeDecodeError, RecursionError) as error:
+        raise LoadError(path, "document", f"malformed TOML ({error})", "mend the syntax") from None
+
+
+def load_toml(path: Path, tip: str | None, base: str | None, tool: np.ndarray | None) -> Chain:
+    """A model file to a chain, cut at link `base` and link `tip` where they are given."""
+    model = read_toml(path)
+    name = model.text("name")
+    model.text("description", "-")
+    convention = model.text("convention", None, CONVENTIONS)
+    joints, links = [], {}
+    for table in model.tables("joint"):
+        joint, link = _joint(table, convention)
+        joints += joint
+        links[joint[-1].child] = link
+    if not joints:
+        raise model.fail("has no [[joint]]", "write one for each joint, from base to tip")
+    unique(path, "joint", (j.name for j in joints))
+    for table in model.tables("shape"):
+        _shape(table, links, joints)
+    mount, tool_table = model.table("mount"), model.table("tool")
+    world_T_base, tip_T_tool = _frame(mount), _frame(tool_table)
+    for table in (mount, tool_table, model):
+        table.close()
+    names = ["base", *(j.child for j in joints)]
+    first, last = (_index(path, w, n, names) for w, n in (("base", base or "base"), ("tip", tip or names[-1])))
+    if last <= first:
+        raise LoadError(path, f"tip '{tip}'", f"is not below base '{base}'", f"order: {', '.join(names)}")
+    if tip is None:
+        tool = tip_T_tool if tool is None else tip_T_tool @ tool
+    return assemble(path, name, names[first], joints[first:last], links, tool, world_T_base if first == 0 else None)
+
+
+def _index(path: Path, what: str, name: str, names: list[str]) -> int:
+    if name not in names:
+        raise LoadError(path, f"{what} '{name}'", "no such link", f"links: {', '.join(names)}")
+    return names.index(name)
+
+
+def _frame(table: Table) -> np.ndarray:
+    translation = table.array("translation", "length", (3,), np.zeros(3))
+    return frame(translation, table.turn())
+
+
+def _joint(table: Table, convention: str) -> tuple[list[Joint], Link]:
+    """A row of the table: its joint, and for the standard convention the fixed frame that follows it."""
+    name = table.named()
+    kind = table.text("type", None, ("revolute", "continuous", "prismatic", "fixed"))
+    link_name = table.text("link", f"{name}_link")
+    unit = "length" if kind == "prismatic" else "angle"
+    after = None
+    if convention == "frames":
+        before = _frame(table)
+        axis = table.array("axis", "plain", (3,), (0.0, 0.0, 1.0))
+    else:
+        a, d = (table.number(key, "length", 0.0) for key in ("a", "d"))
+        alpha, theta = (table.number(key, "angle", 0.0) for key in ("alpha", "theta"))
+        turned, twisted = frame((0, 0, d), rpy_matrix((0, 0, theta))), frame((a, 0, 0), rpy_matrix((alpha, 0, 0)))
+        axis = np.array([0.0, 0.0, 1.0])
+        # Craig's (modified) row twists before its joint turns, the standard row after [Craig 2005, ch. 3]
+        before, after = (twisted @ turned, None) if convention == "modified_dh" else (turned, twisted)
+    joint = Joint(name, kind, before, link_name, axis)
+    if kind != "fixed":
+        limits = {"continuous": (-np.inf, np.inf)}.get(kind, (None, None))
+        joint.lower, joint.upper = (
+            table.number(k, unit, default) for k, default in zip(("lower", "upper"), limits, strict=True)
+        )
+        joint.velocity = table.number("velocity", unit, np.inf)
+    link = _inertia(table)
+    table.close()
+    if after is None:
+        return [joint], link
+    joint.child = f"{name}_axis"
+    return [joint, Joint(f"{name}_frame", "fixed", after, link_name)], link
+
+
+def _inertia(table: Table) -> Link:
+    mass = table.number("mass", "plain", 0.0)
+    xx, xy, xz, yy, yz, zz = table.array("inertia", "inertia", (6,), np.zeros(6))
+    com = table.array("com", "length", (3,), np.zeros(3))
+    if not 0.0 <= mass < math.inf:
+        raise table.fail(f"mass {mass:g}", "write a positive number")
+    return Link(mass, com, np.array([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]]))
+
+
+def _shape(table: Table, links: dict[str, Link], joints: list[Joint]) -> None:
+    name = table.text("link", "base")
+    known = {"base", *(j.child for j in joints)}
+    if name not in known:
+        raise table.fail(f"no such link '{name[:40]}'", f"links: {', '.join(sorted(known))}")
+    link = links.setdefault(name, Link())
+    kind = table.text("kind", None, ("box", "sphere", "capsule", "triangle"))
+    if kind == "box":
+        half = table.array("size", "length", (3,)) / 2.0
+        if not np.all((half > 0.0) & np.isfinite(half)):
+            raise table.fail("'size' is not positive", "write three sizes > 0")
+        centre = table.array("center", "length", (3,), np.zeros(3))
+        link.boxes.append((frame(centre, table.turn()), half))
+    else:
+        count = {"sphere": 1, "capsule": 2, "triangle": 3}[kind]
+        corners = table.array("points", "length", (count, 3))
+        radius = table.number("radius", "length")
+        if not 0.0 <= radius < math.inf or not np.all(np.isfinite(corners)):
+            raise table.fail("'radius' or 'points' out of range", "write finite points and a radius >= 0")
+        link.volumes.append((corners, radius))
+    table.close()

@@ -1,0 +1,159 @@
+"""URDF to a chain [http://wiki.ros.org/urdf/XML]."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from xml.etree.ElementTree import Element
+
+import numpy as np
+
+from jaxik.files.assemble import JOINT_TYPES, Joint, Link, assemble, frame, rpy_matrix, unique
+from jaxik.files.mesh import Meshes, add_box, add_cylinder, read_mesh, resolve
+from jaxik.files.xml import attribute, numbers, parse
+from jaxik.reasons import LoadError
+from jaxik.robot.chain import Chain
+
+
+def load_urdf(path: Path, tip: str | None, base: str | None, tool: np.ndarray | None, meshes: Meshes | None) -> Chain:
+    """The serial chain from link `base` (the root) to link `tip` (the only leaf)."""
+    root = parse(path, "robot")
+    elements = {kind: root.findall(kind) for kind in ("link", "joint")}
+    for kind, found in elements.items():
+        unique(path, kind, (attribute(path, f"a <{kind}>", e, "name") for e in found))
+    links = {str(e.get("name")): e for e in elements["link"]}
+    above = _parents(path, elements["joint"], links)
+    tip = tip if tip is not None else _only(path, "tip", sorted(set(links) - {p for _, p in above.values()}))
+    if tip not in links:
+        raise LoadError(path, f"tip '{tip}'", "no such link", f"links: {', '.join(links)}")
+    if base is not None and base not in links:
+        raise LoadError(path, f"base '{base}'", "no such link", f"links: {', '.join(links)}")
+    run: list[Joint] = []
+    link = tip
+    while link != base and link in above:
+        element, parent = above[link]
+        run.append(_joint(path, element, link))
+        if len(run) > len(links):
+            raise LoadError(path, f"link '{link}'", "the joints form a loop", "a chain needs a tree")
+        link = parent
+    if base is not None and link != base:
+        raise LoadError(path, f"tip '{tip}'", f"is not below base '{base}'", f"its root is '{link}'")
+    names = [link, *(j.child for j in run)]
+    carried = _carried(path, names, above)
+    content = {name: _link(path, name, links[name], meshes) for name in (*names, *(j.child for _, j in carried))}
+    return assemble(path, root.get("name", path.stem), link, run[::-1], content, tool, carried=carried)
+
+
+def _carried(path: Path, chain: list[str], above: dict[str, tuple[Element, str]]) -> list[tuple[str, Joint]]:
+    """The fixed joints that lead aside from the chain, and on from there: a hand's fingers, a camera. With their parents."""
+    found: list[tuple[str, Joint]] = []
+    reached = list(chain)
+    for parent in reached:  # grows while it is read
+        for child, (element, its_parent) in above.items():
+            if its_parent == parent and child not in reached and element.get("type") == "fixed":
+                found.append((parent, _joint(path, element, child)))
+                reached.append(child)
+    return found
+
+
+def _parents(path: Path, joints: list[Element], links: dict[str, Element]) -> dict[str, tuple[Element, str]]:
+    above: dict[str, tuple[Element, str]] = {}
+    for element in joints:
+        where = f"joint '{element.get('name')}'"
+        parent, child = (attribute(path, f"{where} <{k}>", element.find(k), "link") for k in ("parent", "child"))
+        for link in (parent, child):
+            if link not in links:
+                raise LoadError(path, where, f"link '{link}' is not defined", f"links: {', '.join(links)}")
+        if child in above:
+            raise LoadError(path, where, f"link '{child}' has two parent joints", "a chain needs a tree")
+        above[child] = (element, parent)
+    return above
+
+
+def _only(path: Path, what: str, names: list[str]) -> str:
+    if len(names) != 1:
+        choice = f"one of: {', '.join(names)}" if names else "the links form a loop"
+        raise LoadError(path, what, f"is not given and the tree has {len(names)} leaves", f"pass {what}=, {choice}")
+    return names[0]
+
+
+def _origin(path: Path, where: str, element: Element) -> np.ndarray:
+    origin = element.find("origin")
+    translation = numbers(path, where, origin, "xyz", "0 0 0", 3)
+    return frame(translation, rpy_matrix(numbers(path, where, origin, "rpy", "0 0 0", 3)))
+
+
+def _joint(path: Path, element: Element, child: str) -> Joint:
+    name = str(element.get("name"))
+    where = f"joint '{name}'"
+    kind = attribute(path, where, element, "type")
+    if kind not in JOINT_TYPES:
+        raise LoadError(path, where, f"type '{kind}' is not supported", f"allowed: {', '.join(JOINT_TYPES)}")
+    joint = Joint(name, kind, _origin(path, where, element), child)
+    if kind == "fixed":
+        return joint
+    if element.find("mimic") is not None:
+        raise LoadError(path, where, "a mimic joint on the chain", "drive it as a joint of its own: remove <mimic>")
+    joint.axis = numbers(path, where, element.find("axis"), "xyz", "1 0 0", 3)
+    limit = element.find("limit")
+    if limit is None and kind != "continuous":
+        raise LoadError(path, where, f"a {kind} joint without <limit>", "add it, or make the joint continuous")
+    if limit is not None:
+        joint.lower, joint.upper = (float(numbers(path, where, limit, k, "0", 1)[0]) for k in ("lower", "upper"))
+        joint.velocity = float(numbers(path, where, limit, "velocity", "0", 1)[0]) or np.inf
+    return joint
+
+
+def _link(path: Path, name: str, element: Element, meshes: Meshes | None) -> Link:
+    where, link = f"link '{name}'", Link()
+    inertial = element.find("inertial")
+    if inertial is not None:
+        origin = _origin(path, where, inertial)
+        link.mass = float(numbers(path, f"{where} <mass>", inertial.find("mass"), "value", None, 1)[0])
+        if link.mass < 0.0:
+            raise LoadError(path, where, f"mass {link.mass:g} < 0", "write a positive number")
+        tensor = inertial.find("inertia")
+        xx, xy, xz, yy, yz, zz = (
+            float(numbers(path, f"{where} <inertia>", tensor, k, "0", 1)[0]) for k in ("ixx", "ixy", "ixz", "iyy", "iyz", "izz")
+        )
+        rotation = origin[:3, :3]
+        link.com = origin[:3, 3]
+        link.inertia = rotation @ np.array([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]]) @ rotation.T
+    for collision in element.findall("collision"):
+        geometry = collision.find("geometry")
+        for shape in () if geometry is None else geometry:
+            _shape(path, name, _origin(path, where, collision), shape, link, meshes)
+    return link
+
+
+def _shape(path: Path, owner: str, origin: np.ndarray, shape: Element, link: Link, meshes: Meshes | None) -> None:
+    where = f"link '{owner}'"
+
+    def size(key: str, count: int = 1) -> np.ndarray:
+        values = numbers(path, f"{where} <{shape.tag}>", shape, key, None, count)
+        if np.any(values <= 0.0):
+            raise LoadError(path, f"{where} <{shape.tag}>", f"'{key}' is not positive", "write sizes > 0")
+        return values
+
+    if shape.tag == "box":
+        add_box(meshes, owner, link, origin, size("size", 3) / 2.0)
+    elif shape.tag == "sphere":
+        link.volumes.append((origin[None, :3, 3], float(size("radius")[0])))
+    elif shape.tag == "cylinder":
+        radius, length = float(size("radius")[0]), float(size("length")[0])
+        add_cylinder(meshes, owner, link, origin, radius, length / 2.0)
+    elif shape.tag == "capsule":  # not in the standard, read by several simulators
+        radius, length = float(size("radius")[0]), float(size("length")[0])
+        ends = np.array([[0.0, 0.0, -length / 2.0], [0.0, 0.0, length / 2.0]])
+        link.volumes.append((ends @ origin[:3, :3].T + origin[:3, 3], radius))
+    elif shape.tag == "mesh":
+        name = attribute(path, f"{where} <mesh>", shape, "filename")
+        scale = numbers(path, f"{where} <mesh>", shape, "scale", "1 1 1", 3)
+        if meshes is not None:
+            meshes.mesh(owner, link, name, origin, *read_mesh(path, where, name, scale))
+        else:
+            resolve(path, where, name)  # refused here, not first when someone asks for the meshes
+            link.meshes.append(name)
+    else:
+        raise LoadError(
+            path, where, f"geometry <{shape.tag}> is not supported", "allowed: box, sphere, cylinder, capsule, mesh"
+        )

@@ -1,0 +1,50 @@
+"""XML that nobody vouches for: parsed by defusedxml, numbers read with the element's name at hand."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from xml.etree.ElementTree import Element, ParseError
+
+import numpy as np
+from defusedxml import DefusedXmlException
+from defusedxml.ElementTree import fromstring
+
+from jaxik.files.assemble import read_bytes
+from jaxik.reasons import LoadError
+
+
+def parse(path: Path, root_tag: str | None) -> Element:
+    """The root element; entities, external references and a root of another tag (None: any will do) are refused."""
+    content = read_bytes(path)
+    try:
+        root = fromstring(content, forbid_dtd=True)
+    except DefusedXmlException as error:
+        problem = f"a document type or entity ({type(error).__name__})"
+        raise LoadError(path, "document", problem, "robot files need none: remove the declaration") from None
+    except (ParseError, ValueError, LookupError) as error:  # LookupError: an encoding that Python does not know
+        raise LoadError(path, "document", f"malformed XML ({error})", "mend the syntax") from None
+    if root_tag is not None and root.tag != root_tag:
+        raise LoadError(path, f"element <{root.tag}>", f"the root is not <{root_tag}>", f"give a file with <{root_tag}>")
+    return root
+
+
+def numbers(path: Path, where: str, element: Element | None, key: str, default: str | None, count: int) -> np.ndarray:
+    """Attribute `key` as `count` finite numbers."""
+    text = default if element is None else element.get(key, default)
+    if text is None:
+        raise LoadError(path, where, f"attribute '{key}' is missing", f"write {count} number(s)")
+    try:
+        values = np.array([float(word) for word in text.split()])
+    except ValueError:
+        raise LoadError(path, where, f"attribute '{key}' = '{text[:40]}'", f"write {count} number(s)") from None
+    if values.shape != (count,) or not np.all(np.isfinite(values)):
+        raise LoadError(path, where, f"attribute '{key}' = '{text[:40]}'", f"write {count} finite number(s)")
+    return values
+
+
+def attribute(path: Path, where: str, element: Element | None, key: str) -> str:
+    """Attribute `key` as a word that is there."""
+    value = None if element is None else element.get(key)
+    if not value:
+        raise LoadError(path, where, f"attribute '{key}' is missing", "write it")
+    return value

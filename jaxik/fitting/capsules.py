@@ -1,0 +1,236 @@
+"""Capsules around meshes: few of them, that cover a mesh's convex hull, with a protrusion that is known exactly.
+
+The hull is cut by planes into convex pieces, the worst piece first, and a capsule is fitted around each. A capsule is convex:
+it holds a piece when it holds the piece's corners, so the capsules together hold the whole hull and nothing is sampled. The
+signed distance s to a convex body is convex, too, so over a capsule of radius r with its ends at a and b in the body it is at
+most `r + max(s(a), s(b))`, and reaches that: this is the protrusion.
+
+What the fit makes small is the excess: how far a capsule crosses the planes that it should keep behind. Those are the faces of
+the hull, moved out by the accuracy that is asked for, and planes beside it where other links pass (`robot_fit`): a flange may
+reach far to where nothing ever is, and must not towards the link that turns a centimetre before it.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Sequence
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from jaxik.checks.options import shown
+from jaxik.fitting.convex import directions
+
+ROUNDING = 1e-9  # [m] that a radius has in addition, for what places its capsule in the world
+THICK = 1e-6  # [m] that a flat mesh is made thick
+SIZE = 20.0  # extent of what is optimised: the line search starts with steps of one
+POINTS = 48  # directions whose extreme corners and faces stand for all while a capsule is optimised
+WORTH = 0.2  # of its longest side that a piece's other side has at least, to be tried for a cut
+SMOOTH = (0.1, 0.02)  # temperatures of the maxima
+STEPS = 20  # of a descent at each
+
+
+@dataclasses.dataclass(frozen=True)
+class Fit:
+    """How links' collision meshes become capsules: as few as come within `accuracy` [m] of the mesh's convex hull, and keep to
+    their half of the gap where other links pass; where `most` a mesh are too few for that, as close as these come. What was
+    reached is told by `fit_report`. Raises `ValueError` for what is neither."""
+
+    accuracy: Any = 0.025
+    most: Any = 16
+
+    def __post_init__(self) -> None:
+        number = isinstance(self.accuracy, int | float | np.number) and not isinstance(self.accuracy, bool | np.bool_)
+        if not (number and 1e-4 <= float(self.accuracy) <= 10.0):
+            raise ValueError(f"Fit: accuracy={shown(self.accuracy)}; allowed: 0.0001 to 10 [m]")
+        whole = isinstance(self.most, int | np.integer) and not isinstance(self.most, bool)
+        if not (whole and 1 <= self.most <= 256):
+            raise ValueError(f"Fit: most={shown(self.most)} capsules a mesh; allowed: 1 to 256")
+
+
+class Fitted(NamedTuple):
+    """Capsules around a mesh, in its frame: ends (k, 2, 3), radii (k,), and how far each reaches beyond the hull (k,) [m]."""
+
+    ends: np.ndarray
+    radii: np.ndarray
+    protrusion: np.ndarray
+
+
+class _Hull(NamedTuple):
+    """A convex body as faces `normals @ x <= offsets`, and a point well inside."""
+
+    normals: np.ndarray
+    offsets: np.ndarray
+    middle: np.ndarray
+
+    def beyond(self, points: np.ndarray) -> np.ndarray:
+        """Signed distance of points inside; of others what they are beyond the farthest face."""
+        return np.asarray((points @ self.normals.T - self.offsets).max(axis=1))
+
+
+class _Piece(NamedTuple):
+    corners: np.ndarray  # (p, 3)
+    ends: np.ndarray  # (2, 3) of its capsule
+    radius: float
+    protrusion: float
+    excess: float
+
+
+def fitted(points: np.ndarray, fit: Fit, keep: tuple[np.ndarray, np.ndarray] | None = None) -> Fitted:
+    """Capsules that hold the convex hull of `points` (p, 3) [m]. `keep` are directions (k, 3) in which they may reach only so
+    far beyond it (k,) [m]."""
+    points = np.asarray(points, np.float64)
+    unit = SIZE / max(float(np.ptp(points, axis=0).max()), THICK)
+    corners, hull = _convex(points, unit)
+    room = _room(corners, hull, fit.accuracy * unit, None if keep is None else (keep[0], keep[1] * unit), ROUNDING * unit)
+    pieces = [_around(corners, hull, room)]
+    while len(pieces) < fit.most:
+        worst = max(range(len(pieces)), key=lambda i: pieces[i].excess)
+        if pieces[worst].excess <= 0.0:
+            break
+        pieces[worst : worst + 1] = _divided(pieces[worst].corners, hull, room)
+    ends, radii, protrusion = (np.array([p[i] for p in pieces]) / unit for i in (1, 2, 3))
+    return Fitted(ends, radii + ROUNDING, protrusion + ROUNDING)
+
+
+def _room(
+    corners: np.ndarray, hull: _Hull, accuracy: float, keep: tuple[np.ndarray, np.ndarray] | None, rounding: float
+) -> _Hull:
+    """The planes that capsules should keep behind: some faces of the hull, moved out, and those of `keep`."""
+    few = np.unique((hull.normals @ directions(2 * POINTS).T).argmax(axis=0))
+    normals, offsets = [hull.normals[few]], [hull.offsets[few] + accuracy]
+    if keep is not None and len(keep[0]):
+        normals.append(keep[0])
+        offsets.append((corners @ keep[0].T).max(axis=0) + keep[1])
+    return _Hull(np.concatenate(normals), np.concatenate(offsets) - rounding, hull.middle)
+
+
+def _convex(points: np.ndarray, unit: float) -> tuple[np.ndarray, _Hull]:
+    """The corners of the convex hull and its faces, in units of which the hull has `SIZE`."""
+    from scipy.spatial import ConvexHull
+
+    spread = points - points.mean(axis=0)
+    for axis in np.linalg.eigh(spread.T @ spread)[1].T:  # a plate or a line without thickness has no hull
+        if np.ptp(points @ axis) < THICK:
+            points = np.concatenate([points - THICK * axis, points + THICK * axis])
+    points = points * unit
+    hull = ConvexHull(points)
+    planes = np.unique(np.round(hull.equations, 9), axis=0)
+    corners = points[hull.vertices]
+    return corners, _Hull(planes[:, :3], (corners @ planes[:, :3].T).max(axis=0), corners.mean(axis=0))
+
+
+def _along(points: np.ndarray, ends: np.ndarray) -> np.ndarray:
+    """Where on the line between `ends` each point is nearest, 0 to 1."""
+    line = ends[1] - ends[0]
+    return np.asarray(np.clip((points - ends[0]) @ line / max(float(line @ line), 1e-18), 0.0, 1.0))
+
+
+def away(points: np.ndarray, ends: np.ndarray) -> np.ndarray:
+    """From the line between `ends` to the points (p, 3)."""
+    t = _along(points, ends)[:, None]
+    return points - (1.0 - t) * ends[0] - t * ends[1]
+
+
+def _sides(corners: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """The principal axes of a set of corners, longest first, and its extent along them."""
+    axes = np.linalg.svd(corners - corners.mean(axis=0), full_matrices=False)[2]
+    low, high = (corners @ axes.T).min(axis=0), (corners @ axes.T).max(axis=0)
+    order = np.argsort(low - high, kind="stable")
+    return axes[order], low[order], high[order]
+
+
+def _around(corners: np.ndarray, hull: _Hull, room: _Hull) -> _Piece:
+    """The capsule about a piece whose excess is small."""
+    from scipy.optimize import minimize
+
+    some = corners[np.unique((corners @ directions(POINTS).T).argmax(axis=0))] if len(corners) > POINTS else corners
+    axes, low, high = _sides(corners)
+    half = (high - low) / 2.0
+    reach = max(half[0] - half[1], 0.2 * half[0]) * axes[0]
+    centre = (low + high) / 2.0 @ axes
+    start = np.stack([centre - reach, centre + reach])
+    x = start.ravel()
+    for temperature in SMOOTH:
+        # not L-BFGS-B: its compiled part wakes the threads of BLAS for six numbers
+        x = minimize(_smooth, x, (some, room, temperature), "BFGS", jac=True, options={"maxiter": STEPS}).x
+    return min((_measured(ends, corners, hull, room) for ends in (start, x.reshape(2, 3))), key=lambda piece: piece.excess)
+
+
+def _smooth(x: np.ndarray, corners: np.ndarray, room: _Hull, temperature: float) -> tuple[float, np.ndarray]:
+    """The excess, its maxima made smooth, and its slope."""
+    ends = x.reshape(2, 3)
+    t, apart = _along(corners, ends), away(corners, ends)
+    length = np.sqrt(np.sum(apart * apart, axis=1)) + 1e-12
+    radius, share = _soft(length, temperature)
+    depth, on = _soft(ends @ room.normals.T - room.offsets, temperature)
+    pull = (share / length)[:, None] * apart
+    slope = on @ room.normals - np.stack([(1.0 - t) @ pull, t @ pull])
+    return radius + depth, slope.ravel()
+
+
+def _soft(values: np.ndarray, temperature: float) -> tuple[float, np.ndarray]:
+    """A smooth maximum, and its derivative by each value."""
+    most = values.max()
+    weights = np.exp((values - most) / temperature)
+    total = weights.sum()
+    return float(most + temperature * np.log(total)), weights / total
+
+
+def _measured(ends: np.ndarray, corners: np.ndarray, hull: _Hull, room: _Hull) -> _Piece:
+    """The piece with a capsule between `ends`, moved into the hull, where the protrusion is exact."""
+    for i, end in enumerate(ends):
+        beyond = hull.normals @ end - hull.offsets
+        inner = hull.normals @ hull.middle - hull.offsets
+        back = np.max(np.where(beyond > 0.0, beyond / np.maximum(beyond - inner, 1e-12), 0.0))
+        ends = np.where(np.arange(2)[:, None] == i, end + back * (hull.middle - end), ends)
+    radius = float(np.linalg.norm(away(corners, ends), axis=1).max())
+    return _Piece(corners, ends, radius, *(radius + float(body.beyond(ends).max()) for body in (hull, room)))
+
+
+def _divided(corners: np.ndarray, hull: _Hull, room: _Hull) -> list[_Piece]:
+    """Two pieces in place of one, cut in the middle of one of its longer sides."""
+    axes, low, high = _sides(corners)
+    best: list[_Piece] = []
+    for axis, start, end in zip(axes, low, high, strict=True):
+        if end - start < WORTH * (high[0] - low[0]):
+            break
+        pair = [_around(part, hull, room) for part in _cut(corners, axis, (start + end) / 2.0)]
+        if not best or _worth(pair) < _worth(best):
+            best = pair
+    return best
+
+
+def _worth(pair: Sequence[_Piece]) -> float:
+    """What is left to mend, the worse piece counting most; of two that need no mending, what is tighter."""
+    worse, better = sorted((p.excess for p in pair), reverse=True)
+    return max(worse, 0.0) + 0.25 * max(better, 0.0) + 1e-3 * (worse + better)
+
+
+def _cut(corners: np.ndarray, normal: np.ndarray, offset: float) -> list[np.ndarray]:
+    """The corners of both parts of a convex piece on either side of a plane."""
+    side = corners @ normal - offset
+    edges = _edges(corners)
+    edges = edges[side[edges[:, 0]] * side[edges[:, 1]] < 0.0]
+    a, b = edges.T
+    t = (side[a] / (side[a] - side[b]))[:, None]
+    between = corners[a] + t * (corners[b] - corners[a])
+    return [np.concatenate([corners[keep], between]) for keep in (side >= 0.0, side <= 0.0)]
+
+
+def _edges(corners: np.ndarray) -> np.ndarray:
+    """Pairs of corners, the edges of their hull among them."""
+    from scipy.spatial import ConvexHull, QhullError
+
+    try:
+        faces = ConvexHull(corners).simplices
+    except QhullError:  # too thin: all pairs, whose hull is the same
+        return np.stack(np.triu_indices(len(corners), 1), axis=1)
+    pairs = np.concatenate([faces[:, [0, 1]], faces[:, [1, 2]], faces[:, [2, 0]]])
+    return np.unique(np.sort(pairs, axis=1), axis=0)
+
+
+def mean_protrusion(points: np.ndarray, surface: np.ndarray) -> float:
+    """How far a model's `surface` (k, 3) lies beyond the convex hull of `points` in the mean [m]."""
+    beyond = np.maximum(_convex(points, 1.0)[1].beyond(surface), 0.0)
+    return float(beyond.mean()) if len(beyond) else 0.0

@@ -1,0 +1,283 @@
+"""The tables of pairs of links (`pair_table`), from the links' convex bodies.
+
+Where two joints lie between the links, these decide. Where a third does, one that turns a link about its own axis, that link is
+taken for all that it sweeps: of a round flange that is little more than itself.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import functools
+import itertools
+import math
+from collections.abc import Sequence
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from jaxik.fitting.convex import Body, gaps, hull_corners, separated, ways_out
+from jaxik.robot.chain import Chain
+from jaxik.robot.kinematics import joint_frames
+from jaxik.robot.pair_table import PairTable, stored
+from jaxik.spatial.algebra import BASE
+
+SIDES = 64, 256  # values of each joint, fewest and most
+TURN = (-math.pi, math.pi)
+ENOUGH = 0.1  # [m] from which on gaps are not told apart
+USEFUL = 0.3  # of what it is made for, which a table at least says is free
+SECTIONS = 32  # corners that stand for a circle
+FEW = 100  # directions in which depth is sought at first
+BLOCK = 512  # places at a time, which bounds the memory
+
+Limits = tuple[np.ndarray, np.ndarray]
+Couples = list[tuple[Body, Body]]
+
+
+def frames(chain: Chain, q: np.ndarray) -> np.ndarray:
+    """The frames of the base and of each joint (joints + 1, n, 4, 4) in the base's."""
+    found = (BASE, *joint_frames(chain, list(q.T), BASE, np.float64).joints)
+    entries = [[np.broadcast_to(np.asarray(x, np.float64), len(q)) for x in frame.entries] for frame in found]
+    return np.moveaxis(np.array(entries), 1, 2).reshape(len(found), len(q), 4, 4)
+
+
+def between(chain: Chain, pair: tuple[int, int], frames: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Where the second link's joint stands in the frame of the first's: turns (n, 3, 3) and places (n, 3)."""
+    a, b = (frames[chain.link_joint[link]] for link in pair)
+    back = a[:, :3, :3].transpose(0, 2, 1)
+    return back @ b[:, :3, :3], np.einsum("nij,nj->ni", back, b[:, :3, 3] - a[:, :3, 3])
+
+
+def side_of(accuracy: float) -> int:
+    """How many values of each joint a table has: what it is lowered by between them goes with their distance squared."""
+    return int(np.clip(round(128.0 * math.sqrt(0.025 / accuracy)), *SIDES))
+
+
+def table_of(
+    chain: Chain, pair: tuple[int, int], bodies: dict[int, list[Body]], limits: Limits, q: np.ndarray, side: int
+) -> PairTable | None:
+    """The table, of `side` values of each joint, that says of most configurations `q` (k, n), in which a pair is free, that it
+    is; None if of too few."""
+    near, far = sorted(pair, key=lambda link: chain.link_joint[link])
+    first, last = chain.link_joint[near], chain.link_joint[far]
+    before, after = (not chain.is_prismatic[j] for j in (first, last - 1))  # whether these joints may sweep their links
+    best: tuple[float, int, Couples] = USEFUL, 0, []
+    for k in range(first, last - 1):
+        if k - first <= before and last - 2 - k <= after:
+            couples = _couples(chain, near, far, k, bodies)
+            still = np.where(np.isin(np.arange(chain.num_joints), (k, k + 1)), q, 0.0)  # the others are swept
+            share = float(np.mean(gaps(couples, *between(chain, (near, far), frames(chain, still)), ENOUGH) > 0.0))
+            best = max(best, (share, k, couples), key=lambda each: each[0])
+    if not best[2]:
+        return None
+    table = _table(chain, near, far, *best[1:], limits, side)
+    return dataclasses.replace(table, links=pair) if np.mean(table(q) > 0.0) >= USEFUL else None
+
+
+def _couples(chain: Chain, near: int, far: int, k: int, bodies: dict[int, list[Body]]) -> Couples:
+    """The bodies of the link nearer to the base, each with each of the one further: or, where joints lie between beside k and
+    k + 1, all that they sweep by them."""
+    axes, frame = np.asarray(chain.axis, np.float64), np.asarray(chain.parent_T_joint, np.float64)
+    first, last, mine, theirs = chain.link_joint[near], chain.link_joint[far], bodies[near], bodies[far]
+    if k > first:
+        mine = [_swept(body, frame[first, :3, 3], frame[first, :3, :3] @ axes[first]) for body in mine]
+    if k + 2 < last:
+        theirs = [_swept(body, np.zeros(3), axes[last - 1]) for body in theirs]
+    return list(itertools.product(mine, theirs))
+
+
+def _table(chain: Chain, near: int, far: int, k: int, couples: Couples, limits: Limits, side: int) -> PairTable:
+    """A table by joints k and k + 1, the others between at 0."""
+    axes, frame = np.asarray(chain.axis, np.float64), np.asarray(chain.parent_T_joint, np.float64)
+    first, last = chain.link_joint[near], chain.link_joint[far]
+    own = functools.reduce(np.matmul, frame[first : k + 1])  # joint k, seen from the nearer link
+    other = np.linalg.inv(functools.reduce(np.matmul, frame[k + 2 : last], np.eye(4)))  # joint k + 1, seen from the further one
+    slides = [chain.is_prismatic[j] for j in (k, k + 1)]
+    turns = [Axis(f[:3, 3], f[:3, :3] @ axes[j], s) for j, f, s in zip((k, k + 1), (own, other), slides, strict=True)]
+    reach = [
+        max(float(np.linalg.norm(turn.moved(body.corners), axis=1).max()) for body in each)
+        for turn, each in zip(turns, zip(*couples, strict=True), strict=True)
+    ]
+
+    ranges = [_range(chain, j, limits) for j in (k, k + 1)]
+    q = np.zeros((side * side, chain.num_joints))
+    q[:, k : k + 2] = np.stack(np.meshgrid(*(np.linspace(*r, side) for r in ranges), indexing="ij"), axis=-1).reshape(-1, 2)
+    steps = [(high - low) / (side - 1) for low, high in ranges]
+    places = between(chain, (near, far), frames(chain, q))
+    found = [_signed(a, b, *places) for a, b in couples]
+    distance = np.minimum(np.min([gap for gap, _ in found], axis=0), ENOUGH)
+    wraps = tuple(r == TURN for r in ranges)
+    each = zip(couples, found, strict=True)
+    excess = [_excess(a, b, *places, across, distance, turns, steps) for (a, b), (_, across) in each]
+    bounds = distance.reshape(side, side) - _of_nodes(np.max(excess, axis=0), wraps)
+    for way in (w for w, whole in zip((bounds, bounds.T), wraps, strict=True) if whole):
+        way[[0, -1]] = np.minimum(way[0], way[-1])  # the same place, but for rounding
+    low, high = zip(*ranges, strict=True)
+    return PairTable((near, far), (k, k + 1), low, high, wraps, tuple(reach), stored(bounds), geometry="")
+
+
+class Axis(NamedTuple):
+    """Of a joint, seen from a link: a point on it, its direction, and whether it slides."""
+
+    origin: np.ndarray
+    along: np.ndarray
+    slides: bool
+
+    def moved(self, points: np.ndarray) -> np.ndarray:
+        """How fast points (..., p, 3) move with the joint [m/rad, 1]."""
+        along = self.along[..., None, :]
+        return np.broadcast_to(along, points.shape) if self.slides else np.cross(along, points - self.origin[..., None, :])
+
+
+def _range(chain: Chain, joint: int, limits: Limits) -> tuple[float, float]:
+    """The values of a joint that a table covers."""
+    low, high = (float(limit[joint]) for limit in limits)
+    whole = not chain.is_prismatic[joint] and high - low > TURN[1] - TURN[0] - 1e-6
+    return TURN if whole else (low, max(high, low + 1e-3))
+
+
+def _swept(body: Body, origin: np.ndarray, axis: np.ndarray) -> Body:
+    """A body around all that one sweeps by a turn about an axis: a prism around each circle."""
+    angle = 2.0 * np.pi * np.arange(SECTIONS) / SECTIONS
+    out = body.corners - origin
+    along = (out @ axis)[:, None] * axis
+    radial, across = out - along, np.cross(axis, out)
+    wide = (np.cos(angle)[:, None, None] * radial + np.sin(angle)[:, None, None] * across) / np.cos(np.pi / SECTIONS)
+    return body._replace(corners=hull_corners((origin + along + wide).reshape(-1, 3)))
+
+
+def _signed(a: Body, b: Body, turn: np.ndarray, place: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """How far two bodies are apart (n,) [m], and the directions (n, 3) from a to b in which they are; less than 0 where they
+    overlap. No less than `ENOUGH` where it is more."""
+    gap, across = separated(a, b, turn, place, ENOUGH)
+    inside = np.flatnonzero(gap <= 0.0)
+    depth, across[inside] = ways_out(a, b, turn[inside], place[inside], FEW)
+    gap[inside] = -depth
+    return gap, across
+
+
+def _excess(
+    a: Body,
+    b: Body,
+    turn: np.ndarray,
+    place: np.ndarray,
+    across: np.ndarray,
+    distance: np.ndarray,
+    axes: Sequence[Axis],
+    steps: Sequence[float],
+) -> np.ndarray:
+    """By how much interpolation between the nodes' `distance` may be too large in each cell [m].
+
+    In any direction n two bodies are apart by `min_x n.x - max_y n.y` over the corners x of b and y of a, which is no more than
+    their distance. Within half a step of a node n is the node's, kept in the frame of a, of b or of what is between the joints,
+    whichever is best: a corner's height along it changes at the speeds of the joints that move it there, and by its arcs. So
+    each corner says by how much it may come closer than the interpolation does, in each of the quarters around the node.
+    """
+    side = math.isqrt(len(distance))
+    grid, half = distance.reshape(side, side), (steps[0] / 2.0, steps[1] / 2.0)
+    before = [np.diff(grid, axis=k, prepend=np.take(grid, [0], k)) / steps[k] for k in range(2)]
+    after = [np.diff(grid, axis=k, append=np.take(grid, [-1], k)) / steps[k] for k in range(2)]
+    mixed = np.abs(np.diff(np.diff(grid, axis=0), axis=1)) / 4.0
+    over = np.empty((2, 2, side * side))
+    for start in range(0, side * side, BLOCK):
+        rows = slice(start, start + BLOCK)
+        nodes = _Nodes.of(a, b, turn[rows], place[rows], across[rows], axes, half)
+        for i, j in itertools.product(range(2), repeat=2):
+            slopes = [(after if later else before)[k].ravel()[rows] for k, later in enumerate((i, j))]
+            over[i, j, rows] = distance[rows] - nodes.least(slopes, (2 * i - 1, 2 * j - 1)) + (a.radius + b.radius)
+    quarter = lambda i, j: over[i, j].reshape(side, side)[1 - i : side - i, 1 - j : side - j]
+    return np.asarray(np.max([np.zeros_like(mixed), *(quarter(i, j) + mixed for i in range(2) for j in range(2))], axis=0))
+
+
+class _Corners(NamedTuple):
+    """Of a body's corners (n, p): how high they are along a direction, how fast they rise with each joint, and how far they go
+    from there within half a step by the arc of the joint next to the body, and with the other's [m]."""
+
+    height: np.ndarray
+    speeds: list[np.ndarray]
+    arc: np.ndarray
+    arcs: np.ndarray
+
+    @classmethod
+    def of(
+        cls,
+        body: Body,
+        turn: np.ndarray,
+        place: np.ndarray,
+        across: np.ndarray,
+        axes: Sequence[Axis],
+        next_to: int,
+        half: Sequence[float],
+    ) -> _Corners:
+        """Of a body at `turn` and `place`, next to one of the joints, whose axes have origins and directions (n, 3)."""
+        along = lambda way, shift: np.einsum("nij,ni->nj", turn, way) @ body.corners.T + _dot(way, shift)[:, None]
+        speeds, radii = [], []
+        for axis in axes:
+            away = place - axis.origin
+            if axis.slides:
+                speeds.append(np.broadcast_to(_dot(across, axis.along)[:, None], (len(place), len(body.corners))))
+                radii.append(np.ones(speeds[-1].shape))
+            else:
+                speeds.append(along(np.cross(across, axis.along), away))
+                square = np.sum(body.corners**2, axis=1) - _dot(away, away)[:, None] + 2.0 * along(away, away)
+                radii.append(np.sqrt(np.maximum(square - along(axis.along, away) ** 2, 0.0)))
+        (inner, outer), (own, other) = ([pair[next_to], pair[1 - next_to]] for pair in (radii, half))
+        turns = [float(not axes[k].slides) for k in (next_to, 1 - next_to)]
+        arc = 0.5 * turns[0] * inner * own**2
+        more = turns[1] * (0.5 * (outer + inner * own) * other**2 + inner * own * other)
+        return cls(along(across, place), speeds, np.asarray(arc), np.asarray(arc + more))
+
+
+def _dot(a: np.ndarray, b: np.ndarray) -> np.ndarray:
+    return np.asarray(np.einsum("ni,ni->n", a, b))
+
+
+class _Nodes(NamedTuple):
+    """Two bodies at some nodes."""
+
+    first: _Corners
+    second: _Corners
+    half: Sequence[float]
+
+    @classmethod
+    def of(
+        cls,
+        a: Body,
+        b: Body,
+        turn: np.ndarray,
+        place: np.ndarray,
+        across: np.ndarray,
+        axes: Sequence[Axis],
+        half: Sequence[float],
+    ) -> _Nodes:
+        near, far = axes
+        seen = [
+            Axis(np.broadcast_to(near.origin, place.shape), np.broadcast_to(near.along, place.shape), near.slides),
+            Axis(turn @ far.origin + place, turn @ far.along, far.slides),
+        ]
+        still = np.broadcast_to(np.eye(3), turn.shape)
+        return cls(
+            _Corners.of(a, still, np.zeros_like(place), across, seen, 0, half),
+            _Corners.of(b, turn, place, across, seen, 1, half),
+            half,
+        )
+
+    def least(self, slopes: Sequence[np.ndarray], signs: Sequence[int]) -> np.ndarray:
+        """How far the bodies are apart at least in one of the quarters around the nodes (n,), less what the interpolation's
+        `slopes` add there."""
+
+        def falls(corners: _Corners, joints: Sequence[int]) -> Any:
+            each = [np.maximum(signs[k] * (slopes[k][:, None] - corners.speeds[k]), 0.0) * self.half[k] for k in joints]
+            return sum(each) + (corners.arcs if len(joints) == 2 else corners.arc if len(joints) else 0.0)
+
+        found = []
+        for cut in range(3):  # the direction goes with the first body, with what is between, with the second
+            low = (self.second.height - falls(self.second, range(cut, 2))).min(axis=1)
+            found.append(low - (self.first.height + falls(self.first, range(cut))).max(axis=1))
+        return np.asarray(np.max(found, axis=0))
+
+
+def _of_nodes(cells: np.ndarray, wraps: Sequence[bool]) -> np.ndarray:
+    """The largest of the cells around each node; around those at both ends of a whole turn, of both."""
+    for axis, whole in enumerate(wraps):
+        cells = np.pad(cells, [(1, 1) if k == axis else (0, 0) for k in range(2)], "wrap" if whole else "edge")
+    return np.asarray(np.maximum(np.maximum(cells[1:, 1:], cells[:-1, :-1]), np.maximum(cells[1:, :-1], cells[:-1, 1:])))

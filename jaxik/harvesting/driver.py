@@ -1,0 +1,131 @@
+"""The best posture for every fruit of a scene."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from jaxik.checks.options import check_kind
+from jaxik.collision.scene import Scene
+from jaxik.harvesting.scanning import Blockers, Grasp, Scan, Table, Weights, blockers, grasp_poses, recover, scan
+from jaxik.reasons import Reason
+from jaxik.robot.chain import Chain
+from jaxik.robot.kinematics import pose_errors
+
+
+class Posture(NamedTuple):
+    """What became of one fruit. Without a posture the numbers are NaN and `reason` says why.
+
+    `angle` [rad] about the fruit's axis, `clearance` [m], `freedom` in [0, 1], `position_error` [m] and `rotation_error` [rad]
+    of the tip (in float64), `found_by` "grid", "finer grid" or "gradient".
+    """
+
+    fruit: str
+    reason: Reason
+    q: np.ndarray
+    angle: float
+    clearance: float
+    freedom: float
+    score: float
+    position_error: float
+    rotation_error: float
+    found_by: str
+    blockers: Blockers | None
+    scan: Scan
+
+    @property
+    def success(self) -> bool:
+        return self.reason == Reason.SOLVED
+
+
+class Harvest(NamedTuple):
+    """One row a fruit, in the scene's order, and how long it took [s]."""
+
+    chain: Chain
+    scene: Scene
+    rows: tuple[Posture, ...]
+    seconds: float
+    candidates: int
+
+    @property
+    def q(self) -> np.ndarray:
+        return np.stack([row.q for row in self.rows])
+
+    @property
+    def success(self) -> np.ndarray:
+        return np.array([row.success for row in self.rows])
+
+    @property
+    def reason(self) -> np.ndarray:
+        return np.array([int(row.reason) for row in self.rows])
+
+    @property
+    def clearance(self) -> np.ndarray:
+        return np.array([row.clearance for row in self.rows])
+
+    def arrays(self) -> dict[str, np.ndarray]:
+        """Everything that a table holds, as arrays with one entry a fruit."""
+        rows = self.rows
+        names = ("angle", "clearance", "freedom", "score", "position_error", "rotation_error")
+        return {
+            "fruit": np.array([r.fruit for r in rows]),
+            "joint_names": np.array(self.chain.joint_names),
+            "q": self.q,
+            "success": self.success,
+            "reason": np.array([r.reason.text for r in rows]),
+            "found_by": np.array([r.found_by for r in rows]),
+            "remove": np.array([" ".join((r.blockers.removal if r.blockers else None) or ()) for r in rows]),
+            **{name: np.array([getattr(r, name) for r in rows]) for name in names},
+        }
+
+
+def harvest(
+    chain: Chain,
+    scene: Scene,
+    weights: Weights | None = None,
+    angles: Any = 72,
+    slides: Any = 41,
+    margin: float = 0.005,
+    grasp: Grasp | None = None,
+    progress: Callable[[str], Any] | None = None,
+) -> Harvest:
+    """The best collision-free posture of `chain` for every fruit of `scene`, or the reason why there is none.
+
+    Scans all `angles` about a fruit's axis with all `slides` positions of the leading joints (counts or values) and all
+    branches (`scan`), ranks by `weights`, recovers between the grid's points where the grid has nothing (`recover`), and for a
+    fruit behind obstacles names them and the fewest to remove (`blockers`). `margin` is the least clearance [m]. `progress` is
+    called with the name of each finished fruit.
+
+    Raises `ValueError` where the chain has no closed form or the scene no fruit. Source: Van Henten et al. 2010, sec. 4, 5.1.
+    """
+    check_kind("harvest", "scene", scene, Scene)
+    if not scene.fruits:
+        raise ValueError(f"scene '{scene.name}' has no fruit; add one with SceneBuilder.add_fruit")
+    start, rows, candidates = time.perf_counter(), [], 0
+    for fruit in scene.fruits:
+        found = scan(chain, scene, fruit, angles, slides, weights, margin, grasp)
+        candidates += found.status.size
+        rows.append(_posture(chain, scene, found, weights, margin, grasp))
+        if progress:
+            progress(fruit.name)
+    return Harvest(chain, scene, tuple(rows), time.perf_counter() - start, candidates)
+
+
+def _posture(chain: Chain, scene: Scene, found: Scan, weights: Weights | None, margin: float, grasp: Grasp | None) -> Posture:
+    best, how = found.table.best(margin), "grid"
+    row = None if best is None else Table(*(column[best : best + 1] for column in found.table))
+    if row is None:
+        recovered = recover(chain, scene, found, weights, margin, grasp)
+        row, how = (recovered.row, recovered.how) if recovered else (None, "")
+    if row is None:
+        nothing, nans = np.full(chain.num_joints, np.nan), (np.nan,) * 6
+        in_the_way = blockers(chain, scene, found, margin) if found.reason == Reason.COLLISION else None
+        return Posture(found.fruit.name, found.reason, nothing, *nans, "", in_the_way, found)
+    q = row.q[0].astype(np.float64)
+    pose = grasp_poses(chain, found.fruit, row.angle, grasp)[0]
+    away, turned = pose_errors(chain, q.tolist(), pose.ravel().tolist())
+    angle, distance, freedom, score = (float(x[0]) for x in (row.angle, row.clearance, row.freedom, row.score))
+    return Posture(found.fruit.name, Reason.SOLVED, q, angle, distance, freedom, score, away, turned, how, None, found)

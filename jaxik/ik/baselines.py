@@ -1,0 +1,116 @@
+"""What `solve_ik` is compared with: the textbook iterations and the papers' global search.
+
+Honest ones: each does what its source says, no more. The iterations know no limits and no obstacles; the search knows both
+through its penalty, and stops where it stops.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any, NamedTuple
+
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Float
+
+from jaxik.collision.clearances import clearance
+from jaxik.collision.scene import Scene
+from jaxik.collision.volumes import link_circles
+from jaxik.costs import box_penalty, proximity_penalty
+from jaxik.optimise.newton import Root, damped_least_squares, newton_raphson
+from jaxik.robot.chain import Array, Chain, as_configuration, finite_limits
+from jaxik.robot.kinematics import joint_frames
+from jaxik.robot.task import POSE, Task
+from jaxik.spatial.algebra import Frame, traced
+from jaxik.spmd import HostKernel, kernel
+from jaxik.spmd.batch import in_blocks
+
+
+def residual(chain: Chain, target: Float[Array, "4 4"], task: Task = POSE) -> Callable[[Any], Any]:
+    """q (n,) -> what the tip misses of the target: the bound components [m], [rad]."""
+    wanted = jnp.asarray(target)
+
+    @kernel
+    def missed(q: Any) -> Any:
+        tip = joint_frames(chain, traced(q), dtype=q.dtype).tip
+        position, rotation = task.residual(tip, Frame.of_entries(traced(wanted.astype(q.dtype))))
+        return jnp.stack(position + rotation)
+
+    return missed
+
+
+def newton_ik(
+    chain: Chain,
+    target: Float[Array, "4 4"],
+    q: Float[Array, " n"],
+    damping: float = 0.0,
+    task: Task = POSE,
+    tolerance: float = 1e-9,
+    iterations: int = 100,
+) -> Root:
+    """Newton-Raphson on position level from `q`, or damped least squares where `damping` > 0. Traced; no limits.
+
+    Source: Schuetz 2017, sec. 4.1; Wampler 1986.
+    """
+    missed, start = residual(chain, target, task), as_configuration(chain, q)
+    if damping > 0.0:
+        return damped_least_squares(missed, start, damping, tolerance, iterations)
+    return newton_raphson(missed, start, tolerance, iterations)
+
+
+class Searched(NamedTuple):
+    """The best of a global search: q (n,), its objective, and how many configurations were looked at."""
+
+    q: np.ndarray
+    objective: float
+    evaluations: int
+
+
+def global_search(
+    chain: Chain,
+    target: Float[Array, "4 4"],
+    scene: Scene | None = None,
+    boxes: tuple[np.ndarray, np.ndarray] | None = None,
+    task: Task = POSE,
+    seed: int = 0,
+    generations: int = 1000,
+    population: int = 15,
+) -> Searched:
+    """Differential evolution inside the limits over `J = |p - p*|^2 + |rotation|^2 + J_dist + 100 C`.
+
+    `J_dist` is the proximity to `scene` [Van Henten et al. 2010, (6)], C the number of axis-parallel `boxes` (lower and upper
+    corners (b, 3) in the world [m]) that hold a point of the cylindrical links [IJE 2022, (7)]. It stands for the papers'
+    genetic algorithm; by scipy, evaluated a generation at a time.
+    """
+    from scipy.optimize import differential_evolution
+
+    missed = residual(chain, target, task)
+
+    def objective(q: Any) -> Any:
+        total = jnp.sum(missed(q) ** 2)
+        if scene is not None:
+            total += proximity_penalty(clearance(chain, scene, q))
+        if boxes is not None:
+            total += box_penalty(link_circles(chain, q), *boxes)
+        return total
+
+    each, looked = HostKernel(objective, 1), 0
+
+    def evaluate(columns: np.ndarray) -> np.ndarray:
+        nonlocal looked
+        looked += columns.shape[1]
+        return in_blocks(each, columns.T, double=True)[0]
+
+    found = differential_evolution(
+        evaluate,
+        np.stack(finite_limits(chain), axis=1),
+        rng=np.random.default_rng(seed),
+        maxiter=generations,
+        popsize=population,
+        vectorized=True,
+        updating="deferred",
+        polish=False,
+        tol=0.0,
+        atol=0.0,
+    )
+    return Searched(found.x, float(found.fun), looked)

@@ -1,0 +1,75 @@
+"""Gradients through a solved inverse kinematics."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+from jax import lax
+from jaxtyping import Float
+
+from jaxik.collision.clearances import link_clearances
+from jaxik.collision.scene import Scene
+from jaxik.costs import Cost
+from jaxik.ik.baselines import residual
+from jaxik.optimise.implicit import Implicit, Program, implicit
+from jaxik.robot.chain import Array, Chain, as_configuration, as_shaped
+from jaxik.robot.task import POSE, Task
+from jaxik.spmd import kernel
+
+
+def implicit_ik(
+    chain: Chain,
+    target: Float[Array, "4 4"],
+    q: Float[Array, " n"],
+    scene: Scene | None = None,
+    cost: Cost | None = None,
+    task: Task = POSE,
+    margin: float = 0.0,
+) -> Implicit:
+    """A solution `q` (n,) as a differentiable function of the target, the chain's numbers and the scene.
+
+    `x` is q; its derivative is that of the solution that moves on with them: `q` minimises `cost` over what the task leaves
+    free, or, without one, moves as little as possible, `dq = -J+ dr`. Joints on their limits and links at `margin` [m] from the
+    scene stay there. `defined` is False where there is no derivative: at a singularity, where `q` is no (or no isolated)
+    solution, where a limit or an obstacle is touched without being pushed against, or where a capsule or triangle of the robot
+    leans on anything but points and spheres. Use float64. Traced: jit, vmap and differentiate it.
+
+    Raises `ValueError` for a target, q or margin of another shape. Source: Fiacco 1976, through `optimise.implicit`.
+    """
+    q = as_configuration(chain, q)
+    as_shaped("target", target, (4, 4))
+    as_shaped("margin", margin, ())
+    dtype = q.dtype
+
+    # what is traced may be differentiated; the rest stays concrete and folds, which spares half the compile time
+    leaves, tree = jax.tree_util.tree_flatten((chain, target, scene, lax.stop_gradient(q)))
+    traced = [i for i, leaf in enumerate(leaves) if isinstance(leaf, jax.core.Tracer)]
+
+    def whole(t: Any) -> Any:
+        given = dict(zip(traced, t, strict=True))
+        return jax.tree_util.tree_unflatten(tree, [given.get(i, leaf) for i, leaf in enumerate(leaves)])
+
+    equality = kernel(lambda x, t: residual(whole(t)[0], whole(t)[1], task)(x))
+    least = kernel(lambda x, t: 0.5 * jnp.sum((x - whole(t)[3]) ** 2) if cost is None else cost(x))
+
+    def inequality(x: Any, t: Any) -> Any:
+        its_chain, _, its_scene, _ = whole(t)
+        return jnp.zeros(0, dtype) if scene is None else link_clearances(its_chain, its_scene, x) - margin  # a kernel
+
+    exact = scene is None or _curved_rightly(chain, scene)
+    bounds = (jnp.asarray(b, dtype) for b in (chain.lower, chain.upper))
+    found = implicit(Program(least, equality, inequality), q, [leaves[i] for i in traced], *bounds)
+    if exact:
+        return found
+    away = lax.stop_gradient(inequality(q, [leaves[i] for i in traced]))
+    return found._replace(defined=found.defined & jnp.all(away > 1e-4))
+
+
+def _curved_rightly(chain: Chain, scene: Scene) -> bool:
+    """Whether second derivatives of all distances are known: where two lines, or a line and a body, are nearest is held fixed
+    while they are differentiated (`distance`), which is exact for the first derivative only."""
+    spheres_only = all(volume.corners.shape[0] == 1 for volume in chain.volumes)
+    only_points = not any(scene.counts[kind] for kind in ("capsules", "boxes", "cylinders")) and not chain.self_pairs
+    return spheres_only or (only_points and all(volume.corners.shape[0] <= 2 for volume in chain.volumes))

@@ -1,0 +1,210 @@
+"""The programs of inverse kinematics: each takes one start and one target, and runs a fixed number of SQP steps.
+
+They join the robot (`kinematics`, `collision`, `task`) to the solver (`optimise.sqp`), which knows none. Lengths are measured
+in a third of the chain's reach, so that damping and step bounds mean the same for a finger and for a crane. One program serves
+all limits, targets, weights and scenes of a chain: they are its arguments.
+"""
+
+from __future__ import annotations
+
+import functools
+from collections.abc import Callable, Sequence
+from typing import Any, NamedTuple
+
+import jax
+import jax.numpy as jnp
+from jaxtyping import Float
+
+from jaxik.checks.options import as_count
+from jaxik.collision.clearances import clearance, link_contacts
+from jaxik.costs import Cost, collision_cost
+from jaxik.optimise import sqp
+from jaxik.optimise.qp import NONE, Rows
+from jaxik.robot.chain import Array, Chain, as_configuration
+from jaxik.robot.kinematics import jacobian_columns, joint_frames
+from jaxik.robot.reach_bound import reach
+from jaxik.robot.task import POSE, Task
+from jaxik.spatial.algebra import Frame, Scalar, add, mul, safe_sqrt, stack
+from jaxik.spmd import HostKernel, kernel
+
+
+class Landed(NamedTuple):
+    """Where a lane ended: q (n,), and the errors of its tip [m], [rad]."""
+
+    q: Any
+    position_error: Any
+    rotation_error: Any
+
+
+class Settled(NamedTuple):
+    """Where a lane of a search came to rest, after how many steps."""
+
+    q: Any
+    position_error: Any
+    rotation_error: Any
+    iterations: Any
+
+
+class Extras(NamedTuple):
+    """What a lane minds beside its target: user's cost, and obstacles as a constraint or a penalty. Hashable: a program's
+    key."""
+
+    cost: Cost | None = None
+    collision: str = "none"  # constraint, penalty
+    activation: float = 0.05
+    penalty: float = 100.0
+
+
+NOTHING = Extras()
+SEARCH = sqp.Options()
+
+
+def unit_length(chain: Chain) -> float:
+    """The length [m] that counts as much as a radian."""
+    return reach(chain, False).length / 3.0
+
+
+def descend(
+    chain: Chain,
+    target: Float[Array, "4 4"],
+    q: Float[Array, " n"],
+    task: Task = POSE,
+    iterations: int = 20,
+    options: sqp.Options = SEARCH,
+) -> Landed:
+    """`iterations` SQP steps from the seed q (n,) towards `base_T_tip = target` (4, 4) [m], inside the chain's limits. Traced.
+
+    One lane of what `solve_ik` makes of many seeds, for control loops and pipelines of one's own: `jit` and `vmap` it. Nothing
+    is judged but by the errors it returns: where they are not small, another seed is wanted. For the derivative of a
+    solution `implicit_ik` needs none of the steps. Raises `ValueError` for a q of another shape.
+    """
+    return _descend(chain, task, as_count("iterations", iterations), options, jnp.asarray(target), as_configuration(chain, q))
+
+
+@kernel(models=4)
+def _descend(chain: Chain, task: Task, iterations: int, options: sqp.Options, target: Any, q: Any) -> Landed:
+    low, high = jnp.asarray(chain.lower, q.dtype), jnp.asarray(chain.upper, q.dtype)
+    start, weights = jnp.clip(q, low, high), jnp.ones_like(q)
+    return _land(chain, task, iterations, options, NOTHING, start, target.astype(q.dtype), low, high, weights)
+
+
+@functools.lru_cache(maxsize=64)
+def landing(chain: Chain, task: Task, iterations: int, options: sqp.Options, extras: Extras = NOTHING) -> HostKernel:
+    """A batch of SQP runs: (q, pose, lower, upper, weights[, scene, margin]) -> `Landed`; q and pose by rows."""
+    return HostKernel(functools.partial(_land, chain, task, iterations, options, extras), 2)
+
+
+@functools.lru_cache(maxsize=64)
+def settling(chain: Chain, task: Task, options: sqp.Options) -> HostKernel:
+    """A batch of `sqp.settle`: (q, pose, aim, lower, upper, weights, most, creep) -> `Settled`; the first three by rows."""
+    return HostKernel(functools.partial(_settle, chain, task, options), 3)
+
+
+@functools.lru_cache(maxsize=64)
+def measure(function: Callable[..., Any], *known: Any) -> HostKernel:
+    """A batch of a function of configurations, behind what is `known`."""
+    return HostKernel(functools.partial(function, *known), 1)
+
+
+@functools.lru_cache(maxsize=64)
+def clearances(chain: Chain) -> HostKernel:
+    """A batch of `clearance`: (q, around)."""
+    return HostKernel(lambda q, scene: clearance(chain, scene, q), 1)
+
+
+@functools.lru_cache(maxsize=64)
+def slope(cost: Cost) -> HostKernel:
+    """A batch of a cost's gradients (n,)."""
+    return HostKernel(jax.grad(cost), 1)
+
+
+def _land(
+    chain: Chain,
+    task: Task,
+    iterations: int,
+    options: sqp.Options,
+    extras: Extras,
+    q: Any,
+    pose: Any,
+    low: Any,
+    high: Any,
+    weights: Any,
+    scene: Any = None,
+    margin: Any = None,
+) -> Landed:
+    problem = _problem(chain, task, extras, pose, weights, scene, margin, q.dtype)
+    return Landed(*_apart(chain, task, *sqp.run(problem, q, low, high, iterations, options)))
+
+
+def _settle(
+    chain: Chain,
+    task: Task,
+    options: sqp.Options,
+    q: Any,
+    pose: Any,
+    aim: Any,
+    low: Any,
+    high: Any,
+    weights: Any,
+    most: Any,
+    creep: Any,
+) -> Settled:
+    problem = _problem(chain, task, NOTHING, pose, weights, None, None, q.dtype)
+    found, apart, count = sqp.settle(problem, jnp.clip(q, low, high), low, high, most, aim, creep, options)
+    return Settled(*_apart(chain, task, found, apart), count)
+
+
+def _apart(chain: Chain, task: Task, found: Any, apart: Any) -> tuple[Any, Any, Any]:
+    """A configuration, and from its equations' values the errors [m], [rad]."""
+    places = len(task.positions)
+    length = lambda x: safe_sqrt(jnp.sum(x**2))
+    return found, length(apart[:places]) * unit_length(chain), length(apart[places:])
+
+
+def _problem(
+    chain: Chain, task: Task, extras: Extras, pose: Any, weights: Any, scene: Any, margin: Any, dtype: Any
+) -> sqp.Problem:
+    """The tip at `pose`, and what `extras` mind, as equations, cost and inequalities of the joints."""
+    n = chain.num_joints
+    scale = 1.0 / unit_length(chain)
+    metric = [
+        [weights[i] * (scale**2 if chain.is_prismatic[i] else 1.0) if i == j else 0.0 for j in range(n)] for i in range(n)
+    ]
+    target = Frame.of_entries([pose[i, j] for i in range(4) for j in range(4)])
+
+    def model(x: Sequence[Scalar]) -> sqp.Model:
+        frames = joint_frames(chain, x, dtype=dtype)
+        position, rotation = task.residual(frames.tip, target)
+        rows = task.rows(jacobian_columns(chain, frames), target)
+        scales = [scale] * len(position) + [1.0] * len(rotation)
+        value = [mul(s, v) for s, v in zip(scales, position + rotation, strict=True)]
+        equality = Rows(value, [[mul(s, v) for v in row] for s, row in zip(scales, rows, strict=True)])
+        cost, gradient, inequality = _beside(chain, extras, x, scene, margin, scale, dtype)
+        return sqp.Model(cost, gradient, equality, inequality)
+
+    return sqp.Problem(model, metric)
+
+
+def _beside(
+    chain: Chain, extras: Extras, x: Sequence[Scalar], scene: Any, margin: Any, scale: float, dtype: Any
+) -> tuple[Scalar, list[Scalar], Rows]:
+    """Cost, its gradient, and the inequalities."""
+    n = chain.num_joints
+    cost: Scalar = 0.0
+    gradient: list[Scalar] = [0.0] * n
+    inequality, q = NONE, stack(x, (n,), dtype)
+    if extras.cost is not None:
+        cost, slope = jax.value_and_grad(extras.cost)(q)
+        gradient = [slope[i] for i in range(n)]
+    if extras.collision != "none":
+        apart, slopes = link_contacts(chain, scene, q)
+        apart = jnp.minimum(apart, 1e3) - margin  # infinite for a link with nothing to hit
+    if extras.collision == "penalty":
+        penalty = lambda d: extras.penalty * jnp.sum(collision_cost(d, extras.activation))
+        more, rise = jax.value_and_grad(penalty)(apart)
+        cost, gradient = add(cost, more), [add(g, jnp.sum(rise * slope)) for g, slope in zip(gradient, slopes, strict=True)]
+    if extras.collision == "constraint":
+        apart, slopes = scale * apart, [scale * slope for slope in slopes]
+        count = range(len(apart))
+        inequality = Rows([apart[k] for k in count], [[slope[k] for slope in slopes] for k in count])
+    return cost, gradient, inequality

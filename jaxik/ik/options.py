@@ -1,0 +1,89 @@
+"""What `solve_ik` may be told."""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Mapping
+from typing import Any, Literal
+
+from jaxik.checks.options import as_count, check_choices, check_finite, check_kind, shown
+from jaxik.costs import Cost
+from jaxik.ik import seeds
+from jaxik.ik.lanes import SEARCH
+from jaxik.optimise import sqp
+from jaxik.robot.task import POSE, Task
+
+Choice = Literal["first", "closest", "clearance", "manipulability", "freedom", "comfort"]
+Collision = Literal["constraint", "penalty"]
+AVOID = sqp.Options(passes=3)
+IMPROVE = sqp.Options(hessian="bfgs", merit="augmented_lagrangian", floor=1e-10, passes=3)
+
+
+@dataclasses.dataclass(frozen=True)
+class IKOptions:
+    """How `solve_ik` searches, and what it takes for an answer.
+
+    task: which of the six components a target binds (`Task`).
+    position_tolerance [m], rotation_tolerance [rad]: largest errors of an answer; one number, or one a target.
+    margin: least clearance with a scene [m].
+    seeds: where searches start (`jaxik.seeds`); "auto" is the closed form where the chain has one, else the library.
+    max_seeds: seeds a target gets before it is given up.
+    choice: which answer is taken: that of the "first" seed that leads to one, or with a `cost` the cheapest; or of all that
+        `max_seeds` find the "closest" to `reference`, the one with the largest "clearance", "manipulability" or joint
+        "freedom", or the one nearest to the middle of the ranges ("comfort", or to `reference` where it is given).
+    reference: a configuration (n,) or one a target (N, n); needed by "closest" and by the seeds "near".
+        Of one posture's turns by 2 pi inside the limits an answer is the one nearest to the reference; without one, and for
+        "freedom", the nearest to the middle of the ranges (of a joint without limits: to 0); "first", "clearance" and
+        "manipulability" with a `cost`: the one that costs less, where a joint has both limits.
+    norm: in which "closest" measures, "l2" or "linf", joints multiplied by `weights`.
+    solutions: so many different answers a target are returned, best first; turns by 2 pi count as different.
+    distinct: answers nearer to each other than this in every joint are one [rad, m].
+    locked: joints (by name) that stay at a value [rad, m].
+    weights: (n,) how unwilling each joint is to move, 1 unless given.
+    collision: how a scene enters the search: "constraint", or "penalty" (the smooth one of Schuetz 2017, (4.31), summed over
+        the links, times `penalty`). Either way an answer keeps `margin`.
+    cost: a pure function of q (n,), made smaller within what the task leaves free, in `cost_iterations` steps from the
+        cheapest answers of `max_seeds` seeds. It needs a derivative there, and a warning says where it has none. A function
+        defined once is traced once; a lambda written anew in each call is traced again, and compiles nothing.
+    search, avoid, improve: the solver's options for the search, for clearance, and for the cost.
+    """
+
+    task: Task = POSE
+    position_tolerance: Any = 1e-6
+    rotation_tolerance: Any = 1e-6
+    margin: float = 0.0
+    seeds: str = "auto"
+    max_seeds: int = 128
+    choice: str = "first"
+    reference: Any = None
+    norm: str = "l2"
+    solutions: int = 1
+    distinct: float = 0.05
+    locked: Mapping[str, float] = dataclasses.field(default_factory=dict)
+    weights: Any = None
+    collision: str = "constraint"
+    activation: float = 0.05
+    penalty: float = 100.0
+    cost: Cost | None = None
+    cost_iterations: int = 40
+    search: sqp.Options = SEARCH
+    avoid: sqp.Options = AVOID
+    improve: sqp.Options = IMPROVE
+
+    def __post_init__(self) -> None:
+        check_choices(
+            "solve_ik",
+            seeds=(self.seeds, seeds.Strategy),
+            choice=(self.choice, Choice),
+            collision=(self.collision, Collision),
+            norm=(self.norm, Literal["l2", "linf"]),
+        )
+        for name in ("max_seeds", "solutions", "cost_iterations"):
+            object.__setattr__(self, name, as_count(f"solve_ik: {name}", getattr(self, name)))
+        check_finite("solve_ik", margin=self.margin)
+        check_finite("solve_ik", 0.0, distinct=self.distinct, activation=self.activation, penalty=self.penalty)
+        check_kind("solve_ik", "task", self.task, Task)
+        if not isinstance(self.locked, Mapping):
+            raise ValueError(f"solve_ik: locked is {shown(self.locked)}; write locked={{'joint': value}}")
+        if self.reference is None and (self.choice == "closest" or self.seeds == "near"):
+            raise ValueError("solve_ik: choice 'closest' and seeds 'near' need a reference; give reference=q")

@@ -1,0 +1,187 @@
+"""Where the searches of inverse kinematics start.
+
+A seed has a number. Which configuration number k is depends on the target and on the user's `seed`, never on the batch.
+
+library          the nearest to the target, by pose, of 1024 (later 512) configurations whose poses were computed once;
+                 number k searches the k-th such set. A search from there succeeds about twice as often as from a random
+                 configuration, and sooner.
+uniform          independent and uniform inside the limits
+low_discrepancy  a Halton sequence inside the limits [Halton 1960], scrambled by `seed`
+near             the reference, then uniform around it in ever wider boxes
+closed_form      the branches of the closed form for one position of the leading joints after the other
+"""
+
+from __future__ import annotations
+
+import functools
+from typing import Any, Literal, NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from jaxik.robot.chain import Chain, read_only
+from jaxik.robot.kinematics import joint_frames
+from jaxik.robot.spherical_wrist import BRANCHES, closed_form, closed_forms
+from jaxik.robot.task import Task
+from jaxik.spmd import HostKernel
+from jaxik.spmd.batch import in_blocks
+
+Strategy = Literal["auto", "library", "uniform", "low_discrepancy", "near", "closed_form"]
+FIRST, LATER = 1024, 512  # configurations of the first set, which every target asks, and of those after it
+SETS = 8  # sets; later numbers are uniform
+STREAM = 0x6A6178  # so that no user's own default_rng(seed) draws the same numbers: a test's targets would be in the library
+
+
+class Range(NamedTuple):
+    """Finite bounds to sample between, (n,) each; a tuple of floats, so that it may be a cache's key."""
+
+    low: tuple[float, ...]
+    high: tuple[float, ...]
+
+    def between(self, share: np.ndarray) -> np.ndarray:
+        """The configurations at `share` (..., n) in [0, 1] of the range."""
+        low, high = np.array(self.low), np.array(self.high)
+        return low + share * (high - low)
+
+
+@functools.lru_cache(maxsize=256)
+def uniform(inside: Range, seed: int, number: int, count: int = 1) -> np.ndarray:
+    """(count, n) configurations."""
+    return read_only(inside.between(np.random.default_rng((STREAM, seed, number)).random((count, len(inside.low)))))
+
+
+@functools.lru_cache(maxsize=64)
+def low_discrepancy(inside: Range, seed: int, count: int) -> np.ndarray:
+    """The first `count` points of the sequence, (count, n)."""
+    from scipy.stats import qmc
+
+    return read_only(inside.between(qmc.Halton(len(inside.low), seed=np.random.default_rng((STREAM, seed))).random(count)))
+
+
+@functools.lru_cache(maxsize=64)
+def uniforms(inside: Range, seed: int, first: int, last: int) -> np.ndarray:
+    """Numbers `first` to `last` (not counted), (last - first, n)."""
+    return read_only(np.concatenate([uniform(inside, seed, number) for number in range(first, last)]))
+
+
+def near(inside: Range, seed: int, first: int, last: int, reference: np.ndarray) -> np.ndarray:
+    """Numbers `first` to `last` around references (N, n), (N, last - first, n): number 0 is the reference itself; the box is a
+    tenth of the range at first and all of it from number 32 on."""
+    numbers = np.arange(first, last)
+    width = np.where(numbers == 0, 0.0, np.minimum(1.0, 0.1 * 10.0 ** (numbers / 32.0)))
+    low, high = np.array(inside.low), np.array(inside.high)
+    away = uniforms(inside, seed, first, last) - (low + high) / 2.0
+    return np.clip(reference[:, None] + width[:, None] * away, low, high)
+
+
+# --------------------------------------------------------------------------------------------------------------------
+# The library
+
+
+def _features(task: Task, poses: np.ndarray, length: float) -> np.ndarray:
+    """What of a pose (N, 4, 4) the task binds, so that squared distances are `|dp|^2 / length^2 + angle^2` for small angles."""
+    parts = [poses[:, list(task.positions), 3] / length] if len(task.positions) == 3 or task.axes == "base" else []
+    rotation = poses[:, :3, :3]
+    if len(task.rotations) == 3:
+        parts.append(rotation.reshape(-1, 9) / np.sqrt(2.0))
+    elif len(task.rotations) == 2:  # the direction that is bound: of the tool's axis, or of the base's as the tool sees it
+        (free,) = {0, 1, 2} - set(task.rotations)
+        parts.append(rotation[:, :, free] if task.axes == "tool" else rotation[:, free])
+    return np.concatenate(parts, axis=1).astype(np.float32) if parts else np.zeros((len(poses), 1), np.float32)
+
+
+class _Set(NamedTuple):
+    """Configurations (m, n), and for `f` their features the table (f, -|f|^2/2): its product with (g, 1) is largest where
+    |f - g| is least."""
+
+    q: np.ndarray
+    table: np.ndarray
+
+
+@functools.lru_cache(maxsize=64)
+def _set(chain: Chain, task: Task, inside: Range, length: float, number: int) -> _Set:
+    size = LATER if number else FIRST
+    q = uniform(inside, 0, number, size)  # the user's seed does not change it: it is built once a chain
+    tip = joint_frames(chain, list(q.T)).tip
+    poses = np.stack([np.broadcast_to(e, (size,)) for e in tip.entries], axis=-1).reshape(-1, 4, 4)
+    features = _features(task, poses, length)
+    return read_only(_Set(q.astype(np.float32), np.column_stack([features, -0.5 * np.sum(features**2, axis=1)])))
+
+
+@functools.lru_cache(maxsize=64)
+def _sets(chain: Chain, task: Task, inside: Range, length: float, first: int, last: int) -> list[_Set]:
+    return [_set(chain, task, inside, length, number) for number in range(first, last)]
+
+
+def library(
+    chain: Chain, task: Task, inside: Range, length: float, seed: int, first: int, last: int, poses: np.ndarray
+) -> np.ndarray:
+    """Numbers `first` to `last` for poses (N, 4, 4), (N, last - first, n)."""
+    at = np.empty((len(poses), last - first, chain.num_joints), np.float32)
+    sets = _sets(chain, task, inside, length, first, min(last, SETS))
+    if sets:
+        tables = [each.table for each in sets]
+        found = in_blocks(NEAREST, _features(task, poses, length), fixed=(tables,), double=False)
+        for k, rows in enumerate(found):
+            at[:, k] = sets[k].q[rows]
+    if last > SETS:
+        at[:, len(sets) :] = uniforms(inside, seed, max(SETS, first), last)
+    return at
+
+
+def _first_largest(wanted: Any, tables: list[Any]) -> list[Any]:
+    """Of each table (m, f + 1) the row whose product with (wanted, 1) is largest; of equal ones the first."""
+
+    def turn(best: Any, row: Any) -> Any:
+        k, entries = row
+        value = entries[:-1] @ wanted + entries[-1]
+        better = value > best[0]
+        return (jnp.where(better, value, best[0]), jnp.where(better, k, best[1])), None
+
+    start = jnp.asarray(-jnp.inf, wanted.dtype), jnp.int32(0)
+    rows = lambda table: (jnp.arange(len(table), dtype=jnp.int32), table)
+    return [jax.lax.scan(turn, start, rows(table), unroll=4)[0][1] for table in tables]
+
+
+NEAREST = HostKernel(_first_largest, 1)
+
+
+# --------------------------------------------------------------------------------------------------------------------
+# The closed form
+
+
+def branches(chain: Chain, inside: Range, seed: int, first: int, last: int, poses: np.ndarray) -> np.ndarray:
+    """Numbers `first` to `last` of the closed form's branches for poses (N, 4, 4), (N, last - first, n). With leading joints
+    number k is the best branch at the k-th position of a low-discrepancy sequence; without, the k-th best of the eight. Best is
+    what leaves the limits least; where there is none, the start is a uniform one."""
+    numbers = np.tile(np.arange(first, last), len(poses))
+    lead = np.zeros((len(numbers), 0))
+    if chain.num_joints > 6:
+        lead = low_discrepancy(Range(inside.low[:-6], inside.high[:-6]), seed, 2 ** int(last - 1).bit_length())[numbers]
+    instead = uniforms(inside, seed, first, last)[numbers - first]
+    rows = np.repeat(poses, last - first, axis=0), lead, numbers.astype(np.int32), instead
+    fixed = np.array(inside.low), np.array(inside.high)
+    (at,) = in_blocks(_branch(chain), *rows, fixed=fixed, double=False)
+    return at.reshape(len(poses), last - first, -1)
+
+
+@functools.lru_cache(maxsize=64)
+def _branch(chain: Chain) -> HostKernel:
+    def chosen(pose: Any, lead: Any, number: Any, instead: Any, low: Any, high: Any) -> Any:
+        q, valid, _ = closed_form(chain, pose, lead)
+        past = jnp.maximum(jnp.max(jnp.maximum(low - q, q - high), axis=1), 0.0)
+        past = jnp.where(valid, past, jnp.inf)
+        k = jnp.arange(BRANCHES)
+        rank = 0 if lead.size else number
+        place = jnp.sum((past[None] < past[:, None]) | ((past[None] == past[:, None]) & (k[None] < k[:, None])), axis=1)
+        mine = (place == rank) & valid
+        return jnp.where(jnp.any(mine), jnp.sum(jnp.where(mine[:, None], q, 0.0), axis=0), instead)
+
+    return HostKernel(chosen, 4)
+
+
+def any_branch(chain: Chain, poses: np.ndarray) -> np.ndarray:
+    """Whether six joints with a closed form have poses (N, 4, 4) at all, limits aside."""
+    _, valid, _ = in_blocks(closed_forms(chain), poses, np.zeros((len(poses), 0)), double=True)
+    return np.any(valid, axis=1)

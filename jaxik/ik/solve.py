@@ -1,0 +1,266 @@
+"""Inverse kinematics of any chain for any number of targets: a configuration for each, or the reason why there is none.
+
+Several tips at once are out of scope.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import sys
+from collections.abc import Callable, Iterator
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from jaxik.checks.arrays import RIGID, numbers
+from jaxik.collision.clearances import check_geometry
+from jaxik.collision.contacts import explain
+from jaxik.collision.hierarchy import Grouped
+from jaxik.collision.scene import Scene
+from jaxik.costs import comfort_cost, joint_freedom
+from jaxik.ik import lanes
+from jaxik.ik.job import Job
+from jaxik.ik.options import IKOptions
+from jaxik.ik.search import Found, Outcome, costs, search, unwound
+from jaxik.reasons import Reason
+from jaxik.robot.chain import Chain
+from jaxik.robot.kinematics import manipulability
+from jaxik.robot.spherical_wrist import admissible_turns
+from jaxik.robot.task import Task
+from jaxik.spmd import HostKernel
+from jaxik.spmd.batch import in_blocks
+
+TARGETS = 16_384  # at a time, which bounds the memory
+DEFAULT = IKOptions()
+
+
+@dataclasses.dataclass(frozen=True)
+class IKResult:
+    """One entry a target; of a single target, the entries themselves. `len`, iteration and indices go by targets, a single one
+    being one row; it is true if it is solved, and what a batch's truth is must be asked of `success`.
+
+    q (n,) [rad, m] is the answer, or, where there is none, the nearest miss inside the limits (NaN for a target that is invalid
+    or proven out of reach: it is not searched for). position_error [m] and rotation_error [rad] belong to q, in float64;
+    clearance [m] too (NaN without a scene). seed is the number of the seed that led to q, iterations the SQP steps from there.
+    solutions (k, n) holds all different answers, best first, NaN where there are no more; num_solutions counts them.
+    """
+
+    q: Any
+    success: Any
+    reason: Any
+    position_error: Any
+    rotation_error: Any
+    clearance: Any
+    seed: Any
+    iterations: Any
+    solutions: Any
+    num_solutions: Any
+    solved_in: Any = dataclasses.field(default=None, repr=False)  # chain, scene, margin
+
+    @property
+    def offenders(self) -> tuple[Any, ...]:
+        """What stands in the way of a target that ended in COLLISION: its `Contact`s below the margin at q, nearest first;
+        () for another reason. Of a batch one such tuple a target. Looked up when asked, some 10 ms a colliding target."""
+        if np.ndim(self.reason):
+            return tuple(row.offenders for row in self)
+        if self.reason != Reason.COLLISION or self.solved_in is None:
+            return ()
+        chain, scene, margin = self.solved_in
+        found = explain(chain, scene, self.q, sys.maxsize, below=margin).contacts
+        return found or explain(chain, scene, self.q, 1).contacts  # rounding may put the nearest on the margin itself
+
+    def __len__(self) -> int:
+        """How many targets: 1 for a single one."""
+        return np.size(self.reason)
+
+    def __getitem__(self, rows: Any) -> IKResult:
+        """The entry of one target, or of those that a slice, mask or list picks. A single target's is number 0."""
+        if np.ndim(self.reason):
+            return _entries({k: v[rows] for k, v in self._columns().items()}, self.solved_in)
+        return _entries({k: np.asarray(v)[None] for k, v in self._columns().items()}, self.solved_in)[rows]
+
+    def _columns(self) -> dict[str, Any]:
+        return {k: v for k, v in vars(self).items() if k != "solved_in"}
+
+    def __iter__(self) -> Iterator[IKResult]:
+        return (self[i] for i in range(len(self)))
+
+    def __bool__(self) -> bool:
+        """Whether a single target is solved. Raises `ValueError` for a batch."""
+        if np.ndim(self.reason):
+            raise ValueError(f"the truth of {len(self)} targets is not one answer; ask success.all() or success.any()")
+        return bool(self.success)
+
+    def counts(self) -> dict[str, int]:
+        """How many targets ended for each reason, by its text."""
+        found, counts = np.unique(np.atleast_1d(self.reason), return_counts=True)
+        return {Reason(int(r)).text: int(c) for r, c in zip(found, counts, strict=True)}
+
+
+def solve_ik(
+    chain: Chain,
+    targets: Any,
+    scene: Scene | Grouped | None = None,
+    seed: int = 0,
+    options: IKOptions | None = None,
+    progress: Callable[[int], Any] | None = None,
+    **changes: Any,
+) -> IKResult:
+    """Configurations inside the limits whose tip has the target poses, `base_T_tip` (4, 4) or (N, 4, 4) [m]; or reasons.
+
+    A task that binds no rotation takes positions too, (3,) or (N, 3). `changes` are fields of `IKOptions` by name. `progress`
+    is called with the number of targets done. Deterministic: `seed` decides, and a target's result does not depend on the
+    others.
+
+    Reasons: SOLVED; OUT_OF_REACH, proven by the chain's reach bound or its closed form; LIMITS, found only beyond them;
+    COLLISION, found, but every one collides; NOT_CONVERGED; INVALID, the target is no pose.
+
+    Raises `ValueError` for arguments of a wrong shape, name or range.
+    """
+    options = options or DEFAULT
+    if changes:
+        options = dataclasses.replace(options, **_known(changes))
+    poses, valid, single = as_poses(targets, options.task)
+    if scene is None and options.choice == "clearance":
+        raise ValueError("solve_ik: choice 'clearance' needs a scene; for the robot alone give jaxik.make_scene()")
+    if scene is not None:
+        check_geometry(chain)
+    job = Job.of(chain, scene, seed, options, len(poses))
+    parts = []
+    for start in range(0, max(1, len(poses)), TARGETS):
+        rows = slice(start, start + TARGETS)
+        part = job.part(rows)
+        parts.append(_columns(part, search(part, poses[rows], valid[rows])))
+        if progress:
+            progress(min(start + TARGETS, len(poses)))
+    joined = parts[0] if len(parts) == 1 else {k: np.concatenate([p[k] for p in parts]) for k in parts[0]}
+    result = IKResult(**joined, solved_in=None if scene is None else (chain, scene, options.margin))
+    return result[0] if single else result
+
+
+def _entries(columns: dict[str, Any], solved_in: Any) -> IKResult:
+    """A result of these columns, whose reason is a `Reason` where they are one target's."""
+    reason = columns["reason"]
+    return IKResult(**columns | {"reason": reason if np.ndim(reason) else Reason(int(reason))}, solved_in=solved_in)
+
+
+def _known(changes: dict[str, Any]) -> dict[str, Any]:
+    names = [f.name for f in dataclasses.fields(IKOptions)]
+    for name in changes:
+        if name not in names:
+            raise ValueError(f"solve_ik: unknown option '{name}'; allowed: {', '.join(names)}")
+    return changes
+
+
+def as_poses(targets: Any, task: Task) -> tuple[np.ndarray, np.ndarray, bool]:
+    """Target poses (N, 4, 4) with their rotations made orthonormal, which of them are poses, and whether it is a single one."""
+    if isinstance(targets, jax.core.Tracer):
+        mend = "jit or vmap jaxik.descend, or differentiate an answer by jaxik.implicit_ik"
+        raise ValueError(f"solve_ik: targets are traced, and it is a driver on the host; {mend}")
+    given = numbers("targets", targets)
+    positions = not task.rotations and given.ndim in (1, 2) and given.shape[-1] == 3
+    if positions:
+        poses = np.tile(np.eye(4), (*given.shape[:-1], 1, 1))
+        poses[..., :3, 3] = given
+    else:
+        poses = given
+    if poses.ndim not in (2, 3) or poses.shape[-2:] != (4, 4):
+        also = " or positions (3,), (N, 3)" if not task.rotations else ""
+        raise ValueError(f"targets have shape {given.shape}; allowed: poses (4, 4) or (N, 4, 4){also}")
+    cleaned, valid = in_blocks(RIGID_POSE, poses.reshape(-1, 4, 4), double=True)
+    return cleaned, valid, poses.ndim == 2
+
+
+def _rigid_pose(pose: Any) -> tuple[Any, Any]:
+    """A pose (4, 4) with its rotation made orthonormal, and whether it was one (as `given.is_rigid`); else the identity."""
+    rotation, last = pose[:3, :3], jnp.array([0.0, 0.0, 0.0, 1.0])
+    off = jnp.max(jnp.abs(rotation.T @ rotation - jnp.eye(3)))
+    right_handed = jnp.dot(jnp.cross(rotation[0], rotation[1]), rotation[2]) > 0.0
+    valid = jnp.all(jnp.isfinite(pose)) & (off <= RIGID) & jnp.all(jnp.abs(pose[3] - last) <= RIGID) & right_handed
+    for _ in range(2):  # towards the nearest rotation, quadratically [Higham 1986]
+        rotation = rotation @ (1.5 * jnp.eye(3) - 0.5 * rotation.T @ rotation)
+    pose = jnp.concatenate([jnp.concatenate([rotation, pose[:3, 3:]], axis=1), last[None]])
+    return jnp.where(valid, pose, jnp.eye(4)), valid
+
+
+RIGID_POSE = HostKernel(_rigid_pose, 1)
+
+
+# --------------------------------------------------------------------------------------------------------------------
+# Which answer
+
+
+def _best(found: Found, score: np.ndarray) -> Found:
+    """The row with the largest score of each target; of equal ones that with the lowest seed."""
+    if not len(found.q):
+        return found
+    order = np.lexsort((found.seed, -score, found.target))
+    return found.rows(order[np.diff(found.target[order], prepend=-1) != 0])
+
+
+def _score(job: Job, found: Found) -> np.ndarray:
+    """How good answers are by the user's choice; more is better."""
+    choice, chain, reference = job.options.choice, job.chain, job.reference
+    if choice == "first":
+        return -found.seed.astype(float) if job.options.cost is None else -costs(job, found.q)
+    if choice == "clearance":
+        return np.nan_to_num(found.clearance)
+    if choice == "closest" or (choice == "comfort" and reference is not None):
+        assert reference is not None
+        away = np.abs(found.q - reference[found.target]) * job.weights
+        return -(away.max(axis=1) if job.options.norm == "linf" else np.sqrt(np.sum(away**2, axis=1)))
+    measure = {"manipulability": manipulability, "freedom": joint_freedom, "comfort": comfort_cost}[choice]
+    value = in_blocks(lanes.measure(measure, chain), found.q, double=True)[0]
+    return -value if choice == "comfort" else value
+
+
+def _columns(job: Job, outcome: Outcome) -> dict[str, np.ndarray]:
+    """The result's columns: of each target the best answer, else the freest of those that collide, else the nearest miss."""
+    reason, found, stuck = outcome.reason, outcome.found, outcome.stuck
+    count, n, k = len(reason), job.chain.num_joints, job.options.solutions
+    columns: dict[str, np.ndarray] = {
+        "q": np.full((count, n), np.nan),
+        **{name: np.full(count, np.nan) for name in ("position_error", "rotation_error", "clearance")},
+        "seed": np.full(count, -1),
+        "iterations": np.zeros(count, int),
+        "solutions": np.full((count, k, n), np.nan),
+        "num_solutions": np.zeros(count, int),
+        "success": reason == Reason.SOLVED,
+        "reason": reason,
+    }
+    if k > 1:
+        found = _with_turns(job, found)
+    score = _score(job, found)
+    best = _best(found, score)
+    for part in (outcome.missed, _best(stuck, stuck.clearance), best):
+        if len(part.q):
+            for name in ("q", "position_error", "rotation_error", "clearance", "seed", "iterations"):
+                columns[name][part.target] = getattr(part, name)
+    if k == 1:
+        columns["solutions"][best.target, 0], columns["num_solutions"][best.target] = best.q, 1
+    else:
+        _fill_distinct(job, found.rows(np.lexsort((found.seed, -score))), columns)
+    return columns
+
+
+def _fill_distinct(job: Job, ranked: Found, columns: dict[str, np.ndarray]) -> None:
+    """Up to k answers of each target that differ, from the best on."""
+    for target, q in zip(ranked.target, ranked.q, strict=True):
+        have = columns["num_solutions"][target]
+        known = columns["solutions"][target, :have]
+        if have < job.options.solutions and np.all(np.abs(unwound(job.chain, known - q)).max(axis=1) > job.options.distinct):
+            columns["solutions"][target, have] = q
+            columns["num_solutions"][target] += 1
+
+
+def _with_turns(job: Job, found: Found) -> Found:
+    """Answers with every turn of their joints by 2 pi that stays inside the problem's limits, of each the best turn first."""
+    if not job.turnable.any() or not len(found.q):
+        return found
+    turned = [admissible_turns(job.chain, q, job.low, job.high) for q in found.q]
+    row = np.repeat(np.arange(len(found.q)), [len(t) for t in turned])
+    again = found.rows(row)._replace(q=np.concatenate(turned))
+    price = costs(job, again.q) if job.cost_turns else np.abs(again.q - job.home(again.target)).sum(axis=1)
+    return again.rows(np.lexsort((price, row)))

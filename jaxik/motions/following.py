@@ -1,0 +1,219 @@
+"""A whole motion along a path with redundancy resolved moment by moment, inside the joints' limits, and what became of it.
+
+Where the joints' limits are kept, each rate lies between bounds that follow from all of them:
+
+    |qdot| <= v,   |qdot - qdot_before| <= a dt,   -sqrt(2 a (q - lower)) <= qdot <= sqrt(2 a (upper - q)),   q + dt qdot inside
+
+(the third lets a joint stop before its limit), or each acceleration between those that do the same. Nothing stops a motion
+that goes wrong while it is computed; it is judged afterwards, sample by sample, and from the first one that fails the arm
+stands still: what was before stays as it was.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import functools
+from collections.abc import Callable, Sequence
+from typing import Any, Literal, NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from jaxik.checks.arrays import numbers, positive
+from jaxik.checks.options import batch_axes, check_choices, check_each, check_finite, check_kind, shown
+from jaxik.costs import Cost
+from jaxik.motions.outcome import Course, judge
+from jaxik.motions.path import Motion, Path, check_path, motion
+from jaxik.motions.redundancy import FLOOR, Box, Resolved, asc, loop_gain, rac, settles
+from jaxik.optimise import ocp
+from jaxik.reasons import Reason
+from jaxik.robot.chain import Chain
+from jaxik.robot.task import POSE, Task
+from jaxik.spmd import kernel
+
+Scheme = Literal["rmrc", "asc", "rac"]
+Each = Literal["path", "duration"]
+
+
+@dataclasses.dataclass(frozen=True)
+class Follow:
+    """How a path is followed: the `scheme`; the sample time `dt` [s]; the `integrator` of rates (rac integrates accelerations
+    by half their square); the `task`; `alpha` of the cost's gradient and `damping` [1/s] of null-space velocity (rac); `gain`
+    [1/s] of the closed loop, by default 1/dt, which takes a sample's error back in the next (rac: 0.5/dt, critically damped).
+
+    `limits` keeps the chain's joint limits and velocity limits, and `acceleration` [rad/s2, m/s2], one number or one a joint,
+    is kept, too. A motion fails where the tip is further from its path than `tolerance` [m, rad] in any bound component.
+    """
+
+    scheme: str = "rmrc"
+    dt: float = 0.001
+    integrator: str = "runge_kutta"
+    task: Task = POSE
+    alpha: float = 1.0
+    damping: float = 1.0
+    gain: float | None = None
+    weights: tuple[float, ...] | None = None
+    limits: bool = True
+    acceleration: float | tuple[float, ...] | None = None
+    tolerance: float = 0.01
+    floor: float = FLOOR
+
+    def __post_init__(self) -> None:
+        check_choices("follow", scheme=(self.scheme, Scheme), integrator=(self.integrator, ocp.Integrator))
+        check_kind("follow", "task", self.task, Task)
+        check_finite("follow", dt=self.dt, tolerance=self.tolerance, gain=0.0 if self.gain is None else self.gain)
+        check_finite("follow", 0.0, alpha=self.alpha, damping=self.damping, floor=self.floor)
+        if not isinstance(self.limits, bool | np.bool_):
+            raise ValueError(f"follow: limits is {shown(self.limits)}; allowed: True, False")
+        object.__setattr__(self, "weights", positive("follow: weights", self.weights))  # hashable: a program is made for them
+        object.__setattr__(self, "acceleration", positive("follow: acceleration [rad/s2, m/s2]", self.acceleration, True))
+        if not (self.dt > 0.0 and self.tolerance > 0.0 and settles(self.gain, self.dt)):
+            raise ValueError(
+                f"follow: dt {self.dt}, tolerance {self.tolerance}, gain {self.gain}; allowed: dt > 0, tolerance > 0, "
+                "0 <= gain dt < 2"
+            )
+
+
+class Followed(NamedTuple):
+    """A motion: time (k,) [s], q and qdot (k, n), the tip's error (k, m) and the damping (k,) of each sample; the reason, and
+    the sample where it happened, k if it was solved. After that sample the arm stands still. Batches have a leading axis but
+    for time."""
+
+    time: Any
+    q: Any
+    qdot: Any
+    error: Any
+    damping: Any
+    reason: Any
+    sample: Any
+
+    @property
+    def success(self) -> Any:
+        return self.reason == Reason.SOLVED
+
+
+def follow(
+    chain: Chain,
+    path: Path,
+    duration: Any,
+    q: Any,
+    cost: Cost | None = None,
+    how: Follow = Follow(),
+    each: Sequence[str] = (),
+) -> Followed:
+    """The motion from q (n,), at rest, along `path`, timed over `duration` [s]; `cost` is what the null space goes down.
+
+    With q (b, n) it is b motions in one call; `each` names what else has one entry a motion ("path", "duration").
+    Raises `ValueError` for a q of another shape, what is no path, a duration that is not positive, weights or accelerations of
+    another length, or a name in `each` that is not known.
+    """
+    q = numbers("follow: q", q)
+    check_each("follow", each, Each)
+    check_path("follow", path, duration, q.shape[:1] if "duration" in each else ())
+    if q.ndim not in (1, 2) or q.shape[-1] != chain.num_joints or (each and q.ndim == 1):
+        raise ValueError(
+            f"follow: q has the shape {q.shape}; "
+            f"{chain.name} takes ({chain.num_joints},), or rows of it, as where `each` names something"
+        )
+    if isinstance(how.acceleration, tuple) and len(how.acceleration) != chain.num_joints:
+        raise ValueError(
+            f"follow: acceleration has {len(how.acceleration)} numbers; allowed: one, or one for each of the "
+            f"{chain.num_joints} joints of {chain.name}"
+        )
+    count = round(float(np.max(duration)) / how.dt) + 1
+    axes = None if q.ndim == 1 else (0, *batch_axes(each, Each))
+    found = _program(chain, cost, how, count, axes)(jnp.asarray(q), path, duration)
+    return Followed(how.dt * np.arange(count), *map(np.asarray, found))
+
+
+@functools.lru_cache(maxsize=32)
+def _program(
+    chain: Chain, cost: Cost | None, how: Follow, count: int, axes: tuple[int | None, ...] | None
+) -> Callable[..., tuple[Any, ...]]:
+    def run(q: Any, path: Path, duration: Any) -> tuple[Any, ...]:
+        times = how.dt * (jnp.arange(float(count))[:, None] + jnp.array([0.0, 0.5, 1.0]))
+        asked = motion(path, duration, times.reshape(-1))
+        stages = Motion(*(x.reshape(count, 3, *x.shape[1:]) for x in asked))
+        limits = _limits(chain, how, q.dtype)
+
+        def turn(state: tuple[Any, Any], stages: Motion) -> Any:
+            q, qdot = state
+            after, found, held = _moved(chain, cost, how, limits, q, qdot, stages)
+            return after, (q, (after[0] - q) / how.dt, found.error, found.damping, held)
+
+        _, (at, moving, error, damping, held) = kernel(lambda q, stages: jax.lax.scan(turn, (q, jnp.zeros_like(q)), stages))(
+            q, stages
+        )
+        course = Course(at, moving, error, damping, held, stages.pose[:, 0], stages.velocity[:, 0])
+        reason, sample = judge(chain, how.task, course, how.tolerance, how.limits)
+        return (*_standing(course, jnp.where(reason == Reason.STILL, count, sample)), reason, sample)
+
+    return jax.jit(run if axes is None else jax.vmap(run, in_axes=axes))
+
+
+def _limits(chain: Chain, how: Follow, dtype: Any) -> tuple[Any, ...]:
+    """Lower, upper, velocity and acceleration (n,), infinite where there is none."""
+    n = chain.num_joints
+    none = np.full(n, np.inf)
+    fastest = np.broadcast_to(np.inf if how.acceleration is None else np.asarray(how.acceleration), (n,))
+    lower, upper, velocity = (chain.lower, chain.upper, chain.velocity) if how.limits else (-none, none, none)
+    return tuple(jnp.asarray(x, dtype) for x in (lower, upper, velocity, fastest))
+
+
+def _moved(
+    chain: Chain, cost: Cost | None, how: Follow, limits: tuple[Any, ...], q: Any, qdot: Any, stages: Motion
+) -> tuple[Any, Resolved, Any]:
+    """The state a sample later; how it was resolved at its start; and whether a limit held a joint back."""
+    dt = how.dt
+    options: dict[str, Any] = {"task": how.task, "weights": how.weights, "floor": how.floor}
+    low, high = _rates(limits, q, qdot, dt)
+    boxed = how.limits or how.acceleration is not None
+    if how.scheme == "rac":
+        start = jax.tree_util.tree_map(lambda x: x[0], stages)
+        slow = loop_gain(how.gain, dt, 0.5)
+        box = Box((low - qdot) / dt, (high - qdot) / dt) if boxed else None
+        gains = (0.25 * slow**2, slow)
+        found = rac(chain, q, qdot, start, cost, how.alpha, how.damping, gains=gains, box=box, **options)
+        faster = qdot + dt * found.rate
+        return (q + 0.5 * dt * (qdot + faster), faster), found, _held(faster, low, high)
+    down = cost if how.scheme == "asc" else None
+    box = Box(low, high) if boxed else None
+
+    def field(q: Any, _: Any, asked: Motion) -> tuple[Any, Resolved]:
+        found = asc(chain, q, asked, down, how.alpha, gain=loop_gain(how.gain, dt), box=box, **options)
+        return found.rate, found
+
+    after, _, found = ocp.integrator(how.integrator, field, dt)(q, None, stages)
+    rate = (after - q) / dt
+    return (after, rate), found, _held(rate, low, high)
+
+
+def _held(rate: Any, low: Any, high: Any) -> Any:
+    near = 1e-6 * (1.0 + jnp.abs(rate))
+    return jnp.any((rate <= low + near) | (rate >= high - near))
+
+
+def _rates(limits: tuple[Any, ...], q: Any, qdot: Any, dt: float) -> tuple[Any, Any]:
+    """What the rates (n,) of the next sample must lie between."""
+    lower, upper, velocity, acceleration = limits
+    # at a limit nothing is left of the way, and any acceleration, an infinite one too, stops there: not inf times 0
+    stop = lambda way: jnp.where(way > 0.0, jnp.minimum(way / dt, jnp.sqrt(2.0 * acceleration * way)), 0.0)
+    low, high = jnp.maximum(-velocity, -stop(q - lower)), jnp.minimum(velocity, stop(upper - q))
+    # what the acceleration allows, as far as the others do
+    low_near, high_near = qdot - acceleration * dt, qdot + acceleration * dt
+    return jnp.minimum(jnp.maximum(low, low_near), high_near), jnp.maximum(jnp.minimum(high, high_near), low_near)
+
+
+def _standing(course: Course, k: Any) -> tuple[Any, Any, Any, Any]:
+    """q, qdot, error and damping of a motion that stops before sample k."""
+    index = jnp.arange(len(course.q))
+    last = jnp.maximum(k - 1, 0)
+    hold = lambda x: jnp.where((index < k)[:, None], x, x[last])
+    moving = index < jnp.where(k < len(index), last, k)
+    return (
+        hold(course.q),
+        jnp.where(moving[:, None], course.qdot, 0.0),
+        hold(course.error),
+        jnp.where(index < k, course.damping, 0.0),
+    )

@@ -1,0 +1,248 @@
+"""Where the tip is to be at each moment: lines, arcs and curves through via points, with velocity and acceleration.
+
+A path gives the tip's pose for s in [0, 1]; a quintic in time runs s from 0 to 1 and starts and ends at rest:
+
+    s(t) = 10 x^3 - 15 x^4 + 6 x^5,   x = t / duration                              [Schuetz 2017, (5.40), (5.41)]
+
+Before the start and after the end the tip stands still, so a horizon may outrun the end. Paths are pytrees of arrays: they may
+be traced, moved and batched. A path of positions has no rotation of its own; it keeps the one it is given.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any, NamedTuple
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Float
+
+from jaxik.checks.arrays import RIGID, direction, is_known, is_rigid, numbers, rigid_frame
+from jaxik.checks.options import shown
+from jaxik.robot.chain import Array, as_numbers
+from jaxik.robot.task import rotation_vector
+from jaxik.spatial.algebra import Rot3, traced
+from jaxik.spmd import kernel
+
+
+class Motion(NamedTuple):
+    """What is asked of the tip at a moment, in the base frame: `base_T_tip` (4, 4) [m], velocity and acceleration (6,), linear
+    then angular [m/s, rad/s; m/s2, rad/s2]."""
+
+    pose: Float[Array, "*t 4 4"]
+    velocity: Float[Array, "*t 6"]
+    acceleration: Float[Array, "*t 6"]
+
+
+class Line(eqx.Module):
+    """A straight line from `start` to `end` (4, 4), turning about one axis by the shorter way."""
+
+    start: Float[Array, "4 4"]
+    end: Float[Array, "4 4"]
+
+    def pose(self, s: Any) -> Any:
+        """Position (3,) and rotation (3, 3) at s."""
+        start, end = _fields("line", start=(self.start, (4, 4)), end=(self.end, (4, 4)))
+        turn = rotation_log(start[:3, :3].T @ end[:3, :3])
+        return start[:3, 3] + s * (end[:3, 3] - start[:3, 3]), start[:3, :3] @ rotation_exp(s * turn)
+
+
+class Arc(eqx.Module):
+    """From `start` (4, 4) by `angle` [rad] around the line through `centre` (3,) along `axis` (3,), as around a stem; the tool
+    turns along, so that it keeps facing the axis, or keeps its rotation (`turning=False`)."""
+
+    start: Float[Array, "4 4"]
+    centre: Float[Array, "3"]
+    axis: Float[Array, "3"]
+    angle: Float[Array, ""] | float
+    turning: bool = eqx.field(static=True, default=True)
+
+    def pose(self, s: Any) -> Any:
+        """Position (3,) and rotation (3, 3) at s."""
+        fields = {
+            "start": (self.start, (4, 4)),
+            "centre": (self.centre, (3,)),
+            "axis": (self.axis, (3,)),
+            "angle": (self.angle, ()),
+        }
+        start, centre, axis, angle = _fields("arc", **fields)
+        if is_known(self.axis):
+            axis = jnp.asarray(direction("arc: axis", self.axis), jnp.result_type(axis, float))
+        turn = rotation_exp(s * angle * axis / jnp.linalg.norm(axis))
+        rotation = turn @ start[:3, :3] if self.turning else start[:3, :3] + 0.0 * s
+        return centre + turn @ (start[:3, 3] - centre), rotation
+
+
+class Curve(eqx.Module):
+    """Through via points with continuous velocity and acceleration: a cubic spline of position and of the rotation vector from
+    the first pose. Made by `via`."""
+
+    knots: Float[Array, " k"]
+    coefficients: Float[Array, "k1 4 6"]
+    first: Float[Array, "3 3"]
+
+    def pose(self, s: Any) -> Any:
+        """Position (3,) and rotation (3, 3) at s."""
+        knots = jnp.asarray(self.knots)
+        i = jnp.clip(jnp.searchsorted(knots, s, side="right") - 1, 0, len(knots) - 2)
+        x, c = s - knots[i], jnp.asarray(self.coefficients)[i]
+        value = ((c[0] * x + c[1]) * x + c[2]) * x + c[3]
+        return value[:3], jnp.asarray(self.first) @ rotation_exp(value[3:])
+
+
+Path = Line | Arc | Curve
+
+
+def _fields(who: str, **fields: tuple[Any, tuple[int, ...]]) -> list[Any]:
+    """A path's arrays, `name=(value, shape)`, in that order; a traced frame that is not rigid as NaN, which has a reason."""
+    arrays = []
+    for name, (value, shape) in fields.items():
+        what = f"{who}: {name}"
+        array = as_numbers(what, value)
+        if array.shape != shape:
+            raise ValueError(f"{what} has the shape {array.shape}; allowed: {shape}, or rows of it where `each` names the path")
+        known = is_known(value)
+        if known and not np.isfinite(np.asarray(value, np.float64)).all():
+            raise ValueError(f"{what} holds NaN or infinity; write finite numbers")
+        if shape == (4, 4):
+            array = jnp.asarray(rigid_frame(what, value)) if known else jnp.where(_is_rigid(array), array, jnp.nan)
+        arrays.append(array)
+    return arrays
+
+
+def _is_rigid(frame: Any) -> Any:
+    """`given.is_rigid` of a traced frame (4, 4)."""
+    x, y, z = frame[:3, :3]
+    off = jnp.stack([x @ x - 1.0, y @ y - 1.0, x @ y, *(jnp.cross(x, y) - z), *(frame[3] - jnp.array([0.0, 0.0, 0.0, 1.0]))])
+    return jnp.max(jnp.abs(off)) <= RIGID
+
+
+def check_path(who: str, path: Path, duration: Any, rows: tuple[int, ...] = ()) -> None:
+    """Raises a `ValueError` of one line, `who` asking, for what is no path, and for a duration, or one for each of `rows`, of
+    another shape, or that is known and not positive."""
+    if not isinstance(path, Path):
+        raise ValueError(f"{who}: path is {shown(path)}; allowed: a Line, an Arc, what via(poses) makes")
+    for leaf in jax.tree_util.tree_leaves(path):
+        if not isinstance(leaf, jax.Array):  # text, of which a compiled program says three pages
+            numbers(f"{who}: path", leaf)
+    known = is_known(duration)
+    seconds = numbers(f"{who}: duration", duration) if known else jnp.asarray(duration)
+    if seconds.shape != rows or (known and not np.all((seconds > 0.0) & np.isfinite(seconds))):
+        each = f" each, of shape {rows}" if rows else ""
+        raise ValueError(f"{who}: duration {shown(duration)}; allowed: a positive number of seconds{each}")
+
+
+def via(poses: Any) -> Curve:
+    """The curve through poses (k, 4, 4) or positions (k, 3), k >= 2, reached at times in proportion to their distances.
+
+    Each pose may be turned by less than pi from the first, and so may what lies between two, by the shorter way. Raises
+    `ValueError` for one that is, for another shape, for what is no pose, and for equal neighbours.
+    """
+    from scipy.interpolate import CubicSpline
+
+    values, first = _via_values(poses)
+    away = np.linalg.norm(np.diff(values, axis=0), axis=1)
+    if not np.all(away > 0.0):
+        raise ValueError(f"via: points {int(np.argmin(away))} and {int(np.argmin(away)) + 1} are equal; leave one out")
+    knots = np.concatenate([[0.0], np.cumsum(away)]) / away.sum()
+    spline = CubicSpline(knots, values, bc_type="natural" if len(values) > 2 else "clamped")
+    return Curve(knots, np.moveaxis(spline.c, 0, 1), first)
+
+
+def _via_values(poses: Any) -> tuple[np.ndarray, np.ndarray]:
+    """Positions and rotation vectors from the first (k, 6), and the first rotation (3, 3)."""
+    from scipy.spatial.transform import Rotation
+
+    given = numbers("via: poses", poses)
+    if given.ndim == 2 and given.shape[1] == 3:
+        given = np.tile(np.eye(4), (len(given), 1, 1)) + np.pad(given[:, :, None], ((0, 0), (0, 1), (3, 0)))
+    if given.ndim != 3 or given.shape[1:] != (4, 4) or len(given) < 2:
+        raise ValueError(f"via: poses of shape {np.shape(poses)}; allowed: (k, 4, 4) or (k, 3) with k >= 2")
+    valid = is_rigid(given)
+    if not np.all(valid):
+        raise ValueError(
+            f"via: pose {int(np.argmin(valid))} is no pose; allowed: finite, an orthonormal rotation, last row 0 0 0 1"
+        )
+    rotations = Rotation.from_matrix(given[:, :3, :3])  # the nearest ones; where one holds infinity, LAPACK does not return
+    first = rotations[0].as_matrix()
+    turned = (rotations[0].inv() * rotations).as_rotvec()
+    # the same rotation by the other way round is nearer to the one before where the shorter way between them passes pi
+    angle = np.linalg.norm(turned, axis=1, keepdims=True)
+    other = turned - np.divide(2.0 * np.pi * turned, angle, out=np.zeros_like(turned), where=angle > 0.0)
+    before = np.concatenate([turned[:1], turned[:-1]])
+    gap = lambda x: np.linalg.norm(x - before, axis=1)
+    beyond = (angle[:, 0] > 0.0) & (gap(other) <= gap(turned) + 1e-9)
+    if np.any(beyond):
+        k = int(np.argmax(beyond))
+        raise ValueError(
+            f"via: pose {k} is turned by pi or more from the first; allowed: less; another path may take over before it"
+        )
+    return np.concatenate([given[:, :3, 3], turned], axis=1), first
+
+
+def motion(path: Path, duration: Any, t: Any) -> Motion:
+    """What `path` asks at time t [s], which may be an array. Traced; `duration` > 0 [s].
+
+    Raises `ValueError` for a duration that is known not to be, for a path whose arrays have other shapes, and for one whose
+    frames are known and not rigid, or whose axis is no direction; where they are traced, the motion is NaN.
+    """
+    check_path("motion", path, duration)
+    t = as_numbers("motion: t", t)
+    duration = float(duration) if isinstance(duration, int) else duration  # of any size
+    if is_known((path, duration, t)):
+        jax.eval_shape(path.pose, jax.ShapeDtypeStruct((), jnp.result_type(t, float)))  # raises for what is known to be wrong
+        return _compiled(path, duration, t)  # not operation by operation, each of which XLA would compile
+    return _each(_motion)(path, duration, t)
+
+
+def _each(function: Callable[..., Motion]) -> Callable[..., Motion]:
+    """For times of any shape."""
+
+    def run(path: Path, duration: Any, t: Any) -> Motion:
+        return jax.vmap(run, (None, None, 0))(path, duration, t) if t.ndim else function(path, duration, t)
+
+    return run
+
+
+def _motion(path: Path, duration: Any, t: Any) -> Motion:
+    x = jnp.clip(t / duration, 0.0, 1.0)
+    s = ((6.0 * x - 15.0) * x + 10.0) * x**3
+    rate = ((30.0 * x - 60.0) * x + 30.0) * x**2 / duration
+    rate_2 = ((120.0 * x - 180.0) * x + 60.0) * x / duration**2
+
+    def moving(s: Any) -> Any:
+        """Pose, and its derivatives by s as a twist."""
+        (position, rotation), (slope, turn) = jax.jvp(path.pose, (s,), (jnp.ones_like(s),))
+        return (position, rotation), jnp.concatenate([slope, _vector(turn @ rotation.T)])
+
+    ((position, rotation), first), (_, second) = jax.jvp(moving, (s,), (jnp.ones_like(s),))
+    pose = jnp.block([[rotation, position[:, None]], [jnp.zeros((1, 3)), jnp.ones((1, 1))]]).astype(position.dtype)
+    return Motion(pose, first * rate, second * rate**2 + first * rate_2)
+
+
+_compiled = jax.jit(_each(kernel(_motion)))
+
+
+def _vector(skew: Any) -> Any:
+    return 0.5 * jnp.stack([skew[2, 1] - skew[1, 2], skew[0, 2] - skew[2, 0], skew[1, 0] - skew[0, 1]])
+
+
+def rotation_log(rotation: Any) -> Any:
+    """The rotation vector (3,) of a rotation (3, 3) [rad]."""
+    return jnp.stack([jnp.asarray(x) for x in rotation_vector(Rot3.of(traced(rotation)))])
+
+
+def rotation_exp(vector: Any) -> Any:
+    """The rotation (3, 3) of a rotation vector (3,) [rad] (Rodrigues), with all derivatives at 0."""
+    x, y, z = vector
+    cross = jnp.array([[0.0, -1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, 0.0]]) * z
+    cross += jnp.array([[0.0, 0.0, 1.0], [0.0, 0.0, 0.0], [-1.0, 0.0, 0.0]]) * y
+    cross += jnp.array([[0.0, 0.0, 0.0], [0.0, 0.0, -1.0], [0.0, 1.0, 0.0]]) * x
+    square = x * x + y * y + z * z
+    small = square < 1e-6
+    angle = jnp.sqrt(jnp.where(small, 1.0, square))
+    sine = jnp.where(small, 1.0 - square / 6.0 + square**2 / 120.0, jnp.sin(angle) / angle)
+    versine = jnp.where(small, 0.5 - square / 24.0 + square**2 / 720.0, (1.0 - jnp.cos(angle)) / angle**2)
+    return jnp.eye(3) + sine * cross + versine * cross @ cross

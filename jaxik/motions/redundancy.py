@@ -1,0 +1,208 @@
+"""Redundancy resolved moment by moment: joint rates that move the tip as its task asks and spend what is left on a cost.
+
+    qdot  = u + W^-1 J' A^-1 (wdot_eff - J u),             A = J W^-1 J'       velocity level
+    qddot = u + W^-1 J' A^-1 (wddot_eff - Jdot qdot - J u)                     acceleration level
+
+which is `J#_W wdot + (1 - J#_W J) u` with one solution of a small linear system instead of a pseudoinverse [Klein and Huang
+1983]. What names these schemes is u:
+
+    rmrc    u = 0                         resolved motion rate control [Whitney 1969; Schuetz 2017, (4.9)]
+    asc     u = -alpha W^-1 dH/dq         automatic supervisory control [Liegeois 1977; (4.12)]
+    rac     u = -alpha W^-1 dH/dq - zeta qdot      resolved acceleration control [Luh et al. 1980; (4.16)], with the damping
+                                                   term (4.23), whose derivative by qdot it is
+
+The task is closed: `wdot_eff = wdot + K werr` and `wddot_eff = wddot + K' werrdot + K werr` (4.18), (4.19), so that integration
+does not drift. Near a singularity the pivots of A's Cholesky factorisation that fall below `floor` times their diagonal entry
+(the squared sine between a row of J and those before it) are raised, smoothly, towards it: rates stay bounded, the tip lags,
+and `damping` says how much was added. Where it is 0 the null space is exact.
+"""
+
+from __future__ import annotations
+
+from typing import Any, NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Float
+
+from jaxik.checks.arrays import is_known
+from jaxik.checks.options import shown
+from jaxik.costs import Cost
+from jaxik.motions.path import Motion
+from jaxik.optimise.linear import damped_solve
+from jaxik.robot.chain import Array, Chain, as_configuration, as_shaped
+from jaxik.robot.kinematics import bias_acceleration, jacobian_columns, joint_frames
+from jaxik.robot.task import POSE, Task
+from jaxik.spatial.algebra import Frame, traced
+
+FLOOR = 1e-4  # sine 0.01 between what the task's rows ask
+_PASSES = 4  # of holding joints at their bounds
+
+
+def loop_gain(gain: float | None, dt: float, default: float = 1.0) -> float:
+    """The gain [1/s] of a closed loop of samples of `dt` [s]: unless one is given, `default` of what is lost is taken back in
+    the next sample."""
+    return default / dt if gain is None else gain
+
+
+def settles(gain: float | None, dt: float) -> bool:
+    """Whether the loop takes back, in each sample, more than nothing and less than twice what was lost."""
+    return 0.0 <= loop_gain(gain, dt) * dt < 2.0
+
+
+class Box(NamedTuple):
+    """Bounds (n,) of the joints' rates, or accelerations."""
+
+    low: Any
+    high: Any
+
+
+class Resolved(NamedTuple):
+    """Rates (n,) of the joints, or their accelerations; the task's error (m,) before they act, in the task's axes [m, rad]; and
+    the damping that was needed, 0 where none."""
+
+    rate: Float[Array, "*b n"]
+    error: Float[Array, "*b m"]
+    damping: Float[Array, "*b"]
+
+
+def resolve_velocity(
+    chain: Chain,
+    q: Float[Array, " n"],
+    motion: Motion,
+    u: Float[Array, " n"],
+    task: Task = POSE,
+    gain: Any = 1.0,
+    weights: Any = None,
+    floor: float = FLOOR,
+    box: Box | None = None,
+) -> Resolved:
+    """The joint velocities that follow `motion` and otherwise come nearest to u [rad/s, m/s], by the norm of `weights` (n,).
+
+    `gain` [1/s] pulls the tip back to its path. `box` holds what the velocities must lie between. Traced. Raises `ValueError`
+    for an array of another shape, and for weights that are known and not above zero.
+    """
+    q = as_configuration(chain, q)
+    at = _At(chain, q, motion, task)
+    as_shaped("gain", gain, ())
+    return at.resolved(at.components("velocity", motion.velocity) - gain * at.error, u, weights, floor, box)
+
+
+def resolve_acceleration(
+    chain: Chain,
+    q: Float[Array, " n"],
+    qdot: Float[Array, " n"],
+    motion: Motion,
+    u: Float[Array, " n"],
+    task: Task = POSE,
+    gains: tuple[Any, Any] = (1.0, 2.0),
+    weights: Any = None,
+    floor: float = FLOOR,
+    box: Box | None = None,
+) -> Resolved:
+    """The joint accelerations that follow `motion` and otherwise come nearest to u [rad/s2, m/s2].
+
+    `gains` (K [1/s2], K' [1/s]) pull the tip back to its path; K' = 2 sqrt(K) without overshoot. `box` holds what the
+    accelerations must lie between. Traced. Raises `ValueError` as `resolve_velocity` does.
+    """
+    q = as_configuration(chain, q)
+    at = _At(chain, q, motion, task)
+    qdot = as_shaped("qdot", qdot, q.shape).astype(q.dtype)
+    bias = at.components("bias", bias_acceleration(chain, q, qdot))
+    slow = at.components("velocity", motion.velocity) - at.rows @ qdot
+    wanted = at.components("acceleration", motion.acceleration) + gains[1] * slow - gains[0] * at.error - bias
+    return at.resolved(wanted, u, weights, floor, box)
+
+
+def rmrc(chain: Chain, q: Float[Array, " n"], motion: Motion, **options: Any) -> Resolved:
+    """Resolved motion rate control: the least joint velocities. Options are those of `resolve_velocity`."""
+    return resolve_velocity(chain, q, motion, jnp.zeros(chain.num_joints), **options)
+
+
+def asc(
+    chain: Chain,
+    q: Float[Array, " n"],
+    motion: Motion,
+    cost: Cost | None,
+    alpha: Any = 1.0,
+    weights: Any = None,
+    **options: Any,
+) -> Resolved:
+    """Automatic supervisory control: down the gradient of `cost` by `alpha` in the null space."""
+    return resolve_velocity(chain, q, motion, _downhill(chain, q, cost, alpha, weights), weights=weights, **options)
+
+
+def rac(
+    chain: Chain,
+    q: Float[Array, " n"],
+    qdot: Float[Array, " n"],
+    motion: Motion,
+    cost: Cost | None = None,
+    alpha: Any = 1.0,
+    damping: Any = 1.0,
+    weights: Any = None,
+    **options: Any,
+) -> Resolved:
+    """Resolved acceleration control: down the gradient of `cost`, the null-space velocity damped by `damping` [1/s]."""
+    u = _downhill(chain, q, cost, alpha, weights) - damping * as_configuration(chain, qdot)
+    return resolve_acceleration(chain, q, qdot, motion, u, weights=weights, **options)
+
+
+def _downhill(chain: Chain, q: Any, cost: Cost | None, alpha: float, weights: Any) -> Any:
+    if cost is None:
+        return jnp.zeros(chain.num_joints)
+    slope = jax.grad(cost)(as_configuration(chain, q))
+    as_shaped("alpha", alpha, ())
+    return -alpha * (slope if weights is None else slope / _weights(chain, weights).astype(slope.dtype))
+
+
+def _weights(chain: Chain, weights: Any) -> jax.Array:
+    """One above zero a joint (n,), as far as they are known."""
+    array = as_shaped(f"weights of the joints of {chain.name}", weights, (chain.num_joints,))
+    if is_known(weights) and not np.all((np.asarray(weights) > 0.0) & np.isfinite(np.asarray(weights))):
+        raise ValueError(f"weights {shown(weights)}: all are finite and > 0")
+    return array
+
+
+class _At:
+    """A configuration: the task's rows of the Jacobian (m, n) and its error (m,)."""
+
+    def __init__(self, chain: Chain, q: Any, motion: Motion, task: Task):
+        self.chain, self.task, self.dtype = chain, task, q.dtype
+        self.target = Frame.of_entries(traced(as_shaped("pose", motion.pose, (4, 4)).astype(q.dtype)))
+        frames = joint_frames(chain, traced(q), dtype=q.dtype)
+        self.rows = jnp.asarray(task.rows(jacobian_columns(chain, frames), self.target), q.dtype)
+        position, rotation = task.residual(frames.tip, self.target)
+        self.error = jnp.asarray(position + rotation, q.dtype)
+
+    def components(self, what: str, twist: Any) -> Any:
+        """Of a twist (6,) in base axes those that the task binds (m,)."""
+        twist = as_shaped(what, twist, (6,)).astype(self.dtype)
+        return jnp.asarray(self.task.rows([tuple(twist)], self.target))[:, 0]
+
+    def resolved(self, wanted: Any, u: Any, weights: Any, floor: float, box: Box | None) -> Resolved:
+        """`u + W^-1 J' A^-1 (wanted - J u)`; inside a box, with those joints held at their bounds that would leave it.
+
+        A held joint has no inverse weight, and its u is the bound. The others take over what it cannot do, as long as they can
+        (saturation in the null space [Flacco, De Luca, Khatib 2012], all that leave at once).
+        """
+        n, wanted = self.chain.num_joints, wanted.astype(self.dtype)
+        free = as_shaped("u", u, (n,)).astype(self.dtype)
+        inverse = jnp.ones(n, self.dtype) if weights is None else 1.0 / _weights(self.chain, weights).astype(self.dtype)
+        if box is None:
+            rate, damping = self._solved(wanted, free, inverse, floor)
+        else:
+            low, high = (jnp.asarray(b, self.dtype) for b in box)
+            for _ in range(_PASSES):
+                rate, damping = self._solved(wanted, free, inverse, floor)
+                inside = jnp.clip(rate, low, high)
+                leaves = rate != inside
+                free, inverse = jnp.where(leaves, inside, free), jnp.where(leaves, 0.0, inverse)
+            rate = inside
+        return Resolved(rate, self.error, damping)
+
+    def _solved(self, wanted: Any, free: Any, inverse: Any, floor: float) -> tuple[Any, Any]:
+        scaled = self.rows * inverse
+        y, damping = damped_solve(scaled @ self.rows.T, wanted - self.rows @ free, floor)
+        return free + jnp.stack(y) @ scaled, damping

@@ -1,0 +1,174 @@
+"""What a grid of leading positions (of the slide) can have missed: found between its points, or proven not to be there.
+
+Between two positions of the grid the closed form is evaluated on balls (`ball`): the slide anywhere in the cell. If then no
+branch can be inside the limits, the cell is empty, and that is a proof. What is left is halved, and so on; the middle of each
+cell is a position of its own, and where a branch is inside the limits there, the grid missed it. A target whose cells are all
+empty is out of reach for any position of the slide; one that has some left at the end stays open, and says so.
+"""
+
+from __future__ import annotations
+
+import functools
+from typing import Any, NamedTuple
+
+import jax.numpy as jnp
+import numpy as np
+
+from jaxik.checks.options import as_count
+from jaxik.reach.leading import arm_of, grid, may_be_inside
+from jaxik.robot.chain import Chain, finite_limits
+from jaxik.robot.kinematics import joint_frames
+from jaxik.robot.reach_bound import Reach, reach
+from jaxik.robot.spherical_wrist import TURN, WAYS, half_branches, wrist_branches
+from jaxik.spatial.algebra import Frame
+from jaxik.spatial.ball import Ball, possible, whole
+from jaxik.spmd import HostKernel
+from jaxik.spmd.batch import in_blocks
+
+PORTION = 8000  # targets whose cells stand in memory: their last, few cells fill a block
+COARSE = 9  # positions of each leading joint that are enough to tell what is far away
+SLACK = 1e-9  # more than float64 rounds by
+SIGNS = np.array(WAYS)
+
+
+class Between(NamedTuple):
+    """Of each target (N,): the leading position (N, k) and branch that were found, NaN and -1 if none; and whether it is open:
+    neither found nor excluded."""
+
+    leading: np.ndarray
+    branch: np.ndarray
+    open: np.ndarray
+
+
+def between(chain: Chain, poses: np.ndarray, slides: Any, depth: int) -> Between:
+    """Looks between the positions of `leading_grid(chain, slides)` for the poses `base_T_tip` (N, 4, 4) that have no
+    posture on it, halving what stays possible `depth` times. In float64."""
+    k, slides = chain.num_joints - 6, as_count("slides", slides)
+    found = Between(np.full((len(poses), k), np.nan), np.full(len(poses), -1), np.zeros(len(poses), bool))
+    if k:  # six joints have all their postures
+        for start in range(0, len(poses), PORTION):
+            part = slice(start, start + PORTION)
+            _search(chain, poses[part], slides, depth, Between(*(column[part] for column in found)))
+    return found
+
+
+def _search(chain: Chain, poses: np.ndarray, slides: int, depth: int, found: Between) -> None:
+    arm = arm_of(chain)
+    centres, half = _cells(chain, slides)
+    cells = lambda target, centre: (poses[target], centre)
+    ways = lambda target, centre, way: (poses[target], centre, SIGNS[way])
+    target, cell = np.nonzero(_within_reach(chain, poses, slides))
+    centre = centres[cell]
+    halves = grid([np.array([-0.5, 0.5])] * centre.shape[1])
+    for level in range(depth + 1):
+        if not len(target):
+            return
+        (may,) = in_blocks(_reaches(arm), target, centre, fixed=(half,), double=True, rows=cells)
+        cell, way = np.nonzero(may)
+        open_, wrist = in_blocks(_enclosed(arm), target[cell], centre[cell], way, fixed=(half,), double=True, rows=ways)
+        hits = np.flatnonzero(wrist >= 0)
+        hits = hits[np.unique(target[cell[hits]], return_index=True)[1]]
+        first = cell[hits]
+        found.leading[target[first]], found.branch[target[first]] = centre[first], 2 * way[hits] + wrist[hits]
+        left = np.zeros(len(target), bool)
+        left[cell[open_]] = True
+        left &= found.branch[target] < 0
+        target, centre = target[left], centre[left]
+        if level < depth:
+            target = np.repeat(target, len(halves))
+            centre = (centre[:, None] + halves * half).reshape(-1, centre.shape[1])
+            half = half / 2.0
+    found.open[target] = True
+
+
+def beyond(chain: Chain, poses: np.ndarray) -> np.ndarray:
+    """Whether each of the poses (N, 4, 4) is proven to be out of reach: of the chain, or of the arm at any leading position."""
+    spheres = _spheres(chain, COARSE)
+    (found,) = in_blocks(_BEYOND, poses, fixed=(reach(chain), spheres[0].tip_p, *spheres[1:]), double=True)
+    return found
+
+
+def _beyond(pose: Any, bound: Reach, tip_p: Any, origin: Any, within: Any) -> Any:
+    whole, arm = (pose[:3, :3] @ p + pose[:3, 3] for p in (bound.tip_p, tip_p))
+    away = jnp.linalg.norm(whole - bound.origin)
+    far = (away > bound.longest + SLACK) | (away < bound.shortest - SLACK)
+    return far | ~jnp.any(arm @ arm - 2.0 * origin @ arm <= within)
+
+
+_BEYOND = HostKernel(_beyond, 1)
+
+
+def _cells(chain: Chain, slides: int) -> tuple[np.ndarray, np.ndarray]:
+    """The middles (m, k) of the cells between the grid's positions, and half their edges (k,)."""
+    k = chain.num_joints - 6
+    low, high = (x[:k] for x in finite_limits(chain))
+    count = max(slides - 1, 1)
+    half = (high - low) / (2.0 * count)
+    axes = [a + h * (2.0 * np.arange(count) + 1.0) for a, h in zip(low, half, strict=True)]
+    return grid(axes), half
+
+
+def _within_reach(chain: Chain, poses: np.ndarray, slides: int) -> np.ndarray:
+    """Which cells (N, m) may have the arm near enough to a pose, by its reach: cheap, and most are not."""
+    bound, origin, within = _spheres(chain, slides)
+    points = bound.point(poses)
+    # |p - o|^2 by its parts: a fifth of the time of differences, and rounding is far below the slack. Not by `@`: BLAS lets its
+    # threads spin for a while after a product, on the cores that the other chunk wants
+    square = np.einsum("ni,mi->nm", points, -2.0 * origin)
+    square += np.einsum("ni,ni->n", points, points)[:, None]
+    found: np.ndarray = square <= within
+    return found
+
+
+@functools.lru_cache(maxsize=64)
+def _spheres(chain: Chain, slides: int) -> tuple[Reach, np.ndarray, np.ndarray]:
+    """The arm's reach; and of each cell the sphere's centre (m, 3) that it fills, and `radius^2 - |centre|^2` (m,): without
+    bound where a leading joint turns, which moves the arm's base by what its own reach is."""
+    centres, half = _cells(chain, slides)
+    k = len(half)
+    bound = reach(chain.part(k, chain.num_joints))
+    if not k or not all(chain.is_prismatic[:k]):
+        return bound, np.zeros((len(centres), 3)), np.full(len(centres), np.inf)
+    frame: Frame = joint_frames(chain.part(0, k), list(centres.astype(np.float64).T)).joints[-1]
+    frames = np.stack([np.broadcast_to(np.asarray(x, np.float64), len(centres)) for x in frame.entries], -1).reshape(-1, 4, 4)
+    origin = (frames @ np.append(bound.origin, 1.0))[:, :3]
+    return bound, origin, (bound.longest + float(half.sum()) + SLACK) ** 2 - np.sum(origin * origin, axis=1)
+
+
+@functools.lru_cache(maxsize=64)
+def _reaches(chain: Chain) -> HostKernel:
+    """Compiled, by rows: which of the ways (4,) of joints 1 to 3 can be inside the limits anywhere in a cell. Most cannot, and
+    what is left costs four times as much to look at."""
+
+    def cell(pose: Any, centre: Any, half: Any) -> Any:
+        ways = half_branches(chain, pose, [Ball(c, h) for c, h in zip(centre, half, strict=True)])
+        return jnp.stack([possible(way.margin >= -SLACK) & may_be_inside(chain, way.turns, SLACK) for way in ways])
+
+    return HostKernel(cell, 2)
+
+
+@functools.lru_cache(maxsize=64)
+def _enclosed(chain: Chain) -> HostKernel:
+    """Compiled, by rows, for the way of joints 1 to 3 that has these signs: whether one of its two branches can be inside the
+    limits anywhere in a cell, and the first that is in its middle, or -1."""
+
+    def cell(pose: Any, centre: Any, signs: Any, half: Any) -> tuple[Any, Any]:
+        leading = [Ball(c, h) for c, h in zip(centre, half, strict=True)]
+        (way,) = half_branches(chain, pose, leading, signs[:1], signs[1:])
+        (may, one), (may_two, two) = (_inside(chain, *branch) for branch in wrist_branches(chain, way, pose.dtype))
+        return may | may_two, jnp.where(one, 0, jnp.where(two, 1, -1))
+
+    return HostKernel(cell, 3)
+
+
+def _inside(chain: Chain, angles: Any, margin: Ball) -> tuple[Any, Any]:
+    """Whether the last six joints, at these balls of angles, can be inside their limits, and whether they are in the middle."""
+    low, high = (x[-6:] for x in finite_limits(chain))
+    middle, reach_ = (low + high) / 2.0, (high - low) / 2.0
+    may, is_ = possible(margin >= -SLACK), margin.mid >= 0.0
+    for i in np.flatnonzero(chain.is_limited[-6:]):
+        away = angles[i] - middle[i]
+        away = abs(away - whole(away * (1.0 / TURN)) * TURN)
+        may &= possible(away <= reach_[i] + SLACK)
+        is_ &= away.mid <= reach_[i]
+    return may, is_

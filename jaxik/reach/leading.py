@@ -1,0 +1,176 @@
+"""The best posture of a target over all positions of the leading joints (the slide).
+
+`scan` keeps every candidate of one fruit; this keeps, of each of millions of targets, what a map needs: which branches are
+inside the limits at which leading positions, and the freest of them. One loop over the positions, a target a lane: joints 1 to
+3 alone tell without one angle that most positions have none, and only what some lane still asks for there is solved. So lanes
+that are neighbours should be alike.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import functools
+import math
+from typing import Any, NamedTuple
+
+import jax.numpy as jnp
+import numpy as np
+from jax import lax
+
+from jaxik.checks.options import as_count_or_values
+from jaxik.robot.chain import Chain, finite_limits
+from jaxik.robot.spherical_wrist import TURN, HalfBranch, half_branches, wrist_branches
+from jaxik.spatial.ball import possible
+from jaxik.spmd import HostKernel
+from jaxik.spmd.batch import in_blocks
+
+NOTHING = -2.0  # freedom of a branch that does not have the pose; past its limits the freest joint of all has -1 at least
+NEARLY = 1e-3  # of a cosine, by which what is not looked at closely may be past a limit
+
+
+def leading_grid(chain: Chain, slides: Any) -> np.ndarray:
+    """Values (m, k) of the k leading joints: as given (of one joint (m,) too), or a grid over their ranges, a count each; one
+    empty row for k = 0. Raises `ValueError` for what is neither a count nor such values."""
+    k = chain.num_joints - 6
+    slides = as_count_or_values("slides", slides, (-1, k))
+    if isinstance(slides, np.ndarray):
+        return slides
+    low, high = finite_limits(chain)
+    return grid([np.linspace(a, b, slides) for a, b in zip(low[:k], high[:k], strict=True)])
+
+
+def grid(axes: list[np.ndarray]) -> np.ndarray:
+    """All combinations of the values of several axes, a row each; one empty row of no axes."""
+    if not axes:
+        return np.zeros((1, 0))
+    return np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1).reshape(-1, len(axes))
+
+
+class Freest(NamedTuple):
+    """Of each target (N,): the freest branch over the leading positions, and what else is inside the limits.
+
+    `freedom` is that of `costs.joint_freedom`: >= 0 inside the limits, -1 to 0 past them, less where no branch has the pose.
+    `lead` is the row of the leading positions, `inside` how many branches are inside the limits over all of them, and
+    `branches` (N, m) has one bit for each that is inside there.
+    """
+
+    freedom: np.ndarray
+    lead: np.ndarray
+    branch: np.ndarray
+    inside: np.ndarray
+    branches: np.ndarray
+
+
+def freest(chain: Chain, poses: np.ndarray, leading: np.ndarray) -> Freest:
+    """The freest posture of each of the poses `base_T_tip` (N, 4, 4) over `leading` (m, k) [m, rad]; in float32."""
+    size = next(s for s in (4**n for n in range(2, 16)) if s >= len(leading))
+    padded = np.concatenate([leading, np.repeat(leading[:1], size - len(leading), axis=0)])
+    asked = lambda poses, past: Freest(
+        *in_blocks(_freest(arm_of(chain), size), poses, fixed=(padded, np.int32(len(leading)), past), double=False)
+    )
+    poses = poses.astype(np.float32)
+    found = asked(poses, False)
+    none = np.flatnonzero(found.freedom == NOTHING)
+    for column, values in zip(found[:3], asked(poses[none], True), strict=False):
+        column[none] = values
+    return found._replace(branches=found.branches[:, : len(leading)])
+
+
+def first_most(owner: np.ndarray, value: np.ndarray) -> np.ndarray:
+    """Of rows in the order of their owners: the first row of each that has its largest value."""
+    if not len(owner):
+        return np.zeros(0, int)
+    starts = np.flatnonzero(np.diff(owner, prepend=-1))
+    most = np.repeat(np.maximum.reduceat(value, starts), np.diff(starts, append=len(owner)))
+    rows = np.flatnonzero(value == most)
+    return rows[np.diff(owner[rows], prepend=-1) != 0]
+
+
+@functools.lru_cache(maxsize=64)
+def arm_of(chain: Chain) -> Chain:
+    """The chain without its mount and the strokes of its leading slides, which enter no program of this module: another place
+    or another stroke compiles nothing."""
+    sliding = np.array(chain.is_prismatic) & (np.arange(chain.num_joints) < chain.num_joints - 6)
+    lower, upper = np.where(sliding, -np.inf, chain.lower), np.where(sliding, np.inf, chain.upper)
+    return dataclasses.replace(chain, lower=lower, upper=upper, world_T_base=np.eye(4))
+
+
+@functools.lru_cache(maxsize=64)
+def _freest(chain: Chain, size: int) -> HostKernel:
+    """Compiled, by rows of poses: `Freest` over the first `many` of the leading positions (size, k); among the ways of joints 1
+    to 3 that may be inside the limits or, if `past`, all that have the pose. What no lane asks for is not computed."""
+
+    def target(pose: Any, leading: Any, many: Any, past: Any) -> tuple[Any, ...]:
+        def turn(best: _Best, i: Any) -> tuple[_Best, Any]:
+            ways = half_branches(chain, pose, leading[i])
+            may = [(way.margin >= 0.0) & (past | may_be_inside(chain, way.turns, NEARLY)) for way in ways]
+
+            def solved(best: _Best) -> _Best:
+                for number, way in enumerate(ways):
+                    freer = functools.partial(_freer, chain, leading[i], i, number, way)
+                    best = lax.cond(may[number], freer, lambda best: best, best)
+                return best
+
+            best = lax.cond(functools.reduce(jnp.logical_or, may), solved, lambda best: best, best)
+            return best._replace(here=jnp.uint8(0)), best.here
+
+        skip = lambda best, _: (best, jnp.uint8(0))
+        zero = jnp.int32(0)
+        nothing = _Best(jnp.asarray(NOTHING, pose.dtype), zero, zero, zero, jnp.uint8(0))
+        best, branches = lax.scan(lambda best, i: lax.cond(i < many, turn, skip, best, i), nothing, jnp.arange(size))
+        return *best[:-1], branches
+
+    return HostKernel(target, 1)
+
+
+class _Best(NamedTuple):
+    """Of one target so far: the freest branch, how many are inside the limits, and a bit for each of those at this position."""
+
+    freedom: Any
+    lead: Any
+    branch: Any
+    inside: Any
+    here: Any
+
+
+def _freer(chain: Chain, leading: Any, lead: Any, number: int, way: HalfBranch, best: _Best) -> _Best:
+    """With the two branches of a way of joints 1 to 3; of those that are as free the first way counts, and its first lead."""
+    one, two = (_freedom(chain, leading, *branch) for branch in wrist_branches(chain, way, leading.dtype))
+    freedom, branch = jnp.maximum(one, two), 2 * number + (two > one).astype(jnp.int32)
+    better = (freedom > best.freedom) | ((freedom == best.freedom) & (number < best.branch // 2))
+    bits = [(each >= 0.0).astype(jnp.uint8) for each in (one, two)]
+    return _Best(
+        jnp.where(better, freedom, best.freedom),
+        jnp.where(better, lead, best.lead),
+        jnp.where(better, branch, best.branch),
+        best.inside + sum(bits).astype(jnp.int32),
+        best.here | bits[0] << 2 * number | bits[1] << 2 * number + 1,
+    )
+
+
+def may_be_inside(chain: Chain, turns: Any, slack: float) -> Any:
+    """Whether joints 1 to 3, given by sines and cosines (of balls: any in them), are inside their limits or past them by no
+    more than `slack` of a cosine: `cos(q - middle) >= cos(half)`, which needs no angle."""
+    low, high = (x[-6:] for x in finite_limits(chain))
+    inside: Any = True
+    for i, (sin, cos) in enumerate(turns):
+        middle, half = (low[i] + high[i]) / 2.0, (high[i] - low[i]) / 2.0
+        if chain.is_limited[i - 6] and half < np.pi:
+            inside &= possible(cos * math.cos(middle) + sin * math.sin(middle) >= math.cos(half) - slack)
+    return inside
+
+
+def _freedom(chain: Chain, leading: Any, angles: Any, margin: Any) -> Any:
+    """`costs.joint_freedom` of a branch, its angles turned to the middle of their ranges; `NOTHING` where it lacks the pose."""
+    low, high = finite_limits(chain)
+    middle, half = (low + high) / 2.0, np.maximum((high - low) / 2.0, 1e-9)
+    joints = [*(leading[i] for i in range(chain.num_joints - 6)), *angles]
+    least: Any = 1.0
+    for i in np.flatnonzero(chain.is_limited & ~np.array(chain.is_prismatic)):
+        away = joints[i] - middle[i]
+        if i < chain.num_joints - 6:  # given, and so inside
+            each = jnp.maximum(1.0 - jnp.abs(away) * (1.0 / half[i]), 0.0)
+        else:
+            each = 1.0 - jnp.abs(away - jnp.round(away * (1.0 / TURN)) * TURN) * (1.0 / half[i])
+        least = jnp.minimum(least, each)
+    return jnp.where(margin >= 0.0, jnp.maximum(least, -1.0), NOTHING)

@@ -1,0 +1,142 @@
+"""How well a target can be picked, as one smooth number that has a gradient in the robot's place, its shape and the scene.
+
+Reachable or not is a step, and a step has no slope. The score of a posture is instead the least of its margins (of clearance,
+of each joint to its limits, and of the pose itself where the arm falls short), that of a target the best over some postures,
+each smooth. Its derivative holds the tip on the target: the joints follow by `dq = J+ dr`, so nothing is solved for while the
+base or a link is moved, and a posture found once serves for a whole neighbourhood.
+"""
+
+from __future__ import annotations
+
+import functools
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Float
+
+from jaxik.checks.arrays import numbers
+from jaxik.checks.options import as_count, check_finite
+from jaxik.collision.clearances import check_geometry, clearance
+from jaxik.collision.hierarchy import Grouped, grouped
+from jaxik.collision.scene import Scene
+from jaxik.optimise.linear import definite_solve
+from jaxik.reach.leading import arm_of, leading_grid
+from jaxik.robot.chain import Array, Chain, as_numbers, as_shaped, finite_limits
+from jaxik.robot.kinematics import forward_kinematics, jacobian
+from jaxik.robot.spherical_wrist import BRANCHES, closed_forms
+from jaxik.spmd import HostKernel, kernel
+from jaxik.spmd.batch import in_blocks
+
+DAMPING = 1e-2  # [m, rad m] below which a direction counts as one that the arm cannot move in
+SHORT = 0.03  # [m, rad] that the tip falls short by and that weighs as much as a joint past its limit by half its range
+STEP = 0.3  # [rad, m] that a posture follows its target by: beyond, it would be another posture
+WIDTH = 0.2  # of the step from 0 to 1, in margins: wide enough that a target far out of reach still has a slope
+REACH = 0.075  # [m] of clearance that is worth as much as a joint in the middle, as in (6) of Van Henten et al. 2010
+
+
+def reach_score(
+    chain: Chain,
+    scene: Scene | None,
+    poses: Float[Array, "k 4 4"],
+    q: Float[Array, "k n"],
+    margin: Any = 0.005,
+    temperature: Any = 0.05,
+) -> Float[Array, ""]:
+    """In (0, 1): how well a target can be picked by any of k postures `q` (k, n), at its alternative poses `world_T_tip`; above
+    1/2 where one of them is clear, inside the limits and there.
+
+        score = sigmoid(T log sum_k exp(worth_k / T) / 0.2),   worth_k = -T log sum_i exp(-margin_ki / T) - short_k / 30 mm
+
+    with margins of clearance (1 at 75 mm) and of each joint to its limits (1 in the middle), and what the tip falls short by.
+
+    Pure: differentiate it in `poses`, in `chain.world_T_base` (`chain.mounted(frame)`), in any number of the chain
+    (`equinox.tree_at`) and in the scene. `margin` [m] is the least clearance, `temperature` T how much is smoothed (0 to 1).
+    """
+    return jnp.exp(log_reach_score(chain, scene, poses, q, margin, temperature))
+
+
+def log_reach_score(
+    chain: Chain,
+    scene: Scene | None,
+    poses: Float[Array, "k 4 4"],
+    q: Float[Array, "k n"],
+    margin: Any = 0.005,
+    temperature: Any = 0.05,
+) -> Float[Array, ""]:
+    """The logarithm of `reach_score`: what to add up over targets and climb, for it has a slope metres away too, where the
+    score itself is 0 to the last bit. Raises `ValueError` for other shapes."""
+    poses, q = as_numbers("poses", poses), as_numbers("q", q)
+    if poses.shape != (*q.shape[:1], 4, 4) or q.shape[1:] != (chain.num_joints,) or not len(q):
+        raise ValueError(
+            f"poses {poses.shape} and q {q.shape}; {chain.name} takes (k, 4, 4) and (k, {chain.num_joints}), k >= 1"
+        )
+    as_shaped("margin", margin, ())
+    as_shaped("temperature", temperature, ())
+    around = None if scene is None else grouped(scene, chain)
+    each = jax.vmap(lambda pose, posture: _worth(chain, around, pose, posture, margin, temperature))
+    best = temperature * jax.nn.logsumexp(each(poses, q) / temperature)
+    return jax.nn.log_sigmoid(best / WIDTH)
+
+
+@kernel(models=1)
+def _worth(chain: Chain, around: Grouped | None, pose: Any, q: Any, margin: Any, temperature: Any) -> Any:
+    """The least margin of a posture that follows its target."""
+    q, short = _following(chain, pose, jax.lax.stop_gradient(q))
+    low, high = (jnp.asarray(x, q.dtype) for x in finite_limits(chain))
+    share = jnp.minimum(q - low, high - q) / jnp.maximum((high - low) / 2.0, 1e-9)
+    margins = [jnp.where(chain.is_limited, share, 1.0)]
+    if around is not None:
+        margins.append((clearance(chain, around, q) - margin)[None] / REACH)
+    return -temperature * jax.nn.logsumexp(-jnp.concatenate(margins) / temperature) - short / SHORT
+
+
+def _following(chain: Chain, pose: Any, q: Any) -> tuple[Any, Any]:
+    """The posture moved after its target by one step, and how far the tip then falls short of it [m, rad]."""
+    base, pose = jnp.asarray(chain.world_T_base, q.dtype), jnp.asarray(pose, q.dtype)
+    wanted = base[:3, :3].T @ jnp.concatenate([pose[:3, :3], pose[:3, 3:] - base[:3, 3:]], axis=1)
+    residual, columns = _twist(forward_kinematics(chain, q), wanted), jacobian(chain, q)
+    step = columns.T @ jnp.stack(definite_solve(columns @ columns.T + DAMPING**2 * jnp.eye(6, dtype=q.dtype), residual, 0.0))
+    q = q + step * jnp.minimum(1.0, STEP / jnp.sqrt(step @ step + 1e-12))
+    left = _twist(forward_kinematics(chain, q), wanted)
+    return q, jnp.sqrt(left @ left + 1e-8) - 1e-4
+
+
+def _twist(tip: Any, wanted: Any) -> Any:
+    """What carries `tip` (4, 4) to `wanted` (3, 4): the shift [m], and the turn [rad] as its sine about its axis."""
+    turn = wanted[:3, :3] @ tip[:3, :3].T
+    skew = (turn - turn.T) / 2.0
+    return jnp.concatenate([wanted[:3, 3] - tip[:3, 3], jnp.stack([skew[2, 1], skew[0, 2], skew[1, 0]])])
+
+
+def likely_postures(
+    chain: Chain, scene: Scene | None, poses: np.ndarray, count: int = 8, slides: Any = 11, margin: float = 0.005
+) -> tuple[np.ndarray, np.ndarray]:
+    """Of one target's alternative poses `world_T_tip` (a, 4, 4) the `count` most promising (count, 4, 4), with postures
+    (count, n): of all branches at `slides` positions of each leading joint, past limits and reach too, those of the best worth.
+
+    A host function for chains with a closed form; others take the answers of `solve_ik`. Raises `ValueError` where the chain
+    has none, or no pose is one.
+    """
+    poses, count = numbers("poses", poses), as_count("likely_postures: count", count)
+    check_finite("likely_postures", margin=margin)
+    if poses.ndim != 3 or poses.shape[1:] != (4, 4) or not np.isfinite(poses).all(axis=(1, 2)).any():
+        raise ValueError(f"poses of shape {poses.shape} hold no finite frame; give (a, 4, 4), world_T_tip")
+    if scene is not None:
+        check_geometry(chain)
+    leading = leading_grid(chain, slides)
+    local = np.linalg.inv(np.asarray(chain.world_T_base)) @ poses
+    pose, lead = (x.ravel() for x in np.meshgrid(np.arange(len(poses)), np.arange(len(leading)), indexing="ij"))
+    q, _, _ = in_blocks(closed_forms(arm_of(chain)), local[pose], leading[lead], double=False)
+    q, at = np.asarray(q).reshape(-1, chain.num_joints), np.repeat(poses[pose], BRANCHES, axis=0)
+    home = chain.mounted(np.eye(4))
+    around = None if scene is None else grouped(scene.moved(np.linalg.inv(np.asarray(chain.world_T_base))), chain)
+    (worth,) = in_blocks(_worths(home), np.repeat(local[pose], BRANCHES, axis=0), q, fixed=(around, margin), double=False)
+    best = np.argsort(-np.where(np.isfinite(worth), worth, -np.inf), kind="stable")[:count]
+    return at[best], q[best]
+
+
+@functools.lru_cache(maxsize=16)
+def _worths(chain: Chain) -> HostKernel:
+    return HostKernel(lambda pose, q, around, margin: _worth(chain, around, pose, q, margin, 0.01), 2)

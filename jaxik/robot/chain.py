@@ -1,0 +1,295 @@
+"""The serial chain: what a robot arm is to every function of this library.
+
+A chain never changes: its arrays cannot be written. They are the leaves of a pytree, so that any of them may be traced:
+differentiate the reach with respect to a link's length by `equinox.tree_at`. Names and joint types are static. Numbers that are
+concrete while JAX traces fold into the program, so close over a chain (`jax.jit(lambda q: forward_kinematics(chain, q))`)
+rather than pass it through `jit`: both are right, the first is several times faster. Only a chain whose shapes are such
+numbers is judged by its `pair_tables`, too; any other by its volumes alone, which are larger than the links.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import hashlib
+from typing import Any, Literal
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Bool, Float
+
+from jaxik.checks.arrays import rigid_frame
+from jaxik.checks.options import check_kind, shown
+from jaxik.robot.pair_table import PairTable
+
+Array = jax.Array | np.ndarray
+JointType = Literal["revolute", "continuous", "prismatic"]
+
+
+def read_only(tree: Any) -> Any:
+    """A tree whose NumPy arrays nobody can write to: those that are so already, and copies of the others."""
+    return jax.tree_util.tree_map(lambda x: _read_only(x) if isinstance(x, np.ndarray) else x, tree)
+
+
+def _read_only(array: np.ndarray) -> np.ndarray:
+    owner: Any = array
+    while isinstance(owner, np.ndarray) and not owner.flags.writeable:  # a view is written to through what it looks at
+        if owner.base is None:
+            return array
+        owner = owner.base
+    copied = np.array(array)
+    copied.setflags(write=False)
+    return copied
+
+
+class Constant(eqx.Module):
+    """A pytree whose NumPy arrays nobody can write to, so that what is cached by its numbers stays true."""
+
+    def __post_init__(self) -> None:
+        self.freeze()
+
+    def __getstate__(self) -> dict[str, Any]:
+        return dict(vars(self))
+
+    def __setstate__(self, state: dict[str, Any]) -> None:  # of a copy or a pickle: their arrays are new
+        vars(self).update(state)
+        self.freeze()
+
+    def freeze(self) -> None:
+        vars(self).update({k: _read_only(v) for k, v in vars(self).items() if isinstance(v, np.ndarray)})
+
+
+class Body(Constant):
+    """Mass [kg], centre of gravity [m] and inertia about it [kg m2] of what moves with one joint, in that joint's frame."""
+
+    mass: Float[Array, ""]
+    com: Float[Array, "3"]
+    inertia: Float[Array, "3 3"]
+
+
+class Box(Constant):
+    """An oriented box around (a part of) a link: its centre's frame in the joint's frame, and half its edges [m]."""
+
+    joint_T_box: Float[Array, "4 4"]
+    half: Float[Array, "3"]
+    link: int = eqx.field(static=True)
+
+
+class Volume(Constant):
+    """A swept-sphere volume: a ball of `radius` [m] swept over a point, a line or a triangle (1, 2 or 3 `corners` [m], in the
+    frame of the link's joint)."""
+
+    corners: Float[Array, "c 3"]
+    radius: Float[Array, ""]
+    link: int = eqx.field(static=True)
+
+
+class Chain(Constant):
+    """A serial chain of n movable joints from a base to a tip; fixed joints are fused away.
+
+    `parent_T_joint[i]` is the frame of joint i at q_i = 0 in the (moved) frame of joint i-1, the base frame for i = 0.
+    `link_joint[l]` counts the movable joints between the base and link l: its frame is `link_offset[l]` in that joint's.
+    `self_pairs` are the links to check against each other, `ignored` links with the object of a scene ("*": any) not to check,
+    `pair_tables` what is known of pairs beside their volumes.
+    """
+
+    # not in the instance's dictionary, where Equinox would take it for part of the pytree's structure
+    __slots__ = ("_digest",)
+
+    name: str = eqx.field(static=True)
+    joint_names: tuple[str, ...] = eqx.field(static=True)
+    joint_types: tuple[JointType, ...] = eqx.field(static=True)
+    link_names: tuple[str, ...] = eqx.field(static=True)
+    link_joint: tuple[int, ...] = eqx.field(static=True)
+    parent_T_joint: Float[Array, "n 4 4"]
+    axis: Float[Array, "n 3"]
+    joint_T_tip: Float[Array, "4 4"]
+    link_offset: Float[Array, "l 4 4"]
+    lower: Float[Array, " n"]
+    upper: Float[Array, " n"]
+    velocity: Float[Array, " n"]
+    world_T_base: Float[Array, "4 4"]
+    bodies: tuple[Body, ...] = ()
+    boxes: tuple[Box, ...] = ()
+    volumes: tuple[Volume, ...] = ()
+    self_pairs: tuple[tuple[int, int], ...] = eqx.field(static=True, default=())
+    spheres_per_box: int = eqx.field(static=True, default=8)
+    unread_meshes: tuple[str, ...] = eqx.field(static=True, default=())
+    ignored: tuple[tuple[int, str], ...] = eqx.field(static=True, default=())
+    pair_tables: tuple[PairTable, ...] = eqx.field(static=True, default=())
+
+    @property
+    def num_joints(self) -> int:
+        return len(self.joint_names)
+
+    @property
+    def is_prismatic(self) -> tuple[bool, ...]:
+        return tuple(t == "prismatic" for t in self.joint_types)
+
+    @property
+    def is_limited(self) -> np.ndarray:
+        """(n,): whether a joint has both limits."""
+        return np.isfinite(self.lower) & np.isfinite(self.upper)
+
+    def mounted(self, world_T_base: Any) -> Chain:
+        """The same chain standing elsewhere: `world_T_base` (4, 4) [m]. Poses stay in the base's.
+
+        Raises `ValueError` for what is no rigid frame.
+        """
+        return dataclasses.replace(self, world_T_base=rigid_frame("world_T_base", world_T_base))
+
+    def with_tool(self, tip_T_tool: Any) -> Chain:
+        """The same chain with its tip moved to a tool frame, `tip_T_tool` (4, 4) [m].
+
+        Raises `ValueError` for what is no rigid frame.
+        """
+        return dataclasses.replace(self, joint_T_tip=self.joint_T_tip @ rigid_frame("tip_T_tool", tip_T_tool))
+
+    def with_spheres(self, per_box: int) -> Chain:
+        """The same chain, each box covered by 1, 8, 64 or 512 spheres [Van Henten et al. 2010, App. A]."""
+        whole = isinstance(per_box, int | np.integer) and not isinstance(per_box, bool)
+        if not whole or per_box not in (1, 8, 64, 512):
+            raise ValueError(f"with_spheres: {shown(per_box)} spheres a box; allowed: 1, 8, 64, 512")
+        return dataclasses.replace(self, spheres_per_box=int(per_box))
+
+    def part(self, first: int, last: int) -> Chain:
+        """Joints `first` to `last - 1` as a chain of their own, with what moves with them; its base is the parent of the first.
+
+        Its tip is the last joint's frame, or the chain's own tip where it ends there. Raises `ValueError` for joints that the
+        chain does not have.
+        """
+        whole = all(isinstance(i, int | np.integer) and not isinstance(i, bool) for i in (first, last))
+        if not (whole and 0 <= first <= last <= self.num_joints):
+            raise ValueError(
+                f"part: joints {shown(first)} to {shown(last)}; allowed: 0 <= first <= last <= {self.num_joints}, whole numbers"
+            )
+        first, last = int(first), int(last)  # the links' joints are static, and plain
+        kept = [i for i, j in enumerate(self.link_joint) if first < j <= last]
+        link = {old: new for new, old in enumerate(kept)}
+        cut = slice(first, last)
+        return dataclasses.replace(
+            self,
+            joint_names=self.joint_names[cut],
+            joint_types=self.joint_types[cut],
+            link_names=tuple(self.link_names[i] for i in kept),
+            link_joint=tuple(self.link_joint[i] - first for i in kept),
+            parent_T_joint=self.parent_T_joint[cut],
+            axis=self.axis[cut],
+            joint_T_tip=self.joint_T_tip if last == self.num_joints else np.eye(4),
+            link_offset=self.link_offset[np.array(kept, int)],
+            lower=self.lower[cut],
+            upper=self.upper[cut],
+            velocity=self.velocity[cut],
+            bodies=self.bodies[cut],
+            boxes=tuple(dataclasses.replace(b, link=link[b.link]) for b in self.boxes if b.link in link),
+            volumes=tuple(dataclasses.replace(v, link=link[v.link]) for v in self.volumes if v.link in link),
+            self_pairs=tuple((link[a], link[b]) for a, b in self.self_pairs if a in link and b in link),
+            unread_meshes=tuple(n for n in self.unread_meshes if self.link_names.index(n) in link),
+            ignored=tuple((link[i], name) for i, name in self.ignored if i in link),
+            pair_tables=tuple(
+                dataclasses.replace(
+                    t, links=(link[t.links[0]], link[t.links[1]]), joints=(t.joints[0] - first, t.joints[1] - first)
+                )
+                for t in self.pair_tables
+                if link.keys() >= {*t.links}
+            ),
+        )
+
+    # A concrete chain is a value: equal numbers, equal chain. So it may be a static argument of `jax.jit` and a cache's key.
+
+    @property
+    def digest(self) -> str:
+        """A hash of everything in the chain, to name it in caches and results. Needs concrete numbers."""
+        known = getattr(self, "_digest", None)  # a chain never changes, and asks for this at every call of a cached function
+        if known is None:
+            for each in (self, *self.bodies, *self.boxes, *self.volumes):
+                each.freeze()  # `eqx.tree_at` and `jax.tree_util.tree_map` put arrays in without a constructor
+            known = self._computed_digest()
+            object.__setattr__(self, "_digest", known)
+        return known
+
+    def _computed_digest(self) -> str:
+        leaves, tree = jax.tree_util.tree_flatten(self)
+        content = hashlib.sha256(str(tree).encode())
+        for leaf in leaves:
+            content.update(np.ascontiguousarray(np.asarray(leaf, dtype=np.float64)).tobytes())
+        return content.hexdigest()
+
+    def __hash__(self) -> int:
+        try:  # every call of a cached function asks, and equinox takes its time for an attribute
+            return hash(object.__getattribute__(self, "_digest"))
+        except AttributeError:
+            return hash(self.digest)
+
+    def __eq__(self, other: object) -> bool:
+        return self is other or (isinstance(other, Chain) and self.digest == other.digest)
+
+
+def solid_links(chain: Chain) -> list[int]:
+    """The links that have collision geometry, from the base on."""
+    return sorted({box.link for box in chain.boxes} | {volume.link for volume in chain.volumes})
+
+
+def geometry_between(chain: Chain, links: tuple[int, int], joints: tuple[int, int]) -> str:
+    """A hash of all that decides how far two links are apart at given values of the joints between, two of which are `joints`:
+    these joints' frames and axes, and the links' shapes."""
+    first, last = sorted(chain.link_joint[link] for link in links)
+    shapes = [(v.link == links[0], v.corners, v.radius) for v in chain.volumes if v.link in links]
+    shapes += [(b.link == links[0], b.joint_T_box, b.half) for b in chain.boxes if b.link in links]
+    content = hashlib.sha256(repr((chain.joint_types[first:last], [j - first for j in joints], len(shapes))).encode())
+    for each in (chain.parent_T_joint[first:last], chain.axis[first:last], *(x for shape in shapes for x in shape)):
+        content.update(np.ascontiguousarray(np.asarray(each, np.float64)).tobytes())
+    return content.hexdigest()
+
+
+def finite_range(chain: Chain, lower: Any, upper: Any) -> tuple[np.ndarray, np.ndarray]:
+    """Limits (n,) to sample, draw or scale by: a joint without any ranges over +-pi [rad] or +-1 [m], one with a single limit
+    over as much beside it."""
+    half = np.where(chain.is_prismatic, 1.0, np.pi)
+    below, above = np.isfinite(lower), np.isfinite(upper)
+    low = np.where(below, lower, np.where(above, upper - 2.0 * half, -half))
+    return low, np.where(above, upper, np.where(below, lower + 2.0 * half, half))
+
+
+def finite_limits(chain: Chain) -> tuple[np.ndarray, np.ndarray]:
+    """`finite_range` of the chain's own limits."""
+    check_kind("finite_limits", "chain", chain, Chain)
+    return finite_range(chain, chain.lower, chain.upper)
+
+
+def as_numbers(what: str, given: Any) -> jax.Array:
+    """`given`, traced or not, as an array of integers or floats. Raises `ValueError` for what is none."""
+    try:
+        array = jnp.asarray(given)
+    except (TypeError, ValueError, OverflowError):
+        raise ValueError(f"{what} is {shown(given)}; write an array of numbers") from None
+    if not (jnp.issubdtype(array.dtype, jnp.floating) or jnp.issubdtype(array.dtype, jnp.integer)):
+        raise ValueError(f"{what} is an array of {array.dtype}; write real numbers")
+    return array
+
+
+def as_shaped(what: str, given: Any, shape: tuple[int, ...]) -> jax.Array:
+    """`as_numbers` of one shape. Raises `ValueError` for another."""
+    array = as_numbers(what, given)
+    if array.shape != shape:
+        raise ValueError(f"{what} has the shape {array.shape}; allowed: {shape if shape else 'one number'}")
+    return array
+
+
+def as_configuration(chain: Chain, q: Any) -> Float[Array, " n"]:
+    """`q` as a floating-point array of shape (n,), or a `ValueError` that says what was expected."""
+    check_kind("configuration", "chain", chain, Chain)
+    q = as_numbers("q", q)
+    if q.shape != (chain.num_joints,):
+        raise ValueError(
+            f"q has shape {q.shape}; {chain.name} takes one configuration of shape ({chain.num_joints},) "
+            f"[{', '.join(chain.joint_names)}]; for a batch use jax.vmap"
+        )
+    return q if jnp.issubdtype(q.dtype, jnp.floating) else q.astype(jnp.result_type(float))
+
+
+def within_limits(chain: Chain, q: Any) -> Bool[Array, ""]:
+    """Whether `q` (n,) [rad, m] lies inside the joint limits, bounds included."""
+    q = as_configuration(chain, q)
+    return jnp.all((q >= jnp.asarray(chain.lower, q.dtype)) & (q <= jnp.asarray(chain.upper, q.dtype)))

@@ -1,0 +1,413 @@
+"""What a study asks of one chunk of targets: a row of numbers for each, the same whichever targets come with it.
+
+With a closed form, all positions of the leading joints and all branches are looked at; else the search of `solve_ik` answers.
+All that runs here is in the robot's base frame: targets and obstacles come to it, so another place compiles nothing.
+"""
+
+from __future__ import annotations
+
+import functools
+from collections.abc import Iterator
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from jaxik.collision.clearances import clearance
+from jaxik.collision.hierarchy import Grouped, grouped
+from jaxik.collision.scene import Scene, make_scene, remembered
+from jaxik.costs import joint_freedom
+from jaxik.harvesting.scanning import measures
+from jaxik.ik.solve import IKResult, as_poses, solve_ik
+from jaxik.reach.certify import between, beyond
+from jaxik.reach.leading import NOTHING, arm_of, first_most, freest, grid, leading_grid
+from jaxik.reasons import Reason
+from jaxik.robot.chain import Chain, finite_limits
+from jaxik.robot.kinematics import manipulability, pose_errors
+from jaxik.robot.spherical_wrist import BRANCHES, closed_branches, closed_forms, one_branch
+from jaxik.spatial.algebra import traced
+from jaxik.spmd import HostKernel
+from jaxik.spmd.batch import in_blocks
+from jaxik.sweeps.study import Study, Variant
+from jaxik.sweeps.targets import Targets
+
+GIVEN = ("position", "quaternion")  # columns that are the target's own, the same whatever it is asked of
+WORTH = ("q", "position_error", "rotation_error", "manipulability", "limit_margin")  # columns of a posture
+PORTION = 6000  # targets at a time whose colliding candidates stand in memory
+NEAR = 2  # postures of a target that collides on the grid beside which a clear one is looked for
+
+
+class Column(NamedTuple):
+    """One variable of the results: its type, what stands where there is no answer, and its words for the store."""
+
+    dtype: str
+    nothing: Any
+    attributes: dict[str, Any]
+    dims: tuple[str, ...] = ()
+
+
+def _column(dtype: str, nothing: Any, name: str, units: str | None = None, *dims: str, **more: Any) -> Column:
+    return Column(dtype, nothing, {"long_name": name, **({"units": units} if units else {}), **more}, dims)
+
+
+FREEDOM = "smallest distance of a revolute joint to its nearest limit, as a share of half its range (1: all in the middle)"
+COLUMNS = {
+    "position": _column("f8", np.nan, "where the tool goes", "m", "xyz"),
+    "quaternion": _column("f8", np.nan, "how the tool is turned there; NaN where its rotation is free", None, "wxyz"),
+    "reachable": _column("bool", False, "a posture inside the limits has the target and, where asked for, is clear"),
+    "reason": _column(
+        "i1",
+        -1,
+        "what became of the target",
+        flag_values=[int(r) for r in Reason][:6],
+        flag_meanings=" ".join(r.name.lower() for r in list(Reason)[:6]),
+    ),
+    "proven": _column("bool", False, "reachable, or proven not to be for any position of the leading joints"),
+    "between": _column("bool", False, "found between the positions of the grid of leading joints, where the grid has none"),
+    "solutions": _column("i4", 0, "number of different postures found that are inside the limits and clear"),
+    "q": _column("f8", np.nan, "best posture", "rad, m for prismatic joints", "joint"),
+    "position_error": _column("f4", np.nan, "distance of the tip from the target at q", "m"),
+    "rotation_error": _column("f4", np.nan, "angle between the tip and the target at q", "rad"),
+    "clearance": _column("f4", np.nan, "smallest distance of the robot at q to the scene and to itself", "m"),
+    "manipulability": _column("f4", np.nan, "sqrt(det(J J')) at q [Yoshikawa 1985]", "m^3 rad^3, as the joints are"),
+    "limit_margin": _column("f4", np.nan, FREEDOM, "1"),
+}
+
+
+def answer(study: Study, variant: Variant, rows: slice) -> dict[str, np.ndarray]:
+    """The columns of some of the study's targets for one variant, one row a target."""
+    count, chain = rows.stop - rows.start, variant.chain
+    base_T_world = np.linalg.inv(chain.world_T_base)
+    base_T_frame = base_T_world if study.targets.frame == "world" else None
+    poses, valid = study.targets.part(rows.start, rows.stop, base_T_frame), np.ones(count, bool)
+    if study.targets.poses is not None:  # someone else's, who may have got them wrong
+        poses, valid, _ = as_poses(poses, study.ik.task)
+    around = _Crops.of(study, chain, rows, base_T_world) if study.collision else None
+    solve = _closed_form if study.method(chain) == "closed form" else _search
+    found = given_columns(study.targets, rows) | solve(study, _at_home(chain), poses, valid, around)
+    found["q"] = _padded(found["q"], study.joints)
+    missing = {name: blank(COLUMNS[name], count, {}) for name in COLUMNS.keys() - found.keys()}
+    return missing | {name: np.asarray(values, COLUMNS[name].dtype) for name, values in found.items()}
+
+
+def given_columns(targets: Targets, rows: slice) -> dict[str, np.ndarray]:
+    """The columns `GIVEN` of some targets."""
+    numbers = np.arange(rows.start, rows.stop)
+    free = np.full((len(numbers), 4), np.nan)
+    turned = free if targets.free_rotation else targets.wxyz_at(numbers)
+    return dict(zip(GIVEN, (targets.positions_at(numbers), turned), strict=True))
+
+
+class _Crops(NamedTuple):
+    """What postures keep clear of, in the robot's base: scenes, and which is each target's (N,)."""
+
+    scenes: dict[int, Grouped]
+    crop: np.ndarray
+
+    @staticmethod
+    def of(study: Study, chain: Chain, rows: slice, base_T_world: np.ndarray) -> _Crops:
+        crops = study.targets.crop
+        crop = np.zeros(rows.stop - rows.start, int) if crops is None else crops[rows]
+        scene = lambda c: (study.scene or EMPTY) if crops is None else study.targets.scenes[c]
+        return _Crops({int(c): _seen_from(base_T_world, scene(c), chain) for c in np.unique(crop)}, crop)
+
+    def part(self, rows: Any) -> _Crops:
+        """Of some of the targets."""
+        return _Crops(self.scenes, self.crop[rows])
+
+    def groups(self, owner: np.ndarray) -> Iterator[tuple[Grouped, Any]]:
+        """Each scene with those of the rows that have its target for `owner`."""
+        if len(self.scenes) == 1:
+            yield next(iter(self.scenes.values())), slice(None)
+            return
+        crop = self.crop[owner]
+        for c in np.unique(crop):
+            yield self.scenes[int(c)], np.flatnonzero(crop == c)
+
+    def measured(self, kernel: HostKernel, owner: np.ndarray, *columns: np.ndarray, rows: Any = None) -> tuple[np.ndarray, ...]:
+        """Clearance [m] and freedom, by a kernel of rows and a scene, of postures of the targets `owner` (P,), in float32."""
+        distance, freedom = np.zeros(len(owner), np.float32), np.zeros(len(owner), np.float32)
+        for scene, some in self.groups(owner):
+            part = [column[some] for column in columns]
+            distance[some], freedom[some] = in_blocks(kernel, *part, fixed=(scene,), double=False, rows=rows)
+        return distance, freedom
+
+
+@functools.lru_cache(maxsize=64)
+def _branch_measures(chain: Chain) -> HostKernel:
+    """`measures` of a branch, by rows of poses, leading joints and its number."""
+
+    def measured(pose: Any, leading: Any, number: Any, scene: Any) -> tuple[Any, Any]:
+        q, _ = one_branch(chain, pose, leading, number)
+        return clearance(chain, scene, q), joint_freedom(chain, q)
+
+    return HostKernel(measured, 3)
+
+
+EMPTY = make_scene()
+
+
+def _seen_from(base_T_world: np.ndarray, scene: Scene, chain: Chain) -> Grouped:
+    """A scene's obstacles in a base's frame; the scene remembers the last, since chunk after chunk asks for the same."""
+    last, base = remembered(scene, "in a base", dict), (base_T_world.tobytes(), chain.ignored)
+    found: Grouped | None = last.get(base)
+    if found is None:
+        found = grouped(scene.moved(base_T_world), chain)
+        last.clear()
+        last[base] = found
+    return found
+
+
+@functools.lru_cache(maxsize=64)
+def _at_home(chain: Chain) -> Chain:
+    """The chain with its base in the world's origin."""
+    return chain.mounted(np.eye(4))
+
+
+def blank(column: Column, count: int, sizes: dict[str, int]) -> np.ndarray:
+    """A column of `count` rows without an answer; `sizes` are those of its dimensions besides."""
+    return np.full((count, *(sizes[d] for d in column.dims)), column.nothing, column.dtype)
+
+
+def _padded(q: np.ndarray, joints: int) -> np.ndarray:
+    more = joints - q.shape[1]
+    return np.concatenate([q, np.full((len(q), more), np.nan)], axis=1) if more else q
+
+
+# --------------------------------------------------------------------------------------------------------------------
+# By the closed form
+
+
+class _Best(NamedTuple):
+    """The best of each target's postures, if any: its leading position (N, k) and branch; how many there are, or why none."""
+
+    leading: np.ndarray
+    branch: np.ndarray
+    solutions: np.ndarray
+    clearance: np.ndarray
+    reason: np.ndarray
+
+    @staticmethod
+    def nothing(count: int, k: int) -> _Best:
+        numbers = np.zeros((count, k)), np.zeros(count, int), np.zeros(count, np.int32), np.full(count, np.nan, np.float32)
+        return _Best(*numbers, np.full(count, Reason.OUT_OF_REACH, np.int8))
+
+
+def _closed_form(
+    study: Study, chain: Chain, poses: np.ndarray, valid: np.ndarray, around: _Crops | None
+) -> dict[str, np.ndarray]:
+    """The postures of poses (N, 4, 4) on the grid of leading positions and, where it has none, between them."""
+    proven = ~valid | beyond(chain, poses)
+    columns = _no_answer(chain, len(poses)) | {
+        "reason": np.where(valid, Reason.OUT_OF_REACH, Reason.INVALID).astype(np.int8),
+        "proven": proven,
+        "between": np.zeros(len(poses), bool),
+    }
+    asked = np.flatnonzero(~proven)
+    # by tool direction: lanes that are neighbours then ask for the same positions and ways
+    asked = asked[np.argsort((asked % study.targets.turns).astype(np.uint16), kind="stable")]
+    if len(asked):
+        near_by = None if around is None else around.part(asked)
+        best, near = _on_grid(study, chain, poses.take(asked, axis=0), near_by)
+        columns["reason"][asked], columns["solutions"][asked] = best.reason, best.solutions
+        _answered(columns, chain, poses, asked, best)
+        kinds = (Reason.OUT_OF_REACH, Reason.LIMITS) if study.refine else ()
+        missing = asked[np.isin(columns["reason"][asked], kinds)]
+        found, open_ = _between(study, chain, poses[missing], None if around is None else around.part(missing))
+        columns["proven"][missing[~open_]] = True
+        _better(columns, chain, poses, missing, found)
+        if near_by is not None and study.refine:
+            _better(columns, chain, poses, asked, _beside(study, chain, poses[asked], near, near_by))
+    columns["reachable"] = columns["reason"] == Reason.SOLVED
+    columns["proven"] |= columns["reachable"]
+    return columns
+
+
+def _better(columns: dict[str, np.ndarray], chain: Chain, poses: np.ndarray, asked: np.ndarray, found: _Best) -> None:
+    """What was found between the grid's positions for targets that have nothing on it: a posture, or at least one that only
+    collides."""
+    better = np.flatnonzero(np.isin(found.reason, (Reason.SOLVED, Reason.COLLISION)))
+    asked, found = asked[better], _Best(*(column[better] for column in found))
+    columns["reason"][asked], columns["solutions"][asked] = found.reason, found.solutions
+    _answered(columns, chain, poses, asked, found)
+    columns["between"][asked] = columns["reason"][asked] == Reason.SOLVED
+
+
+def _answered(columns: dict[str, np.ndarray], chain: Chain, poses: np.ndarray, asked: np.ndarray, best: _Best) -> None:
+    """Solves the best postures of the targets `asked` again in float64. One that is there past a limit, by what float32 rounds,
+    is none."""
+    some = np.flatnonzero(best.reason == Reason.SOLVED)
+    rows = asked[some]
+    if not len(rows):
+        return
+    these = poses.take(rows, axis=0), best.leading[some], best.branch[some]
+    inside, *found = in_blocks(_posture(arm_of(chain)), *these, double=True)
+    columns["reason"][rows[~inside]], columns["solutions"][rows[~inside]] = Reason.LIMITS, 0
+    good = slice(None) if inside.all() else inside  # nearly always: nothing is copied
+    for name, values in zip(("clearance", *WORTH), (best.clearance[some], *found), strict=True):
+        columns[name][rows[good]] = values[good]
+
+
+def _between(study: Study, chain: Chain, poses: np.ndarray, around: _Crops | None) -> tuple[_Best, np.ndarray]:
+    """What `between` finds for poses that have nothing on the grid; and which stay open."""
+    found = between(chain, poses, study.slides, study.refine)
+    best = _Best.nothing(len(poses), found.leading.shape[1])
+    rows = np.flatnonzero(found.branch >= 0)
+    best.leading[rows], best.branch[rows] = found.leading[rows], found.branch[rows]
+    best.reason[rows], best.solutions[rows] = Reason.SOLVED, 1
+    if around is not None and len(rows):
+        branches = closed_branches(arm_of(chain))
+        q, _ = in_blocks(branches, poses[rows], found.leading[rows], found.branch[rows], double=True)
+        best.clearance[rows], _ = around.measured(measures(arm_of(chain)), rows, q)
+        hits = rows[~(best.clearance[rows] >= study.margin)]
+        best.reason[hits], best.solutions[hits], found.open[hits] = Reason.COLLISION, 0, True
+    return best, found.open
+
+
+def _no_answer(chain: Chain, count: int) -> dict[str, np.ndarray]:
+    names = ("solutions", "q", "position_error", "rotation_error", "clearance", "manipulability", "limit_margin")
+    return {k: blank(COLUMNS[k], count, {"joint": chain.num_joints}) for k in names}
+
+
+@functools.lru_cache(maxsize=64)
+def _worth(chain: Chain) -> HostKernel:
+    """`WORTH` of joint positions, by rows of these and the poses that they are for."""
+    errors = lambda q, pose: pose_errors(chain, list(q), traced(pose))
+    return HostKernel(lambda q, pose: (q, *errors(q, pose), manipulability(chain, q), joint_freedom(chain, q)), 2)
+
+
+@functools.lru_cache(maxsize=64)
+def _posture(chain: Chain) -> HostKernel:
+    """By rows of poses, leading joints and a branch's number: whether it has the pose inside the limits, and its `WORTH`."""
+
+    def posture(pose: Any, leading: Any, number: Any) -> Any:
+        q, inside = one_branch(chain, pose, leading, number)
+        return inside, *_worth(chain).function(q, pose)
+
+    return HostKernel(posture, 3)
+
+
+def _on_grid(study: Study, chain: Chain, poses: np.ndarray, around: _Crops | None) -> tuple[_Best, _Near]:
+    """The best over the grid of leading positions; and of targets whose postures all collide, the nearest to be clear."""
+    leading = leading_grid(chain, study.slides)
+    found = freest(chain, poses, leading)
+    past = np.where(found.freedom > NOTHING, Reason.LIMITS, Reason.OUT_OF_REACH)
+    reason = np.where(found.inside > 0, Reason.SOLVED, past).astype(np.int8)
+    none = np.full(len(poses), np.nan, np.float32)
+    best = _Best(leading[found.lead], found.branch, found.inside, none, reason)
+    near = [_Near.nothing(leading.shape[1])]
+    if around is None:
+        return best, near[0]
+    for start in range(0, len(poses), PORTION):
+        part = slice(start, start + PORTION)
+        bits = found.branches[part].ravel()
+        some_bits = np.flatnonzero(bits != 0)
+        target, lead = np.divmod(some_bits, len(leading))
+        inside = np.unpackbits(bits[some_bits], bitorder="little").view(bool)
+        some = _Best(*(column[part] for column in best))
+        close = _avoid(study, chain, poses[part], target, leading[lead], inside, around.part(part), some)
+        near.append(_Near(close.target + start, close.leading))
+    return best, _Near(*(np.concatenate(columns) for columns in zip(*near, strict=True)))
+
+
+class _Near(NamedTuple):
+    """Targets, and leading positions at which they have a posture that hardly collides."""
+
+    target: np.ndarray
+    leading: np.ndarray
+
+    @staticmethod
+    def nothing(k: int) -> _Near:
+        return _Near(np.zeros(0, int), np.zeros((0, k)))
+
+
+def _beside(study: Study, chain: Chain, poses: np.ndarray, near: _Near, around: _Crops) -> _Best:
+    """The best at leading positions beside those where a target's postures only just collide."""
+    found = _Best.nothing(len(poses), near.leading.shape[1])
+    k = near.leading.shape[1]
+    if not k or not len(near.target):
+        return found
+    low, high = (x[:k] for x in finite_limits(chain))
+    steps = grid([np.linspace(-0.75, 0.75, 7)] * k) * (high - low) / max(study.slides - 1, 1)
+    leading = np.clip(near.leading[:, None] + steps, low, high).reshape(-1, k)
+    target = np.repeat(near.target, len(steps))
+    for first in range(0, len(poses), PORTION):  # all of a target at once
+        part = slice(*np.searchsorted(target, (first, first + PORTION)))
+        _avoid(study, chain, poses, target[part], leading[part], None, around, found)
+    return found
+
+
+def _avoid(
+    study: Study,
+    chain: Chain,
+    poses: np.ndarray,
+    target: np.ndarray,
+    leading: np.ndarray,
+    inside: np.ndarray | None,
+    around: _Crops,
+    best: _Best,
+) -> _Near:
+    """Of the postures of targets (P,) at leading positions (P, k), of which those `inside` (P * 8,) count (all
+    inside the limits if it is None), the best that is clear goes into `best`; of targets without any, the nearest to be."""
+    if not len(target):
+        return _Near.nothing(leading.shape[1])
+    arm, poses, leads = arm_of(chain), poses.astype(np.float32), leading.astype(np.float32)
+    if inside is None:
+        _, _, inside = in_blocks(closed_forms(arm), poses[target], leads, double=False)
+    pair, branch = np.divmod(np.flatnonzero(inside), BRANCHES)
+    owner = target[pair]
+    if not len(owner):
+        return _Near.nothing(leading.shape[1])
+    rows = lambda owner, pair, branch: (poses.take(owner, axis=0), leads.take(pair, axis=0), branch)
+    distance, freedom = around.measured(_branch_measures(arm), owner, owner, pair, branch, rows=rows)
+    clear = np.flatnonzero(distance >= study.margin)
+    touched = owner[np.diff(owner, prepend=-1) != 0]
+    best.solutions[touched] = np.bincount(owner[clear], minlength=len(poses))[touched]
+    best.reason[touched] = np.where(best.solutions[touched] > 0, Reason.SOLVED, Reason.COLLISION)
+    first = clear[first_most(owner[clear], study.weights.score(distance[clear], freedom[clear]))]
+    best.leading[owner[first]], best.branch[owner[first]] = leading[pair[first]], branch[first]
+    best.clearance[owner[first]] = distance[first]
+    hits = np.flatnonzero(best.reason[owner] == Reason.COLLISION)
+    close = hits[_most(owner[hits], distance[hits], NEAR)]
+    return _Near(owner[close], leading[pair[close]])
+
+
+def _most(owner: np.ndarray, value: np.ndarray, count: int) -> np.ndarray:
+    """Of rows in the order of their owners: those with the `count` largest values of each, the largest first."""
+    left, found = np.arange(len(owner)), []
+    for _ in range(count):
+        best = first_most(owner[left], value[left])
+        found.append(left[best])
+        left = np.delete(left, best)
+    rows = np.concatenate(found)
+    return rows[np.argsort(owner[rows], kind="stable")]
+
+
+# --------------------------------------------------------------------------------------------------------------------
+# By search
+
+
+def _search(study: Study, chain: Chain, poses: np.ndarray, valid: np.ndarray, around: _Crops | None) -> dict[str, np.ndarray]:
+    """The answers of `solve_ik`."""
+    asked = np.where(valid[:, None, None], poses, np.nan)
+    if around is None:
+        return _searched(study, chain, asked, None)
+    columns = {k: blank(c, len(poses), {"joint": chain.num_joints}) for k, c in COLUMNS.items() if k not in GIVEN}
+    for scene, rows in around.groups(np.arange(len(poses))):
+        for name, values in _searched(study, chain, asked[rows], scene).items():
+            columns[name][rows] = values
+    return columns
+
+
+def _searched(study: Study, chain: Chain, poses: np.ndarray, scene: Grouped | None) -> dict[str, np.ndarray]:
+    found: IKResult = solve_ik(chain, poses, scene, study.seed, study.ik)
+    columns = _no_answer(chain, len(poses))
+    rows = np.flatnonzero(found.success)
+    worth = in_blocks(_worth(chain), found.q[rows], poses[rows], double=True) if len(rows) else []
+    for name, values in zip(WORTH, worth, strict=False):
+        columns[name][rows] = values
+    if not all(study.ik.task.bound):  # what the target leaves free is no error
+        columns["rotation_error"][rows] = np.nan
+    columns["clearance"][rows] = found.clearance[rows]
+    columns["solutions"] = np.asarray(found.num_solutions, np.int32)
+    sure = np.isin(found.reason, (Reason.SOLVED, Reason.OUT_OF_REACH, Reason.INVALID))
+    return columns | {"reason": found.reason.astype(np.int8), "reachable": found.success, "proven": sure}

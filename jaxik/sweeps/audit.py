@@ -1,0 +1,85 @@
+"""How many reachable targets a sweep missed: some of them, drawn at random, are asked again with more effort.
+
+Effort is positions of each leading joint where the closed form answers, and seeds where the search does. What more effort finds
+and the study did not is a false negative; of the rate that is seen there is an upper bound [Clopper and Pearson 1934].
+"""
+
+from __future__ import annotations
+
+import dataclasses
+from typing import Any
+
+import numpy as np
+
+from jaxik.sweeps.answers import answer
+from jaxik.sweeps.store import Store
+from jaxik.sweeps.study import Study, Variant
+
+EFFORTS = {
+    "closed form": (0.25, 0.5, 1.0, 4.0),
+    "search": (1 / 32, 1 / 8, 1.0, 8.0),
+}  # times the study's own; the last is dense
+WHAT = {"closed form": "slides", "search": "max_seeds"}
+STREAM = 0x617564
+
+
+def audit(store: Store) -> dict[str, Any]:
+    """The attributes `audit`, by method, and `false_negative_rate`, over all. Of a store that is complete."""
+    study = store.study
+    total = len(study.variants) * len(study.targets)
+    drawn = np.random.default_rng((STREAM, study.seed)).choice(total, min(study.audited, total), replace=False)
+    variant, target = np.divmod(np.sort(drawn), len(study.targets))
+    found: dict[str, list[np.ndarray]] = {}
+    for v in np.unique(variant):
+        each = study.variants[v]
+        rows = target[variant == v]
+        own = range(v * study.chunks, (v + 1) * study.chunks)
+        seen = np.concatenate([store.column(int(n), "reachable") for n in own])[rows]
+        method = study.method(each.chain)
+        found.setdefault(method, []).append(np.stack([*_again(study, each, rows, method), seen]))
+    joined = {method: np.concatenate(parts, axis=1) for method, parts in found.items()}
+    missed = sum(int(np.sum(t[:-1].any(axis=0) & ~t[-1])) for t in joined.values())
+    truth = sum(int(np.sum(t.any(axis=0))) for t in joined.values())
+    known = {method: _summary(study, method, table) for method, table in joined.items()}
+    return {"audit": known, "false_negative_rate": missed / max(truth, 1), "false_negative_bound_95": bound(missed, truth)}
+
+
+def bound(missed: int, truth: int) -> float:
+    """The rate that so few misses of so many exclude with 95 % confidence."""
+    from scipy.stats import beta
+
+    return 1.0 if missed >= truth else float(beta.ppf(0.95, missed + 1, truth - missed))
+
+
+def _again(study: Study, variant: Variant, rows: np.ndarray, method: str) -> list[np.ndarray]:
+    """Whether some targets are reached, with each of the efforts."""
+    few = study.targets.at(rows)
+    reached = []
+    for effort in EFFORTS[method]:
+        value = max(1, round(effort * _own(study, method)))
+        changed = dataclasses.replace(study, targets=few, refine=0)
+        if method == "closed form":
+            changed = dataclasses.replace(changed, slides=value)
+        else:
+            changed = dataclasses.replace(changed, ik=dataclasses.replace(study.ik, max_seeds=value))
+        reached.append(answer(changed, variant, slice(0, len(rows)))["reachable"])
+    return reached
+
+
+def _own(study: Study, method: str) -> int:
+    return study.slides if method == "closed form" else study.ik.max_seeds
+
+
+def _summary(study: Study, method: str, table: np.ndarray) -> dict[str, Any]:
+    """`rates` of false negatives of each effort alone, and of the study as it was run."""
+    truth = table.any(axis=0)
+    count = max(int(truth.sum()), 1)
+    rates = [float(np.sum(truth & ~row)) / count for row in table]
+    return {
+        "effort": WHAT[method],
+        "efforts": [max(1, round(e * _own(study, method))) for e in EFFORTS[method]],
+        "rates": rates[:-1],
+        "false_negative_rate": rates[-1],
+        "sample": table.shape[1],
+        "reachable_in_sample": int(truth.sum()),
+    }

@@ -1,0 +1,281 @@
+"""Results on disk: a Zarr store that `xarray.open_zarr` reads, which a chunk enters whole or not at all.
+
+A chunk's arrays are written one by one, each file aside and then renamed (Zarr does that), and last its check sum in `crc`. So
+what has a check sum is finished, whenever the process was killed; what has none is computed again and written over. A column
+that is nothing in all of a chunk has no file there; the check sum tells that from one that is lost. Nothing in the store says
+when or in how many sittings it was made: it ends with the same bits.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import functools
+import json
+import os
+import shutil
+import uuid
+import warnings
+import zlib
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from jaxik.reasons import Reason
+from jaxik.sweeps.answers import COLUMNS, GIVEN, Column, given_columns
+from jaxik.sweeps.study import Study, variant_name
+
+UNFINISHED = -1
+CRC = Column("i8", UNFINISHED, {"long_name": f"CRC-32 of a finished chunk; {UNFINISHED} while it is not"})
+LABELS = {"xyz": ("x", "y", "z"), "wxyz": ("w", "x", "y", "z")}
+
+
+class StoreError(ValueError):
+    """A store that cannot be gone on with. One line: the store, what is wrong, the mend."""
+
+
+class Store:
+    """One study's results in the folder `path`."""
+
+    def __init__(self, path: Path, study: Study, group: Any):
+        self.path, self.study, self.group = path, study, group
+        self._array = functools.cache(lambda name: group[name])  # which reads its description again
+
+    @staticmethod
+    def of(path: str | Path, study: Study) -> Store:
+        """The store of this study: a new one, or the one that is there if it holds the same study.
+
+        Raises `StoreError` where it holds another, and says in what; `OSError` where it cannot be written.
+        """
+        import zarr
+
+        path = Path(path)
+        if not path.exists():
+            _create(path, study)
+        try:
+            group = zarr.open_group(str(path), mode="r+")
+            known = json.loads(str(group.attrs["study"]))
+        except (KeyError, ValueError, OSError) as error:
+            raise StoreError(f"{path}: is no store of a sweep ({type(error).__name__}); write elsewhere") from None
+        changes = "; ".join(_changes(known, json.loads(json.dumps(study.describe()))))
+        if changes:
+            raise StoreError(f"{path}: holds another study: {changes}; write elsewhere, or take that study")
+        return Store(path, study, group)
+
+    def finished(self) -> np.ndarray:
+        """Whether each piece of work is done, by its number."""
+        return np.asarray(self.group["crc"][...]).reshape(-1) != UNFINISHED
+
+    def write(self, number: int, columns: dict[str, np.ndarray]) -> None:
+        """One chunk, its check sum last."""
+        variant, chunk, rows = self.study.work(number)
+        for name, values in columns.items():  # those of the targets too: which variant's piece comes first is not known
+            index = self._at(name, variant.index)
+            if not _put(self.path / name, self._array(name), (*index, chunk), values, COLUMNS[name]):
+                self._array(name)[(*index, rows)] = values
+        at, summed = (*variant.index, chunk), check_sum(columns)
+        if not _put(self.path / "crc", self._array("crc"), at, np.array([summed]), CRC):
+            self._array("crc")[at] = summed
+
+    def read(self, number: int) -> dict[str, np.ndarray]:
+        """A finished chunk. Raises `StoreError` where what is read is not what was written."""
+        variant, chunk, rows = self.study.work(number)
+        columns = {name: self.column(number, name) for name in COLUMNS}
+        unwritten = [name for name in GIVEN if number >= self.study.chunks and np.isnan(columns[name]).all()]
+        if unwritten:  # a store begun when only the first variant's pieces wrote them
+            given = given_columns(self.study.targets, rows)
+            columns |= {name: given[name] for name in unwritten}
+        if check_sum(columns) != int(self.group["crc"][(*variant.index, chunk)]):
+            raise self._damage(number, "a file is missing or damaged (the check sum differs)")
+        return columns
+
+    def column(self, number: int, name: str) -> np.ndarray:
+        """One column of a finished chunk. Raises `StoreError` where it cannot be read."""
+        variant, _, rows = self.study.work(number)
+        try:
+            values = np.asarray(self.group[name][(*self._at(name, variant.index), rows)])
+        except Exception as error:  # each codec has its own
+            raise self._damage(number, f"'{name}' is damaged ({' '.join(str(error).split())})") from None
+        if name == "reason" and np.any(values == COLUMNS[name].nothing):
+            raise self._damage(number, f"the file of '{name}' is missing")
+        return values
+
+    def _damage(self, number: int, what: str) -> StoreError:
+        rows = self.study.work(number)[2]
+        where = f"{self.path}: chunk {number}, targets {rows.start} to {rows.stop - 1}"
+        return StoreError(f"{where}: {what}; run again with repair, and it is computed anew")
+
+    def forget(self, number: int) -> None:
+        """Makes a piece of work unfinished, and the store incomplete."""
+        variant, chunk, _ = self.study.work(number)
+        self.group["crc"][(*variant.index, chunk)] = UNFINISHED
+        if self.knows({"complete": True}):
+            self._note({"complete": False})
+
+    def knows(self, attributes: dict[str, Any]) -> bool:
+        """Whether the store's attributes say so already."""
+        return all(self.group.attrs.get(k) == v for k, v in attributes.items())
+
+    def finish(self, attributes: dict[str, Any]) -> None:
+        """What is known once all is done; and what a killed process left half-written in the arrays goes. Beside them another
+        shard, which ends at the same time, may be writing what is known."""
+        for left in self.path.glob("*/**/*.partial"):
+            left.unlink(missing_ok=True)
+        if not self.knows(attributes):
+            self._note(attributes)
+
+    def _note(self, attributes: dict[str, Any]) -> None:
+        self.group.attrs.update(attributes)
+        _consolidate(self.path)
+
+    def _at(self, name: str, index: tuple[int, ...]) -> tuple[int, ...]:
+        return () if name in GIVEN else index
+
+
+def check_sum(columns: dict[str, np.ndarray]) -> int:
+    """CRC-32 of a chunk's numbers."""
+    found = 0
+    for name in COLUMNS:
+        found = zlib.crc32(np.ascontiguousarray(columns[name]).data.cast("B"), found)
+    return found
+
+
+def _put(folder: Path, array: Any, number: tuple[int, ...], values: np.ndarray, column: Column) -> bool:
+    """Writes the one file of a Zarr array that holds a chunk, the bits that Zarr would write, a quarter of the time: it
+    hands every array from thread to thread. False where that is Zarr's own to do: an array of another make."""
+    try:
+        from google_crc32c import value as crc32c
+        from numcodecs import zstd
+    except ImportError:
+        return False
+    if [type(c).__name__ for c in array.metadata.codecs] != ["BytesCodec", "ZstdCodec", "Crc32cCodec"]:
+        return False
+    whole = np.ascontiguousarray(values, np.dtype(column.dtype).newbyteorder("<"))
+    short = array.chunks[len(number) - 1] - len(values)
+    if short:
+        whole = np.concatenate([whole, np.full((short, *whole.shape[1:]), column.nothing, whole.dtype)])
+    file = folder.joinpath("c", *(str(i) for i in number), *("0" for _ in column.dims))
+    if all(_nothing(some, column) for some in (whole[:100], whole)):
+        file.unlink(missing_ok=True)  # nothing in all of it
+        return True
+    packed = zstd.compress(whole, array.metadata.codecs[1].level, array.metadata.codecs[1].checksum)
+    aside = file.with_suffix(f".{uuid.uuid4().hex}.partial")
+    try:
+        if not file.parent.exists():
+            file.parent.mkdir(parents=True, exist_ok=True)
+        with aside.open("wb") as opened:
+            opened.write(packed)
+            opened.write(crc32c(packed).to_bytes(4, "little"))
+        aside.replace(file)
+    finally:
+        aside.unlink(missing_ok=True)
+    return True
+
+
+def _nothing(values: np.ndarray, column: Column) -> bool:
+    """Whether there is no answer in any of them."""
+    return bool(np.all(np.isnan(values)) if column.nothing != column.nothing else not np.any(values != column.nothing))
+
+
+def _create(path: Path, study: Study) -> None:
+    """An empty store, made aside and renamed: there whole, or not at all."""
+    import zarr
+
+    path.parent.mkdir(parents=True, exist_ok=True)
+    aside = path.with_name(f".{uuid.uuid4().hex}-{path.name}")  # shards on two machines may be processes of one number
+    try:
+        group = zarr.create_group(str(aside), attributes=_attributes(study))
+        axes = tuple(name for name, _ in study.axes)
+        sizes = {"joint": study.joints, "xyz": 3, "wxyz": 4}
+        for name, column in COLUMNS.items():
+            _array(group, name, column, study, () if name in GIVEN else axes, sizes)
+        shape = (*study.shape, study.chunks)
+        _new(group, "crc", CRC, shape, (1,) * len(shape), (*axes, "chunk"))
+        for name, labels in (*study.axes, *LABELS.items(), *_joint_names(study)):
+            values = np.array(labels, object if isinstance(labels[0], str) else np.float64)
+            kind: Any = str if values.dtype == object else "f8"
+            array = group.create_array(name, shape=values.shape, dtype=kind, dimension_names=(name,))
+            array[...] = values
+        _consolidate(aside)
+        with contextlib.suppress(FileExistsError):  # another shard was first
+            try:
+                os.rename(aside, path)
+            except OSError as error:
+                if not path.is_dir():
+                    raise error
+    finally:
+        shutil.rmtree(aside, ignore_errors=True)
+
+
+def _joint_names(study: Study) -> Iterator[tuple[str, tuple[str, ...]]]:
+    """The joints' names, where all robots have the same."""
+    names = {v.chain.joint_names for v in study.variants}
+    if len(names) == 1:
+        yield "joint", next(iter(names))
+
+
+def _array(group: Any, name: str, column: Column, study: Study, axes: tuple[str, ...], sizes: dict[str, int]) -> None:
+    more = tuple(sizes[d] for d in column.dims)
+    shape = (*(study.shape if axes else ()), len(study.targets), *more)
+    chunks = (*((1,) * len(axes)), min(study.chunk, len(study.targets)), *more)
+    _new(group, name, column, shape, chunks, (*axes, "target", *column.dims))
+
+
+def _new(group: Any, name: str, column: Column, shape: Any, chunks: Any, dims: Any) -> None:
+    from zarr.codecs import Crc32cCodec, ZstdCodec
+
+    group.create_array(
+        name,
+        shape=shape,
+        chunks=chunks,
+        dtype=column.dtype,
+        fill_value=column.nothing,
+        dimension_names=dims,
+        attributes=column.attributes,
+        compressors=[ZstdCodec(level=1), Crc32cCodec()],
+    )
+
+
+def _consolidate(path: Path) -> None:
+    import zarr
+
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")  # "not part of the specification": xarray asks for it all the same
+        zarr.consolidate_metadata(str(path))
+
+
+def _attributes(study: Study) -> dict[str, Any]:
+    known = study.describe()
+    first = study.variants[0].chain
+    return {
+        "title": study.name,
+        "study": json.dumps(known),
+        "frame": "targets are base_T_tip" if study.targets.frame == "base" else "targets are world_T_tip, the world's z up",
+        "quaternion_order": "wxyz",
+        "units": "m, rad",
+        "coordinates": " ".join(GIVEN),
+        "models": known["models"],
+        "mounts": {variant_name(v.index): np.asarray(v.chain.world_T_base).tolist() for v in study.variants},
+        "methods": sorted({study.method(v.chain) for v in study.variants}),
+        "joint_names": {str(v.chain.name): list(v.chain.joint_names) for v in study.variants},
+        "joint_types": list(first.joint_types),
+        "seed": study.seed,
+        "versions": known["versions"],
+        "position_tolerance": study.ik.position_tolerance,
+        "rotation_tolerance": study.ik.rotation_tolerance,
+        "margin": study.margin if study.collision else None,
+        "reasons": {r.text: int(r) for r in list(Reason)[:6]},
+        "grid": [[float(x) for x in axis] for axis in study.targets.axes],
+        "targets_per_position": study.targets.turns,
+    }
+
+
+def _changes(old: Any, new: Any, where: str = "") -> Iterator[str]:
+    """What differs, in words."""
+    if isinstance(old, dict) and isinstance(new, dict):
+        for key in sorted(set(old) | set(new)):
+            yield from _changes(old.get(key), new.get(key), f"{where}.{key}" if where else key)
+    elif old != new:
+        short = lambda value: (text := json.dumps(value)) and (text if len(text) <= 60 else f"{text[:57]}...")
+        yield f"{where} was {short(old)} and is {short(new)}"
