@@ -19,7 +19,7 @@ if "PYTEST_XDIST_WORKER" not in os.environ:
 
 # not the arithmetic on scalars, nor the compiler, nor what fits: their types are plain (mypy's), and a trace, or a fit, calls
 # them a hundred thousand times
-UNTYPED = ("__init__", "algebra", "convex", "distance", "fit", "linear", "qp", "robot_fit")
+UNTYPED = ("__init__", "algebra", "convex", "distance", "capsules", "linear", "qp", "model")
 HOME = Path(find_spec("jaxik").origin).parent
 FILES = [p for p in HOME.rglob("*.py") if p.stem not in UNTYPED and p.parent.name != "spmd"]
 TYPED = [".".join(("jaxik", *p.relative_to(HOME).with_suffix("").parts)) for p in FILES]

@@ -1,6 +1,6 @@
 """How far a robot is from the scene and from itself.
 
-The robot is a set of swept-sphere volumes (`spheres`), the scene a set of obstacles by kind; `gaps` knows each pair, and
+The robot is a set of swept-sphere volumes (`volumes`), the scene a set of obstacles by kind; `pairs` knows each pair, and
 `nearest` which one decides.
 """
 

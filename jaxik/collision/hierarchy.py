@@ -261,7 +261,7 @@ class Robot:
 
 
 def robot(chain: Chain) -> Robot:
-    """Raises nothing; `collision.check_geometry` says what is missing."""
+    """Raises nothing; `clearances.check_geometry` says what is missing."""
     return _known_robot(chain) if is_known(chain) else _robot(chain)
 
 

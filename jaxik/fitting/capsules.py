@@ -6,7 +6,7 @@ signed distance s to a convex body is convex, too, so over a capsule of radius r
 most `r + max(s(a), s(b))`, and reaches that: this is the protrusion.
 
 What the fit makes small is the excess: how far a capsule crosses the planes that it should keep behind. Those are the faces of
-the hull, moved out by the accuracy that is asked for, and planes beside it where other links pass (`robot_fit`): a flange may
+the hull, moved out by the accuracy that is asked for, and planes beside it where other links pass (`model`): a flange may
 reach far to where nothing ever is, and must not towards the link that turns a centimetre before it.
 """
 

@@ -174,7 +174,7 @@ def as_poses(targets: Any, task: Task) -> tuple[np.ndarray, np.ndarray, bool]:
 
 
 def _rigid_pose(pose: Any) -> tuple[Any, Any]:
-    """A pose (4, 4) with its rotation made orthonormal, and whether it was one (as `given.is_rigid`); else the identity."""
+    """A pose (4, 4) with its rotation made orthonormal, and whether it was one (as `arrays.is_rigid`); else the identity."""
     rotation, last = pose[:3, :3], jnp.array([0.0, 0.0, 0.0, 1.0])
     off = jnp.max(jnp.abs(rotation.T @ rotation - jnp.eye(3)))
     right_handed = jnp.dot(jnp.cross(rotation[0], rotation[1]), rotation[2]) > 0.0

@@ -113,7 +113,7 @@ def _fields(who: str, **fields: tuple[Any, tuple[int, ...]]) -> list[Any]:
 
 
 def _is_rigid(frame: Any) -> Any:
-    """`given.is_rigid` of a traced frame (4, 4)."""
+    """`arrays.is_rigid` of a traced frame (4, 4)."""
     x, y, z = frame[:3, :3]
     off = jnp.stack([x @ x - 1.0, y @ y - 1.0, x @ y, *(jnp.cross(x, y) - z), *(frame[3] - jnp.array([0.0, 0.0, 0.0, 1.0]))])
     return jnp.max(jnp.abs(off)) <= RIGID

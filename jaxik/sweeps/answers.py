@@ -248,7 +248,7 @@ def _answered(columns: dict[str, np.ndarray], chain: Chain, poses: np.ndarray, a
 
 
 def _between(study: Study, chain: Chain, poses: np.ndarray, around: _Crops | None) -> tuple[_Best, np.ndarray]:
-    """What `between` finds for poses that have nothing on the grid; and which stay open."""
+    """What `certify` finds for poses that have nothing on the grid; and which stay open."""
     found = between(chain, poses, study.slides, study.refine)
     best = _Best.nothing(len(poses), found.leading.shape[1])
     rows = np.flatnonzero(found.branch >= 0)

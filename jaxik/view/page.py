@@ -40,7 +40,7 @@ class Page:
         port: int = 8080,
         meshes: Sequence[Shape] = (),
     ):
-        """Serves the page on `host`, `port`; `meshes` are shown beside the collision model (`load.link_meshes`).
+        """Serves the page on `host`, `port`; `meshes` are shown beside the collision model (`files.link_meshes`).
 
         Raises `ValueError` without viser, and for a store of another robot.
         """
