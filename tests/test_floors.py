@@ -1,4 +1,4 @@
-"""Each package imports only from those below its own; no function hides a module; importing jaxik changes nothing and says nothing."""
+"""Packages import only from those below; no function hides a module; importing jaxik changes nothing and says nothing."""
 
 import ast
 import importlib

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 import jaxik
-from jaxik.files import models_folder
+from jaxik.files.loading import models_folder
 from jaxik.files.toml import ORIGINS
 
 TABLE_4 = [  # 9-DOF paper: position [cm], q1 [cm], q2..q9 [deg]

@@ -10,7 +10,7 @@ from fresh import scan_memory
 
 import jaxik
 from jaxik.costs import harvest_orientation_cost
-from jaxik.files import models_folder
+from jaxik.files.loading import models_folder
 from jaxik.harvesting.scanning import (
     Weights,
     _climb,

@@ -23,7 +23,7 @@ from scipy.spatial.transform import Rotation
 
 import jaxik
 from jaxik import Reason
-from jaxik.files import models_folder
+from jaxik.files.loading import models_folder
 from jaxik.spmd import HostKernel
 from jaxik.sweeps.cluster import _on_worker, _piece
 from jaxik.sweeps.store import StoreError
@@ -196,7 +196,7 @@ def test_what_is_missed_is_measured(tmp_path):
     """The audit's rates, against sweeps of the same targets with the same efforts; and its bound against SciPy's own test."""
     from scipy.stats import binomtest
 
-    from jaxik.sweeps.audit import bound
+    from jaxik.sweeps.auditing import bound
 
     study = SMALL | {"refine": 0, "slides": 4, "audited": 10**6, "chunk": 700}
     known = jaxik.sweep(study, tmp_path / "a.zarr").dataset().attrs
@@ -565,7 +565,7 @@ def test_a_disk_that_is_full_loses_nothing(two, tmp_path, monkeypatch):
 
 HELD = """
 import signal, time
-from jaxik.sweeps import Store
+from jaxik.sweeps.store import Store
 write = Store.write
 def held(*given):  # the first chunk is on disk, and no other until Ctrl-C was heard: its second would be Python's own
     write(*given)

@@ -1,0 +1,15 @@
+"""Fruits, how they are grasped, and the best posture for each."""
+
+from jaxik.harvesting.driver import Harvest, harvest
+from jaxik.harvesting.mapping import fit_mapping
+from jaxik.harvesting.scanning import Grasp, Weights, blockers, scan
+
+__all__ = [
+    "Grasp",
+    "Harvest",
+    "Weights",
+    "blockers",
+    "fit_mapping",
+    "harvest",
+    "scan",
+]

@@ -1,0 +1,9 @@
+"""What an arm reaches over all positions of its leading joints (a slide), and what lies between those that were tried."""
+
+from jaxik.reach.scoring import likely_postures, log_reach_score, reach_score
+
+__all__ = [
+    "likely_postures",
+    "log_reach_score",
+    "reach_score",
+]

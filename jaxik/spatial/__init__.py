@@ -1,0 +1,1 @@
+"""Rigid motions on scalars that may be floats, arrays, tracers or balls; knows no robot."""

@@ -1,0 +1,180 @@
+"""Where can this arm reach, from which base, and why not elsewhere: millions of targets into a store that is never lost.
+
+`sweep` works through a `Study` chunk by chunk. A chunk is what is computed, written, resumed, sharded and sent to a cluster.
+"""
+
+from __future__ import annotations
+
+import itertools
+import operator
+import os
+import re
+from collections import deque
+from collections.abc import Callable, Iterator, Mapping
+from concurrent.futures import Future, ThreadPoolExecutor
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from jaxik.checks.options import shown
+from jaxik.reasons import Reason
+from jaxik.sweeps.answers import answer
+from jaxik.sweeps.auditing import audit
+from jaxik.sweeps.store import Store, StoreError
+from jaxik.sweeps.study import Study
+
+Columns = dict[str, np.ndarray]
+AHEAD = 2  # chunks at a time in this process: what one does on the host alone, the other spends in compiled blocks
+
+
+class Sweep(NamedTuple):
+    """What a call of `sweep` ended with: the store, its study, and how many pieces of its work are done, of how many."""
+
+    path: Path
+    study: Study
+    done: int
+    total: int
+    counts: dict[str, int]
+
+    @property
+    def complete(self) -> bool:
+        return self.done == self.total
+
+    def dataset(self) -> Any:
+        """The results as an `xarray.Dataset`, read as they are needed."""
+        import xarray
+
+        return xarray.open_zarr(self.path)
+
+
+def sweep(
+    study: Study | str | Path | Mapping[str, Any],
+    out: str | Path | None = None,
+    *,
+    shard: str | tuple[int, int] = (1, 1),
+    cluster: str | None = None,
+    repair: bool = False,
+    progress: Callable[[int, int], Any] | None = None,
+    stop: Callable[[], bool] = lambda: False,
+) -> Sweep:
+    """Answers all targets of a study that the store `out` does not hold yet; killed at any moment, a rerun goes on.
+
+    `study` is a TOML file, the same as nested dictionaries, or a `Study`. `shard` (i, n) or "i/n" does every n-th chunk, so
+    that n processes, one for each i, fill one store. `cluster` is the address of a Dask scheduler whose workers compute. With
+    `repair` damaged chunks are computed again. `progress` is called with the number of targets done and of all; `stop` is asked
+    after every chunk.
+
+    Raises `ValueError` for a study that cannot be read, a store of another study or a damaged chunk; `OSError` where the store
+    cannot be written. Nothing that is finished is lost by either.
+    """
+    read = Study.of(study)
+    path = Path(out if out is not None else Path(study).with_suffix(".zarr") if isinstance(study, str | Path) else "sweep.zarr")
+    first, every = _shard(shard)
+    store = Store.of(path, read)
+    mine = np.arange(first - 1, len(read.variants) * read.chunks, every)
+    finished = store.finished()
+    todo = [int(n) for n in mine if not finished[n] or not _intact(store, int(n), repair)]
+    total = sum(_size(read, int(n)) for n in mine)
+    done = total - sum(_size(read, n) for n in todo)
+    if progress:
+        progress(done, total)
+    for number in _written(store, _computed(read, todo, cluster, stop)):
+        done += _size(read, number)
+        if progress:
+            progress(done, total)
+    return _ended(store, repair)
+
+
+def _size(study: Study, number: int) -> int:
+    rows = study.work(number)[2]
+    return rows.stop - rows.start
+
+
+def _shard(shard: str | tuple[int, int]) -> tuple[int, int]:
+    given = re.fullmatch(r"(\d+)/(\d+)", shard) if isinstance(shard, str) else None
+    try:
+        first, every = map(int, given.groups()) if given else map(operator.index, shard)  # type: ignore[arg-type]
+        if 1 <= first <= every:
+            return first, every
+    except (TypeError, ValueError):
+        pass
+    raise ValueError(f"shard {shown(shard)}: write i/n with 1 <= i <= n")
+
+
+def _intact(store: Store, number: int, repair: bool) -> bool:
+    """Whether a finished chunk holds what was written. Raises where not, unless it is to be made again."""
+    try:
+        store.read(number)
+    except StoreError:
+        if not repair:
+            raise
+        store.forget(number)
+        return False
+    return True
+
+
+def _computed(study: Study, todo: list[int], cluster: str | None, stop: Callable[[], bool]) -> Iterator[tuple[int, Columns]]:
+    """The chunks to do, as they come, until all are there or `stop` says so."""
+    if cluster is not None and todo:
+        from jaxik.sweeps.cluster import computed
+
+        yield from computed(study, todo, cluster, stop)
+        return
+    with ThreadPoolExecutor(AHEAD, thread_name_prefix="jaxik-chunk") as pool:
+        work = lambda number: (number, answer(study, *study.work(number)[::2]))
+        waiting, running = iter(todo), deque[Future[tuple[int, Columns]]]()
+        running.extend(pool.submit(work, number) for number in itertools.islice(waiting, AHEAD))
+        while running:
+            yield running.popleft().result()
+            if not stop():
+                running.extend(pool.submit(work, number) for number in itertools.islice(waiting, 1))
+
+
+def _written(store: Store, chunks: Iterator[tuple[int, Columns]]) -> Iterator[int]:
+    """Writes each chunk while the next is computed; the numbers of those that are on disk."""
+    with ThreadPoolExecutor(1, thread_name_prefix="jaxik-store") as writer:
+        last: tuple[int, Future[None]] | None = None
+        for number, columns in chunks:
+            if last:
+                yield _on_disk(store, *last)
+            last = number, writer.submit(store.write, number, columns)
+        if last:
+            yield _on_disk(store, *last)
+
+
+def _on_disk(store: Store, number: int, written: Future[None]) -> int:
+    try:
+        written.result()
+    except OSError as error:
+        what = os.strerror(error.errno) if error.errno else str(error)
+        raise OSError(
+            f"{store.path}: chunk {number} could not be written ({what}); mend that and run again: it goes on"
+        ) from None
+    return number
+
+
+def _ended(store: Store, repair: bool) -> Sweep:
+    """Counts, and, once all is done, what only the whole tells. With `repair` a chunk that cannot be counted, which is another
+    shard's, is left for that to do."""
+    finished = store.finished()
+    counts: dict[str, int] = {}
+    undecided = 0
+    for number in np.flatnonzero(finished):
+        try:
+            reason, proven = (store.column(int(number), name) for name in ("reason", "proven"))
+        except StoreError:
+            if not repair:
+                raise
+            store.forget(int(number))
+            finished[number] = False
+            continue
+        undecided += int(np.sum(~proven))
+        for r, n in zip(*np.unique(reason, return_counts=True), strict=True):
+            counts[Reason(int(r)).text] = counts.get(Reason(int(r)).text, 0) + int(n)
+    counts = dict(sorted(counts.items(), key=lambda each: -each[1]))
+    if finished.all():
+        counted = {"counts": counts, "undecided": undecided}
+        asked_again = audit(store) if store.study.audited and not store.knows(counted) else {}
+        store.finish({"complete": True} | counted | asked_again)
+    return Sweep(store.path, store.study, int(finished.sum()), len(finished), counts)
