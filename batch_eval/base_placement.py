@@ -56,7 +56,7 @@ def picked(y: Any, z: Any, yaw: Any) -> np.ndarray:
 
 @jax.jit
 def score(base: Any, poses: Any, q: Any, scene: Any) -> Any:
-    return jax.value_and_grad(lambda b: jaxik.log_reach_score(CHAIN.mounted(placed(b)), scene, poses, q))(base)
+    return jax.value_and_grad(lambda b: jaxik.reach.log_reach_score(CHAIN.mounted(placed(b)), scene, poses, q))(base)
 
 
 def ascend(base: np.ndarray) -> tuple[np.ndarray, list[Any]]:
@@ -68,7 +68,7 @@ def ascend(base: np.ndarray) -> tuple[np.ndarray, list[Any]]:
         chain = CHAIN.mounted(np.asarray(placed(jnp.asarray(base))))
         value, slope = 0.0, np.zeros(3)
         for poses, scene in zip(POSES, AROUND, strict=True):
-            at, q = jaxik.likely_postures(chain, scene, poses, slides=6)
+            at, q = jaxik.reach.likely_postures(chain, scene, poses, slides=6)
             v, g = score(jnp.asarray(base, jnp.float32), at.astype(np.float32), q, scene)
             value, slope = value + float(v), slope + np.asarray(g, float)
         history.append([*map(float, base), value])

@@ -41,7 +41,7 @@ class Work:
         self.files = motionbenchmaker.files(folder)
         self.scenes = [goal.scene for goal in motionbenchmaker.goals(folder, self.chain)]
         shape = (len(self.scenes), OURS, self.chain.num_joints)
-        self.q = np.random.default_rng(0).uniform(*jaxik.finite_limits(self.chain), shape).astype(np.float32)
+        self.q = np.random.default_rng(0).uniform(*jaxik.robot.finite_limits(self.chain), shape).astype(np.float32)
         self.padded = [jax.device_put(scene.geometry()) for scene in self.scenes]
 
     @functools.cached_property
@@ -62,7 +62,8 @@ class Work:
         """`function(chain, scene, q)`, traced, over all scenes and configurations; a program for each size of scene. Scenes are
         put in order before the clock starts, as peers' are made."""
         batch = jax.jit(jax.vmap(lambda scene, q: function(self.chain, scene, q), in_axes=(None, 0)))
-        q, scenes = [jnp.asarray(rows) for rows in self.q], [jaxik.hierarchy.grouped(s, self.chain) for s in self.scenes]
+        q = [jnp.asarray(rows) for rows in self.q]
+        scenes = [jaxik.collision.hierarchy.grouped(s, self.chain) for s in self.scenes]
         run = lambda: [batch(scene, rows) for scene, rows in zip(scenes, q, strict=True)]
         start = time.perf_counter()
         jax.block_until_ready(run())

@@ -102,7 +102,7 @@ class Hulls:
                 link = chain.link_names.index(str(element.get("name")))
                 parts = [(c.find("geometry"), origin(c)) for c in element.findall("collision")]
                 self.shapes[link] = [shape(g, o, file.parent) for g, o in parts if g is not None]
-        self.frames = np.asarray(jax.jit(jax.vmap(lambda q: jaxik.link_frames(chain, q)))(jnp.asarray(q)))
+        self.frames = np.asarray(jax.jit(jax.vmap(lambda q: jaxik.robot.link_frames(chain, q)))(jnp.asarray(q)))
 
     def distances(self, a: int, b: int) -> np.ndarray:
         """The signed distance of two links at each configuration [m]."""
@@ -140,9 +140,9 @@ def measure(name: str, fit: jaxik.Fit | None, count: int) -> dict[str, Any]:
     load = lambda: jaxik.load(FOLDER / file, tip=tip, base=base, meshes=True, fit=fit)
     seconds, chain = timed(load)
     again, _ = timed(load)
-    told = jaxik.fit_report(FOLDER / file, tip=tip, base=base, fit=fit) if fit else ()
+    told = jaxik.files.fit_report(FOLDER / file, tip=tip, base=base, fit=fit) if fit else ()
     q = draw(chain, count)
-    own = jax.jit(jax.vmap(lambda q: jaxik.self_clearance(chain, q)))
+    own = jax.jit(jax.vmap(lambda q: jaxik.collision.self_clearance(chain, q)))
     first, _ = timed(lambda: own(jnp.asarray(q)))
     each, model = timed(lambda: own(jnp.asarray(q)))
     by_pair = judged_pairs(Hulls(FOLDER / file, chain, q), chain)

@@ -78,9 +78,9 @@ def peak():  # not getrusage: it begins with what the parent process had
     return 1024 * next(int(line.split()[1]) for line in open("/proc/self/status") if line.startswith("VmHWM"))
 
 chain, scene = jaxik.load("p6r"), jaxik.load_scene("cucumber_row")
-jaxik.scan(chain, scene, scene.fruits[0], 8, 4)
+jaxik.harvesting.scan(chain, scene, scene.fruits[0], 8, 4)
 before = peak()
-found = jaxik.scan(chain, scene, scene.fruits[0], 720, 174)
+found = jaxik.harvesting.scan(chain, scene, scene.fruits[0], 720, 174)
 print(json.dumps({"candidates": found.status.size, "before_bytes": before, "peak_bytes": peak()}))
 """
 

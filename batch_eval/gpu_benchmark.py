@@ -103,7 +103,7 @@ def clearance(gradient: bool, small: bool) -> dict[str, Any]:
 def harvest_scan(small: bool) -> dict[str, Any]:
     chain, scene = jaxik.load("p6r"), jaxik.load_scene("cucumber_row")
     size = (24, 12) if small else (144, 82)
-    return driven(lambda: jaxik.scan(chain, scene, scene.fruits[0], *size) and None, 8 * size[0] * size[1])
+    return driven(lambda: jaxik.harvesting.scan(chain, scene, scene.fruits[0], *size) and None, 8 * size[0] * size[1])
 
 
 def driven(run: Callable[[], Any], count: int, rounds: int = 5) -> dict[str, Any]:
@@ -140,7 +140,7 @@ def descent(small: bool) -> dict[str, Any]:
     """One seed each, all in one traced program; the success is that of single seeds, to 1e-4 m and 1e-3 rad in float32."""
     chain, count = chain_of("Panda"), 256 if small else 65_536
     poses, seeds = problems.targets(chain, count), configurations(chain, count)[::-1].copy()
-    row, landed = batch(jax.vmap(functools.partial(jaxik.descend, chain)), poses.astype(np.float32), seeds)
+    row, landed = batch(jax.vmap(functools.partial(jaxik.ik.descend, chain)), poses.astype(np.float32), seeds)
     q = np.asarray(landed.q, np.float64)
     return row | {"success": problems.solved(chain, q, problems.tips(chain, q), poses, 1e-4, 1e-3)}
 

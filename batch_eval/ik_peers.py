@@ -18,7 +18,8 @@ from arm import eaik_robot
 from panda import TIP
 from problems import POSITION, ROTATION
 
-from jaxik import Chain, finite_limits
+from jaxik import Chain
+from jaxik.robot import finite_limits
 
 Solver = Callable[[np.ndarray], np.ndarray]
 RESTARTS, STEPS = 10, 100  # of solvers that follow one start at a time

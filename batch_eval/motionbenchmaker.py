@@ -106,7 +106,7 @@ def scene_of(message: dict[str, Any]) -> jaxik.Scene:
     if ((world.get("octomap") or {}).get("octomap") or {}).get("data"):
         raise ValueError("an octomap, which this reader does not know; take the scene without 'sensed'")
     moved = {t["child_frame_id"]: _placed(t["transform"]) for t in message.get("fixed_frame_transforms") or ()}
-    builder = jaxik.SceneBuilder()
+    builder = jaxik.collision.SceneBuilder()
     for item in world.get("collision_objects") or ():
         shapes = _shapes(item, moved)
         if any(shapes.values()):  # an object may be a name alone

@@ -52,7 +52,7 @@ def robot(name: str) -> jaxik.Chain:
 def obstacles(chain: jaxik.Chain) -> jaxik.Scene:
     """Thin ones and thick ones about where the robot's parts come, by a fixed seed; none that is nearly always
     in the way."""
-    rng, limits = np.random.default_rng(16), jaxik.finite_limits(chain)
+    rng, limits = np.random.default_rng(16), jaxik.robot.finite_limits(chain)
     frames = jax.jit(jax.vmap(lambda q: jaxik.forward_kinematics(chain, q)))(rng.uniform(*limits, (500, chain.num_joints)))
     places = np.asarray(frames)[:, :3, 3] @ chain.world_T_base[:3, :3].T + chain.world_T_base[:3, 3]
     reach = float(np.linalg.norm(places - places.mean(axis=0), axis=1).max())
@@ -78,14 +78,16 @@ def obstacles(chain: jaxik.Chain) -> jaxik.Scene:
         boxes=[(frame(), edges) for _ in range(CLUTTER) for edges in (size(3), [*size(2), 0.002])],
         cylinders=[(frame(), 0.002, size()) for _ in range(CLUTTER)],
     )
-    apart = jax.jit(jax.vmap(lambda q: jaxik.object_clearances(chain, scene, q)))(rng.uniform(*limits, (500, chain.num_joints)))
+    apart = jax.jit(jax.vmap(lambda q: jaxik.collision.object_clearances(chain, scene, q)))(
+        rng.uniform(*limits, (500, chain.num_joints))
+    )
     often = np.mean(np.asarray(apart) < 0.01, axis=0) > 0.1
     return scene.without(np.flatnonzero(often).tolist())
 
 
 def motions(chain: jaxik.Chain, scene: jaxik.Scene, count: int, seed: int = 17) -> tuple[np.ndarray, np.ndarray]:
     """`count` of them: (count, n) twice, in float32; the first ends are free."""
-    rng, limits = np.random.default_rng(seed), jaxik.finite_limits(chain)
+    rng, limits = np.random.default_rng(seed), jaxik.robot.finite_limits(chain)
     measure = jax.jit(jax.vmap(lambda q: jaxik.clearance(chain, scene, q)))
     kept: list[np.ndarray] = []
     while sum(map(len, kept)) < count:
@@ -121,7 +123,7 @@ def judged(chain: jaxik.Chain, scene: jaxik.Scene | None, q_from: np.ndarray, q_
     """Counts of what must not be, and the bound's slack."""
     margin = np.resize(np.float32(MARGINS), len(q_from))
     bound = jax.jit(jax.vmap(lambda a, b, m: jaxik.motion_clearance(chain, scene, a, b, m, RESOLUTION)))
-    hits = jax.jit(jax.vmap(lambda a, b, m: jaxik.motion_collides(chain, scene, a, b, m, RESOLUTION)))
+    hits = jax.jit(jax.vmap(lambda a, b, m: jaxik.collision.motion_collides(chain, scene, a, b, m, RESOLUTION)))
     truth = dense(chain, scene, samples)
 
     def timed(f: Any) -> tuple[Any, float]:

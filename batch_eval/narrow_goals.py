@@ -69,8 +69,8 @@ def obstacles(name: str, chain: jaxik.Chain) -> jaxik.Scene:
 
 def configurations(chain: jaxik.Chain, scene: jaxik.Scene, count: int) -> dict[str, np.ndarray]:
     """Up to `count` configurations of goals of each kind, (m, n)."""
-    measure = jax.jit(jax.vmap(lambda q: (jaxik.clearance(chain, scene, q), jaxik.self_clearance(chain, q))))
-    rng, limits = np.random.default_rng(15), jaxik.finite_limits(chain)
+    measure = jax.jit(jax.vmap(lambda q: (jaxik.clearance(chain, scene, q), jaxik.collision.self_clearance(chain, q))))
+    rng, limits = np.random.default_rng(15), jaxik.robot.finite_limits(chain)
     kept: dict[str, list[np.ndarray]] = {"scene": [], "self": [], "easy": []}
     for _ in range(20):
         q = rng.uniform(*limits, (5000, chain.num_joints))

@@ -1,6 +1,6 @@
 """The 9-DOF paper redone: `python batch_eval/nine_dof.py` prints its table 4 beside ours and writes `nine_dof.json`.
 
-Every target of its text is reached in a generated crop (`jaxik.crop.trellis_crop`; the paper's crops are not printed), position
+Every target of its text is reached in a generated crop (`jaxik.harvesting.crop`; the paper's crops are not printed), position
 only, since its orientations follow no convention that could be found. The paper states an error of 1e-7 cm and 54 s a target.
 """
 
@@ -45,7 +45,7 @@ def boxes_of(scene: jaxik.Scene) -> tuple[np.ndarray, np.ndarray]:
 def solve(chain: jaxik.Chain) -> list[dict[str, Any]]:
     """All targets of the text, each in its crop without the fruit itself."""
     pose, rows = pose_of(chain), []
-    penalty = jax.jit(lambda q, low, high: box_penalty(jaxik.link_circles(chain, q), low, high, 1.0))
+    penalty = jax.jit(lambda q, low, high: box_penalty(jaxik.collision.link_circles(chain, q), low, high, 1.0))
     for crop, targets in TRELLIS_TARGETS.items():
         scene = trellis_crop(crop)
         for i, target in enumerate(np.array(targets, np.float64) / 100.0):

@@ -17,7 +17,7 @@ START = np.radians([30.0, -30.0, -30.0, -60.0])
 OBSTACLE, ACTIVATION, STEEP = (1.0, 1.1, 0.0), 0.2, 500.0
 IN_PLANE = jaxik.Task((True, True, False, False, False, False), "base")
 # the text's instantaneous motion goes down 50 times the gradient whose cost weighs 500
-INSTANTANEOUS = jaxik.Follow("asc", DT, "euler", IN_PLANE, alpha=0.1, gain=1.0, limits=False, tolerance=0.1)
+INSTANTANEOUS = jaxik.motions.Follow("asc", DT, "euler", IN_PLANE, alpha=0.1, gain=1.0, limits=False, tolerance=0.1)
 
 
 @functools.cache
@@ -27,11 +27,11 @@ def arm() -> jaxik.Chain:
 
 
 @functools.cache
-def path(chain: jaxik.Chain) -> jaxik.Line:
+def path(chain: jaxik.Chain) -> jaxik.motions.Line:
     start = np.asarray(jaxik.forward_kinematics(chain, START))
     end = start.copy()
     end[:2, 3] = 0.5, 0.0
-    return jaxik.Line(start, end)
+    return jaxik.motions.Line(start, end)
 
 
 def position_cost(chain: jaxik.Chain) -> Callable[[Any], Any]:
@@ -40,6 +40,6 @@ def position_cost(chain: jaxik.Chain) -> Callable[[Any], Any]:
     return lambda q: STEEP / 3.0 * jnp.maximum(ACTIVATION - jaxik.clearance(chain, scene, q), 0.0) ** 3
 
 
-def horizon(descend: jaxik.Descent = jaxik.QUASI_NEWTON) -> jaxik.Horizon:
+def horizon(descend: jaxik.optimise.Descent = jaxik.optimise.QUASI_NEWTON) -> jaxik.motions.Horizon:
     """The whole path, at the text's samples and with a gain of 1/s, by which the tip drifts by 3 cm."""
-    return jaxik.Horizon(DT, round(DURATION / DT), task=IN_PLANE, gain=1.0, descend=descend)
+    return jaxik.motions.Horizon(DT, round(DURATION / DT), task=IN_PLANE, gain=1.0, descend=descend)

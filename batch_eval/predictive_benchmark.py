@@ -73,7 +73,7 @@ def real_time(seconds: float) -> dict[str, Any]:
 
 def character(chain: jaxik.Chain, q: np.ndarray, qdot: np.ndarray) -> dict[str, float]:
     """Speeds of the revolute joints, the least clearance, what the posture costs, and whether limits are kept."""
-    clearance = jax.jit(jax.vmap(lambda q: jaxik.self_clearance(chain, q)))
+    clearance = jax.jit(jax.vmap(lambda q: jaxik.collision.self_clearance(chain, q)))
     speed = np.sum(qdot[:, 1:] ** 2, axis=1)
     beyond = np.maximum(q - chain.upper, chain.lower - q)
     return {
@@ -99,7 +99,7 @@ def oracle(count: int = 200) -> dict[str, float]:
     horizon, rng = case.horizon(count * case.DT), np.random.default_rng(0)
     ahead = future(case.path(chain), case.DURATION, horizon, 1.5)
     plan = 0.3 * rng.normal(size=(count, chain.num_joints))
-    cost = jaxik.quadratic_cost(case.position_cost(chain), case.VELOCITY, case.EFFORT)
+    cost = jaxik.motions.quadratic_cost(case.position_cost(chain), case.VELOCITY, case.EFFORT)
     goal = objective(chain, cost, horizon, jnp.asarray(case.START), ahead, (), jnp.zeros(chain.num_joints))
     total, run = jax.jit(goal.value)(plan)
     gradient = case.DT * np.asarray(jax.jit(goal.gradient)(plan, run))
@@ -113,10 +113,13 @@ def oracle(count: int = 200) -> dict[str, float]:
 def scenarios(count: int = 256) -> list[dict[str, Any]]:
     """So many starts in one call, beside one alone; float32."""
     arm = pendulum.arm()
-    path, cost = pendulum.path(arm), jaxik.quadratic_cost(pendulum.position_cost(arm))
+    path, cost = pendulum.path(arm), jaxik.motions.quadratic_cost(pendulum.position_cost(arm))
     starts = pendulum.START + 0.05 * np.random.default_rng(0).normal(size=(count, 4))
     rows = []
-    for name, descend in {"to the end": jaxik.Descent(), "10 iterations": jaxik.Descent(iterations=10, tolerance=0.0)}.items():
+    for name, descend in {
+        "to the end": jaxik.optimise.Descent(),
+        "10 iterations": jaxik.optimise.Descent(iterations=10, tolerance=0.0),
+    }.items():
         horizon = pendulum.horizon(descend)
         run = lambda q, h=horizon: jax.block_until_ready(jaxik.predict(arm, path, 4.0, q, cost, h))
         one, many = median_ms(lambda run=run: run(starts[0]), 51), median_ms(lambda run=run: run(starts), 11)
@@ -138,10 +141,10 @@ def optimum() -> dict[str, Any]:
     """The pendulum's optimum by the text's count, and at a sample time that hardly matters by four solvers."""
     arm = pendulum.arm()
     path, near = pendulum.path(arm), pendulum.position_cost(arm)
-    cost = jaxik.quadratic_cost(near)
-    exact = dataclasses.replace(jaxik.QUASI_NEWTON, tolerance=1e-13, iterations=3000)
+    cost = jaxik.motions.quadratic_cost(near)
+    exact = dataclasses.replace(jaxik.optimise.QUASI_NEWTON, tolerance=1e-13, iterations=3000)
     text = pendulum.horizon(exact)
-    many = jaxik.multistart(arm, path, 4.0, pendulum.START, cost, text, starts=1000)
+    many = jaxik.motions.multistart(arm, path, 4.0, pendulum.START, cost, text, starts=1000)
     best = {"speed": float(np.sum(many.qdot[0] ** 2)), "total": float(many.total[0]) / text.dt}
     best["collision"] = float(np.sum(jax.jit(jax.vmap(near))(many.q[0, :-1])))
     share = float(np.mean(many.total < 1.01 * many.total[0]))
@@ -150,14 +153,14 @@ def optimum() -> dict[str, Any]:
     guess = np.repeat(many.w[0], 40, axis=0)
     quasi = jaxik.predict(arm, path, 4.0, pendulum.START, cost, fine, guess)
     print("quasi", float(quasi.total), flush=True)
-    gradients = jaxik.Descent(iterations=300, tolerance=1e-10)
+    gradients = jaxik.optimise.Descent(iterations=300, tolerance=1e-10)
     conjugate = jaxik.predict(arm, path, 4.0, pendulum.START, cost, dataclasses.replace(fine, descend=gradients), guess)
     print("conjugate", float(conjugate.total), flush=True)
     control, ahead = problem(arm, cost, fine), future(path, 4.0, fine)
     solve = jax.jit(lambda w: ilqr.solve(control, (jnp.asarray(pendulum.START), jnp.zeros(4)), w, ahead).run.total)
     second = float(solve(jnp.asarray(guess)))
     print("ilqr", second, flush=True)
-    reference = jaxik.boundary_value(arm, path, 4.0, pendulum.START, cost, fine, quasi)
+    reference = jaxik.motions.boundary_value(arm, path, 4.0, pendulum.START, cost, fine, quasi)
     totals = {
         "quasi_newton": float(quasi.total),
         "conjugate_gradients": float(conjugate.total),

@@ -51,7 +51,7 @@ def pendulum_motions() -> list[Shown]:
     arm = pendulum.arm()
     path, near = pendulum.path(arm), pendulum.position_cost(arm)
     now = jaxik.follow(arm, path, pendulum.DURATION, pendulum.START, near, pendulum.INSTANTANEOUS)
-    cost = jaxik.quadratic_cost(near)
+    cost = jaxik.motions.quadratic_cost(near)
     ahead = jaxik.predict(arm, path, pendulum.DURATION, pendulum.START, cost, pendulum.horizon())
     return [
         Shown("instantaneous", GREY, pendulum.DT, now.q[:-1], now.qdot[:-1]),
@@ -66,7 +66,7 @@ def nine_joint_motions(seconds: Sequence[float] = (0.15, 2.0), alpha: float = 1.
     now = case.instantaneous(chain, alpha)
     shown = [Shown("instantaneous", GREY, case.DT, now.q[:-1], now.qdot[:-1])]
     for horizon, colour in zip(seconds, colours, strict=True):
-        moved = jaxik.follow_predictively(case.controller(chain, horizon), path, case.DURATION, case.START)
+        moved = jaxik.motions.follow_predictively(case.controller(chain, horizon), path, case.DURATION, case.START)
         shown.append(Shown(f"horizon {horizon:g} s", colour, case.DT, moved.q, moved.qdot))
     return shown
 
@@ -113,9 +113,9 @@ def convergence(kind: str) -> Any:
     """Fig. 5.3 (`"direction"`, with a fixed step) or 5.4 (`"search"`, straight down): the cost and beta or alpha by iterations,
     in the text's own way, without restarts."""
     arm = pendulum.arm()
-    path, cost = pendulum.path(arm), jaxik.quadratic_cost(pendulum.position_cost(arm))
+    path, cost = pendulum.path(arm), jaxik.motions.quadratic_cost(pendulum.position_cost(arm))
     solve = lambda how: jaxik.predict(arm, path, pendulum.DURATION, pendulum.START, cost, pendulum.horizon(how))
-    best = float(solve(jaxik.QUASI_NEWTON).total) / pendulum.DT
+    best = float(solve(jaxik.optimise.QUASI_NEWTON).total) / pendulum.DT
     names = [n for n in get_args(Direction if kind == "direction" else Search) if n != "lbfgs"]
     fixed = {"direction": "steepest", "search": "fixed", "step": 0.01, "restart": np.inf, "tolerance": 1e-4}
     figure, axes = plt.subplots(1, 2, figsize=(12, 4), layout="constrained")
@@ -123,7 +123,7 @@ def convergence(kind: str) -> Any:
         options = fixed | {kind: name}
         if kind == "search" and name != "fixed":
             options["step"] = 0.05
-        found = solve(jaxik.Descent(**options))
+        found = solve(jaxik.optimise.Descent(**options))
         axes[0].plot(np.asarray(found.totals) / pendulum.DT, ".-", label=name.replace("_", " "))
         axes[1].plot(np.asarray(found.betas if kind == "direction" else found.alphas), ".-")
     axes[0].axhline(best, color="k", ls="--", lw=1, label="optimum (L-BFGS)")
@@ -164,7 +164,7 @@ def statistics(result: dict[str, Any]) -> Any:
 def speeds(motions: Sequence[Shown]) -> Any:
     """Fig. 5.11: squared velocities of the revolute joints; and how far the arm stays from itself."""
     chain = case.arm()
-    apart = jax.jit(jax.vmap(lambda q: jaxik.self_clearance(chain, q)))
+    apart = jax.jit(jax.vmap(lambda q: jaxik.collision.self_clearance(chain, q)))
     figure, axes = plt.subplots(2, 1, figsize=(8, 6), sharex=True, layout="constrained")
     for motion in motions:
         axes[0].plot(motion.time, motion.speed, color=motion.colour, lw=2, label=motion.name)
@@ -203,7 +203,7 @@ def _draw_nine(axis: Any, motion: Shown, t: float) -> None:
     axis.tick_params(labelsize=6)
 
 
-_frames = jax.jit(jaxik.link_frames, static_argnums=0)
+_frames = jax.jit(jaxik.robot.link_frames, static_argnums=0)
 
 
 def animate(figure: Any, draw: Any, duration: float, path: Path, every: float = 0.08) -> None:

@@ -38,7 +38,7 @@ def configuration_cost(q: Any) -> Any:
     return 0.5 * jaxik.costs.comfort_cost(ARM, q) + jaxik.costs.joint_limit_cost(ARM, q, 0.25)
 
 
-COST = jaxik.quadratic_cost(configuration_cost)
+COST = jaxik.motions.quadratic_cost(configuration_cost)
 
 
 def settings(count: int) -> tuple[np.ndarray, np.ndarray]:
@@ -47,11 +47,11 @@ def settings(count: int) -> tuple[np.ndarray, np.ndarray]:
     return rng.uniform(-2 / 3 * np.pi, 2 / 3 * np.pi, (count, 4)), rng.uniform([-1.5, 0.0], [1.5, 3.0], (count, 2))
 
 
-def paths(q: np.ndarray, goals: np.ndarray) -> jaxik.Line:
+def paths(q: np.ndarray, goals: np.ndarray) -> jaxik.motions.Line:
     start = np.asarray(jax.jit(jax.vmap(lambda q: jaxik.forward_kinematics(ARM, q)))(q))
     end = start.copy()
     end[:, :2, 3] = goals
-    return jaxik.Line(start, end)
+    return jaxik.motions.Line(start, end)
 
 
 def methods() -> dict[str, Descent]:
@@ -116,8 +116,8 @@ def main(count: int) -> dict[str, Any]:
     }
 
 
-def way(ways: jaxik.Line, i: int) -> jaxik.Line:
-    return jaxik.Line(ways.start[i], ways.end[i])
+def way(ways: jaxik.motions.Line, i: int) -> jaxik.motions.Line:
+    return jaxik.motions.Line(ways.start[i], ways.end[i])
 
 
 def timed(run: Any) -> tuple[Any, float]:
@@ -127,12 +127,12 @@ def timed(run: Any) -> tuple[Any, float]:
     return found, time.perf_counter() - start
 
 
-def boundary_values(q: np.ndarray, ways: jaxik.Line) -> tuple[np.ndarray, np.ndarray]:
+def boundary_values(q: np.ndarray, ways: jaxik.motions.Line) -> tuple[np.ndarray, np.ndarray]:
     """Of each setting the integral of the cost without the effort, infinite where no solution is found; and the seconds.
 
     A mesh may grow to 100 nodes; that of `bvp4c`, which the thesis used, ends at 1000 over the number of equations, that is 62.
     """
-    solve = lambda i: jaxik.boundary_value(ARM, way(ways, i), 4.0, q[i], COST, HORIZON, tolerance=1e-2, max_nodes=100)
+    solve = lambda i: jaxik.motions.boundary_value(ARM, way(ways, i), 4.0, q[i], COST, HORIZON, tolerance=1e-2, max_nodes=100)
     inputs, seconds = np.full((len(q), COUNT, 4), np.nan), np.empty(len(q))
     for i in range(len(q)):
         found, seconds[i] = timed(lambda i=i: solve(i))
@@ -149,12 +149,14 @@ def boundary_values(q: np.ndarray, ways: jaxik.Line) -> tuple[np.ndarray, np.nda
     return np.where(np.isfinite(totals), totals, np.inf), seconds
 
 
-def follow_gradient(q: np.ndarray, ways: jaxik.Line) -> np.ndarray:
+def follow_gradient(q: np.ndarray, ways: jaxik.motions.Line) -> np.ndarray:
     """What the instantaneous motions cost: ASC by the cost's own gradient, at the samples of the plans, integrated by Euler."""
 
     def one(q: Any, way: Any) -> Any:
         def step(q: Any, t: Any) -> Any:
-            rate = jaxik.asc(ARM, q, jaxik.motion(way, 4.0, t), configuration_cost, task=HORIZON.task, gain=1.0).rate
+            rate = jaxik.motions.asc(
+                ARM, q, jaxik.motions.motion(way, 4.0, t), configuration_cost, task=HORIZON.task, gain=1.0
+            ).rate
             return q + DT * rate, configuration_cost(q) + jnp.sum(rate**2)
 
         return DT * jnp.sum(jax.lax.scan(step, q, DT * jnp.arange(float(COUNT)))[1])

@@ -81,7 +81,7 @@ def tips(chain: jaxik.Chain, q: np.ndarray) -> np.ndarray:
 
 def targets(chain: jaxik.Chain, count: int) -> np.ndarray:
     """Poses of configurations uniform inside the limits (+-pi, +-1 m where there are none), seed 0."""
-    low, high = jaxik.finite_limits(chain)
+    low, high = jaxik.robot.finite_limits(chain)
     return tips(chain, np.random.default_rng(0).uniform(low, high, (count, chain.num_joints)))
 
 

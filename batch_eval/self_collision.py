@@ -35,16 +35,16 @@ def arm() -> jaxik.Chain:
     chain = jaxik.load("crops_v2")
     q = np.random.default_rng(0).uniform(chain.lower, chain.upper, (300, chain.num_joints))
     only = lambda pair: dataclasses.replace(chain, self_pairs=(pair,))
-    apart = lambda pair: float(jnp.max(jax.vmap(lambda q: jaxik.self_clearance(only(pair), q))(q)))
+    apart = lambda pair: float(jnp.max(jax.vmap(lambda q: jaxik.collision.self_clearance(only(pair), q))(q)))
     return dataclasses.replace(chain, self_pairs=tuple(pair for pair in chain.self_pairs if apart(pair) > NEAR))
 
 
 @functools.cache
-def path(chain: jaxik.Chain) -> jaxik.Line:
+def path(chain: jaxik.Chain) -> jaxik.motions.Line:
     start = np.asarray(jaxik.forward_kinematics(chain, START))
     end = start.copy()
     end[2, 3] += RISE
-    return jaxik.Line(start, end)
+    return jaxik.motions.Line(start, end)
 
 
 def position_cost(chain: jaxik.Chain) -> Callable[[Any], Any]:
@@ -61,12 +61,14 @@ def horizon(seconds: float) -> Horizon:
     return Horizon(DT, round(seconds / DT), task=POSITION, gain=10.0, weights=WEIGHTS)
 
 
-def controller(chain: jaxik.Chain, seconds: float) -> jaxik.MovingHorizon:
+def controller(chain: jaxik.Chain, seconds: float) -> jaxik.motions.MovingHorizon:
     """One iteration a sample."""
-    return jaxik.MovingHorizon(chain, jaxik.quadratic_cost(position_cost(chain), VELOCITY, EFFORT), horizon(seconds))
+    return jaxik.motions.MovingHorizon(
+        chain, jaxik.motions.quadratic_cost(position_cost(chain), VELOCITY, EFFORT), horizon(seconds)
+    )
 
 
 def instantaneous(chain: jaxik.Chain, alpha: float) -> Any:
     """The motion that goes down `alpha` times the cost's gradient at every moment."""
-    how = jaxik.Follow("asc", DT, "euler", POSITION, alpha, gain=10.0, weights=WEIGHTS, limits=False)
+    how = jaxik.motions.Follow("asc", DT, "euler", POSITION, alpha, gain=10.0, weights=WEIGHTS, limits=False)
     return jaxik.follow(chain, path(chain), DURATION, START, position_cost(chain), how)

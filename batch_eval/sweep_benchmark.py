@@ -36,7 +36,7 @@ DIRECTIONS = [[0, 1, 0], [0.5, 1, 0], [-0.5, 1, 0], [0, 1, 0.5], [0, 1, -0.5]]
 def timed(study: dict[str, Any], warm: bool = True) -> tuple[float, Any]:
     """Seconds of a sweep into a new store, compiled before, and its attributes."""
     with tempfile.TemporaryDirectory() as folder:
-        read = jaxik.Study.of(study)
+        read = jaxik.sweeps.Study.of(study)
         if warm:
             few = study | {"targets": study["targets"] | {"x": [*study["targets"]["x"][:2], 3]}}
             jaxik.sweep(few, Path(folder) / "warm.zarr")
@@ -48,7 +48,7 @@ def timed(study: dict[str, Any], warm: bool = True) -> tuple[float, Any]:
 def eaik() -> dict[str, Any]:
     """p6r, a million targets with limits, beside EAIK over the same slides: its solutions alone, and with the limits looked at,
     which is what a map needs."""
-    study = jaxik.Study.of(FREE)
+    study = jaxik.sweeps.Study.of(FREE)
     chain, count = study.variants[0].chain, len(study.targets)
     robot, tip = eaik_robot(chain)
     some = np.random.default_rng(0).choice(count, 2000, replace=False)
@@ -152,7 +152,7 @@ def scaling_child() -> None:
 def _timed_run(across: int) -> list[float]:
     """Wall and CPU seconds of one sweep."""
     grid = {"x": [-0.3, 1.3, across], "y": [0.1, 0.9, 5], "z": [-0.2, 1.0, 5], "directions": 25}
-    study = jaxik.Study.of(FREE | {"refine": 0, "chunk": 10_000, "targets": BOX | grid})
+    study = jaxik.sweeps.Study.of(FREE | {"refine": 0, "chunk": 10_000, "targets": BOX | grid})
     ticks: list[tuple[float, float]] = []
     with tempfile.TemporaryDirectory() as folder:
         jaxik.sweep(study, f"{folder}/s.zarr", progress=lambda *_: ticks.append((time.perf_counter(), time.process_time())))

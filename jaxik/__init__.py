@@ -1,115 +1,90 @@
-"""Batched, differentiable kinematics for redundant robot arms, on JAX."""
+"""Batched, differentiable kinematics for redundant robot arms, on JAX.
 
-from jaxik.collision.advancement import MotionClearance, motion_clearance, motion_collides
-from jaxik.collision.attached import Attached, attach
-from jaxik.collision.clearances import clearance, collides, object_clearances, self_clearance
-from jaxik.collision.contacts import explain
-from jaxik.collision.scene import Fruit, Scene, SceneBuilder, make_scene
-from jaxik.collision.volumes import link_circles, link_spheres
-from jaxik.files import fit_report, load, load_scene, load_targets, save
-from jaxik.fitting.capsules import Fit
-from jaxik.fitting.report import LinkFit
-from jaxik.harvesting.driver import Harvest, harvest
-from jaxik.harvesting.mapping import fit_mapping
-from jaxik.harvesting.scanning import Grasp, Weights, blockers, scan
-from jaxik.ik.implicit import implicit_ik
-from jaxik.ik.lanes import descend
-from jaxik.ik.options import IKOptions
-from jaxik.ik.solve import IKResult, solve_ik
-from jaxik.motions.boundary import boundary_value
-from jaxik.motions.following import Follow, follow
-from jaxik.motions.moving_horizon import MovingHorizon, follow_predictively
-from jaxik.motions.path import Arc, Line, motion, via
-from jaxik.motions.predictive import Horizon, multistart, predict, quadratic_cost
-from jaxik.motions.redundancy import asc, rac, resolve_acceleration, resolve_velocity, rmrc
-from jaxik.optimise.descent import QUASI_NEWTON, Descent
-from jaxik.reach.scoring import likely_postures, log_reach_score, reach_score
+Here is what everybody needs; the rest is in the packages, which are there after `import jaxik`: `robot`, `collision`, `costs`,
+`fitting`, `files`, `ik`, `motions`, `reach`, `harvesting`, `sweeps`, `view`, and, knowing no robot, `spatial`, `optimise` and
+`spmd`.
+"""
+
+import importlib
+import warnings
+from typing import Any
+
+from jaxik import collision, costs, files, fitting, harvesting, ik, motions, optimise, reach, robot, spmd, sweeps
+from jaxik.collision import Scene, clearance, collides, explain, make_scene, motion_clearance
+from jaxik.files import load, load_scene, load_targets, save
+from jaxik.fitting import Fit
+from jaxik.harvesting import harvest
+from jaxik.ik import IKOptions, implicit_ik, solve_ik
+from jaxik.motions import follow, predict
 from jaxik.reasons import LoadError, Reason
-from jaxik.robot.chain import Chain, finite_limits, within_limits
-from jaxik.robot.kinematics import bias_acceleration, forward_kinematics, jacobian, link_frames, manipulability
-from jaxik.robot.spherical_wrist import ClosedForm, admissible_turns, closed_form, closed_form_obstacle
-from jaxik.robot.task import Task
+from jaxik.robot import Chain, Task, closed_form, forward_kinematics, jacobian
 from jaxik.spmd import kernel
-from jaxik.sweeps import Study, Sweep, sweep
+from jaxik.sweeps import sweep
 
 __version__ = "0.1.0"
 
 __all__ = [
-    "QUASI_NEWTON",
-    "Arc",
-    "Attached",
     "Chain",
-    "ClosedForm",
-    "Descent",
     "Fit",
-    "Follow",
-    "Fruit",
-    "Grasp",
-    "Harvest",
-    "Horizon",
     "IKOptions",
-    "IKResult",
-    "Line",
-    "LinkFit",
     "LoadError",
-    "MotionClearance",
-    "MovingHorizon",
     "Reason",
     "Scene",
-    "SceneBuilder",
-    "Study",
-    "Sweep",
     "Task",
-    "Weights",
-    "admissible_turns",
-    "asc",
-    "attach",
-    "bias_acceleration",
-    "blockers",
-    "boundary_value",
     "clearance",
     "closed_form",
-    "closed_form_obstacle",
     "collides",
-    "descend",
+    "collision",
+    "costs",
     "explain",
-    "finite_limits",
-    "fit_mapping",
-    "fit_report",
+    "files",
+    "fitting",
     "follow",
-    "follow_predictively",
     "forward_kinematics",
     "harvest",
+    "harvesting",
+    "ik",
     "implicit_ik",
     "jacobian",
     "kernel",
-    "likely_postures",
-    "link_circles",
-    "link_frames",
-    "link_spheres",
     "load",
     "load_scene",
     "load_targets",
-    "log_reach_score",
     "make_scene",
-    "manipulability",
-    "motion",
     "motion_clearance",
-    "motion_collides",
-    "multistart",
-    "object_clearances",
+    "motions",
+    "optimise",
     "predict",
-    "quadratic_cost",
-    "rac",
-    "reach_score",
-    "resolve_acceleration",
-    "resolve_velocity",
-    "rmrc",
+    "reach",
+    "robot",
     "save",
-    "scan",
-    "self_clearance",
     "solve_ik",
+    "spmd",
     "sweep",
-    "via",
-    "within_limits",
+    "sweeps",
 ]
+
+_MOVED = {  # until the next release
+    "collision": "Attached Fruit MotionClearance SceneBuilder attach link_circles link_spheres motion_collides "
+    "object_clearances self_clearance",
+    "files": "fit_report",
+    "fitting": "LinkFit",
+    "harvesting": "Grasp Harvest Weights blockers crop fit_mapping scan",
+    "ik": "IKResult descend",
+    "motions": "Arc Follow Horizon Line MovingHorizon asc boundary_value follow_predictively motion multistart "
+    "quadratic_cost rac resolve_acceleration resolve_velocity rmrc via",
+    "optimise": "Descent QUASI_NEWTON",
+    "reach": "likely_postures log_reach_score reach_score",
+    "robot": "ClosedForm admissible_turns bias_acceleration closed_form_obstacle finite_limits link_frames "
+    "manipulability within_limits",
+    "sweeps": "Study Sweep",
+}
+
+
+def __getattr__(name: str) -> Any:
+    """What was here, from where it is now."""
+    for package, names in _MOVED.items():
+        if name in names.split():
+            warnings.warn(f"jaxik.{name} is jaxik.{package}.{name} now", DeprecationWarning, stacklevel=2)
+            return getattr(importlib.import_module(f"jaxik.{package}"), name)
+    raise AttributeError(f"module 'jaxik' has no attribute {name!r}")

@@ -166,13 +166,13 @@ def run_ik(arguments: IKArguments) -> None:
     print(f"{counts.get('solved', 0)} of {len(result)} targets solved in {seconds:.2f} s; wrote {arguments.out}")
 
 
-def _offenders(colliding: jaxik.IKResult) -> str:
+def _offenders(colliding: jaxik.ik.IKResult) -> str:
     """Which pairs of names are nearest, in words, the most frequent first."""
     pairs = collections.Counter(f"{nearest.link} and {nearest.other}" for nearest, *_ in colliding.offenders)
     return ", ".join(f"{count} by {pair}" for pair, count in pairs.most_common(5))
 
 
-def write_ik(chain: jaxik.Chain, result: jaxik.IKResult, out: Path) -> None:
+def write_ik(chain: jaxik.Chain, result: jaxik.ik.IKResult, out: Path) -> None:
     """The results of a batch, one row a target: arrays (.npz, no pickle) or a table (.csv, .parquet); written aside, then
     renamed."""
     reasons = np.array([jaxik.Reason(int(r)).text for r in result.reason], dtype=str)
@@ -234,7 +234,7 @@ def run_sweep(arguments: SweepArguments) -> None:
     from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
 
     compilation_cache()
-    study = jaxik.Study.of(arguments.study)
+    study = jaxik.sweeps.Study.of(arguments.study)
     start = time.perf_counter()
     console = Console(stderr=True)
     columns = (
@@ -329,7 +329,7 @@ def run_fit(arguments: FitArguments) -> None:
     with Progress(console=Console(stderr=True)) as bar:
         line = bar.add_task("fit", total=None)
         show = lambda done, of: bar.update(line, completed=done, total=of)
-        report = jaxik.fit_report(arguments.robot, progress=show, **what)
+        report = jaxik.files.fit_report(arguments.robot, progress=show, **what)
     seconds = time.perf_counter() - start
     chain = jaxik.load(arguments.robot, meshes=True, **what)
     _print_fits(chain.name, report)
@@ -353,7 +353,7 @@ def _told(chain: jaxik.Chain, to: Path, beyond: float) -> str:
     )
 
 
-def _print_fits(name: str, report: Sequence[jaxik.LinkFit]) -> None:
+def _print_fits(name: str, report: Sequence[jaxik.fitting.LinkFit]) -> None:
     from rich.console import Console
     from rich.markup import escape
     from rich.table import Table

@@ -24,7 +24,7 @@ def tip(q):
 
 @pytest.fixture(scope="module")
 def scene():
-    rng, builder, near = np.random.default_rng(0), jaxik.SceneBuilder("yard", point_radius=0.03), tip(GRASP)[:3, 3]
+    rng, builder, near = np.random.default_rng(0), jaxik.collision.SceneBuilder("yard", point_radius=0.03), tip(GRASP)[:3, 3]
     place = lambda: near + rng.normal(0.0, 0.1, 3)
     builder.add("wall", spheres=[[*(tip(LATER)[:3, 3] + [0.1, 0.9, 0.2]), 0.2]])
     builder.add("ball", spheres=[[*place(), 0.07]])
@@ -76,7 +76,7 @@ def found(held, name, other):
 
 @pytest.mark.parametrize("name", ["ball", "cloud", "rod"])
 def test_it_is_where_coal_has_it(scene, name):
-    held = jaxik.attach(ARM, scene, name, GRASP)
+    held = jaxik.collision.attach(ARM, scene, name, GRASP)
     assert held.chain.link_names == (*ARM.link_names, name)
     assert found(held, name, "wall") == pytest.approx(apart(scene, name, LATER), abs=1e-6)
     assert not any(c.other == name for c in jaxik.explain(held.chain, held.scene, LATER, 99).contacts)
@@ -87,7 +87,7 @@ def test_what_is_covered_protrudes_little(scene, name, most):
     """Never farther than the body itself, and by no more than is said; a box by its spheres, which other tests hold."""
     chain = ARM.with_spheres(512) if name == "crate" else ARM
     most = most or np.linalg.norm([0.1, 0.05, 0.15]) / 8.0
-    held = jaxik.attach(chain, scene, name, GRASP)
+    held = jaxik.collision.attach(chain, scene, name, GRASP)
     gap = apart(scene, name, LATER) - found(held, name, "wall")
     assert -1e-6 <= gap <= most + 1e-6
 
@@ -96,18 +96,18 @@ def test_it_is_checked_against_the_links_before(scene):
     last = [n for n, joint in zip(ARM.link_names, ARM.link_joint, strict=True) if joint == ARM.num_joints]
     solid = {ARM.link_names[v.link] for v in ARM.volumes}
     partners = lambda chain: {chain.link_names[a] for a, b in chain.self_pairs if chain.link_names[b] == "ball"}
-    held = jaxik.attach(ARM, scene, "ball", GRASP)
+    held = jaxik.collision.attach(ARM, scene, "ball", GRASP)
     assert partners(held.chain) == solid - set(last) != set()
     spared = sorted(partners(held.chain))[0]
-    assert partners(jaxik.attach(ARM, scene, "ball", GRASP, [spared]).chain) == solid - {*last, spared}
+    assert partners(jaxik.collision.attach(ARM, scene, "ball", GRASP, [spared]).chain) == solid - {*last, spared}
     folded = np.array([0.0, 3.0, 3.0, 0.0])
     nearest = min(c.distance for c in jaxik.explain(held.chain, None, folded, 99).contacts if "ball" in (c.link, c.other))
-    assert float(jaxik.self_clearance(held.chain, folded)) <= nearest + 1e-9
+    assert float(jaxik.collision.self_clearance(held.chain, folded)) <= nearest + 1e-9
 
 
 def test_two_objects_and_an_arm_that_is_mounted(scene):
-    once = jaxik.attach(ARM, scene, "ball", GRASP)
-    twice = jaxik.attach(*once, "rod", GRASP)
+    once = jaxik.collision.attach(ARM, scene, "ball", GRASP)
+    twice = jaxik.collision.attach(*once, "rod", GRASP)
     assert twice.chain.link_names[-2:] == ("ball", "rod")
     ball, rod = (twice.chain.link_names.index(name) for name in ("ball", "rod"))
     assert (ball, rod) not in twice.chain.self_pairs  # both move with the last joint
@@ -115,7 +115,7 @@ def test_two_objects_and_an_arm_that_is_mounted(scene):
     assert not np.any(np.abs(twice.scene.spheres.center[:1]) > 100.0) and np.all(twice.scene.capsules.a > 100.0)
     mounted = np.eye(4)
     mounted[:3, 3] = 0.3, 0.0, 0.5
-    carried = jaxik.attach(ARM.mounted(mounted), scene, "ball", GRASP).chain.volumes[-1].corners
+    carried = jaxik.collision.attach(ARM.mounted(mounted), scene, "ball", GRASP).chain.volumes[-1].corners
     assert not np.allclose(carried, once.chain.volumes[-1].corners)
 
 
@@ -133,23 +133,23 @@ def test_two_objects_and_an_arm_that_is_mounted(scene):
 def test_bad_use_is_one_line(scene, change, words):
     given = {"chain": ARM, "scene": scene, "name": "ball", "q": GRASP} | change
     with pytest.raises(ValueError) as error:
-        jaxik.attach(**given)
+        jaxik.collision.attach(**given)
     line = str(error.value)
     assert "\n" not in line and all(w in line for w in words), line
 
 
 def test_what_is_traced_is_refused(scene):
     with pytest.raises(ValueError, match=r"^attach: scene is traced; .* takes numbers"):
-        jax.jit(lambda around: jaxik.attach(ARM, around, "ball", GRASP).scene)(scene)
+        jax.jit(lambda around: jaxik.collision.attach(ARM, around, "ball", GRASP).scene)(scene)
 
 
 def test_what_is_gone_or_named_like_a_link_is_refused(scene):
     with pytest.raises(ValueError, match="'ball' has no obstacle"):
-        jaxik.attach(ARM, scene.without("ball"), "ball", GRASP)
-    builder = jaxik.SceneBuilder()
+        jaxik.collision.attach(ARM, scene.without("ball"), "ball", GRASP)
+    builder = jaxik.collision.SceneBuilder()
     builder.add(ARM.link_names[2], spheres=[[0, 0, 0, 0.1]])
     builder.add("scan", points=np.zeros((1001, 3)))
     with pytest.raises(ValueError, match=r"has a link .* already"):
-        jaxik.attach(ARM, builder.scene(), ARM.link_names[2], GRASP)
+        jaxik.collision.attach(ARM, builder.scene(), ARM.link_names[2], GRASP)
     with pytest.raises(ValueError, match="1,001 obstacles; at most 1,000"):
-        jaxik.attach(ARM, builder.scene(), "scan", GRASP)
+        jaxik.collision.attach(ARM, builder.scene(), "scan", GRASP)

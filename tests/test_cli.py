@@ -236,11 +236,11 @@ def test_drivers_say_what_is_missing_before_they_compile(monkeypatch):
         study = {"robot": chain, "collision": {"scene": scene}, "targets": {"kind": "crop"}}
         for driver in (
             lambda chain: jaxik.solve_ik(chain, np.eye(4), scene),
-            lambda chain: jaxik.scan(chain, scene, scene.fruits[0]),
+            lambda chain: jaxik.harvesting.scan(chain, scene, scene.fruits[0]),
             lambda chain: jaxik.harvest(chain, scene),
-            lambda chain: jaxik.likely_postures(chain, scene, np.eye(4)[None]),
+            lambda chain: jaxik.reach.likely_postures(chain, scene, np.eye(4)[None]),
             lambda chain: hierarchical_clearance(chain, scene, np.zeros(7)),
-            lambda chain, study=study: jaxik.Study.of(study | {"targets": GRID}),
+            lambda chain, study=study: jaxik.sweeps.Study.of(study | {"targets": GRID}),
         ):
             with pytest.raises(ValueError, match=words) as error:
                 driver(chain)
@@ -257,7 +257,7 @@ def test_a_cell_without_a_fruit(tmp_path, monkeypatch, capsys):
     monkeypatch.setattr(jaxik, "solve_ik", lambda chain, poses, scene, *_, **__: stopped(seen.append(scene)))
     assert "far enough" in refused(monkeypatch, capsys, "ik", "p6r", targets, "--scene", cell)
     assert seen[0].object_names == ("table",)
-    study = jaxik.Study.of({"robot": "p6r", "collision": {"scene": str(cell)}, "targets": GRID})
+    study = jaxik.sweeps.Study.of({"robot": "p6r", "collision": {"scene": str(cell)}, "targets": GRID})
     assert study.scene.counts["boxes"] == 1
     line = refused(monkeypatch, capsys, "harvest", "--scene", cell, "--out", tmp_path / "out")
     assert "scene 'cell' has no fruit" in line
@@ -277,15 +277,15 @@ def test_a_cell_without_a_fruit(tmp_path, monkeypatch, capsys):
 )
 def test_a_study_in_millimetres(targets, words):
     with pytest.raises(ValueError, match=words) as error:
-        jaxik.Study.of({"robot": "p6r", "targets": targets})
+        jaxik.sweeps.Study.of({"robot": "p6r", "targets": targets})
     assert "\n" not in str(error.value) and "targets: " in str(error.value)
 
 
 def test_a_study_that_is_far_away_or_says_its_unit():
     far = {"kind": "grid", "x": [4.0, 5.0, 3], "y": [0.2, 0.9, 3], "z": [0.0, 1.0, 3]}
-    assert len(jaxik.Study.of({"robot": "p6r", "targets": far}).targets) == 27
+    assert len(jaxik.sweeps.Study.of({"robot": "p6r", "targets": far}).targets) == 27
     small = {"kind": "grid", "x_mm": [-300, 1300, 17], "y_cm": [20, 90, 8], "z": [0, 1, 11]}
-    axes = jaxik.Study.of({"robot": "p6r", "targets": small}).targets.axes
+    axes = jaxik.sweeps.Study.of({"robot": "p6r", "targets": small}).targets.axes
     assert [len(a) for a in axes] == [17, 8, 11] and np.allclose([a[[0, -1]] for a in axes[:2]], [[-0.3, 1.3], [0.2, 0.9]])
 
 
@@ -293,7 +293,7 @@ def test_a_study_that_is_far_away_or_says_its_unit():
 def test_a_misspelt_table_of_a_study_is_named(typo, words):
     for study in ({"robot": "p6r", typo: GRID}, {"robot": "absent", typo: GRID}, {typo: GRID, "targets": GRID}):
         with pytest.raises(ValueError, match=f"unknown key '{typo}'.*{words}"):
-            jaxik.Study.of(study)
+            jaxik.sweeps.Study.of(study)
 
 
 def test_version(monkeypatch, capsys):

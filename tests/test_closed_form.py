@@ -128,7 +128,7 @@ def test_limits_and_turns():
     found = jaxik.closed_form(chain, jaxik.forward_kinematics(chain, q), q[0])
     inside = np.asarray(found.q)[np.asarray(found.within_limits)]
     assert len(inside) and np.all((inside >= chain.lower) & (inside <= chain.upper))
-    turns = [t for s in inside for t in jaxik.admissible_turns(chain, s)]
+    turns = [t for s in inside for t in jaxik.robot.admissible_turns(chain, s)]
     assert len(turns) > len(inside) and min(np.max(np.abs(t - q)) for t in turns) <= 1e-10
     not_a_pose = jaxik.closed_form(chain, jnp.full((4, 4), jnp.nan), 0.1)
     assert not np.any(not_a_pose.valid)
@@ -137,7 +137,7 @@ def test_limits_and_turns():
 def test_an_endless_joint_keeps_its_turn():
     """Without a sum of infinities, which NumPy warns of."""
     file, tip = bare("kinova")
-    np.testing.assert_array_equal(jaxik.admissible_turns(jaxik.load(file, tip=tip), np.full(6, 2.0)), [np.full(6, 2.0)])
+    np.testing.assert_array_equal(jaxik.robot.admissible_turns(jaxik.load(file, tip=tip), np.full(6, 2.0)), [np.full(6, 2.0)])
 
 
 @pytest.mark.parametrize("name, words", [("planar2", "2 joints"), ("crops_v2", "axes"), ("chembuly9", "axes")])
@@ -149,10 +149,10 @@ def test_chains_outside_the_family_are_refused_with_the_reason(name, words):
 
 def test_ur5_has_no_spherical_wrist():
     file, tip = ROBOTS["ur5"]
-    assert "spherical" in jaxik.closed_form_obstacle(jaxik.load(FOLDER / file, tip=tip))
+    assert "spherical" in jaxik.robot.closed_form_obstacle(jaxik.load(FOLDER / file, tip=tip))
 
 
 def test_traced_numbers_are_refused():
     chain = jaxik.load("p6r")
     traced = dataclasses.replace(chain, parent_T_joint=jnp.asarray(chain.parent_T_joint))
-    assert "traced" in jaxik.closed_form_obstacle(traced)
+    assert "traced" in jaxik.robot.closed_form_obstacle(traced)

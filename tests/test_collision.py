@@ -200,7 +200,7 @@ def test_the_robots_clearance_against_coal(name):
 
 
 def _robot_bodies(chain, q):
-    frames = np.asarray(jaxik.link_frames(chain, q)) @ np.linalg.inv(chain.link_offset)
+    frames = np.asarray(jaxik.robot.link_frames(chain, q)) @ np.linalg.inv(chain.link_offset)
     bodies = []
     for volume in chain.volumes:
         frame = chain.world_T_base @ frames[volume.link]
@@ -214,7 +214,7 @@ def _robot_bodies(chain, q):
             )
     for box in chain.boxes:
         frame = chain.world_T_base @ frames[box.link]
-        centres, radius = jaxik.spheres.box_spheres(box, chain.spheres_per_box)
+        centres, radius = jaxik.collision.volumes.box_spheres(box, chain.spheres_per_box)
         places = centres @ frame[:3, :3].T + frame[:3, 3]
         bodies += [(box.link, coal.Sphere(float(radius)), (np.eye(3), p)) for p in places]
     return bodies
@@ -276,7 +276,7 @@ def test_a_later_link_may_be_nearer_to_the_base(tmp_path):
     (tmp_path / "arm.urdf").write_text(POST)
     chain = jaxik.load(tmp_path / "arm.urdf", tip="fore")
     assert [chain.link_names[i] for i in chain.self_pairs[0]] == ["fore", "post"]
-    apart, step = jax.jit(lambda q: jaxik.self_clearance(chain, q)), 1e-6
+    apart, step = jax.jit(lambda q: jaxik.collision.self_clearance(chain, q)), 1e-6
     slope, around = jax.jit(jax.grad(apart)), np.eye(2) * step
     for q in np.random.default_rng(0).uniform(-3.0, 3.0, (20, 2)):
         numeric = [(apart(q + e) - apart(q - e)) / (2.0 * step) for e in around]
@@ -299,7 +299,7 @@ def test_the_hierarchy_gives_the_flat_answer(per_box):
 def test_value_and_gradient_where_a_distance_is_zero(dtype):
     chain = jaxik.load("p6r")
     q = jnp.asarray([0.4, 0.3, -0.5, -0.4, 0.7, 0.6, 0.5], dtype)
-    centres, radii = jaxik.link_spheres(chain, q)
+    centres, radii = jaxik.collision.link_spheres(chain, q)
     scene = jaxik.make_scene(points=[centres[40]], capsules=[[*centres[40], *(centres[40] + 1.0), 1.0]])
     scene = eqx.tree_at(lambda s: s.capsules.radius, scene, np.zeros(1))  # thinner than a scene is made
     value, slope = jax.jit(jax.value_and_grad(lambda q: jaxik.clearance(chain, scene, q)))(q)
@@ -333,22 +333,22 @@ def test_a_cloud_of_points_against_a_tree():
     q = rng.uniform(chain.lower, chain.upper, (40, 7))
     for count in (20_000, 30_000):
         points = rng.uniform(-1.5, 1.5, (count, 3)) + np.array([0.4, 0.4, 0.8])
-        builder = jaxik.SceneBuilder("crop", point_radius=0.01)
+        builder = jaxik.collision.SceneBuilder("crop", point_radius=0.01)
         builder.add("near", points=points[: count // 2])
         builder.add("far", points=points[count // 2 :])
         scene = builder.scene()
-        centres, radii = jax.vmap(lambda q: jaxik.link_spheres(chain, q))(q)
+        centres, radii = jax.vmap(lambda q: jaxik.collision.link_spheres(chain, q))(q)
         away = [cKDTree(part).query(centres)[0] - radii - 0.01 for part in np.split(points, 2)]
         truth = np.stack([each.min(axis=1) for each in away], axis=1)
         assert np.allclose(measure.run(q, grouped(scene, alone))[0], truth.min(axis=1), rtol=0.0, atol=1e-12)
         assert len(measure.known) == 1
-    assert np.allclose(jax.vmap(lambda q: jaxik.object_clearances(chain, scene, q))(q), truth, rtol=0.0, atol=1e-12)
+    assert np.allclose(jax.vmap(lambda q: jaxik.collision.object_clearances(chain, scene, q))(q), truth, rtol=0.0, atol=1e-12)
 
 
 def test_links_ignore_objects():
     """The clearance is the least of what is left: each link's own, to the objects that count for it, and to other links."""
     whole, rng = jaxik.load("p6r"), np.random.default_rng(9)
-    builder = jaxik.SceneBuilder()
+    builder = jaxik.collision.SceneBuilder()
     builder.add("floor", boxes=[(np.eye(4), (2.0, 2.0, 0.5))])
     builder.add("poles", capsules=[[x, 0.8, 0.0, x, 0.8, 1.0, 0.02] for x in np.linspace(0.0, 1.0, 9)])
     scene, q = builder.scene(), rng.uniform(whole.lower, whole.upper, (50, 7))
@@ -356,16 +356,18 @@ def test_links_ignore_objects():
     chain = dataclasses.replace(whole, ignored=((carriage, "*"), (shoulder, "floor")))
     alone = dataclasses.replace(whole, self_pairs=())
     links = sorted({b.link for b in whole.boxes})
-    to = lambda name: np.array(jax.vmap(lambda q: jaxik.collision.link_clearances(alone, scene.without([name]), q))(q))
+    to = lambda name: np.array(
+        jax.vmap(lambda q: jaxik.collision.clearances.link_clearances(alone, scene.without([name]), q))(q)
+    )
     counted = {"floor": to("poles"), "poles": to("floor")}
     counted["floor"][:, [links.index(carriage), links.index(shoulder)]] = np.inf
     counted["poles"][:, links.index(carriage)] = np.inf
-    itself = np.array(jax.vmap(lambda q: jaxik.self_clearance(whole, q))(q))
+    itself = np.array(jax.vmap(lambda q: jaxik.collision.self_clearance(whole, q))(q))
     expected = np.minimum(np.minimum(*(each.min(axis=1) for each in counted.values())), itself)
     assert np.array_equal(jax.vmap(lambda q: jaxik.clearance(chain, scene, q))(q), expected)
-    objects = jax.vmap(lambda q: jaxik.object_clearances(chain, scene, q))(q)
+    objects = jax.vmap(lambda q: jaxik.collision.object_clearances(chain, scene, q))(q)
     assert np.array_equal(objects, np.stack([counted[name].min(axis=1) for name in scene.object_names], axis=1))
-    assert np.any(objects > np.asarray(jax.vmap(lambda q: jaxik.object_clearances(whole, scene, q))(q)))
+    assert np.any(objects > np.asarray(jax.vmap(lambda q: jaxik.collision.object_clearances(whole, scene, q))(q)))
     told = [jaxik.explain(chain, scene, x, 1).contacts[0].distance for x in q[:5]]
     assert np.allclose(told, expected[:5], rtol=0.0, atol=1e-12)
 
@@ -376,7 +378,7 @@ def test_nothing_is_hidden_by_nan():
     assert np.isfinite(distance(scene, np.zeros(2)))
     assert np.isnan(distance(scene, np.array([0.0, np.nan])))
     assert jaxik.collides(chain, scene, np.array([0.0, np.nan]))
-    bad = dataclasses.replace(scene, spheres=jaxik.scene.Spheres(scene.spheres.center * np.nan, scene.spheres.radius))
+    bad = dataclasses.replace(scene, spheres=jaxik.collision.scene.Spheres(scene.spheres.center * np.nan, scene.spheres.radius))
     assert np.isnan(distance(bad, np.zeros(2)))
     with pytest.raises(ValueError, match=r"spheres row 1: center .*finite"):  # of one that is known
         jaxik.clearance(chain, bad, np.zeros(2))
@@ -437,7 +439,7 @@ def test_the_hierarchy_is_one_of_boxes():
 
 
 def _flat(chain, scene, q):
-    centres, radii = jaxik.link_spheres(chain, q)
+    centres, radii = jaxik.collision.link_spheres(chain, q)
     return jnp.linalg.norm(centres[:, None] - scene.points.center, axis=-1) - radii[:, None]
 
 
@@ -446,8 +448,8 @@ def test_padding_and_removal_change_nothing_else():
     scene = _scene(rng)
     q = jnp.asarray(rng.uniform(chain.lower, chain.upper))
     assert jaxik.clearance(chain, scene, q) == jaxik.clearance(chain, scene.padded(), q)
-    objects = np.asarray(jaxik.object_clearances(chain, scene, q))
-    least = min(objects.min(), float(jaxik.self_clearance(chain, q)))
+    objects = np.asarray(jaxik.collision.object_clearances(chain, scene, q))
+    least = min(objects.min(), float(jaxik.collision.self_clearance(chain, q)))
     assert abs(jaxik.clearance(chain, scene, q) - least) <= 1e-12
     removed = scene.without([int(objects.argmin())])
-    assert np.isinf(jaxik.object_clearances(chain, removed, q)[objects.argmin()])
+    assert np.isinf(jaxik.collision.object_clearances(chain, removed, q)[objects.argmin()])

@@ -19,7 +19,7 @@ TURN = np.array([[0.8, -0.6, 0.0], [0.6, 0.8, 0.0], [0.0, 0.0, 1.0]])
 def scene():
     box = np.eye(4)
     box[:3, :3], box[:3, 3] = TURN, [1.5, 0.4, 0.1]
-    builder = jaxik.SceneBuilder("yard")
+    builder = jaxik.collision.SceneBuilder("yard")
     builder.add("crate", boxes=[(box, (0.8, 0.4, 0.5))])
     builder.add("ball", spheres=[[-1.0, 1.2, 0.0, 0.3]])
     builder.add("bar", capsules=[[-2.0, -1.5, 0.3, 2.0, -1.0, 0.3, 0.05]])
@@ -29,7 +29,7 @@ def scene():
 def shape_of(chain, link, q):
     """The capsule of a link, by jaxik's own frames, which other tests hold."""
     (volume,) = [v for v in chain.volumes if chain.link_names[v.link] == link]
-    frame = chain.world_T_base @ np.asarray(jaxik.link_frames(chain, q))[volume.link]
+    frame = chain.world_T_base @ np.asarray(jaxik.robot.link_frames(chain, q))[volume.link]
     a, b = volume.corners @ frame[:3, :3].T + frame[:3, 3]
     return coal.Capsule(float(volume.radius), float(np.linalg.norm(b - a))), a, b
 
@@ -78,7 +78,7 @@ def test_it_reads_as_sentences(scene):
 
 def test_blocks_change_nothing(scene, monkeypatch):
     """A few distances at a time, so that memory does not grow with the scene: blocks of one obstacle, of two, which overlap."""
-    builder = jaxik.SceneBuilder("cloud", 0.01)
+    builder = jaxik.collision.SceneBuilder("cloud", 0.01)
     for i in range(4):
         builder.add(f"leaf_{i}", points=np.random.default_rng(i).uniform(-3.0, 3.0, (6, 3)))
     asked = [(around, q) for around in (scene, builder.scene()) for q in np.random.default_rng(2).uniform(-2.0, 2.0, (2, 4))]
@@ -90,10 +90,10 @@ def test_blocks_change_nothing(scene, monkeypatch):
 
 def test_without_a_scene_and_bad_use(scene):
     panda = jaxik.load("p6r")
-    middle = np.add(*jaxik.finite_limits(panda)) / 2.0
+    middle = np.add(*jaxik.robot.finite_limits(panda)) / 2.0
     found = jaxik.explain(panda, None, middle)
     assert {c.other for c in found.contacts} <= set(panda.link_names)
-    assert found.contacts[0].distance == pytest.approx(float(jaxik.self_clearance(panda, middle)), abs=1e-9)
+    assert found.contacts[0].distance == pytest.approx(float(jaxik.collision.self_clearance(panda, middle)), abs=1e-9)
     for wrong in (
         lambda: jaxik.explain(panda, scene, middle[:3]),
         lambda: jaxik.explain(panda, scene, middle, 0),
@@ -108,9 +108,9 @@ def test_without_a_scene_and_bad_use(scene):
 
 def ended(scene, postures, reasons, margin=0.0):
     """A result of these postures."""
-    columns = dict.fromkeys((f.name for f in dataclasses.fields(jaxik.IKResult)), np.zeros(len(postures)))
+    columns = dict.fromkeys((f.name for f in dataclasses.fields(jaxik.ik.IKResult)), np.zeros(len(postures)))
     given = {"q": postures, "reason": np.array(reasons), "solved_in": (ARM, scene, margin)}
-    return jaxik.IKResult(**columns | given)
+    return jaxik.ik.IKResult(**columns | given)
 
 
 def test_a_result_names_offenders(scene):

@@ -77,9 +77,9 @@ def test_freedom_and_sums():
 
 def test_box_penalty_on_the_links_circles():
     chain, q = jaxik.load("chembuly9"), np.full(9, 0.1)
-    points = np.asarray(jaxik.link_circles(chain, q, circles=5, around=6))
+    points = np.asarray(jaxik.collision.link_circles(chain, q, circles=5, around=6))
     # each circle lies 1 cm from its link's axis
-    frames = np.asarray(jaxik.link_frames(chain, q))
+    frames = np.asarray(jaxik.robot.link_frames(chain, q))
     lines = [v for v in chain.volumes if len(v.corners) == 2]
     assert len(points) == len(lines) * 30
     for volume, ring in zip(lines, points.reshape(len(lines), 30, 3), strict=True):
@@ -93,4 +93,4 @@ def test_box_penalty_on_the_links_circles():
     boxes = np.stack([low, far]), np.stack([high, far + 1.0])
     assert costs.box_penalty(points, *boxes) == 100.0 and costs.box_penalty(points + 50.0, *boxes) == 0.0
     with pytest.raises(ValueError, match="cylindrical"):
-        jaxik.link_circles(jaxik.load("p6r"), jnp.zeros(7))
+        jaxik.collision.link_circles(jaxik.load("p6r"), jnp.zeros(7))

@@ -174,7 +174,7 @@ def test_a_report_says_what_was_fitted(tmp_path):
     trimesh.creation.box((100.0, 100.0, 400.0)).export(tmp_path / "bar.stl")
     mesh = '<link name="tool"><collision><origin xyz="0 0 0.5"/><geometry><mesh filename="bar.stl" scale="0.001 0.001 0.001"/>'
     path = write(tmp_path, "arm.urdf", URDF.replace('<link name="tool"/>', mesh + "</geometry></collision></link>"))
-    (told,) = jaxik.fit_report(path, fit=Fit(0.03))
+    (told,) = jaxik.files.fit_report(path, fit=Fit(0.03))
     assert told.link == "tool" and told.mesh == "bar.stl" and 0.0 < told.mean < told.protrusion <= 0.03
     chain = jaxik.load(path, meshes=True, fit=Fit(0.03))
     fitted_here = [v for v in chain.volumes if chain.link_names[v.link] == "tool"]
@@ -253,7 +253,7 @@ def test_mjcf_is_fitted_as_a_urdf_is(tmp_path):
     bar.export(tmp_path / "bar.stl")
     path = write(tmp_path, "arm.xml", MJCF)
     chain = jaxik.load(path, tip="arm", meshes=True)
-    rows = {row.mesh: row for row in jaxik.fit_report(path, tip="arm")}
+    rows = {row.mesh: row for row in jaxik.files.fit_report(path, tip="arm")}
     assert set(rows) == {"bar", "cylinder"} and all(row.protrusion <= 0.025 and row.coverage == 1.0 for row in rows.values())
     exact, fitted_here = chain.volumes[:2], chain.volumes[2:]
     assert [float(v.radius) for v in exact] == [0.05, 0.04] and [len(v.corners) for v in exact] == [1, 2]

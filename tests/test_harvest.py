@@ -29,7 +29,7 @@ def test_solved_is_solved(harvest):
 
 
 def _contacts(chain, scene, q):
-    return jaxik.object_clearances(chain, scene, q), jaxik.self_clearance(chain, q)
+    return jaxik.collision.object_clearances(chain, scene, q), jaxik.collision.self_clearance(chain, q)
 
 
 def test_removal_opens_a_posture_and_no_smaller_set_does(harvest):

@@ -139,7 +139,7 @@ def test_behind_limits():
 def test_six_joints_with_a_closed_form_are_decided():
     p6r = chain_of("p6r")
     arm = p6r.part(1, 7)
-    assert not jaxik.closed_form_obstacle(arm)
+    assert not jaxik.robot.closed_form_obstacle(arm)
     pose = reachable(arm, 1, seed=1)[0]
     pose[:3, 3] *= 0.05 / np.linalg.norm(pose[:3, 3])  # inside its own shoulder
     assert jaxik.solve_ik(arm, pose).reason in (Reason.OUT_OF_REACH, Reason.LIMITS)
@@ -369,7 +369,7 @@ def test_choices(panda):
     )
     assert most(largest).mean() <= most(closest).mean() + 1e-9
     freedom = jax.vmap(lambda q: jaxik.costs.joint_freedom(panda, q))
-    manipulability = jax.vmap(lambda q: jaxik.manipulability(panda, q))
+    manipulability = jax.vmap(lambda q: jaxik.robot.manipulability(panda, q))
     for choice, measure in (("freedom", freedom), ("manipulability", manipulability)):
         result = jaxik.solve_ik(panda, targets, choice=choice, max_seeds=64)
         assert result.success.all() and measure(result.q).mean() > measure(first.q).mean()
@@ -468,7 +468,7 @@ def test_endless_joints_end_on_the_turn_of_the_reference():
     chain = chain_of("kinova")
     endless = ~np.isfinite(chain.lower)
     targets = reachable(chain, 20, seed=16)
-    reference = np.where(endless, 9.0, 0.5 * sum(jaxik.finite_limits(chain)))
+    reference = np.where(endless, 9.0, 0.5 * sum(jaxik.robot.finite_limits(chain)))
     result = jaxik.solve_ik(chain, targets, reference=reference)
     assert result.success.mean() > 0.9
     assert np.all(np.abs(result.q[:, endless] - 9.0) <= np.pi + 1e-9)
@@ -637,7 +637,7 @@ def test_a_descent_may_be_traced(panda):
     q = rng.uniform(*joint_range(panda), (64, 7))
     poses = np.array([pinocchio(panda)(x) for x in q])
     near = np.clip(q + rng.uniform(-0.2, 0.2, q.shape), panda.lower, panda.upper)
-    found = jax.jit(jax.vmap(lambda t, x: jaxik.descend(panda, t, x)))(poses, near)
+    found = jax.jit(jax.vmap(lambda t, x: jaxik.ik.descend(panda, t, x)))(poses, near)
     assert np.all((found.q >= panda.lower) & (found.q <= panda.upper))
     landed = np.asarray(found.position_error) < 1e-6
     assert landed.mean() > 0.9

@@ -143,7 +143,7 @@ def test_by_an_obstacle_that_is_pushed_against(obstacle, pendulum, beads):
     chain = {"sphere": pendulum, "box": beads}[obstacle]
     cost, targets = middle_cost(chain), poses(chain, 120, seed=5)
     plain = solved(chain, targets, cost, task=IN_PLANE)
-    elbow = np.median(jax.vmap(lambda q: jaxik.link_frames(chain, q))(plain.q)[:, 3, :3, 3], axis=0)
+    elbow = np.median(jax.vmap(lambda q: jaxik.robot.link_frames(chain, q))(plain.q)[:, 3, :3, 3], axis=0)
 
     def scene(x):
         frame = np.eye(4)

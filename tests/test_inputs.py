@@ -132,11 +132,11 @@ def test_options_that_are_numpy_s():
 
 
 XY = jaxik.Task((True, True, False, False, False, False), "base")
-LINE = jaxik.Line(np.eye(4), np.eye(4))
+LINE = jaxik.motions.Line(np.eye(4), np.eye(4))
 MIRRORED, SCALED = np.diag([1.0, 1.0, -1.0, 1.0]), np.diag([2.0, 2.0, 2.0, 1.0])
-HORIZON = jaxik.Horizon(0.1, 2, task=XY)
-COST = jaxik.quadratic_cost()
-NOW = jaxik.motion(LINE, 1.0, 0.5)
+HORIZON = jaxik.motions.Horizon(0.1, 2, task=XY)
+COST = jaxik.motions.quadratic_cost()
+NOW = jaxik.motions.motion(LINE, 1.0, 0.5)
 ZEROS = np.zeros(2)
 
 
@@ -147,7 +147,7 @@ def refused(words, function, *given, **options):
     assert "\n" not in str(error.value) and len(str(error.value)) < 400
 
 
-@pytest.mark.parametrize("made", [jaxik.Follow, jaxik.Horizon])
+@pytest.mark.parametrize("made", [jaxik.motions.Follow, jaxik.motions.Horizon])
 @pytest.mark.parametrize("weights", [(1.0, -1.0), (1.0, 0.0), (1.0, np.nan), (1.0, np.inf), 2.0, (), [[1.0, 1.0]], "12"])
 def test_weights_are_above_zero(made, weights):
     refused("weights", made, weights=weights)
@@ -156,27 +156,27 @@ def test_weights_are_above_zero(made, weights):
 def test_weights_and_accelerations_are_one_a_joint():
     """Those of joints that a chain does not have were left out without a word."""
     for weights in ((1.0,), (1.0, 2.0, 3.0)):
-        follow = jaxik.Follow(dt=0.1, task=XY, weights=weights)
+        follow = jaxik.motions.Follow(dt=0.1, task=XY, weights=weights)
         refused(r"weights .* planar2 .*; allowed: \(2,\)", jaxik.follow, ARM, LINE, 1.0, ZEROS, how=follow)
         horizon = dataclasses.replace(HORIZON, weights=weights)
         refused(r"weights .* planar2 .*; allowed: \(2,\)", jaxik.predict, ARM, LINE, 1.0, ZEROS, COST, horizon)
-        hasty = jaxik.Follow(dt=0.1, task=XY, acceleration=weights)
+        hasty = jaxik.motions.Follow(dt=0.1, task=XY, acceleration=weights)
         refused("one for each of the 2 joints", jaxik.follow, ARM, LINE, 1.0, ZEROS, how=hasty)
     for each in ((1.0, -1.0), (1.0, np.nan), 0.0, ()):
-        refused("acceleration", jaxik.Follow, acceleration=each)
-    lists = jaxik.Follow(weights=[1, 2], acceleration=np.array([1.0, np.inf]))  # programs are kept by it
-    assert hash(lists) == hash(jaxik.Follow(weights=(1.0, 2.0), acceleration=(1.0, np.inf)))
+        refused("acceleration", jaxik.motions.Follow, acceleration=each)
+    lists = jaxik.motions.Follow(weights=[1, 2], acceleration=np.array([1.0, np.inf]))  # programs are kept by it
+    assert hash(lists) == hash(jaxik.motions.Follow(weights=(1.0, 2.0), acceleration=(1.0, np.inf)))
 
 
 @pytest.mark.parametrize("frame", [MIRRORED, SCALED, np.full((4, 4), np.nan)])
 def test_a_path_of_no_rigid_frame(frame):
     """It was followed, as what it is not; where it is traced it has a reason."""
-    refused("line: end", jaxik.motion, jaxik.Line(np.eye(4), frame), 1.0, 0.5)
-    refused("arc: start", jaxik.motion, jaxik.Arc(frame, np.zeros(3), np.ones(3), 1.0), 1.0, 0.5)
-    moved = jaxik.follow(ARM, jaxik.Line(np.eye(4), frame), 0.2, ZEROS + 0.1, how=jaxik.Follow(dt=0.1, task=XY))
+    refused("line: end", jaxik.motions.motion, jaxik.motions.Line(np.eye(4), frame), 1.0, 0.5)
+    refused("arc: start", jaxik.motions.motion, jaxik.motions.Arc(frame, np.zeros(3), np.ones(3), 1.0), 1.0, 0.5)
+    moved = jaxik.follow(ARM, jaxik.motions.Line(np.eye(4), frame), 0.2, ZEROS + 0.1, how=jaxik.motions.Follow(dt=0.1, task=XY))
     assert moved.reason == jaxik.Reason.INVALID
-    traced = jax.jit(lambda path: jaxik.motion(path, 1.0, 1.0).pose)
-    assert not np.isfinite(traced(jaxik.Line(np.eye(4), frame))).any(axis=1)[:3].any()
+    traced = jax.jit(lambda path: jaxik.motions.motion(path, 1.0, 1.0).pose)
+    assert not np.isfinite(traced(jaxik.motions.Line(np.eye(4), frame))).any(axis=1)[:3].any()
     assert np.array_equal(traced(LINE), np.eye(4))
 
 
@@ -186,16 +186,21 @@ def test_a_curve_through_no_pose(entry):
     poses = np.stack([np.eye(4)] * 2)
     poses[1, :2, :2], poses[1, :3, 3] = [[0.8, -0.6], [0.6, 0.8]], 1.0
     poses[1, 0, 0] = entry
-    refused("via: pose 1 is no pose", jaxik.via, poses)
+    refused("via: pose 1 is no pose", jaxik.motions.via, poses)
 
 
 def test_an_arc_about_no_axis():
     for axis in (np.zeros(3), [np.nan, 0.0, 1.0]):
-        refused("arc: axis", jaxik.motion, jaxik.Arc(np.eye(4), np.zeros(3), axis, 1.0), 1.0, 0.5)
+        refused("arc: axis", jaxik.motions.motion, jaxik.motions.Arc(np.eye(4), np.zeros(3), axis, 1.0), 1.0, 0.5)
 
 
 @cheap
-@given(st.sampled_from((jaxik.Follow, jaxik.Horizon, jaxik.Descent, jaxik.Weights, jaxik.Grasp)), st.data())
+@given(
+    st.sampled_from(
+        (jaxik.motions.Follow, jaxik.motions.Horizon, jaxik.optimise.Descent, jaxik.harvesting.Weights, jaxik.harvesting.Grasp)
+    ),
+    st.data(),
+)
 def test_options_of_motions_and_scans(made, data):
     """None is a truth value where a number stands, not a number, or a task that is none."""
     field = data.draw(st.sampled_from([f for f in dataclasses.fields(made) if f.name != "limits"]))
@@ -215,7 +220,7 @@ def test_resolved_rates(name, value):
         return
     moved = NOW._replace(**{name: value}) if name in ("pose", "velocity") else NOW
     given = {"q": ZEROS, "motion": moved, "u": ZEROS, "task": XY} | ({} if moved is not NOW else {name: value})
-    assert answer(lambda: jaxik.resolve_velocity(ARM, **given)) is None
+    assert answer(lambda: jaxik.motions.resolve_velocity(ARM, **given)) is None
 
 
 @cheap
@@ -223,17 +228,23 @@ def test_resolved_rates(name, value):
 def test_other_arrays_and_counts(value):
     pairs, poses = [1.0, 2.0, 3.0, 4.0], np.tile(np.eye(4), (2, 1, 1))
     calls = {
-        (4,): [lambda: jaxik.fit_mapping(value, pairs), lambda: jaxik.fit_mapping(pairs, value)],
-        (2,): [lambda: jaxik.admissible_turns(ARM, value), lambda: jaxik.MovingHorizon(ARM, COST, HORIZON).start(value)],
-        (2, 7): [lambda: jaxik.reach_score(P6R, None, poses, value)],
+        (4,): [lambda: jaxik.harvesting.fit_mapping(value, pairs), lambda: jaxik.harvesting.fit_mapping(pairs, value)],
+        (2,): [
+            lambda: jaxik.robot.admissible_turns(ARM, value),
+            lambda: jaxik.motions.MovingHorizon(ARM, COST, HORIZON).start(value),
+        ],
+        (2, 7): [lambda: jaxik.reach.reach_score(P6R, None, poses, value)],
         (4, 4): [lambda: jaxik.implicit_ik(ARM, value, ZEROS, task=XY)],
     }
     for shape, each in calls.items():
         assert plain(value, *shape) or [answer(call) for call in each] == [None] * len(each)
     if not plain(value) or np.asarray(value).dtype.kind not in "iu" or value < 1:
-        counts = [lambda: jaxik.fit_mapping(pairs, pairs, value), lambda: jaxik.MovingHorizon(ARM, COST, HORIZON, value)]
-        counts += [lambda: jaxik.multistart(ARM, LINE, 1.0, ZEROS, COST, HORIZON, value)]
-        counts += [lambda: jaxik.link_circles(jaxik.load("pendulum4"), np.zeros(4), value)]
+        counts = [
+            lambda: jaxik.harvesting.fit_mapping(pairs, pairs, value),
+            lambda: jaxik.motions.MovingHorizon(ARM, COST, HORIZON, value),
+        ]
+        counts += [lambda: jaxik.motions.multistart(ARM, LINE, 1.0, ZEROS, COST, HORIZON, value)]
+        counts += [lambda: jaxik.collision.link_circles(jaxik.load("pendulum4"), np.zeros(4), value)]
         assert [answer(call) for call in counts] == [None] * len(counts)
     if not isinstance(value, int) or not 0 <= value <= 7:
         assert answer(P6R.part, value, 7) is None or isinstance(value, np.integer)
@@ -242,19 +253,19 @@ def test_other_arrays_and_counts(value):
 def test_what_is_of_another_kind():
     fruit = jaxik.load_scene("cucumber_row").fruits[0]
     for kind in ("weights", "grasp"):
-        refused(f"{kind} is False; write a jaxik", jaxik.scan, P6R, SCENE, fruit, 2, 2, **{kind: False})
-    refused("margin is nan", jaxik.scan, P6R, SCENE, fruit, 2, 2, margin=np.nan)
-    refused("fruit is 3", jaxik.scan, P6R, SCENE, 3)
+        refused(f"{kind} is False; write a jaxik", jaxik.harvesting.scan, P6R, SCENE, fruit, 2, 2, **{kind: False})
+    refused("margin is nan", jaxik.harvesting.scan, P6R, SCENE, fruit, 2, 2, margin=np.nan)
+    refused("fruit is 3", jaxik.harvesting.scan, P6R, SCENE, 3)
     refused("scene is 3", jaxik.harvest, P6R, 3)
     refused("chain is 3", jaxik.forward_kinematics, 3, ZEROS)
-    refused("chain is 3", jaxik.finite_limits, 3)
-    refused("chain is 3", jaxik.closed_form_obstacle, 3)
+    refused("chain is 3", jaxik.robot.finite_limits, 3)
+    refused("chain is 3", jaxik.robot.closed_form_obstacle, 3)
     refused("scene is 3", jaxik.clearance, ARM, 3, ZEROS)
     refused(r"weights has shape \(\)", jaxik.solve_ik, ARM, np.eye(4), task=XY, weights=44)
     refused("path: str", jaxik.follow, ARM, dataclasses.replace(LINE, start="here"), 1.0, ZEROS)
     refused("path is 3", jaxik.follow, ARM, 3, 1.0, ZEROS)
     refused("duration", jaxik.follow, ARM, LINE, [1.0, 1.0], ZEROS)
-    refused("up", jaxik.Grasp, up=(0.0, 0.0, 2.0))
+    refused("up", jaxik.harvesting.Grasp, up=(0.0, 0.0, 2.0))
     refused("margin", jaxik.IKOptions, margin=10**400)
     refused("no such shipped", jaxik.load, "x" * 300)
-    refused("overflow", jaxik.fit_mapping, [1.0, 2.0, 1e300, 4.0], [1.0, 2.0, 3.0, 4.0])
+    refused("overflow", jaxik.harvesting.fit_mapping, [1.0, 2.0, 1e300, 4.0], [1.0, 2.0, 3.0, 4.0])

@@ -65,7 +65,7 @@ def test_against_pinocchio(name):
     qdot = np.random.default_rng(1).normal(size=q.shape)
     pose = jax.jit(jax.vmap(lambda q: jaxik.forward_kinematics(chain, q)))
     jacobian = jax.jit(jax.vmap(lambda q: jaxik.jacobian(chain, q)))(q)
-    bias = jax.jit(jax.vmap(lambda q, v: jaxik.bias_acceleration(chain, q, v)))(q, qdot)
+    bias = jax.jit(jax.vmap(lambda q, v: jaxik.robot.bias_acceleration(chain, q, v)))(q, qdot)
     single = pose(q.astype(np.float32))
     assert single.dtype == jnp.float32
     for i in range(len(q)):
@@ -183,8 +183,8 @@ def test_manipulability(name):
     values = np.linalg.svd(jaxik.jacobian(chain, q), compute_uv=False)[: min(6, chain.num_joints)]
     # the pendulum's Jacobian has rank 3 of 4, where rounding under the root leaves its square root
     tolerance = 1e-7 if name == "pendulum4" else 1e-12
-    assert abs(jaxik.manipulability(chain, q) - np.prod(values)) <= tolerance
-    assert np.all(np.isfinite(jax.grad(lambda q: jaxik.manipulability(chain, q))(jnp.zeros(chain.num_joints))))
+    assert abs(jaxik.robot.manipulability(chain, q) - np.prod(values)) <= tolerance
+    assert np.all(np.isfinite(jax.grad(lambda q: jaxik.robot.manipulability(chain, q))(jnp.zeros(chain.num_joints))))
 
 
 def test_reach_differentiates_with_respect_to_a_link_length():

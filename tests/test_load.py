@@ -537,11 +537,11 @@ def test_meshes_of_a_real_robot_lie_in_their_spheres():
 
     file, tip = ROBOTS["panda"]
     with pytest.raises(ValueError, match="meshes=True"):
-        jaxik.self_clearance(jaxik.load(FOLDER / file, tip=tip), np.zeros(7))
+        jaxik.collision.self_clearance(jaxik.load(FOLDER / file, tip=tip), np.zeros(7))
     chain = jaxik.load(FOLDER / file, tip=tip, meshes=True, fit=None)
     q = np.zeros(chain.num_joints)
-    centres, radii = jaxik.link_spheres(chain, q)
-    frames = dict(zip(chain.link_names, np.asarray(jaxik.link_frames(chain, q)), strict=True))
+    centres, radii = jaxik.collision.link_spheres(chain, q)
+    frames = dict(zip(chain.link_names, np.asarray(jaxik.robot.link_frames(chain, q)), strict=True))
     for i in range(1, 8):
         mesh = trimesh.load(FOLDER / f"panda_description/meshes/collision/link{i}.stl", force="mesh")
         points = np.asarray(mesh.vertices) @ frames[f"panda_link{i}"][:3, :3].T + frames[f"panda_link{i}"][:3, 3]

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from jaxik import fit_mapping
+from jaxik.harvesting import fit_mapping
 
 PIXELS, FIELD = [202.0, 214.0, 253.0, 280.0], [280.0, 330.0, 570.0, 870.0]  # IJE 2022, table 2 [pixel], [mm]
 

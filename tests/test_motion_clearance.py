@@ -63,7 +63,7 @@ def test_no_tunnelling_through_a_thin_stem():
     found = jaxik.motion_clearance(arm, scene, q_from, q_to)
     first = float(dense(arm, scene, 20000)(q_from[None], q_to[None], np.zeros(1))[1][0])
     assert not found.free and found.clearance <= 0.0 and first - 2e-3 < found.contact <= first
-    assert jaxik.motion_collides(arm, scene, q_from, q_to)
+    assert jaxik.collision.motion_collides(arm, scene, q_from, q_to)
     depth = jaxik.motion_clearance(arm, scene, q_from, q_to, -np.inf)  # on to the end, and no less is proven
     assert depth.free and depth.clearance < 0.0
 
@@ -85,7 +85,7 @@ def test_bounds_of_speed_hold():
     links = np.concatenate([s.link for s in skeletons(chain, list(np.zeros(9)), np.float64).values() for _ in s.corners])
     rng, near = np.random.default_rng(1), []
     for _ in range(20):
-        q_from, q_to = rng.uniform(*jaxik.finite_limits(chain), (2, 9))
+        q_from, q_to = rng.uniform(*jaxik.robot.finite_limits(chain), (2, 9))
         bounds = _row_bounds(chain, rows, q_from, q_to)
         t = rng.uniform()
         before, here, after = (np.concatenate(places(q_from + s * (q_to - q_from)), axis=1) for s in (t - step, t, t + step))
@@ -115,7 +115,7 @@ def test_motions_that_do_not_move_or_are_no_numbers(p6r, march):
 
 def test_what_begins_in_contact_ends_there(p6r, march):
     chain, scene = p6r
-    q = np.random.default_rng(2).uniform(*jaxik.finite_limits(chain), (200, 7)).astype(np.float32)
+    q = np.random.default_rng(2).uniform(*jaxik.robot.finite_limits(chain), (200, 7)).astype(np.float32)
     apart = np.asarray(jax.jit(jax.vmap(lambda q: jaxik.clearance(chain, scene, q)))(q))
     touching = apart < 0.0
     found = march(q, q + np.float32(0.1))
@@ -141,7 +141,7 @@ def test_a_batch_is_its_rows_and_enough_is_enough(p6r, march, only_kernels):
     assert np.all(kept.free <= (batch.clearance >= 0.003)) and np.all(kept.clearance[kept.free] >= 0.005)
     for odd in ((np.nan, 1e-3, 0.0), (0.0, np.nan, 0.0), (0.0, -1e-3, 0.0), (0.0, 1e-3, np.nan)):
         assert not np.any(ask(q_from, q_to, *odd).free)  # traced numbers that prove nothing
-    collides = jax.jit(jax.vmap(lambda a, b: jaxik.motion_collides(chain, scene, a, b)))(q_from, q_to)
+    collides = jax.jit(jax.vmap(lambda a, b: jaxik.collision.motion_collides(chain, scene, a, b)))(q_from, q_to)
     assert np.array_equal(collides, ~batch.free)
 
 
@@ -194,7 +194,7 @@ def test_nothing_to_hit_fixed_links_and_exhaustion():
 def test_bad_use_is_one_line(change, said, monkeypatch):
     monkeypatch.setattr(jaxtyping.config, "jaxtyping_disable", True)  # the types would refuse it in their words
     given = {"chain": jaxik.load("planar2"), "scene": None, "q_from": np.zeros(2), "q_to": np.ones(2)} | change
-    for function in (jaxik.motion_clearance, jaxik.motion_collides):
+    for function in (jaxik.motion_clearance, jaxik.collision.motion_collides):
         with pytest.raises(ValueError) as told:
             function(**given)
         assert said in str(told.value) and "\n" not in str(told.value)

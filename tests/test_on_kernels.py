@@ -68,10 +68,10 @@ ANGLES = lambda n: lambda u: (2.0 * u[:n],)
 FUNCTIONS = {
     "forward_kinematics": (lambda q: jaxik.forward_kinematics(ARM, q), ANGLES(4)),
     "forward_kinematics of traced links": (_longer, lambda u: (2.0 * u[:2], 0.1 * u[2:5])),
-    "link_frames": (lambda q: jaxik.link_frames(ARM, q), ANGLES(4)),
+    "link_frames": (lambda q: jaxik.robot.link_frames(ARM, q), ANGLES(4)),
     "jacobian": (lambda q: jaxik.jacobian(ARM, q), ANGLES(4)),
-    "bias_acceleration": (lambda q, v: jaxik.bias_acceleration(ARM, q, v), lambda u: (2.0 * u[:4], u[4:8])),
-    "manipulability": (lambda q: jaxik.manipulability(PLANAR, q), ANGLES(2)),
+    "bias_acceleration": (lambda q, v: jaxik.robot.bias_acceleration(ARM, q, v), lambda u: (2.0 * u[:4], u[4:8])),
+    "manipulability": (lambda q: jaxik.robot.manipulability(PLANAR, q), ANGLES(2)),
     "pose errors": (_errors, lambda u: (2.0 * u[:4], jaxik.forward_kinematics.__wrapped__(ARM, 2.0 * u[4:8]))),
     "costs": (_costs, ANGLES(4)),
     "closed_form": (
@@ -80,11 +80,11 @@ FUNCTIONS = {
     ),
     "clearance": (lambda q: jaxik.clearance(PLANAR, SCENE, q), ANGLES(2)),
     "link_clearances of traced obstacles": (_moved, lambda u: (2.0 * u[:2], 0.1 * u[2:5])),
-    "object_clearances": (lambda q: jaxik.object_clearances(PLANAR, SCENE, q), ANGLES(2)),
-    "self_clearance": (lambda q: jaxik.self_clearance(ARM, q), ANGLES(4)),
+    "object_clearances": (lambda q: jaxik.collision.object_clearances(PLANAR, SCENE, q), ANGLES(2)),
+    "self_clearance": (lambda q: jaxik.collision.self_clearance(ARM, q), ANGLES(4)),
     "collides": (lambda q: jaxik.collides(ARM, SCENE, q, 0.2), ANGLES(4)),
     "descend": (
-        lambda pose, q: jaxik.descend(PLANAR, pose, q, POSITION, iterations=3),
+        lambda pose, q: jaxik.ik.descend(PLANAR, pose, q, POSITION, iterations=3),
         lambda u: (jaxik.forward_kinematics.__wrapped__(PLANAR, 2.0 * u[:2]), 2.0 * u[2:4]),
     ),
 }

@@ -48,7 +48,7 @@ def test_what_is_attached_stays_ignored(tmp_path):
     """An object's name that is a link's by now still means the object, and entries keep their order."""
     arm = jaxik.load("planar2", ignore=[("link2", "spheres_1"), "link1", ("link2", "table")])
     scene = jaxik.make_scene(spheres=[[1.2, 0.3, 0.0, 0.05]])
-    held = jaxik.attach(arm, scene, "spheres_1", np.zeros(2)).chain
+    held = jaxik.collision.attach(arm, scene, "spheres_1", np.zeros(2)).chain
     jaxik.save(held, tmp_path / "held.toml")
     again = jaxik.load(tmp_path / "held.toml")
     assert again.ignored == held.ignored != () and again == held
@@ -69,7 +69,7 @@ def test_spheres_hold_the_model(tmp_path):
     assert 0.0 < told <= 0.004 and f"at most {1e3 * told:.1f} mm" in (tmp_path / "spheres.urdf").read_text()
     other = jaxik.load(tmp_path / "spheres.urdf", tip="tool")
     assert {len(v.corners) for v in other.volumes} == {1} and not other.boxes
-    q = np.random.default_rng(0).uniform(*jaxik.finite_limits(chain))
+    q = np.random.default_rng(0).uniform(*jaxik.robot.finite_limits(chain))
     pose = jaxik.forward_kinematics(chain.mounted(np.eye(4)), q)
     np.testing.assert_allclose(jaxik.forward_kinematics(other, q), pose, atol=2e-6)
     rng = np.random.default_rng(1)

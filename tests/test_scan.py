@@ -28,7 +28,7 @@ CHAIN = jaxik.load("p6r")
 
 
 def crop(*objects, position=(0.5, 0.66, 0.6)):
-    builder = jaxik.SceneBuilder("crop", point_radius=0.01)
+    builder = jaxik.collision.SceneBuilder("crop", point_radius=0.01)
     builder.add_fruit("fruit_1", position, length=0.3, radius=0.02)
     for name, removable, points in objects:
         builder.add(name, removable, points=points)
@@ -54,7 +54,7 @@ def test_grasp_poses_satisfy_the_paper():
 
 @pytest.fixture(scope="module")
 def found():
-    return jaxik.scan(CHAIN, OPEN, OPEN.fruits[0], angles=24, slides=7)
+    return jaxik.harvesting.scan(CHAIN, OPEN, OPEN.fruits[0], angles=24, slides=7)
 
 
 def test_the_table_is_what_one_by_one_gives(found):
@@ -86,7 +86,7 @@ def test_weights_rank(found):
     free = found.table.clearance >= 0.005
     assert free.any()
     for weights, column in ((Weights(1.0, 0.0, reach=10.0), found.table.clearance), (Weights(0.0, 1.0), found.table.freedom)):
-        best = jaxik.scan(CHAIN, OPEN, OPEN.fruits[0], 24, 7, weights).table.best(0.005)
+        best = jaxik.harvesting.scan(CHAIN, OPEN, OPEN.fruits[0], 24, 7, weights).table.best(0.005)
         assert column[best] == column[free].max()
     with pytest.raises(ValueError, match="reach > 0"):
         Weights(reach=0.0)
@@ -116,7 +116,7 @@ def test_the_slope_of_recovery_is_autodiffs():
     worth = jax.jit(lambda q: jaxik.clearance(CHAIN, others, q))
     through = jax.jit(jax.grad(lambda u, b: worth(jaxik.closed_form(CHAIN, pose(u[0]), u[1:]).q[b])))
     slopes = jax.jit(jax.grad(worth))
-    found = jaxik.scan(CHAIN, OPEN, fruit, angles=12, slides=5)
+    found = jaxik.harvesting.scan(CHAIN, OPEN, fruit, angles=12, slides=5)
     rows = np.linspace(0, len(found.table.q) - 1, 6).astype(int)
     for i in rows:
         u, branch = np.array([found.table.angle[i], found.table.leading[i, 0]]), int(found.table.branch[i])
@@ -127,9 +127,9 @@ def test_the_slope_of_recovery_is_autodiffs():
 
 
 def test_recovery_finds_what_the_grid_misses():
-    fine = jaxik.scan(CHAIN, OPEN, OPEN.fruits[0], 72, 41)
+    fine = jaxik.harvesting.scan(CHAIN, OPEN, OPEN.fruits[0], 72, 41)
     best = float(fine.table.clearance.max())
-    coarse = jaxik.scan(CHAIN, OPEN, OPEN.fruits[0], 7, 3, margin=0.95 * best)
+    coarse = jaxik.harvesting.scan(CHAIN, OPEN, OPEN.fruits[0], 7, 3, margin=0.95 * best)
     assert coarse.reason != Reason.SOLVED  # so high a margin that so coarse a grid has nothing
     mended = recover(CHAIN, OPEN, coarse, margin=float(coarse.table.clearance.max()) + 0.004)
     assert mended is not None and mended.how in ("finer grid", "gradient")
@@ -141,7 +141,7 @@ def test_recovery_finds_what_the_grid_misses():
 
 
 def test_gradient_ascent_alone_reaches_the_margin():
-    coarse = jaxik.scan(CHAIN, OPEN, OPEN.fruits[0], 7, 3)
+    coarse = jaxik.harvesting.scan(CHAIN, OPEN, OPEN.fruits[0], 7, 3)
     margin = float(coarse.table.clearance.max()) + 0.003
     climbed = _climb(CHAIN, OPEN, coarse, _misses(coarse), Weights(), margin, None, 25)
     assert climbed is not None and climbed.how == "gradient" and climbed.row.clearance[0] >= margin
@@ -177,19 +177,21 @@ def _lift(z):
 
 def test_each_reason():
     far = crop(position=(0.5, 9.0, 0.6))
-    assert jaxik.scan(CHAIN, far, far.fruits[0], 12, 5).reason == Reason.OUT_OF_REACH
+    assert jaxik.harvesting.scan(CHAIN, far, far.fruits[0], 12, 5).reason == Reason.OUT_OF_REACH
     cage = [(0.5 + 0.09 * np.cos(a), 0.66 + 0.09 * np.sin(a), z) for a in np.linspace(0, 6, 24) for z in (0.55, 0.6, 0.65)]
     shut = crop(("leaf_1", True, cage[::2]), ("post_1", False, cage[1::2]))
-    found = jaxik.scan(CHAIN, shut, shut.fruits[0], 24, 9)
+    found = jaxik.harvesting.scan(CHAIN, shut, shut.fruits[0], 24, 9)
     assert found.reason == Reason.COLLISION
-    assert jaxik.blockers(CHAIN, shut, found).removal is None  # the post may not go
+    assert jaxik.harvesting.blockers(CHAIN, shut, found).removal is None  # the post may not go
     loose = crop(("leaf_1", True, cage[::2]), ("leaf_2", True, cage[1::2]))
-    assert set(jaxik.blockers(CHAIN, loose, jaxik.scan(CHAIN, loose, loose.fruits[0], 24, 9)).removal) <= {"leaf_1", "leaf_2"}
+    assert set(
+        jaxik.harvesting.blockers(CHAIN, loose, jaxik.harvesting.scan(CHAIN, loose, loose.fruits[0], 24, 9)).removal
+    ) <= {"leaf_1", "leaf_2"}
     upside = jaxik.make_scene(points=[[0, 0, 0]])
     with pytest.raises(ValueError, match="no fruit"):
         jaxik.harvest(CHAIN, upside)
     with pytest.raises(ValueError, match="needs the closed form"):
-        jaxik.scan(jaxik.load("crops_v2"), OPEN, OPEN.fruits[0])
+        jaxik.harvesting.scan(jaxik.load("crops_v2"), OPEN, OPEN.fruits[0])
 
 
 def test_a_million_candidates_stay_below_a_gibibyte():
@@ -200,7 +202,7 @@ def test_a_million_candidates_stay_below_a_gibibyte():
 def test_counts_of_any_integer_and_values_of_any_sequence(found):
     """A count is an integer of any kind; what is neither a count nor values is refused in one line."""
     fruit = OPEN.fruits[0]
-    same = lambda **grid: jaxik.scan(CHAIN, OPEN, fruit, **{"angles": 24, "slides": 7} | grid).status
+    same = lambda **grid: jaxik.harvesting.scan(CHAIN, OPEN, fruit, **{"angles": 24, "slides": 7} | grid).status
     low, high = CHAIN.lower[0], CHAIN.upper[0]
     for angles in (np.int64(24), np.uint8(24), np.array(24), found.angles, list(found.angles)):
         assert np.array_equal(same(angles=angles), found.status)

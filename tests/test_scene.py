@@ -107,7 +107,7 @@ def test_what_is_no_obstacle_is_refused(given, words):
     ],
 )
 def test_a_fruit_is_a_fruit(given, words):
-    builder = jaxik.SceneBuilder()
+    builder = jaxik.collision.SceneBuilder()
     builder.add("leaf", points=[[0, 0, 0]])
     with pytest.raises(ValueError) as error:
         builder.add_fruit(**({"name": "fruit", "position": (0, 0, 0)} | given))
@@ -117,7 +117,7 @@ def test_a_fruit_is_a_fruit(given, words):
 
 
 def test_a_refused_object_leaves_nothing_behind():
-    builder = jaxik.SceneBuilder()
+    builder = jaxik.collision.SceneBuilder()
     with pytest.raises(ValueError, match="'leaf': spheres"):
         builder.add("leaf", points=[[0, 0, 0]], spheres=[[0, 0, 0]])
     with pytest.raises(ValueError, match=r"'leaf': removable is list; .* by keyword"):
@@ -128,7 +128,7 @@ def test_a_refused_object_leaves_nothing_behind():
     with pytest.raises(ValueError, match="at most"):  # in all, too
         for i in range(3):
             builder.add(f"cloud {i}", points=np.zeros((50_000, 3)))
-    builder = jaxik.SceneBuilder()
+    builder = jaxik.collision.SceneBuilder()
     assert builder.scene().object_names == () and builder.scene().counts["points"] == 0
 
 
@@ -288,7 +288,7 @@ def test_random_obstacles_are_kept_or_refused(kind, rows, radius):
     except ValueError as error:
         assert "\n" not in str(error) and (kind in str(error) or "point_radius" in str(error))
         return
-    assert scene.counts[kind] == len(rows) == len(scene.object_names) == len(scene.owners[jaxik.scene.KINDS.index(kind)])
+    assert scene.counts[kind] == len(rows) == len(scene.object_names) == len(scene.owners[KINDS.index(kind)])
     leaves = jax.tree_util.tree_leaves(scene)
     assert all(np.all(np.isfinite(x)) and np.max(np.abs(x), initial=0.0) <= 100.0 for x in leaves)
     if kind in WIDTHS and len(rows):
@@ -304,7 +304,7 @@ def test_random_obstacles_are_kept_or_refused(kind, rows, radius):
 def crowded(seed=0):
     """Everything that a scene may hold, at numbers that no few digits can write."""
     rng = np.random.default_rng(seed)
-    builder = jaxik.SceneBuilder('a "quoted" \\ name, \t é \x7f 🍅', point_radius=rng.uniform())
+    builder = jaxik.collision.SceneBuilder('a "quoted" \\ name, \t é \x7f 🍅', point_radius=rng.uniform())
 
     def pose(rotation=None):
         frame = np.eye(4)

@@ -26,7 +26,7 @@ def shifted(x):
 def test_gradient_by_base_link_and_scene_is_that_of_differences():
     fruit = SCENE.fruits[8]  # among leaves
     around = SCENE.without([fruit.name]).geometry()
-    at, q = jaxik.likely_postures(CHAIN, around, fruit_frames(fruit, np.linspace(-np.pi, np.pi, 24, endpoint=False)))
+    at, q = jaxik.reach.likely_postures(CHAIN, around, fruit_frames(fruit, np.linspace(-np.pi, np.pi, 24, endpoint=False)))
     at, q = jnp.asarray(at), jnp.asarray(q, float)
 
     def score(x, around, at, q):
@@ -34,7 +34,7 @@ def test_gradient_by_base_link_and_scene_is_that_of_differences():
         frames = jnp.asarray(CHAIN.parent_T_joint).at[3, 0, 3].add(x[3])
         chain = eqx.tree_at(lambda c: c.parent_T_joint, CHAIN.mounted(shifted(x[:3])), frames)
         points = dataclasses.replace(around.points, center=jnp.asarray(around.points.center) + x[4:])
-        return jaxik.reach_score(chain, eqx.tree_at(lambda s: s.points, around, points), at, q)
+        return jaxik.reach.reach_score(chain, eqx.tree_at(lambda s: s.points, around, points), at, q)
 
     both, step = jax.jit(jax.value_and_grad(score)), 1e-5
     value = lambda x: both(x, around, at, q)[0]
@@ -46,32 +46,32 @@ def test_gradient_by_base_link_and_scene_is_that_of_differences():
 
 def test_postures_follow_their_targets():
     """A posture found once serves for a base moved by a centimetre: as one that is solved for there, to second order."""
-    scan = jaxik.scan(CHAIN, SCENE, FRUIT, 24, np.linspace(0.1, 0.9, 11))  # at its end a slide has no margin left
+    scan = jaxik.harvesting.scan(CHAIN, SCENE, FRUIT, 24, np.linspace(0.1, 0.9, 11))  # at its end a slide has no margin left
     best = scan.table.best(0.02)
     pose = fruit_frames(FRUIT, scan.table.angle[best : best + 1])
     q = scan.table.q[best : best + 1].astype(float)
-    here = float(jaxik.reach_score(CHAIN, AROUND, pose, q))
+    here = float(jaxik.reach.reach_score(CHAIN, AROUND, pose, q))
     assert here > 0.5
     moved = CHAIN.mounted(np.asarray(shifted(np.array([0.0, 0.01, 0.005]))))
-    followed = float(jaxik.reach_score(moved, AROUND, pose, q))
+    followed = float(jaxik.reach.reach_score(moved, AROUND, pose, q))
     again = jaxik.solve_ik(moved, np.linalg.inv(moved.world_T_base) @ pose, choice="closest", reference=q[0], max_seeds=32)
-    solved = float(jaxik.reach_score(moved, AROUND, pose, again.q))
+    solved = float(jaxik.reach.reach_score(moved, AROUND, pose, again.q))
     assert abs(followed - solved) < 0.1 and abs(followed - here) > 1e-3
 
 
 def test_half_is_the_mark():
     """Above 1/2 where a posture is clear and inside, below where it collides or the target is out of reach."""
-    scan = jaxik.scan(CHAIN, SCENE, FRUIT, 24, np.linspace(0.1, 0.9, 11))
+    scan = jaxik.harvesting.scan(CHAIN, SCENE, FRUIT, 24, np.linspace(0.1, 0.9, 11))
     good = scan.table.best(0.02)
     bad = int(np.argmin(scan.table.clearance))
-    one = lambda i: jaxik.reach_score(
+    one = lambda i: jaxik.reach.reach_score(
         CHAIN, AROUND, fruit_frames(FRUIT, scan.table.angle[i : i + 1]), scan.table.q[i : i + 1].astype(float), temperature=0.01
     )
     assert float(one(good)) > 0.5 > float(one(bad))
     away = POSES.copy()
     away[:, 1, 3] += 1.0
-    at, q = jaxik.likely_postures(CHAIN, AROUND, away)
-    log_score = lambda y: jaxik.log_reach_score(CHAIN.mounted(shifted(jnp.array([0.0, y, 0.0]))), AROUND, at, q)
+    at, q = jaxik.reach.likely_postures(CHAIN, AROUND, away)
+    log_score = lambda y: jaxik.reach.log_reach_score(CHAIN.mounted(shifted(jnp.array([0.0, y, 0.0]))), AROUND, at, q)
     value, slope = jax.jit(jax.value_and_grad(log_score))(0.0)
     assert np.exp(value) < 0.5 and np.isfinite(value) and slope > 0.0  # a metre away it still says where to go
 
@@ -79,8 +79,8 @@ def test_half_is_the_mark():
 def test_what_is_no_pose_is_left_out_or_refused():
     poses = POSES[:3].copy()
     poses[1] = np.nan
-    at, q = jaxik.likely_postures(CHAIN, AROUND, poses)
+    at, q = jaxik.reach.likely_postures(CHAIN, AROUND, poses)
     assert np.isfinite(at).all() and np.isfinite(q).all()
     for bad in (poses[1:2], poses[:0], poses[0]):
         with pytest.raises(ValueError, match="no finite frame"):
-            jaxik.likely_postures(CHAIN, AROUND, bad)
+            jaxik.reach.likely_postures(CHAIN, AROUND, bad)

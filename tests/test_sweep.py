@@ -141,7 +141,7 @@ def test_two_leading_joints_of_which_one_turns(tmp_path, monkeypatch):
     coarse, dense = (sweep_values(study | changes) for changes in ({}, {"slides": 41, "refine": 0}))
     assert not np.any(dense["reachable"] & ~coarse["reachable"] & coarse["proven"])
     assert coarse["between"].any() and (~coarse["proven"]).mean() < 0.1
-    forward, poses = pinocchio(chain), np.linalg.inv(chain.world_T_base) @ jaxik.Study.of(study).targets.part(0, 240)
+    forward, poses = pinocchio(chain), np.linalg.inv(chain.world_T_base) @ jaxik.sweeps.Study.of(study).targets.part(0, 240)
     for i in np.flatnonzero(coarse["reachable"])[::9]:
         q = coarse["q"][i]
         assert max(pose_errors(forward(q), poses[i])) < 1e-9 and np.all((q >= chain.lower) & (q <= chain.upper))
@@ -150,14 +150,14 @@ def test_two_leading_joints_of_which_one_turns(tmp_path, monkeypatch):
 def sweep_values(study, rows=None):
     from jaxik.sweeps.answers import answer
 
-    read = jaxik.Study.of(study)
+    read = jaxik.sweeps.Study.of(study)
     return answer(read, read.variants[0], slice(0, len(read.targets)) if rows is None else rows)
 
 
 def test_collisions_are_those_of_the_scan():
     """Against `scan`, a target at a time: the number of clear postures, and the clearance of the best."""
     found = sweep_values(CROWDED | {"refine": 0})
-    study = jaxik.Study.of(CROWDED)
+    study = jaxik.sweeps.Study.of(CROWDED)
     chain, scene = study.variants[0].chain, study.scene
     reached = np.flatnonzero(found["reachable"])
     assert {int(r) for r in Reason if r <= 3} <= {*found["reason"].tolist(), int(Reason.LIMITS)}
@@ -183,7 +183,7 @@ def test_search_answers_what_has_no_closed_form():
     }
     found = sweep_values(study)
     assert np.mean(found["reachable"]) > 0.3 and np.any(found["reason"] == Reason.OUT_OF_REACH)
-    forward, read = pinocchio(panda), jaxik.Study.of(study)
+    forward, read = pinocchio(panda), jaxik.sweeps.Study.of(study)
     poses = read.targets.part(0, len(read.targets))
     for i in np.flatnonzero(found["reachable"])[::5]:
         assert max(pose_errors(forward(found["q"][i]), poses[i])) < 2e-6
@@ -255,7 +255,7 @@ def test_axes_are_robots_bases_and_parameters(tmp_path):
 def test_robots_with_other_numbers_of_joints_share_a_store(tmp_path):
     """The one with fewer joints has NaN after them, in its pieces for a cluster too."""
     p6r, arm = jaxik.load("p6r"), dataclasses.replace(jaxik.load("p6r").part(1, 7), name="arm", boxes=())
-    study = jaxik.Study.of({"robots": [p6r, arm], **{k: v for k, v in SMALL.items() if k != "robot"}, "chunk": 20})
+    study = jaxik.sweeps.Study.of({"robots": [p6r, arm], **{k: v for k, v in SMALL.items() if k != "robot"}, "chunk": 20})
     done = jaxik.sweep(study, tmp_path / "m.zarr", shard=(1, 9)).dataset()
     assert done.q.sizes["joint"] == 7 and done.q.sizes["robot"] == 2
     number = study.chunks + 9
@@ -268,7 +268,7 @@ def test_robots_with_other_numbers_of_joints_share_a_store(tmp_path):
 
 
 def test_a_link_s_length(tmp_path):
-    changed = jaxik.Study.of(SMALL | {"parameters": {"theta4": {"length": [0.25, 0.35]}}})
+    changed = jaxik.sweeps.Study.of(SMALL | {"parameters": {"theta4": {"length": [0.25, 0.35]}}})
     short, long = (v.chain for v in changed.variants)
     assert np.allclose(np.linalg.norm(long.parent_T_joint[3][:3, 3]), 0.35) and np.allclose(
         short.parent_T_joint, jaxik.load("p6r").parent_T_joint
@@ -282,10 +282,10 @@ def test_a_link_s_length(tmp_path):
 
 
 def test_kinds_of_targets(tmp_path):
-    voxels = jaxik.Study.of({"robot": "planar2", "targets": {"kind": "voxels", "size": 0.5}}).targets
+    voxels = jaxik.sweeps.Study.of({"robot": "planar2", "targets": {"kind": "voxels", "size": 0.5}}).targets
     assert voxels.free_rotation and all(len(a) >= 4 for a in voxels.axes)
     assert np.allclose(voxels.part(0, 1)[0, :3, 3], [a[0] for a in voxels.axes])
-    crop = jaxik.Study.of({"robot": "p6r", "targets": {"kind": "crop", "crops": 2, "angles": 6}}).targets
+    crop = jaxik.sweeps.Study.of({"robot": "p6r", "targets": {"kind": "crop", "crops": 2, "angles": 6}}).targets
     assert len(crop) == 2 * 12 * 6 and crop.crop.max() == 23
     (tmp_path / "t.csv").write_text("x,y,z,qw,qx,qy,qz\n0.5,0.6,0.4,1,0,0,0\n0.5,0.6,0.4,0,0,0,0\n")
     (tmp_path / "s.toml").write_text('robot = "p6r"\nslides = 11\naudited = 0\n[targets]\nkind = "file"\npath = "t.csv"\n')
@@ -294,14 +294,14 @@ def test_kinds_of_targets(tmp_path):
     rng = np.random.default_rng(5)
     rows = np.concatenate([rng.uniform(-1.0, 1.0, (9, 3)), rng.normal(size=(9, 4))], axis=1)
     np.savez(tmp_path / "t.npz", positions=rows[:, :3], wxyz=rows[:, 3:])
-    of = lambda **given: jaxik.Study.of({"robot": "p6r", "targets": {"kind": "file", **given}}).targets
+    of = lambda **given: jaxik.sweeps.Study.of({"robot": "p6r", "targets": {"kind": "file", **given}}).targets
     for targets in (of(path=str(tmp_path / "t.npz")), of(poses=rows)):  # seven numbers each, until a chunk asks
         frames, turned = targets.part(2, 9), Rotation.from_quat(rows[2:, [4, 5, 6, 3]])
         assert targets.poses.shape == (9, 7) and np.allclose(frames[:, :3, :3], turned.as_matrix(), atol=1e-14)
         assert np.allclose(frames[:, :3, 3], rows[2:, :3]) and np.all(frames[:, 3] == [0.0, 0.0, 0.0, 1.0])
         assert np.allclose(targets.wxyz_at(np.arange(2, 9)), turned.as_quat(canonical=True)[:, [3, 0, 1, 2]])
     base, some = np.linalg.inv(jaxik.load("p6r").world_T_base), np.array([700, 3, 3, 250])
-    for targets in (jaxik.Study.of(SMALL).targets, crop, of(poses=rows[:, :3], directions=4)):
+    for targets in (jaxik.sweeps.Study.of(SMALL).targets, crop, of(poses=rows[:, :3], directions=4)):
         chosen = some % len(targets)
         assert np.allclose(targets.poses_at(chosen, base), base @ targets.poses_at(chosen), atol=1e-15)
         assert np.array_equal(targets.poses_at(chosen), targets.part(0, len(targets))[chosen])
@@ -313,7 +313,7 @@ def test_kinds_of_targets(tmp_path):
 def test_crops_keep_clear_of_their_own_scene():
     study = {"robot": "p6r", "slides": 5, "collision": {}, "targets": {"kind": "crop", "crops": 1, "angles": 4}}
     study["collision"] = {"margin": 0.005}
-    found, read = sweep_values(study), jaxik.Study.of(study)
+    found, read = sweep_values(study), jaxik.sweeps.Study.of(study)
     reached = np.flatnonzero(found["reachable"])
     assert len(reached) and np.any(found["reason"] == Reason.COLLISION)
     for i in reached[:5]:
@@ -360,13 +360,13 @@ def test_a_study_that_cannot_be_read(change, words):
     study = {k: v for k, v in (SMALL | change).items() if v is not None}
     study["targets"] = {k: v for k, v in study["targets"].items() if v is not None}
     with pytest.raises(ValueError, match=words.replace("[", r"\[")) as error:
-        jaxik.Study.of(study)
+        jaxik.sweeps.Study.of(study)
     assert "\n" not in str(error.value)
 
 
 def test_an_empty_collision_table_keeps_the_margin_in_a_search_too():
     """The robot from itself, by the margin that the store names, whichever way its targets are answered."""
-    study = jaxik.Study.of({"robot": "crops_v2", "collision": {}, "targets": {"poses": [[0.5, 0.5, 0.5]]}})
+    study = jaxik.sweeps.Study.of({"robot": "crops_v2", "collision": {}, "targets": {"poses": [[0.5, 0.5, 0.5]]}})
     assert study.collision and study.ik.margin == study.margin == 0.005
 
 

@@ -17,11 +17,11 @@ SCENE = jaxik.make_scene(
 FUNCTIONS = {
     "forward_kinematics": lambda q: jaxik.forward_kinematics(CHAIN, q),
     "jacobian": lambda q: jaxik.jacobian(CHAIN, q),
-    "link_frames": lambda q: jaxik.link_frames(CHAIN, q),
-    "bias_acceleration": lambda q: jaxik.bias_acceleration(CHAIN, q, q),
-    "manipulability": lambda q: jaxik.manipulability(CHAIN, q),
+    "link_frames": lambda q: jaxik.robot.link_frames(CHAIN, q),
+    "bias_acceleration": lambda q: jaxik.robot.bias_acceleration(CHAIN, q, q),
+    "manipulability": lambda q: jaxik.robot.manipulability(CHAIN, q),
     "clearance": lambda q: jaxik.clearance(CHAIN, SCENE, q),
-    "object_clearances": lambda q: jaxik.object_clearances(CHAIN, SCENE, q),
+    "object_clearances": lambda q: jaxik.collision.object_clearances(CHAIN, SCENE, q),
     "closed_form": lambda q: jaxik.closed_form(CHAIN, jaxik.forward_kinematics(CHAIN, q), q[0]).q,
 }
 HEAVY = ("clearance", "object_clearances", "closed_form")  # to compile; a batch of batches is shown by the others

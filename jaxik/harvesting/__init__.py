@@ -1,5 +1,6 @@
 """Fruits, how they are grasped, and the best posture for each."""
 
+from jaxik.harvesting import crop
 from jaxik.harvesting.driver import Harvest, harvest
 from jaxik.harvesting.mapping import fit_mapping
 from jaxik.harvesting.scanning import Grasp, Weights, blockers, scan
@@ -9,6 +10,7 @@ __all__ = [
     "Harvest",
     "Weights",
     "blockers",
+    "crop",
     "fit_mapping",
     "harvest",
     "scan",

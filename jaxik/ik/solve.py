@@ -157,7 +157,7 @@ def _known(changes: dict[str, Any]) -> dict[str, Any]:
 def as_poses(targets: Any, task: Task) -> tuple[np.ndarray, np.ndarray, bool]:
     """Target poses (N, 4, 4) with their rotations made orthonormal, which of them are poses, and whether it is a single one."""
     if isinstance(targets, jax.core.Tracer):
-        mend = "jit or vmap jaxik.descend, or differentiate an answer by jaxik.implicit_ik"
+        mend = "jit or vmap jaxik.ik.descend, or differentiate an answer by jaxik.implicit_ik"
         raise ValueError(f"solve_ik: targets are traced, and it is a driver on the host; {mend}")
     given = numbers("targets", targets)
     positions = not task.rotations and given.ndim in (1, 2) and given.shape[-1] == 3

@@ -1,0 +1,6 @@
+"""Solvers that know no robot: sequential quadratic programming, descent in a space of functions, LQR, Newton."""
+
+from jaxik.optimise import ilqr
+from jaxik.optimise.descent import QUASI_NEWTON, Descent
+
+__all__ = ["QUASI_NEWTON", "Descent", "ilqr"]
