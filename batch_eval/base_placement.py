@@ -22,7 +22,7 @@ from matplotlib.figure import Figure
 from race import machine
 
 import jaxik
-from jaxik.harvesting.scanning import approach_grid, fruit_frames
+from jaxik.harvesting.grasp import approach_grid, fruit_frames
 
 OUT = Path(__file__).with_suffix(".json")
 CHAIN, SCENE = jaxik.load("p6r"), jaxik.load_scene("cucumber_row")

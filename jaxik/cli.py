@@ -21,7 +21,8 @@ import jaxik
 from jaxik.files import link_meshes
 from jaxik.files.srdf import unchecked
 from jaxik.harvesting.driver import Harvest
-from jaxik.harvesting.scanning import Blockers, Weights
+from jaxik.harvesting.in_the_way import Blockers
+from jaxik.harvesting.scanning import Weights
 from jaxik.robot.reach_bound import millimetres
 from jaxik.robot.task import COMPONENTS
 from jaxik.spmd.batch import compilation_cache

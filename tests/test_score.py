@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 import jaxik
-from jaxik.harvesting.scanning import fruit_frames
+from jaxik.harvesting.grasp import fruit_frames
 
 CHAIN, SCENE = jaxik.load("p6r"), jaxik.load_scene("cucumber_row")
 FRUIT = SCENE.fruits[0]

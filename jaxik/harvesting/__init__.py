@@ -2,8 +2,10 @@
 
 from jaxik.harvesting import crop
 from jaxik.harvesting.driver import Harvest, harvest
+from jaxik.harvesting.grasp import Grasp
+from jaxik.harvesting.in_the_way import blockers
 from jaxik.harvesting.mapping import fit_mapping
-from jaxik.harvesting.scanning import Grasp, Weights, blockers, scan
+from jaxik.harvesting.scanning import Weights, scan
 
 __all__ = [
     "Grasp",

@@ -10,7 +10,10 @@ import numpy as np
 
 from jaxik.checks.options import check_kind
 from jaxik.collision.scene import Scene
-from jaxik.harvesting.scanning import Blockers, Grasp, Scan, Table, Weights, blockers, grasp_poses, recover, scan
+from jaxik.harvesting.grasp import Grasp, grasp_poses
+from jaxik.harvesting.in_the_way import Blockers, blockers
+from jaxik.harvesting.recovery import recover
+from jaxik.harvesting.scanning import Scan, Table, Weights, scan
 from jaxik.reasons import Reason
 from jaxik.robot.chain import Chain
 from jaxik.robot.kinematics import pose_errors

@@ -22,7 +22,8 @@ from jaxik.collision.scene import Scene
 from jaxik.files import load, load_scene
 from jaxik.files.targets import read_targets
 from jaxik.files.toml import Table, read_toml
-from jaxik.harvesting.scanning import Grasp, Weights
+from jaxik.harvesting.grasp import Grasp
+from jaxik.harvesting.scanning import Weights
 from jaxik.ik.options import IKOptions
 from jaxik.robot.chain import Chain
 from jaxik.robot.reach_bound import millimetres

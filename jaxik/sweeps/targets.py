@@ -14,7 +14,7 @@ import numpy as np
 from jaxik.collision.scene import Scene
 from jaxik.files.targets import as_frames
 from jaxik.harvesting.crop import cucumber_row, trellis_crop
-from jaxik.harvesting.scanning import Grasp, approach_grid, fruit_frames
+from jaxik.harvesting.grasp import Grasp, approach_grid, fruit_frames
 from jaxik.robot.chain import Chain
 from jaxik.robot.reach_bound import reach
 

@@ -1,0 +1,148 @@
+"""Postures between the points of a grid that has none: a finer grid around the nearest misses, then gradient ascent."""
+
+from __future__ import annotations
+
+import functools
+from collections.abc import Iterator
+from typing import Any, NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from jaxik.collision.clearances import clearance
+from jaxik.collision.hierarchy import grouped
+from jaxik.collision.scene import Scene
+from jaxik.harvesting.grasp import Grasp, grasp_poses
+from jaxik.harvesting.scanning import MISSES, Scan, Table, Weights, measured, scan, without_fruit
+from jaxik.reach.leading import grid
+from jaxik.robot.chain import Chain
+from jaxik.robot.kinematics import jacobian
+from jaxik.robot.spherical_wrist import closed_forms
+from jaxik.spmd import HostKernel
+from jaxik.spmd.batch import in_blocks
+
+LIMIT_LENGTH = 0.1  # [m/rad] at which a joint past its limit weighs against clearance while a miss is mended
+
+
+@functools.lru_cache(maxsize=16)
+def _ascent(chain: Chain) -> HostKernel:
+    """What recovery raises (`_worth`), its gradient in q, and the Jacobian."""
+
+    worth = jax.value_and_grad(lambda q, scene: _worth(chain, clearance(chain, scene, q), q))
+    return HostKernel(lambda q, scene: (*worth(q, scene), jacobian(chain, q)), 1)
+
+
+def _worth(chain: Chain, distance: Any, q: Any) -> Any:
+    """The clearance, or the room to the limits if that is less: positive exactly where a posture is admissible."""
+    room = jnp.minimum(q - jnp.asarray(chain.lower, q.dtype), jnp.asarray(chain.upper, q.dtype) - q)
+    return jnp.minimum(distance, LIMIT_LENGTH * jnp.min(room))
+
+
+class Recovered(NamedTuple):
+    """A posture found between the grid's points, and how: "finer grid" or "gradient"."""
+
+    row: Table
+    how: str
+
+
+def recover(
+    chain: Chain,
+    scene: Scene,
+    found: Scan,
+    weights: Weights | None = None,
+    margin: float = 0.005,
+    grasp: Grasp | None = None,
+    steps: int = 25,
+) -> Recovered | None:
+    """A posture near the misses of a scan that has none: a grid ten times finer around them, then gradient ascent.
+
+    The gradient is exact. Along the self-motion (the tip stays) the joints follow angle and leading joints by
+    `J_arm dq_arm = twist - J_lead dq_lead`, and every step ends in the closed form, so the pose never drifts.
+    """
+    starts = _misses(found)
+    if not len(starts):
+        return None
+    for spread in _finer(chain, found, starts):
+        finer = scan(chain, scene, found.fruit, *spread, weights=weights, margin=margin, grasp=grasp)
+        best = finer.table.best(margin)
+        if best is not None:
+            return Recovered(Table(*(column[best : best + 1] for column in finer.table)), "finer grid")
+    return _climb(chain, scene, found, starts, weights or Weights(), margin, grasp, steps)
+
+
+def _misses(found: Scan) -> np.ndarray:
+    """The nearest misses as rows (angle, leading..., branch): by clearance, then by how little a limit is passed."""
+    table = found.table
+    order = np.argsort(-table.clearance)[:MISSES]
+    close = np.column_stack([table.angle[order], table.leading[order], table.branch[order]])
+    a, s, b = found.near_limits.T
+    return np.concatenate([close, np.column_stack([found.angles[a], found.leading[s], b])])
+
+
+def _finer(chain: Chain, found: Scan, starts: np.ndarray) -> Iterator[tuple[np.ndarray, np.ndarray]]:
+    """Around the few best distinct cells: a tenth of the grid's step, one step to either side."""
+    step = 2.0 * np.pi / max(len(found.angles), 2)
+    lead = found.leading
+    width = np.array([np.min(np.diff(np.unique(c)), initial=np.inf) if len(np.unique(c)) > 1 else 0.0 for c in lead.T])
+    fine = np.linspace(-1.0, 1.0, 21)
+    cells = np.unique(starts[:, :-1], axis=0, return_index=True)[1]
+    k = chain.num_joints - 6
+    for row in starts[np.sort(cells)][:4]:
+        axes = [np.clip(row[1 + i] + fine * width[i], chain.lower[i], chain.upper[i]) for i in range(k)]
+        yield row[0] + fine * step, grid(axes)
+
+
+def _climb(
+    chain: Chain,
+    scene: Scene,
+    found: Scan,
+    starts: np.ndarray,
+    weights: Weights,
+    margin: float,
+    grasp: Grasp | None,
+    steps: int,
+) -> Recovered | None:
+    others = grouped(without_fruit(scene, found.fruit), chain)
+    k = chain.num_joints - 6
+    axis = np.asarray(chain.world_T_base[:3, :3].T @ found.fruit.axis)
+    branch = starts[:, -1].astype(int)
+    rows = np.arange(len(starts))
+
+    def solve(u: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        poses = grasp_poses(chain, found.fruit, u[:, 0], grasp)
+        q, valid, _ = in_blocks(closed_forms(chain), poses.astype(np.float32), u[:, 1:].astype(np.float32))
+        return q[rows, branch], valid[rows, branch]
+
+    measure = lambda q: in_blocks(_ascent(chain), q, fixed=(others,))
+    u, stride = starts[:, :-1].copy(), np.full(len(starts), 0.1)
+    q, _ = solve(u)
+    worth, slope, jacobians = measure(q)
+    for _ in range(steps):
+        direction = _self_motion(jacobians.astype(np.float64), slope.astype(np.float64), axis, k)
+        trial = u + stride[:, None] * direction
+        trial[:, 1:] = np.clip(trial[:, 1:], chain.lower[:k], chain.upper[:k])
+        trial_q, valid = solve(trial)
+        trial_worth, trial_slope, trial_jacobians = measure(trial_q)
+        better = valid & (trial_worth > worth)
+        u, q = np.where(better[:, None], trial, u), np.where(better[:, None], trial_q, q)
+        worth, slope = np.where(better, trial_worth, worth), np.where(better[:, None], trial_slope, slope)
+        jacobians = np.where(better[:, None, None], trial_jacobians, jacobians)
+        stride = np.where(better, np.minimum(1.5 * stride, 0.3), 0.4 * stride)
+        if np.max(worth) > margin or np.max(stride) < 1e-4:
+            break
+    distance, freedom = measured(chain, scene, found.fruit, q)
+    inside = np.all((q >= chain.lower) & (q <= chain.upper), axis=1)
+    table = Table(u[:, 0], u[:, 1:], branch, q, np.where(inside, distance, -np.inf), freedom, weights.score(distance, freedom))
+    best = table.best(margin)
+    return None if best is None else Recovered(Table(*(c[best : best + 1] for c in table)), "gradient")
+
+
+def _self_motion(jacobians: np.ndarray, slope: np.ndarray, axis: np.ndarray, k: int) -> np.ndarray:
+    """The unit direction in (angle, leading joints) that raises a function of q with gradient `slope` most."""
+    arm = jacobians[:, :, k:]
+    turn = np.broadcast_to(np.concatenate([np.zeros(3), axis])[:, None], (len(arm), 6, 1))
+    moved = np.linalg.pinv(arm) @ np.concatenate([turn, -jacobians[:, :, :k]], axis=2)  # pinv: the wrist may be singular
+    gradient = np.einsum("bi,bij->bj", slope[:, k:], moved)
+    gradient[:, 1:] += slope[:, :k]
+    return gradient / np.maximum(np.linalg.norm(gradient, axis=1, keepdims=True), 1e-12)
