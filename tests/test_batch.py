@@ -10,7 +10,7 @@ FORKED = """
 import os, signal, threading
 import numpy as np
 from jaxik.spmd.batch import in_blocks
-from jaxik.ik.search import _finisher_ready
+from jaxik.ik.finishing import compile_finisher
 
 rows, opened = np.arange(100.0), threading.Event()
 twice = lambda: np.array_equal(in_blocks(lambda x: 2.0 * x, rows, size=10)[0], 2.0 * rows)
@@ -20,12 +20,12 @@ def program(q, *others):
     return q
 
 assert twice()
-waits = _finisher_ready(program, 7)
+waits = compile_finisher(program, 7)
 child = os.fork()
 if child == 0:
     signal.alarm(20)
     opened.set()
-    os._exit(0 if twice() and len(_finisher_ready(program, 7).result()) == 1 else 1)
+    os._exit(0 if twice() and len(compile_finisher(program, 7).result()) == 1 else 1)
 status = os.waitpid(child, 0)[1]
 opened.set()
 assert twice() and waits.result()

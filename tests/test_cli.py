@@ -15,7 +15,7 @@ from test_fit import ARM
 
 import jaxik
 from jaxik import cli
-from jaxik.collision.clearances import hierarchical_clearance
+from jaxik.collision.sphere_levels import hierarchical_clearance
 from jaxik.harvesting.in_the_way import Blockers
 
 GRID = {"kind": "grid", "x": [0, 1, 2], "y": [0.5, 0.8, 2], "z": [0.3, 0.5, 2]}

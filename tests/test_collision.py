@@ -13,9 +13,9 @@ from scipy.spatial import cKDTree
 
 import jaxik
 from jaxik.collision import distance
-from jaxik.collision.clearances import hierarchical_clearance, hierarchical_collision
 from jaxik.collision.hierarchy import grouped
 from jaxik.collision.nearest import Space
+from jaxik.collision.sphere_levels import hierarchical_clearance, hierarchical_collision
 from jaxik.spatial.algebra import Rot3, Vec3
 from jaxik.spmd import HostKernel
 

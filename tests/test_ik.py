@@ -105,8 +105,8 @@ def test_nothing_compiles_for_another_number(panda):
 
 
 def _programs(chain):
+    from jaxik.ik.finishing import FINISH
     from jaxik.ik.options import SEARCH
-    from jaxik.ik.search import FINISH
     from jaxik.robot.task import POSE
 
     return [lanes.settling(chain, POSE, SEARCH), lanes.settling(chain, POSE, FINISH)]

@@ -3,13 +3,12 @@
 An oriented box is cut into 1, 8, 64 or 512 equal boxes (each level halves every edge), and each is replaced by the sphere
 through its corners [Van Henten et al. 2010, App. A; Hubbard 1996]. A cut box lies in its parent box, and its sphere in its
 parent's sphere: so a coarse distance is never larger than a finer one, which is what makes the hierarchy exact
-(`clearances.hierarchical_clearance`).
+(`sphere_levels`).
 """
 
 from __future__ import annotations
 
 import itertools
-from collections.abc import Iterable
 from typing import Any, NamedTuple
 
 import jax
@@ -18,9 +17,9 @@ import numpy as np
 from jaxtyping import Float
 
 from jaxik.checks.options import as_count
-from jaxik.robot.chain import Array, Box, Chain, Volume, as_configuration, finite_limits, solid_links
+from jaxik.robot.chain import Array, Box, Chain, Volume, as_configuration
 from jaxik.robot.kinematics import joint_frames
-from jaxik.spatial.algebra import BASE, Frame, Scalar, Vec3, traced
+from jaxik.spatial.algebra import Frame, Scalar, Vec3, traced
 
 LEVELS = {1: 0, 8: 1, 64: 2, 512: 3}
 
@@ -136,75 +135,3 @@ def _circles(volume: Volume, circles: int, around: int) -> np.ndarray:
     turn = 2.0 * np.pi * np.arange(around) / around
     ring = float(volume.radius) * np.stack([np.cos(turn), np.sin(turn)], axis=-1) @ across
     return (np.linspace(start, end, circles)[:, None] + ring).reshape(-1, 3)
-
-
-class SelfCollisions(NamedTuple):
-    """The pairs of links worth a check; those of them that touch in the default pose; and the share of random configurations
-    in which any of them touches."""
-
-    pairs: tuple[tuple[int, int], ...]
-    at_home: tuple[tuple[int, int], ...]
-    share: float
-
-
-def candidate_pairs(chain: Chain, links: Iterable[int], disabled: frozenset[frozenset[str]]) -> list[tuple[int, int]]:
-    """The pairs of some links that are neither neighbours, nor move together, nor are `disabled`."""
-    joint, ordered = chain.link_joint, sorted(links)
-    return [
-        (a, b)
-        for i, a in enumerate(ordered)
-        for b in ordered[i + 1 :]
-        if abs(joint[a] - joint[b]) > 1 and frozenset((chain.link_names[a], chain.link_names[b])) not in disabled
-    ]
-
-
-def self_collisions(chain: Chain, disabled: frozenset[frozenset[str]] = frozenset(), samples: int = 512) -> SelfCollisions:
-    """The pairs of links worth a check against each other.
-
-    Left out: links that move together or are neighbours on the chain, pairs in `disabled` (SRDF), and pairs that touch in at
-    least 95 % of random configurations (fixed seed): their shapes overlap by design and would always report a collision.
-    """
-    pairs = candidate_pairs(chain, solid_links(chain), disabled)
-    if not pairs:
-        return SelfCollisions((), (), 0.0)
-    rng = np.random.default_rng(0)
-    q = np.vstack([rng.uniform(*finite_limits(chain), (samples, chain.num_joints)), default_pose(chain)])
-    columns = [q[:, i, None] for i in range(chain.num_joints)]
-    centres, radii, owner = [], [], []
-    for count, skeleton in skeletons(chain, columns, np.float64, BASE).items():
-        for weights in _samples(count):
-            corner = [sum(w * c[i] for w, c in zip(weights, skeleton.corners, strict=True)) for i in range(3)]
-            width = len(skeleton.link)
-            centres.append(np.stack([np.broadcast_to(c, (len(q), width)) for c in corner], axis=-1))
-            radii.append(skeleton.radius)
-            owner.append(skeleton.link)
-    p, r, o = np.concatenate(centres, axis=1), np.concatenate(radii), np.concatenate(owner)
-    touch = {(a, b): _touching(p, r, o == a, o == b) for a, b in pairs}
-    kept = {pair: hit for pair, hit in touch.items() if hit[:-1].mean() < 0.95}
-    share = np.any([hit[:-1] for hit in kept.values()], axis=0).mean() if kept else 0.0
-    return SelfCollisions(tuple(kept), tuple(pair for pair, hit in kept.items() if hit[-1]), float(share))
-
-
-def default_pose(chain: Chain) -> np.ndarray:
-    """0 for each joint, or the middle of its limits where they leave 0 out [rad, m]."""
-    lower, upper = finite_limits(chain)
-    return np.where((lower <= 0.0) & (upper >= 0.0), 0.0, (lower + upper) / 2.0)
-
-
-def _samples(count: int) -> np.ndarray:
-    """Barycentric weights of sample points of a point, a line, a triangle."""
-    steps = np.linspace(0.0, 1.0, 7)
-    if count == 1:
-        return np.ones((1, 1))
-    if count == 2:
-        return np.stack([1.0 - steps, steps], axis=1)
-    return np.array([(u, v, 1.0 - u - v) for u in steps for v in steps if u + v <= 1.0 + 1e-9])
-
-
-def _touching(p: np.ndarray, r: np.ndarray, a: np.ndarray, b: np.ndarray) -> np.ndarray:
-    """The configurations in which any sphere of a touches any of b."""
-    hit = np.zeros(len(p), bool)
-    for i in np.flatnonzero(a):
-        gap = np.linalg.norm(p[:, i, None] - p[:, b], axis=-1) - r[i] - r[b]
-        hit |= gap.min(axis=1) <= 0.0
-    return hit

@@ -14,7 +14,7 @@ import numpy as np
 from jaxik.checks.arrays import rigid_frame
 from jaxik.checks.options import check_kind, shown
 from jaxik.collision.scene import Scene
-from jaxik.collision.volumes import self_collisions
+from jaxik.collision.self_pairs import self_collisions
 from jaxik.files import scene as scene_files
 from jaxik.files.ignore import ignored
 from jaxik.files.mesh import Meshes

@@ -19,7 +19,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from jaxik.collision.volumes import candidate_pairs, default_pose
+from jaxik.collision.self_pairs import candidate_pairs, default_pose
 from jaxik.fitting.capsules import Fit, Fitted, fitted
 from jaxik.fitting.convex import Body, apart_at_least, depths, directions, gaps, hull_corners, separated
 from jaxik.fitting.pair_tables import between, frames, side_of, table_of

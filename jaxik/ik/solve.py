@@ -21,9 +21,11 @@ from jaxik.collision.hierarchy import Grouped
 from jaxik.collision.scene import Scene
 from jaxik.costs import comfort_cost, joint_freedom
 from jaxik.ik import lanes
+from jaxik.ik.cheapest import costs
+from jaxik.ik.found import Found, unwound
 from jaxik.ik.job import Job
 from jaxik.ik.options import IKOptions
-from jaxik.ik.search import Found, Outcome, costs, search, unwound
+from jaxik.ik.search import Outcome, search
 from jaxik.reasons import Reason
 from jaxik.robot.chain import Chain
 from jaxik.robot.kinematics import manipulability

@@ -1,0 +1,84 @@
+"""Which pairs of links are checked against each other: those that may touch, by random configurations."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from typing import NamedTuple
+
+import numpy as np
+
+from jaxik.collision.volumes import skeletons
+from jaxik.robot.chain import Chain, finite_limits, solid_links
+from jaxik.spatial.algebra import BASE
+
+
+class SelfCollisions(NamedTuple):
+    """The pairs of links worth a check; those of them that touch in the default pose; and the share of random configurations
+    in which any of them touches."""
+
+    pairs: tuple[tuple[int, int], ...]
+    at_home: tuple[tuple[int, int], ...]
+    share: float
+
+
+def candidate_pairs(chain: Chain, links: Iterable[int], disabled: frozenset[frozenset[str]]) -> list[tuple[int, int]]:
+    """The pairs of some links that are neither neighbours, nor move together, nor are `disabled`."""
+    joint, ordered = chain.link_joint, sorted(links)
+    return [
+        (a, b)
+        for i, a in enumerate(ordered)
+        for b in ordered[i + 1 :]
+        if abs(joint[a] - joint[b]) > 1 and frozenset((chain.link_names[a], chain.link_names[b])) not in disabled
+    ]
+
+
+def self_collisions(chain: Chain, disabled: frozenset[frozenset[str]] = frozenset(), samples: int = 512) -> SelfCollisions:
+    """The pairs of links worth a check against each other.
+
+    Left out: links that move together or are neighbours on the chain, pairs in `disabled` (SRDF), and pairs that touch in at
+    least 95 % of random configurations (fixed seed): their shapes overlap by design and would always report a collision.
+    """
+    pairs = candidate_pairs(chain, solid_links(chain), disabled)
+    if not pairs:
+        return SelfCollisions((), (), 0.0)
+    rng = np.random.default_rng(0)
+    q = np.vstack([rng.uniform(*finite_limits(chain), (samples, chain.num_joints)), default_pose(chain)])
+    columns = [q[:, i, None] for i in range(chain.num_joints)]
+    centres, radii, owner = [], [], []
+    for count, skeleton in skeletons(chain, columns, np.float64, BASE).items():
+        for weights in _samples(count):
+            corner = [sum(w * c[i] for w, c in zip(weights, skeleton.corners, strict=True)) for i in range(3)]
+            width = len(skeleton.link)
+            centres.append(np.stack([np.broadcast_to(c, (len(q), width)) for c in corner], axis=-1))
+            radii.append(skeleton.radius)
+            owner.append(skeleton.link)
+    p, r, o = np.concatenate(centres, axis=1), np.concatenate(radii), np.concatenate(owner)
+    touch = {(a, b): _touching(p, r, o == a, o == b) for a, b in pairs}
+    kept = {pair: hit for pair, hit in touch.items() if hit[:-1].mean() < 0.95}
+    share = np.any([hit[:-1] for hit in kept.values()], axis=0).mean() if kept else 0.0
+    return SelfCollisions(tuple(kept), tuple(pair for pair, hit in kept.items() if hit[-1]), float(share))
+
+
+def default_pose(chain: Chain) -> np.ndarray:
+    """0 for each joint, or the middle of its limits where they leave 0 out [rad, m]."""
+    lower, upper = finite_limits(chain)
+    return np.where((lower <= 0.0) & (upper >= 0.0), 0.0, (lower + upper) / 2.0)
+
+
+def _samples(count: int) -> np.ndarray:
+    """Barycentric weights of sample points of a point, a line, a triangle."""
+    steps = np.linspace(0.0, 1.0, 7)
+    if count == 1:
+        return np.ones((1, 1))
+    if count == 2:
+        return np.stack([1.0 - steps, steps], axis=1)
+    return np.array([(u, v, 1.0 - u - v) for u in steps for v in steps if u + v <= 1.0 + 1e-9])
+
+
+def _touching(p: np.ndarray, r: np.ndarray, a: np.ndarray, b: np.ndarray) -> np.ndarray:
+    """The configurations in which any sphere of a touches any of b."""
+    hit = np.zeros(len(p), bool)
+    for i in np.flatnonzero(a):
+        gap = np.linalg.norm(p[:, i, None] - p[:, b], axis=-1) - r[i] - r[b]
+        hit |= gap.min(axis=1) <= 0.0
+    return hit

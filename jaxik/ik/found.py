@@ -1,0 +1,102 @@
+"""What lanes have found: columns of finished postures, whether they are answers, and which of them are apart."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import NamedTuple
+
+import numpy as np
+
+from jaxik.ik import lanes
+from jaxik.ik.job import Job
+from jaxik.robot.chain import Chain
+from jaxik.robot.spherical_wrist import TURN, nearest_turns
+from jaxik.spmd.batch import in_blocks
+
+APART = 0.2  # [rad, m] between these in some joint: nearer ones end at the same place
+
+
+class Found(NamedTuple):
+    """Finished lanes inside the limits that have their targets' poses, in float64: columns of one length."""
+
+    target: np.ndarray
+    q: np.ndarray
+    position_error: np.ndarray
+    rotation_error: np.ndarray
+    clearance: np.ndarray
+    seed: np.ndarray
+    iterations: np.ndarray
+
+    def rows(self, kept: np.ndarray) -> Found:
+        """Those that a mask or a list of numbers picks."""
+        if kept.dtype == bool:
+            if kept.all():
+                return self
+            kept = np.flatnonzero(kept)
+        return Found(*(column[kept] for column in self))
+
+    @staticmethod
+    def joined(parts: Sequence[Found]) -> Found:
+        parts = [p for p in parts if len(p.target)] or parts[:1]
+        return parts[0] if len(parts) == 1 else Found(*(np.concatenate(columns) for columns in zip(*parts, strict=True)))
+
+
+def within(found: Found, tolerance: np.ndarray) -> np.ndarray:
+    """Whose errors are no more than their target's of the tolerances (N, 2)."""
+    allowed = tolerance[found.target]
+    return (found.position_error <= allowed[:, 0]) & (found.rotation_error <= allowed[:, 1])
+
+
+def candidates(job: Job, q: np.ndarray, target: np.ndarray, number: np.ndarray) -> Found:
+    """Lanes at their starts; the numbers that judge them are still to come."""
+    unknown = np.full(len(q), np.nan)
+    return Found(target, q, unknown, unknown, unknown, number, np.zeros(len(q), int))
+
+
+def nothing(job: Job) -> Found:
+    empty = np.zeros(0, int)
+    return candidates(job, np.zeros((0, job.chain.num_joints)), empty, empty)
+
+
+def colliding(job: Job, found: Found) -> np.ndarray:
+    if job.scene is None:
+        return np.zeros(len(found.q), bool)
+    return ~(found.clearance >= job.options.margin)
+
+
+def cleared(job: Job, found: Found) -> Found:
+    """With their clearance, where there is a scene."""
+    if job.scene is None or not len(found.q):
+        return found
+    return found._replace(clearance=in_blocks(lanes.clearances(job.chain), found.q, fixed=(job.scene,), double=True)[0])
+
+
+def at_home(job: Job, found: Found) -> Found:
+    """Each joint on the turn that is nearest to the target's home."""
+    if not len(found.q) or not job.may_turn.any():
+        return found
+    return found._replace(q=nearest_turns(job.chain, found.q, job.home(found.target), job.low, job.high))
+
+
+def unwound(chain: Chain, q: np.ndarray) -> np.ndarray:
+    """Continuous joints, and others without limits, in [-pi, pi]."""
+    turns = np.isinf(chain.lower) & np.isinf(chain.upper) & ~np.array(chain.is_prismatic)
+    return q - np.where(turns, np.round(q / TURN) * TURN, 0.0)
+
+
+def far_apart(found: Found, score: np.ndarray, count: int) -> np.ndarray:
+    """Up to `count` rows of each target, those with the largest score first, none near one before it."""
+    order, kept = top(found.target, score, len(found.q)), [np.zeros(0, int)]
+    while len(order) and len(kept) <= count:
+        begins = np.diff(found.target[order], prepend=-1) != 0
+        best = order[begins]
+        kept.append(best)
+        order = order[np.abs(found.q[order] - found.q[best[np.cumsum(begins) - 1]]).max(axis=1) > APART]
+    return np.concatenate(kept)
+
+
+def top(target: np.ndarray, score: np.ndarray, count: int) -> np.ndarray:
+    """The rows with the `count` largest scores of each target, by target and from the best on; of equal ones the first."""
+    order = np.lexsort((-score, target))
+    sorted_targets = target[order]
+    return order[np.arange(len(order)) - np.searchsorted(sorted_targets, sorted_targets) < count]
