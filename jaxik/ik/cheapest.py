@@ -10,7 +10,7 @@ from jaxik.ik import lanes
 from jaxik.ik.found import Found, at_home, cleared, colliding, far_apart, within
 from jaxik.ik.freeing import extras
 from jaxik.ik.job import Job
-from jaxik.robot.spherical_wrist import TURN
+from jaxik.robot.turns import TURN
 from jaxik.spmd.batch import in_blocks
 
 IMPROVE_MARGIN = 1e-8  # [m] likewise, of an answer that leans on an obstacle for the sake of its cost

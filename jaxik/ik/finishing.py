@@ -14,7 +14,7 @@ from jaxik.ik.found import Found, cleared, colliding, nothing, top, within
 from jaxik.ik.job import Job
 from jaxik.optimise import sqp
 from jaxik.reasons import Reason
-from jaxik.robot.spherical_wrist import TURN
+from jaxik.robot.turns import TURN
 from jaxik.spmd.batch import anew_in_forks, in_blocks, threads
 
 EARLY, STEPS = 7, 16  # of a lane before it is given up, from an early seed and a late one: most that land need four

@@ -10,7 +10,7 @@ import numpy as np
 from jaxik.ik import lanes
 from jaxik.ik.job import Job
 from jaxik.robot.chain import Chain
-from jaxik.robot.spherical_wrist import TURN, nearest_turns
+from jaxik.robot.turns import TURN, nearest_turns
 from jaxik.spmd.batch import in_blocks
 
 APART = 0.2  # [rad, m] between these in some joint: nearer ones end at the same place

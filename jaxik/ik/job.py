@@ -16,7 +16,8 @@ from jaxik.costs import check_cost
 from jaxik.ik import lanes, seeds
 from jaxik.ik.options import IKOptions
 from jaxik.robot.chain import Chain, finite_range
-from jaxik.robot.spherical_wrist import TURN, closed_form_obstacle
+from jaxik.robot.spherical_wrist import closed_form_obstacle
+from jaxik.robot.turns import TURN
 
 ROUNDED = 1e-6  # [rad] that limits of +-180 degrees may be short of a turn in a file
 EXACT = 1e-9  # [rad], [unit lengths]: what an answer's error becomes, and less where the tolerances ask for less

@@ -29,8 +29,8 @@ from jaxik.ik.search import Outcome, search
 from jaxik.reasons import Reason
 from jaxik.robot.chain import Chain
 from jaxik.robot.kinematics import manipulability
-from jaxik.robot.spherical_wrist import admissible_turns
 from jaxik.robot.task import Task
+from jaxik.robot.turns import admissible_turns
 from jaxik.spmd import HostKernel
 from jaxik.spmd.batch import in_blocks
 

@@ -19,7 +19,8 @@ from jaxik.reach.leading import arm_of, grid, may_be_inside
 from jaxik.robot.chain import Chain, finite_limits
 from jaxik.robot.kinematics import joint_frames
 from jaxik.robot.reach_bound import Reach, reach
-from jaxik.robot.spherical_wrist import TURN, WAYS, half_branches, wrist_branches
+from jaxik.robot.spherical_wrist import WAYS, half_branches, wrist_branches
+from jaxik.robot.turns import TURN
 from jaxik.spatial.algebra import Frame
 from jaxik.spatial.ball import Ball, possible, whole
 from jaxik.spmd import HostKernel

@@ -2,8 +2,9 @@
 
 from jaxik.robot.chain import Chain, finite_limits, within_limits
 from jaxik.robot.kinematics import bias_acceleration, forward_kinematics, jacobian, link_frames, manipulability
-from jaxik.robot.spherical_wrist import ClosedForm, admissible_turns, closed_form, closed_form_obstacle
+from jaxik.robot.spherical_wrist import ClosedForm, closed_form, closed_form_obstacle
 from jaxik.robot.task import Task
+from jaxik.robot.turns import admissible_turns
 
 __all__ = [
     "Chain",

@@ -28,19 +28,18 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Bool, Float
 
-from jaxik.checks.arrays import shaped
 from jaxik.checks.options import check_kind
-from jaxik.robot.chain import Array, Chain, as_numbers, finite_limits
+from jaxik.robot.chain import Array, Chain, as_numbers
 from jaxik.robot.kinematics import joint_frames
+from jaxik.robot.turns import into_limits, wrapped
 from jaxik.spatial.algebra import BASE, Frame, Rot3, Scalar, Vec3, add, atan2, constants, mul, safe_sqrt, stack, sub, traced
-from jaxik.spatial.ball import minimum, where, whole
+from jaxik.spatial.ball import minimum, where
 from jaxik.spmd import HostKernel, kernel
 
 TOLERANCE = 1e-7  # [m, rad] within which axes count as parallel, meeting or crossing
 BRANCHES = 8
 BOTH = (1.0, -1.0)  # signs of the two roots of a joint
 WAYS = tuple(itertools.product(BOTH, BOTH))  # of shoulder and elbow, in the order of the branches
-TURN = 2.0 * math.pi
 
 
 class ClosedForm(NamedTuple):
@@ -139,56 +138,6 @@ def one_branch(chain: Chain, pose: Any, leading: Any, number: Any) -> tuple[Any,
     *angles, margin = (jnp.where(number & 1, two, one) for one, two in zip(*wrists, strict=True))
     q, inside = into_limits(chain, jnp.stack([*leading, *angles]))
     return q, (margin >= 0.0) & inside
-
-
-def into_limits(chain: Chain, q: Float[Array, "*b n"]) -> tuple[Float[Array, "*b n"], Bool[Array, "*b"]]:
-    """Each joint turned by the multiple of 2 pi that brings it nearest to the middle of its range, and whether all fit.
-
-    A value that rounding puts past a limit is put on it.
-    """
-    lower, upper = jnp.asarray(chain.lower, q.dtype), jnp.asarray(chain.upper, q.dtype)
-    turns = (np.isfinite(chain.lower) | np.isfinite(chain.upper)) & ~np.array(chain.is_prismatic)
-    middle = jnp.asarray(np.where(turns, sum(finite_limits(chain)) / 2.0, 0.0), q.dtype)
-    turned = q + jnp.where(turns, jnp.round((middle - q) / TURN) * TURN, 0.0)
-    clipped = jnp.clip(turned, lower, upper)
-    slack = 16.0 * float(jnp.finfo(q.dtype).eps)
-    fits = jnp.abs(turned - clipped) <= slack * (1.0 + jnp.abs(turned))
-    return jnp.where(fits, clipped, turned), jnp.all(fits, axis=-1)
-
-
-def admissible_turns(chain: Chain, q: Float[Array, " n"], lower: Any = None, upper: Any = None) -> Float[np.ndarray, "m n"]:
-    """Every configuration inside the limits that differs from `q` (n,) by full turns of revolute joints. On the host.
-
-    `lower` and `upper` (n,) are narrower limits than the chain's [rad, m]. A joint without both limits keeps its value.
-    Raises `ValueError` for another shape.
-    """
-    shape = (chain.num_joints,)
-    q = shaped("admissible_turns: q", q, shape)
-    lower = chain.lower if lower is None else shaped("admissible_turns: lower", lower, shape)
-    upper = chain.upper if upper is None else shaped("admissible_turns: upper", upper, shape)
-    choices = []
-    for value, low, high, prismatic in zip(q, lower, upper, chain.is_prismatic, strict=True):
-        if not prismatic and np.isfinite(high - low):
-            first, last = _turns(value, low, high)
-            choices.append([float(np.clip(value + TURN * k, low, high)) for k in range(int(first), int(last) + 1)])
-        else:
-            choices.append([float(value)] if low <= value <= high else [])
-    return np.array(list(itertools.product(*choices))).reshape(-1, chain.num_joints)
-
-
-def nearest_turns(chain: Chain, q: Any, goal: Any, lower: Any, upper: Any) -> np.ndarray:
-    """`q` (..., n), each revolute joint turned by the multiple of 2 pi that brings it nearest to `goal` (..., n) inside the
-    limits (n,); what has no turn inside them, or a range of 0, keeps its value. On the host."""
-    first, last = _turns(q, lower, upper)
-    turns = np.clip(np.round((goal - q) / TURN), first, last)
-    moves = ~np.array(chain.is_prismatic) & (lower < upper) & (first <= last)
-    return np.where(moves, np.clip(q + np.where(moves, turns, 0.0) * TURN, lower, upper), q)
-
-
-def _turns(q: Any, lower: Any, upper: Any) -> tuple[Any, Any]:
-    """The first and the last multiple of 2 pi that leave q inside the limits, but for rounding."""
-    slack = 1e-12
-    return np.ceil((lower - q) / TURN - slack), np.floor((upper - q) / TURN + slack)
 
 
 # --------------------------------------------------------------------------------------------------------------------
@@ -435,8 +384,3 @@ def _wrist(chain: Chain, g: Geometry, third: Vec3, across: Vec3, eps: float) -> 
         flip = where(singular, 0.0, math.pi)
         found.append((wrapped(q4 + flip), wrapped(-angle - g.wrist_zero), wrapped(q6 + flip), margin))
     return found
-
-
-def wrapped(angle: Scalar) -> Scalar:
-    """The angle in [-pi, pi] [rad]."""
-    return angle - whole(angle / TURN) * TURN

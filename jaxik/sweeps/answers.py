@@ -27,8 +27,9 @@ from jaxik.robot.spherical_wrist import BRANCHES, closed_branches, closed_forms,
 from jaxik.spatial.algebra import traced
 from jaxik.spmd import HostKernel
 from jaxik.spmd.batch import in_blocks
-from jaxik.sweeps.study import Study, Variant
+from jaxik.sweeps.study import Study
 from jaxik.sweeps.targets import Targets
+from jaxik.sweeps.variants import Variant
 
 GIVEN = ("position", "quaternion")  # columns that are the target's own, the same whatever it is asked of
 WORTH = ("q", "position_error", "rotation_error", "manipulability", "limit_margin")  # columns of a posture

@@ -13,7 +13,8 @@ import numpy as np
 
 from jaxik.sweeps.answers import answer
 from jaxik.sweeps.store import Store
-from jaxik.sweeps.study import Study, Variant
+from jaxik.sweeps.study import Study
+from jaxik.sweeps.variants import Variant
 
 EFFORTS = {
     "closed form": (0.25, 0.5, 1.0, 4.0),

@@ -14,7 +14,8 @@ import numpy as np
 
 from jaxik.spmd.batch import compilation_cache
 from jaxik.sweeps.answers import answer
-from jaxik.sweeps.study import Study, Variant
+from jaxik.sweeps.study import Study
+from jaxik.sweeps.variants import Variant
 
 AHEAD = 2  # tasks a worker: one to run, one to have at hand; more would only stand in memory
 

@@ -18,8 +18,8 @@ from jaxik.harvesting.driver import Harvest
 from jaxik.robot.chain import Chain, finite_limits
 from jaxik.robot.kinematics import joint_frames, pose_errors
 from jaxik.spatial.algebra import Frame
-from jaxik.sweeps.study import variant_name
 from jaxik.sweeps.targets import wxyz
+from jaxik.sweeps.variants import variant_name
 from jaxik.view.harvest_picture import COLOURS, bones
 from jaxik.view.sweep_picture import Map, open_store, variant_label, variant_map
 

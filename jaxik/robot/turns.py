@@ -1,0 +1,73 @@
+"""Joints that may turn by 2 pi: which turns lie inside the limits, and which is nearest to another posture."""
+
+from __future__ import annotations
+
+import itertools
+import math
+from typing import Any
+
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Bool, Float
+
+from jaxik.checks.arrays import shaped
+from jaxik.robot.chain import Array, Chain, finite_limits
+from jaxik.spatial.algebra import Scalar
+from jaxik.spatial.ball import whole
+
+TURN = 2.0 * math.pi
+
+
+def into_limits(chain: Chain, q: Float[Array, "*b n"]) -> tuple[Float[Array, "*b n"], Bool[Array, "*b"]]:
+    """Each joint turned by the multiple of 2 pi that brings it nearest to the middle of its range, and whether all fit.
+
+    A value that rounding puts past a limit is put on it.
+    """
+    lower, upper = jnp.asarray(chain.lower, q.dtype), jnp.asarray(chain.upper, q.dtype)
+    turns = (np.isfinite(chain.lower) | np.isfinite(chain.upper)) & ~np.array(chain.is_prismatic)
+    middle = jnp.asarray(np.where(turns, sum(finite_limits(chain)) / 2.0, 0.0), q.dtype)
+    turned = q + jnp.where(turns, jnp.round((middle - q) / TURN) * TURN, 0.0)
+    clipped = jnp.clip(turned, lower, upper)
+    slack = 16.0 * float(jnp.finfo(q.dtype).eps)
+    fits = jnp.abs(turned - clipped) <= slack * (1.0 + jnp.abs(turned))
+    return jnp.where(fits, clipped, turned), jnp.all(fits, axis=-1)
+
+
+def admissible_turns(chain: Chain, q: Float[Array, " n"], lower: Any = None, upper: Any = None) -> Float[np.ndarray, "m n"]:
+    """Every configuration inside the limits that differs from `q` (n,) by full turns of revolute joints. On the host.
+
+    `lower` and `upper` (n,) are narrower limits than the chain's [rad, m]. A joint without both limits keeps its value.
+    Raises `ValueError` for another shape.
+    """
+    shape = (chain.num_joints,)
+    q = shaped("admissible_turns: q", q, shape)
+    lower = chain.lower if lower is None else shaped("admissible_turns: lower", lower, shape)
+    upper = chain.upper if upper is None else shaped("admissible_turns: upper", upper, shape)
+    choices = []
+    for value, low, high, prismatic in zip(q, lower, upper, chain.is_prismatic, strict=True):
+        if not prismatic and np.isfinite(high - low):
+            first, last = _turns(value, low, high)
+            choices.append([float(np.clip(value + TURN * k, low, high)) for k in range(int(first), int(last) + 1)])
+        else:
+            choices.append([float(value)] if low <= value <= high else [])
+    return np.array(list(itertools.product(*choices))).reshape(-1, chain.num_joints)
+
+
+def nearest_turns(chain: Chain, q: Any, goal: Any, lower: Any, upper: Any) -> np.ndarray:
+    """`q` (..., n), each revolute joint turned by the multiple of 2 pi that brings it nearest to `goal` (..., n) inside the
+    limits (n,); what has no turn inside them, or a range of 0, keeps its value. On the host."""
+    first, last = _turns(q, lower, upper)
+    turns = np.clip(np.round((goal - q) / TURN), first, last)
+    moves = ~np.array(chain.is_prismatic) & (lower < upper) & (first <= last)
+    return np.where(moves, np.clip(q + np.where(moves, turns, 0.0) * TURN, lower, upper), q)
+
+
+def _turns(q: Any, lower: Any, upper: Any) -> tuple[Any, Any]:
+    """The first and the last multiple of 2 pi that leave q inside the limits, but for rounding."""
+    slack = 1e-12
+    return np.ceil((lower - q) / TURN - slack), np.floor((upper - q) / TURN + slack)
+
+
+def wrapped(angle: Scalar) -> Scalar:
+    """The angle in [-pi, pi] [rad]."""
+    return angle - whole(angle / TURN) * TURN
