@@ -15,6 +15,7 @@ from test_fit import ARM
 
 import jaxik
 from jaxik import cli
+from jaxik.cli.harvest import _in_the_way, _print_table, write_harvest
 from jaxik.collision.sphere_levels import hierarchical_clearance
 from jaxik.harvesting.in_the_way import Blockers
 
@@ -107,10 +108,10 @@ def test_a_failed_write_leaves_the_old_files(harvested, tmp_path, monkeypatch):
     (out / "postures.csv").write_text("old")
     monkeypatch.setattr("jaxik.view.harvest_picture.plot_harvest", fails)
     with pytest.raises(OSError, match="disk full"):
-        cli.write_harvest(harvested, out)
+        write_harvest(harvested, out)
     assert contents(out) == {"postures.csv": b"old"}
     with pytest.raises(OSError, match="disk full"):
-        cli.write_harvest(harvested, tmp_path / "new" / "out")
+        write_harvest(harvested, tmp_path / "new" / "out")
     assert [p.name for p in tmp_path.rglob("*") if p.name != "new"] == ["out", "postures.csv"]
 
 
@@ -133,10 +134,10 @@ def test_what_cannot_be_replaced_leaves_all_the_old_files(harvested, tmp_path, m
 
     monkeypatch.setattr(os, "replace", once)
     with pytest.raises(PermissionError):
-        cli.write_harvest(harvested, out)
+        write_harvest(harvested, out)
     assert contents(out) == before
     monkeypatch.setattr(os, "replace", replace)
-    cli.write_harvest(harvested, out)
+    write_harvest(harvested, out)
     after = contents(out)
     assert set(after) == {*before, "postures.npz"} and after["notes.txt"] == b"old notes.txt"
     assert not any(after[name].startswith(b"old") for name in set(after) - {"notes.txt"})
@@ -145,7 +146,7 @@ def test_what_cannot_be_replaced_leaves_all_the_old_files(harvested, tmp_path, m
 def test_a_new_folder_has_the_mode_of_others(harvested, tmp_path, monkeypatch):
     monkeypatch.setattr("jaxik.view.harvest_picture.plot_harvest", draws)
     (tmp_path / "other").mkdir()
-    cli.write_harvest(harvested, tmp_path / "deep" / "out")
+    write_harvest(harvested, tmp_path / "deep" / "out")
     assert (tmp_path / "deep" / "out").stat().st_mode == (tmp_path / "other").stat().st_mode
     assert [p.name for p in (tmp_path / "deep").iterdir()] == ["out"]
 
@@ -162,19 +163,19 @@ def test_an_out_that_is_a_file_is_told_first(tmp_path, monkeypatch, capsys):
 
 def test_what_hides_a_fruit_is_named():
     found = Blockers(("stem_1", "wire", "leaf_1", "leaf_2"), (0.9, 0.3, 0.2, 0.1), None, None)
-    assert cli._in_the_way(None) == "" and cli._in_the_way(found) == "behind stem_1, wire, leaf_1"
-    assert cli._in_the_way(found._replace(removal=("leaf_1",))) == "leaf_1"
-    assert cli._in_the_way(found._replace(names=(), share=())) == "the robot hits itself"
+    assert _in_the_way(None) == "" and _in_the_way(found) == "behind stem_1, wire, leaf_1"
+    assert _in_the_way(found._replace(removal=("leaf_1",))) == "leaf_1"
+    assert _in_the_way(found._replace(names=(), share=())) == "the robot hits itself"
 
 
 def test_units_are_said(harvested, tmp_path, monkeypatch, capsys):
     """In the table, where brackets once were taken for a style, and in the header; the arrays keep their names."""
     monkeypatch.setenv("COLUMNS", "240")
     monkeypatch.setattr("jaxik.view.harvest_picture.plot_harvest", draws)
-    cli._print_table(harvested._replace(scene=dataclasses.replace(harvested.scene, name="bench [red]")))
+    _print_table(harvested._replace(scene=dataclasses.replace(harvested.scene, name="bench [red]")))
     printed = " ".join(capsys.readouterr().out.split())
     assert "clearance [mm]" in printed and "bench [red]" in printed
-    cli.write_harvest(harvested, tmp_path / "out")
+    write_harvest(harvested, tmp_path / "out")
     header = next(csv.reader((tmp_path / "out" / "postures.csv").read_text().splitlines()))
     assert {"fruit", "reason", "angle [rad]", "clearance [m]", "position_error [m]", "rotation_error [rad]"} < set(header)
     with np.load(tmp_path / "out" / "postures.npz", allow_pickle=False) as arrays:

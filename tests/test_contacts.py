@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 import jaxik
-from jaxik.cli import _offenders
+from jaxik.cli.ik import _offenders
 from jaxik.reasons import Reason
 
 ARM = jaxik.load("pendulum4")

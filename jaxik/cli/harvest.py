@@ -1,0 +1,149 @@
+"""`jaxik harvest`: the best collision-free posture for every fruit of a scene."""
+
+from __future__ import annotations
+
+import dataclasses
+import os
+import shutil
+from pathlib import Path
+
+import numpy as np
+
+import jaxik
+from jaxik.cli.tables import write_csv
+from jaxik.harvesting.driver import Harvest
+from jaxik.harvesting.in_the_way import Blockers
+from jaxik.harvesting.scanning import Weights
+
+
+@dataclasses.dataclass
+class HarvestArguments:
+    """The best collision-free posture for every fruit of a scene, as a table, a file and a picture."""
+
+    robot: str = "p6r"
+    """A shipped model or a robot file (.urdf, .xml, .toml)."""
+    scene: str = "cucumber_row"
+    """A shipped scene or a scene file (.toml, or labelled points as .csv or .ply)."""
+    tip: str | None = None
+    """The link to bring to the fruit; needed where the robot has several."""
+    meshes: bool = False
+    """Read the robot's collision meshes (URDF) for capsules around them."""
+    weights: Weights = dataclasses.field(default_factory=Weights)
+    """What makes a posture good."""
+    angles: int = 72
+    """Approach angles about the fruit."""
+    slides: int = 41
+    """Positions of each leading joint."""
+    margin: float = 0.005
+    """Least clearance [m]."""
+    out: Path = Path("harvest")
+    """Folder for postures.csv, postures.npz and harvest.png."""
+
+
+def run_harvest(arguments: HarvestArguments) -> None:
+    """Load, harvest with a progress bar, write, and end with one line of counts and times."""
+    from rich.console import Console
+    from rich.markup import escape
+    from rich.progress import Progress
+
+    if arguments.angles < 1 or arguments.slides < 1:
+        raise ValueError(f"--angles {arguments.angles} --slides {arguments.slides}: both are at least 1")
+    if arguments.out.is_file():
+        raise ValueError(f"--out {arguments.out}: is a file; name a folder")
+    chain = jaxik.load(arguments.robot, tip=arguments.tip, meshes=arguments.meshes)
+    scene = jaxik.load_scene(arguments.scene)
+    with Progress(console=Console(stderr=True)) as bar:
+        task = bar.add_task("harvest", total=len(scene.fruits))
+        result = jaxik.harvest(
+            chain,
+            scene,
+            arguments.weights,
+            arguments.angles,
+            arguments.slides,
+            arguments.margin,
+            progress=lambda name: bar.update(task, advance=1, description=escape(f"harvest {name}")),
+        )
+    _print_table(result)
+    write_harvest(result, arguments.out)
+    counts = ", ".join(f"{int(n)} {r}" for r, n in zip(*np.unique(result.arrays()["reason"], return_counts=True), strict=True))
+    print(
+        f"{len(result.rows)} fruits: {counts}; {result.candidates} candidates in {result.seconds:.1f} s; wrote {arguments.out}/"
+    )
+
+
+def _print_table(result: Harvest) -> None:
+    from rich.console import Console
+    from rich.markup import escape
+    from rich.table import Table
+
+    table = Table(title=escape(f"{result.chain.name} in {result.scene.name}"))
+    for heading in ("fruit", "result", *result.chain.joint_names, "clearance [mm]", "freedom", "found by, or remove"):
+        table.add_column(escape(heading), justify="left" if heading in ("fruit", "result") else "right")
+    for row in result.rows:
+        joints = [
+            (f"{x:.3f}" if p else f"{np.degrees(x):.1f}") if row.success else ""
+            for x, p in zip(row.q, result.chain.is_prismatic, strict=True)
+        ]
+        note = row.found_by if row.success else _in_the_way(row.blockers)
+        numbers = [f"{1000 * row.clearance:.0f}", f"{row.freedom:.2f}"] if row.success else ["", ""]
+        table.add_row(*map(escape, (row.fruit, row.reason.text, *joints, *numbers, note)))
+    Console(width=max(120, Console().width)).print(table)
+    print("joints in degrees, prismatic ones in metres")
+
+
+def _in_the_way(found: Blockers | None) -> str:
+    """What to remove; where that does not help, what blocks most postures, or the robot itself."""
+    if found is None:
+        return ""
+    if found.removal:
+        return ", ".join(found.removal)
+    return f"behind {', '.join(found.names[:3])}" if found.names else "the robot hits itself"
+
+
+def write_harvest(result: Harvest, out: Path) -> None:
+    """postures.csv, postures.npz (no pickle) and harvest.png in the folder `out`.
+
+    All are written aside first. A new folder then appears whole, by one rename. In one that is there they are replaced one by
+    one, other files stay, and if one cannot be replaced, the old ones come back: only a process that is killed between those
+    three renames leaves files of two harvests.
+    """
+    from jaxik.view.harvest_picture import plot_harvest
+
+    there = out.is_dir()
+    home = out if there else out.parent
+    home.mkdir(parents=True, exist_ok=True)
+    aside = home / f".{os.getpid()}-{out.name}"
+    try:
+        aside.mkdir()
+        arrays = result.arrays()
+        np.savez(aside / "postures.npz", allow_pickle=False, **arrays)
+        joints = dict(zip(result.chain.joint_names, result.q.T, strict=True))
+        write_csv(aside / "postures.csv", {k: v for k, v in arrays.items() if k not in ("q", "joint_names")} | joints)
+        plot_harvest(result, aside / "harvest.png")
+        if there:
+            _replace_all(aside, out)
+        else:
+            os.rename(aside, out)
+    finally:
+        shutil.rmtree(aside, ignore_errors=True)
+
+
+def _replace_all(aside: Path, out: Path) -> None:
+    """Moves the files of `aside` over those of `out`; where one cannot be, those before it become what they were."""
+    moved: list[Path] = []
+    files, kept = sorted(aside.iterdir()), aside / "kept"
+    kept.mkdir()
+    for file in files:
+        if (out / file.name).exists():
+            shutil.copy2(out / file.name, kept / file.name)
+    try:
+        for file in files:
+            os.replace(file, out / file.name)
+            moved.append(out / file.name)
+    except BaseException:
+        for path in moved:
+            if (kept / path.name).exists():
+                os.replace(kept / path.name, path)
+            else:
+                path.unlink()
+        raise

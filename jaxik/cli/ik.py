@@ -1,0 +1,135 @@
+"""`jaxik ik`: a configuration for every target of a file, or the reason why there is none."""
+
+from __future__ import annotations
+
+import collections
+import dataclasses
+import os
+import time
+from pathlib import Path
+from typing import Literal
+
+import numpy as np
+import tyro
+
+import jaxik
+from jaxik.cli.tables import write_csv
+from jaxik.robot.reach_bound import millimetres
+from jaxik.robot.task import COMPONENTS
+
+LOOKED = 32  # colliding postures that are asked what they collide with
+
+
+@dataclasses.dataclass
+class IKArguments:
+    """A configuration for every target of a file, or the reason why there is none."""
+
+    robot: tyro.conf.Positional[str]
+    """A shipped model or a robot file (.urdf, .xml, .toml)."""
+    targets: tyro.conf.Positional[Path]
+    """Targets in the robot's base: .csv (x, y, z, qw, qx, qy, qz), .npz (poses, or positions and wxyz) or .json."""
+    tip: str | None = None
+    """The link to bring there; needed where the robot has several."""
+    base: str | None = None
+    """The link that the targets are given in; the root unless given."""
+    srdf: Path | None = None
+    """A file that says which links are not checked against each other."""
+    meshes: bool = False
+    """Read the robot's collision meshes (URDF) for capsules around them, which a scene needs."""
+    scene: str | None = None
+    """A shipped scene or a scene file: obstacles to keep clear of."""
+    margin: float = 0.0
+    """Least clearance with a scene [m]."""
+    free: tuple[Literal["x", "y", "z", "roll", "pitch", "yaw"], ...] = ()
+    """Components that a target leaves free."""
+    axes: Literal["tool", "base"] = "tool"
+    """Along and about whose axes they are counted: the target's own ("tool"), or the base's."""
+    position_tolerance: float = 1e-6
+    """Largest error of an answer [m]."""
+    rotation_tolerance: float = 1e-6
+    """Largest error of an answer [rad]."""
+    choice: Literal["first", "clearance", "manipulability", "freedom", "comfort"] = "first"
+    """Which of several answers is taken."""
+    max_seeds: int = 128
+    """Seeds that a target gets before it is given up."""
+    seed: int = 0
+    """Another number, another (deterministic) search."""
+    out: Path = Path("ik.npz")
+    """The results, joints in rad and m: .npz, .csv, or .parquet (needs pyarrow)."""
+
+
+def run_ik(arguments: IKArguments) -> None:
+    """Load, solve with a progress bar, write, and end with one line a reason and one of counts and times."""
+    from rich.console import Console
+    from rich.progress import Progress
+
+    if arguments.out.suffix not in (".npz", ".csv", ".parquet"):
+        raise ValueError(f"--out {arguments.out}: ending '{arguments.out.suffix}'; allowed: .npz, .csv, .parquet")
+    if arguments.out.is_dir():
+        raise ValueError(f"--out {arguments.out}: is a folder; name a file")
+    chain = jaxik.load(arguments.robot, tip=arguments.tip, base=arguments.base, srdf=arguments.srdf, meshes=arguments.meshes)
+    scene = None if arguments.scene is None else jaxik.load_scene(arguments.scene)
+    targets = jaxik.load_targets(arguments.targets)
+    free = (*arguments.free, *(("roll", "pitch", "yaw") if targets.ndim == 2 else ()))  # a position says nothing of rotation
+    task = jaxik.Task(tuple(name not in free for name in COMPONENTS), arguments.axes)
+    names = [f.name for f in dataclasses.fields(jaxik.IKOptions)]
+    chosen = {k: v for k, v in dataclasses.asdict(arguments).items() if k in names}
+    start = time.perf_counter()
+    with Progress(console=Console(stderr=True)) as bar:
+        line = bar.add_task("ik", total=len(targets))
+        options = jaxik.IKOptions(task=task, **chosen)
+        result = jaxik.solve_ik(
+            chain, targets, scene, arguments.seed, options, progress=lambda done: bar.update(line, completed=done)
+        )
+    seconds = time.perf_counter() - start
+    write_ik(chain, result, arguments.out)
+    positions = targets if targets.ndim == 2 else targets[:, :3, 3]
+    if targets.ndim == 2:
+        print(f"position only: {arguments.targets} binds no rotation")
+    doubt = millimetres(chain, positions)
+    if doubt:
+        print(doubt)
+    counts = result.counts()
+    for reason, count in counts.items():
+        if reason != "solved":
+            print(f"{reason}: {count}")
+    colliding = result[result.reason == jaxik.Reason.COLLISION][:LOOKED]
+    if len(colliding):
+        print(f"of {len(colliding)} that collide: {_offenders(colliding)}")
+    print(f"{counts.get('solved', 0)} of {len(result)} targets solved in {seconds:.2f} s; wrote {arguments.out}")
+
+
+def _offenders(colliding: jaxik.ik.IKResult) -> str:
+    """Which pairs of names are nearest, in words, the most frequent first."""
+    pairs = collections.Counter(f"{nearest.link} and {nearest.other}" for nearest, *_ in colliding.offenders)
+    return ", ".join(f"{count} by {pair}" for pair, count in pairs.most_common(5))
+
+
+def write_ik(chain: jaxik.Chain, result: jaxik.ik.IKResult, out: Path) -> None:
+    """The results of a batch, one row a target: arrays (.npz, no pickle) or a table (.csv, .parquet); written aside, then
+    renamed."""
+    reasons = np.array([jaxik.Reason(int(r)).text for r in result.reason], dtype=str)
+    names = ("success", "position_error", "rotation_error", "clearance", "seed", "iterations")
+    columns = {"reason": reasons, **{name: getattr(result, name) for name in names}}
+    out.parent.mkdir(parents=True, exist_ok=True)
+    aside = out.with_name(f".{os.getpid()}-{out.name}")
+    table = {**columns, **dict(zip(chain.joint_names, result.q.T, strict=True))}
+    try:
+        if out.suffix == ".parquet":
+            _write_parquet(aside, table)
+        elif out.suffix == ".csv":
+            write_csv(aside, table)
+        else:
+            np.savez(aside, allow_pickle=False, joint_names=np.array(chain.joint_names), q=result.q, **columns)
+        os.replace(aside, out)
+    finally:
+        aside.unlink(missing_ok=True)
+
+
+def _write_parquet(path: Path, columns: dict[str, np.ndarray]) -> None:
+    try:
+        import pyarrow
+        import pyarrow.parquet
+    except ImportError:
+        raise ValueError("--out: .parquet needs pyarrow; pip install 'jaxik[parquet]', or write .npz") from None
+    pyarrow.parquet.write_table(pyarrow.table(columns), path)

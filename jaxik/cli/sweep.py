@@ -1,0 +1,99 @@
+"""`jaxik sweep`: where a robot can reach."""
+
+from __future__ import annotations
+
+import dataclasses
+import signal
+import sys
+import time
+from pathlib import Path
+from typing import Any
+
+import tyro
+
+import jaxik
+
+
+@dataclasses.dataclass
+class SweepArguments:
+    """Where a robot can reach: all targets of a study into a Zarr store, resumed where an earlier run was stopped."""
+
+    study: tyro.conf.Positional[Path]
+    """The study (.toml)."""
+    out: Path | None = None
+    """The store; the study's name with .zarr unless given."""
+    shard: str = "1/1"
+    """i/n: every n-th chunk, beginning with the i-th; n such processes fill one store."""
+    cluster: str | None = None
+    """Address of a Dask scheduler whose workers compute (needs the extra `cluster`)."""
+    repair: bool = False
+    """Compute damaged chunks again."""
+    plot: bool = False
+    """Draw what the store holds: slices, reasons, what was missed."""
+
+
+def run_sweep(arguments: SweepArguments) -> None:
+    """Work through a study with a progress bar, and end with one line of counts and times. Ctrl-C ends after the chunk."""
+    from rich.console import Console
+    from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
+
+    study = jaxik.sweeps.Study.of(arguments.study)
+    start = time.perf_counter()
+    console = Console(stderr=True)
+    columns = (
+        TextColumn("sweep"),
+        BarColumn(),
+        MofNCompleteColumn(),
+        TextColumn("{task.fields[rate]} targets/s"),
+        TimeRemainingColumn(),
+    )
+    with Progress(*columns, console=console) as bar, _Interrupt(console) as asked:
+        line = bar.add_task("sweep", total=None, rate="-")
+        begun: list[int] = []
+
+        def show(done: int, total: int) -> None:
+            begun.append(done)
+            rate = (done - begun[0]) / (time.perf_counter() - start)
+            bar.update(line, completed=done, total=total, rate=f"{rate:,.0f}" if done > begun[0] else "-")
+
+        out = arguments.out or arguments.study.with_suffix(".zarr")
+        result = jaxik.sweep(
+            study,
+            out,
+            shard=arguments.shard,
+            cluster=arguments.cluster,
+            repair=arguments.repair,
+            progress=show,
+            stop=lambda: asked.stop,
+        )
+    counts = ", ".join(f"{n:,} {reason}" for reason, n in result.counts.items())
+    state = f"{result.done} of {result.total} chunks"
+    print(f"{counts or 'nothing yet'}; {state} in {time.perf_counter() - start:.1f} s; wrote {out}")
+    if arguments.plot:
+        from jaxik.view.sweep_picture import plot_sweep
+
+        picture = out.with_suffix(".png")
+        plot_sweep(out, picture)
+        print(f"drew {picture}")
+    if asked.stop and not result.complete:
+        print("stopped; run the same command again and it goes on", file=sys.stderr)
+        raise SystemExit(130)
+
+
+class _Interrupt:
+    """While it is open, the first Ctrl-C only sets `stop`; the second interrupts as ever."""
+
+    def __init__(self, console: Any):
+        self.stop, self.console = False, console
+
+    def __enter__(self) -> _Interrupt:
+        self.before = signal.signal(signal.SIGINT, self._asked)
+        return self
+
+    def _asked(self, number: int, frame: Any) -> None:
+        self.stop = True
+        self.console.print("stopping after this chunk; Ctrl-C again leaves it")
+        signal.signal(signal.SIGINT, self.before)
+
+    def __exit__(self, *error: Any) -> None:
+        signal.signal(signal.SIGINT, self.before)
