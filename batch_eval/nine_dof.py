@@ -23,7 +23,7 @@ from jaxik.harvesting.crop import TRELLIS_TARGETS, trellis_crop
 from jaxik.ik.baselines import global_search, newton_ik
 
 PAPER_SECONDS = 54.0
-TASK = jaxik.Task((True,) * 3 + (False,) * 3)
+TASK = jaxik.Task.position()
 OPTIONS = jaxik.IKOptions(task=TASK, position_tolerance=1e-9, margin=0.005)
 # Joint variables of table 4: slide [cm], then degrees
 TABLE_4 = (

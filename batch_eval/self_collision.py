@@ -26,7 +26,7 @@ NEAR, STEEP = 0.1, 500.0  # activation [m] and weight of the collision cost (4.3
 LIMITS, SOFT = 5.0, 0.1  # weight and soft share of the joint limits' cost (4.27)
 VELOCITY, EFFORT = 2.0, 0.2
 WEIGHTS = (30.0,) + (1.0,) * 8
-POSITION = jaxik.Task((True, True, True, False, False, False))
+POSITION = jaxik.Task.position()
 
 
 @functools.cache

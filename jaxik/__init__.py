@@ -9,7 +9,7 @@ import importlib
 import warnings
 from typing import Any
 
-from jaxik import collision, costs, files, fitting, harvesting, ik, motions, optimise, reach, robot, spmd, sweeps
+from jaxik import collision, costs, files, fitting, harvesting, ik, motions, optimise, reach, robot, spatial, spmd, sweeps
 from jaxik.collision import Scene, clearance, collides, explain, make_scene, motion_clearance
 from jaxik.files import load, load_scene, load_targets, save
 from jaxik.fitting import Fit
@@ -18,6 +18,7 @@ from jaxik.ik import IKOptions, implicit_ik, solve_ik
 from jaxik.motions import follow, predict
 from jaxik.reasons import LoadError, Reason
 from jaxik.robot import Chain, Task, closed_form, forward_kinematics, jacobian
+from jaxik.spatial.rotations import pose
 from jaxik.spmd import kernel
 from jaxik.sweeps import sweep
 
@@ -54,11 +55,13 @@ __all__ = [
     "motion_clearance",
     "motions",
     "optimise",
+    "pose",
     "predict",
     "reach",
     "robot",
     "save",
     "solve_ik",
+    "spatial",
     "spmd",
     "sweep",
     "sweeps",

@@ -13,7 +13,7 @@ from jaxik.harvesting.crop import TRELLIS_TARGETS, trellis_crop
 from jaxik.ik.baselines import global_search, newton_ik
 from jaxik.optimise.newton import damped_least_squares, newton_raphson
 
-POSITION = jaxik.Task((True,) * 3 + (False,) * 3)
+POSITION = jaxik.Task.position()
 
 
 def test_roots_against_scipy():

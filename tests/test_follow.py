@@ -16,7 +16,7 @@ from jaxik.motions.path import Line
 from jaxik.motions.predictive import Horizon, quadratic_cost
 from jaxik.reasons import Reason
 
-IN_PLANE = jaxik.Task((True, True, False, False, False, False), "base")
+IN_PLANE = jaxik.Task.pose(("z", "roll", "pitch", "yaw"), "base")
 START = np.radians([30.0, -30.0, -30.0, -60.0])  # of the pendulum, Schuetz 2017, table 5.1
 
 

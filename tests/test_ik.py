@@ -253,7 +253,7 @@ def test_an_empty_batch(panda):
 def test_tolerance_of_each_target():
     """A position 4 mm out of reach is an answer to whoever allows the miss."""
     arm = jaxik.load("planar2")  # two links of one metre
-    in_plane = jaxik.Task((True, True, False, False, False, False), "base")
+    in_plane = jaxik.Task.pose(("z", "roll", "pitch", "yaw"), "base")
     result = jaxik.solve_ik(arm, [[2.004, 0.0, 0.0]] * 3, task=in_plane, position_tolerance=[1e-3, 5e-3, 0.02])
     assert list(result.success) == [False, True, True]
     assert np.all(result.position_error >= 0.004 - SLACK) and np.all(result.position_error[1:] <= [5e-3, 0.02])
@@ -282,7 +282,7 @@ def _swing(pose, target, axis):
 def test_free_axes(panda):
     targets = reachable(panda, 60, seed=8)
     pose = pinocchio(panda)
-    yaw = jaxik.solve_ik(panda, targets, task=jaxik.Task((True,) * 5 + (False,)))
+    yaw = jaxik.solve_ik(panda, targets, task=jaxik.Task.pointing())
     assert yaw.success.all()
     turned = []
     for q, target in zip(yaw.q, targets, strict=True):
@@ -290,7 +290,7 @@ def test_free_axes(panda):
         assert np.linalg.norm(reached[:3, 3] - target[:3, 3]) < 2 * POSITION and _swing(reached, target, 2) < 1e-5
         turned.append(pose_errors(reached, target)[1])
     assert max(turned) > 0.1  # the freedom is used
-    position = jaxik.solve_ik(panda, targets[:, :3, 3], task=jaxik.Task((True,) * 3 + (False,) * 3))
+    position = jaxik.solve_ik(panda, targets[:, :3, 3], task=jaxik.Task.position())
     assert position.success.all() and np.all(position.rotation_error == 0.0)
     for q, target in zip(position.q, targets, strict=True):
         assert np.linalg.norm(pose(q)[:3, 3] - target[:3, 3]) < 2 * POSITION
@@ -605,7 +605,7 @@ def test_a_free_branch_that_few_searches_land_on_is_found():
 
 @pytest.mark.parametrize("collision", ["constraint", "penalty"])
 def test_both_forms_of_collision_find_what_is_free(collision):
-    chain, in_plane = jaxik.load("pendulum4"), jaxik.Task((True, True, False, False, False, False), "base")
+    chain, in_plane = jaxik.load("pendulum4"), jaxik.Task.pose(("z", "roll", "pitch", "yaw"), "base")
     targets = reachable(chain, 60, seed=19)
     middle = (chain.world_T_base @ targets[0])[:3, 3]
     scene = jaxik.make_scene(spheres=[[*middle, 0.3]])

@@ -60,7 +60,7 @@ def derivative(function, by=jax.jacfwd):
     return both
 
 
-IN_PLANE = jaxik.Task((True, True, False, False, False, False), "base")
+IN_PLANE = jaxik.Task.pose(("z", "roll", "pitch", "yaw"), "base")
 
 
 @pytest.fixture(scope="module")

@@ -25,7 +25,7 @@ ARM, PLANAR, GANTRY = jaxik.load("pendulum4"), jaxik.load("planar2"), jaxik.load
 SCENE = jaxik.make_scene(
     points=[[1.2, 0.9, 0.1], [-0.6, 1.5, 0.0]], point_radius=0.02, capsules=[[2.5, 0.0, -1.0, 2.5, 0.0, 1.0, 0.1]]
 )
-POSITION = jaxik.Task((True, True, False, False, False, False), "base")
+POSITION = jaxik.Task.pose(("z", "roll", "pitch", "yaw"), "base")
 
 
 def _longer(q, extra):

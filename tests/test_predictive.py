@@ -19,7 +19,7 @@ from jaxik.motions.redundancy import asc, rac, resolve_velocity, rmrc
 from jaxik.optimise import ilqr, ocp
 from jaxik.optimise.descent import QUASI_NEWTON, Descent
 
-IN_PLANE = jaxik.Task((True, True, False, False, False, False), "base")
+IN_PLANE = jaxik.Task.pose(("z", "roll", "pitch", "yaw"), "base")
 START = np.radians([30.0, -30.0, -30.0, -60.0])  # of the pendulum, Schuetz 2017, table 5.1
 OBSTACLE, ACTIVATION = (1.0, 1.1, 0.0), 0.2
 

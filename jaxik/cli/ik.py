@@ -15,7 +15,6 @@ import tyro
 import jaxik
 from jaxik.cli.tables import write_csv
 from jaxik.robot.reach_bound import millimetres
-from jaxik.robot.task import COMPONENTS
 
 LOOKED = 32  # colliding postures that are asked what they collide with
 
@@ -71,7 +70,7 @@ def run_ik(arguments: IKArguments) -> None:
     scene = None if arguments.scene is None else jaxik.load_scene(arguments.scene)
     targets = jaxik.load_targets(arguments.targets)
     free = (*arguments.free, *(("roll", "pitch", "yaw") if targets.ndim == 2 else ()))  # a position says nothing of rotation
-    task = jaxik.Task(tuple(name not in free for name in COMPONENTS), arguments.axes)
+    task = jaxik.Task.pose(free, arguments.axes)
     names = [f.name for f in dataclasses.fields(jaxik.IKOptions)]
     chosen = {k: v for k, v in dataclasses.asdict(arguments).items() if k in names}
     start = time.perf_counter()

@@ -50,7 +50,7 @@ def attach(chain: Chain, scene: Scene, name: str, q: Float[Array, " n"], touches
     free = _links(chain, touches) | {i for i, joint in enumerate(chain.link_joint) if joint == last}
     posture = as_posture("attach", chain, q)
     frames = joint_frames(chain, posture.tolist(), Frame.of(chain.world_T_base)).joints
-    joint_T_world = np.linalg.inv(np.array(frames[-1].entries, np.float64).reshape(4, 4))
+    joint_T_world = np.linalg.inv(frames[-1].matrices)
     boxes, volumes = _carried(scene, name, joint_T_world, link)
     if not boxes and not volumes:
         raise ValueError(f"attach: '{shown(name)}' has no obstacle in '{scene.name}'; there is nothing to carry")

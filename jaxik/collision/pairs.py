@@ -12,7 +12,7 @@ import jax.numpy as jnp
 
 from jaxik.collision import distance
 from jaxik.collision.volumes import Skeleton
-from jaxik.spatial.algebra import Rot3, Vec3
+from jaxik.spatial.algebra import Frame, Vec3
 
 Gap = Callable[[Any, Any], Any]
 
@@ -42,18 +42,12 @@ def obstacles_of(kind: str, rows: Mapping[str, Any], dtype: Any) -> tuple[Gap, A
     """The gap to an obstacle of a kind, and those that have these `rows`, the fields of the scene's, as columns."""
     columns = lambda a: Vec3(*(jnp.asarray(a, dtype)[:, i] for i in range(3)))
     if kind == "boxes":
-        return box_gap, (*_frames(rows["world_T_box"], dtype), columns(rows["half"]))
+        return box_gap, (*Frame.of_columns(jnp.asarray(rows["world_T_box"], dtype)), columns(rows["half"]))
     if kind == "cylinders":
         sizes = (jnp.asarray(rows[name], dtype) for name in ("radius", "half"))
-        return cylinder_gap, (*_frames(rows["world_T_cylinder"], dtype), *sizes)
+        return cylinder_gap, (*Frame.of_columns(jnp.asarray(rows["world_T_cylinder"], dtype)), *sizes)
     corners = tuple(columns(rows[name]) for name in (("a", "b") if kind == "capsules" else ("center",)))
     return skeleton_gap, (corners, jnp.broadcast_to(jnp.asarray(rows["radius"], dtype), corners[0].x.shape))
-
-
-def _frames(frames: Any, dtype: Any) -> tuple[Rot3, Vec3]:
-    column = lambda i, j: jnp.asarray(frames, dtype)[:, i, j]
-    rotation = Rot3(*(Vec3(*(column(i, j) for j in range(3))) for i in range(3)))
-    return rotation, Vec3(*(column(i, 3) for i in range(3)))
 
 
 def columns_of(skeleton: Skeleton, dtype: Any) -> tuple[tuple[Vec3, ...], Any]:

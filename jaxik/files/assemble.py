@@ -6,7 +6,7 @@ import contextlib
 import dataclasses
 from collections.abc import Iterable, Iterator, Sequence
 from pathlib import Path
-from typing import Any, BinaryIO
+from typing import BinaryIO
 
 import numpy as np
 
@@ -45,26 +45,6 @@ class Link:
     boxes: list[tuple[np.ndarray, np.ndarray]] = dataclasses.field(default_factory=list)
     volumes: list[tuple[np.ndarray, float]] = dataclasses.field(default_factory=list)
     meshes: list[str] = dataclasses.field(default_factory=list)
-
-
-def rpy_matrix(rpy: Any) -> np.ndarray:
-    """`Rz(yaw) Ry(pitch) Rx(roll)`, URDF's fixed-axis angles [rad]."""
-    (cr, cp, cy), (sr, sp, sy) = np.cos(rpy), np.sin(rpy)
-    return np.array(
-        [
-            [cy * cp, cy * sp * sr - sy * cr, cy * sp * cr + sy * sr],
-            [sy * cp, sy * sp * sr + cy * cr, sy * sp * cr - cy * sr],
-            [-sp, cp * sr, cp * cr],
-        ]
-    )
-
-
-def frame(translation: Any = (0.0, 0.0, 0.0), rotation: np.ndarray | None = None) -> np.ndarray:
-    """A (4, 4) frame."""
-    matrix = np.eye(4)
-    matrix[:3, :3] = np.eye(3) if rotation is None else rotation
-    matrix[:3, 3] = translation
-    return matrix
 
 
 @contextlib.contextmanager

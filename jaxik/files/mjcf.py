@@ -7,11 +7,12 @@ from typing import Any
 
 import numpy as np
 
-from jaxik.files.assemble import Joint, Link, assemble, frame
+from jaxik.files.assemble import Joint, Link, assemble
 from jaxik.files.mesh import Meshes, add_box, add_cylinder, home, resolve
 from jaxik.files.xml import parse
 from jaxik.reasons import LoadError
 from jaxik.robot.chain import Chain
+from jaxik.spatial.rotations import about, frame, from_wxyz
 
 FOLDERS = ("meshdir", "texturedir", "assetdir")
 MOST_FILES = 100
@@ -75,23 +76,15 @@ def _tip(path: Path, model: Any, bodies: dict[str, int], tip: str | None) -> tup
     for i in range(model.nsite):
         site = model.site(i)
         if site.name == tip:
-            return int(site.bodyid[0]), frame(site.pos, _rotation(site.quat))
+            return int(site.bodyid[0]), frame(site.pos, from_wxyz(site.quat))
     raise LoadError(path, f"tip '{tip}'", "no such body or site", f"bodies: {', '.join(bodies)}")
-
-
-def _rotation(quaternion: np.ndarray) -> np.ndarray:
-    import mujoco
-
-    matrix = np.zeros(9)
-    mujoco.mju_quat2Mat(matrix, np.asarray(quaternion, dtype=np.float64))
-    return matrix.reshape(3, 3)
 
 
 def _body_joints(path: Path, model: Any, body: int, name: str) -> list[Joint]:
     """A body's joints as a run; a hinge turns about its anchor, so the body's own frame is offset from it."""
     kinds = {2: "prismatic", 3: "revolute"}
     coupled = _coupled(model)
-    pending = frame(model.body_pos[body], _rotation(model.body_quat[body]))
+    pending = frame(model.body_pos[body], from_wxyz(model.body_quat[body]))
     first, count = int(model.body_jntadr[body]), int(model.body_jntnum[body])
     run = []
     for i in range(first, first + count):
@@ -111,7 +104,7 @@ def _body_joints(path: Path, model: Any, body: int, name: str) -> list[Joint]:
         reference = float(joint.qpos0[0])
         axis = np.asarray(joint.axis, dtype=np.float64)
         if reference:
-            back = frame(-reference * axis) if kind == "prismatic" else frame(rotation=_about(axis, -reference))
+            back = frame(-reference * axis) if kind == "prismatic" else frame(rotation=about(axis, -reference))
         else:
             back = np.eye(4)
         run.append(Joint(label, kind, pending @ anchor @ back, f"{name}/{label}", axis, lower, upper))
@@ -129,14 +122,10 @@ def _coupled(model: Any) -> set[int]:
     return {int(model.eq_obj1id[i]) for i in rows if model.eq_type[i] == mujoco.mjtEq.mjEQ_JOINT and model.eq_active0[i]}
 
 
-def _about(axis: np.ndarray, angle: float) -> np.ndarray:
-    return _rotation(np.concatenate([[np.cos(angle / 2.0)], np.sin(angle / 2.0) * axis]))
-
-
 def _link(model: Any, body: int, name: str, meshes: Meshes | None) -> Link:
     import mujoco
 
-    inertia_frame = _rotation(model.body_iquat[body])
+    inertia_frame = from_wxyz(model.body_iquat[body])
     link = Link(
         mass=float(model.body_mass[body]),
         com=np.array(model.body_ipos[body]),
@@ -147,7 +136,7 @@ def _link(model: Any, body: int, name: str, meshes: Meshes | None) -> Link:
         geom = model.geom(i)
         if not (geom.contype[0] or geom.conaffinity[0]) or geom.type[0] == mujoco.mjtGeom.mjGEOM_PLANE:
             continue  # drawn only, or without end
-        body_T_geom = frame(geom.pos, _rotation(geom.quat))
+        body_T_geom = frame(geom.pos, from_wxyz(geom.quat))
         if geom.type[0] == mujoco.mjtGeom.mjGEOM_SPHERE:
             link.volumes.append((np.array(geom.pos)[None], float(geom.size[0])))
         elif geom.type[0] == mujoco.mjtGeom.mjGEOM_CAPSULE:

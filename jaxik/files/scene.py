@@ -14,9 +14,10 @@ from typing import Any
 import numpy as np
 
 from jaxik.collision.scene import FAR, KINDS, Fruit, Scene, SceneBuilder, hanging
-from jaxik.files.assemble import MAX_BYTES, frame, read_bytes
+from jaxik.files.assemble import MAX_BYTES, read_bytes
 from jaxik.files.toml import Table, read_toml
 from jaxik.reasons import LoadError
+from jaxik.spatial.rotations import frame
 
 FIXED = ("stem", "wire", "fruit", "pipe", "post", "gutter")  # labelled points that start so may not be removed
 WIDTHS = {"points": 3, "spheres": 4, "capsules": 7, "boxes": 6, "cylinders": 5}  # a frame is its centre here, and `rotations`

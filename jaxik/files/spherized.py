@@ -11,6 +11,7 @@ import numpy as np
 
 from jaxik.collision.volumes import box_spheres
 from jaxik.robot.chain import Chain
+from jaxik.spatial.rotations import to_rpy
 
 LOST = (
     "the .srdf beside it names the pairs of links that are not to be checked; tables of distances and ignored objects are lost"
@@ -97,7 +98,7 @@ def _joined(root: Any, name: str, kind: str, parent: str, child: str, frame: Any
     joint = ElementTree.SubElement(root, "joint", name=name, type=kind)
     ElementTree.SubElement(joint, "parent", link=parent)
     ElementTree.SubElement(joint, "child", link=child)
-    ElementTree.SubElement(joint, "origin", xyz=_words(frame[:3, 3]), rpy=_words(_rpy(frame[:3, :3])))
+    ElementTree.SubElement(joint, "origin", xyz=_words(frame[:3, 3]), rpy=_words(to_rpy(frame[:3, :3])))
     return joint
 
 
@@ -107,15 +108,6 @@ def _fixed(root: Any, child: str, parent: str, frame: Any, taken: Sequence[str])
 
 def _words(values: Any) -> str:
     return " ".join(repr(float(x)) for x in values)
-
-
-def _rpy(turn: np.ndarray) -> tuple[float, float, float]:
-    """The fixed-axis angles of a rotation, of which `rpy_matrix` makes it again."""
-    level = float(np.hypot(turn[0, 0], turn[1, 0]))
-    pitch = float(np.arctan2(-turn[2, 0], level))
-    if level < 1e-9:  # yaw and roll about one axis
-        return float(np.arctan2(-turn[1, 2], turn[1, 1])), pitch, 0.0
-    return float(np.arctan2(turn[2, 1], turn[2, 2])), pitch, float(np.arctan2(turn[1, 0], turn[0, 0]))
 
 
 def _covering(corners: np.ndarray, radius: float, beyond: float) -> tuple[np.ndarray, float]:

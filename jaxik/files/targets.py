@@ -17,6 +17,7 @@ import numpy as np
 from jaxik.files.assemble import opened
 from jaxik.files.toml import in_words
 from jaxik.reasons import LoadError
+from jaxik.spatial.rotations import frame, from_wxyz
 
 POSITION, QUATERNION = ("x", "y", "z"), ("qw", "qx", "qy", "qz")
 FORMATS = ".csv, .npz, .json"
@@ -58,14 +59,7 @@ def as_frames(targets: np.ndarray) -> np.ndarray:
     """Frames (N, 4, 4) of rows x, y, z, qw, qx, qy, qz (N, 7); all others as they are."""
     if targets.shape[1:] != (7,):
         return targets
-    with np.errstate(invalid="ignore", divide="ignore"):
-        w, x, y, z = (targets[:, 3:] / np.linalg.norm(targets[:, 3:], axis=1, keepdims=True)).T
-    frames = np.tile(np.eye(4), (len(targets), 1, 1))
-    frames[:, 0, :3] = np.stack([1 - 2 * (y * y + z * z), 2 * (x * y - z * w), 2 * (x * z + y * w)], axis=-1)
-    frames[:, 1, :3] = np.stack([2 * (x * y + z * w), 1 - 2 * (x * x + z * z), 2 * (y * z - x * w)], axis=-1)
-    frames[:, 2, :3] = np.stack([2 * (x * z - y * w), 2 * (y * z + x * w), 1 - 2 * (x * x + y * y)], axis=-1)
-    frames[:, :3, 3] = targets[:, :3]
-    return frames
+    return frame(targets[:, :3], from_wxyz(targets[:, 3:]))
 
 
 def _csv(path: Path, file: BinaryIO) -> np.ndarray:

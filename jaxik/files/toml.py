@@ -15,9 +15,10 @@ from typing import Any
 
 import numpy as np
 
-from jaxik.files.assemble import Joint, Link, assemble, frame, read_bytes, rpy_matrix, unique
+from jaxik.files.assemble import Joint, Link, assemble, read_bytes, unique
 from jaxik.reasons import LoadError
 from jaxik.robot.chain import Chain
+from jaxik.spatial.rotations import frame, from_rpy
 
 UNITS = {
     "length": {"": 1.0, "_mm": 1e-3, "_cm": 1e-2},
@@ -100,7 +101,7 @@ class Table:
         rpy = self.array("rpy", "angle", (3,), np.zeros(3))
         if not np.all(np.isfinite(rpy)):
             raise self.fail("'rpy' holds infinity", "write finite numbers")
-        return rpy_matrix(rpy)
+        return from_rpy(rpy)
 
     def tables(self, key: str) -> list[Table]:
         self.asked.add(key)
@@ -219,7 +220,7 @@ def _joint(table: Table, convention: str) -> tuple[list[Joint], Link]:
     else:
         a, d = (table.number(key, "length", 0.0) for key in ("a", "d"))
         alpha, theta = (table.number(key, "angle", 0.0) for key in ("alpha", "theta"))
-        turned, twisted = frame((0, 0, d), rpy_matrix((0, 0, theta))), frame((a, 0, 0), rpy_matrix((alpha, 0, 0)))
+        turned, twisted = frame((0, 0, d), from_rpy((0, 0, theta))), frame((a, 0, 0), from_rpy((alpha, 0, 0)))
         axis = np.array([0.0, 0.0, 1.0])
         # Craig's (modified) row twists before its joint turns, the standard row after [Craig 2005, ch. 3]
         before, after = (twisted @ turned, None) if convention == "modified_dh" else (turned, twisted)

@@ -7,11 +7,12 @@ from xml.etree.ElementTree import Element
 
 import numpy as np
 
-from jaxik.files.assemble import JOINT_TYPES, Joint, Link, assemble, frame, rpy_matrix, unique
+from jaxik.files.assemble import JOINT_TYPES, Joint, Link, assemble, unique
 from jaxik.files.mesh import Meshes, add_box, add_cylinder, read_mesh, resolve
 from jaxik.files.xml import attribute, numbers, parse
 from jaxik.reasons import LoadError
 from jaxik.robot.chain import Chain
+from jaxik.spatial.rotations import frame, from_rpy
 
 
 def load_urdf(path: Path, tip: str | None, base: str | None, tool: np.ndarray | None, meshes: Meshes | None) -> Chain:
@@ -79,7 +80,7 @@ def _only(path: Path, what: str, names: list[str]) -> str:
 def _origin(path: Path, where: str, element: Element) -> np.ndarray:
     origin = element.find("origin")
     translation = numbers(path, where, origin, "xyz", "0 0 0", 3)
-    return frame(translation, rpy_matrix(numbers(path, where, origin, "rpy", "0 0 0", 3)))
+    return frame(translation, from_rpy(numbers(path, where, origin, "rpy", "0 0 0", 3)))
 
 
 def _joint(path: Path, element: Element, child: str) -> Joint:

@@ -36,8 +36,7 @@ Couples = list[tuple[Body, Body]]
 def frames(chain: Chain, q: np.ndarray) -> np.ndarray:
     """The frames of the base and of each joint (joints + 1, n, 4, 4) in the base's."""
     found = (BASE, *joint_frames(chain, list(q.T), BASE, np.float64).joints)
-    entries = [[np.broadcast_to(np.asarray(x, np.float64), len(q)) for x in frame.entries] for frame in found]
-    return np.moveaxis(np.array(entries), 1, 2).reshape(len(found), len(q), 4, 4)
+    return np.stack([np.broadcast_to(frame.matrices, (len(q), 4, 4)) for frame in found])
 
 
 def between(chain: Chain, pair: tuple[int, int], frames: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

@@ -170,7 +170,7 @@ def _problem(
     metric = [
         [weights[i] * (scale**2 if chain.is_prismatic[i] else 1.0) if i == j else 0.0 for j in range(n)] for i in range(n)
     ]
-    target = Frame.of_entries([pose[i, j] for i in range(4) for j in range(4)])
+    target = Frame.of_columns(pose)
 
     def model(x: Sequence[Scalar]) -> sqp.Model:
         frames = joint_frames(chain, x, dtype=dtype)

@@ -104,8 +104,7 @@ def _set(chain: Chain, task: Task, inside: Range, length: float, number: int) ->
     size = LATER if number else FIRST
     q = uniform(inside, 0, number, size)  # the user's seed does not change it: it is built once a chain
     tip = joint_frames(chain, list(q.T)).tip
-    poses = np.stack([np.broadcast_to(e, (size,)) for e in tip.entries], axis=-1).reshape(-1, 4, 4)
-    features = _features(task, poses, length)
+    features = _features(task, tip.matrices, length)
     return read_only(_Set(q.astype(np.float32), np.column_stack([features, -0.5 * np.sum(features**2, axis=1)])))
 
 

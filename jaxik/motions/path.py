@@ -22,8 +22,7 @@ from jaxtyping import Float
 from jaxik.checks.arrays import RIGID, direction, is_known, is_rigid, numbers, rigid_frame
 from jaxik.checks.options import shown
 from jaxik.robot.chain import Array, as_numbers
-from jaxik.robot.task import rotation_vector
-from jaxik.spatial.algebra import Rot3, traced
+from jaxik.spatial.rotations import rotation_exp, rotation_log
 from jaxik.spmd import kernel
 
 
@@ -227,22 +226,3 @@ _compiled = jax.jit(_each(kernel(_motion)))
 
 def _vector(skew: Any) -> Any:
     return 0.5 * jnp.stack([skew[2, 1] - skew[1, 2], skew[0, 2] - skew[2, 0], skew[1, 0] - skew[0, 1]])
-
-
-def rotation_log(rotation: Any) -> Any:
-    """The rotation vector (3,) of a rotation (3, 3) [rad]."""
-    return jnp.stack([jnp.asarray(x) for x in rotation_vector(Rot3.of(traced(rotation)))])
-
-
-def rotation_exp(vector: Any) -> Any:
-    """The rotation (3, 3) of a rotation vector (3,) [rad] (Rodrigues), with all derivatives at 0."""
-    x, y, z = vector
-    cross = jnp.array([[0.0, -1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, 0.0]]) * z
-    cross += jnp.array([[0.0, 0.0, 1.0], [0.0, 0.0, 0.0], [-1.0, 0.0, 0.0]]) * y
-    cross += jnp.array([[0.0, 0.0, 0.0], [0.0, 0.0, -1.0], [0.0, 1.0, 0.0]]) * x
-    square = x * x + y * y + z * z
-    small = square < 1e-6
-    angle = jnp.sqrt(jnp.where(small, 1.0, square))
-    sine = jnp.where(small, 1.0 - square / 6.0 + square**2 / 120.0, jnp.sin(angle) / angle)
-    versine = jnp.where(small, 0.5 - square / 24.0 + square**2 / 720.0, (1.0 - jnp.cos(angle)) / angle**2)
-    return jnp.eye(3) + sine * cross + versine * cross @ cross

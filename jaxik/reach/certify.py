@@ -131,8 +131,7 @@ def _spheres(chain: Chain, slides: int) -> tuple[Reach, np.ndarray, np.ndarray]:
     if not k or not all(chain.is_prismatic[:k]):
         return bound, np.zeros((len(centres), 3)), np.full(len(centres), np.inf)
     frame: Frame = joint_frames(chain.part(0, k), list(centres.astype(np.float64).T)).joints[-1]
-    frames = np.stack([np.broadcast_to(np.asarray(x, np.float64), len(centres)) for x in frame.entries], -1).reshape(-1, 4, 4)
-    origin = (frames @ np.append(bound.origin, 1.0))[:, :3]
+    origin = (frame.matrices @ np.append(bound.origin, 1.0))[:, :3]
     return bound, origin, (bound.longest + float(half.sum()) + SLACK) ** 2 - np.sum(origin * origin, axis=1)
 
 

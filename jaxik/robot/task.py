@@ -16,21 +16,27 @@ from __future__ import annotations
 
 import dataclasses
 import functools
-from typing import Any, Literal
+from collections.abc import Sequence
+from typing import Literal, get_args
 
-import jax.numpy as jnp
 import numpy as np
 
 from jaxik.checks.options import check_choices, shown
-from jaxik.spatial.algebra import Frame, Rot3, Scalar, Vec3, add, atan2, mul, safe_sqrt, sub
+from jaxik.spatial.algebra import Frame, Rot3, Scalar, Vec3, add, atan2, sub
+from jaxik.spatial.rotations import rotation_swing, rotation_vector
 
 Axes = Literal["tool", "base"]
-COMPONENTS = ("x", "y", "z", "roll", "pitch", "yaw")
+Component = Literal["x", "y", "z", "roll", "pitch", "yaw"]
+Direction = Literal["x", "y", "z"]
+COMPONENTS: tuple[str, ...] = get_args(Component)
 
 
 @dataclasses.dataclass(frozen=True)
 class Task:
-    """Which of (x, y, z, roll, pitch, yaw) a target binds, along and about the axes of the target or of the base."""
+    """Which of (x, y, z, roll, pitch, yaw) a target binds, along and about the axes of the target or of the base.
+
+    In words: `Task.pose(free=("yaw",))`, `Task.position()`, `Task.pointing()`.
+    """
 
     bound: tuple[bool, ...] = (True,) * 6
     axes: str = "tool"
@@ -41,6 +47,26 @@ class Task:
             raise ValueError(f"task: bound {shown(self.bound)}; six booleans for {', '.join(COMPONENTS)}, at least one true")
         object.__setattr__(self, "bound", tuple(bool(b) for b in each))  # hashable: a task is a cache's key
         check_choices("task", axes=(self.axes, Axes))
+
+    @staticmethod
+    def pose(free: Sequence[str] = (), axes: str = "tool") -> Task:
+        """A pose, but for the components of x, y, z, roll, pitch, yaw that are `free`, along and about the `axes` of the target
+        ("tool") or of the "base". Raises `ValueError` for another word."""
+        names = (free,) if isinstance(free, str) else tuple(free)
+        for name in names:
+            check_choices("task", free=(name, Component))
+        return Task(tuple(name not in names for name in COMPONENTS), axes)
+
+    @staticmethod
+    def position() -> Task:
+        """Where the tip is, however it is turned."""
+        return Task.pose(("roll", "pitch", "yaw"), "base")
+
+    @staticmethod
+    def pointing(along: str = "z") -> Task:
+        """Where the tip is and where its x, y or z points: it may turn about that. Raises `ValueError` for another axis."""
+        check_choices("task", along=(along, Direction))
+        return Task.pose(COMPONENTS[3 + "xyz".index(along)])
 
     @functools.cached_property
     def positions(self) -> tuple[int, ...]:
@@ -77,7 +103,7 @@ class Task:
 
 
 POSE = Task()
-POSITION = Task((True, True, True, False, False, False), "base")
+POSITION = Task.position()
 
 
 def _rotation(e: Rot3, kept: tuple[int, ...]) -> list[Scalar]:
@@ -85,50 +111,7 @@ def _rotation(e: Rot3, kept: tuple[int, ...]) -> list[Scalar]:
         return list(rotation_vector(e))
     if len(kept) == 2:
         (free,) = {0, 1, 2} - set(kept)
-        swing = _swing(e, free)
+        swing = rotation_swing(e, free)
         return [swing[i] for i in kept]
     i, j = (kept[0] + 1) % 3, (kept[0] + 2) % 3
     return [atan2(sub(e[j][i], e[i][j]), add(e[i][i], e[j][j]))]
-
-
-def rotation_vector(e: Rot3) -> Vec3:
-    """`log E`: the axis times the angle in [0, pi] [rad]. At pi, where the axis has two directions, one of them."""
-    v = Vec3(sub(e[2].y, e[1].z), sub(e[0].z, e[2].x), sub(e[1].x, e[0].y)) * 0.5
-    cosine = 0.5 * (e[0].x + e[1].y + e[2].z - 1.0)
-    sine = safe_sqrt(v.dot(v))
-    angle = atan2(sine, cosine)
-    eps = float(jnp.finfo(jnp.result_type(cosine)).eps)
-    near_pi = (cosine < 0.0) & (sine < 30.0 * eps**0.5)
-    scale = jnp.where(sine > 0.0, angle / jnp.where(sine > 0.0, sine, 1.0), 1.0)
-    flipped = _axis_of_half_turn(e, v)
-    return Vec3(*[jnp.where(near_pi, f * angle, x * scale) for x, f in zip(v, flipped, strict=True)])
-
-
-def _axis_of_half_turn(e: Rot3, v: Vec3) -> Vec3:
-    """The axis of a turn by nearly pi: the longest column of `E + E' + (1 - tr E) 1`, which is `2 (1 - cos) a a'`."""
-    rest = 1.0 - (e[0].x + e[1].y + e[2].z)
-    columns = [Vec3(*(add(add(e[i][j], e[j][i]), rest if i == j else 0.0) for i in range(3))) for j in range(3)]
-    best = columns[0]
-    largest = columns[0].x
-    for j in (1, 2):
-        longer = columns[j][j] > largest
-        best = Vec3(*(jnp.where(longer, a, b) for a, b in zip(columns[j], best, strict=True)))
-        largest = jnp.where(longer, columns[j][j], largest)
-    length = safe_sqrt(best.dot(best))
-    sign = jnp.where(best.dot(v) < 0.0, -1.0, 1.0) / jnp.where(length > 0.0, length, 1.0)
-    return best * sign
-
-
-def _swing(e: Rot3, k: int) -> Vec3:
-    """The shortest turn that brings direction k to where E has it, as a rotation vector (component k is 0)."""
-    direction = e.T[k]  # of axis k after the turn
-    i, j = (k + 1) % 3, (k + 2) % 3
-    # k x direction: along i it is -direction_j, along j it is direction_i
-    sine = safe_sqrt(add(mul(direction[i], direction[i]), mul(direction[j], direction[j])))
-    angle = atan2(sine, direction[k])
-    opposite = (sine == 0.0) & (direction[k] < 0.0)  # any axis across will do
-    scale = jnp.where(sine > 0.0, angle / jnp.where(sine > 0.0, sine, 1.0), 1.0)
-    parts: list[Any] = [0.0, 0.0, 0.0]
-    parts[i] = jnp.where(opposite, angle, -direction[j] * scale)
-    parts[j] = direction[i] * scale
-    return Vec3(*parts)

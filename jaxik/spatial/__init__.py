@@ -1,1 +1,5 @@
-"""Rigid motions on scalars that may be floats, arrays, tracers or balls; knows no robot."""
+"""Rotations and rigid motions, of numbers, tracers or balls; knows no robot."""
+
+from jaxik.spatial.rotations import pose, rotation_exp, rotation_log
+
+__all__ = ["pose", "rotation_exp", "rotation_log"]

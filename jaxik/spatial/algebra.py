@@ -184,6 +184,17 @@ class Frame(NamedTuple):
         rows = zip(self.rotation, self.translation, strict=True)
         return (*(x for row, t in rows for x in (*row, t)), 0.0, 0.0, 0.0, 1.0)
 
+    @property
+    def matrices(self) -> np.ndarray:
+        """The frames (..., 4, 4) in float64 of entries that are numbers, or columns (...,) of them."""
+        columns = np.broadcast_arrays(*(np.asarray(x, np.float64) for x in self.entries))
+        return np.stack(columns, axis=-1).reshape(*columns[0].shape, 4, 4)
+
+    @staticmethod
+    def of_columns(matrices: Any) -> Frame:
+        """Of frames (..., 4, 4), NumPy's or traced: each entry is a column (...,)."""
+        return Frame.of_entries([matrices[..., i, j] for i in range(4) for j in range(4)])
+
     @staticmethod
     def of(matrix: Any, snap: float = 0.0) -> Frame:
         """From a constant (4, 4) array: its entries as `constants` gives them."""

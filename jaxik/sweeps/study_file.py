@@ -172,7 +172,7 @@ def _ik(table: Table, targets: Targets, margin: float) -> IKOptions:
             raise row.fail(f"{key} = {chosen[key]:g}", "write a number > 0")
     row.close()
     try:
-        task = Task((True, True, True, False, False, False), "base") if targets.free_rotation else IKOptions().task
+        task = Task.position() if targets.free_rotation else IKOptions().task
         return IKOptions(task=task, margin=margin, **chosen)
     except ValueError as error:
         raise row.fail(str(error), "change it") from None

@@ -17,6 +17,7 @@ from jaxik.harvesting.crop import cucumber_row, trellis_crop
 from jaxik.harvesting.grasp import Grasp, approach_grid, fruit_frames
 from jaxik.robot.chain import Chain
 from jaxik.robot.reach_bound import reach
+from jaxik.spatial.rotations import to_wxyz
 
 KINDS = ("grid", "voxels", "file", "crop")
 CROPS = ("cucumber_row", "bitter_gourd", "tindora", "guava")
@@ -100,8 +101,8 @@ class Targets:
     def wxyz_at(self, rows: np.ndarray) -> np.ndarray:
         """The unit quaternions (r, 4) of targets whose rotation is not free, w >= 0; NaN where it is none."""
         if self.poses is not None:
-            return wxyz(self.poses_at(rows)[:, :3, :3])
-        return wxyz(self.rotations)[rows % self.turns]
+            return to_wxyz(self.poses_at(rows)[:, :3, :3])
+        return to_wxyz(self.rotations)[rows % self.turns]
 
     def at(self, rows: np.ndarray) -> Targets:
         """These targets alone (their numbers) with their scenes, held one by one."""
@@ -127,17 +128,6 @@ class Targets:
         given = {k: v for k, v in arrays.items() if v is not None and len(v)}
         known |= {k: hashlib.sha256(np.ascontiguousarray(v).data).hexdigest()[:16] for k, v in given.items()}
         return known
-
-
-def wxyz(rotation: np.ndarray) -> np.ndarray:
-    """Unit quaternions (N, 4) of rotations (N, 3, 3), w >= 0; NaN where they are none."""
-    from scipy.spatial.transform import Rotation
-
-    found = np.full((len(rotation), 4), np.nan)
-    whole = np.isfinite(rotation).all(axis=(1, 2)) & (np.linalg.det(np.nan_to_num(rotation)) > 0.0)
-    if whole.any():
-        found[whole] = Rotation.from_matrix(rotation[whole]).as_quat(canonical=True)[:, [3, 0, 1, 2]]
-    return found
 
 
 def directions(count: int) -> np.ndarray:

@@ -18,7 +18,7 @@ from jaxik.harvesting.driver import Harvest
 from jaxik.robot.chain import Chain, finite_limits
 from jaxik.robot.kinematics import joint_frames, pose_errors
 from jaxik.spatial.algebra import Frame
-from jaxik.sweeps.targets import wxyz
+from jaxik.spatial.rotations import to_wxyz
 from jaxik.sweeps.variants import variant_name
 from jaxik.view.harvest_picture import COLOURS, bones
 from jaxik.view.sweep_picture import Map, open_store, variant_label, variant_map
@@ -380,7 +380,7 @@ def _palette(link: np.ndarray) -> np.ndarray:
 
 
 def _wxyz(frame: np.ndarray) -> np.ndarray:
-    return wxyz(np.asarray(frame)[None, :3, :3])[0]
+    return to_wxyz(np.asarray(frame)[:3, :3])
 
 
 def _joints(chain: Chain, q: np.ndarray) -> list[np.ndarray]:
