@@ -70,5 +70,5 @@ def controller(chain: jaxik.Chain, seconds: float) -> jaxik.motions.MovingHorizo
 
 def instantaneous(chain: jaxik.Chain, alpha: float) -> Any:
     """The motion that goes down `alpha` times the cost's gradient at every moment."""
-    how = jaxik.motions.Follow("asc", DT, "euler", POSITION, alpha, gain=10.0, weights=WEIGHTS, limits=False)
+    how = jaxik.motions.FollowOptions("asc", DT, "euler", POSITION, alpha, gain=10.0, weights=WEIGHTS, limits=False)
     return jaxik.follow(chain, path(chain), DURATION, START, position_cost(chain), how)

@@ -67,15 +67,15 @@ __all__ = [
     "sweeps",
 ]
 
-_MOVED = {  # until the next release
+_MOVED = {  # until the next release; a name that is another now stands behind =
     "collision": "Attached Fruit MotionClearance SceneBuilder attach link_circles link_spheres motion_collides "
     "object_clearances self_clearance",
     "files": "fit_report",
     "fitting": "LinkFit",
     "harvesting": "Grasp Harvest Weights blockers crop fit_mapping scan",
     "ik": "IKResult descend",
-    "motions": "Arc Follow Horizon Line MovingHorizon asc boundary_value follow_predictively motion multistart "
-    "quadratic_cost rac resolve_acceleration resolve_velocity rmrc via",
+    "motions": "Arc Follow=FollowOptions Horizon Line MovingHorizon asc boundary_value follow_predictively motion "
+    "multistart quadratic_cost rac resolve_acceleration resolve_velocity rmrc via",
     "optimise": "Descent QUASI_NEWTON",
     "reach": "likely_postures log_reach_score reach_score",
     "robot": "ClosedForm admissible_turns bias_acceleration closed_form_obstacle finite_limits link_frames "
@@ -87,7 +87,9 @@ _MOVED = {  # until the next release
 def __getattr__(name: str) -> Any:
     """What was here, from where it is now."""
     for package, names in _MOVED.items():
-        if name in names.split():
-            warnings.warn(f"jaxik.{name} is jaxik.{package}.{name} now", DeprecationWarning, stacklevel=2)
-            return getattr(importlib.import_module(f"jaxik.{package}"), name)
+        for was, _, now in (each.partition("=") for each in names.split()):
+            if name == was:
+                place = f"jaxik.{package}.{now or was}"
+                warnings.warn(f"jaxik.{name} is {place} now", DeprecationWarning, stacklevel=2)
+                return getattr(importlib.import_module(f"jaxik.{package}"), now or was)
     raise AttributeError(f"module 'jaxik' has no attribute {name!r}")

@@ -7,6 +7,7 @@ scheme and a trajectory optimiser share them.
 from __future__ import annotations
 
 import functools
+import warnings
 from collections.abc import Callable, Sequence
 from typing import Any
 
@@ -127,7 +128,7 @@ def weighted_sum(terms: Sequence[tuple[float, Cost]]) -> Cost:
     return total
 
 
-def joint_freedom(chain: Chain, q: Float[Array, " n"]) -> Float[Array, ""]:
+def joint_limit_margin(chain: Chain, q: Float[Array, " n"]) -> Float[Array, ""]:
     """The least free joint's distance to its nearest limit, as a share of half its range: 1 in the middle, 0 at a limit.
 
     The "freedom in the rotations" that Van Henten et al. 2010, sec. 4.1 rank postures by, over the revolute joints; a joint
@@ -144,3 +145,10 @@ def _range(chain: Chain) -> tuple[np.ndarray, np.ndarray]:
     """Limits, with +-pi (+-1 m) for those that are not, and a locked joint's range of 0 opened to keep quotients finite."""
     lower, upper = finite_limits(chain)
     return lower, np.maximum(upper, lower + 1e-9)
+
+
+def __getattr__(name: str) -> Any:
+    if name == "joint_freedom":
+        warnings.warn("costs.joint_freedom is costs.joint_limit_margin now", DeprecationWarning, stacklevel=2)
+        return joint_limit_margin
+    raise AttributeError(f"module 'jaxik.costs' has no attribute {name!r}")

@@ -4,6 +4,9 @@ from __future__ import annotations
 
 from enum import IntEnum
 from pathlib import Path
+from typing import Any
+
+import numpy as np
 
 
 class Reason(IntEnum):
@@ -21,6 +24,23 @@ class Reason(IntEnum):
     @property
     def text(self) -> str:
         return self.name.lower().replace("_", " ")
+
+
+class Reasoned:
+    """A result whose `reason` is a `Reason`, or an array of their numbers."""
+
+    reason: Any
+
+    @property
+    def reasons(self) -> Any:
+        """The reasons in words: text, or an array of texts."""
+        words = np.array([reason.text for reason in Reason])[np.asarray(self.reason, int)]
+        return words if words.ndim else str(words)
+
+    def counts(self) -> dict[str, int]:
+        """How many ended for each reason, by its words."""
+        found, counts = np.unique(np.asarray(self.reason, int), return_counts=True)
+        return {Reason(int(r)).text: int(c) for r, c in zip(found, counts, strict=True)}
 
 
 class LoadError(ValueError):

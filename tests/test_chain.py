@@ -12,7 +12,7 @@ import pytest
 
 import jaxik
 from jaxik.ik import seeds
-from jaxik.robot.reach_bound import reach
+from jaxik.robot.reach_bound import reach_bound
 
 CHAIN = jaxik.load("p6r")
 WAYS = {
@@ -77,7 +77,7 @@ def test_numbers_of_a_chain_may_be_jax_s_and_traced():
 
 def test_what_is_cached_and_shared_cannot_be_written():
     inside = seeds.Range((0.0, -1.0), (1.0, 1.0))
-    shared = [seeds.uniform(inside, 0, 3), seeds.low_discrepancy(inside, 0, 8), reach(CHAIN)]
+    shared = [seeds.uniform(inside, 0, 3), seeds.low_discrepancy(inside, 0, 8), reach_bound(CHAIN)]
     shared.append(
         seeds._set(CHAIN, jaxik.Task(), seeds.Range(tuple(CHAIN.lower.tolist()), tuple(CHAIN.upper.tolist())), 1.0, 0)
     )

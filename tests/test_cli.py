@@ -49,7 +49,7 @@ def test_it_writes_table_picture_and_arrays(tmp_path):
     code = "from jaxik.cli import main; main()"
     done = subprocess.run([sys.executable, "-c", code, *map(str, command)], env=environment, capture_output=True, text=True)
     assert done.returncode == 0, done.stderr
-    assert done.stdout.splitlines()[-1].startswith("2 fruits: 1 out of reach, 1 solved; 3456 candidates in ")
+    assert done.stdout.splitlines()[-1].startswith("2 fruits: 1 solved, 1 out of reach; 3456 candidates in ")
     assert sorted(p.name for p in out.iterdir()) == ["harvest.png", "postures.csv", "postures.npz"]
     with np.load(out / "postures.npz", allow_pickle=False) as arrays:
         q = arrays["q"][list(arrays["fruit"]).index("near")]
@@ -172,7 +172,7 @@ def test_units_are_said(harvested, tmp_path, monkeypatch, capsys):
     """In the table, where brackets once were taken for a style, and in the header; the arrays keep their names."""
     monkeypatch.setenv("COLUMNS", "240")
     monkeypatch.setattr("jaxik.view.harvest_picture.plot_harvest", draws)
-    _print_table(harvested._replace(scene=dataclasses.replace(harvested.scene, name="bench [red]")))
+    _print_table(dataclasses.replace(harvested, scene=dataclasses.replace(harvested.scene, name="bench [red]")))
     printed = " ".join(capsys.readouterr().out.split())
     assert "clearance [mm]" in printed and "bench [red]" in printed
     write_harvest(harvested, tmp_path / "out")

@@ -60,7 +60,7 @@ def test_points_against_coal(kind):
             ours = distance.point_cylinder(_vec(p), rows, _vec(centre), size[0], size[1])
         else:
             shape, along = coal.Capsule(size[0], 2 * size[1]), turn[:, 2] * size[1]
-            ours = distance.point_line(_vec(p), _vec(centre - along), _vec(centre + along)) - size[0]
+            ours = distance.point_segment(_vec(p), _vec(centre - along), _vec(centre + along)) - size[0]
         theirs = _coal(coal.Sphere(0.01), (np.eye(3), p), shape, (turn, centre)) + 0.01
         depths += theirs < -0.02
         assert abs(float(ours) - theirs) <= (APART if theirs > 0.02 else DEEP)
@@ -75,7 +75,7 @@ def test_lines_against_coal():
         turns, centres = [_rotation(rng) for _ in range(2)], rng.normal(size=(2, 3)) * (1.5 if i < 40 else 0.6)
         half = rng.uniform(0.2, 1.0, 2)
         ends = [(c - t[:, 2] * h, c + t[:, 2] * h) for c, t, h in zip(centres, turns, half, strict=True)]
-        ours = distance.line_line(*(_vec(e) for pair in ends for e in pair)) - 0.2
+        ours = distance.segment_segment(*(_vec(e) for pair in ends for e in pair)) - 0.2
         shapes = [coal.Capsule(0.1, 2 * h) for h in half]
         theirs = _coal(shapes[0], (turns[0], centres[0]), shapes[1], (turns[1], centres[1]))
         assert abs(float(ours) - theirs) <= (APART if theirs > 0.01 else DEEP)

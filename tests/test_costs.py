@@ -67,10 +67,10 @@ def test_joint_limit_cost_at_its_marks():
 def test_freedom_and_sums():
     chain = jaxik.load("p6r")
     middle = (chain.lower + chain.upper) / 2
-    assert costs.joint_freedom(chain, middle) == 1.0
+    assert costs.joint_limit_margin(chain, middle) == 1.0
     edge = middle.copy()
     edge[3] = chain.upper[3]
-    assert abs(costs.joint_freedom(chain, edge)) <= 1e-15
+    assert abs(costs.joint_limit_margin(chain, edge)) <= 1e-15
     total = costs.weighted_sum([(2.0, partial(costs.comfort_cost, chain)), (0.5, costs.damping_cost)])
     assert abs(total(edge) - 2.0 * costs.comfort_cost(chain, edge) - 0.5 * np.sum(edge**2)) <= 1e-12
 

@@ -10,7 +10,7 @@ from robots import pinocchio
 
 import jaxik
 import jaxik.optimise.descent
-from jaxik.motions.following import Follow, follow
+from jaxik.motions.following import FollowOptions, follow
 from jaxik.motions.moving_horizon import MovingHorizon, follow_predictively
 from jaxik.motions.path import Line
 from jaxik.motions.predictive import Horizon, quadratic_cost
@@ -55,17 +55,17 @@ def tips(chain, rows):
 
 @pytest.mark.parametrize("scheme", ["asc", "rac"])
 def test_the_tip_is_on_its_path_to_a_micrometre(scheme, pendulum, to):
-    found = follow(pendulum, to(0.5, 0.0), 4.0, START, COMFORT, Follow(scheme, task=IN_PLANE))
+    found = follow(pendulum, to(0.5, 0.0), 4.0, START, COMFORT, FollowOptions(scheme, task=IN_PLANE))
     assert found.success and found.sample == len(found.time) == 4001
     assert np.abs(tips(pendulum, found.q[::50]) - asked_in_plane(0.5, 0.0, 4.0, found.time[::50])).max() < 1e-6
     np.testing.assert_allclose(found.q[0], START)
-    still = follow(pendulum, to(0.5, 0.0), 4.0, START, None, Follow("rmrc", task=IN_PLANE))
+    still = follow(pendulum, to(0.5, 0.0), 4.0, START, None, FollowOptions("rmrc", task=IN_PLANE))
     assert COMFORT(found.q[-1]) < COMFORT(still.q[-1])  # and the null space went where it was told
 
 
 def test_limits_are_kept(pendulum, to):
     narrow = dataclasses.replace(pendulum, lower=np.full(4, -1.3), upper=np.full(4, 1.3), velocity=np.full(4, 0.8))
-    how = Follow("asc", dt=0.002, task=IN_PLANE, acceleration=3.0)
+    how = FollowOptions("asc", dt=0.002, task=IN_PLANE, acceleration=3.0)
     found = follow(narrow, to(0.5, 0.5), 4.0, START, COMFORT, how)
     free = follow(narrow, to(0.5, 0.5), 4.0, START, COMFORT, dataclasses.replace(how, limits=False, acceleration=None))
     assert np.abs(free.q).max() > 1.3 or np.abs(free.qdot).max() > 0.8  # or the test tests nothing
@@ -83,7 +83,7 @@ def test_a_motion_may_begin_at_a_limit(scheme, acceleration, pendulum, to):
     """Each joint exactly at one of its limits, or without any, with an acceleration limit or without."""
     lower, upper = np.array([START[0], -np.inf, START[2] - 2.0, START[3]]), np.array([3.0, START[1], START[2], np.inf])
     chain = dataclasses.replace(pendulum, lower=lower, upper=upper, velocity=np.array([2.0, np.inf, 2.0, np.inf]))
-    how = Follow(scheme, dt=0.01, task=IN_PLANE, acceleration=acceleration)
+    how = FollowOptions(scheme, dt=0.01, task=IN_PLANE, acceleration=acceleration)
     found = follow(chain, to(0.8, 2.8), 4.0, START, COMFORT, how)
     assert found.reason == Reason.SOLVED
     assert np.all(found.q >= lower - 1e-9) and np.all(found.q <= upper + 1e-9)
@@ -99,15 +99,15 @@ def test_a_slide_may_begin_at_its_end(slide, rise):
     start = pinocchio(chain)(q)
     end = start.copy()
     end[2, 3] += rise
-    found = follow(chain, Line(start, end), 2.0, q, None, Follow(dt=0.01))
+    found = follow(chain, Line(start, end), 2.0, q, None, FollowOptions(dt=0.01))
     assert found.reason == Reason.SOLVED and slide in (chain.lower[0], chain.upper[0])
     np.testing.assert_allclose(found.q[:, 0], slide, atol=1e-6)
     np.testing.assert_allclose(pinocchio(chain)(found.q[-1]), end, atol=1e-5)
 
 
 def test_what_goes_wrong_is_said_where_it_happens(pendulum, to):
-    coarse = Follow(dt=0.01, task=IN_PLANE)
-    run = lambda path, q=START, how=coarse, duration=2.0: follow(pendulum, path, duration, q, None, how)
+    coarse = FollowOptions(dt=0.01, task=IN_PLANE)
+    run = lambda path, q=START, options=coarse, duration=2.0: follow(pendulum, path, duration, q, None, options)
     far, straight = run(to(3.5, 4.0)), np.zeros(4)
     assert far.reason == Reason.OUT_OF_REACH and 0 < far.sample < 200
     reached, asked = tips(pendulum, far.q[: far.sample]), asked_in_plane(3.5, 4.0, 2.0, far.time[: far.sample])
@@ -120,7 +120,7 @@ def test_what_goes_wrong_is_said_where_it_happens(pendulum, to):
     lost = lambda q: np.nan * jnp.sum(q)
     lame = follow(pendulum, to(0.5, 0.0), 2.0, START, lost, dataclasses.replace(coarse, scheme="asc"))
     assert lame.reason == Reason.INVALID and lame.sample == 0 and np.all(lame.q == START)
-    hasty = run(to(0.5, 0.0), how=dataclasses.replace(coarse, acceleration=1.0), duration=0.5)
+    hasty = run(to(0.5, 0.0), options=dataclasses.replace(coarse, acceleration=1.0), duration=0.5)
     assert hasty.reason == Reason.LIMITS and np.abs(hasty.error).max() <= coarse.tolerance
     assert run(to(np.nan, 0.0)).reason == Reason.INVALID
 
@@ -128,7 +128,7 @@ def test_what_goes_wrong_is_said_where_it_happens(pendulum, to):
 def test_many_motions_are_each_what_they_are_alone(pendulum, to):
     paths = [to(0.5, 0.0), to(3.5, 4.0), to(-0.5, 1.0)]
     together = jax.tree_util.tree_map(lambda *leaves: np.stack(leaves), *paths)
-    how = Follow(dt=0.01, task=IN_PLANE)
+    how = FollowOptions(dt=0.01, task=IN_PLANE)
     many = follow(pendulum, together, 2.0, np.tile(START, (3, 1)), None, how, each=("path",))
     for i, path in enumerate(paths):
         alone = follow(pendulum, path, 2.0, START, None, how)
@@ -138,7 +138,7 @@ def test_many_motions_are_each_what_they_are_alone(pendulum, to):
 
 def test_mistakes_are_one_line(pendulum, to):
     with pytest.raises(ValueError, match="scheme 'fast'; allowed: rmrc, asc, rac"):
-        Follow("fast")
+        FollowOptions("fast")
     with pytest.raises(ValueError, match=r"duration 0\.0; allowed: a positive"):
         follow(pendulum, to(0.5, 0.0), 0.0, START)
     with pytest.raises(ValueError, match=r"takes \(4,\)"):

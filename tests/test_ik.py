@@ -368,7 +368,7 @@ def test_choices(panda):
         and away(closest).mean() < 0.8 * away(first).mean()
     )
     assert most(largest).mean() <= most(closest).mean() + 1e-9
-    freedom = jax.vmap(lambda q: jaxik.costs.joint_freedom(panda, q))
+    freedom = jax.vmap(lambda q: jaxik.costs.joint_limit_margin(panda, q))
     manipulability = jax.vmap(lambda q: jaxik.robot.manipulability(panda, q))
     for choice, measure in (("freedom", freedom), ("manipulability", manipulability)):
         result = jaxik.solve_ik(panda, targets, choice=choice, max_seeds=64)

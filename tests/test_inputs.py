@@ -147,7 +147,7 @@ def refused(words, function, *given, **options):
     assert "\n" not in str(error.value) and len(str(error.value)) < 400
 
 
-@pytest.mark.parametrize("made", [jaxik.motions.Follow, jaxik.motions.Horizon])
+@pytest.mark.parametrize("made", [jaxik.motions.FollowOptions, jaxik.motions.Horizon])
 @pytest.mark.parametrize("weights", [(1.0, -1.0), (1.0, 0.0), (1.0, np.nan), (1.0, np.inf), 2.0, (), [[1.0, 1.0]], "12"])
 def test_weights_are_above_zero(made, weights):
     refused("weights", made, weights=weights)
@@ -156,16 +156,16 @@ def test_weights_are_above_zero(made, weights):
 def test_weights_and_accelerations_are_one_a_joint():
     """Those of joints that a chain does not have were left out without a word."""
     for weights in ((1.0,), (1.0, 2.0, 3.0)):
-        follow = jaxik.motions.Follow(dt=0.1, task=XY, weights=weights)
-        refused(r"weights .* planar2 .*; allowed: \(2,\)", jaxik.follow, ARM, LINE, 1.0, ZEROS, how=follow)
+        follow = jaxik.motions.FollowOptions(dt=0.1, task=XY, weights=weights)
+        refused(r"weights .* planar2 .*; allowed: \(2,\)", jaxik.follow, ARM, LINE, 1.0, ZEROS, options=follow)
         horizon = dataclasses.replace(HORIZON, weights=weights)
         refused(r"weights .* planar2 .*; allowed: \(2,\)", jaxik.predict, ARM, LINE, 1.0, ZEROS, COST, horizon)
-        hasty = jaxik.motions.Follow(dt=0.1, task=XY, acceleration=weights)
-        refused("one for each of the 2 joints", jaxik.follow, ARM, LINE, 1.0, ZEROS, how=hasty)
+        hasty = jaxik.motions.FollowOptions(dt=0.1, task=XY, acceleration=weights)
+        refused("one for each of the 2 joints", jaxik.follow, ARM, LINE, 1.0, ZEROS, options=hasty)
     for each in ((1.0, -1.0), (1.0, np.nan), 0.0, ()):
-        refused("acceleration", jaxik.motions.Follow, acceleration=each)
-    lists = jaxik.motions.Follow(weights=[1, 2], acceleration=np.array([1.0, np.inf]))  # programs are kept by it
-    assert hash(lists) == hash(jaxik.motions.Follow(weights=(1.0, 2.0), acceleration=(1.0, np.inf)))
+        refused("acceleration", jaxik.motions.FollowOptions, acceleration=each)
+    lists = jaxik.motions.FollowOptions(weights=[1, 2], acceleration=np.array([1.0, np.inf]))  # programs are kept by it
+    assert hash(lists) == hash(jaxik.motions.FollowOptions(weights=(1.0, 2.0), acceleration=(1.0, np.inf)))
 
 
 @pytest.mark.parametrize("frame", [MIRRORED, SCALED, np.full((4, 4), np.nan)])
@@ -173,7 +173,7 @@ def test_a_path_of_no_rigid_frame(frame):
     """It was followed, as what it is not; where it is traced it has a reason."""
     refused("line: end", jaxik.motions.motion, jaxik.motions.Line(np.eye(4), frame), 1.0, 0.5)
     refused("arc: start", jaxik.motions.motion, jaxik.motions.Arc(frame, np.zeros(3), np.ones(3), 1.0), 1.0, 0.5)
-    moved = jaxik.follow(ARM, jaxik.motions.Line(np.eye(4), frame), 0.2, ZEROS + 0.1, how=jaxik.motions.Follow(dt=0.1, task=XY))
+    moved = jaxik.follow(ARM, jaxik.motions.Line(np.eye(4), frame), 0.2, ZEROS + 0.1, dt=0.1, task=XY)
     assert moved.reason == jaxik.Reason.INVALID
     traced = jax.jit(lambda path: jaxik.motions.motion(path, 1.0, 1.0).pose)
     assert not np.isfinite(traced(jaxik.motions.Line(np.eye(4), frame))).any(axis=1)[:3].any()
@@ -197,7 +197,13 @@ def test_an_arc_about_no_axis():
 @cheap
 @given(
     st.sampled_from(
-        (jaxik.motions.Follow, jaxik.motions.Horizon, jaxik.optimise.Descent, jaxik.harvesting.Weights, jaxik.harvesting.Grasp)
+        (
+            jaxik.motions.FollowOptions,
+            jaxik.motions.Horizon,
+            jaxik.optimise.Descent,
+            jaxik.harvesting.Weights,
+            jaxik.harvesting.Grasp,
+        )
     ),
     st.data(),
 )

@@ -6,14 +6,15 @@ import pytest
 
 import jaxik
 
+MOVED = [(package, *each.partition("=")[::2]) for package, names in jaxik._MOVED.items() for each in names.split()]
 
-@pytest.mark.parametrize("name", [name for names in jaxik._MOVED.values() for name in names.split()])
-def test_names_of_before(name):
-    with pytest.warns(DeprecationWarning, match=rf"jaxik\.{name} is jaxik\.(\w+)\.{name} now"):
-        moved = getattr(jaxik, name)
-    package = next(package for package, names in jaxik._MOVED.items() if name in names.split())
-    assert moved is getattr(getattr(jaxik, package), name)
-    assert name not in jaxik.__all__ and name in getattr(jaxik, package).__all__
+
+@pytest.mark.parametrize(("package", "was", "now"), MOVED, ids=[was for _, was, _ in MOVED])
+def test_names_of_before(package, was, now):
+    with pytest.warns(DeprecationWarning, match=rf"jaxik\.{was} is jaxik\.{package}\.{now or was} now"):
+        moved = getattr(jaxik, was)
+    assert moved is getattr(getattr(jaxik, package), now or was)
+    assert was not in jaxik.__all__ and (now or was) in getattr(jaxik, package).__all__
 
 
 def test_a_module_of_before():

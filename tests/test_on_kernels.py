@@ -51,7 +51,7 @@ def _costs(q):
         jaxik.costs.harvest_orientation_cost(at[:3, :3]),
         jaxik.costs.comfort_and_limit_cost(ARM, q),
         jaxik.costs.damping_cost(q),
-        jaxik.costs.joint_freedom(ARM, q),
+        jaxik.costs.joint_limit_margin(ARM, q),
         jaxik.costs.proximity_penalty(q[0]),
         jaxik.costs.collision_cost(q[1], 0.5),
     ]

@@ -10,7 +10,7 @@ from robots import ROBOTS, bare, joint_range, pinocchio
 
 import jaxik
 from jaxik.reach.certify import beyond
-from jaxik.robot.reach_bound import reach
+from jaxik.robot.reach_bound import reach_bound
 
 SHIPPED = ["p6r", "crops_v2", "chembuly9", "pendulum4", "planar2"]
 ROUNDING = 1e-12  # [m]
@@ -35,7 +35,7 @@ def test_no_configuration_lies_beyond(name, rotation):
     """Random ones, those at their limits, and straight ones."""
     chain = chain_of(name)
     low, high = joint_range(chain)
-    rng, bound = np.random.default_rng(0), reach(chain, rotation)
+    rng, bound = np.random.default_rng(0), reach_bound(chain, rotation)
     rows = rng.uniform(low, high, (500, chain.num_joints))
     rows[100:200] = np.where(rng.random((100, chain.num_joints)) < 0.5, low, high)
     rows[200:300] = np.where(rng.random((100, chain.num_joints)) < 0.7, np.clip(0.0, low, high), rows[200:300])
@@ -54,7 +54,7 @@ def test_beyond_all_positions_of_the_slide():
     poses[:, :3, 3] += rng.normal(size=(300, 3)) * 0.5
     slides = np.zeros((101, 1, 4, 4))
     slides[:, 0, 2, 3] = np.linspace(0.0, 1.0, 101)  # along the base's z
-    least = np.min([reach(chain.part(1, 7)).excess(poses - slide) for slide in slides], axis=0)
+    least = np.min([reach_bound(chain.part(1, 7)).excess(poses - slide) for slide in slides], axis=0)
     far = beyond(chain, poses)
     assert np.all(least[far] > 0.0) and np.all(far[least > 1.0 / 16.0 + 0.005]) and 0.2 < far.mean() < 0.8
 
@@ -97,7 +97,7 @@ def test_no_configuration_of_any_chain_lies_beyond(seed, joints, scale, rotation
     chain = random_chain(rng, joints, scale)
     rows = rng.uniform(chain.lower, chain.upper, (50, joints))
     rows[:10] = np.where(rows[:10] > rows[10:20], chain.lower, chain.upper)
-    bound = reach(chain, rotation)
+    bound = reach_bound(chain, rotation)
     assert bound.excess(tips(chain, rows)).max() <= ROUNDING * max(1.0, bound.longest)
 
 
@@ -106,13 +106,13 @@ def test_a_stretched_arm_is_at_the_bound(rotation):
     """And a folded one with a long first link at the other: the bounds are as near as those of a planar arm can be."""
     arm = jaxik.load("pendulum4")
     straight = tips(arm, np.zeros((1, 4)))
-    bound = reach(arm, rotation)
+    bound = reach_bound(arm, rotation)
     assert -1e-6 < bound.excess(straight).max() <= ROUNDING
     frames = np.array(arm.parent_T_joint)
     frames[1:, :3, 3] *= [[5.0], [0.5], [0.5]]  # 5, 0.5 and 0.5 m, and the tip 1 m further
     long = dataclasses.replace(arm, parent_T_joint=frames)
     folded = tips(long, [[0.0, np.pi, 0.0, 0.0]])
-    bound = reach(long, rotation)
+    bound = reach_bound(long, rotation)
     assert -1e-6 < bound.excess(folded).max() <= ROUNDING and bound.shortest > 1.0
 
 
@@ -123,7 +123,7 @@ def test_offsets_along_parallel_axes_lengthen_no_arm():
     frames[1:, 2, 3] = 1.0, -2.0, 1.0
     scara = dataclasses.replace(arm, parent_T_joint=frames)
     for rotation in (True, False):
-        assert -1e-6 < reach(scara, rotation).excess(tips(scara, np.zeros((1, 4)))).max() <= ROUNDING
+        assert -1e-6 < reach_bound(scara, rotation).excess(tips(scara, np.zeros((1, 4)))).max() <= ROUNDING
 
 
 def test_a_telescope_is_at_its_bound():
@@ -140,14 +140,14 @@ def test_a_telescope_is_at_its_bound():
     )
     ends = tips(slides, [slides.lower, slides.upper])
     for rotation in (True, False):
-        assert np.all(np.abs(reach(slides, rotation).excess(ends)) <= ROUNDING)
+        assert np.all(np.abs(reach_bound(slides, rotation).excess(ends)) <= ROUNDING)
 
 
 def test_strokes_count_on_both_sides():
     """A slide of 1 m before an arm: its tip may be half a metre further, or nearer, than from the middle."""
     chain = jaxik.load("p6r")
     still = dataclasses.replace(chain, lower=np.array([0.5, *chain.lower[1:]]), upper=np.array([0.5, *chain.upper[1:]]))
-    bound, held = reach(chain), reach(still)
+    bound, held = reach_bound(chain), reach_bound(still)
     np.testing.assert_allclose(bound.origin, held.origin, atol=1e-9)
     assert abs(bound.longest - held.longest - 0.5) < 1e-9
 
@@ -156,7 +156,7 @@ def test_a_slide_without_end_has_no_bound():
     chain = jaxik.load("p6r")
     endless = dataclasses.replace(chain, upper=np.array([np.inf, *chain.upper[1:]]))
     for rotation in (True, False):
-        bound = reach(endless, rotation)
+        bound = reach_bound(endless, rotation)
         assert bound.longest == np.inf and bound.shortest == 0.0 and np.isfinite(bound.length)
         far = np.tile(np.eye(4), (2, 1, 1))
         far[1, :3, 3] = 1e9

@@ -37,7 +37,7 @@ def shaped(what: str, given: Any, shape: tuple[int, ...]) -> np.ndarray:
     return array
 
 
-def held(tree: Any) -> Any:
+def stop_gradients(tree: Any) -> Any:
     """A tree without derivatives; what is known stays known, so that it folds."""
     return jax.tree_util.tree_map(lambda x: jax.lax.stop_gradient(x) if isinstance(x, jax.Array) else x, tree)
 

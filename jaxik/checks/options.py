@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
+import dataclasses
 import difflib
 import math
 from collections.abc import Sequence
-from typing import Any, get_args
+from typing import Any, TypeVar, get_args
 
 import numpy as np
+
+Options = TypeVar("Options", bound=Any)
 
 
 def check_choices(who: str, **choices: tuple[str, Any]) -> None:
@@ -36,7 +39,16 @@ def _is_finite(value: Any) -> bool:
 def check_kind(who: str, name: str, value: Any, kind: type, optional: bool = False) -> None:
     """Raises likewise for what is no `kind`, nor None where that is allowed."""
     if not isinstance(value, kind) and not (optional and value is None):
-        raise ValueError(f"{who}: {name} is {shown(value)}; write a jaxik.{kind.__name__}")
+        raise ValueError(f"{who}: {name} is {shown(value)}; write a {'.'.join(kind.__module__.split('.')[:2])}.{kind.__name__}")
+
+
+def changed(who: str, options: Options, changes: dict[str, Any]) -> Options:
+    """The options with fields changed by name. Raises likewise for a name that is none of theirs."""
+    names = [field.name for field in dataclasses.fields(options)]
+    for name in changes:
+        if name not in names:
+            raise ValueError(f"{who}: unknown option '{name}'; allowed: {', '.join(names)}")
+    return dataclasses.replace(options, **changes) if changes else options
 
 
 def check_seed(who: str, seed: Any) -> None:

@@ -57,15 +57,15 @@ def run_harvest(arguments: HarvestArguments) -> None:
         result = jaxik.harvest(
             chain,
             scene,
-            arguments.weights,
-            arguments.angles,
-            arguments.slides,
-            arguments.margin,
+            weights=arguments.weights,
+            angles=arguments.angles,
+            slides=arguments.slides,
+            margin=arguments.margin,
             progress=lambda name: bar.update(task, advance=1, description=escape(f"harvest {name}")),
         )
     _print_table(result)
     write_harvest(result, arguments.out)
-    counts = ", ".join(f"{int(n)} {r}" for r, n in zip(*np.unique(result.arrays()["reason"], return_counts=True), strict=True))
+    counts = ", ".join(f"{n} {reason}" for reason, n in result.counts().items())
     print(
         f"{len(result.rows)} fruits: {counts}; {result.candidates} candidates in {result.seconds:.1f} s; wrote {arguments.out}/"
     )

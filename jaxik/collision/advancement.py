@@ -27,7 +27,7 @@ import numpy as np
 from jax import lax
 from jaxtyping import Bool, Float, Int
 
-from jaxik.checks.arrays import held, is_known
+from jaxik.checks.arrays import is_known, stop_gradients
 from jaxik.checks.options import check_finite, check_kind
 from jaxik.collision.clearances import check_geometry, clearance, link_clearances
 from jaxik.collision.hierarchy import grouped, pair_tables
@@ -130,7 +130,7 @@ def _march(who: str, first: bool, chain: Any, scene: Any, q_from: Any, q_to: Any
 
 @kernel(models=2)
 def _marched(chain: Chain, first: bool, scene: Any, q_from: Any, q_to: Any, *numbers: Any) -> MotionClearance:
-    found = _advanced(first, *map(held, (chain, scene, q_from, q_to, *numbers)))
+    found = _advanced(first, *map(stop_gradients, (chain, scene, q_from, q_to, *numbers)))
     nearest = q_from + found.nearest * (q_to - q_from)
     return found._replace(clearance=_sloped(found.clearance, clearance(chain, scene, nearest)))
 

@@ -17,7 +17,7 @@ import numpy as np
 from jax import lax
 from jaxtyping import Bool, Float
 
-from jaxik.checks.arrays import held, is_known
+from jaxik.checks.arrays import is_known, stop_gradients
 from jaxik.checks.options import check_kind
 from jaxik.collision.hierarchy import Grouped, grouped
 from jaxik.collision.nearest import Space
@@ -148,7 +148,7 @@ def _measured(chain: Chain, around: Grouped, q: Any, search: Callable[..., Any])
 
     def direct(around: Grouped, q: Any) -> Any:
         space = Space(chain, around, q)
-        return search(Space(*held((chain, around, q))), lambda found: _seen(space.gap(found)), True)
+        return search(Space(*stop_gradients((chain, around, q))), lambda found: _seen(space.gap(found)), True)
 
     def plain(around: Grouped, q: Any) -> Any:
         return search(Space(chain, around, q), lambda found: _seen(found.distance), False)
@@ -156,7 +156,7 @@ def _measured(chain: Chain, around: Grouped, q: Any, search: Callable[..., Any])
     def rule(primals: Any, tangents: Any) -> Any:
         if not all(map(_is_zero, jax.tree_util.tree_leaves(tangents[0], is_leaf=_is_zero))):  # the scene moves, too
             return jax.jvp(direct, primals, jax.tree_util.tree_map(_materialised, tangents, is_leaf=_is_zero))
-        space, fixed = Space(chain, *primals), Space(chain, *held(primals))
+        space, fixed = Space(chain, *primals), Space(chain, *stop_gradients(primals))
         value, slopes = search(fixed, lambda found: (_seen(found.distance), space.slopes(found)), True)
         turned = _materialised(tangents[1])
         return value, sum(slope * turned[j] for j, slope in enumerate(slopes))

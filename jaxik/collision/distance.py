@@ -23,7 +23,7 @@ import jax
 import jax.numpy as jnp
 from jax import lax
 
-from jaxik.spatial.algebra import Rot3, Vec3, ratio, safe_sqrt, sincos
+from jaxik.spatial.algebra import Rot3, Vec3, safe_divide, safe_sqrt, sincos
 
 _GOLDEN = (5.0**0.5 - 1.0) / 2.0
 _NEWTON = {4: 8, 8: 10}  # steps to a cylinder: in 100,000 random cases 8 reach rounding
@@ -59,43 +59,43 @@ def point_point(p: Vec3, q: Vec3) -> Any:
     return norm(p - q)
 
 
-def point_line(p: Vec3, a: Vec3, b: Vec3) -> Any:
+def point_segment(p: Vec3, a: Vec3, b: Vec3) -> Any:
     """Point p to the segment ab [Ericson 2005, sec. 5.1.2]."""
     along, arm = b - a, p - a
     # not held: second derivatives need the motion of the nearest point, and here it is cheap and safe
-    t = _clip01(ratio(arm.dot(along), along.dot(along)))
+    t = _clip01(safe_divide(arm.dot(along), along.dot(along)))
     return norm(arm - along * t)
 
 
 @jax.custom_jvp
-def line_line(a: Vec3, b: Vec3, c: Vec3, d: Vec3) -> Any:
+def segment_segment(a: Vec3, b: Vec3, c: Vec3, d: Vec3) -> Any:
     """Segment ab to segment cd."""
-    return _line_gap(a, b, c, d, *_nearest_on_lines(a, b, c, d))
+    return _segment_gap(a, b, c, d, *_nearest_on_segments(a, b, c, d))
 
 
-@line_line.defjvp
-def _line_line_jvp(primals: Any, tangents: Any) -> Any:
-    held = _held(_nearest_on_lines(*primals))
-    return jax.jvp(lambda *ends: _line_gap(*ends, *held), primals, tangents)
+@segment_segment.defjvp
+def _segment_segment_jvp(primals: Any, tangents: Any) -> Any:
+    held = _held(_nearest_on_segments(*primals))
+    return jax.jvp(lambda *ends: _segment_gap(*ends, *held), primals, tangents)
 
 
-def _line_gap(a: Vec3, b: Vec3, c: Vec3, d: Vec3, s: Any, t: Any) -> Any:
+def _segment_gap(a: Vec3, b: Vec3, c: Vec3, d: Vec3, s: Any, t: Any) -> Any:
     return norm((a - c) + (b - a) * s - (d - c) * t)
 
 
-def _nearest_on_lines(a: Vec3, b: Vec3, c: Vec3, d: Vec3) -> tuple[Any, Any]:
+def _nearest_on_segments(a: Vec3, b: Vec3, c: Vec3, d: Vec3) -> tuple[Any, Any]:
     """Where on ab and where on cd they are nearest [Ericson 2005, sec. 5.1.9]: the two lines' nearest points, then clamped to
     the ends. That pair is the nearest unless the lines are all but parallel, where an end of one of them decides."""
     u, v, w = b - a, d - c, a - c
     uu, vv, uv, uw, vw = u.dot(u), v.dot(v), u.dot(v), u.dot(w), v.dot(w)
-    on_second = lambda s: _clip01(ratio(uv * s + vw, vv))
-    on_first = lambda t: _clip01(ratio(uv * t - uw, uu))
+    on_second = lambda s: _clip01(safe_divide(uv * s + vw, vv))
+    on_first = lambda t: _clip01(safe_divide(uv * t - uw, uu))
 
     def square(s: Any, t: Any) -> Any:
         apart = w + u * s - v * t
         return apart.dot(apart)
 
-    t = on_second(_clip01(ratio(uv * vw - uw * vv, uu * vv - uv * uv)))
+    t = on_second(_clip01(safe_divide(uv * vw - uw * vv, uu * vv - uv * uv)))
     s, zero, one = on_first(t), jnp.zeros_like(uu), jnp.ones_like(uu)
     least = square(s, t)
     for x, y in ((zero, on_second(zero)), (one, on_second(one)), (on_first(zero), zero), (on_first(one), one)):
@@ -109,31 +109,31 @@ def point_triangle(p: Vec3, a: Vec3, b: Vec3, c: Vec3) -> Any:
     u, v, w = b - a, c - a, p - a
     uu, uv, vv, wu, wv = u.dot(u), u.dot(v), v.dot(v), w.dot(u), w.dot(v)
     determinant = uu * vv - uv * uv
-    s, t = ratio(vv * wu - uv * wv, determinant), ratio(uu * wv - uv * wu, determinant)
+    s, t = safe_divide(vv * wu - uv * wv, determinant), safe_divide(uu * wv - uv * wu, determinant)
     inside = (s >= 0.0) & (t >= 0.0) & (s + t <= 1.0) & (determinant > 0.0)
     plane = norm(w - u * _held(s) - v * _held(t))
-    edges = reduce(jnp.minimum, [point_line(p, o, e) for o, e in ((a, b), (b, c), (c, a))])
+    edges = reduce(jnp.minimum, [point_segment(p, o, e) for o, e in ((a, b), (b, c), (c, a))])
     return jnp.where(inside, plane, edges)
 
 
-def line_triangle(p: Vec3, q: Vec3, a: Vec3, b: Vec3, c: Vec3) -> Any:
+def segment_triangle(p: Vec3, q: Vec3, a: Vec3, b: Vec3, c: Vec3) -> Any:
     """Segment pq to the triangle abc; 0 where it passes through."""
     normal = (b - a).cross(c - a)
     before, after = normal.dot(p - a), normal.dot(q - a)
     crosses = before * after <= 0.0
-    t = ratio(before, before - after)
+    t = safe_divide(before, before - after)
     x = p + (q - p) * t
     edges = (a, b), (b, c), (c, a)
     sides = [normal.dot((e - o).cross(x - o)) for o, e in edges]
     through = crosses & (sides[0] >= 0.0) & (sides[1] >= 0.0) & (sides[2] >= 0.0) & (before != after)
-    apart = [point_triangle(p, a, b, c), point_triangle(q, a, b, c), *(line_line(p, q, o, e) for o, e in edges)]
+    apart = [point_triangle(p, a, b, c), point_triangle(q, a, b, c), *(segment_segment(p, q, o, e) for o, e in edges)]
     return jnp.where(through, 0.0, reduce(jnp.minimum, apart))
 
 
 def triangle_triangle(a: Vec3, b: Vec3, c: Vec3, d: Vec3, e: Vec3, f: Vec3) -> Any:
     """Triangle abc to triangle def; 0 where they cross."""
-    first = [line_triangle(p, q, d, e, f) for p, q in ((a, b), (b, c), (c, a))]
-    return reduce(jnp.minimum, [*first, *(line_triangle(p, q, a, b, c) for p, q in ((d, e), (e, f), (f, d)))])
+    first = [segment_triangle(p, q, d, e, f) for p, q in ((a, b), (b, c), (c, a))]
+    return reduce(jnp.minimum, [*first, *(segment_triangle(p, q, a, b, c) for p, q in ((d, e), (e, f), (f, d)))])
 
 
 def between(s: tuple[Vec3, ...], t: tuple[Vec3, ...]) -> Any:
@@ -142,10 +142,10 @@ def between(s: tuple[Vec3, ...], t: tuple[Vec3, ...]) -> Any:
         return between(t, s)
     pairs: dict[tuple[int, int], Callable[..., Any]] = {
         (1, 1): point_point,
-        (1, 2): point_line,
+        (1, 2): point_segment,
         (1, 3): point_triangle,
-        (2, 2): line_line,
-        (2, 3): line_triangle,
+        (2, 2): segment_segment,
+        (2, 3): segment_triangle,
         (3, 3): triangle_triangle,
     }
     return pairs[len(s), len(t)](*s, *t)
@@ -180,7 +180,7 @@ def skeleton_box(skeleton: tuple[Vec3, ...], world_R_box: Rot3, centre: Vec3, ha
         return point_box(skeleton[0], world_R_box, centre, half)
     corners = [world_R_box.T @ (p - centre) for p in skeleton]
     apart, (a, b, *more) = _separation(corners, half), corners
-    return jnp.where(apart <= 0.0, apart, _triangle_box(a, b, *more, half=half) if more else _line_box(a, b, half))
+    return jnp.where(apart <= 0.0, apart, _triangle_box(a, b, *more, half=half) if more else _segment_box(a, b, half))
 
 
 def skeleton_cylinder(skeleton: tuple[Vec3, ...], world_R_cylinder: Rot3, centre: Vec3, radius: Any, half: Any) -> Any:
@@ -190,9 +190,9 @@ def skeleton_cylinder(skeleton: tuple[Vec3, ...], world_R_cylinder: Rot3, centre
     corners = [world_R_cylinder.T @ (p - centre) for p in skeleton]
     a, b, *more = corners
     if not more:
-        return _line_cylinder(a, b, radius, half)
+        return _segment_cylinder(a, b, radius, half)
     (c,) = more  # that of lines parallel to its first edge is convex in their distance from it
-    return _least_on(lambda v: _line_cylinder(a * (1.0 - v) + c * v, b * (1.0 - v) + c * v, radius, half))
+    return _least_on(lambda v: _segment_cylinder(a * (1.0 - v) + c * v, b * (1.0 - v) + c * v, radius, half))
 
 
 def _separation(corners: list[Vec3], half: Vec3) -> Any:
@@ -208,7 +208,7 @@ def _separation(corners: list[Vec3], half: Vec3) -> Any:
     for n in axes:
         length = safe_sqrt(n.dot(n))
         reach = sum(h * jnp.abs(x) for h, x in zip(half, n, strict=True))
-        found.append(jnp.where(length > 0.0, ratio(_gap([n.dot(c) for c in corners], reach), length), -jnp.inf))
+        found.append(jnp.where(length > 0.0, safe_divide(_gap([n.dot(c) for c in corners], reach), length), -jnp.inf))
     return reduce(jnp.maximum, found)
 
 
@@ -217,7 +217,7 @@ def _gap(places: list[Any], reach: Any) -> Any:
     return jnp.maximum(reduce(jnp.minimum, places), -reduce(jnp.maximum, places)) - reach
 
 
-def _line_box(a: Vec3, b: Vec3, half: Vec3) -> Any:
+def _segment_box(a: Vec3, b: Vec3, half: Vec3) -> Any:
     """The segment ab, outside of it, to a box about the origin along the axes.
 
     Half the derivative of the squared distance at t is `sum_i u_i (x_i - clip(x_i, -h_i, h_i))` with x = a + u t. It grows
@@ -226,8 +226,8 @@ def _line_box(a: Vec3, b: Vec3, half: Vec3) -> Any:
     u = b - a
     beyond = lambda t: Vec3(*(x - jnp.clip(x, -h, h) for x, h in zip(a + u * t, half, strict=True)))
     slope = lambda t: u.dot(beyond(t))
-    low, high = _bracket(slope, [ratio(side - x, v) for x, v, h in zip(a, u, half, strict=True) for side in (-h, h)])
-    between = low[0] + (high[0] - low[0]) * _clip01(ratio(-low[1], high[1] - low[1]))
+    low, high = _bracket(slope, [safe_divide(side - x, v) for x, v, h in zip(a, u, half, strict=True) for side in (-h, h)])
+    between = low[0] + (high[0] - low[0]) * _clip01(safe_divide(-low[1], high[1] - low[1]))
     return norm(beyond(_least_between(low, high, between)))
 
 
@@ -236,11 +236,11 @@ def _triangle_box(a: Vec3, b: Vec3, c: Vec3, *, half: Vec3) -> Any:
     the triangle."""
     signs = itertools.product((-1.0, 1.0), repeat=3)
     corners = [Vec3(*(jnp.broadcast_to(s * h, a.x.shape) for s, h in zip(each, half, strict=True))) for each in signs]
-    edges = [_line_box(p, q, half) for p, q in ((a, b), (b, c), (c, a))]
+    edges = [_segment_box(p, q, half) for p, q in ((a, b), (b, c), (c, a))]
     return reduce(jnp.minimum, [*edges, *(point_triangle(p, a, b, c) for p in corners)])
 
 
-def _line_cylinder(a: Vec3, b: Vec3, radius: Any, half: Any) -> Any:
+def _segment_cylinder(a: Vec3, b: Vec3, radius: Any, half: Any) -> Any:
     """The segment ab to a cylinder about z, between -half and half.
 
     It enters where its deepest point is inside: of the larger of two convex functions, the distances past the side and past the
@@ -253,16 +253,16 @@ def _line_cylinder(a: Vec3, b: Vec3, radius: Any, half: Any) -> Any:
     axial = lambda p: jnp.abs(p.z) - half
     deep = lambda p: jnp.maximum(radial(p), axial(p))
     across = u.x * u.x + u.y * u.y
-    nearest = _clip01(ratio(-(a.x * u.x + a.y * u.y), across))
+    nearest = _clip01(safe_divide(-(a.x * u.x + a.y * u.y), across))
     zero = jnp.zeros_like(nearest)
-    places = [zero, zero + 1.0, nearest, _clip01(ratio(-a.z, u.z))]
+    places = [zero, zero + 1.0, nearest, _clip01(safe_divide(-a.z, u.z))]
     for sign in (1.0, -1.0):
         rim = radius - half + sign * a.z
         p, q = across - u.z * u.z, a.x * u.x + a.y * u.y - sign * rim * u.z
         rest = a.x * a.x + a.y * a.y - rim * rim
         spread = safe_sqrt(q * q - p * rest)
         larger = -(q + jnp.where(q < 0.0, -spread, spread))  # the root that does not cancel, the other by their product
-        places += [_clip01(ratio(larger, p)), _clip01(ratio(rest, larger))]
+        places += [_clip01(safe_divide(larger, p)), _clip01(safe_divide(rest, larger))]
     enters = reduce(jnp.minimum, [deep(at(t)) for t in places]) <= 0.0
     ways_out = lambda: [_gap([a.z, b.z], half), radial(at(nearest)), *_slanted_ways_out(a, b, radius, half)]
     depth = lax.cond(jnp.any(enters), lambda: jnp.minimum(reduce(jnp.maximum, ways_out()), 0.0), lambda: zero)
@@ -279,9 +279,9 @@ def _slanted_ways_out(a: Vec3, b: Vec3, radius: Any, half: Any) -> list[Any]:
     """
     u, eps = b - a, float(jnp.finfo(a.x.dtype).eps)
     length, across = safe_sqrt(u.dot(u)), safe_sqrt(u.x * u.x + u.y * u.y)
-    w, c = ratio(jnp.abs(u.z), length), ratio(across, length)
-    first = ratio(jnp.abs(a.x * u.y - a.y * u.x), across)
-    height = ratio(a.z - ratio(u.z * a.dot(u), length * length), c)
+    w, c = safe_divide(jnp.abs(u.z), length), safe_divide(across, length)
+    first = safe_divide(jnp.abs(a.x * u.y - a.y * u.x), across)
+    height = safe_divide(a.z - safe_divide(u.z * a.dot(u), length * length), c)
     return [
         jnp.where(
             (c > 16.0 * eps) & (w > 16.0 * eps), _way_out_of_ellipse(first, side * height - half * c, radius, w), -jnp.inf
@@ -299,7 +299,7 @@ def _way_out_of_ellipse(x: Any, y: Any, radius: Any, w: Any) -> Any:
 
     def way(t: Any, *ellipse: Any) -> Any:
         sine, cosine, rise = terms(t, *ellipse)
-        return ratio(rise, safe_sqrt(ellipse[2] ** 2 * cosine * cosine + sine * sine))
+        return safe_divide(rise, safe_sqrt(ellipse[2] ** 2 * cosine * cosine + sine * sine))
 
     held = _held((x, y, w, radius))
 
@@ -331,17 +331,17 @@ def _nearest_to_cylinder(a: Vec3, b: Vec3, radius: Any, half: Any) -> Any:
         p = a + u * t
         length = safe_sqrt(p.x * p.x + p.y * p.y)
         out, past = jnp.maximum(length - radius, 0.0), jnp.maximum(jnp.abs(p.z) - half, 0.0)
-        away = ratio(p.x * u.x + p.y * u.y, length)
-        rise = away * away + ratio(out, length) * (across - away * away)
+        away = safe_divide(p.x * u.x + p.y * u.y, length)
+        rise = away * away + safe_divide(out, length) * (across - away * away)
         value = out * away + past * u.z * jnp.sign(p.z)
         return value, jnp.where(out > 0.0, rise, 0.0) + jnp.where(past > 0.0, u.z * u.z, 0.0)
 
     middle, chord = a.x * u.x + a.y * u.y, a.x * a.x + a.y * a.y - radius * radius
     spread = safe_sqrt(middle * middle - across * chord)
-    enters, leaves = ratio(-middle - spread, across), ratio(-middle + spread, across)
-    kinks = [ratio(-half - a.z, u.z), ratio(half - a.z, u.z), ratio(-middle, across), enters, leaves]
+    enters, leaves = safe_divide(-middle - spread, across), safe_divide(-middle + spread, across)
+    kinks = [safe_divide(-half - a.z, u.z), safe_divide(half - a.z, u.z), safe_divide(-middle, across), enters, leaves]
     low, high = _bracket(lambda t: slope(t)[0], kinks)
-    start = low[0] + (high[0] - low[0]) * _clip01(ratio(-low[1], high[1] - low[1]))
+    start = low[0] + (high[0] - low[0]) * _clip01(safe_divide(-low[1], high[1] - low[1]))
     return _least_between(low, high, _zero(slope, low[0], high[0], start, _NEWTON))
 
 
@@ -356,7 +356,7 @@ def _zero(slope: Callable[[Any], tuple[Any, Any]], low: Any, high: Any, start: A
         value, rise = slope(t)
         closer = jnp.abs(value) < least
         low, high = jnp.where(value <= 0.0, t, low), jnp.where(value >= 0.0, t, high)
-        step = t - ratio(value, rise)
+        step = t - safe_divide(value, rise)
         step = jnp.where((step >= low) & (step <= high), step, (low + high) / 2.0)
         return low, high, step, jnp.where(closer, t, best), jnp.where(closer, jnp.abs(value), least)
 
@@ -393,10 +393,10 @@ def _least_on(value: Callable[[Any], Any]) -> Any:
     step = float(jnp.finfo(t.dtype).eps) ** 0.4
     low, high = jnp.maximum(t - step, 0.0), jnp.minimum(t + step, 1.0)
     least, before, after = held(t), held(low), held(high)
-    fall, rise = ratio(before - least, t - low), ratio(after - least, high - t)
+    fall, rise = safe_divide(before - least, t - low), safe_divide(after - least, high - t)
     inside = (t > 0.0) & (t < 1.0)
     # on an end the minimum stays there
-    weight = jnp.where(inside, jnp.where(fall + rise > 0.0, ratio(rise, fall + rise), 0.5), 1.0)
+    weight = jnp.where(inside, jnp.where(fall + rise > 0.0, safe_divide(rise, fall + rise), 0.5), 1.0)
     left, right = jnp.where(inside, low, t), jnp.where(inside, high, t)
     slope = weight * value(left) + (1.0 - weight) * value(right)
     return least + (slope - _held(slope))

@@ -369,7 +369,7 @@ def _closest(found: Sequence[tuple[np.ndarray, np.ndarray]]) -> tuple[np.ndarray
 
 
 def line_gaps(a: np.ndarray, b: np.ndarray, c: np.ndarray, d: np.ndarray) -> np.ndarray:
-    """Segment ab (3,) to segments cd (n, 3) [Ericson 2005, sec. 5.1.9; `distance.line_line` for NumPy]."""
+    """Segment ab (3,) to segments cd (n, 3) [Ericson 2005, sec. 5.1.9; `distance.segment_segment` for NumPy]."""
     u, v, w = b - a, d - c, a - c
     uu, vv, uv, uw, vw = u @ u, np.sum(v * v, axis=1), v @ u, w @ u, np.sum(v * w, axis=1)
     over = lambda x, y: np.clip(x / np.maximum(y, 1e-18), 0.0, 1.0)

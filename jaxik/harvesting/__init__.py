@@ -1,7 +1,7 @@
 """Fruits, how they are grasped, and the best posture for each."""
 
 from jaxik.harvesting import crop
-from jaxik.harvesting.driver import Harvest, harvest
+from jaxik.harvesting.driver import Harvest, HarvestOptions, harvest
 from jaxik.harvesting.grasp import Grasp
 from jaxik.harvesting.in_the_way import blockers
 from jaxik.harvesting.mapping import fit_mapping
@@ -10,6 +10,7 @@ from jaxik.harvesting.scanning import Weights, scan
 __all__ = [
     "Grasp",
     "Harvest",
+    "HarvestOptions",
     "Weights",
     "blockers",
     "crop",

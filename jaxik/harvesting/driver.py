@@ -2,19 +2,21 @@
 
 from __future__ import annotations
 
+import dataclasses
 import time
+import warnings
 from collections.abc import Callable
 from typing import Any, NamedTuple
 
 import numpy as np
 
-from jaxik.checks.options import check_kind
+from jaxik.checks.options import changed, check_kind
 from jaxik.collision.scene import Scene
 from jaxik.harvesting.grasp import Grasp, grasp_poses
 from jaxik.harvesting.in_the_way import Blockers, blockers
 from jaxik.harvesting.recovery import recover
 from jaxik.harvesting.scanning import Scan, Table, Weights, scan
-from jaxik.reasons import Reason
+from jaxik.reasons import Reason, Reasoned
 from jaxik.robot.chain import Chain
 from jaxik.robot.kinematics import pose_errors
 
@@ -44,7 +46,8 @@ class Posture(NamedTuple):
         return self.reason == Reason.SOLVED
 
 
-class Harvest(NamedTuple):
+@dataclasses.dataclass(frozen=True)
+class Harvest(Reasoned):
     """One row a fruit, in the scene's order, and how long it took [s]."""
 
     chain: Chain
@@ -85,50 +88,64 @@ class Harvest(NamedTuple):
         }
 
 
+@dataclasses.dataclass(frozen=True)
+class HarvestOptions:
+    """What makes a posture good; how many `angles` about a fruit's axis and `slides`, positions of the leading joints, are
+    tried (counts, or the values (m,) [rad] and (m, k) [m, rad]); the least clearance [m]; and how the tip meets a fruit."""
+
+    weights: Weights = dataclasses.field(default_factory=Weights)
+    angles: Any = 72
+    slides: Any = 41
+    margin: float = 0.005
+    grasp: Grasp = dataclasses.field(default_factory=Grasp)
+
+
 def harvest(
     chain: Chain,
     scene: Scene,
-    weights: Weights | None = None,
-    angles: Any = 72,
-    slides: Any = 41,
-    margin: float = 0.005,
-    grasp: Grasp | None = None,
+    options: HarvestOptions | None = None,
     progress: Callable[[str], Any] | None = None,
+    **changes: Any,
 ) -> Harvest:
-    """The best collision-free posture of `chain` for every fruit of `scene`, or the reason why there is none.
+    """The best collision-free posture of `chain` for every fruit of `scene`, or the reason why there is none. Host driver.
 
-    Scans all `angles` about a fruit's axis with all `slides` positions of the leading joints (counts or values) and all
-    branches (`scan`), ranks by `weights`, recovers between the grid's points where the grid has nothing (`recover`), and for a
-    fruit behind obstacles names them and the fewest to remove (`blockers`). `margin` is the least clearance [m]. `progress` is
-    called with the name of each finished fruit.
+    Scans all angles about a fruit's axis with all positions of the leading joints and all branches (`scan`), recovers between
+    the grid's points where the grid has nothing (`recover`), and for a fruit behind obstacles names them and the fewest to
+    remove (`blockers`). `changes` are fields of `HarvestOptions` by name. `progress` is called with the name of each finished
+    fruit.
 
-    Raises `ValueError` where the chain has no closed form or the scene no fruit. Source: Van Henten et al. 2010, sec. 4, 5.1.
+    Raises `ValueError` where the chain has no closed form or the scene no fruit, and for an option that is none. Source: Van
+    Henten et al. 2010, sec. 4, 5.1.
     """
+    if isinstance(options, Weights):
+        warnings.warn("harvest: write weights=..., which the third argument was", DeprecationWarning, stacklevel=2)
+        changes, options = {"weights": options} | changes, None
+    options = changed("harvest", options or HarvestOptions(), {k: v for k, v in changes.items() if v is not None})
     check_kind("harvest", "scene", scene, Scene)
     if not scene.fruits:
         raise ValueError(f"scene '{scene.name}' has no fruit; add one with SceneBuilder.add_fruit")
     start, rows, candidates = time.perf_counter(), [], 0
     for fruit in scene.fruits:
-        found = scan(chain, scene, fruit, angles, slides, weights, margin, grasp)
+        found = scan(chain, scene, fruit, **vars(options))
         candidates += found.status.size
-        rows.append(_posture(chain, scene, found, weights, margin, grasp))
+        rows.append(_posture(chain, scene, found, options))
         if progress:
             progress(fruit.name)
     return Harvest(chain, scene, tuple(rows), time.perf_counter() - start, candidates)
 
 
-def _posture(chain: Chain, scene: Scene, found: Scan, weights: Weights | None, margin: float, grasp: Grasp | None) -> Posture:
-    best, how = found.table.best(margin), "grid"
+def _posture(chain: Chain, scene: Scene, found: Scan, options: HarvestOptions) -> Posture:
+    best, how = found.table.best(options.margin), "grid"
     row = None if best is None else Table(*(column[best : best + 1] for column in found.table))
     if row is None:
-        recovered = recover(chain, scene, found, weights, margin, grasp)
+        recovered = recover(chain, scene, found, options.weights, options.margin, options.grasp)
         row, how = (recovered.row, recovered.how) if recovered else (None, "")
     if row is None:
         nothing, nans = np.full(chain.num_joints, np.nan), (np.nan,) * 6
-        in_the_way = blockers(chain, scene, found, margin) if found.reason == Reason.COLLISION else None
+        in_the_way = blockers(chain, scene, found, options.margin) if found.reason == Reason.COLLISION else None
         return Posture(found.fruit.name, found.reason, nothing, *nans, "", in_the_way, found)
     q = row.q[0].astype(np.float64)
-    pose = grasp_poses(chain, found.fruit, row.angle, grasp)[0]
+    pose = grasp_poses(chain, found.fruit, row.angle, options.grasp)[0]
     away, turned = pose_errors(chain, q.tolist(), pose.ravel().tolist())
     angle, distance, freedom, score = (float(x[0]) for x in (row.angle, row.clearance, row.freedom, row.score))
     return Posture(found.fruit.name, Reason.SOLVED, q, angle, distance, freedom, score, away, turned, how, None, found)

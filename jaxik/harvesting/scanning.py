@@ -22,7 +22,7 @@ from jaxik.checks.options import check_finite, check_kind
 from jaxik.collision.clearances import check_geometry, clearance, object_clearances
 from jaxik.collision.hierarchy import grouped
 from jaxik.collision.scene import Fruit, Scene, remembered
-from jaxik.costs import joint_freedom
+from jaxik.costs import joint_limit_margin
 from jaxik.harvesting.grasp import Grasp, approach_grid, grasp_poses
 from jaxik.reach.leading import leading_grid
 from jaxik.reasons import Reason
@@ -36,8 +36,8 @@ from jaxik.spmd.batch import in_blocks
 class Weights:
     """What makes a posture good: `clearance * min(D, reach)/reach + freedom * F`, both shares in [0, 1].
 
-    D is the clearance [m], F the freedom of the least free joint (`costs.joint_freedom`); `reach` is the distance beyond which
-    more clearance is worth nothing, 75 mm as in (6) of Van Henten et al. 2010.
+    D is the clearance [m], F the freedom of the least free joint (`costs.joint_limit_margin`); `reach` is the distance beyond
+    which more clearance is worth nothing, 75 mm as in (6) of Van Henten et al. 2010.
     """
 
     clearance: float = 1.0
@@ -99,7 +99,7 @@ class Scan(NamedTuple):
 @functools.lru_cache(maxsize=64)
 def measures(chain: Chain) -> HostKernel:
     """A batch of clearances [m] and freedoms: (q, scene)."""
-    return HostKernel(lambda q, scene: (clearance(chain, scene, q), joint_freedom(chain, q)), 1)
+    return HostKernel(lambda q, scene: (clearance(chain, scene, q), joint_limit_margin(chain, q)), 1)
 
 
 # --------------------------------------------------------------------------------------------------------------------

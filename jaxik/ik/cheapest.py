@@ -9,7 +9,7 @@ import numpy as np
 from jaxik.ik import lanes
 from jaxik.ik.found import Found, at_home, cleared, colliding, far_apart, within
 from jaxik.ik.freeing import extras
-from jaxik.ik.job import Job
+from jaxik.ik.problem import Problem
 from jaxik.robot.turns import TURN
 from jaxik.spmd.batch import in_blocks
 
@@ -17,28 +17,30 @@ IMPROVE_MARGIN = 1e-8  # [m] likewise, of an answer that leans on an obstacle fo
 IMPROVED = 32  # answers of a target that a cost is made smaller from, the cheapest that are apart
 
 
-def improved(job: Job, poses: np.ndarray, found: Found) -> Found:
+def improved(problem: Problem, poses: np.ndarray, found: Found) -> Found:
     """The answers with the user's cost made smaller, where that leaves them answers."""
     if not len(found.q):
         return found
-    found = _cheaper_turns(job, found)
-    if job.options.choice == "first":
-        found = found.rows(far_apart(found, -costs(job, found.q), max(IMPROVED, job.options.solutions)))
-    iterations = job.options.cost_iterations
-    program = lanes.landing(job.chain, job.options.task, iterations, job.options.improve, extras(job, job.options.cost))
-    more = () if job.scene is None else (job.scene, job.options.margin + IMPROVE_MARGIN)
+    found = _cheaper_turns(problem, found)
+    if problem.options.choice == "first":
+        found = found.rows(far_apart(found, -costs(problem, found.q), max(IMPROVED, problem.options.solutions)))
+    iterations = problem.options.cost_iterations
+    program = lanes.landing(
+        problem.chain, problem.options.task, iterations, problem.options.improve, extras(problem, problem.options.cost)
+    )
+    more = () if problem.scene is None else (problem.scene, problem.options.margin + IMPROVE_MARGIN)
     rows = found.q, poses[found.target]
-    _check_slopes(job, found)
-    q, away, turned = in_blocks(program, *rows, fixed=(*job.limits, *more), double=True)
+    _check_slopes(problem, found)
+    q, away, turned = in_blocks(program, *rows, fixed=(*problem.limits, *more), double=True)
     better = found._replace(q=q, position_error=away, rotation_error=turned, iterations=found.iterations + iterations)
-    better = _cheaper_turns(job, cleared(job, at_home(job, better)))
-    kept = within(better, job.tolerance) & ~colliding(job, better)
+    better = _cheaper_turns(problem, cleared(problem, at_home(problem, better)))
+    kept = within(better, problem.tolerance) & ~colliding(problem, better)
     return Found(*(np.where(kept.reshape(-1, *[1] * (b.ndim - 1)), b, a) for a, b in zip(found, better, strict=True)))
 
 
-def _check_slopes(job: Job, found: Found) -> None:
+def _check_slopes(problem: Problem, found: Found) -> None:
     """Warns where the user's cost has no derivative: no step can follow it from there."""
-    (slopes,) = in_blocks(lanes.slope(job.options.cost), found.q, double=True)
+    (slopes,) = in_blocks(lanes.slope(problem.options.cost), found.q, double=True)
     bad = np.flatnonzero(~np.isfinite(slopes).all(axis=1))
     if len(bad):
         q, slope = (np.array2string(x[bad[0]], precision=4, separator=", ", max_line_width=1000) for x in (found.q, slopes))
@@ -49,22 +51,22 @@ def _check_slopes(job: Job, found: Found) -> None:
         )
 
 
-def _cheaper_turns(job: Job, found: Found) -> Found:
+def _cheaper_turns(problem: Problem, found: Found) -> Found:
     """Each joint turned by 2 pi, one after the other, as long as that makes the user's cost less."""
-    if not job.cost_turns or not job.turnable.any() or not len(found.q):
+    if not problem.cost_turns or not problem.turnable.any() or not len(found.q):
         return found
-    q, price, less = found.q, costs(job, found.q), np.ones(1, bool)
-    turns = TURN * np.eye(job.chain.num_joints)[job.turnable]
+    q, price, less = found.q, costs(problem, found.q), np.ones(1, bool)
+    turns = TURN * np.eye(problem.chain.num_joints)[problem.turnable]
     while less.any():
         less = np.zeros(len(q), bool)
         for turn in (*turns, *-turns):
             other = q + turn
-            asked = costs(job, other)
-            better = np.all((other >= job.low) & (other <= job.high), axis=1) & (asked < price)
+            asked = costs(problem, other)
+            better = np.all((other >= problem.low) & (other <= problem.high), axis=1) & (asked < price)
             q, price, less = np.where(better[:, None], other, q), np.where(better, asked, price), less | better
     return found._replace(q=q)
 
 
-def costs(job: Job, q: np.ndarray) -> np.ndarray:
+def costs(problem: Problem, q: np.ndarray) -> np.ndarray:
     """The user's cost of configurations (N, n), in float64."""
-    return in_blocks(lanes.measure(job.options.cost), q, double=True)[0]
+    return in_blocks(lanes.measure(problem.options.cost), q, double=True)[0]

@@ -11,7 +11,7 @@ import numpy as np
 
 from jaxik.ik import lanes
 from jaxik.ik.found import Found, cleared, colliding, nothing, top, within
-from jaxik.ik.job import Job
+from jaxik.ik.problem import Problem
 from jaxik.optimise import sqp
 from jaxik.reasons import Reason
 from jaxik.robot.turns import TURN
@@ -28,37 +28,41 @@ SOLVED, OPEN = int(Reason.SOLVED), int(Reason.NOT_CONVERGED)
 CREEP = 0.95  # of its error, at most, is left of a miss after two steps, or it is at rest; some return, so not among obstacles
 
 
-def searched(job: Job, poses: np.ndarray, lanes_: Found, steps: int, misses: Misses) -> tuple[Found, Found]:
+def searched(problem: Problem, poses: np.ndarray, lanes_: Found, steps: int, misses: Misses) -> tuple[Found, Found]:
     """The answers that so many steps lead to, and postures that have the pose and collide."""
-    ended = settled(job, poses, lanes_, steps, double=False)
-    landed = within(ended, np.maximum(job.tolerance, [LANDED * job.unit, LANDED]))
+    ended = settled(problem, poses, lanes_, steps, double=False)
+    landed = within(ended, np.maximum(problem.tolerance, [LANDED * problem.unit, LANDED]))
     misses.note(ended, landed)
-    found = finish(job, poses, ended.rows(landed), misses)
-    if job.scene is None:
-        return found, nothing(job)
-    found = cleared(job, found)
-    collides = colliding(job, found)
+    found = finish(problem, poses, ended.rows(landed), misses)
+    if problem.scene is None:
+        return found, nothing(problem)
+    found = cleared(problem, found)
+    collides = colliding(problem, found)
     return found.rows(~collides), found.rows(collides)
 
 
-def settled(job: Job, poses: np.ndarray, lanes_: Found, most: int, double: bool = True, creep: float = np.inf) -> Found:
+def settled(problem: Problem, poses: np.ndarray, lanes_: Found, most: int, double: bool = True, creep: float = np.inf) -> Found:
     """The lanes after up to `most` steps, with their errors."""
-    program = finisher(job) if double else lanes.settling(job.chain, job.options.task, job.options.search)
-    aim = job.aim[lanes_.target] if double else np.full(len(lanes_.target), ARRIVED)
-    rows, fixed = (lanes_.q, poses[lanes_.target], aim), (*job.round_limits, most, creep)
+    program = finisher(problem) if double else lanes.settling(problem.chain, problem.options.task, problem.options.search)
+    aim = problem.aim[lanes_.target] if double else np.full(len(lanes_.target), ARRIVED)
+    rows, fixed = (lanes_.q, poses[lanes_.target], aim), (*problem.round_limits, most, creep)
     q, away, turned, count = in_blocks(program, *rows, fixed=fixed, double=double)
-    q = _inside(job, q) if job.circles.any() else q
+    q = _inside(problem, q) if problem.circles.any() else q
     return lanes_._replace(q=q, position_error=away, rotation_error=turned, iterations=lanes_.iterations + count)
 
 
-def _inside(job: Job, q: np.ndarray) -> np.ndarray:
+def _inside(problem: Problem, q: np.ndarray) -> np.ndarray:
     """Joints that turn all the way round, by whole turns back inside their limits."""
-    out = job.circles & ((q < job.low) | (q > job.high))
-    return np.where(out, np.minimum(job.low + np.mod(q - job.low, TURN), job.high), q).astype(q.dtype) if out.any() else q
+    out = problem.circles & ((q < problem.low) | (q > problem.high))
+    return (
+        np.where(out, np.minimum(problem.low + np.mod(q - problem.low, TURN), problem.high), q).astype(q.dtype)
+        if out.any()
+        else q
+    )
 
 
-def finisher(job: Job) -> Callable[..., Any]:
-    return lanes.settling(job.chain, job.options.task, FINISH)
+def finisher(problem: Problem) -> Callable[..., Any]:
+    return lanes.settling(problem.chain, problem.options.task, FINISH)
 
 
 @anew_in_forks
@@ -69,39 +73,39 @@ def compile_finisher(program: Callable[..., Any], n: int) -> Future[Any]:
     return threads().submit(in_blocks, program, *rows, fixed=fixed, double=True)
 
 
-def finish(job: Job, poses: np.ndarray, landed: Found, misses: Misses) -> Found:
+def finish(problem: Problem, poses: np.ndarray, landed: Found, misses: Misses) -> Found:
     """In float64: the last steps, and whose errors are within the tolerances."""
     if not len(landed.q):
         return landed
-    compile_finisher(finisher(job), job.chain.num_joints).result()
-    found = settled(job, poses, landed, FINISHING)
-    exact = within(found, job.tolerance)
+    compile_finisher(finisher(problem), problem.chain.num_joints).result()
+    found = settled(problem, poses, landed, FINISHING)
+    exact = within(found, problem.tolerance)
     misses.note(found, exact)
     return found.rows(exact)
 
 
-def rescued(job: Job, poses: np.ndarray, near: Found) -> tuple[Found, Found]:
+def rescued(problem: Problem, poses: np.ndarray, near: Found) -> tuple[Found, Found]:
     """Near misses after up to `RESCUE` more steps, since next to a singularity convergence is slow: answers, and colliding
     ones."""
     if not len(near.q):
         return near, near
-    near = settled(job, poses, near, RESCUE, creep=CREEP if job.scene is None else np.inf)
-    near = cleared(job, near.rows(within(near, job.tolerance)))
-    collides = colliding(job, near)
+    near = settled(problem, poses, near, RESCUE, creep=CREEP if problem.scene is None else np.inf)
+    near = cleared(problem, near.rows(within(near, problem.tolerance)))
+    collides = colliding(problem, near)
     return near.rows(~collides), near.rows(collides)
 
 
-def miss(job: Job, found: Found) -> np.ndarray:
+def miss(problem: Problem, found: Found) -> np.ndarray:
     """How far rows are from their targets [rad, unit lengths]; in float64, so that they rank the same whatever they are joined
     with."""
-    return found.position_error.astype(np.float64) / job.unit + found.rotation_error
+    return found.position_error.astype(np.float64) / problem.unit + found.rotation_error
 
 
 class Misses:
     """The lanes of each target that came nearest, `KEPT` of them."""
 
-    def __init__(self, job: Job):
-        self.job, self.count = job, 0
+    def __init__(self, problem: Problem):
+        self.problem, self.count = problem, 0
         self.parts: list[tuple[Found, np.ndarray]] = []
 
     def note(self, ended: Found, well: np.ndarray) -> None:
@@ -113,7 +117,7 @@ class Misses:
             self.parts, self.count = [(kept, np.zeros(len(kept.q), bool))], len(kept.q)
 
     def _all(self) -> Found:
-        return Found.joined([nothing(self.job), *(ended.rows(~well) for ended, well in self.parts)])
+        return Found.joined([nothing(self.problem), *(ended.rows(~well) for ended, well in self.parts)])
 
     def _left(self, reason: np.ndarray, count: int) -> Found:
         """So many of each target without an answer."""
@@ -122,14 +126,14 @@ class Misses:
 
     def _nearest(self, lanes_: Found, count: int) -> Found:
         """So many of each target, those with the least errors."""
-        return lanes_.rows(top(lanes_.target, -np.nan_to_num(miss(self.job, lanes_), nan=np.inf), count))
+        return lanes_.rows(top(lanes_.target, -np.nan_to_num(miss(self.problem, lanes_), nan=np.inf), count))
 
     def near(self, reason: np.ndarray) -> Found:
         """Those of targets searched for in vain that came within `NEAR`."""
         lanes_ = self._left(reason, KEPT)
-        return lanes_.rows(miss(self.job, lanes_) < NEAR)
+        return lanes_.rows(miss(self.problem, lanes_) < NEAR)
 
-    def nearest(self, job: Job, poses: np.ndarray, reason: np.ndarray) -> Found:
+    def nearest(self, problem: Problem, poses: np.ndarray, reason: np.ndarray) -> Found:
         """The nearest of each target without an answer, judged in float64."""
         found = self._left(reason, 1)
-        return cleared(job, settled(job, poses, found, FINISHING)) if len(found.q) else found
+        return cleared(problem, settled(problem, poses, found, FINISHING)) if len(found.q) else found

@@ -8,7 +8,7 @@ from typing import NamedTuple
 import numpy as np
 
 from jaxik.ik import lanes
-from jaxik.ik.job import Job
+from jaxik.ik.problem import Problem
 from jaxik.robot.chain import Chain
 from jaxik.robot.turns import TURN, nearest_turns
 from jaxik.spmd.batch import in_blocks
@@ -47,35 +47,35 @@ def within(found: Found, tolerance: np.ndarray) -> np.ndarray:
     return (found.position_error <= allowed[:, 0]) & (found.rotation_error <= allowed[:, 1])
 
 
-def candidates(job: Job, q: np.ndarray, target: np.ndarray, number: np.ndarray) -> Found:
+def candidates(problem: Problem, q: np.ndarray, target: np.ndarray, number: np.ndarray) -> Found:
     """Lanes at their starts; the numbers that judge them are still to come."""
     unknown = np.full(len(q), np.nan)
     return Found(target, q, unknown, unknown, unknown, number, np.zeros(len(q), int))
 
 
-def nothing(job: Job) -> Found:
+def nothing(problem: Problem) -> Found:
     empty = np.zeros(0, int)
-    return candidates(job, np.zeros((0, job.chain.num_joints)), empty, empty)
+    return candidates(problem, np.zeros((0, problem.chain.num_joints)), empty, empty)
 
 
-def colliding(job: Job, found: Found) -> np.ndarray:
-    if job.scene is None:
+def colliding(problem: Problem, found: Found) -> np.ndarray:
+    if problem.scene is None:
         return np.zeros(len(found.q), bool)
-    return ~(found.clearance >= job.options.margin)
+    return ~(found.clearance >= problem.options.margin)
 
 
-def cleared(job: Job, found: Found) -> Found:
+def cleared(problem: Problem, found: Found) -> Found:
     """With their clearance, where there is a scene."""
-    if job.scene is None or not len(found.q):
+    if problem.scene is None or not len(found.q):
         return found
-    return found._replace(clearance=in_blocks(lanes.clearances(job.chain), found.q, fixed=(job.scene,), double=True)[0])
+    return found._replace(clearance=in_blocks(lanes.clearances(problem.chain), found.q, fixed=(problem.scene,), double=True)[0])
 
 
-def at_home(job: Job, found: Found) -> Found:
+def at_home(problem: Problem, found: Found) -> Found:
     """Each joint on the turn that is nearest to the target's home."""
-    if not len(found.q) or not job.may_turn.any():
+    if not len(found.q) or not problem.may_turn.any():
         return found
-    return found._replace(q=nearest_turns(job.chain, found.q, job.home(found.target), job.low, job.high))
+    return found._replace(q=nearest_turns(problem.chain, found.q, problem.home(found.target), problem.low, problem.high))
 
 
 def unwound(chain: Chain, q: np.ndarray) -> np.ndarray:

@@ -22,7 +22,7 @@ from jaxik.optimise import sqp
 from jaxik.optimise.qp import NONE, Rows
 from jaxik.robot.chain import Array, Chain, as_configuration
 from jaxik.robot.kinematics import jacobian_columns, joint_frames
-from jaxik.robot.reach_bound import reach
+from jaxik.robot.reach_bound import reach_bound
 from jaxik.robot.task import POSE, Task
 from jaxik.spatial.algebra import Frame, Scalar, add, mul, safe_sqrt, stack
 from jaxik.spmd import HostKernel, kernel
@@ -61,7 +61,7 @@ SEARCH = sqp.Options()
 
 def unit_length(chain: Chain) -> float:
     """The length [m] that counts as much as a radian."""
-    return reach(chain, False).length / 3.0
+    return reach_bound(chain, False).length / 3.0
 
 
 def descend(

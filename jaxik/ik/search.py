@@ -28,9 +28,9 @@ from jaxik.ik.cheapest import improved
 from jaxik.ik.finishing import EARLY, OPEN, PORTION, SOLVED, STEPS, Misses, compile_finisher, finisher, rescued, searched
 from jaxik.ik.found import Found, at_home, candidates, colliding, nothing, within
 from jaxik.ik.freeing import PUSHED, hopped, is_fixed, pushed
-from jaxik.ik.job import Job
+from jaxik.ik.problem import Problem
 from jaxik.reasons import Reason
-from jaxik.robot.reach_bound import reach
+from jaxik.robot.reach_bound import reach_bound
 
 TOGETHER = (4, 64)  # lanes that cost less than another wave, in the first and in later ones
 UNLIMITED = 16  # seeds for the question whether it was the limits
@@ -60,57 +60,57 @@ class Wave(NamedTuple):
         return self.last - self.first
 
 
-def search(job: Job, poses: np.ndarray, valid: np.ndarray) -> Outcome:
+def search(problem: Problem, poses: np.ndarray, valid: np.ndarray) -> Outcome:
     """Answers for the poses (N, 4, 4) that are `valid` (N,), or reasons."""
-    none, misses = nothing(job), Misses(job)
-    reason = np.where(valid, np.where(_out_of_reach(job, poses), Reason.OUT_OF_REACH, OPEN), Reason.INVALID)
+    none, misses = nothing(problem), Misses(problem)
+    reason = np.where(valid, np.where(_out_of_reach(problem, poses), Reason.OUT_OF_REACH, OPEN), Reason.INVALID)
     answers, blocked = [none], [none]
-    compile_finisher(finisher(job), job.chain.num_joints)
-    waves = _waves(job.options.max_seeds, job.first_will_do, job.scene is not None)
+    compile_finisher(finisher(problem), problem.chain.num_joints)
+    waves = _waves(problem.options.max_seeds, problem.first_will_do, problem.scene is not None)
     while waves and len(left := np.flatnonzero(reason == OPEN)):
         wave, waves = _joined_waves(waves, len(left))
         for some in _portions(left, wave.size):
-            free, hit = _search_wave(job, poses, some, wave, misses)
+            free, hit = _search_wave(problem, poses, some, wave, misses)
             answers.append(free)
             blocked.append(hit)
             reason[free.target] = SOLVED
         if wave.rescues and OPEN in reason:  # what is left by now is near a singularity, or unreachable
-            saved, near = rescued(job, poses, misses.near(reason))
+            saved, near = rescued(problem, poses, misses.near(reason))
             answers.append(saved)
             blocked.append(near)
             reason[saved.target] = SOLVED
         if wave.pushes and OPEN in reason:  # more seeds cost less than moving out of obstacles
             stuck = Found.joined(blocked)
             blocked = [stuck.rows(reason[stuck.target] == OPEN)]
-            freed = (hopped if is_fixed(job) else pushed)(job, poses, blocked[0], wave.pushes)
+            freed = (hopped if is_fixed(problem) else pushed)(problem, poses, blocked[0], wave.pushes)
             answers.append(freed)
             reason[freed.target] = SOLVED
     missed = none
     if OPEN in reason:
-        missed = misses.nearest(job, poses, reason)
-        landed, collides = within(missed, job.tolerance), colliding(job, missed)
+        missed = misses.nearest(problem, poses, reason)
+        landed, collides = within(missed, problem.tolerance), colliding(problem, missed)
         answers.append(missed.rows(landed & ~collides))  # late, but it has the pose
         blocked.append(missed.rows(landed & collides))
         reason[answers[-1].target] = SOLVED
         missed = missed.rows(~landed)
-    found = at_home(job, Found.joined(answers))
-    if job.options.cost is not None:
-        found = improved(job, poses, found)
+    found = at_home(problem, Found.joined(answers))
+    if problem.options.cost is not None:
+        found = improved(problem, poses, found)
     if (reason == SOLVED).all():
         return Outcome(reason, found, none, none)
     stuck = Found.joined(blocked)
     stuck = stuck.rows(reason[stuck.target] == OPEN)
     reason[stuck.target] = Reason.COLLISION
-    reason = _beyond_limits(job, poses, reason)
-    return Outcome(reason, found, at_home(job, stuck), at_home(job, missed))
+    reason = _beyond_limits(problem, poses, reason)
+    return Outcome(reason, found, at_home(problem, stuck), at_home(problem, missed))
 
 
-def _out_of_reach(job: Job, poses: np.ndarray) -> np.ndarray:
-    task = job.options.task
+def _out_of_reach(problem: Problem, poses: np.ndarray) -> np.ndarray:
+    task = problem.options.task
     if len(task.positions) < 3:
         return np.zeros(len(poses), bool)
-    bound = reach(job.chain, len(task.rotations) == 3)
-    slack = job.tolerance @ [1.0, np.linalg.norm(bound.tip_p)]  # a turn of the tip moves the point that is bounded
+    bound = reach_bound(problem.chain, len(task.rotations) == 3)
+    slack = problem.tolerance @ [1.0, np.linalg.norm(bound.tip_p)]  # a turn of the tip moves the point that is bounded
     return bound.excess(poses) > 1e-9 + slack
 
 
@@ -156,49 +156,51 @@ def _portions(rows: np.ndarray, each: int) -> list[np.ndarray]:
     return [rows[i : i + size] for i in range(0, len(rows), size)]
 
 
-def _search_wave(job: Job, poses: np.ndarray, some: np.ndarray, wave: Wave, misses: Misses) -> tuple[Found, Found]:
+def _search_wave(problem: Problem, poses: np.ndarray, some: np.ndarray, wave: Wave, misses: Misses) -> tuple[Found, Found]:
     """Searches `some` targets from the wave's seeds: the answers, and postures that have the pose and collide."""
     target, number = np.repeat(some, wave.size), np.tile(np.arange(wave.first, wave.last), len(some))
-    start = _starts(job, poses, some, wave.first, wave.last).reshape(len(target), -1)
-    return searched(job, poses, candidates(job, start, target, number), wave.steps, misses)
+    start = _starts(problem, poses, some, wave.first, wave.last).reshape(len(target), -1)
+    return searched(problem, poses, candidates(problem, start, target, number), wave.steps, misses)
 
 
-def _starts(job: Job, poses: np.ndarray, some: np.ndarray, first: int, last: int) -> np.ndarray:
+def _starts(problem: Problem, poses: np.ndarray, some: np.ndarray, first: int, last: int) -> np.ndarray:
     """Seeds `first` to `last` of `some` targets, (len(some), last - first, n)."""
-    if job.strategy == "near":
-        assert job.reference is not None
-        return seeds.near(job.inside, job.seed, first, last, job.reference[some])
-    if job.strategy == "closed_form":
-        return seeds.branches(job.chain, job.inside, job.seed, first, last, poses[some])
-    if job.strategy == "library":
-        return seeds.library(job.chain, job.options.task, job.inside, job.unit, job.seed, first, last, poses[some])
-    if job.strategy == "low_discrepancy":
-        each = seeds.low_discrepancy(job.inside, job.seed, max(job.options.max_seeds, last))[first:last]
+    if problem.strategy == "near":
+        assert problem.reference is not None
+        return seeds.near(problem.inside, problem.seed, first, last, problem.reference[some])
+    if problem.strategy == "closed_form":
+        return seeds.branches(problem.chain, problem.inside, problem.seed, first, last, poses[some])
+    if problem.strategy == "library":
+        return seeds.library(
+            problem.chain, problem.options.task, problem.inside, problem.unit, problem.seed, first, last, poses[some]
+        )
+    if problem.strategy == "low_discrepancy":
+        each = seeds.low_discrepancy(problem.inside, problem.seed, max(problem.options.max_seeds, last))[first:last]
     else:
-        each = seeds.uniforms(job.inside, job.seed, first, last)
+        each = seeds.uniforms(problem.inside, problem.seed, first, last)
     return np.broadcast_to(each, (len(some), *each.shape))
 
 
-def _beyond_limits(job: Job, poses: np.ndarray, reason: np.ndarray) -> np.ndarray:
+def _beyond_limits(problem: Problem, poses: np.ndarray, reason: np.ndarray) -> np.ndarray:
     """LIMITS for targets that a search without limits reaches; where a closed form knows all answers, it decides."""
     left = np.flatnonzero(reason == OPEN)
     if not len(left):
         return reason
-    if job.chain.num_joints == 6 and job.strategy == "closed_form" and not job.options.locked:
-        any_valid = seeds.any_branch(job.chain, poses[left])
+    if problem.chain.num_joints == 6 and problem.strategy == "closed_form" and not problem.options.locked:
+        any_valid = seeds.any_branch(problem.chain, poses[left])
         reason[left] = np.where(any_valid, Reason.LIMITS, Reason.OUT_OF_REACH)
         return reason
-    held = job.low == job.high  # what is locked stays so
-    around = np.where(held, job.low, -np.pi), np.where(held, job.high, np.pi)
+    held = problem.low == problem.high  # what is locked stays so
+    around = np.where(held, problem.low, -np.pi), np.where(held, problem.high, np.pi)
     free = dataclasses.replace(
-        job,
+        problem,
         scene=None,
-        low=np.where(held, job.low, -np.inf),
-        high=np.where(held, job.high, np.inf),
+        low=np.where(held, problem.low, -np.inf),
+        high=np.where(held, problem.high, np.inf),
         inside=seeds.Range(*(tuple(bound.tolist()) for bound in around)),
-        options=dataclasses.replace(job.options, choice="first", solutions=1, cost=None),
+        options=dataclasses.replace(problem.options, choice="first", solutions=1, cost=None),
     )
     for some in _portions(left, UNLIMITED):
-        found, _ = _search_wave(free, poses, some, Wave(0, UNLIMITED, STEPS, False, 0), Misses(job))
+        found, _ = _search_wave(free, poses, some, Wave(0, UNLIMITED, STEPS, False, 0), Misses(problem))
         reason[found.target] = Reason.LIMITS
     return reason

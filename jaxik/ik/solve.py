@@ -15,18 +15,19 @@ import jax.numpy as jnp
 import numpy as np
 
 from jaxik.checks.arrays import RIGID, numbers
+from jaxik.checks.options import changed
 from jaxik.collision.clearances import check_geometry
 from jaxik.collision.contacts import explain
 from jaxik.collision.hierarchy import Grouped
 from jaxik.collision.scene import Scene
-from jaxik.costs import comfort_cost, joint_freedom
+from jaxik.costs import comfort_cost, joint_limit_margin
 from jaxik.ik import lanes
 from jaxik.ik.cheapest import costs
 from jaxik.ik.found import Found, unwound
-from jaxik.ik.job import Job
 from jaxik.ik.options import IKOptions
+from jaxik.ik.problem import Problem
 from jaxik.ik.search import Outcome, search
-from jaxik.reasons import Reason
+from jaxik.reasons import Reason, Reasoned
 from jaxik.robot.chain import Chain
 from jaxik.robot.kinematics import manipulability
 from jaxik.robot.task import Task
@@ -38,8 +39,9 @@ TARGETS = 16_384  # at a time, which bounds the memory
 DEFAULT = IKOptions()
 
 
+@jax.tree_util.register_dataclass
 @dataclasses.dataclass(frozen=True)
-class IKResult:
+class IKResult(Reasoned):
     """One entry a target; of a single target, the entries themselves. `len`, iteration and indices go by targets, a single one
     being one row; it is true if it is solved, and what a batch's truth is must be asked of `success`.
 
@@ -59,7 +61,7 @@ class IKResult:
     iterations: Any
     solutions: Any
     num_solutions: Any
-    solved_in: Any = dataclasses.field(default=None, repr=False)  # chain, scene, margin
+    solved_in: Any = dataclasses.field(default=None, repr=False, metadata={"static": True})  # chain, scene, margin
 
     @property
     def offenders(self) -> tuple[Any, ...]:
@@ -95,11 +97,6 @@ class IKResult:
             raise ValueError(f"the truth of {len(self)} targets is not one answer; ask success.all() or success.any()")
         return bool(self.success)
 
-    def counts(self) -> dict[str, int]:
-        """How many targets ended for each reason, by its text."""
-        found, counts = np.unique(np.atleast_1d(self.reason), return_counts=True)
-        return {Reason(int(r)).text: int(c) for r, c in zip(found, counts, strict=True)}
-
 
 def solve_ik(
     chain: Chain,
@@ -121,19 +118,17 @@ def solve_ik(
 
     Raises `ValueError` for arguments of a wrong shape, name or range.
     """
-    options = options or DEFAULT
-    if changes:
-        options = dataclasses.replace(options, **_known(changes))
+    options = changed("solve_ik", options or DEFAULT, changes)
     poses, valid, single = as_poses(targets, options.task)
     if scene is None and options.choice == "clearance":
         raise ValueError("solve_ik: choice 'clearance' needs a scene; for the robot alone give jaxik.make_scene()")
     if scene is not None:
         check_geometry(chain)
-    job = Job.of(chain, scene, seed, options, len(poses))
+    problem = Problem.of(chain, scene, seed, options, len(poses))
     parts = []
     for start in range(0, max(1, len(poses)), TARGETS):
         rows = slice(start, start + TARGETS)
-        part = job.part(rows)
+        part = problem.part(rows)
         parts.append(_columns(part, search(part, poses[rows], valid[rows])))
         if progress:
             progress(min(start + TARGETS, len(poses)))
@@ -146,14 +141,6 @@ def _entries(columns: dict[str, Any], solved_in: Any) -> IKResult:
     """A result of these columns, whose reason is a `Reason` where they are one target's."""
     reason = columns["reason"]
     return IKResult(**columns | {"reason": reason if np.ndim(reason) else Reason(int(reason))}, solved_in=solved_in)
-
-
-def _known(changes: dict[str, Any]) -> dict[str, Any]:
-    names = [f.name for f in dataclasses.fields(IKOptions)]
-    for name in changes:
-        if name not in names:
-            raise ValueError(f"solve_ik: unknown option '{name}'; allowed: {', '.join(names)}")
-    return changes
 
 
 def as_poses(targets: Any, task: Task) -> tuple[np.ndarray, np.ndarray, bool]:
@@ -202,26 +189,26 @@ def _best(found: Found, score: np.ndarray) -> Found:
     return found.rows(order[np.diff(found.target[order], prepend=-1) != 0])
 
 
-def _score(job: Job, found: Found) -> np.ndarray:
+def _score(problem: Problem, found: Found) -> np.ndarray:
     """How good answers are by the user's choice; more is better."""
-    choice, chain, reference = job.options.choice, job.chain, job.reference
+    choice, chain, reference = problem.options.choice, problem.chain, problem.reference
     if choice == "first":
-        return -found.seed.astype(float) if job.options.cost is None else -costs(job, found.q)
+        return -found.seed.astype(float) if problem.options.cost is None else -costs(problem, found.q)
     if choice == "clearance":
         return np.nan_to_num(found.clearance)
     if choice == "closest" or (choice == "comfort" and reference is not None):
         assert reference is not None
-        away = np.abs(found.q - reference[found.target]) * job.weights
-        return -(away.max(axis=1) if job.options.norm == "linf" else np.sqrt(np.sum(away**2, axis=1)))
-    measure = {"manipulability": manipulability, "freedom": joint_freedom, "comfort": comfort_cost}[choice]
+        away = np.abs(found.q - reference[found.target]) * problem.weights
+        return -(away.max(axis=1) if problem.options.norm == "linf" else np.sqrt(np.sum(away**2, axis=1)))
+    measure = {"manipulability": manipulability, "freedom": joint_limit_margin, "comfort": comfort_cost}[choice]
     value = in_blocks(lanes.measure(measure, chain), found.q, double=True)[0]
     return -value if choice == "comfort" else value
 
 
-def _columns(job: Job, outcome: Outcome) -> dict[str, np.ndarray]:
+def _columns(problem: Problem, outcome: Outcome) -> dict[str, np.ndarray]:
     """The result's columns: of each target the best answer, else the freest of those that collide, else the nearest miss."""
     reason, found, stuck = outcome.reason, outcome.found, outcome.stuck
-    count, n, k = len(reason), job.chain.num_joints, job.options.solutions
+    count, n, k = len(reason), problem.chain.num_joints, problem.options.solutions
     columns: dict[str, np.ndarray] = {
         "q": np.full((count, n), np.nan),
         **{name: np.full(count, np.nan) for name in ("position_error", "rotation_error", "clearance")},
@@ -233,8 +220,8 @@ def _columns(job: Job, outcome: Outcome) -> dict[str, np.ndarray]:
         "reason": reason,
     }
     if k > 1:
-        found = _with_turns(job, found)
-    score = _score(job, found)
+        found = _with_turns(problem, found)
+    score = _score(problem, found)
     best = _best(found, score)
     for part in (outcome.missed, _best(stuck, stuck.clearance), best):
         if len(part.q):
@@ -243,26 +230,28 @@ def _columns(job: Job, outcome: Outcome) -> dict[str, np.ndarray]:
     if k == 1:
         columns["solutions"][best.target, 0], columns["num_solutions"][best.target] = best.q, 1
     else:
-        _fill_distinct(job, found.rows(np.lexsort((found.seed, -score))), columns)
+        _fill_distinct(problem, found.rows(np.lexsort((found.seed, -score))), columns)
     return columns
 
 
-def _fill_distinct(job: Job, ranked: Found, columns: dict[str, np.ndarray]) -> None:
+def _fill_distinct(problem: Problem, ranked: Found, columns: dict[str, np.ndarray]) -> None:
     """Up to k answers of each target that differ, from the best on."""
     for target, q in zip(ranked.target, ranked.q, strict=True):
         have = columns["num_solutions"][target]
         known = columns["solutions"][target, :have]
-        if have < job.options.solutions and np.all(np.abs(unwound(job.chain, known - q)).max(axis=1) > job.options.distinct):
+        if have < problem.options.solutions and np.all(
+            np.abs(unwound(problem.chain, known - q)).max(axis=1) > problem.options.distinct
+        ):
             columns["solutions"][target, have] = q
             columns["num_solutions"][target] += 1
 
 
-def _with_turns(job: Job, found: Found) -> Found:
+def _with_turns(problem: Problem, found: Found) -> Found:
     """Answers with every turn of their joints by 2 pi that stays inside the problem's limits, of each the best turn first."""
-    if not job.turnable.any() or not len(found.q):
+    if not problem.turnable.any() or not len(found.q):
         return found
-    turned = [admissible_turns(job.chain, q, job.low, job.high) for q in found.q]
+    turned = [admissible_turns(problem.chain, q, problem.low, problem.high) for q in found.q]
     row = np.repeat(np.arange(len(found.q)), [len(t) for t in turned])
     again = found.rows(row)._replace(q=np.concatenate(turned))
-    price = costs(job, again.q) if job.cost_turns else np.abs(again.q - job.home(again.target)).sum(axis=1)
+    price = costs(problem, again.q) if problem.cost_turns else np.abs(again.q - problem.home(again.target)).sum(axis=1)
     return again.rows(np.lexsort((price, row)))

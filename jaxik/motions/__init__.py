@@ -1,7 +1,7 @@
 """Paths of the tip, and motions along them with redundancy resolved moment by moment or ahead of time."""
 
 from jaxik.motions.boundary import boundary_value
-from jaxik.motions.following import Follow, follow
+from jaxik.motions.following import FollowOptions, follow
 from jaxik.motions.moving_horizon import MovingHorizon, follow_predictively
 from jaxik.motions.path import Arc, Line, motion, via
 from jaxik.motions.predictive import Horizon, multistart, predict, quadratic_cost
@@ -9,7 +9,7 @@ from jaxik.motions.redundancy import asc, rac, resolve_acceleration, resolve_vel
 
 __all__ = [
     "Arc",
-    "Follow",
+    "FollowOptions",
     "Horizon",
     "Line",
     "MovingHorizon",

@@ -13,21 +13,22 @@ from __future__ import annotations
 
 import dataclasses
 import functools
+import warnings
 from collections.abc import Callable, Sequence
-from typing import Any, Literal, NamedTuple
+from typing import Any, Literal
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 
 from jaxik.checks.arrays import numbers, positive
-from jaxik.checks.options import batch_axes, check_choices, check_each, check_finite, check_kind, shown
+from jaxik.checks.options import batch_axes, changed, check_choices, check_each, check_finite, check_kind, shown
 from jaxik.costs import Cost
-from jaxik.motions.outcome import Course, judge
+from jaxik.motions.outcome import Course, diagnose
 from jaxik.motions.path import Motion, Path, check_path, motion
 from jaxik.motions.redundancy import FLOOR, Box, Resolved, asc, loop_gain, rac, settles
 from jaxik.optimise import ocp
-from jaxik.reasons import Reason
+from jaxik.reasons import Reason, Reasoned
 from jaxik.robot.chain import Chain
 from jaxik.robot.task import POSE, Task
 from jaxik.spmd import kernel
@@ -37,7 +38,7 @@ Each = Literal["path", "duration"]
 
 
 @dataclasses.dataclass(frozen=True)
-class Follow:
+class FollowOptions:
     """How a path is followed: the `scheme`; the sample time `dt` [s]; the `integrator` of rates (rac integrates accelerations
     by half their square); the `task`; `alpha` of the cost's gradient and `damping` [1/s] of null-space velocity (rac); `gain`
     [1/s] of the closed loop, by default 1/dt, which takes a sample's error back in the next (rac: 0.5/dt, critically damped).
@@ -75,7 +76,12 @@ class Follow:
             )
 
 
-class Followed(NamedTuple):
+DEFAULT = FollowOptions()
+
+
+@jax.tree_util.register_dataclass
+@dataclasses.dataclass(frozen=True)
+class Followed(Reasoned):
     """A motion: time (k,) [s], q and qdot (k, n), the tip's error (k, m) and the damping (k,) of each sample; the reason, and
     the sample where it happened, k if it was solved. After that sample the arm stands still. Batches have a leading axis but
     for time."""
@@ -99,15 +105,21 @@ def follow(
     duration: Any,
     q: Any,
     cost: Cost | None = None,
-    how: Follow = Follow(),
+    options: FollowOptions | None = None,
     each: Sequence[str] = (),
+    **changes: Any,
 ) -> Followed:
     """The motion from q (n,), at rest, along `path`, timed over `duration` [s]; `cost` is what the null space goes down.
 
-    With q (b, n) it is b motions in one call; `each` names what else has one entry a motion ("path", "duration").
+    With q (b, n) it is b motions in one call; `each` names what else has one entry a motion ("path", "duration"). `changes`
+    are fields of `FollowOptions` by name.
     Raises `ValueError` for a q of another shape, what is no path, a duration that is not positive, weights or accelerations of
     another length, or a name in `each` that is not known.
     """
+    if "how" in changes:
+        warnings.warn("follow: how is options now", DeprecationWarning, stacklevel=2)
+        options = changes.pop("how")
+    options = changed("follow", options or DEFAULT, changes)
     q = numbers("follow: q", q)
     check_each("follow", each, Each)
     check_path("follow", path, duration, q.shape[:1] if "duration" in each else ())
@@ -116,20 +128,20 @@ def follow(
             f"follow: q has the shape {q.shape}; "
             f"{chain.name} takes ({chain.num_joints},), or rows of it, as where `each` names something"
         )
-    if isinstance(how.acceleration, tuple) and len(how.acceleration) != chain.num_joints:
+    if isinstance(options.acceleration, tuple) and len(options.acceleration) != chain.num_joints:
         raise ValueError(
-            f"follow: acceleration has {len(how.acceleration)} numbers; allowed: one, or one for each of the "
+            f"follow: acceleration has {len(options.acceleration)} numbers; allowed: one, or one for each of the "
             f"{chain.num_joints} joints of {chain.name}"
         )
-    count = round(float(np.max(duration)) / how.dt) + 1
+    count = round(float(np.max(duration)) / options.dt) + 1
     axes = None if q.ndim == 1 else (0, *batch_axes(each, Each))
-    found = _program(chain, cost, how, count, axes)(jnp.asarray(q), path, duration)
-    return Followed(how.dt * np.arange(count), *map(np.asarray, found))
+    found = _program(chain, cost, options, count, axes)(jnp.asarray(q), path, duration)
+    return Followed(options.dt * np.arange(count), *map(np.asarray, found))
 
 
 @functools.lru_cache(maxsize=32)
 def _program(
-    chain: Chain, cost: Cost | None, how: Follow, count: int, axes: tuple[int | None, ...] | None
+    chain: Chain, cost: Cost | None, how: FollowOptions, count: int, axes: tuple[int | None, ...] | None
 ) -> Callable[..., tuple[Any, ...]]:
     def run(q: Any, path: Path, duration: Any) -> tuple[Any, ...]:
         times = how.dt * (jnp.arange(float(count))[:, None] + jnp.array([0.0, 0.5, 1.0]))
@@ -146,13 +158,13 @@ def _program(
             q, stages
         )
         course = Course(at, moving, error, damping, held, stages.pose[:, 0], stages.velocity[:, 0])
-        reason, sample = judge(chain, how.task, course, how.tolerance, how.limits)
+        reason, sample = diagnose(chain, how.task, course, how.tolerance, how.limits)
         return (*_standing(course, jnp.where(reason == Reason.STILL, count, sample)), reason, sample)
 
     return jax.jit(run if axes is None else jax.vmap(run, in_axes=axes))
 
 
-def _limits(chain: Chain, how: Follow, dtype: Any) -> tuple[Any, ...]:
+def _limits(chain: Chain, how: FollowOptions, dtype: Any) -> tuple[Any, ...]:
     """Lower, upper, velocity and acceleration (n,), infinite where there is none."""
     n = chain.num_joints
     none = np.full(n, np.inf)
@@ -162,7 +174,7 @@ def _limits(chain: Chain, how: Follow, dtype: Any) -> tuple[Any, ...]:
 
 
 def _moved(
-    chain: Chain, cost: Cost | None, how: Follow, limits: tuple[Any, ...], q: Any, qdot: Any, stages: Motion
+    chain: Chain, cost: Cost | None, how: FollowOptions, limits: tuple[Any, ...], q: Any, qdot: Any, stages: Motion
 ) -> tuple[Any, Resolved, Any]:
     """The state a sample later; how it was resolved at its start; and whether a limit held a joint back."""
     dt = how.dt

@@ -21,10 +21,11 @@ import jax.numpy as jnp
 import numpy as np
 
 from jaxik.checks.options import as_count, check_finite
-from jaxik.motions.outcome import Course, judge
+from jaxik.motions.outcome import Course, diagnose
 from jaxik.motions.path import Path, check_path, motion
 from jaxik.motions.predictive import Horizon, RunningCost, future, objective, problem
 from jaxik.optimise import descent
+from jaxik.reasons import Reasoned
 from jaxik.robot.chain import Chain, as_shaped
 
 
@@ -97,7 +98,7 @@ class MovingHorizon:
 
     @functools.cached_property
     def _judged(self) -> Callable[[Course], tuple[Any, Any]]:
-        return jax.jit(lambda course: judge(self.chain, self.horizon.task, course, self.horizon.tolerance, keep=True))
+        return jax.jit(lambda course: diagnose(self.chain, self.horizon.task, course, self.horizon.tolerance, keep=True))
 
     def _advance(self, state: State, path: Path, duration: Any, given: tuple[Any, ...]) -> tuple[State, Sample]:
         horizon, options = self.horizon, self.horizon.descend
@@ -127,7 +128,9 @@ class MovingHorizon:
         return q, state.u
 
 
-class Moved(NamedTuple):
+@jax.tree_util.register_dataclass
+@dataclasses.dataclass(frozen=True)
+class Moved(Reasoned):
     """A motion under a moving horizon: time (k,) [s], q (k, n), qdot (k, n), what each sample's plan costs in all (k,), the
     tip's error (k, m) and the damping (k,); the `Reason`, and the sample where it happened."""
 

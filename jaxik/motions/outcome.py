@@ -8,7 +8,7 @@ import jax.numpy as jnp
 
 from jaxik.reasons import Reason
 from jaxik.robot.chain import Chain
-from jaxik.robot.reach_bound import reach
+from jaxik.robot.reach_bound import reach_bound
 from jaxik.robot.task import Task
 
 
@@ -25,7 +25,7 @@ class Course(NamedTuple):
     velocity: Any
 
 
-def judge(chain: Chain, task: Task, course: Course, tolerance: float, keep: bool) -> tuple[Any, Any]:
+def diagnose(chain: Chain, task: Task, course: Course, tolerance: float, keep: bool) -> tuple[Any, Any]:
     """The `Reason` and the sample where it happened, the number of samples where all is well. Traced.
 
     A motion fails where something is not a number (INVALID), where it leaves the joint limits that it should `keep` (LIMITS),
@@ -56,7 +56,7 @@ def judge(chain: Chain, task: Task, course: Course, tolerance: float, keep: bool
 
 def _beyond(chain: Chain, task: Task, pose: Any) -> Any:
     """Which poses ask for a position that no configuration has, by the components that are bound."""
-    bounds = reach(chain, False)
+    bounds = reach_bound(chain, False)
     apart = pose[:, :3, 3] - jnp.asarray(bounds.origin, pose.dtype)
     if task.axes == "tool":
         apart = jnp.einsum("kji,kj->ki", pose[:, :3, :3], apart)

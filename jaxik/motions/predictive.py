@@ -28,10 +28,11 @@ import numpy as np
 
 from jaxik.checks.arrays import positive, shaped
 from jaxik.checks.options import as_count, batch_axes, check_choices, check_each, check_finite, check_kind, check_seed
-from jaxik.motions.outcome import Course, judge
+from jaxik.motions.outcome import Course, diagnose
 from jaxik.motions.path import Motion, Path, check_path, motion
 from jaxik.motions.redundancy import FLOOR, Resolved, loop_gain, resolve_velocity, settles
 from jaxik.optimise import descent, ocp
+from jaxik.reasons import Reasoned
 from jaxik.robot.chain import Chain, as_numbers
 from jaxik.robot.task import POSE, Task
 from jaxik.spmd import kernel
@@ -101,10 +102,13 @@ class Future(NamedTuple):
     time: Any
 
 
-class Prediction(NamedTuple):
+@jax.tree_util.register_dataclass
+@dataclasses.dataclass(frozen=True)
+class Prediction(Reasoned):
     """The best motion found: q (N+1, n), qdot and input w (N, n), each sample's cost (N,) per second; the tip's error (N, m),
-    the damping that singularities needed (N,), the `Reason` and the sample where it happened (`judge`); and the record of the
-    descent: how many iterations, the total (the cost's integral) before and after each, alpha and beta of each, then NaN."""
+    the damping that singularities needed (N,), the `Reason` and the sample where it happened (`diagnose`); and the record of
+    the descent: how many iterations, the total (the cost's integral) before and after each, alpha and beta of each, then
+    NaN."""
 
     q: Any
     qdot: Any
@@ -224,7 +228,7 @@ def _judged(chain: Chain, horizon: Horizon, run: ocp.Run, ahead: Future) -> tupl
     seen, asked = run.seen, jax.tree_util.tree_map(lambda x: x[:, 0], ahead.asked)
     held = jnp.zeros(horizon.count, bool)
     course = Course(run.y[0][:-1], run.v, seen.error, seen.damping, held, asked.pose, asked.velocity)
-    return seen.error, seen.damping, *judge(chain, horizon.task, course, horizon.tolerance, keep=True)
+    return seen.error, seen.damping, *diagnose(chain, horizon.task, course, horizon.tolerance, keep=True)
 
 
 def predict(

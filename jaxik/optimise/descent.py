@@ -39,7 +39,7 @@ from jax import lax
 
 from jaxik.checks.arrays import numbers
 from jaxik.checks.options import as_count, check_choices, check_finite, shown
-from jaxik.spatial.algebra import ratio
+from jaxik.spatial.algebra import safe_divide
 
 Direction = Literal["steepest", "hestenes_stiefel", "fletcher_reeves", "polak_ribiere", "hager_zhang", "lbfgs"]
 Search = Literal["fixed", "backtracking", "polynomial", "secant"]
@@ -211,13 +211,13 @@ def _beta(kind: str, square: Any, across: Any, before: Any, along: Any, along_be
         return 0.0
     change, curvature = square - across, along - along_before  # <g_j, y>, <s, y>
     if kind == "hestenes_stiefel":
-        return ratio(change, curvature)
+        return safe_divide(change, curvature)
     if kind == "fletcher_reeves":
-        return ratio(square, before)
+        return safe_divide(square, before)
     if kind == "polak_ribiere":
-        return ratio(change, before)
+        return safe_divide(change, before)
     changes = change + before - across  # <y, y>
-    return ratio(change - 2.0 * along * ratio(changes, curvature), curvature)
+    return safe_divide(change - 2.0 * along * safe_divide(changes, curvature), curvature)
 
 
 def _quasi_newton(options: Descent) -> Any:
@@ -260,7 +260,7 @@ def _search(objective: Objective, state: State, heading: _Heading, options: Desc
         return *_parabola(costs, state.cost, interval), None
     if options.search == "secant":
         moved, change = state.alpha * state.direction, g - state.gradient
-        two_points = ratio(objective.inner(moved, moved), objective.inner(moved, change))
+        two_points = safe_divide(objective.inner(moved, moved), objective.inner(moved, change))
         alpha = jnp.where((state.iterations == 0) | ~(two_points > 0.0), alpha, two_points)
     return alpha, interval, state.cost + alpha * slope, None
 

@@ -1,6 +1,6 @@
 """What a grid of leading positions (of the slide) can have missed: found between its points, or proven not to be there.
 
-Between two positions of the grid the closed form is evaluated on balls (`ball`): the slide anywhere in the cell. If then no
+Certified two positions of the grid the closed form is evaluated on balls (`ball`): the slide anywhere in the cell. If then no
 branch can be inside the limits, the cell is empty, and that is a proof. What is left is halved, and so on; the middle of each
 cell is a position of its own, and where a branch is inside the limits there, the grid missed it. A target whose cells are all
 empty is out of reach for any position of the slide; one that has some left at the end stays open, and says so.
@@ -18,7 +18,7 @@ from jaxik.checks.options import as_count
 from jaxik.reach.leading import arm_of, grid, may_be_inside
 from jaxik.robot.chain import Chain, finite_limits
 from jaxik.robot.kinematics import joint_frames
-from jaxik.robot.reach_bound import Reach, reach
+from jaxik.robot.reach_bound import ReachBound, reach_bound
 from jaxik.robot.spherical_wrist import WAYS, half_branches, wrist_branches
 from jaxik.robot.turns import TURN
 from jaxik.spatial.algebra import Frame
@@ -32,7 +32,7 @@ SLACK = 1e-9  # more than float64 rounds by
 SIGNS = np.array(WAYS)
 
 
-class Between(NamedTuple):
+class Certified(NamedTuple):
     """Of each target (N,): the leading position (N, k) and branch that were found, NaN and -1 if none; and whether it is open:
     neither found nor excluded."""
 
@@ -41,19 +41,19 @@ class Between(NamedTuple):
     open: np.ndarray
 
 
-def between(chain: Chain, poses: np.ndarray, slides: Any, depth: int) -> Between:
+def certify(chain: Chain, poses: np.ndarray, slides: Any, depth: int) -> Certified:
     """Looks between the positions of `leading_grid(chain, slides)` for the poses `base_T_tip` (N, 4, 4) that have no
     posture on it, halving what stays possible `depth` times. In float64."""
     k, slides = chain.num_joints - 6, as_count("slides", slides)
-    found = Between(np.full((len(poses), k), np.nan), np.full(len(poses), -1), np.zeros(len(poses), bool))
+    found = Certified(np.full((len(poses), k), np.nan), np.full(len(poses), -1), np.zeros(len(poses), bool))
     if k:  # six joints have all their postures
         for start in range(0, len(poses), PORTION):
             part = slice(start, start + PORTION)
-            _search(chain, poses[part], slides, depth, Between(*(column[part] for column in found)))
+            _search(chain, poses[part], slides, depth, Certified(*(column[part] for column in found)))
     return found
 
 
-def _search(chain: Chain, poses: np.ndarray, slides: int, depth: int, found: Between) -> None:
+def _search(chain: Chain, poses: np.ndarray, slides: int, depth: int, found: Certified) -> None:
     arm = arm_of(chain)
     centres, half = _cells(chain, slides)
     cells = lambda target, centre: (poses[target], centre)
@@ -85,11 +85,11 @@ def _search(chain: Chain, poses: np.ndarray, slides: int, depth: int, found: Bet
 def beyond(chain: Chain, poses: np.ndarray) -> np.ndarray:
     """Whether each of the poses (N, 4, 4) is proven to be out of reach: of the chain, or of the arm at any leading position."""
     spheres = _spheres(chain, COARSE)
-    (found,) = in_blocks(_BEYOND, poses, fixed=(reach(chain), spheres[0].tip_p, *spheres[1:]), double=True)
+    (found,) = in_blocks(_BEYOND, poses, fixed=(reach_bound(chain), spheres[0].tip_p, *spheres[1:]), double=True)
     return found
 
 
-def _beyond(pose: Any, bound: Reach, tip_p: Any, origin: Any, within: Any) -> Any:
+def _beyond(pose: Any, bound: ReachBound, tip_p: Any, origin: Any, within: Any) -> Any:
     whole, arm = (pose[:3, :3] @ p + pose[:3, 3] for p in (bound.tip_p, tip_p))
     away = jnp.linalg.norm(whole - bound.origin)
     far = (away > bound.longest + SLACK) | (away < bound.shortest - SLACK)
@@ -122,12 +122,12 @@ def _within_reach(chain: Chain, poses: np.ndarray, slides: int) -> np.ndarray:
 
 
 @functools.lru_cache(maxsize=64)
-def _spheres(chain: Chain, slides: int) -> tuple[Reach, np.ndarray, np.ndarray]:
+def _spheres(chain: Chain, slides: int) -> tuple[ReachBound, np.ndarray, np.ndarray]:
     """The arm's reach; and of each cell the sphere's centre (m, 3) that it fills, and `radius^2 - |centre|^2` (m,): without
     bound where a leading joint turns, which moves the arm's base by what its own reach is."""
     centres, half = _cells(chain, slides)
     k = len(half)
-    bound = reach(chain.part(k, chain.num_joints))
+    bound = reach_bound(chain.part(k, chain.num_joints))
     if not k or not all(chain.is_prismatic[:k]):
         return bound, np.zeros((len(centres), 3)), np.full(len(centres), np.inf)
     frame: Frame = joint_frames(chain.part(0, k), list(centres.astype(np.float64).T)).joints[-1]

@@ -50,8 +50,8 @@ def grid(axes: list[np.ndarray]) -> np.ndarray:
 class Freest(NamedTuple):
     """Of each target (N,): the freest branch over the leading positions, and what else is inside the limits.
 
-    `freedom` is that of `costs.joint_freedom`: >= 0 inside the limits, -1 to 0 past them, less where no branch has the pose.
-    `lead` is the row of the leading positions, `inside` how many branches are inside the limits over all of them, and
+    `freedom` is that of `costs.joint_limit_margin`: >= 0 inside the limits, -1 to 0 past them, less where no branch has the
+    pose. `lead` is the row of the leading positions, `inside` how many branches are inside the limits over all of them, and
     `branches` (N, m) has one bit for each that is inside there.
     """
 
@@ -162,7 +162,7 @@ def may_be_inside(chain: Chain, turns: Any, slack: float) -> Any:
 
 
 def _freedom(chain: Chain, leading: Any, angles: Any, margin: Any) -> Any:
-    """`costs.joint_freedom` of a branch, its angles turned to the middle of their ranges; `NOTHING` where it lacks the pose."""
+    """`joint_limit_margin` of a branch, its angles turned to the middle of their ranges; `NOTHING` where it lacks the pose."""
     low, high = finite_limits(chain)
     middle, half = (low + high) / 2.0, np.maximum((high - low) / 2.0, 1e-9)
     joints = [*(leading[i] for i in range(chain.num_joints - 6)), *angles]

@@ -36,7 +36,7 @@ from jaxik.spatial.algebra import (
     Vec3,
     atan2,
     constants,
-    ratio,
+    safe_divide,
     safe_sqrt,
     sincos,
     stack,
@@ -177,4 +177,4 @@ def _determinant(matrix: Any) -> Any:
     if not len(matrix):
         return jnp.ones((), matrix.dtype)
     pivot, below = jnp.maximum(matrix[0, 0], 0.0), matrix[1:, 0]
-    return pivot * _determinant(matrix[1:, 1:] - jnp.outer(below, ratio(below, pivot)))
+    return pivot * _determinant(matrix[1:, 1:] - jnp.outer(below, safe_divide(below, pivot)))

@@ -15,7 +15,7 @@ import numpy as np
 from jaxik.robot.chain import Chain, read_only
 
 
-class Reach(NamedTuple):
+class ReachBound(NamedTuple):
     """`|base_p - origin| <= longest`, and >= `shortest`, for p the point `tip_p` of the tip's frame [m].
 
     `length` is that of the links without the slides, or of the slides where nothing turns: a finite measure of the chain.
@@ -44,7 +44,7 @@ FAR_OFF = 10.0  # reaches: no use for a target so far away, unless its unit is a
 def millimetres(chain: Chain, positions: np.ndarray, world: bool = False) -> str | None:
     """In words, why positions (N, 3) [m] in the base (or the world) look like millimetres, if they do: most of them lie many
     times beyond the chain's reach, and their thousandth does not."""
-    bound, known = reach(chain, rotation=False), positions[np.isfinite(positions).all(axis=1)]
+    bound, known = reach_bound(chain, rotation=False), positions[np.isfinite(positions).all(axis=1)]
     origin = chain.world_T_base[:3, :3] @ bound.origin + chain.world_T_base[:3, 3] if world else bound.origin
     if not len(known) or not np.isfinite(bound.longest):
         return None
@@ -68,7 +68,7 @@ class _Way(NamedTuple):
 
 
 @functools.lru_cache(maxsize=64)
-def reach(chain: Chain, rotation: bool = True) -> Reach:
+def reach_bound(chain: Chain, rotation: bool = True) -> ReachBound:
     """The bounds of a chain; without `rotation` only the tip's position is known of a target. Reads concrete numbers."""
     ways, tip = _ways(chain)
     rotation = rotation and len(ways) > 1  # it tells nothing where no joint turns
@@ -84,7 +84,7 @@ def reach(chain: Chain, rotation: bool = True) -> Reach:
     shortest = max(0.0, float(np.max(least - (most.sum() - most)))) if np.all(np.isfinite(most)) else 0.0
     stroke = float(strokes.sum())
     length = float(each.sum()) or (stroke if 0.0 < stroke < np.inf else 1.0)
-    return read_only(Reach(origin, tip_p, float(most.sum()), shortest, length))
+    return read_only(ReachBound(origin, tip_p, float(most.sum()), shortest, length))
 
 
 def _straightest(ways: list[_Way]) -> np.ndarray:

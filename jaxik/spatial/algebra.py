@@ -61,7 +61,7 @@ def mul(a: Scalar, b: Scalar) -> Scalar:
     return lax.mul(a, b) if _alike(a, b) else a * b
 
 
-def ratio(a: Any, b: Any) -> Any:
+def safe_divide(a: Any, b: Any) -> Any:
     """`a / b`, and 0 where b = 0."""
     return jnp.where(b == 0.0, 0.0, a / jnp.where(b == 0.0, 1.0, b))
 
@@ -254,7 +254,9 @@ def _atan2(y: jax.Array, x: jax.Array) -> jax.Array:
 @_atan2.defjvp
 def _atan2_jvp(primals: Any, tangents: Any) -> Any:
     (y, x), (dy, dx) = primals, tangents
-    return _atan2(y, x), ratio(x * dy - y * dx, x * x + y * y)  # at the origin there is no direction, and none is invented
+    return _atan2(y, x), safe_divide(
+        x * dy - y * dx, x * x + y * y
+    )  # at the origin there is no direction, and none is invented
 
 
 def atan2(y: Scalar, x: Scalar) -> Scalar:

@@ -15,10 +15,10 @@ import numpy as np
 from jaxik.collision.clearances import clearance
 from jaxik.collision.hierarchy import Grouped, grouped
 from jaxik.collision.scene import Scene, make_scene, remembered
-from jaxik.costs import joint_freedom
+from jaxik.costs import joint_limit_margin
 from jaxik.harvesting.scanning import measures
 from jaxik.ik.solve import IKResult, as_poses, solve_ik
-from jaxik.reach.certify import between, beyond
+from jaxik.reach.certify import beyond, certify
 from jaxik.reach.leading import NOTHING, arm_of, first_most, freest, grid, leading_grid
 from jaxik.reasons import Reason
 from jaxik.robot.chain import Chain, finite_limits
@@ -139,7 +139,7 @@ def _branch_measures(chain: Chain) -> HostKernel:
 
     def measured(pose: Any, leading: Any, number: Any, scene: Any) -> tuple[Any, Any]:
         q, _ = one_branch(chain, pose, leading, number)
-        return clearance(chain, scene, q), joint_freedom(chain, q)
+        return clearance(chain, scene, q), joint_limit_margin(chain, q)
 
     return HostKernel(measured, 3)
 
@@ -250,7 +250,7 @@ def _answered(columns: dict[str, np.ndarray], chain: Chain, poses: np.ndarray, a
 
 def _between(study: Study, chain: Chain, poses: np.ndarray, around: _Crops | None) -> tuple[_Best, np.ndarray]:
     """What `certify` finds for poses that have nothing on the grid; and which stay open."""
-    found = between(chain, poses, study.slides, study.refine)
+    found = certify(chain, poses, study.slides, study.refine)
     best = _Best.nothing(len(poses), found.leading.shape[1])
     rows = np.flatnonzero(found.branch >= 0)
     best.leading[rows], best.branch[rows] = found.leading[rows], found.branch[rows]
@@ -273,7 +273,7 @@ def _no_answer(chain: Chain, count: int) -> dict[str, np.ndarray]:
 def _worth(chain: Chain) -> HostKernel:
     """`WORTH` of joint positions, by rows of these and the poses that they are for."""
     errors = lambda q, pose: pose_errors(chain, list(q), traced(pose))
-    return HostKernel(lambda q, pose: (q, *errors(q, pose), manipulability(chain, q), joint_freedom(chain, q)), 2)
+    return HostKernel(lambda q, pose: (q, *errors(q, pose), manipulability(chain, q), joint_limit_margin(chain, q)), 2)
 
 
 @functools.lru_cache(maxsize=64)

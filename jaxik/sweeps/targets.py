@@ -16,7 +16,7 @@ from jaxik.files.targets import as_frames
 from jaxik.harvesting.crop import cucumber_row, trellis_crop
 from jaxik.harvesting.grasp import Grasp, approach_grid, fruit_frames
 from jaxik.robot.chain import Chain
-from jaxik.robot.reach_bound import reach
+from jaxik.robot.reach_bound import reach_bound
 from jaxik.spatial.rotations import to_wxyz
 
 KINDS = ("grid", "voxels", "file", "crop")
@@ -160,7 +160,7 @@ def voxels(chains: list[Chain], size: float) -> tuple[np.ndarray, ...]:
     """The centres, along x, y and z, of cubes of `size` [m] that fill the box around all that the chains may reach."""
     low, high = np.full(3, np.inf), np.full(3, -np.inf)
     for chain in chains:
-        bound = reach(chain, rotation=False)
+        bound = reach_bound(chain, rotation=False)
         if not np.isfinite(bound.longest):
             raise ValueError(f"[targets] voxels: {chain.name} has a joint without limits that slides; give a grid")
         origin = chain.world_T_base[:3, :3] @ bound.origin + chain.world_T_base[:3, 3]

@@ -24,7 +24,7 @@ EXACT = 1e-9  # [rad], [unit lengths]: what an answer's error becomes, and less 
 
 
 @dataclasses.dataclass(frozen=True)
-class Job:
+class Problem:
     """What all targets share, and for each its tolerances (N, 2) and reference (N, n)."""
 
     chain: Chain
@@ -41,7 +41,7 @@ class Job:
     reference: np.ndarray | None
 
     @staticmethod
-    def of(chain: Chain, scene: Scene | Grouped | None, seed: int, options: IKOptions, count: int) -> Job:
+    def of(chain: Chain, scene: Scene | Grouped | None, seed: int, options: IKOptions, count: int) -> Problem:
         n = chain.num_joints
         low, high = _limits(chain, options)
         weights = np.ones(n)
@@ -64,9 +64,9 @@ class Job:
         inside = _range(chain, tuple(low.tolist()), tuple(high.tolist()), strategy != "near")
         around = grouped(scene, chain) if scene is not None else None
         unit = lanes.unit_length(chain)
-        return Job(chain, around, seed, options, low, high, weights, inside, unit, strategy, tolerance, reference)
+        return Problem(chain, around, seed, options, low, high, weights, inside, unit, strategy, tolerance, reference)
 
-    def part(self, rows: slice) -> Job:
+    def part(self, rows: slice) -> Problem:
         """The same for some of the targets."""
         if rows.start == 0 and rows.stop >= len(self.tolerance):
             return self
