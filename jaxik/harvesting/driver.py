@@ -103,7 +103,7 @@ class HarvestOptions:
 def harvest(
     chain: Chain,
     scene: Scene,
-    options: HarvestOptions | None = None,
+    options: HarvestOptions | Weights | None = None,
     progress: Callable[[str], Any] | None = None,
     **changes: Any,
 ) -> Harvest:

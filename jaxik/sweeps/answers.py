@@ -12,7 +12,6 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from jaxik.collision.clearances import clearance
 from jaxik.collision.hierarchy import Grouped, grouped
 from jaxik.collision.scene import Scene, make_scene, remembered
 from jaxik.costs import joint_limit_margin
@@ -139,7 +138,7 @@ def _branch_measures(chain: Chain) -> HostKernel:
 
     def measured(pose: Any, leading: Any, number: Any, scene: Any) -> tuple[Any, Any]:
         q, _ = one_branch(chain, pose, leading, number)
-        return clearance(chain, scene, q), joint_limit_margin(chain, q)
+        return measures(chain).function(q, scene)
 
     return HostKernel(measured, 3)
 
