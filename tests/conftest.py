@@ -21,7 +21,7 @@ if "PYTEST_XDIST_WORKER" not in os.environ:
 # them a hundred thousand times
 UNTYPED = ("__init__", "algebra", "convex", "distance", "capsules", "linear", "qp", "model")
 HOME = Path(find_spec("jaxik").origin).parent
-FILES = [p for p in HOME.rglob("*.py") if p.stem not in UNTYPED and p.parent.name != "spmd"]
+FILES = [p for p in HOME.rglob("*.py") if p.stem not in UNTYPED and "spmd" not in p.parts]
 TYPED = [".".join(("jaxik", *p.relative_to(HOME).with_suffix("").parts)) for p in FILES]
 
 with install_import_hook(TYPED, "beartype.beartype"):

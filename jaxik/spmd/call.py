@@ -130,7 +130,7 @@ def _make(traced: Traced, shared: tuple[bool, ...]) -> Made:
 @functools.cache
 def _version() -> str:
     """What machine code depends on beside its program: this package, LLVM, JAX's calls, the processor."""
-    sources = b"".join(p.read_bytes() for p in sorted(Path(__file__).parent.glob("*.py")))
+    sources = b"".join(p.read_bytes() for p in sorted(Path(__file__).parent.rglob("*.py")))
     versions = [importlib.metadata.version(p) for p in ("llvmlite", "jaxlib")]
     here = machine.llvm().get_host_cpu_name(), machine.features(), machine.llvm().get_default_triple()
     return hashlib.sha256(sources + repr((versions, here)).encode()).hexdigest()

@@ -1,0 +1,179 @@
+"""Calls, branches and loops."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+from jax.extend.core import ClosedJaxpr, Jaxpr
+
+from jaxik.spmd.scalarise import (
+    FLAT,
+    LARGEST,
+    MOST,
+    UNROLLED,
+    Array,
+    Computed,
+    Scalariser,
+    Unsupported,
+    rule,
+    type_of,
+    unflattened,
+)
+
+
+@rule(
+    "jit",
+    "pjit",
+    "closed_call",
+    "core_call",
+    "custom_jvp_call",
+    "custom_vjp_call",
+    "custom_vjp_call_jaxpr",
+    "checkpoint",
+    "remat",
+    "remat2",
+    "custom_vmap_call",
+    "custom_lin",
+    "run_state",
+)
+def _call(s: Scalariser, eqn: Any, *xs: Array) -> list[Array]:
+    for name in ("jaxpr", "call_jaxpr", "fun_jaxpr", "call"):
+        if isinstance(eqn.params.get(name), ClosedJaxpr | Jaxpr):
+            return s.closed(eqn.params[name], xs)
+    raise Unsupported(f"the primitive '{eqn.primitive.name}'")
+
+
+@rule("platform_index")
+def _platform_index(s: Scalariser, eqn: Any) -> Array:
+    platforms = eqn.params["platforms"]
+    index = next(i for i, names in enumerate(platforms) if names is None or "cpu" in names)
+    return s.known(np.int32(index))
+
+
+def _weight(jaxpr: Any) -> int:
+    """How many scalar operations a jaxpr is, roughly; more than any limit with a loop in it."""
+    total = 0
+    for eqn in jaxpr.eqns:
+        if eqn.primitive.name in ("scan", "while"):
+            return MOST
+        total += sum(int(np.prod(v.aval.shape)) for v in eqn.outvars)
+        for param in eqn.params.values():
+            for each in param if isinstance(param, tuple | list) else (param,):
+                if isinstance(each, ClosedJaxpr | Jaxpr):
+                    total += _weight(getattr(each, "jaxpr", each))
+    return total
+
+
+@rule("cond")
+def _cond(s: Scalariser, eqn: Any, which: Array, *args: Array) -> list[Array]:
+    p, branches, index = s.program, eqn.params["branches"], s.values(which).item()
+    known = p.constant.get(index)
+    if known is not None:
+        return s.closed(branches[int(np.clip(int(known), 0, len(branches) - 1))], args)
+    kinds, shapes = [type_of(v.aval) for v in eqn.outvars], [v.aval.shape for v in eqn.outvars]
+    if sum(_weight(b.jaxpr) for b in branches) > FLAT:
+        args = tuple(Array(s.values(x), x.type) if x.memory is None else x for x in args)
+
+    def values(number: int) -> list[int]:
+        return [v for x in s.closed(branches[number], args) for v in s.values(x).ravel().tolist()]
+
+    flat_kinds = [k for k, shape in zip(kinds, shapes, strict=True) for _ in range(int(np.prod(shape)))]
+
+    def chosen(numbers: Sequence[int]) -> list[int]:
+        if len(numbers) == 1:
+            return values(numbers[0])
+        if p.ops[index].type == "i1":
+            last = index
+        else:
+            last = p.op("ge", "i1", index, p.number(numbers[-1], p.ops[index].type))
+        yes, no = lambda: values(numbers[-1]), lambda: chosen(numbers[:-1])
+        if sum(_weight(branches[k].jaxpr) for k in numbers) <= FLAT:
+            return [p.op("select", k, last, a, b) for k, a, b in zip(flat_kinds, yes(), no(), strict=True)]
+        return p.branch(last, yes, no)
+
+    return unflattened(chosen(range(len(branches))), shapes, kinds)
+
+
+class _Carried:
+    """What a loop carries: arrays that change, as flat values; those that its body hands back as they are stay outside."""
+
+    def __init__(self, s: Scalariser, init: Sequence[Array], body: Jaxpr, first_in: int):
+        inputs = body.invars[first_in : first_in + len(init)]
+        self.changes = [body.outvars[i] is not inputs[i] for i in range(len(init))]
+        self.init = list(init)
+        changing = [x for x, c in zip(init, self.changes, strict=True) if c]
+        self.shapes, self.kinds = [x.shape for x in changing], [x.type for x in changing]
+        self.flat = [v for x in changing for v in s.values(x).ravel().tolist()]
+        if len(self.flat) > LARGEST // 4:
+            raise Unsupported(f"a loop that carries {len(self.flat)} numbers")
+
+    def arrays(self, flat: Sequence[int]) -> list[Array]:
+        changing = iter(unflattened(flat, self.shapes, self.kinds))
+        return [next(changing) if c else x for x, c in zip(self.init, self.changes, strict=True)]
+
+    def flattened(self, s: Scalariser, arrays: Sequence[Array]) -> list[int]:
+        return [v for x, c in zip(arrays, self.changes, strict=True) if c for v in s.values(x).ravel().tolist()]
+
+
+@rule("while")
+def _while(s: Scalariser, eqn: Any, *args: Array) -> list[Array]:
+    p = eqn.params
+    k, m = p["cond_nconsts"], p["body_nconsts"]
+    test_consts, body_consts, init = args[:k], args[k : k + m], args[k + m :]
+    carried = _Carried(s, init, p["body_jaxpr"].jaxpr, m)
+
+    def again(flat: list[int]) -> int:
+        return s.values(s.closed(p["cond_jaxpr"], [*test_consts, *carried.arrays(flat)])[0]).item()
+
+    def body(flat: list[int]) -> list[int]:
+        return carried.flattened(s, s.closed(p["body_jaxpr"], [*body_consts, *carried.arrays(flat)]))
+
+    return carried.arrays(s.program.loop(carried.flat, again, body))
+
+
+@rule("scan")
+def _scan(s: Scalariser, eqn: Any, *args: Array) -> list[Array]:
+    params, p = eqn.params, s.program
+    k, m, length, body = params["num_consts"], params["num_carry"], params["length"], params["jaxpr"]
+    consts, init, xs = args[:k], args[k : k + m], args[k + m :]
+    outputs = eqn.outvars[m:]
+    order = range(length)[::-1] if params["reverse"] else range(length)
+    if length * _weight(body.jaxpr) <= UNROLLED or length <= 1:
+        carry: list[Array] = list(init)
+        rows: list[Any] = [None] * length
+        for i in order:
+            found = s.closed(body, [*consts, *carry, *(x.rearranged(x.at[i]) for x in xs)])
+            carry, rows[i] = found[:m], found[m:]
+        stacked = [
+            Array(np.stack([s.values(row[j]) for row in rows]) if length else np.zeros(v.aval.shape, np.int64), type_of(v.aval))
+            for j, v in enumerate(outputs)
+        ]
+        return [*carry, *stacked]
+    xs = tuple(s.in_memory(x) for x in xs)
+    carried = _Carried(s, init, body.jaxpr, k)
+    kinds = [type_of(v.aval) for v in outputs]
+    rooms = [p.room(kind, int(np.prod(v.aval.shape))) for kind, v in zip(kinds, outputs, strict=True)]
+
+    def turn(flat: list[int]) -> list[int]:
+        i, *now = flat
+        if params["reverse"]:
+            i = p.op("sub", "i32", p.number(length - 1, "i32"), i)
+        rows = [s.window(x, [Computed(i), *[0] * (len(x.shape) - 1)], [1, *x.shape[1:]]) for x in xs]
+        rows = [r.rearranged(r.at[0]) for r in rows]
+        found = s.closed(body, [*consts, *carried.arrays(now), *rows])
+        for room, y in zip(rooms, found[m:], strict=True):
+            flat_y = s.values(y).ravel().tolist()
+            start = p.op("mul", "i32", i, p.number(len(flat_y), "i32"))
+            for j, v in enumerate(flat_y):
+                p.store(room, j, start, v)
+        return carried.flattened(s, found[:m])
+
+    ends = p.loop(carried.flat, length, turn)
+    after = len(p.ops) - 1 if not ends else p.ops[ends[0]].args[0]
+    ys = [
+        Array(np.arange(room.size).reshape(v.aval.shape), kind, room, after)
+        for room, kind, v in zip(rooms, kinds, outputs, strict=True)
+    ]
+    return [*carried.arrays(ends), *ys]
