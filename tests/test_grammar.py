@@ -43,6 +43,7 @@ def test_options_go_by_name():
         lambda: jaxik.harvest(chain, scene, angle=4),
         lambda: jaxik.solve_ik(ARM, TARGETS, tasks=None),
         lambda: jaxik.follow(ARM, jaxik.motions.Line(TARGETS[0], TARGETS[0]), 1.0, [0.0, 0.0], speed=1.0),
+        lambda: jaxik.predict(ARM, jaxik.motions.Line(TARGETS[0], TARGETS[0]), 1.0, [0.0, 0.0], lambda *_: 0.0, steps=1),
     ):
         with pytest.raises(ValueError, match=r"unknown option '\w+'; allowed: "):
             call()

@@ -27,7 +27,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from jaxik.checks.arrays import positive, shaped
-from jaxik.checks.options import as_count, batch_axes, check_choices, check_each, check_finite, check_kind, check_seed
+from jaxik.checks.options import as_count, batch_axes, changed, check_choices, check_each, check_finite, check_kind, check_seed
 from jaxik.motions.outcome import Course, diagnose
 from jaxik.motions.path import Motion, Path, check_path, motion
 from jaxik.motions.redundancy import FLOOR, Resolved, loop_gain, resolve_velocity, settles
@@ -237,21 +237,23 @@ def predict(
     duration: Any,
     q: Any,
     cost: RunningCost,
-    horizon: Horizon,
+    horizon: Horizon | None = None,
     guess: Any = None,
     given: Any = None,
     each: Sequence[str] = (),
+    **changes: Any,
 ) -> Prediction:
     """The null-space motion from q (n,) along `path`, timed over `duration` [s], within the horizon.
 
     `guess` (count, n) is the first input, 0 unless given. `given`, any pytree, is handed to the cost as its last argument: what
     may change from call to call without compiling again. With q (b, n) it is b scenarios in one call, every field of the result
     with a leading axis b, and each is what it is alone; `each` names what else has one entry a scenario ("path", "duration",
-    "guess", "given").
+    "guess", "given"). `changes` are fields of `Horizon` by name.
 
     Raises `ValueError` for a q, guess or weights of another shape, what is no path, a duration that is not positive, or another
     name in `each`.
     """
+    horizon = changed("predict", horizon or Horizon(), changes)
     q = as_numbers("predict: q", q).astype(jnp.result_type(float))
     rows = horizon.count + (horizon.start == "free")
     shape = (rows, chain.num_joints)
@@ -295,18 +297,20 @@ def multistart(
     duration: Any,
     q: Any,
     cost: RunningCost,
-    horizon: Horizon,
+    horizon: Horizon | None = None,
     starts: int = 1000,
     spread: float = 2.0,
     seed: int = 0,
     given: Any = None,
+    **changes: Any,
 ) -> Prediction:
     """`predict` from `starts` first inputs, the best first: 0, and smooth random ones, for the global picture.
 
     A random input is a sum of the first five cosines of the horizon, of random amplitudes [`spread` rad/s2 or rad/s] that fall
     with their frequency, so that it moves the arm and does not shake it. Raises `ValueError` as `predict` does, and for a
-    number of starts, a spread or a seed that is none.
+    number of starts, a spread or a seed that is none. `changes` are fields of `Horizon` by name.
     """
+    horizon = changed("multistart", horizon or Horizon(), changes)
     count, n = horizon.count, chain.num_joints
     q, starts = shaped("multistart: q", q, (n,)), as_count("multistart: starts", starts)
     check_finite("multistart", 0.0, spread=spread)
