@@ -12,6 +12,7 @@ import jaxik
 FLOORS = [  # what the house is made of, from the ground up
     "spmd",  # the compiler of kernels knows no robot
     "reasons",
+    "pytree",
     "checks",
     "spatial",
     "optimise",  # nor do the solvers

@@ -52,7 +52,8 @@ def reach_score(
     with margins of clearance (1 at 75 mm) and of each joint to its limits (1 in the middle), and what the tip falls short by.
 
     Pure: differentiate it in `poses`, in `chain.world_T_base` (`chain.mounted(frame)`), in any number of the chain
-    (`equinox.tree_at`) and in the scene. `margin` [m] is the least clearance, `temperature` T how much is smoothed (0 to 1).
+    (`dataclasses.replace`) and in the scene. `margin` [m] is the least clearance, `temperature` T how much is smoothed (0 to
+    1).
     """
     return jnp.exp(log_reach_score(chain, scene, poses, q, margin, temperature))
 
