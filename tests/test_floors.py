@@ -66,7 +66,7 @@ before = dict(jax.config.values)
 import jaxik
 from jax._src import xla_bridge
 assert dict(jax.config.values) == before and not xla_bridge._backends, "configuration changed or device asked"
-for late in ("matplotlib", "mujoco", "trimesh", "tyro", "scipy"):
+for late in ("equinox", "matplotlib", "mujoco", "optax", "rich", "scipy", "trimesh", "tyro", "xarray", "zarr"):
     assert late not in sys.modules, late
 """
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True)
