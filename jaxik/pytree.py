@@ -11,6 +11,7 @@ from collections.abc import Iterable
 from typing import Any, dataclass_transform
 
 import jax
+import numpy as np
 
 
 def static(**options: Any) -> Any:
@@ -22,8 +23,7 @@ def static(**options: Any) -> Any:
 class Pytree:
     """A subclass is a frozen dataclass and a pytree: its fields are the children, but for the `static` ones.
 
-    Two are equal if they are one, unless the subclass says otherwise. JAX puts children in without the constructor, which could
-    not judge them: they may be tracers, axes or shardings.
+    JAX puts children in without the constructor, which could not judge them: they may be tracers, axes or shardings.
     """
 
     def __init_subclass__(cls) -> None:
@@ -48,6 +48,12 @@ class Pytree:
             return tree
 
         jax.tree_util.register_pytree_with_keys(cls, flatten_with_keys, unflatten, flatten)
+
+    def __eq__(self, other: object) -> bool:
+        """Whether the types, the structures and all numbers are the same. Not for tracers."""
+        (mine, structure), (theirs, other_structure) = map(jax.tree_util.tree_flatten, (self, other))
+        same = structure == other_structure  # type: ignore[operator]
+        return same and all(np.array_equal(a, b) for a, b in zip(mine, theirs, strict=True))
 
     def __repr__(self) -> str:
         """The fields, arrays by their type and shape."""
