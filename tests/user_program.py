@@ -1,8 +1,6 @@
-"""What a user writes, for a type checker, against the installed package: `mypy --strict tests/user_program.py`."""
+"""What a user writes, against the installed package: it runs, and `mypy --strict` accepts it (`.ci/run`)."""
 
 from __future__ import annotations
-
-from pathlib import Path
 
 import jax
 import jax.numpy as jnp
@@ -11,10 +9,10 @@ import numpy as np
 import jaxik
 
 
-def reach(chain: jaxik.Chain, q: jax.Array) -> jax.Array:
-    """How far the tip is [m]; traced."""
+def height(chain: jaxik.Chain, q: jax.Array) -> jax.Array:
+    """Of the tip [m]; traced."""
     tip: jax.Array = jaxik.forward_kinematics(chain, q)
-    return jnp.linalg.norm(tip[:3, 3])
+    return jnp.sum(tip[2, 3])
 
 
 def answers(chain: jaxik.Chain, targets: np.ndarray, scene: jaxik.Scene | None = None) -> dict[str, int]:
@@ -25,19 +23,18 @@ def answers(chain: jaxik.Chain, targets: np.ndarray, scene: jaxik.Scene | None =
     return result.counts()
 
 
-def main(file: Path) -> None:
-    chain = jaxik.load(file, tip="tool0", ignore=[("base", "wrist")]).mounted(np.eye(4))
+def main() -> None:
+    chain = jaxik.load("p6r", ignore=[("base", "forearm")])
     scene = jaxik.load_scene("cucumber_row")
-    print(chain.num_joints, chain.joint_names, chain.lower, scene.counts, chain.digest)
-    print(jax.grad(lambda q: reach(chain, q))(jnp.zeros(chain.num_joints)))
-    print(answers(chain, np.eye(4)[None], scene))
-    print(jaxik.motions.Line(np.eye(4), np.eye(4)).pose(0.5))
-    for row in jaxik.harvest(chain, scene).rows:
-        print(row.fruit, row.reason.text, row.clearance)
+    middle = jnp.asarray((chain.lower + chain.upper) / 2)
+    print(chain.num_joints, chain.joint_names, scene.counts)
+    print(height(chain, middle), jax.grad(lambda q: height(chain, q))(middle))
+    print(jaxik.clearance(chain, scene, q=middle), jaxik.motions.Line(np.eye(4), np.eye(4)).pose(0.5))
+    print(answers(chain, np.asarray(jaxik.forward_kinematics(chain, middle))[None], scene))
 
 
 if __name__ == "__main__":
     try:
-        main(Path("robot.urdf"))
+        main()
     except jaxik.LoadError as error:
-        print(error)
+        raise SystemExit(str(error)) from None
