@@ -10,6 +10,7 @@ from robots import bare, pinocchio
 
 import jaxik
 
+STEP = 1e-4
 RELATIVE = 1e-3  # of differences over the tolerance of the solver
 
 
