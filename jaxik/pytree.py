@@ -1,7 +1,7 @@
 """Values made of arrays: frozen dataclasses whose fields JAX sees through.
 
-What Equinox's `Module` is, as far as it is needed here; Equinox itself would take half of the time that jaxik adds to JAX's own
-import. Its functions on pytrees (`equinox.tree_at`) work with these.
+What Equinox's `Module` is, as far as it is needed here; importing Equinox would take nearly as long as the rest of jaxik. Its
+functions on pytrees (`equinox.tree_at`) work with these.
 """
 
 from __future__ import annotations
