@@ -7,7 +7,7 @@ Here is what everybody needs; the rest is in the packages, which are there after
 
 import importlib
 import warnings
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from jaxik import collision, costs, files, fitting, harvesting, ik, motions, optimise, reach, robot, spatial, spmd, sweeps
 from jaxik.collision import Scene, clearance, collides, explain, make_scene, motion_clearance
@@ -84,7 +84,7 @@ _MOVED = {  # until the next release; a name that is another now stands behind =
 }
 
 
-def __getattr__(name: str) -> Any:
+def _from_before(name: str) -> Any:
     """What was here, from where it is now."""
     for package, names in _MOVED.items():
         for was, _, now in (each.partition("=") for each in names.split()):
@@ -93,3 +93,7 @@ def __getattr__(name: str) -> Any:
                 warnings.warn(f"jaxik.{name} is {place} now", DeprecationWarning, stacklevel=2)
                 return getattr(importlib.import_module(f"jaxik.{package}"), now or was)
     raise AttributeError(f"module 'jaxik' has no attribute {name!r}")
+
+
+if not TYPE_CHECKING:  # or to a type checker every slip would be a name
+    __getattr__ = _from_before

@@ -84,3 +84,13 @@ def test_what_is_cached_and_shared_cannot_be_written():
     assert len(arrays(shared)) >= 6
     for array in arrays(shared):
         assert not array.flags.writeable
+
+
+def test_equal_numbers_are_equal_values():
+    """Of boxes and scenes too, which have no digest; they are shown on one line, arrays by their shape."""
+    box, other = CHAIN.boxes[0], dataclasses.replace(CHAIN.boxes[0], half=np.array([1.0, 2.0, 3.0]))
+    assert box == copy.deepcopy(box) != other and box != CHAIN.boxes[1] and box != box.half.tolist()
+    assert jaxik.load_scene("cucumber_row") == jaxik.load_scene("cucumber_row")
+    assert repr(other) == f"Box(joint_T_box=float64[4, 4], half=float64[3], link={other.link})"
+    with pytest.raises(dataclasses.FrozenInstanceError):
+        box.link = 3

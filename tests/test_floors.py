@@ -12,6 +12,7 @@ import jaxik
 FLOORS = [  # what the house is made of, from the ground up
     "spmd",  # the compiler of kernels knows no robot
     "reasons",
+    "pytree",
     "checks",
     "spatial",
     "optimise",  # nor do the solvers
@@ -65,7 +66,7 @@ before = dict(jax.config.values)
 import jaxik
 from jax._src import xla_bridge
 assert dict(jax.config.values) == before and not xla_bridge._backends, "configuration changed or device asked"
-for late in ("matplotlib", "mujoco", "trimesh", "tyro", "scipy"):
+for late in ("equinox", "matplotlib", "mujoco", "optax", "rich", "scipy", "trimesh", "tyro", "xarray", "zarr"):
     assert late not in sys.modules, late
 """
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True)

@@ -1,7 +1,6 @@
 """Derivatives of solutions against finite differences of the solver itself."""
 
 import dataclasses
-from pathlib import Path
 
 import jax
 import jax.numpy as jnp
@@ -11,7 +10,6 @@ from robots import bare, pinocchio
 
 import jaxik
 
-MODELS = Path(__file__).parents[1] / "models"
 STEP = 1e-4
 RELATIVE = 1e-3  # of differences over the tolerance of the solver
 
@@ -130,7 +128,7 @@ def test_by_link_length_with_limits_held(pendulum):
 @pytest.fixture
 def beads(tmp_path):
     """The pendulum with a sphere at each link's end: next to boxes only points have second derivatives."""
-    text = (MODELS / "pendulum4.toml").read_text()
+    text = (jaxik.files.models_folder() / "pendulum4.toml").read_text()
     text = text.replace(
         '"capsule"\npoints = [[0, 0, 0], [0, 1, 0]]\nradius = 0', '"sphere"\npoints = [[0, 1, 0]]\nradius = 0.02'
     )

@@ -13,6 +13,7 @@ import numpy as np
 import tyro
 
 import jaxik
+from jaxik.checks.extras import optional
 from jaxik.cli.tables import write_csv
 from jaxik.robot.reach_bound import millimetres
 
@@ -64,6 +65,8 @@ def run_ik(arguments: IKArguments) -> None:
 
     if arguments.out.suffix not in (".npz", ".csv", ".parquet"):
         raise ValueError(f"--out {arguments.out}: ending '{arguments.out.suffix}'; allowed: .npz, .csv, .parquet")
+    if arguments.out.suffix == ".parquet":
+        optional("--out: .parquet", "pyarrow", "parquet")  # before the work, not after
     if arguments.out.is_dir():
         raise ValueError(f"--out {arguments.out}: is a folder; name a file")
     chain = jaxik.load(arguments.robot, tip=arguments.tip, base=arguments.base, srdf=arguments.srdf, meshes=arguments.meshes)
@@ -126,9 +129,6 @@ def write_ik(chain: jaxik.Chain, result: jaxik.ik.IKResult, out: Path) -> None:
 
 
 def _write_parquet(path: Path, columns: dict[str, np.ndarray]) -> None:
-    try:
-        import pyarrow
-        import pyarrow.parquet
-    except ImportError:
-        raise ValueError("--out: .parquet needs pyarrow; pip install 'jaxik[parquet]', or write .npz") from None
+    import pyarrow.parquet
+
     pyarrow.parquet.write_table(pyarrow.table(columns), path)

@@ -26,7 +26,7 @@ from jaxik.robot.chain import Array, Chain, as_configuration
 from jaxik.spmd import kernel
 
 
-def clearance(chain: Chain, scene: Scene | Grouped | None, q: Float[Array, " n"]) -> Float[Array, ""]:
+def clearance(chain: Chain, scene: Scene | Grouped | None, q: Float[Array, " n"]) -> Float[jax.Array, ""]:
     """The smallest signed distance of the robot to the scene and to itself [m]; negative is depth of penetration, of a triangle
     in a cylinder a part of it (`distance`). Traced.
 
@@ -41,7 +41,7 @@ def clearance(chain: Chain, scene: Scene | Grouped | None, q: Float[Array, " n"]
     return _clearance(chain, _around("clearance", chain, scene, q), q)
 
 
-def link_clearances(chain: Chain, scene: Scene | Grouped | None, q: Float[Array, " n"]) -> Float[Array, " k"]:
+def link_clearances(chain: Chain, scene: Scene | Grouped | None, q: Float[Array, " n"]) -> Float[jax.Array, " k"]:
     """The clearance of each link that has collision geometry, in the order of the links [m]; `clearance` is their minimum.
     Traced.
 
@@ -51,12 +51,12 @@ def link_clearances(chain: Chain, scene: Scene | Grouped | None, q: Float[Array,
     return _link_clearances(chain, _around("link_clearances", chain, scene, q), q)
 
 
-def self_clearance(chain: Chain, q: Float[Array, " n"]) -> Float[Array, ""]:
+def self_clearance(chain: Chain, q: Float[Array, " n"]) -> Float[jax.Array, ""]:
     """The smallest signed distance of the robot to itself, over `chain.self_pairs` [m]. Traced."""
     return _clearance(chain, _around("self_clearance", chain, None, q), q)
 
 
-def collides(chain: Chain, scene: Scene | Grouped | None, q: Float[Array, " n"], margin: Any = 0.0) -> Bool[Array, ""]:
+def collides(chain: Chain, scene: Scene | Grouped | None, q: Float[Array, " n"], margin: Any = 0.0) -> Bool[jax.Array, ""]:
     """Whether the robot comes nearer than `margin` [m] to the scene or to itself: `clearance < margin`, or NaN. Traced.
 
     What is further away than the margin is not measured, and the first that is nearer ends it. How much time that saves depends
@@ -65,7 +65,7 @@ def collides(chain: Chain, scene: Scene | Grouped | None, q: Float[Array, " n"],
     return _collides(chain, _around("collides", chain, scene, q), q, margin)
 
 
-def object_clearances(chain: Chain, scene: Scene, q: Float[Array, " n"]) -> Float[Array, " o"]:
+def object_clearances(chain: Chain, scene: Scene, q: Float[Array, " n"]) -> Float[jax.Array, " o"]:
     """The robot's signed distance to each object of `scene.object_names` [m]; infinite to one that is moved away. Traced."""
     check_kind("object_clearances", "scene", scene, Scene)
     check_geometry(chain)

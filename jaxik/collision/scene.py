@@ -11,7 +11,6 @@ from collections.abc import Callable, Hashable, Iterable, Iterator
 from operator import length_hint
 from typing import Any, NamedTuple
 
-import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -19,6 +18,7 @@ from jaxtyping import Float
 
 from jaxik.checks.arrays import direction, is_known, is_rigid, numbers, rigid_frame, shaped
 from jaxik.checks.options import no_such, shown
+from jaxik.pytree import static
 from jaxik.robot.chain import Array, Constant
 
 LIMIT = 100.0  # [m] that anything may be away or long; a crop or a cell is smaller, one in millimetres is not
@@ -70,7 +70,7 @@ class Fruit(Constant):
 
     position: Float[Array, "3"]
     axis: Float[Array, "3"]
-    name: str = eqx.field(static=True)
+    name: str = static()
 
 
 class Scene(Constant):
@@ -80,7 +80,7 @@ class Scene(Constant):
     obstacle to others is the object of its own name.
     """
 
-    __slots__ = ("_known",)  # not in the instance's dictionary, where Equinox would take it for part of the pytree
+    __slots__ = ("_known",)  # not in the instance's dictionary, which copies and pickles take over
 
     points: Points
     spheres: Spheres
@@ -88,10 +88,10 @@ class Scene(Constant):
     boxes: Boxes
     cylinders: Cylinders
     fruits: tuple[Fruit, ...] = ()
-    name: str = eqx.field(static=True, default="scene")
-    object_names: tuple[str, ...] = eqx.field(static=True, default=())
-    removable: tuple[bool, ...] = eqx.field(static=True, default=())
-    owners: tuple[tuple[int, ...], ...] = eqx.field(static=True, default=((),) * 5)
+    name: str = static(default="scene")
+    object_names: tuple[str, ...] = static(default=())
+    removable: tuple[bool, ...] = static(default=())
+    owners: tuple[tuple[int, ...], ...] = static(default=((),) * 5)
 
     @property
     def counts(self) -> dict[str, int]:
@@ -165,12 +165,11 @@ def is_remembered(scene: Scene) -> bool:
 
 
 def remembered(scene: Scene, what: Hashable, make: Callable[[], Any]) -> Any:
-    """What is made of a scene once, since it never changes; of one with concrete numbers. No method: Equinox takes 50 us to
-    look one up."""
+    """What is made of a scene once, since it never changes; of one with concrete numbers."""
     known = getattr(scene, "_known", None)
     if known is None:
         for kind in KINDS:
-            getattr(scene, kind).freeze()  # `eqx.tree_at` puts arrays in without a constructor
+            getattr(scene, kind).freeze()  # `jax.tree_util.tree_map` puts arrays in without a constructor
         object.__setattr__(scene, "_known", known := {})
     if what not in known:
         known[what] = make()

@@ -62,7 +62,7 @@ def load(
     whose name is not nearly a link's, and links that no object of a scene counts for.
 
     Raises `LoadError` (a `ValueError`) with one line: the file, the element, what is allowed, the mend; and `ValueError` for a
-    `fit` without `meshes`.
+    `fit` without `meshes`, and for MJCF without MuJoCo (the extra `mjcf`).
     """
     path = _locate(source)
     tool = None if tool is None else np.asarray(rigid_frame("tool (tip_T_tool)", tool), np.float64)

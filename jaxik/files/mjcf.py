@@ -7,6 +7,7 @@ from typing import Any
 
 import numpy as np
 
+from jaxik.checks.extras import optional
 from jaxik.files.assemble import Joint, Link, assemble
 from jaxik.files.mesh import Meshes, add_box, add_cylinder, home, resolve
 from jaxik.files.xml import parse
@@ -20,8 +21,7 @@ MOST_FILES = 100
 
 def load_mjcf(path: Path, tip: str | None, base: str | None, tool: np.ndarray | None, meshes: Meshes | None = None) -> Chain:
     """The serial chain from body `base` (the world) to body or site `tip` (the only leaf)."""
-    import mujoco  # a second to import, and only MJCF needs it
-
+    mujoco = optional(f"{path}: MJCF", "mujoco", "mjcf")
     _check_files(path, path, set())
     try:
         model = mujoco.MjModel.from_xml_path(str(path))

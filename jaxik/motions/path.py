@@ -13,7 +13,6 @@ from __future__ import annotations
 from collections.abc import Callable
 from typing import Any, NamedTuple
 
-import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -21,6 +20,7 @@ from jaxtyping import Float
 
 from jaxik.checks.arrays import RIGID, direction, is_known, is_rigid, numbers, rigid_frame
 from jaxik.checks.options import shown
+from jaxik.pytree import Pytree, static
 from jaxik.robot.chain import Array, as_numbers
 from jaxik.spatial.rotations import rotation_exp, rotation_log
 from jaxik.spmd import kernel
@@ -35,7 +35,7 @@ class Motion(NamedTuple):
     acceleration: Float[Array, "*t 6"]
 
 
-class Line(eqx.Module):
+class Line(Pytree):
     """A straight line from `start` to `end` (4, 4), turning about one axis by the shorter way."""
 
     start: Float[Array, "4 4"]
@@ -48,7 +48,7 @@ class Line(eqx.Module):
         return start[:3, 3] + s * (end[:3, 3] - start[:3, 3]), start[:3, :3] @ rotation_exp(s * turn)
 
 
-class Arc(eqx.Module):
+class Arc(Pytree):
     """From `start` (4, 4) by `angle` [rad] around the line through `centre` (3,) along `axis` (3,), as around a stem; the tool
     turns along, so that it keeps facing the axis, or keeps its rotation (`turning=False`)."""
 
@@ -56,7 +56,7 @@ class Arc(eqx.Module):
     centre: Float[Array, "3"]
     axis: Float[Array, "3"]
     angle: Float[Array, ""] | float
-    turning: bool = eqx.field(static=True, default=True)
+    turning: bool = static(default=True)
 
     def pose(self, s: Any) -> Any:
         """Position (3,) and rotation (3, 3) at s."""
@@ -74,7 +74,7 @@ class Arc(eqx.Module):
         return centre + turn @ (start[:3, 3] - centre), rotation
 
 
-class Curve(eqx.Module):
+class Curve(Pytree):
     """Through via points with continuous velocity and acceleration: a cubic spline of position and of the rotation vector from
     the first pose. Made by `via`."""
 

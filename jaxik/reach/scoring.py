@@ -52,7 +52,8 @@ def reach_score(
     with margins of clearance (1 at 75 mm) and of each joint to its limits (1 in the middle), and what the tip falls short by.
 
     Pure: differentiate it in `poses`, in `chain.world_T_base` (`chain.mounted(frame)`), in any number of the chain
-    (`equinox.tree_at`) and in the scene. `margin` [m] is the least clearance, `temperature` T how much is smoothed (0 to 1).
+    (`dataclasses.replace`) and in the scene. `margin` [m] is the least clearance, `temperature` T how much is smoothed (0 to
+    1).
     """
     return jnp.exp(log_reach_score(chain, scene, poses, q, margin, temperature))
 
@@ -97,7 +98,8 @@ def _following(chain: Chain, pose: Any, q: Any) -> tuple[Any, Any]:
     base, pose = jnp.asarray(chain.world_T_base, q.dtype), jnp.asarray(pose, q.dtype)
     wanted = base[:3, :3].T @ jnp.concatenate([pose[:3, :3], pose[:3, 3:] - base[:3, 3:]], axis=1)
     residual, columns = _twist(forward_kinematics(chain, q), wanted), jacobian(chain, q)
-    step = columns.T @ jnp.stack(definite_solve(columns @ columns.T + DAMPING**2 * jnp.eye(6, dtype=q.dtype), residual, 0.0))
+    damped: Any = columns @ columns.T + DAMPING**2 * jnp.eye(6, dtype=q.dtype)
+    step = columns.T @ jnp.stack(definite_solve(damped, residual, 0.0))
     q = q + step * jnp.minimum(1.0, STEP / jnp.sqrt(step @ step + 1e-12))
     left = _twist(forward_kinematics(chain, q), wanted)
     return q, jnp.sqrt(left @ left + 1e-8) - 1e-4

@@ -1,8 +1,8 @@
 """The serial chain: what a robot arm is to every function of this library.
 
 A chain never changes: its arrays cannot be written. They are the leaves of a pytree, so that any of them may be traced:
-differentiate the reach with respect to a link's length by `equinox.tree_at`. Names and joint types are static. Numbers that are
-concrete while JAX traces fold into the program, so close over a chain (`jax.jit(lambda q: forward_kinematics(chain, q))`)
+differentiate the reach with respect to a link's length by `dataclasses.replace`. Names and joint types are static. Numbers that
+are concrete while JAX traces fold into the program, so close over a chain (`jax.jit(lambda q: forward_kinematics(chain, q))`)
 rather than pass it through `jit`: both are right, the first is several times faster. Only a chain whose shapes are such
 numbers is judged by its `pair_tables`, too; any other by its volumes alone, which are larger than the links.
 """
@@ -13,7 +13,6 @@ import dataclasses
 import hashlib
 from typing import Any, Literal
 
-import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -21,6 +20,7 @@ from jaxtyping import Bool, Float
 
 from jaxik.checks.arrays import rigid_frame
 from jaxik.checks.options import check_kind, shown
+from jaxik.pytree import Pytree, static
 from jaxik.robot.pair_table import PairTable
 
 Array = jax.Array | np.ndarray
@@ -43,7 +43,7 @@ def _read_only(array: np.ndarray) -> np.ndarray:
     return copied
 
 
-class Constant(eqx.Module):
+class Constant(Pytree):
     """A pytree whose NumPy arrays nobody can write to, so that what is cached by its numbers stays true."""
 
     def __post_init__(self) -> None:
@@ -73,7 +73,7 @@ class Box(Constant):
 
     joint_T_box: Float[Array, "4 4"]
     half: Float[Array, "3"]
-    link: int = eqx.field(static=True)
+    link: int = static()
 
 
 class Volume(Constant):
@@ -82,7 +82,7 @@ class Volume(Constant):
 
     corners: Float[Array, "c 3"]
     radius: Float[Array, ""]
-    link: int = eqx.field(static=True)
+    link: int = static()
 
 
 class Chain(Constant):
@@ -94,14 +94,14 @@ class Chain(Constant):
     `pair_tables` what is known of pairs beside their volumes.
     """
 
-    # not in the instance's dictionary, where Equinox would take it for part of the pytree's structure
+    # not in the instance's dictionary, which copies and pickles take over
     __slots__ = ("_digest",)
 
-    name: str = eqx.field(static=True)
-    joint_names: tuple[str, ...] = eqx.field(static=True)
-    joint_types: tuple[JointType, ...] = eqx.field(static=True)
-    link_names: tuple[str, ...] = eqx.field(static=True)
-    link_joint: tuple[int, ...] = eqx.field(static=True)
+    name: str = static()
+    joint_names: tuple[str, ...] = static()
+    joint_types: tuple[JointType, ...] = static()
+    link_names: tuple[str, ...] = static()
+    link_joint: tuple[int, ...] = static()
     parent_T_joint: Float[Array, "n 4 4"]
     axis: Float[Array, "n 3"]
     joint_T_tip: Float[Array, "4 4"]
@@ -113,11 +113,11 @@ class Chain(Constant):
     bodies: tuple[Body, ...] = ()
     boxes: tuple[Box, ...] = ()
     volumes: tuple[Volume, ...] = ()
-    self_pairs: tuple[tuple[int, int], ...] = eqx.field(static=True, default=())
-    spheres_per_box: int = eqx.field(static=True, default=8)
-    unread_meshes: tuple[str, ...] = eqx.field(static=True, default=())
-    ignored: tuple[tuple[int, str], ...] = eqx.field(static=True, default=())
-    pair_tables: tuple[PairTable, ...] = eqx.field(static=True, default=())
+    self_pairs: tuple[tuple[int, int], ...] = static(default=())
+    spheres_per_box: int = static(default=8)
+    unread_meshes: tuple[str, ...] = static(default=())
+    ignored: tuple[tuple[int, str], ...] = static(default=())
+    pair_tables: tuple[PairTable, ...] = static(default=())
 
     @property
     def num_joints(self) -> int:
@@ -204,7 +204,7 @@ class Chain(Constant):
         known = getattr(self, "_digest", None)  # a chain never changes, and asks for this at every call of a cached function
         if known is None:
             for each in (self, *self.bodies, *self.boxes, *self.volumes):
-                each.freeze()  # `eqx.tree_at` and `jax.tree_util.tree_map` put arrays in without a constructor
+                each.freeze()  # `jax.tree_util.tree_map` puts arrays in without a constructor
             known = self._computed_digest()
             object.__setattr__(self, "_digest", known)
         return known
@@ -217,10 +217,7 @@ class Chain(Constant):
         return content.hexdigest()
 
     def __hash__(self) -> int:
-        try:  # every call of a cached function asks, and equinox takes its time for an attribute
-            return hash(object.__getattribute__(self, "_digest"))
-        except AttributeError:
-            return hash(self.digest)
+        return hash(self.digest)
 
     def __eq__(self, other: object) -> bool:
         return self is other or (isinstance(other, Chain) and self.digest == other.digest)

@@ -4,8 +4,9 @@ from __future__ import annotations
 
 import contextlib
 import functools
+import inspect
 from collections.abc import Callable
-from typing import Any
+from typing import Any, ParamSpec, TypeVar, overload
 
 import jax
 import jax.numpy as jnp
@@ -15,6 +16,8 @@ from jaxik.spmd.primitive import bind, warn
 from jaxik.spmd.scalarise import Unsupported, scalarised
 from jaxik.spmd.trace import Traced, trace
 
+P = ParamSpec("P")
+R = TypeVar("R")
 KEPT = 256  # jaxprs of one function, of robots and shapes; their machine code is kept for good
 
 
@@ -25,7 +28,11 @@ class _Known(dict[Any, tuple[Traced, Any, list[Any]]]):
         return _Known, ()
 
 
-def kernel(function: Callable[..., Any] | None = None, *, models: int = 0) -> Callable[..., Any]:
+@overload
+def kernel(function: Callable[P, R], *, models: int = 0) -> Callable[P, R]: ...
+@overload
+def kernel(*, models: int = 0) -> Callable[[Callable[P, R]], Callable[P, R]]: ...
+def kernel(function: Callable[..., Any] | None = None, *, models: int = 0) -> Any:
     """The same function, compiled to one SIMD function over any batch on a CPU. Traced: `jit`, `vmap` and differentiate it.
 
         @kernel
@@ -46,7 +53,9 @@ def kernel(function: Callable[..., Any] | None = None, *, models: int = 0) -> Ca
     known = _Known()
 
     @functools.wraps(function)
-    def call(*args: Any) -> Any:
+    def call(*args: Any, **named: Any) -> Any:
+        if named:
+            args = _by_position(function, args, named)
         if jax.config.values["jax_disable_jit"]:
             return function(*args)
         fixed, rest = args[:models], args[models:]
@@ -89,3 +98,12 @@ def kernel(function: Callable[..., Any] | None = None, *, models: int = 0) -> Ca
 
     call.models = models  # type: ignore[attr-defined]
     return call
+
+
+def _by_position(function: Callable[..., Any], args: tuple[Any, ...], named: dict[str, Any]) -> tuple[Any, ...]:
+    """The arguments without names. Raises `TypeError` for one that goes by its name alone."""
+    bound = inspect.signature(function).bind(*args, **named)
+    if bound.kwargs:
+        who, names = getattr(function, "__name__", "a function"), ", ".join(bound.kwargs)
+        raise TypeError(f"{who}: a kernel has no arguments that go by name alone, as {names}; drop the * before them")
+    return bound.args

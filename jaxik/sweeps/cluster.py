@@ -12,6 +12,7 @@ from typing import Any
 
 import numpy as np
 
+from jaxik.checks.extras import optional
 from jaxik.spmd.batch import compilation_cache
 from jaxik.sweeps.answers import answer
 from jaxik.sweeps.study import Study
@@ -24,12 +25,9 @@ def computed(
     study: Study, todo: list[int], address: str, stop: Callable[[], bool]
 ) -> Iterator[tuple[int, dict[str, np.ndarray]]]:
     """The chunks, in the order in which they come. Raises `ValueError` where no scheduler answers, or no worker comes."""
+    dask = optional("--cluster", "distributed", "cluster")
     try:
-        from distributed import Client, as_completed
-    except ImportError:
-        raise ValueError("--cluster: Dask is not installed; pip install 'jaxik[cluster]'") from None
-    try:
-        client = Client(address, timeout=10, set_as_default=False)
+        client = dask.Client(address, timeout=10, set_as_default=False)
     except (OSError, ValueError) as error:
         raise ValueError(
             f"--cluster {address}: no scheduler answers ({type(error).__name__}); start `dask scheduler`"
@@ -40,7 +38,7 @@ def computed(
         except TimeoutError:
             raise ValueError(f"--cluster {address}: no worker in a minute; start `dask worker {address}`") from None
         waiting = iter(todo)
-        tasks = as_completed(with_results=True, loop=client.loop)
+        tasks = dask.as_completed(with_results=True, loop=client.loop)
 
         def send(count: int) -> None:
             for number in itertools.islice(waiting, count):

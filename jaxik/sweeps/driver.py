@@ -17,6 +17,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from jaxik.checks.extras import optional
 from jaxik.checks.options import shown
 from jaxik.reasons import Reason
 from jaxik.sweeps.answers import answer
@@ -43,9 +44,7 @@ class Sweep(NamedTuple):
 
     def dataset(self) -> Any:
         """The results as an `xarray.Dataset`, read as they are needed."""
-        import xarray
-
-        return xarray.open_zarr(self.path)
+        return optional("a sweep's dataset", "xarray", "sweep").open_zarr(self.path)
 
 
 def sweep(
@@ -65,8 +64,8 @@ def sweep(
     `repair` damaged chunks are computed again. `progress` is called with the number of targets done and of all; `stop` is asked
     after every chunk.
 
-    Raises `ValueError` for a study that cannot be read, a store of another study or a damaged chunk; `OSError` where the store
-    cannot be written. Nothing that is finished is lost by either.
+    Raises `ValueError` for a study that cannot be read, a store of another study or a damaged chunk, and without the extra
+    `sweep`; `OSError` where the store cannot be written. Nothing that is finished is lost by either.
     """
     read = Study.of(study)
     path = Path(out if out is not None else Path(study).with_suffix(".zarr") if isinstance(study, str | Path) else "sweep.zarr")

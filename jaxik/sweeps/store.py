@@ -22,6 +22,7 @@ from typing import Any
 
 import numpy as np
 
+from jaxik.checks.extras import optional
 from jaxik.reasons import Reason
 from jaxik.sweeps.answers import COLUMNS, GIVEN, Column, given_columns
 from jaxik.sweeps.study import Study
@@ -49,8 +50,7 @@ class Store:
 
         Raises `StoreError` where it holds another, and says in what; `OSError` where it cannot be written.
         """
-        import zarr
-
+        zarr = optional("a sweep's store", "zarr", "sweep")
         path = Path(path)
         if not path.exists():
             _create(path, study)

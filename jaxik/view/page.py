@@ -10,6 +10,7 @@ from typing import Any
 
 import numpy as np
 
+from jaxik.checks.extras import optional
 from jaxik.collision.scene import Scene
 from jaxik.collision.volumes import skeletons
 from jaxik.files.targets import as_frames
@@ -44,10 +45,7 @@ class Page:
 
         Raises `ValueError` without viser, and for a store of another robot.
         """
-        try:
-            import viser
-        except ImportError:
-            raise ValueError("jaxik view: viser is not installed; pip install 'jaxik[view]'") from None
+        viser = optional("jaxik view", "viser", "view")
         group = None if store is None else _store_of(chain, store)
         self.home = self.chain = chain
         self.scene, self.harvest, self.shapes = scene, harvest, [shape for shape in meshes if len(shape.triangles)]

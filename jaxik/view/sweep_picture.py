@@ -8,6 +8,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from jaxik.checks.extras import optional
 from jaxik.reasons import Reason
 from jaxik.view.harvest_picture import COLOURS
 
@@ -29,8 +30,7 @@ class Map(NamedTuple):
 
 def open_store(path: str | Path) -> Any:
     """The Zarr group of a sweep. Raises `ValueError` where there is none."""
-    import zarr
-
+    zarr = optional("a sweep's store", "zarr", "sweep")
     with contextlib.suppress(OSError, ValueError):
         group = zarr.open_group(str(path), mode="r")
         if "reason" in group:

@@ -137,6 +137,16 @@ def test_without_jit():
     assert KERNEL.__wrapped__ is arm  # what benchmarks compile beside it
 
 
+def test_arguments_by_name():
+    close(KERNEL(Q[0], lengths=LENGTHS[0]), KERNEL(Q[0], LENGTHS[0]))
+    close(jax.jit(KERNEL)(lengths=LENGTHS[0], q=Q[0]), KERNEL(Q[0], LENGTHS[0]))
+    with pytest.raises(TypeError, match="missing a required argument: 'q'"):
+        KERNEL(lengths=LENGTHS[0])
+    scaled = spmd.kernel(lambda q, *, by: q * by)
+    with pytest.raises(TypeError, match="go by name alone, as by;"):
+        scaled(Q[0], by=2.0)
+
+
 def test_shapes_and_ahead_of_time():
     shapes = jax.eval_shape(jax.vmap(KERNEL), Q, LENGTHS)
     assert [s.shape for s in shapes] == [(37, 2, 4), (37,)]

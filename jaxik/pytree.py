@@ -1,0 +1,62 @@
+"""Values made of arrays: frozen dataclasses whose fields JAX sees through.
+
+What Equinox's `Module` is, as far as it is needed here; importing Equinox would take nearly as long as the rest of jaxik. Its
+functions on pytrees (`equinox.tree_at`) work with these.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Iterable
+from typing import Any, dataclass_transform
+
+import jax
+import numpy as np
+
+
+def static(**options: Any) -> Any:
+    """A field that is part of the structure: hashable, and the same in every trace. `options` are those of a dataclass."""
+    return dataclasses.field(metadata={"static": True}, **options)
+
+
+@dataclass_transform(frozen_default=True, eq_default=False, field_specifiers=(dataclasses.field, static))
+class Pytree:
+    """A subclass is a frozen dataclass and a pytree: its fields are the children, but for the `static` ones.
+
+    JAX puts children in without the constructor, which could not judge them: they may be tracers, axes or shardings.
+    """
+
+    def __init_subclass__(cls) -> None:
+        dataclasses.dataclass(frozen=True, eq=False, repr=False)(cls)
+        fields = dataclasses.fields(cls)  # type: ignore[arg-type]
+        fixed = [f.name for f in fields if f.metadata.get("static")]
+        names = [f.name for f in fields if f.name not in fixed]
+        keys = [jax.tree_util.GetAttrKey(name) for name in names]
+
+        def flatten(tree: Any) -> tuple[tuple[Any, ...], tuple[Any, ...]]:
+            of = vars(tree)
+            return tuple(of[name] for name in names), tuple(of[name] for name in fixed)
+
+        def flatten_with_keys(tree: Any) -> tuple[tuple[Any, ...], tuple[Any, ...]]:
+            children, structure = flatten(tree)
+            return tuple(zip(keys, children, strict=True)), structure
+
+        def unflatten(structure: tuple[Any, ...], children: Iterable[Any]) -> Any:
+            tree = object.__new__(cls)
+            vars(tree).update(zip(names, children, strict=True))
+            vars(tree).update(zip(fixed, structure, strict=True))
+            return tree
+
+        jax.tree_util.register_pytree_with_keys(cls, flatten_with_keys, unflatten, flatten)
+
+    def __eq__(self, other: object) -> bool:
+        """Whether the types, the structures and all numbers are the same. Not for tracers."""
+        (mine, structure), (theirs, other_structure) = map(jax.tree_util.tree_flatten, (self, other))
+        same = structure == other_structure  # type: ignore[operator]
+        return same and all(np.array_equal(a, b) for a, b in zip(mine, theirs, strict=True))
+
+    def __repr__(self) -> str:
+        """The fields, arrays by their type and shape."""
+        shown = lambda x: f"{x.dtype}{list(x.shape)}" if hasattr(x, "dtype") and hasattr(x, "shape") else repr(x)
+        fields = ((f.name, getattr(self, f.name)) for f in dataclasses.fields(self))  # type: ignore[arg-type]
+        return f"{type(self).__name__}({', '.join(f'{name}={shown(value)}' for name, value in fields)})"
