@@ -20,7 +20,7 @@ from matplotlib.animation import FuncAnimation, PillowWriter
 
 import jaxik
 from jaxik.optimise.descent import Direction, Search
-from jaxik.view.harvest_picture import bones
+from jaxik.view.solids import bones
 
 GREY, BLUE, GREEN = "0.6", "tab:blue", "tab:green"
 
