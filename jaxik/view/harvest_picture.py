@@ -76,7 +76,7 @@ def in_the_way(row: Posture) -> tuple[str, ...]:
     return () if row.blockers is None else tuple(row.blockers.removal or row.blockers.names[:3])
 
 
-def _posture(row: Posture) -> np.ndarray | None:
+def posture(row: Posture) -> np.ndarray | None:
     """The posture that picks a fruit, or would once what is in the way were taken away."""
     if row.success:
         return row.q
@@ -88,7 +88,7 @@ def _crop(result: Harvest) -> _Crop:
     some = np.random.default_rng(0).permutation(len(points))[:DOTS]
     solids = scene_solids(result.scene)
     reasons = {row.fruit: row.reason for row in result.rows}
-    arms = {row.fruit: _arm(result.chain, q) for row in result.rows if (q := _posture(row)) is not None}
+    arms = {row.fruit: _arm(result.chain, q) for row in result.rows if (q := posture(row)) is not None}
     near = [s.span for s in solids if s.owner in reasons] + [s.span for _, arm in arms.values() for s in arm]
     places = [f.position for f in result.scene.fruits] + [np.asarray(result.chain.world_T_base)[:3, 3]]
     held = np.concatenate([points, np.array(places), *near])
@@ -141,16 +141,18 @@ def _write_head(figure: Any, size: tuple[float, float], result: Harvest, shown: 
     solved, count = int(result.success.sum()), len(result.rows)
     title = f"{result.chain.name} can pick {solved} of the {count} fruits of {result.scene.name}"
     figure.text(SIDE / size[0], 1.0 - 0.35 / size[1], title, fontsize=15, weight="bold", color=INK)
-    more = f" The first {shown} are shown." if shown < count else ""
-    how = f"For each fruit the best posture, from the front (left) and from the side (right), and how far it stays from all else.{more}"
+    how = (
+        "For each fruit the best posture, from the front (left) and from the side (right), and how far it stays from all else."
+    )
+    how += f" The first {shown} are shown." if shown < count else ""
     figure.text(SIDE / size[0], 1.0 - 0.6 / size[1], how, fontsize=10, color=INK)
-    marker = lambda colour, shape, label, **more: Line2D([], [], color=colour, marker=shape, lw=0, label=label, **more)
-    present = [r for r in COLOURS if r in result.reason]
+    marker = lambda colour, shape, label, **how: Line2D([], [], color=colour, marker=shape, lw=0, label=label, **how)
+    fates = {r: "can be picked" if r == Reason.SOLVED else WORDS[r] for r in COLOURS if r in result.reason}
     entries = [
         Patch(fc=ARM, ec=ARM_EDGE, label="the arm, as the volumes that are kept clear"),
         Line2D([], [], color=INK, marker=".", label="its joints, to the tip"),
-        marker("w", "D", "where this fruit is grasped", mec=INK),
-        *(Patch(color=COLOURS[r], label="fruit: " + ("can be picked" if r == Reason.SOLVED else WORDS[r])) for r in present),
+        marker("w", "D", "where this fruit is grasped; others are pale", mec=INK),
+        *(Patch(color=COLOURS[reason], label=f"fruit: {words}") for reason, words in fates.items()),
         marker(LEAF, "o", "leaves (points)", ms=4),
         Patch(color=OBSTACLE, label="stems and other obstacles"),
     ]

@@ -78,11 +78,10 @@ def scene_points(scene: Scene) -> tuple[np.ndarray, np.ndarray]:
 
 
 def volume_solids(chain: Chain) -> list[tuple[int, Solid]]:
-    """The volumes that stand for the robot where clearance is measured, each with its link, in the frame of the link's joint."""
-    found = [(count, local_volumes(chain, count)) for count in (1, 2, 3)]
+    """What stands for the robot where clearance is measured, each with its link, in the frame of the link's joint."""
     return [
         (int(link), Solid(chain.link_names[link], np.asarray(corners, float), float(radius)))
-        for _, local in found
+        for local in (local_volumes(chain, count) for count in (1, 2, 3))
         if local is not None
         for corners, radius, link in zip(*local, strict=True)
     ]
