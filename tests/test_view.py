@@ -81,17 +81,20 @@ def test_reasons_are_told_apart(eyes):
         assert eyes is not np.eye(3) or abs(lab(a, eyes)[0] - lab(b, eyes)[0]) > 9.0, (a, b)
 
 
-def test_outlines_hold_what_they_outline():
+def test_outlines_hold_what_they_outline(tmp_path):
     """A capsule's, a box's and a ball's."""
     capsule = Solid("a", np.array([[0.0, 0.0, 0.0], [0.0, 0.0, 1.0]]), 0.1)
     assert np.allclose([capsule.outline(0, 2).min(axis=0), capsule.outline(0, 2).max(axis=0)], [[-0.1, -0.1], [0.1, 1.1]])
     assert np.allclose(capsule.span, [[-0.1, -0.1, -0.1], [0.1, 0.1, 1.1]])
-    builder = jaxik.collision.SceneBuilder(name="cell", point_radius=0.01)
-    builder.add("box", boxes=[[0.5, 0.0, 0.0, 1.0, 0.4, 0.2]])
-    builder.add("ball", spheres=[[0.0, 0.0, 0.0, 0.3]])
-    builder.add("pole", cylinders=[[0.0, 0.0, 0.5, 0.1, 1.0]])
-    builder.add("leaf", points=[[0.0, 1.0, 0.0], [0.0, 1.0, 0.1]])
-    scene = builder.scene()
+    path = tmp_path / "cell.toml"
+    objects = {
+        "box": "boxes = [[0.5, 0.0, 0.0, 1.0, 0.4, 0.2]]",
+        "ball": "spheres = [[0.0, 0.0, 0.0, 0.3]]",
+        "pole": "cylinders = [[0.0, 0.0, 0.5, 0.1, 1.0]]",
+        "leaf": "points = [[0.0, 1.0, 0.0], [0.0, 1.0, 0.1]]",
+    }
+    path.write_text('name = "cell"\n' + "".join(f'[[object]]\nname = "{name}"\n{shapes}\n' for name, shapes in objects.items()))
+    scene = jaxik.load_scene(path)
     solids = {solid.owner: solid for solid in scene_solids(scene.padded().without("ball"))}
     assert set(solids) == {"box", "pole"}
     assert np.allclose(np.ptp(solids["box"].outline(0, 1), axis=0), [1.0, 0.4])
@@ -108,10 +111,11 @@ def test_a_place_has_its_best_direction(store, tmp_path):
     found, kinds = categories(shown)
     assert np.array_equal(found == 0, shown.share == 1.0)
     assert {kinds[k][0] for k in np.unique(found)} <= {"reachable", "out of reach", "a joint would pass its limit"}
-    turned = shown._replace(reason=np.repeat(shown.reason, 2), share=shown.share / 2.0)
-    turned.reason[1::2] = jaxik.Reason.COLLISION
+    turned = shown._replace(reason=np.tile([jaxik.Reason.OUT_OF_REACH, jaxik.Reason.COLLISION], len(found)), share=0.0 * found)
+    turned.reason[0], turned.share[0], turned.reason[-2:] = jaxik.Reason.SOLVED, 0.5, -1
     found, kinds = categories(turned)
-    assert {kinds[k][0] for k in np.unique(found)} == {"reachable from some directions", "would hit something"}
+    words = [kinds[k][0] for k in found[:-1]]
+    assert words[0] == "reachable from some directions" and set(words[1:]) == {"would hit something"} and found[-1] == -1
     plot_sweep(store, tmp_path / "row.png", jaxik.load_scene("cucumber_row"))
     assert (tmp_path / "row.png").read_bytes()[:4] == b"\x89PNG"
 
@@ -144,7 +148,7 @@ def test_the_page_names_what_collides(page):
 
 
 def test_the_robot_follows_a_target_or_says_why_not(page):
-    q = np.array([0.5, 0.0, -0.8, -0.4, 0.3, 0.5, 0.1])
+    q = np.array([0.5, 0.1, 0.1, -0.9, 0.2, 0.6, 0.1])
     page.move(q)
     world_T_tip = np.asarray(page.chain.world_T_base) @ np.asarray(jaxik.forward_kinematics(page.chain, q))
     assert np.allclose(page.gizmo.position, world_T_tip[:3, 3])

@@ -17,6 +17,7 @@ import numpy as np
 from PIL import Image
 from selenium import webdriver
 from selenium.webdriver.chrome.service import Service
+from selenium.webdriver.common.action_chains import ActionChains
 from selenium.webdriver.common.by import By
 
 import jaxik
@@ -35,6 +36,7 @@ STUDY = {
         "directions": [[0, 1, 0], [0.7, 0.7, 0], [-0.7, 0.7, 0]],
     },
 }
+PINK = (255, 32, 96)  # of the target's square
 TABS = {
     "Robot": ("robot as", "target to drag", "slide [m]", "theta2 [deg]"),
     "Map": ("reachable from every direction", "not reachable", "z [m]"),
@@ -82,6 +84,17 @@ def look_at_words(driver, out):
     driver.find_element(By.XPATH, "//*[text()='Robot']").click()
 
 
+def drag(driver, across, up):
+    """Drags the target by the middle of its pink square."""
+    shot = picture(driver)
+    rows, columns = np.nonzero(np.all(np.abs(shot[:, :1000] - PINK) < 40.0, axis=2))
+    assert len(rows), "the target is not seen"
+    page = driver.find_element(By.TAG_NAME, "canvas")
+    place = int(np.median(columns)) - page.size["width"] // 2, int(np.median(rows)) - page.size["height"] // 2
+    hold = ActionChains(driver).move_to_element_with_offset(page, *place).pause(0.5).click_and_hold().pause(0.5)
+    hold.move_by_offset(across // 2, -up // 2).pause(0.5).move_by_offset(across // 2, -up // 2).pause(0.5).release().perform()
+
+
 def main(out):
     scene = jaxik.load_scene("cucumber_row")
     chain = jaxik.load("p6r")
@@ -104,6 +117,14 @@ def main(out):
             views["in a fruit"] = settled(driver)
             driver.save_screenshot(str(out.with_stem(f"{out.stem}_collision")))
             assert "Collides: gripper and fruit_2, by 9.0 mm" in driver.find_element(By.TAG_NAME, "body").text
+            page.move(np.array([0.5, 0.1, 0.1, -0.9, 0.2, 0.6, 0.1]))
+            settled(driver)
+            before = page.q
+            drag(driver, 30, 20)
+            views["dragged"] = settled(driver)
+            driver.save_screenshot(str(out.with_stem(f"{out.stem}_dragged")))
+            assert not np.array_equal(page.q, before) or "No posture" in page.said.content, "the robot does not follow"
+            print("dragged:", page.said.content)
             page.style.value = SHOWS[1]
             views["its volumes"] = settled(driver)
             page.style.value = SHOWS[3]

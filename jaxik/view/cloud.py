@@ -50,7 +50,8 @@ class Cloud:
             for axis, low, high in zip("xyz", *self._span(), strict=True)
         ]
         self.size = gui.add_slider("point size [mm]", 2.0, 50.0, 1.0, 8.0)
-        for control in (self.visible, self.colour, self.rest, *self.cuts, self.size):
+        controls: tuple[Any, ...] = (self.visible, self.colour, self.rest, *self.cuts, self.size)
+        for control in controls:
             control.on_update(lambda _: self.draw())
         self.variant.on_update(lambda _: self.stand())
         self.server.scene.on_click()(self._clicked)

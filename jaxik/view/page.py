@@ -70,7 +70,7 @@ class Page:
         group = None if store is None else store_of(chain, store)
         self.home = self.chain = chain
         self.scene, self.harvest = scene, harvest
-        self._q, self._asked = default_pose(chain), _Latest()
+        self._q, self._asked, self.hit = default_pose(chain), _Latest(), frozenset[str]()
         self.server = viser.ViserServer(host=host, port=port, label="jaxik", verbose=False)
         self.server.scene.set_up_direction("+z")
         self.server.scene.add_grid("/floor", width=4.0, height=4.0, cell_size=0.1, section_size=0.5, shadow_opacity=0.0)
@@ -208,6 +208,8 @@ class Page:
         if self.scene is None:
             gui.add_markdown(NO_SCENE)
         else:
+            self.points, self.solids = scene_points(self.scene), scene_solids(self.scene)
+            self.radius = max(float(self.scene.points.radius), 0.004)
             self._draw_scene(self.scene)
 
     def _styled(self) -> None:
@@ -237,7 +239,7 @@ class Page:
         placed, scene = frames(self.chain, self._q), self.server.scene
         line = placed[1:, :3, 3]
         contacts = self._contacts()
-        hit = {name for c in contacts if c.distance < 0.0 for name in (c.link, c.other)}
+        hit = frozenset(name for c in contacts if c.distance < 0.0 for name in (c.link, c.other))
         with self.server.atomic():
             pairs = np.stack([line[:-1], line[1:]], axis=1)
             scene.add_line_segments("/robot/bones", pairs, rgb(INK), thickness=0.008, thickness_units="world")
@@ -281,7 +283,7 @@ class Page:
             "/nearest", shown, colour, thickness=4, thickness_units="screen", visible=len(ends) > 0
         )
 
-    def _draw_hit(self, hit: set[str]) -> None:
+    def _draw_hit(self, hit: frozenset[str]) -> None:
         """The objects that the robot hits, over what they are drawn as else."""
         if self.scene is None or self.hit == hit:
             return
@@ -294,9 +296,6 @@ class Page:
 
     def _draw_scene(self, world: Scene) -> None:
         """Leaves as points, the rest as solids: fruits in their colour, obstacles in one."""
-        self.hit: set[str] = set()
-        self.points, self.solids = scene_points(world), scene_solids(world)
-        self.radius = max(float(world.points.radius), 0.004)
         _points(self.server.scene, "/scene/points", self.points[0], LEAF, self.radius)
         fruits = {f.name for f in world.fruits}
         for name, colour in (("fruits", FRUIT), ("obstacles", OBSTACLE)):
@@ -330,11 +329,12 @@ class _Latest:
     """Runs the newest of what it is asked, one at a time: who drags asks faster than the answers come."""
 
     def __init__(self) -> None:
-        self.guard, self.busy, self.next = threading.Lock(), False, None
+        self.guard, self.busy = threading.Lock(), False
+        self.next: Callable[[], Any] | None = None
 
     def __call__(self, work: Callable[[], Any]) -> None:
         with self.guard:
-            self.next: Callable[[], Any] | None = work
+            self.next = work
             if self.busy:
                 return
             self.busy = True
@@ -372,7 +372,7 @@ def _mesh(solids: Sequence[Solid]) -> tuple[np.ndarray, np.ndarray]:
         trimesh.convex.convex_hull((s.corners[:, None] + s.radius * ball).reshape(-1, 3) if s.radius > 0.0 else s.corners)
         for s in solids
     ]
-    whole = trimesh.util.concatenate(hulls) if hulls else trimesh.creation.icosphere(subdivisions=0, radius=1e-6)
+    whole: Any = trimesh.util.concatenate(hulls) if hulls else trimesh.creation.icosphere(subdivisions=0, radius=1e-6)
     return np.asarray(whole.vertices), np.asarray(whole.faces)
 
 

@@ -141,7 +141,8 @@ def _draw_slices(figure: Any, group: Any, shown: Map, index: tuple[int, ...], sc
     if len(shown.axes) == 3:
         x, y, z = shown.axes
         cells = np.ma.masked_less(kind, 0).reshape(len(x), len(y), len(z))
-        levels = np.flatnonzero((cells < 2).any(axis=(0, 1)).filled(False)) if (kind < 2).any() else np.arange(len(z))
+        reached = np.flatnonzero((shown.share > 0.0).reshape(cells.shape).any(axis=(0, 1)))
+        levels = reached if len(reached) else np.arange(len(z))
         picked = levels[np.unique(np.linspace(0, len(levels) - 1, 2 * SLICES + 1).round().astype(int)[1::2])]
         half = (z[-1] - z[0]) / max(2 * len(z) - 2, 1)
         for axis, k in zip(axes, picked, strict=False):
@@ -158,7 +159,7 @@ def _draw_slices(figure: Any, group: Any, shown: Map, index: tuple[int, ...], sc
             axis.scatter(*shown.positions[some][:, [i, j]].T, c=kind[some], s=6, lw=0, **colours)
             _draw_surroundings(axis, scene, mount, i, j, (-np.inf, np.inf))
             axis.set_title(f"{side}, all targets")
-    handles = [Patch(fc=c, ec="0.6", label=words) for k, (words, c) in enumerate(kinds) if (kind == k).any()]
+    handles: list[Any] = [Patch(fc=c, ec="0.6", label=words) for k, (words, c) in enumerate(kinds) if (kind == k).any()]
     handles.append(Line2D([], [], marker="^", color=INK, mec="w", ms=11, lw=0, label="the robot's base"))
     if scene is not None:
         handles.append(Patch(fc="w", ec=INK, label="obstacles at this height" if len(shown.axes) == 3 else "obstacles"))
