@@ -171,3 +171,14 @@ def test_a_posture_is_exact_and_its_sliders_are_rounded(page):
     other = Page(panda_like, port=0)
     assert other.sliders[1].min == -118.0 and other.limits[0, 1] == panda_like.lower[1]
     other.close()
+
+
+def test_a_robot_without_shapes_has_its_joints():
+    """What is not known is said, and a target is followed all the same."""
+    chain = dataclasses.replace(jaxik.load("p6r"), boxes=())
+    page = Page(chain, jaxik.load_scene("cucumber_row"), port=0)
+    assert "Clearance unknown. p6r: has no collision geometry" in page.near.content and not page.parts
+    q = np.array([0.5, 0.1, 0.1, -0.9, 0.2, 0.6, 0.1])
+    world_T_tip = np.asarray(chain.world_T_base) @ np.asarray(jaxik.forward_kinematics(chain, q))
+    assert page.reach(world_T_tip) == jaxik.Reason.SOLVED
+    page.close()

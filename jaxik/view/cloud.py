@@ -33,12 +33,11 @@ class Cloud:
     def __init__(self, page: Page, group: Any):
         self.page, self.server, self.group = page, page.server, group
         self.turns = int(group.attrs["targets_per_position"])
+        self.in_base = group.attrs["frame"].startswith("targets are base")
         self.fits = functools.cache(lambda index: _is_of(group, index, page.home))
         self.map = functools.lru_cache(1)(self._map)  # one at a time: it may be large
         shape = group["reason"].shape[:-1]
-        labels = {variant_label(group, index, short=True) or "the only one": index for index in np.ndindex(*shape)}
-        whole = {variant_label(group, index) or "the only one": index for index in np.ndindex(*shape)}
-        self.indices = labels if len(labels) == len(whole) else whole
+        self.indices = {variant_label(group, index) or "the only one": index for index in np.ndindex(*shape)}
         gui = self.server.gui
         self.legend = gui.add_html("")
         self.visible = gui.add_checkbox("show the map", True)
@@ -88,17 +87,24 @@ class Cloud:
 
     def _span(self) -> tuple[list[float], list[float]]:
         """The least and largest coordinates of all variants' positions, rounded outwards to millimetres [m]."""
-        maps = [self.map(index).positions for index in self.indices.values()]
-        low, high = (np.min([m.min(axis=0) for m in maps], axis=0), np.max([m.max(axis=0) for m in maps], axis=0))
-        low, high = np.floor(1e3 * low) / 1e3, np.maximum(np.ceil(1e3 * high), np.floor(1e3 * low) + 1.0) / 1e3
-        return low.tolist(), high.tolist()
+        given = np.asarray(self.group["position"][:: self.turns])
+        ends = [(p.min(axis=0), p.max(axis=0)) for p in (self._placed(given, i) for i in self._frames())]
+        low, high = np.floor(1e3 * np.min(ends, axis=(0, 1))), np.ceil(1e3 * np.max(ends, axis=(0, 1)))
+        return (low / 1e3).tolist(), (np.maximum(high, low + 1.0) / 1e3).tolist()
+
+    def _frames(self) -> list[tuple[int, ...]]:
+        """Variants that show where all targets are: one, unless each base has its own."""
+        every = [*self.indices.values()]
+        return every if self.in_base else every[:1]
+
+    def _placed(self, positions: np.ndarray, index: tuple[int, ...]) -> np.ndarray:
+        """Positions in the store's frame in the world (p, 3) [m]."""
+        mount = _mount(self.group, index) if self.in_base else np.eye(4)
+        return positions @ mount[:3, :3].T + mount[:3, 3]
 
     def _map(self, index: tuple[int, ...]) -> Map:
         shown = variant_map(self.group, index)
-        if self.group.attrs["frame"].startswith("targets are base"):
-            mount = _mount(self.group, index)
-            shown = shown._replace(positions=shown.positions @ mount[:3, :3].T + mount[:3, 3])
-        return shown
+        return shown._replace(positions=self._placed(shown.positions, index))
 
     def _colours(self, shown: Map, inside: np.ndarray, index: tuple[int, ...]) -> tuple[np.ndarray, str]:
         """A colour for each position, and the legend that explains them."""

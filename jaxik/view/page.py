@@ -69,7 +69,7 @@ class Page:
             raise ValueError("jaxik view: viser is not installed; pip install 'jaxik[view]'") from None
         group = None if store is None else store_of(chain, store)
         self.home = self.chain = chain
-        self.scene, self.harvest = scene, harvest
+        self.scene, self.harvest, self.blind = scene, harvest, _unmeasured(chain)
         self._q, self._asked, self.hit = default_pose(chain), _Latest(), frozenset[str]()
         self.server = viser.ViserServer(host=host, port=port, label="jaxik", verbose=False)
         self.server.scene.set_up_direction("+z")
@@ -128,7 +128,7 @@ class Page:
         """Brings the tip to a pose (4, 4), by the posture next to the one shown; where there is none, says why."""
         free = self.binds.value == "position alone"
         base_T_tip = np.linalg.inv(np.asarray(self.chain.world_T_base)) @ world_T_tip
-        scene = self.scene if self.clear.value else None
+        scene = self.scene if self.clear.value and not self.blind else None
         task = Task((True, True, True, False, False, False)) if free else Task()
         found = solve_ik(self.chain, base_T_tip, scene, task=task, reference=self._q, seeds="near", max_seeds=32)
         self.said.content = _verdict(found.reason, found.offenders)
@@ -257,10 +257,8 @@ class Page:
 
     def _contacts(self) -> tuple[Contact, ...]:
         """What is nearest to the robot, or all that it hits; the panel's first line says so."""
-        try:
-            check_geometry(self.chain)
-        except ValueError:
-            self.near.content = _boxed("Clearance unknown: the robot has no collision shapes.")
+        if self.blind:
+            self.near.content = _boxed(f"Clearance unknown. {self.blind}")
             return ()
         found = explain(self.chain, self.scene, self._q, 5)
         if found.colliding:
@@ -349,6 +347,15 @@ class _Latest:
         except BaseException:
             self.busy = False
             raise
+
+
+def _unmeasured(chain: Chain) -> str:
+    """Why a robot's clearance cannot be measured, if it cannot."""
+    try:
+        check_geometry(chain)
+    except ValueError as error:
+        return str(error)
+    return ""
 
 
 def _verdict(reason: Any, offenders: Sequence[Contact]) -> str:

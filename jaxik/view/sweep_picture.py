@@ -24,7 +24,6 @@ class Map(NamedTuple):
     """One variant of a store: positions (p, 3) [m], the share (p,) of each one's tool directions that are reachable, and of all
     targets the reason and the limit margin."""
 
-    label: str
     positions: np.ndarray
     share: np.ndarray
     reason: np.ndarray
@@ -48,10 +47,10 @@ def variant_axes(group: Any) -> list[str]:
     return [n for n in (group["reason"].metadata.dimension_names or ()) if n != "target"]
 
 
-def variant_label(group: Any, index: tuple[int, ...], short: bool = False) -> str:
-    """A variant in words, or in short ones what tells it from others; none where there is only one."""
-    named = [(n, [_short(v) for v in group[n][...]], i) for n, i in zip(variant_axes(group), index, strict=True)]
-    return ", ".join(f"{n} {(_differing(labels) if short else labels)[i]}" for n, labels, i in named)
+def variant_label(group: Any, index: tuple[int, ...]) -> str:
+    """What tells a variant from others, in words; none where there is only one."""
+    named = [(n, _differing([_short(v) for v in group[n][...]])[i]) for n, i in zip(variant_axes(group), index, strict=True)]
+    return ", ".join(f"{name} {words}" for name, words in named)
 
 
 def shares(group: Any) -> np.ndarray:
@@ -68,7 +67,6 @@ def variant_map(group: Any, index: tuple[int, ...]) -> Map:
     reachable = np.asarray(group["reachable"][(*index, slice(None))])
     axes = tuple(np.array(a) for a in group.attrs["grid"])
     return Map(
-        variant_label(group, index),
         positions,
         reachable.reshape(-1, turns).mean(axis=1) if shape[-1] else np.zeros(0),
         np.asarray(group["reason"][(*index, slice(None))]),
@@ -103,7 +101,7 @@ def plot_sweep(path: str | Path, out: str | Path, scene: Scene | None = None) ->
     for axis in axes:
         axis.spines[["top", "right"]].set_visible(False)
     reached = f"the arm reaches {np.mean(shown.reason == Reason.SOLVED):.1%} of {len(shown.reason):,} targets"
-    label = variant_label(group, best, short=True)
+    label = variant_label(group, best)
     title = f"{group.attrs['title']}: {reached}{f', with {label}' if label else ''}"
     head.text(0.5, 0.4, title, ha="center", va="center", weight="bold", size=15, color=INK)
     figure.savefig(out, dpi=110, format="png")
@@ -230,7 +228,7 @@ def _draw_variants(axis: Any, group: Any, every: np.ndarray) -> None:
         axis.tick_params(axis="x", rotation=30)
     else:
         indices = [*np.ndindex(*every.shape)]
-        labels = [variant_label(group, index, short=True) for index in indices]
+        labels = [variant_label(group, index) for index in indices]
         order = np.argsort(-every.ravel(), kind="stable")[:VARIANTS]
         best = [COLOURS[Reason.SOLVED], *[PARTLY] * (len(order) - 1)]
         bars = axis.barh(range(len(order)), 100.0 * every.ravel()[order], color=best)
