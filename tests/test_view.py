@@ -47,6 +47,11 @@ def test_the_same_robot_is_shown_with_and_without_its_shapes(store):
     for chain in (jaxik.load("p6r"), dataclasses.replace(jaxik.load("p6r"), boxes=())):
         page = Page(chain, None, store, port=0)
         assert page.url.startswith("http://127.0.0.1:")
+        assert list(page.map.indices) == ["base z=0", "base z=0.1"] and "reachable (" in page.map.legend.content
+        page.map.colour.value = "limit margin"
+        assert "limit margin" in page.map.legend.content
+        page.map.cuts[0].value = (0.9, 0.95)
+        assert "Nothing is reachable here" in page.map.legend.content
         page.close()
 
 
@@ -123,7 +128,7 @@ def test_a_place_has_its_best_direction(store, tmp_path):
 def test_a_fruit_without_a_posture_says_why():
     scene = jaxik.load_scene("cucumber_row")
     one = dataclasses.replace(scene, fruits=scene.fruits[3:4])
-    row = jaxik.harvest(jaxik.load("p6r"), one).rows[0]
+    row = jaxik.harvest(jaxik.load("p6r"), one, angles=36, slides=11).rows[0]
     assert fate(row) == "blocked; take away leaf_4_1" and in_the_way(row) == ("leaf_4_1",)
     opened = jaxik.clearance(jaxik.load("p6r"), one.without(["leaf_4_1", "fruit_4"]), posture(row))
     assert opened >= 0.005 > jaxik.clearance(jaxik.load("p6r"), one.without("fruit_4"), posture(row))

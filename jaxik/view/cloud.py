@@ -20,7 +20,7 @@ if TYPE_CHECKING:
 
 SHOWN = 200_000  # points of a cloud that a browser still turns smoothly
 KINDS = "what became of it"
-COLUMNS = {"share of directions": "", "limit margin": "", "clearance": " [m]", "solutions": ""}
+COLUMNS = {"share of directions": 1.0, "limit margin": 1.0, "clearance [mm]": 1000.0, "solutions": 1.0}  # by which they grow
 FAINT = 0.6  # how large the points are that are not reachable
 
 
@@ -118,17 +118,18 @@ class Cloud:
             away = ["", "", *[", hidden" if self.rest.value == "hidden" else ""] * (len(kinds) - 2)]
             rows = zip(kinds, counts, away, strict=True)
             return table[found], swatches({f"{words} ({n:,}{hidden})": c for (words, c), n, hidden in rows if n})
-        values = shown.share if what == "share of directions" else self._best(what.replace(" ", "_"), index)
+        values = shown.share if what == "share of directions" else self._best(what, index)
         some = values[inside & np.isfinite(values)]
         low, high = (float(some.min()), float(some.max())) if len(some) else (0.0, 1.0)
         scale = matplotlib.colormaps[SCALE]
         colours = (255 * scale((values - low) / max(high - low, 1e-9))[:, :3]).astype(np.uint8)
         colours[~np.isfinite(values)] = 190
-        return colours, bar(what + COLUMNS[what], low, high)
+        return colours, bar(what, low, high)
 
-    def _best(self, name: str, index: tuple[int, ...]) -> np.ndarray:
+    def _best(self, what: str, index: tuple[int, ...]) -> np.ndarray:
         """The largest value at each position, minus infinity where there is none."""
-        every = np.asarray(self.group[name][(*index, slice(None))], float).reshape(-1, self.turns)
+        name = what.removesuffix(" [mm]").replace(" ", "_")
+        every = COLUMNS[what] * np.asarray(self.group[name][(*index, slice(None))], float).reshape(-1, self.turns)
         return np.where(np.isfinite(every), every, -np.inf).max(axis=1)
 
     def _clicked(self, event: Any) -> None:

@@ -306,7 +306,7 @@ class Page:
         gui, solved = self.server.gui, int(harvest.success.sum())
         rows = {f"{'✓' if row.success else '✗'} {row.fruit}": row for row in harvest.rows}
         gui.add_markdown(f"**{self.chain.name} can pick {solved} of the {len(rows)} fruits.** Choose one:")
-        chosen = gui.add_dropdown("fruit", list(rows))
+        self.fruit = chosen = gui.add_dropdown("fruit", list(rows))
         said = gui.add_html("")
 
         def show(_: Any = None) -> None:
