@@ -7,7 +7,6 @@ import numpy as np
 import pytest
 
 import jaxik
-from jaxik.view.harvest_picture import fate, in_the_way, posture
 from jaxik.view.page import Page
 from jaxik.view.palette import COLOURS, PARTLY, rgb
 from jaxik.view.solids import Solid, scene_points, scene_solids
@@ -123,15 +122,6 @@ def test_a_place_has_its_best_direction(store, tmp_path):
     assert words[0] == "reachable from some directions" and set(words[1:]) == {"would hit something"} and found[-1] == -1
     plot_sweep(store, tmp_path / "row.png", jaxik.load_scene("cucumber_row"))
     assert (tmp_path / "row.png").read_bytes()[:4] == b"\x89PNG"
-
-
-def test_a_fruit_without_a_posture_says_why():
-    scene = jaxik.load_scene("cucumber_row")
-    one = dataclasses.replace(scene, fruits=scene.fruits[3:4])
-    row = jaxik.harvest(jaxik.load("p6r"), one, angles=36, slides=11).rows[0]
-    assert fate(row) == "blocked; take away leaf_4_1" and in_the_way(row) == ("leaf_4_1",)
-    opened = jaxik.clearance(jaxik.load("p6r"), one.without(["leaf_4_1", "fruit_4"]), posture(row))
-    assert opened >= 0.005 > jaxik.clearance(jaxik.load("p6r"), one.without("fruit_4"), posture(row))
 
 
 @pytest.fixture(scope="module")

@@ -28,6 +28,7 @@ from jaxik.view.harvest_picture import fate, posture
 from jaxik.view.palette import COLOURS, FRUIT, INK, LEAF, OBSTACLE, ROBOT, WORDS, rgb, swatches
 from jaxik.view.solids import Solid, bones, box_solids, frames, scene_points, scene_solids, volume_solids
 
+MANY = 500  # solids, from which on each is drawn more coarsely
 GOOD, BAD = COLOURS[Reason.SOLVED], COLOURS[Reason.COLLISION]
 SHOWS = ("its own shape", "volumes kept clear", "both", "joints alone")
 HELP = """
@@ -374,11 +375,12 @@ def _mesh(solids: Sequence[Solid]) -> tuple[np.ndarray, np.ndarray]:
     """Solids as one mesh: corners (p, 3) and triangles (f, 3); something tiny where there are none."""
     import trimesh
 
-    ball = trimesh.creation.icosphere(subdivisions=2).vertices
-    hulls = [
-        trimesh.convex.convex_hull((s.corners[:, None] + s.radius * ball).reshape(-1, 3) if s.radius > 0.0 else s.corners)
-        for s in solids
-    ]
+    ball = trimesh.creation.icosphere(subdivisions=1 if len(solids) > MANY else 2)
+    hulls = []
+    for solid in solids:
+        around = (solid.corners[:, None] + solid.radius * ball.vertices).reshape(-1, 3) if solid.radius > 0.0 else solid.corners
+        lone = len(solid.corners) == 1  # and needs no hull
+        hulls.append(trimesh.Trimesh(around, ball.faces, process=False) if lone else trimesh.convex.convex_hull(around))
     whole: Any = trimesh.util.concatenate(hulls) if hulls else trimesh.creation.icosphere(subdivisions=0, radius=1e-6)
     return np.asarray(whole.vertices), np.asarray(whole.faces)
 
