@@ -39,7 +39,7 @@ def plot_harvest(result: Harvest, path: Path) -> None:
     width, depth, height = crop.box[1] - crop.box[0]
     scale = min((4.0 - GAP - 0.15) / (width + depth), 3.0 / height)  # [inches/m]: a pair of views is at most 4 inches wide
     cell = scale * (width + depth) + GAP + 0.15, scale * height + TITLE + GAP
-    size = max(columns * cell[0] + SIDE, 9.0), -(-len(rows) // columns) * cell[1] + HEAD + FOOT
+    size = max(columns * cell[0] + SIDE, 11.0), -(-len(rows) // columns) * cell[1] + HEAD + FOOT
     figure = Figure(figsize=size)
     FigureCanvasAgg(figure)
     for k, row in enumerate(rows):
@@ -114,7 +114,7 @@ def _draw(axis: Any, result: Harvest, crop: _Crop, row: Posture, i: int) -> None
         axis.add_collection(PolyCollection(arm, facecolor=fill, edgecolor="none", zorder=1.1))  # leaves the outer edge
         axis.plot(*placed[1:, [i, 2], 3].T, ".-" if row.success else ".:", color=INK, lw=1.2, ms=4, zorder=4)
     colours = [_colour(s.owner, crop, row.fruit, blocking) for s in crop.solids]
-    edges = [INK if s.owner == row.fruit else "none" for s in crop.solids]
+    edges = [INK if s.owner == row.fruit else "0.6" if s.owner in crop.reasons else "none" for s in crop.solids]
     shapes = [s.outline(i, 2) for s in crop.solids]
     axis.add_collection(PolyCollection(shapes, facecolor=colours, edgecolor=edges, linewidth=1.0, zorder=2))
     hit = np.isin(crop.owners, blocking)
@@ -139,7 +139,7 @@ def _write_head(figure: Any, size: tuple[float, float], result: Harvest, shown: 
     from matplotlib.patches import Patch
 
     solved, count = int(result.success.sum()), len(result.rows)
-    title = f"{result.chain.name} can pick {solved} of the {count} fruits of {result.scene.name}"
+    title = f"{result.chain.name} can pick {solved} of {count} fruits of {result.scene.name}"
     figure.text(SIDE / size[0], 1.0 - 0.35 / size[1], title, fontsize=15, weight="bold", color=INK)
     how = (
         "For each fruit the best posture, from the front (left) and from the side (right), and how far it stays from all else."
@@ -152,8 +152,8 @@ def _write_head(figure: Any, size: tuple[float, float], result: Harvest, shown: 
         Patch(fc=ARM, ec=ARM_EDGE, label="the arm, as the volumes that are kept clear"),
         Line2D([], [], color=INK, marker=".", label="its joints, to the tip"),
         marker("w", "D", "where this fruit is grasped; others are pale", mec=INK),
-        *(Patch(color=COLOURS[reason], label=f"fruit: {words}") for reason, words in fates.items()),
-        marker(LEAF, "o", "leaves (points)", ms=4),
+        *(Patch(fc=COLOURS[reason], ec="0.6", label=f"fruit: {words}") for reason, words in fates.items()),
+        *([marker(LEAF, "o", "leaves (points)", ms=4)] if result.scene.counts["points"] else []),
         Patch(color=OBSTACLE, label="stems and other obstacles"),
     ]
     if any(in_the_way(row) for row in result.rows):

@@ -42,6 +42,7 @@ HELP = """
 
 **Fruits:** choose one to see how it is picked, or what is in its way.
 """
+DRAG = "Drag the arrows and rings at the tip: the robot follows, at first after a few seconds."
 NO_MAP = "No map yet. Make one with `jaxik sweep STUDY.toml`, then open this page with `--store STUDY.zarr`."
 NO_FRUITS = "No fruits yet. Open this page with `--scene cucumber_row --harvest`, or a scene file of your own that has fruits."
 NO_SCENE = "No obstacles: open this page with `--scene cucumber_row`, or a scene file of your own."
@@ -227,9 +228,7 @@ class Page:
         self.binds = gui.add_dropdown("it binds", ("position and turn", "position alone"))
         self.binds.value = "position alone" if few else "position and turn"
         self.clear = gui.add_checkbox("keep clear", self.scene is not None, visible=self.scene is not None)
-        self.said = gui.add_html(
-            _boxed("Drag the arrows and rings at the tip: the robot follows, at first after a few seconds.")
-        )
+        self.said = gui.add_html(_boxed(DRAG))
         self.gizmo.on_update(lambda _: self._asked(self._dragged))
 
     def _dragged(self) -> None:
@@ -254,6 +253,7 @@ class Page:
             self._draw_hit(hit)
             self._draw_nearest(contacts)
             if follow:
+                self.said.content = _boxed(DRAG)
                 self.gizmo.wxyz, self.gizmo.position = _wxyz(placed[-1]), line[-1]
 
     def _contacts(self) -> tuple[Contact, ...]:
