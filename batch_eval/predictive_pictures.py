@@ -20,7 +20,7 @@ from matplotlib.animation import FuncAnimation, PillowWriter
 
 import jaxik
 from jaxik.optimise.descent import Direction, Search
-from jaxik.view.harvest_picture import bones
+from jaxik.view.solids import bones
 
 GREY, BLUE, GREEN = "0.6", "tab:blue", "tab:green"
 
@@ -73,12 +73,13 @@ def nine_joint_motions(seconds: Sequence[float] = (0.15, 2.0), alpha: float = 1.
 
 def snapshots(motions: Sequence[Shown], times: Sequence[float] = (0.0, 2.0, 2.68, 3.0, 4.0)) -> Any:
     """Fig. 5.1: the pendulum at some moments, all motions in one."""
-    figure, axes = plt.subplots(1, len(times), figsize=(3 * len(times), 4.4), sharey=True, layout="constrained")
+    figure, axes = plt.subplots(1, len(times), figsize=(2 * len(times), 3.9), sharey=True, layout="constrained")
     for axis, t in zip(axes, times, strict=True):
         _draw_pendulum(axis, motions, t)
-        axis.set(title=f"{t:g} s", xlabel="x [m]")
+        axis.set(title=f"after {t:g} s", xlabel="x [m]")
     axes[0].set_ylabel("y [m]")
-    axes[0].legend(loc="lower left", fontsize=8)
+    handles, names = axes[0].get_legend_handles_labels()
+    figure.legend(handles, names, loc="outside upper center", ncols=len(names), frameon=False)
     return figure
 
 
@@ -86,8 +87,8 @@ def _draw_pendulum(axis: Any, motions: Sequence[Shown], t: float) -> None:
     arm = pendulum.arm()
     path = pendulum.path(arm)
     ends = np.array([path.start[:2, 3], path.end[:2, 3]])
-    axis.plot(*ends.T, color=GREEN, lw=1)
-    axis.add_patch(plt.Circle(pendulum.OBSTACLE[:2], pendulum.ACTIVATION, color="tab:orange", alpha=0.4, lw=0))
+    axis.plot(*ends.T, color=GREEN, lw=1.5, label="path of the tip")
+    axis.add_patch(plt.Circle(pendulum.OBSTACLE[:2], pendulum.ACTIVATION, fc="tab:orange", alpha=0.4, label="obstacle"))
     axis.plot(*pendulum.OBSTACLE[:2], "o", color="tab:orange", ms=5)
     for motion in motions:
         k = min(round(t / motion.dt), len(motion.q) - 1)
@@ -118,7 +119,7 @@ def convergence(kind: str) -> Any:
     best = float(solve(jaxik.optimise.QUASI_NEWTON).total) / pendulum.DT
     names = [n for n in get_args(Direction if kind == "direction" else Search) if n != "lbfgs"]
     fixed = {"direction": "steepest", "search": "fixed", "step": 0.01, "restart": np.inf, "tolerance": 1e-4}
-    figure, axes = plt.subplots(1, 2, figsize=(12, 4), layout="constrained")
+    figure, axes = plt.subplots(1, 2, figsize=(10, 4), layout="constrained")
     for name in names:
         options = fixed | {kind: name}
         if kind == "search" and name != "fixed":
@@ -136,26 +137,26 @@ def convergence(kind: str) -> Any:
 def statistics(result: dict[str, Any]) -> Any:
     """Figs. 5.5 to 5.8: improvement, success, distance to the best, time."""
     rows = sorted(result["rows"], key=lambda row: row["success"])
-    names = [row["who"].replace("_", " ") for row in rows]
+    names = [row["who"].replace("_", " ").replace("tpbvp", "boundary value problem") for row in rows]
     place = np.arange(len(rows))
-    figure, axes = plt.subplots(1, 3, figsize=(15, 7), sharey=True, layout="constrained", width_ratios=(1, 1.4, 1))
+    figure, axes = plt.subplots(1, 3, figsize=(10, 7.5), sharey=True, layout="constrained", width_ratios=(1, 1.4, 1))
     reference = next(row for row in rows if row["who"] == "tpbvp")
     colours = [GREY if row is reference else "tab:red" if "restarts" in row["who"] else BLUE for row in rows]
     axes[0].barh(place, [100 * row["success"] for row in rows], color=colours)
     axes[0].axvline(100 * reference["success"], color="k", ls="--", lw=1)
-    axes[0].set(xlabel="success [%]", xlim=(50, 100), yticks=place, yticklabels=names)
+    axes[0].set(xlabel="success [%]\n(dashed: boundary value problem)", xlim=(50, 100), yticks=place, yticklabels=names)
     boxes = [
         dict(zip(("whislo", "q1", "med", "q3", "whishi"), 100 * np.minimum(row["behind_best"], 1.0), strict=True))
         for row in rows
     ]
     axes[1].bxp(boxes, positions=place, orientation="horizontal", showfliers=False, manage_ticks=False)
     axes[1].axvspan(0, 5, color="0.9", zorder=0)
-    axes[1].set(xlabel="improvement short of the best method's [points]; 5, 25, 50, 75, 95 %", xlim=(-0.5, 20))
+    axes[1].set(xlabel="short of the best method [points]:\n5, 25, 50, 75, 95 % of the settings", xlim=(-0.5, 20))
     axes[2].barh(place, [row["ms_alone"] for row in rows], color=colours)
-    axes[2].set(xlabel="time alone, median [ms]", xscale="log")
-    spread = ", ".join(f"{100 * x:.0f}" for x in result["improvements"])
+    axes[2].set(xlabel="median time of one [ms]", xscale="log")
+    spread = ", ".join(f"{round(100 * x)}" for x in result["improvements"])
     figure.suptitle(
-        f"{result['judged']} random settings: the best improves the instantaneous motion by "
+        f"{result['judged']} random settings: the best improves the instantaneous motion by\n"
         f"{100 * result['improvement_of_best']:.0f} % on average ({spread} % at 5, 25, 50, 75, 95 %)"
     )
     return figure
@@ -178,13 +179,21 @@ def speeds(motions: Sequence[Shown]) -> Any:
 
 def postures(motions: Sequence[Shown], times: Sequence[float] = (0.0, 1.5, 2.2, 2.8, 3.9)) -> Any:
     """Fig. 5.10: the nine joints at some moments, a row of pictures for each motion."""
-    shape = len(motions), len(times)
-    figure = plt.figure(figsize=(3 * shape[1], 3.2 * shape[0]), layout="constrained")
+    size = 2.0 * len(times) + 0.4, 3.2 * len(motions) + 0.6
+    figure = plt.figure(figsize=size)
     for i, motion in enumerate(motions):
+        figure.text(0.02, 1.0 - (2.3 + 3.2 * i) / size[1], motion.name, rotation=90, va="center", fontsize=12)
         for j, t in enumerate(times):
-            axis = figure.add_subplot(*shape, 1 + i * shape[1] + j, projection="3d")
+            corner = 2.0 * j - 0.5, size[1] - 0.6 - 3.2 * (i + 1) - 0.3
+            # square, as Matplotlib wants them, and wider than their column, where there is nothing to see
+            axis = figure.add_axes((corner[0] / size[0], corner[1] / size[1], 3.8 / size[0], 3.8 / size[1]), projection="3d")
+            axis.patch.set_alpha(0.0)
             _draw_nine(axis, motion, t)
-            axis.set_title(f"{motion.name}, {t:g} s", fontsize=9)
+            axis.set_axis_off()
+    for j, t in enumerate(times):
+        figure.text((2.0 * j + 1.3) / size[0], 1.0 - 0.55 / size[1], f"after {t:g} s", ha="center", fontsize=12)
+    title = "Thin: the path of the tip. Dark grey: the carriage that the arm must not hit."
+    figure.text(0.5, 1.0 - 0.2 / size[1], title, ha="center", fontsize=11)
     return figure
 
 
@@ -198,7 +207,8 @@ def _draw_nine(axis: Any, motion: Shown, t: float) -> None:
         axis.plot(*ends.T, color=colour, lw=110 * float(volume.radius), solid_capstyle="round", alpha=0.8)
     line = case.path(chain)
     axis.plot(*np.array([line.start[:3, 3], line.end[:3, 3]]).T, color=GREEN, lw=1.5)
-    axis.set(xlim=(-0.4, 0.5), ylim=(0.0, 0.8), zlim=(0.4, 1.9), box_aspect=(0.9, 0.8, 1.5))
+    axis.set(xlim=(-0.4, 0.5), ylim=(0.0, 0.8), zlim=(0.4, 1.9))
+    axis.set_box_aspect((0.9, 0.8, 1.5))
     axis.view_init(elev=15, azim=-60)
     axis.tick_params(labelsize=6)
 

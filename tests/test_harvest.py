@@ -11,6 +11,7 @@ import jaxik
 from jaxik.files.scene import save_scene
 from jaxik.harvesting.crop import cucumber_row
 from jaxik.reasons import Reason
+from jaxik.view.harvest_picture import fate, in_the_way, posture
 
 
 @pytest.fixture(scope="module")
@@ -75,3 +76,21 @@ def test_a_bad_scene_is_one_line(tmp_path, text, words):
     with pytest.raises(jaxik.LoadError, match=words) as error:
         jaxik.load_scene(path)
     assert "\n" not in str(error.value) and "scene.toml" in str(error.value)
+
+
+def test_the_picture_says_what_became_of_each_fruit(harvest):
+    """In words; and of a fruit that is blocked it shows the posture that would be free without what is in the way."""
+    clear = jax.jit(jaxik.clearance, static_argnums=0)
+    for row in harvest.rows:
+        if row.success:
+            assert fate(row) == f"{1000 * row.clearance:.0f} mm clear" and in_the_way(row) == () and posture(row) is row.q
+        else:
+            scene = harvest.scene.without(row.fruit)
+            assert fate(row) == f"blocked; take away {', '.join(in_the_way(row))}"
+            opened = clear(harvest.chain, scene.without(in_the_way(row)).padded(), posture(row))
+            assert opened >= 0.005 - 1e-5 > clear(harvest.chain, scene.padded(), posture(row))
+    hidden = harvest.rows[3]
+    names = hidden._replace(blockers=hidden.blockers._replace(removal=None, names=("stem_1", "wire"), row=None))
+    assert fate(names) == "hidden behind stem_1, wire" and posture(names) is None
+    assert fate(hidden._replace(blockers=names.blockers._replace(names=()))) == "the arm would hit itself"
+    assert fate(hidden._replace(blockers=None, reason=Reason.OUT_OF_REACH)) == "out of reach"

@@ -1,12 +1,16 @@
-"""The page without a browser: what it may be opened with. `view_page.py` looks at it."""
+"""The page without a browser, the pictures, and their colours. `view_page.py` looks at the page in one."""
 
 import dataclasses
+import itertools
 
 import numpy as np
 import pytest
 
 import jaxik
 from jaxik.view.page import Page
+from jaxik.view.palette import COLOURS, PARTLY, rgb
+from jaxik.view.solids import Solid, scene_points, scene_solids
+from jaxik.view.sweep_picture import categories, plot_sweep, variant_map
 
 STUDY = {
     "robot": "p6r",
@@ -42,6 +46,11 @@ def test_the_same_robot_is_shown_with_and_without_its_shapes(store):
     for chain in (jaxik.load("p6r"), dataclasses.replace(jaxik.load("p6r"), boxes=())):
         page = Page(chain, None, store, port=0)
         assert page.url.startswith("http://127.0.0.1:")
+        assert list(page.map.indices) == ["base z=0", "base z=0.1"] and "reachable (" in page.map.legend.content
+        page.map.colour.value = "limit margin"
+        assert "limit margin" in page.map.legend.content
+        page.map.cuts[0].value = (0.9, 0.95)
+        assert "Nothing is reachable here" in page.map.legend.content
         page.close()
 
 
@@ -51,4 +60,120 @@ def test_a_cell_without_a_fruit_is_shown(tmp_path):
         'name = "cell"\n[[object]]\nname = "a"\nboxes = [[0.5, 0, 0, 1, 1, 1]]\ncapsules = [[0, 0, 0, 1, 0, 0, 0.1]]\n'
     )
     page = Page(jaxik.load("planar2"), jaxik.load_scene(path), port=0)
+    page.close()
+
+
+# What eyes without green or without red cones see of linear RGB: Machado, Oliveira, Fernandes 2009, table 1, severity 1.
+DEUTERANOPIA = [[0.367322, 0.860646, -0.227968], [0.280085, 0.672501, 0.047413], [-0.011820, 0.042940, 0.968881]]
+PROTANOPIA = [[0.152286, 1.052583, -0.204868], [0.114503, 0.786281, 0.099216], [-0.003882, -0.048116, 1.051998]]
+XYZ = [[0.4124564, 0.3575761, 0.1804375], [0.2126729, 0.7151522, 0.0721750], [0.0193339, 0.1191920, 0.9503041]]
+
+
+def lab(colour, eyes):
+    """CIE L*a*b* of a colour as it is seen."""
+    share = np.array(rgb(colour)) / 255.0
+    linear = np.where(share <= 0.04045, share / 12.92, ((share + 0.055) / 1.055) ** 2.4)
+    x, y, z = np.cbrt(XYZ @ np.clip(eyes @ linear, 0.0, 1.0) / [0.95047, 1.0, 1.08883])
+    return np.array([116.0 * y - 16.0, 500.0 * (x - y), 200.0 * (y - z)])
+
+
+@pytest.mark.parametrize("eyes", [np.eye(3), DEUTERANOPIA, PROTANOPIA], ids=["all", "no green", "no red"])
+def test_reasons_are_told_apart(eyes):
+    """In colour, and by their lightness alone, as a grey print has it."""
+    for a, b in itertools.combinations([*COLOURS.values(), PARTLY], 2):
+        assert np.linalg.norm(lab(a, eyes) - lab(b, eyes)) > 15.0, (a, b)
+        assert eyes is not np.eye(3) or abs(lab(a, eyes)[0] - lab(b, eyes)[0]) > 9.0, (a, b)
+
+
+def test_outlines_hold_what_they_outline(tmp_path):
+    """A capsule's, a box's and a ball's."""
+    capsule = Solid("a", np.array([[0.0, 0.0, 0.0], [0.0, 0.0, 1.0]]), 0.1)
+    assert np.allclose([capsule.outline(0, 2).min(axis=0), capsule.outline(0, 2).max(axis=0)], [[-0.1, -0.1], [0.1, 1.1]])
+    assert np.allclose(capsule.span, [[-0.1, -0.1, -0.1], [0.1, 0.1, 1.1]])
+    path = tmp_path / "cell.toml"
+    objects = {
+        "box": "boxes = [[0.5, 0.0, 0.0, 1.0, 0.4, 0.2]]",
+        "ball": "spheres = [[0.0, 0.0, 0.0, 0.3]]",
+        "pole": "cylinders = [[0.0, 0.0, 0.5, 0.1, 1.0]]",
+        "leaf": "points = [[0.0, 1.0, 0.0], [0.0, 1.0, 0.1]]",
+    }
+    path.write_text('name = "cell"\n' + "".join(f'[[object]]\nname = "{name}"\n{shapes}\n' for name, shapes in objects.items()))
+    scene = jaxik.load_scene(path)
+    solids = {solid.owner: solid for solid in scene_solids(scene.padded().without("ball"))}
+    assert set(solids) == {"box", "pole"}
+    assert np.allclose(np.ptp(solids["box"].outline(0, 1), axis=0), [1.0, 0.4])
+    assert np.allclose(solids["pole"].span[:, 2], [0.0, 1.0])
+    points, owners = scene_points(scene)
+    assert points.shape == (2, 3) and set(owners) == {"leaf"}
+
+
+def test_a_place_has_its_best_direction(store, tmp_path):
+    """All, some, or the reason that is nearest to an answer; and the picture is drawn with what stands there."""
+    from jaxik.view.sweep_picture import open_store
+
+    shown = variant_map(open_store(store), (0,))
+    found, kinds = categories(shown)
+    assert np.array_equal(found == 0, shown.share == 1.0)
+    assert {kinds[k][0] for k in np.unique(found)} <= {"reachable", "out of reach", "a joint would pass its limit"}
+    turned = shown._replace(reason=np.tile([jaxik.Reason.OUT_OF_REACH, jaxik.Reason.COLLISION], len(found)), share=0.0 * found)
+    turned.reason[0], turned.share[0], turned.reason[-2:] = jaxik.Reason.SOLVED, 0.5, -1
+    found, kinds = categories(turned)
+    words = [kinds[k][0] for k in found[:-1]]
+    assert words[0] == "reachable from some directions" and set(words[1:]) == {"would hit something"} and found[-1] == -1
+    plot_sweep(store, tmp_path / "row.png", jaxik.load_scene("cucumber_row"))
+    assert (tmp_path / "row.png").read_bytes()[:4] == b"\x89PNG"
+
+
+@pytest.fixture(scope="module")
+def page():
+    page = Page(jaxik.load("p6r"), jaxik.load_scene("cucumber_row"), port=0)
+    yield page
+    page.close()
+
+
+def test_the_page_names_what_collides(page):
+    page.move(np.array([0.3, 0.2, -0.5, -0.4, 0.3, 0.5, 0.1]))
+    assert "Collides:</b> gripper and fruit_2, by 9.0 mm" in page.near.content
+    struck = {
+        page.chain.link_names[link] for link, part in page.parts if tuple(part.color) == rgb(COLOURS[jaxik.Reason.COLLISION])
+    }
+    assert struck == {"gripper"} and page.hit == {"gripper", "fruit_2"}
+    page.move(np.zeros(7))
+    assert "Clear:" in page.near.content and not page.hit
+
+
+def test_the_robot_follows_a_target_or_says_why_not(page):
+    q = np.array([0.5, 0.1, 0.1, -0.9, 0.2, 0.6, 0.1])
+    page.move(q)
+    world_T_tip = np.asarray(page.chain.world_T_base) @ np.asarray(jaxik.forward_kinematics(page.chain, q))
+    assert np.allclose(page.gizmo.position, world_T_tip[:3, 3])
+    world_T_tip[2, 3] += 0.02
+    assert page.reach(world_T_tip) == jaxik.Reason.SOLVED and "reached" in page.said.content
+    there = np.asarray(page.chain.world_T_base) @ np.asarray(jaxik.forward_kinematics(page.chain, page.q))
+    assert np.allclose(there, world_T_tip, atol=1e-5) and np.max(np.abs(page.q - q)) < 0.5
+    q = page.q
+    world_T_tip[0, 3] += 9.0
+    assert page.reach(world_T_tip) == jaxik.Reason.OUT_OF_REACH and "out of reach" in page.said.content
+    assert np.array_equal(page.q, q)
+
+
+def test_a_posture_is_exact_and_its_sliders_are_rounded(page):
+    """A slider that is not touched does not move its joint."""
+    q = np.array([0.12345678, 0.1, -0.5, -0.4, 0.3, 0.5, 0.1])
+    page.move(q)
+    assert page.sliders[0].value == 0.123 and page.sliders[1].value == 5.7 and np.array_equal(page.q, q)
+    panda_like = dataclasses.replace(page.home, lower=np.radians([0.0, -117.97201, -117.97201, -90.0, -90.0, -90.0, -90.0]))
+    other = Page(panda_like, port=0)
+    assert other.sliders[1].min == -118.0 and other.limits[0, 1] == panda_like.lower[1]
+    other.close()
+
+
+def test_a_robot_without_shapes_has_its_joints():
+    """What is not known is said, and a target is followed all the same."""
+    chain = dataclasses.replace(jaxik.load("p6r"), boxes=())
+    page = Page(chain, jaxik.load_scene("cucumber_row"), port=0)
+    assert "Clearance unknown. p6r: has no collision geometry" in page.near.content and not page.parts
+    q = np.array([0.5, 0.1, 0.1, -0.9, 0.2, 0.6, 0.1])
+    world_T_tip = np.asarray(chain.world_T_base) @ np.asarray(jaxik.forward_kinematics(chain, q))
+    assert page.reach(world_T_tip) == jaxik.Reason.SOLVED
     page.close()

@@ -1,7 +1,8 @@
 """The page of `jaxik view` in a real browser, headless: `python tests/view_page.py SCREENSHOT.png` (needs Chromium, selenium).
 
 It is no test of pytest's, because a browser is no Python package; CI runs it. A sweep is made, the page opened, the joints, the
-map and a fruit's posture changed by its controls; the pictures must differ by what was changed, and the console be clean.
+target, the map and a fruit's posture changed by its controls; the pictures must differ by what was changed, the words be there,
+also on a narrow screen, and the console be clean. The narrow screen's picture lies beside the first.
 """
 
 import io
@@ -16,9 +17,11 @@ import numpy as np
 from PIL import Image
 from selenium import webdriver
 from selenium.webdriver.chrome.service import Service
+from selenium.webdriver.common.action_chains import ActionChains
+from selenium.webdriver.common.by import By
 
 import jaxik
-from jaxik.view.page import Page
+from jaxik.view.page import SHOWS, Page
 
 STUDY = {
     "robot": "p6r",
@@ -32,6 +35,13 @@ STUDY = {
         "z": [0.0, 1.0, 11],
         "directions": [[0, 1, 0], [0.7, 0.7, 0], [-0.7, 0.7, 0]],
     },
+}
+PINK = (255, 32, 96)  # of the target's square
+TABS = {
+    "Robot": ("robot as", "target to drag", "slide [m]", "theta2 [deg]"),
+    "Map": ("reachable from every direction", "not reachable", "z [m]"),
+    "Fruits": ("p6r can pick 10 of the 12 fruits", "the best posture stays"),
+    "Help": ("Target:", "Inverse kinematics follows"),
 }
 
 
@@ -62,42 +72,76 @@ def settled(driver, seconds=30.0):
     return before
 
 
+def look_at_words(driver, out):
+    """Each tab's words, and a picture of each beside `out`."""
+    for tab, words in TABS.items():
+        driver.find_element(By.XPATH, f"//*[text()='{tab}']").click()
+        settled(driver)
+        driver.save_screenshot(str(out.with_stem(f"{out.stem}_{tab.lower()}")))
+        text = driver.find_element(By.TAG_NAME, "body").text
+        for word in ("p6r in cucumber_row", "Clear:", "what collides", *words):
+            assert word in text, f"the page lacks '{word}' in {tab}"
+    driver.find_element(By.XPATH, "//*[text()='Robot']").click()
+
+
+def drag(driver, across, up):
+    """Drags the target by the middle of its pink square."""
+    shot = picture(driver)
+    rows, columns = np.nonzero(np.all(np.abs(shot[:, :1000] - PINK) < 40.0, axis=2))
+    assert len(rows), "the target is not seen"
+    page = driver.find_element(By.TAG_NAME, "canvas")
+    place = int(np.median(columns)) - page.size["width"] // 2, int(np.median(rows)) - page.size["height"] // 2
+    hold = ActionChains(driver).move_to_element_with_offset(page, *place).pause(0.5).click_and_hold().pause(0.5)
+    hold.move_by_offset(across // 2, -up // 2).pause(0.5).move_by_offset(across // 2, -up // 2).pause(0.5).release().perform()
+
+
 def main(out):
     scene = jaxik.load_scene("cucumber_row")
     chain = jaxik.load("p6r")
     with tempfile.TemporaryDirectory() as folder:
         done = jaxik.sweep(STUDY, Path(folder) / "view.zarr")
-        picked = jaxik.harvest(chain, scene, angles=12, slides=11)
+        picked = jaxik.harvest(chain, scene)
         page = Page(chain, scene, done.path, picked, port=8091)
         driver = browser()
         try:
             driver.get(page.url)
             time.sleep(5.0)
             first = settled(driver)
-            driver.save_screenshot(out)
+            driver.save_screenshot(str(out))
             assert first.std() > 10.0, "the page is empty"
-            views = {"as it opens": first}
+            look_at_words(driver, out)
+            views = {"as it opens": settled(driver)}
             page.map.visible.value = False
-            page.map.draw()
             views["without the map"] = settled(driver)
-            page.move(np.array([0.9, 0.5, -0.9, -0.2, 0.3, 0.5, 0.1]))
-            views["another posture"] = settled(driver)
-            page.volumes.value = False
-            page._robot()
-            views["bones alone"] = settled(driver)
+            page.move(np.array([0.3, 0.2, -0.5, -0.4, 0.3, 0.5, 0.1]))
+            views["in a fruit"] = settled(driver)
+            driver.save_screenshot(str(out.with_stem(f"{out.stem}_collision")))
+            assert "Collides: gripper and fruit_2, by 9.0 mm" in driver.find_element(By.TAG_NAME, "body").text
+            page.move(np.array([0.5, 0.1, 0.1, -0.9, 0.2, 0.6, 0.1]))
+            settled(driver)
+            before = page.q
+            drag(driver, 30, 20)
+            views["dragged"] = settled(driver)
+            driver.save_screenshot(str(out.with_stem(f"{out.stem}_dragged")))
+            assert not np.array_equal(page.q, before) or "No posture" in page.said.content, "the robot does not follow"
+            print("dragged:", page.said.content)
+            page.style.value = SHOWS[1]
+            views["its volumes"] = settled(driver)
+            page.style.value = SHOWS[3]
+            views["joints alone"] = settled(driver)
             page.map.visible.value, page.map.variant.value = True, list(page.map.indices)[1]
-            page.map.stand()
-            page.map.draw()
             assert np.isclose(page.chain.world_T_base[2, 3] - chain.world_T_base[2, 3], 0.25), "the robot stands elsewhere"
             views["from a higher base"] = settled(driver)
-            names = list(views)
-            for a, b in itertools.pairwise(names):
+            page.map.rest.value = "faint"
+            views["what is not reachable, too"] = settled(driver)
+            for a, b in itertools.pairwise(views):
                 change = np.mean(np.abs(views[a] - views[b]) > 20.0)
                 print(f"{a} -> {b}: {change:.2%} of the pixels")
                 assert change > 0.0005, f"{b}: nothing changed"
-            words = driver.find_element("tag name", "body").text
-            for word in ("p6r", "slide [m]", "theta2 [deg]", "share reachable", "fruits"):
-                assert word in words, f"the page lacks '{word}'"
+            driver.set_window_size(420, 900)
+            settled(driver)
+            driver.save_screenshot(str(out.with_stem(f"{out.stem}_narrow")))
+            assert "p6r in cucumber_row" in driver.find_element(By.TAG_NAME, "body").text
             errors = [
                 e["message"] for e in driver.get_log("browser") if e["level"] == "SEVERE" and "favicon" not in e["message"]
             ]
@@ -109,4 +153,4 @@ def main(out):
 
 
 if __name__ == "__main__":
-    main(sys.argv[1])
+    main(Path(sys.argv[1]))

@@ -73,7 +73,7 @@ def run_sweep(arguments: SweepArguments) -> None:
         from jaxik.view.sweep_picture import plot_sweep
 
         picture = out.with_suffix(".png")
-        plot_sweep(out, picture)
+        plot_sweep(out, picture, study.scene)
         print(f"drew {picture}")
     if asked.stop and not result.complete:
         print("stopped; run the same command again and it goes on", file=sys.stderr)

@@ -1,135 +1,163 @@
-"""Pictures of a harvest (matplotlib, no window needed)."""
+"""The picture of a harvest (matplotlib, no window needed): each fruit's posture, or what is in its way."""
 
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
-from jaxik.collision.volumes import skeletons
 from jaxik.harvesting.driver import Harvest, Posture
 from jaxik.reasons import Reason
 from jaxik.robot.chain import Chain
-from jaxik.robot.kinematics import joint_frames
-from jaxik.spatial.algebra import Frame
+from jaxik.view.palette import ARM, ARM_EDGE, COLOURS, INK, LEAF, OBSTACLE, WORDS
+from jaxik.view.solids import Solid, frames, scene_points, scene_solids, volume_solids
 
-COLOURS = {
-    Reason.SOLVED: "tab:green",
-    Reason.OUT_OF_REACH: "silver",
-    Reason.LIMITS: "tab:orange",
-    Reason.COLLISION: "tab:red",
-    Reason.NOT_CONVERGED: "tab:purple",
-    Reason.INVALID: "black",
-}
+COLUMNS, MOST = 4, 120  # panels in a row, and at all
+DOTS = 5_000  # points of a scene that a panel shows
+SIDE, GAP, TITLE, HEAD, FOOT = 0.6, 0.12, 0.3, 0.8, 1.25  # [inches]
 
 
-def plot_harvest(result: Harvest, path: Path, fruit: str | None = None) -> None:
-    """One picture (PNG): the robot's spheres at `fruit`'s posture from two sides, every fruit's fate, the clearance map.
+class _Crop(NamedTuple):
+    """What stands in every panel, the frames and volumes of the arm in each, and the box (2, 3) [m] that all of them show."""
 
-    Without `fruit` the solved one with the best score is shown, and where none is solved the first.
-    """
+    solids: list[Solid]
+    points: np.ndarray
+    owners: np.ndarray
+    reasons: dict[str, Reason]
+    arms: dict[str, tuple[np.ndarray, list[Solid]]]
+    box: np.ndarray
+
+
+def plot_harvest(result: Harvest, path: Path) -> None:
+    """One picture (PNG) with two views for every fruit: the robot at its posture, or what is in the way."""
     from matplotlib.backends.backend_agg import FigureCanvasAgg
     from matplotlib.figure import Figure
 
-    row = _chosen(result, fruit)
-    figure = Figure(figsize=(14, 9), layout="constrained")
+    crop, rows = _crop(result), result.rows[:MOST]
+    columns = min(COLUMNS, len(rows))
+    width, depth, height = crop.box[1] - crop.box[0]
+    scale = min((4.0 - GAP - 0.15) / (width + depth), 3.0 / height)  # [inches/m]: a pair of views is at most 4 inches wide
+    cell = scale * (width + depth) + GAP + 0.15, scale * height + TITLE + GAP
+    size = max(columns * cell[0] + SIDE, 11.0), -(-len(rows) // columns) * cell[1] + HEAD + FOOT
+    figure = Figure(figsize=size)
     FigureCanvasAgg(figure)
-    axes = figure.subplots(2, 2, width_ratios=(3, 2))
-    for axis, (i, j), title in ((axes[0, 0], (0, 2), "front (x, z)"), (axes[0, 1], (1, 2), "side (y, z)")):
-        _draw_scene(axis, result, row, i, j)
-        if row.success:
-            _draw_robot(axis, result.chain, row.q, i, j)
-        axis.set(xlabel=f"{'xyz'[i]} [m]", ylabel=f"{'xyz'[j]} [m]", title=title, aspect="equal")
-        axis.set_ylim(top=min(axis.get_ylim()[1], _height(result, row) + 0.5))  # stems and wires go on
-    axes[0, 0].legend(fontsize=8, loc="upper right")
-    _draw_map(figure, axes[1, 0], row, result.chain)
-    _draw_fates(axes[1, 1], result)
-    state = f"clearance {1000 * row.clearance:.0f} mm, freedom {row.freedom:.2f}" if row.success else row.reason.text
-    solved = int(result.success.sum())
-    figure.suptitle(
-        f"{result.chain.name}, {result.scene.name}: {solved} of {len(result.rows)} fruits; shown: {row.fruit}, {state}"
-    )
+    for k, row in enumerate(rows):
+        line, column = divmod(k, columns)
+        left, low = SIDE + column * cell[0], size[1] - HEAD - (line + 1) * cell[1] + GAP
+        last = k + columns >= len(rows)
+        for i, x, w in ((0, left, scale * width), (1, left + scale * width + GAP, scale * depth)):
+            axis = figure.add_axes((x / size[0], low / size[1], w / size[0], scale * height / size[1]))
+            _draw(axis, result, crop, row, i)
+            axis.tick_params(labelsize=8, labelbottom=last, labelleft=not (i or column))
+            axis.set_xlabel("xy"[i] + " [m]" if last else "", fontsize=8)
+            axis.set_ylabel("" if i or column else "z [m]", fontsize=8)
+        mark, colour = ("✓", COLOURS[Reason.SOLVED]) if row.success else ("✗", COLOURS[Reason.COLLISION])
+        above = (low + scale * height + 0.06) / size[1]
+        figure.text(left / size[0], above, mark, fontsize=11, weight="bold", color=colour)
+        figure.text((left + 0.17) / size[0], above, f"{row.fruit}: {fate(row)}", fontsize=9, color=INK)
+    _write_head(figure, size, result, len(rows))
     figure.savefig(path, dpi=110, format="png")
 
 
-def _height(result: Harvest, row: Posture) -> float:
-    """The highest of leaf points, fruits and joints [m]."""
-    joints = bones(result.chain, row.q)[:, 2] if row.success else ()
-    return max(float(z) for z in (*result.scene.points.center[:, 2], *(f.position[2] for f in result.scene.fruits), *joints))
+def fate(row: Posture) -> str:
+    """What became of a fruit, in a grower's words."""
+    if row.success:
+        return f"{1000.0 * row.clearance:.0f} mm clear"
+    if row.blockers is None:
+        return WORDS[row.reason]
+    if row.blockers.removal:
+        return f"blocked; take away {', '.join(row.blockers.removal)}"
+    return f"hidden behind {', '.join(row.blockers.names[:3])}" if row.blockers.names else "the arm would hit itself"
 
 
-def bones(chain: Chain, q: np.ndarray) -> np.ndarray:
-    """Where the joints and the tip are in the world, (n + 1, 3) [m]."""
-    frames = joint_frames(chain, [float(x) for x in q], Frame.of(chain.world_T_base))
-    return np.array([[float(x) for x in f.translation] for f in (*frames.joints, frames.tip)])
+def in_the_way(row: Posture) -> tuple[str, ...]:
+    """The objects that keep the robot from a fruit."""
+    return () if row.blockers is None else tuple(row.blockers.removal or row.blockers.names[:3])
 
 
-def _chosen(result: Harvest, fruit: str | None) -> Posture:
-    if fruit is not None:
-        return next(row for row in result.rows if row.fruit == fruit)
-    solved = [row for row in result.rows if row.success]
-    return max(solved, key=lambda row: row.score) if solved else result.rows[0]
+def posture(row: Posture) -> np.ndarray | None:
+    """The posture that picks a fruit, or would once what is in the way were taken away."""
+    if row.success:
+        return row.q
+    return None if row.blockers is None or row.blockers.row is None else np.asarray(row.scan.table.q[row.blockers.row])
 
 
-def _draw_scene(axis: Any, result: Harvest, shown: Posture, i: int, j: int) -> None:
-    scene = result.scene
-    axis.scatter(*scene.points.center[:, [i, j]].T, s=6, c="olivedrab", alpha=0.6, label="leaf points")
-    fruits = {row.fruit: row for row in result.rows}
-    for k, owner in enumerate(scene.owners[2]):
-        name = scene.object_names[owner]
-        ends = np.stack([scene.capsules.a[k], scene.capsules.b[k]])
-        colour = COLOURS.get(fruits[name].reason, "0.6") if name in fruits else "saddlebrown"
-        wide = 6 if name == shown.fruit else 3 if name in fruits else 1.5
-        axis.plot(ends[:, i], ends[:, j], color=colour, lw=wide, alpha=0.8, solid_capstyle="round")
-    place = next(f for f in scene.fruits if f.name == shown.fruit).position
-    axis.scatter(place[i], place[j], marker="*", s=120, c="gold", edgecolors="k", zorder=5, label=f"{shown.fruit}, grasp")
+def _crop(result: Harvest) -> _Crop:
+    points, owners = scene_points(result.scene)
+    some = np.random.default_rng(0).permutation(len(points))[:DOTS]
+    solids = scene_solids(result.scene)
+    reasons = {row.fruit: row.reason for row in result.rows}
+    arms = {row.fruit: _arm(result.chain, q) for row in result.rows if (q := posture(row)) is not None}
+    near = [s.span for s in solids if s.owner in reasons] + [s.span for _, arm in arms.values() for s in arm]
+    places = [f.position for f in result.scene.fruits] + [np.asarray(result.chain.world_T_base)[:3, 3]]
+    held = np.concatenate([points, np.array(places), *near])
+    box = np.array([held.min(axis=0) - 0.05, held.max(axis=0) + 0.05])  # stems and wires go on beyond
+    return _Crop(solids, points[some], owners[some], reasons, arms, box)
 
 
-def _draw_robot(axis: Any, chain: Chain, q: np.ndarray, i: int, j: int) -> None:
-    from matplotlib.patches import Circle
-
-    columns = [np.array([x]) for x in q]
-    for count, skeleton in skeletons(chain, columns, np.float64).items():
-        corners = np.stack([np.stack([np.broadcast_to(x, skeleton.link.shape) for x in c], -1) for c in skeleton.corners], 1)
-        for points, radius, link in zip(corners, skeleton.radius, skeleton.link, strict=True):
-            colour = f"C{link % 10}"
-            for point in points:
-                axis.add_patch(Circle(point[[i, j]], radius, fc=colour, ec=colour, alpha=0.15 if count == 1 else 0.5))
-            if count > 1:
-                axis.plot(points[:, i], points[:, j], color=colour, lw=2)
-    joints = bones(chain, q)
-    axis.plot(joints[:, i], joints[:, j], "k.-", lw=1.5, ms=5, label="joints and tip")
+def _arm(chain: Chain, q: np.ndarray) -> tuple[np.ndarray, list[Solid]]:
+    placed = frames(chain, q)
+    return placed, [solid.moved(placed[chain.link_joint[link]]) for link, solid in volume_solids(chain)]
 
 
-def _draw_map(figure: Any, axis: Any, row: Posture, chain: Chain) -> None:
-    """The best clearance over branches and further leading joints, for each approach angle and first leading joint."""
-    found, table = row.scan, row.scan.table
-    leads = found.leading.shape[1] > 0
-    first = np.unique(found.leading[:, 0]) if leads else np.zeros(1)
-    columns = np.searchsorted(first, table.leading[:, 0]) if leads else np.zeros(len(table.angle), int)
-    best = np.full((len(found.angles), len(first)), np.nan)
-    for a, s, distance in zip(np.searchsorted(found.angles, table.angle), columns, table.clearance, strict=True):
-        best[a, s] = np.fmax(best[a, s], distance)
-    sides = (float(first[0]), float(first[-1])) if len(first) > 1 else (0.0, 1.0)
-    extent = (*sides, float(np.degrees(found.angles[0])), float(np.degrees(found.angles[-1])))
-    span = max(float(np.nanmax(np.abs(best), initial=0.01)), 0.01) * 1000.0
-    picture = axis.imshow(1000.0 * best, origin="lower", aspect="auto", extent=extent, cmap="RdYlGn", vmin=-span, vmax=span)
-    figure.colorbar(picture, ax=axis, label="best clearance [mm]; blank: no posture inside the limits")
-    if row.success and leads:
-        axis.plot(row.q[0], np.degrees(row.angle), "k*", ms=12)
-    lead = f"{chain.joint_names[0]} [{'m' if chain.is_prismatic[0] else 'rad'}]" if leads else "no leading joint"
-    axis.set(xlabel=lead, ylabel="approach angle [deg]", title=f"{row.fruit}: clearance map")
+def _draw(axis: Any, result: Harvest, crop: _Crop, row: Posture, i: int) -> None:
+    """One view of one fruit: from the front (i = 0, x and z) or from the side (i = 1, y and z)."""
+    from matplotlib.collections import PolyCollection
+
+    blocking = in_the_way(row)
+    if row.fruit in crop.arms:
+        placed, volumes = crop.arms[row.fruit]
+        arm = [volume.outline(i, 2) for volume in volumes]
+        fill = ARM if row.success else "w"
+        axis.add_collection(PolyCollection(arm, facecolor=fill, edgecolor=ARM_EDGE, linewidth=1.6, zorder=1))
+        axis.add_collection(PolyCollection(arm, facecolor=fill, edgecolor="none", zorder=1.1))  # leaves the outer edge
+        axis.plot(*placed[1:, [i, 2], 3].T, ".-" if row.success else ".:", color=INK, lw=1.2, ms=4, zorder=4)
+    colours = [_colour(s.owner, crop, row.fruit, blocking) for s in crop.solids]
+    edges = [INK if s.owner == row.fruit else "0.6" if s.owner in crop.reasons else "none" for s in crop.solids]
+    shapes = [s.outline(i, 2) for s in crop.solids]
+    axis.add_collection(PolyCollection(shapes, facecolor=colours, edgecolor=edges, linewidth=1.0, zorder=2))
+    hit = np.isin(crop.owners, blocking)
+    for mask, colour, dot in ((~hit, LEAF, 3), (hit, COLOURS[Reason.COLLISION], 9)):
+        axis.scatter(*crop.points[mask][:, [i, 2]].T, s=dot, c=colour, lw=0, zorder=3)
+    place = next(f for f in result.scene.fruits if f.name == row.fruit).position
+    axis.plot(place[i], place[2], "D", ms=6, color=COLOURS[row.reason], mec=INK, zorder=5)
+    axis.set(xlim=crop.box[:, i], ylim=crop.box[:, 2], aspect="equal")
+    axis.locator_params(nbins=4)
 
 
-def _draw_fates(axis: Any, result: Harvest) -> None:
-    names = [row.fruit for row in result.rows]
-    heights = [1000.0 * row.clearance if row.success else 0.0 for row in result.rows]
-    axis.bar(names, heights, color="tab:green")
-    for k, row in enumerate(result.rows):
-        if not row.success:
-            removal = row.blockers.removal if row.blockers else None
-            text = row.reason.text + (f": remove {', '.join(removal)}" if removal else "")
-            axis.text(k, 1.0, text, rotation=90, ha="center", va="bottom", fontsize=8, color=COLOURS.get(row.reason, "0.4"))
-    axis.tick_params(axis="x", rotation=90)
-    axis.set(ylabel="clearance [mm]", title="every fruit")
+def _colour(owner: str, crop: _Crop, fruit: str, blocking: tuple[str, ...]) -> Any:
+    """Of an object in a fruit's panel; other fruits are paler."""
+    if owner in blocking:
+        return COLOURS[Reason.COLLISION], 1.0
+    return (COLOURS[crop.reasons[owner]], 1.0 if owner == fruit else 0.4) if owner in crop.reasons else (OBSTACLE, 1.0)
+
+
+def _write_head(figure: Any, size: tuple[float, float], result: Harvest, shown: int) -> None:
+    """The title above and the legend below, where no plant is."""
+    from matplotlib.lines import Line2D
+    from matplotlib.patches import Patch
+
+    solved, count = int(result.success.sum()), len(result.rows)
+    title = f"{result.chain.name} can pick {solved} of {count} fruits of {result.scene.name}"
+    figure.text(SIDE / size[0], 1.0 - 0.35 / size[1], title, fontsize=15, weight="bold", color=INK)
+    how = (
+        "For each fruit the best posture, from the front (left) and from the side (right), and how far it stays from all else."
+    )
+    how += f" The first {shown} are shown." if shown < count else ""
+    figure.text(SIDE / size[0], 1.0 - 0.6 / size[1], how, fontsize=10, color=INK)
+    marker = lambda colour, shape, label, **how: Line2D([], [], color=colour, marker=shape, lw=0, label=label, **how)
+    fates = {r: "can be picked" if r == Reason.SOLVED else WORDS[r] for r in COLOURS if r in result.reason}
+    entries = [
+        Patch(fc=ARM, ec=ARM_EDGE, label="the arm, as the volumes that are kept clear"),
+        Line2D([], [], color=INK, marker=".", label="its joints, to the tip"),
+        marker("w", "D", "where this fruit is grasped; others are pale", mec=INK),
+        *(Patch(fc=COLOURS[reason], ec="0.6", label=f"fruit: {words}") for reason, words in fates.items()),
+        *([marker(LEAF, "o", "leaves (points)", ms=4)] if result.scene.counts["points"] else []),
+        Patch(color=OBSTACLE, label="stems and other obstacles"),
+    ]
+    if any(in_the_way(row) for row in result.rows):
+        entries.append(marker(COLOURS[Reason.COLLISION], "o", "what is in this fruit's way", ms=5))
+        entries.append(Patch(fc="w", ec=ARM_EDGE, label="the arm, once that is taken away"))
+    place = (SIDE / size[0], 0.05 / size[1])
+    figure.legend(handles=entries, loc="lower left", bbox_to_anchor=place, ncols=3, fontsize=9, frameon=False)

@@ -1,31 +1,52 @@
-"""A page to look at (viser, extra `[view]`): the robot with joints to drag, the scene, a sweep's map, each fruit's posture."""
+"""A page to look at (viser, extra `[view]`): the robot with joints and a target to drag, what is near to it, a sweep's map,
+each fruit's posture."""
 
 from __future__ import annotations
 
-import functools
+import threading
 import time
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from jaxik.checks.extras import optional
+from jaxik.collision.clearances import check_geometry
+from jaxik.collision.contacts import Contact, explain
 from jaxik.collision.scene import Scene
-from jaxik.collision.volumes import skeletons
+from jaxik.collision.self_pairs import default_pose
 from jaxik.files.targets import as_frames
 from jaxik.fitting.model import Shape
 from jaxik.harvesting.driver import Harvest
+from jaxik.ik.solve import solve_ik
+from jaxik.reasons import Reason
 from jaxik.robot.chain import Chain, finite_limits
-from jaxik.robot.kinematics import joint_frames, pose_errors
-from jaxik.spatial.algebra import Frame
+from jaxik.robot.task import Task
 from jaxik.spatial.rotations import to_wxyz
-from jaxik.sweeps.variants import variant_name
-from jaxik.view.harvest_picture import COLOURS, bones
-from jaxik.view.sweep_picture import Map, open_store, variant_label, variant_map
+from jaxik.view.cloud import Cloud, store_of
+from jaxik.view.harvest_picture import fate, posture
+from jaxik.view.palette import COLOURS, FRUIT, INK, LEAF, OBSTACLE, ROBOT, WORDS, rgb, swatches
+from jaxik.view.solids import Solid, bones, box_solids, frames, scene_points, scene_solids, volume_solids
 
-SHOWN = 200_000  # points of a cloud that a browser still turns smoothly
-LEAF, WOOD, FRUIT, METAL = (110, 150, 60), (140, 100, 60), (240, 190, 40), (120, 120, 125)
+MANY = 500  # solids, from which on each is drawn more coarsely
+GOOD, BAD = COLOURS[Reason.SOLVED], COLOURS[Reason.COLLISION]
+SHOWS = ("its own shape", "volumes kept clear", "both", "joints alone")
+HELP = """
+**Look:** drag to turn, right button to shift, wheel to come nearer.
+
+**Joints:** the sliders move them. The line at the top says what is nearest to the robot, or what it hits.
+
+**Target:** drag the arrows and rings at the tip. Inverse kinematics follows, or says why it cannot.
+
+**Map:** each point is a place that a sweep has tried. Click one that is reachable to see the posture there.
+
+**Fruits:** choose one to see how it is picked, or what is in its way.
+"""
+DRAG = "Drag the arrows and rings at the tip: the robot follows, at first after a few seconds."
+NO_MAP = "No map yet. Make one with `jaxik sweep STUDY.toml`, then open this page with `--store STUDY.zarr`."
+NO_FRUITS = "No fruits yet. Open this page with `--scene cucumber_row --harvest`, or a scene file of your own that has fruits."
+NO_SCENE = "No obstacles: open this page with `--scene cucumber_row`, or a scene file of your own."
 
 
 class Page:
@@ -41,30 +62,51 @@ class Page:
         port: int = 8080,
         meshes: Sequence[Shape] = (),
     ):
-        """Serves the page on `host`, `port`; `meshes` are shown beside the collision model (`files.link_meshes`).
+        """Serves the page on `host`, `port`; `meshes` are the links' own shapes (`files.link_meshes`).
 
         Raises `ValueError` without viser, and for a store of another robot.
         """
         viser = optional("jaxik view", "viser", "view")
-        group = None if store is None else _store_of(chain, store)
+        group = None if store is None else store_of(chain, store)
         self.home = self.chain = chain
-        self.scene, self.harvest, self.shapes = scene, harvest, [shape for shape in meshes if len(shape.triangles)]
+        self.scene, self.harvest, self.blind = scene, harvest, _unmeasured(chain)
+        self._q, self._asked, self.hit = default_pose(chain), _Latest(), frozenset[str]()
         self.server = viser.ViserServer(host=host, port=port, label="jaxik", verbose=False)
         self.server.scene.set_up_direction("+z")
-        self.server.initial_camera.position, self.server.initial_camera.look_at = (1.3, -1.1, 1.2), (0.6, 0.5, 0.45)
         self.server.scene.add_grid("/floor", width=4.0, height=4.0, cell_size=0.1, section_size=0.5, shadow_opacity=0.0)
-        self._joints()
-        if scene is not None:
-            self._scene(scene)
-        if group is not None:
-            self.map = _Cloud(self, group)
-        if harvest is not None:
-            self._fruits(harvest)
-        self._robot()
+        gui, title = self.server.gui, chain.name + (f" in {scene.name}" if scene is not None else "")
+        gui.configure_theme(show_logo=False, show_share_button=False, brand_color=rgb(GOOD))
+        gui.set_panel_label(f"jaxik: {title}")
+        self._look()
+        self.near = gui.add_html("")
+        self.legend = gui.add_html(_boxed(swatches(self._legend())))
+        tabs = gui.add_tab_group()
+        with tabs.add_tab("Robot"):
+            self._shapes(meshes)
+            self._target()
+            self._joints()
+        with tabs.add_tab("Map"):
+            if group is None:
+                gui.add_markdown(NO_MAP)
+            else:
+                self.map = Cloud(self, group)
+        with tabs.add_tab("Fruits"):
+            if harvest is None:
+                gui.add_markdown(NO_FRUITS)
+            else:
+                self._fruits(harvest)
+        with tabs.add_tab("Help"):
+            gui.add_markdown(HELP)
+        self._draw()
 
     @property
     def url(self) -> str:
         return f"http://{self.server.get_host()}:{self.server.get_port()}"
+
+    @property
+    def q(self) -> np.ndarray:
+        """The configuration that is shown (n,) [rad, m]."""
+        return self._q.copy()
 
     def wait(self) -> None:
         """Serves until Ctrl-C."""
@@ -80,314 +122,279 @@ class Page:
     def move(self, q: np.ndarray, world_T_base: np.ndarray | None = None) -> None:
         """Shows the robot at `q` (n,) [rad, m], where it stands unless `world_T_base` (4, 4) puts it elsewhere."""
         self.chain = self.home if world_T_base is None else self.home.mounted(world_T_base)
-        for slider, value, prismatic in zip(self.sliders, q, self.chain.is_prismatic, strict=True):
-            slider.value = float(value if prismatic else np.degrees(value))
-        self._robot()
+        self._show(q)
+
+    def reach(self, world_T_tip: np.ndarray) -> Reason:
+        """Brings the tip to a pose (4, 4), by the posture next to the one shown; where there is none, says why."""
+        free = self.binds.value == "position alone"
+        base_T_tip = np.linalg.inv(np.asarray(self.chain.world_T_base)) @ world_T_tip
+        scene = self.scene if self.clear.value and not self.blind else None
+        task = Task((True, True, True, False, False, False)) if free else Task()
+        found = solve_ik(self.chain, base_T_tip, scene, task=task, reference=self._q, seeds="near", max_seeds=32)
+        self.said.content = _verdict(found.reason, found.offenders)
+        if found.success:
+            self._show(found.q, follow=False)
+        return Reason(int(found.reason))
 
     # ----------------------------------------------------------------------------------------------------------------
 
+    def _look(self) -> None:
+        """The floor's camera: far enough to see the robot, and the crop beside it."""
+        seen = [bones(self.chain, self._q)]
+        if self.scene is not None:
+            seen += [scene_points(self.scene)[0], np.array([f.position for f in self.scene.fruits]).reshape(-1, 3)]
+        held = np.concatenate(seen)
+        low, high = held.min(axis=0), held.max(axis=0)
+        centre, away = (low + high) / 2.0, max(0.85 * float(np.linalg.norm(high - low)), 1.3)
+        camera = self.server.initial_camera
+        camera.look_at, camera.position = tuple(centre), tuple(centre + away * np.array([0.55, -0.8, 0.5]))
+
+    def _legend(self) -> dict[str, str]:
+        found = {"robot": ROBOT, "what collides": BAD}
+        if self.scene is not None:
+            points, fruits = len(self.scene.points.center), len(self.scene.fruits)
+            found |= (
+                {"obstacles": OBSTACLE} | ({"leaves (points)": LEAF} if points else {}) | ({"fruits": FRUIT} if fruits else {})
+            )
+        return found
+
     def _joints(self) -> None:
-        """A slider for each joint, in degrees or metres, and one switch for the robot's volumes."""
-        low, high = finite_limits(self.chain)
-        with self.server.gui.add_folder(self.chain.name):
-            self.volumes = self.server.gui.add_checkbox("spheres", True)
-            self.volumes.on_update(lambda _: self._robot())
-            self.meshes = self._meshes()
-            self.sliders = []
-            for i, name in enumerate(self.chain.joint_names):
-                prismatic = self.chain.is_prismatic[i]
-                a, b = (low[i], high[i]) if prismatic else np.degrees((low[i], high[i]))
-                step = 0.001 if prismatic else 0.1
-                label = f"{name} [{'m' if prismatic else 'deg'}]"
-                slider = self.server.gui.add_slider(label, float(a), float(b), step, float(np.clip(0.0, a, b)))
-                slider.on_update(lambda _: self._robot())
-                self.sliders.append(slider)
+        """A slider for each joint, in degrees or metres."""
+        gui, self.sliders = self.server.gui, []
+        self.limits = np.array(finite_limits(self.chain))
+        for i, (name, prismatic) in enumerate(zip(self.chain.joint_names, self.chain.is_prismatic, strict=True)):
+            digits = 3 if prismatic else 1
+            low, high, value = (round(float(x), digits) for x in self._shown(i, np.array([*self.limits[:, i], self._q[i]])))
+            slider = gui.add_slider(f"{name} [{'m' if prismatic else 'deg'}]", low, high, 10.0**-digits, value)
+            slider.on_update(lambda event, i=i: self._slid(event, i))
+            self.sliders.append(slider)
 
-    def _meshes(self) -> list[Any]:
-        """The links' meshes, and a switch for them."""
-        if not self.shapes:
-            return []
-        root, seen = self.server.scene.add_frame("/meshes", show_axes=False), self.server.gui.add_checkbox("meshes", True)
-        seen.on_update(lambda _: setattr(root, "visible", seen.value))
-        return [
-            self.server.scene.add_mesh_simple(f"/meshes/{i}", s.corners, s.triangles, color=METAL, flat_shading=True)
-            for i, s in enumerate(self.shapes)
+    def _shown(self, i: int, value: Any) -> Any:
+        """A joint's coordinate in what its slider shows."""
+        return value if self.chain.is_prismatic[i] else np.degrees(value)
+
+    def _slid(self, event: Any, i: int) -> None:
+        if event.client is not None:  # a person, not `_show`
+            value = self.sliders[i].value if self.chain.is_prismatic[i] else np.radians(self.sliders[i].value)
+            self._q[i] = np.clip(value, *self.limits[:, i])  # the slider's ends are rounded
+            self._asked(self._draw)
+
+    def _show(self, q: np.ndarray, follow: bool = True) -> None:
+        """The robot at `q`, its sliders too, and the target at its tip unless it is that which is dragged."""
+        self._q = np.array(q, float)
+        for i, slider in enumerate(self.sliders):
+            slider.value = round(float(self._shown(i, self._q[i])), 3 if self.chain.is_prismatic[i] else 1)
+        self._draw(follow)
+
+    def _shapes(self, meshes: Sequence[Shape]) -> None:
+        """The robot's own shapes and its volumes, each link's one mesh that moves with its joint; and switches."""
+        gui, chain, show = self.server.gui, self.chain, self.server.scene.add_mesh_simple
+        own = [(s.link, s.corners, s.triangles) for s in meshes if len(s.triangles)]
+        own = own or [(link, *_mesh([solid])) for link, solid in box_solids(chain)]
+        volumes = [(link, *_mesh([solid])) for link, solid in volume_solids(chain)]
+        self.roots = {name: self.server.scene.add_frame(f"/{name}", show_axes=False) for name in ("shape", "volumes", "scene")}
+        self.parts = [
+            (link, show(f"/{name}/{link}", *_joined(kind, link), color=rgb(ROBOT), opacity=opacity, flat_shading=not opacity))
+            for name, kind, opacity in (("shape", own, None), ("volumes", volumes, 0.4))
+            for link in sorted({part[0] for part in kind})
         ]
+        if not self.parts:
+            gui.add_markdown("This robot's file holds no shapes: only its joints are shown.")
+        self.style = gui.add_dropdown("robot as", SHOWS)
+        self.style.on_update(lambda _: self._styled())
+        self._styled()
+        self.surroundings = gui.add_checkbox("obstacles", True, visible=self.scene is not None)
+        self.surroundings.on_update(lambda _: setattr(self.roots["scene"], "visible", self.surroundings.value))
+        if self.scene is None:
+            gui.add_markdown(NO_SCENE)
+        else:
+            self.points, self.solids = scene_points(self.scene), scene_solids(self.scene)
+            self.radius = max(float(self.scene.points.radius), 0.004)
+            self._draw_scene(self.scene)
 
-    @property
-    def q(self) -> np.ndarray:
-        """What the sliders say (n,) [rad, m]."""
-        values = np.array([s.value for s in self.sliders])
-        return np.where(self.chain.is_prismatic, values, np.radians(values))
+    def _styled(self) -> None:
+        self.roots["shape"].visible = self.style.value in (SHOWS[0], SHOWS[2])
+        self.roots["volumes"].visible = self.style.value in (SHOWS[1], SHOWS[2])
 
-    def _robot(self) -> None:
-        """Draws bones and volumes where the sliders put them."""
-        scene, q = self.server.scene, self.q
-        line = bones(self.chain, q)
+    def _target(self) -> None:
+        """Arrows and rings at the tip; inverse kinematics follows them."""
+        gui = self.server.gui
+        self.gizmo = self.server.scene.add_transform_controls("/target", scale=0.18, depth_test=False)
+        switch = gui.add_checkbox("target to drag", True)
+        switch.on_update(lambda _: setattr(self.gizmo, "visible", switch.value))
+        few = self.chain.num_joints < 6
+        self.binds = gui.add_dropdown("it binds", ("position and turn", "position alone"))
+        self.binds.value = "position alone" if few else "position and turn"
+        self.clear = gui.add_checkbox("keep clear", self.scene is not None, visible=self.scene is not None)
+        self.said = gui.add_html(_boxed(DRAG))
+        self.gizmo.on_update(lambda _: self._asked(self._dragged))
+
+    def _dragged(self) -> None:
+        self.reach(as_frames(np.concatenate([self.gizmo.position, self.gizmo.wxyz])[None])[0])
+
+    def _draw(self, follow: bool = True) -> None:
+        """The robot where `q` puts it, and what is nearest to it."""
+        placed, scene = frames(self.chain, self._q), self.server.scene
+        line = placed[1:, :3, 3]
+        contacts = self._contacts()
+        hit = frozenset(name for c in contacts if c.distance < 0.0 for name in (c.link, c.other))
         with self.server.atomic():
-            scene.add_line_segments(
-                "/robot/bones", np.stack([line[:-1], line[1:]], axis=1), (20, 20, 20), thickness=0.008, thickness_units="world"
-            )
-            scene.add_frame("/robot/tip", axes_length=0.08, axes_radius=0.004, position=line[-1], wxyz=_turn(self.chain, q))
-            if self.chain.boxes or self.chain.volumes:
-                centres, radii, link = _spheres(self.chain, q)
-                _balls(scene, "/robot/spheres", centres, radii, _palette(link), opacity=0.55).visible = self.volumes.value
-            moved = _joints(self.chain, q) if self.meshes else []
-            for shape, mesh in zip(self.shapes, self.meshes, strict=True):
-                frame = moved[self.chain.link_joint[shape.link]]
-                mesh.wxyz, mesh.position = _wxyz(frame), frame[:3, 3]
+            pairs = np.stack([line[:-1], line[1:]], axis=1)
+            scene.add_line_segments("/robot/bones", pairs, rgb(INK), thickness=0.008, thickness_units="world")
+            scene.add_frame("/robot/tip", axes_length=0.08, axes_radius=0.004, position=line[-1], wxyz=_wxyz(placed[-1]))
+            for link, part in self.parts:
+                frame = placed[self.chain.link_joint[link]]
+                part.wxyz, part.position = _wxyz(frame), frame[:3, 3]
+                colour = rgb(BAD if self.chain.link_names[link] in hit else ROBOT)
+                if tuple(part.color) != colour:
+                    part.color = colour
+            self._draw_hit(hit)
+            self._draw_nearest(contacts)
+            if follow:
+                self.said.content = _boxed(DRAG)
+                self.gizmo.wxyz, self.gizmo.position = _wxyz(placed[-1]), line[-1]
 
-    def _scene(self, world: Scene) -> None:
-        show = self.server.scene
-        root, seen = show.add_frame("/scene", show_axes=False), self.server.gui.add_checkbox("scene", True)
-        seen.on_update(lambda _: setattr(root, "visible", seen.value))
-        if len(world.points.center):
-            radius = max(float(world.points.radius), 0.004)
-            show.add_point_cloud(
-                "/scene/points", np.asarray(world.points.center), LEAF, point_size=radius, point_shape="circle"
-            )
-        if len(world.spheres.center):
-            _balls(show, "/scene/spheres", world.spheres.center, world.spheres.radius, LEAF)
+    def _contacts(self) -> tuple[Contact, ...]:
+        """What is nearest to the robot, or all that it hits; the panel's first line says so."""
+        if self.blind:
+            self.near.content = _boxed(f"Clearance unknown. {self.blind}")
+            return ()
+        found = explain(self.chain, self.scene, self._q, 5)
+        if found.colliding:
+            pairs = "; ".join(f"{c.link} and {c.other}, by {-1000.0 * c.distance:.1f} mm" for c in found.colliding)
+            self.near.content = _boxed(f"<b style='color:{BAD}'>✗ Collides:</b> {pairs}")
+        elif found.contacts:
+            first = found.contacts[0]
+            words = f"{1000.0 * first.distance:.0f} mm between {first.link} and {first.other}"
+            self.near.content = _boxed(f"<b style='color:{GOOD}'>✓ Clear:</b> {words}")
+        else:
+            self.near.content = _boxed(f"<b style='color:{GOOD}'>✓ Clear:</b> nothing to hit")
+        return found.colliding or found.contacts[:1]
+
+    def _draw_nearest(self, contacts: tuple[Contact, ...]) -> None:
+        """Lines between the points that are nearest to each other."""
+        ends = np.array([(c.point, c.other_point) for c in contacts]).reshape(-1, 2, 3)
+        colour = rgb(BAD if contacts and contacts[0].distance < 0.0 else INK)
+        shown = ends if len(ends) else np.zeros((1, 2, 3))
+        self.server.scene.add_line_segments(
+            "/nearest", shown, colour, thickness=4, thickness_units="screen", visible=len(ends) > 0
+        )
+
+    def _draw_hit(self, hit: frozenset[str]) -> None:
+        """The objects that the robot hits, over what they are drawn as else."""
+        if self.scene is None or self.hit == hit:
+            return
+        self.hit = hit
+        points, owners = self.points
+        struck = points[np.isin(owners, list(hit))]
+        _points(self.server.scene, "/scene/hit_points", struck, BAD, 1.6 * self.radius)
+        solids = [s._replace(radius=s.radius + 0.002) for s in self.solids if s.owner in hit]
+        self.server.scene.add_mesh_simple("/scene/hit", *_mesh(solids), color=rgb(BAD), visible=bool(solids))
+
+    def _draw_scene(self, world: Scene) -> None:
+        """Leaves as points, the rest as solids: fruits in their colour, obstacles in one."""
+        _points(self.server.scene, "/scene/points", self.points[0], LEAF, self.radius)
         fruits = {f.name for f in world.fruits}
-        owners = [world.object_names[o] for o in world.owners[2]] or [""] * len(world.capsules.a)
-        for name, colour in (("fruits", FRUIT), ("stems", WOOD)):
-            mine = [i for i, owner in enumerate(owners) if (owner in fruits) == (name == "fruits")]
+        for name, colour in (("fruits", FRUIT), ("obstacles", OBSTACLE)):
+            mine = [s for s in self.solids if (s.owner in fruits) == (name == "fruits")]
             if mine:
-                mesh = _capsules(*(np.asarray(x)[mine] for x in (world.capsules.a, world.capsules.b, world.capsules.radius)))
-                show.add_mesh_simple(f"/scene/{name}", mesh.vertices, mesh.faces, color=colour)
-        for i, (frame, half) in enumerate(zip(world.boxes.world_T_box, world.boxes.half, strict=True)):
-            show.add_box(f"/scene/boxes/{i}", LEAF, dimensions=tuple(2.0 * half), wxyz=_wxyz(frame), position=frame[:3, 3])
-        for i, frame in enumerate(world.cylinders.world_T_cylinder):
-            size = float(world.cylinders.radius[i]), 2.0 * float(world.cylinders.half[i])
-            show.add_cylinder(f"/scene/cylinders/{i}", *size, color=WOOD, wxyz=_wxyz(frame), position=frame[:3, 3])
+                self.server.scene.add_mesh_simple(f"/scene/{name}", *_mesh(mine), color=rgb(colour))
 
     def _fruits(self, harvest: Harvest) -> None:
-        """A list of the fruits: choosing one shows its posture, or says why there is none."""
-        rows = {f"{row.fruit}: {row.reason.text}": row for row in harvest.rows}
-        with self.server.gui.add_folder("fruits"):
-            chosen = self.server.gui.add_dropdown("posture of", list(rows))
-            said = self.server.gui.add_markdown("")
+        """A list of the fruits: choosing one shows its posture, or what is in its way."""
+        gui, solved = self.server.gui, int(harvest.success.sum())
+        rows = {f"{'✓' if row.success else '✗'} {row.fruit}": row for row in harvest.rows}
+        gui.add_markdown(f"**{self.chain.name} can pick {solved} of the {len(rows)} fruits.** Choose one:")
+        self.fruit = chosen = gui.add_dropdown("fruit", list(rows))
+        said = gui.add_html("")
 
         def show(_: Any = None) -> None:
             row = rows[chosen.value]
-            said.content = row.reason.text
-            if row.success:
-                said.content = f"clearance {1000 * row.clearance:.0f} mm, freedom {row.freedom:.2f}"
-                self.move(row.q)
+            colour, words = (GOOD, "the best posture stays") if row.success else (BAD, "no posture:")
+            q = posture(row)
+            more = " of all but the fruit itself." if row.success else "." if q is None else ". Shown is what that would open."
+            said.content = _boxed(f"<b style='color:{colour}'>{chosen.value}</b>: {words} {fate(row)}{more}")
+            if q is not None:
+                self.move(q)
 
         chosen.on_update(show)
         chosen.value = next((k for k, row in rows.items() if row.success), next(iter(rows)))
         show()
 
 
-class _Cloud:
-    """A sweep's targets as points, coloured by reason or by a score; cut by a slice; a click shows a posture.
+class _Latest:
+    """Runs the newest of what it is asked, one at a time: who drags asks faster than the answers come."""
 
-    The robot stands where the variant has it. Of another robot, and of other lengths of its links, only the map is shown.
-    """
+    def __init__(self) -> None:
+        self.guard, self.busy = threading.Lock(), False
+        self.next: Callable[[], Any] | None = None
 
-    def __init__(self, page: Page, group: Any):
-        self.page, self.server, self.group = page, page.server, group
-        self.fits = functools.cache(lambda index: _is_of(group, index, page.home))
-        self.maps: dict[tuple[int, ...], Map] = {}
-        shape = self.group["reason"].shape[:-1]
-        self.indices = {variant_label(self.group, index) or "all": index for index in np.ndindex(*shape)}
-        gui = self.server.gui
-        with gui.add_folder("map"):
-            self.visible = gui.add_checkbox("targets", True)
-            self.variant = gui.add_dropdown("of", list(self.indices))
-            self.colour = gui.add_dropdown("colour", ("share reachable", "reason", "limit margin", "clearance", "solutions"))
-            self.axis = gui.add_dropdown("slice across", ("z", "y", "x"))
-            self.cut = gui.add_multi_slider("from, to [%]", 0.0, 100.0, 1.0, (0.0, 100.0))
-            self.only = gui.add_checkbox("reachable only", False)
-            self.size = gui.add_slider("point size [m]", 0.002, 0.05, 0.001, 0.012)
-            self.legend = gui.add_markdown("")
-        for control in (self.visible, self.variant, self.colour, self.axis, self.cut, self.only, self.size):
-            control.on_update(lambda _: self.draw())
-        self.variant.on_update(lambda _: self.stand())
-        self.server.scene.on_click()(self._clicked)
-        self.stand()
-        self.draw()
-
-    def stand(self) -> None:
-        """Puts the robot where the variant has it."""
-        index = self.indices[self.variant.value]
-        if self.fits(index):
-            self.page.move(self.page.q, self._mount(index))
-
-    def draw(self) -> None:
-        """Draws the points that the controls leave."""
-        index = self.indices[self.variant.value]
-        shown = self._map(index)
-        low, high = shown.positions.min(axis=0), shown.positions.max(axis=0)
-        i = "xyz".index(self.axis.value)
-        at = 100.0 * (shown.positions[:, i] - low[i]) / max(high[i] - low[i], 1e-9)
-        keep = (at >= self.cut.value[0] - 1e-6) & (at <= self.cut.value[1] + 1e-6)
-        if self.only.value:
-            keep &= shown.share > 0.0
-        rows = np.flatnonzero(keep)
-        rows = rows[:: max(1, len(rows) // SHOWN)]
-        colours, self.legend.content = self._colours(shown, rows, index)
-        self.shown = shown.positions[rows], rows, index
-        self.server.scene.add_point_cloud(
-            "/map", shown.positions[rows], colours, point_size=self.size.value, point_shape="circle", visible=self.visible.value
-        )
-
-    def _map(self, index: tuple[int, ...]) -> Map:
-        if index not in self.maps:
-            shown = variant_map(self.group, index)
-            if self.group.attrs["frame"].startswith("targets are base"):
-                mount = self._mount(index)
-                shown = shown._replace(positions=shown.positions @ mount[:3, :3].T + mount[:3, 3])
-            self.maps = {index: shown}  # one at a time: a map may be large
-        return self.maps[index]
-
-    def _mount(self, index: tuple[int, ...]) -> np.ndarray:
-        return _mount(self.group, index)
-
-    def _colours(self, shown: Map, rows: np.ndarray, index: tuple[int, ...]) -> tuple[np.ndarray, str]:
-        import matplotlib
-
-        turns = int(self.group.attrs["targets_per_position"])
-        if self.colour.value == "reason":
-            best = np.where(shown.reason.reshape(-1, turns) < 0, 99, shown.reason.reshape(-1, turns)).min(axis=1)[rows]
-            table = {int(r): matplotlib.colors.to_rgb(COLOURS[r]) for r in COLOURS}
-            legend = ", ".join(f"{r.text} ({COLOURS[r].removeprefix('tab:')})" for r in COLOURS if int(r) in best)
-            return np.array([table.get(int(b), (0, 0, 0)) for b in best]).reshape(-1, 3), legend
-        if self.colour.value == "share reachable":
-            values = shown.share[rows]
-        else:
-            name = self.colour.value.replace(" ", "_")
-            with np.errstate(all="ignore"):
-                every = np.asarray(self.group[name][(*index, slice(None))], float).reshape(-1, turns)
-            values = np.where(np.isfinite(every), every, -np.inf).max(axis=1)[rows]
-        finite = values[np.isfinite(values)]
-        low, high = (float(finite.min()), float(finite.max())) if len(finite) else (0.0, 1.0)
-        colours = matplotlib.colormaps["viridis"]((values - low) / max(high - low, 1e-9))[:, :3]
-        colours[~np.isfinite(values)] = 0.75
-        return colours, f"{self.colour.value}: {low:.3g} (dark) to {high:.3g} (bright), grey where there is none"
-
-    def _clicked(self, event: Any) -> None:
-        """The posture at the point under a click: the nearest to the eye of those that its ray passes within a point's size."""
-        points, rows, index = self.shown
-        eye, along = np.asarray(event.ray_origin), np.asarray(event.ray_direction)
-        depth = (points - eye) @ along
-        aside = np.linalg.norm(points - eye - depth[:, None] * along, axis=1)
-        hit = np.flatnonzero((aside <= self.size.value) & (depth > 0.0))
-        if len(hit):
-            self.posture(int(rows[hit[np.argmin(depth[hit])]]), index)
-
-    def posture(self, position: int, index: tuple[int, ...]) -> None:
-        """Shows the posture of the first reachable target at a position, by its number."""
-        turns = int(self.group.attrs["targets_per_position"])
-        part = slice(position * turns, (position + 1) * turns)
-        found = np.flatnonzero(self.group["reachable"][(*index, part)])
-        if len(found) and self.fits(index):
-            q = np.asarray(self.group["q"][(*index, position * turns + int(found[0]))])
-            self.page.move(q[np.isfinite(q)], self._mount(index))
+    def __call__(self, work: Callable[[], Any]) -> None:
+        with self.guard:
+            self.next = work
+            if self.busy:
+                return
+            self.busy = True
+        try:
+            while True:
+                with self.guard:
+                    asked, self.next = self.next, None
+                    if asked is None:
+                        self.busy = False
+                        return
+                asked()
+        except BaseException:
+            self.busy = False
+            raise
 
 
-def _store_of(chain: Chain, store: str | Path) -> Any:
-    """The store, if one of its variants is of this robot."""
-    group = open_store(store)
-    if any(_is_of(group, index, chain) for index in np.ndindex(*group["reason"].shape[:-1])):
-        return group
-    names = sorted({model.rpartition(" ")[0] for model in group.attrs["models"].values()})
-    held = (
-        f"another {chain.name}, whose postures do not fit" if chain.name in names else f"{', '.join(names)}, not {chain.name}"
-    )
-    raise ValueError(f"{store}: holds {held}; view the robot (file and tip) that was swept")
+def _unmeasured(chain: Chain) -> str:
+    """Why a robot's clearance cannot be measured, if it cannot."""
+    try:
+        check_geometry(chain)
+    except ValueError as error:
+        return str(error)
+    return ""
 
 
-def _is_of(group: Any, index: tuple[int, ...], chain: Chain) -> bool:
-    """Whether a variant's robot is this one: its postures bring this one's tip to their targets. Shapes may differ, such as
-    meshes that one of both has not read."""
-    attributes, mount = group.attrs, _mount(group, index)
-    name, _, digest = attributes["models"][variant_name(index)].rpartition(" ")
-    if name != chain.name or attributes["joint_names"][name] != list(chain.joint_names):
-        return False
-    found = np.flatnonzero(group["reachable"][(*index, slice(None))])[:1]
-    if chain.mounted(mount).digest.startswith(digest) or not len(found):
-        return True
-    row = int(found[0])
-    pose = as_frames(np.concatenate([group["position"][row], group["quaternion"][row]])[None])[0]
-    if not attributes["frame"].startswith("targets are base"):
-        pose = np.linalg.inv(mount) @ pose
-    q = np.asarray(group["q"][(*index, row)])
-    away, turned = pose_errors(chain, q[np.isfinite(q)].tolist(), pose.ravel().tolist())
-    return bool(away < 1e-3 and not turned > 1e-2)  # NaN where the rotation is free
+def _verdict(reason: Any, offenders: Sequence[Contact]) -> str:
+    """What inverse kinematics says to a target."""
+    if reason == Reason.SOLVED:
+        return _boxed(f"<b style='color:{GOOD}'>✓ Target reached</b>")
+    first = f": {offenders[0].link} and {offenders[0].other}" if offenders else ""
+    return _boxed(f"<b style='color:{BAD}'>✗ No posture</b>: {WORDS[Reason(int(reason))]}{first}")
 
 
-def _mount(group: Any, index: tuple[int, ...]) -> np.ndarray:
-    return np.array(group.attrs["mounts"][variant_name(index)])
+def _boxed(html: str) -> str:
+    return f"<div style='padding:0.35em 0.9em;font-size:0.9em'>{html}</div>"
 
 
-def _spheres(chain: Chain, q: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Balls that show the robot's volumes in the world: centres (s, 3), radii (s,) [m], links (s,)."""
-    centres, radii, links = [], [], []
-    for skeleton in skeletons(chain, [np.array([x]) for x in q], np.float64).values():
-        corners = [np.stack([np.broadcast_to(x, skeleton.link.shape) for x in c], axis=-1) for c in skeleton.corners]
-        for share in np.linspace(0.0, 1.0, 1 if len(corners) == 1 else 9):
-            for a, b in zip(corners, corners[1:] or corners, strict=False):
-                centres.append((1.0 - share) * a + share * b)
-                radii.append(np.broadcast_to(skeleton.radius, skeleton.link.shape))
-                links.append(skeleton.link)
-    return np.concatenate(centres), np.concatenate(radii), np.concatenate(links)
-
-
-def _balls(scene: Any, name: str, centres: Any, radii: Any, colours: Any, opacity: float | None = None) -> Any:
-    """Many balls as one batch of one mesh."""
+def _mesh(solids: Sequence[Solid]) -> tuple[np.ndarray, np.ndarray]:
+    """Solids as one mesh: corners (p, 3) and triangles (f, 3); something tiny where there are none."""
     import trimesh
 
-    ball = trimesh.creation.icosphere(subdivisions=1)
-    count = len(centres)
-    turns = np.tile([1.0, 0.0, 0.0, 0.0], (count, 1))
-    return scene.add_batched_meshes_simple(
-        name,
-        ball.vertices,
-        ball.faces,
-        turns,
-        np.asarray(centres, np.float32),
-        batched_scales=np.asarray(radii, np.float32),
-        batched_colors=colours,
-        opacity=opacity,
-        lod="off",
-    )
+    ball = trimesh.creation.icosphere(subdivisions=1 if len(solids) > MANY else 2)
+    hulls = []
+    for solid in solids:
+        around = (solid.corners[:, None] + solid.radius * ball.vertices).reshape(-1, 3) if solid.radius > 0.0 else solid.corners
+        lone = len(solid.corners) == 1  # and needs no hull
+        hulls.append(trimesh.Trimesh(around, ball.faces, process=False) if lone else trimesh.convex.convex_hull(around))
+    whole: Any = trimesh.util.concatenate(hulls) if hulls else trimesh.creation.icosphere(subdivisions=0, radius=1e-6)
+    return np.asarray(whole.vertices), np.asarray(whole.faces)
 
 
-def _capsules(a: np.ndarray, b: np.ndarray, radius: np.ndarray) -> Any:
-    """Capsules from `a` to `b` (k, 3) as one mesh."""
-    import trimesh
-
-    made = []
-    for start, end, r in zip(a, b, radius, strict=True):
-        length = float(np.linalg.norm(end - start))
-        capsule = trimesh.creation.capsule(length, float(r), count=[8, 8])
-        capsule.apply_transform(
-            trimesh.geometry.align_vectors([0.0, 0.0, 1.0], end - start if length > 0.0 else [0.0, 0.0, 1.0])
-        )
-        capsule.apply_translation((start + end) / 2.0)
-        made.append(capsule)
-    return trimesh.util.concatenate(made)
+def _joined(parts: Sequence[tuple[int, np.ndarray, np.ndarray]], link: int) -> tuple[np.ndarray, np.ndarray]:
+    """The meshes of one link as one."""
+    mine = [(corners, faces) for of, corners, faces in parts if of == link]
+    starts = np.cumsum([0, *(len(corners) for corners, _ in mine)])
+    faces = np.concatenate([f + start for (_, f), start in zip(mine, starts, strict=False)])
+    return np.concatenate([corners for corners, _ in mine]), faces
 
 
-def _palette(link: np.ndarray) -> np.ndarray:
-    import matplotlib
-
-    return (255 * np.array([matplotlib.colormaps["tab10"](int(i) % 10)[:3] for i in link])).astype(np.uint8)
+def _points(scene: Any, name: str, points: np.ndarray, colour: str, radius: float) -> None:
+    shown = points if len(points) else np.zeros((1, 3))
+    scene.add_point_cloud(name, shown, rgb(colour), point_size=radius, point_shape="circle", visible=len(points) > 0)
 
 
 def _wxyz(frame: np.ndarray) -> np.ndarray:
     return to_wxyz(np.asarray(frame)[:3, :3])
-
-
-def _joints(chain: Chain, q: np.ndarray) -> list[np.ndarray]:
-    """The frames of the base, of each joint and of the tip in the world."""
-    root = Frame.of(chain.world_T_base)
-    found = joint_frames(chain, [float(x) for x in q], root)
-    return [np.array([float(x) for x in frame.entries]).reshape(4, 4) for frame in (root, *found.joints, found.tip)]
-
-
-def _turn(chain: Chain, q: np.ndarray) -> np.ndarray:
-    """The tip's rotation in the world."""
-    return _wxyz(_joints(chain, q)[-1])

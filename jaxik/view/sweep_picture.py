@@ -9,18 +9,22 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from jaxik.checks.extras import optional
+from jaxik.collision.scene import Scene
 from jaxik.reasons import Reason
-from jaxik.view.harvest_picture import COLOURS
+from jaxik.sweeps.variants import variant_name
+from jaxik.view.palette import COLOURS, INK, PARTLY, SCALE, WORDS
+from jaxik.view.solids import scene_points, scene_solids
 
 SHOWN = 20_000  # points of a scatter plot
 SLICES = 3
+VARIANTS = 20  # bars
+EFFORTS = {"slides": "positions of the slide", "seeds": "seeds"}
 
 
 class Map(NamedTuple):
     """One variant of a store: positions (p, 3) [m], the share (p,) of each one's tool directions that are reachable, and of all
     targets the reason and the limit margin."""
 
-    label: str
     positions: np.ndarray
     share: np.ndarray
     reason: np.ndarray
@@ -44,8 +48,9 @@ def variant_axes(group: Any) -> list[str]:
 
 
 def variant_label(group: Any, index: tuple[int, ...]) -> str:
-    """A variant in words; none where there is only one."""
-    return ", ".join(f"{n} {group[n][i]}" for n, i in zip(variant_axes(group), index, strict=True))
+    """What tells a variant from others, in words; none where there is only one."""
+    named = [(n, _differing([_short(v) for v in group[n][...]])[i]) for n, i in zip(variant_axes(group), index, strict=True)]
+    return ", ".join(f"{name} {words}" for name, words in named)
 
 
 def shares(group: Any) -> np.ndarray:
@@ -62,7 +67,6 @@ def variant_map(group: Any, index: tuple[int, ...]) -> Map:
     reachable = np.asarray(group["reachable"][(*index, slice(None))])
     axes = tuple(np.array(a) for a in group.attrs["grid"])
     return Map(
-        variant_label(group, index),
         positions,
         reachable.reshape(-1, turns).mean(axis=1) if shape[-1] else np.zeros(0),
         np.asarray(group["reason"][(*index, slice(None))]),
@@ -71,95 +75,178 @@ def variant_map(group: Any, index: tuple[int, ...]) -> Map:
     )
 
 
-def plot_sweep(path: str | Path, out: str | Path) -> None:
-    """One picture (PNG) of the store at `path`: the variant that reaches most in slices, and of all variants the shares."""
+def plot_sweep(path: str | Path, out: str | Path, scene: Scene | None = None) -> None:
+    """One picture (PNG) of the store at `path`: slices of the variant that reaches most, and the study's `scene` in them; what
+    became of its targets, what was missed, and the variants beside each other."""
     from matplotlib.backends.backend_agg import FigureCanvasAgg
     from matplotlib.figure import Figure
 
     group = open_store(path)
     every = shares(group)
-    best = np.unravel_index(int(np.argmax(every)), every.shape) if every.ndim else ()
-    shown = variant_map(group, tuple(int(i) for i in best))
-    figure = Figure(figsize=(15, 9), layout="constrained")
+    best = tuple(int(i) for i in np.unravel_index(int(np.argmax(every)), every.shape)) if every.ndim else ()
+    shown, audit = variant_map(group, best), dict(group.attrs.get("audit", {}))
+    figure = Figure(figsize=(15, 9.5), layout="constrained")
     FigureCanvasAgg(figure)
-    axes = figure.subplots(2, SLICES)
-    _draw_slices(figure, axes[0], shown)
-    _draw_reasons(axes[1, 0], shown)
-    _draw_missed(axes[1, 1], dict(group.attrs.get("audit", {})))
+    head, above, legend, below = figure.subfigures(4, 1, height_ratios=(0.07, 1.0, 0.08, 0.9))
+    handles = _draw_slices(above, group, shown, best, scene)
+    legend.legend(handles=handles, loc="center", ncols=len(handles), frameon=False)
+    axes = below.subplots(1, 3 if audit else 2)
+    _draw_reasons(axes[0], shown)
+    if audit:
+        _draw_missed(axes[1], audit)
     if every.size > 1:
-        _draw_variants(axes[1, 2], group, every)
+        _draw_variants(axes[-1], group, every)
     else:
-        _draw_margins(axes[1, 2], shown)
-    title = f"{group.attrs['title']}: {np.mean(shown.reason == Reason.SOLVED):.1%} of {len(shown.reason):,} targets"
-    figure.suptitle(f"{title}{f'; shown: {shown.label}' if shown.label else ''}")
+        _draw_margins(axes[-1], shown)
+    for axis in axes:
+        axis.spines[["top", "right"]].set_visible(False)
+    reached = f"the arm reaches {np.mean(shown.reason == Reason.SOLVED):.1%} of {len(shown.reason):,} targets"
+    label = variant_label(group, best)
+    title = f"{group.attrs['title']}: {reached}{f', with {label}' if label else ''}"
+    head.text(0.5, 0.4, title, ha="center", va="center", weight="bold", size=15, color=INK)
     figure.savefig(out, dpi=110, format="png")
 
 
-def _draw_slices(figure: Any, axes: Any, shown: Map) -> None:
-    """Level slices of a grid, or the positions from three sides."""
+def categories(shown: Map) -> tuple[np.ndarray, list[tuple[str, str]]]:
+    """What became of each position, (p,) numbers into a list of words and colours: reachable from every direction, from some,
+    or else the reason that is nearest to an answer; -1 where nothing is known yet."""
+    reasons = [r for r in COLOURS if r != Reason.SOLVED]
+    kinds = [("reachable from every direction", COLOURS[Reason.SOLVED]), ("reachable from some directions", PARTLY)]
+    found = np.full(len(shown.positions), -1)
+    turns = shown.reason.reshape(len(shown.positions), -1)
+    for k, reason in reversed([*enumerate(reasons, len(kinds))]):
+        found[(turns == reason).any(axis=1)] = k
+    found[shown.share > 0.0] = 1
+    found[shown.share == 1.0] = 0
+    if turns.shape[1] == 1:
+        kinds[0] = WORDS[Reason.SOLVED], kinds[0][1]
+    return found, [*kinds, *((WORDS[r], COLOURS[r]) for r in reasons)]
+
+
+def _draw_slices(figure: Any, group: Any, shown: Map, index: tuple[int, ...], scene: Scene | None) -> list[Any]:
+    """Level slices of a grid, or the positions from three sides, with the base and obstacles; returns the legend's entries."""
+    from matplotlib.colors import BoundaryNorm, ListedColormap
+    from matplotlib.lines import Line2D
+    from matplotlib.patches import Patch
+
+    kind, kinds = categories(shown)
+    edges = np.arange(len(kinds) + 1) - 0.5
+    colours = {"cmap": ListedColormap([c for _, c in kinds]), "norm": BoundaryNorm(edges, len(kinds))}
+    mount = np.array(group.attrs["mounts"][variant_name(index)])
+    if group.attrs["frame"].startswith("targets are base"):
+        scene, mount = None if scene is None else scene.moved(np.linalg.inv(mount)), np.eye(4)
+    axes = figure.subplots(1, SLICES)
     if len(shown.axes) == 3:
         x, y, z = shown.axes
-        share = shown.share.reshape(len(x), len(y), len(z))
-        picked = np.unique(np.linspace(0, len(z) - 1, SLICES + 2).round().astype(int)[1:-1])
+        cells = np.ma.masked_less(kind, 0).reshape(len(x), len(y), len(z))
+        reached = np.flatnonzero((shown.share > 0.0).reshape(cells.shape).any(axis=(0, 1)))
+        levels = reached if len(reached) else np.arange(len(z))
+        picked = levels[np.unique(np.linspace(0, len(levels) - 1, 2 * SLICES + 1).round().astype(int)[1::2])]
+        half = (z[-1] - z[0]) / max(2 * len(z) - 2, 1)
         for axis, k in zip(axes, picked, strict=False):
-            mesh = axis.pcolormesh(x, y, share[:, :, k].T, vmin=0.0, vmax=1.0, cmap="viridis", shading="nearest")
-            axis.set(title=f"z = {z[k]:.2f} m", xlabel="x [m]", ylabel="y [m]", aspect="equal")
+            axis.pcolormesh(x, y, cells[:, :, k].T, shading="nearest", **colours)
+            _draw_surroundings(axis, scene, mount, 0, 1, (z[k] - half, z[k] + half))
+            axis.set_title(f"from above, at a height of z = {z[k]:.2f} m")
         for axis in axes[len(picked) :]:
             axis.set_axis_off()
     else:
-        some = np.random.default_rng(0).permutation(len(shown.positions))[:SHOWN]
-        for axis, (i, j) in zip(axes, ((0, 1), (0, 2), (1, 2)), strict=True):
-            p = shown.positions[some]
-            mesh = axis.scatter(p[:, i], p[:, j], c=shown.share[some], s=6, vmin=0.0, vmax=1.0, cmap="viridis")
-            axis.set(xlabel=f"{'xyz'[i]} [m]", ylabel=f"{'xyz'[j]} [m]", aspect="equal")
-    figure.colorbar(mesh, ax=axes, label="share of tool directions that are reachable", shrink=0.8)
+        some = np.random.default_rng(0).permutation(np.flatnonzero(kind >= 0))[:SHOWN]
+        some = some[np.argsort(-kind[some], kind="stable")]  # what is reachable lies on top
+        sides = ((0, 1, "from above"), (0, 2, "from the front"), (1, 2, "from the side"))
+        for axis, (i, j, side) in zip(axes, sides, strict=True):
+            axis.scatter(*shown.positions[some][:, [i, j]].T, c=kind[some], s=6, lw=0, **colours)
+            _draw_surroundings(axis, scene, mount, i, j, (-np.inf, np.inf))
+            axis.set_title(f"{side}, all targets")
+    handles: list[Any] = [Patch(fc=c, ec="0.6", label=words) for k, (words, c) in enumerate(kinds) if (kind == k).any()]
+    handles.append(Line2D([], [], marker="^", color=INK, mec="w", ms=11, lw=0, label="the robot's base"))
+    if scene is not None:
+        handles.append(Patch(fc="w", ec=INK, label="obstacles at this height" if len(shown.axes) == 3 else "obstacles"))
+    return handles
+
+
+def _draw_surroundings(axis: Any, scene: Scene | None, mount: np.ndarray, i: int, j: int, between: tuple[float, float]) -> None:
+    """The base, and the outlines of the obstacles that are between two coordinates along the third axis."""
+    from matplotlib.collections import PolyCollection
+
+    across, (low, high) = 3 - i - j, between
+    axis.autoscale_view()
+    sides = np.array([axis.get_xlim(), axis.get_ylim()])
+    if scene is not None:
+        solids = [s for s in scene_solids(scene) if s.span[0, across] <= high and s.span[1, across] >= low]
+        fill = (1.0, 1.0, 1.0, 0.7 if np.isfinite(low) else 0.0)
+        axis.add_collection(PolyCollection([s.outline(i, j) for s in solids], facecolor=fill, edgecolor=INK, lw=1.0))
+        points = scene_points(scene)[0]
+        points = points[(points[:, across] >= low) & (points[:, across] <= high)]
+        axis.scatter(points[:, i], points[:, j], s=10, color=[fill], ec=INK, lw=0.6)
+    place = mount[[i, j], 3]
+    axis.plot(*place, "^", color=INK, mec="w", ms=11, zorder=5, clip_on=False)
+    sides = np.array([np.minimum(sides[:, 0], place - 0.05), np.maximum(sides[:, 1], place + 0.05)])
+    axis.set(xlim=sides[:, 0], ylim=sides[:, 1], xlabel=f"{'xyz'[i]} [m]", ylabel=f"{'xyz'[j]} [m]", aspect="equal")
 
 
 def _draw_reasons(axis: Any, shown: Map) -> None:
-    values, counts = np.unique(shown.reason[shown.reason >= 0], return_counts=True)
-    reasons = [Reason(int(v)) for v in values]
-    bars = axis.bar([r.text for r in reasons], counts, color=[COLOURS[r] for r in reasons])
-    axis.bar_label(bars, [f"{c:,}" for c in counts])
-    axis.set(title="what became of the targets", ylabel="targets")
+    found = {r: float(np.mean(shown.reason == r)) for r in reversed(COLOURS) if (shown.reason == r).any()}
+    percent = [100.0 * share for share in found.values()]
+    bars = axis.barh([WORDS[r] for r in found], percent, color=[COLOURS[r] for r in found], ec="0.6")
+    axis.bar_label(bars, [f" {share:.1%} ({round(share * len(shown.reason)):,})" for share in found.values()])
+    axis.set(title="What became of the targets", xlabel="targets [%]", xlim=(0.0, 1.35 * max(percent, default=1.0)))
+    axis.set_xticks([tick for tick in axis.get_xticks() if tick <= 100.0])
 
 
 def _draw_missed(axis: Any, audit: dict[str, Any]) -> None:
-    for method, found in audit.items():
-        line = axis.plot(found["efforts"], 100.0 * np.array(found["rates"]), "o-", label=f"{method}: {found['effort']} alone")
+    """How many reachable targets are missed, by how much is looked at alone; and how many this sweep misses."""
+    for (method, found), style in zip(audit.items(), ("o-", "s--"), strict=False):
+        rates = 100.0 * np.array(found["rates"])
+        axis.plot(found["efforts"], rates, style, color=INK, label=f"{method}: these alone")
         rate = 100.0 * found["false_negative_rate"]
-        axis.axhline(rate, color=line[0].get_color(), ls=":", label=f"{method}: this sweep, {rate:.2g} %")
-    if audit:
-        efforts = sorted({e for found in audit.values() for e in found["efforts"]})
-        axis.set_xscale("log")
-        axis.minorticks_off()
-        axis.set_xticks(efforts, [str(e) for e in efforts])
-        axis.legend(fontsize=8)
-    axis.set(title="false negatives" if audit else "false negatives: not measured", xlabel="effort", ylabel="missed [%]")
+        axis.axhline(rate, color=COLOURS[Reason.SOLVED], ls=style[1:], label=f"{method}: this sweep, {rate:.2g} %")
+    efforts = sorted({e for found in audit.values() for e in found["efforts"]})
+    axis.set_xscale("log")
+    axis.minorticks_off()
+    axis.set_xticks(efforts, [str(e) for e in efforts])
+    axis.legend(fontsize=9, frameon=False)
+    named = " or ".join(dict.fromkeys(EFFORTS.get(found["effort"], found["effort"]) for found in audit.values()))
+    axis.set(title="Reachable targets that are missed", xlabel=f"{named} that are tried", ylabel="missed [%]", ylim=(0.0, None))
 
 
 def _draw_margins(axis: Any, shown: Map) -> None:
-    axis.hist(shown.margin[np.isfinite(shown.margin)], bins=40, color="tab:green")
-    axis.set(title="freedom of the best postures", xlabel="limit margin (1: joints in the middle)", ylabel="targets")
+    axis.hist(shown.margin[np.isfinite(shown.margin)], bins=40, color=COLOURS[Reason.SOLVED])
+    axis.set(title="How far the joints stay from their limits", xlabel="0: at a limit; 1: in the middle", ylabel="targets")
 
 
 def _draw_variants(axis: Any, group: Any, every: np.ndarray) -> None:
     names = variant_axes(group)
+    title = "Reachable, by " + " and ".join(names)
     if every.ndim == 2:
-        mesh = axis.imshow(100.0 * every, aspect="auto", cmap="viridis")
-        axis.figure.colorbar(mesh, ax=axis, label="reachable [%]")
+        mesh = axis.imshow(100.0 * every, aspect="auto", cmap=SCALE)
+        axis.figure.colorbar(mesh, ax=axis, label="reachable targets [%]")
         for set_ticks, name in ((axis.set_yticks, names[0]), (axis.set_xticks, names[1])):
-            labels = [_short(v) for v in group[name][...]]
-            set_ticks(range(len(labels)), labels, fontsize=7)
+            labels = _differing([_short(v) for v in group[name][...]])
+            every_few = -(-len(labels) // 12)  # more would lie over each other
+            set_ticks(range(0, len(labels), every_few), labels[::every_few], fontsize=8)
         axis.set(ylabel=names[0], xlabel=names[1])
-        axis.tick_params(axis="x", rotation=60)
+        axis.tick_params(axis="x", rotation=30)
     else:
-        indices = list(np.ndindex(*every.shape))
-        labels = [", ".join(_short(group[n][i]) for n, i in zip(names, index, strict=True)) for index in indices]
-        axis.barh(range(len(labels)), 100.0 * every.ravel(), color="tab:green")
-        axis.set_yticks(range(len(labels)), labels, fontsize=7)
-        axis.set(xlabel="reachable [%]")
-    axis.set_title("reachable, by " + ", ".join(names))
+        indices = [*np.ndindex(*every.shape)]
+        labels = [variant_label(group, index) for index in indices]
+        order = np.argsort(-every.ravel(), kind="stable")[:VARIANTS]
+        best = [COLOURS[Reason.SOLVED], *[PARTLY] * (len(order) - 1)]
+        bars = axis.barh(range(len(order)), 100.0 * every.ravel()[order], color=best)
+        axis.bar_label(bars, [f" {x:.1%}" for x in every.ravel()[order]], fontsize=9)
+        axis.set_yticks(range(len(order)), [labels[i] for i in order], fontsize=9)
+        axis.invert_yaxis()
+        axis.margins(x=0.15)
+        axis.set(xlabel="reachable targets [%]")
+        title += f": the best {VARIANTS} of {len(indices)}" if len(indices) > VARIANTS else ""
+    axis.set_title(title)
 
 
 def _short(value: Any) -> str:
     return f"{value:g}" if isinstance(value, float | np.floating) else str(value)
+
+
+def _differing(labels: list[str]) -> list[str]:
+    """Labels without the words that all of them share, such as "y=0.1" of "x=0 y=0.1 z=0 yaw_deg=0"."""
+    words = [label.split() for label in labels]
+    common = set.intersection(*map(set, words)) if len(words) > 1 else set()
+    return [" ".join(w for w in each if w not in common) or label for each, label in zip(words, labels, strict=True)]
