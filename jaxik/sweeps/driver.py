@@ -51,7 +51,7 @@ def sweep(
     study: Study | str | Path | Mapping[str, Any],
     out: str | Path | None = None,
     *,
-    shard: str | tuple[int, int] = (1, 1),
+    shard: Any = (1, 1),
     cluster: str | None = None,
     repair: bool = False,
     progress: Callable[[int, int], Any] | None = None,
@@ -90,10 +90,10 @@ def _size(study: Study, number: int) -> int:
     return rows.stop - rows.start
 
 
-def _shard(shard: str | tuple[int, int]) -> tuple[int, int]:
+def _shard(shard: Any) -> tuple[int, int]:
     given = re.fullmatch(r"(\d+)/(\d+)", shard) if isinstance(shard, str) else None
     try:
-        first, every = map(int, given.groups()) if given else map(operator.index, shard)  # type: ignore[arg-type]
+        first, every = map(int, given.groups()) if given else map(operator.index, shard)
         if 1 <= first <= every:
             return first, every
     except (TypeError, ValueError):
