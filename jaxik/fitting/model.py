@@ -14,7 +14,7 @@ from __future__ import annotations
 import dataclasses
 import hashlib
 import io
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Collection, Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -101,10 +101,12 @@ def modelled(
     shapes: Sequence[Shape],
     fit: Fit,
     disabled: frozenset[frozenset[str]] = frozenset(),
+    aside: Collection[str] = (),
     progress: Callable[[int], None] | None = None,
 ) -> Model:
-    """The model of a chain whose other volumes are exact; read from disk where it is known. `progress` hears of each shape."""
-    links = (chain.link_joint, chain.link_names, [v.link for v in chain.volumes], [s.link for s in shapes])
+    """The model of a chain whose other volumes are exact; read from disk where it is known. Links `aside` are behind joints
+    beside the chain. `progress` hears of each shape."""
+    links = (chain.link_joint, chain.link_names, [v.link for v in chain.volumes], [s.link for s in shapes], sorted(aside))
     content = hashlib.sha256(repr((_VERSION, fit, sorted(map(sorted, disabled)), chain.joint_types, links)).encode())
     exact = [part for v in chain.volumes for part in (v.corners, v.radius)]
     for numbers in (chain.parent_T_joint, chain.axis, *finite_limits(chain), *exact, *(s.corners for s in shapes)):
@@ -116,7 +118,7 @@ def modelled(
             return _unpacked(stored)
         except (ValueError, KeyError, IndexError, EOFError, OSError):
             pass  # of another make: it is made again
-    found = _Links(chain, shapes, disabled).model(fit, progress)
+    found = _Links(chain, shapes, disabled, aside).model(fit, progress)
     write(name, _packed(found))
     return found
 
@@ -179,11 +181,13 @@ class _Pass(NamedTuple):
 class _Links:
     """The links' hulls in random configurations, the default pose before them."""
 
-    def __init__(self, chain: Chain, shapes: Sequence[Shape], disabled: frozenset[frozenset[str]]):
+    def __init__(
+        self, chain: Chain, shapes: Sequence[Shape], disabled: frozenset[frozenset[str]], aside: Collection[str]
+    ):
         self.chain, self.shapes = chain, shapes
         exact = [(v.link, Body(np.asarray(v.corners, np.float64), float(v.radius))) for v in chain.volumes]
         self.bodies = [(s.link, Body(hull_corners(s.corners))) for s in shapes] + exact
-        self.pairs = candidate_pairs(chain, {link for link, _ in self.bodies}, disabled)
+        self.pairs = candidate_pairs(chain, {link for link, _ in self.bodies}, disabled, aside)
         self.limits = finite_limits(chain)
         rng = np.random.default_rng(0)
         self.q = np.vstack([default_pose(chain), rng.uniform(*self.limits, (SAMPLES, chain.num_joints))])
