@@ -13,6 +13,7 @@ import numpy as np
 import tyro
 
 import jaxik
+from jaxik.cli.posture import read_posture
 from jaxik.cli.tables import write_csv
 from jaxik.robot.reach_bound import millimetres
 
@@ -31,6 +32,8 @@ class IKArguments:
     """The link to bring there; needed where the robot has several."""
     base: str | None = None
     """The link that the targets are given in; the root unless given."""
+    posture: tuple[str, ...] = ()
+    """Where joints beside the chain are held, joint=value [rad, m]: a head, a gripper; 0 unless given."""
     srdf: Path | None = None
     """A file that says which links are not checked against each other."""
     meshes: bool = False
@@ -66,7 +69,8 @@ def run_ik(arguments: IKArguments) -> None:
         raise ValueError(f"--out {arguments.out}: ending '{arguments.out.suffix}'; allowed: .npz, .csv, .parquet")
     if arguments.out.is_dir():
         raise ValueError(f"--out {arguments.out}: is a folder; name a file")
-    chain = jaxik.load(arguments.robot, tip=arguments.tip, base=arguments.base, srdf=arguments.srdf, meshes=arguments.meshes)
+    asked = {key: getattr(arguments, key) for key in ("tip", "base", "srdf", "meshes")}
+    chain = jaxik.load(arguments.robot, posture=read_posture(arguments.posture), **asked)
     scene = None if arguments.scene is None else jaxik.load_scene(arguments.scene)
     targets = jaxik.load_targets(arguments.targets)
     free = (*arguments.free, *(("roll", "pitch", "yaw") if targets.ndim == 2 else ()))  # a position says nothing of rotation

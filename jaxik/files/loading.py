@@ -68,9 +68,9 @@ def load(
     model's qpos0), or the limit that is nearest, and mimic joints follow. A warning names those whose links have shapes, unless
     a posture is given: `{}` says that all of them are right so. What is above `base` is left out.
 
-    A mesh `package://my_pkg/meshes/a.stl` is looked for below the nearest folder above the model's file that is called
-    `my_pkg`, else below the model's own folder: the one that its file is in, or, where that is called urdf, robots, xacro,
-    mjcf or xml, the one above. Any other name is a path from the file's folder, and stays below the model's.
+    A mesh `package://my_pkg/meshes/a.stl` is `meshes/a.stl` below the nearest folder above the model's file that is called
+    `my_pkg`. Any other name is a path from the file's folder, which stays below it (below the folder above, where the file's
+    own is called urdf, urdfs, xacro, robots, mjcf or xml). DAE needs `pip install "jaxik[dae]"`.
 
     Raises `LoadError` (a `ValueError`) with one line: the file, the element, what is allowed, the mend; and `ValueError` for a
     `fit` without `meshes`.
@@ -137,7 +137,9 @@ def _saved(path: Path, chain: Chain, tip: str | None, base: str | None, tool: np
     if tip is not None or base is not None:
         raise LoadError(path, f"tip '{tip}', base '{base}'", "are fixed in a saved chain", "leave them out, or use chain.part")
     if posture.given:
-        raise LoadError(path, f"posture '{next(iter(posture.given))}'", "is fixed in a saved chain", "load the robot's own file")
+        raise LoadError(
+            path, f"posture '{next(iter(posture.given))}'", "is fixed in a saved chain", "load the robot's own file"
+        )
     return chain if tool is None else chain.with_tool(tool)
 
 

@@ -81,7 +81,7 @@ def _check_files(path: Path, model: Path, seen: set[Path], below: Path | None = 
     for element in document.iter():
         for key in (k for k in element.attrib if k.startswith("file") or k in FOLDERS):  # a cube's texture has six
             name, part = element.get(key, ""), element.tag in ("include", "model") and key == "file"
-            where = f"<{element.tag} {key}='{name[:80]}'>"
+            where = f"<{element.tag} {key}='{name}'>"
             for folder in ("",) if part or key in FOLDERS else folders:
                 target = resolve(model, where, str(Path(folder) / name), below)
             if part and target is not None and target not in seen:

@@ -29,7 +29,7 @@ class Posture:
     def hold(self, file: Path, chain: Sequence[Joint], carried: Sequence[tuple[str, Joint]]) -> list[tuple[str, Joint]]:
         """Joints that lead aside from a chain, each with its parent link and after it, fixed where they are held.
 
-        A joint is held where the caller says; else where the joint is that it mimics; else at its default, or the nearest limit.
+        One is held where the caller says; else where the joint is that it mimics; else at its default, or the nearest limit.
         """
         beside = {j.name: j for _, j in carried if j.type != "fixed"}
         on_chain = {j.name: j for j in chain if j.type != "fixed"}
@@ -80,7 +80,8 @@ class Posture:
         names = [name for name in self.held if name in holding]
         if not names:
             return None
-        words = [f"{n} at {self.held[n]:.4g}" + (f" (driven by {self.driven[n]})" if n in self.driven else "") for n in names]
+        driven = lambda name: f" (driven by {self.driven[name]})" if name in self.driven else ""
+        words = [f"{name} at {self.held[name]:.4g}{driven(name)}" for name in names]
         rest = f", ... ({len(names)} in all)" if len(names) > NAMED else ""
         return (
             f"joints beside the chain are held, and the links behind them count for collisions: {', '.join(words[:NAMED])}{rest};"

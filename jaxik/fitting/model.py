@@ -181,9 +181,7 @@ class _Pass(NamedTuple):
 class _Links:
     """The links' hulls in random configurations, the default pose before them."""
 
-    def __init__(
-        self, chain: Chain, shapes: Sequence[Shape], disabled: frozenset[frozenset[str]], aside: Collection[str]
-    ):
+    def __init__(self, chain: Chain, shapes: Sequence[Shape], disabled: frozenset[frozenset[str]], aside: Collection[str]):
         self.chain, self.shapes = chain, shapes
         exact = [(v.link, Body(np.asarray(v.corners, np.float64), float(v.radius))) for v in chain.volumes]
         self.bodies = [(s.link, Body(hull_corners(s.corners))) for s in shapes] + exact
