@@ -34,6 +34,7 @@ from jaxik.robot.chain import Chain, solid_links
 __all__ = ["LoadError", "fit_report", "link_meshes", "load", "load_scene", "load_targets", "models_folder", "save"]
 
 FIT = Fit()
+APART = "leave out pairs that touch by design (ignore=, srdf=)"
 
 
 def models_folder() -> Path:
@@ -95,7 +96,7 @@ def load(
         return dataclasses.replace(chain, self_pairs=kept)
     if shapes:
         model = modelled(chain, shapes, fit, disabled, stance.behind)
-        _tell(chain, "links' hulls", model.at_home, model.colliding)
+        _tell(chain, "hulls", model.at_home, model.colliding)
         return model.of(chain, shapes)
     found = self_collisions(chain, disabled, stance.behind)
     if meshes:
@@ -145,18 +146,22 @@ def _saved(path: Path, chain: Chain, tip: str | None, base: str | None, tool: np
 
 def _tell(chain: Chain, what: str, at_home: Mapping[tuple[int, int], float | None], share: float) -> None:
     """One line where a robot's shapes collide in its default pose, or mostly: what they say of the robot is not true, then."""
-    named = [
-        f"{chain.link_names[a]} and {chain.link_names[b]}" + ("" if depth is None else f" by {1e3 * depth:.1f} mm")
-        for (a, b), depth in at_home.items()
-    ]
-    if named:
-        checked = "" if None in at_home.values() else ", and are not checked against each other"
-        told = f"collide in its default pose{checked}: {'; '.join(named[:3])}{'; ...' if named[3:] else ''}"
+    names = [(chain.link_names[a], chain.link_names[b]) for a, b in at_home]
+    depths = ["" if depth is None else f" by {1e3 * depth:.1f} mm" for depth in at_home.values()]
+    some = "; ".join(f"{a} and {b}{depth}" for (a, b), depth in zip(names[:3], depths, strict=False))
+    some += f"; ... ({len(names)} in all)" if names[3:] else ""
+    if names and None not in at_home.values():  # hulls: what they do there, they do by design
+        told = (
+            f"these pairs of links are not checked, because their hulls touch with all joints at 0 (or amid limits that leave 0 "
+            f"out): {some}; ignore=[{names[0]}, ...] says that this is meant, self_pairs of the chain has what is checked"
+        )
+    elif names:
+        told = f"its {what} touch with all joints at 0 (or amid limits that leave 0 out): {some}; {APART}"
     elif share > 0.5:
-        told = f"collide in {share:.0%} of random configurations"
+        told = f"its {what} collide in {share:.0%} of random configurations; {APART}"
     else:
         return
-    warnings.warn(f"{chain.name}: its {what} {told}; disable pairs that may touch (srdf=, ignore=)", stacklevel=3)
+    warnings.warn(f"{chain.name}: {told}", stacklevel=3)
 
 
 def fit_report(
