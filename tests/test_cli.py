@@ -203,7 +203,7 @@ def stopped(*_, **__):
     raise ValueError("far enough")
 
 
-@pytest.mark.filterwarnings("ignore:panda. its .* collide in its default pose")  # `test_fit` holds that it is said
+@pytest.mark.filterwarnings("ignore:panda. these pairs of links are not checked")  # `test_fit` holds that it is said
 def test_meshes_are_asked_for(tmp_path, monkeypatch, capsys):
     """What a scene needs is said before anything compiles, and can be given."""
     monkeypatch.setattr(cli, "compilation_cache", lambda: None)

@@ -518,27 +518,29 @@ def test_bad_points_are_one_line(tmp_path, content, words):
     refused(write(tmp_path, "scene.csv", content), *words, reader=jaxik.load_scene)
 
 
-@pytest.mark.filterwarnings("ignore:panda. its .* collide in its default pose")  # `test_fit` holds that it is said
+@pytest.mark.filterwarnings("ignore:panda. these pairs of links are not checked")  # `test_fit` holds that it is said
 def test_srdf_disables_pairs(tmp_path):
     file, tip = ROBOTS["panda"]
     pairs = '<disable_collisions link1="panda_link1" link2="panda_link5" reason="Never"/>'
     srdf = write(tmp_path, "panda.srdf", f'<robot name="panda">{pairs}</robot>')
     named = lambda chain: {frozenset((chain.link_names[a], chain.link_names[b])) for a, b in chain.self_pairs}
     coarse = jaxik.Fit(0.1, 1)  # pairs are those of the hulls
-    every, fewer = (named(jaxik.load(FOLDER / file, tip=tip, meshes=True, fit=coarse, srdf=s)) for s in (None, srdf))
+    every, fewer = (
+        named(jaxik.load(FOLDER / file, tip=tip, meshes=True, fit=coarse, srdf=s, posture={})) for s in (None, srdf)
+    )
     assert every - fewer == {frozenset(("panda_link1", "panda_link5"))}
     refused(write(tmp_path, "bad.srdf", "<robot><disable_collisions link1='a'/></robot>"), "link2", reader=lambda p: jaxik.load(
         FOLDER / file, tip=tip, srdf=p))  # fmt: skip
 
 
-@pytest.mark.filterwarnings("ignore:panda. its .* collide in its default pose")  # `test_fit` holds that it is said
+@pytest.mark.filterwarnings("ignore:panda. these pairs of links are not checked")  # `test_fit` holds that it is said
 def test_meshes_of_a_real_robot_lie_in_their_spheres():
     import trimesh
 
     file, tip = ROBOTS["panda"]
     with pytest.raises(ValueError, match="meshes=True"):
         jaxik.collision.self_clearance(jaxik.load(FOLDER / file, tip=tip), np.zeros(7))
-    chain = jaxik.load(FOLDER / file, tip=tip, meshes=True, fit=None)
+    chain = jaxik.load(FOLDER / file, tip=tip, meshes=True, fit=None, posture={})
     q = np.zeros(chain.num_joints)
     centres, radii = jaxik.collision.link_spheres(chain, q)
     frames = dict(zip(chain.link_names, np.asarray(jaxik.robot.link_frames(chain, q)), strict=True))

@@ -53,7 +53,7 @@ def load(
     fit: Any = FIT,
     srdf: str | Path | None = None,
     ignore: Any = (),
-    posture: Mapping[str, float] | None = None,
+    posture: Any = None,
 ) -> Chain:
     """The serial chain of a shipped model (`"p6r"`) or of a file: `.urdf`, `.xml` (MJCF) or `.toml`.
 
@@ -104,7 +104,7 @@ def load(
     return dataclasses.replace(chain, self_pairs=found.pairs)
 
 
-def _stance(who: str, posture: Mapping[str, float] | None) -> Posture:
+def _stance(who: str, posture: Any) -> Posture:
     """What a caller says of joints beside the chain."""
     if posture is not None and not (isinstance(posture, Mapping) and all(isinstance(name, str) for name in posture)):
         raise ValueError(f'{who}: posture is {shown(posture)}; write {{"joint": value}} [rad, m]')
@@ -150,13 +150,14 @@ def _tell(chain: Chain, what: str, at_home: Mapping[tuple[int, int], float | Non
     depths = ["" if depth is None else f" by {1e3 * depth:.1f} mm" for depth in at_home.values()]
     some = "; ".join(f"{a} and {b}{depth}" for (a, b), depth in zip(names[:3], depths, strict=False))
     some += f"; ... ({len(names)} in all)" if names[3:] else ""
-    if names and None not in at_home.values():  # hulls: what they do there, they do by design
+    zero = "with all joints at 0 (or amid limits that leave 0 out)"
+    if names and None not in at_home.values():  # hulls: what they do there, they are taken to do by design
         told = (
-            f"these pairs of links are not checked, because their hulls touch with all joints at 0 (or amid limits that leave 0 "
-            f"out): {some}; ignore=[{names[0]}, ...] says that this is meant, self_pairs of the chain has what is checked"
+            f"these pairs of links are not checked, because their {what} touch {zero}: {some}; ignore=[{names[0]}, ...] says "
+            f"that they may, dataclasses.replace(chain, self_pairs=(*chain.self_pairs, {next(iter(at_home))})) checks one"
         )
     elif names:
-        told = f"its {what} touch with all joints at 0 (or amid limits that leave 0 out): {some}; {APART}"
+        told = f"its {what} touch {zero}: {some}; {APART}"
     elif share > 0.5:
         told = f"its {what} collide in {share:.0%} of random configurations; {APART}"
     else:
@@ -172,7 +173,7 @@ def fit_report(
     fit: Fit = FIT,
     srdf: str | Path | None = None,
     ignore: Any = (),
-    posture: Mapping[str, float] | None = None,
+    posture: Mapping[str, Any] | None = None,
     progress: Callable[[int, int], None] | None = None,
 ) -> tuple[LinkFit, ...]:
     """What `load(..., meshes=True, fit=fit)` puts around each collision mesh of a file: one `LinkFit` a mesh.
@@ -189,7 +190,7 @@ def fit_report(
 
 
 def link_meshes(
-    source: str | Path, tip: str | None = None, base: str | None = None, posture: Mapping[str, float] | None = None
+    source: str | Path, tip: str | None = None, base: str | None = None, posture: Mapping[str, Any] | None = None
 ) -> list[Shape]:
     """The collision meshes, boxes and cylinders of a file's links, in the frames of the joints that move them, to look at."""
     return _read(_locate(source), tip, base, None, Meshes(True), _stance("link_meshes", posture))[1]

@@ -19,12 +19,12 @@ NAMED = 4  # joints in the one line that says what is held
 @dataclasses.dataclass
 class Posture:
     """What the caller says of joints beside the chain (`given`); and, once a file is read, where each is `held` [rad, m], the
-    joints that another of the chain drives (`driven`), and for each link behind such joints the nearest (`behind`)."""
+    joints that another of the chain drives (`driven`), and for each link behind such joints which they are (`behind`)."""
 
     given: Mapping[str, float] = dataclasses.field(default_factory=dict)
     held: dict[str, float] = dataclasses.field(default_factory=dict)
     driven: dict[str, str] = dataclasses.field(default_factory=dict)
-    behind: dict[str, str] = dataclasses.field(default_factory=dict)
+    behind: dict[str, tuple[str, ...]] = dataclasses.field(default_factory=dict)
 
     def hold(self, file: Path, chain: Sequence[Joint], carried: Sequence[tuple[str, Joint]]) -> list[tuple[str, Joint]]:
         """Joints that lead aside from a chain, each with its parent link and after it, fixed where they are held.
@@ -37,10 +37,10 @@ class Posture:
             self._check(file, name, beside, on_chain)
         fixed = []
         for parent, joint in carried:
-            if parent in self.behind:
-                self.behind[joint.child] = self.behind[parent]
+            above = (*self.behind.get(parent, ()), *([] if joint.type == "fixed" else [joint.name]))
+            if above:
+                self.behind[joint.child] = above
             if joint.type != "fixed":
-                self.behind[joint.child] = joint.name
                 self.held[joint.name] = self._value(file, joint, beside, on_chain)
                 joint = _fixed(file, joint, self.held[joint.name])
             fixed.append((parent, joint))
@@ -76,7 +76,7 @@ class Posture:
 
     def told(self, solid: set[str]) -> str | None:
         """One line of the joints that hold `solid` links, those with collision geometry; None where there are none."""
-        holding = {self.behind[link] for link in solid if link in self.behind}
+        holding = {name for link in solid for name in self.behind.get(link, ())}
         names = [name for name in self.held if name in holding]
         if not names:
             return None
@@ -84,8 +84,8 @@ class Posture:
         words = [f"{name} at {self.held[name]:.4g}{driven(name)}" for name in names]
         rest = f", ... ({len(names)} in all)" if len(names) > NAMED else ""
         return (
-            f"joints beside the chain are held, and the links behind them count for collisions: {', '.join(words[:NAMED])}{rest};"
-            f" posture={{'{names[0]}': ...}} holds them elsewhere, posture={{}} says that this is meant"
+            f"joints beside the chain are held, and links behind them count for collisions: {', '.join(words[:NAMED])}{rest}; "
+            f"posture={{'{names[0]}': ...}} holds them elsewhere, posture={{}} says that this is meant"
         )
 
 
