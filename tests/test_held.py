@@ -168,7 +168,8 @@ MJCF = """<mujoco><compiler angle="radian"/><default><geom size=".05"/></default
 <body name="hand" pos=".4 0 0"><joint name="bend" axis="0 1 0" range="-2 2" limited="true"/><geom/>
 <body name="left" pos=".1 0 0"><joint name="thumb" type="slide" axis="0 1 0" range=".01 .04" limited="true"/><geom/></body>
 <body name="right" pos=".1 0 .1"><joint name="index" type="slide" axis="0 1 0" ref=".02"/>
-<joint name="roll" axis="0 0 1" pos=".1 0 0"/><geom/><body name="ball" pos=".1 0 0"><joint type="ball"/><geom/></body></body></body></body></worldbody>
+<joint name="roll" axis="0 0 1" pos=".1 0 0"/><geom/>
+<body name="ball" pos=".1 0 0"><joint type="ball"/><geom/></body></body></body></body></worldbody>
 <equality><joint joint1="index" joint2="thumb" polycoef=".01 -1 2 0 0"/></equality></mujoco>"""
 
 
