@@ -242,7 +242,7 @@ def test_a_mesh_that_is_not_there_is_named_with_where_it_was_looked_for(tmp_path
     refused(arm("package://elsewhere/a.stl"), "no folder above the file is called 'elsewhere'", "meshes=False", meshes=True)
     refused(arm("package://my_robot/meshes/a.stl"), f"put it at {folder.parent}/meshes/a.stl", meshes=True)
     refused(arm("../meshes/a.stl"), f"put it at {folder.parent}/meshes/a.stl", meshes=True)
-    far = f"package://my_robot/{'long/' * 30}the_end.stl"
+    far = f"package://my_robot/{'long/' * 60}the_end.stl"
     refused(arm(far), "...", "the_end.stl' is not found", meshes=True)
     write(folder.parent, "a.dae", "<COLLADA/>")
     monkeypatch.setattr("jaxik.files.mesh.find_spec", lambda name: None)
@@ -573,7 +573,7 @@ def test_srdf_disables_pairs(tmp_path):
         FOLDER / file, tip=tip, srdf=p))  # fmt: skip
 
 
-@pytest.mark.filterwarnings("ignore:panda. these pairs of links are not checked")  # `test_fit` holds that it is said
+@pytest.mark.filterwarnings("ignore:panda. its boxes touch")  # `test_fit` holds that it is said
 def test_meshes_of_a_real_robot_lie_in_their_spheres():
     import trimesh
 
