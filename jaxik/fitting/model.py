@@ -1,8 +1,8 @@
 """A robot's collision model from its links' shapes: the pairs of links to check, and capsules that are close where it matters.
 
 The truth is the convex hull of each shape. It is asked in random configurations (`convex`) for each pair of links: pairs that
-touch in the default pose or always are left out, and those that never do, which a search from the nearest configurations
-confirms. Where two links pass each other closely without touching, each keeps behind a plane in the gap: these planes are what
+touch in the default pose or always are left out, and those that never do, or never by more than 3 mm (`DEEP`) in a search from
+the nearest configurations. Where two links pass each other closely without touching, each keeps behind a plane in the gap: these planes are what
 `fit` is told. So capsules are spent where links pass each other, and each is tight on that side alone.
 
 Links that often pass closely get a table of their hulls' distance beside (`pair_table`), where two joints decide it: those
