@@ -2,8 +2,8 @@
 
 The truth is the convex hull of each shape. It is asked in random configurations (`convex`) for each pair of links: pairs that
 touch in the default pose or always are left out, and those that never do, or never by more than 3 mm (`DEEP`) in a search from
-the nearest configurations. Where two links pass each other closely without touching, each keeps behind a plane in the gap: these planes are what
-`fit` is told. So capsules are spent where links pass each other, and each is tight on that side alone.
+the nearest configurations. Where two links pass each other closely without touching, each keeps behind a plane in the gap:
+these planes are what `fit` is told. So capsules are spent where links pass each other, and each is tight on that side alone.
 
 Links that often pass closely get a table of their hulls' distance beside (`pair_table`), where two joints decide it: those
 between, or those that are left when the link before or behind is taken for what it sweeps by its own turn.
