@@ -199,6 +199,7 @@ class Chain(Constant):
     def __repr__(self) -> str:
         head = f"Chain {self.name}: {self.num_joints} joints, {len(self.link_names)} links, {len(self.boxes)} boxes, "
         head += f"{len(self.volumes)} volumes, {len(self.self_pairs)} pairs of links to check, {len(self.pair_tables)} tables"
+        head += f"; meshes of {len(self.unread_meshes)} links not read" if self.unread_meshes else ""
         known = all(isinstance(x, np.ndarray | jax.Array) and is_known(x) for x in (self.lower, self.upper))
         limits = zip(np.asarray(self.lower), np.asarray(self.upper), strict=True) if known else ()
         spans = [f" {low:.4g} to {high:.4g}" for low, high in limits] or [""] * self.num_joints
