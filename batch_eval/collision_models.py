@@ -137,7 +137,7 @@ def judged_pairs(hulls: Hulls, chain: jaxik.Chain) -> dict[tuple[int, int], np.n
 def measure(name: str, fit: jaxik.Fit | None, count: int) -> dict[str, Any]:
     """One robot's row."""
     file, tip, base = ROBOTS[name]
-    load = lambda: jaxik.load(FOLDER / file, tip=tip, base=base, meshes=True, fit=fit)
+    load = lambda: jaxik.load(FOLDER / file, tip=tip, base=base, meshes=True, fit=fit, posture={})
     seconds, chain = timed(load)
     again, _ = timed(load)
     told = jaxik.files.fit_report(FOLDER / file, tip=tip, base=base, fit=fit) if fit else ()

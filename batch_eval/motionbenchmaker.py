@@ -33,7 +33,7 @@ SIZES = {"box": "3: the edges", "cylinder": "2: height and radius", "sphere": "1
 
 class Goal(NamedTuple):
     """One goal: its name, the chain's joints there and at the start (n,), NaN where not told, the scene, and joints of the goal
-    that are not the chain's: those of another arm, which stays out of it."""
+    that are not the chain's: those of another arm, which is held at 0."""
 
     name: str
     q: np.ndarray
@@ -45,7 +45,8 @@ class Goal(NamedTuple):
 def robot(folder: Path, tip: str | None = None) -> jaxik.Chain:
     """The folder's robot with its collision geometry, up to the link `tip`."""
     urdf, srdf = files(folder)
-    return jaxik.load(urdf, tip=tip or end_effector(srdf), srdf=srdf, meshes=not urdf.stem.endswith("_spherized"))
+    read = not urdf.stem.endswith("_spherized")
+    return jaxik.load(urdf, tip=tip or end_effector(srdf), srdf=srdf, meshes=read, posture={})
 
 
 def files(folder: Path) -> tuple[Path, Path | None]:

@@ -46,7 +46,7 @@ SHARES = {"p6r": 0.6, "chembuly9": 0.1, "crops_v2": 0.0025, "pendulum4": 0.0025,
 def robot(name: str) -> jaxik.Chain:
     """One of `ROBOTS`, with its collision geometry."""
     place = ROBOTS[name]
-    return jaxik.load(name) if place is None else jaxik.load(FOLDER / place[0], tip=place[1], meshes=True)
+    return jaxik.load(name) if place is None else jaxik.load(FOLDER / place[0], tip=place[1], meshes=True, posture={})
 
 
 def obstacles(chain: jaxik.Chain) -> jaxik.Scene:

@@ -41,7 +41,9 @@ def robot(name: str) -> jaxik.Chain:
     """One of `ROBOTS`, with its collision geometry."""
     place = ROBOTS[name]
     if place is not None:
-        return jaxik.load(FOLDER / place[0], tip=place[1], meshes=True, fit=None)  # boxes, as in the recorded figures
+        return jaxik.load(
+            FOLDER / place[0], tip=place[1], meshes=True, fit=None, posture={}
+        )  # boxes, as in the recorded figures
     p6r = jaxik.load("p6r")
     return p6r if name == "p6r" else p6r.part(1, 7)
 

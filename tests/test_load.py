@@ -225,9 +225,49 @@ def test_a_mesh_file_reads_no_other_file(tmp_path):
 @pytest.mark.parametrize("name", ["../../secret.stl", "/etc/secret.stl", "package://pkg/../secret.stl", "http://host/m.stl"])
 def test_meshes_outside_the_folder_are_refused(tmp_path, name):
     (tmp_path / "urdf").mkdir()
+    path = write(tmp_path / "urdf", "arm.urdf", with_mesh(name))
+    refused(path, "link 'tool'", "mesh", meshes=True)
+    assert jaxik.load(path).unread_meshes == ("tool",)  # kinematics need none of it
+
+
+def with_mesh(name):
     mesh = f'<link name="tool"><collision><geometry><mesh filename="{name}"/></geometry></collision></link>'
-    path = write(tmp_path / "urdf", "arm.urdf", URDF.replace('<link name="tool"/>', mesh))
-    refused(path, "link 'tool'", "mesh")
+    return URDF.replace('<link name="tool"/>', mesh)
+
+
+def test_a_mesh_that_is_not_there_is_named_with_where_it_was_looked_for(tmp_path, monkeypatch):
+    folder = tmp_path / "my_robot" / "urdf"
+    folder.mkdir(parents=True)
+    arm = lambda name: write(folder, "arm.urdf", with_mesh(name))
+    refused(arm("package://elsewhere/a.stl"), "no folder above the file is called 'elsewhere'", "meshes=False", meshes=True)
+    refused(arm("package://my_robot/meshes/a.stl"), f"put it at {folder.parent}/meshes/a.stl", meshes=True)
+    refused(arm("../meshes/a.stl"), f"put it at {folder.parent}/meshes/a.stl", meshes=True)
+    far = f"package://my_robot/{'long/' * 60}the_end.stl"
+    refused(arm(far), "...", "the_end.stl' is not found", meshes=True)
+    write(folder.parent, "a.dae", "<COLLADA/>")
+    monkeypatch.setattr("jaxik.files.mesh.find_spec", lambda name: None)
+    refused(arm("../a.dae"), "mesh '../a.dae': reading DAE needs pycollada", 'pip install "jaxik[dae]"', meshes=True)
+
+
+def test_a_third_slash_is_no_fault(tmp_path):
+    """`package:///name/...` is `package://name/...`, and no way out of the package."""
+    folder = tmp_path / "my_robot" / "urdf"
+    folder.mkdir(parents=True)
+    corners = "\n".join(f"v {x} {y} {z}" for x in (0, 1) for y in (0, 1) for z in (0, 1))
+    write(folder.parent, "m.obj", f"{corners}\nf 1 2 3\nf 5 6 8\n")
+    path = write(folder, "arm.urdf", with_mesh("package:///my_robot/m.obj"))
+    assert len(jaxik.load(path, meshes=True, fit=None).boxes) == 1
+    refused(write(folder, "arm.urdf", with_mesh("package:///my_robot/../m.obj")), "leaves its package", meshes=True)
+    refused(write(folder, "arm.urdf", with_mesh("package:////etc/m.obj")), "leaves its package", meshes=True)
+
+
+def test_a_chain_and_a_scene_are_printed_in_a_few_lines():
+    chain, scene = jaxik.load("p6r"), jaxik.load_scene("cucumber_row")
+    assert len(repr(chain)) < 600 and "slide: prismatic 0 to 1 m" in repr(chain) and "8 links" in repr(chain)
+    assert len(repr(scene)) < 300 and "12 fruits" in repr(scene)
+    seen = []
+    jax.jit(lambda chain, scene: seen.append(f"{chain}{scene}"))(chain, scene)
+    assert "slide: prismatic" in seen[0]  # traced, too
 
 
 def test_files_over_the_stated_size_are_refused(tmp_path):
@@ -518,27 +558,29 @@ def test_bad_points_are_one_line(tmp_path, content, words):
     refused(write(tmp_path, "scene.csv", content), *words, reader=jaxik.load_scene)
 
 
-@pytest.mark.filterwarnings("ignore:panda. its .* collide in its default pose")  # `test_fit` holds that it is said
+@pytest.mark.filterwarnings("ignore:panda. these pairs of links are not checked")  # `test_fit` holds that it is said
 def test_srdf_disables_pairs(tmp_path):
     file, tip = ROBOTS["panda"]
     pairs = '<disable_collisions link1="panda_link1" link2="panda_link5" reason="Never"/>'
     srdf = write(tmp_path, "panda.srdf", f'<robot name="panda">{pairs}</robot>')
     named = lambda chain: {frozenset((chain.link_names[a], chain.link_names[b])) for a, b in chain.self_pairs}
     coarse = jaxik.Fit(0.1, 1)  # pairs are those of the hulls
-    every, fewer = (named(jaxik.load(FOLDER / file, tip=tip, meshes=True, fit=coarse, srdf=s)) for s in (None, srdf))
+    every, fewer = (
+        named(jaxik.load(FOLDER / file, tip=tip, meshes=True, fit=coarse, srdf=s, posture={})) for s in (None, srdf)
+    )
     assert every - fewer == {frozenset(("panda_link1", "panda_link5"))}
     refused(write(tmp_path, "bad.srdf", "<robot><disable_collisions link1='a'/></robot>"), "link2", reader=lambda p: jaxik.load(
         FOLDER / file, tip=tip, srdf=p))  # fmt: skip
 
 
-@pytest.mark.filterwarnings("ignore:panda. its .* collide in its default pose")  # `test_fit` holds that it is said
+@pytest.mark.filterwarnings("ignore:panda. its boxes touch")  # `test_fit` holds that it is said
 def test_meshes_of_a_real_robot_lie_in_their_spheres():
     import trimesh
 
     file, tip = ROBOTS["panda"]
     with pytest.raises(ValueError, match="meshes=True"):
         jaxik.collision.self_clearance(jaxik.load(FOLDER / file, tip=tip), np.zeros(7))
-    chain = jaxik.load(FOLDER / file, tip=tip, meshes=True, fit=None)
+    chain = jaxik.load(FOLDER / file, tip=tip, meshes=True, fit=None, posture={})
     q = np.zeros(chain.num_joints)
     centres, radii = jaxik.collision.link_spheres(chain, q)
     frames = dict(zip(chain.link_names, np.asarray(jaxik.robot.link_frames(chain, q)), strict=True))

@@ -46,7 +46,7 @@ def test_crops_tensors_are_physical():
 def test_p6r_satisfies_the_appendix():
     chain = jaxik.load("p6r")
     slide, t2, t3, t4 = 0.37, 0.4, -0.6, -0.5
-    wrist = jaxik.load("p6r", tip="wrist_roll")
+    wrist = jaxik.load("p6r", tip="wrist_roll", posture={})
     p = np.asarray(jaxik.forward_kinematics(wrist, jnp.array([slide, t2, t3, t4, 0.3])))[:3, 3]
     a3, a4, a5, d2, d5 = 0.1, 0.25, 0.09, 0.35, 0.255
     along = a3 + a4 * np.cos(t3) + a5 * np.cos(t3 + t4) - d5 * np.sin(t3 + t4)

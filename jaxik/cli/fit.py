@@ -11,6 +11,7 @@ from typing import Any
 import tyro
 
 import jaxik
+from jaxik.cli.posture import read_posture
 from jaxik.files.srdf import unchecked
 
 
@@ -28,6 +29,8 @@ class FitArguments:
     """How far a capsule should reach beyond its mesh's hull, at most [mm]; the table says how far it does."""
     most: int = jaxik.Fit().most
     """Capsules a mesh, at most."""
+    posture: tuple[str, ...] = ()
+    """Where joints beside the chain are held, joint=value [rad, m]: a head, a gripper; 0 unless given."""
     srdf: Path | None = None
     """A file that says which links are not checked against each other."""
     to: Path | None = None
@@ -43,6 +46,7 @@ def run_fit(arguments: FitArguments) -> None:
         raise ValueError(f"--to {arguments.to}: ending '{arguments.to.suffix}'; allowed: .toml, .urdf")
     fit = jaxik.Fit(arguments.accuracy / 1e3, arguments.most)
     what: dict[str, Any] = {"tip": arguments.tip, "base": arguments.base, "srdf": arguments.srdf, "fit": fit}
+    what["posture"] = read_posture(arguments.posture)
     start = time.perf_counter()
     with Progress(console=Console(stderr=True)) as bar:
         line = bar.add_task("fit", total=None)

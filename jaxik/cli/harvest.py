@@ -10,6 +10,7 @@ from pathlib import Path
 import numpy as np
 
 import jaxik
+from jaxik.cli.posture import read_posture
 from jaxik.cli.tables import write_csv
 from jaxik.harvesting.driver import Harvest
 from jaxik.harvesting.in_the_way import Blockers
@@ -26,6 +27,8 @@ class HarvestArguments:
     """A shipped scene or a scene file (.toml, or labelled points as .csv or .ply)."""
     tip: str | None = None
     """The link to bring to the fruit; needed where the robot has several."""
+    posture: tuple[str, ...] = ()
+    """Where joints beside the chain are held, joint=value [rad, m]: a head, a gripper; 0 unless given."""
     meshes: bool = False
     """Read the robot's collision meshes (URDF) for capsules around them."""
     weights: Weights = dataclasses.field(default_factory=Weights)
@@ -50,7 +53,8 @@ def run_harvest(arguments: HarvestArguments) -> None:
         raise ValueError(f"--angles {arguments.angles} --slides {arguments.slides}: both are at least 1")
     if arguments.out.is_file():
         raise ValueError(f"--out {arguments.out}: is a file; name a folder")
-    chain = jaxik.load(arguments.robot, tip=arguments.tip, meshes=arguments.meshes)
+    held = read_posture(arguments.posture)
+    chain = jaxik.load(arguments.robot, tip=arguments.tip, meshes=arguments.meshes, posture=held)
     scene = jaxik.load_scene(arguments.scene)
     with Progress(console=Console(stderr=True)) as bar:
         task = bar.add_task("harvest", total=len(scene.fruits))

@@ -14,6 +14,7 @@ import tyro
 
 import jaxik
 from jaxik.checks.extras import optional
+from jaxik.cli.posture import read_posture
 from jaxik.cli.tables import write_csv
 from jaxik.robot.reach_bound import millimetres
 
@@ -32,6 +33,8 @@ class IKArguments:
     """The link to bring there; needed where the robot has several."""
     base: str | None = None
     """The link that the targets are given in; the root unless given."""
+    posture: tuple[str, ...] = ()
+    """Where joints beside the chain are held, joint=value [rad, m]: a head, a gripper; 0 unless given."""
     srdf: Path | None = None
     """A file that says which links are not checked against each other."""
     meshes: bool = False
@@ -69,7 +72,8 @@ def run_ik(arguments: IKArguments) -> None:
         optional("--out: .parquet", "pyarrow", "parquet")  # before the work, not after
     if arguments.out.is_dir():
         raise ValueError(f"--out {arguments.out}: is a folder; name a file")
-    chain = jaxik.load(arguments.robot, tip=arguments.tip, base=arguments.base, srdf=arguments.srdf, meshes=arguments.meshes)
+    asked = {key: getattr(arguments, key) for key in ("tip", "base", "srdf", "meshes")}
+    chain = jaxik.load(arguments.robot, posture=read_posture(arguments.posture), **asked)
     scene = None if arguments.scene is None else jaxik.load_scene(arguments.scene)
     targets = jaxik.load_targets(arguments.targets)
     free = (*arguments.free, *(("roll", "pitch", "yaw") if targets.ndim == 2 else ()))  # a position says nothing of rotation

@@ -8,6 +8,7 @@ from pathlib import Path
 import tyro
 
 import jaxik
+from jaxik.cli.posture import read_posture
 from jaxik.files import link_meshes
 
 
@@ -25,6 +26,8 @@ class ViewArguments:
     """Harvest the scene first, to show the posture of each fruit."""
     tip: str | None = None
     """The link at the tip; needed where the robot has several."""
+    posture: tuple[str, ...] = ()
+    """Where joints beside the chain are held, joint=value [rad, m]: a head, a gripper; 0 unless given."""
     host: str = "127.0.0.1"
     """Where the page is served; 0.0.0.0 shows it to the network."""
     port: int = 8080
@@ -35,12 +38,13 @@ def run_view(arguments: ViewArguments) -> None:
     """Serve the page until Ctrl-C."""
     from jaxik.view.page import Page
 
-    chain = jaxik.load(arguments.robot, tip=arguments.tip, meshes=True)
+    held = read_posture(arguments.posture)
+    chain = jaxik.load(arguments.robot, tip=arguments.tip, meshes=True, posture=held)
     if arguments.harvest and arguments.scene is None:
         raise ValueError("--harvest: needs a --scene with fruits, e.g. --scene cucumber_row")
     scene = None if arguments.scene is None else jaxik.load_scene(arguments.scene)
     picked = jaxik.harvest(chain, scene) if arguments.harvest and scene is not None else None
-    meshes = link_meshes(arguments.robot, arguments.tip)
+    meshes = link_meshes(arguments.robot, arguments.tip, posture=held)
     page = Page(chain, scene, arguments.store, picked, arguments.host, arguments.port, meshes)
     print(f"open {page.url} in a browser; Ctrl-C ends", flush=True)
     page.wait()

@@ -98,6 +98,12 @@ class Scene(Constant):
         """How many obstacles of each kind there are, padding included."""
         return {k: _count(getattr(self, k)) for k in KINDS}
 
+    def __repr__(self) -> str:
+        owned = zip(KINDS, self.owners, strict=True)
+        kinds = ", ".join(f"{len(owners)} {kind}" for kind, owners in owned if owners) or "no obstacles"
+        names = ", ".join(self.object_names[:8]) + (", ..." if len(self.object_names) > 8 else "")
+        return f"Scene {self.name}: {kinds}; {len(self.object_names)} objects ({names}), {len(self.fruits)} fruits"
+
     def without(self, objects: Any) -> Scene:
         """The scene with these objects (indices or names, one or several) moved out of the way; shapes stay.
 

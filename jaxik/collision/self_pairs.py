@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Collection, Iterable
 from typing import NamedTuple
 
 import numpy as np
@@ -21,24 +21,30 @@ class SelfCollisions(NamedTuple):
     share: float
 
 
-def candidate_pairs(chain: Chain, links: Iterable[int], disabled: frozenset[frozenset[str]]) -> list[tuple[int, int]]:
-    """The pairs of some links that are neither neighbours, nor move together, nor are `disabled`."""
-    joint, ordered = chain.link_joint, sorted(links)
+def candidate_pairs(
+    chain: Chain, links: Iterable[int], disabled: frozenset[frozenset[str]], aside: Collection[str] = ()
+) -> list[tuple[int, int]]:
+    """The pairs of some links that are neither neighbours, nor move together, nor are `disabled`. Links `aside`, behind joints
+    beside the chain, are neighbours of none whose joint is another."""
+    joint, names, ordered = chain.link_joint, chain.link_names, sorted(links)
+    least = lambda a, b: 1 if names[a] in aside or names[b] in aside else 2
     return [
         (a, b)
         for i, a in enumerate(ordered)
         for b in ordered[i + 1 :]
-        if abs(joint[a] - joint[b]) > 1 and frozenset((chain.link_names[a], chain.link_names[b])) not in disabled
+        if abs(joint[a] - joint[b]) >= least(a, b) and frozenset((names[a], names[b])) not in disabled
     ]
 
 
-def self_collisions(chain: Chain, disabled: frozenset[frozenset[str]] = frozenset(), samples: int = 512) -> SelfCollisions:
+def self_collisions(
+    chain: Chain, disabled: frozenset[frozenset[str]] = frozenset(), aside: Collection[str] = (), samples: int = 512
+) -> SelfCollisions:
     """The pairs of links worth a check against each other.
 
     Left out: links that move together or are neighbours on the chain, pairs in `disabled` (SRDF), and pairs that touch in at
     least 95 % of random configurations (fixed seed): their shapes overlap by design and would always report a collision.
     """
-    pairs = candidate_pairs(chain, solid_links(chain), disabled)
+    pairs = candidate_pairs(chain, solid_links(chain), disabled, aside)
     if not pairs:
         return SelfCollisions((), (), 0.0)
     rng = np.random.default_rng(0)

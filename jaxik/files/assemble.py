@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import BinaryIO
 
 import numpy as np
+from numpy.polynomial import Polynomial
 
 from jaxik.reasons import LoadError
 from jaxik.robot.chain import Body, Box, Chain, Volume
@@ -29,6 +30,8 @@ class Joint:
     lower: float = -np.inf
     upper: float = np.inf
     velocity: float = np.inf
+    default: float = 0.0  # where it stands beside a chain [rad, m]
+    mimic: tuple[str, Polynomial] | None = None  # the joint that drives it, and how its value follows
 
     @property
     def element(self) -> str:
@@ -93,7 +96,7 @@ def assemble(
     """
     unique(file, "joint", (j.name for j in joints))
     unique(file, "link", (base, *(j.child for j in joints)))
-    movable = [_checked(file, j) for j in joints if j.type != "fixed"]
+    movable = [checked(file, j) for j in joints if j.type != "fixed"]
     if not movable:
         raise LoadError(file, f"chain from '{base}'", "has no movable joint", "choose another base or tip")
     pending, offsets, frames, names = np.eye(4), [np.eye(4)], [], [base]
@@ -145,7 +148,8 @@ def _finite(file: Path, element: str, what: str, values: np.ndarray) -> None:
         raise LoadError(file, element, f"{what} holds NaN or infinity", "write finite numbers")
 
 
-def _checked(file: Path, joint: Joint) -> Joint:
+def checked(file: Path, joint: Joint) -> Joint:
+    """A movable joint with an axis of length 1 and limits in their order."""
     if joint.type not in JOINT_TYPES:
         allowed = ", ".join(JOINT_TYPES)
         raise LoadError(file, joint.element, f"type '{joint.type}' is not supported", f"allowed: {allowed}")

@@ -12,13 +12,14 @@ from typing import Any
 import numpy as np
 
 from jaxik.checks.arrays import rigid_frame
-from jaxik.checks.options import check_kind, shown
+from jaxik.checks.options import check_finite, check_kind, shown
 from jaxik.collision.scene import Scene
 from jaxik.collision.self_pairs import self_collisions
 from jaxik.files import scene as scene_files
 from jaxik.files.ignore import ignored
 from jaxik.files.mesh import Meshes
 from jaxik.files.mjcf import load_mjcf
+from jaxik.files.posture import Posture
 from jaxik.files.saving import read_chain, save
 from jaxik.files.srdf import disabled_pairs
 from jaxik.files.targets import load_targets
@@ -28,11 +29,12 @@ from jaxik.fitting.capsules import Fit
 from jaxik.fitting.model import FITS, Shape, modelled
 from jaxik.fitting.report import LinkFit, link_fits
 from jaxik.reasons import LoadError
-from jaxik.robot.chain import Chain
+from jaxik.robot.chain import Chain, solid_links
 
 __all__ = ["LoadError", "fit_report", "link_meshes", "load", "load_scene", "load_targets", "models_folder", "save"]
 
 FIT = Fit()
+APART = "leave out pairs that touch by design (ignore=, srdf=)"
 
 
 def models_folder() -> Path:
@@ -51,6 +53,7 @@ def load(
     fit: Any = FIT,
     srdf: str | Path | None = None,
     ignore: Any = (),
+    posture: Any = None,
 ) -> Chain:
     """The serial chain of a shipped model (`"p6r"`) or of a file: `.urdf`, `.xml` (MJCF) or `.toml`.
 
@@ -61,73 +64,107 @@ def load(
     are not checked. `ignore` lists what is not checked, either: pairs of links, pairs of a link and an object of the scene,
     whose name is not nearly a link's, and links that no object of a scene counts for.
 
+    All that hangs on the chain belongs to it, with shapes and masses: joints beside it, those of a head, a gripper, another
+    arm, are held. `posture` says where, by their names [rad, m], `{"panda_finger_joint1": 0.04}`; others are at 0 (MJCF: the
+    model's qpos0), or the limit that is nearest, and mimic joints follow (one that a joint of the chain drives stands where that
+    is 0). A warning names those whose links have shapes, unless a posture is given: `{}` says that all of them are right so.
+    What is above `base` is left out, and what flies freely in an MJCF.
+
+    A mesh `package://my_pkg/meshes/a.stl` is `meshes/a.stl` below the nearest folder above the model's file that is called
+    `my_pkg`. Any other name is a path from the file's folder, which stays below it (below the folder above, where the file's
+    own is called urdf, urdfs, xacro, robots, mjcf or xml). DAE needs `pip install "jaxik[dae]"`.
+
     Raises `LoadError` (a `ValueError`) with one line: the file, the element, what is allowed, the mend; and `ValueError` for a
-    `fit` without `meshes`, and for MJCF without MuJoCo (the extra `mjcf`).
+    `fit` without `meshes`, for a `posture` that is no mapping of names to finite numbers, and for MJCF without MuJoCo (the
+    extra `mjcf`).
     """
     path = _locate(source)
     tool = None if tool is None else np.asarray(rigid_frame("tool (tip_T_tool)", tool), np.float64)
     check_kind("load", "fit", fit, Fit, optional=True)
     if fit is not FIT and not meshes:
         raise ValueError(f"load: fit is {shown(fit)}, but no meshes are read; write meshes=True, or leave it out")
-    chain, shapes, pairs = _read(path, tip, base, tool, Meshes(fit is not None) if meshes else None)
+    stance = _stance("load", posture)
+    chain, shapes, pairs = _read(path, tip, base, tool, Meshes(fit is not None) if meshes else None, stance)
     apart, beside = ignored(path, chain, ignore)
     disabled = apart | (frozenset() if srdf is None else disabled_pairs(Path(srdf)))
     chain = dataclasses.replace(chain, ignored=tuple(dict.fromkeys(chain.ignored + beside)))
+    if posture is None and not chain.unread_meshes:
+        told = stance.told({chain.link_names[i] for i in {*solid_links(chain), *(shape.link for shape in shapes)}})
+        if told:
+            warnings.warn(f"{chain.name}: {told}", stacklevel=2)
     if pairs is not None:
         names = chain.link_names
         kept = tuple(pair for pair in pairs if frozenset(names[i] for i in pair) not in disabled)
         return dataclasses.replace(chain, self_pairs=kept)
     if shapes:
-        model = modelled(chain, shapes, fit, disabled)
-        _tell(chain, "links' hulls", model.at_home, model.colliding)
+        model = modelled(chain, shapes, fit, disabled, stance.behind)
+        _tell(chain, "hulls", model.at_home, model.colliding)
         return model.of(chain, shapes)
-    found = self_collisions(chain, disabled)
+    found = self_collisions(chain, disabled, stance.behind)
     if meshes:
         _tell(chain, "boxes", dict.fromkeys(found.at_home), found.share)
     return dataclasses.replace(chain, self_pairs=found.pairs)
 
 
+def _stance(who: str, posture: Any) -> Posture:
+    """What a caller says of joints beside the chain."""
+    if posture is not None and not (isinstance(posture, Mapping) and all(isinstance(name, str) for name in posture)):
+        raise ValueError(f'{who}: posture is {shown(posture)}; write {{"joint": value}} [rad, m]')
+    for name, value in (posture or {}).items():
+        check_finite(who, **{f"posture['{shown(name)}']": value})
+    return Posture(dict(posture or {}))
+
+
 def _read(
-    path: Path, tip: str | None, base: str | None, tool: np.ndarray | None, meshes: Meshes | None
+    path: Path, tip: str | None, base: str | None, tool: np.ndarray | None, meshes: Meshes | None, posture: Posture
 ) -> tuple[Chain, list[Shape], tuple[tuple[int, int], ...] | None]:
     """The chain of a file, the shapes that are to be fitted, and the pairs of links to check where the file says them."""
     kind = path.suffix.lower()
     if kind == ".urdf":
-        chain = load_urdf(path, tip, base, tool, meshes)
+        chain = load_urdf(path, tip, base, tool, meshes, posture)
     elif kind in (".xml", ".mjcf"):
-        chain = load_mjcf(path, tip, base, tool, meshes)
+        chain = load_mjcf(path, tip, base, tool, meshes, posture)
     elif kind == ".toml":
         model = read_toml(path)
         if model.content.get("convention") == "chain":
-            chain = _saved(path, read_chain(model), tip, base, tool)
+            chain = _saved(path, read_chain(model), tip, base, tool, posture)
             return chain, [], chain.self_pairs
-        chain = load_toml(path, tip, base, tool)
+        chain = load_toml(path, tip, base, tool, posture)
     else:
         raise LoadError(path, "file", f"ending '{kind}'", "allowed: .urdf, .xml (MJCF), .toml")
     return chain, [] if meshes is None else meshes.shapes(chain), None
 
 
-def _saved(path: Path, chain: Chain, tip: str | None, base: str | None, tool: np.ndarray | None) -> Chain:
-    """A chain that `save` wrote has its base and its tip."""
+def _saved(path: Path, chain: Chain, tip: str | None, base: str | None, tool: np.ndarray | None, posture: Posture) -> Chain:
+    """A chain that `save` wrote has its base and its tip, and what it carries stands still."""
     if tip is not None or base is not None:
         raise LoadError(path, f"tip '{tip}', base '{base}'", "are fixed in a saved chain", "leave them out, or use chain.part")
+    if posture.given:
+        raise LoadError(
+            path, f"posture '{next(iter(posture.given))}'", "is fixed in a saved chain", "load the robot's own file"
+        )
     return chain if tool is None else chain.with_tool(tool)
 
 
 def _tell(chain: Chain, what: str, at_home: Mapping[tuple[int, int], float | None], share: float) -> None:
     """One line where a robot's shapes collide in its default pose, or mostly: what they say of the robot is not true, then."""
-    named = [
-        f"{chain.link_names[a]} and {chain.link_names[b]}" + ("" if depth is None else f" by {1e3 * depth:.1f} mm")
-        for (a, b), depth in at_home.items()
-    ]
-    if named:
-        checked = "" if None in at_home.values() else ", and are not checked against each other"
-        told = f"collide in its default pose{checked}: {'; '.join(named[:3])}{'; ...' if named[3:] else ''}"
+    names = [(chain.link_names[a], chain.link_names[b]) for a, b in at_home]
+    depths = ["" if depth is None else f" by {1e3 * depth:.1f} mm" for depth in at_home.values()]
+    some = "; ".join(f"{a} and {b}{depth}" for (a, b), depth in zip(names[:3], depths, strict=False))
+    some += f"; ... ({len(names)} in all)" if names[3:] else ""
+    zero = "with all joints at 0 (or amid limits that leave 0 out)"
+    if names and None not in at_home.values():  # hulls: what they do there, they are taken to do by design
+        told = (
+            f"these pairs of links are not checked, because their {what} touch {zero}: {some}; ignore=[{names[0]}, ...] says "
+            f"that they may, dataclasses.replace(chain, self_pairs=(*chain.self_pairs, {next(iter(at_home))})) checks one"
+        )
+    elif names:
+        told = f"its {what} touch {zero}: {some}; {APART}"
     elif share > 0.5:
-        told = f"collide in {share:.0%} of random configurations"
+        told = f"its {what} collide in {share:.0%} of random configurations; {APART}"
     else:
         return
-    warnings.warn(f"{chain.name}: its {what} {told}; disable pairs that may touch (srdf=, ignore=)", stacklevel=3)
+    warnings.warn(f"{chain.name}: {told}", stacklevel=3)
 
 
 def fit_report(
@@ -138,6 +175,7 @@ def fit_report(
     fit: Fit = FIT,
     srdf: str | Path | None = None,
     ignore: Any = (),
+    posture: Mapping[str, Any] | None = None,
     progress: Callable[[int, int], None] | None = None,
 ) -> tuple[LinkFit, ...]:
     """What `load(..., meshes=True, fit=fit)` puts around each collision mesh of a file: one `LinkFit` a mesh.
@@ -146,15 +184,18 @@ def fit_report(
     """
     path = _locate(source)
     check_kind("fit_report", "fit", fit, Fit)
-    chain, shapes, _ = _read(path, tip, base, None, Meshes(True))
+    stance = _stance("fit_report", posture)
+    chain, shapes, _ = _read(path, tip, base, None, Meshes(True), stance)
     disabled = (frozenset() if srdf is None else disabled_pairs(Path(srdf))) | ignored(path, chain, ignore)[0]
     told = None if progress is None else lambda done: progress(done, FITS * len(shapes))
-    return link_fits(chain, shapes, modelled(chain, shapes, fit, disabled, told))
+    return link_fits(chain, shapes, modelled(chain, shapes, fit, disabled, stance.behind, told))
 
 
-def link_meshes(source: str | Path, tip: str | None = None, base: str | None = None) -> list[Shape]:
+def link_meshes(
+    source: str | Path, tip: str | None = None, base: str | None = None, posture: Mapping[str, Any] | None = None
+) -> list[Shape]:
     """The collision meshes, boxes and cylinders of a file's links, in the frames of the joints that move them, to look at."""
-    return _read(_locate(source), tip, base, None, Meshes(True))[1]
+    return _read(_locate(source), tip, base, None, Meshes(True), _stance("link_meshes", posture))[1]
 
 
 def load_scene(source: str | Path) -> Scene:

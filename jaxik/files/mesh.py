@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import io
+from importlib.util import find_spec
 from pathlib import Path, PurePosixPath
 from typing import Any
 
@@ -17,6 +18,7 @@ from jaxik.robot.chain import Chain
 
 # A ROS package keeps its model in urdf/ and its meshes beside that folder, so the model's folder is then the package's.
 _INNER_FOLDERS = ("urdf", "urdfs", "xacro", "robots", "mjcf", "xml")
+PACKAGE = "package://"
 FORMATS = (".stl", ".obj", ".ply", ".dae", ".off", ".glb")  # and no archive, whose size says nothing of its content's
 
 
@@ -75,24 +77,29 @@ def home(path: Path) -> Path:
 
 
 def resolve(path: Path, where: str, name: str, below: Path | None = None) -> Path | None:
-    """The file that a mesh name means: `package://name/...` below the nearest folder above of that name, else below the
-    model's own folder (or `below`). None where no such package is above. A path that leaves that folder is refused."""
+    """The file that a mesh name means: `package://name/...` (or with a third slash) below the nearest folder above of that
+    name, None where there is none; else a path below the model's own folder (or `below`). One that leaves it is refused."""
     folder, root = path.resolve().parent, below or home(path)
-    if name.startswith("package://"):
-        package, _, rest = name.removeprefix("package://").partition("/")
+    if name.startswith(PACKAGE):
+        package, rest = _package(name)
         above = [p for p in (folder, *folder.parents) if p.name == package]
         if ".." in PurePosixPath(rest).parts or package in ("", ".", ".."):
-            raise LoadError(path, where, f"mesh '{name[:80]}' leaves its package", "name a file inside it")
+            raise LoadError(path, where, f"mesh '{name}' leaves its package", "name a file inside it")
         return above[0] / rest if above else None
     if "://" in name and not name.startswith("file://"):
-        raise LoadError(path, where, f"mesh '{name[:80]}' is no file", "give a path or package://")
+        raise LoadError(path, where, f"mesh '{name}' is no file", "give a path or package://")
     try:
         target = (folder / name.removeprefix("file://")).resolve()
     except (OSError, ValueError, RuntimeError):
-        raise LoadError(path, where, f"mesh '{name[:80]}' is no path", "give a path below the model's folder") from None
+        raise LoadError(path, where, f"mesh '{name}' is no path", "give a path below the model's folder") from None
     if not target.is_relative_to(root):
-        raise LoadError(path, where, f"mesh '{name[:80]}' lies outside the model's folder", f"move it below {root.name}/")
+        raise LoadError(path, where, f"mesh '{name}' lies outside the model's folder", f"move it below {root.name}/")
     return target
+
+
+def _package(name: str) -> tuple[str, str]:
+    package, _, rest = name.removeprefix(PACKAGE).removeprefix("/").partition("/")
+    return package, rest
 
 
 def read_mesh(path: Path, where: str, name: str, scale: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -101,12 +108,17 @@ def read_mesh(path: Path, where: str, name: str, scale: np.ndarray) -> tuple[np.
 
     target = resolve(path, where, name)
     if target is None or not target.is_file():
-        mend = "put it there, or load with meshes=False for the kinematics alone"
-        raise LoadError(path, where, f"mesh '{name[:80]}' is not found", mend)
+        package = f"no folder above the file is called '{_package(name)[0]}': give the robot's folder that name"
+        mend = package if target is None else f"put it at {target}"
+        raise LoadError(
+            path, where, f"mesh '{name}' is not found", f"{mend}, or load with meshes=False for the kinematics alone"
+        )
     if target.stat().st_size > 4 * MAX_BYTES:
-        raise LoadError(path, where, f"mesh '{name[:80]}' is larger than {4 * MAX_BYTES} bytes", "simplify it")
+        raise LoadError(path, where, f"mesh '{name}' is larger than {4 * MAX_BYTES} bytes", "simplify it")
     if target.suffix.lower() not in FORMATS:
-        raise LoadError(path, where, f"mesh '{name[:80]}': ending '{target.suffix}'", f"allowed: {', '.join(FORMATS)}")
+        raise LoadError(path, where, f"mesh '{name}': ending '{target.suffix}'", f"allowed: {', '.join(FORMATS)}")
+    if target.suffix.lower() == ".dae" and find_spec("collada") is None:
+        raise LoadError(path, where, f"mesh '{name}': reading DAE needs pycollada", 'pip install "jaxik[dae]"')
     try:
         content = io.BytesIO(target.read_bytes())  # not the path: a mesh may name other files, anywhere
         mesh: Any = trimesh.load(content, file_type=target.suffix[1:].lower(), force="mesh", process=False)
@@ -114,8 +126,9 @@ def read_mesh(path: Path, where: str, name: str, scale: np.ndarray) -> tuple[np.
         if not len(points) or not np.all(np.isfinite(points)):
             raise ValueError("no corners, or such that are not finite")
     except Exception as error:  # a parser for every format: whatever it raises is the file's fault
-        mend = "give STL, OBJ, PLY or (with pip install pycollada) DAE"
-        raise LoadError(path, where, f"mesh '{name[:80]}' cannot be read ({type(error).__name__})", mend) from None
+        raise LoadError(
+            path, where, f"mesh '{name}' cannot be read ({type(error).__name__})", "give STL, OBJ, PLY or DAE"
+        ) from None
     return points, np.asarray(mesh.faces).reshape(-1, 3)
 
 

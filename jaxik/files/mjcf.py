@@ -6,10 +6,12 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from numpy.polynomial import Polynomial
 
 from jaxik.checks.extras import optional
 from jaxik.files.assemble import Joint, Link, assemble
 from jaxik.files.mesh import Meshes, add_box, add_cylinder, home, resolve
+from jaxik.files.posture import Posture
 from jaxik.files.xml import parse
 from jaxik.reasons import LoadError
 from jaxik.robot.chain import Chain
@@ -17,10 +19,14 @@ from jaxik.spatial.rotations import about, frame, from_wxyz
 
 FOLDERS = ("meshdir", "texturedir", "assetdir")
 MOST_FILES = 100
+FREE = 0  # of MuJoCo's joint types
 
 
-def load_mjcf(path: Path, tip: str | None, base: str | None, tool: np.ndarray | None, meshes: Meshes | None = None) -> Chain:
-    """The serial chain from body `base` (the world) to body or site `tip` (the only leaf)."""
+def load_mjcf(
+    path: Path, tip: str | None, base: str | None, tool: np.ndarray | None, meshes: Meshes | None, posture: Posture
+) -> Chain:
+    """The serial chain from body `base` (the world) to body or site `tip` (the only leaf), and what it carries, held in a
+    `posture`; bodies that fly freely are no part of it."""
     mujoco = optional(f"{path}: MJCF", "mujoco", "mjcf")
     _check_files(path, path, set())
     try:
@@ -40,9 +46,28 @@ def load_mjcf(path: Path, tip: str | None, base: str | None, tool: np.ndarray | 
         raise LoadError(path, f"tip '{tip}'", f"is not below base '{base}'", "choose a base above the tip")
     names = {i: name for name, i in bodies.items()}
     joints = [j for i in run[::-1] for j in _body_joints(path, model, i, names[i])]
-    links = {names[i]: _link(model, i, names[i], meshes) for i in (start, *run)}
+    aside = _aside(model, {start, *run})
+    carried = posture.hold(path, joints, [j for i in aside for j in _carried(path, model, i, names)])
+    links = {names[i]: _link(model, i, names[i], meshes) for i in (start, *run, *aside)}
     tool = tip_T_site if tool is None else tip_T_site @ tool
-    return assemble(path, path.stem, names[start], joints, links, tool)
+    return assemble(path, path.stem, names[start], joints, links, tool, carried=carried)
+
+
+def _aside(model: Any, chain: set[int]) -> list[int]:
+    """The bodies that hang on a chain, none of them by a free joint; parents before children, as MuJoCo numbers them."""
+    found: list[int] = []
+    for body in range(1, model.nbody):
+        first, count = int(model.body_jntadr[body]), int(model.body_jntnum[body])
+        free = count > 0 and model.jnt_type[first] == FREE
+        if body not in chain and model.body_parentid[body] in {*chain, *found} and not free:
+            found.append(body)
+    return found
+
+
+def _carried(path: Path, model: Any, body: int, names: dict[int, str]) -> list[tuple[str, Joint]]:
+    """The joints of a body beside the chain, each with the link before it."""
+    run = _body_joints(path, model, body, names[body], beside=True)
+    return [*zip((names[int(model.body_parentid[body])], *(j.child for j in run)), run, strict=False)]
 
 
 def _check_files(path: Path, model: Path, seen: set[Path], below: Path | None = None) -> None:
@@ -56,7 +81,7 @@ def _check_files(path: Path, model: Path, seen: set[Path], below: Path | None = 
     for element in document.iter():
         for key in (k for k in element.attrib if k.startswith("file") or k in FOLDERS):  # a cube's texture has six
             name, part = element.get(key, ""), element.tag in ("include", "model") and key == "file"
-            where = f"<{element.tag} {key}='{name[:80]}'>"
+            where = f"<{element.tag} {key}='{name}'>"
             for folder in ("",) if part or key in FOLDERS else folders:
                 target = resolve(model, where, str(Path(folder) / name), below)
             if part and target is not None and target not in seen:
@@ -80,8 +105,9 @@ def _tip(path: Path, model: Any, bodies: dict[str, int], tip: str | None) -> tup
     raise LoadError(path, f"tip '{tip}'", "no such body or site", f"bodies: {', '.join(bodies)}")
 
 
-def _body_joints(path: Path, model: Any, body: int, name: str) -> list[Joint]:
-    """A body's joints as a run; a hinge turns about its anchor, so the body's own frame is offset from it."""
+def _body_joints(path: Path, model: Any, body: int, name: str, beside: bool = False) -> list[Joint]:
+    """A body's joints as a run; a hinge turns about its anchor, so the body's own frame is offset from it. Those beside the
+    chain may follow others; a ball among them stays as it is."""
     kinds = {2: "prismatic", 3: "revolute"}
     coupled = _coupled(model)
     pending = frame(model.body_pos[body], from_wxyz(model.body_quat[body]))
@@ -89,8 +115,10 @@ def _body_joints(path: Path, model: Any, body: int, name: str) -> list[Joint]:
     run = []
     for i in range(first, first + count):
         joint = model.joint(i)
-        label = joint.name or f"joint{i}"
-        if i in coupled:
+        label = _label(model, i)
+        if beside and int(joint.type[0]) not in kinds:
+            continue
+        if i in coupled and not beside:
             mend = "drive it as a joint of its own: remove the equality"
             raise LoadError(path, f"joint '{label}'", "an equality couples it to another (mimic)", mend)
         if int(joint.type[0]) not in kinds:
@@ -107,19 +135,33 @@ def _body_joints(path: Path, model: Any, body: int, name: str) -> list[Joint]:
             back = frame(-reference * axis) if kind == "prismatic" else frame(rotation=about(axis, -reference))
         else:
             back = np.eye(4)
-        run.append(Joint(label, kind, pending @ anchor @ back, f"{name}/{label}", axis, lower, upper))
+        run.append(Joint(label, kind, pending @ anchor @ back, f"{name}/{label}", axis, lower, upper, default=reference))
+        if i in coupled:
+            run[-1].mimic = _law(model, coupled[i])
         pending = np.linalg.inv(anchor)
     if not run:
         return [Joint(f"{name}/fixed", "fixed", pending, name)]
     return [*run, Joint(f"{name}/fixed", "fixed", pending, name)]
 
 
-def _coupled(model: Any) -> set[int]:
-    """Joints that an active equality makes a function of another, or fixes."""
+def _label(model: Any, joint: int) -> str:
+    return model.joint(joint).name or f"joint{joint}"
+
+
+def _coupled(model: Any) -> dict[int, int]:
+    """Joints that an active equality makes a function of another, or fixes; and its row."""
     import mujoco
 
     rows = range(model.neq)
-    return {int(model.eq_obj1id[i]) for i in rows if model.eq_type[i] == mujoco.mjtEq.mjEQ_JOINT and model.eq_active0[i]}
+    return {int(model.eq_obj1id[i]): i for i in rows if model.eq_type[i] == mujoco.mjtEq.mjEQ_JOINT and model.eq_active0[i]}
+
+
+def _law(model: Any, row: int) -> tuple[str, Polynomial]:
+    """The joint that an equality names second ("" where it fixes the first), and the polynomial by which the first follows."""
+    first, second = int(model.eq_obj1id[row]), int(model.eq_obj2id[row])
+    rest = lambda joint: float(model.qpos0[model.jnt_qposadr[joint]]) if joint >= 0 else 0.0
+    law = Polynomial(model.eq_data[row][:5])(Polynomial([-rest(second), 1.0])) + rest(first)
+    return _label(model, second) if second >= 0 else "", law
 
 
 def _link(model: Any, body: int, name: str, meshes: Meshes | None) -> Link:

@@ -16,6 +16,7 @@ from typing import Any
 import numpy as np
 
 from jaxik.files.assemble import Joint, Link, assemble, read_bytes, unique
+from jaxik.files.posture import Posture
 from jaxik.reasons import LoadError
 from jaxik.robot.chain import Chain
 from jaxik.spatial.rotations import frame, from_rpy
@@ -167,8 +168,8 @@ def read_toml(path: Path) -> Table:
         raise LoadError(path, "document", f"malformed TOML ({error})", "mend the syntax") from None
 
 
-def load_toml(path: Path, tip: str | None, base: str | None, tool: np.ndarray | None) -> Chain:
-    """A model file to a chain, cut at link `base` and link `tip` where they are given."""
+def load_toml(path: Path, tip: str | None, base: str | None, tool: np.ndarray | None, posture: Posture) -> Chain:
+    """A model file to a chain from link `base` to link `tip`, where they are given; joints after the tip are held."""
     model = read_toml(path)
     name = model.text("name")
     model.text("description", "-")
@@ -193,7 +194,9 @@ def load_toml(path: Path, tip: str | None, base: str | None, tool: np.ndarray | 
         raise LoadError(path, f"tip '{tip}'", f"is not below base '{base}'", f"order: {', '.join(names)}")
     if tip is None:
         tool = tip_T_tool if tool is None else tip_T_tool @ tool
-    return assemble(path, name, names[first], joints[first:last], links, tool, world_T_base if first == 0 else None)
+    run, mount_here = joints[first:last], world_T_base if first == 0 else None
+    carried = posture.hold(path, run, [*zip(names[last:], joints[last:], strict=False)])
+    return assemble(path, name, names[first], run, links, tool, mount_here, carried)
 
 
 def _index(path: Path, what: str, name: str, names: list[str]) -> int:

@@ -6,17 +6,21 @@ from pathlib import Path
 from xml.etree.ElementTree import Element
 
 import numpy as np
+from numpy.polynomial import Polynomial
 
 from jaxik.files.assemble import JOINT_TYPES, Joint, Link, assemble, unique
-from jaxik.files.mesh import Meshes, add_box, add_cylinder, read_mesh, resolve
+from jaxik.files.mesh import Meshes, add_box, add_cylinder, read_mesh
+from jaxik.files.posture import Posture
 from jaxik.files.xml import attribute, numbers, parse
 from jaxik.reasons import LoadError
 from jaxik.robot.chain import Chain
 from jaxik.spatial.rotations import frame, from_rpy
 
 
-def load_urdf(path: Path, tip: str | None, base: str | None, tool: np.ndarray | None, meshes: Meshes | None) -> Chain:
-    """The serial chain from link `base` (the root) to link `tip` (the only leaf)."""
+def load_urdf(
+    path: Path, tip: str | None, base: str | None, tool: np.ndarray | None, meshes: Meshes | None, posture: Posture
+) -> Chain:
+    """The serial chain from link `base` (the root) to link `tip` (the only leaf), and what it carries, held in a `posture`."""
     root = parse(path, "robot")
     elements = {kind: root.findall(kind) for kind in ("link", "joint")}
     for kind, found in elements.items():
@@ -39,19 +43,19 @@ def load_urdf(path: Path, tip: str | None, base: str | None, tool: np.ndarray | 
     if base is not None and link != base:
         raise LoadError(path, f"tip '{tip}'", f"is not below base '{base}'", f"its root is '{link}'")
     names = [link, *(j.child for j in run)]
-    carried = _carried(path, names, above)
+    carried = posture.hold(path, run, _carried(path, names, above))
     content = {name: _link(path, name, links[name], meshes) for name in (*names, *(j.child for _, j in carried))}
     return assemble(path, root.get("name", path.stem), link, run[::-1], content, tool, carried=carried)
 
 
 def _carried(path: Path, chain: list[str], above: dict[str, tuple[Element, str]]) -> list[tuple[str, Joint]]:
-    """The fixed joints that lead aside from the chain, and on from there: a hand's fingers, a camera. With their parents."""
+    """The joints that lead aside from the chain, and on from there: a head, a hand's fingers, a camera. With their parents."""
     found: list[tuple[str, Joint]] = []
     reached = list(chain)
     for parent in reached:  # grows while it is read
         for child, (element, its_parent) in above.items():
-            if its_parent == parent and child not in reached and element.get("type") == "fixed":
-                found.append((parent, _joint(path, element, child)))
+            if its_parent == parent and child not in reached:
+                found.append((parent, _joint(path, element, child, beside=True)))
                 reached.append(child)
     return found
 
@@ -83,22 +87,27 @@ def _origin(path: Path, where: str, element: Element) -> np.ndarray:
     return frame(translation, from_rpy(numbers(path, where, origin, "rpy", "0 0 0", 3)))
 
 
-def _joint(path: Path, element: Element, child: str) -> Joint:
+def _joint(path: Path, element: Element, child: str, beside: bool = False) -> Joint:
+    """A joint of the chain; or one beside it, which may be of any type and follow another."""
     name = str(element.get("name"))
     where = f"joint '{name}'"
     kind = attribute(path, where, element, "type")
-    if kind not in JOINT_TYPES:
+    if kind not in JOINT_TYPES and not beside:
         raise LoadError(path, where, f"type '{kind}' is not supported", f"allowed: {', '.join(JOINT_TYPES)}")
-    joint = Joint(name, kind, _origin(path, where, element), child)
-    if kind == "fixed":
+    joint = Joint(name, kind if kind in JOINT_TYPES else "fixed", _origin(path, where, element), child)
+    if joint.type == "fixed":
         return joint
-    if element.find("mimic") is not None:
+    mimic = element.find("mimic")
+    if mimic is not None and not beside:
         raise LoadError(path, where, "a mimic joint on the chain", "drive it as a joint of its own: remove <mimic>")
+    if mimic is not None:
+        offset, slope = (float(numbers(path, where, mimic, k, d, 1)[0]) for k, d in (("offset", "0"), ("multiplier", "1")))
+        joint.mimic = attribute(path, where, mimic, "joint"), Polynomial([offset, slope])
     joint.axis = numbers(path, where, element.find("axis"), "xyz", "1 0 0", 3)
     limit = element.find("limit")
-    if limit is None and kind != "continuous":
+    if limit is None and kind != "continuous" and not beside:
         raise LoadError(path, where, f"a {kind} joint without <limit>", "add it, or make the joint continuous")
-    if limit is not None:
+    if limit is not None and not (beside and kind == "continuous"):
         joint.lower, joint.upper = (float(numbers(path, where, limit, k, "0", 1)[0]) for k in ("lower", "upper"))
         joint.velocity = float(numbers(path, where, limit, "velocity", "0", 1)[0]) or np.inf
     return joint
@@ -152,8 +161,7 @@ def _shape(path: Path, owner: str, origin: np.ndarray, shape: Element, link: Lin
         if meshes is not None:
             meshes.mesh(owner, link, name, origin, *read_mesh(path, where, name, scale))
         else:
-            resolve(path, where, name)  # refused here, not first when someone asks for the meshes
-            link.meshes.append(name)
+            link.meshes.append(name)  # whatever it is: kinematics need none
     else:
         raise LoadError(
             path, where, f"geometry <{shape.tag}> is not supported", "allowed: box, sphere, cylinder, capsule, mesh"

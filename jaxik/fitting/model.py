@@ -1,9 +1,9 @@
 """A robot's collision model from its links' shapes: the pairs of links to check, and capsules that are close where it matters.
 
 The truth is the convex hull of each shape. It is asked in random configurations (`convex`) for each pair of links: pairs that
-touch in the default pose or always are left out, and those that never do, which a search from the nearest configurations
-confirms. Where two links pass each other closely without touching, each keeps behind a plane in the gap: these planes are what
-`fit` is told. So capsules are spent where links pass each other, and each is tight on that side alone.
+touch in the default pose or always are left out, and those that never do, or never by more than 3 mm (`DEEP`) in a search from
+the nearest configurations. Where two links pass each other closely without touching, each keeps behind a plane in the gap:
+these planes are what `fit` is told. So capsules are spent where links pass each other, and each is tight on that side alone.
 
 Links that often pass closely get a table of their hulls' distance beside (`pair_table`), where two joints decide it: those
 between, or those that are left when the link before or behind is taken for what it sweeps by its own turn.
@@ -14,7 +14,7 @@ from __future__ import annotations
 import dataclasses
 import hashlib
 import io
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Collection, Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -101,10 +101,12 @@ def modelled(
     shapes: Sequence[Shape],
     fit: Fit,
     disabled: frozenset[frozenset[str]] = frozenset(),
+    aside: Collection[str] = (),
     progress: Callable[[int], None] | None = None,
 ) -> Model:
-    """The model of a chain whose other volumes are exact; read from disk where it is known. `progress` hears of each shape."""
-    links = (chain.link_joint, chain.link_names, [v.link for v in chain.volumes], [s.link for s in shapes])
+    """The model of a chain whose other volumes are exact; read from disk where it is known. Links `aside` are behind joints
+    beside the chain. `progress` hears of each shape."""
+    links = (chain.link_joint, chain.link_names, [v.link for v in chain.volumes], [s.link for s in shapes], sorted(aside))
     content = hashlib.sha256(repr((_VERSION, fit, sorted(map(sorted, disabled)), chain.joint_types, links)).encode())
     exact = [part for v in chain.volumes for part in (v.corners, v.radius)]
     for numbers in (chain.parent_T_joint, chain.axis, *finite_limits(chain), *exact, *(s.corners for s in shapes)):
@@ -116,7 +118,7 @@ def modelled(
             return _unpacked(stored)
         except (ValueError, KeyError, IndexError, EOFError, OSError):
             pass  # of another make: it is made again
-    found = _Links(chain, shapes, disabled).model(fit, progress)
+    found = _Links(chain, shapes, disabled, aside).model(fit, progress)
     write(name, _packed(found))
     return found
 
@@ -179,11 +181,11 @@ class _Pass(NamedTuple):
 class _Links:
     """The links' hulls in random configurations, the default pose before them."""
 
-    def __init__(self, chain: Chain, shapes: Sequence[Shape], disabled: frozenset[frozenset[str]]):
+    def __init__(self, chain: Chain, shapes: Sequence[Shape], disabled: frozenset[frozenset[str]], aside: Collection[str]):
         self.chain, self.shapes = chain, shapes
         exact = [(v.link, Body(np.asarray(v.corners, np.float64), float(v.radius))) for v in chain.volumes]
         self.bodies = [(s.link, Body(hull_corners(s.corners))) for s in shapes] + exact
-        self.pairs = candidate_pairs(chain, {link for link, _ in self.bodies}, disabled)
+        self.pairs = candidate_pairs(chain, {link for link, _ in self.bodies}, disabled, aside)
         self.limits = finite_limits(chain)
         rng = np.random.default_rng(0)
         self.q = np.vstack([default_pose(chain), rng.uniform(*self.limits, (SAMPLES, chain.num_joints))])

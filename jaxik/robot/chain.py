@@ -18,7 +18,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Bool, Float
 
-from jaxik.checks.arrays import rigid_frame
+from jaxik.checks.arrays import is_known, rigid_frame
 from jaxik.checks.options import check_kind, shown
 from jaxik.pytree import Pytree, static
 from jaxik.robot.pair_table import PairTable
@@ -195,6 +195,19 @@ class Chain(Constant):
                 if link.keys() >= {*t.links}
             ),
         )
+
+    def __repr__(self) -> str:
+        head = f"Chain {self.name}: {self.num_joints} joints, {len(self.link_names)} links, {len(self.boxes)} boxes, "
+        head += f"{len(self.volumes)} volumes, {len(self.self_pairs)} pairs of links to check, {len(self.pair_tables)} tables"
+        head += f"; meshes of {len(self.unread_meshes)} links not read" if self.unread_meshes else ""
+        known = all(isinstance(x, np.ndarray | jax.Array) and is_known(x) for x in (self.lower, self.upper))
+        limits = zip(np.asarray(self.lower), np.asarray(self.upper), strict=True) if known else ()
+        spans = [f" {low:.4g} to {high:.4g}" for low, high in limits] or [""] * self.num_joints
+        units = [
+            " m" if span and slides else " rad" if span else "" for span, slides in zip(spans, self.is_prismatic, strict=True)
+        ]
+        rows = zip(self.joint_names, self.joint_types, spans, units, strict=True)
+        return "\n".join([head, *(f"  {name}: {kind}{span}{unit}" for name, kind, span, unit in rows)])
 
     # A concrete chain is a value: equal numbers, equal chain. So it may be a static argument of `jax.jit` and a cache's key.
 

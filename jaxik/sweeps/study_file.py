@@ -94,17 +94,27 @@ def _robots(table: Table, folder: Path) -> list[tuple[str, Chain]]:
             options = {k: row.text(k) for k in ("tip", "base") if k in each}
             row.asked.update(("meshes", "tip", "base"))
             srdf = _file(folder, row.text("srdf")) if "srdf" in each else None
-            row.asked.add("srdf")
+            row.asked.update(("srdf", "posture"))
             label, meshes = row.text("name", Path(file).stem), each.get("meshes", False)
             if not isinstance(meshes, bool):
                 raise row.fail(f"meshes = {str(meshes)[:40]!r}", "write meshes = true, or false")
-            chain = load(_file(folder, file), **options, srdf=srdf, meshes=meshes)
+            chain = load(_file(folder, file), **options, srdf=srdf, meshes=meshes, posture=_posture(row))
             row.close()
             found.append((label, chain))
         else:
             raise table.fail(f"robot {i + 1} is {type(each).__name__}", "write a shipped model's name, a file, or a table")
     if not found or len({label for label, _ in found}) < len(found):
         raise table.fail("two robots of one name" if found else "no robot", "give each its own: {file = ..., name = ...}")
+    return found
+
+
+def _posture(row: Table) -> dict[str, float] | None:
+    """Where joints beside the chain are held [rad, m]: `posture = {joint = value}`."""
+    if "posture" not in row.content:
+        return None
+    held = row.table("posture")
+    found = {joint: held.number(joint, "plain") for joint in list(held.content)}
+    held.close()
     return found
 
 

@@ -1,0 +1,103 @@
+"""Joints beside the chain: where they are held, so that what they carry is a part of the collision model."""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+
+import numpy as np
+
+from jaxik.checks.options import nearest
+from jaxik.files.assemble import Joint, checked
+from jaxik.reasons import LoadError
+from jaxik.spatial.rotations import about, frame
+
+NAMED = 4  # joints in the one line that says what is held
+
+
+@dataclasses.dataclass
+class Posture:
+    """What the caller says of joints beside the chain (`given`); and, once a file is read, where each is `held` [rad, m], the
+    joints that another of the chain drives (`driven`), and for each link behind such joints which they are (`behind`)."""
+
+    given: Mapping[str, float] = dataclasses.field(default_factory=dict)
+    held: dict[str, float] = dataclasses.field(default_factory=dict)
+    driven: dict[str, str] = dataclasses.field(default_factory=dict)
+    behind: dict[str, tuple[str, ...]] = dataclasses.field(default_factory=dict)
+
+    def hold(self, file: Path, chain: Sequence[Joint], carried: Sequence[tuple[str, Joint]]) -> list[tuple[str, Joint]]:
+        """Joints that lead aside from a chain, each with its parent link and after it, fixed where they are held.
+
+        One is held where the caller says; else where the joint is that it mimics; else at its default, or the nearest limit.
+        """
+        beside = {j.name: j for _, j in carried if j.type != "fixed"}
+        on_chain = {j.name: j for j in chain if j.type != "fixed"}
+        for name in self.given:
+            self._check(file, name, beside, on_chain)
+        fixed = []
+        for parent, joint in carried:
+            above = (*self.behind.get(parent, ()), *([] if joint.type == "fixed" else [joint.name]))
+            if above:
+                self.behind[joint.child] = above
+            if joint.type != "fixed":
+                self.held[joint.name] = self._value(file, joint, beside, on_chain)
+                joint = _fixed(file, joint, self.held[joint.name])
+            fixed.append((parent, joint))
+        return fixed
+
+    def _value(self, file: Path, joint: Joint, beside: dict[str, Joint], on_chain: dict[str, Joint], depth: int = 0) -> float:
+        master, law = joint.mimic or ("", None)
+        if law is not None and master in beside:
+            if depth > len(beside):
+                raise LoadError(file, joint.element, "mimics itself", "remove a <mimic>")
+            return float(law(self._value(file, beside[master], beside, on_chain, depth + 1)))
+        if joint.name in self.given:
+            return float(self.given[joint.name])
+        if master in on_chain:
+            self.driven[joint.name] = master
+        at = _inside(on_chain[master], 0.0) if master in on_chain else 0.0
+        return _inside(joint, joint.default if law is None else float(law(at)))
+
+    def _check(self, file: Path, name: str, beside: dict[str, Joint], on_chain: dict[str, Joint]) -> None:
+        where, value = f"posture '{name}'", self.given[name]
+        if name in on_chain:
+            raise LoadError(file, where, "is a joint of the chain, whose value is in q", "leave it out")
+        if name not in beside:
+            meant = nearest(name, tuple(beside))
+            some = ", ".join(list(beside)[:8]) + (f", ... ({len(beside)} in all)" if len(beside) > 8 else "")
+            mend = f"did you mean '{meant}'? joints: {some}" if meant else f"joints: {some or 'none'}"
+            raise LoadError(file, where, "no such joint beside the chain", mend)
+        joint = beside[name]
+        if joint.mimic is not None and joint.mimic[0] in beside:
+            raise LoadError(file, where, f"follows '{joint.mimic[0]}' (mimic)", "give that one a value")
+        if not joint.lower <= value <= joint.upper:
+            raise LoadError(file, where, f"{value:g} is outside of its limits", f"allowed: {joint.lower:g} to {joint.upper:g}")
+
+    def told(self, solid: set[str]) -> str | None:
+        """One line of the joints that hold `solid` links, those with collision geometry; None where there are none."""
+        holding = {name for link in solid for name in self.behind.get(link, ())}
+        names = [name for name in self.held if name in holding]
+        if not names:
+            return None
+        driven = lambda name: f" (driven by {self.driven[name]})" if name in self.driven else ""
+        words = [f"{name} at {self.held[name]:.4g}{driven(name)}" for name in names]
+        rest = f", ... ({len(names)} in all)" if len(names) > NAMED else ""
+        return (
+            f"joints beside the chain are held, and links behind them count for collisions: {', '.join(words[:NAMED])}{rest}; "
+            f"posture={{'{names[0]}': ...}} holds them elsewhere, posture={{}} says that this is meant"
+        )
+
+
+def _inside(joint: Joint, value: float) -> float:
+    """The value, or the limit that is nearest."""
+    return float(np.clip(value, joint.lower, joint.upper))
+
+
+def _fixed(file: Path, joint: Joint, value: float) -> Joint:
+    """The joint as a fixed one. What does not move needs no axis: faults of joints that nobody uses are let pass."""
+    moved = np.eye(4)
+    if value:
+        axis = checked(file, joint).axis
+        moved = frame(value * axis) if joint.type == "prismatic" else frame(rotation=about(axis, value))
+    return Joint(joint.name, "fixed", joint.parent_T_joint @ moved, joint.child)
