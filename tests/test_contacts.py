@@ -121,6 +121,8 @@ def test_a_result_names_offenders(scene):
         everything = jaxik.explain(ARM, scene, q, 99).contacts
         near = [str(c) for c in everything if c.distance < 0.2] or [str(everything[0])]
         assert [str(c) for c in offenders] == [str(c) for c in row.offenders] == near
+    assert result.offenders is result.offenders  # looked up once
+    assert str(result.offenders).splitlines()[1] == f"target 1: {'; '.join(map(str, result.offenders[1]))}"
     assert [len(o) for o in result[2:4].offenders] == [len(o) for o in result.offenders[2:4]]
     assert ended(None, postures, [Reason.COLLISION] * 7)[0].offenders  # the arm alone
     assert not dataclasses.replace(result, solved_in=None).offenders[0]

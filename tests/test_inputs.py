@@ -133,6 +133,7 @@ def test_options_that_are_numpy_s():
 
 XY = jaxik.Task.pose(("z", "roll", "pitch", "yaw"), "base")
 LINE = jaxik.motions.Line(np.eye(4), np.eye(4))
+HORIZON = jaxik.motions.Horizon(0.1, 5)
 MIRRORED, SCALED = np.diag([1.0, 1.0, -1.0, 1.0]), np.diag([2.0, 2.0, 2.0, 1.0])
 HORIZON = jaxik.motions.Horizon(0.1, 2, task=XY)
 COST = jaxik.motions.quadratic_cost()
@@ -275,3 +276,24 @@ def test_what_is_of_another_kind():
     refused("margin", jaxik.IKOptions, margin=10**400)
     refused("no such shipped", jaxik.load, "x" * 300)
     refused("overflow", jaxik.harvesting.fit_mapping, [1.0, 2.0, 1e300, 4.0], [1.0, 2.0, 3.0, 4.0])
+
+
+def test_one_line_says_what_reads_a_file():
+    refused(
+        r"margin 0.1 needs a scene; for the robot alone give jaxik.make_scene\(\)", jaxik.solve_ik, P6R, np.eye(4), margin=0.1
+    )
+    refused(r"write a jaxik.collision.Scene, e.g. jaxik.load_scene\('c.toml'\)", jaxik.solve_ik, P6R, np.eye(4), "c.toml")
+    refused("write a jaxik.collision.Scene$", jaxik.solve_ik, P6R, np.eye(4), [SCENE])
+    refused(r"write a jaxik.robot.Chain, e.g. jaxik.load\('xarm.toml'\)", jaxik.solve_ik, "xarm.toml", np.eye(4))
+    refused(r"accuracy=10; .* metres; 10 mm is 0.01", jaxik.Fit, 10)
+    refused("save: /nonexist/a.toml: .*No such file.*name a file in", jaxik.save, P6R, "/nonexist/a.toml")
+    refused(
+        r"cost.*\(q, qdot, input, t\).*quadratic_cost\(position=",
+        jaxik.motions.predict,
+        ARM,
+        LINE,
+        1.0,
+        ZEROS,
+        lambda q: q @ q,
+        HORIZON,
+    )

@@ -13,7 +13,6 @@ from functools import cache
 from typing import Any
 
 import jax
-import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float
 
@@ -124,7 +123,7 @@ def _with_scene(chain: Chain, scene: Scene | None, volumes: Any) -> Iterator[_Pa
         meet[[what in ("*", name) for name in (*scene.object_names, "")], link] = False
     for kind, owners in zip(KINDS, scene.owners, strict=True):
         if scene.counts[kind]:
-            gap, others = obstacles_of(kind, vars(getattr(scene, kind)), jnp.float64)
+            gap, others = obstacles_of(kind, vars(getattr(scene, kind)), np.float64, np)
             owner = np.array([*owners, *[-1] * (scene.counts[kind] - len(owners))], int)
             for skeleton in volumes.values():
                 yield from _blocks(gap, skeleton, others, owner, meet, False)
@@ -138,12 +137,12 @@ def _with_itself(chain: Chain, volumes: Any) -> Iterator[_Pairs]:
     for mine in volumes.values():
         for theirs in volumes.values():
             if meet[np.ix_(np.unique(theirs.link), np.unique(mine.link))].any():
-                yield from _blocks(skeleton_gap, mine, columns_of(theirs, jnp.float64), theirs.link, meet, True)
+                yield from _blocks(skeleton_gap, mine, columns_of(theirs), theirs.link, meet, True)
 
 
 def _blocks(gap: Any, skeleton: Any, others: Any, owners: np.ndarray, meet: np.ndarray, itself: bool) -> Iterator[_Pairs]:
     """Block by block of the others; `meet` says which owner counts for which link."""
-    ours, links = columns_of(skeleton, jnp.float64), skeleton.link
+    ours, links = columns_of(skeleton), skeleton.link
     rows = max(1, BLOCK // len(links))
     for start in range(0, len(owners), rows):
         block = slice(start, start + rows)

@@ -30,7 +30,7 @@ def save(chain: Chain, path: str | Path, beyond: float = 0.005) -> float:
     (`load(.., srdf=)`). Its `pair_tables`, where links pass more closely than spheres tell, and the objects that it ignores
     are in the TOML alone.
 
-    Raises `ValueError` for another ending, for a URDF of a chain whose meshes were not read, and where the `.srdf` would
+    Raises `ValueError` for another ending, for a file that cannot be written, for a URDF of a chain whose meshes were not read, and where the `.srdf` would
     replace one that is not from here.
     """
     check_kind("save", "chain", chain, Chain)
@@ -39,14 +39,24 @@ def save(chain: Chain, path: str | Path, beyond: float = 0.005) -> float:
     if path.suffix not in (".toml", ".urdf"):
         raise ValueError(f"save: {path}: ending '{path.suffix}'; allowed: .toml, .urdf")
     if path.suffix == ".toml":
-        path.write_text(_toml(chain), encoding="utf-8")
+        write_text("save", path, _toml(chain))
         return 0.0
     pairs = path.with_suffix(".srdf")
     check_ours(pairs)
     text, reach = spherized(chain, beyond)
-    path.write_text(text, encoding="utf-8")
+    write_text("save", path, text)
     write_disabled(chain, pairs)
     return reach
+
+
+def write_text(who: str, path: Path, text: str) -> None:
+    """Raises `ValueError`, one line, where the file cannot be written."""
+    try:
+        path.write_text(text, encoding="utf-8")
+    except OSError as error:
+        raise ValueError(
+            f"{who}: {path}: cannot be written ({error.strerror}); name a file in a folder that is there"
+        ) from None
 
 
 def _toml(chain: Chain) -> str:

@@ -56,10 +56,13 @@ def read_targets(path: str | Path) -> np.ndarray:
 
 
 def as_frames(targets: np.ndarray) -> np.ndarray:
-    """Frames (N, 4, 4) of rows x, y, z, qw, qx, qy, qz (N, 7); all others as they are."""
+    """Frames (N, 4, 4) of rows x, y, z, qw, qx, qy, qz (N, 7), a rotation of zeros for a quaternion of length 0; all others as
+    they are."""
     if targets.shape[1:] != (7,):
         return targets
-    return frame(targets[:, :3], from_wxyz(targets[:, 3:]))
+    turned = from_wxyz(targets[:, 3:])
+    turned[~targets[:, 3:].any(axis=1)] = 0.0
+    return frame(targets[:, :3], turned)
 
 
 def _csv(path: Path, file: BinaryIO) -> np.ndarray:

@@ -19,6 +19,7 @@ from __future__ import annotations
 
 import dataclasses
 import functools
+import inspect
 from collections.abc import Callable, Sequence
 from typing import Any, Literal, NamedTuple
 
@@ -231,6 +232,18 @@ def _judged(chain: Chain, horizon: Horizon, run: ocp.Run, ahead: Future) -> tupl
     return seen.error, seen.damping, *diagnose(chain, horizon.task, course, horizon.tolerance, keep=True)
 
 
+def _check_arguments(cost: RunningCost, count: int) -> None:
+    """Raises a `ValueError` of one line for a cost that does not take so many arguments."""
+    try:
+        inspect.signature(cost).bind(*[None] * count)
+    except TypeError:
+        takes = "(q, qdot, input, t)" if count == 4 else "(q, qdot, input, t, given)"
+        mend = "of q alone it is jaxik.motions.quadratic_cost(position=...)"
+        raise ValueError(f"predict: the cost is a function of {takes}; {mend}") from None
+    except ValueError:  # of what has no signature nothing is known
+        return
+
+
 def predict(
     chain: Chain,
     path: Path,
@@ -257,6 +270,7 @@ def predict(
     shape = (rows, chain.num_joints)
     check_each("predict", each, Each)
     check_path("predict", path, duration, q.shape[:1] if "duration" in each else ())
+    _check_arguments(cost, 4 + (given is not None))
     many = q.ndim == 2
     if guess is None:
         w: Any = np.zeros(shape, q.dtype)
