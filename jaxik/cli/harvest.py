@@ -10,6 +10,7 @@ from pathlib import Path
 import numpy as np
 
 import jaxik
+from jaxik.cli.collisions import Ignored, ignored_pairs
 from jaxik.cli.tables import write_csv
 from jaxik.harvesting.driver import Harvest
 from jaxik.harvesting.in_the_way import Blockers
@@ -28,6 +29,8 @@ class HarvestArguments:
     """The link to bring to the fruit; needed where the robot has several."""
     meshes: bool = False
     """Read the robot's collision meshes (URDF) for capsules around them."""
+    ignore: Ignored = ()
+    """What is not checked: two links (forearm:hand), a link and an object (base:floor), a link and any object (rail)."""
     weights: Weights = dataclasses.field(default_factory=Weights)
     """What makes a posture good."""
     angles: int = 72
@@ -50,7 +53,7 @@ def run_harvest(arguments: HarvestArguments) -> None:
         raise ValueError(f"--angles {arguments.angles} --slides {arguments.slides}: both are at least 1")
     if arguments.out.is_file():
         raise ValueError(f"--out {arguments.out}: is a file; name a folder")
-    chain = jaxik.load(arguments.robot, tip=arguments.tip, meshes=arguments.meshes)
+    chain = jaxik.load(arguments.robot, tip=arguments.tip, meshes=arguments.meshes, ignore=ignored_pairs(arguments.ignore))
     scene = jaxik.load_scene(arguments.scene)
     with Progress(console=Console(stderr=True)) as bar:
         task = bar.add_task("harvest", total=len(scene.fruits))

@@ -8,6 +8,7 @@ from pathlib import Path
 import tyro
 
 import jaxik
+from jaxik.cli.collisions import Ignored, ignored_pairs
 from jaxik.files import link_meshes
 
 
@@ -25,6 +26,8 @@ class ViewArguments:
     """Harvest the scene first, to show the posture of each fruit."""
     tip: str | None = None
     """The link at the tip; needed where the robot has several."""
+    ignore: Ignored = ()
+    """What is not checked: two links (forearm:hand), a link and an object (base:floor), a link and any object (rail)."""
     host: str = "127.0.0.1"
     """Where the page is served; 0.0.0.0 shows it to the network."""
     port: int = 8080
@@ -35,7 +38,7 @@ def run_view(arguments: ViewArguments) -> None:
     """Serve the page until Ctrl-C."""
     from jaxik.view.page import Page
 
-    chain = jaxik.load(arguments.robot, tip=arguments.tip, meshes=True)
+    chain = jaxik.load(arguments.robot, tip=arguments.tip, meshes=True, ignore=ignored_pairs(arguments.ignore))
     if arguments.harvest and arguments.scene is None:
         raise ValueError("--harvest: needs a --scene with fruits, e.g. --scene cucumber_row")
     scene = None if arguments.scene is None else jaxik.load_scene(arguments.scene)

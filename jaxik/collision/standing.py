@@ -17,10 +17,14 @@ from jaxik.robot.chain import Chain
 def warn_of_scene(who: str, chain: Chain, scene: Scene, margin: float) -> None:
     """Warns, in the name of the driver `who` and at its caller's line, of the first pair that collides in every configuration,
     and of an object that is ignored and is in the scene by a name that is nearly its own."""
-    if not is_known((chain, scene)):
-        return
-    for line in (*standing_words(chain, scene, margin), *_misspelt(chain, scene)):
-        warnings.warn(f"{who}: {line}", stacklevel=3)
+    if is_known((chain, scene)):
+        for line in scene_words(chain, scene, margin):
+            warnings.warn(f"{who}: {line}", stacklevel=3)
+
+
+def scene_words(chain: Chain, scene: Scene, margin: float) -> list[str]:
+    """What there is to be told, a line each."""
+    return [*standing_words(chain, scene, margin), *_misspelt(chain, scene)]
 
 
 def standing_words(chain: Chain, scene: Scene, margin: float) -> list[str]:

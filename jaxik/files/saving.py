@@ -30,8 +30,8 @@ def save(chain: Chain, path: str | Path, beyond: float = 0.005) -> float:
     (`load(.., srdf=)`). Its `pair_tables`, where links pass more closely than spheres tell, and the objects that it ignores
     are in the TOML alone.
 
-    Raises `ValueError` for another ending, for a file that cannot be written, for a URDF of a chain whose meshes were not read, and where the `.srdf` would
-    replace one that is not from here.
+    Raises `ValueError` for another ending, for a file that cannot be written, for a URDF of a chain whose meshes were not read,
+    and where the `.srdf` would replace one that is not from here.
     """
     check_kind("save", "chain", chain, Chain)
     check_finite("save", 1e-4, beyond=beyond)
