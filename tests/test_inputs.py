@@ -2,6 +2,7 @@
 
 import dataclasses
 
+import equinox as eqx
 import jax
 import jaxtyping
 import numpy as np
@@ -133,7 +134,6 @@ def test_options_that_are_numpy_s():
 
 XY = jaxik.Task.pose(("z", "roll", "pitch", "yaw"), "base")
 LINE = jaxik.motions.Line(np.eye(4), np.eye(4))
-HORIZON = jaxik.motions.Horizon(0.1, 5)
 MIRRORED, SCALED = np.diag([1.0, 1.0, -1.0, 1.0]), np.diag([2.0, 2.0, 2.0, 1.0])
 HORIZON = jaxik.motions.Horizon(0.1, 2, task=XY)
 COST = jaxik.motions.quadratic_cost()
@@ -171,13 +171,15 @@ def test_weights_and_accelerations_are_one_a_joint():
 
 @pytest.mark.parametrize("frame", [MIRRORED, SCALED, np.full((4, 4), np.nan)])
 def test_a_path_of_no_rigid_frame(frame):
-    """It was followed, as what it is not; where it is traced it has a reason."""
-    refused("line: end", jaxik.motions.motion, jaxik.motions.Line(np.eye(4), frame), 1.0, 0.5)
-    refused("arc: start", jaxik.motions.motion, jaxik.motions.Arc(frame, np.zeros(3), np.ones(3), 1.0), 1.0, 0.5)
-    moved = jaxik.follow(ARM, jaxik.motions.Line(np.eye(4), frame), 0.2, ZEROS + 0.1, dt=0.1, task=XY)
+    """It was followed, as what it is not; where it is traced, or got there behind the constructor, it has a reason."""
+    refused("line: end is no rigid frame", jaxik.motions.Line, np.eye(4), frame)
+    refused("arc: start is no rigid frame", jaxik.motions.Arc, frame, np.zeros(3), np.ones(3), 1.0)
+    line = eqx.tree_at(lambda path: path.end, LINE, frame)
+    refused("line: end", jaxik.motions.motion, line, 1.0, 0.5)
+    moved = jaxik.follow(ARM, line, 0.2, ZEROS + 0.1, dt=0.1, task=XY)
     assert moved.reason == jaxik.Reason.INVALID
     traced = jax.jit(lambda path: jaxik.motions.motion(path, 1.0, 1.0).pose)
-    assert not np.isfinite(traced(jaxik.motions.Line(np.eye(4), frame))).any(axis=1)[:3].any()
+    assert not np.isfinite(traced(line)).any(axis=1)[:3].any()
     assert np.array_equal(traced(LINE), np.eye(4))
 
 

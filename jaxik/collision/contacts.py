@@ -78,7 +78,7 @@ class Surroundings:
 
 def explain(chain: Chain, scene: Scene | None, q: Float[Array, " n"], count: int = 5, below: float = np.inf) -> Surroundings:
     """What is nearest to the robot at `q` (n,) [rad, m]: the `count` nearest pairs of a link with an object of the scene or
-    with another link, those nearer than `below` [m], and the `count` joints nearest to a limit.
+    with another link, those nearer than `below` [m], and the `count` joints nearest to a limit. Host.
 
     Each pair of names stands once, at its least distance; the first pair's is `clearance`. A host function, in float64.
     Raises `ValueError` for a chain without collision geometry, or a q of another shape or with NaN or infinity.
@@ -122,9 +122,9 @@ def _with_scene(chain: Chain, scene: Scene | None, volumes: Any) -> Iterator[_Pa
     for link, what in chain.ignored:
         meet[[what in ("*", name) for name in (*scene.object_names, "")], link] = False
     for kind, owners in zip(KINDS, scene.owners, strict=True):
-        if scene.counts[kind]:
+        if count := len(jax.tree_util.tree_leaves(getattr(scene, kind))[0]):
             gap, others = obstacles_of(kind, vars(getattr(scene, kind)), np.float64, np)
-            owner = np.array([*owners, *[-1] * (scene.counts[kind] - len(owners))], int)
+            owner = np.array([*owners, *[-1] * (count - len(owners))], int)
             for skeleton in volumes.values():
                 yield from _blocks(gap, skeleton, others, owner, meet, False)
 

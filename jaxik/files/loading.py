@@ -36,7 +36,7 @@ FIT = Fit()
 
 
 def models_folder() -> Path:
-    """Where the shipped robots and scenes lie: inside the wheel, or beside the package in a checkout."""
+    """Where the shipped robots and scenes lie: inside the wheel, or beside the package in a checkout. Host."""
     inside = Path(__file__).parents[1] / "models"
     return inside if inside.is_dir() else Path(__file__).parents[2] / "models"
 
@@ -52,7 +52,7 @@ def load(
     srdf: str | Path | None = None,
     ignore: Any = (),
 ) -> Chain:
-    """The serial chain of a shipped model (`"p6r"`) or of a file: `.urdf`, `.xml` (MJCF) or `.toml`.
+    """The serial chain of a shipped model (`"p6r"`) or of a file: `.urdf`, `.xml` (MJCF) or `.toml`. Host.
 
     `tip` and `base` name links (bodies or a site in MJCF); without them the chain runs from the root to the only leaf.
     `tool` (4, 4) moves the tip [m]. `meshes=True` reads collision meshes and fits capsules around their convex hulls (`fit`;
@@ -140,7 +140,7 @@ def fit_report(
     ignore: Any = (),
     progress: Callable[[int, int], None] | None = None,
 ) -> tuple[LinkFit, ...]:
-    """What `load(..., meshes=True, fit=fit)` puts around each collision mesh of a file: one `LinkFit` a mesh.
+    """What `load(..., meshes=True, fit=fit)` puts around each collision mesh of a file: one `LinkFit` a mesh. Host.
 
     `progress` hears of how many fits are made, of how many. Raises `LoadError` as `load` does.
     """
@@ -153,12 +153,13 @@ def fit_report(
 
 
 def link_meshes(source: str | Path, tip: str | None = None, base: str | None = None) -> list[Shape]:
-    """The collision meshes, boxes and cylinders of a file's links, in the frames of the joints that move them, to look at."""
+    """The collision meshes, boxes and cylinders of a file's links, in the frames of the joints that move them, to look at.
+    Host."""
     return _read(_locate(source), tip, base, None, Meshes(True))[1]
 
 
 def load_scene(source: str | Path) -> Scene:
-    """A shipped scene (`"cucumber_row"`) or a scene file: `.toml`, or labelled points as `.csv` or `.ply`.
+    """A shipped scene (`"cucumber_row"`) or a scene file: `.toml`, or labelled points as `.csv` or `.ply`. Host.
 
     Raises `LoadError` (a `ValueError`) with one line: the file, the element, what is allowed, the mend.
     """

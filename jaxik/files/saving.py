@@ -16,6 +16,7 @@ from jaxik.files.assemble import JOINT_TYPES
 from jaxik.files.spherized import spherized
 from jaxik.files.srdf import check_ours, write_disabled
 from jaxik.files.toml import Table
+from jaxik.files.writing import write_text
 from jaxik.robot.chain import Body, Box, Chain, Volume
 from jaxik.robot.pair_table import PairTable, packed, unpacked
 
@@ -24,7 +25,7 @@ KINDS = {"sphere": 1, "capsule": 2, "triangle": 3}
 
 def save(chain: Chain, path: str | Path, beyond: float = 0.005) -> float:
     """Writes a chain with its collision model: `.toml`, which `load` gives back to the last bit; or `.urdf`, each volume as
-    spheres that reach at most `beyond` [m] further than it. Returns how far they do [m], 0 for TOML.
+    spheres that reach at most `beyond` [m] further than it. Returns how far they do [m], 0 for TOML. Host.
 
     A URDF says nothing of pairs of links: those that the chain does not check are written beside it, as `.srdf`
     (`load(.., srdf=)`). Its `pair_tables`, where links pass more closely than spheres tell, and the objects that it ignores
@@ -47,16 +48,6 @@ def save(chain: Chain, path: str | Path, beyond: float = 0.005) -> float:
     write_text("save", path, text)
     write_disabled(chain, pairs)
     return reach
-
-
-def write_text(who: str, path: Path, text: str) -> None:
-    """Raises `ValueError`, one line, where the file cannot be written."""
-    try:
-        path.write_text(text, encoding="utf-8")
-    except OSError as error:
-        raise ValueError(
-            f"{who}: {path}: cannot be written ({error.strerror}); name a file in a folder that is there"
-        ) from None
 
 
 def _toml(chain: Chain) -> str:

@@ -33,7 +33,7 @@ GROUPS = ("wijk", "ijk", "abcd", "abc", "wpr", "uvw", ("phi", "theta"), ("theta"
 
 
 def load_targets(path: str | Path) -> np.ndarray:
-    """Poses (N, 4, 4), or positions (N, 3) where the file has no rotations [m].
+    """Poses (N, 4, 4), or positions (N, 3) where the file has no rotations [m]. Host.
 
     CSV: columns x, y, z and, for poses, qw, qx, qy, qz; others are not read, unless they look like a rotation by another name,
     which is refused (so in the other formats). NPZ: `poses` (N, 4, 4), or `positions` (N, 3) with

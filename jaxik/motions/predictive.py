@@ -48,7 +48,7 @@ RunningCost = Callable[..., Any]  # (q, qdot, input, t), and what is given, if a
 
 
 def quadratic_cost(position: Callable[..., Any] | None = None, velocity: float = 2.0, effort: float = 2.0) -> RunningCost:
-    """`l = H(q) + velocity/2 qdot'qdot + effort/2 w'w`. Source: Schuetz 2017, (5.11)-(5.14).
+    """`l = H(q) + velocity/2 qdot'qdot + effort/2 w'w`. Traced. Source: Schuetz 2017, (5.11)-(5.14).
 
     `position` is H, of q and, if something is given to the cost (a scene, weights), of that.
     """
@@ -255,7 +255,7 @@ def predict(
     given: Any = None,
     each: Sequence[str] = (),
 ) -> Prediction:
-    """The null-space motion from q (n,) along `path`, timed over `duration` [s], within the horizon.
+    """The null-space motion from q (n,) along `path`, timed over `duration` [s], within the horizon. Traced.
 
     `guess` (count, n) is the first input, 0 unless given. `given`, any pytree, is handed to the cost as its last argument: what
     may change from call to call without compiling again. With q (b, n) it is b scenarios in one call, every field of the result
@@ -315,7 +315,7 @@ def multistart(
     seed: int = 0,
     given: Any = None,
 ) -> Prediction:
-    """`predict` from `starts` first inputs, the best first: 0, and smooth random ones, for the global picture.
+    """`predict` from `starts` first inputs, the best first: 0, and smooth random ones, for the global picture. Host driver.
 
     A random input is a sum of the first five cosines of the horizon, of random amplitudes [`spread` rad/s2 or rad/s] that fall
     with their frequency, so that it moves the arm and does not shake it. Raises `ValueError` as `predict` does, and for a

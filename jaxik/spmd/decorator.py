@@ -26,7 +26,7 @@ class _Known(dict[Any, tuple[Traced, Any, list[Any]]]):
 
 
 def kernel(function: Callable[..., Any] | None = None, *, models: int = 0) -> Callable[..., Any]:
-    """The same function, compiled to one SIMD function over any batch on a CPU. Traced: `jit`, `vmap` and differentiate it.
+    """The same function, compiled to one SIMD function over any batch on a CPU. Traced.
 
         @kernel
         def gap(q, ball):  # (2,), (2,) -> ()

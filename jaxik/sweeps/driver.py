@@ -62,7 +62,8 @@ def sweep(
     progress: Callable[[int, int], Any] | None = None,
     stop: Callable[[], bool] = lambda: False,
 ) -> Sweep:
-    """Answers all targets of a study that the store `out` does not hold yet; killed at any moment, a rerun goes on.
+    """Answers all targets of a study that the store `out` does not hold yet; killed at any moment, a rerun goes on. Host
+    driver.
 
     `study` is a TOML file, the same as nested dictionaries, or a `Study`. `shard` (i, n) or "i/n" does every n-th chunk, so
     that n processes, one for each i, fill one store. `cluster` is the address of a Dask scheduler whose workers compute. With
