@@ -44,3 +44,8 @@ def test_docstrings_say_where_they_run(package):
         if not re.search(r"(?<!\w)(Traced|Host driver|Host)\.(\s|$)", " ".join(text.split()))
     ]
     assert not silent
+
+
+def test_a_reason_is_its_words():
+    reason = jaxik.Reason.OUT_OF_REACH
+    assert str(reason) == f"{reason}" == reason.text == "out of reach" and reason == 1 and f"{reason:>14}" == "  out of reach"

@@ -237,6 +237,9 @@ def _given_targets(row: Table, folder: Path, frame: str, grasp: Grasp) -> Target
 
 
 def _axis(row: Table, key: str) -> np.ndarray:
+    given = next((row.content[k] for k in (key, f"{key}_mm", f"{key}_cm") if k in row.content), [0, 0, 1])
+    if not (isinstance(given, list | tuple | np.ndarray) and len(given) == 3):
+        raise row.fail(f"'{key}' is not 3 numbers, from, to, count", f"write e.g. {key} = [-0.5, 0.5, 11]")
     low, high, _ = row.array(key, "length", (3,))
     count = next(float(row.content[k][2]) for k in row.read if k in (key, f"{key}_mm", f"{key}_cm"))  # which has no unit
     if not (np.isfinite(low + high) and count.is_integer() and 1 <= count <= 10**6):
