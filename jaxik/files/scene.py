@@ -186,12 +186,18 @@ def save_scene(scene: Scene | str | Path, path: str | Path | Scene, description:
     Raises `ValueError` for another ending, for a file that cannot be written, and for obstacles that belong to no object
     (`Scene.geometry`), which a file cannot name.
     """
+    what: Any = scene
+    where: Any = path
     if isinstance(scene, str | Path):
         warnings.warn("save_scene: write save_scene(scene, path), as save(chain, path)", DeprecationWarning, stacklevel=2)
-        scene, path = path, scene
-    check_kind("save_scene", "scene", scene, Scene)
-    if (path := Path(path)).suffix != ".toml":
-        raise ValueError(f"save_scene: {path}: ending '{path.suffix}'; allowed: .toml")
+        what, where = path, scene
+    check_kind("save_scene", "scene", what, Scene)
+    if (file := Path(where)).suffix != ".toml":
+        raise ValueError(f"save_scene: {file}: ending '{file.suffix}'; allowed: .toml")
+    write_text("save_scene", file, _written(what, description))
+
+
+def _written(scene: Scene, description: str) -> str:
     stored = (len(table) for table in _tables(scene).values())
     if any(count > len(own) for count, own in zip(stored, scene.owners, strict=True)):
         raise ValueError(f"save_scene: obstacles of '{scene.name}' belong to no object; save what a SceneBuilder made")
@@ -206,7 +212,7 @@ def save_scene(scene: Scene | str | Path, path: str | Path | Scene, description:
         elif any(len(r) for r in rows.values()):
             removable = str(scene.removable[i]).lower()
             parts.append([f"[[object]]\nname = {_text(name)}", f"removable = {removable}", *_row_lines(rows)])
-    write_text("save_scene", path, "\n\n".join("\n".join(part) for part in parts) + "\n")
+    return "\n\n".join("\n".join(part) for part in parts) + "\n"
 
 
 def _tables(scene: Scene) -> dict[str, np.ndarray]:
