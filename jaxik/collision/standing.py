@@ -13,6 +13,8 @@ from jaxik.collision.scene import Scene, remembered
 from jaxik.collision.self_pairs import default_pose
 from jaxik.robot.chain import Chain
 
+KNOWN = 64  # robots and margins of which a scene remembers what stands in it
+
 
 def warn_of_scene(who: str, chain: Chain, scene: Scene, margin: float) -> None:
     """Warns, in the name of the driver `who` and at its caller's line, of the first pair that collides in every configuration,
@@ -29,8 +31,12 @@ def scene_words(chain: Chain, scene: Scene, margin: float) -> list[str]:
 
 def standing_words(chain: Chain, scene: Scene, margin: float) -> list[str]:
     """In words, the deepest of the pairs that cannot move apart and come nearer than `margin` [m]; none without one."""
-    found = remembered(scene, ("standing", chain, margin), lambda: standing(chain, scene, margin))
-    if not found:
+    known = remembered(scene, "standing", dict)
+    if (chain, margin) not in known:
+        if len(known) >= KNOWN:
+            known.clear()
+        known[chain, margin] = standing(chain, scene, margin)
+    if not (found := known[chain, margin]):
         return []
     worst, more = found[0], len(found) - 1
     depth = (
