@@ -2,7 +2,8 @@
 
 Here is what everybody needs; the rest is in the packages, which are there after `import jaxik`: `robot`, `collision`, `costs`,
 `fitting`, `files`, `ik`, `motions`, `reach`, `harvesting`, `sweeps`, `view`, and, knowing no robot, `spatial`, `optimise` and
-`spmd`.
+`spmd`. Each docstring says where its function runs: "Traced." takes one configuration, and is for `jit`, `vmap` and `grad`;
+"Host driver." takes many, chunks and pads them, and gives NumPy; "Host." runs once, outside of JAX's transformations.
 """
 
 import importlib

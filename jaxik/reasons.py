@@ -25,6 +25,12 @@ class Reason(IntEnum):
     def text(self) -> str:
         return self.name.lower().replace("_", " ")
 
+    def __str__(self) -> str:
+        return self.text
+
+    def __format__(self, spec: str) -> str:
+        return format(self.text, spec)
+
 
 class Reasoned:
     """A result whose `reason` is a `Reason`, or an array of their numbers."""

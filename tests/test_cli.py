@@ -12,6 +12,7 @@ import pyarrow.parquet
 import pytest
 from robots import FOLDER, ROBOTS
 from test_fit import ARM
+from test_standing import URDF as POST
 
 import jaxik
 from jaxik import cli
@@ -357,8 +358,9 @@ def test_ik_writes_the_answers_of_any_file(tmp_path, monkeypatch, capsys):
         assert np.array_equal([float(row[f"{name} [{unit}]"]) for row in rows], tables[0][name], equal_nan=True)
     millimetres = [np.vstack([np.column_stack([p[:3, :3], 1000.0 * p[:3, 3]]), p[3:]]) for p in poses]
     call(monkeypatch, "ik", "chembuly9", targets_file(tmp_path / "mm.json", millimetres), "--out", out)
-    lines = capsys.readouterr().out.splitlines()[1:]
-    assert "out of reach: 5" in lines and any("chembuly9, which reaches" in x and "millimetres?" in x for x in lines)
+    printed = capsys.readouterr()
+    assert "out of reach: 5" in printed.out.splitlines()
+    assert "warning: solve_ik: targets lie" in printed.err and "chembuly9, which reaches" in printed.err
     out = tmp_path / "positions.parquet"
     (tmp_path / "positions.csv").write_text("x,y,z\n" + "\n".join(",".join(map(str, p[:3, 3])) for p in poses))
     call(monkeypatch, "ik", "chembuly9", tmp_path / "positions.csv", "--out", out)
@@ -428,3 +430,33 @@ def test_a_fit_is_told_and_written(tmp_path, monkeypatch, capsys):
     assert jaxik.load(tmp_path / "model.toml") == chain
     assert len(jaxik.load(tmp_path / "model.urdf", tip="tool").volumes) > len(chain.volumes)
     assert "allowed: .toml, .urdf" in refused(monkeypatch, capsys, "fit", tmp_path / "arm.urdf", "--to", "model.txt")
+
+
+def test_pairs_are_ignored_by_the_command_and_by_a_study(tmp_path, monkeypatch, capsys):
+    """A foot in the floor: told before, named after, and ignored."""
+    monkeypatch.setattr(cli, "compilation_cache", lambda: None)
+    (tmp_path / "post.urdf").write_text(POST)
+    cell, targets, out = tmp_path / "cell.toml", tmp_path / "targets.csv", tmp_path / "ik.csv"
+    cell.write_text('name = "cell"\n[[object]]\nname = "floor"\nboxes = [[0, 0, -0.05, 2, 2, 0.1]]\n')
+    targets.write_text("x,y,z,qw,qx,qy,qz\n0,0,0.5,1,0,0,0\n0,0,0.5,0,0,0,0\n")
+    command = ("ik", tmp_path / "post.urdf", targets, "--scene", cell, "--out", out)
+    call(monkeypatch, *command)
+    printed, told = capsys.readouterr()
+    assert "warning: solve_ik: foot and floor collide by 20.0 mm in every configuration" in told
+    assert "of 1 that collide: 1 by foot and floor" in printed
+    assert "target 2: its rotation is 0, as of a quaternion of length 0" in printed
+    call(monkeypatch, *command, "--ignore", "foot:floor", "arm")
+    assert "1 of 2 targets solved" in capsys.readouterr().out
+    assert "--ignore a:b:c: write LINK" in refused(monkeypatch, capsys, *command, "--ignore", "a:b:c")
+    robot = f'[robot]\nfile = "post.urdf"\ntool = {np.eye(4).tolist()}\n'
+    study = tmp_path / "study.toml"
+    rest = '[collision]\nscene = "cell.toml"\nmargin = 0.0\n[targets]\nkind = "file"\npath = "targets.csv"\n'
+    study.write_text(robot + rest)
+    call(monkeypatch, "sweep", study, "--out", tmp_path / "a.zarr")
+    printed, told = capsys.readouterr()
+    assert "warning: sweep: foot and floor" in told and "of 1 that collide: 1 by foot and floor" in printed
+    study.write_text(robot + 'ignore = [["foot", "floor"]]\n' + rest)
+    call(monkeypatch, "sweep", study, "--out", tmp_path / "b.zarr")
+    assert "1 solved" in capsys.readouterr().out
+    with pytest.raises(ValueError, match="fit"):
+        jaxik.sweeps.Study.of({"robot": {"file": "p6r", "fit": {"accuracy_mm": 12}}, "targets": GRID})

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 import jaxik
-from jaxik.cli.ik import _offenders
+from jaxik.cli.collisions import offenders
 from jaxik.reasons import Reason
 
 ARM = jaxik.load("pendulum4")
@@ -117,10 +117,12 @@ def test_a_result_names_offenders(scene):
     postures = np.random.default_rng(1).uniform(-2.0, 2.0, (7, 4))
     result = ended(scene, postures, [Reason.COLLISION] * 6 + [Reason.SOLVED], 0.2)
     assert len(result.offenders) == 7 and result.offenders[6] == () == result[6].offenders
-    for q, offenders, row in zip(postures[:6], result.offenders, result, strict=False):
+    for q, each, row in zip(postures[:6], result.offenders, result, strict=False):
         everything = jaxik.explain(ARM, scene, q, 99).contacts
         near = [str(c) for c in everything if c.distance < 0.2] or [str(everything[0])]
-        assert [str(c) for c in offenders] == [str(c) for c in row.offenders] == near
+        assert [str(c) for c in each] == [str(c) for c in row.offenders] == near
+    assert result.offenders is result.offenders  # looked up once
+    assert str(result.offenders).splitlines()[1] == f"target 1: {'; '.join(map(str, result.offenders[1]))}"
     assert [len(o) for o in result[2:4].offenders] == [len(o) for o in result.offenders[2:4]]
     assert ended(None, postures, [Reason.COLLISION] * 7)[0].offenders  # the arm alone
     assert not dataclasses.replace(result, solved_in=None).offenders[0]
@@ -130,7 +132,7 @@ def test_the_command_names_offenders(scene):
     """The most frequent pair first."""
     postures = np.random.default_rng(1).uniform(-2.0, 2.0, (7, 4))
     nearest = [jaxik.explain(ARM, scene, q).contacts[0] for q in postures]
-    said = _offenders(ended(scene, postures, [Reason.COLLISION] * 7))
+    said = offenders(ended(scene, postures, [Reason.COLLISION] * 7)).removeprefix("of 7 that collide: ")
     counts = [int(part.split()[0]) for part in said.split(", ")]
     assert sum(counts) == 7 and counts == sorted(counts, reverse=True)
     assert all(f"by {c.link} and {c.other}" in said for c in nearest)

@@ -2,6 +2,7 @@
 
 import dataclasses
 
+import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -122,7 +123,8 @@ def test_what_goes_wrong_is_said_where_it_happens(pendulum, to):
     assert lame.reason == Reason.INVALID and lame.sample == 0 and np.all(lame.q == START)
     hasty = run(to(0.5, 0.0), options=dataclasses.replace(coarse, acceleration=1.0), duration=0.5)
     assert hasty.reason == Reason.LIMITS and np.abs(hasty.error).max() <= coarse.tolerance
-    assert run(to(np.nan, 0.0)).reason == Reason.INVALID
+    lost = eqx.tree_at(lambda path: path.end, to(0.5, 0.0), np.full((4, 4), np.nan))  # the constructor refuses it
+    assert run(lost).reason == Reason.INVALID
 
 
 def test_many_motions_are_each_what_they_are_alone(pendulum, to):

@@ -53,7 +53,7 @@ def test_removal_opens_a_posture_and_no_smaller_set_does(harvest):
 
 def test_the_shipped_row_is_the_generators(tmp_path):
     path = tmp_path / "row.toml"
-    save_scene(path, cucumber_row(0))
+    save_scene(cucumber_row(0), path)
     shipped, made = jaxik.load_scene("cucumber_row"), jaxik.load_scene(path)
     assert shipped.object_names == made.object_names
     assert np.array_equal(shipped.points.center, made.points.center)

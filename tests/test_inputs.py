@@ -2,6 +2,7 @@
 
 import dataclasses
 
+import equinox as eqx
 import jax
 import jaxtyping
 import numpy as np
@@ -170,13 +171,15 @@ def test_weights_and_accelerations_are_one_a_joint():
 
 @pytest.mark.parametrize("frame", [MIRRORED, SCALED, np.full((4, 4), np.nan)])
 def test_a_path_of_no_rigid_frame(frame):
-    """It was followed, as what it is not; where it is traced it has a reason."""
-    refused("line: end", jaxik.motions.motion, jaxik.motions.Line(np.eye(4), frame), 1.0, 0.5)
-    refused("arc: start", jaxik.motions.motion, jaxik.motions.Arc(frame, np.zeros(3), np.ones(3), 1.0), 1.0, 0.5)
-    moved = jaxik.follow(ARM, jaxik.motions.Line(np.eye(4), frame), 0.2, ZEROS + 0.1, dt=0.1, task=XY)
+    """It was followed, as what it is not; where it is traced, or got there behind the constructor, it has a reason."""
+    refused("line: end is no rigid frame", jaxik.motions.Line, np.eye(4), frame)
+    refused("arc: start is no rigid frame", jaxik.motions.Arc, frame, np.zeros(3), np.ones(3), 1.0)
+    line = eqx.tree_at(lambda path: path.end, LINE, frame)
+    refused("line: end", jaxik.motions.motion, line, 1.0, 0.5)
+    moved = jaxik.follow(ARM, line, 0.2, ZEROS + 0.1, dt=0.1, task=XY)
     assert moved.reason == jaxik.Reason.INVALID
     traced = jax.jit(lambda path: jaxik.motions.motion(path, 1.0, 1.0).pose)
-    assert not np.isfinite(traced(jaxik.motions.Line(np.eye(4), frame))).any(axis=1)[:3].any()
+    assert not np.isfinite(traced(line)).any(axis=1)[:3].any()
     assert np.array_equal(traced(LINE), np.eye(4))
 
 
@@ -275,3 +278,24 @@ def test_what_is_of_another_kind():
     refused("margin", jaxik.IKOptions, margin=10**400)
     refused("no such shipped", jaxik.load, "x" * 300)
     refused("overflow", jaxik.harvesting.fit_mapping, [1.0, 2.0, 1e300, 4.0], [1.0, 2.0, 3.0, 4.0])
+
+
+def test_one_line_says_what_reads_a_file():
+    refused(
+        r"margin 0.1 needs a scene; for the robot alone give jaxik.make_scene\(\)", jaxik.solve_ik, P6R, np.eye(4), margin=0.1
+    )
+    refused(r"write a jaxik.collision.Scene, e.g. jaxik.load_scene\('c.toml'\)", jaxik.solve_ik, P6R, np.eye(4), "c.toml")
+    refused("write a jaxik.collision.Scene$", jaxik.solve_ik, P6R, np.eye(4), [SCENE])
+    refused(r"write a jaxik.robot.Chain, e.g. jaxik.load\('xarm.toml'\)", jaxik.solve_ik, "xarm.toml", np.eye(4))
+    refused(r"accuracy=10; .* metres; 10 mm is 0.01", jaxik.Fit, 10)
+    refused("save: /nonexist/a.toml: .*No such file.*name a file in", jaxik.save, P6R, "/nonexist/a.toml")
+    refused(
+        r"cost.*\(q, qdot, input, t\).*quadratic_cost\(position=",
+        jaxik.motions.predict,
+        ARM,
+        LINE,
+        1.0,
+        ZEROS,
+        lambda q: q @ q,
+        HORIZON,
+    )

@@ -373,7 +373,10 @@ def test_a_target_left_out_in_json(tmp_path):
     [
         ("x,y,z,x\n1,2,3,4\n", ("column 'x'", "twice")),
         ("x,y,z\n0,5,0,6,0,7\n", ("line 2", "6 fields for 3 columns")),
-        ("x;y;z\n0;5;0\n", ("header", "lacks x, y, z")),
+        ("x;y;z\n0;5;0\n", ("header", "'x;y;z' lacks x, y, z", "separated by commas")),
+        ("X,Y,Z\n0,5,0\n", ("header", "'X,Y,Z' lacks x, y, z", "in metres", "lower case")),
+        ("x_mm,y,z\n0,5,0\n", ("header", "lacks y_mm, z_mm")),
+        ("x,y,z,x_mm\n0,5,0,1\n", ("header", "x and x_mm say the same")),
     ],
 )
 def test_rows_of_another_length(tmp_path, content, words):
@@ -589,3 +592,10 @@ def test_meshes_of_a_real_robot_lie_in_their_spheres():
         points = np.asarray(mesh.vertices) @ frames[f"panda_link{i}"][:3, :3].T + frames[f"panda_link{i}"][:3, 3]
         inside = np.linalg.norm(points[:, None] - centres, axis=-1) <= radii + 1e-6
         assert np.all(inside.any(axis=1))
+
+
+def test_targets_in_millimetres(tmp_path):
+    """A unit stands in the key, as in the other files."""
+    (tmp_path / "mm.csv").write_text("x_mm,y_mm,z_mm,qw,qx,qy,qz\n500,-250,0,1,0,0,0\n")
+    (pose,) = jaxik.load_targets(tmp_path / "mm.csv")
+    assert np.array_equal(pose[:3, 3], [0.5, -0.25, 0.0]) and np.array_equal(pose[:3, :3], np.eye(3))

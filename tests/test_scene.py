@@ -14,7 +14,7 @@ from scipy.spatial.transform import Rotation
 
 import jaxik
 from jaxik.collision.scene import KINDS
-from jaxik.files.scene import save_scene
+from jaxik.files import save_scene
 
 WIDTHS = {"points": 3, "spheres": 4, "capsules": 7}
 LEFT_HANDED, STRETCHED, HALF = np.diag([1.0, 1.0, -1.0, 1.0]), np.diag([1.001, 1.0, 1.0, 1.0]), np.diag([1.0, 1.0, 1.0, 0.5])
@@ -62,7 +62,15 @@ def one_line(error, *words):
         ({"boxes": np.eye(4)}, ("boxes", "row 1")),
         ({"boxes": 1}, ("boxes",)),
         ({"boxes": [np.eye(4)]}, ("boxes", "row 1")),
-        ({"boxes": [[0, 0, 0, 1, 1, 1]]}, ("boxes", "row 1", "pairs of a rigid (4, 4) frame and three edges")),
+        (
+            {"boxes": [[0, 0, 0, 1, 1]]},
+            ("boxes", "row 1", "x, y, z, three edges, or pairs of a rigid (4, 4) frame"),
+        ),
+        ({"boxes": [[0, 0, None, 1, 1, 1]]}, ("boxes", "row 1", "centre")),
+        ({"boxes": [[0, 0, 0, 1, 1, "1"]]}, ("boxes", "row 1", "edges")),
+        ({"boxes": [(np.eye(4), (0.1, 0.1))]}, ("boxes", "row 1", "edges of shape")),
+        ({"boxes": [[0, 0, 0, 0, 0, 0]]}, ("boxes", "row 1", "edges", "at most one of them 0")),
+        ({"boxes": [[0, 0, 0, 1, 0, 0]]}, ("boxes", "row 1", "edges", "at most one of them 0")),
         ({"boxes": (np.eye(4), (1, 1, 1))}, ("boxes", "row 1", "pairs of a rigid (4, 4) frame and three edges")),
         ({"cylinders": [(np.eye(4), 0.0, 1.0)]}, ("cylinders", "row 1", "radius 0 m", "above 0")),
         ({"points": np.ma.masked_array([[0.0, 1.0, 2.0]], [[False, True, False]])}, ("points", "masked")),
@@ -183,6 +191,30 @@ def test_a_rigid_frame_is_taken_in_any_form():
     assert jax.grad(lambda x: chain.with_tool(jnp.eye(4).at[0, 3].set(x)).joint_T_tip[0, 3])(0.1) == 1.0
     with pytest.raises(ValueError, match=r"\(3, 3\)"):
         jax.eval_shape(lambda x: chain.mounted(x).world_T_base, jnp.eye(3))
+
+
+def test_boxes_and_cylinders_by_their_centres():
+    """As in a file; beside frames, in any order."""
+    frame = np.eye(4)
+    frame[:3, 3] = 0.1, 0.2, 0.3
+    turned = [(frame, (1, 2, 0))], [(frame, 0.5, 1)]
+    for boxes, cylinders in (
+        ([[0.1, 0.2, 0.3, 1, 2, 0]], [[0.1, 0.2, 0.3, 0.5, 1]]),
+        (np.array([[0.1, 0.2, 0.3, 1, 2, 0]]), [jnp.array([0.1, 0.2, 0.3, 0.5, 1])]),
+    ):
+        assert same(jaxik.make_scene(boxes=boxes, cylinders=cylinders), jaxik.make_scene(boxes=turned[0], cylinders=turned[1]))
+    assert jaxik.make_scene(boxes=[*turned[0], [0, 0, 0, 1, 1, 1]]).counts["boxes"] == 2
+
+
+def test_counts_are_of_what_is_there():
+    scene = crowded()
+    rest = scene.without("leaf").padded()
+    assert scene.counts == {"points": 4, "spheres": 2, "capsules": 5, "boxes": 4, "cylinders": 3} == scene.padded().counts
+    assert rest.counts == {"points": 1, "spheres": 0, "capsules": 5, "boxes": 1, "cylinders": 1}
+    assert rest.object_names == scene.object_names  # which number the objects
+    one = jaxik.make_scene(spheres=[[0, 0, 0, 1], [1, 1, 1, 1]], name="cell")
+    assert str(one) == "cell: 2 spheres (spheres_1, spheres_2)" and str(one.without([0, 1])) == "cell: nothing"
+    assert str(jaxik.make_scene()) == "scene: nothing"
 
 
 def hand_made(kind, **arrays):
@@ -336,22 +368,22 @@ def same(a, b):
 @pytest.mark.parametrize("seed", range(20))
 def test_a_file_keeps_a_scene_to_the_last_bit(tmp_path, seed):
     path, scene = tmp_path / "scene.toml", crowded(seed)
-    save_scene(path, scene, 'a "quoted" \\ description')
+    save_scene(scene, path, 'a "quoted" \\ description')
     assert same(jaxik.load_scene(path), scene)
     turned = np.eye(4)
     turned[:3, :3], turned[:3, 3] = Rotation.from_rotvec((0.3, -0.2, 0.9)).as_matrix(), (0.1, 0.2, 0.3)
-    save_scene(path, scene.moved(turned))
+    save_scene(scene.moved(turned), path)
     assert same(jaxik.load_scene(path), scene.moved(turned))
 
 
 def test_what_was_taken_away_is_not_written(tmp_path):
     path, scene = tmp_path / "scene.toml", crowded()
-    save_scene(path, scene.without(["leaf", "hanging"]).padded())
+    save_scene(scene.without(["leaf", "hanging"]).padded(), path)
     back = jaxik.load_scene(path)
     assert back.object_names == tuple(n for n in scene.object_names if n != "leaf") and len(back.fruits) == 4
     assert back.counts == {"points": 1, "spheres": 0, "capsules": 4, "boxes": 1, "cylinders": 1}
     with pytest.raises(ValueError, match="belong to no object"):
-        save_scene(path, scene.geometry())
+        save_scene(scene.geometry(), path)
 
 
 def test_rotations_in_a_file(tmp_path):
@@ -440,3 +472,15 @@ def test_a_scene_without_a_fruit_is_a_scene(tmp_path):
         with pytest.raises(jaxik.LoadError, match="neither") as error:
             jaxik.load_scene(tmp_path / name)
         one_line(error, name)
+
+
+def test_a_scene_is_saved_as_a_chain_is(tmp_path):
+    scene, path = crowded(), tmp_path / "scene.toml"
+    jaxik.files.save_scene(scene, str(path))
+    with pytest.warns(DeprecationWarning, match=r"save_scene\(scene, path\)"):
+        jaxik.files.save_scene(tmp_path / "before.toml", scene)
+    assert (tmp_path / "before.toml").read_bytes() == path.read_bytes()
+    for where, words in ((tmp_path / "scene.ply", (".ply", ".toml")), (tmp_path / "no" / "scene.toml", ("cannot be written",))):
+        with pytest.raises(ValueError) as error:
+            jaxik.files.save_scene(scene, where)
+        one_line(error, "save_scene", *words)

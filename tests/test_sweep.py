@@ -327,7 +327,7 @@ def test_crops_keep_clear_of_their_own_scene():
         ({"robot": None}, "no robot"),
         ({"slide": 3}, "unknown key 'slide'"),
         ({"chunk": 0}, "chunk = 0"),
-        ({"targets": GRID | {"x": [0, 1]}}, "'x' is not 3 numbers"),
+        ({"targets": GRID | {"x": [0, 1]}}, "'x' is not 3 numbers, from, to, count"),
         ({"targets": GRID | {"kind": "ball"}}, "allowed: grid, voxels, file, crop"),
         ({"targets": GRID | {"directions": [[0, 0, 0]]}}, "a direction has no length"),
         ({"parameters": {"slide.width": [1]}}, "allowed: JOINT.lower"),

@@ -6,11 +6,13 @@ import dataclasses
 import difflib
 import math
 from collections.abc import Sequence
+from pathlib import Path
 from typing import Any, TypeVar, get_args
 
 import numpy as np
 
 Options = TypeVar("Options", bound=Any)
+READERS = {"Chain": "load", "Scene": "load_scene"}  # what reads a file that is given in the place of these
 
 
 def check_choices(who: str, **choices: tuple[str, Any]) -> None:
@@ -37,9 +39,12 @@ def _is_finite(value: Any) -> bool:
 
 
 def check_kind(who: str, name: str, value: Any, kind: type, optional: bool = False) -> None:
-    """Raises likewise for what is no `kind`, nor None where that is allowed."""
+    """Raises likewise for what is no `kind`, nor None where that is allowed; of a file's name it says what reads the file."""
     if not isinstance(value, kind) and not (optional and value is None):
-        raise ValueError(f"{who}: {name} is {shown(value)}; write a {'.'.join(kind.__module__.split('.')[:2])}.{kind.__name__}")
+        reader = READERS.get(kind.__name__) if isinstance(value, str | Path) else None
+        mend = f", e.g. jaxik.{reader}('{shown(value)}')" if reader else ""
+        wanted = f"{'.'.join(kind.__module__.split('.')[:2])}.{kind.__name__}"
+        raise ValueError(f"{who}: {name} is {shown(value)}; write a {wanted}{mend}")
 
 
 def changed(who: str, options: Options, changes: dict[str, Any]) -> Options:

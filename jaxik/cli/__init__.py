@@ -10,6 +10,7 @@ from typing import Annotated, Any
 import tyro
 
 import jaxik
+from jaxik.cli.collisions import warnings_as_lines
 from jaxik.cli.fit import FitArguments, run_fit
 from jaxik.cli.harvest import HarvestArguments, run_harvest
 from jaxik.cli.ik import IKArguments, run_ik
@@ -50,7 +51,8 @@ def main() -> None:
     )
     compilation_cache()
     try:
-        RUNS[type(arguments)](arguments)
+        with warnings_as_lines():
+            RUNS[type(arguments)](arguments)
     except (ValueError, OSError) as error:
         print(f"jaxik: {error}", file=sys.stderr)
         raise SystemExit(2) from None

@@ -11,6 +11,7 @@ from typing import Any
 import tyro
 
 import jaxik
+from jaxik.cli.collisions import Ignored, ignored_pairs
 from jaxik.cli.posture import read_posture
 from jaxik.files.srdf import unchecked
 
@@ -33,6 +34,8 @@ class FitArguments:
     """Where joints beside the chain are held, joint=value [rad, m]: a head, a gripper; 0 unless given."""
     srdf: Path | None = None
     """A file that says which links are not checked against each other."""
+    ignore: Ignored = ()
+    """What is not checked: two links (forearm:hand), a link and an object (base:floor), a link and any object (rail)."""
     to: Path | None = None
     """A file to write: .toml, which jaxik loads as it is; .urdf, in which spheres are the links, for other programs."""
 
@@ -47,6 +50,7 @@ def run_fit(arguments: FitArguments) -> None:
     fit = jaxik.Fit(arguments.accuracy / 1e3, arguments.most)
     what: dict[str, Any] = {"tip": arguments.tip, "base": arguments.base, "srdf": arguments.srdf, "fit": fit}
     what["posture"] = read_posture(arguments.posture)
+    what["ignore"] = ignored_pairs(arguments.ignore)
     start = time.perf_counter()
     with Progress(console=Console(stderr=True)) as bar:
         line = bar.add_task("fit", total=None)

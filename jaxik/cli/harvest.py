@@ -10,6 +10,7 @@ from pathlib import Path
 import numpy as np
 
 import jaxik
+from jaxik.cli.collisions import Ignored, ignored_pairs
 from jaxik.cli.posture import read_posture
 from jaxik.cli.tables import write_csv
 from jaxik.harvesting.driver import Harvest
@@ -31,6 +32,8 @@ class HarvestArguments:
     """Where joints beside the chain are held, joint=value [rad, m]: a head, a gripper; 0 unless given."""
     meshes: bool = False
     """Read the robot's collision meshes (URDF) for capsules around them."""
+    ignore: Ignored = ()
+    """What is not checked: two links (forearm:hand), a link and an object (base:floor), a link and any object (rail)."""
     weights: Weights = dataclasses.field(default_factory=Weights)
     """What makes a posture good."""
     angles: int = 72
@@ -53,8 +56,13 @@ def run_harvest(arguments: HarvestArguments) -> None:
         raise ValueError(f"--angles {arguments.angles} --slides {arguments.slides}: both are at least 1")
     if arguments.out.is_file():
         raise ValueError(f"--out {arguments.out}: is a file; name a folder")
-    held = read_posture(arguments.posture)
-    chain = jaxik.load(arguments.robot, tip=arguments.tip, meshes=arguments.meshes, posture=held)
+    chain = jaxik.load(
+        arguments.robot,
+        tip=arguments.tip,
+        meshes=arguments.meshes,
+        ignore=ignored_pairs(arguments.ignore),
+        posture=read_posture(arguments.posture),
+    )
     scene = jaxik.load_scene(arguments.scene)
     with Progress(console=Console(stderr=True)) as bar:
         task = bar.add_task("harvest", total=len(scene.fruits))

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import collections
 import dataclasses
 import os
 import time
@@ -14,11 +13,12 @@ import tyro
 
 import jaxik
 from jaxik.checks.extras import optional
+from jaxik.cli.collisions import Ignored, ignored_pairs, offenders
 from jaxik.cli.posture import read_posture
 from jaxik.cli.tables import write_csv
-from jaxik.robot.reach_bound import millimetres
+from jaxik.ik.solve import FAULTS
 
-LOOKED = 32  # colliding postures that are asked what they collide with
+SHOWN = 5  # invalid targets of which it is said why
 
 
 @dataclasses.dataclass
@@ -43,6 +43,8 @@ class IKArguments:
     """A shipped scene or a scene file: obstacles to keep clear of."""
     margin: float = 0.0
     """Least clearance with a scene [m]."""
+    ignore: Ignored = ()
+    """What is not checked: two links (forearm:hand), a link and an object (base:floor), a link and any object (rail)."""
     free: tuple[Literal["x", "y", "z", "roll", "pitch", "yaw"], ...] = ()
     """Components that a target leaves free."""
     axes: Literal["tool", "base"] = "tool"
@@ -73,7 +75,8 @@ def run_ik(arguments: IKArguments) -> None:
     if arguments.out.is_dir():
         raise ValueError(f"--out {arguments.out}: is a folder; name a file")
     asked = {key: getattr(arguments, key) for key in ("tip", "base", "srdf", "meshes")}
-    chain = jaxik.load(arguments.robot, posture=read_posture(arguments.posture), **asked)
+    ignore, posture = ignored_pairs(arguments.ignore), read_posture(arguments.posture)
+    chain = jaxik.load(arguments.robot, ignore=ignore, posture=posture, **asked)
     scene = None if arguments.scene is None else jaxik.load_scene(arguments.scene)
     targets = jaxik.load_targets(arguments.targets)
     free = (*arguments.free, *(("roll", "pitch", "yaw") if targets.ndim == 2 else ()))  # a position says nothing of rotation
@@ -89,34 +92,24 @@ def run_ik(arguments: IKArguments) -> None:
         )
     seconds = time.perf_counter() - start
     write_ik(chain, result, arguments.out)
-    positions = targets if targets.ndim == 2 else targets[:, :3, 3]
     if targets.ndim == 2:
         print(f"position only: {arguments.targets} binds no rotation")
-    doubt = millimetres(chain, positions)
-    if doubt:
-        print(doubt)
     counts = result.counts()
     for reason, count in counts.items():
         if reason != "solved":
             print(f"{reason}: {count}")
-    colliding = result[result.reason == jaxik.Reason.COLLISION][:LOOKED]
-    if len(colliding):
-        print(f"of {len(colliding)} that collide: {_offenders(colliding)}")
+    for i in np.flatnonzero(result.fault)[:SHOWN]:
+        print(f"target {i + 1}: {FAULTS[result.fault[i]]}")
+    if said := offenders(result):
+        print(said)
     print(f"{counts.get('solved', 0)} of {len(result)} targets solved in {seconds:.2f} s; wrote {arguments.out}")
-
-
-def _offenders(colliding: jaxik.ik.IKResult) -> str:
-    """Which pairs of names are nearest, in words, the most frequent first."""
-    pairs = collections.Counter(f"{nearest.link} and {nearest.other}" for nearest, *_ in colliding.offenders)
-    return ", ".join(f"{count} by {pair}" for pair, count in pairs.most_common(5))
 
 
 def write_ik(chain: jaxik.Chain, result: jaxik.ik.IKResult, out: Path) -> None:
     """The results of a batch, one row a target: arrays (.npz, no pickle) or a table (.csv, .parquet); written aside, then
     renamed."""
-    reasons = np.array([jaxik.Reason(int(r)).text for r in result.reason], dtype=str)
     names = ("success", "position_error", "rotation_error", "clearance", "seed", "iterations")
-    columns = {"reason": reasons, **{name: getattr(result, name) for name in names}}
+    columns = {"reason": result.reasons, **{name: getattr(result, name) for name in names}}
     out.parent.mkdir(parents=True, exist_ok=True)
     aside = out.with_name(f".{os.getpid()}-{out.name}")
     table = {**columns, **dict(zip(chain.joint_names, result.q.T, strict=True))}

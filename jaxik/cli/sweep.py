@@ -12,6 +12,8 @@ from typing import Any
 import tyro
 
 import jaxik
+from jaxik.cli.collisions import LOOKED, Ignored, ignored_pairs, offenders
+from jaxik.sweeps.colliding import asked_again
 
 
 @dataclasses.dataclass
@@ -26,6 +28,8 @@ class SweepArguments:
     """i/n: every n-th chunk, beginning with the i-th; n such processes fill one store."""
     cluster: str | None = None
     """Address of a Dask scheduler whose workers compute (needs the extra `cluster`)."""
+    ignore: Ignored = ()
+    """What is not checked: two links (forearm:hand), a link and an object (base:floor), a link and any object (rail)."""
     repair: bool = False
     """Compute damaged chunks again."""
     plot: bool = False
@@ -37,7 +41,7 @@ def run_sweep(arguments: SweepArguments) -> None:
     from rich.console import Console
     from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
 
-    study = jaxik.sweeps.Study.of(arguments.study)
+    study = jaxik.sweeps.Study.of(arguments.study, ignore=ignored_pairs(arguments.ignore) or None)
     start = time.perf_counter()
     console = Console(stderr=True)
     columns = (
@@ -69,6 +73,8 @@ def run_sweep(arguments: SweepArguments) -> None:
     counts = ", ".join(f"{n:,} {reason}" for reason, n in result.counts.items())
     state = f"{result.done} of {result.total} chunks"
     print(f"{counts or 'nothing yet'}; {state} in {time.perf_counter() - start:.1f} s; wrote {out}")
+    if set(result.counts) & {"collision", "solved"} == {"collision"}:
+        print(offenders(asked_again(result, LOOKED)))
     if arguments.plot:
         from jaxik.view.sweep_picture import plot_sweep
 

@@ -8,6 +8,7 @@ from pathlib import Path
 import tyro
 
 import jaxik
+from jaxik.cli.collisions import Ignored, ignored_pairs
 from jaxik.cli.posture import read_posture
 from jaxik.files import link_meshes
 
@@ -28,6 +29,8 @@ class ViewArguments:
     """The link at the tip; needed where the robot has several."""
     posture: tuple[str, ...] = ()
     """Where joints beside the chain are held, joint=value [rad, m]: a head, a gripper; 0 unless given."""
+    ignore: Ignored = ()
+    """What is not checked: two links (forearm:hand), a link and an object (base:floor), a link and any object (rail)."""
     host: str = "127.0.0.1"
     """Where the page is served; 0.0.0.0 shows it to the network."""
     port: int = 8080
@@ -38,8 +41,8 @@ def run_view(arguments: ViewArguments) -> None:
     """Serve the page until Ctrl-C."""
     from jaxik.view.page import Page
 
-    held = read_posture(arguments.posture)
-    chain = jaxik.load(arguments.robot, tip=arguments.tip, meshes=True, posture=held)
+    ignore, held = ignored_pairs(arguments.ignore), read_posture(arguments.posture)
+    chain = jaxik.load(arguments.robot, tip=arguments.tip, meshes=True, ignore=ignore, posture=held)
     if arguments.harvest and arguments.scene is None:
         raise ValueError("--harvest: needs a --scene with fruits, e.g. --scene cucumber_row")
     scene = None if arguments.scene is None else jaxik.load_scene(arguments.scene)

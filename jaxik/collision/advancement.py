@@ -73,6 +73,7 @@ def motion_clearance(
     enough: Any = np.inf,
 ) -> MotionClearance:
     """A bound from below of the clearance [m] on the whole motion `q_from + t (q_to - q_from)`, 0 <= t <= 1, not at samples.
+    Traced.
 
     Traced: `jit` and `vmap` it; one kernel on a CPU. With `D(t)` the `clearance` of a configuration, a motion that keeps more
     than `margin + resolution` [m] throughout is proven free, one that comes to `margin` never is, and
@@ -103,7 +104,7 @@ def motion_collides(
     resolution: Any = 1e-3,
 ) -> Bool[Array, ""]:
     """Whether the motion `q_from + t (q_to - q_from)` is not proven to keep `margin` [m]: `motion_clearance(..).free`, denied,
-    and known sooner.
+    and known sooner. Traced.
 
     Never false where it comes to `margin`; never true where it keeps more than `margin + resolution`, but for rounding and
     `MOST`; true for NaN.

@@ -11,7 +11,7 @@ from jaxtyping import Float
 
 from jaxik.checks.arrays import check_known
 from jaxik.checks.options import check_kind, no_such, shown
-from jaxik.collision.scene import FAR, KINDS, SHAPES, Scene, check_scene
+from jaxik.collision.scene import KINDS, Scene, check_scene, is_there
 from jaxik.robot.chain import Array, Box, Chain, Volume, solid_links
 from jaxik.robot.kinematics import as_posture, joint_frames
 from jaxik.spatial.algebra import Frame
@@ -28,12 +28,12 @@ class Attached(NamedTuple):
 
 def attach(chain: Chain, scene: Scene, name: str, q: Float[Array, " n"], touches: Iterable[str] = ()) -> Attached:
     """The object `name`, as it lies when the robot is at `q` (n,) [rad, m], made a link of that name which moves with the last
-    joint; and the scene without it.
+    joint; and the scene without it (`Scene.without`: its name stays in `object_names`). Host.
 
     Points become balls of the scene's radius; spheres and capsules stay what they are; boxes become boxes of the chain, which
-    `spheres_per_box` spheres cover; a cylinder of radius r becomes the capsule about it that protrudes least, by at most
-    0.42 r. The link is checked against the scene and against the robot's other links, but for those that move with the last
-    joint, too, and those that it `touches` (MoveIt's touch_links). It has no mass.
+    `spheres_per_box` spheres cover; a cylinder is carried as a capsule up to 42 % of its radius larger, the one about it that
+    protrudes least. The link is checked against the scene and against the robot's other links, but for those that move with the
+    last joint, too, and those that it `touches` (MoveIt's touch_links). It has no mass.
 
     Raises `ValueError` for an object that is not there, has no obstacle or the name of a link, for links that the chain does
     not have, for a q of another shape, and for what is traced.
@@ -97,10 +97,7 @@ def _carried(scene: Scene, name: str, joint_T_world: np.ndarray, link: int) -> t
 
 def _rows(scene: Scene, kind: str, owners: tuple[int, ...], index: int) -> np.ndarray:
     """The object's rows of a kind that were not taken away."""
-    obstacles = getattr(scene, kind)
-    place = np.asarray(getattr(obstacles, next(iter(SHAPES[kind]))))  # the centre, an end, the frame
-    there = np.abs(place).max(axis=tuple(range(1, place.ndim))) < FAR / 2.0
-    return np.flatnonzero((np.array(owners, int) == index) & there[: len(owners)])
+    return np.flatnonzero((np.array(owners, int) == index) & is_there(kind, getattr(scene, kind))[: len(owners)])
 
 
 def _capsule(world_T_cylinder: np.ndarray, radius: Any, half: Any) -> tuple[np.ndarray, Any]:

@@ -13,7 +13,6 @@ from functools import cache
 from typing import Any
 
 import jax
-import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float
 
@@ -79,7 +78,7 @@ class Surroundings:
 
 def explain(chain: Chain, scene: Scene | None, q: Float[Array, " n"], count: int = 5, below: float = np.inf) -> Surroundings:
     """What is nearest to the robot at `q` (n,) [rad, m]: the `count` nearest pairs of a link with an object of the scene or
-    with another link, those nearer than `below` [m], and the `count` joints nearest to a limit.
+    with another link, those nearer than `below` [m], and the `count` joints nearest to a limit. Host.
 
     Each pair of names stands once, at its least distance; the first pair's is `clearance`. A host function, in float64.
     Raises `ValueError` for a chain without collision geometry, or a q of another shape or with NaN or infinity.
@@ -123,9 +122,9 @@ def _with_scene(chain: Chain, scene: Scene | None, volumes: Any) -> Iterator[_Pa
     for link, what in chain.ignored:
         meet[[what in ("*", name) for name in (*scene.object_names, "")], link] = False
     for kind, owners in zip(KINDS, scene.owners, strict=True):
-        if scene.counts[kind]:
-            gap, others = obstacles_of(kind, vars(getattr(scene, kind)), jnp.float64)
-            owner = np.array([*owners, *[-1] * (scene.counts[kind] - len(owners))], int)
+        if count := len(jax.tree_util.tree_leaves(getattr(scene, kind))[0]):
+            gap, others = obstacles_of(kind, vars(getattr(scene, kind)), np.float64, np)
+            owner = np.array([*owners, *[-1] * (count - len(owners))], int)
             for skeleton in volumes.values():
                 yield from _blocks(gap, skeleton, others, owner, meet, False)
 
@@ -138,12 +137,12 @@ def _with_itself(chain: Chain, volumes: Any) -> Iterator[_Pairs]:
     for mine in volumes.values():
         for theirs in volumes.values():
             if meet[np.ix_(np.unique(theirs.link), np.unique(mine.link))].any():
-                yield from _blocks(skeleton_gap, mine, columns_of(theirs, jnp.float64), theirs.link, meet, True)
+                yield from _blocks(skeleton_gap, mine, columns_of(theirs), theirs.link, meet, True)
 
 
 def _blocks(gap: Any, skeleton: Any, others: Any, owners: np.ndarray, meet: np.ndarray, itself: bool) -> Iterator[_Pairs]:
     """Block by block of the others; `meet` says which owner counts for which link."""
-    ours, links = columns_of(skeleton, jnp.float64), skeleton.link
+    ours, links = columns_of(skeleton), skeleton.link
     rows = max(1, BLOCK // len(links))
     for start in range(0, len(owners), rows):
         block = slice(start, start + rows)

@@ -95,8 +95,19 @@ class Scene(Constant):
 
     @property
     def counts(self) -> dict[str, int]:
-        """How many obstacles of each kind there are, padding included."""
-        return {k: _count(getattr(self, k)) for k in KINDS}
+        """How many obstacles of each kind there are, without padding and what was taken away; of a traced scene with them."""
+        return {k: int(np.sum(is_there(k, getattr(self, k)))) for k in KINDS}
+
+    def __str__(self) -> str:
+        """One line: the objects and fruits that are there, and how many obstacles they have."""
+        there = [
+            zip(own, is_there(kind, getattr(self, kind)), strict=False) for kind, own in zip(KINDS, self.owners, strict=True)
+        ]
+        present = {owner for each in there for owner, is_in in each if is_in}
+        named = [name for i, name in enumerate(self.object_names) if i in present]
+        counts = [f"{count} {kind}" for kind, count in self.counts.items() if count]
+        fruits = [f"{len(self.fruits)} fruits"] if self.fruits else []
+        return f"{self.name}: {', '.join([*counts, *fruits]) or 'nothing'}" + (f" ({', '.join(named)})" if named else "")
 
     def __repr__(self) -> str:
         owned = zip(KINDS, self.owners, strict=True)
@@ -105,7 +116,10 @@ class Scene(Constant):
         return f"Scene {self.name}: {kinds}; {len(self.object_names)} objects ({names}), {len(self.fruits)} fruits"
 
     def without(self, objects: Any) -> Scene:
-        """The scene with these objects (indices or names, one or several) moved out of the way; shapes stay.
+        """The scene with these objects (indices or names, one or several) moved out of the way.
+
+        Shapes stay, so that nothing compiles anew, and so do `object_names`, which number the objects; `counts`, and what is
+        printed, leave them out.
 
         Raises `ValueError` for an object that is not there.
         """
@@ -202,6 +216,14 @@ def _moved_away(obstacles: Any, mask: np.ndarray) -> Any:
     return dataclasses.replace(moved, half=obstacles.half) if isinstance(obstacles, Boxes) else moved
 
 
+def is_there(kind: str, obstacles: Any) -> np.ndarray:
+    """(k,): which obstacles are neither padding nor taken away; all of what is traced."""
+    place = getattr(obstacles, next(iter(SHAPES[kind])))  # the centre, an end, the frame
+    if not is_known(place):
+        return np.ones(len(place), bool)
+    return np.asarray(np.abs(np.asarray(place)).max(axis=tuple(range(1, place.ndim)), initial=0.0) < FAR / 2.0)
+
+
 def _count(obstacles: Any) -> int:
     return int(jax.tree_util.tree_leaves(obstacles)[0].shape[0])
 
@@ -226,9 +248,13 @@ def _padded(obstacles: Any) -> Any:
 class SceneBuilder:
     """Collects named objects and fruits into a `Scene`. All lengths in metres, the world's z up.
 
+    Floors and walls should be thick, 0.1 m and more: penetration is measured by the shortest way out, which of a thin slab may
+    be its other side.
+
     Raises `ValueError`, one line, for what is no obstacle: another shape, a number that is not finite, beyond `LIMIT` [m] or a
-    negative size, a radius of 0 (what has none is points), a frame that is not rigid, more than `MOST` of a kind; an object
-    without obstacles, a name that stands twice. Plates may be 0 thick. What is refused leaves nothing behind.
+    negative size, a radius of 0 (what has none is points), a box with fewer than two edges above 0 (plates may be 0 thick), a
+    frame that is not rigid, more than `MOST` of a kind; an object without obstacles, a name that stands twice. What is refused
+    leaves nothing behind.
     """
 
     def __init__(self, name: str = "scene", point_radius: Any = 0.0):
@@ -242,7 +268,8 @@ class SceneBuilder:
 
     def add(self, name: str, removable: Any = True, **obstacles: Any) -> None:
         """An object of `points` (k, 3), `spheres` (k, 4) centre and radius, `capsules` (k, 7) both ends and radius, `boxes`
-        (pairs of a (4, 4) frame and three edges), `cylinders` (triples of a (4, 4) frame, radius and length)."""
+        (k, 6) centre and edges along x, y, z, and `cylinders` (k, 5) centre, radius and length along z; one that is turned is a
+        pair of a (4, 4) frame and three edges, or a triple of a frame, radius and length."""
         who = f"object '{shown(name)}': "
         if not isinstance(removable, bool | np.bool_):  # an array in this place were obstacles that never come
             raise ValueError(f"{who}removable is {type(removable).__name__}; allowed: True, False; obstacles go by keyword")
@@ -305,7 +332,7 @@ class SceneBuilder:
 
 
 def make_scene(point_radius: Any = 0.0, name: str = "scene", **obstacles: Any) -> Scene:
-    """A scene from plain arrays, each obstacle an object of its own; the keywords are those of `SceneBuilder.add` [m].
+    """A scene from plain arrays, each obstacle an object of its own; the keywords are those of `SceneBuilder.add` [m]. Host.
 
     Raises `ValueError` as `SceneBuilder` does.
     """
@@ -327,20 +354,24 @@ def hanging(top: Any, up: Any, length: float, radius: float) -> np.ndarray:
 
 class Row(NamedTuple):
     """How many numbers stand for one obstacle (a frame is 16), how many of them, at the end, are sizes, which of them is the
-    radius, if one is; and in words."""
+    radius, if one is; in words; and what the sizes are called."""
 
     width: int
     sizes: int
     radius: slice
     words: str
+    sized: str = "radius"
 
 
 ROWS = {
     "points": Row(3, 0, slice(0), "(k, 3), rows of x, y, z"),
     "spheres": Row(4, 1, slice(3, 4), "(k, 4), rows of x, y, z, radius"),
     "capsules": Row(7, 1, slice(6, 7), "(k, 7), rows of both ends and the radius"),
-    "boxes": Row(19, 3, slice(0), "pairs of a rigid (4, 4) frame and three edges"),
-    "cylinders": Row(18, 2, slice(16, 17), "triples of a rigid (4, 4) frame, radius and length"),
+    "boxes": Row(19, 3, slice(0), "rows of x, y, z, three edges, or pairs of a rigid (4, 4) frame and three edges", "edges"),
+    "cylinders": Row(
+        *(18, 2, slice(16, 17)),
+        *("rows of x, y, z, radius, length, or triples of a rigid (4, 4) frame, radius and length", "radius and length"),
+    ),
 }
 
 
@@ -367,6 +398,9 @@ def _rows(what: str, given: Any, row: Row) -> np.ndarray:
     for i, radius in np.argwhere(values[:, row.radius] <= 0.0)[:1]:
         size = values[i, row.radius][radius]
         raise ValueError(f"{what} row {i + 1} has the radius {size:g} m; write one above 0, or what has none as points")
+    if row is ROWS["boxes"]:
+        for i in np.flatnonzero((values[:, 16:] != 0.0).sum(axis=1) < 2)[:1]:
+            raise ValueError(f"{what} row {i + 1}: edges {shown(values[i, 16:])}; write three, at most one of them 0 [m]")
     return in_metres(what, values, row.sizes)
 
 
@@ -377,14 +411,19 @@ def _few(what: str, count: int) -> None:
 
 def _framed(what: str, given: Any, row: Row) -> np.ndarray:
     """A frame and sizes in one row."""
-    frame, *sizes = _listed(what, given, row) or [None]
+    parts = _listed(what, given, row) or [None]
+    if len(parts) == 3 + row.sizes and not any(map(np.ndim, parts)):  # a centre, not turned
+        at = np.eye(4)
+        at[:3, 3] = numbers(f"{what}: centre", parts[:3])
+        parts = [at, *parts[3:]]
+    frame, *sizes = parts
     frame = numbers(f"{what}: frame", frame)
     if frame.shape != (4, 4):
         raise ValueError(f"{what}: frame of shape {frame.shape}; allowed: {row.words} [m]")
     frame = np.asarray(rigid_frame(f"{what}: frame", frame))
-    values = numbers(f"{what}: sizes", sizes)
+    values = numbers(f"{what}: {row.sized}", sizes)
     if values.shape not in ((row.sizes,), (1, row.sizes)):  # (frame, a, b, c) or (frame, (a, b, c))
-        raise ValueError(f"{what}: sizes of shape {values.shape}; allowed: {row.words} [m]")
+        raise ValueError(f"{what}: {row.sized} of shape {values.shape}; allowed: {row.words} [m]")
     return np.concatenate([frame.ravel(), values.ravel()])
 
 

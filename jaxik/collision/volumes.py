@@ -103,7 +103,8 @@ def _joined(pieces: list[Scalar], sizes: np.ndarray) -> Any:
 
 
 def link_spheres(chain: Chain, q: Float[Array, " n"]) -> tuple[Float[Array, "s 3"], Float[Array, " s"]]:
-    """Centres in the world [m] and radii [m] of the chain's spheres at `q` (n,); lines and triangles are not among them."""
+    """Centres in the world [m] and radii [m] of the chain's spheres at `q` (n,); lines and triangles are not among them.
+    Traced."""
     q = as_configuration(chain, q)
     found = skeletons(chain, traced(q), q.dtype).get(1)
     if found is None:
@@ -113,6 +114,7 @@ def link_spheres(chain: Chain, q: Float[Array, " n"]) -> tuple[Float[Array, "s 3
 
 def link_circles(chain: Chain, q: Float[Array, " n"], circles: int = 11, around: int = 12) -> Float[Array, "p 3"]:
     """Points in the world [m] on the cylindrical links (capsules) of a chain: `circles` along each, `around` points on one.
+    Traced.
 
     What the box penalty of IJE 2022 (`costs.box_penalty`) asks for: "the surface of the link is considered as a series of
     circles" (sec. 5). The capsules' numbers must be concrete. Raises `ValueError` where the chain has none.

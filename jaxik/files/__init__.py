@@ -2,6 +2,7 @@
 
 from jaxik.files.loading import fit_report, link_meshes, load, load_scene, models_folder
 from jaxik.files.saving import save
+from jaxik.files.scene import save_scene
 from jaxik.files.targets import load_targets
 
 __all__ = [
@@ -12,4 +13,5 @@ __all__ = [
     "load_targets",
     "models_folder",
     "save",
+    "save_scene",
 ]

@@ -38,7 +38,7 @@ APART = "leave out pairs that touch by design (ignore=, srdf=)"
 
 
 def models_folder() -> Path:
-    """Where the shipped robots and scenes lie: inside the wheel, or beside the package in a checkout."""
+    """Where the shipped robots and scenes lie: inside the wheel, or beside the package in a checkout. Host."""
     inside = Path(__file__).parents[1] / "models"
     return inside if inside.is_dir() else Path(__file__).parents[2] / "models"
 
@@ -55,7 +55,7 @@ def load(
     ignore: Any = (),
     posture: Any = None,
 ) -> Chain:
-    """The serial chain of a shipped model (`"p6r"`) or of a file: `.urdf`, `.xml` (MJCF) or `.toml`.
+    """The serial chain of a shipped model (`"p6r"`) or of a file: `.urdf`, `.xml` (MJCF) or `.toml`. Host.
 
     `tip` and `base` name links (bodies or a site in MJCF); without them the chain runs from the root to the only leaf.
     `tool` (4, 4) moves the tip [m]. `meshes=True` reads collision meshes and fits capsules around their convex hulls (`fit`;
@@ -66,9 +66,9 @@ def load(
 
     All that hangs on the chain belongs to it, with shapes and masses: joints beside it, those of a head, a gripper, another
     arm, are held. `posture` says where, by their names [rad, m], `{"panda_finger_joint1": 0.04}`; others are at 0 (MJCF: the
-    model's qpos0), or the limit that is nearest, and mimic joints follow (one that a joint of the chain drives stands where that
-    is 0). A warning names those whose links have shapes, unless a posture is given: `{}` says that all of them are right so.
-    What is above `base` is left out, and what flies freely in an MJCF.
+    model's qpos0), or the limit that is nearest, and mimic joints follow (one that a joint of the chain drives stands where
+    that is 0). A warning names those whose links have shapes, unless a posture is given: `{}` says that all of them are right
+    so. What is above `base` is left out, and what flies freely in an MJCF.
 
     A mesh `package://my_pkg/meshes/a.stl` is `meshes/a.stl` below the nearest folder above the model's file that is called
     `my_pkg`. Any other name is a path from the file's folder, which stays below it (below the folder above, where the file's
@@ -178,7 +178,7 @@ def fit_report(
     posture: Mapping[str, Any] | None = None,
     progress: Callable[[int, int], None] | None = None,
 ) -> tuple[LinkFit, ...]:
-    """What `load(..., meshes=True, fit=fit)` puts around each collision mesh of a file: one `LinkFit` a mesh.
+    """What `load(..., meshes=True, fit=fit)` puts around each collision mesh of a file: one `LinkFit` a mesh. Host.
 
     `progress` hears of how many fits are made, of how many. Raises `LoadError` as `load` does.
     """
@@ -194,12 +194,13 @@ def fit_report(
 def link_meshes(
     source: str | Path, tip: str | None = None, base: str | None = None, posture: Mapping[str, Any] | None = None
 ) -> list[Shape]:
-    """The collision meshes, boxes and cylinders of a file's links, in the frames of the joints that move them, to look at."""
+    """The collision meshes, boxes and cylinders of a file's links, in the frames of the joints that move them, to look at.
+    Host."""
     return _read(_locate(source), tip, base, None, Meshes(True), _stance("link_meshes", posture))[1]
 
 
 def load_scene(source: str | Path) -> Scene:
-    """A shipped scene (`"cucumber_row"`) or a scene file: `.toml`, or labelled points as `.csv` or `.ply`.
+    """A shipped scene (`"cucumber_row"`) or a scene file: `.toml`, or labelled points as `.csv` or `.ply`. Host.
 
     Raises `LoadError` (a `ValueError`) with one line: the file, the element, what is allowed, the mend.
     """

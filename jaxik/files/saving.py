@@ -16,6 +16,7 @@ from jaxik.files.assemble import JOINT_TYPES
 from jaxik.files.spherized import spherized
 from jaxik.files.srdf import check_ours, write_disabled
 from jaxik.files.toml import Table
+from jaxik.files.writing import write_text
 from jaxik.robot.chain import Body, Box, Chain, Volume
 from jaxik.robot.pair_table import PairTable, packed, unpacked
 
@@ -24,14 +25,14 @@ KINDS = {"sphere": 1, "capsule": 2, "triangle": 3}
 
 def save(chain: Chain, path: str | Path, beyond: float = 0.005) -> float:
     """Writes a chain with its collision model: `.toml`, which `load` gives back to the last bit; or `.urdf`, each volume as
-    spheres that reach at most `beyond` [m] further than it. Returns how far they do [m], 0 for TOML.
+    spheres that reach at most `beyond` [m] further than it. Returns how far they do [m], 0 for TOML. Host.
 
     A URDF says nothing of pairs of links: those that the chain does not check are written beside it, as `.srdf`
     (`load(.., srdf=)`). Its `pair_tables`, where links pass more closely than spheres tell, and the objects that it ignores
     are in the TOML alone.
 
-    Raises `ValueError` for another ending, for a URDF of a chain whose meshes were not read, and where the `.srdf` would
-    replace one that is not from here.
+    Raises `ValueError` for another ending, for a file that cannot be written, for a URDF of a chain whose meshes were not read,
+    and where the `.srdf` would replace one that is not from here.
     """
     check_kind("save", "chain", chain, Chain)
     check_finite("save", 1e-4, beyond=beyond)
@@ -39,12 +40,12 @@ def save(chain: Chain, path: str | Path, beyond: float = 0.005) -> float:
     if path.suffix not in (".toml", ".urdf"):
         raise ValueError(f"save: {path}: ending '{path.suffix}'; allowed: .toml, .urdf")
     if path.suffix == ".toml":
-        path.write_text(_toml(chain), encoding="utf-8")
+        write_text("save", path, _toml(chain))
         return 0.0
     pairs = path.with_suffix(".srdf")
     check_ours(pairs)
     text, reach = spherized(chain, beyond)
-    path.write_text(text, encoding="utf-8")
+    write_text("save", path, text)
     write_disabled(chain, pairs)
     return reach
 

@@ -7,15 +7,18 @@ import csv
 import io
 import json
 import math
+import warnings
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from jaxik.collision.scene import FAR, KINDS, Fruit, Scene, SceneBuilder, hanging
+from jaxik.checks.options import check_kind
+from jaxik.collision.scene import FAR, Fruit, Scene, SceneBuilder, hanging
 from jaxik.files.assemble import MAX_BYTES, read_bytes
 from jaxik.files.toml import Table, read_toml
+from jaxik.files.writing import write_text
 from jaxik.reasons import LoadError
 from jaxik.spatial.rotations import frame
 
@@ -176,13 +179,27 @@ def _from_points(path: Path, labels: list[str], points: np.ndarray) -> Scene:
     return builder.scene()
 
 
-def save_scene(path: Path, scene: Scene, description: str = "-") -> None:
-    """Write a scene as TOML: `load_scene` gives it back to the last bit, objects first and fruits after them, without what was
-    taken away (`Scene.without`).
+def save_scene(scene: Scene | str | Path, path: str | Path | Scene, description: str = "-") -> None:
+    """Writes a scene as `.toml`, which `load_scene` gives back to the last bit, objects first and fruits after them, without
+    what was taken away (`Scene.without`). Host.
 
-    Raises `ValueError` for obstacles that belong to no object (`Scene.geometry`), which a file cannot name.
+    Raises `ValueError` for another ending, for a file that cannot be written, and for obstacles that belong to no object
+    (`Scene.geometry`), which a file cannot name.
     """
-    if any(scene.counts[kind] > len(own) for kind, own in zip(KINDS, scene.owners, strict=True)):
+    what: Any = scene
+    where: Any = path
+    if isinstance(scene, str | Path):
+        warnings.warn("save_scene: write save_scene(scene, path), as save(chain, path)", DeprecationWarning, stacklevel=2)
+        what, where = path, scene
+    check_kind("save_scene", "scene", what, Scene)
+    if (file := Path(where)).suffix != ".toml":
+        raise ValueError(f"save_scene: {file}: ending '{file.suffix}'; allowed: .toml")
+    write_text("save_scene", file, _written(what, description))
+
+
+def _written(scene: Scene, description: str) -> str:
+    stored = (len(table) for table in _tables(scene).values())
+    if any(count > len(own) for count, own in zip(stored, scene.owners, strict=True)):
         raise ValueError(f"save_scene: obstacles of '{scene.name}' belong to no object; save what a SceneBuilder made")
     fruits, tables = {f.name: f for f in scene.fruits}, _tables(scene)
     head = [f"name = {_text(scene.name)}", f"description = {_text(description)}"]
@@ -195,7 +212,7 @@ def save_scene(path: Path, scene: Scene, description: str = "-") -> None:
         elif any(len(r) for r in rows.values()):
             removable = str(scene.removable[i]).lower()
             parts.append([f"[[object]]\nname = {_text(name)}", f"removable = {removable}", *_row_lines(rows)])
-    path.write_text("\n\n".join("\n".join(part) for part in parts) + "\n", encoding="utf-8")
+    return "\n\n".join("\n".join(part) for part in parts) + "\n"
 
 
 def _tables(scene: Scene) -> dict[str, np.ndarray]:

@@ -14,8 +14,9 @@ from typing import Any, BinaryIO
 
 import numpy as np
 
+from jaxik.checks.options import shown
 from jaxik.files.assemble import opened
-from jaxik.files.toml import in_words
+from jaxik.files.toml import UNITS, in_words
 from jaxik.reasons import LoadError
 from jaxik.spatial.rotations import frame, from_wxyz
 
@@ -33,11 +34,11 @@ GROUPS = ("wijk", "ijk", "abcd", "abc", "wpr", "uvw", ("phi", "theta"), ("theta"
 
 
 def load_targets(path: str | Path) -> np.ndarray:
-    """Poses (N, 4, 4), or positions (N, 3) where the file has no rotations [m].
+    """Poses (N, 4, 4), or positions (N, 3) where the file has no rotations [m]. Host.
 
-    CSV: columns x, y, z and, for poses, qw, qx, qy, qz; others are not read, unless they look like a rotation by another name,
-    which is refused (so in the other formats). NPZ: `poses` (N, 4, 4), or `positions` (N, 3) with
-    or without `wxyz` (N, 4). JSON: a list of objects with `pose` (4 rows of 4), or `position` with or without `wxyz`.
+    CSV: columns x, y, z (or x_mm, y_mm, z_mm) and, for poses, qw, qx, qy, qz; others are not read, unless they look like a
+    rotation by another name, which is refused (so in the other formats). NPZ: `poses` (N, 4, 4), or `positions` (N, 3) with or
+    without `wxyz` (N, 4). JSON: a list of objects with `pose` (4 rows of 4), or `position` with or without `wxyz`.
     Quaternions are wxyz and are normalised; a zero or NaN one makes an invalid target, not an error.
 
     Raises `LoadError` with one line: the file, the element, what is allowed, the mend.
@@ -56,10 +57,13 @@ def read_targets(path: str | Path) -> np.ndarray:
 
 
 def as_frames(targets: np.ndarray) -> np.ndarray:
-    """Frames (N, 4, 4) of rows x, y, z, qw, qx, qy, qz (N, 7); all others as they are."""
+    """Frames (N, 4, 4) of rows x, y, z, qw, qx, qy, qz (N, 7), a rotation of zeros for a quaternion of length 0; all others as
+    they are."""
     if targets.shape[1:] != (7,):
         return targets
-    return frame(targets[:, :3], from_wxyz(targets[:, 3:]))
+    turned = from_wxyz(targets[:, 3:])
+    turned[~targets[:, 3:].any(axis=1)] = 0.0
+    return frame(targets[:, :3], turned)
 
 
 def _csv(path: Path, file: BinaryIO) -> np.ndarray:
@@ -68,22 +72,29 @@ def _csv(path: Path, file: BinaryIO) -> np.ndarray:
             rows = csv.reader(text)
             header = [name.strip() for name in next(rows, [])]
             columns = _columns(path, header)
-            return np.fromiter(_numbers(path, rows, columns, len(header)), np.float64).reshape(-1, len(columns))
+            found = np.fromiter(_numbers(path, rows, columns, len(header)), np.float64).reshape(-1, len(columns))
+            found[:, :3] *= UNITS["length"][columns[0][0].removeprefix("x")]
+            return found
     except (UnicodeDecodeError, csv.Error) as error:
         raise LoadError(path, "file", f"is no CSV ({error})", "write a header line and one line a target") from None
 
 
 def _columns(path: Path, header: list[str]) -> list[tuple[str, int]]:
-    missing = [name for name in POSITION if name not in header]
+    units = [ending for ending in UNITS["length"] if f"x{ending}" in header] or [""]
+    position = [name + units[0] for name in POSITION]
+    missing = [name for name in position if name not in header]
     turned = [name for name in QUATERNION if name in header]
     if missing or 0 < len(turned) < 4:
         wanted = missing or [name for name in QUATERNION if name not in header]
-        raise LoadError(path, "header", f"lacks {', '.join(wanted)}", f"columns: {', '.join(POSITION + QUATERNION)}")
-    for name in (n for n in POSITION + QUATERNION if header.count(n) > 1):
+        mend = "write x, y, z in metres (or x_mm, y_mm, z_mm) and, for poses, qw, qx, qy, qz: lower case, separated by commas"
+        raise LoadError(path, "header", f"'{shown(','.join(header))}' lacks {', '.join(wanted)}", mend)
+    for name in (n for n in (*position, *QUATERNION) if header.count(n) > 1):
         raise LoadError(path, "header", f"column '{name}' stands twice", "keep one")
+    if len(units) > 1:
+        raise LoadError(path, "header", f"{' and '.join('x' + ending for ending in units)} say the same", "keep one")
     if not turned:
         _refuse_lost_rotation(path, "header", header, ", ".join(QUATERNION))
-    return [(name, header.index(name)) for name in (*POSITION, *turned)]
+    return [(name, header.index(name)) for name in (*position, *turned)]
 
 
 def _refuse_lost_rotation(path: Path, where: str, names: Iterable[str], known: str) -> None:

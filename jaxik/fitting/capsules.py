@@ -41,8 +41,8 @@ class Fit:
 
     def __post_init__(self) -> None:
         number = isinstance(self.accuracy, int | float | np.number) and not isinstance(self.accuracy, bool | np.bool_)
-        if not (number and 1e-4 <= float(self.accuracy) <= 10.0):
-            raise ValueError(f"Fit: accuracy={shown(self.accuracy)}; allowed: 0.0001 to 10 [m]")
+        if not (number and 1e-4 <= float(self.accuracy) <= 0.2):
+            raise ValueError(f"Fit: accuracy={shown(self.accuracy)}; allowed: 0.0001 to 0.2, in metres; 10 mm is 0.01")
         whole = isinstance(self.most, int | np.integer) and not isinstance(self.most, bool)
         if not (whole and 1 <= self.most <= 256):
             raise ValueError(f"Fit: most={shown(self.most)} capsules a mesh; allowed: 1 to 256")

@@ -11,7 +11,9 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from jaxik.checks.options import changed, check_kind
+from jaxik.collision.clearances import check_geometry
 from jaxik.collision.scene import Scene
+from jaxik.collision.standing import warn_of_scene
 from jaxik.harvesting.grasp import Grasp, grasp_poses
 from jaxik.harvesting.in_the_way import Blockers, blockers
 from jaxik.harvesting.recovery import recover
@@ -124,6 +126,8 @@ def harvest(
     check_kind("harvest", "scene", scene, Scene)
     if not scene.fruits:
         raise ValueError(f"scene '{scene.name}' has no fruit; add one with SceneBuilder.add_fruit")
+    check_geometry(chain)
+    warn_of_scene("harvest", chain, scene, options.margin)
     start, rows, candidates = time.perf_counter(), [], 0
     for fruit in scene.fruits:
         found = scan(chain, scene, fruit, **vars(options))

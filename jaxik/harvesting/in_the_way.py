@@ -35,7 +35,8 @@ class Blockers(NamedTuple):
 
 
 def blockers(chain: Chain, scene: Scene, found: Scan, margin: float = 0.005) -> Blockers:
-    """Which objects stand in the way of a scanned fruit, and the fewest whose removal opens a posture of its table.
+    """Which objects stand in the way of a scanned fruit, and the fewest whose removal opens a posture of its table. Host
+    driver.
 
     A posture opens exactly when all that it touches is removed; so the smallest set is the smallest of the sets that the
     candidates touch, no search needed. Of equal sets the one with the most clearance to what stays is taken.

@@ -27,7 +27,7 @@ class Mapping(NamedTuple):
 
 
 def fit_mapping(image: Float[Array, " k"], field: Float[Array, " m"], degree: int = 2) -> Mapping:
-    """The least-squares polynomial through pairs of image [pixel] and field coordinates, by NumPy's `polyfit`.
+    """The least-squares polynomial through pairs of image [pixel] and field coordinates, by NumPy's `polyfit`. Host.
 
     Raises `ValueError` for fewer pairs than coefficients, pairs that are not finite, or too few different pixels.
     """

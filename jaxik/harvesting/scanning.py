@@ -116,7 +116,7 @@ def scan(
     margin: float = 0.005,
     grasp: Grasp | None = None,
 ) -> Scan:
-    """All candidates for a fruit: approach angles x leading joints x branches, with limits, clearance and freedom.
+    """All candidates for a fruit: approach angles x leading joints x branches, with limits, clearance and freedom. Host driver.
 
     `angles` and `slides` are counts or the values themselves, (m,) [rad] and (m, k) [m, rad]; of one slide (m,) too. The fruit
     itself is no obstacle. A candidate is SOLVED in `status` with at least `margin` [m] of clearance.

@@ -28,7 +28,7 @@ def implicit_ik(
     task: Task = POSE,
     margin: float = 0.0,
 ) -> Implicit:
-    """A solution `q` (n,) as a differentiable function of the target, the chain's numbers and the scene.
+    """A solution `q` (n,) as a differentiable function of the target, the chain's numbers and the scene. Traced.
 
     `x` is q; its derivative is that of the solution that moves on with them: `q` minimises `cost` over what the task leaves
     free, or, without one, moves as little as possible, `dq = -J+ dr`. Joints on their limits and links at `margin` [m] from the

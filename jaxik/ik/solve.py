@@ -6,7 +6,9 @@ Several tips at once are out of scope.
 from __future__ import annotations
 
 import dataclasses
+import functools
 import sys
+import warnings
 from collections.abc import Callable, Iterator
 from typing import Any
 
@@ -15,11 +17,12 @@ import jax.numpy as jnp
 import numpy as np
 
 from jaxik.checks.arrays import RIGID, numbers
-from jaxik.checks.options import changed
+from jaxik.checks.options import changed, check_kind
 from jaxik.collision.clearances import check_geometry
-from jaxik.collision.contacts import explain
+from jaxik.collision.contacts import Contact, explain
 from jaxik.collision.hierarchy import Grouped
 from jaxik.collision.scene import Scene
+from jaxik.collision.standing import warn_of_scene
 from jaxik.costs import comfort_cost, joint_limit_margin
 from jaxik.ik import lanes
 from jaxik.ik.cheapest import costs
@@ -30,6 +33,7 @@ from jaxik.ik.search import Outcome, search
 from jaxik.reasons import Reason, Reasoned
 from jaxik.robot.chain import Chain
 from jaxik.robot.kinematics import manipulability
+from jaxik.robot.reach_bound import millimetres
 from jaxik.robot.task import Task
 from jaxik.robot.turns import admissible_turns
 from jaxik.spmd import HostKernel
@@ -37,6 +41,22 @@ from jaxik.spmd.batch import in_blocks
 
 TARGETS = 16_384  # at a time, which bounds the memory
 DEFAULT = IKOptions()
+FAULTS = (  # of a target that is no pose, by the number in `IKResult.fault`
+    "",
+    "its position holds NaN or infinity",
+    "its rotation is 0, as of a quaternion of length 0",
+    "its rotation holds NaN or infinity",
+    "its last row is not 0 0 0 1",
+    f"its rotation R scales or shears: R'R is further than {RIGID:g} from 1",
+    "its rotation mirrors: its determinant is -1",
+)
+
+
+class Offenders(tuple[tuple[Contact, ...], ...]):
+    """What stands in the way of each target of a batch, which prints as a line a target that has any."""
+
+    def __str__(self) -> str:
+        return "\n".join(f"target {i}: {'; '.join(map(str, each))}" for i, each in enumerate(self) if each)
 
 
 @jax.tree_util.register_dataclass
@@ -48,7 +68,8 @@ class IKResult(Reasoned):
     q (n,) [rad, m] is the answer, or, where there is none, the nearest miss inside the limits (NaN for a target that is invalid
     or proven out of reach: it is not searched for). position_error [m] and rotation_error [rad] belong to q, in float64;
     clearance [m] too (NaN without a scene). seed is the number of the seed that led to q, iterations the SQP steps from there.
-    solutions (k, n) holds all different answers, best first, NaN where there are no more; num_solutions counts them.
+    solutions (k, n) holds all different answers, best first, NaN where there are no more; num_solutions counts them. fault is
+    what makes a target INVALID, a number of `FAULTS`, else 0; `why` says it in words.
     """
 
     q: Any
@@ -61,14 +82,22 @@ class IKResult(Reasoned):
     iterations: Any
     solutions: Any
     num_solutions: Any
+    fault: Any = 0
     solved_in: Any = dataclasses.field(default=None, repr=False, metadata={"static": True})  # chain, scene, margin
 
     @property
+    def why(self) -> Any:
+        """The reasons in words, of an INVALID target with what is wrong with it: text, or an array of texts."""
+        faults = np.array([f": {fault}" if fault else "" for fault in FAULTS])[np.asarray(self.fault, int)]
+        words = np.char.add(self.reasons, np.broadcast_to(faults, np.shape(self.reason)))
+        return words if words.ndim else str(words)
+
+    @functools.cached_property
     def offenders(self) -> tuple[Any, ...]:
         """What stands in the way of a target that ended in COLLISION: its `Contact`s below the margin at q, nearest first;
-        () for another reason. Of a batch one such tuple a target. Looked up when asked, some 10 ms a colliding target."""
+        () for another reason. Of a batch one such tuple a target, one line each in print. Looked up when first asked."""
         if np.ndim(self.reason):
-            return tuple(row.offenders for row in self)
+            return Offenders(row.offenders for row in self)
         if self.reason != Reason.COLLISION or self.solved_in is None:
             return ()
         chain, scene, margin = self.solved_in
@@ -86,7 +115,7 @@ class IKResult(Reasoned):
         return _entries({k: np.asarray(v)[None] for k, v in self._columns().items()}, self.solved_in)[rows]
 
     def _columns(self) -> dict[str, Any]:
-        return {k: v for k, v in vars(self).items() if k != "solved_in"}
+        return {f.name: getattr(self, f.name) for f in dataclasses.fields(self) if f.name != "solved_in"}
 
     def __iter__(self) -> Iterator[IKResult]:
         return (self[i] for i in range(len(self)))
@@ -107,24 +136,51 @@ def solve_ik(
     progress: Callable[[int], Any] | None = None,
     **changes: Any,
 ) -> IKResult:
-    """Configurations inside the limits whose tip has the target poses, `base_T_tip` (4, 4) or (N, 4, 4) [m]; or reasons.
+    """Configurations inside the limits whose tip has the target poses, `base_T_tip` (4, 4) or (N, 4, 4) [m]; or reasons. Host
+    driver.
+
+    Without a scene nothing is checked for collision, not even the robot against itself, and a `margin` is refused: give
+    `jaxik.make_scene()`, which is empty, for the robot alone.
 
     A task that binds no rotation takes positions too, (3,) or (N, 3). `changes` are fields of `IKOptions` by name. `progress`
     is called with the number of targets done. Deterministic: `seed` decides, and a target's result does not depend on the
     others.
 
     Reasons: SOLVED; OUT_OF_REACH, proven by the chain's reach bound or its closed form; LIMITS, found only beyond them;
-    COLLISION, found, but every one collides; NOT_CONVERGED; INVALID, the target is no pose.
+    COLLISION, found, but every one collides; NOT_CONVERGED; INVALID, the target is no pose (`why` says what is wrong with it).
 
-    Raises `ValueError` for arguments of a wrong shape, name or range.
+    Raises `ValueError` for arguments of a wrong shape, name or range. Warns of targets that look like millimetres, and of what
+    is in collision in every configuration.
     """
+    check_kind("solve_ik", "chain", chain, Chain)
+    if not isinstance(scene, tuple):  # which is grouped
+        check_kind("solve_ik", "scene", scene, Scene, optional=True)
     options = changed("solve_ik", options or DEFAULT, changes)
-    poses, valid, single = as_poses(targets, options.task)
-    if scene is None and options.choice == "clearance":
-        raise ValueError("solve_ik: choice 'clearance' needs a scene; for the robot alone give jaxik.make_scene()")
+    poses, fault, single = as_poses(targets, options.task)
+    if scene is None and (options.choice == "clearance" or options.margin):
+        asked = "choice 'clearance'" if options.choice == "clearance" else f"margin {options.margin:g}"
+        raise ValueError(f"solve_ik: {asked} needs a scene; for the robot alone give jaxik.make_scene()")
     if scene is not None:
         check_geometry(chain)
-    problem = Problem.of(chain, scene, seed, options, len(poses))
+    if isinstance(scene, Scene):
+        warn_of_scene("solve_ik", chain, scene, options.margin)
+    if doubt := millimetres(chain, poses[fault == 0, :3, 3]):
+        warnings.warn(f"solve_ik: {doubt}", stacklevel=2)
+    result = solved(chain, poses, fault, scene, seed, options, progress)
+    return result[0] if single else result
+
+
+def solved(
+    chain: Chain,
+    poses: np.ndarray,
+    fault: np.ndarray,
+    scene: Scene | Grouped | None,
+    seed: int,
+    options: IKOptions,
+    progress: Callable[[int], Any] | None = None,
+) -> IKResult:
+    """`solve_ik` of many, once what was given is checked and told: `poses` and `fault` as `as_poses` gives them."""
+    problem, valid = Problem.of(chain, scene, seed, options, len(poses)), fault == 0
     parts = []
     for start in range(0, max(1, len(poses)), TARGETS):
         rows = slice(start, start + TARGETS)
@@ -133,8 +189,7 @@ def solve_ik(
         if progress:
             progress(min(start + TARGETS, len(poses)))
     joined = parts[0] if len(parts) == 1 else {k: np.concatenate([p[k] for p in parts]) for k in parts[0]}
-    result = IKResult(**joined, solved_in=None if scene is None else (chain, scene, options.margin))
-    return result[0] if single else result
+    return IKResult(**joined, fault=fault, solved_in=None if scene is None else (chain, scene, options.margin))
 
 
 def _entries(columns: dict[str, Any], solved_in: Any) -> IKResult:
@@ -144,7 +199,8 @@ def _entries(columns: dict[str, Any], solved_in: Any) -> IKResult:
 
 
 def as_poses(targets: Any, task: Task) -> tuple[np.ndarray, np.ndarray, bool]:
-    """Target poses (N, 4, 4) with their rotations made orthonormal, which of them are poses, and whether it is a single one."""
+    """Target poses (N, 4, 4) with their rotations made orthonormal, what is wrong with each (N,), a number of `FAULTS`, 0 of a
+    pose, and whether it is a single one."""
     if isinstance(targets, jax.core.Tracer):
         mend = "jit or vmap jaxik.ik.descend, or differentiate an answer by jaxik.implicit_ik"
         raise ValueError(f"solve_ik: targets are traced, and it is a driver on the host; {mend}")
@@ -158,8 +214,26 @@ def as_poses(targets: Any, task: Task) -> tuple[np.ndarray, np.ndarray, bool]:
     if poses.ndim not in (2, 3) or poses.shape[-2:] != (4, 4):
         also = " or positions (3,), (N, 3)" if not task.rotations else ""
         raise ValueError(f"targets have shape {given.shape}; allowed: poses (4, 4) or (N, 4, 4){also}")
-    cleaned, valid = in_blocks(RIGID_POSE, poses.reshape(-1, 4, 4), double=True)
-    return cleaned, valid, poses.ndim == 2
+    each = poses.reshape(-1, 4, 4)
+    cleaned, valid = in_blocks(RIGID_POSE, each, double=True)
+    fault = np.zeros(len(each), np.int8)
+    fault[~valid] = [_fault(pose) for pose in each[~valid]]
+    return cleaned, fault, poses.ndim == 2
+
+
+def _fault(pose: np.ndarray) -> int:
+    """Which of `FAULTS` a matrix (4, 4) that is no pose has."""
+    rotation, last = pose[:3, :3], np.abs(pose[3] - [0.0, 0.0, 0.0, 1.0])
+    if not np.isfinite(pose[:3, 3]).all():
+        return 1
+    if not rotation.any():
+        return 2
+    if not np.isfinite(rotation).all():
+        return 3
+    if not last.max() <= RIGID:
+        return 4
+    with np.errstate(over="ignore"):
+        return 5 if np.abs(rotation.T @ rotation - np.eye(3)).max() > RIGID else 6
 
 
 def _rigid_pose(pose: Any) -> tuple[Any, Any]:

@@ -58,8 +58,8 @@ def boundary_value(
     max_nodes: int = 20000,
 ) -> Boundary:
     """Solve it over the horizon from q (n,), beginning with `guess` or, on `nodes` equal steps, with the instantaneous motion's
-    q, and u = lambda = 0. Runs on the host. Raises `ValueError` for a q of another shape, a duration that is not positive, a
-    path that `motion` refuses, and counts or a tolerance that are none."""
+    q, and u = lambda = 0. Host driver. Raises `ValueError` for a q of another shape, a duration that is not positive, a path
+    that `motion` refuses, and counts or a tolerance that are none."""
     from scipy.integrate import simpson, solve_bvp
 
     check_path("boundary value", path, duration)

@@ -110,6 +110,7 @@ def follow(
     **changes: Any,
 ) -> Followed:
     """The motion from q (n,), at rest, along `path`, timed over `duration` [s]; `cost` is what the null space goes down.
+    Host driver.
 
     With q (b, n) it is b motions in one call; `each` names what else has one entry a motion ("path", "duration"). `changes`
     are fields of `FollowOptions` by name.

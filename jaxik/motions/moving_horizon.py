@@ -148,8 +148,8 @@ def follow_predictively(
     control: MovingHorizon, path: Path, duration: float, q: Any, given: Callable[[float], Any] | Any = None, until: Any = None
 ) -> Moved:
     """The whole motion from q (n,), to `until` [s], by default the path's end. `given` may be a function of the time [s]: of a
-    scene that moves. Raises `ValueError` for what is no path, a duration that is not positive, and an `until` before the first
-    sample."""
+    scene that moves. Host driver. Raises `ValueError` for what is no path, a duration that is not positive, and an `until`
+    before the first sample."""
     check_path("moving horizon", path, duration)
     dt = control.horizon.dt
     until = float(duration) if until is None else until

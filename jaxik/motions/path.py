@@ -36,10 +36,14 @@ class Motion(NamedTuple):
 
 
 class Line(Pytree):
-    """A straight line from `start` to `end` (4, 4), turning about one axis by the shorter way."""
+    """A straight line from `start` to `end` (4, 4), turning about one axis by the shorter way. Raises `ValueError` for what is
+    known to be no rigid frame, as `Arc` does."""
 
     start: Float[Array, "4 4"]
     end: Float[Array, "4 4"]
+
+    def __post_init__(self) -> None:
+        _check_frames("line", start=self.start, end=self.end)
 
     def pose(self, s: Any) -> Any:
         """Position (3,) and rotation (3, 3) at s."""
@@ -57,6 +61,9 @@ class Arc(Pytree):
     axis: Float[Array, "3"]
     angle: Float[Array, ""] | float
     turning: bool = static(default=True)
+
+    def __post_init__(self) -> None:
+        _check_frames("arc", start=self.start)
 
     def pose(self, s: Any) -> Any:
         """Position (3,) and rotation (3, 3) at s."""
@@ -92,6 +99,13 @@ class Curve(Pytree):
 
 
 Path = Line | Arc | Curve
+
+
+def _check_frames(who: str, **frames: Any) -> None:
+    """Raises a `ValueError` of one line for a known frame (4, 4) that is not rigid; one of many has a reason instead."""
+    for name, frame in frames.items():
+        if isinstance(frame, np.ndarray | jax.Array) and is_known(frame) and frame.shape == (4, 4):
+            rigid_frame(f"{who}: {name}", frame)
 
 
 def _fields(who: str, **fields: tuple[Any, tuple[int, ...]]) -> list[Any]:
@@ -134,7 +148,7 @@ def check_path(who: str, path: Path, duration: Any, rows: tuple[int, ...] = ()) 
 
 
 def via(poses: Any) -> Curve:
-    """The curve through poses (k, 4, 4) or positions (k, 3), k >= 2, reached at times in proportion to their distances.
+    """The curve through poses (k, 4, 4) or positions (k, 3), k >= 2, reached at times in proportion to their distances. Host.
 
     Each pose may be turned by less than pi from the first, and so may what lies between two, by the shorter way. Raises
     `ValueError` for one that is, for another shape, for what is no pose, and for equal neighbours.
@@ -182,7 +196,7 @@ def _via_values(poses: Any) -> tuple[np.ndarray, np.ndarray]:
 
 
 def motion(path: Path, duration: Any, t: Any) -> Motion:
-    """What `path` asks at time t [s], which may be an array. Traced; `duration` > 0 [s].
+    """What `path` asks at time t [s], which may be an array, timed over `duration` > 0 [s]. Traced.
 
     Raises `ValueError` for a duration that is known not to be, for a path whose arrays have other shapes, and for one whose
     frames are known and not rigid, or whose axis is no direction; where they are traced, the motion is NaN.

@@ -19,6 +19,7 @@ from __future__ import annotations
 
 import dataclasses
 import functools
+import inspect
 from collections.abc import Callable, Sequence
 from typing import Any, Literal, NamedTuple
 
@@ -47,7 +48,7 @@ RunningCost = Callable[..., Any]  # (q, qdot, input, t), and what is given, if a
 
 
 def quadratic_cost(position: Callable[..., Any] | None = None, velocity: float = 2.0, effort: float = 2.0) -> RunningCost:
-    """`l = H(q) + velocity/2 qdot'qdot + effort/2 w'w`. Source: Schuetz 2017, (5.11)-(5.14).
+    """`l = H(q) + velocity/2 qdot'qdot + effort/2 w'w`. Traced. Source: Schuetz 2017, (5.11)-(5.14).
 
     `position` is H, of q and, if something is given to the cost (a scene, weights), of that.
     """
@@ -231,6 +232,18 @@ def _judged(chain: Chain, horizon: Horizon, run: ocp.Run, ahead: Future) -> tupl
     return seen.error, seen.damping, *diagnose(chain, horizon.task, course, horizon.tolerance, keep=True)
 
 
+def _check_arguments(cost: RunningCost, count: int) -> None:
+    """Raises a `ValueError` of one line for a cost that does not take so many arguments."""
+    try:
+        inspect.signature(cost).bind(*[None] * count)
+    except TypeError:
+        takes = "(q, qdot, input, t)" if count == 4 else "(q, qdot, input, t, given)"
+        mend = "of q alone it is jaxik.motions.quadratic_cost(position=...)"
+        raise ValueError(f"predict: the cost is a function of {takes}; {mend}") from None
+    except ValueError:  # of what has no signature nothing is known
+        return
+
+
 def predict(
     chain: Chain,
     path: Path,
@@ -243,7 +256,7 @@ def predict(
     each: Sequence[str] = (),
     **changes: Any,
 ) -> Prediction:
-    """The null-space motion from q (n,) along `path`, timed over `duration` [s], within the horizon.
+    """The null-space motion from q (n,) along `path`, timed over `duration` [s], within the horizon. Traced.
 
     `guess` (count, n) is the first input, 0 unless given. `given`, any pytree, is handed to the cost as its last argument: what
     may change from call to call without compiling again. With q (b, n) it is b scenarios in one call, every field of the result
@@ -259,6 +272,7 @@ def predict(
     shape = (rows, chain.num_joints)
     check_each("predict", each, Each)
     check_path("predict", path, duration, q.shape[:1] if "duration" in each else ())
+    _check_arguments(cost, 4 + (given is not None))
     many = q.ndim == 2
     if guess is None:
         w: Any = np.zeros(shape, q.dtype)
@@ -304,7 +318,7 @@ def multistart(
     given: Any = None,
     **changes: Any,
 ) -> Prediction:
-    """`predict` from `starts` first inputs, the best first: 0, and smooth random ones, for the global picture.
+    """`predict` from `starts` first inputs, the best first: 0, and smooth random ones, for the global picture. Host driver.
 
     A random input is a sum of the first five cosines of the horizon, of random amplitudes [`spread` rad/s2 or rad/s] that fall
     with their frequency, so that it moves the arm and does not shake it. Raises `ValueError` as `predict` does, and for a

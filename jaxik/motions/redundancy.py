@@ -79,8 +79,9 @@ def resolve_velocity(
     box: Box | None = None,
 ) -> Resolved:
     """The joint velocities that follow `motion` and otherwise come nearest to u [rad/s, m/s], by the norm of `weights` (n,).
+    Traced.
 
-    `gain` [1/s] pulls the tip back to its path. `box` holds what the velocities must lie between. Traced. Raises `ValueError`
+    `gain` [1/s] pulls the tip back to its path. `box` holds what the velocities must lie between. Raises `ValueError`
     for an array of another shape, and for weights that are known and not above zero.
     """
     q = as_configuration(chain, q)
@@ -101,10 +102,10 @@ def resolve_acceleration(
     floor: float = FLOOR,
     box: Box | None = None,
 ) -> Resolved:
-    """The joint accelerations that follow `motion` and otherwise come nearest to u [rad/s2, m/s2].
+    """The joint accelerations that follow `motion` and otherwise come nearest to u [rad/s2, m/s2]. Traced.
 
     `gains` (K [1/s2], K' [1/s]) pull the tip back to its path; K' = 2 sqrt(K) without overshoot. `box` holds what the
-    accelerations must lie between. Traced. Raises `ValueError` as `resolve_velocity` does.
+    accelerations must lie between. Raises `ValueError` as `resolve_velocity` does.
     """
     q = as_configuration(chain, q)
     at = _At(chain, q, motion, task)
@@ -116,7 +117,7 @@ def resolve_acceleration(
 
 
 def rmrc(chain: Chain, q: Float[Array, " n"], motion: Motion, **options: Any) -> Resolved:
-    """Resolved motion rate control: the least joint velocities. Options are those of `resolve_velocity`."""
+    """Resolved motion rate control: the least joint velocities. Options are those of `resolve_velocity`. Traced."""
     return resolve_velocity(chain, q, motion, jnp.zeros(chain.num_joints), **options)
 
 
@@ -129,7 +130,7 @@ def asc(
     weights: Any = None,
     **options: Any,
 ) -> Resolved:
-    """Automatic supervisory control: down the gradient of `cost` by `alpha` in the null space."""
+    """Automatic supervisory control: down the gradient of `cost` by `alpha` in the null space. Traced."""
     return resolve_velocity(chain, q, motion, _downhill(chain, q, cost, alpha, weights), weights=weights, **options)
 
 
@@ -144,7 +145,7 @@ def rac(
     weights: Any = None,
     **options: Any,
 ) -> Resolved:
-    """Resolved acceleration control: down the gradient of `cost`, the null-space velocity damped by `damping` [1/s]."""
+    """Resolved acceleration control: down the gradient of `cost`, the null-space velocity damped by `damping` [1/s]. Traced."""
     u = _downhill(chain, q, cost, alpha, weights) - damping * as_configuration(chain, qdot)
     return resolve_acceleration(chain, q, qdot, motion, u, weights=weights, **options)
 

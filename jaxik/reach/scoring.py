@@ -45,7 +45,7 @@ def reach_score(
     temperature: Any = 0.05,
 ) -> Float[Array, ""]:
     """In (0, 1): how well a target can be picked by any of k postures `q` (k, n), at its alternative poses `world_T_tip`; above
-    1/2 where one of them is clear, inside the limits and there.
+    1/2 where one of them is clear, inside the limits and there. Traced.
 
         score = sigmoid(T log sum_k exp(worth_k / T) / 0.2),   worth_k = -T log sum_i exp(-margin_ki / T) - short_k / 30 mm
 
@@ -67,7 +67,7 @@ def log_reach_score(
     temperature: Any = 0.05,
 ) -> Float[Array, ""]:
     """The logarithm of `reach_score`: what to add up over targets and climb, for it has a slope metres away too, where the
-    score itself is 0 to the last bit. Raises `ValueError` for other shapes."""
+    score itself is 0 to the last bit. Traced. Raises `ValueError` for other shapes."""
     poses, q = as_numbers("poses", poses), as_numbers("q", q)
     if poses.shape != (*q.shape[:1], 4, 4) or q.shape[1:] != (chain.num_joints,) or not len(q):
         raise ValueError(
@@ -115,8 +115,9 @@ def _twist(tip: Any, wanted: Any) -> Any:
 def likely_postures(
     chain: Chain, scene: Scene | None, poses: np.ndarray, count: int = 8, slides: Any = 11, margin: float = 0.005
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Of one target's alternative poses `world_T_tip` (a, 4, 4) the `count` most promising (count, 4, 4), with postures
-    (count, n): of all branches at `slides` positions of each leading joint, past limits and reach too, those of the best worth.
+    """Of one target's alternative poses `world_T_tip` (a, 4, 4) the `count` most promising (count, 4, 4), with postures (count,
+    n): of all branches at `slides` positions of each leading joint, past limits and reach too, those of the best worth. Host
+    driver.
 
     A host function for chains with a closed form; others take the answers of `solve_ik`. Raises `ValueError` where the chain
     has none, or no pose is one.

@@ -263,7 +263,7 @@ def finite_range(chain: Chain, lower: Any, upper: Any) -> tuple[np.ndarray, np.n
 
 
 def finite_limits(chain: Chain) -> tuple[np.ndarray, np.ndarray]:
-    """`finite_range` of the chain's own limits."""
+    """`finite_range` of the chain's own limits. Host."""
     check_kind("finite_limits", "chain", chain, Chain)
     return finite_range(chain, chain.lower, chain.upper)
 
@@ -300,6 +300,6 @@ def as_configuration(chain: Chain, q: Any) -> Float[Array, " n"]:
 
 
 def within_limits(chain: Chain, q: Any) -> Bool[Array, ""]:
-    """Whether `q` (n,) [rad, m] lies inside the joint limits, bounds included."""
+    """Whether `q` (n,) [rad, m] lies inside the joint limits, bounds included. Traced."""
     q = as_configuration(chain, q)
     return jnp.all((q >= jnp.asarray(chain.lower, q.dtype)) & (q <= jnp.asarray(chain.upper, q.dtype)))

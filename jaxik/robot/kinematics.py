@@ -89,7 +89,7 @@ def _frames(chain: Chain, q: Any) -> tuple[JointFrames, Any]:
 
 @kernel(models=1)
 def forward_kinematics(chain: Chain, q: Float[Array, " n"]) -> Float[jax.Array, "4 4"]:
-    """The tip frame in the base frame, `base_T_tip` [m].
+    """The tip frame in the base frame, `base_T_tip` [m]. Traced.
 
     Raises `ValueError` where `q` is not of shape (n,). Source: Schuetz 2017, eq. (3.5).
     """
@@ -108,7 +108,7 @@ def pose_errors(chain: Chain, q: Sequence[Scalar], pose: Sequence[Scalar]) -> tu
 
 @kernel(models=1)
 def link_frames(chain: Chain, q: Float[Array, " n"]) -> Float[jax.Array, "l 4 4"]:
-    """The frame of every link of `chain.link_names`, fixed ones too, in the base frame [m]."""
+    """The frame of every link of `chain.link_names`, fixed ones too, in the base frame [m]. Traced."""
     frames, dtype = _frames(chain, q)
     snap = float(np.finfo(dtype).eps)
     moved = (BASE, *frames.joints)
@@ -127,7 +127,7 @@ def jacobian_columns(chain: Chain, frames: JointFrames) -> list[tuple[Scalar, ..
 
 @kernel(models=1)
 def jacobian(chain: Chain, q: Float[Array, " n"]) -> Float[jax.Array, "6 n"]:
-    """The geometric Jacobian at the tip's origin in base axes: `(v, omega) = J qdot`, linear rows first [m, rad].
+    """The geometric Jacobian at the tip's origin in base axes: `(v, omega) = J qdot`, linear rows first [m, rad]. Traced.
 
     Source: Craig 2005, ch. 5; Schuetz 2017, eq. (3.7).
     """
@@ -138,7 +138,7 @@ def jacobian(chain: Chain, q: Float[Array, " n"]) -> Float[jax.Array, "6 n"]:
 
 @kernel(models=1)
 def bias_acceleration(chain: Chain, q: Float[Array, " n"], qdot: Float[Array, " n"]) -> Float[jax.Array, "6"]:
-    """`Jdot qdot`: the tip's acceleration with the joints unaccelerated, linear then angular, base axes [m/s2, rad/s2].
+    """`Jdot qdot`: the tip's acceleration with the joints unaccelerated, linear then angular, base axes [m/s2, rad/s2]. Traced.
 
     Source: Schuetz 2017, table 3.3, summed in base axes.
     """
@@ -163,7 +163,7 @@ def _carried(omega: Vec3, alpha: Vec3, r: Vec3) -> Vec3:
 
 @kernel(models=1)
 def manipulability(chain: Chain, q: Float[Array, " n"]) -> Float[jax.Array, ""]:
-    """Yoshikawa's measure `sqrt(det(J J'))`; 0 at a singularity, where its derivative is given as 0. [Yoshikawa 1985]
+    """Yoshikawa's measure `sqrt(det(J J'))`; 0 at a singularity, where its derivative is given as 0. [Yoshikawa 1985] Traced.
 
     With fewer than six joints J J' is singular everywhere, and the measure is `sqrt(det(J' J))`. The units are those of the
     product of the Jacobian's singular values.

@@ -80,7 +80,7 @@ class Geometry:
 
 @kernel(models=1)
 def closed_form(chain: Chain, pose: Float[Array, "4 4"], slide: Float[Array, "..."] | float | None = None) -> ClosedForm:
-    """All joint positions with `base_T_tip = pose` (4, 4) [m], for given leading joints `slide` [m, rad].
+    """All joint positions with `base_T_tip = pose` (4, 4) [m], for given leading joints `slide` [m, rad]. Traced.
 
     `slide` has shape () for one leading joint, (k,) for k, and is left out for none. Differentiable in both. Source: Van Henten
     et al. 2010, App. B, derived again for every arm of the family.
@@ -145,7 +145,7 @@ def one_branch(chain: Chain, pose: Any, leading: Any, number: Any) -> tuple[Any,
 
 
 def closed_form_obstacle(chain: Chain) -> str:
-    """Why the chain has no closed form here, or an empty string. Reads the chain's concrete numbers."""
+    """Why the chain has no closed form here, or an empty string. Reads the chain's concrete numbers. Host."""
     check_kind("closed_form", "chain", chain, Chain)
     if not all(isinstance(x, np.ndarray) for x in (chain.parent_T_joint, chain.axis, chain.joint_T_tip)):
         return "its numbers are traced; closed_form reads them while tracing, so close over the chain"

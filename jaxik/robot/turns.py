@@ -34,7 +34,7 @@ def into_limits(chain: Chain, q: Float[Array, "*b n"]) -> tuple[Float[Array, "*b
 
 
 def admissible_turns(chain: Chain, q: Float[Array, " n"], lower: Any = None, upper: Any = None) -> Float[np.ndarray, "m n"]:
-    """Every configuration inside the limits that differs from `q` (n,) by full turns of revolute joints. On the host.
+    """Every configuration inside the limits that differs from `q` (n,) by full turns of revolute joints. Host.
 
     `lower` and `upper` (n,) are narrower limits than the chain's [rad, m]. A joint without both limits keeps its value.
     Raises `ValueError` for another shape.

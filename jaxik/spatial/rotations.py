@@ -108,12 +108,12 @@ def about(axis: np.ndarray, angle: float) -> np.ndarray:
 
 
 def rotation_log(rotation: Any) -> Any:
-    """The rotation vector (3,) of a rotation (3, 3) [rad]."""
+    """The rotation vector (3,) of a rotation (3, 3) [rad]. Traced."""
     return jnp.stack([jnp.asarray(x) for x in rotation_vector(Rot3.of(traced(rotation)))])
 
 
 def rotation_exp(vector: Any) -> Any:
-    """The rotation (3, 3) of a rotation vector (3,) [rad] (Rodrigues), with all derivatives at 0."""
+    """The rotation (3, 3) of a rotation vector (3,) [rad] (Rodrigues), with all derivatives at 0. Traced."""
     x, y, z = vector
     cross = jnp.array([[0.0, -1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, 0.0]]) * z
     cross += jnp.array([[0.0, 0.0, 1.0], [0.0, 0.0, 0.0], [-1.0, 0.0, 0.0]]) * y

@@ -54,7 +54,7 @@ def _many(count: int, what: str, ending: str = "s") -> str:
 
 
 def explain(function: Callable[..., Any], *args: Any) -> Explanation:
-    """What a kernel of `function` is, or why there is none.
+    """What a kernel of `function` is, or why there is none. Host.
 
     `args` are like those of one configuration, pytrees of arrays or numbers: only shapes and types count, in the width that
     JAX is set to. `function` is as it would be given to `kernel`, or came from it; not its `vmap`. Arguments of more than 64

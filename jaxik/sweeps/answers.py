@@ -16,7 +16,7 @@ from jaxik.collision.hierarchy import Grouped, grouped
 from jaxik.collision.scene import Scene, make_scene, remembered
 from jaxik.costs import joint_limit_margin
 from jaxik.harvesting.scanning import measures
-from jaxik.ik.solve import IKResult, as_poses, solve_ik
+from jaxik.ik.solve import IKResult, as_poses, solved
 from jaxik.reach.certify import beyond, certify
 from jaxik.reach.leading import NOTHING, arm_of, first_most, freest, grid, leading_grid
 from jaxik.reasons import Reason
@@ -80,7 +80,8 @@ def answer(study: Study, variant: Variant, rows: slice) -> dict[str, np.ndarray]
     base_T_frame = base_T_world if study.targets.frame == "world" else None
     poses, valid = study.targets.part(rows.start, rows.stop, base_T_frame), np.ones(count, bool)
     if study.targets.poses is not None:  # someone else's, who may have got them wrong
-        poses, valid, _ = as_poses(poses, study.ik.task)
+        poses, fault, _ = as_poses(poses, study.ik.task)
+        valid = fault == 0
     around = _Crops.of(study, chain, rows, base_T_world) if study.collision else None
     solve = _closed_form if study.method(chain) == "closed form" else _search
     found = given_columns(study.targets, rows) | solve(study, _at_home(chain), poses, valid, around)
@@ -399,7 +400,7 @@ def _search(study: Study, chain: Chain, poses: np.ndarray, valid: np.ndarray, ar
 
 
 def _searched(study: Study, chain: Chain, poses: np.ndarray, scene: Grouped | None) -> dict[str, np.ndarray]:
-    found: IKResult = solve_ik(chain, poses, scene, study.seed, study.ik)
+    found: IKResult = solved(chain, *as_poses(poses, study.ik.task)[:2], scene, study.seed, study.ik)
     columns = _no_answer(chain, len(poses))
     rows = np.flatnonzero(found.success)
     worth = in_blocks(_worth(chain), found.q[rows], poses[rows], double=True) if len(rows) else []

@@ -9,6 +9,7 @@ import itertools
 import operator
 import os
 import re
+import warnings
 from collections import deque
 from collections.abc import Callable, Iterator, Mapping
 from concurrent.futures import Future, ThreadPoolExecutor
@@ -19,6 +20,8 @@ import numpy as np
 
 from jaxik.checks.extras import optional
 from jaxik.checks.options import shown
+from jaxik.collision.scene import Scene
+from jaxik.collision.standing import scene_words
 from jaxik.reasons import Reason
 from jaxik.sweeps.answers import answer
 from jaxik.sweeps.auditing import audit
@@ -26,6 +29,7 @@ from jaxik.sweeps.store import Store, StoreError
 from jaxik.sweeps.study import Study
 
 Columns = dict[str, np.ndarray]
+ASKED = 64  # variants, at most, that are asked what they collide with for good
 AHEAD = 2  # chunks at a time in this process: what one does on the host alone, the other spends in compiled blocks
 
 
@@ -57,7 +61,8 @@ def sweep(
     progress: Callable[[int, int], Any] | None = None,
     stop: Callable[[], bool] = lambda: False,
 ) -> Sweep:
-    """Answers all targets of a study that the store `out` does not hold yet; killed at any moment, a rerun goes on.
+    """Answers all targets of a study that the store `out` does not hold yet; killed at any moment, a rerun goes on. Host
+    driver.
 
     `study` is a TOML file, the same as nested dictionaries, or a `Study`. `shard` (i, n) or "i/n" does every n-th chunk, so
     that n processes, one for each i, fill one store. `cluster` is the address of a Dask scheduler whose workers compute. With
@@ -74,6 +79,8 @@ def sweep(
     mine = np.arange(first - 1, len(read.variants) * read.chunks, every)
     finished = store.finished()
     todo = [int(n) for n in mine if not finished[n] or not _intact(store, int(n), repair)]
+    if todo and read.scene is not None:
+        _warn_of_scene(read, read.scene)
     total = sum(_size(read, int(n)) for n in mine)
     done = total - sum(_size(read, n) for n in todo)
     if progress:
@@ -83,6 +90,15 @@ def sweep(
         if progress:
             progress(done, total)
     return _ended(store, repair)
+
+
+def _warn_of_scene(study: Study, scene: Scene) -> None:
+    """Warns once of what collides whatever the joints do, and in how many of the first variants."""
+    found = [words for v in study.variants[:ASKED] for words in scene_words(v.chain, scene, study.margin)[:1]]
+    if found:
+        asked = min(ASKED, len(study.variants))
+        some = f" (and so for {len(found)} of the first {asked} robots and bases)" if asked > 1 else ""
+        warnings.warn(f"sweep: {found[0]}{some}", stacklevel=3)
 
 
 def _size(study: Study, number: int) -> int:

@@ -14,6 +14,7 @@ from jaxik.collision.scene import Scene
 from jaxik.files import load, load_scene
 from jaxik.files.targets import read_targets
 from jaxik.files.toml import Table
+from jaxik.fitting.capsules import Fit
 from jaxik.harvesting.grasp import Grasp
 from jaxik.harvesting.scanning import Weights
 from jaxik.ik.options import IKOptions
@@ -27,7 +28,7 @@ from jaxik.sweeps.variants import all_variants, read_shapes
 
 KEYS = (
     *("name", "robot", "robots", "base", "parameters", "collision", "tool", "targets", "ik"),
-    *("seed", "slides", "refine", "chunk", "audited", "origin"),
+    *("seed", "slides", "refine", "chunk", "audited", "origin", "ignore"),
 )
 
 
@@ -82,25 +83,16 @@ def _robots(table: Table, folder: Path) -> list[tuple[str, Chain]]:
     given = table.content.get("robots", table.content.get("robot"))
     if given is None or ("robots" in table.content and "robot" in table.content):
         raise table.fail("no robot" if given is None else "'robot' and 'robots' say the same", 'write robot = "p6r"')
-    found = []
+    found, ignore = [], table.listed("ignore")
     for i, each in enumerate(given if isinstance(given, list | tuple) else [given]):
         if isinstance(each, Chain):
+            if ignore:
+                raise table.fail(f"ignore, and robot {i + 1} is a Chain", "load it with ignore=")
             found.append((each.name, each))
         elif isinstance(each, str):
-            found.append((Path(each).stem, load(_file(folder, each))))
+            found.append((Path(each).stem, load(_file(folder, each), ignore=ignore)))
         elif isinstance(each, dict):
-            row = Table(table.path, f"robots {i + 1}", each)
-            file = row.text("file")
-            options = {k: row.text(k) for k in ("tip", "base") if k in each}
-            row.asked.update(("meshes", "tip", "base"))
-            srdf = _file(folder, row.text("srdf")) if "srdf" in each else None
-            row.asked.update(("srdf", "posture"))
-            label, meshes = row.text("name", Path(file).stem), each.get("meshes", False)
-            if not isinstance(meshes, bool):
-                raise row.fail(f"meshes = {str(meshes)[:40]!r}", "write meshes = true, or false")
-            chain = load(_file(folder, file), **options, srdf=srdf, meshes=meshes, posture=_posture(row))
-            row.close()
-            found.append((label, chain))
+            found.append(_robot(Table(table.path, f"robots {i + 1}", each), folder, ignore))
         else:
             raise table.fail(f"robot {i + 1} is {type(each).__name__}", "write a shipped model's name, a file, or a table")
     if not found or len({label for label, _ in found}) < len(found):
@@ -116,6 +108,29 @@ def _posture(row: Table) -> dict[str, float] | None:
     found = {joint: held.number(joint, "plain") for joint in list(held.content)}
     held.close()
     return found
+
+
+def _robot(row: Table, folder: Path, ignore: list[Any]) -> tuple[str, Chain]:
+    """A robot's name in the study, and its chain: the keys are the arguments of `jaxik.load`."""
+    given = row.content
+    row.asked.update(("meshes", "tip", "base", "srdf", "posture"))
+    options: dict[str, Any] = {k: row.text(k) for k in ("tip", "base") if k in given}
+    file, meshes = row.text("file"), given.get("meshes", False)
+    if not isinstance(meshes, bool):
+        raise row.fail(f"meshes = {str(meshes)[:40]!r}", "write meshes = true, or false")
+    if "srdf" in given:
+        options["srdf"] = _file(folder, row.text("srdf"))
+    fit = row.table("fit")
+    if fit.content:
+        accuracy, most = fit.number("accuracy", "length", Fit().accuracy), _count(fit, "most", Fit().most)
+        fit.close()
+        options["fit"] = Fit(accuracy, most)
+    tool = row.array("tool", "plain", (4, 4), np.eye(4))
+    label = row.text("name", Path(file).stem)
+    options["ignore"] = [*ignore, *row.listed("ignore")]
+    options["posture"] = _posture(row)
+    row.close()
+    return label, load(_file(folder, file), meshes=meshes, tool=tool if "tool" in given else None, **options)
 
 
 def _bases(table: Table) -> list[tuple[str, np.ndarray]]:
@@ -233,6 +248,9 @@ def _given_targets(row: Table, folder: Path, frame: str, grasp: Grasp) -> Target
 
 
 def _axis(row: Table, key: str) -> np.ndarray:
+    given = next((row.content[k] for k in (key, f"{key}_mm", f"{key}_cm") if k in row.content), [0, 0, 1])
+    if not (isinstance(given, list | tuple | np.ndarray) and len(given) == 3):
+        raise row.fail(f"'{key}' is not 3 numbers, from, to, count", f"write e.g. {key} = [-0.5, 0.5, 11]")
     low, high, _ = row.array(key, "length", (3,))
     count = next(float(row.content[k][2]) for k in row.read if k in (key, f"{key}_mm", f"{key}_cm"))  # which has no unit
     if not (np.isfinite(low + high) and count.is_integer() and 1 <= count <= 10**6):

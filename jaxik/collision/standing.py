@@ -1,0 +1,74 @@
+"""What is in collision whatever the joints do, and what is ignored that is not there: told once, before a search."""
+
+from __future__ import annotations
+
+import dataclasses
+import sys
+import warnings
+
+from jaxik.checks.arrays import is_known
+from jaxik.checks.options import nearest
+from jaxik.collision.contacts import Contact, explain
+from jaxik.collision.scene import Scene, remembered
+from jaxik.collision.self_pairs import default_pose
+from jaxik.robot.chain import Chain
+
+KNOWN = 64  # robots and margins of which a scene remembers what stands in it
+
+
+def warn_of_scene(who: str, chain: Chain, scene: Scene, margin: float) -> None:
+    """Warns, in the name of the driver `who` and at its caller's line, of the first pair that collides in every configuration,
+    and of an object that is ignored and is in the scene by a name that is nearly its own."""
+    if is_known((chain, scene)):
+        for line in scene_words(chain, scene, margin):
+            warnings.warn(f"{who}: {line}", stacklevel=3)
+
+
+def scene_words(chain: Chain, scene: Scene, margin: float) -> list[str]:
+    """What there is to be told, a line each."""
+    return [*standing_words(chain, scene, margin), *_misspelt(chain, scene)]
+
+
+def standing_words(chain: Chain, scene: Scene, margin: float) -> list[str]:
+    """In words, the deepest of the pairs that cannot move apart and come nearer than `margin` [m]; none without one."""
+    known = remembered(scene, "standing", dict)
+    if (chain, margin) not in known:
+        if len(known) >= KNOWN:
+            known.clear()
+        known[chain, margin] = standing(chain, scene, margin)
+    if not (found := known[chain, margin]):
+        return []
+    worst, more = found[0], len(found) - 1
+    depth = (
+        f"collide by {-1e3 * worst.distance:.1f} mm" if worst.distance < 0.0 else f"stay {1e3 * worst.distance:.1f} mm apart"
+    )
+    besides = f", and {more} more pair{'s' * (more > 1)}" if more else ""
+    return [
+        f"{worst.link} and {worst.other} {depth} in every configuration{besides}; "
+        f'where that is meant, load the robot with ignore=[("{worst.link}", "{worst.other}")]'
+    ]
+
+
+def standing(chain: Chain, scene: Scene, margin: float) -> tuple[Contact, ...]:
+    """The pairs nearer than `margin` [m] that no joint moves, nearest first: a link that is fixed to the base with an object
+    or with another such link."""
+    still = lambda parts: tuple(part for part in parts if chain.link_joint[part.link] == 0)
+    boxes, volumes = still(chain.boxes), still(chain.volumes)
+    if not boxes and not volumes:
+        return ()
+    pairs = tuple(pair for pair in chain.self_pairs if not any(chain.link_joint[link] for link in pair))
+    fixed = dataclasses.replace(chain, boxes=boxes, volumes=volumes, self_pairs=pairs, pair_tables=())
+    return explain(fixed, scene, default_pose(chain), sys.maxsize, below=margin).contacts
+
+
+def _misspelt(chain: Chain, scene: Scene) -> list[str]:
+    """In words, each object that is ignored, is not there, and has nearly the name of one that is and is not ignored."""
+    told = []
+    for link, name in chain.ignored:
+        others = [each for each in scene.object_names if (link, each) not in chain.ignored]
+        meant = None if name == "*" or name in scene.object_names else nearest(name, others)
+        if meant:
+            told.append(
+                f"scene '{scene.name}' has no object '{name}', which {chain.link_names[link]} ignores; did you mean '{meant}'?"
+            )
+    return told

@@ -1,0 +1,74 @@
+"""What a driver tells before it searches: what collides whatever the joints do, names that are not there, other units."""
+
+import warnings
+
+import numpy as np
+import pytest
+
+import jaxik
+from jaxik.collision.standing import standing_words
+
+URDF = """<robot name="post">
+  <link name="foot"><collision><origin xyz="0 0 0.1"/><geometry><sphere radius="0.12"/></geometry></collision></link>
+  <link name="arm"><collision><origin xyz="0.3 0 0"/><geometry><sphere radius="0.05"/></geometry></collision></link>
+  <joint name="turn" type="revolute"><parent link="foot"/><child link="arm"/><origin xyz="0 0 0.5"/>
+    <axis xyz="0 0 1"/><limit lower="-2" upper="2" velocity="1" effort="1"/></joint>
+</robot>"""
+TARGET = np.eye(4) + np.pad([[0.0], [0.0], [0.5]], ((0, 1), (3, 0)))
+
+
+@pytest.fixture(scope="module")
+def post(tmp_path_factory):
+    file = tmp_path_factory.mktemp("robot") / "post.urdf"
+    file.write_text(URDF)
+    return lambda **options: jaxik.load(file, **options)
+
+
+@pytest.fixture(scope="module")
+def cell():
+    builder = jaxik.collision.SceneBuilder("cell")
+    floor = np.eye(4)
+    floor[2, 3] = -0.05
+    builder.add("floor", boxes=[(floor, (2.0, 2.0, 0.1))])
+    builder.add("rail", spheres=[[0.0, 1.0, 0.1, 0.1]])
+    return builder.scene()
+
+
+def test_what_stands_in_collision_is_told(post, cell):
+    with pytest.warns(UserWarning) as told:
+        result = jaxik.solve_ik(post(), TARGET, cell)
+    words = (
+        'foot and floor collide by 20.0 mm in every configuration; where that is meant, load the robot with ignore=[("foot", '
+    )
+    assert str(told[0].message) == f'solve_ik: {words}"floor")]' and len(told) == 1
+    assert result.reason == jaxik.Reason.COLLISION
+    assert "and 1 more pair;" in standing_words(post(), cell, 0.9)[0]  # with a margin the rail is too near as well
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        assert jaxik.solve_ik(post(ignore=[("foot", "floor")]), TARGET, cell)
+
+
+def test_a_misspelt_object_is_told(post, cell):
+    with pytest.warns(UserWarning) as told:
+        jaxik.solve_ik(post(ignore=[("foot", "flor")]), TARGET, cell)
+    assert "scene 'cell' has no object 'flor', which foot ignores; did you mean 'floor'?" in str(told[1].message)
+    assert standing_words(post(ignore=["foot", ("arm", "wall")]), cell, 0.0) == []  # of another scene
+
+
+def test_millimetres_are_told():
+    chain, far = jaxik.load("p6r"), np.eye(4)
+    far[0, 3] = 800.0
+    with pytest.warns(UserWarning, match=r"solve_ik: targets lie about 800 m from p6r, .*millimetres\?"):
+        assert jaxik.solve_ik(chain, far).reason == jaxik.Reason.OUT_OF_REACH
+
+
+def test_an_invalid_target_says_why():
+    chain, bad = jaxik.load("p6r"), np.tile(np.eye(4), (7, 1, 1))
+    bad[0, 0, 3], bad[1, :3, :3], bad[2, 1, 1], bad[3, 3, 0], bad[4, :3, :3] = np.nan, 0.0, np.nan, 2.0, 1.1 * np.eye(3)
+    bad[5, 0, 0] = -1.0
+    result = jaxik.solve_ik(chain, bad)
+    words = ("position holds NaN", "length 0", "rotation holds NaN", "last row", "scales", "mirrors")
+    assert all(word in why for word, why in zip(words, result.why, strict=False)) and result.why[6] == result.reasons[6]
+    assert result[1].why == "invalid: its rotation is 0, as of a quaternion of length 0" and list(result[5:].why) == [
+        *result.why[5:]
+    ]
