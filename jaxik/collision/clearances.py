@@ -90,10 +90,11 @@ def _around(who: str, chain: Chain, scene: Any, q: Any) -> Grouped:
 
 
 def _as_wide(around: Grouped, q: Any) -> Grouped:
-    """Its floats as wide as q: a kernel would narrow them one by one, for every few configurations anew."""
+    """Its floats as wide as JAX takes q: a kernel would narrow them one by one, for every few configurations anew."""
     wide = getattr(q, "dtype", None)
     if wide is None or not jnp.issubdtype(wide, jnp.floating):
         return around
+    wide = jax.dtypes.canonicalize_dtype(wide)  # of NumPy's float64 a float32, unless JAX is set to float64
     other = lambda x: x.dtype != wide and jnp.issubdtype(x.dtype, jnp.floating)
     return jax.tree_util.tree_map(lambda x: x.astype(wide) if other(x) else x, around)
 
