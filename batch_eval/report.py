@@ -1,4 +1,4 @@
-"""The tables of `docs/benchmarks.md` and the README, from the JSON files beside this one; `docs/benchmarks.py` puts them there."""
+"""The tables of `docs/benchmarks.md` and the README, from the JSON files beside this one (`docs/benchmarks.py`)."""
 
 from __future__ import annotations
 
@@ -142,14 +142,14 @@ def predictive_markdown(result: dict[str, Any]) -> str:
     many = next(row for row in result["scenarios"] if row["what"] == "10 iterations")
     lines += [
         "",
-        f"CasADi's gradient and jaxik's agree to {result['casadi_differs_by']['gradient']:.0e}. The first call of a process takes "
-        f"{result['first_call_s']:.1f} s.",
+        f"CasADi's gradient and jaxik's agree to {result['casadi_differs_by']['gradient']:.0e}. The first call of a process",
+        f"takes {result['first_call_s']:.1f} s.",
         f"256 pendulums at once (`predict`, 10 iterations) take {many['many_ms']:.0f} ms on two cores, one alone "
         f"{many['one_ms']:.1f} ms.",
         "",
         f"The pendulum of table 5.1 costs {best['speed']:.1f} + {best['collision']:.2f} by the thesis' count and at its gain of "
         "1/s, by which the tip drifts 3 cm,",
-        f"where the thesis finds 46 + 2.7; {100 * pendulum['share_within_1_percent']:.0f} % of 1,000 random first inputs end "
+        f"where the thesis finds 46 + 2.7; {100 * pendulum['share_within_1_percent']:.0f} % of 1,000 random first inputs end",
         "within 1 % of it in all. At samples of 1 ms quasi-Newton steps,",
         f"conjugate gradients, iLQR and the boundary value problem agree on it to {pendulum['spread']:.0e}.",
     ]

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import itertools
 import sys
 import tempfile
 from pathlib import Path
@@ -55,7 +56,9 @@ def kernels() -> None:
     """XLA's row of loops over a batch, and a kernel's one."""
     figure, axes = plt.subplots(1, 2, figsize=(10, 3.2))
     steps, columns = ("sines", "frames", "tip", "distance", "cost"), 16
-    for axis, title in zip(axes, ("XLA: a row of loops over the batch", "a kernel: one loop, all steps in registers"), strict=True):
+    for axis, title in zip(
+        axes, ("XLA: a row of loops over the batch", "a kernel: one loop, all steps in registers"), strict=True
+    ):
         axis.set(title=title, xlim=(-2.4, columns + 0.3), ylim=(-0.7, len(steps) + 0.6), xticks=[], yticks=[])
         axis.spines[:].set_visible(False)
         for row, name in enumerate(reversed(steps)):
@@ -147,11 +150,17 @@ def collision() -> None:
         here = float(np.interp(at, t, gap))
         reach = np.linspace(at, min(1.0, at + here / fastest), 2)
         axes[1].fill_between(reach, here - fastest * (reach - at), 0.0, color=ORANGE, alpha=0.25, lw=0)
-        axes[1].plot(reach, here - fastest * (reach - at), color=ORANGE, lw=1.2, label="cannot fall faster" if not count else None)
+        axes[1].plot(
+            reach, here - fastest * (reach - at), color=ORANGE, lw=1.2, label="cannot fall faster" if not count else None
+        )
         axes[1].plot(at, here, "o", color=RED, ms=4, label="measured" if not count else None)
         at, count = at + max(here / fastest, 1e-3), count + 1
     axes[1].axhline(0.0, color="black", lw=0.8)
-    axes[1].set(xlabel="fraction of the motion", ylabel="clearance [mm]", title=f"a whole motion is free: proven by {count} configurations")
+    axes[1].set(
+        xlabel="fraction of the motion",
+        ylabel="clearance [mm]",
+        title=f"a whole motion is free: proven by {count} configurations",
+    )
     axes[1].legend(fontsize=8, loc="upper right")
     _save(figure, "collision")
 
@@ -161,7 +170,7 @@ def between() -> None:
     jax.config.update("jax_enable_x64", True)
     chain, slides, depth = jaxik.load("p6r"), 11, 5
     rng = np.random.default_rng(1)
-    q = rng.uniform(chain.lower, chain.upper, (4000, 7))
+    q = rng.uniform(chain.lower, chain.upper, (20_000, 7))
     poses = np.asarray(jax.jit(jax.vmap(lambda q: jaxik.forward_kinematics(chain, q)))(q))
     fine = np.linspace(chain.lower[0], chain.upper[0], 2001)
     branches = jax.jit(
@@ -173,18 +182,24 @@ def between() -> None:
     for pose in poses:
         freedom = np.asarray(branches(pose))
         best = np.nanmax(np.nan_to_num(freedom, nan=-9.0), axis=1)
-        if best.max() > 0.01 and best[::every].max() < 0.0 and 0.2 < fine[best.argmax()] < 0.8:
+        if best.max() > 0.01 and best[:: every // 4].max() < 0.0 and np.isfinite(freedom).any(axis=1).mean() > 0.4:
             break
     else:
         raise SystemExit("no such target among these")
     figure, axes = plt.subplots(2, 1, figsize=(8, 5), sharex=True, height_ratios=(1.2, 1))
     axes[0].plot(fine, freedom, color=BLUE, lw=1.2)
     axes[0].axhline(0.0, color="black", lw=0.8)
-    axes[0].plot(fine[::every], np.maximum(best[::every], -0.97), "o", color=ORANGE, label="the grid: every branch is past a limit")
+    axes[0].plot(
+        fine[::every],
+        np.maximum(best[::every], -0.97),
+        "o",
+        color=ORANGE,
+        label="the grid: past a limit, or no branch at all (-1)",
+    )
     inside = np.where(best > 0.0, best, np.nan)
     axes[0].plot(fine, inside, color=GREEN, lw=4, label="inside the limits")
     axes[0].set(ylim=(-1.0, max(0.2, 1.4 * best.max())), ylabel="freedom of each branch\n(< 0: past a limit)")
-    axes[0].legend(fontsize=8, loc="lower right")
+    axes[0].legend(fontsize=8, loc="center left")
     axes[0].set_title("one target, all positions of the slide")
     _cells(axes[1], chain, pose, slides, depth)
     _save(figure, "between")
@@ -202,7 +217,7 @@ def _freedom(chain: jaxik.Chain, found: jaxik.robot.ClosedForm) -> Any:
 def _cells(axis: Any, chain: jaxik.Chain, pose: np.ndarray, slides: int, depth: int) -> None:
     """The intervals of the slide that `between` looks at, halved where they stay possible."""
     edges = np.linspace(chain.lower[0], chain.upper[0], slides)
-    cells = list(zip(edges[:-1], edges[1:], strict=True))
+    cells = list(itertools.pairwise(edges))
     shown: set[str] = set()
     for level in range(depth + 1):
         left = []
@@ -220,9 +235,11 @@ def _cells(axis: Any, chain: jaxik.Chain, pose: np.ndarray, slides: int, depth: 
         cells = left
         if kind_found := "found in its middle" in shown:
             break
-    axis.set(ylim=(level + 1.1, -0.1), xlabel="position of the slide [m]", ylabel="times halved", yticks=np.arange(level + 1) + 0.5)
+    axis.set(
+        ylim=(level + 1.1, -0.1), xlabel="position of the slide [m]", ylabel="times halved", yticks=np.arange(level + 1) + 0.5
+    )
     axis.set_yticklabels(range(level + 1))
-    axis.legend(fontsize=8, loc="lower right")
+    axis.legend(fontsize=8, loc="lower left")
     assert kind_found
 
 

@@ -63,7 +63,7 @@ def collides(chain: Chain, scene: Scene | Grouped | None, q: Float[Array, " n"],
     """Whether the robot comes nearer than `margin` [m] to the scene or to itself: `clearance < margin`, or NaN. Traced.
 
     What is further away than the margin is not measured, and the first that is nearer ends it. How much time that saves depends
-    on the robot and the batch: a fifth for P6R, three fifths with 64 times its spheres, nothing for some (README, tables).
+    on the robot and the batch: a fifth for P6R, three fifths with 64 times its spheres, nothing for some.
     """
     return _collides(chain, _around("collides", chain, scene, q), q, margin)
 
