@@ -453,3 +453,14 @@ def test_padding_and_removal_change_nothing_else():
     assert abs(jaxik.clearance(chain, scene, q) - least) <= 1e-12
     removed = scene.without([int(objects.argmin())])
     assert np.isinf(jaxik.collision.object_clearances(chain, removed, q)[objects.argmin()])
+
+
+def test_a_scene_first_seen_in_float64():
+    """NumPy's float64 is a float32 to JAX, and the scene's numbers must follow, however wide they were made first."""
+    chain, scene = jaxik.load("p6r"), jaxik.load_scene("cucumber_row")
+    q = np.full(7, 0.1)
+    distance = lambda q: jaxik.clearance(chain, scene, q)
+    with jax.enable_x64(True):
+        wide = jax.jit(distance)(q)
+    assert wide.dtype == np.float64
+    assert np.isclose(distance(q), wide, atol=1e-6)
