@@ -12,7 +12,7 @@ from scipy.optimize import minimize
 from scipy.spatial import cKDTree
 
 import jaxik
-from jaxik.collision import distance
+from jaxik.collision import clearances, distance
 from jaxik.collision.clearances import hierarchical_clearance, hierarchical_collision
 from jaxik.collision.hierarchy import grouped
 from jaxik.collision.nearest import Space
@@ -455,12 +455,10 @@ def test_padding_and_removal_change_nothing_else():
     assert np.isinf(jaxik.collision.object_clearances(chain, removed, q)[objects.argmin()])
 
 
-def test_a_scene_first_seen_in_float64():
-    """NumPy's float64 is a float32 to JAX, and the scene's numbers must follow, however wide they were made first."""
-    chain, scene = jaxik.load("p6r"), jaxik.load_scene("cucumber_row")
-    q = np.full(7, 0.1)
-    distance = lambda q: jaxik.clearance(chain, scene, q)
-    with jax.enable_x64(True):
-        wide = jax.jit(distance)(q)
-    assert wide.dtype == np.float64
-    assert np.isclose(distance(q), wide, atol=1e-6)
+def test_a_scene_is_as_wide_as_jax_takes_q():
+    """NumPy's float64 is a float32 to JAX, unless that is set to float64; a kernel refuses operands of both kinds."""
+    chain, scene, q = jaxik.load("planar2"), jaxik.make_scene(points=[[0.9, 0.4, 0.0]]), np.array([0.3, 0.2])
+    for x64, wide in ((False, np.float32), (True, np.float64)):
+        with jax.enable_x64(x64):
+            around = clearances._as_wide(grouped(scene, chain), q)
+        assert {x.dtype for x in jax.tree_util.tree_leaves(around) if x.dtype.kind == "f"} == {np.dtype(wide)}
