@@ -61,8 +61,11 @@ def _made(obj: griffe.Object) -> list[str]:
     fields = [m for m in obj.members.values() if not m.is_alias and m.is_attribute and not m.name.startswith("_")]
     fields = [m for m in fields if "property" not in m.labels]
     if bases & {"NamedTuple", "Module", "Constant"}:
-        each = [f.name + (f" = {f.value}" if f.value and "field(" not in str(f.value) else "") for f in fields]
-        return [f"```python\n{obj.name}({', '.join(each)})\n```"]
+        each = [
+            f"{f.name}: {f.annotation}" + ("" if f.value is None or "field(" in str(f.value) else f" = {f.value}")
+            for f in fields
+        ]
+        return ["```python\n" + f"{obj.name}(\n    " + ",\n    ".join(each) + "\n)\n```"]
     if bases & {"IntEnum", "Enum"}:
         return ["```python\n" + "\n".join(f"{obj.name}.{f.name}" for f in fields) + "\n```"]
     return []
