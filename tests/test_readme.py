@@ -1,5 +1,7 @@
 """The documentation's figures are those of the committed benchmarks, and what is public is in the reference."""
 
+import re
+
 import benchmarks
 import public
 import pytest
@@ -20,7 +22,10 @@ def test_every_benchmark_has_its_result_and_its_place():
 
 
 def test_the_readme_is_a_page():
-    assert len((HERE.parent / "README.md").read_text().splitlines()) < 150
+    text = (HERE.parent / "README.md").read_text()
+    assert len(text.splitlines()) < 150
+    linked = re.findall(r"\]\((?!http)([^)#]+)", text)  # those of the other pages are mkdocs' business
+    assert linked and all((HERE.parent / each).exists() for each in linked)
 
 
 def test_what_is_public_is_in_the_reference():
