@@ -12,7 +12,7 @@ from scipy.optimize import minimize
 from scipy.spatial import cKDTree
 
 import jaxik
-from jaxik.collision import distance
+from jaxik.collision import clearances, distance
 from jaxik.collision.hierarchy import grouped
 from jaxik.collision.nearest import Space
 from jaxik.collision.sphere_levels import hierarchical_clearance, hierarchical_collision
@@ -453,3 +453,12 @@ def test_padding_and_removal_change_nothing_else():
     assert abs(jaxik.clearance(chain, scene, q) - least) <= 1e-12
     removed = scene.without([int(objects.argmin())])
     assert np.isinf(jaxik.collision.object_clearances(chain, removed, q)[objects.argmin()])
+
+
+def test_a_scene_is_as_wide_as_jax_takes_q():
+    """NumPy's float64 is a float32 to JAX, unless that is set to float64; a kernel refuses operands of both kinds."""
+    chain, scene, q = jaxik.load("planar2"), jaxik.make_scene(points=[[0.9, 0.4, 0.0]]), np.array([0.3, 0.2])
+    for x64, wide in ((False, np.float32), (True, np.float64)):
+        with jax.enable_x64(x64):
+            around = clearances._as_wide(grouped(scene, chain), q)
+        assert {x.dtype for x in jax.tree_util.tree_leaves(around) if x.dtype.kind == "f"} == {np.dtype(wide)}

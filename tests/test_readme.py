@@ -1,13 +1,32 @@
-"""The README's figures are those of the committed benchmarks."""
+"""The documentation's figures are those of the committed benchmarks, and what is public is in the reference."""
 
+import re
+
+import benchmarks
+import public
 import pytest
-from report import HERE, TABLES, tables
+from report import HERE, TABLES
+
+DOCS = HERE.parent / "docs"
 
 
-@pytest.mark.parametrize("table", tables(), ids=list(TABLES))
-def test_figures_come_from_the_benchmark(table):
-    assert table in (HERE.parent / "README.md").read_text()
+@pytest.mark.parametrize("page", benchmarks.PAGES, ids=lambda page: page.name)
+def test_figures_come_from_the_benchmarks(page):
+    text = page.read_text()
+    assert benchmarks.named(text) and benchmarks.filled(text) == text, "run python docs/benchmarks.py"
 
 
-def test_every_benchmark_has_its_result():
+def test_every_benchmark_has_its_result_and_its_place():
     assert {p.name for p in HERE.glob("*.json")} == set(TABLES)
+    assert set(benchmarks.named((DOCS / "benchmarks.md").read_text())) == {*TABLES, "overview"}
+
+
+def test_the_readme_is_a_page():
+    text = (HERE.parent / "README.md").read_text()
+    assert len(text.splitlines()) < 150
+    linked = re.findall(r"\]\((?!http)([^)#]+)", text)  # those of the other pages are mkdocs' business
+    assert linked and all((HERE.parent / each).exists() for each in linked)
+
+
+def test_what_is_public_is_in_the_reference():
+    assert public.faults() == []

@@ -60,7 +60,7 @@ def collides(chain: Chain, scene: Scene | Grouped | None, q: Float[Array, " n"],
     """Whether the robot comes nearer than `margin` [m] to the scene or to itself: `clearance < margin`, or NaN. Traced.
 
     What is further away than the margin is not measured, and the first that is nearer ends it. How much time that saves depends
-    on the robot and the batch: a fifth for P6R, three fifths with 64 times its spheres, nothing for some (README, tables).
+    on the robot and the batch: a fifth for P6R, three fifths with 64 times its spheres, nothing for some.
     """
     return _collides(chain, _around("collides", chain, scene, q), q, margin)
 
@@ -87,10 +87,11 @@ def _around(who: str, chain: Chain, scene: Any, q: Any) -> Grouped:
 
 
 def _as_wide(around: Grouped, q: Any) -> Grouped:
-    """Its floats as wide as q: a kernel would narrow them one by one, for every few configurations anew."""
+    """Its floats as wide as JAX takes q: a kernel would narrow them one by one, for every few configurations anew."""
     wide = getattr(q, "dtype", None)
     if wide is None or not jnp.issubdtype(wide, jnp.floating):
         return around
+    wide = jax.dtypes.canonicalize_dtype(wide)  # of NumPy's float64 a float32, unless JAX is set to float64
     other = lambda x: x.dtype != wide and jnp.issubdtype(x.dtype, jnp.floating)
     return jax.tree_util.tree_map(lambda x: x.astype(wide) if other(x) else x, around)
 

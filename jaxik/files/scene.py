@@ -34,7 +34,7 @@ WORDS = {
 
 
 def load_scene(path: Path) -> Scene:
-    """A scene of objects, fruits, or both; the README has the schema. Raises `LoadError`, one line."""
+    """A scene of objects, fruits, or both; `docs/how-to/own-scene.md` has the schema. Raises `LoadError`, one line."""
     kind = path.suffix.lower()
     if kind == ".toml":
         scene = _from_toml(path)

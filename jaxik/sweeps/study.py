@@ -1,7 +1,7 @@
 """A study: which robots, from which bases and of which shapes, are asked for which targets, among what.
 
-Written as TOML (the README lists the keys), or as the same nested dictionaries in Python, where a robot may be a `Chain`, a
-scene a `Scene`, and the targets an array of poses.
+Written as TOML (`docs/how-to/reach-map.md` lists the keys), or as the same nested dictionaries in Python, where a robot may be
+a `Chain`, a scene a `Scene`, and the targets an array of poses.
 """
 
 from __future__ import annotations

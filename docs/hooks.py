@@ -1,0 +1,29 @@
+"""What mkdocs is told beside `mkdocs.yml`: where the notebooks lie, and that what is public is documented."""
+
+from __future__ import annotations
+
+import sys
+from pathlib import Path
+from typing import Any
+
+from mkdocs.exceptions import PluginError
+from mkdocs.plugins import event_priority
+from mkdocs.structure.files import File, Files
+
+sys.path.insert(0, str(Path(__file__).parent))
+from public import ROOT, faults
+
+
+@event_priority(100)  # before mkdocs-jupyter looks for them
+def on_files(files: Files, config: Any) -> Files:
+    """The notebooks, which lie beside this folder."""
+    for path in sorted((ROOT / "notebooks").glob("*.ipynb")):
+        files.append(File(f"notebooks/{path.name}", str(ROOT), config.site_dir, config.use_directory_urls))
+    return files
+
+
+def on_pre_build(config: Any) -> None:
+    """Raises where a public name has no docstring, or a package no page."""
+    found = faults()
+    if found:
+        raise PluginError("; ".join(found))
