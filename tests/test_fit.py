@@ -146,7 +146,7 @@ def test_a_model_is_made_once_and_the_same_again(arm, tmp_path, monkeypatch):
 @pytest.mark.parametrize(
     "options, words",
     [
-        ({"accuracy": 0.0}, "accuracy=0.0; allowed: 0.0001 to 10"),
+        ({"accuracy": 0.0}, "accuracy=0.0; allowed: 0.0001 to 0.2, in metres"),
         ({"accuracy": float("nan")}, "accuracy=nan"),
         ({"accuracy": "4 mm"}, "accuracy=4 mm"),
         ({"most": 0}, "most=0 capsules a mesh; allowed: 1 to 256"),

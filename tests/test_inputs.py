@@ -284,9 +284,9 @@ def test_one_line_says_what_reads_a_file():
     refused(
         r"margin 0.1 needs a scene; for the robot alone give jaxik.make_scene\(\)", jaxik.solve_ik, P6R, np.eye(4), margin=0.1
     )
-    refused(r"write a jaxik.collision.Scene, e.g. jaxik.load_scene\('c.toml'\)", jaxik.solve_ik, P6R, np.eye(4), "c.toml")
-    refused("write a jaxik.collision.Scene$", jaxik.solve_ik, P6R, np.eye(4), [SCENE])
-    refused(r"write a jaxik.robot.Chain, e.g. jaxik.load\('xarm.toml'\)", jaxik.solve_ik, "xarm.toml", np.eye(4))
+    refused(r"write a jaxik.Scene, e.g. jaxik.load_scene\('c.toml'\)", jaxik.solve_ik, P6R, np.eye(4), "c.toml")
+    refused("write a jaxik.Scene$", jaxik.solve_ik, P6R, np.eye(4), [SCENE])
+    refused(r"write a jaxik.Chain, e.g. jaxik.load\('xarm.toml'\)", jaxik.solve_ik, "xarm.toml", np.eye(4))
     refused(r"accuracy=10; .* metres; 10 mm is 0.01", jaxik.Fit, 10)
     refused("save: /nonexist/a.toml: .*No such file.*name a file in", jaxik.save, P6R, "/nonexist/a.toml")
     refused(

@@ -12,6 +12,7 @@ from typing import Any, TypeVar, get_args
 import numpy as np
 
 Options = TypeVar("Options", bound=Any)
+TOP = ("Chain", "Fit", "IKOptions", "Scene", "Task")  # classes that `jaxik` itself shows
 READERS = {"Chain": "load", "Scene": "load_scene"}  # what reads a file that is given in the place of these
 
 
@@ -43,8 +44,8 @@ def check_kind(who: str, name: str, value: Any, kind: type, optional: bool = Fal
     if not isinstance(value, kind) and not (optional and value is None):
         reader = READERS.get(kind.__name__) if isinstance(value, str | Path) else None
         mend = f", e.g. jaxik.{reader}('{shown(value)}')" if reader else ""
-        wanted = f"{'.'.join(kind.__module__.split('.')[:2])}.{kind.__name__}"
-        raise ValueError(f"{who}: {name} is {shown(value)}; write a {wanted}{mend}")
+        package = "jaxik" if kind.__name__ in TOP else ".".join(kind.__module__.split(".")[:2])
+        raise ValueError(f"{who}: {name} is {shown(value)}; write a {package}.{kind.__name__}{mend}")
 
 
 def changed(who: str, options: Options, changes: dict[str, Any]) -> Options:
