@@ -66,9 +66,9 @@ def load(
 
     All that hangs on the chain belongs to it, with shapes and masses: joints beside it, those of a head, a gripper, another
     arm, are held. `posture` says where, by their names [rad, m], `{"panda_finger_joint1": 0.04}`; others are at 0 (MJCF: the
-    model's qpos0), or the limit that is nearest, and mimic joints follow (one that a joint of the chain drives stands where
-    that is 0). A warning names those whose links have shapes, unless a posture is given: `{}` says that all of them are right
-    so. What is above `base` is left out, and what flies freely in an MJCF.
+    model's qpos0), or the limit that is nearest. Mimic joints follow; one that a joint of the chain drives stands where that is
+    0. A warning names those whose links have shapes, unless a posture is given: `{}` says that all of them are right so. What
+    is above `base` is left out, and what flies freely in an MJCF.
 
     A mesh `package://my_pkg/meshes/a.stl` is `meshes/a.stl` below the nearest folder above the model's file that is called
     `my_pkg`. Any other name is a path from the file's folder, which stays below it (below the folder above, where the file's

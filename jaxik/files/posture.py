@@ -13,6 +13,7 @@ from jaxik.files.assemble import Joint, checked
 from jaxik.reasons import LoadError
 from jaxik.spatial.rotations import about, frame
 
+MASTERS = 100  # in a row, each driven by the next
 NAMED = 4  # joints in the one line that says what is held
 
 
@@ -41,7 +42,10 @@ class Posture:
             if above:
                 self.behind[joint.child] = above
             if joint.type != "fixed":
-                self.held[joint.name] = self._value(file, joint, beside, on_chain)
+                with np.errstate(all="ignore"):
+                    self.held[joint.name] = self._value(file, joint, beside, on_chain)
+                if not np.isfinite(self.held[joint.name]):
+                    raise LoadError(file, joint.element, "its mimic leads to infinity", "mend its numbers")
                 joint = _fixed(file, joint, self.held[joint.name])
             fixed.append((parent, joint))
         return fixed
@@ -49,8 +53,8 @@ class Posture:
     def _value(self, file: Path, joint: Joint, beside: dict[str, Joint], on_chain: dict[str, Joint], depth: int = 0) -> float:
         master, law = joint.mimic or ("", None)
         if law is not None and master in beside:
-            if depth > len(beside):
-                raise LoadError(file, joint.element, "mimics itself", "remove a <mimic>")
+            if depth > MASTERS:
+                raise LoadError(file, joint.element, "mimics itself, by way of others", "remove a mimic")
             return float(law(self._value(file, beside[master], beside, on_chain, depth + 1)))
         if joint.name in self.given:
             return float(self.given[joint.name])

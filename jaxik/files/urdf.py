@@ -50,13 +50,15 @@ def load_urdf(
 
 def _carried(path: Path, chain: list[str], above: dict[str, tuple[Element, str]]) -> list[tuple[str, Joint]]:
     """The joints that lead aside from the chain, and on from there: a head, a hand's fingers, a camera. With their parents."""
+    below: dict[str, list[str]] = {}
+    for child, (_, parent) in above.items():
+        below.setdefault(parent, []).append(child)
     found: list[tuple[str, Joint]] = []
-    reached = list(chain)
+    reached, on_chain = list(chain), set(chain)
     for parent in reached:  # grows while it is read
-        for child, (element, its_parent) in above.items():
-            if its_parent == parent and child not in reached:
-                found.append((parent, _joint(path, element, child, beside=True)))
-                reached.append(child)
+        aside = [child for child in below.get(parent, ()) if child not in on_chain]
+        found += [(parent, _joint(path, above[child][0], child, beside=True)) for child in aside]
+        reached += aside
     return found
 
 

@@ -33,7 +33,7 @@ def kernel(function: Callable[P, R], *, models: int = 0) -> Callable[P, R]: ...
 @overload
 def kernel(*, models: int = 0) -> Callable[[Callable[P, R]], Callable[P, R]]: ...
 def kernel(function: Callable[..., Any] | None = None, *, models: int = 0) -> Any:
-    """The same function, compiled to one SIMD function over any batch on a CPU. Traced: `jit`, `vmap` and differentiate it.
+    """The same function, compiled to one SIMD function over any batch on a CPU. Traced.
 
         @kernel
         def gap(q, ball):  # (2,), (2,) -> ()
