@@ -15,7 +15,7 @@ import matplotlib
 import numpy as np
 
 import jaxik
-from jaxik.motions import Follow, Horizon, Line, quadratic_cost
+from jaxik.motions import FollowOptions, Horizon, Line, quadratic_cost
 from jaxik.reach import certify
 
 matplotlib.use("Agg")
@@ -254,7 +254,7 @@ def predictive() -> None:
     path, task = Line(start, end), jaxik.Task.pose(("z", "roll", "pitch", "yaw"), "base")
     scene = jaxik.make_scene(points=[[1.0, 1.1, 0.0]])
     near = lambda q: 500.0 / 3.0 * jnp.maximum(0.2 - jaxik.clearance(arm, scene, q), 0.0) ** 3
-    now = jaxik.follow(arm, path, 4.0, q, near, Follow("asc", dt=0.01, alpha=0.1, task=task))
+    now = jaxik.follow(arm, path, 4.0, q, near, FollowOptions("asc", dt=0.01, alpha=0.1, task=task))
     horizon = Horizon(dt=0.01, count=400, task=task, descend=jaxik.optimise.QUASI_NEWTON)
     ahead = jaxik.predict(arm, path, 4.0, q, quadratic_cost(near), horizon)
     figure, axes = plt.subplots(1, 3, figsize=(11, 4), width_ratios=(1, 1, 1.3))

@@ -13,7 +13,7 @@ ROOT = Path(__file__).parents[1]
 def packages() -> list[str]:
     """The library's packages, and the module that is one: what the reference has a page for."""
     inside = {path.parent.name for path in (ROOT / "jaxik").glob("*/__init__.py")} | {"costs"}
-    return sorted(inside - {"checks"})  # of what a caller gives: nobody calls it from outside
+    return sorted(inside - {"checks", "cli"})  # what a caller gives, and the commands, which have a page: nobody calls them
 
 
 def names(package: str) -> dict[str, Any]:

@@ -9,7 +9,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 from motions import dense
-from test_load import refused, write
+from robot_files import refused, write
 
 import jaxik
 from jaxik.collision.clearances import link_clearances

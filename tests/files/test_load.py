@@ -10,18 +10,13 @@ import numpy as np
 import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
+from robot_files import URDF, refused, write
 from robots import FOLDER, ROBOTS
 
 import jaxik
 from jaxik.files import targets as target_files
 from jaxik.files.assemble import MAX_BYTES
 
-URDF = """<robot name="arm"><link name="base"/><link name="upper"/><link name="tool"/>
-<joint name="shoulder" type="revolute"><origin xyz="0 0 0.1"/><parent link="base"/><child link="upper"/><axis xyz="0 0 1"/>
-<limit lower="-1" upper="1" velocity="2" effort="1"/></joint>
-<joint name="wrist" type="continuous"><origin xyz="0.3 0 0"/><parent link="upper"/><child link="tool"/><axis xyz="0 1 0"/>
-</joint>
-</robot>"""
 TOML = """name = "arm"
 convention = "frames"
 [[joint]]
@@ -54,19 +49,6 @@ name = "fruit_1"
 position = [0.1, 0.7, 0.4]
 """
 FILES = {"arm.urdf": URDF, "arm.toml": TOML, "arm.xml": MJCF}
-
-
-def write(folder, name, content):
-    path = folder / name
-    path.write_bytes(content if isinstance(content, bytes) else content.encode())
-    return path
-
-
-def refused(path, *words, reader=jaxik.load, **options):
-    with pytest.raises(jaxik.LoadError) as error:
-        reader(path, **options)
-    line = str(error.value)
-    assert "\n" not in line and path.name in line and all(w in line for w in words), line
 
 
 @pytest.mark.parametrize("name", FILES)

@@ -10,8 +10,8 @@ import mujoco
 import numpy as np
 import pinocchio as pin
 import pytest
+from robot_files import refused, write
 from robots import FOLDER
-from test_load import refused, write
 
 import jaxik
 from jaxik.cli.posture import read_posture

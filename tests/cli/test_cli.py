@@ -10,9 +10,8 @@ import sys
 import numpy as np
 import pyarrow.parquet
 import pytest
+from robot_files import ARM, POST
 from robots import FOLDER, ROBOTS
-from test_fit import ARM
-from test_standing import URDF as POST
 
 import jaxik
 from jaxik import cli

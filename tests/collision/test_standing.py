@@ -4,23 +4,18 @@ import warnings
 
 import numpy as np
 import pytest
+from robot_files import POST
 
 import jaxik
 from jaxik.collision.standing import standing_words
 
-URDF = """<robot name="post">
-  <link name="foot"><collision><origin xyz="0 0 0.1"/><geometry><sphere radius="0.12"/></geometry></collision></link>
-  <link name="arm"><collision><origin xyz="0.3 0 0"/><geometry><sphere radius="0.05"/></geometry></collision></link>
-  <joint name="turn" type="revolute"><parent link="foot"/><child link="arm"/><origin xyz="0 0 0.5"/>
-    <axis xyz="0 0 1"/><limit lower="-2" upper="2" velocity="1" effort="1"/></joint>
-</robot>"""
 TARGET = np.eye(4) + np.pad([[0.0], [0.0], [0.5]], ((0, 1), (3, 0)))
 
 
 @pytest.fixture(scope="module")
 def post(tmp_path_factory):
     file = tmp_path_factory.mktemp("robot") / "post.urdf"
-    file.write_text(URDF)
+    file.write_text(POST)
     return lambda **options: jaxik.load(file, **options)
 
 

@@ -4,8 +4,8 @@ import dataclasses
 
 import numpy as np
 import pytest
+from robot_files import write
 from robots import FOLDER, ROBOTS
-from test_load import write
 
 import jaxik
 from jaxik.files.spherized import _covering

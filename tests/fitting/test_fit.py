@@ -4,9 +4,9 @@ import coal
 import numpy as np
 import pytest
 import trimesh
+from robot_files import ARM, URDF, write
 from robots import FOLDER, ROBOTS
 from scipy.spatial.transform import Rotation
-from test_load import URDF, write
 
 import jaxik
 from jaxik.fitting import capsules as fitting
@@ -98,20 +98,6 @@ def test_more_capsules_come_closer():
     few, more = (fitted(MESHES["cylinder"], Fit(0.001, most)).protrusion.max() for most in (2, 16))
     assert more < 0.7 * few
     assert len(fitted(MESHES["cylinder"], Fit(0.03)).radii) < 4  # and no more than the accuracy asks for
-
-
-ARM = """<robot name="arm">
-<link name="base"><collision><geometry><cylinder radius="0.1" length="0.1"/></geometry></collision></link>
-<joint name="turn" type="revolute"><parent link="base"/><child link="hub"/><axis xyz="0 0 1"/>
-<limit lower="-3" upper="3"/></joint>
-<link name="hub"/>
-<joint name="lift" type="revolute"><parent link="hub"/><child link="arm"/><origin xyz="0 0 0.12"/><axis xyz="0 1 0"/>
-<limit lower="-2.4" upper="2.4"/></joint>
-<link name="arm"><collision><origin xyz="0 0 0.2"/><geometry><box size="0.06 0.06 0.4"/></geometry></collision></link>
-<joint name="twist" type="revolute"><parent link="arm"/><child link="tip"/><origin xyz="0 0 0.45"/><axis xyz="0 0 1"/>
-<limit lower="-3" upper="3"/></joint>
-<link name="tip"><collision><geometry><sphere radius="0.03"/></geometry></collision></link>
-</robot>"""
 
 
 @pytest.fixture
