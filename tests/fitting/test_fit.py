@@ -144,7 +144,7 @@ def test_bad_options_are_one_line(options, words):
     with pytest.raises(ValueError) as caught:
         Fit(**options)
     assert words in str(caught.value) and "\n" not in str(caught.value)
-    with pytest.raises(ValueError, match=r"write a jaxik\.fitting\.Fit"):
+    with pytest.raises(ValueError, match=r"write a jaxik\.Fit"):
         jaxik.load(FOLDER / ROBOTS["panda"][0], tip="panda_link8", meshes=True, fit="close")
 
 
