@@ -63,7 +63,7 @@ class Work:
         put in order before the clock starts, as peers' are made."""
         batch = jax.jit(jax.vmap(lambda scene, q: function(self.chain, scene, q), in_axes=(None, 0)))
         q = [jnp.asarray(rows) for rows in self.q]
-        scenes = [jaxik.collision.hierarchy.grouped(s, self.chain) for s in self.scenes]
+        scenes = [jaxik.collision.bvh.grouped(s, self.chain) for s in self.scenes]
         run = lambda: [batch(scene, rows) for scene, rows in zip(scenes, q, strict=True)]
         start = time.perf_counter()
         jax.block_until_ready(run())

@@ -23,7 +23,7 @@ import numpy as np
 from race import Entry, clocked, compiled, cores, machine, on_cores, race
 
 import jaxik
-from jaxik.collision.hierarchy import grouped
+from jaxik.collision.bvh import grouped
 
 mpl.use("Agg")
 import matplotlib.pyplot as plt

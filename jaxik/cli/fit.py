@@ -12,7 +12,7 @@ import tyro
 
 import jaxik
 from jaxik.cli.collisions import Ignored, ignored_pairs
-from jaxik.cli.posture import read_posture
+from jaxik.cli.held_joints import read_posture
 from jaxik.files.srdf import unchecked
 
 

@@ -11,10 +11,10 @@ import numpy as np
 
 import jaxik
 from jaxik.cli.collisions import Ignored, ignored_pairs
-from jaxik.cli.posture import read_posture
+from jaxik.cli.held_joints import read_posture
 from jaxik.cli.tables import write_csv
+from jaxik.harvesting.blocking_objects import Blockers
 from jaxik.harvesting.driver import Harvest
-from jaxik.harvesting.in_the_way import Blockers
 from jaxik.harvesting.scanning import Weights
 
 

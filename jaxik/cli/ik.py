@@ -12,9 +12,9 @@ import numpy as np
 import tyro
 
 import jaxik
-from jaxik.checks.extras import optional
+from jaxik.checks.optional_modules import optional
 from jaxik.cli.collisions import Ignored, ignored_pairs, offenders
-from jaxik.cli.posture import read_posture
+from jaxik.cli.held_joints import read_posture
 from jaxik.cli.tables import write_csv
 from jaxik.ik.solve import FAULTS
 

@@ -1,9 +1,9 @@
 """A scene, and how far a robot is from it and from itself."""
 
-from jaxik.collision.advancement import MotionClearance, motion_clearance, motion_collides
 from jaxik.collision.attached import Attached, attach
 from jaxik.collision.clearances import clearance, collides, object_clearances, self_clearance
-from jaxik.collision.contacts import explain
+from jaxik.collision.contact_report import explain
+from jaxik.collision.continuous_collision import MotionClearance, motion_clearance, motion_collides
 from jaxik.collision.scene import Fruit, Scene, SceneBuilder, make_scene
 from jaxik.collision.volumes import link_circles, link_spheres
 

@@ -1,7 +1,7 @@
 """How far a robot is from the scene and from itself.
 
-The robot is a set of swept-sphere volumes (`volumes`), the scene a set of obstacles by kind; `pairs` knows each pair, and
-`nearest` which one decides.
+The robot is a set of swept-sphere volumes (`volumes`), the scene a set of obstacles by kind; `shape_distances` knows each
+pair, and `nearest_pair` which one decides.
 """
 
 from __future__ import annotations
@@ -19,8 +19,8 @@ from jaxtyping import Bool, Float
 
 from jaxik.checks.arrays import is_known, stop_gradients
 from jaxik.checks.options import check_kind
-from jaxik.collision.hierarchy import Grouped, grouped
-from jaxik.collision.nearest import Space
+from jaxik.collision.bvh import Grouped, grouped
+from jaxik.collision.nearest_pair import Space
 from jaxik.collision.scene import FAR, Scene
 from jaxik.robot.chain import Array, Chain, as_configuration
 from jaxik.spmd import kernel

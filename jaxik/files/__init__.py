@@ -1,7 +1,7 @@
 """Robots, scenes and targets from files and to files: the only place that reads them."""
 
+from jaxik.files.chain_files import save
 from jaxik.files.loading import fit_report, link_meshes, load, load_scene, models_folder
-from jaxik.files.saving import save
 from jaxik.files.scene import save_scene
 from jaxik.files.targets import load_targets
 

@@ -14,16 +14,16 @@ import numpy as np
 from jaxik.checks.arrays import rigid_frame
 from jaxik.checks.options import check_finite, check_kind, shown
 from jaxik.collision.scene import Scene
-from jaxik.collision.self_pairs import self_collisions
+from jaxik.collision.self_collision_pairs import self_collisions
 from jaxik.files import scene as scene_files
-from jaxik.files.ignore import ignored
+from jaxik.files.chain_files import read_chain, save
+from jaxik.files.held_joints import Posture
+from jaxik.files.ignored_pairs import ignored
 from jaxik.files.mesh import Meshes
 from jaxik.files.mjcf import load_mjcf
-from jaxik.files.posture import Posture
-from jaxik.files.saving import read_chain, save
+from jaxik.files.robot_toml import load_toml, read_toml
 from jaxik.files.srdf import disabled_pairs
 from jaxik.files.targets import load_targets
-from jaxik.files.toml import load_toml, read_toml
 from jaxik.files.urdf import load_urdf
 from jaxik.fitting.capsules import Fit
 from jaxik.fitting.model import FITS, Shape, modelled

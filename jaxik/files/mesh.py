@@ -10,9 +10,9 @@ from typing import Any
 
 import numpy as np
 
-from jaxik.files.assemble import MAX_BYTES, Link
+from jaxik.files.chain_builder import MAX_BYTES, Link
+from jaxik.fitting.link_distance_tables import SECTIONS
 from jaxik.fitting.model import Shape
-from jaxik.fitting.pair_tables import SECTIONS
 from jaxik.reasons import LoadError
 from jaxik.robot.chain import Chain
 

@@ -8,10 +8,10 @@ from typing import Any
 import numpy as np
 from numpy.polynomial import Polynomial
 
-from jaxik.checks.extras import optional
-from jaxik.files.assemble import Joint, Link, assemble
+from jaxik.checks.optional_modules import optional
+from jaxik.files.chain_builder import Joint, Link, assemble
+from jaxik.files.held_joints import Posture
 from jaxik.files.mesh import Meshes, add_box, add_cylinder, home, resolve
-from jaxik.files.posture import Posture
 from jaxik.files.xml import parse
 from jaxik.reasons import LoadError
 from jaxik.robot.chain import Chain

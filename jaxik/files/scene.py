@@ -16,9 +16,9 @@ import numpy as np
 
 from jaxik.checks.options import check_kind
 from jaxik.collision.scene import FAR, Fruit, Scene, SceneBuilder, hanging
-from jaxik.files.assemble import MAX_BYTES, read_bytes
-from jaxik.files.toml import Table, read_toml
-from jaxik.files.writing import write_text
+from jaxik.files.chain_builder import MAX_BYTES, read_bytes
+from jaxik.files.robot_toml import Table, read_toml
+from jaxik.files.text_files import write_text
 from jaxik.reasons import LoadError
 from jaxik.spatial.rotations import frame
 

@@ -8,9 +8,9 @@ from xml.etree.ElementTree import Element
 import numpy as np
 from numpy.polynomial import Polynomial
 
-from jaxik.files.assemble import JOINT_TYPES, Joint, Link, assemble, unique
+from jaxik.files.chain_builder import JOINT_TYPES, Joint, Link, assemble, unique
+from jaxik.files.held_joints import Posture
 from jaxik.files.mesh import Meshes, add_box, add_cylinder, read_mesh
-from jaxik.files.posture import Posture
 from jaxik.files.xml import attribute, numbers, parse
 from jaxik.reasons import LoadError
 from jaxik.robot.chain import Chain

@@ -9,7 +9,7 @@ import numpy as np
 from defusedxml import DefusedXmlException
 from defusedxml.ElementTree import fromstring
 
-from jaxik.files.assemble import read_bytes
+from jaxik.files.chain_builder import read_bytes
 from jaxik.reasons import LoadError
 
 

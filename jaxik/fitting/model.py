@@ -5,8 +5,8 @@ touch in the default pose or always are left out, and those that never do, or ne
 the nearest configurations. Where two links pass each other closely without touching, each keeps behind a plane in the gap:
 these planes are what `fit` is told. So capsules are spent where links pass each other, and each is tight on that side alone.
 
-Links that often pass closely get a table of their hulls' distance beside (`pair_table`), where two joints decide it: those
-between, or those that are left when the link before or behind is taken for what it sweeps by its own turn.
+Links that often pass closely get a table of their hulls' distance beside (`link_distance_table`), where two joints decide it:
+those between, or those that are left when the link before or behind is taken for what it sweeps by its own turn.
 """
 
 from __future__ import annotations
@@ -19,12 +19,12 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from jaxik.collision.self_pairs import candidate_pairs, default_pose
+from jaxik.collision.self_collision_pairs import candidate_pairs, default_pose
 from jaxik.fitting.capsules import Fit, Fitted, fitted
 from jaxik.fitting.convex import Body, apart_at_least, depths, directions, gaps, hull_corners, separated
-from jaxik.fitting.pair_tables import between, frames, side_of, table_of
+from jaxik.fitting.link_distance_tables import between, frames, side_of, table_of
 from jaxik.robot.chain import Chain, Volume, finite_limits, geometry_between
-from jaxik.robot.pair_table import PairTable
+from jaxik.robot.link_distance_table import PairTable
 from jaxik.spmd.cache import read, write
 
 SAMPLES = 2000  # random configurations

@@ -1,10 +1,10 @@
 """Fruits, how they are grasped, and the best posture for each."""
 
 from jaxik.harvesting import crop
+from jaxik.harvesting.blocking_objects import blockers
 from jaxik.harvesting.driver import Harvest, HarvestOptions, harvest
 from jaxik.harvesting.grasp import Grasp
-from jaxik.harvesting.in_the_way import blockers
-from jaxik.harvesting.mapping import fit_mapping
+from jaxik.harvesting.image_mapping import fit_mapping
 from jaxik.harvesting.scanning import Weights, scan
 
 __all__ = [

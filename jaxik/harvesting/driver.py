@@ -11,12 +11,12 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from jaxik.checks.options import changed, check_kind
+from jaxik.collision.always_colliding import warn_of_scene
 from jaxik.collision.clearances import check_geometry
 from jaxik.collision.scene import Scene
-from jaxik.collision.standing import warn_of_scene
+from jaxik.harvesting.blocking_objects import Blockers, blockers
 from jaxik.harvesting.grasp import Grasp, grasp_poses
-from jaxik.harvesting.in_the_way import Blockers, blockers
-from jaxik.harvesting.recovery import recover
+from jaxik.harvesting.grid_refinement import recover
 from jaxik.harvesting.scanning import Scan, Table, Weights, scan
 from jaxik.reasons import Reason, Reasoned
 from jaxik.robot.chain import Chain

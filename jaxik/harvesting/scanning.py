@@ -3,7 +3,7 @@
 Van Henten et al. (2010, sec. 4) scan in two steps: the angle of the last three links first, then the slide at that angle.
 Here the superset is scanned at once (every angle with every slide position and all eight branches), because in a batch it
 costs less than deciding what to leave out; the two steps are `approach_angles` and `scan(..., angles=[best])`. Where the
-grid has no posture, `recovery` looks between its points, which is what the paper left open.
+grid has no posture, `grid_refinement` looks between its points, which is what the paper left open.
 
 The drivers of this module run on the host: they chunk, pad to one shape, and drop candidates as soon as they are out.
 """
@@ -19,12 +19,12 @@ import jax.numpy as jnp
 import numpy as np
 
 from jaxik.checks.options import check_finite, check_kind
+from jaxik.collision.bvh import grouped
 from jaxik.collision.clearances import check_geometry, clearance, object_clearances
-from jaxik.collision.hierarchy import grouped
 from jaxik.collision.scene import Fruit, Scene, remembered
 from jaxik.costs import joint_limit_margin
 from jaxik.harvesting.grasp import Grasp, approach_grid, grasp_poses
-from jaxik.reach.leading import leading_grid
+from jaxik.reach.leading_joints import leading_grid
 from jaxik.reasons import Reason
 from jaxik.robot.chain import Chain
 from jaxik.robot.spherical_wrist import BRANCHES, closed_branches, closed_form_obstacle, valid_branches

@@ -9,7 +9,7 @@ from typing import Any, Literal
 from jaxik.checks.options import as_count, check_choices, check_finite, check_kind, shown
 from jaxik.costs import Cost
 from jaxik.ik import seeds
-from jaxik.ik.lanes import SEARCH
+from jaxik.ik.sqp_programs import SEARCH
 from jaxik.optimise import sqp
 from jaxik.robot.task import POSE, Task
 

@@ -10,14 +10,14 @@ import numpy as np
 
 from jaxik.checks import arrays as given
 from jaxik.checks.options import check_finite, check_seed, shown
-from jaxik.collision.hierarchy import Grouped, grouped
+from jaxik.collision.bvh import Grouped, grouped
 from jaxik.collision.scene import Scene
 from jaxik.costs import check_cost
-from jaxik.ik import lanes, seeds
+from jaxik.ik import seeds, sqp_programs
 from jaxik.ik.options import IKOptions
 from jaxik.robot.chain import Chain, finite_range
+from jaxik.robot.joint_turns import TURN
 from jaxik.robot.spherical_wrist import closed_form_obstacle
-from jaxik.robot.turns import TURN
 
 ROUNDED = 1e-6  # [rad] that limits of +-180 degrees may be short of a turn in a file
 EXACT = 1e-9  # [rad], [unit lengths]: what an answer's error becomes, and less where the tolerances ask for less
@@ -63,7 +63,7 @@ class Problem:
         strategy = _strategy(chain, options)
         inside = _range(chain, tuple(low.tolist()), tuple(high.tolist()), strategy != "near")
         around = grouped(scene, chain) if scene is not None else None
-        unit = lanes.unit_length(chain)
+        unit = sqp_programs.unit_length(chain)
         return Problem(chain, around, seed, options, low, high, weights, inside, unit, strategy, tolerance, reference)
 
     def part(self, rows: slice) -> Problem:

@@ -18,24 +18,24 @@ import numpy as np
 
 from jaxik.checks.arrays import RIGID, numbers
 from jaxik.checks.options import changed, check_kind
+from jaxik.collision.always_colliding import warn_of_scene
+from jaxik.collision.bvh import Grouped
 from jaxik.collision.clearances import check_geometry
-from jaxik.collision.contacts import Contact, explain
-from jaxik.collision.hierarchy import Grouped
+from jaxik.collision.contact_report import Contact, explain
 from jaxik.collision.scene import Scene
-from jaxik.collision.standing import warn_of_scene
 from jaxik.costs import comfort_cost, joint_limit_margin
-from jaxik.ik import lanes
-from jaxik.ik.cheapest import costs
-from jaxik.ik.found import Found, unwound
+from jaxik.ik import sqp_programs
+from jaxik.ik.cost_refinement import costs
+from jaxik.ik.multistart import Outcome, search
 from jaxik.ik.options import IKOptions
 from jaxik.ik.problem import Problem
-from jaxik.ik.search import Outcome, search
+from jaxik.ik.solutions import Found, unwound
 from jaxik.reasons import Reason, Reasoned
 from jaxik.robot.chain import Chain
+from jaxik.robot.joint_turns import admissible_turns
 from jaxik.robot.kinematics import manipulability
 from jaxik.robot.reach_bound import millimetres
 from jaxik.robot.task import Task
-from jaxik.robot.turns import admissible_turns
 from jaxik.spmd import HostKernel
 from jaxik.spmd.batch import in_blocks
 
@@ -275,7 +275,7 @@ def _score(problem: Problem, found: Found) -> np.ndarray:
         away = np.abs(found.q - reference[found.target]) * problem.weights
         return -(away.max(axis=1) if problem.options.norm == "linf" else np.sqrt(np.sum(away**2, axis=1)))
     measure = {"manipulability": manipulability, "freedom": joint_limit_margin, "comfort": comfort_cost}[choice]
-    value = in_blocks(lanes.measure(measure, chain), found.q, double=True)[0]
+    value = in_blocks(sqp_programs.measure(measure, chain), found.q, double=True)[0]
     return -value if choice == "comfort" else value
 
 

@@ -1,11 +1,11 @@
 """Paths of the tip, and motions along them with redundancy resolved moment by moment or ahead of time."""
 
-from jaxik.motions.boundary import boundary_value
+from jaxik.motions.boundary_problem import boundary_value
 from jaxik.motions.following import FollowOptions, follow
 from jaxik.motions.moving_horizon import MovingHorizon, follow_predictively
+from jaxik.motions.nullspace import asc, rac, resolve_acceleration, resolve_velocity, rmrc
 from jaxik.motions.path import Arc, Line, motion, via
 from jaxik.motions.predictive import Horizon, multistart, predict, quadratic_cost
-from jaxik.motions.redundancy import asc, rac, resolve_acceleration, resolve_velocity, rmrc
 
 __all__ = [
     "Arc",

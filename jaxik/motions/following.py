@@ -24,9 +24,9 @@ import numpy as np
 from jaxik.checks.arrays import numbers, positive
 from jaxik.checks.options import batch_axes, changed, check_choices, check_each, check_finite, check_kind, shown
 from jaxik.costs import Cost
-from jaxik.motions.outcome import Course, diagnose
+from jaxik.motions.diagnosis import Course, diagnose
+from jaxik.motions.nullspace import FLOOR, Box, Resolved, asc, loop_gain, rac, settles
 from jaxik.motions.path import Motion, Path, check_path, motion
-from jaxik.motions.redundancy import FLOOR, Box, Resolved, asc, loop_gain, rac, settles
 from jaxik.optimise import ocp
 from jaxik.reasons import Reason, Reasoned
 from jaxik.robot.chain import Chain

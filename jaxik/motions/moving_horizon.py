@@ -21,7 +21,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from jaxik.checks.options import as_count, check_finite
-from jaxik.motions.outcome import Course, diagnose
+from jaxik.motions.diagnosis import Course, diagnose
 from jaxik.motions.path import Path, check_path, motion
 from jaxik.motions.predictive import Horizon, RunningCost, future, objective, problem
 from jaxik.optimise import descent

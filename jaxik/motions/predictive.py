@@ -29,9 +29,9 @@ import numpy as np
 
 from jaxik.checks.arrays import positive, shaped
 from jaxik.checks.options import as_count, batch_axes, changed, check_choices, check_each, check_finite, check_kind, check_seed
-from jaxik.motions.outcome import Course, diagnose
+from jaxik.motions.diagnosis import Course, diagnose
+from jaxik.motions.nullspace import FLOOR, Resolved, loop_gain, resolve_velocity, settles
 from jaxik.motions.path import Motion, Path, check_path, motion
-from jaxik.motions.redundancy import FLOOR, Resolved, loop_gain, resolve_velocity, settles
 from jaxik.optimise import descent, ocp
 from jaxik.reasons import Reasoned
 from jaxik.robot.chain import Chain, as_numbers

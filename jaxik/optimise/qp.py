@@ -7,9 +7,9 @@ linearised constraints contradict each other, is Levenberg-Marquardt damping wit
 the end: a fixed point has `r = w y` (y the multipliers), and w goes to its floor with the violation.
 
 Its minimum is piecewise that of a linear system. A primal-dual active set [Hintermueller, Ito, Kunisch 2002] finds the pieces:
-solve; hold what leaves its bounds there, let go what its slope leads back inside, count the inequalities that are broken, and
-solve again. A fixed, small number of passes keeps every lane of a batch in step; what a pass more would change, the next step
-does.
+solve (`linear`); hold what leaves its bounds there, let go what its slope leads back inside, count the inequalities that are
+broken, and solve again. A fixed, small number of passes keeps every lane of a batch in step; what a pass more would change,
+the next step does.
 """
 
 from __future__ import annotations

@@ -15,12 +15,12 @@ import jax.numpy as jnp
 import numpy as np
 
 from jaxik.checks.options import as_count
-from jaxik.reach.leading import arm_of, grid, may_be_inside
+from jaxik.reach.leading_joints import arm_of, grid, may_be_inside
 from jaxik.robot.chain import Chain, finite_limits
+from jaxik.robot.joint_turns import TURN
 from jaxik.robot.kinematics import joint_frames
 from jaxik.robot.reach_bound import ReachBound, reach_bound
 from jaxik.robot.spherical_wrist import WAYS, half_branches, wrist_branches
-from jaxik.robot.turns import TURN
 from jaxik.spatial.algebra import Frame
 from jaxik.spatial.ball import Ball, possible, whole
 from jaxik.spmd import HostKernel

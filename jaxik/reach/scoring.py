@@ -18,11 +18,11 @@ from jaxtyping import Float
 
 from jaxik.checks.arrays import numbers
 from jaxik.checks.options import as_count, check_finite
+from jaxik.collision.bvh import Grouped, grouped
 from jaxik.collision.clearances import check_geometry, clearance
-from jaxik.collision.hierarchy import Grouped, grouped
 from jaxik.collision.scene import Scene
 from jaxik.optimise.linear import definite_solve
-from jaxik.reach.leading import arm_of, leading_grid
+from jaxik.reach.leading_joints import arm_of, leading_grid
 from jaxik.robot.chain import Array, Chain, as_numbers, as_shaped, finite_limits
 from jaxik.robot.kinematics import forward_kinematics, jacobian
 from jaxik.robot.spherical_wrist import BRANCHES, closed_forms

@@ -1,10 +1,10 @@
 """A robot arm and what its joints decide: the chain, where its links are, what a task asks of its tip."""
 
 from jaxik.robot.chain import Chain, finite_limits, within_limits
+from jaxik.robot.joint_turns import admissible_turns
 from jaxik.robot.kinematics import bias_acceleration, forward_kinematics, jacobian, link_frames, manipulability
 from jaxik.robot.spherical_wrist import ClosedForm, closed_form, closed_form_obstacle
 from jaxik.robot.task import Task
-from jaxik.robot.turns import admissible_turns
 
 __all__ = [
     "Chain",

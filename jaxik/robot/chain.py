@@ -21,7 +21,7 @@ from jaxtyping import Bool, Float
 from jaxik.checks.arrays import is_known, rigid_frame
 from jaxik.checks.options import check_kind, shown
 from jaxik.pytree import Pytree, static
-from jaxik.robot.pair_table import PairTable
+from jaxik.robot.link_distance_table import PairTable
 
 Array = jax.Array | np.ndarray
 JointType = Literal["revolute", "continuous", "prismatic"]

@@ -30,8 +30,8 @@ from jaxtyping import Bool, Float
 
 from jaxik.checks.options import check_kind
 from jaxik.robot.chain import Array, Chain, as_numbers
+from jaxik.robot.joint_turns import into_limits, wrapped
 from jaxik.robot.kinematics import joint_frames
-from jaxik.robot.turns import into_limits, wrapped
 from jaxik.spatial.algebra import BASE, Frame, Rot3, Scalar, Vec3, add, atan2, constants, mul, safe_sqrt, stack, sub, traced
 from jaxik.spatial.ball import minimum, where
 from jaxik.spmd import HostKernel, kernel

@@ -2,7 +2,7 @@
 
 An array is a NumPy array of values, so reshapes, slices, stacks, transposes and gathers at constant indices are NumPy's and
 cost nothing at run time. An operand, a table of constants or what a loop stacks is an array of addresses instead, read where
-it is needed: a row of it at a loop's index is a load. One small rule a primitive, in a table; what has none is refused by name.
+it is needed: a row of it at a loop's index is a load. One small rule a primitive, in `rules`; what has none is refused by name.
 """
 
 from __future__ import annotations

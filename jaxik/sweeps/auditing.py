@@ -11,10 +11,10 @@ from typing import Any
 
 import numpy as np
 
-from jaxik.sweeps.answers import answer
+from jaxik.sweeps.evaluation import answer
+from jaxik.sweeps.robot_variants import Variant
 from jaxik.sweeps.store import Store
 from jaxik.sweeps.study import Study
-from jaxik.sweeps.variants import Variant
 
 EFFORTS = {
     "closed form": (0.25, 0.5, 1.0, 4.0),

@@ -12,11 +12,11 @@ from typing import Any
 
 import numpy as np
 
-from jaxik.checks.extras import optional
+from jaxik.checks.optional_modules import optional
 from jaxik.spmd.batch import compilation_cache
-from jaxik.sweeps.answers import answer
+from jaxik.sweeps.evaluation import answer
+from jaxik.sweeps.robot_variants import Variant
 from jaxik.sweeps.study import Study
-from jaxik.sweeps.variants import Variant
 
 AHEAD = 2  # tasks a worker: one to run, one to have at hand; more would only stand in memory
 

@@ -18,13 +18,13 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from jaxik.checks.extras import optional
+from jaxik.checks.optional_modules import optional
 from jaxik.checks.options import shown
+from jaxik.collision.always_colliding import scene_words
 from jaxik.collision.scene import Scene
-from jaxik.collision.standing import scene_words
 from jaxik.reasons import Reason
-from jaxik.sweeps.answers import answer
 from jaxik.sweeps.auditing import audit
+from jaxik.sweeps.evaluation import answer
 from jaxik.sweeps.store import Store, StoreError
 from jaxik.sweeps.study import Study
 

@@ -22,11 +22,11 @@ from typing import Any
 
 import numpy as np
 
-from jaxik.checks.extras import optional
+from jaxik.checks.optional_modules import optional
 from jaxik.reasons import Reason
-from jaxik.sweeps.answers import COLUMNS, GIVEN, Column, given_columns
+from jaxik.sweeps.evaluation import COLUMNS, GIVEN, Column, given_columns
+from jaxik.sweeps.robot_variants import variant_name
 from jaxik.sweeps.study import Study
-from jaxik.sweeps.variants import variant_name
 
 UNFINISHED = -1
 CRC = Column("i8", UNFINISHED, {"long_name": f"CRC-32 of a finished chunk; {UNFINISHED} while it is not"})

@@ -17,13 +17,13 @@ import numpy as np
 
 import jaxik
 from jaxik.collision.scene import Scene
-from jaxik.files.toml import Table, read_toml
+from jaxik.files.robot_toml import Table, read_toml
 from jaxik.harvesting.scanning import Weights
 from jaxik.ik.options import IKOptions
 from jaxik.robot.chain import Chain
 from jaxik.robot.spherical_wrist import closed_form_obstacle
+from jaxik.sweeps.robot_variants import Variant, variant_name
 from jaxik.sweeps.targets import Targets
-from jaxik.sweeps.variants import Variant, variant_name
 
 CHUNK = 10_000
 POSITION_TOLERANCE, ROTATION_TOLERANCE = 1e-6, 1e-6  # [m], [rad]

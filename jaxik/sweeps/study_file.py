@@ -12,8 +12,8 @@ import numpy as np
 from jaxik.collision.clearances import check_geometry
 from jaxik.collision.scene import Scene
 from jaxik.files import load, load_scene
+from jaxik.files.robot_toml import Table
 from jaxik.files.targets import read_targets
-from jaxik.files.toml import Table
 from jaxik.fitting.capsules import Fit
 from jaxik.harvesting.grasp import Grasp
 from jaxik.harvesting.scanning import Weights
@@ -22,9 +22,9 @@ from jaxik.robot.chain import Chain
 from jaxik.robot.reach_bound import millimetres
 from jaxik.robot.task import Task
 from jaxik.sweeps import targets as sources
+from jaxik.sweeps.robot_variants import all_variants, read_shapes
 from jaxik.sweeps.study import CHUNK, POSITION_TOLERANCE, ROTATION_TOLERANCE, Study
 from jaxik.sweeps.targets import Targets
-from jaxik.sweeps.variants import all_variants, read_shapes
 
 KEYS = (
     *("name", "robot", "robots", "base", "parameters", "collision", "tool", "targets", "ik"),

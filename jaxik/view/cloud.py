@@ -11,7 +11,7 @@ import numpy as np
 from jaxik.files.targets import as_frames
 from jaxik.robot.chain import Chain
 from jaxik.robot.kinematics import pose_errors
-from jaxik.sweeps.variants import variant_name
+from jaxik.sweeps.robot_variants import variant_name
 from jaxik.view.palette import SCALE, bar, rgb, swatches
 from jaxik.view.sweep_picture import Map, categories, open_store, variant_label, variant_map
 

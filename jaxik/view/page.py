@@ -11,11 +11,11 @@ from typing import Any
 
 import numpy as np
 
-from jaxik.checks.extras import optional
+from jaxik.checks.optional_modules import optional
 from jaxik.collision.clearances import check_geometry
-from jaxik.collision.contacts import Contact, explain
+from jaxik.collision.contact_report import Contact, explain
 from jaxik.collision.scene import Scene
-from jaxik.collision.self_pairs import default_pose
+from jaxik.collision.self_collision_pairs import default_pose
 from jaxik.files.targets import as_frames
 from jaxik.fitting.model import Shape
 from jaxik.harvesting.driver import Harvest

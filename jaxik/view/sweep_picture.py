@@ -8,10 +8,10 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from jaxik.checks.extras import optional
+from jaxik.checks.optional_modules import optional
 from jaxik.collision.scene import Scene
 from jaxik.reasons import Reason
-from jaxik.sweeps.variants import variant_name
+from jaxik.sweeps.robot_variants import variant_name
 from jaxik.view.palette import COLOURS, INK, PARTLY, SCALE, WORDS
 from jaxik.view.solids import scene_points, scene_solids
 

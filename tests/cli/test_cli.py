@@ -17,7 +17,7 @@ import jaxik
 from jaxik import cli
 from jaxik.cli.harvest import _in_the_way, _print_table, write_harvest
 from jaxik.collision.sphere_levels import hierarchical_clearance
-from jaxik.harvesting.in_the_way import Blockers
+from jaxik.harvesting.blocking_objects import Blockers
 
 GRID = {"kind": "grid", "x": [0, 1, 2], "y": [0.5, 0.8, 2], "z": [0.3, 0.5, 2]}
 SCENE = """name = "bench"

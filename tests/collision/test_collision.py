@@ -13,8 +13,8 @@ from scipy.spatial import cKDTree
 
 import jaxik
 from jaxik.collision import clearances, distance
-from jaxik.collision.hierarchy import grouped
-from jaxik.collision.nearest import Space
+from jaxik.collision.bvh import grouped
+from jaxik.collision.nearest_pair import Space
 from jaxik.collision.sphere_levels import hierarchical_clearance, hierarchical_collision
 from jaxik.spatial.algebra import Rot3, Vec3
 from jaxik.spmd import HostKernel
@@ -242,7 +242,7 @@ def _scene(rng):
     )
 
 
-@pytest.mark.parametrize("name, alone", [("crops_v2", True), ("chembuly9", False)])  # p6r: test_transformations
+@pytest.mark.parametrize("name, alone", [("crops_v2", True), ("chembuly9", False)])  # p6r: test_jax_transformations
 def test_gradient_of_the_clearance(name, alone):
     chain, rng = jaxik.load(name), np.random.default_rng(2)
     scene = jaxik.make_scene() if alone else _scene(rng)

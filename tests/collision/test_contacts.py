@@ -84,7 +84,7 @@ def test_blocks_change_nothing(scene, monkeypatch):
     asked = [(around, q) for around in (scene, builder.scene()) for q in np.random.default_rng(2).uniform(-2.0, 2.0, (2, 4))]
     whole = [str(jaxik.explain(ARM, around, q, 99)) for around, q in asked]
     for block in (1, 9, 50):
-        monkeypatch.setattr("jaxik.collision.contacts.BLOCK", block)
+        monkeypatch.setattr("jaxik.collision.contact_report.BLOCK", block)
         assert [str(jaxik.explain(ARM, around, q, 99)) for around, q in asked] == whole
 
 

@@ -71,7 +71,7 @@ def test_no_tunnelling_through_a_thin_stem():
 def test_bounds_of_speed_hold():
     """Speeds by the twist of a ball are no less than those of the skeleton's corners, by differences; the motion's bounds of
     speed and acceleration hold at random fractions. A chain whose middle joint slides."""
-    from jaxik.collision.advancement import _row_bounds, _rows, _speeds
+    from jaxik.collision.continuous_collision import _row_bounds, _rows, _speeds
     from jaxik.collision.volumes import skeletons
     from jaxik.spatial.algebra import traced
 

@@ -15,7 +15,7 @@ from robots import FOLDER, ROBOTS
 
 import jaxik
 from jaxik.files import targets as target_files
-from jaxik.files.assemble import MAX_BYTES
+from jaxik.files.chain_builder import MAX_BYTES
 
 TOML = """name = "arm"
 convention = "frames"

@@ -13,9 +13,9 @@ from robot_files import refused, write
 
 import jaxik
 from jaxik.collision.clearances import link_clearances
-from jaxik.collision.nearest import Space
+from jaxik.collision.nearest_pair import Space
 from jaxik.fitting.convex import Body
-from jaxik.fitting.pair_tables import table_of
+from jaxik.fitting.link_distance_tables import table_of
 from jaxik.robot.chain import finite_limits
 from jaxik.spmd import kernel
 

@@ -14,7 +14,7 @@ from robots import ROBOTS, bare, joint_range, pinocchio, pose_errors
 
 import jaxik
 from jaxik import Reason
-from jaxik.ik import lanes
+from jaxik.ik import sqp_programs
 from jaxik.optimise import sqp
 from jaxik.robot.chain import Volume
 from jaxik.spmd import call as kernels
@@ -105,11 +105,11 @@ def test_nothing_compiles_for_another_number(panda):
 
 
 def _programs(chain):
-    from jaxik.ik.finishing import FINISH
     from jaxik.ik.options import SEARCH
+    from jaxik.ik.refinement import FINISH
     from jaxik.robot.task import POSE
 
-    return [lanes.settling(chain, POSE, SEARCH), lanes.settling(chain, POSE, FINISH)]
+    return [sqp_programs.settling(chain, POSE, SEARCH), sqp_programs.settling(chain, POSE, FINISH)]
 
 
 def test_reasons(panda):

@@ -12,10 +12,10 @@ from robots import bare, pinocchio
 from scipy.optimize import lsq_linear, minimize
 
 import jaxik
-from jaxik.motions.boundary import boundary_value
+from jaxik.motions.boundary_problem import boundary_value
+from jaxik.motions.nullspace import asc, rac, resolve_velocity, rmrc
 from jaxik.motions.path import Arc, Line, motion, via
 from jaxik.motions.predictive import Horizon, future, multistart, objective, predict, problem, quadratic_cost
-from jaxik.motions.redundancy import asc, rac, resolve_velocity, rmrc
 from jaxik.optimise import ilqr, ocp
 from jaxik.optimise.descent import QUASI_NEWTON, Descent
 

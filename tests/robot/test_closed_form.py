@@ -11,7 +11,7 @@ from arm import eaik_robot
 from robots import FOLDER, ROBOTS, bare
 
 import jaxik
-from jaxik.files.assemble import Joint, assemble
+from jaxik.files.chain_builder import Joint, assemble
 
 
 def _rotation(rng):

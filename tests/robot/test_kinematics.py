@@ -13,7 +13,7 @@ import pytest
 from robots import FOLDER, ROBOTS, bare, joint_range
 
 import jaxik
-from jaxik.files.assemble import Joint, assemble
+from jaxik.files.chain_builder import Joint, assemble
 
 SHIPPED = ["p6r", "crops_v2", "chembuly9", "pendulum4", "planar2"]
 

@@ -8,7 +8,7 @@ import pytest
 
 import jaxik
 from jaxik.files.loading import models_folder
-from jaxik.files.toml import ORIGINS
+from jaxik.files.robot_toml import ORIGINS
 
 TABLE_4 = [  # 9-DOF paper: position [cm], q1 [cm], q2..q9 [deg]
     ((38, 34, 60), (8.16, 44.57, 5.33, 50.95, 56.99, -35.41, 6.34, 221.30, 50.87)),

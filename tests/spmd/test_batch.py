@@ -10,7 +10,7 @@ FORKED = """
 import os, signal, threading
 import numpy as np
 from jaxik.spmd.batch import in_blocks
-from jaxik.ik.finishing import compile_finisher
+from jaxik.ik.refinement import compile_finisher
 
 rows, opened = np.arange(100.0), threading.Event()
 twice = lambda: np.array_equal(in_blocks(lambda x: 2.0 * x, rows, size=10)[0], 2.0 * rows)

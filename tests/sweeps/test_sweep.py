@@ -148,7 +148,7 @@ def test_two_leading_joints_of_which_one_turns(tmp_path, monkeypatch):
 
 
 def sweep_values(study, rows=None):
-    from jaxik.sweeps.answers import answer
+    from jaxik.sweeps.evaluation import answer
 
     read = jaxik.sweeps.Study.of(study)
     return answer(read, read.variants[0], slice(0, len(read.targets)) if rows is None else rows)

@@ -18,10 +18,10 @@ from jaxtyping import Float
 
 from jaxik.checks.arrays import check_known
 from jaxik.checks.options import as_count, check_finite, check_kind
+from jaxik.collision.bvh import pair_tables
 from jaxik.collision.clearances import check_geometry
-from jaxik.collision.hierarchy import pair_tables
-from jaxik.collision.pairs import columns_of, obstacles_of, skeleton_gap
 from jaxik.collision.scene import FAR, KINDS, Scene, check_scene
+from jaxik.collision.shape_distances import columns_of, obstacles_of, skeleton_gap
 from jaxik.collision.volumes import skeletons
 from jaxik.robot.chain import Array, Chain
 from jaxik.robot.kinematics import as_posture

@@ -5,10 +5,10 @@ from __future__ import annotations
 import numpy as np
 
 from jaxik.costs import Cost
-from jaxik.ik import lanes
-from jaxik.ik.finishing import STEPS, Misses, finish, searched
-from jaxik.ik.found import Found, cleared, colliding, far_apart, nothing
+from jaxik.ik import sqp_programs
 from jaxik.ik.problem import Problem
+from jaxik.ik.refinement import STEPS, Misses, finish, searched
+from jaxik.ik.solutions import Found, cleared, colliding, far_apart, nothing
 from jaxik.spmd.batch import in_blocks
 
 PUSHED, PUSHES = (4, 64), 24  # colliding postures a target that are moved out of the obstacles, at first and at last; the steps
@@ -21,7 +21,7 @@ def pushed(problem: Problem, poses: np.ndarray, stuck: Found, count: int) -> Fou
     chosen = stuck.rows(far_apart(stuck, stuck.clearance, count))
     if not len(chosen.q):
         return chosen
-    program = lanes.landing(problem.chain, problem.options.task, PUSHES, problem.options.avoid, extras(problem))
+    program = sqp_programs.landing(problem.chain, problem.options.task, PUSHES, problem.options.avoid, extras(problem))
     fixed = (*problem.limits, problem.scene, problem.options.margin + PUSH_MARGIN)
     q = in_blocks(program, chosen.q, poses[chosen.target], fixed=fixed, double=False)[0]
     moved = chosen._replace(q=q, iterations=chosen.iterations + PUSHES)
@@ -54,6 +54,6 @@ def hopped(problem: Problem, poses: np.ndarray, stuck: Found, count: int) -> Fou
     return Found.joined(answers)
 
 
-def extras(problem: Problem, cost: Cost | None = None) -> lanes.Extras:
+def extras(problem: Problem, cost: Cost | None = None) -> sqp_programs.Extras:
     collision = "none" if problem.scene is None else problem.options.collision
-    return lanes.Extras(cost, collision, problem.options.activation, problem.options.penalty)
+    return sqp_programs.Extras(cost, collision, problem.options.activation, problem.options.penalty)

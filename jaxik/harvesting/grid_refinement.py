@@ -10,12 +10,12 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+from jaxik.collision.bvh import grouped
 from jaxik.collision.clearances import clearance
-from jaxik.collision.hierarchy import grouped
 from jaxik.collision.scene import Scene
 from jaxik.harvesting.grasp import Grasp, grasp_poses
 from jaxik.harvesting.scanning import MISSES, Scan, Table, Weights, measured, scan, without_fruit
-from jaxik.reach.leading import grid
+from jaxik.reach.leading_joints import grid
 from jaxik.robot.chain import Chain
 from jaxik.robot.kinematics import jacobian
 from jaxik.robot.spherical_wrist import closed_forms

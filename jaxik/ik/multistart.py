@@ -1,9 +1,9 @@
 """The driver of inverse kinematics: seeds to lanes, wave by wave, until each target has an answer or a reason.
 
-A target is searched for from seeds (`seeds`) by SQP (`lanes`, `optimise.sqp`) in float32, a few steps from each. What has
-landed is finished, and judged, in float64. Targets that are left get more seeds in the next, larger wave: most need one, and
-dropping those that have an answer is what makes the batch fast. Few targets take several waves in one: a vector of lanes costs
-what one lane does.
+A target is searched for from seeds (`seeds`) by SQP (`sqp_programs`, `optimise.sqp`) in float32, a few steps from each. What
+has landed is finished, and judged, in float64. Targets that are left get more seeds in the next, larger wave: most need one,
+and dropping those that have an answer is what makes the batch fast. Few targets take several waves in one: a vector of lanes
+costs what one lane does.
 
 Every number in this is a target's own: which seeds it gets, how many steps each runs, and that the first seed that leads to an
 answer is taken. So a target has the same result alone and among a million.
@@ -24,11 +24,11 @@ from typing import NamedTuple
 import numpy as np
 
 from jaxik.ik import seeds
-from jaxik.ik.cheapest import improved
-from jaxik.ik.finishing import EARLY, OPEN, PORTION, SOLVED, STEPS, Misses, compile_finisher, finisher, rescued, searched
-from jaxik.ik.found import Found, at_home, candidates, colliding, nothing, within
-from jaxik.ik.freeing import PUSHED, hopped, is_fixed, pushed
+from jaxik.ik.collision_repair import PUSHED, hopped, is_fixed, pushed
+from jaxik.ik.cost_refinement import improved
 from jaxik.ik.problem import Problem
+from jaxik.ik.refinement import EARLY, OPEN, PORTION, SOLVED, STEPS, Misses, compile_finisher, finisher, rescued, searched
+from jaxik.ik.solutions import Found, at_home, candidates, colliding, nothing, within
 from jaxik.reasons import Reason
 from jaxik.robot.reach_bound import reach_bound
 

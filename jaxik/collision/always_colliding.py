@@ -8,9 +8,9 @@ import warnings
 
 from jaxik.checks.arrays import is_known
 from jaxik.checks.options import nearest
-from jaxik.collision.contacts import Contact, explain
+from jaxik.collision.contact_report import Contact, explain
 from jaxik.collision.scene import Scene, remembered
-from jaxik.collision.self_pairs import default_pose
+from jaxik.collision.self_collision_pairs import default_pose
 from jaxik.robot.chain import Chain
 
 KNOWN = 64  # robots and margins of which a scene remembers what stands in it

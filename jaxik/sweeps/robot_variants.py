@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from jaxik.files.toml import Table
+from jaxik.files.robot_toml import Table
 from jaxik.robot.chain import Chain
 
 LENGTHS = ("length", "x", "y", "z")

@@ -8,8 +8,8 @@ from typing import NamedTuple
 import numpy as np
 
 from jaxik.checks.options import check_finite, check_kind
+from jaxik.collision.bvh import grouped
 from jaxik.collision.clearances import by_object, self_clearance
-from jaxik.collision.hierarchy import grouped
 from jaxik.collision.scene import Scene
 from jaxik.harvesting.scanning import Scan, without_fruit
 from jaxik.robot.chain import Chain

@@ -7,10 +7,10 @@ from typing import NamedTuple
 
 import numpy as np
 
-from jaxik.ik import lanes
+from jaxik.ik import sqp_programs
 from jaxik.ik.problem import Problem
 from jaxik.robot.chain import Chain
-from jaxik.robot.turns import TURN, nearest_turns
+from jaxik.robot.joint_turns import TURN, nearest_turns
 from jaxik.spmd.batch import in_blocks
 
 APART = 0.2  # [rad, m] between these in some joint: nearer ones end at the same place
@@ -68,7 +68,9 @@ def cleared(problem: Problem, found: Found) -> Found:
     """With their clearance, where there is a scene."""
     if problem.scene is None or not len(found.q):
         return found
-    return found._replace(clearance=in_blocks(lanes.clearances(problem.chain), found.q, fixed=(problem.scene,), double=True)[0])
+    return found._replace(
+        clearance=in_blocks(sqp_programs.clearances(problem.chain), found.q, fixed=(problem.scene,), double=True)[0]
+    )
 
 
 def at_home(problem: Problem, found: Found) -> Found:

@@ -12,13 +12,13 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from jaxik.collision.hierarchy import Grouped, grouped
+from jaxik.collision.bvh import Grouped, grouped
 from jaxik.collision.scene import Scene, make_scene, remembered
 from jaxik.costs import joint_limit_margin
 from jaxik.harvesting.scanning import measures
 from jaxik.ik.solve import IKResult, as_poses, solved
 from jaxik.reach.certify import beyond, certify
-from jaxik.reach.leading import NOTHING, arm_of, first_most, freest, grid, leading_grid
+from jaxik.reach.leading_joints import NOTHING, arm_of, first_most, freest, grid, leading_grid
 from jaxik.reasons import Reason
 from jaxik.robot.chain import Chain, finite_limits
 from jaxik.robot.kinematics import manipulability, pose_errors
@@ -26,9 +26,9 @@ from jaxik.robot.spherical_wrist import BRANCHES, closed_branches, closed_forms,
 from jaxik.spatial.algebra import traced
 from jaxik.spmd import HostKernel
 from jaxik.spmd.batch import in_blocks
+from jaxik.sweeps.robot_variants import Variant
 from jaxik.sweeps.study import Study
 from jaxik.sweeps.targets import Targets
-from jaxik.sweeps.variants import Variant
 
 GIVEN = ("position", "quaternion")  # columns that are the target's own, the same whatever it is asked of
 WORTH = ("q", "position_error", "rotation_error", "manipulability", "limit_margin")  # columns of a posture

@@ -12,13 +12,13 @@ import numpy as np
 
 from jaxik.checks.options import check_finite, check_kind, shown
 from jaxik.collision.volumes import LEVELS
-from jaxik.files.assemble import JOINT_TYPES
+from jaxik.files.chain_builder import JOINT_TYPES
+from jaxik.files.robot_toml import Table
 from jaxik.files.spherized import spherized
 from jaxik.files.srdf import check_ours, write_disabled
-from jaxik.files.toml import Table
-from jaxik.files.writing import write_text
+from jaxik.files.text_files import write_text
 from jaxik.robot.chain import Body, Box, Chain, Volume
-from jaxik.robot.pair_table import PairTable, packed, unpacked
+from jaxik.robot.link_distance_table import PairTable, packed, unpacked
 
 KINDS = {"sphere": 1, "capsule": 2, "triangle": 3}
 

@@ -19,8 +19,8 @@ from jax import lax
 
 from jaxik.checks.options import as_count_or_values
 from jaxik.robot.chain import Chain, finite_limits
+from jaxik.robot.joint_turns import TURN
 from jaxik.robot.spherical_wrist import HalfBranch, half_branches, wrist_branches
-from jaxik.robot.turns import TURN
 from jaxik.spatial.ball import possible
 from jaxik.spmd import HostKernel
 from jaxik.spmd.batch import in_blocks

@@ -9,8 +9,8 @@ points move at a speed of at most v at t, and are accelerated by at most a anywh
 and its distance to what stands still has changed by no more than that. v is measured, by the twist of a ball about the link's
 skeleton; r_j, how far a point of the link ever is from joint j's axis, follows from the chain's lengths and the travel of its
 slides. A slide has 1 in place of r_j in V, `2 |dq_j| sum_{i<j} |dq_i|` in a, and is no i: it turns nothing. Two links move
-relative to each other by the joints between them alone. A bound that a table gives (`pair_table`) changes no faster than the
-table does anywhere.
+relative to each other by the joints between them alone. A bound that a table gives (`link_distance_table`) changes no faster
+than the table does anywhere.
 
 From what was measured the march takes one step that is safe; or twice as far, in the hope that what is measured there reaches
 back, and where it does not, the safe step follows.
@@ -29,13 +29,13 @@ from jaxtyping import Bool, Float, Int
 
 from jaxik.checks.arrays import is_known, stop_gradients
 from jaxik.checks.options import check_finite, check_kind
+from jaxik.collision.bvh import grouped, pair_tables
 from jaxik.collision.clearances import check_geometry, clearance, link_clearances
-from jaxik.collision.hierarchy import grouped, pair_tables
 from jaxik.collision.scene import FAR, KINDS, Scene
 from jaxik.collision.volumes import box_spheres
 from jaxik.robot.chain import Array, Chain, as_configuration, as_shaped, solid_links
 from jaxik.robot.kinematics import joint_frames
-from jaxik.robot.pair_table import PairTable
+from jaxik.robot.link_distance_table import PairTable
 from jaxik.spatial.algebra import ZERO, Frame, Vec3, traced
 from jaxik.spmd import kernel
 

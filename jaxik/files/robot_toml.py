@@ -15,8 +15,8 @@ from typing import Any
 
 import numpy as np
 
-from jaxik.files.assemble import Joint, Link, assemble, read_bytes, unique
-from jaxik.files.posture import Posture
+from jaxik.files.chain_builder import Joint, Link, assemble, read_bytes, unique
+from jaxik.files.held_joints import Posture
 from jaxik.reasons import LoadError
 from jaxik.robot.chain import Chain
 from jaxik.spatial.rotations import frame, from_rpy

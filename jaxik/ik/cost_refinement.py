@@ -6,11 +6,11 @@ import warnings
 
 import numpy as np
 
-from jaxik.ik import lanes
-from jaxik.ik.found import Found, at_home, cleared, colliding, far_apart, within
-from jaxik.ik.freeing import extras
+from jaxik.ik import sqp_programs
+from jaxik.ik.collision_repair import extras
 from jaxik.ik.problem import Problem
-from jaxik.robot.turns import TURN
+from jaxik.ik.solutions import Found, at_home, cleared, colliding, far_apart, within
+from jaxik.robot.joint_turns import TURN
 from jaxik.spmd.batch import in_blocks
 
 IMPROVE_MARGIN = 1e-8  # [m] likewise, of an answer that leans on an obstacle for the sake of its cost
@@ -25,7 +25,7 @@ def improved(problem: Problem, poses: np.ndarray, found: Found) -> Found:
     if problem.options.choice == "first":
         found = found.rows(far_apart(found, -costs(problem, found.q), max(IMPROVED, problem.options.solutions)))
     iterations = problem.options.cost_iterations
-    program = lanes.landing(
+    program = sqp_programs.landing(
         problem.chain, problem.options.task, iterations, problem.options.improve, extras(problem, problem.options.cost)
     )
     more = () if problem.scene is None else (problem.scene, problem.options.margin + IMPROVE_MARGIN)
@@ -40,7 +40,7 @@ def improved(problem: Problem, poses: np.ndarray, found: Found) -> Found:
 
 def _check_slopes(problem: Problem, found: Found) -> None:
     """Warns where the user's cost has no derivative: no step can follow it from there."""
-    (slopes,) = in_blocks(lanes.slope(problem.options.cost), found.q, double=True)
+    (slopes,) = in_blocks(sqp_programs.slope(problem.options.cost), found.q, double=True)
     bad = np.flatnonzero(~np.isfinite(slopes).all(axis=1))
     if len(bad):
         q, slope = (np.array2string(x[bad[0]], precision=4, separator=", ", max_line_width=1000) for x in (found.q, slopes))
@@ -69,4 +69,4 @@ def _cheaper_turns(problem: Problem, found: Found) -> Found:
 
 def costs(problem: Problem, q: np.ndarray) -> np.ndarray:
     """The user's cost of configurations (N, n), in float64."""
-    return in_blocks(lanes.measure(problem.options.cost), q, double=True)[0]
+    return in_blocks(sqp_programs.measure(problem.options.cost), q, double=True)[0]

@@ -1,6 +1,6 @@
 """The search for the nearest pair: of a robot's volume and an obstacle, or two of its volumes.
 
-It goes from the tip to the base, part by part, through `hierarchy`'s two levels on both sides. What cannot be nearer than the
+It goes from the tip to the base, part by part, through `bvh`'s two levels on both sides. What cannot be nearer than the
 least distance so far, in any lane of a kernel's vector, is skipped: the loops and branches stay such in machine code. The least
 distance is that of the flat search, to the last bit, since skipping takes part in no arithmetic.
 """
@@ -18,12 +18,12 @@ import numpy as np
 from jax import lax
 
 from jaxik.checks.arrays import is_known
-from jaxik.collision import distance, hierarchy
-from jaxik.collision.hierarchy import Grouped, Robot, Volumes
-from jaxik.collision.pairs import Gap, obstacles_of, skeleton_gap, square_gap
+from jaxik.collision import bvh, distance
+from jaxik.collision.bvh import Grouped, Robot, Volumes
+from jaxik.collision.shape_distances import Gap, obstacles_of, skeleton_gap, square_gap
 from jaxik.robot.chain import Chain
 from jaxik.robot.kinematics import joint_frames
-from jaxik.robot.pair_table import interpolated
+from jaxik.robot.link_distance_table import interpolated
 from jaxik.spatial.algebra import Frame, Vec3, stack, traced
 
 FEW = 16  # points of a robot, up to which they are moved without a loop
@@ -65,9 +65,9 @@ class Space:
     """A robot at one configuration, among what surrounds it."""
 
     def __init__(self, chain: Chain, around: Grouped, q: Any, skips: bool = True):
-        self.robot, self.obstacles, self.dtype, self.skips = hierarchy.robot(chain), around, q.dtype, skips
+        self.robot, self.obstacles, self.dtype, self.skips = bvh.robot(chain), around, q.dtype, skips
         self.prismatic, self.q, self.tabled = chain.is_prismatic, q, len(self.robot.tables.size) > 0
-        bit = hierarchy.bits(chain.ignored)
+        bit = bvh.bits(chain.ignored)
         self.bits = np.array([bit.get(link, 0) for link in self.robot.links], np.int32) if bit else None
         root = Frame.of(chain.world_T_base, float(np.finfo(q.dtype).eps))
         self.joints = joint_frames(chain, traced(q), root, q.dtype)
@@ -383,6 +383,6 @@ def _ball(balls: Any, i: Any) -> Any:
     return jax.tree_util.tree_map(lambda x: _at(x, i), balls)
 
 
-def _cast(balls: hierarchy.Balls, dtype: Any) -> Any:
+def _cast(balls: bvh.Balls, dtype: Any) -> Any:
     center = jnp.asarray(balls.center, dtype)
     return Vec3(center[:, 0], center[:, 1], center[:, 2]), jnp.asarray(balls.radius, dtype)

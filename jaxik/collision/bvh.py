@@ -1,8 +1,8 @@
 """A robot's volumes and a scene's obstacles in two levels of bounding spheres, so that what is far is not measured.
 
 Leaves hold a few neighbours each, branches the leaves of a link or of a region of the scene [Van Henten et al. 2010, App. A;
-Hubbard 1996]. `nearest` walks through pairs of them. All of it is made on the host, in NumPy; of a scene or a robot that is
-traced, in the order that it has.
+Hubbard 1996]. `nearest_pair` walks through pairs of them. All of it is made on the host, in NumPy; of a scene or a robot that
+is traced, in the order that it has.
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ from jaxik.checks.arrays import is_known
 from jaxik.collision.scene import FAR, KINDS, SHAPES, Scene, check_scene, is_remembered, remembered
 from jaxik.collision.volumes import local_volumes
 from jaxik.robot.chain import Chain, geometry_between, solid_links
-from jaxik.robot.pair_table import PairTable
+from jaxik.robot.link_distance_table import PairTable
 
 LEAF = {"points": 4, "spheres": 4, "capsules": 1, "boxes": 1, "cylinders": 1}  # obstacles a leaf, where there are a few
 PLACE = {kind: next(iter(fields)) for kind, fields in SHAPES.items()}  # the field that says where an obstacle is

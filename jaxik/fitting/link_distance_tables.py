@@ -1,4 +1,4 @@
-"""The tables of pairs of links (`pair_table`), from the links' convex bodies.
+"""The tables of pairs of links (`link_distance_table`), from the links' convex bodies.
 
 Where two joints lie between the links, these decide. Where a third does, one that turns a link about its own axis, that link is
 taken for all that it sweeps: of a round flange that is little more than itself.
@@ -18,7 +18,7 @@ import numpy as np
 from jaxik.fitting.convex import Body, gaps, hull_corners, separated, ways_out
 from jaxik.robot.chain import Chain
 from jaxik.robot.kinematics import joint_frames
-from jaxik.robot.pair_table import PairTable, stored
+from jaxik.robot.link_distance_table import PairTable, stored
 from jaxik.spatial.algebra import BASE
 
 SIDES = 64, 256  # values of each joint, fewest and most

@@ -3,8 +3,8 @@
 Links two joints apart pass each other within millimetres in most postures: an upper arm beside the base, a flange beside the
 forearm. Volumes that are a few millimetres larger than the links say collision there where there is none. But two joints
 decide it alone. So the links' own distance is measured once, over a grid of both joints' values, less what interpolation may
-add between the nodes (`fitting.pair_tables`): what is read is a bound from below, as the distance of the volumes is. The
-greater of the two counts.
+add between the nodes (`fitting.link_distance_tables`): what is read is a bound from below, as the distance of the volumes is.
+The greater of the two counts.
 
 Beyond the grid the bound falls as fast as a distance can change: by no more than `reach`, how far the link is from the joint's
 axis, for each radian, and by 1 m for each metre of a slide.

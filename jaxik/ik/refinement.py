@@ -9,12 +9,12 @@ from typing import Any
 
 import numpy as np
 
-from jaxik.ik import lanes
-from jaxik.ik.found import Found, cleared, colliding, nothing, top, within
+from jaxik.ik import sqp_programs
 from jaxik.ik.problem import Problem
+from jaxik.ik.solutions import Found, cleared, colliding, nothing, top, within
 from jaxik.optimise import sqp
 from jaxik.reasons import Reason
-from jaxik.robot.turns import TURN
+from jaxik.robot.joint_turns import TURN
 from jaxik.spmd.batch import anew_in_forks, in_blocks, threads
 
 EARLY, STEPS = 7, 16  # of a lane before it is given up, from an early seed and a late one: most that land need four
@@ -43,7 +43,9 @@ def searched(problem: Problem, poses: np.ndarray, lanes_: Found, steps: int, mis
 
 def settled(problem: Problem, poses: np.ndarray, lanes_: Found, most: int, double: bool = True, creep: float = np.inf) -> Found:
     """The lanes after up to `most` steps, with their errors."""
-    program = finisher(problem) if double else lanes.settling(problem.chain, problem.options.task, problem.options.search)
+    program = (
+        finisher(problem) if double else sqp_programs.settling(problem.chain, problem.options.task, problem.options.search)
+    )
     aim = problem.aim[lanes_.target] if double else np.full(len(lanes_.target), ARRIVED)
     rows, fixed = (lanes_.q, poses[lanes_.target], aim), (*problem.round_limits, most, creep)
     q, away, turned, count = in_blocks(program, *rows, fixed=fixed, double=double)
@@ -62,7 +64,7 @@ def _inside(problem: Problem, q: np.ndarray) -> np.ndarray:
 
 
 def finisher(problem: Problem) -> Callable[..., Any]:
-    return lanes.settling(problem.chain, problem.options.task, FINISH)
+    return sqp_programs.settling(problem.chain, problem.options.task, FINISH)
 
 
 @anew_in_forks

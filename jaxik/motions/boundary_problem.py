@@ -22,9 +22,9 @@ import numpy as np
 
 from jaxik.checks.arrays import shaped
 from jaxik.checks.options import as_count, check_finite
+from jaxik.motions.nullspace import Resolved
 from jaxik.motions.path import Path, check_path, motion
 from jaxik.motions.predictive import Horizon, Prediction, RunningCost
-from jaxik.motions.redundancy import Resolved
 from jaxik.robot.chain import Chain
 
 

@@ -39,7 +39,7 @@ def _imports(path):
             yield from ([node.module.split(".")[1]] if "." in node.module else [a.name for a in node.names])
 
 
-def test_floors():
+def test_layering():
     for path in ROOT.rglob("*.py"):
         own = path.relative_to(ROOT).parts[0].removesuffix(".py")
         if own == "__init__":

@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 
 from jaxik.checks.options import nearest
-from jaxik.files.assemble import Joint, checked
+from jaxik.files.chain_builder import Joint, checked
 from jaxik.reasons import LoadError
 from jaxik.spatial.rotations import about, frame
 
