@@ -7,6 +7,7 @@ functions on pytrees (`equinox.tree_at`) work with these.
 from __future__ import annotations
 
 import dataclasses
+import functools
 from collections.abc import Iterable
 from typing import Any, dataclass_transform
 
@@ -48,6 +49,11 @@ class Pytree:
             return tree
 
         jax.tree_util.register_pytree_with_keys(cls, flatten_with_keys, unflatten, flatten)
+
+    @functools.cached_property
+    def concrete(self) -> bool:
+        """Whether nothing in it is traced: asked once, for it never changes."""
+        return not any(isinstance(leaf, jax.core.Tracer) for leaf in jax.tree_util.tree_leaves(self))
 
     def __eq__(self, other: object) -> bool:
         """Whether the types, the structures and all numbers are the same. Not for tracers."""

@@ -6,7 +6,6 @@ import dataclasses
 import sys
 import warnings
 
-from jaxik.checks.arrays import is_known
 from jaxik.checks.options import nearest
 from jaxik.collision.contact_report import Contact, explain
 from jaxik.collision.scene import Scene, remembered
@@ -19,7 +18,7 @@ KNOWN = 64  # robots and margins of which a scene remembers what stands in it
 def warn_of_scene(who: str, chain: Chain, scene: Scene, margin: float) -> None:
     """Warns, in the name of the driver `who` and at its caller's line, of the first pair that collides in every configuration,
     and of an object that is ignored and is in the scene by a name that is nearly its own."""
-    if is_known((chain, scene)):
+    if chain.concrete and scene.concrete:
         for line in scene_words(chain, scene, margin):
             warnings.warn(f"{who}: {line}", stacklevel=3)
 

@@ -48,8 +48,9 @@ def millimetres(chain: Chain, positions: np.ndarray, world: bool = False) -> str
     origin = chain.world_T_base[:3, :3] @ bound.origin + chain.world_T_base[:3, 3] if world else bound.origin
     if not len(known) or not np.isfinite(bound.longest):
         return None
-    away, thousandth = (float(np.median(np.linalg.norm(known * unit - origin, axis=1))) for unit in (1.0, 1e-3))
-    if away <= FAR_OFF * bound.longest or thousandth > FAR_OFF * bound.longest:
+    apart = lambda unit: float(np.median(np.linalg.norm(known * unit - origin, axis=1)))
+    away, far = apart(1.0), FAR_OFF * bound.longest
+    if away <= far or apart(1e-3) > far:
         return None
     return f"targets lie about {away:.3g} m from {chain.name}, which reaches {bound.longest:.3g} m: are they millimetres?"
 
