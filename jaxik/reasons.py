@@ -38,6 +38,11 @@ class Reasoned:
     reason: Any
 
     @property
+    def success(self) -> Any:
+        """Whether it is solved; of a batch, which are."""
+        return self.reason == Reason.SOLVED
+
+    @property
     def reasons(self) -> Any:
         """The reasons in words: text, or an array of texts."""
         words = np.array([reason.text for reason in Reason])[np.asarray(self.reason, int)]

@@ -63,10 +63,6 @@ class Harvest(Reasoned):
         return np.stack([row.q for row in self.rows])
 
     @property
-    def success(self) -> np.ndarray:
-        return np.array([row.success for row in self.rows])
-
-    @property
     def reason(self) -> np.ndarray:
         return np.array([int(row.reason) for row in self.rows])
 

@@ -173,6 +173,7 @@ def without_fruit(scene: Scene, fruit: Fruit) -> Scene:
 
 
 def measured(chain: Chain, scene: Scene, fruit: Fruit, q: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Clearance [m] and freedom of postures (N, n) that pick the fruit, which is no obstacle."""
     if not len(q):
         return np.zeros(0), np.zeros(0)
     distance, freedom = in_blocks(measures(chain), q, fixed=(grouped(without_fruit(scene, fruit), chain),))

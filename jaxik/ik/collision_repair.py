@@ -55,5 +55,6 @@ def hopped(problem: Problem, poses: np.ndarray, stuck: Found, count: int) -> Fou
 
 
 def extras(problem: Problem, cost: Cost | None = None) -> sqp_programs.Extras:
+    """What a lane minds beside its target: the cost, and obstacles as the options have it."""
     collision = "none" if problem.scene is None else problem.options.collision
     return sqp_programs.Extras(cost, collision, problem.options.activation, problem.options.penalty)

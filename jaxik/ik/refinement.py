@@ -64,6 +64,7 @@ def _inside(problem: Problem, q: np.ndarray) -> np.ndarray:
 
 
 def finisher(problem: Problem) -> Callable[..., Any]:
+    """The program of the last steps, in float64."""
     return sqp_programs.settling(problem.chain, problem.options.task, FINISH)
 
 

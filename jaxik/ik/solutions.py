@@ -54,11 +54,13 @@ def candidates(problem: Problem, q: np.ndarray, target: np.ndarray, number: np.n
 
 
 def nothing(problem: Problem) -> Found:
+    """No lane at all."""
     empty = np.zeros(0, int)
     return candidates(problem, np.zeros((0, problem.chain.num_joints)), empty, empty)
 
 
 def colliding(problem: Problem, found: Found) -> np.ndarray:
+    """Which have less clearance than the margin; none without a scene."""
     if problem.scene is None:
         return np.zeros(len(found.q), bool)
     return ~(found.clearance >= problem.options.margin)

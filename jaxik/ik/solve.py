@@ -73,7 +73,6 @@ class IKResult(Reasoned):
     """
 
     q: Any
-    success: Any
     reason: Any
     position_error: Any
     rotation_error: Any
@@ -290,7 +289,6 @@ def _columns(problem: Problem, outcome: Outcome) -> dict[str, np.ndarray]:
         "iterations": np.zeros(count, int),
         "solutions": np.full((count, k, n), np.nan),
         "num_solutions": np.zeros(count, int),
-        "success": reason == Reason.SOLVED,
         "reason": reason,
     }
     if k > 1:

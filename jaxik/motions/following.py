@@ -94,10 +94,6 @@ class Followed(Reasoned):
     reason: Any
     sample: Any
 
-    @property
-    def success(self) -> Any:
-        return self.reason == Reason.SOLVED
-
 
 def follow(
     chain: Chain,

@@ -25,7 +25,7 @@ from jaxik.motions.diagnosis import Course, diagnose
 from jaxik.motions.path import Path, check_path, motion
 from jaxik.motions.predictive import Horizon, RunningCost, future, objective, problem
 from jaxik.optimise import descent
-from jaxik.reasons import Reason, Reasoned
+from jaxik.reasons import Reasoned
 from jaxik.robot.chain import Chain, as_shaped
 
 
@@ -142,10 +142,6 @@ class Moved(Reasoned):
     damping: Any
     reason: Any
     sample: Any
-
-    @property
-    def success(self) -> Any:
-        return self.reason == Reason.SOLVED
 
 
 def follow_predictively(

@@ -33,7 +33,7 @@ from jaxik.motions.diagnosis import Course, diagnose
 from jaxik.motions.nullspace import FLOOR, Resolved, loop_gain, resolve_velocity, settles
 from jaxik.motions.path import Motion, Path, check_path, motion
 from jaxik.optimise import descent, ocp
-from jaxik.reasons import Reason, Reasoned
+from jaxik.reasons import Reasoned
 from jaxik.robot.chain import Chain, as_numbers
 from jaxik.robot.task import POSE, Task
 from jaxik.spmd import kernel
@@ -123,10 +123,6 @@ class Prediction(Reasoned):
     totals: Any
     alphas: Any
     betas: Any
-
-    @property
-    def success(self) -> Any:
-        return self.reason == Reason.SOLVED
 
     @property
     def total(self) -> Any:

@@ -276,10 +276,12 @@ def rule(*names: str) -> Callable[[Rule], Rule]:
 
 
 def kind_of(eqn: Any) -> str:
+    """The type of an equation's first result."""
     return type_of(eqn.outvars[0].aval)
 
 
 def unflattened(flat: Sequence[int], shapes: Sequence[tuple[int, ...]], kinds: Sequence[str]) -> list[Array]:
+    """Arrays of these shapes and types from their values in one row."""
     found, start = [], 0
     for shape, kind in zip(shapes, kinds, strict=True):
         size = int(np.prod(shape))
