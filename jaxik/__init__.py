@@ -10,18 +10,21 @@ import importlib
 import warnings
 from typing import TYPE_CHECKING, Any
 
-from jaxik import collision, costs, files, fitting, harvesting, ik, motions, optimise, reach, robot, spatial, spmd, sweeps
+from jaxik import collision, costs, files, fitting, ik, optimise, robot, spatial, spmd
 from jaxik.collision import Scene, clearance, collides, explain, make_scene, motion_clearance
 from jaxik.files import load, load_scene, load_targets, save
 from jaxik.fitting import Fit
-from jaxik.harvesting import harvest
 from jaxik.ik import IKOptions, implicit_ik, solve_ik
-from jaxik.motions import follow, predict
 from jaxik.reasons import LoadError, Reason
 from jaxik.robot import Chain, Task, closed_form, forward_kinematics, jacobian
 from jaxik.spatial.rotations import pose
 from jaxik.spmd import kernel
-from jaxik.sweeps import sweep
+
+if TYPE_CHECKING:
+    from jaxik import harvesting, motions, reach, sweeps, view
+    from jaxik.harvesting import harvest
+    from jaxik.motions import follow, predict
+    from jaxik.sweeps import sweep
 
 __version__ = "0.1.0"
 
@@ -85,10 +88,23 @@ _MOVED = {  # until the next release; a name that is another now stands behind =
 }
 
 
-def _from_before(name: str) -> Any:
-    """What was here, from where it is now."""
-    for package, names in _MOVED.items():
-        for was, _, now in (each.partition("=") for each in names.split()):
+_LATE = {  # packages that wait until they are asked for, and what stands here of them: a quarter of the import
+    "harvesting": "harvest",
+    "motions": "follow predict",
+    "reach": "",
+    "sweeps": "sweep",
+    "view": "",
+}
+
+
+def _late_or_moved(name: str) -> Any:
+    """What is imported when it is asked for; what was here, from where it is now."""
+    for package, late in _LATE.items():
+        if name == package or name in late.split():
+            module = importlib.import_module(f"jaxik.{package}")
+            return module if name == package else getattr(module, name)
+    for package, moved in _MOVED.items():
+        for was, _, now in (each.partition("=") for each in moved.split()):
             if name == was:
                 place = f"jaxik.{package}.{now or was}"
                 warnings.warn(f"jaxik.{name} is {place} now", DeprecationWarning, stacklevel=2)
@@ -96,5 +112,9 @@ def _from_before(name: str) -> Any:
     raise AttributeError(f"module 'jaxik' has no attribute {name!r}")
 
 
+def __dir__() -> list[str]:
+    return sorted({*globals(), *__all__})
+
+
 if not TYPE_CHECKING:  # or to a type checker every slip would be a name
-    __getattr__ = _from_before
+    __getattr__ = _late_or_moved

@@ -3,6 +3,8 @@
 import importlib
 import inspect
 import re
+import subprocess
+import sys
 
 import pytest
 
@@ -17,6 +19,12 @@ def test_names_of_before(package, was, now):
         moved = getattr(jaxik, was)
     assert moved is getattr(getattr(jaxik, package), now or was)
     assert was not in jaxik.__all__ and (now or was) in getattr(jaxik, package).__all__
+
+
+def test_late_packages_are_there_when_asked_for():
+    late = [f"jaxik.{package}" for package in jaxik._LATE]
+    asked = f"import sys, jaxik; assert not {{*{late}}} & {{*sys.modules}}; [getattr(jaxik, name) for name in dir(jaxik)]"
+    subprocess.run([sys.executable, "-c", asked], check=True)
 
 
 def test_a_module_of_before():
