@@ -39,6 +39,7 @@ class Work:
     def __init__(self, folder: Path, tip: str | None = None):
         self.chain = motionbenchmaker.robot(folder, tip)
         self.files = motionbenchmaker.files(folder)
+        self.posture = motionbenchmaker.posture(folder, self.chain)
         self.scenes = [goal.scene for goal in motionbenchmaker.goals(folder, self.chain)]
         shape = (len(self.scenes), OURS, self.chain.num_joints)
         self.q = np.random.default_rng(0).uniform(*jaxik.robot.finite_limits(self.chain), shape).astype(np.float32)
@@ -47,7 +48,7 @@ class Work:
     @functools.cached_property
     def coal(self) -> Coal:
         """The judge."""
-        return Coal(self.chain, *self.files)
+        return Coal(self.chain, *self.files, posture=self.posture)
 
     @functools.cached_property
     def truth(self) -> np.ndarray:
@@ -105,7 +106,7 @@ def collisions(work: Work) -> list[Entry]:
     ours.success = float(np.mean(np.stack([np.asarray(rows[:LOOPS]) for rows in ours.run()]) == (work.truth < 0.0)))
     peers = {
         "coal and Pinocchio, to the first hit, Python loop": work.coal,
-        "coal and Pinocchio, broad phase, Python loop": Coal(work.chain, *work.files, broad=True),
+        "coal and Pinocchio, broad phase, Python loop": Coal(work.chain, *work.files, broad=True, posture=work.posture),
         "MuJoCo, Python loop": MuJoCo(work.chain, *work.files),
     }
     return [ours, *(work.peer(who, peer, "collides") for who, peer in peers.items())]

@@ -10,7 +10,7 @@ from __future__ import annotations
 import itertools
 import tempfile
 import xml.etree.ElementTree as ET
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any
 
@@ -93,9 +93,17 @@ class Coal(Peer):
     """Pinocchio's kinematics and coal's distances, C++ called from a Python loop, one configuration after the other.
 
     `broad` puts coal's dynamic tree of boxes before the pairs (Pinocchio's BroadPhaseManager), which `collides` may use.
+    `posture` is where joints beside the chain stand [rad, m], the others at their neutral positions.
     """
 
-    def __init__(self, chain: jaxik.Chain, urdf: Path, srdf: Path | None, broad: bool = False):
+    def __init__(
+        self,
+        chain: jaxik.Chain,
+        urdf: Path,
+        srdf: Path | None,
+        broad: bool = False,
+        posture: Mapping[str, float] | None = None,
+    ):
         super().__init__()
         self.model, self.broad = pin.buildModelFromUrdf(str(urdf)), broad
         self.robot = pin.buildGeomFromUrdf(self.model, str(bare(urdf)), pin.GeometryType.COLLISION)
@@ -108,7 +116,7 @@ class Coal(Peer):
             if frozenset((name[a], name[b])) not in left_out:
                 self.robot.addCollisionPair(pin.CollisionPair(a, b))
         self.data = self.model.createData()
-        self.columns = [self.model.joints[self.model.getJointId(name)].idx_q for name in chain.joint_names]
+        self.names, self.posture = chain.joint_names, posture or {}
 
     def prepared(self, scene: jaxik.Scene) -> Any:
         """The geometry of the robot and the scene, and the tree over it."""
@@ -129,9 +137,13 @@ class Coal(Peer):
         return geometry, data, pin.BroadPhaseManager_DynamicAABBTreeCollisionManager(self.model, geometry, data)
 
     def whole(self, q: np.ndarray) -> np.ndarray:
-        """All joints of the URDF, the others at their neutral positions."""
+        """All joints of the URDF, an endless one as cosine and sine."""
         full = np.tile(pin.neutral(self.model), (len(q), 1))
-        full[:, self.columns] = q
+        for name, value in [*self.posture.items(), *zip(self.names, np.transpose(q), strict=True)]:
+            joint = self.model.joints[self.model.getJointId(name)]
+            entries = [value] if joint.nq == 1 else [np.cos(value), np.sin(value)]
+            for i, entry in enumerate(entries):
+                full[:, joint.idx_q + i] = entry
         return full
 
     def clearance(self, scene: jaxik.Scene, q: np.ndarray) -> np.ndarray:

@@ -127,7 +127,7 @@ def goals(folder: Path, tip: str | None = None) -> dict[str, Any]:
     """
     chain = motionbenchmaker.robot(folder, tip)
     problems = list(motionbenchmaker.goals(folder, chain))
-    pose, coal = pose_of(chain), Coal(chain, *motionbenchmaker.files(folder))
+    pose, coal = pose_of(chain), Coal(chain, *motionbenchmaker.files(folder), posture=motionbenchmaker.posture(folder, chain))
     wanted = [pose(goal.q) for goal in problems]
     for _ in range(2):  # the first round compiles
         each = [
@@ -144,7 +144,7 @@ def goals(folder: Path, tip: str | None = None) -> dict[str, Any]:
     p50, p95 = percentiles(times)
     result = {
         "robot": chain.name,
-        "elsewhere": list(problems[0].elsewhere),
+        "elsewhere": sum(bool(goal.elsewhere) for goal in problems),
         "goals": len(problems),
         "solved": float(np.mean(solved)),
         "of_these_exact": judge(chain, np.stack([a.q for a in answers])[solved], np.stack(wanted)[solved], 1e-4, 1e-3),

@@ -8,9 +8,10 @@ A folder is laid out as VAMP ships them, with nothing renamed:
   messages. The full data set has `scene_sensedNNNN`, `scene_pcdNNNN`, `pathNNNN` and `config` beside them, which are not read.
 
 A goal is the pose that a goal configuration has, which a request states by `joint_constraints`, in any order; each of several
-`goal_constraints` is a goal of its own. An object's shapes stand at the pose of its frame (`fixed_frame_transforms`), times its
-own `pose` (which newer files have), times theirs; a pose that is left out, or a quaternion of zeros, is that of the frame above
-it, as in MoveIt. What is not known here (meshes, planes, cones, octomaps, attached objects) is refused in one line.
+`goal_constraints` is a goal of its own. Joints beside the chain (another arm, fingers, a head) stand where the first problem
+has them; a goal that has them elsewhere says so. An object's shapes stand at the pose of its frame (`fixed_frame_transforms`),
+times its own `pose` (which newer files have), times theirs; a pose that is left out, or a quaternion of zeros, is that of the
+frame above it, as in MoveIt. What is not known here (meshes, planes, cones, octomaps, attached objects) is refused in one line.
 """
 
 from __future__ import annotations
@@ -32,8 +33,8 @@ SIZES = {"box": "3: the edges", "cylinder": "2: height and radius", "sphere": "1
 
 
 class Goal(NamedTuple):
-    """One goal: its name, the chain's joints there and at the start (n,), NaN where not told, the scene, and joints of the goal
-    that are not the chain's: those of another arm, which is held at 0."""
+    """One goal: its name, the chain's joints there and at the start (n,), NaN where not told, the scene, and joints beside the
+    chain that stand elsewhere in this problem than in the first, at which the chain holds them."""
 
     name: str
     q: np.ndarray
@@ -46,7 +47,21 @@ def robot(folder: Path, tip: str | None = None) -> jaxik.Chain:
     """The folder's robot with its collision geometry, up to the link `tip`."""
     urdf, srdf = files(folder)
     read = not urdf.stem.endswith("_spherized")
-    return jaxik.load(urdf, tip=tip or end_effector(srdf), srdf=srdf, meshes=read, posture={})
+    load = lambda **how: jaxik.load(urdf, tip=tip or end_effector(srdf), srdf=srdf, **how)
+    return load(meshes=read, posture=posture(folder, load(posture={})))
+
+
+def posture(folder: Path, chain: jaxik.Chain) -> dict[str, float]:
+    """Where the first problem has the joints beside the chain [rad, m], inside their limits."""
+    texts, held = _texts(folder), {}
+    told = _beside(_load(texts[min(_requests(texts))]), chain) if _requests(texts) else {}
+    for joint in ET.parse(files(folder)[0]).getroot().iter("joint"):
+        name, kind = joint.get("name"), joint.get("type")
+        if name in told and kind in ("revolute", "prismatic", "continuous") and joint.find("mimic") is None:
+            limit = joint.find("limit") if kind != "continuous" else None
+            bounds = (-np.inf, np.inf) if limit is None else (float(limit.get("lower", 0)), float(limit.get("upper", 0)))
+            held[name] = float(np.clip(told[name], *bounds))
+    return held
 
 
 def files(folder: Path) -> tuple[Path, Path | None]:
@@ -68,9 +83,9 @@ def end_effector(srdf: Path | None) -> str | None:
 def goals(folder: Path, chain: jaxik.Chain) -> Iterator[Goal]:
     """All goals, by name; a start or goal that the robot's shapes make collide is kept."""
     texts = _texts(folder)
-    requests = sorted(name for name in texts if re.search(r"(^|/)request\d+\.ya?ml$", name))
-    if not requests:
+    if not (requests := _requests(texts)):
         raise ValueError(f"{folder}: no requestNNNN.yaml, neither below it nor in a *.tar.* there")
+    first: dict[str, float] | None = None
     for name in requests:
         place = name.rpartition("request")
         scene = f"{place[0]}scene{place[2]}"
@@ -78,15 +93,19 @@ def goals(folder: Path, chain: jaxik.Chain) -> Iterator[Goal]:
             raise ValueError(f"{name}: no {Path(scene).name} beside it")
         short = "/".join(Path(name).parts[-2:])
         try:
-            yield from _goals(short, chain, _load(texts[name]), scene_of(_load(texts[scene])))
+            request = _load(texts[name])
+            beside = _beside(request, chain)
+            first = beside if first is None else first
+            elsewhere = tuple(joint for joint, at in beside.items() if not np.isclose(at, first.get(joint, at)))
+            for goal in _goals(short, chain, request, scene_of(_load(texts[scene]))):
+                yield goal._replace(elsewhere=elsewhere)
         except (ValueError, KeyError, TypeError, yaml.YAMLError) as error:
             missing = f"'{error.args[0]}' is missing" if isinstance(error, KeyError) else " ".join(str(error).split())
             raise ValueError(f"{folder}: {short} or its scene: {missing}") from None
 
 
 def _goals(name: str, chain: jaxik.Chain, request: dict[str, Any], scene: jaxik.Scene) -> Iterator[Goal]:
-    begin = request.get("start_state", {}).get("joint_state", {})
-    start = dict(zip(begin.get("name", ()), begin.get("position", ()), strict=True))
+    start = _start(request)
     for i, wanted in enumerate(request["goal_constraints"]):
         others = [key for key, value in wanted.items() if key.endswith("_constraints") and key != "joint_constraints" and value]
         if others or not wanted.get("joint_constraints"):
@@ -95,8 +114,20 @@ def _goals(name: str, chain: jaxik.Chain, request: dict[str, Any], scene: jaxik.
         if lacking := [joint for joint in chain.joint_names if joint not in joints]:
             raise ValueError(f"the goal says nothing of {', '.join(lacking)}; it moves {', '.join(joints)}")
         ours = lambda told: np.array([told.get(joint, np.nan) for joint in chain.joint_names], np.float64)
-        elsewhere = tuple(joint for joint in joints if joint not in chain.joint_names)
-        yield Goal(name if i == 0 else f"{name}#{i + 1}", ours(joints), ours(start), scene, elsewhere)
+        yield Goal(name if i == 0 else f"{name}#{i + 1}", ours(joints), ours(start), scene)
+
+
+def _start(request: dict[str, Any]) -> dict[str, float]:
+    """Where each joint is at the start."""
+    begin = request.get("start_state", {}).get("joint_state", {})
+    return dict(zip(begin.get("name", ()), begin.get("position", ()), strict=True))
+
+
+def _beside(request: dict[str, Any], chain: jaxik.Chain) -> dict[str, float]:
+    """Where a problem has joints that are not the chain's: at its start, or else at its goal."""
+    wanted = (c for goal in request.get("goal_constraints", ()) for c in goal.get("joint_constraints") or ())
+    told = {c["joint_name"]: c["position"] for c in wanted if "position" in c} | _start(request)
+    return {joint: at for joint, at in told.items() if joint not in chain.joint_names}
 
 
 def scene_of(message: dict[str, Any]) -> jaxik.Scene:
@@ -172,6 +203,10 @@ def _texts(folder: Path) -> dict[str, bytes]:
             members = [m for m in archive.getmembers() if m.isfile() and wanted(m.name)]
             found |= {m.name: archive.extractfile(m).read() for m in members}  # type: ignore[union-attr]
     return found
+
+
+def _requests(texts: dict[str, bytes]) -> list[str]:
+    return sorted(name for name in texts if re.search(r"(^|/)request\d+\.ya?ml$", name))
 
 
 def _load(text: bytes) -> dict[str, Any]:

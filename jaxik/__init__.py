@@ -21,7 +21,8 @@ from jaxik.spatial.rotations import pose
 from jaxik.spmd import kernel
 
 if TYPE_CHECKING:
-    from jaxik import harvesting, motions, reach, sweeps, view
+    from jaxik import harvesting, motions, reach, sweeps
+    from jaxik import view as view
     from jaxik.harvesting import harvest
     from jaxik.motions import follow, predict
     from jaxik.sweeps import sweep

@@ -3,6 +3,7 @@
 import io
 import tarfile
 
+import jax.numpy as jnp
 import motionbenchmaker
 import numpy as np
 import pinocchio as pin
@@ -95,7 +96,7 @@ URDF = """<robot name="two">
   <link name="base"><collision><geometry><sphere radius="0.1"/></geometry></collision></link>
   <link name="arm"/>
   <link name="hand"><collision><geometry><sphere radius="0.05"/></geometry></collision></link>
-  <link name="other"/>
+  <link name="other"><collision><origin xyz="0 0 1"/><geometry><sphere radius="0.1"/></geometry></collision></link>
   <joint name="shoulder" type="revolute"><parent link="base"/><child link="arm"/><origin xyz="0 0 0.5"/><axis xyz="0 1 0"/>
     <limit lower="-2" upper="2" effort="1" velocity="1"/></joint>
   <joint name="elbow" type="revolute"><parent link="arm"/><child link="hand"/><origin xyz="0 0 0.5"/><axis xyz="0 1 0"/>
@@ -131,9 +132,9 @@ def _folder(place, ends=("hand",), request=None, **others):
 def test_a_folder_says_robot_tip_and_goals(tmp_path):
     folder = _folder(tmp_path, **{"shelf_two/scene_sensed0001.yaml": "not read", "shelf_two/path0001.yaml": "neither"})
     chain = motionbenchmaker.robot(folder)
-    assert chain.joint_names == ("shoulder", "elbow") and chain.self_pairs == () and len(chain.volumes) == 2
+    assert chain.joint_names == ("shoulder", "elbow") and chain.self_pairs == ((2, 3),) and len(chain.volumes) == 3
     (goal,) = motionbenchmaker.goals(folder, chain)
-    assert goal.name == "shelf_two/request0001.yaml" and goal.elsewhere == ("left",)
+    assert goal.name == "shelf_two/request0001.yaml" and goal.elsewhere == ()
     np.testing.assert_array_equal(goal.q, [0.1, 0.2])
     np.testing.assert_array_equal(goal.start, [0.25, np.nan])
     assert isinstance(goal.scene, jaxik.Scene) and not any(goal.scene.counts.values())
@@ -182,3 +183,16 @@ def test_what_a_folder_lacks_is_named(tmp_path):
     (folder / "scene0001.yaml").write_text("[1, 2")
     with pytest.raises(ValueError, match=r"request0001\.yaml or its scene: while parsing"):
         list(motionbenchmaker.goals(folder, chain))
+
+
+def test_joints_beside_the_chain_stand_where_the_problem_has_them(tmp_path):
+    """At the start, which has the other arm at 0.5, not at its goal; a problem that has it elsewhere says so."""
+    start = {"joint_state": {"name": ["left", "nothing"], "position": [0.7, 1.0]}}
+    other = {"start_state": start, "goal_constraints": [_constraints(shoulder=0.1, elbow=0.2)]}
+    others = {"shelf_two/request0002.yaml": other, "shelf_two/scene0002.yaml": {"world": None}}
+    folder = _folder(tmp_path, **others)
+    chain = motionbenchmaker.robot(folder)
+    assert motionbenchmaker.posture(folder, chain) == {"left": 0.5}
+    centers, _ = jaxik.collision.link_spheres(chain, jnp.zeros(2))
+    np.testing.assert_allclose(sorted(centers.tolist())[-1], [np.sin(0.5), 0.0, np.cos(0.5)], atol=1e-6)
+    assert [goal.elsewhere for goal in motionbenchmaker.goals(folder, chain)] == [(), ("left",)]
