@@ -1,4 +1,4 @@
-"""What the commands share about collisions: pairs to ignore, what is most often in the way, warnings as plain lines."""
+"""What the commands say of collisions: what is most often in the way, warnings as plain lines."""
 
 from __future__ import annotations
 
@@ -6,30 +6,13 @@ import collections
 import contextlib
 import sys
 import warnings
-from collections.abc import Iterator, Sequence
-from typing import Annotated, Any
-
-import tyro
+from collections.abc import Iterator
+from typing import Any
 
 from jaxik.ik.solve import IKResult
 from jaxik.reasons import Reason
 
 LOOKED = 32  # colliding postures that are asked what they collide with
-
-Ignored = Annotated[tuple[str, ...], tyro.conf.arg(metavar="[LINK|LINK:OTHER]...")]
-
-
-def ignored_pairs(given: Sequence[str]) -> list[Any]:
-    """What `jaxik.load(ignore=)` takes, of words as they stand in a command: "LINK", "LINK:LINK" or "LINK:OBJECT"."""
-    found: list[Any] = []
-    for each in given:
-        names = each.split(":")
-        if len(names) > 2 or not all(names):
-            raise ValueError(
-                f"--ignore {each}: write LINK, LINK:LINK or LINK:OBJECT, e.g. --ignore forearm:hand base:floor rail"
-            )
-        found.append(names[0] if len(names) == 1 else tuple(names))
-    return found
 
 
 def offenders(result: IKResult) -> str:

@@ -1,8 +1,9 @@
-"""Tables of results with their units in the header."""
+"""Tables of results: on the terminal, and in a file with their units in the header."""
 
 from __future__ import annotations
 
 import csv
+from collections.abc import Iterable, Sequence
 from pathlib import Path
 
 import numpy as np
@@ -16,3 +17,17 @@ def write_csv(path: Path, columns: dict[str, np.ndarray]) -> None:
         writer = csv.writer(file)
         writer.writerow([f"{name} [{UNITS[name]}]" if name in UNITS else name for name in columns])
         writer.writerows(zip(*(values.tolist() for values in columns.values()), strict=True))
+
+
+def print_table(title: str, headings: Sequence[str], rows: Iterable[Sequence[str]]) -> None:
+    """A table whose first two columns are words, and the others numbers, to the right."""
+    from rich.console import Console
+    from rich.markup import escape
+    from rich.table import Table
+
+    table = Table(title=escape(title))
+    for i, heading in enumerate(headings):
+        table.add_column(escape(heading), justify="left" if i < 2 else "right")
+    for row in rows:
+        table.add_row(*map(escape, row))
+    Console(width=max(120, Console().width)).print(table)
