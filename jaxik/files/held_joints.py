@@ -9,9 +9,8 @@ from pathlib import Path
 import numpy as np
 
 from jaxik.checks.options import nearest
-from jaxik.files.chain_builder import Joint, checked
+from jaxik.files.chain_builder import Joint, checked, displacement
 from jaxik.reasons import LoadError
-from jaxik.spatial.rotations import about, frame
 
 MASTERS = 100  # in a row, each driven by the next
 NAMED = 4  # joints in the one line that says what is held
@@ -100,8 +99,5 @@ def _inside(joint: Joint, value: float) -> float:
 
 def _fixed(file: Path, joint: Joint, value: float) -> Joint:
     """The joint as a fixed one. What does not move needs no axis: faults of joints that nobody uses are let pass."""
-    moved = np.eye(4)
-    if value:
-        axis = checked(file, joint).axis
-        moved = frame(value * axis) if joint.type == "prismatic" else frame(rotation=about(axis, value))
+    moved = displacement(joint.type, checked(file, joint).axis, value) if value else np.eye(4)
     return Joint(joint.name, "fixed", joint.parent_T_joint @ moved, joint.child)

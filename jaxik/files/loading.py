@@ -16,22 +16,19 @@ from jaxik.checks.options import check_finite, check_kind, shown
 from jaxik.collision.scene import Scene
 from jaxik.collision.self_collision_pairs import self_collisions
 from jaxik.files import scene as scene_files
-from jaxik.files.chain_files import read_chain, save
+from jaxik.files.chain_files import read_chain
 from jaxik.files.held_joints import Posture
 from jaxik.files.ignored_pairs import ignored
 from jaxik.files.mesh import Meshes
 from jaxik.files.mjcf import load_mjcf
 from jaxik.files.robot_toml import load_toml, read_toml
 from jaxik.files.srdf import disabled_pairs
-from jaxik.files.targets import load_targets
 from jaxik.files.urdf import load_urdf
 from jaxik.fitting.capsules import Fit
 from jaxik.fitting.model import FITS, Shape, modelled
 from jaxik.fitting.report import LinkFit, link_fits
 from jaxik.reasons import LoadError
 from jaxik.robot.chain import Chain, solid_links
-
-__all__ = ["LoadError", "fit_report", "link_meshes", "load", "load_scene", "load_targets", "models_folder", "save"]
 
 FIT = Fit()
 APART = "leave out pairs that touch by design (ignore=, srdf=)"
@@ -86,7 +83,7 @@ def load(
     stance = _stance("load", posture)
     chain, shapes, pairs = _read(path, tip, base, tool, Meshes(fit is not None) if meshes else None, stance)
     apart, beside = ignored(path, chain, ignore)
-    disabled = apart | (frozenset() if srdf is None else disabled_pairs(Path(srdf)))
+    disabled = apart | disabled_pairs(srdf)
     chain = dataclasses.replace(chain, ignored=tuple(dict.fromkeys(chain.ignored + beside)))
     if posture is None and not chain.unread_meshes:
         told = stance.told({chain.link_names[i] for i in {*solid_links(chain), *(shape.link for shape in shapes)}})
@@ -129,7 +126,7 @@ def _read(
         if model.content.get("convention") == "chain":
             chain = _saved(path, read_chain(model), tip, base, tool, posture)
             return chain, [], chain.self_pairs
-        chain = load_toml(path, tip, base, tool, posture)
+        chain = load_toml(model, tip, base, tool, posture)
     else:
         raise LoadError(path, "file", f"ending '{kind}'", "allowed: .urdf, .xml (MJCF), .toml")
     return chain, [] if meshes is None else meshes.shapes(chain), None
@@ -186,7 +183,7 @@ def fit_report(
     check_kind("fit_report", "fit", fit, Fit)
     stance = _stance("fit_report", posture)
     chain, shapes, _ = _read(path, tip, base, None, Meshes(True), stance)
-    disabled = (frozenset() if srdf is None else disabled_pairs(Path(srdf))) | ignored(path, chain, ignore)[0]
+    disabled = disabled_pairs(srdf) | ignored(path, chain, ignore)[0]
     told = None if progress is None else lambda done: progress(done, FITS * len(shapes))
     return link_fits(chain, shapes, modelled(chain, shapes, fit, disabled, stance.behind, told))
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import io
+import itertools
 from importlib.util import find_spec
 from pathlib import Path, PurePosixPath
 from typing import Any
@@ -53,10 +54,14 @@ def _placed(shape: Shape, link: int, offset: Any) -> Shape:
 def add_box(meshes: Meshes | None, owner: str, link: Link, origin: np.ndarray, half: np.ndarray, name: str = "box") -> None:
     """A box, to be fitted like a mesh where meshes are."""
     if meshes is not None and meshes.fitted:
-        corners = np.stack(np.meshgrid(*([[-1.0, 1.0]] * 3), indexing="ij"), axis=-1).reshape(8, 3)
-        meshes.mesh(owner, link, name, origin, corners * half)
+        meshes.mesh(owner, link, name, origin, half * [*itertools.product((-1.0, 1.0), repeat=3)])
     else:
         link.boxes.append((origin, half))
+
+
+def add_capsule(link: Link, origin: np.ndarray, radius: float, half: float) -> None:
+    """A capsule about its frame's z."""
+    link.volumes.append((origin[:3, 3] + np.outer([-half, half], origin[:3, 2]), radius))
 
 
 def add_cylinder(meshes: Meshes | None, owner: str, link: Link, origin: np.ndarray, radius: float, half: float) -> None:

@@ -6,7 +6,6 @@ degrees. A table may say where its numbers come from: `origin = {d = "paper", lo
 
 from __future__ import annotations
 
-import difflib
 import math
 import tomllib
 from collections.abc import Iterable
@@ -15,7 +14,8 @@ from typing import Any
 
 import numpy as np
 
-from jaxik.files.chain_builder import Joint, Link, assemble, read_bytes, unique
+from jaxik.checks.options import nearest, shown
+from jaxik.files.chain_builder import JOINT_TYPES, Joint, Link, assemble, read_bytes, symmetric, unique, way_up
 from jaxik.files.held_joints import Posture
 from jaxik.reasons import LoadError
 from jaxik.robot.chain import Chain
@@ -28,6 +28,7 @@ UNITS = {
     "plain": {"": 1.0},
 }
 ORIGINS = ("paper", "catalogue", "stand-in")
+CORNERS = {"sphere": 1, "capsule": 2, "triangle": 3}  # of swept-sphere volumes
 CONVENTIONS = ("modified_dh", "standard_dh", "frames")
 
 
@@ -82,12 +83,28 @@ class Table:
     def number(self, key: str, unit: str, default: float | None = None) -> float:
         return float(self.array(key, unit, (), default))
 
-    def finite(self, key: str, shape: tuple[int, ...], least: float = -math.inf) -> np.ndarray:
-        """Likewise numbers without a unit that are finite, and none of them less than `least`."""
-        values = self.array(key, "plain", shape)
-        if not np.all(np.isfinite(values) & (values >= least)):
-            raise self.fail(f"'{key}' is out of range", "write finite numbers" + ("" if least < 0.0 else f" >= {least:g}"))
+    def finite(
+        self, key: str, shape: tuple[int, ...], least: float = -math.inf, unit: str = "plain", default: Any = None
+    ) -> np.ndarray:
+        """Likewise numbers that are finite, at least one of them, and none less than `least`."""
+        values = self.array(key, unit, shape, default)
+        if not values.size or not np.all(np.isfinite(values) & (values >= least)):
+            fault = "holds infinity" if np.any(np.isinf(values)) else "is out of range" if values.size else "holds no number"
+            raise self.fail(f"'{key}' {fault}", "write finite numbers" + ("" if least < 0.0 else f" >= {least:g}"))
         return values
+
+    def count(self, key: str, default: float, least: int = 1) -> int:
+        value = self.number(key, "plain", default)
+        if not (value.is_integer() and least <= value <= 2**53):
+            raise self.fail(f"{key} = {value:g}", f"write a whole number of at least {least}")
+        return int(value)
+
+    def flag(self, key: str, default: bool = False) -> bool:
+        self.asked.add(key)
+        value = self.content.get(key, default)
+        if not isinstance(value, bool):
+            raise self.fail(f"{key} = {shown(value)} is not true or false", f"write {key} = true")
+        return value
 
     def listed(self, key: str) -> list[Any]:
         """The list under `key`, empty unless given."""
@@ -99,10 +116,7 @@ class Table:
 
     def turn(self) -> np.ndarray:
         """The rotation (3, 3) under `rpy`."""
-        rpy = self.array("rpy", "angle", (3,), np.zeros(3))
-        if not np.all(np.isfinite(rpy)):
-            raise self.fail("'rpy' holds infinity", "write finite numbers")
-        return from_rpy(rpy)
+        return from_rpy(self.finite("rpy", (3,), unit="angle", default=np.zeros(3)))
 
     def tables(self, key: str) -> list[Table]:
         self.asked.add(key)
@@ -124,14 +138,14 @@ class Table:
         """Refuse every other key."""
         unknown = sorted(str(key) for key in set(self.content) - set(allowed))
         if unknown:
-            meant = difflib.get_close_matches(unknown[0], set(allowed), 1)
-            mend = f"did you mean '{meant[0]}'? " if meant else ""
+            meant = nearest(unknown[0], list(allowed))
+            mend = f"did you mean '{meant}'? " if meant else ""
             raise self.fail(f"unknown key '{unknown[0][:40]}'", f"{mend}allowed: {', '.join(sorted(allowed))}")
 
     def _misspelt(self, key: str) -> str:
         """The question whether a key that nobody asked for stands for the one that is missing."""
-        close = difflib.get_close_matches(key, [str(k) for k in set(self.content) - self.asked], 1)
-        return f"is it '{close[0][:40]}'? " if close else ""
+        close = nearest(key, [str(k) for k in set(self.content) - self.asked])
+        return f"is it '{close[:40]}'? " if close else ""
 
     def close(self) -> None:
         """Refuse unknown keys, and origins that name no number of this table."""
@@ -168,10 +182,9 @@ def read_toml(path: Path) -> Table:
         raise LoadError(path, "document", f"malformed TOML ({error})", "mend the syntax") from None
 
 
-def load_toml(path: Path, tip: str | None, base: str | None, tool: np.ndarray | None, posture: Posture) -> Chain:
+def load_toml(model: Table, tip: str | None, base: str | None, tool: np.ndarray | None, posture: Posture) -> Chain:
     """A model file to a chain from link `base` to link `tip`, where they are given; joints after the tip are held."""
-    model = read_toml(path)
-    name = model.text("name")
+    path, name = model.path, model.text("name")
     model.text("description", "-")
     convention = model.text("convention", None, CONVENTIONS)
     joints, links = [], {}
@@ -181,28 +194,22 @@ def load_toml(path: Path, tip: str | None, base: str | None, tool: np.ndarray | 
         links[joint[-1].child] = link
     if not joints:
         raise model.fail("has no [[joint]]", "write one for each joint, from base to tip")
+    names = ["base", *(j.child for j in joints)]
     unique(path, "joint", (j.name for j in joints))
+    unique(path, "link", names)
     for table in model.tables("shape"):
-        _shape(table, links, joints)
+        _shape(table, links, names)
     mount, tool_table = model.table("mount"), model.table("tool")
     world_T_base, tip_T_tool = _frame(mount), _frame(tool_table)
     for table in (mount, tool_table, model):
         table.close()
-    names = ["base", *(j.child for j in joints)]
-    first, last = (_index(path, w, n, names) for w, n in (("base", base or "base"), ("tip", tip or names[-1])))
-    if last <= first:
-        raise LoadError(path, f"tip '{tip}'", f"is not below base '{base}'", f"order: {', '.join(names)}")
+    way = way_up(path, names, dict(zip(names[1:], names, strict=False)), tip or names[-1], base or "base")
+    first, last = names.index(way[-1]), names.index(way[0])
     if tip is None:
         tool = tip_T_tool if tool is None else tip_T_tool @ tool
     run, mount_here = joints[first:last], world_T_base if first == 0 else None
     carried = posture.hold(path, run, [*zip(names[last:], joints[last:], strict=False)])
     return assemble(path, name, names[first], run, links, tool, mount_here, carried)
-
-
-def _index(path: Path, what: str, name: str, names: list[str]) -> int:
-    if name not in names:
-        raise LoadError(path, f"{what} '{name}'", "no such link", f"links: {', '.join(names)}")
-    return names.index(name)
 
 
 def _frame(table: Table) -> np.ndarray:
@@ -213,7 +220,7 @@ def _frame(table: Table) -> np.ndarray:
 def _joint(table: Table, convention: str) -> tuple[list[Joint], Link]:
     """A row of the table: its joint, and for the standard convention the fixed frame that follows it."""
     name = table.named()
-    kind = table.text("type", None, ("revolute", "continuous", "prismatic", "fixed"))
+    kind = table.text("type", None, JOINT_TYPES)
     link_name = table.text("link", f"{name}_link")
     unit = "length" if kind == "prismatic" else "angle"
     after = None
@@ -229,10 +236,8 @@ def _joint(table: Table, convention: str) -> tuple[list[Joint], Link]:
         before, after = (twisted @ turned, None) if convention == "modified_dh" else (turned, twisted)
     joint = Joint(name, kind, before, link_name, axis)
     if kind != "fixed":
-        limits = {"continuous": (-np.inf, np.inf)}.get(kind, (None, None))
-        joint.lower, joint.upper = (
-            table.number(k, unit, default) for k, default in zip(("lower", "upper"), limits, strict=True)
-        )
+        least, most = (-np.inf, np.inf) if kind == "continuous" else (None, None)
+        joint.lower, joint.upper = table.number("lower", unit, least), table.number("upper", unit, most)
         joint.velocity = table.number("velocity", unit, np.inf)
     link = _inertia(table)
     table.close()
@@ -243,32 +248,23 @@ def _joint(table: Table, convention: str) -> tuple[list[Joint], Link]:
 
 
 def _inertia(table: Table) -> Link:
-    mass = table.number("mass", "plain", 0.0)
-    xx, xy, xz, yy, yz, zz = table.array("inertia", "inertia", (6,), np.zeros(6))
-    com = table.array("com", "length", (3,), np.zeros(3))
-    if not 0.0 <= mass < math.inf:
-        raise table.fail(f"mass {mass:g}", "write a positive number")
-    return Link(mass, com, np.array([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]]))
+    mass = float(table.finite("mass", (), 0.0, default=0.0))
+    inertia, com = table.array("inertia", "inertia", (6,), np.zeros(6)), table.array("com", "length", (3,), np.zeros(3))
+    return Link(mass, com, symmetric(inertia))
 
 
-def _shape(table: Table, links: dict[str, Link], joints: list[Joint]) -> None:
+def _shape(table: Table, links: dict[str, Link], names: list[str]) -> None:
     name = table.text("link", "base")
-    known = {"base", *(j.child for j in joints)}
-    if name not in known:
-        raise table.fail(f"no such link '{name[:40]}'", f"links: {', '.join(sorted(known))}")
+    if name not in names:
+        raise table.fail(f"no such link '{name[:40]}'", f"links: {', '.join(sorted(names))}")
     link = links.setdefault(name, Link())
-    kind = table.text("kind", None, ("box", "sphere", "capsule", "triangle"))
+    kind = table.text("kind", None, ("box", *CORNERS))
     if kind == "box":
-        half = table.array("size", "length", (3,)) / 2.0
-        if not np.all((half > 0.0) & np.isfinite(half)):
+        half = table.finite("size", (3,), unit="length") / 2.0
+        if not np.all(half > 0.0):
             raise table.fail("'size' is not positive", "write three sizes > 0")
-        centre = table.array("center", "length", (3,), np.zeros(3))
-        link.boxes.append((frame(centre, table.turn()), half))
+        link.boxes.append((frame(table.finite("center", (3,), unit="length", default=np.zeros(3)), table.turn()), half))
     else:
-        count = {"sphere": 1, "capsule": 2, "triangle": 3}[kind]
-        corners = table.array("points", "length", (count, 3))
-        radius = table.number("radius", "length")
-        if not 0.0 <= radius < math.inf or not np.all(np.isfinite(corners)):
-            raise table.fail("'radius' or 'points' out of range", "write finite points and a radius >= 0")
-        link.volumes.append((corners, radius))
+        corners, radius = table.finite("points", (CORNERS[kind], 3), unit="length"), table.finite("radius", (), 0.0, "length")
+        link.volumes.append((corners, float(radius)))
     table.close()

@@ -6,16 +6,17 @@ import itertools
 from pathlib import Path
 from xml.etree import ElementTree
 
+from jaxik.files.writing import write_text
 from jaxik.files.xml import attribute, parse
 from jaxik.robot.chain import Chain, solid_links
 
 MARK = "<!-- of the .urdf beside it, by jaxik -->"
 
 
-def disabled_pairs(path: Path) -> frozenset[frozenset[str]]:
-    """The pairs of every `<disable_collisions link1= link2=>`."""
-    found = parse(path, "robot").findall("disable_collisions")
-    return frozenset(frozenset(attribute(path, "<disable_collisions>", e, k) for k in ("link1", "link2")) for e in found)
+def disabled_pairs(srdf: str | Path | None) -> frozenset[frozenset[str]]:
+    """The pairs of every `<disable_collisions link1= link2=>` of a file, if there is one."""
+    found = () if srdf is None else parse(Path(srdf), "robot").findall("disable_collisions")
+    return frozenset(frozenset(attribute(Path(srdf), "<disable_collisions>", e, k) for k in ("link1", "link2")) for e in found)
 
 
 def unchecked(chain: Chain) -> list[tuple[str, str]]:
@@ -30,7 +31,7 @@ def write_disabled(chain: Chain, path: Path) -> None:
     for first, second in unchecked(chain):
         ElementTree.SubElement(root, "disable_collisions", link1=first, link2=second, reason="User")
     ElementTree.indent(root)
-    path.write_text(f"{MARK}\n{ElementTree.tostring(root, encoding='unicode')}\n", encoding="utf-8")
+    write_text("save", path, f"{MARK}\n{ElementTree.tostring(root, encoding='unicode')}\n")
 
 
 def check_ours(path: Path) -> None:

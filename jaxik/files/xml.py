@@ -42,6 +42,10 @@ def numbers(path: Path, where: str, element: Element | None, key: str, default: 
     return values
 
 
+def number(path: Path, where: str, element: Element | None, key: str, default: str | None) -> float:
+    return float(numbers(path, where, element, key, default, 1)[0])
+
+
 def attribute(path: Path, where: str, element: Element | None, key: str) -> str:
     """Attribute `key` as a word that is there."""
     value = None if element is None else element.get(key)
