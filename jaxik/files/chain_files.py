@@ -93,6 +93,7 @@ def read_chain(model: Table) -> Chain:
     per_box = int(model.number("spheres_per_box", "plain", 8.0))
     if per_box not in LEVELS:
         raise model.fail(f"spheres_per_box = {per_box}", f"allowed: {', '.join(map(str, LEVELS))}")
+    stacked: dict[str, Any] = {field: np.array([row[key] for row in rows]) for key, field in STACKED.items()}
     chain = Chain(
         name=name,
         joint_names=tuple(row["name"] for row in rows),
@@ -107,7 +108,7 @@ def read_chain(model: Table) -> Chain:
         volumes=tuple(s for s in shapes if isinstance(s, Volume)),
         spheres_per_box=per_box,
         unread_meshes=tuple(place["name"] for place in places if place["unread"]),
-        **{field: np.array([row[key] for row in rows]) for key, field in STACKED.items()},
+        **stacked,
     )
     pairs = [_two(model, "pairs", pair, names) for pair in model.listed("pairs")]
     tables = [_table(table, chain) for table in model.tables("table")]

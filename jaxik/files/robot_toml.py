@@ -93,8 +93,8 @@ class Table:
             raise self.fail(f"'{key}' {fault}", "write finite numbers" + ("" if least < 0.0 else f" >= {least:g}"))
         return values
 
-    def count(self, key: str, default: float, least: int = 1) -> int:
-        value = self.number(key, "plain", default)
+    def count(self, key: str, default: int, least: int = 1) -> int:
+        value = self.number(key, "plain", float(default))
         if not (value.is_integer() and least <= value <= 2**53):
             raise self.fail(f"{key} = {value:g}", f"write a whole number of at least {least}")
         return int(value)
@@ -103,7 +103,7 @@ class Table:
         self.asked.add(key)
         value = self.content.get(key, default)
         if not isinstance(value, bool):
-            raise self.fail(f"{key} = {shown(value)} is not true or false", f"write {key} = true")
+            raise self.fail(f"{key} = {shown(value)!r} is not true or false", f"write {key} = true")
         return value
 
     def listed(self, key: str) -> list[Any]:
@@ -169,9 +169,9 @@ def in_words(shape: tuple[int, ...]) -> str:
 
 
 def _numeric(value: Any) -> bool:
-    if isinstance(value, list):
-        return all(_numeric(v) for v in value)
-    return isinstance(value, int | float) and not isinstance(value, bool)
+    if isinstance(value, list | tuple | np.ndarray):
+        return all(map(_numeric, value))
+    return isinstance(value, int | float | np.number) and not isinstance(value, bool)
 
 
 def read_toml(path: Path) -> Table:

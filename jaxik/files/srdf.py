@@ -15,7 +15,9 @@ MARK = "<!-- of the .urdf beside it, by jaxik -->"
 
 def disabled_pairs(srdf: str | Path | None) -> frozenset[frozenset[str]]:
     """The pairs of every `<disable_collisions link1= link2=>` of a file, if there is one."""
-    found = () if srdf is None else parse(Path(srdf), "robot").findall("disable_collisions")
+    if srdf is None:
+        return frozenset()
+    found = parse(Path(srdf), "robot").findall("disable_collisions")
     return frozenset(frozenset(attribute(Path(srdf), "<disable_collisions>", e, k) for k in ("link1", "link2")) for e in found)
 
 

@@ -27,11 +27,11 @@ def load_urdf(
         unique(path, kind, (attribute(path, f"a <{kind}>", e, "name") for e in found))
     links = {str(e.get("name")): e for e in elements["link"]}
     above = _parents(path, elements["joint"], links)
-    names = way_up(path, [*links], {child: parent for child, (_, parent) in above.items()}, tip, base)
-    run = [_joint(path, above[link][0], link) for link in names[:-1]]
+    *below, first = way_up(path, [*links], {child: parent for child, (_, parent) in above.items()}, tip, base)
+    run, names = [_joint(path, above[link][0], link) for link in below], [first, *below]
     carried = posture.hold(path, run, _carried(path, names, above))
     content = {name: _link(path, name, links[name], meshes) for name in (*names, *(j.child for _, j in carried))}
-    return assemble(path, root.get("name", path.stem), names[-1], run[::-1], content, tool, carried=carried)
+    return assemble(path, root.get("name", path.stem), first, run[::-1], content, tool, carried=carried)
 
 
 def _carried(path: Path, chain: list[str], above: dict[str, tuple[Element, str]]) -> list[tuple[str, Joint]]:

@@ -17,7 +17,7 @@ from jaxik.collision.scene import Scene
 from jaxik.harvesting.blocking_objects import Blockers, blockers
 from jaxik.harvesting.grasp import Grasp, grasp_poses
 from jaxik.harvesting.grid_refinement import recover
-from jaxik.harvesting.scanning import Scan, Table, Weights, scan
+from jaxik.harvesting.scanning import Scan, Weights, scan
 from jaxik.reasons import Reason, Reasoned
 from jaxik.robot.chain import Chain
 from jaxik.robot.kinematics import pose_errors
@@ -135,11 +135,9 @@ def harvest(
 
 
 def _posture(chain: Chain, scene: Scene, found: Scan, options: HarvestOptions) -> Posture:
-    best, how = found.table.best(options.margin), "grid"
-    row = None if best is None else Table(*(column[best : best + 1] for column in found.table))
+    row, how = found.table.best(options.margin), "grid"
     if row is None:
-        recovered = recover(chain, scene, found, options.weights, options.margin, options.grasp)
-        row, how = (recovered.row, recovered.how) if recovered else (None, "")
+        row, how = recover(chain, scene, found, options.weights, options.margin, options.grasp) or (None, "")
     if row is None:
         nothing, nans = np.full(chain.num_joints, np.nan), (np.nan,) * 6
         in_the_way = blockers(chain, scene, found, options.margin) if found.reason == Reason.COLLISION else None

@@ -67,7 +67,7 @@ def recover(
         finer = scan(chain, scene, found.fruit, *spread, weights=weights, margin=margin, grasp=grasp)
         best = finer.table.best(margin)
         if best is not None:
-            return Recovered(Table(*(column[best : best + 1] for column in finer.table)), "finer grid")
+            return Recovered(best, "finer grid")
     return _climb(chain, scene, found, starts, weights or Weights(), margin, grasp, steps)
 
 
@@ -135,7 +135,7 @@ def _climb(
     inside = np.all((q >= chain.lower) & (q <= chain.upper), axis=1)
     table = Table(u[:, 0], u[:, 1:], branch, q, np.where(inside, distance, -np.inf), freedom, weights.score(distance, freedom))
     best = table.best(margin)
-    return None if best is None else Recovered(Table(*(c[best : best + 1] for c in table)), "gradient")
+    return None if best is None else Recovered(best, "gradient")
 
 
 def _self_motion(jacobians: np.ndarray, slope: np.ndarray, axis: np.ndarray, k: int) -> np.ndarray:

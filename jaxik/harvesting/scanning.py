@@ -64,10 +64,10 @@ class Table(NamedTuple):
     freedom: np.ndarray
     score: np.ndarray
 
-    def best(self, margin: float) -> int | None:
+    def best(self, margin: float) -> Table | None:
         """The row with the best score among those with at least `margin` of clearance [m]."""
         free = np.flatnonzero(self.clearance >= margin)
-        return int(free[np.argmax(self.score[free])]) if len(free) else None
+        return Table(*(column[free[[np.argmax(self.score[free])]]] for column in self)) if len(free) else None
 
 
 class Scan(NamedTuple):

@@ -54,21 +54,19 @@ def bound(missed: int, truth: int) -> float:
 
 def _again(study: Study, variant: Variant, rows: np.ndarray, method: str) -> list[np.ndarray]:
     """Whether some targets are reached, with each of the efforts."""
-    few = study.targets.at(rows)
-    reached = []
-    for effort in EFFORTS[method]:
-        value = max(1, round(effort * _own(study, method)))
-        changed = dataclasses.replace(study, targets=few, refine=0)
+    changed, reached = dataclasses.replace(study, targets=study.targets.at(rows), refine=0), []
+    for effort in _efforts(study, method):
         if method == "closed form":
-            changed = dataclasses.replace(changed, slides=value)
+            changed = dataclasses.replace(changed, slides=effort)
         else:
-            changed = dataclasses.replace(changed, ik=dataclasses.replace(study.ik, max_seeds=value))
+            changed = dataclasses.replace(changed, ik=dataclasses.replace(study.ik, max_seeds=effort))
         reached.append(answer(changed, variant, slice(0, len(rows)))["reachable"])
     return reached
 
 
-def _own(study: Study, method: str) -> int:
-    return study.slides if method == "closed form" else study.ik.max_seeds
+def _efforts(study: Study, method: str) -> list[int]:
+    own = study.slides if method == "closed form" else study.ik.max_seeds
+    return [max(1, round(effort * own)) for effort in EFFORTS[method]]
 
 
 def _summary(study: Study, method: str, table: np.ndarray) -> dict[str, Any]:
@@ -78,7 +76,7 @@ def _summary(study: Study, method: str, table: np.ndarray) -> dict[str, Any]:
     rates = [float(np.sum(truth & ~row)) / count for row in table]
     return {
         "effort": WHAT[method],
-        "efforts": [max(1, round(e * _own(study, method))) for e in EFFORTS[method]],
+        "efforts": _efforts(study, method),
         "rates": rates[:-1],
         "false_negative_rate": rates[-1],
         "sample": table.shape[1],

@@ -85,9 +85,8 @@ def answer(study: Study, variant: Variant, rows: slice) -> dict[str, np.ndarray]
     around = _Crops.of(study, chain, rows, base_T_world) if study.collision else None
     solve = _closed_form if study.method(chain) == "closed form" else _search
     found = given_columns(study.targets, rows) | solve(study, _at_home(chain), poses, valid, around)
-    found["q"] = _padded(found["q"], study.joints)
-    missing = {name: blank(COLUMNS[name], count, {}) for name in COLUMNS.keys() - found.keys()}
-    return missing | {name: np.asarray(values, COLUMNS[name].dtype) for name, values in found.items()}
+    found["q"] = np.pad(found["q"], ((0, 0), (0, study.joints - chain.num_joints)), constant_values=np.nan)
+    return {name: np.asarray(values, COLUMNS[name].dtype) for name, values in found.items()}
 
 
 def given_columns(targets: Targets, rows: slice) -> dict[str, np.ndarray]:
@@ -164,16 +163,6 @@ def _at_home(chain: Chain) -> Chain:
     return chain.mounted(np.eye(4))
 
 
-def blank(column: Column, count: int, sizes: dict[str, int]) -> np.ndarray:
-    """A column of `count` rows without an answer; `sizes` are those of its dimensions besides."""
-    return np.full((count, *(sizes[d] for d in column.dims)), column.nothing, column.dtype)
-
-
-def _padded(q: np.ndarray, joints: int) -> np.ndarray:
-    more = joints - q.shape[1]
-    return np.concatenate([q, np.full((len(q), more), np.nan)], axis=1) if more else q
-
-
 # --------------------------------------------------------------------------------------------------------------------
 # By the closed form
 
@@ -198,11 +187,8 @@ def _closed_form(
 ) -> dict[str, np.ndarray]:
     """The postures of poses (N, 4, 4) on the grid of leading positions and, where it has none, between them."""
     proven = ~valid | beyond(chain, poses)
-    columns = _no_answer(chain, len(poses)) | {
-        "reason": np.where(valid, Reason.OUT_OF_REACH, Reason.INVALID).astype(np.int8),
-        "proven": proven,
-        "between": np.zeros(len(poses), bool),
-    }
+    columns = _no_answer(chain, len(poses)) | {"proven": proven}
+    columns["reason"] = np.where(valid, Reason.OUT_OF_REACH, Reason.INVALID).astype(np.int8)
     asked = np.flatnonzero(~proven)
     # by tool direction: lanes that are neighbours then ask for the same positions and ways
     asked = asked[np.argsort((asked % study.targets.turns).astype(np.uint16), kind="stable")]
@@ -265,8 +251,9 @@ def _between(study: Study, chain: Chain, poses: np.ndarray, around: _Crops | Non
 
 
 def _no_answer(chain: Chain, count: int) -> dict[str, np.ndarray]:
-    names = ("solutions", "q", "position_error", "rotation_error", "clearance", "manipulability", "limit_margin")
-    return {k: blank(COLUMNS[k], count, {"joint": chain.num_joints}) for k in names}
+    """All columns but those of the targets."""
+    rows = lambda column: (count, *(chain.num_joints for _ in column.dims))
+    return {name: np.full(rows(c), c.nothing, c.dtype) for name, c in COLUMNS.items() if name not in GIVEN}
 
 
 @functools.lru_cache(maxsize=64)
@@ -392,7 +379,7 @@ def _search(study: Study, chain: Chain, poses: np.ndarray, valid: np.ndarray, ar
     asked = np.where(valid[:, None, None], poses, np.nan)
     if around is None:
         return _searched(study, chain, asked, None)
-    columns = {k: blank(c, len(poses), {"joint": chain.num_joints}) for k, c in COLUMNS.items() if k not in GIVEN}
+    columns = _no_answer(chain, len(poses))
     for scene, rows in around.groups(np.arange(len(poses))):
         for name, values in _searched(study, chain, asked[rows], scene).items():
             columns[name][rows] = values

@@ -8,7 +8,6 @@ when or in how many sittings it was made: it ends with the same bits.
 
 from __future__ import annotations
 
-import contextlib
 import functools
 import json
 import os
@@ -23,6 +22,7 @@ from typing import Any
 import numpy as np
 
 from jaxik.checks.optional_modules import optional
+from jaxik.checks.options import shown
 from jaxik.reasons import Reason
 from jaxik.sweeps.evaluation import COLUMNS, GIVEN, Column, given_columns
 from jaxik.sweeps.robot_variants import variant_name
@@ -190,37 +190,28 @@ def _create(path: Path, study: Study) -> None:
         axes = tuple(name for name, _ in study.axes)
         sizes = {"joint": study.joints, "xyz": 3, "wxyz": 4}
         for name, column in COLUMNS.items():
-            _array(group, name, column, study, () if name in GIVEN else axes, sizes)
+            own = () if name in GIVEN else axes
+            more = tuple(sizes[d] for d in column.dims)
+            shape = (*(study.shape if own else ()), len(study.targets), *more)
+            chunks = (*[1] * len(own), min(study.chunk, len(study.targets)), *more)
+            _new(group, name, column, shape, chunks, (*own, "target", *column.dims))
         shape = (*study.shape, study.chunks)
         _new(group, "crc", CRC, shape, (1,) * len(shape), (*axes, "chunk"))
-        for name, labels in (*study.axes, *LABELS.items(), *_joint_names(study)):
-            values = np.array(labels, object if isinstance(labels[0], str) else np.float64)
-            kind: Any = str if values.dtype == object else "f8"
-            array = group.create_array(name, shape=values.shape, dtype=kind, dimension_names=(name,))
-            array[...] = values
+        labels = dict((*study.axes, *LABELS.items()))
+        joint_names = {v.chain.joint_names for v in study.variants}
+        if len(joint_names) == 1:  # of all robots
+            (labels["joint"],) = joint_names
+        for name, each in labels.items():
+            values = np.array(each, np.dtypes.StringDType() if isinstance(each[0], str) else np.float64)
+            group.create_array(name, data=values, dimension_names=(name,))
         _consolidate(aside)
-        with contextlib.suppress(FileExistsError):  # another shard was first
-            try:
-                os.rename(aside, path)
-            except OSError as error:
-                if not path.is_dir():
-                    raise error
+        try:
+            os.rename(aside, path)
+        except OSError:
+            if not path.is_dir():  # or another shard was first
+                raise
     finally:
         shutil.rmtree(aside, ignore_errors=True)
-
-
-def _joint_names(study: Study) -> Iterator[tuple[str, tuple[str, ...]]]:
-    """The joints' names, where all robots have the same."""
-    names = {v.chain.joint_names for v in study.variants}
-    if len(names) == 1:
-        yield "joint", next(iter(names))
-
-
-def _array(group: Any, name: str, column: Column, study: Study, axes: tuple[str, ...], sizes: dict[str, int]) -> None:
-    more = tuple(sizes[d] for d in column.dims)
-    shape = (*(study.shape if axes else ()), len(study.targets), *more)
-    chunks = (*((1,) * len(axes)), min(study.chunk, len(study.targets)), *more)
-    _new(group, name, column, shape, chunks, (*axes, "target", *column.dims))
 
 
 def _new(group: Any, name: str, column: Column, shape: Any, chunks: Any, dims: Any) -> None:
@@ -278,5 +269,4 @@ def _changes(old: Any, new: Any, where: str = "") -> Iterator[str]:
         for key in sorted(set(old) | set(new)):
             yield from _changes(old.get(key), new.get(key), f"{where}.{key}" if where else key)
     elif old != new:
-        short = lambda value: (text := json.dumps(value)) and (text if len(text) <= 60 else f"{text[:57]}...")
-        yield f"{where} was {short(old)} and is {short(new)}"
+        yield f"{where} was {shown(json.dumps(old))} and is {shown(json.dumps(new))}"

@@ -88,14 +88,10 @@ class Cloud:
     def _span(self) -> tuple[list[float], list[float]]:
         """The least and largest coordinates of all variants' positions, rounded outwards to millimetres [m]."""
         given = np.asarray(self.group["position"][:: self.turns])
-        ends = [(p.min(axis=0), p.max(axis=0)) for p in (self._placed(given, i) for i in self._frames())]
-        low, high = np.floor(1e3 * np.min(ends, axis=(0, 1))), np.ceil(1e3 * np.max(ends, axis=(0, 1)))
+        shown = [*self.indices.values()] if self.in_base else [*self.indices.values()][:1]  # unless each base has its own
+        placed = np.concatenate([self._placed(given, index) for index in shown])
+        low, high = np.floor(1e3 * placed.min(axis=0)), np.ceil(1e3 * placed.max(axis=0))
         return (low / 1e3).tolist(), (np.maximum(high, low + 1.0) / 1e3).tolist()
-
-    def _frames(self) -> list[tuple[int, ...]]:
-        """Variants that show where all targets are: one, unless each base has its own."""
-        every = [*self.indices.values()]
-        return every if self.in_base else every[:1]
 
     def _placed(self, positions: np.ndarray, index: tuple[int, ...]) -> np.ndarray:
         """Positions in the store's frame in the world (p, 3) [m]."""

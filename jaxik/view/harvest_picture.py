@@ -31,7 +31,6 @@ class _Crop(NamedTuple):
 
 def plot_harvest(result: Harvest, path: Path) -> None:
     """One picture (PNG) with two views for every fruit: the robot at its posture, or what is in the way."""
-    from matplotlib.backends.backend_agg import FigureCanvasAgg
     from matplotlib.figure import Figure
 
     crop, rows = _crop(result), result.rows[:MOST]
@@ -41,7 +40,6 @@ def plot_harvest(result: Harvest, path: Path) -> None:
     cell = scale * (width + depth) + GAP + 0.15, scale * height + TITLE + GAP
     size = max(columns * cell[0] + SIDE, 11.0), -(-len(rows) // columns) * cell[1] + HEAD + FOOT
     figure = Figure(figsize=size)
-    FigureCanvasAgg(figure)
     for k, row in enumerate(rows):
         line, column = divmod(k, columns)
         left, low = SIDE + column * cell[0], size[1] - HEAD - (line + 1) * cell[1] + GAP

@@ -5,6 +5,7 @@ from __future__ import annotations
 
 import threading
 import time
+from collections import deque
 from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any
@@ -150,51 +151,49 @@ class Page:
         camera.look_at, camera.position = tuple(centre), tuple(centre + away * np.array([0.55, -0.8, 0.5]))
 
     def _legend(self) -> dict[str, str]:
-        found = {"robot": ROBOT, "what collides": BAD}
+        there: dict[str, tuple[str, int]] = {"robot": (ROBOT, True), "what collides": (BAD, True)}
         if self.scene is not None:
             points, fruits = len(self.scene.points.center), len(self.scene.fruits)
-            found |= (
-                {"obstacles": OBSTACLE} | ({"leaves (points)": LEAF} if points else {}) | ({"fruits": FRUIT} if fruits else {})
-            )
-        return found
+            there |= {"obstacles": (OBSTACLE, True), "leaves (points)": (LEAF, points), "fruits": (FRUIT, fruits)}
+        return {words: colour for words, (colour, some) in there.items() if some}
 
     def _joints(self) -> None:
         """A slider for each joint, in degrees or metres."""
-        gui, self.sliders = self.server.gui, []
-        self.limits = np.array(finite_limits(self.chain))
-        for i, (name, prismatic) in enumerate(zip(self.chain.joint_names, self.chain.is_prismatic, strict=True)):
-            digits = 3 if prismatic else 1
-            low, high, value = (round(float(x), digits) for x in self._shown(i, np.array([*self.limits[:, i], self._q[i]])))
-            slider = gui.add_slider(f"{name} [{'m' if prismatic else 'deg'}]", low, high, 10.0**-digits, value)
+        self.limits, self.sliders = np.array(finite_limits(self.chain)), []
+        slides = np.array(self.chain.is_prismatic)
+        self.factor, self.digits = np.where(slides, 1.0, np.degrees(1.0)), np.where(slides, 3, 1).tolist()
+        for i, (name, digits) in enumerate(zip(self.chain.joint_names, self.digits, strict=True)):
+            low, high, value = (round(float(self.factor[i] * x), digits) for x in (*self.limits[:, i], self._q[i]))
+            unit = "m" if slides[i] else "deg"
+            slider = self.server.gui.add_slider(f"{name} [{unit}]", low, high, 10.0**-digits, value)
             slider.on_update(lambda event, i=i: self._slid(event, i))
             self.sliders.append(slider)
 
-    def _shown(self, i: int, value: Any) -> Any:
-        """A joint's coordinate in what its slider shows."""
-        return value if self.chain.is_prismatic[i] else np.degrees(value)
-
     def _slid(self, event: Any, i: int) -> None:
         if event.client is not None:  # a person, not `_show`
-            value = self.sliders[i].value if self.chain.is_prismatic[i] else np.radians(self.sliders[i].value)
+            value = self.sliders[i].value / self.factor[i]
             self._q[i] = np.clip(value, *self.limits[:, i])  # the slider's ends are rounded
             self._asked(self._draw)
 
     def _show(self, q: np.ndarray, follow: bool = True) -> None:
         """The robot at `q`, its sliders too, and the target at its tip unless it is that which is dragged."""
         self._q = np.array(q, float)
-        for i, slider in enumerate(self.sliders):
-            slider.value = round(float(self._shown(i, self._q[i])), 3 if self.chain.is_prismatic[i] else 1)
+        for slider, value, digits in zip(self.sliders, self.factor * self._q, self.digits, strict=True):
+            slider.value = round(float(value), digits)
         self._draw(follow)
 
     def _shapes(self, meshes: Sequence[Shape]) -> None:
         """The robot's own shapes and its volumes, each link's one mesh that moves with its joint; and switches."""
+        import trimesh
+
         gui, chain, show = self.server.gui, self.chain, self.server.scene.add_mesh_simple
-        own = [(s.link, s.corners, s.triangles) for s in meshes if len(s.triangles)]
-        own = own or [(link, *_mesh([solid])) for link, solid in box_solids(chain)]
-        volumes = [(link, *_mesh([solid])) for link, solid in volume_solids(chain)]
+        own = [(s.link, trimesh.Trimesh(s.corners, s.triangles, process=False)) for s in meshes if len(s.triangles)]
+        own = own or [(link, _mesh([solid])) for link, solid in box_solids(chain)]
+        volumes = [(link, _mesh([solid])) for link, solid in volume_solids(chain)]
+        joined = lambda parts, link: _arrays(trimesh.util.concatenate([mesh for of, mesh in parts if of == link]))
         self.roots = {name: self.server.scene.add_frame(f"/{name}", show_axes=False) for name in ("shape", "volumes", "scene")}
         self.parts = [
-            (link, show(f"/{name}/{link}", *_joined(kind, link), color=rgb(ROBOT), opacity=opacity, flat_shading=not opacity))
+            (link, show(f"/{name}/{link}", *joined(kind, link), color=rgb(ROBOT), opacity=opacity, flat_shading=not opacity))
             for name, kind, opacity in (("shape", own, None), ("volumes", volumes, 0.4))
             for link in sorted({part[0] for part in kind})
         ]
@@ -262,13 +261,10 @@ class Page:
         found = explain(self.chain, self.scene, self._q, 5)
         if found.colliding:
             pairs = "; ".join(f"{c.link} and {c.other}, by {-1000.0 * c.distance:.1f} mm" for c in found.colliding)
-            self.near.content = _boxed(f"<b style='color:{BAD}'>✗ Collides:</b> {pairs}")
-        elif found.contacts:
-            first = found.contacts[0]
-            words = f"{1000.0 * first.distance:.0f} mm between {first.link} and {first.other}"
-            self.near.content = _boxed(f"<b style='color:{GOOD}'>✓ Clear:</b> {words}")
+            self.near.content = _marked(False, "Collides:", f" {pairs}")
         else:
-            self.near.content = _boxed(f"<b style='color:{GOOD}'>✓ Clear:</b> nothing to hit")
+            first = [f"{1000.0 * c.distance:.0f} mm between {c.link} and {c.other}" for c in found.contacts[:1]]
+            self.near.content = _marked(True, "Clear:", f" {(first or ['nothing to hit'])[0]}")
         return found.colliding or found.contacts[:1]
 
     def _draw_nearest(self, contacts: tuple[Contact, ...]) -> None:
@@ -289,7 +285,7 @@ class Page:
         struck = points[np.isin(owners, list(hit))]
         _points(self.server.scene, "/scene/hit_points", struck, BAD, 1.6 * self.radius)
         solids = [s._replace(radius=s.radius + 0.002) for s in self.solids if s.owner in hit]
-        self.server.scene.add_mesh_simple("/scene/hit", *_mesh(solids), color=rgb(BAD), visible=bool(solids))
+        self.server.scene.add_mesh_simple("/scene/hit", *_arrays(_mesh(solids)), color=rgb(BAD), visible=bool(solids))
 
     def _draw_scene(self, world: Scene) -> None:
         """Leaves as points, the rest as solids: fruits in their colour, obstacles in one."""
@@ -298,7 +294,7 @@ class Page:
         for name, colour in (("fruits", FRUIT), ("obstacles", OBSTACLE)):
             mine = [s for s in self.solids if (s.owner in fruits) == (name == "fruits")]
             if mine:
-                self.server.scene.add_mesh_simple(f"/scene/{name}", *_mesh(mine), color=rgb(colour))
+                self.server.scene.add_mesh_simple(f"/scene/{name}", *_arrays(_mesh(mine)), color=rgb(colour))
 
     def _fruits(self, harvest: Harvest) -> None:
         """A list of the fruits: choosing one shows its posture, or what is in its way."""
@@ -310,10 +306,9 @@ class Page:
 
         def show(_: Any = None) -> None:
             row = rows[chosen.value]
-            colour, words = (GOOD, "the best posture stays") if row.success else (BAD, "no posture:")
-            q = posture(row)
+            q, words = posture(row), "the best posture stays" if row.success else "no posture:"
             more = " of all but the fruit itself." if row.success else "." if q is None else ". Shown is what that would open."
-            said.content = _boxed(f"<b style='color:{colour}'>{chosen.value}</b>: {words} {fate(row)}{more}")
+            said.content = _marked(row.success, row.fruit, f": {words} {fate(row)}{more}")
             if q is not None:
                 self.move(q)
 
@@ -326,26 +321,16 @@ class _Latest:
     """Runs the newest of what it is asked, one at a time: who drags asks faster than the answers come."""
 
     def __init__(self) -> None:
-        self.guard, self.busy = threading.Lock(), False
-        self.next: Callable[[], Any] | None = None
+        self.guard, self.newest = threading.Lock(), deque[Callable[[], Any]](maxlen=1)
 
     def __call__(self, work: Callable[[], Any]) -> None:
-        with self.guard:
-            self.next = work
-            if self.busy:
-                return
-            self.busy = True
-        try:
-            while True:
-                with self.guard:
-                    asked, self.next = self.next, None
-                    if asked is None:
-                        self.busy = False
-                        return
-                asked()
-        except BaseException:
-            self.busy = False
-            raise
+        self.newest.append(work)
+        while self.newest and self.guard.acquire(blocking=False):  # who holds it looks again when it is done
+            try:
+                if self.newest:  # which only its holder takes
+                    self.newest.pop()()
+            finally:
+                self.guard.release()
 
 
 def _unmeasured(chain: Chain) -> str:
@@ -360,17 +345,22 @@ def _unmeasured(chain: Chain) -> str:
 def _verdict(reason: Any, offenders: Sequence[Contact]) -> str:
     """What inverse kinematics says to a target."""
     if reason == Reason.SOLVED:
-        return _boxed(f"<b style='color:{GOOD}'>✓ Target reached</b>")
+        return _marked(True, "Target reached")
     first = f": {offenders[0].link} and {offenders[0].other}" if offenders else ""
-    return _boxed(f"<b style='color:{BAD}'>✗ No posture</b>: {WORDS[Reason(int(reason))]}{first}")
+    return _marked(False, "No posture", f": {WORDS[Reason(int(reason))]}{first}")
+
+
+def _marked(good: bool, head: str, words: str = "") -> str:
+    mark, colour = ("✓", GOOD) if good else ("✗", BAD)
+    return _boxed(f"<b style='color:{colour}'>{mark} {head}</b>{words}")
 
 
 def _boxed(html: str) -> str:
     return f"<div style='padding:0.35em 0.9em;font-size:0.9em'>{html}</div>"
 
 
-def _mesh(solids: Sequence[Solid]) -> tuple[np.ndarray, np.ndarray]:
-    """Solids as one mesh: corners (p, 3) and triangles (f, 3); something tiny where there are none."""
+def _mesh(solids: Sequence[Solid]) -> Any:
+    """Solids as one mesh; something tiny where there are none."""
     import trimesh
 
     ball = trimesh.creation.icosphere(subdivisions=1 if len(solids) > MANY else 2)
@@ -379,16 +369,12 @@ def _mesh(solids: Sequence[Solid]) -> tuple[np.ndarray, np.ndarray]:
         around = (solid.corners[:, None] + solid.radius * ball.vertices).reshape(-1, 3) if solid.radius > 0.0 else solid.corners
         lone = len(solid.corners) == 1  # and needs no hull
         hulls.append(trimesh.Trimesh(around, ball.faces, process=False) if lone else trimesh.convex.convex_hull(around))
-    whole: Any = trimesh.util.concatenate(hulls) if hulls else trimesh.creation.icosphere(subdivisions=0, radius=1e-6)
-    return np.asarray(whole.vertices), np.asarray(whole.faces)
+    return trimesh.util.concatenate(hulls) if hulls else trimesh.creation.icosphere(subdivisions=0, radius=1e-6)
 
 
-def _joined(parts: Sequence[tuple[int, np.ndarray, np.ndarray]], link: int) -> tuple[np.ndarray, np.ndarray]:
-    """The meshes of one link as one."""
-    mine = [(corners, faces) for of, corners, faces in parts if of == link]
-    starts = np.cumsum([0, *(len(corners) for corners, _ in mine)])
-    faces = np.concatenate([f + start for (_, f), start in zip(mine, starts, strict=False)])
-    return np.concatenate([corners for corners, _ in mine]), faces
+def _arrays(mesh: Any) -> tuple[np.ndarray, np.ndarray]:
+    """A mesh's corners (p, 3) and triangles (f, 3)."""
+    return np.asarray(mesh.vertices), np.asarray(mesh.faces)
 
 
 def _points(scene: Any, name: str, points: np.ndarray, colour: str, radius: float) -> None:

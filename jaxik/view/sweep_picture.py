@@ -78,7 +78,6 @@ def variant_map(group: Any, index: tuple[int, ...]) -> Map:
 def plot_sweep(path: str | Path, out: str | Path, scene: Scene | None = None) -> None:
     """One picture (PNG) of the store at `path`: slices of the variant that reaches most, and the study's `scene` in them; what
     became of its targets, what was missed, and the variants beside each other."""
-    from matplotlib.backends.backend_agg import FigureCanvasAgg
     from matplotlib.figure import Figure
 
     group = open_store(path)
@@ -86,7 +85,6 @@ def plot_sweep(path: str | Path, out: str | Path, scene: Scene | None = None) ->
     best = tuple(int(i) for i in np.unravel_index(int(np.argmax(every)), every.shape)) if every.ndim else ()
     shown, audit = variant_map(group, best), dict(group.attrs.get("audit", {}))
     figure = Figure(figsize=(15, 9.5), layout="constrained")
-    FigureCanvasAgg(figure)
     head, above, legend, below = figure.subfigures(4, 1, height_ratios=(0.07, 1.0, 0.08, 0.9))
     handles = _draw_slices(above, group, shown, best, scene)
     legend.legend(handles=handles, loc="center", ncols=len(handles), frameon=False)
