@@ -81,15 +81,10 @@ def unique(file: Path, kind: str, names: Iterable[str]) -> None:
 
 
 def way_up(
-    file: Path,
-    names: Sequence[str],
-    above: Mapping[str, str],
-    tip: str | None,
-    base: str | None,
-    kind: tuple[str, str] = ("link", "links"),
+    file: Path, names: Sequence[str], above: Mapping[str, str], tip: str | None, base: str | None, one: str = "link"
 ) -> list[str]:
     """The links from `tip` (the only leaf) up to `base` (the root), of a tree that says what is `above` each link."""
-    one, many = kind
+    many = {"link": "links", "body": "bodies"}[one]
     if tip is None:
         leaves = sorted(set(names) - set(above.values()))
         if len(leaves) != 1:

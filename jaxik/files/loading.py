@@ -116,17 +116,15 @@ def _read(
     path: Path, tip: str | None, base: str | None, tool: np.ndarray | None, meshes: Meshes | None, posture: Posture
 ) -> tuple[Chain, list[Shape], tuple[tuple[int, int], ...] | None]:
     """The chain of a file, the shapes that are to be fitted, and the pairs of links to check where the file says them."""
-    kind = path.suffix.lower()
-    if kind == ".urdf":
-        chain = load_urdf(path, tip, base, tool, meshes, posture)
-    elif kind in (".xml", ".mjcf"):
-        chain = load_mjcf(path, tip, base, tool, meshes, posture)
-    elif kind == ".toml":
+    kind, readers = path.suffix.lower(), {".urdf": load_urdf, ".xml": load_mjcf, ".mjcf": load_mjcf}
+    if kind == ".toml":
         model = read_toml(path)
         if model.content.get("convention") == "chain":
             chain = _saved(path, read_chain(model), tip, base, tool, posture)
             return chain, [], chain.self_pairs
         chain = load_toml(model, tip, base, tool, posture)
+    elif kind in readers:
+        chain = readers[kind](path, tip, base, tool, meshes, posture)
     else:
         raise LoadError(path, "file", f"ending '{kind}'", "allowed: .urdf, .xml (MJCF), .toml")
     return chain, [] if meshes is None else meshes.shapes(chain), None

@@ -41,7 +41,7 @@ def load_mjcf(
     tip_T_site = np.eye(4)
     if tip in sites and tip not in names:
         tip_T_site, tip = frame(sites[tip].pos, from_wxyz(sites[tip].quat)), names[sites[tip].bodyid[0]]
-    *run, start = (names.index(name) for name in way_up(path, names, above, tip, base, ("body", "bodies")))
+    *run, start = (names.index(name) for name in way_up(path, names, above, tip, base, "body"))
     joints = [j for i in run[::-1] for j in _body_joints(path, model, i, names[i])]
     aside = _aside(model, {start, *run})
     carried = posture.hold(path, joints, [j for i in aside for j in _carried(path, model, i, names)])

@@ -60,11 +60,8 @@ def _from_toml(path: Path) -> Scene:
 
 
 def _object(table: Table, builder: SceneBuilder) -> None:
-    name, removable = table.named(), table.flag("removable", True)
-    rows = _rows(table)
+    name, removable, rows = table.named(), table.flag("removable", True), _rows(table)
     table.close()
-    if not rows:
-        raise table.fail("is empty", f"give it one of: {', '.join(WIDTHS)}")
     builder.add(name, removable, **rows)
 
 
@@ -73,8 +70,7 @@ def _fruit(table: Table, builder: SceneBuilder) -> None:
     position, axis = table.array("position", "length", (3,)), table.array("axis", "plain", (3,), (0.0, 0.0, 1.0))
     if not 0.5 < float(np.linalg.norm(axis)) < 2.0:
         raise table.fail("'axis' is no direction", "write a unit vector such as [0, 0, 1]")
-    length, radius = (table.number(k, "length", 0.0) for k in ("length", "radius"))
-    rows = _rows(table)
+    length, radius, rows = table.number("length", "length", 0.0), table.number("radius", "length", 0.0), _rows(table)
     table.close()
     builder.add_fruit(name, position, axis, length, radius, **rows)
 
@@ -108,10 +104,10 @@ def _from_csv(path: Path) -> Scene:
         if not row:
             continue
         try:
-            label, *values = row
-            if len(values) != 3 or not label.strip():
+            label, x, y, z = row
+            if not label.strip():
                 raise ValueError
-            points.append([float(v) for v in values])
+            points.append([float(x), float(y), float(z)])
         except ValueError:
             raise LoadError(path, f"line {number}", f"'{','.join(row)[:40]}'", "write label,x,y,z") from None
         if not all(map(math.isfinite, points[-1])):

@@ -10,7 +10,7 @@ from xml.etree import ElementTree
 import numpy as np
 
 from jaxik.collision.volumes import box_spheres
-from jaxik.robot.chain import Chain
+from jaxik.robot.chain import Body, Chain
 from jaxik.spatial.rotations import to_rpy
 
 LOST = (
@@ -36,11 +36,11 @@ def spherized(chain: Chain, beyond: float) -> tuple[str, float]:
     for box in chain.boxes:
         middles, size = box_spheres(box, chain.spheres_per_box)
         spheres[box.link] += [(np.asarray(middle), float(size)) for middle in middles]
-    for name in names:
-        ElementTree.SubElement(root, "link", name=name)
+    elements = {name: ElementTree.SubElement(root, "link", name=name) for name in dict.fromkeys((*names, *chain.link_names))}
     for i, name in enumerate(chain.link_names):
-        element = root[names.index(name)] if name in names else ElementTree.SubElement(root, "link", name=name)
-        _inertial(element, chain, i, name in names)
+        element = elements[name]
+        if name in names and chain.bodies and chain.link_joint[i]:  # it stands for the frame of what moves with a joint
+            _inertial(element, chain.bodies[chain.link_joint[i] - 1])
         back = np.linalg.inv(chain.link_offset[i])
         for centre, radius in spheres[i]:
             collision = ElementTree.SubElement(element, "collision")
@@ -51,9 +51,9 @@ def spherized(chain: Chain, beyond: float) -> tuple[str, float]:
     for i, name in enumerate(chain.joint_names):
         joint = _joined(root, name, chain.joint_types[i], names[i], names[i + 1], chain.parent_T_joint[i])
         ElementTree.SubElement(joint, "axis", xyz=_words(chain.axis[i]))
-        limit = {"lower": chain.lower[i], "upper": chain.upper[i], "velocity": chain.velocity[i], "effort": 0.0}
-        if chain.joint_types[i] == "continuous":
-            limit = {k: v for k, v in limit.items() if k not in ("lower", "upper")}
+        limit = {"velocity": chain.velocity[i], "effort": 0.0}
+        if chain.joint_types[i] != "continuous":
+            limit |= {"lower": chain.lower[i], "upper": chain.upper[i]}
         ElementTree.SubElement(joint, "limit", {k: repr(float(v)) for k, v in limit.items() if np.isfinite(v)})
     tool = _free("tool", (*names, *chain.link_names))
     ElementTree.SubElement(root, "link", name=tool)
@@ -82,11 +82,7 @@ def _free(name: str, taken: Sequence[str]) -> str:
     return next(n for i in itertools.count() if (n := f"{name}_{i}" if i else name) not in taken)
 
 
-def _inertial(element: ElementTree.Element, chain: Chain, link: int, moved: bool) -> None:
-    """What moves with a joint, on the link that stands for its frame."""
-    if not (moved and chain.bodies and chain.link_joint[link]):
-        return
-    body = chain.bodies[chain.link_joint[link] - 1]
+def _inertial(element: ElementTree.Element, body: Body) -> None:
     inertial = ElementTree.SubElement(element, "inertial")
     ElementTree.SubElement(inertial, "origin", xyz=_words(body.com), rpy="0 0 0")
     ElementTree.SubElement(inertial, "mass", value=repr(float(body.mass)))
