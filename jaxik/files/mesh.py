@@ -51,10 +51,10 @@ def _placed(shape: Shape, link: int, offset: Any) -> Shape:
     return shape._replace(link=link, corners=shape.corners @ offset[:3, :3].T + offset[:3, 3])
 
 
-def add_box(meshes: Meshes | None, owner: str, link: Link, origin: np.ndarray, half: np.ndarray, name: str = "box") -> None:
+def add_box(meshes: Meshes | None, owner: str, link: Link, origin: np.ndarray, half: np.ndarray) -> None:
     """A box, to be fitted like a mesh where meshes are."""
     if meshes is not None and meshes.fitted:
-        meshes.mesh(owner, link, name, origin, half * [*itertools.product((-1.0, 1.0), repeat=3)])
+        meshes.mesh(owner, link, "box", origin, half * [*itertools.product((-1.0, 1.0), repeat=3)])
     else:
         link.boxes.append((origin, half))
 

@@ -46,10 +46,7 @@ def read_shapes(table: Table) -> list[tuple[str, np.ndarray]]:
 
 
 def all_variants(
-    table: Table,
-    robots: list[tuple[str, Chain]],
-    bases: list[tuple[str, np.ndarray]],
-    shapes: list[tuple[str, np.ndarray]],
+    table: Table, robots: list[tuple[str, Chain]], bases: list[tuple[str, np.ndarray]], shapes: list[tuple[str, np.ndarray]]
 ) -> tuple[tuple[tuple[str, tuple[Any, ...]], ...], tuple[Variant, ...]]:
     """What varies, and each combination of it, in C order of the axes; what has one value only is no axis."""
     changes = [(key, [(value, value) for value in values.tolist()]) for key, values in shapes]
