@@ -49,8 +49,7 @@ class Cloud:
             for axis, low, high in zip("xyz", *self._span(), strict=True)
         ]
         self.size = gui.add_slider("point size [mm]", 2.0, 50.0, 1.0, 8.0)
-        controls: tuple[Any, ...] = (self.visible, self.colour, self.rest, *self.cuts, self.size)
-        for control in controls:
+        for control in (self.visible, self.colour, self.rest, *self.cuts, self.size):
             control.on_update(lambda _: self.draw())
         self.variant.on_update(lambda _: self.stand())
         self.server.scene.on_click()(self._clicked)
@@ -74,11 +73,9 @@ class Cloud:
         for name, mask, size in (("reachable", reached, radius), ("rest", ~reached, FAINT * radius)):
             rows = np.flatnonzero(inside & mask)
             rows = rows[:: max(1, -(-len(rows) // SHOWN))]
-            seen = self.visible.value and len(rows) > 0 and (name == "reachable" or self.rest.value == "faint")
-            where = shown.positions[rows] if seen else np.zeros((1, 3))
-            self.server.scene.add_point_cloud(
-                f"/map/{name}", where, colours[rows] if seen else (0, 0, 0), point_size=size, point_shape="circle", visible=seen
-            )
+            seen = self.visible.value and (name == "reachable" or self.rest.value == "faint")
+            drawn = rows if seen else rows[:0]
+            draw_points(self.server.scene, f"/map/{name}", shown.positions[drawn], colours[drawn], size)
             if name == "reachable":
                 self.shown = shown.positions[rows], rows, index
         if not (inside & reached).any():
@@ -147,15 +144,21 @@ class Cloud:
             self.page.move(q[np.isfinite(q)], _mount(self.group, index))
 
 
+def draw_points(scene: Any, name: str, points: np.ndarray, colours: Any, size: float) -> None:
+    """Points (p, 3) [m] of one colour, or each of its own; of none, one that is not seen."""
+    some = len(points) > 0
+    where, colours = (points, colours) if some else (np.zeros((1, 3)), (0, 0, 0))
+    scene.add_point_cloud(name, where, colours, point_size=size, point_shape="circle", visible=some)
+
+
 def store_of(chain: Chain, store: str | Path) -> Any:
     """The store, if one of its variants is of this robot."""
     group = open_store(store)
     if any(_is_of(group, index, chain) for index in np.ndindex(*group["reason"].shape[:-1])):
         return group
     names = sorted({model.rpartition(" ")[0] for model in group.attrs["models"].values()})
-    held = (
-        f"another {chain.name}, whose postures do not fit" if chain.name in names else f"{', '.join(names)}, not {chain.name}"
-    )
+    known = f"another {chain.name}, whose postures do not fit"
+    held = known if chain.name in names else f"{', '.join(names)}, not {chain.name}"
     raise ValueError(f"{store}: holds {held}; view the robot (file and tip) that was swept")
 
 

@@ -15,7 +15,7 @@ import numpy as np
 from jaxik.checks.optional_modules import optional
 from jaxik.collision.clearances import check_geometry
 from jaxik.collision.contact_report import Contact, explain
-from jaxik.collision.scene import Scene
+from jaxik.collision.scene import Scene, make_scene
 from jaxik.collision.self_collision_pairs import default_pose
 from jaxik.files.targets import as_frames
 from jaxik.fitting.model import Shape
@@ -25,7 +25,7 @@ from jaxik.reasons import Reason
 from jaxik.robot.chain import Chain, finite_limits
 from jaxik.robot.task import Task
 from jaxik.spatial.rotations import to_wxyz
-from jaxik.view.cloud import Cloud, store_of
+from jaxik.view.cloud import Cloud, draw_points, store_of
 from jaxik.view.harvest_picture import fate, posture
 from jaxik.view.palette import COLOURS, FRUIT, INK, LEAF, OBSTACLE, ROBOT, WORDS, rgb, swatches
 from jaxik.view.solids import Solid, bones, box_solids, frames, scene_points, scene_solids, volume_solids
@@ -70,7 +70,8 @@ class Page:
         viser = optional("jaxik view", "viser", "view")
         group = None if store is None else store_of(chain, store)
         self.home = self.chain = chain
-        self.scene, self.harvest, self.blind = scene, harvest, _unmeasured(chain)
+        self.scene, self.around = scene, scene if scene is not None else make_scene()
+        self.harvest, self.blind = harvest, _unmeasured(chain)
         self._q, self._asked, self.hit = default_pose(chain), _Latest(), frozenset[str]()
         self.server = viser.ViserServer(host=host, port=port, label="jaxik", verbose=False)
         self.server.scene.set_up_direction("+z")
@@ -132,29 +133,30 @@ class Page:
         scene = self.scene if self.clear.value and not self.blind else None
         task = Task((True, True, True, False, False, False)) if free else Task()
         found = solve_ik(self.chain, base_T_tip, scene, task=task, reference=self._q, seeds="near", max_seeds=32)
-        self.said.content = _verdict(found.reason, found.offenders)
+        reason = Reason(int(found.reason))
         if found.success:
             self._show(found.q, follow=False)
-        return Reason(int(found.reason))
+            self.said.content = _marked(True, "Target reached")
+        else:
+            first = "".join(f": {c.link} and {c.other}" for c in found.offenders[:1])
+            self.said.content = _marked(False, "No posture", f": {WORDS[reason]}{first}")
+        return reason
 
     # ----------------------------------------------------------------------------------------------------------------
 
     def _look(self) -> None:
         """The floor's camera: far enough to see the robot, and the crop beside it."""
-        seen = [bones(self.chain, self._q)]
-        if self.scene is not None:
-            seen += [scene_points(self.scene)[0], np.array([f.position for f in self.scene.fruits]).reshape(-1, 3)]
-        held = np.concatenate(seen)
+        fruits = np.array([f.position for f in self.around.fruits]).reshape(-1, 3)
+        held = np.concatenate([bones(self.chain, self._q), scene_points(self.around)[0], fruits])
         low, high = held.min(axis=0), held.max(axis=0)
         centre, away = (low + high) / 2.0, max(0.85 * float(np.linalg.norm(high - low)), 1.3)
         camera = self.server.initial_camera
         camera.look_at, camera.position = tuple(centre), tuple(centre + away * np.array([0.55, -0.8, 0.5]))
 
     def _legend(self) -> dict[str, str]:
-        there: dict[str, tuple[str, int]] = {"robot": (ROBOT, True), "what collides": (BAD, True)}
-        if self.scene is not None:
-            points, fruits = len(self.scene.points.center), len(self.scene.fruits)
-            there |= {"obstacles": (OBSTACLE, True), "leaves (points)": (LEAF, points), "fruits": (FRUIT, fruits)}
+        points, fruits = len(self.around.points.center), len(self.around.fruits)
+        there = {"robot": (ROBOT, True), "what collides": (BAD, True), "obstacles": (OBSTACLE, self.scene is not None)}
+        there |= {"leaves (points)": (LEAF, points > 0), "fruits": (FRUIT, fruits > 0)}
         return {words: colour for words, (colour, some) in there.items() if some}
 
     def _joints(self) -> None:
@@ -186,14 +188,14 @@ class Page:
         """The robot's own shapes and its volumes, each link's one mesh that moves with its joint; and switches."""
         import trimesh
 
-        gui, chain, show = self.server.gui, self.chain, self.server.scene.add_mesh_simple
+        gui, chain = self.server.gui, self.chain
         own = [(s.link, trimesh.Trimesh(s.corners, s.triangles, process=False)) for s in meshes if len(s.triangles)]
         own = own or [(link, _mesh([solid])) for link, solid in box_solids(chain)]
         volumes = [(link, _mesh([solid])) for link, solid in volume_solids(chain)]
-        joined = lambda parts, link: _arrays(trimesh.util.concatenate([mesh for of, mesh in parts if of == link]))
+        joined = lambda parts, link: trimesh.util.concatenate([mesh for of, mesh in parts if of == link])
         self.roots = {name: self.server.scene.add_frame(f"/{name}", show_axes=False) for name in ("shape", "volumes", "scene")}
         self.parts = [
-            (link, show(f"/{name}/{link}", *joined(kind, link), color=rgb(ROBOT), opacity=opacity, flat_shading=not opacity))
+            (link, self._add(f"/{name}/{link}", joined(kind, link), ROBOT, opacity=opacity, flat_shading=not opacity))
             for name, kind, opacity in (("shape", own, None), ("volumes", volumes, 0.4))
             for link in sorted({part[0] for part in kind})
         ]
@@ -206,10 +208,14 @@ class Page:
         self.surroundings.on_update(lambda _: setattr(self.roots["scene"], "visible", self.surroundings.value))
         if self.scene is None:
             gui.add_markdown(NO_SCENE)
-        else:
-            self.points, self.solids = scene_points(self.scene), scene_solids(self.scene)
-            self.radius = max(float(self.scene.points.radius), 0.004)
-            self._draw_scene(self.scene)
+        self.points, self.solids = scene_points(self.around), scene_solids(self.around)
+        self.radius = max(float(self.around.points.radius), 0.004)
+        self._draw_scene()
+
+    def _add(self, name: str, mesh: Any, colour: str, **how: Any) -> Any:
+        return self.server.scene.add_mesh_simple(
+            name, np.asarray(mesh.vertices), np.asarray(mesh.faces), color=rgb(colour), **how
+        )
 
     def _styled(self) -> None:
         self.roots["shape"].visible = self.style.value in (SHOWS[0], SHOWS[2])
@@ -278,23 +284,22 @@ class Page:
 
     def _draw_hit(self, hit: frozenset[str]) -> None:
         """The objects that the robot hits, over what they are drawn as else."""
-        if self.scene is None or self.hit == hit:
+        if self.hit == hit:
             return
         self.hit = hit
         points, owners = self.points
         struck = points[np.isin(owners, list(hit))]
-        _points(self.server.scene, "/scene/hit_points", struck, BAD, 1.6 * self.radius)
+        draw_points(self.server.scene, "/scene/hit_points", struck, rgb(BAD), 1.6 * self.radius)
         solids = [s._replace(radius=s.radius + 0.002) for s in self.solids if s.owner in hit]
-        self.server.scene.add_mesh_simple("/scene/hit", *_arrays(_mesh(solids)), color=rgb(BAD), visible=bool(solids))
+        self._add("/scene/hit", _mesh(solids), BAD, visible=bool(solids))
 
-    def _draw_scene(self, world: Scene) -> None:
+    def _draw_scene(self) -> None:
         """Leaves as points, the rest as solids: fruits in their colour, obstacles in one."""
-        _points(self.server.scene, "/scene/points", self.points[0], LEAF, self.radius)
-        fruits = {f.name for f in world.fruits}
+        draw_points(self.server.scene, "/scene/points", self.points[0], rgb(LEAF), self.radius)
+        fruits = {f.name for f in self.around.fruits}
         for name, colour in (("fruits", FRUIT), ("obstacles", OBSTACLE)):
             mine = [s for s in self.solids if (s.owner in fruits) == (name == "fruits")]
-            if mine:
-                self.server.scene.add_mesh_simple(f"/scene/{name}", *_arrays(_mesh(mine)), color=rgb(colour))
+            self._add(f"/scene/{name}", _mesh(mine), colour, visible=bool(mine))
 
     def _fruits(self, harvest: Harvest) -> None:
         """A list of the fruits: choosing one shows its posture, or what is in its way."""
@@ -342,14 +347,6 @@ def _unmeasured(chain: Chain) -> str:
     return ""
 
 
-def _verdict(reason: Any, offenders: Sequence[Contact]) -> str:
-    """What inverse kinematics says to a target."""
-    if reason == Reason.SOLVED:
-        return _marked(True, "Target reached")
-    first = f": {offenders[0].link} and {offenders[0].other}" if offenders else ""
-    return _marked(False, "No posture", f": {WORDS[Reason(int(reason))]}{first}")
-
-
 def _marked(good: bool, head: str, words: str = "") -> str:
     mark, colour = ("✓", GOOD) if good else ("✗", BAD)
     return _boxed(f"<b style='color:{colour}'>{mark} {head}</b>{words}")
@@ -370,16 +367,6 @@ def _mesh(solids: Sequence[Solid]) -> Any:
         lone = len(solid.corners) == 1  # and needs no hull
         hulls.append(trimesh.Trimesh(around, ball.faces, process=False) if lone else trimesh.convex.convex_hull(around))
     return trimesh.util.concatenate(hulls) if hulls else trimesh.creation.icosphere(subdivisions=0, radius=1e-6)
-
-
-def _arrays(mesh: Any) -> tuple[np.ndarray, np.ndarray]:
-    """A mesh's corners (p, 3) and triangles (f, 3)."""
-    return np.asarray(mesh.vertices), np.asarray(mesh.faces)
-
-
-def _points(scene: Any, name: str, points: np.ndarray, colour: str, radius: float) -> None:
-    shown = points if len(points) else np.zeros((1, 3))
-    scene.add_point_cloud(name, shown, rgb(colour), point_size=radius, point_shape="circle", visible=len(points) > 0)
 
 
 def _wxyz(frame: np.ndarray) -> np.ndarray:
