@@ -11,7 +11,7 @@ import tyro
 import jaxik
 from jaxik.cli.robot_arguments import RobotArguments
 from jaxik.cli.tables import print_table
-from jaxik.files.srdf import unchecked
+from jaxik.files.unchecked_pairs import unchecked
 
 HEADINGS = ("link", "mesh", "volumes", "coverage", "protrusion", "mean", "gap", "false collisions")
 

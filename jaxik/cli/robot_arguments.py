@@ -53,7 +53,6 @@ def ignored_pairs(given: Sequence[str]) -> list[Any]:
     pairs = [tuple(each.split(":")) for each in given]
     for each, names in zip(given, pairs, strict=True):
         if len(names) > 2 or not all(names):
-            raise ValueError(
-                f"--ignore {each}: write LINK, LINK:LINK or LINK:OBJECT, e.g. --ignore forearm:hand base:floor rail"
-            )
+            example = "--ignore forearm:hand base:floor rail"
+            raise ValueError(f"--ignore {each}: write LINK, LINK:LINK or LINK:OBJECT, e.g. {example}")
     return [names if len(names) == 2 else names[0] for names in pairs]

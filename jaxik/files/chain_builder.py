@@ -7,7 +7,7 @@ import contextlib
 import dataclasses
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from pathlib import Path
-from typing import BinaryIO, get_args
+from typing import Any, BinaryIO, get_args
 
 import numpy as np
 from numpy.polynomial import Polynomial
@@ -140,6 +140,7 @@ def assemble(
     names, (offsets, counts) = tuple(places), zip(*places.values(), strict=True)
     content = [links.get(name, Link()) for name in names]
     each = [*enumerate(zip(content, offsets, strict=True))]
+    stacked: dict[str, Any] = {k: np.array([getattr(j, k) for j in movable]) for k in ("axis", "lower", "upper", "velocity")}
     return Chain(
         name=name,
         joint_names=tuple(j.name for j in movable),
@@ -147,17 +148,14 @@ def assemble(
         link_names=names,
         link_joint=counts,
         parent_T_joint=np.array(frames),
-        axis=np.array([j.axis for j in movable]),
         joint_T_tip=pending if tool is None else pending @ tool,
         link_offset=np.array(offsets),
-        lower=np.array([j.lower for j in movable]),
-        upper=np.array([j.upper for j in movable]),
-        velocity=np.array([j.velocity for j in movable]),
         world_T_base=np.eye(4) if mount is None else mount,
         bodies=_bodies(content, offsets, counts, len(frames)),
         boxes=tuple(Box(o @ t, h, i) for i, (c, o) in each for t, h in c.boxes),
         volumes=tuple(Volume(p @ o[:3, :3].T + o[:3, 3], np.asarray(r), i) for i, (c, o) in each for p, r in c.volumes),
         unread_meshes=tuple(n for n, c in zip(names, content, strict=True) if c.meshes),
+        **stacked,
     )
 
 

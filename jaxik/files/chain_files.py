@@ -14,7 +14,7 @@ from jaxik.collision.volumes import LEVELS
 from jaxik.files.chain_builder import unique
 from jaxik.files.robot_toml import CORNERS, Table
 from jaxik.files.spherized import spherized
-from jaxik.files.srdf import check_ours, write_disabled
+from jaxik.files.unchecked_pairs import check_ours, write_disabled
 from jaxik.files.writing import toml, write_text
 from jaxik.robot.chain import Body, Box, Chain, JointType, Volume
 from jaxik.robot.link_distance_table import PairTable, packed, unpacked
@@ -120,9 +120,8 @@ def read_chain(model: Table) -> Chain:
 def _beside(table: Table, given: Any, names: Sequence[str]) -> tuple[int, str]:
     """The number of a link, and an object's name."""
     if not (isinstance(given, list) and len(given) == 2 and given[0] in names and isinstance(given[1], str) and given[1]):
-        raise table.fail(
-            f"ignored_objects holds {shown(given)}", f'write ["link", "object"], of any object "*"; links: {", ".join(names)}'
-        )
+        mend = f'write ["link", "object"], of any object "*"; links: {", ".join(names)}'
+        raise table.fail(f"ignored_objects holds {shown(given)}", mend)
     return names.index(given[0]), given[1]
 
 

@@ -18,11 +18,10 @@ from jaxik.collision.self_collision_pairs import self_collisions
 from jaxik.files import scene as scene_files
 from jaxik.files.chain_files import read_chain
 from jaxik.files.held_joints import Posture
-from jaxik.files.ignored_pairs import ignored
 from jaxik.files.mesh import Meshes
 from jaxik.files.mjcf import load_mjcf
 from jaxik.files.robot_toml import load_toml, read_toml
-from jaxik.files.srdf import disabled_pairs
+from jaxik.files.unchecked_pairs import disabled_pairs, ignored
 from jaxik.files.urdf import load_urdf
 from jaxik.fitting.capsules import Fit
 from jaxik.fitting.model import FITS, Shape, modelled
@@ -135,9 +134,8 @@ def _saved(path: Path, chain: Chain, tip: str | None, base: str | None, tool: np
     if tip is not None or base is not None:
         raise LoadError(path, f"tip '{tip}', base '{base}'", "are fixed in a saved chain", "leave them out, or use chain.part")
     if posture.given:
-        raise LoadError(
-            path, f"posture '{next(iter(posture.given))}'", "is fixed in a saved chain", "load the robot's own file"
-        )
+        where = f"posture '{next(iter(posture.given))}'"
+        raise LoadError(path, where, "is fixed in a saved chain", "load the robot's own file")
     return chain if tool is None else chain.with_tool(tool)
 
 

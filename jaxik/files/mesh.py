@@ -114,10 +114,8 @@ def read_mesh(path: Path, where: str, name: str, scale: np.ndarray) -> tuple[np.
     target = resolve(path, where, name)
     if target is None or not target.is_file():
         package = f"no folder above the file is called '{_package(name)[0]}': give the robot's folder that name"
-        mend = package if target is None else f"put it at {target}"
-        raise LoadError(
-            path, where, f"mesh '{name}' is not found", f"{mend}, or load with meshes=False for the kinematics alone"
-        )
+        mend = f"{f'put it at {target}' if target else package}, or load with meshes=False for the kinematics alone"
+        raise LoadError(path, where, f"mesh '{name}' is not found", mend)
     if target.stat().st_size > 4 * MAX_BYTES:
         raise LoadError(path, where, f"mesh '{name}' is larger than {4 * MAX_BYTES} bytes", "simplify it")
     if target.suffix.lower() not in FORMATS:
@@ -131,9 +129,8 @@ def read_mesh(path: Path, where: str, name: str, scale: np.ndarray) -> tuple[np.
         if not len(points) or not np.all(np.isfinite(points)):
             raise ValueError("no corners, or such that are not finite")
     except Exception as error:  # a parser for every format: whatever it raises is the file's fault
-        raise LoadError(
-            path, where, f"mesh '{name}' cannot be read ({type(error).__name__})", "give STL, OBJ, PLY or DAE"
-        ) from None
+        problem = f"mesh '{name}' cannot be read ({type(error).__name__})"
+        raise LoadError(path, where, problem, "give STL, OBJ, PLY or DAE") from None
     return points, np.asarray(mesh.faces).reshape(-1, 3)
 
 

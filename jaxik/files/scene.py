@@ -20,13 +20,12 @@ from jaxik.reasons import LoadError
 from jaxik.spatial.rotations import frame
 
 FIXED = ("stem", "wire", "fruit", "pipe", "post", "gutter")  # labelled points that start so may not be removed
-WIDTHS = {"points": 3, "spheres": 4, "capsules": 7, "boxes": 6, "cylinders": 5}  # a frame is its centre here, and `rotations`
-WORDS = {
-    "points": "x, y, z",
-    "spheres": "x, y, z, radius",
-    "capsules": "both ends and the radius",
-    "boxes": "centre, three edges",
-    "cylinders": "centre, radius, length",
+ROWS = {  # of obstacles, how wide they are and what is in them; a frame is its centre here, and `rotations`
+    "points": (3, "x, y, z"),
+    "spheres": (4, "x, y, z, radius"),
+    "capsules": (7, "both ends and the radius"),
+    "boxes": (6, "centre, three edges"),
+    "cylinders": (5, "centre, radius, length"),
 }
 
 
@@ -77,7 +76,7 @@ def _fruit(table: Table, builder: SceneBuilder) -> None:
 
 def _rows(table: Table) -> dict[str, Any]:
     """The obstacles of an object or of a fruit, by kind."""
-    rows: dict[str, Any] = {k: table.array(k, "length", (-1, w), np.zeros((0, w)), WORDS[k]) for k, w in WIDTHS.items()}
+    rows: dict[str, Any] = {k: table.array(k, "length", (-1, w), np.zeros((0, w)), words) for k, (w, words) in ROWS.items()}
     turn, framed = table.turn() + 0.0, len(rows["boxes"]) + len(rows["cylinders"])  # + 0.0: no -0
     turns = table.array("rotations", "plain", (-1, 3, 3), np.tile(turn, (framed, 1, 1)))
     if {"rotations", "rpy"} <= table.read or {"rotations", "rpy_deg"} <= table.read:

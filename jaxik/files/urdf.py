@@ -134,6 +134,5 @@ def _shape(path: Path, owner: str, origin: np.ndarray, shape: Element, link: Lin
         else:
             link.meshes.append(name)  # whatever it is: kinematics need none
     else:
-        raise LoadError(
-            path, where, f"geometry <{shape.tag}> is not supported", "allowed: box, sphere, cylinder, capsule, mesh"
-        )
+        mend = "allowed: box, sphere, cylinder, capsule, mesh"
+        raise LoadError(path, where, f"geometry <{shape.tag}> is not supported", mend)

@@ -15,9 +15,8 @@ def write_text(who: str, path: Path, text: str) -> None:
     try:
         path.write_text(text, encoding="utf-8")
     except OSError as error:
-        raise ValueError(
-            f"{who}: {path}: cannot be written ({error.strerror}); name a file in a folder that is there"
-        ) from None
+        mend = "name a file in a folder that is there"
+        raise ValueError(f"{who}: {path}: cannot be written ({error.strerror}); {mend}") from None
 
 
 def toml(head: dict[str, Any], tables: Iterable[tuple[str, dict[str, Any]]]) -> str:

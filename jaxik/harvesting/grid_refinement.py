@@ -22,6 +22,7 @@ from jaxik.robot.spherical_wrist import closed_forms
 from jaxik.spmd import HostKernel
 from jaxik.spmd.batch import in_blocks
 
+STEPS = 25  # of the ascent, at most
 LIMIT_LENGTH = 0.1  # [m/rad] at which a joint past its limit weighs against clearance while a miss is mended
 
 
@@ -47,13 +48,7 @@ class Recovered(NamedTuple):
 
 
 def recover(
-    chain: Chain,
-    scene: Scene,
-    found: Scan,
-    weights: Weights | None = None,
-    margin: float = 0.005,
-    grasp: Grasp | None = None,
-    steps: int = 25,
+    chain: Chain, scene: Scene, found: Scan, weights: Weights | None = None, margin: float = 0.005, grasp: Grasp | None = None
 ) -> Recovered | None:
     """A posture near the misses of a scan that has none: a grid ten times finer around them, then gradient ascent.
 
@@ -68,7 +63,7 @@ def recover(
         best = finer.table.best(margin)
         if best is not None:
             return Recovered(best, "finer grid")
-    return _climb(chain, scene, found, starts, weights or Weights(), margin, grasp, steps)
+    return _climb(chain, scene, found, starts, weights or Weights(), margin, grasp)
 
 
 def _misses(found: Scan) -> np.ndarray:
@@ -94,14 +89,7 @@ def _finer(chain: Chain, found: Scan, starts: np.ndarray) -> Iterator[tuple[np.n
 
 
 def _climb(
-    chain: Chain,
-    scene: Scene,
-    found: Scan,
-    starts: np.ndarray,
-    weights: Weights,
-    margin: float,
-    grasp: Grasp | None,
-    steps: int,
+    chain: Chain, scene: Scene, found: Scan, starts: np.ndarray, weights: Weights, margin: float, grasp: Grasp | None
 ) -> Recovered | None:
     others = grouped(without_fruit(scene, found.fruit), chain)
     k = chain.num_joints - 6
@@ -118,7 +106,7 @@ def _climb(
     u, stride = starts[:, :-1].copy(), np.full(len(starts), 0.1)
     q, _ = solve(u)
     worth, slope, jacobians = measure(q)
-    for _ in range(steps):
+    for _ in range(STEPS):
         direction = _self_motion(jacobians.astype(np.float64), slope.astype(np.float64), axis, k)
         trial = u + stride[:, None] * direction
         trial[:, 1:] = np.clip(trial[:, 1:], chain.lower[:k], chain.upper[:k])

@@ -29,9 +29,8 @@ def computed(
     try:
         client = dask.Client(address, timeout=10, set_as_default=False)
     except (OSError, ValueError) as error:
-        raise ValueError(
-            f"--cluster {address}: no scheduler answers ({type(error).__name__}); start `dask scheduler`"
-        ) from None
+        problem = f"no scheduler answers ({type(error).__name__})"
+        raise ValueError(f"--cluster {address}: {problem}; start `dask scheduler`") from None
     with client:
         try:
             client.wait_for_workers(1, timeout=60)

@@ -150,9 +150,8 @@ def _write(store: Store, number: int, columns: Columns) -> int:
         store.write(number, columns)
     except OSError as error:
         what = os.strerror(error.errno) if error.errno else str(error)
-        raise OSError(
-            f"{store.path}: chunk {number} could not be written ({what}); mend that and run again: it goes on"
-        ) from None
+        mend = "mend that and run again: it goes on"
+        raise OSError(f"{store.path}: chunk {number} could not be written ({what}); {mend}") from None
     return number
 
 

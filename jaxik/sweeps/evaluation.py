@@ -195,7 +195,6 @@ def _closed_form(
     if len(asked):
         near_by = None if around is None else around.part(asked)
         best, near = _on_grid(study, chain, poses.take(asked, axis=0), near_by)
-        columns["reason"][asked], columns["solutions"][asked] = best.reason, best.solutions
         _answered(columns, chain, poses, asked, best)
         kinds = (Reason.OUT_OF_REACH, Reason.LIMITS) if study.refine else ()
         missing = asked[np.isin(columns["reason"][asked], kinds)]
@@ -214,7 +213,6 @@ def _better(columns: dict[str, np.ndarray], chain: Chain, poses: np.ndarray, ask
     collides."""
     better = np.flatnonzero(np.isin(found.reason, (Reason.SOLVED, Reason.COLLISION)))
     asked, found = asked[better], _Best(*(column[better] for column in found))
-    columns["reason"][asked], columns["solutions"][asked] = found.reason, found.solutions
     _answered(columns, chain, poses, asked, found)
     columns["between"][asked] = columns["reason"][asked] == Reason.SOLVED
 
@@ -222,6 +220,7 @@ def _better(columns: dict[str, np.ndarray], chain: Chain, poses: np.ndarray, ask
 def _answered(columns: dict[str, np.ndarray], chain: Chain, poses: np.ndarray, asked: np.ndarray, best: _Best) -> None:
     """Solves the best postures of the targets `asked` again in float64. One that is there past a limit, by what float32 rounds,
     is none."""
+    columns["reason"][asked], columns["solutions"][asked] = best.reason, best.solutions
     some = np.flatnonzero(best.reason == Reason.SOLVED)
     rows = asked[some]
     if not len(rows):
@@ -292,13 +291,13 @@ def _on_grid(study: Study, chain: Chain, poses: np.ndarray, around: _Crops | Non
         target, lead = np.divmod(some_bits, len(leading))
         inside = np.unpackbits(bits[some_bits], bitorder="little").view(bool)
         some = _Best(*(column[part] for column in best))
-        close = _avoid(study, chain, poses[part], target, leading[lead], inside, around.part(part), some)
+        close = _avoid(study, chain, poses[part], _Near(target, leading[lead]), inside, around.part(part), some)
         near.append(_Near(close.target + start, close.leading))
     return best, _Near(*(np.concatenate(columns) for columns in zip(*near, strict=True)))
 
 
 class _Near(NamedTuple):
-    """Targets, and leading positions at which they have a posture that hardly collides."""
+    """Targets (P,), and leading positions (P, k) at which they may have a posture that hardly collides."""
 
     target: np.ndarray
     leading: np.ndarray
@@ -320,22 +319,16 @@ def _beside(study: Study, chain: Chain, poses: np.ndarray, near: _Near, around: 
     target = np.repeat(near.target, len(steps))
     for first in range(0, len(poses), PORTION):  # all of a target at once
         part = slice(*np.searchsorted(target, (first, first + PORTION)))
-        _avoid(study, chain, poses, target[part], leading[part], None, around, found)
+        _avoid(study, chain, poses, _Near(target[part], leading[part]), None, around, found)
     return found
 
 
 def _avoid(
-    study: Study,
-    chain: Chain,
-    poses: np.ndarray,
-    target: np.ndarray,
-    leading: np.ndarray,
-    inside: np.ndarray | None,
-    around: _Crops,
-    best: _Best,
+    study: Study, chain: Chain, poses: np.ndarray, asked: _Near, inside: np.ndarray | None, around: _Crops, best: _Best
 ) -> _Near:
-    """Of the postures of targets (P,) at leading positions (P, k), of which those `inside` (P * 8,) count (all
-    inside the limits if it is None), the best that is clear goes into `best`; of targets without any, the nearest to be."""
+    """Of the postures that are `asked` for, of which those `inside` (P * 8,) count (all inside the limits if it is None), the
+    best that is clear goes into `best`; of targets without any, the nearest to be."""
+    target, leading = asked
     if not len(target):
         return _Near.nothing(leading.shape[1])
     arm, poses, leads = arm_of(chain), poses.astype(np.float32), leading.astype(np.float32)

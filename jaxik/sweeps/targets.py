@@ -14,7 +14,7 @@ import numpy as np
 from jaxik.collision.scene import Scene
 from jaxik.files.targets import as_frames
 from jaxik.harvesting.crop import cucumber_row, trellis_crop
-from jaxik.harvesting.grasp import Grasp, approach_grid, fruit_frames
+from jaxik.harvesting.grasp import Grasp, across, approach_grid, fruit_frames
 from jaxik.robot.chain import Chain
 from jaxik.robot.reach_bound import reach_bound
 from jaxik.spatial.rotations import to_wxyz
@@ -146,9 +146,7 @@ def rotations(along: np.ndarray, rolls: np.ndarray, grasp: Grasp) -> np.ndarray:
     tool = np.stack([grasp.up, grasp.approach, np.cross(grasp.up, grasp.approach)], axis=-1)
     found = []
     for approach in along / np.linalg.norm(along, axis=1, keepdims=True):
-        reference = np.array([1.0, 0.0, 0.0] if abs(approach[2]) > 0.99 else [0.0, 0.0, 1.0])
-        up = reference - approach * (approach @ reference)
-        up /= np.linalg.norm(up)
+        up = across(approach, (0.0, 0.0, 1.0))
         side = np.cross(up, approach)
         for roll in rolls:
             turned = np.cos(roll) * up - np.sin(roll) * side

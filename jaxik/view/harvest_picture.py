@@ -139,10 +139,8 @@ def _write_head(figure: Any, size: tuple[float, float], result: Harvest, shown: 
     solved, count = int(result.success.sum()), len(result.rows)
     title = f"{result.chain.name} can pick {solved} of {count} fruits of {result.scene.name}"
     figure.text(SIDE / size[0], 1.0 - 0.35 / size[1], title, fontsize=15, weight="bold", color=INK)
-    how = (
-        "For each fruit the best posture, from the front (left) and from the side (right), and how far it stays from all else."
-    )
-    how += f" The first {shown} are shown." if shown < count else ""
+    how = "For each fruit the best posture, from the front (left) and from the side (right), and how far it stays from all else"
+    how += f". The first {shown} are shown." if shown < count else "."
     figure.text(SIDE / size[0], 1.0 - 0.6 / size[1], how, fontsize=10, color=INK)
     marker = lambda colour, shape, label, **how: Line2D([], [], color=colour, marker=shape, lw=0, label=label, **how)
     fates = {r: "can be picked" if r == Reason.SOLVED else WORDS[r] for r in COLOURS if r in result.reason}

@@ -40,10 +40,8 @@ def rgb(colour: str) -> tuple[int, int, int]:
 def swatches(entries: dict[str, str]) -> str:
     """A legend as HTML: words and their colours."""
     chip = "display:inline-block;width:0.8em;height:0.8em;margin-right:0.4em;border:1px solid #888;background:"
-    rows = (
-        f"<span style='white-space:nowrap'><span style='{chip}{colour}'></span>{words}</span>"
-        for words, colour in entries.items()
-    )
+    row = "<span style='white-space:nowrap'><span style='{chip}{colour}'></span>{words}</span>"
+    rows = (row.format(chip=chip, colour=colour, words=words) for words, colour in entries.items())
     return f"<div style='display:flex;flex-wrap:wrap;gap:0.1em 1em'>{''.join(rows)}</div>"
 
 
