@@ -5,7 +5,6 @@ from __future__ import annotations
 import dataclasses
 import difflib
 import math
-import sys
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any, TypeVar, get_args
@@ -28,9 +27,16 @@ def check_finite(who: str, least: float = -math.inf, **numbers: Any) -> None:
     """Raises likewise for what is no finite number, or less than `least`."""
     for name, value in numbers.items():
         number = isinstance(value, int | float | np.integer | np.floating) and not isinstance(value, bool)
-        if not (number and abs(value) <= sys.float_info.max and value >= least):  # a whole number may be beyond the floats
+        if not (number and _is_finite(value) and value >= least):
             allowed = "a finite number" + (f" of at least {least:g}" if math.isfinite(least) else "")
             raise ValueError(f"{who}: {name} is {shown(value)}; it is {allowed}")
+
+
+def _is_finite(value: Any) -> bool:
+    try:
+        return math.isfinite(value)
+    except OverflowError:  # a whole number beyond the floats
+        return False
 
 
 def check_kind(who: str, name: str, value: Any, kind: type, optional: bool = False) -> None:

@@ -2,14 +2,16 @@
 
 from __future__ import annotations
 
+import contextlib
 import dataclasses
 import sys
+import warnings
+from collections.abc import Iterator
 from typing import Annotated, Any, Union
 
 import tyro
 
 import jaxik
-from jaxik.cli.collisions import warnings_as_lines
 from jaxik.cli.fit import FitArguments
 from jaxik.cli.harvest import HarvestArguments
 from jaxik.cli.ik import IKArguments
@@ -44,8 +46,24 @@ def main() -> None:
     command = tyro.cli(kinds, prog="jaxik", description=(jaxik.__doc__ or "").partition("\n")[0])
     compilation_cache()
     try:
-        with warnings_as_lines():
+        with _warnings_as_lines():
             command.run()
     except (ValueError, OSError) as error:
         print(f"jaxik: {error}", file=sys.stderr)
         raise SystemExit(2) from None
+
+
+@contextlib.contextmanager
+def _warnings_as_lines() -> Iterator[None]:
+    """What the library warns of, on stderr without the line of code that asked, each once."""
+    told: set[str] = set()
+
+    def show(message: Any, *_: Any, **__: Any) -> None:
+        if str(message) not in told:
+            told.add(str(message))
+            print(f"warning: {message}", file=sys.stderr)
+
+    with warnings.catch_warnings():
+        warnings.simplefilter("always", UserWarning)
+        warnings.showwarning = show
+        yield

@@ -1,13 +1,8 @@
-"""What the commands say of collisions: what is most often in the way, warnings as plain lines."""
+"""What the commands say of collisions: what is most often in the way."""
 
 from __future__ import annotations
 
 import collections
-import contextlib
-import sys
-import warnings
-from collections.abc import Iterator
-from typing import Any
 
 from jaxik.ik.solve import IKResult
 from jaxik.reasons import Reason
@@ -21,19 +16,3 @@ def offenders(result: IKResult) -> str:
     pairs = collections.Counter(f"{nearest.link} and {nearest.other}" for nearest, *_ in colliding.offenders)
     words = ", ".join(f"{count} by {pair}" for pair, count in pairs.most_common(5))
     return f"of {len(colliding)} that collide: {words}" if words else ""
-
-
-@contextlib.contextmanager
-def warnings_as_lines() -> Iterator[None]:
-    """What the library warns of, on stderr without the line of code that asked, each once."""
-    told: set[str] = set()
-
-    def show(message: Any, *_: Any, **__: Any) -> None:
-        if str(message) not in told:
-            told.add(str(message))
-            print(f"warning: {message}", file=sys.stderr)
-
-    with warnings.catch_warnings():
-        warnings.simplefilter("always", UserWarning)
-        warnings.showwarning = show
-        yield

@@ -14,7 +14,6 @@ import tyro
 import jaxik
 from jaxik.cli.collisions import LOOKED, offenders
 from jaxik.cli.robot_arguments import Ignored, ignored_pairs
-from jaxik.sweeps.colliding import asked_again
 
 
 @dataclasses.dataclass
@@ -61,7 +60,7 @@ class SweepArguments:
         state = f"{result.done} of {result.total} chunks"
         print(f"{counts or 'nothing yet'}; {state} in {time.perf_counter() - start:.1f} s; wrote {out}")
         if set(result.counts) & {"collision", "solved"} == {"collision"}:
-            print(offenders(asked_again(result, LOOKED)))
+            print(offenders(result.colliding(LOOKED)))
         if self.plot:
             from jaxik.view.sweep_picture import plot_sweep
 

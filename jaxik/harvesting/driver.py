@@ -135,7 +135,7 @@ def harvest(
 
 
 def _posture(chain: Chain, scene: Scene, found: Scan, options: HarvestOptions) -> Posture:
-    row, how = found.table.best(options.margin), "grid"
+    row, how = found.table.best_row(options.margin), "grid"
     if row is None:
         row, how = recover(chain, scene, found, options.weights, options.margin, options.grasp) or (None, "")
     if row is None:

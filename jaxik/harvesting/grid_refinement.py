@@ -60,7 +60,7 @@ def recover(
         return None
     for spread in _finer(chain, found, starts):
         finer = scan(chain, scene, found.fruit, *spread, weights=weights, margin=margin, grasp=grasp)
-        best = finer.table.best(margin)
+        best = finer.table.best_row(margin)
         if best is not None:
             return Recovered(best, "finer grid")
     return _climb(chain, scene, found, starts, weights or Weights(), margin, grasp)
@@ -122,7 +122,7 @@ def _climb(
     distance, freedom = measured(chain, scene, found.fruit, q)
     inside = np.all((q >= chain.lower) & (q <= chain.upper), axis=1)
     table = Table(u[:, 0], u[:, 1:], branch, q, np.where(inside, distance, -np.inf), freedom, weights.score(distance, freedom))
-    best = table.best(margin)
+    best = table.best_row(margin)
     return None if best is None else Recovered(best, "gradient")
 
 

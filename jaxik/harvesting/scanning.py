@@ -64,10 +64,15 @@ class Table(NamedTuple):
     freedom: np.ndarray
     score: np.ndarray
 
-    def best(self, margin: float) -> Table | None:
+    def best(self, margin: float) -> int | None:
         """The row with the best score among those with at least `margin` of clearance [m]."""
         free = np.flatnonzero(self.clearance >= margin)
-        return Table(*(column[free[[np.argmax(self.score[free])]]] for column in self)) if len(free) else None
+        return int(free[np.argmax(self.score[free])]) if len(free) else None
+
+    def best_row(self, margin: float) -> Table | None:
+        """That row alone."""
+        best = self.best(margin)
+        return None if best is None else Table(*(column[best : best + 1] for column in self))
 
 
 class Scan(NamedTuple):

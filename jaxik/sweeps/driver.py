@@ -20,6 +20,8 @@ import numpy as np
 from jaxik.checks.optional_modules import optional
 from jaxik.checks.options import shown
 from jaxik.collision.always_colliding import warn_of_scene
+from jaxik.collision.scene import make_scene
+from jaxik.ik.solve import IKResult, as_poses, solved
 from jaxik.reasons import Reason
 from jaxik.sweeps.auditing import audit
 from jaxik.sweeps.evaluation import answer
@@ -46,6 +48,23 @@ class Sweep(NamedTuple):
     def dataset(self) -> Any:
         """The results as an `xarray.Dataset`, read as they are needed."""
         return optional("a sweep's dataset", "xarray", "sweep").open_zarr(self.path)
+
+    def colliding(self, most: int) -> IKResult:
+        """What `solve_ik` says of `most` targets that collide, of the first piece of work that has any; its `offenders` name
+        what is in the way, which a store does not keep."""
+        store, study = Store.of(self.path, self.study), self.study
+        for number in np.flatnonzero(store.finished()):
+            variant, _, rows = study.work(int(number))
+            colliding = rows.start + np.flatnonzero(store.column(int(number), "reason") == Reason.COLLISION)[:most]
+            if len(colliding):
+                break
+        crops, scene = study.targets.crop, study.scene or make_scene()
+        if crops is not None:
+            scene = study.targets.scenes[crops[colliding[0]]]
+            colliding = colliding[crops[colliding] == crops[colliding[0]]]
+        base_T_frame = np.linalg.inv(variant.chain.world_T_base) if study.targets.frame == "world" else None
+        poses, fault, _ = as_poses(study.targets.poses_at(colliding, base_T_frame), study.ik.task)
+        return solved(variant.chain, poses, fault, scene, study.seed, study.ik)
 
 
 def sweep(

@@ -78,9 +78,9 @@ def test_the_table_is_what_one_by_one_gives(found):
 def test_weights_rank(found):
     free = found.table.clearance >= 0.005
     assert free.any()
-    for weights, name in ((Weights(1.0, 0.0, reach=10.0), "clearance"), (Weights(0.0, 1.0), "freedom")):
+    for weights, column in ((Weights(1.0, 0.0, reach=10.0), found.table.clearance), (Weights(0.0, 1.0), found.table.freedom)):
         best = jaxik.harvesting.scan(CHAIN, OPEN, OPEN.fruits[0], 24, 7, weights).table.best(0.005)
-        assert getattr(best, name) == getattr(found.table, name)[free].max()
+        assert column[best] == column[free].max()
     with pytest.raises(ValueError, match="reach > 0"):
         Weights(reach=0.0)
 
