@@ -50,17 +50,13 @@ def _column(dtype: str, nothing: Any, name: str, units: str | None = None, *dims
 
 
 FREEDOM = "smallest distance of a revolute joint to its nearest limit, as a share of half its range (1: all in the middle)"
+REASONS = [*Reason][:6]  # others are of motions
+FLAGS: dict[str, Any] = {"flag_values": [*map(int, REASONS)], "flag_meanings": " ".join(r.name.lower() for r in REASONS)}
 COLUMNS = {
     "position": _column("f8", np.nan, "where the tool goes", "m", "xyz"),
     "quaternion": _column("f8", np.nan, "how the tool is turned there; NaN where its rotation is free", None, "wxyz"),
     "reachable": _column("bool", False, "a posture inside the limits has the target and, where asked for, is clear"),
-    "reason": _column(
-        "i1",
-        -1,
-        "what became of the target",
-        flag_values=[int(r) for r in Reason][:6],
-        flag_meanings=" ".join(r.name.lower() for r in list(Reason)[:6]),
-    ),
+    "reason": _column("i1", -1, "what became of the target", **FLAGS),
     "proven": _column("bool", False, "reachable, or proven not to be for any position of the leading joints"),
     "between": _column("bool", False, "found between the positions of the grid of leading joints, where the grid has none"),
     "solutions": _column("i4", 0, "number of different postures found that are inside the limits and clear"),
@@ -281,7 +277,7 @@ def _on_grid(study: Study, chain: Chain, poses: np.ndarray, around: _Crops | Non
     reason = np.where(found.inside > 0, Reason.SOLVED, past).astype(np.int8)
     none = np.full(len(poses), np.nan, np.float32)
     best = _Best(leading[found.lead], found.branch, found.inside, none, reason)
-    near = [_Near.nothing(leading.shape[1])]
+    near = [_Near(np.zeros(0, int), leading[:0])]
     if around is None:
         return best, near[0]
     for start in range(0, len(poses), PORTION):
@@ -301,10 +297,6 @@ class _Near(NamedTuple):
 
     target: np.ndarray
     leading: np.ndarray
-
-    @staticmethod
-    def nothing(k: int) -> _Near:
-        return _Near(np.zeros(0, int), np.zeros((0, k)))
 
 
 def _beside(study: Study, chain: Chain, poses: np.ndarray, near: _Near, around: _Crops) -> _Best:
@@ -329,15 +321,13 @@ def _avoid(
     """Of the postures that are `asked` for, of which those `inside` (P * 8,) count (all inside the limits if it is None), the
     best that is clear goes into `best`; of targets without any, the nearest to be."""
     target, leading = asked
-    if not len(target):
-        return _Near.nothing(leading.shape[1])
     arm, poses, leads = arm_of(chain), poses.astype(np.float32), leading.astype(np.float32)
     if inside is None:
         _, _, inside = in_blocks(closed_forms(arm), poses[target], leads, double=False)
     pair, branch = np.divmod(np.flatnonzero(inside), BRANCHES)
     owner = target[pair]
     if not len(owner):
-        return _Near.nothing(leading.shape[1])
+        return _Near(owner, leading[:0])
     rows = lambda owner, pair, branch: (poses.take(owner, axis=0), leads.take(pair, axis=0), branch)
     distance, freedom = around.measured(_branch_measures(arm), owner, owner, pair, branch, rows=rows)
     clear = np.flatnonzero(distance >= study.margin)

@@ -23,8 +23,7 @@ import numpy as np
 
 from jaxik.checks.optional_modules import optional
 from jaxik.checks.options import shown
-from jaxik.reasons import Reason
-from jaxik.sweeps.evaluation import COLUMNS, GIVEN, Column, given_columns
+from jaxik.sweeps.evaluation import COLUMNS, GIVEN, REASONS, Column, given_columns
 from jaxik.sweeps.robot_variants import variant_name
 from jaxik.sweeps.study import Study
 
@@ -257,7 +256,7 @@ def _attributes(study: Study) -> dict[str, Any]:
         "position_tolerance": study.ik.position_tolerance,
         "rotation_tolerance": study.ik.rotation_tolerance,
         "margin": study.margin if study.collision else None,
-        "reasons": {r.text: int(r) for r in list(Reason)[:6]},
+        "reasons": {r.text: int(r) for r in REASONS},
         "grid": [[float(x) for x in axis] for axis in study.targets.axes],
         "targets_per_position": study.targets.turns,
     }
