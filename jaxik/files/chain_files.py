@@ -84,8 +84,7 @@ def read_chain(model: Table) -> Chain:
     joints, links = model.tables("joint"), model.tables("link")
     if not joints or not links:
         raise model.fail("has no [[joint]] or no [[link]]", "save the chain again")
-    rows = [_joint(table) for table in joints]
-    places = [_link(table, len(joints)) for table in links]
+    rows, places = [_joint(table) for table in joints], [_link(table, len(joints)) for table in links]
     names = tuple(place["name"] for place in places)
     for what, each in (("joint", rows), ("link", places)):
         unique(model.path, what, (row["name"] for row in each))
@@ -144,11 +143,9 @@ def _table(table: Table, chain: Chain) -> PairTable:
         raise table.fail("joints are not two successive ones between the links", "take the table out, or save the chain again")
     bounds, geometry = table.text("bounds"), table.text("geometry")
     try:
-        found = PairTable(links, joints, low, high, turns, reach, unpacked(bounds), geometry)
+        return PairTable(links, joints, low, high, turns, reach, unpacked(bounds), geometry)
     except ValueError:
         raise table.fail("bounds cannot be read", "take the table out, or save the chain again") from None
-    table.close()
-    return found
 
 
 def _joint(table: Table) -> dict[str, Any]:
@@ -159,7 +156,6 @@ def _joint(table: Table) -> dict[str, Any]:
         raise table.fail("lower > upper", "swap them")
     if "mass" in table.content:
         row["body"] = Body(table.finite("mass", ()), table.finite("com", (3,)), table.finite("inertia", (3, 3)))
-    table.close()
     return row
 
 
@@ -167,18 +163,12 @@ def _link(table: Table, joints: int) -> dict[str, Any]:
     name, joint = table.named(), table.number("joint", "plain")
     if joint not in range(joints + 1):
         raise table.fail(f"joint = {joint:g}", f"the number of joints before it, 0 to {joints}")
-    row = {"name": name, "joint": int(joint), "frame": table.finite("frame", (4, 4)), "unread": table.flag("unread")}
-    table.close()
-    return row
+    return {"name": name, "joint": int(joint), "frame": table.finite("frame", (4, 4)), "unread": table.flag("unread")}
 
 
 def _shape(table: Table, names: Sequence[str]) -> Box | Volume:
     link = names.index(table.text("link", None, names))
     kind = table.text("kind", None, ("box", *CORNERS))
-    made: Box | Volume
     if kind == "box":
-        made = Box(table.finite("frame", (4, 4)), table.finite("half", (3,), 0.0), link)
-    else:
-        made = Volume(table.finite("points", (CORNERS[kind], 3)), table.finite("radius", (), 0.0), link)
-    table.close()
-    return made
+        return Box(table.finite("frame", (4, 4)), table.finite("half", (3,), 0.0), link)
+    return Volume(table.finite("points", (CORNERS[kind], 3)), table.finite("radius", (), 0.0), link)

@@ -33,7 +33,7 @@ CONVENTIONS = ("modified_dh", "standard_dh", "frames")
 
 
 class Table:
-    """A TOML table that is read key by key; `close` refuses what nobody asked for."""
+    """A TOML table that is read key by key; `close` refuses what nobody asked for, in it and in the tables inside of it."""
 
     def __init__(self, path: Path, where: str, content: Any):
         if not isinstance(content, dict):
@@ -41,6 +41,7 @@ class Table:
         self.path, self.where, self.content = path, where, content
         self.asked: set[str] = {"origin"}
         self.read: set[str] = set()
+        self.inside: list[Table] = []
 
     def fail(self, problem: str, mend: str) -> LoadError:
         return LoadError(self.path, self.where, problem, mend)
@@ -68,10 +69,9 @@ class Table:
             return np.asarray(default, dtype=np.float64)
         self.read.add(given[0])
         try:
-            if not _numeric(self.content[given[0]]):
-                raise ValueError
             values = np.array(self.content[given[0]], dtype=np.float64)
-            if values.ndim != len(shape) or any(n not in (-1, m) for n, m in zip(shape, values.shape, strict=True)):
+            fits = values.ndim == len(shape) and all(n in (-1, m) for n, m in zip(shape, values.shape, strict=True))
+            if not (fits and _numeric(self.content[given[0]])):
                 raise ValueError
         except (ValueError, TypeError, OverflowError):
             what = in_words(shape)
@@ -106,12 +106,12 @@ class Table:
             raise self.fail(f"{key} = {shown(value)!r} is not true or false", f"write {key} = true")
         return value
 
-    def listed(self, key: str) -> list[Any]:
+    def listed(self, key: str, what: str = "a list", mend: str = "") -> list[Any]:
         """The list under `key`, empty unless given."""
         self.asked.add(key)
         value = self.content.get(key, [])
         if not isinstance(value, list):
-            raise self.fail(f"'{key}' is not a list", f"write {key} = [...]")
+            raise self.fail(f"'{key}' is not {what}", f"write {mend or f'{key} = [...]'}")
         return value
 
     def turn(self) -> np.ndarray:
@@ -119,15 +119,16 @@ class Table:
         return from_rpy(self.finite("rpy", (3,), unit="angle", default=np.zeros(3)))
 
     def tables(self, key: str) -> list[Table]:
-        self.asked.add(key)
-        value = self.content.get(key, [])
-        if not isinstance(value, list):
-            raise self.fail(f"'{key}' is not a list of tables", f"write [[{key}]]")
-        return [Table(self.path, f"{key} {i + 1}", v) for i, v in enumerate(value)]
+        rows = self.listed(key, "a list of tables", f"[[{key}]]")
+        return [self._inner(f"{key} {i}", row) for i, row in enumerate(rows, 1)]
 
     def table(self, key: str) -> Table:
         self.asked.add(key)
-        return Table(self.path, key, self.content.get(key, {}))
+        return self._inner(key, self.content.get(key, {}))
+
+    def _inner(self, where: str, content: Any) -> Table:
+        self.inside.append(Table(self.path, where, content))
+        return self.inside[-1]
 
     def named(self) -> str:
         name = self.text("name")
@@ -149,6 +150,8 @@ class Table:
 
     def close(self) -> None:
         """Refuse unknown keys, and origins that name no number of this table."""
+        for table in self.inside:
+            table.close()
         self.only(self.asked)
         origin = self.content.get("origin", {})
         words = origin.values() if isinstance(origin, dict) else [origin]
@@ -199,10 +202,8 @@ def load_toml(model: Table, tip: str | None, base: str | None, tool: np.ndarray 
     unique(path, "link", names)
     for table in model.tables("shape"):
         _shape(table, links, names)
-    mount, tool_table = model.table("mount"), model.table("tool")
-    world_T_base, tip_T_tool = _frame(mount), _frame(tool_table)
-    for table in (mount, tool_table, model):
-        table.close()
+    world_T_base, tip_T_tool = _frame(model.table("mount")), _frame(model.table("tool"))
+    model.close()
     way = way_up(path, names, dict(zip(names[1:], names, strict=False)), tip or names[-1], base or "base")
     first, last = names.index(way[-1]), names.index(way[0])
     if tip is None:
@@ -240,7 +241,6 @@ def _joint(table: Table, convention: str) -> tuple[list[Joint], Link]:
         joint.lower, joint.upper = table.number("lower", unit, least), table.number("upper", unit, most)
         joint.velocity = table.number("velocity", unit, np.inf)
     link = _inertia(table)
-    table.close()
     if after is None:
         return [joint], link
     joint.child = f"{name}_axis"
@@ -267,4 +267,3 @@ def _shape(table: Table, links: dict[str, Link], names: list[str]) -> None:
     else:
         corners, radius = table.finite("points", (CORNERS[kind], 3), unit="length"), table.finite("radius", (), 0.0, "length")
         link.volumes.append((corners, float(radius)))
-    table.close()

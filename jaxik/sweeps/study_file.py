@@ -105,11 +105,9 @@ def _robot(row: Table, folder: Path, ignore: list[Any]) -> tuple[str, Chain]:
     fit = row.table("fit")
     if fit.content:
         options["fit"] = Fit(fit.number("accuracy", "length", Fit().accuracy), fit.count("most", Fit().most))
-        fit.close()
     if "posture" in given:  # where joints beside the chain are held [rad, m]
         held = row.table("posture")
         options["posture"] = {joint: held.number(joint, "plain") for joint in held.content}
-        held.close()
     if "tool" in given:
         options["tool"] = row.array("tool", "plain", (4, 4))
     label, ignored = row.text("name", Path(file).stem), [*ignore, *row.listed("ignore")]
@@ -122,7 +120,6 @@ def _bases(table: Table) -> list[tuple[str, np.ndarray]]:
     row = table.table("base")
     values = [row.finite(k, (-1,), unit="length", default=[0.0]) for k in "xyz"]
     yaw = row.finite("yaw", (-1,), unit="angle", default=[0.0])
-    row.close()
     return [
         (f"x={x:g} y={y:g} z={z:g} yaw_deg={np.degrees(turn):g}", frame((x, y, z), from_rpy((0.0, 0.0, turn))) + 0.0)  # no -0
         for x, y, z, turn in itertools.product(*values, yaw)
@@ -137,14 +134,12 @@ def _collision(table: Table, folder: Path) -> tuple[Scene | None, float, Weights
         scene = load_scene(_file(folder, row.text("scene")))
     margin = float(row.finite("margin", (), unit="length", default=0.005))
     weights = {name: float(row.finite(name, (), default=usual)) for name, usual in vars(Weights()).items()}
-    row.close()
     return scene, margin, _made(row, "change them", Weights, **weights)
 
 
 def _grasp(table: Table) -> Grasp:
     row = table.table("tool")
     axes = {name: tuple(row.array(name, "plain", (3,), usual).tolist()) for name, usual in vars(Grasp()).items()}
-    row.close()
     return _made(row, "change them", Grasp, **axes)
 
 
@@ -158,7 +153,6 @@ def _ik(table: Table, targets: Targets, margin: float) -> IKOptions:
         chosen[key] = float(row.finite(key, (), unit=unit, default=usual))
         if not chosen[key] > 0.0:
             raise row.fail(f"{key} = {chosen[key]:g}", "write a number > 0")
-    row.close()
     task = Task.position() if targets.free_rotation else default.task
     return _made(row, "change it", IKOptions, task=task, margin=margin, **chosen)
 
@@ -184,7 +178,6 @@ def _targets(table: Table, folder: Path, chains: list[Chain], seed: int, grasp: 
                 raise row.fail(f"size = {size:g}", "write the edge of a voxel [m], > 0")
             axes = sources.voxels(chains, size)
         targets = Targets(kind, frame, turned, axes)
-    row.close()
     if not len(targets):
         raise row.fail("no target", "give at least one")
     some = targets.poses_at(np.unique(np.linspace(0, len(targets) - 1, 1000).astype(np.int64)))[:, :3, 3]
