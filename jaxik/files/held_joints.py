@@ -8,7 +8,7 @@ from pathlib import Path
 
 import numpy as np
 
-from jaxik.checks.options import nearest
+from jaxik.checks.options import among
 from jaxik.files.chain_builder import Joint, checked, displacement
 from jaxik.reasons import LoadError
 
@@ -37,15 +37,18 @@ class Posture:
             self._check(file, name, beside, on_chain)
         fixed = []
         for parent, joint in carried:
-            above = (*self.behind.get(parent, ()), *([] if joint.type == "fixed" else [joint.name]))
+            above = self.behind.get(parent, ())
+            if joint.type != "fixed":
+                above = (*above, joint.name)
+                with np.errstate(all="ignore"):
+                    value = self.held[joint.name] = self._value(file, joint, beside, on_chain)
+                if not np.isfinite(value):
+                    raise LoadError(file, joint.element, "its mimic leads to infinity", "mend its numbers")
+                # what does not move needs no axis: faults of joints that nobody uses are let pass
+                moved = displacement(joint.type, checked(file, joint).axis, value) if value else np.eye(4)
+                joint = Joint(joint.name, "fixed", joint.parent_T_joint @ moved, joint.child)
             if above:
                 self.behind[joint.child] = above
-            if joint.type != "fixed":
-                with np.errstate(all="ignore"):
-                    self.held[joint.name] = self._value(file, joint, beside, on_chain)
-                if not np.isfinite(self.held[joint.name]):
-                    raise LoadError(file, joint.element, "its mimic leads to infinity", "mend its numbers")
-                joint = _fixed(file, joint, self.held[joint.name])
             fixed.append((parent, joint))
         return fixed
 
@@ -67,9 +70,7 @@ class Posture:
         if name in on_chain:
             raise LoadError(file, where, "is a joint of the chain, whose value is in q", "leave it out")
         if name not in beside:
-            meant = nearest(name, tuple(beside))
-            some = ", ".join(list(beside)[:8]) + (f", ... ({len(beside)} in all)" if len(beside) > 8 else "")
-            mend = f"did you mean '{meant}'? joints: {some}" if meant else f"joints: {some or 'none'}"
+            mend = among(name, tuple(beside), "joints")
             raise LoadError(file, where, "no such joint beside the chain", mend)
         joint = beside[name]
         if joint.mimic is not None and joint.mimic[0] in beside:
@@ -95,9 +96,3 @@ class Posture:
 def _inside(joint: Joint, value: float) -> float:
     """The value, or the limit that is nearest."""
     return float(np.clip(value, joint.lower, joint.upper))
-
-
-def _fixed(file: Path, joint: Joint, value: float) -> Joint:
-    """The joint as a fixed one. What does not move needs no axis: faults of joints that nobody uses are let pass."""
-    moved = displacement(joint.type, checked(file, joint).axis, value) if value else np.eye(4)
-    return Joint(joint.name, "fixed", joint.parent_T_joint @ moved, joint.child)

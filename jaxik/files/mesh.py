@@ -38,17 +38,20 @@ class Meshes:
         if self.fitted:
             self.found.append((owner, Shape(0, name, points @ origin[:3, :3].T + origin[:3, 3], faces)))
         else:
-            mesh_T_box, half = bounding_box(points)
-            link.boxes.append((origin @ mesh_T_box, half))
+            import trimesh  # half a second to import, and only meshes need it
+
+            to_origin, extents = trimesh.bounds.oriented_bounds(points)  # of the smallest box around
+            link.boxes.append((origin @ np.linalg.inv(to_origin), np.asarray(extents) / 2.0))
 
     def shapes(self, chain: Chain) -> list[Shape]:
         """What was collected, in the frames of the chain's joints."""
-        index = {name: i for i, name in enumerate(chain.link_names)}
-        return [_placed(shape, index[owner], chain.link_offset[index[owner]]) for owner, shape in self.found if owner in index]
-
-
-def _placed(shape: Shape, link: int, offset: Any) -> Shape:
-    return shape._replace(link=link, corners=shape.corners @ offset[:3, :3].T + offset[:3, 3])
+        found = []
+        for owner, shape in self.found:
+            if owner in chain.link_names:
+                link = chain.link_names.index(owner)
+                turn, shift = chain.link_offset[link][:3, :3], chain.link_offset[link][:3, 3]
+                found.append(shape._replace(link=link, corners=shape.corners @ turn.T + shift))
+        return found
 
 
 def add_box(meshes: Meshes | None, owner: str, link: Link, origin: np.ndarray, half: np.ndarray) -> None:
@@ -109,7 +112,7 @@ def _package(name: str) -> tuple[str, str]:
 
 def read_mesh(path: Path, where: str, name: str, scale: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """The corners of a mesh (p, 3) [m], in its frame, and its triangles (f, 3)."""
-    import trimesh  # half a second to import, and only meshes need it
+    import trimesh
 
     target = resolve(path, where, name)
     if target is None or not target.is_file():
@@ -132,11 +135,3 @@ def read_mesh(path: Path, where: str, name: str, scale: np.ndarray) -> tuple[np.
         problem = f"mesh '{name}' cannot be read ({type(error).__name__})"
         raise LoadError(path, where, problem, "give STL, OBJ, PLY or DAE") from None
     return points, np.asarray(mesh.faces).reshape(-1, 3)
-
-
-def bounding_box(points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """The smallest oriented box around points: its frame in theirs, and half its edges [m]."""
-    import trimesh
-
-    to_origin, extents = trimesh.bounds.oriented_bounds(points)
-    return np.linalg.inv(to_origin), np.asarray(extents) / 2.0

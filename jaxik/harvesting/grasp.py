@@ -29,10 +29,8 @@ class Grasp:
         up, approach = (shaped(f"grasp: {name}", getattr(self, name), (3,)) for name in ("up", "approach"))
         unit = np.allclose([np.linalg.norm(up), np.linalg.norm(approach)], 1.0, atol=1e-6)
         if not (unit and abs(up @ approach) <= 1e-6):
-            raise ValueError(
-                f"grasp: up {shown(self.up)} and approach {shown(self.approach)} are no unit vectors at a right angle; "
-                "write e.g. up = (-1, 0, 0), approach = (0, 0, 1)"
-            )
+            given = f"up {shown(self.up)} and approach {shown(self.approach)} are no unit vectors at a right angle"
+            raise ValueError(f"grasp: {given}; write e.g. up = (-1, 0, 0), approach = (0, 0, 1)")
 
 
 def grasp_poses(chain: Chain, fruit: Fruit, angles: np.ndarray, grasp: Grasp | None = None) -> np.ndarray:

@@ -16,10 +16,8 @@ from jaxik.sweeps.robot_variants import Variant
 from jaxik.sweeps.store import Store
 from jaxik.sweeps.study import Study
 
-EFFORTS = {
-    "closed form": (0.25, 0.5, 1.0, 4.0),
-    "search": (1 / 32, 1 / 8, 1.0, 8.0),
-}  # times the study's own; the last is dense
+# times the study's own; the last is dense
+EFFORTS = {"closed form": (0.25, 0.5, 1.0, 4.0), "search": (1 / 32, 1 / 8, 1.0, 8.0)}
 WHAT = {"closed form": "slides", "search": "max_seeds"}
 STREAM = 0x617564
 

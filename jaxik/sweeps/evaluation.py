@@ -74,7 +74,7 @@ def answer(study: Study, variant: Variant, rows: slice) -> dict[str, np.ndarray]
     count, chain = rows.stop - rows.start, variant.chain
     base_T_world = np.linalg.inv(chain.world_T_base)
     base_T_frame = base_T_world if study.targets.frame == "world" else None
-    poses, valid = study.targets.part(rows.start, rows.stop, base_T_frame), np.ones(count, bool)
+    poses, valid = study.targets.poses_at(np.arange(rows.start, rows.stop), base_T_frame), np.ones(count, bool)
     if study.targets.poses is not None:  # someone else's, who may have got them wrong
         poses, fault, _ = as_poses(poses, study.ik.task)
         valid = fault == 0

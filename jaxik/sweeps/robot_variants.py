@@ -31,7 +31,7 @@ def read_shapes(table: Table) -> list[tuple[str, np.ndarray]]:
     row = table.table("parameters")
     nested = row.content  # TOML reads joint.upper = ... as a table in a table
     flat = {f"{k}.{w}": v for k, inner in nested.items() if isinstance(inner, dict) for w, v in inner.items()}
-    row = Table(row.path, row.where, flat | {k: v for k, v in nested.items() if not isinstance(v, dict)})
+    row.content = flat | {k: v for k, v in nested.items() if not isinstance(v, dict)}
     found = []
     for key in row.content:
         name, unit = (key.removesuffix("_deg"), "angle") if key.endswith("_deg") else (key, "plain")
@@ -39,7 +39,6 @@ def read_shapes(table: Table) -> list[tuple[str, np.ndarray]]:
         if not len(values):
             raise row.fail(f"{key} holds no number", "write one or several")
         found.append((name, values))
-    row.close()
     if len(found) > 2:
         raise row.fail(f"{len(found)} parameters", "vary at most two in a study")
     return found

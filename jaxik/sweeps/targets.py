@@ -61,10 +61,6 @@ class Targets:
     def __len__(self) -> int:
         return int(np.prod(self.shape, dtype=np.int64)) * self.turns
 
-    def part(self, start: int, stop: int, base_T_frame: np.ndarray | None = None) -> np.ndarray:
-        """The poses (stop - start, 4, 4) of the targets `start` to `stop - 1`, in their frame or in a base."""
-        return self.poses_at(np.arange(start, stop), base_T_frame)
-
     def poses_at(self, rows: np.ndarray, base_T_frame: np.ndarray | None = None) -> np.ndarray:
         """The poses (r, 4, 4) of targets by number, in their frame or in a base; a rotation that is free is the frame's."""
         if self.poses is not None:
