@@ -176,25 +176,24 @@ def _finite(file: Path, element: str, what: str, values: np.ndarray) -> None:
 
 def checked(file: Path, joint: Joint) -> Joint:
     """A movable joint with an axis of length 1 and limits in their order."""
-    if joint.type not in JOINT_TYPES:
-        raise LoadError(file, joint.element, f"type '{joint.type}' is not supported", f"allowed: {', '.join(JOINT_TYPES)}")
-    _finite(file, joint.element, "axis", joint.axis)
-    norm = float(np.linalg.norm(joint.axis))
-    if norm < 1e-9:
-        raise LoadError(file, joint.element, "the axis is zero", "write a unit vector such as 0 0 1")
-    if abs(norm - 1.0) > 1e-2:  # a rounded unit vector is made exact; anything else is more likely a slip
-        unit = " ".join(f"{a / norm:.6g}" for a in joint.axis)
-        raise LoadError(file, joint.element, f"the axis has length {norm:.6g}, not 1", f"write {unit}")
     if joint.type == "continuous":
         joint.lower, joint.upper = -np.inf, np.inf
-    for key in ("lower", "upper", "velocity"):
-        if np.isnan(getattr(joint, key)):
-            raise LoadError(file, joint.element, f"limit '{key}' is NaN", "write a number")
-    if joint.lower > joint.upper:
-        raise LoadError(file, joint.element, f"lower limit {joint.lower:g} > upper {joint.upper:g}", "swap them")
-    if joint.velocity < 0.0:
-        raise LoadError(file, joint.element, f"velocity limit {joint.velocity:g} < 0", "write a positive number")
-    return dataclasses.replace(joint, axis=joint.axis / norm)
+    _finite(file, joint.element, "axis", joint.axis)
+    norm = float(np.linalg.norm(joint.axis))
+    unit = joint.axis / max(norm, 1e-9)
+    written = " ".join(f"{a:.6g}" for a in unit)
+    for wrong, problem, mend in (
+        (joint.type not in JOINT_TYPES, f"type '{joint.type}' is not supported", f"allowed: {', '.join(JOINT_TYPES)}"),
+        (norm < 1e-9, "the axis is zero", "write a unit vector such as 0 0 1"),
+        # a rounded unit vector is made exact; anything else is more likely a slip
+        (abs(norm - 1.0) > 1e-2, f"the axis has length {norm:.6g}, not 1", f"write {written}"),
+        *((np.isnan(getattr(joint, k)), f"limit '{k}' is NaN", "write a number") for k in ("lower", "upper", "velocity")),
+        (joint.lower > joint.upper, f"lower limit {joint.lower:g} > upper {joint.upper:g}", "swap them"),
+        (joint.velocity < 0.0, f"velocity limit {joint.velocity:g} < 0", "write a positive number"),
+    ):
+        if wrong:
+            raise LoadError(file, joint.element, problem, mend)
+    return dataclasses.replace(joint, axis=unit)
 
 
 def _bodies(content: Sequence[Link], offsets: Sequence[np.ndarray], counts: Sequence[int], n: int) -> tuple[Body, ...]:

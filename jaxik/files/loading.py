@@ -80,7 +80,7 @@ def load(
     if fit is not FIT and not meshes:
         raise ValueError(f"load: fit is {shown(fit)}, but no meshes are read; write meshes=True, or leave it out")
     stance = _stance("load", posture)
-    chain, shapes, pairs = _read(path, tip, base, tool, Meshes(fit is not None) if meshes else None, stance)
+    chain, shapes, pairs = _read(path, tip, base, tool, Meshes(meshes, meshes and fit is not None), stance)
     apart, beside = ignored(path, chain, ignore)
     disabled = apart | disabled_pairs(srdf)
     chain = dataclasses.replace(chain, ignored=tuple(dict.fromkeys(chain.ignored + beside)))
@@ -112,7 +112,7 @@ def _stance(who: str, posture: Any) -> Posture:
 
 
 def _read(
-    path: Path, tip: str | None, base: str | None, tool: np.ndarray | None, meshes: Meshes | None, posture: Posture
+    path: Path, tip: str | None, base: str | None, tool: np.ndarray | None, meshes: Meshes, posture: Posture
 ) -> tuple[Chain, list[Shape], tuple[tuple[int, int], ...] | None]:
     """The chain of a file, the shapes that are to be fitted, and the pairs of links to check where the file says them."""
     kind, readers = path.suffix.lower(), {".urdf": load_urdf, ".xml": load_mjcf, ".mjcf": load_mjcf}
@@ -126,7 +126,7 @@ def _read(
         chain = readers[kind](path, tip, base, tool, meshes, posture)
     else:
         raise LoadError(path, "file", f"ending '{kind}'", "allowed: .urdf, .xml (MJCF), .toml")
-    return chain, [] if meshes is None else meshes.shapes(chain), None
+    return chain, meshes.shapes(chain), None
 
 
 def _saved(path: Path, chain: Chain, tip: str | None, base: str | None, tool: np.ndarray | None, posture: Posture) -> Chain:
@@ -141,7 +141,7 @@ def _saved(path: Path, chain: Chain, tip: str | None, base: str | None, tool: np
 
 def _tell(chain: Chain, what: str, at_home: Mapping[tuple[int, int], float | None], share: float) -> None:
     """One line where a robot's shapes collide in its default pose, or mostly: what they say of the robot is not true, then."""
-    names = [(chain.link_names[a], chain.link_names[b]) for a, b in at_home]
+    names = [tuple(chain.link_names[i] for i in pair) for pair in at_home]
     depths = ["" if depth is None else f" by {1e3 * depth:.1f} mm" for depth in at_home.values()]
     some = "; ".join(f"{a} and {b}{depth}" for (a, b), depth in zip(names[:3], depths, strict=False))
     some += f"; ... ({len(names)} in all)" if names[3:] else ""
@@ -178,7 +178,7 @@ def fit_report(
     path = _locate(source)
     check_kind("fit_report", "fit", fit, Fit)
     stance = _stance("fit_report", posture)
-    chain, shapes, _ = _read(path, tip, base, None, Meshes(True), stance)
+    chain, shapes, _ = _read(path, tip, base, None, Meshes(True, True), stance)
     disabled = disabled_pairs(srdf) | ignored(path, chain, ignore)[0]
     told = None if progress is None else lambda done: progress(done, FITS * len(shapes))
     return link_fits(chain, shapes, modelled(chain, shapes, fit, disabled, stance.behind, told))
@@ -189,7 +189,7 @@ def link_meshes(
 ) -> list[Shape]:
     """The collision meshes, boxes and cylinders of a file's links, in the frames of the joints that move them, to look at.
     Host."""
-    return _read(_locate(source), tip, base, None, Meshes(True), _stance("link_meshes", posture))[1]
+    return _read(_locate(source), tip, base, None, Meshes(True, True), _stance("link_meshes", posture))[1]
 
 
 def load_scene(source: str | Path) -> Scene:
@@ -206,8 +206,8 @@ def _locate(source: str | Path, what: str = "robot") -> Path:
         return path
     folder = models_folder() / "scenes" if what == "scene" else models_folder()
     shipped = {p.stem: p for p in sorted(folder.glob("*.toml"))}
-    if str(source) not in shipped:
-        if os.path.exists(path):  # of a name that no file can have, too
-            return path  # to be told that a file needs an ending
-        raise LoadError(shown(source), what, f"no such shipped {what}", f"shipped: {', '.join(shipped)}; or give a file")
-    return shipped[str(source)]
+    if str(source) in shipped:
+        return shipped[str(source)]
+    if os.path.exists(path):  # of a name that no file can have, too
+        return path  # to be told that a file needs an ending
+    raise LoadError(shown(source), what, f"no such shipped {what}", f"shipped: {', '.join(shipped)}; or give a file")

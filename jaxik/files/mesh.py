@@ -26,8 +26,9 @@ FORMATS = (".stl", ".obj", ".ply", ".dae", ".off", ".glb")  # and no archive, wh
 @dataclasses.dataclass
 class Meshes:
     """What is made of collision shapes: `fitted` ones are collected here while a file is read, in the frames of their links;
-    otherwise a mesh becomes the smallest box around it. Spheres and capsules stay what they are."""
+    otherwise a mesh becomes the smallest box around it, if it is `read` at all. Spheres and capsules stay what they are."""
 
+    read: bool
     fitted: bool
     found: list[tuple[str, Shape]] = dataclasses.field(default_factory=list)
 
@@ -54,9 +55,9 @@ class Meshes:
         return found
 
 
-def add_box(meshes: Meshes | None, owner: str, link: Link, origin: np.ndarray, half: np.ndarray) -> None:
+def add_box(meshes: Meshes, owner: str, link: Link, origin: np.ndarray, half: np.ndarray) -> None:
     """A box, to be fitted like a mesh where meshes are."""
-    if meshes is not None and meshes.fitted:
+    if meshes.fitted:
         meshes.mesh(owner, link, "box", origin, half * [*itertools.product((-1.0, 1.0), repeat=3)])
     else:
         link.boxes.append((origin, half))
@@ -67,9 +68,9 @@ def add_capsule(link: Link, origin: np.ndarray, radius: float, half: float) -> N
     link.volumes.append((origin[:3, 3] + np.outer([-half, half], origin[:3, 2]), radius))
 
 
-def add_cylinder(meshes: Meshes | None, owner: str, link: Link, origin: np.ndarray, radius: float, half: float) -> None:
+def add_cylinder(meshes: Meshes, owner: str, link: Link, origin: np.ndarray, radius: float, half: float) -> None:
     """A cylinder about its frame's z, as a prism around it where meshes are fitted; a box otherwise."""
-    if meshes is not None and meshes.fitted:
+    if meshes.fitted:
         turn = 2.0 * np.pi * np.arange(SECTIONS) / SECTIONS
         ring = radius / np.cos(np.pi / SECTIONS) * np.stack([np.cos(turn), np.sin(turn)], axis=1)
         ends = [np.column_stack([ring, np.full(SECTIONS, z)]) for z in (-half, half)]

@@ -22,11 +22,9 @@ MOST_FILES = 100
 FREE = 0  # of MuJoCo's joint types
 
 
-def load_mjcf(
-    path: Path, tip: str | None, base: str | None, tool: np.ndarray | None, meshes: Meshes | None, posture: Posture
-) -> Chain:
-    """The serial chain from body `base` (the world) to body or site `tip` (the only leaf), and what it carries, held in a
-    `posture`; bodies that fly freely are no part of it."""
+def load_mjcf(path: Path, tip: str | None, base: str | None, tool: np.ndarray | None, meshes: Meshes, held: Posture) -> Chain:
+    """The serial chain from body `base` (the world) to body or site `tip` (the only leaf), and what it carries, `held` in a
+    posture; bodies that fly freely are no part of it."""
     mujoco = optional(f"{path}: MJCF", "mujoco", "mjcf")
     _check_files(path, path, set())
     try:
@@ -44,7 +42,7 @@ def load_mjcf(
     *run, start = (names.index(name) for name in way_up(path, names, above, tip, base, "body"))
     joints = [j for i in run[::-1] for j in _body_joints(path, model, i, names[i])]
     aside = _aside(model, {start, *run})
-    carried = posture.hold(path, joints, [j for i in aside for j in _carried(path, model, i, names)])
+    carried = held.hold(path, joints, [j for i in aside for j in _carried(path, model, i, names)])
     links = {names[i]: _link(model, i, names[i], meshes) for i in (start, *run, *aside)}
     tool = tip_T_site if tool is None else tip_T_site @ tool
     return assemble(path, path.stem, names[start], joints, links, tool, carried=carried)
@@ -135,7 +133,7 @@ def _law(model: Any, row: int) -> tuple[str, Polynomial]:
     return _label(model, second) if second >= 0 else "", law
 
 
-def _link(model: Any, body: int, name: str, meshes: Meshes | None) -> Link:
+def _link(model: Any, body: int, name: str, meshes: Meshes) -> Link:
     import mujoco
 
     turn, kinds = from_wxyz(model.body_iquat[body]), mujoco.mjtGeom
@@ -154,7 +152,7 @@ def _link(model: Any, body: int, name: str, meshes: Meshes | None) -> Link:
             add_capsule(link, body_T_geom, *size[:2])
         elif kind == kinds.mjGEOM_CYLINDER:
             add_cylinder(meshes, name, link, body_T_geom, *size[:2])
-        elif kind == kinds.mjGEOM_MESH and meshes is not None:
+        elif kind == kinds.mjGEOM_MESH and meshes.read:
             mesh = model.mesh(int(geom.dataid[0]))
             corner, face = int(mesh.vertadr[0]), int(mesh.faceadr[0])
             points = np.array(model.mesh_vert[corner : corner + int(mesh.vertnum[0])], np.float64)

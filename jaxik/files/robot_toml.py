@@ -29,6 +29,7 @@ UNITS = {
 }
 ORIGINS = ("paper", "catalogue", "stand-in")
 CORNERS = {"sphere": 1, "capsule": 2, "triangle": 3}  # of swept-sphere volumes
+Shape = tuple[int, ...]
 CONVENTIONS = ("modified_dh", "standard_dh", "frames")
 
 
@@ -56,7 +57,7 @@ class Table:
             raise self.fail(f"{key} = '{value[:40]}'", f"allowed: {', '.join(allowed)}")
         return value
 
-    def array(self, key: str, unit: str, shape: tuple[int, ...], default: Any = None, row: str = "") -> np.ndarray:
+    def array(self, key: str, unit: str, shape: Shape, default: Any = None, row: str = "") -> np.ndarray:
         """The numbers under `key` or `key` with a unit's ending, in SI; -1 in `shape` is any length, `row` what is in one."""
         choices = {key + ending: factor for ending, factor in UNITS[unit].items()}
         self.asked.update(choices)
@@ -83,9 +84,7 @@ class Table:
     def number(self, key: str, unit: str, default: float | None = None) -> float:
         return float(self.array(key, unit, (), default))
 
-    def finite(
-        self, key: str, shape: tuple[int, ...], least: float = -math.inf, unit: str = "plain", default: Any = None
-    ) -> np.ndarray:
+    def finite(self, key: str, shape: Shape, least: float = -math.inf, unit: str = "plain", default: Any = None) -> np.ndarray:
         """Likewise numbers that are finite, at least one of them, and none less than `least`."""
         values = self.array(key, unit, shape, default)
         if not values.size or not np.all(np.isfinite(values) & (values >= least)):
@@ -163,7 +162,7 @@ class Table:
             raise self.fail(f"origin names '{stray[:40]}'", f"numbers of this table: {', '.join(sorted(self.read))}")
 
 
-def in_words(shape: tuple[int, ...]) -> str:
+def in_words(shape: Shape) -> str:
     """(3,) is "3 numbers", (-1, 6) "k rows of 6 numbers"."""
     if not shape:
         return "a number"

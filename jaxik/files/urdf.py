@@ -17,10 +17,8 @@ from jaxik.robot.chain import Chain
 from jaxik.spatial.rotations import frame, from_rpy
 
 
-def load_urdf(
-    path: Path, tip: str | None, base: str | None, tool: np.ndarray | None, meshes: Meshes | None, posture: Posture
-) -> Chain:
-    """The serial chain from link `base` (the root) to link `tip` (the only leaf), and what it carries, held in a `posture`."""
+def load_urdf(path: Path, tip: str | None, base: str | None, tool: np.ndarray | None, meshes: Meshes, held: Posture) -> Chain:
+    """The serial chain from link `base` (the root) to link `tip` (the only leaf), and what it carries, `held` in a posture."""
     root = parse(path, "robot")
     elements = {kind: root.findall(kind) for kind in ("link", "joint")}
     for kind, found in elements.items():
@@ -29,7 +27,7 @@ def load_urdf(
     above = _parents(path, elements["joint"], links)
     *below, first = way_up(path, [*links], {child: parent for child, (_, parent) in above.items()}, tip, base)
     run, names = [_joint(path, above[link][0], link) for link in below], [first, *below]
-    carried = posture.hold(path, run, _carried(path, names, above))
+    carried = held.hold(path, run, _carried(path, names, above))
     content = {name: _link(path, name, links[name], meshes) for name in (*names, *(j.child for _, j in carried))}
     return assemble(path, root.get("name", path.stem), first, run[::-1], content, tool, carried=carried)
 
@@ -91,7 +89,7 @@ def _joint(path: Path, element: Element, child: str, beside: bool = False) -> Jo
     return joint
 
 
-def _link(path: Path, name: str, element: Element, meshes: Meshes | None) -> Link:
+def _link(path: Path, name: str, element: Element, meshes: Meshes) -> Link:
     where, link = f"link '{name}'", Link()
     inertial = element.find("inertial")
     if inertial is not None:
@@ -109,7 +107,7 @@ def _link(path: Path, name: str, element: Element, meshes: Meshes | None) -> Lin
     return link
 
 
-def _shape(path: Path, owner: str, origin: np.ndarray, shape: Element, link: Link, meshes: Meshes | None) -> None:
+def _shape(path: Path, owner: str, origin: np.ndarray, shape: Element, link: Link, meshes: Meshes) -> None:
     where = f"link '{owner}'"
 
     def size(key: str, count: int = 1) -> np.ndarray:
@@ -129,7 +127,7 @@ def _shape(path: Path, owner: str, origin: np.ndarray, shape: Element, link: Lin
     elif shape.tag == "mesh":
         name = attribute(path, f"{where} <mesh>", shape, "filename")
         scale = numbers(path, f"{where} <mesh>", shape, "scale", "1 1 1", 3)
-        if meshes is not None:
+        if meshes.read:
             meshes.mesh(owner, link, name, origin, *read_mesh(path, where, name, scale))
         else:
             link.meshes.append(name)  # whatever it is: kinematics need none

@@ -79,10 +79,8 @@ def trellis_crop(kind: str = "bitter_gourd", seed: int = 0, leaves: int = 40) ->
 
     def add(name: str, points: np.ndarray, removable: bool) -> None:
         low, high = (np.asarray(corner) for corner in bounding_box(points))
-        frame = np.eye(4)
-        frame[:3, 3] = np.round((low + high) / 2.0, 4)
         if np.min(np.linalg.norm(np.maximum(np.maximum(low - targets, targets - high), 0.0), axis=1)) >= 0.06:
-            builder.add(name, removable, boxes=[(frame, np.round(high - low, 4))])
+            builder.add(name, removable, boxes=[[*np.round((low + high) / 2.0, 4), *np.round(high - low, 4)]])
 
     if kind == "guava":
         add("trunk", np.array([[0.82, -0.06, 0.0], [0.94, 0.06, 1.0]]), False)

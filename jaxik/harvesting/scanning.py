@@ -89,10 +89,8 @@ class Scan(NamedTuple):
     @property
     def reason(self) -> Reason:
         """SOLVED, or how far the best candidate came."""
-        for reason in (Reason.SOLVED, Reason.COLLISION, Reason.LIMITS):
-            if np.any(self.status == reason):
-                return reason
-        return Reason.OUT_OF_REACH
+        nearest_first = (Reason.SOLVED, Reason.COLLISION, Reason.LIMITS)
+        return next((reason for reason in nearest_first if np.any(self.status == reason)), Reason.OUT_OF_REACH)
 
 
 # --------------------------------------------------------------------------------------------------------------------

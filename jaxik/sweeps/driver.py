@@ -24,11 +24,10 @@ from jaxik.collision.scene import make_scene
 from jaxik.ik.solve import IKResult, as_poses, solved
 from jaxik.reasons import Reason
 from jaxik.sweeps.auditing import audit
-from jaxik.sweeps.evaluation import answer
+from jaxik.sweeps.evaluation import Columns, answer
 from jaxik.sweeps.store import Store, StoreError
 from jaxik.sweeps.study import Study
 
-Columns = dict[str, np.ndarray]
 AHEAD = 2  # chunks at a time in this process: what one does on the host alone, the other spends in compiled blocks
 
 

@@ -36,6 +36,9 @@ PORTION = 6000  # targets at a time whose colliding candidates stand in memory
 NEAR = 2  # postures of a target that collides on the grid beside which a clear one is looked for
 
 
+Columns = dict[str, np.ndarray]
+
+
 class Column(NamedTuple):
     """One variable of the results: its type, what stands where there is no answer, and its words for the store."""
 
@@ -69,7 +72,7 @@ COLUMNS = {
 }
 
 
-def answer(study: Study, variant: Variant, rows: slice) -> dict[str, np.ndarray]:
+def answer(study: Study, variant: Variant, rows: slice) -> Columns:
     """The columns of some of the study's targets for one variant, one row a target."""
     count, chain = rows.stop - rows.start, variant.chain
     base_T_world = np.linalg.inv(chain.world_T_base)
@@ -85,7 +88,7 @@ def answer(study: Study, variant: Variant, rows: slice) -> dict[str, np.ndarray]
     return {name: np.asarray(values, COLUMNS[name].dtype) for name, values in found.items()}
 
 
-def given_columns(targets: Targets, rows: slice) -> dict[str, np.ndarray]:
+def given_columns(targets: Targets, rows: slice) -> Columns:
     """The columns `GIVEN` of some targets."""
     numbers = np.arange(rows.start, rows.stop)
     free = np.full((len(numbers), 4), np.nan)
@@ -178,9 +181,7 @@ class _Best(NamedTuple):
         return _Best(*numbers, np.full(count, Reason.OUT_OF_REACH, np.int8))
 
 
-def _closed_form(
-    study: Study, chain: Chain, poses: np.ndarray, valid: np.ndarray, around: _Crops | None
-) -> dict[str, np.ndarray]:
+def _closed_form(study: Study, chain: Chain, poses: np.ndarray, valid: np.ndarray, around: _Crops | None) -> Columns:
     """The postures of poses (N, 4, 4) on the grid of leading positions and, where it has none, between them."""
     proven = ~valid | beyond(chain, poses)
     columns = _no_answer(chain, len(poses)) | {"proven": proven}
@@ -204,7 +205,7 @@ def _closed_form(
     return columns
 
 
-def _better(columns: dict[str, np.ndarray], chain: Chain, poses: np.ndarray, asked: np.ndarray, found: _Best) -> None:
+def _better(columns: Columns, chain: Chain, poses: np.ndarray, asked: np.ndarray, found: _Best) -> None:
     """What was found between the grid's positions for targets that have nothing on it: a posture, or at least one that only
     collides."""
     better = np.flatnonzero(np.isin(found.reason, (Reason.SOLVED, Reason.COLLISION)))
@@ -213,7 +214,7 @@ def _better(columns: dict[str, np.ndarray], chain: Chain, poses: np.ndarray, ask
     columns["between"][asked] = columns["reason"][asked] == Reason.SOLVED
 
 
-def _answered(columns: dict[str, np.ndarray], chain: Chain, poses: np.ndarray, asked: np.ndarray, best: _Best) -> None:
+def _answered(columns: Columns, chain: Chain, poses: np.ndarray, asked: np.ndarray, best: _Best) -> None:
     """Solves the best postures of the targets `asked` again in float64. One that is there past a limit, by what float32 rounds,
     is none."""
     columns["reason"][asked], columns["solutions"][asked] = best.reason, best.solutions
@@ -245,7 +246,7 @@ def _between(study: Study, chain: Chain, poses: np.ndarray, around: _Crops | Non
     return best, found.open
 
 
-def _no_answer(chain: Chain, count: int) -> dict[str, np.ndarray]:
+def _no_answer(chain: Chain, count: int) -> Columns:
     """All columns but those of the targets."""
     rows = lambda column: (count, *(chain.num_joints for _ in column.dims))
     return {name: np.full(rows(c), c.nothing, c.dtype) for name, c in COLUMNS.items() if name not in GIVEN}
@@ -357,19 +358,17 @@ def _most(owner: np.ndarray, value: np.ndarray, count: int) -> np.ndarray:
 # By search
 
 
-def _search(study: Study, chain: Chain, poses: np.ndarray, valid: np.ndarray, around: _Crops | None) -> dict[str, np.ndarray]:
+def _search(study: Study, chain: Chain, poses: np.ndarray, valid: np.ndarray, around: _Crops | None) -> Columns:
     """The answers of `solve_ik`."""
     asked = np.where(valid[:, None, None], poses, np.nan)
-    if around is None:
-        return _searched(study, chain, asked, None)
     columns = _no_answer(chain, len(poses))
-    for scene, rows in around.groups(np.arange(len(poses))):
+    for scene, rows in [(None, slice(None))] if around is None else around.groups(np.arange(len(poses))):
         for name, values in _searched(study, chain, asked[rows], scene).items():
             columns[name][rows] = values
     return columns
 
 
-def _searched(study: Study, chain: Chain, poses: np.ndarray, scene: Grouped | None) -> dict[str, np.ndarray]:
+def _searched(study: Study, chain: Chain, poses: np.ndarray, scene: Grouped | None) -> Columns:
     found: IKResult = solved(chain, *as_poses(poses, study.ik.task)[:2], scene, study.seed, study.ik)
     columns = _no_answer(chain, len(poses))
     rows = np.flatnonzero(found.success)

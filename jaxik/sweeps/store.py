@@ -23,7 +23,7 @@ import numpy as np
 
 from jaxik.checks.optional_modules import optional
 from jaxik.checks.options import shown
-from jaxik.sweeps.evaluation import COLUMNS, GIVEN, REASONS, Column, given_columns
+from jaxik.sweeps.evaluation import COLUMNS, GIVEN, REASONS, Column, Columns, given_columns
 from jaxik.sweeps.robot_variants import variant_name
 from jaxik.sweeps.study import Study
 
@@ -67,7 +67,7 @@ class Store:
         """Whether each piece of work is done, by its number."""
         return np.asarray(self.group["crc"][...]).reshape(-1) != UNFINISHED
 
-    def write(self, number: int, columns: dict[str, np.ndarray]) -> None:
+    def write(self, number: int, columns: Columns) -> None:
         """One chunk, its check sum last."""
         variant, chunk, rows = self.study.work(number)
         for name, values in columns.items():  # those of the targets too: which variant's piece comes first is not known
@@ -78,7 +78,7 @@ class Store:
         if not _put(self.path / "crc", self._array("crc"), at, np.array([summed]), CRC):
             self._array("crc")[at] = summed
 
-    def read(self, number: int) -> dict[str, np.ndarray]:
+    def read(self, number: int) -> Columns:
         """A finished chunk. Raises `StoreError` where what is read is not what was written."""
         variant, chunk, rows = self.study.work(number)
         columns = {name: self.column(number, name) for name in COLUMNS}
@@ -133,7 +133,7 @@ class Store:
         return () if name in GIVEN else index
 
 
-def check_sum(columns: dict[str, np.ndarray]) -> int:
+def check_sum(columns: Columns) -> int:
     """CRC-32 of a chunk's numbers."""
     found = 0
     for name in COLUMNS:

@@ -227,9 +227,8 @@ class Page:
         self.gizmo = self.server.scene.add_transform_controls("/target", scale=0.18, depth_test=False)
         switch = gui.add_checkbox("target to drag", True)
         switch.on_update(lambda _: setattr(self.gizmo, "visible", switch.value))
-        few = self.chain.num_joints < 6
-        self.binds = gui.add_dropdown("it binds", ("position and turn", "position alone"))
-        self.binds.value = "position alone" if few else "position and turn"
+        kinds = ("position and turn", "position alone")
+        self.binds = gui.add_dropdown("it binds", kinds, initial_value=kinds[self.chain.num_joints < 6])
         self.clear = gui.add_checkbox("keep clear", self.scene is not None, visible=self.scene is not None)
         self.said = gui.add_html(_boxed(DRAG))
         self.gizmo.on_update(lambda _: self._asked(self._dragged))

@@ -18,7 +18,7 @@ from jaxik.view.solids import scene_points, scene_solids
 SHOWN = 20_000  # points of a scatter plot
 SLICES = 3
 VARIANTS = 20  # bars
-EFFORTS = {"slides": "positions of the slide", "seeds": "seeds"}
+EFFORTS = {"slides": "positions of the slide", "max_seeds": "seeds"}
 
 
 class Map(NamedTuple):
@@ -193,7 +193,7 @@ def _draw_missed(axis: Any, audit: dict[str, Any]) -> None:
     axis.minorticks_off()
     axis.set_xticks(efforts, [str(e) for e in efforts])
     axis.legend(fontsize=9, frameon=False)
-    named = " or ".join(dict.fromkeys(EFFORTS.get(found["effort"], found["effort"]) for found in audit.values()))
+    named = " or ".join(dict.fromkeys(EFFORTS[found["effort"]] for found in audit.values()))
     axis.set(title="Reachable targets that are missed", xlabel=f"{named} that are tried", ylabel="missed [%]", ylim=(0.0, None))
 
 
