@@ -84,10 +84,9 @@ def load(
     apart, beside = ignored(path, chain, ignore)
     disabled = apart | disabled_pairs(srdf)
     chain = dataclasses.replace(chain, ignored=tuple(dict.fromkeys(chain.ignored + beside)))
-    if posture is None and not chain.unread_meshes:
-        told = stance.told({chain.link_names[i] for i in {*solid_links(chain), *(shape.link for shape in shapes)}})
-        if told:
-            warnings.warn(f"{chain.name}: {told}", stacklevel=2)
+    solid = {chain.link_names[i] for i in {*solid_links(chain), *(shape.link for shape in shapes)}}
+    if posture is None and not chain.unread_meshes and (told := stance.told(solid)):
+        warnings.warn(f"{chain.name}: {told}", stacklevel=2)
     if pairs is not None:
         names = chain.link_names
         kept = tuple(pair for pair in pairs if frozenset(names[i] for i in pair) not in disabled)

@@ -144,11 +144,9 @@ def check_sum(columns: Columns) -> int:
 def _put(folder: Path, array: Any, number: tuple[int, ...], values: np.ndarray, column: Column) -> bool:
     """Writes the one file of a Zarr array that holds a chunk, the bits that Zarr would write, a quarter of the time: it
     hands every array from thread to thread. False where that is Zarr's own to do: an array of another make."""
-    try:
-        from google_crc32c import value as crc32c
-        from numcodecs import zstd
-    except ImportError:
-        return False
+    from google_crc32c import value as crc32c  # which Zarr takes itself
+    from numcodecs import zstd
+
     if [type(c).__name__ for c in array.metadata.codecs] != ["BytesCodec", "ZstdCodec", "Crc32cCodec"]:
         return False
     whole = np.ascontiguousarray(values, np.dtype(column.dtype).newbyteorder("<"))
@@ -238,7 +236,6 @@ def _consolidate(path: Path) -> None:
 
 def _attributes(study: Study) -> dict[str, Any]:
     known = study.describe()
-    first = study.variants[0].chain
     return {
         "title": study.name,
         "study": json.dumps(known),
@@ -246,19 +243,16 @@ def _attributes(study: Study) -> dict[str, Any]:
         "quaternion_order": "wxyz",
         "units": "m, rad",
         "coordinates": " ".join(GIVEN),
-        "models": known["models"],
         "mounts": {variant_name(v.index): np.asarray(v.chain.world_T_base).tolist() for v in study.variants},
         "methods": sorted({study.method(v.chain) for v in study.variants}),
         "joint_names": {str(v.chain.name): list(v.chain.joint_names) for v in study.variants},
-        "joint_types": list(first.joint_types),
-        "seed": study.seed,
-        "versions": known["versions"],
-        "position_tolerance": study.ik.position_tolerance,
-        "rotation_tolerance": study.ik.rotation_tolerance,
+        "joint_types": list(study.variants[0].chain.joint_types),
         "margin": study.margin if study.collision else None,
         "reasons": {r.text: int(r) for r in REASONS},
         "grid": [[float(x) for x in axis] for axis in study.targets.axes],
         "targets_per_position": study.targets.turns,
+        **{name: known[name] for name in ("models", "seed", "versions")},
+        **{name: known["ik"][name] for name in ("position_tolerance", "rotation_tolerance")},
     }
 
 

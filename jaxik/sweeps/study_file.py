@@ -83,10 +83,9 @@ def _robots(table: Table, folder: Path) -> list[tuple[str, Chain]]:
             if ignore:
                 raise table.fail(f"ignore, and robot {i + 1} is a Chain", "load it with ignore=")
             found.append((each.name, each))
-        elif isinstance(each, str):
-            found.append((Path(each).stem, load(_file(folder, each), ignore=ignore)))
-        elif isinstance(each, dict):
-            found.append(_robot(Table(table.path, f"robots {i + 1}", each), folder, ignore))
+        elif isinstance(each, str | dict):
+            row = Table(table.path, f"robots {i + 1}", {"file": each} if isinstance(each, str) else each)
+            found.append(_robot(row, folder, ignore))
         else:
             raise table.fail(f"robot {i + 1} is {type(each).__name__}", "write a shipped model's name, a file, or a table")
     if not found or len({label for label, _ in found}) < len(found):

@@ -166,12 +166,9 @@ def voxels(chains: list[Chain], size: float) -> tuple[np.ndarray, ...]:
 def from_crops(kind: str, count: int, angles: int, seed: int, grasp: Grasp) -> Targets:
     """All fruits of `count` crops of one kind, each approached from `angles` directions around its axis."""
     make = cucumber_row if kind == "cucumber_row" else lambda seed: trellis_crop(kind, seed)
-    scenes, poses, crop = [], [], []
-    around = approach_grid(angles)
-    for number in range(count):
-        scene = make(seed + number)
-        for fruit in scene.fruits:
-            scenes.append(scene.without([fruit.name]))  # the fruit that is picked is no obstacle
-            poses.append(fruit_frames(fruit, around, grasp))
-            crop += [len(scenes) - 1] * angles
-    return Targets("crop", "world", np.zeros((0, 3, 3)), poses=np.concatenate(poses), scenes=tuple(scenes), crop=np.array(crop))
+    crops, around = [make(seed + number) for number in range(count)], approach_grid(angles)
+    picked = [(scene, fruit) for scene in crops for fruit in scene.fruits]
+    poses = np.concatenate([fruit_frames(fruit, around, grasp) for _, fruit in picked])
+    scenes = tuple(scene.without([fruit.name]) for scene, fruit in picked)  # the fruit that is picked is no obstacle
+    crop = np.repeat(np.arange(len(scenes)), angles)
+    return Targets("crop", "world", np.zeros((0, 3, 3)), poses=poses, scenes=scenes, crop=crop)
