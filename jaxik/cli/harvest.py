@@ -5,6 +5,7 @@ from __future__ import annotations
 import dataclasses
 import os
 import shutil
+import tempfile
 from pathlib import Path
 
 import numpy as np
@@ -97,8 +98,8 @@ def write_harvest(result: Harvest, out: Path) -> None:
     there = out.is_dir()
     home = out if there else out.parent
     home.mkdir(parents=True, exist_ok=True)
-    aside = home / f".{os.getpid()}-{out.name}"
-    try:
+    with tempfile.TemporaryDirectory(prefix=".", dir=home, ignore_cleanup_errors=True) as folder:
+        aside = Path(folder) / out.name
         aside.mkdir()
         arrays = result.arrays()
         np.savez(aside / "postures.npz", allow_pickle=False, **arrays)
@@ -109,8 +110,6 @@ def write_harvest(result: Harvest, out: Path) -> None:
             _replace_all(aside, out)
         else:
             os.rename(aside, out)
-    finally:
-        shutil.rmtree(aside, ignore_errors=True)
 
 
 def _replace_all(aside: Path, out: Path) -> None:

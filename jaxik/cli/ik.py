@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
-import os
+import tempfile
 import time
 from pathlib import Path
 from typing import Literal
@@ -96,9 +96,9 @@ def write_ik(chain: jaxik.Chain, result: jaxik.ik.IKResult, out: Path) -> None:
     names = ("success", "position_error", "rotation_error", "clearance", "seed", "iterations")
     columns = {"reason": result.reasons, **{name: getattr(result, name) for name in names}}
     out.parent.mkdir(parents=True, exist_ok=True)
-    aside = out.with_name(f".{os.getpid()}-{out.name}")
     table = {**columns, **dict(zip(chain.joint_names, result.q.T, strict=True))}
-    try:
+    with tempfile.TemporaryDirectory(prefix=".", dir=out.parent, ignore_cleanup_errors=True) as folder:
+        aside = Path(folder) / out.name
         if out.suffix == ".parquet":
             import pyarrow.parquet
 
@@ -107,6 +107,4 @@ def write_ik(chain: jaxik.Chain, result: jaxik.ik.IKResult, out: Path) -> None:
             write_csv(aside, table)
         else:
             np.savez(aside, allow_pickle=False, joint_names=np.array(chain.joint_names), q=result.q, **columns)
-        os.replace(aside, out)
-    finally:
-        aside.unlink(missing_ok=True)
+        aside.replace(out)

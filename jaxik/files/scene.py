@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 
 from jaxik.checks.options import check_kind
-from jaxik.collision.scene import FAR, Fruit, Scene, SceneBuilder, hanging
+from jaxik.collision.scene import FAR, SHAPES, Fruit, Scene, SceneBuilder, hanging
 from jaxik.files.chain_builder import read_bytes
 from jaxik.files.robot_toml import Table, read_toml
 from jaxik.files.writing import toml, write_text
@@ -188,17 +188,9 @@ def _written(scene: Scene, description: str) -> str:
 
 def _tables(scene: Scene) -> dict[str, np.ndarray]:
     """All obstacles by kind, as rows of the numbers that `SceneBuilder` holds."""
-    radius, capsules = scene.spheres.radius, scene.capsules
-    boxes, cylinders = np.asarray(scene.boxes.world_T_box), np.asarray(scene.cylinders.world_T_cylinder)
-    return {
-        "points": np.asarray(scene.points.center),
-        "spheres": np.column_stack([scene.spheres.center, radius]),
-        "capsules": np.column_stack([capsules.a, capsules.b, capsules.radius]),
-        "boxes": np.column_stack([boxes.reshape(-1, 16), 2.0 * np.asarray(scene.boxes.half)]),
-        "cylinders": np.column_stack(
-            [cylinders.reshape(-1, 16), scene.cylinders.radius, 2.0 * np.asarray(scene.cylinders.half)]
-        ),
-    }
+    edges = lambda name: 2.0 if name == "half" else 1.0
+    rows = lambda kind, name, shape: np.reshape(getattr(getattr(scene, kind), name), (-1, math.prod(shape))) * edges(name)
+    return {kind: np.column_stack([rows(kind, *part) for part in parts.items()]) for kind, parts in SHAPES.items()}
 
 
 def _fruit_keys(fruit: Fruit, rows: dict[str, np.ndarray]) -> dict[str, Any]:

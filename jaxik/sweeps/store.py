@@ -11,7 +11,7 @@ from __future__ import annotations
 import functools
 import json
 import os
-import shutil
+import tempfile
 import uuid
 import warnings
 import zlib
@@ -181,8 +181,8 @@ def _create(path: Path, study: Study) -> None:
     import zarr
 
     path.parent.mkdir(parents=True, exist_ok=True)
-    aside = path.with_name(f".{uuid.uuid4().hex}-{path.name}")  # shards on two machines may be processes of one number
-    try:
+    with tempfile.TemporaryDirectory(prefix=".", dir=path.parent, ignore_cleanup_errors=True) as folder:
+        aside = Path(folder) / path.name
         group = zarr.create_group(str(aside), attributes=_attributes(study))
         axes = tuple(name for name, _ in study.axes)
         sizes = {"joint": study.joints, "xyz": 3, "wxyz": 4}
@@ -207,8 +207,6 @@ def _create(path: Path, study: Study) -> None:
         except OSError:
             if not path.is_dir():  # or another shard was first
                 raise
-    finally:
-        shutil.rmtree(aside, ignore_errors=True)
 
 
 def _new(group: Any, name: str, column: Column, shape: Any, chunks: Any, dims: Any) -> None:
