@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import csv
 import io
 import json
@@ -184,12 +185,10 @@ def _json(path: Path, file: BinaryIO) -> np.ndarray:
 
 def _array(path: Path, i: int, row: dict[str, Any], key: str) -> np.ndarray:
     shape = {"pose": (4, 4), "position": (3,), "wxyz": (4,)}[key]
-    try:
+    with contextlib.suppress(TypeError, ValueError, OverflowError):
         values = np.array(row[key], np.float64)  # null, which leaves a target out, is NaN
         if values.shape == shape and _plain(row[key]):
             return values
-    except (TypeError, ValueError, OverflowError):
-        pass
     raise LoadError(path, f"target {i + 1}", f"'{key}' is not {in_words(shape)}", "write plain numbers")
 
 

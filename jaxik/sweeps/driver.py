@@ -5,6 +5,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import itertools
 import operator
 import os
@@ -114,12 +115,10 @@ def _size(study: Study, number: int) -> int:
 
 def _shard(shard: Any) -> tuple[int, int]:
     given = re.fullmatch(r"(\d+)/(\d+)", shard) if isinstance(shard, str) else None
-    try:
+    with contextlib.suppress(TypeError, ValueError):
         first, every = map(int, given.groups()) if given else map(operator.index, shard)
         if 1 <= first <= every:
             return first, every
-    except (TypeError, ValueError):
-        pass
     raise ValueError(f"shard {shown(shard)}: write i/n with 1 <= i <= n")
 
 

@@ -212,16 +212,8 @@ def _create(path: Path, study: Study) -> None:
 def _new(group: Any, name: str, column: Column, shape: Any, chunks: Any, dims: Any) -> None:
     from zarr.codecs import Crc32cCodec, ZstdCodec
 
-    group.create_array(
-        name,
-        shape=shape,
-        chunks=chunks,
-        dtype=column.dtype,
-        fill_value=column.nothing,
-        dimension_names=dims,
-        attributes=column.attributes,
-        compressors=[ZstdCodec(level=1), Crc32cCodec()],
-    )
+    more = {"fill_value": column.nothing, "attributes": column.attributes, "compressors": [ZstdCodec(level=1), Crc32cCodec()]}
+    group.create_array(name, shape=shape, chunks=chunks, dtype=column.dtype, dimension_names=dims, **more)
 
 
 def _consolidate(path: Path) -> None:

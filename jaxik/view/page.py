@@ -4,7 +4,6 @@ each fruit's posture."""
 from __future__ import annotations
 
 import threading
-import time
 from collections import deque
 from collections.abc import Callable, Sequence
 from pathlib import Path
@@ -33,17 +32,13 @@ from jaxik.view.solids import Solid, bones, box_solids, frames, scene_points, sc
 MANY = 500  # solids, from which on each is drawn more coarsely
 GOOD, BAD = COLOURS[Reason.SOLVED], COLOURS[Reason.COLLISION]
 SHOWS = ("its own shape", "volumes kept clear", "both", "joints alone")
-HELP = """
-**Look:** drag to turn, right button to shift, wheel to come nearer.
-
-**Joints:** the sliders move them. The line at the top says what is nearest to the robot, or what it hits.
-
-**Target:** drag the arrows and rings at the tip. Inverse kinematics follows, or says why it cannot.
-
-**Map:** each point is a place that a sweep has tried. Click one that is reachable to see the posture there.
-
-**Fruits:** choose one to see how it is picked, or what is in its way.
-"""
+HELP = (
+    "**Look:** drag to turn, right button to shift, wheel to come nearer.",
+    "**Joints:** the sliders move them. The line at the top says what is nearest to the robot, or what it hits.",
+    "**Target:** drag the arrows and rings at the tip. Inverse kinematics follows, or says why it cannot.",
+    "**Map:** each point is a place that a sweep has tried. Click one that is reachable to see the posture there.",
+    "**Fruits:** choose one to see how it is picked, or what is in its way.",
+)
 DRAG = "Drag the arrows and rings at the tip: the robot follows, at first after a few seconds."
 NO_MAP = "No map yet. Make one with `jaxik sweep STUDY.toml`, then open this page with `--store STUDY.zarr`."
 NO_FRUITS = "No fruits yet. Open this page with `--scene cucumber_row --harvest`, or a scene file of your own that has fruits."
@@ -71,7 +66,11 @@ class Page:
         group = None if store is None else store_of(chain, store)
         self.home = self.chain = chain
         self.scene, self.around = scene, scene if scene is not None else make_scene()
-        self.harvest, self.blind = harvest, _unmeasured(chain)
+        self.harvest, self.blind = harvest, ""
+        try:
+            check_geometry(chain)
+        except ValueError as error:  # why clearance cannot be measured
+            self.blind = str(error)
         self._q, self._asked, self.hit = default_pose(chain), _Latest(), frozenset[str]()
         self.server = viser.ViserServer(host=host, port=port, label="jaxik", verbose=False)
         self.server.scene.set_up_direction("+z")
@@ -98,7 +97,7 @@ class Page:
             else:
                 self._fruits(harvest)
         with tabs.add_tab("Help"):
-            gui.add_markdown(HELP)
+            gui.add_markdown("\n\n".join(HELP))
         self._draw()
 
     @property
@@ -113,8 +112,7 @@ class Page:
     def wait(self) -> None:
         """Serves until Ctrl-C."""
         try:
-            while True:
-                time.sleep(1.0)
+            threading.Event().wait()
         except KeyboardInterrupt:
             self.close()
 
@@ -245,10 +243,12 @@ class Page:
         with self.server.atomic():
             pairs = np.stack([line[:-1], line[1:]], axis=1)
             scene.add_line_segments("/robot/bones", pairs, rgb(INK), thickness=0.008, thickness_units="world")
-            scene.add_frame("/robot/tip", axes_length=0.08, axes_radius=0.004, position=line[-1], wxyz=_wxyz(placed[-1]))
+            scene.add_frame(
+                "/robot/tip", axes_length=0.08, axes_radius=0.004, position=line[-1], wxyz=to_wxyz(placed[-1, :3, :3])
+            )
             for link, part in self.parts:
                 frame = placed[self.chain.link_joint[link]]
-                part.wxyz, part.position = _wxyz(frame), frame[:3, 3]
+                part.wxyz, part.position = to_wxyz(frame[:3, :3]), frame[:3, 3]
                 colour = rgb(BAD if self.chain.link_names[link] in hit else ROBOT)
                 if tuple(part.color) != colour:
                     part.color = colour
@@ -256,7 +256,7 @@ class Page:
             self._draw_nearest(contacts)
             if follow:
                 self.said.content = _boxed(DRAG)
-                self.gizmo.wxyz, self.gizmo.position = _wxyz(placed[-1]), line[-1]
+                self.gizmo.wxyz, self.gizmo.position = to_wxyz(placed[-1, :3, :3]), line[-1]
 
     def _contacts(self) -> tuple[Contact, ...]:
         """What is nearest to the robot, or all that it hits; the panel's first line says so."""
@@ -337,15 +337,6 @@ class _Latest:
                 self.guard.release()
 
 
-def _unmeasured(chain: Chain) -> str:
-    """Why a robot's clearance cannot be measured, if it cannot."""
-    try:
-        check_geometry(chain)
-    except ValueError as error:
-        return str(error)
-    return ""
-
-
 def _marked(good: bool, head: str, words: str = "") -> str:
     mark, colour = ("✓", GOOD) if good else ("✗", BAD)
     return _boxed(f"<b style='color:{colour}'>{mark} {head}</b>{words}")
@@ -366,7 +357,3 @@ def _mesh(solids: Sequence[Solid]) -> Any:
         lone = len(solid.corners) == 1  # and needs no hull
         hulls.append(trimesh.Trimesh(around, ball.faces, process=False) if lone else trimesh.convex.convex_hull(around))
     return trimesh.util.concatenate(hulls) if hulls else trimesh.creation.icosphere(subdivisions=0, radius=1e-6)
-
-
-def _wxyz(frame: np.ndarray) -> np.ndarray:
-    return to_wxyz(np.asarray(frame)[:3, :3])
