@@ -9,8 +9,8 @@ from pathlib import Path
 import tyro
 
 import jaxik
+from jaxik.cli.results import print_table
 from jaxik.cli.robot_arguments import RobotArguments
-from jaxik.cli.tables import print_table
 from jaxik.files.unchecked_pairs import unchecked
 
 HEADINGS = ("link", "mesh", "volumes", "coverage", "protrusion", "mean", "gap", "false collisions")

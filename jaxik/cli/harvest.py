@@ -11,8 +11,8 @@ from pathlib import Path
 import numpy as np
 
 import jaxik
+from jaxik.cli.results import print_table, write_csv
 from jaxik.cli.robot_arguments import RobotArguments
-from jaxik.cli.tables import print_table, write_csv
 from jaxik.harvesting.blocking_objects import Blockers
 from jaxik.harvesting.driver import Harvest
 from jaxik.harvesting.scanning import Weights

@@ -13,9 +13,8 @@ import tyro
 
 import jaxik
 from jaxik.checks.optional_modules import optional
-from jaxik.cli.collisions import offenders
+from jaxik.cli.results import offenders, write_csv
 from jaxik.cli.robot_arguments import RobotArguments
-from jaxik.cli.tables import write_csv
 from jaxik.ik.solve import FAULTS
 
 SHOWN = 5  # invalid targets of which it is said why

@@ -12,7 +12,7 @@ from typing import Any
 import tyro
 
 import jaxik
-from jaxik.cli.collisions import LOOKED, offenders
+from jaxik.cli.results import LOOKED, offenders
 from jaxik.cli.robot_arguments import Ignored, ignored_pairs
 
 

@@ -19,8 +19,10 @@ from jaxik.files.writing import toml, write_text
 from jaxik.robot.chain import Body, Box, Chain, JointType, Volume
 from jaxik.robot.link_distance_table import PairTable, packed, unpacked
 
-# what a file calls the arrays of a chain that have a row a joint
-STACKED = {"frame": "parent_T_joint", "axis": "axis", "lower": "lower", "upper": "upper", "velocity": "velocity"}
+# what a file calls the fields of a chain that have a row a joint, or a row a link
+JOINT = {"name": "joint_names", "type": "joint_types", "frame": "parent_T_joint", "axis": "axis"}
+JOINT |= {limit: limit for limit in ("lower", "upper", "velocity")}
+LINK = {"name": "link_names", "joint": "link_joint", "frame": "link_offset"}
 
 
 def save(chain: Chain, path: str | Path, beyond: float = 0.005) -> float:
@@ -56,23 +58,21 @@ def _toml(chain: Chain) -> str:
     head |= {"tip": chain.joint_T_tip, "world_T_base": chain.world_T_base}
     head["pairs"] = [[names[a], names[b]] for a, b in chain.self_pairs]
     head["ignored_objects"] = [[names[i], other] for i, other in chain.ignored]  # of a scene; a link may have such a name, too
-    tables: list[tuple[str, dict[str, Any]]] = []
-    for i, name in enumerate(joints):
-        row = {"name": name, "type": chain.joint_types[i], **{key: getattr(chain, field)[i] for key, field in STACKED.items()}}
-        tables.append(("joint", row | (vars(chain.bodies[i]) if chain.bodies else {})))
-    for name, joint, frame in zip(names, chain.link_joint, chain.link_offset, strict=True):
-        row = {"name": name, "joint": joint, "frame": frame}
-        tables.append(("link", row | ({"unread": True} if name in chain.unread_meshes else {})))
+    row = lambda keys, i: {key: getattr(chain, field)[i] for key, field in keys.items()}
+    bodies = [vars(body) for body in chain.bodies] or [{} for _ in joints]
+    unread = [{"unread": True} if name in chain.unread_meshes else {} for name in names]
+    tables = [("joint", row(JOINT, i) | body) for i, body in enumerate(bodies)]
+    tables += [("link", row(LINK, i) | more) for i, more in enumerate(unread)]
     for box in chain.boxes:
         tables.append(("shape", {"link": names[box.link], "kind": "box", "frame": box.joint_T_box, "half": box.half}))
     kinds = {count: kind for kind, count in CORNERS.items()}
     for each in chain.volumes:
-        row = {"link": names[each.link], "kind": kinds[len(each.corners)], "points": each.corners, "radius": each.radius}
-        tables.append(("shape", row))
+        shape = {"link": names[each.link], "kind": kinds[len(each.corners)], "points": each.corners, "radius": each.radius}
+        tables.append(("shape", shape))
     for table in chain.pair_tables:
-        row = {"links": [names[i] for i in table.links], "joints": [joints[j] for j in table.joints]}
-        row |= {key: list(getattr(table, key)) for key in ("low", "high", "turns", "reach")}
-        tables.append(("table", row | {"bounds": packed(table.stored), "geometry": table.geometry}))
+        found: dict[str, Any] = {"links": [names[i] for i in table.links], "joints": [joints[j] for j in table.joints]}
+        found |= {key: list(getattr(table, key)) for key in ("low", "high", "turns", "reach")}
+        tables.append(("table", found | {"bounds": packed(table.stored), "geometry": table.geometry}))
     return toml(head, tables)
 
 
@@ -92,28 +92,29 @@ def read_chain(model: Table) -> Chain:
     per_box = int(model.number("spheres_per_box", "plain", 8.0))
     if per_box not in LEVELS:
         raise model.fail(f"spheres_per_box = {per_box}", f"allowed: {', '.join(map(str, LEVELS))}")
-    stacked: dict[str, Any] = {field: np.array([row[key] for row in rows]) for key, field in STACKED.items()}
     chain = Chain(
         name=name,
-        joint_names=tuple(row["name"] for row in rows),
-        joint_types=tuple(row["type"] for row in rows),
-        link_names=names,
-        link_joint=tuple(place["joint"] for place in places),
+        **_columns(rows, JOINT),
+        **_columns(places, LINK),
         joint_T_tip=model.finite("tip", (4, 4)),
-        link_offset=np.array([place["frame"] for place in places]),
         world_T_base=model.finite("world_T_base", (4, 4)),
         bodies=tuple(row["body"] for row in rows) if all(row["body"] for row in rows) else (),
         boxes=tuple(s for s in shapes if isinstance(s, Box)),
         volumes=tuple(s for s in shapes if isinstance(s, Volume)),
         spheres_per_box=per_box,
         unread_meshes=tuple(place["name"] for place in places if place["unread"]),
-        **stacked,
     )
     pairs = [_two(model, "pairs", pair, names) for pair in model.listed("pairs")]
     tables = [_table(table, chain) for table in model.tables("table")]
     beside = [_beside(model, entry, names) for entry in model.listed("ignored_objects")]
     model.close()
     return dataclasses.replace(chain, self_pairs=tuple(pairs), ignored=tuple(beside), pair_tables=tuple(tables))
+
+
+def _columns(rows: Sequence[dict[str, Any]], keys: dict[str, str]) -> dict[str, Any]:
+    """A chain's fields of the rows of a file: what is static as a tuple, numbers as an array."""
+    columns = {field: [row[key] for row in rows] for key, field in keys.items()}
+    return {field: tuple(c) if isinstance(c[0], str | int) else np.array(c) for field, c in columns.items()}
 
 
 def _beside(table: Table, given: Any, names: Sequence[str]) -> tuple[int, str]:

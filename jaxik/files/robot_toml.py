@@ -153,12 +153,10 @@ class Table:
             table.close()
         self.only(self.asked)
         origin = self.content.get("origin", {})
-        words = origin.values() if isinstance(origin, dict) else [origin]
-        for word in words:
+        for word in origin.values() if isinstance(origin, dict) else [origin]:
             if word not in ORIGINS:
                 raise self.fail(f"origin '{str(word)[:40]}'", f"allowed: {', '.join(ORIGINS)}")
-        if isinstance(origin, dict) and not set(origin) <= self.read:
-            stray = sorted(set(origin) - self.read)[0]
+        for stray in sorted(set(origin) - self.read if isinstance(origin, dict) else ())[:1]:
             raise self.fail(f"origin names '{stray[:40]}'", f"numbers of this table: {', '.join(sorted(self.read))}")
 
 

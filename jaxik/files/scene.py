@@ -99,9 +99,7 @@ def _from_csv(path: Path) -> Scene:
     if not rows or [c.strip().lower() for c in rows[0]] != ["label", "x", "y", "z"]:
         raise LoadError(path, "line 1", "the header is not label,x,y,z", "write it so; lengths are metres")
     labels, points = [], []
-    for number, row in enumerate(rows[1:], 2):
-        if not row:
-            continue
+    for number, row in ((i, row) for i, row in enumerate(rows[1:], 2) if row):
         try:
             label, x, y, z = row
             if not label.strip():

@@ -101,8 +101,7 @@ def _link(path: Path, name: str, element: Element, meshes: Meshes) -> Link:
         entries = [number(path, f"{where} <inertia>", tensor, f"i{ends}", "0") for ends in ("xx", "xy", "xz", "yy", "yz", "zz")]
         link.com, link.inertia = origin[:3, 3], turn @ symmetric(entries) @ turn.T
     for collision in element.findall("collision"):
-        geometry = collision.find("geometry")
-        for shape in () if geometry is None else geometry:
+        for shape in collision.iterfind("geometry/*"):
             _shape(path, name, _origin(path, where, collision), shape, link, meshes)
     return link
 

@@ -72,17 +72,16 @@ class Harvest(Reasoned):
 
     def arrays(self) -> dict[str, np.ndarray]:
         """Everything that a table holds, as arrays with one entry a fruit."""
-        rows = self.rows
-        names = ("angle", "clearance", "freedom", "score", "position_error", "rotation_error")
+        column = lambda name: np.array([getattr(row, name) for row in self.rows])
+        numbers = ("angle", "clearance", "freedom", "score", "position_error", "rotation_error")
         return {
-            "fruit": np.array([r.fruit for r in rows]),
+            "fruit": column("fruit"),
             "joint_names": np.array(self.chain.joint_names),
-            "q": self.q,
-            "success": self.success,
-            "reason": np.array([r.reason.text for r in rows]),
-            "found_by": np.array([r.found_by for r in rows]),
-            "remove": np.array([" ".join((r.blockers.removal if r.blockers else None) or ()) for r in rows]),
-            **{name: np.array([getattr(r, name) for r in rows]) for name in names},
+            **{name: getattr(self, name) for name in ("q", "success")},
+            "reason": self.reasons,
+            "found_by": column("found_by"),
+            "remove": np.array([" ".join((r.blockers.removal if r.blockers else None) or ()) for r in self.rows]),
+            **{name: column(name) for name in numbers},
         }
 
 

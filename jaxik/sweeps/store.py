@@ -71,7 +71,7 @@ class Store:
         """One chunk, its check sum last."""
         variant, chunk, rows = self.study.work(number)
         for name, values in columns.items():  # those of the targets too: which variant's piece comes first is not known
-            index = self._at(name, variant.index)
+            index = () if name in GIVEN else variant.index
             if not _put(self.path / name, self._array(name), (*index, chunk), values, COLUMNS[name]):
                 self._array(name)[(*index, rows)] = values
         at, summed = (*variant.index, chunk), check_sum(columns)
@@ -93,8 +93,9 @@ class Store:
     def column(self, number: int, name: str) -> np.ndarray:
         """One column of a finished chunk. Raises `StoreError` where it cannot be read."""
         variant, _, rows = self.study.work(number)
+        index = () if name in GIVEN else variant.index
         try:
-            values = np.asarray(self.group[name][(*self._at(name, variant.index), rows)])
+            values = np.asarray(self.group[name][(*index, rows)])
         except Exception as error:  # each codec has its own
             raise self._damage(number, f"'{name}' is damaged ({' '.join(str(error).split())})") from None
         if name == "reason" and np.any(values == COLUMNS[name].nothing):
@@ -128,9 +129,6 @@ class Store:
     def _note(self, attributes: dict[str, Any]) -> None:
         self.group.attrs.update(attributes)
         _consolidate(self.path)
-
-    def _at(self, name: str, index: tuple[int, ...]) -> tuple[int, ...]:
-        return () if name in GIVEN else index
 
 
 def check_sum(columns: Columns) -> int:

@@ -36,8 +36,9 @@ class Cloud:
         self.in_base = group.attrs["frame"].startswith("targets are base")
         self.fits = functools.cache(lambda index: _is_of(group, index, page.home))
         self.map = functools.lru_cache(1)(self._map)  # one at a time: it may be large
-        shape = group["reason"].shape[:-1]
-        self.indices = {variant_label(group, index) or "the only one": index for index in np.ndindex(*shape)}
+        self.indices = {
+            variant_label(group, index) or "the only one": index for index in np.ndindex(*group["reason"].shape[:-1])
+        }
         gui = self.server.gui
         self.legend = gui.add_html("")
         self.visible = gui.add_checkbox("show the map", True)
