@@ -59,10 +59,8 @@ class FitArguments(RobotArguments):
 def _told(chain: jaxik.Chain, to: Path, beyond: float) -> str:
     """What has to be known of a URDF of spheres."""
     lost = f"; without {len(chain.pair_tables)} tables of distances" if chain.pair_tables else ""
-    return (
-        f", spheres up to {1e3 * beyond:.1f} mm beyond the volumes{lost}; who reads it has to disable "
-        f"{len(unchecked(chain))} pairs of links: {to.with_suffix('.srdf')}"
-    )
+    reach = f", spheres up to {1e3 * beyond:.1f} mm beyond the volumes{lost}; who reads it has to disable "
+    return f"{reach}{len(unchecked(chain))} pairs of links: {to.with_suffix('.srdf')}"
 
 
 def _cells(row: jaxik.fitting.LinkFit) -> tuple[str, ...]:

@@ -9,13 +9,8 @@ from typing import Annotated, Any
 
 import tyro
 
-Ignored = Annotated[
-    tuple[str, ...],
-    tyro.conf.arg(
-        metavar="[LINK|LINK:OTHER]...",
-        help="What is not checked: two links (forearm:hand), a link and an object (base:floor), a link and any object (rail).",
-    ),
-]
+IGNORED = "What is not checked: two links (forearm:hand), a link and an object (base:floor), a link and any object (rail)."
+Ignored = Annotated[tuple[str, ...], tyro.conf.arg(metavar="[LINK|LINK:OTHER]...", help=IGNORED)]
 
 
 @dataclasses.dataclass(kw_only=True)

@@ -87,10 +87,8 @@ class Posture:
         driven = lambda name: f" (driven by {self.driven[name]})" if name in self.driven else ""
         words = [f"{name} at {self.held[name]:.4g}{driven(name)}" for name in names]
         rest = f", ... ({len(names)} in all)" if len(names) > NAMED else ""
-        return (
-            f"joints beside the chain are held, and links behind them count for collisions: {', '.join(words[:NAMED])}{rest}; "
-            f"posture={{'{names[0]}': ...}} holds them elsewhere, posture={{}} says that this is meant"
-        )
+        held = f"joints beside the chain are held, and links behind them count for collisions: {', '.join(words[:NAMED])}{rest}"
+        return f"{held}; posture={{'{names[0]}': ...}} holds them elsewhere, posture={{}} says that this is meant"
 
 
 def _inside(joint: Joint, value: float) -> float:

@@ -146,10 +146,11 @@ def _tell(chain: Chain, what: str, at_home: Mapping[tuple[int, int], float | Non
     some += f"; ... ({len(names)} in all)" if names[3:] else ""
     zero = "with all joints at 0 (or amid limits that leave 0 out)"
     if names and None not in at_home.values():  # hulls: what they do there, they are taken to do by design
+        every = f"(*chain.self_pairs, {next(iter(at_home))})"
         told = (
             f"these pairs of links are not checked, because their {what} touch {zero}: {some}; ignore=[{names[0]}, ...] says "
-            f"that they may, dataclasses.replace(chain, self_pairs=(*chain.self_pairs, {next(iter(at_home))})) checks one"
         )
+        told += f"that they may, dataclasses.replace(chain, self_pairs={every}) checks one"
     elif names:
         told = f"its {what} touch {zero}: {some}; {APART}"
     elif share > 0.5:

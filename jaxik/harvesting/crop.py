@@ -15,14 +15,8 @@ from jaxik.collision.scene import Scene, SceneBuilder
 from jaxik.costs import bounding_box
 
 # Where IJE 2022, sec. 5.1 and table 4 send the tool [cm, in the base's frame].
-TRELLIS_TARGETS = {
-    "bitter_gourd": (
-        *((38, 34, 60), (43.25, 29.25, 55), (48.5, 24.5, 50), (53.75, 19.75, 55), (59, 15, 60), (59, -15, 60)),
-        (42, 36, 60),
-    ),
-    "tindora": ((59.25, 37, 57),),
-    "guava": ((49, 69, 62), (57, -67, 60)),
-}
+_GOURD = ((38, 34, 60), (43.25, 29.25, 55), (48.5, 24.5, 50), (53.75, 19.75, 55), (59, 15, 60), (59, -15, 60), (42, 36, 60))
+TRELLIS_TARGETS = {"bitter_gourd": _GOURD, "tindora": ((59.25, 37, 57),), "guava": ((49, 69, 62), (57, -67, 60))}
 
 
 def cucumber_row(seed: int = 0, plants: int = 5, leaves: int = 4, fruits: int = 12) -> Scene:

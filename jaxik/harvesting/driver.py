@@ -73,16 +73,16 @@ class Harvest(Reasoned):
     def arrays(self) -> dict[str, np.ndarray]:
         """Everything that a table holds, as arrays with one entry a fruit."""
         column = lambda name: np.array([getattr(row, name) for row in self.rows])
+        removals = [" ".join((row.blockers.removal if row.blockers else None) or ()) for row in self.rows]
         numbers = ("angle", "clearance", "freedom", "score", "position_error", "rotation_error")
-        return {
+        known = {
             "fruit": column("fruit"),
             "joint_names": np.array(self.chain.joint_names),
-            **{name: getattr(self, name) for name in ("q", "success")},
-            "reason": self.reasons,
-            "found_by": column("found_by"),
-            "remove": np.array([" ".join((r.blockers.removal if r.blockers else None) or ()) for r in self.rows]),
-            **{name: column(name) for name in numbers},
+            "q": self.q,
+            "success": self.success,
         }
+        known |= {"reason": self.reasons, "found_by": column("found_by"), "remove": np.array(removals)}
+        return known | {name: column(name) for name in numbers}
 
 
 @dataclasses.dataclass(frozen=True)
@@ -123,14 +123,13 @@ def harvest(
         raise ValueError(f"scene '{scene.name}' has no fruit; add one with SceneBuilder.add_fruit")
     check_geometry(chain)
     warn_of_scene("harvest", chain, scene, options.margin)
-    start, rows, candidates = time.perf_counter(), [], 0
+    start, rows = time.perf_counter(), []
     for fruit in scene.fruits:
         found = scan(chain, scene, fruit, **vars(options))
-        candidates += found.status.size
         rows.append(_posture(chain, scene, found, options))
         if progress:
             progress(fruit.name)
-    return Harvest(chain, scene, tuple(rows), time.perf_counter() - start, candidates)
+    return Harvest(chain, scene, tuple(rows), time.perf_counter() - start, sum(row.scan.status.size for row in rows))
 
 
 def _posture(chain: Chain, scene: Scene, found: Scan, options: HarvestOptions) -> Posture:

@@ -72,11 +72,5 @@ def _summary(study: Study, method: str, table: np.ndarray) -> dict[str, Any]:
     truth = table.any(axis=0)
     count = max(int(truth.sum()), 1)
     rates = [float(np.sum(truth & ~row)) / count for row in table]
-    return {
-        "effort": WHAT[method],
-        "efforts": _efforts(study, method),
-        "rates": rates[:-1],
-        "false_negative_rate": rates[-1],
-        "sample": table.shape[1],
-        "reachable_in_sample": int(truth.sum()),
-    }
+    known = {"effort": WHAT[method], "efforts": _efforts(study, method), "rates": rates[:-1], "false_negative_rate": rates[-1]}
+    return known | {"sample": table.shape[1], "reachable_in_sample": int(truth.sum())}

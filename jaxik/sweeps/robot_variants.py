@@ -75,16 +75,14 @@ def _reshaped(table: Table, chain: Chain, key: str, value: float) -> Chain:
         raise table.fail(f"[parameters] '{key}': {chain.name} has no joint '{joint}'", f"{names}, tip")
     if what in LENGTHS:
         return _stretched(table, chain, joint, what, value)
-    return _limited(table, chain, chain.joint_names.index(joint), what, value)
-
-
-def _limited(table: Table, chain: Chain, joint: int, what: str, value: float) -> Chain:
-    lower, upper = np.array(chain.lower, np.float64), np.array(chain.upper, np.float64)
-    (lower if what == "lower" else upper)[joint] = value
-    if not lower[joint] <= upper[joint]:
-        name = f"[parameters] {chain.joint_names[joint]}.{what} = {value:g}"
-        raise table.fail(f"{name} crosses the other limit", "keep lower <= upper")
-    return dataclasses.replace(chain, lower=lower, upper=upper)
+    limits, i = (
+        {side: np.array(getattr(chain, side), np.float64) for side in ("lower", "upper")},
+        chain.joint_names.index(joint),
+    )
+    limits[what][i] = value
+    if not limits["lower"][i] <= limits["upper"][i]:
+        raise table.fail(f"[parameters] {key} = {value:g} crosses the other limit", "keep lower <= upper")
+    return dataclasses.replace(chain, **limits)
 
 
 def _stretched(table: Table, chain: Chain, joint: str, what: str, value: float) -> Chain:

@@ -45,10 +45,8 @@ class Cloud:
         self.variant = gui.add_dropdown("variant", list(self.indices), visible=len(self.indices) > 1)
         self.colour = gui.add_dropdown("colour by", (KINDS, *COLUMNS))
         self.rest = gui.add_dropdown("not reachable", ("hidden", "faint"))
-        self.cuts = [
-            gui.add_multi_slider(f"{axis} [m]", low, high, 0.001, (low, high))
-            for axis, low, high in zip("xyz", *self._span(), strict=True)
-        ]
+        spans = zip("xyz", *self._span(), strict=True)
+        self.cuts = [gui.add_multi_slider(f"{axis} [m]", low, high, 0.001, (low, high)) for axis, low, high in spans]
         self.size = gui.add_slider("point size [mm]", 2.0, 50.0, 1.0, 8.0)
         for control in (self.visible, self.colour, self.rest, *self.cuts, self.size):
             control.on_update(lambda _: self.draw())

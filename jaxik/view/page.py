@@ -126,10 +126,9 @@ class Page:
 
     def reach(self, world_T_tip: np.ndarray) -> Reason:
         """Brings the tip to a pose (4, 4), by the posture next to the one shown; where there is none, says why."""
-        free = self.binds.value == "position alone"
         base_T_tip = np.linalg.inv(np.asarray(self.chain.world_T_base)) @ world_T_tip
         scene = self.scene if self.clear.value and not self.blind else None
-        task = Task((True, True, True, False, False, False)) if free else Task()
+        task = Task((True, True, True, False, False, False)) if self.binds.value == "position alone" else Task()
         found = solve_ik(self.chain, base_T_tip, scene, task=task, reference=self._q, seeds="near", max_seeds=32)
         reason = Reason(int(found.reason))
         if found.success:
@@ -211,9 +210,8 @@ class Page:
         self._draw_scene()
 
     def _add(self, name: str, mesh: Any, colour: str, **how: Any) -> Any:
-        return self.server.scene.add_mesh_simple(
-            name, np.asarray(mesh.vertices), np.asarray(mesh.faces), color=rgb(colour), **how
-        )
+        corners, faces = np.asarray(mesh.vertices), np.asarray(mesh.faces)
+        return self.server.scene.add_mesh_simple(name, corners, faces, color=rgb(colour), **how)
 
     def _styled(self) -> None:
         self.roots["shape"].visible = self.style.value in (SHOWS[0], SHOWS[2])
@@ -276,10 +274,9 @@ class Page:
         """Lines between the points that are nearest to each other."""
         ends = np.array([(c.point, c.other_point) for c in contacts]).reshape(-1, 2, 3)
         colour = rgb(BAD if contacts and contacts[0].distance < 0.0 else INK)
-        shown = ends if len(ends) else np.zeros((1, 2, 3))
-        self.server.scene.add_line_segments(
-            "/nearest", shown, colour, thickness=4, thickness_units="screen", visible=len(ends) > 0
-        )
+        some = len(ends) > 0
+        shown = ends if some else np.zeros((1, 2, 3))
+        self.server.scene.add_line_segments("/nearest", shown, colour, thickness=4, thickness_units="screen", visible=some)
 
     def _draw_hit(self, hit: frozenset[str]) -> None:
         """The objects that the robot hits, over what they are drawn as else."""
