@@ -92,14 +92,14 @@ def sweep(
     path = Path(out if out is not None else Path(study).with_suffix(".zarr") if isinstance(study, str | Path) else "sweep.zarr")
     first, every = _shard(shard)
     store = Store.of(path, read)
-    mine = np.arange(first - 1, len(read.variants) * read.chunks, every)
+    mine = range(first - 1, len(read.variants) * read.chunks, every)
     finished = store.finished()
-    todo = [int(n) for n in mine if not finished[n] or _kept(store, int(n), repair) is None]
+    todo = [n for n in mine if not finished[n] or _kept(store, n, repair) is None]
     if todo and read.scene is not None:
         chain, *others = (variant.chain for variant in read.variants)
         warn_of_scene("sweep", chain, read.scene, read.margin, *others)
     report = progress or (lambda done, total: None)
-    total = sum(_size(read, int(n)) for n in mine)
+    total = sum(_size(read, n) for n in mine)
     done = total - sum(_size(read, n) for n in todo)
     report(done, total)
     for number in _written(store, _computed(read, todo, cluster, stop)):

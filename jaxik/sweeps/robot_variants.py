@@ -75,10 +75,8 @@ def _reshaped(table: Table, chain: Chain, key: str, value: float) -> Chain:
         raise table.fail(f"[parameters] '{key}': {chain.name} has no joint '{joint}'", f"{names}, tip")
     if what in LENGTHS:
         return _stretched(table, chain, joint, what, value)
-    limits, i = (
-        {side: np.array(getattr(chain, side), np.float64) for side in ("lower", "upper")},
-        chain.joint_names.index(joint),
-    )
+    limits: dict[str, Any] = {side: np.array(getattr(chain, side), np.float64) for side in ("lower", "upper")}
+    i = chain.joint_names.index(joint)
     limits[what][i] = value
     if not limits["lower"][i] <= limits["upper"][i]:
         raise table.fail(f"[parameters] {key} = {value:g} crosses the other limit", "keep lower <= upper")
