@@ -67,8 +67,7 @@ class IKArguments(RobotArguments):
         targets = jaxik.load_targets(self.targets)
         free = (*self.free, *(("roll", "pitch", "yaw") if targets.ndim == 2 else ()))  # a position says nothing of rotation
         task = jaxik.Task.pose(free, self.axes)
-        names = [f.name for f in dataclasses.fields(jaxik.IKOptions)]
-        chosen = {k: v for k, v in dataclasses.asdict(self).items() if k in names}
+        chosen = {f.name: getattr(self, f.name) for f in dataclasses.fields(jaxik.IKOptions) if hasattr(self, f.name)}
         start = time.perf_counter()
         with Progress(console=Console(stderr=True)) as bar:
             line = bar.add_task("ik", total=len(targets))

@@ -62,8 +62,8 @@ class Posture:
             return float(self.given[joint.name])
         if master in on_chain:
             self.driven[joint.name] = master
-        at = _inside(on_chain[master], 0.0) if master in on_chain else 0.0
-        return _inside(joint, joint.default if law is None else float(law(at)))
+        at = np.clip(0.0, on_chain[master].lower, on_chain[master].upper) if master in on_chain else 0.0
+        return float(np.clip(joint.default if law is None else float(law(at)), joint.lower, joint.upper))
 
     def _check(self, file: Path, name: str, beside: dict[str, Joint], on_chain: dict[str, Joint]) -> None:
         where, value = f"posture '{name}'", self.given[name]
@@ -89,8 +89,3 @@ class Posture:
         rest = f", ... ({len(names)} in all)" if len(names) > NAMED else ""
         held = f"joints beside the chain are held, and links behind them count for collisions: {', '.join(words[:NAMED])}{rest}"
         return f"{held}; posture={{'{names[0]}': ...}} holds them elsewhere, posture={{}} says that this is meant"
-
-
-def _inside(joint: Joint, value: float) -> float:
-    """The value, or the limit that is nearest."""
-    return float(np.clip(value, joint.lower, joint.upper))

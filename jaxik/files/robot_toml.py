@@ -217,8 +217,7 @@ def _frame(table: Table) -> np.ndarray:
 
 def _joint(table: Table, convention: str) -> tuple[list[Joint], Link]:
     """A row of the table: its joint, and for the standard convention the fixed frame that follows it."""
-    name = table.named()
-    kind = table.text("type", None, JOINT_TYPES)
+    name, kind = table.named(), table.text("type", None, JOINT_TYPES)
     link_name = table.text("link", f"{name}_link")
     unit = "length" if kind == "prismatic" else "angle"
     after = None

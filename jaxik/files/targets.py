@@ -104,8 +104,7 @@ def _refuse_lost_rotation(path: Path, where: str, names: Iterable[str], known: s
     lost = {n for n in plain if TURNED.search(n)}
     numbered = {n for n in plain if re.fullmatch(r"q\d+", n)}  # four are a quaternion, others the joints
     lost |= numbered if numbered in ({"q0", "q1", "q2", "q3"}, {"q1", "q2", "q3", "q4"}) else set()
-    for group in GROUPS:
-        lost |= set(group) if set(group) <= set(plain) else set()
+    lost |= {n for group in GROUPS if set(group) <= set(plain) for n in group}
     if lost:
         found = ", ".join(f"'{name}'" for n, name in plain.items() if n in lost)
         mend = f"rotations are {known}; leave it out where the position is all"

@@ -99,18 +99,14 @@ def sweep(
         chain, *others = (variant.chain for variant in read.variants)
         warn_of_scene("sweep", chain, read.scene, read.margin, *others)
     report = progress or (lambda done, total: None)
-    total = sum(_size(read, n) for n in mine)
-    done = total - sum(_size(read, n) for n in todo)
+    sizes = {n: (rows := read.work(n)[2]).stop - rows.start for n in mine}
+    total = sum(sizes.values())
+    done = total - sum(sizes[n] for n in todo)
     report(done, total)
     for number in _written(store, _computed(read, todo, cluster, stop)):
-        done += _size(read, number)
+        done += sizes[number]
         report(done, total)
     return _ended(store, repair)
-
-
-def _size(study: Study, number: int) -> int:
-    rows = study.work(number)[2]
-    return rows.stop - rows.start
 
 
 def _shard(shard: Any) -> tuple[int, int]:

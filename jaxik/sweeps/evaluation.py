@@ -91,8 +91,7 @@ def answer(study: Study, variant: Variant, rows: slice) -> Columns:
 def given_columns(targets: Targets, rows: slice) -> Columns:
     """The columns `GIVEN` of some targets."""
     numbers = np.arange(rows.start, rows.stop)
-    free = np.full((len(numbers), 4), np.nan)
-    turned = free if targets.free_rotation else targets.wxyz_at(numbers)
+    turned = np.full((len(numbers), 4), np.nan) if targets.free_rotation else targets.wxyz_at(numbers)
     return dict(zip(GIVEN, (targets.positions_at(numbers), turned), strict=True))
 
 
@@ -238,9 +237,9 @@ def _between(study: Study, chain: Chain, poses: np.ndarray, around: _Crops | Non
     best.leading[rows], best.branch[rows] = found.leading[rows], found.branch[rows]
     best.reason[rows], best.solutions[rows] = Reason.SOLVED, 1
     if around is not None and len(rows):
-        branches = closed_branches(arm_of(chain))
-        q, _ = in_blocks(branches, poses[rows], found.leading[rows], found.branch[rows], double=True)
-        best.clearance[rows], _ = around.measured(measures(arm_of(chain)), rows, q)
+        arm, some = arm_of(chain), (poses[rows], found.leading[rows], found.branch[rows])
+        q, _ = in_blocks(closed_branches(arm), *some, double=True)
+        best.clearance[rows], _ = around.measured(measures(arm), rows, q)
         hits = rows[~(best.clearance[rows] >= study.margin)]
         best.reason[hits], best.solutions[hits], found.open[hits] = Reason.COLLISION, 0, True
     return best, found.open
@@ -276,8 +275,7 @@ def _on_grid(study: Study, chain: Chain, poses: np.ndarray, around: _Crops | Non
     found = freest(chain, poses, leading)
     past = np.where(found.freedom > NOTHING, Reason.LIMITS, Reason.OUT_OF_REACH)
     reason = np.where(found.inside > 0, Reason.SOLVED, past).astype(np.int8)
-    none = np.full(len(poses), np.nan, np.float32)
-    best = _Best(leading[found.lead], found.branch, found.inside, none, reason)
+    best = _Best(leading[found.lead], found.branch, found.inside, np.full(len(poses), np.nan, np.float32), reason)
     near = [_Near(np.zeros(0, int), leading[:0])]
     if around is None:
         return best, near[0]

@@ -143,8 +143,7 @@ def _grasp(table: Table) -> Grasp:
 
 
 def _ik(table: Table, targets: Targets, margin: float) -> IKOptions:
-    row = table.table("ik")
-    default = IKOptions()
+    row, default = table.table("ik"), IKOptions()
     chosen: dict[str, Any] = {k: row.count(k, getattr(default, k)) for k in ("max_seeds", "solutions")}
     chosen |= {k: row.text(k, getattr(default, k)) for k in ("choice", "seeds")}
     tolerances = ("position_tolerance", "length", POSITION_TOLERANCE), ("rotation_tolerance", "angle", ROTATION_TOLERANCE)

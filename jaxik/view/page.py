@@ -163,8 +163,7 @@ class Page:
         self.factor, self.digits = np.where(slides, 1.0, np.degrees(1.0)), np.where(slides, 3, 1).tolist()
         for i, (name, digits) in enumerate(zip(self.chain.joint_names, self.digits, strict=True)):
             low, high, value = (round(float(self.factor[i] * x), digits) for x in (*self.limits[:, i], self._q[i]))
-            unit = "m" if slides[i] else "deg"
-            slider = self.server.gui.add_slider(f"{name} [{unit}]", low, high, 10.0**-digits, value)
+            slider = self.server.gui.add_slider(f"{name} [{'m' if slides[i] else 'deg'}]", low, high, 10.0**-digits, value)
             slider.on_update(lambda event, i=i: self._slid(event, i))
             self.sliders.append(slider)
 

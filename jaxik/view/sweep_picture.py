@@ -118,8 +118,8 @@ def _draw_slices(figure: Any, group: Any, shown: Map, index: tuple[int, ...], sc
     from matplotlib.patches import Patch
 
     kind, kinds = categories(shown)
-    norm = BoundaryNorm(np.arange(len(kinds) + 1) - 0.5, len(kinds))
-    colours = {"cmap": ListedColormap([c for _, c in kinds]), "norm": norm}
+    edges = np.arange(len(kinds) + 1) - 0.5
+    colours = {"cmap": ListedColormap([c for _, c in kinds]), "norm": BoundaryNorm(edges, len(kinds))}
     mount = np.array(group.attrs["mounts"][variant_name(index)])
     if group.attrs["frame"].startswith("targets are base"):
         scene, mount = None if scene is None else scene.moved(np.linalg.inv(mount)), np.eye(4)
