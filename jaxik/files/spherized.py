@@ -51,9 +51,8 @@ def spherized(chain: Chain, beyond: float) -> tuple[str, float]:
     for i, name in enumerate(chain.joint_names):
         joint = _joined(root, name, chain.joint_types[i], names[i], names[i + 1], chain.parent_T_joint[i])
         ElementTree.SubElement(joint, "axis", xyz=_words(chain.axis[i]))
-        limit = {"velocity": chain.velocity[i], "effort": 0.0}
-        if chain.joint_types[i] != "continuous":
-            limit |= {"lower": chain.lower[i], "upper": chain.upper[i]}
+        ends = {} if chain.joint_types[i] == "continuous" else {"lower": chain.lower[i], "upper": chain.upper[i]}
+        limit = ends | {"velocity": chain.velocity[i], "effort": 0.0}
         ElementTree.SubElement(joint, "limit", {k: repr(float(v)) for k, v in limit.items() if np.isfinite(v)})
     placed = zip(chain.link_names, chain.link_joint, chain.link_offset, strict=True)
     fixed = [(name, names[joint], offset) for name, joint, offset in placed if name not in names]
