@@ -7,14 +7,4 @@ from jaxik.harvesting.grasp import Grasp
 from jaxik.harvesting.image_mapping import fit_mapping
 from jaxik.harvesting.scanning import Weights, scan
 
-__all__ = [
-    "Grasp",
-    "Harvest",
-    "HarvestOptions",
-    "Weights",
-    "blockers",
-    "crop",
-    "fit_mapping",
-    "harvest",
-    "scan",
-]
+__all__ = ["Grasp", "Harvest", "HarvestOptions", "Weights", "blockers", "crop", "fit_mapping", "harvest", "scan"]

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 import jaxik
-from jaxik.cli.collisions import offenders
+from jaxik.cli.results import offenders
 from jaxik.reasons import Reason
 
 ARM = jaxik.load("pendulum4")
