@@ -13,7 +13,7 @@ from jaxik.costs import harvest_orientation_cost
 from jaxik.files.loading import models_folder
 from jaxik.harvesting.grasp import grasp_poses
 from jaxik.harvesting.grid_refinement import _climb, _misses, _self_motion, recover
-from jaxik.harvesting.scanning import Weights
+from jaxik.harvesting.scanning import Weights, approach_angles, scan_two_step
 from jaxik.reasons import Reason
 from jaxik.robot.chain import within_limits
 
@@ -83,6 +83,15 @@ def test_weights_rank(found):
         assert column[best] == column[free].max()
     with pytest.raises(ValueError, match="reach > 0"):
         Weights(reach=0.0)
+
+
+def test_two_steps_take_the_next_angle_where_the_best_has_none(found):
+    order, distance = approach_angles(CHAIN, OPEN, OPEN.fruits[0], 24)
+    assert np.all(np.diff(distance) <= 0.0) and set(np.round(order, 9)) == set(np.round(found.angles, 9))
+    steps, tried = scan_two_step(CHAIN, OPEN, OPEN.fruits[0], 24, 7)
+    assert steps.reason == Reason.SOLVED and steps.angles[0] == order[tried - 1]
+    for angle in order[: tried - 1]:  # those before have no posture in the full scan either
+        assert not np.any(found.status[np.argmin(np.abs(found.angles - angle))] == Reason.SOLVED)
 
 
 def test_the_slope_of_recovery_is_autodiffs():
