@@ -5,10 +5,10 @@ from __future__ import annotations
 import numpy as np
 
 from jaxik.costs import Cost
-from jaxik.ik import sqp_programs
 from jaxik.ik.problem import Problem
 from jaxik.ik.refinement import STEPS, Misses, finish, searched
-from jaxik.ik.solutions import Found, cleared, colliding, far_apart, nothing
+from jaxik.ik.solutions import Found, far_apart, judged, nothing
+from jaxik.ik.sqp_programs import Goal, batch, land
 from jaxik.spmd.batch import in_blocks
 
 PUSHED, PUSHES = (4, 64), 24  # colliding postures a target that are moved out of the obstacles, at first and at last; the steps
@@ -21,12 +21,11 @@ def pushed(problem: Problem, poses: np.ndarray, stuck: Found, count: int) -> Fou
     chosen = stuck.rows(far_apart(stuck, stuck.clearance, count))
     if not len(chosen.q):
         return chosen
-    program = sqp_programs.landing(problem.chain, problem.options.task, PUSHES, problem.options.avoid, extras(problem))
-    fixed = (*problem.limits, problem.scene, problem.options.margin + PUSH_MARGIN)
+    program = batch(2, land, problem.chain, goal(problem), PUSHES, problem.options.avoid)
+    fixed = problem.limits, (problem.scene, problem.options.margin + PUSH_MARGIN)
     q = in_blocks(program, chosen.q, poses[chosen.target], fixed=fixed, double=False)[0]
     moved = chosen._replace(q=q, iterations=chosen.iterations + PUSHES)
-    found = cleared(problem, finish(problem, poses, moved, Misses(problem)))
-    return found.rows(~colliding(problem, found))
+    return judged(problem, finish(problem, poses, moved, Misses(problem)))[0]
 
 
 def is_fixed(problem: Problem) -> bool:
@@ -54,7 +53,8 @@ def hopped(problem: Problem, poses: np.ndarray, stuck: Found, count: int) -> Fou
     return Found.joined(answers)
 
 
-def extras(problem: Problem, cost: Cost | None = None) -> sqp_programs.Extras:
-    """What a lane minds beside its target: the cost, and obstacles as the options have it."""
-    collision = "none" if problem.scene is None else problem.options.collision
-    return sqp_programs.Extras(cost, collision, problem.options.activation, problem.options.penalty)
+def goal(problem: Problem, cost: Cost | None = None) -> Goal:
+    """What a lane is to reach, and minds beside: the cost, and obstacles as the options have it."""
+    options = problem.options
+    collision = "none" if problem.scene is None else options.collision
+    return Goal(options.task, cost, collision, options.activation, options.penalty)

@@ -6,10 +6,10 @@ import warnings
 
 import numpy as np
 
-from jaxik.ik import sqp_programs
-from jaxik.ik.collision_repair import extras
+from jaxik.ik.collision_repair import goal
 from jaxik.ik.problem import Problem
 from jaxik.ik.solutions import Found, at_home, cleared, colliding, far_apart, within
+from jaxik.ik.sqp_programs import batch, land, slope
 from jaxik.robot.joint_turns import TURN
 from jaxik.spmd.batch import in_blocks
 
@@ -25,27 +25,24 @@ def improved(problem: Problem, poses: np.ndarray, found: Found) -> Found:
     if problem.options.choice == "first":
         found = found.rows(far_apart(found, -costs(problem, found.q), max(IMPROVED, problem.options.solutions)))
     iterations = problem.options.cost_iterations
-    program = sqp_programs.landing(
-        problem.chain, problem.options.task, iterations, problem.options.improve, extras(problem, problem.options.cost)
-    )
-    more = () if problem.scene is None else (problem.scene, problem.options.margin + IMPROVE_MARGIN)
-    rows = found.q, poses[found.target]
+    program = batch(2, land, problem.chain, goal(problem, problem.options.cost), iterations, problem.options.improve)
+    around = () if problem.scene is None else ((problem.scene, problem.options.margin + IMPROVE_MARGIN),)
     _check_slopes(problem, found)
-    q, away, turned = in_blocks(program, *rows, fixed=(*problem.limits, *more), double=True)
+    q, away, turned = in_blocks(program, found.q, poses[found.target], fixed=(problem.limits, *around), double=True)
     better = found._replace(q=q, position_error=away, rotation_error=turned, iterations=found.iterations + iterations)
     better = _cheaper_turns(problem, cleared(problem, at_home(problem, better)))
     kept = within(better, problem.tolerance) & ~colliding(problem, better)
-    return Found(*(np.where(kept.reshape(-1, *[1] * (b.ndim - 1)), b, a) for a, b in zip(found, better, strict=True)))
+    return Found.joined([found, better]).rows(np.arange(len(kept)) + len(kept) * kept)
 
 
 def _check_slopes(problem: Problem, found: Found) -> None:
     """Warns where the user's cost has no derivative: no step can follow it from there."""
-    (slopes,) = in_blocks(sqp_programs.slope(problem.options.cost), found.q, double=True)
+    (slopes,) = in_blocks(batch(1, slope, problem.options.cost), found.q, double=True)
     bad = np.flatnonzero(~np.isfinite(slopes).all(axis=1))
     if len(bad):
-        q, slope = (np.array2string(x[bad[0]], precision=4, separator=", ", max_line_width=1000) for x in (found.q, slopes))
+        q, rise = (np.array2string(x[bad[0]], precision=4, separator=", ", max_line_width=1000) for x in (found.q, slopes))
         warnings.warn(
-            f"solve_ik: the cost's derivative is {slope} at q = {q} and at {len(bad) - 1} more of {len(slopes)} answers, which "
+            f"solve_ik: the cost's derivative is {rise} at q = {q} and at {len(bad) - 1} more of {len(slopes)} answers, which "
             "stay as they were found; a root, a norm or a division by what is 0 there has none: write sqrt(x + 1e-12)",
             stacklevel=5,
         )
@@ -69,4 +66,4 @@ def _cheaper_turns(problem: Problem, found: Found) -> Found:
 
 def costs(problem: Problem, q: np.ndarray) -> np.ndarray:
     """The user's cost of configurations (N, n), in float64."""
-    return in_blocks(sqp_programs.measure(problem.options.cost), q, double=True)[0]
+    return in_blocks(batch(1, problem.options.cost), q, double=True)[0]

@@ -27,8 +27,8 @@ from jaxik.ik import seeds
 from jaxik.ik.collision_repair import PUSHED, hopped, is_fixed, pushed
 from jaxik.ik.cost_refinement import improved
 from jaxik.ik.problem import Problem
-from jaxik.ik.refinement import EARLY, OPEN, PORTION, SOLVED, STEPS, Misses, compile_finisher, finisher, rescued, searched
-from jaxik.ik.solutions import Found, at_home, candidates, colliding, nothing, within
+from jaxik.ik.refinement import EARLY, OPEN, PORTION, SOLVED, STEPS, Misses, compile_finisher, rescued, searched, settling
+from jaxik.ik.solutions import Found, at_home, candidates, judged, nothing, within
 from jaxik.reasons import Reason
 from jaxik.robot.reach_bound import reach_bound
 
@@ -65,41 +65,39 @@ def search(problem: Problem, poses: np.ndarray, valid: np.ndarray) -> Outcome:
     none, misses = nothing(problem), Misses(problem)
     reason = np.where(valid, np.where(_out_of_reach(problem, poses), Reason.OUT_OF_REACH, OPEN), Reason.INVALID)
     answers, blocked = [none], [none]
-    compile_finisher(finisher(problem), problem.chain.num_joints)
+
+    def note(free: Found, hit: Found = none) -> None:
+        answers.append(free)
+        blocked.append(hit)
+        reason[free.target] = SOLVED
+
+    def still_blocked() -> Found:
+        stuck = Found.joined(blocked)
+        return stuck.rows(reason[stuck.target] == OPEN)
+
+    compile_finisher(settling(problem), problem.chain.num_joints)
     waves = _waves(problem.options.max_seeds, problem.first_will_do, problem.scene is not None)
     while waves and len(left := np.flatnonzero(reason == OPEN)):
         wave, waves = _joined_waves(waves, len(left))
         for some in _portions(left, wave.size):
-            free, hit = _search_wave(problem, poses, some, wave, misses)
-            answers.append(free)
-            blocked.append(hit)
-            reason[free.target] = SOLVED
+            note(*_search_wave(problem, poses, some, wave, misses))
         if wave.rescues and OPEN in reason:  # what is left by now is near a singularity, or unreachable
-            saved, near = rescued(problem, poses, misses.near(reason))
-            answers.append(saved)
-            blocked.append(near)
-            reason[saved.target] = SOLVED
+            note(*rescued(problem, poses, misses.near(reason)))
         if wave.pushes and OPEN in reason:  # more seeds cost less than moving out of obstacles
-            stuck = Found.joined(blocked)
-            blocked = [stuck.rows(reason[stuck.target] == OPEN)]
-            freed = (hopped if is_fixed(problem) else pushed)(problem, poses, blocked[0], wave.pushes)
-            answers.append(freed)
-            reason[freed.target] = SOLVED
+            blocked = [still_blocked()]
+            note((hopped if is_fixed(problem) else pushed)(problem, poses, blocked[0], wave.pushes))
     missed = none
     if OPEN in reason:
-        missed = misses.nearest(problem, poses, reason)
-        landed, collides = within(missed, problem.tolerance), colliding(problem, missed)
-        answers.append(missed.rows(landed & ~collides))  # late, but it has the pose
-        blocked.append(missed.rows(landed & collides))
-        reason[answers[-1].target] = SOLVED
+        missed = misses.nearest(poses, reason)
+        landed = within(missed, problem.tolerance)
+        note(*judged(problem, missed.rows(landed)))  # late, but they have the pose
         missed = missed.rows(~landed)
     found = at_home(problem, Found.joined(answers))
     if problem.options.cost is not None:
         found = improved(problem, poses, found)
     if (reason == SOLVED).all():
         return Outcome(reason, found, none, none)
-    stuck = Found.joined(blocked)
-    stuck = stuck.rows(reason[stuck.target] == OPEN)
+    stuck = still_blocked()
     reason[stuck.target] = Reason.COLLISION
     reason = _beyond_limits(problem, poses, reason)
     return Outcome(reason, found, at_home(problem, stuck), at_home(problem, missed))
@@ -160,7 +158,7 @@ def _search_wave(problem: Problem, poses: np.ndarray, some: np.ndarray, wave: Wa
     """Searches `some` targets from the wave's seeds: the answers, and postures that have the pose and collide."""
     target, number = np.repeat(some, wave.size), np.tile(np.arange(wave.first, wave.last), len(some))
     start = _starts(problem, poses, some, wave.first, wave.last).reshape(len(target), -1)
-    return searched(problem, poses, candidates(problem, start, target, number), wave.steps, misses)
+    return searched(problem, poses, candidates(start, target, number), wave.steps, misses)
 
 
 def _starts(problem: Problem, poses: np.ndarray, some: np.ndarray, first: int, last: int) -> np.ndarray:
