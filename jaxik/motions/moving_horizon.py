@@ -104,10 +104,10 @@ class MovingHorizon:
         horizon, options = self.horizon, self.horizon.descend
         ahead = future(path, duration, horizon, state.time)
         goal = objective(self.chain, self.cost, horizon, state.q, ahead, given, state.u)
-        plan = descent.unmeasured(goal, state.w, options)._replace(
+        plan = descent.init(goal, state.w, options, measured=False)._replace(
             gradient=state.gradient, direction=state.direction, interval=state.interval, iterations=state.samples
         )
-        turn = lambda plan, _: (descent.glance(goal, plan, options),) * 2
+        turn = lambda plan, _: (descent.advance(goal, plan, options, glance=True),) * 2
         plan, each = jax.lax.scan(turn, plan, None, self.iterations)
         first = jax.tree_util.tree_map(lambda x: x[0], each.aux)  # the roll-out of the plan as it was
         now = jax.tree_util.tree_map(lambda x: x[0], first.seen)
