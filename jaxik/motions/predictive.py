@@ -149,8 +149,7 @@ def problem(chain: Chain, cost: RunningCost, horizon: Horizon, *given: Any, many
         found = horizon.resolve(chain, q, asked, u)
         return found.rate, found
 
-    integrate = ocp.integrator(horizon.integrator, field, horizon.dt)
-    move = ocp.of_velocity(integrate) if horizon.level == "velocity" else ocp.of_acceleration(integrate, horizon.dt)
+    move = ocp.driven(ocp.integrator(horizon.integrator, field, horizon.dt), horizon.dt)
     step, per_second = lambda y, w, p: move(y, w, p.asked), lambda y, v, w, p: cost(y[0], v, w, p.time, *given)
     return ocp.Problem(step, per_second, horizon.dt, many)
 

@@ -106,11 +106,16 @@ def head(states: Any) -> Any:
     return jax.tree_util.tree_map(lambda a: a[:-1], states)
 
 
+def sample(tree: Any, i: Any) -> Any:
+    """Number i, or those numbers, of what has one entry a sample."""
+    return jax.tree_util.tree_map(lambda a: a[i], tree)
+
+
 def euler(field: Callable[..., Any], dt: float) -> Callable[..., Any]:
     """`x + dt f(x, u, p_0)`, f, and what was seen, for a field that gives these; p holds the samples of one step."""
 
     def step(x: Any, u: Any, p: Any) -> Any:
-        v, seen = field(x, u, _sample(p, 0))
+        v, seen = field(x, u, sample(p, 0))
         return x + dt * v, v, seen
 
     return step
@@ -125,14 +130,13 @@ def runge_kutta(field: Callable[..., Any], dt: float) -> Callable[..., Any]:
 
     def step(x: Any, u: Any, p: Any) -> Any:
         def stage(before: Any, now: Any) -> Any:
-            share, sample = now
-            v, seen = field(x + dt * share * before, u, sample)
+            share, known = now
+            v, seen = field(x + dt * share * before, u, known)
             return v, (v, seen)
 
         shares = jnp.array([0.0, 0.5, 0.5, 1.0], x.dtype)
-        samples = jax.tree_util.tree_map(lambda a: a[jnp.array([0, 1, 1, 2])], p)
-        _, (v, seen) = lax.scan(stage, jnp.zeros_like(x), (shares, samples))
-        return x + dt / 6.0 * (v[0] + 2.0 * (v[1] + v[2]) + v[3]), v[0], _sample(seen, 0)
+        _, (v, seen) = lax.scan(stage, jnp.zeros_like(x), (shares, sample(p, jnp.array([0, 1, 1, 2]))))
+        return x + dt / 6.0 * (v[0] + 2.0 * (v[1] + v[2]) + v[3]), v[0], sample(seen, 0)
 
     return step
 
@@ -142,25 +146,12 @@ def integrator(name: str, field: Callable[..., Any], dt: float) -> Callable[...,
     return (euler if name == "euler" else runge_kutta)(field, dt)
 
 
-def _sample(p: Any, i: int) -> Any:
-    return jax.tree_util.tree_map(lambda a: a[i], p)
-
-
-def of_velocity(integrate: Callable[..., Any]) -> Callable[..., Any]:
-    """The input is what the field takes [Schuetz 2017, (5.5)]: state (x,)."""
+def driven(integrate: Callable[..., Any], dt: float) -> Callable[..., Any]:
+    """The step of a state (x,), whose input is what the field takes [Schuetz 2017, (5.5)]; or of (x, u), whose input is the
+    rate of that [(5.7)-(5.9)]: u is held over a step."""
 
     def step(y: Any, w: Any, p: Any) -> Any:
-        x, *rest = integrate(y[0], w, p)
-        return (x,), *rest
-
-    return step
-
-
-def of_acceleration(integrate: Callable[..., Any], dt: float) -> Callable[..., Any]:
-    """The input is the rate of what the field takes [(5.7)-(5.9)]: state (x, u); u is held over a step."""
-
-    def step(y: Any, w: Any, p: Any) -> Any:
-        x, *rest = integrate(*y, p)
-        return (x, y[1] + dt * w), *rest
+        x, *rest = integrate(*y, p) if len(y) == 2 else integrate(*y, w, p)
+        return (x, *(u + dt * w for u in y[1:])), *rest
 
     return step

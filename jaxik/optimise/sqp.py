@@ -32,7 +32,7 @@ import jax.numpy as jnp
 from jax import lax
 
 from jaxik.checks.options import check_choices
-from jaxik.optimise.linear import Matrix, dot, full, product
+from jaxik.optimise.linear import Matrix, column, dot, full, product
 from jaxik.optimise.qp import NONE, Rows, solve
 from jaxik.spatial.algebra import Scalar, add, mul, sub
 
@@ -153,7 +153,8 @@ def advance(problem: Problem, state: State, low: Sequence[Any], high: Sequence[A
     if options.merit == "none":
         return State(moved, there, restraint, learned)
     merit = _l1 if options.merit == "l1" else _augmented_lagrangian
-    better = merit(there, y, z, options.penalty) <= merit(model, y, z, options.penalty)
+    steep = functools.reduce(jnp.maximum, [options.penalty, *(2.0 * abs(multiplier) for multiplier in (*y, *z))])
+    better = merit(there, y, z, steep) <= merit(model, y, z, steep)
     restraint = jnp.clip(restraint * jnp.where(better, 0.3, 8.0), 1e-4, 1e8)
     x, model = jax.tree_util.tree_map(lambda new, old: jnp.where(better, new, old), (moved, there), (x, model))
     return State(x, model, restraint, learned)
@@ -188,13 +189,8 @@ def _arrays(tree: Any, dtype: Any) -> Any:
 
 def _slope(model: Model, y: Sequence[Any], z: Sequence[Any]) -> list[Any]:
     """The gradient of the Lagrangian `f + y'r - z'c`."""
-    up, down = _transposed_product(model.equality.matrix, y), _transposed_product(model.inequality.matrix, z)
-    n = len(model.gradient)
-    return [sub(add(g, up[i] if up else 0.0), down[i] if down else 0.0) for i, g in enumerate(model.gradient[:n])]
-
-
-def _transposed_product(matrix: Matrix, vector: Sequence[Any]) -> list[Any]:
-    return [dot(column, vector) for column in zip(*matrix, strict=True)]
+    up, down = model.equality.matrix, model.inequality.matrix
+    return [sub(add(g, dot(column(up, i), y)), dot(column(down, i), z)) for i, g in enumerate(model.gradient)]
 
 
 def _damped_bfgs(lower: Any, step: Sequence[Any], change: Sequence[Any]) -> Any:
@@ -213,22 +209,12 @@ def _damped_bfgs(lower: Any, step: Sequence[Any], change: Sequence[Any]) -> Any:
     )
 
 
-def _merit_weight(y: Sequence[Any], z: Sequence[Any], least: float) -> Any:
-    """Above twice the largest multiplier."""
-    weight: Any = least
-    for multiplier in (*y, *z):
-        weight = jnp.maximum(weight, 2.0 * abs(multiplier))
-    return weight
-
-
-def _l1(model: Model, y: Sequence[Any], z: Sequence[Any], penalty: float) -> Any:
-    weight = _merit_weight(y, z, penalty)
+def _l1(model: Model, y: Sequence[Any], z: Sequence[Any], weight: Any) -> Any:
     broken = [abs(r) for r in model.equality.value] + [jnp.maximum(-c, 0.0) for c in model.inequality.value]
     return model.cost + weight * sum(broken)
 
 
-def _augmented_lagrangian(model: Model, y: Sequence[Any], z: Sequence[Any], penalty: float) -> Any:
-    weight = _merit_weight(y, z, penalty)
+def _augmented_lagrangian(model: Model, y: Sequence[Any], z: Sequence[Any], weight: Any) -> Any:
     equal = dot(y, model.equality.value) + 0.5 * weight * dot(model.equality.value, model.equality.value)
     short = [jnp.maximum(v - weight * c, 0.0) ** 2 - v**2 for v, c in zip(z, model.inequality.value, strict=True)]
     return model.cost + equal + sum(short) / (2.0 * weight)
