@@ -20,6 +20,7 @@ from typing import Any, Literal
 import jax
 import jax.numpy as jnp
 import numpy as np
+from jaxtyping import Float, Int
 
 from jaxik.checks.arrays import numbers, positive
 from jaxik.checks.options import batch_axes, changed, check_choices, check_each, check_finite, check_kind, shown
@@ -86,13 +87,13 @@ class Followed(Reasoned):
     the sample where it happened, k if it was solved. After that sample the arm stands still. Batches have a leading axis but
     for time."""
 
-    time: Any
-    q: Any
-    qdot: Any
-    error: Any
-    damping: Any
-    reason: Any
-    sample: Any
+    time: Float[np.ndarray, " k"]
+    q: Float[np.ndarray, "*b k n"]
+    qdot: Float[np.ndarray, "*b k n"]
+    error: Float[np.ndarray, "*b k m"]
+    damping: Float[np.ndarray, "*b k"]
+    reason: Int[np.ndarray, "*b"]
+    sample: Int[np.ndarray, "*b"]
 
 
 def follow(
@@ -154,7 +155,7 @@ def _program(
         _, (at, moving, error, damping, held) = kernel(lambda q, stages: jax.lax.scan(turn, (q, jnp.zeros_like(q)), stages))(
             q, stages
         )
-        course = Course(at, moving, error, damping, held, stages.pose[:, 0], stages.velocity[:, 0])
+        course = Course(at, moving, error, damping, stages.pose[:, 0], stages.velocity[:, 0], held)
         reason, sample = diagnose(chain, how.task, course, how.tolerance, how.limits)
         return (*_standing(course, jnp.where(reason == Reason.STILL, count, sample)), reason, sample)
 
@@ -179,10 +180,9 @@ def _moved(
     low, high = _rates(limits, q, qdot, dt)
     boxed = how.limits or how.acceleration is not None
     if how.scheme == "rac":
-        start = jax.tree_util.tree_map(lambda x: x[0], stages)
         slow = loop_gain(how.gain, dt, 0.5)
         box = Box((low - qdot) / dt, (high - qdot) / dt) if boxed else None
-        gains = (0.25 * slow**2, slow)
+        gains, start = (0.25 * slow**2, slow), ocp.sample(stages, 0)
         found = rac(chain, q, qdot, start, cost, how.alpha, how.damping, gains=gains, box=box, **options)
         faster = qdot + dt * found.rate
         return (q + 0.5 * dt * (qdot + faster), faster), found, _held(faster, low, high)

@@ -19,28 +19,29 @@ from typing import Any, NamedTuple
 import jax
 import jax.numpy as jnp
 import numpy as np
+from jaxtyping import Float, Int
 
 from jaxik.checks.options import as_count, check_finite
 from jaxik.motions.diagnosis import Course, diagnose
 from jaxik.motions.path import Path, check_path, motion
 from jaxik.motions.predictive import Horizon, RunningCost, future, objective, problem
-from jaxik.optimise import descent
+from jaxik.optimise import descent, ocp
 from jaxik.reasons import Reasoned
-from jaxik.robot.chain import Chain, as_shaped
+from jaxik.robot.chain import Array, Chain, as_shaped
 
 
 class State(NamedTuple):
     """Where the robot and its plan stand: q and null-space input u (n,) at `time` [s], the plan w (N, n), and what the descent
     keeps from sample to sample."""
 
-    q: Any
-    u: Any
-    time: Any
-    w: Any
-    gradient: Any
-    direction: Any
-    interval: Any
-    samples: Any
+    q: Float[Array, " n"]
+    u: Float[Array, " n"]
+    time: Float[Array, ""]
+    w: Float[Array, "k n"]
+    gradient: Float[Array, "k n"]
+    direction: Float[Array, "k n"]
+    interval: Float[Array, "2"]
+    samples: Int[Array, ""]
 
 
 class Sample(NamedTuple):
@@ -48,12 +49,12 @@ class Sample(NamedTuple):
     sample began with leads, (N+1, n), and what it costs in all; what this sample's iterations make of it, the next one begins
     with. The tip's error (m,) [m, rad], and the damping that a singularity needed, 0 where none."""
 
-    q: Any
-    qdot: Any
-    planned: Any
-    total: Any
-    error: Any
-    damping: Any
+    q: Float[Array, " n"]
+    qdot: Float[Array, " n"]
+    planned: Float[Array, "k1 n"]
+    total: Float[Array, ""]
+    error: Float[Array, " m"]
+    damping: Float[Array, ""]
 
 
 @dataclasses.dataclass(frozen=True)
@@ -109,8 +110,8 @@ class MovingHorizon:
         )
         turn = lambda plan, _: (descent.advance(goal, plan, options, glance=True),) * 2
         plan, each = jax.lax.scan(turn, plan, None, self.iterations)
-        first = jax.tree_util.tree_map(lambda x: x[0], each.aux)  # the roll-out of the plan as it was
-        now = jax.tree_util.tree_map(lambda x: x[0], first.seen)
+        first = ocp.sample(each.aux, 0)  # the roll-out of the plan as it was
+        now = ocp.sample(first.seen, 0)
         q, u = self._moved(state, plan.w[0], first, ahead, given)
         qdot = (q - state.q) / horizon.dt
         shift = lambda x: jnp.concatenate([x[1:], jnp.zeros_like(x[:1])])
@@ -124,7 +125,7 @@ class MovingHorizon:
         if self.horizon.level == "acceleration":
             return run.y[0][1], state.u + self.horizon.dt * w
         control = problem(self.chain, self.cost, self.horizon, *given)
-        (q,), *_ = control.step((state.q,), w, jax.tree_util.tree_map(lambda x: x[0], ahead))
+        (q,), *_ = control.step((state.q,), w, ocp.sample(ahead, 0))
         return q, state.u
 
 
@@ -134,14 +135,14 @@ class Moved(Reasoned):
     """A motion under a moving horizon: time (k,) [s], q (k, n), qdot (k, n), what each sample's plan costs in all (k,), the
     tip's error (k, m) and the damping (k,); the `Reason`, and the sample where it happened."""
 
-    time: Any
-    q: Any
-    qdot: Any
-    total: Any
-    error: Any
-    damping: Any
-    reason: Any
-    sample: Any
+    time: Float[np.ndarray, " k"]
+    q: Float[np.ndarray, "k n"]
+    qdot: Float[np.ndarray, "k n"]
+    total: Float[np.ndarray, " k"]
+    error: Float[np.ndarray, "k m"]
+    damping: Float[np.ndarray, " k"]
+    reason: Int[np.ndarray, ""]
+    sample: Int[np.ndarray, ""]
 
 
 def follow_predictively(
@@ -157,11 +158,9 @@ def follow_predictively(
     time = dt * np.arange(round(until / dt))
     state, samples = control.start(q), []
     for t in time:
-        state, sample = control.step(state, path, duration, given(t) if callable(given) else given)
-        samples.append(sample._replace(planned=None))
-    found = jax.tree_util.tree_map(lambda *rows: np.stack([np.asarray(row) for row in rows]), *samples)
+        state, now = control.step(state, path, duration, given(t) if callable(given) else given)
+        samples.append((now.q, now.qdot, now.total, now.error, now.damping))
+    q, qdot, total, error, damping = map(np.stack, zip(*samples, strict=True))
     asked = motion(path, duration, time)
-    held = np.zeros(len(time), bool)
-    course = Course(found.q, found.qdot, found.error, found.damping, held, asked.pose, asked.velocity)
-    reason, k = control._judged(course)
-    return Moved(time, found.q, found.qdot, found.total, found.error, found.damping, np.asarray(reason), np.asarray(k))
+    judged = control._judged(Course(q, qdot, error, damping, asked.pose, asked.velocity))
+    return Moved(time, q, qdot, total, error, damping, *map(np.asarray, judged))
