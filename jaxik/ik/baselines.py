@@ -101,16 +101,7 @@ def global_search(
         looked += columns.shape[1]
         return in_blocks(each, columns.T, double=True)[0]
 
-    found = differential_evolution(
-        evaluate,
-        np.stack(finite_limits(chain), axis=1),
-        rng=np.random.default_rng(seed),
-        maxiter=generations,
-        popsize=population,
-        vectorized=True,
-        updating="deferred",
-        polish=False,
-        tol=0.0,
-        atol=0.0,
-    )
+    bounds, rng = np.stack(finite_limits(chain), axis=1), np.random.default_rng(seed)
+    plain = {"vectorized": True, "updating": "deferred", "polish": False, "tol": 0.0, "atol": 0.0}
+    found = differential_evolution(evaluate, bounds, rng=rng, maxiter=generations, popsize=population, **plain)
     return Searched(found.x, float(found.fun), looked)

@@ -38,11 +38,9 @@ def hopped(problem: Problem, poses: np.ndarray, stuck: Found, count: int) -> Fou
     answers, reached = [nothing(problem)], stuck
     for _ in range(HOPS):
         chosen = reached.rows(far_apart(reached, reached.clearance, count))
-        joints = np.arange(chosen.q.shape[1])
-        mirrored, turned = (np.repeat(chosen.q[:, None], len(joints), axis=1) for _ in range(2))
-        mirrored[:, joints, joints] *= -1.0
-        turned[:, joints, joints] -= np.where(problem.chain.is_prismatic, 0.0, np.copysign(np.pi, turned[:, joints, joints]))
-        start = np.concatenate([mirrored, turned], axis=1)
+        q, one = chosen.q[:, None], np.eye(chosen.q.shape[1])
+        half = np.where(problem.chain.is_prismatic, 0.0, np.copysign(np.pi, q))
+        start = q - np.concatenate([2.0 * q * one, half * one], axis=1)
         row = np.repeat(np.arange(len(chosen.q)), start.shape[1])
         lanes_ = chosen.rows(row)._replace(q=np.clip(start.reshape(len(row), -1), problem.low, problem.high))
         free, reached = searched(problem, poses, lanes_, STEPS, Misses(problem))

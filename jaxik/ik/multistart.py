@@ -137,15 +137,13 @@ def _waves(most: int, first_will_do: bool, scene: bool) -> tuple[Wave, ...]:
 
 def _joined_waves(waves: tuple[Wave, ...], targets: int) -> tuple[Wave, tuple[Wave, ...]]:
     """The next wave of so few `targets` that several fit in one, and those after it."""
-    number = 1
-    while (
-        number < len(waves)
-        and not (waves[number - 1].rescues or waves[number - 1].pushes)
-        and waves[number].steps == waves[0].steps
-        and targets * (waves[number].last - waves[0].first) <= TOGETHER[waves[0].first > 0]
-    ):
+    first, number = waves[0].first, 1
+    for wave, after in itertools.pairwise(waves):
+        fits = after.steps == wave.steps and targets * (after.last - first) <= TOGETHER[first > 0]
+        if wave.rescues or wave.pushes or not fits:
+            break
         number += 1
-    return waves[number - 1]._replace(first=waves[0].first), waves[number:]
+    return waves[number - 1]._replace(first=first), waves[number:]
 
 
 def _portions(rows: np.ndarray, each: int) -> list[np.ndarray]:
@@ -163,19 +161,18 @@ def _search_wave(problem: Problem, poses: np.ndarray, some: np.ndarray, wave: Wa
 
 def _starts(problem: Problem, poses: np.ndarray, some: np.ndarray, first: int, last: int) -> np.ndarray:
     """Seeds `first` to `last` of `some` targets, (len(some), last - first, n)."""
+    chain, options, numbers = problem.chain, problem.options, (problem.inside, problem.seed, first, last)
     if problem.strategy == "near":
         assert problem.reference is not None
-        return seeds.near(problem.inside, problem.seed, first, last, problem.reference[some])
+        return seeds.near(*numbers, problem.reference[some])
     if problem.strategy == "closed_form":
-        return seeds.branches(problem.chain, problem.inside, problem.seed, first, last, poses[some])
+        return seeds.branches(chain, *numbers, poses[some])
     if problem.strategy == "library":
-        return seeds.library(
-            problem.chain, problem.options.task, problem.inside, problem.unit, problem.seed, first, last, poses[some]
-        )
+        return seeds.library(chain, options.task, problem.unit, *numbers, poses[some])
     if problem.strategy == "low_discrepancy":
-        each = seeds.low_discrepancy(problem.inside, problem.seed, max(problem.options.max_seeds, last))[first:last]
+        each = seeds.low_discrepancy(problem.inside, problem.seed, max(options.max_seeds, last))[first:last]
     else:
-        each = seeds.uniforms(problem.inside, problem.seed, first, last)
+        each = seeds.uniforms(*numbers)
     return np.broadcast_to(each, (len(some), *each.shape))
 
 
@@ -189,15 +186,11 @@ def _beyond_limits(problem: Problem, poses: np.ndarray, reason: np.ndarray) -> n
         reason[left] = np.where(any_valid, Reason.LIMITS, Reason.OUT_OF_REACH)
         return reason
     held = problem.low == problem.high  # what is locked stays so
-    around = np.where(held, problem.low, -np.pi), np.where(held, problem.high, np.pi)
-    free = dataclasses.replace(
-        problem,
-        scene=None,
-        low=np.where(held, problem.low, -np.inf),
-        high=np.where(held, problem.high, np.inf),
-        inside=seeds.Range(*(tuple(bound.tolist()) for bound in around)),
-        options=dataclasses.replace(problem.options, choice="first", solutions=1, cost=None),
-    )
+    up_to = lambda bound: (np.where(held, problem.low, -bound), np.where(held, problem.high, bound))
+    low, high = up_to(np.inf)
+    inside = seeds.Range(*(tuple(bound.tolist()) for bound in up_to(np.pi)))
+    options = dataclasses.replace(problem.options, choice="first", solutions=1, cost=None)
+    free = dataclasses.replace(problem, scene=None, low=low, high=high, inside=inside, options=options)
     for some in _portions(left, UNLIMITED):
         found, _ = _search_wave(free, poses, some, Wave(0, UNLIMITED, STEPS, False, 0), Misses(problem))
         reason[found.target] = Reason.LIMITS

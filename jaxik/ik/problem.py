@@ -52,9 +52,8 @@ class Problem:
         if options.cost is not None:
             check_cost("solve_ik", options.cost, n)
         check_seed("solve_ik", seed)
-        tolerance = np.empty((count, 2))
-        for i, name in enumerate(("position_tolerance", "rotation_tolerance")):
-            tolerance[:, i] = _shaped(name, getattr(options, name), (count,))
+        names = "position_tolerance", "rotation_tolerance"
+        tolerance = np.stack([_shaped(name, getattr(options, name), (count,)) for name in names], axis=1)
         if not (tolerance > 0.0).all():
             raise ValueError("position_tolerance and rotation_tolerance are > 0")
         reference = None if options.reference is None else _shaped("reference", options.reference, (count, n), least=1)
@@ -125,9 +124,7 @@ class Problem:
 
 def _limits(chain: Chain, options: IKOptions) -> tuple[np.ndarray, np.ndarray]:
     """The chain's own (n,), of a locked joint its value twice."""
-    low, high = np.asarray(chain.lower, np.float64), np.asarray(chain.upper, np.float64)
-    if options.locked:
-        low, high = low.copy(), high.copy()
+    low, high = np.array(chain.lower, np.float64), np.array(chain.upper, np.float64)
     for name, value in options.locked.items():
         if name not in chain.joint_names:
             raise ValueError(f"locked: {chain.name} has no joint '{name}'; it has {', '.join(chain.joint_names)}")

@@ -114,7 +114,7 @@ def _sets(chain: Chain, task: Task, inside: Range, length: float, first: int, la
 
 
 def library(
-    chain: Chain, task: Task, inside: Range, length: float, seed: int, first: int, last: int, poses: np.ndarray
+    chain: Chain, task: Task, length: float, inside: Range, seed: int, first: int, last: int, poses: np.ndarray
 ) -> np.ndarray:
     """Numbers `first` to `last` for poses (N, 4, 4), (N, last - first, n)."""
     at = np.empty((len(poses), last - first, chain.num_joints), np.float32)

@@ -105,8 +105,9 @@ def far_apart(found: Found, score: np.ndarray, count: int) -> np.ndarray:
     return np.concatenate(kept)
 
 
-def top(target: np.ndarray, score: np.ndarray, count: int) -> np.ndarray:
-    """The rows with the `count` largest scores of each target, by target and from the best on; of equal ones the first."""
-    order = np.lexsort((-score, target))
+def top(target: np.ndarray, score: np.ndarray, count: int, *rank: np.ndarray) -> np.ndarray:
+    """The rows with the `count` largest scores of each target, by target and from the best on; of equal ones the first, or that
+    of the least `rank`."""
+    order = np.lexsort((*rank, -score, target))
     sorted_targets = target[order]
     return order[np.arange(len(order)) - np.searchsorted(sorted_targets, sorted_targets) < count]

@@ -29,7 +29,7 @@ from jaxik.ik.cost_refinement import costs
 from jaxik.ik.multistart import Outcome, search
 from jaxik.ik.options import IKOptions
 from jaxik.ik.problem import Problem
-from jaxik.ik.solutions import Found, candidates, unwound
+from jaxik.ik.solutions import Found, candidates, top, unwound
 from jaxik.ik.sqp_programs import batch
 from jaxik.reasons import Reason, Reasoned
 from jaxik.robot.chain import Chain
@@ -37,6 +37,7 @@ from jaxik.robot.joint_turns import admissible_turns
 from jaxik.robot.kinematics import manipulability
 from jaxik.robot.reach_bound import millimetres
 from jaxik.robot.task import Task
+from jaxik.spatial.rotations import frame
 from jaxik.spmd import HostKernel
 from jaxik.spmd.batch import in_blocks
 
@@ -197,11 +198,7 @@ def as_poses(targets: Any, task: Task) -> tuple[np.ndarray, np.ndarray, bool]:
         raise ValueError(f"solve_ik: targets are traced, and it is a driver on the host; {mend}")
     given = numbers("targets", targets)
     positions = not task.rotations and given.ndim in (1, 2) and given.shape[-1] == 3
-    if positions:
-        poses = np.tile(np.eye(4), (*given.shape[:-1], 1, 1))
-        poses[..., :3, 3] = given
-    else:
-        poses = given
+    poses = frame(given) if positions else given
     if poses.ndim not in (2, 3) or poses.shape[-2:] != (4, 4):
         also = " or positions (3,), (N, 3)" if not task.rotations else ""
         raise ValueError(f"targets have shape {given.shape}; allowed: poses (4, 4) or (N, 4, 4){also}")
@@ -240,14 +237,6 @@ RIGID_POSE = HostKernel(_rigid_pose, 1)
 # Which answer
 
 
-def _best(found: Found, score: np.ndarray) -> Found:
-    """The row with the largest score of each target; of equal ones that with the lowest seed."""
-    if not len(found.q):
-        return found
-    order = np.lexsort((found.seed, -score, found.target))
-    return found.rows(order[np.diff(found.target[order], prepend=-1) != 0])
-
-
 def _score(problem: Problem, found: Found) -> np.ndarray:
     """How good answers are by the user's choice; more is better."""
     choice, chain, reference = problem.options.choice, problem.chain, problem.reference
@@ -271,9 +260,10 @@ def _result(problem: Problem, outcome: Outcome, fault: np.ndarray) -> IKResult:
     if k > 1:
         found = _with_turns(problem, found)
     score = _score(problem, found)
-    best = _best(found, score)
+    best = found.rows(top(found.target, score, 1, found.seed))
     unknown = candidates(np.full((count, n), np.nan), np.arange(count), np.full(count, -1))
-    ranked = Found.joined([unknown, outcome.missed, _best(stuck, stuck.clearance), best])
+    freest = stuck.rows(top(stuck.target, stuck.clearance, 1, stuck.seed))
+    ranked = Found.joined([unknown, outcome.missed, freest, best])
     last = np.zeros(count, int)
     last[ranked.target] = np.arange(len(ranked.target))
     shown = ranked.rows(last)

@@ -123,11 +123,9 @@ def _apart(chain: Chain, task: Task, found: Any, apart: Any) -> tuple[Any, Any, 
 
 def _problem(chain: Chain, goal: Goal, pose: Any, weights: Any, around: Any, dtype: Any) -> sqp.Problem:
     """The tip at `pose`, and what is minded beside, as equations, cost and inequalities of the joints."""
-    n = chain.num_joints
-    scale = 1.0 / unit_length(chain)
-    metric = [
-        [weights[i] * (scale**2 if chain.is_prismatic[i] else 1.0) if i == j else 0.0 for j in range(n)] for i in range(n)
-    ]
+    n, scale = chain.num_joints, 1.0 / unit_length(chain)
+    units = [scale**2 if prismatic else 1.0 for prismatic in chain.is_prismatic]
+    metric = [[weights[i] * units[i] if i == j else 0.0 for j in range(n)] for i in range(n)]
     target = Frame.of_columns(pose)
 
     def model(x: Sequence[Scalar]) -> sqp.Model:

@@ -25,7 +25,7 @@ from jaxik.checks.arrays import shaped
 from jaxik.checks.options import as_count, check_finite
 from jaxik.motions.nullspace import Resolved
 from jaxik.motions.path import Path, check_path, motion
-from jaxik.motions.predictive import Horizon, Prediction, RunningCost, asked
+from jaxik.motions.predictive import Horizon, Prediction, RunningCost, outlook
 from jaxik.robot.chain import Chain
 
 
@@ -67,7 +67,7 @@ def boundary_value(
     """
     from scipy.integrate import simpson, solve_bvp
 
-    horizon, given = asked("boundary value", cost, horizon, **options)
+    horizon, given = outlook("boundary value", cost, horizon, **options)
     check_path("boundary value", path, duration)
     nodes, max_nodes = as_count("boundary value: nodes", nodes), as_count("boundary value: max_nodes", max_nodes)
     check_finite("boundary value", np.finfo(float).eps, tolerance=tolerance)
@@ -78,14 +78,9 @@ def boundary_value(
         time, first = _first(system, world, start, nodes, guess)
         free = np.linalg.svd(np.asarray(system.freedom(world, start)).T)[0]  # first the motions that leave the tip in place
         basis = free[:, : n - sum(horizon.task.bound)]
-        found = solve_bvp(
-            lambda t, y: _padded(lambda t, y: system.rates(world, t, y), t, y),
-            lambda a, b: np.asarray(system.ends(world, a, b, start, basis)),
-            time,
-            first,
-            tol=tolerance,
-            max_nodes=max_nodes,
-        )
+        rates = lambda t, y: _padded(functools.partial(system.rates, world), t, y)
+        ends = lambda a, b: np.asarray(system.ends(world, a, b, start, basis))
+        found = solve_bvp(rates, ends, time, first, tol=tolerance, max_nodes=max_nodes)
         w, costs = map(np.asarray, system.inputs_and_costs(world, found.x, found.y))
         y, adjoint = np.split(found.y.T, 2, axis=1)
         total, residual = float(simpson(costs, x=found.x)), float(np.max(found.rms_residuals))

@@ -152,9 +152,8 @@ def _program(
             after, found, held = _moved(chain, cost, how, limits, q, qdot, stages)
             return after, (q, (after[0] - q) / how.dt, found.error, found.damping, held)
 
-        _, (at, moving, error, damping, held) = kernel(lambda q, stages: jax.lax.scan(turn, (q, jnp.zeros_like(q)), stages))(
-            q, stages
-        )
+        whole = kernel(lambda q, stages: jax.lax.scan(turn, (q, jnp.zeros_like(q)), stages)[1])
+        at, moving, error, damping, held = whole(q, stages)
         course = Course(at, moving, error, damping, stages.pose[:, 0], stages.velocity[:, 0], held)
         reason, sample = diagnose(chain, how.task, course, how.tolerance, how.limits)
         return (*_standing(course, jnp.where(reason == Reason.STILL, count, sample)), reason, sample)
@@ -216,13 +215,7 @@ def _rates(limits: tuple[Any, ...], q: Any, qdot: Any, dt: float) -> tuple[Any, 
 
 def _standing(course: Course, k: Any) -> tuple[Any, Any, Any, Any]:
     """q, qdot, error and damping of a motion that stops before sample k."""
-    index = jnp.arange(len(course.q))
-    last = jnp.maximum(k - 1, 0)
-    hold = lambda x: jnp.where((index < k)[:, None], x, x[last])
-    moving = index < jnp.where(k < len(index), last, k)
-    return (
-        hold(course.q),
-        jnp.where(moving[:, None], course.qdot, 0.0),
-        hold(course.error),
-        jnp.where(index < k, course.damping, 0.0),
-    )
+    index, last = jnp.arange(len(course.q)), jnp.maximum(k - 1, 0)
+    before, moving = index < k, index < jnp.where(k < len(index), last, k)
+    q, error = (jnp.where(before[:, None], x, x[last]) for x in (course.q, course.error))
+    return q, jnp.where(moving[:, None], course.qdot, 0.0), error, jnp.where(before, course.damping, 0.0)

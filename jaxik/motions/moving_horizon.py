@@ -23,10 +23,10 @@ from jaxtyping import Float, Int
 
 from jaxik.checks.options import as_count, check_finite
 from jaxik.motions.diagnosis import Course, diagnose
+from jaxik.motions.following import Followed
 from jaxik.motions.path import Path, check_path, motion
 from jaxik.motions.predictive import Horizon, RunningCost, future, objective, problem
 from jaxik.optimise import descent, ocp
-from jaxik.reasons import Reasoned
 from jaxik.robot.chain import Array, Chain, as_shaped
 
 
@@ -131,18 +131,11 @@ class MovingHorizon:
 
 @jax.tree_util.register_dataclass
 @dataclasses.dataclass(frozen=True)
-class Moved(Reasoned):
-    """A motion under a moving horizon: time (k,) [s], q (k, n), qdot (k, n), what each sample's plan costs in all (k,), the
-    tip's error (k, m) and the damping (k,); the `Reason`, and the sample where it happened."""
+class Moved(Followed):
+    """A motion under a moving horizon, which does not stand still behind the sample where it failed; and what each sample's
+    plan costs in all (k,)."""
 
-    time: Float[np.ndarray, " k"]
-    q: Float[np.ndarray, "k n"]
-    qdot: Float[np.ndarray, "k n"]
     total: Float[np.ndarray, " k"]
-    error: Float[np.ndarray, "k m"]
-    damping: Float[np.ndarray, " k"]
-    reason: Int[np.ndarray, ""]
-    sample: Int[np.ndarray, ""]
 
 
 def follow_predictively(
@@ -163,4 +156,4 @@ def follow_predictively(
     q, qdot, total, error, damping = map(np.stack, zip(*samples, strict=True))
     asked = motion(path, duration, time)
     judged = control._judged(Course(q, qdot, error, damping, asked.pose, asked.velocity))
-    return Moved(time, q, qdot, total, error, damping, *map(np.asarray, judged))
+    return Moved(time, q, qdot, error, damping, *map(np.asarray, judged), total=total)

@@ -84,7 +84,6 @@ def resolve_velocity(
     `gain` [1/s] pulls the tip back to its path. `box` holds what the velocities must lie between. Raises `ValueError`
     for an array of another shape, and for weights that are known and not above zero.
     """
-    q = as_configuration(chain, q)
     at = _At(chain, q, motion, task)
     as_shaped("gain", gain, ())
     return at.resolved(at.components("velocity", motion.velocity) - gain * at.error, u, weights, floor, box)
@@ -107,10 +106,9 @@ def resolve_acceleration(
     `gains` (K [1/s2], K' [1/s]) pull the tip back to its path; K' = 2 sqrt(K) without overshoot. `box` holds what the
     accelerations must lie between. Raises `ValueError` as `resolve_velocity` does.
     """
-    q = as_configuration(chain, q)
     at = _At(chain, q, motion, task)
-    qdot = as_shaped("qdot", qdot, q.shape).astype(q.dtype)
-    bias = at.components("bias", bias_acceleration(chain, q, qdot))
+    qdot = as_shaped("qdot", qdot, at.q.shape).astype(at.dtype)
+    bias = at.components("bias", bias_acceleration(chain, at.q, qdot))
     slow = at.components("velocity", motion.velocity) - at.rows @ qdot
     wanted = at.components("acceleration", motion.acceleration) + gains[1] * slow - gains[0] * at.error - bias
     return at.resolved(wanted, u, weights, floor, box)
@@ -170,6 +168,7 @@ class _At:
     """A configuration: the task's rows of the Jacobian (m, n) and its error (m,)."""
 
     def __init__(self, chain: Chain, q: Any, motion: Motion, task: Task):
+        self.q = q = as_configuration(chain, q)
         self.chain, self.task, self.dtype = chain, task, q.dtype
         self.target = Frame.of_entries(traced(as_shaped("pose", motion.pose, (4, 4)).astype(q.dtype)))
         frames = joint_frames(chain, traced(q), dtype=q.dtype)
@@ -193,15 +192,14 @@ class _At:
         inverse = jnp.ones(n, self.dtype) if weights is None else 1.0 / _weights(self.chain, weights).astype(self.dtype)
         if box is None:
             rate, damping = self._solved(wanted, free, inverse, floor)
-        else:
-            low, high = (jnp.asarray(b, self.dtype) for b in box)
-            for _ in range(_PASSES):
-                rate, damping = self._solved(wanted, free, inverse, floor)
-                inside = jnp.clip(rate, low, high)
-                leaves = rate != inside
-                free, inverse = jnp.where(leaves, inside, free), jnp.where(leaves, 0.0, inverse)
-            rate = inside
-        return Resolved(rate, self.error, damping)
+            return Resolved(rate, self.error, damping)
+        low, high = (jnp.asarray(b, self.dtype) for b in box)
+        for _ in range(_PASSES):
+            rate, damping = self._solved(wanted, free, inverse, floor)
+            inside = jnp.clip(rate, low, high)
+            leaves = rate != inside
+            free, inverse = jnp.where(leaves, inside, free), jnp.where(leaves, 0.0, inverse)
+        return Resolved(inside, self.error, damping)
 
     def _solved(self, wanted: Any, free: Any, inverse: Any, floor: float) -> tuple[Any, Any]:
         scaled = self.rows * inverse

@@ -45,6 +45,7 @@ DESCEND = descent.Descent()
 Level = Literal["velocity", "acceleration"]
 Start = Literal["given", "free"]
 Each = Literal["path", "duration", "guess", "given"]  # as the compiled program takes them
+Axes = tuple[int | None, ...]
 RunningCost = Callable[..., Any]  # (q, qdot, input, t), and what is given, if anything is: cost per second
 
 
@@ -171,12 +172,9 @@ def objective(
     measure with them.
     """
     control = problem(chain, cost, horizon, *given, many=many)
-    root = horizon.dt**0.5
-    free = horizon.start == "free"
-    begin = lambda first: self_motion(chain, q, root * first, ahead, horizon)
+    root, free = horizon.dt**0.5, horizon.start == "free"
+    begin, inputs = lambda first: self_motion(chain, q, root * first, ahead, horizon), lambda z: z[1:] if free else z
     rest = () if horizon.level == "velocity" else (jnp.zeros_like(q) if u is None else u,)
-
-    inputs = lambda z: z[1:] if free else z
 
     def value(z: Any) -> Any:
         run = ocp.roll_out(control, (begin(z[0]) if free else q, *rest), inputs(z), ahead)
@@ -203,16 +201,13 @@ def self_motion(chain: Chain, q: Any, along: Any, ahead: Future, horizon: Horizo
     path by Newton steps."""
     pose = ahead.asked.pose[0, 0]
     asked = Motion(pose, jnp.zeros(6, pose.dtype), jnp.zeros(6, pose.dtype))
-
     turn = lambda q, share: (q + horizon.resolve(chain, q, asked, share * along, 1.0).rate, None)
     shares = jnp.concatenate([jnp.full(turns, 1.0 / turns), jnp.zeros(4)]).astype(q.dtype)
     return kernel(lambda q, shares: jax.lax.scan(turn, q, shares)[0])(q, shares)
 
 
 @functools.lru_cache(maxsize=32)
-def _program(
-    chain: Chain, cost: RunningCost, horizon: Horizon, axes: tuple[int | None, ...] | None
-) -> Callable[..., Prediction]:
+def _program(chain: Chain, cost: RunningCost, horizon: Horizon, axes: Axes | None) -> Callable[..., Prediction]:
     def solve(q: Any, path: Path, duration: Any, w: Any, given: tuple[Any, ...]) -> Prediction:
         ahead = future(path, duration, horizon)
         many = axes is not None and jax.default_backend() == "cpu"
@@ -220,17 +215,15 @@ def _program(
         found = descent.run(goal, w, horizon.descend)
         w = found.w[1:] if horizon.start == "free" else found.w
         run, record = found.aux, (found.iterations, found.costs, found.alphas, found.betas)
-        (q, *_), (_, error, damping), asked = run.y, run.seen, ahead.asked
-        course = Course(q[:-1], run.v, error, damping, asked.pose[:, 0], asked.velocity[:, 0])
+        (q, *_), seen, asked = run.y, run.seen, ahead.asked
+        course = Course(q[:-1], run.v, seen.error, seen.damping, asked.pose[:, 0], asked.velocity[:, 0])
         judged = diagnose(chain, horizon.task, course, horizon.tolerance, keep=True)
-        return Prediction(q, run.v, w, run.costs, error, damping, *judged, *record)
+        return Prediction(q, run.v, w, run.costs, seen.error, seen.damping, *judged, *record)
 
     return jax.jit(solve if axes is None else jax.vmap(solve, in_axes=axes))
 
 
-def asked(
-    who: str, cost: RunningCost, horizon: Horizon | None, given: Any = None, **changes: Any
-) -> tuple[Horizon, tuple[Any, ...]]:
+def outlook(who: str, cost: RunningCost, horizon: Horizon | None, given: Any = None, **changes: Any) -> tuple[Horizon, Any]:
     """The options that `predict`, `multistart` and `boundary_value` share: the horizon with its `changes`, and what is `given`
     to the cost, if anything is. Raises a `ValueError` of one line for a cost that does not take that."""
     more = () if given is None else (given,)
@@ -267,7 +260,7 @@ def predict(
     Raises `ValueError` for a q, guess or weights of another shape, what is no path, a duration that is not positive, or another
     name in `each`.
     """
-    horizon, more = asked("predict", cost, horizon, given, **changes)
+    horizon, more = outlook("predict", cost, horizon, given, **changes)
     q = as_numbers("predict: q", q).astype(jnp.result_type(float))
     n, free = chain.num_joints, horizon.start == "free"
     shape = (horizon.count + free, n)
@@ -278,16 +271,14 @@ def predict(
         w = jnp.concatenate([jnp.zeros_like(w[..., :1, :]), w], axis=-2)
     wanted = (*q.shape[:1], *shape) if "guess" in each else shape
     if q.shape[-1:] != (n,) or q.ndim not in (1, 2) or w.shape != wanted or (each and q.ndim == 1):
-        raise ValueError(
-            f"predict: q {np.shape(q)} and guess {w.shape}; {chain.name} takes ({n},) and {shape}, or a leading "
-            f"axis of q, and of what `each` names"
-        )
+        also = "or a leading axis of q, and of what `each` names"
+        raise ValueError(f"predict: q {np.shape(q)} and guess {w.shape}; {chain.name} takes ({n},) and {shape}, {also}")
     axes = (0, *batch_axes(each, Each)) if q.ndim == 2 else None
     program, args = _program(chain, cost, horizon, axes), (q, path, duration, w, more)
     return program(*args) if axes is None else _in_blocks(program, axes, args)
 
 
-def _in_blocks(program: Callable[..., Prediction], axes: tuple[int | None, ...], args: tuple[Any, ...]) -> Prediction:
+def _in_blocks(program: Callable[..., Prediction], axes: Axes, args: tuple[Any, ...]) -> Prediction:
     """Many scenarios go block by block, on a CPU."""
     rows, tree = jax.tree_util.tree_flatten(tuple(a for a, axis in zip(args, axes, strict=True) if axis == 0))
     traced = any(isinstance(x, jax.core.Tracer) for x in jax.tree_util.tree_leaves(args))
@@ -320,7 +311,7 @@ def multistart(
     number of starts, a spread or a seed that is none. `options` are what is `given` to the cost, and fields of `Horizon`, by
     name, as `predict` takes them.
     """
-    horizon, given = asked("multistart", cost, horizon, **options)
+    horizon, given = outlook("multistart", cost, horizon, **options)
     count, n = horizon.count, chain.num_joints
     q, starts = shaped("multistart: q", q, (n,)), as_count("multistart: starts", starts)
     check_finite("multistart", 0.0, spread=spread)

@@ -60,8 +60,18 @@ def solve(
     def turn(state: Any) -> Any:
         w, run, totals, j, mu, _ = state
         change, feedback, steady = _backward(_quadratics(problem, run, w, p), w, low, high, mu, problem.dt)
-        tried = jax.vmap(lambda alpha: _forward(problem, y, run, w, p, low, high, alpha * change, feedback))
-        inputs, runs = tried(jnp.asarray(_LENGTHS, w.dtype))
+
+        def tried(alpha: Any) -> tuple[Any, ocp.Run]:
+            def step(y: Any, now: Any) -> Any:
+                before, w, change, feedback, p = now
+                off = ravel_pytree(y)[0] - ravel_pytree(before)[0]
+                w = jnp.clip(w + alpha * change + feedback @ off, low, high)
+                return problem.step(y, w, p)[0], w
+
+            _, inputs = lax.scan(step, y, (ocp.head(run.y), w, change, feedback, p))
+            return inputs, ocp.roll_out(problem, y, inputs, p)
+
+        inputs, runs = jax.vmap(tried)(jnp.asarray(_LENGTHS, w.dtype))
         best = jnp.argmin(jnp.where(jnp.isfinite(runs.total), runs.total, jnp.inf))
         new = jax.tree_util.tree_map(lambda x: x[best], (inputs, runs))
         better = steady & (new[1].total < run.total)
@@ -119,20 +129,6 @@ def _backward(quadratics: tuple[Any, Any, Any], w: Any, low: Any, high: Any, mu:
     end = jnp.zeros(size, w.dtype), jnp.zeros((size, size), w.dtype)
     _, (change, feedback) = lax.scan(back, end, (quadratics, w), reverse=True)
     return change, feedback, jnp.all(jnp.isfinite(change)) & jnp.all(jnp.isfinite(feedback))
-
-
-def _forward(
-    problem: ocp.Problem, y: Any, run: ocp.Run, w: Any, p: Any, low: Any, high: Any, change: Any, feedback: Any
-) -> tuple[Any, ocp.Run]:
-    def step(y: Any, now: Any) -> Any:
-        before, w, change, feedback, p = now
-        off = ravel_pytree(y)[0] - ravel_pytree(before)[0]
-        w = jnp.clip(w + change + feedback @ off, low, high)
-        after, *_ = problem.step(y, w, p)
-        return after, w
-
-    _, inputs = lax.scan(step, y, (ocp.head(run.y), w, change, feedback, p))
-    return inputs, ocp.roll_out(problem, y, inputs, p)
 
 
 def box_qp(hessian: Any, slope: Any, low: Any, high: Any, passes: int = 8) -> tuple[Any, Any]:

@@ -40,9 +40,7 @@ def damped_least_squares(
     return _iterated(residual, step, x, tolerance, iterations)
 
 
-def _iterated(
-    residual: Callable[[Any], Any], step: Callable[[Any, Any], Any], x: Any, tolerance: float, iterations: int
-) -> Root:
+def _iterated(residual: Callable[..., Any], step: Callable[..., Any], x: Any, tolerance: float, iterations: int) -> Root:
     jacobian = jax.jacfwd(residual)
 
     def unfinished(state: Root) -> Any:

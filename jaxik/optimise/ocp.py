@@ -111,24 +111,19 @@ def sample(tree: Any, i: Any) -> Any:
     return jax.tree_util.tree_map(lambda a: a[i], tree)
 
 
-def euler(field: Callable[..., Any], dt: float) -> Callable[..., Any]:
-    """`x + dt f(x, u, p_0)`, f, and what was seen, for a field that gives these; p holds the samples of one step."""
+def integrator(name: str, field: Callable[..., Any], dt: float) -> Callable[..., Any]:
+    """Of a `field(x, u, p) -> (f, seen)` a step that gives the next x, f, and what was seen at its start; u is held.
 
-    def step(x: Any, u: Any, p: Any) -> Any:
+    By explicit Euler, `x + dt f(x, u, p_0)`, or by the classic Runge-Kutta of fourth order; p holds the samples of one step, at
+    its start, its middle and its end. The stages of the latter are turns of a loop: written out, they would compile four times,
+    and their derivatives too.
+    """
+
+    def euler(x: Any, u: Any, p: Any) -> Any:
         v, seen = field(x, u, sample(p, 0))
         return x + dt * v, v, seen
 
-    return step
-
-
-def runge_kutta(field: Callable[..., Any], dt: float) -> Callable[..., Any]:
-    """The classic fourth order, with f and what is seen at the start; p holds samples at the start, the middle and the end, u
-    is held.
-
-    Its stages are turns of a loop: written out, they would compile four times, and their derivatives too.
-    """
-
-    def step(x: Any, u: Any, p: Any) -> Any:
+    def runge_kutta(x: Any, u: Any, p: Any) -> Any:
         def stage(before: Any, now: Any) -> Any:
             share, known = now
             v, seen = field(x + dt * share * before, u, known)
@@ -138,12 +133,7 @@ def runge_kutta(field: Callable[..., Any], dt: float) -> Callable[..., Any]:
         _, (v, seen) = lax.scan(stage, jnp.zeros_like(x), (shares, sample(p, jnp.array([0, 1, 1, 2]))))
         return x + dt / 6.0 * (v[0] + 2.0 * (v[1] + v[2]) + v[3]), v[0], sample(seen, 0)
 
-    return step
-
-
-def integrator(name: str, field: Callable[..., Any], dt: float) -> Callable[..., Any]:
-    """The one of that name, of a `field(x, u, p) -> (f, seen)`."""
-    return (euler if name == "euler" else runge_kutta)(field, dt)
+    return euler if name == "euler" else runge_kutta
 
 
 def driven(integrate: Callable[..., Any], dt: float) -> Callable[..., Any]:

@@ -48,7 +48,7 @@ def solve(
     smallest: float = 1e-12,
 ) -> list[Any]:
     """The step p, n scalars, inside its bounds. `inequality` is wanted >= 0; `smallest` is the least pivot that counts."""
-    n = len(gradient)
+    n, rows = len(gradient), inequality.matrix
     # the part of the system that no pass changes
     columns = [column(equality.matrix, i) for i in range(n)]
     base = [[add(mul(weight, hessian[i][j]), dot(columns[i], columns[j])) for j in range(i + 1)] for i in range(n)]
@@ -57,10 +57,8 @@ def solve(
     free: list[Any] = [1.0] * n
     held: list[Any] = [0.0] * n
     for number in range(1, passes + 1):
-        counted = [[mul(on, x) for x in row] for on, row in zip(broken, inequality.matrix, strict=True)]
-        matrix = [
-            [add(base[i][j], dot(column(counted, i), column(inequality.matrix, j))) for j in range(i + 1)] for i in range(n)
-        ]
+        counted = [[mul(on, x) for x in row] for on, row in zip(broken, rows, strict=True)]
+        matrix = [[add(base[i][j], dot(column(counted, i), column(rows, j))) for j in range(i + 1)] for i in range(n)]
         vector = [sub(right[i], dot(column(counted, i), inequality.value)) for i in range(n)]
         step = definite_solve(*_held(matrix, vector, free, held), smallest)
         clipped = [jnp.clip(p, a, b) for p, a, b in zip(step, low, high, strict=True)]

@@ -197,9 +197,8 @@ def _damped_bfgs(lower: Any, step: Sequence[Any], change: Sequence[Any]) -> Any:
     """Powell's update: where the measured curvature is less than a fifth of B's, it is mixed with B's."""
     old = product(full(lower), step)
     curvature, measured = dot(step, old), dot(step, change)
-    mixed = jnp.where(
-        measured < 0.2 * curvature, 0.8 * curvature / jnp.where(curvature > measured, curvature - measured, 1.0), 1.0
-    )
+    excess = jnp.where(curvature > measured, curvature - measured, 1.0)
+    mixed = jnp.where(measured < 0.2 * curvature, 0.8 * curvature / excess, 1.0)
     kept = [mixed * c + (1.0 - mixed) * o for c, o in zip(change, old, strict=True)]
     along = dot(step, kept)
     usable = (curvature > 1e-12) & (along > 1e-12)
