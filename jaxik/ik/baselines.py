@@ -28,12 +28,11 @@ from jaxik.spmd.batch import in_blocks
 
 def residual(chain: Chain, target: Float[Array, "4 4"], task: Task = POSE) -> Callable[[Any], Any]:
     """q (n,) -> what the tip misses of the target: the bound components [m], [rad]."""
-    wanted = jnp.asarray(target)
 
     @kernel
     def missed(q: Any) -> Any:
         tip = joint_frames(chain, traced(q), dtype=q.dtype).tip
-        position, rotation = task.residual(tip, Frame.of_entries(traced(wanted.astype(q.dtype))))
+        position, rotation = task.residual(tip, Frame.of_entries(traced(jnp.asarray(target, q.dtype))))
         return jnp.stack(position + rotation)
 
     return missed

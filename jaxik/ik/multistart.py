@@ -24,8 +24,7 @@ from typing import NamedTuple
 import numpy as np
 
 from jaxik.ik import seeds
-from jaxik.ik.collision_repair import PUSHED, hopped, is_fixed, pushed
-from jaxik.ik.cost_refinement import improved
+from jaxik.ik.improvement import PUSHED, hopped, improved, is_fixed, pushed
 from jaxik.ik.problem import Problem
 from jaxik.ik.refinement import EARLY, OPEN, PORTION, SOLVED, STEPS, Misses, compile_finisher, rescued, searched, settling
 from jaxik.ik.solutions import Found, at_home, candidates, judged, nothing, within
@@ -182,8 +181,7 @@ def _beyond_limits(problem: Problem, poses: np.ndarray, reason: np.ndarray) -> n
     if not len(left):
         return reason
     if problem.chain.num_joints == 6 and problem.strategy == "closed_form" and not problem.options.locked:
-        any_valid = seeds.any_branch(problem.chain, poses[left])
-        reason[left] = np.where(any_valid, Reason.LIMITS, Reason.OUT_OF_REACH)
+        reason[left] = np.where(seeds.any_branch(problem.chain, poses[left]), Reason.LIMITS, Reason.OUT_OF_REACH)
         return reason
     held = problem.low == problem.high  # what is locked stays so
     up_to = lambda bound: (np.where(held, problem.low, -bound), np.where(held, problem.high, bound))

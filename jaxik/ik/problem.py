@@ -85,8 +85,7 @@ class Problem:
     @functools.cached_property
     def round_limits(self) -> tuple[np.ndarray, ...]:
         """`limits` for searches: no wall where a joint may go on, on the next turn."""
-        low, high, weights = self.limits
-        return np.where(self.circles, -np.inf, low), np.where(self.circles, np.inf, high), weights
+        return np.where(self.circles, -np.inf, self.low), np.where(self.circles, np.inf, self.high), self.weights
 
     @property
     def first_will_do(self) -> bool:
@@ -159,8 +158,7 @@ def _shaped(name: str, value: Any, shape: tuple[int, ...], least: int = 0) -> np
 def _strategy(chain: Chain, options: IKOptions) -> str:
     if options.seeds not in ("auto", "closed_form"):
         return options.seeds
-    whole = all(options.task.bound)
-    obstacle = closed_form_obstacle(chain) if whole else "the task leaves axes free"
+    obstacle = closed_form_obstacle(chain) if all(options.task.bound) else "the task leaves axes free"
     if options.seeds == "closed_form" and obstacle:
         raise ValueError(f"{chain.name}: seeds 'closed_form' need the closed form, and {obstacle}")
     return "library" if obstacle else "closed_form"

@@ -25,7 +25,7 @@ from jaxik.collision.clearances import check_geometry
 from jaxik.collision.contact_report import Contact, explain
 from jaxik.collision.scene import Scene
 from jaxik.costs import comfort_cost, joint_limit_margin
-from jaxik.ik.cost_refinement import costs
+from jaxik.ik.improvement import costs
 from jaxik.ik.multistart import Outcome, search
 from jaxik.ik.options import IKOptions
 from jaxik.ik.problem import Problem
@@ -75,7 +75,7 @@ class IKResult(Reasoned):
     """
 
     q: Float[np.ndarray, "*b n"]
-    reason: Int[np.ndarray, "*b"] | Any  # of a single target a number, of which no reader of many is to be asked
+    reason: Int[np.ndarray, "*b"] | Any  # `| Any`: a single target's is a number, and who reads many need not ask
     position_error: Float[np.ndarray, "*b"] | Any
     rotation_error: Float[np.ndarray, "*b"] | Any
     clearance: Float[np.ndarray, "*b"] | Any
@@ -197,8 +197,7 @@ def as_poses(targets: Any, task: Task) -> tuple[np.ndarray, np.ndarray, bool]:
         mend = "jit or vmap jaxik.ik.descend, or differentiate an answer by jaxik.implicit_ik"
         raise ValueError(f"solve_ik: targets are traced, and it is a driver on the host; {mend}")
     given = numbers("targets", targets)
-    positions = not task.rotations and given.ndim in (1, 2) and given.shape[-1] == 3
-    poses = frame(given) if positions else given
+    poses = frame(given) if not task.rotations and given.ndim in (1, 2) and given.shape[-1] == 3 else given
     if poses.ndim not in (2, 3) or poses.shape[-2:] != (4, 4):
         also = " or positions (3,), (N, 3)" if not task.rotations else ""
         raise ValueError(f"targets have shape {given.shape}; allowed: poses (4, 4) or (N, 4, 4){also}")

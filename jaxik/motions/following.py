@@ -71,10 +71,8 @@ class FollowOptions:
         object.__setattr__(self, "weights", positive("follow: weights", self.weights))  # hashable: a program is made for them
         object.__setattr__(self, "acceleration", positive("follow: acceleration [rad/s2, m/s2]", self.acceleration, True))
         if not (self.dt > 0.0 and self.tolerance > 0.0 and settles(self.gain, self.dt)):
-            raise ValueError(
-                f"follow: dt {self.dt}, tolerance {self.tolerance}, gain {self.gain}; allowed: dt > 0, tolerance > 0, "
-                "0 <= gain dt < 2"
-            )
+            told = f"dt {self.dt}, tolerance {self.tolerance}, gain {self.gain}"
+            raise ValueError(f"follow: {told}; allowed: dt > 0, tolerance > 0, 0 <= gain dt < 2")
 
 
 DEFAULT = FollowOptions()
@@ -121,16 +119,13 @@ def follow(
     q = numbers("follow: q", q)
     check_each("follow", each, Each)
     check_path("follow", path, duration, q.shape[:1] if "duration" in each else ())
-    if q.ndim not in (1, 2) or q.shape[-1] != chain.num_joints or (each and q.ndim == 1):
-        raise ValueError(
-            f"follow: q has the shape {q.shape}; "
-            f"{chain.name} takes ({chain.num_joints},), or rows of it, as where `each` names something"
-        )
-    if isinstance(options.acceleration, tuple) and len(options.acceleration) != chain.num_joints:
-        raise ValueError(
-            f"follow: acceleration has {len(options.acceleration)} numbers; allowed: one, or one for each of the "
-            f"{chain.num_joints} joints of {chain.name}"
-        )
+    n, faster = chain.num_joints, options.acceleration
+    if q.ndim not in (1, 2) or q.shape[-1] != n or (each and q.ndim == 1):
+        allowed = f"({n},), or rows of it, as where `each` names something"
+        raise ValueError(f"follow: q has the shape {q.shape}; {chain.name} takes {allowed}")
+    if isinstance(faster, tuple) and len(faster) != n:
+        allowed = f"one, or one for each of the {n} joints of {chain.name}"
+        raise ValueError(f"follow: acceleration has {len(faster)} numbers; allowed: {allowed}")
     count = round(float(np.max(duration)) / options.dt) + 1
     axes = None if q.ndim == 1 else (0, *batch_axes(each, Each))
     found = _program(chain, cost, options, count, axes)(jnp.asarray(q), path, duration)
@@ -143,8 +138,7 @@ def _program(
 ) -> Callable[..., tuple[Any, ...]]:
     def run(q: Any, path: Path, duration: Any) -> tuple[Any, ...]:
         times = how.dt * (jnp.arange(float(count))[:, None] + jnp.array([0.0, 0.5, 1.0]))
-        asked = motion(path, duration, times.reshape(-1))
-        stages = Motion(*(x.reshape(count, 3, *x.shape[1:]) for x in asked))
+        stages = Motion(*(x.reshape(count, 3, *x.shape[1:]) for x in motion(path, duration, times.reshape(-1))))
         limits = _limits(chain, how, q.dtype)
 
         def turn(state: tuple[Any, Any], stages: Motion) -> Any:

@@ -73,10 +73,8 @@ class MovingHorizon:
     def __post_init__(self) -> None:
         object.__setattr__(self, "iterations", as_count("moving horizon: iterations", self.iterations))
         if self.horizon.start == "free" or self.horizon.descend.direction == "lbfgs":
-            raise ValueError(
-                "moving horizon: the start is where the robot is, and quasi-Newton steps do not survive a shift; allowed: "
-                "start 'given', and a direction that is not 'lbfgs'"
-            )
+            why = "the start is where the robot is, and quasi-Newton steps do not survive a shift"
+            raise ValueError(f"moving horizon: {why}; allowed: start 'given', and a direction that is not 'lbfgs'")
 
     def start(self, q: Any) -> State:
         """At rest at q (n,), with an empty plan. Raises `ValueError` for another shape."""

@@ -182,9 +182,8 @@ def _via_values(poses: Any) -> tuple[np.ndarray, np.ndarray]:
     beyond = (angle[:, 0] > 0.0) & (gap(other) <= gap(turned) + 1e-9)
     if np.any(beyond):
         k = int(np.argmax(beyond))
-        raise ValueError(
-            f"via: pose {k} is turned by pi or more from the first; allowed: less; another path may take over before it"
-        )
+        allowed = "less; another path may take over before it"
+        raise ValueError(f"via: pose {k} is turned by pi or more from the first; allowed: {allowed}")
     return np.concatenate([given[:, :3, 3], turned], axis=1), first
 
 

@@ -81,8 +81,6 @@ def _is_free(was: Any, step: Any, clipped: Any, wants: Any, low: Any, high: Any)
 
 def _held(matrix: Matrix, right: Sequence[Scalar], free: Sequence[Scalar], held: Sequence[Scalar]) -> tuple[Any, Any]:
     """The system with the unknowns that are not `free` fixed at `held`."""
-    if all(isinstance(f, float) for f in free):
-        return matrix, right
     n = len(right)
     moved = [sub(b, x) for b, x in zip(right, product(full(matrix), held), strict=True)]
     masked = [

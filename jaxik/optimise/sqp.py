@@ -96,12 +96,14 @@ def run(problem: Problem, x: Any, low: Any, high: Any, iterations: int, options:
     if options.hessian == "gauss_newton" and options.merit == "none":  # nothing to remember but x
 
         def turn(_: Any, x: Any) -> Any:
-            return _moved(x, _step(problem, problem.model(x), x, lower, upper, options)[0], lower, upper)
+            return _step(problem, problem.model(x), x, lower, upper, options)[0]
 
         found = lax.fori_loop(0, iterations, turn, tuple(start))
         values = problem.model(found).equality.value
     else:
-        begin = init(problem, start, options)
+        learned = tuple(tuple(row[: i + 1]) for i, row in enumerate(problem.metric)) if options.hessian == "bfgs" else ()
+        model, learned = _arrays((problem.model(start), learned), x.dtype)
+        begin = State(tuple(start), model, jnp.full_like(start[0], 1e-2), learned)
         end = lax.fori_loop(0, iterations, lambda _, state: advance(problem, state, lower, upper, options), begin)
         found, values = end.x, end.model.equality.value
     return jnp.stack(found), jnp.stack([jnp.asarray(v, x.dtype) for v in values]) if values else jnp.zeros(0, x.dtype)
@@ -120,8 +122,7 @@ def settle(
         model = problem.model(x)
         error = jnp.sqrt(model.violation)
         rests = (error <= aim) | (error > creep * before) | (count >= most)
-        moved = lambda: _moved(x, _step(problem, model, x, lower, upper, options)[0], lower, upper)
-        x = lax.cond(rests, lambda: x, moved)
+        x = lax.cond(rests, lambda: x, lambda: _step(problem, model, x, lower, upper, options)[0])
         return jnp.where(rests, count, count + 1), rests, x, _arrays(tuple(model.equality.value), error.dtype), (error, last)
 
     far = jnp.full_like(start[0], jnp.inf)
@@ -131,18 +132,10 @@ def settle(
     return jnp.stack(found), jnp.stack(values), count
 
 
-def init(problem: Problem, x: Sequence[Any], options: Options) -> State:
-    """The state at x."""
-    dtype = x[0].dtype
-    learned = tuple(tuple(row[: i + 1]) for i, row in enumerate(problem.metric)) if options.hessian == "bfgs" else ()
-    return State(tuple(x), _arrays(problem.model(x), dtype), jnp.full_like(x[0], 1e-2), _arrays(learned, dtype))
-
-
 def advance(problem: Problem, state: State, low: Sequence[Any], high: Sequence[Any], options: Options) -> State:
     """One step, taken or refused by the merit."""
     x, model, restraint, learned = state
-    p, weight = _step(problem, model, x, low, high, options, restraint, learned)
-    moved = _moved(x, p, low, high)
+    moved, p, weight = _step(problem, model, x, low, high, options, restraint, learned)
     there = _arrays(problem.model(moved), x[0].dtype)
     y = [r / weight for r in model.equality.at(p)]
     z = [jnp.maximum(-c, 0.0) / weight for c in model.inequality.at(p)]
@@ -163,7 +156,7 @@ def advance(problem: Problem, state: State, low: Sequence[Any], high: Sequence[A
 def _step(
     problem: Problem, model: Model, x: Any, low: Any, high: Any, options: Options, restraint: Any = 0.0, learned: Any = ()
 ) -> Any:
-    """The step and the weight of its subproblem."""
+    """Where a step leads, the step, and the weight of its subproblem."""
     weight = options.damping * model.violation + options.floor
     hessian = full(learned) if learned else problem.metric
     if options.merit != "none":  # the trust region's multiplier: steps for cost and constraints alike become shorter
@@ -175,11 +168,8 @@ def _step(
     )
     length = functools.reduce(jnp.maximum, [abs(v) * problem.metric[i][i] ** 0.5 for i, v in enumerate(p)])
     short = jnp.minimum(1.0, options.cap / jnp.maximum(length, 1e-9))
-    return [v * short for v in p], weight
-
-
-def _moved(x: Any, p: Any, low: Any, high: Any) -> tuple[Any, ...]:
-    return tuple(jnp.clip(a + v, b, c) for a, v, b, c in zip(x, p, low, high, strict=True))
+    p = [v * short for v in p]
+    return tuple(jnp.clip(a + v, b, c) for a, v, b, c in zip(x, p, low, high, strict=True)), p, weight
 
 
 def _arrays(tree: Any, dtype: Any) -> Any:

@@ -1,4 +1,4 @@
-"""Answers that a cost of the user's makes smaller."""
+"""What has its pose, led on: colliding postures out of the obstacles or to another branch, answers down a user's cost."""
 
 from __future__ import annotations
 
@@ -6,15 +6,61 @@ import warnings
 
 import numpy as np
 
-from jaxik.ik.collision_repair import goal
+from jaxik.costs import Cost
 from jaxik.ik.problem import Problem
-from jaxik.ik.solutions import Found, at_home, cleared, colliding, far_apart, within
-from jaxik.ik.sqp_programs import batch, land, slope
+from jaxik.ik.refinement import STEPS, Misses, finish, searched
+from jaxik.ik.solutions import Found, at_home, cleared, colliding, far_apart, judged, nothing, within
+from jaxik.ik.sqp_programs import Goal, batch, land, slope
 from jaxik.robot.joint_turns import TURN
 from jaxik.spmd.batch import in_blocks
 
-IMPROVE_MARGIN = 1e-8  # [m] likewise, of an answer that leans on an obstacle for the sake of its cost
+PUSHED, PUSHES = (4, 64), 24  # colliding postures a target that are moved out of the obstacles, at first and at last; the steps
+HOPS = 2  # from branch to branch, of an arm without spare joints
+PUSH_MARGIN = 2e-4  # [m] more than is asked for, which the finish in float64 may use up
+IMPROVE_MARGIN = 1e-8  # [m] more, of an answer that leans on an obstacle for the sake of its cost
 IMPROVED = 32  # answers of a target that a cost is made smaller from, the cheapest that are apart
+
+
+def goal(problem: Problem, cost: Cost | None = None) -> Goal:
+    """What a lane is to reach, and minds beside: the cost, and obstacles as the options have it."""
+    options = problem.options
+    collision = "none" if problem.scene is None else options.collision
+    return Goal(options.task, cost, collision, options.activation, options.penalty)
+
+
+def pushed(problem: Problem, poses: np.ndarray, stuck: Found, count: int) -> Found:
+    """The answers that a search for clearance makes of the best few colliding postures of each target."""
+    chosen = stuck.rows(far_apart(stuck, stuck.clearance, count))
+    if not len(chosen.q):
+        return chosen
+    program = batch(2, land, problem.chain, goal(problem), PUSHES, problem.options.avoid)
+    fixed = problem.limits, (problem.scene, problem.options.margin + PUSH_MARGIN)
+    q = in_blocks(program, chosen.q, poses[chosen.target], fixed=fixed, double=False)[0]
+    moved = chosen._replace(q=q, iterations=chosen.iterations + PUSHES)
+    return judged(problem, finish(problem, poses, moved, Misses(problem)))[0]
+
+
+def is_fixed(problem: Problem) -> bool:
+    """Whether a posture that has its pose cannot move: what collides is freed on another branch only."""
+    return int(np.sum(problem.low < problem.high)) <= sum(problem.options.task.bound)
+
+
+def hopped(problem: Problem, poses: np.ndarray, stuck: Found, count: int) -> Found:
+    """The answers on other branches than colliding postures: from these, with one joint mirrored or turned by half."""
+    answers, reached = [nothing(problem)], stuck
+    for _ in range(HOPS):
+        chosen = reached.rows(far_apart(reached, reached.clearance, count))
+        q, one = chosen.q[:, None], np.eye(chosen.q.shape[1])
+        half = np.where(problem.chain.is_prismatic, 0.0, np.copysign(np.pi, q))
+        start = q - np.concatenate([2.0 * q * one, half * one], axis=1)
+        row = np.repeat(np.arange(len(chosen.q)), start.shape[1])
+        lanes = chosen.rows(row)._replace(q=np.clip(start.reshape(len(row), -1), problem.low, problem.high))
+        free, reached = searched(problem, poses, lanes, STEPS, Misses(problem))
+        answers.append(free)
+        reached = reached.rows(~np.isin(reached.target, free.target))
+        if not len(reached.q):
+            break
+    return Found.joined(answers)
 
 
 def improved(problem: Problem, poses: np.ndarray, found: Found) -> Found:
@@ -44,7 +90,7 @@ def _check_slopes(problem: Problem, found: Found) -> None:
         warnings.warn(
             f"solve_ik: the cost's derivative is {rise} at q = {q} and at {len(bad) - 1} more of {len(slopes)} answers, which "
             "stay as they were found; a root, a norm or a division by what is 0 there has none: write sqrt(x + 1e-12)",
-            stacklevel=5,
+            stacklevel=6,
         )
 
 
