@@ -20,6 +20,7 @@ import jax.numpy as jnp
 import numpy as np
 from jax import lax
 from jax.flatten_util import ravel_pytree
+from jaxtyping import Float, Int
 
 from jaxik.optimise import ocp
 
@@ -42,10 +43,10 @@ class Options:
 class Found(NamedTuple):
     """The best input (N, m), its roll-out, how many iterations, and the total before and after each, then NaN."""
 
-    w: Any
+    w: Float[jax.Array, "*b k m"]
     run: ocp.Run
-    iterations: Any
-    totals: Any
+    iterations: Int[jax.Array, "*b"]
+    totals: Float[jax.Array, "*b j1"]
 
 
 def solve(

@@ -23,6 +23,7 @@ from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
+from jaxtyping import Bool, Float
 
 
 class Program(NamedTuple):
@@ -36,8 +37,8 @@ class Program(NamedTuple):
 class Implicit(NamedTuple):
     """A solution that may be differentiated by t, and whether it has a derivative there."""
 
-    x: Any
-    defined: Any
+    x: Float[jax.Array, "*b n"]
+    defined: Bool[jax.Array, "*b"]
 
 
 class _System(NamedTuple):

@@ -12,6 +12,7 @@ from typing import Any, NamedTuple
 import jax
 import jax.numpy as jnp
 from jax import lax
+from jaxtyping import Float, Int
 
 from jaxik.optimise.linear import definite_solve
 
@@ -19,9 +20,9 @@ from jaxik.optimise.linear import definite_solve
 class Root(NamedTuple):
     """Where an iteration ended: x (n,), the largest component of r there, and the number of steps."""
 
-    x: Any
-    residual: Any
-    iterations: Any
+    x: Float[jax.Array, "*b n"]
+    residual: Float[jax.Array, "*b"]
+    iterations: Int[jax.Array, "*b"]
 
 
 def newton_raphson(residual: Callable[[Any], Any], x: Any, tolerance: float = 1e-9, iterations: int = 100) -> Root:

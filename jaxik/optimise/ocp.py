@@ -23,6 +23,7 @@ from typing import Any, Literal, NamedTuple
 import jax
 import jax.numpy as jnp
 from jax import lax
+from jaxtyping import Float
 
 from jaxik.spmd import kernel
 
@@ -46,8 +47,8 @@ class Run(NamedTuple):
     y: Any
     v: Any
     seen: Any
-    costs: Any
-    total: Any
+    costs: Float[jax.Array, "*b k"]
+    total: Float[jax.Array, "*b"]
 
 
 def roll_out(problem: Problem, y: Any, w: Any, p: Any) -> Run:
