@@ -260,12 +260,14 @@ def _result(problem: Problem, outcome: Outcome, fault: np.ndarray) -> IKResult:
         found = _with_turns(problem, found)
     score = _score(problem, found)
     best = found.rows(top(found.target, score, 1, found.seed))
-    unknown = candidates(np.full((count, n), np.nan), np.arange(count), np.full(count, -1))
-    freest = stuck.rows(top(stuck.target, stuck.clearance, 1, stuck.seed))
-    ranked = Found.joined([unknown, outcome.missed, freest, best])
-    last = np.zeros(count, int)
-    last[ranked.target] = np.arange(len(ranked.target))
-    shown = ranked.rows(last)
+    shown = best
+    if len(best.q) < count:  # else it is one of each, in their order
+        unknown = candidates(np.full((count, n), np.nan), np.arange(count), np.full(count, -1))
+        freest = stuck.rows(top(stuck.target, stuck.clearance, 1, stuck.seed))
+        ranked = Found.joined([unknown, outcome.missed, freest, best])
+        last = np.zeros(count, int)
+        last[ranked.target] = np.arange(len(ranked.target))
+        shown = ranked.rows(last)
     solutions, known = np.full((count, k, n), np.nan), np.zeros(count, int)
     if k == 1:
         solutions[best.target, 0], known[best.target] = best.q, 1
