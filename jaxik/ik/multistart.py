@@ -114,12 +114,8 @@ def _out_of_reach(problem: Problem, poses: np.ndarray) -> np.ndarray:
 @functools.lru_cache(maxsize=64)
 def _waves(most: int, first_will_do: bool, scene: bool) -> tuple[Wave, ...]:
     """Of `most` seeds few at first where one answer is enough, since most targets need no more."""
-    if not first_will_do:
-        sizes, rescue, push = [most], 1, 1
-    elif not scene:
-        sizes, rescue, push = [1, 1, 2, 4, 8, 16, 32], 5, 0
-    else:
-        sizes, rescue, push = [16, 48], 3, 2
+    sizes = [most] if not first_will_do else [16, 48] if scene else [1, 1, 2, 4, 8, 16, 32]
+    rescue, push = (3, 2) if scene else (5, 0)  # the numbers of the first waves that do
     ends = sorted({min(end, most) for end in itertools.accumulate(sizes + [64] * (most // 64 + 1))})
     early = 0 if scene else min(16, most // 8)  # a lane is given up early where many more seeds follow
     return tuple(

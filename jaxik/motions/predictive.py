@@ -137,9 +137,8 @@ def future(path: Path, duration: Any, horizon: Horizon, start: Any = 0.0) -> Fut
     time = start + horizon.dt * jnp.arange(horizon.count)
     stages = jnp.array([0.0] if horizon.integrator == "euler" else [0.0, 0.5, 1.0])
     times = (time[:, None] + horizon.dt * stages).reshape(-1)
-    asked = kernel(lambda path, duration, times: jax.lax.map(lambda t: motion(path, duration, t), times))(
-        path, jnp.asarray(duration, times.dtype), times
-    )
+    each = kernel(lambda path, duration, times: jax.lax.map(lambda t: motion(path, duration, t), times))
+    asked = each(path, jnp.asarray(duration, times.dtype), times)
     return Future(Motion(*(x.reshape(horizon.count, len(stages), *x.shape[1:]) for x in asked)), time)
 
 

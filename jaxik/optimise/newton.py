@@ -34,18 +34,13 @@ def damped_least_squares(
     residual: Callable[[Any], Any], x: Any, damping: float = 0.05, tolerance: float = 1e-9, iterations: int = 100
 ) -> Root:
     """The same with a bounded step next to singularities, and slower convergence for it. Traced."""
-
-    def step(a: Any, r: Any) -> Any:
-        return a.T @ jnp.stack(definite_solve(a @ a.T + damping**2 * jnp.eye(len(r), dtype=r.dtype), r, 0.0))
-
+    step = lambda a, r: a.T @ jnp.stack(definite_solve(a @ a.T + damping**2 * jnp.eye(len(r), dtype=r.dtype), r, 0.0))
     return _iterated(residual, step, x, tolerance, iterations)
 
 
 def _iterated(residual: Callable[..., Any], step: Callable[..., Any], x: Any, tolerance: float, iterations: int) -> Root:
     jacobian = jax.jacfwd(residual)
-
-    def unfinished(state: Root) -> Any:
-        return (state.residual > tolerance) & (state.iterations < iterations)  # NaN ends it
+    unfinished = lambda state: (state.residual > tolerance) & (state.iterations < iterations)  # NaN ends it
 
     def advance(state: Root) -> Root:
         moved = state.x - step(jacobian(state.x), residual(state.x))

@@ -83,8 +83,7 @@ def _held(matrix: Matrix, right: Sequence[Scalar], free: Sequence[Scalar], held:
     """The system with the unknowns that are not `free` fixed at `held`."""
     n = len(right)
     moved = [sub(b, x) for b, x in zip(right, product(full(matrix), held), strict=True)]
-    masked = [
-        [add(mul(matrix[i][j], mul(free[i], free[j])), sub(1.0, free[i]) if i == j else 0.0) for j in range(i + 1)]
-        for i in range(n)
-    ]
+    ones = [sub(1.0, f) for f in free]
+    both = lambda i, j: mul(matrix[i][j], mul(free[i], free[j]))
+    masked = [[add(both(i, j), ones[i] if i == j else 0.0) for j in range(i + 1)] for i in range(n)]
     return masked, [add(mul(f, b), h) for f, b, h in zip(free, moved, held, strict=True)]

@@ -162,10 +162,9 @@ def _step(
     if options.merit != "none":  # the trust region's multiplier: steps for cost and constraints alike become shorter
         rows = zip(hessian, problem.metric, strict=True)
         hessian = [[add(b, mul(restraint, m)) for b, m in zip(*row, strict=True)] for row in rows]
-    below, above = ([b - a for a, b in zip(x, bound, strict=True)] for bound in (low, high))
-    p = solve(
-        hessian, model.gradient, model.equality, model.inequality, below, above, weight, options.passes, 1e-3 * options.floor
-    )
+    least, most = ([b - a for a, b in zip(x, bound, strict=True)] for bound in (low, high))
+    constraints = model.equality, model.inequality
+    p = solve(hessian, model.gradient, *constraints, least, most, weight, options.passes, 1e-3 * options.floor)
     length = functools.reduce(jnp.maximum, [abs(v) * problem.metric[i][i] ** 0.5 for i, v in enumerate(p)])
     short = jnp.minimum(1.0, options.cap / jnp.maximum(length, 1e-9))
     p = [v * short for v in p]
