@@ -280,8 +280,10 @@ def _fill_distinct(problem: Problem, ranked: Found, solutions: np.ndarray, known
     """Up to k answers of each target that differ, from the best on."""
     for target, q in zip(ranked.target, ranked.q, strict=True):
         have = known[target]
+        if have == problem.options.solutions:
+            continue
         away = np.abs(unwound(problem.chain, solutions[target, :have] - q)).max(axis=1)
-        if have < problem.options.solutions and np.all(away > problem.options.distinct):
+        if np.all(away > problem.options.distinct):
             solutions[target, have] = q
             known[target] += 1
 

@@ -54,8 +54,8 @@ def settles(gain: float | None, dt: float) -> bool:
 class Box(NamedTuple):
     """Bounds (n,) of the joints' rates, or accelerations."""
 
-    low: Any
-    high: Any
+    low: Float[Array, " n"]
+    high: Float[Array, " n"]
 
 
 class Resolved(NamedTuple):

@@ -36,6 +36,7 @@ from typing import Any, Literal, NamedTuple
 import jax
 import jax.numpy as jnp
 from jax import lax
+from jaxtyping import Float, Int
 
 from jaxik.checks.arrays import numbers
 from jaxik.checks.options import as_count, check_choices, check_finite, shown
@@ -112,13 +113,13 @@ class Descended(NamedTuple):
     """The best input, its cost and what came with it; iterations; and for each the cost after it, alpha and beta (NaN after the
     last): `costs` starts with that of the first guess."""
 
-    w: Any
-    cost: Any
+    w: Float[jax.Array, "*b k n"]
+    cost: Float[jax.Array, "*b"]
     aux: Any
-    iterations: Any
-    costs: Any
-    alphas: Any
-    betas: Any
+    iterations: Int[jax.Array, "*b"]
+    costs: Float[jax.Array, "*b j1"]
+    alphas: Float[jax.Array, "*b j"]
+    betas: Float[jax.Array, "*b j"]
 
 
 def init(objective: Objective, w: Any, options: Descent, measured: bool = True) -> State:
@@ -135,7 +136,8 @@ def advance(objective: Objective, state: State, options: Descent, glance: bool =
     """One iteration; where the cost rises by more than its rounding, w stays.
 
     A `glance` evaluates the objective where it begins and not where it ends: the cost is then what the line search expects, and
-    `aux` that of the beginning. For where the objective is another one each time."""
+    `aux` that of the beginning. For where the objective is another one each time.
+    """
     if glance:
         cost, aux = objective.value(state.w)
         state = state._replace(cost=cost, aux=aux)
