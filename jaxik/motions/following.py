@@ -75,9 +75,6 @@ class FollowOptions:
             raise ValueError(f"follow: {told}; allowed: dt > 0, tolerance > 0, 0 <= gain dt < 2")
 
 
-DEFAULT = FollowOptions()
-
-
 @jax.tree_util.register_dataclass
 @dataclasses.dataclass(frozen=True)
 class Followed(Reasoned):
@@ -115,7 +112,7 @@ def follow(
     if "how" in changes:
         warnings.warn("follow: how is options now", DeprecationWarning, stacklevel=2)
         options = changes.pop("how")
-    options = changed("follow", options or DEFAULT, changes)
+    options = changed("follow", options or FollowOptions(), changes)
     q = numbers("follow: q", q)
     check_each("follow", each, Each)
     check_path("follow", path, duration, q.shape[:1] if "duration" in each else ())
@@ -177,23 +174,19 @@ def _moved(
         box = Box((low - qdot) / dt, (high - qdot) / dt) if boxed else None
         gains, start = (0.25 * slow**2, slow), ocp.sample(stages, 0)
         found = rac(chain, q, qdot, start, cost, how.alpha, how.damping, gains=gains, box=box, **options)
-        faster = qdot + dt * found.rate
-        return (q + 0.5 * dt * (qdot + faster), faster), found, _held(faster, low, high)
-    down = cost if how.scheme == "asc" else None
-    box = Box(low, high) if boxed else None
+        rate = qdot + dt * found.rate
+        after = q + 0.5 * dt * (qdot + rate)
+    else:
+        down, box = cost if how.scheme == "asc" else None, Box(low, high) if boxed else None
 
-    def field(q: Any, _: Any, asked: Motion) -> tuple[Any, Resolved]:
-        found = asc(chain, q, asked, down, how.alpha, gain=loop_gain(how.gain, dt), box=box, **options)
-        return found.rate, found
+        def field(q: Any, _: Any, asked: Motion) -> tuple[Any, Resolved]:
+            found = asc(chain, q, asked, down, how.alpha, gain=loop_gain(how.gain, dt), box=box, **options)
+            return found.rate, found
 
-    after, _, found = ocp.integrator(how.integrator, field, dt)(q, None, stages)
-    rate = (after - q) / dt
-    return (after, rate), found, _held(rate, low, high)
-
-
-def _held(rate: Any, low: Any, high: Any) -> Any:
+        after, _, found = ocp.integrator(how.integrator, field, dt)(q, None, stages)
+        rate = (after - q) / dt
     near = 1e-6 * (1.0 + jnp.abs(rate))
-    return jnp.any((rate <= low + near) | (rate >= high - near))
+    return (after, rate), found, jnp.any((rate <= low + near) | (rate >= high - near))
 
 
 def _rates(limits: tuple[Any, ...], q: Any, qdot: Any, dt: float) -> tuple[Any, Any]:

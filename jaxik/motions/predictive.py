@@ -28,7 +28,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float, Int
 
-from jaxik.checks.arrays import positive, shaped
+from jaxik.checks.arrays import is_known, positive, shaped
 from jaxik.checks.options import as_count, batch_axes, changed, check_choices, check_each, check_finite, check_kind, check_seed
 from jaxik.motions.diagnosis import Course, diagnose
 from jaxik.motions.nullspace import FLOOR, Resolved, loop_gain, resolve_velocity, settles
@@ -280,8 +280,7 @@ def predict(
 def _in_blocks(program: Callable[..., Prediction], axes: Axes, args: tuple[Any, ...]) -> Prediction:
     """Many scenarios go block by block, on a CPU."""
     rows, tree = jax.tree_util.tree_flatten(tuple(a for a, axis in zip(args, axes, strict=True) if axis == 0))
-    traced = any(isinstance(x, jax.core.Tracer) for x in jax.tree_util.tree_leaves(args))
-    if traced or len(rows[0]) <= LANES or jax.default_backend() != "cpu":
+    if not is_known(args) or len(rows[0]) <= LANES or jax.default_backend() != "cpu":
         return program(*args)
 
     def block(*rows: Any) -> Prediction:
