@@ -53,7 +53,7 @@ class Problem:
             check_cost("solve_ik", options.cost, n)
         check_seed("solve_ik", seed)
         names = "position_tolerance", "rotation_tolerance"
-        tolerance = np.stack([_shaped(name, getattr(options, name), (count,)) for name in names], axis=1)
+        tolerance = np.array([_shaped(name, getattr(options, name), (count,)) for name in names]).T
         if not (tolerance > 0.0).all():
             raise ValueError("position_tolerance and rotation_tolerance are > 0")
         reference = None if options.reference is None else _shaped("reference", options.reference, (count, n), least=1)

@@ -76,6 +76,8 @@ def cleared(problem: Problem, found: Found) -> Found:
 
 def judged(problem: Problem, found: Found) -> tuple[Found, Found]:
     """The answers among postures that have the pose, and those that collide."""
+    if problem.scene is None:
+        return found, nothing(problem)
     found = cleared(problem, found)
     collides = colliding(problem, found)
     return found.rows(~collides), found.rows(collides)

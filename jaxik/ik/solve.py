@@ -113,7 +113,9 @@ class IKResult(Reasoned):
         """The entry of one target, or of those that a slice, mask or list picks. A single target's is number 0."""
         columns = self if np.ndim(self.reason) else jax.tree_util.tree_map(lambda x: np.asarray(x)[None], self)
         picked = jax.tree_util.tree_map(lambda x: x[rows], columns)
-        return picked if np.ndim(picked.reason) else dataclasses.replace(picked, reason=Reason(int(picked.reason)))
+        if not np.ndim(picked.reason):
+            vars(picked)["reason"] = Reason(int(picked.reason))  # of what was just made
+        return picked
 
     def __iter__(self) -> Iterator[IKResult]:
         return (self[i] for i in range(len(self)))
