@@ -119,17 +119,10 @@ def rmrc(chain: Chain, q: Float[Array, " n"], motion: Motion, **options: Any) ->
     return resolve_velocity(chain, q, motion, jnp.zeros(chain.num_joints), **options)
 
 
-def asc(
-    chain: Chain,
-    q: Float[Array, " n"],
-    motion: Motion,
-    cost: Cost | None,
-    alpha: Any = 1.0,
-    weights: Any = None,
-    **options: Any,
-) -> Resolved:
-    """Automatic supervisory control: down the gradient of `cost` by `alpha` in the null space. Traced."""
-    return resolve_velocity(chain, q, motion, _downhill(chain, q, cost, alpha, weights), weights=weights, **options)
+def asc(chain: Chain, q: Float[Array, " n"], motion: Motion, cost: Cost | None, alpha: Any = 1.0, **options: Any) -> Resolved:
+    """Automatic supervisory control: down the gradient of `cost` by `alpha` in the null space. Options are those of
+    `resolve_velocity`. Traced."""
+    return resolve_velocity(chain, q, motion, _downhill(chain, q, cost, alpha, **options), **options)
 
 
 def rac(
@@ -140,15 +133,15 @@ def rac(
     cost: Cost | None = None,
     alpha: Any = 1.0,
     damping: Any = 1.0,
-    weights: Any = None,
     **options: Any,
 ) -> Resolved:
-    """Resolved acceleration control: down the gradient of `cost`, the null-space velocity damped by `damping` [1/s]. Traced."""
-    u = _downhill(chain, q, cost, alpha, weights) - damping * as_configuration(chain, qdot)
-    return resolve_acceleration(chain, q, qdot, motion, u, weights=weights, **options)
+    """Resolved acceleration control: down the gradient of `cost`, the null-space velocity damped by `damping` [1/s]. Options
+    are those of `resolve_acceleration`. Traced."""
+    u = _downhill(chain, q, cost, alpha, **options) - damping * as_configuration(chain, qdot)
+    return resolve_acceleration(chain, q, qdot, motion, u, **options)
 
 
-def _downhill(chain: Chain, q: Any, cost: Cost | None, alpha: float, weights: Any) -> Any:
+def _downhill(chain: Chain, q: Any, cost: Cost | None, alpha: float, weights: Any = None, **_: Any) -> Any:
     if cost is None:
         return jnp.zeros(chain.num_joints)
     slope = jax.grad(cost)(as_configuration(chain, q))
