@@ -222,7 +222,7 @@ def _program(chain: Chain, cost: RunningCost, horizon: Horizon, axes: Axes | Non
     return jax.jit(solve if axes is None else jax.vmap(solve, in_axes=axes))
 
 
-def outlook(who: str, cost: RunningCost, horizon: Horizon | None, given: Any = None, **changes: Any) -> tuple[Horizon, Any]:
+def outlook(who: str, cost: RunningCost, horizon: Horizon | None, /, given: Any = None, **changes: Any) -> tuple[Horizon, Any]:
     """The options that `predict`, `multistart` and `boundary_value` share: the horizon with its `changes`, and what is `given`
     to the cost, if anything is. Raises a `ValueError` of one line for a cost that does not take that."""
     more = () if given is None else (given,)
