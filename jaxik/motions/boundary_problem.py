@@ -184,5 +184,5 @@ def _first(system: _System, world: Any, q: Any, nodes: int, guess: Prediction | 
 def _padded(function: Any, t: Any, y: Any) -> Any:
     """A call with a number of columns that is a power of two: no new program for each mesh."""
     more = (1 << max(5, (len(t) - 1).bit_length())) - len(t)
-    found = function(np.append(t, np.repeat(t[-1], more)), np.append(y, np.repeat(y[:, -1:], more, axis=1), axis=1))
+    found = function(np.pad(t, (0, more), "edge"), np.pad(y, ((0, 0), (0, more)), "edge"))
     return np.asarray(found)[..., : len(t)]
