@@ -15,6 +15,7 @@ from jaxik.robot.task import POSE, Task
 
 Choice = Literal["first", "closest", "clearance", "manipulability", "freedom", "comfort"]
 Collision = Literal["constraint", "penalty"]
+Norm = Literal["l2", "linf"]
 AVOID = sqp.Options(passes=3)
 IMPROVE = sqp.Options(hessian="bfgs", merit="augmented_lagrangian", floor=1e-10, passes=3)
 
@@ -71,13 +72,8 @@ class IKOptions:
     improve: sqp.Options = IMPROVE
 
     def __post_init__(self) -> None:
-        check_choices(
-            "solve_ik",
-            seeds=(self.seeds, seeds.Strategy),
-            choice=(self.choice, Choice),
-            collision=(self.collision, Collision),
-            norm=(self.norm, Literal["l2", "linf"]),
-        )
+        check_choices("solve_ik", seeds=(self.seeds, seeds.Strategy), choice=(self.choice, Choice))
+        check_choices("solve_ik", collision=(self.collision, Collision), norm=(self.norm, Norm))
         for name in ("max_seeds", "solutions", "cost_iterations"):
             object.__setattr__(self, name, as_count(f"solve_ik: {name}", getattr(self, name)))
         check_finite("solve_ik", margin=self.margin)

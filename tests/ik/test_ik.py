@@ -109,7 +109,7 @@ def _programs(chain):
     from jaxik.ik.refinement import FINISH
     from jaxik.robot.task import POSE
 
-    return [sqp_programs.settling(chain, POSE, SEARCH), sqp_programs.settling(chain, POSE, FINISH)]
+    return [sqp_programs.batch(3, sqp_programs.settle, chain, POSE, options) for options in (SEARCH, FINISH)]
 
 
 def test_reasons(panda):
