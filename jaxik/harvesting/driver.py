@@ -48,15 +48,20 @@ class Posture(NamedTuple):
         return self.reason == Reason.SOLVED
 
 
-@dataclasses.dataclass(frozen=True)
+@dataclasses.dataclass(frozen=True, repr=False)
 class Harvest(Reasoned):
-    """One row a fruit, in the scene's order, and how long it took [s]."""
+    """One row a fruit, in the scene's order, and how long it took [s]; it prints as a line a fruit."""
 
     chain: Chain
     scene: Scene
     rows: tuple[Posture, ...]
     seconds: float
     candidates: int
+
+    def __repr__(self) -> str:
+        fate = lambda row: f"clearance {1000 * row.clearance:.1f} mm" if row.success else str(row.reason)
+        lines = [f"  {row.fruit}: {fate(row)}" for row in self.rows]
+        return "\n".join([f"Harvest of {self.scene.name} by {self.chain.name}: {self.counts()}", *lines])
 
     @property
     def q(self) -> np.ndarray:

@@ -190,7 +190,8 @@ def measured(chain: Chain, scene: Scene, fruit: Fruit, q: np.ndarray) -> tuple[n
 def approach_angles(
     chain: Chain, scene: Scene, fruit: Fruit, angles: Any = 72, grasp: Grasp | None = None
 ) -> tuple[np.ndarray, np.ndarray]:
-    """The approach angles [rad] from best to worst, and the clearance [m] of the last three links, straight, at each.
+    """The approach angles [rad] from best to worst, and the clearance [m] of the last three links, straight, at each. Host
+    driver.
 
     Source: Van Henten et al. 2010, sec. 4.1, step 1.
     """
@@ -211,7 +212,8 @@ def approach_angles(
 def scan_two_step(
     chain: Chain, scene: Scene, fruit: Fruit, angles: Any = 72, slides: Any = 41, **options: Any
 ) -> tuple[Scan, int]:
-    """The paper's two steps, with the recovery that it lacks: where the best angle has no posture the next one is taken.
+    """The paper's two steps, with the recovery that it lacks: where the best angle has no posture the next one is taken. Host
+    driver.
 
     Returns the scan of the first angle that has one (else of the best angle) and how many angles were tried.
     """

@@ -54,7 +54,7 @@ def hopped(problem: Problem, poses: np.ndarray, stuck: Found, count: int) -> Fou
         half = np.where(problem.chain.is_prismatic, 0.0, np.copysign(np.pi, q))
         start = q - np.concatenate([2.0 * q * one, half * one], axis=1)
         row = np.repeat(np.arange(len(chosen.q)), start.shape[1])
-        lanes = chosen.rows(row)._replace(q=np.clip(start.reshape(-1, len(joints)), problem.low, problem.high))
+        lanes = chosen.rows(row)._replace(q=np.clip(start.reshape(-1, chosen.q.shape[1]), problem.low, problem.high))
         free, reached = searched(problem, poses, lanes, STEPS, Misses(problem))
         answers.append(free)
         reached = reached.rows(~np.isin(reached.target, free.target))

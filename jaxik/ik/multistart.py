@@ -156,10 +156,17 @@ def _search_wave(problem: Problem, poses: np.ndarray, some: np.ndarray, wave: Wa
 
 def _starts(problem: Problem, poses: np.ndarray, some: np.ndarray, first: int, last: int) -> np.ndarray:
     """Seeds `first` to `last` of `some` targets, (len(some), last - first, n)."""
+    split = min(max(problem.near, first), last)
+    if first == split:
+        return _anywhere(problem, poses, some, first - problem.near, last - problem.near)
+    assert problem.reference is not None
+    near = seeds.near(problem.whole, problem.seed, first, split, problem.reference[some])
+    return near if split == last else np.concatenate([near, _starts(problem, poses, some, split, last)], axis=1)
+
+
+def _anywhere(problem: Problem, poses: np.ndarray, some: np.ndarray, first: int, last: int) -> np.ndarray:
+    """Likewise, by the strategy."""
     chain, options, numbers = problem.chain, problem.options, (problem.inside, problem.seed, first, last)
-    if problem.strategy == "near":
-        assert problem.reference is not None
-        return seeds.near(*numbers, problem.reference[some])
     if problem.strategy == "closed_form":
         return seeds.branches(chain, *numbers, poses[some])
     if problem.strategy == "library":

@@ -27,7 +27,8 @@ class IKOptions:
     task: which of the six components a target binds (`Task`).
     position_tolerance [m], rotation_tolerance [rad]: largest errors of an answer; one number, or one a target.
     margin: least clearance with a scene [m].
-    seeds: where searches start (`jaxik.ik.seeds`); "auto" is the closed form where the chain has one, else the library.
+    seeds: where searches start (`jaxik.ik.seeds`); "auto" is the closed form where the chain has one, else the library,
+        and for "closest" half of them around the reference, which is the first.
     max_seeds: seeds a target gets before it is given up.
     choice: which answer is taken: that of the "first" seed that leads to one, or with a `cost` the cheapest; or of all that
         `max_seeds` find the "closest" to `reference`, the one with the largest "clearance", "manipulability" or joint

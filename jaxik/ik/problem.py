@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import functools
+import sys
 from typing import Any
 
 import numpy as np
@@ -35,6 +36,7 @@ class Problem:
     high: np.ndarray
     weights: np.ndarray
     inside: seeds.Range
+    whole: seeds.Range
     unit: float
     strategy: str
     tolerance: np.ndarray
@@ -60,10 +62,10 @@ class Problem:
         if reference is not None and not np.isfinite(reference).all():
             raise ValueError("reference holds NaN or infinity; write a configuration (n,), or one a target (N, n) [rad, m]")
         strategy = _strategy(chain, options)
-        inside = _range(chain, tuple(low.tolist()), tuple(high.tolist()), strategy != "near")
+        inside, whole = (_range(chain, tuple(low.tolist()), tuple(high.tolist()), one_turn) for one_turn in (True, False))
         around = grouped(scene, chain) if scene is not None else None
         unit = sqp_programs.unit_length(chain)
-        return Problem(chain, around, seed, options, low, high, weights, inside, unit, strategy, tolerance, reference)
+        return Problem(chain, around, seed, options, low, high, weights, inside, whole, unit, strategy, tolerance, reference)
 
     def part(self, rows: slice) -> Problem:
         """The same for some of the targets."""
@@ -71,6 +73,14 @@ class Problem:
             return self
         reference = None if self.reference is None else self.reference[rows]
         return dataclasses.replace(self, tolerance=self.tolerance[rows], reference=reference)
+
+    @property
+    def near(self) -> int:
+        """How many of the first seeds are around the reference."""
+        if self.strategy == "near":
+            return sys.maxsize
+        closest = self.options.choice == "closest" and self.options.seeds == "auto"
+        return -(-self.options.max_seeds // 2) if closest else 0
 
     @property
     def limits(self) -> tuple[np.ndarray, ...]:

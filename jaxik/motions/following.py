@@ -126,7 +126,11 @@ def follow(
     count = round(float(np.max(duration)) / options.dt) + 1
     axes = None if q.ndim == 1 else (0, *batch_axes(each, Each))
     found = _program(chain, cost, options, count, axes)(jnp.asarray(q), path, duration)
-    return Followed(options.dt * np.arange(count), *map(np.asarray, found))
+    followed = Followed(options.dt * np.arange(count), *map(np.asarray, found))
+    off = np.max(np.abs(followed.error[..., 0, :]), initial=0.0)
+    if off > options.tolerance:
+        warnings.warn(f"follow: the path begins {off:.2g} m or rad from the tip at q; begin it there", stacklevel=2)
+    return followed
 
 
 @functools.lru_cache(maxsize=32)
