@@ -18,7 +18,7 @@ import numpy as np
 from jax import lax
 
 from jaxik.checks.arrays import is_known
-from jaxik.collision.scene import FAR, KINDS, SHAPES, Scene, check_scene, is_remembered, remembered
+from jaxik.collision.scene import FAR, SHAPES, Scene, check_scene, remembered, with_zeros
 from jaxik.collision.volumes import local_volumes
 from jaxik.robot.chain import Chain, geometry_between, solid_links
 from jaxik.robot.link_distance_table import PairTable
@@ -76,7 +76,7 @@ def grouped(scene: Scene | Grouped | None, chain: Chain, by_object: bool = False
                 f"{chain.name}: the obstacles are grouped for another chain's `ignored`; group the scene for this one"
             )
         return scene
-    if not is_remembered(scene) and not is_known(scene):
+    if not scene.concrete:
         check_scene(scene)
         return _grouped(scene, chain.ignored, by_object)
     remembered(scene, "checked", lambda: check_scene(scene))
@@ -95,12 +95,11 @@ def _grouped(scene: Scene, ignored: tuple[tuple[int, str], ...], by_object: bool
     bit = bits(ignored)
     masks = [sum({bit[link] for link, what in ignored if what in ("*", name)}) for name in (*scene.object_names, "")]
     found = []
-    for kind, owners in zip(KINDS, scene.owners, strict=True):
-        given = vars(getattr(scene, kind))
-        rows = {name: np.asarray(x) for name, x in given.items()} if is_known(given) else dict(given)
-        count = len(rows[PLACE[kind]])
-        if count:
-            owner = np.array([*owners, *[-1] * (count - len(owners))], int)
+    for kind, obstacles, owner in scene.by_kind():
+        rows = {name: getattr(obstacles, name) for name in SHAPES[kind]}
+        if is_known(rows):
+            rows = jax.tree_util.tree_map(np.asarray, rows)
+        if len(owner):
             found.append(_obstacles(kind, rows, owner, np.array(masks, np.int32), by_object, ignored))
     return tuple(found)
 
@@ -132,8 +131,8 @@ def _obstacles(
     room = max(leaves, len(first))
     room = next((n for n in LEAVES if n >= room), room) if known else room
     balls = around(center[order].reshape(-1, size, 3), radius[order].reshape(-1, size), xp)
-    filled, numbered = lambda x: _filled(x, room, xp), lambda x: _filled(x.astype(np.int32), room, np)
-    placed = lambda x: x if np.ndim(x) == 0 else _filled(x[order], room * size, xp)
+    filled, numbered = lambda x: with_zeros(x, room, xp), lambda x: with_zeros(x.astype(np.int32), room, np)
+    placed = lambda x: x if np.ndim(x) == 0 else with_zeros(x[order], room * size, xp)
     return Obstacles(
         kind,
         {name: placed(x) for name, x in rows.items()},
@@ -146,17 +145,6 @@ def _obstacles(
         xp.asarray(sum(xp.sum(x) * 0.0 for x in rows.values())),
         ignored,
     )
-
-
-def _filled(x: Any, room: int, xp: Any) -> Any:
-    """With zeros after it, which nobody reads."""
-    if len(x) == room:
-        return x
-    if xp is jnp:
-        return jnp.concatenate([x, jnp.zeros((room - len(x), *x.shape[1:]), x.dtype)])
-    whole = np.zeros((room, *x.shape[1:]), x.dtype)
-    whole[: len(x)] = x
-    return whole
 
 
 def _extent(kind: str, rows: dict[str, Any], xp: Any) -> tuple[Any, Any]:

@@ -20,7 +20,7 @@ from jaxik.checks.arrays import check_known
 from jaxik.checks.options import as_count, check_finite, check_kind
 from jaxik.collision.bvh import pair_tables
 from jaxik.collision.clearances import check_geometry
-from jaxik.collision.scene import FAR, KINDS, Scene, check_scene
+from jaxik.collision.scene import FAR, Scene, check_scene
 from jaxik.collision.shape_distances import columns_of, obstacles_of, skeleton_gap
 from jaxik.collision.volumes import skeletons
 from jaxik.robot.chain import Array, Chain
@@ -121,10 +121,9 @@ def _with_scene(chain: Chain, scene: Scene | None, volumes: Any) -> Iterator[_Pa
     meet = np.ones((len(scene.object_names) + 1, len(chain.link_names)), bool)  # the last for what has no name
     for link, what in chain.ignored:
         meet[[what in ("*", name) for name in (*scene.object_names, "")], link] = False
-    for kind, owners in zip(KINDS, scene.owners, strict=True):
-        if count := len(jax.tree_util.tree_leaves(getattr(scene, kind))[0]):
-            gap, others = obstacles_of(kind, vars(getattr(scene, kind)), np.float64, np)
-            owner = np.array([*owners, *[-1] * (count - len(owners))], int)
+    for kind, obstacles, owner in scene.by_kind():
+        if len(owner):
+            gap, others = obstacles_of(kind, vars(obstacles), np.float64, np)
             for skeleton in volumes.values():
                 yield from _blocks(gap, skeleton, others, owner, meet, False)
 

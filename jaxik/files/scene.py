@@ -15,7 +15,8 @@ from typing import Any
 import numpy as np
 
 from jaxik.checks.options import check_kind
-from jaxik.collision.scene import FAR, Fruit, Scene, SceneBuilder, hanging
+from jaxik.collision.scene import FAR, Fruit, Scene
+from jaxik.collision.scene_builder import SceneBuilder, hanging
 from jaxik.files.chain_builder import MAX_BYTES, read_bytes
 from jaxik.files.robot_toml import Table, read_toml
 from jaxik.files.text_files import write_text

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from jaxik.collision.scene import make_scene
+from jaxik.collision.scene_builder import make_scene
 from jaxik.ik.solve import IKResult, as_poses, solved
 from jaxik.reasons import Reason
 from jaxik.sweeps.driver import Sweep
