@@ -19,7 +19,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from jaxik.checks.options import shown
-from jaxik.fitting.convex import directions
+from jaxik.fitting.convex import directions, hull_of
 
 ROUNDING = 1e-9  # [m] that a radius has in addition, for what places its capsule in the world
 THICK = 1e-6  # [m] that a flat mesh is made thick
@@ -220,13 +220,10 @@ def _cut(corners: np.ndarray, normal: np.ndarray, offset: float) -> list[np.ndar
 
 def _edges(corners: np.ndarray) -> np.ndarray:
     """Pairs of corners, the edges of their hull among them."""
-    from scipy.spatial import ConvexHull, QhullError
-
-    try:
-        faces = ConvexHull(corners).simplices
-    except QhullError:  # too thin: all pairs, whose hull is the same
+    hull = hull_of(corners)
+    if hull is None:  # too thin: all pairs, whose hull is the same
         return np.stack(np.triu_indices(len(corners), 1), axis=1)
-    pairs = np.concatenate([faces[:, [0, 1]], faces[:, [1, 2]], faces[:, [2, 0]]])
+    pairs = hull.simplices[:, [[0, 1], [1, 2], [2, 0]]].reshape(-1, 2)
     return np.unique(np.sort(pairs, axis=1), axis=0)
 
 
