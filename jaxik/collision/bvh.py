@@ -20,11 +20,11 @@ from jax import lax
 from jaxik.checks.arrays import is_known
 from jaxik.collision.scene import FAR, SHAPES, Scene, check_scene, remembered, with_zeros
 from jaxik.collision.volumes import local_volumes
+from jaxik.pytree import static
 from jaxik.robot.chain import Chain, geometry_between, solid_links
 from jaxik.robot.link_distance_table import PairTable
 
 LEAF = {"points": 4, "spheres": 4, "capsules": 1, "boxes": 1, "cylinders": 1}  # obstacles a leaf, where there are a few
-PLACE = {kind: next(iter(fields)) for kind, fields in SHAPES.items()}  # the field that says where an obstacle is
 FAN = 4  # leaves a branch, at least
 LEAVES = (16, 128, 1024, 8192, 65536)  # what is compiled for: up to so many leaves, of which those that are there are looked at
 SLACK = 1e-4  # [m] that a bounding sphere is larger: nothing is lost to rounding in float32, 100 m from the origin
@@ -37,13 +37,14 @@ class Balls(NamedTuple):
     radius: Any
 
 
+@jax.tree_util.register_dataclass
 @dataclasses.dataclass(frozen=True)
 class Obstacles:
     """Those of one `kind`, ordered by place: leaves of `LEAF` rows each; branch b holds the leaves `first[b]` to `last[b]`, not
     counted, and is one of the `count` that are there if b is less; `ignored[b]` are the `bits` of links that it does not
     count for, of a chain that ignores `ignores`. `unsound` is 0, or NaN where a number of theirs is."""
 
-    kind: str
+    kind: str = static()
     rows: dict[str, Any]
     leaves: Balls
     branches: Balls
@@ -52,12 +53,9 @@ class Obstacles:
     ignored: Any
     count: Any
     unsound: Any
-    ignores: tuple[tuple[int, str], ...]
+    ignores: tuple[tuple[int, str], ...] = static()
 
 
-_STATIC = ["kind", "ignores"]
-_LEAVES = [field.name for field in dataclasses.fields(Obstacles) if field.name not in _STATIC]
-jax.tree_util.register_dataclass(Obstacles, data_fields=_LEAVES, meta_fields=_STATIC)
 Grouped = tuple[Obstacles, ...]
 
 
@@ -109,24 +107,20 @@ def _obstacles(
 ) -> Obstacles:
     """`masks` of each object, and of what belongs to none, at last."""
     known = is_known(rows)
-    size = LEAF[kind] if not known or len(rows[PLACE[kind]]) > FAN else 1  # a few fill no leaf
+    size = LEAF[kind] if not known or len(owner) > FAN else 1  # a few fill no leaf
     xp = np if known else jnp
-    center, radius = _extent(kind, rows if known else lax.stop_gradient(rows), xp)
+    center, radius = _extent(rows if known else lax.stop_gradient(rows), xp)
     there = np.arange(len(radius)) if not known else np.flatnonzero(~(np.abs(center).max(axis=1) > FAR / 2.0))
     key = owner[there] if by_object else masks[owner[there]]
     keys = np.arange(len(masks) - 1) if by_object else np.unique(key)
     groups = [there[key == each] for each in keys] if len(keys) != 1 or by_object else [there]
-    if known:
-        groups = [g[by_place(center[g], size)] for g in groups]
-    ends = np.cumsum([-(-len(g) // size) for g in groups], dtype=int)
-    leaves = int(ends[-1]) if len(ends) else 0
-    padded = [g if len(g) % size == 0 else np.pad(g, (0, -len(g) % size), "edge") for g in groups]
-    order = np.concatenate([np.zeros(0, int), *padded])
+    order, ends = _in_leaves(groups, size, center if known else None)
+    leaves = int(ends[-1])
     fan = leaves + 1 if by_object else max(FAN, round(leaves**0.5))  # leaves a branch, at most
-    begins = [np.arange(a, max(b, a + by_object), fan) for a, b in itertools.pairwise([0, *ends])]
+    begins = [np.arange(a, max(b, a + by_object), fan) for a, b in itertools.pairwise(ends)]
     first = np.concatenate([np.zeros(0, int), *begins])
     group = np.repeat(np.arange(len(groups)), [len(b) for b in begins])
-    last = np.minimum(first + fan, ends[group]) if len(first) else first
+    last = np.minimum(first + fan, ends[group + 1])
     ignores = (masks[:-1] if by_object else keys)[group].astype(np.int32)
     room = max(leaves, len(first))
     room = next((n for n in LEAVES if n >= room), room) if known else room
@@ -147,16 +141,30 @@ def _obstacles(
     )
 
 
-def _extent(kind: str, rows: dict[str, Any], xp: Any) -> tuple[Any, Any]:
+def _in_leaves(groups: list[np.ndarray], size: int, center: np.ndarray | None) -> tuple[np.ndarray, np.ndarray]:
+    """The rows of all groups in leaves of `size`, a group's last one filled up, ordered by place where the centres (k, 3) are
+    given; and with which leaf each group begins, and at last their number."""
+    if center is not None:
+        groups = [g[by_place(center[g], size)] for g in groups]
+    ends = np.cumsum([0, *(-(-len(g) // size) for g in groups)], dtype=int)
+    filled = [g[np.minimum(np.arange(count * size), len(g) - 1)] for g, count in zip(groups, np.diff(ends), strict=True)]
+    return np.concatenate([np.zeros(0, int), *filled]), ends
+
+
+def _extent(rows: dict[str, Any], xp: Any) -> tuple[Any, Any]:
     """Of each obstacle the centre (k, 3) and radius (k,) of a sphere around it."""
-    place, radius = rows[PLACE[kind]], rows.get("radius", 0.0)
-    if kind in ("points", "spheres"):
-        return place, xp.broadcast_to(radius, place.shape[:1])
-    if kind == "capsules":
-        return (rows["a"] + rows["b"]) / 2.0, xp.sqrt(xp.sum((rows["b"] - rows["a"]) ** 2, axis=1)) / 2.0 + radius
-    if kind == "boxes":
-        return place[:, :3, 3], xp.sqrt(xp.sum(rows["half"] ** 2, axis=1))
-    return place[:, :3, 3], xp.sqrt(radius**2 + rows["half"] ** 2)
+    place, *more = (x for name, x in rows.items() if name not in ("radius", "half"))
+    if place.shape[1:] == (4, 4):
+        return place[:, :3, 3], xp.sqrt(
+            rows.get("radius", 0.0) ** 2 + xp.sum(rows["half"].reshape(len(place), -1) ** 2, axis=1)
+        )
+    return balls_of(xp.stack([place, *more], axis=1), xp.broadcast_to(rows["radius"], place.shape[:1]), xp)
+
+
+def balls_of(corners: Any, radius: Any, xp: Any) -> tuple[Any, Any]:
+    """Spheres around volumes of `corners` (k, c, 3): centres (k, 3) and radii (k,)."""
+    middle = (corners.max(axis=1) + corners.min(axis=1)) / 2.0
+    return middle, xp.sqrt(xp.sum((corners - middle[:, None]) ** 2, axis=-1)).max(axis=1) + radius
 
 
 def around(center: Any, radius: Any, xp: Any = np) -> Balls:
@@ -250,28 +258,22 @@ class Robot:
 
 def robot(chain: Chain) -> Robot:
     """Raises nothing; `clearances.check_geometry` says what is missing."""
-    return _known_robot(chain) if is_known(chain) else _robot(chain)
-
-
-@functools.lru_cache(maxsize=64)
-def _known_robot(chain: Chain) -> Robot:
-    return _robot(chain)
+    return _known_robot(chain) if chain.concrete else _robot(chain)
 
 
 def _robot(chain: Chain) -> Robot:
     links = tuple(solid_links(chain)[::-1])
     part = {link: p for p, link in enumerate(links)}
     kinds = tuple(v for v in (_volumes(chain, links, count) for count in (1, 2, 3)) if v is not None)
-    before: list[list[int]] = [[] for _ in links]
-    for a, b in chain.self_pairs:
-        if a in part and b in part:
-            before[part[b]].append(part[a])
-    ends = np.cumsum([len(each) for each in before], dtype=np.int32)
+    before = [[part[a] for a, b in chain.self_pairs if b == link and a in part] for link in links]
+    ends = np.cumsum([0, *map(len, before)], dtype=np.int32)
     joint = np.array([chain.link_joint[link] for link in links], np.int32)
     other = np.array([p for each in before for p in each], np.int32)
-    first = np.append(np.int32(0), ends[:-1])
     tables = _tables(chain, [(links[o], links[p]) for p, each in enumerate(before) for o in each])
-    return Robot(links, joint, _parts(links, kinds), kinds, other, first, ends, tables)
+    return Robot(links, joint, _parts(links, kinds), kinds, other, ends[:-1], ends[1:], tables)
+
+
+_known_robot = functools.lru_cache(maxsize=64)(_robot)
 
 
 def pair_tables(chain: Chain) -> list[PairTable]:
@@ -294,14 +296,11 @@ def _tables(chain: Chain, pairs: list[tuple[int, int]]) -> Tables:
 
 def _parts(links: tuple[int, ...], kinds: tuple[Volumes, ...]) -> Balls:
     """A sphere around each link."""
-    found = []
-    for p in range(len(links)):
-        rows = [np.arange(v.first[p], v.last[p]) for v in kinds]
-        xp = np if is_known([v.leaves for v in kinds]) else jnp
-        center = xp.concatenate([v.leaves.center[r] for v, r in zip(kinds, rows, strict=True)])
-        radius = xp.concatenate([v.leaves.radius[r] for v, r in zip(kinds, rows, strict=True)])
-        found.append(around(center[None], radius[None], xp))
-    return Balls(*(xp.concatenate(x) for x in zip(*found, strict=True))) if found else Balls(np.zeros((0, 3)), np.zeros(0))
+    xp = np if is_known([v.leaves for v in kinds]) else jnp
+    joined = lambda balls: Balls(*map(xp.concatenate, zip(*balls, strict=True)))
+    of = lambda p: joined([[x[v.first[p] : v.last[p]] for x in v.leaves] for v in kinds])
+    found = [around(center[None], radius[None], xp) for center, radius in map(of, range(len(links)))]
+    return joined(found) if found else Balls(np.zeros((0, 3)), np.zeros(0))
 
 
 def _volumes(chain: Chain, links: tuple[int, ...], count: int) -> Volumes | None:
@@ -311,31 +310,14 @@ def _volumes(chain: Chain, links: tuple[int, ...], count: int) -> Volumes | None
     corners, radius, link = local
     known = is_known((corners, radius))
     fixed, xp = ((corners, radius), np) if known else (lax.stop_gradient((corners, radius)), jnp)
-    center, reach = _balls_of(fixed, xp)
-    size = _leaf_size([int(np.sum(link == each)) for each in links]) if count == 1 else 1
-    rows, first, last, leaves = [], [], [], 0
-    for each in links:
-        own = np.flatnonzero(link == each)
-        if len(own) and size > 1 and known:
-            own = own[by_place(center[own], size)]
-        own = np.pad(own, (0, -len(own) % size), "edge") if len(own) else own
-        rows.append(own)
-        first.append(leaves)
-        leaves += len(own) // size
-        last.append(leaves)
-    order = np.concatenate(rows)
+    center, reach = balls_of(*fixed, xp)
+    groups = [np.flatnonzero(link == each) for each in links]
+    size = _leaf_size(list(map(len, groups))) if count == 1 else 1
+    order, ends = _in_leaves(groups, size, center if known and size > 1 else None)
     balls = around(center[order].reshape(-1, size, 3), reach[order].reshape(-1, size), xp)
-    joint = np.array(chain.link_joint, np.int32)[link[order]]
+    joint, ends = np.array(chain.link_joint, np.int32)[link[order]], ends.astype(np.int32)
     even = known and bool(np.all(np.ptp(radius[order].reshape(-1, size), axis=1) == 0.0))
-    bounds = np.array(first, np.int32), np.array(last, np.int32)
-    return Volumes(corners[order], radius[order], joint, link[order], size, balls, *bounds, even)
-
-
-def _balls_of(volumes: Any, xp: Any) -> tuple[Any, Any]:
-    """Spheres around volumes, centres and radii."""
-    corners, radius = volumes
-    middle = (corners.max(axis=1) + corners.min(axis=1)) / 2.0
-    return middle, xp.sqrt(xp.sum((corners - middle[:, None]) ** 2, axis=-1)).max(axis=1) + radius
+    return Volumes(corners[order], radius[order], joint, link[order], size, balls, ends[:-1], ends[1:], even)
 
 
 def _leaf_size(counts: list[int]) -> int:

@@ -97,7 +97,7 @@ def explain(chain: Chain, scene: Scene | None, q: Float[Array, " n"], count: int
         pairs = [*_with_scene(chain, scene, volumes), *_with_itself(chain, volumes)]
         bounds = {table.links: float(table(posture)) for table in pair_tables(chain)}
         found = [row for row in _nearest(pairs, bounds)[:count] if row[0] < below]
-        contacts = tuple(_contact(chain, scene, pairs, *row) for row in found)
+        contacts = tuple(_contact(chain, scene, pairs[number], apart, *row) for apart, number, *row in found)
     return Surroundings(contacts, _limits(chain, posture)[:count])
 
 
@@ -198,10 +198,7 @@ def _nearest(pairs: list[_Pairs], bounds: dict[tuple[int, int], float]) -> list[
     return [(float(raised[i]), int(number[i]), int(other[i]), int(volume[i])) for i in order[np.sort(first)]]
 
 
-def _contact(
-    chain: Chain, scene: Scene | None, pairs: list[_Pairs], apart: float, number: int, other: int, volume: int
-) -> Contact:
-    each = pairs[number]
+def _contact(chain: Chain, scene: Scene | None, each: _Pairs, apart: float, other: int, volume: int) -> Contact:
     (gap,), *pull = _told(1, each.gap, (each.volumes, np.array([volume])), (each.others, np.array([other])))
     corners = np.array([[x[volume] for x in corner] for corner in each.volumes[0]])
     slopes = np.reshape(pull, corners.shape)

@@ -29,7 +29,7 @@ from jaxtyping import Bool, Float, Int
 
 from jaxik.checks.arrays import is_known, stop_gradients
 from jaxik.checks.options import check_finite, check_kind
-from jaxik.collision.bvh import grouped, pair_tables
+from jaxik.collision.bvh import balls_of, grouped, pair_tables
 from jaxik.collision.clearances import check_geometry, clearance, link_clearances
 from jaxik.collision.scene import FAR, KINDS, Scene
 from jaxik.collision.volumes import box_spheres
@@ -375,7 +375,8 @@ def _speeds(chain: Chain, rows: list[_Row], q: Any, moved: Any) -> Any:
     frames, rates = joint_frames(chain, traced(q), root, q.dtype), traced(moved)
     found: dict[tuple[int, int], Any] = {}
     for link in sorted({link for row in rows for link, _ in row.moved}):
-        centre, radius = _ball(_corners(chain, link))
+        corners = _corners(chain, link)
+        centre, radius = (x[0] for x in balls_of(corners[None], 0.0, _xp(corners)))
         linear, angular = ZERO, ZERO
         found[link, chain.link_joint[link]] = jnp.zeros((), q.dtype)
         for j in reversed(range(chain.link_joint[link])):
@@ -383,18 +384,11 @@ def _speeds(chain: Chain, rows: list[_Row], q: Any, moved: Any) -> Any:
             if chain.is_prismatic[j]:
                 linear = linear + axis
             else:
-                place = frames.joints[chain.link_joint[link] - 1] @ Vec3(*centre)
+                place = frames.joints[chain.link_joint[link] - 1] @ Vec3(*traced(centre))
                 linear, angular = linear + axis.cross(place - frame.translation), angular + axis
             found[link, j] = jnp.sqrt(linear.dot(linear)) + radius * jnp.sqrt(angular.dot(angular))
     most = [jnp.max(jnp.stack([jnp.asarray(found[each], q.dtype) for each in row.moved])) for row in rows]
     return jnp.stack(most)
-
-
-def _ball(corners: Any) -> tuple[list[Any], Any]:
-    """The centre and radius of a ball about points (m, 3)."""
-    xp = _xp(corners)
-    centre = (xp.min(corners, axis=0) + xp.max(corners, axis=0)) / 2.0
-    return [centre[i] for i in range(3)], xp.sqrt(xp.max(xp.sum(xp.square(corners - centre), axis=-1)))
 
 
 def _size(chain: Chain, length: Any, q_from: Any, q_to: Any) -> Any:

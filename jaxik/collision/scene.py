@@ -34,8 +34,8 @@ SHAPES: dict[str, dict[str, tuple[int, ...]]] = {  # of k obstacles, k written a
 KINDS = tuple(SHAPES)
 
 
-class Obstacles(Constant):
-    """Those of one kind: where they are, as points (k, 3) or frames (k, 4, 4), and their sizes, `radius` and `half` [m]."""
+class Kind(Constant):
+    """Obstacles of one kind: where they are, as points (k, 3) or frames (k, 4, 4), and their sizes, `radius` and `half` [m]."""
 
     @property
     def places(self) -> dict[str, Any]:
@@ -54,26 +54,26 @@ class Obstacles(Constant):
             return np.ones(len(place), bool)
         return np.asarray(np.abs(np.asarray(place)).max(axis=tuple(range(1, place.ndim)), initial=0.0) < FAR / 2.0)
 
-    def put(self, to: Callable[[Any], Any]) -> Obstacles:
+    def put(self, to: Callable[[Any], Any]) -> Kind:
         """The same ones, each of their places turned into another."""
         return dataclasses.replace(self, **{name: to(place) for name, place in self.places.items()})
 
 
-class Points(Obstacles):
+class Points(Kind):
     """Points of one common `radius` [m] (0 for bare points): the cheapest obstacle, one square root a configuration."""
 
     center: Float[Array, "k 3"]
     radius: Float[Array, ""]
 
 
-class Spheres(Obstacles):
+class Spheres(Kind):
     """Balls, each with its own radius [m]."""
 
     center: Float[Array, "k 3"]
     radius: Float[Array, " k"]
 
 
-class Capsules(Obstacles):
+class Capsules(Kind):
     """Segments from `a` to `b`, swept by a ball."""
 
     a: Float[Array, "k 3"]
@@ -81,14 +81,14 @@ class Capsules(Obstacles):
     radius: Float[Array, " k"]
 
 
-class Boxes(Obstacles):
+class Boxes(Kind):
     """`half` holds half the edges along the axes of `world_T_box`."""
 
     world_T_box: Float[Array, "k 4 4"]
     half: Float[Array, "k 3"]
 
 
-class Cylinders(Obstacles):
+class Cylinders(Kind):
     """Round about z of `world_T_cylinder`, from -`half` to `half` along it."""
 
     world_T_cylinder: Float[Array, "k 4 4"]

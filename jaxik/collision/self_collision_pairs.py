@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Collection, Iterable
 from typing import NamedTuple
 
@@ -26,12 +27,11 @@ def candidate_pairs(
 ) -> list[tuple[int, int]]:
     """The pairs of some links that are neither neighbours, nor move together, nor are `disabled`. Links `aside`, behind joints
     beside the chain, are neighbours of none whose joint is another."""
-    joint, names, ordered = chain.link_joint, chain.link_names, sorted(links)
+    joint, names = chain.link_joint, chain.link_names
     least = lambda a, b: 1 if names[a] in aside or names[b] in aside else 2
     return [
         (a, b)
-        for i, a in enumerate(ordered)
-        for b in ordered[i + 1 :]
+        for a, b in itertools.combinations(sorted(links), 2)
         if abs(joint[a] - joint[b]) >= least(a, b) and frozenset((names[a], names[b])) not in disabled
     ]
 
@@ -73,12 +73,8 @@ def default_pose(chain: Chain) -> np.ndarray:
 
 def _samples(count: int) -> np.ndarray:
     """Barycentric weights of sample points of a point, a line, a triangle."""
-    steps = np.linspace(0.0, 1.0, 7)
-    if count == 1:
-        return np.ones((1, 1))
-    if count == 2:
-        return np.stack([1.0 - steps, steps], axis=1)
-    return np.array([(u, v, 1.0 - u - v) for u in steps for v in steps if u + v <= 1.0 + 1e-9])
+    sixths = np.indices((7,) * count).reshape(count, -1).T
+    return sixths[sixths.sum(axis=1) == 6] / 6.0
 
 
 def _touching(p: np.ndarray, r: np.ndarray, a: np.ndarray, b: np.ndarray) -> np.ndarray:
