@@ -239,41 +239,30 @@ class Tables(NamedTuple):
     bounds: np.ndarray
 
 
-@dataclasses.dataclass(frozen=True)
 class Robot:
     """A chain's volumes by corner count, and its parts: links, the last first, each with a sphere around it.
 
     `other[first[p]:last[p]]` are the parts, of earlier links, that part p is checked against.
     """
 
-    links: tuple[int, ...]
-    joint: np.ndarray
-    parts: Balls
-    kinds: tuple[Volumes, ...]
-    other: np.ndarray
-    first: np.ndarray
-    last: np.ndarray
-    tables: Tables
+    def __init__(self, chain: Chain):
+        self.links = tuple(solid_links(chain)[::-1])
+        self.joint = np.array([chain.link_joint[link] for link in self.links], np.int32)
+        self.kinds = tuple(v for v in (_volumes(chain, self.links, count) for count in (1, 2, 3)) if v is not None)
+        self.parts = _parts(self.links, self.kinds)
+        part = {link: p for p, link in enumerate(self.links)}
+        before = [[part[a] for a, b in chain.self_pairs if b == link and a in part] for link in self.links]
+        ends = np.cumsum([0, *map(len, before)], dtype=np.int32)
+        self.first, self.last, self.other = ends[:-1], ends[1:], np.array([p for each in before for p in each], np.int32)
+        self.tables = _tables(chain, [(self.links[o], self.links[p]) for p, each in enumerate(before) for o in each])
+
+
+_known_robot = functools.lru_cache(maxsize=64)(Robot)
 
 
 def robot(chain: Chain) -> Robot:
     """Raises nothing; `clearances.check_geometry` says what is missing."""
-    return _known_robot(chain) if chain.concrete else _robot(chain)
-
-
-def _robot(chain: Chain) -> Robot:
-    links = tuple(solid_links(chain)[::-1])
-    part = {link: p for p, link in enumerate(links)}
-    kinds = tuple(v for v in (_volumes(chain, links, count) for count in (1, 2, 3)) if v is not None)
-    before = [[part[a] for a, b in chain.self_pairs if b == link and a in part] for link in links]
-    ends = np.cumsum([0, *map(len, before)], dtype=np.int32)
-    joint = np.array([chain.link_joint[link] for link in links], np.int32)
-    other = np.array([p for each in before for p in each], np.int32)
-    tables = _tables(chain, [(links[o], links[p]) for p, each in enumerate(before) for o in each])
-    return Robot(links, joint, _parts(links, kinds), kinds, other, ends[:-1], ends[1:], tables)
-
-
-_known_robot = functools.lru_cache(maxsize=64)(_robot)
+    return _known_robot(chain) if chain.concrete else Robot(chain)
 
 
 def pair_tables(chain: Chain) -> list[PairTable]:

@@ -54,11 +54,6 @@ def _held(t: Any) -> Any:
 # Skeletons: points, lines, triangles (>= 0)
 
 
-def point_point(p: Vec3, q: Vec3) -> Any:
-    """Point p to point q."""
-    return norm(p - q)
-
-
 def point_segment(p: Vec3, a: Vec3, b: Vec3) -> Any:
     """Point p to the segment ab [Ericson 2005, sec. 5.1.2]."""
     along, arm = b - a, p - a
@@ -141,7 +136,7 @@ def between(s: tuple[Vec3, ...], t: tuple[Vec3, ...]) -> Any:
     if len(s) > len(t):
         return between(t, s)
     pairs: dict[tuple[int, int], Callable[..., Any]] = {
-        (1, 1): point_point,
+        (1, 1): lambda p, q: norm(p - q),
         (1, 2): point_segment,
         (1, 3): point_triangle,
         (2, 2): segment_segment,

@@ -199,7 +199,8 @@ class Space:
                     places = origin + i * volumes.size, others.origin + j * others.size
                     inside = lambda found: _nearer(found, mine, theirs, others.gap, squares, volumes.even, places)
                     if others.size == 1 and volumes.size > 1 and self.skips:  # a sphere around a long one says little
-                        inside = _once(lambda: others.gap(((ball[0],), ball[1]), _alone(theirs)), inside)
+                        bound = lambda: others.gap(((ball[0],), ball[1]), jax.tree_util.tree_map(lambda x: x[0], theirs))
+                        inside = lambda found, near=inside: lax.cond(bound() < found.distance, near, lambda found: found, found)
                     return self._if_near(found, ball, _ball(others.leaves, j), inside)
 
                 return lax.fori_loop(first, last, other, found)
@@ -325,16 +326,6 @@ def _placed(robot: Robot, frames: Any, dtype: Any) -> tuple[tuple[Vec3, Any], tu
         found.append(Placed((rest[0], sized(v.leaves.radius)), tuple(rest[1 : 1 + v.arity]), sized(v.radius)))
         rest = rest[1 + v.arity :]
     return (parts, sized(robot.parts.radius)), tuple(found)
-
-
-def _once(bound: Callable[[], Any], inside: Callable[[Found], Found]) -> Callable[[Found], Found]:
-    """What is found `inside`, where the bound of its distances is less than what is found already."""
-    return lambda found: lax.cond(bound() < found.distance, inside, lambda found: found, found)
-
-
-def _alone(columns: Any) -> Any:
-    """The one row of columns."""
-    return jax.tree_util.tree_map(lambda x: x[0], columns)
 
 
 def _nearer(found: Found, mine: Any, theirs: Any, gap: Any, squares: bool, even: bool, places: Any) -> Found:

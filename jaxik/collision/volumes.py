@@ -2,8 +2,7 @@
 
 An oriented box is cut into 1, 8, 64 or 512 equal boxes (each level halves every edge), and each is replaced by the sphere
 through its corners [Van Henten et al. 2010, App. A; Hubbard 1996]. A cut box lies in its parent box, and its sphere in its
-parent's sphere: so a coarse distance is never larger than a finer one, which is what makes the hierarchy exact
-(`sphere_levels`).
+parent's sphere: so a coarse distance is never larger than a finer one, as the tests hold.
 """
 
 from __future__ import annotations

@@ -140,13 +140,9 @@ def _freer(chain: Chain, leading: Any, lead: Any, number: int, way: HalfBranch, 
     freedom, branch = jnp.maximum(one, two), 2 * number + (two > one).astype(jnp.int32)
     better = (freedom > best.freedom) | ((freedom == best.freedom) & (number < best.branch // 2))
     bits = [(each >= 0.0).astype(jnp.uint8) for each in (one, two)]
-    return _Best(
-        jnp.where(better, freedom, best.freedom),
-        jnp.where(better, lead, best.lead),
-        jnp.where(better, branch, best.branch),
-        best.inside + sum(bits).astype(jnp.int32),
-        best.here | bits[0] << 2 * number | bits[1] << 2 * number + 1,
-    )
+    freedom, lead, branch = (jnp.where(better, new, old) for new, old in zip((freedom, lead, branch), best[:3], strict=True))
+    here = best.here | bits[0] << 2 * number | bits[1] << 2 * number + 1
+    return _Best(freedom, lead, branch, best.inside + sum(bits).astype(jnp.int32), here)
 
 
 def may_be_inside(chain: Chain, turns: Any, slack: float) -> Any:

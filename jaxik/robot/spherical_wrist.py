@@ -18,7 +18,6 @@ joint is set to 0 (or to its nearest limit) and joint 4 takes the sum, as (B25-B
 
 from __future__ import annotations
 
-import dataclasses
 import functools
 import itertools
 import math
@@ -34,6 +33,7 @@ from jaxik.robot.joint_turns import into_limits, wrapped
 from jaxik.robot.kinematics import joint_frames
 from jaxik.spatial.algebra import BASE, Frame, Rot3, Scalar, Vec3, add, atan2, constants, mul, safe_sqrt, stack, sub, traced
 from jaxik.spatial.ball import minimum, where
+from jaxik.spatial.rotations import frame
 from jaxik.spmd import HostKernel, kernel
 
 TOLERANCE = 1e-7  # [m, rad] within which axes count as parallel, meeting or crossing
@@ -52,30 +52,6 @@ class ClosedForm(NamedTuple):
     q: Float[Array, "8 n"]
     valid: Bool[Array, "8"]
     within_limits: Bool[Array, "8"]
-
-
-@dataclasses.dataclass(frozen=True)
-class Geometry:
-    """The arm's constants, with its frames as App. B would choose them: see `_geometry` for each."""
-
-    base_T_shoulder: np.ndarray  # z along axis 1, y across axes 1 and 2
-    sin_tilt: float  # of the angle between axes 1 and 2
-    cos_tilt: float
-    along: float  # Q's coordinate along h_2
-    axis_2: np.ndarray  # (2,) where axis 2 pierces the plane across it
-    upper: float  # link lengths in that plane
-    lower: float
-    upper_angle: float
-    elbow_angle: float  # of the lower link against the upper one at q_3 = 0
-    elbow_sign: float  # -1 where axes 2 and 3 point apart
-    plane_R_wrist: np.ndarray  # wrist: z along axis 4, x towards axis 5
-    alpha: float  # angle between axes 4 and 5
-    beta: float  # between 5 and 6
-    wrist_zero: float  # joint 5's phase at q_5 = 0
-    axis_6: np.ndarray  # in the tip's frame: Q, h_6 and a direction across it
-    tip_Q: np.ndarray
-    across_6: np.ndarray
-    wrist_across: np.ndarray  # (2, 3) across_6 and h_6 x across_6, in the wrist frame at q = 0
 
 
 @kernel(models=1)
@@ -182,12 +158,9 @@ def _in_plane(normal: np.ndarray, v: np.ndarray) -> float:
 
 def _axes(chain: Chain) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Directions (6, 3) and points (6, 3) of the last six axes at q = 0, and the tip (4, 4), in the first's parent frame."""
-    frame, h, p = np.eye(4), [], []
-    for parent_T_joint, axis in zip(chain.parent_T_joint[-6:], chain.axis[-6:], strict=True):
-        frame = frame @ parent_T_joint
-        h.append(frame[:3, :3] @ axis)
-        p.append(frame[:3, 3])
-    return np.array(h), np.array(p), frame @ chain.joint_T_tip
+    frames = list(itertools.accumulate(chain.parent_T_joint[-6:], np.matmul, initial=np.eye(4)))[1:]
+    h = np.array([moved[:3, :3] @ axis for moved, axis in zip(frames, chain.axis[-6:], strict=True)])
+    return h, np.array(frames)[:, :3, 3], frames[-1] @ chain.joint_T_tip
 
 
 def _meeting_point(h: np.ndarray, p: np.ndarray) -> tuple[np.ndarray, float]:
@@ -197,45 +170,45 @@ def _meeting_point(h: np.ndarray, p: np.ndarray) -> tuple[np.ndarray, float]:
     return point, float(np.max(np.linalg.norm(np.einsum("kij,kj->ki", across, point - p), axis=1)))
 
 
-@functools.lru_cache(maxsize=64)
-def _geometry(chain: Chain) -> Geometry:
-    h, p, tip = _axes(chain)
-    wrist, _ = _meeting_point(h[3:], p[3:])
-    sin_tilt = float(np.linalg.norm(np.cross(h[0], h[1])))
-    x = (h[1] - h[0] * (h[0] @ h[1])) / sin_tilt
-    shoulder = np.stack([x, np.cross(h[0], x), h[0]], axis=1)
-    plane = np.stack([shoulder[:, 1], np.cross(h[1], shoulder[:, 1]), h[1]], axis=1)
-    centre_2, upper, lower = (plane.T @ v for v in (p[1] - p[0], p[2] - p[1], wrist - p[2]))
-    upper_angle, lower_angle = (math.atan2(v[1], v[0]) for v in (upper, lower))
-    sin_alpha = float(np.linalg.norm(np.cross(h[3], h[4])))
-    x = (h[4] - h[3] * (h[3] @ h[4])) / sin_alpha
-    hand = np.stack([x, np.cross(h[3], x), h[3]], axis=1)
-    # joint 5 turns h_6 about h_5; its phase is counted from where h_6 is nearest to h_4
-    nearest = (h[3] - h[4] * (h[3] @ h[4])) / sin_alpha
-    first = np.cross(h[5], hand[:, 0] if abs(h[5] @ hand[:, 0]) < 0.7 else hand[:, 1])
-    first /= np.linalg.norm(first)
-    base_T_shoulder = np.eye(4)
-    base_T_shoulder[:3, :3], base_T_shoulder[:3, 3] = shoulder, p[0]
-    return Geometry(
-        base_T_shoulder=base_T_shoulder,
-        sin_tilt=sin_tilt,
-        cos_tilt=float(h[0] @ h[1]),
-        along=float(h[1] @ (wrist - p[0])),
-        axis_2=centre_2[:2],
-        upper=float(np.hypot(*upper[:2])),
-        lower=float(np.hypot(*lower[:2])),
-        upper_angle=upper_angle,
-        elbow_angle=lower_angle - upper_angle,
-        elbow_sign=float(np.sign(h[1] @ h[2])),
-        plane_R_wrist=plane.T @ hand,
-        alpha=math.atan2(sin_alpha, float(h[3] @ h[4])),
-        beta=math.atan2(float(np.linalg.norm(np.cross(h[4], h[5]))), float(h[4] @ h[5])),
-        wrist_zero=math.atan2(float(h[5] @ np.cross(h[4], nearest)), float(h[5] @ nearest)),
-        axis_6=tip[:3, :3].T @ h[5],
-        tip_Q=tip[:3, :3].T @ (wrist - tip[:3, 3]),
-        across_6=tip[:3, :3].T @ first,
-        wrist_across=np.stack([hand.T @ first, hand.T @ np.cross(h[5], first)]),
-    )
+class Geometry:
+    """The arm's constants, with its frames as App. B would choose them."""
+
+    def __init__(self, chain: Chain):
+        h, p, tip = _axes(chain)
+        wrist, _ = _meeting_point(h[3:], p[3:])
+        self.sin_tilt = float(np.linalg.norm(np.cross(h[0], h[1])))  # of the angle between axes 1 and 2
+        self.cos_tilt = float(h[0] @ h[1])
+        x = (h[1] - h[0] * (h[0] @ h[1])) / self.sin_tilt
+        shoulder = np.stack([x, np.cross(h[0], x), h[0]], axis=1)
+        self.base_T_shoulder = frame(p[0], shoulder)  # z along axis 1, y across axes 1 and 2
+
+        plane = np.stack([shoulder[:, 1], np.cross(h[1], shoulder[:, 1]), h[1]], axis=1)  # across axis 2
+        centre_2, upper, lower = ((plane.T @ v)[:2] for v in (p[1] - p[0], p[2] - p[1], wrist - p[2]))
+        self.along = float(h[1] @ (wrist - p[0]))  # Q's coordinate along h_2
+        self.axis_2 = centre_2  # (2,) where axis 2 pierces the plane
+        self.upper, self.lower = float(np.hypot(*upper)), float(np.hypot(*lower))  # link lengths in the plane
+        self.upper_angle = math.atan2(upper[1], upper[0])
+        self.elbow_angle = math.atan2(lower[1], lower[0]) - self.upper_angle  # of the lower link against the upper at q_3 = 0
+        self.elbow_sign = float(np.sign(h[1] @ h[2]))  # -1 where axes 2 and 3 point apart
+
+        sin_alpha = float(np.linalg.norm(np.cross(h[3], h[4])))
+        x = (h[4] - h[3] * (h[3] @ h[4])) / sin_alpha
+        hand = np.stack([x, np.cross(h[3], x), h[3]], axis=1)  # the wrist: z along axis 4, x towards axis 5
+        self.plane_R_wrist = plane.T @ hand
+        self.alpha = math.atan2(sin_alpha, float(h[3] @ h[4]))  # angle between axes 4 and 5
+        self.beta = math.atan2(float(np.linalg.norm(np.cross(h[4], h[5]))), float(h[4] @ h[5]))  # between 5 and 6
+        # joint 5 turns h_6 about h_5; its phase is counted from where h_6 is nearest to h_4
+        nearest = (h[3] - h[4] * (h[3] @ h[4])) / sin_alpha
+        self.wrist_zero = math.atan2(float(h[5] @ np.cross(h[4], nearest)), float(h[5] @ nearest))  # at q_5 = 0
+
+        across = np.cross(h[5], hand[:, 0] if abs(h[5] @ hand[:, 0]) < 0.7 else hand[:, 1])
+        across /= np.linalg.norm(across)
+        # in the tip's frame h_6, Q and a direction across h_6; that and h_6 x that in the wrist's frame at q = 0, (2, 3)
+        self.axis_6, self.tip_Q, self.across_6 = (tip[:3, :3].T @ v for v in (h[5], wrist - tip[:3, 3], across))
+        self.wrist_across = np.stack([hand.T @ across, hand.T @ np.cross(h[5], across)])
+
+
+_geometry = functools.lru_cache(maxsize=64)(Geometry)
 
 
 # --------------------------------------------------------------------------------------------------------------------

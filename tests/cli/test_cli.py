@@ -12,11 +12,11 @@ import pyarrow.parquet
 import pytest
 from robot_files import ARM, POST
 from robots import FOLDER, ROBOTS
+from sphere_levels import hierarchical_clearance
 
 import jaxik
 from jaxik import cli
 from jaxik.cli.harvest import _in_the_way, _print_table, write_harvest
-from jaxik.collision.sphere_levels import hierarchical_clearance
 from jaxik.harvesting.blocking_objects import Blockers
 
 GRID = {"kind": "grid", "x": [0, 1, 2], "y": [0.5, 0.8, 2], "z": [0.3, 0.5, 2]}

@@ -10,12 +10,12 @@ import numpy as np
 import pytest
 from scipy.optimize import minimize
 from scipy.spatial import cKDTree
+from sphere_levels import hierarchical_clearance, hierarchical_collision
 
 import jaxik
 from jaxik.collision import clearances, distance
 from jaxik.collision.bvh import grouped
 from jaxik.collision.nearest_pair import Space
-from jaxik.collision.sphere_levels import hierarchical_clearance, hierarchical_collision
 from jaxik.spatial.algebra import Rot3, Vec3
 from jaxik.spmd import HostKernel
 
