@@ -207,36 +207,38 @@ def by_place(points: np.ndarray, size: int) -> np.ndarray:
 # The robot
 
 
-class Volumes(NamedTuple):
+class Volumes:
     """Those with as many corners: leaves of `size` rows; part p has the leaves `first[p]` to `last[p]`, not counted.
 
     `corners` (v, c, 3) and `leaves` in the frames of `joint` (v,); `even`: whether the radii in a leaf are the same."""
 
-    corners: Any
-    radius: Any
-    joint: np.ndarray
-    link: np.ndarray
-    size: int
-    leaves: Balls
-    first: np.ndarray
-    last: np.ndarray
-    even: bool
+    def __init__(self, chain: Chain, links: tuple[int, ...], corners: Any, radius: Any, link: np.ndarray):
+        known, self.arity = is_known((corners, radius)), int(corners.shape[1])
+        fixed, xp = ((corners, radius), np) if known else (lax.stop_gradient((corners, radius)), jnp)
+        center, reach = balls_of(*fixed, xp)
+        groups = [np.flatnonzero(link == each) for each in links]
+        self.size = size = _leaf_size(list(map(len, groups))) if self.arity == 1 else 1
+        order, ends = _in_leaves(groups, size, center if known and size > 1 else None)
+        self.first, self.last = ends[:-1].astype(np.int32), ends[1:].astype(np.int32)
+        self.leaves = around(center[order].reshape(-1, size, 3), reach[order].reshape(-1, size), xp)
+        self.corners, self.radius, self.link = corners[order], radius[order], link[order]
+        self.joint = np.array(chain.link_joint, np.int32)[self.link]
+        self.even = known and bool(np.all(np.ptp(self.radius.reshape(-1, size), axis=1) == 0.0))
 
-    @property
-    def arity(self) -> int:
-        return int(self.corners.shape[1])
 
-
-class Tables(NamedTuple):
+class Tables:
     """A chain's `pair_tables`: which of them each pair of parts has (-1: none), and of each table its joints (t, 2), its `axes`
     (t, 2, 6), how many nodes it has along a joint (t,), where its bounds begin (t,), and the bounds of all."""
 
-    of: np.ndarray
-    joints: np.ndarray
-    axes: np.ndarray
-    size: np.ndarray
-    first: np.ndarray
-    bounds: np.ndarray
+    def __init__(self, chain: Chain, pairs: list[tuple[int, int]]):
+        found = pair_tables(chain)
+        number = {table.links: t for t, table in enumerate(found)}
+        self.of = np.array([number.get(pair, -1) for pair in pairs], np.int32)
+        self.joints, self.axes = np.array([t.joints for t in found], np.int32), np.array([t.axes for t in found])
+        self.size = np.array([t.size for t in found], np.int32)
+        bounds = [np.zeros(0), *(t.bounds.ravel() for t in found)]
+        self.first = np.cumsum([len(b) for b in bounds], dtype=np.int32)[:-1]
+        self.bounds = np.concatenate(bounds)
 
 
 class Robot:
@@ -248,13 +250,14 @@ class Robot:
     def __init__(self, chain: Chain):
         self.links = tuple(solid_links(chain)[::-1])
         self.joint = np.array([chain.link_joint[link] for link in self.links], np.int32)
-        self.kinds = tuple(v for v in (_volumes(chain, self.links, count) for count in (1, 2, 3)) if v is not None)
+        local = (local_volumes(chain, count) for count in (1, 2, 3))
+        self.kinds = tuple(Volumes(chain, self.links, *each) for each in local if each is not None)
         self.parts = _parts(self.links, self.kinds)
         part = {link: p for p, link in enumerate(self.links)}
         before = [[part[a] for a, b in chain.self_pairs if b == link and a in part] for link in self.links]
         ends = np.cumsum([0, *map(len, before)], dtype=np.int32)
         self.first, self.last, self.other = ends[:-1], ends[1:], np.array([p for each in before for p in each], np.int32)
-        self.tables = _tables(chain, [(self.links[o], self.links[p]) for p, each in enumerate(before) for o in each])
+        self.tables = Tables(chain, [(self.links[o], self.links[p]) for p, each in enumerate(before) for o in each])
 
 
 _known_robot = functools.lru_cache(maxsize=64)(Robot)
@@ -274,15 +277,6 @@ def pair_tables(chain: Chain) -> list[PairTable]:
     return [t for t in chain.pair_tables if t.links in pairs and t.geometry == geometry_between(chain, t.links, t.joints)]
 
 
-def _tables(chain: Chain, pairs: list[tuple[int, int]]) -> Tables:
-    found = pair_tables(chain)
-    number = {table.links: t for t, table in enumerate(found)}
-    of, size = np.array([number.get(pair, -1) for pair in pairs], np.int32), np.array([t.size for t in found], np.int32)
-    joints, axes = np.array([t.joints for t in found], np.int32), np.array([t.axes for t in found])
-    bounds = [np.zeros(0), *(t.bounds.ravel() for t in found)]
-    return Tables(of, joints, axes, size, np.cumsum([len(b) for b in bounds], dtype=np.int32)[:-1], np.concatenate(bounds))
-
-
 def _parts(links: tuple[int, ...], kinds: tuple[Volumes, ...]) -> Balls:
     """A sphere around each link."""
     xp = np if is_known([v.leaves for v in kinds]) else jnp
@@ -290,23 +284,6 @@ def _parts(links: tuple[int, ...], kinds: tuple[Volumes, ...]) -> Balls:
     of = lambda p: joined([[x[v.first[p] : v.last[p]] for x in v.leaves] for v in kinds])
     found = [around(center[None], radius[None], xp) for center, radius in map(of, range(len(links)))]
     return joined(found) if found else Balls(np.zeros((0, 3)), np.zeros(0))
-
-
-def _volumes(chain: Chain, links: tuple[int, ...], count: int) -> Volumes | None:
-    local = local_volumes(chain, count)
-    if local is None:
-        return None
-    corners, radius, link = local
-    known = is_known((corners, radius))
-    fixed, xp = ((corners, radius), np) if known else (lax.stop_gradient((corners, radius)), jnp)
-    center, reach = balls_of(*fixed, xp)
-    groups = [np.flatnonzero(link == each) for each in links]
-    size = _leaf_size(list(map(len, groups))) if count == 1 else 1
-    order, ends = _in_leaves(groups, size, center if known and size > 1 else None)
-    balls = around(center[order].reshape(-1, size, 3), reach[order].reshape(-1, size), xp)
-    joint, ends = np.array(chain.link_joint, np.int32)[link[order]], ends.astype(np.int32)
-    even = known and bool(np.all(np.ptp(radius[order].reshape(-1, size), axis=1) == 0.0))
-    return Volumes(corners[order], radius[order], joint, link[order], size, balls, ends[:-1], ends[1:], even)
 
 
 def _leaf_size(counts: list[int]) -> int:

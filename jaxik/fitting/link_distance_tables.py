@@ -30,7 +30,8 @@ FEW = 100  # directions in which depth is sought at first
 BLOCK = 512  # places at a time, which bounds the memory
 
 Limits = tuple[np.ndarray, np.ndarray]
-Couples = list[tuple[Body, Body]]
+Couple = tuple[Body, Body]
+Couples = list[Couple]
 Half = tuple[float, float]  # of the steps between a table's nodes, by joint
 Places = tuple[np.ndarray, np.ndarray]  # turns (n, 3, 3) and places (n, 3)
 
@@ -157,12 +158,7 @@ def _signed(a: Body, b: Body, turn: np.ndarray, place: np.ndarray) -> tuple[np.n
 
 
 def _excess(
-    couple: tuple[Body, Body],
-    places: Places,
-    across: np.ndarray,
-    distance: np.ndarray,
-    axes: Sequence[Axis],
-    steps: list[float],
+    couple: Couple, places: Places, across: np.ndarray, distance: np.ndarray, axes: list[Axis], steps: list[float]
 ) -> np.ndarray:
     """By how much interpolation between the nodes' `distance` may be too large in each cell [m].
 
@@ -187,17 +183,11 @@ def _excess(
     return np.asarray(np.max([np.zeros_like(mixed), *(quarter(i, j) + mixed for i in range(2) for j in range(2))], axis=0))
 
 
-class _Corners(NamedTuple):
+class _Corners:
     """Of a body's corners (n, p): how high they are along a direction, how fast they rise with each joint, and how far they go
     from there within half a step by the arc of the joint next to the body, and with the other's [m]."""
 
-    height: np.ndarray
-    speeds: list[np.ndarray]
-    arc: np.ndarray
-    arcs: np.ndarray
-
-    @classmethod
-    def of(cls, body: Body, places: Places, across: np.ndarray, axes: list[Axis], next_to: int, half: Half) -> _Corners:
+    def __init__(self, body: Body, places: Places, across: np.ndarray, axes: list[Axis], next_to: int, half: Half):
         """Of a body in some places, next to one of the joints, whose axes have origins and directions (n, 3)."""
         turn, place = places
         along = lambda way, shift: np.einsum("nij,ni->nj", turn, way) @ body.corners.T + _dot(way, shift)[:, None]
@@ -215,16 +205,14 @@ class _Corners(NamedTuple):
         turns = [float(not axes[k].slides) for k in (next_to, 1 - next_to)]
         arc = 0.5 * turns[0] * inner * own**2
         more = turns[1] * (0.5 * (outer + inner * own) * other**2 + inner * own * other)
-        return cls(along(across, place), speeds, np.asarray(arc), np.asarray(arc + more))
+        self.height, self.speeds, self.arc, self.arcs = along(across, place), speeds, arc, arc + more
 
 
 def _dot(a: np.ndarray, b: np.ndarray) -> np.ndarray:
     return np.asarray(np.einsum("ni,ni->n", a, b))
 
 
-def _corners_at(
-    couple: tuple[Body, Body], places: Places, across: np.ndarray, axes: Sequence[Axis], half: Half
-) -> tuple[_Corners, _Corners]:
+def _corners_at(couple: Couple, places: Places, across: np.ndarray, axes: list[Axis], half: Half) -> tuple[_Corners, _Corners]:
     """Of two bodies, the second in some places in the frame of the first."""
     (turn, place), (near, far) = places, axes
     seen = [
@@ -232,7 +220,7 @@ def _corners_at(
         Axis(turn @ far.origin + place, turn @ far.along, far.slides),
     ]
     still = np.broadcast_to(np.eye(3), turn.shape), np.zeros_like(place)
-    first, second = (_Corners.of(couple[k], (still, places)[k], across, seen, k, half) for k in range(2))
+    first, second = (_Corners(couple[k], (still, places)[k], across, seen, k, half) for k in range(2))
     return first, second
 
 
