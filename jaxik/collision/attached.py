@@ -52,13 +52,11 @@ def attach(chain: Chain, scene: Scene, name: str, q: Float[Array, " n"], touches
     frames = joint_frames(chain, posture.tolist(), Frame.of(chain.world_T_base)).joints
     joint_T_world = np.linalg.inv(frames[-1].matrices)
     boxes, volumes = _carried(scene, name, joint_T_world, link)
-    if not boxes and not volumes:
+    if not (count := len(boxes) + len(volumes)):
         raise ValueError(f"attach: '{shown(name)}' has no obstacle in '{scene.name}'; there is nothing to carry")
-    if len(boxes) + len(volumes) > MOST:
-        count = len(boxes) + len(volumes)
-        raise ValueError(
-            f"attach: '{shown(name)}' has {count:,} obstacles; at most {MOST:,}; put a few spheres or boxes around it"
-        )
+    if count > MOST:
+        mend = f"at most {MOST:,}; put a few spheres or boxes around it"
+        raise ValueError(f"attach: '{shown(name)}' has {count:,} obstacles; {mend}")
     held = dataclasses.replace(
         chain,
         link_names=(*chain.link_names, name),

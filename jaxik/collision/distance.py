@@ -277,12 +277,9 @@ def _slanted_ways_out(a: Vec3, b: Vec3, radius: Any, half: Any) -> list[Any]:
     w, c = safe_divide(jnp.abs(u.z), length), safe_divide(across, length)
     first = safe_divide(jnp.abs(a.x * u.y - a.y * u.x), across)
     height = safe_divide(a.z - safe_divide(u.z * a.dot(u), length * length), c)
-    return [
-        jnp.where(
-            (c > 16.0 * eps) & (w > 16.0 * eps), _way_out_of_ellipse(first, side * height - half * c, radius, w), -jnp.inf
-        )
-        for side in (1.0, -1.0)
-    ]
+    slanted = (c > 16.0 * eps) & (w > 16.0 * eps)
+    ways = [_way_out_of_ellipse(first, side * height - half * c, radius, w) for side in (1.0, -1.0)]
+    return [jnp.where(slanted, way, -jnp.inf) for way in ways]
 
 
 def _way_out_of_ellipse(x: Any, y: Any, radius: Any, w: Any) -> Any:

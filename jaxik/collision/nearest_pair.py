@@ -166,10 +166,8 @@ class Space:
         def compared(found: Found) -> Found:
             nearest = inside(found)
             raised = bound > nearest.distance
-            distance = jnp.where(raised, bound, nearest.distance)
-            chosen = lambda new, old: None if old is None else jnp.where(distance < found.distance, new, old)
             other = None if found.other is None else jnp.where(raised, self.rows + number, nearest.other)
-            return Found(chosen(distance, found.distance), chosen(nearest.mine, found.mine), chosen(other, found.other))
+            return _nearest_of(found, Found(jnp.where(raised, bound, nearest.distance), nearest.mine, other))
 
         return lax.cond(bound < found.distance, compared, lambda found: found, found) if self.skips else compared(found)
 
@@ -314,18 +312,15 @@ def _placed(robot: Robot, frames: Any, dtype: Any) -> tuple[tuple[Vec3, Any], tu
     points, joints = xp.concatenate(local).astype(dtype), np.concatenate(joint)
     moved = lambda _, row: (None, tuple(Frame.of_entries(traced(_at(frames, row[1]))) @ Vec3(*traced(row[0]))))
     if len(points) <= FEW and xp is np:
-        each = [moved(None, row)[1] for row in zip(points, joints, strict=True)]
-        columns = tuple(jnp.stack(x) for x in zip(*each, strict=True))
+        places = [moved(None, row)[1] for row in zip(points, joints, strict=True)]
+        columns = tuple(jnp.stack(x) for x in zip(*places, strict=True))
     else:
         columns = lax.scan(moved, None, (jnp.asarray(points), jnp.asarray(joints)))[1]
     cuts = itertools.pairwise(np.cumsum([0, *(len(x) for x in local)]))
-    parts, *rest = [Vec3(*(x[a:b] for x in columns)) for a, b in cuts]
-    sized = lambda x: jnp.asarray(x, dtype)
-    found = []
-    for v in robot.kinds:
-        found.append(Placed((rest[0], sized(v.leaves.radius)), tuple(rest[1 : 1 + v.arity]), sized(v.radius)))
-        rest = rest[1 + v.arity :]
-    return (parts, sized(robot.parts.radius)), tuple(found)
+    each = (Vec3(*(x[a:b] for x in columns)) for a, b in cuts)
+    ball = lambda balls: (next(each), jnp.asarray(balls.radius, dtype))
+    corners = lambda v: tuple(itertools.islice(each, v.arity))
+    return ball(robot.parts), tuple(Placed(ball(v.leaves), corners(v), jnp.asarray(v.radius, dtype)) for v in robot.kinds)
 
 
 def _nearer(found: Found, mine: Any, theirs: Any, gap: Any, squares: bool, even: bool, places: Any) -> Found:
@@ -341,11 +336,13 @@ def _nearer(found: Found, mine: Any, theirs: Any, gap: Any, squares: bool, even:
     key, first, second = _least(key, first, second)
     if squares and even:
         key = distance.root(key) - (mine[1][0] + theirs[1][0])
-    closer = key < found.distance
-    chosen = lambda new, old: jnp.where(closer, new, old)
-    if found.mine is None:
-        return Found(chosen(key, found.distance))
-    return Found(chosen(key, found.distance), chosen(first + places[0], found.mine), chosen(second + places[1], found.other))
+    return _nearest_of(found, Found(key) if found.mine is None else Found(key, first + places[0], second + places[1]))
+
+
+def _nearest_of(found: Found, another: Found) -> Found:
+    """What was found, unless the other is nearer."""
+    closer = another.distance < found.distance
+    return jax.tree_util.tree_map(lambda new, old: jnp.where(closer, new, old), another, found)
 
 
 def _least(key: Any, *marks: Any) -> tuple[Any, ...]:

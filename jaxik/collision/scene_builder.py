@@ -206,8 +206,7 @@ def size(what: str, given: Any) -> float:
 def in_metres(what: str, values: np.ndarray, sizes: int = 0) -> np.ndarray:
     """`values` as they are, if they are finite, none beyond `LIMIT`, and the last `sizes` of a row not below zero."""
     table = values.reshape(-1, values.shape[-1] if values.ndim else 1)
-    far, below = ~(np.abs(table) <= LIMIT), np.zeros(table.shape, bool)
-    below[:, table.shape[1] - sizes :] = table[:, table.shape[1] - sizes :] < 0.0
+    far, below = ~(np.abs(table) <= LIMIT), (table < 0.0) & (np.arange(table.shape[1]) >= table.shape[1] - sizes)
     for row, column in np.argwhere(far | below)[:1]:
         where, value = f"{what} row {row + 1}" if values.ndim == 2 else what, float(table[row, column])
         if not np.isfinite(value):

@@ -86,13 +86,9 @@ def _carried(chain: Chain, frames: tuple[Frame, ...], points: Any, link: np.ndar
     """Points given in their joints' frames, in the root frame: runs of one joint share its frame."""
     joint = np.array([chain.link_joint[i] for i in link])
     cuts = [0, *(np.flatnonzero(np.diff(joint)) + 1), len(joint)]
-    pieces: list[Vec3] = []
-    for start, stop in itertools.pairwise(cuts):
-        local = points[start:stop]
-        local = local if isinstance(local, jax.Array) else np.asarray(local, dtype)
-        pieces.append(frames[joint[start]] @ Vec3(local[:, 0], local[:, 1], local[:, 2]))
-    sizes = np.diff(cuts)
-    return Vec3(*(_joined([p[i] for p in pieces], sizes) for i in range(3)))
+    points = points if isinstance(points, jax.Array) else np.asarray(points, dtype)
+    pieces = [frames[joint[a]] @ Vec3(*(points[a:b, i] for i in range(3))) for a, b in itertools.pairwise(cuts)]
+    return Vec3(*(_joined([p[i] for p in pieces], np.diff(cuts)) for i in range(3)))
 
 
 def _joined(pieces: list[Scalar], sizes: np.ndarray) -> Any:

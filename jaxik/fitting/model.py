@@ -22,7 +22,7 @@ import numpy as np
 
 from jaxik.collision import distance
 from jaxik.collision.self_collision_pairs import candidate_pairs, default_pose
-from jaxik.fitting.capsules import Fit, Fitted, fitted
+from jaxik.fitting.capsules import NOTHING, Fit, Fitted, fitted
 from jaxik.fitting.convex import Body, apart_at_least, depths, directions, gaps, hull_corners, hull_of, separated
 from jaxik.fitting.link_distance_tables import between, frames, side_of, table_of
 from jaxik.robot.chain import Chain, Volume, finite_limits, geometry_between, hashed
@@ -326,7 +326,7 @@ _GAPS = HostKernel(lambda start, end, a, b: distance.segment_segment(*(Vec3(*x) 
 def _closest(found: Sequence[tuple[np.ndarray, np.ndarray]]) -> tuple[np.ndarray, np.ndarray]:
     """Of passes in nearly the same direction the closest."""
     if not found:
-        return np.zeros((0, 3)), np.zeros(0)
+        return NOTHING
     across, half = (np.concatenate(column) for column in zip(*found, strict=True))
     order = np.argsort(half, kind="stable")
     across, half = across[order], half[order]

@@ -141,19 +141,13 @@ def _obstacle(chain: Chain) -> str:
     wrist, miss = _meeting_point(h[3:], p[3:])
     if miss > TOLERANCE:
         return f"the last three axes miss a common point by {miss:.2g} m ({TOLERANCE:g} allowed): no spherical wrist"
-    across = [np.linalg.norm(np.cross(h[i], h[i + 1])) for i in (0, 3, 4)]
-    for (a, b), sine in zip(((1, 2), (4, 5), (5, 6)), across, strict=True):
-        if sine < 1e-3:
+    for a, b in ((1, 2), (4, 5), (5, 6)):
+        if np.linalg.norm(np.cross(h[a - 1], h[b - 1])) < 1e-3:
             return f"axes {a} and {b} of the last six joints are parallel"
-    lengths = [_in_plane(h[1], p[2] - p[1]), _in_plane(h[1], wrist - p[2])]
-    for name, length in zip(("axis 2 to axis 3", "axis 3 to the wrist centre"), lengths, strict=True):
-        if length < 1e-6:
+    for name, link in (("axis 2 to axis 3", p[2] - p[1]), ("axis 3 to the wrist centre", wrist - p[2])):
+        if np.linalg.norm(link - h[1] * (h[1] @ link)) < 1e-6:
             return f"the distance from {name} is 0"
     return ""
-
-
-def _in_plane(normal: np.ndarray, v: np.ndarray) -> float:
-    return float(np.linalg.norm(v - normal * (normal @ v)))
 
 
 def _axes(chain: Chain) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
@@ -244,12 +238,11 @@ def half_branches(chain: Chain, pose: Any, leading: Any, shoulders: Any = BOTH, 
         sin1, cos1 = turn1
         turned = [Vec3(add(mul(v.x, cos1), mul(v.y, sin1)), sub(mul(v.y, cos1), mul(v.x, sin1)), v.z) for v in (third, across)]
         turned = [to_plane @ v for v in turned]
-        for q2, q3, turn2, turn3, margin3 in _elbow(g, point, elbows, eps):
-            (sin2, cos2), (sin3, cos3) = turn2, turn3
+        for q2, q3, (sin2, cos2), (sin3, cos3), margin3 in _elbow(g, point, elbows, eps):
             sin23, cos23 = sin2 * cos3 + cos2 * sin3, cos2 * cos3 - sin2 * sin3
             inner = [Vec3(v.x * cos23 + v.y * sin23, v.y * cos23 - v.x * sin23, v.z) for v in turned]
             aim, beside = [to_wrist @ v for v in inner]
-            turns = turn1, turn2, (g.elbow_sign * sin3, cos3)
+            turns = turn1, (sin2, cos2), (g.elbow_sign * sin3, cos3)
             found.append(HalfBranch((q1, q2, q3), turns, aim, beside, minimum(margin1, margin3)))
     return found
 
