@@ -286,13 +286,12 @@ class _Row(NamedTuple):
 
 def _rows(chain: Chain) -> list[_Row]:
     """Those of the later links of pairs; without any, of all against the scene."""
-    joint, found = chain.link_joint, []
+    joint = chain.link_joint
     if not chain.self_pairs:
         return [_Row(link, ((link, 0),)) for link in solid_links(chain)]
-    for link in sorted({later for _, later in chain.self_pairs}):
-        pairs = [sorted((a, link), key=lambda i: joint[i]) for a, later in chain.self_pairs if later == link]
-        found.append(_Row(link, tuple(sorted({(high, joint[low]) for low, high in pairs}))))
-    return found
+    moved = lambda a, b: (a, joint[b]) if joint[a] > joint[b] else (b, joint[a])
+    links = sorted({later for _, later in chain.self_pairs})
+    return [_Row(link, tuple(sorted({moved(*pair) for pair in chain.self_pairs if pair[1] == link}))) for link in links]
 
 
 def _corners(chain: Chain, link: int) -> Any:
@@ -387,8 +386,7 @@ def _speeds(chain: Chain, rows: list[_Row], q: Any, moved: Any) -> Any:
                 place = frames.joints[chain.link_joint[link] - 1] @ Vec3(*traced(centre))
                 linear, angular = linear + axis.cross(place - frame.translation), angular + axis
             found[link, j] = jnp.sqrt(linear.dot(linear)) + radius * jnp.sqrt(angular.dot(angular))
-    most = [jnp.max(jnp.stack([jnp.asarray(found[each], q.dtype) for each in row.moved])) for row in rows]
-    return jnp.stack(most)
+    return jnp.stack([jnp.max(jnp.stack([jnp.asarray(found[each], q.dtype) for each in row.moved])) for row in rows])
 
 
 def _size(chain: Chain, length: Any, q_from: Any, q_to: Any) -> Any:

@@ -46,8 +46,7 @@ def _clip01(t: Any) -> Any:
     return jnp.clip(t, 0.0, 1.0)
 
 
-def _held(t: Any) -> Any:
-    return lax.stop_gradient(t)
+_held: Callable[[Any], Any] = lax.stop_gradient
 
 
 # --------------------------------------------------------------------------------------------------------------------

@@ -56,10 +56,6 @@ class Others(NamedTuple):
     even: bool
     origin: int
 
-    @property
-    def rows(self) -> int:
-        return len(jax.tree_util.tree_leaves(self.columns)[0])
-
 
 class Space:
     """A robot at one configuration, among what surrounds it."""
@@ -75,18 +71,15 @@ class Space:
         self.parts, self.placed = _placed(self.robot, self.frames, q.dtype)
         sizes = [len(v.radius) for v in self.robot.kinds]
         self.first = np.cumsum([0, *sizes]).tolist()  # of the volumes of each kind, in one numbering
-        self.others: list[Others] = []
+        others: list[tuple[Any, Gap, Any, int, bool]] = []
         for o in around:
             gap, columns = obstacles_of(o.kind, o.rows, q.dtype)
-            size = len(jax.tree_util.tree_leaves(columns)[0]) // len(o.leaves.radius)
-            self._add(columns, gap, _cast(o.leaves, q.dtype), size, o.kind == "points")
-        for v, placed in zip(self.robot.kinds, self.placed, strict=True):
-            self._add((placed.corners, placed.radius), skeleton_gap, placed.leaves, v.size, v.even and v.arity == 1)
-        self.rows = self.others[-1].origin + self.others[-1].rows  # those of tables come after them
-
-    def _add(self, columns: Any, gap: Gap, leaves: Any, size: int, even: bool) -> None:
-        origin = self.others[-1].origin + self.others[-1].rows if self.others else 0
-        self.others.append(Others(columns, gap, leaves, size, even, origin))
+            others.append((columns, gap, _cast(o.leaves, q.dtype), _count(columns) // len(o.leaves.radius), o.kind == "points"))
+        for v, p in zip(self.robot.kinds, self.placed, strict=True):
+            others.append(((p.corners, p.radius), skeleton_gap, p.leaves, v.size, v.even and v.arity == 1))
+        # those of tables come after them
+        *origins, self.rows = itertools.accumulate((_count(columns) for columns, *_ in others), initial=0)
+        self.others = [Others(*each, origin) for each, origin in zip(others, origins, strict=True)]
 
     # ----------------------------------------------------------------------------------------------------------------
     # Which pairs
@@ -274,7 +267,7 @@ class Space:
         for volumes, origin in zip(self.robot.kinds, self.first, strict=False):
             for k, others in enumerate(self.others):
                 i, j = found.mine - origin, found.other - others.origin
-                here = (i >= 0) & (i < len(volumes.radius)) & (j >= 0) & (j < others.rows)
+                here = (i >= 0) & (i < len(volumes.radius)) & (j >= 0) & (j < _count(others.columns))
                 theirs = self.robot.kinds[k - len(self.obstacles)] if k >= len(self.obstacles) else None
 
                 def inside(value: Any, v: Any = (volumes, others, theirs, i, j)) -> Any:
@@ -360,6 +353,10 @@ def _least(key: Any, *marks: Any) -> tuple[Any, ...]:
 
 def _at(x: Any, i: Any) -> Any:
     return lax.dynamic_index_in_dim(jnp.asarray(x), i, keepdims=False)
+
+
+def _count(columns: Any) -> int:
+    return len(jax.tree_util.tree_leaves(columns)[0])
 
 
 def _rows(columns: Any, i: Any, size: int) -> Any:

@@ -6,7 +6,9 @@ the same compiled program. Every obstacle belongs to a named object: a leaf of f
 
 from __future__ import annotations
 
+import contextlib
 import dataclasses
+import operator
 from collections.abc import Callable, Hashable, Iterable, Iterator
 from typing import Any
 
@@ -168,13 +170,11 @@ class Scene(Constant):
             if given not in self.object_names:
                 raise ValueError(no_such(f"scene '{self.name}'", "object", given, self.object_names))
             return self.object_names.index(given)
-        if isinstance(given, np.ndarray | jax.Array) and is_known(given) and not given.ndim:
-            given = np.asarray(given)[()]
-        whole = isinstance(given, int | np.integer) and not isinstance(given, bool)
-        if not whole or not 0 <= given < len(self.object_names):
-            most = len(self.object_names) - 1
-            raise ValueError(f"scene '{self.name}': object {shown(given)}; allowed: names, or indices 0 to {most}")
-        return int(given)
+        with contextlib.suppress(TypeError):  # what is no whole number has no index
+            if not isinstance(given, bool) and 0 <= operator.index(given) < len(self.object_names):
+                return operator.index(given)
+        most = len(self.object_names) - 1
+        raise ValueError(f"scene '{self.name}': object {shown(given)}; allowed: names, or indices 0 to {most}")
 
     def moved(self, a_T_world: Any) -> Scene:
         """The same scene as seen from another frame: all its points `p` become `a_T_world @ p`.

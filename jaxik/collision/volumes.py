@@ -73,12 +73,10 @@ def skeletons(chain: Chain, q: Any, dtype: Any, root: Frame | None = None) -> di
     moved = (root, *joint_frames(chain, q, root, dtype).joints)
     found = {}
     for count in (1, 2, 3):
-        local = local_volumes(chain, count)
-        if local is None:
-            continue
-        points, radius, link = local
-        corners = tuple(_carried(chain, moved, points[:, c], link, dtype) for c in range(count))
-        found[count] = Skeleton(corners, radius if isinstance(radius, jax.Array) else np.asarray(radius, dtype), link)
+        if (local := local_volumes(chain, count)) is not None:
+            points, radius, link = local
+            corners = tuple(_carried(chain, moved, points[:, c], link, dtype) for c in range(count))
+            found[count] = Skeleton(corners, radius if isinstance(radius, jax.Array) else np.asarray(radius, dtype), link)
     return found
 
 

@@ -47,6 +47,7 @@ SELDOM = 0.002  # of them, in which a pair may collide falsely without a table
 _VERSION = 9  # of what is stored
 
 Pair = tuple[int, int]
+Hits = dict[Pair, np.ndarray]  # in which of the configurations a pair of links touches
 
 
 class Shape(NamedTuple):
@@ -188,12 +189,7 @@ class _Links:
         return min(made, key=lambda model: model.worth)
 
     def judged(
-        self,
-        fits: Sequence[Fitted],
-        hit: dict[Pair, np.ndarray],
-        at_home: dict[Pair, float],
-        least: np.ndarray,
-        tables: Sequence[PairTable],
+        self, fits: list[Fitted], hit: Hits, at_home: dict[Pair, float], least: np.ndarray, tables: list[PairTable]
     ) -> Model:
         """The model that capsules and tables make, with what it says of the samples. In some of them, `hit`, the capsules
         falsely collide."""
@@ -204,7 +200,7 @@ class _Links:
         colliding = float(np.mean(least[1:] <= 0.0))
         return Model(tuple(fits), tuple(hit), at_home, colliding, share(hit.values()), by_link, home_free, tuple(tables))
 
-    def tables(self, hit: dict[Pair, np.ndarray], side: int) -> list[PairTable]:
+    def tables(self, hit: Hits, side: int) -> list[PairTable]:
         """Of the pairs of links that falsely collide in the default pose, or in more of the samples than `SELDOM`."""
         often = [pair for pair, rows in hit.items() if rows[0] or rows[1:].mean() > SELDOM]
         bodies = {link: [self.bodies[i][1] for i in self.of(link)] for pair in often for link in pair}
