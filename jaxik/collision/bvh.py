@@ -217,7 +217,8 @@ class Volumes:
         fixed, xp = ((corners, radius), np) if known else (lax.stop_gradient((corners, radius)), jnp)
         center, reach = balls_of(*fixed, xp)
         groups = [np.flatnonzero(link == each) for each in links]
-        self.size = size = _leaf_size(list(map(len, groups))) if self.arity == 1 else 1
+        full = lambda n: sum(-(-len(g) // n) * n for g in groups) <= 1.5 * len(link)  # not a third of the places empty
+        self.size = size = next(filter(full, (8, 4, 2, 1))) if self.arity == 1 else 1
         order, ends = _in_leaves(groups, size, center if known and size > 1 else None)
         self.first, self.last = ends[:-1].astype(np.int32), ends[1:].astype(np.int32)
         self.leaves = around(center[order].reshape(-1, size, 3), reach[order].reshape(-1, size), xp)
@@ -284,8 +285,3 @@ def _parts(links: tuple[int, ...], kinds: tuple[Volumes, ...]) -> Balls:
     of = lambda p: joined([[x[v.first[p] : v.last[p]] for x in v.leaves] for v in kinds])
     found = [around(center[None], radius[None], xp) for center, radius in map(of, range(len(links)))]
     return joined(found) if found else Balls(np.zeros((0, 3)), np.zeros(0))
-
-
-def _leaf_size(counts: list[int]) -> int:
-    """How many spheres go together: as many as leave not a third of the places empty."""
-    return next(n for n in (8, 4, 2, 1) if sum(-(-c // n) * n for c in counts) <= 1.5 * sum(counts))

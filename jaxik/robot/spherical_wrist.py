@@ -34,7 +34,8 @@ from jaxik.robot.kinematics import joint_frames
 from jaxik.spatial.algebra import BASE, Frame, Rot3, Scalar, Vec3, add, atan2, constants, mul, safe_sqrt, stack, sub, traced
 from jaxik.spatial.ball import minimum, where
 from jaxik.spatial.rotations import frame
-from jaxik.spmd import HostKernel, kernel
+from jaxik.spmd import kernel
+from jaxik.spmd.host import host_kernels
 
 TOLERANCE = 1e-7  # [m, rad] within which axes count as parallel, meeting or crossing
 BRANCHES = 8
@@ -80,30 +81,16 @@ def closed_form(chain: Chain, pose: Float[Array, "4 4"], slide: Float[Array, "..
     return ClosedForm(q, valid, valid & inside)
 
 
-@functools.lru_cache(maxsize=16)
-def closed_forms(chain: Chain) -> HostKernel:
-    """A batch of `closed_form`: (poses, leading joints), by rows."""
-    return HostKernel(functools.partial(closed_form, chain), 2)
+# a batch of `closed_form`: (poses, leading joints), by rows
+closed_forms = host_kernels(2, known=16)(closed_form)
 
 
-@functools.lru_cache(maxsize=16)
-def closed_branches(chain: Chain) -> HostKernel:
-    """By rows of poses, leading joints and branch numbers: that branch alone, its joints (n,) and whether they have
-    the pose inside the limits; a fifth of the time of all eight."""
-
-    return HostKernel(functools.partial(one_branch, chain), 3)
-
-
-@functools.lru_cache(maxsize=16)
-def valid_branches(chain: Chain) -> HostKernel:
+@host_kernels(2, known=16)
+def valid_branches(chain: Chain, pose: Any, leading: Any) -> Any:
     """By rows of poses and leading joints: a byte with one bit a branch that has the pose, whose angles are not computed."""
-
-    def bits(pose: Any, leading: Any) -> Any:
-        halves = half_branches(chain, pose, leading)
-        margins = [margin for half in halves for _, margin in wrist_branches(chain, half, pose.dtype)]
-        return functools.reduce(jnp.bitwise_or, [(m >= 0.0).astype(jnp.uint8) << b for b, m in enumerate(margins)])
-
-    return HostKernel(bits, 2)
+    halves = half_branches(chain, pose, leading)
+    margins = [margin for half in halves for _, margin in wrist_branches(chain, half, pose.dtype)]
+    return functools.reduce(jnp.bitwise_or, [(m >= 0.0).astype(jnp.uint8) << b for b, m in enumerate(margins)])
 
 
 def one_branch(chain: Chain, pose: Any, leading: Any, number: Any) -> tuple[Any, Any]:
@@ -114,6 +101,10 @@ def one_branch(chain: Chain, pose: Any, leading: Any, number: Any) -> tuple[Any,
     *angles, margin = (jnp.where(number & 1, two, one) for one, two in zip(*wrists, strict=True))
     q, inside = into_limits(chain, jnp.stack([*leading, *angles]))
     return q, (margin >= 0.0) & inside
+
+
+# by rows of poses, leading joints and branch numbers: that branch alone, in a fifth of the time of all eight
+closed_branches = host_kernels(3, known=16)(one_branch)
 
 
 # --------------------------------------------------------------------------------------------------------------------
