@@ -248,10 +248,8 @@ class Space:
         def steep(number: Any) -> tuple[Any, ...]:
             joints, values = _at(self.robot.tables.joints, number), self._joints_of(number)
             one, back = jax.vjp(lambda values: self._tabled_gap(number, values), values)
-            return tuple(
-                sum(jnp.where(joints[i] == j, s, 0.0) for i, s in enumerate(back(jnp.ones_like(one))[0]))
-                for j in range(len(rows))
-            )
+            (slopes,) = back(jnp.ones_like(one))
+            return tuple(sum(jnp.where(joints[i] == j, s, 0.0) for i, s in enumerate(slopes)) for j in range(len(rows)))
 
         return list(self._if_tabled(found, steep, tuple(rows)))
 

@@ -160,8 +160,9 @@ class Scene(Constant):
         Raises `ValueError` for an object that is not there.
         """
         several = isinstance(objects, Iterable) and not isinstance(objects, str) and getattr(objects, "ndim", 1) > 0
-        gone = [self._index(each) for each in (objects if several else [objects])]
-        away = {kind: _moved_away(obstacles, np.isin(owners, gone)) for kind, obstacles, owners in self.by_kind()}
+        gone = np.zeros(len(self.object_names) + 1, bool)  # the last for what has no name
+        gone[[self._index(each) for each in (objects if several else [objects])]] = True
+        away = {kind: _moved_away(obstacles, gone[owners]) for kind, obstacles, owners in self.by_kind()}
         return dataclasses.replace(self, **away)
 
     def _index(self, given: Any) -> int:

@@ -30,8 +30,7 @@ class SceneBuilder:
     def __init__(self, name: str = "scene", point_radius: Any = 0.0):
         self.name = _word("scene", name)
         self.point_radius = size("point_radius", point_radius)
-        self.names: dict[str, None] = {}  # in their order
-        self.removable: list[bool] = []
+        self.removable: dict[str, bool] = {}  # of each name, in their order
         self.fruits: list[Fruit] = []
         self.rows: dict[str, list[np.ndarray]] = {k: [] for k in KINDS}
         self.owners: dict[str, list[int]] = {k: [] for k in KINDS}
@@ -65,15 +64,14 @@ class SceneBuilder:
         self.fruits.append(Fruit(top, up, name))
 
     def _put(self, name: str, removable: bool, rows: dict[str, np.ndarray]) -> None:
-        if _word("object", name) in self.names:
+        if _word("object", name) in self.removable:
             raise ValueError(f"object '{shown(name)}': the name stands twice; give each its own")
         for kind, values in rows.items():
             _few(f"object '{shown(name)}': {kind}", len(self.owners[kind]) + len(values))
         for kind, values in rows.items():
             self.rows[kind].append(values)
-            self.owners[kind] += [len(self.names)] * len(values)
-        self.names[name] = None
-        self.removable.append(removable)
+            self.owners[kind] += [len(self.removable)] * len(values)
+        self.removable[name] = removable
 
     def scene(self) -> Scene:
         points, spheres, capsules, boxes, cylinders = (
@@ -87,8 +85,8 @@ class SceneBuilder:
             Cylinders(cylinders[:, :16].reshape(-1, 4, 4), cylinders[:, 16], cylinders[:, 17] / 2.0),
             tuple(self.fruits),
             name=self.name,
-            object_names=tuple(self.names),
-            removable=tuple(self.removable),
+            object_names=tuple(self.removable),
+            removable=tuple(self.removable.values()),
             owners=tuple(tuple(self.owners[k]) for k in KINDS),
         )
         remembered(scene, "checked", lambda: None)  # as each obstacle was
