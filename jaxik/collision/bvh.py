@@ -155,9 +155,8 @@ def _extent(rows: dict[str, Any], xp: Any) -> tuple[Any, Any]:
     """Of each obstacle the centre (k, 3) and radius (k,) of a sphere around it."""
     place, *more = (x for name, x in rows.items() if name not in ("radius", "half"))
     if place.shape[1:] == (4, 4):
-        return place[:, :3, 3], xp.sqrt(
-            rows.get("radius", 0.0) ** 2 + xp.sum(rows["half"].reshape(len(place), -1) ** 2, axis=1)
-        )
+        square = xp.sum(rows["half"].reshape(len(place), -1) ** 2, axis=1)
+        return place[:, :3, 3], xp.sqrt(rows.get("radius", 0.0) ** 2 + square)
     return balls_of(xp.stack([place, *more], axis=1), xp.broadcast_to(rows["radius"], place.shape[:1]), xp)
 
 
