@@ -32,7 +32,7 @@ from jaxik.checks.options import check_finite, check_kind
 from jaxik.collision.bvh import balls_of, grouped, pair_tables
 from jaxik.collision.clearances import check_geometry, clearance, link_clearances
 from jaxik.collision.scene import FAR, KINDS, Scene
-from jaxik.collision.volumes import box_spheres
+from jaxik.collision.volumes import box_spheres, xp_of
 from jaxik.robot.chain import Array, Chain, as_configuration, as_shaped, solid_links
 from jaxik.robot.kinematics import joint_frames
 from jaxik.robot.link_distance_table import PairTable
@@ -298,11 +298,7 @@ def _corners(chain: Chain, link: int) -> Any:
     """The corners of a link's skeleton in its joint's frame (m, 3); its shapes are this, rounded."""
     corners = [v.corners for v in chain.volumes if v.link == link]
     corners += [box_spheres(box, chain.spheres_per_box)[0] for box in chain.boxes if box.link == link]
-    return _xp(*corners).concatenate(corners)
-
-
-def _xp(*arrays: Any) -> Any:
-    return jnp if any(isinstance(x, jax.Array) for x in arrays) else np
+    return xp_of(*corners).concatenate(corners)
 
 
 class _Bounds(NamedTuple):
@@ -317,7 +313,7 @@ class _Bounds(NamedTuple):
 def _bounds(chain: Chain, link: int, other: int, turned: list[Any], travel: list[Any]) -> _Bounds:
     """`turned`: |dq_j|, `travel`: how far a slide is ever out, 0 of what turns."""
     corners = _corners(chain, link)
-    xp = _xp(corners, chain.axis, chain.parent_T_joint)
+    xp = xp_of(corners, chain.axis, chain.parent_T_joint)
     length = lambda rows: xp.max(xp.sqrt(xp.sum(xp.square(rows), axis=-1)))
     arms, ever = {}, 0.0  # from the joint's axis; from its origin
     for j in reversed(range(other, chain.link_joint[link])):
@@ -375,7 +371,7 @@ def _speeds(chain: Chain, rows: list[_Row], q: Any, moved: Any) -> Any:
     found: dict[tuple[int, int], Any] = {}
     for link in sorted({link for row in rows for link, _ in row.moved}):
         corners = _corners(chain, link)
-        centre, radius = (x[0] for x in balls_of(corners[None], 0.0, _xp(corners)))
+        centre, radius = (x[0] for x in balls_of(corners[None], 0.0, xp_of(corners)))
         linear, angular = ZERO, ZERO
         found[link, chain.link_joint[link]] = jnp.zeros((), q.dtype)
         for j in reversed(range(chain.link_joint[link])):

@@ -23,12 +23,17 @@ from jaxik.spatial.algebra import Frame, Scalar, Vec3, traced
 LEVELS = {1: 0, 8: 1, 64: 2, 512: 3}
 
 
+def xp_of(*arrays: Any) -> Any:
+    """NumPy where all of the arrays are its own, so that they fold; else JAX's."""
+    return jnp if any(isinstance(x, jax.Array) for x in arrays) else np
+
+
 def box_spheres(box: Box, per_box: int) -> tuple[Float[Array, "k 3"], Float[Array, ""]]:
     """Centres in the joint's frame and the common radius [m] of a box's spheres, `per_box` = 1, 8, 64 or 512 of them.
 
     The order is hierarchical: the children of sphere i of one level are spheres 8 i to 8 i + 7 of the next.
     """
-    xp = jnp if isinstance(box.half, jax.Array) or isinstance(box.joint_T_box, jax.Array) else np
+    xp = xp_of(box.half, box.joint_T_box)
     corners = np.stack(np.meshgrid(*([[-0.5, 0.5]] * 3), indexing="ij"), axis=-1).reshape(8, 3)
     grid = np.zeros((1, 3))
     for level in range(LEVELS[per_box]):
@@ -57,7 +62,7 @@ def local_volumes(chain: Chain, count: int) -> tuple[Any, Any, np.ndarray] | Non
         return None
     parts.sort(key=lambda part: part[0])
     links, corners, radii = zip(*parts, strict=True)
-    xp = jnp if any(isinstance(x, jax.Array) for x in (*corners, *radii)) else np
+    xp = xp_of(*corners, *radii)
     sizes = [len(each) for each in corners]
     each = xp.concatenate([xp.full(n, r) for n, r in zip(sizes, radii, strict=True)])
     return xp.concatenate(corners), each, np.repeat(links, sizes)
@@ -90,7 +95,7 @@ def _carried(chain: Chain, frames: tuple[Frame, ...], points: Any, link: np.ndar
 
 
 def _joined(pieces: list[Scalar], sizes: np.ndarray) -> Any:
-    xp = jnp if any(isinstance(p, jax.Array) for p in pieces) else np
+    xp = xp_of(*pieces)
     lead = np.broadcast_shapes(*(np.shape(p)[:-1] for p in pieces))
     return xp.concatenate([xp.broadcast_to(p, (*lead, n)) for p, n in zip(pieces, sizes, strict=True)], axis=-1)
 
