@@ -127,18 +127,11 @@ def _obstacles(
     balls = around(center[order].reshape(-1, size, 3), radius[order].reshape(-1, size), xp)
     filled, numbered = lambda x: with_zeros(x, room, xp), lambda x: with_zeros(x.astype(np.int32), room, np)
     placed = lambda x: x if np.ndim(x) == 0 else with_zeros(x[order], room * size, xp)
-    return Obstacles(
-        kind,
-        {name: placed(x) for name, x in rows.items()},
-        Balls(*map(filled, balls)),
-        Balls(*map(filled, _joined(balls, first, last, xp))),
-        numbered(first),
-        numbered(last),
-        numbered(ignores),
-        np.int32(len(first)),
-        xp.asarray(sum(xp.sum(x) * 0.0 for x in rows.values())),
-        ignored,
-    )
+    kept = {name: placed(x) for name, x in rows.items()}
+    spheres, branches = (Balls(*map(filled, each)) for each in (balls, _joined(balls, first, last, xp)))
+    first, last, ignores = map(numbered, (first, last, ignores))
+    unsound = xp.asarray(sum(xp.sum(x) * 0.0 for x in rows.values()))
+    return Obstacles(kind, kept, spheres, branches, first, last, ignores, np.int32(len(group)), unsound, ignored)
 
 
 def _in_leaves(groups: list[np.ndarray], size: int, center: np.ndarray | None) -> tuple[np.ndarray, np.ndarray]:

@@ -95,10 +95,9 @@ def _table(chain: Chain, near: int, far: int, k: int, couples: Couples, limits: 
     other = np.linalg.inv(functools.reduce(np.matmul, frame[k + 2 : last], np.eye(4)))  # joint k + 1, seen from the further one
     slides = [chain.is_prismatic[j] for j in (k, k + 1)]
     turns = [Axis(f[:3, 3], f[:3, :3] @ axes[j], s) for j, f, s in zip((k, k + 1), (own, other), slides, strict=True)]
-    reach = [
-        max(float(np.linalg.norm(turn.moved(body.corners), axis=1).max()) for body in each)
-        for turn, each in zip(turns, zip(*couples, strict=True), strict=True)
-    ]
+    fastest = lambda turn, body: float(np.linalg.norm(turn.moved(body.corners), axis=1).max())
+    each = zip(turns, zip(*couples, strict=True), strict=True)
+    reach = tuple(max(fastest(turn, body) for body in own) for turn, own in each)
 
     ranges = [_range(chain, j, limits) for j in (k, k + 1)]
     q = np.zeros((side * side, chain.num_joints))
@@ -108,13 +107,13 @@ def _table(chain: Chain, near: int, far: int, k: int, couples: Couples, limits: 
     found = [_signed(a, b, *places) for a, b in couples]
     distance = np.minimum(np.min([gap for gap, _ in found], axis=0), ENOUGH)
     wraps = tuple(r == TURN for r in ranges)
-    each = zip(couples, found, strict=True)
-    excess = [_excess(couple, places, across, distance, turns, steps) for couple, (_, across) in each]
+    pairs = zip(couples, found, strict=True)
+    excess = [_excess(couple, places, across, distance, turns, steps) for couple, (_, across) in pairs]
     bounds = distance.reshape(side, side) - _of_nodes(np.max(excess, axis=0), wraps)
     for way in (w for w, whole in zip((bounds, bounds.T), wraps, strict=True) if whole):
         way[[0, -1]] = np.minimum(way[0], way[-1])  # the same place, but for rounding
     low, high = zip(*ranges, strict=True)
-    return PairTable((near, far), (k, k + 1), low, high, wraps, tuple(reach), stored(bounds), geometry="")
+    return PairTable((near, far), (k, k + 1), low, high, wraps, reach, stored(bounds), geometry="")
 
 
 class Axis(NamedTuple):

@@ -118,8 +118,7 @@ def _within_reach(chain: Chain, poses: np.ndarray, slides: int) -> np.ndarray:
     # threads spin for a while after a product, on the cores that the other chunk wants
     square = np.einsum("ni,mi->nm", points, -2.0 * origin)
     square += np.einsum("ni,ni->n", points, points)[:, None]
-    found: np.ndarray = square <= within
-    return found
+    return np.asarray(square <= within)
 
 
 @functools.lru_cache(maxsize=64)
