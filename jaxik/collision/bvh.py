@@ -150,7 +150,8 @@ def _extent(rows: dict[str, Any], xp: Any) -> tuple[Any, Any]:
     if place.shape[1:] == (4, 4):
         square = xp.sum(rows["half"].reshape(len(place), -1) ** 2, axis=1)
         return place[:, :3, 3], xp.sqrt(rows.get("radius", 0.0) ** 2 + square)
-    return balls_of(xp.stack([place, *more], axis=1), xp.broadcast_to(rows["radius"], place.shape[:1]), xp)
+    radius = xp.broadcast_to(rows["radius"], place.shape[:1])
+    return balls_of(xp.stack([place, *more], axis=1), radius, xp) if more else (place, radius)  # most are points
 
 
 def balls_of(corners: Any, radius: Any, xp: Any) -> tuple[Any, Any]:
