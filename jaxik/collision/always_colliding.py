@@ -43,9 +43,8 @@ def standing_words(chain: Chain, scene: Scene, margin: float) -> list[str]:
     if not (found := known[chain, margin]):
         return []
     worst, more = found[0], len(found) - 1
-    depth = (
-        f"collide by {-1e3 * worst.distance:.1f} mm" if worst.distance < 0.0 else f"stay {1e3 * worst.distance:.1f} mm apart"
-    )
+    apart = 1e3 * worst.distance
+    depth = f"collide by {-apart:.1f} mm" if apart < 0.0 else f"stay {apart:.1f} mm apart"
     besides = f", and {more} more pair{'s' * (more > 1)}" if more else ""
     return [
         f"{worst.link} and {worst.other} {depth} in every configuration{besides}; "

@@ -11,7 +11,7 @@ from jaxtyping import Float
 
 from jaxik.checks.arrays import check_known
 from jaxik.checks.options import check_kind, no_such, shown
-from jaxik.collision.scene import KINDS, Scene, check_scene, is_there
+from jaxik.collision.scene import Scene, check_scene
 from jaxik.robot.chain import Array, Box, Chain, Volume, solid_links
 from jaxik.robot.kinematics import as_posture, joint_frames
 from jaxik.spatial.algebra import Frame
@@ -52,13 +52,11 @@ def attach(chain: Chain, scene: Scene, name: str, q: Float[Array, " n"], touches
     frames = joint_frames(chain, posture.tolist(), Frame.of(chain.world_T_base)).joints
     joint_T_world = np.linalg.inv(frames[-1].matrices)
     boxes, volumes = _carried(scene, name, joint_T_world, link)
-    if not boxes and not volumes:
+    if not (count := len(boxes) + len(volumes)):
         raise ValueError(f"attach: '{shown(name)}' has no obstacle in '{scene.name}'; there is nothing to carry")
-    if len(boxes) + len(volumes) > MOST:
-        count = len(boxes) + len(volumes)
-        raise ValueError(
-            f"attach: '{shown(name)}' has {count:,} obstacles; at most {MOST:,}; put a few spheres or boxes around it"
-        )
+    if count > MOST:
+        mend = f"at most {MOST:,}; put a few spheres or boxes around it"
+        raise ValueError(f"attach: '{shown(name)}' has {count:,} obstacles; {mend}")
     held = dataclasses.replace(
         chain,
         link_names=(*chain.link_names, name),
@@ -82,7 +80,8 @@ def _links(chain: Chain, names: Iterable[str]) -> set[int]:
 
 def _carried(scene: Scene, name: str, joint_T_world: np.ndarray, link: int) -> tuple[list[Box], list[Volume]]:
     """The object's obstacles in the last joint's frame."""
-    own = {k: _rows(scene, k, owners, scene.object_names.index(name)) for k, owners in zip(KINDS, scene.owners, strict=True)}
+    index = scene.object_names.index(name)
+    own = {kind: np.flatnonzero((owners == index) & obstacles.there) for kind, obstacles, owners in scene.by_kind()}
     local = lambda points: np.asarray(points, np.float64) @ joint_T_world[:3, :3].T + joint_T_world[:3, 3]
     volume = lambda corners, radius: Volume(local(corners), np.asarray(radius, np.float64), link)
     points, spheres, capsules, cylinders = scene.points, scene.spheres, scene.capsules, scene.cylinders
@@ -93,11 +92,6 @@ def _carried(scene: Scene, name: str, joint_T_world: np.ndarray, link: int) -> t
         volumes.append(volume(*_capsule(np.asarray(cylinders.world_T_cylinder[i]), cylinders.radius[i], cylinders.half[i])))
     boxes = [Box(joint_T_world @ scene.boxes.world_T_box[i], np.asarray(scene.boxes.half[i]), link) for i in own["boxes"]]
     return boxes, volumes
-
-
-def _rows(scene: Scene, kind: str, owners: tuple[int, ...], index: int) -> np.ndarray:
-    """The object's rows of a kind that were not taken away."""
-    return np.flatnonzero((np.array(owners, int) == index) & is_there(kind, getattr(scene, kind))[: len(owners)])
 
 
 def _capsule(world_T_cylinder: np.ndarray, radius: Any, half: Any) -> tuple[np.ndarray, Any]:

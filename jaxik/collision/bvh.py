@@ -18,13 +18,13 @@ import numpy as np
 from jax import lax
 
 from jaxik.checks.arrays import is_known
-from jaxik.collision.scene import FAR, KINDS, SHAPES, Scene, check_scene, is_remembered, remembered
+from jaxik.collision.scene import FAR, SHAPES, Scene, check_scene, remembered, with_zeros
 from jaxik.collision.volumes import local_volumes
+from jaxik.pytree import static
 from jaxik.robot.chain import Chain, geometry_between, solid_links
 from jaxik.robot.link_distance_table import PairTable
 
 LEAF = {"points": 4, "spheres": 4, "capsules": 1, "boxes": 1, "cylinders": 1}  # obstacles a leaf, where there are a few
-PLACE = {kind: next(iter(fields)) for kind, fields in SHAPES.items()}  # the field that says where an obstacle is
 FAN = 4  # leaves a branch, at least
 LEAVES = (16, 128, 1024, 8192, 65536)  # what is compiled for: up to so many leaves, of which those that are there are looked at
 SLACK = 1e-4  # [m] that a bounding sphere is larger: nothing is lost to rounding in float32, 100 m from the origin
@@ -37,13 +37,14 @@ class Balls(NamedTuple):
     radius: Any
 
 
+@jax.tree_util.register_dataclass
 @dataclasses.dataclass(frozen=True)
 class Obstacles:
     """Those of one `kind`, ordered by place: leaves of `LEAF` rows each; branch b holds the leaves `first[b]` to `last[b]`, not
     counted, and is one of the `count` that are there if b is less; `ignored[b]` are the `bits` of links that it does not
     count for, of a chain that ignores `ignores`. `unsound` is 0, or NaN where a number of theirs is."""
 
-    kind: str
+    kind: str = static()
     rows: dict[str, Any]
     leaves: Balls
     branches: Balls
@@ -52,12 +53,9 @@ class Obstacles:
     ignored: Any
     count: Any
     unsound: Any
-    ignores: tuple[tuple[int, str], ...]
+    ignores: tuple[tuple[int, str], ...] = static()
 
 
-_STATIC = ["kind", "ignores"]
-_LEAVES = [field.name for field in dataclasses.fields(Obstacles) if field.name not in _STATIC]
-jax.tree_util.register_dataclass(Obstacles, data_fields=_LEAVES, meta_fields=_STATIC)
 Grouped = tuple[Obstacles, ...]
 
 
@@ -76,7 +74,7 @@ def grouped(scene: Scene | Grouped | None, chain: Chain, by_object: bool = False
                 f"{chain.name}: the obstacles are grouped for another chain's `ignored`; group the scene for this one"
             )
         return scene
-    if not is_remembered(scene) and not is_known(scene):
+    if not scene.concrete:
         check_scene(scene)
         return _grouped(scene, chain.ignored, by_object)
     remembered(scene, "checked", lambda: check_scene(scene))
@@ -95,12 +93,11 @@ def _grouped(scene: Scene, ignored: tuple[tuple[int, str], ...], by_object: bool
     bit = bits(ignored)
     masks = [sum({bit[link] for link, what in ignored if what in ("*", name)}) for name in (*scene.object_names, "")]
     found = []
-    for kind, owners in zip(KINDS, scene.owners, strict=True):
-        given = vars(getattr(scene, kind))
-        rows = {name: np.asarray(x) for name, x in given.items()} if is_known(given) else dict(given)
-        count = len(rows[PLACE[kind]])
-        if count:
-            owner = np.array([*owners, *[-1] * (count - len(owners))], int)
+    for kind, obstacles, owner in scene.by_kind():
+        rows = {name: getattr(obstacles, name) for name in SHAPES[kind]}
+        if is_known(rows):
+            rows = jax.tree_util.tree_map(np.asarray, rows)
+        if len(owner):
             found.append(_obstacles(kind, rows, owner, np.array(masks, np.int32), by_object, ignored))
     return tuple(found)
 
@@ -110,65 +107,57 @@ def _obstacles(
 ) -> Obstacles:
     """`masks` of each object, and of what belongs to none, at last."""
     known = is_known(rows)
-    size = LEAF[kind] if not known or len(rows[PLACE[kind]]) > FAN else 1  # a few fill no leaf
+    size = LEAF[kind] if not known or len(owner) > FAN else 1  # a few fill no leaf
     xp = np if known else jnp
-    center, radius = _extent(kind, rows if known else lax.stop_gradient(rows), xp)
+    center, radius = _extent(rows if known else lax.stop_gradient(rows), xp)
     there = np.arange(len(radius)) if not known else np.flatnonzero(~(np.abs(center).max(axis=1) > FAR / 2.0))
     key = owner[there] if by_object else masks[owner[there]]
     keys = np.arange(len(masks) - 1) if by_object else np.unique(key)
     groups = [there[key == each] for each in keys] if len(keys) != 1 or by_object else [there]
-    if known:
-        groups = [g[by_place(center[g], size)] for g in groups]
-    ends = np.cumsum([-(-len(g) // size) for g in groups], dtype=int)
-    leaves = int(ends[-1]) if len(ends) else 0
-    padded = [g if len(g) % size == 0 else np.pad(g, (0, -len(g) % size), "edge") for g in groups]
-    order = np.concatenate([np.zeros(0, int), *padded])
+    order, ends = _in_leaves(groups, size, center if known else None)
+    leaves = int(ends[-1])
     fan = leaves + 1 if by_object else max(FAN, round(leaves**0.5))  # leaves a branch, at most
-    begins = [np.arange(a, max(b, a + by_object), fan) for a, b in itertools.pairwise([0, *ends])]
+    begins = [np.arange(a, max(b, a + by_object), fan) for a, b in itertools.pairwise(ends)]
     first = np.concatenate([np.zeros(0, int), *begins])
     group = np.repeat(np.arange(len(groups)), [len(b) for b in begins])
-    last = np.minimum(first + fan, ends[group]) if len(first) else first
+    last = np.minimum(first + fan, ends[group + 1])
     ignores = (masks[:-1] if by_object else keys)[group].astype(np.int32)
     room = max(leaves, len(first))
     room = next((n for n in LEAVES if n >= room), room) if known else room
     balls = around(center[order].reshape(-1, size, 3), radius[order].reshape(-1, size), xp)
-    filled, numbered = lambda x: _filled(x, room, xp), lambda x: _filled(x.astype(np.int32), room, np)
-    placed = lambda x: x if np.ndim(x) == 0 else _filled(x[order], room * size, xp)
-    return Obstacles(
-        kind,
-        {name: placed(x) for name, x in rows.items()},
-        Balls(*map(filled, balls)),
-        Balls(*map(filled, _joined(balls, first, last, xp))),
-        numbered(first),
-        numbered(last),
-        numbered(ignores),
-        np.int32(len(first)),
-        xp.asarray(sum(xp.sum(x) * 0.0 for x in rows.values())),
-        ignored,
-    )
+    filled, numbered = lambda x: with_zeros(x, room, xp), lambda x: with_zeros(x.astype(np.int32), room, np)
+    placed = lambda x: x if np.ndim(x) == 0 else with_zeros(x[order], room * size, xp)
+    kept = {name: placed(x) for name, x in rows.items()}
+    spheres, branches = (Balls(*map(filled, each)) for each in (balls, _joined(balls, first, last, xp)))
+    first, last, ignores = map(numbered, (first, last, ignores))
+    unsound = xp.asarray(sum(xp.sum(x) * 0.0 for x in rows.values()))
+    return Obstacles(kind, kept, spheres, branches, first, last, ignores, np.int32(len(group)), unsound, ignored)
 
 
-def _filled(x: Any, room: int, xp: Any) -> Any:
-    """With zeros after it, which nobody reads."""
-    if len(x) == room:
-        return x
-    if xp is jnp:
-        return jnp.concatenate([x, jnp.zeros((room - len(x), *x.shape[1:]), x.dtype)])
-    whole = np.zeros((room, *x.shape[1:]), x.dtype)
-    whole[: len(x)] = x
-    return whole
+def _in_leaves(groups: list[np.ndarray], size: int, center: np.ndarray | None) -> tuple[np.ndarray, np.ndarray]:
+    """The rows of all groups in leaves of `size`, a group's last one filled up, ordered by place where the centres (k, 3) are
+    given; and with which leaf each group begins, and at last their number."""
+    if center is not None:
+        groups = [g[by_place(center[g], size)] for g in groups]
+    ends = np.cumsum([0, *(-(-len(g) // size) for g in groups)], dtype=int)
+    filled = [g[np.minimum(np.arange(count * size), len(g) - 1)] for g, count in zip(groups, np.diff(ends), strict=True)]
+    return np.concatenate([np.zeros(0, int), *filled]), ends
 
 
-def _extent(kind: str, rows: dict[str, Any], xp: Any) -> tuple[Any, Any]:
+def _extent(rows: dict[str, Any], xp: Any) -> tuple[Any, Any]:
     """Of each obstacle the centre (k, 3) and radius (k,) of a sphere around it."""
-    place, radius = rows[PLACE[kind]], rows.get("radius", 0.0)
-    if kind in ("points", "spheres"):
-        return place, xp.broadcast_to(radius, place.shape[:1])
-    if kind == "capsules":
-        return (rows["a"] + rows["b"]) / 2.0, xp.sqrt(xp.sum((rows["b"] - rows["a"]) ** 2, axis=1)) / 2.0 + radius
-    if kind == "boxes":
-        return place[:, :3, 3], xp.sqrt(xp.sum(rows["half"] ** 2, axis=1))
-    return place[:, :3, 3], xp.sqrt(radius**2 + rows["half"] ** 2)
+    place, *more = (x for name, x in rows.items() if name not in ("radius", "half"))
+    if place.shape[1:] == (4, 4):
+        square = xp.sum(rows["half"].reshape(len(place), -1) ** 2, axis=1)
+        return place[:, :3, 3], xp.sqrt(rows.get("radius", 0.0) ** 2 + square)
+    radius = xp.broadcast_to(rows["radius"], place.shape[:1])
+    return balls_of(xp.stack([place, *more], axis=1), radius, xp) if more else (place, radius)  # most are points
+
+
+def balls_of(corners: Any, radius: Any, xp: Any) -> tuple[Any, Any]:
+    """Spheres around volumes of `corners` (k, c, 3): centres (k, 3) and radii (k,)."""
+    middle = (corners.max(axis=1) + corners.min(axis=1)) / 2.0
+    return middle, xp.sqrt(xp.sum((corners - middle[:, None]) ** 2, axis=-1)).max(axis=1) + radius
 
 
 def around(center: Any, radius: Any, xp: Any = np) -> Balls:
@@ -211,79 +200,66 @@ def by_place(points: np.ndarray, size: int) -> np.ndarray:
 # The robot
 
 
-class Volumes(NamedTuple):
+class Volumes:
     """Those with as many corners: leaves of `size` rows; part p has the leaves `first[p]` to `last[p]`, not counted.
 
     `corners` (v, c, 3) and `leaves` in the frames of `joint` (v,); `even`: whether the radii in a leaf are the same."""
 
-    corners: Any
-    radius: Any
-    joint: np.ndarray
-    link: np.ndarray
-    size: int
-    leaves: Balls
-    first: np.ndarray
-    last: np.ndarray
-    even: bool
+    def __init__(self, chain: Chain, links: tuple[int, ...], corners: Any, radius: Any, link: np.ndarray):
+        known, self.arity = is_known((corners, radius)), int(corners.shape[1])
+        fixed, xp = ((corners, radius), np) if known else (lax.stop_gradient((corners, radius)), jnp)
+        center, reach = balls_of(*fixed, xp)
+        groups = [np.flatnonzero(link == each) for each in links]
+        full = lambda n: sum(-(-len(g) // n) * n for g in groups) <= 1.5 * len(link)  # not a third of the places empty
+        self.size = size = next(filter(full, (8, 4, 2, 1))) if self.arity == 1 else 1
+        order, ends = _in_leaves(groups, size, center if known and size > 1 else None)
+        self.first, self.last = ends[:-1].astype(np.int32), ends[1:].astype(np.int32)
+        self.leaves = around(center[order].reshape(-1, size, 3), reach[order].reshape(-1, size), xp)
+        self.corners, self.radius, self.link = corners[order], radius[order], link[order]
+        self.joint = np.array(chain.link_joint, np.int32)[self.link]
+        self.even = known and bool(np.all(np.ptp(self.radius.reshape(-1, size), axis=1) == 0.0))
 
-    @property
-    def arity(self) -> int:
-        return int(self.corners.shape[1])
 
-
-class Tables(NamedTuple):
+class Tables:
     """A chain's `pair_tables`: which of them each pair of parts has (-1: none), and of each table its joints (t, 2), its `axes`
     (t, 2, 6), how many nodes it has along a joint (t,), where its bounds begin (t,), and the bounds of all."""
 
-    of: np.ndarray
-    joints: np.ndarray
-    axes: np.ndarray
-    size: np.ndarray
-    first: np.ndarray
-    bounds: np.ndarray
+    def __init__(self, chain: Chain, pairs: list[tuple[int, int]]):
+        found = pair_tables(chain)
+        number = {table.links: t for t, table in enumerate(found)}
+        self.of = np.array([number.get(pair, -1) for pair in pairs], np.int32)
+        self.joints, self.axes = np.array([t.joints for t in found], np.int32), np.array([t.axes for t in found])
+        self.size = np.array([t.size for t in found], np.int32)
+        bounds = [np.zeros(0), *(t.bounds.ravel() for t in found)]
+        self.first = np.cumsum([len(b) for b in bounds], dtype=np.int32)[:-1]
+        self.bounds = np.concatenate(bounds)
 
 
-@dataclasses.dataclass(frozen=True)
 class Robot:
     """A chain's volumes by corner count, and its parts: links, the last first, each with a sphere around it.
 
     `other[first[p]:last[p]]` are the parts, of earlier links, that part p is checked against.
     """
 
-    links: tuple[int, ...]
-    joint: np.ndarray
-    parts: Balls
-    kinds: tuple[Volumes, ...]
-    other: np.ndarray
-    first: np.ndarray
-    last: np.ndarray
-    tables: Tables
+    def __init__(self, chain: Chain):
+        self.links = tuple(solid_links(chain)[::-1])
+        self.joint = np.array([chain.link_joint[link] for link in self.links], np.int32)
+        local = (local_volumes(chain, count) for count in (1, 2, 3))
+        self.kinds = tuple(Volumes(chain, self.links, *each) for each in local if each is not None)
+        self.parts = _parts(self.links, self.kinds)
+        part = {link: p for p, link in enumerate(self.links)}
+        before = [[part[a] for a, b in chain.self_pairs if b == link and a in part] for link in self.links]
+        ends = np.cumsum([0, *map(len, before)], dtype=np.int32)
+        self.first, self.last, self.other = ends[:-1], ends[1:], np.array([p for each in before for p in each], np.int32)
+        self.tables = Tables(chain, [(self.links[o], self.links[p]) for p, each in enumerate(before) for o in each])
+
+
+_known_robot = functools.lru_cache(maxsize=64)(Robot)
 
 
 def robot(chain: Chain) -> Robot:
     """Raises nothing; `clearances.check_geometry` says what is missing."""
-    return _known_robot(chain) if is_known(chain) else _robot(chain)
-
-
-@functools.lru_cache(maxsize=64)
-def _known_robot(chain: Chain) -> Robot:
-    return _robot(chain)
-
-
-def _robot(chain: Chain) -> Robot:
-    links = tuple(solid_links(chain)[::-1])
-    part = {link: p for p, link in enumerate(links)}
-    kinds = tuple(v for v in (_volumes(chain, links, count) for count in (1, 2, 3)) if v is not None)
-    before: list[list[int]] = [[] for _ in links]
-    for a, b in chain.self_pairs:
-        if a in part and b in part:
-            before[part[b]].append(part[a])
-    ends = np.cumsum([len(each) for each in before], dtype=np.int32)
-    joint = np.array([chain.link_joint[link] for link in links], np.int32)
-    other = np.array([p for each in before for p in each], np.int32)
-    first = np.append(np.int32(0), ends[:-1])
-    tables = _tables(chain, [(links[o], links[p]) for p, each in enumerate(before) for o in each])
-    return Robot(links, joint, _parts(links, kinds), kinds, other, first, ends, tables)
+    return _known_robot(chain) if chain.concrete else Robot(chain)
 
 
 def pair_tables(chain: Chain) -> list[PairTable]:
@@ -295,61 +271,10 @@ def pair_tables(chain: Chain) -> list[PairTable]:
     return [t for t in chain.pair_tables if t.links in pairs and t.geometry == geometry_between(chain, t.links, t.joints)]
 
 
-def _tables(chain: Chain, pairs: list[tuple[int, int]]) -> Tables:
-    found = pair_tables(chain)
-    number = {table.links: t for t, table in enumerate(found)}
-    of, size = np.array([number.get(pair, -1) for pair in pairs], np.int32), np.array([t.size for t in found], np.int32)
-    joints, axes = np.array([t.joints for t in found], np.int32), np.array([t.axes for t in found])
-    bounds = [np.zeros(0), *(t.bounds.ravel() for t in found)]
-    return Tables(of, joints, axes, size, np.cumsum([len(b) for b in bounds], dtype=np.int32)[:-1], np.concatenate(bounds))
-
-
 def _parts(links: tuple[int, ...], kinds: tuple[Volumes, ...]) -> Balls:
     """A sphere around each link."""
-    found = []
-    for p in range(len(links)):
-        rows = [np.arange(v.first[p], v.last[p]) for v in kinds]
-        xp = np if is_known([v.leaves for v in kinds]) else jnp
-        center = xp.concatenate([v.leaves.center[r] for v, r in zip(kinds, rows, strict=True)])
-        radius = xp.concatenate([v.leaves.radius[r] for v, r in zip(kinds, rows, strict=True)])
-        found.append(around(center[None], radius[None], xp))
-    return Balls(*(xp.concatenate(x) for x in zip(*found, strict=True))) if found else Balls(np.zeros((0, 3)), np.zeros(0))
-
-
-def _volumes(chain: Chain, links: tuple[int, ...], count: int) -> Volumes | None:
-    local = local_volumes(chain, count)
-    if local is None:
-        return None
-    corners, radius, link = local
-    known = is_known((corners, radius))
-    fixed, xp = ((corners, radius), np) if known else (lax.stop_gradient((corners, radius)), jnp)
-    center, reach = _balls_of(fixed, xp)
-    size = _leaf_size([int(np.sum(link == each)) for each in links]) if count == 1 else 1
-    rows, first, last, leaves = [], [], [], 0
-    for each in links:
-        own = np.flatnonzero(link == each)
-        if len(own) and size > 1 and known:
-            own = own[by_place(center[own], size)]
-        own = np.pad(own, (0, -len(own) % size), "edge") if len(own) else own
-        rows.append(own)
-        first.append(leaves)
-        leaves += len(own) // size
-        last.append(leaves)
-    order = np.concatenate(rows)
-    balls = around(center[order].reshape(-1, size, 3), reach[order].reshape(-1, size), xp)
-    joint = np.array(chain.link_joint, np.int32)[link[order]]
-    even = known and bool(np.all(np.ptp(radius[order].reshape(-1, size), axis=1) == 0.0))
-    bounds = np.array(first, np.int32), np.array(last, np.int32)
-    return Volumes(corners[order], radius[order], joint, link[order], size, balls, *bounds, even)
-
-
-def _balls_of(volumes: Any, xp: Any) -> tuple[Any, Any]:
-    """Spheres around volumes, centres and radii."""
-    corners, radius = volumes
-    middle = (corners.max(axis=1) + corners.min(axis=1)) / 2.0
-    return middle, xp.sqrt(xp.sum((corners - middle[:, None]) ** 2, axis=-1)).max(axis=1) + radius
-
-
-def _leaf_size(counts: list[int]) -> int:
-    """How many spheres go together: as many as leave not a third of the places empty."""
-    return next(n for n in (8, 4, 2, 1) if sum(-(-c // n) * n for c in counts) <= 1.5 * sum(counts))
+    xp = np if is_known([v.leaves for v in kinds]) else jnp
+    joined = lambda balls: Balls(*map(xp.concatenate, zip(*balls, strict=True)))
+    of = lambda p: joined([[x[v.first[p] : v.last[p]] for x in v.leaves] for v in kinds])
+    found = [around(center[None], radius[None], xp) for center, radius in map(of, range(len(links)))]
+    return joined(found) if found else Balls(np.zeros((0, 3)), np.zeros(0))

@@ -8,6 +8,7 @@ share `f_c . f` of it, which is the point's weight.
 from __future__ import annotations
 
 import dataclasses
+import itertools
 from collections.abc import Iterator
 from functools import cache
 from typing import Any
@@ -20,9 +21,9 @@ from jaxik.checks.arrays import check_known
 from jaxik.checks.options import as_count, check_finite, check_kind
 from jaxik.collision.bvh import pair_tables
 from jaxik.collision.clearances import check_geometry
-from jaxik.collision.scene import FAR, KINDS, Scene, check_scene
-from jaxik.collision.shape_distances import columns_of, obstacles_of, skeleton_gap
-from jaxik.collision.volumes import skeletons
+from jaxik.collision.scene import FAR, Scene, check_scene
+from jaxik.collision.shape_distances import Gap, columns_of, obstacles_of, skeleton_gap
+from jaxik.collision.volumes import Skeleton, skeletons
 from jaxik.robot.chain import Array, Chain
 from jaxik.robot.kinematics import as_posture
 from jaxik.spmd import HostKernel
@@ -97,62 +98,55 @@ def explain(chain: Chain, scene: Scene | None, q: Float[Array, " n"], count: int
         pairs = [*_with_scene(chain, scene, volumes), *_with_itself(chain, volumes)]
         bounds = {table.links: float(table(posture)) for table in pair_tables(chain)}
         found = [row for row in _nearest(pairs, bounds)[:count] if row[0] < below]
-        contacts = tuple(_contact(chain, scene, pairs, *row) for row in found)
+        contacts = tuple(_contact(chain, scene, pairs[number], apart, *row) for apart, number, *row in found)
     return Surroundings(contacts, _limits(chain, posture)[:count])
 
 
-@dataclasses.dataclass(frozen=True)
 class _Pairs:
-    """Volumes of one kind against obstacles or volumes of one kind, who they belong to, and of each two names in a block of
-    them the least distance: rows (distance, other, volume)."""
+    """Volumes of one kind against obstacles or volumes of one kind, and who they belong to; `meet` says which owner counts for
+    which link. `least` holds rows (distance, other, volume), of each two names in a block of them the least."""
 
-    gap: Any
-    volumes: Any
-    others: Any
-    links: np.ndarray
-    owners: np.ndarray
-    itself: bool
-    least: np.ndarray
+    def __init__(self, gap: Gap, skeleton: Skeleton, others: Any, owners: np.ndarray, meet: np.ndarray, itself: bool):
+        self.gap, self.volumes, self.links = gap, columns_of(skeleton), skeleton.link
+        self.others, self.owners, self.itself = others, owners, itself
+        rows = max(1, BLOCK // len(self.links))
+        blocks = [slice(start, start + rows) for start in range(0, len(owners), rows)]
+        self.least = np.concatenate([self._least_of(block, meet) for block in blocks])
+
+    def _least_of(self, block: slice, meet: np.ndarray) -> np.ndarray:
+        owners = self.owners[block]
+        other, volume = np.indices((len(owners), len(self.links)))
+        apart = self.told(0, block.start + other.ravel(), volume.ravel())[0].reshape(other.shape)
+        seen = (apart < FAR / 2.0) & meet[owners[:, None], self.links]
+        return _least(np.where(seen, apart, np.inf), owners, self.links) + np.array([0, block.start, 0])
+
+    def told(self, what: int, other: Any, volume: Any) -> list[np.ndarray]:
+        """What a kernel says of pairs, given by their rows."""
+        (mine, ours), (beside, theirs) = map(jax.tree_util.tree_flatten, (self.volumes, self.others))
+        rows = [*(np.asarray(x)[volume] for x in mine), *(np.asarray(x)[other] for x in beside)]
+        return _kernels(self.gap, ours, theirs)[what](*rows)
 
 
-def _with_scene(chain: Chain, scene: Scene | None, volumes: Any) -> Iterator[_Pairs]:
+def _with_scene(chain: Chain, scene: Scene | None, volumes: dict[int, Skeleton]) -> Iterator[_Pairs]:
     if scene is None:
         return
     meet = np.ones((len(scene.object_names) + 1, len(chain.link_names)), bool)  # the last for what has no name
     for link, what in chain.ignored:
         meet[[what in ("*", name) for name in (*scene.object_names, "")], link] = False
-    for kind, owners in zip(KINDS, scene.owners, strict=True):
-        if count := len(jax.tree_util.tree_leaves(getattr(scene, kind))[0]):
-            gap, others = obstacles_of(kind, vars(getattr(scene, kind)), np.float64, np)
-            owner = np.array([*owners, *[-1] * (count - len(owners))], int)
-            for skeleton in volumes.values():
-                yield from _blocks(gap, skeleton, others, owner, meet, False)
+    for kind, obstacles, owners in scene.by_kind():
+        if len(owners):
+            gap, others = obstacles_of(kind, vars(obstacles), np.float64, np)
+            yield from (_Pairs(gap, skeleton, others, owners, meet, False) for skeleton in volumes.values())
 
 
-def _with_itself(chain: Chain, volumes: Any) -> Iterator[_Pairs]:
+def _with_itself(chain: Chain, volumes: dict[int, Skeleton]) -> Iterator[_Pairs]:
     """Of each pair of links the later one is the link, the earlier the other."""
     meet = np.zeros((len(chain.link_names),) * 2, bool)
     for a, b in chain.self_pairs:
         meet[a, b] = True
-    for mine in volumes.values():
-        for theirs in volumes.values():
-            if meet[np.ix_(np.unique(theirs.link), np.unique(mine.link))].any():
-                yield from _blocks(skeleton_gap, mine, columns_of(theirs), theirs.link, meet, True)
-
-
-def _blocks(gap: Any, skeleton: Any, others: Any, owners: np.ndarray, meet: np.ndarray, itself: bool) -> Iterator[_Pairs]:
-    """Block by block of the others; `meet` says which owner counts for which link."""
-    ours, links = columns_of(skeleton), skeleton.link
-    rows = max(1, BLOCK // len(links))
-    for start in range(0, len(owners), rows):
-        block = slice(start, start + rows)
-        other, volume = np.indices((len(owners[block]), len(links)))
-        (apart,) = _told(0, gap, (ours, volume.ravel()), (others, start + other.ravel()))
-        apart = apart.reshape(other.shape)
-        seen = (apart < FAR / 2.0) & meet[owners[block, None], links]
-        least = _least(np.where(seen, apart, np.inf), owners[block], links)
-        least[:, 1] += start
-        yield _Pairs(gap, ours, others, links, owners, itself, least)
+    for mine, theirs in itertools.product(volumes.values(), repeat=2):
+        if meet[np.ix_(np.unique(theirs.link), np.unique(mine.link))].any():
+            yield _Pairs(skeleton_gap, mine, columns_of(theirs), theirs.link, meet, True)
 
 
 def _least(apart: np.ndarray, owners: np.ndarray, links: np.ndarray) -> np.ndarray:
@@ -163,13 +157,6 @@ def _least(apart: np.ndarray, owners: np.ndarray, links: np.ndarray) -> np.ndarr
     row, column = np.nonzero((apart == least[names]) & np.isfinite(apart))
     first = np.unique(names[row, column], return_index=True)[1]
     return np.column_stack([apart[row, column], row, column])[first]
-
-
-def _told(what: int, gap: Any, *sides: tuple[Any, np.ndarray]) -> list[np.ndarray]:
-    """What a kernel says of pairs: of each side its columns, and the row of each pair."""
-    leaves, trees = zip(*(jax.tree_util.tree_flatten(columns) for columns, _ in sides), strict=True)
-    rows = [np.asarray(x)[row] for part, (_, row) in zip(leaves, sides, strict=True) for x in part]
-    return _kernels(gap, *trees)[what](*rows)
 
 
 @cache
@@ -199,11 +186,8 @@ def _nearest(pairs: list[_Pairs], bounds: dict[tuple[int, int], float]) -> list[
     return [(float(raised[i]), int(number[i]), int(other[i]), int(volume[i])) for i in order[np.sort(first)]]
 
 
-def _contact(
-    chain: Chain, scene: Scene | None, pairs: list[_Pairs], apart: float, number: int, other: int, volume: int
-) -> Contact:
-    each = pairs[number]
-    (gap,), *pull = _told(1, each.gap, (each.volumes, np.array([volume])), (each.others, np.array([other])))
+def _contact(chain: Chain, scene: Scene | None, each: _Pairs, apart: float, other: int, volume: int) -> Contact:
+    (gap,), *pull = each.told(1, [other], [volume])
     corners = np.array([[x[volume] for x in corner] for corner in each.volumes[0]])
     slopes = np.reshape(pull, corners.shape)
     radius, gap = float(each.volumes[1][volume]), float(gap)

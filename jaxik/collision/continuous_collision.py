@@ -29,10 +29,10 @@ from jaxtyping import Bool, Float, Int
 
 from jaxik.checks.arrays import is_known, stop_gradients
 from jaxik.checks.options import check_finite, check_kind
-from jaxik.collision.bvh import grouped, pair_tables
+from jaxik.collision.bvh import balls_of, grouped, pair_tables
 from jaxik.collision.clearances import check_geometry, clearance, link_clearances
 from jaxik.collision.scene import FAR, KINDS, Scene
-from jaxik.collision.volumes import box_spheres
+from jaxik.collision.volumes import box_spheres, xp_of
 from jaxik.robot.chain import Array, Chain, as_configuration, as_shaped, solid_links
 from jaxik.robot.kinematics import joint_frames
 from jaxik.robot.link_distance_table import PairTable
@@ -286,24 +286,19 @@ class _Row(NamedTuple):
 
 def _rows(chain: Chain) -> list[_Row]:
     """Those of the later links of pairs; without any, of all against the scene."""
-    joint, found = chain.link_joint, []
+    joint = chain.link_joint
     if not chain.self_pairs:
         return [_Row(link, ((link, 0),)) for link in solid_links(chain)]
-    for link in sorted({later for _, later in chain.self_pairs}):
-        pairs = [sorted((a, link), key=lambda i: joint[i]) for a, later in chain.self_pairs if later == link]
-        found.append(_Row(link, tuple(sorted({(high, joint[low]) for low, high in pairs}))))
-    return found
+    moved = lambda a, b: (a, joint[b]) if joint[a] > joint[b] else (b, joint[a])
+    links = sorted({later for _, later in chain.self_pairs})
+    return [_Row(link, tuple(sorted({moved(*pair) for pair in chain.self_pairs if pair[1] == link}))) for link in links]
 
 
 def _corners(chain: Chain, link: int) -> Any:
     """The corners of a link's skeleton in its joint's frame (m, 3); its shapes are this, rounded."""
     corners = [v.corners for v in chain.volumes if v.link == link]
     corners += [box_spheres(box, chain.spheres_per_box)[0] for box in chain.boxes if box.link == link]
-    return _xp(*corners).concatenate(corners)
-
-
-def _xp(*arrays: Any) -> Any:
-    return jnp if any(isinstance(x, jax.Array) for x in arrays) else np
+    return xp_of(*corners).concatenate(corners)
 
 
 class _Bounds(NamedTuple):
@@ -318,7 +313,7 @@ class _Bounds(NamedTuple):
 def _bounds(chain: Chain, link: int, other: int, turned: list[Any], travel: list[Any]) -> _Bounds:
     """`turned`: |dq_j|, `travel`: how far a slide is ever out, 0 of what turns."""
     corners = _corners(chain, link)
-    xp = _xp(corners, chain.axis, chain.parent_T_joint)
+    xp = xp_of(corners, chain.axis, chain.parent_T_joint)
     length = lambda rows: xp.max(xp.sqrt(xp.sum(xp.square(rows), axis=-1)))
     arms, ever = {}, 0.0  # from the joint's axis; from its origin
     for j in reversed(range(other, chain.link_joint[link])):
@@ -375,7 +370,8 @@ def _speeds(chain: Chain, rows: list[_Row], q: Any, moved: Any) -> Any:
     frames, rates = joint_frames(chain, traced(q), root, q.dtype), traced(moved)
     found: dict[tuple[int, int], Any] = {}
     for link in sorted({link for row in rows for link, _ in row.moved}):
-        centre, radius = _ball(_corners(chain, link))
+        corners = _corners(chain, link)
+        centre, radius = (x[0] for x in balls_of(corners[None], 0.0, xp_of(corners)))
         linear, angular = ZERO, ZERO
         found[link, chain.link_joint[link]] = jnp.zeros((), q.dtype)
         for j in reversed(range(chain.link_joint[link])):
@@ -383,18 +379,10 @@ def _speeds(chain: Chain, rows: list[_Row], q: Any, moved: Any) -> Any:
             if chain.is_prismatic[j]:
                 linear = linear + axis
             else:
-                place = frames.joints[chain.link_joint[link] - 1] @ Vec3(*centre)
+                place = frames.joints[chain.link_joint[link] - 1] @ Vec3(*traced(centre))
                 linear, angular = linear + axis.cross(place - frame.translation), angular + axis
             found[link, j] = jnp.sqrt(linear.dot(linear)) + radius * jnp.sqrt(angular.dot(angular))
-    most = [jnp.max(jnp.stack([jnp.asarray(found[each], q.dtype) for each in row.moved])) for row in rows]
-    return jnp.stack(most)
-
-
-def _ball(corners: Any) -> tuple[list[Any], Any]:
-    """The centre and radius of a ball about points (m, 3)."""
-    xp = _xp(corners)
-    centre = (xp.min(corners, axis=0) + xp.max(corners, axis=0)) / 2.0
-    return [centre[i] for i in range(3)], xp.sqrt(xp.max(xp.sum(xp.square(corners - centre), axis=-1)))
+    return jnp.stack([jnp.max(jnp.stack([jnp.asarray(found[each], q.dtype) for each in row.moved])) for row in rows])
 
 
 def _size(chain: Chain, length: Any, q_from: Any, q_to: Any) -> Any:

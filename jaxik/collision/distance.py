@@ -46,17 +46,11 @@ def _clip01(t: Any) -> Any:
     return jnp.clip(t, 0.0, 1.0)
 
 
-def _held(t: Any) -> Any:
-    return lax.stop_gradient(t)
+_held: Callable[[Any], Any] = lax.stop_gradient
 
 
 # --------------------------------------------------------------------------------------------------------------------
 # Skeletons: points, lines, triangles (>= 0)
-
-
-def point_point(p: Vec3, q: Vec3) -> Any:
-    """Point p to point q."""
-    return norm(p - q)
 
 
 def point_segment(p: Vec3, a: Vec3, b: Vec3) -> Any:
@@ -141,7 +135,7 @@ def between(s: tuple[Vec3, ...], t: tuple[Vec3, ...]) -> Any:
     if len(s) > len(t):
         return between(t, s)
     pairs: dict[tuple[int, int], Callable[..., Any]] = {
-        (1, 1): point_point,
+        (1, 1): lambda p, q: norm(p - q),
         (1, 2): point_segment,
         (1, 3): point_triangle,
         (2, 2): segment_segment,
@@ -282,12 +276,9 @@ def _slanted_ways_out(a: Vec3, b: Vec3, radius: Any, half: Any) -> list[Any]:
     w, c = safe_divide(jnp.abs(u.z), length), safe_divide(across, length)
     first = safe_divide(jnp.abs(a.x * u.y - a.y * u.x), across)
     height = safe_divide(a.z - safe_divide(u.z * a.dot(u), length * length), c)
-    return [
-        jnp.where(
-            (c > 16.0 * eps) & (w > 16.0 * eps), _way_out_of_ellipse(first, side * height - half * c, radius, w), -jnp.inf
-        )
-        for side in (1.0, -1.0)
-    ]
+    slanted = (c > 16.0 * eps) & (w > 16.0 * eps)
+    ways = [_way_out_of_ellipse(first, side * height - half * c, radius, w) for side in (1.0, -1.0)]
+    return [jnp.where(slanted, way, -jnp.inf) for way in ways]
 
 
 def _way_out_of_ellipse(x: Any, y: Any, radius: Any, w: Any) -> Any:

@@ -56,10 +56,6 @@ class Others(NamedTuple):
     even: bool
     origin: int
 
-    @property
-    def rows(self) -> int:
-        return len(jax.tree_util.tree_leaves(self.columns)[0])
-
 
 class Space:
     """A robot at one configuration, among what surrounds it."""
@@ -75,18 +71,15 @@ class Space:
         self.parts, self.placed = _placed(self.robot, self.frames, q.dtype)
         sizes = [len(v.radius) for v in self.robot.kinds]
         self.first = np.cumsum([0, *sizes]).tolist()  # of the volumes of each kind, in one numbering
-        self.others: list[Others] = []
+        others: list[tuple[Any, Gap, Any, int, bool]] = []
         for o in around:
             gap, columns = obstacles_of(o.kind, o.rows, q.dtype)
-            size = len(jax.tree_util.tree_leaves(columns)[0]) // len(o.leaves.radius)
-            self._add(columns, gap, _cast(o.leaves, q.dtype), size, o.kind == "points")
-        for v, placed in zip(self.robot.kinds, self.placed, strict=True):
-            self._add((placed.corners, placed.radius), skeleton_gap, placed.leaves, v.size, v.even and v.arity == 1)
-        self.rows = self.others[-1].origin + self.others[-1].rows  # those of tables come after them
-
-    def _add(self, columns: Any, gap: Gap, leaves: Any, size: int, even: bool) -> None:
-        origin = self.others[-1].origin + self.others[-1].rows if self.others else 0
-        self.others.append(Others(columns, gap, leaves, size, even, origin))
+            others.append((columns, gap, _cast(o.leaves, q.dtype), _count(columns) // len(o.leaves.radius), o.kind == "points"))
+        for v, p in zip(self.robot.kinds, self.placed, strict=True):
+            others.append(((p.corners, p.radius), skeleton_gap, p.leaves, v.size, v.even and v.arity == 1))
+        # those of tables come after them
+        *origins, self.rows = itertools.accumulate((_count(columns) for columns, *_ in others), initial=0)
+        self.others = [Others(*each, origin) for each, origin in zip(others, origins, strict=True)]
 
     # ----------------------------------------------------------------------------------------------------------------
     # Which pairs
@@ -166,10 +159,8 @@ class Space:
         def compared(found: Found) -> Found:
             nearest = inside(found)
             raised = bound > nearest.distance
-            distance = jnp.where(raised, bound, nearest.distance)
-            chosen = lambda new, old: None if old is None else jnp.where(distance < found.distance, new, old)
             other = None if found.other is None else jnp.where(raised, self.rows + number, nearest.other)
-            return Found(chosen(distance, found.distance), chosen(nearest.mine, found.mine), chosen(other, found.other))
+            return _nearest_of(found, Found(jnp.where(raised, bound, nearest.distance), nearest.mine, other))
 
         return lax.cond(bound < found.distance, compared, lambda found: found, found) if self.skips else compared(found)
 
@@ -199,7 +190,8 @@ class Space:
                     places = origin + i * volumes.size, others.origin + j * others.size
                     inside = lambda found: _nearer(found, mine, theirs, others.gap, squares, volumes.even, places)
                     if others.size == 1 and volumes.size > 1 and self.skips:  # a sphere around a long one says little
-                        inside = _once(lambda: others.gap(((ball[0],), ball[1]), _alone(theirs)), inside)
+                        bound = lambda: others.gap(((ball[0],), ball[1]), jax.tree_util.tree_map(lambda x: x[0], theirs))
+                        inside = lambda found, near=inside: lax.cond(bound() < found.distance, near, lambda found: found, found)
                     return self._if_near(found, ball, _ball(others.leaves, j), inside)
 
                 return lax.fori_loop(first, last, other, found)
@@ -256,10 +248,8 @@ class Space:
         def steep(number: Any) -> tuple[Any, ...]:
             joints, values = _at(self.robot.tables.joints, number), self._joints_of(number)
             one, back = jax.vjp(lambda values: self._tabled_gap(number, values), values)
-            return tuple(
-                sum(jnp.where(joints[i] == j, s, 0.0) for i, s in enumerate(back(jnp.ones_like(one))[0]))
-                for j in range(len(rows))
-            )
+            (slopes,) = back(jnp.ones_like(one))
+            return tuple(sum(jnp.where(joints[i] == j, s, 0.0) for i, s in enumerate(slopes)) for j in range(len(rows)))
 
         return list(self._if_tabled(found, steep, tuple(rows)))
 
@@ -275,7 +265,7 @@ class Space:
         for volumes, origin in zip(self.robot.kinds, self.first, strict=False):
             for k, others in enumerate(self.others):
                 i, j = found.mine - origin, found.other - others.origin
-                here = (i >= 0) & (i < len(volumes.radius)) & (j >= 0) & (j < others.rows)
+                here = (i >= 0) & (i < len(volumes.radius)) & (j >= 0) & (j < _count(others.columns))
                 theirs = self.robot.kinds[k - len(self.obstacles)] if k >= len(self.obstacles) else None
 
                 def inside(value: Any, v: Any = (volumes, others, theirs, i, j)) -> Any:
@@ -313,28 +303,15 @@ def _placed(robot: Robot, frames: Any, dtype: Any) -> tuple[tuple[Vec3, Any], tu
     points, joints = xp.concatenate(local).astype(dtype), np.concatenate(joint)
     moved = lambda _, row: (None, tuple(Frame.of_entries(traced(_at(frames, row[1]))) @ Vec3(*traced(row[0]))))
     if len(points) <= FEW and xp is np:
-        each = [moved(None, row)[1] for row in zip(points, joints, strict=True)]
-        columns = tuple(jnp.stack(x) for x in zip(*each, strict=True))
+        places = [moved(None, row)[1] for row in zip(points, joints, strict=True)]
+        columns = tuple(jnp.stack(x) for x in zip(*places, strict=True))
     else:
         columns = lax.scan(moved, None, (jnp.asarray(points), jnp.asarray(joints)))[1]
     cuts = itertools.pairwise(np.cumsum([0, *(len(x) for x in local)]))
-    parts, *rest = [Vec3(*(x[a:b] for x in columns)) for a, b in cuts]
-    sized = lambda x: jnp.asarray(x, dtype)
-    found = []
-    for v in robot.kinds:
-        found.append(Placed((rest[0], sized(v.leaves.radius)), tuple(rest[1 : 1 + v.arity]), sized(v.radius)))
-        rest = rest[1 + v.arity :]
-    return (parts, sized(robot.parts.radius)), tuple(found)
-
-
-def _once(bound: Callable[[], Any], inside: Callable[[Found], Found]) -> Callable[[Found], Found]:
-    """What is found `inside`, where the bound of its distances is less than what is found already."""
-    return lambda found: lax.cond(bound() < found.distance, inside, lambda found: found, found)
-
-
-def _alone(columns: Any) -> Any:
-    """The one row of columns."""
-    return jax.tree_util.tree_map(lambda x: x[0], columns)
+    each = (Vec3(*(x[a:b] for x in columns)) for a, b in cuts)
+    ball = lambda balls: (next(each), jnp.asarray(balls.radius, dtype))
+    corners = lambda v: tuple(itertools.islice(each, v.arity))
+    return ball(robot.parts), tuple(Placed(ball(v.leaves), corners(v), jnp.asarray(v.radius, dtype)) for v in robot.kinds)
 
 
 def _nearer(found: Found, mine: Any, theirs: Any, gap: Any, squares: bool, even: bool, places: Any) -> Found:
@@ -350,11 +327,13 @@ def _nearer(found: Found, mine: Any, theirs: Any, gap: Any, squares: bool, even:
     key, first, second = _least(key, first, second)
     if squares and even:
         key = distance.root(key) - (mine[1][0] + theirs[1][0])
-    closer = key < found.distance
-    chosen = lambda new, old: jnp.where(closer, new, old)
-    if found.mine is None:
-        return Found(chosen(key, found.distance))
-    return Found(chosen(key, found.distance), chosen(first + places[0], found.mine), chosen(second + places[1], found.other))
+    return _nearest_of(found, Found(key) if found.mine is None else Found(key, first + places[0], second + places[1]))
+
+
+def _nearest_of(found: Found, another: Found) -> Found:
+    """What was found, unless the other is nearer."""
+    closer = another.distance < found.distance
+    return jax.tree_util.tree_map(lambda new, old: jnp.where(closer, new, old), another, found)
 
 
 def _least(key: Any, *marks: Any) -> tuple[Any, ...]:
@@ -372,6 +351,10 @@ def _least(key: Any, *marks: Any) -> tuple[Any, ...]:
 
 def _at(x: Any, i: Any) -> Any:
     return lax.dynamic_index_in_dim(jnp.asarray(x), i, keepdims=False)
+
+
+def _count(columns: Any) -> int:
+    return len(jax.tree_util.tree_leaves(columns)[0])
 
 
 def _rows(columns: Any, i: Any, size: int) -> Any:

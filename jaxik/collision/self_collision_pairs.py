@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Collection, Iterable
 from typing import NamedTuple
 
@@ -26,14 +27,10 @@ def candidate_pairs(
 ) -> list[tuple[int, int]]:
     """The pairs of some links that are neither neighbours, nor move together, nor are `disabled`. Links `aside`, behind joints
     beside the chain, are neighbours of none whose joint is another."""
-    joint, names, ordered = chain.link_joint, chain.link_names, sorted(links)
+    joint, names = chain.link_joint, chain.link_names
     least = lambda a, b: 1 if names[a] in aside or names[b] in aside else 2
-    return [
-        (a, b)
-        for i, a in enumerate(ordered)
-        for b in ordered[i + 1 :]
-        if abs(joint[a] - joint[b]) >= least(a, b) and frozenset((names[a], names[b])) not in disabled
-    ]
+    checked = lambda a, b: abs(joint[a] - joint[b]) >= least(a, b) and frozenset((names[a], names[b])) not in disabled
+    return [(a, b) for a, b in itertools.combinations(sorted(links), 2) if checked(a, b)]
 
 
 def self_collisions(
@@ -50,15 +47,13 @@ def self_collisions(
     rng = np.random.default_rng(0)
     q = np.vstack([rng.uniform(*finite_limits(chain), (samples, chain.num_joints)), default_pose(chain)])
     columns = [q[:, i, None] for i in range(chain.num_joints)]
-    centres, radii, owner = [], [], []
+    balls = []
     for count, skeleton in skeletons(chain, columns, np.float64, BASE).items():
         for weights in _samples(count):
             corner = [sum(w * c[i] for w, c in zip(weights, skeleton.corners, strict=True)) for i in range(3)]
-            width = len(skeleton.link)
-            centres.append(np.stack([np.broadcast_to(c, (len(q), width)) for c in corner], axis=-1))
-            radii.append(skeleton.radius)
-            owner.append(skeleton.link)
-    p, r, o = np.concatenate(centres, axis=1), np.concatenate(radii), np.concatenate(owner)
+            shape = len(q), len(skeleton.link)
+            balls.append((np.stack([np.broadcast_to(c, shape).T for c in corner], axis=-1), skeleton.radius, skeleton.link))
+    p, r, o = (np.concatenate(each) for each in zip(*balls, strict=True))
     touch = {(a, b): _touching(p, r, o == a, o == b) for a, b in pairs}
     kept = {pair: hit for pair, hit in touch.items() if hit[:-1].mean() < 0.95}
     share = np.any([hit[:-1] for hit in kept.values()], axis=0).mean() if kept else 0.0
@@ -73,18 +68,14 @@ def default_pose(chain: Chain) -> np.ndarray:
 
 def _samples(count: int) -> np.ndarray:
     """Barycentric weights of sample points of a point, a line, a triangle."""
-    steps = np.linspace(0.0, 1.0, 7)
-    if count == 1:
-        return np.ones((1, 1))
-    if count == 2:
-        return np.stack([1.0 - steps, steps], axis=1)
-    return np.array([(u, v, 1.0 - u - v) for u in steps for v in steps if u + v <= 1.0 + 1e-9])
+    sixths = np.indices((7,) * count).reshape(count, -1).T
+    return sixths[sixths.sum(axis=1) == 6] / 6.0
 
 
 def _touching(p: np.ndarray, r: np.ndarray, a: np.ndarray, b: np.ndarray) -> np.ndarray:
     """The configurations in which any sphere of a touches any of b."""
-    hit = np.zeros(len(p), bool)
+    hit = np.zeros(p.shape[1], bool)
     for i in np.flatnonzero(a):
-        gap = np.linalg.norm(p[:, i, None] - p[:, b], axis=-1) - r[i] - r[b]
-        hit |= gap.min(axis=1) <= 0.0
+        gap = np.linalg.norm(p[i] - p[b], axis=-1) - r[i] - r[b, None]
+        hit |= gap.min(axis=0) <= 0.0
     return hit

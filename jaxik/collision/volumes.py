@@ -2,8 +2,7 @@
 
 An oriented box is cut into 1, 8, 64 or 512 equal boxes (each level halves every edge), and each is replaced by the sphere
 through its corners [Van Henten et al. 2010, App. A; Hubbard 1996]. A cut box lies in its parent box, and its sphere in its
-parent's sphere: so a coarse distance is never larger than a finer one, which is what makes the hierarchy exact
-(`sphere_levels`).
+parent's sphere: so a coarse distance is never larger than a finer one, as the tests hold.
 """
 
 from __future__ import annotations
@@ -24,12 +23,17 @@ from jaxik.spatial.algebra import Frame, Scalar, Vec3, traced
 LEVELS = {1: 0, 8: 1, 64: 2, 512: 3}
 
 
+def xp_of(*arrays: Any) -> Any:
+    """NumPy where all of the arrays are its own, so that they fold; else JAX's."""
+    return jnp if any(isinstance(x, jax.Array) for x in arrays) else np
+
+
 def box_spheres(box: Box, per_box: int) -> tuple[Float[Array, "k 3"], Float[Array, ""]]:
     """Centres in the joint's frame and the common radius [m] of a box's spheres, `per_box` = 1, 8, 64 or 512 of them.
 
     The order is hierarchical: the children of sphere i of one level are spheres 8 i to 8 i + 7 of the next.
     """
-    xp = jnp if isinstance(box.half, jax.Array) or isinstance(box.joint_T_box, jax.Array) else np
+    xp = xp_of(box.half, box.joint_T_box)
     corners = np.stack(np.meshgrid(*([[-0.5, 0.5]] * 3), indexing="ij"), axis=-1).reshape(8, 3)
     grid = np.zeros((1, 3))
     for level in range(LEVELS[per_box]):
@@ -58,7 +62,7 @@ def local_volumes(chain: Chain, count: int) -> tuple[Any, Any, np.ndarray] | Non
         return None
     parts.sort(key=lambda part: part[0])
     links, corners, radii = zip(*parts, strict=True)
-    xp = jnp if any(isinstance(x, jax.Array) for x in (*corners, *radii)) else np
+    xp = xp_of(*corners, *radii)
     sizes = [len(each) for each in corners]
     each = xp.concatenate([xp.full(n, r) for n, r in zip(sizes, radii, strict=True)])
     return xp.concatenate(corners), each, np.repeat(links, sizes)
@@ -74,12 +78,10 @@ def skeletons(chain: Chain, q: Any, dtype: Any, root: Frame | None = None) -> di
     moved = (root, *joint_frames(chain, q, root, dtype).joints)
     found = {}
     for count in (1, 2, 3):
-        local = local_volumes(chain, count)
-        if local is None:
-            continue
-        points, radius, link = local
-        corners = tuple(_carried(chain, moved, points[:, c], link, dtype) for c in range(count))
-        found[count] = Skeleton(corners, radius if isinstance(radius, jax.Array) else np.asarray(radius, dtype), link)
+        if (local := local_volumes(chain, count)) is not None:
+            points, radius, link = local
+            corners = tuple(_carried(chain, moved, points[:, c], link, dtype) for c in range(count))
+            found[count] = Skeleton(corners, radius if isinstance(radius, jax.Array) else np.asarray(radius, dtype), link)
     return found
 
 
@@ -87,17 +89,13 @@ def _carried(chain: Chain, frames: tuple[Frame, ...], points: Any, link: np.ndar
     """Points given in their joints' frames, in the root frame: runs of one joint share its frame."""
     joint = np.array([chain.link_joint[i] for i in link])
     cuts = [0, *(np.flatnonzero(np.diff(joint)) + 1), len(joint)]
-    pieces: list[Vec3] = []
-    for start, stop in itertools.pairwise(cuts):
-        local = points[start:stop]
-        local = local if isinstance(local, jax.Array) else np.asarray(local, dtype)
-        pieces.append(frames[joint[start]] @ Vec3(local[:, 0], local[:, 1], local[:, 2]))
-    sizes = np.diff(cuts)
-    return Vec3(*(_joined([p[i] for p in pieces], sizes) for i in range(3)))
+    points = points if isinstance(points, jax.Array) else np.asarray(points, dtype)
+    pieces = [frames[joint[a]] @ Vec3(*(points[a:b, i] for i in range(3))) for a, b in itertools.pairwise(cuts)]
+    return Vec3(*(_joined([p[i] for p in pieces], np.diff(cuts)) for i in range(3)))
 
 
 def _joined(pieces: list[Scalar], sizes: np.ndarray) -> Any:
-    xp = jnp if any(isinstance(p, jax.Array) for p in pieces) else np
+    xp = xp_of(*pieces)
     lead = np.broadcast_shapes(*(np.shape(p)[:-1] for p in pieces))
     return xp.concatenate([xp.broadcast_to(p, (*lead, n)) for p, n in zip(pieces, sizes, strict=True)], axis=-1)
 

@@ -12,7 +12,8 @@ from typing import Any
 import numpy as np
 
 from jaxik.checks.options import check_kind
-from jaxik.collision.scene import FAR, SHAPES, Fruit, Scene, SceneBuilder, hanging
+from jaxik.collision.scene import FAR, SHAPES, Fruit, Scene
+from jaxik.collision.scene_builder import SceneBuilder, hanging
 from jaxik.files.chain_builder import read_bytes
 from jaxik.files.robot_toml import Table, read_toml
 from jaxik.files.writing import toml, write_text

@@ -3,7 +3,4 @@
 from jaxik.fitting.capsules import Fit
 from jaxik.fitting.report import LinkFit
 
-__all__ = [
-    "Fit",
-    "LinkFit",
-]
+__all__ = ["Fit", "LinkFit"]

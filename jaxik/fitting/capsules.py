@@ -19,7 +19,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from jaxik.checks.options import shown
-from jaxik.fitting.convex import directions
+from jaxik.fitting.convex import directions, hull_of
 
 ROUNDING = 1e-9  # [m] that a radius has in addition, for what places its capsule in the world
 THICK = 1e-6  # [m] that a flat mesh is made thick
@@ -28,6 +28,7 @@ POINTS = 48  # directions whose extreme corners and faces stand for all while a 
 WORTH = 0.2  # of its longest side that a piece's other side has at least, to be tried for a cut
 SMOOTH = (0.1, 0.02)  # temperatures of the maxima
 STEPS = 20  # of a descent at each
+NOTHING = np.zeros((0, 3)), np.zeros(0)  # to keep to
 
 
 @dataclasses.dataclass(frozen=True)
@@ -76,13 +77,13 @@ class _Piece(NamedTuple):
     excess: float
 
 
-def fitted(points: np.ndarray, fit: Fit, keep: tuple[np.ndarray, np.ndarray] | None = None) -> Fitted:
+def fitted(points: np.ndarray, fit: Fit, keep: tuple[np.ndarray, np.ndarray] = NOTHING) -> Fitted:
     """Capsules that hold the convex hull of `points` (p, 3) [m]. `keep` are directions (k, 3) in which they may reach only so
     far beyond it (k,) [m]."""
     points = np.asarray(points, np.float64)
     unit = SIZE / max(float(np.ptp(points, axis=0).max()), THICK)
     corners, hull = _convex(points, unit)
-    room = _room(corners, hull, fit.accuracy * unit, None if keep is None else (keep[0], keep[1] * unit), ROUNDING * unit)
+    room = _room(corners, hull, fit.accuracy * unit, (keep[0], keep[1] * unit), ROUNDING * unit)
     pieces = [_around(corners, hull, room)]
     while len(pieces) < fit.most:
         worst = max(range(len(pieces)), key=lambda i: pieces[i].excess)
@@ -93,16 +94,12 @@ def fitted(points: np.ndarray, fit: Fit, keep: tuple[np.ndarray, np.ndarray] | N
     return Fitted(ends, radii + ROUNDING, protrusion + ROUNDING)
 
 
-def _room(
-    corners: np.ndarray, hull: _Hull, accuracy: float, keep: tuple[np.ndarray, np.ndarray] | None, rounding: float
-) -> _Hull:
+def _room(corners: np.ndarray, hull: _Hull, accuracy: float, keep: tuple[np.ndarray, np.ndarray], rounding: float) -> _Hull:
     """The planes that capsules should keep behind: some faces of the hull, moved out, and those of `keep`."""
     few = np.unique((hull.normals @ directions(2 * POINTS).T).argmax(axis=0))
-    normals, offsets = [hull.normals[few]], [hull.offsets[few] + accuracy]
-    if keep is not None and len(keep[0]):
-        normals.append(keep[0])
-        offsets.append((corners @ keep[0].T).max(axis=0) + keep[1])
-    return _Hull(np.concatenate(normals), np.concatenate(offsets) - rounding, hull.middle)
+    across, beyond = keep
+    offsets = np.concatenate([hull.offsets[few] + accuracy, (corners @ across.T).max(axis=0) + beyond])
+    return _Hull(np.concatenate([hull.normals[few], across]), offsets - rounding, hull.middle)
 
 
 def _convex(points: np.ndarray, unit: float) -> tuple[np.ndarray, _Hull]:
@@ -191,14 +188,9 @@ def _measured(ends: np.ndarray, corners: np.ndarray, hull: _Hull, room: _Hull) -
 def _divided(corners: np.ndarray, hull: _Hull, room: _Hull) -> list[_Piece]:
     """Two pieces in place of one, cut in the middle of one of its longer sides."""
     axes, low, high = _sides(corners)
-    best: list[_Piece] = []
-    for axis, start, end in zip(axes, low, high, strict=True):
-        if end - start < WORTH * (high[0] - low[0]):
-            break
-        pair = [_around(part, hull, room) for part in _cut(corners, axis, (start + end) / 2.0)]
-        if not best or _worth(pair) < _worth(best):
-            best = pair
-    return best
+    sides = [side for side in zip(axes, low, high, strict=True) if side[2] - side[1] >= WORTH * (high[0] - low[0])]
+    cuts = (_cut(corners, axis, (start + end) / 2.0) for axis, start, end in sides)
+    return min(([_around(part, hull, room) for part in parts] for parts in cuts), key=_worth)
 
 
 def _worth(pair: Sequence[_Piece]) -> float:
@@ -220,13 +212,10 @@ def _cut(corners: np.ndarray, normal: np.ndarray, offset: float) -> list[np.ndar
 
 def _edges(corners: np.ndarray) -> np.ndarray:
     """Pairs of corners, the edges of their hull among them."""
-    from scipy.spatial import ConvexHull, QhullError
-
-    try:
-        faces = ConvexHull(corners).simplices
-    except QhullError:  # too thin: all pairs, whose hull is the same
+    hull = hull_of(corners)
+    if hull is None:  # too thin: all pairs, whose hull is the same
         return np.stack(np.triu_indices(len(corners), 1), axis=1)
-    pairs = np.concatenate([faces[:, [0, 1]], faces[:, [1, 2]], faces[:, [2, 0]]])
+    pairs = hull.simplices[:, [[0, 1], [1, 2], [2, 0]]].reshape(-1, 2)
     return np.unique(np.sort(pairs, axis=1), axis=0)
 
 

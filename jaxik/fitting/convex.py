@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import itertools
 from collections.abc import Sequence
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -69,11 +69,6 @@ def directions(count: int) -> np.ndarray:
     return np.stack([np.cos(turn) * np.sin(polar), np.sin(turn) * np.sin(polar), np.cos(polar)], axis=1)
 
 
-def apart(a: Body, b: Body, turn: np.ndarray, place: np.ndarray, least: float = np.inf) -> np.ndarray:
-    """The distances alone of `separated`."""
-    return separated(a, b, turn, place, least)[0]
-
-
 def separated(a: Body, b: Body, turn: np.ndarray, place: np.ndarray, least: float = np.inf) -> tuple[np.ndarray, np.ndarray]:
     """How far a is from b, which stands at `turn` (n, 3, 3) and `place` (n, 3) in a's frame: lower bounds (n,) [m], and the
     directions (n, 3) from a to b in which they are that far apart.
@@ -117,7 +112,7 @@ def gaps(couples: Sequence[tuple[Body, Body]], turn: np.ndarray, place: np.ndarr
     least = np.full(len(place), enough)
     for a, b in couples:
         rows = np.flatnonzero(apart_at_least(a, b, turn, place) < least)
-        least[rows] = np.minimum(least[rows], apart(a, b, turn[rows], place[rows], float(least.max())))
+        least[rows] = np.minimum(least[rows], separated(a, b, turn[rows], place[rows], float(least.max()))[0])
     return least
 
 
@@ -132,14 +127,20 @@ def ball(body: Body) -> tuple[np.ndarray, float]:
     return centre, float(np.linalg.norm(body.corners - centre, axis=1).max()) + body.radius
 
 
-def hull_corners(points: np.ndarray) -> np.ndarray:
-    """Those of the points (p, 3) that are corners of their convex hull; all of them where they are flat."""
+def hull_of(points: np.ndarray) -> Any:
+    """SciPy's convex hull of points (p, 3); None where they are flat."""
     from scipy.spatial import ConvexHull, QhullError
 
     try:
-        return np.asarray(points[ConvexHull(points).vertices])
+        return ConvexHull(points)
     except (QhullError, ValueError):
-        return points
+        return None
+
+
+def hull_corners(points: np.ndarray) -> np.ndarray:
+    """Those of the points (p, 3) that are corners of their convex hull; all of them where they are flat."""
+    hull = hull_of(points)
+    return points if hull is None else np.asarray(points[hull.vertices])
 
 
 def _nearest(simplex: np.ndarray, used: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -175,19 +176,16 @@ def _weights(corners: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     origin, edges = corners[:, :, 0], corners[:, :, 1:] - corners[:, :, :1]
     gram = np.einsum("nsic,nsjc->nsij", edges, edges)
     pull = -np.einsum("nsic,nsc->nsi", edges, origin)
+    g, h, k = gram[..., 0, 0], gram[..., 0, -1], gram[..., -1, -1]
     if size == 2:
-        whole, part = gram[..., 0, 0], pull
+        whole, part = g, pull
         flat = whole <= FLAT**2
     else:
-        whole = gram[..., 0, 0] * gram[..., 1, 1] - gram[..., 0, 1] ** 2
-        flat = whole <= FLAT * gram[..., 0, 0] * gram[..., 1, 1]
-        part = np.stack(
-            [
-                gram[..., 1, 1] * pull[..., 0] - gram[..., 0, 1] * pull[..., 1],
-                gram[..., 0, 0] * pull[..., 1] - gram[..., 0, 1] * pull[..., 0],
-            ],
-            axis=-1,
+        whole, part = (
+            g * k - h**2,
+            np.stack([k * pull[..., 0] - h * pull[..., 1], g * pull[..., 1] - h * pull[..., 0]], axis=-1),
         )
+        flat = whole <= FLAT * g * k
     part = part / np.where(flat, 1.0, whole)[..., None]
     weights = np.concatenate([1.0 - part.sum(axis=-1, keepdims=True), part], axis=-1)
     return weights, ~flat & (weights > 0.0).all(axis=-1)

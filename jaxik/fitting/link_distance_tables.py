@@ -30,7 +30,10 @@ FEW = 100  # directions in which depth is sought at first
 BLOCK = 512  # places at a time, which bounds the memory
 
 Limits = tuple[np.ndarray, np.ndarray]
-Couples = list[tuple[Body, Body]]
+Couple = tuple[Body, Body]
+Couples = list[Couple]
+Half = tuple[float, float]  # of the steps between a table's nodes, by joint
+Places = tuple[np.ndarray, np.ndarray]  # turns (n, 3, 3) and places (n, 3)
 
 
 def frames(chain: Chain, q: np.ndarray) -> np.ndarray:
@@ -39,8 +42,8 @@ def frames(chain: Chain, q: np.ndarray) -> np.ndarray:
     return np.stack([np.broadcast_to(frame.matrices, (len(q), 4, 4)) for frame in found])
 
 
-def between(chain: Chain, pair: tuple[int, int], frames: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Where the second link's joint stands in the frame of the first's: turns (n, 3, 3) and places (n, 3)."""
+def between(chain: Chain, pair: tuple[int, int], frames: np.ndarray) -> Places:
+    """Where the second link's joint stands in the frame of the first's."""
     a, b = (frames[chain.link_joint[link]] for link in pair)
     back = a[:, :3, :3].transpose(0, 2, 1)
     return back @ b[:, :3, :3], np.einsum("nij,nj->ni", back, b[:, :3, 3] - a[:, :3, 3])
@@ -92,10 +95,9 @@ def _table(chain: Chain, near: int, far: int, k: int, couples: Couples, limits: 
     other = np.linalg.inv(functools.reduce(np.matmul, frame[k + 2 : last], np.eye(4)))  # joint k + 1, seen from the further one
     slides = [chain.is_prismatic[j] for j in (k, k + 1)]
     turns = [Axis(f[:3, 3], f[:3, :3] @ axes[j], s) for j, f, s in zip((k, k + 1), (own, other), slides, strict=True)]
-    reach = [
-        max(float(np.linalg.norm(turn.moved(body.corners), axis=1).max()) for body in each)
-        for turn, each in zip(turns, zip(*couples, strict=True), strict=True)
-    ]
+    fastest = lambda turn, body: float(np.linalg.norm(turn.moved(body.corners), axis=1).max())
+    each = zip(turns, zip(*couples, strict=True), strict=True)
+    reach = tuple(max(fastest(turn, body) for body in own) for turn, own in each)
 
     ranges = [_range(chain, j, limits) for j in (k, k + 1)]
     q = np.zeros((side * side, chain.num_joints))
@@ -105,13 +107,13 @@ def _table(chain: Chain, near: int, far: int, k: int, couples: Couples, limits: 
     found = [_signed(a, b, *places) for a, b in couples]
     distance = np.minimum(np.min([gap for gap, _ in found], axis=0), ENOUGH)
     wraps = tuple(r == TURN for r in ranges)
-    each = zip(couples, found, strict=True)
-    excess = [_excess(a, b, *places, across, distance, turns, steps) for (a, b), (_, across) in each]
+    pairs = zip(couples, found, strict=True)
+    excess = [_excess(couple, places, across, distance, turns, steps) for couple, (_, across) in pairs]
     bounds = distance.reshape(side, side) - _of_nodes(np.max(excess, axis=0), wraps)
     for way in (w for w, whole in zip((bounds, bounds.T), wraps, strict=True) if whole):
         way[[0, -1]] = np.minimum(way[0], way[-1])  # the same place, but for rounding
     low, high = zip(*ranges, strict=True)
-    return PairTable((near, far), (k, k + 1), low, high, wraps, tuple(reach), stored(bounds), geometry="")
+    return PairTable((near, far), (k, k + 1), low, high, wraps, reach, stored(bounds), geometry="")
 
 
 class Axis(NamedTuple):
@@ -155,14 +157,7 @@ def _signed(a: Body, b: Body, turn: np.ndarray, place: np.ndarray) -> tuple[np.n
 
 
 def _excess(
-    a: Body,
-    b: Body,
-    turn: np.ndarray,
-    place: np.ndarray,
-    across: np.ndarray,
-    distance: np.ndarray,
-    axes: Sequence[Axis],
-    steps: Sequence[float],
+    couple: Couple, places: Places, across: np.ndarray, distance: np.ndarray, axes: list[Axis], steps: list[float]
 ) -> np.ndarray:
     """By how much interpolation between the nodes' `distance` may be too large in each cell [m].
 
@@ -171,7 +166,7 @@ def _excess(
     whichever is best: a corner's height along it changes at the speeds of the joints that move it there, and by its arcs. So
     each corner says by how much it may come closer than the interpolation does, in each of the quarters around the node.
     """
-    side = math.isqrt(len(distance))
+    side, radii = math.isqrt(len(distance)), sum(body.radius for body in couple)
     grid, half = distance.reshape(side, side), (steps[0] / 2.0, steps[1] / 2.0)
     before = [np.diff(grid, axis=k, prepend=np.take(grid, [0], k)) / steps[k] for k in range(2)]
     after = [np.diff(grid, axis=k, append=np.take(grid, [-1], k)) / steps[k] for k in range(2)]
@@ -179,35 +174,21 @@ def _excess(
     over = np.empty((2, 2, side * side))
     for start in range(0, side * side, BLOCK):
         rows = slice(start, start + BLOCK)
-        nodes = _Nodes.of(a, b, turn[rows], place[rows], across[rows], axes, half)
+        bodies = _corners_at(couple, (places[0][rows], places[1][rows]), across[rows], axes, half)
         for i, j in itertools.product(range(2), repeat=2):
             slopes = [(after if later else before)[k].ravel()[rows] for k, later in enumerate((i, j))]
-            over[i, j, rows] = distance[rows] - nodes.least(slopes, (2 * i - 1, 2 * j - 1)) + (a.radius + b.radius)
+            over[i, j, rows] = distance[rows] - _least(bodies, slopes, (2 * i - 1, 2 * j - 1), half) + radii
     quarter = lambda i, j: over[i, j].reshape(side, side)[1 - i : side - i, 1 - j : side - j]
     return np.asarray(np.max([np.zeros_like(mixed), *(quarter(i, j) + mixed for i in range(2) for j in range(2))], axis=0))
 
 
-class _Corners(NamedTuple):
+class _Corners:
     """Of a body's corners (n, p): how high they are along a direction, how fast they rise with each joint, and how far they go
     from there within half a step by the arc of the joint next to the body, and with the other's [m]."""
 
-    height: np.ndarray
-    speeds: list[np.ndarray]
-    arc: np.ndarray
-    arcs: np.ndarray
-
-    @classmethod
-    def of(
-        cls,
-        body: Body,
-        turn: np.ndarray,
-        place: np.ndarray,
-        across: np.ndarray,
-        axes: Sequence[Axis],
-        next_to: int,
-        half: Sequence[float],
-    ) -> _Corners:
-        """Of a body at `turn` and `place`, next to one of the joints, whose axes have origins and directions (n, 3)."""
+    def __init__(self, body: Body, places: Places, across: np.ndarray, axes: list[Axis], next_to: int, half: Half):
+        """Of a body in some places, next to one of the joints, whose axes have origins and directions (n, 3)."""
+        turn, place = places
         along = lambda way, shift: np.einsum("nij,ni->nj", turn, way) @ body.corners.T + _dot(way, shift)[:, None]
         speeds, radii = [], []
         for axis in axes:
@@ -223,56 +204,38 @@ class _Corners(NamedTuple):
         turns = [float(not axes[k].slides) for k in (next_to, 1 - next_to)]
         arc = 0.5 * turns[0] * inner * own**2
         more = turns[1] * (0.5 * (outer + inner * own) * other**2 + inner * own * other)
-        return cls(along(across, place), speeds, np.asarray(arc), np.asarray(arc + more))
+        self.height, self.speeds, self.arc, self.arcs = along(across, place), speeds, arc, arc + more
 
 
 def _dot(a: np.ndarray, b: np.ndarray) -> np.ndarray:
     return np.asarray(np.einsum("ni,ni->n", a, b))
 
 
-class _Nodes(NamedTuple):
-    """Two bodies at some nodes."""
+def _corners_at(couple: Couple, places: Places, across: np.ndarray, axes: list[Axis], half: Half) -> tuple[_Corners, _Corners]:
+    """Of two bodies, the second in some places in the frame of the first."""
+    (turn, place), (near, far) = places, axes
+    seen = [
+        Axis(np.broadcast_to(near.origin, place.shape), np.broadcast_to(near.along, place.shape), near.slides),
+        Axis(turn @ far.origin + place, turn @ far.along, far.slides),
+    ]
+    still = np.broadcast_to(np.eye(3), turn.shape), np.zeros_like(place)
+    first, second = (_Corners(couple[k], (still, places)[k], across, seen, k, half) for k in range(2))
+    return first, second
 
-    first: _Corners
-    second: _Corners
-    half: Sequence[float]
 
-    @classmethod
-    def of(
-        cls,
-        a: Body,
-        b: Body,
-        turn: np.ndarray,
-        place: np.ndarray,
-        across: np.ndarray,
-        axes: Sequence[Axis],
-        half: Sequence[float],
-    ) -> _Nodes:
-        near, far = axes
-        seen = [
-            Axis(np.broadcast_to(near.origin, place.shape), np.broadcast_to(near.along, place.shape), near.slides),
-            Axis(turn @ far.origin + place, turn @ far.along, far.slides),
-        ]
-        still = np.broadcast_to(np.eye(3), turn.shape)
-        return cls(
-            _Corners.of(a, still, np.zeros_like(place), across, seen, 0, half),
-            _Corners.of(b, turn, place, across, seen, 1, half),
-            half,
-        )
+def _least(bodies: tuple[_Corners, _Corners], slopes: list[np.ndarray], signs: Sequence[int], half: Half) -> np.ndarray:
+    """How far two bodies are apart at least in one of the quarters around some nodes (n,), less what the interpolation's
+    `slopes` add there."""
 
-    def least(self, slopes: Sequence[np.ndarray], signs: Sequence[int]) -> np.ndarray:
-        """How far the bodies are apart at least in one of the quarters around the nodes (n,), less what the interpolation's
-        `slopes` add there."""
+    def falls(corners: _Corners, joints: Sequence[int]) -> Any:
+        each = [np.maximum(signs[k] * (slopes[k][:, None] - corners.speeds[k]), 0.0) * half[k] for k in joints]
+        return sum(each) + (0.0, corners.arc, corners.arcs)[len(joints)]
 
-        def falls(corners: _Corners, joints: Sequence[int]) -> Any:
-            each = [np.maximum(signs[k] * (slopes[k][:, None] - corners.speeds[k]), 0.0) * self.half[k] for k in joints]
-            return sum(each) + (corners.arcs if len(joints) == 2 else corners.arc if len(joints) else 0.0)
-
-        found = []
-        for cut in range(3):  # the direction goes with the first body, with what is between, with the second
-            low = (self.second.height - falls(self.second, range(cut, 2))).min(axis=1)
-            found.append(low - (self.first.height + falls(self.first, range(cut))).max(axis=1))
-        return np.asarray(np.max(found, axis=0))
+    found, (first, second) = [], bodies
+    for cut in range(3):  # the direction goes with the first body, with what is between, with the second
+        low = (second.height - falls(second, range(cut, 2))).min(axis=1)
+        found.append(low - (first.height + falls(first, range(cut))).max(axis=1))
+    return np.asarray(np.max(found, axis=0))
 
 
 def _of_nodes(cells: np.ndarray, wraps: Sequence[bool]) -> np.ndarray:

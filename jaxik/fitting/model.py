@@ -11,20 +11,25 @@ those between, or those that are left when the link before or behind is taken fo
 
 from __future__ import annotations
 
+import ast
+import contextlib
 import dataclasses
-import hashlib
-import io
+import itertools
 from collections.abc import Callable, Collection, Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
 
+from jaxik.collision import distance
 from jaxik.collision.self_collision_pairs import candidate_pairs, default_pose
-from jaxik.fitting.capsules import Fit, Fitted, fitted
-from jaxik.fitting.convex import Body, apart_at_least, depths, directions, gaps, hull_corners, separated
+from jaxik.fitting.capsules import NOTHING, Fit, Fitted, fitted
+from jaxik.fitting.convex import Body, apart_at_least, depths, directions, gaps, hull_corners, hull_of, separated
 from jaxik.fitting.link_distance_tables import between, frames, side_of, table_of
-from jaxik.robot.chain import Chain, Volume, finite_limits, geometry_between
+from jaxik.robot.chain import Chain, Volume, finite_limits, geometry_between, hashed
 from jaxik.robot.link_distance_table import PairTable
+from jaxik.spatial.algebra import Vec3
+from jaxik.spmd import HostKernel
+from jaxik.spmd.batch import in_blocks
 from jaxik.spmd.cache import read, write
 
 SAMPLES = 2000  # random configurations
@@ -39,9 +44,10 @@ FAR = 1e3  # [m] by which what is close goes before what is not
 FITS = 2  # of all shapes
 WORTH = 3e-4  # of false collisions, in shares, that a capsule is worth
 SELDOM = 0.002  # of them, in which a pair may collide falsely without a table
-_VERSION = 8  # of what is stored
+_VERSION = 9  # of what is stored
 
 Pair = tuple[int, int]
+Hits = dict[Pair, np.ndarray]  # in which of the configurations a pair of links touches
 
 
 class Shape(NamedTuple):
@@ -56,14 +62,10 @@ class Shape(NamedTuple):
     @property
     def triangles(self) -> np.ndarray:
         """The triangles (f, 3) of its surface; none of what is flat and has no faces."""
-        from scipy.spatial import ConvexHull, QhullError
-
         if self.faces is not None and len(self.faces):
             return self.faces
-        try:
-            return np.asarray(ConvexHull(self.corners).simplices)
-        except (QhullError, ValueError):
-            return np.zeros((0, 3), int)
+        hull = hull_of(self.corners)
+        return np.zeros((0, 3), int) if hull is None else np.asarray(hull.simplices)
 
 
 class Model(NamedTuple):
@@ -107,59 +109,28 @@ def modelled(
     """The model of a chain whose other volumes are exact; read from disk where it is known. Links `aside` are behind joints
     beside the chain. `progress` hears of each shape."""
     links = (chain.link_joint, chain.link_names, [v.link for v in chain.volumes], [s.link for s in shapes], sorted(aside))
-    content = hashlib.sha256(repr((_VERSION, fit, sorted(map(sorted, disabled)), chain.joint_types, links)).encode())
     exact = [part for v in chain.volumes for part in (v.corners, v.radius)]
-    for numbers in (chain.parent_T_joint, chain.axis, *finite_limits(chain), *exact, *(s.corners for s in shapes)):
-        content.update(repr(np.shape(numbers)).encode() + np.ascontiguousarray(numbers, np.float64).tobytes())
-    name = f"jaxik_fit_{content.hexdigest()[:32]}"
-    stored = read(name)
-    if stored is not None:
-        try:
+    arrays = [chain.parent_T_joint, chain.axis, *finite_limits(chain), *exact, *(s.corners for s in shapes)]
+    words = _VERSION, fit, sorted(map(sorted, disabled)), chain.joint_types, links, [np.shape(x) for x in arrays]
+    name = f"jaxik_fit_{hashed(words, arrays)[:32]}"
+    if (stored := read(name)) is not None:
+        with contextlib.suppress(ValueError, SyntaxError, TypeError):  # of another make: it is made again
             return _unpacked(stored)
-        except (ValueError, KeyError, IndexError, EOFError, OSError):
-            pass  # of another make: it is made again
     found = _Links(chain, shapes, disabled, aside).model(fit, progress)
     write(name, _packed(found))
     return found
 
 
 def _packed(model: Model) -> bytes:
-    file = io.BytesIO()
-    rows = [np.column_stack([np.full(len(f.radii), i), f.ends.reshape(-1, 6), *f[1:]]) for i, f in enumerate(model.fits)]
-    np.savez(
-        file,
-        allow_pickle=False,
-        capsules=np.concatenate(rows) if rows else np.zeros((0, 9)),
-        count=len(model.fits),
-        pairs=np.array(model.pairs, int).reshape(-1, 2),
-        home=np.array([(*pair, depth) for pair, depth in model.at_home.items()]).reshape(-1, 3),
-        shares=np.array([model.colliding, model.false, model.home_free]),
-        links=np.array([*model.false_by_link.items()]).reshape(-1, 2),
-        tables=np.array([[*t.links, *t.joints, *t.low, *t.high, *t.turns, *t.reach] for t in model.tables]).reshape(-1, 12),
-        stored=np.array([np.frombuffer(t.stored, np.uint8) for t in model.tables], np.uint8),
-    )
-    return file.getvalue()
+    """As a literal of Python's: the arrays as lists, the tables as tuples."""
+    fits = [[part.tolist() for part in found] for found in model.fits]
+    return repr((fits, *model[1:-1], [tuple(vars(table).values()) for table in model.tables])).encode()
 
 
 def _unpacked(stored: bytes) -> Model:
-    with np.load(io.BytesIO(stored), allow_pickle=False) as table:
-        rows = [table["capsules"][table["capsules"][:, 0] == i] for i in range(int(table["count"]))]
-        return Model(
-            tuple(Fitted(r[:, 1:7].reshape(-1, 2, 3), r[:, 7], r[:, 8]) for r in rows),
-            tuple((int(a), int(b)) for a, b in table["pairs"]),
-            {(int(a), int(b)): float(depth) for a, b, depth in table["home"]},
-            float(table["shares"][0]),
-            float(table["shares"][1]),
-            {int(link): float(share) for link, share in table["links"]},
-            bool(table["shares"][2]),
-            tuple(map(_table_of, table["tables"].tolist(), table["stored"])),
-        )
-
-
-def _table_of(row: list[float], bounds: np.ndarray) -> PairTable:
-    links, joints, low, high, turns, reach = (tuple(row[i : i + 2]) for i in range(0, 12, 2))
-    links, joints = (int(links[0]), int(links[1])), (int(joints[0]), int(joints[1]))
-    return PairTable(links, joints, low, high, tuple(map(bool, turns)), reach, bounds.tobytes(), geometry="")
+    fits, *told, tables = ast.literal_eval(stored.decode())
+    capsules = tuple(Fitted(*map(np.array, found)) for found in fits)
+    return Model._make([capsules, *told, tuple(PairTable(*table) for table in tables)])
 
 
 class _Pass(NamedTuple):
@@ -201,7 +172,7 @@ class _Links:
         close = [each for p in kept for each in passes[p]]
         shares = [np.full(len(each.rows), 0.5) for each in close]
         tables: list[PairTable] = []
-        best: Model | None = None
+        made: list[Model] = []
         for turn in range(FITS):  # the second time each gets of a gap what it needed of it the first time
             fits, keep = [], self.planes(close, shares, least, fit.accuracy)
             for number, shape in enumerate(self.shapes):
@@ -213,19 +184,12 @@ class _Links:
                 tables = self.tables(hit, side_of(fit.accuracy))
                 cleared = {t.links: t(self.q) > 0.0 for t in tables}
                 close = [each.where(~cleared[p][each.rows]) if p in cleared else each for p in kept for each in passes[p]]
-            made = self.judged(fits, hit, at_home, least, tables)
-            best = made if best is None or made.worth < best.worth else best
+            made.append(self.judged(fits, hit, at_home, least, tables))
             shares = [self.share(each, fits) for each in close]
-        assert best is not None
-        return best
+        return min(made, key=lambda model: model.worth)
 
     def judged(
-        self,
-        fits: Sequence[Fitted],
-        hit: dict[Pair, np.ndarray],
-        at_home: dict[Pair, float],
-        least: np.ndarray,
-        tables: Sequence[PairTable],
+        self, fits: list[Fitted], hit: Hits, at_home: dict[Pair, float], least: np.ndarray, tables: list[PairTable]
     ) -> Model:
         """The model that capsules and tables make, with what it says of the samples. In some of them, `hit`, the capsules
         falsely collide."""
@@ -236,7 +200,7 @@ class _Links:
         colliding = float(np.mean(least[1:] <= 0.0))
         return Model(tuple(fits), tuple(hit), at_home, colliding, share(hit.values()), by_link, home_free, tuple(tables))
 
-    def tables(self, hit: dict[Pair, np.ndarray], side: int) -> list[PairTable]:
+    def tables(self, hit: Hits, side: int) -> list[PairTable]:
         """Of the pairs of links that falsely collide in the default pose, or in more of the samples than `SELDOM`."""
         often = [pair for pair, rows in hit.items() if rows[0] or rows[1:].mean() > SELDOM]
         bodies = {link: [self.bodies[i][1] for i in self.of(link)] for pair in often for link in pair}
@@ -249,19 +213,18 @@ class _Links:
 
     def couples(self, pair: Pair) -> list[tuple[Body, Body]]:
         """The bodies of a pair of links, each with each."""
-        return [(self.bodies[i][1], self.bodies[j][1]) for i in self.of(pair[0]) for j in self.of(pair[1])]
+        return [(self.bodies[i][1], self.bodies[j][1]) for i, j in itertools.product(*map(self.of, pair))]
 
     def passes(self, pair: Pair, near: float) -> list[_Pass]:
         """Where bodies of a pair of links come nearer than `near`."""
         turn, place = between(self.chain, pair, self.frames)
         found = []
-        for i in self.of(pair[0]):
-            for j in self.of(pair[1]):
-                a, b = self.bodies[i][1], self.bodies[j][1]
-                rows = np.flatnonzero(apart_at_least(a, b, turn, place) < near)
-                gap, across = separated(a, b, turn[rows], place[rows], near)
-                close = gap < near
-                found.append(_Pass(i, j, rows[close], gap[close], across[close], turn[rows[close]]))
+        for i, j in itertools.product(*map(self.of, pair)):
+            a, b = self.bodies[i][1], self.bodies[j][1]
+            rows = np.flatnonzero(apart_at_least(a, b, turn, place) < near)
+            gap, across = separated(a, b, turn[rows], place[rows], near)
+            close = gap < near
+            found.append(_Pass(i, j, rows[close], gap[close], across[close], turn[rows[close]]))
         return found
 
     def least(self, passes: Sequence[_Pass]) -> np.ndarray:
@@ -339,44 +302,29 @@ class _Links:
         """The configurations in which the capsules of a pair of links touch."""
         turn, place = between(self.chain, pair, self.frames)
         hit = np.zeros(len(self.q), bool)
-        (ends, radii), (others, widths) = (self.capsules(link, fits) for link in pair)
-        for (a, b), radius in zip(ends, radii, strict=True):
-            for (c, d), width in zip(others, widths, strict=True):
-                rows = np.flatnonzero(~hit)
-                start, end = turn[rows] @ c + place[rows], turn[rows] @ d + place[rows]
-                hit[rows] = line_gaps(a, b, start, end) <= radius + width
+        for ((a, b), radius), ((c, d), width) in itertools.product(*(self.capsules(link, fits) for link in pair)):
+            rows = np.flatnonzero(~hit)
+            (gap,) = in_blocks(_GAPS, turn[rows] @ c + place[rows], turn[rows] @ d + place[rows], fixed=(a, b), double=True)
+            hit[rows] = gap <= radius + width
         return hit
 
-    def capsules(self, link: int, fits: Sequence[Fitted]) -> tuple[list[Any], list[float]]:
-        ends: list[Any] = []
-        radii: list[float] = []
-        for i in self.of(link):
-            if i < len(fits):
-                ends, radii = [*ends, *fits[i].ends], [*radii, *fits[i].radii]
-            else:
-                corners = self.bodies[i][1].corners
-                ends, radii = [*ends, (corners[0], corners[-1])], [*radii, self.bodies[i][1].radius]
-        return ends, radii
+    def capsules(self, link: int, fits: Sequence[Fitted]) -> list[tuple[np.ndarray, float]]:
+        """A link's, each its ends and its radius."""
+        fitted = [each for i in self.of(link) if i < len(fits) for each in zip(fits[i].ends, fits[i].radii, strict=True)]
+        exact = [self.bodies[i][1] for i in self.of(link) if i >= len(fits)]
+        return [*fitted, *((body.corners[[0, -1]], body.radius) for body in exact)]
+
+
+# of the line between `a` and `b`, and of each from `start` to `end`
+_GAPS = HostKernel(lambda start, end, a, b: distance.segment_segment(*(Vec3(*x) for x in (a, b, start, end))), 2)
 
 
 def _closest(found: Sequence[tuple[np.ndarray, np.ndarray]]) -> tuple[np.ndarray, np.ndarray]:
     """Of passes in nearly the same direction the closest."""
     if not found:
-        return np.zeros((0, 3)), np.zeros(0)
+        return NOTHING
     across, half = (np.concatenate(column) for column in zip(*found, strict=True))
     order = np.argsort(half, kind="stable")
     across, half = across[order], half[order]
     first = np.unique((across @ directions(BINS).T).argmax(axis=1), return_index=True)[1]
     return across[first], half[first]
-
-
-def line_gaps(a: np.ndarray, b: np.ndarray, c: np.ndarray, d: np.ndarray) -> np.ndarray:
-    """Segment ab (3,) to segments cd (n, 3) [Ericson 2005, sec. 5.1.9; `distance.segment_segment` for NumPy]."""
-    u, v, w = b - a, d - c, a - c
-    uu, vv, uv, uw, vw = u @ u, np.sum(v * v, axis=1), v @ u, w @ u, np.sum(v * w, axis=1)
-    over = lambda x, y: np.clip(x / np.maximum(y, 1e-18), 0.0, 1.0)
-    on_second, on_first = lambda s: over(uv * s + vw, vv), lambda t: over(uv * t - uw, uu)
-    t = on_second(over(uv * vw - uw * vv, uu * vv - uv * uv))
-    zero, one = np.zeros(len(c)), np.ones(len(c))
-    tried = [(on_first(t), t)] + [(s, on_second(s)) for s in (zero, one)] + [(on_first(t), t) for t in (zero, one)]
-    return np.asarray(np.min([np.linalg.norm(w + u * s[:, None] - v * t[:, None], axis=1) for s, t in tried], axis=0))

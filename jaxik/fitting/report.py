@@ -70,9 +70,7 @@ def outer(found: Fitted) -> np.ndarray:
     for i, (ends, radius) in enumerate(zip(found.ends, found.radii, strict=True)):
         line = (1.0 - along[:, None]) * ends[0] + along[:, None] * ends[1]
         points = (line[:, None] + radius * around).reshape(-1, 3)
-        own = np.ones(len(points), bool)
-        for j, (other, width) in enumerate(zip(found.ends, found.radii, strict=True)):
-            inside = width - (1e-6 if i == j else 0.0)  # a sphere's sample may lie in its own capsule
-            own &= np.linalg.norm(away(points, other), axis=1) >= inside
-        kept.append(points[own])
+        widths = found.radii - 1e-6 * (np.arange(len(found.radii)) == i)  # a sphere's sample may lie in its own capsule
+        inside = [np.linalg.norm(away(points, other), axis=1) < width for other, width in zip(found.ends, widths, strict=True)]
+        kept.append(points[~np.any(inside, axis=0)])
     return np.concatenate(kept)

@@ -11,7 +11,8 @@ from typing import Any
 
 import numpy as np
 
-from jaxik.collision.scene import Scene, SceneBuilder
+from jaxik.collision.scene import Scene
+from jaxik.collision.scene_builder import SceneBuilder
 from jaxik.costs import bounding_box
 
 # Where IJE 2022, sec. 5.1 and table 4 send the tool [cm, in the base's frame].

@@ -2,8 +2,4 @@
 
 from jaxik.reach.scoring import likely_postures, log_reach_score, reach_score
 
-__all__ = [
-    "likely_postures",
-    "log_reach_score",
-    "reach_score",
-]
+__all__ = ["likely_postures", "log_reach_score", "reach_score"]

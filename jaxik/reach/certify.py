@@ -25,6 +25,7 @@ from jaxik.spatial.algebra import Frame
 from jaxik.spatial.ball import Ball, possible, whole
 from jaxik.spmd import HostKernel
 from jaxik.spmd.batch import in_blocks
+from jaxik.spmd.host import host_kernels
 
 PORTION = 8000  # targets whose cells stand in memory: their last, few cells fill a block
 COARSE = 9  # positions of each leading joint that are enough to tell what is far away
@@ -117,8 +118,7 @@ def _within_reach(chain: Chain, poses: np.ndarray, slides: int) -> np.ndarray:
     # threads spin for a while after a product, on the cores that the other chunk wants
     square = np.einsum("ni,mi->nm", points, -2.0 * origin)
     square += np.einsum("ni,ni->n", points, points)[:, None]
-    found: np.ndarray = square <= within
-    return found
+    return np.asarray(square <= within)
 
 
 @functools.lru_cache(maxsize=64)
@@ -135,30 +135,22 @@ def _spheres(chain: Chain, slides: int) -> tuple[ReachBound, np.ndarray, np.ndar
     return bound, origin, (bound.longest + float(half.sum()) + SLACK) ** 2 - np.sum(origin * origin, axis=1)
 
 
-@functools.lru_cache(maxsize=64)
-def _reaches(chain: Chain) -> HostKernel:
+@host_kernels(2)
+def _reaches(chain: Chain, pose: Any, centre: Any, half: Any) -> Any:
     """Compiled, by rows: which of the ways (4,) of joints 1 to 3 can be inside the limits anywhere in a cell. Most cannot, and
     what is left costs four times as much to look at."""
-
-    def cell(pose: Any, centre: Any, half: Any) -> Any:
-        ways = half_branches(chain, pose, [Ball(c, h) for c, h in zip(centre, half, strict=True)])
-        return jnp.stack([possible(way.margin >= -SLACK) & may_be_inside(chain, way.turns, SLACK) for way in ways])
-
-    return HostKernel(cell, 2)
+    ways = half_branches(chain, pose, [Ball(c, h) for c, h in zip(centre, half, strict=True)])
+    return jnp.stack([possible(way.margin >= -SLACK) & may_be_inside(chain, way.turns, SLACK) for way in ways])
 
 
-@functools.lru_cache(maxsize=64)
-def _enclosed(chain: Chain) -> HostKernel:
+@host_kernels(3)
+def _enclosed(chain: Chain, pose: Any, centre: Any, signs: Any, half: Any) -> tuple[Any, Any]:
     """Compiled, by rows, for the way of joints 1 to 3 that has these signs: whether one of its two branches can be inside the
     limits anywhere in a cell, and the first that is in its middle, or -1."""
-
-    def cell(pose: Any, centre: Any, signs: Any, half: Any) -> tuple[Any, Any]:
-        leading = [Ball(c, h) for c, h in zip(centre, half, strict=True)]
-        (way,) = half_branches(chain, pose, leading, signs[:1], signs[1:])
-        (may, one), (may_two, two) = (_inside(chain, *branch) for branch in wrist_branches(chain, way, pose.dtype))
-        return may | may_two, jnp.where(one, 0, jnp.where(two, 1, -1))
-
-    return HostKernel(cell, 3)
+    leading = [Ball(c, h) for c, h in zip(centre, half, strict=True)]
+    (way,) = half_branches(chain, pose, leading, signs[:1], signs[1:])
+    (may, one), (may_two, two) = (_inside(chain, *branch) for branch in wrist_branches(chain, way, pose.dtype))
+    return may | may_two, jnp.where(one, 0, jnp.where(two, 1, -1))
 
 
 def _inside(chain: Chain, angles: Any, margin: Ball) -> tuple[Any, Any]:

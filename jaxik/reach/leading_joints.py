@@ -22,8 +22,8 @@ from jaxik.robot.chain import Chain, finite_limits
 from jaxik.robot.joint_turns import TURN
 from jaxik.robot.spherical_wrist import HalfBranch, half_branches, wrist_branches
 from jaxik.spatial.ball import possible
-from jaxik.spmd import HostKernel
 from jaxik.spmd.batch import in_blocks
+from jaxik.spmd.host import host_kernels
 
 NOTHING = -2.0  # freedom of a branch that does not have the pose; past its limits the freest joint of all has -1 at least
 NEARLY = 1e-3  # of a cosine, by which what is not looked at closely may be past a limit
@@ -96,32 +96,29 @@ def arm_of(chain: Chain) -> Chain:
     return dataclasses.replace(chain, lower=lower, upper=upper, world_T_base=np.eye(4))
 
 
-@functools.lru_cache(maxsize=64)
-def _freest(chain: Chain, size: int) -> HostKernel:
+@host_kernels(1)
+def _freest(chain: Chain, size: int, pose: Any, leading: Any, many: Any, past: Any) -> tuple[Any, ...]:
     """Compiled, by rows of poses: `Freest` over the first `many` of the leading positions (size, k); among the ways of joints 1
     to 3 that may be inside the limits or, if `past`, all that have the pose. What no lane asks for is not computed."""
 
-    def target(pose: Any, leading: Any, many: Any, past: Any) -> tuple[Any, ...]:
-        def turn(best: _Best, i: Any) -> tuple[_Best, Any]:
-            ways = half_branches(chain, pose, leading[i])
-            may = [(way.margin >= 0.0) & (past | may_be_inside(chain, way.turns, NEARLY)) for way in ways]
+    def turn(best: _Best, i: Any) -> tuple[_Best, Any]:
+        ways = half_branches(chain, pose, leading[i])
+        may = [(way.margin >= 0.0) & (past | may_be_inside(chain, way.turns, NEARLY)) for way in ways]
 
-            def solved(best: _Best) -> _Best:
-                for number, way in enumerate(ways):
-                    freer = functools.partial(_freer, chain, leading[i], i, number, way)
-                    best = lax.cond(may[number], freer, lambda best: best, best)
-                return best
+        def solved(best: _Best) -> _Best:
+            for number, way in enumerate(ways):
+                freer = functools.partial(_freer, chain, leading[i], i, number, way)
+                best = lax.cond(may[number], freer, lambda best: best, best)
+            return best
 
-            best = lax.cond(functools.reduce(jnp.logical_or, may), solved, lambda best: best, best)
-            return best._replace(here=jnp.uint8(0)), best.here
+        best = lax.cond(functools.reduce(jnp.logical_or, may), solved, lambda best: best, best)
+        return best._replace(here=jnp.uint8(0)), best.here
 
-        skip = lambda best, _: (best, jnp.uint8(0))
-        zero = jnp.int32(0)
-        nothing = _Best(jnp.asarray(NOTHING, pose.dtype), zero, zero, zero, jnp.uint8(0))
-        best, branches = lax.scan(lambda best, i: lax.cond(i < many, turn, skip, best, i), nothing, jnp.arange(size))
-        return *best[:-1], branches
-
-    return HostKernel(target, 1)
+    skip = lambda best, _: (best, jnp.uint8(0))
+    zero = jnp.int32(0)
+    nothing = _Best(jnp.asarray(NOTHING, pose.dtype), zero, zero, zero, jnp.uint8(0))
+    best, branches = lax.scan(lambda best, i: lax.cond(i < many, turn, skip, best, i), nothing, jnp.arange(size))
+    return *best[:-1], branches
 
 
 class _Best(NamedTuple):
@@ -140,13 +137,9 @@ def _freer(chain: Chain, leading: Any, lead: Any, number: int, way: HalfBranch, 
     freedom, branch = jnp.maximum(one, two), 2 * number + (two > one).astype(jnp.int32)
     better = (freedom > best.freedom) | ((freedom == best.freedom) & (number < best.branch // 2))
     bits = [(each >= 0.0).astype(jnp.uint8) for each in (one, two)]
-    return _Best(
-        jnp.where(better, freedom, best.freedom),
-        jnp.where(better, lead, best.lead),
-        jnp.where(better, branch, best.branch),
-        best.inside + sum(bits).astype(jnp.int32),
-        best.here | bits[0] << 2 * number | bits[1] << 2 * number + 1,
-    )
+    freedom, lead, branch = (jnp.where(better, new, old) for new, old in zip((freedom, lead, branch), best[:3], strict=True))
+    here = best.here | bits[0] << 2 * number | bits[1] << 2 * number + 1
+    return _Best(freedom, lead, branch, best.inside + sum(bits).astype(jnp.int32), here)
 
 
 def may_be_inside(chain: Chain, turns: Any, slack: float) -> Any:

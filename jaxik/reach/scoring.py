@@ -8,7 +8,6 @@ base or a link is moved, and a posture found once serves for a whole neighbourho
 
 from __future__ import annotations
 
-import functools
 from typing import Any
 
 import jax
@@ -26,8 +25,9 @@ from jaxik.reach.leading_joints import arm_of, leading_grid
 from jaxik.robot.chain import Array, Chain, as_numbers, as_shaped, finite_limits
 from jaxik.robot.kinematics import forward_kinematics, jacobian
 from jaxik.robot.spherical_wrist import BRANCHES, closed_forms
-from jaxik.spmd import HostKernel, kernel
+from jaxik.spmd import kernel
 from jaxik.spmd.batch import in_blocks
+from jaxik.spmd.host import host_kernels
 
 DAMPING = 1e-2  # [m, rad m] below which a direction counts as one that the arm cannot move in
 SHORT = 0.03  # [m, rad] that the tip falls short by and that weighs as much as a joint past its limit by half its range
@@ -140,6 +140,6 @@ def likely_postures(
     return at[best], q[best]
 
 
-@functools.lru_cache(maxsize=16)
-def _worths(chain: Chain) -> HostKernel:
-    return HostKernel(lambda pose, q, around, margin: _worth(chain, around, pose, q, margin, 0.01), 2)
+@host_kernels(2, known=16)
+def _worths(chain: Chain, pose: Any, q: Any, around: Grouped | None, margin: Any) -> Any:
+    return _worth(chain, around, pose, q, margin, 0.01)

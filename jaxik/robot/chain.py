@@ -11,6 +11,7 @@ from __future__ import annotations
 
 import dataclasses
 import hashlib
+from collections.abc import Iterable
 from typing import Any, Literal
 
 import jax
@@ -168,31 +169,23 @@ class Chain(Constant):
         kept = [i for i, j in enumerate(self.link_joint) if first < j <= last]
         link = {old: new for new, old in enumerate(kept)}
         cut = slice(first, last)
+        own = lambda parts: tuple(dataclasses.replace(part, link=link[part.link]) for part in parts if part.link in link)
         return dataclasses.replace(
             self,
-            joint_names=self.joint_names[cut],
-            joint_types=self.joint_types[cut],
+            **{name: getattr(self, name)[cut] for name in _OF_JOINTS},
             link_names=tuple(self.link_names[i] for i in kept),
             link_joint=tuple(self.link_joint[i] - first for i in kept),
-            parent_T_joint=self.parent_T_joint[cut],
-            axis=self.axis[cut],
             joint_T_tip=self.joint_T_tip if last == self.num_joints else np.eye(4),
             link_offset=self.link_offset[np.array(kept, int)],
-            lower=self.lower[cut],
-            upper=self.upper[cut],
-            velocity=self.velocity[cut],
-            bodies=self.bodies[cut],
-            boxes=tuple(dataclasses.replace(b, link=link[b.link]) for b in self.boxes if b.link in link),
-            volumes=tuple(dataclasses.replace(v, link=link[v.link]) for v in self.volumes if v.link in link),
+            boxes=own(self.boxes),
+            volumes=own(self.volumes),
             self_pairs=tuple((link[a], link[b]) for a, b in self.self_pairs if a in link and b in link),
             unread_meshes=tuple(n for n in self.unread_meshes if self.link_names.index(n) in link),
             ignored=tuple((link[i], name) for i, name in self.ignored if i in link),
             pair_tables=tuple(
-                dataclasses.replace(
-                    t, links=(link[t.links[0]], link[t.links[1]]), joints=(t.joints[0] - first, t.joints[1] - first)
-                )
-                for t in self.pair_tables
-                if link.keys() >= {*t.links}
+                dataclasses.replace(t, links=(link[a], link[b]), joints=(i - first, j - first))
+                for t, (a, b), (i, j) in ((t, t.links, t.joints) for t in self.pair_tables)
+                if a in link and b in link
             ),
         )
 
@@ -200,14 +193,12 @@ class Chain(Constant):
         head = f"Chain {self.name}: {self.num_joints} joints, {len(self.link_names)} links, {len(self.boxes)} boxes, "
         head += f"{len(self.volumes)} volumes, {len(self.self_pairs)} pairs of links to check, {len(self.pair_tables)} tables"
         head += f"; meshes of {len(self.unread_meshes)} links not read" if self.unread_meshes else ""
-        known = all(isinstance(x, np.ndarray | jax.Array) and is_known(x) for x in (self.lower, self.upper))
-        limits = zip(np.asarray(self.lower), np.asarray(self.upper), strict=True) if known else ()
-        spans = [f" {low:.4g} to {high:.4g}" for low, high in limits] or [""] * self.num_joints
-        units = [
-            " m" if span and slides else " rad" if span else "" for span, slides in zip(spans, self.is_prismatic, strict=True)
-        ]
-        rows = zip(self.joint_names, self.joint_types, spans, units, strict=True)
-        return "\n".join([head, *(f"  {name}: {kind}{span}{unit}" for name, kind, span, unit in rows)])
+        spans = [""] * self.num_joints
+        if all(isinstance(x, np.ndarray | jax.Array) and is_known(x) for x in (self.lower, self.upper)):
+            limits = zip(self.lower, self.upper, self.is_prismatic, strict=True)
+            spans = [f" {low:.4g} to {high:.4g} {'m' if slides else 'rad'}" for low, high, slides in limits]
+        rows = zip(self.joint_names, self.joint_types, spans, strict=True)
+        return "\n".join([head, *(f"  {name}: {kind}{span}" for name, kind, span in rows)])
 
     # A concrete chain is a value: equal numbers, equal chain. So it may be a static argument of `jax.jit` and a cache's key.
 
@@ -224,16 +215,25 @@ class Chain(Constant):
 
     def _computed_digest(self) -> str:
         leaves, tree = jax.tree_util.tree_flatten(self)
-        content = hashlib.sha256(str(tree).encode())
-        for leaf in leaves:
-            content.update(np.ascontiguousarray(np.asarray(leaf, dtype=np.float64)).tobytes())
-        return content.hexdigest()
+        return hashed(tree, leaves)
 
     def __hash__(self) -> int:
         return hash(self.digest)
 
     def __eq__(self, other: object) -> bool:
         return self is other or (isinstance(other, Chain) and self.digest == other.digest)
+
+
+# what a chain has of each joint
+_OF_JOINTS = ("joint_names", "joint_types", "parent_T_joint", "axis", "lower", "upper", "velocity", "bodies")
+
+
+def hashed(words: object, arrays: Iterable[Any]) -> str:
+    """A hash of what `words` are printed as, and of the numbers in `arrays`."""
+    content = hashlib.sha256(str(words).encode())
+    for each in arrays:
+        content.update(np.ascontiguousarray(np.asarray(each, np.float64)).tobytes())
+    return content.hexdigest()
 
 
 def solid_links(chain: Chain) -> list[int]:
@@ -247,10 +247,8 @@ def geometry_between(chain: Chain, links: tuple[int, int], joints: tuple[int, in
     first, last = sorted(chain.link_joint[link] for link in links)
     shapes = [(v.link == links[0], v.corners, v.radius) for v in chain.volumes if v.link in links]
     shapes += [(b.link == links[0], b.joint_T_box, b.half) for b in chain.boxes if b.link in links]
-    content = hashlib.sha256(repr((chain.joint_types[first:last], [j - first for j in joints], len(shapes))).encode())
-    for each in (chain.parent_T_joint[first:last], chain.axis[first:last], *(x for shape in shapes for x in shape)):
-        content.update(np.ascontiguousarray(np.asarray(each, np.float64)).tobytes())
-    return content.hexdigest()
+    words = chain.joint_types[first:last], [j - first for j in joints], len(shapes)
+    return hashed(words, [chain.parent_T_joint[first:last], chain.axis[first:last], *(x for shape in shapes for x in shape)])
 
 
 def finite_range(chain: Chain, lower: Any, upper: Any) -> tuple[np.ndarray, np.ndarray]:

@@ -29,8 +29,6 @@ from jaxik.checks.arrays import numbers
 from jaxik.robot.chain import Array, Chain, as_configuration
 from jaxik.spatial.algebra import (
     BASE,
-    IDENTITY,
-    ZERO,
     Frame,
     Rot3,
     Scalar,
@@ -73,9 +71,9 @@ def joint_frames(chain: Chain, q: Sequence[Scalar], root: Frame = BASE, dtype: A
         frame = frame @ Frame.of(chain.parent_T_joint[i], snap)
         axis = Vec3(*constants(chain.axis[i], snap))
         if prismatic:
-            motion = Frame(IDENTITY, axis * q[i])
+            motion = BASE._replace(translation=axis * q[i])
         else:
-            motion = Frame(Rot3.about(axis, *sincos(q[i])), ZERO)
+            motion = BASE._replace(rotation=Rot3.about(axis, *sincos(q[i])))
         axes.append(frame.rotation @ axis)  # the joint's own motion leaves its axis where it is
         frame = frame @ motion
         frames.append(frame)
@@ -120,7 +118,7 @@ def jacobian_columns(chain: Chain, frames: JointFrames) -> list[tuple[Scalar, ..
     """The columns of the tip's geometric Jacobian, six scalars a joint."""
     tip = frames.tip.translation
     return [
-        (*axis, *ZERO) if prismatic else (*axis.cross(tip - frame.translation), *axis)
+        (*axis, *BASE.translation) if prismatic else (*axis.cross(tip - frame.translation), *axis)
         for prismatic, frame, axis in zip(chain.is_prismatic, frames.joints, frames.axes, strict=True)
     ]
 
@@ -144,7 +142,7 @@ def bias_acceleration(chain: Chain, q: Float[Array, " n"], qdot: Float[Array, " 
     """
     frames, dtype = _frames(chain, q)
     rates = as_configuration(chain, qdot)
-    omega, alpha, acceleration, origin = ZERO, ZERO, ZERO, ZERO
+    omega = alpha = acceleration = origin = BASE.translation
     for i, (frame, axis, prismatic) in enumerate(zip(frames.joints, frames.axes, chain.is_prismatic, strict=True)):
         acceleration = acceleration + _carried(omega, alpha, frame.translation - origin)
         motion, origin = axis * rates[i], frame.translation

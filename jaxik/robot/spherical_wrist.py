@@ -18,7 +18,6 @@ joint is set to 0 (or to its nearest limit) and joint 4 takes the sum, as (B25-B
 
 from __future__ import annotations
 
-import dataclasses
 import functools
 import itertools
 import math
@@ -34,7 +33,9 @@ from jaxik.robot.joint_turns import into_limits, wrapped
 from jaxik.robot.kinematics import joint_frames
 from jaxik.spatial.algebra import BASE, Frame, Rot3, Scalar, Vec3, add, atan2, constants, mul, safe_sqrt, stack, sub, traced
 from jaxik.spatial.ball import minimum, where
-from jaxik.spmd import HostKernel, kernel
+from jaxik.spatial.rotations import frame
+from jaxik.spmd import kernel
+from jaxik.spmd.host import host_kernels
 
 TOLERANCE = 1e-7  # [m, rad] within which axes count as parallel, meeting or crossing
 BRANCHES = 8
@@ -52,30 +53,6 @@ class ClosedForm(NamedTuple):
     q: Float[Array, "8 n"]
     valid: Bool[Array, "8"]
     within_limits: Bool[Array, "8"]
-
-
-@dataclasses.dataclass(frozen=True)
-class Geometry:
-    """The arm's constants, with its frames as App. B would choose them: see `_geometry` for each."""
-
-    base_T_shoulder: np.ndarray  # z along axis 1, y across axes 1 and 2
-    sin_tilt: float  # of the angle between axes 1 and 2
-    cos_tilt: float
-    along: float  # Q's coordinate along h_2
-    axis_2: np.ndarray  # (2,) where axis 2 pierces the plane across it
-    upper: float  # link lengths in that plane
-    lower: float
-    upper_angle: float
-    elbow_angle: float  # of the lower link against the upper one at q_3 = 0
-    elbow_sign: float  # -1 where axes 2 and 3 point apart
-    plane_R_wrist: np.ndarray  # wrist: z along axis 4, x towards axis 5
-    alpha: float  # angle between axes 4 and 5
-    beta: float  # between 5 and 6
-    wrist_zero: float  # joint 5's phase at q_5 = 0
-    axis_6: np.ndarray  # in the tip's frame: Q, h_6 and a direction across it
-    tip_Q: np.ndarray
-    across_6: np.ndarray
-    wrist_across: np.ndarray  # (2, 3) across_6 and h_6 x across_6, in the wrist frame at q = 0
 
 
 @kernel(models=1)
@@ -104,30 +81,16 @@ def closed_form(chain: Chain, pose: Float[Array, "4 4"], slide: Float[Array, "..
     return ClosedForm(q, valid, valid & inside)
 
 
-@functools.lru_cache(maxsize=16)
-def closed_forms(chain: Chain) -> HostKernel:
-    """A batch of `closed_form`: (poses, leading joints), by rows."""
-    return HostKernel(functools.partial(closed_form, chain), 2)
+# a batch of `closed_form`: (poses, leading joints), by rows
+closed_forms = host_kernels(2, known=16)(closed_form)
 
 
-@functools.lru_cache(maxsize=16)
-def closed_branches(chain: Chain) -> HostKernel:
-    """By rows of poses, leading joints and branch numbers: that branch alone, its joints (n,) and whether they have
-    the pose inside the limits; a fifth of the time of all eight."""
-
-    return HostKernel(functools.partial(one_branch, chain), 3)
-
-
-@functools.lru_cache(maxsize=16)
-def valid_branches(chain: Chain) -> HostKernel:
+@host_kernels(2, known=16)
+def valid_branches(chain: Chain, pose: Any, leading: Any) -> Any:
     """By rows of poses and leading joints: a byte with one bit a branch that has the pose, whose angles are not computed."""
-
-    def bits(pose: Any, leading: Any) -> Any:
-        halves = half_branches(chain, pose, leading)
-        margins = [margin for half in halves for _, margin in wrist_branches(chain, half, pose.dtype)]
-        return functools.reduce(jnp.bitwise_or, [(m >= 0.0).astype(jnp.uint8) << b for b, m in enumerate(margins)])
-
-    return HostKernel(bits, 2)
+    halves = half_branches(chain, pose, leading)
+    margins = [margin for half in halves for _, margin in wrist_branches(chain, half, pose.dtype)]
+    return functools.reduce(jnp.bitwise_or, [(m >= 0.0).astype(jnp.uint8) << b for b, m in enumerate(margins)])
 
 
 def one_branch(chain: Chain, pose: Any, leading: Any, number: Any) -> tuple[Any, Any]:
@@ -138,6 +101,10 @@ def one_branch(chain: Chain, pose: Any, leading: Any, number: Any) -> tuple[Any,
     *angles, margin = (jnp.where(number & 1, two, one) for one, two in zip(*wrists, strict=True))
     q, inside = into_limits(chain, jnp.stack([*leading, *angles]))
     return q, (margin >= 0.0) & inside
+
+
+# by rows of poses, leading joints and branch numbers: that branch alone, in a fifth of the time of all eight
+closed_branches = host_kernels(3, known=16)(one_branch)
 
 
 # --------------------------------------------------------------------------------------------------------------------
@@ -165,29 +132,20 @@ def _obstacle(chain: Chain) -> str:
     wrist, miss = _meeting_point(h[3:], p[3:])
     if miss > TOLERANCE:
         return f"the last three axes miss a common point by {miss:.2g} m ({TOLERANCE:g} allowed): no spherical wrist"
-    across = [np.linalg.norm(np.cross(h[i], h[i + 1])) for i in (0, 3, 4)]
-    for (a, b), sine in zip(((1, 2), (4, 5), (5, 6)), across, strict=True):
-        if sine < 1e-3:
+    for a, b in ((1, 2), (4, 5), (5, 6)):
+        if np.linalg.norm(np.cross(h[a - 1], h[b - 1])) < 1e-3:
             return f"axes {a} and {b} of the last six joints are parallel"
-    lengths = [_in_plane(h[1], p[2] - p[1]), _in_plane(h[1], wrist - p[2])]
-    for name, length in zip(("axis 2 to axis 3", "axis 3 to the wrist centre"), lengths, strict=True):
-        if length < 1e-6:
+    for name, link in (("axis 2 to axis 3", p[2] - p[1]), ("axis 3 to the wrist centre", wrist - p[2])):
+        if np.linalg.norm(link - h[1] * (h[1] @ link)) < 1e-6:
             return f"the distance from {name} is 0"
     return ""
 
 
-def _in_plane(normal: np.ndarray, v: np.ndarray) -> float:
-    return float(np.linalg.norm(v - normal * (normal @ v)))
-
-
 def _axes(chain: Chain) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Directions (6, 3) and points (6, 3) of the last six axes at q = 0, and the tip (4, 4), in the first's parent frame."""
-    frame, h, p = np.eye(4), [], []
-    for parent_T_joint, axis in zip(chain.parent_T_joint[-6:], chain.axis[-6:], strict=True):
-        frame = frame @ parent_T_joint
-        h.append(frame[:3, :3] @ axis)
-        p.append(frame[:3, 3])
-    return np.array(h), np.array(p), frame @ chain.joint_T_tip
+    frames = list(itertools.accumulate(chain.parent_T_joint[-6:], np.matmul, initial=np.eye(4)))[1:]
+    h = np.array([moved[:3, :3] @ axis for moved, axis in zip(frames, chain.axis[-6:], strict=True)])
+    return h, np.array(frames)[:, :3, 3], frames[-1] @ chain.joint_T_tip
 
 
 def _meeting_point(h: np.ndarray, p: np.ndarray) -> tuple[np.ndarray, float]:
@@ -197,45 +155,45 @@ def _meeting_point(h: np.ndarray, p: np.ndarray) -> tuple[np.ndarray, float]:
     return point, float(np.max(np.linalg.norm(np.einsum("kij,kj->ki", across, point - p), axis=1)))
 
 
-@functools.lru_cache(maxsize=64)
-def _geometry(chain: Chain) -> Geometry:
-    h, p, tip = _axes(chain)
-    wrist, _ = _meeting_point(h[3:], p[3:])
-    sin_tilt = float(np.linalg.norm(np.cross(h[0], h[1])))
-    x = (h[1] - h[0] * (h[0] @ h[1])) / sin_tilt
-    shoulder = np.stack([x, np.cross(h[0], x), h[0]], axis=1)
-    plane = np.stack([shoulder[:, 1], np.cross(h[1], shoulder[:, 1]), h[1]], axis=1)
-    centre_2, upper, lower = (plane.T @ v for v in (p[1] - p[0], p[2] - p[1], wrist - p[2]))
-    upper_angle, lower_angle = (math.atan2(v[1], v[0]) for v in (upper, lower))
-    sin_alpha = float(np.linalg.norm(np.cross(h[3], h[4])))
-    x = (h[4] - h[3] * (h[3] @ h[4])) / sin_alpha
-    hand = np.stack([x, np.cross(h[3], x), h[3]], axis=1)
-    # joint 5 turns h_6 about h_5; its phase is counted from where h_6 is nearest to h_4
-    nearest = (h[3] - h[4] * (h[3] @ h[4])) / sin_alpha
-    first = np.cross(h[5], hand[:, 0] if abs(h[5] @ hand[:, 0]) < 0.7 else hand[:, 1])
-    first /= np.linalg.norm(first)
-    base_T_shoulder = np.eye(4)
-    base_T_shoulder[:3, :3], base_T_shoulder[:3, 3] = shoulder, p[0]
-    return Geometry(
-        base_T_shoulder=base_T_shoulder,
-        sin_tilt=sin_tilt,
-        cos_tilt=float(h[0] @ h[1]),
-        along=float(h[1] @ (wrist - p[0])),
-        axis_2=centre_2[:2],
-        upper=float(np.hypot(*upper[:2])),
-        lower=float(np.hypot(*lower[:2])),
-        upper_angle=upper_angle,
-        elbow_angle=lower_angle - upper_angle,
-        elbow_sign=float(np.sign(h[1] @ h[2])),
-        plane_R_wrist=plane.T @ hand,
-        alpha=math.atan2(sin_alpha, float(h[3] @ h[4])),
-        beta=math.atan2(float(np.linalg.norm(np.cross(h[4], h[5]))), float(h[4] @ h[5])),
-        wrist_zero=math.atan2(float(h[5] @ np.cross(h[4], nearest)), float(h[5] @ nearest)),
-        axis_6=tip[:3, :3].T @ h[5],
-        tip_Q=tip[:3, :3].T @ (wrist - tip[:3, 3]),
-        across_6=tip[:3, :3].T @ first,
-        wrist_across=np.stack([hand.T @ first, hand.T @ np.cross(h[5], first)]),
-    )
+class Geometry:
+    """The arm's constants, with its frames as App. B would choose them."""
+
+    def __init__(self, chain: Chain):
+        h, p, tip = _axes(chain)
+        wrist, _ = _meeting_point(h[3:], p[3:])
+        self.sin_tilt = float(np.linalg.norm(np.cross(h[0], h[1])))  # of the angle between axes 1 and 2
+        self.cos_tilt = float(h[0] @ h[1])
+        x = (h[1] - h[0] * (h[0] @ h[1])) / self.sin_tilt
+        shoulder = np.stack([x, np.cross(h[0], x), h[0]], axis=1)
+        self.base_T_shoulder = frame(p[0], shoulder)  # z along axis 1, y across axes 1 and 2
+
+        plane = np.stack([shoulder[:, 1], np.cross(h[1], shoulder[:, 1]), h[1]], axis=1)  # across axis 2
+        centre_2, upper, lower = ((plane.T @ v)[:2] for v in (p[1] - p[0], p[2] - p[1], wrist - p[2]))
+        self.along = float(h[1] @ (wrist - p[0]))  # Q's coordinate along h_2
+        self.axis_2 = centre_2  # (2,) where axis 2 pierces the plane
+        self.upper, self.lower = float(np.hypot(*upper)), float(np.hypot(*lower))  # link lengths in the plane
+        self.upper_angle = math.atan2(upper[1], upper[0])
+        self.elbow_angle = math.atan2(lower[1], lower[0]) - self.upper_angle  # of the lower link against the upper at q_3 = 0
+        self.elbow_sign = float(np.sign(h[1] @ h[2]))  # -1 where axes 2 and 3 point apart
+
+        sin_alpha = float(np.linalg.norm(np.cross(h[3], h[4])))
+        x = (h[4] - h[3] * (h[3] @ h[4])) / sin_alpha
+        hand = np.stack([x, np.cross(h[3], x), h[3]], axis=1)  # the wrist: z along axis 4, x towards axis 5
+        self.plane_R_wrist = plane.T @ hand
+        self.alpha = math.atan2(sin_alpha, float(h[3] @ h[4]))  # angle between axes 4 and 5
+        self.beta = math.atan2(float(np.linalg.norm(np.cross(h[4], h[5]))), float(h[4] @ h[5]))  # between 5 and 6
+        # joint 5 turns h_6 about h_5; its phase is counted from where h_6 is nearest to h_4
+        nearest = (h[3] - h[4] * (h[3] @ h[4])) / sin_alpha
+        self.wrist_zero = math.atan2(float(h[5] @ np.cross(h[4], nearest)), float(h[5] @ nearest))  # at q_5 = 0
+
+        across = np.cross(h[5], hand[:, 0] if abs(h[5] @ hand[:, 0]) < 0.7 else hand[:, 1])
+        across /= np.linalg.norm(across)
+        # in the tip's frame h_6, Q and a direction across h_6; that and h_6 x that in the wrist's frame at q = 0, (2, 3)
+        self.axis_6, self.tip_Q, self.across_6 = (tip[:3, :3].T @ v for v in (h[5], wrist - tip[:3, 3], across))
+        self.wrist_across = np.stack([hand.T @ across, hand.T @ np.cross(h[5], across)])
+
+
+_geometry = functools.lru_cache(maxsize=64)(Geometry)
 
 
 # --------------------------------------------------------------------------------------------------------------------
@@ -271,12 +229,11 @@ def half_branches(chain: Chain, pose: Any, leading: Any, shoulders: Any = BOTH, 
         sin1, cos1 = turn1
         turned = [Vec3(add(mul(v.x, cos1), mul(v.y, sin1)), sub(mul(v.y, cos1), mul(v.x, sin1)), v.z) for v in (third, across)]
         turned = [to_plane @ v for v in turned]
-        for q2, q3, turn2, turn3, margin3 in _elbow(g, point, elbows, eps):
-            (sin2, cos2), (sin3, cos3) = turn2, turn3
+        for q2, q3, (sin2, cos2), (sin3, cos3), margin3 in _elbow(g, point, elbows, eps):
             sin23, cos23 = sin2 * cos3 + cos2 * sin3, cos2 * cos3 - sin2 * sin3
             inner = [Vec3(v.x * cos23 + v.y * sin23, v.y * cos23 - v.x * sin23, v.z) for v in turned]
             aim, beside = [to_wrist @ v for v in inner]
-            turns = turn1, turn2, (g.elbow_sign * sin3, cos3)
+            turns = turn1, (sin2, cos2), (g.elbow_sign * sin3, cos3)
             found.append(HalfBranch((q1, q2, q3), turns, aim, beside, minimum(margin1, margin3)))
     return found
 

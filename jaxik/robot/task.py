@@ -83,11 +83,10 @@ class Task:
 
     def residual(self, tip: Frame, target: Frame) -> tuple[list[Scalar], list[Scalar]]:
         """The bound components of position [m] and rotation [rad]."""
-        apart = tip.translation - target.translation
-        if self._in_tool:
-            apart = target.rotation.T @ apart
-        turned = self._turned(tip, target) if self.rotations else None
-        return [apart[i] for i in self.positions], _rotation(turned, self.rotations) if turned else []
+        back, apart = target.rotation.T, tip.translation - target.translation
+        linear = back @ apart if self._in_tool else apart
+        turned = lambda: back @ tip.rotation if self._in_tool else tip.rotation @ back
+        return [linear[i] for i in self.positions], _rotation(turned(), self.rotations) if self.rotations else []
 
     def rows(self, columns: list[tuple[Scalar, ...]], target: Frame) -> list[list[Scalar]]:
         """The rows of the geometric Jacobian (its columns in base axes) for the bound components."""
@@ -96,10 +95,6 @@ class Task:
             back = target.rotation.T
             linear, angular = [back @ v for v in linear], [back @ v for v in angular]
         return [[v[i] for v in linear] for i in self.positions] + [[v[i] for v in angular] for i in self.rotations]
-
-    def _turned(self, tip: Frame, target: Frame) -> Rot3:
-        back = target.rotation.T
-        return back @ tip.rotation if self._in_tool else tip.rotation @ back
 
 
 POSE = Task()

@@ -254,9 +254,8 @@ def _atan2(y: jax.Array, x: jax.Array) -> jax.Array:
 @_atan2.defjvp
 def _atan2_jvp(primals: Any, tangents: Any) -> Any:
     (y, x), (dy, dx) = primals, tangents
-    return _atan2(y, x), safe_divide(
-        x * dy - y * dx, x * x + y * y
-    )  # at the origin there is no direction, and none is invented
+    # at the origin there is no direction, and none is invented
+    return _atan2(y, x), safe_divide(x * dy - y * dx, x * x + y * y)
 
 
 def atan2(y: Scalar, x: Scalar) -> Scalar:

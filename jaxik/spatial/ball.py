@@ -102,12 +102,11 @@ def ball(x: Any) -> Ball:
 
 def where(condition: Any, a: Any, b: Any) -> Any:
     """`a` where the condition is true, else `b`; both where it is so of some numbers only."""
-    if not isinstance(condition, Perhaps):
-        if not (isinstance(a, Ball) or isinstance(b, Ball)):
-            return jnp.where(condition, a, b)
-        a, b = ball(a), ball(b)
-        return Ball(jnp.where(condition, a.mid, b.mid), jnp.where(condition, a.rad, b.rad))
+    if not any(isinstance(x, Ball | Perhaps) for x in (condition, a, b)):
+        return jnp.where(condition, a, b)
     a, b = ball(a), ball(b)
+    if not isinstance(condition, Perhaps):
+        return Ball(jnp.where(condition, a.mid, b.mid), jnp.where(condition, a.rad, b.rad))
     mid = jnp.where(condition.mid, a.mid, b.mid)
     reach = [jnp.where(may, abs(x.mid - mid) + x.rad, 0.0) for may, x in ((condition.any, a), (~condition.all, b))]
     return Ball(mid, jnp.maximum(*reach))

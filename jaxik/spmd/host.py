@@ -99,6 +99,16 @@ class HostKernel:
         return traced, call.made(traced, tuple(k >= self.lanes for k in range(len(traced.inputs)))), arrays
 
 
+def host_kernels(lanes: int, known: int = 64) -> Callable[[Callable[..., Any]], Callable[..., HostKernel]]:
+    """Of a function that takes what is fixed and hashable (a chain), rows of `lanes` arguments, and what all rows share: what
+    makes its kernel of what is fixed, once for each of the last few `known`."""
+
+    def factory(function: Callable[..., Any]) -> Callable[..., HostKernel]:
+        return functools.lru_cache(known)(lambda *fixed: HostKernel(functools.partial(function, *fixed), lanes))
+
+    return factory
+
+
 def _array(x: Any, width: Any) -> np.ndarray:
     """Row by row in memory, in this machine's order of bytes; floats in `width`, integers as JAX has them."""
     x = np.asarray(x)

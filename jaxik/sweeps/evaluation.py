@@ -13,7 +13,8 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from jaxik.collision.bvh import Grouped, grouped
-from jaxik.collision.scene import Scene, make_scene, remembered
+from jaxik.collision.scene import Scene, remembered
+from jaxik.collision.scene_builder import make_scene
 from jaxik.costs import joint_limit_margin
 from jaxik.harvesting.scanning import measures
 from jaxik.ik.solve import IKResult, as_poses, solved

@@ -14,7 +14,8 @@ import numpy as np
 from jaxik.checks.optional_modules import optional
 from jaxik.collision.clearances import check_geometry
 from jaxik.collision.contact_report import Contact, explain
-from jaxik.collision.scene import Scene, make_scene
+from jaxik.collision.scene import Scene
+from jaxik.collision.scene_builder import make_scene
 from jaxik.collision.self_collision_pairs import default_pose
 from jaxik.files.targets import as_frames
 from jaxik.fitting.model import Shape

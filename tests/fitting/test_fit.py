@@ -109,7 +109,7 @@ def test_a_model_is_made_once_and_the_same_again(arm, tmp_path, monkeypatch):
     cache, coarse = tmp_path / "empty", Fit(0.1, 2)  # quickly made
     monkeypatch.setattr("jaxik.spmd.cache.cache_folder", lambda: cache)
     first = jaxik.load(arm, meshes=True, fit=coarse)
-    (file,) = cache.iterdir()
+    (file,) = cache.glob("jaxik_fit_*")
     with monkeypatch.context() as held:
         held.setattr(robot_fit, "_Links", None)  # not asked
         assert jaxik.load(arm, meshes=True, fit=coarse) == first
@@ -126,7 +126,7 @@ def test_a_model_is_made_once_and_the_same_again(arm, tmp_path, monkeypatch):
         write(arm.parent, "arm.urdf", ARM.replace('robot name="', 'robot name="another_'))
         assert jaxik.load(arm, meshes=True, fit=coarse).volumes == first.volumes
     jaxik.load(arm, meshes=True, fit=Fit(0.1, 1))
-    assert len(list(cache.iterdir())) == 2
+    assert len(list(cache.glob("jaxik_fit_*"))) == 2
 
 
 @pytest.mark.parametrize(
