@@ -188,8 +188,8 @@ def _written(scene: Scene, description: str) -> str:
 def _tables(scene: Scene) -> dict[str, np.ndarray]:
     """All obstacles by kind, as rows of the numbers that `SceneBuilder` holds."""
     edges = lambda name: 2.0 if name == "half" else 1.0
-    rows = lambda kind, name, shape: np.reshape(getattr(getattr(scene, kind), name), (-1, math.prod(shape))) * edges(name)
-    return {kind: np.column_stack([rows(kind, *part) for part in parts.items()]) for kind, parts in SHAPES.items()}
+    rows = lambda kind, name, shape: np.reshape(getattr(getattr(scene, kind), name), (-1, math.prod(shape[1:]))) * edges(name)
+    return {kind: np.column_stack([rows(kind, *part) for part in parts.items() if part[1]]) for kind, parts in SHAPES.items()}
 
 
 def _fruit_keys(fruit: Fruit, rows: dict[str, np.ndarray]) -> dict[str, Any]:
