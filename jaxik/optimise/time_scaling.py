@@ -1,0 +1,117 @@
+"""The fastest way along a known curve: where it goes is given, when it is where is found; it knows no robot.
+
+Along q(s), with x = (ds/dt)^2 and u = d2s/dt2, rates and accelerations are linear in x and u but for a square:
+
+    qdot^2 = q'^2 x <= velocity^2,   qddot = q' u + q'' x,   |qddot| <= acceleration,   dx/ds = 2 u
+
+Between neighbouring places, h apart, u is constant. Backwards from the end, each place has a greatest x from which the next
+one's can still be reached, a linear programme in x and u; forwards from the start, the greatest u is the fastest that stays
+below [Pham and Pham 2018, TOPP-RA]. There the limits are met at the places. Here they are met between them, too: q is cubic in
+s, so qddot is quadratic, and lies between the least and the greatest of its three Bernstein coefficients, which are linear in
+x and u as well:
+
+    q'(0) u + q''(0) x,   (q'(0) + 3/2 h q''(0)) u + (q''(0) + q''(h)) / 2 x,   (q'(h) + 2 h q''(h)) u + q''(h) x
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import jax.numpy as jnp
+from jax import lax
+
+_FLAT = 1e-12  # a joint that moves by less, as a share of the one that moves most, has nothing to say of u
+_FASTEST = 1e12  # ds/dt squared, where nothing moves
+
+
+def fastest(curve: Any, lengths: Any, velocity: Any, acceleration: Any, parts: int) -> Any:
+    """ds/dt (k parts + 1,) at the places of a curve of k cubic pieces, each cut into `parts`: the greatest, from rest to rest.
+
+    `curve` (k, 4, n) has each piece's coefficients, the highest power first, of the way since its beginning; `lengths` (k,)
+    >= 0 are the pieces'; one of no length counts for nothing. Where the direction jumps between pieces, it stops. In float64.
+    """
+    ends = _slope(curve, lengths)
+    jump = jnp.max(jnp.abs(ends[:-1] - curve[1:, 2]), axis=1, initial=0.0)
+    corner = jnp.concatenate([jump > 1e-9 * (1.0 + jnp.max(jnp.abs(ends[:-1]), axis=1, initial=0.0)), jnp.array([True])])
+    steps = jnp.arange(parts)
+
+    def back(beyond: Any, piece: Any) -> Any:
+        coefficients, length, stops = piece
+        h = length / parts
+
+        def one(beyond: Any, i: Any) -> Any:
+            row = _rows(coefficients, i * h, h, velocity, acceleration)
+            top = jnp.minimum(beyond, row[-1])
+            greatest = jnp.where(h > 0.0, _greatest(row, h, top), beyond)
+            return greatest, top
+
+        return lax.scan(one, jnp.where(stops & (h > 0.0), 0.0, beyond), steps, reverse=True)
+
+    _, tops = lax.scan(back, jnp.zeros(()), (curve, lengths, corner), reverse=True)
+
+    def ahead(x: Any, piece: Any) -> Any:
+        coefficients, length, tops = piece
+        h = length / parts
+
+        def one(x: Any, now: Any) -> Any:
+            i, top = now
+            p, r, limit, _ = _rows(coefficients, i * h, h, velocity, acceleration)
+            u = jnp.min((limit - r * x) / p)
+            after = jnp.where(h > 0.0, jnp.clip(x + 2.0 * h * u, 0.0, top), x)
+            return after, after
+
+        return lax.scan(one, x, (steps, tops))
+
+    _, squares = lax.scan(ahead, jnp.zeros(()), (curve, lengths, tops))
+    return jnp.sqrt(jnp.concatenate([jnp.zeros(1), squares.ravel()]))
+
+
+def _slope(curve: Any, s: Any) -> Any:
+    """q' (k, n) of each piece at s (k,)."""
+    s = s[:, None]
+    return (3.0 * curve[:, 0] * s + 2.0 * curve[:, 1]) * s + curve[:, 2]
+
+
+def _rows(c: Any, s: Any, h: Any, velocity: Any, acceleration: Any) -> Any:
+    """From s to s + h: `|p u + r x| <= limit`, p > 0, and the greatest x by the velocities."""
+    slope = lambda s: (3.0 * c[0] * s + 2.0 * c[1]) * s + c[2]
+    bend = lambda s: 6.0 * c[0] * s + 2.0 * c[1]
+    first, last, bend_first, bend_last = slope(s), slope(s + h), bend(s), bend(s + h)
+    middle = first + 0.5 * h * bend_first
+    p = jnp.concatenate([first, middle + h * bend_first, last + 2.0 * h * bend_last])
+    r = jnp.concatenate([bend_first, 0.5 * (bend_first + bend_last), bend_last])
+    turned = jnp.where(p < 0.0, -1.0, 1.0)
+    size = jnp.abs(p)
+    steepest = jnp.maximum(jnp.maximum(jnp.abs(first), jnp.abs(last)), jnp.abs(middle))
+    top = jnp.min(velocity / jnp.maximum(steepest, 1e-150))
+    floor = _FLAT * jnp.max(size) + 1e-150
+    return jnp.maximum(size, floor), turned * r, jnp.concatenate([acceleration] * 3), jnp.minimum(top * top, _FASTEST)
+
+
+def _greatest(row: Any, h: Any, top: Any) -> Any:
+    """The greatest x for which some u keeps all rows and `0 <= x + 2 h u <= top`.
+
+    What is left between the least upper and the greatest lower bound of u is concave in x and not negative at 0, so that
+    Newton's steps from above end, after a few, at its root."""
+    p, r, limit, most = row
+    slope, reach = -r / p, limit / p
+    across = 0.5 / jnp.where(h > 0.0, h, 1.0)
+
+    def room(x: Any) -> Any:
+        """That, and how it changes with x."""
+        upper, lower = reach + slope * x, slope * x - reach
+        least, greatest = jnp.min(upper), jnp.max(lower)
+        steep_upper = jnp.max(jnp.where(upper <= least, slope, -jnp.inf))
+        steep_lower = jnp.min(jnp.where(lower >= greatest, slope, jnp.inf))
+        next_upper, next_lower = (top - x) * across, -x * across
+        by_next, from_next = next_upper < least, next_lower > greatest
+        change = jnp.where(by_next, -across, steep_upper) - jnp.where(from_next, -across, steep_lower)
+        return jnp.where(by_next, next_upper, least) - jnp.where(from_next, next_lower, greatest), change
+
+    def newton(state: Any) -> Any:
+        x, left, change, turns = state
+        x = jnp.clip(x - left / jnp.where(change < 0.0, change, -jnp.inf), 0.0, x)
+        return x, *room(x), turns + 1
+
+    x, *_ = lax.while_loop(lambda s: (s[1] < 0.0) & (s[3] < len(p) + 4), newton, (most, *room(most), 0))
+    return x
