@@ -21,62 +21,58 @@ import jax.numpy as jnp
 from jax import lax
 
 _FLAT = 1e-12  # a joint that moves by less, as a share of the one that moves most, has nothing to say of u
+_JUMP = 1e-9  # of the direction, which is a corner
 _FASTEST = 1e12  # ds/dt squared, where nothing moves
 
 
 def fastest(curve: Any, lengths: Any, velocity: Any, acceleration: Any, parts: int) -> Any:
-    """ds/dt (k parts + 1,) at the places of a curve of k cubic pieces, each cut into `parts`: the greatest, from rest to rest.
+    """(ds/dt)^2 at the end of each part (k parts,) of a curve of k cubic pieces, each cut into `parts`: the greatest, from rest
+    to rest.
 
     `curve` (k, 4, n) has each piece's coefficients, the highest power first, of the way since its beginning; `lengths` (k,)
     >= 0 are the pieces'; one of no length counts for nothing. Where the direction jumps between pieces, it stops. In float64.
     """
-    ends = _slope(curve, lengths)
-    jump = jnp.max(jnp.abs(ends[:-1] - curve[1:, 2]), axis=1, initial=0.0)
-    corner = jnp.concatenate([jump > 1e-9 * (1.0 + jnp.max(jnp.abs(ends[:-1]), axis=1, initial=0.0)), jnp.array([True])])
-    steps = jnp.arange(parts)
+    last = len(lengths) - 1
+    parts_of_all = jnp.arange(len(lengths) * parts)  # one loop, or a short one in it would be written out
 
-    def back(beyond: Any, piece: Any) -> Any:
-        coefficients, length, stops = piece
-        h = length / parts
+    def part(i: Any) -> Any:
+        """Its length and its rows."""
+        piece = i // parts
+        h = lengths[piece] / parts
+        return h, _rows(curve[piece], (i - piece * parts) * h, h, velocity, acceleration)
 
-        def one(beyond: Any, i: Any) -> Any:
-            row = _rows(coefficients, i * h, h, velocity, acceleration)
-            top = jnp.minimum(beyond, row[-1])
-            greatest = jnp.where(h > 0.0, _greatest(row, h, top), beyond)
-            return greatest, top
+    def stops(i: Any) -> Any:
+        """Whether the direction jumps behind a part."""
+        piece = i // parts
+        end, begin = _slope(curve[piece], lengths[piece]), curve[jnp.minimum(piece + 1, last), 2]
+        jump = jnp.max(jnp.abs(end - begin)) > _JUMP * (1.0 + jnp.max(jnp.abs(end)))
+        return (lengths[piece] > 0.0) & (i - piece * parts == parts - 1) & (jump | (piece == last))
 
-        return lax.scan(one, jnp.where(stops & (h > 0.0), 0.0, beyond), steps, reverse=True)
+    def back(beyond: Any, i: Any) -> Any:
+        h, row = part(i)
+        beyond = jnp.where(stops(i), 0.0, beyond)
+        top = jnp.minimum(beyond, row[-1])
+        return jnp.where(h > 0.0, _greatest(row, h, top), beyond), top
 
-    _, tops = lax.scan(back, jnp.zeros(()), (curve, lengths, corner), reverse=True)
+    def ahead(x: Any, now: Any) -> Any:
+        i, top = now
+        h, (p, r, limit, _) = part(i)
+        u = jnp.min((limit - r * x) / p)
+        after = jnp.where(h > 0.0, jnp.clip(x + 2.0 * h * u, 0.0, top), x)
+        return after, after
 
-    def ahead(x: Any, piece: Any) -> Any:
-        coefficients, length, tops = piece
-        h = length / parts
-
-        def one(x: Any, now: Any) -> Any:
-            i, top = now
-            p, r, limit, _ = _rows(coefficients, i * h, h, velocity, acceleration)
-            u = jnp.min((limit - r * x) / p)
-            after = jnp.where(h > 0.0, jnp.clip(x + 2.0 * h * u, 0.0, top), x)
-            return after, after
-
-        return lax.scan(one, x, (steps, tops))
-
-    _, squares = lax.scan(ahead, jnp.zeros(()), (curve, lengths, tops))
-    return jnp.sqrt(jnp.concatenate([jnp.zeros(1), squares.ravel()]))
+    _, tops = lax.scan(back, jnp.zeros(()), parts_of_all, reverse=True)
+    return lax.scan(ahead, jnp.zeros(()), (parts_of_all, tops))[1]
 
 
-def _slope(curve: Any, s: Any) -> Any:
-    """q' (k, n) of each piece at s (k,)."""
-    s = s[:, None]
-    return (3.0 * curve[:, 0] * s + 2.0 * curve[:, 1]) * s + curve[:, 2]
+def _slope(c: Any, s: Any) -> Any:
+    return (3.0 * c[0] * s + 2.0 * c[1]) * s + c[2]
 
 
 def _rows(c: Any, s: Any, h: Any, velocity: Any, acceleration: Any) -> Any:
     """From s to s + h: `|p u + r x| <= limit`, p > 0, and the greatest x by the velocities."""
-    slope = lambda s: (3.0 * c[0] * s + 2.0 * c[1]) * s + c[2]
-    bend = lambda s: 6.0 * c[0] * s + 2.0 * c[1]
-    first, last, bend_first, bend_last = slope(s), slope(s + h), bend(s), bend(s + h)
+    first, last = _slope(c, s), _slope(c, s + h)
+    bend_first, bend_last = (6.0 * c[0] * at + 2.0 * c[1] for at in (s, s + h))
     middle = first + 0.5 * h * bend_first
     p = jnp.concatenate([first, middle + h * bend_first, last + 2.0 * h * bend_last])
     r = jnp.concatenate([bend_first, 0.5 * (bend_first + bend_last), bend_last])

@@ -5,7 +5,6 @@ from __future__ import annotations
 import functools
 from typing import Any
 
-import jax.numpy as jnp
 import numpy as np
 
 from jaxik.checks.arrays import numbers
@@ -38,26 +37,19 @@ def time_optimal(path: JointPath, velocity: Any, acceleration: Any, places: int 
         raise ValueError("time_optimal: acceleration is infinite; give a finite number [rad/s2, m/s2]")
     parts = -(-as_count("time_optimal: places", places) // k)
     known = np.isfinite(lengths).all(axis=1) & np.isfinite(curve).all(axis=(1, 2, 3))
-    place, time, speed = in_blocks(_timing(parts), curve, lengths, *limits, double=True)
-    for column in (place, time, speed):
-        column[~known] = np.nan
+    (squares,) = in_blocks(_fastest(parts), curve, lengths, *limits, double=True)
+    squares[~known] = np.nan
+    since = lambda x: np.pad(np.cumsum(x, axis=1), ((0, 0), (1, 0)))
+    speed = np.sqrt(np.pad(squares, ((0, 0), (1, 0))))
+    step, both = np.repeat(lengths / parts, parts, axis=1), speed[:, 1:] + speed[:, :-1]
+    place, time = since(step), since(np.divide(2.0 * step, both, out=np.zeros_like(both), where=~(both == 0.0)))
     whole = Trajectory(JointPath(lengths, curve), time, place, speed)
     return whole if not single else Trajectory(JointPath(lengths[0], curve[0]), time[0], place[0], speed[0])
 
 
 @functools.cache
-def _timing(parts: int) -> HostKernel:
-    """Places, times and speeds of a path, each piece in so many parts."""
-
-    def timing(curve: Any, lengths: Any, velocity: Any, acceleration: Any) -> Any:
-        speed = fastest(curve, lengths, velocity, acceleration, parts)
-        step = jnp.repeat(lengths / parts, parts)
-        both = speed[1:] + speed[:-1]
-        time = jnp.where(step > 0.0, 2.0 * step / jnp.where(both > 0.0, both, 1.0), 0.0)
-        since = lambda x: jnp.concatenate([jnp.zeros(1), jnp.cumsum(x)])
-        return since(step), since(time), speed
-
-    return HostKernel(timing, 4)
+def _fastest(parts: int) -> HostKernel:
+    return HostKernel(functools.partial(fastest, parts=parts), 4)
 
 
 def _limit(name: str, given: Any, shape: tuple[int, int]) -> np.ndarray:
