@@ -3,6 +3,7 @@
 from jaxik.planning.planner import Planned, PlanOptions, plan_motion
 from jaxik.planning.timing import time_optimal
 from jaxik.planning.trajectory import JointPath, JointState, Trajectory, polyline, spline
+from jaxik.planning.trajectory_files import save_trajectory
 
 __all__ = [
     "JointPath",
@@ -12,6 +13,7 @@ __all__ = [
     "Trajectory",
     "plan_motion",
     "polyline",
+    "save_trajectory",
     "spline",
     "time_optimal",
 ]

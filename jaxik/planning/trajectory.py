@@ -45,7 +45,7 @@ class JointPath(Pytree):
 
 class Trajectory(Pytree):
     """A path and its timing: at `time` (m,) [s] the way along the path is `place` (m,), which grows at `speed` (m,) [1/s];
-    between these moments the speed is linear in time."""
+    between these moments the speed is linear in time. Each piece of the path has as many of them as the others."""
 
     path: JointPath
     time: Float[Array, "*batch m"]
@@ -80,23 +80,31 @@ class Trajectory(Pytree):
 
 def _along(xp: Any, path: Any, s: Any) -> Any:
     """q, q' and q'' (..., n) at s (...)."""
-    lengths, coefficients = xp.asarray(path.lengths), xp.asarray(path.coefficients)
-    ends = xp.cumsum(lengths)
+    ends = xp.cumsum(xp.asarray(path.lengths))
     piece = xp.where(
         s >= ends[-1], xp.argmax(ends >= ends[-1]), xp.searchsorted(ends, s, side="right")
     )  # one that has a length
-    a, b, c, d = xp.moveaxis(coefficients[piece], -2, 0)
-    x = xp.clip(s - (ends[piece] - lengths[piece]), 0.0, lengths[piece])[..., None]
+    return _within(xp, path, piece, s)
+
+
+def _within(xp: Any, path: Any, piece: Any, s: Any) -> Any:
+    """Likewise, s being in that piece."""
+    lengths = xp.asarray(path.lengths)
+    c = xp.asarray(path.coefficients)[piece]
+    x = xp.clip(s - (xp.cumsum(lengths)[piece] - lengths[piece]), 0.0, lengths[piece])[..., None]
+    a, b, c, d = (c[..., i, :] for i in range(4))
     return ((a * x + b) * x + c) * x + d, (3.0 * a * x + 2.0 * b) * x + c, 6.0 * a * x + 2.0 * b
 
 
 def _state(xp: Any, moved: Any, t: Any) -> JointState:
     time, place, speed = xp.asarray(moved.time), xp.asarray(moved.place), xp.asarray(moved.speed)
-    i = xp.clip(xp.searchsorted(time, t, side="right") - 1, 0, len(time) - 2)
+    last = len(time) - 2
+    i = xp.clip(xp.searchsorted(time, t, side="right") - 1, 0, last)
     length, since = time[i + 1] - time[i], xp.clip(t, time[0], time[-1]) - time[i]
     rate = xp.where(length > 0.0, (speed[i + 1] - speed[i]) / xp.where(length > 0.0, length, 1.0), 0.0)
     way = place[i] + (speed[i] + 0.5 * rate * since) * since
-    q, slope, bend = _along(xp, moved.path, way)
+    piece = i // ((last + 1) // len(moved.path.lengths))  # by number: at a corner the way itself, rounded, is in either
+    q, slope, bend = _within(xp, moved.path, piece, way)
     now, rate = (xp.where((t < time[0]) | (t > time[-1]), 0.0, x)[..., None] for x in (speed[i] + rate * since, rate))
     return JointState(q, slope * now, bend * now**2 + slope * rate)
 
