@@ -22,6 +22,7 @@ from jax import lax
 
 _FLAT = 1e-12  # a joint that moves by less, as a share of the one that moves most, has nothing to say of u
 _JUMP = 1e-9  # of the direction, which is a corner
+_ROUNDING = 1e-14
 _FASTEST = 1e12  # ds/dt squared, where nothing moves
 
 
@@ -87,27 +88,32 @@ def _rows(c: Any, s: Any, h: Any, velocity: Any, acceleration: Any) -> Any:
 def _greatest(row: Any, h: Any, top: Any) -> Any:
     """The greatest x for which some u keeps all rows and `0 <= x + 2 h u <= top`.
 
-    What is left between the least upper and the greatest lower bound of u is concave in x and not negative at 0, so that
-    Newton's steps from above end, after a few, at its root."""
+    Braking as the rows allow, to arrive with `top`, is mostly all there is to it. Else Newton's steps from there: what is left
+    between the least upper and the greatest lower bound of u is concave in x and not negative at 0, so that these end, after a
+    few and from above, at its root."""
     p, r, limit, most = row
     slope, reach = -r / p, limit / p
     across = 0.5 / jnp.where(h > 0.0, h, 1.0)
 
     def room(x: Any) -> Any:
-        """That, and how it changes with x."""
+        """That, how it changes with x, and what rounding may have made of it."""
         upper, lower = reach + slope * x, slope * x - reach
         least, greatest = jnp.min(upper), jnp.max(lower)
         steep_upper = jnp.max(jnp.where(upper <= least, slope, -jnp.inf))
         steep_lower = jnp.min(jnp.where(lower >= greatest, slope, jnp.inf))
         next_upper, next_lower = (top - x) * across, -x * across
         by_next, from_next = next_upper < least, next_lower > greatest
+        high, low = jnp.where(by_next, next_upper, least), jnp.where(from_next, next_lower, greatest)
         change = jnp.where(by_next, -across, steep_upper) - jnp.where(from_next, -across, steep_lower)
-        return jnp.where(by_next, next_upper, least) - jnp.where(from_next, next_lower, greatest), change
+        return high - low, change, _ROUNDING * (jnp.abs(high) + jnp.abs(low))
 
     def newton(state: Any) -> Any:
-        x, left, change, turns = state
+        x, left, change, _, turns = state
         x = jnp.clip(x - left / jnp.where(change < 0.0, change, -jnp.inf), 0.0, x)
         return x, *room(x), turns + 1
 
-    x, *_ = lax.while_loop(lambda s: (s[1] < 0.0) & (s[3] < len(p) + 4), newton, (most, *room(most), 0))
-    return x
+    steep = across + slope  # where the lower bound of a row meets the line to `top`
+    braking = jnp.min(jnp.where(steep > 0.0, (top * across + reach) / jnp.where(steep > 0.0, steep, 1.0), jnp.inf))
+    first = jnp.minimum(most, braking)
+    again = lambda state: (state[1] < -state[3]) & (state[4] < len(p) + 4)
+    return lax.while_loop(again, newton, (first, *room(first), 0))[0]
