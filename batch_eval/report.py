@@ -229,6 +229,41 @@ def narrow_markdown(result: dict[str, Any]) -> str:
     return "\n".join(lines)
 
 
+def planning_markdown(result: dict[str, Any]) -> str:
+    """MotionBenchMaker's problems, and paths that are timed."""
+    problems, timing = result["problems"], result["timing"]
+    rows = [
+        ("solved", f"{problems['solved']} of {problems['problems']}"),
+        ("of these free by coal, every millimetre", f"{problems['free']}"),
+        ("of these inside the limits of position", f"{problems['inside']}"),
+        ("velocity, acceleration, at most of their limits", f"{problems['velocity']:.9f}, {problems['acceleration']:.9f}"),
+        (
+            "one call, warm: median, 95 %, slowest",
+            ", ".join(f"{problems[k]:.0f} ms" for k in ("p50_ms", "p95_ms", "slowest_ms")),
+        ),
+        ("a process' first call, its slowest later one", _both(problems["fresh"]["compiling"])),
+        ("the same, with the kernels on disk", _both(problems["fresh"]["kernels_on_disk"])),
+        ("motion, median; if it stopped at its corners", f"{problems['duration_s']:.2f} s, {problems['stopping_s']:.2f} s"),
+    ]
+    lines = [f"| {problems['robot']}, from start to goal | |", "| --- | --- |", *(f"| {a} | {b} |" for a, b in rows)]
+    places = timing["places"]
+    return "\n".join(
+        [
+            *lines,
+            "",
+            f"| {timing['paths']:,} random splines of {timing['joints']} joints | one | motion |",
+            "| --- | --- | --- |",
+            f"| jaxik, {places['jaxik']} places, together | {_duration(timing['us_each'])} | "
+            f"{100 * timing['longer_mean']:.1f} % longer (at most {100 * timing['longer_most']:.1f} %) |",
+            f"| toppra, {places['toppra']} places, one by one | {_duration(timing['toppra_us_each'])} | limits met at the places |",
+        ]
+    )
+
+
+def _both(fresh: dict[str, float]) -> str:
+    return f"{fresh['first_s']:.1f} s, {fresh['slowest_later_s']:.1f} s"
+
+
 def motions_markdown(result: dict[str, Any]) -> str:
     """A row for each robot: what the dense sampling says, and how far the bound is below it."""
     lines = [
@@ -283,6 +318,7 @@ TABLES = {
     "motions.json": motions_markdown,
     "narrow_goals.json": narrow_markdown,
     "nine_dof.json": nine_dof_markdown,
+    "planning_benchmark.json": planning_markdown,
     "predictive_benchmark.json": predictive_markdown,
     "predictive_statistics.json": statistics_markdown,
     "sweep_benchmark.json": sweep_markdown,
