@@ -5,7 +5,8 @@
     ```toml title="row.toml"    is written to that file, in any language
     anything else               is shown only
 
-Pages share a process, which spares the imports and what JAX has compiled; JAX's float64 switch is set back after each.
+Pages share a process, which spares the imports and what JAX has compiled; JAX's float64 switch is set back after each. What is
+deprecated is an error.
 """
 
 import os
@@ -14,6 +15,7 @@ import subprocess
 import sys
 import tempfile
 import time
+import warnings
 from pathlib import Path
 
 import jax
@@ -36,6 +38,7 @@ def run_page(page: Path) -> None:
 
 
 if __name__ == "__main__":
+    warnings.simplefilter("error", DeprecationWarning)
     for page in [Path(name).resolve() for name in sys.argv[1:]]:
         start = time.perf_counter()
         with tempfile.TemporaryDirectory() as folder:

@@ -45,7 +45,7 @@ def hopped(problem: Problem, poses: np.ndarray, stuck: Found, count: int) -> Fou
         turned[:, joints, joints] -= np.where(problem.chain.is_prismatic, 0.0, np.copysign(np.pi, turned[:, joints, joints]))
         start = np.concatenate([mirrored, turned], axis=1)
         row = np.repeat(np.arange(len(chosen.q)), start.shape[1])
-        lanes_ = chosen.rows(row)._replace(q=np.clip(start.reshape(len(row), -1), problem.low, problem.high))
+        lanes_ = chosen.rows(row)._replace(q=np.clip(start.reshape(-1, len(joints)), problem.low, problem.high))
         free, reached = searched(problem, poses, lanes_, STEPS, Misses(problem))
         answers.append(free)
         reached = reached.rows(~np.isin(reached.target, free.target))

@@ -646,3 +646,12 @@ def test_a_descent_may_be_traced(panda):
         assert position == pytest.approx(e, abs=1e-9)
     with pytest.raises(ValueError, match=r"descend.*implicit_ik"):
         jax.jit(lambda t: jaxik.solve_ik(panda, t).q)(poses[0])
+
+
+def test_a_scene_asks_nothing_of_what_none_collides_with():
+    """As many joints as the task binds, and no posture that collides: there is no branch to hop to from nowhere."""
+    arm = dataclasses.replace(jaxik.load("planar2"), lower=np.array([-0.5, 0.2]), upper=np.array([0.5, 1.0]))
+    in_plane = jaxik.Task.pose(("z", "roll", "pitch", "yaw"), "base")
+    beyond = np.asarray(jaxik.forward_kinematics(arm, np.array([2.0, 0.5])))
+    found = jaxik.solve_ik(arm, np.stack([beyond, beyond]), jaxik.make_scene(), task=in_plane)
+    assert found.counts() == {"limits": 2}
