@@ -255,7 +255,7 @@ def planning_markdown(result: dict[str, Any]) -> str:
             "| --- | --- | --- |",
             f"| jaxik, {places['jaxik']} places, together | {_duration(timing['us_each'])} | "
             f"{100 * timing['longer_mean']:.1f} % longer (at most {100 * timing['longer_most']:.1f} %) |",
-            f"| toppra, {places['toppra']} places, one by one | {_duration(timing['toppra_us_each'])} | limits kept there alone |",
+            f"| toppra, {places['toppra']} places, alone | {_duration(timing['toppra_us_each'])} | limits kept there alone |",
         ]
     )
 

@@ -12,6 +12,7 @@ from jaxik.collision.bvh import grouped
 from jaxik.collision.clearances import collides
 from jaxik.collision.continuous_collision import joint_reaches, motion_collides_within, size_of
 from jaxik.collision.scene import Scene
+from jaxik.reasons import Reason
 from jaxik.robot.chain import Chain
 from jaxik.spmd import HostKernel
 from jaxik.spmd.batch import in_blocks
@@ -58,6 +59,13 @@ class Freedom:
         margins = np.broadcast_to(self.margin + np.asarray(extra, np.float32), len(start))
         fixed = np.float32(RESOLUTION), self.size, self.obstacles
         return ~in_blocks(_moves(self.chain), start, end, margins, fixed=fixed, double=False)[0]
+
+
+def judged(chain: Chain, space: Freedom, postures: np.ndarray) -> np.ndarray:
+    """The reason of each posture (b, n)."""
+    inside = ((postures >= chain.lower - 1e-9) & (postures <= chain.upper + 1e-9)).all(axis=1)
+    reason = np.where(space.hits(postures), Reason.COLLISION, np.where(inside, Reason.SOLVED, Reason.LIMITS))
+    return np.where(np.isfinite(postures).all(axis=1), reason, Reason.INVALID)
 
 
 @functools.lru_cache(maxsize=64)

@@ -2,10 +2,11 @@
 
     f(n) = g(n) + weight h(n)
 
-g is the way from the root to a node n, h the straight line from there to the goal, which is never longer than the way; so with
-weight 1 the first way to be found is a shortest, and with a greater one it is at most so many times longer. Nodes are judged
-when they are to be expanded, and not before [van Henten et al. 2003, sec. 4.3]; one by one as there, or many at once, and
-then a few more are looked at, for a way is the shortest only when no node that is left promises a shorter one.
+g is the way from the root to a node n, h what is left to the goal if nothing stands in the way, over the grid or straight
+("euclidean"), which is never more than there is; so with weight 1 the first way to be found is a shortest, and with a greater
+one it is at most so many times longer. Nodes are judged when they are to be expanded, and not before [van Henten et al. 2003,
+sec. 4.3]; one by one as there, or many at once, and then a few more are looked at, for a way is the shortest only when no node
+that is left promises a shorter one.
 """
 
 from __future__ import annotations
@@ -39,6 +40,16 @@ class Grid:
             return np.array([each for each in itertools.product((-1, 0, 1), repeat=n) if any(each)])
         return np.concatenate([np.eye(n, dtype=int), -np.eye(n, dtype=int)])
 
+    def without_obstacles(self, away: np.ndarray) -> np.ndarray:
+        """The shortest way (b,) between nodes that are so many steps apart (b, n): with diagonal moves all joints go on until
+        the first has arrived, then the others, and so on."""
+        if not self.diagonal:
+            return away @ self.steps
+        order = np.argsort(away, axis=1)
+        together = np.diff(np.take_along_axis(away, order, axis=1), axis=1, prepend=0)
+        squares = np.cumsum((self.steps**2)[order][:, ::-1], axis=1)[:, ::-1]
+        return np.sum(together * np.sqrt(squares), axis=1)
+
     def nearest(self, q: np.ndarray) -> int:
         """The number of the node that is nearest to a configuration."""
         place = np.clip(np.round((q - self.origin) / self.steps).astype(int), 0, np.array(self.shape) - 1)
@@ -71,6 +82,7 @@ def shortest(
     goal: int,
     both: bool = False,
     weight: float = 1.0,
+    euclidean: bool = False,
     batch: int = 1,
     most: int = 10**7,
 ) -> Way:
@@ -85,7 +97,7 @@ def shortest(
             known[unknown] = np.where(free(grid.configurations(unknown)), _FREE, _HIT)
         return known[nodes] == _FREE
 
-    searches = [_Search(grid, start, goal, weight)] + ([_Search(grid, goal, start, weight)] if both else [])
+    searches = [_Search(grid, *ends, weight, euclidean) for ends in ((start, goal), (goal, start))[: 1 + both]]
     best, meeting = (0.0, start) if start == goal and judge(np.array([start]))[0] else (np.inf, -1)
     for turn in itertools.cycle(range(len(searches))):
         ours, other = searches[turn], searches[-1 - turn]
@@ -112,8 +124,8 @@ class _Search:
     """From a root towards a goal: the cost of each node that was reached, and by which of the offsets; and those that are open,
     in bins by f, so that many are put in and taken out at once."""
 
-    def __init__(self, grid: Grid, root: int, goal: int, weight: float):
-        self.grid, self.goal, self.weight = grid, grid.places(np.array([goal]))[0], weight
+    def __init__(self, grid: Grid, root: int, goal: int, weight: float, euclidean: bool):
+        self.grid, self.goal, self.weight, self.euclidean = grid, grid.places(np.array([goal]))[0], weight, euclidean
         self.offsets = grid.offsets
         self.prices = np.linalg.norm(self.offsets * grid.steps, axis=1)
         self.cost = np.full(int(np.prod(grid.shape)), np.inf, np.float64)
@@ -154,9 +166,10 @@ class _Search:
         return found
 
     def _put(self, nodes: np.ndarray) -> None:
-        away = np.linalg.norm((self.grid.places(nodes) - self.goal) * self.grid.steps, axis=1)
+        away = np.abs(self.grid.places(nodes) - self.goal)
+        left = np.linalg.norm(away * self.grid.steps, axis=1) if self.euclidean else self.grid.without_obstacles(away)
         cost = self.cost[nodes]
-        f = cost + self.weight * away
+        f = cost + self.weight * left
         number = np.floor(f / self.width + 1e-9).astype(int)
         for each in np.unique(number):
             part = number == each

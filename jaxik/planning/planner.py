@@ -13,7 +13,7 @@ from jaxik.checks.options import as_count, changed, check_finite, check_kind, ch
 from jaxik.collision.clearances import check_geometry
 from jaxik.collision.scene import Scene, make_scene
 from jaxik.ik import IKOptions, solve_ik
-from jaxik.planning.freedom import Freedom
+from jaxik.planning.freedom import Freedom, judged
 from jaxik.planning.rounding import rounded
 from jaxik.planning.shortcuts import shortened
 from jaxik.planning.timing import time_optimal
@@ -121,7 +121,7 @@ def plan_motion(
         goals = _turned(chain, start, goal.reshape(-1, n))
     space = Freedom(chain, scene, options.margin)
     for where, postures in (("start", start[None]), ("goal", goals)):
-        verdict = _judged(chain, space, postures)
+        verdict = judged(chain, space, postures)
         if not (verdict == Reason.SOLVED).any():
             return Planned(Reason(int(verdict.min())), where)
         if where == "goal":
@@ -150,13 +150,6 @@ def _turned(chain: Chain, start: np.ndarray, goals: np.ndarray) -> np.ndarray:
     """Goals (g, n), each joint without limits turned to be nearest to the start."""
     endless = np.isinf(chain.lower) & np.isinf(chain.upper) & ~np.array(chain.is_prismatic)
     return goals + np.where(endless, 2.0 * np.pi * np.round((start - goals) / (2.0 * np.pi)), 0.0)
-
-
-def _judged(chain: Chain, space: Freedom, postures: np.ndarray) -> np.ndarray:
-    """The reason of each posture (b, n)."""
-    inside = ((postures >= chain.lower - 1e-9) & (postures <= chain.upper + 1e-9)).all(axis=1)
-    reason = np.where(space.hits(postures), Reason.COLLISION, np.where(inside, Reason.SOLVED, Reason.LIMITS))
-    return np.where(np.isfinite(postures).all(axis=1), reason, Reason.INVALID)
 
 
 def _way(chain: Chain, space: Freedom, start: np.ndarray, goals: np.ndarray, seed: int, rounds: int) -> np.ndarray | None:
