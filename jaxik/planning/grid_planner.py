@@ -76,10 +76,10 @@ def plan_on_grid(
 ) -> GridPlanned:
     """The shortest way from `start` to `goal` (n,) over a grid of configurations inside the limits, by A*. Host driver.
 
-    The way leads from the start to the node nearest to it, over nodes that keep the margin, and from that nearest to the goal
-    on to the goal itself. What lies between two nodes is not looked at: `plan_motion` proves its ways, and needs no grid.
+    The way leads from the start to the nearest free node beside it, over nodes that keep the margin, and from that nearest to
+    the goal on to the goal itself. What lies between two nodes is not looked at: `plan_motion` proves its ways, and needs no grid.
 
-    Reasons: SOLVED; INVALID, LIMITS, COLLISION of the start or the goal, or of the node nearest to it; NOT_CONVERGED, given up;
+    Reasons: SOLVED; INVALID, LIMITS, COLLISION of the start or the goal, or of all nodes beside it; NOT_CONVERGED, given up;
     OUT_OF_REACH, proven: the grid has no way.
 
     Raises `ValueError` for arguments of a wrong shape, name or range, and for a grid of more than 10^8 nodes. Source: van
@@ -92,16 +92,18 @@ def plan_on_grid(
     options = changed("plan_on_grid", options or GridOptions(), changes)
     ends = np.stack([shaped(f"plan_on_grid: {k}", q, chain.lower.shape) for k, q in (("start", start), ("goal", goal))])
     grid, space = _grid(chain, options), Freedom(chain, scene, options.margin)
-    nodes = [grid.nearest(np.nan_to_num(end)) for end in ends]
-    for where, end, node in zip(("start", "goal"), ends, nodes, strict=True):
-        verdict = judged(chain, space, np.stack([end, *grid.configurations(np.array([node]))])).max()
-        if verdict != Reason.SOLVED:
-            return GridPlanned(Reason(int(verdict)), where)
+    nodes = []
+    for where, end in zip(("start", "goal"), ends, strict=True):
+        verdict = Reason(int(judged(chain, space, end[None])[0]))
+        near = grid.nearest(end) if verdict == Reason.SOLVED else np.zeros(0, int)
+        free = ~space.hits(grid.configurations(near))
+        if not free.any():
+            return GridPlanned(verdict or Reason.COLLISION, where)
+        nodes.append(int(near[np.argmax(free)]))
     if options.direction == "backward":
         nodes.reverse()
-    free = lambda q: ~space.hits(q)
     how = {name: getattr(options, name) for name in ("weight", "euclidean", "batch", "most")}
-    found = shortest(grid, free, nodes[0], nodes[1], options.direction == "both", **how)
+    found = shortest(grid, lambda q: ~space.hits(q), nodes[0], nodes[1], options.direction == "both", **how)
     if found.nodes is None:
         reason = Reason.OUT_OF_REACH if found.complete else Reason.NOT_CONVERGED
         return GridPlanned(reason, expanded=found.expanded, judged=found.judged)

@@ -50,10 +50,13 @@ class Grid:
         squares = np.cumsum((self.steps**2)[order][:, ::-1], axis=1)[:, ::-1]
         return np.sum(together * np.sqrt(squares), axis=1)
 
-    def nearest(self, q: np.ndarray) -> int:
-        """The number of the node that is nearest to a configuration."""
-        place = np.clip(np.round((q - self.origin) / self.steps).astype(int), 0, np.array(self.shape) - 1)
-        return int(np.ravel_multi_index(tuple(place), self.shape))
+    def nearest(self, q: np.ndarray) -> np.ndarray:
+        """The numbers of the nodes around a configuration, up to two steps away in any joint, the nearest first."""
+        first = np.round((q - self.origin) / self.steps).astype(int)
+        places = first + np.array(list(itertools.product((-1, 0, 1), repeat=len(q))))
+        places = places[np.all((places >= 0) & (places < self.shape), axis=1)]
+        away = np.linalg.norm(self.origin + places * self.steps - q, axis=1)
+        return np.ravel_multi_index(tuple(places[np.argsort(away, kind="stable")].T), self.shape)
 
     def places(self, nodes: np.ndarray) -> np.ndarray:
         """Whole numbers (b, n) of nodes (b,)."""
@@ -116,8 +119,9 @@ def shortest(
     expanded, judged = sum(search.expanded for search in searches), int((known > 0).sum())
     if meeting < 0:
         return Way(None, np.inf, expanded, judged, True)
-    nodes = searches[0].way(meeting)[::-1] + (searches[1].way(meeting)[1:] if both else [])
-    return Way(np.array(nodes), best, expanded, judged, True)
+    nodes = np.array(searches[0].way(meeting)[::-1] + (searches[1].way(meeting)[1:] if both else []))
+    length = np.linalg.norm(np.diff(grid.configurations(nodes), axis=0), axis=1).sum()  # nodes on it were reached at less since
+    return Way(nodes, float(length), expanded, judged, True)
 
 
 class _Search:
