@@ -229,6 +229,22 @@ def narrow_markdown(result: dict[str, Any]) -> str:
     return "\n".join(lines)
 
 
+def astar_markdown(result: dict[str, Any]) -> str:
+    """Nodes that A* expands, by its direction."""
+    plane, six, paper = result["figure_7"], result["six_joints"], result["paper"]
+    lines = [
+        f"| A* | two joints, 5 degrees, one by one | 256 at once | the paper's row | six joints, {six['degrees']:g} degrees |",
+        "| --- | --- | --- | --- | --- |",
+    ]
+    for direction in ("forward", "backward", "both"):
+        each, batch = (plane[f"{direction}, {how}"] for how in ("one by one", "in batches"))
+        plain, many = (f"{row['expanded']} nodes, {row['ms']:.0f} ms" for row in (each, batch))
+        large = f"{six[direction]['expanded']:,} nodes, {six[direction]['s']:.1f} s"
+        lines.append(f"| {direction} | {plain} | {many} | {paper.get(direction, '-')} | {large} |")
+    longest = max(abs(row["length"] - plane["dijkstra"]) for row in plane.values() if isinstance(row, dict))
+    return "\n".join([*lines, "", f"Every way on the plane is as long as Dijkstra's, to {longest:.0e} rad."])
+
+
 def planning_markdown(result: dict[str, Any]) -> str:
     """MotionBenchMaker's problems, and paths that are timed."""
     problems, timing = result["problems"], result["timing"]
@@ -309,6 +325,7 @@ def scaling_markdown(result: dict[str, Any]) -> str:
 
 
 TABLES = {
+    "astar.json": astar_markdown,
     "base_placement.json": base_markdown,
     "benchmark.json": markdown,
     "collision_benchmark.json": collision_markdown,

@@ -77,7 +77,8 @@ def plan_on_grid(
     """The shortest way from `start` to `goal` (n,) over a grid of configurations inside the limits, by A*. Host driver.
 
     The way leads from the start to the nearest free node beside it, over nodes that keep the margin, and from that nearest to
-    the goal on to the goal itself. What lies between two nodes is not looked at: `plan_motion` proves its ways, and needs no grid.
+    the goal on to the goal itself. What lies between two nodes is not looked at; `plan_motion` proves its ways, and needs no
+    grid.
 
     Reasons: SOLVED; INVALID, LIMITS, COLLISION of the start or the goal, or of all nodes beside it; NOT_CONVERGED, given up;
     OUT_OF_REACH, proven: the grid has no way.
