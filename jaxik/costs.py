@@ -121,11 +121,7 @@ def damping_cost(qdot: Float[Array, " n"]) -> Float[Array, ""]:
 
 def weighted_sum(terms: Sequence[tuple[float, Cost]]) -> Cost:
     """`H(q) = sum zeta_i H_i(q)`. Source: Schuetz 2017, (4.24)."""
-
-    def total(q: Any) -> Any:
-        return sum((weight * cost(q) for weight, cost in terms), start=jnp.zeros(()))
-
-    return total
+    return lambda q: sum((weight * cost(q) for weight, cost in terms), start=jnp.zeros(()))
 
 
 def joint_limit_margin(chain: Chain, q: Float[Array, " n"]) -> Float[Array, ""]:

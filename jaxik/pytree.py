@@ -44,8 +44,7 @@ class Pytree:
 
         def unflatten(structure: tuple[Any, ...], children: Iterable[Any]) -> Any:
             tree = object.__new__(cls)
-            vars(tree).update(zip(names, children, strict=True))
-            vars(tree).update(zip(fixed, structure, strict=True))
+            vars(tree).update(zip((*names, *fixed), (*children, *structure), strict=True))
             return tree
 
         jax.tree_util.register_pytree_with_keys(cls, flatten_with_keys, unflatten, flatten)

@@ -20,7 +20,39 @@ def answers(chain: jaxik.Chain, targets: np.ndarray, scene: jaxik.Scene | None =
     result = jaxik.solve_ik(chain, targets, scene, options=options)
     q: np.ndarray = result.q
     print(q.shape, [jaxik.Reason(int(r)).text for r in result.reason])
+    solved: np.ndarray = q[result.success]
+    every: np.ndarray = result.solutions[:, 0]
+    print(solved.shape == every[result.success].shape, result.seed[0], result.iterations.max(), result.num_solutions.sum())
+    off = max(float(one.position_error) + float(one.rotation_error) for one in result)
+    print(f"off by {off:.1e}, free by {float(result[0].clearance):.2f} m", result.why, result.fault.any(), result.offenders)
     return result.counts()
+
+
+def motions(chain: jaxik.Chain, q: np.ndarray) -> jaxik.Reason:
+    """Along a line of 1 mm: moment by moment, ahead of time, and under a moving horizon."""
+    start = np.asarray(jaxik.forward_kinematics(chain, q))
+    path = jaxik.motions.Line(start, start + 0.001 * np.eye(4, k=3))
+    followed = jaxik.follow(chain, path, 0.1, q, dt=0.05)
+    moved: np.ndarray = followed.q
+    rates: np.ndarray = followed.qdot
+    print(moved.shape == rates.shape, followed.time[-1], np.abs(followed.error).max(), followed.damping.max())
+    cost = jaxik.motions.quadratic_cost()
+    ahead = jaxik.predict(chain, path, 0.1, q, cost, dt=0.05, count=2)
+    planned: np.ndarray = np.asarray(ahead.q)
+    print(planned.shape, float(ahead.total), ahead.w.shape, ahead.costs.shape, int(ahead.iterations), int(ahead.sample))
+    control = jaxik.motions.MovingHorizon(chain, cost, jaxik.motions.Horizon(0.05, 2))
+    state, now = control.step(control.start(q), path, 0.1)
+    print(state.time.shape, now.qdot.shape, now.planned.shape, float(now.total))
+    return jaxik.Reason(int(followed.reason))
+
+
+def solutions(chain: jaxik.Chain, q: jax.Array) -> float:
+    """One lane of the search, and its answer as a differentiable function of its target."""
+    target = jaxik.forward_kinematics(chain, q)
+    landed = jaxik.ik.descend(chain, target, q + 0.01)
+    moved = jaxik.implicit_ik(chain, target, landed.q)
+    print(landed.q.shape, bool(moved.defined), moved.x.shape)
+    return float(landed.position_error) + float(landed.rotation_error)
 
 
 def main() -> None:
@@ -31,6 +63,7 @@ def main() -> None:
     print(height(chain, middle), jax.grad(lambda q: height(chain, q))(middle))
     print(jaxik.clearance(chain, scene, q=middle), jaxik.motions.Line(np.eye(4), np.eye(4)).pose(0.5))
     print(answers(chain, np.asarray(jaxik.forward_kinematics(chain, middle))[None], scene))
+    print(motions(chain, np.asarray(middle)), solutions(chain, middle))
 
 
 if __name__ == "__main__":

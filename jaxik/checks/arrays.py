@@ -51,9 +51,8 @@ def check_known(who: str, **given: Any) -> None:
     """What runs on the host asks. Raises `ValueError` for what is traced."""
     for name, value in given.items():
         if not is_known(value):
-            raise ValueError(
-                f"{who}: {name} is traced; this runs on the host, outside of jit, vmap and grad, and takes numbers"
-            )
+            mend = "this runs on the host, outside of jit, vmap and grad, and takes numbers"
+            raise ValueError(f"{who}: {name} is traced; {mend}")
 
 
 def direction(what: str, given: Any) -> np.ndarray:

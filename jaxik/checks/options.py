@@ -74,12 +74,17 @@ def nearest(name: str, names: Sequence[str], alike: float = 0.6) -> str | None:
     return next(iter(difflib.get_close_matches(name, names, 1, alike)), None)
 
 
-def no_such(who: str, what: str, name: str, names: Sequence[str]) -> str:
-    """The line that refuses a `name` which is none of `names`: the nearest of them, and the first few."""
+def among(name: str, names: Sequence[str], what: str = "allowed") -> str:
+    """The mend for a `name` that is none of `names`: the nearest of them, and the first few."""
     close = nearest(name, names)
     meant = f"did you mean '{shown(close)}'? " if close else ""
     rest = f", ... ({len(names)} in all)" if len(names) > 8 else ""
-    return f"{who}: no {what} '{shown(name)}'; {meant}allowed: {', '.join(map(shown, names[:8]))}{rest}"
+    return f"{meant}{what}: {', '.join(map(shown, names[:8])) or 'none'}{rest}"
+
+
+def no_such(who: str, what: str, name: str, names: Sequence[str]) -> str:
+    """The line that refuses such a name."""
+    return f"{who}: no {what} '{shown(name)}'; {among(name, names)}"
 
 
 def check_each(who: str, each: Sequence[str], kinds: Any) -> None:

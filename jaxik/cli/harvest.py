@@ -5,35 +5,29 @@ from __future__ import annotations
 import dataclasses
 import os
 import shutil
+import tempfile
 from pathlib import Path
 
 import numpy as np
 
 import jaxik
-from jaxik.cli.collisions import Ignored, ignored_pairs
-from jaxik.cli.held_joints import read_posture
-from jaxik.cli.tables import write_csv
+from jaxik.cli.results import print_table, write_csv
+from jaxik.cli.robot_arguments import RobotArguments
 from jaxik.harvesting.blocking_objects import Blockers
 from jaxik.harvesting.driver import Harvest
 from jaxik.harvesting.scanning import Weights
 
 
-@dataclasses.dataclass
-class HarvestArguments:
+@dataclasses.dataclass(kw_only=True)
+class HarvestArguments(RobotArguments):
     """The best collision-free posture for every fruit of a scene, as a table, a file and a picture."""
 
     robot: str = "p6r"
     """A shipped model or a robot file (.urdf, .xml, .toml)."""
     scene: str = "cucumber_row"
     """A shipped scene or a scene file (.toml, or labelled points as .csv or .ply)."""
-    tip: str | None = None
-    """The link to bring to the fruit; needed where the robot has several."""
-    posture: tuple[str, ...] = ()
-    """Where joints beside the chain are held, joint=value [rad, m]: a head, a gripper; 0 unless given."""
     meshes: bool = False
     """Read the robot's collision meshes (URDF) for capsules around them."""
-    ignore: Ignored = ()
-    """What is not checked: two links (forearm:hand), a link and an object (base:floor), a link and any object (rail)."""
     weights: Weights = dataclasses.field(default_factory=Weights)
     """What makes a posture good."""
     angles: int = 72
@@ -45,61 +39,41 @@ class HarvestArguments:
     out: Path = Path("harvest")
     """Folder for postures.csv, postures.npz and harvest.png."""
 
+    def run(self) -> None:
+        """Load, harvest with a progress bar, write, and end with one line of counts and times."""
+        from rich.console import Console
+        from rich.markup import escape
+        from rich.progress import Progress
 
-def run_harvest(arguments: HarvestArguments) -> None:
-    """Load, harvest with a progress bar, write, and end with one line of counts and times."""
-    from rich.console import Console
-    from rich.markup import escape
-    from rich.progress import Progress
-
-    if arguments.angles < 1 or arguments.slides < 1:
-        raise ValueError(f"--angles {arguments.angles} --slides {arguments.slides}: both are at least 1")
-    if arguments.out.is_file():
-        raise ValueError(f"--out {arguments.out}: is a file; name a folder")
-    chain = jaxik.load(
-        arguments.robot,
-        tip=arguments.tip,
-        meshes=arguments.meshes,
-        ignore=ignored_pairs(arguments.ignore),
-        posture=read_posture(arguments.posture),
-    )
-    scene = jaxik.load_scene(arguments.scene)
-    with Progress(console=Console(stderr=True)) as bar:
-        task = bar.add_task("harvest", total=len(scene.fruits))
-        result = jaxik.harvest(
-            chain,
-            scene,
-            weights=arguments.weights,
-            angles=arguments.angles,
-            slides=arguments.slides,
-            margin=arguments.margin,
-            progress=lambda name: bar.update(task, advance=1, description=escape(f"harvest {name}")),
-        )
-    _print_table(result)
-    write_harvest(result, arguments.out)
-    counts = ", ".join(f"{n} {reason}" for reason, n in result.counts().items())
-    print(
-        f"{len(result.rows)} fruits: {counts}; {result.candidates} candidates in {result.seconds:.1f} s; wrote {arguments.out}/"
-    )
+        if self.angles < 1 or self.slides < 1:
+            raise ValueError(f"--angles {self.angles} --slides {self.slides}: both are at least 1")
+        if self.out.is_file():
+            raise ValueError(f"--out {self.out}: is a file; name a folder")
+        chain = jaxik.load(self.robot, meshes=self.meshes, **self.loading())
+        scene = jaxik.load_scene(self.scene)
+        options = {name: getattr(self, name) for name in ("weights", "angles", "slides", "margin")}
+        with Progress(console=Console(stderr=True)) as bar:
+            task = bar.add_task("harvest", total=len(scene.fruits))
+            show = lambda name: bar.update(task, advance=1, description=escape(f"harvest {name}"))
+            result = jaxik.harvest(chain, scene, progress=show, **options)
+        _print_table(result)
+        write_harvest(result, self.out)
+        counts = ", ".join(f"{n} {reason}" for reason, n in result.counts().items())
+        took = f"{result.candidates} candidates in {result.seconds:.1f} s"
+        print(f"{len(result.rows)} fruits: {counts}; {took}; wrote {self.out}/")
 
 
 def _print_table(result: Harvest) -> None:
-    from rich.console import Console
-    from rich.markup import escape
-    from rich.table import Table
-
-    table = Table(title=escape(f"{result.chain.name} in {result.scene.name}"))
-    for heading in ("fruit", "result", *result.chain.joint_names, "clearance [mm]", "freedom", "found by, or remove"):
-        table.add_column(escape(heading), justify="left" if heading in ("fruit", "result") else "right")
+    chain, rows = result.chain, []
     for row in result.rows:
-        joints = [
-            (f"{x:.3f}" if p else f"{np.degrees(x):.1f}") if row.success else ""
-            for x, p in zip(row.q, result.chain.is_prismatic, strict=True)
-        ]
-        note = row.found_by if row.success else _in_the_way(row.blockers)
-        numbers = [f"{1000 * row.clearance:.0f}", f"{row.freedom:.2f}"] if row.success else ["", ""]
-        table.add_row(*map(escape, (row.fruit, row.reason.text, *joints, *numbers, note)))
-    Console(width=max(120, Console().width)).print(table)
+        if row.success:
+            joints = [f"{x:.3f}" if p else f"{np.degrees(x):.1f}" for x, p in zip(row.q, chain.is_prismatic, strict=True)]
+            cells = [*joints, f"{1000 * row.clearance:.0f}", f"{row.freedom:.2f}", row.found_by]
+        else:
+            cells = [*[""] * (chain.num_joints + 2), _in_the_way(row.blockers)]
+        rows.append([row.fruit, row.reason.text, *cells])
+    headings = ("fruit", "result", *chain.joint_names, "clearance [mm]", "freedom", "found by, or remove")
+    print_table(f"{chain.name} in {result.scene.name}", headings, rows)
     print("joints in degrees, prismatic ones in metres")
 
 
@@ -124,8 +98,8 @@ def write_harvest(result: Harvest, out: Path) -> None:
     there = out.is_dir()
     home = out if there else out.parent
     home.mkdir(parents=True, exist_ok=True)
-    aside = home / f".{os.getpid()}-{out.name}"
-    try:
+    with tempfile.TemporaryDirectory(prefix=".", dir=home, ignore_cleanup_errors=True) as folder:
+        aside = Path(folder) / out.name
         aside.mkdir()
         arrays = result.arrays()
         np.savez(aside / "postures.npz", allow_pickle=False, **arrays)
@@ -136,13 +110,10 @@ def write_harvest(result: Harvest, out: Path) -> None:
             _replace_all(aside, out)
         else:
             os.rename(aside, out)
-    finally:
-        shutil.rmtree(aside, ignore_errors=True)
 
 
 def _replace_all(aside: Path, out: Path) -> None:
     """Moves the files of `aside` over those of `out`; where one cannot be, those before it become what they were."""
-    moved: list[Path] = []
     files, kept = sorted(aside.iterdir()), aside / "kept"
     kept.mkdir()
     for file in files:
@@ -151,11 +122,10 @@ def _replace_all(aside: Path, out: Path) -> None:
     try:
         for file in files:
             os.replace(file, out / file.name)
-            moved.append(out / file.name)
     except BaseException:
-        for path in moved:
-            if (kept / path.name).exists():
-                os.replace(kept / path.name, path)
+        for file in files:
+            if (kept / file.name).exists():
+                os.replace(kept / file.name, out / file.name)
             else:
-                path.unlink()
+                (out / file.name).unlink(missing_ok=True)
         raise

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
-import os
+import tempfile
 import time
 from pathlib import Path
 from typing import Literal
@@ -13,38 +13,27 @@ import tyro
 
 import jaxik
 from jaxik.checks.optional_modules import optional
-from jaxik.cli.collisions import Ignored, ignored_pairs, offenders
-from jaxik.cli.held_joints import read_posture
-from jaxik.cli.tables import write_csv
+from jaxik.cli.results import offenders, write_csv
+from jaxik.cli.robot_arguments import RobotArguments
 from jaxik.ik.solve import FAULTS
 
 SHOWN = 5  # invalid targets of which it is said why
 
 
-@dataclasses.dataclass
-class IKArguments:
+@dataclasses.dataclass(kw_only=True)
+class IKArguments(RobotArguments):
     """A configuration for every target of a file, or the reason why there is none."""
 
     robot: tyro.conf.Positional[str]
     """A shipped model or a robot file (.urdf, .xml, .toml)."""
     targets: tyro.conf.Positional[Path]
     """Targets in the robot's base: .csv (x, y, z, qw, qx, qy, qz), .npz (poses, or positions and wxyz) or .json."""
-    tip: str | None = None
-    """The link to bring there; needed where the robot has several."""
-    base: str | None = None
-    """The link that the targets are given in; the root unless given."""
-    posture: tuple[str, ...] = ()
-    """Where joints beside the chain are held, joint=value [rad, m]: a head, a gripper; 0 unless given."""
-    srdf: Path | None = None
-    """A file that says which links are not checked against each other."""
     meshes: bool = False
     """Read the robot's collision meshes (URDF) for capsules around them, which a scene needs."""
     scene: str | None = None
     """A shipped scene or a scene file: obstacles to keep clear of."""
     margin: float = 0.0
     """Least clearance with a scene [m]."""
-    ignore: Ignored = ()
-    """What is not checked: two links (forearm:hand), a link and an object (base:floor), a link and any object (rail)."""
     free: tuple[Literal["x", "y", "z", "roll", "pitch", "yaw"], ...] = ()
     """Components that a target leaves free."""
     axes: Literal["tool", "base"] = "tool"
@@ -62,47 +51,41 @@ class IKArguments:
     out: Path = Path("ik.npz")
     """The results, joints in rad and m: .npz, .csv, or .parquet (needs pyarrow)."""
 
+    def run(self) -> None:
+        """Load, solve with a progress bar, write, and end with one line a reason and one of counts and times."""
+        from rich.console import Console
+        from rich.progress import Progress
 
-def run_ik(arguments: IKArguments) -> None:
-    """Load, solve with a progress bar, write, and end with one line a reason and one of counts and times."""
-    from rich.console import Console
-    from rich.progress import Progress
-
-    if arguments.out.suffix not in (".npz", ".csv", ".parquet"):
-        raise ValueError(f"--out {arguments.out}: ending '{arguments.out.suffix}'; allowed: .npz, .csv, .parquet")
-    if arguments.out.suffix == ".parquet":
-        optional("--out: .parquet", "pyarrow", "parquet")  # before the work, not after
-    if arguments.out.is_dir():
-        raise ValueError(f"--out {arguments.out}: is a folder; name a file")
-    asked = {key: getattr(arguments, key) for key in ("tip", "base", "srdf", "meshes")}
-    ignore, posture = ignored_pairs(arguments.ignore), read_posture(arguments.posture)
-    chain = jaxik.load(arguments.robot, ignore=ignore, posture=posture, **asked)
-    scene = None if arguments.scene is None else jaxik.load_scene(arguments.scene)
-    targets = jaxik.load_targets(arguments.targets)
-    free = (*arguments.free, *(("roll", "pitch", "yaw") if targets.ndim == 2 else ()))  # a position says nothing of rotation
-    task = jaxik.Task.pose(free, arguments.axes)
-    names = [f.name for f in dataclasses.fields(jaxik.IKOptions)]
-    chosen = {k: v for k, v in dataclasses.asdict(arguments).items() if k in names}
-    start = time.perf_counter()
-    with Progress(console=Console(stderr=True)) as bar:
-        line = bar.add_task("ik", total=len(targets))
-        options = jaxik.IKOptions(task=task, **chosen)
-        result = jaxik.solve_ik(
-            chain, targets, scene, arguments.seed, options, progress=lambda done: bar.update(line, completed=done)
-        )
-    seconds = time.perf_counter() - start
-    write_ik(chain, result, arguments.out)
-    if targets.ndim == 2:
-        print(f"position only: {arguments.targets} binds no rotation")
-    counts = result.counts()
-    for reason, count in counts.items():
-        if reason != "solved":
-            print(f"{reason}: {count}")
-    for i in np.flatnonzero(result.fault)[:SHOWN]:
-        print(f"target {i + 1}: {FAULTS[result.fault[i]]}")
-    if said := offenders(result):
-        print(said)
-    print(f"{counts.get('solved', 0)} of {len(result)} targets solved in {seconds:.2f} s; wrote {arguments.out}")
+        if self.out.suffix not in (".npz", ".csv", ".parquet"):
+            raise ValueError(f"--out {self.out}: ending '{self.out.suffix}'; allowed: .npz, .csv, .parquet")
+        if self.out.suffix == ".parquet":
+            optional("--out: .parquet", "pyarrow", "parquet")  # before the work, not after
+        if self.out.is_dir():
+            raise ValueError(f"--out {self.out}: is a folder; name a file")
+        chain = jaxik.load(self.robot, meshes=self.meshes, **self.loading())
+        scene = None if self.scene is None else jaxik.load_scene(self.scene)
+        targets = jaxik.load_targets(self.targets)
+        free = (*self.free, *(("roll", "pitch", "yaw") if targets.ndim == 2 else ()))  # a position says nothing of rotation
+        task = jaxik.Task.pose(free, self.axes)
+        chosen = {f.name: getattr(self, f.name) for f in dataclasses.fields(jaxik.IKOptions) if hasattr(self, f.name)}
+        start = time.perf_counter()
+        with Progress(console=Console(stderr=True)) as bar:
+            line = bar.add_task("ik", total=len(targets))
+            show = lambda done: bar.update(line, completed=done)
+            result = jaxik.solve_ik(chain, targets, scene, self.seed, task=task, progress=show, **chosen)
+        seconds = time.perf_counter() - start
+        write_ik(chain, result, self.out)
+        if targets.ndim == 2:
+            print(f"position only: {self.targets} binds no rotation")
+        counts = result.counts()
+        for reason, count in counts.items():
+            if reason != "solved":
+                print(f"{reason}: {count}")
+        for i in np.flatnonzero(result.fault)[:SHOWN]:
+            print(f"target {i + 1}: {FAULTS[result.fault[i]]}")
+        if said := offenders(result):
+            print(said)
+        print(f"{counts.get('solved', 0)} of {len(result)} targets solved in {seconds:.2f} s; wrote {self.out}")
 
 
 def write_ik(chain: jaxik.Chain, result: jaxik.ik.IKResult, out: Path) -> None:
@@ -111,21 +94,15 @@ def write_ik(chain: jaxik.Chain, result: jaxik.ik.IKResult, out: Path) -> None:
     names = ("success", "position_error", "rotation_error", "clearance", "seed", "iterations")
     columns = {"reason": result.reasons, **{name: getattr(result, name) for name in names}}
     out.parent.mkdir(parents=True, exist_ok=True)
-    aside = out.with_name(f".{os.getpid()}-{out.name}")
     table = {**columns, **dict(zip(chain.joint_names, result.q.T, strict=True))}
-    try:
+    with tempfile.TemporaryDirectory(prefix=".", dir=out.parent, ignore_cleanup_errors=True) as folder:
+        aside = Path(folder) / out.name
         if out.suffix == ".parquet":
-            _write_parquet(aside, table)
+            import pyarrow.parquet
+
+            pyarrow.parquet.write_table(pyarrow.table(table), aside)
         elif out.suffix == ".csv":
             write_csv(aside, table)
         else:
             np.savez(aside, allow_pickle=False, joint_names=np.array(chain.joint_names), q=result.q, **columns)
-        os.replace(aside, out)
-    finally:
-        aside.unlink(missing_ok=True)
-
-
-def _write_parquet(path: Path, columns: dict[str, np.ndarray]) -> None:
-    import pyarrow.parquet
-
-    pyarrow.parquet.write_table(pyarrow.table(columns), path)
+        aside.replace(out)

@@ -12,8 +12,8 @@ from typing import Any
 import tyro
 
 import jaxik
-from jaxik.cli.collisions import LOOKED, Ignored, ignored_pairs, offenders
-from jaxik.sweeps.colliding import asked_again
+from jaxik.cli.results import LOOKED, offenders
+from jaxik.cli.robot_arguments import Ignored, ignored_pairs
 
 
 @dataclasses.dataclass
@@ -29,61 +29,47 @@ class SweepArguments:
     cluster: str | None = None
     """Address of a Dask scheduler whose workers compute (needs the extra `cluster`)."""
     ignore: Ignored = ()
-    """What is not checked: two links (forearm:hand), a link and an object (base:floor), a link and any object (rail)."""
     repair: bool = False
     """Compute damaged chunks again."""
     plot: bool = False
     """Draw what the store holds: slices, reasons, what was missed."""
 
+    def run(self) -> None:
+        """Work through a study with a progress bar, and end with one line of counts and times. Ctrl-C ends after the chunk."""
+        from rich.console import Console
+        from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
 
-def run_sweep(arguments: SweepArguments) -> None:
-    """Work through a study with a progress bar, and end with one line of counts and times. Ctrl-C ends after the chunk."""
-    from rich.console import Console
-    from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
+        study = jaxik.sweeps.Study.of(self.study, ignore=ignored_pairs(self.ignore) or None)
+        start = time.perf_counter()
+        console = Console(stderr=True)
+        rate = TextColumn("{task.fields[rate]} targets/s")
+        columns = (TextColumn("sweep"), BarColumn(), MofNCompleteColumn(), rate, TimeRemainingColumn())
+        with Progress(*columns, console=console) as bar, _Interrupt(console) as asked:
+            line = bar.add_task("sweep", total=None, rate="-")
+            begun: list[int] = []
 
-    study = jaxik.sweeps.Study.of(arguments.study, ignore=ignored_pairs(arguments.ignore) or None)
-    start = time.perf_counter()
-    console = Console(stderr=True)
-    columns = (
-        TextColumn("sweep"),
-        BarColumn(),
-        MofNCompleteColumn(),
-        TextColumn("{task.fields[rate]} targets/s"),
-        TimeRemainingColumn(),
-    )
-    with Progress(*columns, console=console) as bar, _Interrupt(console) as asked:
-        line = bar.add_task("sweep", total=None, rate="-")
-        begun: list[int] = []
+            def show(done: int, total: int) -> None:
+                begun.append(done)
+                rate = (done - begun[0]) / (time.perf_counter() - start)
+                bar.update(line, completed=done, total=total, rate=f"{rate:,.0f}" if done > begun[0] else "-")
 
-        def show(done: int, total: int) -> None:
-            begun.append(done)
-            rate = (done - begun[0]) / (time.perf_counter() - start)
-            bar.update(line, completed=done, total=total, rate=f"{rate:,.0f}" if done > begun[0] else "-")
+            out = self.out or self.study.with_suffix(".zarr")
+            how = {name: getattr(self, name) for name in ("shard", "cluster", "repair")}
+            result = jaxik.sweep(study, out, **how, progress=show, stop=lambda: asked.stop)
+        counts = ", ".join(f"{n:,} {reason}" for reason, n in result.counts.items())
+        state = f"{result.done} of {result.total} chunks"
+        print(f"{counts or 'nothing yet'}; {state} in {time.perf_counter() - start:.1f} s; wrote {out}")
+        if set(result.counts) & {"collision", "solved"} == {"collision"}:
+            print(offenders(result.colliding(LOOKED)))
+        if self.plot:
+            from jaxik.view.sweep_picture import plot_sweep
 
-        out = arguments.out or arguments.study.with_suffix(".zarr")
-        result = jaxik.sweep(
-            study,
-            out,
-            shard=arguments.shard,
-            cluster=arguments.cluster,
-            repair=arguments.repair,
-            progress=show,
-            stop=lambda: asked.stop,
-        )
-    counts = ", ".join(f"{n:,} {reason}" for reason, n in result.counts.items())
-    state = f"{result.done} of {result.total} chunks"
-    print(f"{counts or 'nothing yet'}; {state} in {time.perf_counter() - start:.1f} s; wrote {out}")
-    if set(result.counts) & {"collision", "solved"} == {"collision"}:
-        print(offenders(asked_again(result, LOOKED)))
-    if arguments.plot:
-        from jaxik.view.sweep_picture import plot_sweep
-
-        picture = out.with_suffix(".png")
-        plot_sweep(out, picture, study.scene)
-        print(f"drew {picture}")
-    if asked.stop and not result.complete:
-        print("stopped; run the same command again and it goes on", file=sys.stderr)
-        raise SystemExit(130)
+            picture = out.with_suffix(".png")
+            plot_sweep(out, picture, study.scene)
+            print(f"drew {picture}")
+        if asked.stop and not result.complete:
+            print("stopped; run the same command again and it goes on", file=sys.stderr)
+            raise SystemExit(130)
 
 
 class _Interrupt:

@@ -12,15 +12,20 @@ from jaxik.collision.scene import Scene, remembered
 from jaxik.collision.self_collision_pairs import default_pose
 from jaxik.robot.chain import Chain
 
+ASKED = 64  # of many chains, at most
 KNOWN = 64  # robots and margins of which a scene remembers what stands in it
 
 
-def warn_of_scene(who: str, chain: Chain, scene: Scene, margin: float) -> None:
+def warn_of_scene(who: str, chain: Chain, scene: Scene, margin: float, *others: Chain) -> None:
     """Warns, in the name of the driver `who` and at its caller's line, of the first pair that collides in every configuration,
-    and of an object that is ignored and is in the scene by a name that is nearly its own."""
+    and of an object that is ignored and is in the scene by a name that is nearly its own. Of several chains it tells of the
+    first of which there is something to tell, and of how many there is."""
     if chain.concrete and scene.concrete:
-        for line in scene_words(chain, scene, margin):
-            warnings.warn(f"{who}: {line}", stacklevel=3)
+        asked = (chain, *others)[:ASKED]
+        told = [lines for each in asked if (lines := scene_words(each, scene, margin))]
+        some = f" (and so for {len(told)} of the first {len(asked)} robots and bases)" if others else ""
+        for line in told[0] if told else ():
+            warnings.warn(f"{who}: {line}{some}", stacklevel=3)
 
 
 def scene_words(chain: Chain, scene: Scene, margin: float) -> list[str]:

@@ -35,7 +35,7 @@ def clearance(chain: Chain, scene: Scene | Grouped | None, q: Float[Array, " n"]
     gradient is that of the closest pair; where a sphere's centre lies on a point it is 0.
 
     A scene that is known while JAX traces is ordered by place, so that most of it need not be measured: close over it, or give
-    what `hierarchy.grouped` makes of it. Raises `ValueError` for a chain without collision geometry, or whose meshes were
+    what `bvh.grouped` makes of it. Raises `ValueError` for a chain without collision geometry, or whose meshes were
     not read.
     """
     return _clearance(chain, _around("clearance", chain, scene, q), q)

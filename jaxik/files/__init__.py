@@ -5,13 +5,4 @@ from jaxik.files.loading import fit_report, link_meshes, load, load_scene, model
 from jaxik.files.scene import save_scene
 from jaxik.files.targets import load_targets
 
-__all__ = [
-    "fit_report",
-    "link_meshes",
-    "load",
-    "load_scene",
-    "load_targets",
-    "models_folder",
-    "save",
-    "save_scene",
-]
+__all__ = ["fit_report", "link_meshes", "load", "load_scene", "load_targets", "models_folder", "save", "save_scene"]

@@ -2,20 +2,22 @@
 
 from __future__ import annotations
 
+import collections
 import contextlib
 import dataclasses
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from pathlib import Path
-from typing import BinaryIO
+from typing import Any, BinaryIO, get_args
 
 import numpy as np
 from numpy.polynomial import Polynomial
 
 from jaxik.reasons import LoadError
-from jaxik.robot.chain import Body, Box, Chain, Volume
+from jaxik.robot.chain import Body, Box, Chain, JointType, Volume
+from jaxik.spatial.rotations import about, frame
 
 MAX_BYTES = 16 * 2**20  # of a robot or scene file; a mesh may have four times that
-JOINT_TYPES = ("revolute", "continuous", "prismatic", "fixed")
+JOINT_TYPES = (*get_args(JointType), "fixed")
 
 
 @dataclasses.dataclass
@@ -73,11 +75,33 @@ def read_bytes(path: Path) -> bytes:
 
 def unique(file: Path, kind: str, names: Iterable[str]) -> None:
     """Refuse a name that stands twice."""
-    seen: set[str] = set()
-    for name in names:
-        if name in seen:
+    for name, count in collections.Counter(names).items():
+        if count > 1:
             raise LoadError(file, f"{kind} '{name}'", "the name stands twice", "give each its own")
-        seen.add(name)
+
+
+def way_up(
+    file: Path, names: Sequence[str], above: Mapping[str, str], tip: str | None, base: str | None, one: str = "link"
+) -> list[str]:
+    """The links from `tip` (the only leaf) up to `base` (the root), of a tree that says what is `above` each link."""
+    many = {"link": "links", "body": "bodies"}[one]
+    if tip is None:
+        leaves = sorted(set(names) - set(above.values()))
+        if len(leaves) != 1:
+            choice = f"one of: {', '.join(leaves)}" if leaves else f"the {many} form a loop"
+            raise LoadError(file, "tip", f"is not given and the tree has {len(leaves)} leaves", f"pass tip=, {choice}")
+        tip = leaves[0]
+    for what, name in (("tip", tip), ("base", base)):
+        if name not in (*names, None):
+            raise LoadError(file, f"{what} '{name}'", f"no such {one}", f"{many}: {', '.join(names)}")
+    way = [tip]
+    while way[-1] != base and way[-1] in above:
+        way.append(above[way[-1]])
+        if len(way) > len(names):
+            raise LoadError(file, f"{one} '{way[-1]}'", "the joints form a loop", "a chain needs a tree")
+    if base not in (way[-1], None):
+        raise LoadError(file, f"tip '{tip}'", f"is not below base '{base}'", f"its root is '{way[-1]}'")
+    return way
 
 
 def assemble(
@@ -94,53 +118,55 @@ def assemble(
 
     `carried` are fixed joints, each with its parent link, that lead aside: what rides on the chain without being a part of it.
     """
+    every = [*joints, *(j for _, j in carried)]
     unique(file, "joint", (j.name for j in joints))
-    unique(file, "link", (base, *(j.child for j in joints)))
+    unique(file, "link", (base, *(j.child for j in every)))
+    for joint in every:
+        _finite(file, joint.element, "origin", joint.parent_T_joint)
     movable = [checked(file, j) for j in joints if j.type != "fixed"]
     if not movable:
         raise LoadError(file, f"chain from '{base}'", "has no movable joint", "choose another base or tip")
-    pending, offsets, frames, names = np.eye(4), [np.eye(4)], [], [base]
-    counts, count = [0], 0
+    pending, frames = np.eye(4), []
+    places = {base: (pending, 0)}  # of each link: in the frame of the joint that moves it, and how many are before it
     for joint in joints:
-        _finite(file, joint.element, "origin", joint.parent_T_joint)
         pending = pending @ joint.parent_T_joint
         if joint.type != "fixed":
             frames.append(pending)
-            pending, count = np.eye(4), count + 1
-        names.append(joint.child)
-        offsets.append(pending)
-        counts.append(count)
+            pending = np.eye(4)
+        places[joint.child] = pending, len(frames)
     for parent, joint in carried:
-        _finite(file, joint.element, "origin", joint.parent_T_joint)
-        at = names.index(parent)
-        names.append(joint.child)
-        offsets.append(offsets[at] @ joint.parent_T_joint)
-        counts.append(counts[at])
-    tip = pending if tool is None else pending @ tool
-    content = [links.get(n, Link()) for n in names]
+        offset, count = places[parent]
+        places[joint.child] = offset @ joint.parent_T_joint, count
+    names, (offsets, counts) = tuple(places), zip(*places.values(), strict=True)
+    content = [links.get(name, Link()) for name in names]
+    each = [*enumerate(zip(content, offsets, strict=True))]
+    stacked: dict[str, Any] = {k: np.array([getattr(j, k) for j in movable]) for k in ("axis", "lower", "upper", "velocity")}
     return Chain(
         name=name,
         joint_names=tuple(j.name for j in movable),
         joint_types=tuple(j.type for j in movable),  # type: ignore[misc]
-        link_names=tuple(names),
-        link_joint=tuple(counts),
+        link_names=names,
+        link_joint=counts,
         parent_T_joint=np.array(frames),
-        axis=np.array([j.axis for j in movable]),
-        joint_T_tip=tip,
+        joint_T_tip=pending if tool is None else pending @ tool,
         link_offset=np.array(offsets),
-        lower=np.array([j.lower for j in movable]),
-        upper=np.array([j.upper for j in movable]),
-        velocity=np.array([j.velocity for j in movable]),
         world_T_base=np.eye(4) if mount is None else mount,
-        bodies=_bodies(content, offsets, counts, count),
-        boxes=tuple(Box(o @ t, h, i) for i, (c, o) in enumerate(zip(content, offsets, strict=True)) for t, h in c.boxes),
-        volumes=tuple(
-            Volume(p @ o[:3, :3].T + o[:3, 3], np.asarray(r), i)
-            for i, (c, o) in enumerate(zip(content, offsets, strict=True))
-            for p, r in c.volumes
-        ),
+        bodies=_bodies(content, offsets, counts, len(frames)),
+        boxes=tuple(Box(o @ t, h, i) for i, (c, o) in each for t, h in c.boxes),
+        volumes=tuple(Volume(p @ o[:3, :3].T + o[:3, 3], np.asarray(r), i) for i, (c, o) in each for p, r in c.volumes),
         unread_meshes=tuple(n for n, c in zip(names, content, strict=True) if c.meshes),
+        **stacked,
     )
+
+
+def displacement(kind: str, axis: np.ndarray, value: float) -> np.ndarray:
+    """How far a joint at a value [rad, m] has moved what follows it, (4, 4)."""
+    return frame(value * axis) if kind == "prismatic" else frame(rotation=about(axis, value))
+
+
+def symmetric(entries: Sequence[float] | np.ndarray) -> np.ndarray:
+    """The tensor (3, 3) of its entries xx, xy, xz, yy, yz, zz."""
+    return np.asarray(entries)[[[0, 1, 2], [1, 3, 4], [2, 4, 5]]]
 
 
 def _finite(file: Path, element: str, what: str, values: np.ndarray) -> None:
@@ -150,26 +176,24 @@ def _finite(file: Path, element: str, what: str, values: np.ndarray) -> None:
 
 def checked(file: Path, joint: Joint) -> Joint:
     """A movable joint with an axis of length 1 and limits in their order."""
-    if joint.type not in JOINT_TYPES:
-        allowed = ", ".join(JOINT_TYPES)
-        raise LoadError(file, joint.element, f"type '{joint.type}' is not supported", f"allowed: {allowed}")
-    _finite(file, joint.element, "axis", joint.axis)
-    norm = float(np.linalg.norm(joint.axis))
-    if norm < 1e-9:
-        raise LoadError(file, joint.element, "the axis is zero", "write a unit vector such as 0 0 1")
-    if abs(norm - 1.0) > 1e-2:  # a rounded unit vector is made exact; anything else is more likely a slip
-        unit = " ".join(f"{a / norm:.6g}" for a in joint.axis)
-        raise LoadError(file, joint.element, f"the axis has length {norm:.6g}, not 1", f"write {unit}")
     if joint.type == "continuous":
         joint.lower, joint.upper = -np.inf, np.inf
-    for key in ("lower", "upper", "velocity"):
-        if np.isnan(getattr(joint, key)):
-            raise LoadError(file, joint.element, f"limit '{key}' is NaN", "write a number")
-    if joint.lower > joint.upper:
-        raise LoadError(file, joint.element, f"lower limit {joint.lower:g} > upper {joint.upper:g}", "swap them")
-    if joint.velocity < 0.0:
-        raise LoadError(file, joint.element, f"velocity limit {joint.velocity:g} < 0", "write a positive number")
-    return dataclasses.replace(joint, axis=joint.axis / norm)
+    _finite(file, joint.element, "axis", joint.axis)
+    norm = float(np.linalg.norm(joint.axis))
+    unit = joint.axis / max(norm, 1e-9)
+    written = " ".join(f"{a:.6g}" for a in unit)
+    for wrong, problem, mend in (
+        (joint.type not in JOINT_TYPES, f"type '{joint.type}' is not supported", f"allowed: {', '.join(JOINT_TYPES)}"),
+        (norm < 1e-9, "the axis is zero", "write a unit vector such as 0 0 1"),
+        # a rounded unit vector is made exact; anything else is more likely a slip
+        (abs(norm - 1.0) > 1e-2, f"the axis has length {norm:.6g}, not 1", f"write {written}"),
+        *((np.isnan(getattr(joint, k)), f"limit '{k}' is NaN", "write a number") for k in ("lower", "upper", "velocity")),
+        (joint.lower > joint.upper, f"lower limit {joint.lower:g} > upper {joint.upper:g}", "swap them"),
+        (joint.velocity < 0.0, f"velocity limit {joint.velocity:g} < 0", "write a positive number"),
+    ):
+        if wrong:
+            raise LoadError(file, joint.element, problem, mend)
+    return dataclasses.replace(joint, axis=unit)
 
 
 def _bodies(content: Sequence[Link], offsets: Sequence[np.ndarray], counts: Sequence[int], n: int) -> tuple[Body, ...]:
@@ -178,14 +202,13 @@ def _bodies(content: Sequence[Link], offsets: Sequence[np.ndarray], counts: Sequ
         return ()
     bodies = []
     for joint in range(1, n + 1):
-        parts = [(link, o) for link, o, c in zip(content, offsets, counts, strict=True) if c == joint and link.mass > 0.0]
-        mass = sum(link.mass for link, _ in parts)
-        centres = [o[:3, :3] @ link.com + o[:3, 3] for link, o in parts]
-        com = sum((link.mass * c for (link, _), c in zip(parts, centres, strict=True)), np.zeros(3)) / max(mass, 1e-300)
+        moved = [(link, o) for link, o, c in zip(content, offsets, counts, strict=True) if c == joint and link.mass > 0.0]
+        parts = [(link.mass, o[:3, :3] @ link.com + o[:3, 3], o[:3, :3] @ link.inertia @ o[:3, :3].T) for link, o in moved]
+        mass = sum(m for m, _, _ in parts)
+        com = sum((m * centre for m, centre, _ in parts), np.zeros(3)) / max(mass, 1e-300)
         inertia = np.zeros((3, 3))
-        for (link, o), centre in zip(parts, centres, strict=True):
+        for m, centre, own in parts:
             arm = centre - com
-            rotated = o[:3, :3] @ link.inertia @ o[:3, :3].T
-            inertia += rotated + link.mass * (arm @ arm * np.eye(3) - np.outer(arm, arm))  # Steiner
+            inertia += own + m * (arm @ arm * np.eye(3) - np.outer(arm, arm))  # Steiner
         bodies.append(Body(np.asarray(mass, dtype=np.float64), com, inertia))
     return tuple(bodies)

@@ -8,10 +8,9 @@ from pathlib import Path
 
 import numpy as np
 
-from jaxik.checks.options import nearest
-from jaxik.files.chain_builder import Joint, checked
+from jaxik.checks.options import among
+from jaxik.files.chain_builder import Joint, checked, displacement
 from jaxik.reasons import LoadError
-from jaxik.spatial.rotations import about, frame
 
 MASTERS = 100  # in a row, each driven by the next
 NAMED = 4  # joints in the one line that says what is held
@@ -38,15 +37,18 @@ class Posture:
             self._check(file, name, beside, on_chain)
         fixed = []
         for parent, joint in carried:
-            above = (*self.behind.get(parent, ()), *([] if joint.type == "fixed" else [joint.name]))
+            above = self.behind.get(parent, ())
+            if joint.type != "fixed":
+                above = (*above, joint.name)
+                with np.errstate(all="ignore"):
+                    value = self.held[joint.name] = self._value(file, joint, beside, on_chain)
+                if not np.isfinite(value):
+                    raise LoadError(file, joint.element, "its mimic leads to infinity", "mend its numbers")
+                # what does not move needs no axis: faults of joints that nobody uses are let pass
+                moved = displacement(joint.type, checked(file, joint).axis, value) if value else np.eye(4)
+                joint = Joint(joint.name, "fixed", joint.parent_T_joint @ moved, joint.child)
             if above:
                 self.behind[joint.child] = above
-            if joint.type != "fixed":
-                with np.errstate(all="ignore"):
-                    self.held[joint.name] = self._value(file, joint, beside, on_chain)
-                if not np.isfinite(self.held[joint.name]):
-                    raise LoadError(file, joint.element, "its mimic leads to infinity", "mend its numbers")
-                joint = _fixed(file, joint, self.held[joint.name])
             fixed.append((parent, joint))
         return fixed
 
@@ -60,17 +62,15 @@ class Posture:
             return float(self.given[joint.name])
         if master in on_chain:
             self.driven[joint.name] = master
-        at = _inside(on_chain[master], 0.0) if master in on_chain else 0.0
-        return _inside(joint, joint.default if law is None else float(law(at)))
+        at = np.clip(0.0, on_chain[master].lower, on_chain[master].upper) if master in on_chain else 0.0
+        return float(np.clip(joint.default if law is None else float(law(at)), joint.lower, joint.upper))
 
     def _check(self, file: Path, name: str, beside: dict[str, Joint], on_chain: dict[str, Joint]) -> None:
         where, value = f"posture '{name}'", self.given[name]
         if name in on_chain:
             raise LoadError(file, where, "is a joint of the chain, whose value is in q", "leave it out")
         if name not in beside:
-            meant = nearest(name, tuple(beside))
-            some = ", ".join(list(beside)[:8]) + (f", ... ({len(beside)} in all)" if len(beside) > 8 else "")
-            mend = f"did you mean '{meant}'? joints: {some}" if meant else f"joints: {some or 'none'}"
+            mend = among(name, tuple(beside), "joints")
             raise LoadError(file, where, "no such joint beside the chain", mend)
         joint = beside[name]
         if joint.mimic is not None and joint.mimic[0] in beside:
@@ -87,21 +87,5 @@ class Posture:
         driven = lambda name: f" (driven by {self.driven[name]})" if name in self.driven else ""
         words = [f"{name} at {self.held[name]:.4g}{driven(name)}" for name in names]
         rest = f", ... ({len(names)} in all)" if len(names) > NAMED else ""
-        return (
-            f"joints beside the chain are held, and links behind them count for collisions: {', '.join(words[:NAMED])}{rest}; "
-            f"posture={{'{names[0]}': ...}} holds them elsewhere, posture={{}} says that this is meant"
-        )
-
-
-def _inside(joint: Joint, value: float) -> float:
-    """The value, or the limit that is nearest."""
-    return float(np.clip(value, joint.lower, joint.upper))
-
-
-def _fixed(file: Path, joint: Joint, value: float) -> Joint:
-    """The joint as a fixed one. What does not move needs no axis: faults of joints that nobody uses are let pass."""
-    moved = np.eye(4)
-    if value:
-        axis = checked(file, joint).axis
-        moved = frame(value * axis) if joint.type == "prismatic" else frame(rotation=about(axis, value))
-    return Joint(joint.name, "fixed", joint.parent_T_joint @ moved, joint.child)
+        held = f"joints beside the chain are held, and links behind them count for collisions: {', '.join(words[:NAMED])}{rest}"
+        return f"{held}; posture={{'{names[0]}': ...}} holds them elsewhere, posture={{}} says that this is meant"

@@ -16,22 +16,18 @@ from jaxik.checks.options import check_finite, check_kind, shown
 from jaxik.collision.scene import Scene
 from jaxik.collision.self_collision_pairs import self_collisions
 from jaxik.files import scene as scene_files
-from jaxik.files.chain_files import read_chain, save
+from jaxik.files.chain_files import read_chain
 from jaxik.files.held_joints import Posture
-from jaxik.files.ignored_pairs import ignored
 from jaxik.files.mesh import Meshes
 from jaxik.files.mjcf import load_mjcf
 from jaxik.files.robot_toml import load_toml, read_toml
-from jaxik.files.srdf import disabled_pairs
-from jaxik.files.targets import load_targets
+from jaxik.files.unchecked_pairs import disabled_pairs, ignored
 from jaxik.files.urdf import load_urdf
 from jaxik.fitting.capsules import Fit
 from jaxik.fitting.model import FITS, Shape, modelled
 from jaxik.fitting.report import LinkFit, link_fits
 from jaxik.reasons import LoadError
 from jaxik.robot.chain import Chain, solid_links
-
-__all__ = ["LoadError", "fit_report", "link_meshes", "load", "load_scene", "load_targets", "models_folder", "save"]
 
 FIT = Fit()
 APART = "leave out pairs that touch by design (ignore=, srdf=)"
@@ -84,14 +80,13 @@ def load(
     if fit is not FIT and not meshes:
         raise ValueError(f"load: fit is {shown(fit)}, but no meshes are read; write meshes=True, or leave it out")
     stance = _stance("load", posture)
-    chain, shapes, pairs = _read(path, tip, base, tool, Meshes(fit is not None) if meshes else None, stance)
+    chain, shapes, pairs = _read(path, tip, base, tool, Meshes(meshes, meshes and fit is not None), stance)
     apart, beside = ignored(path, chain, ignore)
-    disabled = apart | (frozenset() if srdf is None else disabled_pairs(Path(srdf)))
+    disabled = apart | disabled_pairs(srdf)
     chain = dataclasses.replace(chain, ignored=tuple(dict.fromkeys(chain.ignored + beside)))
-    if posture is None and not chain.unread_meshes:
-        told = stance.told({chain.link_names[i] for i in {*solid_links(chain), *(shape.link for shape in shapes)}})
-        if told:
-            warnings.warn(f"{chain.name}: {told}", stacklevel=2)
+    solid = {chain.link_names[i] for i in {*solid_links(chain), *(shape.link for shape in shapes)}}
+    if posture is None and not chain.unread_meshes and (told := stance.told(solid)):
+        warnings.warn(f"{chain.name}: {told}", stacklevel=2)
     if pairs is not None:
         names = chain.link_names
         kept = tuple(pair for pair in pairs if frozenset(names[i] for i in pair) not in disabled)
@@ -116,23 +111,21 @@ def _stance(who: str, posture: Any) -> Posture:
 
 
 def _read(
-    path: Path, tip: str | None, base: str | None, tool: np.ndarray | None, meshes: Meshes | None, posture: Posture
+    path: Path, tip: str | None, base: str | None, tool: np.ndarray | None, meshes: Meshes, posture: Posture
 ) -> tuple[Chain, list[Shape], tuple[tuple[int, int], ...] | None]:
     """The chain of a file, the shapes that are to be fitted, and the pairs of links to check where the file says them."""
-    kind = path.suffix.lower()
-    if kind == ".urdf":
-        chain = load_urdf(path, tip, base, tool, meshes, posture)
-    elif kind in (".xml", ".mjcf"):
-        chain = load_mjcf(path, tip, base, tool, meshes, posture)
-    elif kind == ".toml":
+    kind, readers = path.suffix.lower(), {".urdf": load_urdf, ".xml": load_mjcf, ".mjcf": load_mjcf}
+    if kind == ".toml":
         model = read_toml(path)
         if model.content.get("convention") == "chain":
             chain = _saved(path, read_chain(model), tip, base, tool, posture)
             return chain, [], chain.self_pairs
-        chain = load_toml(path, tip, base, tool, posture)
+        chain = load_toml(model, tip, base, tool, posture)
+    elif kind in readers:
+        chain = readers[kind](path, tip, base, tool, meshes, posture)
     else:
         raise LoadError(path, "file", f"ending '{kind}'", "allowed: .urdf, .xml (MJCF), .toml")
-    return chain, [] if meshes is None else meshes.shapes(chain), None
+    return chain, meshes.shapes(chain), None
 
 
 def _saved(path: Path, chain: Chain, tip: str | None, base: str | None, tool: np.ndarray | None, posture: Posture) -> Chain:
@@ -140,24 +133,24 @@ def _saved(path: Path, chain: Chain, tip: str | None, base: str | None, tool: np
     if tip is not None or base is not None:
         raise LoadError(path, f"tip '{tip}', base '{base}'", "are fixed in a saved chain", "leave them out, or use chain.part")
     if posture.given:
-        raise LoadError(
-            path, f"posture '{next(iter(posture.given))}'", "is fixed in a saved chain", "load the robot's own file"
-        )
+        where = f"posture '{next(iter(posture.given))}'"
+        raise LoadError(path, where, "is fixed in a saved chain", "load the robot's own file")
     return chain if tool is None else chain.with_tool(tool)
 
 
 def _tell(chain: Chain, what: str, at_home: Mapping[tuple[int, int], float | None], share: float) -> None:
     """One line where a robot's shapes collide in its default pose, or mostly: what they say of the robot is not true, then."""
-    names = [(chain.link_names[a], chain.link_names[b]) for a, b in at_home]
+    names = [tuple(chain.link_names[i] for i in pair) for pair in at_home]
     depths = ["" if depth is None else f" by {1e3 * depth:.1f} mm" for depth in at_home.values()]
     some = "; ".join(f"{a} and {b}{depth}" for (a, b), depth in zip(names[:3], depths, strict=False))
     some += f"; ... ({len(names)} in all)" if names[3:] else ""
     zero = "with all joints at 0 (or amid limits that leave 0 out)"
     if names and None not in at_home.values():  # hulls: what they do there, they are taken to do by design
+        every = f"(*chain.self_pairs, {next(iter(at_home))})"
         told = (
             f"these pairs of links are not checked, because their {what} touch {zero}: {some}; ignore=[{names[0]}, ...] says "
-            f"that they may, dataclasses.replace(chain, self_pairs=(*chain.self_pairs, {next(iter(at_home))})) checks one"
         )
+        told += f"that they may, dataclasses.replace(chain, self_pairs={every}) checks one"
     elif names:
         told = f"its {what} touch {zero}: {some}; {APART}"
     elif share > 0.5:
@@ -185,8 +178,8 @@ def fit_report(
     path = _locate(source)
     check_kind("fit_report", "fit", fit, Fit)
     stance = _stance("fit_report", posture)
-    chain, shapes, _ = _read(path, tip, base, None, Meshes(True), stance)
-    disabled = (frozenset() if srdf is None else disabled_pairs(Path(srdf))) | ignored(path, chain, ignore)[0]
+    chain, shapes, _ = _read(path, tip, base, None, Meshes(True, True), stance)
+    disabled = disabled_pairs(srdf) | ignored(path, chain, ignore)[0]
     told = None if progress is None else lambda done: progress(done, FITS * len(shapes))
     return link_fits(chain, shapes, modelled(chain, shapes, fit, disabled, stance.behind, told))
 
@@ -196,7 +189,7 @@ def link_meshes(
 ) -> list[Shape]:
     """The collision meshes, boxes and cylinders of a file's links, in the frames of the joints that move them, to look at.
     Host."""
-    return _read(_locate(source), tip, base, None, Meshes(True), _stance("link_meshes", posture))[1]
+    return _read(_locate(source), tip, base, None, Meshes(True, True), _stance("link_meshes", posture))[1]
 
 
 def load_scene(source: str | Path) -> Scene:
@@ -213,8 +206,8 @@ def _locate(source: str | Path, what: str = "robot") -> Path:
         return path
     folder = models_folder() / "scenes" if what == "scene" else models_folder()
     shipped = {p.stem: p for p in sorted(folder.glob("*.toml"))}
-    if str(source) not in shipped:
-        if os.path.exists(path):  # of a name that no file can have, too
-            return path  # to be told that a file needs an ending
-        raise LoadError(shown(source), what, f"no such shipped {what}", f"shipped: {', '.join(shipped)}; or give a file")
-    return shipped[str(source)]
+    if str(source) in shipped:
+        return shipped[str(source)]
+    if os.path.exists(path):  # of a name that no file can have, too
+        return path  # to be told that a file needs an ending
+    raise LoadError(shown(source), what, f"no such shipped {what}", f"shipped: {', '.join(shipped)}; or give a file")

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import io
+import itertools
 from importlib.util import find_spec
 from pathlib import Path, PurePosixPath
 from typing import Any
@@ -25,8 +26,9 @@ FORMATS = (".stl", ".obj", ".ply", ".dae", ".off", ".glb")  # and no archive, wh
 @dataclasses.dataclass
 class Meshes:
     """What is made of collision shapes: `fitted` ones are collected here while a file is read, in the frames of their links;
-    otherwise a mesh becomes the smallest box around it. Spheres and capsules stay what they are."""
+    otherwise a mesh becomes the smallest box around it, if it is `read` at all. Spheres and capsules stay what they are."""
 
+    read: bool
     fitted: bool
     found: list[tuple[str, Shape]] = dataclasses.field(default_factory=list)
 
@@ -37,31 +39,38 @@ class Meshes:
         if self.fitted:
             self.found.append((owner, Shape(0, name, points @ origin[:3, :3].T + origin[:3, 3], faces)))
         else:
-            mesh_T_box, half = bounding_box(points)
-            link.boxes.append((origin @ mesh_T_box, half))
+            import trimesh  # half a second to import, and only meshes need it
+
+            to_origin, extents = trimesh.bounds.oriented_bounds(points)  # of the smallest box around
+            link.boxes.append((origin @ np.linalg.inv(to_origin), np.asarray(extents) / 2.0))
 
     def shapes(self, chain: Chain) -> list[Shape]:
         """What was collected, in the frames of the chain's joints."""
-        index = {name: i for i, name in enumerate(chain.link_names)}
-        return [_placed(shape, index[owner], chain.link_offset[index[owner]]) for owner, shape in self.found if owner in index]
+        found = []
+        for owner, shape in self.found:
+            if owner in chain.link_names:
+                link = chain.link_names.index(owner)
+                turn, shift = chain.link_offset[link][:3, :3], chain.link_offset[link][:3, 3]
+                found.append(shape._replace(link=link, corners=shape.corners @ turn.T + shift))
+        return found
 
 
-def _placed(shape: Shape, link: int, offset: Any) -> Shape:
-    return shape._replace(link=link, corners=shape.corners @ offset[:3, :3].T + offset[:3, 3])
-
-
-def add_box(meshes: Meshes | None, owner: str, link: Link, origin: np.ndarray, half: np.ndarray, name: str = "box") -> None:
+def add_box(meshes: Meshes, owner: str, link: Link, origin: np.ndarray, half: np.ndarray) -> None:
     """A box, to be fitted like a mesh where meshes are."""
-    if meshes is not None and meshes.fitted:
-        corners = np.stack(np.meshgrid(*([[-1.0, 1.0]] * 3), indexing="ij"), axis=-1).reshape(8, 3)
-        meshes.mesh(owner, link, name, origin, corners * half)
+    if meshes.fitted:
+        meshes.mesh(owner, link, "box", origin, half * [*itertools.product((-1.0, 1.0), repeat=3)])
     else:
         link.boxes.append((origin, half))
 
 
-def add_cylinder(meshes: Meshes | None, owner: str, link: Link, origin: np.ndarray, radius: float, half: float) -> None:
+def add_capsule(link: Link, origin: np.ndarray, radius: float, half: float) -> None:
+    """A capsule about its frame's z."""
+    link.volumes.append((origin[:3, 3] + np.outer([-half, half], origin[:3, 2]), radius))
+
+
+def add_cylinder(meshes: Meshes, owner: str, link: Link, origin: np.ndarray, radius: float, half: float) -> None:
     """A cylinder about its frame's z, as a prism around it where meshes are fitted; a box otherwise."""
-    if meshes is not None and meshes.fitted:
+    if meshes.fitted:
         turn = 2.0 * np.pi * np.arange(SECTIONS) / SECTIONS
         ring = radius / np.cos(np.pi / SECTIONS) * np.stack([np.cos(turn), np.sin(turn)], axis=1)
         ends = [np.column_stack([ring, np.full(SECTIONS, z)]) for z in (-half, half)]
@@ -104,15 +113,13 @@ def _package(name: str) -> tuple[str, str]:
 
 def read_mesh(path: Path, where: str, name: str, scale: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """The corners of a mesh (p, 3) [m], in its frame, and its triangles (f, 3)."""
-    import trimesh  # half a second to import, and only meshes need it
+    import trimesh
 
     target = resolve(path, where, name)
     if target is None or not target.is_file():
         package = f"no folder above the file is called '{_package(name)[0]}': give the robot's folder that name"
-        mend = package if target is None else f"put it at {target}"
-        raise LoadError(
-            path, where, f"mesh '{name}' is not found", f"{mend}, or load with meshes=False for the kinematics alone"
-        )
+        mend = f"{f'put it at {target}' if target else package}, or load with meshes=False for the kinematics alone"
+        raise LoadError(path, where, f"mesh '{name}' is not found", mend)
     if target.stat().st_size > 4 * MAX_BYTES:
         raise LoadError(path, where, f"mesh '{name}' is larger than {4 * MAX_BYTES} bytes", "simplify it")
     if target.suffix.lower() not in FORMATS:
@@ -126,15 +133,6 @@ def read_mesh(path: Path, where: str, name: str, scale: np.ndarray) -> tuple[np.
         if not len(points) or not np.all(np.isfinite(points)):
             raise ValueError("no corners, or such that are not finite")
     except Exception as error:  # a parser for every format: whatever it raises is the file's fault
-        raise LoadError(
-            path, where, f"mesh '{name}' cannot be read ({type(error).__name__})", "give STL, OBJ, PLY or DAE"
-        ) from None
+        problem = f"mesh '{name}' cannot be read ({type(error).__name__})"
+        raise LoadError(path, where, problem, "give STL, OBJ, PLY or DAE") from None
     return points, np.asarray(mesh.faces).reshape(-1, 3)
-
-
-def bounding_box(points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """The smallest oriented box around points: its frame in theirs, and half its edges [m]."""
-    import trimesh
-
-    to_origin, extents = trimesh.bounds.oriented_bounds(points)
-    return np.linalg.inv(to_origin), np.asarray(extents) / 2.0

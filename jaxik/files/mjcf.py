@@ -9,45 +9,40 @@ import numpy as np
 from numpy.polynomial import Polynomial
 
 from jaxik.checks.optional_modules import optional
-from jaxik.files.chain_builder import Joint, Link, assemble
+from jaxik.files.chain_builder import Joint, Link, assemble, displacement, way_up
 from jaxik.files.held_joints import Posture
-from jaxik.files.mesh import Meshes, add_box, add_cylinder, home, resolve
+from jaxik.files.mesh import Meshes, add_box, add_capsule, add_cylinder, home, resolve
 from jaxik.files.xml import parse
 from jaxik.reasons import LoadError
 from jaxik.robot.chain import Chain
-from jaxik.spatial.rotations import about, frame, from_wxyz
+from jaxik.spatial.rotations import frame, from_wxyz
 
 FOLDERS = ("meshdir", "texturedir", "assetdir")
 MOST_FILES = 100
 FREE = 0  # of MuJoCo's joint types
 
 
-def load_mjcf(
-    path: Path, tip: str | None, base: str | None, tool: np.ndarray | None, meshes: Meshes | None, posture: Posture
-) -> Chain:
-    """The serial chain from body `base` (the world) to body or site `tip` (the only leaf), and what it carries, held in a
-    `posture`; bodies that fly freely are no part of it."""
+def load_mjcf(path: Path, tip: str | None, base: str | None, tool: np.ndarray | None, meshes: Meshes, held: Posture) -> Chain:
+    """The serial chain from body `base` (the world) to body or site `tip` (the only leaf), and what it carries, `held` in a
+    posture; bodies that fly freely are no part of it."""
     mujoco = optional(f"{path}: MJCF", "mujoco", "mjcf")
     _check_files(path, path, set())
     try:
         model = mujoco.MjModel.from_xml_path(str(path))
     except (ValueError, mujoco.FatalError) as error:
         raise LoadError(path, "document", f"MuJoCo refuses it ({error})", "mend what it names") from None
-    bodies = {model.body(i).name or f"body{i}": i for i in range(model.nbody)}
-    end, tip_T_site = _tip(path, model, bodies, tip)
-    start = 0 if base is None else bodies.get(base, -1)
-    if start < 0:
-        raise LoadError(path, f"base '{base}'", "no such body", f"bodies: {', '.join(bodies)}")
-    run, body = [], end
-    while body not in (start, 0):
-        run.append(body)
-        body = int(model.body_parentid[body])
-    if body != start:
-        raise LoadError(path, f"tip '{tip}'", f"is not below base '{base}'", "choose a base above the tip")
-    names = {i: name for name, i in bodies.items()}
+    names = [model.body(i).name or f"body{i}" for i in range(model.nbody)]
+    above = {names[i]: names[model.body_parentid[i]] for i in range(1, model.nbody)}
+    sites = {model.site(i).name: model.site(i) for i in range(model.nsite)}
+    if tip not in (*names, *sites, None):
+        raise LoadError(path, f"tip '{tip}'", "no such body or site", f"bodies: {', '.join(names)}")
+    tip_T_site = np.eye(4)
+    if tip in sites and tip not in names:
+        tip_T_site, tip = frame(sites[tip].pos, from_wxyz(sites[tip].quat)), names[sites[tip].bodyid[0]]
+    *run, start = (names.index(name) for name in way_up(path, names, above, tip, base, "body"))
     joints = [j for i in run[::-1] for j in _body_joints(path, model, i, names[i])]
     aside = _aside(model, {start, *run})
-    carried = posture.hold(path, joints, [j for i in aside for j in _carried(path, model, i, names)])
+    carried = held.hold(path, joints, [j for i in aside for j in _carried(path, model, i, names)])
     links = {names[i]: _link(model, i, names[i], meshes) for i in (start, *run, *aside)}
     tool = tip_T_site if tool is None else tip_T_site @ tool
     return assemble(path, path.stem, names[start], joints, links, tool, carried=carried)
@@ -64,7 +59,7 @@ def _aside(model: Any, chain: set[int]) -> list[int]:
     return found
 
 
-def _carried(path: Path, model: Any, body: int, names: dict[int, str]) -> list[tuple[str, Joint]]:
+def _carried(path: Path, model: Any, body: int, names: list[str]) -> list[tuple[str, Joint]]:
     """The joints of a body beside the chain, each with the link before it."""
     run = _body_joints(path, model, body, names[body], beside=True)
     return [*zip((names[int(model.body_parentid[body])], *(j.child for j in run)), run, strict=False)]
@@ -88,23 +83,6 @@ def _check_files(path: Path, model: Path, seen: set[Path], below: Path | None = 
                 _check_files(target, target if element.tag == "model" else model, seen, below)
 
 
-def _tip(path: Path, model: Any, bodies: dict[str, int], tip: str | None) -> tuple[int, np.ndarray]:
-    parents = np.asarray(model.body_parentid)
-    if tip is None:
-        leaves = [n for n, i in bodies.items() if i and i not in parents[1:]]
-        if len(leaves) != 1:
-            mend = f"pass tip=, one of: {', '.join(leaves)}"
-            raise LoadError(path, "tip", f"is not given and the tree has {len(leaves)} leaves", mend)
-        tip = leaves[0]
-    if tip in bodies:
-        return bodies[tip], np.eye(4)
-    for i in range(model.nsite):
-        site = model.site(i)
-        if site.name == tip:
-            return int(site.bodyid[0]), frame(site.pos, from_wxyz(site.quat))
-    raise LoadError(path, f"tip '{tip}'", "no such body or site", f"bodies: {', '.join(bodies)}")
-
-
 def _body_joints(path: Path, model: Any, body: int, name: str, beside: bool = False) -> list[Joint]:
     """A body's joints as a run; a hinge turns about its anchor, so the body's own frame is offset from it. Those beside the
     chain may follow others; a ball among them stays as it is."""
@@ -114,33 +92,24 @@ def _body_joints(path: Path, model: Any, body: int, name: str, beside: bool = Fa
     first, count = int(model.body_jntadr[body]), int(model.body_jntnum[body])
     run = []
     for i in range(first, first + count):
-        joint = model.joint(i)
-        label = _label(model, i)
-        if beside and int(joint.type[0]) not in kinds:
+        joint, label = model.joint(i), _label(model, i)
+        kind = kinds.get(int(joint.type[0]))
+        if kind is None and beside:
             continue
         if i in coupled and not beside:
             mend = "drive it as a joint of its own: remove the equality"
             raise LoadError(path, f"joint '{label}'", "an equality couples it to another (mimic)", mend)
-        if int(joint.type[0]) not in kinds:
+        if kind is None:
             mend = "allowed: hinge, slide; pass base= to start below it"
             raise LoadError(path, f"joint '{label}'", "a free or ball joint on the chain", mend)
-        anchor, kind = frame(joint.pos), kinds[int(joint.type[0])]
-        limited = bool(joint.limited[0])
+        limited, anchor, axis = bool(joint.limited[0]), frame(joint.pos), np.asarray(joint.axis, dtype=np.float64)
         lower, upper = (float(x) for x in joint.range) if limited else (-np.inf, np.inf)
         kind = "continuous" if kind == "revolute" and not limited else kind
-        # MuJoCo moves a joint by qpos - qpos0
-        reference = float(joint.qpos0[0])
-        axis = np.asarray(joint.axis, dtype=np.float64)
-        if reference:
-            back = frame(-reference * axis) if kind == "prismatic" else frame(rotation=about(axis, -reference))
-        else:
-            back = np.eye(4)
+        reference = float(joint.qpos0[0])  # MuJoCo moves a joint by qpos - qpos0
+        back = displacement(kind, axis, -reference) if reference else np.eye(4)
         run.append(Joint(label, kind, pending @ anchor @ back, f"{name}/{label}", axis, lower, upper, default=reference))
-        if i in coupled:
-            run[-1].mimic = _law(model, coupled[i])
+        run[-1].mimic = _law(model, coupled[i]) if i in coupled else None
         pending = np.linalg.inv(anchor)
-    if not run:
-        return [Joint(f"{name}/fixed", "fixed", pending, name)]
     return [*run, Joint(f"{name}/fixed", "fixed", pending, name)]
 
 
@@ -164,29 +133,26 @@ def _law(model: Any, row: int) -> tuple[str, Polynomial]:
     return _label(model, second) if second >= 0 else "", law
 
 
-def _link(model: Any, body: int, name: str, meshes: Meshes | None) -> Link:
+def _link(model: Any, body: int, name: str, meshes: Meshes) -> Link:
     import mujoco
 
-    inertia_frame = from_wxyz(model.body_iquat[body])
-    link = Link(
-        mass=float(model.body_mass[body]),
-        com=np.array(model.body_ipos[body]),
-        inertia=inertia_frame @ np.diag(model.body_inertia[body]) @ inertia_frame.T,
-    )
+    turn, kinds = from_wxyz(model.body_iquat[body]), mujoco.mjtGeom
+    inertia = turn @ np.diag(model.body_inertia[body]) @ turn.T
+    link = Link(float(model.body_mass[body]), np.array(model.body_ipos[body]), inertia)
     first, count = int(model.body_geomadr[body]), int(model.body_geomnum[body])
     for i in range(first, first + count):
         geom = model.geom(i)
-        if not (geom.contype[0] or geom.conaffinity[0]) or geom.type[0] == mujoco.mjtGeom.mjGEOM_PLANE:
+        kind, size = geom.type[0], geom.size.tolist()
+        if not (geom.contype[0] or geom.conaffinity[0]) or kind == kinds.mjGEOM_PLANE:
             continue  # drawn only, or without end
         body_T_geom = frame(geom.pos, from_wxyz(geom.quat))
-        if geom.type[0] == mujoco.mjtGeom.mjGEOM_SPHERE:
-            link.volumes.append((np.array(geom.pos)[None], float(geom.size[0])))
-        elif geom.type[0] == mujoco.mjtGeom.mjGEOM_CAPSULE:
-            ends = np.array([[0.0, 0.0, -geom.size[1]], [0.0, 0.0, geom.size[1]]])
-            link.volumes.append((ends @ body_T_geom[:3, :3].T + body_T_geom[:3, 3], float(geom.size[0])))
-        elif geom.type[0] == mujoco.mjtGeom.mjGEOM_CYLINDER:
-            add_cylinder(meshes, name, link, body_T_geom, float(geom.size[0]), float(geom.size[1]))
-        elif geom.type[0] == mujoco.mjtGeom.mjGEOM_MESH and meshes is not None:
+        if kind == kinds.mjGEOM_SPHERE:
+            link.volumes.append((body_T_geom[None, :3, 3], size[0]))
+        elif kind == kinds.mjGEOM_CAPSULE:
+            add_capsule(link, body_T_geom, *size[:2])
+        elif kind == kinds.mjGEOM_CYLINDER:
+            add_cylinder(meshes, name, link, body_T_geom, *size[:2])
+        elif kind == kinds.mjGEOM_MESH and meshes.read:
             mesh = model.mesh(int(geom.dataid[0]))
             corner, face = int(mesh.vertadr[0]), int(mesh.faceadr[0])
             points = np.array(model.mesh_vert[corner : corner + int(mesh.vertnum[0])], np.float64)

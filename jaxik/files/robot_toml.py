@@ -6,7 +6,6 @@ degrees. A table may say where its numbers come from: `origin = {d = "paper", lo
 
 from __future__ import annotations
 
-import difflib
 import math
 import tomllib
 from collections.abc import Iterable
@@ -15,7 +14,8 @@ from typing import Any
 
 import numpy as np
 
-from jaxik.files.chain_builder import Joint, Link, assemble, read_bytes, unique
+from jaxik.checks.options import nearest, shown
+from jaxik.files.chain_builder import JOINT_TYPES, Joint, Link, assemble, read_bytes, symmetric, unique, way_up
 from jaxik.files.held_joints import Posture
 from jaxik.reasons import LoadError
 from jaxik.robot.chain import Chain
@@ -28,11 +28,13 @@ UNITS = {
     "plain": {"": 1.0},
 }
 ORIGINS = ("paper", "catalogue", "stand-in")
+CORNERS = {"sphere": 1, "capsule": 2, "triangle": 3}  # of swept-sphere volumes
+Shape = tuple[int, ...]
 CONVENTIONS = ("modified_dh", "standard_dh", "frames")
 
 
 class Table:
-    """A TOML table that is read key by key; `close` refuses what nobody asked for."""
+    """A TOML table that is read key by key; `close` refuses what nobody asked for, in it and in the tables inside of it."""
 
     def __init__(self, path: Path, where: str, content: Any):
         if not isinstance(content, dict):
@@ -40,6 +42,7 @@ class Table:
         self.path, self.where, self.content = path, where, content
         self.asked: set[str] = {"origin"}
         self.read: set[str] = set()
+        self.inside: list[Table] = []
 
     def fail(self, problem: str, mend: str) -> LoadError:
         return LoadError(self.path, self.where, problem, mend)
@@ -54,7 +57,7 @@ class Table:
             raise self.fail(f"{key} = '{value[:40]}'", f"allowed: {', '.join(allowed)}")
         return value
 
-    def array(self, key: str, unit: str, shape: tuple[int, ...], default: Any = None, row: str = "") -> np.ndarray:
+    def array(self, key: str, unit: str, shape: Shape, default: Any = None, row: str = "") -> np.ndarray:
         """The numbers under `key` or `key` with a unit's ending, in SI; -1 in `shape` is any length, `row` what is in one."""
         choices = {key + ending: factor for ending, factor in UNITS[unit].items()}
         self.asked.update(choices)
@@ -67,10 +70,9 @@ class Table:
             return np.asarray(default, dtype=np.float64)
         self.read.add(given[0])
         try:
-            if not _numeric(self.content[given[0]]):
-                raise ValueError
             values = np.array(self.content[given[0]], dtype=np.float64)
-            if values.ndim != len(shape) or any(n not in (-1, m) for n, m in zip(shape, values.shape, strict=True)):
+            fits = values.ndim == len(shape) and all(n in (-1, m) for n, m in zip(shape, values.shape, strict=True))
+            if not (fits and _numeric(self.content[given[0]])):
                 raise ValueError
         except (ValueError, TypeError, OverflowError):
             what = in_words(shape)
@@ -82,38 +84,50 @@ class Table:
     def number(self, key: str, unit: str, default: float | None = None) -> float:
         return float(self.array(key, unit, (), default))
 
-    def finite(self, key: str, shape: tuple[int, ...], least: float = -math.inf) -> np.ndarray:
-        """Likewise numbers without a unit that are finite, and none of them less than `least`."""
-        values = self.array(key, "plain", shape)
-        if not np.all(np.isfinite(values) & (values >= least)):
-            raise self.fail(f"'{key}' is out of range", "write finite numbers" + ("" if least < 0.0 else f" >= {least:g}"))
+    def finite(self, key: str, shape: Shape, least: float = -math.inf, unit: str = "plain", default: Any = None) -> np.ndarray:
+        """Likewise numbers that are finite, at least one of them, and none less than `least`."""
+        values = self.array(key, unit, shape, default)
+        if not values.size or not np.all(np.isfinite(values) & (values >= least)):
+            fault = "holds infinity" if np.any(np.isinf(values)) else "is out of range" if values.size else "holds no number"
+            raise self.fail(f"'{key}' {fault}", "write finite numbers" + ("" if least < 0.0 else f" >= {least:g}"))
         return values
 
-    def listed(self, key: str) -> list[Any]:
+    def count(self, key: str, default: int, least: int = 1) -> int:
+        value = self.number(key, "plain", float(default))
+        if not (value.is_integer() and least <= value <= 2**53):
+            raise self.fail(f"{key} = {value:g}", f"write a whole number of at least {least}")
+        return int(value)
+
+    def flag(self, key: str, default: bool = False) -> bool:
+        self.asked.add(key)
+        value = self.content.get(key, default)
+        if not isinstance(value, bool):
+            raise self.fail(f"{key} = {shown(value)!r} is not true or false", f"write {key} = true")
+        return value
+
+    def listed(self, key: str, what: str = "a list", mend: str = "") -> list[Any]:
         """The list under `key`, empty unless given."""
         self.asked.add(key)
         value = self.content.get(key, [])
         if not isinstance(value, list):
-            raise self.fail(f"'{key}' is not a list", f"write {key} = [...]")
+            raise self.fail(f"'{key}' is not {what}", f"write {mend or f'{key} = [...]'}")
         return value
 
     def turn(self) -> np.ndarray:
         """The rotation (3, 3) under `rpy`."""
-        rpy = self.array("rpy", "angle", (3,), np.zeros(3))
-        if not np.all(np.isfinite(rpy)):
-            raise self.fail("'rpy' holds infinity", "write finite numbers")
-        return from_rpy(rpy)
+        return from_rpy(self.finite("rpy", (3,), unit="angle", default=np.zeros(3)))
 
     def tables(self, key: str) -> list[Table]:
-        self.asked.add(key)
-        value = self.content.get(key, [])
-        if not isinstance(value, list):
-            raise self.fail(f"'{key}' is not a list of tables", f"write [[{key}]]")
-        return [Table(self.path, f"{key} {i + 1}", v) for i, v in enumerate(value)]
+        rows = self.listed(key, "a list of tables", f"[[{key}]]")
+        return [self._inner(f"{key} {i}", row) for i, row in enumerate(rows, 1)]
 
     def table(self, key: str) -> Table:
         self.asked.add(key)
-        return Table(self.path, key, self.content.get(key, {}))
+        return self._inner(key, self.content.get(key, {}))
+
+    def _inner(self, where: str, content: Any) -> Table:
+        self.inside.append(Table(self.path, where, content))
+        return self.inside[-1]
 
     def named(self) -> str:
         name = self.text("name")
@@ -124,29 +138,29 @@ class Table:
         """Refuse every other key."""
         unknown = sorted(str(key) for key in set(self.content) - set(allowed))
         if unknown:
-            meant = difflib.get_close_matches(unknown[0], set(allowed), 1)
-            mend = f"did you mean '{meant[0]}'? " if meant else ""
+            meant = nearest(unknown[0], list(allowed))
+            mend = f"did you mean '{meant}'? " if meant else ""
             raise self.fail(f"unknown key '{unknown[0][:40]}'", f"{mend}allowed: {', '.join(sorted(allowed))}")
 
     def _misspelt(self, key: str) -> str:
         """The question whether a key that nobody asked for stands for the one that is missing."""
-        close = difflib.get_close_matches(key, [str(k) for k in set(self.content) - self.asked], 1)
-        return f"is it '{close[0][:40]}'? " if close else ""
+        close = nearest(key, [str(k) for k in set(self.content) - self.asked])
+        return f"is it '{close[:40]}'? " if close else ""
 
     def close(self) -> None:
         """Refuse unknown keys, and origins that name no number of this table."""
+        for table in self.inside:
+            table.close()
         self.only(self.asked)
         origin = self.content.get("origin", {})
-        words = origin.values() if isinstance(origin, dict) else [origin]
-        for word in words:
+        for word in origin.values() if isinstance(origin, dict) else [origin]:
             if word not in ORIGINS:
                 raise self.fail(f"origin '{str(word)[:40]}'", f"allowed: {', '.join(ORIGINS)}")
-        if isinstance(origin, dict) and not set(origin) <= self.read:
-            stray = sorted(set(origin) - self.read)[0]
+        for stray in sorted(set(origin) - self.read if isinstance(origin, dict) else ())[:1]:
             raise self.fail(f"origin names '{stray[:40]}'", f"numbers of this table: {', '.join(sorted(self.read))}")
 
 
-def in_words(shape: tuple[int, ...]) -> str:
+def in_words(shape: Shape) -> str:
     """(3,) is "3 numbers", (-1, 6) "k rows of 6 numbers"."""
     if not shape:
         return "a number"
@@ -155,9 +169,9 @@ def in_words(shape: tuple[int, ...]) -> str:
 
 
 def _numeric(value: Any) -> bool:
-    if isinstance(value, list):
-        return all(_numeric(v) for v in value)
-    return isinstance(value, int | float) and not isinstance(value, bool)
+    if isinstance(value, list | tuple | np.ndarray):
+        return all(map(_numeric, value))
+    return isinstance(value, int | float | np.number) and not isinstance(value, bool)
 
 
 def read_toml(path: Path) -> Table:
@@ -168,10 +182,9 @@ def read_toml(path: Path) -> Table:
         raise LoadError(path, "document", f"malformed TOML ({error})", "mend the syntax") from None
 
 
-def load_toml(path: Path, tip: str | None, base: str | None, tool: np.ndarray | None, posture: Posture) -> Chain:
+def load_toml(model: Table, tip: str | None, base: str | None, tool: np.ndarray | None, posture: Posture) -> Chain:
     """A model file to a chain from link `base` to link `tip`, where they are given; joints after the tip are held."""
-    model = read_toml(path)
-    name = model.text("name")
+    path, name = model.path, model.text("name")
     model.text("description", "-")
     convention = model.text("convention", None, CONVENTIONS)
     joints, links = [], {}
@@ -181,28 +194,20 @@ def load_toml(path: Path, tip: str | None, base: str | None, tool: np.ndarray | 
         links[joint[-1].child] = link
     if not joints:
         raise model.fail("has no [[joint]]", "write one for each joint, from base to tip")
-    unique(path, "joint", (j.name for j in joints))
-    for table in model.tables("shape"):
-        _shape(table, links, joints)
-    mount, tool_table = model.table("mount"), model.table("tool")
-    world_T_base, tip_T_tool = _frame(mount), _frame(tool_table)
-    for table in (mount, tool_table, model):
-        table.close()
     names = ["base", *(j.child for j in joints)]
-    first, last = (_index(path, w, n, names) for w, n in (("base", base or "base"), ("tip", tip or names[-1])))
-    if last <= first:
-        raise LoadError(path, f"tip '{tip}'", f"is not below base '{base}'", f"order: {', '.join(names)}")
+    unique(path, "joint", (j.name for j in joints))
+    unique(path, "link", names)
+    for table in model.tables("shape"):
+        _shape(table, links, names)
+    world_T_base, tip_T_tool = _frame(model.table("mount")), _frame(model.table("tool"))
+    model.close()
+    way = way_up(path, names, dict(zip(names[1:], names, strict=False)), tip or names[-1], base or "base")
+    first, last = names.index(way[-1]), names.index(way[0])
     if tip is None:
         tool = tip_T_tool if tool is None else tip_T_tool @ tool
     run, mount_here = joints[first:last], world_T_base if first == 0 else None
     carried = posture.hold(path, run, [*zip(names[last:], joints[last:], strict=False)])
     return assemble(path, name, names[first], run, links, tool, mount_here, carried)
-
-
-def _index(path: Path, what: str, name: str, names: list[str]) -> int:
-    if name not in names:
-        raise LoadError(path, f"{what} '{name}'", "no such link", f"links: {', '.join(names)}")
-    return names.index(name)
 
 
 def _frame(table: Table) -> np.ndarray:
@@ -212,8 +217,7 @@ def _frame(table: Table) -> np.ndarray:
 
 def _joint(table: Table, convention: str) -> tuple[list[Joint], Link]:
     """A row of the table: its joint, and for the standard convention the fixed frame that follows it."""
-    name = table.named()
-    kind = table.text("type", None, ("revolute", "continuous", "prismatic", "fixed"))
+    name, kind = table.named(), table.text("type", None, JOINT_TYPES)
     link_name = table.text("link", f"{name}_link")
     unit = "length" if kind == "prismatic" else "angle"
     after = None
@@ -229,13 +233,10 @@ def _joint(table: Table, convention: str) -> tuple[list[Joint], Link]:
         before, after = (twisted @ turned, None) if convention == "modified_dh" else (turned, twisted)
     joint = Joint(name, kind, before, link_name, axis)
     if kind != "fixed":
-        limits = {"continuous": (-np.inf, np.inf)}.get(kind, (None, None))
-        joint.lower, joint.upper = (
-            table.number(k, unit, default) for k, default in zip(("lower", "upper"), limits, strict=True)
-        )
+        least, most = (-np.inf, np.inf) if kind == "continuous" else (None, None)
+        joint.lower, joint.upper = table.number("lower", unit, least), table.number("upper", unit, most)
         joint.velocity = table.number("velocity", unit, np.inf)
     link = _inertia(table)
-    table.close()
     if after is None:
         return [joint], link
     joint.child = f"{name}_axis"
@@ -243,32 +244,22 @@ def _joint(table: Table, convention: str) -> tuple[list[Joint], Link]:
 
 
 def _inertia(table: Table) -> Link:
-    mass = table.number("mass", "plain", 0.0)
-    xx, xy, xz, yy, yz, zz = table.array("inertia", "inertia", (6,), np.zeros(6))
-    com = table.array("com", "length", (3,), np.zeros(3))
-    if not 0.0 <= mass < math.inf:
-        raise table.fail(f"mass {mass:g}", "write a positive number")
-    return Link(mass, com, np.array([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]]))
+    mass = float(table.finite("mass", (), 0.0, default=0.0))
+    inertia, com = table.array("inertia", "inertia", (6,), np.zeros(6)), table.array("com", "length", (3,), np.zeros(3))
+    return Link(mass, com, symmetric(inertia))
 
 
-def _shape(table: Table, links: dict[str, Link], joints: list[Joint]) -> None:
+def _shape(table: Table, links: dict[str, Link], names: list[str]) -> None:
     name = table.text("link", "base")
-    known = {"base", *(j.child for j in joints)}
-    if name not in known:
-        raise table.fail(f"no such link '{name[:40]}'", f"links: {', '.join(sorted(known))}")
+    if name not in names:
+        raise table.fail(f"no such link '{name[:40]}'", f"links: {', '.join(sorted(names))}")
     link = links.setdefault(name, Link())
-    kind = table.text("kind", None, ("box", "sphere", "capsule", "triangle"))
+    kind = table.text("kind", None, ("box", *CORNERS))
     if kind == "box":
-        half = table.array("size", "length", (3,)) / 2.0
-        if not np.all((half > 0.0) & np.isfinite(half)):
+        half = table.finite("size", (3,), unit="length") / 2.0
+        if not np.all(half > 0.0):
             raise table.fail("'size' is not positive", "write three sizes > 0")
-        centre = table.array("center", "length", (3,), np.zeros(3))
-        link.boxes.append((frame(centre, table.turn()), half))
+        link.boxes.append((frame(table.finite("center", (3,), unit="length", default=np.zeros(3)), table.turn()), half))
     else:
-        count = {"sphere": 1, "capsule": 2, "triangle": 3}[kind]
-        corners = table.array("points", "length", (count, 3))
-        radius = table.number("radius", "length")
-        if not 0.0 <= radius < math.inf or not np.all(np.isfinite(corners)):
-            raise table.fail("'radius' or 'points' out of range", "write finite points and a radius >= 0")
-        link.volumes.append((corners, radius))
-    table.close()
+        corners, radius = table.finite("points", (CORNERS[kind], 3), unit="length"), table.finite("radius", (), 0.0, "length")
+        link.volumes.append((corners, float(radius)))

@@ -10,7 +10,7 @@ from xml.etree import ElementTree
 import numpy as np
 
 from jaxik.collision.volumes import box_spheres
-from jaxik.robot.chain import Chain
+from jaxik.robot.chain import Body, Chain
 from jaxik.spatial.rotations import to_rpy
 
 LOST = (
@@ -36,28 +36,28 @@ def spherized(chain: Chain, beyond: float) -> tuple[str, float]:
     for box in chain.boxes:
         middles, size = box_spheres(box, chain.spheres_per_box)
         spheres[box.link] += [(np.asarray(middle), float(size)) for middle in middles]
-    for name in names:
-        ElementTree.SubElement(root, "link", name=name)
+    tool = _free("tool", (*names, *chain.link_names))
+    every = dict.fromkeys((*names, *chain.link_names, tool))
+    elements = {name: ElementTree.SubElement(root, "link", name=name) for name in every}
     for i, name in enumerate(chain.link_names):
-        element = root[names.index(name)] if name in names else ElementTree.SubElement(root, "link", name=name)
-        _inertial(element, chain, i, name in names)
+        element = elements[name]
+        if name in names and chain.bodies and chain.link_joint[i]:  # it stands for the frame of what moves with a joint
+            _inertial(element, chain.bodies[chain.link_joint[i] - 1])
         back = np.linalg.inv(chain.link_offset[i])
         for centre, radius in spheres[i]:
             collision = ElementTree.SubElement(element, "collision")
             ElementTree.SubElement(collision, "origin", xyz=_words(back[:3, :3] @ centre + back[:3, 3]), rpy="0 0 0")
             ElementTree.SubElement(ElementTree.SubElement(collision, "geometry"), "sphere", radius=repr(float(radius)))
-        if name not in names:
-            _fixed(root, name, names[chain.link_joint[i]], chain.link_offset[i], chain.joint_names)
     for i, name in enumerate(chain.joint_names):
         joint = _joined(root, name, chain.joint_types[i], names[i], names[i + 1], chain.parent_T_joint[i])
         ElementTree.SubElement(joint, "axis", xyz=_words(chain.axis[i]))
-        limit = {"lower": chain.lower[i], "upper": chain.upper[i], "velocity": chain.velocity[i], "effort": 0.0}
-        if chain.joint_types[i] == "continuous":
-            limit = {k: v for k, v in limit.items() if k not in ("lower", "upper")}
+        ends = {} if chain.joint_types[i] == "continuous" else {"lower": chain.lower[i], "upper": chain.upper[i]}
+        limit = ends | {"velocity": chain.velocity[i], "effort": 0.0}
         ElementTree.SubElement(joint, "limit", {k: repr(float(v)) for k, v in limit.items() if np.isfinite(v)})
-    tool = _free("tool", (*names, *chain.link_names))
-    ElementTree.SubElement(root, "link", name=tool)
-    _fixed(root, tool, names[-1], chain.joint_T_tip, chain.joint_names)
+    placed = zip(chain.link_names, chain.link_joint, chain.link_offset, strict=True)
+    fixed = [(name, names[joint], offset) for name, joint, offset in placed if name not in names]
+    for name, parent, frame in (*fixed, (tool, names[-1], chain.joint_T_tip)):
+        _joined(root, _free(f"{name}_fixed", chain.joint_names), "fixed", parent, name, frame)
     count = sum(map(len, spheres.values()))
     note = f"{count} spheres, which reach at most {1e3 * reach:.1f} mm beyond the collision model; the tip is '{tool}'"
     root.insert(0, ElementTree.Comment(f" {note} "))
@@ -82,11 +82,7 @@ def _free(name: str, taken: Sequence[str]) -> str:
     return next(n for i in itertools.count() if (n := f"{name}_{i}" if i else name) not in taken)
 
 
-def _inertial(element: ElementTree.Element, chain: Chain, link: int, moved: bool) -> None:
-    """What moves with a joint, on the link that stands for its frame."""
-    if not (moved and chain.bodies and chain.link_joint[link]):
-        return
-    body = chain.bodies[chain.link_joint[link] - 1]
+def _inertial(element: ElementTree.Element, body: Body) -> None:
     inertial = ElementTree.SubElement(element, "inertial")
     ElementTree.SubElement(inertial, "origin", xyz=_words(body.com), rpy="0 0 0")
     ElementTree.SubElement(inertial, "mass", value=repr(float(body.mass)))
@@ -100,10 +96,6 @@ def _joined(root: Any, name: str, kind: str, parent: str, child: str, frame: Any
     ElementTree.SubElement(joint, "child", link=child)
     ElementTree.SubElement(joint, "origin", xyz=_words(frame[:3, 3]), rpy=_words(to_rpy(frame[:3, :3])))
     return joint
-
-
-def _fixed(root: Any, child: str, parent: str, frame: Any, taken: Sequence[str]) -> None:
-    _joined(root, _free(f"{child}_fixed", taken), "fixed", parent, child, frame)
 
 
 def _words(values: Any) -> str:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import csv
 import io
 import json
@@ -20,6 +21,7 @@ from jaxik.files.robot_toml import UNITS, in_words
 from jaxik.reasons import LoadError
 from jaxik.spatial.rotations import frame, from_wxyz
 
+SHAPES = {"poses": (4, 4), "positions": (3,), "wxyz": (4,)}  # of the arrays of an NPZ
 POSITION, QUATERNION = ("x", "y", "z"), ("qw", "qx", "qy", "qz")
 FORMATS = ".csv, .npz, .json"
 MOST = 4 * 2**30  # bytes: thirty million poses
@@ -81,14 +83,13 @@ def _csv(path: Path, file: BinaryIO) -> np.ndarray:
 
 def _columns(path: Path, header: list[str]) -> list[tuple[str, int]]:
     units = [ending for ending in UNITS["length"] if f"x{ending}" in header] or [""]
-    position = [name + units[0] for name in POSITION]
-    missing = [name for name in position if name not in header]
-    turned = [name for name in QUATERNION if name in header]
-    if missing or 0 < len(turned) < 4:
-        wanted = missing or [name for name in QUATERNION if name not in header]
+    position = tuple(name + units[0] for name in POSITION)
+    turned = QUATERNION if set(QUATERNION) & set(header) else ()
+    missing = [name for name in (*position, *turned) if name not in header]
+    if missing:
         mend = "write x, y, z in metres (or x_mm, y_mm, z_mm) and, for poses, qw, qx, qy, qz: lower case, separated by commas"
-        raise LoadError(path, "header", f"'{shown(','.join(header))}' lacks {', '.join(wanted)}", mend)
-    for name in (n for n in (*position, *QUATERNION) if header.count(n) > 1):
+        raise LoadError(path, "header", f"'{shown(','.join(header))}' lacks {', '.join(missing)}", mend)
+    for name in (n for n in (*position, *turned) if header.count(n) > 1):
         raise LoadError(path, "header", f"column '{name}' stands twice", "keep one")
     if len(units) > 1:
         raise LoadError(path, "header", f"{' and '.join('x' + ending for ending in units)} say the same", "keep one")
@@ -103,8 +104,7 @@ def _refuse_lost_rotation(path: Path, where: str, names: Iterable[str], known: s
     lost = {n for n in plain if TURNED.search(n)}
     numbered = {n for n in plain if re.fullmatch(r"q\d+", n)}  # four are a quaternion, others the joints
     lost |= numbered if numbered in ({"q0", "q1", "q2", "q3"}, {"q1", "q2", "q3", "q4"}) else set()
-    for group in GROUPS:
-        lost |= set(group) if set(group) <= set(plain) else set()
+    lost |= {n for group in GROUPS if set(group) <= set(plain) for n in group}
     if lost:
         found = ", ".join(f"'{name}'" for n, name in plain.items() if n in lost)
         mend = f"rotations are {known}; leave it out where the position is all"
@@ -118,39 +118,36 @@ def _numbers(path: Path, rows: Any, columns: list[tuple[str, int]], width: int) 
             mend = "a decimal comma? write points"
             raise LoadError(path, f"line {rows.line_num}", f"{len(row)} fields for {width} columns", mend)
         for name, column in columns:
-            yield _number(path, f"line {rows.line_num}, column '{name}'", row[column] if column < len(row) else None)
-
-
-def _number(path: Path, where: str, text: Any) -> float:
-    try:
-        return float(text)
-    except (TypeError, ValueError):
-        raise LoadError(path, where, f"'{text}' is no number", "write a number, nan for a target to leave out") from None
+            text = row[column] if column < len(row) else ""
+            try:
+                yield float(text)
+            except ValueError:
+                where, mend = f"line {rows.line_num}, column '{name}'", "write a number, nan for a target to leave out"
+                raise LoadError(path, where, f"'{text}' is no number", mend) from None
 
 
 def _npz(path: Path, file: BinaryIO) -> np.ndarray:
     try:
         with zipfile.ZipFile(file) as archive:
             names = [n.removesuffix(".npy") for n in archive.namelist()]
-            arrays = {k: _member(path, archive, k) for k in ("poses", "positions", "wxyz") if k in names}
+            used = ["poses"] if "poses" in names else [name for name in ("positions", "wxyz") if name in names]
+            arrays = [_member(path, archive, name) for name in used]
     except LoadError:
         raise
     except Exception as error:  # zip, its compression and NumPy each have their own
         raise LoadError(path, "file", f"is no NPZ of numbers ({error})", "write it by numpy.savez") from None
-    if "poses" in arrays:
-        return _shaped(path, "poses", arrays["poses"], (4, 4))
-    if "positions" not in arrays:
-        raise LoadError(
-            path, "arrays", "no 'poses' and no 'positions'", "allowed: poses (N, 4, 4); positions (N, 3), wxyz (N, 4)"
-        )
-    positions = _shaped(path, "positions", arrays["positions"], (3,))
-    if "wxyz" not in arrays:
+    if used == ["poses"]:
+        return arrays[0]
+    if used[:1] != ["positions"]:
+        mend = "allowed: poses (N, 4, 4); positions (N, 3), wxyz (N, 4)"
+        raise LoadError(path, "arrays", "no 'poses' and no 'positions'", mend)
+    positions, *wxyz = arrays
+    if not wxyz:
         _refuse_lost_rotation(path, "arrays", names, "wxyz (N, 4)")
         return positions
-    wxyz = _shaped(path, "wxyz", arrays["wxyz"], (4,))
-    if len(wxyz) != len(positions):
-        raise LoadError(path, "wxyz", f"{len(wxyz)} rows for {len(positions)} positions", "write as many")
-    return np.concatenate([positions, wxyz], axis=1)
+    if len(wxyz[0]) != len(positions):
+        raise LoadError(path, "wxyz", f"{len(wxyz[0])} rows for {len(positions)} positions", "write as many")
+    return np.concatenate(arrays, axis=1)
 
 
 def _member(path: Path, archive: zipfile.ZipFile, name: str) -> np.ndarray:
@@ -163,6 +160,8 @@ def _member(path: Path, archive: zipfile.ZipFile, name: str) -> np.ndarray:
         raise LoadError(path, f"'{name}'", f"unpacks to {size} bytes", f"at most {MOST} are read")
     if dtype.kind not in "iuf":
         raise LoadError(path, f"'{name}'", f"holds {dtype}", "write ints or floats")
+    if shape[1:] != SHAPES[name]:
+        raise LoadError(path, name, f"has shape {shape}", f"allowed: (N, {', '.join(map(str, SHAPES[name]))})")
     with archive.open(f"{name}.npy") as file:
         return np.asarray(np.lib.format.read_array(file, allow_pickle=False), np.float64)
 
@@ -179,28 +178,18 @@ def _json(path: Path, file: BinaryIO) -> np.ndarray:
         raise LoadError(path, "targets", f"hold {sorted(keys)}", "all alike: pose; or position; or position and wxyz")
     if keys == {("position",)}:
         _refuse_lost_rotation(path, "targets", dict.fromkeys(k for row in rows for k in row), "wxyz")
-    column = lambda key, shape: np.array([_array(path, i, row, key, shape) for i, row in enumerate(rows)]).reshape(-1, *shape)
-    if keys == {("pose",)}:
-        return column("pose", (4, 4))
-    turned = [column("wxyz", (4,))] if keys == {("position", "wxyz")} else []
-    return np.concatenate([column("position", (3,)), *turned], axis=1)
+    column = lambda key: np.array([_array(path, i, row, key) for i, row in enumerate(rows)])
+    return np.concatenate([column(key) for key in next(iter(keys))], axis=1) if rows else np.zeros((0, 3))
 
 
-def _array(path: Path, i: int, row: dict[str, Any], key: str, shape: tuple[int, ...]) -> np.ndarray:
-    try:
+def _array(path: Path, i: int, row: dict[str, Any], key: str) -> np.ndarray:
+    shape = {"pose": (4, 4), "position": (3,), "wxyz": (4,)}[key]
+    with contextlib.suppress(TypeError, ValueError, OverflowError):
         values = np.array(row[key], np.float64)  # null, which leaves a target out, is NaN
         if values.shape == shape and _plain(row[key]):
             return values
-    except (TypeError, ValueError, OverflowError):
-        pass
     raise LoadError(path, f"target {i + 1}", f"'{key}' is not {in_words(shape)}", "write plain numbers")
 
 
 def _plain(value: Any) -> bool:
     return all(map(_plain, value)) if isinstance(value, list) else value is None or type(value) in (int, float)
-
-
-def _shaped(path: Path, name: str, array: np.ndarray, shape: tuple[int, ...]) -> np.ndarray:
-    if array.shape[1:] != shape:
-        raise LoadError(path, name, f"has shape {array.shape}", f"allowed: (N, {', '.join(map(str, shape))})")
-    return array

@@ -8,55 +8,36 @@ from xml.etree.ElementTree import Element
 import numpy as np
 from numpy.polynomial import Polynomial
 
-from jaxik.files.chain_builder import JOINT_TYPES, Joint, Link, assemble, unique
+from jaxik.files.chain_builder import JOINT_TYPES, Joint, Link, assemble, symmetric, unique, way_up
 from jaxik.files.held_joints import Posture
-from jaxik.files.mesh import Meshes, add_box, add_cylinder, read_mesh
-from jaxik.files.xml import attribute, numbers, parse
+from jaxik.files.mesh import Meshes, add_box, add_capsule, add_cylinder, read_mesh
+from jaxik.files.xml import attribute, number, numbers, parse
 from jaxik.reasons import LoadError
 from jaxik.robot.chain import Chain
 from jaxik.spatial.rotations import frame, from_rpy
 
 
-def load_urdf(
-    path: Path, tip: str | None, base: str | None, tool: np.ndarray | None, meshes: Meshes | None, posture: Posture
-) -> Chain:
-    """The serial chain from link `base` (the root) to link `tip` (the only leaf), and what it carries, held in a `posture`."""
+def load_urdf(path: Path, tip: str | None, base: str | None, tool: np.ndarray | None, meshes: Meshes, held: Posture) -> Chain:
+    """The serial chain from link `base` (the root) to link `tip` (the only leaf), and what it carries, `held` in a posture."""
     root = parse(path, "robot")
     elements = {kind: root.findall(kind) for kind in ("link", "joint")}
     for kind, found in elements.items():
         unique(path, kind, (attribute(path, f"a <{kind}>", e, "name") for e in found))
     links = {str(e.get("name")): e for e in elements["link"]}
     above = _parents(path, elements["joint"], links)
-    tip = tip if tip is not None else _only(path, "tip", sorted(set(links) - {p for _, p in above.values()}))
-    if tip not in links:
-        raise LoadError(path, f"tip '{tip}'", "no such link", f"links: {', '.join(links)}")
-    if base is not None and base not in links:
-        raise LoadError(path, f"base '{base}'", "no such link", f"links: {', '.join(links)}")
-    run: list[Joint] = []
-    link = tip
-    while link != base and link in above:
-        element, parent = above[link]
-        run.append(_joint(path, element, link))
-        if len(run) > len(links):
-            raise LoadError(path, f"link '{link}'", "the joints form a loop", "a chain needs a tree")
-        link = parent
-    if base is not None and link != base:
-        raise LoadError(path, f"tip '{tip}'", f"is not below base '{base}'", f"its root is '{link}'")
-    names = [link, *(j.child for j in run)]
-    carried = posture.hold(path, run, _carried(path, names, above))
+    *below, first = way_up(path, [*links], {child: parent for child, (_, parent) in above.items()}, tip, base)
+    run, names = [_joint(path, above[link][0], link) for link in below], [first, *below]
+    carried = held.hold(path, run, _carried(path, names, above))
     content = {name: _link(path, name, links[name], meshes) for name in (*names, *(j.child for _, j in carried))}
-    return assemble(path, root.get("name", path.stem), link, run[::-1], content, tool, carried=carried)
+    return assemble(path, root.get("name", path.stem), first, run[::-1], content, tool, carried=carried)
 
 
 def _carried(path: Path, chain: list[str], above: dict[str, tuple[Element, str]]) -> list[tuple[str, Joint]]:
     """The joints that lead aside from the chain, and on from there: a head, a hand's fingers, a camera. With their parents."""
-    below: dict[str, list[str]] = {}
-    for child, (_, parent) in above.items():
-        below.setdefault(parent, []).append(child)
     found: list[tuple[str, Joint]] = []
-    reached, on_chain = list(chain), set(chain)
+    reached = list(chain)
     for parent in reached:  # grows while it is read
-        aside = [child for child in below.get(parent, ()) if child not in on_chain]
+        aside = [child for child, (_, link) in above.items() if link == parent and child not in chain]
         found += [(parent, _joint(path, above[child][0], child, beside=True)) for child in aside]
         reached += aside
     return found
@@ -74,13 +55,6 @@ def _parents(path: Path, joints: list[Element], links: dict[str, Element]) -> di
             raise LoadError(path, where, f"link '{child}' has two parent joints", "a chain needs a tree")
         above[child] = (element, parent)
     return above
-
-
-def _only(path: Path, what: str, names: list[str]) -> str:
-    if len(names) != 1:
-        choice = f"one of: {', '.join(names)}" if names else "the links form a loop"
-        raise LoadError(path, what, f"is not given and the tree has {len(names)} leaves", f"pass {what}=, {choice}")
-    return names[0]
 
 
 def _origin(path: Path, where: str, element: Element) -> np.ndarray:
@@ -103,41 +77,36 @@ def _joint(path: Path, element: Element, child: str, beside: bool = False) -> Jo
     if mimic is not None and not beside:
         raise LoadError(path, where, "a mimic joint on the chain", "drive it as a joint of its own: remove <mimic>")
     if mimic is not None:
-        offset, slope = (float(numbers(path, where, mimic, k, d, 1)[0]) for k, d in (("offset", "0"), ("multiplier", "1")))
+        offset, slope = number(path, where, mimic, "offset", "0"), number(path, where, mimic, "multiplier", "1")
         joint.mimic = attribute(path, where, mimic, "joint"), Polynomial([offset, slope])
     joint.axis = numbers(path, where, element.find("axis"), "xyz", "1 0 0", 3)
     limit = element.find("limit")
     if limit is None and kind != "continuous" and not beside:
         raise LoadError(path, where, f"a {kind} joint without <limit>", "add it, or make the joint continuous")
     if limit is not None and not (beside and kind == "continuous"):
-        joint.lower, joint.upper = (float(numbers(path, where, limit, k, "0", 1)[0]) for k in ("lower", "upper"))
-        joint.velocity = float(numbers(path, where, limit, "velocity", "0", 1)[0]) or np.inf
+        joint.lower, joint.upper = (number(path, where, limit, k, "0") for k in ("lower", "upper"))
+        joint.velocity = number(path, where, limit, "velocity", "0") or np.inf
     return joint
 
 
-def _link(path: Path, name: str, element: Element, meshes: Meshes | None) -> Link:
+def _link(path: Path, name: str, element: Element, meshes: Meshes) -> Link:
     where, link = f"link '{name}'", Link()
     inertial = element.find("inertial")
     if inertial is not None:
         origin = _origin(path, where, inertial)
-        link.mass = float(numbers(path, f"{where} <mass>", inertial.find("mass"), "value", None, 1)[0])
+        link.mass = number(path, f"{where} <mass>", inertial.find("mass"), "value", None)
         if link.mass < 0.0:
             raise LoadError(path, where, f"mass {link.mass:g} < 0", "write a positive number")
-        tensor = inertial.find("inertia")
-        xx, xy, xz, yy, yz, zz = (
-            float(numbers(path, f"{where} <inertia>", tensor, k, "0", 1)[0]) for k in ("ixx", "ixy", "ixz", "iyy", "iyz", "izz")
-        )
-        rotation = origin[:3, :3]
-        link.com = origin[:3, 3]
-        link.inertia = rotation @ np.array([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]]) @ rotation.T
+        tensor, turn = inertial.find("inertia"), origin[:3, :3]
+        entries = [number(path, f"{where} <inertia>", tensor, f"i{ends}", "0") for ends in ("xx", "xy", "xz", "yy", "yz", "zz")]
+        link.com, link.inertia = origin[:3, 3], turn @ symmetric(entries) @ turn.T
     for collision in element.findall("collision"):
-        geometry = collision.find("geometry")
-        for shape in () if geometry is None else geometry:
+        for shape in collision.iterfind("geometry/*"):
             _shape(path, name, _origin(path, where, collision), shape, link, meshes)
     return link
 
 
-def _shape(path: Path, owner: str, origin: np.ndarray, shape: Element, link: Link, meshes: Meshes | None) -> None:
+def _shape(path: Path, owner: str, origin: np.ndarray, shape: Element, link: Link, meshes: Meshes) -> None:
     where = f"link '{owner}'"
 
     def size(key: str, count: int = 1) -> np.ndarray:
@@ -151,20 +120,16 @@ def _shape(path: Path, owner: str, origin: np.ndarray, shape: Element, link: Lin
     elif shape.tag == "sphere":
         link.volumes.append((origin[None, :3, 3], float(size("radius")[0])))
     elif shape.tag == "cylinder":
-        radius, length = float(size("radius")[0]), float(size("length")[0])
-        add_cylinder(meshes, owner, link, origin, radius, length / 2.0)
+        add_cylinder(meshes, owner, link, origin, float(size("radius")[0]), float(size("length")[0]) / 2.0)
     elif shape.tag == "capsule":  # not in the standard, read by several simulators
-        radius, length = float(size("radius")[0]), float(size("length")[0])
-        ends = np.array([[0.0, 0.0, -length / 2.0], [0.0, 0.0, length / 2.0]])
-        link.volumes.append((ends @ origin[:3, :3].T + origin[:3, 3], radius))
+        add_capsule(link, origin, float(size("radius")[0]), float(size("length")[0]) / 2.0)
     elif shape.tag == "mesh":
         name = attribute(path, f"{where} <mesh>", shape, "filename")
         scale = numbers(path, f"{where} <mesh>", shape, "scale", "1 1 1", 3)
-        if meshes is not None:
+        if meshes.read:
             meshes.mesh(owner, link, name, origin, *read_mesh(path, where, name, scale))
         else:
             link.meshes.append(name)  # whatever it is: kinematics need none
     else:
-        raise LoadError(
-            path, where, f"geometry <{shape.tag}> is not supported", "allowed: box, sphere, cylinder, capsule, mesh"
-        )
+        mend = "allowed: box, sphere, cylinder, capsule, mesh"
+        raise LoadError(path, where, f"geometry <{shape.tag}> is not supported", mend)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 from pathlib import Path
 from xml.etree.ElementTree import Element, ParseError
 
@@ -33,13 +34,15 @@ def numbers(path: Path, where: str, element: Element | None, key: str, default: 
     text = default if element is None else element.get(key, default)
     if text is None:
         raise LoadError(path, where, f"attribute '{key}' is missing", f"write {count} number(s)")
-    try:
+    with contextlib.suppress(ValueError):
         values = np.array([float(word) for word in text.split()])
-    except ValueError:
-        raise LoadError(path, where, f"attribute '{key}' = '{text[:40]}'", f"write {count} number(s)") from None
-    if values.shape != (count,) or not np.all(np.isfinite(values)):
-        raise LoadError(path, where, f"attribute '{key}' = '{text[:40]}'", f"write {count} finite number(s)")
-    return values
+        if values.shape == (count,) and np.all(np.isfinite(values)):
+            return values
+    raise LoadError(path, where, f"attribute '{key}' = '{text[:40]}'", f"write {count} finite number(s)")
+
+
+def number(path: Path, where: str, element: Element | None, key: str, default: str | None) -> float:
+    return float(numbers(path, where, element, key, default, 1)[0])
 
 
 def attribute(path: Path, where: str, element: Element | None, key: str) -> str:

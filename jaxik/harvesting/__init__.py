@@ -5,16 +5,18 @@ from jaxik.harvesting.blocking_objects import blockers
 from jaxik.harvesting.driver import Harvest, HarvestOptions, harvest
 from jaxik.harvesting.grasp import Grasp
 from jaxik.harvesting.image_mapping import fit_mapping
-from jaxik.harvesting.scanning import Weights, scan
+from jaxik.harvesting.scanning import Weights, approach_angles, scan, scan_two_step
 
 __all__ = [
     "Grasp",
     "Harvest",
     "HarvestOptions",
     "Weights",
+    "approach_angles",
     "blockers",
     "crop",
     "fit_mapping",
     "harvest",
     "scan",
+    "scan_two_step",
 ]

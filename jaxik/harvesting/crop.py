@@ -15,14 +15,8 @@ from jaxik.collision.scene import Scene, SceneBuilder
 from jaxik.costs import bounding_box
 
 # Where IJE 2022, sec. 5.1 and table 4 send the tool [cm, in the base's frame].
-TRELLIS_TARGETS = {
-    "bitter_gourd": (
-        *((38, 34, 60), (43.25, 29.25, 55), (48.5, 24.5, 50), (53.75, 19.75, 55), (59, 15, 60), (59, -15, 60)),
-        (42, 36, 60),
-    ),
-    "tindora": ((59.25, 37, 57),),
-    "guava": ((49, 69, 62), (57, -67, 60)),
-}
+_GOURD = ((38, 34, 60), (43.25, 29.25, 55), (48.5, 24.5, 50), (53.75, 19.75, 55), (59, 15, 60), (59, -15, 60), (42, 36, 60))
+TRELLIS_TARGETS = {"bitter_gourd": _GOURD, "tindora": ((59.25, 37, 57),), "guava": ((49, 69, 62), (57, -67, 60))}
 
 
 def cucumber_row(seed: int = 0, plants: int = 5, leaves: int = 4, fruits: int = 12) -> Scene:
@@ -79,10 +73,8 @@ def trellis_crop(kind: str = "bitter_gourd", seed: int = 0, leaves: int = 40) ->
 
     def add(name: str, points: np.ndarray, removable: bool) -> None:
         low, high = (np.asarray(corner) for corner in bounding_box(points))
-        frame = np.eye(4)
-        frame[:3, 3] = np.round((low + high) / 2.0, 4)
         if np.min(np.linalg.norm(np.maximum(np.maximum(low - targets, targets - high), 0.0), axis=1)) >= 0.06:
-            builder.add(name, removable, boxes=[(frame, np.round(high - low, 4))])
+            builder.add(name, removable, boxes=[[*np.round((low + high) / 2.0, 4), *np.round(high - low, 4)]])
 
     if kind == "guava":
         add("trunk", np.array([[0.82, -0.06, 0.0], [0.94, 0.06, 1.0]]), False)

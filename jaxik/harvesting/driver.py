@@ -17,7 +17,7 @@ from jaxik.collision.scene import Scene
 from jaxik.harvesting.blocking_objects import Blockers, blockers
 from jaxik.harvesting.grasp import Grasp, grasp_poses
 from jaxik.harvesting.grid_refinement import recover
-from jaxik.harvesting.scanning import Scan, Table, Weights, scan
+from jaxik.harvesting.scanning import Scan, Weights, scan
 from jaxik.reasons import Reason, Reasoned
 from jaxik.robot.chain import Chain
 from jaxik.robot.kinematics import pose_errors
@@ -48,15 +48,20 @@ class Posture(NamedTuple):
         return self.reason == Reason.SOLVED
 
 
-@dataclasses.dataclass(frozen=True)
+@dataclasses.dataclass(frozen=True, repr=False)
 class Harvest(Reasoned):
-    """One row a fruit, in the scene's order, and how long it took [s]."""
+    """One row a fruit, in the scene's order, and how long it took [s]; it prints as a line a fruit."""
 
     chain: Chain
     scene: Scene
     rows: tuple[Posture, ...]
     seconds: float
     candidates: int
+
+    def __repr__(self) -> str:
+        fate = lambda row: f"clearance {1000 * row.clearance:.1f} mm" if row.success else str(row.reason)
+        lines = [f"  {row.fruit}: {fate(row)}" for row in self.rows]
+        return "\n".join([f"Harvest of {self.scene.name} by {self.chain.name}: {self.counts()}", *lines])
 
     @property
     def q(self) -> np.ndarray:
@@ -72,18 +77,17 @@ class Harvest(Reasoned):
 
     def arrays(self) -> dict[str, np.ndarray]:
         """Everything that a table holds, as arrays with one entry a fruit."""
-        rows = self.rows
-        names = ("angle", "clearance", "freedom", "score", "position_error", "rotation_error")
-        return {
-            "fruit": np.array([r.fruit for r in rows]),
+        column = lambda name: np.array([getattr(row, name) for row in self.rows])
+        removals = [" ".join((row.blockers.removal if row.blockers else None) or ()) for row in self.rows]
+        numbers = ("angle", "clearance", "freedom", "score", "position_error", "rotation_error")
+        known = {
+            "fruit": column("fruit"),
             "joint_names": np.array(self.chain.joint_names),
             "q": self.q,
             "success": self.success,
-            "reason": np.array([r.reason.text for r in rows]),
-            "found_by": np.array([r.found_by for r in rows]),
-            "remove": np.array([" ".join((r.blockers.removal if r.blockers else None) or ()) for r in rows]),
-            **{name: np.array([getattr(r, name) for r in rows]) for name in names},
         }
+        known |= {"reason": self.reasons, "found_by": column("found_by"), "remove": np.array(removals)}
+        return known | {name: column(name) for name in numbers}
 
 
 @dataclasses.dataclass(frozen=True)
@@ -124,22 +128,19 @@ def harvest(
         raise ValueError(f"scene '{scene.name}' has no fruit; add one with SceneBuilder.add_fruit")
     check_geometry(chain)
     warn_of_scene("harvest", chain, scene, options.margin)
-    start, rows, candidates = time.perf_counter(), [], 0
+    start, rows = time.perf_counter(), []
     for fruit in scene.fruits:
         found = scan(chain, scene, fruit, **vars(options))
-        candidates += found.status.size
         rows.append(_posture(chain, scene, found, options))
         if progress:
             progress(fruit.name)
-    return Harvest(chain, scene, tuple(rows), time.perf_counter() - start, candidates)
+    return Harvest(chain, scene, tuple(rows), time.perf_counter() - start, sum(row.scan.status.size for row in rows))
 
 
 def _posture(chain: Chain, scene: Scene, found: Scan, options: HarvestOptions) -> Posture:
-    best, how = found.table.best(options.margin), "grid"
-    row = None if best is None else Table(*(column[best : best + 1] for column in found.table))
+    row, how = found.table.best_row(options.margin), "grid"
     if row is None:
-        recovered = recover(chain, scene, found, options.weights, options.margin, options.grasp)
-        row, how = (recovered.row, recovered.how) if recovered else (None, "")
+        row, how = recover(chain, scene, found, options.weights, options.margin, options.grasp) or (None, "")
     if row is None:
         nothing, nans = np.full(chain.num_joints, np.nan), (np.nan,) * 6
         in_the_way = blockers(chain, scene, found, options.margin) if found.reason == Reason.COLLISION else None

@@ -11,6 +11,7 @@ from jaxik.checks.arrays import shaped
 from jaxik.checks.options import as_count_or_values, shown
 from jaxik.collision.scene import Fruit
 from jaxik.robot.chain import Chain
+from jaxik.spatial.rotations import frame
 
 
 @dataclasses.dataclass(frozen=True)
@@ -28,10 +29,8 @@ class Grasp:
         up, approach = (shaped(f"grasp: {name}", getattr(self, name), (3,)) for name in ("up", "approach"))
         unit = np.allclose([np.linalg.norm(up), np.linalg.norm(approach)], 1.0, atol=1e-6)
         if not (unit and abs(up @ approach) <= 1e-6):
-            raise ValueError(
-                f"grasp: up {shown(self.up)} and approach {shown(self.approach)} are no unit vectors at a right angle; "
-                "write e.g. up = (-1, 0, 0), approach = (0, 0, 1)"
-            )
+            given = f"up {shown(self.up)} and approach {shown(self.approach)} are no unit vectors at a right angle"
+            raise ValueError(f"grasp: {given}; write e.g. up = (-1, 0, 0), approach = (0, 0, 1)")
 
 
 def grasp_poses(chain: Chain, fruit: Fruit, angles: np.ndarray, grasp: Grasp | None = None) -> np.ndarray:
@@ -45,18 +44,19 @@ def fruit_frames(fruit: Fruit, angles: np.ndarray, grasp: Grasp | None = None) -
     At angle 0 the approach is along the world's y (its x where the axis is y), turned right-handed about the axis from there.
     """
     grasp = grasp or Grasp()
-    up, reference = fruit.axis, np.array([0.0, 1.0, 0.0])
-    if abs(up @ reference) > 0.99:
-        reference = np.array([1.0, 0.0, 0.0])
-    forward = reference - up * (up @ reference)
-    forward /= np.linalg.norm(forward)
+    up, forward = fruit.axis, across(fruit.axis, (0.0, 1.0, 0.0))
     side = np.cross(up, forward)
     approach = np.cos(angles)[:, None] * forward + np.sin(angles)[:, None] * side
     world = np.stack([np.broadcast_to(up, approach.shape), approach, np.cross(up, approach)], axis=-1)
     tool = np.stack([grasp.up, grasp.approach, np.cross(grasp.up, grasp.approach)], axis=-1)
-    poses = np.tile(np.eye(4), (len(angles), 1, 1))
-    poses[:, :3, :3], poses[:, :3, 3] = world @ tool.T, fruit.position
-    return poses
+    return frame(fruit.position, world @ tool.T)
+
+
+def across(axis: Any, toward: tuple[float, float, float]) -> np.ndarray:
+    """The unit vector across `axis` that lies nearest to `toward`, or to x where the axis lies along that."""
+    reference = np.array((1.0, 0.0, 0.0) if abs(axis @ toward) > 0.99 else toward)
+    found = reference - axis * (axis @ reference)
+    return found / np.linalg.norm(found)
 
 
 def approach_grid(angles: Any) -> np.ndarray:

@@ -22,6 +22,7 @@ from jaxik.robot.spherical_wrist import closed_forms
 from jaxik.spmd import HostKernel
 from jaxik.spmd.batch import in_blocks
 
+STEPS = 25  # of the ascent, at most
 LIMIT_LENGTH = 0.1  # [m/rad] at which a joint past its limit weighs against clearance while a miss is mended
 
 
@@ -47,13 +48,7 @@ class Recovered(NamedTuple):
 
 
 def recover(
-    chain: Chain,
-    scene: Scene,
-    found: Scan,
-    weights: Weights | None = None,
-    margin: float = 0.005,
-    grasp: Grasp | None = None,
-    steps: int = 25,
+    chain: Chain, scene: Scene, found: Scan, weights: Weights | None = None, margin: float = 0.005, grasp: Grasp | None = None
 ) -> Recovered | None:
     """A posture near the misses of a scan that has none: a grid ten times finer around them, then gradient ascent.
 
@@ -65,10 +60,10 @@ def recover(
         return None
     for spread in _finer(chain, found, starts):
         finer = scan(chain, scene, found.fruit, *spread, weights=weights, margin=margin, grasp=grasp)
-        best = finer.table.best(margin)
+        best = finer.table.best_row(margin)
         if best is not None:
-            return Recovered(Table(*(column[best : best + 1] for column in finer.table)), "finer grid")
-    return _climb(chain, scene, found, starts, weights or Weights(), margin, grasp, steps)
+            return Recovered(best, "finer grid")
+    return _climb(chain, scene, found, starts, weights or Weights(), margin, grasp)
 
 
 def _misses(found: Scan) -> np.ndarray:
@@ -94,14 +89,7 @@ def _finer(chain: Chain, found: Scan, starts: np.ndarray) -> Iterator[tuple[np.n
 
 
 def _climb(
-    chain: Chain,
-    scene: Scene,
-    found: Scan,
-    starts: np.ndarray,
-    weights: Weights,
-    margin: float,
-    grasp: Grasp | None,
-    steps: int,
+    chain: Chain, scene: Scene, found: Scan, starts: np.ndarray, weights: Weights, margin: float, grasp: Grasp | None
 ) -> Recovered | None:
     others = grouped(without_fruit(scene, found.fruit), chain)
     k = chain.num_joints - 6
@@ -118,7 +106,7 @@ def _climb(
     u, stride = starts[:, :-1].copy(), np.full(len(starts), 0.1)
     q, _ = solve(u)
     worth, slope, jacobians = measure(q)
-    for _ in range(steps):
+    for _ in range(STEPS):
         direction = _self_motion(jacobians.astype(np.float64), slope.astype(np.float64), axis, k)
         trial = u + stride[:, None] * direction
         trial[:, 1:] = np.clip(trial[:, 1:], chain.lower[:k], chain.upper[:k])
@@ -134,8 +122,8 @@ def _climb(
     distance, freedom = measured(chain, scene, found.fruit, q)
     inside = np.all((q >= chain.lower) & (q <= chain.upper), axis=1)
     table = Table(u[:, 0], u[:, 1:], branch, q, np.where(inside, distance, -np.inf), freedom, weights.score(distance, freedom))
-    best = table.best(margin)
-    return None if best is None else Recovered(Table(*(c[best : best + 1] for c in table)), "gradient")
+    best = table.best_row(margin)
+    return None if best is None else Recovered(best, "gradient")
 
 
 def _self_motion(jacobians: np.ndarray, slope: np.ndarray, axis: np.ndarray, k: int) -> np.ndarray:

@@ -37,10 +37,8 @@ def fit_mapping(image: Float[Array, " k"], field: Float[Array, " m"], degree: in
         raise ValueError(f"fit_mapping: image has shape {x.shape} and field {y.shape}; allowed: (k,) each")
     if not np.all(np.isfinite(x)) or not np.all(np.isfinite(y)):
         raise ValueError("fit_mapping: a pair holds NaN or infinity; leave it out")
-    if len(np.unique(x)) <= degree:
-        raise ValueError(
-            f"fit_mapping: {len(np.unique(x))} different pixels for degree {degree}; measure at least {degree + 1}"
-        )
+    if (different := len(np.unique(x))) <= degree:
+        raise ValueError(f"fit_mapping: {different} different pixels for degree {degree}; measure at least {degree + 1}")
     with np.errstate(all="ignore"):
         if not np.isfinite(x**degree @ x**degree) or not np.isfinite(y @ y):
             raise ValueError(f"fit_mapping: numbers whose powers up to {degree} overflow; use smaller units")

@@ -69,6 +69,11 @@ class Table(NamedTuple):
         free = np.flatnonzero(self.clearance >= margin)
         return int(free[np.argmax(self.score[free])]) if len(free) else None
 
+    def best_row(self, margin: float) -> Table | None:
+        """That row alone."""
+        best = self.best(margin)
+        return None if best is None else Table(*(column[best : best + 1] for column in self))
+
 
 class Scan(NamedTuple):
     """A scanned fruit: the grid, the fate of every candidate as a `Reason`, (angles, leading, branches), and the table.
@@ -86,10 +91,8 @@ class Scan(NamedTuple):
     @property
     def reason(self) -> Reason:
         """SOLVED, or how far the best candidate came."""
-        for reason in (Reason.SOLVED, Reason.COLLISION, Reason.LIMITS):
-            if np.any(self.status == reason):
-                return reason
-        return Reason.OUT_OF_REACH
+        nearest_first = (Reason.SOLVED, Reason.COLLISION, Reason.LIMITS)
+        return next((reason for reason in nearest_first if np.any(self.status == reason)), Reason.OUT_OF_REACH)
 
 
 # --------------------------------------------------------------------------------------------------------------------
@@ -187,7 +190,8 @@ def measured(chain: Chain, scene: Scene, fruit: Fruit, q: np.ndarray) -> tuple[n
 def approach_angles(
     chain: Chain, scene: Scene, fruit: Fruit, angles: Any = 72, grasp: Grasp | None = None
 ) -> tuple[np.ndarray, np.ndarray]:
-    """The approach angles [rad] from best to worst, and the clearance [m] of the last three links, straight, at each.
+    """The approach angles [rad] from best to worst, and the clearance [m] of the last three links, straight, at each. Host
+    driver.
 
     Source: Van Henten et al. 2010, sec. 4.1, step 1.
     """
@@ -208,7 +212,8 @@ def approach_angles(
 def scan_two_step(
     chain: Chain, scene: Scene, fruit: Fruit, angles: Any = 72, slides: Any = 41, **options: Any
 ) -> tuple[Scan, int]:
-    """The paper's two steps, with the recovery that it lacks: where the best angle has no posture the next one is taken.
+    """The paper's two steps, with the recovery that it lacks: where the best angle has no posture the next one is taken. Host
+    driver.
 
     Returns the scan of the first angle that has one (else of the best angle) and how many angles were tried.
     """

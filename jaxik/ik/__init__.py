@@ -5,10 +5,4 @@ from jaxik.ik.options import IKOptions
 from jaxik.ik.solve import IKResult, solve_ik
 from jaxik.ik.sqp_programs import descend
 
-__all__ = [
-    "IKOptions",
-    "IKResult",
-    "descend",
-    "implicit_ik",
-    "solve_ik",
-]
+__all__ = ["IKOptions", "IKResult", "descend", "implicit_ik", "solve_ik"]

@@ -28,12 +28,11 @@ from jaxik.spmd.batch import in_blocks
 
 def residual(chain: Chain, target: Float[Array, "4 4"], task: Task = POSE) -> Callable[[Any], Any]:
     """q (n,) -> what the tip misses of the target: the bound components [m], [rad]."""
-    wanted = jnp.asarray(target)
 
     @kernel
     def missed(q: Any) -> Any:
         tip = joint_frames(chain, traced(q), dtype=q.dtype).tip
-        position, rotation = task.residual(tip, Frame.of_entries(traced(wanted.astype(q.dtype))))
+        position, rotation = task.residual(tip, Frame.of_entries(traced(jnp.asarray(target, q.dtype))))
         return jnp.stack(position + rotation)
 
     return missed
@@ -101,16 +100,7 @@ def global_search(
         looked += columns.shape[1]
         return in_blocks(each, columns.T, double=True)[0]
 
-    found = differential_evolution(
-        evaluate,
-        np.stack(finite_limits(chain), axis=1),
-        rng=np.random.default_rng(seed),
-        maxiter=generations,
-        popsize=population,
-        vectorized=True,
-        updating="deferred",
-        polish=False,
-        tol=0.0,
-        atol=0.0,
-    )
+    bounds, rng = np.stack(finite_limits(chain), axis=1), np.random.default_rng(seed)
+    plain = {"vectorized": True, "updating": "deferred", "polish": False, "tol": 0.0, "atol": 0.0}
+    found = differential_evolution(evaluate, bounds, rng=rng, maxiter=generations, popsize=population, **plain)
     return Searched(found.x, float(found.fun), looked)

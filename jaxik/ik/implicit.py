@@ -58,10 +58,9 @@ def implicit_ik(
         its_chain, _, its_scene, _ = whole(t)
         return jnp.zeros(0, dtype) if scene is None else link_clearances(its_chain, its_scene, x) - margin  # a kernel
 
-    exact = scene is None or _curved_rightly(chain, scene)
     bounds = (jnp.asarray(b, dtype) for b in (chain.lower, chain.upper))
     found = implicit(Program(least, equality, inequality), q, [leaves[i] for i in traced], *bounds)
-    if exact:
+    if scene is None or _curved_rightly(chain, scene):
         return found
     away = lax.stop_gradient(inequality(q, [leaves[i] for i in traced]))
     return found._replace(defined=found.defined & jnp.all(away > 1e-4))

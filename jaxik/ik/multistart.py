@@ -24,11 +24,10 @@ from typing import NamedTuple
 import numpy as np
 
 from jaxik.ik import seeds
-from jaxik.ik.collision_repair import PUSHED, hopped, is_fixed, pushed
-from jaxik.ik.cost_refinement import improved
+from jaxik.ik.improvement import PUSHED, hopped, improved, is_fixed, pushed
 from jaxik.ik.problem import Problem
-from jaxik.ik.refinement import EARLY, OPEN, PORTION, SOLVED, STEPS, Misses, compile_finisher, finisher, rescued, searched
-from jaxik.ik.solutions import Found, at_home, candidates, colliding, nothing, within
+from jaxik.ik.refinement import EARLY, OPEN, PORTION, SOLVED, STEPS, Misses, compile_finisher, rescued, searched, settling
+from jaxik.ik.solutions import Found, at_home, candidates, judged, nothing, within
 from jaxik.reasons import Reason
 from jaxik.robot.reach_bound import reach_bound
 
@@ -65,41 +64,39 @@ def search(problem: Problem, poses: np.ndarray, valid: np.ndarray) -> Outcome:
     none, misses = nothing(problem), Misses(problem)
     reason = np.where(valid, np.where(_out_of_reach(problem, poses), Reason.OUT_OF_REACH, OPEN), Reason.INVALID)
     answers, blocked = [none], [none]
-    compile_finisher(finisher(problem), problem.chain.num_joints)
+
+    def note(free: Found, hit: Found = none) -> None:
+        answers.append(free)
+        blocked.append(hit)
+        reason[free.target] = SOLVED
+
+    def still_blocked() -> Found:
+        stuck = Found.joined(blocked)
+        return stuck.rows(reason[stuck.target] == OPEN)
+
+    compile_finisher(settling(problem), problem.chain.num_joints)
     waves = _waves(problem.options.max_seeds, problem.first_will_do, problem.scene is not None)
     while waves and len(left := np.flatnonzero(reason == OPEN)):
         wave, waves = _joined_waves(waves, len(left))
         for some in _portions(left, wave.size):
-            free, hit = _search_wave(problem, poses, some, wave, misses)
-            answers.append(free)
-            blocked.append(hit)
-            reason[free.target] = SOLVED
+            note(*_search_wave(problem, poses, some, wave, misses))
         if wave.rescues and OPEN in reason:  # what is left by now is near a singularity, or unreachable
-            saved, near = rescued(problem, poses, misses.near(reason))
-            answers.append(saved)
-            blocked.append(near)
-            reason[saved.target] = SOLVED
+            note(*rescued(problem, poses, misses.near(reason)))
         if wave.pushes and OPEN in reason:  # more seeds cost less than moving out of obstacles
-            stuck = Found.joined(blocked)
-            blocked = [stuck.rows(reason[stuck.target] == OPEN)]
-            freed = (hopped if is_fixed(problem) else pushed)(problem, poses, blocked[0], wave.pushes)
-            answers.append(freed)
-            reason[freed.target] = SOLVED
+            blocked = [still_blocked()]
+            note((hopped if is_fixed(problem) else pushed)(problem, poses, blocked[0], wave.pushes))
     missed = none
     if OPEN in reason:
-        missed = misses.nearest(problem, poses, reason)
-        landed, collides = within(missed, problem.tolerance), colliding(problem, missed)
-        answers.append(missed.rows(landed & ~collides))  # late, but it has the pose
-        blocked.append(missed.rows(landed & collides))
-        reason[answers[-1].target] = SOLVED
+        missed = misses.nearest(poses, reason)
+        landed = within(missed, problem.tolerance)
+        note(*judged(problem, missed.rows(landed)))  # late, but they have the pose
         missed = missed.rows(~landed)
     found = at_home(problem, Found.joined(answers))
     if problem.options.cost is not None:
         found = improved(problem, poses, found)
     if (reason == SOLVED).all():
         return Outcome(reason, found, none, none)
-    stuck = Found.joined(blocked)
-    stuck = stuck.rows(reason[stuck.target] == OPEN)
+    stuck = still_blocked()
     reason[stuck.target] = Reason.COLLISION
     reason = _beyond_limits(problem, poses, reason)
     return Outcome(reason, found, at_home(problem, stuck), at_home(problem, missed))
@@ -117,12 +114,8 @@ def _out_of_reach(problem: Problem, poses: np.ndarray) -> np.ndarray:
 @functools.lru_cache(maxsize=64)
 def _waves(most: int, first_will_do: bool, scene: bool) -> tuple[Wave, ...]:
     """Of `most` seeds few at first where one answer is enough, since most targets need no more."""
-    if not first_will_do:
-        sizes, rescue, push = [most], 1, 1
-    elif not scene:
-        sizes, rescue, push = [1, 1, 2, 4, 8, 16, 32], 5, 0
-    else:
-        sizes, rescue, push = [16, 48], 3, 2
+    sizes = [most] if not first_will_do else [16, 48] if scene else [1, 1, 2, 4, 8, 16, 32]
+    rescue, push = (3, 2) if scene else (5, 0)  # the numbers of the first waves that do
     ends = sorted({min(end, most) for end in itertools.accumulate(sizes + [64] * (most // 64 + 1))})
     early = 0 if scene else min(16, most // 8)  # a lane is given up early where many more seeds follow
     return tuple(
@@ -139,15 +132,13 @@ def _waves(most: int, first_will_do: bool, scene: bool) -> tuple[Wave, ...]:
 
 def _joined_waves(waves: tuple[Wave, ...], targets: int) -> tuple[Wave, tuple[Wave, ...]]:
     """The next wave of so few `targets` that several fit in one, and those after it."""
-    number = 1
-    while (
-        number < len(waves)
-        and not (waves[number - 1].rescues or waves[number - 1].pushes)
-        and waves[number].steps == waves[0].steps
-        and targets * (waves[number].last - waves[0].first) <= TOGETHER[waves[0].first > 0]
-    ):
+    first, number = waves[0].first, 1
+    for wave, after in itertools.pairwise(waves):
+        fits = after.steps == wave.steps and targets * (after.last - first) <= TOGETHER[first > 0]
+        if wave.rescues or wave.pushes or not fits:
+            break
         number += 1
-    return waves[number - 1]._replace(first=waves[0].first), waves[number:]
+    return waves[number - 1]._replace(first=first), waves[number:]
 
 
 def _portions(rows: np.ndarray, each: int) -> list[np.ndarray]:
@@ -160,24 +151,30 @@ def _search_wave(problem: Problem, poses: np.ndarray, some: np.ndarray, wave: Wa
     """Searches `some` targets from the wave's seeds: the answers, and postures that have the pose and collide."""
     target, number = np.repeat(some, wave.size), np.tile(np.arange(wave.first, wave.last), len(some))
     start = _starts(problem, poses, some, wave.first, wave.last).reshape(len(target), -1)
-    return searched(problem, poses, candidates(problem, start, target, number), wave.steps, misses)
+    return searched(problem, poses, candidates(start, target, number), wave.steps, misses)
 
 
 def _starts(problem: Problem, poses: np.ndarray, some: np.ndarray, first: int, last: int) -> np.ndarray:
     """Seeds `first` to `last` of `some` targets, (len(some), last - first, n)."""
-    if problem.strategy == "near":
-        assert problem.reference is not None
-        return seeds.near(problem.inside, problem.seed, first, last, problem.reference[some])
+    split = min(max(problem.near, first), last)
+    if first == split:
+        return _anywhere(problem, poses, some, first - problem.near, last - problem.near)
+    assert problem.reference is not None
+    near = seeds.near(problem.whole, problem.seed, first, split, problem.reference[some])
+    return near if split == last else np.concatenate([near, _starts(problem, poses, some, split, last)], axis=1)
+
+
+def _anywhere(problem: Problem, poses: np.ndarray, some: np.ndarray, first: int, last: int) -> np.ndarray:
+    """Likewise, by the strategy."""
+    chain, options, numbers = problem.chain, problem.options, (problem.inside, problem.seed, first, last)
     if problem.strategy == "closed_form":
-        return seeds.branches(problem.chain, problem.inside, problem.seed, first, last, poses[some])
+        return seeds.branches(chain, *numbers, poses[some])
     if problem.strategy == "library":
-        return seeds.library(
-            problem.chain, problem.options.task, problem.inside, problem.unit, problem.seed, first, last, poses[some]
-        )
+        return seeds.library(chain, options.task, problem.unit, *numbers, poses[some])
     if problem.strategy == "low_discrepancy":
-        each = seeds.low_discrepancy(problem.inside, problem.seed, max(problem.options.max_seeds, last))[first:last]
+        each = seeds.low_discrepancy(problem.inside, problem.seed, max(options.max_seeds, last))[first:last]
     else:
-        each = seeds.uniforms(problem.inside, problem.seed, first, last)
+        each = seeds.uniforms(*numbers)
     return np.broadcast_to(each, (len(some), *each.shape))
 
 
@@ -187,19 +184,14 @@ def _beyond_limits(problem: Problem, poses: np.ndarray, reason: np.ndarray) -> n
     if not len(left):
         return reason
     if problem.chain.num_joints == 6 and problem.strategy == "closed_form" and not problem.options.locked:
-        any_valid = seeds.any_branch(problem.chain, poses[left])
-        reason[left] = np.where(any_valid, Reason.LIMITS, Reason.OUT_OF_REACH)
+        reason[left] = np.where(seeds.any_branch(problem.chain, poses[left]), Reason.LIMITS, Reason.OUT_OF_REACH)
         return reason
     held = problem.low == problem.high  # what is locked stays so
-    around = np.where(held, problem.low, -np.pi), np.where(held, problem.high, np.pi)
-    free = dataclasses.replace(
-        problem,
-        scene=None,
-        low=np.where(held, problem.low, -np.inf),
-        high=np.where(held, problem.high, np.inf),
-        inside=seeds.Range(*(tuple(bound.tolist()) for bound in around)),
-        options=dataclasses.replace(problem.options, choice="first", solutions=1, cost=None),
-    )
+    up_to = lambda bound: (np.where(held, problem.low, -bound), np.where(held, problem.high, bound))
+    low, high = up_to(np.inf)
+    inside = seeds.Range(*(tuple(bound.tolist()) for bound in up_to(np.pi)))
+    options = dataclasses.replace(problem.options, choice="first", solutions=1, cost=None)
+    free = dataclasses.replace(problem, scene=None, low=low, high=high, inside=inside, options=options)
     for some in _portions(left, UNLIMITED):
         found, _ = _search_wave(free, poses, some, Wave(0, UNLIMITED, STEPS, False, 0), Misses(problem))
         reason[found.target] = Reason.LIMITS

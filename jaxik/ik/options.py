@@ -15,6 +15,7 @@ from jaxik.robot.task import POSE, Task
 
 Choice = Literal["first", "closest", "clearance", "manipulability", "freedom", "comfort"]
 Collision = Literal["constraint", "penalty"]
+Norm = Literal["l2", "linf"]
 AVOID = sqp.Options(passes=3)
 IMPROVE = sqp.Options(hessian="bfgs", merit="augmented_lagrangian", floor=1e-10, passes=3)
 
@@ -26,7 +27,8 @@ class IKOptions:
     task: which of the six components a target binds (`Task`).
     position_tolerance [m], rotation_tolerance [rad]: largest errors of an answer; one number, or one a target.
     margin: least clearance with a scene [m].
-    seeds: where searches start (`jaxik.ik.seeds`); "auto" is the closed form where the chain has one, else the library.
+    seeds: where searches start (`jaxik.ik.seeds`); "auto" is the closed form where the chain has one, else the library,
+        and for "closest" half of them around the reference, which is the first.
     max_seeds: seeds a target gets before it is given up.
     choice: which answer is taken: that of the "first" seed that leads to one, or with a `cost` the cheapest; or of all that
         `max_seeds` find the "closest" to `reference`, the one with the largest "clearance", "manipulability" or joint
@@ -71,13 +73,8 @@ class IKOptions:
     improve: sqp.Options = IMPROVE
 
     def __post_init__(self) -> None:
-        check_choices(
-            "solve_ik",
-            seeds=(self.seeds, seeds.Strategy),
-            choice=(self.choice, Choice),
-            collision=(self.collision, Collision),
-            norm=(self.norm, Literal["l2", "linf"]),
-        )
+        check_choices("solve_ik", seeds=(self.seeds, seeds.Strategy), choice=(self.choice, Choice))
+        check_choices("solve_ik", collision=(self.collision, Collision), norm=(self.norm, Norm))
         for name in ("max_seeds", "solutions", "cost_iterations"):
             object.__setattr__(self, name, as_count(f"solve_ik: {name}", getattr(self, name)))
         check_finite("solve_ik", margin=self.margin)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import functools
+import sys
 from typing import Any
 
 import numpy as np
@@ -35,6 +36,7 @@ class Problem:
     high: np.ndarray
     weights: np.ndarray
     inside: seeds.Range
+    whole: seeds.Range
     unit: float
     strategy: str
     tolerance: np.ndarray
@@ -52,19 +54,18 @@ class Problem:
         if options.cost is not None:
             check_cost("solve_ik", options.cost, n)
         check_seed("solve_ik", seed)
-        tolerance = np.empty((count, 2))
-        for i, name in enumerate(("position_tolerance", "rotation_tolerance")):
-            tolerance[:, i] = _shaped(name, getattr(options, name), (count,))
+        names = "position_tolerance", "rotation_tolerance"
+        tolerance = np.array([_shaped(name, getattr(options, name), (count,)) for name in names]).T
         if not (tolerance > 0.0).all():
             raise ValueError("position_tolerance and rotation_tolerance are > 0")
         reference = None if options.reference is None else _shaped("reference", options.reference, (count, n), least=1)
         if reference is not None and not np.isfinite(reference).all():
             raise ValueError("reference holds NaN or infinity; write a configuration (n,), or one a target (N, n) [rad, m]")
         strategy = _strategy(chain, options)
-        inside = _range(chain, tuple(low.tolist()), tuple(high.tolist()), strategy != "near")
+        inside, whole = (_range(chain, tuple(low.tolist()), tuple(high.tolist()), one_turn) for one_turn in (True, False))
         around = grouped(scene, chain) if scene is not None else None
         unit = sqp_programs.unit_length(chain)
-        return Problem(chain, around, seed, options, low, high, weights, inside, unit, strategy, tolerance, reference)
+        return Problem(chain, around, seed, options, low, high, weights, inside, whole, unit, strategy, tolerance, reference)
 
     def part(self, rows: slice) -> Problem:
         """The same for some of the targets."""
@@ -72,6 +73,14 @@ class Problem:
             return self
         reference = None if self.reference is None else self.reference[rows]
         return dataclasses.replace(self, tolerance=self.tolerance[rows], reference=reference)
+
+    @property
+    def near(self) -> int:
+        """How many of the first seeds are around the reference."""
+        if self.strategy == "near":
+            return sys.maxsize
+        closest = self.options.choice == "closest" and self.options.seeds == "auto"
+        return -(-self.options.max_seeds // 2) if closest else 0
 
     @property
     def limits(self) -> tuple[np.ndarray, ...]:
@@ -86,8 +95,7 @@ class Problem:
     @functools.cached_property
     def round_limits(self) -> tuple[np.ndarray, ...]:
         """`limits` for searches: no wall where a joint may go on, on the next turn."""
-        low, high, weights = self.limits
-        return np.where(self.circles, -np.inf, low), np.where(self.circles, np.inf, high), weights
+        return np.where(self.circles, -np.inf, self.low), np.where(self.circles, np.inf, self.high), self.weights
 
     @property
     def first_will_do(self) -> bool:
@@ -125,9 +133,7 @@ class Problem:
 
 def _limits(chain: Chain, options: IKOptions) -> tuple[np.ndarray, np.ndarray]:
     """The chain's own (n,), of a locked joint its value twice."""
-    low, high = np.asarray(chain.lower, np.float64), np.asarray(chain.upper, np.float64)
-    if options.locked:
-        low, high = low.copy(), high.copy()
+    low, high = np.array(chain.lower, np.float64), np.array(chain.upper, np.float64)
     for name, value in options.locked.items():
         if name not in chain.joint_names:
             raise ValueError(f"locked: {chain.name} has no joint '{name}'; it has {', '.join(chain.joint_names)}")
@@ -162,8 +168,7 @@ def _shaped(name: str, value: Any, shape: tuple[int, ...], least: int = 0) -> np
 def _strategy(chain: Chain, options: IKOptions) -> str:
     if options.seeds not in ("auto", "closed_form"):
         return options.seeds
-    whole = all(options.task.bound)
-    obstacle = closed_form_obstacle(chain) if whole else "the task leaves axes free"
+    obstacle = closed_form_obstacle(chain) if all(options.task.bound) else "the task leaves axes free"
     if options.seeds == "closed_form" and obstacle:
         raise ValueError(f"{chain.name}: seeds 'closed_form' need the closed form, and {obstacle}")
     return "library" if obstacle else "closed_form"

@@ -9,9 +9,9 @@ from typing import Any
 
 import numpy as np
 
-from jaxik.ik import sqp_programs
 from jaxik.ik.problem import Problem
-from jaxik.ik.solutions import Found, cleared, colliding, nothing, top, within
+from jaxik.ik.solutions import Found, cleared, judged, nothing, top, within
+from jaxik.ik.sqp_programs import batch, settle
 from jaxik.optimise import sqp
 from jaxik.reasons import Reason
 from jaxik.robot.joint_turns import TURN
@@ -28,51 +28,42 @@ SOLVED, OPEN = int(Reason.SOLVED), int(Reason.NOT_CONVERGED)
 CREEP = 0.95  # of its error, at most, is left of a miss after two steps, or it is at rest; some return, so not among obstacles
 
 
-def searched(problem: Problem, poses: np.ndarray, lanes_: Found, steps: int, misses: Misses) -> tuple[Found, Found]:
+def searched(problem: Problem, poses: np.ndarray, lanes: Found, steps: int, misses: Misses) -> tuple[Found, Found]:
     """The answers that so many steps lead to, and postures that have the pose and collide."""
-    ended = settled(problem, poses, lanes_, steps, double=False)
+    ended = settled(problem, poses, lanes, steps, double=False)
     landed = within(ended, np.maximum(problem.tolerance, [LANDED * problem.unit, LANDED]))
     misses.note(ended, landed)
-    found = finish(problem, poses, ended.rows(landed), misses)
-    if problem.scene is None:
-        return found, nothing(problem)
-    found = cleared(problem, found)
-    collides = colliding(problem, found)
-    return found.rows(~collides), found.rows(collides)
+    return judged(problem, finish(problem, poses, ended.rows(landed), misses))
 
 
-def settled(problem: Problem, poses: np.ndarray, lanes_: Found, most: int, double: bool = True, creep: float = np.inf) -> Found:
+def settled(problem: Problem, poses: np.ndarray, lanes: Found, most: int, double: bool = True, creep: float = np.inf) -> Found:
     """The lanes after up to `most` steps, with their errors."""
-    program = (
-        finisher(problem) if double else sqp_programs.settling(problem.chain, problem.options.task, problem.options.search)
-    )
-    aim = problem.aim[lanes_.target] if double else np.full(len(lanes_.target), ARRIVED)
-    rows, fixed = (lanes_.q, poses[lanes_.target], aim), (*problem.round_limits, most, creep)
-    q, away, turned, count = in_blocks(program, *rows, fixed=fixed, double=double)
+    aim = problem.aim[lanes.target] if double else np.full(len(lanes.target), ARRIVED)
+    rows, fixed = (lanes.q, poses[lanes.target], aim), (problem.round_limits, most, creep)
+    steps = settling(problem, FINISH if double else problem.options.search)
+    q, away, turned, count = in_blocks(steps, *rows, fixed=fixed, double=double)
     q = _inside(problem, q) if problem.circles.any() else q
-    return lanes_._replace(q=q, position_error=away, rotation_error=turned, iterations=lanes_.iterations + count)
+    return lanes._replace(q=q, position_error=away, rotation_error=turned, iterations=lanes.iterations + count)
 
 
 def _inside(problem: Problem, q: np.ndarray) -> np.ndarray:
     """Joints that turn all the way round, by whole turns back inside their limits."""
     out = problem.circles & ((q < problem.low) | (q > problem.high))
-    return (
-        np.where(out, np.minimum(problem.low + np.mod(q - problem.low, TURN), problem.high), q).astype(q.dtype)
-        if out.any()
-        else q
-    )
+    if not out.any():
+        return q
+    return np.where(out, np.minimum(problem.low + np.mod(q - problem.low, TURN), problem.high), q).astype(q.dtype)
 
 
-def finisher(problem: Problem) -> Callable[..., Any]:
-    """The program of the last steps, in float64."""
-    return sqp_programs.settling(problem.chain, problem.options.task, FINISH)
+def settling(problem: Problem, options: sqp.Options = FINISH) -> Callable[..., Any]:
+    """The program of such steps; without options of the last ones, in float64."""
+    return batch(3, settle, problem.chain, problem.options.task, options)
 
 
 @anew_in_forks
 @functools.lru_cache(maxsize=64)
 def compile_finisher(program: Callable[..., Any], n: int) -> Future[Any]:
     """Lets another thread compile what finishes lanes while the search compiles: a quarter of the first call's time."""
-    rows, fixed = (np.zeros((1, n)), np.eye(4)[None], np.zeros(1)), (np.zeros(n), np.zeros(n), np.ones(n), 0, 0.0)
+    rows, fixed = (np.zeros((1, n)), np.eye(4)[None], np.zeros(1)), ((np.zeros(n), np.zeros(n), np.ones(n)), 0, 0.0)
     return threads().submit(in_blocks, program, *rows, fixed=fixed, double=True)
 
 
@@ -80,7 +71,7 @@ def finish(problem: Problem, poses: np.ndarray, landed: Found, misses: Misses) -
     """In float64: the last steps, and whose errors are within the tolerances."""
     if not len(landed.q):
         return landed
-    compile_finisher(finisher(problem), problem.chain.num_joints).result()
+    compile_finisher(settling(problem), problem.chain.num_joints).result()
     found = settled(problem, poses, landed, FINISHING)
     exact = within(found, problem.tolerance)
     misses.note(found, exact)
@@ -93,15 +84,7 @@ def rescued(problem: Problem, poses: np.ndarray, near: Found) -> tuple[Found, Fo
     if not len(near.q):
         return near, near
     near = settled(problem, poses, near, RESCUE, creep=CREEP if problem.scene is None else np.inf)
-    near = cleared(problem, near.rows(within(near, problem.tolerance)))
-    collides = colliding(problem, near)
-    return near.rows(~collides), near.rows(collides)
-
-
-def miss(problem: Problem, found: Found) -> np.ndarray:
-    """How far rows are from their targets [rad, unit lengths]; in float64, so that they rank the same whatever they are joined
-    with."""
-    return found.position_error.astype(np.float64) / problem.unit + found.rotation_error
+    return judged(problem, near.rows(within(near, problem.tolerance)))
 
 
 class Misses:
@@ -116,27 +99,27 @@ class Misses:
         self.parts.append((ended, well))
         self.count += len(well)
         if self.count > PORTION:
-            kept = self._nearest(self._all(), KEPT)
+            kept = self._nearest(KEPT)
             self.parts, self.count = [(kept, np.zeros(len(kept.q), bool))], len(kept.q)
 
-    def _all(self) -> Found:
-        return Found.joined([nothing(self.problem), *(ended.rows(~well) for ended, well in self.parts)])
+    def _nearest(self, count: int, reason: np.ndarray | None = None) -> Found:
+        """So many of each target, those with the least errors; only of targets without an answer, where reasons are known."""
+        noted = Found.joined([nothing(self.problem), *(ended.rows(~well) for ended, well in self.parts)])
+        if reason is not None:
+            noted = noted.rows(reason[noted.target] != SOLVED)
+        return noted.rows(top(noted.target, -np.nan_to_num(self._away(noted), nan=np.inf), count))
 
-    def _left(self, reason: np.ndarray, count: int) -> Found:
-        """So many of each target without an answer."""
-        noted = self._all()
-        return self._nearest(noted.rows(reason[noted.target] != SOLVED), count)
-
-    def _nearest(self, lanes_: Found, count: int) -> Found:
-        """So many of each target, those with the least errors."""
-        return lanes_.rows(top(lanes_.target, -np.nan_to_num(miss(self.problem, lanes_), nan=np.inf), count))
+    def _away(self, found: Found) -> np.ndarray:
+        """How far rows are from their targets [rad, unit lengths]; in float64, so that they rank the same whatever they are
+        joined with."""
+        return found.position_error.astype(np.float64) / self.problem.unit + found.rotation_error
 
     def near(self, reason: np.ndarray) -> Found:
         """Those of targets searched for in vain that came within `NEAR`."""
-        lanes_ = self._left(reason, KEPT)
-        return lanes_.rows(miss(self.problem, lanes_) < NEAR)
+        lanes = self._nearest(KEPT, reason)
+        return lanes.rows(self._away(lanes) < NEAR)
 
-    def nearest(self, problem: Problem, poses: np.ndarray, reason: np.ndarray) -> Found:
+    def nearest(self, poses: np.ndarray, reason: np.ndarray) -> Found:
         """The nearest of each target without an answer, judged in float64."""
-        found = self._left(reason, 1)
-        return cleared(problem, settled(problem, poses, found, FINISHING)) if len(found.q) else found
+        found = self._nearest(1, reason)
+        return cleared(self.problem, settled(self.problem, poses, found, FINISHING)) if len(found.q) else found

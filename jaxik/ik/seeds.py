@@ -101,10 +101,9 @@ class _Set(NamedTuple):
 
 @functools.lru_cache(maxsize=64)
 def _set(chain: Chain, task: Task, inside: Range, length: float, number: int) -> _Set:
-    size = LATER if number else FIRST
-    q = uniform(inside, 0, number, size)  # the user's seed does not change it: it is built once a chain
-    tip = joint_frames(chain, list(q.T)).tip
-    features = _features(task, tip.matrices, length)
+    # the user's seed does not change it: it is built once a chain
+    q = uniform(inside, 0, number, LATER if number else FIRST)
+    features = _features(task, joint_frames(chain, list(q.T)).tip.matrices, length)
     return read_only(_Set(q.astype(np.float32), np.column_stack([features, -0.5 * np.sum(features**2, axis=1)])))
 
 
@@ -114,14 +113,13 @@ def _sets(chain: Chain, task: Task, inside: Range, length: float, first: int, la
 
 
 def library(
-    chain: Chain, task: Task, inside: Range, length: float, seed: int, first: int, last: int, poses: np.ndarray
+    chain: Chain, task: Task, length: float, inside: Range, seed: int, first: int, last: int, poses: np.ndarray
 ) -> np.ndarray:
     """Numbers `first` to `last` for poses (N, 4, 4), (N, last - first, n)."""
     at = np.empty((len(poses), last - first, chain.num_joints), np.float32)
     sets = _sets(chain, task, inside, length, first, min(last, SETS))
     if sets:
-        tables = [each.table for each in sets]
-        found = in_blocks(NEAREST, _features(task, poses, length), fixed=(tables,), double=False)
+        found = in_blocks(NEAREST, _features(task, poses, length), fixed=([each.table for each in sets],), double=False)
         for k, rows in enumerate(found):
             at[:, k] = sets[k].q[rows]
     if last > SETS:

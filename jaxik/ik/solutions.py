@@ -7,8 +7,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-from jaxik.ik import sqp_programs
 from jaxik.ik.problem import Problem
+from jaxik.ik.sqp_programs import batch, clearance_around
 from jaxik.robot.chain import Chain
 from jaxik.robot.joint_turns import TURN, nearest_turns
 from jaxik.spmd.batch import in_blocks
@@ -47,7 +47,7 @@ def within(found: Found, tolerance: np.ndarray) -> np.ndarray:
     return (found.position_error <= allowed[:, 0]) & (found.rotation_error <= allowed[:, 1])
 
 
-def candidates(problem: Problem, q: np.ndarray, target: np.ndarray, number: np.ndarray) -> Found:
+def candidates(q: np.ndarray, target: np.ndarray, number: np.ndarray) -> Found:
     """Lanes at their starts; the numbers that judge them are still to come."""
     unknown = np.full(len(q), np.nan)
     return Found(target, q, unknown, unknown, unknown, number, np.zeros(len(q), int))
@@ -56,7 +56,7 @@ def candidates(problem: Problem, q: np.ndarray, target: np.ndarray, number: np.n
 def nothing(problem: Problem) -> Found:
     """No lane at all."""
     empty = np.zeros(0, int)
-    return candidates(problem, np.zeros((0, problem.chain.num_joints)), empty, empty)
+    return candidates(np.zeros((0, problem.chain.num_joints)), empty, empty)
 
 
 def colliding(problem: Problem, found: Found) -> np.ndarray:
@@ -70,9 +70,17 @@ def cleared(problem: Problem, found: Found) -> Found:
     """With their clearance, where there is a scene."""
     if problem.scene is None or not len(found.q):
         return found
-    return found._replace(
-        clearance=in_blocks(sqp_programs.clearances(problem.chain), found.q, fixed=(problem.scene,), double=True)[0]
-    )
+    program = batch(1, clearance_around, problem.chain)
+    return found._replace(clearance=in_blocks(program, found.q, fixed=(problem.scene,), double=True)[0])
+
+
+def judged(problem: Problem, found: Found) -> tuple[Found, Found]:
+    """The answers among postures that have the pose, and those that collide."""
+    if problem.scene is None:
+        return found, nothing(problem)
+    found = cleared(problem, found)
+    collides = colliding(problem, found)
+    return found.rows(~collides), found.rows(collides)
 
 
 def at_home(problem: Problem, found: Found) -> Found:
@@ -99,8 +107,9 @@ def far_apart(found: Found, score: np.ndarray, count: int) -> np.ndarray:
     return np.concatenate(kept)
 
 
-def top(target: np.ndarray, score: np.ndarray, count: int) -> np.ndarray:
-    """The rows with the `count` largest scores of each target, by target and from the best on; of equal ones the first."""
-    order = np.lexsort((-score, target))
+def top(target: np.ndarray, score: np.ndarray, count: int, *rank: np.ndarray) -> np.ndarray:
+    """The rows with the `count` largest scores of each target, by target and from the best on; of equal ones the first, or that
+    of the least `rank`."""
+    order = np.lexsort((*rank, -score, target))
     sorted_targets = target[order]
     return order[np.arange(len(order)) - np.searchsorted(sorted_targets, sorted_targets) < count]

@@ -15,6 +15,7 @@ from typing import Any
 import jax
 import jax.numpy as jnp
 import numpy as np
+from jaxtyping import Float, Int
 
 from jaxik.checks.arrays import RIGID, numbers
 from jaxik.checks.options import changed, check_kind
@@ -24,18 +25,19 @@ from jaxik.collision.clearances import check_geometry
 from jaxik.collision.contact_report import Contact, explain
 from jaxik.collision.scene import Scene
 from jaxik.costs import comfort_cost, joint_limit_margin
-from jaxik.ik import sqp_programs
-from jaxik.ik.cost_refinement import costs
+from jaxik.ik.improvement import costs
 from jaxik.ik.multistart import Outcome, search
 from jaxik.ik.options import IKOptions
 from jaxik.ik.problem import Problem
-from jaxik.ik.solutions import Found, unwound
+from jaxik.ik.solutions import Found, candidates, top, unwound
+from jaxik.ik.sqp_programs import batch
 from jaxik.reasons import Reason, Reasoned
 from jaxik.robot.chain import Chain
 from jaxik.robot.joint_turns import admissible_turns
 from jaxik.robot.kinematics import manipulability
 from jaxik.robot.reach_bound import millimetres
 from jaxik.robot.task import Task
+from jaxik.spatial.rotations import frame
 from jaxik.spmd import HostKernel
 from jaxik.spmd.batch import in_blocks
 
@@ -72,16 +74,16 @@ class IKResult(Reasoned):
     what makes a target INVALID, a number of `FAULTS`, else 0; `why` says it in words.
     """
 
-    q: Any
-    reason: Any
-    position_error: Any
-    rotation_error: Any
-    clearance: Any
-    seed: Any
-    iterations: Any
-    solutions: Any
-    num_solutions: Any
-    fault: Any = 0
+    q: Float[np.ndarray, "*b n"]
+    reason: Int[np.ndarray, "*b"] | Any  # `| Any`: a single target's is a number, and who reads many need not ask
+    position_error: Float[np.ndarray, "*b"] | Any
+    rotation_error: Float[np.ndarray, "*b"] | Any
+    clearance: Float[np.ndarray, "*b"] | Any
+    seed: Int[np.ndarray, "*b"] | Any
+    iterations: Int[np.ndarray, "*b"] | Any
+    solutions: Float[np.ndarray, "*b k n"]
+    num_solutions: Int[np.ndarray, "*b"] | Any
+    fault: Int[np.ndarray, "*b"] | Any = 0
     solved_in: Any = dataclasses.field(default=None, repr=False, metadata={"static": True})  # chain, scene, margin
 
     @property
@@ -109,12 +111,11 @@ class IKResult(Reasoned):
 
     def __getitem__(self, rows: Any) -> IKResult:
         """The entry of one target, or of those that a slice, mask or list picks. A single target's is number 0."""
-        if np.ndim(self.reason):
-            return _entries({k: v[rows] for k, v in self._columns().items()}, self.solved_in)
-        return _entries({k: np.asarray(v)[None] for k, v in self._columns().items()}, self.solved_in)[rows]
-
-    def _columns(self) -> dict[str, Any]:
-        return {f.name: getattr(self, f.name) for f in dataclasses.fields(self) if f.name != "solved_in"}
+        columns = self if np.ndim(self.reason) else jax.tree_util.tree_map(lambda x: np.asarray(x)[None], self)
+        picked = jax.tree_util.tree_map(lambda x: x[rows], columns)
+        if not np.ndim(picked.reason):
+            vars(picked)["reason"] = Reason(int(picked.reason))  # of what was just made
+        return picked
 
     def __iter__(self) -> Iterator[IKResult]:
         return (self[i] for i in range(len(self)))
@@ -180,21 +181,15 @@ def solved(
 ) -> IKResult:
     """`solve_ik` of many, once what was given is checked and told: `poses` and `fault` as `as_poses` gives them."""
     problem, valid = Problem.of(chain, scene, seed, options, len(poses)), fault == 0
-    parts = []
+    parts: list[IKResult] = []
     for start in range(0, max(1, len(poses)), TARGETS):
         rows = slice(start, start + TARGETS)
         part = problem.part(rows)
-        parts.append(_columns(part, search(part, poses[rows], valid[rows])))
+        parts.append(_result(part, search(part, poses[rows], valid[rows]), fault[rows]))
         if progress:
             progress(min(start + TARGETS, len(poses)))
-    joined = parts[0] if len(parts) == 1 else {k: np.concatenate([p[k] for p in parts]) for k in parts[0]}
-    return IKResult(**joined, fault=fault, solved_in=None if scene is None else (chain, scene, options.margin))
-
-
-def _entries(columns: dict[str, Any], solved_in: Any) -> IKResult:
-    """A result of these columns, whose reason is a `Reason` where they are one target's."""
-    reason = columns["reason"]
-    return IKResult(**columns | {"reason": reason if np.ndim(reason) else Reason(int(reason))}, solved_in=solved_in)
+    joined = parts[0] if len(parts) == 1 else jax.tree_util.tree_map(lambda *columns: np.concatenate(columns), *parts)
+    return joined if scene is None else dataclasses.replace(joined, solved_in=(chain, scene, options.margin))
 
 
 def as_poses(targets: Any, task: Task) -> tuple[np.ndarray, np.ndarray, bool]:
@@ -204,12 +199,7 @@ def as_poses(targets: Any, task: Task) -> tuple[np.ndarray, np.ndarray, bool]:
         mend = "jit or vmap jaxik.ik.descend, or differentiate an answer by jaxik.implicit_ik"
         raise ValueError(f"solve_ik: targets are traced, and it is a driver on the host; {mend}")
     given = numbers("targets", targets)
-    positions = not task.rotations and given.ndim in (1, 2) and given.shape[-1] == 3
-    if positions:
-        poses = np.tile(np.eye(4), (*given.shape[:-1], 1, 1))
-        poses[..., :3, 3] = given
-    else:
-        poses = given
+    poses = frame(given) if not task.rotations and given.ndim in (1, 2) and given.shape[-1] == 3 else given
     if poses.ndim not in (2, 3) or poses.shape[-2:] != (4, 4):
         also = " or positions (3,), (N, 3)" if not task.rotations else ""
         raise ValueError(f"targets have shape {given.shape}; allowed: poses (4, 4) or (N, 4, 4){also}")
@@ -221,18 +211,12 @@ def as_poses(targets: Any, task: Task) -> tuple[np.ndarray, np.ndarray, bool]:
 
 
 def _fault(pose: np.ndarray) -> int:
-    """Which of `FAULTS` a matrix (4, 4) that is no pose has."""
+    """Which of `FAULTS` a matrix (4, 4) that is no pose has: the first."""
     rotation, last = pose[:3, :3], np.abs(pose[3] - [0.0, 0.0, 0.0, 1.0])
-    if not np.isfinite(pose[:3, 3]).all():
-        return 1
-    if not rotation.any():
-        return 2
-    if not np.isfinite(rotation).all():
-        return 3
-    if not last.max() <= RIGID:
-        return 4
-    with np.errstate(over="ignore"):
-        return 5 if np.abs(rotation.T @ rotation - np.eye(3)).max() > RIGID else 6
+    with np.errstate(over="ignore", invalid="ignore"):
+        away = np.abs(rotation.T @ rotation - np.eye(3)).max()
+    fine = np.isfinite(pose[:3, 3]).all(), rotation.any(), np.isfinite(rotation).all(), last.max() <= RIGID, away <= RIGID
+    return 1 + [*fine, False].index(False)
 
 
 def _rigid_pose(pose: Any) -> tuple[Any, Any]:
@@ -254,14 +238,6 @@ RIGID_POSE = HostKernel(_rigid_pose, 1)
 # Which answer
 
 
-def _best(found: Found, score: np.ndarray) -> Found:
-    """The row with the largest score of each target; of equal ones that with the lowest seed."""
-    if not len(found.q):
-        return found
-    order = np.lexsort((found.seed, -score, found.target))
-    return found.rows(order[np.diff(found.target[order], prepend=-1) != 0])
-
-
 def _score(problem: Problem, found: Found) -> np.ndarray:
     """How good answers are by the user's choice; more is better."""
     choice, chain, reference = problem.options.choice, problem.chain, problem.reference
@@ -274,48 +250,44 @@ def _score(problem: Problem, found: Found) -> np.ndarray:
         away = np.abs(found.q - reference[found.target]) * problem.weights
         return -(away.max(axis=1) if problem.options.norm == "linf" else np.sqrt(np.sum(away**2, axis=1)))
     measure = {"manipulability": manipulability, "freedom": joint_limit_margin, "comfort": comfort_cost}[choice]
-    value = in_blocks(sqp_programs.measure(measure, chain), found.q, double=True)[0]
+    value = in_blocks(batch(1, measure, chain), found.q, double=True)[0]
     return -value if choice == "comfort" else value
 
 
-def _columns(problem: Problem, outcome: Outcome) -> dict[str, np.ndarray]:
-    """The result's columns: of each target the best answer, else the freest of those that collide, else the nearest miss."""
-    reason, found, stuck = outcome.reason, outcome.found, outcome.stuck
-    count, n, k = len(reason), problem.chain.num_joints, problem.options.solutions
-    columns: dict[str, np.ndarray] = {
-        "q": np.full((count, n), np.nan),
-        **{name: np.full(count, np.nan) for name in ("position_error", "rotation_error", "clearance")},
-        "seed": np.full(count, -1),
-        "iterations": np.zeros(count, int),
-        "solutions": np.full((count, k, n), np.nan),
-        "num_solutions": np.zeros(count, int),
-        "reason": reason,
-    }
+def _result(problem: Problem, outcome: Outcome, fault: np.ndarray) -> IKResult:
+    """Of each target the best answer, else the freest of those that collide, else the nearest miss."""
+    found, stuck = outcome.found, outcome.stuck
+    count, n, k = len(outcome.reason), problem.chain.num_joints, problem.options.solutions
     if k > 1:
         found = _with_turns(problem, found)
     score = _score(problem, found)
-    best = _best(found, score)
-    for part in (outcome.missed, _best(stuck, stuck.clearance), best):
-        if len(part.q):
-            for name in ("q", "position_error", "rotation_error", "clearance", "seed", "iterations"):
-                columns[name][part.target] = getattr(part, name)
+    best = found.rows(top(found.target, score, 1, found.seed))
+    shown = best
+    if len(best.q) < count:  # else it is one of each, in their order
+        unknown = candidates(np.full((count, n), np.nan), np.arange(count), np.full(count, -1))
+        freest = stuck.rows(top(stuck.target, stuck.clearance, 1, stuck.seed))
+        ranked = Found.joined([unknown, outcome.missed, freest, best])
+        last = np.zeros(count, int)
+        last[ranked.target] = np.arange(len(ranked.target))
+        shown = ranked.rows(last)
+    solutions, known = np.full((count, k, n), np.nan), np.zeros(count, int)
     if k == 1:
-        columns["solutions"][best.target, 0], columns["num_solutions"][best.target] = best.q, 1
+        solutions[best.target, 0], known[best.target] = best.q, 1
     else:
-        _fill_distinct(problem, found.rows(np.lexsort((found.seed, -score))), columns)
-    return columns
+        _fill_distinct(problem, found.rows(np.lexsort((found.seed, -score))), solutions, known)
+    return IKResult(shown.q, outcome.reason, *shown[2:], solutions=solutions, num_solutions=known, fault=fault)
 
 
-def _fill_distinct(problem: Problem, ranked: Found, columns: dict[str, np.ndarray]) -> None:
+def _fill_distinct(problem: Problem, ranked: Found, solutions: np.ndarray, known: np.ndarray) -> None:
     """Up to k answers of each target that differ, from the best on."""
     for target, q in zip(ranked.target, ranked.q, strict=True):
-        have = columns["num_solutions"][target]
-        known = columns["solutions"][target, :have]
-        if have < problem.options.solutions and np.all(
-            np.abs(unwound(problem.chain, known - q)).max(axis=1) > problem.options.distinct
-        ):
-            columns["solutions"][target, have] = q
-            columns["num_solutions"][target] += 1
+        have = known[target]
+        if have == problem.options.solutions:
+            continue
+        away = np.abs(unwound(problem.chain, solutions[target, :have] - q)).max(axis=1)
+        if np.all(away > problem.options.distinct):
+            solutions[target, have] = q
+            known[target] += 1
 
 
 def _with_turns(problem: Problem, found: Found) -> Found:

@@ -31,31 +31,22 @@ from jaxik.spmd import HostKernel, kernel
 class Landed(NamedTuple):
     """Where a lane ended: q (n,), and the errors of its tip [m], [rad]."""
 
-    q: Any
-    position_error: Any
-    rotation_error: Any
+    q: Float[Array, "*b n"]
+    position_error: Float[Array, "*b"]
+    rotation_error: Float[Array, "*b"]
 
 
-class Settled(NamedTuple):
-    """Where a lane of a search came to rest, after how many steps."""
-
-    q: Any
-    position_error: Any
-    rotation_error: Any
-    iterations: Any
-
-
-class Extras(NamedTuple):
-    """What a lane minds beside its target: user's cost, and obstacles as a constraint or a penalty. Hashable: a program's
+class Goal(NamedTuple):
+    """What a lane is to reach, and minds beside: user's cost, and obstacles as a constraint or a penalty. Hashable: a program's
     key."""
 
+    task: Task
     cost: Cost | None = None
     collision: str = "none"  # constraint, penalty
     activation: float = 0.05
     penalty: float = 100.0
 
 
-NOTHING = Extras()
 SEARCH = sqp.Options()
 
 
@@ -84,74 +75,43 @@ def descend(
 @kernel(models=4)
 def _descend(chain: Chain, task: Task, iterations: int, options: sqp.Options, target: Any, q: Any) -> Landed:
     low, high = jnp.asarray(chain.lower, q.dtype), jnp.asarray(chain.upper, q.dtype)
-    start, weights = jnp.clip(q, low, high), jnp.ones_like(q)
-    return _land(chain, task, iterations, options, NOTHING, start, target.astype(q.dtype), low, high, weights)
+    limits = low, high, jnp.ones_like(q)
+    return land(chain, Goal(task), iterations, options, jnp.clip(q, low, high), target.astype(q.dtype), limits)
 
 
-@functools.lru_cache(maxsize=64)
-def landing(chain: Chain, task: Task, iterations: int, options: sqp.Options, extras: Extras = NOTHING) -> HostKernel:
-    """A batch of SQP runs: (q, pose, lower, upper, weights[, scene, margin]) -> `Landed`; q and pose by rows."""
-    return HostKernel(functools.partial(_land, chain, task, iterations, options, extras), 2)
+@functools.lru_cache(maxsize=256)
+def batch(lanes: int, function: Callable[..., Any], *known: Any) -> HostKernel:
+    """A function behind what is `known`, over the rows of its next `lanes` arguments."""
+    return HostKernel(functools.partial(function, *known), lanes)
 
 
-@functools.lru_cache(maxsize=64)
-def settling(chain: Chain, task: Task, options: sqp.Options) -> HostKernel:
-    """A batch of `sqp.settle`: (q, pose, aim, lower, upper, weights, most, creep) -> `Settled`; the first three by rows."""
-    return HostKernel(functools.partial(_settle, chain, task, options), 3)
-
-
-@functools.lru_cache(maxsize=64)
-def measure(function: Callable[..., Any], *known: Any) -> HostKernel:
-    """A batch of a function of configurations, behind what is `known`."""
-    return HostKernel(functools.partial(function, *known), 1)
-
-
-@functools.lru_cache(maxsize=64)
-def clearances(chain: Chain) -> HostKernel:
-    """A batch of `clearance`: (q, around)."""
-    return HostKernel(lambda q, scene: clearance(chain, scene, q), 1)
-
-
-@functools.lru_cache(maxsize=64)
-def slope(cost: Cost) -> HostKernel:
-    """A batch of a cost's gradients (n,)."""
-    return HostKernel(jax.grad(cost), 1)
-
-
-def _land(
-    chain: Chain,
-    task: Task,
-    iterations: int,
-    options: sqp.Options,
-    extras: Extras,
-    q: Any,
-    pose: Any,
-    low: Any,
-    high: Any,
-    weights: Any,
-    scene: Any = None,
-    margin: Any = None,
+def land(
+    chain: Chain, goal: Goal, iterations: int, options: sqp.Options, q: Any, pose: Any, limits: Any, around: Any = (None, None)
 ) -> Landed:
-    problem = _problem(chain, task, extras, pose, weights, scene, margin, q.dtype)
-    return Landed(*_apart(chain, task, *sqp.run(problem, q, low, high, iterations, options)))
+    """`sqp.run` from q to a pose; `limits` are lower, upper and weights, `around` is a scene, and the margin to keep."""
+    low, high, weights = limits
+    problem = _problem(chain, goal, pose, weights, around, q.dtype)
+    return Landed(*_apart(chain, goal.task, *sqp.run(problem, q, low, high, iterations, options)))
 
 
-def _settle(
-    chain: Chain,
-    task: Task,
-    options: sqp.Options,
-    q: Any,
-    pose: Any,
-    aim: Any,
-    low: Any,
-    high: Any,
-    weights: Any,
-    most: Any,
-    creep: Any,
-) -> Settled:
-    problem = _problem(chain, task, NOTHING, pose, weights, None, None, q.dtype)
+def settle(
+    chain: Chain, task: Task, options: sqp.Options, q: Any, pose: Any, aim: Any, limits: Any, most: Any, creep: Any
+) -> tuple[Any, ...]:
+    """`sqp.settle` likewise: q, its errors, and after how many steps it came to rest."""
+    low, high, weights = limits
+    problem = _problem(chain, Goal(task), pose, weights, (None, None), q.dtype)
     found, apart, count = sqp.settle(problem, jnp.clip(q, low, high), low, high, most, aim, creep, options)
-    return Settled(*_apart(chain, task, found, apart), count)
+    return *_apart(chain, task, found, apart), count
+
+
+def clearance_around(chain: Chain, q: Any, scene: Any) -> Any:
+    """`clearance`, of rows of configurations in one scene."""
+    return clearance(chain, scene, q)
+
+
+def slope(cost: Cost, q: Any) -> Any:
+    """A cost's gradient (n,)."""
+    return jax.grad(cost)(q)
 
 
 def _apart(chain: Chain, task: Task, found: Any, apart: Any) -> tuple[Any, Any, Any]:
@@ -161,49 +121,43 @@ def _apart(chain: Chain, task: Task, found: Any, apart: Any) -> tuple[Any, Any, 
     return found, length(apart[:places]) * unit_length(chain), length(apart[places:])
 
 
-def _problem(
-    chain: Chain, task: Task, extras: Extras, pose: Any, weights: Any, scene: Any, margin: Any, dtype: Any
-) -> sqp.Problem:
-    """The tip at `pose`, and what `extras` mind, as equations, cost and inequalities of the joints."""
-    n = chain.num_joints
-    scale = 1.0 / unit_length(chain)
-    metric = [
-        [weights[i] * (scale**2 if chain.is_prismatic[i] else 1.0) if i == j else 0.0 for j in range(n)] for i in range(n)
-    ]
+def _problem(chain: Chain, goal: Goal, pose: Any, weights: Any, around: Any, dtype: Any) -> sqp.Problem:
+    """The tip at `pose`, and what is minded beside, as equations, cost and inequalities of the joints."""
+    n, scale = chain.num_joints, 1.0 / unit_length(chain)
+    units = [scale**2 if prismatic else 1.0 for prismatic in chain.is_prismatic]
+    metric = [[weights[i] * units[i] if i == j else 0.0 for j in range(n)] for i in range(n)]
     target = Frame.of_columns(pose)
 
     def model(x: Sequence[Scalar]) -> sqp.Model:
         frames = joint_frames(chain, x, dtype=dtype)
-        position, rotation = task.residual(frames.tip, target)
-        rows = task.rows(jacobian_columns(chain, frames), target)
+        position, rotation = goal.task.residual(frames.tip, target)
+        rows = goal.task.rows(jacobian_columns(chain, frames), target)
         scales = [scale] * len(position) + [1.0] * len(rotation)
         value = [mul(s, v) for s, v in zip(scales, position + rotation, strict=True)]
         equality = Rows(value, [[mul(s, v) for v in row] for s, row in zip(scales, rows, strict=True)])
-        cost, gradient, inequality = _beside(chain, extras, x, scene, margin, scale, dtype)
+        cost, gradient, inequality = _beside(chain, goal, stack(x, (n,), dtype), around, scale)
         return sqp.Model(cost, gradient, equality, inequality)
 
     return sqp.Problem(model, metric)
 
 
-def _beside(
-    chain: Chain, extras: Extras, x: Sequence[Scalar], scene: Any, margin: Any, scale: float, dtype: Any
-) -> tuple[Scalar, list[Scalar], Rows]:
+def _beside(chain: Chain, goal: Goal, q: Any, around: Any, scale: float) -> tuple[Scalar, list[Scalar], Rows]:
     """Cost, its gradient, and the inequalities."""
-    n = chain.num_joints
     cost: Scalar = 0.0
-    gradient: list[Scalar] = [0.0] * n
-    inequality, q = NONE, stack(x, (n,), dtype)
-    if extras.cost is not None:
-        cost, slope = jax.value_and_grad(extras.cost)(q)
-        gradient = [slope[i] for i in range(n)]
-    if extras.collision != "none":
+    gradient: list[Scalar] = [0.0] * len(q)
+    inequality = NONE
+    if goal.cost is not None:
+        cost, rise = jax.value_and_grad(goal.cost)(q)
+        gradient = [rise[i] for i in range(len(q))]
+    if goal.collision != "none":
+        scene, margin = around
         apart, slopes = link_contacts(chain, scene, q)
         apart = jnp.minimum(apart, 1e3) - margin  # infinite for a link with nothing to hit
-    if extras.collision == "penalty":
-        penalty = lambda d: extras.penalty * jnp.sum(collision_cost(d, extras.activation))
+    if goal.collision == "penalty":
+        penalty = lambda d: goal.penalty * jnp.sum(collision_cost(d, goal.activation))
         more, rise = jax.value_and_grad(penalty)(apart)
         cost, gradient = add(cost, more), [add(g, jnp.sum(rise * slope)) for g, slope in zip(gradient, slopes, strict=True)]
-    if extras.collision == "constraint":
+    if goal.collision == "constraint":
         apart, slopes = scale * apart, [scale * slope for slope in slopes]
         count = range(len(apart))
         inequality = Rows([apart[k] for k in count], [[slope[k] for slope in slopes] for k in count])

@@ -12,19 +12,20 @@ are SciPy's, in float64.
 
 from __future__ import annotations
 
+import dataclasses
 import functools
-from collections.abc import Callable
 from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
 import numpy as np
+from jaxtyping import Float
 
 from jaxik.checks.arrays import shaped
 from jaxik.checks.options import as_count, check_finite
 from jaxik.motions.nullspace import Resolved
 from jaxik.motions.path import Path, check_path, motion
-from jaxik.motions.predictive import Horizon, Prediction, RunningCost
+from jaxik.motions.predictive import Horizon, Prediction, RunningCost, outlook
 from jaxik.robot.chain import Chain
 
 
@@ -32,12 +33,12 @@ class Boundary(NamedTuple):
     """The solution at its nodes: time (k,) [s], q (k, n), null-space input u (k, n), the adjoint variables (k, n or 2 n), input
     w (k, n), the cost per second (k,) and its integral; whether it was found, SciPy's message, and the largest residual."""
 
-    time: Any
-    q: Any
-    u: Any
-    adjoint: Any
-    w: Any
-    costs: Any
+    time: Float[np.ndarray, " k"]
+    q: Float[np.ndarray, "k n"]
+    u: Float[np.ndarray, "k n"]
+    adjoint: Float[np.ndarray, "k y"]
+    w: Float[np.ndarray, "k n"]
+    costs: Float[np.ndarray, " k"]
     total: float
     success: bool
     message: str
@@ -50,148 +51,132 @@ def boundary_value(
     duration: float,
     q: Any,
     cost: RunningCost,
-    horizon: Horizon,
+    horizon: Horizon | None = None,
     guess: Prediction | None = None,
-    given: Any = None,
     tolerance: float = 1e-6,
     nodes: int = 20,
     max_nodes: int = 20000,
+    **options: Any,
 ) -> Boundary:
     """Solve it over the horizon from q (n,), beginning with `guess` or, on `nodes` equal steps, with the instantaneous motion's
-    q, and u = lambda = 0. Host driver. Raises `ValueError` for a q of another shape, a duration that is not positive, a path
-    that `motion` refuses, and counts or a tolerance that are none."""
+    q, and u = lambda = 0. Host driver. `options` are what is `given` to the cost, and fields of `Horizon`, by name, as
+    `predict` takes them.
+
+    Raises `ValueError` for a q of another shape, a duration that is not positive, a path that `motion` refuses, an option or a
+    cost that `predict` refuses, and counts or a tolerance that are none.
+    """
     from scipy.integrate import simpson, solve_bvp
 
+    horizon, given = outlook("boundary value", cost, horizon, **options)
     check_path("boundary value", path, duration)
     nodes, max_nodes = as_count("boundary value: nodes", nodes), as_count("boundary value: max_nodes", max_nodes)
     check_finite("boundary value", np.finfo(float).eps, tolerance=tolerance)
     with jax.enable_x64(True):
         path.pose(0.0)
-        programs, world = _programs(chain, cost, horizon), (path, float(duration), () if given is None else (given,))
+        system, world = _System(chain, cost, horizon), (path, float(duration), given)
         n, start = chain.num_joints, shaped("boundary value: q", q, (chain.num_joints,))
-        end = horizon.dt * horizon.count
-        time, first = _first(programs, world, horizon, start, end, nodes, guess)
-        free = np.linalg.svd(np.asarray(programs.across(world, start)).T)[0]  # first the motions that leave the tip in place
+        time, first = _first(system, world, start, nodes, guess)
+        free = np.linalg.svd(np.asarray(system.freedom(world, start)).T)[0]  # first the motions that leave the tip in place
         basis = free[:, : n - sum(horizon.task.bound)]
-        found = solve_bvp(
-            lambda t, y: _padded(lambda t, y: programs.rates(world, t, y), t, y),
-            lambda a, b: np.asarray(programs.ends(world, a, b, start, basis)),
-            time,
-            first,
-            tol=tolerance,
-            max_nodes=max_nodes,
-        )
-        w, costs = programs.input_and_cost(world, found.x, found.y)
-        states = len(first) // 2
-        u = found.y[n : 2 * n].T if states == 2 * n else np.asarray(w)
-        return Boundary(
-            found.x,
-            found.y[:n].T,
-            u,
-            found.y[states:].T,
-            np.asarray(w),
-            np.asarray(costs),
-            float(simpson(np.asarray(costs), x=found.x)),
-            bool(found.success),
-            found.message,
-            float(np.max(found.rms_residuals)),
-        )
+        rates = lambda t, y: _padded(functools.partial(system.rates, world), t, y)
+        ends = lambda a, b: np.asarray(system.ends(world, a, b, start, basis))
+        found = solve_bvp(rates, ends, time, first, tol=tolerance, max_nodes=max_nodes)
+        w, costs = map(np.asarray, system.inputs_and_costs(world, found.x, found.y))
+        y, adjoint = np.split(found.y.T, 2, axis=1)
+        total, residual = float(simpson(costs, x=found.x)), float(np.max(found.rms_residuals))
+        u = y[:, n:] if system.rate_level else w
+        return Boundary(found.x, y[:, :n], u, adjoint, w, costs, total, bool(found.success), found.message, residual)
 
 
-class _Programs(NamedTuple):
-    """Compiled functions of a world: path, duration and what is given to the cost."""
-
-    rates: Callable[..., Any]
-    ends: Callable[..., Any]
-    input_and_cost: Callable[..., Any]
-    across: Callable[..., Any]
-    motion: Callable[..., Any]
+_compiled = functools.partial(jax.jit, static_argnums=0)
 
 
-@functools.lru_cache(maxsize=8)
-def _programs(chain: Chain, cost: RunningCost, horizon: Horizon) -> _Programs:
-    def instantaneous(world: Any, q: Any, times: Any) -> Any:
-        at = _System(chain, cost, horizon, *world)
-        turn = lambda q, t: (q + (times[1] - times[0]) * at.velocity(t, q, jnp.zeros_like(q)), q)
+@dataclasses.dataclass(frozen=True)
+class _System:
+    """The equations of one problem, in worlds of a path, a duration and what is given to the cost; z holds the state and the
+    adjoint variables."""
+
+    chain: Chain
+    cost: RunningCost
+    horizon: Horizon
+
+    @property
+    def rate_level(self) -> bool:
+        return self.horizon.level == "acceleration"
+
+    def resolved(self, world: Any, t: Any, q: Any, u: Any, gain: float | None = None) -> Resolved:
+        path, duration, _ = world
+        return self.horizon.resolve(self.chain, q, motion(path, duration, t), u, gain)
+
+    def running(self, world: Any, t: Any, y: Any, w: Any) -> tuple[Any, Any]:
+        """qdot, and the cost per second."""
+        q, *u = jnp.split(y, 2) if self.rate_level else (y,)
+        qdot = self.resolved(world, t, q, *(u or (w,))).rate
+        return qdot, self.cost(q, qdot, w, t, *world[2])
+
+    def hamiltonian(self, world: Any, t: Any, z: Any, w: Any) -> Any:
+        y, adjoint = jnp.split(z, 2)
+        qdot, level = self.running(world, t, y, w)
+        return level + adjoint @ (jnp.concatenate([qdot, w]) if self.rate_level else qdot)
+
+    def input(self, world: Any, t: Any, z: Any) -> Any:
+        """Where dH/dw = 0."""
+        none = jnp.zeros(self.chain.num_joints, z.dtype)
+        slope = jax.grad(self.hamiltonian, argnums=3)
+        return -jnp.linalg.solve(jax.jacfwd(slope, argnums=3)(world, t, z, none), slope(world, t, z, none))
+
+    @_compiled
+    def rates(self, world: Any, t: Any, z: Any) -> Any:
+        def at(t: Any, z: Any) -> Any:
+            by_y, by_adjoint = jnp.split(jax.grad(self.hamiltonian, argnums=2)(world, t, z, self.input(world, t, z)), 2)
+            return jnp.concatenate([by_adjoint, -by_y])
+
+        return jax.vmap(at, (0, 1), 1)(t, z)
+
+    @_compiled
+    def inputs_and_costs(self, world: Any, t: Any, z: Any) -> tuple[Any, Any]:
+        def at(t: Any, z: Any) -> Any:
+            w = self.input(world, t, z)
+            return w, self.running(world, t, jnp.split(z, 2)[0], w)[1]
+
+        return jax.vmap(at, (0, 1))(t, z)
+
+    @_compiled
+    def ends(self, world: Any, a: Any, b: Any, start: Any, basis: Any) -> Any:
+        """What must be 0 of the first and the last z."""
+        n = self.chain.num_joints
+        (first, adjoint), (_, last) = jnp.split(a, 2), jnp.split(b, 2)
+        if self.horizon.start == "given":
+            return jnp.concatenate([first[:n] - start, first[n:], last])
+        none = self.resolved(world, 0.0, first[:n], adjoint[:n], gain=0.0)  # a path starts at rest: the rate is N lambda
+        return jnp.concatenate([none.error, basis.T @ none.rate, first[n:], last])
+
+    @_compiled
+    def freedom(self, world: Any, q: Any) -> Any:
+        """N at the path's start."""
+        return jax.vmap(lambda u: self.resolved(world, 0.0, q, u, gain=0.0).rate)(jnp.eye(self.chain.num_joints))
+
+    @_compiled
+    def instantaneous(self, world: Any, q: Any, times: Any) -> Any:
+        """q of the motion without an input."""
+        turn = lambda q, t: (q + (times[1] - times[0]) * self.resolved(world, t, q, jnp.zeros_like(q)).rate, q)
         return jax.lax.scan(turn, q, times)[1]
 
-    system = lambda world: _System(chain, cost, horizon, *world)
-    return _Programs(
-        jax.jit(lambda world, t, z: jax.vmap(system(world).rates, (0, 1), 1)(t, z)),
-        jax.jit(lambda world, *ends: system(world).ends(*ends)),
-        jax.jit(lambda world, t, z: jax.vmap(system(world).input_and_cost, (0, 1))(t, z)),
-        jax.jit(lambda world, q: jax.vmap(lambda u: system(world).across(q, u).rate)(jnp.eye(chain.num_joints))),
-        jax.jit(instantaneous),
-    )
 
-
-class _System:
-    """The equations of one problem; z holds the state and the adjoint variables."""
-
-    def __init__(self, chain: Chain, cost: RunningCost, horizon: Horizon, path: Path, duration: Any, given: tuple[Any, ...]):
-        self.chain, self.path, self.duration, self.cost = chain, path, duration, cost
-        self.horizon, self.given, self.n = horizon, given, chain.num_joints
-        self.rate_level = horizon.level == "acceleration"
-
-    def velocity(self, t: Any, q: Any, u: Any) -> Any:
-        return self.horizon.resolve(self.chain, q, motion(self.path, self.duration, t), u).rate
-
-    def hamiltonian(self, t: Any, z: Any, w: Any) -> Any:
-        n = self.n
-        y, adjoint = jnp.split(z, 2)
-        qdot = self.velocity(t, y[:n], y[n:] if self.rate_level else w)
-        level = self.cost(y[:n], qdot, w, t, *self.given)
-        return level + adjoint[:n] @ qdot + (adjoint[n:] @ w if self.rate_level else 0.0)
-
-    def input(self, t: Any, z: Any) -> Any:
-        """Where dH/dw = 0."""
-        none = jnp.zeros(self.n, z.dtype)
-        slope = jax.grad(self.hamiltonian, argnums=2)
-        return -jnp.linalg.solve(jax.jacfwd(slope, argnums=2)(t, z, none), slope(t, z, none))
-
-    def rates(self, t: Any, z: Any) -> Any:
-        w = self.input(t, z)
-        by_z = jax.grad(self.hamiltonian, argnums=1)(t, z, w)
-        by_y, by_adjoint = jnp.split(by_z, 2)
-        return jnp.concatenate([by_adjoint, -by_y])
-
-    def input_and_cost(self, t: Any, z: Any) -> tuple[Any, Any]:
-        n, w = self.n, self.input(t, z)
-        qdot = self.velocity(t, z[:n], z[n : 2 * n] if self.rate_level else w)
-        return w, self.cost(z[:n], qdot, w, t, *self.given)
-
-    def ends(self, a: Any, b: Any, start: Any, basis: Any) -> Any:
-        """What must be 0 of the first and the last z."""
-        n = self.n
-        last = jnp.split(b, 2)[1]
-        if self.horizon.start == "given":
-            return jnp.concatenate([a[:n] - start, a[n : 2 * n] if self.rate_level else a[:0], last])
-        q, adjoint = a[:n], jnp.split(a, 2)[1][:n]
-        none = self.across(q, adjoint)
-        rest = a[n : 2 * n] if self.rate_level else a[:0]
-        return jnp.concatenate([none.error, basis.T @ none.rate, rest, last])
-
-    def across(self, q: Any, u: Any) -> Resolved:
-        """The tip's error at the path's start, and N u as rate; a path starts at rest."""
-        return self.horizon.resolve(self.chain, q, motion(self.path, self.duration, 0.0), u, gain=0.0)
-
-
-def _first(
-    programs: _Programs, world: Any, horizon: Horizon, q: Any, end: float, nodes: int, guess: Prediction | None
-) -> tuple[Any, Any]:
-    n = len(q)
-    count = 4 * n if horizon.level == "acceleration" else 2 * n
+def _first(system: _System, world: Any, q: Any, nodes: int, guess: Prediction | None) -> tuple[Any, Any]:
+    """Times and z to begin with."""
+    horizon, n = system.horizon, len(q)
+    end = horizon.dt * horizon.count
     if guess is None:
         steps = max(nodes, horizon.count)
-        time = np.linspace(0.0, end, steps + 1)
         pick = np.linspace(0, steps, nodes + 1).round().astype(int)
-        z = np.zeros((count, nodes + 1))
-        z[:n] = np.asarray(programs.motion(world, q, time))[pick].T
-        return time[pick], z
-    time = np.linspace(0.0, end, len(guess.q))
-    z = np.zeros((count, len(time)))
-    z[:n] = np.asarray(guess.q).T
-    if horizon.level == "acceleration":
+        time = np.linspace(0.0, end, steps + 1)
+        at, time = np.asarray(system.instantaneous(world, q, time))[pick], time[pick]
+    else:
+        at, time = np.asarray(guess.q), np.linspace(0.0, end, len(guess.q))
+    z = np.zeros(((4 if system.rate_level else 2) * n, len(time)))
+    z[:n] = at.T
+    if guess is not None and system.rate_level:
         z[n : 2 * n, 1:] = horizon.dt * np.cumsum(np.asarray(guess.w), axis=0).T
     return time, z
 
@@ -199,5 +184,5 @@ def _first(
 def _padded(function: Any, t: Any, y: Any) -> Any:
     """A call with a number of columns that is a power of two: no new program for each mesh."""
     more = (1 << max(5, (len(t) - 1).bit_length())) - len(t)
-    found = function(np.append(t, np.repeat(t[-1], more)), np.append(y, np.repeat(y[:, -1:], more, axis=1), axis=1))
+    found = function(np.pad(t, (0, more), "edge"), np.pad(y, ((0, 0), (0, more)), "edge"))
     return np.asarray(found)[..., : len(t)]

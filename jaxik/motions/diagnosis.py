@@ -13,16 +13,16 @@ from jaxik.robot.task import Task
 
 
 class Course(NamedTuple):
-    """A motion's samples: q and qdot (k, n), the tip's error (k, m) [m, rad], the damping (k,), whether limits held a joint
-    back (k,), and the pose (k, 4, 4) and velocity (k, 6) that were asked."""
+    """A motion's samples: q and qdot (k, n), the tip's error (k, m) [m, rad], the damping (k,), the pose (k, 4, 4) and velocity
+    (k, 6) that were asked, and whether limits held a joint back (k,)."""
 
     q: Any
     qdot: Any
     error: Any
     damping: Any
-    held: Any
     pose: Any
     velocity: Any
+    held: Any = False
 
 
 def diagnose(chain: Chain, task: Task, course: Course, tolerance: float, keep: bool) -> tuple[Any, Any]:

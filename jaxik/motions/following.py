@@ -20,6 +20,7 @@ from typing import Any, Literal
 import jax
 import jax.numpy as jnp
 import numpy as np
+from jaxtyping import Float, Int
 
 from jaxik.checks.arrays import numbers, positive
 from jaxik.checks.options import batch_axes, changed, check_choices, check_each, check_finite, check_kind, shown
@@ -70,13 +71,8 @@ class FollowOptions:
         object.__setattr__(self, "weights", positive("follow: weights", self.weights))  # hashable: a program is made for them
         object.__setattr__(self, "acceleration", positive("follow: acceleration [rad/s2, m/s2]", self.acceleration, True))
         if not (self.dt > 0.0 and self.tolerance > 0.0 and settles(self.gain, self.dt)):
-            raise ValueError(
-                f"follow: dt {self.dt}, tolerance {self.tolerance}, gain {self.gain}; allowed: dt > 0, tolerance > 0, "
-                "0 <= gain dt < 2"
-            )
-
-
-DEFAULT = FollowOptions()
+            told = f"dt {self.dt}, tolerance {self.tolerance}, gain {self.gain}"
+            raise ValueError(f"follow: {told}; allowed: dt > 0, tolerance > 0, 0 <= gain dt < 2")
 
 
 @jax.tree_util.register_dataclass
@@ -86,13 +82,13 @@ class Followed(Reasoned):
     the sample where it happened, k if it was solved. After that sample the arm stands still. Batches have a leading axis but
     for time."""
 
-    time: Any
-    q: Any
-    qdot: Any
-    error: Any
-    damping: Any
-    reason: Any
-    sample: Any
+    time: Float[np.ndarray, " k"]
+    q: Float[np.ndarray, "*b k n"]
+    qdot: Float[np.ndarray, "*b k n"]
+    error: Float[np.ndarray, "*b k m"]
+    damping: Float[np.ndarray, "*b k"]
+    reason: Int[np.ndarray, "*b"]
+    sample: Int[np.ndarray, "*b"]
 
 
 def follow(
@@ -116,24 +112,25 @@ def follow(
     if "how" in changes:
         warnings.warn("follow: how is options now", DeprecationWarning, stacklevel=2)
         options = changes.pop("how")
-    options = changed("follow", options or DEFAULT, changes)
+    options = changed("follow", options or FollowOptions(), changes)
     q = numbers("follow: q", q)
     check_each("follow", each, Each)
     check_path("follow", path, duration, q.shape[:1] if "duration" in each else ())
-    if q.ndim not in (1, 2) or q.shape[-1] != chain.num_joints or (each and q.ndim == 1):
-        raise ValueError(
-            f"follow: q has the shape {q.shape}; "
-            f"{chain.name} takes ({chain.num_joints},), or rows of it, as where `each` names something"
-        )
-    if isinstance(options.acceleration, tuple) and len(options.acceleration) != chain.num_joints:
-        raise ValueError(
-            f"follow: acceleration has {len(options.acceleration)} numbers; allowed: one, or one for each of the "
-            f"{chain.num_joints} joints of {chain.name}"
-        )
+    n, faster = chain.num_joints, options.acceleration
+    if q.ndim not in (1, 2) or q.shape[-1] != n or (each and q.ndim == 1):
+        allowed = f"({n},), or rows of it, as where `each` names something"
+        raise ValueError(f"follow: q has the shape {q.shape}; {chain.name} takes {allowed}")
+    if isinstance(faster, tuple) and len(faster) != n:
+        allowed = f"one, or one for each of the {n} joints of {chain.name}"
+        raise ValueError(f"follow: acceleration has {len(faster)} numbers; allowed: {allowed}")
     count = round(float(np.max(duration)) / options.dt) + 1
     axes = None if q.ndim == 1 else (0, *batch_axes(each, Each))
     found = _program(chain, cost, options, count, axes)(jnp.asarray(q), path, duration)
-    return Followed(options.dt * np.arange(count), *map(np.asarray, found))
+    followed = Followed(options.dt * np.arange(count), *map(np.asarray, found))
+    off = np.max(np.abs(followed.error[..., 0, :]), initial=0.0)
+    if off > options.tolerance:
+        warnings.warn(f"follow: the path begins {off:.2g} m or rad from the tip at q; begin it there", stacklevel=2)
+    return followed
 
 
 @functools.lru_cache(maxsize=32)
@@ -142,8 +139,7 @@ def _program(
 ) -> Callable[..., tuple[Any, ...]]:
     def run(q: Any, path: Path, duration: Any) -> tuple[Any, ...]:
         times = how.dt * (jnp.arange(float(count))[:, None] + jnp.array([0.0, 0.5, 1.0]))
-        asked = motion(path, duration, times.reshape(-1))
-        stages = Motion(*(x.reshape(count, 3, *x.shape[1:]) for x in asked))
+        stages = Motion(*(x.reshape(count, 3, *x.shape[1:]) for x in motion(path, duration, times.reshape(-1))))
         limits = _limits(chain, how, q.dtype)
 
         def turn(state: tuple[Any, Any], stages: Motion) -> Any:
@@ -151,10 +147,9 @@ def _program(
             after, found, held = _moved(chain, cost, how, limits, q, qdot, stages)
             return after, (q, (after[0] - q) / how.dt, found.error, found.damping, held)
 
-        _, (at, moving, error, damping, held) = kernel(lambda q, stages: jax.lax.scan(turn, (q, jnp.zeros_like(q)), stages))(
-            q, stages
-        )
-        course = Course(at, moving, error, damping, held, stages.pose[:, 0], stages.velocity[:, 0])
+        whole = kernel(lambda q, stages: jax.lax.scan(turn, (q, jnp.zeros_like(q)), stages)[1])
+        at, moving, error, damping, held = whole(q, stages)
+        course = Course(at, moving, error, damping, stages.pose[:, 0], stages.velocity[:, 0], held)
         reason, sample = diagnose(chain, how.task, course, how.tolerance, how.limits)
         return (*_standing(course, jnp.where(reason == Reason.STILL, count, sample)), reason, sample)
 
@@ -179,28 +174,23 @@ def _moved(
     low, high = _rates(limits, q, qdot, dt)
     boxed = how.limits or how.acceleration is not None
     if how.scheme == "rac":
-        start = jax.tree_util.tree_map(lambda x: x[0], stages)
         slow = loop_gain(how.gain, dt, 0.5)
         box = Box((low - qdot) / dt, (high - qdot) / dt) if boxed else None
-        gains = (0.25 * slow**2, slow)
+        gains, start = (0.25 * slow**2, slow), ocp.sample(stages, 0)
         found = rac(chain, q, qdot, start, cost, how.alpha, how.damping, gains=gains, box=box, **options)
-        faster = qdot + dt * found.rate
-        return (q + 0.5 * dt * (qdot + faster), faster), found, _held(faster, low, high)
-    down = cost if how.scheme == "asc" else None
-    box = Box(low, high) if boxed else None
+        rate = qdot + dt * found.rate
+        after = q + 0.5 * dt * (qdot + rate)
+    else:
+        down, box = cost if how.scheme == "asc" else None, Box(low, high) if boxed else None
 
-    def field(q: Any, _: Any, asked: Motion) -> tuple[Any, Resolved]:
-        found = asc(chain, q, asked, down, how.alpha, gain=loop_gain(how.gain, dt), box=box, **options)
-        return found.rate, found
+        def field(q: Any, _: Any, asked: Motion) -> tuple[Any, Resolved]:
+            found = asc(chain, q, asked, down, how.alpha, gain=loop_gain(how.gain, dt), box=box, **options)
+            return found.rate, found
 
-    after, _, found = ocp.integrator(how.integrator, field, dt)(q, None, stages)
-    rate = (after - q) / dt
-    return (after, rate), found, _held(rate, low, high)
-
-
-def _held(rate: Any, low: Any, high: Any) -> Any:
+        after, _, found = ocp.integrator(how.integrator, field, dt)(q, None, stages)
+        rate = (after - q) / dt
     near = 1e-6 * (1.0 + jnp.abs(rate))
-    return jnp.any((rate <= low + near) | (rate >= high - near))
+    return (after, rate), found, jnp.any((rate <= low + near) | (rate >= high - near))
 
 
 def _rates(limits: tuple[Any, ...], q: Any, qdot: Any, dt: float) -> tuple[Any, Any]:
@@ -216,13 +206,7 @@ def _rates(limits: tuple[Any, ...], q: Any, qdot: Any, dt: float) -> tuple[Any, 
 
 def _standing(course: Course, k: Any) -> tuple[Any, Any, Any, Any]:
     """q, qdot, error and damping of a motion that stops before sample k."""
-    index = jnp.arange(len(course.q))
-    last = jnp.maximum(k - 1, 0)
-    hold = lambda x: jnp.where((index < k)[:, None], x, x[last])
-    moving = index < jnp.where(k < len(index), last, k)
-    return (
-        hold(course.q),
-        jnp.where(moving[:, None], course.qdot, 0.0),
-        hold(course.error),
-        jnp.where(index < k, course.damping, 0.0),
-    )
+    index, last = jnp.arange(len(course.q)), jnp.maximum(k - 1, 0)
+    before, moving = index < k, index < jnp.where(k < len(index), last, k)
+    q, error = (jnp.where(before[:, None], x, x[last]) for x in (course.q, course.error))
+    return q, jnp.where(moving[:, None], course.qdot, 0.0), error, jnp.where(before, course.damping, 0.0)

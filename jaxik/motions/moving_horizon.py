@@ -19,28 +19,29 @@ from typing import Any, NamedTuple
 import jax
 import jax.numpy as jnp
 import numpy as np
+from jaxtyping import Float, Int
 
 from jaxik.checks.options import as_count, check_finite
 from jaxik.motions.diagnosis import Course, diagnose
+from jaxik.motions.following import Followed
 from jaxik.motions.path import Path, check_path, motion
 from jaxik.motions.predictive import Horizon, RunningCost, future, objective, problem
-from jaxik.optimise import descent
-from jaxik.reasons import Reasoned
-from jaxik.robot.chain import Chain, as_shaped
+from jaxik.optimise import descent, ocp
+from jaxik.robot.chain import Array, Chain, as_shaped
 
 
 class State(NamedTuple):
     """Where the robot and its plan stand: q and null-space input u (n,) at `time` [s], the plan w (N, n), and what the descent
     keeps from sample to sample."""
 
-    q: Any
-    u: Any
-    time: Any
-    w: Any
-    gradient: Any
-    direction: Any
-    interval: Any
-    samples: Any
+    q: Float[Array, " n"]
+    u: Float[Array, " n"]
+    time: Float[Array, ""]
+    w: Float[Array, "k n"]
+    gradient: Float[Array, "k n"]
+    direction: Float[Array, "k n"]
+    interval: Float[Array, "2"]
+    samples: Int[Array, ""]
 
 
 class Sample(NamedTuple):
@@ -48,12 +49,12 @@ class Sample(NamedTuple):
     sample began with leads, (N+1, n), and what it costs in all; what this sample's iterations make of it, the next one begins
     with. The tip's error (m,) [m, rad], and the damping that a singularity needed, 0 where none."""
 
-    q: Any
-    qdot: Any
-    planned: Any
-    total: Any
-    error: Any
-    damping: Any
+    q: Float[Array, " n"]
+    qdot: Float[Array, " n"]
+    planned: Float[Array, "k1 n"]
+    total: Float[Array, ""]
+    error: Float[Array, " m"]
+    damping: Float[Array, ""]
 
 
 @dataclasses.dataclass(frozen=True)
@@ -72,10 +73,8 @@ class MovingHorizon:
     def __post_init__(self) -> None:
         object.__setattr__(self, "iterations", as_count("moving horizon: iterations", self.iterations))
         if self.horizon.start == "free" or self.horizon.descend.direction == "lbfgs":
-            raise ValueError(
-                "moving horizon: the start is where the robot is, and quasi-Newton steps do not survive a shift; allowed: "
-                "start 'given', and a direction that is not 'lbfgs'"
-            )
+            why = "the start is where the robot is, and quasi-Newton steps do not survive a shift"
+            raise ValueError(f"moving horizon: {why}; allowed: start 'given', and a direction that is not 'lbfgs'")
 
     def start(self, q: Any) -> State:
         """At rest at q (n,), with an empty plan. Raises `ValueError` for another shape."""
@@ -104,13 +103,13 @@ class MovingHorizon:
         horizon, options = self.horizon, self.horizon.descend
         ahead = future(path, duration, horizon, state.time)
         goal = objective(self.chain, self.cost, horizon, state.q, ahead, given, state.u)
-        plan = descent.unmeasured(goal, state.w, options)._replace(
+        plan = descent.init(goal, state.w, options, measured=False)._replace(
             gradient=state.gradient, direction=state.direction, interval=state.interval, iterations=state.samples
         )
-        turn = lambda plan, _: (descent.glance(goal, plan, options),) * 2
+        turn = lambda plan, _: (descent.advance(goal, plan, options, glance=True),) * 2
         plan, each = jax.lax.scan(turn, plan, None, self.iterations)
-        first = jax.tree_util.tree_map(lambda x: x[0], each.aux)  # the roll-out of the plan as it was
-        now = jax.tree_util.tree_map(lambda x: x[0], first.seen)
+        first = ocp.sample(each.aux, 0)  # the roll-out of the plan as it was
+        now = ocp.sample(first.seen, 0)
         q, u = self._moved(state, plan.w[0], first, ahead, given)
         qdot = (q - state.q) / horizon.dt
         shift = lambda x: jnp.concatenate([x[1:], jnp.zeros_like(x[:1])])
@@ -124,24 +123,17 @@ class MovingHorizon:
         if self.horizon.level == "acceleration":
             return run.y[0][1], state.u + self.horizon.dt * w
         control = problem(self.chain, self.cost, self.horizon, *given)
-        (q,), *_ = control.step((state.q,), w, jax.tree_util.tree_map(lambda x: x[0], ahead))
+        (q,), *_ = control.step((state.q,), w, ocp.sample(ahead, 0))
         return q, state.u
 
 
 @jax.tree_util.register_dataclass
 @dataclasses.dataclass(frozen=True)
-class Moved(Reasoned):
-    """A motion under a moving horizon: time (k,) [s], q (k, n), qdot (k, n), what each sample's plan costs in all (k,), the
-    tip's error (k, m) and the damping (k,); the `Reason`, and the sample where it happened."""
+class Moved(Followed):
+    """A motion under a moving horizon, which does not stand still behind the sample where it failed; and what each sample's
+    plan costs in all (k,)."""
 
-    time: Any
-    q: Any
-    qdot: Any
-    total: Any
-    error: Any
-    damping: Any
-    reason: Any
-    sample: Any
+    total: Float[np.ndarray, " k"]
 
 
 def follow_predictively(
@@ -157,11 +149,9 @@ def follow_predictively(
     time = dt * np.arange(round(until / dt))
     state, samples = control.start(q), []
     for t in time:
-        state, sample = control.step(state, path, duration, given(t) if callable(given) else given)
-        samples.append(sample._replace(planned=None))
-    found = jax.tree_util.tree_map(lambda *rows: np.stack([np.asarray(row) for row in rows]), *samples)
+        state, now = control.step(state, path, duration, given(t) if callable(given) else given)
+        samples.append((now.q, now.qdot, now.total, now.error, now.damping))
+    q, qdot, total, error, damping = map(np.stack, zip(*samples, strict=True))
     asked = motion(path, duration, time)
-    held = np.zeros(len(time), bool)
-    course = Course(found.q, found.qdot, found.error, found.damping, held, asked.pose, asked.velocity)
-    reason, k = control._judged(course)
-    return Moved(time, found.q, found.qdot, found.total, found.error, found.damping, np.asarray(reason), np.asarray(k))
+    judged = control._judged(Course(q, qdot, error, damping, asked.pose, asked.velocity))
+    return Moved(time, q, qdot, error, damping, *map(np.asarray, judged), total=total)

@@ -54,8 +54,8 @@ def settles(gain: float | None, dt: float) -> bool:
 class Box(NamedTuple):
     """Bounds (n,) of the joints' rates, or accelerations."""
 
-    low: Any
-    high: Any
+    low: Float[Array, " n"]
+    high: Float[Array, " n"]
 
 
 class Resolved(NamedTuple):
@@ -84,7 +84,6 @@ def resolve_velocity(
     `gain` [1/s] pulls the tip back to its path. `box` holds what the velocities must lie between. Raises `ValueError`
     for an array of another shape, and for weights that are known and not above zero.
     """
-    q = as_configuration(chain, q)
     at = _At(chain, q, motion, task)
     as_shaped("gain", gain, ())
     return at.resolved(at.components("velocity", motion.velocity) - gain * at.error, u, weights, floor, box)
@@ -107,10 +106,9 @@ def resolve_acceleration(
     `gains` (K [1/s2], K' [1/s]) pull the tip back to its path; K' = 2 sqrt(K) without overshoot. `box` holds what the
     accelerations must lie between. Raises `ValueError` as `resolve_velocity` does.
     """
-    q = as_configuration(chain, q)
     at = _At(chain, q, motion, task)
-    qdot = as_shaped("qdot", qdot, q.shape).astype(q.dtype)
-    bias = at.components("bias", bias_acceleration(chain, q, qdot))
+    qdot = as_shaped("qdot", qdot, at.q.shape).astype(at.dtype)
+    bias = at.components("bias", bias_acceleration(chain, at.q, qdot))
     slow = at.components("velocity", motion.velocity) - at.rows @ qdot
     wanted = at.components("acceleration", motion.acceleration) + gains[1] * slow - gains[0] * at.error - bias
     return at.resolved(wanted, u, weights, floor, box)
@@ -121,17 +119,10 @@ def rmrc(chain: Chain, q: Float[Array, " n"], motion: Motion, **options: Any) ->
     return resolve_velocity(chain, q, motion, jnp.zeros(chain.num_joints), **options)
 
 
-def asc(
-    chain: Chain,
-    q: Float[Array, " n"],
-    motion: Motion,
-    cost: Cost | None,
-    alpha: Any = 1.0,
-    weights: Any = None,
-    **options: Any,
-) -> Resolved:
-    """Automatic supervisory control: down the gradient of `cost` by `alpha` in the null space. Traced."""
-    return resolve_velocity(chain, q, motion, _downhill(chain, q, cost, alpha, weights), weights=weights, **options)
+def asc(chain: Chain, q: Float[Array, " n"], motion: Motion, cost: Cost | None, alpha: Any = 1.0, **options: Any) -> Resolved:
+    """Automatic supervisory control: down the gradient of `cost` by `alpha` in the null space. Options are those of
+    `resolve_velocity`. Traced."""
+    return resolve_velocity(chain, q, motion, _downhill(chain, q, cost, alpha, **options), **options)
 
 
 def rac(
@@ -142,15 +133,15 @@ def rac(
     cost: Cost | None = None,
     alpha: Any = 1.0,
     damping: Any = 1.0,
-    weights: Any = None,
     **options: Any,
 ) -> Resolved:
-    """Resolved acceleration control: down the gradient of `cost`, the null-space velocity damped by `damping` [1/s]. Traced."""
-    u = _downhill(chain, q, cost, alpha, weights) - damping * as_configuration(chain, qdot)
-    return resolve_acceleration(chain, q, qdot, motion, u, weights=weights, **options)
+    """Resolved acceleration control: down the gradient of `cost`, the null-space velocity damped by `damping` [1/s]. Options
+    are those of `resolve_acceleration`. Traced."""
+    u = _downhill(chain, q, cost, alpha, **options) - damping * as_configuration(chain, qdot)
+    return resolve_acceleration(chain, q, qdot, motion, u, **options)
 
 
-def _downhill(chain: Chain, q: Any, cost: Cost | None, alpha: float, weights: Any) -> Any:
+def _downhill(chain: Chain, q: Any, cost: Cost | None, alpha: float, weights: Any = None, **_: Any) -> Any:
     if cost is None:
         return jnp.zeros(chain.num_joints)
     slope = jax.grad(cost)(as_configuration(chain, q))
@@ -170,6 +161,7 @@ class _At:
     """A configuration: the task's rows of the Jacobian (m, n) and its error (m,)."""
 
     def __init__(self, chain: Chain, q: Any, motion: Motion, task: Task):
+        self.q = q = as_configuration(chain, q)
         self.chain, self.task, self.dtype = chain, task, q.dtype
         self.target = Frame.of_entries(traced(as_shaped("pose", motion.pose, (4, 4)).astype(q.dtype)))
         frames = joint_frames(chain, traced(q), dtype=q.dtype)
@@ -193,15 +185,14 @@ class _At:
         inverse = jnp.ones(n, self.dtype) if weights is None else 1.0 / _weights(self.chain, weights).astype(self.dtype)
         if box is None:
             rate, damping = self._solved(wanted, free, inverse, floor)
-        else:
-            low, high = (jnp.asarray(b, self.dtype) for b in box)
-            for _ in range(_PASSES):
-                rate, damping = self._solved(wanted, free, inverse, floor)
-                inside = jnp.clip(rate, low, high)
-                leaves = rate != inside
-                free, inverse = jnp.where(leaves, inside, free), jnp.where(leaves, 0.0, inverse)
-            rate = inside
-        return Resolved(rate, self.error, damping)
+            return Resolved(rate, self.error, damping)
+        low, high = (jnp.asarray(b, self.dtype) for b in box)
+        for _ in range(_PASSES):
+            rate, damping = self._solved(wanted, free, inverse, floor)
+            inside = jnp.clip(rate, low, high)
+            leaves = rate != inside
+            free, inverse = jnp.where(leaves, inside, free), jnp.where(leaves, 0.0, inverse)
+        return Resolved(inside, self.error, damping)
 
     def _solved(self, wanted: Any, free: Any, inverse: Any, floor: float) -> tuple[Any, Any]:
         scaled = self.rows * inverse

@@ -22,7 +22,7 @@ from jaxik.checks.arrays import RIGID, direction, is_known, is_rigid, numbers, r
 from jaxik.checks.options import shown
 from jaxik.pytree import Pytree, static
 from jaxik.robot.chain import Array, as_numbers
-from jaxik.spatial.rotations import rotation_exp, rotation_log
+from jaxik.spatial.rotations import frame, rotation_exp, rotation_log
 from jaxik.spmd import kernel
 
 
@@ -47,7 +47,7 @@ class Line(Pytree):
 
     def pose(self, s: Any) -> Any:
         """Position (3,) and rotation (3, 3) at s."""
-        start, end = _fields("line", start=(self.start, (4, 4)), end=(self.end, (4, 4)))
+        start, end = _fields("line", self, start=(4, 4), end=(4, 4))
         turn = rotation_log(start[:3, :3].T @ end[:3, :3])
         return start[:3, 3] + s * (end[:3, 3] - start[:3, 3]), start[:3, :3] @ rotation_exp(s * turn)
 
@@ -67,13 +67,7 @@ class Arc(Pytree):
 
     def pose(self, s: Any) -> Any:
         """Position (3,) and rotation (3, 3) at s."""
-        fields = {
-            "start": (self.start, (4, 4)),
-            "centre": (self.centre, (3,)),
-            "axis": (self.axis, (3,)),
-            "angle": (self.angle, ()),
-        }
-        start, centre, axis, angle = _fields("arc", **fields)
+        start, centre, axis, angle = _fields("arc", self, start=(4, 4), centre=(3,), axis=(3,), angle=())
         if is_known(self.axis):
             axis = jnp.asarray(direction("arc: axis", self.axis), jnp.result_type(axis, float))
         turn = rotation_exp(s * angle * axis / jnp.linalg.norm(axis))
@@ -103,16 +97,16 @@ Path = Line | Arc | Curve
 
 def _check_frames(who: str, **frames: Any) -> None:
     """Raises a `ValueError` of one line for a known frame (4, 4) that is not rigid; one of many has a reason instead."""
-    for name, frame in frames.items():
-        if isinstance(frame, np.ndarray | jax.Array) and is_known(frame) and frame.shape == (4, 4):
-            rigid_frame(f"{who}: {name}", frame)
+    for name, known in frames.items():
+        if isinstance(known, np.ndarray | jax.Array) and is_known(known) and known.shape == (4, 4):
+            rigid_frame(f"{who}: {name}", known)
 
 
-def _fields(who: str, **fields: tuple[Any, tuple[int, ...]]) -> list[Any]:
-    """A path's arrays, `name=(value, shape)`, in that order; a traced frame that is not rigid as NaN, which has a reason."""
+def _fields(who: str, path: Path, **shapes: tuple[int, ...]) -> list[Any]:
+    """A path's arrays of these shapes, in that order; a traced frame that is not rigid as NaN, which has a reason."""
     arrays = []
-    for name, (value, shape) in fields.items():
-        what = f"{who}: {name}"
+    for name, shape in shapes.items():
+        what, value = f"{who}: {name}", getattr(path, name)
         array = as_numbers(what, value)
         if array.shape != shape:
             raise ValueError(f"{what} has the shape {array.shape}; allowed: {shape}, or rows of it where `each` names the path")
@@ -170,14 +164,13 @@ def _via_values(poses: Any) -> tuple[np.ndarray, np.ndarray]:
 
     given = numbers("via: poses", poses)
     if given.ndim == 2 and given.shape[1] == 3:
-        given = np.tile(np.eye(4), (len(given), 1, 1)) + np.pad(given[:, :, None], ((0, 0), (0, 1), (3, 0)))
+        given = frame(given)
     if given.ndim != 3 or given.shape[1:] != (4, 4) or len(given) < 2:
         raise ValueError(f"via: poses of shape {np.shape(poses)}; allowed: (k, 4, 4) or (k, 3) with k >= 2")
     valid = is_rigid(given)
     if not np.all(valid):
-        raise ValueError(
-            f"via: pose {int(np.argmin(valid))} is no pose; allowed: finite, an orthonormal rotation, last row 0 0 0 1"
-        )
+        k = int(np.argmin(valid))
+        raise ValueError(f"via: pose {k} is no pose; allowed: finite, an orthonormal rotation, last row 0 0 0 1")
     rotations = Rotation.from_matrix(given[:, :3, :3])  # the nearest ones; where one holds infinity, LAPACK does not return
     first = rotations[0].as_matrix()
     turned = (rotations[0].inv() * rotations).as_rotvec()
@@ -189,9 +182,8 @@ def _via_values(poses: Any) -> tuple[np.ndarray, np.ndarray]:
     beyond = (angle[:, 0] > 0.0) & (gap(other) <= gap(turned) + 1e-9)
     if np.any(beyond):
         k = int(np.argmax(beyond))
-        raise ValueError(
-            f"via: pose {k} is turned by pi or more from the first; allowed: less; another path may take over before it"
-        )
+        allowed = "less; another path may take over before it"
+        raise ValueError(f"via: pose {k} is turned by pi or more from the first; allowed: {allowed}")
     return np.concatenate([given[:, :3, 3], turned], axis=1), first
 
 

@@ -26,15 +26,16 @@ from typing import Any, Literal, NamedTuple
 import jax
 import jax.numpy as jnp
 import numpy as np
+from jaxtyping import Float, Int
 
-from jaxik.checks.arrays import positive, shaped
+from jaxik.checks.arrays import is_known, positive, shaped
 from jaxik.checks.options import as_count, batch_axes, changed, check_choices, check_each, check_finite, check_kind, check_seed
 from jaxik.motions.diagnosis import Course, diagnose
 from jaxik.motions.nullspace import FLOOR, Resolved, loop_gain, resolve_velocity, settles
 from jaxik.motions.path import Motion, Path, check_path, motion
 from jaxik.optimise import descent, ocp
 from jaxik.reasons import Reasoned
-from jaxik.robot.chain import Chain, as_numbers
+from jaxik.robot.chain import Array, Chain, as_numbers
 from jaxik.robot.task import POSE, Task
 from jaxik.spmd import kernel
 from jaxik.spmd.batch import in_blocks
@@ -44,6 +45,7 @@ DESCEND = descent.Descent()
 Level = Literal["velocity", "acceleration"]
 Start = Literal["given", "free"]
 Each = Literal["path", "duration", "guess", "given"]  # as the compiled program takes them
+Axes = tuple[int | None, ...]
 RunningCost = Callable[..., Any]  # (q, qdot, input, t), and what is given, if anything is: cost per second
 
 
@@ -111,21 +113,21 @@ class Prediction(Reasoned):
     the descent: how many iterations, the total (the cost's integral) before and after each, alpha and beta of each, then
     NaN."""
 
-    q: Any
-    qdot: Any
-    w: Any
-    costs: Any
-    error: Any
-    damping: Any
-    reason: Any
-    sample: Any
-    iterations: Any
-    totals: Any
-    alphas: Any
-    betas: Any
+    q: Float[Array, "*b k1 n"]
+    qdot: Float[Array, "*b k n"]
+    w: Float[Array, "*b k n"]
+    costs: Float[Array, "*b k"]
+    error: Float[Array, "*b k m"]
+    damping: Float[Array, "*b k"]
+    reason: Int[Array, "*b"]
+    sample: Int[Array, "*b"]
+    iterations: Int[Array, "*b"]
+    totals: Float[Array, "*b j1"]
+    alphas: Float[Array, "*b j"]
+    betas: Float[Array, "*b j"]
 
     @property
-    def total(self) -> Any:
+    def total(self) -> Float[Array, "*b"]:
         """The integral of the cost."""
         return jnp.nanmin(self.totals, axis=-1)
 
@@ -135,9 +137,8 @@ def future(path: Path, duration: Any, horizon: Horizon, start: Any = 0.0) -> Fut
     time = start + horizon.dt * jnp.arange(horizon.count)
     stages = jnp.array([0.0] if horizon.integrator == "euler" else [0.0, 0.5, 1.0])
     times = (time[:, None] + horizon.dt * stages).reshape(-1)
-    asked = kernel(lambda path, duration, times: jax.lax.map(lambda t: motion(path, duration, t), times))(
-        path, jnp.asarray(duration, times.dtype), times
-    )
+    each = kernel(lambda path, duration, times: jax.lax.map(lambda t: motion(path, duration, t), times))
+    asked = each(path, jnp.asarray(duration, times.dtype), times)
     return Future(Motion(*(x.reshape(horizon.count, len(stages), *x.shape[1:]) for x in asked)), time)
 
 
@@ -149,8 +150,7 @@ def problem(chain: Chain, cost: RunningCost, horizon: Horizon, *given: Any, many
         found = horizon.resolve(chain, q, asked, u)
         return found.rate, found
 
-    integrate = ocp.integrator(horizon.integrator, field, horizon.dt)
-    move = ocp.of_velocity(integrate) if horizon.level == "velocity" else ocp.of_acceleration(integrate, horizon.dt)
+    move = ocp.driven(ocp.integrator(horizon.integrator, field, horizon.dt), horizon.dt)
     step, per_second = lambda y, w, p: move(y, w, p.asked), lambda y, v, w, p: cost(y[0], v, w, p.time, *given)
     return ocp.Problem(step, per_second, horizon.dt, many)
 
@@ -171,26 +171,25 @@ def objective(
     measure with them.
     """
     control = problem(chain, cost, horizon, *given, many=many)
-    root = horizon.dt**0.5
-    free = horizon.start == "free"
-    begin = lambda first: self_motion(chain, q, root * first, ahead, horizon)
+    root, free = horizon.dt**0.5, horizon.start == "free"
+    begin, inputs = lambda first: self_motion(chain, q, root * first, ahead, horizon), lambda z: z[1:] if free else z
     rest = () if horizon.level == "velocity" else (jnp.zeros_like(q) if u is None else u,)
 
     def value(z: Any) -> Any:
-        run = ocp.roll_out(control, ((begin(z[0]) if free else q), *rest), z[1:] if free else z, ahead)
+        run = ocp.roll_out(control, (begin(z[0]) if free else q, *rest), inputs(z), ahead)
         return run.total, run
 
     def slope(z: Any, run: ocp.Run) -> Any:
+        g, adjoint = ocp.gradient(control, run, inputs(z), ahead)
         if not free:
-            return ocp.gradient(control, run, z, ahead)[0]
-        g, adjoint = ocp.gradient(control, run, z[1:], ahead)
+            return g
         _, pull = jax.vjp(begin, z[0])
         return jnp.concatenate([pull(adjoint[0][0])[0][None] / horizon.dt, g])
 
     def along(z: Any, s: Any, alphas: Any) -> Any:
         first = jax.vmap(lambda alpha: begin(z[0] + alpha * s[0]) if free else q)(alphas)
         starts = (first, *(jnp.broadcast_to(x, (len(alphas), *x.shape)) for x in rest))
-        return ocp.totals_along(control, starts, *((z[1:], s[1:]) if free else (z, s)), alphas, ahead)
+        return ocp.totals_along(control, starts, inputs(z), inputs(s), alphas, ahead)
 
     # traced once, however often it is asked for
     return descent.Objective(jax.jit(value), slope, lambda a, b: horizon.dt * jnp.sum(a * b), along if many else None)
@@ -199,49 +198,43 @@ def objective(
 def self_motion(chain: Chain, q: Any, along: Any, ahead: Future, horizon: Horizon, turns: int = 12) -> Any:
     """Where a motion that leaves the tip at the path's start ends: of `qdot = (1 - J# J) along` after 1 s, brought back to the
     path by Newton steps."""
-    pose = jax.tree_util.tree_map(lambda x: x[0, 0], ahead.asked).pose
+    pose = ahead.asked.pose[0, 0]
     asked = Motion(pose, jnp.zeros(6, pose.dtype), jnp.zeros(6, pose.dtype))
-
     turn = lambda q, share: (q + horizon.resolve(chain, q, asked, share * along, 1.0).rate, None)
     shares = jnp.concatenate([jnp.full(turns, 1.0 / turns), jnp.zeros(4)]).astype(q.dtype)
     return kernel(lambda q, shares: jax.lax.scan(turn, q, shares)[0])(q, shares)
 
 
 @functools.lru_cache(maxsize=32)
-def _program(
-    chain: Chain, cost: RunningCost, horizon: Horizon, axes: tuple[int | None, ...] | None
-) -> Callable[..., Prediction]:
+def _program(chain: Chain, cost: RunningCost, horizon: Horizon, axes: Axes | None) -> Callable[..., Prediction]:
     def solve(q: Any, path: Path, duration: Any, w: Any, given: tuple[Any, ...]) -> Prediction:
         ahead = future(path, duration, horizon)
         many = axes is not None and jax.default_backend() == "cpu"
         goal = objective(chain, cost, horizon, q, ahead, given, many=many)
         found = descent.run(goal, w, horizon.descend)
-        run = found.aux
         w = found.w[1:] if horizon.start == "free" else found.w
-        record = found.iterations, found.costs, found.alphas, found.betas
-        return Prediction(run.y[0], run.v, w, run.costs, *_judged(chain, horizon, run, ahead), *record)
+        run, record = found.aux, (found.iterations, found.costs, found.alphas, found.betas)
+        (q, *_), seen, asked = run.y, run.seen, ahead.asked
+        course = Course(q[:-1], run.v, seen.error, seen.damping, asked.pose[:, 0], asked.velocity[:, 0])
+        judged = diagnose(chain, horizon.task, course, horizon.tolerance, keep=True)
+        return Prediction(q, run.v, w, run.costs, seen.error, seen.damping, *judged, *record)
 
     return jax.jit(solve if axes is None else jax.vmap(solve, in_axes=axes))
 
 
-def _judged(chain: Chain, horizon: Horizon, run: ocp.Run, ahead: Future) -> tuple[Any, Any, Any, Any]:
-    """Error, damping, reason and sample."""
-    seen, asked = run.seen, jax.tree_util.tree_map(lambda x: x[:, 0], ahead.asked)
-    held = jnp.zeros(horizon.count, bool)
-    course = Course(run.y[0][:-1], run.v, seen.error, seen.damping, held, asked.pose, asked.velocity)
-    return seen.error, seen.damping, *diagnose(chain, horizon.task, course, horizon.tolerance, keep=True)
-
-
-def _check_arguments(cost: RunningCost, count: int) -> None:
-    """Raises a `ValueError` of one line for a cost that does not take so many arguments."""
+def outlook(who: str, cost: RunningCost, horizon: Horizon | None, /, given: Any = None, **changes: Any) -> tuple[Horizon, Any]:
+    """The options that `predict`, `multistart` and `boundary_value` share: the horizon with its `changes`, and what is `given`
+    to the cost, if anything is. Raises a `ValueError` of one line for a cost that does not take that."""
+    more = () if given is None else (given,)
     try:
-        inspect.signature(cost).bind(*[None] * count)
+        inspect.signature(cost).bind(*[None] * 4, *more)
     except TypeError:
-        takes = "(q, qdot, input, t)" if count == 4 else "(q, qdot, input, t, given)"
+        takes = "(q, qdot, input, t, given)" if more else "(q, qdot, input, t)"
         mend = "of q alone it is jaxik.motions.quadratic_cost(position=...)"
-        raise ValueError(f"predict: the cost is a function of {takes}; {mend}") from None
-    except ValueError:  # of what has no signature nothing is known
-        return
+        raise ValueError(f"{who}: the cost is a function of {takes}; {mend}") from None
+    except ValueError:
+        pass  # of what has no signature nothing is known
+    return changed(who, horizon or Horizon(), changes), more
 
 
 def predict(
@@ -266,36 +259,28 @@ def predict(
     Raises `ValueError` for a q, guess or weights of another shape, what is no path, a duration that is not positive, or another
     name in `each`.
     """
-    horizon = changed("predict", horizon or Horizon(), changes)
+    horizon, more = outlook("predict", cost, horizon, given, **changes)
     q = as_numbers("predict: q", q).astype(jnp.result_type(float))
-    rows = horizon.count + (horizon.start == "free")
-    shape = (rows, chain.num_joints)
+    n, free = chain.num_joints, horizon.start == "free"
+    shape = (horizon.count + free, n)
     check_each("predict", each, Each)
     check_path("predict", path, duration, q.shape[:1] if "duration" in each else ())
-    _check_arguments(cost, 4 + (given is not None))
-    many = q.ndim == 2
-    if guess is None:
-        w: Any = np.zeros(shape, q.dtype)
-    else:
-        w = as_numbers("predict: guess", guess).astype(q.dtype)
-        if horizon.start == "free" and w.shape[-2:] == (horizon.count, chain.num_joints):
-            w = jnp.concatenate([jnp.zeros_like(w[..., :1, :]), w], axis=-2)
-    wanted = (q.shape[0], *shape) if "guess" in each else shape
-    if q.shape[-1:] != (chain.num_joints,) or q.ndim not in (1, 2) or w.shape != wanted or (each and not many):
-        raise ValueError(
-            f"predict: q {np.shape(q)} and guess {w.shape}; {chain.name} takes ({chain.num_joints},) and {shape}, or a leading "
-            f"axis of q, and of what `each` names"
-        )
-    axes = (0, *batch_axes(each, Each)) if many else None
-    program, args = _program(chain, cost, horizon, axes), (q, path, duration, w, () if given is None else (given,))
+    w: Any = np.zeros(shape, q.dtype) if guess is None else as_numbers("predict: guess", guess).astype(q.dtype)
+    if free and w.shape[-2:] == (horizon.count, n):
+        w = jnp.concatenate([jnp.zeros_like(w[..., :1, :]), w], axis=-2)
+    wanted = (*q.shape[:1], *shape) if "guess" in each else shape
+    if q.shape[-1:] != (n,) or q.ndim not in (1, 2) or w.shape != wanted or (each and q.ndim == 1):
+        also = "or a leading axis of q, and of what `each` names"
+        raise ValueError(f"predict: q {np.shape(q)} and guess {w.shape}; {chain.name} takes ({n},) and {shape}, {also}")
+    axes = (0, *batch_axes(each, Each)) if q.ndim == 2 else None
+    program, args = _program(chain, cost, horizon, axes), (q, path, duration, w, more)
     return program(*args) if axes is None else _in_blocks(program, axes, args)
 
 
-def _in_blocks(program: Callable[..., Prediction], axes: tuple[int | None, ...], args: tuple[Any, ...]) -> Prediction:
+def _in_blocks(program: Callable[..., Prediction], axes: Axes, args: tuple[Any, ...]) -> Prediction:
     """Many scenarios go block by block, on a CPU."""
     rows, tree = jax.tree_util.tree_flatten(tuple(a for a, axis in zip(args, axes, strict=True) if axis == 0))
-    traced = any(isinstance(x, jax.core.Tracer) for x in jax.tree_util.tree_leaves(args))
-    if traced or len(rows[0]) <= LANES or jax.default_backend() != "cpu":
+    if not is_known(args) or len(rows[0]) <= LANES or jax.default_backend() != "cpu":
         return program(*args)
 
     def block(*rows: Any) -> Prediction:
@@ -315,16 +300,16 @@ def multistart(
     starts: int = 1000,
     spread: float = 2.0,
     seed: int = 0,
-    given: Any = None,
-    **changes: Any,
+    **options: Any,
 ) -> Prediction:
     """`predict` from `starts` first inputs, the best first: 0, and smooth random ones, for the global picture. Host driver.
 
     A random input is a sum of the first five cosines of the horizon, of random amplitudes [`spread` rad/s2 or rad/s] that fall
     with their frequency, so that it moves the arm and does not shake it. Raises `ValueError` as `predict` does, and for a
-    number of starts, a spread or a seed that is none. `changes` are fields of `Horizon` by name.
+    number of starts, a spread or a seed that is none. `options` are what is `given` to the cost, and fields of `Horizon`, by
+    name, as `predict` takes them.
     """
-    horizon = changed("multistart", horizon or Horizon(), changes)
+    horizon, given = outlook("multistart", cost, horizon, **options)
     count, n = horizon.count, chain.num_joints
     q, starts = shaped("multistart: q", q, (n,)), as_count("multistart: starts", starts)
     check_finite("multistart", 0.0, spread=spread)
@@ -334,6 +319,6 @@ def multistart(
     waves = np.cos(np.pi * order[:, None] * (np.arange(count) + 0.5) / count)
     inputs = np.einsum("skn,kt->stn", spread * rng.normal(size=(starts, 5, n)) / (1.0 + order)[:, None], waves)
     inputs[0] = 0.0
-    found = predict(chain, path, duration, np.tile(q, (starts, 1)), cost, horizon, inputs, given, ("guess",))
+    found = predict(chain, path, duration, np.tile(q, (starts, 1)), cost, horizon, inputs, *given, each=("guess",))
     best = np.argsort(np.nan_to_num(np.asarray(found.total), nan=np.inf), kind="stable")
     return jax.tree_util.tree_map(lambda x: np.asarray(x)[best], found)

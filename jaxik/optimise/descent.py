@@ -36,6 +36,7 @@ from typing import Any, Literal, NamedTuple
 import jax
 import jax.numpy as jnp
 from jax import lax
+from jaxtyping import Float, Int
 
 from jaxik.checks.arrays import numbers
 from jaxik.checks.options import as_count, check_choices, check_finite, shown
@@ -112,65 +113,38 @@ class Descended(NamedTuple):
     """The best input, its cost and what came with it; iterations; and for each the cost after it, alpha and beta (NaN after the
     last): `costs` starts with that of the first guess."""
 
-    w: Any
-    cost: Any
+    w: Float[jax.Array, "*b k n"]
+    cost: Float[jax.Array, "*b"]
     aux: Any
-    iterations: Any
-    costs: Any
-    alphas: Any
-    betas: Any
+    iterations: Int[jax.Array, "*b"]
+    costs: Float[jax.Array, "*b j1"]
+    alphas: Float[jax.Array, "*b j"]
+    betas: Float[jax.Array, "*b j"]
 
 
-def init(objective: Objective, w: Any, options: Descent) -> State:
-    """At the first guess."""
-    return _begun(w, *objective.value(w), options)
-
-
-def unmeasured(objective: Objective, w: Any, options: Descent) -> State:
-    """At a first guess that `glance` will evaluate."""
-    cost, aux = jax.tree_util.tree_map(lambda x: jnp.zeros(x.shape, x.dtype), jax.eval_shape(objective.value, w))
-    return _begun(w, cost, aux, options)
-
-
-def _begun(w: Any, cost: Any, aux: Any, options: Descent) -> State:
-    none = jnp.zeros_like(w)
+def init(objective: Objective, w: Any, options: Descent, measured: bool = True) -> State:
+    """At the first guess; one that is not `measured` is evaluated by a `glance`."""
+    blank = lambda x: jnp.zeros(x.shape, x.dtype)
+    cost, aux = objective.value(w) if measured else jax.tree_util.tree_map(blank, jax.eval_shape(objective.value, w))
+    none, zero = jnp.zeros_like(w), jnp.zeros((), w.dtype)
     memory = _quasi_newton(options).init(w) if options.direction == "lbfgs" else ()
     interval = jnp.asarray(options.interval, w.dtype)
-    zero = jnp.zeros((), w.dtype)
     return State(w, cost, aux, none, none, memory, interval, jnp.zeros((), int), zero, zero, jnp.zeros((), bool))
 
 
-class _Heading(NamedTuple):
-    """The gradient, the direction and its slope, beta, and what the quasi-Newton method remembers."""
+def advance(objective: Objective, state: State, options: Descent, glance: bool = False) -> State:
+    """One iteration; where the cost rises by more than its rounding, w stays.
 
-    g: Any
-    s: Any
-    slope: Any
-    beta: Any
-    memory: Any
-
-
-def advance(objective: Objective, state: State, options: Descent) -> State:
-    """One iteration."""
-    heading = _heading(objective, state, options)
-    alpha, interval, _, there = _search(objective, state, heading, options)
-    cost, aux = there or objective.value(state.w + alpha * heading.s)
-    return _accepted(state, heading, alpha, interval, cost, aux, options)
-
-
-def glance(objective: Objective, state: State, options: Descent) -> State:
-    """One iteration that evaluates the objective where it begins and not where it ends: the cost is then what the line search
-    expects, and `aux` that of the beginning. For where the objective is another one each time."""
-    cost, aux = objective.value(state.w)
-    state = state._replace(cost=cost, aux=aux)
-    heading = _heading(objective, state, options)
-    alpha, interval, expected, _ = _search(objective, state, heading, options)
-    return _accepted(state, heading, alpha, interval, expected, aux, options)
-
-
-def _accepted(state: State, heading: _Heading, alpha: Any, interval: Any, cost: Any, aux: Any, options: Descent) -> State:
-    """The state after a step, or, where the cost rises by more than its rounding, the one before."""
-    w, s = state.w + alpha * heading.s, heading.s
+    A `glance` evaluates the objective where it begins and not where it ends: the cost is then what the line search expects, and
+    `aux` that of the beginning. For where the objective is another one each time.
+    """
+    if glance:
+        cost, aux = objective.value(state.w)
+        state = state._replace(cost=cost, aux=aux)
+    g, s, slope, beta, memory = _heading(objective, state, options)
+    alpha, interval, expected, there = _search(objective, state, g, s, slope, options)
+    w = state.w + alpha * s
+    cost, aux = (expected, state.aux) if glance else there or objective.value(w)
     better = cost <= state.cost + _rounding(state.cost)
     keep = lambda new, old: jax.tree_util.tree_map(lambda a, b: jnp.where(better, a, b), new, old)
     w, kept_cost, kept_aux = keep((w, cost, aux), (state.w, state.cost, state.aux))
@@ -182,9 +156,7 @@ def _accepted(state: State, heading: _Heading, alpha: Any, interval: Any, cost: 
         over |= (interval[1] <= least[1]) | ~(cost == cost)
     else:
         over |= ~better
-    return State(
-        w, kept_cost, kept_aux, heading.g, s, heading.memory, interval, state.iterations + 1, alpha, heading.beta, over
-    )
+    return State(w, kept_cost, kept_aux, g, s, memory, interval, state.iterations + 1, alpha, beta, over)
 
 
 def run(objective: Objective, w: Any, options: Descent) -> Descended:
@@ -226,7 +198,8 @@ def _quasi_newton(options: Descent) -> Any:
     return optax.scale_by_lbfgs(options.memory)
 
 
-def _heading(objective: Objective, state: State, options: Descent) -> _Heading:
+def _heading(objective: Objective, state: State, options: Descent) -> tuple[Any, Any, Any, Any, Any]:
+    """The gradient, the direction and its slope, beta, and what the quasi-Newton method remembers."""
     inner, before, s = objective.inner, state.gradient, state.direction
     g = objective.gradient(state.w, state.aux)
     square = inner(g, g)
@@ -234,18 +207,17 @@ def _heading(objective: Objective, state: State, options: Descent) -> _Heading:
         scaled, memory = _quasi_newton(options).update(g, state.memory, state.w)
         slope = -inner(g, scaled)
         s, slope = jnp.where(slope < 0.0, -scaled, -g), jnp.where(slope < 0.0, slope, -square)
-        return _Heading(g, s, slope, jnp.zeros((), g.dtype), memory)
+        return g, s, slope, jnp.zeros((), g.dtype), memory
     across, along = inner(g, before), inner(g, s)
     beta = _beta(options.direction, square, across, inner(before, before), along, inner(before, s))
     again = jnp.abs(across) > options.restart * square
     beta = jnp.where((state.iterations == 0) | again, 0.0, jnp.asarray(beta, g.dtype))
     beta = jnp.where(beta * along < square, beta, 0.0)  # else it does not descend
-    return _Heading(g, beta * s - g, beta * along - square, beta, ())
+    return g, beta * s - g, beta * along - square, beta, ()
 
 
-def _search(objective: Objective, state: State, heading: _Heading, options: Descent) -> tuple[Any, Any, Any, Any]:
+def _search(objective: Objective, state: State, g: Any, s: Any, slope: Any, options: Descent) -> tuple[Any, Any, Any, Any]:
     """The step along s, the next interval, the cost to expect, and what the objective is there if that was asked."""
-    g, s, slope = heading.g, heading.s, heading.slope
     at = lambda alpha: objective.value(state.w + alpha * s)
     alpha, interval = jnp.asarray(options.step, g.dtype), state.interval
     if options.search == "backtracking":

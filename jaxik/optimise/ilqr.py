@@ -19,6 +19,8 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 from jax import lax
+from jax.flatten_util import ravel_pytree
+from jaxtyping import Float, Int
 
 from jaxik.optimise import ocp
 
@@ -41,22 +43,10 @@ class Options:
 class Found(NamedTuple):
     """The best input (N, m), its roll-out, how many iterations, and the total before and after each, then NaN."""
 
-    w: Any
+    w: Float[jax.Array, "*b k m"]
     run: ocp.Run
-    iterations: Any
-    totals: Any
-
-
-class _Quadratic(NamedTuple):
-    """Of each sample: the step's derivatives, and the cost's first and second ones."""
-
-    a: Any
-    b: Any
-    l_x: Any
-    l_w: Any
-    l_xx: Any
-    l_wx: Any
-    l_ww: Any
+    iterations: Int[jax.Array, "*b"]
+    totals: Float[jax.Array, "*b j1"]
 
 
 def solve(
@@ -71,8 +61,18 @@ def solve(
     def turn(state: Any) -> Any:
         w, run, totals, j, mu, _ = state
         change, feedback, steady = _backward(_quadratics(problem, run, w, p), w, low, high, mu, problem.dt)
-        tried = jax.vmap(lambda alpha: _forward(problem, y, run, w, p, low, high, alpha * change, feedback))
-        inputs, runs = tried(jnp.asarray(_LENGTHS, w.dtype))
+
+        def tried(alpha: Any) -> tuple[Any, ocp.Run]:
+            def step(y: Any, now: Any) -> Any:
+                before, w, change, feedback, p = now
+                off = ravel_pytree(y)[0] - ravel_pytree(before)[0]
+                w = jnp.clip(w + alpha * change + feedback @ off, low, high)
+                return problem.step(y, w, p)[0], w
+
+            _, inputs = lax.scan(step, y, (ocp.head(run.y), w, change, feedback, p))
+            return inputs, ocp.roll_out(problem, y, inputs, p)
+
+        inputs, runs = jax.vmap(tried)(jnp.asarray(_LENGTHS, w.dtype))
         best = jnp.argmin(jnp.where(jnp.isfinite(runs.total), runs.total, jnp.inf))
         new = jax.tree_util.tree_map(lambda x: x[best], (inputs, runs))
         better = steady & (new[1].total < run.total)
@@ -88,48 +88,38 @@ def solve(
     return Found(w, run, j, totals)
 
 
-def _flat(y: Any) -> Any:
-    return jnp.concatenate(y, axis=-1)
+def _quadratics(problem: ocp.Problem, run: ocp.Run, w: Any, p: Any) -> tuple[Any, Any, Any]:
+    """Of each sample, by its state and input as one: the step's derivative (s, s + m), and the cost's first and second."""
 
+    def sample(y: Any, v: Any, w: Any, p: Any) -> tuple[Any, Any, Any]:
+        x, state = ravel_pytree(y)
+        at, parts = ravel_pytree((y, v, w))
 
-def _parts(x: Any, y: Any) -> Any:
-    """A flat state as the tuple that y is."""
-    return tuple(jnp.split(x, np.cumsum([part.shape[-1] for part in y])[:-1], axis=-1))
+        def move(z: Any) -> tuple[Any, Any]:
+            """The state after, and what the cost is asked for."""
+            here, w = jnp.split(z, [len(x)])
+            after, v, _ = problem.step(state(here), w, p)
+            return ravel_pytree(after)[0], jnp.concatenate([here, v, w])
 
-
-def _quadratics(problem: ocp.Problem, run: ocp.Run, w: Any, p: Any) -> _Quadratic:
-    def sample(y: Any, v: Any, w: Any, p: Any) -> _Quadratic:
-        def move(x: Any, w: Any) -> Any:
-            after, v, _ = problem.step(_parts(x, y), w, p)
-            return _flat(after), v
-
-        x = _flat(y)
-        (a, v_x), (b, v_w) = (jax.jacfwd(move, argnums=i)(x, w) for i in (0, 1))
-        cost = lambda z: problem.cost(_parts(z[: len(x)], y), z[len(x) : -len(w)], z[-len(w) :], p)
-        at = jnp.concatenate([x, v, w])
+        step, moved = jax.jacfwd(move)(jnp.concatenate([x, w]))
+        cost = lambda z: problem.cost(*parts(z), p)
         slope, bend = jax.grad(cost)(at), jax.hessian(cost)(at)
         values, vectors = jnp.linalg.eigh(0.5 * (bend + bend.T))
-        bend = (vectors * jnp.maximum(values, 0.0)) @ vectors.T
-        # the cost's arguments as the state and the input move them
-        by_x = jnp.concatenate([jnp.eye(len(x)), v_x, jnp.zeros((len(w), len(x)))])
-        by_w = jnp.concatenate([jnp.zeros((len(x), len(w))), v_w, jnp.eye(len(w))])
-        return _Quadratic(
-            a, b, by_x.T @ slope, by_w.T @ slope, by_x.T @ bend @ by_x, by_w.T @ bend @ by_x, by_w.T @ bend @ by_w
-        )
+        return step, moved.T @ slope, moved.T @ ((vectors * jnp.maximum(values, 0.0)) @ vectors.T) @ moved
 
     return jax.vmap(sample)(ocp.head(run.y), run.v, w, p)
 
 
-def _backward(quadratic: _Quadratic, w: Any, low: Any, high: Any, mu: Any, dt: float) -> tuple[Any, Any, Any]:
+def _backward(quadratics: tuple[Any, Any, Any], w: Any, low: Any, high: Any, mu: Any, dt: float) -> tuple[Any, Any, Any]:
     """Changes (N, m), feedbacks (N, m, s), and whether all is finite."""
+    size = quadratics[0].shape[1]
 
     def back(after: Any, now: Any) -> Any:
         value_x, value_xx = after
-        each, w = now
-        q_x, q_w = dt * each.l_x + each.a.T @ value_x, dt * each.l_w + each.b.T @ value_x
-        q_xx = dt * each.l_xx + each.a.T @ value_xx @ each.a
-        q_wx = dt * each.l_wx + each.b.T @ value_xx @ each.a
-        q_ww = dt * each.l_ww + each.b.T @ value_xx @ each.b
+        (step, slope, bend), w = now
+        q_x, q_w = jnp.split(dt * slope + step.T @ value_x, [size])
+        of_x, of_w = jnp.split(dt * bend + step.T @ value_xx @ step, [size])
+        q_xx, (q_wx, q_ww) = of_x[:, :size], jnp.split(of_w, [size], axis=1)
         damped = q_ww + dt * mu * jnp.eye(len(w))
         change, free = box_qp(damped, q_w, low - w, high - w)
         feedback = -jnp.linalg.solve(_masked(damped, free), free[:, None] * q_wx)
@@ -137,23 +127,9 @@ def _backward(quadratic: _Quadratic, w: Any, low: Any, high: Any, mu: Any, dt: f
         value_xx = q_xx + feedback.T @ q_ww @ feedback + feedback.T @ q_wx + q_wx.T @ feedback
         return (value_x, 0.5 * (value_xx + value_xx.T)), (change, feedback)
 
-    size = quadratic.a.shape[-1]
     end = jnp.zeros(size, w.dtype), jnp.zeros((size, size), w.dtype)
-    _, (change, feedback) = lax.scan(back, end, (quadratic, w), reverse=True)
+    _, (change, feedback) = lax.scan(back, end, (quadratics, w), reverse=True)
     return change, feedback, jnp.all(jnp.isfinite(change)) & jnp.all(jnp.isfinite(feedback))
-
-
-def _forward(
-    problem: ocp.Problem, y: Any, run: ocp.Run, w: Any, p: Any, low: Any, high: Any, change: Any, feedback: Any
-) -> tuple[Any, ocp.Run]:
-    def step(y: Any, now: Any) -> Any:
-        before, w, change, feedback, p = now
-        w = jnp.clip(w + change + feedback @ (_flat(y) - _flat(before)), low, high)
-        after, *_ = problem.step(y, w, p)
-        return after, w
-
-    _, inputs = lax.scan(step, y, (ocp.head(run.y), w, change, feedback, p))
-    return inputs, ocp.roll_out(problem, y, inputs, p)
 
 
 def box_qp(hessian: Any, slope: Any, low: Any, high: Any, passes: int = 8) -> tuple[Any, Any]:

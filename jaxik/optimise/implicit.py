@@ -23,6 +23,7 @@ from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
+from jaxtyping import Bool, Float
 
 
 class Program(NamedTuple):
@@ -36,8 +37,8 @@ class Program(NamedTuple):
 class Implicit(NamedTuple):
     """A solution that may be differentiated by t, and whether it has a derivative there."""
 
-    x: Any
-    defined: Any
+    x: Float[jax.Array, "*b n"]
+    defined: Bool[jax.Array, "*b"]
 
 
 class _System(NamedTuple):
@@ -67,16 +68,15 @@ def _solution_jvp(program: Program, primals: Any, tangents: Any) -> Any:
     x, t, system = primals
 
     def conditions(t: Any) -> Any:
-        slope = jax.grad(lambda x: _lagrangian(program, x, t, system))(x)
-        slope = jnp.where(system.held, 0.0, slope)
+        slope = jnp.where(system.held, 0.0, jax.grad(lambda x: _lagrangian(program, x, t, system.y, system.z))(x))
         return jnp.concatenate([slope, program.equality(x, t), jnp.where(system.active, program.inequality(x, t), 0.0)])
 
     _, change = jax.jvp(conditions, (t,), (tangents[1],))
     return x, -jnp.linalg.solve(system.matrix, change)[: len(x)]
 
 
-def _lagrangian(program: Program, x: Any, t: Any, system: _System) -> Any:
-    return program.cost(x, t) + system.y @ program.equality(x, t) - system.z @ _finite(program.inequality(x, t))
+def _lagrangian(program: Program, x: Any, t: Any, y: Any, z: Any) -> Any:
+    return program.cost(x, t) + y @ program.equality(x, t) - z @ _finite(program.inequality(x, t))
 
 
 def _finite(c: Any) -> Any:
@@ -93,16 +93,16 @@ def _system(program: Program, x: Any, t: Any, low: Any, high: Any) -> _System:
     counted = jnp.concatenate([jnp.ones(m, bool), active])
     slope = jax.grad(program.cost)(x, t)
     inside = jnp.where(held | ~counted[:, None], 0.0, rows)
-    y, *_ = jnp.linalg.lstsq(inside.T, jnp.where(held, 0.0, -slope))
-    system = _System(None, held, active, y[:m], -y[m:], None)
-    curvature = jax.hessian(lambda x: _lagrangian(program, x, t, system))(x)
+    multipliers, *_ = jnp.linalg.lstsq(inside.T, jnp.where(held, 0.0, -slope))
+    y, z = multipliers[:m], -multipliers[m:]
+    curvature = jax.hessian(lambda x: _lagrangian(program, x, t, y, z))(x)
     matrix = jnp.block([[curvature, inside.T], [inside, jnp.zeros((len(rows), len(rows)))]])
     off = jnp.concatenate([held, ~counted])
     matrix = jnp.where(off[:, None] | off, jnp.eye(len(off), dtype=x.dtype), matrix)
     spread = jnp.linalg.svd(matrix, compute_uv=False)
-    left = slope + rows.T @ y  # what bounds must carry
+    left = slope + rows.T @ multipliers  # what bounds must carry
     inward = jnp.where(x <= low + near, left, -left)
     solved = (jnp.max(jnp.abs(r), initial=0.0) < 1e3 * near) & (jnp.max(jnp.where(held, 0.0, jnp.abs(left))) < 1e3 * near)
-    strict = jnp.all(jnp.where(held, inward > near, True)) & jnp.all(jnp.where(active, system.z > near, True))
+    strict = jnp.all(jnp.where(held, inward > near, True)) & jnp.all(jnp.where(active, z > near, True))
     defined = solved & strict & (spread[-1] > near * spread[0]) & jnp.all(jnp.isfinite(x)) & (n > 0)
-    return system._replace(matrix=matrix, defined=defined)
+    return _System(matrix, held, active, y, z, defined)

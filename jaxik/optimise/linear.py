@@ -24,6 +24,11 @@ def dot(a: Sequence[Scalar], b: Sequence[Scalar]) -> Scalar:
     return total
 
 
+def column(matrix: Matrix, j: int) -> list[Scalar]:
+    """Number j of a matrix."""
+    return [row[j] for row in matrix]
+
+
 def product(matrix: Matrix, vector: Sequence[Scalar]) -> list[Scalar]:
     """`A v`."""
     return [dot(row, vector) for row in matrix]

@@ -12,6 +12,7 @@ from typing import Any, NamedTuple
 import jax
 import jax.numpy as jnp
 from jax import lax
+from jaxtyping import Float, Int
 
 from jaxik.optimise.linear import definite_solve
 
@@ -19,9 +20,9 @@ from jaxik.optimise.linear import definite_solve
 class Root(NamedTuple):
     """Where an iteration ended: x (n,), the largest component of r there, and the number of steps."""
 
-    x: Any
-    residual: Any
-    iterations: Any
+    x: Float[jax.Array, "*b n"]
+    residual: Float[jax.Array, "*b"]
+    iterations: Int[jax.Array, "*b"]
 
 
 def newton_raphson(residual: Callable[[Any], Any], x: Any, tolerance: float = 1e-9, iterations: int = 100) -> Root:
@@ -33,20 +34,13 @@ def damped_least_squares(
     residual: Callable[[Any], Any], x: Any, damping: float = 0.05, tolerance: float = 1e-9, iterations: int = 100
 ) -> Root:
     """The same with a bounded step next to singularities, and slower convergence for it. Traced."""
-
-    def step(a: Any, r: Any) -> Any:
-        return a.T @ jnp.stack(definite_solve(a @ a.T + damping**2 * jnp.eye(len(r), dtype=r.dtype), r, 0.0))
-
+    step = lambda a, r: a.T @ jnp.stack(definite_solve(a @ a.T + damping**2 * jnp.eye(len(r), dtype=r.dtype), r, 0.0))
     return _iterated(residual, step, x, tolerance, iterations)
 
 
-def _iterated(
-    residual: Callable[[Any], Any], step: Callable[[Any, Any], Any], x: Any, tolerance: float, iterations: int
-) -> Root:
+def _iterated(residual: Callable[..., Any], step: Callable[..., Any], x: Any, tolerance: float, iterations: int) -> Root:
     jacobian = jax.jacfwd(residual)
-
-    def unfinished(state: Root) -> Any:
-        return (state.residual > tolerance) & (state.iterations < iterations)  # NaN ends it
+    unfinished = lambda state: (state.residual > tolerance) & (state.iterations < iterations)  # NaN ends it
 
     def advance(state: Root) -> Root:
         moved = state.x - step(jacobian(state.x), residual(state.x))

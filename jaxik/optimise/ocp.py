@@ -23,6 +23,7 @@ from typing import Any, Literal, NamedTuple
 import jax
 import jax.numpy as jnp
 from jax import lax
+from jaxtyping import Float
 
 from jaxik.spmd import kernel
 
@@ -46,8 +47,8 @@ class Run(NamedTuple):
     y: Any
     v: Any
     seen: Any
-    costs: Any
-    total: Any
+    costs: Float[jax.Array, "*b k"]
+    total: Float[jax.Array, "*b"]
 
 
 def roll_out(problem: Problem, y: Any, w: Any, p: Any) -> Run:
@@ -106,61 +107,42 @@ def head(states: Any) -> Any:
     return jax.tree_util.tree_map(lambda a: a[:-1], states)
 
 
-def euler(field: Callable[..., Any], dt: float) -> Callable[..., Any]:
-    """`x + dt f(x, u, p_0)`, f, and what was seen, for a field that gives these; p holds the samples of one step."""
-
-    def step(x: Any, u: Any, p: Any) -> Any:
-        v, seen = field(x, u, _sample(p, 0))
-        return x + dt * v, v, seen
-
-    return step
-
-
-def runge_kutta(field: Callable[..., Any], dt: float) -> Callable[..., Any]:
-    """The classic fourth order, with f and what is seen at the start; p holds samples at the start, the middle and the end, u
-    is held.
-
-    Its stages are turns of a loop: written out, they would compile four times, and their derivatives too.
-    """
-
-    def step(x: Any, u: Any, p: Any) -> Any:
-        def stage(before: Any, now: Any) -> Any:
-            share, sample = now
-            v, seen = field(x + dt * share * before, u, sample)
-            return v, (v, seen)
-
-        shares = jnp.array([0.0, 0.5, 0.5, 1.0], x.dtype)
-        samples = jax.tree_util.tree_map(lambda a: a[jnp.array([0, 1, 1, 2])], p)
-        _, (v, seen) = lax.scan(stage, jnp.zeros_like(x), (shares, samples))
-        return x + dt / 6.0 * (v[0] + 2.0 * (v[1] + v[2]) + v[3]), v[0], _sample(seen, 0)
-
-    return step
+def sample(tree: Any, i: Any) -> Any:
+    """Number i, or those numbers, of what has one entry a sample."""
+    return jax.tree_util.tree_map(lambda a: a[i], tree)
 
 
 def integrator(name: str, field: Callable[..., Any], dt: float) -> Callable[..., Any]:
-    """The one of that name, of a `field(x, u, p) -> (f, seen)`."""
-    return (euler if name == "euler" else runge_kutta)(field, dt)
+    """Of a `field(x, u, p) -> (f, seen)` a step that gives the next x, f, and what was seen at its start; u is held.
+
+    By explicit Euler, `x + dt f(x, u, p_0)`, or by the classic Runge-Kutta of fourth order; p holds the samples of one step, at
+    its start, its middle and its end. The stages of the latter are turns of a loop: written out, they would compile four times,
+    and their derivatives too.
+    """
+
+    def euler(x: Any, u: Any, p: Any) -> Any:
+        v, seen = field(x, u, sample(p, 0))
+        return x + dt * v, v, seen
+
+    def runge_kutta(x: Any, u: Any, p: Any) -> Any:
+        def stage(before: Any, now: Any) -> Any:
+            share, known = now
+            v, seen = field(x + dt * share * before, u, known)
+            return v, (v, seen)
+
+        shares = jnp.array([0.0, 0.5, 0.5, 1.0], x.dtype)
+        _, (v, seen) = lax.scan(stage, jnp.zeros_like(x), (shares, sample(p, jnp.array([0, 1, 1, 2]))))
+        return x + dt / 6.0 * (v[0] + 2.0 * (v[1] + v[2]) + v[3]), v[0], sample(seen, 0)
+
+    return euler if name == "euler" else runge_kutta
 
 
-def _sample(p: Any, i: int) -> Any:
-    return jax.tree_util.tree_map(lambda a: a[i], p)
-
-
-def of_velocity(integrate: Callable[..., Any]) -> Callable[..., Any]:
-    """The input is what the field takes [Schuetz 2017, (5.5)]: state (x,)."""
+def driven(integrate: Callable[..., Any], dt: float) -> Callable[..., Any]:
+    """The step of a state (x,), whose input is what the field takes [Schuetz 2017, (5.5)]; or of (x, u), whose input is the
+    rate of that [(5.7)-(5.9)]: u is held over a step."""
 
     def step(y: Any, w: Any, p: Any) -> Any:
-        x, *rest = integrate(y[0], w, p)
-        return (x,), *rest
-
-    return step
-
-
-def of_acceleration(integrate: Callable[..., Any], dt: float) -> Callable[..., Any]:
-    """The input is the rate of what the field takes [(5.7)-(5.9)]: state (x, u); u is held over a step."""
-
-    def step(y: Any, w: Any, p: Any) -> Any:
-        x, *rest = integrate(*y, p)
-        return (x, y[1] + dt * w), *rest
+        x, *rest = integrate(*y, p) if len(y) == 2 else integrate(*y, w, p)
+        return (x, *(u + dt * w for u in y[1:])), *rest
 
     return step

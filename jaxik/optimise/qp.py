@@ -19,7 +19,7 @@ from typing import Any, NamedTuple
 
 import jax.numpy as jnp
 
-from jaxik.optimise.linear import Matrix, definite_solve, dot, full, product
+from jaxik.optimise.linear import Matrix, column, definite_solve, dot, full, product
 from jaxik.spatial.algebra import Scalar, add, mul, sub
 
 
@@ -48,20 +48,18 @@ def solve(
     smallest: float = 1e-12,
 ) -> list[Any]:
     """The step p, n scalars, inside its bounds. `inequality` is wanted >= 0; `smallest` is the least pivot that counts."""
-    n = len(gradient)
+    n, rows = len(gradient), inequality.matrix
     # the part of the system that no pass changes
-    base = [[add(mul(weight, hessian[i][j]), dot(*_columns(equality.matrix, i, j))) for j in range(i + 1)] for i in range(n)]
-    right = [sub(-mul(weight, gradient[i]), dot(_column(equality.matrix, i), equality.value)) for i in range(n)]
-    right = [jnp.asarray(b) for b in right]
+    columns = [column(equality.matrix, i) for i in range(n)]
+    base = [[add(mul(weight, hessian[i][j]), dot(columns[i], columns[j])) for j in range(i + 1)] for i in range(n)]
+    right = [jnp.asarray(sub(-mul(weight, gradient[i]), dot(columns[i], equality.value))) for i in range(n)]
     broken = [jnp.where(v < 0.0, 1.0, 0.0) for v in inequality.value]
     free: list[Any] = [1.0] * n
     held: list[Any] = [0.0] * n
     for number in range(1, passes + 1):
-        counted = [[mul(on, x) for x in row] for on, row in zip(broken, inequality.matrix, strict=True)]
-        matrix = [
-            [add(base[i][j], dot(_column(counted, i), _column(inequality.matrix, j))) for j in range(i + 1)] for i in range(n)
-        ]
-        vector = [sub(right[i], dot(_column(counted, i), inequality.value)) for i in range(n)]
+        counted = [[mul(on, x) for x in row] for on, row in zip(broken, rows, strict=True)]
+        matrix = [[add(base[i][j], dot(column(counted, i), column(rows, j))) for j in range(i + 1)] for i in range(n)]
+        vector = [sub(right[i], dot(column(counted, i), inequality.value)) for i in range(n)]
         step = definite_solve(*_held(matrix, vector, free, held), smallest)
         clipped = [jnp.clip(p, a, b) for p, a, b in zip(step, low, high, strict=True)]
         if number == passes:
@@ -83,20 +81,9 @@ def _is_free(was: Any, step: Any, clipped: Any, wants: Any, low: Any, high: Any)
 
 def _held(matrix: Matrix, right: Sequence[Scalar], free: Sequence[Scalar], held: Sequence[Scalar]) -> tuple[Any, Any]:
     """The system with the unknowns that are not `free` fixed at `held`."""
-    if all(isinstance(f, float) for f in free):
-        return matrix, right
     n = len(right)
     moved = [sub(b, x) for b, x in zip(right, product(full(matrix), held), strict=True)]
-    masked = [
-        [add(mul(matrix[i][j], mul(free[i], free[j])), sub(1.0, free[i]) if i == j else 0.0) for j in range(i + 1)]
-        for i in range(n)
-    ]
+    ones = [sub(1.0, f) for f in free]
+    both = lambda i, j: mul(matrix[i][j], mul(free[i], free[j]))
+    masked = [[add(both(i, j), ones[i] if i == j else 0.0) for j in range(i + 1)] for i in range(n)]
     return masked, [add(mul(f, b), h) for f, b, h in zip(free, moved, held, strict=True)]
-
-
-def _column(matrix: Matrix, j: int) -> list[Scalar]:
-    return [row[j] for row in matrix]
-
-
-def _columns(matrix: Matrix, i: int, j: int) -> tuple[list[Scalar], list[Scalar]]:
-    return _column(matrix, i), _column(matrix, j)

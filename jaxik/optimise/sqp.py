@@ -32,7 +32,7 @@ import jax.numpy as jnp
 from jax import lax
 
 from jaxik.checks.options import check_choices
-from jaxik.optimise.linear import Matrix, dot, full, product
+from jaxik.optimise.linear import Matrix, column, dot, full, product
 from jaxik.optimise.qp import NONE, Rows, solve
 from jaxik.spatial.algebra import Scalar, add, mul, sub
 
@@ -96,12 +96,14 @@ def run(problem: Problem, x: Any, low: Any, high: Any, iterations: int, options:
     if options.hessian == "gauss_newton" and options.merit == "none":  # nothing to remember but x
 
         def turn(_: Any, x: Any) -> Any:
-            return _moved(x, _step(problem, problem.model(x), x, lower, upper, options)[0], lower, upper)
+            return _step(problem, problem.model(x), x, lower, upper, options)[0]
 
         found = lax.fori_loop(0, iterations, turn, tuple(start))
         values = problem.model(found).equality.value
     else:
-        begin = init(problem, start, options)
+        learned = tuple(tuple(row[: i + 1]) for i, row in enumerate(problem.metric)) if options.hessian == "bfgs" else ()
+        model, learned = _arrays((problem.model(start), learned), x.dtype)
+        begin = State(tuple(start), model, jnp.full_like(start[0], 1e-2), learned)
         end = lax.fori_loop(0, iterations, lambda _, state: advance(problem, state, lower, upper, options), begin)
         found, values = end.x, end.model.equality.value
     return jnp.stack(found), jnp.stack([jnp.asarray(v, x.dtype) for v in values]) if values else jnp.zeros(0, x.dtype)
@@ -120,8 +122,7 @@ def settle(
         model = problem.model(x)
         error = jnp.sqrt(model.violation)
         rests = (error <= aim) | (error > creep * before) | (count >= most)
-        moved = lambda: _moved(x, _step(problem, model, x, lower, upper, options)[0], lower, upper)
-        x = lax.cond(rests, lambda: x, moved)
+        x = lax.cond(rests, lambda: x, lambda: _step(problem, model, x, lower, upper, options)[0])
         return jnp.where(rests, count, count + 1), rests, x, _arrays(tuple(model.equality.value), error.dtype), (error, last)
 
     far = jnp.full_like(start[0], jnp.inf)
@@ -131,18 +132,10 @@ def settle(
     return jnp.stack(found), jnp.stack(values), count
 
 
-def init(problem: Problem, x: Sequence[Any], options: Options) -> State:
-    """The state at x."""
-    dtype = x[0].dtype
-    learned = tuple(tuple(row[: i + 1]) for i, row in enumerate(problem.metric)) if options.hessian == "bfgs" else ()
-    return State(tuple(x), _arrays(problem.model(x), dtype), jnp.full_like(x[0], 1e-2), _arrays(learned, dtype))
-
-
 def advance(problem: Problem, state: State, low: Sequence[Any], high: Sequence[Any], options: Options) -> State:
     """One step, taken or refused by the merit."""
     x, model, restraint, learned = state
-    p, weight = _step(problem, model, x, low, high, options, restraint, learned)
-    moved = _moved(x, p, low, high)
+    moved, p, weight = _step(problem, model, x, low, high, options, restraint, learned)
     there = _arrays(problem.model(moved), x[0].dtype)
     y = [r / weight for r in model.equality.at(p)]
     z = [jnp.maximum(-c, 0.0) / weight for c in model.inequality.at(p)]
@@ -153,7 +146,8 @@ def advance(problem: Problem, state: State, low: Sequence[Any], high: Sequence[A
     if options.merit == "none":
         return State(moved, there, restraint, learned)
     merit = _l1 if options.merit == "l1" else _augmented_lagrangian
-    better = merit(there, y, z, options.penalty) <= merit(model, y, z, options.penalty)
+    steep = functools.reduce(jnp.maximum, [options.penalty, *(2.0 * abs(multiplier) for multiplier in (*y, *z))])
+    better = merit(there, y, z, steep) <= merit(model, y, z, steep)
     restraint = jnp.clip(restraint * jnp.where(better, 0.3, 8.0), 1e-4, 1e8)
     x, model = jax.tree_util.tree_map(lambda new, old: jnp.where(better, new, old), (moved, there), (x, model))
     return State(x, model, restraint, learned)
@@ -162,23 +156,19 @@ def advance(problem: Problem, state: State, low: Sequence[Any], high: Sequence[A
 def _step(
     problem: Problem, model: Model, x: Any, low: Any, high: Any, options: Options, restraint: Any = 0.0, learned: Any = ()
 ) -> Any:
-    """The step and the weight of its subproblem."""
+    """Where a step leads, the step, and the weight of its subproblem."""
     weight = options.damping * model.violation + options.floor
     hessian = full(learned) if learned else problem.metric
     if options.merit != "none":  # the trust region's multiplier: steps for cost and constraints alike become shorter
         rows = zip(hessian, problem.metric, strict=True)
         hessian = [[add(b, mul(restraint, m)) for b, m in zip(*row, strict=True)] for row in rows]
-    below, above = ([b - a for a, b in zip(x, bound, strict=True)] for bound in (low, high))
-    p = solve(
-        hessian, model.gradient, model.equality, model.inequality, below, above, weight, options.passes, 1e-3 * options.floor
-    )
+    least, most = ([b - a for a, b in zip(x, bound, strict=True)] for bound in (low, high))
+    constraints = model.equality, model.inequality
+    p = solve(hessian, model.gradient, *constraints, least, most, weight, options.passes, 1e-3 * options.floor)
     length = functools.reduce(jnp.maximum, [abs(v) * problem.metric[i][i] ** 0.5 for i, v in enumerate(p)])
     short = jnp.minimum(1.0, options.cap / jnp.maximum(length, 1e-9))
-    return [v * short for v in p], weight
-
-
-def _moved(x: Any, p: Any, low: Any, high: Any) -> tuple[Any, ...]:
-    return tuple(jnp.clip(a + v, b, c) for a, v, b, c in zip(x, p, low, high, strict=True))
+    p = [v * short for v in p]
+    return tuple(jnp.clip(a + v, b, c) for a, v, b, c in zip(x, p, low, high, strict=True)), p, weight
 
 
 def _arrays(tree: Any, dtype: Any) -> Any:
@@ -188,22 +178,16 @@ def _arrays(tree: Any, dtype: Any) -> Any:
 
 def _slope(model: Model, y: Sequence[Any], z: Sequence[Any]) -> list[Any]:
     """The gradient of the Lagrangian `f + y'r - z'c`."""
-    up, down = _transposed_product(model.equality.matrix, y), _transposed_product(model.inequality.matrix, z)
-    n = len(model.gradient)
-    return [sub(add(g, up[i] if up else 0.0), down[i] if down else 0.0) for i, g in enumerate(model.gradient[:n])]
-
-
-def _transposed_product(matrix: Matrix, vector: Sequence[Any]) -> list[Any]:
-    return [dot(column, vector) for column in zip(*matrix, strict=True)]
+    up, down = model.equality.matrix, model.inequality.matrix
+    return [sub(add(g, dot(column(up, i), y)), dot(column(down, i), z)) for i, g in enumerate(model.gradient)]
 
 
 def _damped_bfgs(lower: Any, step: Sequence[Any], change: Sequence[Any]) -> Any:
     """Powell's update: where the measured curvature is less than a fifth of B's, it is mixed with B's."""
     old = product(full(lower), step)
     curvature, measured = dot(step, old), dot(step, change)
-    mixed = jnp.where(
-        measured < 0.2 * curvature, 0.8 * curvature / jnp.where(curvature > measured, curvature - measured, 1.0), 1.0
-    )
+    excess = jnp.where(curvature > measured, curvature - measured, 1.0)
+    mixed = jnp.where(measured < 0.2 * curvature, 0.8 * curvature / excess, 1.0)
     kept = [mixed * c + (1.0 - mixed) * o for c, o in zip(change, old, strict=True)]
     along = dot(step, kept)
     usable = (curvature > 1e-12) & (along > 1e-12)
@@ -213,22 +197,12 @@ def _damped_bfgs(lower: Any, step: Sequence[Any], change: Sequence[Any]) -> Any:
     )
 
 
-def _merit_weight(y: Sequence[Any], z: Sequence[Any], least: float) -> Any:
-    """Above twice the largest multiplier."""
-    weight: Any = least
-    for multiplier in (*y, *z):
-        weight = jnp.maximum(weight, 2.0 * abs(multiplier))
-    return weight
-
-
-def _l1(model: Model, y: Sequence[Any], z: Sequence[Any], penalty: float) -> Any:
-    weight = _merit_weight(y, z, penalty)
+def _l1(model: Model, y: Sequence[Any], z: Sequence[Any], weight: Any) -> Any:
     broken = [abs(r) for r in model.equality.value] + [jnp.maximum(-c, 0.0) for c in model.inequality.value]
     return model.cost + weight * sum(broken)
 
 
-def _augmented_lagrangian(model: Model, y: Sequence[Any], z: Sequence[Any], penalty: float) -> Any:
-    weight = _merit_weight(y, z, penalty)
+def _augmented_lagrangian(model: Model, y: Sequence[Any], z: Sequence[Any], weight: Any) -> Any:
     equal = dot(y, model.equality.value) + 0.5 * weight * dot(model.equality.value, model.equality.value)
     short = [jnp.maximum(v - weight * c, 0.0) ** 2 - v**2 for v, c in zip(z, model.inequality.value, strict=True)]
     return model.cost + equal + sum(short) / (2.0 * weight)

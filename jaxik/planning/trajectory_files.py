@@ -10,6 +10,8 @@ import numpy as np
 
 from jaxik.planning.trajectory import Trajectory
 
+ENDINGS = ".csv", ".npz", ".json"
+
 
 def save_trajectory(file: str | Path, trajectory: Trajectory, period: float, joint_names: Sequence[str]) -> Path:
     """A trajectory, one sample a `period` [s] (`Trajectory.sample`), as `.csv` (a column a quantity and joint), `.npz` (time
@@ -30,7 +32,7 @@ def save_trajectory(file: str | Path, trajectory: Trajectory, period: float, joi
     elif file.suffix == ".json":
         file.write_text(json.dumps({"joint_names": names, "points": [_point(*row) for row in zip(time, *state, strict=True)]}))
     else:
-        raise ValueError(f"save_trajectory: {file.name}; allowed endings: .csv, .npz, .json")
+        raise ValueError(f"save_trajectory: {file.name}; allowed endings: {', '.join(ENDINGS)}")
     return file
 
 

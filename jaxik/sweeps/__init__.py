@@ -3,8 +3,4 @@
 from jaxik.sweeps.driver import Sweep, sweep
 from jaxik.sweeps.study import Study
 
-__all__ = [
-    "Study",
-    "Sweep",
-    "sweep",
-]
+__all__ = ["Study", "Sweep", "sweep"]

@@ -16,10 +16,8 @@ from jaxik.sweeps.robot_variants import Variant
 from jaxik.sweeps.store import Store
 from jaxik.sweeps.study import Study
 
-EFFORTS = {
-    "closed form": (0.25, 0.5, 1.0, 4.0),
-    "search": (1 / 32, 1 / 8, 1.0, 8.0),
-}  # times the study's own; the last is dense
+# times the study's own; the last is dense
+EFFORTS = {"closed form": (0.25, 0.5, 1.0, 4.0), "search": (1 / 32, 1 / 8, 1.0, 8.0)}
 WHAT = {"closed form": "slides", "search": "max_seeds"}
 STREAM = 0x617564
 
@@ -54,21 +52,19 @@ def bound(missed: int, truth: int) -> float:
 
 def _again(study: Study, variant: Variant, rows: np.ndarray, method: str) -> list[np.ndarray]:
     """Whether some targets are reached, with each of the efforts."""
-    few = study.targets.at(rows)
-    reached = []
-    for effort in EFFORTS[method]:
-        value = max(1, round(effort * _own(study, method)))
-        changed = dataclasses.replace(study, targets=few, refine=0)
+    changed, reached = dataclasses.replace(study, targets=study.targets.at(rows), refine=0), []
+    for effort in _efforts(study, method):
         if method == "closed form":
-            changed = dataclasses.replace(changed, slides=value)
+            changed = dataclasses.replace(changed, slides=effort)
         else:
-            changed = dataclasses.replace(changed, ik=dataclasses.replace(study.ik, max_seeds=value))
+            changed = dataclasses.replace(changed, ik=dataclasses.replace(study.ik, max_seeds=effort))
         reached.append(answer(changed, variant, slice(0, len(rows)))["reachable"])
     return reached
 
 
-def _own(study: Study, method: str) -> int:
-    return study.slides if method == "closed form" else study.ik.max_seeds
+def _efforts(study: Study, method: str) -> list[int]:
+    own = study.slides if method == "closed form" else study.ik.max_seeds
+    return [max(1, round(effort * own)) for effort in EFFORTS[method]]
 
 
 def _summary(study: Study, method: str, table: np.ndarray) -> dict[str, Any]:
@@ -76,11 +72,5 @@ def _summary(study: Study, method: str, table: np.ndarray) -> dict[str, Any]:
     truth = table.any(axis=0)
     count = max(int(truth.sum()), 1)
     rates = [float(np.sum(truth & ~row)) / count for row in table]
-    return {
-        "effort": WHAT[method],
-        "efforts": [max(1, round(e * _own(study, method))) for e in EFFORTS[method]],
-        "rates": rates[:-1],
-        "false_negative_rate": rates[-1],
-        "sample": table.shape[1],
-        "reachable_in_sample": int(truth.sum()),
-    }
+    known = {"effort": WHAT[method], "efforts": _efforts(study, method), "rates": rates[:-1], "false_negative_rate": rates[-1]}
+    return known | {"sample": table.shape[1], "reachable_in_sample": int(truth.sum())}

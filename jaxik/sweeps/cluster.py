@@ -10,28 +10,23 @@ import itertools
 from collections.abc import Callable, Iterator
 from typing import Any
 
-import numpy as np
-
 from jaxik.checks.optional_modules import optional
 from jaxik.spmd.batch import compilation_cache
-from jaxik.sweeps.evaluation import answer
+from jaxik.sweeps.evaluation import Columns, answer
 from jaxik.sweeps.robot_variants import Variant
 from jaxik.sweeps.study import Study
 
 AHEAD = 2  # tasks a worker: one to run, one to have at hand; more would only stand in memory
 
 
-def computed(
-    study: Study, todo: list[int], address: str, stop: Callable[[], bool]
-) -> Iterator[tuple[int, dict[str, np.ndarray]]]:
+def computed(study: Study, todo: list[int], address: str, stop: Callable[[], bool]) -> Iterator[tuple[int, Columns]]:
     """The chunks, in the order in which they come. Raises `ValueError` where no scheduler answers, or no worker comes."""
     dask = optional("--cluster", "distributed", "cluster")
     try:
         client = dask.Client(address, timeout=10, set_as_default=False)
     except (OSError, ValueError) as error:
-        raise ValueError(
-            f"--cluster {address}: no scheduler answers ({type(error).__name__}); start `dask scheduler`"
-        ) from None
+        problem = f"no scheduler answers ({type(error).__name__})"
+        raise ValueError(f"--cluster {address}: {problem}; start `dask scheduler`") from None
     with client:
         try:
             client.wait_for_workers(1, timeout=60)

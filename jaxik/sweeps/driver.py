@@ -5,12 +5,12 @@
 
 from __future__ import annotations
 
+import contextlib
 import itertools
 import operator
 import os
 import re
-import warnings
-from collections import deque
+from collections import Counter, deque
 from collections.abc import Callable, Iterator, Mapping
 from concurrent.futures import Future, ThreadPoolExecutor
 from pathlib import Path
@@ -20,16 +20,15 @@ import numpy as np
 
 from jaxik.checks.optional_modules import optional
 from jaxik.checks.options import shown
-from jaxik.collision.always_colliding import scene_words
-from jaxik.collision.scene import Scene
+from jaxik.collision.always_colliding import warn_of_scene
+from jaxik.collision.scene import make_scene
+from jaxik.ik.solve import IKResult, as_poses, solved
 from jaxik.reasons import Reason
 from jaxik.sweeps.auditing import audit
-from jaxik.sweeps.evaluation import answer
+from jaxik.sweeps.evaluation import Columns, answer
 from jaxik.sweeps.store import Store, StoreError
 from jaxik.sweeps.study import Study
 
-Columns = dict[str, np.ndarray]
-ASKED = 64  # variants, at most, that are asked what they collide with for good
 AHEAD = 2  # chunks at a time in this process: what one does on the host alone, the other spends in compiled blocks
 
 
@@ -49,6 +48,23 @@ class Sweep(NamedTuple):
     def dataset(self) -> Any:
         """The results as an `xarray.Dataset`, read as they are needed."""
         return optional("a sweep's dataset", "xarray", "sweep").open_zarr(self.path)
+
+    def colliding(self, most: int) -> IKResult:
+        """What `solve_ik` says of `most` targets that collide, of the first piece of work that has any; its `offenders` name
+        what is in the way, which a store does not keep."""
+        store, study = Store.of(self.path, self.study), self.study
+        for number in np.flatnonzero(store.finished()):
+            variant, _, rows = study.work(int(number))
+            colliding = rows.start + np.flatnonzero(store.column(int(number), "reason") == Reason.COLLISION)[:most]
+            if len(colliding):
+                break
+        crops, scene = study.targets.crop, study.scene or make_scene()
+        if crops is not None:
+            scene = study.targets.scenes[crops[colliding[0]]]
+            colliding = colliding[crops[colliding] == crops[colliding[0]]]
+        base_T_frame = np.linalg.inv(variant.chain.world_T_base) if study.targets.frame == "world" else None
+        poses, fault, _ = as_poses(study.targets.poses_at(colliding, base_T_frame), study.ik.task)
+        return solved(variant.chain, poses, fault, scene, study.seed, study.ik)
 
 
 def sweep(
@@ -76,57 +92,41 @@ def sweep(
     path = Path(out if out is not None else Path(study).with_suffix(".zarr") if isinstance(study, str | Path) else "sweep.zarr")
     first, every = _shard(shard)
     store = Store.of(path, read)
-    mine = np.arange(first - 1, len(read.variants) * read.chunks, every)
+    mine = range(first - 1, len(read.variants) * read.chunks, every)
     finished = store.finished()
-    todo = [int(n) for n in mine if not finished[n] or not _intact(store, int(n), repair)]
+    todo = [n for n in mine if not finished[n] or _kept(store, n, repair) is None]
     if todo and read.scene is not None:
-        _warn_of_scene(read, read.scene)
-    total = sum(_size(read, int(n)) for n in mine)
-    done = total - sum(_size(read, n) for n in todo)
-    if progress:
-        progress(done, total)
+        chain, *others = (variant.chain for variant in read.variants)
+        warn_of_scene("sweep", chain, read.scene, read.margin, *others)
+    report = progress or (lambda done, total: None)
+    sizes = {n: (rows := read.work(n)[2]).stop - rows.start for n in mine}
+    total = sum(sizes.values())
+    done = total - sum(sizes[n] for n in todo)
+    report(done, total)
     for number in _written(store, _computed(read, todo, cluster, stop)):
-        done += _size(read, number)
-        if progress:
-            progress(done, total)
+        done += sizes[number]
+        report(done, total)
     return _ended(store, repair)
-
-
-def _warn_of_scene(study: Study, scene: Scene) -> None:
-    """Warns once of what collides whatever the joints do, and in how many of the first variants."""
-    found = [words for v in study.variants[:ASKED] for words in scene_words(v.chain, scene, study.margin)[:1]]
-    if found:
-        asked = min(ASKED, len(study.variants))
-        some = f" (and so for {len(found)} of the first {asked} robots and bases)" if asked > 1 else ""
-        warnings.warn(f"sweep: {found[0]}{some}", stacklevel=3)
-
-
-def _size(study: Study, number: int) -> int:
-    rows = study.work(number)[2]
-    return rows.stop - rows.start
 
 
 def _shard(shard: Any) -> tuple[int, int]:
     given = re.fullmatch(r"(\d+)/(\d+)", shard) if isinstance(shard, str) else None
-    try:
+    with contextlib.suppress(TypeError, ValueError):
         first, every = map(int, given.groups()) if given else map(operator.index, shard)
         if 1 <= first <= every:
             return first, every
-    except (TypeError, ValueError):
-        pass
     raise ValueError(f"shard {shown(shard)}: write i/n with 1 <= i <= n")
 
 
-def _intact(store: Store, number: int, repair: bool) -> bool:
-    """Whether a finished chunk holds what was written. Raises where not, unless it is to be made again."""
+def _kept(store: Store, number: int, repair: bool, *names: str) -> Columns | None:
+    """A finished chunk, or these columns of it. Of a damaged one it raises, or, if that is to be made again, gives None."""
     try:
-        store.read(number)
+        return {name: store.column(number, name) for name in names} if names else store.read(number)
     except StoreError:
         if not repair:
             raise
         store.forget(number)
-        return False
-    return True
+        return None
 
 
 def _computed(study: Study, todo: list[int], cluster: str | None, stop: Callable[[], bool]) -> Iterator[tuple[int, Columns]]:
@@ -149,23 +149,22 @@ def _computed(study: Study, todo: list[int], cluster: str | None, stop: Callable
 def _written(store: Store, chunks: Iterator[tuple[int, Columns]]) -> Iterator[int]:
     """Writes each chunk while the next is computed; the numbers of those that are on disk."""
     with ThreadPoolExecutor(1, thread_name_prefix="jaxik-store") as writer:
-        last: tuple[int, Future[None]] | None = None
+        last: Future[int] | None = None
         for number, columns in chunks:
             if last:
-                yield _on_disk(store, *last)
-            last = number, writer.submit(store.write, number, columns)
+                yield last.result()
+            last = writer.submit(_write, store, number, columns)
         if last:
-            yield _on_disk(store, *last)
+            yield last.result()
 
 
-def _on_disk(store: Store, number: int, written: Future[None]) -> int:
+def _write(store: Store, number: int, columns: Columns) -> int:
     try:
-        written.result()
+        store.write(number, columns)
     except OSError as error:
         what = os.strerror(error.errno) if error.errno else str(error)
-        raise OSError(
-            f"{store.path}: chunk {number} could not be written ({what}); mend that and run again: it goes on"
-        ) from None
+        mend = "mend that and run again: it goes on"
+        raise OSError(f"{store.path}: chunk {number} could not be written ({what}); {mend}") from None
     return number
 
 
@@ -173,21 +172,15 @@ def _ended(store: Store, repair: bool) -> Sweep:
     """Counts, and, once all is done, what only the whole tells. With `repair` a chunk that cannot be counted, which is another
     shard's, is left for that to do."""
     finished = store.finished()
-    counts: dict[str, int] = {}
-    undecided = 0
+    tally, undecided = Counter[str](), 0
     for number in np.flatnonzero(finished):
-        try:
-            reason, proven = (store.column(int(number), name) for name in ("reason", "proven"))
-        except StoreError:
-            if not repair:
-                raise
-            store.forget(int(number))
-            finished[number] = False
-            continue
-        undecided += int(np.sum(~proven))
-        for r, n in zip(*np.unique(reason, return_counts=True), strict=True):
-            counts[Reason(int(r)).text] = counts.get(Reason(int(r)).text, 0) + int(n)
-    counts = dict(sorted(counts.items(), key=lambda each: -each[1]))
+        kept = _kept(store, int(number), repair, "reason", "proven")
+        finished[number] = kept is not None
+        if kept is not None:
+            undecided += int(np.sum(~kept["proven"]))
+            for reason, count in zip(*np.unique(kept["reason"], return_counts=True), strict=True):
+                tally[Reason(int(reason)).text] += int(count)
+    counts = dict(tally.most_common())
     if finished.all():
         counted = {"counts": counts, "undecided": undecided}
         asked_again = audit(store) if store.study.audited and not store.knows(counted) else {}

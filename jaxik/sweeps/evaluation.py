@@ -36,6 +36,9 @@ PORTION = 6000  # targets at a time whose colliding candidates stand in memory
 NEAR = 2  # postures of a target that collides on the grid beside which a clear one is looked for
 
 
+Columns = dict[str, np.ndarray]
+
+
 class Column(NamedTuple):
     """One variable of the results: its type, what stands where there is no answer, and its words for the store."""
 
@@ -50,17 +53,13 @@ def _column(dtype: str, nothing: Any, name: str, units: str | None = None, *dims
 
 
 FREEDOM = "smallest distance of a revolute joint to its nearest limit, as a share of half its range (1: all in the middle)"
+REASONS = [*Reason][:6]  # others are of motions
+FLAGS: dict[str, Any] = {"flag_values": [*map(int, REASONS)], "flag_meanings": " ".join(r.name.lower() for r in REASONS)}
 COLUMNS = {
     "position": _column("f8", np.nan, "where the tool goes", "m", "xyz"),
     "quaternion": _column("f8", np.nan, "how the tool is turned there; NaN where its rotation is free", None, "wxyz"),
     "reachable": _column("bool", False, "a posture inside the limits has the target and, where asked for, is clear"),
-    "reason": _column(
-        "i1",
-        -1,
-        "what became of the target",
-        flag_values=[int(r) for r in Reason][:6],
-        flag_meanings=" ".join(r.name.lower() for r in list(Reason)[:6]),
-    ),
+    "reason": _column("i1", -1, "what became of the target", **FLAGS),
     "proven": _column("bool", False, "reachable, or proven not to be for any position of the leading joints"),
     "between": _column("bool", False, "found between the positions of the grid of leading joints, where the grid has none"),
     "solutions": _column("i4", 0, "number of different postures found that are inside the limits and clear"),
@@ -73,28 +72,26 @@ COLUMNS = {
 }
 
 
-def answer(study: Study, variant: Variant, rows: slice) -> dict[str, np.ndarray]:
+def answer(study: Study, variant: Variant, rows: slice) -> Columns:
     """The columns of some of the study's targets for one variant, one row a target."""
     count, chain = rows.stop - rows.start, variant.chain
     base_T_world = np.linalg.inv(chain.world_T_base)
     base_T_frame = base_T_world if study.targets.frame == "world" else None
-    poses, valid = study.targets.part(rows.start, rows.stop, base_T_frame), np.ones(count, bool)
+    poses, valid = study.targets.poses_at(np.arange(rows.start, rows.stop), base_T_frame), np.ones(count, bool)
     if study.targets.poses is not None:  # someone else's, who may have got them wrong
         poses, fault, _ = as_poses(poses, study.ik.task)
         valid = fault == 0
     around = _Crops.of(study, chain, rows, base_T_world) if study.collision else None
     solve = _closed_form if study.method(chain) == "closed form" else _search
     found = given_columns(study.targets, rows) | solve(study, _at_home(chain), poses, valid, around)
-    found["q"] = _padded(found["q"], study.joints)
-    missing = {name: blank(COLUMNS[name], count, {}) for name in COLUMNS.keys() - found.keys()}
-    return missing | {name: np.asarray(values, COLUMNS[name].dtype) for name, values in found.items()}
+    found["q"] = np.pad(found["q"], ((0, 0), (0, study.joints - chain.num_joints)), constant_values=np.nan)
+    return {name: np.asarray(values, COLUMNS[name].dtype) for name, values in found.items()}
 
 
-def given_columns(targets: Targets, rows: slice) -> dict[str, np.ndarray]:
+def given_columns(targets: Targets, rows: slice) -> Columns:
     """The columns `GIVEN` of some targets."""
     numbers = np.arange(rows.start, rows.stop)
-    free = np.full((len(numbers), 4), np.nan)
-    turned = free if targets.free_rotation else targets.wxyz_at(numbers)
+    turned = np.full((len(numbers), 4), np.nan) if targets.free_rotation else targets.wxyz_at(numbers)
     return dict(zip(GIVEN, (targets.positions_at(numbers), turned), strict=True))
 
 
@@ -164,16 +161,6 @@ def _at_home(chain: Chain) -> Chain:
     return chain.mounted(np.eye(4))
 
 
-def blank(column: Column, count: int, sizes: dict[str, int]) -> np.ndarray:
-    """A column of `count` rows without an answer; `sizes` are those of its dimensions besides."""
-    return np.full((count, *(sizes[d] for d in column.dims)), column.nothing, column.dtype)
-
-
-def _padded(q: np.ndarray, joints: int) -> np.ndarray:
-    more = joints - q.shape[1]
-    return np.concatenate([q, np.full((len(q), more), np.nan)], axis=1) if more else q
-
-
 # --------------------------------------------------------------------------------------------------------------------
 # By the closed form
 
@@ -193,23 +180,17 @@ class _Best(NamedTuple):
         return _Best(*numbers, np.full(count, Reason.OUT_OF_REACH, np.int8))
 
 
-def _closed_form(
-    study: Study, chain: Chain, poses: np.ndarray, valid: np.ndarray, around: _Crops | None
-) -> dict[str, np.ndarray]:
+def _closed_form(study: Study, chain: Chain, poses: np.ndarray, valid: np.ndarray, around: _Crops | None) -> Columns:
     """The postures of poses (N, 4, 4) on the grid of leading positions and, where it has none, between them."""
     proven = ~valid | beyond(chain, poses)
-    columns = _no_answer(chain, len(poses)) | {
-        "reason": np.where(valid, Reason.OUT_OF_REACH, Reason.INVALID).astype(np.int8),
-        "proven": proven,
-        "between": np.zeros(len(poses), bool),
-    }
+    columns = _no_answer(chain, len(poses)) | {"proven": proven}
+    columns["reason"] = np.where(valid, Reason.OUT_OF_REACH, Reason.INVALID).astype(np.int8)
     asked = np.flatnonzero(~proven)
     # by tool direction: lanes that are neighbours then ask for the same positions and ways
     asked = asked[np.argsort((asked % study.targets.turns).astype(np.uint16), kind="stable")]
     if len(asked):
         near_by = None if around is None else around.part(asked)
         best, near = _on_grid(study, chain, poses.take(asked, axis=0), near_by)
-        columns["reason"][asked], columns["solutions"][asked] = best.reason, best.solutions
         _answered(columns, chain, poses, asked, best)
         kinds = (Reason.OUT_OF_REACH, Reason.LIMITS) if study.refine else ()
         missing = asked[np.isin(columns["reason"][asked], kinds)]
@@ -223,19 +204,19 @@ def _closed_form(
     return columns
 
 
-def _better(columns: dict[str, np.ndarray], chain: Chain, poses: np.ndarray, asked: np.ndarray, found: _Best) -> None:
+def _better(columns: Columns, chain: Chain, poses: np.ndarray, asked: np.ndarray, found: _Best) -> None:
     """What was found between the grid's positions for targets that have nothing on it: a posture, or at least one that only
     collides."""
     better = np.flatnonzero(np.isin(found.reason, (Reason.SOLVED, Reason.COLLISION)))
     asked, found = asked[better], _Best(*(column[better] for column in found))
-    columns["reason"][asked], columns["solutions"][asked] = found.reason, found.solutions
     _answered(columns, chain, poses, asked, found)
     columns["between"][asked] = columns["reason"][asked] == Reason.SOLVED
 
 
-def _answered(columns: dict[str, np.ndarray], chain: Chain, poses: np.ndarray, asked: np.ndarray, best: _Best) -> None:
+def _answered(columns: Columns, chain: Chain, poses: np.ndarray, asked: np.ndarray, best: _Best) -> None:
     """Solves the best postures of the targets `asked` again in float64. One that is there past a limit, by what float32 rounds,
     is none."""
+    columns["reason"][asked], columns["solutions"][asked] = best.reason, best.solutions
     some = np.flatnonzero(best.reason == Reason.SOLVED)
     rows = asked[some]
     if not len(rows):
@@ -256,17 +237,18 @@ def _between(study: Study, chain: Chain, poses: np.ndarray, around: _Crops | Non
     best.leading[rows], best.branch[rows] = found.leading[rows], found.branch[rows]
     best.reason[rows], best.solutions[rows] = Reason.SOLVED, 1
     if around is not None and len(rows):
-        branches = closed_branches(arm_of(chain))
-        q, _ = in_blocks(branches, poses[rows], found.leading[rows], found.branch[rows], double=True)
-        best.clearance[rows], _ = around.measured(measures(arm_of(chain)), rows, q)
+        arm, some = arm_of(chain), (poses[rows], found.leading[rows], found.branch[rows])
+        q, _ = in_blocks(closed_branches(arm), *some, double=True)
+        best.clearance[rows], _ = around.measured(measures(arm), rows, q)
         hits = rows[~(best.clearance[rows] >= study.margin)]
         best.reason[hits], best.solutions[hits], found.open[hits] = Reason.COLLISION, 0, True
     return best, found.open
 
 
-def _no_answer(chain: Chain, count: int) -> dict[str, np.ndarray]:
-    names = ("solutions", "q", "position_error", "rotation_error", "clearance", "manipulability", "limit_margin")
-    return {k: blank(COLUMNS[k], count, {"joint": chain.num_joints}) for k in names}
+def _no_answer(chain: Chain, count: int) -> Columns:
+    """All columns but those of the targets."""
+    rows = lambda column: (count, *(chain.num_joints for _ in column.dims))
+    return {name: np.full(rows(c), c.nothing, c.dtype) for name, c in COLUMNS.items() if name not in GIVEN}
 
 
 @functools.lru_cache(maxsize=64)
@@ -293,9 +275,8 @@ def _on_grid(study: Study, chain: Chain, poses: np.ndarray, around: _Crops | Non
     found = freest(chain, poses, leading)
     past = np.where(found.freedom > NOTHING, Reason.LIMITS, Reason.OUT_OF_REACH)
     reason = np.where(found.inside > 0, Reason.SOLVED, past).astype(np.int8)
-    none = np.full(len(poses), np.nan, np.float32)
-    best = _Best(leading[found.lead], found.branch, found.inside, none, reason)
-    near = [_Near.nothing(leading.shape[1])]
+    best = _Best(leading[found.lead], found.branch, found.inside, np.full(len(poses), np.nan, np.float32), reason)
+    near = [_Near(np.zeros(0, int), leading[:0])]
     if around is None:
         return best, near[0]
     for start in range(0, len(poses), PORTION):
@@ -305,20 +286,16 @@ def _on_grid(study: Study, chain: Chain, poses: np.ndarray, around: _Crops | Non
         target, lead = np.divmod(some_bits, len(leading))
         inside = np.unpackbits(bits[some_bits], bitorder="little").view(bool)
         some = _Best(*(column[part] for column in best))
-        close = _avoid(study, chain, poses[part], target, leading[lead], inside, around.part(part), some)
+        close = _avoid(study, chain, poses[part], _Near(target, leading[lead]), inside, around.part(part), some)
         near.append(_Near(close.target + start, close.leading))
     return best, _Near(*(np.concatenate(columns) for columns in zip(*near, strict=True)))
 
 
 class _Near(NamedTuple):
-    """Targets, and leading positions at which they have a posture that hardly collides."""
+    """Targets (P,), and leading positions (P, k) at which they may have a posture that hardly collides."""
 
     target: np.ndarray
     leading: np.ndarray
-
-    @staticmethod
-    def nothing(k: int) -> _Near:
-        return _Near(np.zeros(0, int), np.zeros((0, k)))
 
 
 def _beside(study: Study, chain: Chain, poses: np.ndarray, near: _Near, around: _Crops) -> _Best:
@@ -333,31 +310,23 @@ def _beside(study: Study, chain: Chain, poses: np.ndarray, near: _Near, around: 
     target = np.repeat(near.target, len(steps))
     for first in range(0, len(poses), PORTION):  # all of a target at once
         part = slice(*np.searchsorted(target, (first, first + PORTION)))
-        _avoid(study, chain, poses, target[part], leading[part], None, around, found)
+        _avoid(study, chain, poses, _Near(target[part], leading[part]), None, around, found)
     return found
 
 
 def _avoid(
-    study: Study,
-    chain: Chain,
-    poses: np.ndarray,
-    target: np.ndarray,
-    leading: np.ndarray,
-    inside: np.ndarray | None,
-    around: _Crops,
-    best: _Best,
+    study: Study, chain: Chain, poses: np.ndarray, asked: _Near, inside: np.ndarray | None, around: _Crops, best: _Best
 ) -> _Near:
-    """Of the postures of targets (P,) at leading positions (P, k), of which those `inside` (P * 8,) count (all
-    inside the limits if it is None), the best that is clear goes into `best`; of targets without any, the nearest to be."""
-    if not len(target):
-        return _Near.nothing(leading.shape[1])
+    """Of the postures that are `asked` for, of which those `inside` (P * 8,) count (all inside the limits if it is None), the
+    best that is clear goes into `best`; of targets without any, the nearest to be."""
+    target, leading = asked
     arm, poses, leads = arm_of(chain), poses.astype(np.float32), leading.astype(np.float32)
     if inside is None:
         _, _, inside = in_blocks(closed_forms(arm), poses[target], leads, double=False)
     pair, branch = np.divmod(np.flatnonzero(inside), BRANCHES)
     owner = target[pair]
     if not len(owner):
-        return _Near.nothing(leading.shape[1])
+        return _Near(owner, leading[:0])
     rows = lambda owner, pair, branch: (poses.take(owner, axis=0), leads.take(pair, axis=0), branch)
     distance, freedom = around.measured(_branch_measures(arm), owner, owner, pair, branch, rows=rows)
     clear = np.flatnonzero(distance >= study.margin)
@@ -387,19 +356,17 @@ def _most(owner: np.ndarray, value: np.ndarray, count: int) -> np.ndarray:
 # By search
 
 
-def _search(study: Study, chain: Chain, poses: np.ndarray, valid: np.ndarray, around: _Crops | None) -> dict[str, np.ndarray]:
+def _search(study: Study, chain: Chain, poses: np.ndarray, valid: np.ndarray, around: _Crops | None) -> Columns:
     """The answers of `solve_ik`."""
     asked = np.where(valid[:, None, None], poses, np.nan)
-    if around is None:
-        return _searched(study, chain, asked, None)
-    columns = {k: blank(c, len(poses), {"joint": chain.num_joints}) for k, c in COLUMNS.items() if k not in GIVEN}
-    for scene, rows in around.groups(np.arange(len(poses))):
+    columns = _no_answer(chain, len(poses))
+    for scene, rows in [(None, slice(None))] if around is None else around.groups(np.arange(len(poses))):
         for name, values in _searched(study, chain, asked[rows], scene).items():
             columns[name][rows] = values
     return columns
 
 
-def _searched(study: Study, chain: Chain, poses: np.ndarray, scene: Grouped | None) -> dict[str, np.ndarray]:
+def _searched(study: Study, chain: Chain, poses: np.ndarray, scene: Grouped | None) -> Columns:
     found: IKResult = solved(chain, *as_poses(poses, study.ik.task)[:2], scene, study.seed, study.ik)
     columns = _no_answer(chain, len(poses))
     rows = np.flatnonzero(found.success)

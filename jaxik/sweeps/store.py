@@ -8,11 +8,10 @@ when or in how many sittings it was made: it ends with the same bits.
 
 from __future__ import annotations
 
-import contextlib
 import functools
 import json
 import os
-import shutil
+import tempfile
 import uuid
 import warnings
 import zlib
@@ -23,8 +22,8 @@ from typing import Any
 import numpy as np
 
 from jaxik.checks.optional_modules import optional
-from jaxik.reasons import Reason
-from jaxik.sweeps.evaluation import COLUMNS, GIVEN, Column, given_columns
+from jaxik.checks.options import shown
+from jaxik.sweeps.evaluation import COLUMNS, GIVEN, REASONS, Column, Columns, given_columns
 from jaxik.sweeps.robot_variants import variant_name
 from jaxik.sweeps.study import Study
 
@@ -68,18 +67,18 @@ class Store:
         """Whether each piece of work is done, by its number."""
         return np.asarray(self.group["crc"][...]).reshape(-1) != UNFINISHED
 
-    def write(self, number: int, columns: dict[str, np.ndarray]) -> None:
+    def write(self, number: int, columns: Columns) -> None:
         """One chunk, its check sum last."""
         variant, chunk, rows = self.study.work(number)
         for name, values in columns.items():  # those of the targets too: which variant's piece comes first is not known
-            index = self._at(name, variant.index)
+            index = () if name in GIVEN else variant.index
             if not _put(self.path / name, self._array(name), (*index, chunk), values, COLUMNS[name]):
                 self._array(name)[(*index, rows)] = values
         at, summed = (*variant.index, chunk), check_sum(columns)
         if not _put(self.path / "crc", self._array("crc"), at, np.array([summed]), CRC):
             self._array("crc")[at] = summed
 
-    def read(self, number: int) -> dict[str, np.ndarray]:
+    def read(self, number: int) -> Columns:
         """A finished chunk. Raises `StoreError` where what is read is not what was written."""
         variant, chunk, rows = self.study.work(number)
         columns = {name: self.column(number, name) for name in COLUMNS}
@@ -94,8 +93,9 @@ class Store:
     def column(self, number: int, name: str) -> np.ndarray:
         """One column of a finished chunk. Raises `StoreError` where it cannot be read."""
         variant, _, rows = self.study.work(number)
+        index = () if name in GIVEN else variant.index
         try:
-            values = np.asarray(self.group[name][(*self._at(name, variant.index), rows)])
+            values = np.asarray(self.group[name][(*index, rows)])
         except Exception as error:  # each codec has its own
             raise self._damage(number, f"'{name}' is damaged ({' '.join(str(error).split())})") from None
         if name == "reason" and np.any(values == COLUMNS[name].nothing):
@@ -130,11 +130,8 @@ class Store:
         self.group.attrs.update(attributes)
         _consolidate(self.path)
 
-    def _at(self, name: str, index: tuple[int, ...]) -> tuple[int, ...]:
-        return () if name in GIVEN else index
 
-
-def check_sum(columns: dict[str, np.ndarray]) -> int:
+def check_sum(columns: Columns) -> int:
     """CRC-32 of a chunk's numbers."""
     found = 0
     for name in COLUMNS:
@@ -145,11 +142,9 @@ def check_sum(columns: dict[str, np.ndarray]) -> int:
 def _put(folder: Path, array: Any, number: tuple[int, ...], values: np.ndarray, column: Column) -> bool:
     """Writes the one file of a Zarr array that holds a chunk, the bits that Zarr would write, a quarter of the time: it
     hands every array from thread to thread. False where that is Zarr's own to do: an array of another make."""
-    try:
-        from google_crc32c import value as crc32c
-        from numcodecs import zstd
-    except ImportError:
-        return False
+    from google_crc32c import value as crc32c  # which Zarr takes itself
+    from numcodecs import zstd
+
     if [type(c).__name__ for c in array.metadata.codecs] != ["BytesCodec", "ZstdCodec", "Crc32cCodec"]:
         return False
     whole = np.ascontiguousarray(values, np.dtype(column.dtype).newbyteorder("<"))
@@ -184,58 +179,39 @@ def _create(path: Path, study: Study) -> None:
     import zarr
 
     path.parent.mkdir(parents=True, exist_ok=True)
-    aside = path.with_name(f".{uuid.uuid4().hex}-{path.name}")  # shards on two machines may be processes of one number
-    try:
+    with tempfile.TemporaryDirectory(prefix=".", dir=path.parent, ignore_cleanup_errors=True) as folder:
+        aside = Path(folder) / path.name
         group = zarr.create_group(str(aside), attributes=_attributes(study))
         axes = tuple(name for name, _ in study.axes)
         sizes = {"joint": study.joints, "xyz": 3, "wxyz": 4}
         for name, column in COLUMNS.items():
-            _array(group, name, column, study, () if name in GIVEN else axes, sizes)
+            own = () if name in GIVEN else axes
+            more = tuple(sizes[d] for d in column.dims)
+            shape = (*(study.shape if own else ()), len(study.targets), *more)
+            chunks = (*[1] * len(own), min(study.chunk, len(study.targets)), *more)
+            _new(group, name, column, shape, chunks, (*own, "target", *column.dims))
         shape = (*study.shape, study.chunks)
         _new(group, "crc", CRC, shape, (1,) * len(shape), (*axes, "chunk"))
-        for name, labels in (*study.axes, *LABELS.items(), *_joint_names(study)):
-            values = np.array(labels, object if isinstance(labels[0], str) else np.float64)
-            kind: Any = str if values.dtype == object else "f8"
-            array = group.create_array(name, shape=values.shape, dtype=kind, dimension_names=(name,))
-            array[...] = values
+        labels = dict((*study.axes, *LABELS.items()))
+        joint_names = {v.chain.joint_names for v in study.variants}
+        if len(joint_names) == 1:  # of all robots
+            (labels["joint"],) = joint_names
+        for name, each in labels.items():
+            values = np.array(each, np.dtypes.StringDType() if isinstance(each[0], str) else np.float64)
+            group.create_array(name, data=values, dimension_names=(name,))
         _consolidate(aside)
-        with contextlib.suppress(FileExistsError):  # another shard was first
-            try:
-                os.rename(aside, path)
-            except OSError as error:
-                if not path.is_dir():
-                    raise error
-    finally:
-        shutil.rmtree(aside, ignore_errors=True)
-
-
-def _joint_names(study: Study) -> Iterator[tuple[str, tuple[str, ...]]]:
-    """The joints' names, where all robots have the same."""
-    names = {v.chain.joint_names for v in study.variants}
-    if len(names) == 1:
-        yield "joint", next(iter(names))
-
-
-def _array(group: Any, name: str, column: Column, study: Study, axes: tuple[str, ...], sizes: dict[str, int]) -> None:
-    more = tuple(sizes[d] for d in column.dims)
-    shape = (*(study.shape if axes else ()), len(study.targets), *more)
-    chunks = (*((1,) * len(axes)), min(study.chunk, len(study.targets)), *more)
-    _new(group, name, column, shape, chunks, (*axes, "target", *column.dims))
+        try:
+            os.rename(aside, path)
+        except OSError:
+            if not path.is_dir():  # or another shard was first
+                raise
 
 
 def _new(group: Any, name: str, column: Column, shape: Any, chunks: Any, dims: Any) -> None:
     from zarr.codecs import Crc32cCodec, ZstdCodec
 
-    group.create_array(
-        name,
-        shape=shape,
-        chunks=chunks,
-        dtype=column.dtype,
-        fill_value=column.nothing,
-        dimension_names=dims,
-        attributes=column.attributes,
-        compressors=[ZstdCodec(level=1), Crc32cCodec()],
-    )
+    more = {"fill_value": column.nothing, "attributes": column.attributes, "compressors": [ZstdCodec(level=1), Crc32cCodec()]}
+    group.create_array(name, shape=shape, chunks=chunks, dtype=column.dtype, dimension_names=dims, **more)
 
 
 def _consolidate(path: Path) -> None:
@@ -248,7 +224,6 @@ def _consolidate(path: Path) -> None:
 
 def _attributes(study: Study) -> dict[str, Any]:
     known = study.describe()
-    first = study.variants[0].chain
     return {
         "title": study.name,
         "study": json.dumps(known),
@@ -256,19 +231,16 @@ def _attributes(study: Study) -> dict[str, Any]:
         "quaternion_order": "wxyz",
         "units": "m, rad",
         "coordinates": " ".join(GIVEN),
-        "models": known["models"],
         "mounts": {variant_name(v.index): np.asarray(v.chain.world_T_base).tolist() for v in study.variants},
         "methods": sorted({study.method(v.chain) for v in study.variants}),
         "joint_names": {str(v.chain.name): list(v.chain.joint_names) for v in study.variants},
-        "joint_types": list(first.joint_types),
-        "seed": study.seed,
-        "versions": known["versions"],
-        "position_tolerance": study.ik.position_tolerance,
-        "rotation_tolerance": study.ik.rotation_tolerance,
+        "joint_types": list(study.variants[0].chain.joint_types),
         "margin": study.margin if study.collision else None,
-        "reasons": {r.text: int(r) for r in list(Reason)[:6]},
+        "reasons": {r.text: int(r) for r in REASONS},
         "grid": [[float(x) for x in axis] for axis in study.targets.axes],
         "targets_per_position": study.targets.turns,
+        **{name: known[name] for name in ("models", "seed", "versions")},
+        **{name: known["ik"][name] for name in ("position_tolerance", "rotation_tolerance")},
     }
 
 
@@ -278,5 +250,4 @@ def _changes(old: Any, new: Any, where: str = "") -> Iterator[str]:
         for key in sorted(set(old) | set(new)):
             yield from _changes(old.get(key), new.get(key), f"{where}.{key}" if where else key)
     elif old != new:
-        short = lambda value: (text := json.dumps(value)) and (text if len(text) <= 60 else f"{text[:57]}...")
-        yield f"{where} was {short(old)} and is {short(new)}"
+        yield f"{where} was {shown(json.dumps(old))} and is {shown(json.dumps(new))}"

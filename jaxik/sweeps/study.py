@@ -27,6 +27,7 @@ from jaxik.sweeps.targets import Targets
 
 CHUNK = 10_000
 POSITION_TOLERANCE, ROTATION_TOLERANCE = 1e-6, 1e-6  # [m], [rad]
+OWN = ("name", "collision", "margin", "slides", "refine", "seed", "chunk", "audited")  # of a study, as they are
 IK_KEYS = ("max_seeds", "choice", "seeds", "solutions")
 
 
@@ -95,20 +96,13 @@ class Study:
     def describe(self) -> dict[str, Any]:
         """All that the results depend on, as JSON holds it. Two studies are one where this is equal."""
         return {
-            "name": self.name,
             "axes": {name: [str(label) for label in labels] for name, labels in self.axes},
             "models": {variant_name(v.index): f"{v.chain.name} {v.chain.digest[:16]}" for v in self.variants},
             "targets": self.targets.describe(),
             "scene": None if self.scene is None else f"{self.scene.name} {_digest(self.scene)}",
             "crops": [_digest(s) for s in self.targets.scenes] if self.collision else [],
-            "collision": self.collision,
-            "margin": self.margin,
             "weights": dataclasses.asdict(self.weights),
-            "slides": self.slides,
-            "refine": self.refine,
-            "seed": self.seed,
-            "chunk": self.chunk,
-            "audited": self.audited,
+            **{name: getattr(self, name) for name in OWN},
             "ik": {k: getattr(self.ik, k) for k in (*IK_KEYS, "position_tolerance", "rotation_tolerance")},
             "versions": {module.__name__: module.__version__ for module in (jaxik, jax, np)},
         }

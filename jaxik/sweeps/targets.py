@@ -14,7 +14,7 @@ import numpy as np
 from jaxik.collision.scene import Scene
 from jaxik.files.targets import as_frames
 from jaxik.harvesting.crop import cucumber_row, trellis_crop
-from jaxik.harvesting.grasp import Grasp, approach_grid, fruit_frames
+from jaxik.harvesting.grasp import Grasp, across, approach_grid, fruit_frames
 from jaxik.robot.chain import Chain
 from jaxik.robot.reach_bound import reach_bound
 from jaxik.spatial.rotations import to_wxyz
@@ -60,10 +60,6 @@ class Targets:
 
     def __len__(self) -> int:
         return int(np.prod(self.shape, dtype=np.int64)) * self.turns
-
-    def part(self, start: int, stop: int, base_T_frame: np.ndarray | None = None) -> np.ndarray:
-        """The poses (stop - start, 4, 4) of the targets `start` to `stop - 1`, in their frame or in a base."""
-        return self.poses_at(np.arange(start, stop), base_T_frame)
 
     def poses_at(self, rows: np.ndarray, base_T_frame: np.ndarray | None = None) -> np.ndarray:
         """The poses (r, 4, 4) of targets by number, in their frame or in a base; a rotation that is free is the frame's."""
@@ -146,9 +142,7 @@ def rotations(along: np.ndarray, rolls: np.ndarray, grasp: Grasp) -> np.ndarray:
     tool = np.stack([grasp.up, grasp.approach, np.cross(grasp.up, grasp.approach)], axis=-1)
     found = []
     for approach in along / np.linalg.norm(along, axis=1, keepdims=True):
-        reference = np.array([1.0, 0.0, 0.0] if abs(approach[2]) > 0.99 else [0.0, 0.0, 1.0])
-        up = reference - approach * (approach @ reference)
-        up /= np.linalg.norm(up)
+        up = across(approach, (0.0, 0.0, 1.0))
         side = np.cross(up, approach)
         for roll in rolls:
             turned = np.cos(roll) * up - np.sin(roll) * side
@@ -172,12 +166,9 @@ def voxels(chains: list[Chain], size: float) -> tuple[np.ndarray, ...]:
 def from_crops(kind: str, count: int, angles: int, seed: int, grasp: Grasp) -> Targets:
     """All fruits of `count` crops of one kind, each approached from `angles` directions around its axis."""
     make = cucumber_row if kind == "cucumber_row" else lambda seed: trellis_crop(kind, seed)
-    scenes, poses, crop = [], [], []
-    around = approach_grid(angles)
-    for number in range(count):
-        scene = make(seed + number)
-        for fruit in scene.fruits:
-            scenes.append(scene.without([fruit.name]))  # the fruit that is picked is no obstacle
-            poses.append(fruit_frames(fruit, around, grasp))
-            crop += [len(scenes) - 1] * angles
-    return Targets("crop", "world", np.zeros((0, 3, 3)), poses=np.concatenate(poses), scenes=tuple(scenes), crop=np.array(crop))
+    crops, around = [make(seed + number) for number in range(count)], approach_grid(angles)
+    picked = [(scene, fruit) for scene in crops for fruit in scene.fruits]
+    poses = np.concatenate([fruit_frames(fruit, around, grasp) for _, fruit in picked])
+    scenes = tuple(scene.without([fruit.name]) for scene, fruit in picked)  # the fruit that is picked is no obstacle
+    crop = np.repeat(np.arange(len(scenes)), angles)
+    return Targets("crop", "world", np.zeros((0, 3, 3)), poses=poses, scenes=scenes, crop=crop)

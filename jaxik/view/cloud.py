@@ -36,21 +36,19 @@ class Cloud:
         self.in_base = group.attrs["frame"].startswith("targets are base")
         self.fits = functools.cache(lambda index: _is_of(group, index, page.home))
         self.map = functools.lru_cache(1)(self._map)  # one at a time: it may be large
-        shape = group["reason"].shape[:-1]
-        self.indices = {variant_label(group, index) or "the only one": index for index in np.ndindex(*shape)}
+        self.indices = {
+            variant_label(group, index) or "the only one": index for index in np.ndindex(*group["reason"].shape[:-1])
+        }
         gui = self.server.gui
         self.legend = gui.add_html("")
         self.visible = gui.add_checkbox("show the map", True)
         self.variant = gui.add_dropdown("variant", list(self.indices), visible=len(self.indices) > 1)
         self.colour = gui.add_dropdown("colour by", (KINDS, *COLUMNS))
         self.rest = gui.add_dropdown("not reachable", ("hidden", "faint"))
-        self.cuts = [
-            gui.add_multi_slider(f"{axis} [m]", low, high, 0.001, (low, high))
-            for axis, low, high in zip("xyz", *self._span(), strict=True)
-        ]
+        spans = zip("xyz", *self._span(), strict=True)
+        self.cuts = [gui.add_multi_slider(f"{axis} [m]", low, high, 0.001, (low, high)) for axis, low, high in spans]
         self.size = gui.add_slider("point size [mm]", 2.0, 50.0, 1.0, 8.0)
-        controls: tuple[Any, ...] = (self.visible, self.colour, self.rest, *self.cuts, self.size)
-        for control in controls:
+        for control in (self.visible, self.colour, self.rest, *self.cuts, self.size):
             control.on_update(lambda _: self.draw())
         self.variant.on_update(lambda _: self.stand())
         self.server.scene.on_click()(self._clicked)
@@ -74,11 +72,9 @@ class Cloud:
         for name, mask, size in (("reachable", reached, radius), ("rest", ~reached, FAINT * radius)):
             rows = np.flatnonzero(inside & mask)
             rows = rows[:: max(1, -(-len(rows) // SHOWN))]
-            seen = self.visible.value and len(rows) > 0 and (name == "reachable" or self.rest.value == "faint")
-            where = shown.positions[rows] if seen else np.zeros((1, 3))
-            self.server.scene.add_point_cloud(
-                f"/map/{name}", where, colours[rows] if seen else (0, 0, 0), point_size=size, point_shape="circle", visible=seen
-            )
+            seen = self.visible.value and (name == "reachable" or self.rest.value == "faint")
+            drawn = rows if seen else rows[:0]
+            draw_points(self.server.scene, f"/map/{name}", shown.positions[drawn], colours[drawn], size)
             if name == "reachable":
                 self.shown = shown.positions[rows], rows, index
         if not (inside & reached).any():
@@ -88,14 +84,10 @@ class Cloud:
     def _span(self) -> tuple[list[float], list[float]]:
         """The least and largest coordinates of all variants' positions, rounded outwards to millimetres [m]."""
         given = np.asarray(self.group["position"][:: self.turns])
-        ends = [(p.min(axis=0), p.max(axis=0)) for p in (self._placed(given, i) for i in self._frames())]
-        low, high = np.floor(1e3 * np.min(ends, axis=(0, 1))), np.ceil(1e3 * np.max(ends, axis=(0, 1)))
+        shown = [*self.indices.values()] if self.in_base else [*self.indices.values()][:1]  # unless each base has its own
+        placed = np.concatenate([self._placed(given, index) for index in shown])
+        low, high = np.floor(1e3 * placed.min(axis=0)), np.ceil(1e3 * placed.max(axis=0))
         return (low / 1e3).tolist(), (np.maximum(high, low + 1.0) / 1e3).tolist()
-
-    def _frames(self) -> list[tuple[int, ...]]:
-        """Variants that show where all targets are: one, unless each base has its own."""
-        every = [*self.indices.values()]
-        return every if self.in_base else every[:1]
 
     def _placed(self, positions: np.ndarray, index: tuple[int, ...]) -> np.ndarray:
         """Positions in the store's frame in the world (p, 3) [m]."""
@@ -151,15 +143,21 @@ class Cloud:
             self.page.move(q[np.isfinite(q)], _mount(self.group, index))
 
 
+def draw_points(scene: Any, name: str, points: np.ndarray, colours: Any, size: float) -> None:
+    """Points (p, 3) [m] of one colour, or each of its own; of none, one that is not seen."""
+    some = len(points) > 0
+    where, colours = (points, colours) if some else (np.zeros((1, 3)), (0, 0, 0))
+    scene.add_point_cloud(name, where, colours, point_size=size, point_shape="circle", visible=some)
+
+
 def store_of(chain: Chain, store: str | Path) -> Any:
     """The store, if one of its variants is of this robot."""
     group = open_store(store)
     if any(_is_of(group, index, chain) for index in np.ndindex(*group["reason"].shape[:-1])):
         return group
     names = sorted({model.rpartition(" ")[0] for model in group.attrs["models"].values()})
-    held = (
-        f"another {chain.name}, whose postures do not fit" if chain.name in names else f"{', '.join(names)}, not {chain.name}"
-    )
+    known = f"another {chain.name}, whose postures do not fit"
+    held = known if chain.name in names else f"{', '.join(names)}, not {chain.name}"
     raise ValueError(f"{store}: holds {held}; view the robot (file and tip) that was swept")
 
 

@@ -31,7 +31,6 @@ class _Crop(NamedTuple):
 
 def plot_harvest(result: Harvest, path: Path) -> None:
     """One picture (PNG) with two views for every fruit: the robot at its posture, or what is in the way."""
-    from matplotlib.backends.backend_agg import FigureCanvasAgg
     from matplotlib.figure import Figure
 
     crop, rows = _crop(result), result.rows[:MOST]
@@ -41,7 +40,6 @@ def plot_harvest(result: Harvest, path: Path) -> None:
     cell = scale * (width + depth) + GAP + 0.15, scale * height + TITLE + GAP
     size = max(columns * cell[0] + SIDE, 11.0), -(-len(rows) // columns) * cell[1] + HEAD + FOOT
     figure = Figure(figsize=size)
-    FigureCanvasAgg(figure)
     for k, row in enumerate(rows):
         line, column = divmod(k, columns)
         left, low = SIDE + column * cell[0], size[1] - HEAD - (line + 1) * cell[1] + GAP
@@ -141,10 +139,8 @@ def _write_head(figure: Any, size: tuple[float, float], result: Harvest, shown: 
     solved, count = int(result.success.sum()), len(result.rows)
     title = f"{result.chain.name} can pick {solved} of {count} fruits of {result.scene.name}"
     figure.text(SIDE / size[0], 1.0 - 0.35 / size[1], title, fontsize=15, weight="bold", color=INK)
-    how = (
-        "For each fruit the best posture, from the front (left) and from the side (right), and how far it stays from all else."
-    )
-    how += f" The first {shown} are shown." if shown < count else ""
+    how = "For each fruit the best posture, from the front (left) and from the side (right), and how far it stays from all else"
+    how += f". The first {shown} are shown." if shown < count else "."
     figure.text(SIDE / size[0], 1.0 - 0.6 / size[1], how, fontsize=10, color=INK)
     marker = lambda colour, shape, label, **how: Line2D([], [], color=colour, marker=shape, lw=0, label=label, **how)
     fates = {r: "can be picked" if r == Reason.SOLVED else WORDS[r] for r in COLOURS if r in result.reason}

@@ -4,7 +4,7 @@ each fruit's posture."""
 from __future__ import annotations
 
 import threading
-import time
+from collections import deque
 from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any
@@ -14,7 +14,7 @@ import numpy as np
 from jaxik.checks.optional_modules import optional
 from jaxik.collision.clearances import check_geometry
 from jaxik.collision.contact_report import Contact, explain
-from jaxik.collision.scene import Scene
+from jaxik.collision.scene import Scene, make_scene
 from jaxik.collision.self_collision_pairs import default_pose
 from jaxik.files.targets import as_frames
 from jaxik.fitting.model import Shape
@@ -24,7 +24,7 @@ from jaxik.reasons import Reason
 from jaxik.robot.chain import Chain, finite_limits
 from jaxik.robot.task import Task
 from jaxik.spatial.rotations import to_wxyz
-from jaxik.view.cloud import Cloud, store_of
+from jaxik.view.cloud import Cloud, draw_points, store_of
 from jaxik.view.harvest_picture import fate, posture
 from jaxik.view.palette import COLOURS, FRUIT, INK, LEAF, OBSTACLE, ROBOT, WORDS, rgb, swatches
 from jaxik.view.solids import Solid, bones, box_solids, frames, scene_points, scene_solids, volume_solids
@@ -32,17 +32,13 @@ from jaxik.view.solids import Solid, bones, box_solids, frames, scene_points, sc
 MANY = 500  # solids, from which on each is drawn more coarsely
 GOOD, BAD = COLOURS[Reason.SOLVED], COLOURS[Reason.COLLISION]
 SHOWS = ("its own shape", "volumes kept clear", "both", "joints alone")
-HELP = """
-**Look:** drag to turn, right button to shift, wheel to come nearer.
-
-**Joints:** the sliders move them. The line at the top says what is nearest to the robot, or what it hits.
-
-**Target:** drag the arrows and rings at the tip. Inverse kinematics follows, or says why it cannot.
-
-**Map:** each point is a place that a sweep has tried. Click one that is reachable to see the posture there.
-
-**Fruits:** choose one to see how it is picked, or what is in its way.
-"""
+HELP = (
+    "**Look:** drag to turn, right button to shift, wheel to come nearer.",
+    "**Joints:** the sliders move them. The line at the top says what is nearest to the robot, or what it hits.",
+    "**Target:** drag the arrows and rings at the tip. Inverse kinematics follows, or says why it cannot.",
+    "**Map:** each point is a place that a sweep has tried. Click one that is reachable to see the posture there.",
+    "**Fruits:** choose one to see how it is picked, or what is in its way.",
+)
 DRAG = "Drag the arrows and rings at the tip: the robot follows, at first after a few seconds."
 NO_MAP = "No map yet. Make one with `jaxik sweep STUDY.toml`, then open this page with `--store STUDY.zarr`."
 NO_FRUITS = "No fruits yet. Open this page with `--scene cucumber_row --harvest`, or a scene file of your own that has fruits."
@@ -69,7 +65,12 @@ class Page:
         viser = optional("jaxik view", "viser", "view")
         group = None if store is None else store_of(chain, store)
         self.home = self.chain = chain
-        self.scene, self.harvest, self.blind = scene, harvest, _unmeasured(chain)
+        self.scene, self.around = scene, scene if scene is not None else make_scene()
+        self.harvest, self.blind = harvest, ""
+        try:
+            check_geometry(chain)
+        except ValueError as error:  # why clearance cannot be measured
+            self.blind = str(error)
         self._q, self._asked, self.hit = default_pose(chain), _Latest(), frozenset[str]()
         self.server = viser.ViserServer(host=host, port=port, label="jaxik", verbose=False)
         self.server.scene.set_up_direction("+z")
@@ -96,7 +97,7 @@ class Page:
             else:
                 self._fruits(harvest)
         with tabs.add_tab("Help"):
-            gui.add_markdown(HELP)
+            gui.add_markdown("\n\n".join(HELP))
         self._draw()
 
     @property
@@ -111,8 +112,7 @@ class Page:
     def wait(self) -> None:
         """Serves until Ctrl-C."""
         try:
-            while True:
-                time.sleep(1.0)
+            threading.Event().wait()
         except KeyboardInterrupt:
             self.close()
 
@@ -126,75 +126,72 @@ class Page:
 
     def reach(self, world_T_tip: np.ndarray) -> Reason:
         """Brings the tip to a pose (4, 4), by the posture next to the one shown; where there is none, says why."""
-        free = self.binds.value == "position alone"
         base_T_tip = np.linalg.inv(np.asarray(self.chain.world_T_base)) @ world_T_tip
         scene = self.scene if self.clear.value and not self.blind else None
-        task = Task((True, True, True, False, False, False)) if free else Task()
+        task = Task((True, True, True, False, False, False)) if self.binds.value == "position alone" else Task()
         found = solve_ik(self.chain, base_T_tip, scene, task=task, reference=self._q, seeds="near", max_seeds=32)
-        self.said.content = _verdict(found.reason, found.offenders)
+        reason = Reason(int(found.reason))
         if found.success:
             self._show(found.q, follow=False)
-        return Reason(int(found.reason))
+            self.said.content = _marked(True, "Target reached")
+        else:
+            first = "".join(f": {c.link} and {c.other}" for c in found.offenders[:1])
+            self.said.content = _marked(False, "No posture", f": {WORDS[reason]}{first}")
+        return reason
 
     # ----------------------------------------------------------------------------------------------------------------
 
     def _look(self) -> None:
         """The floor's camera: far enough to see the robot, and the crop beside it."""
-        seen = [bones(self.chain, self._q)]
-        if self.scene is not None:
-            seen += [scene_points(self.scene)[0], np.array([f.position for f in self.scene.fruits]).reshape(-1, 3)]
-        held = np.concatenate(seen)
+        fruits = np.array([f.position for f in self.around.fruits]).reshape(-1, 3)
+        held = np.concatenate([bones(self.chain, self._q), scene_points(self.around)[0], fruits])
         low, high = held.min(axis=0), held.max(axis=0)
         centre, away = (low + high) / 2.0, max(0.85 * float(np.linalg.norm(high - low)), 1.3)
         camera = self.server.initial_camera
         camera.look_at, camera.position = tuple(centre), tuple(centre + away * np.array([0.55, -0.8, 0.5]))
 
     def _legend(self) -> dict[str, str]:
-        found = {"robot": ROBOT, "what collides": BAD}
-        if self.scene is not None:
-            points, fruits = len(self.scene.points.center), len(self.scene.fruits)
-            found |= (
-                {"obstacles": OBSTACLE} | ({"leaves (points)": LEAF} if points else {}) | ({"fruits": FRUIT} if fruits else {})
-            )
-        return found
+        points, fruits = len(self.around.points.center), len(self.around.fruits)
+        there = {"robot": (ROBOT, True), "what collides": (BAD, True), "obstacles": (OBSTACLE, self.scene is not None)}
+        there |= {"leaves (points)": (LEAF, points > 0), "fruits": (FRUIT, fruits > 0)}
+        return {words: colour for words, (colour, some) in there.items() if some}
 
     def _joints(self) -> None:
         """A slider for each joint, in degrees or metres."""
-        gui, self.sliders = self.server.gui, []
-        self.limits = np.array(finite_limits(self.chain))
-        for i, (name, prismatic) in enumerate(zip(self.chain.joint_names, self.chain.is_prismatic, strict=True)):
-            digits = 3 if prismatic else 1
-            low, high, value = (round(float(x), digits) for x in self._shown(i, np.array([*self.limits[:, i], self._q[i]])))
-            slider = gui.add_slider(f"{name} [{'m' if prismatic else 'deg'}]", low, high, 10.0**-digits, value)
+        self.limits, self.sliders = np.array(finite_limits(self.chain)), []
+        slides = np.array(self.chain.is_prismatic)
+        self.factor, self.digits = np.where(slides, 1.0, np.degrees(1.0)), np.where(slides, 3, 1).tolist()
+        for i, (name, digits) in enumerate(zip(self.chain.joint_names, self.digits, strict=True)):
+            low, high, value = (round(float(self.factor[i] * x), digits) for x in (*self.limits[:, i], self._q[i]))
+            slider = self.server.gui.add_slider(f"{name} [{'m' if slides[i] else 'deg'}]", low, high, 10.0**-digits, value)
             slider.on_update(lambda event, i=i: self._slid(event, i))
             self.sliders.append(slider)
 
-    def _shown(self, i: int, value: Any) -> Any:
-        """A joint's coordinate in what its slider shows."""
-        return value if self.chain.is_prismatic[i] else np.degrees(value)
-
     def _slid(self, event: Any, i: int) -> None:
         if event.client is not None:  # a person, not `_show`
-            value = self.sliders[i].value if self.chain.is_prismatic[i] else np.radians(self.sliders[i].value)
+            value = self.sliders[i].value / self.factor[i]
             self._q[i] = np.clip(value, *self.limits[:, i])  # the slider's ends are rounded
             self._asked(self._draw)
 
     def _show(self, q: np.ndarray, follow: bool = True) -> None:
         """The robot at `q`, its sliders too, and the target at its tip unless it is that which is dragged."""
         self._q = np.array(q, float)
-        for i, slider in enumerate(self.sliders):
-            slider.value = round(float(self._shown(i, self._q[i])), 3 if self.chain.is_prismatic[i] else 1)
+        for slider, value, digits in zip(self.sliders, self.factor * self._q, self.digits, strict=True):
+            slider.value = round(float(value), digits)
         self._draw(follow)
 
     def _shapes(self, meshes: Sequence[Shape]) -> None:
         """The robot's own shapes and its volumes, each link's one mesh that moves with its joint; and switches."""
-        gui, chain, show = self.server.gui, self.chain, self.server.scene.add_mesh_simple
-        own = [(s.link, s.corners, s.triangles) for s in meshes if len(s.triangles)]
-        own = own or [(link, *_mesh([solid])) for link, solid in box_solids(chain)]
-        volumes = [(link, *_mesh([solid])) for link, solid in volume_solids(chain)]
+        import trimesh
+
+        gui, chain = self.server.gui, self.chain
+        own = [(s.link, trimesh.Trimesh(s.corners, s.triangles, process=False)) for s in meshes if len(s.triangles)]
+        own = own or [(link, _mesh([solid])) for link, solid in box_solids(chain)]
+        volumes = [(link, _mesh([solid])) for link, solid in volume_solids(chain)]
+        joined = lambda parts, link: trimesh.util.concatenate([mesh for of, mesh in parts if of == link])
         self.roots = {name: self.server.scene.add_frame(f"/{name}", show_axes=False) for name in ("shape", "volumes", "scene")}
         self.parts = [
-            (link, show(f"/{name}/{link}", *_joined(kind, link), color=rgb(ROBOT), opacity=opacity, flat_shading=not opacity))
+            (link, self._add(f"/{name}/{link}", joined(kind, link), ROBOT, opacity=opacity, flat_shading=not opacity))
             for name, kind, opacity in (("shape", own, None), ("volumes", volumes, 0.4))
             for link in sorted({part[0] for part in kind})
         ]
@@ -207,10 +204,13 @@ class Page:
         self.surroundings.on_update(lambda _: setattr(self.roots["scene"], "visible", self.surroundings.value))
         if self.scene is None:
             gui.add_markdown(NO_SCENE)
-        else:
-            self.points, self.solids = scene_points(self.scene), scene_solids(self.scene)
-            self.radius = max(float(self.scene.points.radius), 0.004)
-            self._draw_scene(self.scene)
+        self.points, self.solids = scene_points(self.around), scene_solids(self.around)
+        self.radius = max(float(self.around.points.radius), 0.004)
+        self._draw_scene()
+
+    def _add(self, name: str, mesh: Any, colour: str, **how: Any) -> Any:
+        corners, faces = np.asarray(mesh.vertices), np.asarray(mesh.faces)
+        return self.server.scene.add_mesh_simple(name, corners, faces, color=rgb(colour), **how)
 
     def _styled(self) -> None:
         self.roots["shape"].visible = self.style.value in (SHOWS[0], SHOWS[2])
@@ -222,9 +222,8 @@ class Page:
         self.gizmo = self.server.scene.add_transform_controls("/target", scale=0.18, depth_test=False)
         switch = gui.add_checkbox("target to drag", True)
         switch.on_update(lambda _: setattr(self.gizmo, "visible", switch.value))
-        few = self.chain.num_joints < 6
-        self.binds = gui.add_dropdown("it binds", ("position and turn", "position alone"))
-        self.binds.value = "position alone" if few else "position and turn"
+        kinds = ("position and turn", "position alone")
+        self.binds = gui.add_dropdown("it binds", kinds, initial_value=kinds[self.chain.num_joints < 6])
         self.clear = gui.add_checkbox("keep clear", self.scene is not None, visible=self.scene is not None)
         self.said = gui.add_html(_boxed(DRAG))
         self.gizmo.on_update(lambda _: self._asked(self._dragged))
@@ -241,10 +240,12 @@ class Page:
         with self.server.atomic():
             pairs = np.stack([line[:-1], line[1:]], axis=1)
             scene.add_line_segments("/robot/bones", pairs, rgb(INK), thickness=0.008, thickness_units="world")
-            scene.add_frame("/robot/tip", axes_length=0.08, axes_radius=0.004, position=line[-1], wxyz=_wxyz(placed[-1]))
+            scene.add_frame(
+                "/robot/tip", axes_length=0.08, axes_radius=0.004, position=line[-1], wxyz=to_wxyz(placed[-1, :3, :3])
+            )
             for link, part in self.parts:
                 frame = placed[self.chain.link_joint[link]]
-                part.wxyz, part.position = _wxyz(frame), frame[:3, 3]
+                part.wxyz, part.position = to_wxyz(frame[:3, :3]), frame[:3, 3]
                 colour = rgb(BAD if self.chain.link_names[link] in hit else ROBOT)
                 if tuple(part.color) != colour:
                     part.color = colour
@@ -252,7 +253,7 @@ class Page:
             self._draw_nearest(contacts)
             if follow:
                 self.said.content = _boxed(DRAG)
-                self.gizmo.wxyz, self.gizmo.position = _wxyz(placed[-1]), line[-1]
+                self.gizmo.wxyz, self.gizmo.position = to_wxyz(placed[-1, :3, :3]), line[-1]
 
     def _contacts(self) -> tuple[Contact, ...]:
         """What is nearest to the robot, or all that it hits; the panel's first line says so."""
@@ -262,43 +263,38 @@ class Page:
         found = explain(self.chain, self.scene, self._q, 5)
         if found.colliding:
             pairs = "; ".join(f"{c.link} and {c.other}, by {-1000.0 * c.distance:.1f} mm" for c in found.colliding)
-            self.near.content = _boxed(f"<b style='color:{BAD}'>✗ Collides:</b> {pairs}")
-        elif found.contacts:
-            first = found.contacts[0]
-            words = f"{1000.0 * first.distance:.0f} mm between {first.link} and {first.other}"
-            self.near.content = _boxed(f"<b style='color:{GOOD}'>✓ Clear:</b> {words}")
+            self.near.content = _marked(False, "Collides:", f" {pairs}")
         else:
-            self.near.content = _boxed(f"<b style='color:{GOOD}'>✓ Clear:</b> nothing to hit")
+            first = [f"{1000.0 * c.distance:.0f} mm between {c.link} and {c.other}" for c in found.contacts[:1]]
+            self.near.content = _marked(True, "Clear:", f" {(first or ['nothing to hit'])[0]}")
         return found.colliding or found.contacts[:1]
 
     def _draw_nearest(self, contacts: tuple[Contact, ...]) -> None:
         """Lines between the points that are nearest to each other."""
         ends = np.array([(c.point, c.other_point) for c in contacts]).reshape(-1, 2, 3)
         colour = rgb(BAD if contacts and contacts[0].distance < 0.0 else INK)
-        shown = ends if len(ends) else np.zeros((1, 2, 3))
-        self.server.scene.add_line_segments(
-            "/nearest", shown, colour, thickness=4, thickness_units="screen", visible=len(ends) > 0
-        )
+        some = len(ends) > 0
+        shown = ends if some else np.zeros((1, 2, 3))
+        self.server.scene.add_line_segments("/nearest", shown, colour, thickness=4, thickness_units="screen", visible=some)
 
     def _draw_hit(self, hit: frozenset[str]) -> None:
         """The objects that the robot hits, over what they are drawn as else."""
-        if self.scene is None or self.hit == hit:
+        if self.hit == hit:
             return
         self.hit = hit
         points, owners = self.points
         struck = points[np.isin(owners, list(hit))]
-        _points(self.server.scene, "/scene/hit_points", struck, BAD, 1.6 * self.radius)
+        draw_points(self.server.scene, "/scene/hit_points", struck, rgb(BAD), 1.6 * self.radius)
         solids = [s._replace(radius=s.radius + 0.002) for s in self.solids if s.owner in hit]
-        self.server.scene.add_mesh_simple("/scene/hit", *_mesh(solids), color=rgb(BAD), visible=bool(solids))
+        self._add("/scene/hit", _mesh(solids), BAD, visible=bool(solids))
 
-    def _draw_scene(self, world: Scene) -> None:
+    def _draw_scene(self) -> None:
         """Leaves as points, the rest as solids: fruits in their colour, obstacles in one."""
-        _points(self.server.scene, "/scene/points", self.points[0], LEAF, self.radius)
-        fruits = {f.name for f in world.fruits}
+        draw_points(self.server.scene, "/scene/points", self.points[0], rgb(LEAF), self.radius)
+        fruits = {f.name for f in self.around.fruits}
         for name, colour in (("fruits", FRUIT), ("obstacles", OBSTACLE)):
             mine = [s for s in self.solids if (s.owner in fruits) == (name == "fruits")]
-            if mine:
-                self.server.scene.add_mesh_simple(f"/scene/{name}", *_mesh(mine), color=rgb(colour))
+            self._add(f"/scene/{name}", _mesh(mine), colour, visible=bool(mine))
 
     def _fruits(self, harvest: Harvest) -> None:
         """A list of the fruits: choosing one shows its posture, or what is in its way."""
@@ -310,10 +306,9 @@ class Page:
 
         def show(_: Any = None) -> None:
             row = rows[chosen.value]
-            colour, words = (GOOD, "the best posture stays") if row.success else (BAD, "no posture:")
-            q = posture(row)
+            q, words = posture(row), "the best posture stays" if row.success else "no posture:"
             more = " of all but the fruit itself." if row.success else "." if q is None else ". Shown is what that would open."
-            said.content = _boxed(f"<b style='color:{colour}'>{chosen.value}</b>: {words} {fate(row)}{more}")
+            said.content = _marked(row.success, row.fruit, f": {words} {fate(row)}{more}")
             if q is not None:
                 self.move(q)
 
@@ -326,51 +321,29 @@ class _Latest:
     """Runs the newest of what it is asked, one at a time: who drags asks faster than the answers come."""
 
     def __init__(self) -> None:
-        self.guard, self.busy = threading.Lock(), False
-        self.next: Callable[[], Any] | None = None
+        self.guard, self.newest = threading.Lock(), deque[Callable[[], Any]](maxlen=1)
 
     def __call__(self, work: Callable[[], Any]) -> None:
-        with self.guard:
-            self.next = work
-            if self.busy:
-                return
-            self.busy = True
-        try:
-            while True:
-                with self.guard:
-                    asked, self.next = self.next, None
-                    if asked is None:
-                        self.busy = False
-                        return
-                asked()
-        except BaseException:
-            self.busy = False
-            raise
+        self.newest.append(work)
+        while self.newest and self.guard.acquire(blocking=False):  # who holds it looks again when it is done
+            try:
+                if self.newest:  # which only its holder takes
+                    self.newest.pop()()
+            finally:
+                self.guard.release()
 
 
-def _unmeasured(chain: Chain) -> str:
-    """Why a robot's clearance cannot be measured, if it cannot."""
-    try:
-        check_geometry(chain)
-    except ValueError as error:
-        return str(error)
-    return ""
-
-
-def _verdict(reason: Any, offenders: Sequence[Contact]) -> str:
-    """What inverse kinematics says to a target."""
-    if reason == Reason.SOLVED:
-        return _boxed(f"<b style='color:{GOOD}'>✓ Target reached</b>")
-    first = f": {offenders[0].link} and {offenders[0].other}" if offenders else ""
-    return _boxed(f"<b style='color:{BAD}'>✗ No posture</b>: {WORDS[Reason(int(reason))]}{first}")
+def _marked(good: bool, head: str, words: str = "") -> str:
+    mark, colour = ("✓", GOOD) if good else ("✗", BAD)
+    return _boxed(f"<b style='color:{colour}'>{mark} {head}</b>{words}")
 
 
 def _boxed(html: str) -> str:
     return f"<div style='padding:0.35em 0.9em;font-size:0.9em'>{html}</div>"
 
 
-def _mesh(solids: Sequence[Solid]) -> tuple[np.ndarray, np.ndarray]:
-    """Solids as one mesh: corners (p, 3) and triangles (f, 3); something tiny where there are none."""
+def _mesh(solids: Sequence[Solid]) -> Any:
+    """Solids as one mesh; something tiny where there are none."""
     import trimesh
 
     ball = trimesh.creation.icosphere(subdivisions=1 if len(solids) > MANY else 2)
@@ -379,22 +352,4 @@ def _mesh(solids: Sequence[Solid]) -> tuple[np.ndarray, np.ndarray]:
         around = (solid.corners[:, None] + solid.radius * ball.vertices).reshape(-1, 3) if solid.radius > 0.0 else solid.corners
         lone = len(solid.corners) == 1  # and needs no hull
         hulls.append(trimesh.Trimesh(around, ball.faces, process=False) if lone else trimesh.convex.convex_hull(around))
-    whole: Any = trimesh.util.concatenate(hulls) if hulls else trimesh.creation.icosphere(subdivisions=0, radius=1e-6)
-    return np.asarray(whole.vertices), np.asarray(whole.faces)
-
-
-def _joined(parts: Sequence[tuple[int, np.ndarray, np.ndarray]], link: int) -> tuple[np.ndarray, np.ndarray]:
-    """The meshes of one link as one."""
-    mine = [(corners, faces) for of, corners, faces in parts if of == link]
-    starts = np.cumsum([0, *(len(corners) for corners, _ in mine)])
-    faces = np.concatenate([f + start for (_, f), start in zip(mine, starts, strict=False)])
-    return np.concatenate([corners for corners, _ in mine]), faces
-
-
-def _points(scene: Any, name: str, points: np.ndarray, colour: str, radius: float) -> None:
-    shown = points if len(points) else np.zeros((1, 3))
-    scene.add_point_cloud(name, shown, rgb(colour), point_size=radius, point_shape="circle", visible=len(points) > 0)
-
-
-def _wxyz(frame: np.ndarray) -> np.ndarray:
-    return to_wxyz(np.asarray(frame)[:3, :3])
+    return trimesh.util.concatenate(hulls) if hulls else trimesh.creation.icosphere(subdivisions=0, radius=1e-6)

@@ -8,22 +8,16 @@ from __future__ import annotations
 
 from jaxik.reasons import Reason
 
-COLOURS = {
-    Reason.SOLVED: "#118f78",
-    Reason.COLLISION: "#9e2a15",
-    Reason.LIMITS: "#f3c24b",
-    Reason.NOT_CONVERGED: "#3a1c66",
-    Reason.OUT_OF_REACH: "#e9e9e9",
-    Reason.INVALID: "#000000",
-}  # nearest to an answer first
-WORDS = {
-    Reason.SOLVED: "reachable",
-    Reason.COLLISION: "would hit something",
-    Reason.LIMITS: "a joint would pass its limit",
-    Reason.NOT_CONVERGED: "no posture found",
-    Reason.OUT_OF_REACH: "out of reach",
-    Reason.INVALID: "no valid target",
+_LOOKS = {  # nearest to an answer first
+    Reason.SOLVED: ("#118f78", "reachable"),
+    Reason.COLLISION: ("#9e2a15", "would hit something"),
+    Reason.LIMITS: ("#f3c24b", "a joint would pass its limit"),
+    Reason.NOT_CONVERGED: ("#3a1c66", "no posture found"),
+    Reason.OUT_OF_REACH: ("#e9e9e9", "out of reach"),
+    Reason.INVALID: ("#000000", "no valid target"),
 }
+COLOURS = {reason: colour for reason, (colour, _) in _LOOKS.items()}
+WORDS = {reason: words for reason, (_, words) in _LOOKS.items()}
 PARTLY = "#6cc0ae"  # reachable, but not from every direction
 SCALE = "cividis"  # of numbers: even in lightness, alike to all eyes
 LEAF, WOOD, OBSTACLE, FRUIT = "#9ab46a", "#8b6b4a", "#a3998c", "#e8a33d"
@@ -40,10 +34,8 @@ def rgb(colour: str) -> tuple[int, int, int]:
 def swatches(entries: dict[str, str]) -> str:
     """A legend as HTML: words and their colours."""
     chip = "display:inline-block;width:0.8em;height:0.8em;margin-right:0.4em;border:1px solid #888;background:"
-    rows = (
-        f"<span style='white-space:nowrap'><span style='{chip}{colour}'></span>{words}</span>"
-        for words, colour in entries.items()
-    )
+    row = "<span style='white-space:nowrap'><span style='{chip}{colour}'></span>{words}</span>"
+    rows = (row.format(chip=chip, colour=colour, words=words) for words, colour in entries.items())
     return f"<div style='display:flex;flex-wrap:wrap;gap:0.1em 1em'>{''.join(rows)}</div>"
 
 

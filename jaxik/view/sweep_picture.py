@@ -18,7 +18,7 @@ from jaxik.view.solids import scene_points, scene_solids
 SHOWN = 20_000  # points of a scatter plot
 SLICES = 3
 VARIANTS = 20  # bars
-EFFORTS = {"slides": "positions of the slide", "seeds": "seeds"}
+EFFORTS = {"slides": "positions of the slide", "max_seeds": "seeds"}
 
 
 class Map(NamedTuple):
@@ -56,37 +56,27 @@ def variant_label(group: Any, index: tuple[int, ...]) -> str:
 def shares(group: Any) -> np.ndarray:
     """The share of reachable targets of each variant, in the shape of the study's axes."""
     shape = group["reason"].shape[:-1]
-    found = [np.mean(group["reachable"][(*index, slice(None))]) for index in np.ndindex(*shape)]
-    return np.array(found).reshape(shape)
+    return np.reshape([np.mean(group["reachable"][(*index, slice(None))]) for index in np.ndindex(*shape)], shape)
 
 
 def variant_map(group: Any, index: tuple[int, ...]) -> Map:
     """What the store says of one variant."""
-    turns, shape = int(group.attrs["targets_per_position"]), group["reason"].shape
-    positions = np.asarray(group["position"][::turns])
-    reachable = np.asarray(group["reachable"][(*index, slice(None))])
-    axes = tuple(np.array(a) for a in group.attrs["grid"])
-    return Map(
-        positions,
-        reachable.reshape(-1, turns).mean(axis=1) if shape[-1] else np.zeros(0),
-        np.asarray(group["reason"][(*index, slice(None))]),
-        np.asarray(group["limit_margin"][(*index, slice(None))]),
-        axes,
-    )
+    turns, read = int(group.attrs["targets_per_position"]), lambda name: np.asarray(group[name][(*index, slice(None))])
+    positions, axes = np.asarray(group["position"][::turns]), tuple(np.array(a) for a in group.attrs["grid"])
+    share = read("reachable").reshape(-1, turns).mean(axis=1)
+    return Map(positions, share, read("reason"), read("limit_margin"), axes)
 
 
 def plot_sweep(path: str | Path, out: str | Path, scene: Scene | None = None) -> None:
     """One picture (PNG) of the store at `path`: slices of the variant that reaches most, and the study's `scene` in them; what
     became of its targets, what was missed, and the variants beside each other."""
-    from matplotlib.backends.backend_agg import FigureCanvasAgg
     from matplotlib.figure import Figure
 
     group = open_store(path)
     every = shares(group)
-    best = tuple(int(i) for i in np.unravel_index(int(np.argmax(every)), every.shape)) if every.ndim else ()
+    best = tuple(int(i) for i in np.unravel_index(np.argmax(every), every.shape))
     shown, audit = variant_map(group, best), dict(group.attrs.get("audit", {}))
     figure = Figure(figsize=(15, 9.5), layout="constrained")
-    FigureCanvasAgg(figure)
     head, above, legend, below = figure.subfigures(4, 1, height_ratios=(0.07, 1.0, 0.08, 0.9))
     handles = _draw_slices(above, group, shown, best, scene)
     legend.legend(handles=handles, loc="center", ncols=len(handles), frameon=False)
@@ -101,8 +91,7 @@ def plot_sweep(path: str | Path, out: str | Path, scene: Scene | None = None) ->
     for axis in axes:
         axis.spines[["top", "right"]].set_visible(False)
     reached = f"the arm reaches {np.mean(shown.reason == Reason.SOLVED):.1%} of {len(shown.reason):,} targets"
-    label = variant_label(group, best)
-    title = f"{group.attrs['title']}: {reached}{f', with {label}' if label else ''}"
+    title = ", with ".join(filter(None, (f"{group.attrs['title']}: {reached}", variant_label(group, best))))
     head.text(0.5, 0.4, title, ha="center", va="center", weight="bold", size=15, color=INK)
     figure.savefig(out, dpi=110, format="png")
 
@@ -111,15 +100,14 @@ def categories(shown: Map) -> tuple[np.ndarray, list[tuple[str, str]]]:
     """What became of each position, (p,) numbers into a list of words and colours: reachable from every direction, from some,
     or else the reason that is nearest to an answer; -1 where nothing is known yet."""
     reasons = [r for r in COLOURS if r != Reason.SOLVED]
-    kinds = [("reachable from every direction", COLOURS[Reason.SOLVED]), ("reachable from some directions", PARTLY)]
     found = np.full(len(shown.positions), -1)
-    turns = shown.reason.reshape(len(shown.positions), -1)
+    turns = shown.reason.reshape(len(found), -1)
+    whole = WORDS[Reason.SOLVED] if turns.shape[1] == 1 else "reachable from every direction"
+    kinds = [(whole, COLOURS[Reason.SOLVED]), ("reachable from some directions", PARTLY)]
     for k, reason in reversed([*enumerate(reasons, len(kinds))]):
         found[(turns == reason).any(axis=1)] = k
     found[shown.share > 0.0] = 1
     found[shown.share == 1.0] = 0
-    if turns.shape[1] == 1:
-        kinds[0] = WORDS[Reason.SOLVED], kinds[0][1]
     return found, [*kinds, *((WORDS[r], COLOURS[r]) for r in reasons)]
 
 
@@ -205,7 +193,7 @@ def _draw_missed(axis: Any, audit: dict[str, Any]) -> None:
     axis.minorticks_off()
     axis.set_xticks(efforts, [str(e) for e in efforts])
     axis.legend(fontsize=9, frameon=False)
-    named = " or ".join(dict.fromkeys(EFFORTS.get(found["effort"], found["effort"]) for found in audit.values()))
+    named = " or ".join(dict.fromkeys(EFFORTS[found["effort"]] for found in audit.values()))
     axis.set(title="Reachable targets that are missed", xlabel=f"{named} that are tried", ylabel="missed [%]", ylim=(0.0, None))
 
 

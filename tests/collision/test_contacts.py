@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 import jaxik
-from jaxik.cli.collisions import offenders
+from jaxik.cli.results import offenders
 from jaxik.reasons import Reason
 
 ARM = jaxik.load("pendulum4")
@@ -109,7 +109,7 @@ def test_without_a_scene_and_bad_use(scene):
 def ended(scene, postures, reasons, margin=0.0):
     """A result of these postures."""
     columns = dict.fromkeys((f.name for f in dataclasses.fields(jaxik.ik.IKResult)), np.zeros(len(postures)))
-    given = {"q": postures, "reason": np.array(reasons), "solved_in": (ARM, scene, margin)}
+    given = {"q": postures, "solutions": postures[:, None], "reason": np.array(reasons), "solved_in": (ARM, scene, margin)}
     return jaxik.ik.IKResult(**columns | given)
 
 

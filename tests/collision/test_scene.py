@@ -425,7 +425,7 @@ def test_rotations_in_a_file(tmp_path):
         ("points = [[nan, 0, 0]]", ("'points'", "NaN")),
         ("points = [[0, 0, 0]]\nrpy = [0, 0, 1]", ("rpy", "no box and no cylinder")),
         ("points = []", ("'points'", "rows of x, y, z")),
-        ("", ("is empty", "points, spheres")),
+        ("", ("has no obstacle", "points, spheres")),
     ],
 )
 def test_a_file_with_a_bad_object(tmp_path, lines, words):

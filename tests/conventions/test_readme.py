@@ -30,3 +30,15 @@ def test_the_readme_is_a_page():
 
 def test_what_is_public_is_in_the_reference():
     assert public.faults() == []
+
+
+def test_files_that_the_pages_name_are_there():
+    pages = [HERE.parent / "README.md", HERE.parent / "CONTRIBUTING.md", *DOCS.rglob("*.md")]
+    named = {name for page in pages for name in re.findall(r"`((?:[\w/]+/)?\w+\.py)`", page.read_text())}
+    there = {
+        path.relative_to(HERE.parent).as_posix()
+        for folder in ("jaxik", "batch_eval", "tests", "docs")
+        for path in (HERE.parent / folder).rglob("*.py")
+    }
+    assert len(named) > 20
+    assert {name for name in named if not any(path.endswith(f"/{name}") or path == name for path in there)} == set()

@@ -19,6 +19,11 @@ def harvest():
     return jaxik.harvest(jaxik.load("p6r"), jaxik.load_scene("cucumber_row"))
 
 
+def test_it_prints_as_a_line_a_fruit(harvest):
+    lines = str(harvest).splitlines()
+    assert len(lines) == 1 + len(harvest.rows) and lines[0].startswith("Harvest of cucumber_row") and "mm" in lines[1]
+
+
 def test_solved_is_solved(harvest):
     chain, scene = harvest.chain, harvest.scene
     assert harvest.success.sum() >= 8

@@ -136,7 +136,7 @@ def test_recovery_finds_what_the_grid_misses():
 def test_gradient_ascent_alone_reaches_the_margin():
     coarse = jaxik.harvesting.scan(CHAIN, OPEN, OPEN.fruits[0], 7, 3)
     margin = float(coarse.table.clearance.max()) + 0.003
-    climbed = _climb(CHAIN, OPEN, coarse, _misses(coarse), Weights(), margin, None, 25)
+    climbed = _climb(CHAIN, OPEN, coarse, _misses(coarse), Weights(), margin, None)
     assert climbed is not None and climbed.how == "gradient" and climbed.row.clearance[0] >= margin
     q = climbed.row.q[0].astype(np.float64)
     assert np.max(np.abs(jaxik.forward_kinematics(CHAIN, q) - grasp_poses(CHAIN, OPEN.fruits[0], climbed.row.angle)[0])) <= 2e-5

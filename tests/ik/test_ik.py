@@ -109,7 +109,7 @@ def _programs(chain):
     from jaxik.ik.refinement import FINISH
     from jaxik.robot.task import POSE
 
-    return [sqp_programs.settling(chain, POSE, SEARCH), sqp_programs.settling(chain, POSE, FINISH)]
+    return [sqp_programs.batch(3, sqp_programs.settle, chain, POSE, options) for options in (SEARCH, FINISH)]
 
 
 def test_reasons(panda):
@@ -655,3 +655,13 @@ def test_a_scene_asks_nothing_of_what_none_collides_with():
     beyond = np.asarray(jaxik.forward_kinematics(arm, np.array([2.0, 0.5])))
     found = jaxik.solve_ik(arm, np.stack([beyond, beyond]), jaxik.make_scene(), task=in_plane)
     assert found.counts() == {"limits": 2}
+
+
+@pytest.mark.parametrize("name", ["p6r", "crops_v2"])
+def test_the_closest_answer_to_one_that_is_right_is_it(name):
+    """With the closed form and without it: the reference is a seed."""
+    chain = jaxik.load(name)
+    q = np.random.default_rng(7).uniform(*jaxik.robot.finite_limits(chain), (20, chain.num_joints))
+    targets = jax.vmap(lambda q: jaxik.forward_kinematics(chain, q))(q)
+    found = jaxik.solve_ik(chain, targets, choice="closest", reference=q, max_seeds=16)
+    np.testing.assert_allclose(found.q, q, atol=1e-4)

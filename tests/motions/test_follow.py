@@ -183,3 +183,16 @@ def test_velocity_level_jumps(pendulum, to):
     found = follow_predictively(control, to(0.5, 0.0), 4.0, START, until=0.4)
     assert np.abs(found.qdot[0]).max() > 0.04 * 3.0 and found.reason == Reason.SOLVED
     np.testing.assert_allclose(np.diff(found.q, axis=0), 0.04 * found.qdot[:-1], atol=1e-12)
+
+
+def test_a_path_that_begins_elsewhere_is_told():
+    """It fails at its first sample, and a line says why."""
+    arm, q = jaxik.load("planar2"), np.array([0.3, 0.5])
+    start = np.array(jaxik.forward_kinematics(arm, q), np.float64)
+    start[0, 3] -= 0.05
+    end = start.copy()
+    end[0, 3] -= 0.1
+    line, in_plane = jaxik.motions.Line(start, end), jaxik.Task.pose(("z", "roll", "pitch", "yaw"), "base")
+    with pytest.warns(UserWarning, match="begins 0.05 m or rad from the tip"):
+        moved = jaxik.follow(arm, line, 1.0, q, dt=0.1, task=in_plane)
+    assert not moved.success and moved.sample == 0

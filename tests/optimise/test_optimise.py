@@ -158,8 +158,8 @@ def test_a_descent_at_rest_wakes_up(direction):
         return descent.Objective(value, lambda w, _: curvature * (w - centre), jnp.dot)
 
     rest = jnp.zeros(6, np.float32)
-    step = jax.jit(lambda state, centre: descent.glance(moved(centre), state, options))
-    state = descent.unmeasured(moved(rest), rest, options)
+    step = jax.jit(lambda state, centre: descent.advance(moved(centre), state, options, glance=True))
+    state = descent.init(moved(rest), rest, options, measured=False)
     for _ in range(300):
         state = step(state, rest)
     assert np.all(np.isfinite(state.w)) and state.interval[1] >= options.interval[1]

@@ -74,7 +74,7 @@ def test_map_is_that_of_eaik_over_the_same_slides(small):
     finds."""
     chain, data = small.study.variants[0].chain, small.dataset()
     robot, tip = eaik_robot(chain)
-    poses = np.linalg.inv(chain.world_T_base) @ small.study.targets.part(0, len(small.study.targets))
+    poses = np.linalg.inv(chain.world_T_base) @ small.study.targets.poses_at(np.arange(len(small.study.targets)))
     slides = np.linspace(0.0, 1.0, 11)
     lower, upper = chain.lower[1:], chain.upper[1:]
     for i in range(0, len(poses), 7):
@@ -141,7 +141,10 @@ def test_two_leading_joints_of_which_one_turns(tmp_path, monkeypatch):
     coarse, dense = (sweep_values(study | changes) for changes in ({}, {"slides": 41, "refine": 0}))
     assert not np.any(dense["reachable"] & ~coarse["reachable"] & coarse["proven"])
     assert coarse["between"].any() and (~coarse["proven"]).mean() < 0.1
-    forward, poses = pinocchio(chain), np.linalg.inv(chain.world_T_base) @ jaxik.sweeps.Study.of(study).targets.part(0, 240)
+    forward, poses = (
+        pinocchio(chain),
+        np.linalg.inv(chain.world_T_base) @ jaxik.sweeps.Study.of(study).targets.poses_at(np.arange(240)),
+    )
     for i in np.flatnonzero(coarse["reachable"])[::9]:
         q = coarse["q"][i]
         assert max(pose_errors(forward(q), poses[i])) < 1e-9 and np.all((q >= chain.lower) & (q <= chain.upper))
@@ -165,7 +168,7 @@ def test_collisions_are_those_of_the_scan():
         assert abs(float(jaxik.clearance(chain, scene, found["q"][i])) - found["clearance"][i]) < 1e-5
         assert found["clearance"][i] >= study.margin - 1e-6
     blocked = np.flatnonzero(found["reason"] == Reason.COLLISION)
-    poses = np.linalg.inv(chain.world_T_base) @ study.targets.part(0, len(study.targets))
+    poses = np.linalg.inv(chain.world_T_base) @ study.targets.poses_at(np.arange(len(study.targets)))
     for i in blocked[::20]:
         for slide in np.linspace(0.0, 1.0, 5):
             each = jaxik.closed_form(chain, poses[i], slide)
@@ -184,7 +187,7 @@ def test_search_answers_what_has_no_closed_form():
     found = sweep_values(study)
     assert np.mean(found["reachable"]) > 0.3 and np.any(found["reason"] == Reason.OUT_OF_REACH)
     forward, read = pinocchio(panda), jaxik.sweeps.Study.of(study)
-    poses = read.targets.part(0, len(read.targets))
+    poses = read.targets.poses_at(np.arange(len(read.targets)))
     for i in np.flatnonzero(found["reachable"])[::5]:
         assert max(pose_errors(forward(found["q"][i]), poses[i])) < 2e-6
     free = sweep_values(study | {"targets": study["targets"] | {"directions": "any"}})
@@ -284,7 +287,7 @@ def test_a_link_s_length(tmp_path):
 def test_kinds_of_targets(tmp_path):
     voxels = jaxik.sweeps.Study.of({"robot": "planar2", "targets": {"kind": "voxels", "size": 0.5}}).targets
     assert voxels.free_rotation and all(len(a) >= 4 for a in voxels.axes)
-    assert np.allclose(voxels.part(0, 1)[0, :3, 3], [a[0] for a in voxels.axes])
+    assert np.allclose(voxels.poses_at(np.arange(1))[0, :3, 3], [a[0] for a in voxels.axes])
     crop = jaxik.sweeps.Study.of({"robot": "p6r", "targets": {"kind": "crop", "crops": 2, "angles": 6}}).targets
     assert len(crop) == 2 * 12 * 6 and crop.crop.max() == 23
     (tmp_path / "t.csv").write_text("x,y,z,qw,qx,qy,qz\n0.5,0.6,0.4,1,0,0,0\n0.5,0.6,0.4,0,0,0,0\n")
@@ -296,7 +299,7 @@ def test_kinds_of_targets(tmp_path):
     np.savez(tmp_path / "t.npz", positions=rows[:, :3], wxyz=rows[:, 3:])
     of = lambda **given: jaxik.sweeps.Study.of({"robot": "p6r", "targets": {"kind": "file", **given}}).targets
     for targets in (of(path=str(tmp_path / "t.npz")), of(poses=rows)):  # seven numbers each, until a chunk asks
-        frames, turned = targets.part(2, 9), Rotation.from_quat(rows[2:, [4, 5, 6, 3]])
+        frames, turned = targets.poses_at(np.arange(2, 9)), Rotation.from_quat(rows[2:, [4, 5, 6, 3]])
         assert targets.poses.shape == (9, 7) and np.allclose(frames[:, :3, :3], turned.as_matrix(), atol=1e-14)
         assert np.allclose(frames[:, :3, 3], rows[2:, :3]) and np.all(frames[:, 3] == [0.0, 0.0, 0.0, 1.0])
         assert np.allclose(targets.wxyz_at(np.arange(2, 9)), turned.as_quat(canonical=True)[:, [3, 0, 1, 2]])
@@ -304,7 +307,7 @@ def test_kinds_of_targets(tmp_path):
     for targets in (jaxik.sweeps.Study.of(SMALL).targets, crop, of(poses=rows[:, :3], directions=4)):
         chosen = some % len(targets)
         assert np.allclose(targets.poses_at(chosen, base), base @ targets.poses_at(chosen), atol=1e-15)
-        assert np.array_equal(targets.poses_at(chosen), targets.part(0, len(targets))[chosen])
+        assert np.array_equal(targets.poses_at(chosen), targets.poses_at(np.arange(len(targets)))[chosen])
         assert np.array_equal(targets.positions_at(chosen), targets.poses_at(chosen)[:, :3, 3])
     unit = directions(50)
     assert np.allclose(np.linalg.norm(unit, axis=1), 1.0) and np.linalg.norm(unit.mean(axis=0)) < 0.01
@@ -342,16 +345,16 @@ def test_crops_keep_clear_of_their_own_scene():
         ({"robot": {"file": "p6r", "meshes": "no"}}, "meshes = 'no'"),
         ({"tool": {"up": [1, 0, 0]}, "targets": GRID | {"directions": "any", "roll_deg": None}}, "no target has a direction"),
         ({"targets": GRID | {"directions": "any"}}, "'roll' without directions"),
-        ({"targets": GRID | {"roll_deg": []}}, "roll holds no number"),
+        ({"targets": GRID | {"roll_deg": []}}, "'roll' holds no number"),
         ({"targets": {"kind": "crop", "frame": "base"}}, "a crop stands in the world"),
         ({"targets": {"poses": [[0, 1, 0]], "path": "a.csv"}}, "path and poses say the same"),
-        ({"base": {"y": []}}, "y holds no number"),
-        ({"base": {"y": [0.0, float("inf")]}}, "y holds inf"),
+        ({"base": {"y": []}}, "'y' holds no number"),
+        ({"base": {"y": [0.0, float("inf")]}}, "'y' holds inf"),
         ({"parameters": {"slide.upper": []}}, "slide.upper holds no number"),
-        ({"collision": {"margin": float("inf")}}, "margin holds inf"),
-        ({"collision": {"reach": float("inf")}}, "reach holds inf"),
+        ({"collision": {"margin": float("inf")}}, "'margin' holds inf"),
+        ({"collision": {"reach": float("inf")}}, "'reach' holds inf"),
         ({"ik": {"position_tolerance": 0.0}}, "position_tolerance = 0"),
-        ({"ik": {"rotation_tolerance": float("inf")}}, "rotation_tolerance holds inf"),
+        ({"ik": {"rotation_tolerance": float("inf")}}, "'rotation_tolerance' holds inf"),
         ({"chunk": float("inf")}, "chunk = inf"),
         ({"targets": GRID | {"x": [0.0, 1.0, float("inf")]}}, r"x = [0, 1, inf]"),
     ],

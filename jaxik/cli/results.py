@@ -1,0 +1,46 @@
+"""What commands say of results: tables on the terminal, and in a file with their units in the header; what is in the way."""
+
+from __future__ import annotations
+
+import collections
+import csv
+from collections.abc import Iterable, Sequence
+from pathlib import Path
+
+import numpy as np
+
+from jaxik.ik.solve import IKResult
+from jaxik.reasons import Reason
+
+LOOKED = 32  # colliding postures that are asked what they collide with
+UNITS = {"angle": "rad", "clearance": "m", "position_error": "m", "rotation_error": "rad"}  # of a table's columns
+
+
+def write_csv(path: Path, columns: dict[str, np.ndarray]) -> None:
+    """A table with its units in the header; joints are in rad and m."""
+    with path.open("w", newline="", encoding="utf-8") as file:
+        writer = csv.writer(file)
+        writer.writerow([f"{name} [{UNITS[name]}]" if name in UNITS else name for name in columns])
+        writer.writerows(zip(*(values.tolist() for values in columns.values()), strict=True))
+
+
+def print_table(title: str, headings: Sequence[str], rows: Iterable[Sequence[str]]) -> None:
+    """A table whose first two columns are words, and the others numbers, to the right."""
+    from rich.console import Console
+    from rich.markup import escape
+    from rich.table import Table
+
+    table = Table(title=escape(title))
+    for i, heading in enumerate(headings):
+        table.add_column(escape(heading), justify="left" if i < 2 else "right")
+    for row in rows:
+        table.add_row(*map(escape, row))
+    Console(width=max(120, Console().width)).print(table)
+
+
+def offenders(result: IKResult) -> str:
+    """Of the first targets that collide, which pairs of names are nearest, in words, the most frequent first; "" of none."""
+    colliding = result[result.reason == Reason.COLLISION][:LOOKED]
+    pairs = collections.Counter(f"{nearest.link} and {nearest.other}" for nearest, *_ in colliding.offenders)
+    words = ", ".join(f"{count} by {pair}" for pair, count in pairs.most_common(5))
+    return f"of {len(colliding)} that collide: {words}" if words else ""

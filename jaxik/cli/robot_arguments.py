@@ -1,0 +1,53 @@
+"""What commands ask of a robot: which chain of its file, where the joints beside it are held, what is not checked."""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Annotated, Any
+
+import tyro
+
+IGNORED = "What is not checked: two links (forearm:hand), a link and an object (base:floor), a link and any object (rail)."
+Ignored = Annotated[tuple[str, ...], tyro.conf.arg(metavar="[LINK|LINK:OTHER]...", help=IGNORED)]
+
+
+@dataclasses.dataclass(kw_only=True)
+class RobotArguments:
+    tip: str | None = None
+    """The link at the tip, which goes to the targets; needed where the robot has several."""
+    base: str | None = None
+    """The link that the chain starts from, and targets are given in; the root unless given."""
+    posture: tuple[str, ...] = ()
+    """Where joints beside the chain are held, joint=value [rad, m]: a head, a gripper; 0 unless given."""
+    srdf: Path | None = None
+    """A file that says which links are not checked against each other."""
+    ignore: Ignored = ()
+
+    def loading(self) -> dict[str, Any]:
+        """What `jaxik.load` takes of these."""
+        more = {"posture": read_posture(self.posture), "ignore": ignored_pairs(self.ignore)}
+        return {"tip": self.tip, "base": self.base, "srdf": self.srdf, **more}
+
+
+def read_posture(words: Sequence[str]) -> dict[str, float] | None:
+    """What `jaxik.load(posture=)` takes; None where nothing is given, and what is held is named. Raises `ValueError`."""
+    found = {}
+    for word in words:
+        name, _, value = word.partition("=")
+        try:
+            found[name] = float(value)
+        except ValueError:
+            raise ValueError(f"--posture {word}: write joint=value, such as panda_finger_joint1=0.04 [rad, m]") from None
+    return found or None
+
+
+def ignored_pairs(given: Sequence[str]) -> list[Any]:
+    """What `jaxik.load(ignore=)` takes, of words as they stand in a command: "LINK", "LINK:LINK" or "LINK:OBJECT"."""
+    pairs = [tuple(each.split(":")) for each in given]
+    for each, names in zip(given, pairs, strict=True):
+        if len(names) > 2 or not all(names):
+            example = "--ignore forearm:hand base:floor rail"
+            raise ValueError(f"--ignore {each}: write LINK, LINK:LINK or LINK:OBJECT, e.g. {example}")
+    return [names if len(names) == 2 else names[0] for names in pairs]

@@ -1,0 +1,74 @@
+"""What a collision model leaves unchecked, because its user or an SRDF file says so; and an SRDF that says it to others."""
+
+from __future__ import annotations
+
+import itertools
+from collections.abc import Iterable
+from pathlib import Path
+from typing import Any
+from xml.etree import ElementTree
+
+from jaxik.checks.options import nearest, shown
+from jaxik.files.writing import write_text
+from jaxik.files.xml import attribute, parse
+from jaxik.reasons import LoadError
+from jaxik.robot.chain import Chain, solid_links
+
+MARK = "<!-- of the .urdf beside it, by jaxik -->"
+ALIKE = 0.8  # share of letters, by difflib, from which a name is a link's misspelt: 'Link2', 'link_2'
+
+
+def ignored(path: Path, chain: Chain, entries: Any) -> tuple[frozenset[frozenset[str]], tuple[tuple[int, str], ...]]:
+    """The pairs of links, and the pairs of a link's number with an object's name ("*": any), that `entries` say.
+
+    An entry is a link's name (no object of a scene counts for it), two links' names, or those of a link and of an object; a
+    name that a link has means the link. One that is nearly a link's is refused: taken for an object's, it would be ignored.
+    """
+    if isinstance(entries, str) or not isinstance(entries, Iterable):
+        raise LoadError(path, f"ignore {shown(entries)}", "is no list", 'write ["link", ("link", "link or object")]')
+    apart: list[frozenset[str]] = []
+    beside: list[tuple[int, str]] = []
+    for entry in entries:
+        what, names = f"ignore {shown(entry)}", (entry, "*") if isinstance(entry, str) else entry
+        if not isinstance(names, tuple | list) or len(names) != 2 or not all(isinstance(n, str) and n for n in names):
+            raise LoadError(path, what, "is no link and no pair of names", 'write "link" or ("link", "other")')
+        link, other = names
+        if link not in chain.link_names:
+            raise LoadError(path, what, f"no such link '{link[:40]}'", f"links: {', '.join(chain.link_names)}")
+        if other in chain.link_names:
+            apart.append(frozenset(names))
+        elif meant := nearest(other, chain.link_names, ALIKE):
+            mend = f"did you mean '{meant}'? an object of the scene needs a name that is less like a link's"
+            raise LoadError(path, what, f"no such link '{shown(other)}'", mend)
+        else:
+            beside.append((chain.link_names.index(link), other))
+    return frozenset(apart), tuple(dict.fromkeys(beside))
+
+
+def disabled_pairs(srdf: str | Path | None) -> frozenset[frozenset[str]]:
+    """The pairs of every `<disable_collisions link1= link2=>` of a file, if there is one."""
+    if srdf is None:
+        return frozenset()
+    found = parse(Path(srdf), "robot").findall("disable_collisions")
+    return frozenset(frozenset(attribute(Path(srdf), "<disable_collisions>", e, k) for k in ("link1", "link2")) for e in found)
+
+
+def unchecked(chain: Chain) -> list[tuple[str, str]]:
+    """The pairs of links with geometry that a chain does not check against each other."""
+    checked, names = {frozenset(pair) for pair in chain.self_pairs}, chain.link_names
+    return [(names[a], names[b]) for a, b in itertools.combinations(solid_links(chain), 2) if {a, b} not in checked]
+
+
+def write_disabled(chain: Chain, path: Path) -> None:
+    """A file that disables what a chain does not check."""
+    root = ElementTree.Element("robot", name=chain.name)
+    for first, second in unchecked(chain):
+        ElementTree.SubElement(root, "disable_collisions", link1=first, link2=second, reason="User")
+    ElementTree.indent(root)
+    write_text("save", path, f"{MARK}\n{ElementTree.tostring(root, encoding='unicode')}\n")
+
+
+def check_ours(path: Path) -> None:
+    """Raises `ValueError` for a file that somebody else wrote."""
+    if path.exists() and not path.read_text(encoding="utf-8", errors="replace").startswith(MARK):
+        raise ValueError(f"save: {path} is there, and is none of jaxik's; move it away, or give the URDF another name")
