@@ -65,12 +65,14 @@ class Trajectory(Pytree):
         """Times (i,) and states (i, n) as a controller takes them, one a `period` [s], the last at the end. Host.
 
         The motion is slowed down, by less than a period in all, so that it ends with one: its limits hold for the samples, too.
-        Raises `ValueError` for a batch, and for a period that is no positive number.
+        Raises `ValueError` for a batch, for a period that is no positive number, and for a timing that is NaN.
         """
         check_finite("sample: period", period=period)
         if not period > 0.0 or self.time.ndim != 1:
             raise ValueError(f"sample: period {period} of a trajectory of shape {self.time.shape[:-1]}; one, period > 0")
         whole = jax.tree_util.tree_map(lambda x: np.asarray(x, np.float64), self)
+        if not np.isfinite(whole.duration):
+            raise ValueError(f"sample: the trajectory lasts {whole.duration} s; its path or its limits were no finite numbers")
         steps = int(np.ceil(whole.duration / period - 1e-9))
         slower = steps * period / whole.duration if steps else 1.0
         time = period * np.arange(steps + 1)
