@@ -35,9 +35,7 @@ def time_optimal(path: JointPath, velocity: Any, acceleration: Any, places: int 
     single, (*_, k, n) = lengths.ndim == 1, (*lengths.shape, curve.shape[-1])
     if single:
         lengths, curve = lengths[None], curve[None]
-    limits = [_limit(*each, (len(lengths), n)) for each in (("velocity", velocity), ("acceleration", acceleration))]
-    if not np.isfinite(limits[1]).all():
-        raise ValueError("time_optimal: acceleration is infinite; give a finite number [rad/s2, m/s2]")
+    limits = limits_of("time_optimal", velocity, acceleration, (len(lengths), n))
     parts = max(LEAST, -(-as_count("time_optimal: places", places) // k))
     known = np.isfinite(lengths).all(axis=1) & np.isfinite(curve).all(axis=(1, 2, 3))
     (squares,) = in_blocks(_fastest(parts), curve, lengths, *limits, double=True)
@@ -69,13 +67,17 @@ def _arrays(path: JointPath) -> tuple[np.ndarray, np.ndarray]:
     return lengths, curve
 
 
-def _limit(name: str, given: Any, shape: tuple[int, int]) -> np.ndarray:
-    """(N, n), from one number, one a joint, or rows of these."""
-    limit = numbers(f"time_optimal: {name}", given)
-    try:
-        rows = np.broadcast_to(limit, shape)
-    except ValueError:
-        raise ValueError(f"time_optimal: {name} of shape {limit.shape}; allowed: (), {shape[1:]} or {shape}") from None
-    if not (rows > 0.0).all():
-        raise ValueError(f"time_optimal: {name} is not positive everywhere; give positive numbers [rad, m and s]")
-    return rows
+def limits_of(who: str, velocity: Any, acceleration: Any, shape: tuple[int, int]) -> tuple[np.ndarray, np.ndarray]:
+    """Both in (N, n), each from one number, one a joint, or rows of these. Raises `ValueError` of `who`."""
+    rows = []
+    for name, given in (("velocity", velocity), ("acceleration", acceleration)):
+        limit = numbers(f"{who}: {name}", given)
+        try:
+            rows.append(np.broadcast_to(limit, shape))
+        except ValueError:
+            raise ValueError(f"{who}: {name} of shape {limit.shape}; allowed: (), {shape[1:]} or {shape}") from None
+        if not (limit > 0.0).all():
+            raise ValueError(f"{who}: {name} is not positive everywhere; give positive numbers [rad, m and s]")
+    if not np.isfinite(rows[1]).all():
+        raise ValueError(f"{who}: acceleration is infinite; give finite numbers [rad/s2, m/s2]")
+    return rows[0], rows[1]
