@@ -85,14 +85,15 @@ def plan_motion(
     """A motion from `start` (n,) to `goal`, at rest at both, that keeps the margin to the scene and to the robot itself on its
     whole way, not at samples, and the limits of position, velocity and acceleration. Host driver.
 
-    `goal` is a configuration (n,), several (g, n), of which the nearest to be reached is taken, or a pose `base_T_tip` (4, 4)
-    [m], for which `solve_ik` finds postures. A joint without limits takes the shorter turn. Two trees find a way
-    (`tree_search`); the shortest of the lines between its points is proven by `motion_clearance`'s bound; its corners are
-    rounded as far as that is proven, too; `time_optimal` times it. `seed` decides. `changes` are fields of `PlanOptions`.
+    `goal` is a configuration (n,), several (g, n), of which the one that is reached first is taken, or a pose `base_T_tip`
+    (4, 4) [m], for which `solve_ik` finds postures. A joint without limits takes the shorter turn, and to a pose every joint
+    that may. Two trees find a way (`tree_search`); the shortest of the lines between its points is proven by
+    `motion_clearance`'s bound; its corners are rounded as far as that is proven, too; `time_optimal` times it. `seed` decides.
+    `changes` are fields of `PlanOptions`.
 
     Reasons: SOLVED; INVALID, NaN in the start or the goal; LIMITS, COLLISION of the `start` or the `goal`, whichever is in
-    `where`; OUT_OF_REACH and others of `solve_ik` for a pose; NOT_CONVERGED, no way found within the rounds, which is no proof
-    that there is none.
+    `where`; OUT_OF_REACH and others of `solve_ik` for a pose; NOT_CONVERGED, no way found within the rounds that keeps
+    0.01 mm more than the margin, which is no proof that there is none.
 
     Raises `ValueError` for arguments of a wrong shape, name or range. Sources: Kuffner and LaValle, RRT-Connect, 2000;
     Schwarzer et al. 2005; Pham and Pham 2018.
