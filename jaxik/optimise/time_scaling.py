@@ -33,7 +33,6 @@ def fastest(curve: Any, lengths: Any, velocity: Any, acceleration: Any, parts: i
     `curve` (k, 4, n) has each piece's coefficients, the highest power first, of the way since its beginning; `lengths` (k,)
     >= 0 are the pieces'; one of no length counts for nothing. Where the direction jumps between pieces, it stops. In float64.
     """
-    last = len(lengths) - 1
     parts_of_all = jnp.arange(len(lengths) * parts)  # one loop, or a short one in it would be written out
 
     def part(i: Any) -> Any:
@@ -42,18 +41,16 @@ def fastest(curve: Any, lengths: Any, velocity: Any, acceleration: Any, parts: i
         h = lengths[piece] / parts
         return h, _rows(curve[piece], (i - piece * parts) * h, h, velocity, acceleration)
 
-    def stops(i: Any) -> Any:
-        """Whether the direction jumps behind a part."""
-        piece = i // parts
-        end, begin = _slope(curve[piece], lengths[piece]), curve[jnp.minimum(piece + 1, last), 2]
-        jump = jnp.max(jnp.abs(end - begin)) > _JUMP * (1.0 + jnp.max(jnp.abs(end)))
-        return (lengths[piece] > 0.0) & (i - piece * parts == parts - 1) & (jump | (piece == last))
-
     def back(beyond: Any, i: Any) -> Any:
+        """From the greatest x behind a part and the direction there, that of the next part which has a length."""
+        after, direction = beyond
+        piece = i // parts
         h, row = part(i)
-        beyond = jnp.where(stops(i), 0.0, beyond)
-        top = jnp.minimum(beyond, row[-1])
-        return jnp.where(h > 0.0, _greatest(row, h, top), beyond), top
+        begin, end = (_slope(curve[piece], (i - piece * parts + k) * h) for k in (0, 1))
+        jump = jnp.max(jnp.abs(end - direction)) > _JUMP * (1.0 + jnp.max(jnp.abs(end)))
+        top = jnp.minimum(jnp.where(jump & (i - piece * parts == parts - 1) & (h > 0.0), 0.0, after), row[-1])
+        now = jnp.where(h > 0.0, _greatest(row, h, top), after), jnp.where(h > 0.0, begin, direction)
+        return now, top
 
     def ahead(x: Any, now: Any) -> Any:
         i, top = now
@@ -62,7 +59,8 @@ def fastest(curve: Any, lengths: Any, velocity: Any, acceleration: Any, parts: i
         after = jnp.where(h > 0.0, jnp.clip(x + 2.0 * h * u, 0.0, top), x)
         return after, after
 
-    _, tops = lax.scan(back, jnp.zeros(()), parts_of_all, reverse=True)
+    at_rest = jnp.zeros(()), jnp.zeros_like(curve[0, 0])
+    _, tops = lax.scan(back, at_rest, parts_of_all, reverse=True)
     return lax.scan(ahead, jnp.zeros(()), (parts_of_all, tops))[1]
 
 

@@ -18,6 +18,7 @@ from jaxik.spmd import HostKernel
 from jaxik.spmd.batch import in_blocks
 
 RESOLUTION = 1e-3  # [m] by which a motion must keep more than its margin to be proven free
+CLOSE = 1e-5  # [m] likewise, where that proves nothing; float32 allows no less
 
 
 class Freedom:
@@ -54,16 +55,17 @@ class Freedom:
         part[rows] = (number[hit[first]] - 1) / counts[rows]
         return part
 
-    def proven(self, start: np.ndarray, end: np.ndarray, extra: Any = 0.0) -> np.ndarray:
+    def proven(self, start: np.ndarray, end: np.ndarray, extra: Any = 0.0, resolution: float = RESOLUTION) -> np.ndarray:
         """Which straight motions are proven to keep the margin, and `extra` (b,) [m] beyond it, throughout."""
         margins = np.broadcast_to(self.margin + np.asarray(extra, np.float32), len(start))
-        fixed = np.float32(RESOLUTION), self.size, self.obstacles
+        fixed = np.float32(resolution), self.size, self.obstacles
         return ~in_blocks(_moves(self.chain), start, end, margins, fixed=fixed, double=False)[0]
 
 
 def judged(chain: Chain, space: Freedom, postures: np.ndarray) -> np.ndarray:
-    """The reason of each posture (b, n)."""
-    inside = ((postures >= chain.lower - 1e-9) & (postures <= chain.upper + 1e-9)).all(axis=1)
+    """The reason of each posture (b, n); at the limits what float32 makes of them counts as inside."""
+    near = 1e-6 * (1.0 + np.abs(postures))
+    inside = ((postures >= chain.lower - near) & (postures <= chain.upper + near)).all(axis=1)
     reason = np.where(space.hits(postures), Reason.COLLISION, np.where(inside, Reason.SOLVED, Reason.LIMITS))
     return np.where(np.isfinite(postures).all(axis=1), reason, Reason.INVALID)
 

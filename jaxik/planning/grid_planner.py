@@ -88,6 +88,7 @@ def plan_on_grid(
     """
     check_kind("plan_on_grid", "chain", chain, Chain)
     check_kind("plan_on_grid", "scene", scene, Scene, optional=True)
+    check_kind("plan_on_grid", "options", options, GridOptions, optional=True)
     check_geometry(chain)
     check_known("plan_on_grid", start=start, goal=goal)
     options = changed("plan_on_grid", options or GridOptions(), changes)

@@ -16,11 +16,12 @@ from jaxik.ik import IKOptions, solve_ik
 from jaxik.planning.freedom import Freedom, judged
 from jaxik.planning.rounding import rounded
 from jaxik.planning.shortcuts import shortened
-from jaxik.planning.timing import time_optimal
+from jaxik.planning.timing import limits_of, time_optimal
 from jaxik.planning.trajectory import Trajectory, padded, polyline
 from jaxik.planning.tree_search import connected
 from jaxik.reasons import Reason, Reasoned
 from jaxik.robot.chain import Chain, finite_limits
+from jaxik.robot.joint_turns import nearest_turns
 from jaxik.robot.task import POSE, Task
 
 BRISK = 4.0  # [1/s] how soon a joint has its full velocity, where nothing is said of its acceleration
@@ -84,20 +85,22 @@ def plan_motion(
     """A motion from `start` (n,) to `goal`, at rest at both, that keeps the margin to the scene and to the robot itself on its
     whole way, not at samples, and the limits of position, velocity and acceleration. Host driver.
 
-    `goal` is a configuration (n,), several (g, n), of which the nearest to be reached is taken, or a pose `base_T_tip` (4, 4)
-    [m], for which `solve_ik` finds postures. A joint without limits takes the shorter turn. Two trees find a way
-    (`tree_search`); the shortest of the lines between its points is proven by `motion_clearance`'s bound; its corners are
-    rounded as far as that is proven, too; `time_optimal` times it. `seed` decides. `changes` are fields of `PlanOptions`.
+    `goal` is a configuration (n,), several (g, n), of which the one that is reached first is taken, or a pose `base_T_tip`
+    (4, 4) [m], for which `solve_ik` finds postures. A joint without limits takes the shorter turn, and to a pose every joint
+    that may. Two trees find a way (`tree_search`); the shortest of the lines between its points is proven by
+    `motion_clearance`'s bound; its corners are rounded as far as that is proven, too; `time_optimal` times it. `seed` decides.
+    `changes` are fields of `PlanOptions`.
 
     Reasons: SOLVED; INVALID, NaN in the start or the goal; LIMITS, COLLISION of the `start` or the `goal`, whichever is in
-    `where`; OUT_OF_REACH and others of `solve_ik` for a pose; NOT_CONVERGED, no way found within the rounds, which is no proof
-    that there is none.
+    `where`; OUT_OF_REACH and others of `solve_ik` for a pose; NOT_CONVERGED, no way found within the rounds that keeps
+    0.01 mm more than the margin, which is no proof that there is none.
 
     Raises `ValueError` for arguments of a wrong shape, name or range. Sources: Kuffner and LaValle, RRT-Connect, 2000;
     Schwarzer et al. 2005; Pham and Pham 2018.
     """
     check_kind("plan_motion", "chain", chain, Chain)
     check_kind("plan_motion", "scene", scene, Scene, optional=True)
+    check_kind("plan_motion", "options", options, PlanOptions, optional=True)
     check_geometry(chain)
     check_seed("plan_motion", seed)
     check_known("plan_motion", start=start, goal=goal)
@@ -116,9 +119,8 @@ def plan_motion(
         found = solve_ik(chain, goal, make_scene() if scene is None else scene, seed, asked)
         if not found.success:
             return Planned(Reason(int(found.reason)), "goal")
-        goals = found.solutions[: int(found.num_solutions)]
-    else:
-        goals = _turned(chain, start, goal.reshape(-1, n))
+        goal = found.solutions[: int(found.num_solutions)]
+    goals = _turned(chain, start, goal.reshape(-1, n), pose)
     space = Freedom(chain, scene, options.margin)
     for where, postures in (("start", start[None]), ("goal", goals)):
         verdict = judged(chain, space, postures)
@@ -138,18 +140,19 @@ def plan_motion(
 
 
 def _limits(chain: Chain, options: PlanOptions) -> tuple[np.ndarray, np.ndarray]:
-    """Of velocity and acceleration (n,)."""
-    velocity = np.asarray(chain.velocity if options.velocity is None else options.velocity, np.float64)
-    acceleration = BRISK * velocity if options.acceleration is None else np.asarray(options.acceleration, np.float64)
-    if not np.isfinite(acceleration).all():
+    """Of velocity and acceleration (1, n)."""
+    velocity = numbers("plan_motion: velocity", chain.velocity if options.velocity is None else options.velocity)
+    if options.acceleration is None and np.isinf(velocity).any():
         raise ValueError(f"plan_motion: {chain.name} has no limits of velocity; give acceleration= [rad/s2, m/s2]")
-    return velocity, acceleration
+    acceleration = BRISK * velocity if options.acceleration is None else options.acceleration
+    return limits_of("plan_motion", velocity, acceleration, (1, chain.num_joints))
 
 
-def _turned(chain: Chain, start: np.ndarray, goals: np.ndarray) -> np.ndarray:
-    """Goals (g, n), each joint without limits turned to be nearest to the start."""
-    endless = np.isinf(chain.lower) & np.isinf(chain.upper) & ~np.array(chain.is_prismatic)
-    return goals + np.where(endless, 2.0 * np.pi * np.round((start - goals) / (2.0 * np.pi)), 0.0)
+def _turned(chain: Chain, start: np.ndarray, goals: np.ndarray, pose: bool) -> np.ndarray:
+    """Goals (g, n), each joint without limits turned to be nearest to the start, and of a pose each that may be."""
+    endless = np.isinf(chain.lower) & np.isinf(chain.upper)
+    with np.errstate(invalid="ignore"):  # of what is no number
+        return np.where(endless | pose, nearest_turns(chain, goals, start, chain.lower, chain.upper), goals)
 
 
 def _way(chain: Chain, space: Freedom, start: np.ndarray, goals: np.ndarray, seed: int, rounds: int) -> np.ndarray | None:

@@ -6,7 +6,7 @@ import itertools
 
 import numpy as np
 
-from jaxik.planning.freedom import Freedom
+from jaxik.planning.freedom import CLOSE, Freedom
 
 POINTS = 20  # of a way, between which lines are tried
 TURN = 1e-3  # [m] that a corner costs: of ways that are as long, the one with fewer
@@ -63,9 +63,17 @@ def _shortest(space: Freedom, points: np.ndarray, step: float, proven: dict[byte
         unknown = [edge for edge in edges if edge[2] not in proven]
         if unknown:
             ends = points[[edge[:2] for edge in unknown]]
-            proven.update(zip([edge[2] for edge in unknown], space.proven(ends[:, 0], ends[:, 1]).tolist(), strict=True))
+            proven.update(zip([edge[2] for edge in unknown], _proven(space, ends[:, 0], ends[:, 1]).tolist(), strict=True))
         wrong = [edge for edge in edges if not proven[edge[2]]]
         if not wrong:
             return points[way]
         for a, b, _ in wrong:
             lengths[a, b] = np.inf
+
+
+def _proven(space: Freedom, start: np.ndarray, end: np.ndarray) -> np.ndarray:
+    """Which straight lines are; the others are looked at more closely, for a way may begin hardly beyond the margin."""
+    found = space.proven(start, end)
+    left = np.flatnonzero(~found)
+    found[left] = space.proven(start[left], end[left], resolution=CLOSE)
+    return found

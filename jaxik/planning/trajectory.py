@@ -39,7 +39,8 @@ class JointPath(Pytree):
     coefficients: Float[Array, "*batch k 4 n"]
 
     def at(self, s: Any) -> Any:
-        """q, q' and q'' (n,) at s, from 0 to the sum of the lengths. Traced."""
+        """q, q' and q'' (..., n) at s (...), from 0 to the sum of the lengths. Traced; `vmap` it over a stack."""
+        _check_one("JointPath.at", self.lengths)
         return _along(jnp, self, jnp.asarray(s))
 
 
@@ -58,24 +59,36 @@ class Trajectory(Pytree):
         return self.time[..., -1]
 
     def at(self, t: Any) -> JointState:
-        """The state at t [s]; before the start and after the end it stands still there. Traced."""
+        """The state at t (...) [s]; before the start and after the end it stands still there.
+
+        Traced; `vmap` it over a stack. In float32 an acceleration may be a thousandth of its limit off.
+        """
+        _check_one("Trajectory.at", self.time)
         return _state(jnp, self, jnp.asarray(t))
 
     def sample(self, period: float) -> tuple[np.ndarray, JointState]:
         """Times (i,) and states (i, n) as a controller takes them, one a `period` [s], the last at the end. Host.
 
         The motion is slowed down, by less than a period in all, so that it ends with one: its limits hold for the samples, too.
-        Raises `ValueError` for a batch, and for a period that is no positive number.
+        Raises `ValueError` for a batch, for a period that is no positive number, and for a timing that is NaN.
         """
-        check_finite("sample: period", period=period)
-        if not period > 0.0 or self.time.ndim != 1:
-            raise ValueError(f"sample: period {period} of a trajectory of shape {self.time.shape[:-1]}; one, period > 0")
+        _check_one("Trajectory.sample", self.time)
+        check_finite("sample", period=period)
+        if not period > 0.0:
+            raise ValueError(f"sample: period is {period:g}; it is above zero [s]")
         whole = jax.tree_util.tree_map(lambda x: np.asarray(x, np.float64), self)
+        if not np.isfinite(whole.duration):
+            raise ValueError(f"sample: the trajectory lasts {whole.duration} s; its path or its limits were no finite numbers")
         steps = int(np.ceil(whole.duration / period - 1e-9))
         slower = steps * period / whole.duration if steps else 1.0
         time = period * np.arange(steps + 1)
         q, velocity, acceleration = _state(np, whole, np.minimum(time / slower, whole.duration))
         return time, JointState(q, velocity / slower, acceleration / slower**2)
+
+
+def _check_one(who: str, array: Any) -> None:
+    if np.ndim(array) != 1:
+        raise ValueError(f"{who}: a stack of shape {np.shape(array)[:-1]}; take one of it, or jax.vmap this")
 
 
 def _along(xp: Any, path: Any, s: Any) -> Any:

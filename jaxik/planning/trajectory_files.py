@@ -8,6 +8,7 @@ from pathlib import Path
 
 import numpy as np
 
+from jaxik.checks.options import check_kind
 from jaxik.planning.trajectory import Trajectory
 
 ENDINGS = ".csv", ".npz", ".json"
@@ -20,6 +21,7 @@ def save_trajectory(file: str | Path, trajectory: Trajectory, period: float, joi
 
     Raises `ValueError` for another ending, for as many names as there are no joints, and as `sample` does.
     """
+    check_kind("save_trajectory", "trajectory", trajectory, Trajectory)
     file, names = Path(file), list(joint_names)
     time, state = trajectory.sample(period)
     if len(names) != state.q.shape[1]:

@@ -117,6 +117,7 @@ def test_no_way_is_proven_and_a_budget_is_kept():
         ({"direction": "up"}, "direction 'up'"),
         ({"weight": 0.5}, "weight is 0.5"),
         ({"batch": 0}, "batch is 0"),
+        ({"options": {}}, "options is .*; write a jaxik.planning.GridOptions"),
     ],
 )
 def test_mistakes_are_named(change, said):

@@ -6,7 +6,7 @@ import pytest
 from collision_peers import Coal
 
 import jaxik
-from jaxik.planning import plan_motion
+from jaxik.planning import GridOptions, plan_motion
 
 LINK = """<link name="{0}"><collision><origin xyz="0.1 0 0"/><geometry><sphere radius="0.04"/></geometry></collision>
   <collision><origin xyz="0.25 0 0"/><geometry><sphere radius="0.04"/></geometry></collision></link>"""
@@ -83,6 +83,31 @@ def test_a_joint_without_limits_takes_the_shorter_turn(arm):
     assert moved.waypoints[-1, 2] == pytest.approx(2.0 * np.pi - 3.0)
 
 
+def test_a_pose_is_reached_by_the_shorter_turn(arm):
+    """Though `solve_ik` gives its postures between -pi and pi, or anywhere inside the limits."""
+    chain, coal = arm
+    start, near = np.array([0.4, 0.5, 4.0]), np.array([0.5, 0.5, 4.2])
+    moved = plan_motion(chain, None, start, np.asarray(jaxik.forward_kinematics(chain, near)), postures=1)
+    _judged(moved, coal, jaxik.make_scene())
+    assert abs(moved.waypoints[-1, 2] - start[2]) <= np.pi
+
+
+@pytest.mark.parametrize("apart", [9e-4, 1e-4])
+def test_away_from_what_is_hardly_beyond_the_margin(arm, apart):
+    chain, coal = arm
+    q = np.zeros(3)
+    scene = jaxik.make_scene(boxes=[[0.4, -0.04 - 0.01 - apart - 0.05, 0.0, 2.0, 0.1, 1.0]])
+    assert coal.clearance(scene, q[None])[0] == pytest.approx(0.01 + apart, abs=1e-6)
+    _judged(plan_motion(chain, scene, q, [1.0, 0.3, 0.0], margin=0.01), coal, scene, 0.01)
+    _judged(plan_motion(chain, scene, [1.0, 0.3, 0.0], q, margin=0.01), coal, scene, 0.01)
+
+
+def test_what_float32_makes_of_a_limit_is_inside(arm):
+    chain, _ = arm
+    assert plan_motion(chain, None, [2.8 + 2e-7, 0.0, 0.0], [2.7, 0.0, 0.0])
+    assert plan_motion(chain, None, [2.8001, 0.0, 0.0], [2.7, 0.0, 0.0]).why == "start: limits"
+
+
 def test_already_there(arm):
     chain, _ = arm
     moved = plan_motion(chain, POLES, START, START)
@@ -126,9 +151,12 @@ def test_no_way_is_not_converged(arm):
         ({"scene": "poles"}, "scene is poles; write a jaxik.Scene"),
         ({"margin": np.nan}, "margin is nan"),
         ({"round": 3}, "unknown option 'round'"),
-        ({"velocity": -1.0}, "velocity"),
-        ({"velocity": [1.0, 1.0]}, "velocity"),
+        ({"velocity": -1.0}, "plan_motion: velocity is not positive"),
+        ({"velocity": [1.0, 1.0]}, r"plan_motion: velocity of shape \(2,\)"),
+        ({"velocity": "fast"}, "velocity: str that is no array of numbers"),
         ({"velocity": np.inf}, "give acceleration="),
+        ({"acceleration": np.nan}, "plan_motion: acceleration is not positive"),
+        ({"options": GridOptions()}, "options is GridOptions.*; write a jaxik.planning.PlanOptions"),
     ],
 )
 def test_mistakes_are_named(arm, change, said):

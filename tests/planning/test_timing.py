@@ -100,6 +100,23 @@ def test_what_has_no_length_takes_no_time():
     np.testing.assert_array_equal(still.sample(0.01)[1].q, [[1.0, 2.0]])
 
 
+@pytest.mark.parametrize(("pieces", "places"), [(1, 1), (2, 1), (30, 20)])
+def test_every_line_takes_its_time_however_few_the_places(pieces, places):
+    """Between two stops a line needs places to speed up at, or it would be over in no time."""
+    moved = time_optimal(
+        polyline(np.arange(pieces + 1.0)[:, None] * [1.0, 0.0] + [[0.0, i % 2] for i in range(pieces + 1)]), 9.0, 2.0, places
+    )
+    assert moved.duration == pytest.approx(pieces * 2.0 * np.sqrt(1.0 / 2.0), rel=1e-5)
+
+
+def test_a_corner_is_stopped_at_where_a_piece_of_no_length_lies_on_it():
+    path = polyline([[0.0, 0.0], [1.0, 0.0], [1.0, 0.0], [1.0, 1.0]])
+    curve = path.coefficients.copy()
+    curve[1, 2] = curve[0, 2]  # its direction counts for nothing either
+    for each in (path, JointPath(path.lengths, curve)):
+        assert time_optimal(each, 1.0, 2.0).duration == pytest.approx(3.0, rel=1e-5)
+
+
 def test_rows_are_as_they_are_alone_and_a_bad_one_spoils_no_other():
     paths = [spline(w) for w in _paths(3, seed=3)]
     paths[1] = JointPath(paths[1].lengths * np.nan, paths[1].coefficients)
@@ -132,7 +149,13 @@ def test_samples_end_with_the_motion_and_keep_the_limits():
         (lambda: time_optimal("path", 1.0, 1.0), "path is path; write a jaxik.planning.JointPath"),
         (lambda: polyline([[0.0, np.nan], [1.0, 0.0]]), "waypoints of shape"),
         (lambda: spline([[0.0], [0.0], [1.0]]), "waypoints 0 and 1 are equal"),
-        (lambda: time_optimal(polyline([[0.0], [1.0]]), 1.0, 1.0).sample(0.0), "period > 0"),
+        (lambda: time_optimal(polyline([[0.0], [1.0]]), 1.0, 1.0).sample(0.0), "period is 0; it is above zero"),
+        (lambda: _stacked([polyline([[0.0], [1.0]])] * 2).at(0.1), r"JointPath.at: a stack of shape \(2,\)"),
+        (lambda: time_optimal(_stacked([polyline([[0.0], [1.0]])] * 2), 1.0, 1.0).at(0.1), "Trajectory.at: a stack of shape"),
+        (lambda: time_optimal(JointPath(np.ones(2), np.ones((2, 3, 4))), 1.0, 1.0), r"coefficients \(2, 3, 4\); allowed"),
+        (lambda: time_optimal(JointPath(np.ones(0), np.ones((0, 4, 3))), 1.0, 1.0), r"lengths \(0,\)"),
+        (lambda: time_optimal(JointPath(-np.ones(1), np.ones((1, 4, 3))), 1.0, 1.0), "length -1"),
+        (lambda: time_optimal(JointPath(np.full(1, np.nan), np.ones((1, 4, 3))), 1.0, 1.0).sample(0.1), "lasts nan s"),
     ],
 )
 def test_mistakes_are_named(call, said):
