@@ -39,6 +39,18 @@ for goal, pose in zip(motionbenchmaker.goals(folder, chain), poses):
 warm = float(np.median(times))
 print(json.dumps({"first_s": times[0], "slowest_later_s": max(times[1:]), "beyond_warm_s": sum(times) - warm * len(times)}))
 """
+MOTIONS = """
+import json, pathlib, sys, time
+sys.path.insert(0, sys.argv[3])
+import jaxik, motionbenchmaker
+folder, tip = pathlib.Path(sys.argv[1]), sys.argv[2] or None
+chain, times = motionbenchmaker.robot(folder, tip), []
+for goal in motionbenchmaker.goals(folder, chain):
+    start = time.perf_counter()
+    jaxik.plan_motion(chain, goal.scene, goal.start, goal.q)
+    times.append(time.perf_counter() - start)
+print(json.dumps({"first_s": times[0], "slowest_later_s": max(times[1:])}))
+"""
 CALLS = {
     "eager forward_kinematics": "jaxik.forward_kinematics(chain, np.zeros(chain.num_joints))",
     "solve_ik of ten targets": "jaxik.solve_ik(chain, poses).q",
@@ -119,6 +131,15 @@ def first_goals(folder: Path, tip: str | None, poses: np.ndarray) -> dict[str, d
         caches = {"fill": place, "compiling": None, "kernels_on_disk": place}
         found = {name: json.loads(_run(*command, cache=cache)[0]) for name, cache in caches.items()}
     return {name: found[name] for name in ("compiling", "kernels_on_disk")}
+
+
+def first_motions(folder: Path, tip: str | None) -> dict[str, dict[str, float]]:
+    """Seconds of a fresh process's first motion among MotionBenchMaker's problems, and of its slowest later one; compiling all,
+    and with the kernels on disk."""
+    with tempfile.TemporaryDirectory() as place:
+        command = "-c", MOTIONS, str(folder), tip or "", str(Path(__file__).parent)
+        found = [json.loads(_run(*command, cache=cache)[0]) for cache in (None, place, place)]
+    return {"compiling": found[0], "kernels_on_disk": found[2]}
 
 
 def threads_of_processes(count: int = 65_536, rounds: int = 5, seconds: float = 1.0) -> float | None:

@@ -33,6 +33,7 @@ PACKAGES = (
     "mink",
     "pin-pink",
     "scikit-robot",
+    "toppra",
 )
 PLAIN = "the same function, plain jax.jit"  # kernels keep it as `__wrapped__`
 

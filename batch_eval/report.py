@@ -229,6 +229,57 @@ def narrow_markdown(result: dict[str, Any]) -> str:
     return "\n".join(lines)
 
 
+def astar_markdown(result: dict[str, Any]) -> str:
+    """Nodes that A* expands, by its direction."""
+    plane, six, paper = result["figure_7"], result["six_joints"], result["paper"]
+    lines = [
+        f"| A* | two joints, 5 degrees, one by one | 256 at once | the paper's row | six joints, {six['degrees']:g} degrees |",
+        "| --- | --- | --- | --- | --- |",
+    ]
+    for direction in ("forward", "backward", "both"):
+        each, batch = (plane[f"{direction}, {how}"] for how in ("one by one", "in batches"))
+        plain, many = (f"{row['expanded']} nodes, {row['ms']:.0f} ms" for row in (each, batch))
+        large = f"{six[direction]['expanded']:,} nodes, {six[direction]['s']:.1f} s"
+        lines.append(f"| {direction} | {plain} | {many} | {paper.get(direction, '-')} | {large} |")
+    longest = max(abs(row["length"] - plane["dijkstra"]) for row in plane.values() if isinstance(row, dict))
+    return "\n".join([*lines, "", f"Every way on the plane is as long as Dijkstra's, to {longest:.0e} rad."])
+
+
+def planning_markdown(result: dict[str, Any]) -> str:
+    """MotionBenchMaker's problems, and paths that are timed."""
+    problems, timing = result["problems"], result["timing"]
+    rows = [
+        ("solved", f"{problems['solved']} of {problems['problems']}"),
+        ("of these free by coal, every millimetre", f"{problems['free']}"),
+        ("of these inside the limits of position", f"{problems['inside']}"),
+        ("velocity, acceleration, at most of their limits", f"{problems['velocity']:.9f}, {problems['acceleration']:.9f}"),
+        (
+            "one call, warm: median, 95 %, slowest",
+            ", ".join(f"{problems[k]:.0f} ms" for k in ("p50_ms", "p95_ms", "slowest_ms")),
+        ),
+        ("a process' first call, its slowest later one", _both(problems["fresh"]["compiling"])),
+        ("the same, with the kernels on disk", _both(problems["fresh"]["kernels_on_disk"])),
+        ("motion, median; if it stopped at its corners", f"{problems['duration_s']:.2f} s, {problems['stopping_s']:.2f} s"),
+    ]
+    lines = [f"| {problems['robot']}, from start to goal | |", "| --- | --- |", *(f"| {a} | {b} |" for a, b in rows)]
+    places = timing["places"]
+    return "\n".join(
+        [
+            *lines,
+            "",
+            f"| {timing['paths']:,} random splines of {timing['joints']} joints | one | motion |",
+            "| --- | --- | --- |",
+            f"| jaxik, {places['jaxik']} places, together | {_duration(timing['us_each'])} | "
+            f"{100 * timing['longer_mean']:.1f} % longer (at most {100 * timing['longer_most']:.1f} %) |",
+            f"| toppra, {places['toppra']} places, alone | {_duration(timing['toppra_us_each'])} | limits kept there alone |",
+        ]
+    )
+
+
+def _both(fresh: dict[str, float]) -> str:
+    return f"{fresh['first_s']:.1f} s, {fresh['slowest_later_s']:.1f} s"
+
+
 def motions_markdown(result: dict[str, Any]) -> str:
     """A row for each robot: what the dense sampling says, and how far the bound is below it."""
     lines = [
@@ -274,6 +325,7 @@ def scaling_markdown(result: dict[str, Any]) -> str:
 
 
 TABLES = {
+    "astar.json": astar_markdown,
     "base_placement.json": base_markdown,
     "benchmark.json": markdown,
     "collision_benchmark.json": collision_markdown,
@@ -283,6 +335,7 @@ TABLES = {
     "motions.json": motions_markdown,
     "narrow_goals.json": narrow_markdown,
     "nine_dof.json": nine_dof_markdown,
+    "planning_benchmark.json": planning_markdown,
     "predictive_benchmark.json": predictive_markdown,
     "predictive_statistics.json": statistics_markdown,
     "sweep_benchmark.json": sweep_markdown,

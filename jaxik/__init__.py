@@ -1,9 +1,10 @@
 """Batched, differentiable kinematics for redundant robot arms, on JAX.
 
 Here is what everybody needs; the rest is in the packages, which are there after `import jaxik`: `robot`, `collision`, `costs`,
-`fitting`, `files`, `ik`, `motions`, `reach`, `harvesting`, `sweeps`, `view`, and, knowing no robot, `spatial`, `optimise` and
-`spmd`. Each docstring says where its function runs: "Traced." takes one configuration, and is for `jit`, `vmap` and `grad`;
-"Host driver." takes many, chunks and pads them, and gives NumPy; "Host." runs once, outside of JAX's transformations.
+`fitting`, `files`, `ik`, `motions`, `planning`, `reach`, `harvesting`, `sweeps`, `view`, and, knowing no robot, `spatial`,
+`optimise` and `spmd`. Each docstring says where its function runs: "Traced." takes one configuration, and is for `jit`, `vmap`
+and `grad`; "Host driver." takes many, chunks and pads them, and gives NumPy; "Host." runs once, outside of JAX's
+transformations.
 """
 
 import importlib
@@ -21,10 +22,11 @@ from jaxik.spatial.rotations import pose
 from jaxik.spmd import kernel
 
 if TYPE_CHECKING:
-    from jaxik import harvesting, motions, reach, sweeps
+    from jaxik import harvesting, motions, planning, reach, sweeps
     from jaxik import view as view
     from jaxik.harvesting import harvest
     from jaxik.motions import follow, predict
+    from jaxik.planning import plan_motion
     from jaxik.sweeps import sweep
 
 __version__ = "0.1.0"
@@ -60,6 +62,8 @@ __all__ = [
     "motion_clearance",
     "motions",
     "optimise",
+    "plan_motion",
+    "planning",
     "pose",
     "predict",
     "reach",
@@ -92,6 +96,7 @@ _MOVED = {  # until the next release; a name that is another now stands behind =
 _LATE = {  # packages that wait until they are asked for, and what stands here of them: a quarter of the import
     "harvesting": "harvest",
     "motions": "follow predict",
+    "planning": "plan_motion",
     "reach": "",
     "sweeps": "sweep",
     "view": "",

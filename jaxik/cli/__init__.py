@@ -1,4 +1,4 @@
-"""The commands: `jaxik harvest`, `jaxik ik`, `jaxik sweep`, `jaxik fit`, `jaxik view`."""
+"""The commands: `jaxik harvest`, `jaxik ik`, `jaxik plan`, `jaxik sweep`, `jaxik fit`, `jaxik view`."""
 
 from __future__ import annotations
 
@@ -15,6 +15,7 @@ import jaxik
 from jaxik.cli.fit import FitArguments
 from jaxik.cli.harvest import HarvestArguments
 from jaxik.cli.ik import IKArguments
+from jaxik.cli.plan import PlanArguments
 from jaxik.cli.sweep import SweepArguments
 from jaxik.cli.view import ViewArguments
 from jaxik.spmd.batch import compilation_cache
@@ -31,6 +32,7 @@ class _About:
 COMMANDS = {
     "harvest": HarvestArguments,
     "ik": IKArguments,
+    "plan": PlanArguments,
     "sweep": SweepArguments,
     "fit": FitArguments,
     "view": ViewArguments,

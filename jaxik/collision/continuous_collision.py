@@ -19,6 +19,7 @@ back, and where it does not, the safe step follows.
 from __future__ import annotations
 
 import dataclasses
+import functools
 from typing import Any, NamedTuple
 
 import jax
@@ -33,7 +34,7 @@ from jaxik.collision.bvh import balls_of, grouped, pair_tables
 from jaxik.collision.clearances import check_geometry, clearance, link_clearances
 from jaxik.collision.scene import FAR, KINDS, Scene
 from jaxik.collision.volumes import box_spheres, xp_of
-from jaxik.robot.chain import Array, Chain, as_configuration, as_shaped, solid_links
+from jaxik.robot.chain import Array, Chain, as_configuration, as_shaped, finite_limits, solid_links
 from jaxik.robot.kinematics import joint_frames
 from jaxik.robot.link_distance_table import PairTable
 from jaxik.spatial.algebra import ZERO, Frame, Vec3, traced
@@ -112,6 +113,22 @@ def motion_collides(
     return ~_march("motion_collides", True, chain, scene, q_from, q_to, margin, resolution, margin).free
 
 
+def motion_collides_within(
+    chain: Chain, q_from: Any, q_to: Any, margin: Any, resolution: Any, size: Any, obstacles: Any
+) -> Any:
+    """`motion_collides` of obstacles that are grouped, whose scene is of such a `size_of`; nothing is checked. Traced."""
+    return ~_marched(chain, True, obstacles or None, q_from, q_to, margin, resolution, margin, size).free
+
+
+@functools.lru_cache(maxsize=64)
+def joint_reaches(chain: Chain) -> np.ndarray:
+    """How far a unit of each joint moves a point of the shapes' skeletons at most, inside the limits (n,) [m/rad, 1]. Host."""
+    furthest = np.max(np.abs(finite_limits(chain)), axis=0)
+    travel = [furthest[j] if prismatic else 0.0 for j, prismatic in enumerate(chain.is_prismatic)]
+    speeds = lambda turned: [_bounds(chain, link, 0, turned, travel).speed for link in solid_links(chain)]
+    return np.array([float(np.max(speeds(list(one)))) for one in np.eye(chain.num_joints)])
+
+
 def _march(who: str, first: bool, chain: Any, scene: Any, q_from: Any, q_to: Any, *numbers: Any) -> MotionClearance:
     check_kind(who, "chain", chain, Chain)
     check_kind(who, "scene", scene, Scene, optional=True)
@@ -125,7 +142,7 @@ def _march(who: str, first: bool, chain: Any, scene: Any, q_from: Any, q_to: Any
         if not resolution > 0.0:
             raise ValueError(f"{who}: resolution is {float(resolution):g}; it is above zero [m]")
     dtype = jnp.result_type(q_from, q_to)  # of all, so that one kernel serves every caller
-    each = (jnp.asarray(x, dtype) for x in (q_from, q_to, margin, resolution, enough, _extent(scene)))
+    each = (jnp.asarray(x, dtype) for x in (q_from, q_to, margin, resolution, enough, size_of(scene)))
     return _marched(chain, first, None if scene is None else grouped(scene, chain), *each)
 
 
@@ -391,7 +408,7 @@ def _size(chain: Chain, length: Any, q_from: Any, q_to: Any) -> Any:
     return base + length * (1.0 + jnp.sum(jnp.maximum(jnp.abs(q_from), jnp.abs(q_to))))
 
 
-def _extent(scene: Scene | None) -> Any:
+def size_of(scene: Scene | None) -> Any:
     """How large the numbers of a scene are [m], but for what is moved away."""
     leaves = [] if scene is None else jax.tree_util.tree_leaves([getattr(scene, kind) for kind in KINDS])
     xp = np if is_known(leaves) else jnp

@@ -459,3 +459,20 @@ def test_pairs_are_ignored_by_the_command_and_by_a_study(tmp_path, monkeypatch, 
     assert "1 solved" in capsys.readouterr().out
     with pytest.raises(ValueError, match="fit"):
         jaxik.sweeps.Study.of({"robot": {"file": "p6r", "fit": {"accuracy_mm": 12}}, "targets": GRID})
+
+
+def test_a_motion_is_planned_and_written(tmp_path, monkeypatch, capsys):
+    out, ends = tmp_path / "motion.json", ("--start", 0, 0.3, "--goal", 1.5, -0.3)
+    call(monkeypatch, "plan", "planar2", *ends, "--velocity", 1, "--acceleration", 4, "--out", out)
+    assert "planned in" in capsys.readouterr().out
+    message = json.loads(out.read_text())
+    assert message["joint_names"] == ["q1", "q2"] and message["points"][-1]["positions"] == pytest.approx([1.5, -0.3])
+    for more, words in (
+        (("--goal", 9, 0), "no motion in 0.0 s: goal: limits"),
+        (("--goal", 1), "goal of shape (1,)"),
+        (("--out", "motion.txt"), "ending '.txt'; allowed: .csv, .npz, .json"),
+    ):
+        with pytest.raises(SystemExit) as left:
+            call(monkeypatch, "plan", "planar2", *ends, "--velocity", 1, *more)
+        line = capsys.readouterr().err.strip().splitlines()[-1]
+        assert left.value.code == 2 and words in line

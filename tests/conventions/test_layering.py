@@ -23,6 +23,7 @@ FLOORS = [  # what the house is made of, from the ground up
     "files",
     "ik",
     "motions",
+    "planning",
     "reach",
     "harvesting",
     "sweeps",

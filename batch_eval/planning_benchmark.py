@@ -1,0 +1,143 @@
+"""Motions among obstacles, and the timing of paths beside toppra: `python batch_eval/planning_benchmark.py [--goals FOLDER]`.
+
+Needs `pip install -e ".[test,peers]"`. Prints, and writes `batch_eval/planning_benchmark.json`. FOLDER holds a robot and its
+problems of MotionBenchMaker (`motionbenchmaker.py`): from start to goal configuration, one call each. A motion is judged from
+outside: free by coal, wherever no point of the robot has moved by more than a millimetre, and inside the limits by its samples.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+from pathlib import Path
+from typing import Any
+
+import fresh
+import motionbenchmaker
+import numpy as np
+import toppra
+import toppra.algorithm
+import toppra.constraint
+from collision_peers import Coal
+from race import clocked, machine, percentiles
+
+import jaxik
+from jaxik.planning import JointPath, Planned, plan_motion, spline, time_optimal
+
+TOUCH = 1e-6  # [m] that float32 does not tell from contact
+APART = 1e-3  # [m] that any point of the robot moves at most between samples that are judged
+PATHS, JOINTS, WAYPOINTS = 1000, 7, 6
+VELOCITY, ACCELERATION = 2.0, 8.0
+PLACES = {"toppra": 100, "jaxik": 500}
+
+
+def judged(chain: jaxik.Chain, coal: Coal, scene: jaxik.Scene, moved: Planned) -> dict[str, Any]:
+    """Whether a motion is free, and the greatest shares of the limits that it takes."""
+    assert moved.trajectory is not None
+    reach = jaxik.collision.continuous_collision.joint_reaches(chain)
+    _, state = moved.trajectory.sample(1e-3)
+    way = np.concatenate([[0.0], np.cumsum(np.abs(np.diff(state.q, axis=0)) @ reach)])
+    places = np.linspace(0.0, way[-1], int(np.ceil(way[-1] / APART)) + 1)
+    q = np.stack([np.interp(places, way, column) for column in state.q.T], axis=1)
+    hit = np.flatnonzero(coal.collides(scene, q))
+    inside = np.all((state.q >= chain.lower - 1e-9) & (state.q <= chain.upper + 1e-9))
+    return {
+        "free": not len(hit) or bool(coal.clearance(scene, q[hit]).min() >= -TOUCH),
+        "inside": bool(inside),
+        "velocity": float(np.max(np.abs(state.velocity) / chain.velocity)),
+        "acceleration": float(np.max(np.abs(state.acceleration) / (4.0 * chain.velocity))),
+    }
+
+
+def problems(folder: Path, tip: str | None = None) -> dict[str, Any]:
+    """All problems, one call each, warm, and what a fresh process loses to compiling."""
+    chain = motionbenchmaker.robot(folder, tip)
+    goals = list(motionbenchmaker.goals(folder, chain))
+    coal = Coal(chain, *motionbenchmaker.files(folder), broad=True, posture=motionbenchmaker.posture(folder, chain))
+    for _ in range(2):  # the first round compiles
+        each = [clocked(lambda goal=goal: plan_motion(chain, goal.scene, goal.start, goal.q)) for goal in goals]
+    motions, times = zip(*each, strict=True)
+    verdicts = []
+    for goal, moved in zip(goals, motions, strict=True):
+        if moved:
+            verdicts.append(judged(chain, coal, goal.scene, moved))
+            coal.scenes.clear()
+    p50, p95 = percentiles(times)
+    solved = [moved for moved in motions if moved]
+    stops = [time_optimal(jaxik.planning.polyline(m.waypoints), chain.velocity, 4.0 * chain.velocity) for m in solved[::10]]
+    result = {
+        "robot": chain.name,
+        "problems": len(goals),
+        "solved": len(solved),
+        "free": sum(verdict["free"] for verdict in verdicts),
+        "inside": sum(verdict["inside"] for verdict in verdicts),
+        "velocity": max(verdict["velocity"] for verdict in verdicts),
+        "acceleration": max(verdict["acceleration"] for verdict in verdicts),
+        "p50_ms": 1e3 * p50,
+        "p95_ms": 1e3 * p95,
+        "mean_ms": 1e3 * float(np.mean(times)),
+        "slowest_ms": 1e3 * max(times),
+        "duration_s": float(np.median([m.trajectory.duration for m in solved])),  # type: ignore[union-attr]
+        "stopping_s": float(np.median([s.duration for s in stops])),
+        "waypoints": float(np.median([len(m.waypoints) for m in solved])),  # type: ignore[arg-type]
+        "failed": {goal.name: moved.why for goal, moved in zip(goals, motions, strict=True) if not moved},
+        "fresh": fresh.first_motions(folder, tip),
+    }
+    print(json.dumps(result))
+    return result
+
+
+def timing(rounds: int = 5, theirs: int = 20) -> dict[str, Any]:
+    """Random splines, all in one batch, beside toppra one after the other; and how long its motions last."""
+    rng, limits = np.random.default_rng(0), []
+    for kind, most in (("Velocity", VELOCITY), ("Acceleration", ACCELERATION)):
+        limits.append(getattr(toppra.constraint, f"Joint{kind}Constraint")(np.tile([-most, most], (JOINTS, 1))))
+    waypoints = rng.uniform(-2.0, 2.0, (PATHS, WAYPOINTS, JOINTS))
+    paths = [spline(points) for points in waypoints]
+    stacked = JointPath(np.stack([p.lengths for p in paths]), np.stack([p.coefficients for p in paths]))
+
+    def peer(i: int) -> float:
+        knots = np.concatenate([[0.0], np.cumsum(paths[i].lengths)])
+        path = toppra.SplineInterpolator(knots, waypoints[i], bc_type="natural")
+        grid = np.linspace(0.0, knots[-1], PLACES["toppra"] + 1)
+        solver = toppra.algorithm.TOPPRA(limits, path, gridpoints=grid, solver_wrapper="seidel")
+        return solver.compute_trajectory(0, 0).duration
+
+    run = lambda: time_optimal(stacked, VELOCITY, ACCELERATION, PLACES["jaxik"])
+    moved = run()
+    ours, others = [], []
+    for number in range(rounds):
+        ours.append(clocked(run)[1] / PATHS)
+        found = [clocked(lambda i=i: peer(i)) for i in range(theirs * number, theirs * (number + 1))]
+        others += [(seconds, float(moved.duration[theirs * number + k] / lasts)) for k, (lasts, seconds) in enumerate(found)]
+    each, longer = np.transpose(others)
+    result = {
+        "paths": PATHS,
+        "joints": JOINTS,
+        "places": PLACES,
+        "us_each": 1e6 * float(np.median(ours)),
+        "toppra_us_each": 1e6 * float(np.median(each)),
+        "ratio": float(np.median(each) / np.median(ours)),
+        "longer_mean": float(longer.mean() - 1.0),
+        "longer_most": float(longer.max() - 1.0),
+    }
+    print(json.dumps(result))
+    return result
+
+
+def main() -> None:
+    """Both; prints, and writes the JSON."""
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--goals", type=Path, help="a folder of MotionBenchMaker")
+    parser.add_argument("--tip", help="the link that its goals are for, where the SRDF names no one end effector")
+    parser.add_argument("--out", type=Path, default=Path(__file__).with_suffix(".json"))
+    arguments = parser.parse_args()
+    toppra.setup_logging("ERROR")
+    result = {"machine": machine(), "timing": timing()}
+    if arguments.goals:
+        result["problems"] = problems(arguments.goals, arguments.tip)
+    arguments.out.write_text(json.dumps(result, indent=1) + "\n")
+
+
+if __name__ == "__main__":
+    main()

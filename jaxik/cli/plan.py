@@ -1,0 +1,62 @@
+"""`jaxik plan`: a motion from one configuration to another among obstacles, timed, as a file for a controller."""
+
+from __future__ import annotations
+
+import dataclasses
+import time
+from pathlib import Path
+
+import tyro
+
+import jaxik
+from jaxik.cli.robot_arguments import RobotArguments
+from jaxik.planning.trajectory_files import ENDINGS
+
+
+@dataclasses.dataclass(kw_only=True)
+class PlanArguments(RobotArguments):
+    """A motion from one configuration to another, proven free of collision, timed within the joints' limits."""
+
+    robot: tyro.conf.Positional[str]
+    """A shipped model or a robot file (.urdf, .xml, .toml)."""
+    start: tuple[float, ...]
+    """The joints' values at the start [rad, m]."""
+    goal: tuple[float, ...]
+    """Those at the goal."""
+    meshes: bool = False
+    """Read the robot's collision meshes for capsules around them."""
+    scene: str | None = None
+    """A shipped scene or a scene file: obstacles to keep clear of; without one, the robot keeps clear of itself."""
+    without: tuple[str, ...] = ()
+    """Objects of the scene that are no obstacle, such as the fruit that is grasped."""
+    margin: float = 0.0
+    """Least clearance [m]."""
+    velocity: float | None = None
+    """Limit of every joint [rad/s, m/s]; the robot's own unless given."""
+    acceleration: float | None = None
+    """Limit of every joint [rad/s2, m/s2]; four times the velocity a second unless given."""
+    period: float = 0.01
+    """Between samples of the file [s]."""
+    rounds: int = jaxik.planning.PlanOptions().rounds
+    """Of the search, before it is given up."""
+    seed: int = 0
+    """Another number, another (deterministic) search."""
+    out: Path = Path("motion.csv")
+    """The motion: .csv, .npz, or .json with the fields of ROS' JointTrajectory."""
+
+    def run(self) -> None:
+        """Load, plan, write, and end with one line. Raises `ValueError` where there is no motion, with the reason."""
+        if self.out.suffix not in ENDINGS:
+            raise ValueError(f"--out {self.out}: ending '{self.out.suffix}'; allowed: {', '.join(ENDINGS)}")
+        chain = jaxik.load(self.robot, meshes=self.meshes, **self.loading())
+        scene = jaxik.make_scene() if self.scene is None else jaxik.load_scene(self.scene).without(self.without)
+        names = [f.name for f in dataclasses.fields(jaxik.planning.PlanOptions)]
+        options = jaxik.planning.PlanOptions(**{k: v for k, v in dataclasses.asdict(self).items() if k in names})
+        began = time.perf_counter()
+        moved = jaxik.plan_motion(chain, scene, self.start, self.goal, self.seed, options)
+        seconds = time.perf_counter() - began
+        if moved.trajectory is None or moved.waypoints is None:
+            raise ValueError(f"no motion in {seconds:.1f} s: {moved.why}")
+        jaxik.planning.save_trajectory(self.out, moved.trajectory, self.period, chain.joint_names)
+        lasts, corners = moved.trajectory.duration, len(moved.waypoints) - 2
+        print(f"{lasts:.2f} s around {corners} corners, planned in {seconds:.2f} s; wrote {self.out}")

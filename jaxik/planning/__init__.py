@@ -1,0 +1,23 @@
+"""From postures to motions: paths through the space of joints, free of collision, and their timing."""
+
+from jaxik.planning.grid_planner import GridOptions, GridPlanned, plan_on_grid
+from jaxik.planning.planner import Planned, PlanOptions, plan_motion
+from jaxik.planning.timing import time_optimal
+from jaxik.planning.trajectory import JointPath, JointState, Trajectory, polyline, spline
+from jaxik.planning.trajectory_files import save_trajectory
+
+__all__ = [
+    "GridOptions",
+    "GridPlanned",
+    "JointPath",
+    "JointState",
+    "PlanOptions",
+    "Planned",
+    "Trajectory",
+    "plan_motion",
+    "plan_on_grid",
+    "polyline",
+    "save_trajectory",
+    "spline",
+    "time_optimal",
+]

@@ -1,0 +1,80 @@
+"""What a planner asks of a robot among obstacles: which configurations collide, which motions are proven not to."""
+
+from __future__ import annotations
+
+import functools
+from typing import Any
+
+import jax
+import numpy as np
+
+from jaxik.collision.bvh import grouped
+from jaxik.collision.clearances import collides
+from jaxik.collision.continuous_collision import joint_reaches, motion_collides_within, size_of
+from jaxik.collision.scene import Scene
+from jaxik.reasons import Reason
+from jaxik.robot.chain import Chain
+from jaxik.spmd import HostKernel
+from jaxik.spmd.batch import in_blocks
+
+RESOLUTION = 1e-3  # [m] by which a motion must keep more than its margin to be proven free
+CLOSE = 1e-5  # [m] likewise, where that proves nothing; float32 allows no less
+
+
+class Freedom:
+    """Of one robot in one scene, with `margin` [m]; by samples it asks for a `cushion` [m] more, so that what looks free mostly
+    is. Rows of configurations are NumPy arrays (b, n).
+
+    `weights` (n,) are how far a joint's unit moves the robot at most [m]: distances between configurations are measured so."""
+
+    def __init__(self, chain: Chain, scene: Scene | None, margin: float, cushion: float = 0.0):
+        self.chain, self.margin, self.cushion = chain, np.float32(margin), np.float32(cushion)
+        self.obstacles = jax.tree_util.tree_map(np.asarray, grouped(scene, chain))
+        self.size = np.float32(size_of(scene))
+        self.weights = joint_reaches(chain)
+        self.asked = 0  # configurations, so far
+
+    def length(self, moved: np.ndarray) -> np.ndarray:
+        """Of differences (..., n) between configurations [m]."""
+        return np.linalg.norm(moved * self.weights, axis=-1)
+
+    def hits(self, q: np.ndarray, cushion: Any = 0.0) -> np.ndarray:
+        """Which configurations come nearer than the margin, and a cushion [m] beyond it."""
+        self.asked += len(q)
+        return in_blocks(_hits(self.chain), q, fixed=(self.margin + np.float32(cushion), self.obstacles), double=False)[0]
+
+    def free_part(self, start: np.ndarray, end: np.ndarray, step: float) -> np.ndarray:
+        """Of each straight motion, the part (b,) up to its first sample that hits, by samples every `step` [m]; 1 of all."""
+        counts = np.maximum(1, np.ceil(self.length(end - start) / step)).astype(int)
+        row = np.repeat(np.arange(len(start)), counts)
+        number = np.arange(len(row)) - np.repeat(np.cumsum(counts) - counts, counts) + 1
+        q = start[row] + (number / counts[row])[:, None] * (end - start)[row]
+        hit = np.flatnonzero(self.hits(q, self.cushion))
+        part = np.ones(len(start))
+        rows, first = np.unique(row[hit], return_index=True)
+        part[rows] = (number[hit[first]] - 1) / counts[rows]
+        return part
+
+    def proven(self, start: np.ndarray, end: np.ndarray, extra: Any = 0.0, resolution: float = RESOLUTION) -> np.ndarray:
+        """Which straight motions are proven to keep the margin, and `extra` (b,) [m] beyond it, throughout."""
+        margins = np.broadcast_to(self.margin + np.asarray(extra, np.float32), len(start))
+        fixed = np.float32(resolution), self.size, self.obstacles
+        return ~in_blocks(_moves(self.chain), start, end, margins, fixed=fixed, double=False)[0]
+
+
+def judged(chain: Chain, space: Freedom, postures: np.ndarray) -> np.ndarray:
+    """The reason of each posture (b, n); at the limits what float32 makes of them counts as inside."""
+    near = 1e-6 * (1.0 + np.abs(postures))
+    inside = ((postures >= chain.lower - near) & (postures <= chain.upper + near)).all(axis=1)
+    reason = np.where(space.hits(postures), Reason.COLLISION, np.where(inside, Reason.SOLVED, Reason.LIMITS))
+    return np.where(np.isfinite(postures).all(axis=1), reason, Reason.INVALID)
+
+
+@functools.lru_cache(maxsize=64)
+def _hits(chain: Chain) -> HostKernel:
+    return HostKernel(lambda q, margin, obstacles: collides(chain, obstacles, q, margin), 1)
+
+
+@functools.lru_cache(maxsize=64)
+def _moves(chain: Chain) -> HostKernel:
+    return HostKernel(functools.partial(motion_collides_within, chain), 3)

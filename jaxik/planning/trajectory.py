@@ -1,0 +1,167 @@
+"""Ways through the space of joints, and their timing.
+
+A `JointPath` says where: cubic polynomials q(s), piece by piece. A `Trajectory` says when: s over time t, whose second
+derivative is constant between neighbouring instants, so that
+
+    qdot = q' sdot,   qddot = q'' sdot^2 + q' sddot
+
+is known exactly at every moment. Both are pytrees of arrays, and a batch of them has a leading axis.
+"""
+
+from __future__ import annotations
+
+from typing import Any, NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Float
+
+from jaxik.checks.arrays import numbers
+from jaxik.checks.options import check_finite
+from jaxik.pytree import Pytree
+from jaxik.robot.chain import Array
+
+
+class JointState(NamedTuple):
+    """Joint values, rates and accelerations (..., n) [rad, m and s]."""
+
+    q: Float[Array, "... n"]
+    velocity: Float[Array, "... n"]
+    acceleration: Float[Array, "... n"]
+
+
+class JointPath(Pytree):
+    """Pieces of length `lengths` (k,); `coefficients` (k, 4, n) of each, of the highest power first, by the way since its
+    beginning. A piece of no length counts for nothing, so that paths of as many pieces as others stack."""
+
+    lengths: Float[Array, "*batch k"]
+    coefficients: Float[Array, "*batch k 4 n"]
+
+    def at(self, s: Any) -> Any:
+        """q, q' and q'' (..., n) at s (...), from 0 to the sum of the lengths. Traced; `vmap` it over a stack."""
+        _check_one("JointPath.at", self.lengths)
+        return _along(jnp, self, jnp.asarray(s))
+
+
+class Trajectory(Pytree):
+    """A path and its timing: at `time` (m,) [s] the way along the path is `place` (m,), which grows at `speed` (m,) [1/s];
+    between these moments the speed is linear in time. Each piece of the path has as many of them as the others."""
+
+    path: JointPath
+    time: Float[Array, "*batch m"]
+    place: Float[Array, "*batch m"]
+    speed: Float[Array, "*batch m"]
+
+    @property
+    def duration(self) -> Any:
+        """[s]"""
+        return self.time[..., -1]
+
+    def at(self, t: Any) -> JointState:
+        """The state at t (...) [s]; before the start and after the end it stands still there.
+
+        Traced; `vmap` it over a stack. In float32 an acceleration may be a thousandth of its limit off.
+        """
+        _check_one("Trajectory.at", self.time)
+        return _state(jnp, self, jnp.asarray(t))
+
+    def sample(self, period: float) -> tuple[np.ndarray, JointState]:
+        """Times (i,) and states (i, n) as a controller takes them, one a `period` [s], the last at the end. Host.
+
+        The motion is slowed down, by less than a period in all, so that it ends with one: its limits hold for the samples, too.
+        Raises `ValueError` for a batch, for a period that is no positive number, and for a timing that is NaN.
+        """
+        _check_one("Trajectory.sample", self.time)
+        check_finite("sample", period=period)
+        if not period > 0.0:
+            raise ValueError(f"sample: period is {period:g}; it is above zero [s]")
+        whole = jax.tree_util.tree_map(lambda x: np.asarray(x, np.float64), self)
+        if not np.isfinite(whole.duration):
+            raise ValueError(f"sample: the trajectory lasts {whole.duration} s; its path or its limits were no finite numbers")
+        steps = int(np.ceil(whole.duration / period - 1e-9))
+        slower = steps * period / whole.duration if steps else 1.0
+        time = period * np.arange(steps + 1)
+        q, velocity, acceleration = _state(np, whole, np.minimum(time / slower, whole.duration))
+        return time, JointState(q, velocity / slower, acceleration / slower**2)
+
+
+def _check_one(who: str, array: Any) -> None:
+    if np.ndim(array) != 1:
+        raise ValueError(f"{who}: a stack of shape {np.shape(array)[:-1]}; take one of it, or jax.vmap this")
+
+
+def _along(xp: Any, path: Any, s: Any) -> Any:
+    """q, q' and q'' (..., n) at s (...)."""
+    ends = xp.cumsum(xp.asarray(path.lengths))
+    piece = xp.where(
+        s >= ends[-1], xp.argmax(ends >= ends[-1]), xp.searchsorted(ends, s, side="right")
+    )  # one that has a length
+    return _within(xp, path, piece, s)
+
+
+def _within(xp: Any, path: Any, piece: Any, s: Any) -> Any:
+    """Likewise, s being in that piece."""
+    lengths = xp.asarray(path.lengths)
+    c = xp.asarray(path.coefficients)[piece]
+    x = xp.clip(s - (xp.cumsum(lengths)[piece] - lengths[piece]), 0.0, lengths[piece])[..., None]
+    a, b, c, d = (c[..., i, :] for i in range(4))
+    return ((a * x + b) * x + c) * x + d, (3.0 * a * x + 2.0 * b) * x + c, 6.0 * a * x + 2.0 * b
+
+
+def _state(xp: Any, moved: Any, t: Any) -> JointState:
+    time, place, speed = xp.asarray(moved.time), xp.asarray(moved.place), xp.asarray(moved.speed)
+    last = len(time) - 2
+    i = xp.clip(xp.searchsorted(time, t, side="right") - 1, 0, last)
+    length, since = time[i + 1] - time[i], xp.clip(t, time[0], time[-1]) - time[i]
+    rate = xp.where(length > 0.0, (speed[i + 1] - speed[i]) / xp.where(length > 0.0, length, 1.0), 0.0)
+    way = place[i] + (speed[i] + 0.5 * rate * since) * since
+    piece = i // ((last + 1) // len(moved.path.lengths))  # by number: at a corner the way itself, rounded, is in either
+    q, slope, bend = _within(xp, moved.path, piece, way)
+    now, rate = (xp.where((t < time[0]) | (t > time[-1]), 0.0, x)[..., None] for x in (speed[i] + rate * since, rate))
+    return JointState(q, slope * now, bend * now**2 + slope * rate)
+
+
+def polyline(waypoints: Any) -> JointPath:
+    """Straight from each of the waypoints (k, n) [rad, m] to the next, k >= 2, as long as their Euclidean distance. Host.
+
+    A waypoint that is equal to the one before adds a piece of no length. Raises `ValueError` for another shape, and for NaN.
+    """
+    points = _waypoints("polyline", waypoints)
+    steps = np.diff(points, axis=0)
+    lengths = np.linalg.norm(steps, axis=1)
+    slope = np.divide(steps, lengths[:, None], out=np.zeros_like(steps), where=lengths[:, None] > 0.0)
+    none = np.zeros_like(steps)
+    return JointPath(lengths, np.stack([none, none, slope, points[:-1]], axis=1))
+
+
+def spline(waypoints: Any) -> JointPath:
+    """The cubic spline through waypoints (k, n) [rad, m], k >= 2, with continuous velocity and acceleration, straight at its
+    ends; by SciPy. Host.
+
+    Raises `ValueError` as `polyline` does, and for equal neighbours.
+    """
+    from scipy.interpolate import CubicSpline
+
+    points = _waypoints("spline", waypoints)
+    lengths = np.linalg.norm(np.diff(points, axis=0), axis=1)
+    if not np.all(lengths > 0.0):
+        same = int(np.argmin(lengths))
+        raise ValueError(f"spline: waypoints {same} and {same + 1} are equal; leave one out")
+    found = CubicSpline(np.concatenate([[0.0], np.cumsum(lengths)]), points, bc_type="natural")
+    return JointPath(lengths, np.moveaxis(found.c, 0, 1))
+
+
+def _waypoints(who: str, given: Any) -> np.ndarray:
+    points = numbers(f"{who}: waypoints", given)
+    if points.ndim != 2 or len(points) < 2 or not np.isfinite(points).all():
+        raise ValueError(f"{who}: waypoints of shape {points.shape}; allowed: (k, n), k >= 2, finite")
+    return points
+
+
+def padded(path: JointPath, pieces: int) -> JointPath:
+    """The path with pieces of no length after its own, `pieces` in all: so that programs are few."""
+    more = pieces - len(path.lengths)
+    last = np.zeros((1, *np.shape(path.coefficients)[1:]))
+    last[0, 3] = _along(np, path, np.float64(np.sum(path.lengths)))[0]
+    return JointPath(np.pad(path.lengths, (0, more)), np.concatenate([path.coefficients, np.repeat(last, more, axis=0)]))

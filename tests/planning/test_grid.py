@@ -1,0 +1,133 @@
+"""A* over grids: against SciPy's Dijkstra, whatever the neighbours, ends and batches; and motions of an arm on a grid."""
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from scipy.sparse import csr_matrix
+from scipy.sparse.csgraph import dijkstra
+
+import jaxik
+from jaxik.planning import plan_on_grid
+from jaxik.planning.grid_search import Grid, shortest
+
+
+def _dijkstra(grid, blocked, start):
+    """The length of the shortest way from a node to each, by SciPy."""
+    nodes = np.flatnonzero(~blocked)
+    edges = []
+    for offset in grid.offsets:
+        places = grid.places(nodes) + offset
+        inside = np.all((places >= 0) & (places < grid.shape), axis=1)
+        ends = np.ravel_multi_index(tuple(places[inside].T), grid.shape)
+        edges.append((nodes[inside], ends, np.full(len(ends), np.linalg.norm(offset * grid.steps))))
+    begins, ends, lengths = (np.concatenate(column) for column in zip(*edges, strict=True))
+    free = ~blocked[ends]
+    graph = csr_matrix((lengths[free], (begins[free], ends[free])), (len(blocked), len(blocked)))
+    return dijkstra(graph, indices=start)
+
+
+def _random(seed):
+    rng = np.random.default_rng(seed)
+    n = int(rng.integers(1, 4))
+    grid = Grid(rng.normal(size=n), rng.uniform(0.5, 2.0, n), tuple(rng.integers(2, (0, 40, 20, 8)[n], n)), bool(seed % 2))
+    blocked = rng.random(int(np.prod(grid.shape))) < rng.choice([0.0, 0.2, 0.4, 0.6])
+    start, goal = rng.integers(0, len(blocked), 2)
+    blocked[[start, goal]] = False
+    places = lambda q: tuple(np.round((q - grid.origin) / grid.steps).astype(int).T)
+    return grid, blocked, int(start), int(goal), lambda q: ~blocked[np.ravel_multi_index(places(q), grid.shape)]
+
+
+@settings(max_examples=60, deadline=None)
+@given(st.integers(0, 10**6))
+def test_as_short_as_dijkstra(seed):
+    grid, blocked, start, goal, free = _random(seed)
+    best = _dijkstra(grid, blocked, start)[goal]
+    for both in (False, True):
+        for batch, weight, straight in ((1, 1.0, True), (1, 1.0, False), (7, 1.0, False), (1, 1.5, False), (64, 3.0, True)):
+            found = shortest(grid, free, start, goal, both, weight, straight, batch)
+            assert (found.nodes is None) == np.isinf(best) and found.complete
+            if found.nodes is not None:
+                q = grid.configurations(found.nodes)
+                assert free(q).all() and found.nodes[0] == start and found.nodes[-1] == goal
+                assert found.length == pytest.approx(np.linalg.norm(np.diff(q, axis=0), axis=1).sum(), abs=1e-9)
+                assert best - 1e-9 <= found.length <= weight * best + 1e-9
+
+
+def test_nodes_are_judged_when_they_are_expanded():
+    """As in the paper; and a search gives up where it is told to."""
+    grid = Grid(np.zeros(2), np.ones(2), (30, 30))
+    asked = []
+
+    def free(q):
+        asked.extend(map(tuple, q))
+        return np.ones(len(q), bool)
+
+    found = shortest(grid, free, 0, 899)
+    assert len(asked) == len(set(asked)) == found.judged == found.expanded + 1  # the goal is where it ends
+    assert not shortest(grid, free, 0, 899, most=5).complete
+
+
+ARM = jaxik.load("planar2")
+CELL = jaxik.make_scene(boxes=[[1.2, 0.9, 0.0, 0.1, 0.6, 1.0], [1.5, 0.35, 0.0, 0.6, 0.1, 1.0]])
+START, GOAL = np.radians([-60.0, 30.0]), np.radians([120.0, -30.0])
+
+
+def test_an_arm_on_a_grid():
+    """Forward, backward and from both ends, one by one and many at once: ways as long as each other, free at every node."""
+    ways = [
+        plan_on_grid(ARM, CELL, START, GOAL, direction=direction, batch=batch)
+        for direction in ("forward", "backward", "both")
+        for batch in (1, 256)
+    ]
+    for way in ways:
+        assert way and way.length == pytest.approx(ways[0].length, abs=1e-9)
+        np.testing.assert_array_equal(way.waypoints[[0, -1]], [START, GOAL])
+        assert min(float(jaxik.explain(ARM, CELL, q, 1).contacts[0].distance) for q in way.waypoints[::4]) >= 0.0
+    assert ways[1].expanded >= ways[0].expanded
+    wide = plan_on_grid(ARM, CELL, START, GOAL, diagonal=True)
+    assert wide.length < ways[0].length
+
+
+@pytest.mark.parametrize(
+    ("start", "goal", "reason", "where"),
+    [
+        (np.radians([55.0, -30.0]), GOAL, "collision", "start"),
+        (START, [4.0, 0.0], "limits", "goal"),
+        ([np.nan, 0.0], GOAL, "invalid", "start"),
+    ],
+)
+def test_reasons(start, goal, reason, where):
+    found = plan_on_grid(ARM, CELL, start, goal)
+    assert (found.reasons, found.where) == (reason, where) and found.waypoints is None
+
+
+def test_no_way_is_proven_and_a_budget_is_kept():
+    walled = jaxik.make_scene(boxes=[[1.0, y, 0.0, 4.0, 0.1, 1.0] for y in (-0.3, 0.3)])
+    none = plan_on_grid(ARM, walled, [0.0, 0.0], [0.0, 3.0])
+    assert none.reasons == "out of reach" and not none.where and none.expanded > 0
+    assert plan_on_grid(ARM, CELL, START, GOAL, most=10, batch=1).reasons == "not converged"
+
+
+@pytest.mark.parametrize(
+    ("change", "said"),
+    [
+        ({"step": 0.0}, "step of shape"),
+        ({"step": 1e-5}, "nodes; allowed"),
+        ({"direction": "up"}, "direction 'up'"),
+        ({"weight": 0.5}, "weight is 0.5"),
+        ({"batch": 0}, "batch is 0"),
+        ({"options": {}}, "options is .*; write a jaxik.planning.GridOptions"),
+    ],
+)
+def test_mistakes_are_named(change, said):
+    with pytest.raises(ValueError, match=said):
+        plan_on_grid(ARM, CELL, START, GOAL, **change)
+
+
+@pytest.mark.parametrize("seed", range(6))
+def test_what_is_left_is_the_way_without_obstacles(seed):
+    grid, blocked, start, _, _ = _random(seed)
+    far = _dijkstra(grid, np.zeros_like(blocked), start)
+    away = np.abs(grid.places(np.arange(len(blocked))) - grid.places(np.array([start])))
+    np.testing.assert_allclose(grid.without_obstacles(away), far, atol=1e-9)

@@ -1,0 +1,174 @@
+"""Planned motions, judged by coal along the way, and by what is known of their timing; and every reason that there may be."""
+
+import jax
+import numpy as np
+import pytest
+from collision_peers import Coal
+
+import jaxik
+from jaxik.planning import GridOptions, plan_motion
+
+LINK = """<link name="{0}"><collision><origin xyz="0.1 0 0"/><geometry><sphere radius="0.04"/></geometry></collision>
+  <collision><origin xyz="0.25 0 0"/><geometry><sphere radius="0.04"/></geometry></collision></link>"""
+JOINT = """<joint name="{0}" type="{3}"><parent link="{1}"/><child link="{2}"/><origin xyz="{4} 0 0"/><axis xyz="0 0 1"/>
+  <limit lower="-2.8" upper="2.8" effort="1" velocity="2"/></joint>"""
+URDF = "\n".join(
+    [
+        '<robot name="flat"><link name="base"/>',
+        *map(LINK.format, "abc"),
+        '<link name="tip"/>',
+        JOINT.format("one", "base", "a", "revolute", 0.0),
+        JOINT.format("two", "a", "b", "revolute", 0.3),
+        JOINT.format("three", "b", "c", "continuous", 0.3),
+        JOINT.format("end", "c", "tip", "fixed", 0.3),
+        "</robot>",
+    ]
+)
+POLES = jaxik.make_scene(boxes=[[0.65, 0.0, 0.0, 0.3, 0.05, 0.5], [-0.5, 0.5, 0.0, 0.1, 0.3, 0.5]])
+START, GOAL = np.array([-0.6, 0.2, 0.1]), np.array([0.9, -0.3, 0.2])
+
+
+@pytest.fixture(scope="module")
+def arm(tmp_path_factory):
+    file = tmp_path_factory.mktemp("flat") / "flat.urdf"
+    file.write_text(URDF)
+    return jaxik.load(file, tip="tip"), Coal(jaxik.load(file, tip="tip"), file, None)
+
+
+def _judged(moved, coal, scene, margin=0.0):
+    """Free, by coal, of what is a millimetre or less apart; inside limits of velocity 2 and acceleration 8."""
+    assert moved and moved.why == "solved", moved.why
+    q = moved.trajectory.sample(0.0005)[1].q
+    assert np.abs(np.diff(q, axis=0)).sum(axis=1).max() < 0.006
+    assert coal.clearance(scene, q).min() >= margin - 1e-5
+    _, state = moved.trajectory.sample(0.004)
+    assert np.abs(state.velocity).max() <= 2.0 + 1e-9 and np.abs(state.acceleration).max() <= 8.0 + 1e-9
+    assert np.abs(q[:, :2]).max() <= 2.8
+
+
+@pytest.mark.parametrize("margin", [0.0, 0.02])
+def test_around_a_pole(arm, margin):
+    chain, coal = arm
+    moved = plan_motion(chain, POLES, START, GOAL, margin=margin)
+    _judged(moved, coal, POLES, margin)
+    np.testing.assert_array_equal(moved.waypoints[[0, -1]], [START, GOAL])
+    np.testing.assert_allclose(moved.trajectory.sample(0.01)[1].q[[0, -1]], [START, GOAL], atol=1e-12)
+    again = plan_motion(chain, POLES, START, GOAL, margin=margin)
+    np.testing.assert_array_equal(again.waypoints, moved.waypoints)
+    corners = len(moved.waypoints)
+    assert corners > 2 and moved.trajectory.duration < 0.9 * _stopping(moved)
+
+
+def _stopping(moved):
+    """How long it would take to stop at each corner [s]."""
+    return jaxik.planning.time_optimal(jaxik.planning.polyline(moved.waypoints), 2.0, 8.0).duration
+
+
+def test_to_a_pose_and_to_the_nearest_of_some(arm):
+    chain, coal = arm
+    pose = np.asarray(jaxik.forward_kinematics(chain, GOAL))
+    moved = plan_motion(chain, POLES, START, pose)
+    _judged(moved, coal, POLES)
+    np.testing.assert_allclose(jaxik.forward_kinematics(chain, moved.waypoints[-1]), pose, atol=1e-5)
+    hit, far = np.array([0.0, 0.0, 0.0]), np.array([2.0, 1.0, 1.0])
+    moved = plan_motion(chain, POLES, START, [hit, far, START + 0.1])
+    _judged(moved, coal, POLES)
+    np.testing.assert_array_equal(moved.waypoints[-1], START + 0.1)
+
+
+def test_a_joint_without_limits_takes_the_shorter_turn(arm):
+    chain, coal = arm
+    moved = plan_motion(chain, None, [0.0, 0.5, 3.0], [0.0, 0.5, -3.0])
+    _judged(moved, coal, jaxik.make_scene())
+    assert moved.waypoints[-1, 2] == pytest.approx(2.0 * np.pi - 3.0)
+
+
+def test_a_pose_is_reached_by_the_shorter_turn(arm):
+    """Though `solve_ik` gives its postures between -pi and pi, or anywhere inside the limits."""
+    chain, coal = arm
+    start, near = np.array([0.4, 0.5, 4.0]), np.array([0.5, 0.5, 4.2])
+    moved = plan_motion(chain, None, start, np.asarray(jaxik.forward_kinematics(chain, near)), postures=1)
+    _judged(moved, coal, jaxik.make_scene())
+    assert abs(moved.waypoints[-1, 2] - start[2]) <= np.pi
+
+
+@pytest.mark.parametrize("apart", [9e-4, 1e-4])
+def test_away_from_what_is_hardly_beyond_the_margin(arm, apart):
+    chain, coal = arm
+    q = np.zeros(3)
+    scene = jaxik.make_scene(boxes=[[0.4, -0.04 - 0.01 - apart - 0.05, 0.0, 2.0, 0.1, 1.0]])
+    assert coal.clearance(scene, q[None])[0] == pytest.approx(0.01 + apart, abs=1e-6)
+    _judged(plan_motion(chain, scene, q, [1.0, 0.3, 0.0], margin=0.01), coal, scene, 0.01)
+    _judged(plan_motion(chain, scene, [1.0, 0.3, 0.0], q, margin=0.01), coal, scene, 0.01)
+
+
+def test_what_float32_makes_of_a_limit_is_inside(arm):
+    chain, _ = arm
+    assert plan_motion(chain, None, [2.8 + 2e-7, 0.0, 0.0], [2.7, 0.0, 0.0])
+    assert plan_motion(chain, None, [2.8001, 0.0, 0.0], [2.7, 0.0, 0.0]).why == "start: limits"
+
+
+def test_already_there(arm):
+    chain, _ = arm
+    moved = plan_motion(chain, POLES, START, START)
+    assert moved and moved.trajectory.duration == 0.0
+    np.testing.assert_array_equal(moved.trajectory.sample(0.01)[1].q, [START])
+
+
+ENCLOSED = jaxik.make_scene(boxes=[[0.0, y, 0.0, 4.0, 0.1, 1.0] for y in (-0.15, 0.15)])
+
+
+@pytest.mark.parametrize(
+    ("scene", "start", "goal", "why"),
+    [
+        (POLES, [0.0, 0.0, 0.0], GOAL, "start: collision"),
+        (POLES, START, [0.0, 0.0, 0.0], "goal: collision"),
+        (POLES, [-2.9, 0.0, 0.0], GOAL, "start: limits"),
+        (POLES, START, [0.0, 3.0, 0.0], "goal: limits"),
+        (POLES, [np.nan, 0.0, 0.0], GOAL, "start: invalid"),
+        (POLES, START, [0.0, np.inf, 0.0], "goal: invalid"),
+        (POLES, START, jaxik.pose([2.0, 0.0, 0.0]), "goal: out of reach"),
+        (ENCLOSED, [0.0, 0.0, 0.0], [2.8, 0.68, 0.0], "goal: collision"),
+        (ENCLOSED, [0.0, 0.0, 0.0], [-2.8, 2.5, -2.5], "goal: collision"),
+    ],
+)
+def test_reasons(arm, scene, start, goal, why):
+    moved = plan_motion(arm[0], scene, start, goal, rounds=3)
+    assert not moved and moved.why == why and moved.trajectory is None
+
+
+def test_no_way_is_not_converged(arm):
+    """Between walls, a slot that is narrower than the arm must turn in."""
+    moved = plan_motion(arm[0], ENCLOSED, [0.0, 0.0, 0.0], [0.0, 0.0, 3.1], rounds=3)
+    assert moved.why == "not converged" and moved.where == ""
+
+
+@pytest.mark.parametrize(
+    ("change", "said"),
+    [
+        ({"start": [0.0, 0.0]}, r"start of shape \(2,\)"),
+        ({"goal": np.zeros((0, 3))}, r"goal of shape \(0, 3\)"),
+        ({"scene": "poles"}, "scene is poles; write a jaxik.Scene"),
+        ({"margin": np.nan}, "margin is nan"),
+        ({"round": 3}, "unknown option 'round'"),
+        ({"velocity": -1.0}, "plan_motion: velocity is not positive"),
+        ({"velocity": [1.0, 1.0]}, r"plan_motion: velocity of shape \(2,\)"),
+        ({"velocity": "fast"}, "velocity: str that is no array of numbers"),
+        ({"velocity": np.inf}, "give acceleration="),
+        ({"acceleration": np.nan}, "plan_motion: acceleration is not positive"),
+        ({"options": GridOptions()}, "options is GridOptions.*; write a jaxik.planning.PlanOptions"),
+    ],
+)
+def test_mistakes_are_named(arm, change, said):
+    given = {"scene": POLES, "start": START, "goal": GOAL} | change
+    with pytest.raises(ValueError, match=said):
+        plan_motion(arm[0], **given)
+
+
+def test_trajectories_are_traced(arm):
+    moved = plan_motion(arm[0], POLES, START, GOAL).trajectory
+    moments = np.linspace(0.0, moved.duration, 7)
+    with jax.enable_x64(True):
+        states = jax.jit(jax.vmap(moved.at))(moments)
+        rates = jax.jit(jax.vmap(jax.jacfwd(lambda t: moved.at(t).q)))(moments[1:-1])
+    np.testing.assert_allclose(rates, states.velocity[1:-1], atol=1e-9)

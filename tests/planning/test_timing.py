@@ -1,0 +1,181 @@
+"""The fastest timing of a path: against toppra, what is known in closed form, and its limits at every moment."""
+
+import json
+
+import jax
+import numpy as np
+import pytest
+import toppra
+import toppra.algorithm
+import toppra.constraint
+from scipy.interpolate import CubicSpline
+
+from jaxik.planning import JointPath, polyline, save_trajectory, spline, time_optimal
+from jaxik.planning.trajectory import padded
+
+VELOCITY = np.array([1.0, 2.0, 0.5, 1.5, 3.0])
+ACCELERATION = np.array([4.0, 2.0, 6.0, 8.0, 3.0])
+
+
+def _paths(count, seed=0, waypoints=5, n=5):
+    rng = np.random.default_rng(seed)
+    return [rng.uniform(-2.0, 2.0, (waypoints, n)) for _ in range(count)]
+
+
+def _stacked(paths):
+    return jax.tree_util.tree_map(lambda *leaves: np.stack(leaves), *paths)
+
+
+def _row(moved, i):
+    return jax.tree_util.tree_map(lambda leaf: leaf[i], moved)
+
+
+def _dense(moved, between=23):
+    """States at many moments between all neighbouring ones of the timing."""
+    time = moved.time
+    moments = np.unique((time[:-1, None] + np.linspace(0.0, 1.0, between) * np.diff(time)[:, None]).ravel())
+    with jax.enable_x64(True):
+        return moments, jax.tree_util.tree_map(np.asarray, jax.jit(jax.vmap(moved.at))(moments))
+
+
+def test_as_fast_as_toppra():
+    """Which meets its limits at its grid alone, and may be a little faster for it."""
+    waypoints = _paths(4)
+    ours = time_optimal(_stacked([spline(w) for w in waypoints]), VELOCITY, ACCELERATION, places=800)
+    for i, points in enumerate(waypoints):
+        knots = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(points, axis=0), axis=1))])
+        limits = [
+            toppra.constraint.JointVelocityConstraint(np.stack([-VELOCITY, VELOCITY], axis=1)),
+            toppra.constraint.JointAccelerationConstraint(np.stack([-ACCELERATION, ACCELERATION], axis=1)),
+        ]
+        path, grid = toppra.SplineInterpolator(knots, points, bc_type="natural"), np.linspace(0.0, knots[-1], 801)
+        theirs = toppra.algorithm.TOPPRA(limits, path, gridpoints=grid, solver_wrapper="seidel").compute_trajectory(0, 0)
+        assert -1e-3 < ours.duration[i] / theirs.duration - 1.0 < 0.01
+
+
+@pytest.mark.parametrize("make", [spline, polyline])
+def test_limits_hold_at_every_moment(make):
+    moved = time_optimal(_stacked([make(w) for w in _paths(3, seed=1)]), VELOCITY, ACCELERATION, places=60)
+    for i in range(3):
+        moments, (q, velocity, acceleration) = _dense(_row(moved, i))
+        assert np.max(np.abs(velocity) / VELOCITY) <= 1.0 + 1e-9 and np.max(np.abs(acceleration) / ACCELERATION) <= 1.0 + 1e-9
+        np.testing.assert_allclose(velocity[[0, -1]], 0.0, atol=1e-6)
+        # each is the derivative of the one before
+        middle = 0.5 * (velocity[1:] + velocity[:-1])
+        np.testing.assert_allclose(np.diff(q, axis=0), middle * np.diff(moments)[:, None], atol=1e-6)
+
+
+def test_a_path_goes_through_its_waypoints():
+    points = _paths(1, seed=2)[0]
+    path = spline(points)
+    theirs = CubicSpline(np.concatenate([[0.0], np.cumsum(path.lengths)]), points, bc_type="natural")
+    s = np.linspace(0.0, path.lengths.sum(), 50)
+    with jax.enable_x64(True):
+        for ours, order in zip(jax.vmap(path.at)(s), range(3), strict=True):
+            np.testing.assert_allclose(ours, theirs(s, order), atol=1e-10)
+        np.testing.assert_allclose(jax.vmap(path.at)(np.concatenate([[0.0], np.cumsum(path.lengths)]))[0], points, atol=1e-12)
+
+
+@pytest.mark.parametrize(("length", "known"), [(1.0, 1.0 / 1.0 + 1.0 / 2.0), (0.125, 2.0 * np.sqrt(0.125 / 2.0))])
+def test_a_line_is_driven_as_everybody_knows(length, known):
+    """A trapezoid of velocity, or a triangle where it is too short for that."""
+    moved = time_optimal(polyline([[0.0, 0.0], [length, 0.5 * length]]), 1.0, 2.0)
+    assert moved.duration == pytest.approx(known, rel=1e-5)
+
+
+def test_corners_are_stopped_at():
+    moved = time_optimal(polyline([[0.0, 0.0], [1.0, 0.0], [1.0, 1.0]]), 1.0, 2.0)
+    assert moved.duration == pytest.approx(3.0, rel=1e-5)
+    corner = np.argmin(np.abs(moved.place - 1.0))
+    assert moved.speed[corner] == 0.0
+
+
+def test_what_has_no_length_takes_no_time():
+    path = spline(_paths(1)[0])
+    assert time_optimal(padded(path, 8), 1.0, 2.0, places=800).duration == pytest.approx(
+        float(time_optimal(path, 1.0, 2.0, places=400).duration), rel=1e-12
+    )
+    still = time_optimal(polyline([[1.0, 2.0], [1.0, 2.0]]), 1.0, 2.0)
+    assert still.duration == 0.0
+    np.testing.assert_array_equal(still.sample(0.01)[1].q, [[1.0, 2.0]])
+
+
+@pytest.mark.parametrize(("pieces", "places"), [(1, 1), (2, 1), (30, 20)])
+def test_every_line_takes_its_time_however_few_the_places(pieces, places):
+    """Between two stops a line needs places to speed up at, or it would be over in no time."""
+    moved = time_optimal(
+        polyline(np.arange(pieces + 1.0)[:, None] * [1.0, 0.0] + [[0.0, i % 2] for i in range(pieces + 1)]), 9.0, 2.0, places
+    )
+    assert moved.duration == pytest.approx(pieces * 2.0 * np.sqrt(1.0 / 2.0), rel=1e-5)
+
+
+def test_a_corner_is_stopped_at_where_a_piece_of_no_length_lies_on_it():
+    path = polyline([[0.0, 0.0], [1.0, 0.0], [1.0, 0.0], [1.0, 1.0]])
+    curve = path.coefficients.copy()
+    curve[1, 2] = curve[0, 2]  # its direction counts for nothing either
+    for each in (path, JointPath(path.lengths, curve)):
+        assert time_optimal(each, 1.0, 2.0).duration == pytest.approx(3.0, rel=1e-5)
+
+
+def test_rows_are_as_they_are_alone_and_a_bad_one_spoils_no_other():
+    paths = [spline(w) for w in _paths(3, seed=3)]
+    paths[1] = JointPath(paths[1].lengths * np.nan, paths[1].coefficients)
+    together = time_optimal(_stacked(paths), np.array([VELOCITY] * 3), ACCELERATION, places=40)
+    assert np.isnan(together.duration[1])
+    for i in (0, 2):
+        np.testing.assert_array_equal(together.time[i], time_optimal(paths[i], VELOCITY, ACCELERATION, places=40).time)
+    assert time_optimal(_stacked(paths[:1]), np.inf, ACCELERATION).duration < together.duration[0]
+    none = jax.tree_util.tree_map(lambda leaf: leaf[:0], _stacked(paths))
+    assert time_optimal(none, VELOCITY, ACCELERATION).time.shape[0] == 0
+
+
+def test_samples_end_with_the_motion_and_keep_the_limits():
+    moved = time_optimal(spline(_paths(1, seed=4)[0]), VELOCITY, ACCELERATION)
+    time, state = moved.sample(0.008)
+    assert moved.duration <= time[-1] < moved.duration + 0.008
+    np.testing.assert_allclose(np.diff(time), 0.008)
+    np.testing.assert_allclose(state.q[[0, -1]], [moved.at(0.0).q, moved.at(1e9).q], atol=1e-5)
+    assert np.all(np.abs(state.velocity) <= VELOCITY * (1 + 1e-9)) and np.all(
+        np.abs(state.acceleration) <= ACCELERATION * (1 + 1e-9)
+    )
+
+
+@pytest.mark.parametrize(
+    ("call", "said"),
+    [
+        (lambda: time_optimal(polyline([[0.0], [1.0]]), 0.0, 1.0), "velocity is not positive everywhere"),
+        (lambda: time_optimal(polyline([[0.0], [1.0]]), 1.0, np.inf), "acceleration is infinite"),
+        (lambda: time_optimal(polyline([[0.0], [1.0]]), [1.0, 1.0], 1.0), r"velocity of shape \(2,\); allowed: \(\), \(1,\)"),
+        (lambda: time_optimal("path", 1.0, 1.0), "path is path; write a jaxik.planning.JointPath"),
+        (lambda: polyline([[0.0, np.nan], [1.0, 0.0]]), "waypoints of shape"),
+        (lambda: spline([[0.0], [0.0], [1.0]]), "waypoints 0 and 1 are equal"),
+        (lambda: time_optimal(polyline([[0.0], [1.0]]), 1.0, 1.0).sample(0.0), "period is 0; it is above zero"),
+        (lambda: _stacked([polyline([[0.0], [1.0]])] * 2).at(0.1), r"JointPath.at: a stack of shape \(2,\)"),
+        (lambda: time_optimal(_stacked([polyline([[0.0], [1.0]])] * 2), 1.0, 1.0).at(0.1), "Trajectory.at: a stack of shape"),
+        (lambda: time_optimal(JointPath(np.ones(2), np.ones((2, 3, 4))), 1.0, 1.0), r"coefficients \(2, 3, 4\); allowed"),
+        (lambda: time_optimal(JointPath(np.ones(0), np.ones((0, 4, 3))), 1.0, 1.0), r"lengths \(0,\)"),
+        (lambda: time_optimal(JointPath(-np.ones(1), np.ones((1, 4, 3))), 1.0, 1.0), "length -1"),
+        (lambda: time_optimal(JointPath(np.full(1, np.nan), np.ones((1, 4, 3))), 1.0, 1.0).sample(0.1), "lasts nan s"),
+    ],
+)
+def test_mistakes_are_named(call, said):
+    with pytest.raises(ValueError, match=said):
+        call()
+
+
+def test_files_hold_what_was_sampled(tmp_path):
+    moved, names = time_optimal(spline(_paths(1, n=3)[0]), 1.0, 2.0), ["a", "b", "c"]
+    time, state = moved.sample(0.03)
+    table = np.genfromtxt(save_trajectory(tmp_path / "x.csv", moved, 0.03, names), delimiter=",", names=True)
+    np.testing.assert_array_equal(table["time"], time)
+    np.testing.assert_array_equal(table["velocity_b"], state.velocity[:, 1])
+    held = np.load(save_trajectory(tmp_path / "x.npz", moved, 0.03, names))
+    np.testing.assert_array_equal(held["acceleration"], state.acceleration)
+    message = json.loads(save_trajectory(tmp_path / "x.json", moved, 0.03, names).read_text())
+    assert message["joint_names"] == names and len(message["points"]) == len(time)
+    last = message["points"][-1]
+    assert last["positions"] == state.q[-1].tolist()
+    assert last["time_from_start"]["sec"] + 1e-9 * last["time_from_start"]["nanosec"] == pytest.approx(time[-1], abs=1e-9)
+    for file, given, said in (("x.txt", names, "allowed endings"), ("x.csv", names[:2], "2 joint_names of 3 joints")):
+        with pytest.raises(ValueError, match=said):
+            save_trajectory(tmp_path / file, moved, 0.03, given)
