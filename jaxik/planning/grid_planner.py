@@ -13,7 +13,7 @@ from jaxik.checks.arrays import check_known, numbers, shaped
 from jaxik.checks.options import as_count, changed, check_choices, check_finite, check_kind
 from jaxik.collision.clearances import check_geometry
 from jaxik.collision.scene import Scene
-from jaxik.planning.freedom import Freedom, judged
+from jaxik.planning.collision_checker import CollisionChecker, judged
 from jaxik.planning.grid_search import MOST, Grid, shortest
 from jaxik.reasons import Reason, Reasoned
 from jaxik.robot.chain import Chain, finite_limits
@@ -93,7 +93,7 @@ def plan_on_grid(
     check_known("plan_on_grid", start=start, goal=goal)
     options = changed("plan_on_grid", options or GridOptions(), changes)
     ends = np.stack([shaped(f"plan_on_grid: {k}", q, chain.lower.shape) for k, q in (("start", start), ("goal", goal))])
-    grid, space = _grid(chain, options), Freedom(chain, scene, options.margin)
+    grid, space = _grid(chain, options), CollisionChecker(chain, scene, options.margin)
     nodes = []
     for where, end in zip(("start", "goal"), ends, strict=True):
         verdict = Reason(int(judged(chain, space, end[None])[0]))

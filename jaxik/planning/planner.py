@@ -14,8 +14,8 @@ from jaxik.collision.clearances import check_geometry
 from jaxik.collision.scene import Scene
 from jaxik.collision.scene_builder import make_scene
 from jaxik.ik import IKOptions, solve_ik
-from jaxik.planning.freedom import Freedom, judged
-from jaxik.planning.rounding import rounded
+from jaxik.planning.collision_checker import CollisionChecker, judged
+from jaxik.planning.corner_blending import blended
 from jaxik.planning.shortcuts import shortened
 from jaxik.planning.timing import limits_of, time_optimal
 from jaxik.planning.trajectory import Trajectory, padded, polyline
@@ -122,7 +122,7 @@ def plan_motion(
             return Planned(Reason(int(found.reason)), "goal")
         goal = found.solutions[: int(found.num_solutions)]
     goals = _turned(chain, start, goal.reshape(-1, n), pose)
-    space = Freedom(chain, scene, options.margin)
+    space = CollisionChecker(chain, scene, options.margin)
     for where, postures in (("start", start[None]), ("goal", goals)):
         verdict = judged(chain, space, postures)
         if not (verdict == Reason.SOLVED).any():
@@ -135,7 +135,7 @@ def plan_motion(
     if not space.length(np.diff(waypoints, axis=0)).sum() > 0.0:
         path = polyline(waypoints)
     else:
-        path = rounded(space, waypoints)
+        path = blended(space, waypoints)
     path = padded(path, 2 ** max(2, int(np.ceil(np.log2(len(path.lengths))))))
     return Planned(Reason.SOLVED, "", waypoints, time_optimal(path, velocity, acceleration, options.places))
 
@@ -156,7 +156,9 @@ def _turned(chain: Chain, start: np.ndarray, goals: np.ndarray, pose: bool) -> n
         return np.where(endless | pose, nearest_turns(chain, goals, start, chain.lower, chain.upper), goals)
 
 
-def _way(chain: Chain, space: Freedom, start: np.ndarray, goals: np.ndarray, seed: int, rounds: int) -> np.ndarray | None:
+def _way(
+    chain: Chain, space: CollisionChecker, start: np.ndarray, goals: np.ndarray, seed: int, rounds: int
+) -> np.ndarray | None:
     """Waypoints that are proven, by attempts that look closer and closer."""
     if (same := (goals == start).all(axis=1)).any():
         return np.stack([start, goals[np.argmax(same)]])

@@ -6,13 +6,13 @@ import itertools
 
 import numpy as np
 
-from jaxik.planning.freedom import CLOSE, Freedom
+from jaxik.planning.collision_checker import CLOSE, CollisionChecker
 
 POINTS = 20  # of a way, between which lines are tried
 TURN = 1e-3  # [m] that a corner costs: of ways that are as long, the one with fewer
 
 
-def shortened(space: Freedom, way: np.ndarray, step: float, rounds: int = 3) -> np.ndarray | None:
+def shortened(space: CollisionChecker, way: np.ndarray, step: float, rounds: int = 3) -> np.ndarray | None:
     """Waypoints (k, n) between which all straight lines are proven free; None where no line out of a point is. What it begins
     with need not be proven; what it gives is."""
     proven: dict[bytes, bool] = {}
@@ -28,7 +28,7 @@ def shortened(space: Freedom, way: np.ndarray, step: float, rounds: int = 3) -> 
     return way
 
 
-def _points(space: Freedom, way: np.ndarray, apart: float) -> np.ndarray:
+def _points(space: CollisionChecker, way: np.ndarray, apart: float) -> np.ndarray:
     """The waypoints, and others between them, at most so far apart [m]."""
     counts = np.maximum(1, np.ceil(space.length(np.diff(way, axis=0)) / apart)).astype(int)
     parts = [
@@ -37,7 +37,7 @@ def _points(space: Freedom, way: np.ndarray, apart: float) -> np.ndarray:
     return np.concatenate([*parts, way[-1:]])
 
 
-def _shortest(space: Freedom, points: np.ndarray, step: float, proven: dict[bytes, bool]) -> np.ndarray | None:
+def _shortest(space: CollisionChecker, points: np.ndarray, step: float, proven: dict[bytes, bool]) -> np.ndarray | None:
     """By dynamic programming over lines that look free by samples; those on the way are then to be proven, and what is not is
     left out, until all are."""
     count = len(points)
@@ -71,7 +71,7 @@ def _shortest(space: Freedom, points: np.ndarray, step: float, proven: dict[byte
             lengths[a, b] = np.inf
 
 
-def _proven(space: Freedom, start: np.ndarray, end: np.ndarray) -> np.ndarray:
+def _proven(space: CollisionChecker, start: np.ndarray, end: np.ndarray) -> np.ndarray:
     """Which straight lines are; the others are looked at more closely, for a way may begin hardly beyond the margin."""
     found = space.proven(start, end)
     left = np.flatnonzero(~found)

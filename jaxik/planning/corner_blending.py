@@ -4,14 +4,14 @@ from __future__ import annotations
 
 import numpy as np
 
-from jaxik.planning.freedom import Freedom
+from jaxik.planning.collision_checker import CollisionChecker
 from jaxik.planning.trajectory import JointPath
 
 SHARES = 0.5 ** np.arange(1.0, 6.0)  # of the shorter line at a corner, at which its bend begins and ends
 CHORDS = 8
 
 
-def rounded(space: Freedom, waypoints: np.ndarray) -> JointPath:
+def blended(space: CollisionChecker, waypoints: np.ndarray) -> JointPath:
     """The lines between waypoints (k, n), each corner with the largest parabola of `SHARES` that is proven free, or as it is.
 
     A parabola lies no further from `CHORDS` chords between its points than `|a - 2 c + b| / (4 CHORDS^2)` in each joint, of its
@@ -35,7 +35,7 @@ def rounded(space: Freedom, waypoints: np.ndarray) -> JointPath:
     return JointPath(np.array(pieces), np.array(coefficients))
 
 
-def _shares(space: Freedom, waypoints: np.ndarray, along: np.ndarray, shorter: np.ndarray) -> np.ndarray:
+def _shares(space: CollisionChecker, waypoints: np.ndarray, along: np.ndarray, shorter: np.ndarray) -> np.ndarray:
     """How far from each inner waypoint its bend begins (k-2,), 0 of a corner that stays."""
     if not len(shorter):
         return shorter

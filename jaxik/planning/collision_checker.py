@@ -21,7 +21,7 @@ RESOLUTION = 1e-3  # [m] by which a motion must keep more than its margin to be 
 CLOSE = 1e-5  # [m] likewise, where that proves nothing; float32 allows no less
 
 
-class Freedom:
+class CollisionChecker:
     """Of one robot in one scene, with `margin` [m]; by samples it asks for a `cushion` [m] more, so that what looks free mostly
     is. Rows of configurations are NumPy arrays (b, n).
 
@@ -62,7 +62,7 @@ class Freedom:
         return ~in_blocks(_moves(self.chain), start, end, margins, fixed=fixed, double=False)[0]
 
 
-def judged(chain: Chain, space: Freedom, postures: np.ndarray) -> np.ndarray:
+def judged(chain: Chain, space: CollisionChecker, postures: np.ndarray) -> np.ndarray:
     """The reason of each posture (b, n); at the limits what float32 makes of them counts as inside."""
     near = 1e-6 * (1.0 + np.abs(postures))
     inside = ((postures >= chain.lower - near) & (postures <= chain.upper + near)).all(axis=1)
