@@ -15,6 +15,8 @@ Ignored = Annotated[tuple[str, ...], tyro.conf.arg(metavar="[LINK|LINK:OTHER]...
 
 @dataclasses.dataclass(kw_only=True)
 class RobotArguments:
+    """Which chain of a robot's file, where the joints beside it are held, and what is not checked."""
+
     tip: str | None = None
     """The link at the tip, which goes to the targets; needed where the robot has several."""
     base: str | None = None

@@ -42,6 +42,7 @@ def numbers(path: Path, where: str, element: Element | None, key: str, default: 
 
 
 def number(path: Path, where: str, element: Element | None, key: str, default: str | None) -> float:
+    """Attribute `key` as one finite number, or the default."""
     return float(numbers(path, where, element, key, default, 1)[0])
 
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import functools
 from typing import Any
 
 import jax
@@ -14,8 +13,8 @@ from jaxik.collision.continuous_collision import joint_reaches, motion_collides_
 from jaxik.collision.scene import Scene
 from jaxik.reasons import Reason
 from jaxik.robot.chain import Chain
-from jaxik.spmd import HostKernel
 from jaxik.spmd.batch import in_blocks
+from jaxik.spmd.host import host_kernels
 
 RESOLUTION = 1e-3  # [m] by which a motion must keep more than its margin to be proven free
 CLOSE = 1e-5  # [m] likewise, where that proves nothing; float32 allows no less
@@ -32,7 +31,6 @@ class CollisionChecker:
         self.obstacles = jax.tree_util.tree_map(np.asarray, grouped(scene, chain))
         self.size = np.float32(size_of(scene))
         self.weights = joint_reaches(chain)
-        self.asked = 0  # configurations, so far
 
     def length(self, moved: np.ndarray) -> np.ndarray:
         """Of differences (..., n) between configurations [m]."""
@@ -40,7 +38,6 @@ class CollisionChecker:
 
     def hits(self, q: np.ndarray, cushion: Any = 0.0) -> np.ndarray:
         """Which configurations come nearer than the margin, and a cushion [m] beyond it."""
-        self.asked += len(q)
         return in_blocks(_hits(self.chain), q, fixed=(self.margin + np.float32(cushion), self.obstacles), double=False)[0]
 
     def free_part(self, start: np.ndarray, end: np.ndarray, step: float) -> np.ndarray:
@@ -70,11 +67,9 @@ def judged(chain: Chain, space: CollisionChecker, postures: np.ndarray) -> np.nd
     return np.where(np.isfinite(postures).all(axis=1), reason, Reason.INVALID)
 
 
-@functools.lru_cache(maxsize=64)
-def _hits(chain: Chain) -> HostKernel:
-    return HostKernel(lambda q, margin, obstacles: collides(chain, obstacles, q, margin), 1)
+@host_kernels(1)
+def _hits(chain: Chain, q: Any, margin: Any, obstacles: Any) -> Any:
+    return collides(chain, obstacles, q, margin)
 
 
-@functools.lru_cache(maxsize=64)
-def _moves(chain: Chain) -> HostKernel:
-    return HostKernel(functools.partial(motion_collides_within, chain), 3)
+_moves = host_kernels(3)(motion_collides_within)

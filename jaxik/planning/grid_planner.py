@@ -7,7 +7,6 @@ import math
 from typing import Any, Literal
 
 import numpy as np
-from jaxtyping import Float
 
 from jaxik.checks.arrays import check_known, numbers, shaped
 from jaxik.checks.options import as_count, changed, check_choices, check_finite, check_kind
@@ -15,7 +14,8 @@ from jaxik.collision.clearances import check_geometry
 from jaxik.collision.scene import Scene
 from jaxik.planning.collision_checker import CollisionChecker, judged
 from jaxik.planning.grid_search import MOST, Grid, shortest
-from jaxik.reasons import Reason, Reasoned
+from jaxik.planning.outcome import Outcome
+from jaxik.reasons import Reason
 from jaxik.robot.chain import Chain, finite_limits
 
 FIVE_DEGREES = math.radians(5.0)  # the paper's
@@ -56,19 +56,13 @@ class GridOptions:
 
 
 @dataclasses.dataclass(frozen=True)
-class GridPlanned(Reasoned):
-    """What became of a search: its reason, and where that is, "start" or "goal" ("" of the way); the waypoints (k, n), None
-    without a way, and the length of the way over the grid [rad, m]; how many nodes were expanded, and how many judged."""
+class GridPlanned(Outcome):
+    """What became of a search: the length of the way over the grid [rad, m]; how many nodes were expanded, and how many
+    judged."""
 
-    reason: Reason
-    where: str = ""
-    waypoints: Float[np.ndarray, "k n"] | None = None
     length: float = np.inf
     expanded: int = 0
     judged: int = 0
-
-    def __bool__(self) -> bool:
-        return bool(self.success)
 
 
 def plan_on_grid(

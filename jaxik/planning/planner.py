@@ -6,7 +6,6 @@ import dataclasses
 from typing import Any
 
 import numpy as np
-from jaxtyping import Float
 
 from jaxik.checks.arrays import check_known, is_rigid, numbers
 from jaxik.checks.options import as_count, changed, check_finite, check_kind, check_seed
@@ -16,11 +15,12 @@ from jaxik.collision.scene_builder import make_scene
 from jaxik.ik import IKOptions, solve_ik
 from jaxik.planning.collision_checker import CollisionChecker, judged
 from jaxik.planning.corner_blending import blended
+from jaxik.planning.outcome import Outcome
 from jaxik.planning.shortcuts import shortened
 from jaxik.planning.timing import limits_of, time_optimal
 from jaxik.planning.trajectory import Trajectory, padded, polyline
 from jaxik.planning.tree_search import connected
-from jaxik.reasons import Reason, Reasoned
+from jaxik.reasons import Reason
 from jaxik.robot.chain import Chain, finite_limits
 from jaxik.robot.joint_turns import nearest_turns
 from jaxik.robot.task import POSE, Task
@@ -56,22 +56,11 @@ class PlanOptions:
 
 
 @dataclasses.dataclass(frozen=True)
-class Planned(Reasoned):
-    """What became of a motion: its reason, and where that is, "start" or "goal" ("" of the way between); and where it is solved
-    its waypoints (k, n), between which the straight lines are proven free as well, and its trajectory, else None."""
+class Planned(Outcome):
+    """What became of a motion: between its waypoints the straight lines are proven free as well; and where it is solved its
+    trajectory, else None."""
 
-    reason: Reason
-    where: str = ""
-    waypoints: Float[np.ndarray, "k n"] | None = None
     trajectory: Trajectory | None = None
-
-    @property
-    def why(self) -> str:
-        """The reason in words, and where."""
-        return f"{self.where}: {self.reasons}" if self.where else self.reasons
-
-    def __bool__(self) -> bool:
-        return bool(self.success)
 
 
 def plan_motion(

@@ -23,7 +23,7 @@ class Space(Protocol):
 
 @dataclasses.dataclass
 class _Tree:
-    """Nodes (m, n), each with the number of the one before it, -1 of a root, and the same scaled, as lengths are measured."""
+    """Nodes (m, n), each with the number of the one before it, -1 of a root; `weights` (n,) are those of lengths."""
 
     nodes: np.ndarray
     before: np.ndarray
@@ -34,7 +34,7 @@ class _Tree:
         ours, theirs = self.nodes * self.weights, points * self.weights
         return np.argmin(np.sum(ours * ours, axis=1) - 2.0 * theirs @ ours.T, axis=1)
 
-    def grown(self, nodes: np.ndarray, before: np.ndarray) -> None:
+    def grow(self, nodes: np.ndarray, before: np.ndarray) -> None:
         self.nodes = np.concatenate([self.nodes, nodes])
         self.before = np.concatenate([self.before, before])
 
@@ -73,7 +73,8 @@ def connected(
         before = ours.nearest(samples)
         toward = samples - ours.nodes[before]
         toward *= np.minimum(1.0, reach * step / np.maximum(space.length(toward), 1e-12))[:, None]
-        new, before = _grown(space, ours, before, ours.nodes[before] + toward, step)
+        ends = ours.nodes[before] + toward
+        new = _grown(space, ours, before, space.free_part(ours.nodes[before], ends, step), ends, step)
         if not len(new):
             continue
         first = len(ours.nodes) - len(new)
@@ -83,21 +84,14 @@ def connected(
             joined = int(np.argmin(np.where(part == 1.0, space.length(new - other.nodes[near]), np.inf)))
             way = ours.way(first + joined)[::-1] + other.way(int(near[joined]))
             return np.array(way if number % 2 == 0 else way[::-1])
-        _kept(space, other, near, part, new, step)
+        _grown(space, other, near, part, new, step)
     return None
 
 
-def _grown(space: Space, tree: _Tree, before: np.ndarray, ends: np.ndarray, step: float) -> tuple[np.ndarray, np.ndarray]:
-    """What a tree has grown from some nodes towards ends."""
-    return _kept(space, tree, before, space.free_part(tree.nodes[before], ends, step), ends, step)
-
-
-def _kept(
-    space: Space, tree: _Tree, before: np.ndarray, part: np.ndarray, ends: np.ndarray, step: float
-) -> tuple[np.ndarray, np.ndarray]:
-    """The free parts of edges from some nodes, added to their tree where they are a step long."""
+def _grown(space: Space, tree: _Tree, before: np.ndarray, part: np.ndarray, ends: np.ndarray, step: float) -> np.ndarray:
+    """What is added to a tree: the free parts of edges from some of its nodes, where they are a step long."""
     moved = part[:, None] * (ends - tree.nodes[before])
     long = space.length(moved) > 0.99 * step
-    new, before = (tree.nodes[before] + moved)[long], before[long]
-    tree.grown(new, before)
-    return new, before
+    new = (tree.nodes[before] + moved)[long]
+    tree.grow(new, before[long])
+    return new

@@ -28,6 +28,7 @@ def variant_name(index: tuple[int, ...]) -> str:
 
 
 def read_shapes(table: Table) -> list[tuple[str, np.ndarray]]:
+    """The parameters of a study that vary the robot, each with its values."""
     row = table.table("parameters")
     nested = row.content  # TOML reads joint.upper = ... as a table in a table
     flat = {f"{k}.{w}": v for k, inner in nested.items() if isinstance(inner, dict) for w, v in inner.items()}

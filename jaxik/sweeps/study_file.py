@@ -35,6 +35,7 @@ KEYS = (
 
 
 def read_study(table: Table, folder: Path) -> Study:
+    """The study that a table describes; files that it names lie in `folder`."""
     given = table.content
     table.only(KEYS)
     table.asked.update(("robot", "robots"))
