@@ -2,6 +2,7 @@
 
 from jaxik.planning.grid_planner import GridOptions, GridPlanned, plan_on_grid
 from jaxik.planning.planner import Planned, PlannedMotions, PlanOptions, plan_motion, plan_motions
+from jaxik.planning.profiles import quintic, s_curve, trapezoidal
 from jaxik.planning.timing import time_optimal
 from jaxik.planning.trajectory import JointPath, JointState, Trajectory, polyline, spline
 from jaxik.planning.trajectory_files import save_trajectory
@@ -19,7 +20,10 @@ __all__ = [
     "plan_motions",
     "plan_on_grid",
     "polyline",
+    "quintic",
+    "s_curve",
     "save_trajectory",
     "spline",
     "time_optimal",
+    "trapezoidal",
 ]
