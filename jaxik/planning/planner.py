@@ -45,7 +45,7 @@ class PlanOptions:
     margin: float = 0.0
     velocity: Any = None
     acceleration: Any = None
-    rounds: int = 1000
+    rounds: int = 500
     timeout: float | None = None
     task: Task = POSE
     postures: int = 8

@@ -94,7 +94,9 @@ def _from_rest_to_rest(who: str, waypoints: Any, velocity: Any, acceleration: An
     curves = _integrated(phases, greatest)[..., None] * steps
     curves[..., -1, :] += points[:, :-1, None]
     pieces = len(points), 7 * (points.shape[1] - 1)
-    return _trajectory(who, curves.reshape(*pieces, 4, points.shape[2]), phases.reshape(pieces), np.ones(len(points)), asked, single)
+    return _trajectory(
+        who, curves.reshape(*pieces, 4, points.shape[2]), phases.reshape(pieces), np.ones(len(points)), asked, single
+    )
 
 
 def _double_s(velocity: np.ndarray, acceleration: np.ndarray, jerk: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
