@@ -70,8 +70,7 @@ class CollisionChecker:
 
 
 def judged(chain: Chain, space: CollisionChecker, postures: np.ndarray) -> np.ndarray:
-    """The reason of each posture (b, n): what is beyond the limits is not asked whether it collides, too; at them what float32
-    makes of them counts as inside."""
+    """The reason of each posture (b, n), LIMITS before COLLISION; at the limits what float32 makes of them counts as inside."""
     near = 1e-6 * (1.0 + np.abs(postures))
     inside = ((postures >= chain.lower - near) & (postures <= chain.upper + near)).all(axis=1)
     reason = np.where(~inside, Reason.LIMITS, np.where(space.hits(postures), Reason.COLLISION, Reason.SOLVED))

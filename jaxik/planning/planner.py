@@ -36,7 +36,7 @@ class PlanOptions:
 
     margin: least clearance on the way [m].
     velocity, acceleration: limits (n,), or one number [rad, m and s]; None is the chain's velocity, and four times it a second.
-    rounds: of the search for a way, in each of four attempts, each with finer samples; a round tries 32 edges.
+    rounds: of the search for a way, in each of four attempts, each with finer samples, begun anew twice; one tries 32 edges.
     timeout: of that search, for one problem [s]; None is no other limit than the rounds, so that `seed` alone decides.
     task, postures: what a pose as the goal binds, and how many postures that have it the search may choose from.
     places: at which the speed is chosen (`time_optimal`).
@@ -63,8 +63,8 @@ class PlanOptions:
 @dataclasses.dataclass(frozen=True)
 class Planned(Outcome):
     """What became of a motion: between its waypoints the straight lines are proven free as well; and where it is solved its
-    trajectory, else None. `rounds` of search were taken, 0 where the straight line is free, and `checked` configurations asked
-    whether they collide."""
+    trajectory, else None. `rounds` of search were taken, and `checked` configurations asked whether they collide; none
+    where the straight line is free."""
 
     trajectory: Trajectory | None = None
     rounds: int = 0
@@ -95,6 +95,10 @@ class PlannedMotions(Reasoned):
 
     def __getitem__(self, row: int) -> Planned:
         return self.rows[row]
+
+    def __bool__(self) -> bool:
+        """Raises `ValueError`."""
+        raise ValueError(f"the truth of {len(self)} motions is not one answer; ask success.all() or success.any()")
 
 
 def plan_motion(

@@ -78,6 +78,8 @@ def _smoothest(times: np.ndarray, points: np.ndarray, limits: list[np.ndarray]) 
     pieces = np.stack([spline.derivative(k)(knots[:-1]) / math.factorial(k) for k in range(5, -1, -1)])
     motion, slower = PPoly(pieces, knots), 0.0
     for order, limit in enumerate(limits, 1):
+        if np.isinf(limit).all():
+            continue
         rate, extremes = motion.derivative(order), motion.derivative(order + 1).roots(extrapolate=False)
         for joint, (roots, most) in enumerate(zip(extremes, limit, strict=True)):
             greatest = np.max(np.abs(rate(np.concatenate([knots, roots[np.isfinite(roots)]]))[:, joint]))

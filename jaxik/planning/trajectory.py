@@ -173,5 +173,5 @@ def padded(path: JointPath, pieces: int) -> JointPath:
     """The path with pieces of no length after its own, `pieces` in all: so that programs are few."""
     more = pieces - len(path.lengths)
     last = np.zeros((1, *np.shape(path.coefficients)[1:]))
-    last[0, 3] = _along(np, path, np.float64(np.sum(path.lengths)))[0]
+    last[0, -1] = _along(np, path, np.float64(np.sum(path.lengths)))[0]
     return JointPath(np.pad(path.lengths, (0, more)), np.concatenate([path.coefficients, np.repeat(last, more, axis=0)]))

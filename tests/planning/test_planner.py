@@ -150,7 +150,7 @@ def test_no_way_is_not_converged(arm):
 
 def test_what_is_walled_in_is_given_up_early(arm):
     moved = plan_motion(arm[0], ENCLOSED, [0.0, 0.0, 0.0], [0.0, 0.0, 3.1])
-    assert moved.why == "not converged" and moved.rounds < 2000  # of four thousand
+    assert moved.why == "not converged" and moved.rounds < 2000  # which are all
     assert plan_motion(arm[0], POLES, START, GOAL, timeout=0.0).rounds == 0
     assert plan_motion(arm[0], POLES, START, GOAL, timeout=9.0).rounds > 0
 
@@ -164,6 +164,8 @@ def test_many_are_as_each_is_alone(arm):
     assert moved.why == ("solved",) * 4 + ("goal: limits", "start: invalid", "start: collision")
     assert len(moved) == 7 and moved.counts()["solved"] == 4 and moved.success.tolist() == [True] * 4 + [False] * 3
     assert moved[0].rounds == 0 < moved[1].rounds
+    with pytest.raises(ValueError, match="the truth of 7 motions is not one answer"):
+        bool(moved)
     for each, start, goal in zip(moved, starts, goals, strict=True):
         alone = plan_motion(chain, POLES, start, goal)
         assert (each.why, each.rounds, each.checked) == (alone.why, alone.rounds, alone.checked)
