@@ -39,6 +39,8 @@ class PlanArguments(RobotArguments):
     """Between samples of the file [s]."""
     rounds: int = jaxik.planning.PlanOptions().rounds
     """Of the search, before it is given up."""
+    timeout: float | None = None
+    """Of the search [s]; none unless given."""
     seed: int = 0
     """Another number, another (deterministic) search."""
     out: Path = Path("motion.csv")

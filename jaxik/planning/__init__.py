@@ -1,7 +1,8 @@
 """From postures to motions: paths through the space of joints, free of collision, and their timing."""
 
 from jaxik.planning.grid_planner import GridOptions, GridPlanned, plan_on_grid
-from jaxik.planning.planner import Planned, PlanOptions, plan_motion
+from jaxik.planning.planner import Planned, PlannedMotions, PlanOptions, plan_motion, plan_motions
+from jaxik.planning.profiles import quintic, s_curve, trapezoidal
 from jaxik.planning.timing import time_optimal
 from jaxik.planning.trajectory import JointPath, JointState, Trajectory, polyline, spline
 from jaxik.planning.trajectory_files import save_trajectory
@@ -13,11 +14,16 @@ __all__ = [
     "JointState",
     "PlanOptions",
     "Planned",
+    "PlannedMotions",
     "Trajectory",
     "plan_motion",
+    "plan_motions",
     "plan_on_grid",
     "polyline",
+    "quintic",
+    "s_curve",
     "save_trajectory",
     "spline",
     "time_optimal",
+    "trapezoidal",
 ]

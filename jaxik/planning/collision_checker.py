@@ -24,13 +24,15 @@ class CollisionChecker:
     """Of one robot in one scene, with `margin` [m]; by samples it asks for a `cushion` [m] more, so that what looks free mostly
     is. Rows of configurations are NumPy arrays (b, n).
 
-    `weights` (n,) are how far a joint's unit moves the robot at most [m]: distances between configurations are measured so."""
+    `weights` (n,) are how far a joint's unit moves the robot at most [m]: distances between configurations are measured so.
+    `checked` counts the configurations that were asked for."""
 
     def __init__(self, chain: Chain, scene: Scene | None, margin: float, cushion: float = 0.0):
         self.chain, self.margin, self.cushion = chain, np.float32(margin), np.float32(cushion)
         self.obstacles = jax.tree_util.tree_map(np.asarray, grouped(scene, chain))
         self.size = np.float32(size_of(scene))
         self.weights = joint_reaches(chain)
+        self.checked = 0
 
     def length(self, moved: np.ndarray) -> np.ndarray:
         """Of differences (..., n) between configurations [m]."""
@@ -38,6 +40,7 @@ class CollisionChecker:
 
     def hits(self, q: np.ndarray, cushion: Any = 0.0) -> np.ndarray:
         """Which configurations come nearer than the margin, and a cushion [m] beyond it."""
+        self.checked += len(q)
         return in_blocks(_hits(self.chain), q, fixed=(self.margin + np.float32(cushion), self.obstacles), double=False)[0]
 
     def free_part(self, start: np.ndarray, end: np.ndarray, step: float) -> np.ndarray:
@@ -58,12 +61,19 @@ class CollisionChecker:
         fixed = np.float32(resolution), self.size, self.obstacles
         return ~in_blocks(_moves(self.chain), start, end, margins, fixed=fixed, double=False)[0]
 
+    def proven_closely(self, start: np.ndarray, end: np.ndarray) -> np.ndarray:
+        """Likewise; those that are not are looked at more closely, for a way may begin hardly beyond the margin."""
+        found = self.proven(start, end)
+        left = np.flatnonzero(~found)
+        found[left] = self.proven(start[left], end[left], resolution=CLOSE)
+        return found
+
 
 def judged(chain: Chain, space: CollisionChecker, postures: np.ndarray) -> np.ndarray:
-    """The reason of each posture (b, n); at the limits what float32 makes of them counts as inside."""
+    """The reason of each posture (b, n), LIMITS before COLLISION; at the limits what float32 makes of them counts as inside."""
     near = 1e-6 * (1.0 + np.abs(postures))
     inside = ((postures >= chain.lower - near) & (postures <= chain.upper + near)).all(axis=1)
-    reason = np.where(space.hits(postures), Reason.COLLISION, np.where(inside, Reason.SOLVED, Reason.LIMITS))
+    reason = np.where(~inside, Reason.LIMITS, np.where(space.hits(postures), Reason.COLLISION, Reason.SOLVED))
     return np.where(np.isfinite(postures).all(axis=1), reason, Reason.INVALID)
 
 

@@ -6,7 +6,7 @@ import itertools
 
 import numpy as np
 
-from jaxik.planning.collision_checker import CLOSE, CollisionChecker
+from jaxik.planning.collision_checker import CollisionChecker
 
 POINTS = 20  # of a way, between which lines are tried
 TURN = 1e-3  # [m] that a corner costs: of ways that are as long, the one with fewer
@@ -63,17 +63,11 @@ def _shortest(space: CollisionChecker, points: np.ndarray, step: float, proven: 
         unknown = [edge for edge in edges if edge[2] not in proven]
         if unknown:
             ends = points[[edge[:2] for edge in unknown]]
-            proven.update(zip([edge[2] for edge in unknown], _proven(space, ends[:, 0], ends[:, 1]).tolist(), strict=True))
+            proven.update(
+                zip([edge[2] for edge in unknown], space.proven_closely(ends[:, 0], ends[:, 1]).tolist(), strict=True)
+            )
         wrong = [edge for edge in edges if not proven[edge[2]]]
         if not wrong:
             return points[way]
         for a, b, _ in wrong:
             lengths[a, b] = np.inf
-
-
-def _proven(space: CollisionChecker, start: np.ndarray, end: np.ndarray) -> np.ndarray:
-    """Which straight lines are; the others are looked at more closely, for a way may begin hardly beyond the margin."""
-    found = space.proven(start, end)
-    left = np.flatnonzero(~found)
-    found[left] = space.proven(start[left], end[left], resolution=CLOSE)
-    return found

@@ -69,15 +69,19 @@ def _arrays(path: JointPath) -> tuple[np.ndarray, np.ndarray]:
 
 def limits_of(who: str, velocity: Any, acceleration: Any, shape: tuple[int, int]) -> tuple[np.ndarray, np.ndarray]:
     """Both in (N, n), each from one number, one a joint, or rows of these. Raises `ValueError` of `who`."""
-    rows = []
-    for name, given in (("velocity", velocity), ("acceleration", acceleration)):
-        limit = numbers(f"{who}: {name}", given)
-        try:
-            rows.append(np.broadcast_to(limit, shape))
-        except ValueError:
-            raise ValueError(f"{who}: {name} of shape {limit.shape}; allowed: (), {shape[1:]} or {shape}") from None
-        if not (limit > 0.0).all():
-            raise ValueError(f"{who}: {name} is not positive everywhere; give positive numbers [rad, m and s]")
-    if not np.isfinite(rows[1]).all():
+    both = limit_of(who, "velocity", velocity, shape), limit_of(who, "acceleration", acceleration, shape)
+    if not np.isfinite(both[1]).all():
         raise ValueError(f"{who}: acceleration is infinite; give finite numbers [rad/s2, m/s2]")
-    return rows[0], rows[1]
+    return both
+
+
+def limit_of(who: str, name: str, given: Any, shape: tuple[int, int]) -> np.ndarray:
+    """Likewise, one of them."""
+    limit = numbers(f"{who}: {name}", given)
+    try:
+        rows = np.broadcast_to(limit, shape)
+    except ValueError:
+        raise ValueError(f"{who}: {name} of shape {limit.shape}; allowed: (), {shape[1:]} or {shape}") from None
+    if not (limit > 0.0).all():
+        raise ValueError(f"{who}: {name} is not positive everywhere; give positive numbers [rad, m and s]")
+    return rows

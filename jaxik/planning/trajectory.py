@@ -1,7 +1,7 @@
 """Ways through the space of joints, and their timing.
 
-A `JointPath` says where: cubic polynomials q(s), piece by piece. A `Trajectory` says when: s over time t, whose second
-derivative is constant between neighbouring instants, so that
+A `JointPath` says where: polynomials q(s), piece by piece. A `Trajectory` says when: s over time t, whose second derivative is
+constant between neighbouring instants, so that
 
     qdot = q' sdot,   qddot = q'' sdot^2 + q' sddot
 
@@ -22,6 +22,8 @@ from jaxik.checks.options import check_finite
 from jaxik.pytree import Pytree
 from jaxik.robot.chain import Array
 
+SLOWEST = 0.1  # [s] between samples, that a controller may want of a motion that is over sooner
+
 
 class JointState(NamedTuple):
     """Joint values, rates and accelerations (..., n) [rad, m and s]."""
@@ -33,10 +35,11 @@ class JointState(NamedTuple):
 
 class JointPath(Pytree):
     """Pieces of length `lengths` (k,); `coefficients` (k, 4, n) of each, of the highest power first, by the way since its
-    beginning. A piece of no length counts for nothing, so that paths of as many pieces as others stack."""
+    beginning. A piece of no length counts for nothing, so that paths of as many pieces as others stack. Quintics have six
+    coefficients in the place of four; they are for `Trajectory` alone."""
 
     lengths: Float[Array, "*batch k"]
-    coefficients: Float[Array, "*batch k 4 n"]
+    coefficients: Float[Array, "*batch k c n"]
 
     def at(self, s: Any) -> Any:
         """q, q' and q'' (..., n) at s (...), from 0 to the sum of the lengths. Traced; `vmap` it over a stack."""
@@ -70,7 +73,8 @@ class Trajectory(Pytree):
         """Times (i,) and states (i, n) as a controller takes them, one a `period` [s], the last at the end. Host.
 
         The motion is slowed down, by less than a period in all, so that it ends with one: its limits hold for the samples, too.
-        Raises `ValueError` for a batch, for a period that is no positive number, and for a timing that is NaN.
+        Raises `ValueError` for a batch, for a period that is no positive number, or longer than the motion and `SLOWEST`, and
+        for a timing that is NaN.
         """
         _check_one("Trajectory.sample", self.time)
         check_finite("sample", period=period)
@@ -79,6 +83,8 @@ class Trajectory(Pytree):
         whole = jax.tree_util.tree_map(lambda x: np.asarray(x, np.float64), self)
         if not np.isfinite(whole.duration):
             raise ValueError(f"sample: the trajectory lasts {whole.duration} s; its path or its limits were no finite numbers")
+        if period > max(SLOWEST, whole.duration):
+            raise ValueError(f"sample: period is {period:g} s, and the motion lasts {whole.duration:.3g} s; give seconds")
         steps = int(np.ceil(whole.duration / period - 1e-9))
         slower = steps * period / whole.duration if steps else 1.0
         time = period * np.arange(steps + 1)
@@ -105,8 +111,12 @@ def _within(xp: Any, path: Any, piece: Any, s: Any) -> Any:
     lengths = xp.asarray(path.lengths)
     c = xp.asarray(path.coefficients)[piece]
     x = xp.clip(s - (xp.cumsum(lengths)[piece] - lengths[piece]), 0.0, lengths[piece])[..., None]
-    a, b, c, d = (c[..., i, :] for i in range(4))
-    return ((a * x + b) * x + c) * x + d, (3.0 * a * x + 2.0 * b) * x + c, 6.0 * a * x + 2.0 * b
+    q, slope, half_bend = c[..., 0, :], 0.0 * x, 0.0 * x
+    for i in range(1, c.shape[-2]):  # Horner's scheme, and its derivatives
+        half_bend = half_bend * x + slope
+        slope = slope * x + q
+        q = q * x + c[..., i, :]
+    return q, slope, 2.0 * half_bend
 
 
 def _state(xp: Any, moved: Any, t: Any) -> JointState:
@@ -163,5 +173,5 @@ def padded(path: JointPath, pieces: int) -> JointPath:
     """The path with pieces of no length after its own, `pieces` in all: so that programs are few."""
     more = pieces - len(path.lengths)
     last = np.zeros((1, *np.shape(path.coefficients)[1:]))
-    last[0, 3] = _along(np, path, np.float64(np.sum(path.lengths)))[0]
+    last[0, -1] = _along(np, path, np.float64(np.sum(path.lengths)))[0]
     return JointPath(np.pad(path.lengths, (0, more)), np.concatenate([path.coefficients, np.repeat(last, more, axis=0)]))

@@ -7,10 +7,14 @@ they change roles. So a call asks for a thousand configurations, which is what v
 
 from __future__ import annotations
 
-import dataclasses
+import math
+import time
 from typing import Protocol
 
 import numpy as np
+
+PATIENCE = 30  # rounds that add nothing to a tree, before it counts as walled in
+UNLIKE = 10  # times as many nodes as the other tree has
 
 
 class Space(Protocol):
@@ -21,29 +25,53 @@ class Space(Protocol):
     def free_part(self, start: np.ndarray, end: np.ndarray, step: float) -> np.ndarray: ...
 
 
-@dataclasses.dataclass
-class _Tree:
-    """Nodes (m, n), each with the number of the one before it, -1 of a root; `weights` (n,) are those of lengths."""
+class Budget:
+    """What a search may take and has taken: rounds, and the time [s] that is left; None is as long as it likes."""
 
-    nodes: np.ndarray
-    before: np.ndarray
-    weights: np.ndarray
+    def __init__(self, seconds: float | None = None):
+        self.rounds, self.end = 0, math.inf if seconds is None else time.monotonic() + seconds
+
+    @property
+    def spent(self) -> bool:
+        return time.monotonic() > self.end
+
+
+class _Tree:
+    """Nodes (m, n), each with the number of the one before it, -1 of a root; `weights` (n,) are those of lengths. Its arrays
+    double, and what `nearest` multiplies is kept: a search that finds nothing has many thousand nodes."""
+
+    def __init__(self, roots: np.ndarray, weights: np.ndarray):
+        self.count, self.idle, self.weights = 0, 0, weights
+        self._nodes, self._before = np.empty((0, roots.shape[1])), np.empty(0, int)
+        self._terms = np.empty((roots.shape[1] + 1, 0), np.float32)  # -2 w x and |w x|^2 of each node x
+        self.grow(roots, np.full(len(roots), -1))
+
+    @property
+    def nodes(self) -> np.ndarray:
+        return self._nodes[: self.count]
 
     def nearest(self, points: np.ndarray) -> np.ndarray:
-        """The number of the node that is nearest to each point."""
-        ours, theirs = self.nodes * self.weights, points * self.weights
-        return np.argmin(np.sum(ours * ours, axis=1) - 2.0 * theirs @ ours.T, axis=1)
+        """The number of the node that is nearest to each point, as float32 has it."""
+        terms = np.column_stack([points * self.weights, np.ones(len(points))]).astype(np.float32)
+        return np.argmin(terms @ self._terms[:, : self.count], axis=1)
 
     def grow(self, nodes: np.ndarray, before: np.ndarray) -> None:
-        self.nodes = np.concatenate([self.nodes, nodes])
-        self.before = np.concatenate([self.before, before])
+        first, self.count = self.count, self.count + len(nodes)
+        if self.count > len(self._nodes):
+            more = 2 * self.count - len(self._nodes)
+            self._nodes, self._before = np.pad(self._nodes, ((0, more), (0, 0))), np.pad(self._before, (0, more))
+            self._terms = np.pad(self._terms, ((0, 0), (0, more)))
+        new, scaled = slice(first, self.count), nodes * self.weights
+        self._nodes[new], self._before[new] = nodes, before
+        self._terms[:, new] = np.column_stack([-2.0 * scaled, np.sum(scaled * scaled, axis=1)]).T
+        self.idle = 0 if len(nodes) else self.idle
 
     def way(self, node: int) -> list[np.ndarray]:
         """From a node back to its root."""
         found = []
         while node >= 0:
-            found.append(self.nodes[node])
-            node = int(self.before[node])
+            found.append(self._nodes[node])
+            node = int(self._before[node])
         return found
 
 
@@ -55,20 +83,22 @@ def connected(
     bounds: tuple[np.ndarray, np.ndarray],
     step: float,
     rounds: int,
+    budget: Budget,
     rng: np.random.Generator,
     batch: int = 32,
     reach: float = 20.0,
 ) -> np.ndarray | None:
-    """Waypoints (k, n) from one of the starts (s, n) to one of the goals (g, n), or None after so many rounds of `batch`
-    samples from within the bounds; an edge is at most `reach` steps long. Straight ways from start to goal come first."""
-    each = np.repeat(starts, len(goals), axis=0), np.tile(goals, (len(starts), 1))
-    straight = space.free_part(*each, step) == 1.0
-    if straight.any():
-        best = np.argmin(np.where(straight, space.length(each[1] - each[0]), np.inf))
-        return np.stack([each[0][best], each[1][best]])
-    trees = [_Tree(roots, np.full(len(roots), -1), weights) for roots in (starts, goals)]
+    """Waypoints (k, n) from one of the starts (s, n) to one of the goals (g, n). None after so many rounds of `batch` samples
+    from within the bounds, where the budget is spent, and where a tree is walled in: `PATIENCE` rounds of its own have added
+    nothing to it. An edge is at most `reach` steps long."""
+    trees = [_Tree(roots, weights) for roots in (starts, goals)]
     for number in range(rounds):
-        ours, other = trees[number % 2], trees[1 - number % 2]
+        if budget.spent or max(tree.idle for tree in trees) > PATIENCE:
+            return None
+        budget.rounds += 1
+        which = _turn(number, trees)
+        ours, other = trees[which], trees[1 - which]
+        ours.idle += 1
         samples = rng.uniform(*bounds, (batch, starts.shape[1]))
         before = ours.nearest(samples)
         toward = samples - ours.nodes[before]
@@ -77,15 +107,23 @@ def connected(
         new = _grown(space, ours, before, space.free_part(ours.nodes[before], ends, step), ends, step)
         if not len(new):
             continue
-        first = len(ours.nodes) - len(new)
+        first = ours.count - len(new)
         near = other.nearest(new)
         part = space.free_part(other.nodes[near], new, step)
         if (part == 1.0).any():
             joined = int(np.argmin(np.where(part == 1.0, space.length(new - other.nodes[near]), np.inf)))
             way = ours.way(first + joined)[::-1] + other.way(int(near[joined]))
-            return np.array(way if number % 2 == 0 else way[::-1])
+            return np.array(way if which == 0 else way[::-1])
         _grown(space, other, near, part, new, step)
     return None
+
+
+def _turn(number: int, trees: list[_Tree]) -> int:
+    """Which tree grows: they take turns; one that is much smaller, being in the narrower place, has three of four."""
+    small, large = sorted((0, 1), key=lambda i: trees[i].count)
+    if trees[large].count > UNLIKE * trees[small].count:
+        return small if number % 4 else large
+    return number % 2
 
 
 def _grown(space: Space, tree: _Tree, before: np.ndarray, part: np.ndarray, ends: np.ndarray, step: float) -> np.ndarray:

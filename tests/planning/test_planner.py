@@ -6,7 +6,7 @@ import pytest
 from collision_peers import Coal
 
 import jaxik
-from jaxik.planning import GridOptions, plan_motion
+from jaxik.planning import GridOptions, plan_motion, plan_motions
 
 LINK = """<link name="{0}"><collision><origin xyz="0.1 0 0"/><geometry><sphere radius="0.04"/></geometry></collision>
   <collision><origin xyz="0.25 0 0"/><geometry><sphere radius="0.04"/></geometry></collision></link>"""
@@ -124,6 +124,11 @@ ENCLOSED = jaxik.make_scene(boxes=[[0.0, y, 0.0, 4.0, 0.1, 1.0] for y in (-0.15,
         (POLES, [0.0, 0.0, 0.0], GOAL, "start: collision"),
         (POLES, START, [0.0, 0.0, 0.0], "goal: collision"),
         (POLES, [-2.9, 0.0, 0.0], GOAL, "start: limits"),
+        (POLES, [0.0, 0.0, 0.0], [[0.0, 3.0, 0.0], [0.0, 0.0, 0.0]], "start: collision"),
+        (POLES, START, [[0.0, 3.0, 0.0], [0.0, 0.0, 0.0], [np.nan, 0.0, 0.0]], "goal: collision"),
+        (POLES, [0.0, 0.0, 9.0], [0.0, 3.0, 0.0], "start: collision"),
+        (ENCLOSED, START, [0.0, 3.0, 0.5], "start: collision"),
+        (ENCLOSED, [0.0, 0.0, 0.0], [2.0, 3.0, 0.0], "goal: limits"),
         (POLES, START, [0.0, 3.0, 0.0], "goal: limits"),
         (POLES, [np.nan, 0.0, 0.0], GOAL, "start: invalid"),
         (POLES, START, [0.0, np.inf, 0.0], "goal: invalid"),
@@ -140,7 +145,44 @@ def test_reasons(arm, scene, start, goal, why):
 def test_no_way_is_not_converged(arm):
     """Between walls, a slot that is narrower than the arm must turn in."""
     moved = plan_motion(arm[0], ENCLOSED, [0.0, 0.0, 0.0], [0.0, 0.0, 3.1], rounds=3)
-    assert moved.why == "not converged" and moved.where == ""
+    assert moved.why == "not converged" and moved.where == "" and moved.checked > 0
+
+
+def test_what_is_walled_in_is_given_up_early(arm):
+    moved = plan_motion(arm[0], ENCLOSED, [0.0, 0.0, 0.0], [0.0, 0.0, 3.1])
+    assert moved.why == "not converged" and moved.rounds < 2000  # which are all
+    assert plan_motion(arm[0], POLES, START, GOAL, timeout=0.0).rounds == 0
+    assert plan_motion(arm[0], POLES, START, GOAL, timeout=9.0).rounds > 0
+
+
+def test_many_are_as_each_is_alone(arm):
+    """A straight line, a way that is searched, a joint that turns on, no motion, and three that are none."""
+    chain, _ = arm
+    starts = [START, START, [0.9, 0.5, 3.0], START, START, [np.nan, 0.0, 0.0], [0.0, 0.0, 0.0]]
+    goals = [START + 0.1, GOAL, [0.9, 0.5, -3.0], START, [0.0, 3.0, 0.0], GOAL, GOAL]
+    moved = plan_motions(chain, POLES, starts, goals)
+    assert moved.why == ("solved",) * 4 + ("goal: limits", "start: invalid", "start: collision")
+    assert len(moved) == 7 and moved.counts()["solved"] == 4 and moved.success.tolist() == [True] * 4 + [False] * 3
+    assert moved[0].rounds == 0 < moved[1].rounds
+    with pytest.raises(ValueError, match="the truth of 7 motions is not one answer"):
+        bool(moved)
+    for each, start, goal in zip(moved, starts, goals, strict=True):
+        alone = plan_motion(chain, POLES, start, goal)
+        assert (each.why, each.rounds, each.checked) == (alone.why, alone.rounds, alone.checked)
+        if each:
+            np.testing.assert_array_equal(each.waypoints, alone.waypoints)
+            np.testing.assert_array_equal(each.trajectory.time, alone.trajectory.time)
+    several = plan_motions(chain, POLES, starts[:2], [[START + 0.1, GOAL], [np.full(3, np.nan), GOAL]])
+    np.testing.assert_array_equal(several[0].waypoints[-1], START + 0.1)
+    np.testing.assert_array_equal(several[1].waypoints, moved[1].waypoints)
+    poses = [np.asarray(jaxik.forward_kinematics(chain, GOAL)), jaxik.pose([2.0, 0.0, 0.0]), np.full((4, 4), np.nan)]
+    assert plan_motions(chain, POLES, [START] * 3, poses).why == ("solved", "goal: out of reach", "goal: invalid")
+
+
+@pytest.mark.parametrize("empty", [np.empty((0, 3)), [], np.empty((0, 4, 4))])
+def test_an_empty_batch_has_an_empty_answer(arm, empty):
+    moved = plan_motions(arm[0], POLES, [], empty)
+    assert len(moved) == 0 and moved.counts() == {} and moved.why == ()
 
 
 @pytest.mark.parametrize(
@@ -156,6 +198,8 @@ def test_no_way_is_not_converged(arm):
         ({"velocity": "fast"}, "velocity: str that is no array of numbers"),
         ({"velocity": np.inf}, "give acceleration="),
         ({"acceleration": np.nan}, "plan_motion: acceleration is not positive"),
+        ({"start": [START, START]}, r"start of shape \(2, 3\).*jaxik.planning.plan_motions takes many"),
+        ({"timeout": -1.0}, "plan_motion: timeout is -1.0; it is a finite number of at least 0"),
         ({"options": GridOptions()}, "options is GridOptions.*; write a jaxik.planning.PlanOptions"),
     ],
 )
@@ -163,6 +207,11 @@ def test_mistakes_are_named(arm, change, said):
     given = {"scene": POLES, "start": START, "goal": GOAL} | change
     with pytest.raises(ValueError, match=said):
         plan_motion(arm[0], **given)
+
+
+def test_batches_that_do_not_match_are_named(arm):
+    with pytest.raises(ValueError, match=r"starts of shape \(2, 3\), goals of shape \(3, 3\); allowed: starts \(b, 3\)"):
+        plan_motions(arm[0], POLES, [START] * 2, [GOAL] * 3)
 
 
 def test_trajectories_are_traced(arm):
