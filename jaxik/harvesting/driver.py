@@ -48,6 +48,18 @@ class Posture(NamedTuple):
         return self.reason == Reason.SOLVED
 
 
+@dataclasses.dataclass(frozen=True)
+class HarvestOptions:
+    """What makes a posture good; how many `angles` about a fruit's axis and `slides`, positions of the leading joints, are
+    tried (counts, or the values (m,) [rad] and (m, k) [m, rad]); the least clearance [m]; and how the tip meets a fruit."""
+
+    weights: Weights = dataclasses.field(default_factory=Weights)
+    angles: Any = 72
+    slides: Any = 41
+    margin: float = 0.005
+    grasp: Grasp = dataclasses.field(default_factory=Grasp)
+
+
 @dataclasses.dataclass(frozen=True, repr=False)
 class Harvest(Reasoned):
     """One row a fruit, in the scene's order, and how long it took [s]; it prints as a line a fruit."""
@@ -57,6 +69,7 @@ class Harvest(Reasoned):
     rows: tuple[Posture, ...]
     seconds: float
     candidates: int
+    options: HarvestOptions
 
     def __repr__(self) -> str:
         fate = lambda row: f"clearance {1000 * row.clearance:.1f} mm" if row.success else str(row.reason)
@@ -88,18 +101,6 @@ class Harvest(Reasoned):
         }
         known |= {"reason": self.reasons, "found_by": column("found_by"), "remove": np.array(removals)}
         return known | {name: column(name) for name in numbers}
-
-
-@dataclasses.dataclass(frozen=True)
-class HarvestOptions:
-    """What makes a posture good; how many `angles` about a fruit's axis and `slides`, positions of the leading joints, are
-    tried (counts, or the values (m,) [rad] and (m, k) [m, rad]); the least clearance [m]; and how the tip meets a fruit."""
-
-    weights: Weights = dataclasses.field(default_factory=Weights)
-    angles: Any = 72
-    slides: Any = 41
-    margin: float = 0.005
-    grasp: Grasp = dataclasses.field(default_factory=Grasp)
 
 
 def harvest(
@@ -134,7 +135,7 @@ def harvest(
         rows.append(_posture(chain, scene, found, options))
         if progress:
             progress(fruit.name)
-    return Harvest(chain, scene, tuple(rows), time.perf_counter() - start, sum(row.scan.status.size for row in rows))
+    return Harvest(chain, scene, tuple(rows), time.perf_counter() - start, sum(row.scan.status.size for row in rows), options)
 
 
 def _posture(chain: Chain, scene: Scene, found: Scan, options: HarvestOptions) -> Posture:

@@ -95,7 +95,7 @@ def plan_motion(
     check_seed("plan_motion", seed)
     check_known("plan_motion", start=start, goal=goal)
     options = changed("plan_motion", options or PlanOptions(), changes)
-    velocity, acceleration = _limits(chain, options)
+    velocity, acceleration = motion_limits(chain, options)
     start, goal = numbers("plan_motion: start", start), numbers("plan_motion: goal", goal)
     n = chain.num_joints
     pose = goal.shape == (4, 4) and (n != 4 or bool(is_rigid(goal[None])[0]))
@@ -129,7 +129,7 @@ def plan_motion(
     return Planned(Reason.SOLVED, "", waypoints, time_optimal(path, velocity, acceleration, options.places))
 
 
-def _limits(chain: Chain, options: PlanOptions) -> tuple[np.ndarray, np.ndarray]:
+def motion_limits(chain: Chain, options: PlanOptions) -> tuple[np.ndarray, np.ndarray]:
     """Of velocity and acceleration (1, n)."""
     velocity = numbers("plan_motion: velocity", chain.velocity if options.velocity is None else options.velocity)
     if options.acceleration is None and np.isinf(velocity).any():

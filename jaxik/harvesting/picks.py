@@ -1,0 +1,235 @@
+"""How a fruit may be picked: straight to it along the gripper's direction, and with it straight away again.
+
+Every posture of a fruit's scan is tried. The tip's lines become joint paths by the closed form, at the slide and on the branch
+of the posture; a cubic spline through their samples is what is driven, and it is proven, not sampled: it lies no further from
+its chords than `max |q''| h^2 / 8` in each joint, so a chord that keeps by so much more than the margin proves its part of it.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Iterator, Sequence
+from typing import NamedTuple
+
+import jax.numpy as jnp
+import numpy as np
+
+from jaxik.collision.attached import attach
+from jaxik.collision.scene import Fruit, Scene
+from jaxik.harvesting.grasp import Grasp, grasp_poses
+from jaxik.planning.collision_checker import CollisionChecker, touched
+from jaxik.planning.timing import time_optimal
+from jaxik.planning.trajectory import JointPath, Trajectory, spline
+from jaxik.reasons import Reason
+from jaxik.robot.chain import Chain
+from jaxik.robot.spherical_wrist import closed_forms
+from jaxik.spmd.batch import in_blocks
+
+PIECES = 8  # of a line's spline: as many as `plan_motion`'s paths have, so that they are timed by one program
+JUMP = 0.5  # [rad, m] between neighbouring samples of a line, beyond which the arm passes a singularity
+SHORTER = (1.0, 0.5, 0.25)  # of the line that is asked for, where the whole of it does not fit
+CUSHION = 1e-3  # [m] more than the margin that samples keep, so that most are proven, too
+ROUND = 1e-5  # [m] that a body may be off its axis
+HELD = "held"  # the name of the link that a fruit becomes
+TRIED = 4  # times as many postures as are wanted, of which the first that can be picked from are taken
+
+
+class Limits(NamedTuple):
+    """Of velocity and acceleration (n,)."""
+
+    velocity: np.ndarray
+    acceleration: np.ndarray
+
+    def straight(self, moved: np.ndarray) -> np.ndarray:
+        """How long straight motions over `moved` (..., n) take from rest to rest [s]: a trapezoid of speed, or a triangle."""
+        with np.errstate(divide="ignore"):
+            fastest = np.min(self.velocity / np.abs(moved), axis=-1)
+            brisk = np.min(self.acceleration / np.abs(moved), axis=-1)
+        still = np.isinf(fastest)
+        fastest, brisk = np.where(still, 1.0, fastest), np.where(still, 1.0, brisk)
+        taken = np.where(fastest**2 < brisk, 1.0 / fastest + fastest / brisk, 2.0 / np.sqrt(brisk))
+        return np.where(still, 0.0, taken)
+
+
+class Picks(NamedTuple):
+    """The ways to pick a fruit, a row each: the timed lines to it and back, stacked; how long both take [s]; how many leaves
+    they touch; and the arm with the fruit. Without rows, the reason, and what it is of: "posture", "approach", "retreat"."""
+
+    fruit: str
+    reason: Reason
+    where: str = ""
+    approach: Trajectory | None = None
+    retreat: Trajectory | None = None
+    seconds: np.ndarray = np.zeros(0)
+    touched: np.ndarray = np.zeros(0, int)
+    held: tuple[Chain, ...] = ()
+    blockers: tuple[str, ...] = ()
+
+    @property
+    def entry(self) -> np.ndarray:
+        """Where the approaches begin (b, n)."""
+        return ends(self.approach)[0]
+
+    @property
+    def exit(self) -> np.ndarray:
+        """Where the retreats end (b, n)."""
+        return ends(self.retreat)[1]
+
+
+class Way(NamedTuple):
+    """What decides how a fruit may be picked: see `HarvestPlanOptions`. `clear` is the margin of the grasp itself."""
+
+    grasp: Grasp
+    approach: float
+    candidates: int
+    margin: float
+    clear: float
+    limits: Limits
+
+
+def ends(moved: Trajectory | None) -> tuple[np.ndarray, np.ndarray]:
+    """The first and the last configurations (..., n) of a trajectory, or a stack."""
+    assert moved is not None
+    c, x = np.asarray(moved.path.coefficients), np.asarray(moved.path.lengths)[..., -1, None]
+    a, b, slope, begin = (c[..., -1, i, :] for i in range(4))  # padding is no way, and has the end
+    return c[..., 0, 3, :], ((a * x + b) * x + slope) * x + begin
+
+
+def find_picks(chain: Chain, scene: Scene, fruit: Fruit, angles: np.ndarray, q: np.ndarray, way: Way) -> Picks:
+    """The ways to pick a fruit from postures `q` (b, n), best first, at `angles` (b,) about its axis, among what is in the
+    scene; `way.candidates` of them that differ much. Host driver."""
+    others = scene.without([fruit.name]) if fruit.name in scene.object_names else scene
+    free, whole = CollisionChecker(chain, others, way.margin), CollisionChecker(chain, scene, way.margin)
+    kept = ~free.hits(q, way.clear - way.margin)
+    if not kept.any():
+        return Picks(fruit.name, Reason.COLLISION, "posture")
+    poses, q = grasp_poses(chain, fruit, angles[kept], way.grasp), q[kept]
+    for share in SHORTER:
+        back = -np.array(way.grasp.approach)
+        lines, fits = tip_lines(chain, q, poses, back, share * way.approach)
+        good = fits.copy()
+        good[fits] = ~_any_hit(free, lines[fits]) & ~whole.hits(lines[fits][:, -1], CUSHION)
+        if good.any():
+            break
+    else:
+        return Picks(fruit.name, Reason.COLLISION if fits.any() else Reason.LIMITS, "approach")
+    poses, lines = poses[good], lines[good]
+    first = spread(lines[:, -1], way.limits, TRIED * way.candidates)
+    poses, lines = poses[first], lines[first]
+    paths, proven = _splines(lines[:, ::-1], free)
+    if not proven.any():
+        return Picks(fruit.name, Reason.COLLISION, "approach")
+    poses, lines, paths = poses[proven], lines[proven], [p for p, sure in zip(paths, proven, strict=True) if sure]
+    there, back, held = [], [], []
+    for arm, rows in carrying(chain, scene, fruit, lines[:, 0], way.grasp):
+        away, sure = _retreats(arm, free, others, lines[rows, 0], poses[rows], share * way.approach, way)
+        for row, path in zip(rows[sure], away, strict=True):
+            there, back, held = [*there, paths[row]], [*back, path], [*held, arm]
+        if len(there) >= way.candidates:
+            break
+    if not there:
+        return Picks(fruit.name, Reason.COLLISION, "retreat")
+    some = slice(0, way.candidates)
+    timed = [time_optimal(_stacked(each[some]), *way.limits, places=512) for each in (there, back)]
+    seconds = np.asarray(timed[0].duration) + np.asarray(timed[1].duration)
+    return Picks(fruit.name, Reason.SOLVED, "", *timed, seconds, np.zeros(len(seconds), int), tuple(held[some]))
+
+
+def tip_lines(
+    chain: Chain, q: np.ndarray, poses: np.ndarray, direction: np.ndarray, length: float
+) -> tuple[np.ndarray, np.ndarray]:
+    """The arm at `PIECES + 1` places of lines of the tip (b, k, n), which begin at `q` (b, n) with the `poses` (b, 4, 4) and
+    lead along a direction in the tip's frame [m]; and which stay inside the limits and off singularities."""
+    away = np.linspace(0.0, length, PIECES + 1)
+    along = np.repeat(poses[:, None], len(away), axis=1)
+    along[..., :3, 3] += away[:, None] * (poses[:, :3, :3] @ direction)[:, None]
+    leading = np.repeat(q[:, : chain.num_joints - 6], len(away), axis=0)
+    found, _, fits = in_blocks(closed_forms(chain), along.reshape(-1, 4, 4), leading, double=True)
+    found, fits = (x.reshape(len(q), len(away), *x.shape[1:]) for x in (found, fits))
+    branch = np.argmin(np.abs(found[:, 0] - q[:, None]).max(axis=-1), axis=1)
+    rows = np.arange(len(q))
+    lines, fits = found[rows, :, branch], fits[rows, :, branch]
+    return lines, fits.all(axis=1) & (np.abs(np.diff(lines, axis=1)).max(axis=(1, 2)) < JUMP)
+
+
+def spread(q: np.ndarray, limits: Limits, most: int) -> np.ndarray:
+    """Rows of configurations that differ most, the first one first: each is the furthest from those before, by time."""
+    chosen, apart = [0], limits.straight(q - q[0])
+    while len(chosen) < min(most, len(q)):
+        chosen.append(int(np.argmax(apart)))
+        apart = np.minimum(apart, limits.straight(q - q[chosen[-1]]))
+    return np.array(chosen)
+
+
+def carrying(chain: Chain, scene: Scene, fruit: Fruit, q: np.ndarray, grasp: Grasp) -> Iterator[tuple[Chain, np.ndarray]]:
+    """The arm that holds the fruit as it is grasped at each of `q` (b, n), and the rows that this is true of: all of a body
+    that is round about the fruit's axis. Its numbers are JAX arrays, so that no kernel is made for a fruit alone."""
+    rows = np.arange(len(q))
+    if fruit.name not in scene.object_names:
+        yield chain, rows
+        return
+    first = _held(chain, scene, fruit, q[0])
+    tip_T_joint = np.linalg.inv(np.asarray(chain.joint_T_tip))
+    corners = np.concatenate([v.corners for v in first.volumes[len(chain.volumes) :]])
+    across = np.cross(corners @ tip_T_joint[:3, :3].T + tip_T_joint[:3, 3], grasp.up)
+    if len(first.boxes) == len(chain.boxes) and np.abs(across).max() < ROUND:
+        yield _as_operands(first, len(chain.volumes)), rows
+    else:
+        for row in rows:
+            yield _as_operands(_held(chain, scene, fruit, q[row]), len(chain.volumes)), rows[row : row + 1]
+
+
+def _held(chain: Chain, scene: Scene, fruit: Fruit, q: np.ndarray) -> Chain:
+    held = attach(chain, scene, fruit.name, q).chain
+    return dataclasses.replace(held, link_names=(*chain.link_names, HELD))  # one name, one kernel
+
+
+def _as_operands(held: Chain, first: int) -> Chain:
+    operand = lambda v: dataclasses.replace(v, corners=jnp.asarray(v.corners), radius=jnp.asarray(v.radius))
+    return dataclasses.replace(held, volumes=(*held.volumes[:first], *map(operand, held.volumes[first:])))
+
+
+def _retreats(
+    arm: Chain, free: CollisionChecker, others: Scene, q: np.ndarray, poses: np.ndarray, length: float, way: Way
+) -> tuple[list[JointPath], np.ndarray]:
+    """Straight back with the fruit, or lifted, or up; at the end nothing may touch the fruit, on the way only what touches it
+    where it hangs. The paths, and which rows have one."""
+    touching = np.flatnonzero(touched(arm, others, q[:1], way.margin)[0])
+    holds, ends = CollisionChecker(arm, others.without(touching), way.margin), CollisionChecker(arm, others, way.margin)
+    back, up = -np.array(way.grasp.approach), np.array(way.grasp.up)
+    found: list[JointPath | None] = [None] * len(q)
+    for direction in (back, (back + up) / np.sqrt(2.0), up):
+        left = np.array([i for i, path in enumerate(found) if path is None], int)
+        lines, good = tip_lines(free.chain, q[left], poses[left], direction, length)
+        good[good] = ~_any_hit(free, lines[good]) & ~_any_hit(holds, lines[good]) & ~ends.hits(lines[good][:, -1], CUSHION)
+        paths, proven = _splines(lines[good], free, holds)
+        for row, path in zip(left[good][proven], [p for p, sure in zip(paths, proven, strict=True) if sure], strict=True):
+            found[row] = path
+    return [path for path in found if path is not None], np.array([path is not None for path in found])
+
+
+def _any_hit(space: CollisionChecker, lines: np.ndarray) -> np.ndarray:
+    """Which lines (b, k, n) have a sample that is nearer than the margin, and a little more."""
+    return space.hits(lines.reshape(-1, lines.shape[-1]), CUSHION).reshape(lines.shape[:2]).any(axis=1)
+
+
+def _splines(lines: np.ndarray, *spaces: CollisionChecker) -> tuple[list[JointPath], np.ndarray]:
+    """Through the samples of each line (b, k, n), and which of them are proven free and inside the limits."""
+    if not len(lines):
+        return [], np.zeros(0, bool)
+    paths = [spline(line) for line in lines]
+    whole = _stacked(paths)
+    c, h = np.asarray(whole.coefficients), np.asarray(whole.lengths)[..., None]
+    bends = np.maximum(np.abs(2.0 * c[:, :, 1]), np.abs(6.0 * c[:, :, 0] * h + 2.0 * c[:, :, 1]))
+    off = bends * h**2 / 8.0  # a cubic's second derivative is greatest at an end
+    chain, n = spaces[0].chain, lines.shape[-1]
+    low, high = np.minimum(lines[:, 1:], lines[:, :-1]) - off, np.maximum(lines[:, 1:], lines[:, :-1]) + off
+    sure = ((low >= chain.lower) & (high <= chain.upper)).all(axis=(1, 2))
+    for space in spaces:
+        chords = lines[:, :-1].reshape(-1, n), lines[:, 1:].reshape(-1, n), np.sum(off * space.weights, axis=-1).ravel()
+        sure &= space.proven(*chords).reshape(len(lines), -1).all(axis=1)
+    return paths, sure
+
+
+def _stacked(paths: Sequence[JointPath]) -> JointPath:
+    return JointPath(np.stack([p.lengths for p in paths]), np.stack([p.coefficients for p in paths]))
