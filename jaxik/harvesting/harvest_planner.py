@@ -12,7 +12,6 @@ import time
 from collections.abc import Callable, Sequence
 from typing import Any, NamedTuple
 
-import jax
 import numpy as np
 
 from jaxik.checks.arrays import numbers
@@ -21,7 +20,7 @@ from jaxik.collision.scene import Fruit, Scene
 from jaxik.collision.self_collision_pairs import default_pose
 from jaxik.harvesting.driver import Harvest, Posture
 from jaxik.harvesting.harvest_plan import Cycle, HarvestPlan, HarvestPlanOptions, Stage
-from jaxik.harvesting.picks import Limits, Picks, Way, ends, find_picks
+from jaxik.harvesting.picks import Limits, Picks, Way, ends, find_picks, rows_of
 from jaxik.harvesting.tour import best_members, shortest_tour
 from jaxik.ik import IKOptions, solve_ik
 from jaxik.planning.collision_checker import CollisionChecker, judged, touched
@@ -179,7 +178,7 @@ class _Planner:
         """The stages and cycles of a tour."""
         for node in nodes:
             fruit, (picks, row) = tour.fruit(node), tour.members[node - 1]
-            lines = [jax.tree_util.tree_map(lambda x, row=row: x[row], moved) for moved in (picks.approach, picks.retreat)]
+            lines = [rows_of(moved, row) for moved in (picks.approach, picks.retreat)]
             parts = [("transfer", motions.pop(0)), *zip(("approach", "retreat"), lines, strict=True)]
             if len(self.places):
                 parts.append(("transport", motions.pop(0)))

@@ -8,9 +8,10 @@ its chords than `max |q''| h^2 / 8` in each joint, so a chord that keeps by so m
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Iterator, Sequence
-from typing import NamedTuple
+from collections.abc import Iterator
+from typing import Any, NamedTuple
 
+import jax
 import jax.numpy as jnp
 import numpy as np
 
@@ -19,17 +20,19 @@ from jaxik.collision.scene import Fruit, Scene
 from jaxik.harvesting.grasp import Grasp, grasp_poses
 from jaxik.planning.collision_checker import CollisionChecker, touched
 from jaxik.planning.timing import time_optimal
-from jaxik.planning.trajectory import JointPath, Trajectory, spline
+from jaxik.planning.trajectory import JointPath, Trajectory
 from jaxik.reasons import Reason
 from jaxik.robot.chain import Chain
 from jaxik.robot.spherical_wrist import closed_forms
 from jaxik.spmd.batch import in_blocks
 
 PIECES = 8  # of a line's spline: as many as `plan_motion`'s paths have, so that they are timed by one program
+CHORDS = 2  # of a piece, by which it is proven
 JUMP = 0.5  # [rad, m] between neighbouring samples of a line, beyond which the arm passes a singularity
-SHORTER = (1.0, 0.5, 0.25)  # of the line that is asked for, where the whole of it does not fit
+SHORTER = np.array([1.0, 0.5, 0.25])  # of the line that is asked for, where the whole of it does not fit
 CUSHION = 1e-3  # [m] more than the margin that samples keep, so that most are proven, too
 ROUND = 1e-5  # [m] that a body may be off its axis
+SLACK = 1e-9  # [rad, m] past a limit, of rounding
 HELD = "held"  # the name of the link that a fruit becomes
 TRIED = 4  # times as many postures as are wanted, of which the first that can be picked from are taken
 
@@ -104,35 +107,34 @@ def find_picks(chain: Chain, scene: Scene, fruit: Fruit, angles: np.ndarray, q: 
     if not kept.any():
         return Picks(fruit.name, Reason.COLLISION, "posture")
     poses, q = grasp_poses(chain, fruit, angles[kept], way.grasp), q[kept]
-    for share in SHORTER:
-        back = -np.array(way.grasp.approach)
-        lines, fits = tip_lines(chain, q, poses, back, share * way.approach)
-        good = fits.copy()
-        good[fits] = ~_any_hit(free, lines[fits]) & ~whole.hits(lines[fits][:, -1], CUSHION)
-        if good.any():
+    for length in way.approach * SHORTER:
+        lines, fits = tip_lines(chain, q, poses, -np.array(way.grasp.approach), length)
+        good = np.flatnonzero(fits)
+        good = good[~_any_hit(free, lines[good]) & ~whole.hits(lines[good, -1], CUSHION)]
+        if len(good):
             break
     else:
         return Picks(fruit.name, Reason.COLLISION if fits.any() else Reason.LIMITS, "approach")
-    poses, lines = poses[good], lines[good]
-    first = spread(lines[:, -1], way.limits, TRIED * way.candidates)
-    poses, lines = poses[first], lines[first]
-    paths, proven = _splines(lines[:, ::-1], free)
+    good = good[spread(lines[good, -1], way.limits, TRIED * way.candidates)]
+    there, proven = _driven(lines[good, ::-1], length, free)
     if not proven.any():
         return Picks(fruit.name, Reason.COLLISION, "approach")
-    poses, lines, paths = poses[proven], lines[proven], [p for p, sure in zip(paths, proven, strict=True) if sure]
-    there, back, held = [], [], []
-    for arm, rows in carrying(chain, scene, fruit, lines[:, 0], way.grasp):
-        away, sure = _retreats(arm, free, others, lines[rows, 0], poses[rows], share * way.approach, way)
-        for row, path in zip(rows[sure], away, strict=True):
-            there, back, held = [*there, paths[row]], [*back, path], [*held, arm]
-        if len(there) >= way.candidates:
+    there, good, found, held = rows_of(there, proven), good[proven], [], []
+    for arm, rows in carrying(chain, scene, fruit, lines[good, 0], way.grasp):
+        back, sure = _retreats(arm, free, others, lines[good[rows], 0], poses[good[rows]], length, way)
+        found.append((rows_of(there, rows[sure]), back))
+        held += [arm] * int(sure.sum())
+        if len(held) >= way.candidates:
             break
-    if not there:
-        return Picks(fruit.name, Reason.COLLISION, "retreat")
-    some = slice(0, way.candidates)
-    timed = [time_optimal(_stacked(each[some]), *way.limits, places=512) for each in (there, back)]
-    seconds = np.asarray(timed[0].duration) + np.asarray(timed[1].duration)
-    return Picks(fruit.name, Reason.SOLVED, "", *timed, seconds, np.zeros(len(seconds), int), tuple(held[some]))
+    if not held:
+        arm, rows = next(carrying(chain, scene, fruit, lines[good, 0], way.grasp))
+        return Picks(fruit.name, Reason.COLLISION, "retreat", blockers=_in_the_way(arm, others, lines[good[rows]], way.margin))
+    both = jax.tree_util.tree_map(lambda *x: np.concatenate(x)[: way.candidates], *found)
+    there, back = (time_optimal(path, *way.limits, places=512) for path in both)
+    seconds = there.duration + back.duration
+    return Picks(
+        fruit.name, Reason.SOLVED, "", there, back, seconds, np.zeros(len(seconds), int), tuple(held[: way.candidates])
+    )
 
 
 def tip_lines(
@@ -191,21 +193,30 @@ def _as_operands(held: Chain, first: int) -> Chain:
 
 def _retreats(
     arm: Chain, free: CollisionChecker, others: Scene, q: np.ndarray, poses: np.ndarray, length: float, way: Way
-) -> tuple[list[JointPath], np.ndarray]:
+) -> tuple[JointPath, np.ndarray]:
     """Straight back with the fruit, or lifted, or up; at the end nothing may touch the fruit, on the way only what touches it
-    where it hangs. The paths, and which rows have one."""
+    where it hangs. The paths, stacked, and which rows (b,) have one."""
     touching = np.flatnonzero(touched(arm, others, q[:1], way.margin)[0])
-    holds, ends = CollisionChecker(arm, others.without(touching), way.margin), CollisionChecker(arm, others, way.margin)
+    holds, leaves = CollisionChecker(arm, others.without(touching), way.margin), CollisionChecker(arm, others, way.margin)
     back, up = -np.array(way.grasp.approach), np.array(way.grasp.up)
-    found: list[JointPath | None] = [None] * len(q)
+    paths, sure = [], np.zeros(len(q), bool)
+    order = []
     for direction in (back, (back + up) / np.sqrt(2.0), up):
-        left = np.array([i for i, path in enumerate(found) if path is None], int)
+        left = np.flatnonzero(~sure)
         lines, good = tip_lines(free.chain, q[left], poses[left], direction, length)
-        good[good] = ~_any_hit(free, lines[good]) & ~_any_hit(holds, lines[good]) & ~ends.hits(lines[good][:, -1], CUSHION)
-        paths, proven = _splines(lines[good], free, holds)
-        for row, path in zip(left[good][proven], [p for p, sure in zip(paths, proven, strict=True) if sure], strict=True):
-            found[row] = path
-    return [path for path in found if path is not None], np.array([path is not None for path in found])
+        good[good] = ~_any_hit(free, lines[good]) & ~_any_hit(holds, lines[good]) & ~leaves.hits(lines[good][:, -1], CUSHION)
+        path, proven = _driven(lines[good], length, free, holds)
+        paths.append(rows_of(path, proven))
+        order.append(left[good][proven])
+        sure[order[-1]] = True
+    joined = jax.tree_util.tree_map(lambda *x: np.concatenate(x), *paths)
+    return rows_of(joined, np.argsort(np.concatenate(order))), sure
+
+
+def _in_the_way(arm: Chain, others: Scene, lines: np.ndarray, margin: float) -> tuple[str, ...]:
+    """The objects that are touched by most of the last samples of lines (b, k, n), at most three."""
+    share = touched(arm, others, lines[:, -1], margin).mean(axis=0)
+    return tuple(others.object_names[i] for i in np.argsort(-share, kind="stable")[:3] if share[i] > 0.0)
 
 
 def _any_hit(space: CollisionChecker, lines: np.ndarray) -> np.ndarray:
@@ -213,23 +224,28 @@ def _any_hit(space: CollisionChecker, lines: np.ndarray) -> np.ndarray:
     return space.hits(lines.reshape(-1, lines.shape[-1]), CUSHION).reshape(lines.shape[:2]).any(axis=1)
 
 
-def _splines(lines: np.ndarray, *spaces: CollisionChecker) -> tuple[list[JointPath], np.ndarray]:
-    """Through the samples of each line (b, k, n), and which of them are proven free and inside the limits."""
-    if not len(lines):
-        return [], np.zeros(0, bool)
-    paths = [spline(line) for line in lines]
-    whole = _stacked(paths)
-    c, h = np.asarray(whole.coefficients), np.asarray(whole.lengths)[..., None]
+def _driven(lines: np.ndarray, length: float, *spaces: CollisionChecker) -> tuple[JointPath, np.ndarray]:
+    """Splines through the samples of lines (b, k, n) of the tip of a `length` [m], stacked, and which of them are proven free
+    and inside the limits."""
+    from scipy.interpolate import CubicSpline
+
+    chain, (count, samples, n) = spaces[0].chain, lines.shape
+    if not count:
+        return JointPath(np.zeros((0, samples - 1)), np.zeros((0, samples - 1, 4, n))), np.zeros(0, bool)
+    h, along = length / (samples - 1), np.linspace(0.0, length, (samples - 1) * CHORDS + 1)
+    curve = CubicSpline(along[::CHORDS], lines, axis=1)
+    c, points = np.transpose(curve.c, (2, 1, 0, 3)), curve(along)  # (b, pieces, power, n)
     bends = np.maximum(np.abs(2.0 * c[:, :, 1]), np.abs(6.0 * c[:, :, 0] * h + 2.0 * c[:, :, 1]))
-    off = bends * h**2 / 8.0  # a cubic's second derivative is greatest at an end
-    chain, n = spaces[0].chain, lines.shape[-1]
-    low, high = np.minimum(lines[:, 1:], lines[:, :-1]) - off, np.maximum(lines[:, 1:], lines[:, :-1]) + off
-    sure = ((low >= chain.lower) & (high <= chain.upper)).all(axis=(1, 2))
+    off = np.repeat(bends * (h / CHORDS) ** 2 / 8.0, CHORDS, axis=1)  # a cubic's second derivative is greatest at an end
+    starts, stops = points[:, :-1], points[:, 1:]
+    low, high = np.minimum(starts, stops) - off, np.maximum(starts, stops) + off
+    sure = ((low >= chain.lower - SLACK) & (high <= chain.upper + SLACK)).all(axis=(1, 2))
     for space in spaces:
-        chords = lines[:, :-1].reshape(-1, n), lines[:, 1:].reshape(-1, n), np.sum(off * space.weights, axis=-1).ravel()
-        sure &= space.proven(*chords).reshape(len(lines), -1).all(axis=1)
-    return paths, sure
+        extra = np.sum(off * space.weights, axis=-1).ravel()
+        sure &= space.proven(starts.reshape(-1, n), stops.reshape(-1, n), extra).reshape(count, -1).all(axis=1)
+    return JointPath(np.full((count, samples - 1), h), c), sure
 
 
-def _stacked(paths: Sequence[JointPath]) -> JointPath:
-    return JointPath(np.stack([p.lengths for p in paths]), np.stack([p.coefficients for p in paths]))
+def rows_of(tree: Any, rows: Any) -> Any:
+    """Of stacked arrays."""
+    return jax.tree_util.tree_map(lambda x: x[rows], tree)

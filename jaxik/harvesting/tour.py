@@ -13,7 +13,7 @@ import numpy as np
 
 from jaxik.checks.optional_modules import optional
 
-ITERATIONS = 2000  # of PyVRP's search: of a dozen groups the shortest tour is found in a hundred, by dynamic programming
+PATIENCE = 300  # iterations of PyVRP's search without a better tour; of a dozen groups the shortest is found in fewer than that
 DIGITS = 1e4  # PyVRP takes whole numbers
 AVOIDED = 1e3  # what stands for an infinite cost
 
@@ -33,7 +33,7 @@ def shortest_tour(costs: np.ndarray, groups: Sequence[np.ndarray], seed: int = 0
     whole = np.round(DIGITS * np.minimum(costs, AVOIDED)).astype(int).tolist()
     for i, j in itertools.permutations(range(count), 2):
         model.add_edge(places[i], places[j], whole[i][j])
-    found = model.solve(pyvrp.stop.MaxIterations(ITERATIONS), seed=seed, collect_stats=False, display=False)
+    found = model.solve(pyvrp.stop.NoImprovement(PATIENCE), seed=seed, collect_stats=False, display=False)
     (route,) = found.best.routes()
     return [visited[1:][visit.idx] for visit in route.schedule() if visit.is_client()]
 
