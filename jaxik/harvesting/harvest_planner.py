@@ -32,6 +32,7 @@ from jaxik.robot.chain import Chain
 DETOUR = 1.3  # times as long as straight, what a leg is taken to be that may not be straight, until it is planned
 WORTH = 0.998  # of the best tour's time, below which another is worth to be planned
 REVISED = 20  # times at most that a tour is found again
+LONG, ATTEMPTS = 1.3, 4  # times as long as straight, from which on a leg is planned anew, and how often at most
 GIVEN_UP = 3  # legs to or from a fruit without a motion, after which the round goes on without it
 STEP = 0.1  # [m] between samples of what may be straight
 PERIOD = 0.02  # [s] between samples that are asked which leaves they touch
@@ -97,7 +98,7 @@ class _Planner:
         self.limits = Limits(*(rows[0] for rows in motion_limits(self.chain, self.motion)))
         clear = max(options.margin, asked.margin)
         self.way = Way(asked.grasp, options.approach, options.candidates, options.margin, clear, self.limits)
-        self.rank = _ranks(scene.fruits, options.order)
+        self.rank = _ranks(scene.fruits, options.order)  # from which the shortest order is looked for, too
         self.home = self.free("home", default_pose(self.chain) if options.home is None else options.home)[0]
         self.places = np.empty((0, len(self.home))) if options.place is None else self.free("place", options.place)
         self.cycles: dict[str, Cycle] = {}
@@ -256,13 +257,11 @@ class _Tour:
             found += [(a, b)] if via < 0 else [(a, via), (via, b)]
         return found
 
-    def ordered(self, costs: np.ndarray) -> list[int]:
-        groups = self.groups
-        if self.planner.rank is not None:
-            order = sorted(groups, key=self.planner.rank.__getitem__)
-        else:
-            order = [self.fruit(node) for node in shortest_tour(costs, list(groups.values()), self.planner.seed)]
-        return best_members(costs, [groups[fruit] for fruit in order])
+    def ordered(self, costs: np.ndarray, shortest: bool) -> list[int]:
+        """The nodes of the shortest tour at these costs, or of the shortest in the order of the planner's ranks."""
+        if shortest:
+            return shortest_tour(costs, list(self.groups.values()), self.planner.seed)
+        return best_members(costs, [self.groups[fruit] for fruit in sorted(self.groups, key=self.planner.rank.__getitem__)])
 
     def planned(self) -> tuple[list[int], list[Trajectory]]:
         """The nodes of the shortest tour that was found, and the motions of its legs; nothing where nothing can be picked."""
@@ -270,16 +269,17 @@ class _Tour:
         revised = 0
         while self.groups and not (best[1] and revised >= REVISED):
             costs, revised = self.costs()[0], revised + 1
-            nodes = self.ordered(costs)
+            nodes = self.ordered(costs, revised > 1 and self.planner.options.order == "shortest")
             if _length(costs, nodes) >= WORTH * best[0]:
                 break
             legs, new = self.plan_along(nodes)
             motions = [leg.trajectory for leg in legs if leg.trajectory is not None]
             if len(motions) == len(legs):
-                best = min(best, (_length(self.costs()[0], nodes), nodes, motions), key=lambda each: each[0])
+                total = sum(float(moved.duration) for moved in motions) + float(self.own[nodes].sum())
+                best = min(best, (total, nodes, motions), key=lambda each: each[0])
             elif not best[1]:
                 self.leave_out(nodes, at_once=not new)
-            if len(motions) == len(legs) and not new:
+            if len(motions) == len(legs) and not new and revised > 1:
                 break
         return best[1:]
 
@@ -301,11 +301,17 @@ class _Tour:
         if b >= self.nodes:
             picks, row = self.members[a - 1]
             arm = picks.held[row]
+        straight = planner.limits.straight(self.ends[b] - self.begins[a])
         for scene in planner.around.each(gone):
-            moved = plan_motion(arm, scene, self.begins[a], self.ends[b], planner.seed, planner.motion)
-            if moved.success:
-                break
-        return _Leg(moved.trajectory, moved.reason, gone)
+            tries = []
+            for attempt in range(ATTEMPTS):  # a search finds another way with another seed
+                moved = plan_motion(arm, scene, self.begins[a], self.ends[b], planner.seed + attempt, planner.motion)
+                tries += [moved.trajectory] if moved.trajectory is not None else []
+                if not moved or moved.trajectory.duration < LONG * straight:
+                    break
+            if tries:
+                return _Leg(min(tries, key=lambda each: float(each.duration)), Reason.SOLVED, gone)
+        return _Leg(None, moved.reason, gone)
 
     def leave_out(self, nodes: Sequence[int], at_once: bool) -> None:
         """The fruits to or from which a leg of the tour has no motion: when that is found for the third time, or at once."""
@@ -324,16 +330,14 @@ def _length(costs: np.ndarray, nodes: Sequence[int]) -> float:
     return float(costs[[0, *nodes], [*nodes, 0]].sum())
 
 
-def _ranks(fruits: Sequence[Fruit], order: Any) -> dict[str, int] | None:
-    """The place of each fruit in the order that is asked for; None where that is free."""
+def _ranks(fruits: Sequence[Fruit], order: Any) -> dict[str, int]:
+    """The place of each fruit in the order that is asked for, along the row unless it is by names."""
     names = [fruit.name for fruit in fruits]
     if isinstance(order, str):
-        if order == "shortest":
-            return None
-        away = np.array([fruit.position for fruit in fruits]) - np.mean([fruit.position for fruit in fruits], axis=0)
-        along = np.linalg.svd(away)[2][0]
+        places = np.array([fruit.position for fruit in fruits])
+        along = np.linalg.svd(places - places.mean(axis=0))[2][0]
         along *= np.sign(along[np.argmax(np.abs(along))])
-        order = [names[i] for i in np.argsort(away @ along, kind="stable")]
+        order = [names[i] for i in np.argsort(places @ along, kind="stable")]
     for name in order:
         if name not in names:
             raise ValueError(no_such("plan_harvest: order", "fruit", str(name), names))
