@@ -9,7 +9,7 @@ import numpy as np
 
 from jaxik.checks.options import as_count, check_choices, check_finite, check_kind
 from jaxik.collision.scene import Scene
-from jaxik.planning.trajectory import Trajectory
+from jaxik.planning.trajectory import JointState, Trajectory
 from jaxik.reasons import Reason, Reasoned
 from jaxik.robot.chain import Chain
 from jaxik.robot.task import POSE, Task
@@ -144,7 +144,28 @@ class HarvestPlan(Reasoned):
         lines = [f"  {row.fruit}: {fate(row)}" for row in self.rows]
         return "\n".join([f"Harvest of {self.scene.name} by {self.chain.name} in {self.duration:.1f} s", *lines])
 
-    def at(self, t: float) -> tuple[Stage | None, np.ndarray]:
-        """The stage at t [s], and the configuration (n,). Host."""
-        stage = next((s for s in self.stages if t < s.end), self.stages[-1])
-        return stage, np.asarray(stage.trajectory.at(t - stage.start).q)
+    def sample(self, period: float) -> Samples:
+        """One a `period` [s], each stage from its beginning on (`Trajectory.sample`). Host."""
+        parts, start = [], 0.0
+        for number, stage in enumerate(self.stages):
+            time, state = stage.trajectory.sample(period)
+            first = min(number, 1)  # where a stage ends the next one begins
+            parts.append((start + time[first:], *(x[first:] for x in state), np.full(len(time) - first, number)))
+            start += time[-1]
+        n = self.chain.num_joints
+        columns = zip(*parts, strict=True) if parts else ([np.zeros((0, *shape))] for shape in ((), (n,), (n,), (n,), ()))
+        time, q, velocity, acceleration, numbers = (np.concatenate(list(each)) for each in columns)
+        return Samples(time, JointState(q, velocity, acceleration), numbers.astype(int))
+
+    def gone(self, number: int) -> tuple[str, ...]:
+        """The fruits that are no more where they hung during a stage, the last one in the gripper if the stage carries it."""
+        stages = self.stages[: number + 1]
+        return tuple(dict.fromkeys(stage.fruit for stage in stages if stage.kind == "retreat"))
+
+
+class Samples(NamedTuple):
+    """Times (i,) [s], states (i, n) [rad, m and s], and the number (i,) of the stage that each belongs to."""
+
+    time: np.ndarray
+    state: JointState
+    stage: np.ndarray

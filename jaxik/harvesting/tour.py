@@ -6,7 +6,6 @@ are any numbers; what is infinite is avoided while there is another way. It know
 
 from __future__ import annotations
 
-import itertools
 from collections.abc import Sequence
 
 import numpy as np
@@ -14,7 +13,7 @@ import numpy as np
 from jaxik.checks.optional_modules import optional
 
 EXACT = 10  # groups, up to which a tour is found by dynamic programming over their subsets: a tenth of a second
-PATIENCE = 300  # iterations of PyVRP's search without a better tour, after which it ends
+PATIENCE = 1000  # iterations of PyVRP's search without a better tour, after which it ends
 DIGITS = 1e4  # PyVRP takes whole numbers
 AVOIDED = 1e3  # what stands for an infinite cost
 
@@ -79,10 +78,9 @@ def _by_search(costs: np.ndarray, groups: Sequence[np.ndarray], seed: int) -> li
         for node in nodes:
             model.add_client(places[node], required=False, group=group)
     clients = [int(node) for nodes in groups for node in nodes]
-    whole = np.round(DIGITS * costs).astype(int).tolist()
-    for i, j in itertools.permutations(range(count), 2):
-        model.add_edge(places[i], places[j], whole[i][j])
-    stop = pyvrp.stop.NoImprovement(PATIENCE)
-    found = model.solve(stop, seed=seed, collect_stats=False, display=False)
+    whole = np.round(DIGITS * costs).astype(int)
+    np.fill_diagonal(whole, 0)
+    problem = model.data().replace(distance_matrices=[whole])
+    found = pyvrp.solve(problem, pyvrp.stop.NoImprovement(PATIENCE), seed=seed, collect_stats=False, display=False)
     (route,) = found.best.routes()
     return [clients[visit.idx] for visit in route.schedule() if visit.is_client()]
