@@ -85,6 +85,8 @@ class HarvestArguments(RobotArguments):
             result = jaxik.harvest(chain, scene, progress=shown("harvest"), **options)
             plan = plan_harvest(result, how, progress=shown("motions")) if self.motions else None
         _print_table(result)
+        if plan is not None:
+            _print_cycles(plan)
         write_harvest(result, self.out, plan, self.period)
         counts = ", ".join(f"{n} {reason}" for reason, n in result.counts().items())
         took = f"{result.candidates} candidates in {result.seconds:.1f} s"
@@ -103,10 +105,22 @@ class HarvestArguments(RobotArguments):
         return HarvestPlanOptions(**{name: getattr(self, name) for name in names}, **more)
 
 
+def _print_cycles(plan: HarvestPlan) -> None:
+    """A line a fruit, as they are picked, and those that are not."""
+    kinds = ("transfer", "approach", "retreat", "transport")
+    order = {name: i for i, name in enumerate(plan.order, 1)}
+    rows = []
+    for row in sorted(plan.rows, key=lambda row: order.get(row.fruit, len(plan.rows))):
+        seconds = {stage.kind: f"{stage.end - stage.start:.2f}" for stage in row.stages}
+        cells = [f"{row.seconds:.2f}" if row.stages else "", *(seconds.get(kind, "") for kind in kinds)]
+        rows.append([row.fruit, str(order.get(row.fruit, "")) or row.why, *cells, ", ".join(row.leaves)])
+    print_table("motions [s]", ("fruit", "order, or why not", "cycle", *kinds, "leaves touched"), rows)
+
+
 def _in_motion(plan: HarvestPlan) -> str:
     """How many are picked, and how soon."""
     picked = len(plan.order)
-    each = f", {plan.cycle:.2f} s each (10 s in the paper, with gripping and cutting)" if picked else ""
+    each = f", {plan.cycle:.2f} s each in motion (the paper wants 10 s for a whole cycle)" if picked else ""
     leaves = f", touching {len(plan.leaves)} leaves" if plan.leaves else ""
     return f"{picked} picked in {plan.duration:.1f} s{each}{leaves}; planned in {plan.seconds:.1f} s; "
 

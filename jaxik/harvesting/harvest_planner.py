@@ -132,7 +132,8 @@ class _Planner:
             gone, picks = frozenset(stage.fruit for stage in self.stages), []
             for row in left:
                 picks.append(self.picks(row, gone))
-                progress(row.fruit)
+                if not gone:
+                    progress(row.fruit)
             self.cycles |= {p.fruit: Cycle(p.fruit, p.reason, p.where, blockers=p.blockers) for p in picks}
             tour = _Tour(self, at, [p for p in picks if p.reason == Reason.SOLVED], gone)
             nodes, motions = tour.planned()
