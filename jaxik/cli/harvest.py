@@ -100,9 +100,9 @@ class HarvestArguments(RobotArguments):
                 raise ValueError(
                     f"--{name}: {count} numbers; allowed: {joints}{' or a multiple of it' if name == 'place' else ''}"
                 )
-        more = {"home": self.home or None, "place": np.reshape(self.place, (-1, joints)) if self.place else None}
-        names = ("order", "leaves", "approach", "candidates")
-        return HarvestPlanOptions(**{name: getattr(self, name) for name in names}, **more)
+        given = {name: getattr(self, name) for name in ("order", "leaves", "approach", "candidates")}
+        place = np.reshape(self.place, (-1, joints)) if self.place else None
+        return dataclasses.replace(PLAN, home=self.home or None, place=place, **given)
 
 
 def _print_cycles(plan: HarvestPlan) -> None:

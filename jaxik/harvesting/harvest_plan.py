@@ -38,7 +38,7 @@ class HarvestPlanOptions:
     place: Any = None
     task: Task = POSE
     order: Any = "shortest"
-    leaves: str = "avoid"
+    leaves: Leaves = "avoid"
     leaf_time: float = 2.0
     approach: float = 0.1
     candidates: int = 16

@@ -193,7 +193,7 @@ class _Planner:
             return ()
         hit = np.zeros(len(self.around.removable), bool)
         for stage in stages:
-            q = stage.trajectory.sample(PERIOD)[1].q
+            q = np.asarray(stage.trajectory.sample(PERIOD)[1].q)
             hit |= self.leaves(held if stage.carries else self.chain, q, stage.fruit).any(axis=0)
         return tuple(name for name, one in zip(self.around.scene.object_names, hit, strict=True) if one)
 
@@ -274,19 +274,19 @@ class _Tour:
             if _length(costs, nodes) >= WORTH * best[0]:
                 break
             legs, new = self.plan_along(nodes)
-            motions = [leg.trajectory for leg in legs if leg.trajectory is not None]
+            motions = [leg.trajectory for leg in legs.values() if leg.trajectory is not None]
             if len(motions) == len(legs):
                 total = sum(float(moved.duration) for moved in motions) + float(self.own[nodes].sum())
                 best = min(best, (total, nodes, motions), key=lambda each: each[0])
             elif not best[1]:
-                self.leave_out(nodes, at_once=not new)
+                self.leave_out(legs, self.fruit(nodes[-1]), at_once=not new)
             if len(motions) == len(legs) and not new and revised > 1:
                 break
         return best[1:]
 
-    def plan_along(self, nodes: Sequence[int]) -> tuple[list[_Leg], bool]:
+    def plan_along(self, nodes: Sequence[int]) -> tuple[dict[tuple[int, int], _Leg], bool]:
         """The legs of a tour, and whether any of them is new."""
-        gone, found, new = self.gone, [], False
+        gone, found, new = self.gone, {}, False
         for a, b in self.legs_along(nodes):
             gone = gone | {self.fruit(a)}
             leg = self.legs.get((a, b))
@@ -294,7 +294,7 @@ class _Tour:
                 self.legs[a, b] = leg = self.plan(a, b, gone)
                 self.seconds[a, b] = np.inf if leg.trajectory is None else leg.trajectory.duration
                 new = True
-            found.append(leg)
+            found[a, b] = leg
         return found, new
 
     def plan(self, a: int, b: int, gone: frozenset[str]) -> _Leg:
@@ -307,18 +307,20 @@ class _Tour:
             tries = []
             for attempt in range(ATTEMPTS):  # a search finds another way with another seed
                 moved = plan_motion(arm, scene, self.begins[a], self.ends[b], planner.seed + attempt, planner.motion)
-                tries += [moved.trajectory] if moved.trajectory is not None else []
-                if not moved or moved.trajectory.duration < LONG * straight:
+                if moved.trajectory is None:
+                    break
+                tries.append(moved.trajectory)
+                if moved.trajectory.duration < LONG * straight:
                     break
             if tries:
                 return _Leg(min(tries, key=lambda each: float(each.duration)), Reason.SOLVED, gone)
         return _Leg(None, moved.reason, gone)
 
-    def leave_out(self, nodes: Sequence[int], at_once: bool) -> None:
-        """The fruits to or from which a leg of the tour has no motion: when that is found for the third time, or at once."""
-        last = nodes[-1]
-        for a, b in self.legs_along(nodes):
-            leg, fruit = self.legs[a, b], self.fruit(b) or self.fruit(a) or self.fruit(last)
+    def leave_out(self, legs: dict[tuple[int, int], _Leg], last: str, at_once: bool) -> None:
+        """The fruits to or from which a leg has no motion: when that is found for the third time, or at once. The way home is
+        that of the `last` one."""
+        for (a, b), leg in legs.items():
+            fruit = self.fruit(b) or self.fruit(a) or last
             if leg.trajectory is None and fruit in self.groups:
                 self.failures[fruit] = self.failures.get(fruit, 0) + 1
                 if at_once or self.failures[fruit] >= GIVEN_UP:
@@ -335,7 +337,7 @@ def _ranks(fruits: Sequence[Fruit], order: Any) -> dict[str, int]:
     """The place of each fruit in the order that is asked for, along the row unless it is by names."""
     names = [fruit.name for fruit in fruits]
     if isinstance(order, str):
-        places = np.array([fruit.position for fruit in fruits])
+        places = np.array([fruit.position[:2] for fruit in fruits])  # z is up
         along = np.linalg.svd(places - places.mean(axis=0))[2][0]
         along *= np.sign(along[np.argmax(np.abs(along))])
         order = [names[i] for i in np.argsort(places @ along, kind="stable")]

@@ -48,10 +48,9 @@ class Limits(NamedTuple):
         with np.errstate(divide="ignore"):
             fastest = np.min(self.velocity / np.abs(moved), axis=-1)
             brisk = np.min(self.acceleration / np.abs(moved), axis=-1)
-        still = np.isinf(fastest)
-        fastest, brisk = np.where(still, 1.0, fastest), np.where(still, 1.0, brisk)
-        taken = np.where(fastest**2 < brisk, 1.0 / fastest + fastest / brisk, 2.0 / np.sqrt(brisk))
-        return np.where(still, 0.0, taken)
+        full = fastest**2 < brisk  # it has its full speed for a while
+        trapezoid = 1.0 / np.where(full, fastest, 1.0) + np.where(full, fastest, 1.0) / brisk
+        return np.where(full, trapezoid, 2.0 / np.sqrt(brisk))  # 0 of what stands still
 
 
 class Picks(NamedTuple):
@@ -61,8 +60,8 @@ class Picks(NamedTuple):
     fruit: str
     reason: Reason
     where: str = ""
-    approach: Trajectory | None = None
-    retreat: Trajectory | None = None
+    approach: Any = None
+    retreat: Any = None
     seconds: np.ndarray = np.zeros(0)
     touched: np.ndarray = np.zeros(0, int)
     held: tuple[Chain, ...] = ()
@@ -90,9 +89,8 @@ class Way(NamedTuple):
     limits: Limits
 
 
-def ends(moved: Trajectory | None) -> tuple[np.ndarray, np.ndarray]:
+def ends(moved: Trajectory) -> tuple[np.ndarray, np.ndarray]:
     """The first and the last configurations (..., n) of a trajectory, or a stack."""
-    assert moved is not None
     c, x = np.asarray(moved.path.coefficients), np.asarray(moved.path.lengths)[..., -1, None]
     a, b, slope, begin = (c[..., -1, i, :] for i in range(4))  # padding is no way, and has the end
     return c[..., 0, 3, :], ((a * x + b) * x + slope) * x + begin
@@ -106,35 +104,51 @@ def find_picks(chain: Chain, scene: Scene, fruit: Fruit, angles: np.ndarray, q: 
     kept = ~free.hits(q, way.clear - way.margin)
     if not kept.any():
         return Picks(fruit.name, Reason.COLLISION, "posture")
-    poses, q = grasp_poses(chain, fruit, angles[kept], way.grasp), q[kept]
+    found = _approaches(free, whole, q[kept], grasp_poses(chain, fruit, angles[kept], way.grasp), way)
+    if found.reason != Reason.SOLVED:
+        return Picks(fruit.name, found.reason, "approach")
+    both, held, most = [], [], way.candidates
+    for arm, rows in carrying(chain, scene, fruit, found.lines[:, 0], way.grasp):
+        retreats, sure = _retreats(arm, free, others, found.lines[rows, 0], found.poses[rows], found.length, way)
+        both.append((rows_of(found.path, rows[sure]), retreats))
+        held += [arm] * int(sure.sum())
+        if len(held) >= most:
+            break
+    if not held:
+        return Picks(fruit.name, Reason.COLLISION, "retreat", blockers=_in_the_way(arm, others, found.lines[rows], way.margin))
+    paths = jax.tree_util.tree_map(lambda *x: np.concatenate(x)[:most], *both)
+    there, back = (time_optimal(path, *way.limits, places=512) for path in paths)
+    seconds = np.asarray(there.duration + back.duration)
+    none = np.zeros(len(seconds), int)
+    return Picks(fruit.name, Reason.SOLVED, "", there, back, seconds, none, tuple(held[:most]))
+
+
+class _Approaches(NamedTuple):
+    """Lines (b, k, n) that begin at a grasp with one of the `poses` (b, 4, 4) and lead back by a `length` [m], and the path to
+    the grasp of each, stacked; or why there are none."""
+
+    reason: Reason
+    poses: Any = None
+    lines: Any = None
+    path: Any = None
+    length: float = 0.0
+
+
+def _approaches(free: CollisionChecker, whole: CollisionChecker, q: np.ndarray, poses: np.ndarray, way: Way) -> _Approaches:
+    """Of grasps `q` (b, n), a few that differ much, all proven; where they begin, the fruit itself is an obstacle, too."""
+    reason = Reason.LIMITS
     for length in way.approach * SHORTER:
-        lines, fits = tip_lines(chain, q, poses, -np.array(way.grasp.approach), length)
+        lines, fits = tip_lines(free.chain, q, poses, -np.array(way.grasp.approach), length)
+        reason = Reason.COLLISION if fits.any() else reason
         good = np.flatnonzero(fits)
         good = good[~_any_hit(free, lines[good]) & ~whole.hits(lines[good, -1], CUSHION)]
         if len(good):
-            break
-    else:
-        return Picks(fruit.name, Reason.COLLISION if fits.any() else Reason.LIMITS, "approach")
-    good = good[spread(lines[good, -1], way.limits, TRIED * way.candidates)]
-    there, proven = _driven(lines[good, ::-1], length, free)
-    if not proven.any():
-        return Picks(fruit.name, Reason.COLLISION, "approach")
-    there, good, found, held = rows_of(there, proven), good[proven], [], []
-    for arm, rows in carrying(chain, scene, fruit, lines[good, 0], way.grasp):
-        back, sure = _retreats(arm, free, others, lines[good[rows], 0], poses[good[rows]], length, way)
-        found.append((rows_of(there, rows[sure]), back))
-        held += [arm] * int(sure.sum())
-        if len(held) >= way.candidates:
-            break
-    if not held:
-        arm, rows = next(carrying(chain, scene, fruit, lines[good, 0], way.grasp))
-        return Picks(fruit.name, Reason.COLLISION, "retreat", blockers=_in_the_way(arm, others, lines[good[rows]], way.margin))
-    both = jax.tree_util.tree_map(lambda *x: np.concatenate(x)[: way.candidates], *found)
-    there, back = (time_optimal(path, *way.limits, places=512) for path in both)
-    seconds = there.duration + back.duration
-    return Picks(
-        fruit.name, Reason.SOLVED, "", there, back, seconds, np.zeros(len(seconds), int), tuple(held[: way.candidates])
-    )
+            good = good[spread(lines[good, -1], way.limits, TRIED * way.candidates)]
+            path, proven = _driven(lines[good, ::-1], length, free)
+            if proven.any():
+                good = good[proven]
+                return _Approaches(Reason.SOLVED, poses[good], lines[good], rows_of(path, proven), length)
+    return _Approaches(reason)
 
 
 def tip_lines(
@@ -221,7 +235,7 @@ def _in_the_way(arm: Chain, others: Scene, lines: np.ndarray, margin: float) -> 
 
 def _any_hit(space: CollisionChecker, lines: np.ndarray) -> np.ndarray:
     """Which lines (b, k, n) have a sample that is nearer than the margin, and a little more."""
-    return space.hits(lines.reshape(-1, lines.shape[-1]), CUSHION).reshape(lines.shape[:2]).any(axis=1)
+    return np.any(space.hits(lines.reshape(-1, lines.shape[-1]), CUSHION).reshape(lines.shape[:2]), axis=1)
 
 
 def _driven(lines: np.ndarray, length: float, *spaces: CollisionChecker) -> tuple[JointPath, np.ndarray]:

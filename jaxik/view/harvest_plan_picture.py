@@ -9,11 +9,10 @@ import numpy as np
 
 from jaxik.harvesting.harvest_plan import HarvestPlan
 from jaxik.reasons import Reason
-from jaxik.view.palette import COLOURS, INK, LEAF, OBSTACLE, WORDS
+from jaxik.view.palette import CARRIED, COLOURS, INK, LEAF, OBSTACLE, PATH, WORDS
 from jaxik.view.solids import frames, scene_points, scene_solids
 
 PERIOD = 0.02  # [s] between points of a path
-PATH, CARRIED = "#2f6db3", "#d1495b"  # of the tip, without a fruit and with one
 PLACES = {"transport": "s", "home": "^"}  # where these lead to
 VIEWS = (2, "z", "from the robot"), (1, "y", "from above")
 
