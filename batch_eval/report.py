@@ -298,8 +298,8 @@ def harvest_motions_markdown(result: dict[str, Any]) -> str:
             *lines,
             "",
             f"{result['postures']} of the {result['fruits']} fruits have a posture. Without motions: {reasons}.",
-            f"Of {sum(each['samples'] for each in checks):,} configurations, none more than a millimetre from the one before, the "
-            f"nearest to anything is {1e3 * min(each['clearance'] for each in checks):.1f} mm away; 2 mm are asked for.",
+            f"Of {sum(each['samples'] for each in checks):,} configurations, none more than a millimetre from the one before, "
+            f"the nearest to anything is {1e3 * min(each['clearance'] for each in checks):.1f} mm away; 2 mm are asked for.",
         ]
     )
 

@@ -7,7 +7,7 @@ from typing import Any, Literal, NamedTuple
 
 import numpy as np
 
-from jaxik.checks.options import as_count, check_choices, check_finite, check_kind
+from jaxik.checks.options import as_count, check_choices, check_finite, check_kind, shown
 from jaxik.collision.scene import Scene
 from jaxik.planning.trajectory import JointState, Trajectory
 from jaxik.reasons import Reason, Reasoned
@@ -22,7 +22,7 @@ Leaves = Literal["avoid", "brush", "ignore"]
 class HarvestPlanOptions:
     """How `plan_harvest` picks.
 
-    home: where the arm begins and ends (n,); None is `default_pose`, or the free posture next to it.
+    home: where the arm begins and ends (n,); None is 0 of each joint, or the middle of its limits.
     place: where fruits are let go: configurations (n,) or (p, n), or poses `base_T_tip` (4, 4) or (p, 4, 4) [m] of which `task`
         is bound, whichever takes least; None lets a fruit go where its retreat ends, into a hose or a tray at the gripper.
     order: "shortest" by time, "row" from one end of the row to the other, or the fruits' names.
@@ -51,6 +51,8 @@ class HarvestPlanOptions:
         check_choices("plan_harvest", leaves=(self.leaves, Leaves))
         if isinstance(self.order, str):
             check_choices("plan_harvest", order=(self.order, Order))
+        elif not isinstance(self.order, list | tuple):
+            raise ValueError(f"plan_harvest: order is {shown(self.order)}; allowed: shortest, row, or a list of fruits' names")
         check_finite("plan_harvest", 0.0, approach=self.approach, leaf_time=self.leaf_time)
         check_finite("plan_harvest", margin=self.margin)
         if not self.approach > 0.0:

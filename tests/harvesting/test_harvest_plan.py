@@ -131,6 +131,7 @@ def test_no_groups_are_no_tour():
         ({"place": np.eye(4) + np.outer([1, 0, 0, 0], [0, 0, 0, 9])}, "place: .*; give a pose that is within reach"),
         ({"order": ["fruit_99"]}, "no fruit 'fruit_99'"),
         ({"order": "fast"}, "order"),
+        ({"order": 5}, "order is 5; allowed: shortest, row, or a list"),
         ({"leaves": "eat"}, "leaves"),
         ({"approach": 0.0}, "above zero"),
         ({"candidates": 0}, "candidates is 0"),
