@@ -293,7 +293,7 @@ def _save(figure: Any, name: str) -> None:
     plt.close(figure)
 
 
-ALL = (harvest, reach, kernels, inverse_kinematics, collision, between, predictive)
+ALL = (harvest, motions, reach, kernels, inverse_kinematics, collision, between, predictive)
 
 if __name__ == "__main__":
     wanted = sys.argv[1:] or [draw.__name__ for draw in ALL]

@@ -41,7 +41,7 @@ TABS = {
     "Robot": ("robot as", "target to drag", "slide [m]", "theta2 [deg]"),
     "Map": ("reachable from every direction", "not reachable", "z [m]"),
     "Fruits": ("p6r can pick 10 of the 12 fruits", "the best posture stays"),
-    "Motions": ("fruits in", "Play", "0 picked; transfer of fruit_1"),
+    "Motions": ("p6r picks 9 of 12 fruits in", "Play", "drag the time"),
     "Help": ("Target:", "Inverse kinematics follows"),
 }
 

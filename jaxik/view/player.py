@@ -37,6 +37,7 @@ class Player:
         self.time = gui.add_slider("time [s]", 0.0, max(round(plan.duration, 2), PERIOD), PERIOD, 0.0)
         self.button, self.speed = gui.add_button("Play"), gui.add_dropdown("speed", list(SPEEDS))
         self.said = gui.add_html("")
+        self._say("Play, or drag the time.")
         self.playing = threading.Event()
         self.thread: threading.Thread | None = None
         self.time.on_update(self._dragged)
@@ -100,4 +101,7 @@ class Player:
             self.plan.scene.without([name for name in here if name in near]), np.asarray(self.samples.state.q[i])
         )
         words = f"{stage.kind} of {stage.fruit}" if stage.fruit else "the way home"
-        self.said.content = f"<div style='padding:0.35em 0.9em;font-size:0.9em'>{len(gone)} picked; {words}</div>"
+        self._say(f"{len(gone)} picked; {words}")
+
+    def _say(self, words: str) -> None:
+        self.said.content = f"<div style='padding:0.35em 0.9em;font-size:0.9em'>{words}</div>"
