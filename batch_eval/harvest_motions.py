@@ -3,8 +3,8 @@
 `python batch_eval/harvest_motions.py` prints a line a plan and writes `harvest_motions.json` and `.png`. Set-ups: a hose or a
 tray at the gripper, where a fruit is let go as soon as it is out of the plants; one crate behind the robot; three; one that
 travels along the row. Orders: from left to right with the best posture of each fruit; the same order with the posture that
-takes least; the shortest. All are sums of planned motions. `checked` judges them by distances of its own (NumPy), wherever
-no point has moved by more than a millimetre.
+takes least; the shortest. All are sums of planned motions. `checked` judges the last by distances of its own (NumPy),
+wherever no point has moved by more than a millimetre.
 """
 
 from __future__ import annotations
@@ -126,8 +126,8 @@ def checked(plan: HarvestPlan, step: float = 1e-3) -> dict[str, float]:
 # --------------------------------------------------------------------------------------------------------------------
 
 
-def planned(harvested: Harvest, **how: Any) -> dict[str, Any]:
-    """A plan's figures, and what the check says."""
+def planned(harvested: Harvest, judged: bool = False, **how: Any) -> dict[str, Any]:
+    """A plan's figures, and what the check says if it is asked."""
     plans = [plan_harvest(harvested, **how) for _ in range(4)]  # the first one compiles
     plan, seconds = plans[-1], min(plan.seconds for plan in plans)
     kinds = ("transfer", "approach", "retreat", "transport", "home")
@@ -135,7 +135,7 @@ def planned(harvested: Harvest, **how: Any) -> dict[str, Any]:
     rows = {row.fruit: row.seconds if row.stages else row.why for row in plan.rows}
     result = {"picked": len(plan.order), "order": plan.order, "fruits": rows, "total_s": plan.duration, "cycle_s": plan.cycle}
     result |= {"by_kind_s": by_kind, "leaves": len(plan.leaves), "planning_s": seconds}
-    return result if how.get("leaves") else result | {"checked": checked(plan)}
+    return result | ({"checked": checked(plan)} if judged else {})
 
 
 def draw(result: dict[str, Any], path: Path) -> None:
@@ -171,19 +171,19 @@ def main() -> None:
     result: dict[str, Any] = {"machine": machine(), "fruits": len(harvested.rows), "postures": int(harvested.success.sum())}
     result |= {"harvest_s": harvested.seconds, "setups": {}, "leaves": {}}
     for setup, place in SETUPS.items():
-        plans = result["setups"][setup] = {order: planned(harvested, place=place, **how) for order, how in ORDERS.items()}
-        for order, row in plans.items():
-            print(
-                f"{setup}, {order}: {row['picked']} in {row['total_s']:.2f} s, planned in {row['planning_s']:.1f} s",
-                row["checked"],
-            )
+        for order, how in ORDERS.items():
+            row = planned(harvested, order == "shortest", place=place, **how)
+            result["setups"].setdefault(setup, {})[order] = row
+            print(f"{setup}, {order}: {_took(row)}", row.get("checked", ""))
     for leaves in ("brush", "ignore"):
         row = result["leaves"][leaves] = planned(harvested, leaves=leaves)
-        print(
-            f"{leaves}: {row['picked']} in {row['total_s']:.2f} s, {row['leaves']} leaves, planned in {row['planning_s']:.1f} s"
-        )
+        print(f"{leaves}: {_took(row)}, {row['leaves']} leaves")
     out.write_text(json.dumps(result, indent=1) + "\n")
     draw(result, out.with_suffix(".png"))
+
+
+def _took(row: dict[str, Any]) -> str:
+    return f"{row['picked']} in {row['total_s']:.2f} s, planned in {row['planning_s']:.1f} s"
 
 
 if __name__ == "__main__":

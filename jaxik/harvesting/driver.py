@@ -48,18 +48,6 @@ class Posture(NamedTuple):
         return self.reason == Reason.SOLVED
 
 
-@dataclasses.dataclass(frozen=True)
-class HarvestOptions:
-    """What makes a posture good; how many `angles` about a fruit's axis and `slides`, positions of the leading joints, are
-    tried (counts, or the values (m,) [rad] and (m, k) [m, rad]); the least clearance [m]; and how the tip meets a fruit."""
-
-    weights: Weights = dataclasses.field(default_factory=Weights)
-    angles: Any = 72
-    slides: Any = 41
-    margin: float = 0.005
-    grasp: Grasp = dataclasses.field(default_factory=Grasp)
-
-
 @dataclasses.dataclass(frozen=True, repr=False)
 class Harvest(Reasoned):
     """One row a fruit, in the scene's order, and how long it took [s]; it prints as a line a fruit."""
@@ -101,6 +89,18 @@ class Harvest(Reasoned):
         }
         known |= {"reason": self.reasons, "found_by": column("found_by"), "remove": np.array(removals)}
         return known | {name: column(name) for name in numbers}
+
+
+@dataclasses.dataclass(frozen=True)
+class HarvestOptions:
+    """What makes a posture good; how many `angles` about a fruit's axis and `slides`, positions of the leading joints, are
+    tried (counts, or the values (m,) [rad] and (m, k) [m, rad]); the least clearance [m]; and how the tip meets a fruit."""
+
+    weights: Weights = dataclasses.field(default_factory=Weights)
+    angles: Any = 72
+    slides: Any = 41
+    margin: float = 0.005
+    grasp: Grasp = dataclasses.field(default_factory=Grasp)
 
 
 def harvest(

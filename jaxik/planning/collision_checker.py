@@ -34,7 +34,7 @@ class CollisionChecker:
         self.margin, self.cushion = np.float32(margin), np.float32(cushion)
         self.obstacles = jax.tree_util.tree_map(np.asarray, grouped(scene, chain))
         self.size = np.float32(size_of(scene))
-        self.weights = joint_reaches(jax.tree_util.tree_map(np.asarray, chain))
+        self.weights = joint_reaches(jax.tree_util.tree_map(np.asarray, chain) if self.carried else chain)
 
     def length(self, moved: np.ndarray) -> np.ndarray:
         """Of differences (..., n) between configurations [m]."""
