@@ -276,6 +276,32 @@ def planning_markdown(result: dict[str, Any]) -> str:
     )
 
 
+def harvest_motions_markdown(result: dict[str, Any]) -> str:
+    """A row for each set-up: the whole row in each order; then what the leaves change, and what the check says."""
+    plans = next(iter(result["setups"].values()))
+    heads = ["a fruit is let go into", *plans, "shorter by", "planned in"]
+    lines = [f"| {' | '.join(heads)} |", "|" + " --- |" * len(heads)]
+    for setup, row in result["setups"].items():
+        times = [f"{each['total_s']:.1f} s ({each['cycle_s']:.2f} s a fruit)" for each in row.values()]
+        first, last = next(iter(row.values())), row["shortest"]
+        shorter = f"{100 * (1 - last['total_s'] / first['total_s']):.0f} %"
+        lines.append(f"| {setup} | {' | '.join(times)} | {shorter} | {last['planning_s']:.1f} s |")
+    avoid = plans["shortest"]
+    lines += ["", "| leaves (hose or tray) | picked | motions | touched |", "| --- | --- | --- | --- |"]
+    for leaves, row in {"avoid": avoid, **result["leaves"]}.items():
+        picked = f"{row['picked']} of {result['fruits']}"
+        lines.append(f"| `{leaves}` | {picked} | {row['total_s']:.1f} s ({row['cycle_s']:.2f} s a fruit) | {row['leaves']} |")
+    checks = [row["shortest"]["checked"] for row in result["setups"].values()]
+    reasons = "; ".join(f"{fruit}: {why}" for fruit, why in avoid["fruits"].items() if isinstance(why, str))
+    looked, nearest = sum(each["samples"] for each in checks), 1e3 * min(each["clearance"] for each in checks)
+    said = [
+        f"{result['postures']} of the {result['fruits']} fruits have a posture. Without motions: {reasons}.",
+        f"Of {looked:,} configurations of the shortest, none more than a millimetre from the one before, the nearest to "
+        f"anything is {nearest:.1f} mm away; 2 mm are asked for.",
+    ]
+    return "\n".join([*lines, "", *said])
+
+
 def _both(fresh: dict[str, float]) -> str:
     return f"{fresh['first_s']:.1f} s, {fresh['slowest_later_s']:.1f} s"
 
@@ -331,6 +357,7 @@ TABLES = {
     "collision_benchmark.json": collision_markdown,
     "collision_models.json": model_markdown,
     "collision_scaling.json": scaling_markdown,
+    "harvest_motions.json": harvest_motions_markdown,
     "ik_benchmark.json": ik_markdown,
     "motions.json": motions_markdown,
     "narrow_goals.json": narrow_markdown,

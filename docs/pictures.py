@@ -34,6 +34,14 @@ def harvest() -> None:
     plot_harvest(result, FOLDER / "harvest.png")
 
 
+def motions() -> None:
+    """What `jaxik harvest --motions` draws."""
+    from jaxik.view.harvest_plan_picture import plot_harvest_plan
+
+    result = jaxik.harvest(jaxik.load("p6r"), jaxik.load_scene("cucumber_row"))
+    plot_harvest_plan(jaxik.harvesting.plan_harvest(result), FOLDER / "motions.png")
+
+
 def reach() -> None:
     """What `jaxik sweep --plot` draws, of the page's study on a finer grid."""
     from jaxik.view.sweep_picture import plot_sweep
@@ -285,7 +293,7 @@ def _save(figure: Any, name: str) -> None:
     plt.close(figure)
 
 
-ALL = (harvest, reach, kernels, inverse_kinematics, collision, between, predictive)
+ALL = (harvest, motions, reach, kernels, inverse_kinematics, collision, between, predictive)
 
 if __name__ == "__main__":
     wanted = sys.argv[1:] or [draw.__name__ for draw in ALL]

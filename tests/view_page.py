@@ -41,6 +41,7 @@ TABS = {
     "Robot": ("robot as", "target to drag", "slide [m]", "theta2 [deg]"),
     "Map": ("reachable from every direction", "not reachable", "z [m]"),
     "Fruits": ("p6r can pick 10 of the 12 fruits", "the best posture stays"),
+    "Motions": ("p6r picks 9 of 12 fruits in", "Play", "drag the time"),
     "Help": ("Target:", "Inverse kinematics follows"),
 }
 
@@ -101,7 +102,8 @@ def main(out):
     with tempfile.TemporaryDirectory() as folder:
         done = jaxik.sweep(STUDY, Path(folder) / "view.zarr")
         picked = jaxik.harvest(chain, scene)
-        page = Page(chain, scene, done.path, picked, port=8091)
+        plan = jaxik.harvesting.plan_harvest(picked, order="row", candidates=2)
+        page = Page(chain, scene, done.path, picked, port=8091, plan=plan)
         driver = browser()
         try:
             driver.get(page.url)
@@ -111,6 +113,10 @@ def main(out):
             assert first.std() > 10.0, "the page is empty"
             look_at_words(driver, out)
             views = {"as it opens": settled(driver)}
+            page.player.show(plan.rows[0].stages[2].end)
+            views["with a fruit"] = settled(driver)
+            driver.save_screenshot(str(out.with_stem(f"{out.stem}_with_a_fruit")))
+            page.player.show(0.0)
             page.map.visible.value = False
             views["without the map"] = settled(driver)
             page.move(np.array([0.3, 0.2, -0.5, -0.4, 0.3, 0.5, 0.1]))

@@ -1,4 +1,4 @@
-"""`jaxik harvest`: the best collision-free posture for every fruit of a scene."""
+"""`jaxik harvest`: the best collision-free posture for every fruit of a scene, and the motions that pick them."""
 
 from __future__ import annotations
 
@@ -6,6 +6,7 @@ import dataclasses
 import os
 import shutil
 import tempfile
+from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
@@ -15,12 +16,18 @@ from jaxik.cli.results import print_table, write_csv
 from jaxik.cli.robot_arguments import RobotArguments
 from jaxik.harvesting.blocking_objects import Blockers
 from jaxik.harvesting.driver import Harvest
+from jaxik.harvesting.harvest_plan import HarvestPlan, HarvestPlanOptions, Leaves, Order
+from jaxik.harvesting.harvest_plan_files import save_harvest_plan
+from jaxik.harvesting.harvest_planner import plan_harvest
 from jaxik.harvesting.scanning import Weights
+from jaxik.planning.trajectory_files import ENDINGS
+
+PLAN = HarvestPlanOptions()
 
 
 @dataclasses.dataclass(kw_only=True)
 class HarvestArguments(RobotArguments):
-    """The best collision-free posture for every fruit of a scene, as a table, a file and a picture."""
+    """The best collision-free posture for every fruit of a scene, as a table, a file and a picture; and the motions."""
 
     robot: str = "p6r"
     """A shipped model or a robot file (.urdf, .xml, .toml)."""
@@ -36,8 +43,24 @@ class HarvestArguments(RobotArguments):
     """Positions of each leading joint."""
     margin: float = 0.005
     """Least clearance [m]."""
+    motions: bool = False
+    """Plan the motions, too, that pick one fruit after another; what follows says how."""
+    order: Order = PLAN.order
+    """By time, or from one end of the row to the other."""
+    home: tuple[float, ...] = ()
+    """The joints' values where the motions begin and end [rad, m]; 0 unless given."""
+    place: tuple[float, ...] = ()
+    """Those where fruits are let go, of one place or of several, one after another; where a retreat ends unless given."""
+    leaves: Leaves = PLAN.leaves
+    """Whether what is removable is an obstacle, may be touched where there is no other way, or is none."""
+    approach: float = PLAN.approach
+    """Length of the straight way to a fruit and back [m]."""
+    candidates: int = PLAN.candidates
+    """Postures a fruit that the order may choose from."""
+    period: float = 0.01
+    """Between samples of the motions' files [s]."""
     out: Path = Path("harvest")
-    """Folder for postures.csv, postures.npz and harvest.png."""
+    """Folder for postures.csv, postures.npz and harvest.png; of motions motions.csv, .npz, .json and .png, too."""
 
     def run(self) -> None:
         """Load, harvest with a progress bar, write, and end with one line of counts and times."""
@@ -51,16 +74,55 @@ class HarvestArguments(RobotArguments):
             raise ValueError(f"--out {self.out}: is a file; name a folder")
         chain = jaxik.load(self.robot, meshes=self.meshes, **self.loading())
         scene = jaxik.load_scene(self.scene)
+        how = self.plan_options(chain.num_joints)
         options = {name: getattr(self, name) for name in ("weights", "angles", "slides", "margin")}
         with Progress(console=Console(stderr=True)) as bar:
-            task = bar.add_task("harvest", total=len(scene.fruits))
-            show = lambda name: bar.update(task, advance=1, description=escape(f"harvest {name}"))
-            result = jaxik.harvest(chain, scene, progress=show, **options)
+
+            def shown(words: str) -> Callable[[str], None]:
+                task = bar.add_task(words, total=len(scene.fruits))
+                return lambda name: bar.update(task, advance=1, description=escape(f"{words} {name}"))
+
+            result = jaxik.harvest(chain, scene, progress=shown("harvest"), **options)
+            plan = plan_harvest(result, how, progress=shown("motions")) if self.motions else None
         _print_table(result)
-        write_harvest(result, self.out)
+        if plan is not None:
+            _print_cycles(plan)
+        write_harvest(result, self.out, plan, self.period)
         counts = ", ".join(f"{n} {reason}" for reason, n in result.counts().items())
         took = f"{result.candidates} candidates in {result.seconds:.1f} s"
-        print(f"{len(result.rows)} fruits: {counts}; {took}; wrote {self.out}/")
+        print(f"{len(result.rows)} fruits: {counts}; {took}; {'' if plan is None else _in_motion(plan)}wrote {self.out}/")
+
+    def plan_options(self, joints: int) -> HarvestPlanOptions:
+        """What `plan_harvest` takes of these."""
+        for name in ("home", "place"):
+            count = len(getattr(self, name))
+            if count % joints or (name == "home" and count > joints):
+                raise ValueError(
+                    f"--{name}: {count} numbers; allowed: {joints}{' or a multiple of it' if name == 'place' else ''}"
+                )
+        given = {name: getattr(self, name) for name in ("order", "leaves", "approach", "candidates")}
+        place = np.reshape(self.place, (-1, joints)) if self.place else None
+        return dataclasses.replace(PLAN, home=self.home or None, place=place, **given)
+
+
+def _print_cycles(plan: HarvestPlan) -> None:
+    """A line a fruit, as they are picked, and those that are not."""
+    kinds = ("transfer", "approach", "retreat", "transport")
+    order = {name: i for i, name in enumerate(plan.order, 1)}
+    rows = []
+    for row in sorted(plan.rows, key=lambda row: order.get(row.fruit, len(plan.rows))):
+        seconds = {stage.kind: f"{stage.end - stage.start:.2f}" for stage in row.stages}
+        cells = [f"{row.seconds:.2f}" if row.stages else "", *(seconds.get(kind, "") for kind in kinds)]
+        rows.append([row.fruit, str(order.get(row.fruit, "")) or row.why, *cells, ", ".join(row.leaves)])
+    print_table("motions [s]", ("fruit", "order, or why not", "cycle", *kinds, "leaves touched"), rows)
+
+
+def _in_motion(plan: HarvestPlan) -> str:
+    """How many are picked, and how soon."""
+    picked = len(plan.order)
+    each = f", {plan.cycle:.2f} s each in motion (the paper wants 10 s for a whole cycle)" if picked else ""
+    leaves = f", touching {len(plan.leaves)} leaves" if plan.leaves else ""
+    return f"{picked} picked in {plan.duration:.1f} s{each}{leaves}; planned in {plan.seconds:.1f} s; "
 
 
 def _print_table(result: Harvest) -> None:
@@ -86,14 +148,15 @@ def _in_the_way(found: Blockers | None) -> str:
     return f"behind {', '.join(found.names[:3])}" if found.names else "the robot hits itself"
 
 
-def write_harvest(result: Harvest, out: Path) -> None:
-    """postures.csv, postures.npz (no pickle) and harvest.png in the folder `out`.
+def write_harvest(result: Harvest, out: Path, plan: HarvestPlan | None = None, period: float = 0.01) -> None:
+    """postures.csv, postures.npz (no pickle) and harvest.png in the folder `out`; of a plan motions.csv, .npz, .json and .png.
 
     All are written aside first. A new folder then appears whole, by one rename. In one that is there they are replaced one by
     one, other files stay, and if one cannot be replaced, the old ones come back: only a process that is killed between those
-    three renames leaves files of two harvests.
+    renames leaves files of two harvests.
     """
     from jaxik.view.harvest_picture import plot_harvest
+    from jaxik.view.harvest_plan_picture import plot_harvest_plan
 
     there = out.is_dir()
     home = out if there else out.parent
@@ -106,6 +169,10 @@ def write_harvest(result: Harvest, out: Path) -> None:
         joints = dict(zip(result.chain.joint_names, result.q.T, strict=True))
         write_csv(aside / "postures.csv", {k: v for k, v in arrays.items() if k not in ("q", "joint_names")} | joints)
         plot_harvest(result, aside / "harvest.png")
+        if plan is not None:
+            for ending in ENDINGS:
+                save_harvest_plan(aside / f"motions{ending}", plan, period)
+            plot_harvest_plan(plan, aside / "motions.png")
         if there:
             _replace_all(aside, out)
         else:

@@ -10,11 +10,12 @@ import tyro
 import jaxik
 from jaxik.cli.robot_arguments import RobotArguments
 from jaxik.files import link_meshes
+from jaxik.harvesting import plan_harvest
 
 
 @dataclasses.dataclass(kw_only=True)
 class ViewArguments(RobotArguments):
-    """A page in the browser: the robot with joints to drag, the scene, a sweep's map, each fruit's posture."""
+    """A page in the browser: the robot with joints to drag, the scene, a sweep's map, each fruit's posture and the motions."""
 
     robot: tyro.conf.Positional[str] = "p6r"
     """A shipped model or a robot file (.urdf, .xml, .toml)."""
@@ -24,6 +25,8 @@ class ViewArguments(RobotArguments):
     """What `jaxik sweep` wrote: its map."""
     harvest: bool = False
     """Harvest the scene first, to show the posture of each fruit."""
+    motions: bool = False
+    """And plan the motions that pick them, to play them."""
     host: str = "127.0.0.1"
     """Where the page is served; 0.0.0.0 shows it to the network."""
     port: int = 8080
@@ -35,11 +38,15 @@ class ViewArguments(RobotArguments):
 
         how = self.loading()
         chain = jaxik.load(self.robot, meshes=True, **how)
-        if self.harvest and self.scene is None:
-            raise ValueError("--harvest: needs a --scene with fruits, e.g. --scene cucumber_row")
+        harvest = self.harvest or self.motions
+        if harvest and self.scene is None:
+            raise ValueError(
+                f"--{'harvest' if self.harvest else 'motions'}: needs a --scene with fruits, e.g. --scene cucumber_row"
+            )
         scene = None if self.scene is None else jaxik.load_scene(self.scene)
-        picked = jaxik.harvest(chain, scene) if self.harvest and scene is not None else None
+        picked = jaxik.harvest(chain, scene) if harvest and scene is not None else None
+        plan = plan_harvest(picked) if self.motions and picked is not None else None
         meshes = link_meshes(self.robot, self.tip, self.base, how["posture"])
-        page = Page(chain, scene, self.store, picked, self.host, self.port, meshes)
+        page = Page(chain, scene, self.store, picked, self.host, self.port, meshes, plan)
         print(f"open {page.url} in a browser; Ctrl-C ends", flush=True)
         page.wait()

@@ -122,7 +122,7 @@ def _obstacles(
     group = np.repeat(np.arange(len(groups)), [len(b) for b in begins])
     last = np.minimum(first + fan, ends[group + 1])
     ignores = (masks[:-1] if by_object else keys)[group].astype(np.int32)
-    room = max(leaves, len(first))
+    room = max(leaves, len(first), -(-len(owner) // size))  # with what is taken away: one kernel serves before and after
     room = next((n for n in LEAVES if n >= room), room) if known else room
     balls = around(center[order].reshape(-1, size, 3), radius[order].reshape(-1, size), xp)
     filled, numbered = lambda x: with_zeros(x, room, xp), lambda x: with_zeros(x.astype(np.int32), room, np)

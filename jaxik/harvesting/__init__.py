@@ -4,19 +4,28 @@ from jaxik.harvesting import crop
 from jaxik.harvesting.blocking_objects import blockers
 from jaxik.harvesting.driver import Harvest, HarvestOptions, harvest
 from jaxik.harvesting.grasp import Grasp
+from jaxik.harvesting.harvest_plan import Cycle, HarvestPlan, HarvestPlanOptions, Stage
+from jaxik.harvesting.harvest_plan_files import save_harvest_plan
+from jaxik.harvesting.harvest_planner import plan_harvest
 from jaxik.harvesting.image_mapping import fit_mapping
 from jaxik.harvesting.scanning import Weights, approach_angles, scan, scan_two_step
 
 __all__ = [
+    "Cycle",
     "Grasp",
     "Harvest",
     "HarvestOptions",
+    "HarvestPlan",
+    "HarvestPlanOptions",
+    "Stage",
     "Weights",
     "approach_angles",
     "blockers",
     "crop",
     "fit_mapping",
     "harvest",
+    "plan_harvest",
+    "save_harvest_plan",
     "scan",
     "scan_two_step",
 ]

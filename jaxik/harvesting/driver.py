@@ -57,6 +57,7 @@ class Harvest(Reasoned):
     rows: tuple[Posture, ...]
     seconds: float
     candidates: int
+    options: HarvestOptions
 
     def __repr__(self) -> str:
         fate = lambda row: f"clearance {1000 * row.clearance:.1f} mm" if row.success else str(row.reason)
@@ -134,7 +135,7 @@ def harvest(
         rows.append(_posture(chain, scene, found, options))
         if progress:
             progress(fruit.name)
-    return Harvest(chain, scene, tuple(rows), time.perf_counter() - start, sum(row.scan.status.size for row in rows))
+    return Harvest(chain, scene, tuple(rows), time.perf_counter() - start, sum(row.scan.status.size for row in rows), options)
 
 
 def _posture(chain: Chain, scene: Scene, found: Scan, options: HarvestOptions) -> Posture:

@@ -2,17 +2,18 @@
 
 from __future__ import annotations
 
+import dataclasses
 from typing import Any
 
 import jax
 import numpy as np
 
 from jaxik.collision.bvh import grouped
-from jaxik.collision.clearances import collides
+from jaxik.collision.clearances import by_object, collides
 from jaxik.collision.continuous_collision import joint_reaches, motion_collides_within, size_of
 from jaxik.collision.scene import Scene
 from jaxik.reasons import Reason
-from jaxik.robot.chain import Chain
+from jaxik.robot.chain import Chain, Volume
 from jaxik.spmd.batch import in_blocks
 from jaxik.spmd.host import host_kernels
 
@@ -25,13 +26,15 @@ class CollisionChecker:
     is. Rows of configurations are NumPy arrays (b, n).
 
     `weights` (n,) are how far a joint's unit moves the robot at most [m]: distances between configurations are measured so.
-    `checked` counts the configurations that were asked for."""
+    `checked` counts the configurations that were asked for. Volumes of the chain that are JAX arrays are operands of its
+    kernels: one serves all that an arm carries, if it has as many volumes."""
 
     def __init__(self, chain: Chain, scene: Scene | None, margin: float, cushion: float = 0.0):
-        self.chain, self.margin, self.cushion = chain, np.float32(margin), np.float32(cushion)
+        self.chain, self.carried = _apart(chain)
+        self.margin, self.cushion = np.float32(margin), np.float32(cushion)
         self.obstacles = jax.tree_util.tree_map(np.asarray, grouped(scene, chain))
         self.size = np.float32(size_of(scene))
-        self.weights = joint_reaches(chain)
+        self.weights = joint_reaches(jax.tree_util.tree_map(np.asarray, chain) if self.carried else chain)
         self.checked = 0
 
     def length(self, moved: np.ndarray) -> np.ndarray:
@@ -41,7 +44,8 @@ class CollisionChecker:
     def hits(self, q: np.ndarray, cushion: Any = 0.0) -> np.ndarray:
         """Which configurations come nearer than the margin, and a cushion [m] beyond it."""
         self.checked += len(q)
-        return in_blocks(_hits(self.chain), q, fixed=(self.margin + np.float32(cushion), self.obstacles), double=False)[0]
+        fixed = self.margin + np.float32(cushion), self.obstacles, self.carried
+        return in_blocks(_hits(self.chain), q, fixed=fixed, double=False)[0]
 
     def free_part(self, start: np.ndarray, end: np.ndarray, step: float) -> np.ndarray:
         """Of each straight motion, the part (b,) up to its first sample that hits, by samples every `step` [m]; 1 of all."""
@@ -58,7 +62,7 @@ class CollisionChecker:
     def proven(self, start: np.ndarray, end: np.ndarray, extra: Any = 0.0, resolution: float = RESOLUTION) -> np.ndarray:
         """Which straight motions are proven to keep the margin, and `extra` (b,) [m] beyond it, throughout."""
         margins = np.broadcast_to(self.margin + np.asarray(extra, np.float32), len(start))
-        fixed = np.float32(resolution), self.size, self.obstacles
+        fixed = np.float32(resolution), self.size, self.obstacles, self.carried
         return ~in_blocks(_moves(self.chain), start, end, margins, fixed=fixed, double=False)[0]
 
     def proven_closely(self, start: np.ndarray, end: np.ndarray) -> np.ndarray:
@@ -69,6 +73,13 @@ class CollisionChecker:
         return found
 
 
+def touched(chain: Chain, scene: Scene, q: np.ndarray, margin: float) -> np.ndarray:
+    """Which objects of the scene each configuration (b, n) is nearer to than the margin (b, objects)."""
+    alone, carried = _apart(chain)
+    fixed = jax.tree_util.tree_map(np.asarray, grouped(scene, chain, by_object=True)), carried
+    return in_blocks(_objects(alone, len(scene.object_names)), q, fixed=fixed, double=False)[0] < margin
+
+
 def judged(chain: Chain, space: CollisionChecker, postures: np.ndarray) -> np.ndarray:
     """The reason of each posture (b, n), LIMITS before COLLISION; at the limits what float32 makes of them counts as inside."""
     near = 1e-6 * (1.0 + np.abs(postures))
@@ -77,9 +88,34 @@ def judged(chain: Chain, space: CollisionChecker, postures: np.ndarray) -> np.nd
     return np.where(np.isfinite(postures).all(axis=1), reason, Reason.INVALID)
 
 
+Carried = dict[int, Volume]
+
+
+def _apart(chain: Chain) -> tuple[Chain, Carried]:
+    """The chain without the numbers of those of its volumes that are JAX arrays, and these by their place."""
+    carried = {i: v for i, v in enumerate(chain.volumes) if isinstance(v.corners, jax.Array)}
+    without = lambda v: dataclasses.replace(v, corners=np.zeros(v.corners.shape), radius=np.zeros(()))
+    volumes = tuple(without(v) if i in carried else v for i, v in enumerate(chain.volumes))
+    return (dataclasses.replace(chain, volumes=volumes) if carried else chain), carried
+
+
+def _together(chain: Chain, carried: Carried) -> Chain:
+    volumes = tuple(carried.get(i, v) for i, v in enumerate(chain.volumes))
+    return dataclasses.replace(chain, volumes=volumes) if carried else chain
+
+
 @host_kernels(1)
-def _hits(chain: Chain, q: Any, margin: Any, obstacles: Any) -> Any:
-    return collides(chain, obstacles, q, margin)
+def _hits(chain: Chain, q: Any, margin: Any, obstacles: Any, carried: Carried) -> Any:
+    return collides(_together(chain, carried), obstacles, q, margin)
 
 
-_moves = host_kernels(3)(motion_collides_within)
+@host_kernels(1)
+def _objects(chain: Chain, count: int, q: Any, obstacles: Any, carried: Carried) -> Any:
+    return by_object(_together(chain, carried), count, obstacles, q)
+
+
+@host_kernels(3)
+def _moves(
+    chain: Chain, start: Any, end: Any, margin: Any, resolution: Any, size: Any, obstacles: Any, carried: Carried
+) -> Any:
+    return motion_collides_within(_together(chain, carried), start, end, margin, resolution, size, obstacles)

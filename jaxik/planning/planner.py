@@ -191,7 +191,7 @@ def _planned(
     check_geometry(chain)
     check_seed(who, seed)
     options = changed(who, options or PlanOptions(), changes)
-    limits = _limits(who, chain, options)
+    limits = motion_limits(who, chain, options)
     reason = np.zeros(len(starts), int)
     if pose:
         asked = IKOptions(task=options.task, margin=options.margin, solutions=options.postures)
@@ -222,7 +222,7 @@ def _planned(
     return [dataclasses.replace(row, trajectory=next(timed)) if row else row for row in rows]
 
 
-def _limits(who: str, chain: Chain, options: PlanOptions) -> tuple[np.ndarray, np.ndarray]:
+def motion_limits(who: str, chain: Chain, options: PlanOptions) -> tuple[np.ndarray, np.ndarray]:
     """Of velocity and acceleration (1, n)."""
     velocity = numbers(f"{who}: velocity", chain.velocity if options.velocity is None else options.velocity)
     if options.acceleration is None and np.isinf(velocity).any():

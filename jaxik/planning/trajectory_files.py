@@ -2,14 +2,15 @@
 
 from __future__ import annotations
 
+import csv
 import json
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 
 import numpy as np
 
 from jaxik.checks.options import check_kind
-from jaxik.planning.trajectory import Trajectory
+from jaxik.planning.trajectory import JointState, Trajectory
 
 ENDINGS = ".csv", ".npz", ".json"
 
@@ -22,20 +23,40 @@ def save_trajectory(file: str | Path, trajectory: Trajectory, period: float, joi
     Raises `ValueError` for another ending, for as many names as there are no joints, and as `sample` does.
     """
     check_kind("save_trajectory", "trajectory", trajectory, Trajectory)
-    file, names = Path(file), list(joint_names)
+    file, names = check_ending("save_trajectory", file), list(joint_names)
     time, state = trajectory.sample(period)
     if len(names) != state.q.shape[1]:
         raise ValueError(f"save_trajectory: {len(names)} joint_names of {state.q.shape[1]} joints; give one a joint")
     if file.suffix == ".npz":
         np.savez(file, time=time, **state._asdict(), joint_names=names)
     elif file.suffix == ".csv":
-        header = ["time", *(f"{kind}_{name}" for kind in state._fields for name in names)]
-        np.savetxt(file, np.column_stack([time, *state]), "%.17g", ",", header=",".join(header), comments="")
-    elif file.suffix == ".json":
-        file.write_text(json.dumps({"joint_names": names, "points": [_point(*row) for row in zip(time, *state, strict=True)]}))
+        table(file, time, state, names)
     else:
-        raise ValueError(f"save_trajectory: {file.name}; allowed endings: {', '.join(ENDINGS)}")
+        file.write_text(json.dumps({"joint_names": names, "points": joint_points(time, state)}))
     return file
+
+
+def check_ending(who: str, file: str | Path) -> Path:
+    """Raises `ValueError` for one that is none of `ENDINGS`."""
+    if Path(file).suffix not in ENDINGS:
+        raise ValueError(f"{who}: {Path(file).name}; allowed endings: {', '.join(ENDINGS)}")
+    return Path(file)
+
+
+def table(
+    file: Path, time: np.ndarray, state: JointState, names: Sequence[str], words: Mapping[str, np.ndarray] | None = None
+) -> None:
+    """A line a sample: its time, `words` (i,) of it, and a column a quantity and joint."""
+    words = words or {}
+    header = ["time", *words, *(f"{kind}_{name}" for kind in state._fields for name in names)]
+    columns = [time.tolist(), *(each.tolist() for each in words.values()), *np.concatenate(state, axis=1).T.tolist()]
+    with file.open("w", newline="", encoding="utf-8") as out:
+        csv.writer(out, lineterminator="\n").writerows([header, *zip(*columns, strict=True)])
+
+
+def joint_points(time: np.ndarray, state: JointState) -> list[dict[str, object]]:
+    """The `points` of ROS' `trajectory_msgs/JointTrajectory`."""
+    return [_point(*row) for row in zip(time, *state, strict=True)]
 
 
 def _point(time: float, q: np.ndarray, velocity: np.ndarray, acceleration: np.ndarray) -> dict[str, object]:

@@ -1,11 +1,11 @@
 """A page to look at (viser, extra `[view]`): the robot with joints and a target to drag, what is near to it, a sweep's map,
-each fruit's posture."""
+each fruit's posture, and the motions that pick them."""
 
 from __future__ import annotations
 
 import threading
 from collections import deque
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -20,6 +20,7 @@ from jaxik.collision.self_collision_pairs import default_pose
 from jaxik.files.targets import as_frames
 from jaxik.fitting.model import Shape
 from jaxik.harvesting.driver import Harvest
+from jaxik.harvesting.harvest_plan import HarvestPlan
 from jaxik.ik.solve import solve_ik
 from jaxik.reasons import Reason
 from jaxik.robot.chain import Chain, finite_limits
@@ -28,6 +29,7 @@ from jaxik.spatial.rotations import to_wxyz
 from jaxik.view.cloud import Cloud, draw_points, store_of
 from jaxik.view.harvest_picture import fate, posture
 from jaxik.view.palette import COLOURS, FRUIT, INK, LEAF, OBSTACLE, ROBOT, WORDS, rgb, swatches
+from jaxik.view.player import Player
 from jaxik.view.solids import Solid, bones, box_solids, frames, scene_points, scene_solids, volume_solids
 
 MANY = 500  # solids, from which on each is drawn more coarsely
@@ -39,10 +41,14 @@ HELP = (
     "**Target:** drag the arrows and rings at the tip. Inverse kinematics follows, or says why it cannot.",
     "**Map:** each point is a place that a sweep has tried. Click one that is reachable to see the posture there.",
     "**Fruits:** choose one to see how it is picked, or what is in its way.",
+    "**Motions:** play them, or drag the time.",
 )
 DRAG = "Drag the arrows and rings at the tip: the robot follows, at first after a few seconds."
 NO_MAP = "No map yet. Make one with `jaxik sweep STUDY.toml`, then open this page with `--store STUDY.zarr`."
 NO_FRUITS = "No fruits yet. Open this page with `--scene cucumber_row --harvest`, or a scene file of your own that has fruits."
+NO_MOTIONS = (
+    "No motions yet. Open this page with `--scene cucumber_row --motions`, or a scene file of your own that has fruits."
+)
 NO_SCENE = "No obstacles: open this page with `--scene cucumber_row`, or a scene file of your own."
 
 
@@ -58,6 +64,7 @@ class Page:
         host: str = "127.0.0.1",
         port: int = 8080,
         meshes: Sequence[Shape] = (),
+        plan: HarvestPlan | None = None,
     ):
         """Serves the page on `host`, `port`; `meshes` are the links' own shapes (`files.link_meshes`).
 
@@ -72,7 +79,7 @@ class Page:
             check_geometry(chain)
         except ValueError as error:  # why clearance cannot be measured
             self.blind = str(error)
-        self._q, self._asked, self.hit = default_pose(chain), _Latest(), frozenset[str]()
+        self._q, self.asked, self.hit = default_pose(chain), _Latest(), frozenset[str]()
         self.server = viser.ViserServer(host=host, port=port, label="jaxik", verbose=False)
         self.server.scene.set_up_direction("+z")
         self.server.scene.add_grid("/floor", width=4.0, height=4.0, cell_size=0.1, section_size=0.5, shadow_opacity=0.0)
@@ -97,6 +104,10 @@ class Page:
                 gui.add_markdown(NO_FRUITS)
             else:
                 self._fruits(harvest)
+        with tabs.add_tab("Motions"):
+            self.player = None if plan is None else Player(self, plan)
+            if plan is None:
+                gui.add_markdown(NO_MOTIONS)
         with tabs.add_tab("Help"):
             gui.add_markdown("\n\n".join(HELP))
         self._draw()
@@ -118,12 +129,26 @@ class Page:
             self.close()
 
     def close(self) -> None:
+        if self.player is not None:
+            self.player.pause()
         self.server.stop()
 
     def move(self, q: np.ndarray, world_T_base: np.ndarray | None = None) -> None:
         """Shows the robot at `q` (n,) [rad, m], where it stands unless `world_T_base` (4, 4) puts it elsewhere."""
         self.chain = self.home if world_T_base is None else self.home.mounted(world_T_base)
         self._show(q)
+
+    def show_among(self, scene: Scene, q: np.ndarray) -> None:
+        """Shows the robot at `q` (n,) [rad, m], and what it is near to in a scene that is less than the page's."""
+        self.scene = scene
+        self.move(q)
+
+    def draw_fruits(self, names: Iterable[str]) -> dict[str, Any]:
+        """These fruits as meshes of their own, which may be moved, each with its name."""
+        solids = lambda name: [s for s in self.solids if s.owner == name]
+        apart = {name: self._add(f"/scene/fruit/{name}", _mesh(solids(name)), FRUIT) for name in names if solids(name)}
+        self._draw_scene(apart)
+        return apart
 
     def reach(self, world_T_tip: np.ndarray) -> Reason:
         """Brings the tip to a pose (4, 4), by the posture next to the one shown; where there is none, says why."""
@@ -172,7 +197,7 @@ class Page:
         if event.client is not None:  # a person, not `_show`
             value = self.sliders[i].value / self.factor[i]
             self._q[i] = np.clip(value, *self.limits[:, i])  # the slider's ends are rounded
-            self._asked(self._draw)
+            self.asked(self._draw)
 
     def _show(self, q: np.ndarray, follow: bool = True) -> None:
         """The robot at `q`, its sliders too, and the target at its tip unless it is that which is dragged."""
@@ -227,7 +252,7 @@ class Page:
         self.binds = gui.add_dropdown("it binds", kinds, initial_value=kinds[self.chain.num_joints < 6])
         self.clear = gui.add_checkbox("keep clear", self.scene is not None, visible=self.scene is not None)
         self.said = gui.add_html(_boxed(DRAG))
-        self.gizmo.on_update(lambda _: self._asked(self._dragged))
+        self.gizmo.on_update(lambda _: self.asked(self._dragged))
 
     def _dragged(self) -> None:
         self.reach(as_frames(np.concatenate([self.gizmo.position, self.gizmo.wxyz])[None])[0])
@@ -289,12 +314,12 @@ class Page:
         solids = [s._replace(radius=s.radius + 0.002) for s in self.solids if s.owner in hit]
         self._add("/scene/hit", _mesh(solids), BAD, visible=bool(solids))
 
-    def _draw_scene(self) -> None:
-        """Leaves as points, the rest as solids: fruits in their colour, obstacles in one."""
+    def _draw_scene(self, apart: Iterable[str] = ()) -> None:
+        """Leaves as points, the rest as solids: fruits in their colour, obstacles in one; but for what is drawn apart."""
         draw_points(self.server.scene, "/scene/points", self.points[0], rgb(LEAF), self.radius)
-        fruits = {f.name for f in self.around.fruits}
+        fruits, apart = {f.name for f in self.around.fruits}, set(apart)
         for name, colour in (("fruits", FRUIT), ("obstacles", OBSTACLE)):
-            mine = [s for s in self.solids if (s.owner in fruits) == (name == "fruits")]
+            mine = [s for s in self.solids if (s.owner in fruits) == (name == "fruits") and s.owner not in apart]
             self._add(f"/scene/{name}", _mesh(mine), colour, visible=bool(mine))
 
     def _fruits(self, harvest: Harvest) -> None:

@@ -22,6 +22,7 @@ PARTLY = "#6cc0ae"  # reachable, but not from every direction
 SCALE = "cividis"  # of numbers: even in lightness, alike to all eyes
 LEAF, WOOD, OBSTACLE, FRUIT = "#9ab46a", "#8b6b4a", "#a3998c", "#e8a33d"
 ARM, ARM_EDGE, INK = "#c9d3df", "#5b6b7f", "#222222"
+PATH, CARRIED = "#2f6db3", "#d1495b"  # of the tip, without a fruit and with one
 ROBOT = "#8d9db0"  # in the light of the page
 
 

@@ -13,6 +13,7 @@ from hypothesis.extra import numpy as hnp
 from scipy.spatial.transform import Rotation
 
 import jaxik
+from jaxik.collision.bvh import grouped
 from jaxik.collision.scene import KINDS
 from jaxik.files import save_scene
 
@@ -484,3 +485,10 @@ def test_a_scene_is_saved_as_a_chain_is(tmp_path):
         with pytest.raises(ValueError) as error:
             jaxik.files.save_scene(scene, where)
         one_line(error, "save_scene", *words)
+
+
+def test_what_is_taken_away_leaves_the_shapes_of_what_is_grouped():
+    """So that one kernel serves before and after."""
+    chain, scene = jaxik.load("p6r"), jaxik.load_scene("cucumber_row")
+    shapes = lambda scene: jax.tree_util.tree_map(np.shape, grouped(scene, chain))
+    assert shapes(scene) == shapes(scene.without([n for n in scene.object_names if n.startswith(("leaf", "fruit"))]))

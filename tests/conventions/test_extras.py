@@ -3,10 +3,12 @@
 import sys
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 import jaxik
 from jaxik.cli import main
+from jaxik.harvesting.tour import shortest_tour
 from jaxik.sweeps import Study, Sweep
 from jaxik.view.page import Page
 
@@ -23,6 +25,11 @@ def parquet(folder):
     main()
 
 
+def order(folder):
+    groups = [np.array([1 + i]) for i in range(11)]
+    shortest_tour(np.zeros((12, 12)), groups)
+
+
 WITHOUT = [  # what is hidden, the extra that brings it, who asks for it
     ("mujoco", "mjcf", mjcf),
     ("zarr", "sweep", lambda folder: jaxik.sweep(STUDY, folder / "s.zarr")),
@@ -30,6 +37,7 @@ WITHOUT = [  # what is hidden, the extra that brings it, who asks for it
     ("distributed", "cluster", lambda folder: jaxik.sweep(STUDY, folder / "s.zarr", cluster="tcp://127.0.0.1:9")),
     ("viser", "view", lambda folder: Page(jaxik.load("planar2"))),
     ("pyarrow", "parquet", parquet),
+    ("pyvrp", "harvest", order),
 ]
 
 
