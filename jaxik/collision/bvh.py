@@ -18,13 +18,13 @@ import numpy as np
 from jax import lax
 
 from jaxik.checks.arrays import is_known
-from jaxik.collision.scene import FAR, SHAPES, Scene, check_scene, remembered, with_zeros
+from jaxik.collision.scene import FAR, SHAPES, SIZES_OF, Scene, check_scene, remembered, with_zeros
 from jaxik.collision.volumes import local_volumes
 from jaxik.pytree import static
 from jaxik.robot.chain import Chain, geometry_between, solid_links
 from jaxik.robot.link_distance_table import PairTable
 
-LEAF = {"points": 4, "spheres": 4, "capsules": 1, "boxes": 1, "cylinders": 1}  # obstacles a leaf, where there are a few
+LEAF = {"points": 4, "spheres": 4, "capsules": 1, "boxes": 1, "cylinders": 1, "triangles": 1}  # obstacles a leaf, where there are a few
 FAN = 4  # leaves a branch, at least
 LEAVES = (16, 128, 1024, 8192, 65536)  # what is compiled for: up to so many leaves, of which those that are there are looked at
 SLACK = 1e-4  # [m] that a bounding sphere is larger: nothing is lost to rounding in float32, 100 m from the origin
@@ -42,7 +42,9 @@ class Balls(NamedTuple):
 class Obstacles:
     """Those of one `kind`, ordered by place: leaves of `LEAF` rows each; branch b holds the leaves `first[b]` to `last[b]`, not
     counted, and is one of the `count` that are there if b is less; `ignored[b]` are the `bits` of links that it does not
-    count for, of a chain that ignores `ignores`. `unsound` is 0, or NaN where a number of theirs is."""
+    count for, of a chain that ignores `ignores`. `unsound` is 0, or NaN where a number of theirs is. Where there may be solids
+    of triangles, `reach[b]` is how far the inside of those in branch b is from their triangles at most [m], below 0 without any.
+    """
 
     kind: str = static()
     rows: dict[str, Any]
@@ -53,6 +55,7 @@ class Obstacles:
     ignored: Any
     count: Any
     unsound: Any
+    reach: Any
     ignores: tuple[tuple[int, str], ...] = static()
 
 
@@ -129,9 +132,30 @@ def _obstacles(
     placed = lambda x: x if np.ndim(x) == 0 else with_zeros(x[order], room * size, xp)
     kept = {name: placed(x) for name, x in rows.items()}
     spheres, branches = (Balls(*map(filled, each)) for each in (balls, _joined(balls, first, last, xp)))
+    inside = _inside(rows, owner, there, known, xp) if kind == "triangles" else None
+    reach = None if inside is None else with_zeros(inside[order][_runs(first, last)].max(axis=1), room, xp)
     first, last, ignores = map(numbered, (first, last, ignores))
     unsound = xp.asarray(sum(xp.sum(x) * 0.0 for x in rows.values()))
-    return Obstacles(kind, kept, spheres, branches, first, last, ignores, np.int32(len(group)), unsound, ignored)
+    return Obstacles(kind, kept, spheres, branches, first, last, ignores, np.int32(len(group)), unsound, reach, ignored)
+
+
+def _inside(rows: dict[str, Any], owner: np.ndarray, there: np.ndarray, known: bool, xp: Any) -> Any:
+    """Of each triangle how far the inside of its solid is from its surface at most (k,) [m], half the least extent of it all,
+    and less than 0 of what is none; None where that is known to be so of all."""
+    solid = rows["solid"] > 0.0
+    corners = xp.stack([rows[name] for name in "abc"], axis=1)  # (k, 3, 3)
+
+    def half(counts: Any) -> Any:
+        least, most = (f(xp.where(counts[:, None, None], corners, s * FAR), axis=(0, 1)) for f, s in ((xp.min, 1), (xp.max, -1)))
+        return xp.min(most - least) / 2.0 + SLACK
+
+    if not known:
+        return xp.where(solid, half(solid & (xp.abs(corners).max(axis=(1, 2)) < FAR / 2.0)), -FAR)
+    bodies = np.unique(owner[there][solid[there]])
+    found = np.full(len(owner), -FAR)
+    for body in bodies:
+        found[solid & (owner == body)] = half(solid & (owner == body))
+    return found if len(bodies) else None
 
 
 def _in_leaves(groups: list[np.ndarray], size: int, center: np.ndarray | None) -> tuple[np.ndarray, np.ndarray]:
@@ -146,11 +170,11 @@ def _in_leaves(groups: list[np.ndarray], size: int, center: np.ndarray | None) -
 
 def _extent(rows: dict[str, Any], xp: Any) -> tuple[Any, Any]:
     """Of each obstacle the centre (k, 3) and radius (k,) of a sphere around it."""
-    place, *more = (x for name, x in rows.items() if name not in ("radius", "half"))
+    place, *more = (x for name, x in rows.items() if name not in SIZES_OF)
     if place.shape[1:] == (4, 4):
         square = xp.sum(rows["half"].reshape(len(place), -1) ** 2, axis=1)
         return place[:, :3, 3], xp.sqrt(rows.get("radius", 0.0) ** 2 + square)
-    radius = xp.broadcast_to(rows["radius"], place.shape[:1])
+    radius = xp.broadcast_to(rows.get("radius", 0.0), place.shape[:1])
     return balls_of(xp.stack([place, *more], axis=1), radius, xp) if more else (place, radius)  # most are points
 
 
@@ -170,12 +194,16 @@ def around(center: Any, radius: Any, xp: Any = np) -> Balls:
 
 def _joined(balls: Balls, first: np.ndarray, last: np.ndarray, xp: Any) -> Balls:
     """Around runs of balls, from `first` to `last`, not counted; of none a ball far away."""
-    most = int(np.max(last - first, initial=1))
-    rows = np.minimum(first[:, None] + np.arange(most), np.maximum(last[:, None] - 1, 0))
+    rows = _runs(first, last)
     if not len(balls.radius):
         return Balls(np.full((len(first), 3), FAR), np.zeros(len(first)))
     found = around(balls.center[rows], balls.radius[rows], xp)
     return Balls(xp.where((last > first)[:, None], found.center, FAR), found.radius)
+
+
+def _runs(first: np.ndarray, last: np.ndarray) -> np.ndarray:
+    """The numbers from `first` to `last`, not counted, of each run in a row, its last one again and again in shorter ones."""
+    return np.minimum(first[:, None] + np.arange(int(np.max(last - first, initial=1))), np.maximum(last[:, None] - 1, 0))
 
 
 def by_place(points: np.ndarray, size: int) -> np.ndarray:

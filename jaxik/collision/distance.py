@@ -8,7 +8,8 @@ gradient [Danskin 1967].
 
 What a negative distance says: the shortest way out, of points, and so of spheres, of lines, of triangles in boxes, and where
 only radii overlap. A triangle that enters a cylinder is as deep as the deepest of some lines in it: it must move at least so
-far. A triangle that another skeleton crosses is 0 apart from it: that tells that they do, not how far. The sign is right.
+far. A triangle of a robot that another volume of it crosses is 0 apart from it: that tells that they do, not how far; with a
+triangle of the scene it is the shortest way out. The sign is right.
 """
 
 from __future__ import annotations
@@ -143,6 +144,49 @@ def between(s: tuple[Vec3, ...], t: tuple[Vec3, ...]) -> Any:
         (3, 3): triangle_triangle,
     }
     return pairs[len(s), len(t)](*s, *t)
+
+
+# --------------------------------------------------------------------------------------------------------------------
+# Surfaces (signed)
+
+
+def skeleton_triangle(skeleton: tuple[Vec3, ...], triangle: tuple[Vec3, ...]) -> Any:
+    """Signed distance of a point, a line or a triangle to a triangle; where they cross, minus the shortest way out."""
+    apart = between(skeleton, triangle)
+    if len(skeleton) == 1:
+        return apart
+    way_out = lambda: jnp.minimum(_way_apart(skeleton, triangle), 0.0)
+    return jnp.where(apart > 0.0, apart, lax.cond(jnp.any(apart <= 0.0), way_out, lambda: jnp.zeros_like(apart)))
+
+
+def _way_apart(skeleton: tuple[Vec3, ...], triangle: tuple[Vec3, ...]) -> Any:
+    """By how far a line or a triangle is apart from a triangle, along the axis where that is most. Such axes are the normals,
+    and those at right angles to an edge of each [Ericson 2005, sec. 5.2.1]."""
+    both = [[corner - triangle[0] for corner in corners] for corners in (skeleton, triangle)]
+    edges = [[e - o for o, e in zip(c, c[1:] + c[:1], strict=True)][: 2 * len(c) - 3] for c in both]  # a line has one
+    axes = [u.cross(v) for u, v in itertools.product(*edges)] + [e[0].cross(e[1]) for e in edges if len(e) == 3]
+    found = []
+    for n in axes:
+        length, (mine, theirs) = safe_sqrt(n.dot(n)), ([n.dot(corner) for corner in corners] for corners in both)
+        gaps = (reduce(jnp.minimum, a) - reduce(jnp.maximum, b) for a, b in ((mine, theirs), (theirs, mine)))
+        found.append(jnp.where(length > 0.0, safe_divide(jnp.maximum(*gaps), length), -jnp.inf))
+    return reduce(jnp.maximum, found)
+
+
+def upward_crossing(p: Vec3, a: Vec3, b: Vec3, c: Vec3) -> Any:
+    """1 where the ray from p along z leaves through the triangle abc, which is counter-clockwise as seen from outside, -1 where
+    it enters, else 0. Summed over a closed surface: how often it winds around p, 1 inside, 0 outside.
+
+    Seen from above p is to the left of an edge or not, and of two triangles that share it the products are the same numbers: so
+    a ray through an edge or a corner counts once [Sunday 2001].
+    """
+    turns = jnp.zeros_like(p.x + a.x)
+    for o, e in ((a, b), (b, c), (c, a)):
+        side = (o.x - p.x) * (e.y - p.y) - (o.y - p.y) * (e.x - p.x)
+        turns += jnp.where((o.y <= p.y) & (e.y > p.y) & (side > 0.0), 1.0, 0.0)
+        turns -= jnp.where((o.y > p.y) & (e.y <= p.y) & (side < 0.0), 1.0, 0.0)
+    above = turns * (b - a).cross(c - a).dot(a - p) > 0.0
+    return jnp.where(above, turns, 0.0)
 
 
 # --------------------------------------------------------------------------------------------------------------------

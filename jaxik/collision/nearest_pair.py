@@ -20,21 +20,24 @@ from jax import lax
 from jaxik.checks.arrays import is_known
 from jaxik.collision import bvh, distance
 from jaxik.collision.bvh import Grouped, Robot, Volumes
-from jaxik.collision.shape_distances import Gap, obstacles_of, skeleton_gap, square_gap
+from jaxik.collision.shape_distances import Gap, along, depth_gap, obstacles_of, skeleton_gap, square_gap
 from jaxik.robot.chain import Chain
 from jaxik.robot.kinematics import joint_frames
 from jaxik.robot.link_distance_table import interpolated
 from jaxik.spatial.algebra import Frame, Vec3, stack, traced
 
 FEW = 16  # points of a robot, up to which they are moved without a loop
+SAMPLES = {1: (1, 0.0), 2: (5, 0.25), 3: (6, 0.5)}  # of a skeleton by its corners, inside of solids: how many, how far apart
 
 
 class Found(NamedTuple):
-    """A least distance [m]; of which volume, and of which obstacle or other volume, where that is asked for (else None)."""
+    """A least distance [m]; of which volume, and of which obstacle or other volume, where that is asked for (else None); and,
+    among solids of triangles, of which point `along` the volume's skeleton, where that is inside of one."""
 
     distance: Any
     mine: Any = None
     other: Any = None
+    at: Any = None
 
 
 class Placed(NamedTuple):
@@ -77,6 +80,9 @@ class Space:
             others.append((columns, gap, _cast(o.leaves, q.dtype), _count(columns) // len(o.leaves.radius), o.kind == "points"))
         for v, p in zip(self.robot.kinds, self.placed, strict=True):
             others.append(((p.corners, p.radius), skeleton_gap, p.leaves, v.size, v.even and v.arity == 1))
+        self.solid = [k for k, o in enumerate(around) if o.reach is not None]
+        self.inner = len(others)  # the first of those that are the same triangles, seen from inside
+        others += [(others[k][0], depth_gap, *others[k][2:]) for k in self.solid]
         # those of tables come after them
         *origins, self.rows = itertools.accumulate((_count(columns) for columns, *_ in others), initial=0)
         self.others = [Others(*each, origin) for each, origin in zip(others, origins, strict=True)]
@@ -92,11 +98,11 @@ class Space:
             return go_on(found) if enough is None else lax.cond(found.distance < enough, lambda found: found, go_on, found)
 
         count = jnp.int32(len(self.robot.links))
-        return lax.fori_loop(jnp.int32(0), count, step, _start(start, tracked, self.dtype))
+        return lax.fori_loop(jnp.int32(0), count, step, self._start(start, tracked))
 
     def each(self, then: Callable[[Found], Any], tracked: bool = False) -> Any:
         """`then` of the nearest pair of each part, in arrays with an entry a link, from the base on."""
-        one = lambda _, p: (None, then(self.part(p, _start(jnp.inf, tracked, self.dtype))))
+        one = lambda _, p: (None, then(self.part(p, self._start(jnp.inf, tracked))))
         found = lax.scan(one, None, jnp.arange(len(self.robot.links), dtype=jnp.int32))[1]
         return jax.tree_util.tree_map(lambda x: x[::-1], found)
 
@@ -104,9 +110,9 @@ class Space:
         """`then` of the nearest pair of each object, which is branch after branch of the obstacles."""
 
         def one(_: Any, b: Any) -> Any:
-            found = _start(jnp.inf, tracked, self.dtype)
+            found = self._start(jnp.inf, tracked)
             for k in range(len(self.obstacles)):
-                step = lambda p, found, k=k: self._to_branch(p, _ball(self.parts, p), k, b, found)
+                step = lambda p, found, k=k: self._to_branches(p, _ball(self.parts, p), k, b, b + 1, found)
                 found = lax.fori_loop(jnp.int32(0), jnp.int32(len(self.robot.links)), step, found)
             return None, then(found)
 
@@ -118,9 +124,13 @@ class Space:
         if len(self.robot.other):  # before the obstacles: it is near whatever the scene, and rules most of them out
             found = self._to_itself(p, ball, found)
         for k, obstacles in enumerate(self.obstacles):
-            step = lambda b, found, k=k: self._to_branch(p, ball, k, b, found)
-            found = lax.fori_loop(jnp.int32(0), jnp.asarray(obstacles.count, jnp.int32), step, found)
+            found = self._to_branches(p, ball, k, jnp.int32(0), jnp.asarray(obstacles.count, jnp.int32), found)
         return found
+
+    def _to_branches(self, p: Any, ball: Any, k: int, first: Any, last: Any, found: Found) -> Found:
+        """Part p against the obstacles of kind k in branches from `first` to `last`, not counted."""
+        found = lax.fori_loop(first, last, lambda b, found: self._to_branch(p, ball, k, b, found), found)
+        return Solids(self, p, k, first, last).deepest(ball, found) if k in self.solid else found
 
     def _to_branch(self, p: Any, ball: Any, k: int, b: Any, found: Found) -> Found:
         """Part p against branch b of the obstacles of kind k."""
@@ -128,9 +138,12 @@ class Space:
         first, last = _at(obstacles.first, b), _at(obstacles.last, b)
         inside = lambda found: self._leaves(p, first, last, self.others[k], found)
         if self.bits is not None:
-            counts = _at(obstacles.ignored, b) & _at(self.bits, p) == 0
-            inside = lambda found, leaves=inside: lax.cond(counts, leaves, lambda found: found, found)
+            inside = lambda found, leaves=inside: lax.cond(self.counts(p, k, b), leaves, lambda found: found, found)
         return self._if_near(found, ball, _ball(_cast(obstacles.branches, self.dtype), b), inside)
+
+    def counts(self, p: Any, k: int, b: Any) -> Any:
+        """Whether branch b of the obstacles of kind k counts for part p."""
+        return _at(self.obstacles[k].ignored, b) & _at(self.bits, p) == 0 if self.bits is not None else True
 
     def _to_itself(self, p: Any, ball: Any, found: Found) -> Found:
         robot = self.robot
@@ -139,7 +152,7 @@ class Space:
             o = _at(robot.other, k)
 
             def inside(found: Found) -> Found:
-                for volumes, others in zip(robot.kinds, self.others[len(self.obstacles) :], strict=True):
+                for volumes, others in zip(robot.kinds, self.others[len(self.obstacles) : self.inner], strict=True):
                     found = self._leaves(p, _at(volumes.first, o), _at(volumes.last, o), others, found)
                 return found
 
@@ -160,7 +173,7 @@ class Space:
             nearest = inside(found)
             raised = bound > nearest.distance
             other = None if found.other is None else jnp.where(raised, self.rows + number, nearest.other)
-            return _nearest_of(found, Found(jnp.where(raised, bound, nearest.distance), nearest.mine, other))
+            return _nearest_of(found, nearest._replace(distance=jnp.where(raised, bound, nearest.distance), other=other))
 
         return lax.cond(bound < found.distance, compared, lambda found: found, found) if self.skips else compared(found)
 
@@ -206,6 +219,10 @@ class Space:
         (center, radius), (other, other_radius) = a, b
         apart, reach = center - other, found.distance + (radius + other_radius)
         return lax.cond(apart.dot(apart) < reach * reach, inside, lambda found: found, found)
+
+    def _start(self, start: Any, tracked: bool) -> Found:
+        nobody = jnp.int32(-1) if tracked else None
+        return Found(jnp.asarray(start, self.dtype), nobody, nobody, jnp.zeros((), self.dtype) if tracked and self.solid else None)
 
     # ----------------------------------------------------------------------------------------------------------------
     # One pair
@@ -266,15 +283,16 @@ class Space:
             for k, others in enumerate(self.others):
                 i, j = found.mine - origin, found.other - others.origin
                 here = (i >= 0) & (i < len(volumes.radius)) & (j >= 0) & (j < _count(others.columns))
-                theirs = self.robot.kinds[k - len(self.obstacles)] if k >= len(self.obstacles) else None
+                theirs = self.robot.kinds[k - len(self.obstacles)] if len(self.obstacles) <= k < self.inner else None
+                gap = others.gap if k < self.inner else functools.partial(others.gap, at=found.at)
 
-                def inside(value: Any, v: Any = (volumes, others, theirs, i, j)) -> Any:
-                    volumes, others, theirs, i, j = v
+                def inside(value: Any, v: Any = (volumes, others, theirs, i, j, gap)) -> Any:
+                    volumes, others, theirs, i, j, gap = v
                     own, above = self._volume(volumes, i)
                     other, below = jax.tree_util.tree_map(lambda x: _at(x, j), others.columns), jnp.int32(0)
                     if theirs is not None:
                         other, below = self._volume(theirs, j)
-                    return function(others.gap, own, other, (above, below))
+                    return function(gap, own, other, (above, below))
 
                 value = lax.cond(here, inside, lambda value: value, value)
         return value
@@ -287,9 +305,100 @@ class Space:
         return (corners, _at(jnp.asarray(volumes.radius, self.dtype), i)), joint
 
 
-def _start(start: Any, tracked: bool, dtype: Any) -> Found:
-    nobody = jnp.int32(-1) if tracked else None
-    return Found(jnp.asarray(start, dtype), nobody, nobody)
+class Solids:
+    """What is inside of closed surfaces: a part of the robot, and the triangles of kind k in branches from `first` to `last`.
+
+    A skeleton that crosses no triangle is wholly inside or wholly outside, and so are its points: those that surfaces wind
+    around are as deep as the nearest triangle is far. A part that no triangle is nearer to than `reach` is outside.
+    """
+
+    def __init__(self, space: Space, p: Any, k: int, first: Any, last: Any):
+        self.space, self.p, self.k, self.first, self.last = space, p, k, first, last
+        self.obstacles, self.others = space.obstacles[k], space.others[space.inner + space.solid.index(k)]
+        self.branches, self.reach = _cast(self.obstacles.branches, space.dtype), self.obstacles.reach.astype(space.dtype)
+
+    def deepest(self, ball: Any, found: Found) -> Found:
+        """What was found, or the deepest of all points inside, if it is deeper."""
+
+        def near(b: Any, any_near: Any) -> Any:
+            reach = _at(self.reach, b)
+            return any_near | (reach > 0.0) & self.space.counts(self.p, self.k, b) & _meet(ball, _ball(self.branches, b), reach)
+
+        return lax.cond(
+            lax.fori_loop(self.first, self.last, near, jnp.zeros((), bool)), self._of_volumes, lambda found: found, found
+        )
+
+    def _of_volumes(self, found: Found) -> Found:
+        space = self.space
+        for volumes, placed, origin in zip(space.robot.kinds, space.placed, space.first, strict=False):
+
+            def own(i: Any, found: Found, v: Any = (volumes, placed, origin)) -> Found:
+                volumes, placed, origin = v
+                corners, radius = _rows((placed.corners, placed.radius), i, volumes.size)
+                count, pace = SAMPLES[volumes.arity]
+
+                def sample(s: Any, found: Found) -> Found:
+                    at = s.astype(space.dtype) * pace
+                    point = along(corners, at)
+                    # a ball around all: that of the leaf, or a point
+                    ball = _ball(placed.leaves, i) if volumes.size > 1 else (Vec3(*(x[0] for x in point)), jnp.zeros((), space.dtype))
+                    return self._of_points(point, radius, ball, (origin + i * volumes.size, self.others.origin), at, found)
+
+                return lax.fori_loop(jnp.int32(0), jnp.int32(count), sample, found)
+
+            found = lax.fori_loop(_at(volumes.first, self.p), _at(volumes.last, self.p), own, found)
+        return found
+
+    def _of_points(self, point: Vec3, radius: Any, ball: Any, places: Any, at: Any, found: Found) -> Found:
+        """Points (k,) in a `ball`, each with the `radius` of its volume."""
+        turn = lambda j, turns: turns + self._row(j)[1] * distance.upward_crossing(point, *self._row(j)[0])
+        turns = self._over(_above, ball, lambda turns: 0.0, turn, jnp.zeros_like(point.x))
+        inside = turns > 0.5
+
+        def nearer(j: Any, nearest: Any) -> Any:
+            corners, solid = self._row(j)
+            apart = jnp.where(solid > 0.0, distance.point_triangle(point, *corners), jnp.inf)
+            closer = apart < nearest[0]
+            return jnp.where(closer, apart, nearest[0]), jnp.where(closer, j, nearest[1])
+
+        def depths(found: Found) -> Found:
+            start = jnp.where(inside, jnp.inf, 0.0), jnp.full(inside.shape, -1, jnp.int32)
+            apart, which = self._over(_meet, ball, lambda nearest: jnp.max(nearest[0]), nearer, start)
+            depth = jnp.where(inside, -(apart + radius), jnp.inf)
+            marks = (None, None) if found.mine is None else (np.arange(len(radius), dtype=np.int32), which)
+            deep = _marked(found, *_least(depth, *marks), places)
+            return _nearest_of(found, deep if found.at is None else deep._replace(at=at))
+
+        return lax.cond(jnp.any(inside), depths, lambda found: found, found)
+
+    def _row(self, j: Any) -> Any:
+        return jax.tree_util.tree_map(lambda x: _at(x, j), self.others.columns)
+
+    def _over(self, meets: Callable[..., Any], ball: Any, more: Callable[[Any], Any], step: Callable[..., Any], state: Any) -> Any:
+        """`step` of each triangle whose branch's ball and own ball `meets` the ball when that is larger by `more`."""
+        within = lambda other, state: meets(ball, other, more(state))
+
+        def leaf(j: Any, state: Any) -> Any:
+            return lax.cond(within(_ball(self.others.leaves, j), state), functools.partial(step, j), lambda state: state, state)
+
+        def branch(b: Any, state: Any) -> Any:
+            leaves = lambda state: lax.fori_loop(_at(self.obstacles.first, b), _at(self.obstacles.last, b), leaf, state)
+            here = within(_ball(self.branches, b), state) & self.space.counts(self.p, self.k, b)
+            return lax.cond(here, leaves, lambda state: state, state)
+
+        return lax.fori_loop(self.first, self.last, branch, state)
+
+
+def _meet(ball: Any, other: Any, more: Any) -> Any:
+    """Whether two balls, one of them larger by `more`, overlap."""
+    apart, reach = ball[0] - other[0], more + (ball[1] + other[1])
+    return apart.dot(apart) < reach * reach
+
+
+def _above(ball: Any, other: Any, more: Any) -> Any:
+    """Whether a ray along z from some point of a ball may meet the other one."""
+    apart, reach = ball[0] - other[0], more + (ball[1] + other[1])
+    return (apart.x * apart.x + apart.y * apart.y < reach * reach) & (apart.z < reach)
 
 
 def _placed(robot: Robot, frames: Any, dtype: Any) -> tuple[tuple[Vec3, Any], tuple[Placed, ...]]:
@@ -327,7 +436,14 @@ def _nearer(found: Found, mine: Any, theirs: Any, gap: Any, squares: bool, even:
     key, first, second = _least(key, first, second)
     if squares and even:
         key = distance.root(key) - (mine[1][0] + theirs[1][0])
-    return _nearest_of(found, Found(key) if found.mine is None else Found(key, first + places[0], second + places[1]))
+    return _nearest_of(found, _marked(found, key, first, second, places))
+
+
+def _marked(found: Found, distance: Any, mine: Any, other: Any, places: Any) -> Found:
+    """A pair by its rows in leaves that begin at `places`, told as much of as of what was `found`."""
+    if found.mine is None:
+        return Found(distance)
+    return found._replace(distance=distance, mine=mine + places[0], other=other + places[1])
 
 
 def _nearest_of(found: Found, another: Found) -> Found:
