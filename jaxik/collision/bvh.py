@@ -24,7 +24,14 @@ from jaxik.pytree import static
 from jaxik.robot.chain import Chain, geometry_between, solid_links
 from jaxik.robot.link_distance_table import PairTable
 
-LEAF = {"points": 4, "spheres": 4, "capsules": 1, "boxes": 1, "cylinders": 1, "triangles": 1}  # obstacles a leaf, where there are a few
+LEAF = {
+    "points": 4,
+    "spheres": 4,
+    "capsules": 1,
+    "boxes": 1,
+    "cylinders": 1,
+    "triangles": 1,
+}  # obstacles a leaf, where there are a few
 FAN = 4  # leaves a branch, at least
 LEAVES = (16, 128, 1024, 8192, 65536)  # what is compiled for: up to so many leaves, of which those that are there are looked at
 SLACK = 1e-4  # [m] that a bounding sphere is larger: nothing is lost to rounding in float32, 100 m from the origin
@@ -43,7 +50,8 @@ class Obstacles:
     """Those of one `kind`, ordered by place: leaves of `LEAF` rows each; branch b holds the leaves `first[b]` to `last[b]`, not
     counted, and is one of the `count` that are there if b is less; `ignored[b]` are the `bits` of links that it does not
     count for, of a chain that ignores `ignores`. `unsound` is 0, or NaN where a number of theirs is. Where there may be solids
-    of triangles, `reach[b]` is how far the inside of those in branch b is from their triangles at most [m], below 0 without any.
+    of triangles, `bodies[b]` is how far those of branch b are out along -x, -y, -z, x, y, z, and how far their inside is from
+    their triangles at most, half the least extent [m].
     """
 
     kind: str = static()
@@ -55,7 +63,7 @@ class Obstacles:
     ignored: Any
     count: Any
     unsound: Any
-    reach: Any
+    bodies: Any
     ignores: tuple[tuple[int, str], ...] = static()
 
 
@@ -132,30 +140,28 @@ def _obstacles(
     placed = lambda x: x if np.ndim(x) == 0 else with_zeros(x[order], room * size, xp)
     kept = {name: placed(x) for name, x in rows.items()}
     spheres, branches = (Balls(*map(filled, each)) for each in (balls, _joined(balls, first, last, xp)))
-    inside = _inside(rows, owner, there, known, xp) if kind == "triangles" else None
-    reach = None if inside is None else with_zeros(inside[order][_runs(first, last)].max(axis=1), room, xp)
+    bodies = _bodies(rows, owner, there, known, xp) if kind == "triangles" else None
+    bodies = None if bodies is None else filled(bodies[order][_runs(first, last)].max(axis=1))
     first, last, ignores = map(numbered, (first, last, ignores))
     unsound = xp.asarray(sum(xp.sum(x) * 0.0 for x in rows.values()))
-    return Obstacles(kind, kept, spheres, branches, first, last, ignores, np.int32(len(group)), unsound, reach, ignored)
+    return Obstacles(kind, kept, spheres, branches, first, last, ignores, np.int32(len(group)), unsound, bodies, ignored)
 
 
-def _inside(rows: dict[str, Any], owner: np.ndarray, there: np.ndarray, known: bool, xp: Any) -> Any:
-    """Of each triangle how far the inside of its solid is from its surface at most (k,) [m], half the least extent of it all,
-    and less than 0 of what is none; None where that is known to be so of all."""
-    solid = rows["solid"] > 0.0
-    corners = xp.stack([rows[name] for name in "abc"], axis=1)  # (k, 3, 3)
+def _bodies(rows: dict[str, Any], owner: np.ndarray, there: np.ndarray, known: bool, xp: Any) -> Any:
+    """Of each triangle the `bodies` of `Obstacles` (k, 7), of an object's all together, -FAR where it is no solid's; None where
+    none is known to be."""
+    solid, corners = rows["solid"] > 0.0, xp.stack([rows[name] for name in "abc"], axis=1)  # (k, 3, 3)
 
-    def half(counts: Any) -> Any:
-        least, most = (f(xp.where(counts[:, None, None], corners, s * FAR), axis=(0, 1)) for f, s in ((xp.min, 1), (xp.max, -1)))
-        return xp.min(most - least) / 2.0 + SLACK
+    def body(counts: Any) -> Any:
+        low, high = (xp.max(xp.where(counts[:, None, None], s * corners, -FAR), axis=(0, 1)) for s in (-1.0, 1.0))
+        return xp.concatenate([low, high, xp.min(low + high)[None] / 2.0]) + SLACK
 
     if not known:
-        return xp.where(solid, half(solid & (xp.abs(corners).max(axis=(1, 2)) < FAR / 2.0)), -FAR)
-    bodies = np.unique(owner[there][solid[there]])
-    found = np.full(len(owner), -FAR)
-    for body in bodies:
-        found[solid & (owner == body)] = half(solid & (owner == body))
-    return found if len(bodies) else None
+        return xp.where(solid[:, None], body(solid & (xp.abs(corners).max(axis=(1, 2)) < FAR / 2.0)), -FAR)
+    found, objects = np.full((len(owner), 7), -FAR), np.unique(owner[there][solid[there]])
+    for one in objects:
+        found[solid & (owner == one)] = body(solid & (owner == one))
+    return found if len(objects) else None
 
 
 def _in_leaves(groups: list[np.ndarray], size: int, center: np.ndarray | None) -> tuple[np.ndarray, np.ndarray]:

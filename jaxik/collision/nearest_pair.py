@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import functools
 import itertools
+import operator
 from collections.abc import Callable
 from typing import Any, NamedTuple
 
@@ -65,6 +66,7 @@ class Space:
 
     def __init__(self, chain: Chain, around: Grouped, q: Any, skips: bool = True):
         self.robot, self.obstacles, self.dtype, self.skips = bvh.robot(chain), around, q.dtype, skips
+        self.enough = None
         self.prismatic, self.q, self.tabled = chain.is_prismatic, q, len(self.robot.tables.size) > 0
         bit = bvh.bits(chain.ignored)
         self.bits = np.array([bit.get(link, 0) for link in self.robot.links], np.int32) if bit else None
@@ -80,7 +82,7 @@ class Space:
             others.append((columns, gap, _cast(o.leaves, q.dtype), _count(columns) // len(o.leaves.radius), o.kind == "points"))
         for v, p in zip(self.robot.kinds, self.placed, strict=True):
             others.append(((p.corners, p.radius), skeleton_gap, p.leaves, v.size, v.even and v.arity == 1))
-        self.solid = [k for k, o in enumerate(around) if o.reach is not None]
+        self.solid = [k for k, o in enumerate(around) if o.bodies is not None]
         self.inner = len(others)  # the first of those that are the same triangles, seen from inside
         others += [(others[k][0], depth_gap, *others[k][2:]) for k in self.solid]
         # those of tables come after them
@@ -92,6 +94,7 @@ class Space:
 
     def all(self, start: Any = jnp.inf, tracked: bool = False, enough: Any = None) -> Found:
         """The nearest pair of all that are nearer than `start` [m]; the search ends where one is nearer than `enough`."""
+        self.enough = enough
 
         def step(p: Any, found: Found) -> Found:  # not a loop with an end a lane: then p would be a lane's own, too
             go_on = lambda found: self.part(p, found)
@@ -130,7 +133,7 @@ class Space:
     def _to_branches(self, p: Any, ball: Any, k: int, first: Any, last: Any, found: Found) -> Found:
         """Part p against the obstacles of kind k in branches from `first` to `last`, not counted."""
         found = lax.fori_loop(first, last, lambda b, found: self._to_branch(p, ball, k, b, found), found)
-        return Solids(self, p, k, first, last).deepest(ball, found) if k in self.solid else found
+        return Solids(self, p, k, first, last).deepest(ball, found, self.enough) if k in self.solid else found
 
     def _to_branch(self, p: Any, ball: Any, k: int, b: Any, found: Found) -> Found:
         """Part p against branch b of the obstacles of kind k."""
@@ -222,7 +225,9 @@ class Space:
 
     def _start(self, start: Any, tracked: bool) -> Found:
         nobody = jnp.int32(-1) if tracked else None
-        return Found(jnp.asarray(start, self.dtype), nobody, nobody, jnp.zeros((), self.dtype) if tracked and self.solid else None)
+        return Found(
+            jnp.asarray(start, self.dtype), nobody, nobody, jnp.zeros((), self.dtype) if tracked and self.solid else None
+        )
 
     # ----------------------------------------------------------------------------------------------------------------
     # One pair
@@ -309,51 +314,62 @@ class Solids:
     """What is inside of closed surfaces: a part of the robot, and the triangles of kind k in branches from `first` to `last`.
 
     A skeleton that crosses no triangle is wholly inside or wholly outside, and so are its points: those that surfaces wind
-    around are as deep as the nearest triangle is far. A part that no triangle is nearer to than `reach` is outside.
+    around are as deep as the nearest triangle is far. What is out of a body's extents, or further from all its triangles than
+    its inside is, is outside.
     """
 
     def __init__(self, space: Space, p: Any, k: int, first: Any, last: Any):
         self.space, self.p, self.k, self.first, self.last = space, p, k, first, last
         self.obstacles, self.others = space.obstacles[k], space.others[space.inner + space.solid.index(k)]
-        self.branches, self.reach = _cast(self.obstacles.branches, space.dtype), self.obstacles.reach.astype(space.dtype)
-
-    def deepest(self, ball: Any, found: Found) -> Found:
-        """What was found, or the deepest of all points inside, if it is deeper."""
-
-        def near(b: Any, any_near: Any) -> Any:
-            reach = _at(self.reach, b)
-            return any_near | (reach > 0.0) & self.space.counts(self.p, self.k, b) & _meet(ball, _ball(self.branches, b), reach)
-
-        return lax.cond(
-            lax.fori_loop(self.first, self.last, near, jnp.zeros((), bool)), self._of_volumes, lambda found: found, found
+        self.branches, self.bodies = (
+            _cast(self.obstacles.branches, space.dtype),
+            jnp.asarray(self.obstacles.bodies, space.dtype),
         )
+
+    def deepest(self, ball: Any, found: Found, enough: Any = None) -> Found:
+        """What was found, or the deepest of all points inside, if it is deeper and what was found is not `enough`."""
+        go_on = jnp.ones((), bool) if enough is None else found.distance >= enough
+        return self._if_within(ball, self._of_volumes, found, go_on)
+
+    def _if_within(self, ball: Any, then: Callable[[Found], Found], found: Found, asked: Any = True) -> Found:
+        """What `then` finds, if the ball is near enough to a body to have points inside of it."""
+
+        def near(b: Any, is_near: Any) -> Any:
+            body, (center, radius) = traced(_at(self.bodies, b)), ball
+            overlaps = [x - radius < most for x, most in zip((*-center, *center), body, strict=False)]
+            return is_near | _meet(ball, _ball(self.branches, b), body[6]) & functools.reduce(
+                operator.and_, overlaps
+            ) & self.space.counts(self.p, self.k, b)
+
+        within = lax.fori_loop(self.first, self.last, near, jnp.zeros((), bool))
+        return lax.cond(asked & within, then, lambda found: found, found)
 
     def _of_volumes(self, found: Found) -> Found:
         space = self.space
         for volumes, placed, origin in zip(space.robot.kinds, space.placed, space.first, strict=False):
+            count, pace = SAMPLES[volumes.arity]
 
-            def own(i: Any, found: Found, v: Any = (volumes, placed, origin)) -> Found:
-                volumes, placed, origin = v
-                corners, radius = _rows((placed.corners, placed.radius), i, volumes.size)
-                count, pace = SAMPLES[volumes.arity]
+            def own(i: Any, found: Found, v: Any = (volumes, placed, origin, count, pace)) -> Found:
+                volumes, placed, origin, count, pace = v
 
-                def sample(s: Any, found: Found) -> Found:
-                    at = s.astype(space.dtype) * pace
+                def sample(m: Any, found: Found) -> Found:
+                    row, at = i * volumes.size + m // count, (m % count).astype(space.dtype) * pace
+                    corners, radius = jax.tree_util.tree_map(lambda x: _at(x, row), (placed.corners, placed.radius))
                     point = along(corners, at)
-                    # a ball around all: that of the leaf, or a point
-                    ball = _ball(placed.leaves, i) if volumes.size > 1 else (Vec3(*(x[0] for x in point)), jnp.zeros((), space.dtype))
-                    return self._of_points(point, radius, ball, (origin + i * volumes.size, self.others.origin), at, found)
+                    inside = lambda found: self._of_point(point, radius, found, (origin + row, at))
+                    return self._if_within((point, jnp.zeros((), space.dtype)), inside, found)
 
-                return lax.fori_loop(jnp.int32(0), jnp.int32(count), sample, found)
+                samples = lambda found: lax.fori_loop(jnp.int32(0), jnp.int32(volumes.size * count), sample, found)
+                return self._if_within(_ball(placed.leaves, i), samples, found)
 
             found = lax.fori_loop(_at(volumes.first, self.p), _at(volumes.last, self.p), own, found)
         return found
 
-    def _of_points(self, point: Vec3, radius: Any, ball: Any, places: Any, at: Any, found: Found) -> Found:
-        """Points (k,) in a `ball`, each with the `radius` of its volume."""
+    def _of_point(self, point: Vec3, radius: Any, found: Found, mark: tuple[Any, Any]) -> Found:
+        """A point in the middle of a ball; its volume's number, and where `along` the skeleton it is."""
+        zero = jnp.zeros_like(radius)
         turn = lambda j, turns: turns + self._row(j)[1] * distance.upward_crossing(point, *self._row(j)[0])
-        turns = self._over(_above, ball, lambda turns: 0.0, turn, jnp.zeros_like(point.x))
-        inside = turns > 0.5
+        inside = self._over(_above, point, lambda turns: zero, turn, zero) > 0.5
 
         def nearer(j: Any, nearest: Any) -> Any:
             corners, solid = self._row(j)
@@ -361,22 +377,26 @@ class Solids:
             closer = apart < nearest[0]
             return jnp.where(closer, apart, nearest[0]), jnp.where(closer, j, nearest[1])
 
-        def depths(found: Found) -> Found:
-            start = jnp.where(inside, jnp.inf, 0.0), jnp.full(inside.shape, -1, jnp.int32)
-            apart, which = self._over(_meet, ball, lambda nearest: jnp.max(nearest[0]), nearer, start)
-            depth = jnp.where(inside, -(apart + radius), jnp.inf)
-            marks = (None, None) if found.mine is None else (np.arange(len(radius), dtype=np.int32), which)
-            deep = _marked(found, *_least(depth, *marks), places)
-            return _nearest_of(found, deep if found.at is None else deep._replace(at=at))
+        def depth(found: Found) -> Found:
+            # no further where the point is outside, or no deeper than what was found
+            deeper = lambda nearest: jnp.where(inside & (nearest[0] + radius > -found.distance), nearest[0], zero)
+            start = zero + jnp.inf, jnp.full_like(inside, -1, jnp.int32)
+            apart, which = self._over(_meet, point, deeper, nearer, start)
+            deep = found._replace(distance=jnp.where(inside, -(apart + radius), jnp.inf))
+            if found.mine is not None:
+                deep = Found(deep.distance, mark[0], which + self.others.origin, mark[1])
+            return _nearest_of(found, deep)
 
-        return lax.cond(jnp.any(inside), depths, lambda found: found, found)
+        return lax.cond(inside, depth, lambda found: found, found)
 
     def _row(self, j: Any) -> Any:
         return jax.tree_util.tree_map(lambda x: _at(x, j), self.others.columns)
 
-    def _over(self, meets: Callable[..., Any], ball: Any, more: Callable[[Any], Any], step: Callable[..., Any], state: Any) -> Any:
-        """`step` of each triangle whose branch's ball and own ball `meets` the ball when that is larger by `more`."""
-        within = lambda other, state: meets(ball, other, more(state))
+    def _over(
+        self, meets: Callable[..., Any], point: Vec3, more: Callable[..., Any], step: Callable[..., Any], state: Any
+    ) -> Any:
+        """`step` of each triangle whose branch's ball and own ball `meets` the point when that is `more` around."""
+        within = lambda other, state: meets((point, more(state)), other, 0.0)
 
         def leaf(j: Any, state: Any) -> Any:
             return lax.cond(within(_ball(self.others.leaves, j), state), functools.partial(step, j), lambda state: state, state)
@@ -436,14 +456,8 @@ def _nearer(found: Found, mine: Any, theirs: Any, gap: Any, squares: bool, even:
     key, first, second = _least(key, first, second)
     if squares and even:
         key = distance.root(key) - (mine[1][0] + theirs[1][0])
-    return _nearest_of(found, _marked(found, key, first, second, places))
-
-
-def _marked(found: Found, distance: Any, mine: Any, other: Any, places: Any) -> Found:
-    """A pair by its rows in leaves that begin at `places`, told as much of as of what was `found`."""
-    if found.mine is None:
-        return Found(distance)
-    return found._replace(distance=distance, mine=mine + places[0], other=other + places[1])
+    told = Found(key) if found.mine is None else Found(key, first + places[0], second + places[1], found.at)
+    return _nearest_of(found, told)
 
 
 def _nearest_of(found: Found, another: Found) -> Found:
