@@ -32,8 +32,9 @@ def attach(chain: Chain, scene: Scene, name: str, q: Float[Array, " n"], touches
 
     Points become balls of the scene's radius; spheres and capsules stay what they are; boxes become boxes of the chain, which
     `spheres_per_box` spheres cover; a cylinder is carried as a capsule up to 42 % of its radius larger, the one about it that
-    protrudes least; triangles stay surfaces, and what is wholly inside of what they enclose is not seen. The link is checked against the scene and against the robot's other links, but for those that move with the
-    last joint, too, and those that it `touches` (MoveIt's touch_links). It has no mass.
+    protrudes least; triangles stay surfaces, so what is wholly inside of a body that they enclose is not seen. The link is
+    checked against the scene and against the robot's other links, but for those that move with the last joint, too, and those
+    that it `touches` (MoveIt's touch_links). It has no mass.
 
     Raises `ValueError` for an object that is not there, has no obstacle or the name of a link, for links that the chain does
     not have, for a q of another shape, and for what is traced.

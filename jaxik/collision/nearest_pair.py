@@ -289,7 +289,7 @@ class Space:
                 i, j = found.mine - origin, found.other - others.origin
                 here = (i >= 0) & (i < len(volumes.radius)) & (j >= 0) & (j < _count(others.columns))
                 theirs = self.robot.kinds[k - len(self.obstacles)] if len(self.obstacles) <= k < self.inner else None
-                gap = others.gap if k < self.inner else functools.partial(others.gap, at=found.at)
+                gap: Any = others.gap if k < self.inner else functools.partial(depth_gap, at=found.at)
 
                 def inside(value: Any, v: Any = (volumes, others, theirs, i, j, gap)) -> Any:
                     volumes, others, theirs, i, j, gap = v

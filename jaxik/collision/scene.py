@@ -111,7 +111,8 @@ class Triangles(Kind):
 
 
 def no_triangles() -> Triangles:
-    return Triangles(*[np.zeros((0, 3))] * 3, np.zeros(0))
+    a, b, c = np.zeros((3, 0, 3))
+    return Triangles(a, b, c, np.zeros(0))
 
 
 class Fruit(Constant):

@@ -1,4 +1,4 @@
-"""Surfaces of triangles: which of them close around a body, and polygons as triangles. Host.
+"""Surfaces of triangles: which of them close around a body, polygons as triangles, and what Van Henten et al. do with them.
 
 A triangle is counter-clockwise as seen from outside. Where the edges of a surface pair up, each with its reverse, it closes
 around something, and how often it winds around a point is a whole number: then what is inside is known.
@@ -6,16 +6,43 @@ around something, and how often it winds around a point is a whole number: then 
 
 from __future__ import annotations
 
+import functools
+import operator
 from typing import Any
 
+import jax
+import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Bool, Float
 
 from jaxik.checks.arrays import numbers
+from jaxik.collision.distance import passes_through
 from jaxik.robot.chain import Array
+from jaxik.spatial.algebra import Vec3
 
 SAME = 1e-7  # of its size: corners of a surface that are nearer to each other are one; files have them in float32
 FLAT = 1e-6  # of its size, that a polygon's corners may be out of its plane
+
+
+def surfaces_cross(first: Float[Array, "k 3 3"], second: Float[Array, "m 3 3"]) -> Bool[jax.Array, ""]:
+    """Whether an edge of one of two surfaces of triangles [m] passes through the other: each against each. Traced.
+
+    The test of Van Henten et al. (2003, sec. 4.3.2, after Boyse 1979), to compare with; `collides` does not look at what is
+    far, and sees what is wholly inside.
+    """
+    columns = lambda surface: [Vec3(*(jnp.asarray(surface)[:, i, k] for k in range(3))) for i in range(3)]
+    mine, theirs = [Vec3(*(x[:, None] for x in corner)) for corner in columns(first)], columns(second)
+    pairs = (mine, theirs), (theirs, mine)
+    return jnp.any(functools.reduce(operator.or_, (passes_through(a[i - 1], a[i], *b) for a, b in pairs for i in range(3))))
+
+
+def bounding_box(corners: Any) -> tuple[np.ndarray, np.ndarray]:
+    """The frame (4, 4) and edges (3,) [m] of the smallest box around points or surfaces (..., 3) [m]: their cheap stand-in, which
+    takes the place of one in `boxes`. Host."""
+    import trimesh
+
+    box_T_world, edges = trimesh.bounds.oriented_bounds(numbers("bounding_box", corners).reshape(-1, 3))
+    return np.linalg.inv(box_T_world), np.asarray(edges)
 
 
 def as_bodies(triangles: Float[np.ndarray, "k 3 3"]) -> tuple[Float[np.ndarray, "k 3 3"], Float[np.ndarray, " k"]]:
@@ -91,7 +118,7 @@ def _alike(faces: np.ndarray) -> np.ndarray:
     return flip
 
 
-def polygon_triangles(corners: Float[Array, "k 3"]) -> Float[np.ndarray, "n 3 3"]:
+def polygon_triangles(corners: Any) -> Float[np.ndarray, "n 3 3"]:
     """A planar polygon, convex or not, as triangles, by cutting off one ear after the other [Meisters 1975]. Host.
 
     `corners` (k, 3) [m] go around once; the triangles are seen counter-clockwise from where the corners are. Raises
@@ -110,13 +137,13 @@ def polygon_triangles(corners: Float[Array, "k 3"]) -> Float[np.ndarray, "n 3 3"
     drop = int(np.abs(normal).argmax())  # seen along an axis, the other two in the order that keeps it counter-clockwise
     flat = centred[:, [(drop + 1) % 3, (drop + 2) % 3]][:, :: 1 if normal[drop] > 0.0 else -1]
     left, found = list(range(len(flat))), []
-    while len(left) > 3:
+    while len(left) > 2:
         ear = next((i for i in range(len(left)) if _is_ear(flat[left], i)), None)
         if ear is None:
             raise ValueError("polygon crosses itself; split it into such that do not")
         found.append([left[ear - 1], left[ear], left[(ear + 1) % len(left)]])
         del left[ear]
-    return points[[*found, left]]
+    return points[found]
 
 
 def _is_ear(flat: np.ndarray, i: int) -> bool:

@@ -209,8 +209,12 @@ def test_boxes_and_cylinders_by_their_centres():
 def test_counts_are_of_what_is_there():
     scene = crowded()
     rest = scene.without("leaf").padded()
-    assert scene.counts == {"points": 4, "spheres": 2, "capsules": 5, "boxes": 4, "cylinders": 3} == scene.padded().counts
-    assert rest.counts == {"points": 1, "spheres": 0, "capsules": 5, "boxes": 1, "cylinders": 1}
+    assert (
+        scene.counts
+        == {"points": 4, "spheres": 2, "capsules": 5, "boxes": 4, "cylinders": 3, "triangles": 15}
+        == scene.padded().counts
+    )
+    assert rest.counts == {"points": 1, "spheres": 0, "capsules": 5, "boxes": 1, "cylinders": 1, "triangles": 15}
     assert rest.object_names == scene.object_names  # which number the objects
     one = jaxik.make_scene(spheres=[[0, 0, 0, 1], [1, 1, 1, 1]], name="cell")
     assert str(one) == "cell: 2 spheres (spheres_1, spheres_2)" and str(one.without([0, 1])) == "cell: nothing"
@@ -274,12 +278,12 @@ def test_names_that_are_left_out_are_there():
     for gone, words in (
         (["laef"], ("'laef'", "did you mean 'leaf'?")),
         ("lea", ("'lea'", "'leaf'")),
-        ([7], ("7", "0 to 6")),
-        (7, ("7", "0 to 6")),
-        (True, ("True", "0 to 6")),
-        ([True], ("True", "0 to 6")),
-        (None, ("None", "0 to 6")),
-        (1.5, ("1.5", "0 to 6")),
+        ([10], ("10", "0 to 9")),
+        (10, ("10", "0 to 9")),
+        (True, ("True", "0 to 9")),
+        ([True], ("True", "0 to 9")),
+        (None, ("None", "0 to 9")),
+        (1.5, ("1.5", "0 to 9")),
     ):
         with pytest.raises(ValueError) as error:
             scene.without(gone)
@@ -351,6 +355,11 @@ def crowded(seed=0):
     builder.add("leaf", points=rng.normal(size=(3, 3)), spheres=spheres, boxes=boxes, cylinders=cylinders)
     builder.add('post "1"\\', False, capsules=np.abs(rng.normal(size=(2, 7))), boxes=boxes[1:2], points=[[1e-7, -0.0, 1e2]])
     builder.add("plate", cylinders=[(pose(np.eye(3)), 0.5, 0.0)])
+    corners = rng.normal(size=(4, 3))
+    body = np.stack([np.delete(corners, i, axis=0) for i in range(4)])
+    builder.add("stone", triangles=body)
+    builder.add("room", triangles=[*(body + 1.0), *rng.normal(size=(3, 3, 3))], solid=False)
+    builder.add_fruit("oval", rng.normal(size=3), triangles=body - 1.0)
     builder.add_fruit("hanging", rng.normal(size=3), (0.0, 0.0, 1.0), 0.3, 0.02)
     builder.add_fruit("oblique", rng.normal(size=3), rng.normal(size=3), 0.3, 0.02)
     builder.add_fruit("a place", rng.normal(size=3), rng.normal(size=3))
@@ -380,8 +389,8 @@ def test_what_was_taken_away_is_not_written(tmp_path):
     path, scene = tmp_path / "scene.toml", crowded()
     save_scene(scene.without(["leaf", "hanging"]).padded(), path)
     back = jaxik.load_scene(path)
-    assert back.object_names == tuple(n for n in scene.object_names if n != "leaf") and len(back.fruits) == 4
-    assert back.counts == {"points": 1, "spheres": 0, "capsules": 4, "boxes": 1, "cylinders": 1}
+    assert back.object_names == tuple(n for n in scene.object_names if n != "leaf") and len(back.fruits) == 5
+    assert back.counts == {"points": 1, "spheres": 0, "capsules": 4, "boxes": 1, "cylinders": 1, "triangles": 15}
     with pytest.raises(ValueError, match="belong to no object"):
         save_scene(scene.geometry(), path)
 

@@ -1,0 +1,252 @@
+"""Surfaces as obstacles: distances against coal's, what is wholly inside, gradients; and polygons as triangles."""
+
+import dataclasses
+
+import coal
+import jax
+import numpy as np
+import pytest
+import trimesh
+from motions import judged, motions
+from scipy.spatial.transform import Rotation
+
+import jaxik
+from jaxik.collision import bounding_box, distance, polygon_triangles, surfaces_cross
+from jaxik.collision.surfaces import as_bodies
+from jaxik.spatial.algebra import Vec3
+from jaxik.spmd import HostKernel
+
+ARM = """name = "arm"
+convention = "frames"
+joint = [
+  {name = "slide", type = "prismatic", axis = [1, 0, 0], lower = -0.5, upper = 0.5},
+  {name = "turn", type = "revolute", lower = -3, upper = 3},
+  {name = "bend", type = "revolute", axis = [0, 1, 0], translation = [0.3, 0, 0], lower = -3, upper = 3},
+]
+shape = [
+  {link = "turn_link", kind = "sphere", points = [[0.1, 0, 0.05]], radius = 0.04},
+  {link = "turn_link", kind = "capsule", points = [[0.15, 0, 0], [0.3, 0, 0]], radius = 0.02},
+  {link = "bend_link", kind = "triangle", points = [[0, 0, 0], [0.3, 0.1, 0], [0.2, -0.1, 0.05]], radius = 0.015},
+  {link = "bend_link", kind = "triangle", points = [[0.3, 0, 0], [0.4, 0.03, 0], [0.35, -0.03, 0.05]], radius = 0},
+]
+"""
+MESHES = {  # of about as many triangles, so that one kernel does for those that are closed
+    "convex": trimesh.creation.icosphere(subdivisions=1, radius=0.15).triangles,
+    "hollow": trimesh.creation.annulus(0.12, 0.2, 0.3, sections=10).triangles,
+    "bent": trimesh.creation.torus(0.18, 0.06, major_sections=8, minor_sections=6).triangles,
+    "open": trimesh.creation.icosphere(subdivisions=1, radius=0.2).triangles[:50],
+    "scattered": np.random.default_rng(4).normal(size=(40, 3, 3)) * 0.1,
+}
+
+
+@pytest.fixture(scope="module")
+def arm(tmp_path_factory):
+    file = tmp_path_factory.mktemp("surfaces") / "arm.toml"
+    file.write_text(ARM)
+    return jaxik.load(file)
+
+
+def scene_of(triangles, seed=0, name="mesh"):
+    """One object, turned and put where the arm may be; and its triangles."""
+    turn, builder = Rotation.random(random_state=seed), jaxik.collision.SceneBuilder()
+    placed = turn.apply(np.array(triangles).reshape(-1, 3)).reshape(-1, 3, 3) + [0.3, 0.05, 0.1]
+    builder.add(name, triangles=placed)
+    return builder.scene(), placed
+
+
+def volumes_at(chain, q):
+    """The corners of each volume as those of a triangle, which may be flat, and the radius."""
+    frames = np.asarray(jaxik.robot.link_frames(chain, q)) @ np.linalg.inv(chain.link_offset)
+    for v in chain.volumes:
+        turned = v.corners @ frames[v.link][:3, :3].T + frames[v.link][:3, 3]
+        yield turned[[0, len(turned) // 2, -1]], float(v.radius)
+
+
+def in_coal(triangles):
+    model = coal.BVHModelOBBRSS()
+    model.beginModel(len(triangles), 3 * len(triangles))
+    for corners in triangles:
+        model.addTriangle(*corners)
+    model.endModel()
+    return model
+
+
+def apart_in_coal(a, b):
+    still = coal.Transform3s.Identity()
+    return max(coal.distance(a, still, b, still, coal.DistanceRequest(), coal.DistanceResult()), 0.0)
+
+
+def winding(point, triangles):
+    """By solid angles [Van Oosterom and Strackee 1983]."""
+    a, b, c = np.moveaxis(triangles - point, 1, 0)
+    la, lb, lc = (np.linalg.norm(x, axis=1) for x in (a, b, c))
+    dot = lambda x, y: np.sum(x * y, axis=1)
+    return np.arctan2(dot(a, np.cross(b, c)), la * lb * lc + dot(a, b) * lc + dot(b, c) * la + dot(c, a) * lb).sum() / (
+        2 * np.pi
+    )
+
+
+@pytest.mark.parametrize("name", MESHES)
+def test_surfaces_against_coal(arm, name):
+    scene, triangles = scene_of(MESHES[name])
+    closed = name in ("convex", "hollow", "bent")
+    assert set(scene.triangles.solid.tolist()) == {float(closed)}
+    q = np.random.default_rng(1).uniform(arm.lower, arm.upper, (150, 3))
+    model, counts = in_coal(triangles), np.zeros(3, int)
+    ours, hits = (np.asarray(jax.vmap(lambda q, f=f: f(arm, scene, q))(q)) for f in (jaxik.clearance, jaxik.collides))
+    for x, apart, hit in zip(q, ours, hits, strict=True):
+        gaps = [
+            (apart_in_coal(in_coal(v[None]), model), radius, closed and winding(v[0], triangles) > 0.5)
+            for v, radius in volumes_at(arm, x)
+        ]
+        inside, least = any(gap > 0.0 and held for gap, _, held in gaps), min(gap - r for gap, r, _ in gaps)
+        counts += least > 0.0 and not inside, inside, least <= 0.0
+        assert hit == (apart < 0.0) == (inside or least <= 1e-12)
+        assert abs(apart - least) <= 1e-9 if not hit else apart <= least + 1e-9
+    assert counts[0] > 20 and counts[2] > 5 and (counts[1] > 5 or name != "convex")
+    near = np.argsort(ours)[:20]
+    told = [jaxik.explain(arm, scene, x, 1).contacts[0].distance for x in q[near]]
+    np.testing.assert_allclose(told, ours[near], atol=1e-12)
+
+
+def test_slopes_lead_out_of_a_solid(arm):
+    """By q, and by where the obstacle is, whose corners are traced then; of a ball and a capsule."""
+    chain, scene = (
+        dataclasses.replace(arm, volumes=arm.volumes[:2]),
+        scene_of(trimesh.creation.box((0.5, 0.4, 0.3)).triangles)[0],
+    )
+    moved = lambda a: jax.tree_util.tree_map(lambda x: x + a if x.ndim == 2 else x, scene)
+    by_q = lambda q: jaxik.clearance(chain, scene, q)
+    by_place = lambda a, q: jaxik.clearance(chain, moved(a), q)
+    q, still, step = np.random.default_rng(2).uniform(arm.lower, arm.upper, (60, 3)), np.zeros((60, 3)), 1e-6
+    least, slopes = jax.vmap(jax.value_and_grad(by_q))(q)
+    again, shifts = jax.vmap(jax.value_and_grad(by_place))(still, q)
+    np.testing.assert_allclose(again, least, atol=1e-12)
+    smooth = 0
+    for function, slope, at in ((by_q, slopes, (q,)), (by_place, shifts, (still, q))):
+        value = jax.jit(jax.vmap(function))
+        for i, e in enumerate(np.eye(3) * step):
+            above, below = (value(at[0] + s * e, *at[1:]) for s in (1.0, -1.0))
+            even = np.abs(above + below - 2.0 * least) <= 1e-10  # the nearest pair stays the same
+            np.testing.assert_allclose(slope[even, i], (above - below)[even] / (2.0 * step), atol=1e-7)
+            smooth += np.sum(even & (least < 0.0))
+    assert smooth > 100
+    deep = np.argsort(least)[:5]  # along the slope it is out after as much as the link is deep
+    np.testing.assert_allclose(np.linalg.norm(shifts[deep], axis=1), 1.0, atol=1e-9)
+    after = value(-0.5 * least[deep, None] * shifts[deep], q[deep])
+    assert np.all(after > 0.6 * least[deep])
+
+
+def test_the_way_out_of_a_triangle():
+    """Lines and triangles that cross one: moved by their depth along the slope they touch, and no shorter way leads out."""
+    corners = lambda x: tuple(Vec3(*x[3 * i : 3 * i + 3]) for i in range(len(x) // 3))
+    apart = lambda s, t: distance.skeleton_triangle(corners(s), corners(t))
+    rng = np.random.default_rng(3)
+    kernel = HostKernel(jax.value_and_grad(apart), 2)
+    for count in (2, 3):
+        mine, other = rng.normal(size=(2000, 3 * count)) * 0.3, rng.normal(size=(2000, 9)) * 0.3
+        depth, slope = kernel.run(mine, other)
+        crossing = depth < -1e-6
+        assert crossing.sum() > 50
+        mine, other, depth = mine[crossing], other[crossing], depth[crossing]
+        out = slope[crossing].reshape(-1, count, 3).sum(axis=1)
+        np.testing.assert_allclose(np.linalg.norm(out, axis=1), 1.0, atol=1e-9)
+        ways = rng.normal(size=(30, *out.shape))
+        ways *= -0.99 * depth[:, None] / np.linalg.norm(ways, axis=2, keepdims=True)
+        after = [kernel.run(mine + np.tile(way, count), other)[0] for way in (-depth[:, None] * out, *ways)]
+        assert np.abs(after[0]).max() <= 1e-9 and np.max(after[1:]) < 0.0
+
+
+def test_no_motion_passes_through_a_surface(arm):
+    """Open ones and closed ones, by a dense sampling; and a motion inside of a solid is not free from its beginning on."""
+    builder = jaxik.collision.SceneBuilder()
+    for i, name in enumerate(MESHES):
+        builder.add(name, triangles=0.8 * MESHES[name] + [0.4 * np.cos(i), 0.4 * np.sin(i), 0.1 * i - 0.2])
+    scene, arm = builder.scene(), dataclasses.replace(arm, volumes=arm.volumes[:2])
+    found = judged(arm, scene, *motions(arm, scene, 300), samples=400)
+    wrong = ("free, but the dense sampling hits", "does not collide, but the dense sampling hits", "bound above the least")
+    assert [found[name] for name in wrong] == [0, 0, 0]
+    assert found["free"] > 50 and found["dense sampling hits"] > 20
+    around, _ = scene_of(np.asarray(MESHES["convex"]) * 20.0)
+    assert jaxik.motion_clearance(arm, around, np.zeros(3), np.full(3, 0.1)).contact == 0.0
+
+
+def test_a_room_is_no_solid(arm):
+    room = trimesh.creation.box((4.0, 4.0, 4.0)).triangles
+    builder = jaxik.collision.SceneBuilder()
+    builder.add("room", triangles=room, solid=False)
+    assert jaxik.clearance(arm, builder.scene(), np.zeros(3)) > 1.0
+    assert jaxik.clearance(arm, scene_of(room)[0], np.zeros(3)) < -1.0
+    away = scene_of(room)[0].without("mesh")
+    assert np.isinf(jaxik.clearance(arm, away, np.zeros(3))) and away.counts["triangles"] == 0
+
+
+def turned_inside_out(triangles):
+    return triangles[:, ::-1]
+
+
+def mixed(triangles):
+    odd = np.random.default_rng(5).random(len(triangles)) < 0.5
+    return np.where(odd[:, None, None], triangles[:, ::-1], triangles)
+
+
+@pytest.mark.parametrize("changed", [np.asarray, turned_inside_out, mixed])
+def test_what_is_closed_is_seen_from_outside(changed):
+    first, second = (np.asarray(MESHES[name]) for name in ("bent", "convex"))
+    both = np.concatenate([changed(first), first[5:] + 2.0, changed(second) - 2.0])
+    turned, solid = as_bodies(both)
+    assert np.array_equal(solid == 1.0, np.repeat([True, False, True], [len(first), len(first) - 5, len(second)]))
+    for body, truth in ((turned[: len(first)], first), (turned[-len(second) :], second - 2.0)):
+        inside = truth.mean(axis=(0, 1)) + ([0.18, 0.0, 0.0] if truth is first else 0.0)
+        assert abs(winding(inside, body) - 1.0) <= 1e-9
+
+
+def test_polygons_become_triangles():
+    """A star, in any plane, has its area, and no triangle outside of it; surfaces cross where an edge goes through."""
+    turn = 2.0 * np.pi * np.arange(14) / 14
+    star = np.where(np.arange(14) % 2, 0.4, 1.0)[:, None] * np.stack([np.cos(turn), np.sin(turn), 0.0 * turn], axis=1)
+    area = 7.0 * 0.4 * np.sin(2.0 * np.pi / 14)
+    for rotation in Rotation.random(5, random_state=6):
+        triangles = polygon_triangles(rotation.apply(star) + 3.0)
+        normals = np.cross(triangles[:, 1] - triangles[:, 0], triangles[:, 2] - triangles[:, 0]) / 2.0
+        assert triangles.shape == (12, 3, 3) and np.allclose(normals.sum(axis=0), area * rotation.apply([0.0, 0.0, 1.0]))
+        assert np.isclose(np.linalg.norm(normals, axis=1).sum(), area)
+    flat, cross, beside, above = (
+        polygon_triangles(star),
+        jax.jit(surfaces_cross),
+        np.array([0.9, 0.3, 0.0]),
+        np.array([0, 0, 1.1]),
+    )
+    pin = np.array([[[0.0, 0.0, -1.0], [0.0, 0.01, 1.0], [0.01, 0.0, 1.0]]])
+    assert cross(flat, pin) and cross(pin, flat) and not cross(flat, pin + beside) and not cross(flat, pin + above)
+    frame, edges = bounding_box(flat)
+    assert np.allclose(np.sort(edges), np.sort([*np.ptp(star, axis=0)]), atol=0.2) and np.allclose(frame[:3, 3], 0.0, atol=0.1)
+
+
+@pytest.mark.parametrize(
+    "corners, words",
+    [
+        ([[0, 0, 0], [1, 0, 0]], r"shape \(2, 3\)"),
+        ([[0, 0, 0], [1, 0, 0], [2, 0, 0]], "without an area"),
+        ([[0, 0, 0], [1, 0, 0], [1, 1, 0.1], [0, 1, 0]], "out of its plane"),
+        ([[0, 0, 0], [2, 2, 0], [2, 0, 0], [0, 1, 0]], "crosses itself"),
+        ([[0, 0, 0], [1, 0, np.nan], [1, 1, 0]], "finite"),
+    ],
+)
+def test_what_is_no_polygon(corners, words):
+    with pytest.raises(ValueError, match=f"^polygon.*{words}"):
+        polygon_triangles(corners)
+
+
+def test_a_carried_surface_moves_with_the_tip(arm):
+    scene, triangles = scene_of(MESHES["open"], name="sheet")
+    held = jaxik.collision.attach(arm, scene, "sheet", np.zeros(3), touches=arm.link_names)
+    ball = jaxik.make_scene(spheres=[[1.0, 0.6, 0.3, 0.1]])
+    alone = [p for p in held.chain.volumes if held.chain.link_names[p.link] == "sheet"]
+    assert len(alone) == len(triangles)
+    q, tip = np.array([0.1, 0.4, -0.3]), lambda q: np.asarray(jaxik.forward_kinematics(arm, q))
+    moved = tip(q) @ np.linalg.inv(tip(np.zeros(3)))
+    placed = triangles @ moved[:3, :3].T + moved[:3, 3]
+    truth = apart_in_coal(in_coal(placed), in_coal(np.full((1, 3, 3), [1.0, 0.6, 0.3]))) - 0.1
+    found = {c.link: c.distance for c in jaxik.explain(held.chain, ball, q, 9).contacts}
+    assert abs(found["sheet"] - truth) <= 1e-9
