@@ -87,7 +87,8 @@ def _around(who: str, chain: Chain, scene: Any, q: Any) -> Grouped:
 
 
 def as_wide(around: Grouped, q: Any) -> Grouped:
-    """Grouped obstacles, their floats as wide as JAX takes q: a kernel would narrow them one by one, for every few configurations anew."""
+    """Grouped obstacles with floats as wide as JAX takes q: a kernel would narrow them one by one, for every few configurations
+    anew."""
     wide = getattr(q, "dtype", None)
     if wide is None or not jnp.issubdtype(wide, jnp.floating):
         return around
