@@ -37,8 +37,8 @@ def surfaces_cross(first: Float[Array, "k 3 3"], second: Float[Array, "m 3 3"]) 
 
 
 def bounding_box(corners: Any) -> tuple[np.ndarray, np.ndarray]:
-    """The frame (4, 4) and edges (3,) [m] of the smallest box around points or surfaces (..., 3) [m]: one of `boxes`, their cheap
-    stand-in. Host."""
+    """The frame (4, 4) and edges (3,) [m] of the smallest box around points or surfaces (..., 3) [m]: one of `boxes`, their
+    cheap stand-in. Host."""
     import trimesh
 
     box_T_world, edges = trimesh.bounds.oriented_bounds(numbers("bounding_box", corners).reshape(-1, 3))
