@@ -22,9 +22,9 @@ from jaxik.checks.options import as_count, check_finite, check_kind
 from jaxik.collision import distance
 from jaxik.collision.bvh import pair_tables
 from jaxik.collision.clearances import check_geometry
-from jaxik.collision.nearest_pair import SAMPLES
 from jaxik.collision.scene import FAR, Scene, check_scene
 from jaxik.collision.shape_distances import Gap, along, columns_of, depth_gap, obstacles_of, skeleton_gap
+from jaxik.collision.solids import SAMPLES
 from jaxik.collision.volumes import Skeleton, skeletons
 from jaxik.robot.chain import Array, Chain
 from jaxik.robot.kinematics import as_posture

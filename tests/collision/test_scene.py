@@ -7,6 +7,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+import trimesh
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from hypothesis.extra import numpy as hnp
@@ -16,7 +17,7 @@ import jaxik
 from jaxik.collision.scene import KINDS
 from jaxik.files import save_scene
 
-WIDTHS = {"points": 3, "spheres": 4, "capsules": 7}
+WIDTHS = {"points": 3, "spheres": 4, "capsules": 7, "triangles": 9}
 LEFT_HANDED, STRETCHED, HALF = np.diag([1.0, 1.0, -1.0, 1.0]), np.diag([1.001, 1.0, 1.0, 1.0]), np.diag([1.0, 1.0, 1.0, 0.5])
 TURNED = np.array([[0.0, -1.0, 0.0, 0.5], [1.0, 0.0, 0.0, 0.1], [0.0, 0.0, 1.0, -0.2], [0.0, 0.0, 0.0, 1.0]])
 
@@ -51,6 +52,8 @@ def one_line(error, *words):
         ({"capsules": [[0, 0, 0, 1, 0, 0]] * 7}, ("capsules", "(7, 6)", "(k, 7)")),
         ({"capsules": [[0, 0, 0, 1, 0, 0, -1]]}, ("capsules", "row 1", "radius -1", "above 0")),
         ({"capsules": [[0, 0, 0, 1, 0, 0, 0]]}, ("capsules", "row 1", "radius 0 m", "above 0")),
+        ({"triangles": [[0, 0, 0, 1, 0, 0]]}, ("triangles", "(1, 6)", "(k, 9) or (k, 3, 3)")),
+        ({"triangles": [[[0, 0, 0], [0, 0, 1], [0, 200, 0]]]}, ("triangles", "row 1", "200", "100 m")),
         ({"boxes": [(np.eye(4), 0.1)]}, ("boxes", "row 1", "three edges")),
         ({"boxes": [(np.eye(4), 0.1)] * 3}, ("boxes", "row 1", "three edges")),
         ({"boxes": [(np.eye(4), (0.1, 0.1))]}, ("boxes", "row 1", "three edges")),
@@ -226,7 +229,7 @@ def hand_made(kind, **arrays):
     frame = np.eye(4)
     scene = jaxik.make_scene(
         points=[[1, 2, 3]], spheres=[[1, 2, 3, 0.1]], capsules=[[1, 2, 3, 1, 2, 4, 0.1]],
-        boxes=[(frame, (1, 1, 1))], cylinders=[(frame, 0.1, 1)],
+        boxes=[(frame, (1, 1, 1))], cylinders=[(frame, 0.1, 1)], triangles=[[1, 2, 3, 1, 2, 4, 1, 3, 4]],
     )  # fmt: skip
     return eqx.tree_at(lambda s: [getattr(getattr(s, kind), k) for k in arrays], scene, list(arrays.values()))
 
@@ -255,6 +258,8 @@ def hand_made(kind, **arrays):
         ("boxes", {"world_T_box": LEFT_HANDED[None]}, ("boxes row 1", "no rigid frame")),
         ("cylinders", {"world_T_cylinder": np.full((1, 4, 4), np.nan)}, ("cylinders row 1", "nan")),
         ("cylinders", {"half": np.array([-1.0])}, ("cylinders row 1", "-1")),
+        ("triangles", {"b": np.array([[0, np.nan, 0]])}, ("triangles row 1", "nan")),
+        ("triangles", {"solid": np.zeros(2)}, ("triangles: solid", "(2,)", "(1,)")),
     ],
 )
 def test_drivers_refuse_what_was_put_in_by_hand(kind, arrays, words):
@@ -464,6 +469,68 @@ def test_a_file_with_bad_points(tmp_path, name, content, words):
     with pytest.raises(jaxik.LoadError) as error:
         jaxik.load_scene(tmp_path / name)
     one_line(error, name, *words)
+
+
+def test_meshes_and_polygons_in_a_file(tmp_path):
+    """In their own frame and unit, below the scene's folder; a body stays one, and a polygon is not."""
+    (tmp_path / "meshes").mkdir()
+    trimesh.creation.box((100.0, 200.0, 300.0)).export(tmp_path / "meshes" / "box.stl")
+    mesh = '{file = "meshes/box.stl", scale = 0.001, position_cm = [50, 0, 0], rpy_deg = [0, 0, 90]}'
+    path, square = tmp_path / "scene.toml", "[[0, 0, 1], [1, 0, 1], [1, 1, 1], [0.1, 0.9, 1], [0, 1, 1]]"
+    path.write_text(
+        f'name = "s"\n[[object]]\nname = "body"\nmeshes = [{mesh}]\npolygons = [{square}]\n'
+        f'[[object]]\nname = "shell"\nsolid = false\nmeshes = [{mesh}]\n'
+    )
+    scene = jaxik.load_scene(path)
+    surfaces = scene.triangles
+    assert scene.counts["triangles"] == 3 + 12 + 12 and surfaces.solid.tolist() == [0.0] * 3 + [1.0] * 12 + [0.0] * 12
+    corners = np.stack([surfaces.a, surfaces.b, surfaces.c], axis=1)[3:15].reshape(-1, 3)
+    np.testing.assert_allclose([corners.min(axis=0), corners.max(axis=0)], [[0.4, -0.05, -0.15], [0.6, 0.05, 0.15]], atol=1e-7)
+    given = jaxik.files.load_mesh(tmp_path / "meshes" / "box.stl", scale=(0.001, 0.001, 0.002))
+    assert given.shape == (12, 3, 3) and np.isclose(np.ptp(given, axis=(0, 1))[2], 0.6)
+    save_scene(scene, tmp_path / "again.toml")
+    assert same(jaxik.load_scene(tmp_path / "again.toml"), scene)
+
+
+@pytest.mark.parametrize(
+    "lines, words",
+    [
+        ('meshes = [{file = "no.stl"}]', ("mesh 'no.stl' is not found", "put it at")),
+        ('meshes = [{file = "../box.stl"}]', ("outside",)),
+        ('meshes = [{file = "text.stl"}]', ("cannot be read",)),
+        ('meshes = [{file = "text.txt"}]', ("ending '.txt'", ".stl, .obj")),
+        ('meshes = [{file = "points.ply"}]', ("no triangles",)),
+        ('meshes = [{file = "text.stl", scale = 0}]', ("'scale' is out of range",)),
+        ("polygons = [[[0, 0, 0], [1, 0, 0]]]", ("polygons 1", "three finite corners")),
+        ("polygons = 3", ("'polygons' is not a list",)),
+        ("triangles = [[0, 0, 0, 1, 0, 0]]", ("'triangles'", "three corners")),
+        ("spheres = [[0, 0, 0, 1]]\nsolid = 1", ("solid = ", "true or false")),
+    ],
+)
+def test_a_file_with_a_bad_surface(tmp_path, lines, words):
+    for name in ("text.stl", "text.txt"):
+        (tmp_path / name).write_text("no mesh")
+    (tmp_path / "points.ply").write_text(PLY.replace("property {} label\n", "") + "0 0 0\n")
+    (tmp_path / "scene.toml").write_text(f'name = "s"\n[[object]]\nname = "a"\n{lines}\n')
+    with pytest.raises(jaxik.LoadError) as error:
+        jaxik.load_scene(tmp_path / "scene.toml")
+    one_line(error, *words)
+
+
+@pytest.mark.parametrize(
+    "given, words",
+    [
+        ({"path": "no.stl"}, ("no.stl", "is not found")),
+        ({"path": "box.stl", "scale": 0.0}, ("load_mesh: scale", "above zero")),
+        ({"path": "box.stl", "scale": (1.0, 2.0)}, ("load_mesh: scale", "or three")),
+        ({"path": "box.stl", "frame": LEFT_HANDED}, ("load_mesh: frame", "no rigid frame")),
+    ],
+)
+def test_a_mesh_that_is_refused(tmp_path, given, words):
+    trimesh.creation.box().export(tmp_path / "box.stl")
+    with pytest.raises(ValueError) as error:
+        jaxik.files.load_mesh(tmp_path / given.pop("path"), **given)
+    one_line(error, *words)
 
 
 def test_a_scene_without_a_fruit_is_a_scene(tmp_path):
