@@ -117,7 +117,7 @@ def load_mesh(path: str | Path, frame: Any = None, scale: Any = 1.0) -> np.ndarr
     """The triangles (k, 3, 3) [m] of a mesh file, for a scene: `SceneBuilder.add(name, triangles=load_mesh("pot.stl"))`. Host.
 
     `scale` is a metre's part that the file's unit is (0.001: millimetres), or one along each axis; `frame` (4, 4) is where the
-    mesh's own frame is in the world. Raises `LoadError`, one line, for what cannot be read or has no triangles, and
+    mesh's own frame is in the world. Raises `LoadError`, one line, for what cannot be read as a surface, and
     `ValueError` for another frame or scale.
     """
     frame = np.eye(4) if frame is None else np.asarray(rigid_frame("load_mesh: frame", frame))
@@ -128,8 +128,6 @@ def load_mesh(path: str | Path, frame: Any = None, scale: Any = 1.0) -> np.ndarr
     if not path.is_file():
         raise LoadError(path, "mesh", "is not found", "check the path")
     points, faces = _parsed(path, "mesh", path.name, path, np.broadcast_to(factor, 3))
-    if not len(faces):
-        raise LoadError(path, "mesh", "has no triangles", "give a surface; points alone are a scene's points")
     return (points @ frame[:3, :3].T + frame[:3, 3])[faces]
 
 

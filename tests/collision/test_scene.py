@@ -499,7 +499,7 @@ def test_meshes_and_polygons_in_a_file(tmp_path):
         ('meshes = [{file = "../box.stl"}]', ("outside",)),
         ('meshes = [{file = "text.stl"}]', ("cannot be read",)),
         ('meshes = [{file = "text.txt"}]', ("ending '.txt'", ".stl, .obj")),
-        ('meshes = [{file = "points.ply"}]', ("no triangles",)),
+        ('meshes = [{file = "points.obj"}]', ("points.obj", "cannot be read")),
         ('meshes = [{file = "text.stl", scale = 0}]', ("'scale' is out of range",)),
         ("polygons = [[[0, 0, 0], [1, 0, 0]]]", ("polygons 1", "three finite corners")),
         ("polygons = 3", ("'polygons' is not a list",)),
@@ -510,7 +510,7 @@ def test_meshes_and_polygons_in_a_file(tmp_path):
 def test_a_file_with_a_bad_surface(tmp_path, lines, words):
     for name in ("text.stl", "text.txt"):
         (tmp_path / name).write_text("no mesh")
-    (tmp_path / "points.ply").write_text(PLY.replace("property {} label\n", "") + "0 0 0\n")
+    (tmp_path / "points.obj").write_text("v 0 0 0\nv 1 0 0\n")
     (tmp_path / "scene.toml").write_text(f'name = "s"\n[[object]]\nname = "a"\n{lines}\n')
     with pytest.raises(jaxik.LoadError) as error:
         jaxik.load_scene(tmp_path / "scene.toml")

@@ -61,7 +61,7 @@ def test_a_cell_without_a_fruit_is_shown(tmp_path):
         '[[object]]\nname = "sheet"\npolygons = [[[1.5, -1, 0], [1.5, 1, 0], [1.6, 1, 0], [1.6, -1, 0]]]\n'
     )
     page = Page(jaxik.load("planar2"), jaxik.load_scene(path), port=0)
-    assert "sheet" in page.near.content and page.hit == {"sheet", "a", "link1", "link2"} & page.hit >= {"sheet"}
+    assert "sheet" in page.near.content and "sheet" in page.hit
     page.close()
 
 
