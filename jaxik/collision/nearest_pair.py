@@ -21,7 +21,7 @@ from jaxik.checks.arrays import is_known
 from jaxik.collision import bvh, distance
 from jaxik.collision.bvh import Grouped, Robot, Volumes
 from jaxik.collision.leaf_rows import Found, as_columns, ball_at, count_of, entry, nearest_of, rows_from
-from jaxik.collision.shape_distances import Gap, depth_gap, obstacles_of, skeleton_gap, square_gap
+from jaxik.collision.shape_distances import Gap, depth_gap, obstacles_of, skeleton_gap, square_gap, triangle_gap
 from jaxik.collision.solids import Solids
 from jaxik.robot.chain import Chain
 from jaxik.robot.kinematics import joint_frames
@@ -130,10 +130,11 @@ class Space:
         """Part p against branch b of the obstacles of kind k."""
         obstacles = self.obstacles[k]
         first, last = entry(obstacles.first, b), entry(obstacles.last, b)
-        inside = lambda found: self._leaves(p, first, last, self.others[k], found)
+        branch = ball_at(as_columns(obstacles.branches, self.dtype), b)
+        inside = lambda found: self._leaves(p, first, last, self.others[k], found, branch)
         if self.bits is not None:
             inside = lambda found, leaves=inside: lax.cond(self.counts(p, k, b), leaves, lambda found: found, found)
-        return self._if_near(found, ball, ball_at(as_columns(obstacles.branches, self.dtype), b), inside)
+        return self._if_near(found, ball, branch, inside)
 
     def counts(self, p: Any, k: int, b: Any) -> Any:
         """Whether branch b of the obstacles of kind k counts for part p."""
@@ -183,13 +184,15 @@ class Space:
         node = lambda i, j: entry(bounds, first + i * size + j)
         return interpolated(values, entry(jnp.asarray(tables.axes, self.dtype), number), node, jnp)
 
-    def _leaves(self, p: Any, first: Any, last: Any, others: Others, found: Found) -> Found:
-        """All leaves of part p against those of the others from `first` to `last`, not counted."""
+    def _leaves(self, p: Any, first: Any, last: Any, others: Others, found: Found, around: Any = None) -> Found:
+        """All leaves of part p against those of the others from `first` to `last`, not counted, in a ball `around`."""
         for volumes, placed, origin in zip(self.robot.kinds, self.placed, self.first, strict=False):
             squares = others.even and volumes.arity == 1
+            # to the triangles of a surface, small and many, a ball around a line is no measure
+            long = others.gap is triangle_gap and volumes.arity > 1 and self.skips
 
-            def own(i: Any, found: Found, v: Any = (volumes, placed, origin, squares)) -> Found:
-                volumes, placed, origin, squares = v
+            def own(i: Any, found: Found, v: Any = (volumes, placed, origin, squares, long)) -> Found:
+                volumes, placed, origin, squares, long = v
                 ball, mine = ball_at(placed.leaves, i), rows_from((placed.corners, placed.radius), i, volumes.size)
 
                 def other(j: Any, found: Found) -> Found:
@@ -199,9 +202,12 @@ class Space:
                     if others.size == 1 and volumes.size > 1 and self.skips:  # a sphere around a long one says little
                         bound = lambda: others.gap(((ball[0],), ball[1]), jax.tree_util.tree_map(lambda x: x[0], theirs))
                         inside = lambda found, near=inside: lax.cond(bound() < found.distance, near, lambda found: found, found)
+                    if long:
+                        return _if_beside(found, mine, ball_at(others.leaves, j), inside)
                     return self._if_near(found, ball, ball_at(others.leaves, j), inside)
 
-                return lax.fori_loop(first, last, other, found)
+                every = lambda found: lax.fori_loop(first, last, other, found)
+                return _if_beside(found, mine, around, every) if long else every(found)
 
             found = lax.fori_loop(entry(volumes.first, p), entry(volumes.last, p), own, found)
         return found
@@ -321,6 +327,12 @@ def _placed(robot: Robot, frames: Any, dtype: Any) -> tuple[tuple[Vec3, Any], tu
     ball = lambda balls: (next(each), jnp.asarray(balls.radius, dtype))
     corners = lambda v: tuple(itertools.islice(each, v.arity))
     return ball(robot.parts), tuple(Placed(ball(v.leaves), corners(v), jnp.asarray(v.radius, dtype)) for v in robot.kinds)
+
+
+def _if_beside(found: Found, mine: Any, ball: Any, inside: Callable[[Found], Found]) -> Found:
+    """What is found `inside` a ball, unless that is further from the one volume than what is found already."""
+    beside = skeleton_gap(mine, ((ball[0],), ball[1]))[0] < found.distance
+    return lax.cond(beside, inside, lambda found: found, found)
 
 
 def _nearer(found: Found, mine: Any, theirs: Any, gap: Any, squares: bool, even: bool, places: Any) -> Found:
