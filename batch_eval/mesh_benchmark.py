@@ -38,7 +38,7 @@ APART = 1e-6  # [m] from which coal and jaxik in float64 must agree that nothing
 def tube(triangles: int, seed: int) -> np.ndarray:
     """A torus whose ring is no circle, as triangles (k, 3, 3) about where the Panda works [m]."""
     rng, sections = np.random.default_rng(seed), SECTIONS[triangles]
-    mesh = trimesh.creation.torus(0.2, 0.06, major_sections=sections[0], minor_sections=sections[1])
+    mesh = trimesh.creation.torus(0.25, 0.12, major_sections=sections[0], minor_sections=sections[1])
     round_about = np.arctan2(mesh.vertices[:, 1], mesh.vertices[:, 0])
     mesh.vertices[:, 2] += 0.08 * np.sin(2.0 * round_about)
     place = np.array([0.45, 0.0, 0.5]) + rng.uniform(-0.25, 0.25, 3)
