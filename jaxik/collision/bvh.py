@@ -24,14 +24,8 @@ from jaxik.pytree import static
 from jaxik.robot.chain import Chain, geometry_between, solid_links
 from jaxik.robot.link_distance_table import PairTable
 
-LEAF = {
-    "points": 4,
-    "spheres": 4,
-    "capsules": 1,
-    "boxes": 1,
-    "cylinders": 1,
-    "triangles": 1,
-}  # obstacles a leaf, where there are a few
+# obstacles a leaf, where there are a few
+LEAF = {"points": 4, "spheres": 4, "capsules": 1, "boxes": 1, "cylinders": 1, "triangles": 1}
 FAN = 4  # leaves a branch, at least
 LEAVES = (16, 128, 1024, 8192, 65536)  # what is compiled for: up to so many leaves, of which those that are there are looked at
 SLACK = 1e-4  # [m] that a bounding sphere is larger: nothing is lost to rounding in float32, 100 m from the origin

@@ -143,7 +143,7 @@ class _Depths(_Pairs):
             low, high = (f([f(np.stack(c, axis=-1)[rows], axis=0) for c in corners], axis=0) for f in (np.min, np.max))
             near = np.all((points >= low) & (points <= high), axis=1) & meet[owner, self.links]
             for volume in np.flatnonzero(near):
-                if np.sum(_crossings().run(*self._aside(points[volume], rows))[0]) > 0.5:
+                if abs(np.sum(_crossings().run(*self._aside(points[volume], rows))[0])) > 0.5:
                     apart = self.told(0, rows, np.full(len(rows), volume))[0]
                     nearest = int(apart.argmax())
                     self.least = np.append(self.least, [[apart[nearest], rows[nearest], volume]], axis=0)

@@ -79,7 +79,7 @@ class Solids:
         """A point in the middle of a ball; `mark`: its volume's number, and where `along` the skeleton it is."""
         zero = jnp.zeros_like(radius)
         turn = lambda j, turns: turns + self._row(j)[1] * distance.upward_crossing(point, *self._row(j)[0])
-        inside = self._over(_above, point, lambda turns: zero, turn, zero) > 0.5
+        inside = jnp.abs(self._over(_above, point, lambda turns: zero, turn, zero)) > 0.5
 
         def nearer(j: Any, nearest: Any) -> Any:
             corners, solid = self._row(j)

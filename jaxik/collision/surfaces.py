@@ -59,9 +59,10 @@ def as_bodies(triangles: Float[np.ndarray, "k 3 3"]) -> tuple[Float[np.ndarray, 
     corners = triangles.reshape(-1, 3)
     size = float(np.ptp(corners, axis=0).max()) or 1.0
     faces = np.unique(np.round(corners / (SAME * size)), axis=0, return_inverse=True)[1].reshape(-1, 3)
-    count = int(faces.max()) + 1
-    links = coo_array((np.ones(2 * len(faces)), (np.tile(faces[:, 0], 2), faces[:, 1:].T.ravel())), (count, count))
-    part = connected_components(links, directed=False)[1][faces[:, 0]]
+    which, owner = _undirected(faces)[0], np.tile(np.arange(len(faces)), 3)
+    count = len(faces) + int(which.max()) + 1  # what shares an edge is one surface
+    links = coo_array((np.ones(len(which)), (owner, len(faces) + which)), (count, count))
+    part = connected_components(links, directed=False)[1][: len(faces)]
     for rows in np.split(np.argsort(part, kind="stable"), np.cumsum(np.bincount(part))[:-1]):
         flip = _outward(faces[rows], turned[rows])
         if flip is not None:
@@ -91,9 +92,13 @@ def _edges(faces: np.ndarray) -> np.ndarray:
 def _closes(faces: np.ndarray) -> bool:
     """Whether each edge is there as often as its reverse."""
     edges = _edges(faces)
-    up = np.where(edges[:, 0] < edges[:, 1], 1, np.where(edges[:, 0] > edges[:, 1], -1, 0))
-    which = np.unique(np.sort(edges, axis=1), axis=0, return_inverse=True)[1].ravel()
-    return not np.bincount(which, up).any()
+    return not np.bincount(_undirected(faces)[0], np.sign(edges[:, 1] - edges[:, 0])).any()
+
+
+def _undirected(faces: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Of each of `_edges` which edge it is, whatever its direction, and how many of them each is."""
+    _, which, counts = np.unique(np.sort(_edges(faces), axis=1), axis=0, return_inverse=True, return_counts=True)
+    return which.ravel(), counts
 
 
 def _alike(faces: np.ndarray) -> np.ndarray:
@@ -102,14 +107,12 @@ def _alike(faces: np.ndarray) -> np.ndarray:
     from scipy.sparse.csgraph import breadth_first_order
 
     edges, owner = _edges(faces), np.tile(np.arange(len(faces)), 3)
-    which, counts = np.unique(np.sort(edges, axis=1), axis=0, return_inverse=True, return_counts=True)[1:]
-    which = which.ravel()
+    which, counts = _undirected(faces)
     order = np.argsort(which, kind="stable")
     pairs = order[np.isin(which[order], np.flatnonzero(counts == 2))].reshape(-1, 2)
     a, b = owner[pairs].T
     same = np.all(edges[pairs[:, 0]] == edges[pairs[:, 1]], axis=1)  # they run along their edge in the same direction
-    weight = np.where(same, 2, 1)
-    graph = coo_array((weight, (a, b)), (len(faces),) * 2).tocsr()
+    graph = coo_array((np.ones(len(a)), (a, b)), (len(faces),) * 2).tocsr()
     known = {(int(i), int(j)): bool(s) for i, j, s in zip((*a, *b), (*b, *a), (*same, *same), strict=True)}
     order, above = breadth_first_order(graph, 0, directed=False)
     flip = np.zeros(len(faces), bool)

@@ -178,6 +178,13 @@ def test_a_room_is_no_solid(arm):
     assert np.isinf(jaxik.clearance(arm, away, np.zeros(3))) and away.counts["triangles"] == 0
 
 
+def test_bodies_that_touch_are_turned_each_for_itself():
+    """At a corner, one of them inside out."""
+    box = np.array(trimesh.creation.box((1.0, 1.0, 1.0)).triangles)
+    turned, solid = as_bodies(np.concatenate([3.0 * box + 2.0, box[:, ::-1]]))
+    assert solid.all() and all(abs(winding(np.full(3, at), turned) - 1.0) <= 1e-9 for at in (0.0, 2.0))
+
+
 def turned_inside_out(triangles):
     return triangles[:, ::-1]
 
