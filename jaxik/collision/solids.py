@@ -67,7 +67,11 @@ class Solids:
                     corners, radius = jax.tree_util.tree_map(lambda x: entry(x, row), (placed.corners, placed.radius))
                     point = along(corners, at)
                     inside = lambda found: self._of_point(point, radius, found, (origin + row, at))
-                    return self._if_within((point, jnp.zeros((), space.dtype)), inside, found)
+                    look = lambda found: self._if_within((point, jnp.zeros((), space.dtype)), inside, found)
+                    if space.enough is None:
+                        return look(found)
+                    # what is inside in part crosses a triangle: one point tells of the rest, unless a depth is asked for
+                    return lax.cond((m % count == 0) | (space.enough < 0.0), look, lambda found: found, found)
 
                 samples = lambda found: lax.fori_loop(jnp.int32(0), jnp.int32(volumes.size * count), sample, found)
                 return self._if_within(ball_at(placed.leaves, i), samples, found)
