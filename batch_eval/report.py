@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import textwrap
 from pathlib import Path
 from typing import Any
 
@@ -350,6 +351,25 @@ def scaling_markdown(result: dict[str, Any]) -> str:
     return "\n".join(lines)
 
 
+def mesh_markdown(result: dict[str, Any]) -> str:
+    """A row for each size of mesh and question, jaxik beside coal; how they agree; and the paper's test."""
+    lines = ["| among one mesh | jaxik, a configuration | coal | |", "| --- | --- | --- | --- |"]
+    for row in result["meshes"]:
+        for what, told in row["us"].items():
+            ours, theirs = told["jaxik"], told["coal, Python loop"]
+            who = f"{what}, {result['robot']}, {row['triangles']:,} triangles"
+            lines.append(f"| {who} | {_duration(ours)} | {_duration(theirs)} | {theirs / ours:.0f}x |")
+    for row in result["surfaces"]:
+        lines.append(f"| {row['who']}: {row['surfaces']:,} against {row['against']:,} | {_duration(row['us'])} | - | - |")
+    total = lambda key: sum(row[key] for row in result["meshes"])
+    motions, off = result["motions"], max(row["off_m"] for row in result["meshes"])
+    told = f"Of {total('configurations'):,} configurations coal has {total('collide')} in collision; jaxik says otherwise of "
+    told += f"{total('other answers')}, and is {off:.0e} m off at most where nothing touches. Of {motions['motions']} motions "
+    told += f"{motions['free']} are proven free; samples hit in {motions['free that hit']} of them."
+    lines += ["", *textwrap.wrap(told, 130)]
+    return "\n".join(lines)
+
+
 TABLES = {
     "astar.json": astar_markdown,
     "base_placement.json": base_markdown,
@@ -359,6 +379,7 @@ TABLES = {
     "collision_scaling.json": scaling_markdown,
     "harvest_motions.json": harvest_motions_markdown,
     "ik_benchmark.json": ik_markdown,
+    "mesh_benchmark.json": mesh_markdown,
     "motions.json": motions_markdown,
     "narrow_goals.json": narrow_markdown,
     "nine_dof.json": nine_dof_markdown,

@@ -32,8 +32,9 @@ def attach(chain: Chain, scene: Scene, name: str, q: Float[Array, " n"], touches
 
     Points become balls of the scene's radius; spheres and capsules stay what they are; boxes become boxes of the chain, which
     `spheres_per_box` spheres cover; a cylinder is carried as a capsule up to 42 % of its radius larger, the one about it that
-    protrudes least. The link is checked against the scene and against the robot's other links, but for those that move with the
-    last joint, too, and those that it `touches` (MoveIt's touch_links). It has no mass.
+    protrudes least; triangles stay surfaces, so what is wholly inside of a body that they enclose is not seen. The link is
+    checked against the scene and against the robot's other links, but for those that move with the last joint, too, and those
+    that it `touches` (MoveIt's touch_links). It has no mass.
 
     Raises `ValueError` for an object that is not there, has no obstacle or the name of a link, for links that the chain does
     not have, for a q of another shape, and for what is traced.
@@ -85,9 +86,11 @@ def _carried(scene: Scene, name: str, joint_T_world: np.ndarray, link: int) -> t
     local = lambda points: np.asarray(points, np.float64) @ joint_T_world[:3, :3].T + joint_T_world[:3, 3]
     volume = lambda corners, radius: Volume(local(corners), np.asarray(radius, np.float64), link)
     points, spheres, capsules, cylinders = scene.points, scene.spheres, scene.capsules, scene.cylinders
+    triangles = scene.triangles
     volumes = [volume(points.center[i][None], points.radius) for i in own["points"]]
     volumes += [volume(spheres.center[i][None], spheres.radius[i]) for i in own["spheres"]]
     volumes += [volume(np.stack([capsules.a[i], capsules.b[i]]), capsules.radius[i]) for i in own["capsules"]]
+    volumes += [volume(np.stack([triangles.a[i], triangles.b[i], triangles.c[i]]), 0.0) for i in own["triangles"]]
     for i in own["cylinders"]:
         volumes.append(volume(*_capsule(np.asarray(cylinders.world_T_cylinder[i]), cylinders.radius[i], cylinders.half[i])))
     boxes = [Box(joint_T_world @ scene.boxes.world_T_box[i], np.asarray(scene.boxes.half[i]), link) for i in own["boxes"]]

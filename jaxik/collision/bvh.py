@@ -18,13 +18,14 @@ import numpy as np
 from jax import lax
 
 from jaxik.checks.arrays import is_known
-from jaxik.collision.scene import FAR, SHAPES, Scene, check_scene, remembered, with_zeros
+from jaxik.collision.scene import FAR, SHAPES, SIZES_OF, Scene, check_scene, remembered, with_zeros
 from jaxik.collision.volumes import local_volumes
 from jaxik.pytree import static
 from jaxik.robot.chain import Chain, geometry_between, solid_links
 from jaxik.robot.link_distance_table import PairTable
 
-LEAF = {"points": 4, "spheres": 4, "capsules": 1, "boxes": 1, "cylinders": 1}  # obstacles a leaf, where there are a few
+# obstacles a leaf, where there are a few
+LEAF = {"points": 4, "spheres": 4, "capsules": 1, "boxes": 1, "cylinders": 1, "triangles": 1}
 FAN = 4  # leaves a branch, at least
 LEAVES = (16, 128, 1024, 8192, 65536)  # what is compiled for: up to so many leaves, of which those that are there are looked at
 SLACK = 1e-4  # [m] that a bounding sphere is larger: nothing is lost to rounding in float32, 100 m from the origin
@@ -42,7 +43,10 @@ class Balls(NamedTuple):
 class Obstacles:
     """Those of one `kind`, ordered by place: leaves of `LEAF` rows each; branch b holds the leaves `first[b]` to `last[b]`, not
     counted, and is one of the `count` that are there if b is less; `ignored[b]` are the `bits` of links that it does not
-    count for, of a chain that ignores `ignores`. `unsound` is 0, or NaN where a number of theirs is."""
+    count for, of a chain that ignores `ignores`. `unsound` is 0, or NaN where a number of theirs is. Where there may be solids
+    of triangles, `bodies[b]` is how far those of branch b are out along -x, -y, -z, x, y, z, and how far their inside is from
+    their triangles at most, half the least extent [m].
+    """
 
     kind: str = static()
     rows: dict[str, Any]
@@ -53,6 +57,7 @@ class Obstacles:
     ignored: Any
     count: Any
     unsound: Any
+    bodies: Any
     ignores: tuple[tuple[int, str], ...] = static()
 
 
@@ -129,9 +134,28 @@ def _obstacles(
     placed = lambda x: x if np.ndim(x) == 0 else with_zeros(x[order], room * size, xp)
     kept = {name: placed(x) for name, x in rows.items()}
     spheres, branches = (Balls(*map(filled, each)) for each in (balls, _joined(balls, first, last, xp)))
+    bodies = _bodies(rows, owner, there, known, xp) if kind == "triangles" else None
+    bodies = None if bodies is None else filled(bodies[order][_runs(first, last)].max(axis=1))
     first, last, ignores = map(numbered, (first, last, ignores))
     unsound = xp.asarray(sum(xp.sum(x) * 0.0 for x in rows.values()))
-    return Obstacles(kind, kept, spheres, branches, first, last, ignores, np.int32(len(group)), unsound, ignored)
+    return Obstacles(kind, kept, spheres, branches, first, last, ignores, np.int32(len(group)), unsound, bodies, ignored)
+
+
+def _bodies(rows: dict[str, Any], owner: np.ndarray, there: np.ndarray, known: bool, xp: Any) -> Any:
+    """Of each triangle the `bodies` of `Obstacles` (k, 7), of an object's all together, -FAR where it is no solid's; None where
+    none is known to be."""
+    solid, corners = rows["solid"] > 0.0, xp.stack([rows[name] for name in "abc"], axis=1)  # (k, 3, 3)
+
+    def body(counts: Any) -> Any:
+        low, high = (xp.max(xp.where(counts[:, None, None], s * corners, -FAR), axis=(0, 1)) for s in (-1.0, 1.0))
+        return xp.concatenate([low, high, xp.min(low + high)[None] / 2.0]) + SLACK
+
+    if not known:
+        return xp.where(solid[:, None], body(solid & (xp.abs(corners).max(axis=(1, 2)) < FAR / 2.0)), -FAR)
+    found, objects = np.full((len(owner), 7), -FAR), np.unique(owner[there][solid[there]])
+    for one in objects:
+        found[solid & (owner == one)] = body(solid & (owner == one))
+    return found if len(objects) else None
 
 
 def _in_leaves(groups: list[np.ndarray], size: int, center: np.ndarray | None) -> tuple[np.ndarray, np.ndarray]:
@@ -146,11 +170,11 @@ def _in_leaves(groups: list[np.ndarray], size: int, center: np.ndarray | None) -
 
 def _extent(rows: dict[str, Any], xp: Any) -> tuple[Any, Any]:
     """Of each obstacle the centre (k, 3) and radius (k,) of a sphere around it."""
-    place, *more = (x for name, x in rows.items() if name not in ("radius", "half"))
+    place, *more = (x for name, x in rows.items() if name not in SIZES_OF)
     if place.shape[1:] == (4, 4):
         square = xp.sum(rows["half"].reshape(len(place), -1) ** 2, axis=1)
         return place[:, :3, 3], xp.sqrt(rows.get("radius", 0.0) ** 2 + square)
-    radius = xp.broadcast_to(rows["radius"], place.shape[:1])
+    radius = xp.broadcast_to(rows.get("radius", 0.0), place.shape[:1])
     return balls_of(xp.stack([place, *more], axis=1), radius, xp) if more else (place, radius)  # most are points
 
 
@@ -170,12 +194,16 @@ def around(center: Any, radius: Any, xp: Any = np) -> Balls:
 
 def _joined(balls: Balls, first: np.ndarray, last: np.ndarray, xp: Any) -> Balls:
     """Around runs of balls, from `first` to `last`, not counted; of none a ball far away."""
-    most = int(np.max(last - first, initial=1))
-    rows = np.minimum(first[:, None] + np.arange(most), np.maximum(last[:, None] - 1, 0))
+    rows = _runs(first, last)
     if not len(balls.radius):
         return Balls(np.full((len(first), 3), FAR), np.zeros(len(first)))
     found = around(balls.center[rows], balls.radius[rows], xp)
     return Balls(xp.where((last > first)[:, None], found.center, FAR), found.radius)
+
+
+def _runs(first: np.ndarray, last: np.ndarray) -> np.ndarray:
+    """The numbers from `first` to `last`, not counted, of each run in a row, its last one again and again in shorter ones."""
+    return np.minimum(first[:, None] + np.arange(int(np.max(last - first, initial=1))), np.maximum(last[:, None] - 1, 0))
 
 
 def by_place(points: np.ndarray, size: int) -> np.ndarray:

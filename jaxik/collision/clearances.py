@@ -69,7 +69,7 @@ def object_clearances(chain: Chain, scene: Scene, q: Float[Array, " n"]) -> Floa
     """The robot's signed distance to each object of `scene.object_names` [m]; infinite to one that is moved away. Traced."""
     check_kind("object_clearances", "scene", scene, Scene)
     check_geometry(chain)
-    return by_object(chain, len(scene.object_names), _as_wide(grouped(scene, chain, by_object=True), q), q)
+    return by_object(chain, len(scene.object_names), as_wide(grouped(scene, chain, by_object=True), q), q)
 
 
 def link_contacts(chain: Chain, around: Grouped, q: Any) -> tuple[Any, list[Any]]:
@@ -83,11 +83,12 @@ def _around(who: str, chain: Chain, scene: Any, q: Any) -> Grouped:
         check_kind(who, "scene", scene, Scene, optional=True)
     check_kind(who, "chain", chain, Chain)
     check_geometry(chain)
-    return _as_wide(grouped(scene, chain), q)
+    return as_wide(grouped(scene, chain), q)
 
 
-def _as_wide(around: Grouped, q: Any) -> Grouped:
-    """Its floats as wide as JAX takes q: a kernel would narrow them one by one, for every few configurations anew."""
+def as_wide(around: Grouped, q: Any) -> Grouped:
+    """Grouped obstacles with floats as wide as JAX takes q: a kernel would narrow them one by one, for every few configurations
+    anew."""
     wide = getattr(q, "dtype", None)
     if wide is None or not jnp.issubdtype(wide, jnp.floating):
         return around

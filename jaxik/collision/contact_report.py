@@ -10,7 +10,7 @@ from __future__ import annotations
 import dataclasses
 import itertools
 from collections.abc import Iterator
-from functools import cache
+from functools import cache, partial
 from typing import Any
 
 import jax
@@ -19,13 +19,16 @@ from jaxtyping import Float
 
 from jaxik.checks.arrays import check_known
 from jaxik.checks.options import as_count, check_finite, check_kind
+from jaxik.collision import distance
 from jaxik.collision.bvh import pair_tables
 from jaxik.collision.clearances import check_geometry
 from jaxik.collision.scene import FAR, Scene, check_scene
-from jaxik.collision.shape_distances import Gap, columns_of, obstacles_of, skeleton_gap
+from jaxik.collision.shape_distances import Gap, along, columns_of, depth_gap, obstacles_of, skeleton_gap
+from jaxik.collision.solids import SAMPLES
 from jaxik.collision.volumes import Skeleton, skeletons
 from jaxik.robot.chain import Array, Chain
 from jaxik.robot.kinematics import as_posture
+from jaxik.spatial.algebra import Vec3
 from jaxik.spmd import HostKernel
 
 BLOCK = 2**18  # distances at a time, which bounds the memory
@@ -127,6 +130,40 @@ class _Pairs:
         return _kernels(self.gap, ours, theirs)[what](*rows)
 
 
+class _Depths(_Pairs):
+    """Points `at` one place of volumes' skeletons that are inside of solids of triangles: each to its nearest triangle."""
+
+    def __init__(self, at: float, skeleton: Skeleton, others: Any, owners: np.ndarray, meet: np.ndarray):
+        self.gap, self.volumes, self.links = _depth_gap(at), columns_of(skeleton), skeleton.link
+        self.others, self.owners, self.itself = others, owners, False
+        points, (corners, solid) = np.stack(along(self.volumes[0], at), axis=-1), others
+        self.least = np.zeros((0, 3))
+        for owner in np.unique(owners[solid > 0.0]):
+            rows = np.flatnonzero((owners == owner) & (solid > 0.0))
+            low, high = (f([f(np.stack(c, axis=-1)[rows], axis=0) for c in corners], axis=0) for f in (np.min, np.max))
+            near = np.all((points >= low) & (points <= high), axis=1) & meet[owner, self.links]
+            for volume in np.flatnonzero(near):
+                if abs(np.sum(_crossings().run(*self._aside(points[volume], rows))[0])) > 0.5:
+                    apart = self.told(0, rows, np.full(len(rows), volume))[0]
+                    nearest = int(apart.argmax())
+                    self.least = np.append(self.least, [[apart[nearest], rows[nearest], volume]], axis=0)
+
+    def _aside(self, point: np.ndarray, rows: np.ndarray) -> list[np.ndarray]:
+        """The point and the corners of triangles as numbers in rows."""
+        return [*(np.full(len(rows), x) for x in point), *(x[rows] for corner in self.others[0] for x in corner)]
+
+
+@cache
+def _depth_gap(at: float) -> Gap:
+    return partial(depth_gap, at=at)  # once each, since kernels are kept by their gap
+
+
+@cache
+def _crossings() -> HostKernel:
+    cut = lambda *x: distance.upward_crossing(*(Vec3(*x[i : i + 3]) for i in range(0, 12, 3)))
+    return HostKernel(cut, 12)
+
+
 def _with_scene(chain: Chain, scene: Scene | None, volumes: dict[int, Skeleton]) -> Iterator[_Pairs]:
     if scene is None:
         return
@@ -136,7 +173,11 @@ def _with_scene(chain: Chain, scene: Scene | None, volumes: dict[int, Skeleton])
     for kind, obstacles, owners in scene.by_kind():
         if len(owners):
             gap, others = obstacles_of(kind, vars(obstacles), np.float64, np)
-            yield from (_Pairs(gap, skeleton, others, owners, meet, False) for skeleton in volumes.values())
+            for corners, skeleton in volumes.items():
+                yield _Pairs(gap, skeleton, others, owners, meet, False)
+                if kind == "triangles":
+                    count, pace = SAMPLES[corners]
+                    yield from (_Depths(pace * s, skeleton, others, owners, meet) for s in range(count))
 
 
 def _with_itself(chain: Chain, volumes: dict[int, Skeleton]) -> Iterator[_Pairs]:

@@ -31,7 +31,7 @@ from jaxtyping import Bool, Float, Int
 from jaxik.checks.arrays import is_known, stop_gradients
 from jaxik.checks.options import check_finite, check_kind
 from jaxik.collision.bvh import balls_of, grouped, pair_tables
-from jaxik.collision.clearances import check_geometry, clearance, link_clearances
+from jaxik.collision.clearances import as_wide, check_geometry, clearance, link_clearances
 from jaxik.collision.scene import FAR, KINDS, Scene
 from jaxik.collision.volumes import box_spheres, xp_of
 from jaxik.robot.chain import Array, Chain, as_configuration, as_shaped, finite_limits, solid_links
@@ -143,7 +143,7 @@ def _march(who: str, first: bool, chain: Any, scene: Any, q_from: Any, q_to: Any
             raise ValueError(f"{who}: resolution is {float(resolution):g}; it is above zero [m]")
     dtype = jnp.result_type(q_from, q_to)  # of all, so that one kernel serves every caller
     each = (jnp.asarray(x, dtype) for x in (q_from, q_to, margin, resolution, enough, size_of(scene)))
-    return _marched(chain, first, None if scene is None else grouped(scene, chain), *each)
+    return _marched(chain, first, None if scene is None else as_wide(grouped(scene, chain), q_from), *each)
 
 
 @kernel(models=2)

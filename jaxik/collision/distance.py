@@ -8,14 +8,15 @@ gradient [Danskin 1967].
 
 What a negative distance says: the shortest way out, of points, and so of spheres, of lines, of triangles in boxes, and where
 only radii overlap. A triangle that enters a cylinder is as deep as the deepest of some lines in it: it must move at least so
-far. A triangle that another skeleton crosses is 0 apart from it: that tells that they do, not how far. The sign is right.
+far. A triangle of a robot that another volume of it crosses is 0 apart from it: that tells that they do, not how far; with a
+triangle of the scene it is the shortest way out. The sign is right.
 """
 
 from __future__ import annotations
 
 import itertools
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from functools import partial, reduce
 from typing import Any
 
@@ -106,28 +107,52 @@ def point_triangle(p: Vec3, a: Vec3, b: Vec3, c: Vec3) -> Any:
     s, t = safe_divide(vv * wu - uv * wv, determinant), safe_divide(uu * wv - uv * wu, determinant)
     inside = (s >= 0.0) & (t >= 0.0) & (s + t <= 1.0) & (determinant > 0.0)
     plane = norm(w - u * _held(s) - v * _held(t))
-    edges = reduce(jnp.minimum, [point_segment(p, o, e) for o, e in ((a, b), (b, c), (c, a))])
-    return jnp.where(inside, plane, edges)
+    return jnp.where(inside, plane, _least(point_segment(p, *_edges((a, b, c), p))))
 
 
 def segment_triangle(p: Vec3, q: Vec3, a: Vec3, b: Vec3, c: Vec3) -> Any:
     """Segment pq to the triangle abc; 0 where it passes through."""
+    ends, edges = point_triangle(_stacked([p, q], a), a, b, c), segment_segment(p, q, *_edges((a, b, c), p))
+    return jnp.where(passes_through(p, q, a, b, c), 0.0, jnp.minimum(_least(ends), _least(edges)))
+
+
+def passes_through(p: Vec3, q: Vec3, a: Vec3, b: Vec3, c: Vec3) -> Any:
+    """Whether segment pq meets the triangle abc, its edges included, and is not in its plane."""
     normal = (b - a).cross(c - a)
     before, after = normal.dot(p - a), normal.dot(q - a)
-    crosses = before * after <= 0.0
-    t = safe_divide(before, before - after)
-    x = p + (q - p) * t
-    edges = (a, b), (b, c), (c, a)
-    sides = [normal.dot((e - o).cross(x - o)) for o, e in edges]
-    through = crosses & (sides[0] >= 0.0) & (sides[1] >= 0.0) & (sides[2] >= 0.0) & (before != after)
-    apart = [point_triangle(p, a, b, c), point_triangle(q, a, b, c), *(segment_segment(p, q, o, e) for o, e in edges)]
-    return jnp.where(through, 0.0, reduce(jnp.minimum, apart))
+    x = p + (q - p) * safe_divide(before, before - after)
+    o, e = _edges((a, b, c), p)
+    return (before * after <= 0.0) & (_least(normal.dot((e - o).cross(x - o))) >= 0.0) & (before != after)
 
 
 def triangle_triangle(a: Vec3, b: Vec3, c: Vec3, d: Vec3, e: Vec3, f: Vec3) -> Any:
     """Triangle abc to triangle def; 0 where they cross."""
-    first = [segment_triangle(p, q, d, e, f) for p, q in ((a, b), (b, c), (c, a))]
-    return reduce(jnp.minimum, [*first, *(segment_triangle(p, q, a, b, c) for p, q in ((d, e), (e, f), (f, d)))])
+    pairs = ((a, b, c), (d, e, f)), ((d, e, f), (a, b, c))
+    edges = [_edges(mine, other[0]) for mine, other in pairs]
+    through = [
+        _least(jnp.where(passes_through(*edge, *other), 0.0, 1.0)) for edge, (_, other) in zip(edges, pairs, strict=True)
+    ]
+    (p, q), (o, r) = edges  # each edge of the one, stacked, with one of the other
+    apart = [segment_segment(p, q, *(Vec3(*(x[i] for x in end)) for end in (o, r))) for i in range(3)]
+    apart += [point_triangle(_stacked(mine, other[0]), *other) for mine, other in pairs]
+    return jnp.where(jnp.minimum(*through) == 0.0, 0.0, reduce(jnp.minimum, map(_least, apart)))
+
+
+def _edges(triangle: tuple[Vec3, ...], beside: Vec3) -> tuple[Vec3, Vec3]:
+    """Where a triangle's three edges begin and end, stacked: what is done with them is traced once."""
+    a, b, c = triangle
+    return _stacked([a, b, c], beside), _stacked([b, c, a], beside)
+
+
+def _stacked(points: Sequence[Vec3], beside: Vec3) -> Vec3:
+    """Points along a new first axis, as the others of theirs broadcast with those that they are measured `beside`."""
+    shape = jnp.broadcast_shapes(*(jnp.shape(x) for point in (*points, beside) for x in point))
+    return Vec3(*(jnp.stack([jnp.broadcast_to(x, shape) for x in xs]) for xs in zip(*points, strict=True)))
+
+
+def _least(stacked: Any) -> Any:
+    """The least along the first axis; not by `min`, which minds NaN."""
+    return reduce(jnp.minimum, [stacked[i] for i in range(len(stacked))])
 
 
 def between(s: tuple[Vec3, ...], t: tuple[Vec3, ...]) -> Any:
@@ -143,6 +168,48 @@ def between(s: tuple[Vec3, ...], t: tuple[Vec3, ...]) -> Any:
         (3, 3): triangle_triangle,
     }
     return pairs[len(s), len(t)](*s, *t)
+
+
+# --------------------------------------------------------------------------------------------------------------------
+# Surfaces (signed)
+
+
+def skeleton_triangle(skeleton: tuple[Vec3, ...], triangle: tuple[Vec3, ...]) -> Any:
+    """Signed distance of a point, a line or a triangle to a triangle; where they cross, minus the shortest way out."""
+    apart = between(skeleton, triangle)
+    if len(skeleton) == 1:
+        return apart
+    way_out = lambda: jnp.minimum(_way_apart(skeleton, triangle), 0.0)
+    return jnp.where(apart > 0.0, apart, lax.cond(jnp.any(apart <= 0.0), way_out, lambda: jnp.zeros_like(apart)))
+
+
+def _way_apart(skeleton: tuple[Vec3, ...], triangle: tuple[Vec3, ...]) -> Any:
+    """By how far a line or a triangle is apart from a triangle, along the axis where that is most. Such axes are the normals,
+    and those at right angles to an edge of each [Ericson 2005, sec. 5.2.1]."""
+    both = [[corner - triangle[0] for corner in corners] for corners in (skeleton, triangle)]
+    # a line has one edge
+    edges = [[c[i] - c[i - 1] for i in range(1, len(c))] + ([c[0] - c[2]] if len(c) == 3 else []) for c in both]
+    axes = [u.cross(v) for u, v in itertools.product(*edges)] + [e[0].cross(e[1]) for e in edges if len(e) == 3]
+    n = _stacked(axes, skeleton[0])
+    length, (mine, theirs) = safe_sqrt(n.dot(n)), ([n.dot(corner) for corner in corners] for corners in both)
+    gaps = (reduce(jnp.minimum, a) - reduce(jnp.maximum, b) for a, b in ((mine, theirs), (theirs, mine)))
+    return -_least(-jnp.where(length > 0.0, safe_divide(jnp.maximum(*gaps), length), -jnp.inf))
+
+
+def upward_crossing(p: Vec3, a: Vec3, b: Vec3, c: Vec3) -> Any:
+    """1 where the ray from p along z leaves through the triangle abc, which is counter-clockwise as seen from outside, -1 where
+    it enters, else 0. Summed over a closed surface: how often it winds around p, 1 inside, 0 outside.
+
+    Seen from above p is to the left of an edge or not, and of two triangles that share it the products are the same numbers: so
+    a ray through an edge or a corner counts once [Sunday 2001].
+    """
+    turns = jnp.zeros_like(p.x + a.x)
+    for o, e in ((a, b), (b, c), (c, a)):
+        side = (o.x - p.x) * (e.y - p.y) - (o.y - p.y) * (e.x - p.x)
+        turns += jnp.where((o.y <= p.y) & (e.y > p.y) & (side > 0.0), 1.0, 0.0)
+        turns -= jnp.where((o.y > p.y) & (e.y <= p.y) & (side < 0.0), 1.0, 0.0)
+    above = turns * (b - a).cross(c - a).dot(a - p) > 0.0
+    return jnp.where(above, turns, 0.0)
 
 
 # --------------------------------------------------------------------------------------------------------------------

@@ -20,21 +20,15 @@ from jax import lax
 from jaxik.checks.arrays import is_known
 from jaxik.collision import bvh, distance
 from jaxik.collision.bvh import Grouped, Robot, Volumes
-from jaxik.collision.shape_distances import Gap, obstacles_of, skeleton_gap, square_gap
+from jaxik.collision.leaf_rows import Found, as_columns, ball_at, count_of, entry, nearest_of, rows_from
+from jaxik.collision.shape_distances import Gap, depth_gap, obstacles_of, skeleton_gap, square_gap, triangle_gap
+from jaxik.collision.solids import Solids
 from jaxik.robot.chain import Chain
 from jaxik.robot.kinematics import joint_frames
 from jaxik.robot.link_distance_table import interpolated
 from jaxik.spatial.algebra import Frame, Vec3, stack, traced
 
 FEW = 16  # points of a robot, up to which they are moved without a loop
-
-
-class Found(NamedTuple):
-    """A least distance [m]; of which volume, and of which obstacle or other volume, where that is asked for (else None)."""
-
-    distance: Any
-    mine: Any = None
-    other: Any = None
 
 
 class Placed(NamedTuple):
@@ -74,11 +68,16 @@ class Space:
         others: list[tuple[Any, Gap, Any, int, bool]] = []
         for o in around:
             gap, columns = obstacles_of(o.kind, o.rows, q.dtype)
-            others.append((columns, gap, _cast(o.leaves, q.dtype), _count(columns) // len(o.leaves.radius), o.kind == "points"))
+            size = count_of(columns) // len(o.leaves.radius)
+            others.append((columns, gap, as_columns(o.leaves, q.dtype), size, o.kind == "points"))
         for v, p in zip(self.robot.kinds, self.placed, strict=True):
             others.append(((p.corners, p.radius), skeleton_gap, p.leaves, v.size, v.even and v.arity == 1))
+        self.enough: Any = None  # a distance [m] that ends the search
+        self.solid = [k for k, o in enumerate(around) if o.bodies is not None]
+        self.inner = len(others)  # the first of those that are the same triangles, seen from inside
+        others += [(others[k][0], depth_gap, *others[k][2:]) for k in self.solid]
         # those of tables come after them
-        *origins, self.rows = itertools.accumulate((_count(columns) for columns, *_ in others), initial=0)
+        *origins, self.rows = itertools.accumulate((count_of(columns) for columns, *_ in others), initial=0)
         self.others = [Others(*each, origin) for each, origin in zip(others, origins, strict=True)]
 
     # ----------------------------------------------------------------------------------------------------------------
@@ -86,17 +85,18 @@ class Space:
 
     def all(self, start: Any = jnp.inf, tracked: bool = False, enough: Any = None) -> Found:
         """The nearest pair of all that are nearer than `start` [m]; the search ends where one is nearer than `enough`."""
+        self.enough = enough
 
         def step(p: Any, found: Found) -> Found:  # not a loop with an end a lane: then p would be a lane's own, too
             go_on = lambda found: self.part(p, found)
             return go_on(found) if enough is None else lax.cond(found.distance < enough, lambda found: found, go_on, found)
 
         count = jnp.int32(len(self.robot.links))
-        return lax.fori_loop(jnp.int32(0), count, step, _start(start, tracked, self.dtype))
+        return lax.fori_loop(jnp.int32(0), count, step, self._start(start, tracked))
 
     def each(self, then: Callable[[Found], Any], tracked: bool = False) -> Any:
         """`then` of the nearest pair of each part, in arrays with an entry a link, from the base on."""
-        one = lambda _, p: (None, then(self.part(p, _start(jnp.inf, tracked, self.dtype))))
+        one = lambda _, p: (None, then(self.part(p, self._start(jnp.inf, tracked))))
         found = lax.scan(one, None, jnp.arange(len(self.robot.links), dtype=jnp.int32))[1]
         return jax.tree_util.tree_map(lambda x: x[::-1], found)
 
@@ -104,9 +104,9 @@ class Space:
         """`then` of the nearest pair of each object, which is branch after branch of the obstacles."""
 
         def one(_: Any, b: Any) -> Any:
-            found = _start(jnp.inf, tracked, self.dtype)
+            found = self._start(jnp.inf, tracked)
             for k in range(len(self.obstacles)):
-                step = lambda p, found, k=k: self._to_branch(p, _ball(self.parts, p), k, b, found)
+                step = lambda p, found, k=k: self._to_branches(p, ball_at(self.parts, p), k, b, b + 1, found)
                 found = lax.fori_loop(jnp.int32(0), jnp.int32(len(self.robot.links)), step, found)
             return None, then(found)
 
@@ -114,43 +114,51 @@ class Space:
 
     def part(self, p: Any, found: Found) -> Found:
         """The nearest pair of part p, a later one of two parts, or what was `found` if none is nearer."""
-        ball = _ball(self.parts, p)
+        ball = ball_at(self.parts, p)
         if len(self.robot.other):  # before the obstacles: it is near whatever the scene, and rules most of them out
             found = self._to_itself(p, ball, found)
         for k, obstacles in enumerate(self.obstacles):
-            step = lambda b, found, k=k: self._to_branch(p, ball, k, b, found)
-            found = lax.fori_loop(jnp.int32(0), jnp.asarray(obstacles.count, jnp.int32), step, found)
+            found = self._to_branches(p, ball, k, jnp.int32(0), jnp.asarray(obstacles.count, jnp.int32), found)
         return found
+
+    def _to_branches(self, p: Any, ball: Any, k: int, first: Any, last: Any, found: Found) -> Found:
+        """Part p against the obstacles of kind k in branches from `first` to `last`, not counted."""
+        found = lax.fori_loop(first, last, lambda b, found: self._to_branch(p, ball, k, b, found), found)
+        return Solids(self, p, k, first, last).deepest(ball, found) if k in self.solid else found
 
     def _to_branch(self, p: Any, ball: Any, k: int, b: Any, found: Found) -> Found:
         """Part p against branch b of the obstacles of kind k."""
         obstacles = self.obstacles[k]
-        first, last = _at(obstacles.first, b), _at(obstacles.last, b)
-        inside = lambda found: self._leaves(p, first, last, self.others[k], found)
+        first, last = entry(obstacles.first, b), entry(obstacles.last, b)
+        branch = ball_at(as_columns(obstacles.branches, self.dtype), b)
+        inside = lambda found: self._leaves(p, first, last, self.others[k], found, branch)
         if self.bits is not None:
-            counts = _at(obstacles.ignored, b) & _at(self.bits, p) == 0
-            inside = lambda found, leaves=inside: lax.cond(counts, leaves, lambda found: found, found)
-        return self._if_near(found, ball, _ball(_cast(obstacles.branches, self.dtype), b), inside)
+            inside = lambda found, leaves=inside: lax.cond(self.counts(p, k, b), leaves, lambda found: found, found)
+        return self._if_near(found, ball, branch, inside)
+
+    def counts(self, p: Any, k: int, b: Any) -> Any:
+        """Whether branch b of the obstacles of kind k counts for part p."""
+        return entry(self.obstacles[k].ignored, b) & entry(self.bits, p) == 0 if self.bits is not None else True
 
     def _to_itself(self, p: Any, ball: Any, found: Found) -> Found:
         robot = self.robot
 
         def pair(k: Any, found: Found) -> Found:
-            o = _at(robot.other, k)
+            o = entry(robot.other, k)
 
             def inside(found: Found) -> Found:
-                for volumes, others in zip(robot.kinds, self.others[len(self.obstacles) :], strict=True):
-                    found = self._leaves(p, _at(volumes.first, o), _at(volumes.last, o), others, found)
+                for volumes, others in zip(robot.kinds, self.others[len(self.obstacles) : self.inner], strict=True):
+                    found = self._leaves(p, entry(volumes.first, o), entry(volumes.last, o), others, found)
                 return found
 
             if not self.tabled:
-                return self._if_near(found, ball, _ball(self.parts, o), inside)
-            number = _at(robot.tables.of, k)
+                return self._if_near(found, ball, ball_at(self.parts, o), inside)
+            number = entry(robot.tables.of, k)
             known = lambda found: self._beyond(number, found, inside)
             either = lambda found: lax.cond(number >= 0, known, inside, found)
-            return self._if_near(found, ball, _ball(self.parts, o), either)
+            return self._if_near(found, ball, ball_at(self.parts, o), either)
 
-        return lax.fori_loop(_at(robot.first, p), _at(robot.last, p), pair, found)
+        return lax.fori_loop(entry(robot.first, p), entry(robot.last, p), pair, found)
 
     def _beyond(self, number: Any, found: Found, inside: Callable[[Found], Found]) -> Found:
         """What is found `inside` a pair of parts, but no nearer than its table says."""
@@ -160,43 +168,48 @@ class Space:
             nearest = inside(found)
             raised = bound > nearest.distance
             other = None if found.other is None else jnp.where(raised, self.rows + number, nearest.other)
-            return _nearest_of(found, Found(jnp.where(raised, bound, nearest.distance), nearest.mine, other))
+            return nearest_of(found, nearest._replace(distance=jnp.where(raised, bound, nearest.distance), other=other))
 
         return lax.cond(bound < found.distance, compared, lambda found: found, found) if self.skips else compared(found)
 
     def _joints_of(self, number: Any) -> tuple[Any, Any]:
         """The values of a table's joints."""
-        joints = _at(self.robot.tables.joints, number)
-        return _at(self.q, joints[0]), _at(self.q, joints[1])
+        joints = entry(self.robot.tables.joints, number)
+        return entry(self.q, joints[0]), entry(self.q, joints[1])
 
     def _tabled_gap(self, number: Any, values: tuple[Any, Any]) -> Any:
         """The bound that a table has for its joints' `values` [m]."""
         tables = self.robot.tables
-        bounds, size, first = jnp.asarray(tables.bounds, self.dtype), _at(tables.size, number), _at(tables.first, number)
-        node = lambda i, j: _at(bounds, first + i * size + j)
-        return interpolated(values, _at(jnp.asarray(tables.axes, self.dtype), number), node, jnp)
+        bounds, size, first = jnp.asarray(tables.bounds, self.dtype), entry(tables.size, number), entry(tables.first, number)
+        node = lambda i, j: entry(bounds, first + i * size + j)
+        return interpolated(values, entry(jnp.asarray(tables.axes, self.dtype), number), node, jnp)
 
-    def _leaves(self, p: Any, first: Any, last: Any, others: Others, found: Found) -> Found:
-        """All leaves of part p against those of the others from `first` to `last`, not counted."""
+    def _leaves(self, p: Any, first: Any, last: Any, others: Others, found: Found, around: Any = None) -> Found:
+        """All leaves of part p against those of the others from `first` to `last`, not counted, in a ball `around`."""
         for volumes, placed, origin in zip(self.robot.kinds, self.placed, self.first, strict=False):
             squares = others.even and volumes.arity == 1
+            # to the triangles of a surface, small and many, a ball around a line is no measure
+            long = others.gap is triangle_gap and volumes.arity > 1 and self.skips
 
-            def own(i: Any, found: Found, v: Any = (volumes, placed, origin, squares)) -> Found:
-                volumes, placed, origin, squares = v
-                ball, mine = _ball(placed.leaves, i), _rows((placed.corners, placed.radius), i, volumes.size)
+            def own(i: Any, found: Found, v: Any = (volumes, placed, origin, squares, long)) -> Found:
+                volumes, placed, origin, squares, long = v
+                ball, mine = ball_at(placed.leaves, i), rows_from((placed.corners, placed.radius), i, volumes.size)
 
                 def other(j: Any, found: Found) -> Found:
-                    theirs = _rows(others.columns, j, others.size)
+                    theirs = rows_from(others.columns, j, others.size)
                     places = origin + i * volumes.size, others.origin + j * others.size
                     inside = lambda found: _nearer(found, mine, theirs, others.gap, squares, volumes.even, places)
                     if others.size == 1 and volumes.size > 1 and self.skips:  # a sphere around a long one says little
                         bound = lambda: others.gap(((ball[0],), ball[1]), jax.tree_util.tree_map(lambda x: x[0], theirs))
                         inside = lambda found, near=inside: lax.cond(bound() < found.distance, near, lambda found: found, found)
-                    return self._if_near(found, ball, _ball(others.leaves, j), inside)
+                    if long:
+                        return _if_beside(found, mine, ball_at(others.leaves, j), inside)
+                    return self._if_near(found, ball, ball_at(others.leaves, j), inside)
 
-                return lax.fori_loop(first, last, other, found)
+                every = lambda found: lax.fori_loop(first, last, other, found)
+                return _if_beside(found, mine, around, every) if long else every(found)
 
-            found = lax.fori_loop(_at(volumes.first, p), _at(volumes.last, p), own, found)
+            found = lax.fori_loop(entry(volumes.first, p), entry(volumes.last, p), own, found)
         return found
 
     def _if_near(self, found: Found, a: Any, b: Any, inside: Callable[[Found], Found]) -> Found:
@@ -206,6 +219,12 @@ class Space:
         (center, radius), (other, other_radius) = a, b
         apart, reach = center - other, found.distance + (radius + other_radius)
         return lax.cond(apart.dot(apart) < reach * reach, inside, lambda found: found, found)
+
+    def _start(self, start: Any, tracked: bool) -> Found:
+        nobody = jnp.int32(-1) if tracked else None
+        return Found(
+            jnp.asarray(start, self.dtype), nobody, nobody, jnp.zeros((), self.dtype) if tracked and self.solid else None
+        )
 
     # ----------------------------------------------------------------------------------------------------------------
     # One pair
@@ -246,7 +265,7 @@ class Space:
             return rows
 
         def steep(number: Any) -> tuple[Any, ...]:
-            joints, values = _at(self.robot.tables.joints, number), self._joints_of(number)
+            joints, values = entry(self.robot.tables.joints, number), self._joints_of(number)
             one, back = jax.vjp(lambda values: self._tabled_gap(number, values), values)
             (slopes,) = back(jnp.ones_like(one))
             return tuple(sum(jnp.where(joints[i] == j, s, 0.0) for i, s in enumerate(slopes)) for j in range(len(rows)))
@@ -265,31 +284,27 @@ class Space:
         for volumes, origin in zip(self.robot.kinds, self.first, strict=False):
             for k, others in enumerate(self.others):
                 i, j = found.mine - origin, found.other - others.origin
-                here = (i >= 0) & (i < len(volumes.radius)) & (j >= 0) & (j < _count(others.columns))
-                theirs = self.robot.kinds[k - len(self.obstacles)] if k >= len(self.obstacles) else None
+                here = (i >= 0) & (i < len(volumes.radius)) & (j >= 0) & (j < count_of(others.columns))
+                theirs = self.robot.kinds[k - len(self.obstacles)] if len(self.obstacles) <= k < self.inner else None
+                gap: Any = others.gap if k < self.inner else functools.partial(depth_gap, at=found.at)
 
-                def inside(value: Any, v: Any = (volumes, others, theirs, i, j)) -> Any:
-                    volumes, others, theirs, i, j = v
+                def inside(value: Any, v: Any = (volumes, others, theirs, i, j, gap)) -> Any:
+                    volumes, others, theirs, i, j, gap = v
                     own, above = self._volume(volumes, i)
-                    other, below = jax.tree_util.tree_map(lambda x: _at(x, j), others.columns), jnp.int32(0)
+                    other, below = jax.tree_util.tree_map(lambda x: entry(x, j), others.columns), jnp.int32(0)
                     if theirs is not None:
                         other, below = self._volume(theirs, j)
-                    return function(others.gap, own, other, (above, below))
+                    return function(gap, own, other, (above, below))
 
                 value = lax.cond(here, inside, lambda value: value, value)
         return value
 
     def _volume(self, volumes: Volumes, i: Any) -> Any:
         """One volume, whose number may differ from lane to lane, and its joint."""
-        joint, local = _at(volumes.joint, i), _at(jnp.asarray(volumes.corners, self.dtype), i)
-        frame = Frame.of_entries(traced(_at(self.frames, joint)))
+        joint, local = entry(volumes.joint, i), entry(jnp.asarray(volumes.corners, self.dtype), i)
+        frame = Frame.of_entries(traced(entry(self.frames, joint)))
         corners = tuple(frame @ Vec3(*traced(local[c])) for c in range(volumes.arity))
-        return (corners, _at(jnp.asarray(volumes.radius, self.dtype), i)), joint
-
-
-def _start(start: Any, tracked: bool, dtype: Any) -> Found:
-    nobody = jnp.int32(-1) if tracked else None
-    return Found(jnp.asarray(start, dtype), nobody, nobody)
+        return (corners, entry(jnp.asarray(volumes.radius, self.dtype), i)), joint
 
 
 def _placed(robot: Robot, frames: Any, dtype: Any) -> tuple[tuple[Vec3, Any], tuple[Placed, ...]]:
@@ -301,7 +316,7 @@ def _placed(robot: Robot, frames: Any, dtype: Any) -> tuple[tuple[Vec3, Any], tu
         joint += [v.joint[:: v.size], *[v.joint] * v.arity]
     xp = np if is_known(local) else jnp
     points, joints = xp.concatenate(local).astype(dtype), np.concatenate(joint)
-    moved = lambda _, row: (None, tuple(Frame.of_entries(traced(_at(frames, row[1]))) @ Vec3(*traced(row[0]))))
+    moved = lambda _, row: (None, tuple(Frame.of_entries(traced(entry(frames, row[1]))) @ Vec3(*traced(row[0]))))
     if len(points) <= FEW and xp is np:
         places = [moved(None, row)[1] for row in zip(points, joints, strict=True)]
         columns = tuple(jnp.stack(x) for x in zip(*places, strict=True))
@@ -312,6 +327,12 @@ def _placed(robot: Robot, frames: Any, dtype: Any) -> tuple[tuple[Vec3, Any], tu
     ball = lambda balls: (next(each), jnp.asarray(balls.radius, dtype))
     corners = lambda v: tuple(itertools.islice(each, v.arity))
     return ball(robot.parts), tuple(Placed(ball(v.leaves), corners(v), jnp.asarray(v.radius, dtype)) for v in robot.kinds)
+
+
+def _if_beside(found: Found, mine: Any, ball: Any, inside: Callable[[Found], Found]) -> Found:
+    """What is found `inside` a ball, unless that is further from the one volume than what is found already."""
+    beside = skeleton_gap(mine, ((ball[0],), ball[1]))[0] < found.distance
+    return lax.cond(beside, inside, lambda found: found, found)
 
 
 def _nearer(found: Found, mine: Any, theirs: Any, gap: Any, squares: bool, even: bool, places: Any) -> Found:
@@ -327,13 +348,8 @@ def _nearer(found: Found, mine: Any, theirs: Any, gap: Any, squares: bool, even:
     key, first, second = _least(key, first, second)
     if squares and even:
         key = distance.root(key) - (mine[1][0] + theirs[1][0])
-    return _nearest_of(found, Found(key) if found.mine is None else Found(key, first + places[0], second + places[1]))
-
-
-def _nearest_of(found: Found, another: Found) -> Found:
-    """What was found, unless the other is nearer."""
-    closer = another.distance < found.distance
-    return jax.tree_util.tree_map(lambda new, old: jnp.where(closer, new, old), another, found)
+    told = Found(key) if found.mine is None else Found(key, first + places[0], second + places[1], found.at)
+    return nearest_of(found, told)
 
 
 def _least(key: Any, *marks: Any) -> tuple[Any, ...]:
@@ -347,25 +363,3 @@ def _least(key: Any, *marks: Any) -> tuple[Any, ...]:
         closer = key[len(key) // 2 : len(key) // 2 * 2] < key[: len(key) // 2]
         key, marks = halved(key, closer), tuple(halved(m, closer) for m in marks)
     return key[0], *(None if m is None else m[0] for m in marks)
-
-
-def _at(x: Any, i: Any) -> Any:
-    return lax.dynamic_index_in_dim(jnp.asarray(x), i, keepdims=False)
-
-
-def _count(columns: Any) -> int:
-    return len(jax.tree_util.tree_leaves(columns)[0])
-
-
-def _rows(columns: Any, i: Any, size: int) -> Any:
-    return jax.tree_util.tree_map(lambda x: lax.dynamic_slice_in_dim(x, i * size, size), columns)
-
-
-def _ball(balls: Any, i: Any) -> Any:
-    """One of some, its centre and its radius."""
-    return jax.tree_util.tree_map(lambda x: _at(x, i), balls)
-
-
-def _cast(balls: bvh.Balls, dtype: Any) -> Any:
-    center = jnp.asarray(balls.center, dtype)
-    return Vec3(center[:, 0], center[:, 1], center[:, 2]), jnp.asarray(balls.radius, dtype)

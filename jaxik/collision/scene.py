@@ -32,8 +32,10 @@ SHAPES: dict[str, dict[str, tuple[int, ...]]] = {  # of k obstacles, k written a
     "capsules": {"a": (-1, 3), "b": (-1, 3), "radius": (-1,)},
     "boxes": {"world_T_box": (-1, 4, 4), "half": (-1, 3)},
     "cylinders": {"world_T_cylinder": (-1, 4, 4), "radius": (-1,), "half": (-1,)},
+    "triangles": {"a": (-1, 3), "b": (-1, 3), "c": (-1, 3), "solid": (-1,)},
 }
 KINDS = tuple(SHAPES)
+SIZES_OF = ("radius", "half", "solid")  # which of the fields say how large and what, not where
 
 
 class Kind(Constant):
@@ -42,7 +44,7 @@ class Kind(Constant):
     @property
     def places(self) -> dict[str, Any]:
         names = [field.name for field in dataclasses.fields(self)]
-        return {name: getattr(self, name) for name in names if name not in ("radius", "half")}
+        return {name: getattr(self, name) for name in names if name not in SIZES_OF}
 
     @property
     def count(self) -> int:
@@ -98,6 +100,21 @@ class Cylinders(Kind):
     half: Float[Array, " k"]
 
 
+class Triangles(Kind):
+    """Surfaces. `solid` is 1 of triangles that close around a body, counter-clockwise as seen from outside, and 0 of others:
+    what is wholly inside of a body collides with it."""
+
+    a: Float[Array, "k 3"]
+    b: Float[Array, "k 3"]
+    c: Float[Array, "k 3"]
+    solid: Float[Array, " k"]
+
+
+def no_triangles() -> Triangles:
+    a, b, c = np.zeros((3, 0, 3))
+    return Triangles(a, b, c, np.zeros(0))
+
+
 class Fruit(Constant):
     """What is to be picked: the tip goes to `position` [m] and may turn about `axis` (unit, up along the fruit)."""
 
@@ -124,7 +141,13 @@ class Scene(Constant):
     name: str = static(default="scene")
     object_names: tuple[str, ...] = static(default=())
     removable: tuple[bool, ...] = static(default=())
-    owners: tuple[tuple[int, ...], ...] = static(default=((),) * 5)
+    owners: tuple[tuple[int, ...], ...] = static(default=((),) * len(KINDS))
+    triangles: Triangles = dataclasses.field(default_factory=no_triangles)  # last: scenes of before had none
+
+    def freeze(self) -> None:
+        owners = (*self.owners, *[()] * (len(KINDS) - len(self.owners)))
+        vars(self).update({"triangles": no_triangles(), **vars(self), "owners": owners})
+        super().freeze()
 
     def by_kind(self) -> Iterator[tuple[str, Any, np.ndarray]]:
         """Of each kind its name, the obstacles, and the object (k,) that each of them belongs to, -1 where it is none."""
@@ -268,7 +291,7 @@ def _check_values(who: str, arrays: dict[str, Any]) -> None:
     for name, array in arrays.items():
         values = np.atleast_1d(array)
         faults = [(~np.isfinite(values), "write finite numbers, not NaN or infinity")]
-        if name in ("radius", "half"):
+        if name in SIZES_OF:
             faults.append((values < 0.0, "write 0 or more"))
         if name.startswith("world_T"):
             faults.append((~is_rigid(values), "is no rigid frame; allowed: a right-handed rotation, and 0 0 0 1 below"))

@@ -10,7 +10,8 @@ import numpy as np
 
 from jaxik.checks.arrays import direction, numbers, rigid_frame, shaped
 from jaxik.checks.options import shown
-from jaxik.collision.scene import KINDS, LIMIT, Boxes, Capsules, Cylinders, Fruit, Points, Scene, Spheres, remembered
+from jaxik.collision.scene import KINDS, LIMIT, Boxes, Capsules, Cylinders, Fruit, Points, Scene, Spheres, Triangles, remembered
+from jaxik.collision.surfaces import as_bodies
 
 MOST = 2**17  # obstacles of a kind: more are a scan that wants thinning
 
@@ -35,17 +36,21 @@ class SceneBuilder:
         self.rows: dict[str, list[np.ndarray]] = {k: [] for k in KINDS}
         self.owners: dict[str, list[int]] = {k: [] for k in KINDS}
 
-    def add(self, name: str, removable: Any = True, **obstacles: Any) -> None:
+    def add(self, name: str, removable: Any = True, *, solid: Any = True, **obstacles: Any) -> None:
         """An object of `points` (k, 3), `spheres` (k, 4) centre and radius, `capsules` (k, 7) both ends and radius, `boxes`
         (k, 6) centre and edges along x, y, z, and `cylinders` (k, 5) centre, radius and length along z; one that is turned is a
-        pair of a (4, 4) frame and three edges, or a triple of a frame, radius and length."""
+        pair of a (4, 4) frame and three edges, or a triple of a frame, radius and length.
+
+        `triangles` (k, 3, 3) are surfaces (`files.load_mesh`, `polygon_triangles`). Those that close around a body are a solid:
+        what is wholly inside collides, unless `solid` is false, as of a room."""
         who = f"object '{shown(name)}': "
-        if not isinstance(removable, bool | np.bool_):  # an array in this place were obstacles that never come
-            raise ValueError(f"{who}removable is {type(removable).__name__}; allowed: True, False; obstacles go by keyword")
+        for what, given in (("removable", removable), ("solid", solid)):
+            if not isinstance(given, bool | np.bool_):  # an array in this place were obstacles that never come
+                raise ValueError(f"{who}{what} is {type(given).__name__}; allowed: True, False; obstacles go by keyword")
         rows = _each(who, obstacles)
         if not any(map(len, rows.values())):
             raise ValueError(f"{who}has no obstacle; give it one of: {', '.join(KINDS)}")
-        self._put(name, bool(removable), rows)
+        self._put(name, bool(removable), rows, bool(solid))
 
     def add_fruit(
         self, name: str, position: Any, axis: Any = (0.0, 0.0, 1.0), length: Any = 0.0, radius: Any = 0.0, **obstacles: Any
@@ -63,19 +68,21 @@ class SceneBuilder:
         self._put(name, False, rows)
         self.fruits.append(Fruit(top, up, name))
 
-    def _put(self, name: str, removable: bool, rows: dict[str, np.ndarray]) -> None:
+    def _put(self, name: str, removable: bool, rows: dict[str, np.ndarray], solid: bool = True) -> None:
         if _word("object", name) in self.removable:
             raise ValueError(f"object '{shown(name)}': the name stands twice; give each its own")
         for kind, values in rows.items():
             _few(f"object '{shown(name)}': {kind}", len(self.owners[kind]) + len(values))
+        if "triangles" in rows:
+            rows = rows | {"triangles": _with_bodies(rows["triangles"], solid)}
         for kind, values in rows.items():
             self.rows[kind].append(values)
             self.owners[kind] += [len(self.removable)] * len(values)
         self.removable[name] = removable
 
     def scene(self) -> Scene:
-        points, spheres, capsules, boxes, cylinders = (
-            np.concatenate([np.zeros((0, ROWS[kind].width)), *self.rows[kind]]) for kind in KINDS
+        points, spheres, capsules, boxes, cylinders, triangles = (
+            np.concatenate([np.zeros((0, ROWS[kind].width + (kind == "triangles"))), *self.rows[kind]]) for kind in KINDS
         )
         scene = Scene(
             Points(points, np.asarray(self.point_radius, dtype=np.float64)),
@@ -88,6 +95,7 @@ class SceneBuilder:
             object_names=tuple(self.removable),
             removable=tuple(self.removable.values()),
             owners=tuple(tuple(self.owners[k]) for k in KINDS),
+            triangles=Triangles(triangles[:, :3], triangles[:, 3:6], triangles[:, 6:9], triangles[:, 9]),
         )
         remembered(scene, "checked", lambda: None)  # as each obstacle was
         return scene
@@ -108,6 +116,12 @@ def make_scene(point_radius: Any = 0.0, name: str = "scene", **obstacles: Any) -
 def hanging(top: Any, up: Any, length: float, radius: float) -> np.ndarray:
     """The capsule (7,) of a fruit that hangs `length` [m] below `top`."""
     return np.array([*top, *(top - length * up), radius])
+
+
+def _with_bodies(rows: np.ndarray, solid: bool) -> np.ndarray:
+    """Triangles (k, 9) of an object as (k, 10), the last: whether they are a solid's."""
+    triangles, closed = as_bodies(rows.reshape(-1, 3, 3)) if solid else (rows, np.zeros(len(rows)))
+    return np.column_stack([triangles.reshape(-1, 9), closed])
 
 
 # --------------------------------------------------------------------------------------------------------------------
@@ -134,6 +148,7 @@ ROWS = {
         *(18, 2, slice(16, 17)),
         *("rows of x, y, z, radius, length, or triples of a rigid (4, 4) frame, radius and length", "radius and length"),
     ),
+    "triangles": Row(9, 0, slice(0), "(k, 9) or (k, 3, 3), three corners each"),
 }
 
 
@@ -155,6 +170,8 @@ def _rows(what: str, given: Any, row: Row) -> np.ndarray:
     values = numbers(what, given)
     if values.shape == (0,):  # an empty list has no width
         values = values.reshape(0, row.width)
+    if row is ROWS["triangles"] and values.shape[1:] == (3, 3):
+        values = values.reshape(-1, 9)
     if values.ndim != 2 or values.shape[1] != row.width:
         raise ValueError(f"{what} of shape {values.shape}; allowed: {row.words} [m]")
     for i, radius in np.argwhere(values[:, row.radius] <= 0.0)[:1]:

@@ -6,6 +6,7 @@ Volumes and obstacles are columns: `Vec3` of arrays and arrays of sizes, which b
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
+from functools import reduce
 from typing import Any
 
 import jax.numpy as jnp
@@ -39,6 +40,24 @@ def cylinder_gap(volumes: Any, cylinder: Any) -> Any:
     return distance.skeleton_cylinder(volumes[0], *cylinder) - volumes[1]
 
 
+def triangle_gap(volumes: Any, triangle: Any) -> Any:
+    """To one triangle of a surface: its corners, and whether it is a solid's."""
+    return distance.skeleton_triangle(volumes[0], triangle[0]) - volumes[1]
+
+
+def depth_gap(volumes: Any, triangle: Any, at: Any) -> Any:
+    """Of a ball that is inside of a solid, whose nearest triangle this is: where its volume's skeleton is `at`."""
+    return -(distance.point_triangle(along(volumes[0], at), *triangle[0]) + volumes[1])
+
+
+def along(skeleton: tuple[Vec3, ...], at: Any) -> Vec3:
+    """The point on a skeleton's edges at 0, 1, 2 of its corners, and between two of them at a number between theirs."""
+    count = len(skeleton)
+    hat = lambda centre: jnp.maximum(1.0 - jnp.abs(at - centre), 0.0)
+    weights = [hat(c) + (hat(count) if c == 0 and count > 2 else 0.0) for c in range(count)]
+    return reduce(Vec3.__add__, [corner * weight for corner, weight in zip(skeleton, weights, strict=True)])
+
+
 def obstacles_of(kind: str, rows: Mapping[str, Any], dtype: Any, xp: Any = jnp) -> tuple[Gap, Any]:
     """The gap to an obstacle of a kind, and those that have these `rows`, the fields of the scene's, as columns: JAX's, or
     NumPy's, which cost 0.1 ms less each."""
@@ -48,6 +67,8 @@ def obstacles_of(kind: str, rows: Mapping[str, Any], dtype: Any, xp: Any = jnp) 
     if kind == "cylinders":
         sizes = (xp.asarray(rows[name], dtype) for name in ("radius", "half"))
         return cylinder_gap, (*Frame.of_columns(xp.asarray(rows["world_T_cylinder"], dtype)), *sizes)
+    if kind == "triangles":
+        return triangle_gap, (tuple(columns(rows[name]) for name in "abc"), xp.asarray(rows["solid"], dtype))
     corners = tuple(columns(rows[name]) for name in (("a", "b") if kind == "capsules" else ("center",)))
     return skeleton_gap, (corners, xp.broadcast_to(xp.asarray(rows["radius"], dtype), corners[0].x.shape))
 

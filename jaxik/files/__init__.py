@@ -2,7 +2,18 @@
 
 from jaxik.files.chain_files import save
 from jaxik.files.loading import fit_report, link_meshes, load, load_scene, models_folder
+from jaxik.files.mesh import load_mesh
 from jaxik.files.scene import save_scene
 from jaxik.files.targets import load_targets
 
-__all__ = ["fit_report", "link_meshes", "load", "load_scene", "load_targets", "models_folder", "save", "save_scene"]
+__all__ = [
+    "fit_report",
+    "link_meshes",
+    "load",
+    "load_mesh",
+    "load_scene",
+    "load_targets",
+    "models_folder",
+    "save",
+    "save_scene",
+]

@@ -11,6 +11,8 @@ from typing import Any
 
 import numpy as np
 
+from jaxik.checks.arrays import numbers, rigid_frame
+from jaxik.checks.options import shown
 from jaxik.files.chain_builder import MAX_BYTES, Link
 from jaxik.fitting.link_distance_tables import SECTIONS
 from jaxik.fitting.model import Shape
@@ -111,15 +113,37 @@ def _package(name: str) -> tuple[str, str]:
     return package, rest
 
 
+def load_mesh(path: str | Path, frame: Any = None, scale: Any = 1.0) -> np.ndarray:
+    """The triangles (k, 3, 3) [m] of a mesh file, for a scene: `SceneBuilder.add(name, triangles=load_mesh("pot.stl"))`. Host.
+
+    `scale` is a metre's part that the file's unit is (0.001: millimetres), or one along each axis; `frame` (4, 4) is where the
+    mesh's own frame is in the world. Raises `LoadError`, one line, for what cannot be read as a surface, and
+    `ValueError` for another frame or scale.
+    """
+    frame = np.eye(4) if frame is None else np.asarray(rigid_frame("load_mesh: frame", frame))
+    factor = numbers("load_mesh: scale", scale)
+    if factor.shape not in ((), (3,)) or not (np.isfinite(factor) & (factor > 0.0)).all():
+        raise ValueError(f"load_mesh: scale is {shown(scale)}; allowed: one number above zero, or three")
+    path = Path(path)
+    if not path.is_file():
+        raise LoadError(path, "mesh", "is not found", "check the path")
+    points, faces = _parsed(path, "mesh", path.name, path, np.broadcast_to(factor, 3))
+    return (points @ frame[:3, :3].T + frame[:3, 3])[faces]
+
+
 def read_mesh(path: Path, where: str, name: str, scale: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """The corners of a mesh (p, 3) [m], in its frame, and its triangles (f, 3)."""
-    import trimesh
-
     target = resolve(path, where, name)
     if target is None or not target.is_file():
         package = f"no folder above the file is called '{_package(name)[0]}': give the robot's folder that name"
         mend = f"{f'put it at {target}' if target else package}, or load with meshes=False for the kinematics alone"
         raise LoadError(path, where, f"mesh '{name}' is not found", mend)
+    return _parsed(path, where, name, target, scale)
+
+
+def _parsed(path: Path, where: str, name: str, target: Path, scale: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    import trimesh
+
     if target.stat().st_size > 4 * MAX_BYTES:
         raise LoadError(path, where, f"mesh '{name}' is larger than {4 * MAX_BYTES} bytes", "simplify it")
     if target.suffix.lower() not in FORMATS:

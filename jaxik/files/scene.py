@@ -14,7 +14,9 @@ import numpy as np
 from jaxik.checks.options import check_kind
 from jaxik.collision.scene import FAR, SHAPES, Fruit, Scene
 from jaxik.collision.scene_builder import SceneBuilder, hanging
+from jaxik.collision.surfaces import as_bodies, polygon_triangles
 from jaxik.files.chain_builder import read_bytes
+from jaxik.files.mesh import load_mesh, resolve
 from jaxik.files.robot_toml import Table, read_toml
 from jaxik.files.writing import toml, write_text
 from jaxik.reasons import LoadError
@@ -27,6 +29,7 @@ ROWS = {  # of obstacles, how wide they are and what is in them; a frame is its 
     "capsules": (7, "both ends and the radius"),
     "boxes": (6, "centre, three edges"),
     "cylinders": (5, "centre, radius, length"),
+    "triangles": (9, "three corners"),
 }
 
 
@@ -60,9 +63,9 @@ def _from_toml(path: Path) -> Scene:
 
 
 def _object(table: Table, builder: SceneBuilder) -> None:
-    name, removable, rows = table.named(), table.flag("removable", True), _rows(table)
+    name, removable, solid, rows = table.named(), table.flag("removable", True), table.flag("solid", True), _rows(table)
     table.close()
-    builder.add(name, removable, **rows)
+    builder.add(name, removable, solid=solid, **rows)
 
 
 def _fruit(table: Table, builder: SceneBuilder) -> None:
@@ -89,7 +92,29 @@ def _rows(table: Table) -> dict[str, Any]:
     frames = [frame(r[:3], turn) for r, turn in zip([*rows["boxes"], *rows["cylinders"]], turns, strict=True)]
     rows["boxes"] = [(f, r[3:]) for f, r in zip(frames, rows["boxes"], strict=False)]
     rows["cylinders"] = [(f, *r[3:]) for f, r in zip(frames[len(rows["boxes"]) :], rows["cylinders"], strict=True)]
+    rows["triangles"] = np.concatenate([rows["triangles"], *_polygons(table), *map(_mesh, table.tables("meshes"))])
     return {kind: values for kind, values in rows.items() if len(values)}
+
+
+def _polygons(table: Table) -> list[np.ndarray]:
+    """The triangles (k, 9) of each polygon, a list of corners."""
+    found = []
+    for i, corners in enumerate(table.listed("polygons"), 1):
+        try:
+            found.append(polygon_triangles(corners).reshape(-1, 9))
+        except ValueError as error:
+            raise table.fail(f"polygons {i}: {error}", "write rows of x, y, z around each") from None
+    return found
+
+
+def _mesh(table: Table) -> np.ndarray:
+    """The triangles (k, 9) of a mesh in a file below the scene's folder."""
+    name, scale = table.text("file"), table.finite("scale", (), 1e-12, default=1.0)
+    place = frame(table.finite("position", (3,), unit="length", default=np.zeros(3)), table.turn())
+    target = resolve(table.path, table.where, name, table.path.resolve().parent)
+    if target is None or not target.is_file():
+        raise table.fail(f"mesh '{name}' is not found", f"put it at {target}" if target else "give a path from this file on")
+    return load_mesh(target, place, scale).reshape(-1, 9)
 
 
 def _from_csv(path: Path) -> Scene:
@@ -207,8 +232,12 @@ def _fruit_keys(fruit: Fruit, rows: dict[str, np.ndarray]) -> dict[str, Any]:
 def _row_keys(rows: dict[str, np.ndarray]) -> dict[str, Any]:
     """Obstacles, each frame as its centre; and the frames' rotations, where one is turned."""
     framed = {kind: r for kind, r in rows.items() if kind in ("boxes", "cylinders")}
+    surfaces = rows.get("triangles", np.zeros((0, 10)))
+    rows = rows | {"triangles": surfaces[:, :9]}
     short = rows | {kind: np.column_stack([r[:, [3, 7, 11]], r[:, 16:]]) for kind, r in framed.items()}
     keys = {kind: r for kind, r in short.items() if len(r)}
     turns = [frame[:3, :3] for r in framed.values() for frame in r[:, :16].reshape(-1, 4, 4)]
     turned = any(not np.array_equal(turn, np.eye(3)) for turn in turns)
-    return keys | {"rotations": np.array(turns)} if turned else keys
+    keys |= {"rotations": np.array(turns)} if turned else {}
+    hollow = not surfaces[:, 9].any() and as_bodies(surfaces[:, :9].reshape(-1, 3, 3))[1].any()
+    return keys | {"solid": False} if hollow else keys

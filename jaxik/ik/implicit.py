@@ -70,5 +70,7 @@ def _curved_rightly(chain: Chain, scene: Scene) -> bool:
     """Whether second derivatives of all distances are known: where two lines, or a line and a body, are nearest is held fixed
     while they are differentiated (`distance`), which is exact for the first derivative only."""
     spheres_only = all(volume.corners.shape[0] == 1 for volume in chain.volumes)
-    only_points = not any(scene.counts[kind] for kind in ("capsules", "boxes", "cylinders")) and not chain.self_pairs
+    only_points = (
+        not any(scene.counts[kind] for kind in ("capsules", "boxes", "cylinders", "triangles")) and not chain.self_pairs
+    )
     return spheres_only or (only_points and all(volume.corners.shape[0] <= 2 for volume in chain.volumes))

@@ -33,6 +33,7 @@ from jaxik.view.player import Player
 from jaxik.view.solids import Solid, bones, box_solids, frames, scene_points, scene_solids, volume_solids
 
 MANY = 500  # solids, from which on each is drawn more coarsely
+THIN = 0.002  # [m] by which what is hit is drawn larger; triangles that are no thicker are drawn as sheets
 GOOD, BAD = COLOURS[Reason.SOLVED], COLOURS[Reason.COLLISION]
 SHOWS = ("its own shape", "volumes kept clear", "both", "joints alone")
 HELP = (
@@ -311,7 +312,7 @@ class Page:
         points, owners = self.points
         struck = points[np.isin(owners, list(hit))]
         draw_points(self.server.scene, "/scene/hit_points", struck, rgb(BAD), 1.6 * self.radius)
-        solids = [s._replace(radius=s.radius + 0.002) for s in self.solids if s.owner in hit]
+        solids = [s._replace(radius=s.radius + THIN) for s in self.solids if s.owner in hit]
         self._add("/scene/hit", _mesh(solids), BAD, visible=bool(solids))
 
     def _draw_scene(self, apart: Iterable[str] = ()) -> None:
@@ -373,9 +374,19 @@ def _mesh(solids: Sequence[Solid]) -> Any:
     import trimesh
 
     ball = trimesh.creation.icosphere(subdivisions=1 if len(solids) > MANY else 2)
-    hulls = []
-    for solid in solids:
+    sheets = [s for s in solids if len(s.corners) == 3 and s.radius <= THIN]
+    hulls = [_sheets(np.array([s.corners for s in sheets]), sheets[0].radius)] if sheets else []
+    for solid in (s for s in solids if len(s.corners) != 3 or s.radius > THIN):
         around = (solid.corners[:, None] + solid.radius * ball.vertices).reshape(-1, 3) if solid.radius > 0.0 else solid.corners
         lone = len(solid.corners) == 1  # and needs no hull
         hulls.append(trimesh.Trimesh(around, ball.faces, process=False) if lone else trimesh.convex.convex_hull(around))
     return trimesh.util.concatenate(hulls) if hulls else trimesh.creation.icosphere(subdivisions=0, radius=1e-6)
+
+
+def _sheets(triangles: np.ndarray, radius: float) -> Any:
+    """Triangles (k, 3, 3), seen from both sides, each side `radius` [m] off."""
+    import trimesh
+
+    normal = trimesh.util.unitize(np.cross(triangles[:, 1] - triangles[:, 0], triangles[:, 2] - triangles[:, 0]))[:, None]
+    corners = np.concatenate([triangles + radius * normal, (triangles - radius * normal)[:, ::-1]]).reshape(-1, 3)
+    return trimesh.Trimesh(corners, np.arange(len(corners)).reshape(-1, 3), process=False)

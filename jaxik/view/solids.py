@@ -51,7 +51,7 @@ def _hull(points: np.ndarray) -> np.ndarray:
 
 def scene_solids(scene: Scene) -> list[Solid]:
     """All obstacles but points, which are drawn as such, and without what is moved out of the way."""
-    capsules, boxes, cylinders = scene.capsules, scene.boxes, scene.cylinders
+    capsules, boxes, cylinders, triangles = scene.capsules, scene.boxes, scene.cylinders, scene.triangles
     tops = np.concatenate([np.column_stack([_RING, np.full(len(_RING), z)]) for z in (-1.0, 1.0)])
     sizes = np.column_stack([cylinders.radius, cylinders.radius, cylinders.half])
     kinds = (
@@ -59,6 +59,7 @@ def scene_solids(scene: Scene) -> list[Solid]:
         [(np.stack([a, b]), r) for a, b, r in zip(capsules.a, capsules.b, capsules.radius, strict=True)],
         [(_placed(_BOX * half, frame), 0.0) for frame, half in zip(boxes.world_T_box, boxes.half, strict=True)],
         [(_placed(tops * size, frame), 0.0) for frame, size in zip(cylinders.world_T_cylinder, sizes, strict=True)],
+        [(corners, 0.0) for corners in np.stack([triangles.a, triangles.b, triangles.c], axis=1)],
     )
     names = (*scene.object_names, "")  # the last for what has no owner
     return [

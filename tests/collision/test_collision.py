@@ -460,5 +460,5 @@ def test_a_scene_is_as_wide_as_jax_takes_q():
     chain, scene, q = jaxik.load("planar2"), jaxik.make_scene(points=[[0.9, 0.4, 0.0]]), np.array([0.3, 0.2])
     for x64, wide in ((False, np.float32), (True, np.float64)):
         with jax.enable_x64(x64):
-            around = clearances._as_wide(grouped(scene, chain), q)
+            around = clearances.as_wide(grouped(scene, chain), q)
         assert {x.dtype for x in jax.tree_util.tree_leaves(around) if x.dtype.kind == "f"} == {np.dtype(wide)}

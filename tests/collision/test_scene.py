@@ -7,6 +7,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+import trimesh
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from hypothesis.extra import numpy as hnp
@@ -17,7 +18,7 @@ from jaxik.collision.bvh import grouped
 from jaxik.collision.scene import KINDS
 from jaxik.files import save_scene
 
-WIDTHS = {"points": 3, "spheres": 4, "capsules": 7}
+WIDTHS = {"points": 3, "spheres": 4, "capsules": 7, "triangles": 9}
 LEFT_HANDED, STRETCHED, HALF = np.diag([1.0, 1.0, -1.0, 1.0]), np.diag([1.001, 1.0, 1.0, 1.0]), np.diag([1.0, 1.0, 1.0, 0.5])
 TURNED = np.array([[0.0, -1.0, 0.0, 0.5], [1.0, 0.0, 0.0, 0.1], [0.0, 0.0, 1.0, -0.2], [0.0, 0.0, 0.0, 1.0]])
 
@@ -52,6 +53,8 @@ def one_line(error, *words):
         ({"capsules": [[0, 0, 0, 1, 0, 0]] * 7}, ("capsules", "(7, 6)", "(k, 7)")),
         ({"capsules": [[0, 0, 0, 1, 0, 0, -1]]}, ("capsules", "row 1", "radius -1", "above 0")),
         ({"capsules": [[0, 0, 0, 1, 0, 0, 0]]}, ("capsules", "row 1", "radius 0 m", "above 0")),
+        ({"triangles": [[0, 0, 0, 1, 0, 0]]}, ("triangles", "(1, 6)", "(k, 9) or (k, 3, 3)")),
+        ({"triangles": [[[0, 0, 0], [0, 0, 1], [0, 200, 0]]]}, ("triangles", "row 1", "200", "100 m")),
         ({"boxes": [(np.eye(4), 0.1)]}, ("boxes", "row 1", "three edges")),
         ({"boxes": [(np.eye(4), 0.1)] * 3}, ("boxes", "row 1", "three edges")),
         ({"boxes": [(np.eye(4), (0.1, 0.1))]}, ("boxes", "row 1", "three edges")),
@@ -210,8 +213,12 @@ def test_boxes_and_cylinders_by_their_centres():
 def test_counts_are_of_what_is_there():
     scene = crowded()
     rest = scene.without("leaf").padded()
-    assert scene.counts == {"points": 4, "spheres": 2, "capsules": 5, "boxes": 4, "cylinders": 3} == scene.padded().counts
-    assert rest.counts == {"points": 1, "spheres": 0, "capsules": 5, "boxes": 1, "cylinders": 1}
+    assert (
+        scene.counts
+        == {"points": 4, "spheres": 2, "capsules": 5, "boxes": 4, "cylinders": 3, "triangles": 15}
+        == scene.padded().counts
+    )
+    assert rest.counts == {"points": 1, "spheres": 0, "capsules": 5, "boxes": 1, "cylinders": 1, "triangles": 15}
     assert rest.object_names == scene.object_names  # which number the objects
     one = jaxik.make_scene(spheres=[[0, 0, 0, 1], [1, 1, 1, 1]], name="cell")
     assert str(one) == "cell: 2 spheres (spheres_1, spheres_2)" and str(one.without([0, 1])) == "cell: nothing"
@@ -223,7 +230,7 @@ def hand_made(kind, **arrays):
     frame = np.eye(4)
     scene = jaxik.make_scene(
         points=[[1, 2, 3]], spheres=[[1, 2, 3, 0.1]], capsules=[[1, 2, 3, 1, 2, 4, 0.1]],
-        boxes=[(frame, (1, 1, 1))], cylinders=[(frame, 0.1, 1)],
+        boxes=[(frame, (1, 1, 1))], cylinders=[(frame, 0.1, 1)], triangles=[[1, 2, 3, 1, 2, 4, 1, 3, 4]],
     )  # fmt: skip
     return eqx.tree_at(lambda s: [getattr(getattr(s, kind), k) for k in arrays], scene, list(arrays.values()))
 
@@ -252,6 +259,8 @@ def hand_made(kind, **arrays):
         ("boxes", {"world_T_box": LEFT_HANDED[None]}, ("boxes row 1", "no rigid frame")),
         ("cylinders", {"world_T_cylinder": np.full((1, 4, 4), np.nan)}, ("cylinders row 1", "nan")),
         ("cylinders", {"half": np.array([-1.0])}, ("cylinders row 1", "-1")),
+        ("triangles", {"b": np.array([[0, np.nan, 0]])}, ("triangles row 1", "nan")),
+        ("triangles", {"solid": np.zeros(2)}, ("triangles: solid", "(2,)", "(1,)")),
     ],
 )
 def test_drivers_refuse_what_was_put_in_by_hand(kind, arrays, words):
@@ -275,12 +284,12 @@ def test_names_that_are_left_out_are_there():
     for gone, words in (
         (["laef"], ("'laef'", "did you mean 'leaf'?")),
         ("lea", ("'lea'", "'leaf'")),
-        ([7], ("7", "0 to 6")),
-        (7, ("7", "0 to 6")),
-        (True, ("True", "0 to 6")),
-        ([True], ("True", "0 to 6")),
-        (None, ("None", "0 to 6")),
-        (1.5, ("1.5", "0 to 6")),
+        ([10], ("10", "0 to 9")),
+        (10, ("10", "0 to 9")),
+        (True, ("True", "0 to 9")),
+        ([True], ("True", "0 to 9")),
+        (None, ("None", "0 to 9")),
+        (1.5, ("1.5", "0 to 9")),
     ):
         with pytest.raises(ValueError) as error:
             scene.without(gone)
@@ -352,6 +361,11 @@ def crowded(seed=0):
     builder.add("leaf", points=rng.normal(size=(3, 3)), spheres=spheres, boxes=boxes, cylinders=cylinders)
     builder.add('post "1"\\', False, capsules=np.abs(rng.normal(size=(2, 7))), boxes=boxes[1:2], points=[[1e-7, -0.0, 1e2]])
     builder.add("plate", cylinders=[(pose(np.eye(3)), 0.5, 0.0)])
+    corners = rng.normal(size=(4, 3))
+    body = np.stack([np.delete(corners, i, axis=0) for i in range(4)])
+    builder.add("stone", triangles=body)
+    builder.add("room", triangles=[*(body + 1.0), *rng.normal(size=(3, 3, 3))], solid=False)
+    builder.add_fruit("oval", rng.normal(size=3), triangles=body - 1.0)
     builder.add_fruit("hanging", rng.normal(size=3), (0.0, 0.0, 1.0), 0.3, 0.02)
     builder.add_fruit("oblique", rng.normal(size=3), rng.normal(size=3), 0.3, 0.02)
     builder.add_fruit("a place", rng.normal(size=3), rng.normal(size=3))
@@ -381,8 +395,8 @@ def test_what_was_taken_away_is_not_written(tmp_path):
     path, scene = tmp_path / "scene.toml", crowded()
     save_scene(scene.without(["leaf", "hanging"]).padded(), path)
     back = jaxik.load_scene(path)
-    assert back.object_names == tuple(n for n in scene.object_names if n != "leaf") and len(back.fruits) == 4
-    assert back.counts == {"points": 1, "spheres": 0, "capsules": 4, "boxes": 1, "cylinders": 1}
+    assert back.object_names == tuple(n for n in scene.object_names if n != "leaf") and len(back.fruits) == 5
+    assert back.counts == {"points": 1, "spheres": 0, "capsules": 4, "boxes": 1, "cylinders": 1, "triangles": 15}
     with pytest.raises(ValueError, match="belong to no object"):
         save_scene(scene.geometry(), path)
 
@@ -456,6 +470,68 @@ def test_a_file_with_bad_points(tmp_path, name, content, words):
     with pytest.raises(jaxik.LoadError) as error:
         jaxik.load_scene(tmp_path / name)
     one_line(error, name, *words)
+
+
+def test_meshes_and_polygons_in_a_file(tmp_path):
+    """In their own frame and unit, below the scene's folder; a body stays one, and a polygon is not."""
+    (tmp_path / "meshes").mkdir()
+    trimesh.creation.box((100.0, 200.0, 300.0)).export(tmp_path / "meshes" / "box.stl")
+    mesh = '{file = "meshes/box.stl", scale = 0.001, position_cm = [50, 0, 0], rpy_deg = [0, 0, 90]}'
+    path, square = tmp_path / "scene.toml", "[[0, 0, 1], [1, 0, 1], [1, 1, 1], [0.1, 0.9, 1], [0, 1, 1]]"
+    path.write_text(
+        f'name = "s"\n[[object]]\nname = "body"\nmeshes = [{mesh}]\npolygons = [{square}]\n'
+        f'[[object]]\nname = "shell"\nsolid = false\nmeshes = [{mesh}]\n'
+    )
+    scene = jaxik.load_scene(path)
+    surfaces = scene.triangles
+    assert scene.counts["triangles"] == 3 + 12 + 12 and surfaces.solid.tolist() == [0.0] * 3 + [1.0] * 12 + [0.0] * 12
+    corners = np.stack([surfaces.a, surfaces.b, surfaces.c], axis=1)[3:15].reshape(-1, 3)
+    np.testing.assert_allclose([corners.min(axis=0), corners.max(axis=0)], [[0.4, -0.05, -0.15], [0.6, 0.05, 0.15]], atol=1e-7)
+    given = jaxik.files.load_mesh(tmp_path / "meshes" / "box.stl", scale=(0.001, 0.001, 0.002))
+    assert given.shape == (12, 3, 3) and np.isclose(np.ptp(given, axis=(0, 1))[2], 0.6)
+    save_scene(scene, tmp_path / "again.toml")
+    assert same(jaxik.load_scene(tmp_path / "again.toml"), scene)
+
+
+@pytest.mark.parametrize(
+    "lines, words",
+    [
+        ('meshes = [{file = "no.stl"}]', ("mesh 'no.stl' is not found", "put it at")),
+        ('meshes = [{file = "../box.stl"}]', ("outside",)),
+        ('meshes = [{file = "text.stl"}]', ("cannot be read",)),
+        ('meshes = [{file = "text.txt"}]', ("ending '.txt'", ".stl, .obj")),
+        ('meshes = [{file = "points.obj"}]', ("points.obj", "cannot be read")),
+        ('meshes = [{file = "text.stl", scale = 0}]', ("'scale' is out of range",)),
+        ("polygons = [[[0, 0, 0], [1, 0, 0]]]", ("polygons 1", "three finite corners")),
+        ("polygons = 3", ("'polygons' is not a list",)),
+        ("triangles = [[0, 0, 0, 1, 0, 0]]", ("'triangles'", "three corners")),
+        ("spheres = [[0, 0, 0, 1]]\nsolid = 1", ("solid = ", "true or false")),
+    ],
+)
+def test_a_file_with_a_bad_surface(tmp_path, lines, words):
+    for name in ("text.stl", "text.txt"):
+        (tmp_path / name).write_text("no mesh")
+    (tmp_path / "points.obj").write_text("v 0 0 0\nv 1 0 0\n")
+    (tmp_path / "scene.toml").write_text(f'name = "s"\n[[object]]\nname = "a"\n{lines}\n')
+    with pytest.raises(jaxik.LoadError) as error:
+        jaxik.load_scene(tmp_path / "scene.toml")
+    one_line(error, *words)
+
+
+@pytest.mark.parametrize(
+    "given, words",
+    [
+        ({"path": "no.stl"}, ("no.stl", "is not found")),
+        ({"path": "box.stl", "scale": 0.0}, ("load_mesh: scale", "above zero")),
+        ({"path": "box.stl", "scale": (1.0, 2.0)}, ("load_mesh: scale", "or three")),
+        ({"path": "box.stl", "frame": LEFT_HANDED}, ("load_mesh: frame", "no rigid frame")),
+    ],
+)
+def test_a_mesh_that_is_refused(tmp_path, given, words):
+    trimesh.creation.box().export(tmp_path / "box.stl")
+    with pytest.raises(ValueError) as error:
+        jaxik.files.load_mesh(tmp_path / given.pop("path"), **given)
+    one_line(error, *words)
 
 
 def test_a_scene_without_a_fruit_is_a_scene(tmp_path):

@@ -58,8 +58,10 @@ def test_a_cell_without_a_fruit_is_shown(tmp_path):
     path = tmp_path / "cell.toml"
     path.write_text(
         'name = "cell"\n[[object]]\nname = "a"\nboxes = [[0.5, 0, 0, 1, 1, 1]]\ncapsules = [[0, 0, 0, 1, 0, 0, 0.1]]\n'
+        '[[object]]\nname = "sheet"\npolygons = [[[1.5, -1, 0], [1.5, 1, 0], [1.6, 1, 0], [1.6, -1, 0]]]\n'
     )
     page = Page(jaxik.load("planar2"), jaxik.load_scene(path), port=0)
+    assert "sheet" in page.near.content and "sheet" in page.hit
     page.close()
 
 
@@ -96,11 +98,12 @@ def test_outlines_hold_what_they_outline(tmp_path):
         "ball": "spheres = [[0.0, 0.0, 0.0, 0.3]]",
         "pole": "cylinders = [[0.0, 0.0, 0.5, 0.1, 1.0]]",
         "leaf": "points = [[0.0, 1.0, 0.0], [0.0, 1.0, 0.1]]",
+        "sheet": "triangles = [[0.0, 0.0, 0.0, 2.0, 0.0, 0.0, 0.0, 1.0, 0.0]]",
     }
     path.write_text('name = "cell"\n' + "".join(f'[[object]]\nname = "{name}"\n{shapes}\n' for name, shapes in objects.items()))
     scene = jaxik.load_scene(path)
     solids = {solid.owner: solid for solid in scene_solids(scene.padded().without("ball"))}
-    assert set(solids) == {"box", "pole"}
+    assert set(solids) == {"box", "pole", "sheet"} and np.ptp(solids["sheet"].outline(0, 1), axis=0).tolist() == [2.0, 1.0]
     assert np.allclose(np.ptp(solids["box"].outline(0, 1), axis=0), [1.0, 0.4])
     assert np.allclose(solids["pole"].span[:, 2], [0.0, 1.0])
     points, owners = scene_points(scene)

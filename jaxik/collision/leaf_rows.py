@@ -1,0 +1,50 @@
+"""What the search for the nearest pair finds, and how it reads rows of columns in a kernel."""
+
+from __future__ import annotations
+
+from typing import Any, NamedTuple
+
+import jax
+import jax.numpy as jnp
+from jax import lax
+
+from jaxik.collision.bvh import Balls
+from jaxik.spatial.algebra import Vec3
+
+
+class Found(NamedTuple):
+    """A least distance [m]; of which volume, and of which obstacle or other volume, where that is asked for (else None); and,
+    among solids of triangles, of which point `along` the volume's skeleton, where that is inside of one."""
+
+    distance: Any
+    mine: Any = None
+    other: Any = None
+    at: Any = None
+
+
+def nearest_of(found: Found, another: Found) -> Found:
+    """What was found, unless the other is nearer."""
+    closer = another.distance < found.distance
+    return jax.tree_util.tree_map(lambda new, old: jnp.where(closer, new, old), another, found)
+
+
+def entry(x: Any, i: Any) -> Any:
+    return lax.dynamic_index_in_dim(jnp.asarray(x), i, keepdims=False)
+
+
+def count_of(columns: Any) -> int:
+    return len(jax.tree_util.tree_leaves(columns)[0])
+
+
+def rows_from(columns: Any, i: Any, size: int) -> Any:
+    return jax.tree_util.tree_map(lambda x: lax.dynamic_slice_in_dim(x, i * size, size), columns)
+
+
+def ball_at(balls: Any, i: Any) -> Any:
+    """One of some, its centre and its radius."""
+    return jax.tree_util.tree_map(lambda x: entry(x, i), balls)
+
+
+def as_columns(balls: Balls, dtype: Any) -> Any:
+    center = jnp.asarray(balls.center, dtype)
+    return Vec3(center[:, 0], center[:, 1], center[:, 2]), jnp.asarray(balls.radius, dtype)

@@ -1,0 +1,134 @@
+"""Which points of a robot are inside of closed surfaces, and how deep: a part of the search for the nearest pair.
+
+The surfaces wind around a point as often as a ray from it leaves through their triangles, less how often it enters.
+"""
+
+from __future__ import annotations
+
+import functools
+import operator
+from collections.abc import Callable
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+from jax import lax
+
+from jaxik.collision import distance
+from jaxik.collision.leaf_rows import Found, as_columns, ball_at, entry, nearest_of
+from jaxik.collision.shape_distances import along
+from jaxik.spatial.algebra import Vec3, traced
+
+SAMPLES = {1: (1, 0.0), 2: (5, 0.25), 3: (6, 0.5)}  # of a skeleton by its corners, inside of solids: how many, how far apart
+
+
+class Solids:
+    """What is inside of closed surfaces: a part of the robot, and the triangles of kind k in branches from `first` to `last`.
+
+    A skeleton that crosses no triangle is wholly inside or wholly outside, and so are its points: those that surfaces wind
+    around are as deep as the nearest triangle is far. What is out of a body's extents, or further from all its triangles than
+    its inside is, is outside.
+    """
+
+    def __init__(self, space: Any, p: Any, k: int, first: Any, last: Any):
+        self.space, self.p, self.k, self.first, self.last = space, p, k, first, last
+        self.obstacles, self.others = space.obstacles[k], space.others[space.inner + space.solid.index(k)]
+        self.branches = as_columns(self.obstacles.branches, space.dtype)
+
+    def deepest(self, ball: Any, found: Found) -> Found:
+        """What was found, or the deepest of all points inside, if it is deeper and what was found is not enough."""
+        return self._if_within(ball, self._of_volumes, found)
+
+    def _if_within(self, ball: Any, then: Callable[[Found], Found], found: Found) -> Found:
+        """What `then` finds, if the ball is near enough to a body to have points inside of it."""
+        center, radius = ball
+
+        def near(b: Any, is_near: Any) -> Any:
+            *extents, reach = traced(entry(jnp.asarray(self.obstacles.bodies, radius.dtype), b))
+            overlaps = [x - radius < most for x, most in zip((*-center, *center), extents, strict=True)]
+            close = _meet((center, radius + reach), ball_at(self.branches, b)) & self.space.counts(self.p, self.k, b)
+            return is_near | functools.reduce(operator.and_, overlaps, close)
+
+        within = lax.fori_loop(self.first, self.last, near, jnp.zeros((), bool))
+        if self.space.enough is not None:  # asked again and again: of lanes, one that goes on takes all along
+            within &= found.distance >= self.space.enough
+        return lax.cond(within, then, lambda found: found, found)
+
+    def _of_volumes(self, found: Found) -> Found:
+        space = self.space
+        for volumes, placed, origin in zip(space.robot.kinds, space.placed, space.first, strict=False):
+            count, pace = SAMPLES[volumes.arity]
+
+            def own(i: Any, found: Found, v: Any = (volumes, placed, origin, count, pace)) -> Found:
+                volumes, placed, origin, count, pace = v
+
+                def sample(m: Any, found: Found) -> Found:
+                    row, at = i * volumes.size + m // count, (m % count).astype(space.dtype) * pace
+                    corners, radius = jax.tree_util.tree_map(lambda x: entry(x, row), (placed.corners, placed.radius))
+                    point = along(corners, at)
+                    inside = lambda found: self._of_point(point, radius, found, (origin + row, at))
+                    look = lambda found: self._if_within((point, jnp.zeros((), space.dtype)), inside, found)
+                    if space.enough is None:
+                        return look(found)
+                    # what is inside in part crosses a triangle: one point tells of the rest, unless a depth is asked for
+                    return lax.cond((m % count == 0) | (space.enough < 0.0), look, lambda found: found, found)
+
+                samples = lambda found: lax.fori_loop(jnp.int32(0), jnp.int32(volumes.size * count), sample, found)
+                return self._if_within(ball_at(placed.leaves, i), samples, found)
+
+            found = lax.fori_loop(entry(volumes.first, self.p), entry(volumes.last, self.p), own, found)
+        return found
+
+    def _of_point(self, point: Vec3, radius: Any, found: Found, mark: tuple[Any, Any]) -> Found:
+        """A point in the middle of a ball; `mark`: its volume's number, and where `along` the skeleton it is."""
+        zero = jnp.zeros_like(radius)
+        turn = lambda j, turns: turns + self._row(j)[1] * distance.upward_crossing(point, *self._row(j)[0])
+        inside = jnp.abs(self._over(_above, point, lambda turns: zero, turn, zero)) > 0.5
+
+        def nearer(j: Any, nearest: Any) -> Any:
+            corners, solid = self._row(j)
+            apart = jnp.where(solid > 0.0, distance.point_triangle(point, *corners), jnp.inf)
+            closer = apart < nearest[0]
+            return jnp.where(closer, apart, nearest[0]), jnp.where(closer, j, nearest[1])
+
+        def depth(found: Found) -> Found:
+            # no further where the point is outside, or no deeper than what was found
+            deeper = lambda nearest: jnp.where(inside & (nearest[0] + radius > -found.distance), nearest[0], zero)
+            start = zero + jnp.inf, jnp.full_like(inside, -1, jnp.int32)
+            apart, which = self._over(_meet, point, deeper, nearer, start)
+            deep = found._replace(distance=jnp.where(inside, -(apart + radius), jnp.inf))
+            if found.mine is not None:
+                deep = Found(deep.distance, mark[0], which + self.others.origin, mark[1])
+            return nearest_of(found, deep)
+
+        return lax.cond(inside, depth, lambda found: found, found)
+
+    def _row(self, j: Any) -> Any:
+        return jax.tree_util.tree_map(lambda x: entry(x, j), self.others.columns)
+
+    def _over(self, meets: Any, point: Vec3, radius: Callable[..., Any], step: Callable[..., Any], state: Any) -> Any:
+        """`step` of each triangle whose branch and leaf `meets` the ball of a `radius`, by the state, around a point."""
+        within = lambda other, state: meets((point, radius(state)), other)
+
+        def leaf(j: Any, state: Any) -> Any:
+            here = within(ball_at(self.others.leaves, j), state)
+            return lax.cond(here, functools.partial(step, j), lambda state: state, state)
+
+        def branch(b: Any, state: Any) -> Any:
+            leaves = lambda state: lax.fori_loop(entry(self.obstacles.first, b), entry(self.obstacles.last, b), leaf, state)
+            here = within(ball_at(self.branches, b), state) & self.space.counts(self.p, self.k, b)
+            return lax.cond(here, leaves, lambda state: state, state)
+
+        return lax.fori_loop(self.first, self.last, branch, state)
+
+
+def _meet(ball: Any, other: Any) -> Any:
+    """Whether two balls overlap."""
+    apart, reach = ball[0] - other[0], ball[1] + other[1]
+    return apart.dot(apart) < reach * reach
+
+
+def _above(ball: Any, other: Any) -> Any:
+    """Whether a ray along z from some point of a ball may meet the other one."""
+    apart, reach = ball[0] - other[0], ball[1] + other[1]
+    return (apart.x * apart.x + apart.y * apart.y < reach * reach) & (apart.z < reach)

@@ -1,0 +1,160 @@
+"""Surfaces of triangles: which of them close around a body, polygons as triangles, and what Van Henten et al. do with them.
+
+A triangle is counter-clockwise as seen from outside. Where the edges of a surface pair up, each with its reverse, it closes
+around something, and how often it winds around a point is a whole number: then what is inside is known.
+"""
+
+from __future__ import annotations
+
+import functools
+import operator
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Bool, Float
+
+from jaxik.checks.arrays import numbers
+from jaxik.collision.distance import passes_through
+from jaxik.robot.chain import Array
+from jaxik.spatial.algebra import Vec3
+
+SAME = 1e-7  # of its size: corners of a surface that are nearer to each other are one; files have them in float32
+FLAT = 1e-6  # of its size, that a polygon's corners may be out of its plane
+
+
+def surfaces_cross(first: Float[Array, "k 3 3"], second: Float[Array, "m 3 3"]) -> Bool[jax.Array, ""]:
+    """Whether an edge of one of two surfaces of triangles [m] passes through the other: each against each. Traced.
+
+    The test of Van Henten et al. (2003, sec. 4.3.2, after Boyse 1979), to compare with; `collides` does not look at what is
+    far, and sees what is wholly inside.
+    """
+    columns = lambda surface: [Vec3(*(jnp.asarray(surface)[:, i, k] for k in range(3))) for i in range(3)]
+    mine, theirs = [Vec3(*(x[:, None] for x in corner)) for corner in columns(first)], columns(second)
+    pairs = (mine, theirs), (theirs, mine)
+    return jnp.any(functools.reduce(operator.or_, (passes_through(a[i - 1], a[i], *b) for a, b in pairs for i in range(3))))
+
+
+def bounding_box(corners: Any) -> tuple[np.ndarray, np.ndarray]:
+    """The frame (4, 4) and edges (3,) [m] of the smallest box around points or surfaces (..., 3) [m]: one of `boxes`, their
+    cheap stand-in. Host."""
+    import trimesh
+
+    box_T_world, edges = trimesh.bounds.oriented_bounds(numbers("bounding_box", corners).reshape(-1, 3))
+    return np.linalg.inv(box_T_world), np.asarray(edges)
+
+
+def as_bodies(triangles: Float[np.ndarray, "k 3 3"]) -> tuple[Float[np.ndarray, "k 3 3"], Float[np.ndarray, " k"]]:
+    """The triangles, those of closed surfaces turned to be seen counter-clockwise from outside, and which these are: 1, or 0.
+
+    A closed surface inside of another is turned so, too: what it hollows out counts as full.
+    """
+    from scipy.sparse import coo_array
+    from scipy.sparse.csgraph import connected_components
+
+    turned, solid = triangles.copy(), np.zeros(len(triangles))
+    if len(triangles) < 4:  # fewer close around nothing
+        return turned, solid
+    corners = triangles.reshape(-1, 3)
+    size = float(np.ptp(corners, axis=0).max()) or 1.0
+    faces = np.unique(np.round(corners / (SAME * size)), axis=0, return_inverse=True)[1].reshape(-1, 3)
+    which, owner = _undirected(faces)[0], np.tile(np.arange(len(faces)), 3)
+    count = len(faces) + int(which.max()) + 1  # what shares an edge is one surface
+    links = coo_array((np.ones(len(which)), (owner, len(faces) + which)), (count, count))
+    part = connected_components(links, directed=False)[1][: len(faces)]
+    for rows in np.split(np.argsort(part, kind="stable"), np.cumsum(np.bincount(part))[:-1]):
+        flip = _outward(faces[rows], turned[rows])
+        if flip is not None:
+            solid[rows] = 1.0
+            turned[rows[flip]] = turned[rows[flip]][:, ::-1]
+    return turned, solid
+
+
+def _outward(faces: np.ndarray, triangles: np.ndarray) -> np.ndarray | None:
+    """Which of a connected surface's triangles are to be reversed so that all are seen counter-clockwise from outside; None of
+    a surface that is open, has two sides that are one, or holds nothing."""
+    flip = np.zeros(len(faces), bool)
+    if not _closes(faces):
+        flip = _alike(faces)
+        if not _closes(np.where(flip[:, None], faces[:, ::-1], faces)):
+            return None
+    a, b, c = np.moveaxis(triangles - triangles.mean(axis=(0, 1)), 1, 0)
+    volume = float(np.sum(np.where(flip, -1.0, 1.0) * np.einsum("ij,ij->i", a, np.cross(b, c))))
+    return None if volume == 0.0 else ~flip if volume < 0.0 else flip
+
+
+def _edges(faces: np.ndarray) -> np.ndarray:
+    """The directed edges (3 f, 2), the first of all triangles, then the second, then the third."""
+    return np.concatenate([faces[:, [0, 1]], faces[:, [1, 2]], faces[:, [2, 0]]])
+
+
+def _closes(faces: np.ndarray) -> bool:
+    """Whether each edge is there as often as its reverse."""
+    edges = _edges(faces)
+    return not np.bincount(_undirected(faces)[0], np.sign(edges[:, 1] - edges[:, 0])).any()
+
+
+def _undirected(faces: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Of each of `_edges` which edge it is, whatever its direction, and how many of them each is."""
+    _, which, counts = np.unique(np.sort(_edges(faces), axis=1), axis=0, return_inverse=True, return_counts=True)
+    return which.ravel(), counts
+
+
+def _alike(faces: np.ndarray) -> np.ndarray:
+    """Which triangles to reverse so that all are seen alike from where the first is, as far as edges of two lead there."""
+    from scipy.sparse import coo_array
+    from scipy.sparse.csgraph import breadth_first_order
+
+    edges, owner = _edges(faces), np.tile(np.arange(len(faces)), 3)
+    which, counts = _undirected(faces)
+    order = np.argsort(which, kind="stable")
+    pairs = order[np.isin(which[order], np.flatnonzero(counts == 2))].reshape(-1, 2)
+    a, b = owner[pairs].T
+    same = np.all(edges[pairs[:, 0]] == edges[pairs[:, 1]], axis=1)  # they run along their edge in the same direction
+    graph = coo_array((np.ones(len(a)), (a, b)), (len(faces),) * 2).tocsr()
+    known = {(int(i), int(j)): bool(s) for i, j, s in zip((*a, *b), (*b, *a), (*same, *same), strict=True)}
+    order, above = breadth_first_order(graph, 0, directed=False)
+    flip = np.zeros(len(faces), bool)
+    for face in order[1:].tolist():
+        flip[face] = flip[above[face]] ^ known[face, int(above[face])]
+    return flip
+
+
+def polygon_triangles(corners: Any) -> Float[np.ndarray, "n 3 3"]:
+    """A planar polygon, convex or not, as triangles, by cutting off one ear after the other [Meisters 1975]. Host.
+
+    `corners` (k, 3) [m] go around once; the triangles are seen counter-clockwise from where the corners are. Raises
+    `ValueError` for fewer than three, for corners that lie in no plane, and for a polygon that crosses itself.
+    """
+    points = numbers("polygon", corners)
+    if points.ndim != 2 or points.shape[1] != 3 or len(points) < 3 or not np.isfinite(points).all():
+        raise ValueError(f"polygon of shape {points.shape}; allowed: (k, 3), three finite corners and more [m]")
+    centred = points - points.mean(axis=0)
+    size, normal = float(np.abs(centred).max()), np.cross(centred, np.roll(centred, -1, axis=0)).sum(axis=0)  # twice the area
+    if not (long := float(np.linalg.norm(normal))) > (SAME * size) ** 2:
+        raise ValueError("polygon without an area; give corners that go around it once")
+    out = float(np.abs(centred @ normal).max()) / long
+    if out > FLAT * size:
+        raise ValueError(f"polygon: a corner is {out:g} m out of its plane; split it into triangles")
+    drop = int(np.abs(normal).argmax())  # seen along an axis, the other two in the order that keeps it counter-clockwise
+    flat = centred[:, [(drop + 1) % 3, (drop + 2) % 3]][:, :: 1 if normal[drop] > 0.0 else -1]
+    left, found = list(range(len(flat))), []
+    while len(left) > 2:
+        ear = next((i for i in range(len(left)) if _is_ear(flat[left], i)), None)
+        if ear is None:
+            raise ValueError("polygon crosses itself; split it into such that do not")
+        found.append([left[ear - 1], left[ear], left[(ear + 1) % len(left)]])
+        del left[ear]
+    return points[found]
+
+
+def _is_ear(flat: np.ndarray, i: int) -> bool:
+    """Whether corner i of a polygon sticks out, and no other corner is in the triangle that it makes with its neighbours."""
+    a, b, c = flat[i - 1], flat[i], flat[(i + 1) % len(flat)]
+    side: Any = lambda o, e, p: (e[0] - o[0]) * (p[..., 1] - o[1]) - (e[1] - o[1]) * (p[..., 0] - o[0])
+    if side(a, b, c) < 0.0:
+        return False
+    within = (side(a, b, flat) >= 0.0) & (side(b, c, flat) >= 0.0) & (side(c, a, flat) >= 0.0)
+    other = ~(np.all(flat == a, axis=1) | np.all(flat == b, axis=1) | np.all(flat == c, axis=1))
+    return not np.any(within & other)

@@ -1,0 +1,261 @@
+"""Surfaces as obstacles: distances against coal's, what is wholly inside, gradients; and polygons as triangles."""
+
+import dataclasses
+
+import coal
+import jax
+import numpy as np
+import pytest
+import trimesh
+from scipy.spatial.transform import Rotation
+
+import jaxik
+from jaxik.collision import bounding_box, distance, polygon_triangles, surfaces_cross
+from jaxik.collision.surfaces import as_bodies
+from jaxik.spatial.algebra import Vec3
+from jaxik.spmd import HostKernel
+
+ARM = """name = "arm"
+convention = "frames"
+joint = [
+  {name = "slide", type = "prismatic", axis = [1, 0, 0], lower = -0.5, upper = 0.5},
+  {name = "turn", type = "revolute", lower = -3, upper = 3},
+  {name = "bend", type = "revolute", axis = [0, 1, 0], translation = [0.3, 0, 0], lower = -3, upper = 3},
+]
+shape = [
+  {link = "turn_link", kind = "sphere", points = [[0.1, 0, 0.05]], radius = 0.04},
+  {link = "turn_link", kind = "capsule", points = [[0.15, 0, 0], [0.3, 0, 0]], radius = 0.02},
+  {link = "bend_link", kind = "triangle", points = [[0, 0, 0], [0.3, 0.1, 0], [0.2, -0.1, 0.05]], radius = 0.015},
+  {link = "bend_link", kind = "triangle", points = [[0.3, 0, 0], [0.4, 0.03, 0], [0.35, -0.03, 0.05]], radius = 0},
+]
+"""
+MESHES = {  # of about as many triangles, so that one kernel does for those that are closed
+    "convex": trimesh.creation.icosphere(subdivisions=1, radius=0.15).triangles,
+    "hollow": trimesh.creation.annulus(0.12, 0.2, 0.3, sections=10).triangles,
+    "open": trimesh.creation.icosphere(subdivisions=1, radius=0.2).triangles[:50],
+    "scattered": np.random.default_rng(4).normal(size=(40, 3, 3)) * 0.1,
+}
+
+
+@pytest.fixture(scope="module")
+def arm(tmp_path_factory):
+    file = tmp_path_factory.mktemp("surfaces") / "arm.toml"
+    file.write_text(ARM)
+    return jaxik.load(file)
+
+
+def scene_of(triangles, seed=0, name="mesh"):
+    """One object, turned and put where the arm may be; and its triangles."""
+    turn, builder = Rotation.random(random_state=seed), jaxik.collision.SceneBuilder()
+    placed = turn.apply(np.array(triangles).reshape(-1, 3)).reshape(-1, 3, 3) + np.array([0.3, 0.05, 0.1])
+    builder.add(name, triangles=placed)
+    return builder.scene(), placed
+
+
+def volumes_at(chain, q):
+    """The corners of each volume as those of a triangle, which may be flat, and the radius."""
+    frames = np.asarray(jaxik.robot.link_frames(chain, q)) @ np.linalg.inv(chain.link_offset)
+    for v in chain.volumes:
+        turned = v.corners @ frames[v.link][:3, :3].T + frames[v.link][:3, 3]
+        yield turned[[0, len(turned) // 2, -1]], float(v.radius)
+
+
+def in_coal(triangles):
+    model = coal.BVHModelOBBRSS()
+    model.beginModel(len(triangles), 3 * len(triangles))
+    for corners in triangles:
+        model.addTriangle(*corners)
+    model.endModel()
+    return model
+
+
+def apart_in_coal(a, b):
+    still = coal.Transform3s.Identity()
+    return max(coal.distance(a, still, b, still, coal.DistanceRequest(), coal.DistanceResult()), 0.0)
+
+
+def winding(point, triangles):
+    """By solid angles [Van Oosterom and Strackee 1983]."""
+    a, b, c = np.moveaxis(triangles - point, 1, 0)
+    la, lb, lc = (np.linalg.norm(x, axis=1) for x in (a, b, c))
+    dot = lambda x, y: np.sum(x * y, axis=1)
+    return np.arctan2(dot(a, np.cross(b, c)), la * lb * lc + dot(a, b) * lc + dot(b, c) * la + dot(c, a) * lb).sum() / (
+        2 * np.pi
+    )
+
+
+@pytest.mark.parametrize("name", MESHES)
+def test_surfaces_against_coal(arm, name):
+    scene, triangles = scene_of(MESHES[name])
+    closed = name in ("convex", "hollow")
+    assert set(scene.triangles.solid.tolist()) == {float(closed)}
+    q = np.random.default_rng(1).uniform(arm.lower, arm.upper, (100, 3))
+    model, counts = in_coal(triangles), np.zeros(3, int)
+    ours, hits = (np.asarray(jax.vmap(lambda q, f=f: f(arm, scene, q))(q)) for f in (jaxik.clearance, jaxik.collides))
+    for x, apart, hit in zip(q, ours, hits, strict=True):
+        gaps = [
+            (apart_in_coal(in_coal(v[None]), model), radius, closed and winding(v[0], triangles) > 0.5)
+            for v, radius in volumes_at(arm, x)
+        ]
+        inside, least = any(gap > 0.0 and held for gap, _, held in gaps), min(gap - r for gap, r, _ in gaps)
+        counts += least > 0.0 and not inside, inside, least <= 0.0
+        assert hit == (apart < 0.0) == (inside or least <= 1e-12)
+        assert abs(apart - least) <= 1e-9 if not hit else apart <= least + 1e-9
+    assert counts[0] > 20 and counts[2] > 5 and (counts[1] > 5 or name != "convex")
+    near = np.argsort(ours)[:20]
+    told = [jaxik.explain(arm, scene, x, 1).contacts[0].distance for x in q[near]]
+    np.testing.assert_allclose(told, ours[near], atol=1e-12)
+
+
+def test_slopes_lead_out_of_a_solid(arm):
+    """By q, and by where the obstacle is, whose corners are traced then."""
+    chain, scene = (
+        dataclasses.replace(arm, volumes=arm.volumes[1:2]),
+        scene_of(trimesh.creation.box((0.5, 0.4, 0.3)).triangles)[0],
+    )
+    moved = lambda a: jax.tree_util.tree_map(lambda x: x + a if x.ndim == 2 else x, scene)
+    q, steps = np.random.default_rng(2).uniform(arm.lower, arm.upper, (60, 3)), 1e-6 * np.eye(3)
+    near = lambda scene, q: jax.vmap(lambda q: jaxik.clearance(chain, scene, q))(q)
+    least, slopes = jax.vmap(jax.value_and_grad(lambda q: jaxik.clearance(chain, scene, q)))(q)
+    by_place = jax.value_and_grad(lambda a, q: jaxik.clearance(chain, moved(a), q))
+    again, shifts = jax.jit(jax.vmap(by_place, (None, 0)))(np.zeros(3), q)
+    np.testing.assert_allclose(again, least, atol=1e-12)
+    sides = [
+        [(near(scene, q + e), near(scene, q - e)) for e in steps],
+        [(near(moved(e), q), near(moved(-e), q)) for e in steps],
+    ]
+    (above, below), exact = np.moveaxis(np.asarray(sides), 2, 0), np.stack([slopes.T, shifts.T])
+    even = np.abs(above + below - 2.0 * least) <= 1e-10  # the nearest pair stays the same
+    np.testing.assert_allclose(exact[even], (above - below)[even] / 2e-6, atol=1e-7)
+    assert np.sum(even & (least < -0.02)) > 50 and np.sum(even & (least > 0.0)) > 50
+    np.testing.assert_allclose(np.linalg.norm(shifts, axis=1), 1.0, atol=1e-9)
+
+
+def test_the_way_out_of_a_triangle():
+    """Lines and triangles that cross one: moved by their depth along the slope they touch, and no shorter way leads out."""
+    corners = lambda x: tuple(Vec3(*x[3 * i : 3 * i + 3]) for i in range(len(x) // 3))
+    apart = lambda s, t: distance.skeleton_triangle(corners(s), corners(t))
+    rng = np.random.default_rng(3)
+    for count in (2, 3):
+        kernel = HostKernel(apart, 2)
+        mine, other = rng.normal(size=(1000, 3 * count)) * 0.3, rng.normal(size=(1000, 9)) * 0.3
+        depth = kernel.run(mine, other)[0]
+        crossing = depth < -1e-6
+        assert crossing.sum() > 50
+        mine, other, depth = mine[crossing], other[crossing], depth[crossing]
+        ways = rng.normal(size=(30, len(depth), 3))
+        ways *= -0.99 * depth[:, None] / np.linalg.norm(ways, axis=2, keepdims=True)
+        assert max(kernel.run(mine + np.tile(way, count), other)[0].max() for way in ways) < 0.0
+        if count == 2:
+            slope = HostKernel(jax.grad(apart), 2).run(mine, other)[0].reshape(-1, count, 3).sum(axis=1)
+            out = np.tile(-depth[:, None] * slope, count)
+            assert np.abs(kernel.run(mine + out, other)[0]).max() <= 1e-9
+
+
+def test_no_motion_passes_through_a_surface(arm):
+    """A body and an open surface, by a dense sampling; and a motion inside of a body is not free."""
+    chain, builder = dataclasses.replace(arm, volumes=arm.volumes[:2]), jaxik.collision.SceneBuilder()
+    builder.add("body", triangles=MESHES["convex"] + [0.1, 0.2, 0.0])
+    builder.add("sheets", triangles=0.5 * MESHES["scattered"] + [0.1, -0.25, 0.05])
+    scene, rng = builder.scene(), np.random.default_rng(7)
+    start = rng.uniform(arm.lower, arm.upper, (300, 3))
+    end = start + rng.uniform(0.2, 1.0, (300, 1)) * (rng.uniform(arm.lower, arm.upper, start.shape) - start)
+    free = ~np.asarray(jax.vmap(lambda a, b: jaxik.collision.motion_collides(chain, scene, a, b))(start, end))
+    way = (start + np.linspace(0.0, 1.0, 400)[:, None, None] * (end - start)).reshape(-1, 3)
+    least = np.asarray(jax.vmap(lambda q: jaxik.clearance(chain, scene, q))(way)).reshape(400, 300).min(axis=0)
+    assert not np.any(free & (least <= 0.0)) and np.all(free | (least < 0.01))
+    ends = np.minimum(
+        *np.asarray(jax.vmap(lambda q: jaxik.clearance(chain, scene, q))(np.concatenate([start, end]))).reshape(2, -1)
+    )
+    assert free.sum() > 50 and np.sum((least <= 0.0) & (ends > 0.0)) > 10
+    inside = np.array([-0.1, 1.1, 0.0]) + 1e-3 * rng.normal(size=(300, 3))
+    held, _ = scene_of(20.0 * np.array(MESHES["convex"]))
+    assert jax.vmap(lambda a, b: jaxik.collision.motion_collides(chain, held.padded(), a, b))(inside, inside + 0.1).all()
+
+
+def test_a_room_is_no_solid(arm):
+    room = trimesh.creation.box((4.0, 4.0, 4.0)).triangles
+    builder = jaxik.collision.SceneBuilder()
+    builder.add("room", triangles=room, solid=False)
+    nearest = lambda scene: jaxik.explain(arm, scene, np.zeros(3), 1).contacts
+    assert nearest(builder.scene())[0].distance > 1.0 and nearest(scene_of(room)[0])[0].distance < -1.0
+    away = scene_of(room)[0].without("mesh")
+    assert not nearest(away) and away.counts["triangles"] == 0
+
+
+def test_bodies_that_touch_are_turned_each_for_itself():
+    """At a corner, one of them inside out."""
+    box = np.array(trimesh.creation.box((1.0, 1.0, 1.0)).triangles)
+    turned, solid = as_bodies(np.concatenate([3.0 * box + 2.0, box[:, ::-1]]))
+    assert solid.all() and all(abs(winding(np.full(3, at), turned) - 1.0) <= 1e-9 for at in (0.0, 2.0))
+
+
+def turned_inside_out(triangles):
+    return triangles[:, ::-1]
+
+
+def mixed(triangles):
+    odd = np.random.default_rng(5).random(len(triangles)) < 0.5
+    return np.where(odd[:, None, None], triangles[:, ::-1], triangles)
+
+
+@pytest.mark.parametrize("changed", [np.asarray, turned_inside_out, mixed])
+def test_what_is_closed_is_seen_from_outside(changed):
+    first, second = (np.asarray(MESHES[name]) for name in ("hollow", "convex"))
+    both = np.concatenate([changed(first), first[5:] + 2.0, changed(second) - 2.0])
+    turned, solid = as_bodies(both)
+    assert np.array_equal(solid == 1.0, np.repeat([True, False, True], [len(first), len(first) - 5, len(second)]))
+    for body, truth in ((turned[: len(first)], first), (turned[-len(second) :], second - 2.0)):
+        inside = truth.mean(axis=(0, 1)) + ([0.16, 0.0, 0.0] if truth is first else 0.0)
+        assert abs(winding(inside, body) - 1.0) <= 1e-9
+
+
+def test_polygons_become_triangles():
+    """A star, in any plane, has its area, and no triangle outside of it; surfaces cross where an edge goes through."""
+    turn = 2.0 * np.pi * np.arange(14) / 14
+    star = np.where(np.arange(14) % 2, 0.4, 1.0)[:, None] * np.stack([np.cos(turn), np.sin(turn), 0.0 * turn], axis=1)
+    area = 7.0 * 0.4 * np.sin(2.0 * np.pi / 14)
+    for rotation in Rotation.random(5, random_state=6):
+        triangles = polygon_triangles(rotation.apply(star) + 3.0)
+        normals = np.cross(triangles[:, 1] - triangles[:, 0], triangles[:, 2] - triangles[:, 0]) / 2.0
+        assert triangles.shape == (12, 3, 3) and np.allclose(normals.sum(axis=0), area * rotation.apply([0.0, 0.0, 1.0]))
+        assert np.isclose(np.linalg.norm(normals, axis=1).sum(), area)
+    flat, cross, beside, above = (
+        polygon_triangles(star),
+        jax.jit(surfaces_cross),
+        np.array([0.9, 0.3, 0.0]),
+        np.array([0, 0, 1.1]),
+    )
+    pin = np.array([[[0.0, 0.0, -1.0], [0.0, 0.01, 1.0], [0.01, 0.0, 1.0]]])
+    assert cross(flat, pin) and cross(pin, flat) and not cross(flat, pin + beside) and not cross(flat, pin + above)
+    frame, edges = bounding_box(flat)
+    assert np.allclose(np.sort(edges), np.sort([*np.ptp(star, axis=0)]), atol=0.2) and np.allclose(frame[:3, 3], 0.0, atol=0.1)
+
+
+@pytest.mark.parametrize(
+    "corners, words",
+    [
+        ([[0, 0, 0], [1, 0, 0]], r"shape \(2, 3\)"),
+        ([[0, 0, 0], [1, 0, 0], [2, 0, 0]], "without an area"),
+        ([[0, 0, 0], [1, 0, 0], [1, 1, 0.1], [0, 1, 0]], "out of its plane"),
+        ([[0, 0, 0], [2, 2, 0], [2, 0, 0], [0, 1, 0]], "crosses itself"),
+        ([[0, 0, 0], [1, 0, np.nan], [1, 1, 0]], "finite"),
+    ],
+)
+def test_what_is_no_polygon(corners, words):
+    with pytest.raises(ValueError, match=f"^polygon.*{words}"):
+        polygon_triangles(corners)
+
+
+def test_a_carried_surface_moves_with_the_tip(arm):
+    scene, triangles = scene_of(MESHES["open"], name="sheet")
+    held = jaxik.collision.attach(arm, scene, "sheet", np.zeros(3), touches=arm.link_names)
+    ball = jaxik.make_scene(spheres=[[1.0, 0.6, 0.3, 0.1]])
+    alone = [p for p in held.chain.volumes if held.chain.link_names[p.link] == "sheet"]
+    assert len(alone) == len(triangles)
+    q, tip = np.array([0.1, 0.4, -0.3]), lambda q: np.asarray(jaxik.forward_kinematics(arm, q))
+    moved = tip(q) @ np.linalg.inv(tip(np.zeros(3)))
+    placed = triangles @ moved[:3, :3].T + moved[:3, 3]
+    truth = apart_in_coal(in_coal(placed), in_coal(np.full((1, 3, 3), [1.0, 0.6, 0.3]))) - 0.1
+    found = {c.link: c.distance for c in jaxik.explain(held.chain, ball, q, 9).contacts}
+    assert abs(found["sheet"] - truth) <= 1e-9
