@@ -12,6 +12,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 from jax.extend.core import Primitive, jaxpr_as_fun
+from jax.extend.core.primitives import stop_gradient_p
 from jax.interpreters import ad, batching, mlir
 
 from jaxik.spmd import call
@@ -82,8 +83,14 @@ def _jvp(primals: Sequence[Any], tangents: Sequence[Any], *, traced: Traced, bat
         math.prod(traced.inputs[i].shape) for i in active
     )
     if size > _DENSE:  # a matrix that a kernel would write and somebody read: JAX's own rules need none
-        whole = [ad.instantiate_zeros(t) for t in tangents]
-        return jax.jvp(functools.partial(_by_xla, traced=traced, batch=batch, masks=masks), list(primals), whole)
+
+        def changing(*xs: Any) -> list[Any]:
+            args = list(primals)
+            for i, x in zip(active, xs, strict=True):
+                args[i] = x
+            return _by_xla(*args, traced=traced, batch=batch, masks=masks)
+
+        return jax.jvp(changing, [primals[i] for i in active], [tangents[i] for i in active])
     if not active:
         outs, slopes = bind(traced, primals, batch, masks), []
     else:
@@ -108,6 +115,8 @@ def _jvp(primals: Sequence[Any], tangents: Sequence[Any], *, traced: Traced, bat
 
 
 ad.primitive_jvps[kernel_p] = _jvp
+# `vmap` of a differentiated `cond` leaves one on a tangent, and JAX cannot transpose it [JAX issue 22011]
+ad.primitive_transposes.setdefault(stop_gradient_p, lambda cotangent, _: [cotangent])
 
 
 # --------------------------------------------------------------------------------------------------------------------

@@ -260,6 +260,27 @@ def test_gradient_of_the_clearance(name, alone):
     assert agreed >= 10
 
 
+def test_gradient_by_more_obstacles_than_a_dense_derivative_holds():
+    """JAX's own rules take over there, in a batch as well: a `cond` of theirs leaves what they cannot transpose."""
+    chain, rng = jaxik.load("crops_v2"), np.random.default_rng(5)
+    scene = jaxik.make_scene(points=rng.uniform(-1.0, 1.0, (300, 3)))
+    q = rng.uniform(chain.lower, chain.upper, (16, chain.num_joints))
+
+    @jax.jit
+    def total(points):
+        around = dataclasses.replace(scene, points=dataclasses.replace(scene.points, center=points))
+        apart = jax.vmap(lambda q: clearances.link_clearances(chain, around, q))(q)
+        return jnp.sum(jnp.minimum(apart, 1.0))
+
+    points, step = jnp.asarray(scene.points.center), 1e-6
+    slope = jax.jit(jax.grad(total))(points)
+    assert np.count_nonzero(np.any(slope != 0.0, axis=1)) >= 4
+    for _ in range(3):
+        way = rng.normal(size=points.shape)
+        numeric = (total(points + step * way) - total(points - step * way)) / (2.0 * step)
+        np.testing.assert_allclose(np.sum(slope * way), numeric, atol=1e-6)
+
+
 POST = """<robot name="arm"><link name="base"/>
 <joint name="turn" type="revolute"><parent link="base"/><child link="upper"/><axis xyz="0 0 1"/>
 <limit lower="-3" upper="3"/></joint>
