@@ -5,17 +5,22 @@ from jaxik.planning.planner import Planned, PlannedMotions, PlanOptions, plan_mo
 from jaxik.planning.profiles import quintic, s_curve, trapezoidal
 from jaxik.planning.timing import time_optimal
 from jaxik.planning.trajectory import JointPath, JointState, Trajectory, polyline, spline
+from jaxik.planning.trajectory_cost import trajectory_cost
 from jaxik.planning.trajectory_files import save_trajectory
+from jaxik.planning.trajectory_optimiser import OptimisedTrajectory, TrajectoryOptions, optimise_trajectory
 
 __all__ = [
     "GridOptions",
     "GridPlanned",
     "JointPath",
     "JointState",
+    "OptimisedTrajectory",
     "PlanOptions",
     "Planned",
     "PlannedMotions",
     "Trajectory",
+    "TrajectoryOptions",
+    "optimise_trajectory",
     "plan_motion",
     "plan_motions",
     "plan_on_grid",
@@ -25,5 +30,6 @@ __all__ = [
     "save_trajectory",
     "spline",
     "time_optimal",
+    "trajectory_cost",
     "trapezoidal",
 ]

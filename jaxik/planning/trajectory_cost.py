@@ -1,0 +1,98 @@
+"""What the least cost of a trajectory depends on: its derivative by obstacles, links and targets."""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Sequence
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Float
+
+from jaxik.checks.options import changed, check_kind
+from jaxik.collision.clearances import link_clearances
+from jaxik.collision.scene import Scene
+from jaxik.costs import collision_cost
+from jaxik.planning.trajectory_optimiser import OptimisedTrajectory, TrajectoryOptions
+from jaxik.robot.chain import Chain
+from jaxik.robot.kinematics import joint_frames
+from jaxik.robot.task import Task
+from jaxik.spatial.algebra import Frame, stack, traced
+from jaxik.spmd import kernel
+
+
+def trajectory_cost(
+    chain: Chain,
+    scene: Scene | None,
+    found: OptimisedTrajectory,
+    goal: Any = None,
+    via: Sequence[tuple[float, Any]] = (),
+    options: TrajectoryOptions | None = None,
+    **changes: Any,
+) -> Float[jax.Array, ""]:
+    """The cost of one optimal trajectory, as a function of the obstacles, the links and the poses that it is to reach. Traced.
+
+        cost = J(q_k) + sum_j lambda_j' e_j(q_k(j)) - sum_kl z_kl (d_l(q_k) - margin_k)
+
+    with the motion and its multipliers as they were `found`: the Lagrangian, whose derivative by anything that the problem
+    depends on is that of the least cost [envelope theorem; Nocedal and Wright 2006, sec. 12.8], though nothing is optimised
+    again. So `jax.grad` of it by the scene says where an obstacle is in the way, by the chain which link is too short. `goal`
+    (a pose), `via` and the options are those of `optimise_trajectory`; `arc_length` has no such derivative.
+
+    Raises `ValueError` for a batch (vmap it), for arc_length, and for poses that are not as many as the multipliers.
+    """
+    check_kind("trajectory_cost", "found", found, OptimisedTrajectory)
+    options = changed("trajectory_cost", options or TrajectoryOptions(), changes)
+    curve = jnp.asarray(found.trajectory.path.coefficients)
+    if curve.ndim != 3:
+        raise ValueError(f"trajectory_cost: a batch of shape {curve.shape[:-3]}; take one of it, or jax.vmap this")
+    if options.arc_length:
+        raise ValueError("trajectory_cost: arc_length, of which this knows no derivative; write arc_length=False")
+    asked: list[tuple[float, Any, Task]] = [(share, pose, options.via_task) for share, pose in via]
+    asked += [] if goal is None else [(1.0, goal, options.task)]
+    if len(asked) != found.multipliers.shape[0]:
+        raise ValueError(f"trajectory_cost: {len(asked)} poses, {found.multipliers.shape[0]} when it was found; give the same")
+    last = ((curve[-1, 0] * (span := found.trajectory.path.lengths[-1]) + curve[-1, 1]) * span + curve[-1, 2]) * span
+    q = jnp.concatenate([curve[:, 3], (last + curve[-1, 3])[None]])
+    total = jnp.asarray(np.sum(found.parts[:3]), q.dtype) + _collision_cost(chain, scene, q, options)
+    for (share, pose, task), multipliers in zip(asked, found.multipliers, strict=True):
+        residual = _missed(chain, task, pose, q[round(share * (len(q) - 1))])
+        total += jnp.asarray(multipliers, q.dtype)[: len(residual)] @ residual
+    if options.margin is not None:
+        pressed = np.flatnonzero(np.any(found.pressure > 1e-9 * np.max(found.pressure, initial=1.0), axis=1))
+
+        @kernel  # of one number, whose derivative by many obstacles is a row of them and no matrix
+        def pressing(q: Any, pressure: Any) -> Any:
+            return jnp.sum(jnp.where(pressure > 0.0, pressure * jnp.minimum(link_clearances(chain, scene, q), 1e3), 0.0))
+
+        if len(pressed):
+            parts = jax.vmap(pressing)(q[pressed], jnp.asarray(found.pressure, q.dtype)[pressed])
+            total -= jnp.sum(parts - jax.lax.stop_gradient(parts))  # where it presses, it is at the margin
+    return total
+
+
+def _collision_cost(chain: Chain, scene: Scene | None, q: Any, options: TrajectoryOptions) -> Any:
+    if not options.collision_weight:
+        return jnp.zeros((), q.dtype)
+    terms = options.terms(chain, scene)
+    step = terms.duration / (len(q) - 1)
+    weight = jnp.full(len(q), step, q.dtype).at[jnp.array([0, -1])].mul(0.5)
+    itself, alone = chain, dataclasses.replace(chain, self_pairs=())
+    apart = terms.self_activation != terms.activation
+    maximum = options.collision_maximum
+
+    @kernel
+    def each(q: Any) -> Any:
+        parts = [(itself, None, terms.self_activation), (alone, scene, terms.activation)]
+        parts = parts if apart else [(itself, scene, terms.activation)]
+        near = (jnp.minimum(link_clearances(robot, around, q), 1e3) for robot, around, _ in parts)
+        return sum(jnp.sum(collision_cost(d, part[2], maximum)) for d, part in zip(near, parts, strict=True))
+
+    return options.collision_weight * weight @ jax.vmap(each)(q)
+
+
+def _missed(chain: Chain, task: Task, pose: Any, q: Any) -> Any:
+    position, rotation = task.residual(joint_frames(chain, traced(q), dtype=q.dtype).tip, Frame.of_columns(jnp.asarray(pose)))
+    return stack(position + rotation, (len(position) + len(rotation),), q.dtype)

@@ -1,0 +1,178 @@
+"""What a trajectory costs a robot, and what it must keep, as a programme for `optimise.collocation`."""
+
+from __future__ import annotations
+
+import dataclasses
+import functools
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from jaxik.collision.bvh import grouped
+from jaxik.collision.clearances import link_contacts
+from jaxik.collision.continuous_collision import joint_reaches
+from jaxik.collision.scene import Scene
+from jaxik.optimise import collocation, splines
+from jaxik.optimise.collocation import FAR, Rows
+from jaxik.robot.chain import Chain
+from jaxik.robot.kinematics import jacobian_columns, joint_frames
+from jaxik.robot.task import Task
+from jaxik.spatial.algebra import Frame, stack, traced
+from jaxik.spmd.batch import in_blocks
+from jaxik.spmd.host import host_kernels
+
+STRIDE = 0.05  # [m]
+SOFT = 1e3  # how much more than a radian in the duration it costs to be in an obstacle for as long
+
+
+@dataclasses.dataclass(frozen=True)
+class Target:
+    """A pose (B, 4, 4) that is asked of the tip, as a task binds it, at a share of the duration."""
+
+    share: float
+    pose: np.ndarray
+    task: Task
+
+
+@dataclasses.dataclass(frozen=True)
+class Terms:
+    """Of one robot in one scene: which limits hold and what costs how much (`TrajectoryOptions`), within `duration` [s]."""
+
+    chain: Chain
+    scene: Scene | None
+    duration: float
+    degree: int
+    velocity_cost: tuple[float, float]
+    acceleration_cost: float
+    jerk_cost: float
+    margin: float | None
+    collision_weight: float
+    collision_maximum: float
+    activation: float
+    self_activation: float
+    arc_length: bool
+    velocity: np.ndarray
+    acceleration: np.ndarray
+    jerk: np.ndarray
+
+    def problem(
+        self, spans: int, targets: tuple[Target, ...], extra: np.ndarray | None, open_end: bool, cautious: bool = False
+    ) -> collocation.Problem:
+        """Over so many spans; `extra` (B, spans + 1) [m] is kept beyond the margin at each knot. Being cautious, a step moves
+        nothing by more than `STRIDE`."""
+        at = tuple(round(target.share * spans) for target in targets)
+        count = max((sum(target.task.bound) for target in targets), default=0)
+        asked = functools.partial(self._equations, targets, count) if targets else None
+        samples = functools.partial(self._samples, 0.0 if extra is None else extra, open_end)
+        return collocation.Problem(
+            *(self.degree, self.duration / spans, self._rows(spans), samples, asked, at, count, open_end),
+            cautious=self._reaches / STRIDE if cautious else None,
+        )
+
+    def softened(self) -> Terms:
+        """The same with obstacles that cost instead of a margin: from within one a motion finds out."""
+        if self.margin is None:
+            return self
+        weight = max(self.collision_weight * self.collision_maximum, SOFT * self.velocity_cost[0] / self.duration**2)
+        return dataclasses.replace(self, margin=None, collision_weight=weight, collision_maximum=1.0)
+
+    def clearance(self, q: np.ndarray) -> np.ndarray:
+        """Of configurations (b, n): (b,) [m]."""
+        each = (in_blocks(_contacts(chain), q, fixed=(around,), double=True)[0] for chain, around, _ in self._robots)
+        return np.min([d.min(axis=1, initial=FAR) for d in each], axis=0)
+
+    def _rows(self, spans: int) -> tuple[Rows, ...]:
+        """The costs and limits of values, rates, accelerations and jerks."""
+        span = self.duration / spans
+        stencil = lambda order: tuple(np.array(splines.DIFFERENCE[order]) / span**order)
+        place = splines.VALUE[2] if self.degree == 2 else splines.DIFFERENCE[0]
+        first, last = self.velocity_cost
+        grown = np.clip((np.arange(spans + self.degree - 1) - 0.5 * (self.degree - 2)) / spans, 0.0, 1.0) ** 2
+        trapezoid = np.full(len(grown), span)
+        trapezoid[[0, -1]] *= 0.5
+        rows = [
+            Rows(place, 0.0, self.chain.lower, self.chain.upper),
+            Rows(stencil(1), trapezoid * (first + (last - first) * grown), -self.velocity, self.velocity),
+        ]
+        if self.acceleration_cost or np.isfinite(self.acceleration).any():
+            rows.append(Rows(stencil(2), span * self.acceleration_cost, -self.acceleration, self.acceleration))
+        if self.degree == 3 and (self.jerk_cost or np.isfinite(self.jerk).any()):
+            rows.append(Rows(stencil(3), span * self.jerk_cost, -self.jerk, self.jerk))
+        return tuple(rows)
+
+    @functools.cached_property
+    def _robots(self) -> list[tuple[Chain, Any, float]]:
+        """A chain, obstacles, and the distance at which they begin to cost; itself and the scene apart where these differ."""
+        if self.self_activation == self.activation or not self.collision_weight:
+            return [(self.chain, grouped(self.scene, self.chain), self.activation)]
+        alone = dataclasses.replace(self.chain, self_pairs=())
+        return [
+            (self.chain, grouped(None, self.chain), self.self_activation),
+            (alone, grouped(self.scene, alone), self.activation),
+        ]
+
+    @functools.cached_property
+    def _reaches(self) -> np.ndarray:
+        return joint_reaches(self.chain)
+
+    def _samples(self, extra: Any, open_end: bool, q: np.ndarray, rate: np.ndarray, which: np.ndarray) -> collocation.Samples:
+        count, knots, n = q.shape
+        distances, slopes, near = [], [], []
+        for chain, around, activation in self._robots:
+            d, slope = in_blocks(_contacts(chain), q.reshape(-1, n), fixed=(around,), double=True)
+            distances.append(np.minimum(d, FAR).reshape(count, knots, -1))
+            slopes.append(slope.reshape(count, knots, -1, n))
+            near.append(np.full(d.shape[1], activation))
+        d, slope, close = np.concatenate(distances, 2), np.concatenate(slopes, 2), np.concatenate(near)
+        excess: np.ndarray | None = None
+        if self.margin is not None:
+            excess = d - self.margin - (extra[which][..., None] if np.ndim(extra) else extra)
+            excess[:, [0] if open_end else [0, -1]] = FAR  # where the posture is given
+        weight = np.full(knots, self.collision_weight * self.collision_maximum * self.duration / (knots - 1))
+        weight[[0, -1]] *= 0.5
+        by_rate: np.ndarray | None = None
+        depth = np.maximum(close - d, 0.0) / close
+        share = np.broadcast_to(weight[:, None], (count, knots, 1))
+        if self.arc_length:
+            speed = np.sqrt(np.sum((rate * self._reaches) ** 2, axis=2, keepdims=True) + 1e-12)
+            by_rate = np.sum(share * depth**3, axis=2, keepdims=True) / speed * rate * self._reaches**2
+            share = share * speed
+        by_distance = -3.0 * share * depth**2 / close, 6.0 * share * depth / close**2
+        return collocation.Samples(slope, share * depth**3, *by_distance, excess, by_rate)
+
+    def _equations(
+        self, targets: tuple[Target, ...], count: int, q: np.ndarray, multipliers: np.ndarray, which: np.ndarray
+    ) -> collocation.Equations:
+        parts = []
+        for j, target in enumerate(targets):
+            bound = sum(target.task.bound)
+            asked = q[:, j], np.ascontiguousarray(target.pose[which]), multipliers[:, j, :bound]
+            residual, slopes, bend = in_blocks(_reached(self.chain, target.task), *asked, double=True)
+            more = ((0, 0), (0, count - bound))
+            parts.append((np.pad(residual, more), np.pad(slopes, (*more, (0, 0))), bend))
+        return collocation.Equations(*(np.stack(each, axis=1) for each in zip(*parts, strict=True)))
+
+
+@host_kernels(1)
+def _contacts(chain: Chain, q: Any, around: Any) -> Any:
+    """Each link's clearance (l,) and its slopes (l, n)."""
+    apart, slopes = link_contacts(chain, around, q)
+    return apart, jnp.stack(slopes, axis=-1)
+
+
+@host_kernels(3)
+def _reached(chain: Chain, task: Task, q: Any, pose: Any, multipliers: Any) -> Any:
+    """The task's residual (m,), its slopes (m, n), and the second derivative of their sum by the multipliers (n, n)."""
+
+    def pull(q: Any) -> Any:
+        x, target = traced(q), Frame.of_columns(pose)
+        frames = joint_frames(chain, x, dtype=q.dtype)
+        position, rotation = task.residual(frames.tip, target)
+        rows = task.rows(jacobian_columns(chain, frames), target)
+        slopes = stack([entry for row in rows for entry in row], (len(rows), len(x)), q.dtype)
+        return multipliers @ slopes, (stack(position + rotation, (len(rows),), q.dtype), slopes)
+
+    bend, (residual, slopes) = jax.jacfwd(pull, has_aux=True)(q)
+    return residual, slopes, 0.5 * (bend + bend.T)

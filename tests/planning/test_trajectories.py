@@ -1,0 +1,202 @@
+"""Optimised trajectories: free by coal, as good as SciPy's, inside limits by differences; and the reasons that there may be."""
+
+import dataclasses
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from scipy.interpolate import BSpline
+from scipy.optimize import minimize
+
+import jaxik
+from jaxik.collision.clearances import link_clearances
+from jaxik.optimise import splines
+from jaxik.optimise.banded import banded_solve
+from jaxik.planning import optimise_trajectory, trajectory_cost
+from jaxik.reasons import Reason
+from jaxik.spmd import HostKernel
+
+POLES = jaxik.make_scene(boxes=[[0.65, 0.0, 0.0, 0.3, 0.05, 0.5], [-0.5, 0.5, 0.0, 0.1, 0.3, 0.5]])
+START, GOAL = np.array([-0.6, 0.2, 0.1]), np.array([0.9, -0.3, 0.2])
+NEAR, ASIDE = np.array([0.3, 0.2, 0.1]), np.array([1.5, -0.3, 0.2])  # beside a pole, and away from it
+SOFT = {"margin": None, "collision_weight": 10.0, "activation": 0.25, "degree": 2, "spans": 24, "duration": 2.0, "rounds": 0}
+
+
+def test_banded_systems():
+    rng = np.random.default_rng(0)
+    n, width, count, rows, terms = 3, 3, 7, 2, 2
+    held = np.array([1.0, 0, 0, 0, 0, 0, 1.0])
+    reach = np.arange(count)[:, None] + np.arange(width) < count - 1
+    reach[0, 0] = False  # what is held is no unknown of any element
+    pattern, mean = rng.normal(size=(count, terms, width)) * reach[:, None], rng.normal(size=(count, width)) * reach
+    diagonal, slopes = rng.uniform(0.1, 1.0, (2, count, terms, n)), rng.normal(size=(2, count, rows, n))
+    weights, right = rng.uniform(size=(2, count, rows)), rng.normal(size=(2, count, n)) * (1.0 - held)[:, None]
+    diagonal[:, -2] += 1.0
+    pattern[-2, :, 0] = 1.0
+    (found,) = HostKernel(banded_solve, 4).run(diagonal, slopes, weights, right, pattern, mean, held, double=True)
+    for b in range(2):
+        matrix = np.diag(np.repeat(held, n)).reshape(count, n, count, n)
+        for m in range(count):
+            for i in range(width):
+                for j in range(width):
+                    if max(m + i, m + j) < count:
+                        part = (slopes[b, m].T * weights[b, m]) @ slopes[b, m] * mean[m, i] * mean[m, j]
+                        part += np.diag(diagonal[b, m].T @ (pattern[m, :, i] * pattern[m, :, j]))
+                        matrix[m + i, :, m + j] += part
+        truth = np.linalg.solve(matrix.reshape(count * n, -1), right[b].ravel())
+        np.testing.assert_allclose(found[b].ravel(), truth, rtol=0, atol=1e-10 * np.abs(truth).max())
+
+
+@pytest.mark.parametrize("degree", [2, 3])
+def test_splines(degree):
+    spans, span = 6, 0.3
+    points = np.random.default_rng(1).normal(size=(1, spans + degree, 2))
+    truth = BSpline(span * np.arange(-degree, spans + degree + 1), points[0], degree)
+    knots = span * np.arange(spans)
+    np.testing.assert_allclose(splines.applied(splines.VALUE[degree], points)[0, :-1], truth(knots), atol=1e-12)
+    rate = splines.applied(splines.RATE[degree], points)[0, :-1] / span
+    np.testing.assert_allclose(rate, truth.derivative()(knots), atol=1e-12)
+    finer = splines.applied(splines.VALUE[degree], splines.finer(points, degree))[0, 1::2]
+    np.testing.assert_allclose(finer, truth(knots + 0.5 * span), atol=1e-12)
+    curve = splines.pieces(points, degree, span)[0]
+    at = 0.2
+    value = ((curve[:, 0] * at + curve[:, 1]) * at + curve[:, 2]) * at + curve[:, 3]
+    np.testing.assert_allclose(value, truth(knots + at), atol=1e-12)
+
+
+def _judged(found, coal, scene, margin, velocity, acceleration=np.inf, jerk=np.inf):
+    """A motion, by samples a millimetre apart, and its derivatives by differences."""
+    assert found.reasons == "solved"
+    time = np.linspace(0.0, found.trajectory.duration, 4001)
+    state = jax.tree_util.tree_map(np.asarray, jax.vmap(found.trajectory.at)(jnp.asarray(time)))
+    assert coal.clearance(scene, state.q[::4]).min() >= margin - 1e-5
+    step = time[1]
+    for values, limit in ((state.q, velocity), (state.velocity, acceleration), (state.acceleration, jerk)):
+        assert np.abs(np.diff(values, axis=0)).max() / step <= limit * (1.0 + 1e-6)
+    return state
+
+
+def test_free_between_samples_and_inside_limits(arm):
+    chain, coal = arm
+    limits = {"velocity": 1.5, "acceleration": 3.0, "jerk": 30.0}
+    goals = np.stack([GOAL, [0.9, 0.2, -0.4]])
+    found = optimise_trajectory(chain, POLES, START, goals, margin=0.01, duration=4.0, spans=32, **limits)
+    assert found.success.all() and found.cost.shape == (2,) and found.trajectory.time.shape == (2, 33)
+    for i, goal in enumerate(goals):
+        state = _judged(jax.tree_util.tree_map(lambda x: x[i], found), coal, POLES, 0.01, **limits)  # noqa: B023
+        np.testing.assert_allclose(state.q[[0, -1]], [START, goal], atol=1e-12)
+        np.testing.assert_allclose(state.velocity[[0, -1]], 0.0, atol=1e-9)
+    quick = optimise_trajectory(chain, POLES, START, GOAL, margin=0.01, spans=32, **limits)
+    state = _judged(quick, coal, POLES, 0.01, **limits)
+    used = np.abs(state.velocity).max() / 1.5, np.abs(state.acceleration).max() / 3.0
+    assert max(used) > 0.9  # but for control points, between which the curve stays
+
+
+def test_pose_via_and_free_posture(arm):
+    chain, coal = arm
+    goal, over = (np.asarray(jaxik.forward_kinematics(chain, np.asarray(q))) for q in (ASIDE, [0.9, -0.8, 0.5]))
+    task = {"task": jaxik.Task.position(), "via_task": jaxik.Task.position()}
+    found = optimise_trajectory(chain, POLES, NEAR, goal, via=[(0.5, over)], spans=32, **task)
+    state = _judged(found, coal, POLES, 0.0, 2.0)
+    tip = lambda q: np.asarray(jaxik.forward_kinematics(chain, q))[:3, 3]
+    np.testing.assert_allclose(tip(state.q[-1]), goal[:3, 3], atol=2e-6)
+    np.testing.assert_allclose(tip(state.q[2000]), over[:3, 3], atol=2e-6)
+
+
+def test_as_good_as_scipy(arm):
+    """The printed programme (6.4)-(6.10), written out, by SciPy's SLSQP from where nothing has been optimised."""
+    chain, _ = arm
+    found = optimise_trajectory(chain, POLES, NEAR, ASIDE, velocity_cost=(0.5, 1.0), tolerance=1e-7, **SOFT)
+    count, step = SOFT["spans"] + 1, SOFT["duration"] / SOFT["spans"]
+    weight = np.full(count, step)
+    weight[[0, -1]] *= 0.5
+    zeta = 0.5 + 0.5 * (np.arange(count) / (count - 1)) ** 2
+
+    def unpacked(x):
+        rate = jnp.zeros((count, 3)).at[1:-1].set(x.reshape(-1, 3))
+        return NEAR + jnp.concatenate([jnp.zeros((1, 3)), jnp.cumsum(0.5 * step * (rate[1:] + rate[:-1]), axis=0)]), rate
+
+    @jax.jit
+    def total(x):
+        q, rate = unpacked(x)
+        depth = jnp.maximum(0.25 - jax.vmap(lambda q: link_clearances(chain, POLES, q))(q), 0.0) / 0.25
+        return weight * zeta @ jnp.sum(rate**2, axis=1) + 10.0 * weight @ jnp.sum(depth**3, axis=1)
+
+    end = jax.jit(lambda x: unpacked(x)[0][-1] - ASIDE)
+    slope, rows = jax.jit(jax.grad(total)), jax.jit(jax.jacfwd(end))
+    begin = np.tile((ASIDE - NEAR) / 2.0, (count - 2, 1))
+    truth = minimize(
+        total,
+        begin.ravel(),
+        jac=slope,
+        constraints={"type": "eq", "fun": end, "jac": rows},
+        method="SLSQP",
+        options={"maxiter": 500, "ftol": 1e-10},
+    )
+    assert found.converged and abs(found.cost - truth.fun) <= 1e-3 * truth.fun
+
+
+def test_cost_by_obstacles_and_links(arm):
+    """The least cost's derivatives, against differences of optima."""
+    chain, _ = arm
+    goal = np.asarray(jaxik.forward_kinematics(chain, ASIDE))
+    ball = jaxik.make_scene(spheres=[[0.65, 0.0, 0.0, 0.1]])
+    options = SOFT | {"tolerance": 1e-10, "iterations": 500, "task": jaxik.Task.position()}
+    found = optimise_trajectory(chain, ball, NEAR, goal, **options)
+    guess = np.asarray(jax.vmap(found.trajectory.at)(jnp.linspace(0.0, 2.0, 97)).q)
+
+    def changed(x):
+        """The arm with a longer link, and the ball moved."""
+        centre = jnp.asarray(ball.spheres.center).at[0, 1].add(x[0])
+        links = jnp.asarray(chain.parent_T_joint).at[2, 0, 3].add(x[1])
+        moved = dataclasses.replace(ball, spheres=dataclasses.replace(ball.spheres, center=centre))
+        return dataclasses.replace(chain, parent_T_joint=links), moved
+
+    def best(x):
+        end = optimise_trajectory(*jax.tree_util.tree_map(np.asarray, changed(x)), NEAR, goal, guess, **options)
+        assert end.converged
+        return end.cost
+
+    cost, slope = jax.value_and_grad(lambda x: trajectory_cost(*changed(x), found, goal, **options))(jnp.zeros(2))
+    truth = [(best(step) - best(-step)) / 2e-4 for step in 1e-4 * np.eye(2)]
+    assert np.abs(slope).min() > 0.1
+    np.testing.assert_allclose(slope, truth, rtol=1e-3)
+    np.testing.assert_allclose(cost, found.cost, rtol=1e-7)
+
+
+def test_reasons(arm):
+    chain, _ = arm
+    starts = np.stack([START, [0.0, 0.0, 0.0], [np.nan, 0.0, 0.0], START, START])
+    goals = np.stack([GOAL, GOAL, GOAL, [3.0, 0.0, 0.0], START])
+    found = optimise_trajectory(chain, POLES, starts, goals, spans=32)
+    assert found.reason.tolist() == [Reason.SOLVED, Reason.COLLISION, Reason.INVALID, Reason.LIMITS, Reason.SOLVED]
+    assert np.isnan(found.trajectory.time[1:4]).all() and found.trajectory.duration[4] == 0.0
+    np.testing.assert_array_equal(found.trajectory.path.coefficients[4, :, :3], 0.0)
+    far = np.eye(4)
+    far[0, 3] = 5.0
+    assert optimise_trajectory(chain, POLES, START, far, spans=32).reasons == "out of reach"
+    hasty = optimise_trajectory(chain, POLES, START, GOAL, duration=0.1, velocity=1.0, spans=32, rounds=0)
+    assert hasty.reasons != "solved"
+    none = optimise_trajectory(chain, POLES, START, np.zeros((0, 3)), spans=32)
+    assert none.reason.shape == (0,) and none.trajectory.time.shape == (0, 33)
+
+
+@pytest.mark.parametrize(
+    "changes, said",
+    [
+        ({"goal": np.zeros(2)}, "goal of shape"),
+        ({"start": np.zeros((3, 3)), "goal": np.zeros((2, 3))}, "3 starts, 2 goals"),
+        ({"duration": 0.0}, "duration is 0"),
+        ({"degree": 4}, "degree 4"),
+        ({"degree": 2, "jerk": 1.0}, "no jerk"),
+        ({"velocity": -1.0}, "velocity is -1"),
+        ({"guess": np.zeros((1, 3))}, "guess of shape"),
+        ({"via": [(1.5, np.eye(4))]}, "share 1.5"),
+        ({"speed": 1.0}, "unknown option 'speed'"),
+    ],
+)
+def test_what_is_refused(arm, changes, said):
+    with pytest.raises(ValueError, match=said) as error:
+        optimise_trajectory(arm[0], POLES, **{"start": START, "goal": GOAL} | changes)
+    assert "\n" not in str(error.value)
