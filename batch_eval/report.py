@@ -277,6 +277,39 @@ def planning_markdown(result: dict[str, Any]) -> str:
     )
 
 
+def peppers_markdown(result: dict[str, Any]) -> str:
+    """Table 6.2 beside what is printed, and the same programme by IPOPT."""
+    paper, best = result["paper"], result["best"]
+    both = lambda pair, digits: f"{pair[0]:.{digits}f} ({pair[1]:.{digits}f})"
+    lines = [
+        "| median (mean) | converged and free | remaining dynamic cost | iterations | time |",
+        "| --- | --- | --- | --- | --- |",
+    ]
+    for name in ("heuristic", "straight"):
+        row = result["printed"][name]
+        count, time = f"{row['converged_and_free']} of 79", f"{both(row['s'], 2)} s"
+        lines.append(f"| {name} guess | {count} | {both(row['remaining'], 2)} | {both(row['iterations'], 0)} | {time} |")
+        iterations, seconds = both(paper[name][:2], 0), both(paper[name][2:], 2)
+        cost = both(paper["remaining"], 2) if name == "heuristic" else "-"
+        lines.append(f"| the thesis' | 94 % | {cost} | {iterations} | {seconds} s |")
+    free = f"{best['free']} of 79, all proven"
+    time = f"{both(best['alone_s'], 2)} s; all 79 together {best['together_s']:.1f} s"
+    lines.append(
+        f"| several postures, and a margin | {free} | {both(best['remaining'], 2)} | {both(best['iterations'], 0)} | {time} |"
+    )
+    pairs = [row for row in result["ipopt"] if row["ipopt"]["converged"] and row["ipopt_from_ours"]["converged"]]
+    same = [abs(row["cost"] / row["ipopt_from_ours"]["cost"] - 1.0) for row in pairs]
+    alike = [row for row in pairs if abs(row["cost"] / row["ipopt"]["cost"] - 1.0) <= 1e-3]
+    faster = sorted(row["ipopt"]["s"] / row["s"] for row in pairs)[len(pairs) // 2]
+    lines += [
+        "",
+        f"IPOPT, from where jaxik ended, finds the same cost to {max(same):.0e} ({len(pairs)} of "
+        f"{len(result['ipopt'])} fruits, where it converges); from the same heuristic guess it ends in the same optimum for "
+        f"{len(alike)}, and takes {faster:.0f} times as long (median).",
+    ]
+    return "\n".join(lines)
+
+
 def harvest_motions_markdown(result: dict[str, Any]) -> str:
     """A row for each set-up: the whole row in each order; then what the leaves change, and what the check says."""
     plans = next(iter(result["setups"].values()))
@@ -383,6 +416,7 @@ TABLES = {
     "motions.json": motions_markdown,
     "narrow_goals.json": narrow_markdown,
     "nine_dof.json": nine_dof_markdown,
+    "peppers.json": peppers_markdown,
     "planning_benchmark.json": planning_markdown,
     "predictive_benchmark.json": predictive_markdown,
     "predictive_statistics.json": statistics_markdown,
@@ -402,13 +436,12 @@ def tables() -> list[str]:
 
 def overview() -> str:
     """A row for each kind of work: how long one takes in a batch, and what the nearest others take."""
-    work, ik, collision, sweep, ahead = (
-        _result(f"{name}.json")
-        for name in ("benchmark", "ik_benchmark", "collision_benchmark", "sweep_benchmark", "predictive_benchmark")
-    )
+    names = "benchmark", "ik_benchmark", "collision_benchmark", "planning_benchmark", "sweep_benchmark", "predictive_benchmark"
+    work, ik, collision, planning, sweep, ahead = (_result(f"{name}.json") for name in names)
     alone = next(row for row in ik["panda"] if row["who"] == "Panda: jaxik" and row["targets"] == 1)
     fastest = lambda rows: min((row for row in rows if "jaxik" not in row["who"]), key=lambda row: row["us_each"])
     other, horizon, goals = fastest(ik["panda"]), ahead["real_time"][1], ik["goals"]
+    motions, timing = planning["problems"], planning["timing"]
     rows = [
         _ours(work, "forward kinematics, Panda, float32", "forward kinematics of a Panda", "PyRoki", "Pinocchio, Python loop"),
         _ours(work, "closed form, P6R, all 8 branches, float32", "closed form, all 8 branches", "EAIK, 2 threads"),
@@ -429,6 +462,16 @@ def overview() -> str:
             "a Panda's goal among obstacles, one a call",
             f"{goals['p50_ms']:.1f} ms, {round(goals['goals'] * goals['solved'])} of {goals['goals']} solved",
             "-",
+        ),
+        (
+            "the same, a motion that is proven free and timed",
+            f"{motions['p50_ms']:.0f} ms, {motions['solved']} of {motions['problems']} solved",
+            "-",
+        ),
+        (
+            "the fastest timing of a path of seven joints",
+            _duration(timing["us_each"]),
+            f"TOPP-RA: {_duration(timing['toppra_us_each'])}",
         ),
         (
             "a target of a reach map over a slide, with proof",
