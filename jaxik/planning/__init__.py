@@ -5,9 +5,9 @@ from jaxik.planning.planner import Planned, PlannedMotions, PlanOptions, plan_mo
 from jaxik.planning.profiles import quintic, s_curve, trapezoidal
 from jaxik.planning.timing import time_optimal
 from jaxik.planning.trajectory import JointPath, JointState, Trajectory, polyline, spline
-from jaxik.planning.trajectory_cost import trajectory_cost
 from jaxik.planning.trajectory_files import save_trajectory
 from jaxik.planning.trajectory_optimiser import OptimisedTrajectory, TrajectoryOptions, optimise_trajectory
+from jaxik.planning.trajectory_sensitivity import trajectory_cost
 
 __all__ = [
     "GridOptions",
