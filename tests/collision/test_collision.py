@@ -262,8 +262,8 @@ def test_gradient_of_the_clearance(name, alone):
 
 def test_gradient_by_more_obstacles_than_a_dense_derivative_holds():
     """JAX's own rules take over there, in a batch as well: a `cond` of theirs leaves what they cannot transpose."""
-    chain, rng = jaxik.load("crops_v2"), np.random.default_rng(5)
-    scene = jaxik.make_scene(points=rng.uniform(-1.0, 1.0, (300, 3)))
+    chain, rng = jaxik.load("planar2"), np.random.default_rng(5)
+    scene = jaxik.make_scene(points=rng.uniform(-1.0, 1.0, (1000, 3)))
     q = rng.uniform(chain.lower, chain.upper, (16, chain.num_joints))
 
     @jax.jit
