@@ -28,7 +28,7 @@ from jaxik.collision.scene_builder import make_scene
 from jaxik.ik import IKOptions, solve_ik
 from jaxik.optimise import collocation, splines
 from jaxik.planning.collision_checker import CLOSE, RESOLUTION, CollisionChecker, judged
-from jaxik.planning.planner import PlanOptions, plan_motion
+from jaxik.planning.planner import PlanOptions, plan_motions
 from jaxik.planning.trajectory import JointPath, Trajectory
 from jaxik.planning.trajectory_terms import Target, Terms
 from jaxik.reasons import Reason, Reasoned
@@ -269,11 +269,9 @@ class _Search:
             if self.poses is None:
                 samples[:, -1] = ends
         kept = self._tried(rows, samples)
-        left = np.unique(rows[self.reason[rows] != Reason.SOLVED])
-        if self.options.rounds and self.options.margin is not None:
-            paths = {int(i): self._planned(int(i), ends[rows == i]) for i in left}
-            planned = np.array([i for i, path in paths.items() if path is not None], int)
-            kept += self._held(planned, np.stack([paths[int(i)] for i in planned])) if len(planned) else []
+        left = self.reason[rows] != Reason.SOLVED
+        if self.options.rounds and self.options.margin is not None and left.any():
+            kept += self._held(*self._planned(rows[left], ends[left]))
         return self._packed(kept)
 
     def _tried(self, rows: np.ndarray, samples: np.ndarray) -> list[tuple[np.ndarray, collocation.Found]]:
@@ -322,22 +320,31 @@ class _Search:
         each = np.arange(self.options.postures) < counts[:, None]
         return np.repeat(open_, counts), np.asarray(found.solutions, np.float64)[each]
 
-    def _planned(self, row: int, ends: np.ndarray) -> np.ndarray | None:
-        """Samples along a planner's way, in equal parts of it, at rest at its ends."""
+    def _planned(self, rows: np.ndarray, ends: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Of problems, each as often as it has postures to end in: those that a planner finds a way for, and samples along it,
+        in equal parts of it, at rest at its ends."""
+        open_, each = np.unique(rows, return_inverse=True)
+        place = _ranks(rows, np.zeros(len(rows)), np.zeros(len(rows)))
+        goals = np.full((len(open_), place.max() + 1, ends.shape[1]), np.nan)
+        goals[each, place] = ends
         options = PlanOptions(self.options.margin or 0.0, velocity=1.0, acceleration=1.0, rounds=int(self.options.rounds))
-        way = plan_motion(self.chain, self.scene, self.starts[row], ends, self.seed, options).waypoints
-        if way is None:
-            return None
-        since = np.concatenate([[0.0], np.cumsum(self.space.length(np.diff(way, axis=0)))])
-        x = np.linspace(0.0, 1.0, 4 * self.options.spans + 1)
-        at = ((6.0 * x - 15.0) * x + 10.0) * x**3 * since[-1]
-        return np.stack([np.interp(at, since, joint) for joint in way.T], axis=1)
+        found = plan_motions(self.chain, self.scene, self.starts[open_], goals, self.seed, options)
+        ways = {i: moved.waypoints for i, moved in zip(open_, found, strict=True) if moved.waypoints is not None}
+        samples = np.empty((len(ways), 4 * self.options.spans + 1, ends.shape[1]))
+        x = np.linspace(0.0, 1.0, samples.shape[1])
+        for row, way in zip(samples, ways.values(), strict=True):
+            since = np.concatenate([[0.0], np.cumsum(self.space.length(np.diff(way, axis=0)))])
+            at = ((6.0 * x - 15.0) * x + 10.0) * x**3 * since[-1]
+            row[:] = np.stack([np.interp(at, since, joint) for joint in way.T], axis=1)
+        return np.array(list(ways), int), samples
 
     # ----------------------------------------------------------------------------------------------------------------
     # The best of them
 
     def _held(self, rows: np.ndarray, samples: np.ndarray) -> list[tuple[np.ndarray, collocation.Found]]:
         """Motions from samples that are free, by steps that go round no obstacle by another side."""
+        if not len(rows):
+            return []
         half = self.levels[-2] if self.levels[-2] >= MANY else self.levels[-1]
         points = splines.through(samples, self.options.degree, half)
         found = collocation.optimise(self._problem(rows, half, cautious=True), points, self.options.iterations, 1e-3, 1e-3)
