@@ -11,6 +11,8 @@ s, so qddot is quadratic, and lies between the least and the greatest of its thr
 x and u as well:
 
     q'(0) u + q''(0) x,   (q'(0) + 3/2 h q''(0)) u + (q''(0) + q''(h)) / 2 x,   (q'(h) + 2 h q''(h)) u + q''(h) x
+
+Whatever else is linear in x and u, as forces are, is given as rows of its own.
 """
 
 from __future__ import annotations
@@ -26,12 +28,14 @@ _ROUNDING = 1e-14
 _FASTEST = 1e12  # ds/dt squared, where nothing moves
 
 
-def fastest(curve: Any, lengths: Any, velocity: Any, acceleration: Any, parts: int) -> Any:
+def fastest(curve: Any, lengths: Any, velocity: Any, acceleration: Any, *rows: Any, parts: int) -> Any:
     """(ds/dt)^2 at the end of each part (k parts,) of a curve of k cubic pieces, each cut into `parts`: the greatest, from rest
     to rest.
 
     `curve` (k, 4, n) has each piece's coefficients, the highest power first, of the way since its beginning; `lengths` (k,)
-    >= 0 are the pieces'; one of no length counts for nothing. Where the direction jumps between pieces, it stops. In float64.
+    >= 0 are the pieces'; one of no length counts for nothing. Where the direction jumps between pieces, it stops. `rows`, where
+    there are any, are p, r, low and high (k parts, m) of more limits `low <= p u + r x <= high` of each part, by what u and x
+    are at its beginning; low is below and high above zero. In float64.
     """
     parts_of_all = jnp.arange(len(lengths) * parts)  # one loop, or a short one in it would be written out
 
@@ -39,7 +43,7 @@ def fastest(curve: Any, lengths: Any, velocity: Any, acceleration: Any, parts: i
         """Its length and its rows."""
         piece = i // parts
         h = lengths[piece] / parts
-        return h, _rows(curve[piece], (i - piece * parts) * h, h, velocity, acceleration)
+        return h, _rows(curve[piece], (i - piece * parts) * h, h, velocity, acceleration, [x[i] for x in rows])
 
     def back(beyond: Any, i: Any) -> Any:
         """From the greatest x behind a part and the direction there, that of the next part which has a length."""
@@ -54,8 +58,8 @@ def fastest(curve: Any, lengths: Any, velocity: Any, acceleration: Any, parts: i
 
     def ahead(x: Any, now: Any) -> Any:
         i, top = now
-        h, (p, r, limit, _) = part(i)
-        u = jnp.min((limit - r * x) / p)
+        h, (p, r, _, high, _) = part(i)
+        u = jnp.min((high - r * x) / p)
         after = jnp.where(h > 0.0, jnp.clip(x + 2.0 * h * u, 0.0, top), x)
         return after, after
 
@@ -68,19 +72,24 @@ def _slope(c: Any, s: Any) -> Any:
     return (3.0 * c[0] * s + 2.0 * c[1]) * s + c[2]
 
 
-def _rows(c: Any, s: Any, h: Any, velocity: Any, acceleration: Any) -> Any:
-    """From s to s + h: `|p u + r x| <= limit`, p > 0, and the greatest x by the velocities."""
+def _rows(c: Any, s: Any, h: Any, velocity: Any, acceleration: Any, more: Any) -> Any:
+    """From s to s + h: `low <= p u + r x <= high`, p > 0, with `more` of them, and the greatest x by the velocities."""
     first, last = _slope(c, s), _slope(c, s + h)
     bend_first, bend_last = (6.0 * c[0] * at + 2.0 * c[1] for at in (s, s + h))
     middle = first + 0.5 * h * bend_first
     p = jnp.concatenate([first, middle + h * bend_first, last + 2.0 * h * bend_last])
     r = jnp.concatenate([bend_first, 0.5 * (bend_first + bend_last), bend_last])
-    turned = jnp.where(p < 0.0, -1.0, 1.0)
-    size = jnp.abs(p)
+    high = jnp.concatenate([acceleration] * 3)
+    low = -high
+    if more:
+        p, r, low, high = (jnp.concatenate([x, y]) for x, y in zip((p, r, low, high), more, strict=True))
+    back = p < 0.0
+    low, high = jnp.where(back, -high, low), jnp.where(back, -low, high)
+    size, r = jnp.abs(p), jnp.where(back, -r, r)
     steepest = jnp.maximum(jnp.maximum(jnp.abs(first), jnp.abs(last)), jnp.abs(middle))
     top = jnp.min(velocity / jnp.maximum(steepest, 1e-150))
     floor = _FLAT * jnp.max(size) + 1e-150
-    return jnp.maximum(size, floor), turned * r, jnp.concatenate([acceleration] * 3), jnp.minimum(top * top, _FASTEST)
+    return jnp.maximum(size, floor), r, low, high, jnp.minimum(top * top, _FASTEST)
 
 
 def _greatest(row: Any, h: Any, top: Any) -> Any:
@@ -89,21 +98,21 @@ def _greatest(row: Any, h: Any, top: Any) -> Any:
     Braking as the rows allow, to arrive with `top`, is mostly all there is to it. Else Newton's steps from there: what is left
     between the least upper and the greatest lower bound of u is concave in x and not negative at 0, so that these end, after a
     few and from above, at its root."""
-    p, r, limit, most = row
-    slope, reach = -r / p, limit / p
+    p, r, low, high, most = row
+    slope, floor, ceiling = -r / p, low / p, high / p
     across = 0.5 / jnp.where(h > 0.0, h, 1.0)
 
     def room(x: Any) -> Any:
         """That, how it changes with x, and what rounding may have made of it."""
-        upper, lower = reach + slope * x, slope * x - reach
+        upper, lower = ceiling + slope * x, floor + slope * x
         least, greatest = jnp.min(upper), jnp.max(lower)
         steep_upper = jnp.max(jnp.where(upper <= least, slope, -jnp.inf))
         steep_lower = jnp.min(jnp.where(lower >= greatest, slope, jnp.inf))
         next_upper, next_lower = (top - x) * across, -x * across
         by_next, from_next = next_upper < least, next_lower > greatest
-        high, low = jnp.where(by_next, next_upper, least), jnp.where(from_next, next_lower, greatest)
+        above, below = jnp.where(by_next, next_upper, least), jnp.where(from_next, next_lower, greatest)
         change = jnp.where(by_next, -across, steep_upper) - jnp.where(from_next, -across, steep_lower)
-        return high - low, change, _ROUNDING * (jnp.abs(high) + jnp.abs(low))
+        return above - below, change, _ROUNDING * (jnp.abs(above) + jnp.abs(below))
 
     def newton(state: Any) -> Any:
         x, left, change, _, turns = state
@@ -111,7 +120,7 @@ def _greatest(row: Any, h: Any, top: Any) -> Any:
         return x, *room(x), turns + 1
 
     steep = across + slope  # where the lower bound of a row meets the line to `top`
-    braking = jnp.min(jnp.where(steep > 0.0, (top * across + reach) / jnp.where(steep > 0.0, steep, 1.0), jnp.inf))
+    braking = jnp.min(jnp.where(steep > 0.0, (top * across - floor) / jnp.where(steep > 0.0, steep, 1.0), jnp.inf))
     first = jnp.minimum(most, braking)
     again = lambda state: (state[1] < -state[3]) & (state[4] < len(p) + 4)
     return lax.while_loop(again, newton, (first, *room(first), 0))[0]

@@ -1,4 +1,4 @@
-"""How fast a path may be driven: the least time that the joints' velocity and acceleration allow."""
+"""How fast a path may be driven: the least time that the joints' velocity, acceleration and drives allow."""
 
 from __future__ import annotations
 
@@ -10,16 +10,32 @@ import numpy as np
 from jaxik.checks.arrays import numbers
 from jaxik.checks.options import as_count, check_kind
 from jaxik.optimise.time_scaling import fastest
+from jaxik.planning import torque_limits
 from jaxik.planning.trajectory import JointPath, Trajectory
+from jaxik.robot.chain import Chain
+from jaxik.robot.dynamics import GRAVITY
 from jaxik.spmd import HostKernel
 from jaxik.spmd.batch import in_blocks
 
 LEAST = 8  # parts of a piece: it may have to stop at both its ends, and speeds up in between
 
 
-def time_optimal(path: JointPath, velocity: Any, acceleration: Any, places: int = 500) -> Trajectory:
+def time_optimal(
+    path: JointPath,
+    velocity: Any,
+    acceleration: Any,
+    places: int = 500,
+    chain: Chain | None = None,
+    torque: Any = None,
+    power: Any = None,
+    gravity: Any = GRAVITY,
+) -> Trajectory:
     """The fastest motion along a path, from rest to rest, within `velocity` and `acceleration` (n,) or one number [rad, m and
     s]. Host driver.
+
+    With a `chain`, also within each joint's `torque` [Nm, N] and `power` |torque rate| [W], (n,) or one number, as
+    `inverse_dynamics` has them in `gravity`; friction is not in them. These hold where the speed is chosen and at three moments
+    between; acceleration may be infinite then. Where the drives cannot hold the arm still, the timing is NaN.
 
     Paths that are stacked, with leaves (N, ...), are timed together, as are rows (N, n) of limits. The limits hold at every
     moment, not only at the `places` at which the speed is chosen; these are spread evenly over the pieces, eight a piece or
@@ -35,10 +51,15 @@ def time_optimal(path: JointPath, velocity: Any, acceleration: Any, places: int 
     single, (*_, k, n) = lengths.ndim == 1, (*lengths.shape, curve.shape[-1])
     if single:
         lengths, curve = lengths[None], curve[None]
-    limits = limits_of("time_optimal", velocity, acceleration, (len(lengths), n))
+    limited = _drives(chain, torque, power, gravity, n)
+    limits = limits_of("time_optimal", velocity, acceleration, (len(lengths), n), limited is not None)
     parts = max(LEAST, -(-as_count("time_optimal: places", places) // k))
     known = np.isfinite(lengths).all(axis=1) & np.isfinite(curve).all(axis=(1, 2, 3))
-    (squares,) = in_blocks(_fastest(parts), curve, lengths, *limits, double=True)
+    if limited is None:
+        (squares,) = in_blocks(_fastest(parts), curve, lengths, *limits, double=True)
+    else:
+        curve = np.where(known[:, None, None, None], curve, 0.0)
+        squares = _driven(limited, curve, np.where(known[:, None], lengths, 0.0), limits, parts)
     squares[~known] = np.nan
     since = lambda x: np.pad(np.cumsum(x, axis=1), ((0, 0), (1, 0)))
     speed = np.sqrt(np.pad(squares, ((0, 0), (1, 0))))
@@ -50,8 +71,39 @@ def time_optimal(path: JointPath, velocity: Any, acceleration: Any, places: int 
 
 
 @functools.cache
-def _fastest(parts: int) -> HostKernel:
-    return HostKernel(functools.partial(fastest, parts=parts), 4)
+def _fastest(parts: int, rows: int = 0) -> HostKernel:
+    return HostKernel(functools.partial(fastest, parts=parts), 4 + rows)
+
+
+def _drives(chain: Chain | None, torque: Any, power: Any, gravity: Any, n: int) -> torque_limits.Drives | None:
+    check_kind("time_optimal", "chain", chain, Chain, optional=True)
+    if chain is None:
+        if not (torque is None and power is None):
+            raise ValueError("time_optimal: torque and power are of a robot; write chain=")
+        return None
+    if chain.num_joints != n:
+        raise ValueError(f"time_optimal: a path of {n} joints, and {chain.name} has {chain.num_joints}")
+    return torque_limits.drives("time_optimal", chain, torque, power, gravity)
+
+
+def _driven(limits: torque_limits.Drives, curve: np.ndarray, lengths: np.ndarray, others: Any, parts: int) -> np.ndarray:
+    """(ds/dt)^2 at the ends of parts within limits of torque and power too; NaN where they do not allow to stand still."""
+    forces = torque_limits.forces(limits, curve, lengths, parts)
+    step = np.repeat(lengths / parts, parts, axis=1)
+
+    def fastest_within(most: torque_limits.Drives, at: np.ndarray | None) -> np.ndarray:
+        rows = torque_limits.rows(forces, most, at, step)
+        return in_blocks(_fastest(parts, 4), curve, lengths, *others, *rows, double=True)[0]
+
+    squares = fastest_within(limits, None)
+    for _ in range(torque_limits.TURNS):
+        before, most = squares, torque_limits.left(forces, limits, squares, step)
+        squares = fastest_within(most, squares if np.isfinite(limits.power).any() else None)
+        if np.allclose(squares, before, rtol=1e-3, atol=1e-12):
+            break
+    squares = squares * torque_limits.slowdown(forces, limits, squares, step)[:, None] ** 2
+    squares[~torque_limits.can_hold(forces, limits.torque)] = np.nan
+    return squares
 
 
 def _arrays(path: JointPath) -> tuple[np.ndarray, np.ndarray]:
@@ -67,10 +119,12 @@ def _arrays(path: JointPath) -> tuple[np.ndarray, np.ndarray]:
     return lengths, curve
 
 
-def limits_of(who: str, velocity: Any, acceleration: Any, shape: tuple[int, int]) -> tuple[np.ndarray, np.ndarray]:
+def limits_of(
+    who: str, velocity: Any, acceleration: Any, shape: tuple[int, int], driven: bool = False
+) -> tuple[np.ndarray, np.ndarray]:
     """Both in (N, n), each from one number, one a joint, or rows of these. Raises `ValueError` of `who`."""
     both = limit_of(who, "velocity", velocity, shape), limit_of(who, "acceleration", acceleration, shape)
-    if not np.isfinite(both[1]).all():
+    if not (driven or np.isfinite(both[1]).all()):
         raise ValueError(f"{who}: acceleration is infinite; give finite numbers [rad/s2, m/s2]")
     return both
 

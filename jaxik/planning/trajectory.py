@@ -110,7 +110,12 @@ def _within(xp: Any, path: Any, piece: Any, s: Any) -> Any:
     """Likewise, s being in that piece."""
     lengths = xp.asarray(path.lengths)
     c = xp.asarray(path.coefficients)[piece]
-    x = xp.clip(s - (xp.cumsum(lengths)[piece] - lengths[piece]), 0.0, lengths[piece])[..., None]
+    return along_pieces(c, xp.clip(s - (xp.cumsum(lengths)[piece] - lengths[piece]), 0.0, lengths[piece]))
+
+
+def along_pieces(c: Any, x: Any) -> Any:
+    """q, q' and q'' (..., n) of polynomials (..., p, n), the highest power first, at x (...)."""
+    x = x[..., None]
     q, slope, half_bend = c[..., 0, :], 0.0 * x, 0.0 * x
     for i in range(1, c.shape[-2]):  # Horner's scheme, and its derivatives
         half_bend = half_bend * x + slope

@@ -24,14 +24,12 @@ from collections.abc import Sequence
 from typing import Any, NamedTuple
 
 import jax
-import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float
 
 from jaxik.robot.chain import Array, Body, Chain, as_configuration, as_shaped
 from jaxik.robot.kinematics import joint_frames
 from jaxik.spatial.algebra import (
-    BASE,
     IDENTITY,
     ZERO,
     Frame,

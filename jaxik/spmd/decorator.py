@@ -102,8 +102,20 @@ def kernel(function: Callable[..., Any] | None = None, *, models: int = 0) -> An
 
 def _by_position(function: Callable[..., Any], args: tuple[Any, ...], named: dict[str, Any]) -> tuple[Any, ...]:
     """The arguments without names. Raises `TypeError` for one that goes by its name alone."""
-    bound = inspect.signature(function).bind(*args, **named)
-    if bound.kwargs:
-        who, names = getattr(function, "__name__", "a function"), ", ".join(bound.kwargs)
+    signature = inspect.signature(function)
+    bound = signature.bind(*args, **named)
+    kinds = [parameter.kind for parameter in signature.parameters.values()]
+    alone = [name for name in named if name not in signature.parameters or kinds[_place(signature, name)] not in _PLACED]
+    if alone:
+        who, names = getattr(function, "__name__", "a function"), ", ".join(alone)
         raise TypeError(f"{who}: a kernel has no arguments that go by name alone, as {names}; drop the * before them")
-    return bound.args
+    last = max(len(args), 1 + max(_place(signature, name) for name in named))
+    bound.apply_defaults()  # of those before the last that is given; what follows is the function's own
+    return bound.args[:last]
+
+
+_PLACED = (inspect.Parameter.POSITIONAL_ONLY, inspect.Parameter.POSITIONAL_OR_KEYWORD)
+
+
+def _place(signature: inspect.Signature, name: str) -> int:
+    return list(signature.parameters).index(name)

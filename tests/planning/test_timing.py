@@ -10,8 +10,10 @@ import toppra.algorithm
 import toppra.constraint
 from scipy.interpolate import CubicSpline
 
+import jaxik
 from jaxik.planning import JointPath, polyline, save_trajectory, spline, time_optimal
 from jaxik.planning.trajectory import padded
+from jaxik.robot.dynamics import inverse_dynamics
 
 VELOCITY = np.array([1.0, 2.0, 0.5, 1.5, 3.0])
 ACCELERATION = np.array([4.0, 2.0, 6.0, 8.0, 3.0])
@@ -179,3 +181,59 @@ def test_files_hold_what_was_sampled(tmp_path):
     for file, given, said in (("x.txt", names, "allowed endings"), ("x.csv", names[:2], "2 joint_names of 3 joints")):
         with pytest.raises(ValueError, match=said):
             save_trajectory(tmp_path / file, moved, 0.03, given)
+
+
+def _torques(chain, moved):
+    _, state = _dense(moved, between=7)
+    with jax.enable_x64(True):
+        return np.asarray(jax.jit(jax.vmap(lambda *x: inverse_dynamics(chain, *x)))(*state)), state.velocity
+
+
+def test_within_torque_as_fast_as_toppra():
+    """Which meets its limits at its grid alone."""
+    chain, torque = jaxik.load("crops_v2"), np.array([700.0, 120.0, 120.0, 60.0, 30.0, 20.0, 8.0, 8.0, 4.0])
+    points = np.random.default_rng(0).uniform(-0.8, 0.8, (2, 5, 9)) + 0.4 * np.eye(9)[0]
+    velocity = np.full(9, 5.0)
+    moved = time_optimal(_stacked([spline(w) for w in points]), velocity, np.inf, chain=chain, torque=torque)
+    weak = time_optimal(spline(points[0]), velocity, 4.0, chain=chain, torque=torque, power=0.5 * torque)
+    with jax.enable_x64(True):
+        inverse = jax.jit(lambda q, v, a: inverse_dynamics(chain, q, v, a))
+        for i, waypoints in enumerate(points):
+            knots = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(waypoints, axis=0), axis=1))])
+            scheme = toppra.constraint.DiscretizationType.Interpolation
+            both = lambda limit: np.stack([-limit, limit], axis=1)
+            limits = [
+                toppra.constraint.JointVelocityConstraint(both(velocity)),
+                toppra.constraint.JointTorqueConstraint(
+                    lambda *x: np.asarray(inverse(*x)), both(torque), np.zeros(9), discretization_scheme=scheme
+                ),
+            ]
+            path, grid = toppra.SplineInterpolator(knots, waypoints, bc_type="natural"), np.linspace(0.0, knots[-1], 301)
+            theirs = toppra.algorithm.TOPPRA(limits, path, gridpoints=grid, solver_wrapper="seidel").compute_trajectory(0, 0)
+            assert -2e-3 < moved.duration[i] / theirs.duration - 1.0 < 0.01
+    for each in (_row(moved, 0), _row(moved, 1), weak):
+        found, rate = _torques(chain, each)
+        assert (np.abs(found) <= (1.0 + 1e-9) * torque).all()
+    assert 0.999 < (np.abs(found * rate) / (0.5 * torque)).max() <= 1.0 + 1e-9
+
+
+def test_constant_power_on_a_slide():
+    """A mass on a level slide: v^2 = 2 P t / m up to half of the way, and as long again."""
+    chain = jaxik.load("crops_v2").part(0, 1)
+    mass, power, length = float(chain.bodies[0].mass), 50.0, 0.8
+    level = np.eye(4)
+    level[:3, :3] = [[0.0, 0.0, 1.0], [1.0, 0.0, 0.0], [0.0, 1.0, 0.0]]  # the slide's z is the world's x
+    moved = time_optimal(polyline([[0.1], [0.1 + length]]), 10.0, np.inf, 2000, chain=chain.mounted(level), power=power)
+    half = (0.75 * length / np.sqrt(2.0 * power / mass)) ** (2.0 / 3.0)
+    assert 1.0 <= moved.duration / (2.0 * half) < 1.012  # the force is without end at first
+    assert np.isnan(time_optimal(polyline([[0.1], [0.9]]), 1.0, 1.0, chain=chain.mounted(np.eye(4)), torque=100.0).duration)
+
+
+def test_torque_limits_that_are_none():
+    chain, path = jaxik.load("crops_v2"), polyline(np.eye(9)[:2])
+    with pytest.raises(ValueError, match="time_optimal: torque of shape \\(3,\\); allowed: one number or \\(9,\\), above zero"):
+        time_optimal(path, 1.0, 1.0, chain=chain, torque=np.ones(3))
+    with pytest.raises(ValueError, match="time_optimal: torque and power are of a robot; write chain="):
+        time_optimal(path, 1.0, 1.0, power=3.0)
+    with pytest.raises(ValueError, match="time_optimal: a path of 2 joints, and crops_v2 has 9"):
+        time_optimal(polyline([[0.0, 0.0], [1.0, 1.0]]), 1.0, 1.0, chain=chain, torque=1.0)

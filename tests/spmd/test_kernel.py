@@ -142,6 +142,8 @@ def test_arguments_by_name():
     close(jax.jit(KERNEL)(lengths=LENGTHS[0], q=Q[0]), KERNEL(Q[0], LENGTHS[0]))
     with pytest.raises(TypeError, match="missing a required argument: 'q'"):
         KERNEL(lengths=LENGTHS[0])
+    shifted = spmd.kernel(lambda q, by=2.0, to=None, less=0.0: q * by - less if to is None else to)
+    close(shifted(Q[0], less=1.0), 2.0 * jnp.asarray(Q[0]) - 1.0)
     scaled = spmd.kernel(lambda q, *, by: q * by)
     with pytest.raises(TypeError, match="go by name alone, as by;"):
         scaled(Q[0], by=2.0)

@@ -1,0 +1,170 @@
+"""What limits of torque and power leave of the speed along a path.
+
+Along q(s), with x = (ds/dt)^2 and u = d2s/dt2, the drives give
+
+    tau = (M q') u + (M q'' + b(q, q')) x + g(q)
+
+which is linear in x and u. A limit of power, |tau| <= P / |q'| sqrt(x), is convex in x: its tangent at any x is a limit that is
+linear, and never above it. So each turn keeps it, and is no slower than the one before, whose x it touches. Between the places
+where the speed is chosen torques are measured at `WITHIN` more, with room for what is between these; and what a limit is
+missed by at last is mended by driving all of the path slower.
+"""
+
+from __future__ import annotations
+
+from typing import Any, NamedTuple
+
+import jax.numpy as jnp
+import numpy as np
+
+from jaxik.checks.arrays import numbers
+from jaxik.planning.trajectory import along_pieces
+from jaxik.robot.chain import Chain
+from jaxik.robot.dynamics import inverse_dynamics
+from jaxik.spmd.batch import in_blocks
+from jaxik.spmd.host import host_kernels
+
+WITHIN = np.array([0.0, 0.25, 0.5, 0.75, 1.0])  # of a part, where torques are measured
+TURNS = 8  # in which limits settle
+HOLDING = 1.3  # by how much a tangent's limit of torque at rest is above what holds the arm
+SLOWER = 1.0 - np.linspace(0.0, 1.0, 400) ** 3  # shares of the speed
+
+
+class Drives(NamedTuple):
+    """A robot in gravity [m/s2, world axes], and the limits of its joints' torque [Nm, N] and power [W], (n,) or more."""
+
+    chain: Chain
+    torque: np.ndarray
+    power: np.ndarray
+    gravity: np.ndarray
+
+
+class Forces(NamedTuple):
+    """Of each part of a path at the moments `WITHIN` of it: tau = by_change u + by_square x + still, and q', each
+    (N, parts, w, n)."""
+
+    by_change: np.ndarray
+    by_square: np.ndarray
+    still: np.ndarray
+    slope: np.ndarray
+
+
+def drives(who: str, chain: Chain, torque: Any, power: Any, gravity: Any) -> Drives:
+    """Raises `ValueError` of `who` for limits that are not above zero, or of another shape."""
+    n, limits = chain.num_joints, []
+    for name, given, unit in (("torque", torque, "[Nm, N]"), ("power", power, "[W]")):
+        limit = numbers(f"{who}: {name}", np.inf if given is None else given)
+        if limit.shape not in ((), (n,)) or not (limit > 0.0).all():
+            raise ValueError(f"{who}: {name} of shape {limit.shape}; allowed: one number or ({n},), above zero {unit}")
+        limits.append(np.broadcast_to(limit, (n,)))
+    most, strongest = limits
+    return Drives(chain, most, strongest, np.broadcast_to(numbers(f"{who}: gravity", gravity), (3,)))
+
+
+def forces(drives: Drives, curve: np.ndarray, lengths: np.ndarray, parts: int) -> Forces:
+    """Along pieces (N, k, 4, n), each cut into so many parts."""
+    count, k, _, n = curve.shape
+    share = (np.arange(parts)[:, None] + WITHIN) / parts
+    s = lengths[:, :, None, None] * share
+    q, slope, bend = (x.reshape(-1, n) for x in along_pieces(curve[:, :, None, None], s))
+    found = in_blocks(_forces(drives.chain), q, slope, bend, fixed=(drives.gravity,), double=True)
+    return Forces(*(x.reshape(count, k * parts, len(WITHIN), n) for x in (*found, slope)))
+
+
+@host_kernels(3)
+def _forces(chain: Chain, q: Any, slope: Any, bend: Any, gravity: Any) -> Any:
+    none, still = jnp.zeros_like(q), jnp.zeros(3, q.dtype)
+    return (
+        inverse_dynamics(chain, q, none, slope, gravity=still),
+        inverse_dynamics(chain, q, slope, bend, gravity=still),
+        inverse_dynamics(chain, q, none, none, gravity=gravity),
+    )
+
+
+def rows(given: Forces, most: Drives, squares: np.ndarray | None, step: np.ndarray) -> tuple[np.ndarray, ...]:
+    """Limits (N, parts, n) at both ends of each part, of length `step` (N, parts), for `time_scaling.fastest`; those of power
+    by their tangents at (ds/dt)^2 (N, parts) at the ends of parts, where these are given."""
+    whole = np.where(np.isfinite(most.torque), most.torque, 1.0)
+    parts = [_row(given, end, step, whole, 0.0, -most.torque, most.torque) for end in (0, -1)]
+    if squares is not None:
+        for end in (0, -1):
+            torque, fall = _tangent(given, most.power, squares, end)
+            parts.append(_row(given, end, step, whole, fall, np.full_like(torque, -np.inf), torque))
+            parts.append(_row(given, end, step, whole, -fall, -torque, np.full_like(torque, np.inf)))
+    return tuple(np.concatenate(each, axis=2) for each in zip(*parts, strict=True))
+
+
+def _row(
+    given: Forces, end: int, step: np.ndarray, scale: np.ndarray, fall: Any, low: np.ndarray, high: np.ndarray
+) -> tuple[np.ndarray, ...]:
+    """`low <= tau + fall x <= high` at an end of each part, by u and x at its beginning, in units of `scale`."""
+    by_change, by_square, still = (x[:, :, end] for x in given[:3])
+    by_square = by_square + fall
+    if end:
+        by_change = by_change + 2.0 * step[..., None] * by_square
+    return by_change / scale, by_square / scale, (low - still) / scale, (high - still) / scale
+
+
+def _tangent(given: Forces, power: np.ndarray, squares: np.ndarray, end: int) -> tuple[np.ndarray, np.ndarray]:
+    """Of the torque that power leaves, its tangent at no speed, and by how much it falls with (ds/dt)^2."""
+    rate, hold = np.abs(given.slope[:, :, end]), np.abs(given.still[:, :, end])
+    with np.errstate(divide="ignore", invalid="ignore"):
+        most = (1.5 * power / (HOLDING * hold * rate)) ** 2  # where the tangent is as high at rest
+        at = np.maximum(squares if end else _before(squares), 1e-4 * squares.max(axis=1, keepdims=True))
+        at = np.minimum(most, at[..., None])
+        torque = power / (rate * np.sqrt(at))
+        fall = 0.5 * torque / at
+    free = ~np.isfinite(torque) | ~np.isfinite(fall)
+    return np.where(free, np.inf, 1.5 * torque), np.where(free, 0.0, fall)
+
+
+def _before(squares: np.ndarray) -> np.ndarray:
+    return np.pad(squares, ((0, 0), (1, 0)))[:, :-1]
+
+
+def can_hold(given: Forces, torque: np.ndarray) -> np.ndarray:
+    """(N,): whether the drives hold the arm at rest all along."""
+    return (np.abs(given.still) < torque).all(axis=(1, 2, 3))
+
+
+def measured(given: Forces, squares: np.ndarray, step: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Torques but for `still`, and rates, with (ds/dt)^2 (N, parts) at the ends of parts: both (N, parts, w, n)."""
+    before = _before(squares)
+    with np.errstate(divide="ignore", invalid="ignore"):
+        u = np.where(step > 0.0, (squares - before) / (2.0 * step), 0.0)[:, :, None, None]
+    x = (before[..., None] + (squares - before)[..., None] * WITHIN)[..., None]
+    return given.by_change * u + given.by_square * x, given.slope * np.sqrt(np.maximum(x, 0.0))
+
+
+def left(given: Forces, limits: Drives, squares: np.ndarray, step: np.ndarray) -> Drives:
+    """The limits (N, parts, n) that the ends of parts may have, so that those hold between them, if they are driven about so
+    fast."""
+    moving, rate = measured(given, squares, step)
+    total = moving + given.still
+    torque = np.maximum(limits.torque - _beyond(total), 1.001 * np.abs(given.still).max(axis=2) + 1e-9)
+    return limits._replace(torque=torque, power=np.maximum(limits.power - _beyond(total * rate), 0.5 * limits.power))
+
+
+def _beyond(values: np.ndarray) -> np.ndarray:
+    """By how much (N, parts, n) values (N, parts, w, n), and what is between them, are above those at both ends."""
+    size = np.abs(values)
+    return np.maximum(size.max(axis=2) - np.maximum(size[:, :, 0], size[:, :, -1]), 0.0) + _bend(values)
+
+
+def _bend(values: np.ndarray) -> np.ndarray:
+    """By how much (N, parts, n) a curve may be off its chords."""
+    return np.abs(np.diff(values, 2, axis=2)).max(axis=2) / 8.0
+
+
+def slowdown(given: Forces, limits: Drives, squares: np.ndarray, step: np.ndarray) -> np.ndarray:
+    """(N,): the share of its speed at which each motion keeps the limits; what accelerates falls with its square."""
+    moving, rate = measured(given, squares, step)
+    share = np.ones(len(squares))
+    for i in range(len(share)):
+        for y in SLOWER:
+            torque = moving[i] * y**2 + given.still[i]
+            used = [np.abs(x).max(axis=1) + _bend(x[None])[0] for x in (torque, torque * rate[i] * y)]
+            if all((x <= most).all() for x, most in zip(used, (limits.torque, limits.power), strict=True)):
+                share[i] = y
+                break
+    return share
