@@ -1,4 +1,4 @@
-"""The commands: `jaxik harvest`, `jaxik ik`, `jaxik plan`, `jaxik sweep`, `jaxik fit`, `jaxik view`."""
+"""The commands: `jaxik harvest`, `jaxik ik`, `jaxik plan`, `jaxik dynamics`, `jaxik sweep`, `jaxik fit`, `jaxik view`."""
 
 from __future__ import annotations
 
@@ -12,6 +12,7 @@ from typing import Annotated, Any, Union
 import tyro
 
 import jaxik
+from jaxik.cli.dynamics import DynamicsArguments
 from jaxik.cli.fit import FitArguments
 from jaxik.cli.harvest import HarvestArguments
 from jaxik.cli.ik import IKArguments
@@ -33,6 +34,7 @@ COMMANDS = {
     "harvest": HarvestArguments,
     "ik": IKArguments,
     "plan": PlanArguments,
+    "dynamics": DynamicsArguments,
     "sweep": SweepArguments,
     "fit": FitArguments,
     "view": ViewArguments,

@@ -5,7 +5,7 @@ from jaxik.planning.planner import Planned, PlannedMotions, PlanOptions, plan_mo
 from jaxik.planning.profiles import quintic, s_curve, trapezoidal
 from jaxik.planning.timing import time_optimal
 from jaxik.planning.trajectory import JointPath, JointState, Trajectory, polyline, spline
-from jaxik.planning.trajectory_files import save_trajectory
+from jaxik.planning.trajectory_files import load_trajectory, save_trajectory
 from jaxik.planning.trajectory_optimiser import OptimisedTrajectory, TrajectoryOptions, optimise_trajectory
 from jaxik.planning.trajectory_sensitivity import trajectory_cost
 
@@ -20,6 +20,7 @@ __all__ = [
     "PlannedMotions",
     "Trajectory",
     "TrajectoryOptions",
+    "load_trajectory",
     "optimise_trajectory",
     "plan_motion",
     "plan_motions",

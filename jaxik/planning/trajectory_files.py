@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import csv
+import itertools
 import json
 from collections.abc import Mapping, Sequence
 from pathlib import Path
@@ -34,6 +35,61 @@ def save_trajectory(file: str | Path, trajectory: Trajectory, period: float, joi
     else:
         file.write_text(json.dumps({"joint_names": names, "points": joint_points(time, state)}))
     return file
+
+
+def load_trajectory(file: str | Path, joint_names: Sequence[str]) -> tuple[np.ndarray, JointState]:
+    """Times (i,) [s] and states (i, n) of a file as `save_trajectory` writes it, its joints in the order of `joint_names`.
+    Rates or accelerations that the file lacks are those of a cubic spline through what it has. Host.
+
+    Raises `ValueError` for another ending, a joint that is not in it, times that do not grow, and what is no finite number.
+    """
+    file, names = check_ending("load_trajectory", file), list(joint_names)
+    try:
+        time, found = _READERS[file.suffix](file, names)
+    except (KeyError, TypeError, json.JSONDecodeError) as error:
+        raise ValueError(f"{file}: no {error.args[0]}; it has time, and q of {', '.join(names)}") from None
+    kinds = JointState._fields
+    if not (len(time) >= 2 and (np.diff(time) > 0.0).all() and all(np.isfinite(x).all() for x in (time, *found.values()))):
+        raise ValueError(f"{file}: {len(time)} samples; there are two or more finite ones, at times [s] that grow")
+    for before, kind in itertools.pairwise(kinds):
+        if kind not in found:
+            from scipy.interpolate import CubicSpline
+
+            found[kind] = CubicSpline(time, found[before]).derivative()(time)
+    return time, JointState(*(found[kind] for kind in kinds))
+
+
+def _read_npz(file: Path, names: list[str]) -> tuple[np.ndarray, dict[str, np.ndarray]]:
+    with np.load(file) as read:
+        order = _order([str(name) for name in read["joint_names"]], names)
+        return read["time"], {kind: read[kind][:, order] for kind in JointState._fields if kind in read}
+
+
+def _read_csv(file: Path, names: list[str]) -> tuple[np.ndarray, dict[str, np.ndarray]]:
+    with file.open(newline="", encoding="utf-8") as read:
+        header, *rows = csv.reader(read)
+    columns = dict(zip(header, zip(*rows, strict=True), strict=True))
+    numbers = lambda name: np.array(columns[name], float)
+    there = [kind for kind in JointState._fields if kind == "q" or f"{kind}_{names[0]}" in columns]
+    return numbers("time"), {kind: np.stack([numbers(f"{kind}_{name}") for name in names], axis=1) for kind in there}
+
+
+def _read_json(file: Path, names: list[str]) -> tuple[np.ndarray, dict[str, np.ndarray]]:
+    read = json.loads(file.read_text())
+    order, points = _order(read["joint_names"], names), read["points"]
+    time = [p["time_from_start"]["sec"] + 1e-9 * p["time_from_start"]["nanosec"] for p in points]
+    kinds = zip(JointState._fields, ("positions", "velocities", "accelerations"), strict=True)
+    found = {kind: np.array([p[name] for p in points], float)[:, order] for kind, name in kinds if points and name in points[0]}
+    return np.array(time), found
+
+
+def _order(there: list[str], names: list[str]) -> list[int]:
+    if absent := [name for name in names if name not in there]:
+        raise KeyError(f"joint {absent[0]}")
+    return [there.index(name) for name in names]
+
+
+_READERS = {".npz": _read_npz, ".csv": _read_csv, ".json": _read_json}
 
 
 def check_ending(who: str, file: str | Path) -> Path:
