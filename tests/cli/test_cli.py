@@ -476,3 +476,23 @@ def test_a_motion_is_planned_and_written(tmp_path, monkeypatch, capsys):
             call(monkeypatch, "plan", "planar2", *ends, "--velocity", 1, *more)
         line = capsys.readouterr().err.strip().splitlines()[-1]
         assert left.value.code == 2 and words in line
+
+
+def test_the_torques_of_a_motion(tmp_path, monkeypatch, capsys):
+    chain, time = jaxik.load("crops_v2"), np.linspace(0.0, 1.0, 21)
+    way = 0.3 * np.sin(time[:, None] * np.arange(1, 10))  # positions alone: the rest is a spline's
+    header = ",".join(["time", *(f"q_{name}" for name in reversed(chain.joint_names))])
+    np.savetxt(tmp_path / "log.csv", np.column_stack([time, way[:, ::-1]]), header=header, comments="", delimiter=",")
+    monkeypatch.chdir(tmp_path)
+    call(monkeypatch, "dynamics", "crops_v2", "log.csv", "--load", 2, "--plot", "torques.png")
+    printed = capsys.readouterr().out
+    assert "21 samples, 1.00 s" in printed and "wrote torques.csv" in printed
+    assert (tmp_path / "torques.png").stat().st_size > 10000
+    table = np.genfromtxt("torques.csv", delimiter=",", names=True)
+    lifted = (sum(float(body.mass) for body in chain.bodies) + 2.0) * 9.81
+    np.testing.assert_allclose(table["gravity_joint1"], lifted, rtol=1e-9)
+    np.testing.assert_allclose(table["power_joint1"], table["torque_joint1"] * 0.3 * np.cos(time), atol=0.05)
+    for file, words in (("motion.txt", "motion.txt; allowed endings: .csv, .npz, .json"), ("log.csv", "no q_q1; it has time")):
+        with pytest.raises(SystemExit):
+            call(monkeypatch, "dynamics", "planar2", file)
+        assert words in capsys.readouterr().err.strip().splitlines()[-1]

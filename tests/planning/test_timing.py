@@ -11,7 +11,7 @@ import toppra.constraint
 from scipy.interpolate import CubicSpline
 
 import jaxik
-from jaxik.planning import JointPath, polyline, save_trajectory, spline, time_optimal
+from jaxik.planning import JointPath, load_trajectory, polyline, save_trajectory, spline, time_optimal
 from jaxik.planning.trajectory import padded
 from jaxik.robot.dynamics import inverse_dynamics
 
@@ -181,6 +181,12 @@ def test_files_hold_what_was_sampled(tmp_path):
     for file, given, said in (("x.txt", names, "allowed endings"), ("x.csv", names[:2], "2 joint_names of 3 joints")):
         with pytest.raises(ValueError, match=said):
             save_trajectory(tmp_path / file, moved, 0.03, given)
+    for file in ("x.csv", "x.npz", "x.json"):
+        time, state = load_trajectory(tmp_path / file, names[::-1])
+        for ours, theirs in zip((time, *state), (held["time"], *(held[k][:, ::-1] for k in state._fields)), strict=True):
+            np.testing.assert_allclose(ours, theirs, atol=1e-9)
+        with pytest.raises(ValueError, match=f"{file}: no .*z; it has time, and q of z"):
+            load_trajectory(tmp_path / file, ["z"])
 
 
 def _torques(chain, moved):
