@@ -1,0 +1,128 @@
+"""Estimators of external torque over samples: one at a time in a control loop, whole logs at once.
+
+An estimator has three traced methods. `sense` turns a sample into what its filter needs: the robot's model, and all the work;
+`init` begins, and `advance` is the filter, whose state's `external` (n,) is the estimate. So a log is sensed in lanes, all
+samples together, and filtered in one `lax.scan`; in a loop both are one kernel.
+"""
+
+from __future__ import annotations
+
+import functools
+from typing import Any, NamedTuple, Protocol
+
+import jax
+import numpy as np
+from jaxtyping import Float
+
+from jaxik.checks.arrays import numbers
+from jaxik.robot.chain import Array, Chain
+from jaxik.spmd import HostKernel
+
+
+class Sample(NamedTuple):
+    """What is known at one moment, each (n,); of a log (t, n), of logs (..., t, n). Joint values, rates, accelerations [rad, m,
+    s], motor currents [A], and torsions of the gears [rad], output against motor."""
+
+    q: Float[Array, "*log n"]
+    qdot: Float[Array, "*log n"]
+    qddot: Float[Array, "*log n"]
+    current: Float[Array, "*log n"]
+    torsion: Float[Array, "*log n"]
+
+
+class Estimator(Protocol):
+    """What `estimate` and `EstimationLoop` take."""
+
+    @property
+    def chain(self) -> Chain: ...
+
+    def sense(self, sample: Sample) -> Any: ...
+
+    def init(self, sensed: Any) -> Any: ...
+
+    def advance(self, state: Any, sensed: Any) -> Any: ...
+
+
+def over_log(estimator: Estimator, sensed: Any) -> Float[jax.Array, "t n"]:
+    """The external torques (t, n) [Nm] of a log that is sensed, its leaves (t, ...). Traced; `vmap` it over logs."""
+
+    def step(state: Any, now: Any) -> tuple[Any, Any]:
+        state = estimator.advance(state, now)
+        return state, state.external
+
+    return jax.lax.scan(step, estimator.init(jax.tree_util.tree_map(lambda x: x[0], sensed)), sensed)[1]
+
+
+def estimate(estimator: Estimator, log: Sample) -> Float[np.ndarray, "*log n"]:
+    """The external torques (..., t, n) [Nm] of a log, or of many of one length, in float64. Host driver.
+
+    Raises `ValueError` for shapes that do not fit, and says where the first number is that is not finite.
+    """
+    arrays = _checked(estimator, log)
+    *many, t, n = arrays.q.shape
+    with jax.enable_x64(True):
+        sense = _kernels(estimator)(lambda *rows: estimator.sense(Sample(*rows)))
+        leaves = sense(*(x.reshape(-1, n) for x in arrays))
+        tree = jax.tree_util.tree_structure(jax.eval_shape(estimator.sense, Sample(*(x.reshape(-1, n)[0] for x in arrays))))
+        sensed = jax.tree_util.tree_unflatten(tree, [x.reshape(-1, t, *x.shape[1:]) for x in leaves])
+        return np.asarray(_over_logs(estimator, sensed)).reshape(*many, t, n)
+
+
+@functools.partial(jax.jit, static_argnums=0)
+def _over_logs(estimator: Estimator, sensed: Any) -> Any:
+    return jax.vmap(functools.partial(over_log, estimator))(sensed)
+
+
+def _checked(estimator: Estimator, log: Sample) -> Sample:
+    n = estimator.chain.num_joints
+    arrays = Sample(*(numbers(f"estimate: {name}", x) for name, x in log._asdict().items()))
+    for name, x in arrays._asdict().items():
+        if x.shape != arrays.q.shape or x.ndim < 2 or x.shape[-1] != n or not x.size:
+            raise ValueError(f"estimate: {name} of shape {x.shape}, q of {arrays.q.shape}; allowed: all (..., t, {n}), t > 0")
+        bad = ~np.isfinite(x)
+        if bad.any():
+            *_, sample, joint = (int(i) for i in np.argwhere(bad)[0])
+            raise ValueError(f"estimate: {name} holds {x[bad][0]} at sample {sample}, joint {joint}; cut it out of the log")
+    return arrays
+
+
+class EstimationLoop:
+    """An estimator in a control loop: NumPy in, NumPy out, one kernel a step, in float64. Host.
+
+        loop = EstimationLoop(estimator)
+        state = loop.start(sample)  # compiles
+        while True:
+            state = loop.step(state, sample)  # state.external (n,) [Nm]
+    """
+
+    def __init__(self, estimator: Estimator):
+        self.estimator = estimator
+        self._start = HostKernel(lambda *rows: estimator.init(estimator.sense(Sample(*rows))), len(Sample._fields))
+
+    def start(self, sample: Sample) -> Any:
+        """The state before the first step, which is compiled here. Raises `ValueError` for numbers that do not fit."""
+        _checked(self.estimator, Sample(*(np.asarray(x)[None] for x in sample)))
+        rows = [np.asarray(x, np.float64)[None] for x in sample]
+        with jax.enable_x64(True):
+            begun = jax.eval_shape(lambda *rows: self.estimator.init(self.estimator.sense(Sample(*rows))), *(x[0] for x in rows))
+            self._tree = jax.tree_util.tree_structure(begun)
+            leaves = self._start(*rows)
+        count = self._tree.num_leaves
+        self._step = HostKernel(functools.partial(self._advance, count), count + len(rows))
+        state = jax.tree_util.tree_unflatten(self._tree, [x[0] for x in leaves])
+        self.step(state, sample)
+        return state
+
+    def _advance(self, count: int, *rows: Any) -> Any:
+        state = jax.tree_util.tree_unflatten(self._tree, rows[:count])
+        return self.estimator.advance(state, self.estimator.sense(Sample(*rows[count:])))
+
+    def step(self, state: Any, sample: Sample) -> Any:
+        """The state after a sample; the given one stays as it is. Raises `ValueError` for numbers that are not finite."""
+        rows = [np.asarray(x, np.float64)[None] for x in (*jax.tree_util.tree_leaves(state), *sample)]
+        leaves = self._step.run(*rows, double=True)
+        after = jax.tree_util.tree_unflatten(self._tree, [x[0] for x in leaves])
+        if not np.isfinite(after.external).all():
+            _checked(self.estimator, Sample(*(np.asarray(x)[None] for x in sample)))
+            raise ValueError("estimation loop: the estimate is no number any more; start again")
+        return after
