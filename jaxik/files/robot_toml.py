@@ -236,6 +236,7 @@ def _joint(table: Table, convention: str) -> tuple[list[Joint], Link]:
         least, most = (-np.inf, np.inf) if kind == "continuous" else (None, None)
         joint.lower, joint.upper = table.number("lower", unit, least), table.number("upper", unit, most)
         joint.velocity = table.number("velocity", unit, np.inf)
+        joint.armature = float(table.finite("armature", (), 0.0, "plain" if kind == "prismatic" else "inertia", 0.0))
     link = _inertia(table)
     if after is None:
         return [joint], link

@@ -92,7 +92,8 @@ class Chain(Constant):
     `parent_T_joint[i]` is the frame of joint i at q_i = 0 in the (moved) frame of joint i-1, the base frame for i = 0.
     `link_joint[l]` counts the movable joints between the base and link l: its frame is `link_offset[l]` in that joint's.
     `self_pairs` are the links to check against each other, `ignored` links with the object of a scene ("*": any) not to check,
-    `pair_tables` what is known of pairs beside their volumes.
+    `pair_tables` what is known of pairs beside their volumes. `armature` is the inertia of each joint's rotor at the joint, after
+    its gears [kg m2, kg]; 0 unless given.
     """
 
     # not in the instance's dictionary, which copies and pickles take over
@@ -119,6 +120,12 @@ class Chain(Constant):
     unread_meshes: tuple[str, ...] = static(default=())
     ignored: tuple[tuple[int, str], ...] = static(default=())
     pair_tables: tuple[PairTable, ...] = static(default=())
+    armature: Float[Array, " n"] = dataclasses.field(default_factory=lambda: np.zeros(0))
+
+    def __post_init__(self) -> None:
+        if self.num_joints and np.shape(self.armature) == (0,):
+            vars(self)["armature"] = np.zeros(self.num_joints)
+        super().__post_init__()
 
     @property
     def num_joints(self) -> int:
@@ -225,7 +232,7 @@ class Chain(Constant):
 
 
 # what a chain has of each joint
-_OF_JOINTS = ("joint_names", "joint_types", "parent_T_joint", "axis", "lower", "upper", "velocity", "bodies")
+_OF_JOINTS = ("joint_names", "joint_types", "parent_T_joint", "axis", "lower", "upper", "velocity", "bodies", "armature")
 
 
 def hashed(words: object, arrays: Iterable[Any]) -> str:
