@@ -17,6 +17,7 @@ from jaxtyping import Float
 from jaxik.checks.arrays import numbers
 from jaxik.robot.chain import Array, Chain
 from jaxik.spmd import HostKernel
+from jaxik.spmd.host import host_kernels
 
 
 class Sample(NamedTuple):
@@ -61,11 +62,16 @@ def estimate(estimator: Estimator, log: Sample) -> Float[np.ndarray, "*log n"]:
     arrays = _checked(estimator, log)
     *many, t, n = arrays.q.shape
     with jax.enable_x64(True):
-        sense = _kernels(estimator)(lambda *rows: estimator.sense(Sample(*rows)))
-        leaves = sense(*(x.reshape(-1, n) for x in arrays))
-        tree = jax.tree_util.tree_structure(jax.eval_shape(estimator.sense, Sample(*(x.reshape(-1, n)[0] for x in arrays))))
-        sensed = jax.tree_util.tree_unflatten(tree, [x.reshape(-1, t, *x.shape[1:]) for x in leaves])
+        rows = Sample(*(x.reshape(-1, n) for x in arrays))
+        tree = jax.tree_util.tree_structure(jax.eval_shape(estimator.sense, Sample(*(x[0] for x in rows))))
+        leaves = [x.reshape(-1, t, *x.shape[1:]) for x in _sense(estimator)(*rows)]
+        sensed = jax.tree_util.tree_unflatten(tree, leaves)
         return np.asarray(_over_logs(estimator, sensed)).reshape(*many, t, n)
+
+
+@host_kernels(len(Sample._fields))
+def _sense(estimator: Estimator, *rows: Any) -> Any:
+    return estimator.sense(Sample(*rows))
 
 
 @functools.partial(jax.jit, static_argnums=0)
