@@ -122,4 +122,6 @@ def _pair(who: str, external: Any, qdot: Any) -> tuple[np.ndarray, np.ndarray]:
     external, qdot = numbers(f"{who}: external", external), numbers(f"{who}: qdot", qdot)
     if external.shape != qdot.shape or external.ndim < 2:
         raise ValueError(f"{who}: external of shape {external.shape}, qdot of {qdot.shape}; allowed: (..., t, n) both")
+    if not np.isfinite(external).all():
+        raise ValueError(f"{who}: external holds {external[~np.isfinite(external)][0]}; write finite numbers")
     return external, qdot

@@ -8,9 +8,12 @@ samples together, and filtered in one `lax.scan`; in a loop both are one kernel.
 from __future__ import annotations
 
 import functools
+import itertools
+import math
 from typing import Any, NamedTuple, Protocol
 
 import jax
+import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float
 
@@ -103,32 +106,48 @@ class EstimationLoop:
 
     def __init__(self, estimator: Estimator):
         self.estimator = estimator
-        self._start = HostKernel(lambda *rows: estimator.init(estimator.sense(Sample(*rows))), len(Sample._fields))
+        self._start = HostKernel(self._begin, 1)
+        self._step = HostKernel(self._advance, 2)
 
     def start(self, sample: Sample) -> Any:
         """The state before the first step, which is compiled here. Raises `ValueError` for numbers that do not fit."""
-        _checked(self.estimator, Sample(*(np.asarray(x)[None] for x in sample)))
-        rows = [np.asarray(x, np.float64)[None] for x in sample]
+        checked = _checked(self.estimator, Sample(*(np.asarray(x)[None] for x in sample)))
+        row = np.concatenate(checked, axis=1)
         with jax.enable_x64(True):
-            begun = jax.eval_shape(lambda *rows: self.estimator.init(self.estimator.sense(Sample(*rows))), *(x[0] for x in rows))
-            self._tree = jax.tree_util.tree_structure(begun)
-            leaves = self._start(*rows)
-        count = self._tree.num_leaves
-        self._step = HostKernel(functools.partial(self._advance, count), count + len(rows))
-        state = jax.tree_util.tree_unflatten(self._tree, [x[0] for x in leaves])
-        self.step(state, sample)
-        return state
-
-    def _advance(self, count: int, *rows: Any) -> Any:
-        state = jax.tree_util.tree_unflatten(self._tree, rows[:count])
-        return self.estimator.advance(state, self.estimator.sense(Sample(*rows[count:])))
+            begun = jax.eval_shape(lambda row: self.estimator.init(self.estimator.sense(self._sample(row))), row[0])
+            leaves, self._tree = jax.tree_util.tree_flatten(begun)
+            self._shapes = [x.shape for x in leaves]
+            (packed,) = self._start(row)
+            self._step(packed, row)
+        return self._unpacked(packed[0])
 
     def step(self, state: Any, sample: Sample) -> Any:
         """The state after a sample; the given one stays as it is. Raises `ValueError` for numbers that are not finite."""
-        rows = [np.asarray(x, np.float64)[None] for x in (*jax.tree_util.tree_leaves(state), *sample)]
-        leaves = self._step.run(*rows, double=True)
-        after = jax.tree_util.tree_unflatten(self._tree, [x[0] for x in leaves])
-        if not np.isfinite(after.external).all():
+        row = np.concatenate(sample, dtype=np.float64)[None]
+        packed = np.concatenate([x.ravel() for x in jax.tree_util.tree_leaves(state)])[None]
+        (packed,) = self._step.run(packed, row, double=True)
+        after = self._unpacked(packed[0])
+        if not math.isfinite(after.external.sum()):
             _checked(self.estimator, Sample(*(np.asarray(x)[None] for x in sample)))
             raise ValueError("estimation loop: the estimate is no number any more; start again")
         return after
+
+    # one row a sample and one a state: a kernel's call costs a microsecond for each array
+
+    def _sample(self, row: Any) -> Sample:
+        n = self.estimator.chain.num_joints
+        return Sample(*(row[i * n : (i + 1) * n] for i in range(len(Sample._fields))))
+
+    def _unpacked(self, packed: Any) -> Any:
+        ends = itertools.accumulate(math.prod(shape) for shape in self._shapes)
+        parts = (packed[end - math.prod(shape) : end].reshape(shape) for shape, end in zip(self._shapes, ends, strict=True))
+        return jax.tree_util.tree_unflatten(self._tree, parts)
+
+    def _packed(self, state: Any) -> Any:
+        return jnp.concatenate([x.ravel() for x in jax.tree_util.tree_leaves(state)])
+
+    def _begin(self, row: Any) -> Any:
+        return self._packed(self.estimator.init(self.estimator.sense(self._sample(row))))
+
+    def _advance(self, packed: Any, row: Any) -> Any:
+        return self._packed(self.estimator.advance(self._unpacked(packed), self.estimator.sense(self._sample(row))))

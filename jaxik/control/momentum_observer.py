@@ -75,7 +75,8 @@ class MomentumObserver:
 
     def init(self, sensed: Momentum) -> ObserverState:
         """As if nothing touched the arm. Traced."""
-        return ObserverState(*sensed, jnp.zeros_like(sensed.momentum))
+        # with this drive the first sample, which has none before it, tells nothing
+        return ObserverState(sensed.momentum, -sensed.drive, jnp.zeros_like(sensed.momentum))
 
     def advance(self, state: ObserverState, sensed: Momentum) -> ObserverState:
         """The next state. Traced."""

@@ -139,12 +139,17 @@ def play(
     range, and one that names the extra where MuJoCo is not installed.
     """
     mujoco = optional("play: a simulation", "mujoco", "mjcf")
-    check_finite("play", 1e-9, dt=dt)
+    check_finite("play", 1e-6, dt=dt)
     check_seed("play", seed)
     model = chain if model is None else model
     moved, pushes = mujoco_model(chain, dt), [_push(chain, contact) for contact in contacts]
+    for arm in (chain, model):
+        if not arm.drives:
+            raise ValueError(f"play: {arm.name} has no drives; use chain.with_drives")
     data = mujoco.MjData(moved)
     t, desired = _with_rests(trajectory, dt, rest)
+    if desired.q.shape[1] != chain.num_joints:
+        raise ValueError(f"play: the trajectory has {desired.q.shape[1]} joints; {chain.name} has {chain.num_joints}")
     forward, per_error, per_rate = _controller(model, desired, gains)
     of = lambda get: np.array([get(drive) for drive in chain.drives], float)
     gain, spring = of(lambda d: d.ratio * d.torque_constant), of(lambda d: d.spring_force)
