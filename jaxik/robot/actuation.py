@@ -9,16 +9,16 @@ A drive gives its joint in total, with the motor's speed N qdot and its current 
 
 where r is N for friction that is told at the motor's shaft, and 1 for such at the joint.
 
-- The load T_l of (3.13) and (3.14) is T, the joint's torque *behind* the gear: then the printed mu costs 1 to 52 % of it, as is
-  usual in such gears. With T / N in its place it would cost half a per cent at most.
+- The load T_l of (3.13) and (3.14) is T, the joint's torque *behind* the gear: then the printed mu costs 1 to 52 % of it, as
+  is usual in such gears. With T / N in its place it would cost half a per cent at most.
 - chi is told at the joint, up to 11 Nm; on the motor's shaft it counts chi / N.
 - The spring's force is counted in the direction in which the joint's value grows. As printed it would double the arm's weight.
-- T_S < T_0 in table 3.4: friction is lower at rest than soon after. It is printed so, and kept.
+- T_S < T_0 in table 3.4: friction is lower at rest than soon after; printed so, and kept.
 
-Given current and speed, T + B |T| = u with B linear in the friction's share of the load, so T is u / (1 + B sgn(u)) exactly.
+Given current and speed, T + B |T| = u, B being friction's share of the load, so T is u / (1 + B sgn(u)) exactly.
 
-With a `width` [rad/s, m/s] above 0, s is tanh(qdot / width), and chi rises no faster: then every function here is smooth in qdot,
-and friction still takes energy wherever it did.
+With a `width` [rad/s, m/s] above 0, s is tanh(qdot / width), and chi rises no faster: then every function here is smooth in
+qdot, and friction still takes energy wherever it did.
 """
 
 from __future__ import annotations
