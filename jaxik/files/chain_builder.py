@@ -18,6 +18,7 @@ from jaxik.robot.drive import Drive
 from jaxik.spatial.rotations import about, frame
 
 MAX_BYTES = 16 * 2**20  # of a robot or scene file; a mesh may have four times that
+COLUMNS = ("axis", "lower", "upper", "velocity", "armature")  # numbers of a joint that a chain has, too
 JOINT_TYPES = (*get_args(JointType), "fixed")
 
 
@@ -33,6 +34,7 @@ class Joint:
     lower: float = -np.inf
     upper: float = np.inf
     velocity: float = np.inf
+    armature: float = 0.0  # the rotor's inertia behind its gears [kg m2, kg]
     default: float = 0.0  # where it stands beside a chain [rad, m]
     drive: Drive | None = None
     mimic: tuple[str, Polynomial] | None = None  # the joint that drives it, and how its value follows
@@ -142,7 +144,7 @@ def assemble(
     names, (offsets, counts) = tuple(places), zip(*places.values(), strict=True)
     content = [links.get(name, Link()) for name in names]
     each = [*enumerate(zip(content, offsets, strict=True))]
-    stacked: dict[str, Any] = {k: np.array([getattr(j, k) for j in movable]) for k in ("axis", "lower", "upper", "velocity")}
+    stacked: dict[str, Any] = {k: np.array([getattr(j, k) for j in movable]) for k in COLUMNS}
     return Chain(
         name=name,
         joint_names=tuple(j.name for j in movable),
@@ -199,9 +201,10 @@ def checked(file: Path, joint: Joint) -> Joint:
         (norm < 1e-9, "the axis is zero", "write a unit vector such as 0 0 1"),
         # a rounded unit vector is made exact; anything else is more likely a slip
         (abs(norm - 1.0) > 1e-2, f"the axis has length {norm:.6g}, not 1", f"write {written}"),
-        *((np.isnan(getattr(joint, k)), f"limit '{k}' is NaN", "write a number") for k in ("lower", "upper", "velocity")),
+        *((np.isnan(getattr(joint, k)), f"'{k}' is NaN", "write a number") for k in COLUMNS[1:]),
         (joint.lower > joint.upper, f"lower limit {joint.lower:g} > upper {joint.upper:g}", "swap them"),
         (joint.velocity < 0.0, f"velocity limit {joint.velocity:g} < 0", "write a positive number"),
+        (not 0.0 <= joint.armature < np.inf, f"armature {joint.armature:g}", "write a finite number of at least 0"),
     ):
         if wrong:
             raise LoadError(file, joint.element, problem, mend)

@@ -108,6 +108,7 @@ def _body_joints(path: Path, model: Any, body: int, name: str, beside: bool = Fa
         reference = float(joint.qpos0[0])  # MuJoCo moves a joint by qpos - qpos0
         back = displacement(kind, axis, -reference) if reference else np.eye(4)
         run.append(Joint(label, kind, pending @ anchor @ back, f"{name}/{label}", axis, lower, upper, default=reference))
+        run[-1].armature = float(model.dof_armature[joint.dofadr[0]])
         run[-1].mimic = _law(model, coupled[i]) if i in coupled else None
         pending = np.linalg.inv(anchor)
     return [*run, Joint(f"{name}/fixed", "fixed", pending, name)]

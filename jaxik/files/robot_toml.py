@@ -239,6 +239,8 @@ def _joint(table: Table, convention: str) -> tuple[list[Joint], Link]:
         joint.lower, joint.upper = table.number("lower", unit, least), table.number("upper", unit, most)
         joint.velocity = table.number("velocity", unit, np.inf)
         joint.drive = read_drive(table)
+        rotor = 0.0 if joint.drive is None else joint.drive.armature
+        joint.armature = float(table.finite("armature", (), 0.0, "plain" if kind == "prismatic" else "inertia", rotor))
     link = _inertia(table)
     if after is None:
         return [joint], link

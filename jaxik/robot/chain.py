@@ -60,7 +60,8 @@ class Chain(Constant):
     `parent_T_joint[i]` is the frame of joint i at q_i = 0 in the (moved) frame of joint i-1, the base frame for i = 0.
     `link_joint[l]` counts the movable joints between the base and link l: its frame is `link_offset[l]` in that joint's.
     `self_pairs` are the links to check against each other, `ignored` links with the object of a scene ("*": any) not to check,
-    `pair_tables` what is known of pairs beside their volumes. `drives` has one a joint, or none at all.
+    `pair_tables` what is known of pairs beside their volumes. `armature` is the inertia of each joint's rotor at the joint,
+    after its gears [kg m2, kg]; 0 unless given. `drives` has one a joint, or none at all.
     """
 
     # not in the instance's dictionary, which copies and pickles take over
@@ -87,7 +88,13 @@ class Chain(Constant):
     unread_meshes: tuple[str, ...] = static(default=())
     ignored: tuple[tuple[int, str], ...] = static(default=())
     pair_tables: tuple[PairTable, ...] = static(default=())
+    armature: Float[Array, " n"] = dataclasses.field(default_factory=lambda: np.zeros(0))
     drives: tuple[Drive, ...] = ()
+
+    def __post_init__(self) -> None:
+        if self.num_joints and np.shape(self.armature) == (0,):
+            vars(self)["armature"] = np.zeros(self.num_joints)
+        super().__post_init__()
 
     @property
     def num_joints(self) -> int:
@@ -117,13 +124,18 @@ class Chain(Constant):
         return dataclasses.replace(self, joint_T_tip=self.joint_T_tip @ rigid_frame("tip_T_tool", tip_T_tool))
 
     def with_drives(self, drives: Iterable[Drive]) -> Chain:
-        """The same chain with these drives, one a joint, or without any. Raises `ValueError` for another number of them."""
+        """The same chain with these drives, one a joint, and their rotors as its armature; or without drives.
+
+        Raises `ValueError` for another number of them.
+        """
         drives = tuple(drives)
         for drive in drives:
             check_kind("with_drives", "a drive", drive, Drive)
         if len(drives) not in (0, self.num_joints):
             raise ValueError(f"with_drives: {len(drives)} drives; {self.name} has {self.num_joints} joints, write one for each")
-        return dataclasses.replace(self, drives=drives)
+        rotors = [drive.armature for drive in drives]
+        armature = np.array(rotors) if is_known(rotors) else jnp.stack(rotors)
+        return dataclasses.replace(self, drives=drives, armature=armature if drives else self.armature)
 
     def with_spheres(self, per_box: int) -> Chain:
         """The same chain, each box covered by 1, 8, 64 or 512 spheres [Van Henten et al. 2010, App. A]."""
@@ -204,7 +216,8 @@ class Chain(Constant):
 
 
 # what a chain has of each joint
-_OF_JOINTS = ("joint_names", "joint_types", "parent_T_joint", "axis", "lower", "upper", "velocity", "bodies", "drives")
+_NUMBERS = ("parent_T_joint", "axis", "lower", "upper", "velocity", "armature")
+_OF_JOINTS = ("joint_names", "joint_types", *_NUMBERS, "bodies", "drives")
 
 
 def hashed(words: object, arrays: Iterable[Any]) -> str:

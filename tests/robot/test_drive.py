@@ -124,6 +124,7 @@ name = "a"
 type = "continuous"
 [joint.drive]
 ratio = 50
+rotor_inertia = 0.001
 [joint.drive.friction]
 coulomb = 0.2
 [[joint]]
@@ -134,8 +135,9 @@ type = "continuous"
 
 
 def test_drives_in_files(tmp_path):
-    first, second = jaxik.load(write(tmp_path, "arm.toml", ARM)).drives
-    assert first == Drive(ratio=50, friction=Friction(coulomb=0.2)) and second == Drive()
+    chain = jaxik.load(write(tmp_path, "arm.toml", ARM))
+    assert chain.drives == (Drive(ratio=50, rotor_inertia=0.001, friction=Friction(coulomb=0.2)), Drive())
+    assert chain.armature.tolist() == [50**2 * 0.001, 0.0]
     for wrong, right, line in (
         ("coulomb = 0.2", "coulomb = -0.2", "joint 'a' drive friction: coulomb = -0.2; write a finite number >= 0"),
         ("ratio = 50", "ratoi = 50", "joint 'a' drive: unknown key 'ratoi'; did you mean 'ratio'?"),
