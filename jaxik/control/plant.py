@@ -122,7 +122,7 @@ def mujoco_model(chain: Chain, dt: float = 1e-3, gravity: Any = GRAVITY) -> Any:
 
 def play(
     chain: Chain,
-    trajectory: Trajectory,
+    motions: Trajectory | Sequence[Trajectory],
     contacts: Sequence[Contact] = (),
     *,
     model: Chain | None = None,
@@ -132,10 +132,10 @@ def play(
     rest: tuple[float, float] = (0.0, 0.0),
     seed: int = 0,
 ) -> Log:
-    """The log of an arm, `chain` with its drives, that plays a trajectory, a sample every `dt` [s]. Host driver.
+    """The log of an arm, `chain` with its drives, that plays a motion, or several in a row, a sample every `dt` [s]. Host driver.
 
-    The controllers know the arm as `model`, by default as it is. Before and after the motion the arm stands still for `rest`
-    [s]. Raises `ValueError` for a chain without bodies, for a contact on a link that it does not have, for numbers out of
+    The controllers know the arm as `model`, by default as it is. Before and after each motion it stands still for `rest` [s].
+    Raises `ValueError` for a chain without bodies, for a contact on a link that it does not have, for numbers out of
     range, and one that names the extra where MuJoCo is not installed.
     """
     mujoco = optional("play: a simulation", "mujoco", "mjcf")
@@ -147,9 +147,9 @@ def play(
         if not arm.drives:
             raise ValueError(f"play: {arm.name} has no drives; use chain.with_drives")
     data = mujoco.MjData(moved)
-    t, desired = _with_rests(trajectory, dt, rest)
+    t, desired = _with_rests([motions] if isinstance(motions, Trajectory) else motions, dt, rest)
     if desired.q.shape[1] != chain.num_joints:
-        raise ValueError(f"play: the trajectory has {desired.q.shape[1]} joints; {chain.name} has {chain.num_joints}")
+        raise ValueError(f"play: the motion has {desired.q.shape[1]} joints; {chain.name} has {chain.num_joints}")
     forward, per_error, per_rate = _controller(model, desired, gains)
     of = lambda get: np.array([get(drive) for drive in chain.drives], float)
     gain, spring = of(lambda d: d.ratio * d.torque_constant), of(lambda d: d.spring_force)
@@ -174,13 +174,16 @@ def play(
     return Log(t, *desired, *_measured(instruments, dt, seed, q, current, torsion), external, torque)
 
 
-def _with_rests(trajectory: Trajectory, dt: float, rest: tuple[float, float]) -> tuple[np.ndarray, JointState]:
-    """Samples of the motion with the arm at rest before and after."""
-    _, states = trajectory.sample(dt)
-    counts = [round(x / dt) for x in rest]
-    still = lambda x, k, by: np.repeat(by * x[[k]], counts[k], axis=0)
-    states = JointState(*(np.concatenate([still(x, 0, by), x, still(x, -1, by)]) for x, by in zip(states, (1, 0, 0), strict=True)))
-    return dt * np.arange(len(states.q)), states
+def _with_rests(motions: Sequence[Trajectory], dt: float, rest: tuple[float, float]) -> tuple[np.ndarray, JointState]:
+    """Samples of the motions in a row, the arm at rest before and after each."""
+    before, after = (round(x / dt) for x in rest)
+    states = []
+    for motion in motions:
+        _, (q, qdot, qddot) = motion.sample(dt)
+        stays = ((before, after), (0, 0))
+        states.append(JointState(np.pad(q, stays, "edge"), np.pad(qdot, stays), np.pad(qddot, stays)))
+    whole = JointState(*map(np.concatenate, zip(*states, strict=True)))
+    return dt * np.arange(len(whole.q)), whole
 
 
 def _controller(model: Chain, desired: JointState, gains: Gains) -> tuple[np.ndarray, np.ndarray, np.ndarray]:

@@ -13,12 +13,12 @@ from jaxik.robot.chain import Body
 
 DT, STEPS = 1e-3, 400
 PUSH = np.array([3.0, -2.0])
-DRIVE = Drive(ratio=50.0, torque_constant=0.1, stiffness=1e4, friction=Friction(coulomb=0.02, load=1e-3, viscous=1e-3))
+DRIVE = Drive(ratio=50.0, torque_constant=0.1, rotor_inertia=1e-4, stiffness=1e4, friction=Friction(coulomb=0.02, load=1e-3, viscous=1e-3))
 
 
 def an_arm(drive=DRIVE):
     link = Body(np.array(2.0), np.array([-0.5, 0.02, 0.01]), np.diag([0.02, 0.2, 0.2]))
-    planar = dataclasses.replace(jaxik.load("planar2"), bodies=(link, link), armature=np.array([0.3, 0.1]))
+    planar = dataclasses.replace(jaxik.load("planar2"), bodies=(link, link))
     return planar.with_drives([drive, drive])
 
 
