@@ -11,6 +11,7 @@ trajectory, and proportional and derivative feedback of the joints.
 from __future__ import annotations
 
 import dataclasses
+import itertools
 from collections.abc import Callable, Sequence
 from typing import Any, NamedTuple
 
@@ -48,13 +49,14 @@ class Contact(NamedTuple):
 @dataclasses.dataclass(frozen=True)
 class Instruments:
     """What the sensors do to what they measure: standard deviations of white noise and steps of quantisation, of current [A],
-    torsion [rad] and joint values [rad, m]; rates are differences over `window` samples. Each is one number, or one a joint.
-    Controllers of drives have their own, perfect."""
+    torsion [rad] and joint values [rad, m]; half the width of the gears' hysteresis, `torsion_play` [rad]; rates are differences
+    over `window` samples. Each is one number, or one a joint. Controllers of drives have their own sensors, perfect ones."""
 
     current_noise: Any = 0.0
     current_step: Any = 0.0
     torsion_noise: Any = 0.0
     torsion_step: Any = 0.0
+    torsion_play: Any = 0.0
     position_step: Any = 0.0
     window: int = 1
 
@@ -64,7 +66,7 @@ class Gains:
     """The joints' controllers: the frequency [rad/s] and the damping [1] of each joint's error, with the inertia that the model
     has at the trajectory's start."""
 
-    frequency: float = 20.0
+    frequency: float = 60.0
     damping: float = 0.7
 
 
@@ -236,8 +238,10 @@ def _measured(instruments: Instruments, dt: float, seed: int, q: Any, current: A
     rng = np.random.default_rng(seed)
     noisy = lambda x, by: x + by * rng.standard_normal(x.shape)
     q, window = _stepped(q, instruments.position_step), as_count("instruments: window", instruments.window)
+    slack = np.asarray(instruments.torsion_play, float)
     before = np.concatenate([np.repeat(q[:1], window, axis=0), q[:-window]])
     current = _stepped(noisy(current, instruments.current_noise), instruments.current_step)
+    torsion = np.array(list(itertools.accumulate(torsion, lambda y, x: np.clip(y, x - slack, x + slack))))
     torsion = _stepped(noisy(torsion, instruments.torsion_noise), instruments.torsion_step)
     return q, (q - before) / (window * dt), current, torsion
 
