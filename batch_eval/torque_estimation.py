@@ -114,7 +114,9 @@ def known(process: float = PROCESS, current: float = 0.05**2, torsion: float = n
 def rmse(errors: np.ndarray, log: Log) -> list[float]:
     """Root mean squares (n,) [Nm, N] where each joint moves; NaN where one does not."""
     moves = np.abs(log.qdot_des) > CREEP
-    return [float(np.sqrt(np.mean(errors[moves[:, i], i] ** 2))) if moves[:, i].any() else np.nan for i in range(errors.shape[1])]
+    return [
+        float(np.sqrt(np.mean(errors[moves[:, i], i] ** 2))) if moves[:, i].any() else np.nan for i in range(errors.shape[1])
+    ]
 
 
 @functools.cache
@@ -222,7 +224,9 @@ def detection(estimator: TorqueEstimator) -> dict[str, Any]:
     for arm in range(1, ARMS):
         fitting = [free(arm, speed, seed) for seed, speed in enumerate((0.15, 0.3, 0.6))]
         band = np.array([float(x) for x in jaxik.robot.static_friction(model(), np.zeros(9))])
-        known_free = [np.concatenate(x) for x in zip(*((estimate(estimator, g.samples()), g.qdot_des) for g in fitting), strict=True)]
+        known_free = [
+            np.concatenate(x) for x in zip(*((estimate(estimator, g.samples()), g.qdot_des) for g in fitting), strict=True)
+        ]
         moving = np.where(np.arange(9) == 0, 0.0, CREEP)  # the slide stands still throughout
         detector = fit_detector(*known_free, band, moving, memory)
         thresholds.append(detector.threshold)
@@ -293,9 +297,13 @@ def draw(file: Path, result: dict[str, Any], named: dict[str, Any]) -> None:
 
     ax, log = axes[0, 0], logs(1, False)[0]
     gain = np.array([float(d.ratio * d.torque_constant) for d in model().drives])
-    inside = jax.jit(jax.vmap(lambda *x: jaxik.robot.motor_current(model(), jaxik.robot.inverse_dynamics(model(), *x), x[1], CREEP)))
+    inside = jax.jit(
+        jax.vmap(lambda *x: jaxik.robot.motor_current(model(), jaxik.robot.inverse_dynamics(model(), *x), x[1], CREEP))
+    )
     ax.plot(log.t, gain[5] * log.current[:, 5], "0.3", linewidth=0.6, label="from the motor current")
-    ax.plot(log.t, gain[5] * np.asarray(inside(log.q_des, log.qdot_des, log.qddot_des))[:, 5], label="inverse dynamics and friction")
+    ax.plot(
+        log.t, gain[5] * np.asarray(inside(log.q_des, log.qdot_des, log.qddot_des))[:, 5], label="inverse dynamics and friction"
+    )
     shade(ax, log, 5, band[5])
     ax.set(title="fig. 3.11 in kind: joint 6, nothing touches", ylabel="torque [Nm]", xlabel="time [s]")
     ax.legend(fontsize=8)
@@ -304,7 +312,13 @@ def draw(file: Path, result: dict[str, Any], named: dict[str, Any]) -> None:
         for i, row in enumerate(np.array(rows)):
             speed, spring = MEASUREMENTS[i]
             label = f"{speed:g} rad/s" + (f", {spring:g} N/m" if "T_ext" in title else "")
-            ax.bar(joints + 0.2 * (i - 1.5), 100 * row[1:8] / nominal[1:8], 0.2, color=plt.get_cmap("Blues")(0.35 + 0.18 * i), label=label)
+            ax.bar(
+                joints + 0.2 * (i - 1.5),
+                100 * row[1:8] / nominal[1:8],
+                0.2,
+                color=plt.get_cmap("Blues")(0.35 + 0.18 * i),
+                label=label,
+            )
         ax.set(title=title, xlabel="joint", ylabel="root mean square / nominal torque [%]", xticks=joints)
         ax.axhline(5.0, color="0.4", linestyle=":", linewidth=1)
 
@@ -316,7 +330,9 @@ def draw(file: Path, result: dict[str, Any], named: dict[str, Any]) -> None:
         ax.legend(fontsize=8)
 
     ax, swept = axes[0, 2], result["sweep"]
-    mesh = ax.pcolormesh(swept["torsion_noise"], swept["current_noise"], swept["rmse_joint_6"], shading="nearest", cmap="viridis_r")
+    mesh = ax.pcolormesh(
+        swept["torsion_noise"], swept["current_noise"], swept["rmse_joint_6"], shading="nearest", cmap="viridis_r"
+    )
     ax.plot(swept["best_torsion_noise"][5], swept["best_current_noise"][5], "*", color="tab:orange", markersize=14)
     ax.set(xscale="log", yscale="log", xlabel="$R_\\phi$ [rad$^2$]", ylabel="$R_I$ [A$^2$]", title="fig. 3.17 in kind: joint 6")
     figure.colorbar(mesh, ax=ax, label="root mean square error [Nm]")

@@ -81,7 +81,9 @@ def fit_detector(
     moves = detect(trusting, np.where(external == 0.0, 1.0, external), qdot)
     if not moves.reshape(-1, n).any(axis=0).all():
         still = int(np.argmin(moves.reshape(-1, n).any(axis=0)))
-        raise ValueError(f"fit_detector: joint {still} is never faster than rest, {rest[still]:g}, for {memory} samples; move it")
+        raise ValueError(
+            f"fit_detector: joint {still} is never faster than rest, {rest[still]:g}, for {memory} samples; move it"
+        )
     errors = [np.quantile(np.abs(external[..., i])[moves[..., i]], quantile) for i in range(n)]
     return Detector(factor * np.array(errors), band, rest, memory)
 

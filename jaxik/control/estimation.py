@@ -98,10 +98,10 @@ def _checked(estimator: Estimator, log: Sample) -> Sample:
 class EstimationLoop:
     """An estimator in a control loop: NumPy in, NumPy out, one kernel a step, in float64. Host.
 
-        loop = EstimationLoop(estimator)
-        state = loop.start(sample)  # compiles
-        while True:
-            state = loop.step(state, sample)  # state.external (n,) [Nm]
+    loop = EstimationLoop(estimator)
+    state = loop.start(sample)  # compiles
+    while True:
+        state = loop.step(state, sample)  # state.external (n,) [Nm]
     """
 
     def __init__(self, estimator: Estimator):

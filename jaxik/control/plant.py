@@ -171,7 +171,9 @@ def play(
         torque[k] = given = driven + data.qfrc_constraint
         gear[k] = given - moved.dof_armature * data.qacc
     if not np.isfinite(q).all():
-        raise ValueError(f"play: {chain.name} flies apart after {t[np.argmin(np.isfinite(q).all(axis=1))]:g} s; lower gains or dt")
+        raise ValueError(
+            f"play: {chain.name} flies apart after {t[np.argmin(np.isfinite(q).all(axis=1))]:g} s; lower gains or dt"
+        )
     torsion = gear / of(lambda d: d.stiffness)
     return Log(t, *desired, *_measured(instruments, dt, seed, q, current, torsion), external, torque)
 

@@ -13,7 +13,9 @@ from jaxik.robot.chain import Body
 
 DT, STEPS = 1e-3, 400
 PUSH = np.array([3.0, -2.0])
-DRIVE = Drive(ratio=50.0, torque_constant=0.1, rotor_inertia=1e-4, stiffness=1e4, friction=Friction(coulomb=0.02, load=1e-3, viscous=1e-3))
+DRIVE = Drive(
+    ratio=50.0, torque_constant=0.1, rotor_inertia=1e-4, stiffness=1e4, friction=Friction(coulomb=0.02, load=1e-3, viscous=1e-3)
+)
 
 
 def an_arm(drive=DRIVE):
@@ -66,7 +68,9 @@ def test_the_full_recursion_becomes_the_closed_form(log):
     np.testing.assert_allclose(full[-1], steady[-1], rtol=1e-6)
 
 
-@pytest.mark.parametrize("estimator", [TorqueEstimator(ARM, FILTER), MomentumObserver(ARM, 30.0, DT)], ids=["filter", "observer"])
+@pytest.mark.parametrize(
+    "estimator", [TorqueEstimator(ARM, FILTER), MomentumObserver(ARM, 30.0, DT)], ids=["filter", "observer"]
+)
 def test_a_loop_is_what_a_log_is(log, estimator):
     samples = [Sample(*(x[0, k] for x in log)) for k in range(5)]
     loop, found = EstimationLoop(estimator), []
@@ -85,7 +89,10 @@ def test_a_loop_is_what_a_log_is(log, estimator):
     ("call", "says"),
     [
         (lambda log: estimate(TorqueEstimator(ARM, FILTER), log._replace(q=log.q[:1])), r"allowed: all \(..., t, 2\), t > 0"),
-        (lambda log: estimate(TorqueEstimator(ARM, FILTER), log._replace(torsion=np.full_like(log.q, np.inf))), "torsion holds .* joint 0"),
+        (
+            lambda log: estimate(TorqueEstimator(ARM, FILTER), log._replace(torsion=np.full_like(log.q, np.inf))),
+            "torsion holds .* joint 0",
+        ),
         (lambda log: TorqueFilter.of_drives(jaxik.load("planar2"), 1.0, 1.0), "planar2 has no drives; use chain.with_drives"),
         (lambda log: TorqueEstimator(ARM, None), "filter is None; write a jaxik.control.TorqueFilter"),
         (lambda log: MomentumObserver(ARM, 2000.0, DT), "gain 2000.0 at dt 0.001 s; allowed: above 0, at most 1 / dt"),
