@@ -51,7 +51,7 @@ class Body(Constant):
         for body in bodies:
             arm = body.com - com
             inertia = inertia + body.inertia + body.mass * (arm @ arm * np.eye(3) - arm[:, None] * arm)  # Steiner
-        return Body(mass, com, inertia)
+        return Body(np.asarray(mass) if isinstance(mass, float) else mass, com, inertia)  # NumPy sums to scalars
 
 
 class Box(Constant):
