@@ -1,9 +1,10 @@
 """Figures 3.11, 3.12, 3.17 to 3.19 and table 3.10 of Schütz 2017 in kind: `python batch_eval/torque_estimation.py`.
 
-Writes `torque_estimation.json` and `.png` beside itself. The plant is MuJoCo's. The estimator knows the arm as `crops_v2` tells it;
-the arms that move are others: masses, centres of gravity, friction, torque constants and stiffness differ by a draw for each number
-(`OFF`), and the sensors are no better than `SENSORS`. Neither is printed, nor are the thesis' trajectories and covariances, so
-all of these are stand-ins, as are the nominal torques of the model file: what is compared is the kind of result, not digits.
+Writes `torque_estimation.json` and `.png` beside itself. The plant is MuJoCo's. The estimator knows the arm as `crops_v2` tells
+it; the arms that move are others: masses, centres of gravity, friction, torque constants and stiffness differ by a draw for
+each number (`OFF`), and the sensors are no better than `SENSORS`. Neither is printed, nor are the thesis' trajectories and
+covariances, so all of these are stand-ins, as are the nominal torques of the model file: what is compared is the kind of
+result, not digits.
 """
 
 from __future__ import annotations
@@ -57,6 +58,7 @@ MEASUREMENTS = ((0.15, 60.0), (0.3, 60.0), (0.15, 150.0), (0.3, 150.0))  # faste
 LEVERS = {2: 0.51, 3: 0.51, 4: 0.16}  # table 3.10 [m]
 PRINTED = {2: 3.0, 3: 7.0, 4: 8.0}  # [Nm]
 FORCES = (2.0, 4.0, 6.0, 8.0, 12.0, 16.0, 24.0, 32.0, 48.0, 64.0, 96.0)  # [N]
+BEST = "filter, current and torsion"
 PROCESS = 0.05  # Q [Nm2 a sample]; the covariances are swept against it
 
 
@@ -182,11 +184,16 @@ def estimators(swept: dict[str, Any]) -> dict[str, Any]:
     bare = dataclasses.replace  # the model without what table 3.6 corrects
     drives = [bare(d, friction=bare(d.friction, correction=np.zeros(2))) for d in model().drives]
     return {
-        "filter, current and torsion": TorqueEstimator(model(), fused, width=CREEP),
+        BEST: TorqueEstimator(model(), fused, width=CREEP),
         "filter, current alone": TorqueEstimator(model(), known(PROCESS, np.array(swept["best_current_noise"])), width=CREEP),
         "the same, friction without its corrections": TorqueEstimator(model().with_drives(drives), known(), width=CREEP),
         "momentum observer": MomentumObserver(model(), 20.0, DT, width=CREEP),
     }
+
+
+def shown(estimator: Any, log: Log) -> Sample:
+    """The momentum is that of the measured motion."""
+    return log.samples(desired=not isinstance(estimator, MomentumObserver))
 
 
 def errors(named: dict[str, Any]) -> dict[str, Any]:
@@ -198,8 +205,7 @@ def errors(named: dict[str, Any]) -> dict[str, Any]:
     for name, (estimator, pushed) in rows.items():
         of_arms = []
         for arm in range(1, ARMS):
-            samples = lambda log, measured=isinstance(estimator, MomentumObserver): log.samples(not measured)
-            each = [rmse(estimate(estimator, samples(log)) - log.external, log) for log in logs(arm, pushed)]
+            each = [rmse(estimate(estimator, shown(estimator, log)) - log.external, log) for log in logs(arm, pushed)]
             of_arms.append(in_pairs(each))
         found[name] = np.nanmean(of_arms, axis=0).tolist()
         print(f"{name:45s}", np.round(np.nanmean(of_arms, axis=(0, 1)), 2))
@@ -268,7 +274,7 @@ def detection(estimator: TorqueEstimator) -> dict[str, Any]:
 def step_times(named: dict[str, Any]) -> dict[str, Any]:
     """How long a step of the control loop takes [us], samples in, external torques out."""
     log, found = logs(1, True)[0], {}
-    for name in ("filter, current and torsion", "momentum observer"):
+    for name in (BEST, "momentum observer"):
         samples = [Sample(*(x[k] for x in log.samples())) for k in range(4000)]
         loop = EstimationLoop(named[name])
         state, times = loop.start(samples[0]), []
@@ -293,7 +299,7 @@ def draw(file: Path, result: dict[str, Any], named: dict[str, Any]) -> None:
     figure, axes = plt.subplots(2, 4, figsize=(19, 8), layout="constrained")
     nominal, joints = np.array(result["nominal_torque"]), np.arange(2, 9)
     band = np.asarray(jaxik.robot.static_friction(model(), np.zeros(9)))
-    both = named["filter, current and torsion"]
+    both = named[BEST]
 
     ax, log = axes[0, 0], logs(1, False)[0]
     gain = np.array([float(d.ratio * d.torque_constant) for d in model().drives])
@@ -305,8 +311,8 @@ def draw(file: Path, result: dict[str, Any], named: dict[str, Any]) -> None:
         log.t, gain[5] * np.asarray(inside(log.q_des, log.qdot_des, log.qddot_des))[:, 5], label="inverse dynamics and friction"
     )
     shade(ax, log, 5, band[5])
-    ax.set(title="fig. 3.11 in kind: joint 6, nothing touches", ylabel="torque [Nm]", xlabel="time [s]")
-    ax.legend(fontsize=8)
+    ax.set(title="fig. 3.11 in kind: joint 6, nothing touches", ylabel="torque [Nm]", xlabel="time [s]", ylim=(-8, 9))
+    ax.legend(fontsize=8, ncol=2)
 
     def bars(ax: Any, rows: Any, title: str) -> None:
         for i, row in enumerate(np.array(rows)):
@@ -321,13 +327,14 @@ def draw(file: Path, result: dict[str, Any], named: dict[str, Any]) -> None:
             )
         ax.set(title=title, xlabel="joint", ylabel="root mean square / nominal torque [%]", xticks=joints)
         ax.axhline(5.0, color="0.4", linestyle=":", linewidth=1)
+        ax.margins(y=0.35)
 
     bars(axes[0, 1], result["rmse"]["inverse dynamics"], "fig. 3.12 in kind: error of inverse dynamics")
-    bars(axes[1, 3], result["rmse"]["filter, current and torsion"], "fig. 3.19 in kind: error of T_ext")
+    bars(axes[1, 3], result["rmse"][BEST], "fig. 3.19 in kind: error of T_ext")
     model_only = np.nanmean(result["rmse"]["inverse dynamics"], axis=0)
     axes[1, 3].plot(joints, 100 * (model_only / nominal)[1:8], "k_", markersize=16, label="inverse dynamics alone")
     for ax in (axes[0, 1], axes[1, 3]):
-        ax.legend(fontsize=8)
+        ax.legend(fontsize=8, loc="upper left", ncol=2)
 
     ax, swept = axes[0, 2], result["sweep"]
     mesh = ax.pcolormesh(
@@ -347,7 +354,8 @@ def draw(file: Path, result: dict[str, Any], named: dict[str, Any]) -> None:
     for i, (label, values) in enumerate(kinds.items()):
         ax.bar(np.array(list(LEVERS)) + 0.2 * (i - 1.5), values, 0.2, label=label)
     ax.set(title="table 3.10 in kind", xlabel="joint", ylabel="torque [Nm]", xticks=list(LEVERS))
-    ax.legend(fontsize=8)
+    ax.margins(y=0.35)
+    ax.legend(fontsize=8, loc="upper left")
 
     for ax, (joint, which) in zip(axes[1, :3], ((2, 6), (3, 7), (6, 6)), strict=True):
         log = logs(1, True)[which]
@@ -359,7 +367,8 @@ def draw(file: Path, result: dict[str, Any], named: dict[str, Any]) -> None:
         rate = ax.twinx()
         rate.plot(log.t, log.qdot_des[:, joint - 1], color="tab:green", linewidth=0.8)
         rate.set_ylabel("rate asked for [rad/s]", color="tab:green")
-        ax.legend(fontsize=8)
+        ax.margins(y=0.15)
+        ax.legend(fontsize=8, loc="upper center" if joint != 3 else "lower right")
     figure.savefig(file, dpi=90)
 
 
@@ -380,7 +389,7 @@ def main() -> None:
         "nominal_torque": [float(d.nominal_torque) for d in model().drives],
         "sweep": swept,
         "rmse": errors(named),
-        "detection": detection(named["filter, current and torsion"]),
+        "detection": detection(named[BEST]),
         "step": step_times(named),
     }
     draw(out.with_suffix(".png"), result, named)

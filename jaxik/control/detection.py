@@ -10,7 +10,6 @@ from __future__ import annotations
 from typing import Any, NamedTuple
 
 import jax
-import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Bool, Float
 
@@ -21,8 +20,8 @@ from jaxik.robot.chain import Array
 
 
 class Detector(Pytree):
-    """Thresholds and friction bands (n,) [Nm, N]; a joint is at rest below the speed `rest` (n,) [rad/s, m/s], and its estimate
-    is trusted again `memory` samples later."""
+    """Thresholds and friction bands (n,) [Nm, N]; a joint is at rest below the speed `rest` (n,) [rad/s, m/s], and its
+    estimate is trusted again `memory` samples later."""
 
     threshold: Float[Array, " n"]
     band: Float[Array, " n"]
@@ -34,7 +33,8 @@ class Detector(Pytree):
         return np.zeros(np.shape(self.threshold))
 
     def step(self, since: Any, external: Any, qdot: Any) -> tuple[Any, Any]:
-        """The next `since`, and the alarms (n,), of an estimate and the joints' rates. Traced, and as well of NumPy's arrays."""
+        """The next `since`, and the alarms (n,), of an estimate and the joints' rates. Traced, and as well of NumPy's
+        arrays."""
         since = (since + 1.0) * (abs(qdot) >= self.rest)
         return since, abs(external) > self.threshold + self.band * (since <= self.memory)
 

@@ -28,8 +28,8 @@ from jaxtyping import Float
 from jaxik.checks.arrays import numbers
 from jaxik.checks.options import check_finite, check_kind
 from jaxik.control.estimation import Sample
-from jaxik.robot.chain import Array, Chain
 from jaxik.robot.actuation import torque_of_current
+from jaxik.robot.chain import Array, Chain
 from jaxik.robot.dynamics import kinetic_energy, potential_energy
 
 
@@ -52,7 +52,8 @@ class ObserverState(NamedTuple):
 class MomentumObserver:
     """The observer on a chain with drives, for `estimate` and `EstimationLoop`. It reads q, qdot and the currents of a sample.
 
-    `gain` K [1/s], of all joints or (n,); `dt` [s] between samples; `width` is that of `friction_torque`. Raises `ValueError` unless 0 < K dt <= 1.
+    `gain` K [1/s], of all joints or (n,); `dt` [s] between samples; `width` is that of `friction_torque`. Raises `ValueError`
+    unless 0 < K dt <= 1.
     """
 
     chain: Chain
@@ -71,7 +72,8 @@ class MomentumObserver:
         """Traced."""
         lagrangian = lambda q, qdot: kinetic_energy(self.chain, q, qdot) - potential_energy(self.chain, q)
         beta, momentum = jax.grad(lagrangian, (0, 1))(sample.q, sample.qdot)
-        return Momentum(momentum, torque_of_current(self.chain, sample.current, sample.qdot, self.width) + beta)
+        torque = torque_of_current(self.chain, jnp.asarray(sample.current), jnp.asarray(sample.qdot), self.width)
+        return Momentum(momentum, torque + beta)
 
     def init(self, sensed: Momentum) -> ObserverState:
         """As if nothing touched the arm. Traced."""

@@ -12,7 +12,7 @@ from __future__ import annotations
 
 import dataclasses
 import itertools
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from typing import Any, NamedTuple
 
 import jax.numpy as jnp
@@ -49,8 +49,9 @@ class Contact(NamedTuple):
 @dataclasses.dataclass(frozen=True)
 class Instruments:
     """What the sensors do to what they measure: standard deviations of white noise and steps of quantisation, of current [A],
-    torsion [rad] and joint values [rad, m]; half the width of the gears' hysteresis, `torsion_play` [rad]; rates are differences
-    over `window` samples. Each is one number, or one a joint. Controllers of drives have their own sensors, perfect ones."""
+    torsion [rad] and joint values [rad, m]; half the width of the gears' hysteresis, `torsion_play` [rad]; rates are
+    differences over `window` samples. Each is one number, or one a joint. Controllers of drives have their own sensors, perfect
+    ones."""
 
     current_noise: Any = 0.0
     current_step: Any = 0.0
@@ -63,8 +64,8 @@ class Instruments:
 
 @dataclasses.dataclass(frozen=True)
 class Gains:
-    """The joints' controllers: the frequency [rad/s] and the damping [1] of each joint's error, with the inertia that the model
-    has at the trajectory's start."""
+    """The joints' controllers: the frequency [rad/s] and the damping [1] of each joint's error, with the inertia that the
+    model has where the motion begins."""
 
     frequency: float = 60.0
     damping: float = 0.7
@@ -89,8 +90,8 @@ class Log(Pytree):
     torque: Float[np.ndarray, "k n"]
 
     def samples(self, desired: bool = True) -> Sample:
-        """For `estimate`: with the motion that was asked for, as the thesis has it, or with the measured joint values and rates,
-        and the accelerations that were asked for."""
+        """For `estimate`: with the motion that was asked for, as the thesis has it, or with the measured joint values and
+        rates, and the accelerations that were asked for."""
         motion = (self.q_des, self.qdot_des) if desired else (self.q, self.qdot)
         return Sample(*motion, self.qddot_des, self.current, self.torsion)
 
@@ -112,8 +113,8 @@ def mujoco_model(chain: Chain, dt: float = 1e-3, gravity: Any = GRAVITY) -> Any:
     parent = spec.worldbody.add_body(name="base", **at(np.asarray(chain.world_T_base)))
     armature = np.broadcast_to(chain.armature, chain.num_joints)
     for i, (name, slides, body) in enumerate(zip(chain.joint_names, chain.is_prismatic, chain.bodies, strict=True)):
-        I = np.asarray(body.inertia)
-        inertial = {"mass": float(body.mass), "ipos": body.com, "fullinertia": [*np.diag(I), I[0, 1], I[0, 2], I[1, 2]]}
+        tensor = np.asarray(body.inertia)
+        inertial = {"mass": float(body.mass), "ipos": body.com, "fullinertia": tensor[[0, 1, 2, 0, 0, 1], [0, 1, 2, 1, 2, 2]]}
         parent = parent.add_body(name=f"body{i}", explicitinertial=True, **at(np.asarray(chain.parent_T_joint[i])), **inertial)
         kind = kinds.mjJNT_SLIDE if slides else kinds.mjJNT_HINGE
         # friction is stiff, or what sticks would creep
@@ -134,7 +135,8 @@ def play(
     rest: tuple[float, float] = (0.0, 0.0),
     seed: int = 0,
 ) -> Log:
-    """The log of an arm, `chain` with its drives, that plays a motion, or several in a row, a sample every `dt` [s]. Host driver.
+    """The log of an arm, `chain` with its drives, that plays a motion, or several in a row, a sample every `dt` [s]. Host
+    driver.
 
     The controllers know the arm as `model`, by default as it is. Before and after each motion it stands still for `rest` [s].
     Raises `ValueError` for a chain without bodies, for a contact on a link that it does not have, for numbers out of
@@ -175,7 +177,8 @@ def play(
             f"play: {chain.name} flies apart after {t[np.argmin(np.isfinite(q).all(axis=1))]:g} s; lower gains or dt"
         )
     torsion = gear / of(lambda d: d.stiffness)
-    return Log(t, *desired, *_measured(instruments, dt, seed, q, current, torsion), external, torque)
+    q, qdot, current, torsion = _measured(instruments, dt, seed, q, current, torsion)
+    return Log(t, *map(np.asarray, desired), q, qdot, current, torsion, external, torque)
 
 
 def _with_rests(motions: Sequence[Trajectory], dt: float, rest: tuple[float, float]) -> tuple[np.ndarray, JointState]:
@@ -240,10 +243,12 @@ def _measured(instruments: Instruments, dt: float, seed: int, q: Any, current: A
     rng = np.random.default_rng(seed)
     noisy = lambda x, by: x + by * rng.standard_normal(x.shape)
     q, window = _stepped(q, instruments.position_step), as_count("instruments: window", instruments.window)
-    slack = np.asarray(instruments.torsion_play, float)
+    slack = np.broadcast_to(instruments.torsion_play, q.shape[1:])
+    anywhere = torsion[0] + slack * rng.uniform(-1.0, 1.0, slack.shape)
     before = np.concatenate([np.repeat(q[:1], window, axis=0), q[:-window]])
     current = _stepped(noisy(current, instruments.current_noise), instruments.current_step)
-    torsion = np.array(list(itertools.accumulate(torsion, lambda y, x: np.clip(y, x - slack, x + slack))))
+    drag = itertools.accumulate(torsion, lambda y, x: np.clip(y, x - slack, x + slack), initial=anywhere)
+    torsion = np.array([*drag])[1:]
     torsion = _stepped(noisy(torsion, instruments.torsion_noise), instruments.torsion_step)
     return q, (q - before) / (window * dt), current, torsion
 

@@ -30,8 +30,9 @@ from jaxik.checks.arrays import is_known, numbers
 from jaxik.checks.options import check_kind
 from jaxik.control.estimation import Sample
 from jaxik.control.kalman import KalmanFilter, KalmanState
-from jaxik.robot.chain import Array, Chain, Constant
+from jaxik.pytree import Constant
 from jaxik.robot.actuation import torque_of_current
+from jaxik.robot.chain import Array, Chain
 from jaxik.robot.dynamics import inverse_dynamics
 
 
@@ -39,8 +40,8 @@ class TorqueFilter(Constant):
     """What the filter knows of n joints, each (n,), in N for Nm and m for rad at a prismatic joint.
 
     What the sensors show of a unit of torque: `current_per_torque` 1 / (N k) [A/Nm], `torsion_per_torque` 1 / c [rad/Nm], 0 for
-    a stiff gear. And variances: of the external torque's change from sample to sample, `process` Q [Nm2]; of the sensors' noise, `current_noise`
-    R_I [A2] and `torsion_noise` R_phi [rad2], infinite without that sensor. Only their ratios count.
+    a stiff gear. And variances: of the external torque's change from sample to sample, `process` Q [Nm2]; of the sensors'
+    noise, `current_noise` R_I [A2] and `torsion_noise` R_phi [rad2], infinite without that sensor. Only their ratios count.
 
     Raises `ValueError` for other numbers, and for a joint without any sensor.
     """
@@ -106,8 +107,8 @@ class TorqueFilter(Constant):
         return external + self.gain * (self.residual(current, torsion, internal) - external)
 
     def kalman(self) -> KalmanFilter:
-        """The same in matrices, for the full recursion, whose gain changes until it is steady; `x` is T, `u` the change of T_int,
-        `y` the currents and then the torsions. Host. Raises `ValueError` for an infinite noise."""
+        """The same in matrices, for the full recursion, whose gain changes until it is steady; `x` is T, `u` the change of
+        T_int, `y` the currents and then the torsions. Host. Raises `ValueError` for an infinite noise."""
         noise = np.concatenate([self.current_noise, self.torsion_noise])
         if not np.isfinite(noise).all():
             raise ValueError("torque filter: the full recursion takes finite noise; give a large number, or the closed form")
@@ -144,7 +145,8 @@ class TorqueEstimator:
     `EstimationLoop`.
 
     Where q, qdot and qddot are those that were asked for, they are as smooth as the plan. `width` [rad/s, m/s] is that of
-    `friction_torque`. With `steady` False the gain is the full recursion's, which begins at T_int with the variance `start` [Nm2].
+    `friction_torque`. With `steady` False the gain is the full recursion's, which begins at T_int with the variance `start`
+    [Nm2].
     """
 
     chain: Chain
@@ -161,7 +163,7 @@ class TorqueEstimator:
         """Traced. The gear does not carry what accelerates the rotor, which is made up for."""
         chain, filter = self.chain, self.filter
         internal = inverse_dynamics(chain, sample.q, sample.qdot, sample.qddot)
-        torque = torque_of_current(chain, sample.current, sample.qdot, self.width)
+        torque = torque_of_current(chain, jnp.asarray(sample.current), jnp.asarray(sample.qdot), self.width)
         rotor = chain.armature * sample.qddot
         return Sensed(torque * filter.current_per_torque, sample.torsion + rotor * filter.torsion_per_torque, internal)
 

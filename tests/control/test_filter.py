@@ -1,4 +1,5 @@
-"""The torque filter: its closed form against the full recursion and SciPy's Riccati solution, its step response, its refusals."""
+"""The torque filter: its closed form against the full recursion and SciPy's Riccati solution, its step response, its
+refusals."""
 
 import dataclasses
 
