@@ -65,3 +65,36 @@ class Pytree:
         shown = lambda x: f"{x.dtype}{list(x.shape)}" if hasattr(x, "dtype") and hasattr(x, "shape") else repr(x)
         fields = ((f.name, getattr(self, f.name)) for f in dataclasses.fields(self))  # type: ignore[arg-type]
         return f"{type(self).__name__}({', '.join(f'{name}={shown(value)}' for name, value in fields)})"
+
+
+def read_only(tree: Any) -> Any:
+    """A tree whose NumPy arrays nobody can write to: those that are so already, and copies of the others."""
+    return jax.tree_util.tree_map(lambda x: _read_only(x) if isinstance(x, np.ndarray) else x, tree)
+
+
+def _read_only(array: np.ndarray) -> np.ndarray:
+    owner: Any = array
+    while isinstance(owner, np.ndarray) and not owner.flags.writeable:  # a view is written to through what it looks at
+        if owner.base is None:
+            return array
+        owner = owner.base
+    copied = np.array(array)
+    copied.setflags(write=False)
+    return copied
+
+
+class Constant(Pytree):
+    """A pytree whose NumPy arrays nobody can write to, so that what is cached by its numbers stays true."""
+
+    def __post_init__(self) -> None:
+        self.freeze()
+
+    def __getstate__(self) -> dict[str, Any]:
+        return dict(vars(self))
+
+    def __setstate__(self, state: dict[str, Any]) -> None:  # of a copy or a pickle: their arrays are new
+        vars(self).update(state)
+        self.freeze()
+
+    def freeze(self) -> None:
+        vars(self).update({k: _read_only(v) for k, v in vars(self).items() if isinstance(v, np.ndarray)})

@@ -14,6 +14,7 @@ from numpy.polynomial import Polynomial
 
 from jaxik.reasons import LoadError
 from jaxik.robot.chain import Body, Box, Chain, JointType, Volume
+from jaxik.robot.drive import Drive
 from jaxik.spatial.rotations import about, frame
 
 MAX_BYTES = 16 * 2**20  # of a robot or scene file; a mesh may have four times that
@@ -35,6 +36,7 @@ class Joint:
     velocity: float = np.inf
     armature: float = 0.0  # the rotor's inertia behind its gears [kg m2, kg]
     default: float = 0.0  # where it stands beside a chain [rad, m]
+    drive: Drive | None = None
     mimic: tuple[str, Polynomial] | None = None  # the joint that drives it, and how its value follows
 
     @property
@@ -157,8 +159,18 @@ def assemble(
         boxes=tuple(Box(o @ t, h, i) for i, (c, o) in each for t, h in c.boxes),
         volumes=tuple(Volume(p @ o[:3, :3].T + o[:3, 3], np.asarray(r), i) for i, (c, o) in each for p, r in c.volumes),
         unread_meshes=tuple(n for n, c in zip(names, content, strict=True) if c.meshes),
+        drives=all_or_none(file, {j.name: j.drive for j in movable}),
         **stacked,
     )
+
+
+def all_or_none(file: Path, drives: Mapping[str, Drive | None]) -> tuple[Drive, ...]:
+    """The drives of all joints, by their names, or none. Refuse those of some."""
+    known = tuple(drive for drive in drives.values() if drive is not None)
+    if known and len(known) < len(drives):
+        without = next(name for name, drive in drives.items() if drive is None)
+        raise LoadError(file, f"joint '{without}'", "has no drive, and others have", "write [joint.drive], or take theirs away")
+    return known
 
 
 def displacement(kind: str, axis: np.ndarray, value: float) -> np.ndarray:

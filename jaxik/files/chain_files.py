@@ -11,8 +11,8 @@ import numpy as np
 
 from jaxik.checks.options import check_finite, check_kind, shown
 from jaxik.collision.volumes import LEVELS
-from jaxik.files.chain_builder import unique
-from jaxik.files.robot_toml import CORNERS, Table
+from jaxik.files.chain_builder import all_or_none, unique
+from jaxik.files.robot_toml import CORNERS, Table, read_drive
 from jaxik.files.spherized import spherized
 from jaxik.files.unchecked_pairs import check_ours, write_disabled
 from jaxik.files.writing import toml, write_text
@@ -60,8 +60,9 @@ def _toml(chain: Chain) -> str:
     head["ignored_objects"] = [[names[i], other] for i, other in chain.ignored]  # of a scene; a link may have such a name, too
     row = lambda keys, i: {key: getattr(chain, field)[i] for key, field in keys.items()}
     bodies = [vars(body) for body in chain.bodies] or [{} for _ in joints]
+    drives = [{"drive": vars(d) | {"friction": vars(d.friction)}} for d in chain.drives] or [{} for _ in joints]
     unread = [{"unread": True} if name in chain.unread_meshes else {} for name in names]
-    tables = [("joint", row(JOINT, i) | body) for i, body in enumerate(bodies)]
+    tables = [("joint", row(JOINT, i) | body | drive) for i, (body, drive) in enumerate(zip(bodies, drives, strict=True))]
     tables += [("link", row(LINK, i) | more) for i, more in enumerate(unread)]
     for box in chain.boxes:
         tables.append(("shape", {"link": names[box.link], "kind": "box", "frame": box.joint_T_box, "half": box.half}))
@@ -103,6 +104,7 @@ def read_chain(model: Table) -> Chain:
         volumes=tuple(s for s in shapes if isinstance(s, Volume)),
         spheres_per_box=per_box,
         unread_meshes=tuple(place["name"] for place in places if place["unread"]),
+        drives=all_or_none(model.path, {row["name"]: row["drive"] for row in rows}),
     )
     pairs = [_two(model, "pairs", pair, names) for pair in model.listed("pairs")]
     tables = [_table(table, chain) for table in model.tables("table")]
@@ -158,6 +160,7 @@ def _joint(table: Table) -> dict[str, Any]:
         raise table.fail("lower > upper", "swap them")
     if "mass" in table.content:
         row["body"] = Body(table.finite("mass", ()), table.finite("com", (3,)), table.finite("inertia", (3, 3)))
+    row["drive"] = read_drive(table)
     return row
 
 

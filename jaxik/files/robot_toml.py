@@ -6,11 +6,12 @@ degrees. A table may say where its numbers come from: `origin = {d = "paper", lo
 
 from __future__ import annotations
 
+import dataclasses
 import math
 import tomllib
 from collections.abc import Iterable
 from pathlib import Path
-from typing import Any
+from typing import Any, get_args
 
 import numpy as np
 
@@ -19,6 +20,7 @@ from jaxik.files.chain_builder import JOINT_TYPES, Joint, Link, assemble, read_b
 from jaxik.files.held_joints import Posture
 from jaxik.reasons import LoadError
 from jaxik.robot.chain import Chain
+from jaxik.robot.drive import Drive, Friction, Side
 from jaxik.spatial.rotations import frame, from_rpy
 
 UNITS = {
@@ -123,7 +125,7 @@ class Table:
 
     def table(self, key: str) -> Table:
         self.asked.add(key)
-        return self._inner(key, self.content.get(key, {}))
+        return self._inner(key if self.where == "file" else f"{self.where} {key}", self.content.get(key, {}))
 
     def _inner(self, where: str, content: Any) -> Table:
         self.inside.append(Table(self.path, where, content))
@@ -236,12 +238,35 @@ def _joint(table: Table, convention: str) -> tuple[list[Joint], Link]:
         least, most = (-np.inf, np.inf) if kind == "continuous" else (None, None)
         joint.lower, joint.upper = table.number("lower", unit, least), table.number("upper", unit, most)
         joint.velocity = table.number("velocity", unit, np.inf)
-        joint.armature = float(table.finite("armature", (), 0.0, "plain" if kind == "prismatic" else "inertia", 0.0))
+        joint.drive = read_drive(table)
+        rotor = 0.0 if joint.drive is None else joint.drive.armature
+        joint.armature = float(table.finite("armature", (), 0.0, "plain" if kind == "prismatic" else "inertia", rotor))
     link = _inertia(table)
     if after is None:
         return [joint], link
     joint.child = f"{name}_axis"
     return [joint, Joint(f"{name}_frame", "fixed", after, link_name)], link
+
+
+def read_drive(joint: Table) -> Drive | None:
+    """The drive in a joint's table, with the names and the units of `Drive` and `Friction`; None where it has none."""
+    if "drive" not in joint.content:
+        return None
+    table = joint.table("drive")
+    friction = table.table("friction")
+    side = friction.text("side", "motor", get_args(Side))
+    return _numbers_of(Drive, table, friction=_numbers_of(Friction, friction, side=side))
+
+
+def _numbers_of(kind: Any, table: Table, **known: Any) -> Any:
+    names = [field.name for field in dataclasses.fields(kind) if field.name not in known]
+    table.asked.update(names)
+    given = {n: table.array(n, "plain", (2,) if n == "correction" else ()) for n in names if n in table.content}
+    try:
+        return kind(**given, **known)
+    except ValueError as error:
+        problem, _, mend = str(error).removeprefix(f"{kind.__name__}: ").partition("; ")
+        raise table.fail(problem, mend) from None
 
 
 def _inertia(table: Table) -> Link:

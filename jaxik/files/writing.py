@@ -25,8 +25,10 @@ def toml(head: dict[str, Any], tables: Iterable[tuple[str, dict[str, Any]]]) -> 
     return "\n\n".join(parts) + "\n"
 
 
-def _lines(table: dict[str, Any]) -> str:
-    return "\n".join(f"{key} = {_written(value)}" for key, value in table.items())
+def _lines(table: dict[str, Any], inside: str = "") -> str:
+    """A line a key; of a table in the table, its name before each."""
+    line = lambda key, value: _lines(value, f"{key}.") if isinstance(value, dict) else f"{key} = {_written(value)}"
+    return "\n".join(line(inside + key, value) for key, value in table.items())
 
 
 def _written(value: Any) -> str:

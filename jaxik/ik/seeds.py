@@ -20,7 +20,8 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from jaxik.robot.chain import Chain, read_only
+from jaxik.pytree import read_only
+from jaxik.robot.chain import Chain
 from jaxik.robot.kinematics import joint_frames
 from jaxik.robot.spherical_wrist import BRANCHES, closed_form, closed_forms
 from jaxik.robot.task import Task

@@ -1,6 +1,8 @@
 """A robot arm and what its joints decide: the chain, where its links are, what a task asks of its tip."""
 
+from jaxik.robot.actuation import friction_torque, joint_torsion, motor_current, static_friction, torque_of_current
 from jaxik.robot.chain import Body, Chain, finite_limits, within_limits
+from jaxik.robot.drive import Drive, Friction
 from jaxik.robot.dynamics import (
     bias_torque,
     body_parameters,
@@ -23,6 +25,8 @@ __all__ = [
     "Body",
     "Chain",
     "ClosedForm",
+    "Drive",
+    "Friction",
     "Task",
     "admissible_turns",
     "bias_acceleration",
@@ -33,15 +37,20 @@ __all__ = [
     "finite_limits",
     "forward_dynamics",
     "forward_kinematics",
+    "friction_torque",
     "gravity_torque",
     "inverse_dynamics",
     "jacobian",
+    "joint_torsion",
     "kinetic_energy",
     "link_frames",
     "manipulability",
     "mass_matrix",
+    "motor_current",
     "potential_energy",
     "regressor",
+    "static_friction",
+    "torque_of_current",
     "with_body_parameters",
     "within_limits",
     "wrench_on",

@@ -22,44 +22,12 @@ from jaxtyping import Bool, Float
 from jaxik.checks.arrays import is_known, rigid_frame, shaped
 from jaxik.checks.masses import check_mass
 from jaxik.checks.options import check_kind, shown
-from jaxik.pytree import Pytree, static
+from jaxik.pytree import Constant, static
+from jaxik.robot.drive import Drive
 from jaxik.robot.link_distance_table import PairTable
 
 Array = jax.Array | np.ndarray
 JointType = Literal["revolute", "continuous", "prismatic"]
-
-
-def read_only(tree: Any) -> Any:
-    """A tree whose NumPy arrays nobody can write to: those that are so already, and copies of the others."""
-    return jax.tree_util.tree_map(lambda x: _read_only(x) if isinstance(x, np.ndarray) else x, tree)
-
-
-def _read_only(array: np.ndarray) -> np.ndarray:
-    owner: Any = array
-    while isinstance(owner, np.ndarray) and not owner.flags.writeable:  # a view is written to through what it looks at
-        if owner.base is None:
-            return array
-        owner = owner.base
-    copied = np.array(array)
-    copied.setflags(write=False)
-    return copied
-
-
-class Constant(Pytree):
-    """A pytree whose NumPy arrays nobody can write to, so that what is cached by its numbers stays true."""
-
-    def __post_init__(self) -> None:
-        self.freeze()
-
-    def __getstate__(self) -> dict[str, Any]:
-        return dict(vars(self))
-
-    def __setstate__(self, state: dict[str, Any]) -> None:  # of a copy or a pickle: their arrays are new
-        vars(self).update(state)
-        self.freeze()
-
-    def freeze(self) -> None:
-        vars(self).update({k: _read_only(v) for k, v in vars(self).items() if isinstance(v, np.ndarray)})
 
 
 class Body(Constant):
@@ -83,7 +51,7 @@ class Body(Constant):
         for body in bodies:
             arm = body.com - com
             inertia = inertia + body.inertia + body.mass * (arm @ arm * np.eye(3) - arm[:, None] * arm)  # Steiner
-        return Body(mass, com, inertia)
+        return Body(np.asarray(mass) if isinstance(mass, float) else mass, com, inertia)  # NumPy sums to scalars
 
 
 class Box(Constant):
@@ -110,7 +78,7 @@ class Chain(Constant):
     `link_joint[l]` counts the movable joints between the base and link l: its frame is `link_offset[l]` in that joint's.
     `self_pairs` are the links to check against each other, `ignored` links with the object of a scene ("*": any) not to check,
     `pair_tables` what is known of pairs beside their volumes. `armature` is the inertia of each joint's rotor at the joint,
-    behind its gears [kg m2, kg]; 0 unless given.
+    after its gears [kg m2, kg]; 0 unless given. `drives` has one a joint, or none at all.
     """
 
     # not in the instance's dictionary, which copies and pickles take over
@@ -138,6 +106,7 @@ class Chain(Constant):
     ignored: tuple[tuple[int, str], ...] = static(default=())
     pair_tables: tuple[PairTable, ...] = static(default=())
     armature: Float[Array, " n"] = dataclasses.field(default_factory=lambda: np.zeros(0))
+    drives: tuple[Drive, ...] = ()
 
     def __post_init__(self) -> None:
         if self.num_joints and np.shape(self.armature) == (0,):
@@ -170,6 +139,20 @@ class Chain(Constant):
         Raises `ValueError` for what is no rigid frame.
         """
         return dataclasses.replace(self, joint_T_tip=self.joint_T_tip @ rigid_frame("tip_T_tool", tip_T_tool))
+
+    def with_drives(self, drives: Iterable[Drive]) -> Chain:
+        """The same chain with these drives, one a joint, and their rotors as its armature; or without drives.
+
+        Raises `ValueError` for another number of them.
+        """
+        drives = tuple(drives)
+        for drive in drives:
+            check_kind("with_drives", "a drive", drive, Drive)
+        if len(drives) not in (0, self.num_joints):
+            raise ValueError(f"with_drives: {len(drives)} drives; {self.name} has {self.num_joints} joints, write one for each")
+        rotors = [drive.armature for drive in drives]
+        armature = np.array(rotors) if is_known(rotors) else jnp.stack(rotors)
+        return dataclasses.replace(self, drives=drives, armature=armature if drives else self.armature)
 
     def with_load(self, mass: Any, com: Any = (0.0, 0.0, 0.0), inertia: Any = None) -> Chain:
         """The same chain with a load at its tip: `mass` [kg], `com` (3,) [m] and `inertia` (3, 3) about it [kg m2] in the tip's
@@ -247,7 +230,8 @@ class Chain(Constant):
         """A hash of everything in the chain, to name it in caches and results. Needs concrete numbers."""
         known = getattr(self, "_digest", None)  # a chain never changes, and asks for this at every call of a cached function
         if known is None:
-            for each in (self, *self.bodies, *self.boxes, *self.volumes):
+            friction = [drive.friction for drive in self.drives]
+            for each in (self, *self.bodies, *self.boxes, *self.volumes, *self.drives, *friction):
                 each.freeze()  # `jax.tree_util.tree_map` puts arrays in without a constructor
             known = self._computed_digest()
             object.__setattr__(self, "_digest", known)
@@ -265,7 +249,8 @@ class Chain(Constant):
 
 
 # what a chain has of each joint
-_OF_JOINTS = ("joint_names", "joint_types", "parent_T_joint", "axis", "lower", "upper", "velocity", "bodies", "armature")
+_NUMBERS = ("parent_T_joint", "axis", "lower", "upper", "velocity", "armature")
+_OF_JOINTS = ("joint_names", "joint_types", *_NUMBERS, "bodies", "drives")
 
 
 def hashed(words: object, arrays: Iterable[Any]) -> str:

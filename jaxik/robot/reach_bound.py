@@ -12,7 +12,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-from jaxik.robot.chain import Chain, read_only
+from jaxik.pytree import read_only
+from jaxik.robot.chain import Chain
 
 
 class ReachBound(NamedTuple):

@@ -20,6 +20,10 @@ def mjcf(folder):
     jaxik.load(folder / "arm.xml")
 
 
+def plant(folder):
+    jaxik.control.mujoco_model(jaxik.load("crops_v2"))
+
+
 def parquet(folder):
     sys.argv = ["jaxik", "ik", "p6r", "nowhere.csv", "--out", str(folder / "a.parquet")]
     main()
@@ -32,6 +36,7 @@ def order(folder):
 
 WITHOUT = [  # what is hidden, the extra that brings it, who asks for it
     ("mujoco", "mjcf", mjcf),
+    ("mujoco", "mjcf", plant),
     ("zarr", "sweep", lambda folder: jaxik.sweep(STUDY, folder / "s.zarr")),
     ("xarray", "sweep", lambda folder: Sweep(folder, Study.of(STUDY), 1, 1, {}).dataset()),
     ("distributed", "cluster", lambda folder: jaxik.sweep(STUDY, folder / "s.zarr", cluster="tcp://127.0.0.1:9")),

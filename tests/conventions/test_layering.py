@@ -24,6 +24,7 @@ FLOORS = [  # what the house is made of, from the ground up
     "ik",
     "motions",
     "planning",
+    "control",
     "reach",
     "harvesting",
     "sweeps",

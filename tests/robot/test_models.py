@@ -61,6 +61,7 @@ def test_p6r_satisfies_the_appendix():
 def test_each_number_has_an_origin(path):
     model = tomllib.loads(path.read_text())
     tables = [*model["joint"], *model.get("shape", []), *(model[k] for k in ("tool", "mount") if k in model)]
-    for table in tables:
+    drives = [joint["drive"] for joint in model["joint"] if "drive" in joint]
+    for table in (*tables, *drives, *(drive["friction"] for drive in drives)):
         named = {k for k, v in table.items() if isinstance(v, int | float | list)}
         assert named == set(table["origin"]) and set(table["origin"].values()) <= set(ORIGINS)

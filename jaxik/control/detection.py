@@ -1,0 +1,129 @@
+"""Contacts from estimates of external torque: an alarm where one exceeds what the estimator's errors alone come to.
+
+The errors are measured, on logs without contact. Where a joint nearly stands still its static friction may carry anything up to
+the friction band unseen [Schuetz 2017, sec. 3.2.4], and so it may for as long after as the filter remembers: there the band is
+added to the threshold.
+"""
+
+from __future__ import annotations
+
+from typing import Any, NamedTuple
+
+import jax
+import numpy as np
+from jaxtyping import Bool, Float
+
+from jaxik.checks.arrays import numbers
+from jaxik.checks.options import check_finite
+from jaxik.pytree import Pytree
+from jaxik.robot.chain import Array
+
+
+class Detector(Pytree):
+    """Thresholds and friction bands (n,) [Nm, N]; a joint is at rest below the speed `rest` (n,) [rad/s, m/s], and its
+    estimate is trusted again `memory` samples later."""
+
+    threshold: Float[Array, " n"]
+    band: Float[Array, " n"]
+    rest: Float[Array, " n"]
+    memory: int
+
+    def init(self) -> Float[Array, " n"]:
+        """Samples since each joint was at rest (n,): all are at rest."""
+        return np.zeros(np.shape(self.threshold))
+
+    def step(self, since: Any, external: Any, qdot: Any) -> tuple[Any, Any]:
+        """The next `since`, and the alarms (n,), of an estimate and the joints' rates. Traced, and as well of NumPy's
+        arrays."""
+        since = (since + 1.0) * (abs(qdot) >= self.rest)
+        return since, abs(external) > self.threshold + self.band * (since <= self.memory)
+
+
+def detect(detector: Detector, external: Any, qdot: Any) -> Bool[np.ndarray, "*log n"]:
+    """The alarms (..., t, n) of estimates (..., t, n) [Nm] at rates (..., t, n). Host driver.
+
+    Raises `ValueError` for shapes that do not fit.
+    """
+    external, qdot = _pair("detect", external, qdot)
+    with jax.enable_x64(True):
+        flat = (x.reshape(-1, *x.shape[-2:]) for x in (external, qdot))
+        return np.asarray(_over_logs(detector, *flat)).reshape(external.shape)
+
+
+@jax.jit
+def _over_logs(detector: Detector, external: Any, qdot: Any) -> Any:
+    one = lambda external, qdot: jax.lax.scan(lambda s, x: detector.step(s, *x), detector.init(), (external, qdot))[1]
+    return jax.vmap(one)(external, qdot)
+
+
+def fit_detector(
+    external: Any,
+    qdot: Any,
+    band: Any = 0.0,
+    rest: Any = 0.0,
+    memory: int = 0,
+    quantile: float = 1.0,
+    factor: float = 1.2,
+) -> Detector:
+    """Thresholds from estimates (..., t, n) [Nm] of logs without contact, at rates (..., t, n). Host.
+
+    The `quantile` of the errors of each joint where it moves, 1 the largest, times a `factor`. What a friction `band` is, and
+    below which speed a joint is at `rest`, one number or (n,), is the robot's; `memory` is in samples, some 3 / kappa of a
+    filter's gain. Raises `ValueError` for shapes that do not fit, numbers out of range, and a joint that never moves.
+    """
+    external, qdot = _pair("fit_detector", external, qdot)
+    check_finite("fit_detector", 0.0, quantile=quantile, factor=factor, memory=memory)
+    if quantile > 1.0:
+        raise ValueError(f"fit_detector: quantile is {quantile:g}; it is at most 1, the largest error")
+    n = external.shape[-1]
+    band, rest = (np.broadcast_to(numbers(f"fit_detector: {k}", x), (n,)) for k, x in {"band": band, "rest": rest}.items())
+    trusting = Detector(np.zeros(n), np.full(n, np.inf), rest, memory)
+    moves = detect(trusting, np.where(external == 0.0, 1.0, external), qdot)
+    if not moves.reshape(-1, n).any(axis=0).all():
+        still = int(np.argmin(moves.reshape(-1, n).any(axis=0)))
+        raise ValueError(
+            f"fit_detector: joint {still} is never faster than rest, {rest[still]:g}, for {memory} samples; move it"
+        )
+    errors = [np.quantile(np.abs(external[..., i])[moves[..., i]], quantile) for i in range(n)]
+    return Detector(factor * np.array(errors), band, rest, memory)
+
+
+class Judged(NamedTuple):
+    """How good alarms are: `false_alarms` that begin without a contact, and the time [s] that was without one; of each contact
+    the `delay` [s] until the first alarm, NaN where there is none."""
+
+    false_alarms: int
+    free_time: float
+    delay: Float[np.ndarray, " c"]
+
+
+def judge_alarms(alarms: Any, contact: Any, dt: float, after: float = 0.0) -> Judged:
+    """Alarms (t,) against where there is a contact (t,), `dt` [s] apart; an alarm up to `after` [s] behind a contact's end is
+    still of it. Host. Raises `ValueError` for shapes that do not fit."""
+    alarms, contact = np.asarray(alarms, bool), np.asarray(contact, bool)
+    if alarms.shape != contact.shape or alarms.ndim != 1:
+        raise ValueError(f"judge_alarms: alarms of shape {alarms.shape}, contact of {contact.shape}; allowed: (t,) both")
+    begins, ends = _edges(contact)
+    late = round(after / dt)
+    of_contact = contact.copy()
+    for end in ends:
+        of_contact[end : end + late] = True
+    raised, _ = _edges(alarms & ~of_contact)
+    spans = [alarms[begin:end] for begin, end in zip(begins, ends, strict=True)]
+    delay = np.array([dt * np.argmax(span) if span.any() else np.nan for span in spans])
+    return Judged(len(raised), dt * float((~of_contact).sum()), delay)
+
+
+def _edges(flags: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Where each run of what is true begins, and the sample behind its end."""
+    steps = np.diff(flags.astype(int), prepend=0, append=0)
+    return np.flatnonzero(steps > 0), np.flatnonzero(steps < 0)
+
+
+def _pair(who: str, external: Any, qdot: Any) -> tuple[np.ndarray, np.ndarray]:
+    external, qdot = numbers(f"{who}: external", external), numbers(f"{who}: qdot", qdot)
+    if external.shape != qdot.shape or external.ndim < 2:
+        raise ValueError(f"{who}: external of shape {external.shape}, qdot of {qdot.shape}; allowed: (..., t, n) both")
+    if not np.isfinite(external).all():
+        raise ValueError(f"{who}: external holds {external[~np.isfinite(external)][0]}; write finite numbers")
+    return external, qdot

@@ -1,0 +1,153 @@
+"""Estimators of external torque over samples: one at a time in a control loop, whole logs at once.
+
+An estimator has three traced methods. `sense` turns a sample into what its filter needs: the robot's model, and all the work;
+`init` begins, and `advance` is the filter, whose state's `external` (n,) is the estimate. So a log is sensed in lanes, all
+samples together, and filtered in one `lax.scan`; in a loop both are one kernel.
+"""
+
+from __future__ import annotations
+
+import functools
+import itertools
+import math
+from typing import Any, NamedTuple, Protocol
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Float
+
+from jaxik.checks.arrays import numbers
+from jaxik.robot.chain import Array, Chain
+from jaxik.spmd import HostKernel
+from jaxik.spmd.host import host_kernels
+
+
+class Sample(NamedTuple):
+    """What is known at one moment, each (n,); of a log (t, n), of logs (..., t, n). Joint values, rates, accelerations [rad, m,
+    s], motor currents [A], and torsions of the gears [rad], output against motor."""
+
+    q: Float[Array, "*log n"]
+    qdot: Float[Array, "*log n"]
+    qddot: Float[Array, "*log n"]
+    current: Float[Array, "*log n"]
+    torsion: Float[Array, "*log n"]
+
+
+class Estimator(Protocol):
+    """What `estimate` and `EstimationLoop` take."""
+
+    @property
+    def chain(self) -> Chain: ...
+
+    def sense(self, sample: Sample) -> Any: ...
+
+    def init(self, sensed: Any) -> Any: ...
+
+    def advance(self, state: Any, sensed: Any) -> Any: ...
+
+
+def over_log(estimator: Estimator, sensed: Any) -> Float[jax.Array, "t n"]:
+    """The external torques (t, n) [Nm] of a log that is sensed, its leaves (t, ...). Traced; `vmap` it over logs."""
+
+    def step(state: Any, now: Any) -> tuple[Any, Any]:
+        state = estimator.advance(state, now)
+        return state, state.external
+
+    return jax.lax.scan(step, estimator.init(jax.tree_util.tree_map(lambda x: x[0], sensed)), sensed)[1]
+
+
+def estimate(estimator: Estimator, log: Sample) -> Float[np.ndarray, "*log n"]:
+    """The external torques (..., t, n) [Nm] of a log, or of many of one length, in float64. Host driver.
+
+    Raises `ValueError` for shapes that do not fit, and says where the first number is that is not finite.
+    """
+    arrays = _checked(estimator, log)
+    *many, t, n = arrays.q.shape
+    with jax.enable_x64(True):
+        rows = Sample(*(x.reshape(-1, n) for x in arrays))
+        tree = jax.tree_util.tree_structure(jax.eval_shape(estimator.sense, Sample(*(x[0] for x in rows))))
+        leaves = [x.reshape(-1, t, *x.shape[1:]) for x in _sense(estimator)(*rows)]
+        sensed = jax.tree_util.tree_unflatten(tree, leaves)
+        return np.asarray(_over_logs(estimator, sensed)).reshape(*many, t, n)
+
+
+@host_kernels(len(Sample._fields))
+def _sense(estimator: Estimator, *rows: Any) -> Any:
+    return estimator.sense(Sample(*rows))
+
+
+@functools.partial(jax.jit, static_argnums=0)
+def _over_logs(estimator: Estimator, sensed: Any) -> Any:
+    return jax.vmap(functools.partial(over_log, estimator))(sensed)
+
+
+def _checked(estimator: Estimator, log: Sample) -> Sample:
+    n = estimator.chain.num_joints
+    arrays = Sample(*(numbers(f"estimate: {name}", x) for name, x in log._asdict().items()))
+    for name, x in arrays._asdict().items():
+        if x.shape != arrays.q.shape or x.ndim < 2 or x.shape[-1] != n or not x.size:
+            raise ValueError(f"estimate: {name} of shape {x.shape}, q of {arrays.q.shape}; allowed: all (..., t, {n}), t > 0")
+        bad = ~np.isfinite(x)
+        if bad.any():
+            *_, sample, joint = (int(i) for i in np.argwhere(bad)[0])
+            raise ValueError(f"estimate: {name} holds {x[bad][0]} at sample {sample}, joint {joint}; cut it out of the log")
+    return arrays
+
+
+class EstimationLoop:
+    """An estimator in a control loop: NumPy in, NumPy out, one kernel a step, in float64. Host.
+
+    loop = EstimationLoop(estimator)
+    state = loop.start(sample)  # compiles
+    while True:
+        state = loop.step(state, sample)  # state.external (n,) [Nm]
+    """
+
+    def __init__(self, estimator: Estimator):
+        self.estimator = estimator
+        self._start = HostKernel(self._begin, 1)
+        self._step = HostKernel(self._advance, 2)
+
+    def start(self, sample: Sample) -> Any:
+        """The state before the first step, which is compiled here. Raises `ValueError` for numbers that do not fit."""
+        checked = _checked(self.estimator, Sample(*(np.asarray(x)[None] for x in sample)))
+        row = np.concatenate(checked, axis=1)
+        with jax.enable_x64(True):
+            begun = jax.eval_shape(lambda row: self.estimator.init(self.estimator.sense(self._sample(row))), row[0])
+            leaves, self._tree = jax.tree_util.tree_flatten(begun)
+            self._shapes = [x.shape for x in leaves]
+            (packed,) = self._start(row)
+            self._step(packed, row)
+        return self._unpacked(packed[0])
+
+    def step(self, state: Any, sample: Sample) -> Any:
+        """The state after a sample; the given one stays as it is. Raises `ValueError` for numbers that are not finite."""
+        row = np.concatenate(sample, dtype=np.float64)[None]
+        packed = np.concatenate([x.ravel() for x in jax.tree_util.tree_leaves(state)])[None]
+        (packed,) = self._step.run(packed, row, double=True)
+        after = self._unpacked(packed[0])
+        if not math.isfinite(after.external.sum()):
+            _checked(self.estimator, Sample(*(np.asarray(x)[None] for x in sample)))
+            raise ValueError("estimation loop: the estimate is no number any more; start again")
+        return after
+
+    # one row a sample and one a state: a kernel's call costs a microsecond for each array
+
+    def _sample(self, row: Any) -> Sample:
+        n = self.estimator.chain.num_joints
+        return Sample(*(row[i * n : (i + 1) * n] for i in range(len(Sample._fields))))
+
+    def _unpacked(self, packed: Any) -> Any:
+        ends = itertools.accumulate(math.prod(shape) for shape in self._shapes)
+        parts = (packed[end - math.prod(shape) : end].reshape(shape) for shape, end in zip(self._shapes, ends, strict=True))
+        return jax.tree_util.tree_unflatten(self._tree, parts)
+
+    def _packed(self, state: Any) -> Any:
+        return jnp.concatenate([x.ravel() for x in jax.tree_util.tree_leaves(state)])
+
+    def _begin(self, row: Any) -> Any:
+        return self._packed(self.estimator.init(self.estimator.sense(self._sample(row))))
+
+    def _advance(self, packed: Any, row: Any) -> Any:
+        return self._packed(self.estimator.advance(self._unpacked(packed), self.estimator.sense(self._sample(row))))

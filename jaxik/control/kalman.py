@@ -1,0 +1,47 @@
+"""The Kalman filter of a linear system, step by step as it is written in the books. It knows no robot.
+
+    x_k = A x_{k-1} + B u_{k-1} + w,    y_k = C x_k + v,    w ~ (0, Q),  v ~ (0, R)                     (3.20)
+    x- = A x + B u,    P- = A P A' + Q                                                                    (3.23)
+    K = P- C' (C P- C' + R)^-1,    x = x- + K (y - C x-),    P = (1 - K C) P-                             (3.24)
+
+[Kalman 1960; Schuetz 2017, sec. 3.3.3]
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import jax.numpy as jnp
+from jaxtyping import Float
+
+from jaxik.pytree import Pytree
+from jaxik.robot.chain import Array
+
+
+class KalmanState(NamedTuple):
+    """The estimate x (n,) and its covariance P (n, n), after a correction; and the gain K (n, m) of that correction."""
+
+    x: Float[Array, " n"]
+    P: Float[Array, "n n"]
+    K: Float[Array, "n m"]
+
+
+class KalmanFilter(Pytree):
+    """The system's matrices: A (n, n), B (n, p), C (m, n), and the covariances of its noise, Q (n, n) and R (m, m)."""
+
+    A: Float[Array, "n n"]
+    B: Float[Array, "n p"]
+    C: Float[Array, "m n"]
+    Q: Float[Array, "n n"]
+    R: Float[Array, "m m"]
+
+    def init(self, x: Float[Array, " n"], P: Float[Array, "n n"]) -> KalmanState:
+        """At x, which is known to the covariance P. Traced."""
+        return KalmanState(jnp.asarray(x), jnp.asarray(P), jnp.zeros(jnp.shape(self.C)[::-1]))
+
+    def step(self, state: KalmanState, u: Float[Array, " p"], y: Float[Array, " m"]) -> KalmanState:
+        """After the input u and the measurement y. Traced; time is a `lax.scan` over it."""
+        A, B, C = map(jnp.asarray, (self.A, self.B, self.C))
+        x, P = A @ state.x + B @ u, A @ state.P @ A.T + self.Q
+        K = jnp.linalg.solve(C @ P @ C.T + self.R, C @ P).T  # both are symmetric
+        return KalmanState(x + K @ (y - C @ x), P - K @ C @ P, K)

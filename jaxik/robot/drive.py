@@ -1,0 +1,96 @@
+"""What moves a joint: motor, gear, friction, spring and elasticity, as numbers [Schuetz 2017, sec. 3.2.2, 3.2.3].
+
+The laws that they enter are in `jaxik.robot.actuation`.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+from typing import Any, Literal
+
+import jax
+import numpy as np
+from jaxtyping import Float
+
+from jaxik.checks.arrays import is_known, shaped
+from jaxik.checks.options import check_choices, shown
+from jaxik.pytree import Constant, static
+
+Side = Literal["motor", "joint"]
+Number = Float[jax.Array | np.ndarray, ""] | float | int
+
+POSITIVE = ("ratio", "torque_constant", "stribeck_velocity", "stiffness", "nominal_torque")
+SIGNED = ("spring_force", "correction")  # all others are at least 0
+UNBOUNDED = ("stribeck_velocity", "stiffness", "nominal_torque")  # these may be infinite
+
+
+class _Numbers(Constant):
+    """Every field that is no other object's is a number, or an array of them."""
+
+    def __post_init__(self) -> None:
+        for field in dataclasses.fields(self):
+            given = getattr(self, field.name)
+            if not (field.metadata.get("static") or isinstance(given, Constant)) and is_known(given):
+                vars(self)[field.name] = self._checked(field.name, given)
+        self.freeze()
+
+    def _checked(self, name: str, given: Any) -> Any:
+        values = shaped(f"{type(self).__name__}: {name}", given, (2,) if name == "correction" else ())
+        finite = np.isfinite(values) | ((values == np.inf) & (name in UNBOUNDED))
+        least = values > 0.0 if name in POSITIVE else (values >= 0.0) | (name in SIGNED)
+        if not np.all(finite & least):
+            bound = " > 0" if name in POSITIVE else "" if name in SIGNED else " >= 0"
+            infinite = ", or infinity" if name in UNBOUNDED else ""
+            raise ValueError(f"{type(self).__name__}: {name} = {shown(given)}; write a finite number{bound}{infinite}")
+        return given if isinstance(given, jax.Array) else values
+
+
+class Friction(_Numbers):
+    """How a drive rubs: `coulomb` and `breakaway`, at speed and at rest [Nm, N]; `load`, the share of the joint's torque [1];
+    `viscous` [Nm s/rad, N s/m] and its share of the joint's torque, `viscous_load` [s/rad, s/m]; `stribeck_velocity`, at which
+    half of the way from `breakaway` to `coulomb` is done [rad/s, m/s]; and `correction`, a torque of the joint backward and
+    forward, either sign [Nm, N].
+
+    All but `correction` are seen from `side`: at the motor's shaft, or at the joint. The three laws of the thesis are cases of
+    this one: (3.13) has no `viscous_load`, (3.14) has a `breakaway` like its `coulomb`, which it is unless given, and (3.16)
+    is `coulomb` and `viscous` at the joint.
+
+    Raises `ValueError` for a number below 0.
+    """
+
+    coulomb: Number = 0.0
+    load: Number = 0.0
+    viscous: Number = 0.0
+    viscous_load: Number = 0.0
+    breakaway: Number | None = None
+    stribeck_velocity: Number = np.inf
+    correction: Float[jax.Array | np.ndarray, "2"] | tuple[float, float] = (0.0, 0.0)
+    side: Side = static(default="motor")
+
+    def __post_init__(self) -> None:
+        check_choices("Friction", side=(self.side, Side))
+        if self.breakaway is None:
+            vars(self)["breakaway"] = self.coulomb
+        super().__post_init__()
+
+
+class Drive(_Numbers):
+    """What moves one joint: `ratio`, how far the motor turns while the joint moves by 1 [1, rad/m]; `torque_constant` of the
+    motor [Nm/A]; `rotor_inertia` [kg m2]; `friction`; `stiffness` of the gear at the joint [Nm/rad, N/m]; `spring_force`, what
+    constant-force springs add in the joint's positive direction [N, Nm]; `nominal_torque` at the joint [Nm, N].
+
+    The default is an ideal drive. Raises `ValueError` for numbers that no drive has.
+    """
+
+    ratio: Number = 1.0
+    torque_constant: Number = 1.0
+    rotor_inertia: Number = 0.0
+    friction: Friction = dataclasses.field(default_factory=Friction)
+    stiffness: Number = np.inf
+    spring_force: Number = 0.0
+    nominal_torque: Number = np.inf
+
+    @property
+    def armature(self) -> Any:
+        """The rotor's inertia as the joint feels it [kg m2, kg]."""
+        return self.ratio**2 * self.rotor_inertia

@@ -1,0 +1,106 @@
+"""External torque of a chain: of logs that are known exactly, in a loop as in a log, and what is refused."""
+
+import dataclasses
+
+import jax
+import numpy as np
+import pytest
+
+import jaxik
+from jaxik.control import EstimationLoop, MomentumObserver, Sample, TorqueEstimator, TorqueFilter, estimate
+from jaxik.robot import Drive, Friction, inverse_dynamics, motor_current
+from jaxik.robot.chain import Body
+
+DT, STEPS = 1e-3, 400
+PUSH = np.array([3.0, -2.0])
+DRIVE = Drive(
+    ratio=50.0, torque_constant=0.1, rotor_inertia=1e-4, stiffness=1e4, friction=Friction(coulomb=0.02, load=1e-3, viscous=1e-3)
+)
+
+
+def an_arm(drive=DRIVE):
+    link = Body(np.array(2.0), np.array([-0.5, 0.02, 0.01]), np.diag([0.02, 0.2, 0.2]))
+    planar = dataclasses.replace(jaxik.load("planar2"), bodies=(link, link))
+    return planar.with_drives([drive, drive])
+
+
+ARM = an_arm()
+FILTER = TorqueFilter.of_drives(ARM, 0.01, 0.1, 1e-8)
+
+
+@pytest.fixture(scope="module")
+def log():
+    """Two sine motions under a constant push, whose currents and torsions are exact."""
+    t = DT * np.arange(STEPS)[:, None]
+    rate, phase = np.array([2.0, 3.0]), np.array([[[0.0, 1.0]], [[0.5, 0.2]]])
+    angle = rate * t + phase
+    q, qdot, qddot = np.sin(angle), rate * np.cos(angle), -(rate**2) * np.sin(angle)
+
+    @jax.jit
+    @jax.vmap
+    @jax.vmap
+    def shown(q, qdot, qddot):
+        torque = inverse_dynamics(ARM, q, qdot, qddot) - PUSH
+        return motor_current(ARM, torque, qdot), (torque - ARM.armature * qddot) / 1e4
+
+    return Sample(q, qdot, qddot, *map(np.asarray, shown(q, qdot, qddot)))
+
+
+def test_the_filter_finds_a_push(log):
+    """As a low pass of first order, whatever the arm does meanwhile."""
+    expected = PUSH * (1.0 - (1.0 - FILTER.gain) ** np.arange(1, STEPS + 1)[:, None])
+    found = estimate(TorqueEstimator(ARM, FILTER), log)
+    np.testing.assert_allclose(found, np.broadcast_to(expected, found.shape), rtol=1e-9)
+
+
+def test_the_observer_finds_a_push(log):
+    """Likewise, without accelerations; between samples it integrates by the trapezoidal rule."""
+    gain = np.array([30.0, 60.0])
+    expected = PUSH * (1.0 - (1.0 - gain * DT) ** np.arange(STEPS)[:, None])
+    found = estimate(MomentumObserver(ARM, gain, DT), log._replace(qddot=np.zeros_like(log.q)))
+    np.testing.assert_allclose(found, np.broadcast_to(expected, found.shape), atol=1e-4)
+
+
+def test_the_full_recursion_becomes_the_closed_form(log):
+    one = Sample(*(x[0] for x in log))
+    steady, full = (estimate(TorqueEstimator(ARM, FILTER, steady=steady, start=1.0), one) for steady in (True, False))
+    np.testing.assert_allclose(full[-1], PUSH, rtol=1e-6)
+    np.testing.assert_allclose(full[-1], steady[-1], rtol=1e-6)
+
+
+@pytest.mark.parametrize(
+    "estimator", [TorqueEstimator(ARM, FILTER), MomentumObserver(ARM, 30.0, DT)], ids=["filter", "observer"]
+)
+def test_a_loop_is_what_a_log_is(log, estimator):
+    samples = [Sample(*(x[0, k] for x in log)) for k in range(5)]
+    loop, found = EstimationLoop(estimator), []
+    state = loop.start(samples[0])
+    for sample in samples:
+        state = loop.step(state, sample)
+        found.append(state.external)
+    np.testing.assert_allclose(found, estimate(estimator, log)[0, :5], rtol=1e-12, atol=1e-12)
+    bad = samples[0]._replace(current=[0.0, np.nan])
+    with pytest.raises(ValueError, match="current holds nan at sample 0, joint 1"):
+        loop.step(state, bad)
+    assert np.isfinite(state.external).all()
+
+
+@pytest.mark.parametrize(
+    ("call", "says"),
+    [
+        (lambda log: estimate(TorqueEstimator(ARM, FILTER), log._replace(q=log.q[:1])), r"allowed: all \(..., t, 2\), t > 0"),
+        (
+            lambda log: estimate(TorqueEstimator(ARM, FILTER), log._replace(torsion=np.full_like(log.q, np.inf))),
+            "torsion holds .* joint 0",
+        ),
+        (lambda log: TorqueFilter.of_drives(jaxik.load("planar2"), 1.0, 1.0), "planar2 has no drives; use chain.with_drives"),
+        (lambda log: TorqueEstimator(ARM, None), "filter is None; write a jaxik.control.TorqueFilter"),
+        (lambda log: MomentumObserver(ARM, 2000.0, DT), "gain 2000.0 at dt 0.001 s; allowed: above 0, at most 1 / dt"),
+        (lambda log: MomentumObserver(ARM, np.nan, DT), "gain nan at dt"),
+        (lambda log: MomentumObserver(ARM, 1.0, np.inf), "dt is inf"),
+    ],
+)
+def test_refusals(log, call, says):
+    with pytest.raises(ValueError, match=says) as refused:
+        call(log)
+    assert "\n" not in str(refused.value)
