@@ -2,10 +2,11 @@
 
 The unknowns are blocks x_0, ..., x_{M-1} of n numbers, of which each element m touches a window x_m, ..., x_{m+w} alone:
 
-    A = sum_m sum_t (a_mt a_mt') (x) diag(s_mt)  +  sum_m sum_r w_mr (b_m (x) g_mr) (b_m (x) g_mr)'
+    A = sum_m ( sum_t (a_mt a_mt') (x) diag(s_mt) + sum_r w_mr (b_m (x) g_mr) (b_m (x) g_mr)' + sum_p v_mp h_mp h_mp' )
 
 with a_mt, b_m (w + 1,) known beforehand: the first couples like components of neighbours (a bound or a cost on a difference in
-time), the second all components of one weighted mean (what is asked of a robot at a moment). A dense front of (w + 1) n
+time), the second all components of one weighted mean (what is asked of a robot at a moment), the third, with h_mp of (w + 1) n
+numbers, whatever there is in the window (a torque, of rates and accelerations, too). A dense front of (w + 1) n
 rows moves along, takes an element up, and eliminates the block that no later element touches [Irons 1970; Duff and Reid 1983].
 The cost is linear in M, and a batch fills vector lanes.
 """
@@ -23,12 +24,14 @@ from jaxik.spatial.algebra import Scalar, add, mul, sub, traced
 SMALLEST = 1e-12  # pivot, as a share of the diagonal entry that it began as
 
 
-def banded_solve(diagonal: Any, slopes: Any, weights: Any, right: Any, pattern: Any, mean: Any, held: Any) -> Any:
+def banded_solve(
+    diagonal: Any, slopes: Any, weights: Any, levers: Any, loads: Any, right: Any, pattern: Any, mean: Any, held: Any
+) -> Any:
     """x (M, n) with `A x = right` (M, n). Traced.
 
-    `diagonal` (M, t, n) are s >= 0, `slopes` (M, r, n) are g, `weights` (M, r) are w >= 0; `pattern` (M, t, w + 1) are a,
-    `mean` (M, w + 1) are b. Blocks that are `held` (M,), 1 or 0, are zero in x; windows may reach beyond the last block,
-    where the patterns are zero.
+    `diagonal` (M, t, n) are s >= 0, `slopes` (M, r, n) are g, `weights` (M, r) are w >= 0, `levers` (M, p, (w + 1) n) are h,
+    `loads` (M, p) are v >= 0; `pattern` (M, t, w + 1) are a, `mean` (M, w + 1) are b. Blocks that are `held` (M,), 1 or 0,
+    are zero in x; windows may reach beyond the last block, where the patterns are zero.
     """
     n, width = right.shape[1], mean.shape[1]
     size = n * width
@@ -62,13 +65,13 @@ def banded_solve(diagonal: Any, slopes: Any, weights: Any, right: Any, pattern: 
 
     zero = jnp.zeros_like(right[0, 0])
     empty = [[zero] * (i + 1) for i in range(size - n)], [zero] * (size - n)
-    _, kept = lax.scan(forwards, empty, (diagonal, slopes, weights, right, pattern, mean, held))
+    _, kept = lax.scan(forwards, empty, (diagonal, slopes, weights, levers, loads, right, pattern, mean, held))
     return lax.scan(backwards, [zero] * (size - n), kept, reverse=True)[1]
 
 
 def _assembled(front: Any, element: Any, n: int, width: int) -> tuple[list[list[Any]], list[Any]]:
     """The front's lower triangle and right side with an element's, and a new block at its end."""
-    diagonal, slopes, weights, right, pattern, mean, held = element
+    diagonal, slopes, weights, levers, loads, right, pattern, mean, held = element
     matrix = [[*row] for row in front[0]] + [[0.0] * (i + 1) for i in range(n * (width - 1), n * width)]
     vector = [*front[1]] + [0.0] * n
     rows = [traced(g) for g in slopes]
@@ -84,6 +87,11 @@ def _assembled(front: Any, element: Any, n: int, width: int) -> tuple[list[list[
                     if i == j:
                         entry = add(entry, dot(both, [s[i] for s in diagonal]))
                     matrix[a * n + i][b * n + j] = add(matrix[a * n + i][b * n + j], entry)
+    for load, lever in zip(traced(loads), map(traced, levers), strict=True):
+        for i, reach in enumerate(lever):
+            share = mul(load, reach)
+            for j in range(i + 1):
+                matrix[i][j] = add(matrix[i][j], mul(share, lever[j]))
     for i in range(n):
         matrix[i][i] = add(matrix[i][i], held)
         vector[i] = add(vector[i], right[i])

@@ -3,7 +3,8 @@
 A motion is a spline with control points c (`splines`); q_k are its values at the knots.
 
     min over c   sum_t weight_t |stencil_t c|^2  +  sum_k psi_k(d(q_k))
-    low_t <= stencil_t c <= high_t,   excess(d(q_k)) >= 0,   e_j(q_k(j)) = 0,   the start given, the end at rest or given
+    low_t <= stencil_t c <= high_t,   excess(d(q_k)) >= 0,   |f(q_k, qd_k, qdd_k)| <= limit,   e_j(q_k(j)) = 0,
+    the start given, the end at rest or given
 
 by a primal-dual interior point with slacks [Nocedal and Wright 2006, sec. 19.2], whose steps are those of `banded_solve`.
 Second derivatives are Gauss and Newton's, and at the knots of equations the equations' own, too, where they are positive.
@@ -23,7 +24,7 @@ import numpy as np
 from jaxtyping import Bool, Float, Int
 
 from jaxik.optimise.banded import banded_solve
-from jaxik.optimise.splines import RATE, VALUE, applied, spread
+from jaxik.optimise.splines import DIFFERENCE, RATE, VALUE, applied, spread
 from jaxik.spmd import HostKernel
 from jaxik.spmd.batch import cores, in_blocks, threads
 
@@ -37,7 +38,7 @@ _MOST = 1e9  # multiplier of a bound, in units of the cost
 _WINDOW = 8  # iterations in which the cost must fall by more than the tolerance
 _FEW = 4  # motions a thread, from which on there is one for each core
 _GIVEN_UP = 1e10  # damping at which no step lowers the merit
-_STEP = HostKernel(banded_solve, 4)
+_STEP = HostKernel(banded_solve, 6)
 
 
 class Rows(NamedTuple):
@@ -63,6 +64,13 @@ class Samples(NamedTuple):
     by_rate: np.ndarray | None = None
 
 
+class Loads(NamedTuple):
+    """At knots, functions (B, S, m) of values, rates and their rates, and their slopes by each (B, S, m, 3, n)."""
+
+    value: np.ndarray
+    slopes: np.ndarray
+
+
 class Equations(NamedTuple):
     """Residuals (B, j, m) of equations at some knots, their slopes (B, j, m, n), and the second derivatives of their sum, each
     times its multiplier (B, j, n, n)."""
@@ -77,7 +85,8 @@ class Problem:
     """Splines of `degree` over spans of length `span`. `samples(q, rate, which)`, of values and rates (b, S, n) at the knots of
     the motions `which` (b,), and `equations(q, multipliers, which)`, of values (b, j, n) at the knots `at` and multipliers
     (b, j, count), say what is nonlinear. The first `degree` control points stay; so do the last, or they move as one. A step
-    moves no knot by more than `sum_j |dq_j| cautious_j = 1`, where that is given: no further than it can see."""
+    moves no knot by more than `sum_j |dq_j| cautious_j = 1`, where that is given: no further than it can see. `loads(q, rate,
+    bend, which)` are not more than `limit` (B, S, m) in size, of splines of degree 3."""
 
     degree: int
     span: float
@@ -88,6 +97,8 @@ class Problem:
     count: int = 0
     open_end: bool = True
     cautious: np.ndarray | None = None
+    loads: Callable[[np.ndarray, np.ndarray, np.ndarray, np.ndarray], Loads] | None = None
+    limit: np.ndarray | None = None
 
 
 class Found(NamedTuple):
@@ -112,6 +123,7 @@ class _Measured(NamedTuple):
     cost: np.ndarray
     samples: Samples
     equations: Equations
+    loads: Loads
     distances: list[np.ndarray]
 
 
@@ -181,9 +193,12 @@ class _Solver:
         self.fixed = np.zeros(self.size)
         self.fixed[: problem.degree] = self.fixed[self.end + problem.open_end :] = 1.0
         self.value, self.rate = VALUE[problem.degree], np.array(RATE[problem.degree]) / problem.span
+        self.bend = np.array(DIFFERENCE[2]) / problem.span**2
         width = max(len(row.stencil) for row in (Rows(self.value), *problem.rows))
         self.patterns = np.stack([self._pattern(row.stencil, width) for row in (*problem.rows, Rows(self.value))], axis=1)
         self.mean = self._pattern(self.value, width)
+        stencils = (self.value, self.rate, self.bend) if problem.loads is not None else ()
+        self.moved = np.array([self._pattern(stencil, width) for stencil in stencils]).reshape(-1, self.size, width)
         self.bounds = [bound for i, row in enumerate(problem.rows) for bound in self._bounds(i, row, count)]
         self.stiff = _STIFF * max(float(np.max(row.weight)) * float(np.dot(row.stencil, row.stencil)) for row in problem.rows)
 
@@ -271,13 +286,20 @@ class _Solver:
         values = [applied(row.stencil, points) for row in problem.rows]
         parts = np.stack([np.sum(_weight(r) * v * v, axis=(1, 2)) for r, v in zip(problem.rows, values, strict=True)], axis=1)
         q = applied(self.value, points)
-        samples = problem.samples(q, applied(self.rate, points), which)
+        rate = applied(self.rate, points)
+        samples = problem.samples(q, rate, which)
+        loads = Loads(np.zeros((*q.shape[:2], 0)), np.zeros((*q.shape[:2], 0, 3, self.n)))
+        if problem.loads is not None:
+            loads = problem.loads(q, rate, applied(self.bend, points), which)
         nothing = (np.zeros((len(q), 0, *shape)) for shape in ((0,), (0, self.n), (self.n, self.n)))
         equations = problem.equations(q[:, problem.at], multipliers, which) if problem.equations else Equations(*nothing)
         distances = [sign * (values[i] - bound[which]) for i, sign, bound in self.bounds]
+        if problem.limit is not None:
+            distances += [problem.limit[which] - loads.value, problem.limit[which] + loads.value]
         if samples.excess is not None:
             distances.append(np.minimum(samples.excess, FAR))
-        return _Measured(values, parts, parts.sum(axis=1) + samples.cost.sum(axis=(1, 2)), samples, equations, distances)
+        cost = parts.sum(axis=1) + samples.cost.sum(axis=(1, 2))
+        return _Measured(values, parts, cost, samples, equations, loads, distances)
 
     # ----------------------------------------------------------------------------------------------------------------
 
@@ -289,6 +311,7 @@ class _Solver:
         for i, row in enumerate(rows):
             diagonal[:, : pulls[i].shape[1], i] = 2.0 * _weight(row) * (1.0 + state.damping[:, None, None])
         pull, weights = -samples.first, samples.second
+        lifts, heavy = np.zeros_like(here.loads.value), np.zeros_like(here.loads.value)
         for k, (s, z, d) in enumerate(zip(state.slack, state.dual, here.distances, strict=True)):
             stiff = z / s
             push = barrier / s - stiff * (d - s)
@@ -296,6 +319,8 @@ class _Solver:
                 i, sign, _ = self.bounds[k]
                 diagonal[:, : s.shape[1], i] += stiff
                 pulls[i] += sign * push
+            elif (side := self._of_load(k)) is not None:
+                lifts, heavy = lifts + side * push, heavy + stiff
             else:
                 pull, weights = pull + push, weights + stiff
         lever = np.abs(samples.slopes).max(axis=(1, 2))
@@ -313,11 +338,16 @@ class _Solver:
         spread(self.value, by_value, right)
         if samples.by_rate is not None:
             spread(self.rate, -samples.by_rate, right)
+        for stencil, slope in zip((self.value, self.rate, self.bend), np.moveaxis(here.loads.slopes, 3, 0), strict=True):
+            if slope.size:
+                spread(stencil, np.matmul(lifts[:, :, None], slope)[:, :, 0], right)
         if self.problem.open_end:
             right[:, self.end] = right[:, self.end :].sum(axis=1)
         right *= 1.0 - self.fixed[:, None]
         fixed = self.patterns, self.mean, self.fixed
-        (move,) = in_blocks(_STEP, diagonal, slopes, all_weights, right, fixed=fixed, double=True)
+        levers, all_loads = self._levers(here.loads.slopes, heavy)
+        operands = diagonal, slopes, all_weights, levers, all_loads, right
+        (move,) = in_blocks(_STEP, *operands, fixed=fixed, double=True)
         promise = np.abs(np.sum(move * right, axis=(1, 2)))
         if self.problem.open_end:
             move[:, self.end + 1 :] = move[:, self.end : self.end + 1]
@@ -328,11 +358,31 @@ class _Solver:
             if k < len(self.bounds):
                 i, sign, _ = self.bounds[k]
                 change = sign * applied(rows[i].stencil, move)
+            elif (side := self._of_load(k)) is not None:
+                change = side * sum(
+                    np.matmul(here.loads.slopes[:, :, :, i], applied(stencil, move)[..., None])[..., 0]
+                    for i, stencil in enumerate((self.value, self.rate, self.bend))
+                )
             else:
                 change = np.matmul(samples.slopes, moved[..., None])[..., 0]
             by_slack.append(change + d - s)
             by_dual.append(barrier / s - z - z / s * by_slack[-1])
         return _Step(move, by_slack, by_dual, promise, state.multipliers + self.stiff * linear)
+
+    def _of_load(self, k: int) -> float | None:
+        """Whether the k-th distances are those of loads to their upper (-1) or lower (1) limits."""
+        first = len(self.bounds)
+        return {first: -1.0, first + 1: 1.0}.get(k) if self.problem.limit is not None else None
+
+    def _levers(self, slopes: np.ndarray, heavy: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """The slopes of loads by the window's points (b, M, m, width n), and their weights (b, M, m)."""
+        count, knots, m = heavy.shape
+        levers = np.zeros((count, self.size, m, self.moved.shape[2] * self.n))
+        weights = np.zeros((count, self.size, m))
+        if m:
+            window = np.einsum("dkw,bkmdn->bkmwn", self.moved[:, :knots], slopes)
+            levers[:, :knots], weights[:, :knots] = window.reshape(count, knots, m, -1), heavy
+        return levers, weights
 
     def _squares(self, slopes: np.ndarray, weights: np.ndarray, equations: Equations) -> tuple[np.ndarray, np.ndarray]:
         """Slopes (b, M, r, n) and weights (b, M, r) whose squares are the second derivatives: at the knots of equations all of

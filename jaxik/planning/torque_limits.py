@@ -27,7 +27,7 @@ from jaxik.spmd.host import host_kernels
 WITHIN = np.array([0.0, 0.25, 0.5, 0.75, 1.0])  # of a part, where torques are measured
 TURNS = 8  # in which limits settle
 HOLDING = 1.3  # by how much a tangent's limit of torque at rest is above what holds the arm
-SLOWER = 1.0 - np.linspace(0.0, 1.0, 400) ** 3  # shares of the speed
+SLOWER = np.concatenate([1.0 - np.linspace(0.0, 0.95, 300) ** 3, np.geomspace(0.14, 1e-9, 200)])  # shares of the speed
 
 
 class Drives(NamedTuple):
@@ -37,6 +37,10 @@ class Drives(NamedTuple):
     torque: np.ndarray
     power: np.ndarray
     gravity: np.ndarray
+
+    @property
+    def limited(self) -> bool:
+        return bool(np.isfinite(self.torque).any() or np.isfinite(self.power).any())
 
 
 class Forces(NamedTuple):
@@ -66,9 +70,15 @@ def forces(drives: Drives, curve: np.ndarray, lengths: np.ndarray, parts: int) -
     count, k, _, n = curve.shape
     share = (np.arange(parts)[:, None] + WITHIN) / parts
     s = lengths[:, :, None, None] * share
-    q, slope, bend = (x.reshape(-1, n) for x in along_pieces(curve[:, :, None, None], s))
-    found = in_blocks(_forces(drives.chain), q, slope, bend, fixed=(drives.gravity,), double=True)
+    q, slope, bend = along_pieces(curve[:, :, None, None], s)
+    found = _along(drives, q, slope, bend)
     return Forces(*(x.reshape(count, k * parts, len(WITHIN), n) for x in (*found, slope)))
+
+
+def _along(drives: Drives, *states: np.ndarray) -> list[np.ndarray]:
+    """`_forces` of states (..., n)."""
+    flat = (x.reshape(-1, x.shape[-1]) for x in states)
+    return [x.reshape(states[0].shape) for x in in_blocks(_forces(drives.chain), *flat, fixed=(drives.gravity,), double=True)]
 
 
 @host_kernels(3)
@@ -158,13 +168,25 @@ def _bend(values: np.ndarray) -> np.ndarray:
 
 def slowdown(given: Forces, limits: Drives, squares: np.ndarray, step: np.ndarray) -> np.ndarray:
     """(N,): the share of its speed at which each motion keeps the limits; what accelerates falls with its square."""
-    moving, rate = measured(given, squares, step)
-    share = np.ones(len(squares))
-    for i in range(len(share)):
-        for y in SLOWER:
-            torque = moving[i] * y**2 + given.still[i]
-            used = [np.abs(x).max(axis=1) + _bend(x[None])[0] for x in (torque, torque * rate[i] * y)]
-            if all((x <= most).all() for x, most in zip(used, (limits.torque, limits.power), strict=True)):
-                share[i] = y
-                break
-    return share
+    return np.array([_share(limits, *each) for each in zip(*measured(given, squares, step), given.still, strict=True)])
+
+
+def least_time(limits: Drives, q: np.ndarray, rate: np.ndarray, bend: np.ndarray) -> np.ndarray:
+    """(N,): how many times as long as in states (N, k, n) motions take within the limits; NaN where they cannot be held."""
+    _, moving, still = _along(limits, q, rate, bend)
+    with np.errstate(divide="ignore", invalid="ignore"):
+        room = np.nan_to_num(np.maximum(moving / (limits.torque - still), -moving / (limits.torque + still)))
+    times = np.maximum(np.sqrt(np.maximum(room, 0.0).max(axis=(1, 2))), 1e-9)
+    for i, t in enumerate(times):
+        times[i] = t / _share(limits, moving[i, None] / t**2, rate[i, None] / t, still[i, None])
+    return np.where((np.abs(still) < limits.torque).all(axis=(1, 2)), times, np.nan)
+
+
+def _share(limits: Drives, moving: np.ndarray, rate: np.ndarray, still: np.ndarray) -> float:
+    """The greatest of `SLOWER` at which torques and rates (parts, w, n) keep the limits."""
+    for y in SLOWER:
+        torque = moving * y**2 + still
+        used = [np.abs(x).max(axis=1) + _bend(x[None])[0] for x in (torque, torque * rate * y)]
+        if all((x <= most).all() for x, most in zip(used, (limits.torque, limits.power), strict=True)):
+            return float(y)
+    return float(SLOWER[-1])

@@ -27,12 +27,14 @@ from jaxik.collision.scene import Scene
 from jaxik.collision.scene_builder import make_scene
 from jaxik.ik import IKOptions, solve_ik
 from jaxik.optimise import collocation, splines
+from jaxik.planning import torque_limits
 from jaxik.planning.collision_checker import CLOSE, RESOLUTION, CollisionChecker, judged
 from jaxik.planning.planner import PlanOptions, plan_motions
-from jaxik.planning.trajectory import JointPath, Trajectory
+from jaxik.planning.trajectory import JointPath, Trajectory, along_pieces
 from jaxik.planning.trajectory_terms import Target, Terms
 from jaxik.reasons import Reason, Reasoned
 from jaxik.robot.chain import Chain
+from jaxik.robot.dynamics import GRAVITY
 from jaxik.robot.task import POSE, POSITION, Task
 
 MENDS = 4  # rounds in which a motion that is not proven free is mended, the last ones with finer spans
@@ -41,6 +43,7 @@ DEEP = 0.02  # [m] in an obstacle, from which no mending is tried: it is jumped
 MANY = 48  # spans that can follow a planner's way
 FEWEST = 12  # spans at which seeds are compared, and halved no more
 BROKEN = 1e-6  # by which a limit [rad, m and s] or a target [m, rad] counts as missed
+BETWEEN = np.linspace(0.0, 1.0, 5)  # of a span, where torques are judged
 LOSS = 1e3  # cost of a metre, or a radian, by which a seed breaks a bound
 
 
@@ -57,6 +60,7 @@ class TrajectoryOptions:
     activation, self_activation: distances [m] to obstacles and to itself below which that costs.
     arc_length: collision cost by the way the arm moves [m] rather than by time, so that haste does not make it cheap.
     velocity, acceleration, jerk: limits (n,) or one number [rad, m and s]; None is the chain's velocity, and no other.
+    torque, power: limits (n,) or one number [Nm and N, W] of what the drives give, in `gravity` [m/s2, world]; or none.
     task, via_task: what a pose as the goal, and each as a via point, binds.
     postures, kept: how many postures that have the goal's pose are compared, and how many of them are optimised.
     rounds: of the planner, whose path is the last resort; 0 asks for none.
@@ -78,6 +82,9 @@ class TrajectoryOptions:
     velocity: Any = None
     acceleration: Any = np.inf
     jerk: Any = np.inf
+    torque: Any = None
+    power: Any = None
+    gravity: Any = GRAVITY
     task: Task = POSE
     via_task: Task = POSITION
     postures: int = 8
@@ -103,6 +110,8 @@ class TrajectoryOptions:
             raise ValueError(f"{who}: degree {self.degree}, spans {self.spans}; allowed: 2 or 3, and spans twice that or more")
         if self.degree == 2 and (self.jerk_cost or np.isfinite(self.jerk).any()):
             raise ValueError(f"{who}: degree 2 has no jerk; write degree=3")
+        if self.degree == 2 and not (self.torque is None and self.power is None):
+            raise ValueError(f"{who}: degree 2 has no acceleration at knots, nor torque there; write degree=3")
         if not self.activation > 0.0 or not (self.self_activation is None or self.self_activation > 0.0):
             raise ValueError(f"{who}: activation {self.activation}, {self.self_activation}; allowed: above zero [m]")
 
@@ -111,13 +120,30 @@ class TrajectoryOptions:
         duration = 1.0 if self.duration is None else float(self.duration)
         first, last = np.broadcast_to(numbers("optimise_trajectory: velocity_cost", self.velocity_cost), 2).tolist()
         smooth = (duration / 7.0) ** 2 if self.degree == 3 else 0.0
-        own = self.activation if self.self_activation is None else self.self_activation
-        limits = [np.full(chain.num_joints, np.inf)] * 3 if self.duration is None else self.limits(chain)
+        limits, drives = self.limits(chain), self.drives(chain)
+        if self.duration is None:
+            free = np.full(chain.num_joints, np.inf)
+            limits, drives = [free] * 3, drives._replace(torque=free, power=free)
+        velocity, acceleration, jerk = limits
         return Terms(
             *(chain, scene, duration, self.degree, (first, last)),
-            *(smooth if self.acceleration_cost is None else self.acceleration_cost, self.jerk_cost),
-            *(self.margin, self.collision_weight, self.collision_maximum, self.activation, own, self.arc_length, *limits),
+            acceleration_cost=smooth if self.acceleration_cost is None else self.acceleration_cost,
+            jerk_cost=self.jerk_cost,
+            margin=self.margin,
+            collision_weight=self.collision_weight,
+            collision_maximum=self.collision_maximum,
+            activation=self.activation,
+            self_activation=self.activation if self.self_activation is None else self.self_activation,
+            arc_length=self.arc_length,
+            velocity=velocity,
+            acceleration=acceleration,
+            jerk=jerk,
+            drives=drives,
         )
+
+    def drives(self, chain: Chain) -> torque_limits.Drives:
+        """The robot in its gravity, and the limits of its drives."""
+        return torque_limits.drives("optimise_trajectory", chain, self.torque, self.power, self.gravity)
 
     def limits(self, chain: Chain) -> list[np.ndarray]:
         """Of velocity, acceleration and jerk, each (n,)."""
@@ -353,10 +379,19 @@ class _Search:
         return [self._freed(rows, found)]
 
     def _problem(
-        self, rows: np.ndarray, spans: int, extra: np.ndarray | None = None, soft: bool = False, cautious: bool = False
+        self,
+        rows: np.ndarray,
+        spans: int,
+        extra: np.ndarray | None = None,
+        soft: bool = False,
+        cautious: bool = False,
+        used: np.ndarray | None = None,
     ) -> collocation.Problem:
         targets = tuple(dataclasses.replace(target, pose=target.pose[rows]) for target in self.targets)
-        return (self.soft if soft else self.terms).problem(spans, targets, extra, self.poses is not None, cautious)
+        terms = self.soft if soft else self.terms
+        return terms.problem(
+            spans, targets, extra, self.poses is not None, cautious, np.ones((len(rows), 1)) if used is None else used
+        )
 
     def _compared(self, rows: np.ndarray, samples: np.ndarray) -> tuple[np.ndarray, np.ndarray, collocation.Found]:
         """The best samples of each problem, solved with few spans: their ranks, from 0, problems, and what was found. What
@@ -391,21 +426,23 @@ class _Search:
         """The motions that are proven free and inside their limits, mended where need be; the others' reasons are noted."""
         options = self.options
         extra = np.full((len(rows), found.points.shape[1] - options.degree + 1), CUSHION)
+        used = np.ones(extra.shape)
         for number in range(MENDS + 1):
             kept = self._kept(rows, found)
             short = np.zeros(extra[:, 1:].shape) if options.margin is None else self._short(found.points)
             bad = (short > 0.0).any(axis=1)
             at = np.flatnonzero((bad | (kept != Reason.SOLVED)) & (short.max(axis=1) < DEEP))
-            if not len(at) or number == MENDS or options.margin is None:
+            if not len(at) or number == MENDS or not (options.margin is not None or self.terms.drives.limited):
                 break
-            if number >= MENDS // 2 and bad.any():
+            used /= np.maximum(1.0, _at_knots((1.0 + 1e-4) * self._loaded(found.points)))
+            if number >= MENDS // 2:
                 found = _finer(found, options.degree)
-                extra, short = np.repeat(extra, 2, axis=1)[:, :-1], np.repeat(short, 2, axis=1)
-            wider = np.maximum(np.pad(short, ((0, 0), (1, 0))), np.pad(short, ((0, 0), (0, 1))))
-            extra[:, 1:-1] += 1.5 * wider[:, 1:-1]  # not of the goal's posture, which may have no more
+                extra, used = (np.repeat(x, 2, axis=1)[:, :-1] for x in (extra, used))
+                short = np.repeat(short, 2, axis=1)
+            extra[:, 1:-1] += 1.5 * _at_knots(short)[:, 1:-1]  # not of the goal's posture, which may have no more
             spans = extra.shape[1] - 1
             again = collocation.optimise(
-                self._problem(rows[at], spans, extra[at], cautious=True),
+                self._problem(rows[at], spans, extra[at], cautious=True, used=used[at]),
                 *(found.points[at], options.iterations, options.tolerance, 0.5 * BROKEN, found.multipliers[at]),
             )
             again = again._replace(iterations=found.iterations[at] + again.iterations)
@@ -432,8 +469,23 @@ class _Search:
         for row in problem.rows:
             value = splines.applied(row.stencil, found.points)
             over = np.maximum(over, np.maximum(row.low - value, value - row.high).max(axis=(1, 2)))
+        over = np.maximum(over, self._loaded(found.points).max(axis=1) - 1.0)
         broken = np.where(over > BROKEN, int(Reason.LIMITS), int(Reason.SOLVED))
         return np.where(missed > BROKEN, int(Reason.NOT_CONVERGED), broken)
+
+    def _loaded(self, points: np.ndarray) -> np.ndarray:
+        """The greatest share of a limit of torque or power that each span (b, N) of motions uses."""
+        spans = points.shape[1] - self.options.degree
+        if not (self.terms.drives.limited and len(points)):
+            return np.zeros((len(points), spans))
+        return np.abs(self.terms.loads(*self._states(points))).reshape(len(points), spans, -1).max(axis=2)
+
+    def _states(self, points: np.ndarray) -> list[np.ndarray]:
+        """Values, rates and their rates (b, k, n) at knots and between them."""
+        span = self.terms.duration / (points.shape[1] - self.options.degree)
+        curve = splines.pieces(points, self.options.degree, span)[:, :, None]
+        found = along_pieces(curve, np.broadcast_to(span * BETWEEN, (*curve.shape[:2], len(BETWEEN))))
+        return [x.reshape(len(points), -1, points.shape[2]) for x in found]
 
     def _short(self, points: np.ndarray) -> np.ndarray:
         """By how much each span (b, N) comes too near to be proven free [m]; 0 where it is."""
@@ -481,6 +533,8 @@ class _Search:
             multipliers[rows] = found.multipliers
             pressure[rows] = found.pressure
         duration = np.full(count, self.terms.duration) if self.options.duration is not None else self._shortest(points, spans)
+        weak = np.isnan(duration) & ~np.isnan(cost)  # the drives cannot hold the arm on the way
+        self.reason[weak], points[weak] = int(Reason.LIMITS), np.nan
         return OptimisedTrajectory(
             self.reason, _timed(points, degree, duration), cost, parts, iterations, converged, multipliers, pressure
         )
@@ -493,6 +547,9 @@ class _Search:
             if order <= self.options.degree:
                 size = np.abs(splines.applied(splines.DIFFERENCE[order], points)).max(axis=1) * spans**order
                 least = np.maximum(least, (size / limit).max(axis=1) ** (1.0 / order))
+        drives, moves = self.options.drives(self.chain), np.flatnonzero(~np.isnan(least))
+        if len(moves) and drives.limited:
+            least[moves] = np.maximum(least[moves], torque_limits.least_time(drives, *self._states(points[moves])))
         return least
 
 
@@ -516,6 +573,11 @@ def _finer(found: collocation.Found, degree: int) -> collocation.Found:
     between = np.stack([found.pressure, np.zeros_like(found.pressure)], axis=2)
     pressure = between.reshape(len(between), -1, between.shape[3])[:, :-1]
     return found._replace(points=splines.finer(found.points, degree), pressure=pressure)
+
+
+def _at_knots(spans: np.ndarray) -> np.ndarray:
+    """The greater (b, N + 1) of what is known of the spans (b, N) beside each knot, none of which is negative."""
+    return np.maximum(np.pad(spans, ((0, 0), (1, 0))), np.pad(spans, ((0, 0), (0, 1))))
 
 
 def _put(old: np.ndarray, at: np.ndarray, new: np.ndarray) -> np.ndarray:

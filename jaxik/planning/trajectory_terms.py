@@ -16,7 +16,9 @@ from jaxik.collision.continuous_collision import joint_reaches
 from jaxik.collision.scene import Scene
 from jaxik.optimise import collocation, splines
 from jaxik.optimise.collocation import FAR, Rows
+from jaxik.planning.torque_limits import Drives
 from jaxik.robot.chain import Chain
+from jaxik.robot.dynamics import inverse_dynamics, mass_matrix
 from jaxik.robot.kinematics import jacobian_columns, joint_frames
 from jaxik.robot.task import Task
 from jaxik.spatial.algebra import Frame, stack, traced
@@ -56,12 +58,19 @@ class Terms:
     velocity: np.ndarray
     acceleration: np.ndarray
     jerk: np.ndarray
+    drives: Drives
 
     def problem(
-        self, spans: int, targets: tuple[Target, ...], extra: np.ndarray | None, open_end: bool, cautious: bool = False
+        self,
+        spans: int,
+        targets: tuple[Target, ...],
+        extra: np.ndarray | None,
+        open_end: bool,
+        cautious: bool = False,
+        used: np.ndarray | None = None,
     ) -> collocation.Problem:
-        """Over so many spans; `extra` (B, spans + 1) [m] is kept beyond the margin at each knot. Being cautious, a step moves
-        nothing by more than `STRIDE`."""
+        """Over so many spans; `extra` (B, spans + 1) [m] is kept beyond the margin at each knot, and of the drives' limits the
+        share `used` (B, 1 or spans + 1). Being cautious, a step moves nothing by more than `STRIDE`."""
         at = tuple(round(target.share * spans) for target in targets)
         count = max((sum(target.task.bound) for target in targets), default=0)
         asked = functools.partial(self._equations, targets, count) if targets else None
@@ -69,7 +78,13 @@ class Terms:
         return collocation.Problem(
             *(self.degree, self.duration / spans, self._rows(spans), samples, asked, at, count, open_end),
             cautious=self._reaches / STRIDE if cautious else None,
+            loads=self._loads if self.drives.limited else None,
+            limit=None if not self.drives.limited else np.ones((1, 1, 1)) if used is None else used[:, :, None],
         )
+
+    def loads(self, q: np.ndarray, rate: np.ndarray, bend: np.ndarray) -> np.ndarray:
+        """Torques and powers, as shares of their limits, of states (b, k, n): (b, k, m)."""
+        return self._loads(q, rate, bend, np.arange(len(q))).value
 
     def softened(self) -> Terms:
         """The same with obstacles that cost instead of a margin: from within one a motion finds out."""
@@ -142,6 +157,17 @@ class Terms:
         by_distance = -3.0 * share * depth**2 / close, 6.0 * share * depth / close**2
         return collocation.Samples(slope, share * depth**3, *by_distance, excess, by_rate)
 
+    def _loads(self, q: np.ndarray, rate: np.ndarray, bend: np.ndarray, _: np.ndarray) -> collocation.Loads:
+        flat = (x.reshape(-1, x.shape[2]) for x in (q, rate, bend))
+        torque, slopes = in_blocks(_torques(self.chain), *flat, fixed=(self.drives.gravity,), double=True)
+        torque, slopes = torque.reshape(q.shape), slopes.reshape(*q.shape, 3, q.shape[2])
+        power = rate[..., None, None] * slopes
+        power[..., 1, :] += torque[..., None] * np.eye(q.shape[2])
+        both = (torque, slopes, self.drives.torque), (torque * rate, power, self.drives.power)
+        kept = [(f[..., np.isfinite(m)], df[:, :, np.isfinite(m)], m[np.isfinite(m)]) for f, df, m in both]
+        values, changes = [f / m for f, _, m in kept], [df / m[:, None, None] for _, df, m in kept]
+        return collocation.Loads(np.concatenate(values, axis=2), np.concatenate(changes, axis=2))
+
     def _equations(
         self, targets: tuple[Target, ...], count: int, q: np.ndarray, multipliers: np.ndarray, which: np.ndarray
     ) -> collocation.Equations:
@@ -176,3 +202,17 @@ def _reached(chain: Chain, task: Task, q: Any, pose: Any, multipliers: Any) -> A
 
     bend, (residual, slopes) = jax.jacfwd(pull, has_aux=True)(q)
     return residual, slopes, 0.5 * (bend + bend.T)
+
+
+@host_kernels(3)
+def _torques(chain: Chain, q: Any, rate: Any, bend: Any, gravity: Any) -> Any:
+    """The drives' torques (n,), and their slopes (n, 3, n) by q, rates and their rates."""
+    n = len(q)
+    torque = lambda q, rate: inverse_dynamics(chain, q, rate, bend, gravity=gravity)
+
+    def along(tangent: Any) -> Any:  # one at a time, or the program would be as long as all of them
+        return jax.jvp(torque, (q, rate), (tangent[:n], tangent[n:]))[1]
+
+    slopes = jax.lax.map(along, jnp.eye(2 * n, dtype=q.dtype))
+    by_state = jnp.stack([slopes[:n].T, slopes[n:].T], axis=1)
+    return torque(q, rate), jnp.concatenate([by_state, mass_matrix(chain, q)[:, None]], axis=1)

@@ -11,10 +11,11 @@ from scipy.optimize import minimize
 
 import jaxik
 from jaxik.collision.clearances import link_clearances
-from jaxik.optimise import splines
+from jaxik.optimise import collocation, splines
 from jaxik.optimise.banded import banded_solve
-from jaxik.planning import optimise_trajectory, trajectory_cost
+from jaxik.planning import TrajectoryOptions, optimise_trajectory, trajectory_cost
 from jaxik.reasons import Reason
+from jaxik.robot.dynamics import inverse_dynamics
 from jaxik.spmd import HostKernel
 
 POLES = jaxik.make_scene(boxes=[[0.65, 0.0, 0.0, 0.3, 0.05, 0.5], [-0.5, 0.5, 0.0, 0.1, 0.3, 0.5]])
@@ -32,9 +33,11 @@ def test_banded_systems():
     pattern, mean = rng.normal(size=(count, terms, width)) * reach[:, None], rng.normal(size=(count, width)) * reach
     diagonal, slopes = rng.uniform(0.1, 1.0, (2, count, terms, n)), rng.normal(size=(2, count, rows, n))
     weights, right = rng.uniform(size=(2, count, rows)), rng.normal(size=(2, count, n)) * (1.0 - held)[:, None]
+    levers, loads = rng.normal(size=(2, count, 1, width, n)) * reach[:, None, :, None], rng.uniform(size=(2, count, 1))
     diagonal[:, -2] += 1.0
     pattern[-2, :, 0] = 1.0
-    (found,) = HostKernel(banded_solve, 4).run(diagonal, slopes, weights, right, pattern, mean, held, double=True)
+    operands = diagonal, slopes, weights, levers.reshape(2, count, 1, -1), loads, right
+    (found,) = HostKernel(banded_solve, 6).run(*operands, pattern, mean, held, double=True)
     for b in range(2):
         matrix = np.diag(np.repeat(held, n)).reshape(count, n, count, n)
         for m in range(count):
@@ -43,6 +46,7 @@ def test_banded_systems():
                     if max(m + i, m + j) < count:
                         part = (slopes[b, m].T * weights[b, m]) @ slopes[b, m] * mean[m, i] * mean[m, j]
                         part += np.diag(diagonal[b, m].T @ (pattern[m, :, i] * pattern[m, :, j]))
+                        part += np.outer(levers[b, m, 0, i], levers[b, m, 0, j]) * loads[b, m, 0]
                         matrix[m + i, :, m + j] += part
         truth = np.linalg.solve(matrix.reshape(count * n, -1), right[b].ravel())
         np.testing.assert_allclose(found[b].ravel(), truth, rtol=0, atol=1e-10 * np.abs(truth).max())
@@ -135,6 +139,49 @@ def test_as_good_as_scipy(arm):
         options={"maxiter": 500, "ftol": 1e-10},
     )
     assert found.converged and abs(found.cost - truth.fun) <= 1e-3 * truth.fun
+
+
+def test_within_torque_and_power_as_good_as_scipy():
+    """At knots, as both have it there; and what is returned keeps the limits between them."""
+    chain, start, end, spans, duration = jaxik.load("crops_v2").part(0, 3), [0.2, 0.0, 0.0], [0.6, 0.8, -0.7], 12, 0.6
+    torque, power, span = np.array([603.0, 12.6, 27.9]), np.array([268.0, 9.6, 20.6]), duration / spans
+    options = {"duration": duration, "velocity": 9.0, "margin": None, "torque": torque, "power": power}
+    drives = jax.vmap(lambda *x: inverse_dynamics(chain, *x))
+
+    def rows(x):
+        """Values, rates and their rates at knots, with weights of the squares of the latter."""
+        points = jnp.concatenate([jnp.tile(jnp.array(start), (3, 1)), x.reshape(-1, 3), jnp.tile(jnp.array(end), (3, 1))])
+        at = lambda weights: sum(w * points[k : k + spans + 4 - len(weights)] for k, w in enumerate(weights))
+        return at(splines.VALUE[3]), at(splines.RATE[3]) / span, at((1, -2, 1)) / span**2, at((-1, 1)) / span
+
+    def cost(x):
+        *_, bend, step = rows(x)
+        weights = jnp.full(len(step), span).at[jnp.array([0, -1])].mul(0.5)
+        return jnp.sum(weights[:, None] * step**2) + (duration / 7.0) ** 2 * span * jnp.sum(bend**2)
+
+    def room(x):
+        q, rate, bend, _ = rows(x)
+        found = drives(q, rate, bend)
+        used = jnp.concatenate([found / torque, found * rate / power]).ravel()
+        return jnp.concatenate([1.0 - used, 1.0 + used])
+
+    begin = np.linspace(start, end, spans - 1)[1:-1].ravel()
+    inside = {"type": "ineq", "fun": jax.jit(room)}
+    truth = minimize(
+        jax.jit(cost), begin, jac=jax.jit(jax.grad(cost)), constraints=inside, method="SLSQP", options={"ftol": 1e-12}
+    )
+    assert truth.success and np.sort(room(truth.x))[2] < 1e-5  # some limits are met
+    problem = TrajectoryOptions(spans=spans, **options).terms(chain, None).problem(spans, (), None, False)
+    points = splines.through(np.linspace(start, end, 40)[None], 3, spans)
+    found = collocation.optimise(problem, points, 200, 1e-9)
+    assert found.converged[0] and abs(found.cost[0] - truth.fun) <= 1e-6 * truth.fun
+    for more in ({}, {"duration": None}):
+        moved = optimise_trajectory(chain, None, start, end, **options | more)
+        state = jax.vmap(moved.trajectory.at)(np.linspace(0.0, moved.trajectory.duration, 1001))
+        most = np.abs(drives(*state)).max(axis=0) / torque, np.abs(drives(*state) * state.velocity).max(axis=0) / power
+        assert moved.reasons == "solved" and 0.95 < np.max(most) <= 1.0 + 1e-6
+    weak = optimise_trajectory(chain, None, start, end, torque=100.0, margin=None)
+    assert weak.reasons == "limits" and np.isnan(weak.trajectory.duration)  # 300 N hold the arm
 
 
 def test_cost_by_obstacles_and_links(arm):
