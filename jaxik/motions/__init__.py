@@ -5,7 +5,7 @@ from jaxik.motions.following import FollowOptions, follow
 from jaxik.motions.moving_horizon import MovingHorizon, follow_predictively
 from jaxik.motions.nullspace import asc, rac, resolve_acceleration, resolve_velocity, rmrc
 from jaxik.motions.path import Arc, Line, motion, via
-from jaxik.motions.predictive import Horizon, multistart, predict, quadratic_cost
+from jaxik.motions.predictive import Horizon, energy_cost, multistart, predict, quadratic_cost
 
 __all__ = [
     "Arc",
@@ -15,6 +15,7 @@ __all__ = [
     "MovingHorizon",
     "asc",
     "boundary_value",
+    "energy_cost",
     "follow",
     "follow_predictively",
     "motion",

@@ -36,6 +36,7 @@ from jaxik.motions.path import Motion, Path, check_path, motion
 from jaxik.optimise import descent, ocp
 from jaxik.reasons import Reasoned
 from jaxik.robot.chain import Array, Chain, as_numbers
+from jaxik.robot.dynamics import GRAVITY, gravity_torque, kinetic_energy
 from jaxik.robot.task import POSE, Task
 from jaxik.spmd import kernel
 from jaxik.spmd.batch import in_blocks
@@ -58,6 +59,30 @@ def quadratic_cost(position: Callable[..., Any] | None = None, velocity: float =
     def running(q: Any, qdot: Any, w: Any, t: Any, *given: Any) -> Any:
         level = 0.0 if position is None else position(q, *given)
         return level + 0.5 * velocity * jnp.sum(qdot**2) + 0.5 * effort * jnp.sum(w**2)
+
+    return running
+
+
+def energy_cost(
+    chain: Chain,
+    position: Callable[..., Any] | None = None,
+    kinetic: float = 1.0,
+    holding: float = 0.0,
+    torque: Any = 1.0,
+    effort: float = 2.0,
+    gravity: Any = GRAVITY,
+) -> RunningCost:
+    """`l = H(q) + kinetic T(q, qdot) + holding/2 sum (g_i(q) / torque_i)^2 + effort/2 w'w`. Traced.
+
+    That is the energy in the moving masses [J], and the heat in windings that hold them, which grows with the square of torque;
+    torques that accelerate are not in it. `torque` (n,) or one number [Nm, N] is what counts as one; `position` and `effort` are
+    those of `quadratic_cost`. Raises `ValueError` for a chain without bodies, when it is called.
+    """
+
+    def running(q: Any, qdot: Any, w: Any, t: Any, *given: Any) -> Any:
+        held = jnp.sum((gravity_torque(chain, q, gravity) / jnp.asarray(torque, q.dtype)) ** 2) if holding else 0.0
+        level = kinetic * kinetic_energy(chain, q, qdot) + 0.5 * holding * held + 0.5 * effort * jnp.sum(w**2)
+        return level if position is None else level + position(q, *given)
 
     return running
 

@@ -15,9 +15,11 @@ import jaxik
 from jaxik.motions.boundary_problem import boundary_value
 from jaxik.motions.nullspace import asc, rac, resolve_velocity, rmrc
 from jaxik.motions.path import Arc, Line, motion, via
-from jaxik.motions.predictive import Horizon, future, multistart, objective, predict, problem, quadratic_cost
+from jaxik.motions.predictive import Horizon, energy_cost, future, multistart, objective, predict, problem, quadratic_cost
 from jaxik.optimise import ilqr, ocp
 from jaxik.optimise.descent import QUASI_NEWTON, Descent
+from jaxik.robot.chain import Body
+from jaxik.robot.dynamics import inverse_dynamics, mass_matrix
 
 IN_PLANE = jaxik.Task.pose(("z", "roll", "pitch", "yaw"), "base")
 START = np.radians([30.0, -30.0, -30.0, -60.0])  # of the pendulum, Schuetz 2017, table 5.1
@@ -299,6 +301,25 @@ def test_looking_ahead_beats_the_moment(direction, search, pendulum, line):
     totals = np.asarray(found.totals)[: int(found.iterations) + 1] / horizon.dt
     assert np.all(np.diff(totals) <= 0.0)
     assert totals[-1] < 58.0  # from 75 without an input; the next local minimum is 56.7, the moment costs 62 + 9.8
+
+
+def test_motions_of_little_energy(pendulum, line):
+    """Rods of a kilogram, upright: less energy than the least rates take, and what holds them is part of it."""
+    rod = Body(np.asarray(1.0), np.array([0.25, 0.0, 0.0]), np.diag([1e-4, 0.02, 0.02]))
+    upright = np.array([[1.0, 0, 0, 0], [0, 0, -1.0, 0], [0, 1.0, 0, 0], [0, 0, 0, 1.0]])
+    arm = dataclasses.replace(pendulum, bodies=(rod,) * 4).mounted(upright)
+    cost, horizon = energy_cost(arm, holding=0.5, torque=5.0, effort=0.02), Horizon(dt=0.05, count=40, task=IN_PLANE)
+    lazy = predict(arm, line, 2.0, START, cost, horizon)
+    plain = predict(arm, line, 2.0, START, quadratic_cost(effort=0.02), horizon)
+
+    def spent(found):
+        moved = found.q[:-1]
+        kinetic = [0.5 * v @ mass_matrix(arm, q) @ v for q, v in zip(moved, found.qdot, strict=True)]
+        held = [jnp.sum((inverse_dynamics(arm, q, 0 * q, 0 * q) / 5.0) ** 2) for q in moved]
+        return np.array(kinetic) + 0.25 * np.array(held) + 0.01 * jnp.sum(found.w**2, axis=1)
+
+    np.testing.assert_allclose(lazy.costs, spent(lazy), rtol=1e-9)
+    assert lazy.reasons == "solved" and lazy.total < 0.98 * 0.05 * np.sum(spent(plain))
 
 
 def test_whatever_the_input_the_tip_keeps_to_its_path(pendulum, line):
