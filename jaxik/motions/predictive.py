@@ -75,8 +75,8 @@ def energy_cost(
     """`l = H(q) + kinetic T(q, qdot) + holding/2 sum (g_i(q) / torque_i)^2 + effort/2 w'w`. Traced.
 
     That is the energy in the moving masses [J], and the heat in windings that hold them, which grows with the square of torque;
-    torques that accelerate are not in it. `torque` (n,) or one number [Nm, N] is what counts as one; `position` and `effort` are
-    those of `quadratic_cost`. Raises `ValueError` for a chain without bodies, when it is called.
+    torques that accelerate are not in it. `torque` (n,) or one number [Nm, N] is what counts as one; `position` and `effort`
+    are those of `quadratic_cost`. Raises `ValueError` for a chain without bodies, when it is called.
     """
 
     def running(q: Any, qdot: Any, w: Any, t: Any, *given: Any) -> Any:
