@@ -23,6 +23,7 @@ from jaxik.harvesting.scanning import Weights
 from jaxik.planning.trajectory_files import ENDINGS
 
 PLAN = HarvestPlanOptions()
+OF_MOTIONS = "order", "home", "place", "leaves", "approach", "candidates", "period"
 
 
 @dataclasses.dataclass(kw_only=True)
@@ -72,6 +73,9 @@ class HarvestArguments(RobotArguments):
             raise ValueError(f"--angles {self.angles} --slides {self.slides}: both are at least 1")
         if self.out.is_file():
             raise ValueError(f"--out {self.out}: is a file; name a folder")
+        given = [f"--{name}" for name in OF_MOTIONS if getattr(self, name) != getattr(type(self), name)]
+        if given and not self.motions:
+            raise ValueError(f"{', '.join(given)}: of motions; add --motions")
         chain = jaxik.load(self.robot, meshes=self.meshes, **self.loading())
         scene = jaxik.load_scene(self.scene)
         how = self.plan_options(chain.num_joints)

@@ -6,11 +6,14 @@ import dataclasses
 import time
 from pathlib import Path
 
+import numpy as np
 import tyro
 
 import jaxik
 from jaxik.cli.robot_arguments import RobotArguments
+from jaxik.planning import Planned
 from jaxik.planning.trajectory_files import ENDINGS
+from jaxik.reasons import Reason
 
 
 @dataclasses.dataclass(kw_only=True)
@@ -50,6 +53,8 @@ class PlanArguments(RobotArguments):
         """Load, plan, write, and end with one line. Raises `ValueError` where there is no motion, with the reason."""
         if self.out.suffix not in ENDINGS:
             raise ValueError(f"--out {self.out}: ending '{self.out.suffix}'; allowed: {', '.join(ENDINGS)}")
+        if not 0.0 < self.period < np.inf:
+            raise ValueError(f"--period {self.period:g}: it is above zero [s]")
         chain = jaxik.load(self.robot, meshes=self.meshes, **self.loading())
         scene = jaxik.make_scene() if self.scene is None else jaxik.load_scene(self.scene).without(self.without)
         names = [f.name for f in dataclasses.fields(jaxik.planning.PlanOptions)]
@@ -58,7 +63,15 @@ class PlanArguments(RobotArguments):
         moved = jaxik.plan_motion(chain, scene, self.start, self.goal, self.seed, options)
         seconds = time.perf_counter() - began
         if moved.trajectory is None or moved.waypoints is None:
-            raise ValueError(f"no motion in {seconds:.1f} s: {moved.why}")
+            raise ValueError(f"no motion in {seconds:.1f} s: {moved.why}{self._what(moved, chain, scene)}")
+        self.out.parent.mkdir(parents=True, exist_ok=True)
         jaxik.planning.save_trajectory(self.out, moved.trajectory, self.period, chain.joint_names)
         lasts, corners = moved.trajectory.duration, len(moved.waypoints) - 2
         print(f"{lasts:.2f} s around {corners} corners, planned in {seconds:.2f} s; wrote {self.out}")
+
+    def _what(self, moved: Planned, chain: jaxik.Chain, scene: jaxik.Scene) -> str:
+        """The joint that is beyond its limits most, or the pair that collides, at the start or the goal."""
+        if moved.reason not in (Reason.LIMITS, Reason.COLLISION):
+            return ""
+        near = jaxik.explain(chain, scene, np.array(self.start if moved.where == "start" else self.goal), 1)
+        return f"; {(near.limits if moved.reason == Reason.LIMITS else near.contacts)[0]}"

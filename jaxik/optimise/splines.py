@@ -33,6 +33,13 @@ def applied(stencil: Any, points: np.ndarray) -> np.ndarray:
     return found
 
 
+def turning_values(points: np.ndarray) -> np.ndarray:
+    """The least or greatest values (B, M - 2, n) of spans of degree 2 that turn round; of others, one at a knot."""
+    before, after = points[:, 1:-1] - points[:, :-2], points[:, 1:-1] - points[:, 2:]
+    turns = before * after > 0.0
+    return points[:, 1:-1] - 0.5 * np.divide(before * after, before + after, out=before.copy(), where=turns)
+
+
 def spread(stencil: Any, values: np.ndarray, onto: np.ndarray) -> None:
     """The transpose of `applied`: `values` (B, M - k + 1, n) are added on to (B, M, n)."""
     for k, a in enumerate(stencil):

@@ -198,7 +198,7 @@ def _planned(
         found = solve_ik(chain, goals, make_scene() if scene is None else scene, seed, asked)
         reason, goals = np.asarray(found.reason), found.solutions
     space = CollisionChecker(chain, scene, options.margin)
-    goals = _turned(chain, starts[:, None], goals, pose)
+    goals = turned(chain, starts[:, None], goals, pose)
     at_start = judged(chain, space, starts)
     at_goal = judged(chain, space, goals.reshape(-1, chain.num_joints)).reshape(goals.shape[:2])
     free = (at_start[:, None] == Reason.SOLVED) & (at_goal == Reason.SOLVED)
@@ -231,7 +231,7 @@ def motion_limits(who: str, chain: Chain, options: PlanOptions) -> tuple[np.ndar
     return limits_of(who, velocity, acceleration, (1, chain.num_joints))
 
 
-def _turned(chain: Chain, starts: np.ndarray, goals: np.ndarray, pose: bool) -> np.ndarray:
+def turned(chain: Chain, starts: np.ndarray, goals: np.ndarray, pose: bool = False) -> np.ndarray:
     """Goals (b, g, n), joints without limits turned to be nearest to the start (b, 1, n), of a pose all that may be."""
     endless = np.isinf(chain.lower) & np.isinf(chain.upper)
     with np.errstate(invalid="ignore"):  # of what is no number

@@ -29,9 +29,9 @@ from jaxik.ik import IKOptions, solve_ik
 from jaxik.optimise import collocation, splines
 from jaxik.planning import torque_limits
 from jaxik.planning.collision_checker import CLOSE, RESOLUTION, CollisionChecker, judged
-from jaxik.planning.planner import PlanOptions, plan_motions
+from jaxik.planning.planner import PlanOptions, plan_motions, turned
 from jaxik.planning.trajectory import JointPath, Trajectory, along_pieces
-from jaxik.planning.trajectory_terms import Target, Terms
+from jaxik.planning.trajectory_terms import Target, Terms, at_knot, told_apart
 from jaxik.reasons import Reason, Reasoned
 from jaxik.robot.chain import Chain
 from jaxik.robot.dynamics import GRAVITY
@@ -51,8 +51,9 @@ LOSS = 1e3  # cost of a metre, or a radian, by which a seed breaks a bound
 class TrajectoryOptions:
     """What `optimise_trajectory` minimises and keeps.
 
-    duration: [s]; None is as short as the limits of the motion's form allow.
-    spans, degree: of the spline; 3 has continuous accelerations, 2 is the trapezoidal rule of (6.8).
+    duration: [s]; None is as short as the limits of the motion's form allow, of which each joint has one then.
+    spans, degree: of the spline; 3 has continuous accelerations, 2 is the trapezoidal rule of (6.8), which without a margin
+        keeps the joints' range at the ends of spans alone.
     velocity_cost: zeta (6.6), a number, or (first, last), between which it grows with the square of time.
     acceleration_cost, jerk_cost: zeta_a [s2], zeta_j [s4]; None is 0 for degree 2, and (duration / 7)^2 and 0 for degree 3.
     margin: clearance [m] that is kept on the whole way; None asks for none.
@@ -100,8 +101,12 @@ class TrajectoryOptions:
         for name in ("spans", "postures", "kept", "iterations"):
             object.__setattr__(self, name, as_count(f"{who}: {name}", getattr(self, name)))
         check_finite(who, 0.0, jerk_cost=self.jerk_cost, acceleration_cost=self.acceleration_cost or 0.0, rounds=self.rounds)
-        check_finite(who, 0.0, collision_weight=self.collision_weight, tolerance=self.tolerance, activation=self.activation)
-        check_finite(who, margin=self.margin or 0.0, collision_maximum=self.collision_maximum)
+        check_finite(who, 0.0, collision_weight=self.collision_weight, collision_maximum=self.collision_maximum)
+        check_finite(who, 0.0, tolerance=self.tolerance, activation=self.activation)
+        check_finite(who, margin=self.margin or 0.0)
+        zeta = numbers(f"{who}: velocity_cost", self.velocity_cost)
+        if zeta.shape not in ((), (2,)) or not (np.isfinite(zeta) & (zeta >= 0.0)).all():
+            raise ValueError(f"{who}: velocity_cost is {shown(self.velocity_cost)}; allowed: one number or two, 0 or more")
         check_kind(who, "task", self.task, Task)
         check_kind(who, "via_task", self.via_task, Task)
         if self.duration is not None and not self.duration > 0.0:
@@ -146,8 +151,8 @@ class TrajectoryOptions:
         return torque_limits.drives("optimise_trajectory", chain, self.torque, self.power, self.gravity)
 
     def limits(self, chain: Chain) -> list[np.ndarray]:
-        """Of velocity, acceleration and jerk, each (n,)."""
-        found = []
+        """Of velocity, acceleration and jerk, each (n,). Raises `ValueError` where no time follows from them, nor is given."""
+        found: list[np.ndarray] = []
         for name in ("velocity", "acceleration", "jerk"):
             given = chain.velocity if (value := getattr(self, name)) is None else value
             limit = numbers(f"optimise_trajectory: {name}", given)
@@ -156,6 +161,11 @@ class TrajectoryOptions:
                     f"optimise_trajectory: {name} is {shown(given)}; allowed: one number or {chain.num_joints}, above zero"
                 )
             found.append(np.broadcast_to(limit, chain.num_joints))
+        drives = self.drives(chain)
+        if self.duration is None and np.isinf([*found[: self.degree], drives.torque, drives.power]).all(axis=0).any():
+            raise ValueError(
+                f"optimise_trajectory: {chain.name} has no limits of velocity; give velocity= [rad/s, m/s], or duration= [s]"
+            )
         return found
 
 
@@ -195,8 +205,10 @@ def optimise_trajectory(
 
     `start` is a configuration (n,), `goal` one (n,) or a pose `base_T_tip` (4, 4) [m]; a batch has rows of either or both. Of a
     pose the posture is free, and is optimised, too. `guess` (k, n) or (b, k, n) are configurations in equal times, from which
-    to begin; without one, straight lines to several postures are compared. `via` are pairs of a share of the duration and a
-    pose that the tip has there. `seed` decides among postures and in the planner. `changes` are fields of `TrajectoryOptions`.
+    to begin; without one, straight lines to several postures are compared. A joint without limits takes the shorter turn to
+    the goal, or that of the guess. `via` are pairs of a share of the duration, of which the nearest end of one of the `spans`
+    is meant, and a pose that the tip has there. `seed` decides among postures and in the planner. `changes` are fields of
+    `TrajectoryOptions`.
 
     Reasons: SOLVED, proven free between samples too, unless `margin` is None; INVALID, NaN; LIMITS, of the start or the goal,
     or of velocities in the time given; COLLISION, likewise, or where obstacles only cost, of the best motion; OUT_OF_REACH and
@@ -212,8 +224,11 @@ def optimise_trajectory(
     check_known("optimise_trajectory", start=start, goal=goal, guess=guess)
     options = changed("optimise_trajectory", options or TrajectoryOptions(), changes)
     starts, goals, poses, single = _problems(chain, start, goal)
+    begin = _guess(chain, guess, len(starts))
+    if goals is not None:
+        goals = turned(chain, (starts if begin is None else begin[:, -1])[:, None], goals[:, None])[:, 0]
     search = _Search(chain, scene, starts, goals, poses, _targets(via, len(starts), options), seed, options)
-    found = search.run(_guess(chain, guess, len(starts)))
+    found = search.run(begin)
     return found if not single else jax.tree_util.tree_map(lambda x: x[0], found)
 
 
@@ -238,13 +253,20 @@ def _problems(chain: Chain, start: Any, goal: Any) -> tuple[np.ndarray, np.ndarr
 
 
 def _targets(via: Any, count: int, options: TrajectoryOptions) -> tuple[Target, ...]:
-    found = []
-    for i, (share, pose) in enumerate(via):
-        check_finite(f"optimise_trajectory: via {i}", share=share)
+    who, spans, found = "optimise_trajectory", options.spans, []
+    for i, each in enumerate(via if isinstance(via, list | tuple) else [via]):
+        if not (isinstance(each, list | tuple) and len(each) == 2):
+            raise ValueError(
+                f"{who}: via {i} is {shown(each)}; write a list of pairs, of a share of the duration and a pose (4, 4)"
+            )
+        share, pose = each
+        check_finite(f"{who}: via {i}", share=share)
         if not 0.0 < share < 1.0:
-            raise ValueError(f"optimise_trajectory: via {i}: share {share:g}; allowed: between 0 and 1, of the duration")
-        frame = np.asarray(rigid_frame(f"optimise_trajectory: via {i}", pose))
-        found.append(Target(float(share), np.broadcast_to(frame, (count, 4, 4)), options.via_task))
+            raise ValueError(f"{who}: via {i}: share {share:g}; allowed: between 0 and 1, of the duration")
+        frame = np.asarray(rigid_frame(f"{who}: via {i}", pose))
+        found.append(Target(at_knot(share, spans), np.broadcast_to(frame, (count, 4, 4)), options.via_task))
+    if not told_apart(found, spans):
+        raise ValueError(f"{who}: via: two of these, or one and an end, are within one of {spans} spans; give more spans")
     return tuple(found)
 
 
@@ -252,7 +274,8 @@ def _guess(chain: Chain, guess: Any, count: int) -> np.ndarray | None:
     if guess is None:
         return None
     given = numbers("optimise_trajectory: guess", guess)
-    if given.ndim not in (2, 3) or given.shape[-1] != chain.num_joints or given.shape[-2] < 2:
+    fits = given.ndim == 2 or (given.ndim == 3 and len(given) == count)
+    if not fits or given.shape[-1] != chain.num_joints or given.shape[-2] < 2:
         allowed = f"(k, {chain.num_joints}) or ({count}, k, {chain.num_joints}), k >= 2"
         raise ValueError(f"optimise_trajectory: guess of shape {given.shape}; allowed: {allowed}")
     if not np.isfinite(given).all():
@@ -281,7 +304,7 @@ class _Search:
         self.space = CollisionChecker(chain, scene, options.margin or 0.0)
         self.reason = np.full(len(starts), int(Reason.NOT_CONVERGED))
         self.levels = [options.spans]
-        while self.levels[0] % 2 == 0 and self.levels[0] // 2 >= FEWEST:
+        while self.levels[0] % 2 == 0 and self.levels[0] // 2 >= FEWEST and told_apart(via, self.levels[0] // 2):
             self.levels.insert(0, self.levels[0] // 2)
         self.levels = self.levels if len(self.levels) > 1 else 2 * self.levels
 
@@ -409,12 +432,14 @@ class _Search:
         return _ranks(rows, found.cost, found.violation), rows, found
 
     def _refined(self, rows: np.ndarray, found: collocation.Found) -> collocation.Found:
-        """The same motions, solved with more and more spans; where obstacles cost, they mostly keep the margin without it."""
+        """The same motions, solved with more and more spans; where obstacles cost enough, they mostly keep the margin without
+        it."""
+        enough = self.soft.collision_weight == self.terms.collision_weight * self.terms.collision_maximum
         for spans in self.levels[1:]:
             last = spans == self.levels[-1]
             accuracy = (self.options.iterations, self.options.tolerance, 0.5 * BROKEN) if last else (40, 1e-2, 1e-3)
             points = splines.finer(found.points, self.options.degree) if spans > self.levels[0] else found.points
-            problem = self._problem(rows, spans, soft=not last or self.options.collision_weight > 0.0)
+            problem = self._problem(rows, spans, soft=not last or enough)
             again = collocation.optimise(problem, points, *accuracy, found.multipliers)
             found = again._replace(iterations=found.iterations + again.iterations)
         return found
@@ -470,6 +495,9 @@ class _Search:
             value = splines.applied(row.stencil, found.points)
             over = np.maximum(over, np.maximum(row.low - value, value - row.high).max(axis=(1, 2)))
         over = np.maximum(over, self._loaded(found.points).max(axis=1) - 1.0)
+        if self.options.degree == 2 and self.options.margin is not None:
+            value = splines.turning_values(found.points)
+            over = np.maximum(over, np.maximum(self.chain.lower - value, value - self.chain.upper).max(axis=(1, 2)))
         broken = np.where(over > BROKEN, int(Reason.LIMITS), int(Reason.SOLVED))
         return np.where(missed > BROKEN, int(Reason.NOT_CONVERGED), broken)
 
@@ -528,7 +556,8 @@ class _Search:
             while found.points.shape[1] - degree < spans:
                 found = _finer(found, degree)
             points[rows], cost[rows], iterations[rows], converged[rows] = found[0], found[1], found[3], found[4]
-            parts[rows, :3] = np.pad(found.parts[:, 1:], ((0, 0), (0, 4 - found.parts.shape[1])))
+            parts[rows] = 0.0
+            parts[rows[:, None], [order - 1 for order in self.terms.orders]] = found.parts[:, 1:]
             parts[rows, 3] = found.cost - found.parts.sum(axis=1)
             multipliers[rows] = found.multipliers
             pressure[rows] = found.pressure

@@ -16,6 +16,7 @@ from jaxik.collision.clearances import link_clearances
 from jaxik.collision.scene import Scene
 from jaxik.costs import collision_cost
 from jaxik.planning.trajectory_optimiser import OptimisedTrajectory, TrajectoryOptions
+from jaxik.planning.trajectory_terms import at_knot
 from jaxik.robot.chain import Chain
 from jaxik.robot.kinematics import joint_frames
 from jaxik.robot.task import Task
@@ -50,7 +51,7 @@ def trajectory_cost(
         raise ValueError(f"trajectory_cost: a batch of shape {curve.shape[:-3]}; take one of it, or jax.vmap this")
     if options.arc_length:
         raise ValueError("trajectory_cost: arc_length, of which this knows no derivative; write arc_length=False")
-    asked: list[tuple[float, Any, Task]] = [(share, pose, options.via_task) for share, pose in via]
+    asked: list[tuple[float, Any, Task]] = [(at_knot(share, options.spans), pose, options.via_task) for share, pose in via]
     asked += [] if goal is None else [(1.0, goal, options.task)]
     if len(asked) != found.multipliers.shape[0]:
         raise ValueError(f"trajectory_cost: {len(asked)} poses, {found.multipliers.shape[0]} when it was found; give the same")

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import functools
+from collections.abc import Sequence
 from typing import Any
 
 import jax
@@ -38,6 +39,16 @@ class Target:
     task: Task
 
 
+def at_knot(share: float, spans: int) -> float:
+    """The share of the duration at which the nearest knot is."""
+    return round(share * spans) / spans
+
+
+def told_apart(via: Sequence[Target], spans: int) -> bool:
+    """Whether each of the targets has a knot of its own, and none an end."""
+    return len({0, spans, *(round(target.share * spans) for target in via)}) == len(via) + 2
+
+
 @dataclasses.dataclass(frozen=True)
 class Terms:
     """Of one robot in one scene: which limits hold and what costs how much (`TrajectoryOptions`), within `duration` [s]."""
@@ -70,13 +81,14 @@ class Terms:
         used: np.ndarray | None = None,
     ) -> collocation.Problem:
         """Over so many spans; `extra` (B, spans + 1) [m] is kept beyond the margin at each knot, and of the drives' limits the
-        share `used` (B, 1 or spans + 1). Being cautious, a step moves nothing by more than `STRIDE`."""
+        share `used` (B, 1 or spans + 1). Being cautious, a step moves nothing by more than `STRIDE`, and bounds hold between
+        knots, too."""
         at = tuple(round(target.share * spans) for target in targets)
         count = max((sum(target.task.bound) for target in targets), default=0)
         asked = functools.partial(self._equations, targets, count) if targets else None
         samples = functools.partial(self._samples, 0.0 if extra is None else extra, open_end)
         return collocation.Problem(
-            *(self.degree, self.duration / spans, self._rows(spans), samples, asked, at, count, open_end),
+            *(self.degree, self.duration / spans, self._rows(spans, cautious), samples, asked, at, count, open_end),
             cautious=self._reaches / STRIDE if cautious else None,
             loads=self._loads if self.drives.limited else None,
             limit=None if not self.drives.limited else np.ones((1, 1, 1)) if used is None else used[:, :, None],
@@ -93,16 +105,23 @@ class Terms:
         weight = max(self.collision_weight * self.collision_maximum, SOFT * self.velocity_cost[0] / self.duration**2)
         return dataclasses.replace(self, margin=None, collision_weight=weight, collision_maximum=1.0)
 
+    @property
+    def orders(self) -> tuple[int, ...]:
+        """Of the derivatives that cost something, or have limits."""
+        bent = self.acceleration_cost or np.isfinite(self.acceleration).any()
+        jerks = self.degree == 3 and (self.jerk_cost or np.isfinite(self.jerk).any())
+        return (1, *([2] if bent else []), *([3] if jerks else []))
+
     def clearance(self, q: np.ndarray) -> np.ndarray:
         """Of configurations (b, n): (b,) [m]."""
         each = (in_blocks(_contacts(chain), q, fixed=(around,), double=True)[0] for chain, around, _ in self._robots)
         return np.min([d.min(axis=1, initial=FAR) for d in each], axis=0)
 
-    def _rows(self, spans: int) -> tuple[Rows, ...]:
+    def _rows(self, spans: int, cautious: bool) -> tuple[Rows, ...]:
         """The costs and limits of values, rates, accelerations and jerks."""
         span = self.duration / spans
         stencil = lambda order: tuple(np.array(splines.DIFFERENCE[order]) / span**order)
-        place = splines.VALUE[2] if self.degree == 2 else splines.DIFFERENCE[0]
+        place = splines.DIFFERENCE[0] if cautious or self.degree == 3 else splines.VALUE[2]
         first, last = self.velocity_cost
         grown = np.clip((np.arange(spans + self.degree - 1) - 0.5 * (self.degree - 2)) / spans, 0.0, 1.0) ** 2
         trapezoid = np.full(len(grown), span)
@@ -111,11 +130,11 @@ class Terms:
             Rows(place, 0.0, self.chain.lower, self.chain.upper),
             Rows(stencil(1), trapezoid * (first + (last - first) * grown), -self.velocity, self.velocity),
         ]
-        if self.acceleration_cost or np.isfinite(self.acceleration).any():
-            rows.append(Rows(stencil(2), span * self.acceleration_cost, -self.acceleration, self.acceleration))
-        if self.degree == 3 and (self.jerk_cost or np.isfinite(self.jerk).any()):
-            rows.append(Rows(stencil(3), span * self.jerk_cost, -self.jerk, self.jerk))
-        return tuple(rows)
+        more = {
+            2: Rows(stencil(2), span * self.acceleration_cost, -self.acceleration, self.acceleration),
+            3: Rows(stencil(3), span * self.jerk_cost, -self.jerk, self.jerk),
+        }
+        return (*rows, *(more[order] for order in self.orders[1:]))
 
     @functools.cached_property
     def _robots(self) -> list[tuple[Chain, Any, float]]:

@@ -70,6 +70,7 @@ def test_it_writes_table_picture_and_arrays(tmp_path):
         (("--scene", "greenhouse"), ("no such shipped scene", "cucumber_row")),
         (("--robot", "crops_v2"), ("needs the closed form", "axes")),
         (("--angles", "0"), ("--angles 0", "at least 1")),
+        (("--leaves", "brush", "--approach", "0.2"), ("--leaves, --approach: of motions; add --motions",)),
     ],
 )
 def test_a_mistake_is_one_line_and_exit_code_2(tmp_path, monkeypatch, capsys, arguments, words):
@@ -468,8 +469,9 @@ def test_a_motion_is_planned_and_written(tmp_path, monkeypatch, capsys):
     message = json.loads(out.read_text())
     assert message["joint_names"] == ["q1", "q2"] and message["points"][-1]["positions"] == pytest.approx([1.5, -0.3])
     for more, words in (
-        (("--goal", 9, 0), "no motion in 0.0 s: goal: limits"),
+        (("--goal", 9, 0), "no motion in 0.0 s: goal: limits; q1 is 5.858 rad beyond its limits"),
         (("--goal", 1), "goal of shape (1,)"),
+        (("--period", 0), "--period 0: it is above zero [s]"),
         (("--out", "motion.txt"), "ending '.txt'; allowed: .csv, .npz, .json"),
     ):
         with pytest.raises(SystemExit) as left:

@@ -226,7 +226,7 @@ def test_within_torque_as_fast_as_toppra():
 def test_constant_power_on_a_slide():
     """A mass on a level slide: v^2 = 2 P t / m up to half of the way, and as long again."""
     chain = jaxik.load("crops_v2").part(0, 1)
-    mass, power, length = float(chain.bodies[0].mass), 50.0, 0.8
+    mass, power, length = float(chain.bodies[0].mass + chain.armature[0]), 50.0, 0.8
     level = np.eye(4)
     level[:3, :3] = [[0.0, 0.0, 1.0], [1.0, 0.0, 0.0], [0.0, 1.0, 0.0]]  # the slide's z is the world's x
     moved = time_optimal(polyline([[0.1], [0.1 + length]]), 10.0, np.inf, 2000, chain=chain.mounted(level), power=power)

@@ -67,6 +67,11 @@ def test_splines(degree):
     at = 0.2
     value = ((curve[:, 0] * at + curve[:, 1]) * at + curve[:, 2]) * at + curve[:, 3]
     np.testing.assert_allclose(value, truth(knots + at), atol=1e-12)
+    if degree == 2:
+        dense = truth(np.linspace(knots, knots + span, 5001))
+        reached = np.stack([dense[0], dense[-1], splines.turning_values(points)[0]])
+        np.testing.assert_allclose(reached.max(axis=0), dense.max(axis=0), atol=1e-7)
+        np.testing.assert_allclose(reached.min(axis=0), dense.min(axis=0), atol=1e-7)
 
 
 def _judged(found, coal, scene, margin, velocity, acceleration=np.inf, jerk=np.inf):
@@ -184,6 +189,35 @@ def test_within_torque_and_power_as_good_as_scipy():
     assert weak.reasons == "limits" and np.isnan(weak.trajectory.duration)  # 300 N hold the arm
 
 
+def test_the_range_holds_between_knots(arm):
+    chain, _ = arm
+    bent = np.asarray(jaxik.forward_kinematics(chain, np.array([0.3, 2.79, -1.0])))
+    task = {"via": [(0.5, bent)], "via_task": jaxik.Task(), "degree": 2, "spans": 4}
+    found = optimise_trajectory(chain, POLES, [0.3, 0.9, -1.0], [0.3, 2.6, -1.0], duration=2.0, velocity=np.inf, **task)
+    assert found.reasons == "solved"
+    q = np.asarray(jax.vmap(found.trajectory.at)(jnp.linspace(0.0, 2.0, 401)).q)
+    assert 2.79 - 1e-6 <= q[:, 1].max() <= 2.8 + 1e-6
+
+
+def test_what_obstacles_cost_is_what_is_asked(arm):
+    """With a margin that is kept anyway and without; and each part of the cost in its place."""
+    chain, _ = arm
+    options = SOFT | {"degree": 3, "tolerance": 1e-6, "acceleration_cost": 0.0, "jerk_cost": 1e-4}
+    found, free = (optimise_trajectory(chain, POLES, NEAR, ASIDE, **options | {"margin": x}) for x in (0.0, None))
+    assert found.reasons == free.reasons == "solved"
+    np.testing.assert_allclose(found.parts, free.parts, rtol=1e-3, atol=1e-6)
+    assert found.parts[1] == 0.0 and found.parts[[0, 2, 3]].min() > 0.0
+
+
+def test_an_endless_joint_takes_the_shorter_turn(arm):
+    chain, _ = arm
+    goal, turn = np.array([1.5, -0.3, 4.0]), [0.0, 0.0, 2.0 * np.pi]
+    found = optimise_trajectory(chain, POLES, NEAR, goal, spans=32)
+    np.testing.assert_allclose(found.trajectory.at(found.trajectory.duration).q, goal - turn, atol=1e-6)
+    wound = optimise_trajectory(chain, POLES, NEAR, goal, np.linspace(NEAR, goal, 9), spans=32)
+    np.testing.assert_allclose(wound.trajectory.at(wound.trajectory.duration).q, goal, atol=1e-6)
+
+
 def test_cost_by_obstacles_and_links(arm):
     """The least cost's derivatives, against differences of optima."""
     chain, _ = arm
@@ -239,7 +273,15 @@ def test_reasons(arm):
         ({"degree": 2, "jerk": 1.0}, "no jerk"),
         ({"velocity": -1.0}, "velocity is -1"),
         ({"guess": np.zeros((1, 3))}, "guess of shape"),
+        ({"guess": np.zeros((3, 5, 3))}, "guess of shape"),
         ({"via": [(1.5, np.eye(4))]}, "share 1.5"),
+        ({"via": [(0.5, np.eye(4), 1)]}, "via 0 is"),
+        ({"via": (0.5, np.eye(4))}, "via 0 is 0.5; write a list"),
+        ({"via": [(0.001, np.eye(4))]}, "give more spans"),
+        ({"via": [(0.5, np.eye(4)), (0.501, np.eye(4))]}, "give more spans"),
+        ({"velocity": np.inf}, "no limits of velocity"),
+        ({"velocity_cost": np.nan}, "velocity_cost is nan"),
+        ({"velocity_cost": [1.0, 2.0, 3.0]}, "velocity_cost is"),
         ({"speed": 1.0}, "unknown option 'speed'"),
     ],
 )
