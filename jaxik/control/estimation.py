@@ -48,7 +48,7 @@ class Estimator(Protocol):
 
 
 def over_log(estimator: Estimator, sensed: Any) -> Float[jax.Array, "t n"]:
-    """The external torques (t, n) [Nm] of a log that is sensed, its leaves (t, ...). Traced; `vmap` it over logs."""
+    """The external torques (t, n) [Nm] of a log that is sensed, its leaves (t, ...). Traced. `vmap` it over logs."""
 
     def step(state: Any, now: Any) -> tuple[Any, Any]:
         state = estimator.advance(state, now)

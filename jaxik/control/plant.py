@@ -178,7 +178,8 @@ def play(
         )
     torsion = gear / of(lambda d: d.stiffness)
     q, qdot, current, torsion = _measured(instruments, dt, seed, q, current, torsion)
-    return Log(t, *map(np.asarray, desired), q, qdot, current, torsion, external, torque)
+    asked = {f"{name}_des": np.asarray(x) for name, x in zip(("q", "qdot", "qddot"), desired, strict=True)}
+    return Log(t=t, **asked, q=q, qdot=qdot, current=current, torsion=torsion, external=external, torque=torque)
 
 
 def _with_rests(motions: Sequence[Trajectory], dt: float, rest: tuple[float, float]) -> tuple[np.ndarray, JointState]:
