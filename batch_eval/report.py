@@ -416,24 +416,25 @@ def torque_markdown(result: dict[str, Any]) -> str:
     detection = result["detection"]
     lines += [
         "",
-        "| joint | lever | tactile sensor, 2 N | the thesis, from currents | thresholds here | least push always found | delay |",
-        "| --- | --- | --- | --- | --- | --- | --- |",
+        "| joint, lever | tactile sensor, 2 N | the thesis, by currents | thresholds here | least push always found | delay |",
+        "| --- | --- | --- | --- | --- | --- |",
     ]
     for row in detection["rows"]:
         low, high = min(row["threshold_nm"]), max(row["threshold_nm"])
         push = f"{row['least_torque_found_nm']:.1f} Nm ({row['least_force_found_n']:g} N)"
         lines.append(
-            f"| {row['joint']} | {row['lever_m']:g} m | {row['tactile_nm']:.2f} Nm | {row['thesis_nm']:.1f} Nm | "
+            f"| {row['joint']}, {row['lever_m']:g} m | {row['tactile_nm']:.2f} Nm | {row['thesis_nm']:.1f} Nm | "
             f"{low:.1f} to {high:.1f} Nm | {push} | {1e3 * row['delay_s']:.0f} ms |"
         )
     alarms = sum(row["false_alarms"] for row in detection["rows"])
-    steps = "; ".join(f"{name}: {row['p50_us']:.0f} us, 99 % in {row['p99_us']:.0f} us" for name, row in result["step"].items())
+    steps = "; ".join(f"{name}: {row['p50_us']:.0f} us ({row['p99_us']:.0f} us)" for name, row in result["step"].items())
     best, current, torsion = (swept[k][5] for k in ("best", "by_current_alone", "by_torsion_alone"))
     lines += [
         "",
-        f"{result['arms']} arms; {alarms} false alarms in {detection['free_s']:.0f} s of other motions without a contact. At joint 6 "
-        f"the best of {swept['filters']} pairs of covariances errs by {best:.2f} Nm, the current alone by {current:.2f} Nm, the "
-        f"torsion alone by {torsion:.2f} Nm. A step of the control loop, median: {steps}.",
+        f"{result['arms']} arms; {alarms} false alarms in {detection['free_s']:.0f} s of other motions without contact.",
+        f"At joint 6 the best of {swept['filters']} pairs of covariances errs by {best:.2f} Nm, the current alone by "
+        f"{current:.2f} Nm, the torsion alone by {torsion:.2f} Nm.",
+        f"A step of the control loop, median (99 %): {steps}.",
     ]
     return "\n".join(lines)
 

@@ -54,7 +54,9 @@ SENSORS = Instruments(
 )
 CREEP = 0.02  # [rad/s, m/s]: slower is near zero, where the thesis draws its grey areas
 SHOWN = range(1, 8)  # joints 2 to 8, as in the thesis: hardly any load comes to joint 9, and the slide stands still
+WIDTH = 0.005  # [rad/s, m/s] of the sign of friction, well below that
 ELBOW = [0.5, 0.0, 0.5, 0.9, 0.3, 0.1, 0.4, 0.2, 0.1]
+STRETCHED = np.array([0.5, 0.0, 0.0, 0.0, 0.3, 0.1, 0.4, 0.2, 0.1])
 MEASUREMENTS = ((0.15, 60.0), (0.3, 60.0), (0.15, 150.0), (0.3, 150.0))  # fastest joint [rad/s], the gauge's spring [N/m]
 LEVERS = {2: 0.51, 3: 0.51, 4: 0.16}  # table 3.10 [m]
 PRINTED = {2: 3.0, 3: 7.0, 4: 8.0}  # [Nm]
@@ -154,7 +156,7 @@ def sweep() -> dict[str, Any]:
         return jax.vmap(one)(pairs)
 
     total, count, seconds = np.zeros((len(pairs), n)), np.zeros(n), 0.0
-    sense = jax.jit(jax.vmap(TorqueEstimator(model(), basis, width=CREEP).sense))
+    sense = jax.jit(jax.vmap(TorqueEstimator(model(), basis, width=WIDTH).sense))
     for log in logs(0, True):
         moves = np.abs(log.qdot_des) > CREEP
         sensed = sense(log.samples())
@@ -183,10 +185,10 @@ def estimators(swept: dict[str, Any]) -> dict[str, Any]:
     bare = dataclasses.replace  # the model without what table 3.6 corrects
     drives = [bare(d, friction=bare(d.friction, correction=np.zeros(2))) for d in model().drives]
     return {
-        BEST: TorqueEstimator(model(), fused, width=CREEP),
-        "filter, current alone": TorqueEstimator(model(), known(PROCESS, np.array(swept["best_current_noise"])), width=CREEP),
-        "the same, friction without its corrections": TorqueEstimator(model().with_drives(drives), known(), width=CREEP),
-        "momentum observer": MomentumObserver(model(), 20.0, DT, width=CREEP),
+        BEST: TorqueEstimator(model(), fused, width=WIDTH),
+        "filter, current alone": TorqueEstimator(model(), known(PROCESS, np.array(swept["best_current_noise"])), width=WIDTH),
+        "the same, friction without its corrections": TorqueEstimator(model().with_drives(drives), known(), width=WIDTH),
+        "momentum observer": MomentumObserver(model(), 20.0, DT, width=WIDTH),
     }
 
 
@@ -198,7 +200,7 @@ def shown(estimator: Any, log: Log) -> Sample:
 def errors(named: dict[str, Any]) -> dict[str, Any]:
     """Figs. 3.12 and 3.19: of the model, of T_ext by each estimator; mean over the arms but the first, (4, 7) each."""
     whole = known(1e12)  # a gain of 1: the model's error itself
-    rows = {"inverse dynamics": (TorqueEstimator(model(), whole, width=CREEP), False)}
+    rows = {"inverse dynamics": (TorqueEstimator(model(), whole, width=WIDTH), False)}
     rows |= {name: (estimator, True) for name, estimator in named.items()}
     found = {}
     for name, (estimator, pushed) in rows.items():
@@ -208,15 +210,19 @@ def errors(named: dict[str, Any]) -> dict[str, Any]:
             of_arms.append(in_pairs(each))
         found[name] = np.nanmean(of_arms, axis=0).tolist()
         print(f"{name:45s}", np.round(np.nanmean(of_arms, axis=(0, 1)), 2))
-    found["reference"] = in_pairs([rmse(log.external, log) for log in logs(1, True)])
+    found["gauge, the torque itself"] = in_pairs([rmse(log.external, log) for log in logs(1, True)])
     return found
+
+
+def friction_band(q: np.ndarray) -> np.ndarray:
+    """What static friction hides (n,) [Nm, N] where the arm is held at q; it grows with what the gears carry."""
+    return np.asarray(jaxik.robot.static_friction(model(), jaxik.robot.gravity_torque(model(), q)))
 
 
 def swing(speed: float) -> list[Trajectory]:
     """About the stretched posture, in which table 3.10's levers are the longest."""
-    middle = np.array([0.5, 0.0, 0.0, 0.0, 0.3, 0.1, 0.4, 0.2, 0.1])
     away = np.array([0.0, 0.5, 0.35, 0.35, 0.2, 0.1, 0.1, 0.1, 0.1])
-    return [quintic([middle - away, middle, middle + away], velocity=speed, acceleration=4.0 * speed)]
+    return [quintic([STRETCHED - away, STRETCHED, STRETCHED + away], velocity=speed, acceleration=4.0 * speed)]
 
 
 def detection(estimator: TorqueEstimator) -> dict[str, Any]:
@@ -229,7 +235,7 @@ def detection(estimator: TorqueEstimator) -> dict[str, Any]:
     pushes: dict[int, dict[float, list[float]]] = {joint: {f: [] for f in FORCES} for joint in LEVERS}
     for arm in range(1, ARMS):
         fitting = [free(arm, speed, seed) for seed, speed in enumerate((0.15, 0.3, 0.6))]
-        band = np.array([float(x) for x in jaxik.robot.static_friction(model(), np.zeros(9))])
+        band = 1.2 * friction_band(STRETCHED)
         known_free = [
             np.concatenate(x) for x in zip(*((estimate(estimator, g.samples()), g.qdot_des) for g in fitting), strict=True)
         ]
@@ -298,18 +304,16 @@ def draw(file: Path, result: dict[str, Any], named: dict[str, Any]) -> None:
     """The figures, redrawn."""
     figure, axes = plt.subplots(2, 4, figsize=(19, 8), layout="constrained")
     nominal, joints = np.array(result["nominal_torque"]), np.arange(2, 9)
-    band = np.asarray(jaxik.robot.static_friction(model(), np.zeros(9)))
+    band = friction_band(np.array(ELBOW))
     both = named[BEST]
 
     ax, log = axes[0, 0], logs(1, False)[0]
     gain = np.array([float(d.ratio * d.torque_constant) for d in model().drives])
     inside = jax.jit(
-        jax.vmap(lambda *x: jaxik.robot.motor_current(model(), jaxik.robot.inverse_dynamics(model(), *x), x[1], CREEP))
+        jax.vmap(lambda *x: jaxik.robot.motor_current(model(), jaxik.robot.inverse_dynamics(model(), *x), x[1], WIDTH))
     )
-    ax.plot(log.t, gain[5] * log.current[:, 5], "0.3", linewidth=0.6, label="from the motor current")
-    ax.plot(
-        log.t, gain[5] * np.asarray(inside(log.q_des, log.qdot_des, log.qddot_des))[:, 5], label="inverse dynamics and friction"
-    )
+    ax.plot(log.t, gain[5] * log.current[:, 5], "0.3", linewidth=0.6, label="motor current")
+    ax.plot(log.t, gain[5] * np.asarray(inside(log.q_des, log.qdot_des, log.qddot_des))[:, 5], label="model")
     shade(ax, log, 5, band[5])
     ax.set(title="fig. 3.11 in kind: joint 6, nothing touches", ylabel="torque [Nm]", xlabel="time [s]", ylim=(-8, 9))
     ax.legend(fontsize=8, ncol=2)

@@ -19,9 +19,9 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float
 
-from jaxik.checks.arrays import shaped
+from jaxik.checks.arrays import numbers, shaped
 from jaxik.checks.optional_modules import optional
-from jaxik.checks.options import as_count, check_finite, check_kind, check_seed, no_such
+from jaxik.checks.options import as_count, check_finite, check_kind, check_seed, no_such, shown
 from jaxik.control.estimation import Sample
 from jaxik.planning import Trajectory
 from jaxik.planning.trajectory import JointState
@@ -61,6 +61,12 @@ class Instruments:
     position_step: Any = 0.0
     window: int = 1
 
+    def __post_init__(self) -> None:
+        for name, given in vars(self).items():
+            if not np.all((values := numbers(f"instruments: {name}", given)) >= 0.0) or not np.isfinite(values).all():
+                raise ValueError(f"instruments: {name} is {shown(given)}; allowed: finite numbers of at least 0")
+        as_count("instruments: window", self.window)
+
 
 @dataclasses.dataclass(frozen=True)
 class Gains:
@@ -69,6 +75,9 @@ class Gains:
 
     frequency: float = 60.0
     damping: float = 0.7
+
+    def __post_init__(self) -> None:
+        check_finite("gains", 0.0, frequency=self.frequency, damping=self.damping)
 
 
 class Log(Pytree):
@@ -243,7 +252,7 @@ def _measured(instruments: Instruments, dt: float, seed: int, q: Any, current: A
     """q, qdot, current and torsion as the instruments show them."""
     rng = np.random.default_rng(seed)
     noisy = lambda x, by: x + by * rng.standard_normal(x.shape)
-    q, window = _stepped(q, instruments.position_step), as_count("instruments: window", instruments.window)
+    q, window = _stepped(q, instruments.position_step), instruments.window
     slack = np.broadcast_to(instruments.torsion_play, q.shape[1:])
     anywhere = torsion[0] + slack * rng.uniform(-1.0, 1.0, slack.shape)
     before = np.concatenate([np.repeat(q[:1], window, axis=0), q[:-window]])
