@@ -10,7 +10,6 @@ from __future__ import annotations
 import functools
 import itertools
 import math
-from collections.abc import Callable
 from typing import Any, NamedTuple, Protocol
 
 import jax
@@ -109,24 +108,22 @@ class EstimationLoop:
 
     def __init__(self, estimator: Estimator):
         self.estimator = estimator
-        self._kernel = HostKernel(self._advance, 2)
 
     def start(self, sample: Sample) -> Any:
         """The state before the first step, which is compiled here. Raises `ValueError` for numbers that do not fit."""
         row = self._row(sample)
         with jax.enable_x64(True):
-            begun = jax.tree_util.tree_map(np.asarray, jax.jit(self._begin)(row))
-        leaves, self._tree = jax.tree_util.tree_flatten(begun)
-        ends = itertools.accumulate(x.size for x in leaves)
-        self._parts = [(slice(end - x.size, end), x.shape) for x, end in zip(leaves, ends, strict=True)]
-        packed = np.concatenate([x.ravel() for x in leaves])[None]
+            begun, self._tree = jax.tree_util.tree_flatten(jax.eval_shape(self._begin, row))
+            leaves = [x[0] for x in HostKernel(self._begin, 1)(row[None])]
+        ends = itertools.accumulate(x.size for x in begun)
+        self._parts = [(slice(end - x.size, end), x.shape) for x, end in zip(begun, ends, strict=True)]
+        packed, kernel = np.concatenate([x.ravel() for x in leaves])[None], HostKernel(self._advance, 2)
         try:
-            self._kernel.run(packed, row[None], double=True)
-            self._run: Callable[..., list[np.ndarray]] = functools.partial(self._kernel.run, double=True)
+            self._run = kernel.repeated(packed, row[None], double=True)
         except Unsupported:
-            self._run = self._by_xla
-            self._run(packed, row[None])
-        return begun
+            self._run = functools.partial(_by_xla, kernel)
+        self._run(packed, row[None])
+        return jax.tree_util.tree_unflatten(self._tree, leaves)
 
     def step(self, state: Any, sample: Sample) -> Any:
         """The state after a sample; the given one stays as it is. Raises `ValueError` for numbers that do not fit."""
@@ -163,6 +160,7 @@ class EstimationLoop:
         after = self.estimator.advance(self._unpacked(packed), self._sense(row))
         return jnp.concatenate([x.ravel() for x in jax.tree_util.tree_leaves(after)])
 
-    def _by_xla(self, *rows: np.ndarray) -> list[np.ndarray]:
-        with jax.enable_x64(True):
-            return [np.asarray(self._kernel.by_xla(*rows))]
+
+def _by_xla(kernel: HostKernel, *rows: np.ndarray) -> list[np.ndarray]:
+    with jax.enable_x64(True):
+        return [np.asarray(kernel.by_xla(*rows))]
