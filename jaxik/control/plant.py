@@ -3,9 +3,9 @@
     M(q) qddot + h(q, qdot) = N k current + spring + friction + J'f                                     (3.11)
 
 The bodies, joints and rotors are MuJoCo's, so that the arm that is simulated shares no line with the dynamics that estimators
-use. Friction is MuJoCo's dry friction, which sticks, with the size that the drive's law gives at each step. The gears' torsion
-is read off what they carry; they do not swing. A controller asks for a current: what a model of the arm says of the
-trajectory, and proportional and derivative feedback of the joints.
+use. Friction is MuJoCo's dry friction, which sticks, with the size that the drive's law gives at each step, none where a law
+would drive the joint. The gears' torsion is read off what they carry; they do not swing. A controller asks for a current: what
+a model of the arm says of the trajectory, and proportional and derivative feedback of the joints.
 """
 
 from __future__ import annotations
@@ -129,7 +129,10 @@ def mujoco_model(chain: Chain, dt: float = 1e-3, gravity: Any = GRAVITY) -> Any:
         # friction is stiff, or what sticks would creep
         stiff = {"solref_friction": [2.0 * dt, 1.0], "solimp_friction": [0.99, 0.999, 0.001, 0.5, 2.0]}
         parent.add_joint(name=f"{i}/{name}", type=kind, axis=chain.axis[i], armature=float(armature[i]), **stiff)
-    return spec.compile()
+    try:
+        return spec.compile()
+    except ValueError as error:
+        raise ValueError(f"plant: MuJoCo refuses {chain.name} ({' '.join(str(error).split())})") from None
 
 
 def play(
@@ -153,9 +156,11 @@ def play(
     """
     mujoco = optional("play: a simulation", "mujoco", "mjcf")
     check_finite("play", 1e-6, dt=dt)
+    check_finite("play", 0.0, **{"rest before": rest[0], "rest after": rest[1]})
     check_seed("play", seed)
     model = chain if model is None else model
     moved, pushes = mujoco_model(chain, dt), [_push(chain, contact) for contact in contacts]
+    check_kind("play", "model", model, Chain)
     for arm in (chain, model):
         if not arm.drives:
             raise ValueError(f"play: {arm.name} has no drives; use chain.with_drives")
@@ -175,7 +180,7 @@ def play(
         external[k] = _pushed(mujoco, moved, data, pushes, t[k])
         speed = np.copysign(np.maximum(np.abs(qdot[k]), CREEP), qdot[k])
         (friction,) = rubs.run(speed[None], given[None], double=True)
-        moved.dof_frictionloss[:] = np.abs(friction[0])
+        moved.dof_frictionloss[:] = np.maximum(-np.sign(speed) * friction[0], 0.0)
         driven = gain * current[k] + spring
         data.qfrc_applied[:] = driven + external[k]
         mujoco.mj_step(moved, data)
