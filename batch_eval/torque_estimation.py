@@ -182,8 +182,8 @@ def sweep() -> dict[str, Any]:
 def estimators(swept: dict[str, Any]) -> dict[str, Any]:
     """Those that are compared."""
     fused = known(PROCESS, np.array(swept["best_current_noise"]), np.array(swept["best_torsion_noise"]))
-    bare = dataclasses.replace  # the model without what table 3.6 corrects
-    drives = [bare(d, friction=bare(d.friction, correction=np.zeros(2))) for d in model().drives]
+    bare = lambda friction: dataclasses.replace(friction, correction=np.zeros(2))  # without table 3.6
+    drives = [dataclasses.replace(d, friction=bare(d.friction)) for d in model().drives]
     return {
         BEST: TorqueEstimator(model(), fused, width=WIDTH),
         "filter, current alone": TorqueEstimator(model(), known(PROCESS, np.array(swept["best_current_noise"])), width=WIDTH),
