@@ -13,7 +13,7 @@ import numpy as np
 from jaxtyping import Bool, Float
 
 from jaxik.checks.arrays import numbers
-from jaxik.checks.options import check_finite
+from jaxik.checks.options import check_finite, shown
 from jaxik.pytree import Pytree
 from jaxik.robot.chain import Array
 
@@ -74,7 +74,7 @@ def fit_detector(
     if quantile > 1.0:
         raise ValueError(f"fit_detector: quantile is {quantile:g}; it is at most 1, the largest error")
     n = external.shape[-1]
-    band, rest = (np.broadcast_to(numbers(f"fit_detector: {k}", x), (n,)) for k, x in {"band": band, "rest": rest}.items())
+    band, rest = _of_joints("band", band, n), _of_joints("rest", rest, n)
     moves = ~_blind(rest, memory, qdot)
     if not moves.reshape(-1, n).any(axis=0).all():
         still = int(np.argmin(moves.reshape(-1, n).any(axis=0)))
@@ -83,6 +83,15 @@ def fit_detector(
         )
     errors = [np.quantile(np.abs(external[..., i])[moves[..., i]], quantile) for i in range(n)]
     return Detector(factor * np.array(errors), band, rest, memory)
+
+
+def _of_joints(name: str, given: Any, n: int) -> np.ndarray:
+    values = numbers(f"fit_detector: {name}", given)
+    if values.shape not in ((), (n,)) or not np.all(values >= 0.0):
+        raise ValueError(
+            f"fit_detector: {name} is {shown(given)}; allowed: one number, or one for each of {n} joints, 0 or more"
+        )
+    return np.broadcast_to(values, n)
 
 
 class Judged(NamedTuple):
