@@ -403,6 +403,42 @@ def mesh_markdown(result: dict[str, Any]) -> str:
     return "\n".join(lines)
 
 
+def torque_markdown(result: dict[str, Any]) -> str:
+    """Errors of external torque by joint, relative to nominal torque; table 3.10 beside the thesis'; the time of a step."""
+    nominal, rms, swept = result["nominal_torque"], result["rmse"], result["sweep"]
+    lines = ["| mean error / nominal torque, joint | 2 | 3 | 4 | 5 | 6 | 7 | 8 |", "| --- |" + " --- |" * 7]
+    lines.append("| nominal torque [Nm], a stand-in | " + " | ".join(f"{x:g}" for x in nominal) + " |")
+    for name, rows in rms.items():
+        columns = [[x for x in column if x == x] for column in zip(*rows, strict=True)]
+        mean = [100.0 * sum(column) / len(column) / most for column, most in zip(columns, nominal, strict=True)]
+        lines.append(f"| {name} | {' | '.join(f'{x:.1f} %' for x in mean)} |")
+    lines.append("| the thesis, external torque | < 5 % | < 5 % | < 5 % | < 5 % | < 5 % | 8 % | < 5 % |")
+    detection = result["detection"]
+    lines += [
+        "",
+        "| joint, lever | tactile sensor, 2 N | the thesis, by currents | thresholds here | least push always found | delay |",
+        "| --- | --- | --- | --- | --- | --- |",
+    ]
+    for row in detection["rows"]:
+        low, high = min(row["threshold_nm"]), max(row["threshold_nm"])
+        push = f"{row['least_torque_found_nm']:.1f} Nm ({row['least_force_found_n']:g} N)"
+        lines.append(
+            f"| {row['joint']}, {row['lever_m']:g} m | {row['tactile_nm']:.2f} Nm | {row['thesis_nm']:.1f} Nm | "
+            f"{low:.1f} to {high:.1f} Nm | {push} | {1e3 * row['delay_s']:.0f} ms |"
+        )
+    alarms = sum(row["false_alarms"] for row in detection["rows"])
+    steps = "; ".join(f"{name}: {row['p50_us']:.0f} us ({row['p99_us']:.0f} us)" for name, row in result["step"].items())
+    best, current, torsion = (swept[k][5] for k in ("best", "by_current_alone", "by_torsion_alone"))
+    lines += [
+        "",
+        f"{result['arms']} arms; {alarms} false alarms in {detection['free_s']:.0f} s of other motions without contact.",
+        f"At joint 6 the best of {swept['filters']} pairs of covariances errs by {best:.2f} Nm, the current alone by "
+        f"{current:.2f} Nm, the torsion alone by {torsion:.2f} Nm.",
+        f"A step of the control loop, median (99 %): {steps}.",
+    ]
+    return "\n".join(lines)
+
+
 TABLES = {
     "astar.json": astar_markdown,
     "base_placement.json": base_markdown,
@@ -421,6 +457,7 @@ TABLES = {
     "predictive_benchmark.json": predictive_markdown,
     "predictive_statistics.json": statistics_markdown,
     "sweep_benchmark.json": sweep_markdown,
+    "torque_estimation.json": torque_markdown,
 }
 
 

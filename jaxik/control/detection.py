@@ -9,19 +9,18 @@ from __future__ import annotations
 
 from typing import Any, NamedTuple
 
-import jax
 import numpy as np
 from jaxtyping import Bool, Float
 
 from jaxik.checks.arrays import numbers
-from jaxik.checks.options import check_finite
+from jaxik.checks.options import check_finite, shown
 from jaxik.pytree import Pytree
 from jaxik.robot.chain import Array
 
 
 class Detector(Pytree):
     """Thresholds and friction bands (n,) [Nm, N]; a joint is at rest below the speed `rest` (n,) [rad/s, m/s], and its
-    estimate is trusted again `memory` samples later."""
+    estimate is trusted again more than `memory` samples later."""
 
     threshold: Float[Array, " n"]
     band: Float[Array, " n"]
@@ -29,31 +28,30 @@ class Detector(Pytree):
     memory: int
 
     def init(self) -> Float[Array, " n"]:
-        """Samples since each joint was at rest (n,): all are at rest."""
+        """Samples since each joint was at rest (n,), where all are."""
         return np.zeros(np.shape(self.threshold))
 
     def step(self, since: Any, external: Any, qdot: Any) -> tuple[Any, Any]:
-        """The next `since`, and the alarms (n,), of an estimate and the joints' rates. Traced, and as well of NumPy's
-        arrays."""
+        """The next `since`, and the alarms (n,), of an estimate and the joints' rates. Traced. Takes NumPy's arrays, too."""
         since = (since + 1.0) * (abs(qdot) >= self.rest)
         return since, abs(external) > self.threshold + self.band * (since <= self.memory)
 
 
 def detect(detector: Detector, external: Any, qdot: Any) -> Bool[np.ndarray, "*log n"]:
-    """The alarms (..., t, n) of estimates (..., t, n) [Nm] at rates (..., t, n). Host driver.
+    """The alarms (..., t, n) of estimates (..., t, n) [Nm] at rates (..., t, n), the arm at rest before. Host driver.
 
-    Raises `ValueError` for shapes that do not fit.
+    Raises `ValueError` for shapes that do not fit, and for estimates that are not finite.
     """
     external, qdot = _pair("detect", external, qdot)
-    with jax.enable_x64(True):
-        flat = (x.reshape(-1, *x.shape[-2:]) for x in (external, qdot))
-        return np.asarray(_over_logs(detector, *flat)).reshape(external.shape)
+    blind = _blind(detector.rest, detector.memory, qdot)
+    return np.abs(external) > detector.threshold + detector.band * blind
 
 
-@jax.jit
-def _over_logs(detector: Detector, external: Any, qdot: Any) -> Any:
-    one = lambda external, qdot: jax.lax.scan(lambda s, x: detector.step(s, *x), detector.init(), (external, qdot))[1]
-    return jax.vmap(one)(external, qdot)
+def _blind(rest: Any, memory: int, qdot: np.ndarray) -> np.ndarray:
+    """Where the joints are at rest, or were so at most `memory` samples before."""
+    time = np.arange(qdot.shape[-2])[:, None]
+    last = np.maximum.accumulate(np.where(np.abs(qdot) < rest, time, -1), axis=-2)
+    return time - last <= memory
 
 
 def fit_detector(
@@ -76,9 +74,8 @@ def fit_detector(
     if quantile > 1.0:
         raise ValueError(f"fit_detector: quantile is {quantile:g}; it is at most 1, the largest error")
     n = external.shape[-1]
-    band, rest = (np.broadcast_to(numbers(f"fit_detector: {k}", x), (n,)) for k, x in {"band": band, "rest": rest}.items())
-    trusting = Detector(np.zeros(n), np.full(n, np.inf), rest, memory)
-    moves = detect(trusting, np.where(external == 0.0, 1.0, external), qdot)
+    band, rest = _of_joints("band", band, n), _of_joints("rest", rest, n)
+    moves = ~_blind(rest, memory, qdot)
     if not moves.reshape(-1, n).any(axis=0).all():
         still = int(np.argmin(moves.reshape(-1, n).any(axis=0)))
         raise ValueError(
@@ -86,6 +83,15 @@ def fit_detector(
         )
     errors = [np.quantile(np.abs(external[..., i])[moves[..., i]], quantile) for i in range(n)]
     return Detector(factor * np.array(errors), band, rest, memory)
+
+
+def _of_joints(name: str, given: Any, n: int) -> np.ndarray:
+    values = numbers(f"fit_detector: {name}", given)
+    if values.shape not in ((), (n,)) or not np.all(values >= 0.0):
+        raise ValueError(
+            f"fit_detector: {name} is {shown(given)}; allowed: one number, or one for each of {n} joints, 0 or more"
+        )
+    return np.broadcast_to(values, n)
 
 
 class Judged(NamedTuple):

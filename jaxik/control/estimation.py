@@ -19,7 +19,7 @@ from jaxtyping import Float
 
 from jaxik.checks.arrays import numbers
 from jaxik.robot.chain import Array, Chain
-from jaxik.spmd import HostKernel
+from jaxik.spmd import HostKernel, Unsupported
 from jaxik.spmd.host import host_kernels
 
 
@@ -48,7 +48,7 @@ class Estimator(Protocol):
 
 
 def over_log(estimator: Estimator, sensed: Any) -> Float[jax.Array, "t n"]:
-    """The external torques (t, n) [Nm] of a log that is sensed, its leaves (t, ...). Traced; `vmap` it over logs."""
+    """The external torques (t, n) [Nm] of a log that is sensed, its leaves (t, ...). Traced. `vmap` it over logs."""
 
     def step(state: Any, now: Any) -> tuple[Any, Any]:
         state = estimator.advance(state, now)
@@ -96,58 +96,71 @@ def _checked(estimator: Estimator, log: Sample) -> Sample:
 
 
 class EstimationLoop:
-    """An estimator in a control loop: NumPy in, NumPy out, one kernel a step, in float64. Host.
+    """An estimator in a control loop: NumPy in, NumPy out, in float64; one kernel a step where the estimator has one. Host.
 
-    loop = EstimationLoop(estimator)
-    state = loop.start(sample)  # compiles
-    while True:
-        state = loop.step(state, sample)  # state.external (n,) [Nm]
+        loop = EstimationLoop(estimator)
+        state = loop.start(sample)  # compiles
+        while True:
+            state = loop.step(state, sample)
+
+    The estimate is `state.external` (n,) [Nm, N].
     """
 
     def __init__(self, estimator: Estimator):
         self.estimator = estimator
-        self._start = HostKernel(self._begin, 1)
-        self._step = HostKernel(self._advance, 2)
 
     def start(self, sample: Sample) -> Any:
         """The state before the first step, which is compiled here. Raises `ValueError` for numbers that do not fit."""
-        checked = _checked(self.estimator, Sample(*(np.asarray(x)[None] for x in sample)))
-        row = np.concatenate(checked, axis=1)
+        row = self._row(sample)
         with jax.enable_x64(True):
-            begun = jax.eval_shape(lambda row: self.estimator.init(self.estimator.sense(self._sample(row))), row[0])
-            leaves, self._tree = jax.tree_util.tree_flatten(begun)
-            self._shapes = [x.shape for x in leaves]
-            (packed,) = self._start(row)
-            self._step(packed, row)
-        return self._unpacked(packed[0])
+            begun, self._tree = jax.tree_util.tree_flatten(jax.eval_shape(self._begin, row))
+            leaves = [x[0] for x in HostKernel(self._begin, 1)(row[None])]
+        ends = itertools.accumulate(x.size for x in begun)
+        self._parts = [(slice(end - x.size, end), x.shape) for x, end in zip(begun, ends, strict=True)]
+        packed, kernel = np.concatenate([x.ravel() for x in leaves])[None], HostKernel(self._advance, 2)
+        try:
+            self._run = kernel.repeated(packed, row[None], double=True)
+        except Unsupported:
+            self._run = functools.partial(_by_xla, kernel)
+        self._run(packed, row[None])
+        return jax.tree_util.tree_unflatten(self._tree, leaves)
 
     def step(self, state: Any, sample: Sample) -> Any:
-        """The state after a sample; the given one stays as it is. Raises `ValueError` for numbers that are not finite."""
-        row = np.concatenate(sample, dtype=np.float64)[None]
-        packed = np.concatenate([x.ravel() for x in jax.tree_util.tree_leaves(state)])[None]
-        (packed,) = self._step.run(packed, row, double=True)
+        """The state after a sample; the given one stays as it is. Raises `ValueError` for numbers that do not fit."""
+        row = np.concatenate(sample, dtype=np.float64)
+        if len(row) != self._width:
+            self._row(sample)
+        packed = np.concatenate([x.ravel() for x in jax.tree_util.tree_leaves(state)])
+        (packed,) = self._run(packed[None], row[None])
         after = self._unpacked(packed[0])
         if not math.isfinite(after.external.sum()):
-            _checked(self.estimator, Sample(*(np.asarray(x)[None] for x in sample)))
+            self._row(sample)
             raise ValueError("estimation loop: the estimate is no number any more; start again")
         return after
 
-    # one row a sample and one a state: a kernel's call costs a microsecond for each array
+    # One row is a sample, and one a state: a kernel's call costs a microsecond for each array.
 
-    def _sample(self, row: Any) -> Sample:
-        n = self.estimator.chain.num_joints
-        return Sample(*(row[i * n : (i + 1) * n] for i in range(len(Sample._fields))))
+    @property
+    def _width(self) -> int:
+        return len(Sample._fields) * self.estimator.chain.num_joints
+
+    def _row(self, sample: Sample) -> np.ndarray:
+        return np.concatenate(_checked(self.estimator, Sample(*(np.asarray(x)[None] for x in sample))), axis=1)[0]
+
+    def _sense(self, row: Any) -> Any:
+        return self.estimator.sense(Sample(*row.reshape(len(Sample._fields), -1)))
 
     def _unpacked(self, packed: Any) -> Any:
-        ends = itertools.accumulate(math.prod(shape) for shape in self._shapes)
-        parts = (packed[end - math.prod(shape) : end].reshape(shape) for shape, end in zip(self._shapes, ends, strict=True))
-        return jax.tree_util.tree_unflatten(self._tree, parts)
-
-    def _packed(self, state: Any) -> Any:
-        return jnp.concatenate([x.ravel() for x in jax.tree_util.tree_leaves(state)])
+        return jax.tree_util.tree_unflatten(self._tree, [packed[part].reshape(shape) for part, shape in self._parts])
 
     def _begin(self, row: Any) -> Any:
-        return self._packed(self.estimator.init(self.estimator.sense(self._sample(row))))
+        return self.estimator.init(self._sense(row))
 
     def _advance(self, packed: Any, row: Any) -> Any:
-        return self._packed(self.estimator.advance(self._unpacked(packed), self.estimator.sense(self._sample(row))))
+        after = self.estimator.advance(self._unpacked(packed), self._sense(row))
+        return jnp.concatenate([x.ravel() for x in jax.tree_util.tree_leaves(after)])
+
+
+def _by_xla(kernel: HostKernel, *rows: np.ndarray) -> list[np.ndarray]:
+    with jax.enable_x64(True):
+        return [np.asarray(kernel.by_xla(*rows))]

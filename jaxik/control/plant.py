@@ -3,9 +3,9 @@
     M(q) qddot + h(q, qdot) = N k current + spring + friction + J'f                                     (3.11)
 
 The bodies, joints and rotors are MuJoCo's, so that the arm that is simulated shares no line with the dynamics that estimators
-use. Friction is MuJoCo's dry friction, which sticks, with the size that the drive's law gives at each step. The gears' torsion
-is read off what they carry; they do not swing. A controller asks for a current: what a model of the arm says of the
-trajectory, and proportional and derivative feedback of the joints.
+use. Friction is MuJoCo's dry friction, which sticks, with the size that the drive's law gives at each step, none where a law
+would drive the joint. The gears' torsion is read off what they carry; they do not swing. A controller asks for a current: what
+a model of the arm says of the trajectory, and proportional and derivative feedback of the joints.
 """
 
 from __future__ import annotations
@@ -19,9 +19,9 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float
 
-from jaxik.checks.arrays import shaped
+from jaxik.checks.arrays import numbers, shaped
 from jaxik.checks.optional_modules import optional
-from jaxik.checks.options import as_count, check_finite, check_kind, check_seed, no_such
+from jaxik.checks.options import as_count, check_finite, check_kind, check_seed, no_such, shown
 from jaxik.control.estimation import Sample
 from jaxik.planning import Trajectory
 from jaxik.planning.trajectory import JointState
@@ -61,6 +61,12 @@ class Instruments:
     position_step: Any = 0.0
     window: int = 1
 
+    def __post_init__(self) -> None:
+        for name, given in vars(self).items():
+            if not np.all((values := numbers(f"instruments: {name}", given)) >= 0.0) or not np.isfinite(values).all():
+                raise ValueError(f"instruments: {name} is {shown(given)}; allowed: finite numbers of at least 0")
+        as_count("instruments: window", self.window)
+
 
 @dataclasses.dataclass(frozen=True)
 class Gains:
@@ -69,6 +75,9 @@ class Gains:
 
     frequency: float = 60.0
     damping: float = 0.7
+
+    def __post_init__(self) -> None:
+        check_finite("gains", 0.0, frequency=self.frequency, damping=self.damping)
 
 
 class Log(Pytree):
@@ -120,7 +129,10 @@ def mujoco_model(chain: Chain, dt: float = 1e-3, gravity: Any = GRAVITY) -> Any:
         # friction is stiff, or what sticks would creep
         stiff = {"solref_friction": [2.0 * dt, 1.0], "solimp_friction": [0.99, 0.999, 0.001, 0.5, 2.0]}
         parent.add_joint(name=f"{i}/{name}", type=kind, axis=chain.axis[i], armature=float(armature[i]), **stiff)
-    return spec.compile()
+    try:
+        return spec.compile()
+    except ValueError as error:
+        raise ValueError(f"plant: MuJoCo refuses {chain.name} ({' '.join(str(error).split())})") from None
 
 
 def play(
@@ -144,9 +156,11 @@ def play(
     """
     mujoco = optional("play: a simulation", "mujoco", "mjcf")
     check_finite("play", 1e-6, dt=dt)
+    check_finite("play", 0.0, **{"rest before": rest[0], "rest after": rest[1]})
     check_seed("play", seed)
     model = chain if model is None else model
     moved, pushes = mujoco_model(chain, dt), [_push(chain, contact) for contact in contacts]
+    check_kind("play", "model", model, Chain)
     for arm in (chain, model):
         if not arm.drives:
             raise ValueError(f"play: {arm.name} has no drives; use chain.with_drives")
@@ -166,7 +180,7 @@ def play(
         external[k] = _pushed(mujoco, moved, data, pushes, t[k])
         speed = np.copysign(np.maximum(np.abs(qdot[k]), CREEP), qdot[k])
         (friction,) = rubs.run(speed[None], given[None], double=True)
-        moved.dof_frictionloss[:] = np.abs(friction[0])
+        moved.dof_frictionloss[:] = np.maximum(-np.sign(speed) * friction[0], 0.0)
         driven = gain * current[k] + spring
         data.qfrc_applied[:] = driven + external[k]
         mujoco.mj_step(moved, data)
@@ -178,7 +192,8 @@ def play(
         )
     torsion = gear / of(lambda d: d.stiffness)
     q, qdot, current, torsion = _measured(instruments, dt, seed, q, current, torsion)
-    return Log(t, *map(np.asarray, desired), q, qdot, current, torsion, external, torque)
+    asked = {f"{name}_des": np.asarray(x) for name, x in zip(("q", "qdot", "qddot"), desired, strict=True)}
+    return Log(t=t, **asked, q=q, qdot=qdot, current=current, torsion=torsion, external=external, torque=torque)
 
 
 def _with_rests(motions: Sequence[Trajectory], dt: float, rest: tuple[float, float]) -> tuple[np.ndarray, JointState]:
@@ -242,7 +257,7 @@ def _measured(instruments: Instruments, dt: float, seed: int, q: Any, current: A
     """q, qdot, current and torsion as the instruments show them."""
     rng = np.random.default_rng(seed)
     noisy = lambda x, by: x + by * rng.standard_normal(x.shape)
-    q, window = _stepped(q, instruments.position_step), as_count("instruments: window", instruments.window)
+    q, window = _stepped(q, instruments.position_step), instruments.window
     slack = np.broadcast_to(instruments.torsion_play, q.shape[1:])
     anywhere = torsion[0] + slack * rng.uniform(-1.0, 1.0, slack.shape)
     before = np.concatenate([np.repeat(q[:1], window, axis=0), q[:-window]])

@@ -158,6 +158,9 @@ class TorqueEstimator:
     def __post_init__(self) -> None:
         check_kind("torque estimator", "chain", self.chain, Chain)
         check_kind("torque estimator", "filter", self.filter, TorqueFilter)
+        if len(self.filter.process) != self.chain.num_joints:
+            joints = f"{self.chain.name} has {self.chain.num_joints} joints"
+            raise ValueError(f"torque estimator: a filter of {len(self.filter.process)} joints; {joints}")
 
     def sense(self, sample: Sample) -> Sensed:
         """Traced. The gear does not carry what accelerates the rotor, which is made up for."""

@@ -51,6 +51,8 @@ def test_alarms_are_judged():
         (lambda: fit_detector(np.zeros((5, 2)), np.zeros((5, 3))), r"allowed: \(..., t, n\) both"),
         (lambda: fit_detector(np.zeros((5, 2)), np.zeros((5, 2)), rest=0.1), "joint 0 is never faster than rest, 0.1"),
         (lambda: fit_detector(np.ones((5, 2)), np.ones((5, 2)), quantile=2.0), "quantile is 2; it is at most 1"),
+        (lambda: fit_detector(np.ones((5, 2)), np.ones((5, 2)), band=[1.0, 2.0, 3.0]), "band is .* each of 2 joints"),
+        (lambda: fit_detector(np.ones((5, 2)), np.ones((5, 2)), rest=np.nan), "rest is nan; allowed: one number"),
         (lambda: fit_detector(np.full((5, 2), np.nan), np.ones((5, 2))), "external holds nan"),
         (lambda: judge_alarms(np.zeros(3), np.zeros(4), 0.1), r"alarms of shape \(3,\)"),
     ],

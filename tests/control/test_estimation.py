@@ -68,9 +68,14 @@ def test_the_full_recursion_becomes_the_closed_form(log):
     np.testing.assert_allclose(full[-1], steady[-1], rtol=1e-6)
 
 
-@pytest.mark.parametrize(
-    "estimator", [TorqueEstimator(ARM, FILTER), MomentumObserver(ARM, 30.0, DT)], ids=["filter", "observer"]
-)
+ESTIMATORS = {
+    "filter": TorqueEstimator(ARM, FILTER),
+    "recursion": TorqueEstimator(ARM, FILTER, steady=False),
+    "observer": MomentumObserver(ARM, 30.0, DT),
+}
+
+
+@pytest.mark.parametrize("estimator", ESTIMATORS.values(), ids=ESTIMATORS)
 def test_a_loop_is_what_a_log_is(log, estimator):
     samples = [Sample(*(x[0, k] for x in log)) for k in range(5)]
     loop, found = EstimationLoop(estimator), []
@@ -82,6 +87,8 @@ def test_a_loop_is_what_a_log_is(log, estimator):
     bad = samples[0]._replace(current=[0.0, np.nan])
     with pytest.raises(ValueError, match="current holds nan at sample 0, joint 1"):
         loop.step(state, bad)
+    with pytest.raises(ValueError, match=r"q of shape \(1, 3\)"):
+        loop.step(state, bad._replace(q=[0.0, 0.0, 0.0]))
     assert np.isfinite(state.external).all()
 
 
@@ -94,6 +101,7 @@ def test_a_loop_is_what_a_log_is(log, estimator):
             "torsion holds .* joint 0",
         ),
         (lambda log: TorqueFilter.of_drives(jaxik.load("planar2"), 1.0, 1.0), "planar2 has no drives; use chain.with_drives"),
+        (lambda log: TorqueEstimator(jaxik.load("crops_v2"), FILTER), "a filter of 2 joints; crops_v2 has 9 joints"),
         (lambda log: TorqueEstimator(ARM, None), "filter is None; write a jaxik.control.TorqueFilter"),
         (lambda log: MomentumObserver(ARM, 2000.0, DT), "gain 2000.0 at dt 0.001 s; allowed: above 0, at most 1 / dt"),
         (lambda log: MomentumObserver(ARM, np.nan, DT), "gain nan at dt"),

@@ -84,6 +84,8 @@ def test_instruments():
         (lambda: play(ARM, MOTION, [Contact("link7", [0, 0, 0], [0, 0, 0])]), "no link 'link7'; did you mean"),
         (lambda: play(ARM, MOTION, [Contact("link1", [0, 0], [0, 0, 0])]), r"contact: point of shape \(2,\)"),
         (lambda: play(ARM, MOTION, dt=0.0), "dt is 0.0"),
+        (lambda: Instruments(current_noise=-1.0), "current_noise is -1.0; allowed: finite numbers of at least 0"),
+        (lambda: Instruments(window=0), "window is 0; allowed: a count"),
         (lambda: play(jaxik.load("crops_v2"), MOTION), "2 joints; crops_v2 has 9"),
     ],
 )

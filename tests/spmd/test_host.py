@@ -143,3 +143,11 @@ def test_a_large_array_that_is_closed_over_is_an_operand(double):
     for table in tables:
         (found,) = spmd.HostKernel(lambda q, table=table: jnp.sum((table @ q) ** 2), 1).run(x, double=double)
         np.testing.assert_allclose(found, np.sum((x @ table.T) ** 2, axis=1), rtol=1e-12 if double else 1e-4)
+
+
+def test_repeated_calls_are_what_run_gives():
+    again = KERNEL.repeated(X, N, TABLE)
+    first = again(X, N, TABLE)[0]
+    np.testing.assert_array_equal(first, KERNEL.run(X, N, TABLE)[0])
+    np.testing.assert_array_equal(again(-X, N, 2.0 * TABLE)[0], KERNEL.run(-X, N, 2.0 * TABLE)[0])
+    np.testing.assert_array_equal(first, KERNEL.run(X, N, TABLE)[0])  # and is nobody else's memory
