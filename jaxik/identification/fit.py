@@ -1,0 +1,122 @@
+"""Bodies and friction from logs: what can be known by linear least squares, and a robot that can be by nonlinear ones.
+
+Residuals count in units of each joint's noise. First the base parameters, linear in the log; then bodies within what is physical
+(`pseudo_inertia`), friction at least 0 and the Stribeck velocities, from the chain's own numbers on, to which what the log does
+not tell stays close; then the base parameters again, with the friction's nonlinear part known, and their standard errors.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+
+from jaxik.checks.options import changed, check_each, check_finite, check_kind
+from jaxik.identification.base_parameters import BaseParameters, base_parameters
+from jaxik.identification.columns import Term
+from jaxik.identification.log import Log
+from jaxik.identification.physical_fit import Found, PhysicalFit
+from jaxik.identification.problem import Problem, base_fit, posed
+from jaxik.identification.pseudo_inertia import Bodies
+from jaxik.reasons import Reason, Reasoned
+from jaxik.robot.chain import Chain
+from jaxik.robot.drive import Drive, Friction
+from jaxik.robot.dynamics import body_parameters, with_body_parameters
+
+PARTS = (0.1, 0.25, 0.5, 1.0, 2.0)  # of a joint's usual speed, where the search for its Stribeck velocity may start
+
+
+@dataclasses.dataclass(frozen=True)
+class IdentifyOptions:
+    """`terms` of the drives' friction to find, of `columns`: those that are left out count as none, but for the rotors, which
+    are then the chain's `armature`. Rows in which a joint is slower than `slowest` [rad/s, m/s] do not count for it, for at rest
+    friction has no law. `prior` is how far bodies may be from the chain's where the log does not say, as a logarithm (1: by
+    factors of about e). Logs whose `condition` number is beyond the limit are told to be poor."""
+
+    terms: tuple[Term, ...] = ("coulomb", "viscous")
+    slowest: float = 0.01
+    prior: float = 1.0
+    condition: float = 1000.0
+    steps: int = 100
+
+
+@dataclasses.dataclass(frozen=True, eq=False)
+class Identified(Reasoned):
+    """The `chain` with the bodies and drives found, all physical; its `base` parameters as the log alone tells them, `value` and
+    standard error `std` (b,); the excitation's `condition` number (columns of equal length); the root mean square `residual` of
+    each joint (n,) [Nm, N]; `rows` that counted; and the `reason`: SOLVED, UNEXCITED or NOT_CONVERGED."""
+
+    chain: Chain
+    base: BaseParameters
+    value: np.ndarray
+    std: np.ndarray
+    condition: float
+    residual: np.ndarray
+    rows: np.ndarray
+    reason: Reason
+
+    def unknown(self, within: float = 0.01) -> tuple[str, ...]:
+        """In words, the combinations that the log does not tell `within` this share of their value, worst first."""
+        share = self.std / np.maximum(np.abs(self.value), 1e-300)
+        return tuple(self.base.words[i] for i in np.argsort(-share, kind="stable") if share[i] > within)
+
+
+def identify(
+    chain: Chain, logs: Log | Sequence[Log], options: IdentifyOptions = IdentifyOptions(), **changes: Any
+) -> Identified:
+    """The chain's bodies and friction, from motions that were measured. Host driver.
+
+    `changes` are fields of the options. The chain's own bodies are what is taken for granted where a log says nothing. The
+    drives that come back have their friction at the joint, without a load's share that was not asked for.
+
+    Raises `ValueError` for logs and options that cannot be used. Sources: Gautier 1991; Rucker, Wensing 2022.
+    """
+    check_kind("identify", "chain", chain, Chain)
+    options = changed("identify", options, changes)
+    check_each("identify", options.terms, Term)
+    check_finite("identify", 0.0, slowest=options.slowest, prior=options.prior, condition=options.condition)
+    problem = posed(chain, logs, options.terms, options.slowest)
+    base = base_parameters(chain, options.terms)
+    stribeck = _first_stribeck(problem, base)
+    noise = base_fit(problem, base, problem.torque, stribeck).noise
+    around = Bodies(np.asarray(body_parameters(chain), np.float64))
+    found = PhysicalFit(problem, around, stribeck, noise, options.prior).run(options.steps)
+    fit = base_fit(problem, base, found.load, found.stribeck)
+    reason = Reason.UNEXCITED if fit.condition > options.condition else Reason.SOLVED
+    return Identified(
+        chain=_with_friction(with_body_parameters(chain, found.bodies.ravel()), found),
+        base=base,
+        value=fit.value,
+        std=fit.std,
+        condition=fit.condition,
+        residual=found.residual,
+        rows=problem.counts.sum(axis=0),
+        reason=reason if found.settled else Reason.NOT_CONVERGED,
+    )
+
+
+def _first_stribeck(problem: Problem, base: BaseParameters) -> np.ndarray:
+    """Of some parts of each joint's usual speed, the one that leaves the least (n,)."""
+    usual = np.sqrt(np.mean(problem.qdot**2, axis=0, where=problem.counts))
+    if "breakaway" not in problem.terms:
+        return usual
+    left = [base_fit(problem, base, problem.torque, part * usual).noise for part in PARTS]
+    return usual * np.array(PARTS)[np.argmin(left, axis=0)]
+
+
+def _with_friction(chain: Chain, found: Found) -> Chain:
+    """The chain with drives that rub as was found; other drives where it has none."""
+    friction = found.friction
+    if not friction:
+        return chain
+    armature = friction.get("armature", np.asarray(chain.armature))
+    drives = []
+    for j, drive in enumerate(chain.drives or [Drive()] * chain.num_joints):
+        of = {term: float(values[j]) for term, values in friction.items() if term not in ("armature", "asymmetry")}
+        uneven = float(friction["asymmetry"][j]) if "asymmetry" in friction else 0.0
+        curve = {"stribeck_velocity": float(found.stribeck[j])} if "breakaway" in of else {}
+        law = Friction(**{"coulomb": 0.0, **of, **curve}, correction=(-uneven, uneven), side="joint")
+        drives.append(dataclasses.replace(drive, friction=law, rotor_inertia=float(armature[j] / drive.ratio**2)))
+    return chain.with_drives(drives)
