@@ -215,15 +215,9 @@ def _bodies(content: Sequence[Link], offsets: Sequence[np.ndarray], counts: Sequ
     """The inertia of all links that move with a joint, about their common centre of gravity, in the joint's frame."""
     if not any(link.mass for link in content):
         return ()
-    bodies = []
-    for joint in range(1, n + 1):
-        moved = [(link, o) for link, o, c in zip(content, offsets, counts, strict=True) if c == joint and link.mass > 0.0]
-        parts = [(link.mass, o[:3, :3] @ link.com + o[:3, 3], o[:3, :3] @ link.inertia @ o[:3, :3].T) for link, o in moved]
-        mass = sum(m for m, _, _ in parts)
-        com = sum((m * centre for m, centre, _ in parts), np.zeros(3)) / max(mass, 1e-300)
-        inertia = np.zeros((3, 3))
-        for m, centre, own in parts:
-            arm = centre - com
-            inertia += own + m * (arm @ arm * np.eye(3) - np.outer(arm, arm))  # Steiner
-        bodies.append(Body(np.asarray(mass, dtype=np.float64), com, inertia))
-    return tuple(bodies)
+    each = [
+        Body(np.asarray(link.mass, np.float64), link.com, link.inertia).moved(o)
+        for link, o in zip(content, offsets, strict=True)
+    ]
+    moved = lambda joint: [b for b, c in zip(each, counts, strict=True) if c == joint and b.mass > 0.0]
+    return tuple(Body.fused(moved(joint)) for joint in range(1, n + 1))

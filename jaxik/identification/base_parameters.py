@@ -72,7 +72,9 @@ def combinations(columns: np.ndarray, called: Sequence[str]) -> BaseParameters:
     matrix = np.where(part, matrix, 0.0)
     matrix[:, kept] = np.eye(len(kept))
     unseen = tuple(name for name, column in zip(called, matrix.T, strict=True) if not column.any())
-    return BaseParameters(matrix, tuple(_word(row, i, called) for row, i in zip(matrix, kept, strict=True)), np.array(kept), unseen)
+    return BaseParameters(
+        matrix, tuple(_word(row, i, called) for row, i in zip(matrix, kept, strict=True)), np.array(kept), unseen
+    )
 
 
 def _word(row: np.ndarray, kept: int, called: Sequence[str]) -> str:
@@ -85,4 +87,3 @@ def _word(row: np.ndarray, kept: int, called: Sequence[str]) -> str:
 
 def _factor(value: float) -> str:
     return "" if abs(value - 1.0) < SMALL else f"{value:.4g} "
-

@@ -1,14 +1,14 @@
 """The matrix that torques are linear in: bodies and friction side by side.
 
-    N k I + springs = Y(q, qdot, qddot) theta + friction,   of each joint, with w = 1 / (1 + (qdot / v_S)^2) and s = sgn(qdot)
+N k I + springs = Y(q, qdot, qddot) theta + friction,   of each joint, with w = 1 / (1 + (qdot / v_S)^2) and s = sgn(qdot)
 
-    coulomb       s (1 - w), or s without a breakaway
-    breakaway     s w
-    viscous       qdot
-    load          s |T|           T the joint's torque behind the gear, rotor included
-    viscous_load  qdot |T|
-    asymmetry     1               what friction is larger forward, and smaller backward
-    armature      qddot
+coulomb       s (1 - w), or s without a breakaway
+breakaway     s w
+viscous       qdot
+load          s |T|           T the joint's torque behind the gear, rotor included
+viscous_load  qdot |T|
+asymmetry     1               what friction is larger forward, and smaller backward
+armature      qddot
 """
 
 from __future__ import annotations

@@ -162,7 +162,9 @@ def _check(chain: Chain, options: ExcitationOptions) -> None:
     check_seed("excite", options.seed)
     counts = {name: as_count(f"excite: {name}", getattr(options, name)) for name in ("harmonics", "samples", "starts", "steps")}
     if counts["samples"] < 4 * counts["harmonics"]:
-        raise ValueError(f"excite: {counts['samples']} samples of {counts['harmonics']} harmonics; allowed: at least 4 for each")
+        raise ValueError(
+            f"excite: {counts['samples']} samples of {counts['harmonics']} harmonics; allowed: at least 4 for each"
+        )
     for name in ("period", "velocity", "acceleration", "share"):
         value = getattr(options, name)
         check_finite("excite", 0.0, **{name: value})

@@ -17,8 +17,9 @@ from __future__ import annotations
 import numpy as np
 from jaxtyping import Float
 
+from jaxik.robot.dynamics import ENTRIES
+
 LOWER = np.array([(0, 0), (1, 1), (2, 2), (3, 3), (1, 0), (2, 0), (2, 1), (3, 0), (3, 1), (3, 2)])
-ENTRIES = ((0, 0), (0, 1), (1, 1), (0, 2), (1, 2), (2, 2))  # of the inertia, as bodies' parameters list them
 SMALLEST = 1e-6  # [m2] added to a body's second moments over its mass, 1 mm squared, where it has none
 
 

@@ -1,15 +1,28 @@
 """A robot arm and what its joints decide: the chain, where its links are, what a task asks of its tip."""
 
 from jaxik.robot.actuation import friction_torque, joint_torsion, motor_current, static_friction, torque_of_current
-from jaxik.robot.chain import Chain, finite_limits, within_limits
+from jaxik.robot.chain import Body, Chain, finite_limits, within_limits
 from jaxik.robot.drive import Drive, Friction
-from jaxik.robot.dynamics import inverse_dynamics, mass_matrix
+from jaxik.robot.dynamics import (
+    bias_torque,
+    body_parameters,
+    forward_dynamics,
+    gravity_torque,
+    inverse_dynamics,
+    kinetic_energy,
+    mass_matrix,
+    potential_energy,
+    regressor,
+    with_body_parameters,
+    wrench_on,
+)
 from jaxik.robot.joint_turns import admissible_turns
 from jaxik.robot.kinematics import bias_acceleration, forward_kinematics, jacobian, link_frames, manipulability
 from jaxik.robot.spherical_wrist import ClosedForm, closed_form, closed_form_obstacle
 from jaxik.robot.task import Task
 
 __all__ = [
+    "Body",
     "Chain",
     "ClosedForm",
     "Drive",
@@ -17,19 +30,28 @@ __all__ = [
     "Task",
     "admissible_turns",
     "bias_acceleration",
+    "bias_torque",
+    "body_parameters",
     "closed_form",
     "closed_form_obstacle",
     "finite_limits",
+    "forward_dynamics",
     "forward_kinematics",
     "friction_torque",
+    "gravity_torque",
     "inverse_dynamics",
     "jacobian",
     "joint_torsion",
+    "kinetic_energy",
     "link_frames",
     "manipulability",
     "mass_matrix",
     "motor_current",
+    "potential_energy",
+    "regressor",
     "static_friction",
     "torque_of_current",
+    "with_body_parameters",
     "within_limits",
+    "wrench_on",
 ]

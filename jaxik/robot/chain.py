@@ -11,7 +11,7 @@ from __future__ import annotations
 
 import dataclasses
 import hashlib
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from typing import Any, Literal
 
 import jax
@@ -19,7 +19,8 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Bool, Float
 
-from jaxik.checks.arrays import is_known, rigid_frame
+from jaxik.checks.arrays import is_known, rigid_frame, shaped
+from jaxik.checks.masses import check_mass
 from jaxik.checks.options import check_kind, shown
 from jaxik.pytree import Constant, static
 from jaxik.robot.drive import Drive
@@ -35,6 +36,22 @@ class Body(Constant):
     mass: Float[Array, ""]
     com: Float[Array, "3"]
     inertia: Float[Array, "3 3"]
+
+    def moved(self, a_T_b: Any) -> Body:
+        """The same body in frame a, of one in frame b."""
+        turn = a_T_b[:3, :3]
+        return Body(self.mass, turn @ self.com + a_T_b[:3, 3], turn @ self.inertia @ turn.T)
+
+    @staticmethod
+    def fused(bodies: Sequence[Body]) -> Body:
+        """One body of several in one frame, about their common centre of gravity."""
+        mass = np.zeros(()) + sum(b.mass for b in bodies)
+        com = sum((b.mass * b.com for b in bodies), np.zeros(3)) / (mass + (mass == 0.0))
+        inertia = np.zeros((3, 3))
+        for body in bodies:
+            arm = body.com - com
+            inertia = inertia + body.inertia + body.mass * (arm @ arm * np.eye(3) - arm[:, None] * arm)  # Steiner
+        return Body(mass, com, inertia)
 
 
 class Box(Constant):
@@ -61,7 +78,7 @@ class Chain(Constant):
     `link_joint[l]` counts the movable joints between the base and link l: its frame is `link_offset[l]` in that joint's.
     `self_pairs` are the links to check against each other, `ignored` links with the object of a scene ("*": any) not to check,
     `pair_tables` what is known of pairs beside their volumes. `armature` is the inertia of each joint's rotor at the joint,
-    after its gears [kg m2, kg]; 0 unless given. `drives` has one a joint, or none at all.
+    behind its gears [kg m2, kg]; 0 unless given. `drives` has one a joint, or none at all.
     """
 
     # not in the instance's dictionary, which copies and pickles take over
@@ -136,6 +153,22 @@ class Chain(Constant):
         rotors = [drive.armature for drive in drives]
         armature = np.array(rotors) if is_known(rotors) else jnp.stack(rotors)
         return dataclasses.replace(self, drives=drives, armature=armature if drives else self.armature)
+
+    def with_load(self, mass: Any, com: Any = (0.0, 0.0, 0.0), inertia: Any = None) -> Chain:
+        """The same chain with a load at its tip: `mass` [kg], `com` (3,) [m] and `inertia` (3, 3) about it [kg m2] in the tip's
+        frame; a point mass unless `inertia` is given.
+
+        Raises `ValueError` for a chain without bodies, and for what no body can be.
+        """
+        if not self.bodies:
+            raise ValueError(f"with_load: {self.name} has no bodies, which a load could be added to; give them first")
+        own = np.zeros((3, 3)) if inertia is None else inertia
+        given = ("mass", mass, ()), ("com", com, (3,)), ("inertia", own, (3, 3))
+        load = Body(*(as_given(f"with_load: {name}", value, shape) for name, value, shape in given))
+        if is_known(load):
+            check_mass("with_load: the load", load.mass, load.com, load.inertia)
+        last = Body.fused([self.bodies[-1], load.moved(self.joint_T_tip)])
+        return dataclasses.replace(self, bodies=(*self.bodies[:-1], last))
 
     def with_spheres(self, per_box: int) -> Chain:
         """The same chain, each box covered by 1, 8, 64 or 512 spheres [Van Henten et al. 2010, App. A]."""
@@ -275,6 +308,12 @@ def as_shaped(what: str, given: Any, shape: tuple[int, ...]) -> jax.Array:
     if array.shape != shape:
         raise ValueError(f"{what} has the shape {array.shape}; allowed: {shape if shape else 'one number'}")
     return array
+
+
+def as_given(what: str, given: Any, shape: tuple[int, ...]) -> Array:
+    """Numbers of one shape, in float64 where they are known and as they are where they are traced. Raises `ValueError`
+    likewise."""
+    return shaped(what, given, shape) if is_known(given) else as_shaped(what, given, shape)
 
 
 def as_configuration(chain: Chain, q: Any) -> Float[Array, " n"]:

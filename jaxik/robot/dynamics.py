@@ -12,227 +12,37 @@ and back, of what a joint carries, with mass m, first moments h = m c and second
     f_i = m a + U h - f_ext + R f_{i+1},     n_i = h x a + vee(U S - S U') - n_ext + R n_{i+1} + r x R f_{i+1}
     tau_i = z . n_i (turning) or z . f_i (sliding) + armature_i qdd_i
 
-U is made once for three uses, and vee(U S - S U') is alpha's and omega's torque together: fifteen products instead of thirty.
-A rotation R is applied in two steps, that of the file, which is mostly right angles and folds, and that of the joint.
+Everything is linear in m, h and S, which is what `regressor` writes down; composite bodies give `mass_matrix`.
 
-The public functions take one configuration and are pure: `jit`, `vmap` and differentiate them, by the bodies, too.
+The public functions take one configuration and are pure: `jit`, `vmap` and differentiate them, by the bodies, too. They take
+numbers that are known while JAX traces (the bodies', of a chain that is closed over) into their kernels.
 """
 
 from __future__ import annotations
 
+import dataclasses
 from collections.abc import Sequence
-from typing import Any, NamedTuple
+from typing import Any
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float
 
-from jaxik.robot.chain import Array, Body, Chain, as_configuration, as_shaped
+from jaxik.checks.arrays import is_known
+from jaxik.checks.masses import check_mass
+from jaxik.checks.options import check_kind, shown
+from jaxik.robot.chain import Array, Body, Chain, as_configuration, as_given, as_shaped
 from jaxik.robot.kinematics import joint_frames
-from jaxik.spatial.algebra import (
-    BASE,
-    IDENTITY,
-    ZERO,
-    Frame,
-    Rot3,
-    Scalar,
-    Vec3,
-    add,
-    constants,
-    mul,
-    sincos,
-    stack,
-    sub,
-    traced,
-)
+from jaxik.robot.rigid_bodies import Moments, Placed, motions, placed
+from jaxik.spatial.algebra import ZERO, Frame, Scalar, Vec3, add, constants, mul, stack, sub, traced
 from jaxik.spmd import kernel
 
 GRAVITY = (0.0, 0.0, -9.81)  # [m/s2], in the world's axes
 
 
-class Placed(NamedTuple):
-    """A joint at its value: its frame in that of the joint before it is `fixed` and then `turned`, at `origin`."""
-
-    fixed: Rot3
-    turned: Rot3
-    origin: Vec3
-    axis: Vec3
-    slides: bool
-
-    def into(self, v: Vec3) -> Vec3:
-        """A direction of the joint before in this joint's axes."""
-        return self.turned.T @ (self.fixed.T @ v)
-
-    def back(self, v: Vec3) -> Vec3:
-        return self.fixed @ (self.turned @ v)
-
-    def along(self, force: Vec3, torque: Vec3) -> Scalar:
-        """What a force and a torque on what the joint carries are to its drive."""
-        return self.axis.dot(force if self.slides else torque)
-
-    def carried(self, force: Vec3, torque: Vec3) -> tuple[Vec3, Vec3]:
-        """The same force and torque on the joint before."""
-        force = self.back(force)
-        return force, self.back(torque) + self.origin.cross(force)
-
-
-class Moments(NamedTuple):
-    """Of a mass: itself [kg], its first moments [kg m], and its second moments `sum of m p p'` [kg m2] about a frame's origin."""
-
-    mass: Scalar
-    first: Vec3
-    second: Rot3
-
-    @staticmethod
-    def of(body: Body) -> Moments:
-        mass, com, inertia = body.mass, body.com, body.inertia
-        second = mass * (com[:, None] * com) - inertia + 0.5 * sum(inertia[i, i] for i in range(3)) * np.eye(3)
-        return Moments(*constants(mass), Vec3(*constants(mass * com)), Rot3.of(constants(second)))
-
-    def __add__(self, o: Moments) -> Moments:  # type: ignore[override]
-        return Moments(add(self.mass, o.mass), self.first + o.first, _symmetric(self.second, o.second))
-
-    def before(self, joint: Placed) -> Moments:
-        """The same mass in the frame of the joint before."""
-        arm, first = joint.origin, joint.back(self.first)
-        moved = first + arm * self.mass
-        turned = _turned(joint.fixed, _turned(joint.turned, self.second))
-        # of p + r: S + h r' + r (h + m r)'
-        return Moments(self.mass, moved, _symmetric(turned, _outer(first, arm), _outer(arm, moved)))
-
-    def impulse(self, joint: Placed) -> tuple[Vec3, Vec3]:
-        """The force and torque that accelerate it by one unit of the joint at this frame."""
-        axis = joint.axis
-        if joint.slides:
-            return axis * self.mass, self.first.cross(axis)
-        s = self.second
-        trace = add(add(s.row_x.x, s.row_y.y), s.row_z.z)
-        return axis.cross(self.first), axis * trace - s @ axis
-
-
-def _outer(a: Vec3, b: Vec3) -> Rot3:
-    return Rot3(b * a.x, b * a.y, b * a.z)
-
-
-def _turned(rotation: Rot3, tensor: Rot3) -> Rot3:
-    return rotation @ tensor @ rotation.T
-
-
-def _symmetric(*summed: Rot3) -> Rot3:
-    """The sum of tensors, a symmetric one, of which half is computed."""
-    x, y, z = (Vec3(*(_sum(t[i][j] for t in summed) if j >= i else 0.0 for j in range(3))) for i in range(3))
-    return Rot3(x, Vec3(x.y, y.y, y.z), Vec3(x.z, y.z, z.z))
-
-
-def _sum(scalars: Any) -> Scalar:
-    total: Scalar = 0.0
-    for each in scalars:
-        total = add(total, each)
-    return total
-
-
-def placed(chain: Chain, q: Sequence[Scalar], dtype: Any) -> list[Placed]:
-    """The joints at n scalars `q`."""
-    snap, joints = float(np.finfo(dtype).eps), []
-    for i, slides in enumerate(chain.is_prismatic):
-        fixed, axis = Frame.of(chain.parent_T_joint[i], snap), Vec3(*constants(chain.axis[i], snap))
-        turned = IDENTITY if slides else Rot3.about(axis, *sincos(q[i]))
-        origin = fixed.translation + fixed.rotation @ (axis * q[i]) if slides else fixed.translation
-        joints.append(Placed(fixed.rotation, turned, origin, axis, slides))
-    return joints
-
-
-class Motion(NamedTuple):
-    """Of a frame in its own axes: angular velocity and acceleration, the origin's acceleration less gravity's, and U."""
-
-    omega: Vec3
-    acceleration: Vec3
-    spin: Rot3
-
-    @staticmethod
-    def of(omega: Vec3, alpha: Vec3, acceleration: Vec3) -> Motion:
-        x, y, z = omega
-        xx, yy, zz, xy, xz, yz = mul(x, x), mul(y, y), mul(z, z), mul(x, y), mul(x, z), mul(y, z)
-        spin = Rot3(
-            Vec3(sub(0.0, add(yy, zz)), sub(xy, alpha.z), add(xz, alpha.y)),
-            Vec3(add(xy, alpha.z), sub(0.0, add(xx, zz)), sub(yz, alpha.x)),
-            Vec3(sub(xz, alpha.y), add(yz, alpha.x), sub(0.0, add(xx, yy))),
-        )
-        return Motion(omega, acceleration, spin)
-
-
-def _motions(joints: Sequence[Placed], qdot: Sequence[Scalar], qddot: Sequence[Scalar], gravity: Vec3) -> list[Motion]:
-    """The motion of each joint's frame; `gravity` in base axes."""
-    omega, alpha, motions = ZERO, ZERO, []
-    before = Motion.of(ZERO, ZERO, -gravity)
-    for joint, rate, more in zip(joints, qdot, qddot, strict=True):
-        acceleration = joint.into(before.acceleration + before.spin @ joint.origin)
-        omega, alpha, velocity = joint.into(omega), joint.into(alpha), joint.axis * rate
-        if joint.slides:
-            acceleration = acceleration + omega.cross(velocity) * 2.0 + joint.axis * more
-        else:
-            alpha = alpha + omega.cross(velocity) + joint.axis * more
-            omega = omega + velocity
-        before = Motion.of(omega, alpha, acceleration)
-        motions.append(before)
-    return motions
-
-
-def _inertial(moments: Moments, motion: Motion) -> tuple[Vec3, Vec3]:
-    """The force and torque about the frame's origin that a body's motion takes."""
-    (s, u), a = (moments.second, motion.spin), motion.acceleration
-    xx, yy, zz, xy, xz, yz = s.row_x.x, s.row_y.y, s.row_z.z, s.row_x.y, s.row_x.z, s.row_y.z
-    (ux, uy, uz) = u
-    turning = Vec3(
-        _sum((mul(uz.y, yy), -mul(uy.z, zz), mul(sub(uz.z, uy.y), yz), mul(uz.x, xy), -mul(uy.x, xz))),
-        _sum((mul(ux.z, zz), -mul(uz.x, xx), mul(sub(ux.x, uz.z), xz), mul(ux.y, yz), -mul(uz.y, xy))),
-        _sum((mul(uy.x, xx), -mul(ux.y, yy), mul(sub(uy.y, ux.x), xy), mul(uy.z, xz), -mul(ux.z, yz))),
-    )
-    return a * moments.mass + u @ moments.first, moments.first.cross(a) + turning
-
-
-def _torques(
-    chain: Chain,
-    joints: Sequence[Placed],
-    qdot: Sequence[Scalar],
-    qddot: Sequence[Scalar],
-    gravity: Vec3,
-    wrenches: Sequence[tuple[Vec3, Vec3]] | None = None,
-) -> list[Scalar]:
-    """Inverse dynamics of scalars; `wrenches` in the axes of the joints."""
-    motions = _motions(joints, qdot, qddot, gravity)
-    force, torque, torques = ZERO, ZERO, []
-    for i in reversed(range(len(joints))):
-        own_force, own_torque = _inertial(Moments.of(chain.bodies[i]), motions[i])
-        force, torque = force + own_force, torque + own_torque
-        if wrenches is not None:
-            force, torque = force - wrenches[i][0], torque - wrenches[i][1]
-        rotor = mul(constants(chain.armature[i])[0], qddot[i])
-        torques.append(add(joints[i].along(force, torque), rotor))
-        force, torque = joints[i].carried(force, torque)
-    return torques[::-1]
-
-
-def _base_gravity(chain: Chain, gravity: Any, dtype: Any) -> Vec3:
-    """Gravity in base axes."""
-    if not (isinstance(gravity, tuple) and all(isinstance(g, float) for g in gravity)):
-        gravity = as_shaped("gravity", gravity, (3,)).astype(dtype)
-    return Frame.of(chain.world_T_base, float(np.finfo(dtype).eps)).rotation.T @ Vec3(*constants(gravity))
-
-
-def _rates(what: str, chain: Chain, given: Any, dtype: Any) -> list[Scalar]:
-    return traced(as_shaped(what, given, (chain.num_joints,)).astype(dtype))
-
-
-def _in_joints(chain: Chain, q: Sequence[Scalar], wrenches: Any, dtype: Any) -> list[tuple[Vec3, Vec3]] | None:
-    """Wrenches (n, 6) in base axes, in those of the joints."""
-    if wrenches is None:
-        return None
-    rows = as_shaped("wrenches", wrenches, (chain.num_joints, 6)).astype(dtype)
-    turns = [frame.rotation.T for frame in joint_frames(chain, q, dtype=dtype).joints]
-    each = [(Vec3(*traced(row[:3])), Vec3(*traced(row[3:]))) for row in rows]
-    return [(turn @ force, turn @ torque) for turn, (force, torque) in zip(turns, each, strict=True)]
+# --------------------------------------------------------------------------------------------------------------------
+# Torques of a motion
 
 
 @kernel(models=1)
@@ -246,44 +56,304 @@ def inverse_dynamics(
 ) -> Float[jax.Array, " n"]:
     """What the drives must give in total, `tau = M qddot + b(q, qdot) + g(q) - J' wrenches` [Nm, N]. Traced.
 
-    `qdot` and `qddot` (n,) in [rad/s, m/s] and [rad/s2, m/s2]. `wrenches` (n, 6) is what the world does to what moves with each
-    joint: force [N], then torque [Nm] about the origin of that joint's frame, both in base axes (`wrench_on` makes them).
+    `qdot` and `qddot` (n,) are in [rad/s, m/s] and [rad/s2, m/s2]. `wrenches` (n, 6) is what the world does to what moves with
+    each joint: force [N], then torque [Nm] about the origin of that joint's frame, both in base axes (`wrench_on` makes them).
     `gravity` (3,) [m/s2] is in world axes; `chain.world_T_base` says how the base hangs in it. Rotors (`chain.armature`) are in
     it, friction is not.
 
     Raises `ValueError` for other shapes, and for a chain without bodies or with what no body can be. Source: Luh, Walker, Paul
     1980; Schuetz 2017, eq. (3.8)-(3.10).
     """
+    return _inverse("inverse_dynamics", chain, q, qdot, qddot, wrenches, gravity)
+
+
+@kernel(models=1)
+def gravity_torque(chain: Chain, q: Float[Array, " n"], gravity: Any = GRAVITY) -> Float[jax.Array, " n"]:
+    """What holds the chain still, `g(q)` [Nm, N]: `inverse_dynamics` at rest. Traced."""
+    return _inverse("gravity_torque", chain, q, None, None, None, gravity)
+
+
+@kernel(models=1)
+def bias_torque(
+    chain: Chain, q: Float[Array, " n"], qdot: Float[Array, " n"], gravity: Any = GRAVITY
+) -> Float[jax.Array, " n"]:
+    """What moves it on at constant rates, `b(q, qdot) + g(q)` [Nm, N]: `inverse_dynamics` without acceleration. Traced."""
+    return _inverse("bias_torque", chain, q, qdot, None, None, gravity)
+
+
+def _inverse(who: str, chain: Chain, q: Any, qdot: Any, qddot: Any, wrenches: Any, gravity: Any) -> jax.Array:
     q = as_configuration(chain, q)
     qs, dtype = traced(q), q.dtype
     given = _rates("qdot", chain, qdot, dtype), _rates("qddot", chain, qddot, dtype)
     around = _in_joints(chain, qs, wrenches, dtype)
-    torques = _torques(chain, placed(chain, qs, dtype), *given, _base_gravity(chain, gravity, dtype), around)
+    joints, bodies = placed(chain, qs, dtype), _bodies(who, chain)
+    torques = _torques(chain, joints, bodies, *given, _base_gravity(chain, gravity, dtype), around)
     return stack(torques, (chain.num_joints,), dtype)
+
+
+def _torques(
+    chain: Chain,
+    joints: Sequence[Placed],
+    bodies: Sequence[Moments],
+    qdot: Sequence[Scalar],
+    qddot: Sequence[Scalar],
+    gravity: Vec3,
+    wrenches: Sequence[tuple[Vec3, Vec3]],
+) -> list[Scalar]:
+    """Inverse dynamics of scalars, gravity in base axes, wrenches in those of the joints."""
+    moved = motions(joints, qdot, qddot, gravity)
+    force, torque, torques = ZERO, ZERO, []
+    for i in reversed(range(len(joints))):
+        (own_force, own_torque), (pull, twist) = bodies[i].inertial(moved[i]), wrenches[i]
+        force, torque = force + own_force - pull, torque + own_torque - twist
+        torques.append(add(joints[i].along(force, torque), mul(_rotor(chain, i), qddot[i])))
+        force, torque = joints[i].carried(force, torque)
+    return torques[::-1]
+
+
+def _rotor(chain: Chain, joint: int) -> Scalar:
+    return constants(chain.armature[joint])[0]
+
+
+def _rates(what: str, chain: Chain, given: Any, dtype: Any) -> list[Scalar]:
+    """One scalar a joint; 0 where there are none."""
+    n = chain.num_joints
+    return [0.0] * n if given is None else traced(as_shaped(what, given, (n,)).astype(dtype))
+
+
+def _base_gravity(chain: Chain, gravity: Any, dtype: Any) -> Vec3:
+    """Gravity in base axes."""
+    known = gravity is GRAVITY  # what is not given is a constant of the kernel
+    axes = Frame.of(chain.world_T_base, float(np.finfo(dtype).eps)).rotation.T
+    return axes @ Vec3(*(gravity if known else traced(as_shaped("gravity", gravity, (3,)).astype(dtype))))
+
+
+def _in_joints(chain: Chain, q: Sequence[Scalar], wrenches: Any, dtype: Any) -> list[tuple[Vec3, Vec3]]:
+    """Wrenches (n, 6) in base axes, in those of the joints."""
+    if wrenches is None:
+        return [(ZERO, ZERO)] * len(q)
+    rows = as_shaped("wrenches", wrenches, (len(q), 6)).astype(dtype)
+    turns = [frame.rotation.T for frame in joint_frames(chain, q, dtype=dtype).joints]
+    return [(t @ Vec3(*traced(row[:3])), t @ Vec3(*traced(row[3:]))) for t, row in zip(turns, rows, strict=True)]
+
+
+def wrench_on(
+    chain: Chain, q: Float[Array, " n"], link: str, force: Float[Array, "3"], point: Float[Array, "3"]
+) -> Float[jax.Array, "n 6"]:
+    """The `wrenches` of one `force` [N] that acts on a link at a `point` [m], both in the base frame. Traced.
+
+    Of a link that does not move they are 0. Raises `ValueError` for a name that is none of `chain.link_names`.
+    """
+    check_kind("wrench_on", "chain", chain, Chain)
+    if link not in chain.link_names:
+        raise ValueError(f"wrench_on: no such link '{shown(link)}'; links: {', '.join(chain.link_names)}")
+    return _wrench(chain, chain.link_joint[chain.link_names.index(link)], q, force, point)
+
+
+@kernel(models=2)
+def _wrench(chain: Chain, count: int, q: Any, force: Any, point: Any) -> jax.Array:
+    q = as_configuration(chain, q)
+    pull, at = (Vec3(*traced(as_shaped(k, v, (3,)).astype(q.dtype))) for k, v in (("force", force), ("point", point)))
+    rows = [(0.0,) * 6 for _ in range(chain.num_joints)]
+    if count:
+        origin = joint_frames(chain, traced(q), dtype=q.dtype).joints[count - 1].translation
+        rows[count - 1] = (*pull, *(at - origin).cross(pull))
+    return stack([e for row in rows for e in row], (chain.num_joints, 6), q.dtype)
+
+
+# --------------------------------------------------------------------------------------------------------------------
+# Motion of torques
 
 
 @kernel(models=1)
 def mass_matrix(chain: Chain, q: Float[Array, " n"]) -> Float[jax.Array, "n n"]:
     """The joints' mass matrix M(q), rotors on its diagonal [kg m2, kg m, kg]: symmetric, positive definite. Traced.
 
-    By composite bodies: column j is what one unit of joint j takes of all that it carries. Raises as `inverse_dynamics` does.
-    Source: Featherstone 2008, table 6.2.
+    Column j is what one unit of joint j takes of all that it carries. Raises as `inverse_dynamics` does. Source: Featherstone
+    2008, sec. 6.2 (composite rigid bodies).
     """
     q = as_configuration(chain, q)
-    rows = _mass_matrix(chain, placed(chain, traced(q), q.dtype))
-    return stack([e for row in rows for e in row], (len(rows), len(rows)), q.dtype)
+    rows = _mass_matrix(chain, placed(chain, traced(q), q.dtype), _bodies("mass_matrix", chain))
+    return stack([rows[max(i, j)][min(i, j)] for i in range(q.size) for j in range(q.size)], (q.size, q.size), q.dtype)
 
 
-def _mass_matrix(chain: Chain, joints: Sequence[Placed]) -> list[list[Scalar]]:
-    n = len(joints)
-    matrix: list[list[Scalar]] = [[0.0] * n for _ in range(n)]
-    composite = None
-    for j in reversed(range(n)):
-        own = Moments.of(chain.bodies[j])
-        composite = own if composite is None else own + composite.before(joints[j + 1])
-        force, torque = composite.impulse(joints[j])
-        matrix[j][j] = add(joints[j].along(force, torque), constants(chain.armature[j])[0])
+def _mass_matrix(chain: Chain, joints: Sequence[Placed], bodies: Sequence[Moments]) -> list[list[Scalar]]:
+    """The rows of its lower half."""
+    rows: list[list[Scalar]] = []
+    carried = bodies[-1]
+    for j in reversed(range(len(joints))):
+        if rows:
+            carried = bodies[j] + carried.before(joints[j + 1])
+        force, torque = carried.momentum(*joints[j].unit)
+        row = [add(joints[j].along(force, torque), _rotor(chain, j))]
         for i in reversed(range(j)):
             force, torque = joints[i + 1].carried(force, torque)
-            matrix[i][j] = matrix[j][i] = joints[i].along(force, torque)
-    return matrix
+            row.append(joints[i].along(force, torque))
+        rows.append(row[::-1])
+    return rows[::-1]
+
+
+@kernel(models=1)
+def forward_dynamics(
+    chain: Chain,
+    q: Float[Array, " n"],
+    qdot: Float[Array, " n"],
+    torque: Float[Array, " n"],
+    wrenches: Float[Array, "n 6"] | None = None,
+    gravity: Any = GRAVITY,
+) -> Float[jax.Array, " n"]:
+    """The accelerations `qddot` (n,) [rad/s2, m/s2] that the drives' `torque` (n,) [Nm, N] gives. Traced.
+
+    The inverse of `inverse_dynamics`, and takes and raises what that does. M is factorised from the tip as L' D L; of six to
+    nine joints that is less work than articulated bodies. A joint that turns nothing (point masses on its axis, and no rotor)
+    has infinite acceleration.
+    """
+    q = as_configuration(chain, q)
+    qs, dtype = traced(q), q.dtype
+    joints, bodies = placed(chain, qs, dtype), _bodies("forward_dynamics", chain)
+    rates, rest = _rates("qdot", chain, qdot, dtype), _rates("qddot", chain, None, dtype)
+    around = _in_joints(chain, qs, wrenches, dtype)
+    bias = _torques(chain, joints, bodies, rates, rest, _base_gravity(chain, gravity, dtype), around)
+    given = _rates("torque", chain, torque, dtype)
+    left = [sub(t, b) for t, b in zip(given, bias, strict=True)]
+    return stack(_solved(_mass_matrix(chain, joints, bodies), left), (len(qs),), dtype)
+
+
+def _solved(rows: list[list[Scalar]], right: list[Scalar]) -> list[Scalar]:
+    """`x` of `M x = right`, of the lower rows of a positive definite M; both lists are used up.
+
+    Eliminated from the last row up, M = L' D L [Featherstone 2008, sec. 6.3]: the order in which the rows are made.
+    """
+    n = len(right)
+    for k in reversed(range(n)):
+        share = 1.0 / rows[k][k]
+        scaled = [mul(e, share) for e in rows[k][:k]]
+        for i in range(k):
+            right[i] = sub(right[i], mul(scaled[i], right[k]))
+            for j in range(i + 1):
+                rows[i][j] = sub(rows[i][j], mul(scaled[i], rows[k][j]))
+        rows[k][:k], right[k] = scaled, mul(right[k], share)
+    for k in range(n):
+        for i in range(k):
+            right[k] = sub(right[k], mul(rows[k][i], right[i]))
+    return right
+
+
+# --------------------------------------------------------------------------------------------------------------------
+# Energies
+
+
+@kernel(models=1)
+def kinetic_energy(chain: Chain, q: Float[Array, " n"], qdot: Float[Array, " n"]) -> Float[jax.Array, ""]:
+    """`qdot' M qdot / 2` [J], rotors included. Traced. Raises as `inverse_dynamics` does."""
+    q = as_configuration(chain, q)
+    velocity, omega, twice = ZERO, ZERO, jnp.zeros((), q.dtype)
+    rates, bodies = _rates("qdot", chain, qdot, q.dtype), _bodies("kinetic_energy", chain)
+    for i, joint in enumerate(placed(chain, traced(q), q.dtype)):
+        velocity, omega = joint.handed_on(velocity, omega)
+        along, about = joint.unit
+        velocity, omega = velocity + along * rates[i], omega + about * rates[i]
+        linear, angular = bodies[i].momentum(velocity, omega)
+        rotor = mul(_rotor(chain, i), mul(rates[i], rates[i]))
+        twice = add(twice, add(rotor, add(velocity.dot(linear), omega.dot(angular))))
+    return jnp.asarray(twice / 2, q.dtype)
+
+
+@kernel(models=1)
+def potential_energy(chain: Chain, q: Float[Array, " n"], gravity: Any = GRAVITY) -> Float[jax.Array, ""]:
+    """`-sum of m gravity . p` [J], over the centres of gravity p in the world, of what the joints move. Traced.
+
+    Its gradient is `gravity_torque`. Raises as that does.
+    """
+    q = as_configuration(chain, q)
+    base, snap = _base_gravity(chain, gravity, q.dtype), float(np.finfo(q.dtype).eps)
+    energy = jnp.zeros((), q.dtype)
+    root = Frame.of(chain.world_T_base, snap)
+    mount = root.rotation.T @ root.translation
+    for frame, body in zip(
+        joint_frames(chain, traced(q), dtype=q.dtype).joints, _bodies("potential_energy", chain), strict=True
+    ):
+        energy = sub(energy, base.dot((frame.translation + mount) * body.mass + frame.rotation @ body.first))
+    return jnp.asarray(energy, q.dtype)
+
+
+# --------------------------------------------------------------------------------------------------------------------
+# Parameters of the bodies
+
+INERTIAL = 10  # parameters of a body
+
+
+@kernel(models=1)
+def regressor(
+    chain: Chain, q: Float[Array, " n"], qdot: Float[Array, " n"], qddot: Float[Array, " n"], gravity: Any = GRAVITY
+) -> Float[jax.Array, "n 10*n"]:
+    """Y in `inverse_dynamics = Y(q, qdot, qddot) body_parameters + armature qddot`, which is linear in the bodies. Traced.
+
+    It needs no bodies. Raises `ValueError` for other shapes. Source: Atkeson, An, Hollerbach 1986.
+    """
+    q = as_configuration(chain, q)
+    n, dtype = q.size, q.dtype
+    joints = placed(chain, traced(q), dtype)
+    given = _rates("qdot", chain, qdot, dtype), _rates("qddot", chain, qddot, dtype)
+    rows: list[list[Scalar]] = [[0.0] * (INERTIAL * n) for _ in range(n)]
+    units: list[tuple[Vec3, Vec3]] = []  # the motion of this frame by one unit of each joint before
+    for j, motion in enumerate(motions(joints, *given, _base_gravity(chain, gravity, dtype))):
+        units = [joints[j].handed_on(*unit) for unit in units] + [joints[j].unit]
+        for row, unit in zip(rows, units, strict=False):
+            row[INERTIAL * j : INERTIAL * (j + 1)] = motion.work(*unit)
+    return stack([e for row in rows for e in row], (n, INERTIAL * n), dtype)
+
+
+def body_parameters(chain: Chain) -> Float[Array, " 10*n"]:
+    """What `regressor` multiplies: of each body m [kg], m c [kg m] and Ixx Ixy Iyy Ixz Iyz Izz [kg m2], the moments about the
+    origin of its joint's frame, in that frame's axes. Traced.
+
+    Raises `ValueError` for a chain without bodies.
+    """
+    _checked("body_parameters", chain)
+    every: list[Any] = []
+    for body in chain.bodies:
+        com = body.com
+        inertia = body.inertia + body.mass * (com @ com * np.eye(3) - com[:, None] * com)
+        every += [body.mass, *(body.mass * com), *(inertia[i, j] for i, j in ENTRIES)]
+    return np.array(every) if is_known(every) else jnp.stack(every)
+
+
+ENTRIES = ((0, 0), (0, 1), (1, 1), (0, 2), (1, 2), (2, 2))
+
+
+def with_body_parameters(chain: Chain, parameters: Float[Array, " 10*n"]) -> Chain:
+    """The same chain with bodies of other `body_parameters` (10 n,). Traced.
+
+    Raises `ValueError` for another shape. Of parameters that no body can have the functions above say so.
+    """
+    check_kind("with_body_parameters", "chain", chain, Chain)
+    rows = as_given("with_body_parameters: parameters", parameters, (INERTIAL * chain.num_joints,)).reshape(-1, INERTIAL)
+    bodies = []
+    for row in rows:
+        mass, com = row[0], row[1:4] / (row[0] + (row[0] == 0.0))
+        inertia = row[np.array([[4, 5, 7], [5, 6, 8], [7, 8, 9]])]
+        bodies.append(Body(mass, com, inertia - mass * (com @ com * np.eye(3) - com[:, None] * com)))
+    return dataclasses.replace(chain, bodies=tuple(bodies))
+
+
+def _bodies(who: str, chain: Chain) -> list[Moments]:
+    _checked(who, chain)
+    return [Moments.of(body) for body in chain.bodies]
+
+
+def _checked(who: str, chain: Chain) -> None:
+    """Raises `ValueError` for a chain without bodies, and for what no body can be; what is traced is taken as it is."""
+    check_kind(who, "chain", chain, Chain)
+    if not chain.bodies:
+        mend = "write mass, com and inertia of its joints in its file, or give them by with_body_parameters"
+        raise ValueError(f"{who}: {chain.name} has no bodies; {mend}")
+    if not is_known((chain.bodies, chain.armature)):
+        return
+    driven = False
+    for name, body, rotor in reversed([*zip(chain.joint_names, chain.bodies, chain.armature, strict=True)]):
+        what = f"{who}: what joint '{name}' of {chain.name} moves"
+        check_mass(what, body.mass, body.com, body.inertia)
+        driven |= bool(body.mass > 0.0 or rotor > 0.0)
+        if not driven:
+            raise ValueError(f"{what} has no mass, nor has anything beyond it; write a mass, or an armature of the joint")

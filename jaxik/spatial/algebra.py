@@ -148,10 +148,12 @@ class Rot3(NamedTuple):
         versine = sub(1.0, cos)
         a, s = axis, axis * sin
         ax, ay, az = (axis * mul(versine, component) for component in a)
+        # c + (1 - c) folds where the axis is one of the frame's own
+        xx, yy, zz = (1.0 if _is(c, 1.0) or _is(c, -1.0) else add(cos, v) for c, v in zip(a, (ax.x, ay.y, az.z), strict=True))
         return Rot3(
-            Vec3(add(cos, ax.x), sub(ax.y, s.z), add(ax.z, s.y)),
-            Vec3(add(ay.x, s.z), add(cos, ay.y), sub(ay.z, s.x)),
-            Vec3(sub(az.x, s.y), add(az.y, s.x), add(cos, az.z)),
+            Vec3(xx, sub(ax.y, s.z), add(ax.z, s.y)),
+            Vec3(add(ay.x, s.z), yy, sub(ay.z, s.x)),
+            Vec3(sub(az.x, s.y), add(az.y, s.x), zz),
         )
 
     @staticmethod
