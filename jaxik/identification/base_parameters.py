@@ -59,7 +59,8 @@ def combinations(columns: np.ndarray, called: Sequence[str]) -> BaseParameters:
     triangle = np.linalg.qr(columns, mode="r")
     order = sorted(range(len(called)), key=lambda i: (i // 10, called[i].startswith("m(")))
     lengths = np.linalg.norm(triangle, axis=0)
-    basis, kept = np.zeros((len(triangle), 0)), []
+    basis = np.zeros((len(triangle), 0))
+    kept: list[int] = []
     for i in order:
         rest = triangle[:, i]
         for _ in range(2):  # once more takes away what rounding has left

@@ -18,14 +18,14 @@ from jaxik.identification.base_parameters import BaseParameters, base_parameters
 from jaxik.identification.columns import Term
 from jaxik.identification.log import Log
 from jaxik.identification.physical_fit import Found, PhysicalFit
-from jaxik.identification.problem import Problem, base_fit, posed
+from jaxik.identification.problem import Problem, base_fit, likely_stribeck, posed
 from jaxik.identification.pseudo_inertia import Bodies
 from jaxik.reasons import Reason, Reasoned
 from jaxik.robot.chain import Chain
 from jaxik.robot.drive import Drive, Friction
 from jaxik.robot.dynamics import body_parameters, with_body_parameters
 
-PARTS = (0.1, 0.25, 0.5, 1.0, 2.0)  # of a joint's usual speed, where the search for its Stribeck velocity may start
+NONLINEAR = {"breakaway", "load", "viscous_load"}
 
 
 @dataclasses.dataclass(frozen=True)
@@ -36,7 +36,7 @@ class IdentifyOptions:
     factors of about e). Logs whose `condition` number is beyond the limit are told to be poor."""
 
     terms: tuple[Term, ...] = ("coulomb", "viscous")
-    slowest: float = 0.01
+    slowest: float = 0.05
     prior: float = 1.0
     condition: float = 1000.0
     steps: int = 100
@@ -79,11 +79,9 @@ def identify(
     check_finite("identify", 0.0, slowest=options.slowest, prior=options.prior, condition=options.condition)
     problem = posed(chain, logs, options.terms, options.slowest)
     base = base_parameters(chain, options.terms)
-    stribeck = _first_stribeck(problem, base)
-    noise = base_fit(problem, base, problem.torque, stribeck).noise
-    around = Bodies(np.asarray(body_parameters(chain), np.float64))
-    found = PhysicalFit(problem, around, stribeck, noise, options.prior).run(options.steps)
-    fit = base_fit(problem, base, found.load, found.stribeck)
+    found = _searched(problem, base, np.asarray(body_parameters(chain), np.float64), options)
+    coefficients = np.array([*found.friction.values()])
+    fit = base_fit(problem, base, found.load, found.stribeck, coefficients)
     reason = Reason.UNEXCITED if fit.condition > options.condition else Reason.SOLVED
     return Identified(
         chain=_with_friction(with_body_parameters(chain, found.bodies.ravel()), found),
@@ -97,13 +95,15 @@ def identify(
     )
 
 
-def _first_stribeck(problem: Problem, base: BaseParameters) -> np.ndarray:
-    """Of some parts of each joint's usual speed, the one that leaves the least (n,)."""
-    usual = np.sqrt(np.mean(problem.qdot**2, axis=0, where=problem.counts))
-    if "breakaway" not in problem.terms:
-        return usual
-    left = [base_fit(problem, base, problem.torque, part * usual).noise for part in PARTS]
-    return usual * np.array(PARTS)[np.argmin(left, axis=0)]
+def _searched(problem: Problem, base: BaseParameters, known: np.ndarray, options: IdentifyOptions) -> Found:
+    """The physical fit; once more, where friction is not linear, from the Stribeck velocities that its load makes likely."""
+    load, start, tries = problem.bodies @ known + problem.rotor, None, []
+    for _ in range(2 if NONLINEAR & set(problem.terms) else 1):
+        stribeck = likely_stribeck(problem, base, load)
+        noise = base_fit(problem, base, load, stribeck).noise
+        tries.append(PhysicalFit(problem, Bodies(known), stribeck, noise, options.prior).run(options.steps, start))
+        load, start = tries[-1].load, tries[-1].linear
+    return min(tries, key=lambda found: np.sum(np.log(found.residual)))
 
 
 def _with_friction(chain: Chain, found: Found) -> Chain:

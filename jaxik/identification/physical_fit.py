@@ -15,7 +15,7 @@ from jaxik.identification.columns import LOADED, Term, side_by_side
 from jaxik.identification.problem import Problem
 from jaxik.identification.pseudo_inertia import Bodies
 
-SETTLED = 1e-10  # it ends where a step changes so little, relatively
+SETTLED = 1e-6  # it ends where a step takes away less of the sum of squares, which noise alone changes by more
 FIRST = 1e-3  # every coefficient of friction, for the bounds are none to start at
 WIDEST = 3.0  # logarithms of a Stribeck velocity about the first: beyond, the curve is a step or flat where the joint moved
 
@@ -30,6 +30,7 @@ class Found(NamedTuple):
     load: np.ndarray
     residual: np.ndarray
     settled: bool
+    linear: np.ndarray  # coordinates and coefficients, to start from
 
 
 class _State(NamedTuple):
@@ -95,7 +96,7 @@ class PhysicalFit:
         if "armature" in problem.terms:
             columns[problem.terms.index("armature")] = problem.qddot * rise
         if self.curved:
-            columns = np.concatenate([columns, self._by_logarithm(at)[None]])
+            columns = np.concatenate([columns, problem.bend(at.coefficients, at.stribeck)[None]])
         whole = side_by_side(by_body * rise[:, :, None], columns)
         prior = np.delete(np.eye(len(x)), self._free(self.sizes[0]), axis=0) / self.prior
         return np.concatenate([(whole / self.noise[:, None])[problem.counts], prior])
@@ -111,27 +112,21 @@ class PhysicalFit:
         loaded = [i for i, term in enumerate(problem.terms) if term in LOADED]
         return np.einsum("tkj,tj->kj", unit[loaded], at.coefficients[loaded])
 
-    def _by_logarithm(self, at: _State) -> np.ndarray:
-        """The friction's derivative by the logarithm of the Stribeck velocity (K, n)."""
-        terms, ratio = self.problem.terms, (self.problem.qdot / at.stribeck) ** 2
-        share = 1.0 / (1.0 + ratio)
-        drop = at.coefficients[terms.index("breakaway")]
-        if "coulomb" in terms:
-            drop = drop - at.coefficients[terms.index("coulomb")]
-        return np.sign(self.problem.qdot) * drop * 2.0 * ratio * share**2
-
-    def run(self, steps: int) -> Found:
+    def run(self, steps: int, start: np.ndarray | None = None) -> Found:
+        """From the chain's bodies, or coordinates and coefficients that are near."""
         from scipy.optimize import least_squares
 
         problem, (bodies, coefficients, logarithms) = self.problem, self.sizes
         signed = np.repeat([term == "asymmetry" for term in problem.terms], len(self.noise)).astype(bool)
         lowest = np.concatenate([np.full(bodies, -np.inf), np.where(signed, -np.inf, 0.0), np.full(logarithms, -WIDEST)])
         highest = np.concatenate([np.full(bodies + coefficients, np.inf), np.full(logarithms, WIDEST)])
-        start = np.where(lowest == 0.0, FIRST, 0.0)
-        close = dict.fromkeys(("ftol", "xtol", "gtol"), SETTLED)
-        done = least_squares(self.residual, start, self.jacobian, (lowest, highest), x_scale="jac", max_nfev=steps, **close)
+        first = np.where(lowest == 0.0, FIRST, 0.0)
+        if start is not None:
+            first[: len(start)] = np.maximum(start, np.where(lowest == 0.0, FIRST, -np.inf)[: len(start)])
+        done = least_squares(self.residual, first, self.jacobian, (lowest, highest), x_scale="jac", ftol=SETTLED, max_nfev=steps)
         at = self.state(done.x)
         off = np.where(problem.counts, at.torque - problem.torque, 0.0)
         rms = np.sqrt(np.sum(off**2, axis=0) / problem.counts.sum(axis=0))
         friction = dict(zip(problem.terms, at.coefficients, strict=True))
-        return Found(at.bodies, friction, at.stribeck, at.load, rms, done.status > 0)
+        linear = done.x[: bodies + coefficients]
+        return Found(at.bodies, friction, at.stribeck, at.load, rms, done.status > 0, linear)

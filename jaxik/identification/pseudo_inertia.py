@@ -31,8 +31,8 @@ def _matrix() -> np.ndarray:
         rows[1 + i, i, 3] = rows[1 + i, 3, i] = 1.0
     for k, (i, j) in enumerate(ENTRIES):
         rows[4 + k, :3, :3] += 0.5 * (i == j) * np.eye(3)
-        rows[4 + k, i, j] -= 0.5
-        rows[4 + k, j, i] -= 0.5
+        rows[4 + k, i, j] -= 1.0
+        rows[4 + k, j, i] -= float(i != j)
     return rows.reshape(10, 16)
 
 
