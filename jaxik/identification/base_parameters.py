@@ -55,8 +55,8 @@ def base_parameters(chain: Chain, terms: Sequence[Term] = (), seed: int = 0) -> 
 
 
 def combinations(columns: np.ndarray, called: Sequence[str]) -> BaseParameters:
-    """The base parameters of a matrix's columns, a body's moments before its mass, so that masses are added to what is inward."""
-    triangle = np.linalg.qr(columns, mode="r")
+    """The base parameters of a matrix's columns; a body's mass is after its moments, so that it is added to what is inward."""
+    triangle = np.asarray(np.linalg.qr(columns, mode="r"))
     order = sorted(range(len(called)), key=lambda i: (i // 10, called[i].startswith("m(")))
     lengths = np.linalg.norm(triangle, axis=0)
     basis = np.zeros((len(triangle), 0))
@@ -73,15 +73,14 @@ def combinations(columns: np.ndarray, called: Sequence[str]) -> BaseParameters:
     matrix = np.where(part, matrix, 0.0)
     matrix[:, kept] = np.eye(len(kept))
     unseen = tuple(name for name, column in zip(called, matrix.T, strict=True) if not column.any())
-    return BaseParameters(
-        matrix, tuple(_word(row, i, called) for row, i in zip(matrix, kept, strict=True)), np.array(kept), unseen
-    )
+    words = tuple(_word(row, i, called) for row, i in zip(matrix, kept, strict=True))
+    return BaseParameters(matrix, words, np.array(kept), unseen)
 
 
 def _word(row: np.ndarray, kept: int, called: Sequence[str]) -> str:
     """A combination in words: what is kept, and the largest of what is added to it."""
-    others = [i for i in np.argsort(-np.abs(row), kind="stable") if row[i] and i != kept]
-    sums = [f"{'-' if row[i] < 0 else '+'} {_factor(abs(row[i]))}{called[i]}" for i in others[:WORDS]]
+    others = [i for i in np.argsort(-np.abs(row).round(6), kind="stable") if row[i] and i != kept]
+    sums = [f"{'-' if row[i] < 0 else '+'} {_factor(abs(row[i]))}{called[i]}" for i in sorted(others[:WORDS])]
     rest = [f"+ {len(others) - WORDS} more"] if len(others) > WORDS else []
     return " ".join([called[kept], *sums, *rest])
 

@@ -1,8 +1,8 @@
 """Bodies and friction from logs: what can be known by linear least squares, and a robot that can be by nonlinear ones.
 
-Residuals count in units of each joint's noise. First the base parameters, linear in the log; then bodies within what is physical
-(`pseudo_inertia`), friction at least 0 and the Stribeck velocities, from the chain's own numbers on, to which what the log does
-not tell stays close; then the base parameters again, with the friction's nonlinear part known, and their standard errors.
+First the base parameters and friction's curve by least squares, each joint's residuals in units of its own noise, with their
+standard errors. Then, for the same rows, bodies within what is physical (`pseudo_inertia`) and friction of at least 0, from the
+chain's own numbers on, to which what the logs do not tell stays close.
 """
 
 from __future__ import annotations
@@ -17,36 +17,35 @@ from jaxik.checks.options import changed, check_each, check_finite, check_kind
 from jaxik.identification.base_parameters import BaseParameters, base_parameters
 from jaxik.identification.columns import Term
 from jaxik.identification.log import Log
-from jaxik.identification.physical_fit import Found, PhysicalFit
-from jaxik.identification.problem import Problem, base_fit, likely_stribeck, posed
-from jaxik.identification.pseudo_inertia import Bodies
+from jaxik.identification.physical_fit import physical_fit
+from jaxik.identification.problem import base_fit, posed
 from jaxik.reasons import Reason, Reasoned
 from jaxik.robot.chain import Chain
 from jaxik.robot.drive import Drive, Friction
 from jaxik.robot.dynamics import body_parameters, with_body_parameters
 
-NONLINEAR = {"breakaway", "load", "viscous_load"}
-
 
 @dataclasses.dataclass(frozen=True)
 class IdentifyOptions:
     """`terms` of the drives' friction to find, of `columns`: those that are left out count as none, but for the rotors, which
-    are then the chain's `armature`. Rows in which a joint is slower than `slowest` [rad/s, m/s] do not count for it, for at rest
-    friction has no law. `prior` is how far bodies may be from the chain's where the log does not say, as a logarithm (1: by
-    factors of about e). Logs whose `condition` number is beyond the limit are told to be poor."""
+    are then the chain's `armature`. Rows in which a joint is slower than `slowest` [rad/s, m/s] do not count for it, for at
+    rest friction has no law. `prior` is how far bodies may be from the chain's where the log does not say, as a logarithm (1:
+    by factors of about e). Beyond a `condition` number the reason is UNEXCITED. The load of the friction is found in
+    `rounds`, and bodies that can be in `steps`, at most."""
 
     terms: tuple[Term, ...] = ("coulomb", "viscous")
     slowest: float = 0.05
     prior: float = 1.0
     condition: float = 1000.0
-    steps: int = 100
+    rounds: int = 20
+    steps: int = 200
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class Identified(Reasoned):
-    """The `chain` with the bodies and drives found, all physical; its `base` parameters as the log alone tells them, `value` and
-    standard error `std` (b,); the excitation's `condition` number (columns of equal length); the root mean square `residual` of
-    each joint (n,) [Nm, N]; `rows` that counted; and the `reason`: SOLVED, UNEXCITED or NOT_CONVERGED."""
+    """The `chain` with the bodies and drives found, all physical; its `base` parameters as the log alone tells them, `value`
+    and standard error `std` (b,); the excitation's `condition` number (columns of equal length); of each joint the root mean
+    square `residual` (n,) [Nm, N] and the `rows` that counted; and the `reason`: SOLVED, UNEXCITED or NOT_CONVERGED."""
 
     chain: Chain
     base: BaseParameters
@@ -78,37 +77,24 @@ def identify(
     check_each("identify", options.terms, Term)
     check_finite("identify", 0.0, slowest=options.slowest, prior=options.prior, condition=options.condition)
     problem = posed(chain, logs, options.terms, options.slowest)
-    base = base_parameters(chain, options.terms)
-    found = _searched(problem, base, np.asarray(body_parameters(chain), np.float64), options)
-    coefficients = np.array([*found.friction.values()])
-    fit = base_fit(problem, base, found.load, found.stribeck, coefficients)
+    base, known = base_parameters(chain, options.terms), np.asarray(body_parameters(chain), np.float64)
+    fit = base_fit(problem, base, known, options.rounds)
+    found = physical_fit(problem, fit.curve, fit.noise, known, options.prior, options.steps)
     reason = Reason.UNEXCITED if fit.condition > options.condition else Reason.SOLVED
     return Identified(
-        chain=_with_friction(with_body_parameters(chain, found.bodies.ravel()), found),
+        chain=_with_friction(with_body_parameters(chain, found.bodies.ravel()), found.friction, fit.curve.stribeck),
         base=base,
         value=fit.value,
         std=fit.std,
         condition=fit.condition,
         residual=found.residual,
         rows=problem.counts.sum(axis=0),
-        reason=reason if found.settled else Reason.NOT_CONVERGED,
+        reason=reason if found.settled and fit.settled else Reason.NOT_CONVERGED,
     )
 
 
-def _searched(problem: Problem, base: BaseParameters, known: np.ndarray, options: IdentifyOptions) -> Found:
-    """The physical fit; once more, where friction is not linear, from the Stribeck velocities that its load makes likely."""
-    load, start, tries = problem.bodies @ known + problem.rotor, None, []
-    for _ in range(2 if NONLINEAR & set(problem.terms) else 1):
-        stribeck = likely_stribeck(problem, base, load)
-        noise = base_fit(problem, base, load, stribeck).noise
-        tries.append(PhysicalFit(problem, Bodies(known), stribeck, noise, options.prior).run(options.steps, start))
-        load, start = tries[-1].load, tries[-1].linear
-    return min(tries, key=lambda found: np.sum(np.log(found.residual)))
-
-
-def _with_friction(chain: Chain, found: Found) -> Chain:
+def _with_friction(chain: Chain, friction: dict[Term, np.ndarray], stribeck: np.ndarray) -> Chain:
     """The chain with drives that rub as was found; other drives where it has none."""
-    friction = found.friction
     if not friction:
         return chain
     armature = friction.get("armature", np.asarray(chain.armature))
@@ -116,7 +102,7 @@ def _with_friction(chain: Chain, found: Found) -> Chain:
     for j, drive in enumerate(chain.drives or [Drive()] * chain.num_joints):
         of = {term: float(values[j]) for term, values in friction.items() if term not in ("armature", "asymmetry")}
         uneven = float(friction["asymmetry"][j]) if "asymmetry" in friction else 0.0
-        curve = {"stribeck_velocity": float(found.stribeck[j])} if "breakaway" in of else {}
+        curve = {"stribeck_velocity": float(stribeck[j])} if "breakaway" in of else {}
         law = Friction(**{"coulomb": 0.0, **of, **curve}, correction=(-uneven, uneven), side="joint")
         drives.append(dataclasses.replace(drive, friction=law, rotor_inertia=float(armature[j] / drive.ratio**2)))
     return chain.with_drives(drives)
