@@ -45,7 +45,7 @@ class Body(Constant):
     @staticmethod
     def fused(bodies: Sequence[Body]) -> Body:
         """One body of several in one frame, about their common centre of gravity."""
-        mass = np.zeros(()) + sum(b.mass for b in bodies)
+        mass = sum((b.mass[None] for b in bodies), np.zeros(1)).reshape(())
         com = sum((b.mass * b.com for b in bodies), np.zeros(3)) / (mass + (mass == 0.0))
         inertia = np.zeros((3, 3))
         for body in bodies:

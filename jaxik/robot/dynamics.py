@@ -137,10 +137,8 @@ def _in_joints(chain: Chain, q: Sequence[Scalar], wrenches: Any, dtype: Any) -> 
     return [(t @ Vec3(*traced(row[:3])), t @ Vec3(*traced(row[3:]))) for t, row in zip(turns, rows, strict=True)]
 
 
-def wrench_on(
-    chain: Chain, q: Float[Array, " n"], link: str, force: Float[Array, "3"], point: Float[Array, "3"]
-) -> Float[jax.Array, "n 6"]:
-    """The `wrenches` of one `force` [N] that acts on a link at a `point` [m], both in the base frame. Traced.
+def wrench_on(chain: Chain, q: Float[Array, " n"], link: str, force: Any, point: Any) -> Float[jax.Array, "n 6"]:
+    """The `wrenches` of a `force` (3,) [N] that acts on a link at a `point` (3,) [m], both in the base frame. Traced.
 
     Of a link that does not move they are 0. Raises `ValueError` for a name that is none of `chain.link_names`.
     """
@@ -304,9 +302,9 @@ def regressor(
     return stack([e for row in rows for e in row], (n, INERTIAL * n), dtype)
 
 
-def body_parameters(chain: Chain) -> Float[Array, " 10*n"]:
-    """What `regressor` multiplies: of each body m [kg], m c [kg m] and Ixx Ixy Iyy Ixz Iyz Izz [kg m2], the moments about the
-    origin of its joint's frame, in that frame's axes. Traced.
+def body_parameters(chain: Chain) -> Float[Array, " p"]:
+    """What `regressor` multiplies, (10 n,): of each body m [kg], m c [kg m] and Ixx Ixy Iyy Ixz Iyz Izz [kg m2], the moments
+    about the origin of its joint's frame, in that frame's axes. Traced.
 
     Raises `ValueError` for a chain without bodies.
     """
@@ -322,7 +320,7 @@ def body_parameters(chain: Chain) -> Float[Array, " 10*n"]:
 ENTRIES = ((0, 0), (0, 1), (1, 1), (0, 2), (1, 2), (2, 2))
 
 
-def with_body_parameters(chain: Chain, parameters: Float[Array, " 10*n"]) -> Chain:
+def with_body_parameters(chain: Chain, parameters: Any) -> Chain:
     """The same chain with bodies of other `body_parameters` (10 n,). Traced.
 
     Raises `ValueError` for another shape. Of parameters that no body can have the functions above say so.
@@ -331,7 +329,7 @@ def with_body_parameters(chain: Chain, parameters: Float[Array, " 10*n"]) -> Cha
     rows = as_given("with_body_parameters: parameters", parameters, (INERTIAL * chain.num_joints,)).reshape(-1, INERTIAL)
     bodies = []
     for row in rows:
-        mass, com = row[0], row[1:4] / (row[0] + (row[0] == 0.0))
+        mass, com = row[:1].reshape(()), row[1:4] / (row[0] + (row[0] == 0.0))
         inertia = row[np.array([[4, 5, 7], [5, 6, 8], [7, 8, 9]])]
         bodies.append(Body(mass, com, inertia - mass * (com @ com * np.eye(3) - com[:, None] * com)))
     return dataclasses.replace(chain, bodies=tuple(bodies))

@@ -1,0 +1,193 @@
+"""Forces and motion of real robots against Pinocchio and MuJoCo; identities, energies, loads, what is refused."""
+
+import dataclasses
+import pickle
+
+import jax
+import jax.numpy as jnp
+import mujoco
+import numpy as np
+import pytest
+from rigid_truth import changed, deviations, of_chain, of_urdf, states
+from robot_files import refused, write
+from robots import FOLDER, ROBOTS
+
+import jaxik
+from jaxik import robot
+
+DERIVATIVES = ("derivatives of inverse_dynamics", "derivatives of forward_dynamics")
+FORCES = ("inverse_dynamics", "mass_matrix", "forward_dynamics", "bias_torque", "regressor")
+ENERGIES = ("gravity_torque", "kinetic_energy", "potential_energy")
+# continuous joints, a slide, and the thesis' robot; `changed` gives them rotors, and a base that leans
+JUDGED = {"kinova": FORCES + ENERGIES, "tiago": FORCES, "crops_v2": FORCES[:3], "ur5": DERIVATIVES}
+
+
+def _loaded(name):
+    if name not in ROBOTS:
+        return changed(jaxik.load(name)), None
+    file, tip = ROBOTS[name]
+    return changed(jaxik.load(FOLDER / file, tip=tip, posture={})), FOLDER / file
+
+
+ARM = _loaded("ur5")[0]
+
+
+@pytest.mark.usefixtures("only_kernels")
+@pytest.mark.parametrize("name", JUDGED)
+def test_against_pinocchio(name):
+    chain, file = _loaded(name)
+    found = deviations(chain, of_chain(chain) if file is None else of_urdf(file, chain), JUDGED[name])
+    assert found.keys() == set(JUDGED[name]) and max(found.values()) <= 1e-10, found
+
+
+MJCF = """<mujoco><compiler angle="radian"/>
+<option><flag constraint="disable"/></option><worldbody><body name="post" pos="0 0 0.5" euler="0.3 0.2 0">
+<joint name="lift" type="slide" axis="0 0.6 0.8" range="0 1" armature="1.5"/><geom type="box" size="0.1 0.2 0.3" mass="4"/>
+<body name="arm" pos="0.2 0 0.1" euler="0 1.2 0"><joint name="swing" axis="0 1 0" range="-2 2" armature="0.2" pos="0.05 0 0"/>
+<geom type="capsule" fromto="0 0 0 0.4 0.1 0" size="0.04" mass="2.5"/><body name="hand" pos="0.4 0.1 0">
+<joint name="twist" axis="1 0 0"/><geom type="ellipsoid" pos="0.1 0.05 0" size="0.1 0.05 0.03" mass="0.7"/>
+</body></body></body></worldbody></mujoco>"""
+
+
+def test_against_mujoco(tmp_path):
+    """Rotors are read with the rest."""
+    chain, model = jaxik.load(write(tmp_path, "arm.xml", MJCF)), mujoco.MjModel.from_xml_string(MJCF)
+    assert chain.armature.tolist() == [1.5, 0.2, 0.0]
+    data, mass = mujoco.MjData(model), np.zeros((3, 3))
+    inverse = jax.vmap(lambda *given: robot.inverse_dynamics(chain, *given))
+    q, v, a, _, _ = given = states(dataclasses.replace(chain, upper=np.array([1.0, 2.0, 3.0]), lower=-np.ones(3)), 10)
+    torques, matrices = inverse(*given[:3]), jax.vmap(lambda q: robot.mass_matrix(chain, q))(q)
+    for i in range(10):
+        data.qpos, data.qvel, data.qacc = q[i], v[i], a[i]
+        mujoco.mj_inverse(model, data)
+        mujoco.mj_fullM(model, data, mass)
+        assert np.abs(torques[i] - data.qfrc_inverse).max() <= 1e-10 * np.abs(data.qfrc_inverse).max()
+        assert np.abs(matrices[i] - mass).max() <= 1e-10 * np.abs(mass).max()
+
+
+def test_forward_undoes_inverse():
+    q, v, a, _, w = states(ARM, 500, seed=1)
+    torque = jax.vmap(lambda *given: robot.inverse_dynamics(ARM, *given))(q, v, a, w)
+    back = jax.vmap(lambda *given: robot.forward_dynamics(ARM, *given))(q, v, torque, w)
+    assert np.abs(back - a).max() <= 1e-11
+    matrices = np.asarray(jax.vmap(lambda q: robot.mass_matrix(ARM, q))(q))
+    assert np.array_equal(matrices, matrices.swapaxes(1, 2)) and np.linalg.eigvalsh(matrices).min() > 0.0
+    single = jax.vmap(lambda *given: robot.inverse_dynamics(ARM, *given))(*(x.astype(np.float32) for x in (q, v, a, w)))
+    assert single.dtype == jnp.float32 and np.abs(single - torque).max() <= 2e-5 * np.abs(torque).max()
+
+
+def test_energy_of_a_roll_out():
+    """What the drives put in is what the chain has more, by Runge and Kutta's fourth-order steps."""
+    push = lambda t: jnp.sin(3.0 * t + jnp.arange(6.0)) * 5.0
+
+    def slope(state, t):
+        q, v, _ = state
+        return v, robot.forward_dynamics(ARM, q, v, push(t)), v @ push(t)
+
+    def step(state, t, dt=1e-3):
+        on = lambda k, h: jax.tree_util.tree_map(lambda x, y: x + h * y, state, k)
+        one = slope(state, t)
+        two = slope(on(one, dt / 2), t + dt / 2)
+        three = slope(on(two, dt / 2), t + dt / 2)
+        four = slope(on(three, dt), t + dt)
+        mean = jax.tree_util.tree_map(lambda a, b, c, d: (a + 2 * b + 2 * c + d) / 6, one, two, three, four)
+        return on(mean, dt), None
+
+    energy = lambda q, v: robot.kinetic_energy(ARM, q, v) + robot.potential_energy(ARM, q)
+    start = jnp.array([0.3, -1.0, 0.8, 0.2, 0.5, 0.0]), jnp.zeros(6)
+    (q, v, work), _ = jax.jit(lambda s: jax.lax.scan(step, s, jnp.arange(500) * 1e-3))((*start, jnp.zeros(())))
+    assert abs(float(work)) > 0.5 and abs(float(energy(q, v) - energy(*start) - work)) <= 1e-9 * abs(float(work))
+
+
+def test_energies_give_the_torques():
+    (q, *_), (v, *_) = states(ARM, 1)[:2]
+    slope = jax.grad(lambda q: robot.potential_energy(ARM, q))(q)
+    momentum = jax.grad(lambda v: robot.kinetic_energy(ARM, q, v))(v)
+    assert np.abs(slope - robot.gravity_torque(ARM, q)).max() <= 1e-12 * np.abs(slope).max()
+    assert np.abs(momentum - robot.mass_matrix(ARM, q) @ v).max() <= 1e-12 * np.abs(momentum).max()
+
+
+def test_parameters_of_bodies():
+    chain = jaxik.load("crops_v2").part(0, 3)
+    given = [x[0] for x in states(chain, 1)[:3]]
+    parameters = robot.body_parameters(chain)
+    back = robot.with_body_parameters(chain, parameters)
+    assert np.abs(robot.body_parameters(back) - parameters).max() <= 1e-13
+    for ours, theirs in zip(back.bodies, chain.bodies, strict=True):
+        assert np.allclose(ours.inertia, theirs.inertia, atol=1e-13) and np.allclose(ours.com, theirs.com, atol=1e-14)
+    bare = dataclasses.replace(chain, bodies=())
+    matrix = robot.regressor(bare, *given)
+    by_parameters = lambda p: robot.inverse_dynamics(robot.with_body_parameters(bare, p), *given)
+    slopes = jax.jacfwd(by_parameters)(jnp.asarray(parameters))
+    assert np.abs(matrix @ parameters - robot.inverse_dynamics(chain, *given)).max() <= 1e-10
+    assert np.abs(slopes - matrix).max() <= 1e-10 * np.abs(matrix).max()
+
+
+def test_a_load_is_a_wrench():
+    """At rest what is carried pulls as a force at its centre of gravity does; and a mass away from it is an inertia, too."""
+    q, tip = states(ARM, 1)[0][0], np.array([0.1, -0.05, 0.2])
+    point = (robot.forward_kinematics(ARM, q) @ jnp.array([*tip, 1.0]))[:3]
+    weight = ARM.world_T_base[:3, :3].T @ [0.0, 0.0, -9.81 * 3.0]
+    pull = robot.wrench_on(ARM, q, "tool0", weight, point)
+    heavy = robot.gravity_torque(ARM.with_load(3.0, tip), q)
+    assert np.abs(heavy - robot.inverse_dynamics(ARM, q, 0 * q, 0 * q, pull)).max() <= 1e-12 * np.abs(heavy).max()
+    assert not np.any(robot.wrench_on(ARM, q, "base_link", weight, point))
+    apart = 2.0 * (tip @ tip * np.eye(3) - np.outer(tip, tip))
+    two, one = ARM.with_load(1.0, tip).with_load(1.0, -tip), ARM.with_load(2.0, inertia=apart)
+    assert np.allclose(robot.mass_matrix(two, q), robot.mass_matrix(one, q), atol=1e-12)
+
+
+def test_rotors_stay_with_their_joints(tmp_path):
+    chain = dataclasses.replace(ARM, name="with rotors")
+    assert chain != dataclasses.replace(chain, armature=np.zeros(6))
+    fields = {name: getattr(chain, name) for name in chain.__dataclass_fields__ if name != "armature"}
+    assert not np.any(jaxik.Chain(**fields).armature) and jaxik.Chain(**fields).armature.shape == (6,)
+    assert pickle.loads(pickle.dumps(chain)) == chain
+    assert np.array_equal(chain.part(2, 5).armature, chain.armature[2:5])
+    jaxik.files.save(chain, tmp_path / "arm.toml")
+    assert jaxik.load(tmp_path / "arm.toml") == chain
+    rows = """name = "a"\nconvention = "modified_dh"\n[[joint]]\nname = "j"\ntype = "revolute"\nlower = 0\nupper = 1\n"""
+    assert jaxik.load(write(tmp_path, "row.toml", rows + "armature_gm2 = 250")).armature.tolist() == [0.25]
+    refused(write(tmp_path, "bad.toml", rows + "armature = -1"), "joint 'j'", "'armature' is out of range")
+
+
+def _with_last(**changes):
+    """The arm, its last body another."""
+    return dataclasses.replace(ARM, bodies=(*ARM.bodies[:-1], dataclasses.replace(ARM.bodies[-1], **changes)))
+
+
+REFUSED = {
+    "has no bodies; write mass": lambda q: robot.mass_matrix(jaxik.load("p6r"), np.zeros(7)),
+    "mass of -1 kg": lambda q: robot.inverse_dynamics(_with_last(mass=np.array(-1.0)), q, q, q),
+    "mass of 0 kg and an inertia": lambda q: robot.gravity_torque(_with_last(mass=np.array(0.0)), q),
+    "'wrist_3_joint' of ur5 moves has no mass, nor": lambda q: robot.forward_dynamics(
+        dataclasses.replace(_with_last(mass=np.zeros(()), inertia=np.zeros((3, 3))), armature=np.zeros(6)), q, q, q
+    ),
+    "holds NaN": lambda q: robot.bias_torque(_with_last(com=np.array([0.0, np.nan, 0.0])), q, q),
+    "not symmetric": lambda q: robot.kinetic_energy(_with_last(inertia=np.tri(3)), q, q),
+    "principal moments of -1, 1, 1 kg m2; allowed: none below 0": lambda q: robot.potential_energy(
+        _with_last(inertia=np.diag([1.0, -1.0, 1.0])), q
+    ),
+    "principal moments of 1, 1, 3 kg m2; the largest": lambda q: robot.mass_matrix(_with_last(inertia=np.diag([1, 3, 1.0])), q),
+    "gravity has the shape (); allowed: (3,)": lambda q: robot.gravity_torque(ARM, q, -9.81),
+    "no such link 'hook'; links: world": lambda q: robot.wrench_on(ARM, q, "hook", q[:3], q[:3]),
+    "parameters of shape (6,); allowed: (60,)": lambda q: robot.with_body_parameters(ARM, q),
+    "p6r has no bodies, which a load": lambda q: jaxik.load("p6r").with_load(1.0),
+    "the load has a mass of -2 kg": lambda q: ARM.with_load(-2.0),
+    "com of shape (2,); allowed: (3,)": lambda q: ARM.with_load(2.0, (0.1, 0.2)),
+}
+
+
+@pytest.mark.parametrize("words", REFUSED)
+def test_refused(words):
+    with pytest.raises(ValueError) as error:
+        REFUSED[words](np.zeros(6))
+    assert "\n" not in str(error.value) and words in str(error.value)
+
+
+def test_massless_links_and_point_masses():
+    """Joints in between may move nothing, as those of a human's model; the sums are as they should be."""
+    first, last = ARM.bodies[0], dataclasses.replace(ARM.bodies[-1], inertia=np.zeros((3, 3)))
+    none = dataclasses.replace(first, mass=np.zeros(()), inertia=np.zeros((3, 3)))
+    sparse = dataclasses.replace(ARM, bodies=(none, *ARM.bodies[1:-1], last))
+    assert max(deviations(sparse, of_chain(sparse), FORCES[:1]).values()) <= 1e-10
