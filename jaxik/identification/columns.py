@@ -45,9 +45,9 @@ def friction_columns(
     terms: Sequence[Term], qdot: np.ndarray, qddot: np.ndarray, load: np.ndarray, stribeck: np.ndarray
 ) -> np.ndarray:
     """Each term (K, n) of every row and joint, (t, K, n)."""
-    sign, share = np.sign(qdot), 1.0 / (1.0 + (qdot / stribeck) ** 2)
+    sign, share = np.sign(qdot), 1.0 / (1.0 + (qdot / stribeck) ** 2) if "breakaway" in terms else 0.0
     table = {
-        "coulomb": sign * (1.0 - share) if "breakaway" in terms else sign,
+        "coulomb": sign * (1.0 - share),
         "breakaway": sign * share,
         "viscous": qdot,
         "load": sign * np.abs(load),

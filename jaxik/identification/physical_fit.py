@@ -53,5 +53,5 @@ def physical_fit(problem: Problem, curve: Curve, noise: np.ndarray, known: np.nd
     done = least_squares(residual, first, jacobian, (lowest, np.inf), x_scale="jac", max_nfev=steps)
     bodies, _ = around.at(done.x[: 10 * n].reshape(n, 10))
     off = columns @ np.append(bodies, done.x[10 * n :]) - torque
-    friction = dict(zip(problem.terms, done.x[10 * n :].reshape(-1, n), strict=True))
+    friction = dict(zip(problem.terms, done.x[10 * n :].reshape(len(problem.terms), n), strict=True))
     return Found(bodies, friction, np.sqrt(np.bincount(joint, off**2) / np.bincount(joint)), done.status > 0)

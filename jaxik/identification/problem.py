@@ -61,7 +61,7 @@ class Problem:
         whole = np.zeros(base.matrix.shape[1])
         whole[base.kept] = value
         bodies, coefficients = np.split(whole, [self.bodies.shape[2]])
-        return bodies, coefficients.reshape(len(self.terms), -1)
+        return bodies, coefficients.reshape(len(self.terms), self.qdot.shape[1])
 
     def behind_gears(self, bodies: np.ndarray, coefficients: np.ndarray) -> np.ndarray:
         """The load (K, n) of bodies' parameters (10 n,), and of the rotors."""
