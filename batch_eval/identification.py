@@ -1,9 +1,9 @@
 """Bodies and friction from simulated logs with noise: `python batch_eval/identification.py [--robots NAME ..]`.
 
-Needs `pip install -e ".[test]"`. Robots whose bodies differ from their files by a third are driven along `excite`'s motion; their
-currents, with noise of 1 % of their own spread, are all that `identify` sees beside the files' numbers. What it finds is held
-against the truth: each base parameter, how far its standard error tells the truth, and the torque along another motion. Prints,
-and writes `identification.json`.
+Needs `pip install -e ".[test]"`. Robots whose bodies differ from their files by a third are driven along `excite`'s motion;
+their currents, with noise of 1 % of their own spread, are all that `identify` sees beside the files' numbers. What it finds is
+held against the truth: each base parameter, how far its standard error tells the truth, and the currents along another motion.
+Prints, and writes `identification.json`.
 """
 
 from __future__ import annotations
@@ -23,10 +23,10 @@ import jaxik
 from jaxik.identification import Identified, Log, excite, identify, pseudo_inertias
 from jaxik.robot import Body, Chain, Drive, Friction, body_parameters, inverse_dynamics, motor_current
 
-COUNT, SECONDS, RATE, NOISE = 5, 20.0, 100.0, 0.01
+COUNT, PERIOD, SECONDS, RATE, NOISE = 3, 20.0, 40.0, 100.0, 0.01
 SIMPLE = ("coulomb", "viscous")
 FILES = {
-    "crops_v2": ("crops_v2", None, (*SIMPLE, "breakaway", "load", "asymmetry"), 2.0),
+    "crops_v2": ("crops_v2", None, (*SIMPLE, "breakaway", "load", "viscous_load", "asymmetry"), 2.0),
     "ur5": (ROBOTS / "ur_description/urdf/ur5_robot.urdf", "tool0", SIMPLE, 2.0),
     "panda": (ROBOTS / "panda_description/urdf/panda.urdf", "panda_link8", SIMPLE, 2.0),
 }
@@ -54,9 +54,13 @@ def torques(chain: Chain, motion: Any) -> np.ndarray:
     return np.asarray(jax.jit(jax.vmap(lambda *row: inverse_dynamics(chain, *row)))(*motion))
 
 
+def currents(chain: Chain, motion: Any) -> np.ndarray:
+    return np.asarray(jax.jit(jax.vmap(lambda t, qdot: motor_current(chain, t, qdot)))(torques(chain, motion), motion[1]))
+
+
 def logged(true: Chain, motion: Any, seed: int) -> Log:
     """Currents along a motion, and their noise."""
-    current = np.asarray(jax.jit(jax.vmap(lambda t, qdot: motor_current(true, t, qdot)))(torques(true, motion), motion[1]))
+    current = currents(true, motion)
     noise = np.random.default_rng(seed).normal(size=current.shape) * NOISE * current.std(axis=0)
     return Log(*motion, current=current + noise)
 
@@ -69,7 +73,9 @@ def coefficients(chain: Chain, term: str) -> list[float]:
         backward, forward = (float(x) for x in law.correction)
         even, uneven = 0.5 * (backward + forward), 0.5 * (forward - backward)
         by_term = {"coulomb": r * law.coulomb + even, "breakaway": r * law.breakaway + even, "viscous": r * r * law.viscous}
-        found.append(float((by_term | {"load": r * law.load, "asymmetry": uneven})[term]))
+        found.append(
+            float((by_term | {"load": r * law.load, "viscous_load": r * r * law.viscous_load, "asymmetry": uneven})[term])
+        )
     return found
 
 
@@ -84,8 +90,8 @@ def judged(name: str, seed: int, motion: Any, other: Any) -> dict[str, Any]:
     truth = found.base.matrix @ values
     off, unknown = np.abs(found.value - truth), set(found.unknown())
     told = np.array([word not in unknown for word in found.base.words])
-    wanted, spread = torques(true, other), torques(true, other).std(axis=0)
-    missed = [np.sqrt(np.mean((torques(c, other) - wanted) ** 2, axis=0)) / spread for c in (chain, found.chain)]
+    wanted = currents(true, other)
+    missed = [np.sqrt(np.mean((currents(c, other) - wanted) ** 2, axis=0)) / wanted.std(axis=0) for c in (chain, found.chain)]
     return {
         "reason": found.reason.text,
         "seconds": seconds,
@@ -94,8 +100,8 @@ def judged(name: str, seed: int, motion: Any, other: Any) -> dict[str, Any]:
         "told_off": float(np.max(off[told] / np.abs(truth[told]))),
         "within_two_std": float(np.mean(off <= 2.0 * found.std)),
         "condition": found.condition,
-        "torque_before": float(missed[0].max()),
-        "torque_after": float(missed[1].max()),
+        "current_before": float(missed[0].max()),
+        "current_after": float(missed[1].max()),
         "physical": bool(np.linalg.eigvalsh(pseudo_inertias(body_parameters(found.chain))).min() > 0.0),
     }
 
@@ -103,9 +109,9 @@ def judged(name: str, seed: int, motion: Any, other: Any) -> dict[str, Any]:
 def row(name: str) -> dict[str, Any]:
     """All robots of a name: means, and the worst of them."""
     chain, (_, _, terms, velocity) = robot(name), FILES[name]
-    excitation, seconds = clocked(lambda: excite(chain, terms=terms, velocity=velocity, period=SECONDS))
+    excitation, seconds = clocked(lambda: excite(chain, terms=terms, velocity=velocity, period=PERIOD, steps=20))
     motion = excitation.at(np.arange(0.0, SECONDS, 1.0 / RATE))
-    other = excite(chain, terms=terms, velocity=velocity, period=SECONDS, seed=1, steps=1).at(np.arange(0.0, SECONDS, 0.05))
+    other = excite(chain, terms=terms, velocity=velocity, period=PERIOD, seed=1, steps=1).at(np.arange(0.0, PERIOD, 0.05))
     each = [judged(name, seed, motion, other) for seed in range(COUNT)]
     whole = lambda key, of: of([one[key] for one in each])
     return {
@@ -122,8 +128,8 @@ def row(name: str) -> dict[str, Any]:
         "within_two_std": whole("within_two_std", np.mean),
         "condition": whole("condition", np.mean),
         "gain": excitation.gain,
-        "torque_before": whole("torque_before", np.mean),
-        "torque_after": whole("torque_after", np.mean),
+        "current_before": whole("current_before", np.mean),
+        "current_after": whole("current_after", np.mean),
         "excite_s": seconds,
         "identify_s": whole("seconds", np.median),
     }

@@ -18,7 +18,8 @@ EXACT = 1e-6  # of a joint's torque: noise is never less, or that joint would de
 TOLD = 1e-9  # of the largest singular value: a combination of less is not told by the rows
 PARTS = np.geomspace(0.05, 4.0, 30)  # of a joint's usual speed, where its Stribeck velocity is looked for
 WIDEST = 3.0  # logarithms about the likely one: beyond, the curve is a step or flat where the joint moved
-STEADY = 1e-4  # of a joint's torque: what the load still changes by at the end
+GUESSED = 2  # rounds that begin from likely Stribeck velocities; those after have the load, and go on from those found
+STEADY = 1e-3  # of a joint's torque: what the load still changes by at the end
 
 
 class Curve(NamedTuple):
@@ -100,11 +101,13 @@ def base_fit(problem: Problem, base: BaseParameters, known: np.ndarray, rounds: 
     that of those found."""
     load = problem.behind_gears(known, np.zeros((len(problem.terms), len(problem.qdot[0]))))
     steady = STEADY * np.sqrt(np.mean(problem.torque**2, axis=0))
-    for _ in range(rounds):
-        curve = Curve(load, _likely_stribeck(problem, base, load))
+    stribeck = np.ones_like(steady)
+    for i in range(rounds):
+        curve = Curve(load, _likely_stribeck(problem, base, load) if i < GUESSED else stribeck)
         fit = _linear_fit(problem, base, curve)
         if "breakaway" in problem.terms:
-            curve = curve._replace(stribeck=_stribeck(problem, base, curve, fit.noise))
+            stribeck = _stribeck(problem, base, curve, fit.noise)
+            curve = curve._replace(stribeck=stribeck)
             fit = _linear_fit(problem, base, curve, problem.split(base, fit.value)[1])
         load = problem.behind_gears(*problem.split(base, fit.value))
         change = np.sqrt(np.mean((load - curve.load) ** 2, axis=0))

@@ -24,7 +24,11 @@ rubbed = jax.jit(jax.vmap(friction_torque, (None, 0, 0)))
 def another(seed=0):
     """The arm as it may have been built."""
     rng = np.random.default_rng(seed)
-    change = lambda b: (np.asarray(b.mass * rng.uniform(0.8, 1.25)), b.com + rng.normal(0, 0.01, 3), b.inertia * rng.uniform(0.8, 1.25))
+    change = lambda b: (
+        np.asarray(b.mass * rng.uniform(0.8, 1.25)),
+        b.com + rng.normal(0, 0.01, 3),
+        b.inertia * rng.uniform(0.8, 1.25),
+    )
     return dataclasses.replace(ARM, bodies=tuple(Body(*change(body)) for body in ARM.bodies))
 
 
@@ -103,14 +107,21 @@ def test_identification_from_noisy_logs(motion):
     motors = torque - rubbed(true, motion[1], torque) - springs
     motors += rng.normal(size=motors.shape) * 0.003 * motors.std(axis=0)
     half = len(motors) // 2
-    logs = [Log(*(x[:half] for x in motion), torque=motors[:half]), Log(*(x[half:] for x in motion), current=motors[half:] / gain)]
+    logs = [
+        Log(*(x[:half] for x in motion), torque=motors[:half]),
+        Log(*(x[half:] for x in motion), current=motors[half:] / gain),
+    ]
     found = identify(ARM, logs, terms=TERMS)
     assert found.reason == Reason.SOLVED and found.success
     truth = found.base.matrix[:, :30] @ np.asarray(body_parameters(true))
     bodies = slice(0, 9)
     off, told = np.abs(found.value - truth)[bodies], (found.std <= 0.01 * np.abs(found.value))[bodies]
-    assert told.sum() >= 4 and np.all(off[told] <= 0.03 * np.abs(truth[bodies][told])) and np.all(off <= 4.0 * found.std[bodies])
-    assert set(found.unknown()) == {w for w, s, v in zip(found.base.words, found.std, found.value, strict=True) if s > 0.01 * abs(v)}
+    assert (
+        told.sum() >= 4 and np.all(off[told] <= 0.03 * np.abs(truth[bodies][told])) and np.all(off <= 4.0 * found.std[bodies])
+    )
+    assert set(found.unknown()) == {
+        w for w, s, v in zip(found.base.words, found.std, found.value, strict=True) if s > 0.01 * abs(v)
+    }
     assert np.linalg.eigvalsh(pseudo_inertias(np.asarray(body_parameters(found.chain)))).min() > 0.0
     first, second = found.chain.drives[1].friction, found.chain.drives[2].friction
     assert abs(first.breakaway - (8.4 + 1.125)) <= 0.1 and abs(second.breakaway - (12.8 + 7.0)) <= 0.2  # tables 3.4 and 3.6
