@@ -13,21 +13,24 @@ from typing import Any
 
 import numpy as np
 
-from jaxik.checks.options import changed, check_each, check_finite, check_kind
+from jaxik.checks.options import as_count, changed, check_each, check_finite, check_kind
+from jaxik.identification.base_fit import base_fit
 from jaxik.identification.base_parameters import BaseParameters, base_parameters
 from jaxik.identification.columns import Term
 from jaxik.identification.log import Log
 from jaxik.identification.physical_fit import physical_fit
-from jaxik.identification.problem import base_fit, posed
+from jaxik.identification.problem import posed
 from jaxik.reasons import Reason, Reasoned
 from jaxik.robot.chain import Chain
 from jaxik.robot.drive import Drive, Friction
 from jaxik.robot.dynamics import body_parameters, with_body_parameters
 
+LEAST_PRIOR = 1e-6  # as a logarithm; with less nothing would be found at all
+
 
 @dataclasses.dataclass(frozen=True)
 class IdentifyOptions:
-    """`terms` of the drives' friction to find, of `columns`: those that are left out count as none, but for the rotors, which
+    """`terms` of the drives' friction to find: those that are left out count as none, but for the rotors, which
     are then the chain's `armature`. Rows in which a joint is slower than `slowest` [rad/s, m/s] do not count for it, for at
     rest friction has no law. `prior` is how far bodies may be from the chain's where the log does not say, as a logarithm (1:
     by factors of about e). Beyond a `condition` number the reason is UNEXCITED. The load of the friction is found in
@@ -75,9 +78,14 @@ def identify(
     check_kind("identify", "chain", chain, Chain)
     options = changed("identify", options, changes)
     check_each("identify", options.terms, Term)
-    check_finite("identify", 0.0, slowest=options.slowest, prior=options.prior, condition=options.condition)
-    problem = posed(chain, logs, options.terms, options.slowest)
-    base, known = base_parameters(chain, options.terms), np.asarray(body_parameters(chain), np.float64)
+    check_finite("identify", 0.0, slowest=options.slowest, condition=options.condition)
+    check_finite("identify", LEAST_PRIOR, prior=options.prior)
+    for name in ("rounds", "steps"):
+        as_count(f"identify: {name}", getattr(options, name))
+    known = np.asarray(body_parameters(chain), np.float64)
+    problem, base = posed(chain, logs, options.terms, options.slowest), base_parameters(chain, options.terms)
+    if (rows := int(problem.counts.sum())) < 2 * len(base):
+        raise ValueError(f"identify: {rows} values for {len(base)} unknowns; log a longer motion, twice as many at least")
     fit = base_fit(problem, base, known, options.rounds)
     found = physical_fit(problem, fit.curve, fit.noise, known, options.prior, options.steps)
     reason = Reason.UNEXCITED if fit.condition > options.condition else Reason.SOLVED

@@ -11,11 +11,11 @@ from typing import NamedTuple
 
 import numpy as np
 
+from jaxik.identification.base_fit import SETTLED
 from jaxik.identification.columns import Term
 from jaxik.identification.problem import Curve, Problem
 from jaxik.identification.pseudo_inertia import Bodies
 
-SETTLED = 1e-6  # of the sum of squares: what a step still takes away at the end, far below what noise does
 FIRST = 1e-3  # every coefficient of friction, for the bounds are none to start at
 
 

@@ -157,7 +157,8 @@ FAULTS = [
     (dict(q=np.zeros((4, 2))), r"log 1: q of shape \(4, 2\); allowed: \(k, 3\)"),
     (dict(torque=np.full((4, 3), np.nan)), "log 1: torque holds nan in row 0, joint1"),
     (dict(torque=None), "log 1 has no torque and current; give one of them"),
-    (dict(prior=-1.0), "prior is -1.0; it is a finite number of at least 0"),
+    (dict(prior=0.0), "prior is 0.0; it is a finite number of at least 1e-06"),
+    (dict(terms=()), "12 values for 9 unknowns; log a longer motion"),
 ]
 
 
