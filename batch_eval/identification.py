@@ -20,7 +20,7 @@ from panda import ROBOTS
 from race import clocked, machine
 
 import jaxik
-from jaxik.identification import Identified, Log, excite, identify, pseudo_inertias
+from jaxik.identification import Identified, IdentifyOptions, Log, excite, identify, pseudo_inertias
 from jaxik.robot import Body, Chain, Drive, Friction, body_parameters, inverse_dynamics, motor_current
 
 COUNT, PERIOD, SECONDS, RATE, NOISE = 3, 20.0, 40.0, 100.0, 0.01
@@ -90,8 +90,9 @@ def judged(name: str, seed: int, motion: Any, other: Any) -> dict[str, Any]:
     truth = found.base.matrix @ values
     off, unknown = np.abs(found.value - truth), set(found.unknown())
     told = np.array([word not in unknown for word in found.base.words])
-    wanted = currents(true, other)
-    missed = [np.sqrt(np.mean((currents(c, other) - wanted) ** 2, axis=0)) / wanted.std(axis=0) for c in (chain, found.chain)]
+    wanted, moves = currents(true, other), np.abs(other[1]) > IdentifyOptions().slowest
+    rms = lambda x: np.sqrt(np.mean(x**2, axis=0, where=moves))
+    missed = [rms(currents(c, other) - wanted) / wanted.std(axis=0) for c in (chain, found.chain)]
     return {
         "reason": found.reason.text,
         "seconds": seconds,

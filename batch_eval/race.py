@@ -34,6 +34,7 @@ PACKAGES = (
     "pin-pink",
     "scikit-robot",
     "toppra",
+    "adam-robotics",
 )
 PLAIN = "the same function, plain jax.jit"  # kernels keep it as `__wrapped__`
 

@@ -423,6 +423,27 @@ def identification_markdown(result: dict[str, Any]) -> str:
     return "\n".join(lines)
 
 
+def dynamics_markdown(result: dict[str, Any]) -> str:
+    """A row for each contender of each work, in nanoseconds a configuration; how far jaxik is from Pinocchio."""
+    heads = "dynamics of a Panda, float32", "a configuration", "jaxik is faster by", "batch", "compile"
+    lines = [f"| {' | '.join(heads)} |", "| --- " * len(heads) + "|"]
+    for row in result["rows"]:
+        work, ours = row["work"].partition(",")[0], row["who"] == "jaxik"
+        ratio = "-" if ours else _times(row["jaxik_is_faster_by"])
+        each = _duration(1e6 / row["per_second"])
+        compiled = f"{row['compile_s']:.1f} s" if row["compile_s"] else "-"
+        lines.append(f"| {work}: {row['who']} | {each} | {ratio} | {row['count']:,} | {compiled} |")
+    judged = result["agreement"]
+    worst = {name: max(row[name] for row in judged.values()) for name in next(iter(judged.values()))}
+    slopes = max(value for name, value in worst.items() if name.startswith("derivatives"))
+    rest = max(value for name, value in worst.items() if not name.startswith("derivatives"))
+    told = f"In float64, of {len(judged) // 2} robots as they are and with rotors on a base that leans, jaxik's torques, "
+    told += f"matrices, accelerations, energies and regressors are at most {rest:.0e} from Pinocchio's, relative to the largest entry; "
+    told += f"derivatives {slopes:.0e}."
+    lines += ["", *textwrap.wrap(told, 130)]
+    return "\n".join(lines)
+
+
 TABLES = {
     "astar.json": astar_markdown,
     "base_placement.json": base_markdown,
@@ -430,6 +451,7 @@ TABLES = {
     "collision_benchmark.json": collision_markdown,
     "collision_models.json": model_markdown,
     "collision_scaling.json": scaling_markdown,
+    "dynamics_benchmark.json": dynamics_markdown,
     "harvest_motions.json": harvest_motions_markdown,
     "identification.json": identification_markdown,
     "ik_benchmark.json": ik_markdown,

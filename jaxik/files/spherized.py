@@ -14,7 +14,8 @@ from jaxik.robot.chain import Body, Chain
 from jaxik.spatial.rotations import to_rpy
 
 LOST = (
-    "the .srdf beside it names the pairs of links that are not to be checked; tables of distances and ignored objects are lost"
+    "the .srdf beside it names the pairs of links that are not to be checked; tables of distances, ignored objects and the "
+    "inertia of rotors are lost"
 )
 
 
