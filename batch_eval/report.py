@@ -439,6 +439,26 @@ def torque_markdown(result: dict[str, Any]) -> str:
     return "\n".join(lines)
 
 
+def identification_markdown(result: dict[str, Any]) -> str:
+    """A row a robot: what can be known of it, how much of that the log tells, and the currents that it foretells."""
+    head = "| robot | base parameters, of all | told to 1 % | within two standard errors | currents off: before, after | time |"
+    lines = [head, "| --- | --- | --- | --- | --- | --- |"]
+    for row in result["rows"]:
+        known = f"{row['base']} of {row['base'] + row['unseen']}"
+        told = f"{row['told']:.0f}, off by {100 * row['told_off']:.1f} % at most"
+        off = f"{100 * row['current_before']:.0f} %, {100 * row['current_after']:.1f} %"
+        within = f"{100 * row['within_two_std']:.0f} %"
+        lines.append(f"| {row['robot']} | {known} | {told} | {within} | {off} | {row['identify_s']:.1f} s |")
+    robots = sum(row["robots"] for row in result["rows"])
+    physical, solved = (sum(row[key] for row in result["rows"]) for key in ("physical", "solved"))
+    numbers = ", ".join(f"{row['robot']} {row['condition']:.0f}" for row in result["rows"])
+    lines += [
+        "",
+        f"{solved} of {robots} are solved, and in {physical} all bodies can be. Condition numbers: {numbers}.",
+    ]
+    return "\n".join(lines)
+
+
 def dynamics_markdown(result: dict[str, Any]) -> str:
     """A row for each contender of each work, in nanoseconds a configuration; how far jaxik is from Pinocchio."""
     heads = "dynamics of a Panda, float32", "a configuration", "jaxik is faster by", "batch", "compile"
@@ -471,6 +491,7 @@ TABLES = {
     "collision_scaling.json": scaling_markdown,
     "dynamics_benchmark.json": dynamics_markdown,
     "harvest_motions.json": harvest_motions_markdown,
+    "identification.json": identification_markdown,
     "ik_benchmark.json": ik_markdown,
     "mesh_benchmark.json": mesh_markdown,
     "motions.json": motions_markdown,

@@ -1,9 +1,9 @@
 """Batched, differentiable kinematics for redundant robot arms, on JAX.
 
 Here is what everybody needs; the rest is in the packages, which are there after `import jaxik`: `robot`, `collision`, `costs`,
-`fitting`, `files`, `ik`, `motions`, `planning`, `control`, `reach`, `harvesting`, `sweeps`, `view`, and, knowing no robot,
-`spatial`, `optimise` and `spmd`. Each docstring says where its function runs: "Traced." takes one configuration, and is for
-`jit`, `vmap` and `grad`; "Host driver." takes many, chunks and pads them, and gives NumPy; "Host." runs once, outside of
+`identification`, `fitting`, `files`, `ik`, `motions`, `planning`, `control`, `reach`, `harvesting`, `sweeps`, `view`, and,
+knowing no robot, `spatial`, `optimise` and `spmd`. Each docstring says where its function runs: "Traced." takes one configuration,
+and is for `jit`, `vmap` and `grad`; "Host driver." takes many, chunks and pads them, and gives NumPy; "Host." runs once, outside of
 JAX's transformations.
 """
 
@@ -22,7 +22,7 @@ from jaxik.spatial.rotations import pose
 from jaxik.spmd import kernel
 
 if TYPE_CHECKING:
-    from jaxik import control, harvesting, motions, planning, reach, sweeps
+    from jaxik import control, harvesting, identification, motions, planning, reach, sweeps
     from jaxik import view as view
     from jaxik.harvesting import harvest
     from jaxik.motions import follow, predict
@@ -52,6 +52,7 @@ __all__ = [
     "forward_kinematics",
     "harvest",
     "harvesting",
+    "identification",
     "ik",
     "implicit_ik",
     "jacobian",
@@ -97,6 +98,7 @@ _MOVED = {  # until the next release; a name that is another now stands behind =
 _LATE = {  # packages that wait until they are asked for, and what stands here of them: a quarter of the import
     "control": "",
     "harvesting": "harvest",
+    "identification": "",
     "motions": "follow predict",
     "planning": "plan_motion",
     "reach": "",

@@ -78,7 +78,7 @@ class Chain(Constant):
     `link_joint[l]` counts the movable joints between the base and link l: its frame is `link_offset[l]` in that joint's.
     `self_pairs` are the links to check against each other, `ignored` links with the object of a scene ("*": any) not to check,
     `pair_tables` what is known of pairs beside their volumes. `armature` is the inertia of each joint's rotor at the joint,
-    after its gears [kg m2, kg]; 0 unless given. `drives` has one a joint, or none at all.
+    behind its gears [kg m2, kg]; 0 unless given. `drives` has one a joint, or none at all.
     """
 
     # not in the instance's dictionary, which copies and pickles take over

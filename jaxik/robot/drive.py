@@ -34,6 +34,11 @@ class _Numbers(Constant):
                 vars(self)[field.name] = self._checked(field.name, given)
         self.freeze()
 
+    def __repr__(self) -> str:
+        value = lambda x: x.tolist() if isinstance(x, np.ndarray) else x
+        fields = (f"{field.name}={value(getattr(self, field.name))!r}" for field in dataclasses.fields(self))
+        return f"{type(self).__name__}({', '.join(fields)})"
+
     def _checked(self, name: str, given: Any) -> Any:
         values = shaped(f"{type(self).__name__}: {name}", given, (2,) if name == "correction" else ())
         finite = np.isfinite(values) | ((values == np.inf) & (name in UNBOUNDED))

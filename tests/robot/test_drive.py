@@ -137,6 +137,7 @@ type = "continuous"
 def test_drives_in_files(tmp_path):
     chain = jaxik.load(write(tmp_path, "arm.toml", ARM))
     assert chain.drives == (Drive(ratio=50, rotor_inertia=0.001, friction=Friction(coulomb=0.2)), Drive())
+    assert "ratio=50.0" in repr(chain.drives[0]) and "coulomb=0.2" in repr(chain.drives[0])
     assert chain.armature.tolist() == [50**2 * 0.001, 0.0]
     for wrong, right, line in (
         ("coulomb = 0.2", "coulomb = -0.2", "joint 'a' drive friction: coulomb = -0.2; write a finite number >= 0"),

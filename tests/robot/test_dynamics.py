@@ -119,7 +119,7 @@ def test_parameters_of_bodies():
     matrix = robot.regressor(bare, *given)
     by_parameters = lambda p: robot.inverse_dynamics(robot.with_body_parameters(bare, p), *given)
     slopes = jax.jacfwd(by_parameters)(jnp.asarray(parameters))
-    assert np.abs(matrix @ parameters - robot.inverse_dynamics(chain, *given)).max() <= 1e-10
+    assert np.abs(matrix @ parameters + chain.armature * given[2] - robot.inverse_dynamics(chain, *given)).max() <= 1e-10
     assert np.abs(slopes - matrix).max() <= 1e-10 * np.abs(matrix).max()
 
 

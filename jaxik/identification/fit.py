@@ -1,0 +1,116 @@
+"""Bodies and friction from logs: what can be known by linear least squares, and a robot that can be by nonlinear ones.
+
+First the base parameters and friction's curve by least squares, each joint's residuals in units of its own noise, with their
+standard errors. Then, for the same rows, bodies within what is physical (`pseudo_inertia`) and friction of at least 0, from the
+chain's own numbers on, to which what the logs do not tell stays close.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+
+from jaxik.checks.options import as_count, changed, check_each, check_finite, check_kind
+from jaxik.identification.base_fit import base_fit
+from jaxik.identification.base_parameters import BaseParameters, base_parameters
+from jaxik.identification.columns import Term
+from jaxik.identification.log import Log
+from jaxik.identification.physical_fit import physical_fit
+from jaxik.identification.problem import posed
+from jaxik.reasons import Reason, Reasoned
+from jaxik.robot.chain import Chain
+from jaxik.robot.drive import Drive, Friction
+from jaxik.robot.dynamics import body_parameters, with_body_parameters
+
+LEAST_PRIOR = 1e-6  # as a logarithm; with less nothing would be found at all
+
+
+@dataclasses.dataclass(frozen=True)
+class IdentifyOptions:
+    """`terms` of the drives' friction to find: those that are left out count as none, but for the rotors, which
+    are then the chain's `armature`. Rows in which a joint is slower than `slowest` [rad/s, m/s] do not count for it, for at
+    rest friction has no law. `prior` is how far bodies may be from the chain's where the log does not say, as a logarithm (1:
+    by factors of about e). Beyond a `condition` number the reason is UNEXCITED. The load of the friction is found in
+    `rounds`, and bodies that can be in `steps`, at most."""
+
+    terms: tuple[Term, ...] = ("coulomb", "viscous")
+    slowest: float = 0.05
+    prior: float = 1.0
+    condition: float = 1000.0
+    rounds: int = 20
+    steps: int = 200
+
+
+@dataclasses.dataclass(frozen=True, eq=False)
+class Identified(Reasoned):
+    """The `chain` with the bodies and drives found, all physical; its `base` parameters as the log alone tells them, `value`
+    and standard error `std` (b,); the excitation's `condition` number (columns of equal length); of each joint the root mean
+    square `residual` (n,) [Nm, N] and the `rows` that counted; and the `reason`: SOLVED, UNEXCITED or NOT_CONVERGED."""
+
+    chain: Chain
+    base: BaseParameters
+    value: np.ndarray
+    std: np.ndarray
+    condition: float
+    residual: np.ndarray
+    rows: np.ndarray
+    reason: Reason
+
+    def unknown(self, within: float = 0.01) -> tuple[str, ...]:
+        """In words, the combinations that the log does not tell `within` this share of their value, worst first."""
+        share = self.std / np.maximum(np.abs(self.value), 1e-300)
+        return tuple(self.base.words[i] for i in np.argsort(-share, kind="stable") if share[i] > within)
+
+
+def identify(
+    chain: Chain, logs: Log | Sequence[Log], options: IdentifyOptions = IdentifyOptions(), **changes: Any
+) -> Identified:
+    """The chain's bodies and friction, from motions that were measured. Host driver.
+
+    `changes` are fields of the options. The chain's own bodies are what is taken for granted where a log says nothing. The
+    drives that come back have their friction at the joint, without a load's share that was not asked for.
+
+    Raises `ValueError` for logs and options that cannot be used. Sources: Gautier 1991; Rucker, Wensing 2022.
+    """
+    check_kind("identify", "chain", chain, Chain)
+    options = changed("identify", options, changes)
+    check_each("identify", options.terms, Term)
+    check_finite("identify", 0.0, slowest=options.slowest, condition=options.condition)
+    check_finite("identify", LEAST_PRIOR, prior=options.prior)
+    for name in ("rounds", "steps"):
+        as_count(f"identify: {name}", getattr(options, name))
+    known = np.asarray(body_parameters(chain), np.float64)
+    problem, base = posed(chain, logs, options.terms, options.slowest), base_parameters(chain, options.terms)
+    if (rows := int(problem.counts.sum())) < 2 * len(base):
+        raise ValueError(f"identify: {rows} values for {len(base)} unknowns; log a longer motion, twice as many at least")
+    fit = base_fit(problem, base, known, options.rounds)
+    found = physical_fit(problem, fit.curve, fit.noise, known, options.prior, options.steps)
+    reason = Reason.UNEXCITED if fit.condition > options.condition else Reason.SOLVED
+    return Identified(
+        chain=_with_friction(with_body_parameters(chain, found.bodies.ravel()), found.friction, fit.curve.stribeck),
+        base=base,
+        value=fit.value,
+        std=fit.std,
+        condition=fit.condition,
+        residual=found.residual,
+        rows=problem.counts.sum(axis=0),
+        reason=reason if found.settled and fit.settled else Reason.NOT_CONVERGED,
+    )
+
+
+def _with_friction(chain: Chain, friction: dict[Term, np.ndarray], stribeck: np.ndarray) -> Chain:
+    """The chain with drives that rub as was found; other drives where it has none."""
+    if not friction:
+        return chain
+    armature = friction.get("armature", np.asarray(chain.armature))
+    drives = []
+    for j, drive in enumerate(chain.drives or [Drive()] * chain.num_joints):
+        of = {term: float(values[j]) for term, values in friction.items() if term not in ("armature", "asymmetry")}
+        uneven = float(friction["asymmetry"][j]) if "asymmetry" in friction else 0.0
+        curve = {"stribeck_velocity": float(stribeck[j])} if "breakaway" in of else {}
+        law = Friction(**{"coulomb": 0.0, **of, **curve}, correction=(-uneven, uneven), side="joint")
+        drives.append(dataclasses.replace(drive, friction=law, rotor_inertia=float(armature[j] / drive.ratio**2)))
+    return chain.with_drives(drives)

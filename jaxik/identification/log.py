@@ -1,0 +1,65 @@
+"""What was measured while a robot moved."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+from jaxtyping import Float
+
+from jaxik.checks.arrays import numbers
+from jaxik.pytree import Constant
+from jaxik.robot.chain import Array, Chain
+
+
+class Log(Constant):
+    """k samples of a motion: `q`, `qdot`, `qddot` (k, n) [rad, m, and per s, s2], and of what made it one of these, (k, n):
+    `torque`, what the motors give as the joints feel it [Nm, N], or `current` [A], which the chain's drives turn into that."""
+
+    q: Float[Array, "k n"]
+    qdot: Float[Array, "k n"]
+    qddot: Float[Array, "k n"]
+    torque: Float[Array, "k n"] | None = None
+    current: Float[Array, "k n"] | None = None
+
+
+def joined(chain: Chain, logs: Log | Sequence[Log]) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
+    """Positions, rates, accelerations and the motors' torques at the joints (K, n) of all logs; springs are taken out.
+
+    Raises `ValueError` for other shapes, for what is not finite, and for currents of a chain without drives.
+    """
+    logs = [logs] if isinstance(logs, Log) else list(logs)
+    if not logs:
+        raise ValueError("identify: no log; write a jaxik.identification.Log, or several")
+    rows = [_checked(chain, i, log) for i, log in enumerate(logs, 1)]
+    q, qdot, qddot, torque = (np.concatenate(each) for each in zip(*rows, strict=True))
+    return q, qdot, qddot, torque
+
+
+def _checked(chain: Chain, place: int, log: Log) -> list[np.ndarray]:
+    who = f"identify: log {place}"
+    if not isinstance(log, Log):
+        raise ValueError(f"{who} is a {type(log).__name__}; write a jaxik.identification.Log")
+    if (log.torque is None) == (log.current is None):
+        raise ValueError(f"{who} has {'no' if log.torque is None else 'both'} torque and current; give one of them")
+    measured = {"q": log.q, "qdot": log.qdot, "qddot": log.qddot, "torque": log.torque, "current": log.current}
+    arrays = {name: numbers(f"{who}: {name}", given) for name, given in measured.items() if given is not None}
+    shape = (len(arrays["q"]), chain.num_joints)
+    for name, array in arrays.items():
+        if array.shape != shape or not len(array):
+            raise ValueError(f"{who}: {name} of shape {array.shape}; allowed: (k, {chain.num_joints}), the same k for all")
+        if not np.isfinite(array).all():
+            row, joint = np.argwhere(~np.isfinite(array))[0]
+            raise ValueError(f"{who}: {name} holds {array[row, joint]} in row {row}, {chain.joint_names[joint]}; leave it out")
+    return [arrays["q"], arrays["qdot"], arrays["qddot"], _effort(chain, who, arrays)]
+
+
+def _effort(chain: Chain, who: str, arrays: dict[str, np.ndarray]) -> np.ndarray:
+    """What the motors and the springs give, less what the springs are known to give."""
+    if "current" in arrays:
+        if not chain.drives:
+            raise ValueError(f"{who}: currents of {chain.name}, which has no drives; give torque, or use chain.with_drives")
+        gain = np.array([float(drive.ratio * drive.torque_constant) for drive in chain.drives])
+        arrays["torque"] = gain * arrays["current"]
+    springs = np.array([float(drive.spring_force) for drive in chain.drives]) if chain.drives else 0.0
+    return np.asarray(arrays["torque"] + springs)

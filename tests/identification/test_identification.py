@@ -1,0 +1,175 @@
+"""What logs tell of bodies and friction: against arms whose numbers are known."""
+
+import dataclasses
+
+import jax
+import jaxtyping
+import numpy as np
+import pytest
+
+import jaxik
+from jaxik.identification import Log, base_parameters, excite, identify, pseudo_inertias
+from jaxik.identification.columns import body_columns
+from jaxik.identification.excitation import ExcitationOptions, _Search
+from jaxik.identification.pseudo_inertia import Bodies
+from jaxik.reasons import Reason
+from jaxik.robot import Body, body_parameters, friction_torque, inverse_dynamics
+
+ARM = jaxik.load("crops_v2").part(0, 3)  # a slide, a vertical and a horizontal axis, with drives
+TERMS = ("coulomb", "viscous", "breakaway", "load", "asymmetry")
+torques = jax.jit(jax.vmap(inverse_dynamics, (None, 0, 0, 0)))
+rubbed = jax.jit(jax.vmap(friction_torque, (None, 0, 0)))
+
+
+def another(seed=0):
+    """The arm as it may have been built."""
+    rng = np.random.default_rng(seed)
+    change = lambda b: (
+        np.asarray(b.mass * rng.uniform(0.8, 1.25)),
+        b.com + rng.normal(0, 0.01, 3),
+        b.inertia * rng.uniform(0.8, 1.25),
+    )
+    return dataclasses.replace(ARM, bodies=tuple(Body(*change(body)) for body in ARM.bodies))
+
+
+@pytest.fixture(scope="module")
+def excitation():
+    return excite(ARM, terms=TERMS, velocity=2.0, period=20.0, steps=10)
+
+
+@pytest.fixture(scope="module")
+def motion(excitation):
+    return excitation.at(np.arange(0.0, 20.0, 0.05))
+
+
+def test_base_parameters_by_name():
+    base = base_parameters(ARM)
+    assert base.words[:3] == ("m(joint1) + m(joint2) + m(joint3)", "Izz(joint2) + Iyy(joint3)", "mx(joint3)")
+    assert len(base) == 9 and "Izz(joint1)" in base.unseen and "mz(joint3)" in base.unseen
+    planar = base_parameters(jaxik.load("planar2"), ("coulomb", "armature"))
+    # links of 1 m in a plane across gravity, and a rotor that cannot be told from what it turns
+    assert planar.words[:4] == ("Izz(q1) + m(q2) + armature(q1)", "mx(q2)", "my(q2)", "Izz(q2)")
+    assert planar.words[4:] == ("coulomb(q1)", "coulomb(q2)", "armature(q2)")
+
+
+def test_base_parameters_are_all_that_counts():
+    rng, base = np.random.default_rng(3), base_parameters(ARM)
+    columns, theta = body_columns(ARM, *rng.normal(size=(3, 7, 3))), rng.normal(size=30)
+    np.testing.assert_allclose(columns[:, :, base.kept] @ (base.matrix @ theta), columns @ theta, rtol=1e-9, atol=1e-9)
+
+
+def test_bodies_that_can_be():
+    """All coordinates, and no others: positive mass, inertia definite and within the triangle inequality."""
+    theta = np.asarray(body_parameters(ARM))
+    pseudo = pseudo_inertias(theta)
+    for body, p in zip(ARM.bodies, pseudo, strict=True):
+        second = body.inertia + body.mass * (body.com @ body.com * np.eye(3) - np.outer(body.com, body.com))
+        np.testing.assert_allclose(p[:3, :3], 0.5 * np.trace(second) * np.eye(3) - second, atol=1e-12)
+        np.testing.assert_allclose(p[3], [*(body.mass * body.com), body.mass], atol=1e-14)
+    around, x = Bodies(theta), np.random.default_rng(0).normal(size=(3, 10))
+    np.testing.assert_allclose(around.at(np.zeros((3, 10)))[0].ravel(), theta, atol=1e-12)
+    found, slope = around.at(x)
+    for i in range(10):
+        step = 1e-6 * np.eye(10)[i]
+        numeric = (around.at(x + step)[0] - around.at(x - step)[0]) / 2e-6
+        np.testing.assert_allclose(slope[:, :, i], numeric, rtol=1e-6, atol=1e-6 * np.abs(numeric).max())
+    for row in found:
+        mass, com = row[0], row[1:4] / row[0]
+        tensor = row[np.array([[4, 5, 7], [5, 6, 8], [7, 8, 9]])] - mass * (com @ com * np.eye(3) - np.outer(com, com))
+        moments = np.linalg.eigvalsh(tensor)
+        assert mass > 0.0 and moments[0] > 0.0 and moments[0] + moments[1] > moments[2]
+    heavy = theta.copy()
+    heavy[6] = heavy[4] + heavy[9] + 1.0  # one moment beyond the sum of the others
+    assert np.linalg.eigvalsh(pseudo_inertias(heavy))[0, 0] < 0.0
+
+
+def test_excitation_keeps_the_limits(excitation):
+    q, qdot, qddot = excitation.at(np.linspace(0.0, 20.0, 5001))
+    lower, upper = jaxik.robot.finite_limits(ARM)
+    assert np.all((q > lower) & (q < upper)) and np.abs(qdot).max() <= 2.001 and np.abs(qddot).max() <= 4.001
+    assert excitation.gain > 1.0 and excitation.condition < 500.0
+    np.testing.assert_allclose(np.gradient(q, 0.004, axis=0)[1:-1], qdot[1:-1], atol=1e-3)
+    np.testing.assert_allclose(np.gradient(qdot, 0.004, axis=0)[1:-1], qddot[1:-1], atol=1e-3)
+    search, c = _Search(ARM, ExcitationOptions()), np.random.default_rng(0).normal(size=30)
+    _, slope = search(c)
+    for i in (0, 13, 29):
+        step = 1e-5 * np.eye(30)[i]
+        numeric = (search(c + step)[0] - search(c - step)[0]) / 2e-5
+        assert abs(slope[i] - numeric) <= 1e-3 * np.abs(slope).max()
+
+
+def test_identification_from_noisy_logs(motion):
+    """What is told to within 1 % is right to within 1 % (three standard errors), the rest is named, and all bodies can be."""
+    true, rng = another(), np.random.default_rng(1)
+    torque = np.asarray(torques(true, *motion))
+    gain = np.array([float(d.ratio * d.torque_constant) for d in true.drives])
+    springs = np.array([float(d.spring_force) for d in true.drives])
+    motors = torque - rubbed(true, motion[1], torque) - springs
+    motors += rng.normal(size=motors.shape) * 0.003 * motors.std(axis=0)
+    half = len(motors) // 2
+    logs = [
+        Log(*(x[:half] for x in motion), torque=motors[:half]),
+        Log(*(x[half:] for x in motion), current=motors[half:] / gain),
+    ]
+    found = identify(ARM, logs, terms=TERMS)
+    assert found.reason == Reason.SOLVED and found.success
+    truth = found.base.matrix[:, :30] @ np.asarray(body_parameters(true))
+    bodies = slice(0, 9)
+    off, told = np.abs(found.value - truth)[bodies], (found.std <= 0.01 * np.abs(found.value))[bodies]
+    assert (
+        told.sum() >= 4 and np.all(off[told] <= 0.03 * np.abs(truth[bodies][told])) and np.all(off <= 4.0 * found.std[bodies])
+    )
+    assert set(found.unknown()) == {
+        w for w, s, v in zip(found.base.words, found.std, found.value, strict=True) if s > 0.01 * abs(v)
+    }
+    assert np.linalg.eigvalsh(pseudo_inertias(np.asarray(body_parameters(found.chain)))).min() > 0.0
+    first, second = found.chain.drives[1].friction, found.chain.drives[2].friction
+    assert abs(first.breakaway - (8.4 + 1.125)) <= 0.1 and abs(second.breakaway - (12.8 + 7.0)) <= 0.2  # tables 3.4 and 3.6
+    assert abs(second.stribeck_velocity - 81.7 / 100) <= 0.05 and abs(first.load - 50 * 2.1e-3) <= 0.02
+    again = np.asarray(torques(found.chain, *motion))
+    assert np.all(np.sqrt(np.mean((again - torque) ** 2, axis=0)) <= 0.01 * torque.std(axis=0))
+
+
+def test_torque_without_friction_is_exact(motion):
+    """Sensors behind the gears, and no noise; the chain's own numbers stay where nothing is told."""
+    true = another().with_drives(())
+    motion = [x[::2] for x in motion]
+    found = identify(ARM.with_drives(()), Log(*motion, torque=np.asarray(torques(true, *motion))), terms=())
+    truth = found.base.matrix @ np.asarray(body_parameters(true))
+    np.testing.assert_allclose(found.value, truth, rtol=1e-8, atol=1e-8)
+    assert not found.unknown() and not found.chain.drives
+    np.testing.assert_allclose(found.base.matrix @ np.asarray(body_parameters(found.chain)), truth, rtol=1e-3, atol=1e-3)
+
+
+def test_a_poor_log_is_told(motion):
+    """With the third joint at rest some combinations cannot be known; they are named, and the reason says so."""
+    still = [x[::2].copy() for x in motion]
+    for x in still:
+        x[:, 2] = 0.4 if x is still[0] else 0.0
+    found = identify(ARM, Log(*still, torque=np.asarray(torques(ARM, *still))), terms=())
+    assert found.reason == Reason.UNEXCITED and found.reasons == "unexcited" and not found.success
+    assert "Izz(joint3)" in found.unknown() and np.isinf(found.std).any() and found.condition > 1e6
+
+
+FAULTS = [
+    (dict(terms=("coulomb",)), r"joint1 is never faster than slowest=0.05"),
+    (dict(terms=("stiction",)), "identify: each 'stiction'; allowed: coulomb"),
+    (dict(q=np.zeros((4, 2))), r"log 1: q of shape \(4, 2\); allowed: \(k, 3\)"),
+    (dict(torque=np.full((4, 3), np.nan)), "log 1: torque holds nan in row 0, joint1"),
+    (dict(torque=None), "log 1 has no torque and current; give one of them"),
+    (dict(prior=0.0), "prior is 0.0; it is a finite number of at least 1e-06"),
+    (dict(terms=()), "12 values for 9 unknowns; log a longer motion"),
+]
+
+
+@pytest.mark.parametrize("change, line", FAULTS, ids=[str(i) for i in range(len(FAULTS))])
+def test_faults_in_one_line(change, line):
+    rows = {name: np.zeros((4, 3)) for name in ("q", "qdot", "qddot", "torque")}
+    rows |= {name: change[name] for name in rows if name in change}
+    jaxtyping.config.update("jaxtyping_disable", True)
+    try:
+        with pytest.raises(ValueError, match=line) as caught:
+            identify(ARM, Log(**rows), **{name: given for name, given in change.items() if name not in rows})
+    finally:
+        jaxtyping.config.update("jaxtyping_disable", False)
+    assert "\n" not in str(caught.value)
