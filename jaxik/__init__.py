@@ -1,10 +1,10 @@
 """Batched, differentiable kinematics for redundant robot arms, on JAX.
 
-Here is what everybody needs; the rest is in the packages, which are there after `import jaxik`: `robot`, `collision`, `costs`,
-`identification`, `fitting`, `files`, `ik`, `motions`, `planning`, `control`, `reach`, `harvesting`, `sweeps`, `view`, and,
-knowing no robot, `spatial`, `optimise` and `spmd`. Each docstring says where its function runs: "Traced." takes one configuration,
-and is for `jit`, `vmap` and `grad`; "Host driver." takes many, chunks and pads them, and gives NumPy; "Host." runs once, outside of
-JAX's transformations.
+Here is what everybody needs; the rest is in the packages, which are there after `import jaxik`: `robot`, `collision`,
+`costs`, `identification`, `fitting`, `files`, `ik`, `motions`, `planning`, `control`, `reach`, `harvesting`, `sweeps`,
+`view`, and, knowing no robot, `spatial`, `optimise` and `spmd`. Each docstring says where its function runs: "Traced." takes
+one configuration, and is for `jit`, `vmap` and `grad`; "Host driver." takes many, chunks and pads them, and gives NumPy;
+"Host." runs once, outside of JAX's transformations.
 """
 
 import importlib
