@@ -62,6 +62,11 @@ class Constant(Pytree):
         vars(self).update({k: _read_only(v) for k, v in vars(self).items() if isinstance(v, np.ndarray)})
 
 
+def steiner(mass: Any, arm: Any) -> Any:
+    """What a mass [kg] at an arm (3,) [m] adds to an inertia (3, 3) [kg m2]."""
+    return mass * (arm @ arm * np.eye(3) - arm[:, None] * arm)
+
+
 class Body(Constant):
     """Mass [kg], centre of gravity [m] and inertia about it [kg m2] of what moves with one joint, in that joint's frame."""
 
@@ -81,8 +86,7 @@ class Body(Constant):
         com = sum((b.mass * b.com for b in bodies), np.zeros(3)) / (mass + (mass == 0.0))
         inertia = np.zeros((3, 3))
         for body in bodies:
-            arm = body.com - com
-            inertia = inertia + body.inertia + body.mass * (arm @ arm * np.eye(3) - arm[:, None] * arm)  # Steiner
+            inertia = inertia + body.inertia + steiner(body.mass, body.com - com)
         return Body(mass, com, inertia)
 
 

@@ -163,6 +163,9 @@ REFUSED = {
     "'wrist_3_joint' of ur5 moves has no mass, nor": lambda q: robot.forward_dynamics(
         dataclasses.replace(_with_last(mass=np.zeros(()), inertia=np.zeros((3, 3))), armature=np.zeros(6)), q, q, q
     ),
+    "the armature of joint 'elbow_joint' is -1; allowed": lambda q: robot.mass_matrix(
+        dataclasses.replace(ARM, armature=np.array([0, 0, -1.0, 0, 0, 0])), q
+    ),
     "holds NaN": lambda q: robot.bias_torque(_with_last(com=np.array([0.0, np.nan, 0.0])), q, q),
     "not symmetric": lambda q: robot.kinetic_energy(_with_last(inertia=np.tri(3)), q, q),
     "principal moments of -1, 1, 1 kg m2; allowed: none below 0": lambda q: robot.potential_energy(
