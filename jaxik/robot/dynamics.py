@@ -279,6 +279,7 @@ def potential_energy(chain: Chain, q: Float[Array, " n"], gravity: Any = GRAVITY
 # Parameters of the bodies
 
 INERTIAL = 10  # parameters of a body
+ENTRIES = ((0, 0), (0, 1), (1, 1), (0, 2), (1, 2), (2, 2))  # of its inertia, in their order
 
 
 @kernel(models=1)
@@ -312,7 +313,7 @@ def body_parameters(chain: Chain) -> Float[Array, " p"]:
     every: list[Any] = []
     for body in chain.bodies:
         inertia = body.inertia + steiner(body.mass, body.com)
-        every += [body.mass, *(body.mass * body.com), *(inertia[i, j] for j in range(3) for i in range(j + 1))]
+        every += [body.mass, *(body.mass * body.com), *(inertia[i, j] for i, j in ENTRIES)]
     return np.array(every) if is_known(every) else jnp.stack(every)
 
 
