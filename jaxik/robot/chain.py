@@ -62,11 +62,6 @@ class Constant(Pytree):
         vars(self).update({k: _read_only(v) for k, v in vars(self).items() if isinstance(v, np.ndarray)})
 
 
-def steiner(mass: Any, arm: Any) -> Any:
-    """What a mass [kg] at an arm (3,) [m] adds to an inertia (3, 3) [kg m2]."""
-    return mass * (arm @ arm * np.eye(3) - arm[:, None] * arm)
-
-
 class Body(Constant):
     """Mass [kg], centre of gravity [m] and inertia about it [kg m2] of what moves with one joint, in that joint's frame."""
 
@@ -270,6 +265,11 @@ class Chain(Constant):
 
 # what a chain has of each joint
 _OF_JOINTS = ("joint_names", "joint_types", "parent_T_joint", "axis", "lower", "upper", "velocity", "bodies", "armature")
+
+
+def steiner(mass: Any, arm: Any) -> Any:
+    """What a mass [kg] at an arm (3,) [m] adds to an inertia (3, 3) [kg m2]."""
+    return mass * (arm @ arm * np.eye(3) - arm[:, None] * arm)
 
 
 def hashed(words: object, arrays: Iterable[Any]) -> str:
