@@ -171,7 +171,7 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--out", type=Path, default=Path(__file__).with_suffix(".json"))
     parser.add_argument("--rounds", type=int, default=11)
-    parser.add_argument("--count", type=int, default=65_536, help="configurations a call of jaxik's")
+    parser.add_argument("--count", type=int, default=16_384, help="configurations a call of jaxik's")
     parser.add_argument("--check", action="store_true", help="judge, and measure nothing")
     arguments = parser.parse_args()
     from_scratch()

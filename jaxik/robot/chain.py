@@ -49,9 +49,8 @@ class Body(Constant):
         com = sum((b.mass * b.com for b in bodies), np.zeros(3)) / (mass + (mass == 0.0))
         inertia = np.zeros((3, 3))
         for body in bodies:
-            arm = body.com - com
-            inertia = inertia + body.inertia + body.mass * (arm @ arm * np.eye(3) - arm[:, None] * arm)  # Steiner
-        return Body(np.asarray(mass) if isinstance(mass, float) else mass, com, inertia)  # NumPy sums to scalars
+            inertia = inertia + body.inertia + steiner(body.mass, body.com - com)
+        return Body(mass, com, inertia)
 
 
 class Box(Constant):
@@ -251,6 +250,11 @@ class Chain(Constant):
 # what a chain has of each joint
 _NUMBERS = ("parent_T_joint", "axis", "lower", "upper", "velocity", "armature")
 _OF_JOINTS = ("joint_names", "joint_types", *_NUMBERS, "bodies", "drives")
+
+
+def steiner(mass: Any, arm: Any) -> Any:
+    """What a mass [kg] at an arm (3,) [m] adds to an inertia (3, 3) [kg m2]."""
+    return mass * (arm @ arm * np.eye(3) - arm[:, None] * arm)
 
 
 def hashed(words: object, arrays: Iterable[Any]) -> str:

@@ -32,7 +32,7 @@ from jaxtyping import Float
 from jaxik.checks.arrays import is_known
 from jaxik.checks.masses import check_mass
 from jaxik.checks.options import check_kind, shown
-from jaxik.robot.chain import Array, Body, Chain, as_configuration, as_given, as_shaped
+from jaxik.robot.chain import Array, Body, Chain, as_configuration, as_given, as_shaped, steiner
 from jaxik.robot.kinematics import joint_frames
 from jaxik.robot.rigid_bodies import Moments, Placed, motions, placed
 from jaxik.spatial.algebra import ZERO, Frame, Scalar, Vec3, add, constants, mul, stack, sub, traced
@@ -279,6 +279,7 @@ def potential_energy(chain: Chain, q: Float[Array, " n"], gravity: Any = GRAVITY
 # Parameters of the bodies
 
 INERTIAL = 10  # parameters of a body
+ENTRIES = ((0, 0), (0, 1), (1, 1), (0, 2), (1, 2), (2, 2))  # of its inertia, in their order
 
 
 @kernel(models=1)
@@ -308,16 +309,12 @@ def body_parameters(chain: Chain) -> Float[Array, " p"]:
 
     Raises `ValueError` for a chain without bodies.
     """
-    _checked("body_parameters", chain)
+    _need_bodies("body_parameters", chain)
     every: list[Any] = []
     for body in chain.bodies:
-        com = body.com
-        inertia = body.inertia + body.mass * (com @ com * np.eye(3) - com[:, None] * com)
-        every += [body.mass, *(body.mass * com), *(inertia[i, j] for i, j in ENTRIES)]
+        inertia = body.inertia + steiner(body.mass, body.com)
+        every += [body.mass, *(body.mass * body.com), *(inertia[i, j] for i, j in ENTRIES)]
     return np.array(every) if is_known(every) else jnp.stack(every)
-
-
-ENTRIES = ((0, 0), (0, 1), (1, 1), (0, 2), (1, 2), (2, 2))
 
 
 def with_body_parameters(chain: Chain, parameters: Any) -> Chain:
@@ -331,26 +328,31 @@ def with_body_parameters(chain: Chain, parameters: Any) -> Chain:
     for row in rows:
         mass, com = row[:1].reshape(()), row[1:4] / (row[0] + (row[0] == 0.0))
         inertia = row[np.array([[4, 5, 7], [5, 6, 8], [7, 8, 9]])]
-        bodies.append(Body(mass, com, inertia - mass * (com @ com * np.eye(3) - com[:, None] * com)))
+        bodies.append(Body(mass, com, inertia - steiner(mass, com)))
     return dataclasses.replace(chain, bodies=tuple(bodies))
 
 
 def _bodies(who: str, chain: Chain) -> list[Moments]:
-    _checked(who, chain)
+    """Raises `ValueError` for a chain without bodies, and for what no body can be; what is traced is taken as it is."""
+    _need_bodies(who, chain)
+    if is_known((chain.bodies, chain.armature)):
+        _judge(who, chain)
     return [Moments.of(body) for body in chain.bodies]
 
 
-def _checked(who: str, chain: Chain) -> None:
-    """Raises `ValueError` for a chain without bodies, and for what no body can be; what is traced is taken as it is."""
+def _need_bodies(who: str, chain: Chain) -> None:
     check_kind(who, "chain", chain, Chain)
     if not chain.bodies:
         mend = "write mass, com and inertia of its joints in its file, or give them by with_body_parameters"
         raise ValueError(f"{who}: {chain.name} has no bodies; {mend}")
-    if not is_known((chain.bodies, chain.armature)):
-        return
+
+
+def _judge(who: str, chain: Chain) -> None:
     driven = False
     for name, body, rotor in reversed([*zip(chain.joint_names, chain.bodies, chain.armature, strict=True)]):
         what = f"{who}: what joint '{name}' of {chain.name} moves"
+        if not 0.0 <= rotor < np.inf:
+            raise ValueError(f"{who}: the armature of joint '{name}' is {rotor:g}; allowed: finite numbers >= 0")
         check_mass(what, body.mass, body.com, body.inertia)
         driven |= bool(body.mass > 0.0 or rotor > 0.0)
         if not driven:

@@ -132,6 +132,8 @@ def test_a_load_is_a_wrench():
     heavy = robot.gravity_torque(ARM.with_load(3.0, tip), q)
     assert np.abs(heavy - robot.inverse_dynamics(ARM, q, 0 * q, 0 * q, pull)).max() <= 1e-12 * np.abs(heavy).max()
     assert not np.any(robot.wrench_on(ARM, q, "base_link", weight, point))
+    slope = jax.jvp(lambda mass: robot.gravity_torque(ARM.with_load(mass, tip), q), (3.0,), (1.0,))[1]
+    assert np.abs(3.0 * slope - heavy + robot.gravity_torque(ARM, q)).max() <= 1e-12 * np.abs(heavy).max()
     apart = 2.0 * (tip @ tip * np.eye(3) - np.outer(tip, tip))
     two, one = ARM.with_load(1.0, tip).with_load(1.0, -tip), ARM.with_load(2.0, inertia=apart)
     assert np.allclose(robot.mass_matrix(two, q), robot.mass_matrix(one, q), atol=1e-12)
@@ -162,6 +164,9 @@ REFUSED = {
     "mass of 0 kg and an inertia": lambda q: robot.gravity_torque(_with_last(mass=np.array(0.0)), q),
     "'wrist_3_joint' of ur5 moves has no mass, nor": lambda q: robot.forward_dynamics(
         dataclasses.replace(_with_last(mass=np.zeros(()), inertia=np.zeros((3, 3))), armature=np.zeros(6)), q, q, q
+    ),
+    "the armature of joint 'elbow_joint' is -1; allowed": lambda q: robot.mass_matrix(
+        dataclasses.replace(ARM, armature=np.array([0, 0, -1.0, 0, 0, 0])), q
     ),
     "holds NaN": lambda q: robot.bias_torque(_with_last(com=np.array([0.0, np.nan, 0.0])), q, q),
     "not symmetric": lambda q: robot.kinetic_energy(_with_last(inertia=np.tri(3)), q, q),

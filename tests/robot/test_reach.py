@@ -85,6 +85,7 @@ def random_chain(rng, n, scale):
         lower=low,
         upper=high,
         velocity=np.full(n, np.inf),
+        armature=np.zeros(n),
         volumes=(),
         self_pairs=(),
     )
