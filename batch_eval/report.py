@@ -438,8 +438,10 @@ def dynamics_markdown(result: dict[str, Any]) -> str:
     slopes = max(value for name, value in worst.items() if name.startswith("derivatives"))
     rest = max(value for name, value in worst.items() if not name.startswith("derivatives"))
     told = f"In float64, of {len(judged) // 2} robots as they are and with rotors on a base that leans, jaxik's torques, "
-    told += f"matrices, accelerations, energies and regressors are at most {rest:.0e} from Pinocchio's, relative to the largest entry; "
-    told += f"derivatives {slopes:.0e}."
+    told += (
+        f"matrices, accelerations, energies and regressors are at most {rest:.0e} from Pinocchio's, relative to the largest "
+    )
+    told += f"entry; derivatives {slopes:.0e}."
     lines += ["", *textwrap.wrap(told, 130)]
     return "\n".join(lines)
 
