@@ -6,7 +6,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from jaxik.identification.base_parameters import BaseParameters
+from jaxik.identification.identifiable import BaseParameters
 from jaxik.identification.columns import LOADED
 from jaxik.identification.problem import Curve, Problem
 

@@ -8,7 +8,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from jaxik.identification.base_parameters import BaseParameters
+from jaxik.identification.identifiable import BaseParameters
 from jaxik.identification.columns import Term, body_columns, friction_columns, side_by_side
 from jaxik.identification.log import Log, joined
 from jaxik.robot.chain import Chain

@@ -173,3 +173,17 @@ def test_faults_in_one_line(change, line):
     finally:
         jaxtyping.config.update("jaxtyping_disable", False)
     assert "\n" not in str(caught.value)
+
+
+@pytest.mark.parametrize(
+    "change, line",
+    [
+        (dict(samples=10), "excite: 10 samples of 5 harmonics; allowed: at least 4 for each"),
+        (dict(share=1.5), "excite: share is 1.5; it is above 0, and 1 at most"),
+        (dict(period=0.0), "excite: period is 0; it is above 0"),
+        (dict(speed=1.0), "excite: unknown option 'speed'"),
+    ],
+)
+def test_faults_of_excitations(change, line):
+    with pytest.raises(ValueError, match=line):
+        excite(ARM, **change)

@@ -24,6 +24,7 @@ pytestmark = pytest.mark.usefixtures("only_kernels")
 ARM, PLANAR, GANTRY = jaxik.load("pendulum4"), jaxik.load("planar2"), jaxik.load("p6r")
 BODY = [2.0, 0.6, 0.1, -0.2, 0.3, 0.02, 0.5, 0.04, 0.01, 0.6]
 HEAVY = jaxik.robot.with_body_parameters(PLANAR, 2 * BODY)
+DRIVEN = jaxik.load("crops_v2").part(1, 3)
 SCENE = jaxik.make_scene(
     points=[[1.2, 0.9, 0.1], [-0.6, 1.5, 0.0]], point_radius=0.02, capsules=[[2.5, 0.0, -1.0, 2.5, 0.0, 1.0, 0.1]]
 )
@@ -68,6 +69,7 @@ def _errors(q, pose):
 # name: a function of float operands, and how a lane's are made of numbers in (-1, 1)
 ANGLES = lambda n: lambda u: (2.0 * u[:n],)
 MOVED = lambda u: (2.0 * u[:2], u[2:4], u[4:6])
+PAIR = lambda u: (2.0 * u[:2], u[2:4])
 FUNCTIONS = {
     "forward_kinematics": (lambda q: jaxik.forward_kinematics(ARM, q), ANGLES(4)),
     "forward_kinematics of traced links": (_longer, lambda u: (2.0 * u[:2], 0.1 * u[2:5])),
@@ -77,12 +79,17 @@ FUNCTIONS = {
     "manipulability": (lambda q: jaxik.robot.manipulability(PLANAR, q), ANGLES(2)),
     "inverse_dynamics": (lambda *u: jaxik.robot.inverse_dynamics(HEAVY, *u), MOVED),
     "gravity_torque": (lambda q: jaxik.robot.gravity_torque(HEAVY, q), ANGLES(2)),
-    "bias_torque": (lambda q, v: jaxik.robot.bias_torque(HEAVY, q, v), lambda u: (2.0 * u[:2], u[2:4])),
+    "bias_torque": (lambda q, v: jaxik.robot.bias_torque(HEAVY, q, v), PAIR),
     "mass_matrix": (lambda q: jaxik.robot.mass_matrix(HEAVY, q), ANGLES(2)),
     "forward_dynamics": (lambda *u: jaxik.robot.forward_dynamics(HEAVY, *u), MOVED),
-    "kinetic_energy": (lambda q, v: jaxik.robot.kinetic_energy(HEAVY, q, v), lambda u: (2.0 * u[:2], u[2:4])),
+    "kinetic_energy": (lambda q, v: jaxik.robot.kinetic_energy(HEAVY, q, v), PAIR),
     "potential_energy": (lambda q, g: jaxik.robot.potential_energy(HEAVY, q, g), lambda u: (2.0 * u[:2], u[2:5])),
     "regressor": (lambda *u: jaxik.robot.regressor(PLANAR.part(0, 1), *u), lambda u: (2.0 * u[:1], u[1:2], u[2:3])),
+    "friction_torque": (lambda *u: jaxik.robot.friction_torque(DRIVEN, *u, 0.3), PAIR),
+    "motor_current": (lambda *u: jaxik.robot.motor_current(DRIVEN, *u, 0.3), PAIR),
+    "torque_of_current": (lambda *u: jaxik.robot.torque_of_current(DRIVEN, *u, 0.3), PAIR),
+    "static_friction": (lambda t: jaxik.robot.static_friction(DRIVEN, t), ANGLES(2)),
+    "joint_torsion": (lambda t: jaxik.robot.joint_torsion(DRIVEN, t), ANGLES(2)),
     "pose errors": (_errors, lambda u: (2.0 * u[:4], jaxik.forward_kinematics.__wrapped__(ARM, 2.0 * u[4:8]))),
     "costs": (_costs, ANGLES(4)),
     "closed_form": (
