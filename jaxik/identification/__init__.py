@@ -1,8 +1,8 @@
 """Bodies and friction from measured motions: what a log can tell, what it tells, and the motion that tells most."""
 
-from jaxik.identification.identifiable import BaseParameters, base_parameters
 from jaxik.identification.excitation import Excitation, ExcitationOptions, excite
 from jaxik.identification.fit import Identified, IdentifyOptions, identify
+from jaxik.identification.identifiable import BaseParameters, base_parameters
 from jaxik.identification.log import Log
 from jaxik.identification.pseudo_inertia import pseudo_inertias
 

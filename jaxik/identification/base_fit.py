@@ -6,8 +6,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-from jaxik.identification.identifiable import BaseParameters
 from jaxik.identification.columns import LOADED
+from jaxik.identification.identifiable import BaseParameters
 from jaxik.identification.problem import Curve, Problem
 
 WEIGHTED = 4  # fits, each weighted by the residuals of the one before

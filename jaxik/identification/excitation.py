@@ -15,8 +15,8 @@ from typing import Any
 import numpy as np
 
 from jaxik.checks.options import as_count, changed, check_each, check_finite, check_kind, check_seed
-from jaxik.identification.identifiable import base_parameters
 from jaxik.identification.columns import Term, body_columns, friction_columns, side_by_side
+from jaxik.identification.identifiable import base_parameters
 from jaxik.robot.chain import Chain, finite_limits
 from jaxik.robot.dynamics import body_parameters
 

@@ -15,8 +15,8 @@ import numpy as np
 
 from jaxik.checks.options import as_count, changed, check_each, check_finite, check_kind
 from jaxik.identification.base_fit import base_fit
-from jaxik.identification.identifiable import BaseParameters, base_parameters
 from jaxik.identification.columns import Term
+from jaxik.identification.identifiable import BaseParameters, base_parameters
 from jaxik.identification.log import Log
 from jaxik.identification.physical_fit import physical_fit
 from jaxik.identification.problem import posed

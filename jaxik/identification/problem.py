@@ -8,8 +8,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-from jaxik.identification.identifiable import BaseParameters
 from jaxik.identification.columns import Term, body_columns, friction_columns, side_by_side
+from jaxik.identification.identifiable import BaseParameters
 from jaxik.identification.log import Log, joined
 from jaxik.robot.chain import Chain
 
