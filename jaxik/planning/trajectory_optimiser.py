@@ -460,7 +460,7 @@ class _Search:
             if not len(at) or number == MENDS or not (options.margin is not None or self.terms.drives.limited):
                 break
             used /= np.maximum(1.0, _at_knots((1.0 + 1e-4) * self._loaded(found.points)))
-            if number >= MENDS // 2:
+            if number >= MENDS // 2 and (bad.any() or self.terms.drives.limited):
                 found = _finer(found, options.degree)
                 extra, used = (np.repeat(x, 2, axis=1)[:, :-1] for x in (extra, used))
                 short = np.repeat(short, 2, axis=1)
