@@ -518,14 +518,17 @@ def tables() -> list[str]:
 
 def overview() -> str:
     """A row for each kind of work: how long one takes in a batch, and what the nearest others take."""
-    names = "benchmark", "ik_benchmark", "collision_benchmark", "planning_benchmark", "sweep_benchmark", "predictive_benchmark"
-    work, ik, collision, planning, sweep, ahead = (_result(f"{name}.json") for name in names)
+    names = ("", "dynamics_", "ik_", "collision_", "planning_", "sweep_", "predictive_")
+    work, forces, ik, collision, planning, sweep, ahead = (_result(f"{name}benchmark.json") for name in names)
     alone = next(row for row in ik["panda"] if row["who"] == "Panda: jaxik" and row["targets"] == 1)
     fastest = lambda rows: min((row for row in rows if "jaxik" not in row["who"]), key=lambda row: row["us_each"])
     other, horizon, goals = fastest(ik["panda"]), ahead["real_time"][1], ik["goals"]
     motions, timing = planning["problems"], planning["timing"]
     rows = [
         _ours(work, "forward kinematics, Panda, float32", "forward kinematics of a Panda", "PyRoki", "Pinocchio, Python loop"),
+        _ours(
+            forces, "inverse dynamics, Panda, float32", "inverse dynamics of a Panda", "Pinocchio, Python loop", "frax, vmap"
+        ),
         _ours(work, "closed form, P6R, all 8 branches, float32", "closed form, all 8 branches", "EAIK, 2 threads"),
         _ours(
             collision,
