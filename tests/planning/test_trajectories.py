@@ -11,6 +11,7 @@ from scipy.optimize import minimize
 
 import jaxik
 from jaxik.collision.clearances import link_clearances
+from jaxik.collision.continuous_collision import joint_reaches
 from jaxik.optimise import collocation, splines
 from jaxik.optimise.banded import banded_solve
 from jaxik.planning import TrajectoryOptions, optimise_trajectory, trajectory_cost
@@ -22,6 +23,8 @@ POLES = jaxik.make_scene(boxes=[[0.65, 0.0, 0.0, 0.3, 0.05, 0.5], [-0.5, 0.5, 0.
 START, GOAL = np.array([-0.6, 0.2, 0.1]), np.array([0.9, -0.3, 0.2])
 NEAR, ASIDE = np.array([0.3, 0.2, 0.1]), np.array([1.5, -0.3, 0.2])  # beside a pole, and away from it
 SOFT = {"margin": None, "collision_weight": 10.0, "activation": 0.25, "degree": 2, "spans": 24, "duration": 2.0, "rounds": 0}
+
+FASTER = {"velocity_cost": 0.5e-3, "jerk_cost": 1e-6 / 2.0**5}  # the same costs of a motion that takes half as long
 
 
 def test_banded_systems():
@@ -207,6 +210,22 @@ def test_what_obstacles_cost_is_what_is_asked(arm):
     assert found.reasons == free.reasons == "solved"
     np.testing.assert_allclose(found.parts, free.parts, rtol=1e-3, atol=1e-6)
     assert found.parts[1] == 0.0 and found.parts[[0, 2, 3]].min() > 0.0
+
+
+def test_cost_by_the_way_does_not_know_of_time(arm):
+    """Along the same motion it is the same at any speed; by time it would be less, the faster the motion."""
+    chain, _ = arm
+    options = SOFT | {"arc_length": True, "velocity_cost": 1e-3, "degree": 3, "acceleration_cost": 0.0, "jerk_cost": 1e-6}
+    found, fast = (
+        optimise_trajectory(chain, POLES, NEAR, ASIDE, **options | more) for more in ({}, {"duration": 1.0, **FASTER})
+    )
+    assert fast.cost == pytest.approx(found.cost, rel=1e-3) and fast.parts[3] == pytest.approx(found.parts[3], rel=1e-3)
+    moments = np.linspace(0.0, 2.0, 2001)
+    q, rate, _ = jax.vmap(found.trajectory.at)(moments)
+    near = np.asarray(jax.vmap(lambda q: link_clearances(chain, POLES, q))(q))
+    level = np.sum(np.maximum(0.25 - near, 0.0) ** 3 / 0.25**3, axis=1)
+    way = np.linalg.norm(rate * joint_reaches(chain), axis=1)
+    assert found.parts[3] == pytest.approx(10.0 * np.trapezoid(level * way, moments), rel=2e-2)
 
 
 def test_an_endless_joint_takes_the_shorter_turn(arm):
