@@ -58,8 +58,8 @@ def time_optimal(
     if limited is None:
         (squares,) = in_blocks(_fastest(parts), curve, lengths, *limits, double=True)
     else:
-        curve = np.where(known[:, None, None, None], curve, 0.0)
-        squares = _driven(limited, curve, np.where(known[:, None], lengths, 0.0), limits, parts)
+        finite = np.where(known[:, None, None, None], curve, 0.0), np.where(known[:, None], lengths, 0.0)
+        squares = _driven(limited, *finite, limits, parts)
     squares[~known] = np.nan
     since = lambda x: np.pad(np.cumsum(x, axis=1), ((0, 0), (1, 0)))
     speed = np.sqrt(np.pad(squares, ((0, 0), (1, 0))))
@@ -83,7 +83,8 @@ def _drives(chain: Chain | None, torque: Any, power: Any, gravity: Any, n: int) 
         return None
     if chain.num_joints != n:
         raise ValueError(f"time_optimal: a path of {n} joints, and {chain.name} has {chain.num_joints}")
-    return torque_limits.drives("time_optimal", chain, torque, power, gravity)
+    found = torque_limits.drives("time_optimal", chain, torque, power, gravity)
+    return found if found.limited else None
 
 
 def _driven(limits: torque_limits.Drives, curve: np.ndarray, lengths: np.ndarray, others: Any, parts: int) -> np.ndarray:

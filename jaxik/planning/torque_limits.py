@@ -17,7 +17,7 @@ from typing import Any, NamedTuple
 import jax.numpy as jnp
 import numpy as np
 
-from jaxik.checks.arrays import numbers
+from jaxik.checks.arrays import numbers, shaped
 from jaxik.planning.trajectory import along_pieces
 from jaxik.robot.chain import Chain
 from jaxik.robot.dynamics import inverse_dynamics
@@ -62,7 +62,7 @@ def drives(who: str, chain: Chain, torque: Any, power: Any, gravity: Any) -> Dri
             raise ValueError(f"{who}: {name} of shape {limit.shape}; allowed: one number or ({n},), above zero {unit}")
         limits.append(np.broadcast_to(limit, (n,)))
     most, strongest = limits
-    return Drives(chain, most, strongest, np.broadcast_to(numbers(f"{who}: gravity", gravity), (3,)))
+    return Drives(chain, most, strongest, shaped(f"{who}: gravity", gravity, (3,)))
 
 
 def forces(drives: Drives, curve: np.ndarray, lengths: np.ndarray, parts: int) -> Forces:

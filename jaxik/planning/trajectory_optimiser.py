@@ -161,11 +161,11 @@ class TrajectoryOptions:
                     f"optimise_trajectory: {name} is {shown(given)}; allowed: one number or {chain.num_joints}, above zero"
                 )
             found.append(np.broadcast_to(limit, chain.num_joints))
-        drives = self.drives(chain)
-        if self.duration is None and np.isinf([*found[: self.degree], drives.torque, drives.power]).all(axis=0).any():
-            raise ValueError(
-                f"optimise_trajectory: {chain.name} has no limits of velocity; give velocity= [rad/s, m/s], or duration= [s]"
-            )
+        if self.duration is None:
+            drives = self.drives(chain)
+            if np.isinf([*found[: self.degree], drives.torque, drives.power]).all(axis=0).any():
+                mend = "give velocity= [rad/s, m/s], or duration= [s]"
+                raise ValueError(f"optimise_trajectory: {chain.name} has no limits of velocity; {mend}")
         return found
 
 

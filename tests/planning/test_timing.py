@@ -239,6 +239,14 @@ def test_torque_limits_that_are_none():
     chain, path = jaxik.load("crops_v2"), polyline(np.eye(9)[:2])
     with pytest.raises(ValueError, match="time_optimal: torque of shape \\(3,\\); allowed: one number or \\(9,\\), above zero"):
         time_optimal(path, 1.0, 1.0, chain=chain, torque=np.ones(3))
+    with pytest.raises(ValueError, match="time_optimal: gravity of shape \\(\\); allowed: \\(3,\\)"):
+        time_optimal(path, 1.0, 1.0, chain=chain, torque=1e3, gravity=-9.81)
+    with pytest.raises(ValueError, match="acceleration is infinite"):  # a robot without limits sets none
+        time_optimal(path, 1.0, np.inf, chain=chain)
+    unknown = JointPath(path.lengths, np.where(path.coefficients == 1.0, np.nan, path.coefficients))
+    moved = time_optimal(_stacked([path, unknown]), 1.0, 1.0, chain=chain, torque=1e3)
+    assert np.isfinite(moved.duration[0]) and np.isnan(moved.duration[1])
+    np.testing.assert_array_equal(moved.path.coefficients[1], unknown.coefficients)
     with pytest.raises(ValueError, match="time_optimal: torque and power are of a robot; write chain="):
         time_optimal(path, 1.0, 1.0, power=3.0)
     with pytest.raises(ValueError, match="time_optimal: a path of 2 joints, and crops_v2 has 9"):
