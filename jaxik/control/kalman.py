@@ -4,7 +4,8 @@
     x- = A x + B u,    P- = A P A' + Q                                                                    (3.23)
     K = P- C' (C P- C' + R)^-1,    x = x- + K (y - C x-),    P = (1 - K C) P-                             (3.24)
 
-[Kalman 1960; Schuetz 2017, sec. 3.3.3]
+[Kalman 1960; Schuetz 2017, sec. 3.3.3]. (3.24) is done one measurement after another, which needs no matrix to be inverted:
+those whose noise is dependent are made independent by the factor of R = L L' [Anderson and Moore 1979, sec. 6.4].
 """
 
 from __future__ import annotations
@@ -12,8 +13,10 @@ from __future__ import annotations
 from typing import NamedTuple
 
 import jax.numpy as jnp
+import numpy as np
 from jaxtyping import Float
 
+from jaxik.checks.arrays import is_known
 from jaxik.pytree import Pytree
 from jaxik.robot.chain import Array
 
@@ -27,7 +30,8 @@ class KalmanState(NamedTuple):
 
 
 class KalmanFilter(Pytree):
-    """The system's matrices: A (n, n), B (n, p), C (m, n), and the covariances of its noise, Q (n, n) and R (m, m)."""
+    """The system's matrices: A (n, n), B (n, p), C (m, n), and the covariances of its noise, Q (n, n) and
+    R (m, m), positive definite."""
 
     A: Float[Array, "n n"]
     B: Float[Array, "n p"]
@@ -41,7 +45,17 @@ class KalmanFilter(Pytree):
 
     def step(self, state: KalmanState, u: Float[Array, " p"], y: Float[Array, " m"]) -> KalmanState:
         """After the input u and the measurement y. Traced; time is a `lax.scan` over it."""
-        A, B, C = map(jnp.asarray, (self.A, self.B, self.C))
-        x, P = A @ state.x + B @ u, A @ state.P @ A.T + self.Q
-        K = jnp.linalg.solve(C @ P @ C.T + self.R, C @ P).T  # both are symmetric
-        return KalmanState(x + K @ (y - C @ x), P - K @ C @ P, K)
+        A, B, Q, whiten = map(jnp.asarray, (self.A, self.B, self.Q, self._whiten))
+        x, P = A @ state.x + B @ u, A @ state.P @ A.T + Q
+        C = whiten @ jnp.asarray(self.C)  # of measurements whose noise has a variance of 1
+        for c, seen in zip(C, whiten @ jnp.asarray(y), strict=True):
+            Pc = P @ c
+            gain = Pc / (c @ Pc + 1.0)
+            x, P = x + gain * (seen - c @ x), P - jnp.outer(gain, Pc)
+        P = (P + P.T) / 2  # rounding's antisymmetric part is not corrected, and grows where A is unstable
+        return KalmanState(x, P, P @ C.T @ whiten)  # K = P C' R^-1
+
+    @property
+    def _whiten(self) -> Float[Array, "m m"]:
+        numpy = np if is_known(self.R) else jnp
+        return numpy.linalg.inv(numpy.linalg.cholesky(self.R))

@@ -108,13 +108,11 @@ class TorqueFilter(Constant):
 
     def kalman(self) -> KalmanFilter:
         """The same in matrices, for the full recursion, whose gain changes until it is steady; `x` is T, `u` the change of
-        T_int, `y` the currents and then the torsions. Host. Raises `ValueError` for an infinite noise."""
-        noise = np.concatenate([self.current_noise, self.torsion_noise])
-        if not np.isfinite(noise).all():
-            raise ValueError("torque filter: the full recursion takes finite noise; give a large number, or the closed form")
-        one = np.eye(len(self.process))
+        T_int, `y` the currents and then the torsions. Host."""
+        one, noise = np.eye(len(self.process)), np.concatenate([self.current_noise, self.torsion_noise])
+        there = np.isfinite(noise)  # what is no sensor sees nothing, and any noise will do
         C = np.concatenate([np.diag(self.current_per_torque), np.diag(self.torsion_per_torque)])
-        return KalmanFilter(one, one, C, np.diag(self.process), np.diag(noise))
+        return KalmanFilter(one, one, there[:, None] * C, np.diag(self.process), np.diag(np.where(there, noise, 1.0)))
 
 
 class Sensed(NamedTuple):

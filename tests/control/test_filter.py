@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from scipy.linalg import solve_discrete_are
 
-from jaxik.control import TorqueFilter
+from jaxik.control import KalmanFilter, TorqueFilter
 
 JOINTS = 3
 RNG = np.random.default_rng(0)
@@ -34,14 +34,31 @@ def recursion(known, samples, start):
     return np.asarray(x), last
 
 
-def test_closed_form_is_the_limit_of_the_recursion_and_of_riccati():
-    known = a_filter()
+@pytest.mark.parametrize("torsion_noise", [[1e-8, 1e-9, 1e-6], [1e-8, np.inf, 1e-6]], ids=["both sensors", "one without"])
+def test_closed_form_is_the_limit_of_the_recursion_and_of_riccati(torsion_noise):
+    known = a_filter(torsion_noise=torsion_noise)
     kalman = known.kalman()
     nothing = (jnp.zeros((2000, JOINTS)), jnp.zeros((2000, 2 * JOINTS)))
     _, last = recursion(known, nothing, kalman.init(np.zeros(JOINTS), 100.0 * np.eye(JOINTS)))
     np.testing.assert_allclose(last.K @ kalman.C, np.diag(known.gain), rtol=1e-9, atol=1e-12)
     riccati = solve_discrete_are(kalman.A.T, kalman.C.T, kalman.Q, kalman.R)
     np.testing.assert_allclose(np.diag(known.variance), riccati, rtol=1e-9, atol=1e-12)
+
+
+def test_kalman_filter_of_any_system_becomes_steady_at_riccati():
+    """Noise of the measurements that depends on each other, too."""
+    A, B, C = (RNG.normal(size=shape) for shape in ((4, 4), (4, 1), (3, 4)))
+    Q, R = (root @ root.T for root in (RNG.normal(size=(4, 4)), RNG.normal(size=(3, 3))))
+    kalman = KalmanFilter(A, B, C, Q, R)
+    y = RNG.normal(size=(400, 3))
+    step = lambda state, seen: (kalman.step(state, np.ones(1), seen), state)
+    last, states = jax.jit(lambda y: jax.lax.scan(step, kalman.init(np.zeros(4), np.eye(4)), y))(y)
+    P = solve_discrete_are(A.T, C.T, Q, R)
+    K = np.linalg.solve(C @ P @ C.T + R, C @ P).T
+    np.testing.assert_allclose(last.K, K, rtol=1e-9, atol=1e-12)
+    np.testing.assert_allclose(last.P, P - K @ C @ P, rtol=1e-9, atol=1e-12)
+    x = A @ states.x[-1] + B @ np.ones(1)
+    np.testing.assert_allclose(last.x, x + K @ (y[-1] - C @ x), rtol=1e-9)
 
 
 def test_the_steady_recursion_is_the_low_pass():
@@ -72,8 +89,6 @@ def test_one_sensor_alone():
     stiff = a_filter(torsion_per_torque=[0.0] * JOINTS)
     np.testing.assert_allclose(stiff.gain, by_current.gain)
     assert np.all(by_current.gain < a_filter().gain)
-    with pytest.raises(ValueError, match="the full recursion takes finite noise"):
-        by_current.kalman()
 
 
 def test_a_sweep_is_one_vmap():
