@@ -24,11 +24,11 @@ from race import machine
 
 import jaxik
 from jaxik.control import (
-    Contact,
     EstimationLoop,
     Instruments,
     Log,
     MomentumObserver,
+    Push,
     Sample,
     TorqueEstimator,
     TorqueFilter,
@@ -104,11 +104,11 @@ def there_and_back(direction: tuple[float, float, float], speed: float) -> list[
     return [quintic(q, **limits), quintic(q[::-1], **limits)]
 
 
-def gauge(direction: tuple[float, float, float], stiffness: float) -> Contact:
+def gauge(direction: tuple[float, float, float], stiffness: float) -> Push:
     """A spring from where the TCP begins to a force gauge, along the line."""
     line = np.array(direction)
     begin = np.asarray(jaxik.forward_kinematics(model(), np.array(ELBOW)))[:3, 3]
-    return Contact("body9", [0.0, 0.0, 0.013], lambda t, point: -stiffness * ((point - begin) @ line) * line)
+    return Push("body9", [0.0, 0.0, 0.013], lambda t, point: -stiffness * ((point - begin) @ line) * line)
 
 
 def known(process: float = PROCESS, current: float = 0.05**2, torsion: float = np.inf) -> TorqueFilter:
@@ -251,7 +251,7 @@ def detection(estimator: TorqueEstimator) -> dict[str, Any]:
             for force in FORCES:
                 vector = np.array([force, 0.0, 0.0] if joint == 2 else [0.0, 0.0, -force])
                 onset = 0.2 + 0.5 * float(swing(0.3)[0].duration)
-                log = play(arms()[arm], swing(0.3), [Contact("body4", at, vector, onset, onset + 0.5)], **how, seed=7)
+                log = play(arms()[arm], swing(0.3), [Push("body4", at, vector, onset, onset + 0.5)], **how, seed=7)
                 contact = (log.t >= onset) & (log.t < onset + 0.5)
                 alarms = detect(detector, estimate(estimator, log.samples()), log.qdot_des)[:, joint - 1]
                 pushes[joint][force] += judge_alarms(alarms, contact, DT).delay.tolist()

@@ -5,11 +5,10 @@ from jaxik.control.detection import Detector, Judged, detect, fit_detector, judg
 from jaxik.control.estimation import EstimationLoop, Sample, estimate, over_log
 from jaxik.control.kalman import KalmanFilter
 from jaxik.control.momentum_observer import MomentumObserver
-from jaxik.control.plant import Contact, Gains, Instruments, Log, mujoco_model, play
+from jaxik.control.plant import Gains, Instruments, Log, Push, mujoco_model, play
 from jaxik.control.torque_estimation import TorqueEstimator, TorqueFilter
 
 __all__ = [
-    "Contact",
     "Detector",
     "EstimationLoop",
     "Gains",
@@ -18,6 +17,7 @@ __all__ = [
     "KalmanFilter",
     "Log",
     "MomentumObserver",
+    "Push",
     "Sample",
     "TorqueEstimator",
     "TorqueFilter",

@@ -35,7 +35,7 @@ from jaxik.spmd import HostKernel
 CREEP = 1e-5  # [rad/s, m/s]: slower is at rest, where friction is what the law tends to
 
 
-class Contact(NamedTuple):
+class Push(NamedTuple):
     """A force on a link, at a `point` (3,) [m] of its frame, from `start` to `end` [s]: (3,) [N] in base axes, or a function of
     the time and of where the point is (3,) [m] in the base frame, which gives it."""
 
@@ -84,7 +84,7 @@ class Log(Pytree):
     """What was asked for, what was measured, and what was true, in time: `t` (k,) [s], all else (k, n).
 
     Asked for: `q_des`, `qdot_des`, `qddot_des`. Measured: `q`, `qdot`, `current` [A], `torsion` [rad]. True: `external`, what
-    contacts do to the joints, J'f, and `torque`, what the drives do behind their friction [Nm, N].
+    pushes do to the joints, J'f, and `torque`, what the drives do behind their friction [Nm, N].
     """
 
     t: Float[np.ndarray, " k"]
@@ -138,7 +138,7 @@ def mujoco_model(chain: Chain, dt: float = 1e-3, gravity: Any = GRAVITY) -> Any:
 def play(
     chain: Chain,
     motions: Trajectory | Sequence[Trajectory],
-    contacts: Sequence[Contact] = (),
+    pushes: Sequence[Push] = (),
     *,
     model: Chain | None = None,
     instruments: Instruments = Instruments(),
@@ -151,7 +151,7 @@ def play(
     driver.
 
     The controllers know the arm as `model`, by default as it is. Before and after each motion it stands still for `rest` [s].
-    Raises `ValueError` for a chain without bodies, for a contact on a link that it does not have, for numbers out of
+    Raises `ValueError` for a chain without bodies, for a push on a link that it does not have, for numbers out of
     range, and one that names the extra where MuJoCo is not installed.
     """
     mujoco = optional("play: a simulation", "mujoco", "mjcf")
@@ -159,7 +159,7 @@ def play(
     check_finite("play", 0.0, **{"rest before": rest[0], "rest after": rest[1]})
     check_seed("play", seed)
     model = chain if model is None else model
-    moved, pushes = mujoco_model(chain, dt), [_push(chain, contact) for contact in contacts]
+    moved, on_bodies = mujoco_model(chain, dt), [_on_body(chain, push) for push in pushes]
     check_kind("play", "model", model, Chain)
     for arm in (chain, model):
         if not arm.drives:
@@ -177,7 +177,7 @@ def play(
     for k in range(len(t)):
         q[k], qdot[k] = data.qpos, data.qvel
         current[k] = forward[k] + per_error * (desired.q[k] - q[k]) + per_rate * (desired.velocity[k] - qdot[k])
-        external[k] = _pushed(mujoco, moved, data, pushes, t[k])
+        external[k] = _pushed(mujoco, moved, data, on_bodies, t[k])
         speed = np.copysign(np.maximum(np.abs(qdot[k]), CREEP), qdot[k])
         (friction,) = rubs.run(speed[None], given[None], double=True)
         moved.dof_frictionloss[:] = np.maximum(-np.sign(speed) * friction[0], 0.0)
@@ -220,35 +220,35 @@ def _controller(model: Chain, desired: JointState, gains: Gains) -> tuple[np.nda
     return forward, stiff, 2.0 * gains.damping / gains.frequency * stiff
 
 
-class _Push(NamedTuple):
-    """A contact, by the body of MuJoCo that it acts on."""
+class _OnBody(NamedTuple):
+    """A push, by the body of MuJoCo that it acts on."""
 
     body: int
     point: np.ndarray
-    contact: Contact
+    push: Push
 
 
-def _push(chain: Chain, contact: Contact) -> _Push:
-    if contact.link not in chain.link_names:
-        raise ValueError(no_such("contact", "link", contact.link, chain.link_names))
-    link, point = chain.link_names.index(contact.link), shaped("contact: point", contact.point, (3,))
-    if not callable(contact.force):
-        contact = contact._replace(force=shaped("contact: force", contact.force, (3,)))
+def _on_body(chain: Chain, push: Push) -> _OnBody:
+    if push.link not in chain.link_names:
+        raise ValueError(no_such("push", "link", push.link, chain.link_names))
+    link, point = chain.link_names.index(push.link), shaped("push: point", push.point, (3,))
+    if not callable(push.force):
+        push = push._replace(force=shaped("push: force", push.force, (3,)))
     # the world, the base and then a body a joint
-    return _Push(1 + chain.link_joint[link], (np.asarray(chain.link_offset[link]) @ [*point, 1.0])[:3], contact)
+    return _OnBody(1 + chain.link_joint[link], (np.asarray(chain.link_offset[link]) @ [*point, 1.0])[:3], push)
 
 
-def _pushed(mujoco: Any, model: Any, data: Any, pushes: Sequence[_Push], t: float) -> np.ndarray:
-    """What the contacts do to the joints (n,) now, by MuJoCo's own Jacobian."""
+def _pushed(mujoco: Any, model: Any, data: Any, pushes: Sequence[_OnBody], t: float) -> np.ndarray:
+    """What the pushes do to the joints (n,) now, by MuJoCo's own Jacobian."""
     total = np.zeros(model.nv)
-    active = [push for push in pushes if push.contact.start <= t < push.contact.end]
+    active = [each for each in pushes if each.push.start <= t < each.push.end]
     if active:
         mujoco.mj_kinematics(model, data)
         mujoco.mj_comPos(model, data)
     turn, origin = data.xmat[1].reshape(3, 3), data.xpos[1]  # the base's
-    for body, point, contact in active:
+    for body, point, push in active:
         at = data.xpos[body] + data.xmat[body].reshape(3, 3) @ point
-        force = contact.force(t, turn.T @ (at - origin)) if callable(contact.force) else contact.force
+        force = push.force(t, turn.T @ (at - origin)) if callable(push.force) else push.force
         mujoco.mj_applyFT(model, data, turn @ force, np.zeros(3), at, body, total)
     return total
 

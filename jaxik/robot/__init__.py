@@ -2,6 +2,7 @@
 
 from jaxik.robot.actuation import friction_torque, joint_torsion, motor_current, static_friction, torque_of_current
 from jaxik.robot.chain import Body, Chain, finite_limits, within_limits
+from jaxik.robot.contact import Contact, contact_jacobian, contact_torque, material_point
 from jaxik.robot.drive import Drive, Friction
 from jaxik.robot.dynamics import (
     bias_torque,
@@ -25,6 +26,7 @@ __all__ = [
     "Body",
     "Chain",
     "ClosedForm",
+    "Contact",
     "Drive",
     "Friction",
     "Task",
@@ -34,6 +36,8 @@ __all__ = [
     "body_parameters",
     "closed_form",
     "closed_form_obstacle",
+    "contact_jacobian",
+    "contact_torque",
     "finite_limits",
     "forward_dynamics",
     "forward_kinematics",
@@ -46,6 +50,7 @@ __all__ = [
     "link_frames",
     "manipulability",
     "mass_matrix",
+    "material_point",
     "motor_current",
     "potential_energy",
     "regressor",

@@ -9,7 +9,7 @@ import pytest
 from test_estimation import ARM, an_arm
 
 import jaxik
-from jaxik.control import Contact, Instruments, TorqueEstimator, TorqueFilter, estimate, mujoco_model, play
+from jaxik.control import Instruments, Push, TorqueEstimator, TorqueFilter, estimate, mujoco_model, play
 from jaxik.planning import s_curve
 from jaxik.robot import Drive, forward_dynamics, jacobian
 
@@ -42,7 +42,7 @@ def test_a_roll_out_agrees_with_forward_dynamics():
 def test_a_push_is_played_and_found():
     """At a point of a link that moves; the plant's truth is J'f, and an ideal arm's currents show it."""
     tool = jaxik.pose([0.1, 0.05, 0.0])
-    push = Contact("link2", [0.1, 0.05, 0.0], [0.0, 5.0, 0.0], 0.3, 0.6)
+    push = Push("link2", [0.1, 0.05, 0.0], [0.0, 5.0, 0.0], 0.3, 0.6)
     log = play(IDEAL, MOTION, [push], rest=(0.1, 0.2))
     during = (log.t >= 0.3) & (log.t < 0.6)
     columns = jax.jit(jax.vmap(lambda q: jacobian(IDEAL.with_tool(tool), q)[1]))(log.q)
@@ -56,7 +56,7 @@ def test_a_push_is_played_and_found():
 def test_friction_sticks():
     """At rest a push below the friction's band moves nothing, and no current shows it; in motion it does."""
     held = s_curve([[0.3, -0.5], [0.3, -0.499]], velocity=1.0, acceleration=4.0, jerk=40.0)
-    push = Contact("link1", [0.0, 0.0, 0.0], lambda t, point: [-0.6 * point[1], 0.6 * point[0], 0.0], 0.5)
+    push = Push("link1", [0.0, 0.0, 0.0], lambda t, point: [-0.6 * point[1], 0.6 * point[0], 0.0], 0.5)
     log = play(ARM, held, [push], rest=(0.0, 1.0))
     before, after = np.searchsorted(log.t, [0.49, 0.99])
     assert log.external[after, 0] == pytest.approx(0.6, rel=1e-6)  # of a band of 1 Nm and more
@@ -81,8 +81,8 @@ def test_instruments():
     [
         (lambda: play(jaxik.load("planar2"), MOTION), "planar2 has masses for 0 of 2 joints"),
         (lambda: play(dataclasses.replace(ARM, drives=()), MOTION), "planar2 has no drives"),
-        (lambda: play(ARM, MOTION, [Contact("link7", [0, 0, 0], [0, 0, 0])]), "no link 'link7'; did you mean"),
-        (lambda: play(ARM, MOTION, [Contact("link1", [0, 0], [0, 0, 0])]), r"contact: point of shape \(2,\)"),
+        (lambda: play(ARM, MOTION, [Push("link7", [0, 0, 0], [0, 0, 0])]), "no link 'link7'; did you mean"),
+        (lambda: play(ARM, MOTION, [Push("link1", [0, 0], [0, 0, 0])]), r"push: point of shape \(2,\)"),
         (lambda: play(ARM, MOTION, dt=0.0), "dt is 0.0"),
         (lambda: Instruments(current_noise=-1.0), "current_noise is -1.0; allowed: finite numbers of at least 0"),
         (lambda: Instruments(window=0), "window is 0; allowed: a count"),

@@ -76,6 +76,12 @@ FUNCTIONS = {
     "link_frames": (lambda q: jaxik.robot.link_frames(ARM, q), ANGLES(4)),
     "jacobian": (lambda q: jaxik.jacobian(ARM, q), ANGLES(4)),
     "bias_acceleration": (lambda q, v: jaxik.robot.bias_acceleration(ARM, q, v), lambda u: (2.0 * u[:4], u[4:8])),
+    "material_point": (lambda *u: jaxik.robot.material_point(PLANAR, u[0], 1, u[1]), lambda u: (2.0 * u[:2], u[2:5])),
+    "contact_jacobian": (lambda *u: jaxik.robot.contact_jacobian(PLANAR, u[0], 2, u[1]), lambda u: (2.0 * u[:2], u[2:5])),
+    "contact_torque": (
+        lambda q, p, f: jaxik.robot.contact_torque(PLANAR, q, jaxik.robot.Contact(1, p, f)),
+        lambda u: (2.0 * u[:2], u[2:5], u[5:8]),
+    ),
     "manipulability": (lambda q: jaxik.robot.manipulability(PLANAR, q), ANGLES(2)),
     "inverse_dynamics": (lambda *u: jaxik.robot.inverse_dynamics(HEAVY, *u), MOVED),
     "gravity_torque": (lambda q: jaxik.robot.gravity_torque(HEAVY, q), ANGLES(2)),

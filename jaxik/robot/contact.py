@@ -1,0 +1,123 @@
+"""Contacts anywhere on an arm: where a material point of a link is, how it moves, and what a force there does to the joints.
+
+    p = base_T_joint r,    pdot = J_p qdot,    J_p,i = z_i x (p - p_i)  or  z_i,  0 of joints beyond      (4.34)
+    tau = sum over contacts of J_p' F                                                        (4.36), (4.37)
+
+[Schuetz 2017, sec. 4.3.1]. Which link it is may be traced, so that contacts on any links are one `vmap`: the number of joints
+that move it, as `chain.link_joint` counts them, masks the columns.
+"""
+
+from __future__ import annotations
+
+from typing import Any, NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Float
+
+from jaxik.checks.arrays import is_known, numbers
+from jaxik.checks.options import check_kind, shown
+from jaxik.robot.chain import Array, Chain, as_configuration, as_numbers, as_shaped
+from jaxik.robot.kinematics import JointFrames, joint_frames
+from jaxik.spatial.algebra import BASE, Vec3, add, mul, stack, traced
+from jaxik.spmd import kernel
+
+
+class Contact(NamedTuple):
+    """A `force` (3,) [N] on the arm at a `point` (3,) [m], both in the base frame, of what moves with the first `joint` joints:
+    `chain.link_joint` of its link, 0 the base. Its normal is the force's direction. Several contacts have a leading axis."""
+
+    joint: Any
+    point: Any
+    force: Any
+
+
+def material_point(chain: Chain, q: Float[Array, " n"], joint: Any, point: Any) -> Float[jax.Array, "3"]:
+    """Where a `point` (3,) [m], given in the frame of joint number `joint` counted from 1, is in the base frame. Traced.
+
+    `joint` may be traced; 0 is the base. Raises `ValueError` for one that the chain does not have, and for other shapes.
+    """
+    _check_joint("material_point", chain, joint)
+    return _material_point(chain, q, joint, point)
+
+
+@kernel(models=1)
+def _material_point(chain: Chain, q: Any, joint: Any, point: Any) -> jax.Array:
+    frames, joint, at, dtype = _placed("material_point", chain, q, joint, point)
+    places = [frame @ at for frame in (BASE, *frames.joints)]
+    place = places[-1]
+    for number in reversed(range(chain.num_joints)):
+        place = Vec3(*(jnp.where(joint <= number, near, far) for near, far in zip(places[number], place, strict=True)))
+    return stack(place, (3,), dtype)
+
+
+def contact_jacobian(chain: Chain, q: Float[Array, " n"], joint: Any, point: Any) -> Float[jax.Array, "3 n"]:
+    """How the material point that is at `point` (3,) [m, base] and moves with the first `joint` joints moves,
+    `pdot = J_p qdot`, in base axes [m/rad, 1]. Traced.
+
+    `joint` may be traced. Raises `ValueError` for one that the chain does not have, and for other shapes. Source: Schuetz
+    2017, (4.34).
+    """
+    _check_joint("contact_jacobian", chain, joint)
+    return _contact_jacobian(chain, q, joint, point)
+
+
+@kernel(models=1)
+def _contact_jacobian(chain: Chain, q: Any, joint: Any, point: Any) -> jax.Array:
+    frames, joint, at, dtype = _placed("contact_jacobian", chain, q, joint, point)
+    columns = _columns(chain, frames, joint, at)
+    return stack([column[row] for row in range(3) for column in columns], (3, chain.num_joints), dtype)
+
+
+def contact_torque(chain: Chain, q: Float[Array, " n"], contacts: Contact) -> Float[jax.Array, " n"]:
+    """What one contact, or a stack of them, does to the joints: `sum of J_p' F` [Nm, N]. Traced.
+
+    Raises `ValueError` as `contact_jacobian` does. Source: Schuetz 2017, (4.36), (4.37).
+    """
+    _check_joint("contact_torque", chain, contacts.joint)
+    return _contact_torque(chain, q, contacts)
+
+
+@kernel(models=1)
+def _contact_torque(chain: Chain, q: Any, contacts: Contact) -> jax.Array:
+    forces = as_numbers("contact_torque: force", contacts.force)
+    count = forces.shape[:-1]
+    if forces.shape[-1:] != (3,) or len(count) > 1:
+        raise ValueError(f"contact_torque: force has the shape {forces.shape}; allowed: (3,), or (k, 3) of k contacts")
+    points = as_shaped("contact_torque: point", contacts.point, forces.shape)
+    joints = jnp.broadcast_to(as_numbers("contact_torque: joint", contacts.joint), count)
+    q = as_configuration(chain, q)
+    frames, torque = joint_frames(chain, traced(q), dtype=q.dtype), [0.0] * chain.num_joints
+    for k in np.ndindex(count):
+        at, force = (Vec3(*traced(x[k].astype(q.dtype))) for x in (points, forces))
+        torque = [add(t, column.dot(force)) for t, column in zip(torque, _columns(chain, frames, joints[k], at), strict=True)]
+    return stack(torque, (chain.num_joints,), q.dtype)
+
+
+def _columns(chain: Chain, frames: JointFrames, joint: Any, at: Vec3) -> list[Vec3]:
+    """Of the Jacobian of the point `at`."""
+    columns = []
+    for i, (prismatic, frame, axis) in enumerate(zip(chain.is_prismatic, frames.joints, frames.axes, strict=True)):
+        column = axis if prismatic else axis.cross(at - frame.translation)
+        columns.append(Vec3(*(mul(jnp.where(joint > i, 1.0, 0.0).astype(jnp.result_type(at.x)), x) for x in column)))
+    return columns
+
+
+def _placed(who: str, chain: Chain, q: Any, joint: Any, point: Any) -> tuple[JointFrames, Any, Vec3, Any]:
+    q = as_configuration(chain, q)
+    at = Vec3(*traced(as_shaped(f"{who}: point", point, (3,)).astype(q.dtype)))
+    joint = as_numbers(f"{who}: joint", joint)
+    if joint.shape:
+        raise ValueError(f"{who}: joint has the shape {joint.shape}; allowed: one number; for a batch use jax.vmap")
+    return joint_frames(chain, traced(q), dtype=q.dtype), joint, at, q.dtype
+
+
+def _check_joint(who: str, chain: Chain, joint: Any) -> None:
+    """Outside of the kernels, in which every number is traced."""
+    check_kind(who, "chain", chain, Chain)
+    if is_known(joint):
+        given = numbers(f"{who}: joint", joint)
+        if not np.all((given >= 0) & (given <= chain.num_joints)):
+            moved = f"how many of the {chain.num_joints} joints of {chain.name} move the link, 0 to {chain.num_joints}"
+            raise ValueError(f"{who}: joint is {shown(joint)}; it is {moved}")
