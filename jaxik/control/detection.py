@@ -7,6 +7,7 @@ added to the threshold.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -62,12 +63,14 @@ def fit_detector(
     memory: int = 0,
     quantile: float = 1.0,
     factor: float = 1.2,
+    joint_names: Sequence[str] = (),
 ) -> Detector:
     """Thresholds from estimates (..., t, n) [Nm] of logs without contact, at rates (..., t, n). Host.
 
     The `quantile` of the errors of each joint where it moves, 1 the largest, times a `factor`. What a friction `band` is, and
     below which speed a joint is at `rest`, one number or (n,), is the robot's; `memory` is in samples, some 3 / kappa of a
-    filter's gain. Raises `ValueError` for shapes that do not fit, numbers out of range, and a joint that never moves.
+    filter's gain. Raises `ValueError` for shapes that do not fit, numbers out of range, and a joint that never moves, by its
+    name where `joint_names` has the chain's.
     """
     external, qdot = _pair("fit_detector", external, qdot)
     check_finite("fit_detector", 0.0, quantile=quantile, factor=factor, memory=memory)
@@ -78,9 +81,9 @@ def fit_detector(
     moves = ~_blind(rest, memory, qdot)
     if not moves.reshape(-1, n).any(axis=0).all():
         still = int(np.argmin(moves.reshape(-1, n).any(axis=0)))
-        raise ValueError(
-            f"fit_detector: joint {still} is never faster than rest, {rest[still]:g}, for {memory} samples; move it"
-        )
+        called = joint_names[still] if len(joint_names) == n else f"joint {still}, counted from 0,"
+        line = f"is never faster than rest, {rest[still]:g}, for {memory} samples; move it, or write rest 0 for it"
+        raise ValueError(f"fit_detector: {called} {line}")
     errors = [np.quantile(np.abs(external[..., i])[moves[..., i]], quantile) for i in range(n)]
     return Detector(factor * np.array(errors), band, rest, memory)
 

@@ -26,9 +26,9 @@ import numpy as np
 from jaxtyping import Float
 
 from jaxik.checks.arrays import numbers
-from jaxik.checks.options import check_finite, check_kind
+from jaxik.checks.options import check_finite
 from jaxik.control.estimation import Sample
-from jaxik.robot.actuation import torque_of_current
+from jaxik.robot.actuation import need_drives, torque_of_current
 from jaxik.robot.chain import Array, Chain
 from jaxik.robot.dynamics import kinetic_energy, potential_energy
 
@@ -53,7 +53,7 @@ class MomentumObserver:
     """The observer on a chain with drives, for `estimate` and `EstimationLoop`. It reads q, qdot and the currents of a sample.
 
     `gain` K [1/s], of all joints or (n,); `dt` [s] between samples; `width` is that of `friction_torque`. Raises `ValueError`
-    unless 0 < K dt <= 1.
+    unless 0 < K dt <= 1, and for a chain without drives.
     """
 
     chain: Chain
@@ -62,17 +62,18 @@ class MomentumObserver:
     width: float = 0.0
 
     def __post_init__(self) -> None:
-        check_kind("momentum observer", "chain", self.chain, Chain)
+        need_drives("momentum observer", self.chain)
         check_finite("momentum observer", dt=self.dt)
         share = numbers("momentum observer: gain", self.gain) * self.dt
         if share.shape not in ((), (self.chain.num_joints,)) or not np.all((share > 0.0) & (share <= 1.0)):
             raise ValueError(f"momentum observer: gain {self.gain} at dt {self.dt:g} s; allowed: above 0, at most 1 / dt [1/s]")
 
     def sense(self, sample: Sample) -> Momentum:
-        """Traced."""
+        """Traced. Raises `ValueError` for a sample without currents."""
+        current = sample.needed("momentum observer", "current")
         lagrangian = lambda q, qdot: kinetic_energy(self.chain, q, qdot) - potential_energy(self.chain, q)
         beta, momentum = jax.grad(lagrangian, (0, 1))(sample.q, sample.qdot)
-        torque = torque_of_current(self.chain, jnp.asarray(sample.current), jnp.asarray(sample.qdot), self.width)
+        torque = torque_of_current(self.chain, jnp.asarray(current), jnp.asarray(sample.qdot), self.width)
         return Momentum(momentum, torque + beta)
 
     def init(self, sensed: Momentum) -> ObserverState:

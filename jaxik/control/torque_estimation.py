@@ -31,7 +31,7 @@ from jaxik.checks.options import check_kind
 from jaxik.control.estimation import Sample
 from jaxik.control.kalman import KalmanFilter, KalmanState
 from jaxik.pytree import Constant
-from jaxik.robot.actuation import torque_of_current
+from jaxik.robot.actuation import need_drives, torque_of_current
 from jaxik.robot.chain import Array, Chain
 from jaxik.robot.dynamics import inverse_dynamics
 
@@ -144,7 +144,8 @@ class TorqueEstimator:
 
     Where q, qdot and qddot are those that were asked for, they are as smooth as the plan. `width` [rad/s, m/s] is that of
     `friction_torque`. With `steady` False the gain is the full recursion's, which begins at T_int with the variance `start`
-    [Nm2].
+    [Nm2]. A sample has currents and torsions where the filter has a finite noise of any; raises `ValueError` for one without,
+    for a chain without drives, and for a filter of other joints.
     """
 
     chain: Chain
@@ -154,7 +155,7 @@ class TorqueEstimator:
     start: float = 1.0
 
     def __post_init__(self) -> None:
-        check_kind("torque estimator", "chain", self.chain, Chain)
+        need_drives("torque estimator", self.chain)
         check_kind("torque estimator", "filter", self.filter, TorqueFilter)
         if len(self.filter.process) != self.chain.num_joints:
             joints = f"{self.chain.name} has {self.chain.num_joints} joints"
@@ -163,10 +164,18 @@ class TorqueEstimator:
     def sense(self, sample: Sample) -> Sensed:
         """Traced. The gear does not carry what accelerates the rotor, which is made up for."""
         chain, filter = self.chain, self.filter
-        internal = inverse_dynamics(chain, sample.q, sample.qdot, sample.qddot)
-        torque = torque_of_current(chain, jnp.asarray(sample.current), jnp.asarray(sample.qdot), self.width)
-        rotor = chain.armature * sample.qddot
-        return Sensed(torque * filter.current_per_torque, sample.torsion + rotor * filter.torsion_per_torque, internal)
+        qddot = sample.needed("torque estimator", "qddot")
+        current, torsion = self._measured(sample, "current"), self._measured(sample, "torsion")
+        internal = inverse_dynamics(chain, sample.q, sample.qdot, qddot)
+        torque = torque_of_current(chain, jnp.asarray(current), jnp.asarray(sample.qdot), self.width)
+        rotor = chain.armature * qddot
+        return Sensed(torque * filter.current_per_torque, torsion + rotor * filter.torsion_per_torque, internal)
+
+    def _measured(self, sample: Sample, name: str) -> Any:
+        """What a sensor shows; of one that no joint has, which counts for nothing, zeros."""
+        noise = getattr(self.filter, f"{name}_noise")
+        there = not is_known(noise) or np.isfinite(noise).any()
+        return sample.needed("torque estimator", name) if there or getattr(sample, name) is not None else 0.0 * sample.q
 
     def init(self, sensed: Sensed) -> SteadyState | RecursiveState:
         """As if nothing touched the arm. Traced."""

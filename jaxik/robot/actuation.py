@@ -48,7 +48,8 @@ class _Law(NamedTuple):
     spring: Any
 
 
-def _drives(who: str, chain: Chain) -> tuple[Drive, ...]:
+def need_drives(who: str, chain: Chain) -> tuple[Drive, ...]:
+    """One a joint. Raises `ValueError` for a chain without drives."""
     check_kind(who, "chain", chain, Chain)
     if len(chain.drives) != chain.num_joints:
         mend = "write [joint.drive] in its TOML file, or use chain.with_drives"
@@ -74,7 +75,7 @@ def _sign(x: Any, width: Any) -> Any:
 
 
 def _law(who: str, chain: Chain, qdot: Any, width: Any) -> _Law:
-    drives, qdot = _drives(who, chain), _of_joints(who, "qdot", chain, qdot)
+    drives, qdot = need_drives(who, chain), _of_joints(who, "qdot", chain, qdot)
     width = jnp.asarray(width, qdot.dtype)
     of = lambda get: _column(drives, get, qdot.dtype)
     ratio, at_motor = of(lambda d: d.ratio), np.array([d.friction.side == "motor" for d in drives])
@@ -132,7 +133,7 @@ def static_friction(chain: Chain, torque: Vector) -> Vector:
 
     Raises `ValueError` for a chain without drives. Source: Schuetz 2017, table 3.9.
     """
-    drives, torque = _drives("static_friction", chain), _of_joints("static_friction", "torque", chain, torque)
+    drives, torque = need_drives("static_friction", chain), _of_joints("static_friction", "torque", chain, torque)
     of = lambda get: _column(drives, get, torque.dtype)
     r = of(lambda d: d.ratio if d.friction.side == "motor" else 1.0)
     return r * (of(lambda d: d.friction.breakaway) + of(lambda d: d.friction.load) * jnp.abs(torque))
@@ -145,5 +146,5 @@ def joint_torsion(chain: Chain, torque: Vector) -> Vector:
     Raises `ValueError` for a chain without drives. Source: Schuetz 2017, (3.17), which prints the difference the
     other way round, and q_motor without its ratio.
     """
-    drives, torque = _drives("joint_torsion", chain), _of_joints("joint_torsion", "torque", chain, torque)
+    drives, torque = need_drives("joint_torsion", chain), _of_joints("joint_torsion", "torque", chain, torque)
     return torque / _column(drives, lambda d: d.stiffness, torque.dtype)

@@ -49,7 +49,8 @@ def test_alarms_are_judged():
     ("call", "says"),
     [
         (lambda: fit_detector(np.zeros((5, 2)), np.zeros((5, 3))), r"allowed: \(..., t, n\) both"),
-        (lambda: fit_detector(np.zeros((5, 2)), np.zeros((5, 2)), rest=0.1), "joint 0 is never faster than rest, 0.1"),
+        (lambda: fit_detector(np.zeros((5, 2)), np.zeros((5, 2)), rest=0.1), "joint 0, counted from 0, is never faster"),
+        (lambda: fit_detector(np.ones((5, 1)), np.zeros((5, 1)), rest=0.1, joint_names=["elbow"]), "elbow is never faster"),
         (lambda: fit_detector(np.ones((5, 2)), np.ones((5, 2)), quantile=2.0), "quantile is 2; it is at most 1"),
         (lambda: fit_detector(np.ones((5, 2)), np.ones((5, 2)), band=[1.0, 2.0, 3.0]), "band is .* each of 2 joints"),
         (lambda: fit_detector(np.ones((5, 2)), np.ones((5, 2)), rest=np.nan), "rest is nan; allowed: one number"),

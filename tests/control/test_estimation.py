@@ -57,7 +57,7 @@ def test_the_observer_finds_a_push(log):
     """Likewise, without accelerations; between samples it integrates by the trapezoidal rule."""
     gain = np.array([30.0, 60.0])
     expected = PUSH * (1.0 - (1.0 - gain * DT) ** np.arange(STEPS)[:, None])
-    found = estimate(MomentumObserver(ARM, gain, DT), log._replace(qddot=np.zeros_like(log.q)))
+    found = estimate(MomentumObserver(ARM, gain, DT), Sample(log.q, log.qdot, current=log.current))
     np.testing.assert_allclose(found, np.broadcast_to(expected, found.shape), atol=1e-4)
 
 
@@ -66,6 +66,14 @@ def test_the_full_recursion_becomes_the_closed_form(log):
     steady, full = (estimate(TorqueEstimator(ARM, FILTER, steady=steady, start=1.0), one) for steady in (True, False))
     np.testing.assert_allclose(full[-1], PUSH, rtol=1e-6)
     np.testing.assert_allclose(full[-1], steady[-1], rtol=1e-6)
+
+
+def test_a_sensor_that_is_not_there_needs_no_sample(log):
+    """Torsions of noise without bound count for nothing, and may be left out; so may currents."""
+    one = Sample(*(x[0] for x in log))
+    for name, given in (("torsion", dict(torsion_noise=np.inf)), ("current", dict(current_noise=np.inf, torsion_noise=1e-8))):
+        estimator = TorqueEstimator(ARM, TorqueFilter.of_drives(ARM, **(dict(process=0.01, current_noise=0.1) | given)))
+        np.testing.assert_array_equal(estimate(estimator, one._replace(**{name: None})), estimate(estimator, one))
 
 
 ESTIMATORS = {
@@ -86,20 +94,31 @@ def test_a_loop_is_what_a_log_is(log, estimator, monkeypatch):
         found.append(state.external)
     np.testing.assert_allclose(found, estimate(estimator, log)[0, :5], rtol=1e-12, atol=1e-12)
     bad = samples[0]._replace(current=[0.0, np.nan])
-    with pytest.raises(ValueError, match="current holds nan at sample 0, joint 1"):
-        loop.step(state, bad)
-    with pytest.raises(ValueError, match=r"q of shape \(1, 3\)"):
-        loop.step(state, bad._replace(q=[0.0, 0.0, 0.0]))
+    for faulty, says in (
+        (bad, "estimation loop: current holds nan, q2; leave this sample out"),
+        (bad._replace(q=[0.0, 0.0, 0.0]), r"q of shape \(3,\); allowed: \(2,\)"),
+        (bad._replace(q=0.0), r"q of shape \(\); allowed: \(2,\)"),
+        (samples[0]._replace(current=None), r"the sample has no current; give Sample\(..., current=\)"),
+        (bad._asdict(), "estimation loop: sample is .*; write a jaxik.control.Sample"),
+    ):
+        with pytest.raises(ValueError, match=says):
+            loop.step(state, faulty)
     assert np.isfinite(state.external).all()
 
 
 @pytest.mark.parametrize(
     ("call", "says"),
     [
-        (lambda log: estimate(TorqueEstimator(ARM, FILTER), log._replace(q=log.q[:1])), r"allowed: all \(..., t, 2\), t > 0"),
+        (lambda log: estimate(TorqueEstimator(ARM, FILTER), log._replace(q=log.q[:1])), r"but q of \(1, 400, 2\); allowed"),
+        (lambda log: estimate(ESTIMATORS["observer"], Sample([1.0], [1.0])), r"q of shape \(1,\); allowed: \(..., t, 2\)"),
+        (lambda log: estimate(ESTIMATORS["filter"], log._asdict()), "log is .*; write a jaxik.control.Sample"),
+        (lambda log: estimate(ESTIMATORS["filter"], log._replace(qddot=None)), "torque estimator: the sample has no qddot"),
+        (lambda log: estimate(ESTIMATORS["filter"], log._replace(torsion=None)), "torque estimator: the sample has no torsion"),
+        (lambda log: MomentumObserver(jaxik.load("planar2"), 1.0, DT), "momentum observer: planar2 has no drives"),
+        (lambda log: TorqueEstimator(jaxik.load("planar2"), FILTER), "torque estimator: planar2 has no drives; write"),
         (
             lambda log: estimate(TorqueEstimator(ARM, FILTER), log._replace(torsion=np.full_like(log.q, np.inf))),
-            "torsion holds .* joint 0",
+            "torsion holds .* at sample 0, q1; cut it out of the log",
         ),
         (lambda log: TorqueFilter.of_drives(jaxik.load("planar2"), 1.0, 1.0), "planar2 has no drives; use chain.with_drives"),
         (lambda log: TorqueEstimator(jaxik.load("crops_v2"), FILTER), "a filter of 2 joints; crops_v2 has 9 joints"),
