@@ -18,7 +18,8 @@ def check_mass(what: str, mass: Any, com: Any, inertia: Any) -> None:
     if not all(np.all(np.isfinite(x)) for x in (mass, com, inertia)):
         raise ValueError(f"{what} holds NaN or infinity; write finite mass, com and inertia")
     if mass < 0.0 or (mass == 0.0 and np.any(inertia)):
-        raise ValueError(f"{what} has a mass of {mass:g} kg{' and an inertia' if mass == 0.0 else ''}; write a mass > 0")
+        given, allowed = (" and an inertia", "> 0, or no inertia") if mass == 0.0 else ("", ">= 0")
+        raise ValueError(f"{what} has a mass of {mass:g} kg{given}; write a mass {allowed}")
     dust = 1e-9 * mass
     if np.abs(inertia - inertia.T).max() > ROUNDED * np.abs(inertia).max() + dust:
         raise ValueError(f"{what} has an inertia that is not symmetric; write Ixy = Iyx, Ixz = Izx, Iyz = Izy")

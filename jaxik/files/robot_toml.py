@@ -254,7 +254,7 @@ def read_drive(joint: Table) -> Drive | None:
         return None
     table = joint.table("drive")
     friction = table.table("friction")
-    side = friction.text("side", "motor", get_args(Side))
+    side = friction.text("side", "joint", get_args(Side))
     return _numbers_of(Drive, table, friction=_numbers_of(Friction, friction, side=side))
 
 

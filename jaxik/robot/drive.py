@@ -56,9 +56,10 @@ class Friction(_Numbers):
     half of the way from `breakaway` to `coulomb` is done [rad/s, m/s]; and `correction`, a torque of the joint backward and
     forward, either sign [Nm, N].
 
-    All but `correction` are seen from `side`: at the motor's shaft, or at the joint. The three laws of the thesis are cases of
-    this one: (3.13) has no `viscous_load`, (3.14) has a `breakaway` like its `coulomb`, which it is unless given, and (3.16)
-    is `coulomb` and `viscous` at the joint.
+    All but `correction` are seen from `side`: at the joint, or at the motor's shaft and by its speed, where they count at the
+    joint times the ratio N, and what is viscous times N^2. The three laws of the thesis are cases of this one: (3.13) has no
+    `viscous_load`, (3.14) has a `breakaway` like its `coulomb`, which it is unless given, and (3.16) is `coulomb` and `viscous`
+    at the joint. `breakaway` is T_S of (3.13), where the curve ends at rest: in table 3.4 it is below T_0, `coulomb`.
 
     Raises `ValueError` for a number below 0.
     """
@@ -70,7 +71,7 @@ class Friction(_Numbers):
     breakaway: Number | None = None
     stribeck_velocity: Number = np.inf
     correction: Float[jax.Array | np.ndarray, "2"] | tuple[float, float] = (0.0, 0.0)
-    side: Side = static(default="motor")
+    side: Side = static(default="joint")
 
     def __post_init__(self) -> None:
         check_choices("Friction", side=(self.side, Side))

@@ -14,7 +14,11 @@ from jaxik.robot.chain import Body
 DT, STEPS = 1e-3, 400
 PUSH = np.array([3.0, -2.0])
 DRIVE = Drive(
-    ratio=50.0, torque_constant=0.1, rotor_inertia=1e-4, stiffness=1e4, friction=Friction(coulomb=0.02, load=1e-3, viscous=1e-3)
+    ratio=50.0,
+    torque_constant=0.1,
+    rotor_inertia=1e-4,
+    stiffness=1e4,
+    friction=Friction(coulomb=0.02, load=1e-3, viscous=1e-3, side="motor"),
 )
 
 

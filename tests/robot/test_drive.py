@@ -84,7 +84,7 @@ def test_gradients_are_finite():
 
 
 def test_a_drive_that_locks_itself():
-    chain = jaxik.load("planar2").with_drives([Drive(ratio=50, friction=Friction(load=0.03)), Drive()])
+    chain = jaxik.load("planar2").with_drives([Drive(ratio=50, friction=Friction(load=0.03, side="motor")), Drive()])
     assert np.array_equal(np.isnan(torque_of_current(chain, jnp.ones(2), jnp.ones(2))), [True, False])
     assert chain.part(1, 2).drives == chain.drives[1:]
 
@@ -127,6 +127,7 @@ ratio = 50
 rotor_inertia = 0.001
 [joint.drive.friction]
 coulomb = 0.2
+side = "motor"
 [[joint]]
 name = "b"
 type = "continuous"
@@ -136,7 +137,8 @@ type = "continuous"
 
 def test_drives_in_files(tmp_path):
     chain = jaxik.load(write(tmp_path, "arm.toml", ARM))
-    assert chain.drives == (Drive(ratio=50, rotor_inertia=0.001, friction=Friction(coulomb=0.2)), Drive())
+    assert chain.drives == (Drive(ratio=50, rotor_inertia=0.001, friction=Friction(coulomb=0.2, side="motor")), Drive())
+    assert Friction().side == "joint"
     assert "ratio=50.0" in repr(chain.drives[0]) and "coulomb=0.2" in repr(chain.drives[0])
     assert chain.armature.tolist() == [50**2 * 0.001, 0.0]
     for wrong, right, line in (

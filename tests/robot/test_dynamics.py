@@ -178,7 +178,7 @@ REFUSED = {
     "no such link 'hook'; links: world": lambda q: robot.wrench_on(ARM, q, "hook", q[:3], q[:3]),
     "parameters of shape (6,); allowed: (60,)": lambda q: robot.with_body_parameters(ARM, q),
     "p6r has no bodies, which a load": lambda q: jaxik.load("p6r").with_load(1.0),
-    "the load has a mass of -2 kg": lambda q: ARM.with_load(-2.0),
+    "the load has a mass of -2 kg; write a mass >= 0": lambda q: ARM.with_load(-2.0),
     "com of shape (2,); allowed: (3,)": lambda q: ARM.with_load(2.0, (0.1, 0.2)),
 }
 
