@@ -288,12 +288,39 @@ def predictive() -> None:
     _save(figure, "predictive")
 
 
+def external_torque() -> None:
+    """The estimate of a push on an arm whose friction is known to a tenth, and the band within which no motor current tells."""
+    from jaxik import control
+
+    model, joint = jaxik.load("crops_v2"), 1
+    rubs = [dataclasses.replace(d.friction, coulomb=1.1 * d.friction.coulomb) for d in model.drives]
+    arm = model.with_drives(dataclasses.replace(d, friction=f) for d, f in zip(model.drives, rubs, strict=True))
+    middle, away = np.array([0.5, 0, 0, 0, 0.3, 0.1, 0.4, 0.2, 0.1]), np.array([0, 0.3, 0.2, 0.2, 0.1, 0.1, 0.1, 0.1, 0.1])
+    motion = jaxik.planning.quintic([middle - away, middle + away], velocity=0.4, acceleration=2.0)
+    push = control.Contact("body4", [0.16, 0.0, -0.03], force=[20.0, 0.0, 0.0], start=1.0, end=1.5)
+    sensors = control.Instruments(current_noise=0.05, current_step=0.01)
+    log = control.play(arm, motion, [push], model=model, instruments=sensors, rest=(0.2, 0.2))
+    estimator = control.TorqueEstimator(model, control.TorqueFilter.of_drives(model, 0.05, 0.05), width=0.005)
+    found = control.estimate(estimator, log.samples())[:, joint]
+    band = float(jaxik.robot.static_friction(model, jaxik.robot.gravity_torque(model, middle))[joint])
+    figure, (above, below) = plt.subplots(2, 1, figsize=(8, 4.4), sharex=True, height_ratios=(3, 1))
+    slow = np.abs(log.qdot_des[:, joint]) < 0.02
+    above.fill_between(log.t, -band, band, where=slow, color=PALE, lw=0, label="friction's band, where the joint nearly rests")
+    above.plot(log.t, log.external[:, joint], color=GREY, lw=1.5, label="what the push does to the joint")
+    above.plot(log.t, found, color=BLUE, lw=1.5, label="the estimate, from the motor's current")
+    above.set(ylabel=f"torque of {model.joint_names[joint]} [Nm]")
+    above.legend(fontsize=8, frameon=False)
+    below.plot(log.t, log.qdot_des[:, joint], color=ORANGE, lw=1.5)
+    below.set(xlabel="time [s]", ylabel="speed [rad/s]")
+    _save(figure, "external_torque")
+
+
 def _save(figure: Any, name: str) -> None:
     figure.savefig(FOLDER / f"{name}.png", dpi=110)
     plt.close(figure)
 
 
-ALL = (harvest, motions, reach, kernels, inverse_kinematics, collision, between, predictive)
+ALL = (harvest, motions, reach, kernels, inverse_kinematics, collision, between, predictive, external_torque)
 
 if __name__ == "__main__":
     wanted = sys.argv[1:] or [draw.__name__ for draw in ALL]

@@ -343,7 +343,7 @@ def _bodies(who: str, chain: Chain) -> list[Moments]:
 def _need_bodies(who: str, chain: Chain) -> None:
     check_kind(who, "chain", chain, Chain)
     if not chain.bodies:
-        mend = "write mass, com and inertia of its joints in its file, or give them by with_body_parameters"
+        mend = "write mass, com and inertia of its joints in its file, or give them by jaxik.robot.with_body_parameters"
         raise ValueError(f"{who}: {chain.name} has no bodies; {mend}")
 
 
