@@ -28,6 +28,7 @@ with install_import_hook(TYPED, "beartype.beartype"):
     import jaxik  # noqa: F401
 
 import jax  # noqa: E402
+import jaxtyping  # noqa: E402
 import pytest  # noqa: E402
 
 from jaxik.spmd import primitive  # noqa: E402
@@ -35,6 +36,14 @@ from jaxik.spmd import primitive  # noqa: E402
 jax.config.update("jax_enable_x64", True)
 jax.config.update("jax_persistent_cache_min_compile_time_secs", 0.3)
 gc.set_threshold(100_000, 50, 100)  # traces make many objects and little garbage
+
+
+@pytest.fixture
+def untyped():
+    """What a user sees, whose mistakes the tests' own types would be the first to refuse."""
+    jaxtyping.config.update("jaxtyping_disable", True)
+    yield
+    jaxtyping.config.update("jaxtyping_disable", False)
 
 
 @pytest.fixture

@@ -32,7 +32,7 @@ import numpy as np
 from jaxtyping import Float
 
 from jaxik.checks.options import check_kind
-from jaxik.robot.chain import Chain, as_shaped
+from jaxik.robot.chain import Chain, as_numbers, as_shaped
 from jaxik.robot.drive import Drive
 from jaxik.spmd import kernel
 
@@ -54,6 +54,8 @@ def need_drives(who: str, chain: Chain) -> tuple[Drive, ...]:
     if len(chain.drives) != chain.num_joints:
         mend = "write [joint.drive] in its TOML file, or use chain.with_drives"
         raise ValueError(f"{who}: {chain.name} has no drives; {mend}")
+    for drive in chain.drives:
+        drive.judged()
     return chain.drives
 
 
@@ -61,6 +63,14 @@ def _of_joints(who: str, name: str, chain: Chain, given: Any) -> jax.Array:
     """One number a joint, as floats."""
     values = as_shaped(f"{who}: {name}", given, (chain.num_joints,))
     return values.astype(jnp.result_type(values, float)) if values.dtype.kind != "f" else values
+
+
+def _one_or_all(what: str, chain: Chain, given: Any) -> jax.Array:
+    """One number for all joints, or one for each."""
+    values = as_numbers(what, given)
+    if values.shape not in ((), (chain.num_joints,)):
+        raise ValueError(f"{what} has the shape {values.shape}; allowed: one number, or ({chain.num_joints},)")
+    return values
 
 
 def _column(drives: tuple[Drive, ...], of: Callable[[Drive], Any], dtype: Any) -> Any:
@@ -76,7 +86,7 @@ def _sign(x: Any, width: Any) -> Any:
 
 def _law(who: str, chain: Chain, qdot: Any, width: Any) -> _Law:
     drives, qdot = need_drives(who, chain), _of_joints(who, "qdot", chain, qdot)
-    width = jnp.asarray(width, qdot.dtype)
+    width = _one_or_all(f"{who}: width", chain, width).astype(qdot.dtype)
     of = lambda get: _column(drives, get, qdot.dtype)
     ratio, at_motor = of(lambda d: d.ratio), np.array([d.friction.side == "motor" for d in drives])
     r = jnp.where(at_motor, ratio, 1.0)
@@ -97,8 +107,8 @@ def _law(who: str, chain: Chain, qdot: Any, width: Any) -> _Law:
 def friction_torque(chain: Chain, qdot: Vector, torque: Vector, width: Any = 0.0) -> Vector:
     """Friction at the joints, against their motion (n,) [Nm, N], while the drives give `torque` (n,) [Nm, N] in total. Traced.
 
-    `qdot` (n,) [rad/s, m/s]; `width` rounds off its sign (the same units, one for all or one a joint; 0: the printed laws).
-    Raises `ValueError` for a chain without drives. Source: Schuetz 2017, (3.13) to (3.16).
+    `qdot` (n,) [rad/s, m/s]; `width` rounds off its sign (the same units, one for all or one a joint; 0, or less: the printed
+    laws). Raises `ValueError` for a chain without drives. Source: Schuetz 2017, (3.13) to (3.16).
     """
     law, torque = _law("friction_torque", chain, qdot, width), _of_joints("friction_torque", "torque", chain, torque)
     return -(law.fixed + law.share * jnp.abs(torque))

@@ -31,11 +31,19 @@ JointType = Literal["revolute", "continuous", "prismatic"]
 
 
 class Body(Constant):
-    """Mass [kg], centre of gravity [m] and inertia about it [kg m2] of what moves with one joint, in that joint's frame."""
+    """Mass [kg], centre of gravity [m] and inertia about it [kg m2] of what moves with one joint, in that joint's frame.
+
+    Raises `ValueError` for other shapes; what no body can be is refused where it is used.
+    """
 
     mass: Float[Array, ""]
     com: Float[Array, "3"]
     inertia: Float[Array, "3 3"]
+
+    def __post_init__(self) -> None:
+        shapes = {"mass": (), "com": (3,), "inertia": (3, 3)}
+        vars(self).update({name: as_given(f"Body: {name}", getattr(self, name), shape) for name, shape in shapes.items()})
+        super().__post_init__()
 
     def moved(self, a_T_b: Any) -> Body:
         """The same body in frame a, of one in frame b."""
@@ -144,7 +152,7 @@ class Chain(Constant):
 
         Raises `ValueError` for another number of them.
         """
-        drives = tuple(drives)
+        drives = tuple(drives) if isinstance(drives, Iterable) else (drives,)
         for drive in drives:
             check_kind("with_drives", "a drive", drive, Drive)
         if len(drives) not in (0, self.num_joints):

@@ -13,7 +13,7 @@ import numpy as np
 from jaxtyping import Float
 
 from jaxik.checks.arrays import is_known, shaped
-from jaxik.checks.options import check_choices, shown
+from jaxik.checks.options import check_choices, check_kind, shown
 from jaxik.pytree import Constant, static
 
 Side = Literal["motor", "joint"]
@@ -28,11 +28,14 @@ class _Numbers(Constant):
     """Every field that is no other object's is a number, or an array of them."""
 
     def __post_init__(self) -> None:
-        for field in dataclasses.fields(self):
-            given = getattr(self, field.name)
-            if not (field.metadata.get("static") or isinstance(given, Constant)) and is_known(given):
-                vars(self)[field.name] = self._checked(field.name, given)
+        vars(self).update(self.judged())
         self.freeze()
+
+    def judged(self) -> dict[str, Any]:
+        """What is known of its numbers. Raises `ValueError` for those that cannot be, put in without the constructor, too."""
+        fields = [field.name for field in dataclasses.fields(self) if not field.metadata.get("static")]
+        given = {name: getattr(self, name) for name in fields if name != "friction"}
+        return {name: self._checked(name, value) for name, value in given.items() if is_known(value)}
 
     def __repr__(self) -> str:
         value = lambda x: x.tolist() if isinstance(x, np.ndarray) else x
@@ -95,6 +98,11 @@ class Drive(_Numbers):
     stiffness: Number = np.inf
     spring_force: Number = 0.0
     nominal_torque: Number = np.inf
+
+    def judged(self) -> dict[str, Any]:
+        check_kind("Drive", "friction", self.friction, Friction)
+        self.friction.judged()
+        return super().judged()
 
     @property
     def armature(self) -> Any:

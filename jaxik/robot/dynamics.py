@@ -320,10 +320,14 @@ def body_parameters(chain: Chain) -> Float[Array, " p"]:
 def with_body_parameters(chain: Chain, parameters: Any) -> Chain:
     """The same chain with bodies of other `body_parameters` (10 n,). Traced.
 
-    Raises `ValueError` for another shape. Of parameters that no body can have the functions above say so.
+    Raises `ValueError` for another shape, and for first moments without a mass. Of other parameters that no body can have the
+    functions above say so.
     """
     check_kind("with_body_parameters", "chain", chain, Chain)
     rows = as_given("with_body_parameters: parameters", parameters, (INERTIAL * chain.num_joints,)).reshape(-1, INERTIAL)
+    for name, row in zip(chain.joint_names, rows, strict=True) if is_known(rows) else ():
+        if row[0] == 0.0 and np.any(row[1:4]):
+            raise ValueError(f"with_body_parameters: joint '{name}' moves a mass of 0 kg with moments m com; write a mass > 0")
     bodies = []
     for row in rows:
         mass, com = row[:1].reshape(()), row[1:4] / (row[0] + (row[0] == 0.0))
@@ -345,6 +349,9 @@ def _need_bodies(who: str, chain: Chain) -> None:
     if not chain.bodies:
         mend = "write mass, com and inertia of its joints in its file, or give them by jaxik.robot.with_body_parameters"
         raise ValueError(f"{who}: {chain.name} has no bodies; {mend}")
+    if len(chain.bodies) != chain.num_joints:
+        raise ValueError(f"{who}: {len(chain.bodies)} bodies; {chain.name} has {chain.num_joints} joints, write one for each")
+    as_given(f"{who}: armature", chain.armature, (chain.num_joints,))
 
 
 def _judge(who: str, chain: Chain) -> None:

@@ -213,7 +213,7 @@ BASE = Frame(IDENTITY, ZERO)
 
 def stack(entries: Sequence[Scalar], shape: tuple[int, ...], dtype: Any) -> jax.Array:
     """Scalars to one array of `shape`."""
-    return jnp.stack([jnp.asarray(e, dtype) for e in entries]).reshape(shape)
+    return jnp.stack([jnp.asarray(e, dtype) for e in entries]).reshape(shape) if entries else jnp.zeros(shape, dtype)
 
 
 # --------------------------------------------------------------------------------------------------------------------

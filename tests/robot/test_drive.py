@@ -2,9 +2,9 @@
 
 import dataclasses
 
+import equinox
 import jax
 import jax.numpy as jnp
-import jaxtyping
 import numpy as np
 import pytest
 from robot_files import write
@@ -98,17 +98,21 @@ FAULTS = [
     (lambda: CROPS.with_drives(CROPS.drives[:2]), "2 drives; crops_v2 has 9 joints"),
     (lambda: motor_current(jaxik.load("planar2"), np.zeros(2), np.zeros(2)), r"planar2 has no drives; write \[joint.drive\]"),
     (lambda: friction_torque(CROPS, np.zeros(9), np.zeros(3)), r"torque has the shape \(3,\); allowed: \(9,\)"),
+    (lambda: Drive(friction=0.1), "Drive: friction is 0.1; write a jaxik.robot.Friction"),
+    (lambda: CROPS.with_drives(Drive()), "1 drives; crops_v2 has 9 joints"),
+    (lambda: CROPS.with_drives(None), "a drive is None; write a jaxik.robot.Drive"),
+    (lambda: motor_current(CROPS, np.zeros(9), np.zeros(9), np.zeros(3)), r"width has the shape \(3,\); allowed: one number"),
+    (lambda: motor_current(CROPS, np.zeros(9), np.zeros(9), "wide"), "motor_current: width is wide; write an array of numbers"),
+    (lambda: static_friction(_with_coulomb(-7.0), np.zeros(9)), "Friction: coulomb = -7.0; write a finite number >= 0"),
 ]
 
 
-@pytest.fixture
-def _without_the_tests_own_types():
-    jaxtyping.config.update("jaxtyping_disable", True)
-    yield
-    jaxtyping.config.update("jaxtyping_disable", False)
+def _with_coulomb(value):
+    """As an optimiser puts it in: without the constructor."""
+    return equinox.tree_at(lambda chain: chain.drives[0].friction.coulomb, CROPS, value)
 
 
-@pytest.mark.usefixtures("_without_the_tests_own_types")
+@pytest.mark.usefixtures("untyped")
 @pytest.mark.parametrize("call, line", FAULTS, ids=[str(i) for i in range(len(FAULTS))])
 def test_faults_in_one_line(call, line):
     with pytest.raises(ValueError, match=line) as caught:

@@ -180,14 +180,24 @@ REFUSED = {
     "p6r has no bodies, which a load": lambda q: jaxik.load("p6r").with_load(1.0),
     "the load has a mass of -2 kg; write a mass >= 0": lambda q: ARM.with_load(-2.0),
     "com of shape (2,); allowed: (3,)": lambda q: ARM.with_load(2.0, (0.1, 0.2)),
+    "5 bodies; ur5 has 6 joints, write one": lambda q: robot.mass_matrix(dataclasses.replace(ARM, bodies=ARM.bodies[1:]), q),
+    "armature of shape (2,); allowed: (6,)": lambda q: robot.mass_matrix(dataclasses.replace(ARM, armature=np.zeros(2)), q),
+    "inertia of shape (6,); allowed: (3, 3)": lambda q: robot.Body(np.ones(()), np.zeros(3), np.zeros(6)),
+    "'shoulder_pan_joint' moves a mass of 0 kg with": lambda q: robot.with_body_parameters(ARM, np.eye(60)[1]),
 }
 
 
+@pytest.mark.usefixtures("untyped")
 @pytest.mark.parametrize("words", REFUSED)
 def test_refused(words):
     with pytest.raises(ValueError) as error:
         REFUSED[words](np.zeros(6))
     assert "\n" not in str(error.value) and words in str(error.value)
+
+
+def test_no_joints():
+    none = np.zeros(0)
+    assert robot.regressor(ARM.part(0, 0), none, none, none).shape == (0, 0)
 
 
 def test_massless_links_and_point_masses():
