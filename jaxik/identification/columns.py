@@ -7,18 +7,19 @@ breakaway     s w
 viscous       qdot
 load          s |T|           T the joint's torque behind the gear, rotor included
 viscous_load  qdot |T|
-asymmetry     1               what friction is larger forward, and smaller backward
+asymmetry     |tanh(N qdot)|  what friction is larger forward, and smaller backward; (3.15), of the chain's ratio N
 armature      qddot
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import Literal
+from typing import Any, Literal, get_args
 
 import jax
 import numpy as np
 
+from jaxik.checks.options import check_choices, shown
 from jaxik.robot.chain import Chain
 from jaxik.robot.dynamics import regressor
 from jaxik.spmd.host import host_kernels
@@ -27,6 +28,21 @@ Term = Literal["coulomb", "breakaway", "viscous", "load", "viscous_load", "asymm
 LOADED = ("load", "viscous_load")
 _regressors = host_kernels(3, known=16)(regressor)
 BODY = ("m", "mx", "my", "mz", "Ixx", "Ixy", "Iyy", "Ixz", "Iyz", "Izz")
+
+
+def check_terms(who: str, terms: Any) -> None:
+    """Raises `ValueError` for what is no sequence of different terms."""
+    if isinstance(terms, str) or not isinstance(terms, Sequence):
+        raise ValueError(f"{who}: terms is {shown(terms)}; write a tuple of {', '.join(get_args(Term))}")
+    for term in terms:
+        check_choices(who, terms=(term, Term))
+        if terms.count(term) > 1:
+            raise ValueError(f"{who}: terms has {term} {terms.count(term)} times; write it once")
+
+
+def ratios(chain: Chain) -> np.ndarray:
+    """How far each motor turns while its joint moves by 1 (n,) [1, rad/m]."""
+    return np.array([float(drive.ratio) for drive in chain.drives]) if chain.drives else np.ones(chain.num_joints)
 
 
 def body_columns(chain: Chain, q: np.ndarray, qdot: np.ndarray, qddot: np.ndarray) -> np.ndarray:
@@ -42,7 +58,7 @@ def names(chain: Chain, terms: Sequence[Term]) -> list[str]:
 
 
 def friction_columns(
-    terms: Sequence[Term], qdot: np.ndarray, qddot: np.ndarray, load: np.ndarray, stribeck: np.ndarray
+    terms: Sequence[Term], ratio: np.ndarray, qdot: np.ndarray, qddot: np.ndarray, load: np.ndarray, stribeck: np.ndarray
 ) -> np.ndarray:
     """Each term (K, n) of every row and joint, (t, K, n)."""
     sign, share = np.sign(qdot), 1.0 / (1.0 + (qdot / stribeck) ** 2) if "breakaway" in terms else 0.0
@@ -52,7 +68,7 @@ def friction_columns(
         "viscous": qdot,
         "load": sign * np.abs(load),
         "viscous_load": qdot * np.abs(load),
-        "asymmetry": np.ones_like(qdot),
+        "asymmetry": np.abs(np.tanh(ratio * qdot)),
         "armature": qddot,
     }
     return np.array([table[term] for term in terms]).reshape(len(terms), *qdot.shape)

@@ -14,8 +14,8 @@ from typing import Any
 
 import numpy as np
 
-from jaxik.checks.options import as_count, changed, check_each, check_finite, check_kind, check_seed
-from jaxik.identification.columns import Term, body_columns, friction_columns, side_by_side
+from jaxik.checks.options import as_count, changed, check_finite, check_kind, check_seed
+from jaxik.identification.columns import Term, body_columns, check_terms, friction_columns, ratios, side_by_side
 from jaxik.identification.identifiable import base_parameters
 from jaxik.robot.chain import Chain, finite_limits
 from jaxik.robot.dynamics import body_parameters
@@ -85,6 +85,7 @@ class _Search:
         fastest = np.minimum(chain.velocity, options.velocity)
         self.limits = np.array([0.5 * options.share * (upper - lower), fastest, np.full(n, options.acceleration)])
         self.inertial = np.asarray(body_parameters(chain)) if chain.bodies else np.zeros(10 * n)
+        self.ratio = ratios(chain)
         self.series = _series(_times(options.period, options.samples), options.period, options.harmonics)
 
     def scaled(self, series: np.ndarray, c: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
@@ -99,7 +100,7 @@ class _Search:
         """The base parameters' columns of a motion (3, k, n), (k, n, b)."""
         q, qdot, qddot = motion
         bodies = body_columns(self.chain, self.middle + q, qdot, qddot)
-        friction = friction_columns(self.terms, qdot, qddot, bodies @ self.inertial, 0.25 * self.limits[1])
+        friction = friction_columns(self.terms, self.ratio, qdot, qddot, bodies @ self.inertial, 0.25 * self.limits[1])
         return side_by_side(bodies, friction)[:, :, self.base.kept]
 
     def decomposed(self, c: np.ndarray) -> tuple[np.ndarray, np.ndarray, tuple[np.ndarray, np.ndarray, np.ndarray]]:
@@ -170,7 +171,7 @@ def excite(chain: Chain, options: ExcitationOptions = ExcitationOptions(), **cha
 
 
 def _check(chain: Chain, options: ExcitationOptions) -> None:
-    check_each("excite", options.terms, Term)
+    check_terms("excite", options.terms)
     check_seed("excite", options.seed)
     counts = {name: as_count(f"excite: {name}", getattr(options, name)) for name in ("harmonics", "samples", "starts", "steps")}
     if counts["samples"] < 4 * counts["harmonics"]:

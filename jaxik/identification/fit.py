@@ -13,9 +13,9 @@ from typing import Any
 
 import numpy as np
 
-from jaxik.checks.options import as_count, changed, check_each, check_finite, check_kind
+from jaxik.checks.options import as_count, changed, check_finite, check_kind
 from jaxik.identification.base_fit import base_fit
-from jaxik.identification.columns import Term
+from jaxik.identification.columns import Term, check_terms
 from jaxik.identification.identifiable import BaseParameters, base_parameters
 from jaxik.identification.log import Log
 from jaxik.identification.physical_fit import physical_fit
@@ -77,12 +77,14 @@ def identify(
     """
     check_kind("identify", "chain", chain, Chain)
     options = changed("identify", options, changes)
-    check_each("identify", options.terms, Term)
+    check_terms("identify", options.terms)
     check_finite("identify", 0.0, slowest=options.slowest, condition=options.condition)
     check_finite("identify", LEAST_PRIOR, prior=options.prior)
     for name in ("rounds", "steps"):
         as_count(f"identify: {name}", getattr(options, name))
     known = np.asarray(body_parameters(chain), np.float64)
+    if not np.isfinite(known).all():
+        raise ValueError(f"identify: a body of {chain.name} holds NaN or infinity; write finite mass, com and inertia")
     problem, base = posed(chain, logs, options.terms, options.slowest), base_parameters(chain, options.terms)
     if (rows := int(problem.counts.sum())) < 2 * len(base):
         raise ValueError(f"identify: {rows} values for {len(base)} unknowns; log a longer motion, twice as many at least")

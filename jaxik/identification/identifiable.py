@@ -11,8 +11,8 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from jaxik.checks.options import check_each, check_kind, check_seed
-from jaxik.identification.columns import Term, body_columns, friction_columns, names, side_by_side
+from jaxik.checks.options import check_kind, check_seed
+from jaxik.identification.columns import Term, body_columns, check_terms, friction_columns, names, ratios, side_by_side
 from jaxik.robot.chain import Chain, finite_limits
 
 ROWS = 4  # random motions a column, at least
@@ -44,13 +44,14 @@ def base_parameters(chain: Chain, terms: Sequence[Term] = (), seed: int = 0) -> 
     Raises `ValueError` for a term that there is none of. Source: Gautier 1991.
     """
     check_kind("base_parameters", "chain", chain, Chain)
-    check_each("base_parameters", terms, Term)
+    check_terms("base_parameters", terms)
     check_seed("base_parameters", seed)
     n, rng = chain.num_joints, np.random.default_rng(seed)
     rows = ROWS * (10 + len(terms)) + 10
     q = rng.uniform(*finite_limits(chain), (rows, n))
     qdot, qddot, load = rng.normal(size=(3, rows, n))
-    columns = side_by_side(body_columns(chain, q, qdot, qddot), friction_columns(terms, qdot, qddot, load, np.ones(n)))
+    friction = friction_columns(terms, ratios(chain), qdot, qddot, load, np.ones(n))
+    columns = side_by_side(body_columns(chain, q, qdot, qddot), friction)
     return combinations(columns.reshape(rows * n, -1), names(chain, terms))
 
 

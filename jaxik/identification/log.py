@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 
 import numpy as np
 from jaxtyping import Float
@@ -28,7 +28,7 @@ def joined(chain: Chain, logs: Log | Sequence[Log]) -> tuple[np.ndarray, np.ndar
 
     Raises `ValueError` for other shapes, for what is not finite, and for currents of a chain without drives.
     """
-    logs = [logs] if isinstance(logs, Log) else list(logs)
+    logs = list(logs) if isinstance(logs, Iterable) else [logs]
     if not logs:
         raise ValueError("identify: no log; write a jaxik.identification.Log, or several")
     rows = [_checked(chain, i, log) for i, log in enumerate(logs, 1)]
@@ -42,11 +42,11 @@ def _checked(chain: Chain, place: int, log: Log) -> list[np.ndarray]:
         raise ValueError(f"{who} is a {type(log).__name__}; write a jaxik.identification.Log")
     if (log.torque is None) == (log.current is None):
         raise ValueError(f"{who} has {'no' if log.torque is None else 'both'} torque and current; give one of them")
-    measured = {"q": log.q, "qdot": log.qdot, "qddot": log.qddot, "torque": log.torque, "current": log.current}
-    arrays = {name: numbers(f"{who}: {name}", given) for name, given in measured.items() if given is not None}
-    shape = (len(arrays["q"]), chain.num_joints)
+    effort = "torque" if log.current is None else "current"
+    arrays = {name: numbers(f"{who}: {name}", getattr(log, name)) for name in ("q", "qdot", "qddot", effort)}
+    shape = (*arrays["q"].shape[:1], chain.num_joints)
     for name, array in arrays.items():
-        if array.shape != shape or not len(array):
+        if array.shape != shape or not array.size:
             raise ValueError(f"{who}: {name} of shape {array.shape}; allowed: (k, {chain.num_joints}), the same k for all")
         if not np.isfinite(array).all():
             row, joint = np.argwhere(~np.isfinite(array))[0]

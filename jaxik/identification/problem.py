@@ -8,7 +8,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from jaxik.identification.columns import Term, body_columns, friction_columns, side_by_side
+from jaxik.identification.columns import Term, body_columns, friction_columns, ratios, side_by_side
 from jaxik.identification.identifiable import BaseParameters
 from jaxik.identification.log import Log, joined
 from jaxik.robot.chain import Chain
@@ -33,9 +33,10 @@ class Problem:
     rotor: np.ndarray
     counts: np.ndarray
     terms: tuple[Term, ...]
+    ratio: np.ndarray
 
     def friction(self, curve: Curve) -> np.ndarray:
-        return friction_columns(self.terms, self.qdot, self.qddot, *curve)
+        return friction_columns(self.terms, self.ratio, self.qdot, self.qddot, *curve)
 
     def rows(self, curve: Curve) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """The matrix, the torques and the joints of the rows that count."""
@@ -73,4 +74,4 @@ def posed(chain: Chain, logs: Log | Sequence[Log], terms: tuple[Term, ...], slow
         if not moves.any():
             mend = "log a motion of every joint, or ask for no friction"
             raise ValueError(f"identify: {name} is never faster than slowest={slowest:g}; {mend}")
-    return Problem(body_columns(chain, q, qdot, qddot), qdot, qddot, torque, rotor, counts, terms)
+    return Problem(body_columns(chain, q, qdot, qddot), qdot, qddot, torque, rotor, counts, terms, ratios(chain))

@@ -3,7 +3,6 @@
 import dataclasses
 
 import jax
-import jaxtyping
 import numpy as np
 import pytest
 
@@ -13,7 +12,7 @@ from jaxik.identification.columns import body_columns
 from jaxik.identification.excitation import ExcitationOptions, _Search
 from jaxik.identification.pseudo_inertia import Bodies
 from jaxik.reasons import Reason
-from jaxik.robot import Body, body_parameters, friction_torque, inverse_dynamics
+from jaxik.robot import Body, Drive, Friction, body_parameters, friction_torque, inverse_dynamics, with_body_parameters
 
 ARM = jaxik.load("crops_v2").part(0, 3)  # a slide, a vertical and a horizontal axis, with drives
 TERMS = ("coulomb", "viscous", "breakaway", "load", "asymmetry")
@@ -141,6 +140,17 @@ def test_torque_without_friction_is_exact(motion):
     np.testing.assert_allclose(found.base.matrix @ np.asarray(body_parameters(found.chain)), truth, rtol=1e-3, atol=1e-3)
 
 
+def test_the_drives_found_rub_as_was_measured(motion):
+    """A motor without a gear turns slowly, so that what is uneven grows with its speed: `friction_torque` says how."""
+    uneven = Friction(coulomb=0.6, viscous=0.4, correction=(-0.3, 0.3), side="joint")
+    true = ARM.with_drives([Drive(friction=uneven), Drive(friction=uneven), Drive(ratio=2.0, friction=uneven)])
+    torque = np.asarray(torques(true, *motion))
+    rub = np.asarray(rubbed(true, motion[1], torque))
+    found = identify(true, Log(*motion, torque=torque - rub), terms=("coulomb", "viscous", "asymmetry"))
+    assert found.reason == Reason.SOLVED
+    np.testing.assert_allclose(rubbed(found.chain, motion[1], torque), rub, atol=2e-3)
+
+
 def test_a_poor_log_is_told(motion):
     """With the third joint at rest some combinations cannot be known; they are named, and the reason says so."""
     still = [x[::2].copy() for x in motion]
@@ -153,25 +163,29 @@ def test_a_poor_log_is_told(motion):
 
 FAULTS = [
     (dict(terms=("coulomb",)), r"joint1 is never faster than slowest=0.05"),
-    (dict(terms=("stiction",)), "identify: each 'stiction'; allowed: coulomb"),
+    (dict(terms=("stiction",)), "identify: terms 'stiction'; allowed: coulomb"),
     (dict(q=np.zeros((4, 2))), r"log 1: q of shape \(4, 2\); allowed: \(k, 3\)"),
     (dict(torque=np.full((4, 3), np.nan)), "log 1: torque holds nan in row 0, joint1"),
     (dict(torque=None), "log 1 has no torque and current; give one of them"),
+    (dict(qdot=None), "log 1: qdot: NoneType that is no array of numbers"),
+    (dict(q=0.0), r"log 1: q of shape \(\); allowed: \(k, 3\)"),
+    (dict(terms="load"), "identify: terms is load; write a tuple of coulomb, breakaway"),
+    (dict(terms=("load", "load")), "identify: terms has load 2 times; write it once"),
+    (dict(logs=None), "log 1 is a NoneType; write a jaxik.identification.Log"),
+    (dict(chain=with_body_parameters(ARM, np.full(30, np.nan))), "identify: a body of crops_v2 holds NaN or infinity"),
     (dict(prior=0.0), "prior is 0.0; it is a finite number of at least 1e-06"),
     (dict(terms=()), "12 values for 9 unknowns; log a longer motion"),
 ]
 
 
+@pytest.mark.usefixtures("untyped")
 @pytest.mark.parametrize("change, line", FAULTS, ids=[str(i) for i in range(len(FAULTS))])
 def test_faults_in_one_line(change, line):
     rows = {name: np.zeros((4, 3)) for name in ("q", "qdot", "qddot", "torque")}
     rows |= {name: change[name] for name in rows if name in change}
-    jaxtyping.config.update("jaxtyping_disable", True)
-    try:
-        with pytest.raises(ValueError, match=line) as caught:
-            identify(ARM, Log(**rows), **{name: given for name, given in change.items() if name not in rows})
-    finally:
-        jaxtyping.config.update("jaxtyping_disable", False)
+    with pytest.raises(ValueError, match=line) as caught:
+        given = {"chain": ARM, "logs": Log(**rows)} | {name: x for name, x in change.items() if name not in rows}
+        identify(**given)
     assert "\n" not in str(caught.value)
 
 
