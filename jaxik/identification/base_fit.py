@@ -57,14 +57,14 @@ def _linear_fit(problem: Problem, base: BaseParameters, curve: Curve, coefficien
 
     With the friction's `coefficients` (t, n) the Stribeck velocities are in doubt, too, and that is in the errors.
     """
-    columns, torque, joint = problem.rows(curve)
+    columns, bend, torque, joint = problem.rows(curve)
     columns, b = columns[:, base.kept], len(base)
     if coefficients is not None:
-        columns = np.hstack([columns, problem.bend(coefficients, curve.stribeck)])
+        columns = np.hstack([columns, bend * problem.steepness(coefficients)])
     lengths = np.linalg.norm(columns, axis=0)
     lengths = np.where(lengths > 0.0, lengths, 1.0)
     columns = columns / lengths
-    rows, least = np.bincount(joint), EXACT * np.sqrt(np.mean(problem.torque**2, axis=0))
+    rows, least = problem.counts.sum(axis=0), EXACT * np.sqrt(np.mean(problem.torque**2, axis=0))
     noise = np.ones(len(rows))
     for _ in range(WEIGHTED):
         weight = 1.0 / noise[joint]
@@ -88,9 +88,9 @@ def _likely_stribeck(problem: Problem, base: BaseParameters, load: np.ndarray) -
         return usual
     friction, torque = [problem.friction(Curve(load, part * usual)) for part in PARTS], problem.torque - problem.rotor
     best = []
-    for j, rows in enumerate(problem.counts.T):
-        u, s, _ = np.linalg.svd(problem.bodies[rows, j][:, kept], full_matrices=False)
-        seen = u[:, s > TOLD * s[0]]
+    for j, (rows, (basis, triangle)) in enumerate(zip(problem.counts.T, problem.factors, strict=True)):
+        u, s, _ = np.linalg.svd(triangle[:, kept], full_matrices=False)
+        seen = basis @ u[:, s > TOLD * s[0]]
         beside = lambda x, seen=seen: x - seen @ (seen.T @ x)  # what no body explains
         left = beside(torque[rows, j])
         off = [left - f @ np.linalg.lstsq(f, left, rcond=None)[0] for f in (beside(f[:, rows, j].T) for f in friction)]
@@ -105,12 +105,12 @@ def _stribeck(problem: Problem, base: BaseParameters, curve: Curve, noise: np.nd
     def parts(logarithms: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """The residual of the best, and its derivative."""
         stribeck = curve.stribeck * np.exp(logarithms)
-        columns, torque, joint = problem.rows(curve._replace(stribeck=stribeck))
+        columns, bend, torque, joint = problem.rows(curve._replace(stribeck=stribeck))
         weight = 1.0 / noise[joint]
         orthogonal, triangle = np.linalg.qr(columns[:, base.kept] * weight[:, None])
         right = orthogonal.T @ (torque * weight)
         value = np.linalg.lstsq(triangle, right, rcond=TOLD)[0]
-        bend = problem.bend(problem.split(base, value)[1], stribeck) * weight[:, None]
+        bend = bend * problem.steepness(problem.split(base, value)[1]) * weight[:, None]
         return orthogonal @ right - torque * weight, bend - orthogonal @ (orthogonal.T @ bend)
 
     known: dict[bytes, tuple[np.ndarray, np.ndarray]] = {}

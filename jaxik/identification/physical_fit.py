@@ -33,7 +33,7 @@ def physical_fit(problem: Problem, curve: Curve, noise: np.ndarray, known: np.nd
     """From the `known` bodies' parameters (10 n,) on; residuals count by the `noise` (n,), coordinates by the `prior`."""
     from scipy.optimize import least_squares
 
-    columns, torque, joint = problem.rows(curve)
+    columns, _, torque, joint = problem.rows(curve)
     around, weight, n = Bodies(known), 1.0 / noise[joint], len(noise)
     triangle = np.asarray(np.linalg.qr(np.column_stack([columns, torque]) * weight[:, None], mode="r"))
     triangle, right = triangle[:, :-1], triangle[:, -1]
@@ -55,4 +55,4 @@ def physical_fit(problem: Problem, curve: Curve, noise: np.ndarray, known: np.nd
     bodies, _ = around.at(done.x[: 10 * n].reshape(n, 10))
     off = columns @ np.append(bodies, done.x[10 * n :]) - torque
     friction = dict(zip(problem.terms, done.x[10 * n :].reshape(len(problem.terms), n), strict=True))
-    return Found(bodies, friction, np.sqrt(np.bincount(joint, off**2) / np.bincount(joint)), done.status > 0)
+    return Found(bodies, friction, np.sqrt(np.bincount(joint, off**2) / problem.counts.sum(axis=0)), done.status > 0)

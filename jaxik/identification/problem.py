@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 import dataclasses
+import functools
 from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
 
-from jaxik.identification.columns import Term, body_columns, friction_columns, ratios, side_by_side
+from jaxik.identification.columns import Term, body_columns, friction_columns, ratios
 from jaxik.identification.identifiable import BaseParameters
 from jaxik.identification.log import Log, joined
 from jaxik.robot.chain import Chain
@@ -21,10 +22,23 @@ class Curve(NamedTuple):
     stribeck: np.ndarray
 
 
+class Rows(NamedTuple):
+    """The matrix (r, p); its derivative by the logarithms of the Stribeck velocities, for friction of 1 more at rest than at
+    speed (r, n); the torques (r,); and the joint of each row (r,).
+
+    They are turned by joint: fewer than were measured, of the same scalar products, so that least squares are the same.
+    """
+
+    columns: np.ndarray
+    bend: np.ndarray
+    torque: np.ndarray
+    joint: np.ndarray
+
+
 @dataclasses.dataclass(frozen=True, eq=False)
 class Problem:
     """The rows of all logs: what bodies would take (K, n, 10 n), how the joints moved (K, n), and the motors' `torque` (K, n),
-    of which the `rotor`s that are known take some. `counts` (K, n): whether a row counts for a joint."""
+    of which the `rotor`s that are known take some. `counts` (K, n): whether a row counts for a joint. `ratio` (n,): gears."""
 
     bodies: np.ndarray
     qdot: np.ndarray
@@ -35,20 +49,34 @@ class Problem:
     terms: tuple[Term, ...]
     ratio: np.ndarray
 
+    @functools.cached_property
+    def factors(self) -> list[tuple[np.ndarray, np.ndarray]]:
+        """Of each joint's rows that count, the bodies' columns as an orthogonal basis and a triangle: most of the matrix, and
+        what never changes."""
+        return [np.linalg.qr(self.bodies[rows, j]) for j, rows in enumerate(self.counts.T)]
+
     def friction(self, curve: Curve) -> np.ndarray:
         return friction_columns(self.terms, self.ratio, self.qdot, self.qddot, *curve)
 
-    def rows(self, curve: Curve) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """The matrix, the torques and the joints of the rows that count."""
-        columns = side_by_side(self.bodies, self.friction(curve))[self.counts]
-        return columns, (self.torque - self.rotor)[self.counts], np.nonzero(self.counts)[1]
+    def rows(self, curve: Curve) -> Rows:
+        """All that count: of each joint first what its bodies span, and then what is left of its friction and its torque."""
+        own = np.array([*self.friction(curve), self._bend(curve.stribeck), self.torque - self.rotor])
+        turned = [_turned(*self.factors[j], own[:, rows, j].T) for j, rows in enumerate(self.counts.T)]
+        bodies, beside = (np.concatenate(each) for each in zip(*turned, strict=True))
+        joint = np.repeat(np.arange(len(turned)), [len(each) for each, _ in turned])
+        apart = np.where(joint[:, None] == np.arange(len(turned)), beside.T[:, :, None], 0.0)  # each joint has its own friction
+        return Rows(np.hstack([bodies, *apart[:-2]]), apart[-2], beside[:, -1], joint)
 
-    def bend(self, coefficients: np.ndarray, stribeck: np.ndarray) -> np.ndarray:
-        """The rows' derivative by the logarithms of the Stribeck velocities; `coefficients` (t, n) of the terms."""
+    def _bend(self, stribeck: np.ndarray) -> np.ndarray:
+        if "breakaway" not in self.terms:
+            return np.zeros_like(self.qdot)
+        part = (self.qdot / stribeck) ** 2
+        return np.asarray(np.sign(self.qdot) * 2.0 * part / (1.0 + part) ** 2)
+
+    def steepness(self, coefficients: np.ndarray) -> np.ndarray:
+        """What `Rows.bend` is multiplied by (n,): how much more friction is at rest, by `coefficients` (t, n) of the terms."""
         of = dict(zip(self.terms, coefficients, strict=True))
-        ratio = (self.qdot / stribeck) ** 2
-        bend = np.sign(self.qdot) * (of["breakaway"] - of.get("coulomb", 0.0)) * 2.0 * ratio / (1.0 + ratio) ** 2
-        return side_by_side(np.zeros((*bend.shape, 0)), bend[None])[self.counts]
+        return np.asarray(of["breakaway"] - of.get("coulomb", 0.0))
 
     def split(self, base: BaseParameters, value: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Base parameters as those of bodies (10 n,), of which the dropped are 0, and the friction's coefficients (t, n)."""
@@ -62,6 +90,15 @@ class Problem:
         load = self.bodies @ bodies + self.rotor
         rotors = [c for term, c in zip(self.terms, coefficients, strict=True) if term == "armature"]
         return load + self.qddot * rotors[0] if rotors else load
+
+
+def _turned(basis: np.ndarray, triangle: np.ndarray, own: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """The columns `basis @ triangle` beside those of `own` (k, c), in coordinates in which k is as small as it can be."""
+    inside = basis.T @ own
+    rest = own - basis @ inside
+    again = basis.T @ rest  # what rounding has left
+    outside = np.linalg.qr(rest - basis @ again, mode="r")
+    return np.vstack([triangle, np.zeros((len(outside), triangle.shape[1]))]), np.vstack([inside + again, outside])
 
 
 def posed(chain: Chain, logs: Log | Sequence[Log], terms: tuple[Term, ...], slowest: float) -> Problem:

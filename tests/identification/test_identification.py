@@ -8,8 +8,9 @@ import pytest
 
 import jaxik
 from jaxik.identification import Log, base_parameters, excite, identify, pseudo_inertias
-from jaxik.identification.columns import body_columns
+from jaxik.identification.columns import body_columns, side_by_side
 from jaxik.identification.excitation import ExcitationOptions, _Search
+from jaxik.identification.problem import Curve, posed
 from jaxik.identification.pseudo_inertia import Bodies
 from jaxik.reasons import Reason
 from jaxik.robot import Body, Drive, Friction, body_parameters, friction_torque, inverse_dynamics, with_body_parameters
@@ -149,6 +150,23 @@ def test_the_drives_found_rub_as_was_measured(motion):
     found = identify(true, Log(*motion, torque=torque - rub), terms=("coulomb", "viscous", "asymmetry"))
     assert found.reason == Reason.SOLVED
     np.testing.assert_allclose(rubbed(found.chain, motion[1], torque), rub, atol=2e-3)
+
+
+def test_rows_that_are_turned_say_the_same(motion):
+    """Scalar products of all columns, joint by joint, are those of the rows as they were measured."""
+    rng = np.random.default_rng(0)
+    log = Log(*motion, torque=rng.normal(size=motion[0].shape))
+    problem = posed(ARM, log, TERMS, 0.05)
+    curve = Curve(rng.normal(size=motion[0].shape), np.full(3, 0.3))
+    columns, bend, torque, joint = problem.rows(curve)
+    slope = (problem.friction(curve._replace(stribeck=0.3 * np.exp([1e-6] * 3))) - problem.friction(curve)) / 1e-6
+    whole = side_by_side(problem.bodies, problem.friction(curve))
+    for j, counts in enumerate(problem.counts.T):
+        left = (problem.torque - problem.rotor)[counts, j]
+        measured = np.column_stack([whole[counts, j], slope[TERMS.index("breakaway"), counts, j], left])
+        turned = np.column_stack([columns, bend[:, j], torque])[joint == j]
+        assert len(turned) <= 30 + len(TERMS) + 2 < len(measured)
+        np.testing.assert_allclose(turned.T @ turned, measured.T @ measured, atol=1e-5 * np.abs(measured.T @ measured).max())
 
 
 def test_a_poor_log_is_told(motion):
