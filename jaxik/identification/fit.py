@@ -26,6 +26,7 @@ from jaxik.robot.drive import Drive, Friction
 from jaxik.robot.dynamics import body_parameters, with_body_parameters
 
 LEAST_PRIOR = 1e-6  # as a logarithm; with less nothing would be found at all
+FAR, SHARE = 3.0, 0.01  # times the noise, and of a joint's torque: what leaves more than both has not arrived at the log
 
 
 @dataclasses.dataclass(frozen=True)
@@ -41,7 +42,7 @@ class IdentifyOptions:
     prior: float = 1.0
     condition: float = 1000.0
     rounds: int = 20
-    steps: int = 200
+    steps: int = 1000
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -70,8 +71,9 @@ def identify(
 ) -> Identified:
     """The chain's bodies and friction, from motions that were measured. Host driver.
 
-    `changes` are fields of the options. The chain's own bodies are what is taken for granted where a log says nothing. The
-    drives that come back have their friction at the joint, without a load's share that was not asked for.
+    `changes` are fields of the options. The chain's own bodies are what is taken for granted where a log says nothing; those
+    without a mass, as 10 g. The drives that come back have their friction at the joint, without a load's share that was not
+    asked for. What leaves far more than the noise of the log is NOT_CONVERGED: a log that no bodies explain, for one.
 
     Raises `ValueError` for logs and options that cannot be used. Sources: Gautier 1991; Rucker, Wensing 2022.
     """
@@ -90,6 +92,7 @@ def identify(
         raise ValueError(f"identify: {rows} values for {len(base)} unknowns; log a longer motion, twice as many at least")
     fit = base_fit(problem, base, known, options.rounds)
     found = physical_fit(problem, fit.curve, fit.noise, known, options.prior, options.steps)
+    arrived = found.residual <= np.maximum(FAR * fit.noise, SHARE * np.sqrt(np.mean(problem.torque**2, axis=0)))
     reason = Reason.UNEXCITED if fit.condition > options.condition else Reason.SOLVED
     return Identified(
         chain=_with_friction(with_body_parameters(chain, found.bodies.ravel()), found.friction, fit.curve.stribeck),
@@ -99,7 +102,7 @@ def identify(
         condition=fit.condition,
         residual=found.residual,
         rows=problem.counts.sum(axis=0),
-        reason=reason if found.settled and fit.settled else Reason.NOT_CONVERGED,
+        reason=reason if found.settled and fit.settled and arrived.all() else Reason.NOT_CONVERGED,
     )
 
 

@@ -20,6 +20,7 @@ from jaxtyping import Float
 from jaxik.robot.dynamics import ENTRIES
 
 LOWER = np.array([(0, 0), (1, 1), (2, 2), (3, 3), (1, 0), (2, 0), (2, 1), (3, 0), (3, 1), (3, 2)])
+GUESSED = 0.01 * np.diag([1e-3, 1e-3, 1e-3, 1.0])  # of a body without a mass: 10 g, 30 mm about its centre
 SMALLEST = 1e-6  # [m2] added to a body's second moments over its mass, 1 mm squared, where it has none
 
 
@@ -53,9 +54,11 @@ class Bodies:
 
     def __init__(self, parameters: np.ndarray):
         pseudo = pseudo_inertias(parameters)
-        least = SMALLEST * np.maximum(pseudo[:, 3, 3], 1e-3)
+        weightless = pseudo[:, 3, 3] <= 0.0  # in a file's way of saying nothing there is no scale to begin from
+        pseudo = np.where(weightless[:, None, None], GUESSED, pseudo)
         values, vectors = np.linalg.eigh(pseudo)
-        kept = vectors * np.maximum(values, least[:, None])[:, None, :] @ np.swapaxes(vectors, 1, 2)
+        least = SMALLEST * pseudo[:, 3, 3, None]
+        kept = vectors * np.maximum(values, least)[:, None, :] @ np.swapaxes(vectors, 1, 2)
         self.root = np.linalg.cholesky(kept)
 
     def at(self, x: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

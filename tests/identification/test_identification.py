@@ -169,6 +169,19 @@ def test_rows_that_are_turned_say_the_same(motion):
         np.testing.assert_allclose(turned.T @ turned, measured.T @ measured, atol=1e-5 * np.abs(measured.T @ measured).max())
 
 
+@pytest.mark.parametrize("share, reason", [(1.0, Reason.SOLVED), (-1.0, Reason.NOT_CONVERGED)])
+def test_a_file_without_masses(motion, share, reason):
+    """Bodies are found from none; torques of negative masses are no bodies', and the reason says so."""
+    motion = [x[::2] for x in motion]
+    torque = share * np.asarray(torques(dataclasses.replace(another(), drives=(), armature=np.zeros(3)), *motion))
+    torque += np.random.default_rng(0).normal(size=torque.shape) * 0.003 * torque.std(axis=0)
+    bare = dataclasses.replace(with_body_parameters(ARM, np.zeros(30)), drives=(), armature=np.zeros(3))
+    found = identify(bare, Log(*motion, torque=torque), terms=())
+    assert found.reason == reason
+    explained = np.all(np.abs(np.asarray(torques(found.chain, *motion)) - torque) <= 0.03 * torque.std(axis=0))
+    assert explained == (reason == Reason.SOLVED)
+
+
 def test_a_poor_log_is_told(motion):
     """With the third joint at rest some combinations cannot be known; they are named, and the reason says so."""
     still = [x[::2].copy() for x in motion]
