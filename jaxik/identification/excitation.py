@@ -150,7 +150,8 @@ def excite(chain: Chain, options: ExcitationOptions = ExcitationOptions(), **cha
     `changes` are fields of the options. Collisions are not looked at: ask `jaxik.clearance` of its samples, and give the chain
     narrower limits where it says so.
 
-    Raises `ValueError` for options that cannot be used. Source: Swevers, Ganseman, Tukel, De Schutter, Van Brussel 1997.
+    Raises `ValueError` for options that cannot be used, and for a joint that cannot move. Source: Swevers,
+    Ganseman, Tukel, De Schutter, Van Brussel 1997.
     """
     from scipy.optimize import minimize
 
@@ -178,6 +179,10 @@ def _check(chain: Chain, options: ExcitationOptions) -> None:
         raise ValueError(
             f"excite: {counts['samples']} samples of {counts['harmonics']} harmonics; allowed: at least 4 for each"
         )
+    for name, low, high, fastest in zip(chain.joint_names, *finite_limits(chain), chain.velocity, strict=True):
+        if not (low < high and fastest > 0.0):
+            mend = "give it room, or excite the part of the chain that moves"
+            raise ValueError(f"excite: {name} cannot move: {low:g} to {high:g}, velocity {fastest:g}; {mend}")
     for name in ("period", "velocity", "acceleration", "share"):
         value = getattr(options, name)
         check_finite("excite", 0.0, **{name: value})

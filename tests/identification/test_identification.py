@@ -227,8 +227,9 @@ def test_faults_in_one_line(change, line):
         (dict(share=1.5), "excite: share is 1.5; it is above 0, and 1 at most"),
         (dict(period=0.0), "excite: period is 0; it is above 0"),
         (dict(speed=1.0), "excite: unknown option 'speed'"),
+        (dict(chain=dataclasses.replace(ARM, upper=ARM.lower)), "excite: joint1 cannot move: 0 to 0, velocity inf"),
     ],
 )
 def test_faults_of_excitations(change, line):
     with pytest.raises(ValueError, match=line):
-        excite(ARM, **change)
+        excite(**({"chain": ARM} | change))
