@@ -20,7 +20,7 @@ from panda import ROBOTS
 from race import clocked, machine
 
 import jaxik
-from jaxik.identification import Identified, IdentifyOptions, Log, excite, identify, pseudo_inertias
+from jaxik.identification import Identified, IdentifyOptions, MotionLog, excite, identify, pseudo_inertias
 from jaxik.robot import Body, Chain, Drive, Friction, body_parameters, inverse_dynamics, motor_current
 
 COUNT, PERIOD, SECONDS, RATE, NOISE = 3, 20.0, 40.0, 100.0, 0.01
@@ -58,11 +58,11 @@ def currents(chain: Chain, motion: Any) -> np.ndarray:
     return np.asarray(jax.jit(jax.vmap(lambda t, qdot: motor_current(chain, t, qdot)))(torques(chain, motion), motion[1]))
 
 
-def logged(true: Chain, motion: Any, seed: int) -> Log:
+def logged(true: Chain, motion: Any, seed: int) -> MotionLog:
     """Currents along a motion, and their noise."""
     current = currents(true, motion)
     noise = np.random.default_rng(seed).normal(size=current.shape) * NOISE * current.std(axis=0)
-    return Log(*motion, current=current + noise)
+    return MotionLog(*motion, current=current + noise)
 
 
 def coefficients(chain: Chain, term: str) -> list[float]:

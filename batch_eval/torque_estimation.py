@@ -26,10 +26,10 @@ import jaxik
 from jaxik.control import (
     EstimationLoop,
     Instruments,
-    Log,
     MomentumObserver,
     Push,
     Sample,
+    SimulatedLog,
     TorqueEstimator,
     TorqueFilter,
     detect,
@@ -116,14 +116,14 @@ def known(process: float = PROCESS, current: float = 0.05**2, torsion: float = n
     return TorqueFilter.of_drives(model(), process, current, torsion)
 
 
-def rmse(errors: np.ndarray, log: Log) -> list[float]:
+def rmse(errors: np.ndarray, log: SimulatedLog) -> list[float]:
     """Root mean squares [Nm] of joints 2 to 8, each where it moves; NaN where one does not."""
     moves = np.abs(log.qdot_des) > CREEP
     return [float(np.sqrt(np.mean(errors[moves[:, i], i] ** 2))) if moves[:, i].any() else np.nan for i in SHOWN]
 
 
 @functools.cache
-def logs(arm: int, pushed: bool) -> list[Log]:
+def logs(arm: int, pushed: bool) -> list[SimulatedLog]:
     """Of the four measurements, along a horizontal line and along a vertical one; with the gauge, or free."""
     found = []
     for seed, (speed, stiffness) in enumerate(MEASUREMENTS):
@@ -192,7 +192,7 @@ def estimators(swept: dict[str, Any]) -> dict[str, Any]:
     }
 
 
-def shown(estimator: Any, log: Log) -> Sample:
+def shown(estimator: Any, log: SimulatedLog) -> Sample:
     """The momentum is that of the measured motion."""
     return log.samples(desired=not isinstance(estimator, MomentumObserver))
 
@@ -292,7 +292,7 @@ def step_times(named: dict[str, Any]) -> dict[str, Any]:
     return found
 
 
-def shade(ax: Any, log: Log, joint: int, band: float | None = None, around: Any = 0.0) -> None:
+def shade(ax: Any, log: SimulatedLog, joint: int, band: float | None = None, around: Any = 0.0) -> None:
     """Grey where the joint is near zero velocity, darker the friction's band there."""
     slow = np.abs(log.qdot_des[:, joint]) < CREEP
     ax.fill_between(log.t, 0, 1, where=slow, color="0.92", transform=ax.get_xaxis_transform(), linewidth=0)

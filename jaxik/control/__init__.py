@@ -5,7 +5,7 @@ from jaxik.control.detection import Detector, Judged, detect, fit_detector, judg
 from jaxik.control.estimation import EstimationLoop, Sample, estimate, over_log
 from jaxik.control.kalman import KalmanFilter
 from jaxik.control.momentum_observer import MomentumObserver
-from jaxik.control.plant import Gains, Instruments, Log, Push, mujoco_model, play
+from jaxik.control.plant import Gains, Instruments, Push, SimulatedLog, mujoco_model, play
 from jaxik.control.torque_estimation import TorqueEstimator, TorqueFilter
 
 __all__ = [
@@ -15,10 +15,10 @@ __all__ = [
     "Instruments",
     "Judged",
     "KalmanFilter",
-    "Log",
     "MomentumObserver",
     "Push",
     "Sample",
+    "SimulatedLog",
     "TorqueEstimator",
     "TorqueFilter",
     "detect",

@@ -80,7 +80,7 @@ class Gains:
         check_finite("gains", 0.0, frequency=self.frequency, damping=self.damping)
 
 
-class Log(Pytree):
+class SimulatedLog(Pytree):
     """What was asked for, what was measured, and what was true, in time: `t` (k,) [s], all else (k, n).
 
     Asked for: `q_des`, `qdot_des`, `qddot_des`. Measured: `q`, `qdot`, `current` [A], `torsion` [rad]. True: `external`, what
@@ -146,7 +146,7 @@ def play(
     dt: float = 1e-3,
     rest: tuple[float, float] = (0.0, 0.0),
     seed: int = 0,
-) -> Log:
+) -> SimulatedLog:
     """The log of an arm, `chain` with its drives, that plays a motion, or several in a row, a sample every `dt` [s]. Host
     driver.
 
@@ -193,7 +193,7 @@ def play(
     torsion = gear / of(lambda d: d.stiffness)
     q, qdot, current, torsion = _measured(instruments, dt, seed, q, current, torsion)
     asked = {f"{name}_des": np.asarray(x) for name, x in zip(("q", "qdot", "qddot"), desired, strict=True)}
-    return Log(t=t, **asked, q=q, qdot=qdot, current=current, torsion=torsion, external=external, torque=torque)
+    return SimulatedLog(t=t, **asked, q=q, qdot=qdot, current=current, torsion=torsion, external=external, torque=torque)
 
 
 def _with_rests(motions: Sequence[Trajectory], dt: float, rest: tuple[float, float]) -> tuple[np.ndarray, JointState]:

@@ -3,7 +3,7 @@
 from jaxik.identification.excitation import Excitation, ExcitationOptions, excite
 from jaxik.identification.fit import Identified, IdentifyOptions, identify
 from jaxik.identification.identifiable import BaseParameters, base_parameters
-from jaxik.identification.log import Log
+from jaxik.identification.log import MotionLog
 from jaxik.identification.pseudo_inertia import pseudo_inertias
 
 __all__ = [
@@ -12,7 +12,7 @@ __all__ = [
     "ExcitationOptions",
     "Identified",
     "IdentifyOptions",
-    "Log",
+    "MotionLog",
     "base_parameters",
     "excite",
     "identify",

@@ -17,7 +17,7 @@ from jaxik.checks.options import as_count, changed, check_finite, check_kind
 from jaxik.identification.base_fit import base_fit
 from jaxik.identification.columns import Term, check_terms
 from jaxik.identification.identifiable import BaseParameters, base_parameters
-from jaxik.identification.log import Log
+from jaxik.identification.log import MotionLog
 from jaxik.identification.physical_fit import physical_fit
 from jaxik.identification.problem import posed
 from jaxik.reasons import Reason, Reasoned
@@ -67,7 +67,7 @@ class Identified(Reasoned):
 
 
 def identify(
-    chain: Chain, logs: Log | Sequence[Log], options: IdentifyOptions = IdentifyOptions(), **changes: Any
+    chain: Chain, logs: MotionLog | Sequence[MotionLog], options: IdentifyOptions = IdentifyOptions(), **changes: Any
 ) -> Identified:
     """The chain's bodies and friction, from motions that were measured. Host driver.
 

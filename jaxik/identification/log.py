@@ -12,7 +12,7 @@ from jaxik.pytree import Constant
 from jaxik.robot.chain import Array, Chain
 
 
-class Log(Constant):
+class MotionLog(Constant):
     """k samples of a motion: `q`, `qdot`, `qddot` (k, n) [rad, m, and per s, s2], and of what made it one of these, (k, n):
     `torque`, what the motors give as the joints feel it [Nm, N], or `current` [A], which the chain's drives turn into that."""
 
@@ -23,23 +23,23 @@ class Log(Constant):
     current: Float[Array, "k n"] | None = None
 
 
-def joined(chain: Chain, logs: Log | Sequence[Log]) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
+def joined(chain: Chain, logs: MotionLog | Sequence[MotionLog]) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
     """Positions, rates, accelerations and the motors' torques at the joints (K, n) of all logs; springs are taken out.
 
     Raises `ValueError` for other shapes, for what is not finite, and for currents of a chain without drives.
     """
     logs = list(logs) if isinstance(logs, Iterable) else [logs]
     if not logs:
-        raise ValueError("identify: no log; write a jaxik.identification.Log, or several")
+        raise ValueError("identify: no log; write a jaxik.identification.MotionLog, or several")
     rows = [_checked(chain, i, log) for i, log in enumerate(logs, 1)]
     q, qdot, qddot, torque = (np.concatenate(each) for each in zip(*rows, strict=True))
     return q, qdot, qddot, torque
 
 
-def _checked(chain: Chain, place: int, log: Log) -> list[np.ndarray]:
+def _checked(chain: Chain, place: int, log: MotionLog) -> list[np.ndarray]:
     who = f"identify: log {place}"
-    if not isinstance(log, Log):
-        raise ValueError(f"{who} is a {type(log).__name__}; write a jaxik.identification.Log")
+    if not isinstance(log, MotionLog):
+        raise ValueError(f"{who} is a {type(log).__name__}; write a jaxik.identification.MotionLog")
     if (log.torque is None) == (log.current is None):
         raise ValueError(f"{who} has {'no' if log.torque is None else 'both'} torque and current; give one of them")
     effort = "torque" if log.current is None else "current"

@@ -11,7 +11,7 @@ import numpy as np
 
 from jaxik.identification.columns import Term, body_columns, friction_columns, ratios
 from jaxik.identification.identifiable import BaseParameters
-from jaxik.identification.log import Log, joined
+from jaxik.identification.log import MotionLog, joined
 from jaxik.robot.chain import Chain
 
 
@@ -101,7 +101,7 @@ def _turned(basis: np.ndarray, triangle: np.ndarray, own: np.ndarray) -> tuple[n
     return np.vstack([triangle, np.zeros((len(outside), triangle.shape[1]))]), np.vstack([inside + again, outside])
 
 
-def posed(chain: Chain, logs: Log | Sequence[Log], terms: tuple[Term, ...], slowest: float) -> Problem:
+def posed(chain: Chain, logs: MotionLog | Sequence[MotionLog], terms: tuple[Term, ...], slowest: float) -> Problem:
     """Raises `ValueError` for logs that cannot be used, and where a joint never moves and its friction is asked for."""
     q, qdot, qddot, torque = joined(chain, logs)
     rotor = np.zeros_like(torque) if "armature" in terms else qddot * np.asarray(chain.armature)

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 import jaxik
-from jaxik.identification import Log, base_parameters, excite, identify, pseudo_inertias
+from jaxik.identification import MotionLog, base_parameters, excite, identify, pseudo_inertias
 from jaxik.identification.columns import body_columns, side_by_side
 from jaxik.identification.excitation import ExcitationOptions, _Search
 from jaxik.identification.problem import Curve, posed
@@ -108,8 +108,8 @@ def test_identification_from_noisy_logs(motion):
     motors += rng.normal(size=motors.shape) * 0.003 * motors.std(axis=0)
     half = len(motors) // 2
     logs = [
-        Log(*(x[:half] for x in motion), torque=motors[:half]),
-        Log(*(x[half:] for x in motion), current=motors[half:] / gain),
+        MotionLog(*(x[:half] for x in motion), torque=motors[:half]),
+        MotionLog(*(x[half:] for x in motion), current=motors[half:] / gain),
     ]
     found = identify(ARM, logs, terms=TERMS)
     assert found.reason == Reason.SOLVED and found.success
@@ -134,7 +134,7 @@ def test_torque_without_friction_is_exact(motion):
     """Sensors behind the gears, and no noise; the chain's own numbers stay where nothing is told."""
     true = another().with_drives(())
     motion = [x[::2] for x in motion]
-    found = identify(ARM.with_drives(()), Log(*motion, torque=np.asarray(torques(true, *motion))), terms=())
+    found = identify(ARM.with_drives(()), MotionLog(*motion, torque=np.asarray(torques(true, *motion))), terms=())
     truth = found.base.matrix @ np.asarray(body_parameters(true))
     np.testing.assert_allclose(found.value, truth, rtol=1e-8, atol=1e-8)
     assert not found.unknown() and not found.chain.drives
@@ -147,7 +147,7 @@ def test_the_drives_found_rub_as_was_measured(motion):
     true = ARM.with_drives([Drive(friction=uneven), Drive(friction=uneven), Drive(ratio=2.0, friction=uneven)])
     torque = np.asarray(torques(true, *motion))
     rub = np.asarray(rubbed(true, motion[1], torque))
-    found = identify(true, Log(*motion, torque=torque - rub), terms=("coulomb", "viscous", "asymmetry"))
+    found = identify(true, MotionLog(*motion, torque=torque - rub), terms=("coulomb", "viscous", "asymmetry"))
     assert found.reason == Reason.SOLVED
     np.testing.assert_allclose(rubbed(found.chain, motion[1], torque), rub, atol=2e-3)
 
@@ -155,7 +155,7 @@ def test_the_drives_found_rub_as_was_measured(motion):
 def test_rows_that_are_turned_say_the_same(motion):
     """Scalar products of all columns, joint by joint, are those of the rows as they were measured."""
     rng = np.random.default_rng(0)
-    log = Log(*motion, torque=rng.normal(size=motion[0].shape))
+    log = MotionLog(*motion, torque=rng.normal(size=motion[0].shape))
     problem = posed(ARM, log, TERMS, 0.05)
     curve = Curve(rng.normal(size=motion[0].shape), np.full(3, 0.3))
     columns, bend, torque, joint = problem.rows(curve)
@@ -176,7 +176,7 @@ def test_a_file_without_masses(motion, share, reason):
     torque = share * np.asarray(torques(dataclasses.replace(another(), drives=(), armature=np.zeros(3)), *motion))
     torque += np.random.default_rng(0).normal(size=torque.shape) * 0.003 * torque.std(axis=0)
     bare = dataclasses.replace(with_body_parameters(ARM, np.zeros(30)), drives=(), armature=np.zeros(3))
-    found = identify(bare, Log(*motion, torque=torque), terms=())
+    found = identify(bare, MotionLog(*motion, torque=torque), terms=())
     assert found.reason == reason
     explained = np.all(np.abs(np.asarray(torques(found.chain, *motion)) - torque) <= 0.03 * torque.std(axis=0))
     assert explained == (reason == Reason.SOLVED)
@@ -187,7 +187,7 @@ def test_a_poor_log_is_told(motion):
     still = [x[::2].copy() for x in motion]
     for x in still:
         x[:, 2] = 0.4 if x is still[0] else 0.0
-    found = identify(ARM, Log(*still, torque=np.asarray(torques(ARM, *still))), terms=())
+    found = identify(ARM, MotionLog(*still, torque=np.asarray(torques(ARM, *still))), terms=())
     assert found.reason == Reason.UNEXCITED and found.reasons == "unexcited" and not found.success
     assert "Izz(joint3)" in found.unknown() and np.isinf(found.std).any() and found.condition > 1e6
 
@@ -202,7 +202,7 @@ FAULTS = [
     (dict(q=0.0), r"log 1: q of shape \(\); allowed: \(k, 3\)"),
     (dict(terms="load"), "identify: terms is load; write a tuple of coulomb, breakaway"),
     (dict(terms=("load", "load")), "identify: terms has load 2 times; write it once"),
-    (dict(logs=None), "log 1 is a NoneType; write a jaxik.identification.Log"),
+    (dict(logs=None), "log 1 is a NoneType; write a jaxik.identification.MotionLog"),
     (dict(chain=with_body_parameters(ARM, np.full(30, np.nan))), "identify: a body of crops_v2 holds NaN or infinity"),
     (dict(prior=0.0), "prior is 0.0; it is a finite number of at least 1e-06"),
     (dict(terms=()), "12 values for 9 unknowns; log a longer motion"),
@@ -215,7 +215,7 @@ def test_faults_in_one_line(change, line):
     rows = {name: np.zeros((4, 3)) for name in ("q", "qdot", "qddot", "torque")}
     rows |= {name: change[name] for name in rows if name in change}
     with pytest.raises(ValueError, match=line) as caught:
-        given = {"chain": ARM, "logs": Log(**rows)} | {name: x for name, x in change.items() if name not in rows}
+        given = {"chain": ARM, "logs": MotionLog(**rows)} | {name: x for name, x in change.items() if name not in rows}
         identify(**given)
     assert "\n" not in str(caught.value)
 
