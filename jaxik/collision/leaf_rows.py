@@ -13,8 +13,8 @@ from jaxik.spatial.algebra import Vec3
 
 
 class Found(NamedTuple):
-    """A least distance [m]; of which volume, and of which obstacle or other volume, where that is asked for (else None); and,
-    among solids of triangles, of which point `along` the volume's skeleton, where that is inside of one."""
+    """A least distance [m]; of which volume, `mine`, and of which obstacle or `other` volume, where that is asked for (else
+    None); and, among solids of triangles, at which place on the volume's skeleton, where that is inside of one."""
 
     distance: Any
     mine: Any = None
@@ -29,22 +29,26 @@ def nearest_of(found: Found, another: Found) -> Found:
 
 
 def entry(x: Any, i: Any) -> Any:
+    """`x[i]` of an array (k, ...), i from 0 to k - 1: one dynamic slice, which JAX's indexing would first clip and wrap."""
     return lax.dynamic_index_in_dim(jnp.asarray(x), i, keepdims=False)
 
 
+def row_at(columns: Any, i: Any) -> Any:
+    """Row i of every array (k, ...) of a tree: of balls a centre and a radius."""
+    return jax.tree_util.tree_map(lambda x: entry(x, i), columns)
+
+
 def count_of(columns: Any) -> int:
+    """How many rows k the arrays (k, ...) of a tree have."""
     return len(jax.tree_util.tree_leaves(columns)[0])
 
 
 def rows_from(columns: Any, i: Any, size: int) -> Any:
+    """Block i of `size` rows each, of every array (k, ...) of a tree."""
     return jax.tree_util.tree_map(lambda x: lax.dynamic_slice_in_dim(x, i * size, size), columns)
 
 
-def ball_at(balls: Any, i: Any) -> Any:
-    """One of some, its centre and its radius."""
-    return jax.tree_util.tree_map(lambda x: entry(x, i), balls)
-
-
-def as_columns(balls: Balls, dtype: Any) -> Any:
+def as_columns(balls: Balls, dtype: Any) -> tuple[Vec3, Any]:
+    """The centres of k balls, a column (k,) a coordinate [m], and their radii (k,) [m]."""
     center = jnp.asarray(balls.center, dtype)
     return Vec3(center[:, 0], center[:, 1], center[:, 2]), jnp.asarray(balls.radius, dtype)

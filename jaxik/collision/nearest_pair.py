@@ -20,7 +20,7 @@ from jax import lax
 from jaxik.checks.arrays import is_known
 from jaxik.collision import bvh, distance
 from jaxik.collision.bvh import Grouped, Robot, Volumes
-from jaxik.collision.leaf_rows import Found, as_columns, ball_at, count_of, entry, nearest_of, rows_from
+from jaxik.collision.leaf_rows import Found, as_columns, count_of, entry, nearest_of, row_at, rows_from
 from jaxik.collision.shape_distances import Gap, depth_gap, obstacles_of, skeleton_gap, square_gap, triangle_gap
 from jaxik.collision.solids import Solids
 from jaxik.robot.chain import Chain
@@ -106,7 +106,7 @@ class Space:
         def one(_: Any, b: Any) -> Any:
             found = self._start(jnp.inf, tracked)
             for k in range(len(self.obstacles)):
-                step = lambda p, found, k=k: self._to_branches(p, ball_at(self.parts, p), k, b, b + 1, found)
+                step = lambda p, found, k=k: self._to_branches(p, row_at(self.parts, p), k, b, b + 1, found)
                 found = lax.fori_loop(jnp.int32(0), jnp.int32(len(self.robot.links)), step, found)
             return None, then(found)
 
@@ -114,7 +114,7 @@ class Space:
 
     def part(self, p: Any, found: Found) -> Found:
         """The nearest pair of part p, a later one of two parts, or what was `found` if none is nearer."""
-        ball = ball_at(self.parts, p)
+        ball = row_at(self.parts, p)
         if len(self.robot.other):  # before the obstacles: it is near whatever the scene, and rules most of them out
             found = self._to_itself(p, ball, found)
         for k, obstacles in enumerate(self.obstacles):
@@ -130,7 +130,7 @@ class Space:
         """Part p against branch b of the obstacles of kind k."""
         obstacles = self.obstacles[k]
         first, last = entry(obstacles.first, b), entry(obstacles.last, b)
-        branch = ball_at(as_columns(obstacles.branches, self.dtype), b)
+        branch = row_at(as_columns(obstacles.branches, self.dtype), b)
         inside = lambda found: self._leaves(p, first, last, self.others[k], found, branch)
         if self.bits is not None:
             inside = lambda found, leaves=inside: lax.cond(self.counts(p, k, b), leaves, lambda found: found, found)
@@ -152,11 +152,11 @@ class Space:
                 return found
 
             if not self.tabled:
-                return self._if_near(found, ball, ball_at(self.parts, o), inside)
+                return self._if_near(found, ball, row_at(self.parts, o), inside)
             number = entry(robot.tables.of, k)
             known = lambda found: self._beyond(number, found, inside)
             either = lambda found: lax.cond(number >= 0, known, inside, found)
-            return self._if_near(found, ball, ball_at(self.parts, o), either)
+            return self._if_near(found, ball, row_at(self.parts, o), either)
 
         return lax.fori_loop(entry(robot.first, p), entry(robot.last, p), pair, found)
 
@@ -193,7 +193,7 @@ class Space:
 
             def own(i: Any, found: Found, v: Any = (volumes, placed, origin, squares, long)) -> Found:
                 volumes, placed, origin, squares, long = v
-                ball, mine = ball_at(placed.leaves, i), rows_from((placed.corners, placed.radius), i, volumes.size)
+                ball, mine = row_at(placed.leaves, i), rows_from((placed.corners, placed.radius), i, volumes.size)
 
                 def other(j: Any, found: Found) -> Found:
                     theirs = rows_from(others.columns, j, others.size)
@@ -203,8 +203,8 @@ class Space:
                         bound = lambda: others.gap(((ball[0],), ball[1]), jax.tree_util.tree_map(lambda x: x[0], theirs))
                         inside = lambda found, near=inside: lax.cond(bound() < found.distance, near, lambda found: found, found)
                     if long:
-                        return _if_beside(found, mine, ball_at(others.leaves, j), inside)
-                    return self._if_near(found, ball, ball_at(others.leaves, j), inside)
+                        return _if_beside(found, mine, row_at(others.leaves, j), inside)
+                    return self._if_near(found, ball, row_at(others.leaves, j), inside)
 
                 every = lambda found: lax.fori_loop(first, last, other, found)
                 return _if_beside(found, mine, around, every) if long else every(found)
@@ -291,7 +291,7 @@ class Space:
                 def inside(value: Any, v: Any = (volumes, others, theirs, i, j, gap)) -> Any:
                     volumes, others, theirs, i, j, gap = v
                     own, above = self._volume(volumes, i)
-                    other, below = jax.tree_util.tree_map(lambda x: entry(x, j), others.columns), jnp.int32(0)
+                    other, below = row_at(others.columns, j), jnp.int32(0)
                     if theirs is not None:
                         other, below = self._volume(theirs, j)
                     return function(gap, own, other, (above, below))

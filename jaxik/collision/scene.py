@@ -111,6 +111,7 @@ class Triangles(Kind):
 
 
 def no_triangles() -> Triangles:
+    """The triangles of a scene that has none."""
     a, b, c = np.zeros((3, 0, 3))
     return Triangles(a, b, c, np.zeros(0))
 

@@ -10,12 +10,11 @@ import operator
 from collections.abc import Callable
 from typing import Any
 
-import jax
 import jax.numpy as jnp
 from jax import lax
 
 from jaxik.collision import distance
-from jaxik.collision.leaf_rows import Found, as_columns, ball_at, entry, nearest_of
+from jaxik.collision.leaf_rows import Found, as_columns, entry, nearest_of, row_at
 from jaxik.collision.shape_distances import along
 from jaxik.spatial.algebra import Vec3, traced
 
@@ -46,7 +45,7 @@ class Solids:
         def near(b: Any, is_near: Any) -> Any:
             *extents, reach = traced(entry(jnp.asarray(self.obstacles.bodies, radius.dtype), b))
             overlaps = [x - radius < most for x, most in zip((*-center, *center), extents, strict=True)]
-            close = _meet((center, radius + reach), ball_at(self.branches, b)) & self.space.counts(self.p, self.k, b)
+            close = _meet((center, radius + reach), row_at(self.branches, b)) & self.space.counts(self.p, self.k, b)
             return is_near | functools.reduce(operator.and_, overlaps, close)
 
         within = lax.fori_loop(self.first, self.last, near, jnp.zeros((), bool))
@@ -64,7 +63,7 @@ class Solids:
 
                 def sample(m: Any, found: Found) -> Found:
                     row, at = i * volumes.size + m // count, (m % count).astype(space.dtype) * pace
-                    corners, radius = jax.tree_util.tree_map(lambda x: entry(x, row), (placed.corners, placed.radius))
+                    corners, radius = row_at((placed.corners, placed.radius), row)
                     point = along(corners, at)
                     inside = lambda found: self._of_point(point, radius, found, (origin + row, at))
                     look = lambda found: self._if_within((point, jnp.zeros((), space.dtype)), inside, found)
@@ -74,7 +73,7 @@ class Solids:
                     return lax.cond((m % count == 0) | (space.enough < 0.0), look, lambda found: found, found)
 
                 samples = lambda found: lax.fori_loop(jnp.int32(0), jnp.int32(volumes.size * count), sample, found)
-                return self._if_within(ball_at(placed.leaves, i), samples, found)
+                return self._if_within(row_at(placed.leaves, i), samples, found)
 
             found = lax.fori_loop(entry(volumes.first, self.p), entry(volumes.last, self.p), own, found)
         return found
@@ -104,19 +103,19 @@ class Solids:
         return lax.cond(inside, depth, lambda found: found, found)
 
     def _row(self, j: Any) -> Any:
-        return jax.tree_util.tree_map(lambda x: entry(x, j), self.others.columns)
+        return row_at(self.others.columns, j)
 
     def _over(self, meets: Any, point: Vec3, radius: Callable[..., Any], step: Callable[..., Any], state: Any) -> Any:
         """`step` of each triangle whose branch and leaf `meets` the ball of a `radius`, by the state, around a point."""
         within = lambda other, state: meets((point, radius(state)), other)
 
         def leaf(j: Any, state: Any) -> Any:
-            here = within(ball_at(self.others.leaves, j), state)
+            here = within(row_at(self.others.leaves, j), state)
             return lax.cond(here, functools.partial(step, j), lambda state: state, state)
 
         def branch(b: Any, state: Any) -> Any:
             leaves = lambda state: lax.fori_loop(entry(self.obstacles.first, b), entry(self.obstacles.last, b), leaf, state)
-            here = within(ball_at(self.branches, b), state) & self.space.counts(self.p, self.k, b)
+            here = within(row_at(self.branches, b), state) & self.space.counts(self.p, self.k, b)
             return lax.cond(here, leaves, lambda state: state, state)
 
         return lax.fori_loop(self.first, self.last, branch, state)
