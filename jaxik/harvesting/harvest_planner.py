@@ -95,7 +95,7 @@ class _Planner:
         self.chain, scene, asked = harvested.chain, harvested.scene, harvested.options
         self.around = _Surroundings(scene, options.leaves)
         self.motion = PlanOptions(options.margin, options.velocity, options.acceleration, options.rounds)
-        self.limits = Limits(*(rows[0] for rows in motion_limits("plan_harvest", self.chain, self.motion)))
+        self.limits = Limits(*motion_limits("plan_harvest", self.chain, self.motion))
         clear = max(options.margin, asked.margin)
         self.way = Way(asked.grasp, options.approach, options.candidates, options.margin, clear, self.limits)
         self.rank = _ranks(scene.fruits, options.order)  # from which the shortest order is looked for, too

@@ -18,8 +18,9 @@ from jaxik.ik import IKOptions, solve_ik
 from jaxik.planning.attempts import ATTEMPTS, proven_way
 from jaxik.planning.collision_checker import CollisionChecker, judged
 from jaxik.planning.corner_blending import blended
+from jaxik.planning.limits import limits_of
 from jaxik.planning.outcome import Outcome
-from jaxik.planning.timing import limits_of, time_optimal
+from jaxik.planning.timing import time_optimal
 from jaxik.planning.trajectory import JointPath, Trajectory, padded, polyline
 from jaxik.planning.tree_search import Budget
 from jaxik.reasons import Reason, Reasoned
@@ -223,12 +224,12 @@ def _planned(
 
 
 def motion_limits(who: str, chain: Chain, options: PlanOptions) -> tuple[np.ndarray, np.ndarray]:
-    """Of velocity and acceleration (1, n)."""
+    """Of velocity and acceleration, each (n,)."""
     velocity = numbers(f"{who}: velocity", chain.velocity if options.velocity is None else options.velocity)
     if options.acceleration is None and np.isinf(velocity).any():
         raise ValueError(f"{who}: {chain.name} has no limits of velocity; give acceleration= [rad/s2, m/s2]")
     acceleration = BRISK * velocity if options.acceleration is None else options.acceleration
-    return limits_of(who, velocity, acceleration, (1, chain.num_joints))
+    return limits_of(who, velocity, acceleration, (chain.num_joints,))
 
 
 def turned(chain: Chain, starts: np.ndarray, goals: np.ndarray, pose: bool = False) -> np.ndarray:

@@ -13,7 +13,7 @@ import numpy as np
 
 from jaxik.checks.arrays import numbers
 from jaxik.checks.options import shown
-from jaxik.planning.timing import limit_of, limits_of
+from jaxik.planning.limits import limit_of, limits_of
 from jaxik.planning.trajectory import JointPath, Trajectory
 
 

@@ -11,6 +11,7 @@ from jaxik.checks.arrays import numbers
 from jaxik.checks.options import as_count, check_kind
 from jaxik.optimise.time_scaling import fastest
 from jaxik.planning import torque_limits
+from jaxik.planning.limits import limits_of
 from jaxik.planning.trajectory import JointPath, Trajectory
 from jaxik.robot.chain import Chain
 from jaxik.robot.dynamics import GRAVITY
@@ -118,25 +119,3 @@ def _arrays(path: JointPath) -> tuple[np.ndarray, np.ndarray]:
     if (lengths < 0.0).any():
         raise ValueError(f"time_optimal: path has a piece of length {lengths.min():g}; a length is 0 or more")
     return lengths, curve
-
-
-def limits_of(
-    who: str, velocity: Any, acceleration: Any, shape: tuple[int, int], driven: bool = False
-) -> tuple[np.ndarray, np.ndarray]:
-    """Both in (N, n), each from one number, one a joint, or rows of these. Raises `ValueError` of `who`."""
-    both = limit_of(who, "velocity", velocity, shape), limit_of(who, "acceleration", acceleration, shape)
-    if not (driven or np.isfinite(both[1]).all()):
-        raise ValueError(f"{who}: acceleration is infinite; give finite numbers [rad/s2, m/s2]")
-    return both
-
-
-def limit_of(who: str, name: str, given: Any, shape: tuple[int, int]) -> np.ndarray:
-    """Likewise, one of them."""
-    limit = numbers(f"{who}: {name}", given)
-    try:
-        rows = np.broadcast_to(limit, shape)
-    except ValueError:
-        raise ValueError(f"{who}: {name} of shape {limit.shape}; allowed: (), {shape[1:]} or {shape}") from None
-    if not (limit > 0.0).all():
-        raise ValueError(f"{who}: {name} is not positive everywhere; give positive numbers [rad, m and s]")
-    return rows

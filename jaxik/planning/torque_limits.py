@@ -17,7 +17,8 @@ from typing import Any, NamedTuple
 import jax.numpy as jnp
 import numpy as np
 
-from jaxik.checks.arrays import numbers, shaped
+from jaxik.checks.arrays import shaped
+from jaxik.planning.limits import limit_of
 from jaxik.planning.trajectory import along_pieces
 from jaxik.robot.chain import Chain
 from jaxik.robot.dynamics import inverse_dynamics
@@ -54,15 +55,10 @@ class Forces(NamedTuple):
 
 
 def drives(who: str, chain: Chain, torque: Any, power: Any, gravity: Any) -> Drives:
-    """Raises `ValueError` of `who` for limits that are not above zero, or of another shape."""
-    n, limits = chain.num_joints, []
-    for name, given, unit in (("torque", torque, "[Nm, N]"), ("power", power, "[W]")):
-        limit = numbers(f"{who}: {name}", np.inf if given is None else given)
-        if limit.shape not in ((), (n,)) or not (limit > 0.0).all():
-            raise ValueError(f"{who}: {name} of shape {limit.shape}; allowed: one number or ({n},), above zero {unit}")
-        limits.append(np.broadcast_to(limit, (n,)))
-    most, strongest = limits
-    return Drives(chain, most, strongest, shaped(f"{who}: gravity", gravity, (3,)))
+    """What is not given is no limit. Raises `ValueError` of `who` as `limit_of` does, and for what is no gravity (3,)."""
+    most = {"torque": torque, "power": power}
+    limits = {k: limit_of(who, k, np.inf if x is None else x, (chain.num_joints,)) for k, x in most.items()}
+    return Drives(chain, **limits, gravity=shaped(f"{who}: gravity", gravity, (3,)))
 
 
 def forces(drives: Drives, curve: np.ndarray, lengths: np.ndarray, parts: int) -> Forces:

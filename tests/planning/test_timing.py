@@ -145,9 +145,15 @@ def test_samples_end_with_the_motion_and_keep_the_limits():
 @pytest.mark.parametrize(
     ("call", "said"),
     [
-        (lambda: time_optimal(polyline([[0.0], [1.0]]), 0.0, 1.0), "velocity is not positive everywhere"),
+        (
+            lambda: time_optimal(polyline([[0.0], [1.0]]), 0.0, 1.0),
+            "velocity is 0.0; allowed: one number or",
+        ),
         (lambda: time_optimal(polyline([[0.0], [1.0]]), 1.0, np.inf), "acceleration is infinite"),
-        (lambda: time_optimal(polyline([[0.0], [1.0]]), [1.0, 1.0], 1.0), r"velocity of shape \(2,\); allowed: \(\), \(1,\)"),
+        (
+            lambda: time_optimal(polyline([[0.0], [1.0]]), [1.0, 1.0], 1.0),
+            r"velocity of shape \(2,\) is",
+        ),
         (lambda: time_optimal("path", 1.0, 1.0), "path is path; write a jaxik.planning.JointPath"),
         (lambda: polyline([[0.0, np.nan], [1.0, 0.0]]), "waypoints of shape"),
         (lambda: spline([[0.0], [0.0], [1.0]]), "waypoints 0 and 1 are equal"),
@@ -237,7 +243,7 @@ def test_constant_power_on_a_slide():
 
 def test_torque_limits_that_are_none():
     chain, path = jaxik.load("crops_v2"), polyline(np.eye(9)[:2])
-    with pytest.raises(ValueError, match="time_optimal: torque of shape \\(3,\\); allowed: one number or \\(9,\\), above zero"):
+    with pytest.raises(ValueError, match=r"time_optimal: torque of shape \(3,\) is .*; allowed: one number or \(9,\), above"):
         time_optimal(path, 1.0, 1.0, chain=chain, torque=np.ones(3))
     with pytest.raises(ValueError, match="time_optimal: gravity of shape \\(\\); allowed: \\(3,\\)"):
         time_optimal(path, 1.0, 1.0, chain=chain, torque=1e3, gravity=-9.81)

@@ -1,0 +1,42 @@
+"""Limits of joints, as a caller may give them: one number for all, one a joint, or rows of these for a batch."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+
+from jaxik.checks.arrays import numbers
+from jaxik.checks.options import shown
+
+UNITS = {  # of a joint that turns, and of one that slides
+    "velocity": "[rad/s, m/s]",
+    "acceleration": "[rad/s2, m/s2]",
+    "jerk": "[rad/s3, m/s3]",
+    "torque": "[Nm, N]",
+    "power": "[W]",
+}
+
+
+def limit_of(who: str, name: str, given: Any, shape: tuple[int, ...]) -> np.ndarray:
+    """A limit, one of `UNITS` by name, in the `shape` (n,) of one motion, or (N, n) of many.
+
+    Raises `ValueError` of `who` for numbers that are not above zero, and for more of them or fewer.
+    """
+    limit = numbers(f"{who}: {name}", given)
+    allowed = [shape[i:] for i in reversed(range(len(shape) + 1))]
+    if limit.shape not in allowed or not (limit > 0.0).all():
+        held, every = (f" of shape {limit.shape}" if limit.ndim else ""), " or ".join(["one number", *map(str, allowed[1:])])
+        raise ValueError(f"{who}: {name}{held} is {shown(given)}; allowed: {every}, above zero {UNITS[name]}")
+    return np.broadcast_to(limit, shape)
+
+
+def limits_of(
+    who: str, velocity: Any, acceleration: Any, shape: tuple[int, ...], driven: bool = False
+) -> tuple[np.ndarray, np.ndarray]:
+    """Those of velocity and acceleration, of which only the first may be infinite, unless it is `driven`: within limits of
+    torque. Raises `ValueError` likewise."""
+    both = limit_of(who, "velocity", velocity, shape), limit_of(who, "acceleration", acceleration, shape)
+    if not (driven or np.isfinite(both[1]).all()):
+        raise ValueError(f"{who}: acceleration is infinite; give finite numbers {UNITS['acceleration']}")
+    return both
