@@ -39,6 +39,13 @@ def _is_finite(value: Any) -> bool:
         return False
 
 
+def check_flag(who: str, **flags: Any) -> None:
+    """Raises likewise for what is neither True nor False."""
+    for name, value in flags.items():
+        if not isinstance(value, bool | np.bool_):
+            raise ValueError(f"{who}: {name} is {shown(value)}; allowed: True, False")
+
+
 def check_kind(who: str, name: str, value: Any, kind: type, optional: bool = False) -> None:
     """Raises likewise for what is no `kind`, nor None where that is allowed; of a file's name it says what reads the file."""
     if not isinstance(value, kind) and not (optional and value is None):
@@ -98,12 +105,12 @@ def batch_axes(each: Sequence[str], kinds: Any) -> tuple[int | None, ...]:
     return tuple(0 if name in each else None for name in get_args(kinds))
 
 
-def as_count(name: str, value: Any, also: str = "") -> int:
-    """`value`, an integer of any kind that is at least 1, as an int. Raises a `ValueError` of one line otherwise; `also` says
-    what else is allowed."""
+def as_count(name: str, value: Any, also: str = "", least: int = 1) -> int:
+    """`value`, an integer of any kind that is at least `least`, as an int. Raises a `ValueError` of one line otherwise; `also`
+    says what else is allowed."""
     given = value if np.isscalar(value) or getattr(value, "shape", None) == () else None
-    if given is None or np.asarray(given).dtype.kind not in "iu" or int(given) < 1:
-        raise ValueError(f"{name} is {shown(value)}; allowed: a count, which is an integer and at least 1{also}")
+    if given is None or np.asarray(given).dtype.kind not in "iu" or int(given) < least:
+        raise ValueError(f"{name} is {shown(value)}; allowed: a count, which is an integer and at least {least}{also}")
     return int(given)
 
 

@@ -97,6 +97,11 @@ def as_wide(around: Grouped, q: Any) -> Grouped:
     return jax.tree_util.tree_map(lambda x: x.astype(wide) if other(x) else x, around)
 
 
+def has_geometry(chain: Chain) -> bool:
+    """Whether the chain has shapes to collide with, and no meshes that were not read."""
+    return bool(chain.boxes or chain.volumes) and not chain.unread_meshes
+
+
 def check_geometry(chain: Chain) -> None:
     """What drivers ask before they compile anything. Raises `ValueError` for a chain that has no shapes to collide with, or
     NaN or infinity in the numbers by which it does, where these are known."""

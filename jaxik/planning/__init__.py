@@ -6,7 +6,8 @@ from jaxik.planning.profiles import quintic, s_curve, trapezoidal
 from jaxik.planning.timing import time_optimal
 from jaxik.planning.trajectory import JointPath, JointState, Trajectory, polyline, spline
 from jaxik.planning.trajectory_files import load_trajectory, save_trajectory
-from jaxik.planning.trajectory_optimiser import OptimisedTrajectory, TrajectoryOptions, optimise_trajectory
+from jaxik.planning.trajectory_optimiser import OptimisedTrajectory, optimise_trajectory
+from jaxik.planning.trajectory_options import TrajectoryOptions
 from jaxik.planning.trajectory_sensitivity import trajectory_cost
 
 __all__ = [

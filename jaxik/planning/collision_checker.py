@@ -80,11 +80,13 @@ def touched(chain: Chain, scene: Scene, q: np.ndarray, margin: float) -> np.ndar
     return in_blocks(_objects(alone, len(scene.object_names)), q, fixed=fixed, double=False)[0] < margin
 
 
-def judged(chain: Chain, space: CollisionChecker, postures: np.ndarray) -> np.ndarray:
-    """The reason of each posture (b, n), LIMITS before COLLISION; at the limits what float32 makes of them counts as inside."""
+def judged(chain: Chain, space: CollisionChecker | None, postures: np.ndarray) -> np.ndarray:
+    """The reason of each posture (b, n), LIMITS before COLLISION, which is known in a `space` alone; at the limits what float32
+    makes of them counts as inside."""
     near = 1e-6 * (1.0 + np.abs(postures))
     inside = ((postures >= chain.lower - near) & (postures <= chain.upper + near)).all(axis=1)
-    reason = np.where(~inside, Reason.LIMITS, np.where(space.hits(postures), Reason.COLLISION, Reason.SOLVED))
+    hits = np.zeros(len(postures), bool) if space is None else space.hits(postures)
+    reason = np.where(~inside, Reason.LIMITS, np.where(hits, Reason.COLLISION, Reason.SOLVED))
     return np.where(np.isfinite(postures).all(axis=1), reason, Reason.INVALID)
 
 

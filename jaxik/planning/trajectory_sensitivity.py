@@ -15,7 +15,8 @@ from jaxik.checks.options import changed, check_kind
 from jaxik.collision.clearances import link_clearances
 from jaxik.collision.scene import Scene
 from jaxik.costs import collision_cost
-from jaxik.planning.trajectory_optimiser import OptimisedTrajectory, TrajectoryOptions
+from jaxik.planning.trajectory_optimiser import OptimisedTrajectory
+from jaxik.planning.trajectory_options import TrajectoryOptions
 from jaxik.planning.trajectory_terms import at_knot
 from jaxik.robot.chain import Chain
 from jaxik.robot.kinematics import joint_frames

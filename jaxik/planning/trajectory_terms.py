@@ -12,7 +12,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from jaxik.collision.bvh import grouped
-from jaxik.collision.clearances import link_contacts
+from jaxik.collision.clearances import has_geometry, link_contacts
 from jaxik.collision.continuous_collision import joint_reaches
 from jaxik.collision.scene import Scene
 from jaxik.optimise import collocation, splines
@@ -89,7 +89,7 @@ class Terms:
         samples = functools.partial(self._samples, 0.0 if extra is None else extra, open_end)
         return collocation.Problem(
             *(self.degree, self.duration / spans, self._rows(spans, cautious), samples, asked, at, count, open_end),
-            cautious=self._reaches / STRIDE if cautious else None,
+            cautious=self._reaches / STRIDE if cautious and self._robots else None,
             loads=self._loads if self.drives.limited else None,
             limit=None if not self.drives.limited else np.ones((1, 1, 1)) if used is None else used[:, :, None],
         )
@@ -138,7 +138,10 @@ class Terms:
 
     @functools.cached_property
     def _robots(self) -> list[tuple[Chain, Any, float]]:
-        """A chain, obstacles, and the distance at which they begin to cost; itself and the scene apart where these differ."""
+        """A chain, obstacles, and the distance [m] at which they begin to cost; itself and the scene apart where these differ;
+        none of a chain without shapes."""
+        if not has_geometry(self.chain):
+            return []
         if self.self_activation == self.activation or not self.collision_weight:
             return [(self.chain, grouped(self.scene, self.chain), self.activation)]
         alone = dataclasses.replace(self.chain, self_pairs=())
@@ -159,6 +162,8 @@ class Terms:
             distances.append(np.minimum(d, FAR).reshape(count, knots, -1))
             slopes.append(slope.reshape(count, knots, -1, n))
             near.append(np.full(d.shape[1], activation))
+        if not self._robots:  # nothing is near
+            distances, slopes, near = [np.full((count, knots, 1), FAR)], [np.zeros((count, knots, 1, n))], [np.ones(1)]
         d, slope, close = np.concatenate(distances, 2), np.concatenate(slopes, 2), np.concatenate(near)
         excess: np.ndarray | None = None
         if self.margin is not None:
@@ -169,7 +174,7 @@ class Terms:
         by_rate: np.ndarray | None = None
         depth = np.maximum(close - d, 0.0) / close
         share = np.broadcast_to(weight[:, None], (count, knots, 1))
-        if self.arc_length:
+        if self.arc_length and self._robots:
             speed = np.sqrt(np.sum((rate * self._reaches) ** 2, axis=2, keepdims=True) + 1e-12)
             by_rate = np.sum(share * depth**3, axis=2, keepdims=True) / speed * rate * self._reaches**2
             share = share * speed

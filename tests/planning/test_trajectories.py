@@ -278,8 +278,24 @@ def test_reasons(arm):
     assert optimise_trajectory(chain, POLES, START, far, spans=32).reasons == "out of reach"
     hasty = optimise_trajectory(chain, POLES, START, GOAL, duration=0.1, velocity=1.0, spans=32, rounds=0)
     assert hasty.reasons != "solved"
-    none = optimise_trajectory(chain, POLES, START, np.zeros((0, 3)), spans=32)
-    assert none.reason.shape == (0,) and none.trajectory.time.shape == (0, 33)
+    for start, goal in ((START, np.zeros((0, 3))), ([], [])):
+        none = optimise_trajectory(chain, POLES, start, goal, spans=32)
+        assert none.reason.shape == (0,) and none.trajectory.time.shape == (0, 33)
+
+
+def test_a_chain_without_shapes():
+    """It moves as one with shapes does that has nothing to hit, and nothing is asked of shapes."""
+    chain, scene, ends = jaxik.load("crops_v2").part(0, 3), jaxik.make_scene(), ([0.2, 0.0, 0.0], [0.6, 0.8, -0.7])
+    bare = dataclasses.replace(chain, boxes=(), volumes=(), self_pairs=())
+    options = {"margin": None, "spans": 12, "duration": 0.6, "velocity": 9.0, "torque": [603.0, 12.6, 27.9]}
+    found, like = (optimise_trajectory(each, None, *ends, **options) for each in (bare, chain))
+    assert found.reasons == like.reasons == "solved"
+    np.testing.assert_allclose(found.cost, like.cost, rtol=1e-9)
+    pose = np.asarray(jaxik.forward_kinematics(bare, np.array(ends[1])))
+    assert optimise_trajectory(bare, scene, ends[0], pose, task=jaxik.Task.position(), **options).reasons == "solved"
+    for asks in ({"margin": 0.0}, {"collision_weight": 1.0}):
+        with pytest.raises(ValueError, match="crops_v2: has no collision geometry"):
+            optimise_trajectory(bare, None, *ends, **options | asks)
 
 
 @pytest.mark.parametrize(
@@ -290,7 +306,12 @@ def test_reasons(arm):
         ({"duration": 0.0}, "duration is 0"),
         ({"degree": 4}, "degree 4"),
         ({"degree": 2, "jerk": 1.0}, "no jerk"),
-        ({"velocity": -1.0}, "velocity is -1"),
+        ({"velocity": -1.0}, r"velocity is -1.0; allowed: one number or \(3,\), above zero .rad/s, m/s."),
+        ({"jerk": [1.0, 2.0]}, r"jerk of shape \(2,\) is .1.0, 2.0.; allowed: one number or \(3,\)"),
+        ({"power": 0.0}, r"power is 0.0; allowed: one number or \(3,\), above zero .W."),
+        ({"rounds": 2.5}, "rounds is 2.5; allowed: a count, which is an integer and at least 0"),
+        ({"arc_length": "no"}, "arc_length is no; allowed: True, False"),
+        ({"margin": ""}, "margin is ; it is a finite number"),
         ({"guess": np.zeros((1, 3))}, "guess of shape"),
         ({"guess": np.zeros((3, 5, 3))}, "guess of shape"),
         ({"via": [(1.5, np.eye(4))]}, "share 1.5"),

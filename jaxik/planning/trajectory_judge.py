@@ -1,0 +1,114 @@
+"""Whether motions keep what they must, between knots too: limits, targets, and a distance to obstacles."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from jaxik.collision.clearances import has_geometry
+from jaxik.optimise import collocation, splines
+from jaxik.planning import torque_limits
+from jaxik.planning.collision_checker import CLOSE, RESOLUTION, CollisionChecker, judged
+from jaxik.planning.trajectory import along_pieces
+from jaxik.planning.trajectory_options import TrajectoryOptions
+from jaxik.planning.trajectory_terms import Terms
+from jaxik.reasons import Reason
+
+CUSHION = 2e-4  # [m] beyond the margin that is kept at knots, for what is between them
+BROKEN = 1e-6  # by which a limit [rad, m and s] or a target [m, rad] counts as missed
+BETWEEN = np.linspace(0.0, 1.0, 5)  # of a span, where torques are judged
+
+
+class Judge:
+    """Of motions given by control points (b, N + degree, n) over N equal spans. What a chain without shapes hits is not known:
+    `space` is None then."""
+
+    def __init__(self, terms: Terms, options: TrajectoryOptions):
+        self.chain, self.terms, self.options = terms.chain, terms, options
+        seen = has_geometry(terms.chain)
+        self.space = CollisionChecker(terms.chain, terms.scene, options.margin or 0.0) if seen else None
+
+    def postures(self, q: np.ndarray) -> np.ndarray:
+        """The reason of each posture (b, n) at which a motion is to begin or end."""
+        verdict = judged(self.chain, self.space, q)
+        free = self.options.margin is None
+        return np.where(free & (verdict == Reason.COLLISION), int(Reason.SOLVED), verdict)
+
+    def kept(self, problem: collocation.Problem, found: collocation.Found) -> np.ndarray:
+        """The reason of each motion (b,) by its limits and targets alone, as the problem has them."""
+        count = len(found.points)
+        missed, over = np.zeros(count), np.zeros(count)
+        if problem.equations is not None:
+            q = splines.applied(splines.VALUE[self.options.degree], found.points)[:, problem.at]
+            missed = np.abs(problem.equations(q, found.multipliers, np.arange(count)).residual).max(axis=(1, 2))
+        for row in problem.rows:
+            value = splines.applied(row.stencil, found.points)
+            over = np.maximum(over, np.maximum(row.low - value, value - row.high).max(axis=(1, 2)))
+        over = np.maximum(over, self.loaded(found.points).max(axis=1) - 1.0)
+        if self.options.degree == 2 and self.options.margin is not None:
+            value = splines.turning_values(found.points)
+            over = np.maximum(over, np.maximum(self.chain.lower - value, value - self.chain.upper).max(axis=(1, 2)))
+        broken = np.where(over > BROKEN, int(Reason.LIMITS), int(Reason.SOLVED))
+        return np.where(missed > BROKEN, int(Reason.NOT_CONVERGED), broken)
+
+    def loaded(self, points: np.ndarray) -> np.ndarray:
+        """The greatest share of a limit of torque or power that each span (b, N) of motions uses."""
+        spans = points.shape[1] - self.options.degree
+        if not (self.terms.drives.limited and len(points)):
+            return np.zeros((len(points), spans))
+        return np.abs(self.terms.loads(*self.states(points))).reshape(len(points), spans, -1).max(axis=2)
+
+    def states(self, points: np.ndarray) -> list[np.ndarray]:
+        """Values, rates and their rates (b, k, n) at knots and between them."""
+        span = self.terms.duration / (points.shape[1] - self.options.degree)
+        curve = splines.pieces(points, self.options.degree, span)[:, :, None]
+        found = along_pieces(curve, np.broadcast_to(span * BETWEEN, (*curve.shape[:2], len(BETWEEN))))
+        return [x.reshape(len(points), -1, points.shape[2]) for x in found]
+
+    def short(self, points: np.ndarray) -> np.ndarray:
+        """By how much each span (b, N) comes too near to be proven free [m]; 0 where it is, and of what has no shapes."""
+        if self.space is None:
+            return np.zeros((len(points), points.shape[1] - self.options.degree))
+        degree, spans = self.options.degree, points.shape[1] - self.options.degree
+        curve = splines.pieces(points, degree, self.terms.duration / spans).reshape(-1, 4, points.shape[2])
+        open_ = np.arange(len(curve))
+        for parts, resolution in ((1, RESOLUTION), (4, CLOSE), (16, CLOSE)):
+            proven = _proven(self.space, curve[open_], self.terms.duration / spans, parts, resolution)
+            open_ = open_[~proven]
+            if not len(open_):
+                break
+        short = np.zeros(len(curve))
+        if len(open_):
+            q = _along(curve[open_], self.terms.duration / spans, 8)
+            nearest = self.terms.clearance(q.reshape(-1, q.shape[2])).reshape(len(open_), -1).min(axis=1)
+            short[open_] = np.maximum(self.space.margin + CUSHION - nearest, CUSHION)
+        return short.reshape(len(points), spans)
+
+    def shortest(self, points: np.ndarray, spans: int) -> np.ndarray:
+        """The least time [s] in which motions that take a second keep their limits."""
+        least = np.where(np.isnan(points).any(axis=(1, 2)), np.nan, 0.0)
+        points = np.where(np.ptp(points, axis=1, keepdims=True) < BROKEN, points[:, :1], points)  # what does not move
+        for order, limit in enumerate(self.options.limits(self.chain), 1):
+            if order <= self.options.degree:
+                size = np.abs(splines.applied(splines.DIFFERENCE[order], points)).max(axis=1) * spans**order
+                least = np.maximum(least, (size / limit).max(axis=1) ** (1.0 / order))
+        drives, moves = self.options.drives(self.chain), np.flatnonzero(~np.isnan(least))
+        if len(moves) and drives.limited:
+            least[moves] = np.maximum(least[moves], torque_limits.least_time(drives, *self.states(points[moves])))
+        return least
+
+
+def _proven(space: CollisionChecker, curve: np.ndarray, span: float, parts: int, resolution: float) -> np.ndarray:
+    """Which pieces (m, 4, n) are proven free by so many chords: a piece is at most `h^2 / 8 max |q''|` from one in a
+    joint."""
+    q = _along(curve, span, parts)
+    bend = np.maximum(np.abs(2.0 * curve[:, 1]), np.abs(6.0 * curve[:, 0] * span + 2.0 * curve[:, 1]))
+    away = (bend @ space.weights) * (span / parts) ** 2 / 8.0
+    first, last = (x.reshape(-1, q.shape[2]) for x in (q[:, :-1], q[:, 1:]))
+    return np.all(space.proven(first, last, np.repeat(away, parts), resolution).reshape(-1, parts), axis=1)
+
+
+def _along(curve: np.ndarray, span: float, parts: int) -> np.ndarray:
+    """Points (m, parts + 1, n) at equal times of pieces (m, 4, n)."""
+    x = np.linspace(0.0, span, parts + 1)[:, None]
+    a, b, c, d = (curve[:, None, i] for i in range(4))
+    return ((a * x + b) * x + c) * x + d

@@ -1,0 +1,256 @@
+"""From problems to motions: where to begin, which beginning is best, and a motion that is proven free of it."""
+
+from __future__ import annotations
+
+import dataclasses
+
+import jax
+import numpy as np
+
+from jaxik.collision.scene import Scene
+from jaxik.collision.scene_builder import make_scene
+from jaxik.ik import IKOptions, solve_ik
+from jaxik.optimise import collocation, splines
+from jaxik.planning.collision_checker import CollisionChecker
+from jaxik.planning.planner import PlanOptions, plan_motions
+from jaxik.planning.trajectory_judge import BROKEN, CUSHION, Judge
+from jaxik.planning.trajectory_options import TrajectoryOptions
+from jaxik.planning.trajectory_terms import Target, told_apart
+from jaxik.reasons import Reason
+from jaxik.robot.chain import Chain
+
+MENDS = 4  # rounds in which a motion that is not proven free is mended, the last ones with finer spans
+DEEP = 0.02  # [m] in an obstacle, from which no mending is tried: it is jumped
+MANY = 48  # spans that can follow a planner's way
+FEWEST = 12  # spans at which seeds are compared, and halved no more
+LOSS = 1e3  # cost of a metre, or a radian, by which a seed breaks a bound
+
+Solved = tuple[np.ndarray, collocation.Found]  # the numbers (s,) of problems, and a motion of each
+
+
+class Search:
+    """From problems to motions: seeds, their best, and whether it is free."""
+
+    def __init__(
+        self,
+        chain: Chain,
+        scene: Scene | None,
+        starts: np.ndarray,
+        goals: np.ndarray | None,
+        poses: np.ndarray | None,
+        via: tuple[Target, ...],
+        seed: int,
+        options: TrajectoryOptions,
+    ):
+        self.chain, self.scene, self.starts, self.goals, self.seed, self.options = chain, scene, starts, goals, seed, options
+        self.targets = via if poses is None else (*via, Target(1.0, poses, options.task))
+        self.poses, self.terms = poses, options.terms(chain, scene)
+        self.soft = self.terms.softened()
+        self.judge = Judge(self.terms, options)
+        self.reason = np.full(len(starts), int(Reason.NOT_CONVERGED))
+        self.levels = [options.spans]
+        while self.levels[0] % 2 == 0 and self.levels[0] // 2 >= FEWEST and told_apart(via, self.levels[0] // 2):
+            self.levels.insert(0, self.levels[0] // 2)
+        self.levels = self.levels if len(self.levels) > 1 else 2 * self.levels
+
+    def run(self, guess: np.ndarray | None) -> list[Solved]:
+        """The best motion of each problem that has one; the others' `reason` says why."""
+        rows, ends = self._ends(self._judged())
+        if guess is None:
+            samples = splines.ramp(self.starts[rows], ends, 4 * self.levels[0] + 1)
+        else:
+            samples = guess[rows].copy()
+            samples[:, 0] = self.starts[rows]
+            if self.poses is None:
+                samples[:, -1] = ends
+        kept = self._tried(rows, samples)
+        left, space = self.reason[rows] != Reason.SOLVED, self.judge.space
+        if self.options.rounds and self.options.margin is not None and space is not None and left.any():
+            kept += self._held(*self._planned(space, rows[left], ends[left]))
+        return kept
+
+    def _tried(self, rows: np.ndarray, samples: np.ndarray) -> list[Solved]:
+        """Motions from samples (s, k, n) for problems `rows` (s,), of each problem from its best ones first."""
+        kept = []
+        if len(rows):
+            rank, rows, found = self._compared(rows, samples)
+            for number in range(rank.max(initial=-1) + 1):
+                pick = (rank == number) & (self.reason[rows] != Reason.SOLVED)
+                if pick.any():
+                    first = jax.tree_util.tree_map(lambda x: x[pick], found)  # noqa: B023
+                    kept.append(self._freed(rows[pick], self._refined(rows[pick], first)))
+        return kept
+
+    # ----------------------------------------------------------------------------------------------------------------
+    # Where motions begin
+
+    def _judged(self) -> np.ndarray:
+        """The problems whose start, and goal where it is a configuration, will do."""
+        open_ = np.ones(len(self.starts), bool)
+        for postures in (self.starts, self.goals):
+            if postures is None or not len(postures):
+                continue
+            verdict = self.judge.postures(postures)
+            self.reason = np.where(open_ & (verdict != Reason.SOLVED), verdict, self.reason)
+            open_ &= verdict == Reason.SOLVED
+        return np.flatnonzero(open_)
+
+    def _ends(self, open_: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Problems (s,), as often as there are postures (s, n) to end in."""
+        if self.poses is None or not len(open_):
+            return open_, self.starts[:0] if self.goals is None else self.goals[open_]
+        asked = IKOptions(
+            task=self.options.task,
+            margin=self.options.margin or 0.0,
+            solutions=self.options.postures,
+            choice="closest",
+            reference=self.starts[open_],
+        )
+        scene = None if self.judge.space is None else make_scene() if self.scene is None else self.scene
+        found = solve_ik(self.chain, self.poses[open_], scene, self.seed, asked)
+        self.reason[open_] = np.where(found.success, int(Reason.NOT_CONVERGED), found.reason)
+        counts = np.asarray(found.num_solutions)
+        each = np.arange(self.options.postures) < counts[:, None]
+        return np.repeat(open_, counts), np.asarray(found.solutions, np.float64)[each]
+
+    def _planned(self, space: CollisionChecker, rows: np.ndarray, ends: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Of problems, each as often as it has postures to end in: those that a planner finds a way for, and samples along it,
+        in equal parts of it, at rest at its ends."""
+        open_, each = np.unique(rows, return_inverse=True)
+        place = _ranks(rows, np.zeros(len(rows)), np.zeros(len(rows)))
+        goals = np.full((len(open_), place.max() + 1, ends.shape[1]), np.nan)
+        goals[each, place] = ends
+        options = PlanOptions(self.options.margin or 0.0, velocity=1.0, acceleration=1.0, rounds=int(self.options.rounds))
+        found = plan_motions(self.chain, self.scene, self.starts[open_], goals, self.seed, options)
+        ways = {i: moved.waypoints for i, moved in zip(open_, found, strict=True) if moved.waypoints is not None}
+        samples = np.empty((len(ways), 4 * self.options.spans + 1, ends.shape[1]))
+        x = np.linspace(0.0, 1.0, samples.shape[1])
+        for row, way in zip(samples, ways.values(), strict=True):
+            since = np.concatenate([[0.0], np.cumsum(space.length(np.diff(way, axis=0)))])
+            at = ((6.0 * x - 15.0) * x + 10.0) * x**3 * since[-1]
+            row[:] = np.stack([np.interp(at, since, joint) for joint in way.T], axis=1)
+        return np.array(list(ways), int), samples
+
+    # ----------------------------------------------------------------------------------------------------------------
+    # The best of them
+
+    def _held(self, rows: np.ndarray, samples: np.ndarray) -> list[Solved]:
+        """Motions from samples that are free, by steps that go round no obstacle by another side."""
+        if not len(rows):
+            return []
+        half = self.levels[-2] if self.levels[-2] >= MANY else self.levels[-1]
+        points = splines.through(samples, self.options.degree, half)
+        found = collocation.optimise(self._problem(rows, half, cautious=True), points, self.options.iterations, 1e-3, 1e-3)
+        if half < self.levels[-1]:
+            found = finer(found, self.options.degree)
+        return [self._freed(rows, found)]
+
+    def _problem(
+        self,
+        rows: np.ndarray,
+        spans: int,
+        extra: np.ndarray | None = None,
+        soft: bool = False,
+        cautious: bool = False,
+        used: np.ndarray | None = None,
+    ) -> collocation.Problem:
+        targets = tuple(dataclasses.replace(target, pose=target.pose[rows]) for target in self.targets)
+        terms = self.soft if soft else self.terms
+        return terms.problem(
+            spans, targets, extra, self.poses is not None, cautious, np.ones((len(rows), 1)) if used is None else used
+        )
+
+    def _compared(self, rows: np.ndarray, samples: np.ndarray) -> tuple[np.ndarray, np.ndarray, collocation.Found]:
+        """The best samples of each problem, solved with few spans: their ranks, from 0, problems, and what was found. What
+        jumps an obstacle is left out."""
+        points = splines.through(samples, self.options.degree, self.levels[0])
+        if len(np.unique(rows)) < len(rows):
+            rank = _ranks(rows, *collocation.assessed(self._problem(rows, self.levels[0], soft=True), points))
+            best = rank < self.options.kept
+            rows, points = rows[best], points[best]
+        problem = self._problem(rows, self.levels[0], soft=len(self.levels) > 1)
+        found = collocation.optimise(problem, points, 40, 1e-2, 1e-3)
+        if self.options.margin is not None:
+            passes = self.judge.short(found.points).max(axis=1) < DEEP
+            rows, found = rows[passes], jax.tree_util.tree_map(lambda x: x[passes], found)
+        return _ranks(rows, found.cost, found.violation), rows, found
+
+    def _refined(self, rows: np.ndarray, found: collocation.Found) -> collocation.Found:
+        """The same motions, solved with more and more spans; where obstacles cost enough, they mostly keep the margin without
+        it."""
+        enough = self.soft.collision_weight == self.terms.collision_weight * self.terms.collision_maximum
+        for spans in self.levels[1:]:
+            last = spans == self.levels[-1]
+            accuracy = (self.options.iterations, self.options.tolerance, 0.5 * BROKEN) if last else (40, 1e-2, 1e-3)
+            points = splines.finer(found.points, self.options.degree) if spans > self.levels[0] else found.points
+            problem = self._problem(rows, spans, soft=not last or enough)
+            again = collocation.optimise(problem, points, *accuracy, found.multipliers)
+            found = again._replace(iterations=found.iterations + again.iterations)
+        return found
+
+    # ----------------------------------------------------------------------------------------------------------------
+    # Whether they are free
+
+    def _freed(self, rows: np.ndarray, found: collocation.Found) -> Solved:
+        """The motions that are proven free and inside their limits, mended where need be; the others' reasons are noted."""
+        options, judge, kept_apart = self.options, self.judge, self.options.margin is not None
+        mends = MENDS if kept_apart or self.terms.drives.limited else 0
+        spans = found.points.shape[1] - options.degree
+        extra, used = np.full((len(rows), spans + 1), CUSHION), np.ones((len(rows), spans + 1))
+        for number in range(mends + 1):
+            kept = judge.kept(self._problem(rows, found.points.shape[1] - options.degree), found)
+            short = judge.short(found.points) if kept_apart else np.zeros(extra[:, 1:].shape)
+            hit = (short > 0.0).any(axis=1)
+            at = np.flatnonzero((hit | (kept != Reason.SOLVED)) & (short.max(axis=1) < DEEP))
+            if not len(at) or number == mends:
+                break
+            used /= np.maximum(1.0, _at_knots((1.0 + 1e-4) * judge.loaded(found.points)))
+            if number >= MENDS // 2 and (hit.any() or self.terms.drives.limited):
+                found = finer(found, options.degree)
+                extra, used = (np.repeat(x, 2, axis=1)[:, :-1] for x in (extra, used))
+                short = np.repeat(short, 2, axis=1)
+            extra[:, 1:-1] += 1.5 * _at_knots(short)[:, 1:-1]  # not of the goal's posture, which may have no more
+            found = self._mended(rows, found, at, extra, used)
+        if not kept_apart:
+            hit = (judge.short(found.points) > 0.0).any(axis=1)
+        fault = Reason.NOT_CONVERGED if kept_apart else Reason.COLLISION
+        self.reason[rows] = np.where(hit & (kept == Reason.SOLVED), int(fault), kept)
+        solved = self.reason[rows] == Reason.SOLVED if kept_apart else np.ones(len(rows), bool)
+        return rows[solved], jax.tree_util.tree_map(lambda x: x[solved], found)
+
+    def _mended(
+        self, rows: np.ndarray, found: collocation.Found, at: np.ndarray, extra: np.ndarray, used: np.ndarray
+    ) -> collocation.Found:
+        """Those motions solved once more that are numbered `at`: with `extra` (b, N + 1) [m] of room at knots, and at the share
+        `used` (b, N + 1) of what the drives give; the others as they are."""
+        problem = self._problem(rows[at], extra.shape[1] - 1, extra[at], cautious=True, used=used[at])
+        accuracy = self.options.iterations, self.options.tolerance, 0.5 * BROKEN
+        again = collocation.optimise(problem, found.points[at], *accuracy, found.multipliers[at])
+        again = again._replace(iterations=found.iterations[at] + again.iterations)
+        return jax.tree_util.tree_map(lambda old, new: _put(old, at, new), found, again)
+
+
+def _ranks(rows: np.ndarray, cost: np.ndarray, off: np.ndarray) -> np.ndarray:
+    """The place of each motion among those of its problem, from 0: what breaks bounds costs by how much."""
+    order = np.lexsort((cost + LOSS * off, rows))
+    found = np.empty(len(rows), int)
+    found[order] = np.arange(len(rows)) - np.searchsorted(rows[order], rows[order])
+    return found
+
+
+def finer(found: collocation.Found, degree: int) -> collocation.Found:
+    """The same motions over twice as many spans; between the old knots nothing presses."""
+    between = np.stack([found.pressure, np.zeros_like(found.pressure)], axis=2)
+    pressure = between.reshape(len(between), -1, between.shape[3])[:, :-1]
+    return found._replace(points=splines.finer(found.points, degree), pressure=pressure)
+
+
+def _at_knots(spans: np.ndarray) -> np.ndarray:
+    """The greater (b, N + 1) of what is known of the spans (b, N) beside each knot, none of which is negative."""
+    return np.maximum(np.pad(spans, ((0, 0), (1, 0))), np.pad(spans, ((0, 0), (0, 1))))
+
+
+def _put(old: np.ndarray, at: np.ndarray, new: np.ndarray) -> np.ndarray:
+    found = old.copy()
+    found[at] = new
+    return found
