@@ -12,7 +12,7 @@ from __future__ import annotations
 
 import dataclasses
 import itertools
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from typing import Any, NamedTuple
 
 import jax.numpy as jnp
@@ -28,6 +28,7 @@ from jaxik.planning.trajectory import JointState
 from jaxik.pytree import Pytree
 from jaxik.robot.actuation import friction_torque, motor_current
 from jaxik.robot.chain import Chain
+from jaxik.robot.drive import Drive
 from jaxik.robot.dynamics import GRAVITY, inverse_dynamics, mass_matrix
 from jaxik.spatial.rotations import to_wxyz
 from jaxik.spmd import HostKernel
@@ -155,45 +156,70 @@ def play(
     range, and one that names the extra where MuJoCo is not installed.
     """
     mujoco = optional("play: a simulation", "mujoco", "mjcf")
-    check_finite("play", 1e-6, dt=dt)
-    check_finite("play", 0.0, **{"rest before": rest[0], "rest after": rest[1]})
-    check_seed("play", seed)
     model = chain if model is None else model
-    moved, on_bodies = mujoco_model(chain, dt), [_on_body(chain, push) for push in pushes]
-    check_kind("play", "model", model, Chain)
-    for arm in (chain, model):
-        if not arm.drives:
-            raise ValueError(f"play: {arm.name} has no drives; use chain.with_drives")
-    data = mujoco.MjData(moved)
+    _check(chain, model, dt, rest, seed)
+    arm, on_bodies = mujoco_model(chain, dt), [_on_body(chain, push) for push in pushes]
     t, desired = _with_rests([motions] if isinstance(motions, Trajectory) else motions, dt, rest)
     if desired.q.shape[1] != chain.num_joints:
         raise ValueError(f"play: the motion has {desired.q.shape[1]} joints; {chain.name} has {chain.num_joints}")
-    forward, per_error, per_rate = _controller(model, desired, gains)
-    of = lambda get: np.array([get(drive) for drive in chain.drives], float)
-    gain, spring = of(lambda d: d.ratio * d.torque_constant), of(lambda d: d.spring_force)
-    rubs = HostKernel(lambda qdot, torque: friction_torque(chain, qdot, torque), 2)
-    q, qdot, current, external, torque, gear = np.empty((6, len(t), chain.num_joints))
+    simulated = _simulated(mujoco, arm, chain, _controller(model, desired, gains), on_bodies, t, desired)
+    q, qdot, current, external, torque, gear = simulated
+    torsion = gear / _of_drives(chain, lambda d: d.stiffness)
+    q, qdot, current, torsion = _measured(instruments, dt, seed, q, current, torsion)
+    asked = {f"{name}_des": np.asarray(x) for name, x in zip(("q", "qdot", "qddot"), desired, strict=True)}
+    return SimulatedLog(t=t, **asked, q=q, qdot=qdot, current=current, torsion=torsion, external=external, torque=torque)
+
+
+class _Controller(NamedTuple):
+    """Currents (k, n) [A] that a model asks for at each moment, and those for an error of the joint values [A/rad, A/m] and of
+    the rates [A s/rad, A s/m], each (n,)."""
+
+    forward: np.ndarray
+    per_error: np.ndarray
+    per_rate: np.ndarray
+
+
+def _check(chain: Chain, model: Chain, dt: float, rest: tuple[float, float], seed: int) -> None:
+    check_finite("play", 1e-6, dt=dt)
+    check_finite("play", 0.0, **{"rest before": rest[0], "rest after": rest[1]})
+    check_seed("play", seed)
+    for name, arm in (("chain", chain), ("model", model)):
+        check_kind("play", name, arm, Chain)
+
+
+def _of_drives(chain: Chain, get: Callable[[Drive], Any]) -> np.ndarray:
+    """A number of every drive (n,). Raises `ValueError` for a chain without drives."""
+    if not chain.drives:
+        raise ValueError(f"play: {chain.name} has no drives; use chain.with_drives")
+    return np.array([get(drive) for drive in chain.drives], float)
+
+
+def _simulated(
+    mujoco: Any, arm: Any, chain: Chain, controller: _Controller, pushes: Sequence[_OnBody], t: np.ndarray, desired: JointState
+) -> np.ndarray:
+    """q, qdot, currents, what pushes do to the joints, what the drives do, and what the gears carry of it, (6, k, n)."""
+    forward, per_error, per_rate = controller
+    gain, spring = _of_drives(chain, lambda d: d.ratio * d.torque_constant), _of_drives(chain, lambda d: d.spring_force)
+    friction = HostKernel(lambda qdot, torque: friction_torque(chain, qdot, torque), 2)
+    found, data = np.empty((6, len(t), chain.num_joints)), mujoco.MjData(arm)
+    q, qdot, current, external, torque, gear = found
     data.qpos[:], data.qvel[:], given = desired.q[0], desired.velocity[0], gain * forward[0] + spring
     for k in range(len(t)):
         q[k], qdot[k] = data.qpos, data.qvel
         current[k] = forward[k] + per_error * (desired.q[k] - q[k]) + per_rate * (desired.velocity[k] - qdot[k])
-        external[k] = _pushed(mujoco, moved, data, on_bodies, t[k])
+        external[k] = _pushed(mujoco, arm, data, pushes, t[k])
         speed = np.copysign(np.maximum(np.abs(qdot[k]), CREEP), qdot[k])
-        (friction,) = rubs.run(speed[None], given[None], double=True)
-        moved.dof_frictionloss[:] = np.maximum(-np.sign(speed) * friction[0], 0.0)
+        (rubs,) = friction.run(speed[None], given[None], double=True)
+        arm.dof_frictionloss[:] = np.maximum(-np.sign(speed) * rubs[0], 0.0)
         driven = gain * current[k] + spring
         data.qfrc_applied[:] = driven + external[k]
-        mujoco.mj_step(moved, data)
+        mujoco.mj_step(arm, data)
         torque[k] = given = driven + data.qfrc_constraint
-        gear[k] = given - moved.dof_armature * data.qacc
+        gear[k] = given - arm.dof_armature * data.qacc
     if not np.isfinite(q).all():
-        raise ValueError(
-            f"play: {chain.name} flies apart after {t[np.argmin(np.isfinite(q).all(axis=1))]:g} s; lower gains or dt"
-        )
-    torsion = gear / of(lambda d: d.stiffness)
-    q, qdot, current, torsion = _measured(instruments, dt, seed, q, current, torsion)
-    asked = {f"{name}_des": np.asarray(x) for name, x in zip(("q", "qdot", "qddot"), desired, strict=True)}
-    return SimulatedLog(t=t, **asked, q=q, qdot=qdot, current=current, torsion=torsion, external=external, torque=torque)
+        off = t[np.argmin(np.isfinite(q).all(axis=1))]
+        raise ValueError(f"play: {chain.name} flies apart after {off:g} s; lower gains or dt")
+    return found
 
 
 def _with_rests(motions: Sequence[Trajectory], dt: float, rest: tuple[float, float]) -> tuple[np.ndarray, JointState]:
@@ -208,16 +234,17 @@ def _with_rests(motions: Sequence[Trajectory], dt: float, rest: tuple[float, flo
     return dt * np.arange(len(whole.q)), whole
 
 
-def _controller(model: Chain, desired: JointState, gains: Gains) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Currents (k, n) [A] that the model asks for; and those an error of the joint values and of the rates (n,)."""
+def _controller(model: Chain, desired: JointState, gains: Gains) -> _Controller:
+    """Of joints that are to move as `desired`, by what the model says of them."""
+    gain = _of_drives(model, lambda d: d.ratio * d.torque_constant)
 
     def asked(q: Any, qdot: Any, qddot: Any) -> Any:
         return motor_current(model, inverse_dynamics(model, q, qdot, qddot), qdot)
 
     (forward,) = HostKernel(asked, 3).run(*desired, double=True)
     (inertia,) = HostKernel(lambda q: jnp.diagonal(mass_matrix(model, q)), 1).run(desired.q[:1], double=True)
-    stiff = gains.frequency**2 * inertia[0] / np.array([d.ratio * d.torque_constant for d in model.drives], float)
-    return forward, stiff, 2.0 * gains.damping / gains.frequency * stiff
+    stiff = gains.frequency**2 * inertia[0] / gain
+    return _Controller(forward, stiff, 2.0 * gains.damping / gains.frequency * stiff)
 
 
 class _OnBody(NamedTuple):
