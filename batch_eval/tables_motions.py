@@ -1,0 +1,164 @@
+"""Tables of null-space motion, planning and trajectories that are optimal."""
+
+from __future__ import annotations
+
+from typing import Any
+
+from tables_words import duration, first_calls
+
+
+def predictive_markdown(result: dict[str, Any]) -> str:
+    """A row for each horizon, and before them the instantaneous motion."""
+    lines = [
+        "| nine joints | one sample: p50, p99 | CasADi: p50, p99 | peak speed [1/s2] | clearance | beyond limits |",
+        "| --- | --- | --- | --- | --- | --- |",
+    ]
+    motion = lambda row: f"{row['peak_speed']:.1f} | {1e3 * row['clearance_m']:.0f} mm | {row['beyond_limits']:.3f} |"
+    for row in result["instantaneous"]:
+        lines.append(f"| instantaneous, gradient x {row['alpha']:g} | - | - | {motion(row)}")
+    for row in result["real_time"]:
+        lines.append(
+            f"| horizon {row['horizon_s']:g} s | {row['p50_ms']:.1f}, {row['p99_ms']:.1f} ms | "
+            f"{row['casadi_p50_ms']:.1f}, {row['casadi_p99_ms']:.1f} ms | {motion(row)}"
+        )
+    pendulum, best = result["pendulum"], result["pendulum"]["best_of_1000"]
+    many = next(row for row in result["scenarios"] if row["what"] == "10 iterations")
+    lines += [
+        "",
+        f"CasADi's gradient and jaxik's agree to {result['casadi_differs_by']['gradient']:.0e}. The first call of a process",
+        f"takes {result['first_call_s']:.1f} s.",
+        f"256 pendulums at once (`predict`, 10 iterations) take {many['many_ms']:.0f} ms on two cores, one alone "
+        f"{many['one_ms']:.1f} ms.",
+        "",
+        f"The pendulum of table 5.1 costs {best['speed']:.1f} + {best['collision']:.2f} by the thesis' count and at its gain",
+        "of 1/s, by which the tip drifts 3 cm,",
+        f"where the thesis finds 46 + 2.7; {100 * pendulum['share_within_1_percent']:.0f} % of 1,000 random first inputs end",
+        "within 1 % of it in all. At samples of 1 ms quasi-Newton steps,",
+        f"conjugate gradients, iLQR and the boundary value problem agree on it to {pendulum['spread']:.0e}.",
+    ]
+    return "\n".join(lines)
+
+
+def statistics_markdown(result: dict[str, Any]) -> str:
+    """Success and time of each direction (rows) and search (columns), and of the others."""
+    rows = {row["who"]: row for row in result["rows"]}
+    cell = lambda row: f"{100 * row['success']:.1f} %, {row['ms_alone']:.1f} ms"
+    pairs = [who.split(", ") for who in rows if who.count(",") == 1 and not who.startswith("lbfgs")]
+    directions, searches = (list(dict.fromkeys(pair[i] for pair in pairs)) for i in (0, 1))
+    searches.append("polynomial, restarts")
+    lines = [f"| direction | {' | '.join(searches)} |", "| --- " * (1 + len(searches)) + "|"]
+    for direction in directions:
+        found = [rows.get(f"{direction}, {search}") for search in searches]
+        lines.append(f"| {direction.replace('_', ' ')} | {' | '.join(cell(row) if row else '-' for row in found)} |")
+    others = (
+        f"L-BFGS: {cell(rows['lbfgs, backtracking'])}. Boundary value problem: {cell(rows['tpbvp'])}; the thesis: 84 %, 1.14 s."
+    )
+    mean = 100 * result["improvement_of_best"]
+    best = f"The best improves the instantaneous motion by {mean:.1f} % on average; the thesis: 16 %."
+    return "\n".join([*lines, "", others, best])
+
+
+def planning_markdown(result: dict[str, Any]) -> str:
+    """MotionBenchMaker's problems, and paths that are timed."""
+    problems, timing = result["problems"], result["timing"]
+    rows = [
+        ("solved", f"{problems['solved']} of {problems['problems']}"),
+        ("of these free by coal, every millimetre", f"{problems['free']}"),
+        ("of these inside the limits of position", f"{problems['inside']}"),
+        ("velocity, acceleration, at most of their limits", f"{problems['velocity']:.9f}, {problems['acceleration']:.9f}"),
+        (
+            "one call, warm: median, 95 %, slowest",
+            ", ".join(f"{problems[k]:.0f} ms" for k in ("p50_ms", "p95_ms", "slowest_ms")),
+        ),
+        ("a process' first call, its slowest later one", first_calls(problems["fresh"]["compiling"])),
+        ("the same, with the kernels on disk", first_calls(problems["fresh"]["kernels_on_disk"])),
+        ("motion, median; if it stopped at its corners", f"{problems['duration_s']:.2f} s, {problems['stopping_s']:.2f} s"),
+    ]
+    lines = [f"| {problems['robot']}, from start to goal | |", "| --- | --- |", *(f"| {a} | {b} |" for a, b in rows)]
+    places = timing["places"]
+    return "\n".join(
+        [
+            *lines,
+            "",
+            f"| {timing['paths']:,} random splines of {timing['joints']} joints | one | motion |",
+            "| --- | --- | --- |",
+            f"| jaxik, {places['jaxik']} places, together | {duration(timing['us_each'])} | "
+            f"{100 * timing['longer_mean']:.1f} % longer (at most {100 * timing['longer_most']:.1f} %) |",
+            f"| toppra, {places['toppra']} places, alone | {duration(timing['toppra_us_each'])} | limits kept there alone |",
+        ]
+    )
+
+
+def astar_markdown(result: dict[str, Any]) -> str:
+    """Nodes that A* expands, by its direction."""
+    plane, six, paper = result["figure_7"], result["six_joints"], result["paper"]
+    lines = [
+        f"| A* | two joints, 5 degrees, one by one | 256 at once | the paper's row | six joints, {six['degrees']:g} degrees |",
+        "| --- | --- | --- | --- | --- |",
+    ]
+    for direction in ("forward", "backward", "both"):
+        each, batch = (plane[f"{direction}, {how}"] for how in ("one by one", "in batches"))
+        plain, many = (f"{row['expanded']} nodes, {row['ms']:.0f} ms" for row in (each, batch))
+        large = f"{six[direction]['expanded']:,} nodes, {six[direction]['s']:.1f} s"
+        lines.append(f"| {direction} | {plain} | {many} | {paper.get(direction, '-')} | {large} |")
+    longest = max(abs(row["length"] - plane["dijkstra"]) for row in plane.values() if isinstance(row, dict))
+    return "\n".join([*lines, "", f"Every way on the plane is as long as Dijkstra's, to {longest:.0e} rad."])
+
+
+def peppers_markdown(result: dict[str, Any]) -> str:
+    """Table 6.2 beside what is printed, and the same programme by IPOPT."""
+    paper, best = result["paper"], result["best"]
+    both = lambda pair, digits: f"{pair[0]:.{digits}f} ({pair[1]:.{digits}f})"
+    lines = [
+        "| median (mean) | converged and free | remaining dynamic cost | iterations | time |",
+        "| --- | --- | --- | --- | --- |",
+    ]
+    for name in ("heuristic", "straight"):
+        row = result["printed"][name]
+        count, time = f"{row['converged_and_free']} of 79", f"{both(row['s'], 2)} s"
+        lines.append(f"| {name} guess | {count} | {both(row['remaining'], 2)} | {both(row['iterations'], 0)} | {time} |")
+        iterations, seconds = both(paper[name][:2], 0), both(paper[name][2:], 2)
+        cost = both(paper["remaining"], 2) if name == "heuristic" else "-"
+        lines.append(f"| the thesis' | 94 % | {cost} | {iterations} | {seconds} s |")
+    free = f"{best['free']} of 79, all proven"
+    time = f"{both(best['alone_s'], 2)} s; all 79 together {best['together_s']:.1f} s"
+    lines.append(
+        f"| several postures, and a margin | {free} | {both(best['remaining'], 2)} | {both(best['iterations'], 0)} | {time} |"
+    )
+    pairs = [row for row in result["ipopt"] if row["ipopt"]["converged"] and row["ipopt_from_ours"]["converged"]]
+    same = [abs(row["cost"] / row["ipopt_from_ours"]["cost"] - 1.0) for row in pairs]
+    alike = [row for row in pairs if abs(row["cost"] / row["ipopt"]["cost"] - 1.0) <= 1e-3]
+    faster = sorted(row["ipopt"]["s"] / row["s"] for row in pairs)[len(pairs) // 2]
+    lines += [
+        "",
+        f"IPOPT, from where jaxik ended, finds the same cost to {max(same):.0e} ({len(pairs)} of "
+        f"{len(result['ipopt'])} fruits, where it converges); from the same heuristic guess it ends in the same optimum for "
+        f"{len(alike)}, and takes {faster:.0f} times as long (median).",
+    ]
+    return "\n".join(lines)
+
+
+def harvest_motions_markdown(result: dict[str, Any]) -> str:
+    """A row for each set-up: the whole row in each order; then what the leaves change, and what the check says."""
+    plans = next(iter(result["setups"].values()))
+    heads = ["a fruit is let go into", *plans, "shorter by", "planned in"]
+    lines = [f"| {' | '.join(heads)} |", "|" + " --- |" * len(heads)]
+    for setup, row in result["setups"].items():
+        times = [f"{each['total_s']:.1f} s ({each['cycle_s']:.2f} s a fruit)" for each in row.values()]
+        first, last = next(iter(row.values())), row["shortest"]
+        shorter = f"{100 * (1 - last['total_s'] / first['total_s']):.0f} %"
+        lines.append(f"| {setup} | {' | '.join(times)} | {shorter} | {last['planning_s']:.1f} s |")
+    avoid = plans["shortest"]
+    lines += ["", "| leaves (hose or tray) | picked | motions | touched |", "| --- | --- | --- | --- |"]
+    for leaves, row in {"avoid": avoid, **result["leaves"]}.items():
+        picked = f"{row['picked']} of {result['fruits']}"
+        lines.append(f"| `{leaves}` | {picked} | {row['total_s']:.1f} s ({row['cycle_s']:.2f} s a fruit) | {row['leaves']} |")
+    checks = [row["shortest"]["checked"] for row in result["setups"].values()]
+    reasons = "; ".join(f"{fruit}: {why}" for fruit, why in avoid["fruits"].items() if isinstance(why, str))
+    looked, nearest = sum(each["samples"] for each in checks), 1e3 * min(each["clearance"] for each in checks)
+    said = [
+        f"{result['postures']} of the {result['fruits']} fruits have a posture. Without motions: {reasons}.",
+        f"Of {looked:,} configurations of the shortest, none more than a millimetre from the one before, the nearest to "
+        f"anything is {nearest:.1f} mm away; 2 mm are asked for.",
+    ]
+    return "\n".join([*lines, "", *said])
