@@ -14,7 +14,7 @@ import numpy as np
 from jaxtyping import Bool, Float
 
 from jaxik.checks.arrays import numbers
-from jaxik.checks.options import check_finite, shown
+from jaxik.checks.options import as_count, check_finite, shown
 from jaxik.pytree import Pytree
 from jaxik.robot.chain import Array
 
@@ -73,7 +73,8 @@ def fit_detector(
     name where `joint_names` has the chain's.
     """
     external, qdot = _pair("fit_detector", external, qdot)
-    check_finite("fit_detector", 0.0, quantile=quantile, factor=factor, memory=memory)
+    check_finite("fit_detector", 0.0, quantile=quantile, factor=factor)
+    memory = as_count("fit_detector: memory", memory, least=0)
     if quantile > 1.0:
         raise ValueError(f"fit_detector: quantile is {quantile:g}; it is at most 1, the largest error")
     n = external.shape[-1]
@@ -108,7 +109,9 @@ class Judged(NamedTuple):
 
 def judge_alarms(alarms: Any, contact: Any, dt: float, after: float = 0.0) -> Judged:
     """Alarms (t,) against where there is a contact (t,), `dt` [s] apart; an alarm up to `after` [s] behind a contact's end is
-    still of it. Host. Raises `ValueError` for shapes that do not fit."""
+    still of it. Host. Raises `ValueError` for shapes that do not fit, and for times below 0."""
+    check_finite("judge_alarms", 1e-9, dt=dt)
+    check_finite("judge_alarms", 0.0, after=after)
     alarms, contact = np.asarray(alarms, bool), np.asarray(contact, bool)
     if alarms.shape != contact.shape or alarms.ndim != 1:
         raise ValueError(f"judge_alarms: alarms of shape {alarms.shape}, contact of {contact.shape}; allowed: (t,) both")

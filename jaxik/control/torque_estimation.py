@@ -27,7 +27,7 @@ import numpy as np
 from jaxtyping import Float
 
 from jaxik.checks.arrays import is_known, numbers
-from jaxik.checks.options import check_kind
+from jaxik.checks.options import check_flag, check_kind
 from jaxik.control.estimation import Sample
 from jaxik.control.kalman import KalmanFilter, KalmanState
 from jaxik.pytree import Constant
@@ -157,6 +157,7 @@ class TorqueEstimator:
     def __post_init__(self) -> None:
         need_drives("torque estimator", self.chain)
         check_kind("torque estimator", "filter", self.filter, TorqueFilter)
+        check_flag("torque estimator", steady=self.steady)
         if len(self.filter.process) != self.chain.num_joints:
             joints = f"{self.chain.name} has {self.chain.num_joints} joints"
             raise ValueError(f"torque estimator: a filter of {len(self.filter.process)} joints; {joints}")

@@ -115,6 +115,7 @@ class _Search:
         return -float(np.sum(np.log(self.decomposed(c)[2][1])))
 
     def __call__(self, flat: np.ndarray) -> tuple[float, np.ndarray]:
+        """The value, and its gradient (2 h n,)."""
         c = flat.reshape(-1, self.chain.num_joints)
         motion, matrix, (u, s, vt) = self.decomposed(c)
         pull = -(u / s @ vt).reshape(matrix.shape)  # the value's derivative by A
@@ -135,6 +136,7 @@ class _Search:
         return np.asarray(rows.T @ (pulled * scale) - rows[bound].T * fall)
 
     def condition(self, c: np.ndarray) -> float:
+        """Of the base parameters' columns at equal lengths."""
         matrix = self.decomposed(c)[1].reshape(-1, len(self.base))
         s = np.linalg.svd(matrix / np.maximum(np.linalg.norm(matrix, axis=0), 1e-300), compute_uv=False)
         return float(s[0] / max(s[-1], 1e-300))

@@ -56,6 +56,7 @@ class Problem:
         return [np.linalg.qr(self.bodies[rows, j]) for j, rows in enumerate(self.counts.T)]
 
     def friction(self, curve: Curve) -> np.ndarray:
+        """The columns of its terms (t, K, n)."""
         return friction_columns(self.terms, self.ratio, self.qdot, self.qddot, *curve)
 
     def rows(self, curve: Curve) -> Rows:

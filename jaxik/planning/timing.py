@@ -73,10 +73,12 @@ def time_optimal(
 
 @functools.cache
 def _fastest(parts: int, rows: int = 0) -> HostKernel:
+    """The kernel of `fastest`, which takes so many arrays of limits more."""
     return HostKernel(functools.partial(fastest, parts=parts), 4 + rows)
 
 
 def _drives(chain: Chain | None, torque: Any, power: Any, gravity: Any, n: int) -> torque_limits.Drives | None:
+    """None where nothing limits them. Raises `ValueError` where there is no robot, or one of other joints than the path's n."""
     check_kind("time_optimal", "chain", chain, Chain, optional=True)
     if chain is None:
         if not (torque is None and power is None):

@@ -61,20 +61,20 @@ def drives(who: str, chain: Chain, torque: Any, power: Any, gravity: Any) -> Dri
     return Drives(chain, **limits, gravity=shaped(f"{who}: gravity", gravity, (3,)))
 
 
-def forces(drives: Drives, curve: np.ndarray, lengths: np.ndarray, parts: int) -> Forces:
+def forces(limits: Drives, curve: np.ndarray, lengths: np.ndarray, parts: int) -> Forces:
     """Along pieces (N, k, 4, n), each cut into so many parts."""
     count, k, _, n = curve.shape
     share = (np.arange(parts)[:, None] + WITHIN) / parts
     s = lengths[:, :, None, None] * share
     q, slope, bend = along_pieces(curve[:, :, None, None], s)
-    found = _along(drives, q, slope, bend)
+    found = _along(limits, q, slope, bend)
     return Forces(*(x.reshape(count, k * parts, len(WITHIN), n) for x in (*found, slope)))
 
 
-def _along(drives: Drives, *states: np.ndarray) -> list[np.ndarray]:
+def _along(limits: Drives, *states: np.ndarray) -> list[np.ndarray]:
     """`_forces` of states (..., n)."""
     flat = (x.reshape(-1, x.shape[-1]) for x in states)
-    return [x.reshape(states[0].shape) for x in in_blocks(_forces(drives.chain), *flat, fixed=(drives.gravity,), double=True)]
+    return [x.reshape(states[0].shape) for x in in_blocks(_forces(limits.chain), *flat, fixed=(limits.gravity,), double=True)]
 
 
 @host_kernels(3)
@@ -125,6 +125,7 @@ def _tangent(given: Forces, power: np.ndarray, squares: np.ndarray, end: int) ->
 
 
 def _before(squares: np.ndarray) -> np.ndarray:
+    """(ds/dt)^2 at the beginnings of parts, of that at their ends (N, parts); at the first it is 0."""
     return np.pad(squares, ((0, 0), (1, 0)))[:, :-1]
 
 

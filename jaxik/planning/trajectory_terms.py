@@ -155,6 +155,7 @@ class Terms:
         return joint_reaches(self.chain)
 
     def _samples(self, extra: Any, open_end: bool, q: np.ndarray, rate: np.ndarray, which: np.ndarray) -> collocation.Samples:
+        """What is near configurations (b, k, n) at knots, of problems `which` (b,): what it costs (6.7), and its margins."""
         count, knots, n = q.shape
         distances, slopes, near = [], [], []
         for chain, around, activation in self._robots:
@@ -182,6 +183,7 @@ class Terms:
         return collocation.Samples(slope, share * depth**3, *by_distance, excess, by_rate)
 
     def _loads(self, q: np.ndarray, rate: np.ndarray, bend: np.ndarray, _: np.ndarray) -> collocation.Loads:
+        """Torques and powers of states (b, k, n) as shares of their limits, where these are finite, and their slopes."""
         flat = (x.reshape(-1, x.shape[2]) for x in (q, rate, bend))
         torque, slopes = in_blocks(_torques(self.chain), *flat, fixed=(self.drives.gravity,), double=True)
         torque, slopes = torque.reshape(q.shape), slopes.reshape(*q.shape, 3, q.shape[2])
@@ -195,6 +197,7 @@ class Terms:
     def _equations(
         self, targets: tuple[Target, ...], count: int, q: np.ndarray, multipliers: np.ndarray, which: np.ndarray
     ) -> collocation.Equations:
+        """By how much configurations (b, j, n) miss their targets, padded to `count` rows each."""
         parts = []
         for j, target in enumerate(targets):
             bound = sum(target.task.bound)

@@ -31,7 +31,7 @@ from jaxtyping import Float
 
 from jaxik.checks.arrays import is_known
 from jaxik.checks.masses import check_mass
-from jaxik.checks.options import check_kind, shown
+from jaxik.checks.options import check_kind, no_such
 from jaxik.robot.chain import Array, Body, Chain, as_configuration, as_given, as_shaped, steiner
 from jaxik.robot.kinematics import joint_frames
 from jaxik.robot.rigid_bodies import Moments, Placed, motions, placed
@@ -112,6 +112,7 @@ def _torques(
 
 
 def _rotor(chain: Chain, joint: int) -> Scalar:
+    """The inertia of a rotor as its joint feels it [kg m2, kg]."""
     return constants(chain.armature[joint])[0]
 
 
@@ -144,18 +145,19 @@ def wrench_on(chain: Chain, q: Float[Array, " n"], link: str, force: Any, point:
     """
     check_kind("wrench_on", "chain", chain, Chain)
     if link not in chain.link_names:
-        raise ValueError(f"wrench_on: no such link '{shown(link)}'; links: {', '.join(chain.link_names)}")
+        raise ValueError(no_such("wrench_on", "link", link, chain.link_names))
     return _wrench(chain, chain.link_joint[chain.link_names.index(link)], q, force, point)
 
 
 @kernel(models=2)
-def _wrench(chain: Chain, count: int, q: Any, force: Any, point: Any) -> jax.Array:
+def _wrench(chain: Chain, joint: int, q: Any, force: Any, point: Any) -> jax.Array:
+    """On what moves with a joint, counted from 1; 0 is the base."""
     q = as_configuration(chain, q)
     pull, at = (Vec3(*traced(as_shaped(k, v, (3,)).astype(q.dtype))) for k, v in (("force", force), ("point", point)))
     rows = [(0.0,) * 6 for _ in range(chain.num_joints)]
-    if count:
-        origin = joint_frames(chain, traced(q), dtype=q.dtype).joints[count - 1].translation
-        rows[count - 1] = (*pull, *(at - origin).cross(pull))
+    if joint:
+        origin = joint_frames(chain, traced(q), dtype=q.dtype).joints[joint - 1].translation
+        rows[joint - 1] = (*pull, *(at - origin).cross(pull))
     return stack([e for row in rows for e in row], (chain.num_joints, 6), q.dtype)
 
 
@@ -218,7 +220,7 @@ def forward_dynamics(
 
 
 def _solved(rows: list[list[Scalar]], right: list[Scalar]) -> list[Scalar]:
-    """`x` of `M x = right`, of the lower rows of a positive definite M; both lists are used up.
+    """`x` of `M x = right`, of the lower rows of a positive definite M; both lists are overwritten.
 
     Eliminated from the last row up, M = L' D L [Featherstone 2008, sec. 6.3]: the order in which the rows are made.
     """
@@ -355,6 +357,7 @@ def _need_bodies(who: str, chain: Chain) -> None:
 
 
 def _judge(who: str, chain: Chain) -> None:
+    """Raises `ValueError` for bodies and rotors that cannot be, and for a joint that has nothing to move, from the tip on."""
     driven = False
     for name, body, rotor in reversed([*zip(chain.joint_names, chain.bodies, chain.armature, strict=True)]):
         what = f"{who}: what joint '{name}' of {chain.name} moves"

@@ -29,6 +29,7 @@ class Placed(NamedTuple):
         return self.turned.T @ (self.fixed.T @ v)
 
     def back(self, v: Vec3) -> Vec3:
+        """A direction in this joint's axes, in those of the joint before."""
         return self.fixed @ (self.turned @ v)
 
     def along(self, force: Vec3, torque: Vec3) -> Scalar:
@@ -36,7 +37,7 @@ class Placed(NamedTuple):
         return self.axis.dot(force if self.slides else torque)
 
     def carried(self, force: Vec3, torque: Vec3) -> tuple[Vec3, Vec3]:
-        """The same force and torque on the joint before."""
+        """The same force, and its torque about the origin of the joint before, in that joint's axes."""
         force = self.back(force)
         return force, self.back(torque) + self.origin.cross(force)
 
@@ -59,6 +60,7 @@ class Moments(NamedTuple):
 
     @staticmethod
     def of(body: Body) -> Moments:
+        """A body's, about the origin of its joint's frame."""
         mass, com, inertia = body.mass, body.com, body.inertia
         second = mass * (com[:, None] * com) - inertia + 0.5 * sum(inertia[i, i] for i in range(3)) * np.eye(3)
         return Moments(constants(mass)[0], Vec3(*constants(mass * com)), Rot3.of(constants(second)))
@@ -124,6 +126,7 @@ class Motion(NamedTuple):
 
     @staticmethod
     def of(omega: Vec3, alpha: Vec3, acceleration: Vec3) -> Motion:
+        """Of an angular velocity and acceleration [rad/s, rad/s2], and the origin's acceleration [m/s2]."""
         x, y, z = omega
         xx, yy, zz, xy, xz, yz = mul(x, x), mul(y, y), mul(z, z), mul(x, y), mul(x, z), mul(y, z)
         spin = Rot3(

@@ -175,7 +175,7 @@ REFUSED = {
     ),
     "principal moments of 1, 1, 3 kg m2; the largest": lambda q: robot.mass_matrix(_with_last(inertia=np.diag([1, 3, 1.0])), q),
     "gravity has the shape (); allowed: (3,)": lambda q: robot.gravity_torque(ARM, q, -9.81),
-    "no such link 'hook'; links: world": lambda q: robot.wrench_on(ARM, q, "hook", q[:3], q[:3]),
+    "wrench_on: no link 'hook'; allowed: world": lambda q: robot.wrench_on(ARM, q, "hook", q[:3], q[:3]),
     "parameters of shape (6,); allowed: (60,)": lambda q: robot.with_body_parameters(ARM, q),
     "p6r has no bodies, which a load": lambda q: jaxik.load("p6r").with_load(1.0),
     "the load has a mass of -2 kg; write a mass >= 0": lambda q: ARM.with_load(-2.0),
