@@ -17,6 +17,8 @@ from jaxik.planning.trajectory_files import load_trajectory
 from jaxik.robot.chain import Chain
 from jaxik.robot.dynamics import gravity_torque, inverse_dynamics
 
+PICTURES = ".png", ".pdf", ".svg"
+
 
 @dataclasses.dataclass(kw_only=True)
 class DynamicsArguments(RobotArguments):
@@ -39,28 +41,34 @@ class DynamicsArguments(RobotArguments):
         """Read, compute, write, and print a line a joint."""
         if self.out.suffix != ".csv":
             raise ValueError(f"--out {self.out}: ending '{self.out.suffix}'; allowed: .csv")
+        if self.plot is not None and self.plot.suffix not in PICTURES:
+            raise ValueError(f"--plot {self.plot}: ending '{self.plot.suffix}'; allowed: {', '.join(PICTURES)}")
         chain = jaxik.load(self.robot, **self.loading())
         chain = chain.with_load(self.load, np.zeros(3), np.zeros((3, 3))) if self.load else chain
         time, state = load_trajectory(self.motion, chain.joint_names)
         torque, holding = torques_of(chain, state, self.gravity)
         power = torque * state.velocity
+        self.out.parent.mkdir(parents=True, exist_ok=True)
         _write(self.out, chain, time, torque, holding, power)
-        for i, (name, slides) in enumerate(zip(chain.joint_names, chain.is_prismatic, strict=True)):
-            unit, most, usual = "N " if slides else "Nm", np.abs(torque[:, i]).max(), np.sqrt(np.mean(torque[:, i] ** 2))
-            held, strongest = np.abs(holding[:, i]).max(), np.abs(power[:, i]).max()
-            print(
-                f"  {name:<20} at most {most:8.2f} {unit}, rms {usual:8.2f}, of gravity {held:8.2f}, power {strongest:8.2f} W"
-            )
+        _print_joints(chain, torque, holding, power)
         work = np.trapezoid(np.maximum(power, 0.0).sum(axis=1), time)
         print(f"{len(time)} samples, {time[-1] - time[0]:.2f} s, {work:.1f} J into the joints; wrote {self.out}")
         if self.plot is not None:
             from jaxik.view.torque_picture import torque_picture
 
+            self.plot.parent.mkdir(parents=True, exist_ok=True)
             torque_picture(chain, time, torque, holding, self.plot)
 
 
+def _print_joints(chain: Chain, torque: np.ndarray, holding: np.ndarray, power: np.ndarray) -> None:
+    for i, (name, slides) in enumerate(zip(chain.joint_names, chain.is_prismatic, strict=True)):
+        unit, most, usual = "N " if slides else "Nm", np.abs(torque[:, i]).max(), np.sqrt(np.mean(torque[:, i] ** 2))
+        held, strongest = np.abs(holding[:, i]).max(), np.abs(power[:, i]).max()
+        print(f"  {name:<20} at most {most:8.2f} {unit}, rms {usual:8.2f}, of gravity {held:8.2f}, power {strongest:8.2f} W")
+
+
 def torques_of(chain: Chain, state: JointState, gravity: tuple[float, float, float]) -> tuple[np.ndarray, np.ndarray]:
-    """The drives' torques (i, n) along a motion, and what they would be at rest."""
+    """The drives' torques (i, n) [Nm, N] along a motion, and what they would be at rest, `gravity` in world axes [m/s2]."""
     with jax.enable_x64(True):
         moving = jax.jit(jax.vmap(lambda *x: inverse_dynamics(chain, *x, gravity=gravity)))(*state)
         return np.asarray(moving), np.asarray(jax.jit(jax.vmap(lambda q: gravity_torque(chain, q, gravity)))(state.q))

@@ -41,16 +41,25 @@ def load_trajectory(file: str | Path, joint_names: Sequence[str]) -> tuple[np.nd
     """Times (i,) [s] and states (i, n) of a file as `save_trajectory` writes it, its joints in the order of `joint_names`.
     Rates or accelerations that the file lacks are those of a cubic spline through what it has. Host.
 
-    Raises `ValueError` for another ending, a joint that is not in it, times that do not grow, and what is no finite number.
+    Raises `ValueError` for another ending, a joint that is not in it, times that do not grow, and what is no finite number;
+    `OSError` where there is no such file.
     """
     file, names = check_ending("load_trajectory", file), list(joint_names)
+    asks = f"it has time, and q of {', '.join(names)}"
     try:
         time, found = _READERS[file.suffix](file, names)
-    except (KeyError, TypeError, json.JSONDecodeError) as error:
-        raise ValueError(f"{file}: no {error.args[0]}; it has time, and q of {', '.join(names)}") from None
-    kinds = JointState._fields
+    except KeyError as error:
+        raise ValueError(f"{file}: no {error.args[0]}; {asks}") from None
+    except (TypeError, IndexError, ValueError):
+        raise ValueError(f"{file}: no table of numbers, with as many in each row; {asks}") from None
+    if "q" not in found:
+        raise ValueError(f"{file}: no q; {asks}")
+    for name, values in found.items():
+        if values.shape != (len(time), len(names)):
+            raise ValueError(f"{file}: {name} of shape {values.shape}; allowed: ({len(time)}, {len(names)}), a row a sample")
     if not (len(time) >= 2 and (np.diff(time) > 0.0).all() and all(np.isfinite(x).all() for x in (time, *found.values()))):
         raise ValueError(f"{file}: {len(time)} samples; there are two or more finite ones, at times [s] that grow")
+    kinds = JointState._fields
     for before, kind in itertools.pairwise(kinds):
         if kind not in found:
             from scipy.interpolate import CubicSpline

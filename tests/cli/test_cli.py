@@ -494,7 +494,11 @@ def test_the_torques_of_a_motion(tmp_path, monkeypatch, capsys):
     lifted = (sum(float(body.mass) for body in chain.bodies) + 2.0) * 9.81
     np.testing.assert_allclose(table["gravity_joint1"], lifted, rtol=1e-9)
     np.testing.assert_allclose(table["power_joint1"], table["torque_joint1"] * 0.3 * np.cos(time), atol=0.05)
-    for file, words in (("motion.txt", "motion.txt; allowed endings: .csv, .npz, .json"), ("log.csv", "no q_q1; it has time")):
+    for given, words in (
+        (["motion.txt"], "motion.txt; allowed endings: .csv, .npz, .json"),
+        (["log.csv"], "no q_q1; it has time"),
+        (["log.csv", "--plot", "torques.txt"], "--plot torques.txt: ending '.txt'; allowed: .png, .pdf, .svg"),
+    ):
         with pytest.raises(SystemExit):
-            call(monkeypatch, "dynamics", "planar2", file)
+            call(monkeypatch, "dynamics", "planar2", *given)
         assert words in capsys.readouterr().err.strip().splitlines()[-1]

@@ -195,6 +195,29 @@ def test_files_hold_what_was_sampled(tmp_path):
             load_trajectory(tmp_path / file, ["z"])
 
 
+@pytest.mark.parametrize(
+    ("file", "text", "said"),
+    [
+        ("x.csv", "", "no table of numbers, with as many in each row; it has time, and q of a"),
+        ("x.csv", "time,q_a\n0,fast\n1,2\n", "no table of numbers"),
+        ("x.csv", "time,q_a\n0,1\n1\n", "no table of numbers"),
+        ("x.json", "{", "no table of numbers"),
+        ("x.json", '{"joint_names": ["a"], "points": []}', "no q; it has time, and q of a"),
+        ("x.npz", "text", "no table of numbers"),
+    ],
+)
+def test_files_that_hold_no_motion(tmp_path, file, text, said):
+    (tmp_path / file).write_text(text)
+    with pytest.raises(ValueError, match=f"{file}: {said}"):
+        load_trajectory(tmp_path / file, ["a"])
+
+
+def test_a_file_has_a_row_a_sample(tmp_path):
+    np.savez(tmp_path / "x.npz", time=[0.0, 1.0, 2.0], q=np.zeros((2, 1)), joint_names=["a"])
+    with pytest.raises(ValueError, match=r"q of shape \(2, 1\); allowed: \(3, 1\), a row a sample"):
+        load_trajectory(tmp_path / "x.npz", ["a"])
+
+
 def _torques(chain, moved):
     _, state = _dense(moved, between=7)
     with jax.enable_x64(True):
