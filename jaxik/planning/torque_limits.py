@@ -79,6 +79,7 @@ def _along(limits: Drives, *states: np.ndarray) -> list[np.ndarray]:
 
 @host_kernels(3)
 def _forces(chain: Chain, q: Any, slope: Any, bend: Any, gravity: Any) -> Any:
+    """What multiplies u, what multiplies x, and g (n,) [Nm, N], of a path's q, q' and q''."""
     none, still = jnp.zeros_like(q), jnp.zeros(3, q.dtype)
     return (
         inverse_dynamics(chain, q, none, slope, gravity=still),

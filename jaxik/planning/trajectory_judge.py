@@ -24,17 +24,16 @@ class Judge:
 
     def __init__(self, terms: Terms, options: TrajectoryOptions):
         self.chain, self.terms, self.options = terms.chain, terms, options
-        seen = has_geometry(terms.chain)
-        self.space = CollisionChecker(terms.chain, terms.scene, options.margin or 0.0) if seen else None
+        margin, seen = options.margin or 0.0, has_geometry(terms.chain)
+        self.space = CollisionChecker(terms.chain, terms.scene, margin) if seen else None
 
     def postures(self, q: np.ndarray) -> np.ndarray:
-        """The reason of each posture (b, n) at which a motion is to begin or end."""
-        verdict = judged(self.chain, self.space, q)
-        free = self.options.margin is None
-        return np.where(free & (verdict == Reason.COLLISION), int(Reason.SOLVED), verdict)
+        """The reason of each posture (b, n) at which a motion is to begin or end; without a margin it may collide."""
+        verdict, may_collide = judged(self.chain, self.space, q), self.options.margin is None
+        return np.where(may_collide & (verdict == Reason.COLLISION), int(Reason.SOLVED), verdict)
 
     def kept(self, problem: collocation.Problem, found: collocation.Found) -> np.ndarray:
-        """The reason of each motion (b,) by its limits and targets alone, as the problem has them."""
+        """The reason of each motion (b,) by its limits and targets alone, which are those of the problem."""
         count = len(found.points)
         missed, over = np.zeros(count), np.zeros(count)
         if problem.equations is not None:

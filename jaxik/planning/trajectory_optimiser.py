@@ -88,7 +88,7 @@ def optimise_trajectory(
     check_seed("optimise_trajectory", seed)
     check_known("optimise_trajectory", start=start, goal=goal, guess=guess)
     options = changed("optimise_trajectory", options or TrajectoryOptions(), changes)
-    if options.sees or has_geometry(chain):
+    if options.needs_geometry or has_geometry(chain):
         check_geometry(chain)
     starts, goals, poses, single = _problems(chain, start, goal)
     begin = _guess(chain, guess, len(starts))

@@ -87,6 +87,7 @@ class TrajectoryOptions:
         self._check_together(who)
 
     def _check_together(self, who: str) -> None:
+        """What one number forbids another."""
         if self.duration is not None and not self.duration > 0.0:
             raise ValueError(f"{who}: duration is {self.duration:g}; it is above zero [s], or None")
         if not self.activation > 0.0 or self.self_activation == 0.0:
@@ -99,8 +100,8 @@ class TrajectoryOptions:
             raise ValueError(f"{who}: degree 2 has no acceleration at knots, nor torque there; write degree=3")
 
     @property
-    def sees(self) -> bool:
-        """Whether collision geometry is asked for: by a margin, or by what collisions cost."""
+    def needs_geometry(self) -> bool:
+        """Whether a chain must have shapes to collide with: for a margin, or for what collisions cost."""
         return self.margin is not None or self.collision_weight > 0.0
 
     def terms(self, chain: Chain, scene: Scene | None) -> Terms:
