@@ -20,7 +20,7 @@ from typing import Any
 import jax
 import numpy as np
 from race import machine
-from torque_logs import ARMS, CREEP, DT, MEASUREMENTS, OFF, SENSORS, WIDTH, arms, friction_band, logs, model
+from torque_logs import CREEP, DT, JUDGED, MEASUREMENTS, OFF, SENSORS, TUNED, WIDTH, arms, friction_band, logs, model
 from torque_pictures import draw
 
 from jaxik.control import (
@@ -68,7 +68,8 @@ def in_pairs(errors: list[list[float]]) -> list[list[float]]:
 
 
 def sweep() -> dict[str, Any]:
-    """Fig. 3.17 of all joints at once, on the first arm's logs: a filter for each pair of covariances, one vmap over them."""
+    """Fig. 3.17 of all joints at once, on the logs of `TUNED`: a filter for each pair of covariances, one vmap over
+    them."""
     current, torsion = np.geomspace(1e-4, 1e2, 19), np.geomspace(1e-12, 1e-4, 17)
     pairs = np.stack(np.meshgrid(current, torsion, indexing="ij"), axis=-1).reshape(-1, 2)
     basis, n = known(torsion=1.0), model().num_joints
@@ -84,7 +85,7 @@ def sweep() -> dict[str, Any]:
 
     total, count, seconds = np.zeros((len(pairs), n)), np.zeros(n), 0.0
     sense = jax.jit(jax.vmap(TorqueEstimator(model(), basis, width=WIDTH).sense))
-    for log in logs(0, True):
+    for log in (log for arm in TUNED for log in logs(arm, True)):
         moves = np.abs(log.qdot_des) > CREEP
         sensed = sense(log.samples())
         begin = time.perf_counter()
@@ -125,19 +126,19 @@ def shown(estimator: Any, log: SimulatedLog) -> Sample:
 
 
 def errors(named: dict[str, Any]) -> dict[str, Any]:
-    """Figs. 3.12 and 3.19: of the model, of T_ext by each estimator; mean over the arms but the first, (4, 7) each."""
+    """Figs. 3.12 and 3.19: of the model, of T_ext by each estimator; mean over the arms that are judged, (4, 7) each."""
     whole = known(1e12)  # a gain of 1: the model's error itself
     rows = {"inverse dynamics": (TorqueEstimator(model(), whole, width=WIDTH), False)}
     rows |= {name: (estimator, True) for name, estimator in named.items()}
     found = {}
     for name, (estimator, pushed) in rows.items():
         of_arms = []
-        for arm in range(1, ARMS):
+        for arm in JUDGED:
             each = [rmse(estimate(estimator, shown(estimator, log)) - log.external, log) for log in logs(arm, pushed)]
             of_arms.append(in_pairs(each))
         found[name] = np.nanmean(of_arms, axis=0).tolist()
         print(f"{name:45s}", np.round(np.nanmean(of_arms, axis=(0, 1)), 2))
-    found["gauge, the torque itself"] = in_pairs([rmse(log.external, log) for log in logs(1, True)])
+    found["gauge, the torque itself"] = in_pairs([rmse(log.external, log) for log in logs(JUDGED[0], True)])
     return found
 
 
@@ -188,7 +189,7 @@ def delays(detector: Detector, estimator: TorqueEstimator, arm: int, joint: int,
 
 def detection(estimator: TorqueEstimator) -> dict[str, Any]:
     """Table 3.10: thresholds from free logs, false alarms on others, and the least force on link 4 that is always found."""
-    detectors = {arm: fitted(estimator, arm) for arm in range(1, ARMS)}
+    detectors = {arm: fitted(estimator, arm) for arm in JUDGED}
     quiet = [each for arm, detector in detectors.items() for each in false_alarms(detector, estimator, arm)]
     rows = []
     for k, (joint, lever) in enumerate(LEVERS.items()):
@@ -215,7 +216,7 @@ def detection(estimator: TorqueEstimator) -> dict[str, Any]:
 
 def step_times(named: dict[str, Any]) -> dict[str, Any]:
     """How long a step of the control loop takes [us], samples in, external torques out."""
-    log, found = logs(1, True)[0], {}
+    log, found = logs(JUDGED[0], True)[0], {}
     for name in (BEST, "momentum observer"):
         samples = [Sample(*(x[k] for x in log.samples())) for k in range(4000)]
         loop = EstimationLoop(named[name])
@@ -238,7 +239,7 @@ def main() -> None:
     named = estimators(swept)
     result = {
         "machine": machine(),
-        "arms": ARMS - 1,
+        "arms": len(JUDGED),
         "off": OFF,
         "sensors": dataclasses.asdict(SENSORS),
         "measurements": MEASUREMENTS,

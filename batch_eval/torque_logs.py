@@ -11,7 +11,8 @@ import jaxik
 from jaxik.control import Instruments, Push, SimulatedLog, play
 from jaxik.planning import Trajectory, quintic
 
-DT, ARMS = 1e-3, 7
+DT = 1e-3
+TUNED, JUDGED = range(6), range(6, 12)  # the arms on whose logs covariances are chosen, and those that figures are of
 OFF = {"mass": 0.03, "com_m": 0.003, "friction": 0.1, "torque_constant": 0.02, "stiffness": 0.08}  # standard deviations
 SENSORS = Instruments(
     current_noise=0.05,  # [A]
@@ -36,7 +37,7 @@ def model() -> jaxik.Chain:
 
 @functools.cache
 def arms() -> list[jaxik.Chain]:
-    return [another(np.random.default_rng(seed)) for seed in range(ARMS)]
+    return [another(np.random.default_rng(seed)) for seed in (*TUNED, *JUDGED)]
 
 
 def another(rng: np.random.Generator) -> jaxik.Chain:

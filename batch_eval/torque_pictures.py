@@ -8,7 +8,7 @@ from typing import Any
 import jax
 import matplotlib.pyplot as plt
 import numpy as np
-from torque_logs import CREEP, ELBOW, MEASUREMENTS, WIDTH, friction_band, logs, model
+from torque_logs import CREEP, ELBOW, JUDGED, MEASUREMENTS, WIDTH, friction_band, logs, model
 
 from jaxik.control import SimulatedLog, TorqueEstimator, estimate
 from jaxik.robot import inverse_dynamics, motor_current
@@ -36,7 +36,7 @@ def draw(file: Path, result: dict[str, Any], name: str, estimator: TorqueEstimat
 
 def _currents(ax: Any) -> None:
     """Joint 6's motor current beside what the model foretells, as torques."""
-    log, joint = logs(1, False)[0], 5
+    log, joint = logs(JUDGED[0], False)[0], 5
     drive = model().drives[joint]
     inside = jax.jit(jax.vmap(lambda *x: motor_current(model(), inverse_dynamics(model(), *x), x[1], WIDTH)))
     gain, foretold = float(drive.ratio * drive.torque_constant), inside(log.q_des, log.qdot_des, log.qddot_des)
@@ -83,7 +83,7 @@ def _levers(ax: Any, rows: list[dict[str, Any]]) -> None:
 
 def _external(ax: Any, estimator: TorqueEstimator, joint: int, measurement: int) -> None:
     """The torque that the gauge exerts, the estimate of it, and how fast the joint was to move."""
-    log, way = logs(1, True)[measurement], "vertical" if measurement % 2 else "horizontal"
+    log, way = logs(JUDGED[0], True)[measurement], "vertical" if measurement % 2 else "horizontal"
     ax.plot(log.t, log.external[:, joint - 1], "k", label="gauge")
     ax.plot(log.t, estimate(estimator, log.samples())[:, joint - 1], color="tab:blue", label="estimate")
     _shade(ax, log, joint - 1, log.external[:, joint - 1])
