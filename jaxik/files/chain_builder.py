@@ -18,7 +18,7 @@ from jaxik.robot.drive import Drive
 from jaxik.spatial.rotations import about, frame
 
 MAX_BYTES = 16 * 2**20  # of a robot or scene file; a mesh may have four times that
-COLUMNS = ("axis", "lower", "upper", "velocity", "armature")  # numbers of a joint that a chain has, too
+COLUMNS = ("axis", "lower", "upper", "velocity", "effort", "armature")  # numbers of a joint that a chain has, too
 JOINT_TYPES = (*get_args(JointType), "fixed")
 
 
@@ -34,6 +34,7 @@ class Joint:
     lower: float = -np.inf
     upper: float = np.inf
     velocity: float = np.inf
+    effort: float = np.inf  # the most that its drive gives [Nm, N]
     armature: float = 0.0  # the rotor's inertia behind its gears [kg m2, kg]
     default: float = 0.0  # where it stands beside a chain [rad, m]
     drive: Drive | None = None
@@ -204,6 +205,7 @@ def checked(file: Path, joint: Joint) -> Joint:
         *((np.isnan(getattr(joint, k)), f"'{k}' is NaN", "write a number") for k in COLUMNS[1:]),
         (joint.lower > joint.upper, f"lower limit {joint.lower:g} > upper {joint.upper:g}", "swap them"),
         (joint.velocity < 0.0, f"velocity limit {joint.velocity:g} < 0", "write a positive number"),
+        (not joint.effort > 0.0, f"effort limit {joint.effort:g}", "write a positive number [Nm, N], or leave it out"),
         (not 0.0 <= joint.armature < np.inf, f"armature {joint.armature:g}", "write a finite number of at least 0"),
     ):
         if wrong:

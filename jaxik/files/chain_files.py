@@ -21,7 +21,7 @@ from jaxik.robot.link_distance_table import PairTable, packed, unpacked
 
 # what a file calls the fields of a chain that have a row a joint, or a row a link
 JOINT = {"name": "joint_names", "type": "joint_types", "frame": "parent_T_joint", "axis": "axis"}
-JOINT |= {limit: limit for limit in ("lower", "upper", "velocity", "armature")}
+JOINT |= {limit: limit for limit in ("lower", "upper", "velocity", "effort", "armature")}
 LINK = {"name": "link_names", "joint": "link_joint", "frame": "link_offset"}
 
 
@@ -155,6 +155,7 @@ def _joint(table: Table) -> dict[str, Any]:
     row: dict[str, Any] = {"name": table.named(), "type": table.text("type", None, get_args(JointType))}
     row |= {"frame": table.finite("frame", (4, 4)), "axis": table.finite("axis", (3,)), "body": None}
     row |= {key: table.number(key, "plain") for key in ("lower", "upper", "velocity")}
+    row["effort"] = table.number("effort", "plain", np.inf)
     row["armature"] = float(table.finite("armature", (), 0.0, default=0.0))
     if not row["lower"] <= row["upper"]:
         raise table.fail("lower > upper", "swap them")

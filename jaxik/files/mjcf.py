@@ -109,9 +109,26 @@ def _body_joints(path: Path, model: Any, body: int, name: str, beside: bool = Fa
         back = displacement(kind, axis, -reference) if reference else np.eye(4)
         run.append(Joint(label, kind, pending @ anchor @ back, f"{name}/{label}", axis, lower, upper, default=reference))
         run[-1].armature = float(model.dof_armature[joint.dofadr[0]])
+        run[-1].effort = _effort(model, i)
         run[-1].mimic = _law(model, coupled[i]) if i in coupled else None
         pending = np.linalg.inv(anchor)
     return [*run, Joint(f"{name}/fixed", "fixed", pending, name)]
+
+
+def _effort(model: Any, joint: int) -> float:
+    """The most that a joint's actuators give it in either direction [Nm, N]: the least of its own range and theirs together;
+    infinite where one of them has none. What pulls in one direction alone is no limit of both."""
+    import mujoco
+
+    least = lambda ends: float(np.abs(ends).min()) or np.inf
+    kinds = int(mujoco.mjtTrn.mjTRN_JOINT), int(mujoco.mjtTrn.mjTRN_JOINTINPARENT)
+    own = least(model.jnt_actfrcrange[joint]) if model.jnt_actfrclimited[joint] else np.inf
+    together = 0.0
+    for i in range(model.nu):
+        if model.actuator_trntype[i] in kinds and model.actuator_trnid[i, 0] == joint:
+            limited, gear = model.actuator_forcelimited[i], abs(float(model.actuator_gear[i, 0]))
+            together += gear * least(model.actuator_forcerange[i]) if limited else np.inf
+    return min(own, together or np.inf)
 
 
 def _label(model: Any, joint: int) -> str:

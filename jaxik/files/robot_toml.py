@@ -238,6 +238,7 @@ def _joint(table: Table, convention: str) -> tuple[list[Joint], Link]:
         least, most = (-np.inf, np.inf) if kind == "continuous" else (None, None)
         joint.lower, joint.upper = table.number("lower", unit, least), table.number("upper", unit, most)
         joint.velocity = table.number("velocity", unit, np.inf)
+        joint.effort = table.number("effort", "plain", np.inf)
         joint.drive = read_drive(table)
         rotor = 0.0 if joint.drive is None else joint.drive.armature
         joint.armature = float(table.finite("armature", (), 0.0, "plain" if kind == "prismatic" else "inertia", rotor))

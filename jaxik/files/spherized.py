@@ -53,7 +53,8 @@ def spherized(chain: Chain, beyond: float) -> tuple[str, float]:
         joint = _joined(root, name, chain.joint_types[i], names[i], names[i + 1], chain.parent_T_joint[i])
         ElementTree.SubElement(joint, "axis", xyz=_words(chain.axis[i]))
         ends = {} if chain.joint_types[i] == "continuous" else {"lower": chain.lower[i], "upper": chain.upper[i]}
-        limit = ends | {"velocity": chain.velocity[i], "effort": 0.0}
+        effort = chain.effort[i] if np.isfinite(chain.effort[i]) else 0.0  # which the format wants of every joint
+        limit = ends | {"velocity": chain.velocity[i], "effort": effort}
         ElementTree.SubElement(joint, "limit", {k: repr(float(v)) for k, v in limit.items() if np.isfinite(v)})
     placed = zip(chain.link_names, chain.link_joint, chain.link_offset, strict=True)
     fixed = [(name, names[joint], offset) for name, joint, offset in placed if name not in names]

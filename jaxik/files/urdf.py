@@ -85,7 +85,7 @@ def _joint(path: Path, element: Element, child: str, beside: bool = False) -> Jo
         raise LoadError(path, where, f"a {kind} joint without <limit>", "add it, or make the joint continuous")
     if limit is not None and not (beside and kind == "continuous"):
         joint.lower, joint.upper = (number(path, where, limit, k, "0") for k in ("lower", "upper"))
-        joint.velocity = number(path, where, limit, "velocity", "0") or np.inf
+        joint.velocity, joint.effort = (number(path, where, limit, k, "0") or np.inf for k in ("velocity", "effort"))
     return joint
 
 

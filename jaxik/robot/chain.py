@@ -85,7 +85,8 @@ class Chain(Constant):
     `link_joint[l]` counts the movable joints between the base and link l: its frame is `link_offset[l]` in that joint's.
     `self_pairs` are the links to check against each other, `ignored` links with the object of a scene ("*": any) not to check,
     `pair_tables` what is known of pairs beside their volumes. `armature` is the inertia of each joint's rotor at the joint,
-    behind its gears [kg m2, kg]; 0 unless given. `drives` has one a joint, or none at all.
+    behind its gears [kg m2, kg]; 0 unless given. `effort` is the most that its drive gives [Nm, N]; infinite unless given: no
+    function keeps to it unless asked, as by `torque=chain.effort`. `drives` has one a joint, or none at all.
     """
 
     # not in the instance's dictionary, which copies and pickles take over
@@ -114,10 +115,12 @@ class Chain(Constant):
     pair_tables: tuple[PairTable, ...] = static(default=())
     armature: Float[Array, " n"] = dataclasses.field(default_factory=lambda: np.zeros(0))
     drives: tuple[Drive, ...] = ()
+    effort: Float[Array, " n"] = dataclasses.field(default_factory=lambda: np.zeros(0))
 
     def __post_init__(self) -> None:
-        if self.num_joints and np.shape(self.armature) == (0,):
-            vars(self)["armature"] = np.zeros(self.num_joints)
+        for name, default in (("armature", 0.0), ("effort", np.inf)):
+            if self.num_joints and np.shape(getattr(self, name)) == (0,):
+                vars(self)[name] = np.full(self.num_joints, default)
         super().__post_init__()
 
     @property
@@ -256,7 +259,7 @@ class Chain(Constant):
 
 
 # what a chain has of each joint
-_NUMBERS = ("parent_T_joint", "axis", "lower", "upper", "velocity", "armature")
+_NUMBERS = ("parent_T_joint", "axis", "lower", "upper", "velocity", "effort", "armature")
 _OF_JOINTS = ("joint_names", "joint_types", *_NUMBERS, "bodies", "drives")
 
 
