@@ -4,7 +4,10 @@ from __future__ import annotations
 
 import csv
 import dataclasses
+import warnings
+from collections.abc import Iterable
 from pathlib import Path
+from typing import NamedTuple
 
 import jax
 import numpy as np
@@ -13,27 +16,47 @@ import tyro
 import jaxik
 from jaxik.cli.robot_arguments import RobotArguments
 from jaxik.planning.trajectory import JointState
-from jaxik.planning.trajectory_files import load_trajectory
-from jaxik.robot.chain import Chain
+from jaxik.planning.trajectory_files import as_states, check_ending
+from jaxik.planning.trajectory_readers import read_motion
+from jaxik.robot.actuation import friction_torque, motor_current
+from jaxik.robot.chain import Chain, beyond_limits
 from jaxik.robot.dynamics import gravity_torque, inverse_dynamics
 
+ROUNDED = 1e-3  # [rad, m] beyond its limits that a joint may be, as files are rounded
+SLOWEST = 1.0  # [s] between samples that are told in seconds
 PICTURES = ".png", ".pdf", ".svg"
+
+
+class Demand(NamedTuple):
+    """What a motion takes of each joint, (i, n): the drives' torque in total, gravity's share of it [Nm, N], and power [W]; and
+    where drives are known, friction at the joints [Nm, N] and the motors' currents [A]."""
+
+    torque: np.ndarray
+    gravity: np.ndarray
+    power: np.ndarray
+    friction: np.ndarray | None = None
+    current: np.ndarray | None = None
 
 
 @dataclasses.dataclass(kw_only=True)
 class DynamicsArguments(RobotArguments):
-    """The torques that a motion takes of each joint, those that hold the arm among them, and the power."""
+    """The torques that a motion takes of each joint, those that hold the arm among them, and the power; of a robot whose drives
+    are known also friction, and the motors' currents."""
 
     robot: tyro.conf.Positional[str]
     """A shipped model or a robot file with masses and inertias (.urdf, .xml, .toml)."""
     motion: tyro.conf.Positional[Path]
-    """A motion as `jaxik plan` writes it: .csv, .npz or .json; velocities and accelerations may be missing."""
+    """A motion as `jaxik plan` writes it, .csv, .npz or .json, or a log with the columns time [s] and a joint's name each [rad,
+    m]; velocities and accelerations may be missing."""
+    smooth: float | None = None
+    """Leave out of the file's numbers what is above this frequency [Hz], as noise of measured positions."""
     load: float = 0.0
     """A mass in the gripper [kg], at the tip."""
     gravity: tuple[float, float, float] = (0.0, 0.0, -9.81)
     """In the world [m/s2]."""
     out: Path = Path("torques.csv")
-    """A line a sample: time, and each joint's torque, gravity's share of it, and power [Nm, N, W]."""
+    """A line a sample: time, and each joint's torque, gravity's share of it [Nm, N], power [W], and of drives friction [Nm, N]
+    and current [A]."""
     plot: Path | None = None
     """A picture of the torques (.png, .pdf, .svg)."""
 
@@ -43,38 +66,72 @@ class DynamicsArguments(RobotArguments):
             raise ValueError(f"--out {self.out}: ending '{self.out.suffix}'; allowed: .csv")
         if self.plot is not None and self.plot.suffix not in PICTURES:
             raise ValueError(f"--plot {self.plot}: ending '{self.plot.suffix}'; allowed: {', '.join(PICTURES)}")
+        if not np.isfinite(self.gravity).all():
+            raise ValueError(f"--gravity {' '.join(map(str, self.gravity))}: finite numbers [m/s2]")
         chain = jaxik.load(self.robot, **self.loading())
         chain = chain.with_load(self.load, np.zeros(3), np.zeros((3, 3))) if self.load else chain
-        time, state = load_trajectory(self.motion, chain.joint_names)
-        torque, holding = torques_of(chain, state, self.gravity)
-        power = torque * state.velocity
+        time, found = read_motion(check_ending("dynamics", self.motion), chain.joint_names)
+        self._doubt(chain, time, found["q"])
+        time, state = as_states(time, found, self.smooth)
+        demand = demanded(chain, state, self.gravity)
         self.out.parent.mkdir(parents=True, exist_ok=True)
-        _write(self.out, chain, time, torque, holding, power)
-        _print_joints(chain, torque, holding, power)
-        work = np.trapezoid(np.maximum(power, 0.0).sum(axis=1), time)
+        _write(self.out, chain, time, demand)
+        if "acceleration" not in found:
+            print(f"  {self._derived('velocity' in found)}")
+        for line in _lines(chain, demand):
+            print(f"  {line}")
+        work = np.trapezoid(np.maximum(demand.power, 0.0).sum(axis=1), time)
         print(f"{len(time)} samples, {time[-1] - time[0]:.2f} s, {work:.1f} J into the joints; wrote {self.out}")
         if self.plot is not None:
             from jaxik.view.torque_picture import torque_picture
 
             self.plot.parent.mkdir(parents=True, exist_ok=True)
-            torque_picture(chain, time, torque, holding, self.plot)
+            title = f"{chain.name}, {self.load:g} kg at its tip" if self.load else chain.name
+            torque_picture(chain, time, demand.torque, demand.gravity, self.plot, title)
+
+    def _doubt(self, chain: Chain, time: np.ndarray, q: np.ndarray) -> None:
+        """Warns of numbers that are hardly radians, metres and seconds."""
+        if told := beyond_limits(chain, q, ROUNDED):
+            warnings.warn(f"{self.motion}: {told}", stacklevel=2)
+        if (period := float(np.median(np.diff(time)))) > SLOWEST:
+            warnings.warn(f"{self.motion}: samples are {period:.4g} s apart; are these milliseconds?", stacklevel=2)
+
+    def _derived(self, of_rates: bool) -> str:
+        what = (
+            "accelerations are derivatives of velocities" if of_rates else "accelerations are second derivatives of positions"
+        )
+        noise = "of measured ones mostly noise: --smooth HZ" if self.smooth is None else f"smoothed below {self.smooth:g} Hz"
+        return f"{what}, {noise}"
 
 
-def _print_joints(chain: Chain, torque: np.ndarray, holding: np.ndarray, power: np.ndarray) -> None:
-    for i, (name, slides) in enumerate(zip(chain.joint_names, chain.is_prismatic, strict=True)):
-        unit, most, usual = "N " if slides else "Nm", np.abs(torque[:, i]).max(), np.sqrt(np.mean(torque[:, i] ** 2))
-        held, strongest = np.abs(holding[:, i]).max(), np.abs(power[:, i]).max()
-        print(f"  {name:<20} at most {most:8.2f} {unit}, rms {usual:8.2f}, of gravity {held:8.2f}, power {strongest:8.2f} W")
-
-
-def torques_of(chain: Chain, state: JointState, gravity: tuple[float, float, float]) -> tuple[np.ndarray, np.ndarray]:
-    """The drives' torques (i, n) [Nm, N] along a motion, and what they would be at rest, `gravity` in world axes [m/s2]."""
+def demanded(chain: Chain, state: JointState, gravity: tuple[float, float, float]) -> Demand:
+    """Along a motion of states (i, n)."""
+    every = lambda of, *x: np.asarray(jax.jit(jax.vmap(of))(*x))
     with jax.enable_x64(True):
-        moving = jax.jit(jax.vmap(lambda *x: inverse_dynamics(chain, *x, gravity=gravity)))(*state)
-        return np.asarray(moving), np.asarray(jax.jit(jax.vmap(lambda q: gravity_torque(chain, q, gravity)))(state.q))
+        torque = every(lambda *x: inverse_dynamics(chain, *x, gravity=gravity), *state)
+        still = every(lambda q: gravity_torque(chain, q, gravity), state.q)
+        found = Demand(torque, still, torque * state.velocity)
+        if not chain.drives:
+            return found
+        friction = every(lambda v, t: friction_torque(chain, v, t), state.velocity, torque)
+        current = every(lambda t, v: motor_current(chain, t, v), torque, state.velocity)
+        return found._replace(friction=friction, current=current)
 
 
-def _write(file: Path, chain: Chain, time: np.ndarray, *kinds: np.ndarray) -> None:
-    header = ["time", *(f"{kind}_{name}" for kind in ("torque", "gravity", "power") for name in chain.joint_names)]
+def _lines(chain: Chain, demand: Demand) -> Iterable[str]:
+    """Of each joint, what it takes most."""
+    most = {kind: np.abs(values).max(axis=0) for kind, values in demand._asdict().items() if values is not None}
+    usual = np.sqrt(np.mean(demand.torque**2, axis=0))
+    for i, (name, slides) in enumerate(zip(chain.joint_names, chain.is_prismatic, strict=True)):
+        torque, gravity, power, *driven = (values[i] for values in most.values())
+        limit = f" ({torque / chain.effort[i]:4.0%} of its limit)" if np.isfinite(chain.effort[i]) else ""
+        line = f"{name:<20} at most {torque:8.2f} {'N ' if slides else 'Nm'}{limit}, rms {usual[i]:8.2f}"
+        line += f", of gravity {gravity:8.2f}, power {power:8.2f} W"
+        yield line + (", friction {:8.2f}, current {:6.2f} A".format(*driven) if driven else "")
+
+
+def _write(file: Path, chain: Chain, time: np.ndarray, demand: Demand) -> None:
+    kinds = {kind: values for kind, values in demand._asdict().items() if values is not None}
+    header = ["time", *(f"{kind}_{name}" for kind in kinds for name in chain.joint_names)]
     with file.open("w", newline="", encoding="utf-8") as out:
-        csv.writer(out, lineterminator="\n").writerows([header, *np.column_stack([time, *kinds]).tolist()])
+        csv.writer(out, lineterminator="\n").writerows([header, *np.column_stack([time, *kinds.values()]).tolist()])

@@ -11,7 +11,9 @@ from pathlib import Path
 import numpy as np
 
 from jaxik.checks.options import check_kind
+from jaxik.identification.smoothing import slope, smoothed
 from jaxik.planning.trajectory import JointState, Trajectory
+from jaxik.planning.trajectory_readers import read_motion
 
 ENDINGS = ".csv", ".npz", ".json"
 
@@ -37,68 +39,29 @@ def save_trajectory(file: str | Path, trajectory: Trajectory, period: float, joi
     return file
 
 
-def load_trajectory(file: str | Path, joint_names: Sequence[str]) -> tuple[np.ndarray, JointState]:
-    """Times (i,) [s] and states (i, n) of a file as `save_trajectory` writes it, its joints in the order of `joint_names`.
-    Rates or accelerations that the file lacks are those of a cubic spline through what it has. Host.
+def load_trajectory(file: str | Path, joint_names: Sequence[str], smooth: float | None = None) -> tuple[np.ndarray, JointState]:
+    """Times (i,) [s] and states (i, n) of a file as `save_trajectory` writes it, or of a log: its joints in the order of
+    `joint_names`. Host.
 
-    Raises `ValueError` for another ending, a joint that is not in it, times that do not grow, and what is no finite number;
-    `OSError` where there is no such file.
+    A CSV has the columns `time` and `q_<joint>`, or the joints' names alone, and perhaps `velocity_<joint>` and
+    `acceleration_<joint>`, parted by commas, semicolons or tabs. Rates or accelerations that a file lacks are those of a cubic
+    spline through what it has: of measured positions mostly noise. With `smooth` [Hz] what it has is `identification.smoothed`
+    before, that frequency being the cutoff.
+
+    Raises `ValueError` for another ending, a joint that is not in it, times that do not grow, and what is no finite number,
+    with the line or the sample; and as `smoothed` does. `OSError` where there is no such file.
     """
     file, names = check_ending("load_trajectory", file), list(joint_names)
-    asks = f"it has time, and q of {', '.join(names)}"
-    try:
-        time, found = _READERS[file.suffix](file, names)
-    except KeyError as error:
-        raise ValueError(f"{file}: no {error.args[0]}; {asks}") from None
-    except (TypeError, IndexError, ValueError):
-        raise ValueError(f"{file}: no table of numbers, with as many in each row; {asks}") from None
-    if "q" not in found:
-        raise ValueError(f"{file}: no q; {asks}")
-    for name, values in found.items():
-        if values.shape != (len(time), len(names)):
-            raise ValueError(f"{file}: {name} of shape {values.shape}; allowed: ({len(time)}, {len(names)}), a row a sample")
-    if not (len(time) >= 2 and (np.diff(time) > 0.0).all() and all(np.isfinite(x).all() for x in (time, *found.values()))):
-        raise ValueError(f"{file}: {len(time)} samples; there are two or more finite ones, at times [s] that grow")
-    kinds = JointState._fields
-    for before, kind in itertools.pairwise(kinds):
-        if kind not in found:
-            from scipy.interpolate import CubicSpline
-
-            found[kind] = CubicSpline(time, found[before]).derivative()(time)
-    return time, JointState(*(found[kind] for kind in kinds))
+    return as_states(*read_motion(file, names), smooth)
 
 
-def _read_npz(file: Path, names: list[str]) -> tuple[np.ndarray, dict[str, np.ndarray]]:
-    with np.load(file) as read:
-        order = _order([str(name) for name in read["joint_names"]], names)
-        return read["time"], {kind: read[kind][:, order] for kind in JointState._fields if kind in read}
-
-
-def _read_csv(file: Path, names: list[str]) -> tuple[np.ndarray, dict[str, np.ndarray]]:
-    with file.open(newline="", encoding="utf-8") as read:
-        header, *rows = csv.reader(read)
-    columns = dict(zip(header, zip(*rows, strict=True), strict=True))
-    numbers = lambda name: np.array(columns[name], float)
-    there = [kind for kind in JointState._fields if kind == "q" or f"{kind}_{names[0]}" in columns]
-    return numbers("time"), {kind: np.stack([numbers(f"{kind}_{name}") for name in names], axis=1) for kind in there}
-
-
-def _read_json(file: Path, names: list[str]) -> tuple[np.ndarray, dict[str, np.ndarray]]:
-    read = json.loads(file.read_text())
-    order, points = _order(read["joint_names"], names), read["points"]
-    time = [p["time_from_start"]["sec"] + 1e-9 * p["time_from_start"]["nanosec"] for p in points]
-    kinds = zip(JointState._fields, ("positions", "velocities", "accelerations"), strict=True)
-    found = {kind: np.array([p[name] for p in points], float)[:, order] for kind, name in kinds if points and name in points[0]}
-    return np.array(time), found
-
-
-def _order(there: list[str], names: list[str]) -> list[int]:
-    if absent := [name for name in names if name not in there]:
-        raise KeyError(f"joint {absent[0]}")
-    return [there.index(name) for name in names]
-
-
-_READERS = {".npz": _read_npz, ".csv": _read_csv, ".json": _read_json}
+def as_states(time: np.ndarray, found: Mapping[str, np.ndarray], smooth: float | None) -> tuple[np.ndarray, JointState]:
+    """Of a motion of which some is known."""
+    kinds = {kind: smoothed(time, known, smooth).value if smooth is not None else known for kind, known in found.items()}
+    for before, kind in itertools.pairwise(JointState._fields):
+        if kind not in kinds:
+            kinds[kind] = slope(time, kinds[before])
+    return time, JointState(**kinds)
 
 
 def check_ending(who: str, file: str | Path) -> Path:

@@ -306,6 +306,18 @@ def finite_limits(chain: Chain) -> tuple[np.ndarray, np.ndarray]:
     return finite_range(chain, chain.lower, chain.upper)
 
 
+def beyond_limits(chain: Chain, q: np.ndarray, by: float) -> str | None:
+    """In words, which value of q (k, n) is the furthest beyond its joint's limits; None where none is so `by` more [rad, m].
+    Host."""
+    beyond = np.maximum(chain.lower - q, q - chain.upper)
+    row, joint = np.unravel_index(np.argmax(beyond), beyond.shape)
+    if not beyond[row, joint] > by:
+        return None
+    unit, slip = ("m", "millimetres") if chain.is_prismatic[joint] else ("rad", "degrees")
+    limits = f"limits are {chain.lower[joint]:.4g} and {chain.upper[joint]:.4g} [{unit}]; are these {slip}?"
+    return f"{chain.joint_names[joint]} is {q[row, joint]:.6g} in row {row}, and its {limits}"
+
+
 def as_numbers(what: str, given: Any) -> jax.Array:
     """`given`, traced or not, as an array of integers or floats. Raises `ValueError` for what is none."""
     try:

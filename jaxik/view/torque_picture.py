@@ -8,9 +8,12 @@ import numpy as np
 
 from jaxik.robot.chain import Chain
 
+NEAR = 0.25  # of its limit, from which on a torque is drawn beside it
 
-def torque_picture(chain: Chain, time: np.ndarray, torque: np.ndarray, holding: np.ndarray, file: Path) -> None:
-    """A row a joint: its torque (i, n) [Nm, N] over `time` (i,) [s], and what would hold the arm at rest there."""
+
+def torque_picture(chain: Chain, time: np.ndarray, torque: np.ndarray, holding: np.ndarray, file: Path, title: str) -> None:
+    """A row a joint: its torque (i, n) [Nm, N] over `time` (i,) [s], what would hold the arm at rest there, and its limit
+    `chain.effort`, as a line where it is near."""
     from matplotlib.figure import Figure
 
     n = chain.num_joints
@@ -20,8 +23,15 @@ def torque_picture(chain: Chain, time: np.ndarray, torque: np.ndarray, holding: 
         axis.axhline(0.0, color="0.8", linewidth=0.8)
         axis.plot(time, holding[:, i], color="0.55", linewidth=1.0, linestyle="--", label="holding the arm at rest")
         axis.plot(time, torque[:, i], color="tab:blue", linewidth=1.4, label="in motion")
-        axis.set_ylabel(f"{name}\n[{'N' if slides else 'Nm'}]", fontsize=8)
+        unit, limit = "N" if slides else "Nm", float(chain.effort[i])
+        for side in (-1.0, 1.0):
+            if (side * torque[:, i]).max() > NEAR * limit:  # else it would leave no room for the curves
+                axis.axhline(side * limit, color="tab:red", linewidth=1.0, label="limit")
+        axis.set_title(name if np.isinf(limit) else f"{name}, limit {limit:g} {unit}", loc="left", fontsize=8, pad=2.0)
+        axis.set_ylabel(f"[{unit}]", fontsize=8)
         axis.tick_params(labelsize=8)
     axes[-1].set_xlabel("time [s]")
-    figure.legend(*axes[0].get_legend_handles_labels(), loc="outside upper right", ncols=2, frameon=False, fontsize=9)
+    labels = {label: line for axis in axes for line, label in zip(*axis.get_legend_handles_labels(), strict=True)}
+    figure.suptitle(title, fontsize=11)
+    figure.legend(labels.values(), labels.keys(), loc="outside lower right", ncols=3, frameon=False, fontsize=9)
     figure.savefig(file, dpi=120)

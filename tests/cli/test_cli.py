@@ -489,6 +489,8 @@ def test_the_torques_of_a_motion(tmp_path, monkeypatch, capsys):
     call(monkeypatch, "dynamics", "crops_v2", "log.csv", "--load", 2, "--plot", "torques.png")
     printed = capsys.readouterr().out
     assert "21 samples, 1.00 s" in printed and "wrote torques.csv" in printed
+    assert "accelerations are second derivatives of positions, of measured ones mostly noise: --smooth HZ" in printed
+    assert printed.count(", friction ") == 9 and printed.count(" A\n") == 9  # it has drives
     assert (tmp_path / "torques.png").stat().st_size > 10000
     table = np.genfromtxt("torques.csv", delimiter=",", names=True)
     lifted = (sum(float(body.mass) for body in chain.bodies) + 2.0) * 9.81
@@ -496,9 +498,8 @@ def test_the_torques_of_a_motion(tmp_path, monkeypatch, capsys):
     np.testing.assert_allclose(table["power_joint1"], table["torque_joint1"] * 0.3 * np.cos(time), atol=0.05)
     for given, words in (
         (["motion.txt"], "motion.txt; allowed endings: .csv, .npz, .json"),
-        (["log.csv"], "no q_q1; it has time"),
+        (["log.csv"], "no column q_q1; write the columns time [s], q_<joint>"),
         (["log.csv", "--plot", "torques.txt"], "--plot torques.txt: ending '.txt'; allowed: .png, .pdf, .svg"),
+        (["log.csv", "--gravity", 0, 0, "nan"], "--gravity 0.0 0.0 nan: finite numbers"),
     ):
-        with pytest.raises(SystemExit):
-            call(monkeypatch, "dynamics", "planar2", *given)
-        assert words in capsys.readouterr().err.strip().splitlines()[-1]
+        assert words in refused(monkeypatch, capsys, "dynamics", "planar2", *given)

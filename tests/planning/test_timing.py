@@ -191,31 +191,8 @@ def test_files_hold_what_was_sampled(tmp_path):
         time, state = load_trajectory(tmp_path / file, names[::-1])
         for ours, theirs in zip((time, *state), (held["time"], *(held[k][:, ::-1] for k in state._fields)), strict=True):
             np.testing.assert_allclose(ours, theirs, atol=1e-9)
-        with pytest.raises(ValueError, match=f"{file}: no .*z; it has time, and q of z"):
+        with pytest.raises(ValueError, match=f"{file}: no (column q_z; write the|joint 'z'; its joint_names: a, b, c)"):
             load_trajectory(tmp_path / file, ["z"])
-
-
-@pytest.mark.parametrize(
-    ("file", "text", "said"),
-    [
-        ("x.csv", "", "no table of numbers, with as many in each row; it has time, and q of a"),
-        ("x.csv", "time,q_a\n0,fast\n1,2\n", "no table of numbers"),
-        ("x.csv", "time,q_a\n0,1\n1\n", "no table of numbers"),
-        ("x.json", "{", "no table of numbers"),
-        ("x.json", '{"joint_names": ["a"], "points": []}', "no q; it has time, and q of a"),
-        ("x.npz", "text", "no table of numbers"),
-    ],
-)
-def test_files_that_hold_no_motion(tmp_path, file, text, said):
-    (tmp_path / file).write_text(text)
-    with pytest.raises(ValueError, match=f"{file}: {said}"):
-        load_trajectory(tmp_path / file, ["a"])
-
-
-def test_a_file_has_a_row_a_sample(tmp_path):
-    np.savez(tmp_path / "x.npz", time=[0.0, 1.0, 2.0], q=np.zeros((2, 1)), joint_names=["a"])
-    with pytest.raises(ValueError, match=r"q of shape \(2, 1\); allowed: \(3, 1\), a row a sample"):
-        load_trajectory(tmp_path / "x.npz", ["a"])
 
 
 def _torques(chain, moved):
