@@ -24,6 +24,7 @@ from jaxik.identification import Identified, IdentifyOptions, MotionLog, excite,
 from jaxik.robot import Body, Chain, Drive, Friction, body_parameters, inverse_dynamics, motor_current
 
 COUNT, PERIOD, SECONDS, RATE, NOISE = 3, 20.0, 40.0, 100.0, 0.01
+ASKED = {"period": PERIOD, "margin": None}  # the files are read without their meshes
 SIMPLE = ("coulomb", "viscous")
 FILES = {
     "crops_v2": ("crops_v2", None, (*SIMPLE, "breakaway", "load", "viscous_load", "asymmetry"), 2.0),
@@ -110,9 +111,9 @@ def judged(name: str, seed: int, motion: Any, other: Any) -> dict[str, Any]:
 def row(name: str) -> dict[str, Any]:
     """All robots of a name: means, and the worst of them."""
     chain, (_, _, terms, velocity) = robot(name), FILES[name]
-    excitation, seconds = clocked(lambda: excite(chain, terms=terms, velocity=velocity, period=PERIOD, steps=20))
+    excitation, seconds = clocked(lambda: excite(chain, terms=terms, **ASKED, velocity=velocity, steps=20))
     motion = excitation.at(np.arange(0.0, SECONDS, 1.0 / RATE))
-    other = excite(chain, terms=terms, velocity=velocity, period=PERIOD, seed=1, steps=1).at(np.arange(0.0, PERIOD, 0.05))
+    other = excite(chain, terms=terms, **ASKED, velocity=velocity, seed=1, steps=1).at(np.arange(0.0, PERIOD, 0.05))
     each = [judged(name, seed, motion, other) for seed in range(COUNT)]
     whole = lambda key, of: of([one[key] for one in each])
     return {

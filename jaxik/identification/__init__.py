@@ -5,7 +5,7 @@ from jaxik.identification.fit import Identified, IdentifyOptions, identify
 from jaxik.identification.identifiable import BaseParameters, base_parameters
 from jaxik.identification.log import MotionLog
 from jaxik.identification.pseudo_inertia import pseudo_inertias
-from jaxik.identification.smoothing import Smoothed, smoothed
+from jaxik.optimise.smoothing import Smoothed, smoothed
 
 __all__ = [
     "BaseParameters",

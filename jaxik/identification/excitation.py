@@ -1,20 +1,27 @@
 """Motions that tell much: Fourier series inside the joints' limits, with base columns as independent as can be.
 
-    q_j(t) = middle_j + s_j sum_l (a_jl sin(l w t) + b_jl cos(l w t)) / l^2,    w = 2 pi / period
+    q_j(t) = middle_j + u_j s_j sum_l (a_jl sin(l w t) + b_jl cos(l w t)) / l^2,    w = 2 pi / period
 
 The scale s_j is the largest at which the joint keeps its limits of position, velocity and acceleration, so that every choice of
-coefficients is a motion that the robot can make [Swevers et al. 1997, whose limits are constraints]. Most is told where
-log det(A' A) is largest, A being the base parameters' columns: no parameter's scale changes where that is.
+coefficients and of shares 0 < u_j <= 1 is a motion that the robot can make [Swevers et al. 1997, whose limits are constraints].
+Most is told where log det(A' A) is largest, A being the base parameters' columns: no parameter's scale changes where that is.
+What comes near an obstacle, or the robot itself, costs, and more from round to round (`clear_motion`); the last resort, where
+that does not suffice, is the same motion in small.
 """
 
 from __future__ import annotations
 
 import dataclasses
+from collections.abc import Callable
 from typing import Any
 
 import numpy as np
+from threadpoolctl import threadpool_limits
 
+from jaxik.checks.arrays import shaped
 from jaxik.checks.options import as_count, changed, check_finite, check_kind, check_seed
+from jaxik.collision.scene import Scene
+from jaxik.identification.clear_motion import ClearSpace
 from jaxik.identification.columns import Term, body_columns, check_terms, friction_columns, ratios, side_by_side
 from jaxik.identification.identifiable import base_parameters
 from jaxik.robot.chain import Chain, finite_limits
@@ -23,13 +30,20 @@ from jaxik.robot.dynamics import body_parameters
 STEP = 1e-6  # of finite differences, in units of the limits
 LEAST = 1e-12  # of the largest singular value
 FINER = 10  # samples among which a limit is held at last, for one of the search
+WEIGHTS = (1.0, 10.0, 100.0)  # round by round, what nearness costs
+LEAST_SHARE = 0.05  # of what a joint's limits allow
+HALVINGS = 6  # of a motion that is still not clear
+ROOM = 0.05  # [m] beyond the margin, that a middle is to have
+POSTURES = 256  # at random, the roomiest of which is the middle where that of the limits has less
 
 
 @dataclasses.dataclass(frozen=True)
 class ExcitationOptions:
     """`terms` of the drives' friction to excite beside the bodies; a `period` [s] of as many `harmonics`, judged at `samples`;
     limits of `velocity` [rad/s, m/s], beside the chain's own, and `acceleration` [rad/s2, m/s2]; the `share` of a joint's range
-    that is used; and `starts` at random by `seed`, the best of which is improved in `steps`."""
+    that is used; the clearance [m] that is kept all the time, `margin`, or None, by which nobody looks at collisions; the
+    `middle` (n,) [rad, m] of the motion, None for that of the limits, or where that is not free a roomy posture; and `starts`
+    at random by `seed`, the best of which is improved in `steps`, up to three times as many among obstacles."""
 
     terms: tuple[Term, ...] = ("coulomb", "viscous")
     period: float = 10.0
@@ -38,6 +52,8 @@ class ExcitationOptions:
     velocity: float = 1.0
     acceleration: float = 4.0
     share: float = 0.9
+    margin: float | None = 0.0
+    middle: Any = None
     starts: int = 20
     steps: int = 50
     seed: int = 0
@@ -46,8 +62,8 @@ class ExcitationOptions:
 @dataclasses.dataclass(frozen=True, eq=False)
 class Excitation:
     """A motion of one `period` [s]: `q`, `qdot` and `qddot` (k, n) at `times` (k,) [s]; the `condition` number of its base
-    columns at equal lengths; its `gain`, by how much smaller it makes standard errors than the best start, in the geometric
-    mean; and the series' `coefficients` (2 h, n), sines first, about `middle` (n,)."""
+    columns at equal lengths; its `gain`, by how much smaller it makes standard errors than the best start, which may collide,
+    in the geometric mean; and the series' `coefficients` (2 h, n), sines first, about `middle` (n,)."""
 
     times: np.ndarray
     q: np.ndarray
@@ -75,16 +91,14 @@ def _series(times: np.ndarray, period: float, harmonics: int) -> np.ndarray:
 
 
 class _Search:
-    """The objective and its gradient by the series' coefficients."""
+    """The objective and its gradient by the series' coefficients (2 h, n) and the shares (n,), in one row each (2 h + 1, n)."""
 
-    def __init__(self, chain: Chain, options: ExcitationOptions):
-        self.chain, self.terms, n = chain, options.terms, chain.num_joints
-        self.base = base_parameters(chain, options.terms)
-        lower, upper = finite_limits(chain)
-        self.middle = 0.5 * (lower + upper)
+    def __init__(self, chain: Chain, space: ClearSpace | None, middle: np.ndarray, options: ExcitationOptions):
+        self.chain, self.space, self.middle, self.terms = chain, space, middle, options.terms
+        self.base, self.weight = base_parameters(chain, options.terms), WEIGHTS[0]
         fastest = np.minimum(chain.velocity, options.velocity)
-        self.limits = np.array([0.5 * options.share * (upper - lower), fastest, np.full(n, options.acceleration)])
-        self.inertial = np.asarray(body_parameters(chain)) if chain.bodies else np.zeros(10 * n)
+        self.limits = np.array([half_range(chain, middle, options.share), fastest, np.full_like(middle, options.acceleration)])
+        self.inertial = np.asarray(body_parameters(chain)) if chain.bodies else np.zeros(10 * chain.num_joints)
         self.ratio = ratios(chain)
         self.series = _series(_times(options.period, options.samples), options.period, options.harmonics)
 
@@ -103,74 +117,154 @@ class _Search:
         friction = friction_columns(self.terms, self.ratio, qdot, qddot, bodies @ self.inertial, 0.25 * self.limits[1])
         return side_by_side(bodies, friction)[:, :, self.base.kept]
 
-    def decomposed(self, c: np.ndarray) -> tuple[np.ndarray, np.ndarray, tuple[np.ndarray, np.ndarray, np.ndarray]]:
-        """The motion (3, k, n) about the middle, its matrix (k, n, b), and that one's singular values and vectors."""
-        motion = self.scaled(self.series, c)[0]
+    def told(self, motion: np.ndarray) -> tuple[float, np.ndarray, np.ndarray]:
+        """-log det(A' A) / 2 of a motion (3, k, n), its matrix A (k, n, b), and the derivative by that."""
         matrix = self.columns(motion)
         u, s, vt = np.linalg.svd(matrix.reshape(-1, len(self.base)), full_matrices=False)
-        return motion, matrix, (u, np.maximum(s, LEAST * s[0]), vt)
+        s = np.maximum(s, LEAST * s[0])
+        return -float(np.sum(np.log(s))), matrix, -(u / s @ vt).reshape(matrix.shape)
 
-    def value(self, c: np.ndarray) -> float:
-        """-log det(A' A) / 2."""
-        return -float(np.sum(np.log(self.decomposed(c)[2][1])))
+    def value(self, x: np.ndarray) -> float:
+        motion = self.scaled(self.series, x[:-1])[0] * x[-1]
+        return self.told(motion)[0] + self._nearness(motion)[0]
 
     def __call__(self, flat: np.ndarray) -> tuple[float, np.ndarray]:
-        """The value, and its gradient (2 h n,)."""
-        c = flat.reshape(-1, self.chain.num_joints)
-        motion, matrix, (u, s, vt) = self.decomposed(c)
-        pull = -(u / s @ vt).reshape(matrix.shape)  # the value's derivative by A
-        by_motion = np.empty_like(motion)
-        for order, joint in np.ndindex(3, c.shape[1]):
-            moved, step = motion.copy(), STEP * self.limits[order, joint]
-            moved[order, :, joint] += step
-            by_motion[order, :, joint] = np.einsum("kjb,kjb->k", self.columns(moved) - matrix, pull) / step
-        return -float(np.sum(np.log(s))), self._by_coefficients(c, by_motion).ravel()
+        """The value, and its gradient."""
+        x = flat.reshape(-1, self.chain.num_joints)
+        whole, scale, bound = self.scaled(self.series, x[:-1])
+        motion = whole * x[-1]
+        value, matrix, pull = self.told(motion)
+        by_motion = self._by_motion(motion, matrix, pull)
+        near, slope = self._nearness(motion)
+        by_motion[0] += slope
+        by_share = np.sum(by_motion * whole, axis=(0, 1))
+        return value + near, np.vstack([self._by_coefficients(x[:-1], by_motion * x[-1], scale, bound), by_share]).ravel()
 
-    def _by_coefficients(self, c: np.ndarray, by_motion: np.ndarray) -> np.ndarray:
+    def _nearness(self, motion: np.ndarray) -> tuple[float, Any]:
+        if self.space is None:
+            return 0.0, 0.0
+        value, slope = self.space.nearness(self.middle + motion[0])
+        return self.weight * value, self.weight * slope
+
+    def _by_motion(self, motion: np.ndarray, matrix: np.ndarray, pull: np.ndarray) -> np.ndarray:
+        """A derivative by A as one by the motion (3, k, n), by differences of all samples at once."""
+        by_motion, joints = np.empty_like(motion), np.arange(motion.shape[2])
+        for order, step in enumerate(STEP * self.limits):
+            moved = np.tile(motion[:, None], (1, len(joints), 1, 1))  # a motion for each joint
+            moved[order, joints, :, joints] += step[:, None]
+            change = self.columns(moved.reshape(3, -1, len(joints))).reshape(-1, *matrix.shape) - matrix
+            by_motion[order] = np.einsum("mkjb,kjb->km", change, pull) / step
+        return by_motion
+
+    def _by_coefficients(self, c: np.ndarray, by_motion: np.ndarray, scale: np.ndarray, bound: np.ndarray) -> np.ndarray:
         """A derivative by the motion s S c (3, k, n) as one by c, where s falls as the sample that bounds it grows."""
-        _, scale, bound = self.scaled(self.series, c)
         rows, pulled = self.series.reshape(-1, len(c)), by_motion.reshape(-1, c.shape[1])
         raw, limits = rows @ c, np.repeat(self.limits, self.series.shape[1], axis=0)
         at = bound, range(c.shape[1])
         fall = scale**2 * np.sum(pulled * raw, axis=0) * np.sign(raw[at]) / limits[at]
         return np.asarray(rows.T @ (pulled * scale) - rows[bound].T * fall)
 
-    def condition(self, c: np.ndarray) -> float:
+    def condition(self, motion: np.ndarray) -> float:
         """Of the base parameters' columns at equal lengths."""
-        matrix = self.decomposed(c)[1].reshape(-1, len(self.base))
+        matrix = self.columns(motion).reshape(-1, len(self.base))
         s = np.linalg.svd(matrix / np.maximum(np.linalg.norm(matrix, axis=0), 1e-300), compute_uv=False)
         return float(s[0] / max(s[-1], 1e-300))
+
+
+def half_range(chain: Chain, middle: np.ndarray, share: float) -> np.ndarray:
+    """How far a motion may go about its middle (n,) within a share of the joints' range."""
+    lower, upper = finite_limits(chain)
+    return np.asarray(np.minimum(middle - lower, upper - middle) - 0.5 * (1.0 - share) * (upper - lower))
 
 
 def _times(period: float, count: int) -> np.ndarray:
     return np.arange(count) * (period / count)
 
 
-def excite(chain: Chain, options: ExcitationOptions = ExcitationOptions(), **changes: Any) -> Excitation:
+def excite(
+    chain: Chain, scene: Scene | None = None, options: ExcitationOptions = ExcitationOptions(), **changes: Any
+) -> Excitation:
     """A periodic motion inside the chain's limits that tells its bodies and friction apart well. Host driver.
 
-    `changes` are fields of the options. Collisions are not looked at: ask `jaxik.clearance` of its samples, and give the chain
-    narrower limits where it says so.
+    `changes` are fields of the options. The robot keeps clear of itself and of the scene by `margin`, between samples, too;
+    what carries it, and what it carries, are in the chain or in the scene, or are not looked at.
 
-    Raises `ValueError` for options that cannot be used, and for a joint that cannot move. Source: Swevers,
-    Ganseman, Tukel, De Schutter, Van Brussel 1997.
+    Raises `ValueError` for options that cannot be used, for a joint that cannot move, for a chain without shapes where
+    `margin` is not None, and where no motion is clear. Source: Swevers, Ganseman, Tukel, De Schutter, Van Brussel 1997.
     """
-    from scipy.optimize import minimize
-
     check_kind("excite", "chain", chain, Chain)
+    check_kind("excite", "scene", scene, Scene, optional=True)
     options = changed("excite", options, changes)
     _check(chain, options)
-    search, n, rng = _Search(chain, options), chain.num_joints, np.random.default_rng(options.seed)
-    starts = rng.normal(size=(options.starts, 2 * options.harmonics, n))
-    first = min(starts, key=search.value)
-    done = minimize(search, first.ravel(), jac=True, method="L-BFGS-B", options={"maxiter": options.steps})
-    c = done.x.reshape(-1, n)
+    space = None if options.margin is None else ClearSpace("excite", chain, scene, options.margin)
+    with threadpool_limits(1, "blas"):  # matrices are small, and threads would wait for each other
+        search = _Search(chain, space, _middle(chain, space, options), options)
+        return _excited(search, options)
+
+
+def _middle(chain: Chain, space: ClearSpace | None, options: ExcitationOptions) -> np.ndarray:
+    """That of the limits, one that is given, or where that of the limits has no room the roomiest of many."""
+    lower, upper = finite_limits(chain)
+    middle = 0.5 * (lower + upper)
+    if options.middle is not None:
+        middle = shaped("excite: middle", options.middle, middle.shape)
+        if not np.all(half_range(chain, middle, options.share) > 0.0):
+            joint = chain.joint_names[int(np.argmin(half_range(chain, middle, options.share)))]
+            raise ValueError(f"excite: the middle of {joint} is not within share={options.share:g} of its limits")
+    elif space is not None and space.room(middle[None])[0] < ROOM:
+        reach = 0.5 * half_range(chain, middle, options.share)
+        others = middle + reach * np.random.default_rng(options.seed).uniform(-1.0, 1.0, (POSTURES, chain.num_joints))
+        every = np.vstack([middle, others])
+        middle = every[np.argmax(space.room(every))]
+    if space is not None and (room := space.room(middle[None])[0]) < 0.0:
+        mend = "give a posture as middle that keeps it, or a smaller margin"
+        raise ValueError(f"excite: margin={space.margin:g}, the middle has a clearance of {room + space.margin:.3g} m; {mend}")
+    return middle
+
+
+def _excited(search: _Search, options: ExcitationOptions) -> Excitation:
+    from scipy.optimize import minimize
+
+    n, rng, space = len(search.middle), np.random.default_rng(options.seed), search.space
+    drawn = rng.normal(size=(options.starts, 2 * options.harmonics, n))
+    first = min((np.vstack([c, np.ones(n)]) for c in drawn), key=search.value)
     finer = _series(_times(options.period, FINER * options.samples), options.period, options.harmonics)
-    c = c * search.scaled(finer, c)[1]
-    times = _times(options.period, options.samples)
-    q, qdot, qddot = search.series @ c
-    gain = np.exp((search.value(first) - search.value(c)) / len(search.base))
-    return Excitation(times, search.middle + q, qdot, qddot, search.condition(c), float(gain), c, search.middle, options.period)
+    step = options.period / len(finer[0])
+    x, bounds = first, [(None, None)] * drawn[0].size + [(LEAST_SHARE, 1.0)] * n
+    for search.weight in WEIGHTS:
+        done = minimize(search, x.ravel(), jac=True, method="L-BFGS-B", bounds=bounds, options={"maxiter": options.steps})
+        x = done.x.reshape(-1, n)
+        c = x[:-1] * search.scaled(finer, x[:-1])[1] * x[-1]
+        clear = lambda part, c=c: space is None or space.keeps(search.middle + part * finer[0] @ c, step, options.acceleration)
+        if clear(1.0):
+            break
+    else:
+        c = c * _largest(clear)
+    motion = search.series @ c
+    before, after = (search.told(m)[0] for m in (search.scaled(search.series, first[:-1])[0], motion))
+    q, qdot, qddot = motion
+    return Excitation(
+        times=_times(options.period, options.samples),
+        q=search.middle + q,
+        qdot=qdot,
+        qddot=qddot,
+        condition=search.condition(motion),
+        gain=float(np.exp((before - after) / len(search.base))),
+        coefficients=c,
+        middle=search.middle,
+        period=options.period,
+    )
+
+
+def _largest(clear: Callable[[float], bool]) -> float:
+    """Nearly the largest part of a motion that is clear."""
+    low, high = 0.0, 1.0
+    for _ in range(HALVINGS):
+        part = 0.5 * (low + high)
+        low, high = (part, high) if clear(part) else (low, part)
+    if not low:
+        raise ValueError("excite: no motion about the middle keeps the margin; give another middle, or a smaller margin")
+    return low
 
 
 def _check(chain: Chain, options: ExcitationOptions) -> None:

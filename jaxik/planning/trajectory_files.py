@@ -11,7 +11,7 @@ from pathlib import Path
 import numpy as np
 
 from jaxik.checks.options import check_kind
-from jaxik.identification.smoothing import slope, smoothed
+from jaxik.optimise.smoothing import slope, smoothed
 from jaxik.planning.trajectory import JointState, Trajectory
 from jaxik.planning.trajectory_readers import read_motion
 

@@ -17,7 +17,6 @@ FLOORS = [  # what the house is made of, from the ground up
     "spatial",
     "optimise",  # nor do the solvers
     "robot",
-    "identification",
     "costs",
     "collision",
     "fitting",
@@ -25,6 +24,7 @@ FLOORS = [  # what the house is made of, from the ground up
     "ik",
     "motions",
     "planning",
+    "identification",
     "control",
     "reach",
     "harvesting",

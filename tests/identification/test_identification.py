@@ -2,12 +2,15 @@
 
 import dataclasses
 
+import coal
 import jax
 import numpy as np
 import pytest
+from scipy.spatial.transform import Rotation
 
 import jaxik
 from jaxik.identification import MotionLog, base_parameters, excite, identify, pseudo_inertias
+from jaxik.identification.clear_motion import ClearSpace
 from jaxik.identification.columns import body_columns, side_by_side
 from jaxik.identification.excitation import ExcitationOptions, _Search
 from jaxik.identification.problem import Curve, posed
@@ -34,7 +37,7 @@ def another(seed=0):
 
 @pytest.fixture(scope="module")
 def excitation():
-    return excite(ARM, terms=TERMS, velocity=2.0, period=20.0, steps=10)
+    return excite(ARM, margin=None, terms=TERMS, velocity=2.0, period=20.0, steps=10)
 
 
 @pytest.fixture(scope="module")
@@ -90,12 +93,46 @@ def test_excitation_keeps_the_limits(excitation):
     assert excitation.gain > 1.0 and excitation.condition < 500.0
     np.testing.assert_allclose(np.gradient(q, 0.004, axis=0)[1:-1], qdot[1:-1], atol=1e-3)
     np.testing.assert_allclose(np.gradient(qdot, 0.004, axis=0)[1:-1], qddot[1:-1], atol=1e-3)
-    search, c = _Search(ARM, ExcitationOptions()), np.random.default_rng(0).normal(size=30)
-    _, slope = search(c)
-    for i in (0, 13, 29):
-        step = 1e-5 * np.eye(30)[i]
-        numeric = (search(c + step)[0] - search(c - step)[0]) / 2e-5
+
+
+WALL = jaxik.make_scene(spheres=[[-0.3, 0.85, 1.1, 0.15]])  # within reach
+
+
+def test_the_search_knows_its_slope():
+    """By coefficients and by shares, nearness to the scene and to itself among it."""
+    space = ClearSpace("excite", ARM, WALL, 0.02)
+    search = _Search(ARM, space, np.array([0.5, 0.6, -0.4]), ExcitationOptions(samples=40))
+    x = np.vstack([np.random.default_rng(0).normal(size=(10, 3)), [[0.9, 0.7, 0.8]]]).ravel()
+    _, slope = search(x)
+    near = search.scaled(search.series, x.reshape(11, 3)[:-1])[0] * x[-3:]
+    assert space.nearness(search.middle + near[0])[0] > 1.0
+    for i in (0, 13, 29, 30, 31, 32):
+        step = 1e-5 * np.eye(33)[i]
+        numeric = (search(x + step)[0] - search(x - step)[0]) / 2e-5
         assert abs(slope[i] - numeric) <= 1e-3 * np.abs(slope).max()
+
+
+def test_excitation_keeps_clear():
+    """Of a sphere and of itself, by coal's distances of the chain's volumes."""
+    found = excite(ARM, WALL, margin=0.02, velocity=2.0, starts=5, steps=10, samples=50)
+    bold = excite(ARM, margin=None, velocity=2.0, starts=5, steps=10, samples=50)
+    distances = [min(coals(q) for q in motion.at(np.linspace(0.0, 10.0, 101))[0]) for motion in (found, bold)]
+    assert distances[0] >= 0.02 - 1e-5 and distances[1] < 0.0
+    assert found.condition < 100.0
+
+
+def coals(q):
+    """The least of coal's distances of the chain's capsules, one a link, to the sphere and to each other at q (n,)."""
+    frames = np.asarray(jaxik.robot.link_frames(ARM, q))
+    sphere = coal.Sphere(float(WALL.spheres.radius[0])), coal.Transform3s(np.eye(3), np.asarray(WALL.spheres.center[0]))
+    capsules = []
+    for frame, volume in zip(frames, ARM.volumes, strict=True):
+        a, b = volume.corners @ frame[:3, :3].T + frame[:3, 3]
+        turn = Rotation.align_vectors([b - a], [[0.0, 0.0, 1.0]])[0].as_matrix()
+        shape = coal.Capsule(float(volume.radius), float(np.linalg.norm(b - a)))
+        capsules.append((shape, coal.Transform3s(turn, 0.5 * (a + b))))
+    pairs = [*((each, sphere) for each in capsules), *((capsules[a], capsules[b]) for a, b in ARM.self_pairs)]
+    return min(coal.distance(*a, *b, coal.DistanceRequest(), coal.DistanceResult()) for a, b in pairs)
 
 
 def test_identification_from_noisy_logs(motion):
@@ -226,6 +263,9 @@ def test_faults_in_one_line(change, line):
         (dict(samples=10), "excite: 10 samples of 5 harmonics; allowed: at least 4 for each"),
         (dict(share=1.5), "excite: share is 1.5; it is above 0, and 1 at most"),
         (dict(period=0.0), "excite: period is 0; it is above 0"),
+        (dict(margin=0.3), "excite: margin=0.3, the middle has a clearance of .* m; give a posture as middle"),
+        (dict(middle=[0.5, 3.0, 0.0]), "excite: the middle of joint2 is not within share=0.9 of its limits"),
+        (dict(chain=dataclasses.replace(ARM, volumes=(), self_pairs=())), "no collision geometry; .*; or write margin=None"),
         (dict(speed=1.0), "excite: unknown option 'speed'"),
         (dict(chain=dataclasses.replace(ARM, upper=ARM.lower)), "excite: joint1 cannot move: 0 to 0, velocity inf"),
     ],
