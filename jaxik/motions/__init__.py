@@ -6,6 +6,7 @@ from jaxik.motions.moving_horizon import MovingHorizon, follow_predictively
 from jaxik.motions.nullspace import asc, rac, resolve_acceleration, resolve_velocity, rmrc
 from jaxik.motions.path import Arc, Line, motion, via
 from jaxik.motions.predictive import Horizon, energy_cost, multistart, predict, quadratic_cost
+from jaxik.motions.rate_limits import RateLimits
 
 __all__ = [
     "Arc",
@@ -13,6 +14,7 @@ __all__ = [
     "Horizon",
     "Line",
     "MovingHorizon",
+    "RateLimits",
     "asc",
     "boundary_value",
     "energy_cost",

@@ -1,12 +1,8 @@
 """A whole motion along a path with redundancy resolved moment by moment, inside the joints' limits, and what became of it.
 
-Where the joints' limits are kept, each rate lies between bounds that follow from all of them:
-
-    |qdot| <= v,   |qdot - qdot_before| <= a dt,   -sqrt(2 a (q - lower)) <= qdot <= sqrt(2 a (upper - q)),   q + dt qdot inside
-
-(the third lets a joint stop before its limit), or each acceleration between those that do the same. Nothing stops a motion
-that goes wrong while it is computed; it is judged afterwards, sample by sample, and from the first one that fails the arm
-stands still: what was before stays as it was.
+Where the joints' limits are kept, each rate, or each acceleration, lies between bounds that follow from all of them
+(`RateLimits`). Nothing stops a motion that goes wrong while it is computed; it is judged afterwards, sample by sample, and
+from the first one that fails the arm stands still: what was before stays as it was.
 """
 
 from __future__ import annotations
@@ -28,6 +24,7 @@ from jaxik.costs import Cost
 from jaxik.motions.diagnosis import Course, diagnose
 from jaxik.motions.nullspace import FLOOR, Box, Resolved, asc, loop_gain, rac, settles
 from jaxik.motions.path import Motion, Path, check_path, motion
+from jaxik.motions.rate_limits import RateLimits
 from jaxik.optimise import ocp
 from jaxik.reasons import Reason, Reasoned
 from jaxik.robot.chain import Chain
@@ -140,7 +137,7 @@ def _program(
     def run(q: Any, path: Path, duration: Any) -> tuple[Any, ...]:
         times = how.dt * (jnp.arange(float(count))[:, None] + jnp.array([0.0, 0.5, 1.0]))
         stages = Motion(*(x.reshape(count, 3, *x.shape[1:]) for x in motion(path, duration, times.reshape(-1))))
-        limits = _limits(chain, how, q.dtype)
+        limits = RateLimits.of(chain, how.limits, how.acceleration)
 
         def turn(state: tuple[Any, Any], stages: Motion) -> Any:
             q, qdot = state
@@ -156,26 +153,17 @@ def _program(
     return jax.jit(run if axes is None else jax.vmap(run, in_axes=axes))
 
 
-def _limits(chain: Chain, how: FollowOptions, dtype: Any) -> tuple[Any, ...]:
-    """Lower, upper, velocity and acceleration (n,), infinite where there is none."""
-    n = chain.num_joints
-    none = np.full(n, np.inf)
-    fastest = np.broadcast_to(np.inf if how.acceleration is None else np.asarray(how.acceleration), (n,))
-    lower, upper, velocity = (chain.lower, chain.upper, chain.velocity) if how.limits else (-none, none, none)
-    return tuple(jnp.asarray(x, dtype) for x in (lower, upper, velocity, fastest))
-
-
 def _moved(
-    chain: Chain, cost: Cost | None, how: FollowOptions, limits: tuple[Any, ...], q: Any, qdot: Any, stages: Motion
+    chain: Chain, cost: Cost | None, how: FollowOptions, limits: RateLimits, q: Any, qdot: Any, stages: Motion
 ) -> tuple[Any, Resolved, Any]:
     """The state a sample later; how it was resolved at its start; and whether a limit held a joint back."""
     dt = how.dt
     options: dict[str, Any] = {"task": how.task, "weights": how.weights, "floor": how.floor}
-    low, high = _rates(limits, q, qdot, dt)
+    low, high = limits.rates(q, qdot, dt)
     boxed = how.limits or how.acceleration is not None
     if how.scheme == "rac":
         slow = loop_gain(how.gain, dt, 0.5)
-        box = Box((low - qdot) / dt, (high - qdot) / dt) if boxed else None
+        box = limits.accelerations(q, qdot, dt) if boxed else None
         gains, start = (0.25 * slow**2, slow), ocp.sample(stages, 0)
         found = rac(chain, q, qdot, start, cost, how.alpha, how.damping, gains=gains, box=box, **options)
         rate = qdot + dt * found.rate
@@ -191,17 +179,6 @@ def _moved(
         rate = (after - q) / dt
     near = 1e-6 * (1.0 + jnp.abs(rate))
     return (after, rate), found, jnp.any((rate <= low + near) | (rate >= high - near))
-
-
-def _rates(limits: tuple[Any, ...], q: Any, qdot: Any, dt: float) -> tuple[Any, Any]:
-    """What the rates (n,) of the next sample must lie between."""
-    lower, upper, velocity, acceleration = limits
-    # at a limit nothing is left of the way, and any acceleration, an infinite one too, stops there: not inf times 0
-    stop = lambda way: jnp.where(way > 0.0, jnp.minimum(way / dt, jnp.sqrt(2.0 * acceleration * way)), 0.0)
-    low, high = jnp.maximum(-velocity, -stop(q - lower)), jnp.minimum(velocity, stop(upper - q))
-    # what the acceleration allows, as far as the others do
-    low_near, high_near = qdot - acceleration * dt, qdot + acceleration * dt
-    return jnp.minimum(jnp.maximum(low, low_near), high_near), jnp.maximum(jnp.minimum(high, high_near), low_near)
 
 
 def _standing(course: Course, k: Any) -> tuple[Any, Any, Any, Any]:

@@ -84,9 +84,8 @@ def resolve_velocity(
     `gain` [1/s] pulls the tip back to its path. `box` holds what the velocities must lie between. Raises `ValueError`
     for an array of another shape, and for weights that are known and not above zero.
     """
-    at = _At(chain, q, motion, task)
-    as_shaped("gain", gain, ())
-    return at.resolved(at.components("velocity", motion.velocity) - gain * at.error, u, weights, floor, box)
+    at = TaskAt(chain, q, motion, task)
+    return at.resolved(at.velocity(gain), u, weights, floor, box)
 
 
 def resolve_acceleration(
@@ -106,12 +105,8 @@ def resolve_acceleration(
     `gains` (K [1/s2], K' [1/s]) pull the tip back to its path; K' = 2 sqrt(K) without overshoot. `box` holds what the
     accelerations must lie between. Raises `ValueError` as `resolve_velocity` does.
     """
-    at = _At(chain, q, motion, task)
-    qdot = as_shaped("qdot", qdot, at.q.shape).astype(at.dtype)
-    bias = at.components("bias", bias_acceleration(chain, at.q, qdot))
-    slow = at.components("velocity", motion.velocity) - at.rows @ qdot
-    wanted = at.components("acceleration", motion.acceleration) + gains[1] * slow - gains[0] * at.error - bias
-    return at.resolved(wanted, u, weights, floor, box)
+    at = TaskAt(chain, q, motion, task)
+    return at.resolved(at.acceleration(qdot, gains), u, weights, floor, box)
 
 
 def rmrc(chain: Chain, q: Float[Array, " n"], motion: Motion, **options: Any) -> Resolved:
@@ -122,7 +117,7 @@ def rmrc(chain: Chain, q: Float[Array, " n"], motion: Motion, **options: Any) ->
 def asc(chain: Chain, q: Float[Array, " n"], motion: Motion, cost: Cost | None, alpha: Any = 1.0, **options: Any) -> Resolved:
     """Automatic supervisory control: down the gradient of `cost` by `alpha` in the null space. Options are those of
     `resolve_velocity`. Traced."""
-    return resolve_velocity(chain, q, motion, _downhill(chain, q, cost, alpha, **options), **options)
+    return resolve_velocity(chain, q, motion, downhill(chain, q, cost, alpha, **options), **options)
 
 
 def rac(
@@ -137,44 +132,61 @@ def rac(
 ) -> Resolved:
     """Resolved acceleration control: down the gradient of `cost`, the null-space velocity damped by `damping` [1/s]. Options
     are those of `resolve_acceleration`. Traced."""
-    u = _downhill(chain, q, cost, alpha, **options) - damping * as_configuration(chain, qdot)
+    u = downhill(chain, q, cost, alpha, **options) - damping * as_configuration(chain, qdot)
     return resolve_acceleration(chain, q, qdot, motion, u, **options)
 
 
-def _downhill(chain: Chain, q: Any, cost: Cost | None, alpha: float, weights: Any = None, **_: Any) -> Any:
+def downhill(chain: Chain, q: Any, cost: Cost | None, alpha: float, weights: Any = None, **_: Any) -> Any:
+    """`-alpha W^-1 dH/dq` (n,), 0 without a cost."""
     if cost is None:
         return jnp.zeros(chain.num_joints)
     slope = jax.grad(cost)(as_configuration(chain, q))
     as_shaped("alpha", alpha, ())
-    return -alpha * (slope if weights is None else slope / _weights(chain, weights).astype(slope.dtype))
+    return -alpha * slope * inverse_weights(chain, weights, slope.dtype)
 
 
-def _weights(chain: Chain, weights: Any) -> jax.Array:
-    """One above zero a joint (n,), as far as they are known."""
+def inverse_weights(chain: Chain, weights: Any, dtype: Any) -> jax.Array:
+    """The diagonal of W^-1 (n,) of `weights`, or None. Raises `ValueError` for another shape, and for what is known
+    and not above zero."""
+    if weights is None:
+        return jnp.ones(chain.num_joints, dtype)
     array = as_shaped(f"weights of the joints of {chain.name}", weights, (chain.num_joints,))
     if is_known(weights) and not np.all((np.asarray(weights) > 0.0) & np.isfinite(np.asarray(weights))):
         raise ValueError(f"weights {shown(weights)}: all are finite and > 0")
-    return array
+    return 1.0 / array.astype(dtype)
 
 
-class _At:
-    """A configuration: the task's rows of the Jacobian (m, n) and its error (m,)."""
+class TaskAt:
+    """A moment of a task: its rows of the Jacobian (m, n) at q, its error (m,), and what its motion asks. Traced."""
 
     def __init__(self, chain: Chain, q: Any, motion: Motion, task: Task):
         self.q = q = as_configuration(chain, q)
-        self.chain, self.task, self.dtype = chain, task, q.dtype
+        self.chain, self.task, self.dtype, self.motion = chain, task, q.dtype, motion
         self.target = Frame.of_entries(traced(as_shaped("pose", motion.pose, (4, 4)).astype(q.dtype)))
         frames = joint_frames(chain, traced(q), dtype=q.dtype)
         self.rows = jnp.asarray(task.rows(jacobian_columns(chain, frames), self.target), q.dtype)
         position, rotation = task.residual(frames.tip, self.target)
         self.error = jnp.asarray(position + rotation, q.dtype)
 
-    def components(self, what: str, twist: Any) -> Any:
+    def velocity(self, gain: Any) -> Any:
+        """`wdot + K werr` (m,), of a `gain` K [1/s]."""
+        as_shaped("gain", gain, ())
+        return self._components("velocity", self.motion.velocity) - gain * self.error
+
+    def acceleration(self, qdot: Any, gains: tuple[Any, Any]) -> Any:
+        """`wddot + K' werrdot + K werr - Jdot qdot` (m,), of `gains` (K [1/s2], K' [1/s])."""
+        qdot = as_shaped("qdot", qdot, self.q.shape).astype(self.dtype)
+        bias = self._components("bias", bias_acceleration(self.chain, self.q, qdot))
+        slow = self._components("velocity", self.motion.velocity) - self.rows @ qdot
+        asked = self._components("acceleration", self.motion.acceleration)
+        return asked + gains[1] * slow - gains[0] * self.error - bias
+
+    def _components(self, what: str, twist: Any) -> Any:
         """Of a twist (6,) in base axes those that the task binds (m,)."""
         twist = as_shaped(what, twist, (6,)).astype(self.dtype)
         return jnp.asarray(self.task.rows([tuple(twist)], self.target))[:, 0]
 
-    def resolved(self, wanted: Any, u: Any, weights: Any, floor: float, box: Box | None) -> Resolved:
+    def resolved(self, wanted: Any, u: Any, weights: Any = None, floor: float = FLOOR, box: Box | None = None) -> Resolved:
         """`u + W^-1 J' A^-1 (wanted - J u)`; inside a box, with those joints held at their bounds that would leave it.
 
         A held joint has no inverse weight, and its u is the bound. The others take over what it cannot do, as long as they can
@@ -182,7 +194,7 @@ class _At:
         """
         n, wanted = self.chain.num_joints, wanted.astype(self.dtype)
         free = as_shaped("u", u, (n,)).astype(self.dtype)
-        inverse = jnp.ones(n, self.dtype) if weights is None else 1.0 / _weights(self.chain, weights).astype(self.dtype)
+        inverse = inverse_weights(self.chain, weights, self.dtype)
         if box is None:
             rate, damping = self._solved(wanted, free, inverse, floor)
             return Resolved(rate, self.error, damping)

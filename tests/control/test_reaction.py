@@ -1,0 +1,171 @@
+"""Reactions: the force's analytic course, the task left alone, where it gives way, numbers that are none, refusals."""
+
+import dataclasses
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+import jaxik
+from jaxik.control import (
+    Butterworth,
+    Encounter,
+    ForceLaw,
+    Reaction,
+    SpringContact,
+    StiffnessEstimator,
+    TouchSensor,
+    simulate_reaction,
+)
+from jaxik.motions import Line
+from jaxik.reasons import Reason
+from jaxik.robot import Contact, material_point
+
+ARM = jaxik.load("pendulum4")
+TASK = jaxik.Task.pose(("z", "roll", "pitch", "yaw"), "base")
+Q = np.radians([30.0, -30.0, -30.0, -60.0])
+HERE = np.asarray(jaxik.forward_kinematics(ARM, Q))
+PATH = Line(HERE, HERE + np.array([[0, 0, 0, 0.1], [0, 0, 0, -0.05], [0, 0, 0, 0], [0, 0, 0, 0]]))
+ELBOW = np.array([0.0, 0.5, 0.0])  # on the second link
+AT = np.asarray(material_point(ARM, Q, 2, ELBOW))
+NORMAL = np.array([1.0, 0.3, 0.0]) / np.hypot(1.0, 0.3)
+WALL = SpringContact(AT + 0.1 * NORMAL, NORMAL, 60.0)  # 6 N at the start
+BARE = dict(task=TASK, threshold=0.0, filter=None, limits=False, rate=1e6, dt=5e-4, gain=5.0)
+MET = Encounter(WALL, 2, ELBOW)
+
+
+def simulated(reaction, steps, met=MET, sensor=None, duration=6.0):
+    return jax.jit(lambda q: simulate_reaction(reaction, PATH, duration, q, met, steps, sensor))(Q)
+
+
+def analytic(t):
+    """F'' + 2 F' + 4 F = 0 from F = 1, F' = -2: the integral begins at 0."""
+    return np.exp(-t) * (np.cos(np.sqrt(3.0) * t) - np.sin(np.sqrt(3.0) * t) / np.sqrt(3.0))
+
+
+@pytest.mark.parametrize("scheme", ["feedback", "joint"])
+def test_the_force_follows_its_target_dynamics(scheme):
+    """(4.46) with table 4.1's numbers, while the tip moves on."""
+    found = simulated(Reaction(ARM, scheme, **BARE), 1000)
+    t = BARE["dt"] * np.arange(1000)
+    np.testing.assert_allclose(found.force, found.force[0] * analytic(t), atol=1e-3 * found.force[0], rtol=1e-3)
+    if scheme == "feedback":
+        assert np.abs(found.error).max() < 1e-4  # of the integration
+
+
+def test_several_contacts_are_one_law():
+    """The root of the sum of their squares follows it."""
+    higher = ELBOW + np.array([0.0, 0.3, 0.0])
+    point = np.asarray(material_point(ARM, Q, 2, higher))
+    other = Encounter(SpringContact(point + 0.05 * NORMAL, NORMAL, 60.0), 2, higher)
+    found = simulated(Reaction(ARM, "feedback", contacts=2, **BARE), 600, (MET, other))
+    t = BARE["dt"] * np.arange(600)
+    np.testing.assert_allclose(found.force, found.force[0] * analytic(t), atol=2e-3 * found.force[0])
+
+
+def test_a_stiffness_that_is_not_known_is_found():
+    """Twice as stiff as believed: the force dies away too fast, until the estimate is there."""
+    stiff = Encounter(dataclasses.replace(WALL, stiffness=120.0), 2, ELBOW)
+    t = BARE["dt"] * np.arange(800)
+    wrong = simulated(Reaction(ARM, "feedback", **BARE), 800, stiff)
+    found = simulated(Reaction(ARM, "feedback", stiffness=StiffnessEstimator(), **BARE), 800, stiff)
+    np.testing.assert_allclose(found.stiffness[200:], 120.0, rtol=0.02)
+    off = lambda x: np.abs(x.force / x.force[0] - analytic(t)).max()
+    assert off(found) < 0.3 * off(wrong)
+
+
+STATES = np.random.default_rng(0).uniform(-1.2, 1.2, (8, 4))
+
+
+@pytest.mark.parametrize("scheme", ["rmrc", "feedback", "rac"])
+def test_the_task_does_not_feel_a_reaction_in_the_null_space(scheme):
+    reaction = Reaction(ARM, scheme, task=TASK, filter=None, limits=False)
+    motion = jaxik.motions.motion(PATH, 6.0, 2.0)
+
+    @jax.jit
+    @jax.vmap
+    def rates(q):
+        contact = lambda force: Contact(2, material_point(ARM, q, 2, ELBOW), force)
+        felt = [contact(force) for force in (jnp.zeros(3), 8.0 * jnp.asarray(NORMAL))]
+        rate = jnp.stack([reaction.step(reaction.init(q), q, jnp.zeros(4), motion, each)[1].rate for each in felt])
+        return rate, rate @ jaxik.jacobian(ARM, q)[:2].T
+
+    rate, tip = rates(STATES)
+    assert np.abs(rate[:, 1] - rate[:, 0]).max(axis=1).min() > 1e-4
+    np.testing.assert_allclose(tip[:, 1], tip[:, 0], atol=1e-10)
+
+
+def test_saturation_keeps_the_task():
+    reaction = Reaction(ARM, "rmrc", task=TASK, filter=None, limits=False, scale=100.0, rate=0.5)
+    point, motion = material_point(ARM, Q, 2, ELBOW), jaxik.motions.motion(PATH, 6.0, 0.0)
+    _, command = jax.jit(reaction.step)(reaction.init(Q), Q, jnp.zeros(4), motion, Contact(2, point, 8.0 * NORMAL))
+    assert np.abs(command.rate).max() == pytest.approx(0.5)
+    np.testing.assert_allclose(jaxik.jacobian(ARM, Q)[:2] @ command.rate, 0.0, atol=1e-10)
+
+
+def test_above_its_bound_the_force_comes_before_the_task():
+    """Near the tip there is next to no null space; so near to a wall, the tip is not where it was asked for."""
+    along = np.array([[0, 0, 0, -NORMAL[0]], [0, 0, 0, -NORMAL[1]], [0, 0, 0, 0], [0, 0, 0, 0]])
+    local, inwards = np.array([0.0, 0.9, 0.0]), Line(HERE, HERE + 0.3 * along)
+    wall = SpringContact(np.asarray(material_point(ARM, Q, 4, local)) - 0.02 * NORMAL, NORMAL, 60.0)
+    run = lambda scheme: simulate_reaction(Reaction(ARM, scheme, task=TASK), inwards, 3.0, Q, Encounter(wall, 4, local), 5000)
+    base, null, multi = (jax.jit(run, static_argnums=0)(scheme) for scheme in ("baseline", "feedback", "multi"))
+    assert base.force.max() > null.force.max() > 8.0
+    assert multi.force.max() < 7.0 and np.abs(multi.force[-1000:] - 5.0).max() < 1.0
+    assert np.abs(null.error).max() < 1e-3 < 0.05 < np.abs(multi.error[-1]).max()
+
+
+class Broken(TouchSensor):
+    """Shows no number for 100 samples, and then for as many a force that has no point."""
+
+    def step(self, state, chain, q, true, noise=0.0):
+        count = state.wait + 1.0
+        within = lambda first: (count > first) & (count <= first + 100.0)
+        force = jnp.where(within(300.0), jnp.nan, true.force)
+        return state._replace(wait=count), Contact(true.joint, jnp.where(within(400.0), jnp.nan, true.point), force)
+
+
+def test_nothing_moves_on_numbers_that_are_none():
+    """Slowed down and held, with a reason; and on without a jump, the path's clock as well."""
+    reaction = Reaction(ARM, "feedback", task=TASK, most=4.0)
+    found = simulated(reaction, 900, sensor=Broken(), duration=3.0)
+    assert np.isfinite(found.rate).all()
+    np.testing.assert_array_equal(found.reason == Reason.INVALID, (np.arange(900) >= 300) & (np.arange(900) < 500))
+    assert not found.rate[400:500].any() and np.abs(found.rate[299]).max() > 0.05 < np.abs(found.rate[-1]).max()
+    assert np.abs(np.diff(found.rate, axis=0)).max() <= 4.0 * reaction.dt * (1 + 1e-6)
+    assert np.nanmax(np.abs(found.error)) < 0.01
+
+
+def test_a_batch_is_what_each_is_alone():
+    reaction = Reaction(ARM, "multi", task=TASK, stiffness=StiffnessEstimator())
+    shifts = np.array([0.0, 0.03, 0.1])
+
+    def force(shift):
+        met = Encounter(dataclasses.replace(WALL, point=WALL.point - shift * NORMAL), 2, ELBOW)
+        return simulate_reaction(reaction, PATH, 2.0, Q, met, 300, TouchSensor()).force
+
+    together = jax.jit(jax.vmap(force))(shifts)
+    np.testing.assert_allclose(together, [jax.jit(force)(shift) for shift in shifts], rtol=1e-9, atol=1e-9)
+
+
+@pytest.mark.parametrize(
+    ("call", "says"),
+    [
+        (lambda: Reaction(ARM, "hard"), "scheme 'hard'; allowed: baseline, rmrc, rac"),
+        (lambda: Reaction(ARM, threshold=np.nan), "threshold is nan; it is a finite number of at least 0"),
+        (lambda: Reaction(ARM, stiffness=0.0), "stiffness is 0.0; it is a finite number"),
+        (lambda: Reaction(ARM, weights=(1.0, 2.0)), "weights has 2 numbers; pendulum4 has 4 joints"),
+        (lambda: Reaction(ARM, contacts=0), "contacts is 0; allowed: a count"),
+        (lambda: Reaction("arm.urdf"), "chain is arm.urdf; write a jaxik.Chain, e.g. jaxik.load"),
+        (lambda: ForceLaw(time_constant=0.0), "time_constant is 0.0; it is a finite number"),
+        (lambda: StiffnessEstimator(start=5.0), "start 5 in 10 to 100000"),
+        (lambda: Butterworth(cutoff=600.0), "cutoff 600 Hz at dt 0.001 s; allowed"),
+        (lambda: simulate_reaction(Reaction(ARM, contacts=2), PATH, 1.0, Q, MET, 5), "1 encounters; the reaction is one to 2"),
+        (lambda: simulate_reaction(Reaction(ARM), PATH, 1.0, Q, MET, 5, noise=[0.0]), r"noise has the shape \(1,\)"),
+    ],
+)
+def test_refusals(call, says):
+    with pytest.raises(ValueError, match=says) as refused:
+        call()
+    assert "\n" not in str(refused.value)
