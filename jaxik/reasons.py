@@ -21,6 +21,7 @@ class Reason(IntEnum):
     SINGULAR = 6  # of a motion: the arm cannot move as the path asks, and the tip falls behind
     STILL = 7  # of a motion: the path has no length; the tip stands still
     UNEXCITED = 8  # of a log: it does not tell well all that motions of the chain could
+    SILENT = 9  # of a device: it says nothing
 
     @property
     def text(self) -> str:

@@ -1,0 +1,72 @@
+"""A hand at work on an arm that does as it is told: teleoperation in simulation."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any, NamedTuple
+
+import jax
+import jax.numpy as jnp
+from jaxtyping import Float
+
+from jaxik.control.hand import Hand
+from jaxik.control.teleoperation import Teleoperation, TeleoperationCommand
+from jaxik.robot.chain import Array, as_configuration
+from jaxik.robot.kinematics import forward_kinematics
+
+
+class Grip(NamedTuple):
+    """A hand that yields: what it moves, `mass` [kg], and the `stiffness` [N/m] and `damping` [Ns/m] by which it is drawn to
+    where it wants to be."""
+
+    mass: Any = 0.5
+    stiffness: Any = 200.0
+    damping: Any = 15.0
+
+
+class Operated(NamedTuple):
+    """Each sample's q (t, n), the tip's place (t, 3) in world axes from the base, the hand's (t, 3) [m], and the command."""
+
+    q: Float[Array, "t n"]
+    tip: Float[Array, "t 3"]
+    hand: Float[Array, "t 3"]
+    command: TeleoperationCommand
+
+
+def operate(
+    teleoperation: Teleoperation,
+    q: Float[Array, " n"],
+    hands: Hand,
+    world: Callable[[Any, Any], Any] | None = None,
+    grip: Grip | None = None,
+) -> Operated:
+    """The arm from rest at q (n,), moved by `hands`, whose leaves have an entry a sample (t, ...). Traced.
+
+    `world` gives the contact, or the contacts, at (q, rate). With a `grip` the hand wants to go where `hands` is, and the
+    force on it takes it elsewhere.
+    """
+    chain, dt = teleoperation.chain, teleoperation.dt
+    q = as_configuration(chain, q)
+    count = len(hands.position)
+    hands = Hand(*map(jnp.asarray, hands))
+    ends = (3,), (3,), hands.buttons.shape[-1:], ()
+    hands = Hand(*(jnp.broadcast_to(x, (count, *end)) for x, end in zip(hands, ends, strict=True)))
+    wanted = jnp.gradient(hands.position, dt, axis=0)
+
+    def turn(carry: Any, now: tuple[Hand, Any]) -> Any:
+        state, q, rate, place, speed = carry
+        hand, heading = now
+        place = hand.position if grip is None else place
+        contact = None if world is None else world(q, rate)
+        tip = forward_kinematics(chain, q)[:3, 3]
+        state, command = teleoperation.step(state, q, hand._replace(position=place), contact)
+        seen = Operated(q, jnp.asarray(chain.world_T_base)[:3, :3] @ tip, place, command)
+        if grip is not None:
+            pull = grip.stiffness * (hand.position - place) + grip.damping * (heading - speed) + command.force
+            speed = speed + dt * pull / grip.mass
+            place = place + dt * speed
+        return (state, q + dt * command.rate, command.rate, place, speed), seen
+
+    start = hands.position[0]
+    begun = teleoperation.init(q), q, jnp.zeros_like(q), start, jnp.zeros_like(start)
+    return jax.lax.scan(turn, begun, (hands, wanted))[1]

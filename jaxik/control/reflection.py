@@ -1,0 +1,72 @@
+"""What a hand is to feel of the arm: its contacts, and how it likes its own posture [Schuetz 2017, sec. 3.1.4].
+
+    power       F_t = (J#)' T_ext,          T_ext = sum J_c' F
+    lever       F_t = J S T_ext                                                                               (3.2)
+    magnitude   F_t = |F| times the direction of (3.2), of each contact                                       (3.3)
+    cost        F_s = -J S dH/dq                                                                              (3.4)
+
+The first is the force at the tip that does the work of the contacts, whatever the motion that the task asks for: that of a
+contact at the tip is itself, and energy that is made or lost is that of the contacts. The thesis' own, J being the tip's
+translational Jacobian, add torques to forces: S weighs a revolute joint by 1 / length^2, for a `length` [m] of the arm's size.
+Its (3.4) has no minus, and would push up the cost.
+"""
+
+from __future__ import annotations
+
+from typing import Any, Literal
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Float
+
+from jaxik.checks.options import check_choices
+from jaxik.costs import Cost
+from jaxik.motions.nullspace import FLOOR
+from jaxik.optimise.linear import damped_solve
+from jaxik.robot.chain import Array, Chain, as_configuration
+from jaxik.robot.contact import Contact, contact_torque
+from jaxik.robot.kinematics import jacobian
+from jaxik.spatial.algebra import safe_divide, safe_sqrt
+
+Felt = Literal["power", "lever", "magnitude"]
+
+
+def reflect(
+    chain: Chain, q: Float[Array, " n"], contact: Contact, felt: str = "power", length: float = 1.0
+) -> Float[jax.Array, "3"]:
+    """The force (3,) [N] at the tip that stands for a contact anywhere on the arm, or for several, in base axes. Traced.
+
+    `felt` by its "power"; by its "lever", (3.2); or by its "magnitude", (3.3), whatever the lever is. A contact that cannot
+    move the tip is not felt. Raises `ValueError` for another word.
+    """
+    check_choices("reflect", felt=(felt, Felt))
+    q = as_configuration(chain, q)
+    contact = Contact(contact.joint, *(jnp.asarray(x, q.dtype) for x in (contact.point, contact.force)))
+    if felt == "power":
+        rows = jacobian(chain, q)[: 6 if chain.num_joints >= 6 else 3]
+        found, _ = damped_solve(list(rows @ rows.T), list(rows @ contact_torque(chain, q, contact)), FLOOR)
+        return jnp.stack(found)[:3]
+    towards = _towards(chain, q, length)
+    if felt == "lever":
+        return towards @ contact_torque(chain, q, contact)
+
+    def one(each: Contact) -> Any:
+        way, size = towards @ contact_torque(chain, q, each), safe_sqrt(each.force @ each.force)
+        return way * safe_divide(size, safe_sqrt(way @ way))
+
+    return one(contact) if contact.force.ndim == 1 else jnp.sum(jax.vmap(one)(contact), axis=0)
+
+
+def reflect_cost(
+    chain: Chain, q: Float[Array, " n"], cost: Cost, gain: float = 1.0, length: float = 1.0
+) -> Float[jax.Array, "3"]:
+    """The force (3,) [N] at the tip that leads down a `cost` of the posture, (3.4), `gain` [N] a unit of it, in base axes.
+    Traced."""
+    q = as_configuration(chain, q)
+    return -gain * _towards(chain, q, length) @ jax.grad(cost)(q)
+
+
+def _towards(chain: Chain, q: Any, length: float) -> Any:
+    """J S (3, n)."""
+    return jacobian(chain, q)[:3] * jnp.asarray(np.where(chain.is_prismatic, 1.0, length**-2), q.dtype)

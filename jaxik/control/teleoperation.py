@@ -1,0 +1,306 @@
+"""A hand steers an arm's tip and feels what the arm feels, from sample to sample [Schuetz 2017, sec. 3.1.4].
+
+    the hand's end    position --mapping--> velocity --channel--> packet            force on the hand <--channel-- packet
+    the network       packets come late, by two `DelayLine`s
+    the arm's end     packet --channel--> velocity of the tip --resolution--> rates of the joints
+                      contacts --reflection--> force at the tip --channel--> packet
+
+`hand_mapping` has the mappings and `passivity` the channels. Below them `resolve_velocity` spends the spare joints on a cost,
+inside the joints' limits, with accelerations that are bounded. Clearance, to itself and to a scene, never falls below `margin`:
+its rate is at least -approach (d - margin) [Faverjon and Tournassoud 1987], for which the null space gives way first, then the
+tip, which slides along; and what would still come too near is not done. What the arm cannot do is not asked for
+later: its target stays within `leash` of the tip.
+
+A device that is silent, or anything that is no number, holds the arm still: it slows down within its accelerations, the reason
+is told, and when all is well again the hand takes its reference anew.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import functools
+from typing import Any, NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Float, Int
+
+from jaxik.checks.arrays import positive
+from jaxik.checks.options import check_finite, check_kind
+from jaxik.collision.clearances import check_geometry, clearance
+from jaxik.collision.scene import Scene
+from jaxik.control.delay_line import DelayLine
+from jaxik.control.hand import Hand
+from jaxik.control.hand_mapping import Mapped, PositionControl, RateControl, bounded
+from jaxik.control.packed_step import PackedStep
+from jaxik.control.passivity import Channel, Direct, End, Packet, silence
+from jaxik.control.reflection import reflect
+from jaxik.costs import Cost
+from jaxik.motions.following import _rates as rate_bounds
+from jaxik.motions.nullspace import Box, resolve_velocity
+from jaxik.motions.path import Motion
+from jaxik.reasons import Reason
+from jaxik.robot.chain import Array, Chain, as_configuration
+from jaxik.robot.contact import Contact
+from jaxik.robot.kinematics import as_posture, forward_kinematics, jacobian
+from jaxik.robot.task import POSE, Task
+from jaxik.spatial.algebra import safe_divide
+from jaxik.spatial.rotations import rotation_exp, rotation_log
+from jaxik.spmd import kernel
+
+
+class Asked(NamedTuple):
+    """What the hand's end sends: the channel's packet, the turn (3,) [rad/s], and whether the arm is to be held."""
+
+    packet: Packet
+    turn: Float[Array, "3"]
+    held: Any
+
+
+class TeleoperationState(NamedTuple):
+    """Between samples: the mapping's state and the hand's last good position; both ends of the channel and what is underway;
+    the arm's last good q, its rates (n,) and where its tip is to be; the passivity sum [J]."""
+
+    mapped: Mapped
+    position: Float[Array, "3"]
+    hand: End
+    arm: End
+    there: Any
+    back: Any
+    arrived: Packet
+    q: Float[Array, " n"]
+    rate: Float[Array, " n"]
+    target: Float[Array, "4 4"]
+    energy: Float[Array, ""]
+
+
+class TeleoperationCommand(NamedTuple):
+    """What to do now: the joints' `rate` (n,) [rad/s, m/s] and the `force` (3,) [N] on the hand, along the world's axes. And
+    what is known: where the tip is to be, `target` (4, 4) in the base frame, the force at the tip that stands for the contacts,
+    `felt` (3,) [N] in world axes, the passivity sum, `energy` [J], the `clearance` [m], infinite where it is not measured, and
+    the `reason` for which the arm is held, SOLVED where it is not."""
+
+    rate: Float[Array, "*t n"]
+    force: Float[Array, "*t 3"]
+    target: Float[Array, "*t 4 4"]
+    felt: Float[Array, "*t 3"]
+    energy: Float[Array, "*t"]
+    clearance: Float[Array, "*t"]
+    reason: Int[Array, "*t"]
+
+
+@dataclasses.dataclass(frozen=True, eq=False)
+class Teleoperation:
+    """A hand, an arm, and what is between. `step` is pure and traced; `TeleoperationLoop` makes one kernel of it.
+
+    `mapping` and `channel` are of a kind each; `there` and `back` delay what they send, for simulations: a real network does so
+    itself. `cost` is what the null space goes down, by `alpha`; `gain` [1/s] pulls the tip to its target; `acceleration`
+    [rad/s2, m/s2] is one or one a joint. `margin` [m] is kept to itself and to `scene`, approached at `approach` [1/s];
+    None measures no clearance. `patience` [s] is how long a device may be silent. `felt` says how contacts are reflected, and
+    `force_ratio` the force on the hand by that at the arm. Raises `ValueError` for numbers out of range.
+    """
+
+    chain: Chain
+    mapping: RateControl | PositionControl = dataclasses.field(default_factory=PositionControl)
+    channel: Channel = dataclasses.field(default_factory=Direct)
+    there: DelayLine = dataclasses.field(default_factory=DelayLine)
+    back: DelayLine = dataclasses.field(default_factory=DelayLine)
+    task: Task = POSE
+    cost: Cost | None = None
+    alpha: float = 1.0
+    scene: Scene | None = None
+    margin: float | None = 0.01
+    approach: float = 10.0
+    dt: float = 0.001
+    gain: float = 20.0
+    acceleration: float | tuple[float, ...] = 20.0
+    leash: float = 0.05
+    patience: float = 0.2
+    felt: str = "power"
+    force_ratio: float = 1.0
+
+    def __post_init__(self) -> None:
+        check_kind("teleoperation", "chain", self.chain, Chain)
+        check_kind("teleoperation", "scene", self.scene, Scene, optional=True)
+        check_finite("teleoperation", 1e-6, dt=self.dt, leash=self.leash, patience=self.patience, approach=self.approach)
+        check_finite("teleoperation", 0.0, alpha=self.alpha, gain=self.gain, force_ratio=self.force_ratio)
+        object.__setattr__(self, "acceleration", positive("teleoperation: acceleration", self.acceleration, True))
+        if max(self.gain, self.approach) * self.dt > 1.0:
+            told = f"gain {self.gain:g} and approach {self.approach:g}"
+            raise ValueError(f"teleoperation: {told} at dt {self.dt:g} s; allowed: at most 1 / dt [1/s]")
+        if self.margin is not None:
+            check_finite("teleoperation", 0.0, margin=self.margin)
+            try:
+                check_geometry(self.chain)
+            except ValueError as error:
+                raise ValueError(f"teleoperation: {error}; or margin=None, which measures no clearance") from None
+
+    def init(self, q: Float[Array, " n"]) -> TeleoperationState:
+        """At rest at q (n,) [rad, m], before the device has said anything. Traced."""
+        q = as_configuration(self.chain, q)
+        none = jnp.zeros(3)
+        asked = Asked(silence(), none, jnp.ones((), bool))
+        return TeleoperationState(
+            self.mapping.init(),
+            none,
+            self.channel.init(),
+            self.channel.init(),
+            self.there.init(asked, self.dt),
+            self.back.init(silence(), self.dt),
+            silence(),
+            q,
+            jnp.zeros_like(q),
+            forward_kinematics(self.chain, q),
+            jnp.zeros(()),
+        )
+
+    def step(
+        self, state: TeleoperationState, q: Float[Array, " n"], hand: Hand, contact: Contact | None = None
+    ) -> tuple[TeleoperationState, TeleoperationCommand]:
+        """What to do in the next `dt` [s] at q (n,), for a hand and what touches the arm, one contact or several. Traced."""
+        told, hand, position = _heard(state.position, hand, self.patience)
+        mapped, end, asked, force, velocity = self._at_hand(state, hand, position, told)
+        there, asked = self.there.step(state.there, asked, self.dt)
+        q, contact, broken = _sound(state.q, as_configuration(self.chain, q), contact)
+        held = asked.held | broken
+        felt = self._felt(q, contact)
+        arm, wanted, turn = self._at_arm(state, asked, felt, held)
+        rate, target, apart, moved = kernel(self._resolved)(state.rate, state.target, q, wanted, turn, held)
+        share = self.channel.share(arm, felt, moved, self.dt)
+        rate, moved = share * rate, share * moved
+        arm, packet = self.channel.reply(arm, felt, wanted, moved, self.dt)
+        back, packet = self.back.step(state.back, packet, self.dt)
+        energy = state.energy + self.dt * (felt @ moved - force @ velocity)
+        after = TeleoperationState(mapped, position, end, arm, there, back, packet, q, rate, target, energy)
+        reason = jnp.where(broken & (told == Reason.SOLVED), Reason.INVALID, told)
+        return after, TeleoperationCommand(rate, self.force_ratio * force, target, felt, energy, apart, reason)
+
+    # ----------------------------------------------------------------------------------------------------------------
+
+    def _world(self) -> Any:
+        return np.asarray(self.chain.world_T_base)[:3, :3]
+
+    def _at_hand(self, state: TeleoperationState, hand: Hand, position: Any, told: Any) -> tuple[Any, ...]:
+        well = told == Reason.SOLVED
+        active = well & (hand.buttons[0] == 0.0)
+        mapped, velocity = self.mapping.step(state.mapped, position, active, self.dt)
+        end, packet, force = self.channel.hand(state.hand, state.arrived, velocity, self.dt)
+        turn = jnp.where(mapped.moves, bounded(hand.turn, self.mapping.turning), 0.0)
+        return mapped, end, Asked(packet, turn, ~well), force, velocity
+
+    def _felt(self, q: Any, contact: Contact | None) -> Any:
+        """The force (3,) at the tip that stands for the contacts, in world axes."""
+        return jnp.zeros(3) if contact is None else self._world() @ reflect(self.chain, q, contact, self.felt)
+
+    def _at_arm(self, state: TeleoperationState, asked: Asked, felt: Any, held: Any) -> tuple[End, Any, Any]:
+        """The velocity and the turn of the tip that are asked for, in world axes."""
+        end, velocity = self.channel.arm(state.arm, asked.packet, felt, self.dt)
+        velocity = bounded(velocity, self.mapping.fastest)
+        let_go = self.channel.release(state.arm, asked.packet)
+        end = jax.tree_util.tree_map(lambda x, y: jnp.where(held, x, y), let_go, end)
+        return end, jnp.where(held, 0.0, velocity), jnp.where(held, 0.0, asked.turn)
+
+    def _resolved(self, before: Any, target: Any, q: Any, velocity: Any, turn: Any, held: Any) -> tuple[Any, ...]:
+        """The joints' rates, after those `before`, the target after them, the clearance, and the velocity that the tip gets."""
+        dt, tip = self.dt, forward_kinematics(self.chain, q)
+        target = _leashed(tip, target, self.leash)
+        base = self._world().T
+        twist = jnp.concatenate([base @ velocity, base @ turn])
+        known = (self.chain.lower, self.chain.upper, self.chain.velocity, np.asarray(self.acceleration))
+        limits = tuple(jnp.broadcast_to(jnp.asarray(x, q.dtype), q.shape) for x in known)
+        box = Box(*rate_bounds(limits, q, before, dt))
+        u = jnp.zeros_like(q) if self.cost is None else -self.alpha * jax.grad(self.cost)(q)
+        motion = Motion(target, twist, jnp.zeros(6))
+        resolve = lambda u: resolve_velocity(self.chain, q, motion, u, self.task, self.gain, box=box).rate
+        rate, apart = self._clear(q, u, resolve, box)
+        rate = jnp.where(held, before - jnp.clip(before, -dt * limits[3], dt * limits[3]), rate)
+        turned = rotation_exp(dt * twist[3:]) @ target[:3, :3]
+        place = target[:3, 3] + dt * twist[:3]
+        moved = jnp.concatenate([jnp.concatenate([turned, place[:, None]], axis=1), target[3:]])
+        return rate, jnp.where(held, tip, moved), apart, self._world() @ (jacobian(self.chain, q)[:3] @ rate)
+
+    def _clear(self, q: Any, u: Any, resolve: Any, box: Box) -> tuple[Any, Any]:
+        """The rates that keep the clearance, and the clearance."""
+        rate = resolve(u)
+        if self.margin is None:
+            return rate, jnp.asarray(jnp.inf, q.dtype)
+        apart, slope = jax.value_and_grad(functools.partial(clearance, self.chain, self.scene))(q)
+        least = -self.approach * (apart - self.margin)
+        lacks = lambda rate: jnp.maximum(least - slope @ rate, 0.0)
+        still = Motion(forward_kinematics(self.chain, q), jnp.zeros(6), jnp.zeros(6))
+        spare = resolve_velocity(self.chain, q, still, slope, self.task, 0.0).rate
+        able = jnp.maximum(slope @ spare, _ABLE * slope @ slope)
+        rate = resolve(u + spare * safe_divide(lacks(rate), able))
+        rate = jnp.clip(rate + slope * safe_divide(lacks(rate), slope @ slope), box.low, box.high)
+        slower = safe_divide(jnp.minimum(least, 0.0), slope @ rate)
+        rate = jnp.where(slope @ rate < least, jnp.clip(slower, 0.0, 1.0) * rate, rate)
+        after = clearance(self.chain, self.scene, q + self.dt * rate)
+        return jnp.where(after >= jnp.minimum(self.margin, apart), rate, 0.0), apart
+
+
+_ABLE = 0.01  # the share of a slope that has to lie in the null space for that to give way alone
+
+
+def _heard(last: Any, hand: Hand, patience: float) -> tuple[Any, Hand, Any]:
+    """The reason why a hand cannot be followed, the hand in numbers, and its position, the last good one where it has none."""
+    dtype = last.dtype
+    hand = Hand(*(jnp.asarray(x, dtype) for x in hand))
+    sound = jnp.all(jnp.isfinite(hand.position)) & jnp.all(jnp.isfinite(hand.turn)) & jnp.all(jnp.isfinite(hand.buttons))
+    told = jnp.where(sound, Reason.SOLVED, Reason.INVALID)
+    told = jnp.where(hand.age <= patience, told, Reason.SILENT)
+    position, turn = jnp.where(sound, hand.position, last), jnp.where(sound, hand.turn, 0.0)
+    return told, Hand(position, turn, jnp.where(sound, hand.buttons, 0.0), hand.age), position
+
+
+def _sound(last: Any, q: Any, contact: Contact | None) -> tuple[Any, Contact | None, Any]:
+    """q, or the last good one, and the contacts, or none; and whether any of it was no number."""
+    broken = ~jnp.all(jnp.isfinite(q))
+    if contact is not None:
+        point, force = (jnp.asarray(x, q.dtype) for x in (contact.point, contact.force))
+        bad = ~(jnp.all(jnp.isfinite(point)) & jnp.all(jnp.isfinite(force)))
+        contact = Contact(contact.joint, jnp.where(bad, 0.0, point), jnp.where(bad, 0.0, force))
+        return jnp.where(broken, last, q), contact, broken | bad
+    return jnp.where(broken, last, q), None, broken
+
+
+def _leashed(tip: Any, target: Any, leash: float) -> Any:
+    """The target (4, 4), no further from the tip than `leash`, in metres and in radians."""
+    place = tip[:3, 3] + bounded(target[:3, 3] - tip[:3, 3], leash)
+    turn = rotation_log(target[:3, :3] @ tip[:3, :3].T)
+    rotation = rotation_exp(bounded(turn, leash)) @ tip[:3, :3]
+    return jnp.concatenate([jnp.concatenate([rotation, place[:, None]], axis=1), target[3:]])
+
+
+class TeleoperationLoop:
+    """Teleoperation in a control loop: NumPy in, NumPy out, in float64; one kernel a step. Host.
+
+        loop = TeleoperationLoop(teleoperation)
+        state = loop.start(q)  # compiles
+        while True:
+            state, command = loop.step(state, q, watch.read())
+            watch.render(command.force)
+
+    `contacts` and `buttons` say how many of these there are, always as many; a contact without a force is none.
+    """
+
+    def __init__(self, teleoperation: Teleoperation, contacts: int = 0, buttons: int = 1):
+        self.teleoperation = teleoperation
+        self._free = Contact(np.zeros(contacts, int), np.zeros((contacts, 3)), np.zeros((contacts, 3))) if contacts else None
+        self._buttons = buttons
+
+    def start(self, q: Any) -> TeleoperationState:
+        """The state before the first step, which is compiled here, at rest at q (n,). Raises `ValueError` for a q of another
+        shape, or that is not finite."""
+        q = as_posture("teleoperation loop", self.teleoperation.chain, q)
+        with jax.enable_x64(True):
+            state = jax.tree_util.tree_map(np.asarray, self.teleoperation.init(q))
+        hand = Hand(np.zeros(3), np.zeros(3), np.zeros(self._buttons), 0.0)
+        self._step = PackedStep(lambda state, given: self.teleoperation.step(state, *given), state, (q, hand, self._free))
+        return state
+
+    def step(
+        self, state: TeleoperationState, q: Any, hand: Hand, contacts: Contact | None = None
+    ) -> tuple[TeleoperationState, TeleoperationCommand]:
+        """The state after a sample, and what to do in the next. Raises `ValueError` for numbers that do not fit."""
+        return self._step(state, (q, hand, self._free if contacts is None else contacts))

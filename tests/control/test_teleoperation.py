@@ -1,0 +1,319 @@
+"""A hand that steers an arm: mappings, what is reflected, what is kept, and what happens when a device fails."""
+
+import functools
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+import jaxik
+from jaxik.control import (
+    DelayLine,
+    Direct,
+    Grip,
+    Hand,
+    PassivityController,
+    PositionControl,
+    RateControl,
+    Teleoperation,
+    TeleoperationLoop,
+    WaveVariables,
+    operate,
+    reflect,
+    reflect_cost,
+)
+from jaxik.reasons import Reason
+from jaxik.robot import Contact
+
+DT = 1e-3
+ARM, FOUR, NINE = jaxik.load("planar2"), jaxik.load("pendulum4"), jaxik.load("crops_v2")
+XY = jaxik.Task.pose(("z", "roll", "pitch", "yaw"), "base")
+Q = np.array([0.4, 1.1])
+MID = np.array([0.5, 0.0, 0.6, 1.4, -0.5, 0.1, 0.4, 0.6, 0.1])
+
+
+def teleoperation(**options):
+    return Teleoperation(ARM, **{"task": XY, "margin": None, "dt": DT, **options})
+
+
+def hands(position, **other):
+    return Hand(jnp.asarray(position), **{name: jnp.asarray(x, float) for name, x in other.items()})
+
+
+def circle(count, radius, period=1.0):
+    t = DT * np.arange(count)[:, None]
+    turned = 2.0 * np.pi * t / period
+    return radius * np.concatenate([np.sin(turned), 1.0 - np.cos(turned), 0.0 * t], axis=1)
+
+
+def mapped(mapping, positions, active=None):
+    """The velocities (t, 3) that a mapping makes of positions."""
+    active = np.ones(len(positions), bool) if active is None else active
+    step = lambda state, now: mapping.step(state, now[0], now[1], DT)
+    return np.asarray(jax.lax.scan(step, mapping.init(), (jnp.asarray(positions), jnp.asarray(active)))[1])
+
+
+def test_rate_control_is_exponential_beyond_its_dead_band():
+    rate = RateControl(dead_band=0.002, c1=50.0, c2=40.0, fastest=0.1)
+    way = np.array([0.0, 0.001, 0.00201, 0.02, 0.04, 0.2])
+    direction = np.array([0.6, 0.0, -0.8])
+    speed = np.minimum(np.where(way > 0.002, (np.exp(40.0 * (way - 0.002)) - 1.0) / 50.0, 0.0), 0.1)
+    velocity = mapped(rate, 0.3 + way[:, None] * direction)
+    np.testing.assert_allclose(velocity, speed[:, None] * direction, atol=1e-12)
+
+
+def test_rate_control_waits_for_its_middle():
+    """A stick that was out while it might not move the arm moves nothing until it has been back."""
+    way = np.array([0.0, 0.03, 0.03, 0.03, 0.001, 0.03])[:, None] * np.eye(3)[0]
+    active = np.array([True, True, False, True, True, True])
+    assert (mapped(RateControl(), way, active)[:, 0] > 0.0).tolist() == [False, True, False, False, False, True]
+
+
+def test_position_control_is_a_way_times_the_workspace():
+    way = circle(500, 0.01)
+    velocity = mapped(PositionControl(15.0, fastest=10.0), 0.2 + way)
+    np.testing.assert_allclose(np.cumsum(velocity, axis=0) * DT, 15.0 * way, atol=1e-12)
+    slow = mapped(PositionControl(15.0, fastest=0.2), 0.2 + way)
+    assert np.linalg.norm(slow, axis=1).max() < 0.2 + 1e-12
+    np.testing.assert_allclose(np.sum(slow[:400], axis=0) * DT, 15.0 * way[399], atol=0.4)
+
+
+def test_the_clutch_indexes():
+    """The way back, with the clutch pressed, is not the tip's."""
+    there, back = np.linspace(0.0, 0.05, 200), np.linspace(0.05, 0.0, 200)
+    way = np.concatenate([there, back, there])[:, None] * np.eye(3)[1]
+    active = np.repeat([True, False, True], 200)
+    velocity = mapped(PositionControl(2.0, fastest=10.0), way, active)
+    assert not velocity[200:401].any()
+    np.testing.assert_allclose(np.sum(velocity, axis=0) * DT, [0.0, 0.2, 0.0], atol=1e-12)
+
+
+def test_tremor_is_smoothed():
+    t = DT * np.arange(2000)
+    tremor = np.stack([1e-4 * np.sin(2.0 * np.pi * 9.0 * t), 0.0 * t, 0.0 * t], axis=1)
+    moved = np.cumsum(mapped(PositionControl(15.0, smoothing=0.1), tremor), axis=0)[1000:] * DT
+    expected = 15e-4 / np.hypot(1.0, 2.0 * np.pi * 9.0 * 0.1)  # a low pass of first order
+    assert np.ptp(moved[:, 0]) / 2.0 == pytest.approx(expected, rel=0.02)
+
+
+# --------------------------------------------------------------------------------------------------------------------
+
+TOUCHED = Contact(4, np.array([0.2, 0.1, 0.9]), np.array([3.0, -2.0, 5.0]))
+
+
+def columns(q, contact):
+    """The Jacobian (3, n) of a contact's point, by central differences of the frame that it is fixed to."""
+    part = NINE.part(0, contact.joint)
+    frame = lambda q: np.asarray(jaxik.forward_kinematics(part, q[: contact.joint]))
+    local = np.linalg.inv(frame(q)) @ [*contact.point, 1.0]
+    steps = 1e-6 * np.eye(9)
+    return np.stack([((frame(q + h) - frame(q - h)) @ local)[:3] / 2e-6 for h in steps], axis=1)
+
+
+def test_power_is_reflected():
+    """By NumPy's pseudoinverse: what a contact takes of any motion that the task asks for, the force at the tip takes."""
+    external = columns(MID, TOUCHED).T @ TOUCHED.force
+    expected = np.linalg.pinv(np.asarray(jaxik.jacobian(NINE, MID))).T @ external
+    np.testing.assert_allclose(jax.jit(reflect, static_argnums=0)(NINE, MID, TOUCHED), expected[:3], atol=1e-6)
+    tip = np.asarray(jaxik.forward_kinematics(NINE, MID))[:3, 3]
+    np.testing.assert_allclose(reflect(NINE, MID, Contact(9, tip, TOUCHED.force)), TOUCHED.force, atol=1e-9)
+
+
+def test_levers_and_magnitudes():
+    """(3.2) and (3.3), for one contact and for two."""
+    external = columns(MID, TOUCHED).T @ TOUCHED.force
+    weights = np.where(NINE.is_prismatic, 1.0, 0.5**-2)
+    expected = np.asarray(jaxik.jacobian(NINE, MID))[:3] @ (weights * external)
+    lever, size = (reflect(NINE, MID, TOUCHED, felt, 0.5) for felt in ("lever", "magnitude"))
+    np.testing.assert_allclose(lever, expected, atol=1e-5)
+    assert np.linalg.norm(size) == pytest.approx(np.linalg.norm(TOUCHED.force))
+    np.testing.assert_allclose(np.cross(size, lever), 0.0, atol=1e-9)
+    two = Contact(*(np.stack([x, x]) for x in TOUCHED))
+    for felt in ("power", "lever", "magnitude"):
+        np.testing.assert_allclose(
+            reflect(NINE, MID, two, felt), 2.0 * np.asarray(reflect(NINE, MID, TOUCHED, felt)), atol=1e-9
+        )
+    base = TOUCHED._replace(joint=0)
+    assert not np.asarray([reflect(NINE, MID, base, felt) for felt in ("power", "lever", "magnitude")]).any()
+
+
+def test_a_cost_pulls_down():
+    cost = lambda q: jaxik.costs.comfort_cost(NINE, q)
+    force = np.asarray(reflect_cost(NINE, MID, cost, gain=2.0))
+    slope = np.array([(cost(MID + h) - cost(MID - h)) / 2e-6 for h in 1e-6 * np.eye(9)])
+    np.testing.assert_allclose(force, -2.0 * np.asarray(jaxik.jacobian(NINE, MID))[:3] @ slope, atol=1e-7)
+
+
+# --------------------------------------------------------------------------------------------------------------------
+
+
+def test_the_tip_follows_the_hand():
+    """15 : 1, on an arm that stands turned: along the world's axes."""
+    turned = ARM.mounted(jaxik.spatial.pose([0.3, 0.2, 0.0], rpy=[0.0, 0.0, 0.8]))
+    way = circle(1000, 0.01)
+    setup = Teleoperation(turned, PositionControl(15.0, fastest=5.0), task=XY, margin=None, acceleration=1e3)
+    done = jax.jit(functools.partial(operate, setup))(np.array([0.2, 1.9]), hands(way))
+    moved = np.asarray(done.tip - done.tip[0])
+    assert np.abs(moved[1:] - 15.0 * way[:-1]).max() < 0.002
+    assert not done.command.reason.any()
+    rates = np.diff(np.asarray(done.q), axis=0) / DT
+    np.testing.assert_allclose(rates, done.command.rate[:-1], atol=1e-9)
+
+
+@functools.cache
+def failing():
+    """A hand that goes on for half a second, is silent for one, and goes on elsewhere; the program is shared."""
+    setup = teleoperation(mapping=PositionControl(5.0, fastest=2.0))
+    return jax.jit(functools.partial(operate, setup)), setup
+
+
+def judged(done, setup, bad):
+    """Held within the accelerations, still, and going on without a jump."""
+    rate, reason = np.asarray(done.command.rate), np.asarray(done.command.reason)
+    assert np.isfinite(np.concatenate([x.reshape(len(rate), -1) for x in jax.tree_util.tree_leaves(done)], axis=1)[:, :2]).all()
+    assert np.abs(np.diff(rate, axis=0)).max() < setup.acceleration * DT + 1e-9
+    after = np.flatnonzero(bad)[-1] + 1
+    assert not rate[after - 1].any() and np.abs(rate[after]).max() <= setup.acceleration * DT + 1e-9
+    jump = np.asarray(done.tip)[after : after + 50] - np.asarray(done.tip)[after]
+    assert np.abs(jump).max() < 0.05 and np.abs(rate[after + 100 :]).max() > 0.05
+    return reason
+
+
+def test_a_device_that_is_silent():
+    """After its patience the arm slows down and stands; when the hand is back, elsewhere, it takes its reference anew."""
+    run, setup = failing()
+    way, age = circle(2000, 0.02), np.zeros(2000)
+    silent = np.arange(500, 1500)
+    age[silent], way[silent] = DT * (silent - 499), way[499]
+    way[1500:] += [0.3, -0.2, 0.0]
+    done = run(Q, hands(way, age=age))
+    bad = age > setup.patience
+    reason = judged(done, setup, bad)
+    assert (reason == np.where(bad, Reason.SILENT, Reason.SOLVED)).all()
+
+
+@pytest.mark.parametrize("what", ["position", "turn", "buttons"])
+def test_a_device_that_tells_no_number(what):
+    run, setup = failing()
+    way = circle(2000, 0.02)
+    other = {"turn": np.zeros((2000, 3)), "buttons": np.zeros((2000, 1)), "age": np.zeros(2000)}
+    given = {"position": way, **other}
+    given[what][500:1500] = np.nan
+    done = run(Q, Hand(*(jnp.asarray(given[name]) for name in Hand._fields)))
+    bad = np.isin(np.arange(2000), np.arange(500, 1500))
+    reason = judged(done, setup, bad)
+    assert (reason == np.where(bad, Reason.INVALID, Reason.SOLVED)).all()
+
+
+def test_an_arm_and_a_sensor_that_tell_no_number():
+    """NaN of q, of a force, and a force without a point."""
+    setup = teleoperation()
+    step = jax.jit(setup.step)
+    well = Contact(2, np.array([1.0, 0.5, 0.0]), np.array([1.0, 0.0, 0.0]))
+    broken = [
+        (np.array([np.nan, 0.0]), well),
+        (Q, well._replace(force=np.array([0.0, np.nan, 0.0]))),
+        (Q, well._replace(point=np.full(3, np.nan))),
+    ]
+    state = setup.init(Q)
+    for q, contact in broken:
+        for _ in range(2):
+            state, command = step(state, q, Hand(np.zeros(3)), contact)
+            assert command.reason == Reason.INVALID and not command.rate.any() and np.isfinite(command.force).all()
+        state, command = step(state, Q, Hand(np.zeros(3)), well)
+        assert command.reason == Reason.SOLVED and np.isfinite(command.rate).all()
+
+
+SCENE = jaxik.make_scene(spheres=[[2.7, 3.4, 0.0, 0.3]])
+
+
+def test_limits_and_clearance_are_kept():
+    """Whatever the hand wants: into a ball, out of reach, and fast."""
+    bent = np.array([-0.5, -0.5, -0.3, -0.6])
+    setup = Teleoperation(
+        FOUR,
+        PositionControl(10.0, fastest=1.0),
+        task=XY,
+        scene=SCENE,
+        margin=0.02,
+        cost=lambda q: jaxik.costs.joint_limit_cost(FOUR, q),
+    )
+    tip = np.asarray(jaxik.forward_kinematics(FOUR, bent))[:3, 3]
+    aims = np.array([[2.7, 3.4, 0.0], [0.0, 9.0, 0.0], [-3.0, -3.0, 0.0]])
+    shares = np.minimum(np.arange(2500) * DT / 1.5, 1.0)[None, :, None]
+    way = shares * (aims - tip)[:, None] / 10.0
+    done = jax.jit(jax.vmap(lambda way: operate(setup, bent, Hand(way))))(jnp.asarray(way))
+    q = np.asarray(done.q)
+    apart = jax.jit(jax.vmap(jax.vmap(lambda q: jaxik.clearance(FOUR, SCENE, q))))(q)
+    assert apart.min() > 0.02 - 1e-9 and apart[0].min() < 0.03
+    assert (q >= FOUR.lower - 1e-9).all() and (q <= FOUR.upper + 1e-9).all()
+    assert not done.command.reason.any()
+    ways = np.linalg.norm(np.asarray(done.tip)[:, -1] - tip, axis=1)
+    assert ways.min() > 0.2  # each went somewhere
+
+
+CHANNELS = [WaveVariables(20.0), PassivityController(20.0), PassivityController(), Direct()]
+
+
+@pytest.mark.parametrize("channel", CHANNELS, ids=str)
+def test_the_loop_makes_no_energy(channel):
+    """Against a wall of springs and free, with delays of 0 to 100 ms and jitter, for a hand that yields. Without a method it
+    does."""
+    start = jaxik.forward_kinematics(ARM, Q)[1, 3]
+    way = circle(1500, 0.01) * [1.0, -1.0, 0.0]
+
+    @jax.jit
+    @jax.vmap
+    def run(delay, jitter, stiffness):
+        def wall(q, rate):
+            tip = jaxik.forward_kinematics(ARM, q)[:3, 3]
+            return Contact(2, tip, stiffness * jnp.maximum(start - 0.05 - tip[1], 0.0) * jnp.array([0.0, 1.0, 0.0]))
+
+        lines = [DelayLine(delay, jitter, longest=0.12, seed=seed) for seed in (0, 1)]
+        setup = teleoperation(mapping=PositionControl(10.0, fastest=2.0), channel=channel, there=lines[0], back=lines[1])
+        return operate(setup, Q, Hand(way), wall, Grip()).command
+
+    delay, jitter = jnp.array([0.0, 0.02, 0.1, 0.05, 0.1]), jnp.array([0.0, 0.0, 0.0, 0.02, 0.0])
+    found = run(delay, jitter, jnp.array([1000.0, 1000.0, 1000.0, 1000.0, 0.0]))
+    assert np.abs(found.felt[:4]).max(axis=(1, 2)).min() > 2.0 and not found.felt[4].any()
+    least = found.energy.min(axis=1)
+    assert least[2] < -0.1 if type(channel) is Direct else least.min() >= -1e-12
+
+
+def test_a_loop_is_the_step():
+    """As a kernel, in NumPy; with a contact, a turn and the clutch."""
+    setup = Teleoperation(NINE, RateControl(), WaveVariables(), cost=lambda q: jaxik.costs.joint_limit_cost(NINE, q))
+    loop, step = TeleoperationLoop(setup, contacts=1, buttons=2), jax.jit(setup.step)
+    state, q = loop.start(MID), MID
+    expected = setup.init(MID)
+    for k in range(4):
+        hand = Hand(np.array([0.01 * k, 0.0, 0.0]), np.array([0.0, 0.1, 0.0]), np.array([float(k == 2), 1.0]), 0.001)
+        contact = Contact(*(np.asarray(x)[None] for x in TOUCHED))
+        state, command = loop.step(state, q, hand, contact)
+        expected, same = step(expected, q, hand, contact)
+        for mine, theirs in zip(*map(jax.tree_util.tree_leaves, ((state, command), (expected, same))), strict=True):
+            np.testing.assert_allclose(mine, theirs, rtol=1e-9, atol=1e-11)
+        q = q + DT * command.rate
+    with pytest.raises(ValueError):
+        loop.step(state, q[:3], hand, contact)
+
+
+@pytest.mark.parametrize(
+    ("call", "says"),
+    [
+        (lambda: Teleoperation(None), "chain is None; write a jaxik.Chain"),
+        (lambda: teleoperation(dt=0.0), "dt is 0.0"),
+        (lambda: teleoperation(gain=2000.0), "gain 2000 and approach 10 at dt 0.001 s; allowed: at most 1 / dt"),
+        (lambda: teleoperation(acceleration=-1.0), "acceleration"),
+        (lambda: Teleoperation(jaxik.load("planar2"), margin=-1.0), "margin is -1.0"),
+        (lambda: reflect(NINE, MID, TOUCHED, "weight"), "felt 'weight'; allowed: power, lever, magnitude"),
+        (lambda: PositionControl(0.0), "workspace is 0.0"),
+        (lambda: RateControl(c2=np.nan), "c2 is nan"),
+        (lambda: TeleoperationLoop(teleoperation()).start([0.0, np.nan]), "q holds NaN"),
+    ],
+)
+def test_refusals(call, says):
+    with pytest.raises(ValueError, match=says) as refused:
+        call()
+    assert "\n" not in str(refused.value)
