@@ -3,17 +3,23 @@ reactions, and a plant to try them on; and a hand that steers the arm and feels 
 
 from jaxik.control.delay_line import DelayLine
 from jaxik.control.detection import Detector, Judged, detect, fit_detector, judge_alarms
+from jaxik.control.devices import GamePad, Keyboard, Recorded
 from jaxik.control.estimation import EstimationLoop, Sample, estimate, over_log
 from jaxik.control.force_law import ForceLaw
+from jaxik.control.hand import Hand, Watch
+from jaxik.control.hand_mapping import PositionControl, RateControl
 from jaxik.control.kalman import KalmanFilter
 from jaxik.control.lowpass import Butterworth
 from jaxik.control.momentum_observer import MomentumObserver
+from jaxik.control.operation import Grip, Operated, operate
 from jaxik.control.passivity import Direct, PassivityController, WaveVariables
 from jaxik.control.plant import Gains, Instruments, Push, SimulatedLog, mujoco_model, play
 from jaxik.control.reaction import Command, Reaction, ReactionState
 from jaxik.control.reaction_simulation import Encounter, Reacted, simulate_reaction
+from jaxik.control.reflection import reflect, reflect_cost
 from jaxik.control.spring_contact import SpringContact, contact_cost
 from jaxik.control.stiffness import StiffnessEstimator
+from jaxik.control.teleoperation import Teleoperation, TeleoperationCommand, TeleoperationLoop, TeleoperationState
 from jaxik.control.torque_estimation import TorqueEstimator, TorqueFilter
 from jaxik.control.touch import Skin, TouchSensor
 
@@ -27,23 +33,36 @@ __all__ = [
     "EstimationLoop",
     "ForceLaw",
     "Gains",
+    "GamePad",
+    "Grip",
+    "Hand",
     "Instruments",
     "Judged",
     "KalmanFilter",
+    "Keyboard",
     "MomentumObserver",
+    "Operated",
     "PassivityController",
+    "PositionControl",
     "Push",
+    "RateControl",
     "Reacted",
     "Reaction",
     "ReactionState",
+    "Recorded",
     "Sample",
     "SimulatedLog",
     "Skin",
     "SpringContact",
     "StiffnessEstimator",
+    "Teleoperation",
+    "TeleoperationCommand",
+    "TeleoperationLoop",
+    "TeleoperationState",
     "TorqueEstimator",
     "TorqueFilter",
     "TouchSensor",
+    "Watch",
     "WaveVariables",
     "contact_cost",
     "detect",
@@ -51,7 +70,10 @@ __all__ = [
     "fit_detector",
     "judge_alarms",
     "mujoco_model",
+    "operate",
     "over_log",
     "play",
+    "reflect",
+    "reflect_cost",
     "simulate_reaction",
 ]

@@ -37,9 +37,9 @@ from jaxik.control.packed_step import PackedStep
 from jaxik.control.passivity import Channel, Direct, End, Packet, silence
 from jaxik.control.reflection import reflect
 from jaxik.costs import Cost
-from jaxik.motions.following import _rates as rate_bounds
-from jaxik.motions.nullspace import Box, resolve_velocity
+from jaxik.motions.nullspace import Box, downhill, resolve_velocity
 from jaxik.motions.path import Motion
+from jaxik.motions.rate_limits import RateLimits
 from jaxik.reasons import Reason
 from jaxik.robot.chain import Array, Chain, as_configuration
 from jaxik.robot.contact import Contact
@@ -207,14 +207,13 @@ class Teleoperation:
         target = _leashed(tip, target, self.leash)
         base = self._world().T
         twist = jnp.concatenate([base @ velocity, base @ turn])
-        known = (self.chain.lower, self.chain.upper, self.chain.velocity, np.asarray(self.acceleration))
-        limits = tuple(jnp.broadcast_to(jnp.asarray(x, q.dtype), q.shape) for x in known)
-        box = Box(*rate_bounds(limits, q, before, dt))
-        u = jnp.zeros_like(q) if self.cost is None else -self.alpha * jax.grad(self.cost)(q)
+        limits = RateLimits.of(self.chain, acceleration=self.acceleration)
+        box = limits.rates(q, before, dt)
+        u = downhill(self.chain, q, self.cost, self.alpha)
         motion = Motion(target, twist, jnp.zeros(6))
         resolve = lambda u: resolve_velocity(self.chain, q, motion, u, self.task, self.gain, box=box).rate
         rate, apart = self._clear(q, u, resolve, box)
-        rate = jnp.where(held, before - jnp.clip(before, -dt * limits[3], dt * limits[3]), rate)
+        rate = jnp.where(held, before - jnp.clip(before, -dt * limits.acceleration, dt * limits.acceleration), rate)
         turned = rotation_exp(dt * twist[3:]) @ target[:3, :3]
         place = target[:3, 3] + dt * twist[:3]
         moved = jnp.concatenate([jnp.concatenate([turned, place[:, None]], axis=1), target[3:]])
