@@ -191,6 +191,9 @@ def _planned(
     check_kind(who, "options", options, PlanOptions, optional=True)
     check_geometry(chain)
     check_seed(who, seed)
+    for name in {"torque", "power"} & set(changes):
+        mend = f"planning.time_optimal(moved.trajectory.path, chain=chain, {name}=..) drives the way of what it gives within it"
+        raise ValueError(f"{who}: {name} is no option; {mend}, and optimise_trajectory has {name}=, too")
     options = changed(who, options or PlanOptions(), changes)
     limits = motion_limits(who, chain, options)
     reason = np.zeros(len(starts), int)

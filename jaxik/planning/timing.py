@@ -23,8 +23,8 @@ LEAST = 8  # parts of a piece: it may have to stop at both its ends, and speeds 
 
 def time_optimal(
     path: JointPath,
-    velocity: Any,
-    acceleration: Any,
+    velocity: Any = None,
+    acceleration: Any = None,
     places: int = 500,
     chain: Chain | None = None,
     torque: Any = None,
@@ -34,16 +34,19 @@ def time_optimal(
     """The fastest motion along a path, from rest to rest, within `velocity` and `acceleration` (n,) or one number [rad, m and
     s]. Host driver.
 
-    With a `chain`, also within each joint's `torque` [Nm, N] and `power` |torque rate| [W], (n,) or one number, as
-    `inverse_dynamics` has them in `gravity`; friction is not in them. These hold where the speed is chosen and at three moments
-    between; acceleration may be infinite then. Where the drives cannot hold the arm still, the timing is NaN.
+    With a `chain`, also within each joint's `torque` [Nm, N], such as `chain.effort`, and `power` |torque rate| [W], (n,) or
+    one number, as `inverse_dynamics` has them in `gravity`; friction is not in them. These hold where the speed is chosen and
+    at three moments between. The velocity is the chain's unless it is given; acceleration may be infinite then, and is unless
+    it is given.
 
     Paths that are stacked, with leaves (N, ...), are timed together, as are rows (N, n) of limits. The limits hold at every
     moment, not only at the `places` at which the speed is chosen; these are spread evenly over the pieces, eight a piece or
     more, and their number decides how near the time comes to the least: about 1 % at 400, half of it at 800. Where the path has
-    a corner, the motion stops there. A velocity may be infinite. A path with NaN has a timing of NaN.
+    a corner, the motion stops there. A velocity may be infinite. Of a path with NaN (`reason` INVALID), and of one in a stack
+    on which the drives cannot hold the arm still (LIMITS), the timing is NaN.
 
-    Raises `ValueError` for limits that are not positive or of another shape, and for arrays that are no path. Source: Pham
+    Raises `ValueError` for limits that are not positive or of another shape, for arrays that are no path, and for drives that
+    cannot hold the arm on a way that is alone, with the joint and the place, counted in the path's pieces. Source: Pham
     and Pham, A new approach to time-optimal path parameterization based on reachability analysis, 2018; here it holds between
     the places.
     """
@@ -53,7 +56,8 @@ def time_optimal(
     if single:
         lengths, curve = lengths[None], curve[None]
     limited = _drives(chain, torque, power, gravity, n)
-    limits = limits_of("time_optimal", velocity, acceleration, (len(lengths), n), limited is not None)
+    given = _given(chain, velocity, acceleration, limited is not None)
+    limits = limits_of("time_optimal", *given, (len(lengths), n), limited is not None)
     parts = max(LEAST, -(-as_count("time_optimal: places", places) // k))
     known = np.isfinite(lengths).all(axis=1) & np.isfinite(curve).all(axis=(1, 2, 3))
     if limited is None:
@@ -61,6 +65,9 @@ def time_optimal(
     else:
         finite = np.where(known[:, None, None, None], curve, 0.0), np.where(known[:, None], lengths, 0.0)
         squares = _driven(limited, *finite, limits, parts)
+        if single and known[0] and np.isnan(squares[0]).any():
+            forces = torque_limits.forces(limited, *finite, parts)
+            raise ValueError(f"time_optimal: {torque_limits.weakest(limited, forces, parts)}")
     squares[~known] = np.nan
     since = lambda x: np.pad(np.cumsum(x, axis=1), ((0, 0), (1, 0)))
     speed = np.sqrt(np.pad(squares, ((0, 0), (1, 0))))
@@ -88,6 +95,18 @@ def _drives(chain: Chain | None, torque: Any, power: Any, gravity: Any, n: int) 
         raise ValueError(f"time_optimal: a path of {n} joints, and {chain.name} has {chain.num_joints}")
     found = torque_limits.drives("time_optimal", chain, torque, power, gravity)
     return found if found.limited else None
+
+
+def _given(chain: Chain | None, velocity: Any, acceleration: Any, driven: bool) -> tuple[Any, Any]:
+    """The limits of velocity and acceleration, or what is meant where none are given."""
+    if velocity is None and chain is not None:
+        velocity = chain.velocity
+    if velocity is None:
+        raise ValueError("time_optimal: no velocity; give velocity= [rad/s, m/s], or chain=, whose own is taken then")
+    if acceleration is None and not driven:
+        mend = "give acceleration= [rad/s2, m/s2], or chain= with finite torque= [Nm, N] or power= [W]"
+        raise ValueError(f"time_optimal: nothing limits how it accelerates; {mend}")
+    return velocity, np.inf if acceleration is None else acceleration
 
 
 def _driven(limits: torque_limits.Drives, curve: np.ndarray, lengths: np.ndarray, others: Any, parts: int) -> np.ndarray:

@@ -135,6 +135,24 @@ def can_hold(given: Forces, torque: np.ndarray) -> np.ndarray:
     return (np.abs(given.still) < torque).all(axis=(1, 2, 3))
 
 
+def weakest(limits: Drives, given: Forces, parts: int) -> str:
+    """In words, where on the first way the drives are farthest from holding the arm, whose pieces are of so many parts."""
+    still = np.abs(given.still[0])
+    part, joint = np.unravel_index(np.argmax(still.max(axis=1) / limits.torque), (len(still), still.shape[2]))
+    moment = int(np.argmax(still[part, :, joint]))
+    need, place = still[part, moment, joint] + _bend(given.still)[0, part, joint], (part + WITHIN[moment]) / parts
+    name, unit = limits.chain.joint_names[joint], "N" if limits.chain.is_prismatic[joint] else "Nm"
+    return f"{name} needs {need:.4g} {unit} at waypoint {place:.3g} to stand still; the limit is {limits.torque[joint]:.4g}"
+
+
+def holds(limits: Drives, q: np.ndarray) -> np.ndarray:
+    """(b,): whether the drives hold the arm still in each posture (b, n)."""
+    if not np.isfinite(limits.torque).any():
+        return np.ones(len(q), bool)
+    still = _along(limits, q, np.zeros_like(q), np.zeros_like(q))[2]
+    return (np.abs(still) < limits.torque).all(axis=1)
+
+
 def measured(given: Forces, squares: np.ndarray, step: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Torques but for `still`, and rates, with (ds/dt)^2 (N, parts) at the ends of parts: both (N, parts, w, n)."""
     before = _before(squares)

@@ -17,11 +17,16 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float
 
-from jaxik.checks.arrays import numbers
+from jaxik.checks.arrays import is_known, numbers
 from jaxik.checks.options import check_finite
 from jaxik.pytree import Pytree
+from jaxik.reasons import Reason, Reasoned
 from jaxik.robot.chain import Array
 
+_ENDLESS = {
+    Reason.INVALID: "its path holds what is no finite number",
+    Reason.LIMITS: "its drives cannot hold the arm still on the way, or its limits let nothing move",
+}
 SLOWEST = 0.1  # [s] between samples, that a controller may want of a motion that is over sooner
 
 
@@ -47,9 +52,13 @@ class JointPath(Pytree):
         return _along(jnp, self, jnp.asarray(s))
 
 
-class Trajectory(Pytree):
+class Trajectory(Pytree, Reasoned):
     """A path and its timing: at `time` (m,) [s] the way along the path is `place` (m,), which grows at `speed` (m,) [1/s];
-    between these moments the speed is linear in time. Each piece of the path has as many of them as the others."""
+    between these moments the speed is linear in time. Each piece of the path has as many of them as the others.
+
+    Its `reason` is SOLVED; INVALID where the path holds NaN; LIMITS where the drives cannot hold the arm still on its way, or
+    the limits let nothing move: it does not end, then. Of a stack each has its own.
+    """
 
     path: JointPath
     time: Float[Array, "*batch m"]
@@ -60,6 +69,21 @@ class Trajectory(Pytree):
     def duration(self) -> Any:
         """[s]"""
         return self.time[..., -1]
+
+    @property
+    def reason(self) -> Any:  # type: ignore[override]
+        """Of each, as numbers."""
+        path = [np.asarray(self.path.lengths).sum(axis=-1), np.asarray(self.path.coefficients).sum(axis=(-3, -2, -1))]
+        ends, known = np.isfinite(np.asarray(self.duration)), np.isfinite(path).all(axis=0)
+        return np.where(ends, int(Reason.SOLVED), np.where(known, int(Reason.LIMITS), int(Reason.INVALID)))
+
+    def __repr__(self) -> str:
+        if not (isinstance(self.time, np.ndarray | jax.Array) and is_known(self) and np.size(self.time)):
+            return super().__repr__()
+        ends = np.atleast_1d(self.duration)
+        short, long = (f"{each.reduce(ends):.4g}" for each in (np.fmin, np.fmax))
+        shown = f"{short} s" if np.ndim(self.duration) == 0 else f"{short} to {long} s"
+        return super().__repr__().replace("(", f"(duration={shown}, ", 1)
 
     def at(self, t: Any) -> JointState:
         """The state at t (...) [s]; before the start and after the end it stands still there.
@@ -82,7 +106,7 @@ class Trajectory(Pytree):
             raise ValueError(f"sample: period is {period:g}; it is above zero [s]")
         whole = jax.tree_util.tree_map(lambda x: np.asarray(x, np.float64), self)
         if not np.isfinite(whole.duration):
-            raise ValueError(f"sample: the trajectory lasts {whole.duration} s; its path or its limits were no finite numbers")
+            raise ValueError(f"sample: the trajectory lasts {whole.duration} s; {_ENDLESS[Reason(int(whole.reason))]}")
         if period > max(SLOWEST, whole.duration):
             raise ValueError(f"sample: period is {period:g} s, and the motion lasts {whole.duration:.3g} s; give seconds")
         steps = int(np.ceil(whole.duration / period - 1e-9))

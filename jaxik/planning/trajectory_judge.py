@@ -28,9 +28,15 @@ class Judge:
         self.space = CollisionChecker(terms.chain, terms.scene, margin) if seen else None
 
     def postures(self, q: np.ndarray) -> np.ndarray:
-        """The reason of each posture (b, n) at which a motion is to begin or end; without a margin it may collide."""
+        """The reason of each posture (b, n) at which a motion is to begin or end, LIMITS too where the drives cannot hold the
+        arm; without a margin it may collide."""
         verdict, may_collide = judged(self.chain, self.space, q), self.options.margin is None
-        return np.where(may_collide & (verdict == Reason.COLLISION), int(Reason.SOLVED), verdict)
+        verdict = np.where(may_collide & (verdict == Reason.COLLISION), int(Reason.SOLVED), verdict)
+        return np.where((verdict == Reason.SOLVED) & ~self.holds(q), int(Reason.LIMITS), verdict)
+
+    def holds(self, q: np.ndarray) -> np.ndarray:
+        """(b,): whether the drives hold the arm still in each posture (b, n)."""
+        return torque_limits.holds(self.options.drives(self.chain), q)
 
     def kept(self, problem: collocation.Problem, found: collocation.Found) -> np.ndarray:
         """The reason of each motion (b,) by its limits and targets alone, which are those of the problem."""

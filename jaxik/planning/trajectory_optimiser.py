@@ -76,7 +76,8 @@ def optimise_trajectory(
     `TrajectoryOptions`.
 
     Reasons: SOLVED, proven free between samples too, unless `margin` is None; INVALID, NaN; LIMITS, of the start or the goal,
-    or of velocities in the time given; COLLISION, likewise, or where obstacles only cost, of the best motion; OUT_OF_REACH and
+    where their joints' range or a `torque` that does not hold the arm there is meant, or of velocities, accelerations, torque
+    and power in the time given; COLLISION, likewise, or where obstacles only cost, of the best motion; OUT_OF_REACH and
     others of `solve_ik` for a pose; NOT_CONVERGED. A chain without collision geometry is taken with `margin` None and no
     `collision_weight`; what it hits is not known.
 

@@ -111,7 +111,10 @@ class Search:
         self.reason[open_] = np.where(found.success, int(Reason.NOT_CONVERGED), found.reason)
         counts = np.asarray(found.num_solutions)
         each = np.arange(self.options.postures) < counts[:, None]
-        return np.repeat(open_, counts), np.asarray(found.solutions, np.float64)[each]
+        rows, ends = np.repeat(open_, counts), np.asarray(found.solutions, np.float64)[each]
+        held = self.judge.holds(ends)
+        self.reason[np.setdiff1d(rows, rows[held])] = Reason.LIMITS
+        return rows[held], ends[held]
 
     def _planned(self, space: CollisionChecker, rows: np.ndarray, ends: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Of problems, each as often as it has postures to end in: those that a planner finds a way for, and samples along it,

@@ -1,5 +1,6 @@
 """The fastest timing of a path: against toppra, what is known in closed form, and its limits at every moment."""
 
+import dataclasses
 import json
 
 import jax
@@ -13,7 +14,7 @@ from scipy.interpolate import CubicSpline
 import jaxik
 from jaxik.planning import JointPath, load_trajectory, polyline, save_trajectory, spline, time_optimal
 from jaxik.planning.trajectory import padded
-from jaxik.robot.dynamics import inverse_dynamics
+from jaxik.robot.dynamics import gravity_torque, inverse_dynamics
 
 VELOCITY = np.array([1.0, 2.0, 0.5, 1.5, 3.0])
 ACCELERATION = np.array([4.0, 2.0, 6.0, 8.0, 3.0])
@@ -238,7 +239,66 @@ def test_constant_power_on_a_slide():
     moved = time_optimal(polyline([[0.1], [0.1 + length]]), 10.0, np.inf, 2000, chain=chain.mounted(level), power=power)
     half = (0.75 * length / np.sqrt(2.0 * power / mass)) ** (2.0 / 3.0)
     assert 1.0 <= moved.duration / (2.0 * half) < 1.012  # the force is without end at first
-    assert np.isnan(time_optimal(polyline([[0.1], [0.9]]), 1.0, 1.0, chain=chain.mounted(np.eye(4)), torque=100.0).duration)
+
+
+def test_drives_that_cannot_hold_the_arm_are_named(tmp_path):
+    """With the joint and the place where it is the heaviest; in a stack the others go on."""
+    chain = jaxik.load("crops_v2").part(1, 3)
+    path = polyline([[0.0, -1.2], [0.0, -0.9], [0.0, 1.2]])  # a link that comes down, and goes up again
+    with jax.enable_x64(True):
+        places = np.linspace(0.0, 2.0, 4001)
+        q = np.stack([np.interp(places, [0.0, 1.0, 2.0], column) for column in ([0.0, 0.0, 0.0], [-1.2, -0.9, 1.2])], axis=1)
+        still = np.abs(jax.vmap(lambda x: gravity_torque(chain, x))(q))
+    at, joint = np.unravel_index(np.argmax(still), still.shape)
+    most = still.max(axis=0)
+    with pytest.raises(ValueError, match=f"{chain.joint_names[joint]} needs .* to stand still; the limit is") as refused:
+        time_optimal(path, chain=chain, torque=np.where(np.arange(2) == joint, 0.9, 2.0) * most)
+    words = str(refused.value).split()
+    assert float(words[3]) == pytest.approx(most[joint], rel=1e-3) and words[4] == "Nm"
+    assert float(words[7]) == pytest.approx(places[at], abs=0.01) and float(words[-1]) == pytest.approx(
+        0.9 * most[joint], rel=1e-3
+    )
+    high = polyline([[0.0, -1.3], [0.0, -1.25], [0.0, -1.2]])
+    unknown = JointPath(path.lengths * np.nan, path.coefficients)
+    moved = time_optimal(_stacked([path, high, unknown]), chain=chain, torque=0.95 * most)
+    assert moved.reasons.tolist() == ["limits", "solved", "invalid"] and np.isfinite(moved.duration).tolist() == [
+        False,
+        True,
+        False,
+    ]
+    alone = time_optimal(high, chain=chain, torque=0.95 * most)
+    assert alone.reasons == "solved" and alone.duration == moved.duration[1]
+    for row, said in ((0, "lasts nan s; its drives cannot hold the arm still"), (2, "lasts nan s; its path holds what is no")):
+        with pytest.raises(ValueError, match=said):
+            save_trajectory(tmp_path / "x.csv", _row(moved, row), 0.01, chain.joint_names)
+
+
+def test_what_is_not_given_is_the_robots(tmp_path):
+    chain = jaxik.load("crops_v2").part(1, 3)
+    chain = dataclasses.replace(chain, velocity=np.array([0.4, 3.0]), effort=np.array([20.0, 90.0]))
+    path = polyline([[0.0, -1.3], [0.2, -1.2]])
+    own = time_optimal(path, chain=chain, torque=chain.effort)
+    assert own.duration == time_optimal(path, chain.velocity, np.inf, chain=chain, torque=chain.effort).duration
+    assert own.speed.max() / np.hypot(0.2, 0.1) * 0.2 == pytest.approx(0.4)  # its velocity's limit is met
+    assert time_optimal(path, chain=chain, acceleration=2.0).duration == time_optimal(path, chain.velocity, 2.0).duration
+    for given, said in (
+        ({}, "no velocity; give velocity= .rad/s, m/s., or chain="),
+        ({"velocity": 1.0}, "nothing limits how it accelerates; give acceleration="),
+        ({"chain": chain}, "nothing limits how it accelerates"),
+        ({"chain": chain, "torque": np.inf}, "nothing limits how it accelerates; .* with finite torque="),
+    ):
+        with pytest.raises(ValueError, match=said):
+            time_optimal(path, **given)
+
+
+def test_a_trajectory_is_shown_with_its_duration():
+    line = polyline([[0.0], [1.0]])
+    assert repr(time_optimal(line, 1.0, 2.0)).startswith("Trajectory(duration=1.5 s, path=JointPath(lengths=float64[1], ")
+    both = time_optimal(_stacked([line, line, JointPath(line.lengths * np.nan, line.coefficients)]), [[1.0], [0.5], [1.0]], 2.0)
+    assert repr(both).startswith("Trajectory(duration=1.5 to 2.25 s, path=")
+    shown = []
+    jax.jit(lambda moved: shown.append(repr(moved)) or moved.duration)(both)
+    assert shown[0].startswith("Trajectory(path=")
 
 
 def test_torque_limits_that_are_none():

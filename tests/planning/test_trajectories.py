@@ -189,7 +189,11 @@ def test_within_torque_and_power_as_good_as_scipy():
         most = np.abs(drives(*state)).max(axis=0) / torque, np.abs(drives(*state) * state.velocity).max(axis=0) / power
         assert moved.reasons == "solved" and 0.95 < np.max(most) <= 1.0 + 1e-6
     weak = optimise_trajectory(chain, None, start, end, torque=100.0, margin=None)
-    assert weak.reasons == "limits" and np.isnan(weak.trajectory.duration)  # 300 N hold the arm
+    assert weak.reasons == "limits" and np.isnan(weak.trajectory.duration)  # 300 N hold the arm: told before any search
+    assert weak.iterations == 0
+    pose = jaxik.forward_kinematics(chain, jnp.array([0.6, 0.8, 0.0]))  # which has one posture, that takes 12.7 Nm
+    heavy = optimise_trajectory(chain, None, [0.2, 0.0, -0.7], pose, torque=[600.0, 50.0, 11.0], margin=None)
+    assert heavy.reasons == "limits" and heavy.iterations == 0
 
 
 def test_the_range_holds_between_knots(arm):
