@@ -9,7 +9,9 @@ from jaxtyping import Float
 
 from jaxik.checks.arrays import numbers
 from jaxik.pytree import Constant
-from jaxik.robot.chain import Array, Chain
+from jaxik.robot.chain import Array, Chain, beyond_limits
+
+FAR = 0.1  # [rad, m] beyond its limits, where no robot is that is measured in radians and metres
 
 
 class MotionLog(Constant):
@@ -26,7 +28,8 @@ class MotionLog(Constant):
 def joined(chain: Chain, logs: MotionLog | Sequence[MotionLog]) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
     """Positions, rates, accelerations and the motors' torques at the joints (K, n) of all logs; springs are taken out.
 
-    Raises `ValueError` for other shapes, for what is not finite, and for currents of a chain without drives.
+    Raises `ValueError` for other shapes, for what is not finite, for joints that are far beyond their limits, and for currents
+    of a chain without drives.
     """
     logs = list(logs) if isinstance(logs, Iterable) else [logs]
     if not logs:
@@ -51,6 +54,8 @@ def _checked(chain: Chain, place: int, log: MotionLog) -> list[np.ndarray]:
         if not np.isfinite(array).all():
             row, joint = np.argwhere(~np.isfinite(array))[0]
             raise ValueError(f"{who}: {name} holds {array[row, joint]} in row {row}, {chain.joint_names[joint]}; leave it out")
+    if told := beyond_limits(chain, arrays["q"], FAR):
+        raise ValueError(f"{who}: {told} If not, give the chain wider limits")
     return [arrays["q"], arrays["qdot"], arrays["qddot"], _effort(chain, who, arrays)]
 
 

@@ -234,6 +234,7 @@ FAULTS = [
     (dict(terms=("stiction",)), "identify: terms 'stiction'; allowed: coulomb"),
     (dict(q=np.zeros((4, 2))), r"log 1: q of shape \(4, 2\); allowed: \(k, 3\)"),
     (dict(torque=np.full((4, 3), np.nan)), "log 1: torque holds nan in row 0, joint1"),
+    (dict(q=np.full((4, 3), 20.0) * [0, 0, 1]), r"log 1: joint3 is 20 in row 0, .* \[rad\]; are these degrees\? If not, give"),
     (dict(torque=None), "log 1 has no torque and current; give one of them"),
     (dict(qdot=None), "log 1: qdot: NoneType that is no array of numbers"),
     (dict(q=0.0), r"log 1: q of shape \(\); allowed: \(k, 3\)"),
