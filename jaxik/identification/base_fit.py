@@ -86,14 +86,14 @@ def _likely_stribeck(problem: Problem, base: BaseParameters, load: np.ndarray) -
     usual = np.sqrt(np.mean(problem.qdot**2, axis=0, where=problem.counts))
     if "breakaway" not in problem.terms:
         return usual
-    friction, torque = [problem.friction(Curve(load, part * usual)) for part in PARTS], problem.torque - problem.rotor
-    best = []
+    torque, best = problem.torque - problem.rotor, []
     for j, (rows, (basis, triangle)) in enumerate(zip(problem.counts.T, problem.factors, strict=True)):
         u, s, _ = np.linalg.svd(triangle[:, kept], full_matrices=False)
         seen = basis @ u[:, s > TOLD * s[0]]
         beside = lambda x, seen=seen: x - seen @ (seen.T @ x)  # what no body explains
         left = beside(torque[rows, j])
-        off = [left - f @ np.linalg.lstsq(f, left, rcond=None)[0] for f in (beside(f[:, rows, j].T) for f in friction)]
+        friction = (beside(problem.friction_of(j, Curve(load, part * usual))) for part in PARTS)
+        off = [left - f @ np.linalg.lstsq(f, left, rcond=None)[0] for f in friction]
         best.append(np.argmin(np.linalg.norm(off, axis=1)))
     return usual * PARTS[best]
 

@@ -12,6 +12,7 @@ from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
+from threadpoolctl import threadpool_limits
 
 from jaxik.checks.options import as_count, changed, check_finite, check_kind
 from jaxik.identification.base_fit import base_fit
@@ -19,7 +20,7 @@ from jaxik.identification.columns import Term, check_terms
 from jaxik.identification.identifiable import BaseParameters, base_parameters
 from jaxik.identification.log import MotionLog
 from jaxik.identification.physical_fit import physical_fit
-from jaxik.identification.problem import posed
+from jaxik.identification.problem import Problem, posed
 from jaxik.reasons import Reason, Reasoned
 from jaxik.robot.chain import Chain
 from jaxik.robot.drive import Drive, Friction
@@ -45,7 +46,7 @@ class IdentifyOptions:
     steps: int = 1000
 
 
-@dataclasses.dataclass(frozen=True, eq=False)
+@dataclasses.dataclass(frozen=True, eq=False, repr=False)
 class Identified(Reasoned):
     """The `chain` with the bodies and drives found, all physical; its `base` parameters as the log alone tells them, `value`
     and standard error `std` (b,); the excitation's `condition` number (columns of equal length); of each joint the root mean
@@ -64,6 +65,16 @@ class Identified(Reasoned):
         """In words, the combinations that the log does not tell `within` this share of their value, worst first."""
         share = self.std / np.maximum(np.abs(self.value), 1e-300)
         return tuple(self.base.words[i] for i in np.argsort(-share, kind="stable") if share[i] > within)
+
+    def __repr__(self) -> str:
+        known = len(self.base) - len(self.unknown())
+        head = f"Identified {self.chain.name}: {self.reasons}, condition number {self.condition:.0f}, "
+        head += f"{known} of {len(self.base)} within 1 %"
+        wide = max(map(len, self.base.words), default=0)
+        rows = zip(self.base.words, self.value, self.std, strict=True)
+        told = [f"  {word:<{wide}} {value:11.5g} +- {std:.2g}" for word, value, std in rows]
+        left = zip(self.chain.joint_names, self.residual, strict=True)
+        return "\n".join([head, *told, f"  not explained: {', '.join(f'{name} {rms:.3g}' for name, rms in left)} [Nm, N]"])
 
 
 def identify(
@@ -87,7 +98,12 @@ def identify(
     known = np.asarray(body_parameters(chain), np.float64)
     if not np.isfinite(known).all():
         raise ValueError(f"identify: a body of {chain.name} holds NaN or infinity; write finite mass, com and inertia")
-    problem, base = posed(chain, logs, options.terms, options.slowest), base_parameters(chain, options.terms)
+    with threadpool_limits(1, "blas"):  # matrices are narrow, and threads would wait for each other
+        return _identified(chain, posed(chain, logs, options.terms, options.slowest), known, options)
+
+
+def _identified(chain: Chain, problem: Problem, known: np.ndarray, options: IdentifyOptions) -> Identified:
+    base = base_parameters(chain, options.terms)
     if (rows := int(problem.counts.sum())) < 2 * len(base):
         raise ValueError(f"identify: {rows} values for {len(base)} unknowns; log a longer motion, twice as many at least")
     fit = base_fit(problem, base, known, options.rounds)

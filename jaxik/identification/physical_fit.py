@@ -51,7 +51,7 @@ def physical_fit(problem: Problem, curve: Curve, noise: np.ndarray, known: np.nd
 
     bounded = np.repeat([False] * 10 + [term != "asymmetry" for term in problem.terms], n)
     first, lowest = np.where(bounded, FIRST, 0.0), np.where(bounded, 0.0, -np.inf)
-    done = least_squares(residual, first, jacobian, (lowest, np.inf), x_scale="jac", ftol=SETTLED, max_nfev=steps)
+    done = least_squares(residual, first, jacobian, (lowest, np.inf), x_scale=1.0, ftol=SETTLED, max_nfev=steps)
     bodies, _ = around.at(done.x[: 10 * n].reshape(n, 10))
     off = columns @ np.append(bodies, done.x[10 * n :]) - torque
     friction = dict(zip(problem.terms, done.x[10 * n :].reshape(len(problem.terms), n), strict=True))

@@ -13,6 +13,7 @@ from jaxik.identification.columns import Term, body_columns, friction_columns, r
 from jaxik.identification.identifiable import BaseParameters
 from jaxik.identification.log import MotionLog, joined
 from jaxik.robot.chain import Chain
+from jaxik.robot.dynamics import INERTIAL
 
 
 class Curve(NamedTuple):
@@ -52,12 +53,22 @@ class Problem:
     @functools.cached_property
     def factors(self) -> list[tuple[np.ndarray, np.ndarray]]:
         """Of each joint's rows that count, the bodies' columns as an orthogonal basis and a triangle: most of the matrix, and
-        what never changes."""
-        return [np.linalg.qr(self.bodies[rows, j]) for j, rows in enumerate(self.counts.T)]
+        what never changes. The bodies before a joint are nothing to it."""
+        found = []
+        for j, rows in enumerate(self.counts.T):
+            basis, triangle = np.linalg.qr(self.bodies[rows, j, INERTIAL * j :])
+            found.append((basis, np.pad(triangle, ((0, 0), (INERTIAL * j, 0)))))
+        return found
 
     def friction(self, curve: Curve) -> np.ndarray:
         """The columns of its terms (t, K, n)."""
         return friction_columns(self.terms, self.ratio, self.qdot, self.qddot, *curve)
+
+    def friction_of(self, joint: int, curve: Curve) -> np.ndarray:
+        """Those of one joint, in the rows that count for it (k, t)."""
+        rows, own = self.counts[:, joint], slice(joint, joint + 1)
+        qdot, qddot, load = (x[rows, own] for x in (self.qdot, self.qddot, curve.load))
+        return friction_columns(self.terms, self.ratio[own], qdot, qddot, load, curve.stribeck[own])[:, :, 0].T
 
     def rows(self, curve: Curve) -> Rows:
         """All that count: of each joint first what its bodies span, and then what is left of its friction and its torque."""

@@ -163,6 +163,9 @@ def test_identification_from_noisy_logs(motion):
     first, second = found.chain.drives[1].friction, found.chain.drives[2].friction
     assert abs(first.breakaway - (8.4 + 1.125)) <= 0.1 and abs(second.breakaway - (12.8 + 7.0)) <= 0.2  # tables 3.4 and 3.6
     assert abs(second.stribeck_velocity - 81.7 / 100) <= 0.05 and abs(first.load - 50 * 2.1e-3) <= 0.02
+    lines = repr(found).splitlines()
+    assert lines[0].startswith("Identified crops_v2: solved, condition number ") and "joint3 0." in lines[-1]
+    assert lines[1].split() == [*found.base.words[0].split(), f"{found.value[0]:.5g}", "+-", f"{found.std[0]:.2g}"]
     again = np.asarray(torques(found.chain, *motion))
     assert np.all(np.sqrt(np.mean((again - torque) ** 2, axis=0)) <= 0.01 * torque.std(axis=0))
 
