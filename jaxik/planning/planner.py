@@ -189,12 +189,12 @@ def _planned(
     """From each of `starts` (b, n) to one of its `goals` (b, g, n), or to its pose (b, 4, 4)."""
     check_kind(who, "scene", scene, Scene, optional=True)
     check_kind(who, "options", options, PlanOptions, optional=True)
-    check_geometry(chain)
     check_seed(who, seed)
     for name in {"torque", "power"} & set(changes):
-        mend = f"planning.time_optimal(moved.trajectory.path, chain=chain, {name}=..) drives the way of what it gives within it"
-        raise ValueError(f"{who}: {name} is no option; {mend}, and optimise_trajectory has {name}=, too")
+        mend = f"time its way anew by planning.time_optimal(moved.trajectory.path, chain=chain, {name}=...)"
+        raise ValueError(f"{who}: {name} is no option; {mend}, or ask optimise_trajectory, which has {name}=")
     options = changed(who, options or PlanOptions(), changes)
+    check_geometry(chain)
     limits = motion_limits(who, chain, options)
     reason = np.zeros(len(starts), int)
     if pose:

@@ -169,7 +169,10 @@ def test_an_empty_batch_has_an_empty_answer(arm, empty):
         ({"scene": "poles"}, "scene is poles; write a jaxik.Scene"),
         ({"margin": np.nan}, "margin is nan"),
         ({"round": 3}, "unknown option 'round'"),
-        ({"torque": 3.0}, r"torque is no option; planning.time_optimal.moved.trajectory.path, chain=chain, torque=..."),
+        (
+            {"torque": 3.0},
+            r"torque is no option; time its way anew by planning.time_optimal.moved.trajectory.path, chain=chain, torq",
+        ),
         ({"velocity": -1.0}, "plan_motion: velocity is -1.0; allowed: one number or"),
         ({"velocity": [1.0, 1.0]}, r"plan_motion: velocity of shape \(2,\)"),
         ({"velocity": "fast"}, "velocity: str that is no array of numbers"),
