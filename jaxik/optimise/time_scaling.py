@@ -12,7 +12,8 @@ x and u as well:
 
     q'(0) u + q''(0) x,   (q'(0) + 3/2 h q''(0)) u + (q''(0) + q''(h)) / 2 x,   (q'(h) + 2 h q''(h)) u + q''(h) x
 
-Whatever else is linear in x and u, as forces are, is given as rows of its own.
+Whatever else is linear in x and u, as forces are, is given as rows of its own. Where from the greatest x nothing is left but to
+stop at the next place, a little less of it is taken.
 """
 
 from __future__ import annotations
@@ -25,6 +26,7 @@ from jax import lax
 _FLAT = 1e-12  # a joint that moves by less, as a share of the one that moves most, has nothing to say of u
 _JUMP = 1e-9  # of the direction, which is a corner
 _ROUNDING = 1e-14
+_WORTH = 1e-3  # of the greatest x, to which what is better than it is found
 _FASTEST = 1e12  # ds/dt squared, where nothing moves
 
 
@@ -53,7 +55,7 @@ def fastest(curve: Any, lengths: Any, velocity: Any, acceleration: Any, *rows: A
         begin, end = (_slope(curve[piece], (i - piece * parts + k) * h) for k in (0, 1))
         jump = jnp.max(jnp.abs(end - direction)) > _JUMP * (1.0 + jnp.max(jnp.abs(end)))
         top = jnp.minimum(jnp.where(jump & (i - piece * parts == parts - 1) & (h > 0.0), 0.0, after), row[-1])
-        now = jnp.where(h > 0.0, _greatest(row, h, top), after), jnp.where(h > 0.0, begin, direction)
+        now = jnp.where(h > 0.0, _worth(row, h, top, _greatest(row, h, top)), after), jnp.where(h > 0.0, begin, direction)
         return now, top
 
     def ahead(x: Any, now: Any) -> Any:
@@ -124,3 +126,32 @@ def _greatest(row: Any, h: Any, top: Any) -> Any:
     first = jnp.minimum(most, braking)
     again = lambda state: (state[1] < -state[3]) & (state[4] < len(p) + 4)
     return lax.while_loop(again, newton, (first, *room(first), 0))[0]
+
+
+def _worth(row: Any, h: Any, top: Any, x: Any) -> Any:
+    """The x up to the greatest one with which this place and the next are fastest together: with y the greatest x there, which
+    is concave in x, `sqrt(x) + sqrt(y)` is greatest.
+
+    It is the greatest itself, but where a row cuts y down with x as with a knife, as where a joint's share of the way changes
+    its sign: from the greatest x there one could do no better than to stop.
+    """
+    p, r, _, high, _ = row
+    slope, ceiling = -r / p, high / p
+
+    def gains(x: Any) -> Any:
+        """Whether more of x gains more than it costs."""
+        u = ceiling + slope * x
+        least = jnp.min(u)
+        change = 1.0 + 2.0 * h * jnp.min(jnp.where(u <= least, slope, jnp.inf))
+        y = x + 2.0 * h * least
+        return (y >= top) | (change >= 0.0) | (y >= change * change * x)
+
+    def halve(state: Any) -> Any:
+        low, high = state
+        middle = 0.5 * (low + high)
+        more = gains(middle)
+        return jnp.where(more, middle, low), jnp.where(more, high, middle)
+
+    wide = lambda state: (state[1] - state[0] > _WORTH * state[1]) & (state[1] > _FLAT * x)
+    low, high = lax.while_loop(wide, halve, (jnp.where(gains(x), x, 0.0), x))
+    return jnp.where(low > 0.0, low, high)

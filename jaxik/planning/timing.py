@@ -118,12 +118,15 @@ def _driven(limits: torque_limits.Drives, curve: np.ndarray, lengths: np.ndarray
         rows = torque_limits.rows(forces, most, at, step)
         return in_blocks(_fastest(parts, 4), curve, lengths, *others, *rows, double=True)[0]
 
-    squares = fastest_within(limits, None)
-    for _ in range(torque_limits.TURNS):
+    powered, turns = np.isfinite(limits.power).any(), torque_limits.TURNS
+    squares = at = fastest_within(limits, None)
+    for turn in range(turns):
         before, most = squares, torque_limits.left(forces, limits, squares, step)
-        squares = fastest_within(most, squares if np.isfinite(limits.power).any() else None)
-        if np.allclose(squares, before, rtol=1e-3, atol=1e-12):
+        squares = fastest_within(most, at if powered else None)
+        settled = np.allclose(squares, before, rtol=1e-3, atol=1e-12)
+        if settled and at is before:
             break
+        at = torque_limits.between(at, squares) if powered and not settled and 2 * turn < turns else squares
     squares = squares * torque_limits.slowdown(forces, limits, squares, step)[:, None] ** 2
     squares[~torque_limits.can_hold(forces, limits.torque)] = np.nan
     return squares

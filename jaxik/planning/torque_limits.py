@@ -125,6 +125,12 @@ def _tangent(given: Forces, power: np.ndarray, squares: np.ndarray, end: int) ->
     return np.where(free, np.inf, 1.5 * torque), np.where(free, 0.0, fall)
 
 
+def between(at: np.ndarray, squares: np.ndarray) -> np.ndarray:
+    """Where next tangents touch, if those at one (ds/dt)^2 lead to another: from rest, power that is told at a speed `c` times
+    too great leaves a torque that leads to one `sqrt(c)` times too small; and here both errors cancel."""
+    return np.cbrt(at * squares**2)
+
+
 def _before(squares: np.ndarray) -> np.ndarray:
     """(ds/dt)^2 at the beginnings of parts, of that at their ends (N, parts); at the first it is 0."""
     return np.pad(squares, ((0, 0), (1, 0)))[:, :-1]
@@ -183,7 +189,8 @@ def _bend(values: np.ndarray) -> np.ndarray:
 
 
 def slowdown(given: Forces, limits: Drives, squares: np.ndarray, step: np.ndarray) -> np.ndarray:
-    """(N,): the share of its speed at which each motion keeps the limits; what accelerates falls with its square."""
+    """(N,): the share of its speed at which each motion keeps the limits, NaN where none does; what accelerates falls with its
+    square."""
     return np.array([_share(limits, *each) for each in zip(*measured(given, squares, step), given.still, strict=True)])
 
 
@@ -199,10 +206,11 @@ def least_time(limits: Drives, q: np.ndarray, rate: np.ndarray, bend: np.ndarray
 
 
 def _share(limits: Drives, moving: np.ndarray, rate: np.ndarray, still: np.ndarray) -> float:
-    """The greatest of `SLOWER` at which torques and rates (parts, w, n) keep the limits."""
+    """The greatest of `SLOWER` at which torques and rates (parts, w, n) keep the limits; NaN where what holds the arm still
+    may be above them between the moments."""
     for y in SLOWER:
         torque = moving * y**2 + still
         used = [np.abs(x).max(axis=1) + _bend(x[None])[0] for x in (torque, torque * rate * y)]
         if all((x <= most).all() for x, most in zip(used, (limits.torque, limits.power), strict=True)):
             return float(y)
-    return float(SLOWER[-1])
+    return np.nan

@@ -236,9 +236,10 @@ def test_constant_power_on_a_slide():
     mass, power, length = float(chain.bodies[0].mass + chain.armature[0]), 50.0, 0.8
     level = np.eye(4)
     level[:3, :3] = [[0.0, 0.0, 1.0], [1.0, 0.0, 0.0], [0.0, 1.0, 0.0]]  # the slide's z is the world's x
-    moved = time_optimal(polyline([[0.1], [0.1 + length]]), 10.0, np.inf, 2000, chain=chain.mounted(level), power=power)
     half = (0.75 * length / np.sqrt(2.0 * power / mass)) ** (2.0 / 3.0)
-    assert 1.0 <= moved.duration / (2.0 * half) < 1.012  # the force is without end at first
+    for fastest in (10.0, np.inf):
+        moved = time_optimal(polyline([[0.1], [0.1 + length]]), fastest, np.inf, 2000, chain=chain.mounted(level), power=power)
+        assert 1.0 <= moved.duration / (2.0 * half) < 1.012  # the force is without end at first
 
 
 def test_drives_that_cannot_hold_the_arm_are_named(tmp_path):
@@ -299,6 +300,39 @@ def test_a_trajectory_is_shown_with_its_duration():
     shown = []
     jax.jit(lambda moved: shown.append(repr(moved)) or moved.duration)(both)
     assert shown[0].startswith("Trajectory(path=")
+
+
+@pytest.mark.parametrize("power", [1.0, 10.0])
+def test_a_weight_is_lifted_at_constant_power(power):
+    """It rises by P / (m g), and nearly all the time is spent at that; there is little to speed up."""
+    chain = jaxik.load("crops_v2").part(0, 1).mounted(np.eye(4))
+    steady = 0.8 * 9.81 * float(chain.bodies[0].mass) / power
+    moved = time_optimal(polyline([[0.1], [0.9]]), np.inf, np.inf, 60, chain=chain, power=power)
+    assert 1.0 <= moved.duration / steady < 1.05
+
+
+def test_power_sets_the_pace_however_few_the_places():
+    """Arms that are this weak do not feel their inertia: a tenth of the power takes ten times as long."""
+    chain, path = jaxik.load("crops_v2").part(0, 3), polyline([[0.1, 0.0, 0.5], [0.9, -0.5, 0.1], [0.3, 0.8, -0.9]])
+    weak, weaker = (time_optimal(path, np.inf, np.inf, 60, chain=chain, power=power) for power in (20.0, 2.0))
+    assert weaker.duration / weak.duration == pytest.approx(10.0, rel=0.01)
+    for moved, power in ((weak, 20.0), (weaker, 2.0)):
+        found, rate = _torques(chain, moved)
+        assert 0.99 * power < np.abs(found * rate).max() <= (1.0 + 1e-9) * power
+
+
+def test_drives_that_hardly_hold_take_no_age():
+    """With a ten-millionth more than the most that holds the arm still, which is between two moments: none."""
+    chain, path = jaxik.load("crops_v2").part(2, 3), polyline([[-1.5], [1.5]])
+    with jax.enable_x64(True):
+        held = jax.jit(jax.vmap(lambda q: inverse_dynamics(chain, q, np.zeros(1), np.zeros(1))))(
+            np.linspace(-1.5, 1.5, 9999)[:, None]
+        )
+    most = float(np.abs(held).max())
+    within = lambda more: time_optimal(path, 3.0, 5.0, 60, chain=chain, torque=most * (1.0 + more))
+    with pytest.raises(ValueError, match=r"joint3 needs .* Nm at waypoint .* to stand still"):
+        within(1e-7)
+    assert within(0.01).duration < 10.0
 
 
 def test_torque_limits_that_are_none():
