@@ -151,6 +151,7 @@ class EstimationLoop:
         """The state before the first step, which is compiled here. Raises `ValueError` for numbers that do not fit, and for a
         sample without what the estimator reads."""
         self._names = _names(sample) if isinstance(sample, Sample) else ()
+        self._lengths = [self.estimator.chain.num_joints] * len(self._names)
         row = self._checked(sample)
         with jax.enable_x64(True):
             begun, self._tree = jax.tree_util.tree_flatten(jax.eval_shape(self._begin, row))
@@ -170,21 +171,17 @@ class EstimationLoop:
         sample without what the first one had."""
         try:
             row = _row(sample, self._names)
+            fits = [len(getattr(sample, name)) for name in self._names] == self._lengths
         except (AttributeError, TypeError, ValueError):
-            row = self._checked(sample)
-        if row.shape != self._shape:
-            self._checked(sample)
+            fits = False
+        if not (fits and math.isfinite(np.add.reduce(row))):
+            row = self._checked(sample)  # which says what is wrong
         packed = np.concatenate([x.ravel() for x in jax.tree_util.tree_leaves(state)])
         (packed,) = self._run(packed[None], row[None])
         after = self._unpacked(packed[0])
         if not math.isfinite(after.external.sum()):
-            self._checked(sample)
             raise ValueError("estimation loop: the estimate is no number any more; start again")
         return after
-
-    @property
-    def _shape(self) -> tuple[int]:
-        return (len(self._names) * self.estimator.chain.num_joints,)
 
     def _checked(self, sample: Sample) -> np.ndarray:
         given = _checked("estimation loop", self.estimator, sample, of_log=False)

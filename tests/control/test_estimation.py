@@ -103,6 +103,9 @@ def test_a_loop_is_what_a_log_is(log, estimator, monkeypatch):
         (bad._replace(q=[0.0, 0.0, 0.0]), r"q of shape \(3,\); allowed: \(2,\)"),
         (bad._replace(q=0.0), r"q of shape \(\); allowed: \(2,\)"),
         (samples[0]._replace(current=None), r"the sample has no current; give Sample\(..., current=\)"),
+        (samples[0]._replace(q=np.zeros(3), qdot=np.zeros(1)), r"q of shape \(3,\)"),  # as many numbers in all
+        (samples[0]._replace(q=["a", "b"]), "q: list that is no array of numbers"),
+        (samples[0]._replace(q=[np.nan, 0.0]), "q holds nan, q1"),  # which turns about gravity, and changes no torque
         (bad._asdict(), "estimation loop: sample is .*; write a jaxik.control.Sample"),
     ):
         with pytest.raises(ValueError, match=says):
