@@ -14,7 +14,7 @@ import numpy as np
 from jaxtyping import Bool, Float
 
 from jaxik.checks.arrays import numbers
-from jaxik.checks.options import as_count, check_finite, shown
+from jaxik.checks.options import as_count, check_finite, check_kind, shown
 from jaxik.pytree import Pytree
 from jaxik.robot.chain import Array
 
@@ -41,9 +41,12 @@ class Detector(Pytree):
 def detect(detector: Detector, external: Any, qdot: Any) -> Bool[np.ndarray, "*log n"]:
     """The alarms (..., t, n) of estimates (..., t, n) [Nm] at rates (..., t, n), the arm at rest before. Host driver.
 
-    Raises `ValueError` for shapes that do not fit, and for estimates that are not finite.
+    Raises `ValueError` for shapes that do not fit, and for estimates and rates that are not finite.
     """
+    check_kind("detect", "detector", detector, Detector)
     external, qdot = _pair("detect", external, qdot)
+    if (n := len(detector.threshold)) != external.shape[-1]:
+        raise ValueError(f"detect: external of {external.shape[-1]} joints, and a detector of {n}")
     blind = _blind(detector.rest, detector.memory, qdot)
     return np.abs(external) > detector.threshold + detector.band * blind
 
@@ -136,6 +139,7 @@ def _pair(who: str, external: Any, qdot: Any) -> tuple[np.ndarray, np.ndarray]:
     external, qdot = numbers(f"{who}: external", external), numbers(f"{who}: qdot", qdot)
     if external.shape != qdot.shape or external.ndim < 2:
         raise ValueError(f"{who}: external of shape {external.shape}, qdot of {qdot.shape}; allowed: (..., t, n) both")
-    if not np.isfinite(external).all():
-        raise ValueError(f"{who}: external holds {external[~np.isfinite(external)][0]}; write finite numbers")
+    for name, x in (("external", external), ("qdot", qdot)):
+        if not np.isfinite(x).all():
+            raise ValueError(f"{who}: {name} holds {x[~np.isfinite(x)][0]}; write finite numbers")
     return external, qdot

@@ -6,6 +6,7 @@ import pytest
 from jaxik.control import Detector, detect, fit_detector, judge_alarms
 
 RATES = np.ones((1, 100, 2))
+TWO = Detector(np.ones(2), np.zeros(2), np.zeros(2), 0)
 
 
 def test_thresholds_are_the_largest_errors_or_a_quantile():
@@ -55,7 +56,13 @@ def test_alarms_are_judged():
         (lambda: fit_detector(np.ones((5, 2)), np.ones((5, 2)), band=[1.0, 2.0, 3.0]), "band is .* each of 2 joints"),
         (lambda: fit_detector(np.ones((5, 2)), np.ones((5, 2)), rest=np.nan), "rest is nan; allowed: one number"),
         (lambda: fit_detector(np.full((5, 2), np.nan), np.ones((5, 2))), "external holds nan"),
+        (lambda: fit_detector(np.ones((5, 2)), np.full((5, 2), np.nan)), "fit_detector: qdot holds nan"),
+        (lambda: detect(TWO, np.ones((5, 2)), np.full((5, 2), np.nan)), "detect: qdot holds nan"),  # in a loop it is at rest
+        (lambda: detect(TWO, np.ones((5, 3)), np.ones((5, 3))), "detect: external of 3 joints, and a detector of 2"),
+        (lambda: detect(None, np.ones((5, 3)), np.ones((5, 3))), "detect: detector is None; write a jaxik.control.Detector"),
         (lambda: judge_alarms(np.zeros(3), np.zeros(4), 0.1), r"alarms of shape \(3,\)"),
+        (lambda: judge_alarms(np.zeros(3), np.zeros(3), 0.0), "judge_alarms: dt is 0.0; it is"),
+        (lambda: judge_alarms(np.zeros(3), np.zeros(3), 0.1, after=np.inf), "judge_alarms: after is inf"),
     ],
 )
 def test_refusals(call, says):
