@@ -4,6 +4,7 @@ from jaxik.identification.excitation import Excitation, ExcitationOptions, excit
 from jaxik.identification.fit import Identified, IdentifyOptions, identify
 from jaxik.identification.identifiable import BaseParameters, base_parameters
 from jaxik.identification.log import MotionLog
+from jaxik.identification.payload import IdentifiedLoad, LoadOptions, identify_load
 from jaxik.identification.pseudo_inertia import pseudo_inertias
 from jaxik.optimise.smoothing import Smoothed, smoothed
 
@@ -12,12 +13,15 @@ __all__ = [
     "Excitation",
     "ExcitationOptions",
     "Identified",
+    "IdentifiedLoad",
     "IdentifyOptions",
+    "LoadOptions",
     "MotionLog",
     "Smoothed",
     "base_parameters",
     "excite",
     "identify",
+    "identify_load",
     "pseudo_inertias",
     "smoothed",
 ]

@@ -9,10 +9,8 @@ import numpy as np
 from jaxik.identification.columns import LOADED
 from jaxik.identification.identifiable import BaseParameters
 from jaxik.identification.problem import Curve, Problem
+from jaxik.identification.weighted_fit import EXACT, TOLD, condition, weighted_fit
 
-WEIGHTED = 4  # fits, each weighted by the residuals of the one before
-EXACT = 1e-6  # of a joint's torque: noise is never less, or that joint would decide alone
-TOLD = 1e-9  # of the largest singular value: a combination of less is not told by the rows
 PARTS = np.geomspace(0.05, 4.0, 30)  # of a joint's usual speed, where its Stribeck velocity is looked for
 WIDEST = 3.0  # logarithms about the likely one: beyond, the curve is a step or flat where the joint moved
 GUESSED = 2  # rounds that begin from likely Stribeck velocities; those after have the load, and go on from those found
@@ -61,23 +59,9 @@ def _linear_fit(problem: Problem, base: BaseParameters, curve: Curve, coefficien
     columns, b = columns[:, base.kept], len(base)
     if coefficients is not None:
         columns = np.hstack([columns, bend * problem.steepness(coefficients)])
-    lengths = np.linalg.norm(columns, axis=0)
-    lengths = np.where(lengths > 0.0, lengths, 1.0)
-    columns = columns / lengths
-    rows, least = problem.counts.sum(axis=0), EXACT * np.sqrt(np.mean(problem.torque**2, axis=0))
-    noise = np.ones(len(rows))
-    for _ in range(WEIGHTED):
-        weight = 1.0 / noise[joint]
-        orthogonal, triangle = np.linalg.qr(columns * weight[:, None])
-        u, s, vt = np.linalg.svd(triangle)
-        told = s > TOLD * s[0]
-        value = vt[told].T @ ((orthogonal @ u[:, told]).T @ (torque * weight) / s[told])
-        noise = np.maximum(np.sqrt(np.bincount(joint, (columns @ value - torque) ** 2) / rows), least)
-    std = np.linalg.norm(vt[told] / s[told][:, None], axis=0)
-    std = np.where(np.any(np.abs(vt[~told]) > TOLD, axis=0), np.inf, std)
-    equal = np.linalg.svd(np.linalg.qr(columns[:, :b], mode="r"), compute_uv=False)
-    condition = float(equal[0] / max(equal[-1], 1e-300))
-    return BaseFit((value / lengths)[:b], (std / lengths)[:b], condition, noise, curve, False)
+    least = EXACT * np.sqrt(np.mean(problem.torque**2, axis=0))
+    fit = weighted_fit(columns, torque, joint, problem.counts.sum(axis=0), least)
+    return BaseFit(fit.value[:b], fit.std()[:b], condition(columns[:, :b]), fit.noise, curve, False)
 
 
 def _likely_stribeck(problem: Problem, base: BaseParameters, load: np.ndarray) -> np.ndarray:

@@ -24,6 +24,7 @@ from jaxik.collision.scene import Scene
 from jaxik.identification.clear_motion import ClearSpace
 from jaxik.identification.columns import Term, body_columns, check_terms, friction_columns, ratios, side_by_side
 from jaxik.identification.identifiable import base_parameters
+from jaxik.identification.weighted_fit import condition
 from jaxik.robot.chain import Chain, finite_limits
 from jaxik.robot.dynamics import body_parameters
 
@@ -166,9 +167,7 @@ class _Search:
 
     def condition(self, motion: np.ndarray) -> float:
         """Of the base parameters' columns at equal lengths."""
-        matrix = self.columns(motion).reshape(-1, len(self.base))
-        s = np.linalg.svd(matrix / np.maximum(np.linalg.norm(matrix, axis=0), 1e-300), compute_uv=False)
-        return float(s[0] / max(s[-1], 1e-300))
+        return condition(self.columns(motion).reshape(-1, len(self.base)))
 
 
 def half_range(chain: Chain, middle: np.ndarray, share: float) -> np.ndarray:

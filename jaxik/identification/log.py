@@ -25,7 +25,9 @@ class MotionLog(Constant):
     current: Float[Array, "k n"] | None = None
 
 
-def joined(chain: Chain, logs: MotionLog | Sequence[MotionLog]) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
+def joined(
+    chain: Chain, logs: MotionLog | Sequence[MotionLog], who: str = "identify"
+) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
     """Positions, rates, accelerations and the motors' torques at the joints (K, n) of all logs; springs are taken out.
 
     Raises `ValueError` for other shapes, for what is not finite, for joints that are far beyond their limits, and for currents
@@ -33,14 +35,13 @@ def joined(chain: Chain, logs: MotionLog | Sequence[MotionLog]) -> tuple[np.ndar
     """
     logs = list(logs) if isinstance(logs, Iterable) else [logs]
     if not logs:
-        raise ValueError("identify: no log; write a jaxik.identification.MotionLog, or several")
-    rows = [_checked(chain, i, log) for i, log in enumerate(logs, 1)]
+        raise ValueError(f"{who}: no log; write a jaxik.identification.MotionLog, or several")
+    rows = [_checked(f"{who}: log {i}", chain, log) for i, log in enumerate(logs, 1)]
     q, qdot, qddot, torque = (np.concatenate(each) for each in zip(*rows, strict=True))
     return q, qdot, qddot, torque
 
 
-def _checked(chain: Chain, place: int, log: MotionLog) -> list[np.ndarray]:
-    who = f"identify: log {place}"
+def _checked(who: str, chain: Chain, log: MotionLog) -> list[np.ndarray]:
     if not isinstance(log, MotionLog):
         raise ValueError(f"{who} is a {type(log).__name__}; write a jaxik.identification.MotionLog")
     if (log.torque is None) == (log.current is None):

@@ -31,10 +31,29 @@ class Found(NamedTuple):
 
 def physical_fit(problem: Problem, curve: Curve, noise: np.ndarray, known: np.ndarray, prior: float, steps: int) -> Found:
     """From the `known` bodies' parameters (10 n,) on; residuals count by the `noise` (n,), coordinates by the `prior`."""
+    columns, _, torque, joint = problem.rows(curve)
+    bounded = np.repeat([term != "asymmetry" for term in problem.terms], len(noise))
+    bodies, friction, settled = nearest_bodies(columns, torque, 1.0 / noise[joint], known, bounded, prior, steps)
+    off = columns @ np.append(bodies, friction) - torque
+    residual = np.sqrt(np.bincount(joint, off**2) / problem.counts.sum(axis=0))
+    coefficients = friction.reshape(len(problem.terms), len(noise))
+    return Found(bodies, dict(zip(problem.terms, coefficients, strict=True)), residual, settled)
+
+
+def nearest_bodies(
+    columns: np.ndarray,
+    torque: np.ndarray,
+    weight: np.ndarray,
+    known: np.ndarray,
+    bounded: np.ndarray,
+    prior: float,
+    steps: int,
+) -> tuple[np.ndarray, np.ndarray, bool]:
+    """Bodies (n, 10) around those `known` (10 n,) and other coefficients (c,), at least 0 where `bounded` (c,), which explain
+    rows (r, 10 n + c) and (r,), by their weights (r,); and whether the search came to an end."""
     from scipy.optimize import least_squares
 
-    columns, _, torque, joint = problem.rows(curve)
-    around, weight, n = Bodies(known), 1.0 / noise[joint], len(noise)
+    around, n = Bodies(known), len(known) // 10
     triangle = np.asarray(np.linalg.qr(np.column_stack([columns, torque]) * weight[:, None], mode="r"))
     triangle, right = triangle[:, :-1], triangle[:, -1]
     by_body = triangle[:, : 10 * n].reshape(-1, n, 10)
@@ -49,10 +68,8 @@ def physical_fit(problem: Problem, curve: Curve, noise: np.ndarray, known: np.nd
         moved = np.einsum("rbi,bix->rbx", by_body, slope).reshape(len(triangle), -1)
         return np.concatenate([np.hstack([moved, triangle[:, 10 * n :]]), held])
 
-    bounded = np.repeat([False] * 10 + [term != "asymmetry" for term in problem.terms], n)
+    bounded = np.append(np.zeros(10 * n, bool), bounded)
     first, lowest = np.where(bounded, FIRST, 0.0), np.where(bounded, 0.0, -np.inf)
     done = least_squares(residual, first, jacobian, (lowest, np.inf), x_scale=1.0, ftol=SETTLED, max_nfev=steps)
     bodies, _ = around.at(done.x[: 10 * n].reshape(n, 10))
-    off = columns @ np.append(bodies, done.x[10 * n :]) - torque
-    friction = dict(zip(problem.terms, done.x[10 * n :].reshape(len(problem.terms), n), strict=True))
-    return Found(bodies, friction, np.sqrt(np.bincount(joint, off**2) / problem.counts.sum(axis=0)), done.status > 0)
+    return bodies, done.x[10 * n :], done.status > 0

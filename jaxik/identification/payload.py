@@ -1,0 +1,213 @@
+"""What is at the tip, from motions with it and without.
+
+Behind their friction the drives give T = M qddot + b + g, and with a load of ten parameters phi (mass, moments, inertia about
+the tip's origin) Y phi more, Y being the regressor of what moves with the last joint. So of two logs of one motion
+
+    T_with - T_without - (what the model says of their states' difference) = Y phi
+
+in which all that both logs share is gone: wrong masses, friction, offsets of sensors [Khalil, Gautier, Lemoine 2007]. By least
+squares that is phi and its standard errors; and around that, as of whole arms, the nearest body that can be (`pseudo_inertia`),
+to which what the logs do not tell stays like a ball of water.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Sequence
+from typing import Any
+
+import jax
+import numpy as np
+from jaxtyping import Float
+from threadpoolctl import threadpool_limits
+
+from jaxik.checks.options import as_count, changed, check_finite, check_kind
+from jaxik.identification.fit import FAR, LEAST_PRIOR, SHARE
+from jaxik.identification.log import MotionLog, joined
+from jaxik.identification.physical_fit import nearest_bodies
+from jaxik.identification.pseudo_inertia import FROM_PSEUDO, TO_PSEUDO
+from jaxik.identification.weighted_fit import EXACT, condition, weighted_fit
+from jaxik.reasons import Reason, Reasoned
+from jaxik.robot.actuation import torque_of_current
+from jaxik.robot.chain import Chain, steiner
+from jaxik.robot.dynamics import INERTIAL, inverse_dynamics, regressor
+from jaxik.spmd.host import host_kernels
+
+APART = 0.1  # [rad, m] by which two logs of one motion may differ, for a load bends an arm
+LIGHTEST = 1e-3  # [kg] that a load is looked for around
+WATER = 1000.0  # [kg/m3]
+TENSOR = np.array([[4, 5, 7], [5, 6, 8], [7, 8, 9]])  # where a body's parameters have its inertia
+
+
+@dataclasses.dataclass(frozen=True)
+class LoadOptions:
+    """Rows in which a joint is slower than `slowest` [rad/s, m/s] do not count for it, for at rest friction has no law; 0
+    counts all, of torques that are measured behind friction. `prior` is how far the load may be from a ball of water where the
+    logs do not say, as a logarithm. Beyond a `condition` number of mass and moments the reason is UNEXCITED. A load that can be
+    is found in `steps`, at most."""
+
+    slowest: float = 0.05
+    prior: float = 1.0
+    condition: float = 1000.0
+    steps: int = 1000
+
+
+@dataclasses.dataclass(frozen=True, eq=False, repr=False)
+class IdentifiedLoad(Reasoned):
+    """A load as `chain.with_load(mass, com, inertia)` takes it: `mass` [kg], centre of gravity `com` (3,) [m] and `inertia`
+    (3, 3) [kg m2] about that, in the tip's axes; their standard errors `mass_std`, `com_std`, `inertia_std`, infinite where the
+    logs do not tell; the `condition` number of mass and moments (columns of equal length); of each joint the root mean square
+    `residual` (n,) [Nm, N] and the `rows` that counted; and the `reason`: SOLVED, UNEXCITED or NOT_CONVERGED."""
+
+    mass: float
+    com: np.ndarray
+    inertia: np.ndarray
+    mass_std: float
+    com_std: np.ndarray
+    inertia_std: np.ndarray
+    condition: float
+    residual: np.ndarray
+    rows: np.ndarray
+    reason: Reason
+
+    def __repr__(self) -> str:
+        told = lambda value, std: ", ".join(f"{v:.4g} +- {s:.2g}" for v, s in zip(value, std, strict=True))
+        upper = np.triu_indices(3)
+        return (
+            f"IdentifiedLoad: {self.reasons}\n"
+            f"  mass {told([self.mass], [self.mass_std])} kg\n"
+            f"  com {told(self.com, self.com_std)} m\n"
+            f"  inertia xx, xy, xz, yy, yz, zz {told(self.inertia[upper], self.inertia_std[upper])} kg m2"
+        )
+
+
+def identify_load(
+    chain: Chain,
+    loaded: MotionLog | Sequence[MotionLog],
+    empty: MotionLog | Sequence[MotionLog] | None = None,
+    options: LoadOptions = LoadOptions(),
+    **changes: Any,
+) -> IdentifiedLoad:
+    """The load at the chain's tip, from a log of a motion with it, and better one of the same motion without. Host driver.
+
+    `chain` is the arm without the load. Both logs are to begin at the same moment of the motion: row by row they are compared,
+    and what they share, errors of the model and friction, goes out. Friction that grows with the load is what the chain's
+    drives say of it. Without `empty` all that the model does not know counts for the load: use the chain that `identify` found.
+    `changes` are fields of the options.
+
+    Raises `ValueError` for logs and options that cannot be used, and for logs of different motions. Sources: Khalil, Gautier,
+    Lemoine 2007; Rucker, Wensing 2022.
+    """
+    check_kind("identify_load", "chain", chain, Chain)
+    options = changed("identify_load", options, changes)
+    check_finite("identify_load", 0.0, slowest=options.slowest, condition=options.condition)
+    check_finite("identify_load", LEAST_PRIOR, prior=options.prior)
+    as_count("identify_load: steps", options.steps)
+    q, qdot, qddot, torque = joined(chain, loaded, "identify_load")
+    missing, counts = _missing(chain, q, qdot, qddot, torque), np.abs(qdot) >= options.slowest
+    if empty is not None:
+        others = joined(chain, empty, "identify_load: empty")
+        _check_one_motion(chain, q, others[0])
+        missing -= _missing(chain, *others)
+        counts &= (np.abs(others[1]) >= options.slowest) & (qdot * others[1] >= 0.0)
+    counts &= np.isfinite(missing)  # a drive that locks itself says nothing
+    if (rows := int(counts.sum())) < 2 * INERTIAL:
+        mend = "log a longer motion; of torques measured behind friction write slowest=0"
+        raise ValueError(f"identify_load: {rows} values faster than slowest={options.slowest:g}; {mend}")
+    with jax.enable_x64(True):
+        columns = _regressors(chain)(q, qdot, qddot)[0] @ _of_tip(np.asarray(chain.joint_T_tip))
+    with threadpool_limits(1, "blas"):
+        return _found(columns, missing, counts, np.sqrt(np.mean(torque**2, axis=0)), options)
+
+
+def _found(
+    columns: np.ndarray, missing: np.ndarray, counts: np.ndarray, usual: np.ndarray, options: LoadOptions
+) -> IdentifiedLoad:
+    """Of Y (k, n, 10), Y phi (k, n), which rows count (k, n), and what torques usually are (n,)."""
+    rows, joint = np.maximum(counts.sum(axis=0), 1), np.nonzero(counts)[1]
+    columns, missing = columns[counts], missing[counts]
+    fit = weighted_fit(columns, missing, joint, rows, np.maximum(EXACT * usual, 1e-12))
+    known = _ball(fit.value)
+    bodies, _, settled = nearest_bodies(
+        columns, missing, 1.0 / fit.noise[joint], known, np.zeros(0, bool), options.prior, options.steps
+    )
+    residual = np.sqrt(np.bincount(joint, (columns @ bodies[0] - missing) ** 2, len(usual)) / rows)
+    arrived = np.all(residual <= np.maximum(FAR * fit.noise, SHARE * usual))
+    mass, com, inertia = _split(_as_body(bodies[0]))
+    mass_std, com_std, inertia_std = _split(fit.std(_slope(bodies[0])))
+    excited = condition(columns[:, :4])
+    reason = Reason.UNEXCITED if excited > options.condition else Reason.SOLVED
+    return IdentifiedLoad(
+        mass=float(mass),
+        com=com,
+        inertia=inertia,
+        mass_std=float(mass_std),
+        com_std=com_std,
+        inertia_std=inertia_std,
+        condition=excited,
+        residual=residual,
+        rows=counts.sum(axis=0),
+        reason=reason if settled and arrived else Reason.NOT_CONVERGED,
+    )
+
+
+def _check_one_motion(chain: Chain, q: np.ndarray, other: np.ndarray) -> None:
+    mend = "play one motion with and without the load, and cut both logs at the same moments; or leave empty out"
+    if q.shape != other.shape:
+        raise ValueError(f"identify_load: {len(q)} rows with the load, {len(other)} without; {mend}")
+    apart = np.abs(q - other)
+    if apart.max() > APART:
+        row, joint = np.unravel_index(np.argmax(apart), apart.shape)
+        where = f"{chain.joint_names[joint]} is {apart.max():.3g} apart in row {row} of the two logs"
+        raise ValueError(f"identify_load: {where}, allowed: {APART:g}; {mend}")
+
+
+def _missing(chain: Chain, q: np.ndarray, qdot: np.ndarray, qddot: np.ndarray, torque: np.ndarray) -> np.ndarray:
+    """What the drives give behind friction beyond what the model asks for (k, n)."""
+    with jax.enable_x64(True):
+        return np.array(_beyond(chain)(q, qdot, qddot, torque)[0])
+
+
+@host_kernels(4)
+def _beyond(chain: Chain, q: Any, qdot: Any, qddot: Any, torque: Any) -> Any:
+    if chain.drives:
+        gain = np.array([float(drive.ratio * drive.torque_constant) for drive in chain.drives])
+        springs = np.array([float(drive.spring_force) for drive in chain.drives])
+        torque = torque_of_current(chain, (torque - springs) / gain, qdot)
+    return torque - inverse_dynamics(chain, q, qdot, qddot)
+
+
+@host_kernels(3)
+def _regressors(chain: Chain, q: Any, qdot: Any, qddot: Any) -> Any:
+    """Y of what moves with the last joint (n, 10)."""
+    return regressor(chain, q, qdot, qddot)[:, -INERTIAL:]
+
+
+def _of_tip(joint_T_tip: Float[np.ndarray, "4 4"]) -> np.ndarray:
+    """Of parameters in the tip's frame those in the last joint's (10, 10): P' = T P T'."""
+    pseudo = TO_PSEUDO.reshape(INERTIAL, 4, 4)
+    return np.asarray(((joint_T_tip @ pseudo @ joint_T_tip.T).reshape(INERTIAL, 16) @ FROM_PSEUDO).T)
+
+
+def _ball(told: np.ndarray) -> np.ndarray:
+    """The parameters (10,) of a ball of water with the mass and the centre of gravity of these."""
+    mass = max(float(told[0]), LIGHTEST)
+    com = np.clip(told[1:4] / mass, -1.0, 1.0)
+    radius = (mass / WATER * 3.0 / (4.0 * np.pi)) ** (1.0 / 3.0)
+    inertia = steiner(mass, com) + 0.4 * mass * radius**2 * np.eye(3)
+    return np.array([mass, *(mass * com), *inertia[[0, 0, 1, 0, 1, 2], [0, 1, 1, 2, 2, 2]]])
+
+
+def _as_body(parameters: np.ndarray) -> np.ndarray:
+    """Mass, centre of gravity and inertia about that (13,), of ten parameters about the origin."""
+    mass, com = parameters[0], parameters[1:4] / parameters[0]
+    return np.concatenate([[mass], com, (parameters[TENSOR] - steiner(mass, com)).ravel()])
+
+
+def _slope(parameters: np.ndarray) -> np.ndarray:
+    """Its derivative (13, 10), by steps that are imaginary, and so as small as can be."""
+    return np.array([_as_body(parameters + 1e-30j * one).imag / 1e-30 for one in np.eye(INERTIAL)]).T
+
+
+def _split(body: np.ndarray) -> tuple[Any, np.ndarray, np.ndarray]:
+    return body[0], body[1:4], body[4:].reshape(3, 3)

@@ -1,0 +1,122 @@
+"""What is at the tip: of Pinocchio's torques and of MuJoCo's arm, with friction that the model does not know."""
+
+import dataclasses
+
+import numpy as np
+import pinocchio as pin
+import pytest
+from rigid_truth import of_chain
+
+import jaxik
+from jaxik.identification import MotionLog, identify_load, pseudo_inertias
+from jaxik.reasons import Reason
+from jaxik.robot import Drive, Friction
+
+WRIST = dataclasses.replace(jaxik.load("crops_v2").part(3, 9), drives=(), armature=np.zeros(6))
+MASS, COM = 1.3, np.array([0.02, -0.03, 0.06])
+TENSOR = np.array([[4e-3, 5e-4, -2e-4], [5e-4, 6e-3, 3e-4], [-2e-4, 3e-4, 5e-3]])
+TIME = np.arange(0.0, 10.0, 0.02)[:, None]
+RATE, PHASE = 2.0 * np.pi / 10.0 * np.array([2.0, 3.0, 5.0, 4.0, 7.0, 6.0]), np.arange(6.0)
+
+
+def motion(shake=0.0):
+    """Two sines a joint, the second of them small."""
+    angle, found = RATE * TIME + PHASE, []
+    for order in range(3):
+        wave = RATE**order * (np.sin, np.cos, lambda x: -np.sin(x))[order](angle)
+        more = (3.0 * RATE) ** order * (np.cos, lambda x: -np.sin(x), lambda x: -np.cos(x))[order](3.0 * angle)
+        found.append(wave + shake * more)
+    return found
+
+
+def pinocchios(chain, moved, load=None):
+    """Torques of a motion, gravity down along the base's z."""
+    model = of_chain(chain)
+    if load is not None:
+        model.appendBodyToJoint(model.njoints - 1, pin.Inertia(*load), pin.SE3(np.array(chain.joint_T_tip)))
+    data = model.createData()
+    return np.array([pin.rnea(model, data, *row) for row in zip(*moved, strict=True)])
+
+
+@pytest.fixture(scope="module")
+def logs():
+    """Of an arm that is built otherwise, rubs, and does not quite move alike in both; the torques have noise."""
+    heavier = [dataclasses.replace(b, mass=np.asarray(1.2 * b.mass), com=b.com + 0.01) for b in WRIST.bodies]
+    built, rng = dataclasses.replace(WRIST, bodies=tuple(heavier)), np.random.default_rng(0)
+    found = []
+    for load, shake in (((MASS, COM, TENSOR), 0.0), (None, 1e-3)):
+        moved = motion(shake)
+        torque = pinocchios(built, moved, load) + 3.0 * np.sign(moved[1]) + 2.0 * moved[1]
+        found.append(MotionLog(*moved, torque=torque + 0.02 * rng.normal(size=torque.shape)))
+    return found
+
+
+def test_against_pinocchio(logs):
+    found = identify_load(WRIST, *logs)
+    assert found.reason == Reason.SOLVED and found.success
+    assert abs(found.mass - MASS) <= min(0.02, 4.0 * found.mass_std)
+    assert np.all(np.abs(found.com - COM) <= np.minimum(2e-3, 4.0 * found.com_std))
+    assert np.all(np.abs(found.inertia - TENSOR) <= 4.0 * found.inertia_std) and found.inertia_std.max() < 2e-3
+    carried = WRIST.with_load(found.mass, found.com, found.inertia)
+    exact = WRIST.with_load(MASS, COM, TENSOR)
+    q = motion()[0][7]
+    np.testing.assert_allclose(jaxik.robot.gravity_torque(carried, q), jaxik.robot.gravity_torque(exact, q), atol=0.1)
+    assert f"mass {found.mass:.4g} +- {found.mass_std:.2g} kg" in repr(found)
+
+
+def test_exact_torques_are_exact():
+    """Of torques behind friction, without a second log, at rest too: of postures mass and centre alone are told."""
+    moved = [x[::10] for x in motion()]
+    found = identify_load(WRIST, MotionLog(*moved, torque=pinocchios(WRIST, moved, (MASS, COM, TENSOR))), slowest=0.0)
+    assert abs(found.mass - MASS) <= 1e-6 and np.abs(found.com - COM).max() <= 1e-6
+    np.testing.assert_allclose(found.inertia, TENSOR, atol=1e-6)
+    still = [moved[0], 0.0 * moved[0], 0.0 * moved[0]]
+    poses = MotionLog(*still, torque=pinocchios(WRIST, still, (MASS, COM, TENSOR)))
+    found = identify_load(WRIST, poses, slowest=0.0)
+    assert found.success and abs(found.mass - MASS) <= 1e-4 and np.abs(found.com - COM).max() <= 1e-4
+    assert np.isinf(found.inertia_std).all() and np.isfinite(found.com_std).all()
+    body = WRIST.with_load(found.mass, found.com, found.inertia)
+    assert np.linalg.eigvalsh(pseudo_inertias(np.asarray(jaxik.robot.body_parameters(body)))).min() > 0.0
+
+
+def test_of_a_simulated_arm():
+    """MuJoCo's, with drives whose friction the model has a fifth too small, and sensors of currents that are noisy."""
+    drive = Drive(ratio=100.0, torque_constant=0.05, rotor_inertia=1e-5, friction=Friction(coulomb=2.0, viscous=1.0))
+    model = WRIST.with_drives([drive] * 6)
+    rubs = dataclasses.replace(drive.friction, coulomb=2.4)
+    arm = model.with_drives([dataclasses.replace(drive, friction=rubs)] * 6)
+    ways = np.array([[-0.6] * 6, [0.6, 0.8, -0.5, 0.7, 0.9, -0.8], [0.1, -0.7, 0.6, -0.8, -0.9, 0.8]])
+    plan = jaxik.planning.quintic([ways[0], ways[1], ways[2]], velocity=1.0, acceleration=3.0)
+    sensors = jaxik.control.Instruments(current_noise=0.01)
+    logs = []
+    for each in (arm.with_load(MASS, COM, TENSOR), arm):
+        log = jaxik.control.play(each, plan, model=model, instruments=sensors, dt=2e-3)
+        logs.append(MotionLog(log.q, log.qdot, np.gradient(log.qdot, log.t, axis=0), current=log.current))
+    found = identify_load(model, *logs, slowest=0.1)
+    assert abs(found.mass - MASS) <= 0.05 and np.abs(found.com - COM).max() <= 0.01
+    alone = identify_load(model, logs[0], slowest=0.1)
+    assert abs(alone.mass - MASS) > abs(found.mass - MASS)
+
+
+FAULTS = {
+    "500 rows with the load, 499 without": lambda log: dict(
+        empty=MotionLog(*(x[1:] for x in (log.q, log.qdot, log.qddot)), torque=log.torque[1:])
+    ),
+    "is 2 apart in row .* of the two logs, allowed: 0.1": lambda log: dict(empty=dataclasses.replace(log, q=-log.q)),
+    "0 values faster than slowest=50; log a longer motion": lambda log: dict(slowest=50.0),
+    "identify_load: empty: log 1 is a str; write a": lambda log: dict(empty="empty"),
+    "prior is 0; it is a finite number of at least": lambda log: dict(prior=0),
+    "unknown option 'mass'": lambda log: dict(mass=1.0),
+}
+
+
+@pytest.mark.parametrize("line", FAULTS)
+def test_faults_in_one_line(logs, line):
+    with pytest.raises(ValueError, match=line) as caught:
+        identify_load(WRIST, logs[0], **FAULTS[line](logs[1]))
+    assert "\n" not in str(caught.value)
+
+
+def test_what_no_load_explains(logs):
+    """A load that was taken away rather than added."""
+    assert identify_load(WRIST, *logs[::-1]).reason == Reason.NOT_CONVERGED
