@@ -15,6 +15,7 @@ from jaxik.control.operation import Grip, Operated, operate
 from jaxik.control.passivity import Direct, PassivityController, WaveVariables
 from jaxik.control.plant import Gains, Instruments, Push, SimulatedLog, mujoco_model, play
 from jaxik.control.reaction import Command, Reaction, ReactionState
+from jaxik.control.reaction_loop import ReactionLoop
 from jaxik.control.reaction_simulation import Encounter, Reacted, simulate_reaction
 from jaxik.control.reflection import reflect, reflect_cost
 from jaxik.control.spring_contact import SpringContact, contact_cost
@@ -48,6 +49,7 @@ __all__ = [
     "RateControl",
     "Reacted",
     "Reaction",
+    "ReactionLoop",
     "ReactionState",
     "Recorded",
     "Sample",

@@ -6,8 +6,10 @@
 xdot is the speed of the contact along the force on the arm. Here it is sampled exactly: the speed that, held for a sample,
 takes a linear spring's force from the solution's value now to its value then.
 
-A contact that is lost is remembered, integral and all, and the memory fades with a time constant that goes from `fade_time`
-where it was lost to 0 at `fade_distance` from there. Table 4.1 has both numbers; how they act is ours.
+F counts from a threshold; once that is passed, below it, too, so that a path that presses on meets it again gently: there
+the law only holds back, it does not press. Where contact is lost it is forgotten, integral and all, with a time constant
+that goes from `fade_time` there to 0 at `fade_distance` from there. Table 4.1 has both numbers; how they act is ours. What
+a space cannot do is not integrated.
 """
 
 from __future__ import annotations
@@ -58,16 +60,22 @@ class ForceLaw:
         """Before any contact. Traced."""
         return LawState(*(jnp.zeros((), dtype) for _ in LawState._fields))
 
+    def active(self, state: LawState, force: Any) -> Any:
+        """How far the law is in force, 0 to 1, of a force less its threshold [N]. Traced."""
+        return jnp.where(force > 0.0, 1.0, state.active)
+
     def speed(self, state: LawState, force: Any, stiffness: Any, dt: float) -> Any:
-        """How fast the contact is to move along the force on the arm [m/s], of the force above its threshold [N]. Traced."""
+        """How fast the contact is to move along the force on the arm [m/s], of a force less its threshold [N]. Traced."""
         (kept, back), _ = self.sampled(dt).tolist()
         return (force - kept * force - back * state.integral) / (stiffness * dt)
 
-    def step(self, state: LawState, force: Any, touching: Any, moved: Any, dt: float) -> LawState:
-        """After a sample in which the contact moved by `moved` [m] along the force. Traced."""
+    def step(self, state: LawState, force: Any, lost: Any, done: Any, moved: Any, dt: float) -> LawState:
+        """After a sample in which the contact, where it is not `lost`, moved by `moved` [m] along the force, and the share
+        `done` of what was asked was done. Traced."""
         _, (gained, kept) = self.sampled(dt).tolist()
-        away = jnp.where(touching, 0.0, state.away + jnp.maximum(moved, 0.0))
+        away = jnp.where(lost, jnp.maximum(state.away + moved, 0.0), 0.0)
         left = jnp.maximum(1.0 - away / self.fade_distance, 1e-9)
-        fades = jnp.exp(-dt / (self.fade_time * left))
-        integral = jnp.where(touching, gained * force + kept * state.integral, fades * state.integral)
-        return LawState(integral, jnp.where(touching, 1.0, fades * state.active), away)
+        fades = jnp.where(lost, jnp.exp(-dt / (self.fade_time * left)), 1.0)
+        grown = gained * force + (kept - 1.0) * state.integral
+        integral = jnp.maximum(state.integral + done * grown, 0.0)
+        return LawState(fades * integral, fades * self.active(state, force), away)

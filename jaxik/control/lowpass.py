@@ -31,6 +31,11 @@ class Butterworth:
         if not 0.0 < 2.0 * self.cutoff * self.dt < 1.0:
             raise ValueError(f"butterworth: cutoff {self.cutoff:g} Hz at dt {self.dt:g} s; allowed: 0 to 1 / (2 dt), both > 0")
 
+    @property
+    def settling(self) -> float:
+        """[s] until it has forgotten a step, to some percent."""
+        return 0.25 * self.order / self.cutoff
+
     @functools.cached_property
     def sections(self) -> np.ndarray:
         """(s, 6), SciPy's `sos`."""

@@ -65,8 +65,8 @@ class Command(Reasoned):
 
 class ReactionState(NamedTuple):
     """What is kept from sample to sample: of k contacts the link's `joint` count (k,), the `point` (k, 3) and the last
-    `direction` (k, 3) of the forces, as parts of their root of squares; the filters, the depth [m], the stiffness; the laws of
-    the null space and of the task; the last command's rates (n,)."""
+    `direction` (k, 3) of the forces, as parts of their root of squares; the filters, the depth [m], how long there was
+    contact [s], the stiffness; the laws of the null space and of the task; the last command's rates (n,)."""
 
     joint: Float[Array, " k"]
     point: Float[Array, "k 3"]
@@ -74,6 +74,7 @@ class ReactionState(NamedTuple):
     filter: Float[Array, "s 2 k 3"]
     depth: Float[Array, ""]
     depth_filter: Float[Array, "s 2"]
+    since: Float[Array, ""]
     stiffness: StiffnessState
     law: LawState
     task_law: LawState
@@ -158,6 +159,7 @@ class Reaction:
             filter=of(zeros(k, 3)),
             depth=zeros(),
             depth_filter=of(zeros()),
+            since=zeros(),
             stiffness=self._estimator.init(q.dtype),
             law=law,
             task_law=law,
@@ -191,17 +193,19 @@ class Reaction:
         a = contact_torque(self.chain, q, Contact(state.joint, state.point, direction))
         moved = self.dt * (a @ qdot)
         depth_filter, depth = self._filtered(state.depth_filter, state.depth - moved)
-        known = self._estimator.step(state.stiffness, depth, felt, touching)
+        since = jnp.where(touching, state.since + self.dt, 0.0)
+        settled = 0.0 if self.filter is None else self.filter.settling
+        known = self._estimator.step(state.stiffness, depth, felt, since > settled)
         at = TaskAt(self.chain, q, motion, self.task)
-        above = jnp.maximum(felt - self.threshold, 0.0)
         laws = state.law, state.task_law
         if self.scheme == "rac":
+            above = jnp.maximum(felt - self.threshold, 0.0)
             rate = state.rate + self.dt * self._accelerations(at, state.rate, a, above)
         else:
             rate, laws = self._rates(at, a, state, felt, known.stiffness, moved)
         drift = [contact_jacobian(self.chain, q, *x) @ qdot for x in zip(state.joint, state.point, strict=True)]
         kept = state.joint, state.point + self.dt * jnp.stack(drift), direction
-        after = ReactionState(*kept, filtered, state.depth - moved, depth_filter, known, *laws, rate)
+        after = ReactionState(*kept, filtered, state.depth - moved, depth_filter, since, known, *laws, rate)
         acceleration = (rate - state.rate) / self.dt
         return after, Command(rate, acceleration, felt, known.stiffness, at.error, jnp.asarray(int(Reason.SOLVED), jnp.int32))
 
@@ -213,25 +217,26 @@ class Reaction:
         free = at.resolved(at.velocity(self.pull), downhill(self.chain, at.q, self.cost, self.alpha, self.weights), *how).rate
         away = inverse_weights(self.chain, self.weights, at.dtype) * a
         null = at.resolved(jnp.zeros(len(at.rows)), away, *how).rate
-        whole, law, task_law, dt = a @ away, state.law, state.task_law, self.dt
-        above, relaxed = (jnp.maximum(felt - least, 0.0) for least in (self.threshold, self.relaxation))
-        asked = self.law.speed(law, above, stiffness, dt)
-        total = free
+        above, law, task_law, total = felt - self.threshold, state.law, state.task_law, free
+
+        def gives_way(law: LawState, force: Any, along: Any, helping: bool = False) -> tuple[Any, LawState]:
+            """`total`, and more `along` (n,) as the law asks, and the law after it; `helping`, or below its threshold, only
+            where the contact does not move so yet."""
+            lacks = self.law.speed(law, force, stiffness, self.dt) - a @ total
+            lacks = jnp.where((force > 0.0) & (not helping), lacks, jnp.maximum(lacks, 0.0))
+            asked = self.law.active(law, force) * lacks
+            more = _bounded(asked * _share(along, a, a @ away), self.rate)
+            done = jnp.where(asked == 0.0, 1.0, jnp.clip(safe_divide(a @ more, asked), 0.0, 1.0))
+            return total + more, self.law.step(law, force, above <= 0.0, done, moved, self.dt)
+
         if self.scheme == "rmrc":
-            total = free + _bounded(self.scale * above * null, self.rate)
+            total = free + _bounded(self.scale * jnp.maximum(above, 0.0) * null, self.rate)
         elif self.scheme != "baseline":
-            along = {"task": away - null, "joint": away}.get(self.scheme, null)
-            active = jnp.where(above > 0.0, 1.0, law.active)
-            total = free + _bounded(active * (asked - a @ free) * _share(along, a, whole), self.rate)
+            total, law = gives_way(law, above, {"task": away - null, "joint": away}.get(self.scheme, null))
         if self.scheme == "multi":
-            more = jnp.maximum(self.law.speed(task_law, relaxed, stiffness, dt) - a @ total, 0.0)
-            active = jnp.where(relaxed > 0.0, 1.0, task_law.active)
-            total = total + _bounded(active * more * _share(away - null, a, whole), self.rate)
-        laws = (
-            self.law.step(law, above, above > 0.0, moved, dt),
-            self.law.step(task_law, relaxed, relaxed > 0.0, moved, dt),
-        )
-        return self._inside(at, at.rows @ total, total, self._limits.rates(at.q, state.rate, dt)), laws
+            total, task_law = gives_way(task_law, felt - self.relaxation, away - null, helping=True)
+        box = self._limits.rates(at.q, state.rate, self.dt)
+        return self._inside(at, at.rows @ total, total, box), (law, task_law)
 
     def _accelerations(self, at: TaskAt, rate: Any, a: Any, above: Any) -> Any:
         """Joint accelerations of the scheme "rac", whose loop is damped critically."""

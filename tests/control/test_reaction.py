@@ -13,6 +13,7 @@ from jaxik.control import (
     Encounter,
     ForceLaw,
     Reaction,
+    ReactionLoop,
     SpringContact,
     StiffnessEstimator,
     TouchSensor,
@@ -147,6 +148,26 @@ def test_a_batch_is_what_each_is_alone():
 
     together = jax.jit(jax.vmap(force))(shifts)
     np.testing.assert_allclose(together, [jax.jit(force)(shift) for shift in shifts], rtol=1e-9, atol=1e-9)
+
+
+def test_a_loop_is_what_a_simulation_is(monkeypatch):
+    monkeypatch.setattr(jaxik.control.reaction_loop, "_by_xla", None)  # it has a kernel
+    reaction = Reaction(ARM, "multi", task=TASK)
+    expected = simulated(reaction, 4)
+    loop, motions = ReactionLoop(reaction), jaxik.motions.motion(PATH, 6.0, 1e-3 * np.arange(4))
+    state, rate = loop.start(Q), np.zeros(4)
+    for k in range(4):
+        point = np.asarray(material_point(ARM, expected.q[k], 2, ELBOW))
+        asked = motions._replace(**{name: np.asarray(x)[k] for name, x in motions._asdict().items()})
+        felt = Contact(2, point, np.asarray(WALL.force(point)))
+        _, held = loop.step(state, expected.q[k], rate, asked, felt._replace(point=point * np.nan))
+        assert held.reasons == "invalid"
+        state, command = loop.step(state, expected.q[k], rate, asked, felt)
+        rate = command.rate
+        np.testing.assert_allclose(rate, expected.rate[k], atol=1e-12)
+    np.testing.assert_allclose(loop.unpacked(state).point[0], point, atol=1e-3)
+    with pytest.raises(ValueError, match=r"reaction loop: arrays of shapes .*; allowed: \(4,\), \(4,\)"):
+        loop.step(state, Q[:3], rate, asked, felt)
 
 
 @pytest.mark.parametrize(
