@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import Any
 
 from tables_collision import collision_markdown, mesh_markdown, model_markdown, motions_markdown, scaling_markdown
-from tables_forces import dynamics_markdown, identification_markdown, torque_markdown
+from tables_forces import dynamics_markdown, identification_markdown, torque_markdown, touch_markdown
 from tables_motions import (
     astar_markdown,
     harvest_motions_markdown,
@@ -41,6 +41,7 @@ TABLES = {
     "predictive_statistics.json": statistics_markdown,
     "sweep_benchmark.json": sweep_markdown,
     "torque_estimation.json": torque_markdown,
+    "touch.json": touch_markdown,
 }
 
 

@@ -1,6 +1,7 @@
 """What touches the arm, and what it does about it: external torque from motor currents and torsions, alarms, sensors of touch,
 reactions, and a plant to try them on; and a hand that steers the arm and feels what it feels."""
 
+from jaxik.control.contact_location import Located, locate_contact
 from jaxik.control.delay_line import DelayLine
 from jaxik.control.detection import Detector, Judged, detect, fit_detector, judge_alarms
 from jaxik.control.devices import GamePad, Keyboard, Recorded
@@ -41,6 +42,7 @@ __all__ = [
     "Judged",
     "KalmanFilter",
     "Keyboard",
+    "Located",
     "MomentumObserver",
     "Operated",
     "PassivityController",
@@ -71,6 +73,7 @@ __all__ = [
     "estimate",
     "fit_detector",
     "judge_alarms",
+    "locate_contact",
     "mujoco_model",
     "operate",
     "over_log",

@@ -1,0 +1,71 @@
+"""Where a link is touched, and how hard, from external torques alone: a sensor of touch without a skin.
+
+    tau = J_p(s)' F,   p on the link's axis at the share s:   for each s the least F, of all s the one that leaves least
+
+What few joints tell is little: of a force on what moves with k joints, k torques are all there is. With k < 3 some directions
+of the force are not felt at all, and the least force that explains the torques is given; with k = 3 any place on the link may
+explain them; from k = 4 on the place is told, too, but where axes are parallel, and for forces along the link, which act the
+same wherever they do [De Luca et al. 2006; Haddadin, De Luca, Albu-Schaeffer 2017, sec. V].
+"""
+
+from __future__ import annotations
+
+from typing import Any, NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Float
+
+from jaxik.checks.options import as_count
+from jaxik.optimise.linear import damped_solve
+from jaxik.robot.chain import Array, Chain, as_configuration, as_shaped
+from jaxik.robot.contact import Contact, contact_jacobian, material_point
+
+NOTHING = 1e-6  # of the squared torques' weight: smaller is not felt
+
+
+class Located(NamedTuple):
+    """A contact; the share `along` of the link's axis, 0 to 1; the torque that it does not explain, its root of squares [Nm];
+    and whether the torques tell `where` it is: not every place explains them as well."""
+
+    contact: Contact
+    along: Float[Array, ""]
+    residual: Float[Array, ""]
+    where: Any
+
+
+def locate_contact(
+    chain: Chain,
+    q: Float[Array, " n"],
+    external: Float[Array, " n"],
+    joint: int,
+    axis: Any,
+    places: int = 33,
+    noise: Any = 1e-3,
+) -> Located:
+    """The contact on a link that explains the `external` torques (n,) [Nm, N] best. Traced.
+
+    The link moves with the first `joint` joints; `axis` (2, 3) [m] are the ends of its axis in the last of these joints' frame,
+    of which `places` are tried. `noise` is what the torques are good to [Nm]. Raises `ValueError` for other shapes.
+    """
+    as_count("locate_contact: places", places)
+    q = as_configuration(chain, q)
+    torque = as_shaped("locate_contact: external", external, q.shape).astype(q.dtype)
+    ends = as_shaped("locate_contact: axis", axis, (2, 3)).astype(q.dtype)
+    mask = (jnp.arange(q.size) < joint).astype(q.dtype)
+    shares = jnp.linspace(0.0, 1.0, places, dtype=q.dtype)
+
+    def tried(share: Any) -> tuple[Any, Any, Any]:
+        point = material_point(chain, q, joint, ends[0] + share * (ends[1] - ends[0]))
+        rows = contact_jacobian(chain, q, joint, point)
+        square = rows @ rows.T
+        ridge = NOTHING * jnp.trace(square) * jnp.eye(3, dtype=q.dtype)
+        force = jnp.stack(damped_solve([*square + ridge], [*rows @ (mask * torque)], 0.0)[0])
+        return point, force, jnp.sum((mask * torque - force @ rows) ** 2)
+
+    points, forces, left = jax.lax.map(tried, shares)
+    best = jnp.argmin(left)
+    told = jnp.max(left) > left[best] + jnp.asarray(noise, q.dtype) ** 2 * np.sqrt(2.0 * chain.num_joints)
+    contact = Contact(jnp.asarray(joint), points[best], forces[best])
+    return Located(contact, shares[best], jnp.sqrt(left[best]), told)
