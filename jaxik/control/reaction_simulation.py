@@ -22,6 +22,7 @@ from jaxik.pytree import Pytree
 from jaxik.reasons import Reason, Reasoned
 from jaxik.robot.chain import Array, as_configuration
 from jaxik.robot.contact import Contact, contact_jacobian, material_point
+from jaxik.spatial.algebra import safe_sqrt
 from jaxik.spmd import kernel
 
 
@@ -85,7 +86,7 @@ def _simulation(reaction: Reaction, sensor: TouchSensor | None) -> Any:
         true = Contact(*map(jnp.stack, zip(*(_touched(chain, q, rate, each) for each in met), strict=True)))
         shown, felt = (shown, true) if sensor is None else sensor.step(shown, chain, q, true, noise)
         known, command = reaction.step(known, q, rate, motion(path, duration, time), felt)
-        force = jnp.sqrt(jnp.sum(true.force**2))
+        force = safe_sqrt(jnp.sum(true.force**2))
         sample = Reacted(q, command.rate, force, command.force, command.stiffness, command.error, command.reason)
         time = time + jnp.where(command.reason == int(Reason.SOLVED), dt, 0.0)
         return (q + dt * command.rate, command.rate, time, known, shown), sample

@@ -150,6 +150,18 @@ def test_a_batch_is_what_each_is_alone():
     np.testing.assert_allclose(together, [jax.jit(force)(shift) for shift in shifts], rtol=1e-9, atol=1e-9)
 
 
+def test_a_simulation_has_slopes():
+    """By the springs' stiffness, from before the contact on."""
+    gap = dataclasses.replace(WALL, point=AT + 1e-4 * NORMAL, normal=-NORMAL)
+    reaction = Reaction(ARM, "rmrc", task=TASK, limits=False)
+    final = lambda stiff: simulate_reaction(
+        reaction, PATH, 0.2, Q, Encounter(dataclasses.replace(gap, stiffness=stiff), 2, ELBOW), 150
+    ).force[-1]
+    slope = jax.jit(jax.grad(final))(60.0)
+    ends = [float(jax.jit(final)(60.0 + shift)) for shift in (1e-3, -1e-3)]
+    assert abs(slope) > 0.0 and float(slope) == pytest.approx((ends[0] - ends[1]) / 2e-3, rel=1e-4)
+
+
 def test_a_loop_is_what_a_simulation_is(monkeypatch):
     monkeypatch.setattr(jaxik.control.reaction_loop, "_by_xla", None)  # it has a kernel
     reaction = Reaction(ARM, "multi", task=TASK)
