@@ -1,6 +1,13 @@
 """What the joints' limits leave of the next sample's rates, so that no limit is ever met faster than a joint can stop:
 
-|qdot| <= v,   |qdot - qdot_before| <= a dt,   -sqrt(2 a (q - lower)) <= qdot <= sqrt(2 a (upper - q)),   q + dt qdot inside
+    |qdot| <= v,   |qdot - qdot_before| <= a dt,   -s(q - lower) <= qdot <= s(upper - q)
+
+s is from where samples that are each slower by a dt end on the limit: what is left of the way is w = way / (a dt^2), and
+
+    s = (m + f) a dt,   w = m (m + 1) / 2 + f (m + 1),   0 <= f < 1,   m = 0, 1, ...
+
+a little less than sqrt(2 a way), which holds between samples alone and ends behind the limit by qdot dt / 2; way / dt in the
+last sample, or where a is infinite.
 """
 
 from __future__ import annotations
@@ -33,8 +40,15 @@ class RateLimits(NamedTuple):
     def rates(self, q: Any, qdot: Any, dt: float) -> Box:
         """What the rates (n,) of the next `dt` [s] must lie between, at q, after rates qdot. Traced."""
         lower, upper, velocity, acceleration = (jnp.asarray(x, q.dtype) for x in self)
-        # at a limit nothing is left of the way, and any acceleration, an infinite one too, stops there: not inf times 0
-        stop = lambda way: jnp.where(way > 0.0, jnp.minimum(way / dt, jnp.sqrt(2.0 * acceleration * way)), 0.0)
+
+        def stop(way: Any) -> Any:
+            endless = ~(jnp.isfinite(way) & jnp.isfinite(acceleration))
+            step = jnp.where(endless, 1.0, acceleration) * dt
+            left = jnp.where(endless | (way <= 0.0), 0.0, way) / (step * dt)
+            whole = jnp.floor((jnp.sqrt(1.0 + 8.0 * left) - 1.0) / 2.0)
+            part = jnp.clip((left - whole * (whole + 1.0) / 2.0) / (whole + 1.0), 0.0, 1.0)
+            return jnp.where(endless, jnp.maximum(way, 0.0) / dt, (whole + part) * step)
+
         low, high = jnp.maximum(-velocity, -stop(q - lower)), jnp.minimum(velocity, stop(upper - q))
         # what the acceleration allows, as far as the others do
         low_near, high_near = qdot - acceleration * dt, qdot + acceleration * dt
