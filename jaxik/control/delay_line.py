@@ -11,6 +11,7 @@ import numpy as np
 from jaxtyping import Float, Int
 
 from jaxik.checks.arrays import is_known, numbers
+from jaxik.checks.options import check_finite
 from jaxik.pytree import Pytree, static
 from jaxik.robot.chain import Array
 
@@ -44,10 +45,15 @@ class DelayLine(Pytree):
             if not (np.isfinite(late).all() and min(late) >= 0.0):
                 raise ValueError(f"delay line: delay {late[0]:g} s, jitter {late[1]:g} s; allowed: finite, at least 0")
             longest = sum(late) if self.longest is None else self.longest
+            if not sum(late) <= longest < np.inf:
+                raise ValueError(
+                    f"delay line: longest {longest:g} s; allowed: finite, at least delay + jitter, {sum(late):g} s"
+                )
         elif self.longest is None:
             raise ValueError("delay line: a traced delay needs `longest` [s]; give the longest that a packet may take")
         else:
             longest = self.longest
+            check_finite("delay line", 0.0, longest=longest)
         object.__setattr__(self, "longest", float(longest))
 
     def _slots(self, dt: float) -> int:

@@ -20,11 +20,11 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float
 
-from jaxik.checks.options import check_choices
+from jaxik.checks.options import check_choices, check_finite
 from jaxik.costs import Cost
 from jaxik.motions.nullspace import FLOOR
 from jaxik.optimise.linear import damped_solve
-from jaxik.robot.chain import Array, Chain, as_configuration
+from jaxik.robot.chain import Array, Chain, as_configuration, as_numbers
 from jaxik.robot.contact import Contact, contact_torque
 from jaxik.robot.kinematics import jacobian
 from jaxik.spatial.algebra import safe_divide, safe_sqrt
@@ -38,11 +38,13 @@ def reflect(
     """The force (3,) [N] at the tip that stands for a contact anywhere on the arm, or for several, in base axes. Traced.
 
     `felt` by its "power"; by its "lever", (3.2); or by its "magnitude", (3.3), whatever the lever is. A contact that cannot
-    move the tip is not felt. Raises `ValueError` for another word.
+    move the tip is not felt. Raises `ValueError` for another word, and a length that is not above zero.
     """
     check_choices("reflect", felt=(felt, Felt))
+    check_finite("reflect", 1e-9, length=length)
     q = as_configuration(chain, q)
-    contact = Contact(contact.joint, *(jnp.asarray(x, q.dtype) for x in (contact.point, contact.force)))
+    point, force = (as_numbers(f"reflect: {x}", getattr(contact, x)).astype(q.dtype) for x in ("point", "force"))
+    contact = Contact(contact.joint, point, force)
     if felt == "power":
         rows = jacobian(chain, q)[: 6 if chain.num_joints >= 6 else 3]
         found, _ = damped_solve(list(rows @ rows.T), list(rows @ contact_torque(chain, q, contact)), FLOOR)
@@ -55,14 +57,18 @@ def reflect(
         way, size = towards @ contact_torque(chain, q, each), safe_sqrt(each.force @ each.force)
         return way * safe_divide(size, safe_sqrt(way @ way))
 
-    return one(contact) if contact.force.ndim == 1 else jnp.sum(jax.vmap(one)(contact), axis=0)
+    if force.ndim == 1:
+        return one(contact)
+    joints = jnp.broadcast_to(jnp.asarray(contact.joint), force.shape[:1])
+    return jnp.sum(jax.vmap(one)(contact._replace(joint=joints)), axis=0)
 
 
 def reflect_cost(
     chain: Chain, q: Float[Array, " n"], cost: Cost, gain: float = 1.0, length: float = 1.0
 ) -> Float[jax.Array, "3"]:
     """The force (3,) [N] at the tip that leads down a `cost` of the posture, (3.4), `gain` [N] a unit of it, in base axes.
-    Traced."""
+    Traced. Raises `ValueError` for a length that is not above zero."""
+    check_finite("reflect_cost", 1e-9, length=length)
     q = as_configuration(chain, q)
     return -gain * _towards(chain, q, length) @ jax.grad(cost)(q)
 
