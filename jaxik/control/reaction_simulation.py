@@ -13,7 +13,7 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Float, Int
 
-from jaxik.checks.options import as_count
+from jaxik.checks.options import as_count, check_kind
 from jaxik.control.reaction import Reaction
 from jaxik.control.spring_contact import SpringContact
 from jaxik.control.touch import TouchSensor
@@ -21,7 +21,7 @@ from jaxik.motions.path import Path, check_path, motion
 from jaxik.pytree import Pytree
 from jaxik.reasons import Reason, Reasoned
 from jaxik.robot.chain import Array, as_configuration
-from jaxik.robot.contact import Contact, contact_jacobian, material_point
+from jaxik.robot.contact import Contact, check_joint, contact_jacobian, material_point
 from jaxik.spatial.algebra import safe_sqrt
 from jaxik.spmd import kernel
 
@@ -64,9 +64,14 @@ def simulate_reaction(
     sensor's, of unit variance. While the arm is held still, so is the path's clock. Raises `ValueError` for another number of
     encounters, and what `motions.motion` raises.
     """
+    check_kind("simulate_reaction", "reaction", reaction, Reaction)
+    check_kind("simulate_reaction", "sensor", sensor, TouchSensor, optional=True)
     check_path("simulate_reaction", path, duration)
     as_count("simulate_reaction: steps", steps)
-    met = (encounters,) if isinstance(encounters, Encounter) else tuple(encounters)
+    met = tuple(encounters) if type(encounters) in (tuple, list) else (encounters,)  # one is a tuple, too
+    for each in met:
+        check_kind("simulate_reaction", "encounter", each, Encounter)
+        check_joint("simulate_reaction", reaction.chain, each.joint)
     if len(met) != reaction.contacts:
         raise ValueError(f"simulate_reaction: {len(met)} encounters; the reaction is one to {reaction.contacts} contacts")
     q = as_configuration(reaction.chain, q)

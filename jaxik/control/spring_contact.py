@@ -40,6 +40,9 @@ class SpringContact(Constant):
         check_finite("spring contact", 1.0, exponent=self.exponent)
         if is_known(self.normal):
             vars(self)["normal"] = direction("spring contact: normal", self.normal)
+        else:
+            along = as_given("spring contact: normal", self.normal, (3,))
+            vars(self)["normal"] = along / jnp.sqrt(along @ along)
         for name, shape in (("point", (3,)), ("stiffness", ()), ("loss", ())):
             given = vars(self)[name] = as_given(f"spring contact: {name}", getattr(self, name), shape)
             if is_known(given) and not (np.isfinite(given).all() and (name == "point" or given >= 0.0)):

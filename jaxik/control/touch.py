@@ -19,7 +19,7 @@ from jaxtyping import Float
 from jaxik.checks.arrays import direction, shaped
 from jaxik.checks.options import as_count, check_finite
 from jaxik.pytree import Constant
-from jaxik.robot.chain import Array, Chain
+from jaxik.robot.chain import Array, Chain, as_numbers
 from jaxik.robot.contact import Contact, material_point
 from jaxik.spatial.algebra import safe_divide, safe_sqrt
 
@@ -65,9 +65,14 @@ class TouchSensor:
         return SensorState(zeros(), zeros(contacts), zeros(contacts, 3), zeros(contacts, 3))
 
     def step(self, state: SensorState, chain: Chain, q: Any, true: Contact, noise: Any = 0.0) -> tuple[SensorState, Contact]:
-        """What it shows of a stack of true contacts at q (n,); `noise` is a sample of unit variance. Traced."""
-        joints = jnp.broadcast_to(jnp.asarray(true.joint), true.force.shape[:1])
-        shown = [self._shown(chain, q, Contact(*each), noise) for each in zip(joints, true.point, true.force, strict=True)]
+        """What it shows of a stack of true contacts at q (n,), or of one; `noise` is a sample of unit variance. Traced. Raises
+        `ValueError` for another number of contacts than it began with."""
+        point, force = (jnp.atleast_2d(as_numbers(f"touch sensor: {x}", getattr(true, x))) for x in ("point", "force"))
+        for name, x in (("point", point), ("force", force)):
+            if x.shape != state.force.shape:
+                raise ValueError(f"touch sensor: {name} has the shape {x.shape}; allowed: {state.force.shape}, as it began")
+        joints = jnp.broadcast_to(as_numbers("touch sensor: joint", true.joint), force.shape[:1])
+        shown = [self._shown(chain, q, Contact(*each), noise) for each in zip(joints, point, force, strict=True)]
         points, forces = (jnp.stack(x) for x in zip(*shown, strict=True))
         reads = state.wait <= 0.0
         take = lambda new, old: jnp.where(reads, new.astype(old.dtype), old)
@@ -99,6 +104,8 @@ class Skin(Constant):
 
     def __post_init__(self) -> None:
         points = np.atleast_2d(self.points)
+        if not points.size:
+            raise ValueError("skin: no points; allowed: (m, 3) of at least one cell")
         vars(self)["points"] = shaped("skin: points", self.points, (len(points), 3))
         normals = shaped("skin: normals", self.normals, (len(points), 3))
         vars(self)["normals"] = np.stack([direction(f"skin: normal {i}", x) for i, x in enumerate(normals)])

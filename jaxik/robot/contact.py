@@ -38,7 +38,7 @@ def material_point(chain: Chain, q: Float[Array, " n"], joint: Any, point: Any) 
 
     `joint` may be traced; 0 is the base. Raises `ValueError` for one that the chain does not have, and for other shapes.
     """
-    _check_joint("material_point", chain, joint)
+    check_joint("material_point", chain, joint)
     return _material_point(chain, q, joint, point)
 
 
@@ -59,7 +59,7 @@ def contact_jacobian(chain: Chain, q: Float[Array, " n"], joint: Any, point: Any
     `joint` may be traced. Raises `ValueError` for one that the chain does not have, and for other shapes. Source: Schuetz
     2017, (4.34).
     """
-    _check_joint("contact_jacobian", chain, joint)
+    check_joint("contact_jacobian", chain, joint)
     return _contact_jacobian(chain, q, joint, point)
 
 
@@ -75,7 +75,7 @@ def contact_torque(chain: Chain, q: Float[Array, " n"], contacts: Contact) -> Fl
 
     Raises `ValueError` as `contact_jacobian` does. Source: Schuetz 2017, (4.36), (4.37).
     """
-    _check_joint("contact_torque", chain, contacts.joint)
+    check_joint("contact_torque", chain, contacts.joint)
     return _contact_torque(chain, q, contacts)
 
 
@@ -86,7 +86,10 @@ def _contact_torque(chain: Chain, q: Any, contacts: Contact) -> jax.Array:
     if forces.shape[-1:] != (3,) or len(count) > 1:
         raise ValueError(f"contact_torque: force has the shape {forces.shape}; allowed: (3,), or (k, 3) of k contacts")
     points = as_shaped("contact_torque: point", contacts.point, forces.shape)
-    joints = jnp.broadcast_to(as_numbers("contact_torque: joint", contacts.joint), count)
+    joints = as_numbers("contact_torque: joint", contacts.joint)
+    if joints.shape not in ((), count):
+        raise ValueError(f"contact_torque: joint has the shape {joints.shape}; allowed: (), or {count} as of the forces")
+    joints = jnp.broadcast_to(joints, count)
     q = as_configuration(chain, q)
     frames, torque = joint_frames(chain, traced(q), dtype=q.dtype), [0.0] * chain.num_joints
     for k in np.ndindex(count):
@@ -113,11 +116,11 @@ def _placed(who: str, chain: Chain, q: Any, joint: Any, point: Any) -> tuple[Joi
     return joint_frames(chain, traced(q), dtype=q.dtype), joint, at, q.dtype
 
 
-def _check_joint(who: str, chain: Chain, joint: Any) -> None:
-    """Outside of the kernels, in which every number is traced."""
+def check_joint(who: str, chain: Chain, joint: Any) -> None:
+    """Raises `ValueError` for a known `joint` that the chain does not have: outside of kernels, in which each is traced."""
     check_kind(who, "chain", chain, Chain)
     if is_known(joint):
         given = numbers(f"{who}: joint", joint)
-        if not np.all((given >= 0) & (given <= chain.num_joints)):
+        if not np.all((given >= 0) & (given <= chain.num_joints) & (given == np.round(given))):
             moved = f"how many of the {chain.num_joints} joints of {chain.name} move the link, 0 to {chain.num_joints}"
             raise ValueError(f"{who}: joint is {shown(joint)}; it is {moved}")

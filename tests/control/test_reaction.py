@@ -195,6 +195,12 @@ def test_a_loop_is_what_a_simulation_is(monkeypatch):
         (lambda: StiffnessEstimator(start=5.0), "start 5 in 10 to 100000"),
         (lambda: Butterworth(cutoff=600.0), "cutoff 600 Hz at dt 0.001 s; allowed"),
         (lambda: simulate_reaction(Reaction(ARM, contacts=2), PATH, 1.0, Q, MET, 5), "1 encounters; the reaction is one to 2"),
+        (
+            lambda: simulate_reaction(Reaction(ARM), PATH, 1.0, Q, MET._replace(joint=5), 5),
+            "simulate_reaction: joint is 5; it is",
+        ),
+        (lambda: simulate_reaction(Reaction(ARM), PATH, 1.0, Q, WALL, 5), "write a jaxik.control.Encounter"),
+        (lambda: simulate_reaction(Reaction(ARM), PATH, 1.0, Q, MET, 5, "skin"), "write a jaxik.control.TouchSensor"),
         (lambda: simulate_reaction(Reaction(ARM), PATH, 1.0, Q, MET, 5, noise=[0.0]), r"noise has the shape \(1,\)"),
     ],
 )

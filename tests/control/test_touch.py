@@ -24,6 +24,8 @@ def test_a_force_is_minus_the_slope_of_the_energy():
         np.testing.assert_allclose(force, -jax.vmap(jax.grad(spring.energy))(points), atol=1e-9)
         outside = (points - LINEAR.point) @ NORMAL > 0.0
         assert outside.any() and not np.asarray(force)[outside].any()
+    traced = jax.jit(lambda normal: SpringContact(LINEAR.point, normal, 500.0).force(points[~outside][0]))(3.0 * NORMAL)
+    np.testing.assert_allclose(traced, LINEAR.force(points[~outside][0]), atol=1e-12)
     depth = 0.02
     assert np.linalg.norm(LINEAR.force(LINEAR.point - depth * NORMAL)) == pytest.approx(500.0 * depth)
 
@@ -64,6 +66,9 @@ def test_a_sensor_has_a_threshold_a_saturation_and_a_clock():
     np.testing.assert_allclose(direct.force, expected[:, None] * NORMAL, atol=1e-12)
     held = shown(TouchSensor(hold=4), size[:, None] * NORMAL)
     np.testing.assert_allclose(held.force @ NORMAL, expected[[0, 0, 0, 0, 4, 4, 4, 4, 8]], atol=1e-12)
+    sensor, point = TouchSensor(hold=1), np.zeros(3)
+    _, lone = sensor.step(sensor.init(), ARM, Q, Contact(2, point, [1.0, 1.0, 1.0]))  # each entry is below the threshold
+    np.testing.assert_allclose(lone.force, [[1.0, 1.0, 1.0]], atol=1e-12)
     off = shown(TouchSensor(hold=1, offset=0.5, noise=0.1), size[3:4, None] * NORMAL, noise=-2.0)
     np.testing.assert_allclose(off.force @ NORMAL, 1.7, atol=1e-12)
 
@@ -109,6 +114,15 @@ def test_a_skin_adds_up_its_cells():
         (lambda: TouchSensor(threshold=30.0), "saturation 20 N; allowed: above threshold 30 N"),
         (lambda: TouchSensor(hold=0), "hold is 0; allowed: a count"),
         (lambda: TouchSensor(normal=(0.0, 0.0, 0.0)), "touch sensor: normal is no direction"),
+        (
+            lambda: TouchSensor().step(TouchSensor().init(), ARM, Q, Contact(2, np.zeros((2, 3)), np.ones((2, 3)))),
+            r"touch sensor: point has the shape \(2, 3\); allowed: \(1, 3\)",
+        ),
+        (
+            lambda: TouchSensor().step(TouchSensor().init(), ARM, Q, Contact(2, None, np.ones(3))),
+            "touch sensor: point is None; write an array of numbers",
+        ),
+        (lambda: Skin(2, np.zeros((0, 3)), np.zeros((0, 3))), "skin: no points"),
         (lambda: Skin(2, np.zeros((3, 3)), np.zeros((2, 3))), r"skin: normals of shape \(2, 3\)"),
         (lambda: Skin(2, np.zeros((1, 3)), np.zeros((1, 3))), "skin: normal 0 is no direction"),
     ],

@@ -70,6 +70,11 @@ def test_several_contacts_add_up():
     ("call", "says"),
     [
         (lambda: contact_jacobian(CHAIN, Q[0], 10, POINT[0]), "joint is 10; it is how many of the 9 joints of crops_v2"),
+        (lambda: contact_jacobian(CHAIN, Q[0], 2.5, POINT[0]), "joint is 2.5; it is how many"),
+        (
+            lambda: contact_torque(CHAIN, Q[0], Contact([1, 2, 3], POINT[:2], FORCE[:2])),
+            r"joint has the shape \(3,\); allowed: \(\), or \(2,\)",
+        ),
         (lambda: contact_jacobian(CHAIN, Q[0], [1, 2], POINT[0]), r"joint has the shape \(2,\); allowed: one number"),
         (
             lambda: contact_torque(CHAIN, Q[0], Contact(1, POINT[:2], FORCE[0])),
