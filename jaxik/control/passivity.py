@@ -188,11 +188,18 @@ class WaveVariables(_Channel):
         return end, ((2.0 * self.impedance) ** 0.5 * u + force) / (2.0 * self.impedance)
 
     def reply(self, end: End, force: Any, velocity: Any, moved: Any, dt: float) -> tuple[End, Packet]:
-        """As `Channel` says. What the arm could not do is lost, as in a slipping clutch; where that would make energy, it is
-        as if the hand's velocity met a wall. Traced."""
-        slips = force @ (velocity - moved) <= self.impedance * velocity @ velocity
-        end = _sent(end, (2.0 * self.impedance) ** 0.5 * jnp.where(slips, velocity, moved) - end.now, dt)
+        """As `Channel` says. What the arm could not do is lost, as in a slipping clutch, as long as what the arm's end has
+        dissipated so far pays for it; then the line is matched, and swallows the whole wave. Traced."""
+        root, u = (2.0 * self.impedance) ** 0.5, end.now
+        lost = lambda v: dt * (root * u @ v - self.impedance * v @ v + force @ moved)
+        velocity = jnp.where(end.spare + lost(velocity) >= 0.0, velocity, u / root)
+        end = _sent(end._replace(spare=end.spare + lost(velocity)), root * velocity - u, dt)
         return end, end.sent
+
+    def share(self, end: End, force: Any, moved: Any, dt: float) -> Any:
+        """As `Channel` says. Traced."""
+        given, most = -dt * force @ moved, end.spare + 0.5 * dt * end.now @ end.now
+        return jnp.where(given > most, safe_divide(most, given), 1.0)
 
     def release(self, end: End, arrived: Packet) -> End:
         """The arm's end, without the waves that it has not played yet, and without their energy. Traced."""

@@ -232,8 +232,8 @@ class Teleoperation:
         able = jnp.maximum(slope @ spare, _ABLE * slope @ slope)
         rate = resolve(u + spare * safe_divide(lacks(rate), able))
         rate = jnp.clip(rate + slope * safe_divide(lacks(rate), slope @ slope), box.low, box.high)
-        slower = safe_divide(jnp.minimum(least, 0.0), slope @ rate)
-        rate = jnp.where(slope @ rate < least, jnp.clip(slower, 0.0, 1.0) * rate, rate)
+        least = jnp.minimum(least, 0.0)  # what is too near already leaves as fast as it can
+        rate = jnp.where(slope @ rate < least, safe_divide(least, slope @ rate) * rate, rate)
         after = clearance(self.chain, self.scene, q + self.dt * rate)
         return jnp.where(after >= jnp.minimum(self.margin, apart), rate, 0.0), apart
 
@@ -287,19 +287,24 @@ class TeleoperationLoop:
         self.teleoperation = teleoperation
         self._free = Contact(np.zeros(contacts, int), np.zeros((contacts, 3)), np.zeros((contacts, 3))) if contacts else None
         self._buttons = buttons
+        self._step: PackedStep | None = None
 
     def start(self, q: Any) -> TeleoperationState:
-        """The state before the first step, which is compiled here, at rest at q (n,). Raises `ValueError` for a q of another
+        """The state before the first step, at rest at q (n,); the first start compiles. Raises `ValueError` for a q of another
         shape, or that is not finite."""
         q = as_posture("teleoperation loop", self.teleoperation.chain, q)
         with jax.enable_x64(True):
             state = jax.tree_util.tree_map(np.asarray, self.teleoperation.init(q))
-        hand = Hand(np.zeros(3), np.zeros(3), np.zeros(self._buttons), 0.0)
-        self._step = PackedStep(lambda state, given: self.teleoperation.step(state, *given), state, (q, hand, self._free))
+        if self._step is None:
+            given = q, Hand(np.zeros(3), np.zeros(3), np.zeros(self._buttons), 0.0), self._free
+            self._step = PackedStep(lambda state, given: self.teleoperation.step(state, *given), state, given)
         return state
 
     def step(
         self, state: TeleoperationState, q: Any, hand: Hand, contacts: Contact | None = None
     ) -> tuple[TeleoperationState, TeleoperationCommand]:
-        """The state after a sample, and what to do in the next. Raises `ValueError` for numbers that do not fit."""
+        """The state after a sample, and what to do in the next. Raises `ValueError` for numbers that do not fit, and before
+        `start`."""
+        if self._step is None:
+            raise ValueError("teleoperation loop: not started; call start(q) first")
         return self._step(state, (q, hand, self._free if contacts is None else contacts))
