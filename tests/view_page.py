@@ -10,6 +10,7 @@ import itertools
 import shutil
 import sys
 import tempfile
+import threading
 import time
 from pathlib import Path
 
@@ -22,6 +23,7 @@ from selenium.webdriver.common.by import By
 
 import jaxik
 from jaxik.view.page import SHOWS, Page
+from jaxik.view.solids import frames
 
 STUDY = {
     "robot": "p6r",
@@ -96,6 +98,85 @@ def drag(driver, across, up):
     hold.move_by_offset(across // 2, -up // 2).pause(0.5).move_by_offset(across // 2, -up // 2).pause(0.5).release().perform()
 
 
+COUNT = """window.got = []; const Plain = window.Worker;
+window.Worker = class extends Plain { constructor(...given) {
+  super(...given); this.addEventListener("message", () => window.got.push(performance.now())) } };"""
+
+
+def tips(page, rows, ended):
+    """Where the target and the tip are, a hundred times a second while the target is dragged."""
+    while not ended.wait(0.01):
+        if page.steering.device.dragged:
+            rows.append((*page.gizmo.position, *frames(page.chain, page.q)[-1][:3, 3]))
+
+
+def steer(out):
+    """Drags the tip by the arrow along x: the arm follows, is recorded, and the recording is played and saved."""
+    page = Page(jaxik.load("p6r"), port=8092, teleop=True)
+    driver, rows, ended = browser(), [], threading.Event()
+    try:
+        driver.set_window_size(900, 600)
+        driver.execute_cdp_cmd("Page.addScriptToEvaluateOnNewDocument", {"source": COUNT})
+        driver.get(page.url)
+        settled(driver)
+        page.move(np.array([0.5, 0.1, 0.1, -0.9, 0.2, 0.6, 0.1]))
+        time.sleep(1.0)
+        tip = frames(page.chain, page.q)[-1][:3, 3]
+        for client in page.server.get_clients().values():
+            client.camera.look_at, client.camera.position = tuple(tip), tuple(tip + np.array([0.0, -0.9, 0.25]))
+        first = settled(driver)
+        canvas = driver.find_element(By.TAG_NAME, "canvas")
+        high, wide = canvas.size["height"], canvas.size["width"]
+        found, columns = np.nonzero(np.all(np.abs(first[:high, : int(0.62 * wide)] - PINK) < 40.0, axis=2))
+        driver.save_screenshot(str(out.with_stem(f"{out.stem}_to_steer")))
+        assert len(found), "the target is not seen"
+        head = np.argmax(np.where(np.abs(found - high / 2) < 60, columns, 0))
+        place = int(columns[head]) - wide // 2 - 6, int(found[head]) - high // 2
+        driver.find_element(By.XPATH, "//*[text()='Steer']").click()
+        time.sleep(1.0)
+        driver.find_element(By.XPATH, "//*[text()='Record']").click()
+        hold = ActionChains(driver, duration=50).move_to_element_with_offset(canvas, *place).pause(0.5).click_and_hold()
+        for k in range(40):
+            hold = hold.move_by_offset(2 if k < 20 else -1, 0)
+        watching = threading.Thread(target=tips, args=(page, rows, ended))
+        watching.start()
+        driver.execute_script("window.got = []")
+        hold.pause(1.0).release().perform()
+        ended.set()
+        watching.join()
+        got = np.array(driver.execute_script("return window.got")) / 1e3
+        seen = np.array(rows)
+        assert len(seen), "nothing was dragged"
+        apart, way = np.linalg.norm(seen[:, :3] - seen[:, 3:], axis=1), np.ptp(seen[:, 3:], axis=0).max()
+        driver.save_screenshot(str(out.with_stem(f"{out.stem}_steered")))
+        gaps = np.diff(got)
+        print(
+            f"steered over {1e3 * way:.0f} mm, at most {1e3 * apart.max():.1f} mm behind, {1e3 * apart[-1]:.2f} mm at its end"
+        )
+        print(
+            f"the browser got {1.0 / np.median(gaps):.0f} pictures a second, 95 % within {1e3 * np.percentile(gaps, 95):.0f} ms"
+        )
+        assert way > 0.02 and apart[-1] < 0.005, "the tip does not follow"
+        driver.find_element(By.XPATH, "//*[text()='Stop']").click()
+        settled(driver)
+        with tempfile.TemporaryDirectory() as folder:
+            page.steering.file.value = str(Path(folder) / "motion.json")
+            driver.find_element(By.XPATH, "//*[text()='Save']").click()
+            settled(driver)
+            assert (Path(folder) / "motion.json").stat().st_size > 1000, page.steering.kept.content
+        driver.find_element(By.XPATH, "//*[text()='Play the recording']").click()
+        settled(driver)
+        text = driver.find_element(By.TAG_NAME, "body").text
+        for words in ("Drag the arrows", "Hz", "samples", "near a joint's limit"):
+            assert words in text, f"the page lacks '{words}'"
+        severe = [e["message"] for e in driver.get_log("browser") if e["level"] == "SEVERE" and "favicon" not in e["message"]]
+        assert not severe, severe
+    finally:
+        ended.set()
+        driver.quit()
+        page.close()
+
+
 def main(out):
     scene = jaxik.load_scene("cucumber_row")
     chain = jaxik.load("p6r")
@@ -155,7 +236,8 @@ def main(out):
         finally:
             driver.quit()
             page.close()
-    print("1 passed, 0 failed")
+    steer(out)
+    print("2 passed, 0 failed")
 
 
 if __name__ == "__main__":

@@ -27,6 +27,8 @@ class ViewArguments(RobotArguments):
     """Harvest the scene first, to show the posture of each fruit."""
     motions: bool = False
     """And plan the motions that pick them, to play them."""
+    teleop: bool = False
+    """Steer the tip: drag it, the arm follows in real time."""
     host: str = "127.0.0.1"
     """Where the page is served; 0.0.0.0 shows it to the network."""
     port: int = 8080
@@ -47,6 +49,6 @@ class ViewArguments(RobotArguments):
         picked = jaxik.harvest(chain, scene) if harvest and scene is not None else None
         plan = plan_harvest(picked) if self.motions and picked is not None else None
         meshes = link_meshes(self.robot, self.tip, self.base, how["posture"])
-        page = Page(chain, scene, self.store, picked, self.host, self.port, meshes, plan)
+        page = Page(chain, scene, self.store, picked, self.host, self.port, meshes, plan, self.teleop)
         print(f"open {page.url} in a browser; Ctrl-C ends", flush=True)
         page.wait()

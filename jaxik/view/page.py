@@ -31,16 +31,18 @@ from jaxik.view.harvest_picture import fate, posture
 from jaxik.view.palette import COLOURS, FRUIT, INK, LEAF, OBSTACLE, ROBOT, WORDS, rgb, swatches
 from jaxik.view.player import Player
 from jaxik.view.solids import Solid, bones, box_solids, frames, scene_points, scene_solids, volume_solids
+from jaxik.view.steering import STEER, Steering
 
 MANY = 500  # solids, from which on each is drawn more coarsely
 THIN = 0.002  # [m] by which what is hit is drawn larger; triangles that are no thicker are drawn as sheets
-GOOD, BAD = COLOURS[Reason.SOLVED], COLOURS[Reason.COLLISION]
+GOOD, BAD, NEAR_LIMIT = COLOURS[Reason.SOLVED], COLOURS[Reason.COLLISION], COLOURS[Reason.LIMITS]
 SHOWS = ("its own shape", "volumes kept clear", "both", "joints alone")
 HELP = (
     "**Look:** drag to turn, right button to shift, wheel to come nearer.",
     "**Joints:** the sliders move them. The line at the top says what is nearest to the robot, or what it hits.",
     "**Target:** drag the arrows and rings at the tip. Inverse kinematics follows, or says why it cannot.",
     "**Map:** each point is a place that a sweep has tried. Click one that is reachable to see the posture there.",
+    "**Steer** (`--teleop`): drag the tip, the arm follows in real time; record, play, save.",
     "**Fruits:** choose one to see how it is picked, or what is in its way.",
     "**Motions:** play them, or drag the time.",
 )
@@ -66,8 +68,10 @@ class Page:
         port: int = 8080,
         meshes: Sequence[Shape] = (),
         plan: HarvestPlan | None = None,
+        teleop: bool = False,
     ):
-        """Serves the page on `host`, `port`; `meshes` are the links' own shapes (`files.link_meshes`).
+        """Serves the page on `host`, `port`; `meshes` are the links' own shapes (`files.link_meshes`). With `teleop` the tip is
+        steered by its target.
 
         Raises `ValueError` without viser, and for a store of another robot.
         """
@@ -81,6 +85,7 @@ class Page:
         except ValueError as error:  # why clearance cannot be measured
             self.blind = str(error)
         self._q, self.asked, self.hit = default_pose(chain), _Latest(), frozenset[str]()
+        self.teleop, self.strained, self.steering = teleop, frozenset[int](), None
         self.server = viser.ViserServer(host=host, port=port, label="jaxik", verbose=False)
         self.server.scene.set_up_direction("+z")
         self.server.scene.add_grid("/floor", width=4.0, height=4.0, cell_size=0.1, section_size=0.5, shadow_opacity=0.0)
@@ -109,6 +114,9 @@ class Page:
             self.player = None if plan is None else Player(self, plan)
             if plan is None:
                 gui.add_markdown(NO_MOTIONS)
+        if teleop:
+            with tabs.add_tab("Steer"):
+                self.steering = Steering(self)
         with tabs.add_tab("Help"):
             gui.add_markdown("\n\n".join(HELP))
         self._draw()
@@ -130,6 +138,8 @@ class Page:
             self.close()
 
     def close(self) -> None:
+        if self.steering is not None:
+            self.steering.close()
         if self.player is not None:
             self.player.pause()
         self.server.stop()
@@ -138,6 +148,25 @@ class Page:
         """Shows the robot at `q` (n,) [rad, m], where it stands unless `world_T_base` (4, 4) puts it elsewhere."""
         self.chain = self.home if world_T_base is None else self.home.mounted(world_T_base)
         self._show(q)
+
+    def place(self, q: np.ndarray, dragged: bool = False) -> None:
+        """Shows the robot at `q` (n,) [rad, m], now: what is near is not looked at, and a target that is `dragged` stays."""
+        self._q = np.array(q, float)
+        with self.server.atomic():
+            self._place(frames(self.chain, self._q), follow=not dragged)
+
+    def look(self) -> tuple[Contact, ...]:
+        """Says what is near to the robot where it is, and puts the sliders there."""
+        contacts = self._contacts()
+        with self.server.atomic():
+            self._slide()
+            self._draw_contacts(contacts)
+        return contacts
+
+    def strain(self, joints: frozenset[int]) -> None:
+        """Colours the links that these joints, counted from 1, move: they are near a limit."""
+        self.strained = joints
+        self._colour()
 
     def show_among(self, scene: Scene, q: np.ndarray) -> None:
         """Shows the robot at `q` (n,) [rad, m], and what it is near to in a scene that is less than the page's."""
@@ -180,7 +209,11 @@ class Page:
     def _legend(self) -> dict[str, str]:
         points, fruits = len(self.around.points.center), len(self.around.fruits)
         there = {"robot": (ROBOT, True), "what collides": (BAD, True), "obstacles": (OBSTACLE, self.scene is not None)}
-        there |= {"leaves (points)": (LEAF, points > 0), "fruits": (FRUIT, fruits > 0)}
+        there |= {
+            "near a joint's limit": (NEAR_LIMIT, self.teleop),
+            "leaves (points)": (LEAF, points > 0),
+            "fruits": (FRUIT, fruits > 0),
+        }
         return {words: colour for words, (colour, some) in there.items() if some}
 
     def _joints(self) -> None:
@@ -203,9 +236,14 @@ class Page:
     def _show(self, q: np.ndarray, follow: bool = True) -> None:
         """The robot at `q`, its sliders too, and the target at its tip unless it is that which is dragged."""
         self._q = np.array(q, float)
-        for slider, value, digits in zip(self.sliders, self.factor * self._q, self.digits, strict=True):
-            slider.value = round(float(value), digits)
+        self._slide()
         self._draw(follow)
+
+    def _slide(self) -> None:
+        """The sliders, where the joints are."""
+        for slider, value, digits in zip(self.sliders, self.factor * self._q, self.digits, strict=True):
+            if slider.value != (now := round(float(value), digits)):
+                slider.value = now
 
     def _shapes(self, meshes: Sequence[Shape]) -> None:
         """The robot's own shapes and its volumes, each link's one mesh that moves with its joint; and switches."""
@@ -225,7 +263,7 @@ class Page:
         if not self.parts:
             gui.add_markdown("This robot's file holds no shapes: only its joints are shown.")
         self.style = gui.add_dropdown("robot as", SHOWS)
-        self.style.on_update(lambda _: self._styled())
+        self.style.on_update(lambda _: self._restyle())
         self._styled()
         self.surroundings = gui.add_checkbox("obstacles", True, visible=self.scene is not None)
         self.surroundings.on_update(lambda _: setattr(self.roots["scene"], "visible", self.surroundings.value))
@@ -239,6 +277,10 @@ class Page:
         corners, faces = np.asarray(mesh.vertices), np.asarray(mesh.faces)
         return self.server.scene.add_mesh_simple(name, corners, faces, color=rgb(colour), **how)
 
+    def _restyle(self) -> None:
+        self._styled()
+        self._draw(follow=False)
+
     def _styled(self) -> None:
         self.roots["shape"].visible = self.style.value in (SHOWS[0], SHOWS[2])
         self.roots["volumes"].visible = self.style.value in (SHOWS[1], SHOWS[2])
@@ -246,7 +288,11 @@ class Page:
     def _target(self) -> None:
         """Arrows and rings at the tip; inverse kinematics follows them."""
         gui = self.server.gui
-        self.gizmo = self.server.scene.add_transform_controls("/target", scale=0.18, depth_test=False)
+        scene = self.server.scene
+        self.gizmo = scene.add_transform_controls("/target", scale=0.18, depth_test=False)
+        self.tip = scene.add_frame("/robot/tip", axes_length=0.08, axes_radius=0.004)
+        none = np.zeros((1, 2, 3))
+        self.bones = scene.add_line_segments("/robot/bones", none, rgb(INK), thickness=0.008, thickness_units="world")
         switch = gui.add_checkbox("target to drag", True)
         switch.on_update(lambda _: setattr(self.gizmo, "visible", switch.value))
         kinds = ("position and turn", "position alone")
@@ -256,31 +302,41 @@ class Page:
         self.gizmo.on_update(lambda _: self.asked(self._dragged))
 
     def _dragged(self) -> None:
-        self.reach(as_frames(np.concatenate([self.gizmo.position, self.gizmo.wxyz])[None])[0])
+        if self.steering is None:
+            self.reach(as_frames(np.concatenate([self.gizmo.position, self.gizmo.wxyz])[None])[0])
 
     def _draw(self, follow: bool = True) -> None:
         """The robot where `q` puts it, and what is nearest to it."""
-        placed, scene = frames(self.chain, self._q), self.server.scene
-        line = placed[1:, :3, 3]
         contacts = self._contacts()
-        hit = frozenset(name for c in contacts if c.distance < 0.0 for name in (c.link, c.other))
         with self.server.atomic():
-            pairs = np.stack([line[:-1], line[1:]], axis=1)
-            scene.add_line_segments("/robot/bones", pairs, rgb(INK), thickness=0.008, thickness_units="world")
-            scene.add_frame(
-                "/robot/tip", axes_length=0.08, axes_radius=0.004, position=line[-1], wxyz=to_wxyz(placed[-1, :3, :3])
-            )
-            for link, part in self.parts:
-                frame = placed[self.chain.link_joint[link]]
-                part.wxyz, part.position = to_wxyz(frame[:3, :3]), frame[:3, 3]
-                colour = rgb(BAD if self.chain.link_names[link] in hit else ROBOT)
-                if tuple(part.color) != colour:
-                    part.color = colour
-            self._draw_hit(hit)
-            self._draw_nearest(contacts)
+            self._place(frames(self.chain, self._q), follow)
+            self._draw_contacts(contacts)
             if follow:
-                self.said.content = _boxed(DRAG)
-                self.gizmo.wxyz, self.gizmo.position = to_wxyz(placed[-1, :3, :3]), line[-1]
+                self.said.content = _boxed(DRAG if self.steering is None else STEER)
+
+    def _place(self, placed: np.ndarray, follow: bool) -> None:
+        """Each link in its frame; `placed` (n + 2, 4, 4) are those of the base, the joints and the tip."""
+        line, turned = placed[1:, :3, 3], to_wxyz(placed[:, :3, :3])
+        self.bones.points = np.stack([line[:-1], line[1:]], axis=1)
+        for at in (self.tip, self.gizmo) if follow else (self.tip,):
+            at.wxyz, at.position = turned[-1], line[-1]
+        for link, part in self.parts:
+            joint = self.chain.link_joint[link]
+            if self.roots[part.name.split("/")[1]].visible:  # the other ones, when they are shown
+                part.wxyz, part.position = turned[joint], placed[joint, :3, 3]
+
+    def _draw_contacts(self, contacts: tuple[Contact, ...]) -> None:
+        self._draw_hit(frozenset(name for c in contacts if c.distance < 0.0 for name in (c.link, c.other)))
+        self._colour()
+        self._draw_nearest(contacts)
+
+    def _colour(self) -> None:
+        """The links: those that hit something, those whose joint is near a limit when the tip is steered, and the others."""
+        for link, part in self.parts:
+            struck, strained = self.chain.link_names[link] in self.hit, self.chain.link_joint[link] in self.strained
+            colour = rgb(BAD if struck else NEAR_LIMIT if strained else ROBOT)
+            if tuple(part.color) != colour:
+                part.color = colour
 
     def _contacts(self) -> tuple[Contact, ...]:
         """What is nearest to the robot, or all that it hits; the panel's first line says so."""

@@ -1,0 +1,264 @@
+"""The tip in a person's hand, on the page: drag it, and the arm follows in real time, with its secondary objectives.
+
+The page's target is the device: while it is dragged it is where the hand is, and else the clutch is pressed. What is near
+pushes like a spring that begins `SHELL` away, so that there are forces before there are collisions.
+"""
+
+from __future__ import annotations
+
+import functools
+import threading
+import time
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from jaxik import costs
+from jaxik.collision.clearances import clearance
+from jaxik.collision.contact_report import Contact as Near
+from jaxik.control import Hand, PositionControl, Teleoperation, TeleoperationLoop, Watch
+from jaxik.planning import save_trajectory
+from jaxik.reasons import Reason
+from jaxik.robot.chain import finite_limits
+from jaxik.robot.contact import Contact
+from jaxik.robot.kinematics import manipulability
+from jaxik.robot.task import POSE, POSITION
+from jaxik.spatial.rotations import from_wxyz
+from jaxik.spmd import HostKernel
+from jaxik.view.palette import CARRIED, PATH, rgb
+from jaxik.view.recording import recorded
+from jaxik.view.solids import frames
+
+if TYPE_CHECKING:
+    from jaxik.view.page import Page
+
+PERIOD = 1.0 / 60.0  # [s] between samples, and pictures
+LOOKED = 6  # samples between two looks at what is near
+MARGIN, SHELL, STIFFNESS = 0.01, 0.05, 300.0  # [m], [m], [N/m]
+ARROW = 0.02  # [m/N]
+NEAR_LIMIT = 0.1  # of half a joint's range
+TURNING = 5.0  # [1/s] by which the tip turns to the target
+STEER = "Drag the arrows and rings at the tip: the arm follows, and keeps clear of what is near."
+
+
+class PageMouse:
+    """The page's target as a device. It is silent while no browser is there."""
+
+    def __init__(self, page: Page):
+        self.page, self.dragged, self._followed = page, False, False
+
+        async def moved(event: Any) -> None:  # so that the phases come in their order
+            self.dragged = event.phase != "end"
+
+        page.gizmo.on_update(moved)
+
+    def read(self) -> Hand | None:
+        if not self.page.server.get_clients():
+            self.dragged = self._followed = False
+            return None
+        gizmo, tip = self.page.gizmo, frames(self.page.chain, self.page.q)[-1]
+        begun, self._followed = self.dragged and not self._followed, self.dragged
+        if begun or not self.dragged:  # the tip is the reference of a drag, however far it has gone when it is first seen
+            return Hand(tip[:3, 3], np.zeros(3), np.array([float(not begun)]))
+        turn = _rotation_vector(from_wxyz(gizmo.wxyz) @ tip[:3, :3].T)
+        return Hand(np.array(gizmo.position), TURNING * turn, np.zeros(1))
+
+    def render(self, force: np.ndarray) -> None:
+        """A mouse has no motors; the page draws arrows."""
+
+    def close(self) -> None:
+        self.dragged = False
+
+
+class Steering:
+    """The controls in a tab of the page, and the loop behind them."""
+
+    def __init__(self, page: Page):
+        self.page, self.chain, self.device = page, page.home, PageMouse(page)
+        self.watch, self.running = Watch(self.device), threading.Event()
+        self.rows: list[np.ndarray] = []
+        self.recording = self.playing = False
+        gui = page.server.gui
+        gui.add_markdown(f"**{STEER}** Links whose joints are near a limit change their colour; arrows are forces.")
+        self.on = gui.add_checkbox("steer the tip", True)
+        self.said = gui.add_html("")
+        self.record, self.play = gui.add_button("Record"), gui.add_button("Play the recording", disabled=True)
+        self.file, self.save = gui.add_text("file", "motion.csv"), gui.add_button("Save", disabled=True)
+        self.kept = gui.add_html("")
+        self.record.on_click(lambda _: self._recorded())
+        self.play.on_click(lambda _: setattr(self, "playing", True))
+        self.save.on_click(lambda _: self.store())
+        self.arrows = [
+            page.server.scene.add_arrows(
+                f"/steering/{name}",
+                np.zeros((1, 2, 3)),
+                rgb(colour),
+                shaft_radius=0.006,
+                head_radius=0.014,
+                head_length=0.03,
+                visible=False,
+            )
+            for name, colour in (("contact", CARRIED), ("felt", PATH))
+        ]
+        page.move(ready_posture(self.chain, page.around))
+        self._say("getting ready")
+        self.thread = threading.Thread(target=self._run, daemon=True)
+        self.running.set()
+        self.thread.start()
+
+    def close(self) -> None:
+        """Ends the loop; it is over when this returns."""
+        self.running.clear()
+        self.thread.join()
+
+    def store(self) -> Path | None:
+        """The recording as a file, as `planning.save_trajectory` writes it; None, and why on the page, where that fails."""
+        try:
+            file = save_trajectory(self.file.value, recorded(self.rows, PERIOD), PERIOD, self.chain.joint_names)
+        except (ValueError, OSError) as error:
+            self.kept.content = _small(str(error))
+            return None
+        self.kept.content = _small(f"{file}: {len(self.rows)} samples")
+        return file
+
+    # ----------------------------------------------------------------------------------------------------------------
+
+    @functools.cached_property
+    def loop(self) -> TeleoperationLoop:
+        page, chain = self.page, self.chain
+        task = POSITION if page.binds.value == "position alone" else POSE
+        scene = page.scene if page.clear.value else None
+        blind = bool(page.blind)
+
+        def cost(q: Any) -> Any:
+            total = costs.comfort_and_limit_cost(chain, q, 0.05)
+            return total if blind else total + costs.collision_cost(clearance(chain, scene, q), SHELL)
+
+        mapping = PositionControl(smoothing=0.08, fastest=0.5, turning=1.5)
+        margin = None if blind else MARGIN
+        steers = Teleoperation(
+            chain, mapping, task=task, cost=cost, scene=scene, margin=margin, dt=PERIOD, gain=10.0, acceleration=10.0, leash=0.1
+        )
+        return TeleoperationLoop(steers, contacts=1)
+
+    def _run(self) -> None:
+        known, looked, since = self.page.q, 0, [time.monotonic()] * 30
+        state, due = self.loop.start(known), time.monotonic()
+        while self.running.is_set():
+            due = max(due + PERIOD, time.monotonic())
+            if self.playing:
+                self._played()
+            q = self.page.q
+            if not (np.array_equal(q, known) and self.on.value):  # a slider, a map or a player has moved it, or it is to stand
+                state = self.loop.start(q)
+            if looked % LOOKED == 0:
+                near = self.page.look()
+            contact, at = self._contact(near)
+            hand = self.watch.read() if self.on.value else _RESTS
+            state, command = self.loop.step(state, q, hand, contact)
+            known = q + PERIOD * command.rate if self.on.value else q
+            moves = not np.array_equal(known, q) and np.array_equal(q, self.page.q)  # and nobody else has moved it meanwhile
+            if moves:
+                self.page.place(known, self.device.dragged)
+                self.page.server.flush()  # which else collects for a sixtieth of a second, and then sends
+            if self.recording:
+                self.rows.append(known)
+            if moves or looked % LOOKED == 0:
+                self._drawn(command, contact, at)
+            if looked % LOOKED == 0:
+                self._told(command, since)
+            looked += 1
+            since = [*since[1:], time.monotonic()]
+            time.sleep(max(due - time.monotonic(), 0.0))
+
+    def _contact(self, near: tuple[Near, ...]) -> tuple[Contact, np.ndarray]:
+        """The nearest obstacle as a spring, in the base frame, and where it is in the world."""
+        none = Contact(np.zeros(1, int), np.zeros((1, 3)), np.zeros((1, 3)))
+        if not near or not 0.0 < near[0].distance < SHELL:
+            return none, np.zeros(3)
+        first = near[0]
+        away = (np.asarray(first.point) - np.asarray(first.other_point)) / first.distance
+        base = np.linalg.inv(np.asarray(self.chain.world_T_base))
+        force = base[:3, :3] @ (STIFFNESS * (SHELL - first.distance) * away)
+        joint = self.chain.link_joint[self.chain.link_names.index(first.link)]
+        return Contact(np.array([joint]), (base @ [*first.point, 1.0])[None, :3], force[None]), np.asarray(first.point)
+
+    def _drawn(self, command: Any, contact: Contact, at: np.ndarray) -> None:
+        """The contact's force on the arm, and what a hand would feel at the tip."""
+        turn, tip = np.asarray(self.chain.world_T_base)[:3, :3], frames(self.chain, self.page.q)[-1][:3, 3]
+        for arrow, start, force in zip(self.arrows, (at, tip), (turn @ contact.force[0], command.felt), strict=True):
+            shown = bool(np.linalg.norm(force) > 0.1)
+            if shown:
+                arrow.points = np.stack([start, start + ARROW * force])[None]
+            if arrow.visible != shown:
+                arrow.visible = shown
+
+    def _told(self, command: Any, since: list[float]) -> None:
+        pace = (len(since) - 1) / max(since[-1] - since[0], 1e-9)
+        reason = Reason(int(command.reason))
+        words = f"{pace:.0f} Hz; {np.linalg.norm(command.felt):.1f} N at the tip"
+        self._say(words if reason == Reason.SOLVED else f"{words}; held still: {reason}")
+        self.page.strain(near_limits(self.chain, self.page.q))
+
+    def _recorded(self) -> None:
+        """Begins to record, or ends."""
+        self.recording = not self.recording
+        if self.recording:
+            self.rows = []
+        self.record.label = "Stop" if self.recording else "Record"
+        self.play.disabled = self.save.disabled = self.recording or len(self.rows) < 2
+        self.kept.content = _small("" if self.recording else f"{PERIOD * len(self.rows):.1f} s recorded")
+
+    def _played(self) -> None:
+        """Shows what was recorded, as fast as it was."""
+        for q in self.rows:
+            due = time.monotonic() + PERIOD
+            if not self.running.is_set():
+                break
+            self.page.place(q)
+            time.sleep(max(due - time.monotonic(), 0.0))
+        self.playing = False
+        self.page.look()
+
+    def _say(self, words: str) -> None:
+        self.said.content = _small(words)
+
+
+_RESTS = Hand(np.zeros(3), np.zeros(3), np.ones(1))
+
+
+def near_limits(chain: Any, q: np.ndarray) -> frozenset[int]:
+    """The joints, counted from 1, that are near a limit."""
+    with np.errstate(invalid="ignore"):
+        share = np.minimum(q - chain.lower, chain.upper - q) / ((chain.upper - chain.lower) / 2.0)
+    return frozenset(int(i) + 1 for i in np.flatnonzero(chain.is_limited & (share < NEAR_LIMIT)))
+
+
+def ready_posture(chain: Any, scene: Any, count: int = 512) -> np.ndarray:
+    """Of many configurations, the one from which the tip moves best, with room to the joints' limits and to what is around."""
+
+    def judged(q: Any) -> Any:
+        room = costs.joint_limit_margin(chain, q) * manipulability(chain, q)
+        try:
+            return room * jnp.clip(clearance(chain, scene, q) - MARGIN, 0.0, 2.0 * SHELL)
+        except ValueError:  # it has no shapes
+            return room
+
+    lower, upper = finite_limits(chain)
+    q = lower + (upper - lower) * (0.5 + 0.35 * (2.0 * np.random.default_rng(0).random((count, chain.num_joints)) - 1.0))
+    with jax.enable_x64(True):
+        (room,) = HostKernel(judged, 1)(q)
+    return np.asarray(q[int(np.argmax(room))])
+
+
+def _rotation_vector(rotation: np.ndarray) -> np.ndarray:
+    from scipy.spatial.transform import Rotation
+
+    return np.asarray(Rotation.from_matrix(rotation).as_rotvec())
+
+
+def _small(words: str) -> str:
+    return f"<div style='padding:0.35em 0.9em;font-size:0.9em'>{words}</div>"

@@ -1,0 +1,80 @@
+"""The tip in a person's hand, on the page, without a browser: `view_page.py` drags it in one."""
+
+import time
+
+import numpy as np
+import pytest
+
+import jaxik
+from jaxik.planning import load_trajectory
+from jaxik.view.page import NEAR_LIMIT, Page
+from jaxik.view.palette import rgb
+from jaxik.view.recording import recorded
+from jaxik.view.solids import frames
+from jaxik.view.steering import PERIOD
+
+
+@pytest.fixture(scope="module")
+def page():
+    page = Page(jaxik.load("p6r"), port=0, teleop=True)
+    page.server.get_clients = lambda: {0: None}  # as if somebody looked
+    yield page
+    page.close()
+
+
+def until(true, seconds=60.0):
+    end = time.monotonic() + seconds
+    while not true():
+        assert time.monotonic() < end
+        time.sleep(0.01)
+
+
+def place(page):
+    return frames(page.chain, page.q)[-1][:3, 3]
+
+
+def test_the_arm_follows_a_drag_and_is_recorded(page, tmp_path):
+    steering = page.steering
+    until(lambda: "Hz" in steering.said.content)
+    steering._recorded()
+    aim = place(page) + np.array([0.03, -0.02, 0.02])
+    steering.device.dragged = True
+    page.gizmo.position = aim
+    until(lambda: np.linalg.norm(place(page) - aim) < 1e-3)
+    assert np.allclose(page.gizmo.position, aim)  # it stays in the hand
+    steering.device.dragged = False
+    until(lambda: np.allclose(page.gizmo.position, place(page), atol=1e-4))
+    steering._recorded()
+    assert not steering.save.disabled and "s recorded" in steering.kept.content
+    rows = np.array(steering.rows)
+    for ending in ("csv", "npz", "json"):
+        steering.file.value = str(tmp_path / f"motion.{ending}")
+        assert steering.store() == tmp_path / f"motion.{ending}"
+        moved, state = load_trajectory(tmp_path / f"motion.{ending}", page.chain.joint_names)
+        assert np.allclose(state.q, rows, atol=1e-9) and np.allclose(np.diff(moved), PERIOD, atol=1e-6)
+    steering.file.value = "motion.txt"
+    assert steering.store() is None and "allowed endings: .csv, .npz, .json" in steering.kept.content
+    steering.playing = True
+    until(lambda: not steering.playing)
+    assert np.allclose(page.q, rows[-1], atol=0.05)  # steering has gone on from there
+    with pytest.raises(ValueError, match="a recording of 1 samples; record for longer"):
+        recorded(rows[:1], PERIOD)
+
+
+def test_joints_near_their_limits_are_coloured(page):
+    steering = page.steering
+    steering.on.value = False
+    time.sleep(5 * PERIOD)  # what was begun is done
+    q = page.q
+    q[3] = page.chain.upper[3] - 0.01
+    page.move(q)
+    links = {link for link, joint in enumerate(page.chain.link_joint) if joint == 4}
+    until(lambda: all(tuple(part.color) == rgb(NEAR_LIMIT) for link, part in page.parts if link in links))
+    steering.on.value = True
+
+
+def test_nobody_is_there(page):
+    page.server.get_clients = dict
+    until(lambda: "held still: silent" in page.steering.said.content)
+    page.server.get_clients = lambda: {0: None}
+    until(lambda: "held still" not in page.steering.said.content)
