@@ -17,6 +17,7 @@ from tables_motions import (
     statistics_markdown,
 )
 from tables_postures import base_markdown, ik_markdown, kinematics_markdown, narrow_markdown, nine_dof_markdown, sweep_markdown
+from tables_teleoperation import teleoperation_markdown
 from tables_words import duration
 
 HERE = Path(__file__).parent
@@ -40,6 +41,7 @@ TABLES = {
     "predictive_benchmark.json": predictive_markdown,
     "predictive_statistics.json": statistics_markdown,
     "sweep_benchmark.json": sweep_markdown,
+    "teleoperation.json": teleoperation_markdown,
     "torque_estimation.json": torque_markdown,
     "touch.json": touch_markdown,
 }
