@@ -17,8 +17,8 @@ from jaxik.checks.options import as_count, check_finite
 class Butterworth:
     """Of an `order`, with its -3 dB at `cutoff` [Hz], of samples of `dt` [s]: `scipy.signal.butter(..., output="sos")`.
 
-    It delays what is slow by about `order / (2 pi cutoff) * 2 / pi` [s]: 80 ms at order 8 and 10 Hz. Raises `ValueError` for a
-    cutoff that samples of `dt` do not show.
+    It delays what is slow by about `order / (2 pi cutoff) * 2 / pi` [s]: 80 ms at order 8 and 10 Hz. A cutoff
+    a thousandth of the samples' rate, or less, wants float64. Raises `ValueError` for one that samples of `dt` do not show.
     """
 
     order: int = 8

@@ -39,7 +39,7 @@ from jaxik.motions.nullspace import FLOOR, TaskAt, downhill, inverse_weights
 from jaxik.motions.path import Motion
 from jaxik.motions.rate_limits import RateLimits
 from jaxik.reasons import Reason, Reasoned
-from jaxik.robot.chain import Array, Chain, as_configuration
+from jaxik.robot.chain import Array, Chain, as_configuration, as_numbers, as_shaped
 from jaxik.robot.contact import Contact, contact_jacobian, contact_torque
 from jaxik.robot.task import POSITION, Task
 from jaxik.spatial.algebra import safe_divide, safe_sqrt
@@ -170,16 +170,20 @@ class Reaction:
         """The next command, of joint values and rates (n,), what is asked of the tip, and what is felt: a contact, or as many
         as `contacts` stacked; where nothing touches its force is 0, and its point does not matter. Traced.
 
-        Where a number is none, a force that has no point among them, the arm is slowed down as fast as `most` lets it and held,
-        with a reason; what it knew stays, and it goes on from there.
+        Where a number is none, a force that has no point among them, or a joint that the chain does not have, the arm is slowed
+        down as fast as `most` lets it and held, with a reason; what it knew stays, and it goes on from there.
         """
         q = as_configuration(self.chain, q)
-        qdot = jnp.asarray(qdot, q.dtype)
+        qdot = as_shaped("reaction: qdot", qdot, q.shape).astype(q.dtype)
         force, point, joint = self._stacked(contact, q.dtype)
         felt = jnp.any(force != 0.0, axis=1)  # NaN is felt
         numbers = (q, qdot, *motion, force, jnp.where(felt[:, None], point, 0.0), jnp.where(felt, joint, 0.0))
-        sound = jnp.all(jnp.stack([jnp.all(jnp.isfinite(jnp.asarray(x))) for x in numbers]))
-        seen = state._replace(joint=jnp.where(felt, joint, state.joint), point=jnp.where(felt[:, None], point, state.point))
+        there = (joint >= 0.0) & (joint <= self.chain.num_joints) & (joint == jnp.floor(joint))
+        finite = [jnp.all(jnp.isfinite(jnp.asarray(x))) for x in numbers]
+        sound = jnp.all(jnp.stack([*finite, jnp.all(there | ~felt)]))
+        seen = state._replace(
+            joint=jnp.where(felt & there, joint, state.joint), point=jnp.where(felt[:, None], point, state.point)
+        )
         after, command = self._reacted(seen, q, qdot, motion, force)
         held = self._held(state, command)
         choose = lambda new, old: jax.tree_util.tree_map(lambda a, b: jnp.where(sound, a, b), new, old)
@@ -268,14 +272,18 @@ class Reaction:
 
     def _stacked(self, contact: Contact, dtype: Any) -> tuple[Any, Any, Any]:
         """Forces and points (k, 3) and joints (k,) of what is felt."""
-        force, point = (jnp.asarray(x).astype(dtype) for x in (contact.force, contact.point))
+        given = ("force", contact.force), ("point", contact.point), ("joint", contact.joint)
+        force, point, joint = (as_numbers(f"reaction: {name} of the contact", x).astype(dtype) for name, x in given)
         if self.contacts == 1 and force.ndim == 1:
             force, point = force[None], point[None]
-        joint = jnp.broadcast_to(jnp.asarray(contact.joint).astype(dtype), (self.contacts,))
         for name, x in (("force", force), ("point", point)):
             if x.shape != (self.contacts, 3):
                 raise ValueError(f"reaction: {name} of the contact has the shape {x.shape}; allowed: ({self.contacts}, 3)")
-        return force, point, joint
+        if joint.shape not in ((), (self.contacts,)):
+            raise ValueError(
+                f"reaction: joint of the contact has the shape {joint.shape}; allowed: one number, ({self.contacts},)"
+            )
+        return force, point, jnp.broadcast_to(joint, (self.contacts,))
 
     @property
     def _limits(self) -> RateLimits:

@@ -172,8 +172,9 @@ def test_a_loop_is_what_a_simulation_is(monkeypatch):
         point = np.asarray(material_point(ARM, expected.q[k], 2, ELBOW))
         asked = motions._replace(**{name: np.asarray(x)[k] for name, x in motions._asdict().items()})
         felt = Contact(2, point, np.asarray(WALL.force(point)))
-        _, held = loop.step(state, expected.q[k], rate, asked, felt._replace(point=point * np.nan))
-        assert held.reasons == "invalid"
+        for wrong in ({"point": point * np.nan}, {"joint": 5}, {"joint": 1.5}):
+            _, held = loop.step(state, expected.q[k], rate, asked, felt._replace(**wrong))
+            assert held.reasons == "invalid"
         state, command = loop.step(state, expected.q[k], rate, asked, felt)
         rate = command.rate
         np.testing.assert_allclose(rate, expected.rate[k], atol=1e-12)
