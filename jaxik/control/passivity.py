@@ -139,6 +139,10 @@ class Direct(_Channel):
         sent = Packet(force, end.sent.energy)
         return end._replace(sent=sent, played=played), sent
 
+    def release(self, end: End, arrived: Packet) -> End:
+        """The arm's end, without what it has not played yet, but with its energy: the arm may still be moving. Traced."""
+        return super().release(end, arrived)._replace(spare=self._spare(end, arrived))
+
     def _spare(self, end: End, arrived: Packet) -> Any:
         """How much energy [J] this end may give out."""
         return jnp.asarray(jnp.inf, arrived.energy.dtype)

@@ -14,21 +14,25 @@ ROUNDING = 1e-11  # [J], of sums of some ten joules
 KEPT = {"waves": WaveVariables(DRAG), "controller": PassivityController(DRAG), "controller without drag": PassivityController()}
 
 
-def exchange(channel, delay, jitter, hand, world, fastest=np.inf):
+def exchange(channel, delay, jitter, hand, world, fastest=np.inf, held=None):
     """Both ends at work: the hand's velocities (t, 3) are given, `world` gives (force, shortfall) of the velocity the arm was
-    told and of the time. E (t,), the arm's velocities and the forces on the hand (t, 3)."""
+    told and of the time. While it is `held` (t,) the arm is let go, and slows down. E (t,), the arm's velocities and the forces
+    on the hand (t, 3)."""
+    held = jnp.zeros(len(hand), bool) if held is None else held
     line = DelayLine(delay, jitter, longest=0.2)
     other = DelayLine(delay, jitter, longest=0.2, seed=1)
 
     def turn(carry, now):
         near, far, there, back, arrived, moved, energy = carry
-        k, velocity = now
+        k, velocity, hold = now
         near, packet, force = channel.hand(near, arrived, velocity, DT)
         there, packet = line.step(there, packet, DT)
         push, share = world(k, moved)
+        let_go = channel.release(far, packet)
         far, told = channel.arm(far, packet, push, DT)
-        told = bounded(told, fastest)
-        moved = share @ told
+        far = jax.tree_util.tree_map(lambda x, y: jnp.where(hold, x, y), let_go, far)
+        told = jnp.where(hold, 0.0, bounded(told, fastest))
+        moved = jnp.where(hold, 0.98 * moved, share @ told)
         moved = channel.share(far, push, moved, DT) * moved
         far, reply = channel.reply(far, push, told, moved, DT)
         back, reply = other.step(back, reply, DT)
@@ -37,7 +41,7 @@ def exchange(channel, delay, jitter, hand, world, fastest=np.inf):
 
     none = silence()
     start = (channel.init(), channel.init(), line.init(none, DT), other.init(none, DT), none, jnp.zeros(3), jnp.zeros(()))
-    return jax.lax.scan(turn, start, (jnp.arange(len(hand)), hand))[1]
+    return jax.lax.scan(turn, start, (jnp.arange(len(hand)), hand, held))[1]
 
 
 def smooth(seed, scale):
@@ -49,18 +53,20 @@ def smooth(seed, scale):
 
 @pytest.mark.parametrize("channel", KEPT.values(), ids=KEPT)
 def test_no_energy_is_made(channel):
-    """Whatever hand and world do, however late packets come, and even where the arm does not do as it is told."""
+    """Whatever hand and world do, however late packets come, and even where the arm does not do as it is told, or is held."""
     delay, jitter = (jnp.array(x) for x in zip((0.0, 0.0), (0.001, 0.0), (0.03, 0.0), (0.1, 0.0), (0.02, 0.08), strict=True))
     hands, forces = (jnp.array([smooth(seed, scale) for seed in range(5)]) for scale in (0.4, 30.0))
     rng = np.random.default_rng(7)
     shares = jnp.array(np.eye(3) + 0.5 * rng.standard_normal((STEPS, 3, 3)))  # of a very bad arm
+    held = jnp.array(np.repeat(rng.random(STEPS // 50) < 0.3, 50))
 
     @jax.jit
     @jax.vmap
     def energies(delay, jitter, hand, force):
         obeys = exchange(channel, delay, jitter, hand, lambda k, _: (force[k], jnp.eye(3)))[0]
         wilful = exchange(channel, delay, jitter, hand, lambda k, _: (force[k], shares[k]), 0.5)[0]
-        return obeys, wilful
+        stopped = exchange(channel, delay, jitter, hand, lambda k, _: (force[k], jnp.eye(3)), held=held)[0]
+        return obeys, wilful, stopped
 
     for energy in energies(delay, jitter, hands, forces):
         assert energy.min() > -ROUNDING and energy[:, -1].max() > 0.1
