@@ -94,18 +94,19 @@ class TeleoperationCommand(NamedTuple):
 class Teleoperation:
     """A hand, an arm, and what is between. `step` is pure and traced; `TeleoperationLoop` makes one kernel of it.
 
-    `mapping` and `channel` are of a kind each; `there` and `back` delay what they send, for simulations: a real network does so
-    itself. `cost` is what the null space goes down, by `alpha`; `gain` [1/s] pulls the tip to its target; `acceleration`
-    [rad/s2, m/s2] is one or one a joint. `margin` [m] is kept to itself and to `scene`, approached at `approach` [1/s];
-    None measures no clearance. `patience` [s] is how long a device may be silent. `felt` says how contacts are reflected, and
-    `force_ratio` the force on the hand by that at the arm. Raises `ValueError` for numbers out of range.
+    `mapping` and `channel` are of a kind each; `there` and `back` delay what they send, for simulations: a real network does
+    so itself. `cost` is what the null space goes down, by `alpha`; `gain` [1/s] pulls the tip to its target; `acceleration`
+    [rad/s2, m/s2] is one or one a joint, exceeded only where `PassivityController` stops an arm that would make energy.
+    `margin` [m] is kept to itself and to `scene`, approached at `approach` [1/s]; None measures no clearance. `patience` [s]
+    is how long a device may be silent. `felt` says how contacts are reflected, and `force_ratio` the force on the hand by
+    that at the arm. Raises `ValueError` for numbers out of range.
     """
 
     chain: Chain
     mapping: RateControl | PositionControl = dataclasses.field(default_factory=PositionControl)
     channel: Channel = dataclasses.field(default_factory=Direct)
     there: DelayLine = dataclasses.field(default_factory=DelayLine)
-    back: DelayLine = dataclasses.field(default_factory=DelayLine)
+    back: DelayLine = dataclasses.field(default_factory=functools.partial(DelayLine, seed=1))
     task: Task = POSE
     cost: Cost | None = None
     alpha: float = 1.0
