@@ -189,7 +189,7 @@ def test_a_table_is_of_the_links_that_were_measured(arm, postures):
     rail = dict(link_joint=tuple(j + 1 for j in arm.link_joint))  # the tables' joints are others now
     for name in ("joint_names", "joint_types"):
         rail[name] = (getattr(arm, name)[0] + "_" * (name == "joint_names"), *getattr(arm, name))
-    for name in ("parent_T_joint", "axis", "lower", "upper", "velocity", "armature"):
+    for name in ("parent_T_joint", "axis", "lower", "upper", "velocity", "effort", "armature"):
         rail[name] = np.concatenate([getattr(arm, name)[:1], getattr(arm, name)])
     led = dataclasses.replace(arm, bodies=(), **rail)
     before = lambda chain: np.asarray(

@@ -86,6 +86,7 @@ def random_chain(rng, n, scale):
         upper=high,
         velocity=np.full(n, np.inf),
         armature=np.zeros(n),
+        effort=np.full(n, np.inf),
         volumes=(),
         self_pairs=(),
     )
