@@ -19,8 +19,9 @@ from jaxtyping import Float
 
 from jaxik.checks.arrays import numbers
 from jaxik.checks.options import check_kind
+from jaxik.control.packed_step import repeated
 from jaxik.robot.chain import Array, Chain
-from jaxik.spmd import HostKernel, Unsupported
+from jaxik.spmd import HostKernel
 from jaxik.spmd.host import host_kernels
 
 
@@ -158,12 +159,7 @@ class EstimationLoop:
             leaves = [x[0] for x in HostKernel(self._begin, 1)(row[None])]
         ends = itertools.accumulate(x.size for x in begun)
         self._parts = [(slice(end - x.size, end), x.shape) for x, end in zip(begun, ends, strict=True)]
-        packed, kernel = np.concatenate([x.ravel() for x in leaves])[None], HostKernel(self._advance, 2)
-        try:
-            self._run = kernel.repeated(packed, row[None], double=True)
-        except Unsupported:
-            self._run = functools.partial(_by_xla, kernel)
-        self._run(packed, row[None])
+        self._run = repeated(self._advance, np.concatenate([x.ravel() for x in leaves])[None], row[None])
         return jax.tree_util.tree_unflatten(self._tree, leaves)
 
     def step(self, state: Any, sample: Sample) -> Any:
@@ -198,8 +194,3 @@ class EstimationLoop:
     def _advance(self, packed: Any, row: Any) -> Any:
         after = self.estimator.advance(self._unpacked(packed), _sensed(self.estimator, self._names, row))
         return jnp.concatenate([x.ravel() for x in jax.tree_util.tree_leaves(after)])
-
-
-def _by_xla(kernel: HostKernel, *rows: np.ndarray) -> list[np.ndarray]:
-    with jax.enable_x64(True):
-        return [np.asarray(kernel.by_xla(*rows))]

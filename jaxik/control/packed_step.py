@@ -32,12 +32,7 @@ class PackedStep:
             return self._after.row(step(self._state.of(state), self._given.of(given)), jnp)
 
         rows = self._state.row(state, np)[None], self._given.row(given, np)[None]
-        kernel = HostKernel(packed, 2)
-        try:
-            self._run = kernel.repeated(*rows, double=True)
-        except Unsupported:
-            self._run = functools.partial(_by_xla, kernel)
-        self._run(*rows)
+        self._run = repeated(packed, *rows)
 
     def __call__(self, state: Any, given: Any) -> tuple[Any, Any]:
         (row,) = self._run(self._state.row(state, np)[None], self._given.row(given, np)[None])
@@ -67,6 +62,18 @@ def _arrays(tree: Any) -> Any:
     """Floats in 64 bits."""
     wide = lambda x: x.astype(jnp.float64) if jnp.issubdtype(x.dtype, jnp.floating) else x
     return jax.tree_util.tree_map(lambda x: wide(jnp.asarray(x)), tree)
+
+
+def repeated(function: Callable[..., Any], *rows: np.ndarray) -> Callable[..., list[np.ndarray]]:
+    """`function` of rows such as these (1, ...), in float64, to be called again and again: one kernel, or by XLA where there is
+    none. Compiles."""
+    kernel = HostKernel(function, len(rows))
+    try:
+        run = kernel.repeated(*rows, double=True)
+    except Unsupported:
+        run = functools.partial(_by_xla, kernel)
+    run(*rows)
+    return run
 
 
 def _by_xla(kernel: HostKernel, *rows: np.ndarray) -> list[np.ndarray]:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import functools
 import itertools
 from typing import Any
 
@@ -12,10 +11,10 @@ import numpy as np
 
 from jaxik.checks.arrays import shaped
 from jaxik.checks.options import check_kind
+from jaxik.control.packed_step import repeated
 from jaxik.control.reaction import Command, Reaction, ReactionState
 from jaxik.motions.path import Motion
 from jaxik.robot.contact import Contact
-from jaxik.spmd import HostKernel, Unsupported
 
 
 class ReactionLoop:
@@ -43,13 +42,8 @@ class ReactionLoop:
             begun = jax.tree_util.tree_map(np.asarray, self.reaction.init(q))
             self._state, self._given = _Packing(begun), _Packing(given)
             self._command = _Packing(jax.eval_shape(self.reaction.step, begun, *given)[1])
-        state, kernel = _row(begun), HostKernel(self._advance, 1)
-        row = np.concatenate([state, _row(given)])[None]
-        try:
-            self._run = kernel.repeated(row, double=True)
-        except Unsupported:
-            self._run = functools.partial(_by_xla, kernel)
-        self._run(row)
+        state = _row(begun)
+        self._run = repeated(self._advance, np.concatenate([state, _row(given)])[None])
         return state
 
     def step(self, state: np.ndarray, q: Any, qdot: Any, motion: Motion, contact: Contact) -> tuple[np.ndarray, Command]:
@@ -94,8 +88,3 @@ class _Packing:
     def parted(self, row: Any) -> list[Any]:
         """Its arrays."""
         return [row[start:end].reshape(shape) for start, end, shape in self.parts]
-
-
-def _by_xla(kernel: HostKernel, *rows: np.ndarray) -> list[np.ndarray]:
-    with jax.enable_x64(True):
-        return [np.asarray(kernel.by_xla(*rows))]

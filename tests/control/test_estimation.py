@@ -89,7 +89,7 @@ ESTIMATORS = {
 
 @pytest.mark.parametrize("estimator", ESTIMATORS.values(), ids=ESTIMATORS)
 def test_a_loop_is_what_a_log_is(log, estimator, monkeypatch):
-    monkeypatch.setattr(jaxik.control.estimation, "_by_xla", None)  # each has a kernel
+    monkeypatch.setattr(jaxik.control.packed_step, "_by_xla", None)  # each has a kernel
     samples = [Sample(*(x[0, k] for x in log)) for k in range(5)]
     loop, found = EstimationLoop(estimator), []
     state = loop.start(samples[0])

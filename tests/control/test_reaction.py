@@ -163,7 +163,7 @@ def test_a_simulation_has_slopes():
 
 
 def test_a_loop_is_what_a_simulation_is(monkeypatch):
-    monkeypatch.setattr(jaxik.control.reaction_loop, "_by_xla", None)  # it has a kernel
+    monkeypatch.setattr(jaxik.control.packed_step, "_by_xla", None)  # it has a kernel
     reaction = Reaction(ARM, "multi", task=TASK)
     expected = simulated(reaction, 4)
     loop, motions = ReactionLoop(reaction), jaxik.motions.motion(PATH, 6.0, 1e-3 * np.arange(4))
