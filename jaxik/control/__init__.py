@@ -21,7 +21,8 @@ from jaxik.control.reaction_simulation import Encounter, Reacted, simulate_react
 from jaxik.control.reflection import reflect, reflect_cost
 from jaxik.control.spring_contact import SpringContact, contact_cost
 from jaxik.control.stiffness import StiffnessEstimator
-from jaxik.control.teleoperation import Teleoperation, TeleoperationCommand, TeleoperationLoop, TeleoperationState
+from jaxik.control.teleoperation import Teleoperation, TeleoperationCommand, TeleoperationState
+from jaxik.control.teleoperation_loop import TeleoperationLoop
 from jaxik.control.torque_estimation import TorqueEstimator, TorqueFilter
 from jaxik.control.touch import Skin, TouchSensor
 

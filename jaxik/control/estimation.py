@@ -8,8 +8,7 @@ samples together, and filtered in one `lax.scan`; in a loop both are one kernel.
 from __future__ import annotations
 
 import functools
-import itertools
-import math
+from collections.abc import Hashable, Sequence
 from typing import Any, NamedTuple, Protocol
 
 import jax
@@ -19,10 +18,9 @@ from jaxtyping import Float
 
 from jaxik.checks.arrays import numbers
 from jaxik.checks.options import check_kind
-from jaxik.control.packed_step import repeated
+from jaxik.control.packed_step import Packed, PackedStep
 from jaxik.robot.chain import Array, Chain
 from jaxik.spmd import HostKernel
-from jaxik.spmd.host import host_kernels
 
 
 class Sample(NamedTuple):
@@ -42,7 +40,7 @@ class Sample(NamedTuple):
         return given
 
 
-class Estimator(Protocol):
+class Estimator(Hashable, Protocol):
     """What `estimate` and `EstimationLoop` take."""
 
     @property
@@ -83,14 +81,9 @@ def estimate(estimator: Estimator, log: Sample) -> Float[np.ndarray, "*log n"]:
     *many, t, n = given.q.shape
     names = _names(given)
     with jax.enable_x64(True):
-        rows = _row(given, names).reshape(-1, len(names) * n)
-        tree = jax.tree_util.tree_structure(jax.eval_shape(functools.partial(_sensed, estimator, names), rows[0]))
-        leaves = [x.reshape(-1, t, *x.shape[1:]) for x in _sense(estimator, names)(rows)]
-        sensed = jax.tree_util.tree_unflatten(tree, leaves)
+        sensed = _of_rows(_sense(estimator, names), [getattr(given, name).reshape(-1, n) for name in names])
+        sensed = jax.tree_util.tree_map(lambda x: x.reshape(-1, t, *x.shape[1:]), sensed)
         return np.asarray(_over_logs(estimator, sensed)).reshape(*many, t, n)
-
-
-# One row is a sample, and one a state: a kernel's call costs a microsecond for each array.
 
 
 def _names(sample: Sample) -> tuple[str, ...]:
@@ -98,15 +91,19 @@ def _names(sample: Sample) -> tuple[str, ...]:
     return tuple(name for name, given in sample._asdict().items() if given is not None)
 
 
-def _row(sample: Sample, names: tuple[str, ...]) -> np.ndarray:
-    return np.concatenate([getattr(sample, name) for name in names], axis=-1, dtype=np.float64)
+def _sensed(estimator: Estimator, names: tuple[str, ...], *given: Any) -> Any:
+    return estimator.sense(Sample(**dict(zip(names, given, strict=True))))
 
 
-def _sensed(estimator: Estimator, names: tuple[str, ...], row: Any) -> Any:
-    return estimator.sense(Sample(**dict(zip(names, row.reshape(len(names), -1), strict=True))))
+@functools.lru_cache(64)
+def _sense(estimator: Estimator, names: tuple[str, ...]) -> HostKernel:
+    return HostKernel(functools.partial(_sensed, estimator, names), len(names))
 
 
-_sense = host_kernels(1)(_sensed)
+def _of_rows(kernel: HostKernel, rows: Sequence[np.ndarray]) -> Any:
+    """The tree that a kernel makes of rows, its leaves (b, ...)."""
+    tree = jax.tree_util.tree_structure(jax.eval_shape(kernel.function, *(x[0] for x in rows)))
+    return jax.tree_util.tree_unflatten(tree, kernel(*rows))
 
 
 @functools.partial(jax.jit, static_argnums=0)
@@ -148,49 +145,38 @@ class EstimationLoop:
     def __init__(self, estimator: Estimator):
         self.estimator = estimator
 
-    def start(self, sample: Sample) -> Any:
+    def start(self, sample: Sample) -> Packed:
         """The state before the first step, which is compiled here. Raises `ValueError` for numbers that do not fit, and for a
         sample without what the estimator reads."""
         self._names = _names(sample) if isinstance(sample, Sample) else ()
-        self._lengths = [self.estimator.chain.num_joints] * len(self._names)
-        row = self._checked(sample)
+        given = self._checked(sample)
         with jax.enable_x64(True):
-            begun, self._tree = jax.tree_util.tree_flatten(jax.eval_shape(self._begin, row))
-            leaves = [x[0] for x in HostKernel(self._begin, 1)(row[None])]
-        ends = itertools.accumulate(x.size for x in begun)
-        self._parts = [(slice(end - x.size, end), x.shape) for x, end in zip(begun, ends, strict=True)]
-        self._run = repeated(self._advance, np.concatenate([x.ravel() for x in leaves])[None], row[None])
-        return jax.tree_util.tree_unflatten(self._tree, leaves)
+            begun = _of_rows(HostKernel(self._begin, len(given)), [x[None] for x in given])
+        begun = jax.tree_util.tree_map(lambda x: x[0], begun)
+        self._step = PackedStep("estimation loop", self._advance, begun, *given)
+        return self._step.packed(begun)
 
-    def step(self, state: Any, sample: Sample) -> Any:
+    def step(self, state: Packed, sample: Sample) -> Packed:
         """The state after a sample; the given one stays as it is. Raises `ValueError` for numbers that do not fit, and for a
         sample without what the first one had."""
         try:
-            row = _row(sample, self._names)
-            fits = [len(getattr(sample, name)) for name in self._names] == self._lengths
-        except (AttributeError, TypeError, ValueError):
-            fits = False
-        if not (fits and math.isfinite(np.add.reduce(row))):
-            row = self._checked(sample)  # which says what is wrong
-        packed = np.concatenate([x.ravel() for x in jax.tree_util.tree_leaves(state)])
-        (packed,) = self._run(packed[None], row[None])
-        after = self._unpacked(packed[0])
-        if not math.isfinite(after.external.sum()):
+            after, sound = self._step(state, *(getattr(sample, name) for name in self._names))
+        except (AttributeError, ValueError):
+            self._checked(sample)  # which says what is wrong
+            raise
+        if not sound:
+            self._checked(sample)
             raise ValueError("estimation loop: the estimate is no number any more; start again")
         return after
 
-    def _checked(self, sample: Sample) -> np.ndarray:
+    def _checked(self, sample: Sample) -> list[np.ndarray]:
         given = _checked("estimation loop", self.estimator, sample, of_log=False)
-        for name in self._names:
-            given.needed("estimation loop", name)
-        return _row(given, self._names)
+        return [given.needed("estimation loop", name) for name in self._names]
 
-    def _unpacked(self, packed: Any) -> Any:
-        return jax.tree_util.tree_unflatten(self._tree, [packed[part].reshape(shape) for part, shape in self._parts])
+    def _begin(self, *given: Any) -> Any:
+        return self.estimator.init(_sensed(self.estimator, self._names, *given))
 
-    def _begin(self, row: Any) -> Any:
-        return self.estimator.init(_sensed(self.estimator, self._names, row))
-
-    def _advance(self, packed: Any, row: Any) -> Any:
-        after = self.estimator.advance(self._unpacked(packed), _sensed(self.estimator, self._names, row))
-        return jnp.concatenate([x.ravel() for x in jax.tree_util.tree_leaves(after)])
+    def _advance(self, state: Any, *given: Any) -> tuple[Any, Any]:
+        """The state, and whether all that went in, and the estimate, are numbers."""
+        after = self.estimator.advance(state, _sensed(self.estimator, self._names, *given))
+        return after, jnp.all(jnp.isfinite(jnp.stack([*given, after.external])))

@@ -1,4 +1,5 @@
-"""A step of a control loop as one kernel of two rows: a kernel's call costs a microsecond for each array."""
+"""A step of a control loop as one kernel of one row: a kernel's call costs a microsecond for each array, and so does each array
+that is cut out of a row. The state is therefore taken apart only if somebody looks at it."""
 
 from __future__ import annotations
 
@@ -14,51 +15,104 @@ import numpy as np
 from jaxik.spmd import HostKernel, Unsupported
 
 
+class Packed:
+    """A tree of arrays as one `row`, in float64; its fields are those of the `tree`, once one of them is asked for."""
+
+    def __init__(self, row: np.ndarray, layout: _Layout):
+        self.row, self._layout = row, layout
+
+    @functools.cached_property
+    def tree(self) -> Any:
+        """It, of views of the row."""
+        return self._layout.of(self.row)
+
+    def __getattr__(self, name: str) -> Any:
+        if name.startswith("_"):  # what copies and pickles ask for
+            raise AttributeError(name)
+        return getattr(self.tree, name)
+
+
 class PackedStep:
-    """`step(state, given) -> (state, told)`, pure and traced, on trees of numbers: NumPy in, NumPy out, in float64. Host.
+    """`step(state, *given) -> (state, told)`, pure and traced, on trees of numbers: NumPy in, NumPy out, in float64. Host.
 
-        step = PackedStep(controller.step, state, given)  # compiles, for trees of these shapes
-        state, told = step(state, given)
+        step = PackedStep("reaction loop", reaction.step, state, *given)  # compiles, for trees of these shapes
+        packed = step.packed(state)
+        packed, told = step(packed, *given)
 
-    By XLA where there is no kernel. A tree of another shape is refused where its rows have another length.
+    By XLA where there is no kernel. A given state stays as it is.
     """
 
-    def __init__(self, step: Callable[..., Any], state: Any, given: Any):
+    def __init__(self, who: str, step: Callable[..., Any], state: Any, *given: Any):
         with jax.enable_x64(True):
-            self._state, self._given = (_Layout(jax.eval_shape(lambda tree=tree: _arrays(tree))) for tree in (state, given))
-            self._after = _Layout(jax.eval_shape(step, self._state.tree, self._given.tree))
+            self._state, self._given = (_Layout(jax.eval_shape(lambda tree=tree: _wide(tree))) for tree in (state, given))
+            self._told = _Layout(jax.eval_shape(step, self._state.tree, *self._given.tree)[1])
+        self.who, size = who, self._state.size
 
-        def packed(state: Any, given: Any) -> Any:
-            return self._after.row(step(self._state.of(state), self._given.of(given)), jnp)
+        def of_row(row: Any) -> Any:
+            after = step(self._state.of(row[:size]), *self._given.of(row[size:]))
+            return jnp.concatenate([jnp.asarray(x, row.dtype).ravel() for x in jax.tree_util.tree_leaves(after)])
 
-        rows = self._state.row(state, np)[None], self._given.row(given, np)[None]
-        self._run = repeated(packed, *rows)
+        self._run = repeated(of_row, _row(*self._state.leaves(state), *self._given.leaves(given))[None])
 
-    def __call__(self, state: Any, given: Any) -> tuple[Any, Any]:
-        (row,) = self._run(self._state.row(state, np)[None], self._given.row(given, np)[None])
-        after: tuple[Any, Any] = self._after.of(row[0])
-        return after
+    def packed(self, state: Any) -> Packed:
+        """A state to begin with."""
+        return Packed(_row(*self._state.leaves(state)), self._state)
+
+    def __call__(self, state: Packed, *given: Any) -> tuple[Packed, Any]:
+        """The state and what is told after a sample. Raises `ValueError` for trees of other shapes than it began with, and
+        for a state that is not of this loop."""
+        try:
+            row = _row(state.row, *self._given.leaves(given))
+            if state._layout is not self._state:
+                raise ValueError
+        except (AttributeError, TypeError, ValueError):
+            raise ValueError(self._refused(state, given)) from None
+        (after,) = self._run(row[None])
+        size = self._state.size
+        return Packed(after[0, :size], self._state), self._told.of(after[0, size:])
+
+    def _refused(self, state: Any, given: Any) -> str:
+        if getattr(state, "_layout", None) is not self._state:
+            return f"{self.who}: state is {type(state).__name__}; allowed: what `start` or the last `step` of this loop gave"
+        told = ", ".join(str(np.shape(x)) for x in jax.tree_util.tree_leaves(given))
+        return f"{self.who}: arrays of shapes {told}; allowed: {', '.join(map(str, self._given.shapes))}"
 
 
 class _Layout:
     """Where the leaves of a tree lie in its row."""
 
     def __init__(self, tree: Any):
-        self.tree = tree
-        leaves, self._structure = jax.tree_util.tree_flatten(tree)
-        ends = itertools.accumulate(x.size for x in leaves)
-        self._parts = [(slice(end - x.size, end), x.shape, x.dtype) for x, end in zip(leaves, ends, strict=True)]
-
-    def row(self, tree: Any, numpy: Any) -> Any:
+        self.tree, self.structure = tree, jax.tree_util.tree_structure(tree)  # type: Any, Any
         leaves = jax.tree_util.tree_leaves(tree)
-        return numpy.concatenate([numpy.ravel(x).astype(numpy.float64) for x in map(numpy.asarray, leaves)])
+        self.shapes, self.sizes = [x.shape for x in leaves], [x.size for x in leaves]
+        ends = [0, *itertools.accumulate(self.sizes)]
+        self.size = ends[-1]
+        self._places = [slice(*ends[k : k + 2]) if x.ndim else ends[k] for k, x in enumerate(leaves)]
+        self._matrices = [(k, x.shape) for k, x in enumerate(leaves) if x.ndim > 1]
+        self._others = [(k, x.dtype) for k, x in enumerate(leaves) if x.dtype != np.float64]
+
+    def leaves(self, tree: Any) -> list[np.ndarray]:
+        """Of such a tree, each flat. Raises `ValueError` for another."""
+        flat = [np.asarray(x).ravel() for x in self.structure.flatten_up_to(tree)]
+        if [x.size for x in flat] != self.sizes:
+            raise ValueError
+        return flat
 
     def of(self, row: Any) -> Any:
-        leaves = [row[part].reshape(shape).astype(dtype) for part, shape, dtype in self._parts]
-        return jax.tree_util.tree_unflatten(self._structure, leaves)
+        """The tree, of a row. Traced, or of NumPy."""
+        leaves = [row[place] for place in self._places]
+        for k, shape in self._matrices:
+            leaves[k] = leaves[k].reshape(shape)
+        for k, dtype in self._others:
+            leaves[k] = leaves[k].astype(dtype)
+        return jax.tree_util.tree_unflatten(self.structure, leaves)
 
 
-def _arrays(tree: Any) -> Any:
+def _row(*leaves: np.ndarray) -> np.ndarray:
+    return np.concatenate(leaves, dtype=np.float64)
+
+
+def _wide(tree: Any) -> Any:
     """Floats in 64 bits."""
     wide = lambda x: x.astype(jnp.float64) if jnp.issubdtype(x.dtype, jnp.floating) else x
     return jax.tree_util.tree_map(lambda x: wide(jnp.asarray(x)), tree)

@@ -33,7 +33,6 @@ from jaxik.collision.scene import Scene
 from jaxik.control.delay_line import DelayLine
 from jaxik.control.hand import Hand
 from jaxik.control.hand_mapping import Mapped, PositionControl, RateControl, bounded
-from jaxik.control.packed_step import PackedStep
 from jaxik.control.passivity import Channel, Direct, End, Packet, silence
 from jaxik.control.reflection import reflect
 from jaxik.costs import Cost
@@ -43,7 +42,7 @@ from jaxik.motions.rate_limits import RateLimits
 from jaxik.reasons import Reason
 from jaxik.robot.chain import Array, Chain, as_configuration
 from jaxik.robot.contact import Contact
-from jaxik.robot.kinematics import as_posture, forward_kinematics, jacobian
+from jaxik.robot.kinematics import forward_kinematics, jacobian
 from jaxik.robot.task import POSE, Task
 from jaxik.spatial.algebra import safe_divide
 from jaxik.spatial.rotations import rotation_exp, rotation_log
@@ -270,42 +269,3 @@ def _leashed(tip: Any, target: Any, leash: float) -> Any:
     turn = rotation_log(target[:3, :3] @ tip[:3, :3].T)
     rotation = rotation_exp(bounded(turn, leash)) @ tip[:3, :3]
     return jnp.concatenate([jnp.concatenate([rotation, place[:, None]], axis=1), target[3:]])
-
-
-class TeleoperationLoop:
-    """Teleoperation in a control loop: NumPy in, NumPy out, in float64; one kernel a step. Host.
-
-        loop = TeleoperationLoop(teleoperation)
-        state = loop.start(q)  # compiles
-        while True:
-            state, command = loop.step(state, q, watch.read())
-            watch.render(command.force)
-
-    `contacts` and `buttons` say how many of these there are, always as many; a contact without a force is none.
-    """
-
-    def __init__(self, teleoperation: Teleoperation, contacts: int = 0, buttons: int = 1):
-        self.teleoperation = teleoperation
-        self._free = Contact(np.zeros(contacts, int), np.zeros((contacts, 3)), np.zeros((contacts, 3))) if contacts else None
-        self._buttons = buttons
-        self._step: PackedStep | None = None
-
-    def start(self, q: Any) -> TeleoperationState:
-        """The state before the first step, at rest at q (n,); the first start compiles. Raises `ValueError` for a q of another
-        shape, or that is not finite."""
-        q = as_posture("teleoperation loop", self.teleoperation.chain, q)
-        with jax.enable_x64(True):
-            state = jax.tree_util.tree_map(np.asarray, self.teleoperation.init(q))
-        if self._step is None:
-            given = q, Hand(np.zeros(3), np.zeros(3), np.zeros(self._buttons), 0.0), self._free
-            self._step = PackedStep(lambda state, given: self.teleoperation.step(state, *given), state, given)
-        return state
-
-    def step(
-        self, state: TeleoperationState, q: Any, hand: Hand, contacts: Contact | None = None
-    ) -> tuple[TeleoperationState, TeleoperationCommand]:
-        """The state after a sample, and what to do in the next. Raises `ValueError` for numbers that do not fit, and before
-        `start`."""
-        if self._step is None:
-            raise ValueError("teleoperation loop: not started; call start(q) first")
-        return self._step(state, (q, hand, self._free if contacts is None else contacts))

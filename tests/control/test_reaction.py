@@ -178,7 +178,7 @@ def test_a_loop_is_what_a_simulation_is(monkeypatch):
         state, command = loop.step(state, expected.q[k], rate, asked, felt)
         rate = command.rate
         np.testing.assert_allclose(rate, expected.rate[k], atol=1e-12)
-    np.testing.assert_allclose(loop.unpacked(state).point[0], point, atol=1e-3)
+    np.testing.assert_allclose(state.point[0], point, atol=1e-3)
     with pytest.raises(ValueError, match=r"reaction loop: arrays of shapes .*; allowed: \(4,\), \(4,\)"):
         loop.step(state, Q[:3], rate, asked, felt)
 

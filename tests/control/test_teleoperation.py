@@ -292,11 +292,13 @@ def test_a_loop_is_the_step():
         contact = Contact(*(np.asarray(x)[None] for x in TOUCHED))
         state, command = loop.step(state, q, hand, contact)
         expected, same = step(expected, q, hand, contact)
-        for mine, theirs in zip(*map(jax.tree_util.tree_leaves, ((state, command), (expected, same))), strict=True):
+        for mine, theirs in zip(*map(jax.tree_util.tree_leaves, ((state.tree, command), (expected, same))), strict=True):
             np.testing.assert_allclose(mine, theirs, rtol=1e-9, atol=1e-11)
         q = q + DT * command.rate
-    with pytest.raises(ValueError):
+    with pytest.raises(ValueError, match=r"teleoperation loop: arrays of shapes \(3,\), .*; allowed: \(9,\), \(3,\)"):
         loop.step(state, q[:3], hand, contact)
+    with pytest.raises(ValueError, match="state is TeleoperationState; allowed: what `start` or the last `step` of this loop"):
+        loop.step(expected, q, hand, contact)
 
 
 @pytest.mark.parametrize(
