@@ -34,7 +34,7 @@ from jaxik.optimise.linear import damped_solve
 from jaxik.robot.chain import Array, Chain, as_configuration, as_shaped
 from jaxik.robot.kinematics import bias_acceleration, jacobian_columns, joint_frames
 from jaxik.robot.task import POSE, Task
-from jaxik.spatial.algebra import Frame, traced
+from jaxik.spatial.algebra import Frame, safe_divide, traced
 
 FLOOR = 1e-4  # sine 0.01 between what the task's rows ask
 _PASSES = 4  # of holding joints at their bounds
@@ -190,21 +190,37 @@ class TaskAt:
         """`u + W^-1 J' A^-1 (wanted - J u)`; inside a box, with those joints held at their bounds that would leave it.
 
         A held joint has no inverse weight, and its u is the bound. The others take over what it cannot do, as long as they can
-        (saturation in the null space [Flacco, De Luca, Khatib 2012], all that leave at once).
+        (saturation in the null space [Flacco, De Luca, Khatib 2012], all that leave at once). Where so many are held that the
+        task is lost, u is instead followed as far as the box lets all joints: the task comes first.
         """
         n, wanted = self.chain.num_joints, wanted.astype(self.dtype)
         free = as_shaped("u", u, (n,)).astype(self.dtype)
         inverse = inverse_weights(self.chain, weights, self.dtype)
+        whole = self._solved(wanted, free, inverse, floor)
         if box is None:
-            rate, damping = self._solved(wanted, free, inverse, floor)
-            return Resolved(rate, self.error, damping)
+            return Resolved(whole[0], self.error, whole[1])
         low, high = (jnp.asarray(b, self.dtype) for b in box)
-        for _ in range(_PASSES):
-            rate, damping = self._solved(wanted, free, inverse, floor)
+        short = self._shortened(wanted, whole[0], inverse, floor, Box(low, high))
+        rate, damping = whole
+        for held in range(_PASSES):
+            if held:
+                rate, damping = self._solved(wanted, free, inverse, floor)
             inside = jnp.clip(rate, low, high)
             leaves = rate != inside
             free, inverse = jnp.where(leaves, inside, free), jnp.where(leaves, 0.0, inverse)
-        return Resolved(inside, self.error, damping)
+        missed, least = (jnp.max(jnp.abs(self.rows @ x - wanted)) for x in (inside, short))
+        rounding = jnp.finfo(self.dtype).eps ** 0.5 * (1.0 + jnp.max(jnp.abs(wanted)))
+        lost = missed > least + rounding
+        return Resolved(jnp.where(lost, short, inside), self.error, jnp.where(lost, whole[1], damping))
+
+    def _shortened(self, wanted: Any, rate: Any, inverse: Any, floor: float, box: Box) -> Any:
+        """What lies furthest in the box from the slowest that does the task towards `rate`, which does it, too."""
+        low, high = box
+        slow, _ = self._solved(wanted, jnp.clip(jnp.zeros_like(rate), low, high), inverse, floor)
+        more = rate - slow
+        room = jnp.where(more > 0.0, high - slow, slow - low)
+        share = jnp.min(jnp.where(more == 0.0, 1.0, safe_divide(room, jnp.abs(more))))
+        return jnp.clip(slow + jnp.clip(share, 0.0, 1.0) * more, low, high)
 
     def _solved(self, wanted: Any, free: Any, inverse: Any, floor: float) -> tuple[Any, Any]:
         scaled = self.rows * inverse
