@@ -39,7 +39,7 @@ def _currents(ax: Any) -> None:
     log, joint = logs(JUDGED[0], False)[0], 5
     drive = model().drives[joint]
     inside = jax.jit(jax.vmap(lambda *x: motor_current(model(), inverse_dynamics(model(), *x), x[1], WIDTH)))
-    gain, foretold = float(drive.ratio * drive.torque_constant), inside(log.q_des, log.qdot_des, log.qddot_des)
+    gain, foretold = float(drive.torque_per_current), inside(log.q_des, log.qdot_des, log.qddot_des)
     ax.plot(log.t, gain * log.current[:, joint], "0.3", linewidth=0.6, label="motor current")
     ax.plot(log.t, gain * np.asarray(foretold)[:, joint], label="model")
     _shade(ax, log, joint, 0.0)

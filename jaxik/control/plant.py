@@ -199,7 +199,7 @@ def _simulated(
 ) -> np.ndarray:
     """q, qdot, currents, what pushes do to the joints, what the drives do, and what the gears carry of it, (6, k, n)."""
     forward, per_error, per_rate = controller
-    gain, spring = _of_drives(chain, lambda d: d.ratio * d.torque_constant), _of_drives(chain, lambda d: d.spring_force)
+    gain, spring = _of_drives(chain, lambda d: d.torque_per_current), _of_drives(chain, lambda d: d.spring_force)
     friction = HostKernel(lambda qdot, torque: friction_torque(chain, qdot, torque), 2)
     found, data = np.empty((6, len(t), chain.num_joints)), mujoco.MjData(arm)
     q, qdot, current, external, torque, gear = found
@@ -236,7 +236,7 @@ def _with_rests(motions: Sequence[Trajectory], dt: float, rest: tuple[float, flo
 
 def _controller(model: Chain, desired: JointState, gains: Gains) -> _Controller:
     """Of joints that are to move as `desired`, by what the model says of them."""
-    gain = _of_drives(model, lambda d: d.ratio * d.torque_constant)
+    gain = _of_drives(model, lambda d: d.torque_per_current)
 
     def asked(q: Any, qdot: Any, qddot: Any) -> Any:
         return motor_current(model, inverse_dynamics(model, q, qdot, qddot), qdot)

@@ -79,7 +79,7 @@ class TorqueFilter(Constant):
         of = lambda get: np.array([get(drive) for drive in chain.drives], float)
         given = {"process": process, "current_noise": current_noise, "torsion_noise": torsion_noise}
         variances = {k: np.broadcast_to(numbers(f"torque filter: {k}", x), chain.num_joints) for k, x in given.items()}
-        return TorqueFilter(of(lambda d: 1 / (d.ratio * d.torque_constant)), of(lambda d: 1 / d.stiffness), **variances)
+        return TorqueFilter(of(lambda d: 1 / d.torque_per_current), of(lambda d: 1 / d.stiffness), **variances)
 
     @property
     def information(self) -> tuple[Any, Any]:

@@ -65,7 +65,7 @@ def _effort(chain: Chain, who: str, arrays: dict[str, np.ndarray]) -> np.ndarray
     if "current" in arrays:
         if not chain.drives:
             raise ValueError(f"{who}: currents of {chain.name}, which has no drives; give torque, or use chain.with_drives")
-        gain = np.array([float(drive.ratio * drive.torque_constant) for drive in chain.drives])
+        gain = np.array([float(drive.torque_per_current) for drive in chain.drives])
         arrays["torque"] = gain * arrays["current"]
     springs = np.array([float(drive.spring_force) for drive in chain.drives]) if chain.drives else 0.0
     return np.asarray(arrays["torque"] + springs)

@@ -171,7 +171,7 @@ def _missing(chain: Chain, q: np.ndarray, qdot: np.ndarray, qddot: np.ndarray, t
 @host_kernels(4)
 def _beyond(chain: Chain, q: Any, qdot: Any, qddot: Any, torque: Any) -> Any:
     if chain.drives:
-        gain = np.array([float(drive.ratio * drive.torque_constant) for drive in chain.drives])
+        gain = np.array([float(drive.torque_per_current) for drive in chain.drives])
         springs = np.array([float(drive.spring_force) for drive in chain.drives])
         torque = torque_of_current(chain, (torque - springs) / gain, qdot)
     return torque - inverse_dynamics(chain, q, qdot, qddot)

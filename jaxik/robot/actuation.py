@@ -98,7 +98,7 @@ def _law(who: str, chain: Chain, qdot: Any, width: Any) -> _Law:
     return _Law(
         fixed=r * (s * (coulomb + stribeck) + of(lambda d: d.friction.viscous) * v) + chi,
         share=r * (s * of(lambda d: d.friction.load) + of(lambda d: d.friction.viscous_load) * v),
-        gain=ratio * of(lambda d: d.torque_constant),
+        gain=of(lambda d: d.torque_per_current),
         spring=of(lambda d: d.spring_force),
     )
 

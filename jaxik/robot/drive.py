@@ -108,3 +108,8 @@ class Drive(_Numbers):
     def armature(self) -> Any:
         """The rotor's inertia as the joint feels it [kg m2, kg]."""
         return self.ratio**2 * self.rotor_inertia
+
+    @property
+    def torque_per_current(self) -> Any:
+        """N k, at the joint [Nm/A, N/A]: of the ratio and the motor's constant."""
+        return self.ratio * self.torque_constant
