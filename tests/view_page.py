@@ -22,7 +22,8 @@ from selenium.webdriver.common.action_chains import ActionChains
 from selenium.webdriver.common.by import By
 
 import jaxik
-from jaxik.view.page import SHOWS, Page
+from jaxik.view.page import Page
+from jaxik.view.robot_drawing import SHOWS
 from jaxik.view.solids import frames
 
 STUDY = {
@@ -212,9 +213,9 @@ def main(out):
             driver.save_screenshot(str(out.with_stem(f"{out.stem}_dragged")))
             assert not np.array_equal(page.q, before) or "No posture" in page.said.content, "the robot does not follow"
             print("dragged:", page.said.content)
-            page.style.value = SHOWS[1]
+            page.robot.style.value = SHOWS[1]
             views["its volumes"] = settled(driver)
-            page.style.value = SHOWS[3]
+            page.robot.style.value = SHOWS[3]
             views["joints alone"] = settled(driver)
             page.map.visible.value, page.map.variant.value = True, list(page.map.indices)[1]
             assert np.isclose(page.chain.world_T_base[2, 3] - chain.world_T_base[2, 3], 0.25), "the robot stands elsewhere"

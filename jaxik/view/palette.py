@@ -18,6 +18,7 @@ _LOOKS = {  # nearest to an answer first
 }
 COLOURS = {reason: colour for reason, (colour, _) in _LOOKS.items()}
 WORDS = {reason: words for reason, (_, words) in _LOOKS.items()}
+GOOD, BAD, NEAR_LIMIT = COLOURS[Reason.SOLVED], COLOURS[Reason.COLLISION], COLOURS[Reason.LIMITS]
 PARTLY = "#6cc0ae"  # reachable, but not from every direction
 SCALE = "cividis"  # of numbers: even in lightness, alike to all eyes
 LEAF, WOOD, OBSTACLE, FRUIT = "#9ab46a", "#8b6b4a", "#a3998c", "#e8a33d"
@@ -47,3 +48,14 @@ def bar(words: str, low: float, high: float) -> str:
     stops = ",".join(matplotlib.colors.to_hex(matplotlib.colormaps[SCALE](x)) for x in (0.0, 0.25, 0.5, 0.75, 1.0))
     ends = f"<div style='display:flex;justify-content:space-between'><span>{low:.3g}</span><span>{high:.3g}</span></div>"
     return f"{words}<div style='height:0.8em;background:linear-gradient(90deg,{stops})'></div>{ends}"
+
+
+def boxed(html: str) -> str:
+    """A line of the page's panel."""
+    return f"<div style='padding:0.35em 0.9em;font-size:0.9em'>{html}</div>"
+
+
+def marked(good: bool, head: str, words: str = "") -> str:
+    """A line that begins with a mark: all is well, or it is not."""
+    mark, colour = ("✓", GOOD) if good else ("✗", BAD)
+    return boxed(f"<b style='color:{colour}'>{mark} {head}</b>{words}")

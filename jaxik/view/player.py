@@ -10,7 +10,7 @@ import numpy as np
 
 from jaxik.harvesting.harvest_plan import HarvestPlan
 from jaxik.spatial.rotations import to_wxyz
-from jaxik.view.palette import PATH, rgb
+from jaxik.view.palette import PATH, boxed, rgb
 from jaxik.view.solids import frames
 
 if TYPE_CHECKING:
@@ -104,4 +104,4 @@ class Player:
         self._say(f"{len(gone)} picked; {words}")
 
     def _say(self, words: str) -> None:
-        self.said.content = f"<div style='padding:0.35em 0.9em;font-size:0.9em'>{words}</div>"
+        self.said.content = boxed(words)

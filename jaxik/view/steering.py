@@ -25,10 +25,9 @@ from jaxik.reasons import Reason
 from jaxik.robot.chain import finite_limits
 from jaxik.robot.contact import Contact
 from jaxik.robot.kinematics import manipulability
-from jaxik.robot.task import POSE, POSITION
 from jaxik.spatial.rotations import from_wxyz
 from jaxik.spmd import HostKernel
-from jaxik.view.palette import CARRIED, PATH, rgb
+from jaxik.view.palette import CARRIED, PATH, boxed, rgb
 from jaxik.view.recording import recorded
 from jaxik.view.solids import frames
 
@@ -39,7 +38,7 @@ PERIOD = 1.0 / 60.0  # [s] between samples, and pictures
 LOOKED = 6  # samples between two looks at what is near
 MARGIN, SHELL, STIFFNESS = 0.01, 0.05, 300.0  # [m], [m], [N/m]
 ARROW = 0.02  # [m/N]
-NEAR_LIMIT = 0.1  # of half a joint's range
+CLOSE = 0.1  # of half a joint's range
 TURNING = 5.0  # [1/s] by which the tip turns to the target
 STEER = "Drag the arrows and rings at the tip: the arm follows, and keeps clear of what is near."
 
@@ -60,8 +59,9 @@ class PageMouse:
             self.dragged = self._followed = False
             return None
         gizmo, tip = self.page.gizmo, frames(self.page.chain, self.page.q)[-1]
-        begun, self._followed = self.dragged and not self._followed, self.dragged
-        if begun or not self.dragged:  # the tip is the reference of a drag, however far it has gone when it is first seen
+        dragged = self.dragged  # another thread's
+        begun, self._followed = dragged and not self._followed, dragged
+        if begun or not dragged:  # the tip is the reference of a drag, however far it has gone when it is first seen
             return Hand(tip[:3, 3], np.zeros(3), np.array([float(not begun)]))
         turn = _rotation_vector(from_wxyz(gizmo.wxyz) @ tip[:3, :3].T)
         return Hand(np.array(gizmo.position), TURNING * turn, np.zeros(1))
@@ -119,9 +119,9 @@ class Steering:
         try:
             file = save_trajectory(self.file.value, recorded(self.rows, PERIOD), PERIOD, self.chain.joint_names)
         except (ValueError, OSError) as error:
-            self.kept.content = _small(str(error))
+            self.kept.content = boxed(str(error))
             return None
-        self.kept.content = _small(f"{file}: {len(self.rows)} samples")
+        self.kept.content = boxed(f"{file}: {len(self.rows)} samples")
         return file
 
     # ----------------------------------------------------------------------------------------------------------------
@@ -129,7 +129,6 @@ class Steering:
     @functools.cached_property
     def loop(self) -> TeleoperationLoop:
         page, chain = self.page, self.chain
-        task = POSITION if page.binds.value == "position alone" else POSE
         scene = page.scene if page.clear.value else None
         blind = bool(page.blind)
 
@@ -137,11 +136,9 @@ class Steering:
             total = costs.comfort_and_limit_cost(chain, q, 0.05)
             return total if blind else total + costs.collision_cost(clearance(chain, scene, q), SHELL)
 
-        mapping = PositionControl(smoothing=0.08, fastest=0.5, turning=1.5)
-        margin = None if blind else MARGIN
-        steers = Teleoperation(
-            chain, mapping, task=task, cost=cost, scene=scene, margin=margin, dt=PERIOD, gain=10.0, acceleration=10.0, leash=0.1
-        )
+        mapping, margin = PositionControl(smoothing=0.08, fastest=0.5, turning=1.5), None if blind else MARGIN
+        quick: dict[str, Any] = {"dt": PERIOD, "gain": 10.0, "acceleration": 10.0, "leash": 0.1}
+        steers = Teleoperation(chain, mapping, task=page.task, cost=cost, scene=scene, margin=margin, **quick)
         return TeleoperationLoop(steers, contacts=1)
 
     def _run(self) -> None:
@@ -210,7 +207,7 @@ class Steering:
             self.rows = []
         self.record.label = "Stop" if self.recording else "Record"
         self.play.disabled = self.save.disabled = self.recording or len(self.rows) < 2
-        self.kept.content = _small("" if self.recording else f"{PERIOD * len(self.rows):.1f} s recorded")
+        self.kept.content = boxed("" if self.recording else f"{PERIOD * len(self.rows):.1f} s recorded")
 
     def _played(self) -> None:
         """Shows what was recorded, as fast as it was."""
@@ -224,7 +221,7 @@ class Steering:
         self.page.look()
 
     def _say(self, words: str) -> None:
-        self.said.content = _small(words)
+        self.said.content = boxed(words)
 
 
 _RESTS = Hand(np.zeros(3), np.zeros(3), np.ones(1))
@@ -234,7 +231,7 @@ def near_limits(chain: Any, q: np.ndarray) -> frozenset[int]:
     """The joints, counted from 1, that are near a limit."""
     with np.errstate(invalid="ignore"):
         share = np.minimum(q - chain.lower, chain.upper - q) / ((chain.upper - chain.lower) / 2.0)
-    return frozenset(int(i) + 1 for i in np.flatnonzero(chain.is_limited & (share < NEAR_LIMIT)))
+    return frozenset(int(i) + 1 for i in np.flatnonzero(chain.is_limited & (share < CLOSE)))
 
 
 def ready_posture(chain: Any, scene: Any, count: int = 512) -> np.ndarray:
@@ -258,7 +255,3 @@ def _rotation_vector(rotation: np.ndarray) -> np.ndarray:
     from scipy.spatial.transform import Rotation
 
     return np.asarray(Rotation.from_matrix(rotation).as_rotvec())
-
-
-def _small(words: str) -> str:
-    return f"<div style='padding:0.35em 0.9em;font-size:0.9em'>{words}</div>"

@@ -137,9 +137,8 @@ def page():
 def test_the_page_names_what_collides(page):
     page.move(np.array([0.3, 0.2, -0.5, -0.4, 0.3, 0.5, 0.1]))
     assert "Collides:</b> gripper and fruit_2, by 9.0 mm" in page.near.content
-    struck = {
-        page.chain.link_names[link] for link, part in page.parts if tuple(part.color) == rgb(COLOURS[jaxik.Reason.COLLISION])
-    }
+    red = rgb(COLOURS[jaxik.Reason.COLLISION])
+    struck = {page.chain.link_names[link] for link, part in page.robot.parts if tuple(part.color) == red}
     assert struck == {"gripper"} and page.hit == {"gripper", "fruit_2"}
     page.move(np.zeros(7))
     assert "Clear:" in page.near.content and not page.hit
@@ -164,10 +163,10 @@ def test_a_posture_is_exact_and_its_sliders_are_rounded(page):
     """A slider that is not touched does not move its joint."""
     q = np.array([0.12345678, 0.1, -0.5, -0.4, 0.3, 0.5, 0.1])
     page.move(q)
-    assert page.sliders[0].value == 0.123 and page.sliders[1].value == 5.7 and np.array_equal(page.q, q)
+    assert page.sliders.each[0].value == 0.123 and page.sliders.each[1].value == 5.7 and np.array_equal(page.q, q)
     panda_like = dataclasses.replace(page.home, lower=np.radians([0.0, -117.97201, -117.97201, -90.0, -90.0, -90.0, -90.0]))
     other = Page(panda_like, port=0)
-    assert other.sliders[1].min == -118.0 and other.limits[0, 1] == panda_like.lower[1]
+    assert other.sliders.each[1].min == -118.0 and other.sliders.limits[0, 1] == panda_like.lower[1]
     other.close()
 
 
@@ -175,7 +174,7 @@ def test_a_robot_without_shapes_has_its_joints():
     """What is not known is said, and a target is followed all the same."""
     chain = dataclasses.replace(jaxik.load("p6r"), boxes=())
     page = Page(chain, jaxik.load_scene("cucumber_row"), port=0)
-    assert "Clearance unknown. p6r: has no collision geometry" in page.near.content and not page.parts
+    assert "Clearance unknown. p6r: has no collision geometry" in page.near.content and not page.robot.parts
     q = np.array([0.5, 0.1, 0.1, -0.9, 0.2, 0.6, 0.1])
     world_T_tip = np.asarray(chain.world_T_base) @ np.asarray(jaxik.forward_kinematics(chain, q))
     assert page.reach(world_T_tip) == jaxik.Reason.SOLVED

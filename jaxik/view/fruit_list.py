@@ -1,0 +1,34 @@
+"""A list of the fruits on the page: choosing one shows its posture, or what is in its way."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any
+
+from jaxik.harvesting.driver import Harvest
+from jaxik.view.harvest_picture import fate, posture
+from jaxik.view.palette import marked
+
+if TYPE_CHECKING:
+    from jaxik.view.page import Page
+
+
+class FruitList:
+    """Its controls. The first that can be picked is shown."""
+
+    def __init__(self, page: Page, harvest: Harvest):
+        gui, solved = page.server.gui, int(harvest.success.sum())
+        self.page, self.rows = page, {f"{'✓' if row.success else '✗'} {row.fruit}": row for row in harvest.rows}
+        gui.add_markdown(f"**{page.chain.name} can pick {solved} of the {len(self.rows)} fruits.** Choose one:")
+        self.chosen, self.said = gui.add_dropdown("fruit", list(self.rows)), gui.add_html("")
+        self.chosen.on_update(lambda _: self.show())
+        self.chosen.value = next((k for k, row in self.rows.items() if row.success), next(iter(self.rows)))
+        self.show()
+
+    def show(self) -> None:
+        """The one that is chosen."""
+        row: Any = self.rows[self.chosen.value]
+        q, words = posture(row), "the best posture stays" if row.success else "no posture:"
+        more = " of all but the fruit itself." if row.success else "." if q is None else ". Shown is what that would open."
+        self.said.content = marked(row.success, row.fruit, f": {words} {fate(row)}{more}")
+        if q is not None:
+            self.page.move(q)
