@@ -23,20 +23,20 @@ import jaxik
 from jaxik.control import (
     DelayLine,
     Direct,
-    Grip,
     Hand,
+    HandImpedance,
     PassivityController,
     PositionControl,
     SpringContact,
     Teleoperation,
     TeleoperationLoop,
     WaveVariables,
-    operate,
+    simulate_teleoperation,
 )
 from jaxik.robot import Contact
 
 DT, WORKSPACE, DRAG = 1e-3, 15.0, 10.0
-FORCE, GRIP = 0.1, Grip(0.5, 600.0, 20.0)  # of the hand by that of the arm; and a hand of our own
+FORCE, GRIP = 0.1, HandImpedance(0.5, 600.0, 20.0)  # of the hand by that of the arm; and a hand of our own
 FAST = 200.0  # [rad/s2, m/s2]: the delay is to be judged, not the arm
 DELAYS = 0.005 * np.arange(21)  # [s], each way
 JITTER = 0.2  # of the delay
@@ -84,7 +84,7 @@ def energies() -> list[dict[str, Any]]:
             lines = [DelayLine(delay, jitter, longest=0.121, seed=seed) for seed in (0, 1)]
             steers = teleoperation(channel=channel, there=lines[0], back=lines[1], force_ratio=FORCE, acceleration=FAST)
             met = lambda q, rate: Contact(9, tip(q), springs * wall.force(tip(q)))
-            done = operate(steers, POSTURE, Hand(jnp.asarray(strokes(3.0))), met, GRIP)
+            done = simulate_teleoperation(steers, POSTURE, Hand(jnp.asarray(strokes(3.0))), met, GRIP)
             return done.command.energy, jnp.linalg.norm(done.command.felt, axis=1), jnp.linalg.norm(done.command.force, axis=1)
 
         program = jax.jit(jax.vmap(run, (0, 0, None)))
@@ -132,7 +132,7 @@ def following() -> list[dict[str, Any]]:
         lines = {"there": DelayLine(delay), "back": DelayLine(delay, seed=1)}
         mapping = PositionControl(WORKSPACE, smoothing=smoothing, fastest=2.0)
         steers = teleoperation(mapping=mapping, channel=channel, acceleration=100.0, **lines)
-        done = jax.jit(functools.partial(operate, steers, POSTURE))(Hand(jnp.asarray(hand)))
+        done = jax.jit(functools.partial(simulate_teleoperation, steers, POSTURE))(Hand(jnp.asarray(hand)))
         moved, late = np.asarray(done.tip - done.tip[0]), 1 + round(delay / DT)
         off = np.linalg.norm(moved[late:] - WORKSPACE * (hand - hand[0])[:-late], axis=1)
         wished = np.linalg.norm(moved[late:] - WORKSPACE * wish[:-late], axis=1)
@@ -155,7 +155,7 @@ def silence() -> dict[str, Any]:
     age[3000:4000], hand[3000:4000] = DT * np.arange(1, 1001), hand[2999]
     hand[4000:] += 0.02
     steers = teleoperation()
-    done = jax.jit(functools.partial(operate, steers, POSTURE))(Hand(jnp.asarray(hand), age=jnp.asarray(age)))
+    done = jax.jit(functools.partial(simulate_teleoperation, steers, POSTURE))(Hand(jnp.asarray(hand), age=jnp.asarray(age)))
     rate, reason = np.asarray(done.command.rate), np.asarray(done.command.reason)
     held = np.flatnonzero(reason)
     still = held[np.flatnonzero(~rate[held].any(axis=1))[0]]

@@ -123,7 +123,7 @@ class Keyboard(_Silent):
             self._before = None
 
 
-class Recorded(_Silent):
+class RecordedHand(_Silent):
     """Hands one after another, as a device: what a recording plays, or a test. None is a moment of silence. Host."""
 
     def __init__(self, hands: Iterable[Hand | None]):

@@ -39,7 +39,7 @@ class Device(Protocol):
     def close(self) -> None: ...
 
 
-class Watch:
+class Watchdog:
     """A device that always answers: with what it said last, and for how long it has said nothing since. Host.
 
     `clock` gives the time [s]. Before the first answer the age is infinite.

@@ -38,6 +38,7 @@ from jaxik.costs import Cost, check_cost
 from jaxik.motions.nullspace import FLOOR, TaskAt, downhill, inverse_weights
 from jaxik.motions.path import Motion
 from jaxik.motions.rate_limits import RateLimits
+from jaxik.pytree import Pytree
 from jaxik.reasons import Reason, Reasoned
 from jaxik.robot.chain import Array, Chain, as_configuration, as_numbers, as_shaped
 from jaxik.robot.contact import Contact, contact_jacobian, contact_torque
@@ -48,9 +49,7 @@ Scheme = Literal["baseline", "rmrc", "rac", "feedback", "task", "joint", "multi"
 USED_UP = 0.02  # of k_n + k_t: below it a space's share is not enough to be divided by
 
 
-@jax.tree_util.register_dataclass
-@dataclasses.dataclass(frozen=True)
-class Command(Reasoned):
+class ReactionCommand(Pytree, Reasoned):
     """What the joints are to do next: `rate` (n,) [rad/s, m/s] and the `acceleration` (n,) that leads there [rad/s2, m/s2];
     with it the filtered `force` F [N], the `stiffness` [N/m] that was believed, the task's `error` (m,) [m, rad], and the
     reason: "solved", or "invalid" where a number was none and the arm is held still."""
@@ -166,7 +165,9 @@ class Reaction:
             rate=zeros(self.chain.num_joints),
         )
 
-    def step(self, state: ReactionState, q: Any, qdot: Any, motion: Motion, contact: Contact) -> tuple[ReactionState, Command]:
+    def step(
+        self, state: ReactionState, q: Any, qdot: Any, motion: Motion, contact: Contact
+    ) -> tuple[ReactionState, ReactionCommand]:
         """The next command, of joint values and rates (n,), what is asked of the tip, and what is felt: a contact, or as many
         as `contacts` stacked; where nothing touches its force is 0, and its point does not matter. Traced.
 
@@ -189,7 +190,9 @@ class Reaction:
         choose = lambda new, old: jax.tree_util.tree_map(lambda a, b: jnp.where(sound, a, b), new, old)
         return choose((after, command), (state._replace(rate=held.rate), held))
 
-    def _reacted(self, state: ReactionState, q: Any, qdot: Any, motion: Motion, force: Any) -> tuple[ReactionState, Command]:
+    def _reacted(
+        self, state: ReactionState, q: Any, qdot: Any, motion: Motion, force: Any
+    ) -> tuple[ReactionState, ReactionCommand]:
         filtered, force = self._filtered(state.filter, force)
         felt = safe_sqrt(jnp.sum(force**2))
         touching = felt > self.threshold
@@ -211,7 +214,8 @@ class Reaction:
         kept = state.joint, state.point + self.dt * jnp.stack(drift), direction
         after = ReactionState(*kept, filtered, state.depth - moved, depth_filter, since, known, *laws, rate)
         acceleration = (rate - state.rate) / self.dt
-        return after, Command(rate, acceleration, felt, known.stiffness, at.error, jnp.asarray(int(Reason.SOLVED), jnp.int32))
+        reason = jnp.asarray(int(Reason.SOLVED), jnp.int32)
+        return after, ReactionCommand(rate, acceleration, felt, known.stiffness, at.error, reason)
 
     def _rates(
         self, at: TaskAt, a: Any, state: ReactionState, felt: Any, stiffness: Any, moved: Any
@@ -258,14 +262,14 @@ class Reaction:
         bounded = self.limits or self.most is not None
         return at.resolved(wanted, total, self.weights, self.floor, box).rate if bounded else total
 
-    def _held(self, state: ReactionState, like: Command) -> Command:
+    def _held(self, state: ReactionState, like: ReactionCommand) -> ReactionCommand:
         """Slowed down as fast as may be."""
         most = self.dt * jnp.asarray(self._limits.acceleration, state.rate.dtype)
         slower = jnp.clip(state.rate, -most, most)
         unknown = jnp.full_like(like.error, jnp.nan)
         reason = jnp.full_like(like.reason, int(Reason.INVALID))
         rates = state.rate - slower, -slower / self.dt
-        return Command(*rates, jnp.full_like(like.force, jnp.nan), state.stiffness.stiffness, unknown, reason)
+        return ReactionCommand(*rates, jnp.full_like(like.force, jnp.nan), state.stiffness.stiffness, unknown, reason)
 
     def _filtered(self, state: Any, x: Any) -> tuple[Any, Any]:
         return (state, x) if self.filter is None else self.filter.step(state, x)

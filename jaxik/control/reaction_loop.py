@@ -10,7 +10,7 @@ import numpy as np
 
 from jaxik.checks.options import check_kind
 from jaxik.control.packed_step import Packed, PackedStep
-from jaxik.control.reaction import Command, Reaction
+from jaxik.control.reaction import Reaction, ReactionCommand
 from jaxik.motions.path import Motion
 from jaxik.robot.contact import Contact
 from jaxik.robot.kinematics import as_posture
@@ -37,7 +37,7 @@ class ReactionLoop:
         with jax.enable_x64(True):
             return self._step.packed(self.reaction.init(q))
 
-    def step(self, state: Packed, q: Any, qdot: Any, motion: Motion, contact: Contact) -> tuple[Packed, Command]:
+    def step(self, state: Packed, q: Any, qdot: Any, motion: Motion, contact: Contact) -> tuple[Packed, ReactionCommand]:
         """The state and the command after a sample; the given state stays as it is. Raises `ValueError` for other shapes;
         numbers that are none hold the arm still, with a reason."""
         return self._step(state, q, qdot, motion, contact)

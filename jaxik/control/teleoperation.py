@@ -39,7 +39,8 @@ from jaxik.costs import Cost
 from jaxik.motions.nullspace import Box, downhill, resolve_velocity
 from jaxik.motions.path import Motion
 from jaxik.motions.rate_limits import RateLimits
-from jaxik.reasons import Reason
+from jaxik.pytree import Pytree
+from jaxik.reasons import Reason, Reasoned
 from jaxik.robot.chain import Array, Chain, as_configuration
 from jaxik.robot.contact import Contact
 from jaxik.robot.kinematics import forward_kinematics, jacobian
@@ -74,7 +75,7 @@ class TeleoperationState(NamedTuple):
     energy: Float[Array, ""]
 
 
-class TeleoperationCommand(NamedTuple):
+class TeleoperationCommand(Pytree, Reasoned):
     """What to do now: the joints' `rate` (n,) [rad/s, m/s] and the `force` (3,) [N] on the hand, along the world's axes. And
     what is known: where the tip is to be, `target` (4, 4) in the base frame, the force at the tip that stands for the contacts,
     `felt` (3,) [N] in world axes, the passivity sum, `energy` [J], the `clearance` [m], infinite where it is not measured, and

@@ -19,7 +19,7 @@ import numpy as np
 from jaxik import costs
 from jaxik.collision.clearances import clearance
 from jaxik.collision.contact_report import Contact as Near
-from jaxik.control import Hand, PositionControl, Teleoperation, TeleoperationLoop, Watch
+from jaxik.control import Hand, PositionControl, Teleoperation, TeleoperationLoop, Watchdog
 from jaxik.planning import save_trajectory
 from jaxik.reasons import Reason
 from jaxik.robot.chain import finite_limits
@@ -78,7 +78,7 @@ class Steering:
 
     def __init__(self, page: Page):
         self.page, self.chain, self.device = page, page.home, PageMouse(page)
-        self.watch, self.running = Watch(self.device), threading.Event()
+        self.watch, self.running = Watchdog(self.device), threading.Event()
         self.rows: list[np.ndarray] = []
         self.recording = self.playing = False
         gui = page.server.gui

@@ -6,7 +6,7 @@ import struct
 import numpy as np
 import pytest
 
-from jaxik.control import GamePad, Hand, Keyboard, Recorded, Watch
+from jaxik.control import GamePad, Hand, Keyboard, RecordedHand, Watchdog
 
 
 def event(value, kind, number):
@@ -24,7 +24,7 @@ def test_a_game_pad_is_its_sticks(tmp_path):
     np.testing.assert_allclose(hand.turn, [0.0, 0.0, -0.4])
     assert hand.buttons.tolist() == [1.0]
     np.testing.assert_array_equal(pad.read().position, hand.position)  # nothing new is as before
-    watch = Watch(pad)
+    watch = Watchdog(pad)
     assert watch.read().age == 0.0
     watch.close()
     assert watch.read().age > 0.0  # gone
@@ -51,7 +51,7 @@ def test_a_keyboard_goes_in_steps():
 
 def test_a_watch_tells_how_long_nothing_was_said():
     hand, now = Hand(np.ones(3)), [5.0]
-    watch = Watch(Recorded([None, hand, None, hand]), clock=lambda: now[0])
+    watch = Watchdog(RecordedHand([None, hand, None, hand]), clock=lambda: now[0])
     assert watch.read().age == np.inf
     assert (watch.read().position == 1.0).all()
     now[0] = 5.4

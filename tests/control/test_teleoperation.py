@@ -11,17 +11,17 @@ import jaxik
 from jaxik.control import (
     DelayLine,
     Direct,
-    Grip,
     Hand,
+    HandImpedance,
     PassivityController,
     PositionControl,
     RateControl,
     Teleoperation,
     TeleoperationLoop,
     WaveVariables,
-    operate,
     reflect,
     reflect_cost,
+    simulate_teleoperation,
 )
 from jaxik.reasons import Reason
 from jaxik.robot import Contact
@@ -153,7 +153,7 @@ def test_the_tip_follows_the_hand():
     turned = ARM.mounted(jaxik.spatial.pose([0.3, 0.2, 0.0], rpy=[0.0, 0.0, 0.8]))
     way = circle(1000, 0.01)
     setup = Teleoperation(turned, PositionControl(15.0, fastest=5.0), task=XY, margin=None, acceleration=1e3)
-    done = jax.jit(functools.partial(operate, setup))(np.array([0.2, 1.9]), hands(way))
+    done = jax.jit(functools.partial(simulate_teleoperation, setup))(np.array([0.2, 1.9]), hands(way))
     moved = np.asarray(done.tip - done.tip[0])
     assert np.abs(moved[1:] - 15.0 * way[:-1]).max() < 0.002
     assert not done.command.reason.any()
@@ -165,7 +165,7 @@ def test_the_tip_follows_the_hand():
 def failing():
     """A hand that goes on for half a second, is silent for one, and goes on elsewhere; the program is shared."""
     setup = teleoperation(mapping=PositionControl(5.0, fastest=2.0))
-    return jax.jit(functools.partial(operate, setup)), setup
+    return jax.jit(functools.partial(simulate_teleoperation, setup)), setup
 
 
 def judged(done, setup, bad):
@@ -243,7 +243,7 @@ def test_limits_and_clearance_are_kept():
     aims = np.array([[2.7, 3.4, 0.0], [0.0, 9.0, 0.0], [-3.0, -3.0, 0.0]])
     shares = np.minimum(np.arange(2500) * DT / 1.5, 1.0)[None, :, None]
     way = shares * (aims - tip)[:, None] / 10.0
-    done = jax.jit(jax.vmap(lambda way: operate(setup, bent, Hand(way))))(jnp.asarray(way))
+    done = jax.jit(jax.vmap(lambda way: simulate_teleoperation(setup, bent, Hand(way))))(jnp.asarray(way))
     q = np.asarray(done.q)
     apart = jax.jit(jax.vmap(jax.vmap(lambda q: jaxik.clearance(FOUR, SCENE, q))))(q)
     assert apart.min() > 0.02 - 1e-9 and apart[0].min() < 0.03
@@ -272,7 +272,7 @@ def test_the_loop_makes_no_energy(channel):
 
         lines = [DelayLine(delay, jitter, longest=0.12, seed=seed) for seed in (0, 1)]
         setup = teleoperation(mapping=PositionControl(10.0, fastest=2.0), channel=channel, there=lines[0], back=lines[1])
-        return operate(setup, Q, Hand(way), wall, Grip()).command
+        return simulate_teleoperation(setup, Q, Hand(way), wall, HandImpedance()).command
 
     delay, jitter = jnp.array([0.0, 0.02, 0.1, 0.05, 0.1]), jnp.array([0.0, 0.0, 0.0, 0.02, 0.0])
     found = run(delay, jitter, jnp.array([1000.0, 1000.0, 1000.0, 1000.0, 0.0]))

@@ -15,7 +15,7 @@ from jaxik.robot.chain import Array, as_configuration
 from jaxik.robot.kinematics import forward_kinematics
 
 
-class Grip(NamedTuple):
+class HandImpedance(NamedTuple):
     """A hand that yields: what it moves, `mass` [kg], and the `stiffness` [N/m] and `damping` [Ns/m] by which it is drawn to
     where it wants to be."""
 
@@ -24,7 +24,7 @@ class Grip(NamedTuple):
     damping: Any = 15.0
 
 
-class Operated(NamedTuple):
+class Teleoperated(NamedTuple):
     """Each sample's q (t, n), the tip's place (t, 3) in world axes from the base, the hand's (t, 3) [m], and the command."""
 
     q: Float[Array, "t n"]
@@ -33,13 +33,13 @@ class Operated(NamedTuple):
     command: TeleoperationCommand
 
 
-def operate(
+def simulate_teleoperation(
     teleoperation: Teleoperation,
     q: Float[Array, " n"],
     hands: Hand,
     world: Callable[[Any, Any], Any] | None = None,
-    grip: Grip | None = None,
-) -> Operated:
+    grip: HandImpedance | None = None,
+) -> Teleoperated:
     """The arm from rest at q (n,), moved by `hands`, whose leaves have an entry a sample (t, ...). Traced.
 
     `world` gives the contact, or the contacts, at (q, rate). With a `grip` the hand wants to go where `hands` is, and the
@@ -60,7 +60,7 @@ def operate(
         contact = None if world is None else world(q, rate)
         tip = forward_kinematics(chain, q)[:3, 3]
         state, command = teleoperation.step(state, q, hand._replace(position=place), contact)
-        seen = Operated(q, jnp.asarray(chain.world_T_base)[:3, :3] @ tip, place, command)
+        seen = Teleoperated(q, jnp.asarray(chain.world_T_base)[:3, :3] @ tip, place, command)
         if grip is not None:
             pull = grip.stiffness * (hand.position - place) + grip.damping * (heading - speed) + command.force
             speed = speed + dt * pull / grip.mass
