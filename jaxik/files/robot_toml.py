@@ -1,7 +1,7 @@
 """TOML model files and DH tables. The schema is in `docs/how-to/own-arm.md`.
 
 A number's unit is in its key: `d` is in metres, `d_mm` and `d_cm` are what they say; `alpha` is in radians, `alpha_deg` in
-degrees. A table may say where its numbers come from: `origin = {d = "paper", lower = "stand-in"}`.
+degrees. A table may say where its numbers come from: `origin = {d = "paper", a = "stand-in"}`, of all: `origin = "paper"`.
 """
 
 from __future__ import annotations

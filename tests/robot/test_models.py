@@ -63,5 +63,6 @@ def test_each_number_has_an_origin(path):
     tables = [*model["joint"], *model.get("shape", []), *(model[k] for k in ("tool", "mount") if k in model)]
     drives = [joint["drive"] for joint in model["joint"] if "drive" in joint]
     for table in (*tables, *drives, *(drive["friction"] for drive in drives)):
-        named = {k for k, v in table.items() if isinstance(v, int | float | list)}
-        assert named == set(table["origin"]) and set(table["origin"].values()) <= set(ORIGINS)
+        named, origin = {k for k, v in table.items() if isinstance(v, int | float | list)}, table["origin"]
+        each = origin if isinstance(origin, dict) else dict.fromkeys(named, origin)
+        assert named == set(each) and set(each.values()) <= set(ORIGINS)
