@@ -233,54 +233,65 @@ def _ruler(chain: Chain, scene: Any, q_from: Any, q_to: Any, extent: Any, margin
     return measured, bounds._replace(speed=jnp.maximum(bounds.speed, tables))
 
 
+class _Sight(NamedTuple):
+    """What a measured configuration tells of those around it, by how fast each row may change."""
+
+    bounds: _Bounds
+    asked: _Asked
+
+    def level(self, least: Any) -> Any:
+        """What need not be looked at more closely: all above the least measured, to the resolution."""
+        return jnp.minimum(jnp.maximum(least - self.asked.resolution, self.asked.margin), self.asked.enough)
+
+    def around(self, at: _Measured, least: Any) -> Any:
+        """For how long each row stays above the level, before and after."""
+        gap = jnp.maximum(at.apart - self.level(least), self.asked.resolution)
+        slow = 2.0 * gap / (at.speed + jnp.sqrt(at.speed**2 + 2.0 * self.bounds.acceleration * gap))
+        return jnp.maximum(slow, gap / self.bounds.speed)
+
+    def kept(self, at: _Measured, s: Any) -> Any:
+        """What is left of every row, s before or after."""
+        fall = jnp.minimum(s * (at.speed + 0.5 * self.bounds.acceleration * s), self.bounds.speed * s)
+        return jnp.min(at.apart - fall)
+
+
+def _stepped(sight: _Sight, state: _State, there: _Measured) -> _State:
+    """On to what is measured `there`, where it and `here` see all that lies between; else it is only known, and the next try
+    is nearer."""
+    asked, here = sight.asked, state.here
+    s, now = there.t - here.t, jnp.min(there.apart)
+    least = jnp.minimum(state.least, now)
+    touches = ~(now > asked.margin + asked.resolution)  # NaN does
+    sure = state.hope == 1.0
+    on = sure | (jnp.all(sight.around(here, least) + sight.around(there, least) >= s) & ~touches)
+    halfway = jnp.minimum(sight.kept(here, 0.5 * s), sight.kept(there, 0.5 * s))
+    between = jnp.maximum(halfway, jnp.minimum(sight.level(least), now))
+    onwards = jax.tree_util.tree_map(lambda a, b: jnp.where(on, a, b), there, here)
+    return _State(
+        onwards,
+        jnp.min(sight.around(onwards, least)),
+        jnp.where(on, 2.0, 1.0).astype(least.dtype),
+        least,
+        jnp.where(now < state.least, there.t, state.nearest),
+        jnp.where(on, jnp.minimum(state.bound, between), state.bound),
+        touches & (asked.first | sure),
+        state.count + 1,
+    )
+
+
 def _marched_on(measured: Any, bounds: _Bounds, asked: _Asked, before: _State) -> _State:
     """One march from 0 to where the one `before` ended, whose other results it continues."""
-    margin, resolution, enough, first = asked
-    dtype = before.least.dtype
-
-    def level(least: Any) -> Any:
-        """What need not be looked at more closely: all above the least measured, to the resolution."""
-        return jnp.minimum(jnp.maximum(least - resolution, margin), enough)
-
-    def around(at: _Measured, least: Any) -> Any:
-        """For how long each row stays above the level, before and after."""
-        gap = jnp.maximum(at.apart - level(least), resolution)
-        slow = 2.0 * gap / (at.speed + jnp.sqrt(at.speed**2 + 2.0 * bounds.acceleration * gap))
-        return jnp.maximum(slow, gap / bounds.speed)
-
-    def kept(at: _Measured, s: Any) -> Any:
-        """What is left of every row, s before or after."""
-        return jnp.min(at.apart - jnp.minimum(s * (at.speed + 0.5 * bounds.acceleration * s), bounds.speed * s))
-
-    def advance(state: _State) -> _State:
-        here, there = state.here, measured(jnp.minimum(state.here.t + state.hope * state.step, until))
-        s, now = there.t - here.t, jnp.min(there.apart)
-        least = jnp.minimum(state.least, now)
-        touches = ~(now > margin + resolution)  # NaN does
-        sure = state.hope == 1.0
-        on = sure | (jnp.all(around(here, least) + around(there, least) >= s) & ~touches)
-        between = jnp.maximum(jnp.minimum(kept(here, 0.5 * s), kept(there, 0.5 * s)), jnp.minimum(level(least), now))
-        onwards = jax.tree_util.tree_map(lambda a, b: jnp.where(on, a, b), there, here)
-        return _State(
-            onwards,
-            jnp.min(around(onwards, least)),
-            jnp.where(on, 2.0, 1.0).astype(dtype),
-            least,
-            jnp.where(now < state.least, there.t, state.nearest),
-            jnp.where(on, jnp.minimum(state.bound, between), state.bound),
-            touches & (first | sure),
-            state.count + 1,
-        )
-
-    until, rows = before.here.t, len(bounds.speed)
+    dtype, until, rows, sight = before.least.dtype, before.here.t, len(bounds.speed), _Sight(bounds, asked)
     zero, one = jnp.zeros((), dtype), jnp.ones((), dtype)
     nowhere = _Measured(zero, jnp.full(rows, FAR, dtype), jnp.zeros(rows, dtype))
     start = before._replace(here=nowhere, step=zero, hope=one, hit=jnp.zeros((), bool), count=jnp.zeros((), jnp.int32))
     # NaN is due: what cannot be compared is no proof
-    due = lambda state: ~(state.here.t + state.step >= until) | ((state.count == 0) & ~(before.hit & first))
-    end = lax.while_loop(lambda state: due(state) & ~state.hit & (state.count < MOST), advance, start)
+    due = lambda state: ~(state.here.t + state.step >= until) | ((state.count == 0) & ~(before.hit & asked.first))
+    ahead = lambda state: measured(jnp.minimum(state.here.t + state.hope * state.step, until))
+    goes_on = lambda state: due(state) & ~state.hit & (state.count < MOST)
+    end = lax.while_loop(goes_on, lambda state: _stepped(sight, state, ahead(state)), start)
     through = ~due(end) & ~end.hit
-    last = jnp.maximum(kept(end.here, until - end.here.t), level(end.least))
+    last = jnp.maximum(sight.kept(end.here, until - end.here.t), sight.level(end.least))
     return end._replace(
         here=_Measured(jnp.where(through, until, end.here.t), 0, 0),
         bound=jnp.where(through, jnp.minimum(end.bound, last), end.bound),
