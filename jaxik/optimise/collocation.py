@@ -16,7 +16,7 @@ quadratic cost: it becomes smoother as it becomes shorter [Zucker et al. 2013]. 
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from typing import Any, NamedTuple
 
 import jax
@@ -144,6 +144,18 @@ class _State(NamedTuple):
     share: np.ndarray
     record: np.ndarray
     here: _Measured
+
+
+class _Pulls(NamedTuple):
+    """What a step is pulled by, and held: the squares' weights of the rows and of the knots' damping (b, M, t + 1, n); the
+    rows' values' pulls, those of distances (b, S, l), and of loads (b, S, m), each with the weights of its squares."""
+
+    diagonal: np.ndarray
+    rows: list[np.ndarray]
+    distances: np.ndarray
+    weights: np.ndarray
+    loads: np.ndarray
+    heavy: np.ndarray
 
 
 class _Step(NamedTuple):
@@ -304,12 +316,32 @@ class _Solver:
     # ----------------------------------------------------------------------------------------------------------------
 
     def _step(self, state: _State) -> _Step:
-        rows, here, barrier = self.problem.rows, state.here, state.barrier[:, None, None]
-        samples, equations = here.samples, here.equations
-        pulls = [-2.0 * _weight(row) * value for row, value in zip(rows, here.values, strict=True)]
+        """Newton's, of what the slacks and multipliers of the bounds are eliminated from."""
+        here, equations, at = state.here, state.here.equations, list(self.problem.at)
+        pulls = self._pulls(state)
+        right = self._right(state, pulls)
+        squares, levers = (
+            self._squares(here.samples.slopes, pulls.weights, equations),
+            self._levers(here.loads.slopes, pulls.heavy),
+        )
+        fixed = self.patterns, self.mean, self.fixed
+        (move,) = in_blocks(_STEP, pulls.diagonal, *squares, *levers, right, fixed=fixed, double=True)
+        promise = np.abs(np.sum(move * right, axis=(1, 2)))
+        if self.problem.open_end:
+            move[:, self.end + 1 :] = move[:, self.end : self.end + 1]
+        linear = equations.residual + np.einsum("bjmn,bjn->bjm", equations.slopes, applied(self.value, move)[:, at])
+        changes = zip(self._changes(here, move), here.distances, state.slack, strict=True)
+        by_slack, barrier = [change + d - s for change, d, s in changes], state.barrier[:, None, None]
+        by_dual = [barrier / s - z - z / s * ds for s, z, ds in zip(state.slack, state.dual, by_slack, strict=True)]
+        return _Step(move, by_slack, by_dual, promise, state.multipliers + self.stiff * linear)
+
+    def _pulls(self, state: _State) -> _Pulls:
+        """Of the cost and of the bounds' barrier."""
+        rows, here, samples, barrier = self.problem.rows, state.here, state.here.samples, state.barrier[:, None, None]
+        by_row = [-2.0 * _weight(row) * value for row, value in zip(rows, here.values, strict=True)]
         diagonal = np.zeros((len(barrier), self.size, len(rows) + 1, self.n))
         for i, row in enumerate(rows):
-            diagonal[:, : pulls[i].shape[1], i] = 2.0 * _weight(row) * (1.0 + state.damping[:, None, None])
+            diagonal[:, : by_row[i].shape[1], i] = 2.0 * _weight(row) * (1.0 + state.damping[:, None, None])
         pull, weights = -samples.first, samples.second
         lifts, heavy = np.zeros_like(here.loads.value), np.zeros_like(here.loads.value)
         for k, (s, z, d) in enumerate(zip(state.slack, state.dual, here.distances, strict=True)):
@@ -318,7 +350,7 @@ class _Solver:
             if k < len(self.bounds):
                 i, sign, _ = self.bounds[k]
                 diagonal[:, : s.shape[1], i] += stiff
-                pulls[i] += sign * push
+                by_row[i] += sign * push
             elif (side := self._of_load(k)) is not None:
                 lifts, heavy = lifts + side * push, heavy + stiff
             else:
@@ -326,48 +358,42 @@ class _Solver:
         lever = np.abs(samples.slopes).max(axis=(1, 2))
         extra = state.damping[:, None] * np.abs(pull).sum(axis=2)
         diagonal[:, : pull.shape[1], -1] = extra[..., None] * lever[:, None]  # no more than a lever's second derivative
+        return _Pulls(diagonal, by_row, pull, weights, lifts, heavy)
+
+    def _right(self, state: _State, pulls: _Pulls) -> np.ndarray:
+        """The pulls on each control point (b, M, n)."""
+        samples, equations, at = state.here.samples, state.here.equations, list(self.problem.at)
         right = np.zeros_like(state.points)
-        for row, by_row in zip(rows, pulls, strict=True):
+        for row, by_row in zip(self.problem.rows, pulls.rows, strict=True):
             spread(row.stencil, by_row, right)
-        by_value = np.matmul(pull[:, :, None], samples.slopes)[:, :, 0]
-        at = list(self.problem.at)
-        slopes, all_weights = self._squares(samples.slopes, weights, equations)
+        by_value = np.matmul(pulls.distances[:, :, None], samples.slopes)[:, :, 0]
         if at:
             total = state.multipliers + self.stiff * equations.residual
             by_value[:, at] -= np.einsum("bjm,bjmn->bjn", total, equations.slopes)
         spread(self.value, by_value, right)
         if samples.by_rate is not None:
             spread(self.rate, -samples.by_rate, right)
-        for stencil, slope in zip((self.value, self.rate, self.bend), np.moveaxis(here.loads.slopes, 3, 0), strict=True):
+        for stencil, slope in zip((self.value, self.rate, self.bend), np.moveaxis(state.here.loads.slopes, 3, 0), strict=True):
             if slope.size:
-                spread(stencil, np.matmul(lifts[:, :, None], slope)[:, :, 0], right)
+                spread(stencil, np.matmul(pulls.loads[:, :, None], slope)[:, :, 0], right)
         if self.problem.open_end:
             right[:, self.end] = right[:, self.end :].sum(axis=1)
         right *= 1.0 - self.fixed[:, None]
-        fixed = self.patterns, self.mean, self.fixed
-        levers, all_loads = self._levers(here.loads.slopes, heavy)
-        operands = diagonal, slopes, all_weights, levers, all_loads, right
-        (move,) = in_blocks(_STEP, *operands, fixed=fixed, double=True)
-        promise = np.abs(np.sum(move * right, axis=(1, 2)))
-        if self.problem.open_end:
-            move[:, self.end + 1 :] = move[:, self.end : self.end + 1]
-        moved = applied(self.value, move)
-        linear = equations.residual + np.einsum("bjmn,bjn->bjm", equations.slopes, moved[:, at])
-        by_slack, by_dual = [], []
-        for k, (s, z, d) in enumerate(zip(state.slack, state.dual, here.distances, strict=True)):
+        return right
+
+    def _changes(self, here: _Measured, move: np.ndarray) -> Iterator[np.ndarray]:
+        """By how much a step changes each distance to a bound, to first order."""
+        for k in range(len(here.distances)):
             if k < len(self.bounds):
                 i, sign, _ = self.bounds[k]
-                change = sign * applied(rows[i].stencil, move)
+                yield sign * applied(self.problem.rows[i].stencil, move)
             elif (side := self._of_load(k)) is not None:
-                change = side * sum(
+                yield side * sum(
                     np.matmul(here.loads.slopes[:, :, :, i], applied(stencil, move)[..., None])[..., 0]
                     for i, stencil in enumerate((self.value, self.rate, self.bend))
                 )
             else:
-                change = np.matmul(samples.slopes, moved[..., None])[..., 0]
-            by_slack.append(change + d - s)
-            by_dual.append(barrier / s - z - z / s * by_slack[-1])
-        return _Step(move, by_slack, by_dual, promise, state.multipliers + self.stiff * linear)
+                yield np.matmul(here.samples.slopes, applied(self.value, move)[..., None])[..., 0]
 
     def _of_load(self, k: int) -> float | None:
         """Whether the k-th distances are those of loads to their upper (-1) or lower (1) limits."""
