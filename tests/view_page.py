@@ -103,6 +103,25 @@ COUNT = """window.got = []; const Plain = window.Worker;
 window.Worker = class extends Plain { constructor(...given) {
   super(...given); this.addEventListener("message", () => window.got.push(performance.now())) } };"""
 
+PAD = "navigator.getGamepads = () => window.sticks ? [null, {axes: window.sticks}] : [null];"
+
+
+def push_sticks(driver, page):
+    """A game pad of the browser moves the tip: along x until the stick is in its middle; not when the pad has gone."""
+    place = lambda: frames(page.chain, page.q)[-1][:3, 3]
+    page.move(np.array([0.5, 0.1, 0.1, -0.9, 0.2, 0.6, 0.1]))
+    time.sleep(1.0)
+    start = place()
+    for last, least in (("[0, 0.05, 0, 0]", 0.03), ("null", 0.0)):
+        driver.execute_script("window.sticks = [-1, 0, 0, 0]")
+        time.sleep(1.5)
+        driver.execute_script(f"window.sticks = {last}")
+        time.sleep(1.5)
+        rest = place()
+        time.sleep(0.5)
+        print(f"pushed by a stick: {np.round(1e3 * (rest - start))} mm")
+        assert start[0] - rest[0] > least and np.abs(place() - rest).max() < 0.005, "the tip does not follow the stick"
+
 
 def tips(page, rows, ended):
     """Where the target and the tip are, a hundred times a second while the target is dragged."""
@@ -117,7 +136,7 @@ def steer(out):
     driver, rows, ended = browser(), [], threading.Event()
     try:
         driver.set_window_size(900, 600)
-        driver.execute_cdp_cmd("Page.addScriptToEvaluateOnNewDocument", {"source": COUNT})
+        driver.execute_cdp_cmd("Page.addScriptToEvaluateOnNewDocument", {"source": COUNT + PAD})
         driver.get(page.url)
         settled(driver)
         page.move(np.array([0.5, 0.1, 0.1, -0.9, 0.2, 0.6, 0.1]))
@@ -167,8 +186,9 @@ def steer(out):
             assert (Path(folder) / "motion.json").stat().st_size > 1000, page.steering.kept.content
         driver.find_element(By.XPATH, "//*[text()='Play the recording']").click()
         settled(driver)
+        push_sticks(driver, page)
         text = driver.find_element(By.TAG_NAME, "body").text
-        for words in ("Drag the arrows", "Hz", "samples", "near a joint's limit"):
+        for words in ("Drag the arrows", "virtual springs", "game pad", "Hz", "samples", "near a joint's limit"):
             assert words in text, f"the page lacks '{words}'"
         severe = [e["message"] for e in driver.get_log("browser") if e["level"] == "SEVERE" and "favicon" not in e["message"]]
         assert not severe, severe

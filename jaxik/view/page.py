@@ -34,14 +34,14 @@ from jaxik.view.robot_drawing import RobotDrawing
 from jaxik.view.scene_drawing import SceneDrawing
 from jaxik.view.sliders import Sliders
 from jaxik.view.solids import bones, frames, scene_points
-from jaxik.view.steering import STEER, Steering
+from jaxik.view.steering import STEER, Steering, ready_posture
 
 HELP = (
     "**Look:** drag to turn, right button to shift, wheel to come nearer.",
     "**Joints:** the sliders move them. The line at the top says what is nearest to the robot, or what it hits.",
     "**Target:** drag the arrows and rings at the tip. Inverse kinematics follows, or says why it cannot.",
     "**Map:** each point is a place that a sweep has tried. Click one that is reachable to see the posture there.",
-    "**Steer** (`--teleop`): drag the tip, the arm follows in real time; record, play, save.",
+    "**Steer** (`--teleop`): drag the tip, or push a game pad's sticks, the arm follows in real time; record, play, save.",
     "**Fruits:** choose one to see how it is picked, or what is in its way.",
     "**Motions:** play them, or drag the time.",
 )
@@ -78,7 +78,7 @@ class Page:
         self.home = self.chain = chain
         self.scene, self.around = scene, scene if scene is not None else make_scene()
         self.blind = _blind(chain)
-        self._q, self.asked = default_pose(chain), Latest()
+        self._q, self.asked = ready_posture(chain, self.around) if teleop else default_pose(chain), Latest()
         self.hit, self.strained = frozenset[str](), frozenset[int]()
         self.steering: Steering | None = None
         self.server = viser.ViserServer(host=host, port=port, label="jaxik", verbose=False)

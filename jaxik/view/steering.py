@@ -1,7 +1,7 @@
 """The tip in a person's hand, on the page: drag it, and the arm follows in real time, with its secondary objectives.
 
-The page's target is the device: while it is dragged it is where the hand is, and else the clutch is pressed. What is near
-pushes like a spring that begins `SHELL` away, so that there are forces before there are collisions.
+The page's target is the device: while it is dragged it is where the hand is, and else the clutch is pressed, unless a game pad
+moves it. What is near pushes like a spring that begins `SHELL` away, so that there are forces before there are collisions.
 """
 
 from __future__ import annotations
@@ -27,6 +27,7 @@ from jaxik.robot.contact import Contact
 from jaxik.robot.kinematics import manipulability
 from jaxik.spatial.rotations import from_wxyz
 from jaxik.spmd import HostKernel
+from jaxik.view.game_pad import PagePad
 from jaxik.view.palette import CARRIED, PATH, boxed, rgb
 from jaxik.view.recording import recorded
 from jaxik.view.solids import frames
@@ -40,14 +41,18 @@ MARGIN, SHELL, STIFFNESS = 0.01, 0.05, 300.0  # [m], [m], [N/m]
 ARROW = 0.02  # [m/N]
 CLOSE = 0.1  # of half a joint's range
 TURNING = 5.0  # [1/s] by which the tip turns to the target
-STEER = "Drag the arrows and rings at the tip: the arm follows, and keeps clear of what is near."
+STEER = "Drag the arrows and rings at the tip, or push a game pad's sticks: the arm follows, and keeps clear of what is near."
+FORCES = (
+    f"Arrows are forces of virtual springs, {STIFFNESS:g} N/m, that begin {100.0 * SHELL:g} cm before what is near: "
+    "at the place where it is near, and what a hand would feel of it at the tip. Nothing is measured."
+)
 
 
-class PageMouse:
-    """The page's target as a device. It is silent while no browser is there."""
+class PageHand:
+    """The page's target as a device, and else a game pad's sticks. It is silent while no browser is there."""
 
-    def __init__(self, page: Page):
-        self.page, self.dragged, self._followed = page, False, False
+    def __init__(self, page: Page, pad: PagePad):
+        self.page, self.pad, self.dragged, self._followed, self._pushed = page, pad, False, False, None
 
         async def moved(event: Any) -> None:  # so that the phases come in their order
             self.dragged = event.phase != "end"
@@ -56,11 +61,15 @@ class PageMouse:
 
     def read(self) -> Hand | None:
         if not self.page.server.get_clients():
-            self.dragged = self._followed = False
+            self.dragged, self._followed, self._pushed = False, False, None
             return None
         gizmo, tip = self.page.gizmo, frames(self.page.chain, self.page.q)[-1]
         dragged = self.dragged  # another thread's
         begun, self._followed = dragged and not self._followed, dragged
+        rate, before = None if dragged else self.pad.rate(), self._pushed
+        self._pushed = None if rate is None else tip[:3, 3] if before is None else before + PERIOD * rate[:3]
+        if rate is not None and before is not None:
+            return Hand(self._pushed, rate[3:], np.zeros(1))
         if begun or not dragged:  # the tip is the reference of a drag, however far it has gone when it is first seen
             return Hand(tip[:3, 3], np.zeros(3), np.array([float(not begun)]))
         turn = _rotation_vector(from_wxyz(gizmo.wxyz) @ tip[:3, :3].T)
@@ -77,14 +86,15 @@ class Steering:
     """The controls in a tab of the page, and the loop behind them."""
 
     def __init__(self, page: Page):
-        self.page, self.chain, self.device = page, page.home, PageMouse(page)
-        self.watch, self.running = Watchdog(self.device), threading.Event()
+        self.page, self.chain, self.running = page, page.home, threading.Event()
         self.rows: list[np.ndarray] = []
         self.recording = self.playing = False
         gui = page.server.gui
-        gui.add_markdown(f"**{STEER}** Links whose joints are near a limit change their colour; arrows are forces.")
+        gui.add_markdown(f"**{STEER}** Links whose joints are near a limit change their colour. {FORCES}")
         self.on = gui.add_checkbox("steer the tip", True)
         self.said = gui.add_html("")
+        self.device = PageHand(page, PagePad(gui))
+        self.watch = Watchdog(self.device)
         self.record, self.play = gui.add_button("Record"), gui.add_button("Play the recording", disabled=True)
         self.file, self.save = gui.add_text("file", "motion.csv"), gui.add_button("Save", disabled=True)
         self.kept = gui.add_html("")
@@ -103,7 +113,6 @@ class Steering:
             )
             for name, colour in (("contact", CARRIED), ("felt", PATH))
         ]
-        page.move(ready_posture(self.chain, page.around))
         self._say("getting ready")
         self.thread = threading.Thread(target=self._run, daemon=True)
         self.running.set()

@@ -7,6 +7,7 @@ import pytest
 
 import jaxik
 from jaxik.planning import load_trajectory
+from jaxik.view.game_pad import FAST, SILENT, TURNING
 from jaxik.view.page import Page
 from jaxik.view.palette import NEAR_LIMIT, rgb
 from jaxik.view.recording import recorded
@@ -72,6 +73,32 @@ def test_joints_near_their_limits_are_coloured(page):
     links = {link for link, joint in enumerate(page.chain.link_joint) if joint == 4}
     until(lambda: all(tuple(part.color) == rgb(NEAR_LIMIT) for link, part in page.robot.parts if link in links))
     steering.on.value = True
+
+
+def test_a_game_pad_of_the_browser_moves_the_tip(page):
+    """What the page's script writes, without a browser: `view_page.py` has one."""
+    pad = page.steering.device.pad
+    page.move(np.array([0.5, 0.1, 0.1, -0.9, 0.2, 0.6, 0.1]))
+    time.sleep(5 * PERIOD)
+    start, told = place(page), iter(range(10000))
+
+    def pushed(true, sticks):
+        while not true():
+            pad.field.value = f"sticks: {sticks} #{next(told)}"
+            time.sleep(PERIOD)
+
+    pushed(lambda: place(page)[0] > start[0] + 0.03, "1.00 0.05 0.00 0.09")  # no stick is ever quite in its middle
+    np.testing.assert_allclose(place(page)[1:], start[1:], atol=5e-3)
+    pad.field.value = "sticks: 0.00 0.05 0.00 0.09"
+    assert pad.rate() is None
+    pad.clock, now = lambda: now, pad.clock()
+    pad.field.value = "sticks: 0.00 -0.50 2.00 -1.00"  # forward, right, up
+    np.testing.assert_allclose(pad.rate(), [0.0, FAST / 2, FAST, 0.0, 0.0, -TURNING])
+    now += 2 * SILENT
+    assert pad.rate() is None  # it has gone while a stick was out
+    pad.field.value = "sticks: what?"
+    assert pad.rate() is None
+    pad.clock = time.monotonic
 
 
 def test_nobody_is_there(page):
