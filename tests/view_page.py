@@ -143,7 +143,8 @@ def steer(out):
         time.sleep(1.0)
         tip = frames(page.chain, page.q)[-1][:3, 3]
         for client in page.server.get_clients().values():
-            client.camera.position, client.camera.look_at = tuple(tip + np.array([0.0, -0.9, 0.25])), tuple(tip)  # in this order
+            client.camera.position = tuple(tip + np.array([0.0, -0.9, 0.25]))  # which shifts what it looks at
+            client.camera.look_at = tuple(tip)
         first = settled(driver)
         canvas = driver.find_element(By.TAG_NAME, "canvas")
         high, wide = canvas.size["height"], canvas.size["width"]

@@ -20,7 +20,7 @@ from jaxtyping import Float
 from jaxik.checks.options import as_count
 from jaxik.optimise.linear import damped_solve
 from jaxik.robot.chain import Array, Chain, as_configuration, as_shaped
-from jaxik.robot.contact import Contact, contact_jacobian, material_point
+from jaxik.robot.contact import Contact, check_joint, contact_jacobian, material_point
 
 NOTHING = 1e-6  # of the squared torques' weight: smaller is not felt
 
@@ -47,9 +47,11 @@ def locate_contact(
     """The contact on a link that explains the `external` torques (n,) [Nm, N] best. Traced.
 
     The link moves with the first `joint` joints; `axis` (2, 3) [m] are the ends of its axis in the last of these joints' frame,
-    of which `places` are tried. `noise` is what the torques are good to [Nm]. Raises `ValueError` for other shapes.
+    of which `places` are tried. `noise` is what the torques are good to [Nm]. Raises `ValueError` for other shapes,
+    and for a joint that the chain does not have.
     """
     as_count("locate_contact: places", places)
+    check_joint("locate_contact", chain, joint)
     q = as_configuration(chain, q)
     torque = as_shaped("locate_contact: external", external, q.shape).astype(q.dtype)
     ends = as_shaped("locate_contact: axis", axis, (2, 3)).astype(q.dtype)

@@ -19,7 +19,7 @@ from jaxtyping import Float
 from jaxik.checks.arrays import direction, shaped
 from jaxik.checks.options import as_count, check_finite
 from jaxik.pytree import Constant
-from jaxik.robot.chain import Array, Chain, as_numbers
+from jaxik.robot.chain import Array, Chain, as_numbers, as_shaped
 from jaxik.robot.contact import Contact, material_point
 from jaxik.spatial.algebra import safe_divide, safe_sqrt
 
@@ -120,8 +120,8 @@ class Skin(Constant):
 
     def contact(self, chain: Chain, q: Any, pressed: Any) -> Contact:
         """The resultant of what the cells feel (m,) [N], at the mean of their places by it. Traced. Where none feels anything
-        the force is 0."""
-        pressed = jnp.asarray(pressed)
+        the force is 0. Raises `ValueError` for another number of cells."""
+        pressed = as_shaped("skin: pressed", pressed, (len(self.points),))
         normals, places = self._normals(chain, q), self._places(chain, q)
         total = jnp.sum(pressed)
         point = jnp.where(total > 0.0, safe_divide(pressed @ places, total), jnp.mean(places, axis=0))

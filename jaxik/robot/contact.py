@@ -119,8 +119,10 @@ def _placed(who: str, chain: Chain, q: Any, joint: Any, point: Any) -> tuple[Joi
 def check_joint(who: str, chain: Chain, joint: Any) -> None:
     """Raises `ValueError` for a known `joint` that the chain does not have: outside of kernels, in which each is traced."""
     check_kind(who, "chain", chain, Chain)
+    moved = f"how many of the {chain.num_joints} joints of {chain.name} move the link, 0 to {chain.num_joints}"
+    if isinstance(joint, str):
+        raise ValueError(f"{who}: joint is {joint}; it is {moved}: chain.link_joint[chain.link_names.index(link)]")
     if is_known(joint):
         given = numbers(f"{who}: joint", joint)
         if not np.all((given >= 0) & (given <= chain.num_joints) & (given == np.round(given))):
-            moved = f"how many of the {chain.num_joints} joints of {chain.name} move the link, 0 to {chain.num_joints}"
             raise ValueError(f"{who}: joint is {shown(joint)}; it is {moved}")

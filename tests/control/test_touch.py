@@ -125,6 +125,7 @@ def test_a_skin_adds_up_its_cells():
         (lambda: Skin(2, np.zeros((0, 3)), np.zeros((0, 3))), "skin: no points"),
         (lambda: Skin(2, np.zeros((3, 3)), np.zeros((2, 3))), r"skin: normals of shape \(2, 3\)"),
         (lambda: Skin(2, np.zeros((1, 3)), np.zeros((1, 3))), "skin: normal 0 is no direction"),
+        (lambda: Skin(2, np.zeros((1, 3)), np.ones((1, 3))).contact(ARM, Q, np.ones(4)), r"skin: pressed has the shape \(4,\)"),
     ],
 )
 def test_refusals(call, says):
