@@ -59,58 +59,51 @@ def tables() -> list[str]:
 
 def overview() -> str:
     """A row for each kind of work: how long one takes in a batch, and what the nearest others take."""
-    names = ("", "dynamics_", "ik_", "collision_", "planning_", "sweep_", "predictive_")
-    work, forces, ik, collision, planning, sweep, ahead = (_result(f"{name}benchmark.json") for name in names)
-    alone = next(row for row in ik["panda"] if row["who"] == "Panda: jaxik" and row["targets"] == 1)
-    fastest = lambda rows: min((row for row in rows if "jaxik" not in row["who"]), key=lambda row: row["us_each"])
-    other, horizon, goals = fastest(ik["panda"]), ahead["real_time"][1], ik["goals"]
-    motions, timing = planning["problems"], planning["timing"]
-    rows = [
-        _ours(work, "forward kinematics, Panda, float32", "forward kinematics of a Panda", "PyRoki", "Pinocchio, Python loop"),
-        _ours(
-            forces, "inverse dynamics, Panda, float32", "inverse dynamics of a Panda", "Pinocchio, Python loop", "frax, vmap"
-        ),
-        _ours(work, "closed form, P6R, all 8 branches, float32", "closed form, all 8 branches", "EAIK, 2 threads"),
-        _ours(
-            collision,
-            "clearance, panda, 59 spheres, 700 scenes",
-            "clearance of a Panda among obstacles",
-            "coal and Pinocchio, Python loop",
-            "PyRoki, vmap, cylinders as capsules",
-        ),
-        (
-            "inverse kinematics of a Panda, 2,000 poses",
-            f"{duration(ik['panda'][0]['us_each'])}, {100 * ik['panda'][0]['success']:.0f} % solved",
-            f"{other['who'].removeprefix('Panda: ')}: {duration(other['us_each'])}, {100 * other['success']:.0f} %",
-        ),
-        ("the same, one pose a call", duration(alone["us_each"]), "-"),
-        (
-            "a Panda's goal among obstacles, one a call",
-            f"{goals['p50_ms']:.1f} ms, {round(goals['goals'] * goals['solved'])} of {goals['goals']} solved",
-            "-",
-        ),
-        (
-            "the same, a motion that is proven free and timed",
-            f"{motions['p50_ms']:.0f} ms, {motions['solved']} of {motions['problems']} solved",
-            "-",
-        ),
-        (
-            "the fastest timing of a path of seven joints",
-            duration(timing["us_each"]),
-            f"TOPP-RA: {duration(timing['toppra_us_each'])}",
-        ),
-        (
-            "a target of a reach map over a slide, with proof",
-            duration(1e6 / sweep["eaik"]["jaxik_refine_5"]["per_second"]),
-            f"EAIK in a loop, no proof: {duration(sweep['eaik']['eaik_with_limits_us'])}",
-        ),
-        (
-            f"a control sample, nine joints, {horizon['horizon_s']:g} s ahead",
-            f"{horizon['p50_ms']:.1f} ms",
-            f"CasADi's generated C: {horizon['casadi_p50_ms']:.1f} ms",
-        ),
-    ]
+    rows = [*_of_arms(), *_of_postures(), *_of_motions()]
     return "\n".join(["| work | jaxik | others |", "| --- | --- | --- |", *(f"| {' | '.join(row)} |" for row in rows)])
+
+
+def _of_arms() -> list[tuple[str, str, str]]:
+    work, forces, collision = map(_result, ("benchmark.json", "dynamics_benchmark.json", "collision_benchmark.json"))
+    loop = "Pinocchio, Python loop"
+    clear = "clearance, panda, 59 spheres, 700 scenes", "clearance of a Panda among obstacles"
+    return [
+        _ours(work, "forward kinematics, Panda, float32", "forward kinematics of a Panda", "PyRoki", loop),
+        _ours(forces, "inverse dynamics, Panda, float32", "inverse dynamics of a Panda", loop, "frax, vmap"),
+        _ours(work, "closed form, P6R, all 8 branches, float32", "closed form, all 8 branches", "EAIK, 2 threads"),
+        _ours(collision, *clear, "coal and Pinocchio, Python loop", "PyRoki, vmap, cylinders as capsules"),
+    ]
+
+
+def _of_postures() -> list[tuple[str, str, str]]:
+    ik, goals = (_result("ik_benchmark.json")[name] for name in ("panda", "goals"))
+    alone = next(row for row in ik if row["who"] == "Panda: jaxik" and row["targets"] == 1)
+    other = min((row for row in ik if "jaxik" not in row["who"]), key=lambda row: row["us_each"])
+    solved = lambda row: f"{duration(row['us_each'])}, {100 * row['success']:.0f} %"
+    found = f"{goals['p50_ms']:.1f} ms, {round(goals['goals'] * goals['solved'])} of {goals['goals']} solved"
+    others = f"{other['who'].removeprefix('Panda: ')}: {solved(other)}"
+    return [
+        ("inverse kinematics of a Panda, 2,000 poses", f"{solved(ik[0])} solved", others),
+        ("the same, one pose a call", duration(alone["us_each"]), "-"),
+        ("a Panda's goal among obstacles, one a call", found, "-"),
+    ]
+
+
+def _of_motions() -> list[tuple[str, str, str]]:
+    planning, peers = _result("planning_benchmark.json"), _result("sweep_benchmark.json")["eaik"]
+    motions, timing = planning["problems"], planning["timing"]
+    ahead = _result("predictive_benchmark.json")["real_time"][1]
+    planned = f"{motions['p50_ms']:.0f} ms, {motions['solved']} of {motions['problems']} solved"
+    target, eaik = duration(1e6 / peers["jaxik_refine_5"]["per_second"]), duration(peers["eaik_with_limits_us"])
+    sample = f"a control sample, nine joints, {ahead['horizon_s']:g} s ahead"
+    casadi = f"CasADi's generated C: {ahead['casadi_p50_ms']:.1f} ms"
+    toppra = f"TOPP-RA: {duration(timing['toppra_us_each'])}"
+    return [
+        ("the same, a motion that is proven free and timed", planned, "-"),
+        ("the fastest timing of a path of seven joints", duration(timing["us_each"]), toppra),
+        ("a target of a reach map over a slide, with proof", target, f"EAIK in a loop, no proof: {eaik}"),
+        (sample, f"{ahead['p50_ms']:.1f} ms", casadi),
+    ]
 
 
 def _ours(result: dict[str, Any], work: str, name: str, *others: str) -> tuple[str, str, str]:
