@@ -106,7 +106,7 @@ def test_base_and_tip_are_found_or_refused(tmp_path):
     refused(tmp_path / "absent.urdf", "cannot be read")
     refused(write(tmp_path, "arm.sdf", URDF), "ending '.sdf'", ".urdf")
     with pytest.raises(jaxik.LoadError, match="shipped: chembuly9"):
-        jaxik.load("panda")
+        jaxik.load("sawyer")
 
 
 @pytest.mark.parametrize(
