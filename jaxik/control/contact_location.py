@@ -55,7 +55,8 @@ def locate_contact(
     q = as_configuration(chain, q)
     torque = as_shaped("locate_contact: external", external, q.shape).astype(q.dtype)
     ends = as_shaped("locate_contact: axis", axis, (2, 3)).astype(q.dtype)
-    mask = (jnp.arange(q.size) < joint).astype(q.dtype)
+    noise = as_shaped("locate_contact: noise", noise, ()).astype(q.dtype)
+    mask = (jnp.arange(q.size) < as_shaped("locate_contact: joint", joint, ())).astype(q.dtype)
     shares = jnp.linspace(0.0, 1.0, places, dtype=q.dtype)
 
     def tried(share: Any) -> tuple[Any, Any, Any]:
@@ -68,6 +69,6 @@ def locate_contact(
 
     points, forces, left = jax.lax.map(tried, shares)
     best = jnp.argmin(left)
-    told = jnp.max(left) > left[best] + jnp.asarray(noise, q.dtype) ** 2 * np.sqrt(2.0 * chain.num_joints)
+    told = jnp.max(left) > left[best] + noise**2 * np.sqrt(2.0 * chain.num_joints)
     contact = Contact(jnp.asarray(joint), points[best], forces[best])
     return Located(contact, shares[best], jnp.sqrt(left[best]), told)

@@ -30,18 +30,18 @@ import jax.numpy as jnp
 from jaxtyping import Float, Int
 
 from jaxik.checks.arrays import positive
-from jaxik.checks.options import as_count, check_choices, check_finite, check_kind
+from jaxik.checks.options import as_count, check_choices, check_finite, check_flag, check_kind, shown
 from jaxik.control.force_law import ForceLaw, LawState
 from jaxik.control.lowpass import Butterworth
 from jaxik.control.stiffness import StiffnessEstimator, StiffnessState
 from jaxik.costs import Cost, check_cost
-from jaxik.motions.nullspace import FLOOR, TaskAt, downhill, inverse_weights
+from jaxik.motions.nullspace import FLOOR, TaskAt, downhill, inverse_weights, settles
 from jaxik.motions.path import Motion
 from jaxik.motions.rate_limits import RateLimits
 from jaxik.pytree import Pytree
 from jaxik.reasons import Reason, Reasoned
 from jaxik.robot.chain import Array, Chain, as_configuration, as_numbers, as_shaped
-from jaxik.robot.contact import Contact, contact_jacobian, contact_torque
+from jaxik.robot.contact import Contact, contact_jacobian, contact_torque, trusted
 from jaxik.robot.task import POSITION, Task
 from jaxik.spatial.algebra import safe_divide, safe_sqrt
 
@@ -87,8 +87,8 @@ class Reaction:
     The `task` and its loop's `gain` K [1/s]; secondary objectives down `alpha` times the gradient of `cost`; `weights` W
     (n,); `scale` zeta of the elastic potential; `threshold` F_th and `relaxation` F_min [N]; the force `law`; the null
     space's greatest `rate` and `acceleration`; `damping` [1/s] of null-space rates (rac); `stiffness` [N/m], a number or an
-    estimator; `filter` of the forces, or None; `contacts`, how many at once. Limits are the chain's; `most` [rad/s2, m/s2]
-    bounds the accelerations of the whole command.
+    estimator; `filter` of the forces, at this `dt` whatever its own, or None; `contacts`, how many at once. Limits are the
+    chain's; `most` [rad/s2, m/s2] bounds the accelerations of the whole command.
 
     Raises `ValueError` for words and numbers out of range.
     """
@@ -126,9 +126,14 @@ class Reaction:
         if not isinstance(self.stiffness, StiffnessEstimator):
             check_finite(who, 1e-9, stiffness=self.stiffness)
         check_kind(who, "filter", self.filter, Butterworth, optional=True)
+        if self.filter is not None and self.filter.dt != self.dt:
+            object.__setattr__(self, "filter", dataclasses.replace(self.filter, dt=self.dt))
         as_count(f"{who}: contacts", self.contacts)
+        check_flag(who, limits=self.limits)
         if self.gain is not None:
             check_finite(who, 0.0, gain=self.gain)
+            if not settles(self.gain, self.dt):
+                raise ValueError(f"{who}: gain {self.gain:g} at dt {self.dt:g} s; allowed: below 2 / dt [1/s]")
         if self.cost is not None:
             check_cost(who, self.cost, self.chain.num_joints)
         object.__setattr__(self, "weights", positive(f"{who}: weights", self.weights))
@@ -176,16 +181,15 @@ class Reaction:
         """
         q = as_configuration(self.chain, q)
         qdot = as_shaped("reaction: qdot", qdot, q.shape).astype(q.dtype)
-        force, point, joint = self._stacked(contact, q.dtype)
-        felt = jnp.any(force != 0.0, axis=1)  # NaN is felt
-        numbers = (q, qdot, *motion, force, jnp.where(felt[:, None], point, 0.0), jnp.where(felt, joint, 0.0))
-        there = (joint >= 0.0) & (joint <= self.chain.num_joints) & (joint == jnp.floor(joint))
-        finite = [jnp.all(jnp.isfinite(jnp.asarray(x))) for x in numbers]
-        sound = jnp.all(jnp.stack([*finite, jnp.all(there | ~felt)]))
+        if not isinstance(motion, Motion):
+            raise ValueError(f"reaction: motion is {shown(motion)}; write what motions.motion gives")
+        contact = self._stacked(contact, q.dtype)
+        felt, sure = trusted(self.chain, contact)
+        sound = jnp.all(jnp.stack([jnp.all(sure), *(jnp.all(jnp.isfinite(jnp.asarray(x))) for x in (q, qdot, *motion))]))
         seen = state._replace(
-            joint=jnp.where(felt & there, joint, state.joint), point=jnp.where(felt[:, None], point, state.point)
+            joint=jnp.where(felt, contact.joint, state.joint), point=jnp.where(felt[:, None], contact.point, state.point)
         )
-        after, command = self._reacted(seen, q, qdot, motion, force)
+        after, command = self._reacted(seen, q, qdot, motion, contact.force)
         held = self._held(state, command)
         choose = lambda new, old: jax.tree_util.tree_map(lambda a, b: jnp.where(sound, a, b), new, old)
         return choose((after, command), (state._replace(rate=held.rate), held))
@@ -274,8 +278,9 @@ class Reaction:
     def _filtered(self, state: Any, x: Any) -> tuple[Any, Any]:
         return (state, x) if self.filter is None else self.filter.step(state, x)
 
-    def _stacked(self, contact: Contact, dtype: Any) -> tuple[Any, Any, Any]:
-        """Forces and points (k, 3) and joints (k,) of what is felt."""
+    def _stacked(self, contact: Contact, dtype: Any) -> Contact:
+        """What is felt, forces and points (k, 3) and joints (k,)."""
+        check_kind("reaction", "contact", contact, Contact)
         given = ("force", contact.force), ("point", contact.point), ("joint", contact.joint)
         force, point, joint = (as_numbers(f"reaction: {name} of the contact", x).astype(dtype) for name, x in given)
         if self.contacts == 1 and force.ndim == 1:
@@ -287,7 +292,7 @@ class Reaction:
             raise ValueError(
                 f"reaction: joint of the contact has the shape {joint.shape}; allowed: one number, ({self.contacts},)"
             )
-        return force, point, jnp.broadcast_to(joint, (self.contacts,))
+        return Contact(jnp.broadcast_to(joint, (self.contacts,)), point, force)
 
     @property
     def _limits(self) -> RateLimits:

@@ -20,7 +20,7 @@ from jaxik.control.touch import TouchSensor
 from jaxik.motions.path import Path, check_path, motion
 from jaxik.pytree import Pytree
 from jaxik.reasons import Reason, Reasoned
-from jaxik.robot.chain import Array, as_configuration
+from jaxik.robot.chain import Array, as_configuration, as_numbers
 from jaxik.robot.contact import Contact, check_joint, contact_jacobian, material_point
 from jaxik.spatial.algebra import safe_sqrt
 from jaxik.spmd import kernel
@@ -75,7 +75,7 @@ def simulate_reaction(
     if len(met) != reaction.contacts:
         raise ValueError(f"simulate_reaction: {len(met)} encounters; the reaction is one to {reaction.contacts} contacts")
     q = as_configuration(reaction.chain, q)
-    shaking = jnp.zeros(steps, q.dtype) if noise is None else jnp.asarray(noise, q.dtype)
+    shaking = jnp.zeros(steps, q.dtype) if noise is None else as_numbers("simulate_reaction: noise", noise).astype(q.dtype)
     if shaking.shape != (steps,):
         raise ValueError(f"simulate_reaction: noise has the shape {shaking.shape}; allowed: ({steps},)")
     return _simulation(reaction, sensor)(q, path, jnp.asarray(duration, q.dtype), met, shaking)

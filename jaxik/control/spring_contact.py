@@ -19,7 +19,7 @@ from jaxtyping import Float
 from jaxik.checks.arrays import direction, is_known
 from jaxik.checks.options import check_finite, shown
 from jaxik.pytree import Constant, static
-from jaxik.robot.chain import Array, Chain, as_given
+from jaxik.robot.chain import Array, Chain, as_given, as_shaped
 from jaxik.robot.contact import material_point
 
 
@@ -53,6 +53,7 @@ class SpringContact(Constant):
 
     def depth(self, point: Any) -> jax.Array:
         """How deep a point (3,) [m] is behind the wall [m]; 0 in front of it. Traced."""
+        point = as_shaped("spring contact: the point that meets it", point, (3,))
         return jnp.maximum(jnp.dot(jnp.asarray(self.point) - point, jnp.asarray(self.normal)), 0.0)
 
     def force(self, point: Any, velocity: Any = 0.0) -> jax.Array:

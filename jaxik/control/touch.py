@@ -17,10 +17,10 @@ import numpy as np
 from jaxtyping import Float
 
 from jaxik.checks.arrays import direction, shaped
-from jaxik.checks.options import as_count, check_finite
+from jaxik.checks.options import as_count, check_finite, check_kind
 from jaxik.pytree import Constant
-from jaxik.robot.chain import Array, Chain, as_numbers, as_shaped
-from jaxik.robot.contact import Contact, material_point
+from jaxik.robot.chain import Array, Chain, as_configuration, as_numbers, as_shaped
+from jaxik.robot.contact import Contact, check_joint, material_point
 from jaxik.spatial.algebra import safe_divide, safe_sqrt
 
 
@@ -58,20 +58,28 @@ class TouchSensor:
             object.__setattr__(self, "normal", tuple(direction("touch sensor: normal", self.normal).tolist()))
         if self.point is not None:
             object.__setattr__(self, "point", tuple(shaped("touch sensor: point", self.point, (3,)).tolist()))
+            check_finite("touch sensor: point", x=self.point[0], y=self.point[1], z=self.point[2])
 
     def init(self, contacts: int = 1, dtype: Any = float) -> SensorState:
         """Before the first reading, which is the first sample's. Traced."""
+        as_count("touch sensor: contacts", contacts)
         zeros = lambda *shape: jnp.zeros(shape, dtype)
         return SensorState(zeros(), zeros(contacts), zeros(contacts, 3), zeros(contacts, 3))
 
     def step(self, state: SensorState, chain: Chain, q: Any, true: Contact, noise: Any = 0.0) -> tuple[SensorState, Contact]:
         """What it shows of a stack of true contacts at q (n,), or of one; `noise` is a sample of unit variance. Traced. Raises
-        `ValueError` for another number of contacts than it began with."""
+        `ValueError` for another number of contacts than it began with, and for a joint that the chain does not have."""
+        check_kind("touch sensor", "true", true, Contact)
+        check_joint("touch sensor", chain, true.joint)
+        q = as_configuration(chain, q)
         point, force = (jnp.atleast_2d(as_numbers(f"touch sensor: {x}", getattr(true, x))) for x in ("point", "force"))
         for name, x in (("point", point), ("force", force)):
             if x.shape != state.force.shape:
                 raise ValueError(f"touch sensor: {name} has the shape {x.shape}; allowed: {state.force.shape}, as it began")
-        joints = jnp.broadcast_to(as_numbers("touch sensor: joint", true.joint), force.shape[:1])
+        joints = as_numbers("touch sensor: joint", true.joint)
+        if joints.shape not in ((), force.shape[:1]):
+            raise ValueError(f"touch sensor: joint has the shape {joints.shape}; allowed: (), {force.shape[:1]}")
+        joints = jnp.broadcast_to(joints, force.shape[:1])
         shown = [self._shown(chain, q, Contact(*each), noise) for each in zip(joints, point, force, strict=True)]
         points, forces = (jnp.stack(x) for x in zip(*shown, strict=True))
         reads = state.wait <= 0.0
@@ -107,6 +115,8 @@ class Skin(Constant):
         if not points.size:
             raise ValueError("skin: no points; allowed: (m, 3) of at least one cell")
         vars(self)["points"] = shaped("skin: points", self.points, (len(points), 3))
+        if not np.isfinite(self.points).all():
+            raise ValueError("skin: points hold NaN or infinity; allowed: finite numbers")
         normals = shaped("skin: normals", self.normals, (len(points), 3))
         vars(self)["normals"] = np.stack([direction(f"skin: normal {i}", x) for i, x in enumerate(normals)])
         super().__post_init__()
@@ -119,12 +129,13 @@ class Skin(Constant):
         )
 
     def contact(self, chain: Chain, q: Any, pressed: Any) -> Contact:
-        """The resultant of what the cells feel (m,) [N], at the mean of their places by it. Traced. Where none feels anything
-        the force is 0. Raises `ValueError` for another number of cells."""
+        """The resultant of what the cells feel (m,) [N], at the mean of the places of those that are pressed, by it. Traced.
+        Where none feels anything the force is 0. Raises `ValueError` for another shape."""
         pressed = as_shaped("skin: pressed", pressed, (len(self.points),))
         normals, places = self._normals(chain, q), self._places(chain, q)
-        total = jnp.sum(pressed)
-        point = jnp.where(total > 0.0, safe_divide(pressed @ places, total), jnp.mean(places, axis=0))
+        push = jnp.maximum(pressed, 0.0)  # an offset's pull would lead off the skin
+        total = jnp.sum(push)
+        point = jnp.where(total > 0.0, safe_divide(push @ places, total), jnp.mean(places, axis=0))
         return Contact(jnp.asarray(self.joint), point, pressed @ normals)
 
     def _places(self, chain: Chain, q: Any) -> jax.Array:

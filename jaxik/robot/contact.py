@@ -75,6 +75,7 @@ def contact_torque(chain: Chain, q: Float[Array, " n"], contacts: Contact) -> Fl
 
     Raises `ValueError` as `contact_jacobian` does. Source: Schuetz 2017, (4.36), (4.37).
     """
+    check_kind("contact_torque", "contacts", contacts, Contact)
     check_joint("contact_torque", chain, contacts.joint)
     return _contact_torque(chain, q, contacts)
 
@@ -96,6 +97,15 @@ def _contact_torque(chain: Chain, q: Any, contacts: Contact) -> jax.Array:
         at, force = (Vec3(*traced(x[k].astype(q.dtype))) for x in (points, forces))
         torque = [add(t, column.dot(force)) for t, column in zip(torque, _columns(chain, frames, joints[k], at), strict=True)]
     return stack(torque, (chain.num_joints,), q.dtype)
+
+
+def trusted(chain: Chain, contacts: Contact) -> tuple[jax.Array, jax.Array]:
+    """Of each contact, in arrays, whether it has a force, and whether that can be: finite, at a finite point of a joint that
+    the chain has. Without a force it does not matter where it is. Traced."""
+    felt = jnp.any(contacts.force != 0.0, axis=-1)  # NaN is felt
+    finite = jnp.all(jnp.isfinite(contacts.force) & jnp.isfinite(contacts.point), axis=-1)
+    joint = contacts.joint
+    return felt, ~felt | finite & (joint >= 0) & (joint <= chain.num_joints) & (joint == jnp.floor(joint))
 
 
 def _columns(chain: Chain, frames: JointFrames, joint: Any, at: Vec3) -> list[Vec3]:

@@ -53,6 +53,8 @@ def test_joints_beyond_the_link_are_not_asked():
         (lambda: locate_contact(ARM, Q[0], np.zeros(9), 4, AXIS[0]), r"axis has the shape \(3,\)"),
         (lambda: locate_contact(ARM, Q[0], np.zeros(9), 12, AXIS), "joint is 12; it is how many"),
         (lambda: locate_contact(ARM, Q[0], np.zeros(9), "body4", AXIS), r"body4; .*: chain.link_joint\[chain.link_names"),
+        (lambda: locate_contact(ARM, Q[0], np.zeros(9), [1, 2], AXIS), r"joint has the shape \(2,\)"),
+        (lambda: locate_contact(ARM, Q[0], np.zeros(9), 4, AXIS, noise="low"), "noise is low; write an array of numbers"),
         (lambda: locate_contact(ARM, Q[0], np.zeros(9), 4, AXIS, places=0), "places is 0; allowed: a count"),
     ],
 )

@@ -19,7 +19,7 @@ from jaxik.control import (
     TouchSensor,
     simulate_reaction,
 )
-from jaxik.motions import Line
+from jaxik.motions import Line, motion
 from jaxik.reasons import Reason
 from jaxik.robot import Contact, material_point
 
@@ -34,6 +34,8 @@ NORMAL = np.array([1.0, 0.3, 0.0]) / np.hypot(1.0, 0.3)
 WALL = SpringContact(AT + 0.1 * NORMAL, NORMAL, 60.0)  # 6 N at the start
 BARE = dict(task=TASK, threshold=0.0, filter=None, limits=False, rate=1e6, dt=5e-4, gain=5.0)
 MET = Encounter(WALL, 2, ELBOW)
+ASKED = motion(PATH, 6.0, 0.0)
+FELT = Contact(2, AT, np.array([1.0, 0.0, 0.0]))
 
 
 def simulated(reaction, steps, met=MET, sensor=None, duration=6.0):
@@ -103,6 +105,19 @@ def test_saturation_keeps_the_task():
     _, command = jax.jit(reaction.step)(reaction.init(Q), Q, jnp.zeros(4), motion, Contact(2, point, 8.0 * NORMAL))
     assert np.abs(command.rate).max() == pytest.approx(0.5)
     np.testing.assert_allclose(jaxik.jacobian(ARM, Q)[:2] @ command.rate, 0.0, atol=1e-10)
+
+
+@pytest.mark.parametrize("scheme", ["feedback", "rmrc"])
+def test_joints_at_their_limits_cost_the_task_nothing(scheme):
+    """More joints than the task can spare: the null space's motion is shortened, not the task's."""
+    slow = dataclasses.replace(ARM, velocity=np.full(4, 0.3))
+    found = simulated(Reaction(slow, scheme, task=TASK, most=4.0, scale=5.0), 600)
+    assert np.abs(found.error).max() < 5e-3 and found.force[-1] < 2.5
+    assert np.abs(found.rate).max() > 0.3 - 1e-9
+
+
+def test_the_filter_has_the_samples_of_the_reaction():
+    assert Reaction(ARM, dt=4e-3).filter == Butterworth(dt=4e-3)
 
 
 def test_above_its_bound_the_force_comes_before_the_task():
@@ -189,6 +204,11 @@ def test_a_loop_is_what_a_simulation_is(monkeypatch):
         (lambda: Reaction(ARM, "hard"), "scheme 'hard'; allowed: baseline, rmrc, rac"),
         (lambda: Reaction(ARM, threshold=np.nan), "threshold is nan; it is a finite number of at least 0"),
         (lambda: Reaction(ARM, stiffness=0.0), "stiffness is 0.0; it is a finite number"),
+        (lambda: Reaction(ARM, gain=3000.0), "gain 3000 at dt 0.001 s; allowed: below 2 / dt"),
+        (lambda: Reaction(ARM, dt=0.1), "cutoff 10 Hz at dt 0.1 s; allowed"),
+        (lambda: Reaction(ARM, limits="no"), "limits is no; allowed: True, False"),
+        (lambda: Reaction(ARM).step(None, Q, Q, None, FELT), "motion is None; write what motions.motion gives"),
+        (lambda: Reaction(ARM).step(None, Q, Q, ASKED, None), "contact is None; write a jaxik.robot.Contact"),
         (lambda: Reaction(ARM, weights=(1.0, 2.0)), "weights has 2 numbers; pendulum4 has 4 joints"),
         (lambda: Reaction(ARM, contacts=0), "contacts is 0; allowed: a count"),
         (lambda: Reaction("arm.urdf"), "chain is arm.urdf; write a jaxik.Chain, e.g. jaxik.load"),

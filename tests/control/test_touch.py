@@ -99,6 +99,11 @@ def test_a_skin_adds_up_its_cells():
         contact_torque(ARM, Q, whole), sum(np.asarray(contact_torque(ARM, Q, x)) for x in each), atol=1e-12
     )
     assert not np.any(skin.contact(ARM, Q, np.zeros(5)).force)
+    pulled = skin.contact(ARM, Q, [1.0, -0.99, 0.0, 0.0, 0.0])  # of cells with offsets
+    np.testing.assert_allclose(pulled.point, material_point(ARM, Q, 3, places[0]), atol=1e-12)
+
+
+LEANS = Contact(2, np.zeros(3), np.ones(3))
 
 
 @pytest.mark.parametrize(
@@ -122,6 +127,15 @@ def test_a_skin_adds_up_its_cells():
             lambda: TouchSensor().step(TouchSensor().init(), ARM, Q, Contact(2, None, np.ones(3))),
             "touch sensor: point is None; write an array of numbers",
         ),
+        (lambda: TouchSensor(point=(0.0, 0.0, np.nan)), "touch sensor: point: z is nan"),
+        (lambda: TouchSensor().init(0), "touch sensor: contacts is 0; allowed: a count"),
+        (lambda: TouchSensor().step(TouchSensor().init(), ARM, Q[:2], LEANS), r"q has shape \(2,\)"),
+        (lambda: TouchSensor().step(TouchSensor().init(), ARM, Q, LEANS._replace(joint=9)), "touch sensor: joint is 9; it is"),
+        (lambda: TouchSensor().step(TouchSensor().init(), ARM, Q, LEANS._replace(joint=[1, 2])), r"joint has the shape \(2,\)"),
+        (lambda: TouchSensor().step(TouchSensor().init(), ARM, Q, None), "true is None; write a jaxik.robot.Contact"),
+        (lambda: SpringContact(np.zeros(3), NORMAL, 1.0).force(np.zeros(2)), r"the point that meets it has the shape \(2,\)"),
+        (lambda: Skin(2, np.zeros((3, 3)), np.ones((3, 3))).contact(ARM, Q, np.zeros(2)), r"pressed has the shape \(2,\)"),
+        (lambda: Skin(2, np.full((1, 3), np.nan), np.ones((1, 3))), "skin: points hold NaN"),
         (lambda: Skin(2, np.zeros((0, 3)), np.zeros((0, 3))), "skin: no points"),
         (lambda: Skin(2, np.zeros((3, 3)), np.zeros((2, 3))), r"skin: normals of shape \(2, 3\)"),
         (lambda: Skin(2, np.zeros((1, 3)), np.zeros((1, 3))), "skin: normal 0 is no direction"),
