@@ -10,8 +10,8 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float, Int
 
-from jaxik.checks.arrays import is_known, numbers
-from jaxik.checks.options import check_finite
+from jaxik.checks.arrays import is_known, shaped
+from jaxik.checks.options import check_finite, check_seed
 from jaxik.pytree import Pytree, static
 from jaxik.robot.chain import Array
 
@@ -40,12 +40,14 @@ class DelayLine(Pytree):
     seed: int = static(default=0)
 
     def __post_init__(self) -> None:
+        check_seed("delay line", self.seed)
         if is_known((self.delay, self.jitter)):
-            late = [float(numbers("delay line: delay, jitter", x)) for x in (self.delay, self.jitter)]
+            late = [float(shaped("delay line: delay, jitter", x, ())) for x in (self.delay, self.jitter)]
             if not (np.isfinite(late).all() and min(late) >= 0.0):
                 raise ValueError(f"delay line: delay {late[0]:g} s, jitter {late[1]:g} s; allowed: finite, at least 0")
             longest = sum(late) if self.longest is None else self.longest
-            if not sum(late) <= longest < np.inf:
+            check_finite("delay line", longest=longest)
+            if longest < sum(late):
                 raise ValueError(
                     f"delay line: longest {longest:g} s; allowed: finite, at least delay + jitter, {sum(late):g} s"
                 )

@@ -13,7 +13,7 @@ from typing import Any
 
 import numpy as np
 
-from jaxik.checks.options import check_finite
+from jaxik.checks.options import as_count, check_finite
 from jaxik.control.hand import Hand
 
 _EVENT = struct.Struct("=IhBB")  # of Linux' joystick interface: time [ms], value, kind, number
@@ -52,6 +52,11 @@ class GamePad(_Silent):
         buttons: int = 1,
     ):
         check_finite("game pad", 0.0, reach=reach, turning=turning)
+        as_count("game pad: buttons", buttons)
+        if len(axes) != 6 or len(signs) != 6:
+            raise ValueError(
+                f"game pad: {len(axes)} axes and {len(signs)} signs; allowed: 6, of x, y, z and the turns about them"
+            )
         self._file = os.open(file, os.O_RDONLY | os.O_NONBLOCK)
         self._scale = np.array(signs) * np.repeat([reach, turning], 3)
         self._axes, self._sticks, self._buttons = axes, np.zeros(6), np.zeros(buttons)

@@ -5,6 +5,7 @@ from __future__ import annotations
 
 import functools
 import itertools
+import threading
 from collections.abc import Callable
 from typing import Any
 
@@ -120,14 +121,20 @@ def _wide(tree: Any) -> Any:
 
 def repeated(function: Callable[..., Any], *rows: np.ndarray) -> Callable[..., list[np.ndarray]]:
     """`function` of rows such as these (1, ...), in float64, to be called again and again: one kernel, or by XLA where there is
-    none. Compiles."""
+    none. Threads wait for each other: the kernel has one place for what it is given. Compiles."""
     kernel = HostKernel(function, len(rows))
     try:
         run = kernel.repeated(*rows, double=True)
     except Unsupported:
         run = functools.partial(_by_xla, kernel)
     run(*rows)
-    return run
+    lock = threading.Lock()
+
+    def alone(*rows: np.ndarray) -> list[np.ndarray]:
+        with lock:
+            return run(*rows)
+
+    return alone
 
 
 def _by_xla(kernel: HostKernel, *rows: np.ndarray) -> list[np.ndarray]:

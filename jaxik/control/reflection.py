@@ -6,9 +6,9 @@
     cost        F_s = -J S dH/dq                                                                              (3.4)
 
 The first is the force at the tip that does the work of the contacts, whatever the motion that the task asks for: that of a
-contact at the tip is itself, and energy that is made or lost is that of the contacts. The thesis' own, J being the tip's
-translational Jacobian, add torques to forces: S weighs a revolute joint by 1 / length^2, for a `length` [m] of the arm's size.
-Its (3.4) has no minus, and would push up the cost.
+contact at the tip is itself, as far as it can move the arm, and energy that is made or lost is that of the contacts. The
+thesis' own, J being the tip's translational Jacobian, add torques to forces: S weighs a revolute joint by 1 / length^2, for a
+`length` [m] of the arm's size. Its (3.4) has no minus, and would push up the cost.
 """
 
 from __future__ import annotations
@@ -20,10 +20,9 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float
 
-from jaxik.checks.options import check_choices, check_finite
-from jaxik.costs import Cost
-from jaxik.motions.nullspace import FLOOR
-from jaxik.optimise.linear import damped_solve
+from jaxik.checks.options import check_choices, check_finite, check_kind
+from jaxik.costs import Cost, check_cost
+from jaxik.optimise.linear import least_solve
 from jaxik.robot.chain import Array, Chain, as_configuration, as_numbers
 from jaxik.robot.contact import Contact, contact_torque
 from jaxik.robot.kinematics import jacobian
@@ -42,13 +41,13 @@ def reflect(
     """
     check_choices("reflect", felt=(felt, Felt))
     check_finite("reflect", 1e-9, length=length)
+    check_kind("reflect", "contact", contact, Contact)
     q = as_configuration(chain, q)
     point, force = (as_numbers(f"reflect: {x}", getattr(contact, x)).astype(q.dtype) for x in ("point", "force"))
     contact = Contact(contact.joint, point, force)
     if felt == "power":
         rows = jacobian(chain, q)[: 6 if chain.num_joints >= 6 else 3]
-        found, _ = damped_solve(list(rows @ rows.T), list(rows @ contact_torque(chain, q, contact)), FLOOR)
-        return jnp.stack(found)[:3]
+        return least_solve(rows, contact_torque(chain, q, contact))[:3]
     towards = _towards(chain, q, length)
     if felt == "lever":
         return towards @ contact_torque(chain, q, contact)
@@ -59,7 +58,7 @@ def reflect(
 
     if force.ndim == 1:
         return one(contact)
-    joints = jnp.broadcast_to(jnp.asarray(contact.joint), force.shape[:1])
+    joints = jnp.broadcast_to(as_numbers("reflect: joint", contact.joint), force.shape[:1])
     return jnp.sum(jax.vmap(one)(contact._replace(joint=joints)), axis=0)
 
 
@@ -70,6 +69,7 @@ def reflect_cost(
     Traced. Raises `ValueError` for a length that is not above zero."""
     check_finite("reflect_cost", 1e-9, length=length)
     q = as_configuration(chain, q)
+    check_cost("reflect_cost", cost, chain.num_joints)
     return -gain * _towards(chain, q, length) @ jax.grad(cost)(q)
 
 

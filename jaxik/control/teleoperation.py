@@ -11,8 +11,8 @@ its rate is at least -approach (d - margin) [Faverjon and Tournassoud 1987], for
 tip, which slides along; and what would still come too near is not done. What the arm cannot do is not asked for
 later: its target stays within `leash` of the tip.
 
-A device that is silent, or anything that is no number, holds the arm still: it slows down within its accelerations, the reason
-is told, and when all is well again the hand takes its reference anew.
+A device that is silent, or anything that is no number, holds the arm still: it slows down within its accelerations, keeping
+clear all the same, the reason is told, and when all is well again the hand takes its reference anew.
 """
 
 from __future__ import annotations
@@ -27,22 +27,22 @@ import numpy as np
 from jaxtyping import Float, Int
 
 from jaxik.checks.arrays import positive
-from jaxik.checks.options import check_finite, check_kind
+from jaxik.checks.options import check_choices, check_finite, check_kind, shown
 from jaxik.collision.clearances import check_geometry, clearance
 from jaxik.collision.scene import Scene
 from jaxik.control.delay_line import DelayLine
 from jaxik.control.hand import Hand
 from jaxik.control.hand_mapping import Mapped, PositionControl, RateControl, bounded
 from jaxik.control.passivity import Channel, Direct, End, Packet, silence
-from jaxik.control.reflection import reflect
-from jaxik.costs import Cost
+from jaxik.control.reflection import Felt, reflect
+from jaxik.costs import Cost, check_cost
 from jaxik.motions.nullspace import Box, downhill, resolve_velocity
 from jaxik.motions.path import Motion
 from jaxik.motions.rate_limits import RateLimits
 from jaxik.pytree import Pytree
 from jaxik.reasons import Reason, Reasoned
-from jaxik.robot.chain import Array, Chain, as_configuration
-from jaxik.robot.contact import Contact
+from jaxik.robot.chain import Array, Chain, as_configuration, as_numbers
+from jaxik.robot.contact import Contact, trusted
 from jaxik.robot.kinematics import forward_kinematics, jacobian
 from jaxik.robot.task import POSE, Task
 from jaxik.spatial.algebra import safe_divide
@@ -96,7 +96,7 @@ class Teleoperation:
 
     `mapping` and `channel` are of a kind each; `there` and `back` delay what they send, for simulations: a real network does
     so itself. `cost` is what the null space goes down, by `alpha`; `gain` [1/s] pulls the tip to its target; `acceleration`
-    [rad/s2, m/s2] is one or one a joint, exceeded only where `PassivityController` stops an arm that would make energy.
+    [rad/s2, m/s2] is one or one a joint, exceeded only where an arm has to stop that would come too near, or make energy.
     `margin` [m] is kept to itself and to `scene`, approached at `approach` [1/s]; None measures no clearance. `patience` [s]
     is how long a device may be silent. `felt` says how contacts are reflected, and `force_ratio` the force on the hand by
     that at the arm. Raises `ValueError` for numbers out of range.
@@ -126,7 +126,21 @@ class Teleoperation:
         check_kind("teleoperation", "scene", self.scene, Scene, optional=True)
         check_finite("teleoperation", 1e-6, dt=self.dt, leash=self.leash, patience=self.patience, approach=self.approach)
         check_finite("teleoperation", 0.0, alpha=self.alpha, gain=self.gain, force_ratio=self.force_ratio)
-        object.__setattr__(self, "acceleration", positive("teleoperation: acceleration", self.acceleration, True))
+        check_kind("teleoperation", "task", self.task, Task)
+        for name in ("there", "back"):
+            check_kind("teleoperation", name, getattr(self, name), DelayLine)
+        for name, kinds in (("mapping", "PositionControl"), ("channel", "Direct")):
+            given = getattr(self, name)
+            if isinstance(given, type) or not hasattr(given, "init"):
+                raise ValueError(f"teleoperation: {name} is {shown(given)}; write one of its kinds, e.g. control.{kinds}()")
+        check_choices("teleoperation", felt=(self.felt, Felt))
+        if self.cost is not None:
+            check_cost("teleoperation", self.cost, self.chain.num_joints)
+        most = positive("teleoperation: acceleration", self.acceleration, True)
+        object.__setattr__(self, "acceleration", most)
+        if isinstance(most, tuple) and len(most) != self.chain.num_joints:
+            told = f"acceleration has {len(most)} numbers; {self.chain.name} has {self.chain.num_joints} joints"
+            raise ValueError(f"teleoperation: {told}")
         if max(self.gain, self.approach) * self.dt > 1.0:
             told = f"gain {self.gain:g} and approach {self.approach:g}"
             raise ValueError(f"teleoperation: {told} at dt {self.dt:g} s; allowed: at most 1 / dt [1/s]")
@@ -163,7 +177,7 @@ class Teleoperation:
         told, hand, position = _heard(state.position, hand, self.patience)
         mapped, end, asked, force, velocity = self._at_hand(state, hand, position, told)
         there, asked = self.there.step(state.there, asked, self.dt)
-        q, contact, broken = _sound(state.q, as_configuration(self.chain, q), contact)
+        q, contact, broken = _sound(self.chain, state.q, as_configuration(self.chain, q), contact)
         held = asked.held | broken
         felt = self._felt(q, contact)
         arm, wanted, turn = self._at_arm(state, asked, felt, held)
@@ -213,18 +227,18 @@ class Teleoperation:
         u = downhill(self.chain, q, self.cost, self.alpha)
         motion = Motion(target, twist, jnp.zeros(6))
         resolve = lambda u: resolve_velocity(self.chain, q, motion, u, self.task, self.gain, box=box).rate
-        rate, apart = self._clear(q, u, resolve, box)
-        rate = jnp.where(held, before - jnp.clip(before, -dt * limits.acceleration, dt * limits.acceleration), rate)
+        slower = before - jnp.clip(before, -dt * limits.acceleration, dt * limits.acceleration)
+        rate, apart = self._clear(q, u, lambda rate: jnp.where(held, slower, rate), resolve, box)
         turned = rotation_exp(dt * twist[3:]) @ target[:3, :3]
         place = target[:3, 3] + dt * twist[:3]
         moved = jnp.concatenate([jnp.concatenate([turned, place[:, None]], axis=1), target[3:]])
         return rate, jnp.where(held, tip, moved), apart, self._world() @ (jacobian(self.chain, q)[:3] @ rate)
 
-    def _clear(self, q: Any, u: Any, resolve: Any, box: Box) -> tuple[Any, Any]:
-        """The rates that keep the clearance, and the clearance."""
+    def _clear(self, q: Any, u: Any, or_held: Any, resolve: Any, box: Box) -> tuple[Any, Any]:
+        """The rates that keep the clearance, and the clearance. One who is held slows down, and gives way to nothing."""
         rate = resolve(u)
         if self.margin is None:
-            return rate, jnp.asarray(jnp.inf, q.dtype)
+            return or_held(rate), jnp.asarray(jnp.inf, q.dtype)
         apart, slope = jax.value_and_grad(functools.partial(clearance, self.chain, self.scene))(q)
         least = -self.approach * (apart - self.margin)
         lacks = lambda rate: jnp.maximum(least - slope @ rate, 0.0)
@@ -232,7 +246,7 @@ class Teleoperation:
         spare = resolve_velocity(self.chain, q, still, slope, self.task, 0.0).rate
         able = jnp.maximum(slope @ spare, _ABLE * slope @ slope)
         rate = resolve(u + spare * safe_divide(lacks(rate), able))
-        rate = jnp.clip(rate + slope * safe_divide(lacks(rate), slope @ slope), box.low, box.high)
+        rate = or_held(jnp.clip(rate + slope * safe_divide(lacks(rate), slope @ slope), box.low, box.high))
         least = jnp.minimum(least, 0.0)  # what is too near already leaves as fast as it can
         rate = jnp.where(slope @ rate < least, safe_divide(least, slope @ rate) * rate, rate)
         after = clearance(self.chain, self.scene, q + self.dt * rate)
@@ -253,14 +267,17 @@ def _heard(last: Any, hand: Hand, patience: float) -> tuple[Any, Hand, Any]:
     return told, Hand(position, turn, jnp.where(sound, hand.buttons, 0.0), hand.age), position
 
 
-def _sound(last: Any, q: Any, contact: Contact | None) -> tuple[Any, Contact | None, Any]:
-    """q, or the last good one, and the contacts, or none; and whether any of it was no number."""
+def _sound(chain: Chain, last: Any, q: Any, contact: Contact | None) -> tuple[Any, Contact | None, Any]:
+    """q, or the last good one, and the contacts, or none; and whether any of it was no number, or a contact of no joint."""
     broken = ~jnp.all(jnp.isfinite(q))
     if contact is not None:
-        point, force = (jnp.asarray(x, q.dtype) for x in (contact.point, contact.force))
-        bad = ~(jnp.all(jnp.isfinite(point)) & jnp.all(jnp.isfinite(force)))
-        contact = Contact(contact.joint, jnp.where(bad, 0.0, point), jnp.where(bad, 0.0, force))
-        return jnp.where(broken, last, q), contact, broken | bad
+        check_kind("teleoperation", "contact", contact, Contact)
+        joint, point, force = (as_numbers(f"teleoperation: {n} of the contact", getattr(contact, n)) for n in Contact._fields)
+        felt, sure = trusted(chain, Contact(joint, point, force))
+        bad = ~jnp.all(sure)
+        none = bad | ~felt
+        point, force = (jnp.where(none[..., None], 0.0, x.astype(q.dtype)) for x in (point, force))
+        return jnp.where(broken, last, q), Contact(jnp.where(none, 0, joint), point, force), broken | bad
     return jnp.where(broken, last, q), None, broken
 
 

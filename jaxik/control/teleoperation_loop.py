@@ -8,6 +8,7 @@ from typing import Any
 import jax
 import numpy as np
 
+from jaxik.checks.options import as_count, check_kind
 from jaxik.control.hand import Hand
 from jaxik.control.packed_step import Packed, PackedStep
 from jaxik.control.teleoperation import Teleoperation, TeleoperationCommand
@@ -24,14 +25,15 @@ class TeleoperationLoop:
             state, command = loop.step(state, q, watch.read())
             watch.render(command.force)
 
-    `contacts` and `buttons` say how many of these there are, always as many; a contact without a force is none. A state has the
-    fields of a `TeleoperationState`.
+    `contacts` and `buttons` say how many of these there are, always as many; a contact without a force is none, and a button
+    that a device does not have is not pressed. A state has the fields of a `TeleoperationState`.
     """
 
     def __init__(self, teleoperation: Teleoperation, contacts: int = 0, buttons: int = 1):
-        self.teleoperation = teleoperation
-        self._free = Contact(np.zeros(contacts, int), np.zeros((contacts, 3)), np.zeros((contacts, 3))) if contacts else None
-        self._buttons = buttons
+        check_kind("teleoperation loop", "teleoperation", teleoperation, Teleoperation)
+        as_count("teleoperation loop: contacts", contacts, least=0)
+        self.teleoperation, self._buttons = teleoperation, as_count("teleoperation loop: buttons", buttons)
+        self._free = Contact(np.zeros(contacts), np.zeros((contacts, 3)), np.zeros((contacts, 3))) if contacts else None
 
     def start(self, q: Any) -> Packed:
         """The state at rest at q (n,). Raises `ValueError` for a q of another shape, or that is not finite."""
@@ -42,6 +44,10 @@ class TeleoperationLoop:
     def step(self, state: Packed, q: Any, hand: Hand, contacts: Contact | None = None) -> tuple[Packed, TeleoperationCommand]:
         """The state after a sample, and what to do in the next; the given state stays as it is. Raises `ValueError` for other
         shapes; numbers that are none hold the arm still, with a reason."""
+        check_kind("teleoperation loop", "hand", hand, Hand)
+        missing = self._buttons - np.size(hand.buttons)
+        if missing > 0:
+            hand = hand._replace(buttons=np.append(hand.buttons, np.zeros(missing)))
         return self._step(state, q, hand, self._free if contacts is None else contacts)
 
     @functools.cached_property

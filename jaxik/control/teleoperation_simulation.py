@@ -9,9 +9,10 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Float
 
+from jaxik.checks.options import check_kind
 from jaxik.control.hand import Hand
 from jaxik.control.teleoperation import Teleoperation, TeleoperationCommand
-from jaxik.robot.chain import Array, as_configuration
+from jaxik.robot.chain import Array, as_configuration, as_numbers
 from jaxik.robot.kinematics import forward_kinematics
 
 
@@ -43,15 +44,14 @@ def simulate_teleoperation(
     """The arm from rest at q (n,), moved by `hands`, whose leaves have an entry a sample (t, ...). Traced.
 
     `world` gives the contact, or the contacts, at (q, rate). With a `grip` the hand wants to go where `hands` is, and the
-    force on it takes it elsewhere.
+    force on it takes it elsewhere. Raises `ValueError` for hands of other shapes, and for no samples.
     """
+    check_kind("simulate_teleoperation", "teleoperation", teleoperation, Teleoperation)
+    check_kind("simulate_teleoperation", "grip", grip, HandImpedance, optional=True)
     chain, dt = teleoperation.chain, teleoperation.dt
     q = as_configuration(chain, q)
-    count = len(hands.position)
-    hands = Hand(*map(jnp.asarray, hands))
-    ends = (3,), (3,), hands.buttons.shape[-1:], ()
-    hands = Hand(*(jnp.broadcast_to(x, (count, *end)) for x, end in zip(hands, ends, strict=True)))
-    wanted = jnp.gradient(hands.position, dt, axis=0)
+    hands, count = _samples(hands)
+    wanted = jnp.gradient(hands.position, dt, axis=0) if count > 1 else jnp.zeros_like(hands.position)
 
     def turn(carry: Any, now: tuple[Hand, Any]) -> Any:
         state, q, rate, place, speed = carry
@@ -70,3 +70,20 @@ def simulate_teleoperation(
     start = hands.position[0]
     begun = teleoperation.init(q), q, jnp.zeros_like(q), start, jnp.zeros_like(start)
     return jax.lax.scan(turn, begun, (hands, wanted))[1]
+
+
+def _samples(hands: Hand) -> tuple[Hand, int]:
+    """Hands with an entry a sample in each leaf, and how many these are."""
+    check_kind("simulate_teleoperation", "hands", hands, Hand)
+    hands = Hand(
+        *(as_numbers(f"simulate_teleoperation: {name} of the hands", x) for name, x in zip(Hand._fields, hands, strict=True))
+    )
+    count = hands.position.shape[0] if hands.position.ndim == 2 else 0
+    ends = (3,), (3,), hands.buttons.shape[-1:], ()
+    for name, x, end in zip(Hand._fields, hands, ends, strict=True):
+        if not (count and x.shape[x.ndim - len(end) :] == end and x.shape[: x.ndim - len(end)] in ((), (count,))):
+            allowed = ", ".join(map(str, (count or "t", *end)))
+            raise ValueError(
+                f"simulate_teleoperation: {name} of the hands has the shape {x.shape}; allowed: ({allowed}), of samples t > 0"
+            )
+    return Hand(*(jnp.broadcast_to(x, (count, *end)) for x, end in zip(hands, ends, strict=True))), count

@@ -65,6 +65,23 @@ def damped_solve(matrix: Matrix, right: Sequence[Scalar], floor: float) -> tuple
     return _solve(matrix, right, raised), functools.reduce(jnp.maximum, added)
 
 
+def least_solve(rows: Any, right: Any) -> Any:
+    """The `x` (m,) of least norm among those for which `|A'x - b|` is least, of the `rows` A (m, n) and b = `right` (n,).
+
+    By iterated Tikhonov regularisation, `x <- x + (A A' + r)^-1 A (b - A'x)` with r = 1e-6 of the trace of A A' [Engl, Hanke
+    and Neubauer 1996, sec. 5.1]: whatever the axes, what A all but lacks fades out smoothly, instead of being divided by.
+    """
+    square = rows @ rows.T
+    square = square + _RIDGE * jnp.trace(square) * jnp.eye(len(rows), dtype=rows.dtype)
+    x = jnp.zeros(len(rows), rows.dtype)
+    for _ in range(_REPEATS):
+        x = x + jnp.stack(damped_solve(list(square), list(rows @ (right - x @ rows)), 0.0)[0])
+    return x
+
+
+_RIDGE, _REPEATS = 1e-6, 3
+
+
 def _solve(matrix: Matrix, right: Sequence[Scalar], mend: Callable[[Any, Any], Any]) -> list[Any]:
     """By the factors L D L' [Golub and Van Loan 2013, alg. 4.1.2], each pivot as `mend(pivot, diagonal entry)` has it. Without
     Cholesky's square roots, which take a vector unit as long as twenty products."""

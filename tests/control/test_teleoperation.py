@@ -1,6 +1,9 @@
 """A hand that steers an arm: mappings, what is reflected, what is kept, and what happens when a device fails."""
 
+import dataclasses
 import functools
+import sys
+from concurrent.futures import ThreadPoolExecutor
 
 import jax
 import jax.numpy as jnp
@@ -16,8 +19,10 @@ from jaxik.control import (
     PassivityController,
     PositionControl,
     RateControl,
+    RecordedHand,
     Teleoperation,
     TeleoperationLoop,
+    Watchdog,
     WaveVariables,
     reflect,
     reflect_cost,
@@ -118,6 +123,17 @@ def test_power_is_reflected():
     np.testing.assert_allclose(jax.jit(reflect, static_argnums=0)(NINE, MID, TOUCHED), expected[:3], atol=1e-6)
     tip = np.asarray(jaxik.forward_kinematics(NINE, MID))[:3, 3]
     np.testing.assert_allclose(reflect(NINE, MID, Contact(9, tip, TOUCHED.force)), TOUCHED.force, atol=1e-9)
+
+
+@pytest.mark.parametrize("tilt", [0.01, 1.5708, 1.56])
+def test_what_an_arm_cannot_do_is_not_felt(tilt):
+    """A planar arm in a plane that is nearly a coordinate plane feels a force in its plane as that, in any axes."""
+    turn = np.array([[1, 0, 0, 0], [0, np.cos(tilt), -np.sin(tilt), 0], [0, np.sin(tilt), np.cos(tilt), 0], [0, 0, 0, 1.0]])
+    arm = dataclasses.replace(FOUR, parent_T_joint=np.concatenate([[turn @ FOUR.parent_T_joint[0]], FOUR.parent_T_joint[1:]]))
+    q, force = np.array([0.3, 0.6, 0.4, -0.2]), turn[:3, :3] @ [4.0, -3.0, 0.0]
+    tip = np.asarray(jaxik.forward_kinematics(arm, q))[:3, 3]
+    across = turn[:3, 2]
+    np.testing.assert_allclose(reflect(arm, q, Contact(4, tip, force + 7.0 * across)), force, atol=1e-6)
 
 
 def test_levers_and_magnitudes():
@@ -225,11 +241,12 @@ def test_an_arm_and_a_sensor_that_tell_no_number():
         assert command.reason == Reason.SOLVED and np.isfinite(command.rate).all()
 
 
+SILENT = 1400  # samples, at full speed
 SCENE = jaxik.make_scene(spheres=[[2.7, 3.4, 0.0, 0.3]])
 
 
 def test_limits_and_clearance_are_kept():
-    """Whatever the hand wants: into a ball, out of reach, and fast."""
+    """Whatever the hand wants: into a ball, out of reach, and fast; and where it falls silent at full speed."""
     bent = np.array([-0.5, -0.5, -0.3, -0.6])
     setup = Teleoperation(
         FOUR,
@@ -240,15 +257,17 @@ def test_limits_and_clearance_are_kept():
         cost=lambda q: jaxik.costs.joint_limit_cost(FOUR, q),
     )
     tip = np.asarray(jaxik.forward_kinematics(FOUR, bent))[:3, 3]
-    aims = np.array([[2.7, 3.4, 0.0], [0.0, 9.0, 0.0], [-3.0, -3.0, 0.0]])
+    aims = np.array([[2.7, 3.4, 0.0], [0.0, 9.0, 0.0], [-3.0, -3.0, 0.0], [2.7, 3.4, 0.0]])
     shares = np.minimum(np.arange(2500) * DT / 1.5, 1.0)[None, :, None]
     way = shares * (aims - tip)[:, None] / 10.0
-    done = jax.jit(jax.vmap(lambda way: simulate_teleoperation(setup, bent, Hand(way))))(jnp.asarray(way))
+    age = np.where((np.arange(4)[:, None] == 3) & (np.arange(2500) >= SILENT), 1.0, 0.0)
+    done = jax.jit(jax.vmap(lambda way, age: simulate_teleoperation(setup, bent, Hand(way, age=age))))(way, age)
     q = np.asarray(done.q)
     apart = jax.jit(jax.vmap(jax.vmap(lambda q: jaxik.clearance(FOUR, SCENE, q))))(q)
     assert apart.min() > 0.02 - 1e-9 and apart[0].min() < 0.03
     assert (q >= FOUR.lower - 1e-9).all() and (q <= FOUR.upper + 1e-9).all()
-    assert not done.command.reason.any()
+    reason = np.asarray(done.command.reason)
+    assert not reason[:3].any() and (reason[3, SILENT:] == Reason.SILENT).all() and not done.command.rate[3, -1].any()
     ways = np.linalg.norm(np.asarray(done.tip)[:, -1] - tip, axis=1)
     assert ways.min() > 0.2  # each went somewhere
 
@@ -301,9 +320,84 @@ def test_a_loop_is_the_step():
         loop.step(expected, q, hand, contact)
 
 
+@pytest.fixture(scope="module")
+def small():
+    """A loop of two joints, with a contact and two buttons, and its state at rest."""
+    loop = TeleoperationLoop(teleoperation(), contacts=1, buttons=2)
+    return loop, loop.start(Q)
+
+
+def test_a_contact_is_of_a_joint_and_has_a_force(small):
+    """One of no joint holds the arm; what has no force may be anywhere."""
+    loop, state = small
+    still, at, force = Hand(np.zeros(3)), np.array([0.1, 0.0, 0.0]), np.array([1.0, 0.0, 0.0])
+    reason = lambda *contact: int(loop.step(state, Q, still, Contact(*contact))[1].reason)
+    assert reason(2, at, force) == Reason.SOLVED
+    assert [reason(joint, at, force) for joint in (3, -1, 0.5, np.nan)] == [Reason.INVALID] * 4
+    assert reason(np.nan, at * np.nan, 0.0 * force) == Reason.SOLVED
+
+
+def test_a_device_with_fewer_buttons(small):
+    """What it does not have is not pressed; nor has anybody pressed anything before a device has spoken."""
+    loop, state = small
+    assert loop.step(state, Q, Watchdog(RecordedHand([None])).read())[1].reason == Reason.SILENT
+    with pytest.raises(ValueError, match=r"teleoperation loop: arrays of shapes .*; allowed: \(2,\)") as said:
+        loop.step(state, Q, Hand(np.zeros(3), buttons=np.zeros(3)))
+    assert "\n" not in str(said.value)
+
+
+def test_threads_share_a_loop(small):
+    loop, start = small
+
+    def steered(speed):
+        state, q = start, Q
+        for k in range(400):
+            state, command = loop.step(state, q, Hand(np.array([1e-6 * speed * k, 0.0, 0.0])))
+            q = q + DT * command.rate
+        return q
+
+    speeds, interval = range(1, 5), sys.getswitchinterval()
+    alone = [*map(steered, speeds)]
+    sys.setswitchinterval(1e-6)
+    try:
+        with ThreadPoolExecutor(4) as pool:
+            together = [*pool.map(steered, speeds)]
+    finally:
+        sys.setswitchinterval(interval)
+    np.testing.assert_array_equal(together, alone)
+
+
+def test_one_sample_is_operated():
+    done = simulate_teleoperation(teleoperation(), Q, Hand(np.zeros((1, 3))))
+    assert done.q.shape == (1, 2) and not np.any(done.command.rate)
+
+
 @pytest.mark.parametrize(
     ("call", "says"),
     [
+        (
+            lambda: teleoperation(mapping="position"),
+            "mapping is position; write one of its kinds, e.g. control.PositionControl",
+        ),
+        (lambda: teleoperation(channel=Direct), "channel is .*; write one of its kinds, e.g. control.Direct"),
+        (lambda: teleoperation(there=0.05), "there is 0.05; write a jaxik.control.DelayLine"),
+        (lambda: teleoperation(task="pose"), "task is pose; write a jaxik.Task"),
+        (lambda: teleoperation(felt="weight"), "felt 'weight'; allowed: power, lever, magnitude"),
+        (lambda: teleoperation(cost=lambda q: q), "the cost gives float64 of shape"),
+        (lambda: teleoperation(acceleration=(1.0, 2.0, 3.0)), "acceleration has 3 numbers; planar2 has 2 joints"),
+        (lambda: TeleoperationLoop(teleoperation(), buttons=0), "buttons is 0; allowed: a count"),
+        (lambda: TeleoperationLoop(None), "teleoperation is None; write a jaxik.control.Teleoperation"),
+        (
+            lambda: simulate_teleoperation(teleoperation(), Q, Hand(np.zeros((0, 3)))),
+            r"shape \(0, 3\); allowed: \(t, 3\), of samples t > 0",
+        ),
+        (
+            lambda: simulate_teleoperation(teleoperation(), Q, Hand(np.zeros((5, 3)), age=np.zeros(4))),
+            r"age of the hands has the shape \(4,\)",
+        ),
+        (lambda: DelayLine(np.array([0.1, 0.2])), r"delay line: delay, jitter of shape \(2,\); allowed: one number"),
+        (lambda: reflect(NINE, MID, None), "contact is None; write a jaxik.robot.Contact"),
+        (lambda: reflect_cost(NINE, MID, lambda q: q), "the cost gives float64 of shape"),
         (lambda: Teleoperation(None), "chain is None; write a jaxik.Chain"),
         (lambda: teleoperation(dt=0.0), "dt is 0.0"),
         (lambda: teleoperation(gain=2000.0), "gain 2000 and approach 10 at dt 0.001 s; allowed: at most 1 / dt"),
