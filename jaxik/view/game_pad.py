@@ -2,6 +2,7 @@
 
 A page of viser has no other way back for what it does not know. The browser writes into the field while a stick is out of its
 middle, a number with each line, so that a browser that has gone, or a page in the background, is noticed: it says nothing new.
+A tab that is not open has no field.
 """
 
 from __future__ import annotations

@@ -41,7 +41,7 @@ HELP = (
     "**Joints:** the sliders move them. The line at the top says what is nearest to the robot, or what it hits.",
     "**Target:** drag the arrows and rings at the tip. Inverse kinematics follows, or says why it cannot.",
     "**Map:** each point is a place that a sweep has tried. Click one that is reachable to see the posture there.",
-    "**Steer** (`--teleop`): drag the tip, or push a game pad's sticks, the arm follows in real time; record, play, save.",
+    "**Steer** (`--teleop`): drag the tip, or push a game pad's sticks in that tab: the arm follows; record, play, save.",
     "**Fruits:** choose one to see how it is picked, or what is in its way.",
     "**Motions:** play them, or drag the time.",
 )

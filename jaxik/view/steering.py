@@ -41,7 +41,7 @@ MARGIN, SHELL, STIFFNESS = 0.01, 0.05, 300.0  # [m], [m], [N/m]
 ARROW = 0.02  # [m/N]
 CLOSE = 0.1  # of half a joint's range
 TURNING = 5.0  # [1/s] by which the tip turns to the target
-STEER = "Drag the arrows and rings at the tip, or push a game pad's sticks: the arm follows, and keeps clear of what is near."
+STEER = "Drag the arrows and rings at the tip, or push a game pad's sticks while the tab Steer is open: the arm follows."
 FORCES = (
     f"Arrows are forces of virtual springs, {STIFFNESS:g} N/m, that begin {100.0 * SHELL:g} cm before what is near: "
     "at the place where it is near, and what a hand would feel of it at the tip. Nothing is measured."
