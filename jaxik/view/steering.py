@@ -25,9 +25,9 @@ from jaxik.reasons import Reason
 from jaxik.robot.chain import finite_limits
 from jaxik.robot.contact import Contact
 from jaxik.robot.kinematics import manipulability
-from jaxik.spatial.rotations import from_wxyz
 from jaxik.spmd import HostKernel
 from jaxik.view.game_pad import PagePad
+from jaxik.view.page_hand import PERIOD, PageHand
 from jaxik.view.palette import CARRIED, PATH, boxed, rgb
 from jaxik.view.recording import recorded
 from jaxik.view.solids import frames
@@ -35,51 +35,15 @@ from jaxik.view.solids import frames
 if TYPE_CHECKING:
     from jaxik.view.page import Page
 
-PERIOD = 1.0 / 60.0  # [s] between samples, and pictures
 LOOKED = 6  # samples between two looks at what is near
 MARGIN, SHELL, STIFFNESS = 0.01, 0.05, 300.0  # [m], [m], [N/m]
 ARROW = 0.02  # [m/N]
 CLOSE = 0.1  # of half a joint's range
-TURNING = 5.0  # [1/s] by which the tip turns to the target
 STEER = "Drag the arrows and rings at the tip, or push a game pad's sticks while the tab Steer is open: the arm follows."
 FORCES = (
     f"Arrows are forces of virtual springs, {STIFFNESS:g} N/m, that begin {100.0 * SHELL:g} cm before what is near: "
     "at the place where it is near, and what a hand would feel of it at the tip. Nothing is measured."
 )
-
-
-class PageHand:
-    """The page's target as a device, and else a game pad's sticks. It is silent while no browser is there."""
-
-    def __init__(self, page: Page, pad: PagePad):
-        self.page, self.pad, self.dragged, self._followed, self._pushed = page, pad, False, False, None
-
-        async def moved(event: Any) -> None:  # so that the phases come in their order
-            self.dragged = event.phase != "end"
-
-        page.gizmo.on_update(moved)
-
-    def read(self) -> Hand | None:
-        if not self.page.server.get_clients():
-            self.dragged, self._followed, self._pushed = False, False, None
-            return None
-        gizmo, tip = self.page.gizmo, frames(self.page.chain, self.page.q)[-1]
-        dragged = self.dragged  # another thread's
-        begun, self._followed = dragged and not self._followed, dragged
-        rate, before = None if dragged else self.pad.rate(), self._pushed
-        self._pushed = None if rate is None else tip[:3, 3] if before is None else before + PERIOD * rate[:3]
-        if rate is not None and before is not None:
-            return Hand(self._pushed, rate[3:], np.zeros(1))
-        if begun or not dragged:  # the tip is the reference of a drag, however far it has gone when it is first seen
-            return Hand(tip[:3, 3], np.zeros(3), np.array([float(not begun)]))
-        turn = _rotation_vector(from_wxyz(gizmo.wxyz) @ tip[:3, :3].T)
-        return Hand(np.array(gizmo.position), TURNING * turn, np.zeros(1))
-
-    def render(self, force: np.ndarray) -> None:
-        """A mouse has no motors; the page draws arrows."""
-
-    def close(self) -> None:
-        self.dragged = False
 
 
 class Steering:
@@ -258,9 +222,3 @@ def ready_posture(chain: Any, scene: Any, count: int = 512) -> np.ndarray:
     with jax.enable_x64(True):
         (room,) = HostKernel(judged, 1)(q)
     return np.asarray(q[int(np.argmax(room))])
-
-
-def _rotation_vector(rotation: np.ndarray) -> np.ndarray:
-    from scipy.spatial.transform import Rotation
-
-    return np.asarray(Rotation.from_matrix(rotation).as_rotvec())

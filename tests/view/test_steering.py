@@ -9,10 +9,10 @@ import jaxik
 from jaxik.planning import load_trajectory
 from jaxik.view.game_pad import FAST, SILENT, TURNING
 from jaxik.view.page import Page
+from jaxik.view.page_hand import PERIOD
 from jaxik.view.palette import NEAR_LIMIT, rgb
 from jaxik.view.recording import recorded
 from jaxik.view.solids import frames
-from jaxik.view.steering import PERIOD
 
 
 @pytest.fixture(scope="module")
