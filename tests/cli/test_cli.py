@@ -10,8 +10,8 @@ import sys
 import numpy as np
 import pyarrow.parquet
 import pytest
-from robot_files import ARM, POST
-from robots import FOLDER, ROBOTS
+import trimesh
+from robot_files import ARM, POST, write
 
 import jaxik
 from jaxik import cli
@@ -204,23 +204,30 @@ def stopped(*_, **__):
     raise ValueError("far enough")
 
 
-@pytest.mark.filterwarnings("ignore:panda. these pairs of links are not checked")  # `test_fit` holds that it is said
+MESHES = """<robot name="arm"><link name="base"><collision><geometry><mesh filename="box.stl"/></geometry></collision></link>
+<link name="upper"><collision><origin xyz="0.4 0 0"/><geometry><mesh filename="box.stl"/></geometry></collision></link>
+<link name="finger"><collision><origin xyz="0.7 0 0"/><geometry><mesh filename="box.stl"/></geometry></collision></link>
+<joint name="turn" type="revolute"><parent link="base"/><child link="upper"/><axis xyz="0 0 1"/>
+<limit lower="-1" upper="1"/></joint>
+<joint name="slide" type="prismatic"><parent link="upper"/><child link="finger"/><axis xyz="1 0 0"/>
+<limit lower="0" upper="0.1"/></joint></robot>"""
+
+
 def test_meshes_are_asked_for(tmp_path, monkeypatch, capsys):
     """What a scene needs is said before anything compiles, and can be given."""
     monkeypatch.setattr(cli, "compilation_cache", lambda: None)
-    file, tip = ROBOTS["panda"]
-    targets = tmp_path / "targets.csv"
-    targets.write_text("x,y,z\n0.4,0.1,0.4\n")
-    words = ("ik", FOLDER / file, targets, "--tip", tip, "--scene", "cucumber_row", "--out", tmp_path / "ik.csv")
+    robot, targets = write(tmp_path, "arm.urdf", MESHES), write(tmp_path, "targets.csv", "x,y,z\n0.4,0.1,0.4\n")
+    trimesh.creation.box((0.1, 0.1, 0.1)).export(tmp_path / "box.stl")
+    words = ("ik", robot, targets, "--tip", "upper", "--scene", "cucumber_row", "--out", tmp_path / "ik.csv")
     monkeypatch.setattr("jaxik.ik.solve.search", stopped)
     line = refused(monkeypatch, capsys, *words)
-    assert "meshes of panda_link0" in line and "meshes=True (--meshes)" in line
+    assert "meshes of base" in line and "meshes=True (--meshes)" in line
     seen = []
     monkeypatch.setattr(jaxik, "solve_ik", lambda chain, *_, **__: stopped(seen.append(chain)))
-    read = "--meshes", "--posture", "panda_finger_joint1=0.03"
+    read = "--meshes", "--posture", "slide=0.03"
     assert "far enough" in refused(monkeypatch, capsys, *words, *read) and seen[0].volumes and not seen[0].unread_meshes
     monkeypatch.setattr(jaxik, "harvest", lambda chain, *_, **__: stopped(seen.append(chain)))
-    line = refused(monkeypatch, capsys, "harvest", "--robot", FOLDER / file, "--tip", tip, *read)
+    line = refused(monkeypatch, capsys, "harvest", "--robot", robot, "--tip", "upper", *read)
     assert "far enough" in line and seen[1].volumes
 
 

@@ -1,6 +1,7 @@
 """Loaders: every refusal is one line that names file, element and mend; nothing but LoadError comes out of any bytes."""
 
 import io
+import itertools
 import json
 import struct
 import zipfile
@@ -546,14 +547,17 @@ def test_bad_points_are_one_line(tmp_path, content, words):
 @pytest.mark.filterwarnings("ignore:panda. these pairs of links are not checked")  # `test_fit` holds that it is said
 def test_srdf_disables_pairs(tmp_path):
     file, tip = ROBOTS["panda"]
-    pairs = '<disable_collisions link1="panda_link1" link2="panda_link5" reason="Never"/>'
-    srdf = write(tmp_path, "panda.srdf", f'<robot name="panda">{pairs}</robot>')
-    named = lambda chain: {frozenset((chain.link_names[a], chain.link_names[b])) for a, b in chain.self_pairs}
-    coarse = jaxik.Fit(0.1, 2)  # pairs are those of the hulls; `test_save` fits the same
-    every, fewer = (
-        named(jaxik.load(FOLDER / file, tip=tip, meshes=True, fit=coarse, srdf=s, posture={})) for s in (None, srdf)
-    )
-    assert every - fewer == {frozenset(("panda_link1", "panda_link5"))}
+    hand = ["panda_hand", "panda_leftfinger", "panda_rightfinger"]
+    pairs = list(map(frozenset, itertools.combinations([*(f"panda_link{i}" for i in range(9)), *hand], 2)))
+    left, out = frozenset(("panda_link0", "panda_link6")), frozenset(("panda_link1", "panda_link5"))
+
+    def checked(name, kept):
+        entries = ['<disable_collisions link1="{}" link2="{}" reason="Never"/>'.format(*p) for p in pairs if p not in kept]
+        srdf = write(tmp_path, name, f'<robot name="panda">{"".join(entries)}</robot>')
+        chain = jaxik.load(FOLDER / file, tip=tip, meshes=True, fit=jaxik.Fit(0.1, 2), srdf=srdf, posture={})
+        return {frozenset((chain.link_names[a], chain.link_names[b])) for a, b in chain.self_pairs}
+
+    assert checked("two.srdf", (left, out)) == {left, out} and checked("one.srdf", (left,)) == {left}
     refused(write(tmp_path, "bad.srdf", "<robot><disable_collisions link1='a'/></robot>"), "link2", reader=lambda p: jaxik.load(
         FOLDER / file, tip=tip, srdf=p))  # fmt: skip
 

@@ -174,7 +174,7 @@ def test_a_default_pose_in_collision_is_told():
     """Panda's hand lies in link 5 where all joints are 0; MoveIt's own file leaves the pair out for that, too ("Default")."""
     file, _ = ROBOTS["panda"]
     with pytest.warns(UserWarning, match="not checked, .* panda_link5 and panda_hand by 41.* mm"):
-        chain = jaxik.load(FOLDER / file, tip="panda_hand", meshes=True, posture={})
+        chain = jaxik.load(FOLDER / file, tip="panda_hand", meshes=True, fit=Fit(0.1, 2), posture={})  # pairs are the hulls'
     named = {frozenset((chain.link_names[a], chain.link_names[b])) for a, b in chain.self_pairs}
     assert frozenset(("panda_link5", "panda_hand")) not in named
     assert frozenset(("panda_link0", "panda_link6")) in named

@@ -77,11 +77,19 @@ def test_splines(degree):
         np.testing.assert_allclose(reached.min(axis=0), dense.min(axis=0), atol=1e-7)
 
 
+_states = jax.jit(lambda trajectory, time: jax.vmap(trajectory.at)(time))
+
+
+def sampled(trajectory, time):
+    """Its states (t, n)."""
+    return jax.tree_util.tree_map(np.asarray, _states(trajectory, jnp.asarray(time)))
+
+
 def _judged(found, coal, scene, margin, velocity, acceleration=np.inf, jerk=np.inf):
     """A motion, by samples a millimetre apart, and its derivatives by differences."""
     assert found.reasons == "solved"
     time = np.linspace(0.0, found.trajectory.duration, 4001)
-    state = jax.tree_util.tree_map(np.asarray, jax.vmap(found.trajectory.at)(jnp.asarray(time)))
+    state = sampled(found.trajectory, time)
     assert coal.clearance(scene, state.q[::4]).min() >= margin - 1e-5
     step = time[1]
     for values, limit in ((state.q, velocity), (state.velocity, acceleration), (state.acceleration, jerk)):
@@ -185,7 +193,7 @@ def test_within_torque_and_power_as_good_as_scipy():
     assert found.converged[0] and abs(found.cost[0] - truth.fun) <= 1e-6 * truth.fun
     for more in ({}, {"duration": None}):
         moved = optimise_trajectory(chain, None, start, end, **options | more)
-        state = jax.vmap(moved.trajectory.at)(np.linspace(0.0, moved.trajectory.duration, 1001))
+        state = sampled(moved.trajectory, np.linspace(0.0, moved.trajectory.duration, 1001))
         most = np.abs(drives(*state)).max(axis=0) / torque, np.abs(drives(*state) * state.velocity).max(axis=0) / power
         assert moved.reasons == "solved" and 0.95 < np.max(most) <= 1.0 + 1e-6
     weak = optimise_trajectory(chain, None, start, end, torque=100.0, margin=None)
@@ -202,7 +210,7 @@ def test_the_range_holds_between_knots(arm):
     task = {"via": [(0.5, bent)], "via_task": jaxik.Task(), "degree": 2, "spans": 4}
     found = optimise_trajectory(chain, POLES, [0.3, 0.9, -1.0], [0.3, 2.6, -1.0], duration=2.0, velocity=np.inf, **task)
     assert found.reasons == "solved"
-    q = np.asarray(jax.vmap(found.trajectory.at)(jnp.linspace(0.0, 2.0, 401)).q)
+    q = sampled(found.trajectory, np.linspace(0.0, 2.0, 401)).q
     assert 2.79 - 1e-6 <= q[:, 1].max() <= 2.8 + 1e-6
 
 
@@ -225,7 +233,7 @@ def test_cost_by_the_way_does_not_know_of_time(arm):
     )
     assert fast.cost == pytest.approx(found.cost, rel=1e-3) and fast.parts[3] == pytest.approx(found.parts[3], rel=1e-3)
     moments = np.linspace(0.0, 2.0, 2001)
-    q, rate, _ = jax.vmap(found.trajectory.at)(moments)
+    q, rate, _ = sampled(found.trajectory, moments)
     near = np.asarray(jax.vmap(lambda q: link_clearances(chain, POLES, q))(q))
     level = np.sum(np.maximum(0.25 - near, 0.0) ** 3 / 0.25**3, axis=1)
     way = np.linalg.norm(rate * joint_reaches(chain), axis=1)
@@ -248,7 +256,7 @@ def test_cost_by_obstacles_and_links(arm):
     ball = jaxik.make_scene(spheres=[[0.65, 0.0, 0.0, 0.1]])
     options = SOFT | {"tolerance": 1e-10, "iterations": 500, "task": jaxik.Task.position()}
     found = optimise_trajectory(chain, ball, NEAR, goal, **options)
-    guess = np.asarray(jax.vmap(found.trajectory.at)(jnp.linspace(0.0, 2.0, 97)).q)
+    guess = sampled(found.trajectory, np.linspace(0.0, 2.0, 97)).q
 
     def changed(x):
         """The arm with a longer link, and the ball moved."""
@@ -262,7 +270,7 @@ def test_cost_by_obstacles_and_links(arm):
         assert end.converged
         return end.cost
 
-    cost, slope = jax.value_and_grad(lambda x: trajectory_cost(*changed(x), found, goal, **options))(jnp.zeros(2))
+    cost, slope = jax.jit(jax.value_and_grad(lambda x: trajectory_cost(*changed(x), found, goal, **options)))(jnp.zeros(2))
     truth = [(best(step) - best(-step)) / 2e-4 for step in 1e-4 * np.eye(2)]
     assert np.abs(slope).min() > 0.1
     np.testing.assert_allclose(slope, truth, rtol=1e-3)

@@ -1,6 +1,7 @@
 """The reach score: its gradient against differences, and against postures that are solved again; its mark of 1/2."""
 
 import dataclasses
+import functools
 
 import equinox as eqx
 import jax
@@ -23,33 +24,41 @@ def shifted(x):
     return frame.at[:3, 3].add(x)
 
 
+@functools.partial(jax.jit, static_argnums=0)
+def sloped(score, x, around, at, q):
+    """A score and its slope, by a shift of the base x[:3], of a link's length x[3] and of the leaves x[4:]."""
+
+    def moved(x):
+        frames = jnp.asarray(CHAIN.parent_T_joint).at[3, 0, 3].add(x[3])
+        chain = eqx.tree_at(lambda c: c.parent_T_joint, CHAIN.mounted(shifted(x[:3])), frames)
+        points = dataclasses.replace(around.points, center=jnp.asarray(around.points.center) + x[4:])
+        return score(chain, eqx.tree_at(lambda s: s.points, around, points), at, q)
+
+    return jax.value_and_grad(moved)(x)
+
+
+@pytest.fixture(scope="module")
+def scanned():
+    # at its end a slide has no margin left
+    return jaxik.harvesting.scan(CHAIN, SCENE, FRUIT, 24, np.linspace(0.1, 0.9, 11))
+
+
 def test_gradient_by_base_link_and_scene_is_that_of_differences():
     fruit = SCENE.fruits[8]  # among leaves
     around = SCENE.without([fruit.name]).geometry()
     at, q = jaxik.reach.likely_postures(CHAIN, around, fruit_frames(fruit, np.linspace(-np.pi, np.pi, 24, endpoint=False)))
-    at, q = jnp.asarray(at), jnp.asarray(q, float)
-
-    def score(x, around, at, q):
-        """Of the base's shift (3), a link's length, and the leaves' shift (3)."""
-        frames = jnp.asarray(CHAIN.parent_T_joint).at[3, 0, 3].add(x[3])
-        chain = eqx.tree_at(lambda c: c.parent_T_joint, CHAIN.mounted(shifted(x[:3])), frames)
-        points = dataclasses.replace(around.points, center=jnp.asarray(around.points.center) + x[4:])
-        return jaxik.reach.reach_score(chain, eqx.tree_at(lambda s: s.points, around, points), at, q)
-
-    both, step = jax.jit(jax.value_and_grad(score)), 1e-5
-    value = lambda x: both(x, around, at, q)[0]
-    slope = np.asarray(both(jnp.zeros(7), around, at, q)[1])
-    differences = [(value(step * e) - value(-step * e)) / (2.0 * step) for e in np.eye(7)]
+    both, step = lambda x: sloped(jaxik.reach.reach_score, x, around, at, q.astype(float)), 1e-5
+    slope = np.asarray(both(np.zeros(7))[1])
+    differences = [(both(step * e)[0] - both(-step * e)[0]) / (2.0 * step) for e in np.eye(7)]
     assert all(np.max(np.abs(slope[part])) > 1e-3 for part in (slice(0, 3), slice(3, 4), slice(4, 7)))
     assert np.allclose(slope, differences, rtol=2e-3, atol=2e-4 * float(np.max(np.abs(differences))))
 
 
-def test_postures_follow_their_targets():
+def test_postures_follow_their_targets(scanned):
     """A posture found once serves for a base moved by a centimetre: as one that is solved for there, to second order."""
-    scan = jaxik.harvesting.scan(CHAIN, SCENE, FRUIT, 24, np.linspace(0.1, 0.9, 11))  # at its end a slide has no margin left
-    best = scan.table.best(0.02)
-    pose = fruit_frames(FRUIT, scan.table.angle[best : best + 1])
-    q = scan.table.q[best : best + 1].astype(float)
+    best = scanned.table.best(0.02)
+    pose = fruit_frames(FRUIT, scanned.table.angle[best : best + 1])
+    q = scanned.table.q[best : best + 1].astype(float)
     here = float(jaxik.reach.reach_score(CHAIN, AROUND, pose, q))
     assert here > 0.5
     moved = CHAIN.mounted(np.asarray(shifted(np.array([0.0, 0.01, 0.005]))))
@@ -59,21 +68,18 @@ def test_postures_follow_their_targets():
     assert abs(followed - solved) < 0.1 and abs(followed - here) > 1e-3
 
 
-def test_half_is_the_mark():
+def test_half_is_the_mark(scanned):
     """Above 1/2 where a posture is clear and inside, below where it collides or the target is out of reach."""
-    scan = jaxik.harvesting.scan(CHAIN, SCENE, FRUIT, 24, np.linspace(0.1, 0.9, 11))
-    good = scan.table.best(0.02)
-    bad = int(np.argmin(scan.table.clearance))
+    table = scanned.table
     one = lambda i: jaxik.reach.reach_score(
-        CHAIN, AROUND, fruit_frames(FRUIT, scan.table.angle[i : i + 1]), scan.table.q[i : i + 1].astype(float), temperature=0.01
+        CHAIN, AROUND, fruit_frames(FRUIT, table.angle[i : i + 1]), table.q[i : i + 1].astype(float), temperature=0.01
     )
-    assert float(one(good)) > 0.5 > float(one(bad))
+    assert float(one(table.best(0.02))) > 0.5 > float(one(int(np.argmin(table.clearance))))
     away = POSES.copy()
     away[:, 1, 3] += 1.0
     at, q = jaxik.reach.likely_postures(CHAIN, AROUND, away)
-    log_score = lambda y: jaxik.reach.log_reach_score(CHAIN.mounted(shifted(jnp.array([0.0, y, 0.0]))), AROUND, at, q)
-    value, slope = jax.jit(jax.value_and_grad(log_score))(0.0)
-    assert np.exp(value) < 0.5 and np.isfinite(value) and slope > 0.0  # a metre away it still says where to go
+    value, slope = sloped(jaxik.reach.log_reach_score, np.zeros(7), AROUND, at, q.astype(float))
+    assert np.exp(value) < 0.5 and np.isfinite(value) and slope[1] > 0.0  # a metre away it still says where to go
 
 
 def test_what_is_no_pose_is_left_out_or_refused():
