@@ -11,7 +11,7 @@ from pathlib import Path
 from jaxtyping import install_import_hook
 
 CACHE = "JAX_COMPILATION_CACHE_DIR"  # the processes of one run share what they compile; another run starts anew
-if "PYTEST_XDIST_WORKER" not in os.environ:
+if CACHE not in os.environ:  # a worker's is that of the run, and that of the run may be what `.ci/run` gave to all it does
     home = tempfile.mkdtemp(prefix="jaxik-tests-")
     # that of the commands is the same folder
     os.environ |= {CACHE: f"{home}/jaxik", "XDG_CACHE_HOME": home}

@@ -6,7 +6,6 @@ also on a narrow screen, and the console be clean. The narrow screen's picture l
 """
 
 import io
-import itertools
 import shutil
 import sys
 import tempfile
@@ -40,6 +39,7 @@ STUDY = {
     },
 }
 PINK = (255, 32, 96)  # of the target's square
+CHANGE = 0.0005  # of the pixels, by which pictures differ that show something else
 TABS = {
     "Robot": ("robot as", "target to drag", "slide [m]", "theta2 [deg]"),
     "Map": ("reachable from every direction", "not reachable", "z [m]"),
@@ -64,27 +64,53 @@ def picture(driver):
     return np.asarray(Image.open(io.BytesIO(driver.get_screenshot_as_png())).convert("RGB"), float)
 
 
-def settled(driver, seconds=30.0):
-    """The page's picture once two in a row are alike."""
-    before, start = picture(driver), time.monotonic()
-    while time.monotonic() - start < seconds:
-        time.sleep(1.0)
-        now = picture(driver)
-        if np.mean(np.abs(now - before)) < 0.05:
-            return now
-        before = now
-    return before
+def until(condition, seconds=30.0):
+    """Waits until it holds; whether it does by then."""
+    start = time.monotonic()
+    while not condition():
+        if time.monotonic() - start > seconds:
+            return False
+        time.sleep(0.1)
+    return True
+
+
+def changed(before, now):
+    """The share of the pixels that differ."""
+    return np.mean(np.abs(now - before) > 20.0)
+
+
+def settled(driver, before=None, pause=0.4, seconds=30.0):
+    """The page's picture once two in a row are alike, but for the words at its right, which tell rates, and once it is another
+    than `before`."""
+    last = picture(driver)
+    left = slice(int(0.6 * last.shape[1]))
+
+    def still():
+        nonlocal last
+        time.sleep(pause)
+        now, then = picture(driver), last
+        last = now
+        return np.mean(np.abs(now - then)[:, left]) < 0.05 and (before is None or changed(before, now) > CHANGE)
+
+    until(still, seconds)
+    return last
+
+
+def read(driver, *words):
+    """Asserts that the page says so, sooner or later."""
+    body = lambda: driver.find_element(By.TAG_NAME, "body").text
+    until(lambda: all(word in body() for word in words))
+    for word in words:
+        assert word in body(), f"the page lacks '{word}'"
 
 
 def look_at_words(driver, out):
     """Each tab's words, and a picture of each beside `out`."""
     for tab, words in TABS.items():
         driver.find_element(By.XPATH, f"//*[text()='{tab}']").click()
+        read(driver, "p6r in cucumber_row", "Clear:", "what collides", *words)
         settled(driver)
         driver.save_screenshot(str(out.with_stem(f"{out.stem}_{tab.lower()}")))
-        text = driver.find_element(By.TAG_NAME, "body").text
-        for word in ("p6r in cucumber_row", "Clear:", "what collides", *words):
-            assert word in text, f"the page lacks '{word}' in {tab}"
     driver.find_element(By.XPATH, "//*[text()='Robot']").click()
 
 
@@ -138,14 +164,14 @@ def steer(out):
         driver.set_window_size(900, 600)
         driver.execute_cdp_cmd("Page.addScriptToEvaluateOnNewDocument", {"source": COUNT + PAD})
         driver.get(page.url)
-        settled(driver)
+        read(driver, "Steer")
         page.move(np.array([0.5, 0.1, 0.1, -0.9, 0.2, 0.6, 0.1]))
         time.sleep(1.0)
         tip = frames(page.chain, page.q)[-1][:3, 3]
         for client in page.server.get_clients().values():
             client.camera.position = tuple(tip + np.array([0.0, -0.9, 0.25]))  # which shifts what it looks at
             client.camera.look_at = tuple(tip)
-        first = settled(driver)
+        first = settled(driver, pause=1.0)
         canvas = driver.find_element(By.TAG_NAME, "canvas")
         high, wide = canvas.size["height"], canvas.size["width"]
         found, columns = np.nonzero(np.all(np.abs(first[:high, : int(0.62 * wide)] - PINK) < 40.0, axis=2))
@@ -181,16 +207,14 @@ def steer(out):
         driver.find_element(By.XPATH, "//*[text()='Stop']").click()
         settled(driver)
         with tempfile.TemporaryDirectory() as folder:
-            page.steering.file.value = str(Path(folder) / "motion.json")
+            file = Path(folder) / "motion.json"
+            page.steering.file.value = str(file)
             driver.find_element(By.XPATH, "//*[text()='Save']").click()
-            settled(driver)
-            assert (Path(folder) / "motion.json").stat().st_size > 1000, page.steering.kept.content
+            assert until(lambda: file.exists() and file.stat().st_size > 1000), page.steering.kept.content
         driver.find_element(By.XPATH, "//*[text()='Play the recording']").click()
         settled(driver)
         push_sticks(driver, page)
-        text = driver.find_element(By.TAG_NAME, "body").text
-        for words in ("Drag the arrows", "virtual springs", "game pad", "Hz", "samples", "near a joint's limit"):
-            assert words in text, f"the page lacks '{words}'"
+        read(driver, "Drag the arrows", "virtual springs", "game pad", "Hz", "samples", "near a joint's limit")
         severe = [e["message"] for e in driver.get_log("browser") if e["level"] == "SEVERE" and "favicon" not in e["message"]]
         assert not severe, severe
     finally:
@@ -210,47 +234,50 @@ def main(out):
         driver = browser()
         try:
             driver.get(page.url)
-            time.sleep(5.0)
-            first = settled(driver)
+            read(driver, "p6r in cucumber_row")
+            first = settled(driver, pause=1.0)
             driver.save_screenshot(str(out))
             assert first.std() > 10.0, "the page is empty"
             look_at_words(driver, out)
-            views = {"as it opens": settled(driver)}
+            views = [settled(driver)]
+
+            def look(name):
+                """The next picture, once it is another than the last."""
+                views.append(settled(driver, views[-1]))
+                print(f"{name}: {(change := changed(*views[-2:])):.2%} of the pixels")
+                assert change > CHANGE, f"{name}: nothing changed"
+
             page.player.show(plan.rows[0].stages[2].end)
-            views["with a fruit"] = settled(driver)
+            look("with a fruit")
             driver.save_screenshot(str(out.with_stem(f"{out.stem}_with_a_fruit")))
             page.player.show(0.0)
             page.map.visible.value = False
-            views["without the map"] = settled(driver)
+            look("without the map")
             page.move(np.array([0.3, 0.2, -0.5, -0.4, 0.3, 0.5, 0.1]))
-            views["in a fruit"] = settled(driver)
+            look("in a fruit")
             driver.save_screenshot(str(out.with_stem(f"{out.stem}_collision")))
-            assert "Collides: gripper and fruit_2, by 9.0 mm" in driver.find_element(By.TAG_NAME, "body").text
+            read(driver, "Collides: gripper and fruit_2, by 9.0 mm")
             page.move(np.array([0.5, 0.1, 0.1, -0.9, 0.2, 0.6, 0.1]))
-            settled(driver)
+            look("out of it")
             before = page.q
             drag(driver, 30, 20)
-            views["dragged"] = settled(driver)
+            look("dragged")
             driver.save_screenshot(str(out.with_stem(f"{out.stem}_dragged")))
             assert not np.array_equal(page.q, before) or "No posture" in page.said.content, "the robot does not follow"
             print("dragged:", page.said.content)
             page.robot.style.value = SHOWS[1]
-            views["its volumes"] = settled(driver)
+            look("its volumes")
             page.robot.style.value = SHOWS[3]
-            views["joints alone"] = settled(driver)
+            look("joints alone")
             page.map.visible.value, page.map.variant.value = True, list(page.map.indices)[1]
             assert np.isclose(page.chain.world_T_base[2, 3] - chain.world_T_base[2, 3], 0.25), "the robot stands elsewhere"
-            views["from a higher base"] = settled(driver)
+            look("from a higher base")
             page.map.rest.value = "faint"
-            views["what is not reachable, too"] = settled(driver)
-            for a, b in itertools.pairwise(views):
-                change = np.mean(np.abs(views[a] - views[b]) > 20.0)
-                print(f"{a} -> {b}: {change:.2%} of the pixels")
-                assert change > 0.0005, f"{b}: nothing changed"
+            look("what is not reachable, too")
             driver.set_window_size(420, 900)
             settled(driver)
             driver.save_screenshot(str(out.with_stem(f"{out.stem}_narrow")))
-            assert "p6r in cucumber_row" in driver.find_element(By.TAG_NAME, "body").text
+            read(driver, "p6r in cucumber_row")
             errors = [
                 e["message"] for e in driver.get_log("browser") if e["level"] == "SEVERE" and "favicon" not in e["message"]
             ]

@@ -45,7 +45,7 @@ def test_it_writes_table_picture_and_arrays(tmp_path):
     scene, out = tmp_path / "bench.toml", tmp_path / "out"
     scene.write_text(SCENE)
     command = ["harvest", "--scene", scene, "--out", out, "--angles", "24", "--slides", "9", "--weights.freedom", "1"]
-    environment = {**os.environ, "XDG_CACHE_HOME": str(tmp_path / "cache"), "COLUMNS": "200"}
+    environment = {**os.environ, "COLUMNS": "200"}
     code = "from jaxik.cli import main; main()"
     done = subprocess.run([sys.executable, "-c", code, *map(str, command)], env=environment, capture_output=True, text=True)
     assert done.returncode == 0, done.stderr
