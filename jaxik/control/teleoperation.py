@@ -152,8 +152,8 @@ class Teleoperation:
                 raise ValueError(f"teleoperation: {error}; or margin=None, which measures no clearance") from None
 
     def init(self, q: Float[Array, " n"]) -> TeleoperationState:
-        """At rest at q (n,) [rad, m], before the device has said anything. Traced."""
-        q = as_configuration(self.chain, q)
+        """At rest at q (n,) [rad, m], before the device has said anything; in JAX's precision, whatever q has. Traced."""
+        q = as_configuration(self.chain, q).astype(float)
         none = jnp.zeros(3)
         asked = Asked(silence(), none, jnp.ones((), bool))
         return TeleoperationState(
@@ -177,7 +177,7 @@ class Teleoperation:
         told, hand, position = _heard(state.position, hand, self.patience)
         mapped, end, asked, force, velocity = self._at_hand(state, hand, position, told)
         there, asked = self.there.step(state.there, asked, self.dt)
-        q, contact, broken = _sound(self.chain, state.q, as_configuration(self.chain, q), contact)
+        q, contact, broken = _sound(self.chain, state.q, as_configuration(self.chain, q).astype(state.q.dtype), contact)
         held = asked.held | broken
         felt = self._felt(q, contact)
         arm, wanted, turn = self._at_arm(state, asked, felt, held)

@@ -49,7 +49,7 @@ def simulate_teleoperation(
     check_kind("simulate_teleoperation", "teleoperation", teleoperation, Teleoperation)
     check_kind("simulate_teleoperation", "grip", grip, HandImpedance, optional=True)
     chain, dt = teleoperation.chain, teleoperation.dt
-    q = as_configuration(chain, q)
+    q = as_configuration(chain, q).astype(float)
     hands, count = _samples(hands)
     wanted = jnp.gradient(hands.position, dt, axis=0) if count > 1 else jnp.zeros_like(hands.position)
 
@@ -86,4 +86,4 @@ def _samples(hands: Hand) -> tuple[Hand, int]:
             raise ValueError(
                 f"simulate_teleoperation: {name} of the hands has the shape {x.shape}; allowed: ({allowed}), of samples t > 0"
             )
-    return Hand(*(jnp.broadcast_to(x, (count, *end)) for x, end in zip(hands, ends, strict=True))), count
+    return Hand(*(jnp.broadcast_to(x.astype(float), (count, *end)) for x, end in zip(hands, ends, strict=True))), count

@@ -368,8 +368,8 @@ def test_threads_share_a_loop(small):
 
 
 def test_one_sample_is_operated():
-    done = simulate_teleoperation(teleoperation(), Q, Hand(np.zeros((1, 3))))
-    assert done.q.shape == (1, 2) and not np.any(done.command.rate)
+    done = simulate_teleoperation(teleoperation(), Q.astype(np.float32), Hand(np.zeros((1, 3), int)))
+    assert done.q.shape == (1, 2) and done.q.dtype == np.float64 and not np.any(done.command.rate)
 
 
 @pytest.mark.parametrize(
