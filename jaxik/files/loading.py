@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import dataclasses
-import os
 import warnings
 from collections.abc import Callable, Mapping
 from pathlib import Path
@@ -21,6 +20,7 @@ from jaxik.files.held_joints import Posture
 from jaxik.files.mesh import Meshes
 from jaxik.files.mjcf import load_mjcf
 from jaxik.files.robot_toml import load_toml, read_toml
+from jaxik.files.shipped import locate
 from jaxik.files.unchecked_pairs import disabled_pairs, ignored
 from jaxik.files.urdf import load_urdf
 from jaxik.fitting.capsules import Fit
@@ -31,12 +31,6 @@ from jaxik.robot.chain import Chain, solid_links
 
 FIT = Fit()
 APART = "leave out pairs that touch by design (ignore=, srdf=)"
-
-
-def models_folder() -> Path:
-    """Where the shipped robots and scenes lie: inside the wheel, or beside the package in a checkout. Host."""
-    inside = Path(__file__).parents[1] / "models"
-    return inside if inside.is_dir() else Path(__file__).parents[2] / "models"
 
 
 def load(
@@ -74,7 +68,7 @@ def load(
     `fit` without `meshes`, for a `posture` that is no mapping of names to finite numbers, and for MJCF without MuJoCo (the
     extra `mjcf`).
     """
-    path = _locate(source)
+    path = locate(source)
     tool = None if tool is None else np.asarray(rigid_frame("tool (tip_T_tool)", tool), np.float64)
     check_kind("load", "fit", fit, Fit, optional=True)
     if fit is not FIT and not meshes:
@@ -175,7 +169,7 @@ def fit_report(
 
     `progress` hears of how many fits are made, of how many. Raises `LoadError` as `load` does.
     """
-    path = _locate(source)
+    path = locate(source)
     check_kind("fit_report", "fit", fit, Fit)
     stance = _stance("fit_report", posture)
     chain, shapes, _ = _read(path, tip, base, None, Meshes(True, True), stance)
@@ -189,7 +183,7 @@ def link_meshes(
 ) -> list[Shape]:
     """The collision meshes, boxes and cylinders of a file's links, in the frames of the joints that move them, to look at.
     Host."""
-    return _read(_locate(source), tip, base, None, Meshes(True, True), _stance("link_meshes", posture))[1]
+    return _read(locate(source), tip, base, None, Meshes(True, True), _stance("link_meshes", posture))[1]
 
 
 def load_scene(source: str | Path) -> Scene:
@@ -197,17 +191,4 @@ def load_scene(source: str | Path) -> Scene:
 
     Raises `LoadError` (a `ValueError`) with one line: the file, the element, what is allowed, the mend.
     """
-    return scene_files.load_scene(_locate(source, "scene"))
-
-
-def _locate(source: str | Path, what: str = "robot") -> Path:
-    path = Path(source)
-    if path.suffix:
-        return path
-    folder = models_folder() / "scenes" if what == "scene" else models_folder()
-    shipped = {p.stem: p for p in sorted(folder.glob("*.toml"))}
-    if str(source) in shipped:
-        return shipped[str(source)]
-    if os.path.exists(path):  # of a name that no file can have, too
-        return path  # to be told that a file needs an ending
-    raise LoadError(shown(source), what, f"no such shipped {what}", f"shipped: {', '.join(shipped)}; or give a file")
+    return scene_files.load_scene(locate(source, "scene"))

@@ -95,16 +95,16 @@ def resolve(path: Path, where: str, name: str, below: Path | None = None) -> Pat
         package, rest = _package(name)
         above = [p for p in (folder, *folder.parents) if p.name == package]
         if ".." in PurePosixPath(rest).parts or package in ("", ".", ".."):
-            raise LoadError(path, where, f"mesh '{name}' leaves its package", "name a file inside it")
+            raise LoadError(path, where, f"file '{name}' leaves its package", "name a file inside it")
         return above[0] / rest if above else None
     if "://" in name and not name.startswith("file://"):
-        raise LoadError(path, where, f"mesh '{name}' is no file", "give a path or package://")
+        raise LoadError(path, where, f"file '{name}' is no file", "give a path or package://")
     try:
         target = (folder / name.removeprefix("file://")).resolve()
     except (OSError, ValueError, RuntimeError):
-        raise LoadError(path, where, f"mesh '{name}' is no path", "give a path below the model's folder") from None
+        raise LoadError(path, where, f"file '{name}' is no path", "give a path below the model's folder") from None
     if not target.is_relative_to(root):
-        raise LoadError(path, where, f"mesh '{name}' lies outside the model's folder", f"move it below {root.name}/")
+        raise LoadError(path, where, f"file '{name}' lies outside the model's folder", f"move it below {root.name}/")
     return target
 
 

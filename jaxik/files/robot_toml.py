@@ -18,6 +18,8 @@ import numpy as np
 from jaxik.checks.options import nearest, shown
 from jaxik.files.chain_builder import JOINT_TYPES, Joint, Link, assemble, read_bytes, symmetric, unique, way_up
 from jaxik.files.held_joints import Posture
+from jaxik.files.mesh import resolve
+from jaxik.files.shipped import locate
 from jaxik.reasons import LoadError
 from jaxik.robot.chain import Chain
 from jaxik.robot.drive import Drive, Friction, Side
@@ -184,32 +186,69 @@ def read_toml(path: Path) -> Table:
         raise LoadError(path, "document", f"malformed TOML ({error})", "mend the syntax") from None
 
 
+@dataclasses.dataclass
+class Parts:
+    """What a model file says: the joints from its base to its tip, the links' content, the tip's frame in the last joint's, and
+    the base's in the world."""
+
+    joints: list[Joint]
+    links: dict[str, Link]
+    tool: np.ndarray
+    mount: np.ndarray
+
+    @property
+    def names(self) -> list[str]:
+        """The links, from base to tip."""
+        return ["base", *(joint.child for joint in self.joints)]
+
+
 def load_toml(model: Table, tip: str | None, base: str | None, tool: np.ndarray | None, posture: Posture) -> Chain:
     """A model file to a chain from link `base` to link `tip`, where they are given; joints after the tip are held."""
-    path, name = model.path, model.text("name")
-    model.text("description", "-")
-    convention = model.text("convention", None, CONVENTIONS)
-    joints, links = [], {}
-    for table in model.tables("joint"):
-        joint, link = _joint(table, convention)
-        joints += joint
-        links[joint[-1].child] = link
-    if not joints:
-        raise model.fail("has no [[joint]]", "write one for each joint, from base to tip")
-    names = ["base", *(j.child for j in joints)]
-    unique(path, "joint", (j.name for j in joints))
-    unique(path, "link", names)
-    for table in model.tables("shape"):
-        _shape(table, links, names)
-    world_T_base, tip_T_tool = _frame(model.table("mount")), _frame(model.table("tool"))
-    model.close()
+    path, parts = model.path, _parts(model, (model.path.resolve(),))
+    joints, names = parts.joints, parts.names
     way = way_up(path, names, dict(zip(names[1:], names, strict=False)), tip or names[-1], base or "base")
     first, last = names.index(way[-1]), names.index(way[0])
     if tip is None:
-        tool = tip_T_tool if tool is None else tip_T_tool @ tool
-    run, mount_here = joints[first:last], world_T_base if first == 0 else None
+        tool = parts.tool if tool is None else parts.tool @ tool
+    run, mount_here = joints[first:last], parts.mount if first == 0 else None
     carried = posture.hold(path, run, [*zip(names[last:], joints[last:], strict=False)])
-    return assemble(path, name, names[first], run, links, tool, mount_here, carried)
+    return assemble(path, model.text("name"), names[first], run, parts.links, tool, mount_here, carried)
+
+
+def _parts(model: Table, files: tuple[Path, ...]) -> Parts:
+    """Reads a model file, the last of those that carry one another."""
+    model.text("name")
+    model.text("description", "-")
+    convention = model.text("convention", None, CONVENTIONS)
+    parts = Parts([], {}, _frame(model.table("tool")), _frame(model.table("mount")))
+    for row in model.tables("joint"):
+        name, kind = row.named(), row.text("type", None, (*JOINT_TYPES, "model"))
+        joints, links = _model(row, name, files) if kind == "model" else _joint(row, name, kind, convention)
+        parts.joints += joints
+        parts.links |= links
+    if not parts.joints:
+        raise model.fail("has no [[joint]]", "write one for each joint, from base to tip")
+    unique(model.path, "joint", (joint.name for joint in parts.joints))
+    unique(model.path, "link", parts.names)
+    for table in model.tables("shape"):
+        _shape(table, parts.links, parts.names)
+    model.close()
+    return parts
+
+
+def _model(row: Table, name: str, files: tuple[Path, ...]) -> tuple[list[Joint], dict[str, Link]]:
+    """A row that is a whole model, its base at the row's frame: its joints and links, under their own names, between the links
+    NAME_base and NAME_tip. Where it is mounted otherwise does not count."""
+    source = row.text("model")
+    path = resolve(row.path, row.where, source) if Path(source).suffix else locate(source)
+    if path is None or path.suffix != ".toml":
+        raise row.fail(f"model '{source[:40]}' is no TOML file", "name a shipped model, or a .toml beside this file")
+    if path.resolve() in files:
+        raise row.fail(f"model '{source[:40]}' would carry itself", "name another")
+    parts = _parts(read_toml(path), (*files, path.resolve()))
+    base, tip = f"{name}_base", f"{name}_tip"
+    first, last = Joint(name, "fixed", _frame(row), base), Joint(tip, "fixed", parts.tool, tip)
+    return [first, *parts.joints, last], {base if link == "base" else link: held for link, held in parts.links.items()}
 
 
 def _frame(table: Table) -> np.ndarray:
@@ -217,9 +256,8 @@ def _frame(table: Table) -> np.ndarray:
     return frame(translation, table.turn())
 
 
-def _joint(table: Table, convention: str) -> tuple[list[Joint], Link]:
-    """A row of the table: its joint, and for the standard convention the fixed frame that follows it."""
-    name, kind = table.named(), table.text("type", None, JOINT_TYPES)
+def _joint(table: Table, name: str, kind: str, convention: str) -> tuple[list[Joint], dict[str, Link]]:
+    """A row of the table: its joint, for the standard convention the fixed frame that follows it, and its link."""
     link_name = table.text("link", f"{name}_link")
     unit = "length" if kind == "prismatic" else "angle"
     after = None
@@ -242,7 +280,7 @@ def _joint(table: Table, convention: str) -> tuple[list[Joint], Link]:
         joint.drive = read_drive(table)
         rotor = 0.0 if joint.drive is None else joint.drive.armature
         joint.armature = float(table.finite("armature", (), 0.0, "plain" if kind == "prismatic" else "inertia", rotor))
-    link = _inertia(table)
+    link = {link_name: _inertia(table)}
     if after is None:
         return [joint], link
     joint.child = f"{name}_axis"

@@ -10,7 +10,7 @@ from fresh import scan_memory
 
 import jaxik
 from jaxik.costs import harvest_orientation_cost
-from jaxik.files.loading import models_folder
+from jaxik.files.shipped import models_folder
 from jaxik.harvesting.grasp import grasp_poses
 from jaxik.harvesting.grid_refinement import _climb, _misses, _self_motion, recover
 from jaxik.harvesting.scanning import Weights, approach_angles, scan_two_step

@@ -7,8 +7,8 @@ import numpy as np
 import pytest
 
 import jaxik
-from jaxik.files.loading import models_folder
 from jaxik.files.robot_toml import ORIGINS
+from jaxik.files.shipped import models_folder
 
 TABLE_4 = [  # 9-DOF paper: position [cm], q1 [cm], q2..q9 [deg]
     ((38, 34, 60), (8.16, 44.57, 5.33, 50.95, 56.99, -35.41, 6.34, 221.30, 50.87)),
@@ -63,6 +63,6 @@ def test_each_number_has_an_origin(path):
     tables = [*model["joint"], *model.get("shape", []), *(model[k] for k in ("tool", "mount") if k in model)]
     drives = [joint["drive"] for joint in model["joint"] if "drive" in joint]
     for table in (*tables, *drives, *(drive["friction"] for drive in drives)):
-        named, origin = {k for k, v in table.items() if isinstance(v, int | float | list)}, table["origin"]
+        named, origin = {k for k, v in table.items() if isinstance(v, int | float | list)}, table.get("origin", {})
         each = origin if isinstance(origin, dict) else dict.fromkeys(named, origin)
         assert named == set(each) and set(each.values()) <= set(ORIGINS)
