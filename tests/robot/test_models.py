@@ -1,6 +1,8 @@
 """The shipped models against what the papers say of them."""
 
+import re
 import tomllib
+from pathlib import Path
 
 import jax.numpy as jnp
 import numpy as np
@@ -66,3 +68,10 @@ def test_each_number_has_an_origin(path):
         named, origin = {k for k, v in table.items() if isinstance(v, int | float | list)}, table.get("origin", {})
         each = origin if isinstance(origin, dict) else dict.fromkeys(named, origin)
         assert named == set(each) and set(each.values()) <= set(ORIGINS)
+
+
+def test_the_page_lists_each():
+    page = (Path(__file__).parents[2] / "docs/models.md").read_text()
+    rows = dict(re.findall(r"^\| `(\w+)` \|[^|]*\| (\d) \|", page, re.M))
+    assert set(rows) == {path.stem for path in models_folder().glob("*.toml")}
+    assert all(jaxik.load(name).num_joints == int(joints) for name, joints in rows.items())
