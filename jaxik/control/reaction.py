@@ -40,8 +40,8 @@ from jaxik.motions.path import Motion
 from jaxik.motions.rate_limits import RateLimits
 from jaxik.pytree import Pytree
 from jaxik.reasons import Reason, Reasoned
-from jaxik.robot.chain import Array, Chain, as_configuration, as_numbers, as_shaped
-from jaxik.robot.contact import Contact, contact_jacobian, contact_torque, trusted
+from jaxik.robot.chain import Array, Chain, as_configuration, as_shaped
+from jaxik.robot.contact import Contact, as_contacts, contact_jacobian, contact_torque, trusted
 from jaxik.robot.task import POSITION, Task
 from jaxik.spatial.algebra import safe_divide, safe_sqrt
 
@@ -183,7 +183,7 @@ class Reaction:
         qdot = as_shaped("reaction: qdot", qdot, q.shape).astype(q.dtype)
         if not isinstance(motion, Motion):
             raise ValueError(f"reaction: motion is {shown(motion)}; write what motions.motion gives")
-        contact = self._stacked(contact, q.dtype)
+        contact = Contact(*(x.astype(q.dtype) for x in as_contacts("reaction", contact, self.contacts)))
         felt, sure = trusted(self.chain, contact)
         sound = jnp.all(jnp.stack([jnp.all(sure), *(jnp.all(jnp.isfinite(jnp.asarray(x))) for x in (q, qdot, *motion))]))
         seen = state._replace(
@@ -277,22 +277,6 @@ class Reaction:
 
     def _filtered(self, state: Any, x: Any) -> tuple[Any, Any]:
         return (state, x) if self.filter is None else self.filter.step(state, x)
-
-    def _stacked(self, contact: Contact, dtype: Any) -> Contact:
-        """What is felt, forces and points (k, 3) and joints (k,)."""
-        check_kind("reaction", "contact", contact, Contact)
-        given = ("force", contact.force), ("point", contact.point), ("joint", contact.joint)
-        force, point, joint = (as_numbers(f"reaction: {name} of the contact", x).astype(dtype) for name, x in given)
-        if self.contacts == 1 and force.ndim == 1:
-            force, point = force[None], point[None]
-        for name, x in (("force", force), ("point", point)):
-            if x.shape != (self.contacts, 3):
-                raise ValueError(f"reaction: {name} of the contact has the shape {x.shape}; allowed: ({self.contacts}, 3)")
-        if joint.shape not in ((), (self.contacts,)):
-            raise ValueError(
-                f"reaction: joint of the contact has the shape {joint.shape}; allowed: one number, ({self.contacts},)"
-            )
-        return Contact(jnp.broadcast_to(joint, (self.contacts,)), point, force)
 
     @property
     def _limits(self) -> RateLimits:

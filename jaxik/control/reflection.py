@@ -20,11 +20,11 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float
 
-from jaxik.checks.options import check_choices, check_finite, check_kind
+from jaxik.checks.options import check_choices, check_finite
 from jaxik.costs import Cost, check_cost
 from jaxik.optimise.linear import least_solve
-from jaxik.robot.chain import Array, Chain, as_configuration, as_numbers
-from jaxik.robot.contact import Contact, contact_torque
+from jaxik.robot.chain import Array, Chain, as_configuration
+from jaxik.robot.contact import Contact, as_contacts, contact_torque
 from jaxik.robot.kinematics import jacobian
 from jaxik.spatial.algebra import safe_divide, safe_sqrt
 
@@ -41,10 +41,8 @@ def reflect(
     """
     check_choices("reflect", felt=(felt, Felt))
     check_finite("reflect", 1e-9, length=length)
-    check_kind("reflect", "contact", contact, Contact)
     q = as_configuration(chain, q)
-    point, force = (as_numbers(f"reflect: {x}", getattr(contact, x)).astype(q.dtype) for x in ("point", "force"))
-    contact = Contact(contact.joint, point, force)
+    contact = Contact(*(x.astype(q.dtype) for x in as_contacts("reflect", contact)))
     if felt == "power":
         rows = jacobian(chain, q)[: 6 if chain.num_joints >= 6 else 3]
         return least_solve(rows, contact_torque(chain, q, contact))[:3]
@@ -56,10 +54,7 @@ def reflect(
         way, size = towards @ contact_torque(chain, q, each), safe_sqrt(each.force @ each.force)
         return way * safe_divide(size, safe_sqrt(way @ way))
 
-    if force.ndim == 1:
-        return one(contact)
-    joints = jnp.broadcast_to(as_numbers("reflect: joint", contact.joint), force.shape[:1])
-    return jnp.sum(jax.vmap(one)(contact._replace(joint=joints)), axis=0)
+    return one(contact) if contact.force.ndim == 1 else jnp.sum(jax.vmap(one)(contact), axis=0)
 
 
 def reflect_cost(

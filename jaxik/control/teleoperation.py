@@ -41,8 +41,8 @@ from jaxik.motions.path import Motion
 from jaxik.motions.rate_limits import RateLimits
 from jaxik.pytree import Pytree
 from jaxik.reasons import Reason, Reasoned
-from jaxik.robot.chain import Array, Chain, as_configuration, as_numbers
-from jaxik.robot.contact import Contact, trusted
+from jaxik.robot.chain import Array, Chain, as_configuration
+from jaxik.robot.contact import Contact, as_contacts, trusted
 from jaxik.robot.kinematics import forward_kinematics, jacobian
 from jaxik.robot.task import POSE, Task
 from jaxik.spatial.algebra import safe_divide
@@ -271,9 +271,8 @@ def _sound(chain: Chain, last: Any, q: Any, contact: Contact | None) -> tuple[An
     """q, or the last good one, and the contacts, or none; and whether any of it was no number, or a contact of no joint."""
     broken = ~jnp.all(jnp.isfinite(q))
     if contact is not None:
-        check_kind("teleoperation", "contact", contact, Contact)
-        joint, point, force = (as_numbers(f"teleoperation: {n} of the contact", getattr(contact, n)) for n in Contact._fields)
-        felt, sure = trusted(chain, Contact(joint, point, force))
+        joint, point, force = contact = as_contacts("teleoperation", contact)
+        felt, sure = trusted(chain, contact)
         bad = ~jnp.all(sure)
         none = bad | ~felt
         point, force = (jnp.where(none[..., None], 0.0, x.astype(q.dtype)) for x in (point, force))

@@ -17,10 +17,10 @@ import numpy as np
 from jaxtyping import Float
 
 from jaxik.checks.arrays import direction, shaped
-from jaxik.checks.options import as_count, check_finite, check_kind
+from jaxik.checks.options import as_count, check_finite
 from jaxik.pytree import Constant
-from jaxik.robot.chain import Array, Chain, as_configuration, as_numbers, as_shaped
-from jaxik.robot.contact import Contact, check_joint, material_point
+from jaxik.robot.chain import Array, Chain, as_configuration, as_shaped
+from jaxik.robot.contact import Contact, as_contacts, check_joint, material_point
 from jaxik.spatial.algebra import safe_divide, safe_sqrt
 
 
@@ -69,17 +69,9 @@ class TouchSensor:
     def step(self, state: SensorState, chain: Chain, q: Any, true: Contact, noise: Any = 0.0) -> tuple[SensorState, Contact]:
         """What it shows of a stack of true contacts at q (n,), or of one; `noise` is a sample of unit variance. Traced. Raises
         `ValueError` for another number of contacts than it began with, and for a joint that the chain does not have."""
-        check_kind("touch sensor", "true", true, Contact)
+        joints, point, force = as_contacts("touch sensor", true, len(state.force))
         check_joint("touch sensor", chain, true.joint)
         q = as_configuration(chain, q)
-        point, force = (jnp.atleast_2d(as_numbers(f"touch sensor: {x}", getattr(true, x))) for x in ("point", "force"))
-        for name, x in (("point", point), ("force", force)):
-            if x.shape != state.force.shape:
-                raise ValueError(f"touch sensor: {name} has the shape {x.shape}; allowed: {state.force.shape}, as it began")
-        joints = as_numbers("touch sensor: joint", true.joint)
-        if joints.shape not in ((), force.shape[:1]):
-            raise ValueError(f"touch sensor: joint has the shape {joints.shape}; allowed: (), {force.shape[:1]}")
-        joints = jnp.broadcast_to(joints, force.shape[:1])
         shown = [self._shown(chain, q, Contact(*each), noise) for each in zip(joints, point, force, strict=True)]
         points, forces = (jnp.stack(x) for x in zip(*shown, strict=True))
         reads = state.wait <= 0.0

@@ -75,28 +75,38 @@ def contact_torque(chain: Chain, q: Float[Array, " n"], contacts: Contact) -> Fl
 
     Raises `ValueError` as `contact_jacobian` does. Source: Schuetz 2017, (4.36), (4.37).
     """
-    check_kind("contact_torque", "contacts", contacts, Contact)
+    check_kind("contact_torque", "contact", contacts, Contact)
     check_joint("contact_torque", chain, contacts.joint)
     return _contact_torque(chain, q, contacts)
 
 
 @kernel(models=1)
 def _contact_torque(chain: Chain, q: Any, contacts: Contact) -> jax.Array:
-    forces = as_numbers("contact_torque: force", contacts.force)
-    count = forces.shape[:-1]
-    if forces.shape[-1:] != (3,) or len(count) > 1:
-        raise ValueError(f"contact_torque: force has the shape {forces.shape}; allowed: (3,), or (k, 3) of k contacts")
-    points = as_shaped("contact_torque: point", contacts.point, forces.shape)
-    joints = as_numbers("contact_torque: joint", contacts.joint)
-    if joints.shape not in ((), count):
-        raise ValueError(f"contact_torque: joint has the shape {joints.shape}; allowed: (), or {count} as of the forces")
-    joints = jnp.broadcast_to(joints, count)
+    joints, points, forces = as_contacts("contact_torque", contacts)
     q = as_configuration(chain, q)
     frames, torque = joint_frames(chain, traced(q), dtype=q.dtype), [0.0] * chain.num_joints
-    for k in np.ndindex(count):
+    for k in np.ndindex(joints.shape):
         at, force = (Vec3(*traced(x[k].astype(q.dtype))) for x in (points, forces))
         torque = [add(t, column.dot(force)) for t, column in zip(torque, _columns(chain, frames, joints[k], at), strict=True)]
     return stack(torque, (chain.num_joints,), q.dtype)
+
+
+def as_contacts(who: str, contacts: Any, count: int | None = None) -> Contact:
+    """A contact, or a stack of them, in arrays: each `joint` of its own. With a `count` a stack of as many, which one contact
+    without a leading axis is, too. Traced. Raises `ValueError` for other shapes."""
+    check_kind(who, "contact", contacts, Contact)
+    given = zip(Contact._fields, contacts, strict=True)
+    joint, point, force = (as_numbers(f"{who}: {name}", x) for name, x in given)
+    if count == 1 and force.ndim == 1:
+        point, force = point[None], force[None]
+    stack = force.shape[:-1] if count is None else (count,)
+    several = "(3,), or (k, 3) of k contacts" if count is None else f"({count}, 3)"
+    for name, x, allowed in (("point", point, f"{(*stack, 3)}"), ("force", force, several)):
+        if x.shape != (*stack, 3) or len(stack) > 1:
+            raise ValueError(f"{who}: {name} has the shape {x.shape}; allowed: {allowed}")
+    if joint.shape not in ((), stack):
+        raise ValueError(f"{who}: joint has the shape {joint.shape}; allowed: (), or {stack} as of the forces")
+    return Contact(jnp.broadcast_to(joint, stack), point, force)
 
 
 def trusted(chain: Chain, contacts: Contact) -> tuple[jax.Array, jax.Array]:

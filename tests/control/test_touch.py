@@ -132,7 +132,7 @@ LEANS = Contact(2, np.zeros(3), np.ones(3))
         (lambda: TouchSensor().step(TouchSensor().init(), ARM, Q[:2], LEANS), r"q has shape \(2,\)"),
         (lambda: TouchSensor().step(TouchSensor().init(), ARM, Q, LEANS._replace(joint=9)), "touch sensor: joint is 9; it is"),
         (lambda: TouchSensor().step(TouchSensor().init(), ARM, Q, LEANS._replace(joint=[1, 2])), r"joint has the shape \(2,\)"),
-        (lambda: TouchSensor().step(TouchSensor().init(), ARM, Q, None), "true is None; write a jaxik.robot.Contact"),
+        (lambda: TouchSensor().step(TouchSensor().init(), ARM, Q, None), "contact is None; write a jaxik.robot.Contact"),
         (lambda: SpringContact(np.zeros(3), NORMAL, 1.0).force(np.zeros(2)), r"the point that meets it has the shape \(2,\)"),
         (lambda: Skin(2, np.zeros((3, 3)), np.ones((3, 3))).contact(ARM, Q, np.zeros(2)), r"pressed has the shape \(2,\)"),
         (lambda: Skin(2, np.full((1, 3), np.nan), np.ones((1, 3))), "skin: points hold NaN"),
