@@ -16,6 +16,7 @@ from pathlib import Path
 import numpy as np
 from PIL import Image
 from selenium import webdriver
+from selenium.common.exceptions import TimeoutException
 from selenium.webdriver.chrome.service import Service
 from selenium.webdriver.common.action_chains import ActionChains
 from selenium.webdriver.common.by import By
@@ -60,8 +61,15 @@ def browser():
     return webdriver.Chrome(options=options, service=Service(shutil.which("chromedriver")))
 
 
-def picture(driver):
-    return np.asarray(Image.open(io.BytesIO(driver.get_screenshot_as_png())).convert("RGB"), float)
+def picture(driver, patience=3):
+    """Asked for again while the browser is too busy to draw it."""
+    try:
+        shot = driver.get_screenshot_as_png()
+    except TimeoutException:
+        if not patience:
+            raise
+        return picture(driver, patience - 1)
+    return np.asarray(Image.open(io.BytesIO(shot)).convert("RGB"), float)
 
 
 def until(condition, seconds=30.0):

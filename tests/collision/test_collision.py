@@ -341,8 +341,9 @@ def test_what_is_skipped_changes_no_bit(name, dtype, only_kernels):
     skipped, flat = (each.run(q, scene) for each in kernels)
     assert np.array_equal(skipped[0], flat[0]) and np.array_equal(skipped[-1], flat[-1])
     assert np.array_equal(skipped[-1].min(axis=1), flat[0])
+    touching = HostKernel(lambda q, s, margin: jaxik.collides(chain, s, q, margin), 1)
     for margin in (0.0, 0.05, float(np.median(flat[0]))):
-        (hits,) = HostKernel(lambda q, s: jaxik.collides(chain, s, q, dtype(margin)), 1).run(q, scene)  # noqa: B023
+        (hits,) = touching.run(q, scene, dtype(margin))
         assert np.array_equal(hits, flat[0] < dtype(margin)) and (margin != 0.0 or 0 < hits.sum() < 300)
 
 
