@@ -34,6 +34,7 @@ UNITS = {
 ORIGINS = ("paper", "catalogue", "stand-in")
 CORNERS = {"sphere": 1, "capsule": 2, "triangle": 3}  # of swept-sphere volumes
 Shape = tuple[int, ...]
+CARRIED = 9  # models in one another
 CONVENTIONS = ("modified_dh", "standard_dh", "frames")
 
 
@@ -243,8 +244,8 @@ def _model(row: Table, name: str, files: tuple[Path, ...]) -> tuple[list[Joint],
     path = resolve(row.path, row.where, source) if Path(source).suffix else locate(source)
     if path is None or path.suffix != ".toml":
         raise row.fail(f"model '{source[:40]}' is no TOML file", "name a shipped model, or a .toml beside this file")
-    if path.resolve() in files:
-        raise row.fail(f"model '{source[:40]}' would carry itself", "name another")
+    if path.resolve() in files or len(files) > CARRIED:
+        raise row.fail(f"model '{source[:40]}' would carry itself, or be one of too many", f"at most {CARRIED} in one another")
     parts = _parts(read_toml(path), (*files, path.resolve()))
     base, tip = f"{name}_base", f"{name}_tip"
     first, last = Joint(name, "fixed", _frame(row), base), Joint(tip, "fixed", parts.tool, tip)

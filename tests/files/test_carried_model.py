@@ -125,6 +125,14 @@ def test_faults_of_what_is_carried_name_its_file(lifted):
         jaxik.load(lifted)
 
 
+def test_models_in_one_another_have_an_end(tmp_path):
+    row = 'name = "m{0}"\nconvention = "frames"\n[[joint]]\nname = "j{0}"\ntype = "model"\nmodel = "m{1}.toml"\n'
+    for i in range(12):
+        write(tmp_path, f"m{i}.toml", row.format(i, i + 1))
+    with pytest.raises(jaxik.LoadError, match="too many; at most 9"):
+        jaxik.load(tmp_path / "m0.toml")
+
+
 @pytest.mark.parametrize("name, arm", [("ur10e_rail", "ur10e"), ("panda_lift", "panda")])
 def test_shipped_assemblies_carry_the_arms(name, arm):
     chain, alone = jaxik.load(name), jaxik.load(arm)
