@@ -1,0 +1,66 @@
+"""Six revolute joints as lines in space: all that a closed form needs to know of an arm, whatever its file's conventions are.
+
+With the axes h_i (unit vectors) through points p_i where the arm stands at q = 0, and its tip M there, the tip is
+
+    base_T_tip(q) = E_1(q_1) ... E_6(q_6) M,     E_i the rotation about the line (h_i, p_i)        [Brockett 1984]
+
+so a zero, a sign or a frame of a joint that somebody chose otherwise is another number here and no other case. Seen from the
+tip the same arm has the axes -h_6 ... -h_1 and the inverse as its pose: what is solved for a wrist is solved for a shoulder, too.
+"""
+
+from __future__ import annotations
+
+import itertools
+from typing import NamedTuple
+
+import numpy as np
+
+from jaxik.robot.chain import Chain
+
+TOLERANCE = 1e-7  # [m, rad] within which axes count as parallel, meeting or crossing
+CLEAR = 1e-3  # [rad] by which axes that must not be parallel are apart
+
+
+class Axes(NamedTuple):
+    """Directions h (m, 3), points p (m, 3) [m] and the tip (4, 4) at q = 0, in the frame that the first joint is mounted on."""
+
+    h: np.ndarray
+    p: np.ndarray
+    tip: np.ndarray
+
+    @staticmethod
+    def of(part: Chain) -> Axes:
+        """Of revolute joints."""
+        frames = np.array(list(itertools.accumulate(part.parent_T_joint, np.matmul, initial=np.eye(4)))[1:])
+        h = np.einsum("nij,nj->ni", frames[:, :3, :3], part.axis)
+        return Axes(h, frames[:, :3, 3], frames[-1] @ part.joint_T_tip)
+
+    def reversed(self) -> Axes:
+        """Seen from the tip: joint i is joint m - 1 - i here, with the same angle, and the pose is the inverse."""
+        back = np.linalg.inv(self.tip)
+        return Axes(-self.h[::-1] @ back[:3, :3].T, self.p[::-1] @ back[:3, :3].T + back[:3, 3], back)
+
+    def parallel(self, *which: int) -> bool:
+        """Whether these axes are."""
+        return all(np.linalg.norm(np.cross(self.h[which[0]], self.h[i])) <= TOLERANCE for i in which[1:])
+
+    def clear(self, a: int, b: int) -> bool:
+        """Whether two axes are not even nearly parallel."""
+        return bool(np.linalg.norm(np.cross(self.h[a], self.h[b])) >= CLEAR)
+
+    def meet(self, *which: int) -> bool:
+        """Whether these axes pass through one point, and no two that follow each other are parallel."""
+        return self.miss(*which) <= TOLERANCE and all(self.clear(a, b) for a, b in itertools.pairwise(which))
+
+    def miss(self, *which: int) -> float:
+        """How far the axis that is furthest from their common point passes it [m]."""
+        rows = list(which)
+        away = (np.eye(3) - self.h[rows, :, None] * self.h[rows, None, :]) @ (self.point(*which) - self.p[rows])[:, :, None]
+        return float(np.max(np.linalg.norm(away[:, :, 0], axis=1)))
+
+    def point(self, *which: int) -> np.ndarray:
+        """The point that these axes pass nearest to."""
+        rows = list(which)
+        across = np.eye(3) - self.h[rows, :, None] * self.h[rows, None, :]
+        found, *_ = np.linalg.lstsq(across.reshape(-1, 3), np.einsum("kij,kj->ki", across, self.p[rows]).ravel(), rcond=None)
+        return found

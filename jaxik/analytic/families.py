@@ -1,0 +1,158 @@
+"""Which joints of a chain are solved, by which closed form, and which are given.
+
+Six neighbouring joints are solved (seven over the arm angle); those before and after them are given: a rail, a lift, a first
+joint, a last one. All that a family needs is read off the chain's numbers, so no robot is known by its name. Of all blocks of
+neighbours, and of all families, the one that costs least is taken; among equals the one that leaves fewest joints behind it.
+"""
+
+from __future__ import annotations
+
+import functools
+from collections.abc import Callable, Iterator
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from jaxik.analytic.arm_angle import ArmAngle
+from jaxik.analytic.axes import Axes
+from jaxik.analytic.half_branches import HalfBranch
+from jaxik.analytic.spherical_wrist import SphericalWrist
+from jaxik.analytic.subproblems import ALL, Signs
+from jaxik.analytic.three_parallel import ThreeParallel
+from jaxik.checks.options import check_kind
+from jaxik.robot.chain import Chain, finite_limits
+from jaxik.robot.kinematics import joint_frames
+from jaxik.spatial.algebra import BASE, Frame, Scalar, traced
+
+
+class FromTip:
+    """A family that fits the arm as it is seen from its tip."""
+
+    def __init__(self, family: Any):
+        self.family, self.name, self.cost = family, family.name, family.cost
+        self.joints, self.parameters = family.joints, family.parameters
+
+    def half_branches(self, target: Frame, given: list[Scalar], eps: float, signs: Signs = ALL) -> list[HalfBranch]:
+        return [half.from_tip(self.joints) for half in self.family.half_branches(target.inverse(), given, eps, signs)]
+
+
+class Solver(NamedTuple):
+    """A chain's closed form: the joints from `first` on are solved by the family, the others are given."""
+
+    chain: Chain
+    first: int
+    family: Any
+
+    @property
+    def solved(self) -> range:
+        return range(self.first, self.first + self.family.joints)
+
+    @property
+    def given_joints(self) -> list[int]:
+        return [i for i in range(self.chain.num_joints) if i not in self.solved]
+
+    def split(self, given: Any) -> tuple[list[Scalar], list[Scalar], list[Scalar]]:
+        """Of what is given, the joints before the solved ones, the family's own parameters, and the joints after."""
+        end = self.first + self.family.parameters
+        given = [given[i] for i in range(len(self.given_joints) + self.family.parameters)]
+        return given[: self.first], given[self.first : end], given[end:]
+
+    def target(self, pose: Any, given: Any) -> Frame:
+        """Where the solved joints have to bring the frame of the last of them (or the tip), from where they are mounted."""
+        before, _, after = self.split(given)
+        target = Frame.of_entries(traced(pose))
+        if before:
+            base = joint_frames(self.chain.part(0, len(before)), before, BASE, pose.dtype).joints[-1]
+            target = base.inverse() @ target
+        if after:
+            rest = self.chain.part(self.solved.stop, self.chain.num_joints)
+            target = target @ joint_frames(rest, after, BASE, pose.dtype).tip.inverse()
+        return target
+
+    def half_branches(self, pose: Any, given: Any, signs: Signs = ALL) -> list[HalfBranch]:
+        """The half branches of a pose (4, 4), their joints counted in the chain. What of them is not used is not computed."""
+        eps = float(np.finfo(pose.dtype).eps)
+        halves = self.family.half_branches(self.target(pose, given), self.split(given)[1], eps, signs)
+        return [half._replace(turns={i + self.first: turn for i, turn in half.turns.items()}) for half in halves]
+
+    def joints(self, given: Any, angles: Any) -> list[Scalar]:
+        """All joints of the chain, of what is given and the angles that were found."""
+        before, _, after = self.split(given)
+        return [*before, *angles, *after]
+
+    def limits(self) -> tuple[np.ndarray, np.ndarray]:
+        """The range (k,), (k,) of what is given [m, rad]: finite, a turn where there are no limits."""
+        low, high = (list(x[self.given_joints]) for x in finite_limits(self.chain))
+        own = self.family.parameters
+        return tuple(np.array([*x[: self.first], *[end] * own, *x[self.first :]]) for x, end in ((low, -np.pi), (high, np.pi)))
+
+    def names(self) -> tuple[str, ...]:
+        """Of what is given, the joints' names, and the family's."""
+        names = [self.chain.joint_names[i] for i in self.given_joints]
+        names[self.first : self.first] = [self.family.name] * self.family.parameters
+        return tuple(names)
+
+
+Maker = Callable[[], Any]
+
+
+def _families(part: Chain) -> Iterator[tuple[str, Maker]]:
+    """Of six or seven revolute joints: each family's obstacle, and how it is made."""
+    axes = Axes.of(part)
+    rest = lambda joint: float(np.clip(0.0, part.lower[joint], part.upper[joint]))
+    if part.num_joints == 7:
+        yield ArmAngle.obstacle(axes), lambda: ArmAngle(axes, rest(-1), rest(2))
+        return
+    seen = axes.reversed()
+    yield SphericalWrist.obstacle(axes), lambda: SphericalWrist(axes, rest(-1))
+    for first in (1, 0):
+        yield ThreeParallel.obstacle(axes, first), lambda first=first: ThreeParallel(axes, rest(-1), first)
+    tip = "seen from the tip, "
+    reason = SphericalWrist.obstacle(seen)
+    yield reason and tip + reason, lambda: FromTip(SphericalWrist(seen, rest(0)))
+    for first in (1, 0):
+        reason = ThreeParallel.obstacle(seen, first)
+        yield reason and tip + reason, lambda first=first: FromTip(ThreeParallel(seen, rest(0), first))
+
+
+@functools.lru_cache(maxsize=64)
+def _found(chain: Chain) -> tuple[Solver | None, str]:
+    """The chain's cheapest closed form, or why it has none."""
+    best, reasons = None, []
+    for size in (7, 6):
+        for first in range(chain.num_joints - size, -1, -1):
+            joints = slice(first, first + size)
+            if any(chain.is_prismatic[joints]):
+                name = chain.joint_names[joints][chain.is_prismatic[joints].index(True)]
+                reasons.append((size, first, [f"joint '{name}' is prismatic"]))
+                continue
+            families = list(_families(chain.part(first, first + size)))
+            for reason, made in families:
+                if not reason:
+                    solver = Solver(chain, first, made())
+                    best = solver if best is None or solver.family.cost < best.family.cost else best
+            reasons.append((size, first, [reason for reason, _ in families]))
+    if best is not None:
+        return best, ""
+    if chain.num_joints < 6:
+        return None, f"it has {chain.num_joints} joints, and six revolute ones are needed"
+    why = [f"of joints {first + 1} to {first + size}: " + "; ".join(each) for size, first, each in reasons if size == 6]
+    return None, "no six neighbouring joints are of a family that has one; " + ". ".join(why)
+
+
+def closed_form_obstacle(chain: Chain) -> str:
+    """Why the chain has no closed form here, or an empty string. Reads the chain's concrete numbers. Host."""
+    check_kind("closed_form", "chain", chain, Chain)
+    if not all(isinstance(x, np.ndarray) for x in (chain.parent_T_joint, chain.axis, chain.joint_T_tip)):
+        return "its numbers are traced; closed_form reads them while tracing, so close over the chain"
+    return _found(chain)[1]
+
+
+def solver_of(chain: Chain) -> Solver:
+    """The chain's closed form. Raises `ValueError` with the reason where it has none."""
+    reason = closed_form_obstacle(chain)
+    if reason:
+        raise ValueError(f"{chain.name} has no closed form here: {reason}")
+    solver = _found(chain)[0]
+    assert solver is not None
+    return solver

@@ -1,0 +1,82 @@
+"""All joint positions of a pose, in closed form, for given values of the joints that are left over."""
+
+from __future__ import annotations
+
+import functools
+from typing import Any, NamedTuple
+
+import jax.numpy as jnp
+from jaxtyping import Bool, Float
+
+from jaxik.analytic.families import solver_of
+from jaxik.robot.chain import Array, Chain, as_numbers
+from jaxik.robot.joint_turns import into_limits
+from jaxik.spatial.algebra import stack
+from jaxik.spmd import kernel
+from jaxik.spmd.host import host_kernels
+
+BRANCHES = 8
+
+
+class ClosedForm(NamedTuple):
+    """All eight solutions; always finite where the pose is. Of a spherical wrist branch `4 shoulder + 2 elbow + wrist`.
+
+    `valid` says that the branch has the pose; `within_limits` that it also has a turn of 2 pi for each joint inside its
+    limits. `q` holds the admissible turn nearest to the middle of each joint's range (`admissible_turns` lists all).
+    """
+
+    q: Float[Array, "8 n"]
+    valid: Bool[Array, "8"]
+    within_limits: Bool[Array, "8"]
+
+
+@kernel(models=1)
+def closed_form(chain: Chain, pose: Float[Array, "4 4"], slide: Float[Array, "..."] | float | None = None) -> ClosedForm:
+    """All joint positions with `base_T_tip = pose` (4, 4) [m], for given values `slide` of what is left over [m, rad]. Traced.
+
+    `slide` has shape () for one value, (k,) for k, and is left out for none: the joints before the six that are solved and
+    those after them, in the chain's order, and the arm angle where an arm is solved over it (`redundancy`). Differentiable in
+    both. Source: Van Henten et al. 2010, App. B, derived again for every arm with a spherical wrist; Elias and Wen 2022;
+    Shimizu et al. 2008.
+
+    Raises `ValueError` with the reason where the chain is of no family (see `closed_form_obstacle`) or a shape is wrong.
+    """
+    solver = solver_of(chain)
+    left_over = chain.num_joints - 6
+    pose = as_numbers("pose", pose)
+    given = jnp.zeros(0, pose.dtype) if slide is None else jnp.atleast_1d(as_numbers("slide", slide))
+    if pose.shape != (4, 4) or given.shape != (left_over,):
+        raise ValueError(f"closed_form: pose {pose.shape} and slide {given.shape}; expected (4, 4) and ({left_over},)")
+    dtype = jnp.result_type(pose, given, jnp.float32)
+    pose, given = pose.astype(dtype), given.astype(dtype)
+    found = [each for half in solver.half_branches(pose, given) for each in half.finish()]
+    all_joints = [x for angles, _ in found for x in solver.joints(given, angles)]
+    q, inside = into_limits(chain, stack(all_joints, (BRANCHES, chain.num_joints), dtype))
+    valid = stack([margin for _, margin in found], (BRANCHES,), dtype) >= 0.0  # NaN is not
+    return ClosedForm(q, valid, valid & inside)
+
+
+# a batch of `closed_form`: (poses, what is given), by rows
+closed_forms = host_kernels(2, known=16)(closed_form)
+
+
+@host_kernels(2, known=16)
+def valid_branches(chain: Chain, pose: Any, given: Any) -> Any:
+    """By rows of poses and what is given: a byte with one bit a branch that has the pose, whose angles are not computed."""
+    margins = [margin for half in solver_of(chain).half_branches(pose, given) for _, margin in half.finish()]
+    return functools.reduce(jnp.bitwise_or, [(m >= 0.0).astype(jnp.uint8) << b for b, m in enumerate(margins)])
+
+
+def one_branch(chain: Chain, pose: Any, given: Any, number: Any) -> tuple[Any, Any]:
+    """Of a pose, what is given and a branch number: the joints (n,), and whether they have the pose in the limits. Traced."""
+    solver = solver_of(chain)
+    sign = lambda bit: jnp.where(number & bit, -1.0, 1.0).astype(pose.dtype)
+    (half,) = solver.half_branches(pose, given, ((sign(4),), (sign(2),)))
+    branches = [(*angles, margin) for angles, margin in half.finish()]
+    *angles, margin = (jnp.where(number & 1, two, one) for one, two in zip(*branches, strict=True))
+    q, inside = into_limits(chain, jnp.stack(solver.joints(given, angles)))
+    return q, (margin >= 0.0) & inside
+
+
+# by rows of poses, what is given and branch numbers: that branch alone, in a fifth of the time of all eight
+closed_branches = host_kernels(3, known=16)(one_branch)
