@@ -213,7 +213,7 @@ def between() -> None:
     _save(figure, "between")
 
 
-def _freedom(chain: jaxik.Chain, found: jaxik.robot.ClosedForm) -> Any:
+def _freedom(chain: jaxik.Chain, found: jaxik.analytic.ClosedForm) -> Any:
     """The freedom (8,) of the branches, past a limit below 0, NaN where they do not have the pose."""
     low, high = np.asarray(chain.lower)[1:], np.asarray(chain.upper)[1:]
     middle, half = (low + high) / 2.0, (high - low) / 2.0

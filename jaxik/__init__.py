@@ -12,12 +12,13 @@ import warnings
 from typing import TYPE_CHECKING, Any
 
 from jaxik import collision, costs, files, fitting, ik, optimise, robot, spatial, spmd
+from jaxik.analytic import closed_form
 from jaxik.collision import Scene, clearance, collides, explain, make_scene, motion_clearance
 from jaxik.files import load, load_scene, load_targets, save
 from jaxik.fitting import Fit
 from jaxik.ik import IKOptions, implicit_ik, solve_ik
 from jaxik.reasons import LoadError, Reason
-from jaxik.robot import Chain, Task, closed_form, forward_kinematics, jacobian
+from jaxik.robot import Chain, Task, forward_kinematics, jacobian
 from jaxik.spatial.rotations import pose
 from jaxik.spmd import kernel
 
@@ -39,6 +40,7 @@ __all__ = [
     "Reason",
     "Scene",
     "Task",
+    "analytic",
     "clearance",
     "closed_form",
     "collides",
@@ -89,8 +91,8 @@ _MOVED = {  # until the next release; a name that is another now stands behind =
     "multistart quadratic_cost rac resolve_acceleration resolve_velocity rmrc via",
     "optimise": "Descent QUASI_NEWTON",
     "reach": "likely_postures log_reach_score reach_score",
-    "robot": "ClosedForm admissible_turns bias_acceleration closed_form_obstacle finite_limits link_frames "
-    "manipulability within_limits",
+    "analytic": "ClosedForm closed_form_obstacle",
+    "robot": "admissible_turns bias_acceleration finite_limits link_frames manipulability within_limits",
     "sweeps": "Study Sweep",
 }
 

@@ -1,10 +1,10 @@
 """Seven joints between a spherical shoulder and a spherical wrist, over the arm angle [Shimizu et al. 2008].
 
-The distance from shoulder S to wrist W fixes the elbow, joint 4, two solutions; what is left is a turn of the arm about the line
-S W, which no pose tells: the arm angle psi. It is counted about that line to axis 4, from where axis 4 is across the first axis
-too: at psi = 0 the arm lies in the plane of the first axis and W with the elbow on one side, at pi on the other. So it is
-defined where the arm is straight, too; where W is on the first axis, it is counted from a fixed direction. Given psi, shoulder
-and wrist are each three axes through a point. Eight solutions.
+The distance from shoulder S to wrist W fixes the elbow, joint 4, two solutions; what is left is a turn of the arm about the
+line S W, which no pose tells: the arm angle psi. It is counted about that line to axis 4, from where axis 4 is across the
+first axis too: at psi = 0 the arm lies in the plane of the first axis and W, the elbow on one side, and at pi on the other. So
+it is defined where the arm is straight, too; where W is on the first axis it is counted from a fixed direction. Given psi,
+shoulder and wrist are each three axes through a point. Eight solutions.
 """
 
 from __future__ import annotations
@@ -16,7 +16,8 @@ import numpy as np
 from jaxik.analytic.axes import Axes
 from jaxik.analytic.half_branches import HalfBranch
 from jaxik.analytic.orienting import Orienting
-from jaxik.analytic.subproblems import ALL, Signs, Turn, either, turns_to_distance, vector_of
+from jaxik.analytic.turns import ALL, Signs, Turn, either, turns_to_distance, vector_of
+from jaxik.robot.kinematics import JointFrames
 from jaxik.spatial.algebra import Frame, Rot3, Scalar, Vec3, constants, safe_sqrt, sincos
 from jaxik.spatial.ball import minimum, where
 
@@ -59,8 +60,8 @@ class ArmAngle:
             arm = _about(upper + elbow.about(h4) @ lower, h4)
             own = Rot3.of(constants(self.shoulder.own.T, eps))
             base_R_arm = Rot3(*world).T
-            images = [own @ (base_R_arm @ (Rot3(*arm) @ vector(v))) for v in (self.shoulder.third, self.shoulder.across)]
-            ways = self.shoulder.solve(*images, eps)
+            third, across = (own @ (base_R_arm @ (Rot3(*arm) @ vector(v))) for v in (self.shoulder.third, self.shoulder.across))
+            ways = self.shoulder.solve(third, across, eps)
             for way in ways if signs is ALL else [either(sign > 0.0, *ways) for sign in signs[1]]:
                 found.append(self._half(way, elbow, minimum(margin, way.margin), arm, world, hand, eps))
         return found
@@ -68,8 +69,8 @@ class ArmAngle:
     def _half(self, way: Any, elbow: Turn, margin: Scalar, arm: Any, world: Any, hand: list[Vec3], eps: float) -> HalfBranch:
         def finish() -> list[tuple[tuple[Scalar, ...], Scalar]]:
             back, own = elbow.about(vector_of(self.axes.h[3], eps)).T, Rot3.of(constants(self.wrist.own.T, eps))
-            left = [own @ (back @ (Rot3(*arm).T @ (Rot3(*world) @ v))) for v in hand]
-            wrists = self.wrist.solve(*left, eps)
+            third, across = (own @ (back @ (Rot3(*arm).T @ (Rot3(*world) @ v))) for v in hand)
+            wrists = self.wrist.solve(third, across, eps)
             return [((*way.angles, elbow.angle, *each.angles), minimum(margin, each.margin)) for each in wrists]
 
         return HalfBranch({**dict(enumerate(way.turns)), 3: elbow}, margin, finish)
@@ -84,10 +85,11 @@ class ArmAngle:
         normal = across * cosine + third * sine
         return along, normal, along.cross(normal)
 
-    def parameter(self, line: Vec3, axis_4: Vec3, eps: float) -> Scalar:
-        """The arm angle [rad] where axis 4 lies so, of the line from shoulder to wrist."""
+    def parameter(self, frames: JointFrames, eps: float) -> Scalar:
+        """The arm angle [rad] of a posture."""
+        line = frames.tip @ vector_of(self.centre, eps) - vector_of(self.shoulder_point, eps)
         _, zero, quarter = self._turned(line, 0.0, eps)
-        return Turn(quarter.dot(axis_4), zero.dot(axis_4)).angle
+        return Turn(quarter.dot(frames.axes[3]), zero.dot(frames.axes[3])).angle
 
 
 def _about(line: Vec3, direction: Vec3) -> tuple[Vec3, Vec3, Vec3]:

@@ -5,7 +5,7 @@ With the axes h_i (unit vectors) through points p_i where the arm stands at q = 
     base_T_tip(q) = E_1(q_1) ... E_6(q_6) M,     E_i the rotation about the line (h_i, p_i)        [Brockett 1984]
 
 so a zero, a sign or a frame of a joint that somebody chose otherwise is another number here and no other case. Seen from the
-tip the same arm has the axes -h_6 ... -h_1 and the inverse as its pose: what is solved for a wrist is solved for a shoulder, too.
+tip the same arm has the axes -h_6 ... -h_1 and the inverse as its pose: what is solved for a wrist is solved for a shoulder.
 """
 
 from __future__ import annotations

@@ -17,8 +17,8 @@ from jaxik.analytic.arm_angle import ArmAngle
 from jaxik.analytic.axes import Axes
 from jaxik.analytic.half_branches import HalfBranch
 from jaxik.analytic.spherical_wrist import SphericalWrist
-from jaxik.analytic.subproblems import ALL, Signs
 from jaxik.analytic.three_parallel import ThreeParallel
+from jaxik.analytic.turns import ALL, Signs
 from jaxik.checks.options import check_kind
 from jaxik.robot.chain import Chain, finite_limits
 from jaxik.robot.kinematics import joint_frames
@@ -82,15 +82,25 @@ class Solver(NamedTuple):
 
     def limits(self) -> tuple[np.ndarray, np.ndarray]:
         """The range (k,), (k,) of what is given [m, rad]: finite, a turn where there are no limits."""
-        low, high = (list(x[self.given_joints]) for x in finite_limits(self.chain))
-        own = self.family.parameters
-        return tuple(np.array([*x[: self.first], *[end] * own, *x[self.first :]]) for x, end in ((low, -np.pi), (high, np.pi)))
+        return self.given_range(*finite_limits(self.chain))
 
-    def names(self) -> tuple[str, ...]:
-        """Of what is given, the joints' names, and the family's."""
-        names = [self.chain.joint_names[i] for i in self.given_joints]
-        names[self.first : self.first] = [self.family.name] * self.family.parameters
-        return tuple(names)
+    def given_range(self, low: Any, high: Any) -> tuple[np.ndarray, np.ndarray]:
+        """Of bounds of all joints (n,), those of what is given (k,)."""
+        ends = []
+        for bound, turn in ((low, -np.pi), (high, np.pi)):
+            given = [bound[i] for i in self.given_joints]
+            given[self.first : self.first] = [turn] * self.family.parameters
+            ends.append(np.array(given, float))
+        return ends[0], ends[1]
+
+    def values(self, q: Any) -> list[Scalar]:
+        """What is given where all joints are `q` (n,)."""
+        given = [q[i] for i in self.given_joints]
+        if self.family.parameters:
+            part = self.chain.part(self.solved.start, self.solved.stop)
+            frames = joint_frames(part, [q[i] for i in self.solved], BASE, q.dtype)
+            given[self.first : self.first] = [self.family.parameter(frames, float(np.finfo(q.dtype).eps))]
+        return given
 
 
 Maker = Callable[[], Any]
@@ -148,6 +158,14 @@ def closed_form_obstacle(chain: Chain) -> str:
     return _found(chain)[1]
 
 
+MOST_SCANNED = 2  # values given, a grid over which is smaller than a search
+
+
+def scannable(chain: Chain) -> bool:
+    """Whether postures are sought over a grid of what the chain's closed form is given."""
+    return not closed_form_obstacle(chain) and len(solver_of(chain).limits()[0]) <= MOST_SCANNED
+
+
 def solver_of(chain: Chain) -> Solver:
     """The chain's closed form. Raises `ValueError` with the reason where it has none."""
     reason = closed_form_obstacle(chain)
@@ -156,3 +174,24 @@ def solver_of(chain: Chain) -> Solver:
     solver = _found(chain)[0]
     assert solver is not None
     return solver
+
+
+class Redundancy(NamedTuple):
+    """What a chain's closed form is given: the joints that are left over, before and after those that it solves, and the arm
+    angle where it solves seven. One entry each (k,): its name, a joint's or "arm angle", and its range [m, rad], a whole turn
+    where there are no limits."""
+
+    names: tuple[str, ...]
+    lower: np.ndarray
+    upper: np.ndarray
+
+
+def redundancy(chain: Chain) -> Redundancy:
+    """What `closed_form(chain, pose, slide)` takes as `slide`, in this order. Host driver.
+
+    Raises `ValueError` with the reason where the chain has no closed form.
+    """
+    solver = solver_of(chain)
+    names = [chain.joint_names[i] for i in solver.given_joints]
+    names[solver.first : solver.first] = [solver.family.name] * solver.family.parameters
+    return Redundancy(tuple(names), *solver.limits())

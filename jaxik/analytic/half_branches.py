@@ -15,8 +15,8 @@ class HalfBranch(NamedTuple):
     """Two branches that begin alike.
 
     `turns` are those of the joints that are known (sines and cosines, by joint of the solved ones); `margin` tells how far a
-    root is from turning complex (< 0: it has); `finish()` gives both branches, all their angles [rad] and a margin each. What is
-    not asked for is not computed.
+    root is from turning complex (< 0: it has); `finish()` gives both branches, all their angles [rad] and a margin each. What
+    is not asked for is not computed.
     """
 
     turns: dict[int, Any]

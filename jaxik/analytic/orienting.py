@@ -16,7 +16,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from jaxik.analytic.subproblems import Turn
+from jaxik.analytic.turns import Turn
 from jaxik.robot.joint_turns import wrapped
 from jaxik.spatial.algebra import Rot3, Scalar, Vec3, add, atan2, constants, mul, safe_sqrt, sub
 from jaxik.spatial.ball import minimum, where

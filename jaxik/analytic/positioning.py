@@ -23,7 +23,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from jaxik.analytic.axes import Axes
-from jaxik.analytic.subproblems import (
+from jaxik.analytic.turns import (
     ALL,
     Signs,
     Turn,
@@ -265,12 +265,9 @@ class AnyThree(_Turning):
         h1, h2, h3 = self.h[:3]
         plane = w - h3 * (h3 @ w), np.cross(h3, w)  # R_3 w = plane_1 cos + plane_2 sin + its height
         high = h3 * (h3 @ w) + u
-        near = np.array(
-            [
-                [u @ u + w @ w + 2.0 * (u @ h3) * (h3 @ w), 2.0 * u @ plane[0], 2.0 * u @ plane[1]],
-                [h2 @ high, h2 @ plane[0], h2 @ plane[1]],
-            ]
-        )
+        near = [(u @ u + w @ w + 2.0 * (u @ h3) * (h3 @ w), 2.0 * u @ plane[0], 2.0 * u @ plane[1])]
+        near.append((h2 @ high, h2 @ plane[0], h2 @ plane[1]))
+        near = [tuple(float(x) for x in row) for row in near]
         # R_1' t by its height and the turn of joint 1
         along = h[0].dot(t)
         flat, across = t - h[0] * along, h[0].cross(t)

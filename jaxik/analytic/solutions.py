@@ -6,6 +6,7 @@ import functools
 from typing import Any, NamedTuple
 
 import jax.numpy as jnp
+import numpy as np
 from jaxtyping import Bool, Float
 
 from jaxik.analytic.families import solver_of
@@ -13,6 +14,7 @@ from jaxik.robot.chain import Array, Chain, as_numbers
 from jaxik.robot.joint_turns import into_limits
 from jaxik.spatial.algebra import stack
 from jaxik.spmd import kernel
+from jaxik.spmd.batch import in_blocks
 from jaxik.spmd.host import host_kernels
 
 BRANCHES = 8
@@ -42,7 +44,7 @@ def closed_form(chain: Chain, pose: Float[Array, "4 4"], slide: Float[Array, "..
     Raises `ValueError` with the reason where the chain is of no family (see `closed_form_obstacle`) or a shape is wrong.
     """
     solver = solver_of(chain)
-    left_over = chain.num_joints - 6
+    left_over = len(solver.limits()[0])
     pose = as_numbers("pose", pose)
     given = jnp.zeros(0, pose.dtype) if slide is None else jnp.atleast_1d(as_numbers("slide", slide))
     if pose.shape != (4, 4) or given.shape != (left_over,):
@@ -76,6 +78,18 @@ def one_branch(chain: Chain, pose: Any, given: Any, number: Any) -> tuple[Any, A
     *angles, margin = (jnp.where(number & 1, two, one) for one, two in zip(*branches, strict=True))
     q, inside = into_limits(chain, jnp.stack(solver.joints(given, angles)))
     return q, (margin >= 0.0) & inside
+
+
+def given_values(chain: Chain, q: Any) -> np.ndarray:
+    """What `closed_form` is to be given (N, k) to have each of the configurations `q` (N, n) among its solutions [m, rad]. Host
+    driver."""
+    return in_blocks(_given_values(chain), np.asarray(q), double=True)[0]
+
+
+@host_kernels(1, known=16)
+def _given_values(chain: Chain, q: Any) -> Any:
+    values = solver_of(chain).values(q)
+    return stack(values, (len(values),), q.dtype)
 
 
 # by rows of poses, what is given and branch numbers: that branch alone, in a fifth of the time of all eight

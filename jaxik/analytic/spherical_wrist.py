@@ -1,7 +1,7 @@
 """Six joints of which the last three meet in a point Q: the first three bring Q where the pose has it, they turn the hand.
 
 The arm that Appendix B of Van Henten et al. (2010) solves, without its special angles and offsets: the wrist may be oblique,
-and the first three axes may lie anyhow. Eight solutions at most. Seen from the tip the same is an arm with a spherical shoulder.
+and the first three axes may lie anyhow. Eight solutions at most. A spherical shoulder is the same, seen from the tip.
 """
 
 from __future__ import annotations
@@ -12,7 +12,7 @@ from jaxik.analytic.axes import Axes
 from jaxik.analytic.half_branches import HalfBranch
 from jaxik.analytic.orienting import Orienting
 from jaxik.analytic.positioning import obstacle, positioning
-from jaxik.analytic.subproblems import ALL, Signs, vector_of
+from jaxik.analytic.turns import ALL, Signs, vector_of
 from jaxik.spatial.algebra import Frame, Rot3, Scalar, constants
 from jaxik.spatial.ball import minimum
 
@@ -48,7 +48,8 @@ class SphericalWrist:
 
         def half(way: Any) -> HalfBranch:
             def wrists() -> list[tuple[tuple[Scalar, ...], Scalar]]:
-                found = self.wrist.solve(*(to_wrist @ v for v in way.vectors), eps)
+                third, across = (to_wrist @ v for v in way.vectors)
+                found = self.wrist.solve(third, across, eps)
                 return [((*way.angles, *each.angles), minimum(way.margin, each.margin)) for each in found]
 
             return HalfBranch(dict(enumerate(way.turns)), way.margin, wrists)

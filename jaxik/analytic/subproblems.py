@@ -9,261 +9,161 @@
     5   p0 + R(k1, a) p1 = R(k2, b) (p2 + R(k3, c) p3)           up to four triples
     6   h_j1 . R(k1, a) p_j1 + h_j2 . R(k2, b) p_j2 = d_j, j = 1, 2      up to four pairs
 
-All come down to two equations of turns, each as its sine and cosine: `cosine_equation`, a line that meets a circle, and
-`circle_equation`, an ellipse that meets one. Angles are taken of turns last, by `atan2`. Of each equation a margin tells how
-far its roots are from turning complex: below 0 there is no solution, and what is given is the turn that misses by least.
+On arrays, for users; the families of arms call the same on scalars (`turns`).
 """
 
 from __future__ import annotations
 
-import itertools
-import math
 from collections.abc import Sequence
 from typing import Any, NamedTuple
 
-import jax
 import jax.numpy as jnp
 import numpy as np
-from jax import lax
+from jaxtyping import Bool, Float
 
-from jaxik.spatial.algebra import Rot3, Scalar, Vec3, add, atan2, constants, mul, safe_sqrt, sub
-from jaxik.spatial.ball import Ball, minimum, where
-
-BOTH = (1.0, -1.0)  # signs of the two roots of an equation
-Signs = tuple[Sequence[Any], Sequence[Any]]  # of two equations, which may be traced
-ALL: Signs = (BOTH, BOTH)
-SLACK = 64.0  # units of rounding by which an equation may be missed: poses come with that
-
-
-class Turn(NamedTuple):
-    """An angle, as its sine and cosine."""
-
-    sin: Scalar
-    cos: Scalar
-
-    @property
-    def angle(self) -> Scalar:
-        return atan2(self.sin, self.cos)
-
-    def about(self, axis: Vec3) -> Rot3:
-        """The rotation about a unit axis."""
-        return Rot3.about(axis, self.sin, self.cos)
-
-    def __sub__(self, o: Turn) -> Turn:
-        return Turn(
-            sub(mul(self.sin, o.cos), mul(self.cos, o.sin)),
-            add(mul(self.cos, o.cos), mul(self.sin, o.sin)),
-        )
+from jaxik.analytic.turns import (
+    SLACK,
+    Pair,
+    Row,
+    Turn,
+    circle_between,
+    either,
+    row_of,
+    turn_between,
+    turns_to_distance,
+    turns_to_meet,
+    turns_to_plane,
+)
+from jaxik.robot.chain import Array, as_numbers
+from jaxik.spatial.algebra import Scalar, Vec3, safe_sqrt, stack, traced
+from jaxik.spatial.ball import minimum
+from jaxik.spmd import kernel
 
 
-def vector_of(v: Any, eps: float) -> Vec3:
-    """A constant vector (3,)."""
-    return Vec3(*constants(v, eps))
+class Turns(NamedTuple):
+    """Up to m solutions of j turns each [rad]; `exact` says which solve the problem. The others miss it by least, of
+    subproblems 5 and 6 by least of one of their equations."""
+
+    angles: Float[Array, "m j"]
+    exact: Bool[Array, " m"]
 
 
-def either(first: Any, one: Any, two: Any) -> Any:
-    """One of two trees of scalars."""
-    return jax.tree_util.tree_map(lambda a, b: where(first, a, b), one, two)
+def _given(*vectors: Any) -> tuple[list[Vec3], Any, float]:
+    """Vectors (3,) as scalars of their common type, that type, and its rounding."""
+    arrays = [as_numbers("a vector", v) for v in vectors]
+    dtype = jnp.result_type(*arrays, jnp.float32)
+    for v in arrays:
+        if v.shape != (3,):
+            raise ValueError(f"a subproblem's vectors have shape (3,), axes length 1; here {v.shape}")
+    return [Vec3(*traced(v.astype(dtype))) for v in arrays], dtype, float(np.finfo(dtype).eps)
 
 
-# --------------------------------------------------------------------------------------------------------------------
-# Two equations of turns
+def _turns(found: Sequence[tuple[Turn, ...]], margins: Any, dtype: Any) -> Turns:
+    angles = stack([turn.angle for each in found for turn in each], (len(found), len(found[0])), dtype)
+    each = margins if isinstance(margins, list) else [margins] * len(found)
+    return Turns(angles, stack(each, (len(found),), dtype) >= 0.0)
 
 
-def cosine_equation(a: Scalar, b: Scalar, c: Scalar, eps: float, signs: Any = BOTH) -> tuple[list[Turn], Scalar]:
-    """The turns with `a cos + b sin = c`, and the margin: where it is below 0 they are of the nearest approach, and not of
-    length 1. Any turn will do where a = b = 0; 0 is taken."""
-    square = a * a + b * b
-    rest = square - c * c
-    margin = rest + SLACK * eps * (square + c * c)
-    root = safe_sqrt(rest)
-    any_turn = square <= eps * eps
-    inverse = where(any_turn, 0.0, 1.0 / where(any_turn, 1.0, square))
-    found = []
-    for sign in signs:
-        side = root * sign
-        found.append(Turn((c * b + a * side) * inverse, where(any_turn, 1.0, (c * a - b * side) * inverse)))
-    return found, margin
+def _misses(a: Scalar, b: Scalar, eps: float) -> Scalar:
+    """A margin: by how much two numbers differ by more than rounding (< 0)."""
+    return SLACK * eps * (abs(a) + abs(b)) - abs(a - b)
 
 
-# --------------------------------------------------------------------------------------------------------------------
-# The subproblems on scalars
+@kernel
+def subproblem_1(p: Float[Array, "3"], q: Float[Array, "3"], k: Float[Array, "3"]) -> Turns:
+    """The turn about the unit axis `k` with `R(k, a) p = q`, (1, 1) [rad]; where there is none, of the least distance. Traced.
 
-
-def turn_between(p: Vec3, q: Vec3, k: Vec3) -> Turn:
-    """Subproblem 1: the turn about a unit axis k that brings p nearest to q; 0 where one of them lies on the axis."""
-    return _unit(k.dot(p.cross(q)), sub(p.dot(q), mul(k.dot(p), k.dot(q))))
-
-
-def turns_to_distance(p: Vec3, q: Vec3, k: Vec3, square: Scalar, eps: float, signs: Any = BOTH) -> tuple[list[Turn], Scalar]:
-    """Subproblem 3: the turns about k with `|R p - q|^2 = square`. Half their angle from the nearest is taken from its sine and
-    its cosine, whose errors are those of the lengths."""
-    along_p, along_q = k.dot(p), k.dot(q)
-    a = safe_sqrt(sub(p.dot(p), mul(along_p, along_p)))
-    b = safe_sqrt(sub(q.dot(q), mul(along_q, along_q)))
-    rise = sub(along_p, along_q)
-    flat = sub(square, mul(rise, rise))
-    product = mul(4.0, mul(a, b))
-    on_axis = product <= eps * eps
-    scale = where(on_axis, 1.0, 1.0 / where(on_axis, 1.0, product))
-    sin2, cos2 = (flat - (a - b) * (a - b)) * scale, ((a + b) * (a + b) - flat) * scale
-    margin = minimum(sin2, cos2) + SLACK * eps * (1.0 + (a + b) * (a + b) * scale)
-    half = _unit(safe_sqrt(sin2), safe_sqrt(cos2))
-    away = Turn(2.0 * half.sin * half.cos, half.cos * half.cos - half.sin * half.sin)
-    nearest = turn_between(p, q, k)
-    return [nearest - Turn(away.sin * -sign, away.cos) for sign in signs], margin
-
-
-def turns_to_plane(h: Vec3, p: Vec3, k: Vec3, d: Scalar, eps: float, signs: Any = BOTH) -> tuple[list[Turn], Scalar]:
-    """Subproblem 4: the turns about k with `h . R p = d`."""
-    along = mul(h.dot(k), k.dot(p))
-    return cosine_equation(sub(h.dot(p), along), h.dot(k.cross(p)), sub(d, along), eps, signs)
-
-
-def turns_to_meet(
-    p: Vec3, q: Vec3, k1: Vec3, k2: Vec3, eps: float, signs: Any = BOTH
-) -> tuple[list[tuple[Turn, Turn]], Scalar]:
-    """Subproblem 2: the pairs of turns with `R(k1) p = R(k2) q`, of p and q of one length and axes that are not parallel."""
-    cosine = k1.dot(k2)
-    scale = 1.0 / (1.0 - cosine * cosine)
-    a, b = k1.dot(p), k2.dot(q)
-    plane = k1 * mul(sub(a, mul(cosine, b)), scale) + k2 * mul(sub(b, mul(cosine, a)), scale)
-    size = p.dot(p)
-    rest = sub(size, plane.dot(plane))
-    margin = rest + SLACK * eps * (size + plane.dot(plane)) * scale
-    root = safe_sqrt(rest) * math.sqrt(scale) if isinstance(scale, float) else safe_sqrt(rest * scale)
-    up = k1.cross(k2)
-    met = [plane + up * (root * sign) for sign in signs]
-    return [(turn_between(p, z, k1), turn_between(q, z, k2)) for z in met], margin
-
-
-# --------------------------------------------------------------------------------------------------------------------
-# An ellipse and a circle
-
-
-class Pair(NamedTuple):
-    """Two turns, and how far they are from turning complex (< 0: they have)."""
-
-    first: Turn
-    second: Turn
-    margin: Scalar
-
-
-def circle_equation(c: tuple[Scalar, Scalar], e: tuple[tuple[Scalar, Scalar], tuple[Scalar, Scalar]], eps: float) -> list[Pair]:
-    """The four pairs of turns u = (cos, sin) with `u_1 = c + E u_2`: where an ellipse meets the unit circle.
-
-    With E's axes as its own, `|c + E u|^2 = 1` is A0 + A1 x + B1 y + A2 (x^2 - y^2) = 0 on the circle x^2 + y^2 = 1. One of the
-    conics through the common points of both is a pair of real lines n . u = m, mirrored in slope, and it lies between two known
-    ends [Semple and Kneebone 1952, ch. 5 on pencils]: a bracketed root of a cubic gives it whatever the roots are like. Each
-    line meets the circle twice. Newton steps on the equation itself mend what was lost, and carry the derivatives.
+    Source: Murray, Li and Sastry 1994, ch. 3.3. Raises `ValueError` for other shapes.
     """
-    (c1, c2), ((e11, e12), (e21, e22)) = c, e
-    g11, g22, g12 = e11 * e11 + e21 * e21, e12 * e12 + e22 * e22, e11 * e12 + e21 * e22
-    b1, b2 = 2.0 * (c1 * e11 + c2 * e21), 2.0 * (c1 * e12 + c2 * e22)
-    equation = (c1 * c1 + c2 * c2 - 1.0 + (g11 + g22) / 2.0, b1, b2, (g11 - g22) / 2.0, g12)
-    found = []
-    for turn, margin in _quartic(equation, eps):
-        x = c1 + e11 * turn.cos + e12 * turn.sin
-        y = c2 + e21 * turn.cos + e22 * turn.sin
-        found.append(Pair(_unit(y, x), turn, margin))
-    return found
+    (p_, q_, k_), dtype, eps = _given(p, q, k)
+    along = k_.dot(p_), k_.dot(q_)
+    size = p_.dot(p_), q_.dot(q_)
+    margin = minimum(_misses(*size, eps), SLACK * eps * safe_sqrt(size[0] + size[1]) - abs(along[0] - along[1]))
+    return _turns([(turn_between(p_, q_, k_),)], margin, dtype)
 
 
-def circle_between(near: np.ndarray, far: list[tuple[Scalar, ...]], eps: float) -> list[Pair]:
-    """The four pairs of turns of two equations `k + c cos + s sin` that are equal: on the near side numbers (2, 3), on the far
-    side scalars; the near turn is the first."""
-    inverse = [[float(x) for x in row] for row in np.linalg.inv(near[:, 1:])]
-    rows = [(sub(k, float(n)), cos, sin) for (k, cos, sin), n in zip(far, near[:, 0], strict=True)]
-    known, cos, sin = ([add(mul(a, x), mul(b, y)) for a, b in inverse] for x, y in zip(*rows, strict=True))
-    return circle_equation((known[0], known[1]), ((cos[0], sin[0]), (cos[1], sin[1])), eps)
+@kernel
+def subproblem_2(p: Float[Array, "3"], q: Float[Array, "3"], k1: Float[Array, "3"], k2: Float[Array, "3"]) -> Turns:
+    """The pairs of turns with `R(k1, a) p = R(k2, b) q`, (2, 2) [rad]; where there are none, of the least distance. Traced.
+
+    The unit axes are not parallel. Source: Murray, Li and Sastry 1994, ch. 3.3. Raises `ValueError` for other shapes.
+    """
+    (p_, q_, a, b), dtype, eps = _given(p, q, k1, k2)
+    size = p_.dot(p_), q_.dot(q_)
+    one, two = (v * (1.0 / safe_sqrt(jnp.where(s > 0.0, s, 1.0))) for v, s in zip((p_, q_), size, strict=True))
+    pairs, margin = turns_to_meet(one, two, a, b, eps)
+    return _turns(pairs, minimum(margin, _misses(*size, eps)), dtype)
 
 
-def chosen(four: list[Pair], signs: Signs) -> list[Pair]:
-    """Those of four solutions that have these signs."""
-    if signs is ALL:
-        return four
-    return [either(a > 0.0, either(b > 0.0, *four[:2]), either(b > 0.0, *four[2:])) for a, b in itertools.product(*signs)]
+@kernel
+def subproblem_3(p: Float[Array, "3"], q: Float[Array, "3"], k: Float[Array, "3"], d: Float[Array, ""]) -> Turns:
+    """The turns about the unit axis `k` with `|R(k, a) p - q| = d`, (2, 1) [rad]; where there is none, of the nearest distance.
+    Traced.
+
+    Source: Murray, Li and Sastry 1994, ch. 3.3. Raises `ValueError` for other shapes.
+    """
+    (p_, q_, k_), dtype, eps = _given(p, q, k)
+    d = as_numbers("d", d).astype(dtype)
+    turns, margin = turns_to_distance(p_, q_, k_, d * d, eps)
+    return _turns([(turn,) for turn in turns], margin, dtype)
 
 
-BISECTIONS = 60  # of a bracket, most of them Newton steps; lanes take as many as the worst needs
-POLISH = 3
+@kernel
+def subproblem_4(h: Float[Array, "3"], p: Float[Array, "3"], k: Float[Array, "3"], d: Float[Array, ""]) -> Turns:
+    """The turns about the unit axis `k` with `h . R(k, a) p = d`, (2, 1) [rad]; where there is none, of the nearest. Traced.
+
+    Source: Elias and Wen 2022. Raises `ValueError` for other shapes.
+    """
+    (h_, p_, k_), dtype, eps = _given(h, p, k)
+    turns, margin = turns_to_plane(h_, p_, k_, as_numbers("d", d).astype(dtype), eps)
+    return _turns([(turn,) for turn in turns], margin, dtype)
 
 
-def _quartic(equation: tuple[Scalar, ...], eps: float) -> list[tuple[Turn, Scalar]]:
-    """The four roots of `k + b cos + d sin + p cos 2 + r sin 2 = 0`, and their margins."""
-    if any(isinstance(x, Ball) for x in equation):  # anywhere: what is not excluded otherwise stays open
-        middle = tuple(x.mid if isinstance(x, Ball) else x for x in equation)
-        return [(Turn(Ball(t.sin, 2.0), Ball(t.cos, 2.0)), Ball(margin, jnp.inf)) for t, margin in _quartic(middle, eps)]
-    k, b1, b2, p, r = equation
-    size = abs(k) + abs(b1) + abs(b2) + abs(p) + abs(r)
-    scale = 1.0 / jnp.where(size > 0.0, size, 1.0)
-    k, b1, b2, p, r = (x * scale for x in (k, b1, b2, p, r))
-    fixed = tuple(lax.stop_gradient(x) for x in (k, b1, b2, p, r))
-    lines = _lines(*fixed)
-    found = []
-    for alpha, beta, m in lines:
-        turns, margin = cosine_equation(alpha, beta, m, eps)
-        for turn in turns:
-            polished = _polished(Turn(*(lax.stop_gradient(x) for x in turn)), k, b1, b2, p, r)
-            found.append((polished, lax.stop_gradient(margin)))
-    return found
+@kernel
+def subproblem_5(p: Float[Array, "4 3"], k: Float[Array, "3 3"]) -> Turns:
+    """The turns with `p_0 + R(k_1, a) p_1 = R(k_2, b) (p_2 + R(k_3, c) p_3)`, (4, 3) [rad]. Traced.
+
+    Both sides are as long and as high along the second axis: two equations of a and c, as in subproblem 6. The unit axes may
+    lie anyhow, but not so that one of the equations holds one turn alone. Source: Elias and Wen 2022. Raises `ValueError` for
+    other shapes.
+    """
+    (p0, p1, p2, p3, k1, k2, k3), dtype, eps = _given(*as_numbers("p", p), *as_numbers("k", k))
+    rows = []
+    for at, moved, axis in ((p0, p1, k1), (p2, p3, k3)):
+        known, cos, sin = row_of(at, moved, axis)
+        length = at.dot(at) + moved.dot(moved) + 2.0 * known, 2.0 * cos, 2.0 * sin
+        known, cos, sin = row_of(k2, moved, axis)
+        rows.append((length, (known + k2.dot(at), cos, sin)))
+    found, margins = [], []
+    for a, c, margin in _either_side(rows[0], rows[1], eps):
+        left, right = p0 + a.about(k1) @ p1, p2 + c.about(k3) @ p3
+        found.append((a, turn_between(right, left, k2), c))
+        margins.append(margin)
+    return _turns(found, margins, dtype)
 
 
-def _lines(k: Scalar, b1: Scalar, b2: Scalar, p: Scalar, r: Scalar) -> list[tuple[Scalar, Scalar, Scalar]]:
-    """The two lines `alpha cos + beta sin = m` that hold all four roots."""
-    a2 = jnp.sqrt(p * p + r * r)
-    skewed = a2 > 0.0
-    inverse = 1.0 / jnp.where(skewed, a2, 1.0)
-    cosine, sine = jnp.where(skewed, p * inverse, 1.0), jnp.where(skewed, r * inverse, 0.0)
-    large = jnp.sqrt((1.0 + abs(cosine)) / 2.0)  # of half the angle
-    small = sine / (2.0 * large)
-    cos, sin = jnp.where(cosine >= 0.0, large, small), jnp.where(cosine >= 0.0, small, large)
-    a1, d1 = b1 * cos + b2 * sin, b2 * cos - b1 * sin
-    aa, dd, rest = a1 * a1 / 4.0, d1 * d1 / 4.0, k - a2
-    # the conics of the pencil with real lines of opposite slopes: share t of the way, from d1^2 <= 0 at 0 to a1^2 >= 0 at 1
+@kernel
+def subproblem_6(h: Float[Array, "2 2 3"], p: Float[Array, "2 2 3"], k: Float[Array, "2 3"], d: Float[Array, "2"]) -> Turns:
+    """The turns with `h_j1 . R(k_1, a) p_j1 + h_j2 . R(k_2, b) p_j2 = d_j`, j = 1, 2: (4, 2) [rad]. Traced.
 
-    def step(i: Any, state: Any) -> Any:
-        low, high, t = state
-        value = t * aa - (1.0 - t) * (2.0 * a2 * t * (rest + 2.0 * a2 * t) + dd)
-        slope = aa + 2.0 * a2 * t * (rest + 2.0 * a2 * t) + dd - (1.0 - t) * 2.0 * a2 * (rest + 4.0 * a2 * t)
-        low, high = jnp.where(value < 0.0, t, low), jnp.where(value < 0.0, high, t)
-        newton = t - value / jnp.where(slope == 0.0, 1.0, slope)
-        good = (newton > low) & (newton < high) & (slope != 0.0) & (i % 3 != 2)
-        return low, high, jnp.where(good, newton, (low + high) / 2.0)
-
-    zero = jnp.zeros_like(k)
-    _, _, t = lax.fori_loop(0, BISECTIONS, step, (zero, zero + 1.0, zero + 0.5))
-    alpha, beta = jnp.sqrt(2.0 * a2 * (1.0 - t)), jnp.sqrt(2.0 * a2 * t)
-    product = rest + 2.0 * a2 * t
-    steep = alpha >= beta  # the sum of both m from the larger, their difference from their product
-    total = -a1 / jnp.where(steep & (alpha > 0.0), alpha, 1.0)
-    apart = d1 / jnp.where(steep, 1.0, beta)
-    difference = jnp.where(d1 < 0.0, -1.0, 1.0) * jnp.sqrt(jnp.maximum(total * total - 4.0 * product, 0.0))
-    summed = jnp.where(a1 < 0.0, 1.0, -1.0) * jnp.sqrt(jnp.maximum(apart * apart + 4.0 * product, 0.0))
-    total, difference = jnp.where(steep, total, summed), jnp.where(steep, difference, apart)
-    # back from the ellipse's axes; where it is a circle there is one line
-    both = ((beta, (total + difference) / 2.0), (-beta, (total - difference) / 2.0))
-    lines = [(jnp.where(skewed, alpha, a1), jnp.where(skewed, b, d1), jnp.where(skewed, m, -k)) for b, m in both]
-    return [(x * cos - y * sin, x * sin + y * cos, m) for x, y, m in lines]
+    Not for equations that each hold one turn alone, which are two subproblems 4. Source: Elias and Wen 2022. Raises
+    `ValueError` for other shapes.
+    """
+    h, p = as_numbers("h", h), as_numbers("p", p)
+    if h.shape != (2, 2, 3) or p.shape != (2, 2, 3):
+        raise ValueError(f"subproblem_6: h {h.shape} and p {p.shape}; expected (2, 2, 3), by equation and turn")
+    vectors, dtype, eps = _given(*h.reshape(4, 3), *p.reshape(4, 3), *as_numbers("k", k))
+    axes, given = vectors[8:], as_numbers("d", d).astype(dtype)
+    near, far = ([row_of(vectors[2 * j + i], vectors[4 + 2 * j + i], axes[i]) for j in range(2)] for i in range(2))
+    far = [(given[j] - known, -cos, -sin) for j, (known, cos, sin) in enumerate(far)]
+    found = _either_side((near[0], near[1]), (far[0], far[1]), eps)
+    return _turns([pair[:2] for pair in found], [pair.margin for pair in found], dtype)
 
 
-def _polished(turn: Turn, k: Scalar, b1: Scalar, b2: Scalar, p: Scalar, r: Scalar) -> Turn:
-    """After some Newton steps; at a double root, where there is no slope, as it was."""
-    for _ in range(POLISH):
-        turn = _unit(*turn)
-        c2, s2 = turn.cos * turn.cos - turn.sin * turn.sin, 2.0 * turn.sin * turn.cos
-        value = k + b1 * turn.cos + b2 * turn.sin + p * c2 + r * s2
-        slope = b2 * turn.cos - b1 * turn.sin + 2.0 * (r * c2 - p * s2)
-        flat = abs(slope) <= 1e-6
-        step = jnp.where(flat, 0.0, -value / jnp.where(flat, 1.0, slope))
-        step = jnp.where(abs(step) < 0.1, step, 0.0)
-        turn = Turn(turn.sin + turn.cos * step, turn.cos - turn.sin * step)
-    return _unit(*turn)
-
-
-def _unit(sin: Scalar, cos: Scalar) -> Turn:
-    """Of a vector, which has any length; 0 of none."""
-    square = sin * sin + cos * cos
-    none = square <= 0.0
-    inverse = where(none, 0.0, 1.0 / safe_sqrt(where(none, 1.0, square)))
-    return Turn(sin * inverse, where(none, 1.0, cos * inverse))
+def _either_side(one: tuple[Row, Row], two: tuple[Row, Row], eps: float) -> list[Pair]:
+    """Two equations of two turns, solved for that turn whose rows are less alike."""
+    area = [(c1 * s2 - s1 * c2) ** 2 for (_, c1, s1), (_, c2, s2) in (one, two)]
+    size = [(c1 * c1 + s1 * s1) * (c2 * c2 + s2 * s2) for (_, c1, s1), (_, c2, s2) in (one, two)]
+    first = area[0] * size[1] >= area[1] * size[0]
+    pairs = circle_between(either(first, one, two), either(first, two, one), eps)
+    return [Pair(either(first, a, b), either(first, b, a), margin) for a, b, margin in pairs]

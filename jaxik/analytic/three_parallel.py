@@ -21,7 +21,7 @@ import numpy as np
 from jaxik.analytic.axes import Axes
 from jaxik.analytic.half_branches import HalfBranch
 from jaxik.analytic.orienting import Oriented, Orienting
-from jaxik.analytic.subproblems import (
+from jaxik.analytic.turns import (
     ALL,
     Signs,
     Turn,
@@ -141,8 +141,8 @@ class ThreeParallel:
                 yield self._half(moved, far, hand.turns, minimum(margin, hand.margin), eps)
 
     def _of_any(self, moved: Frame, eps: float, signs: Signs) -> Iterator[HalfBranch]:
+        near = [self._near_row(place=p) for p in (True, False)]
         rows = [self._far_row(moved, eps, place=p) for p in (True, False)]
-        near = np.array([self._near_row(place=p) for p in (True, False)])
         for pair in chosen(circle_between(near, rows, eps), signs):
             # the hand has this solution and another; joint a tells which one it is
             one, two = self._hands(moved, pair.second, eps)
@@ -154,11 +154,13 @@ class ThreeParallel:
         place, direction = (self._far_row(moved, eps, place=p) for p in (True, False))
         near = self._near_row(place=True)
         h, across, k_a, k_b = (vector_of(v, eps) for v in (self.plane.h, self.plane.across, *self.axes.h[[self.a, self.b]]))
-        fars, margin = cosine_equation(*direction[1:], sub(self._near_row(place=False)[0], direction[0]), eps, signs[0])
+        fars, margin = cosine_equation(
+            direction[1], direction[2], sub(self._near_row(place=False)[0], direction[0]), eps, signs[0]
+        )
         for far in fars:
             high = add(place[0], add(mul(place[1], far.cos), mul(place[2], far.sin)))
             left = self._left(moved, far, eps).rotation
-            seconds, margin_a = cosine_equation(*constants(near[1:], eps), sub(high, near[0]), eps, signs[1])
+            seconds, margin_a = cosine_equation(near[1], near[2], sub(high, near[0]), eps, signs[1])
             for a in seconds:
                 before = a.about(k_a).T
                 b = turn_between(left.T @ h, before @ h, k_b)
@@ -176,7 +178,8 @@ class ThreeParallel:
         """The turn of the plane, and joints a and b, both ways."""
         left = self._left(moved, far, eps).rotation
         own = Rot3.of(constants(self.hand.own.T, eps))
-        return self.hand.solve(*(own @ (left @ vector_of(v, eps)) for v in (self.hand.third, self.hand.across)), eps)
+        third, across = (own @ (left @ vector_of(v, eps)) for v in (self.hand.third, self.hand.across))
+        return self.hand.solve(third, across, eps)
 
     def _half(self, moved: Frame, far: Turn, hand: Any, margin: Scalar, eps: float) -> HalfBranch:
         turn, a, b = hand

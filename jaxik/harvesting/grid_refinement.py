@@ -10,6 +10,8 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+from jaxik.analytic.families import solver_of
+from jaxik.analytic.solutions import closed_forms, given_values
 from jaxik.collision.bvh import grouped
 from jaxik.collision.clearances import clearance
 from jaxik.collision.scene import Scene
@@ -18,7 +20,6 @@ from jaxik.harvesting.scanning import MISSES, Scan, Table, Weights, measured, sc
 from jaxik.reach.leading_joints import grid
 from jaxik.robot.chain import Chain
 from jaxik.robot.kinematics import jacobian
-from jaxik.robot.spherical_wrist import closed_forms
 from jaxik.spmd import HostKernel
 from jaxik.spmd.batch import in_blocks
 
@@ -82,9 +83,9 @@ def _finer(chain: Chain, found: Scan, starts: np.ndarray) -> Iterator[tuple[np.n
     width = np.array([np.min(np.diff(np.unique(c)), initial=np.inf) if len(np.unique(c)) > 1 else 0.0 for c in lead.T])
     fine = np.linspace(-1.0, 1.0, 21)
     cells = np.unique(starts[:, :-1], axis=0, return_index=True)[1]
-    k = chain.num_joints - 6
+    low, high = solver_of(chain).limits()
     for row in starts[np.sort(cells)][:4]:
-        axes = [np.clip(row[1 + i] + fine * width[i], chain.lower[i], chain.upper[i]) for i in range(k)]
+        axes = [np.clip(row[1 + i] + fine * width[i], low[i], high[i]) for i in range(len(low))]
         yield row[0] + fine * step, grid(axes)
 
 
@@ -92,7 +93,7 @@ def _climb(
     chain: Chain, scene: Scene, found: Scan, starts: np.ndarray, weights: Weights, margin: float, grasp: Grasp | None
 ) -> Recovered | None:
     others = grouped(without_fruit(scene, found.fruit), chain)
-    k = chain.num_joints - 6
+    low, high = solver_of(chain).limits()
     axis = np.asarray(chain.world_T_base[:3, :3].T @ found.fruit.axis)
     branch = starts[:, -1].astype(int)
     rows = np.arange(len(starts))
@@ -107,9 +108,9 @@ def _climb(
     q, _ = solve(u)
     worth, slope, jacobians = measure(q)
     for _ in range(STEPS):
-        direction = _self_motion(jacobians.astype(np.float64), slope.astype(np.float64), axis, k)
+        direction = _self_motion(jacobians.astype(np.float64), slope.astype(np.float64), axis, chain, q)
         trial = u + stride[:, None] * direction
-        trial[:, 1:] = np.clip(trial[:, 1:], chain.lower[:k], chain.upper[:k])
+        trial[:, 1:] = np.clip(trial[:, 1:], low, high)
         trial_q, valid = solve(trial)
         trial_worth, trial_slope, trial_jacobians = measure(trial_q)
         better = valid & (trial_worth > worth)
@@ -126,11 +127,21 @@ def _climb(
     return None if best is None else Recovered(best, "gradient")
 
 
-def _self_motion(jacobians: np.ndarray, slope: np.ndarray, axis: np.ndarray, k: int) -> np.ndarray:
-    """The unit direction in (angle, leading joints) that raises a function of q with gradient `slope` most."""
-    arm = jacobians[:, :, k:]
+def _self_motion(jacobians: np.ndarray, slope: np.ndarray, axis: np.ndarray, chain: Chain, q: np.ndarray) -> np.ndarray:
+    """The unit direction in (angle, what is given) that raises a function of q with gradient `slope` most."""
+    solver = solver_of(chain)
+    solved, given = list(solver.solved), solver.given_joints
+    arm = jacobians[:, :, solved]
     turn = np.broadcast_to(np.concatenate([np.zeros(3), axis])[:, None], (len(arm), 6, 1))
-    moved = np.linalg.pinv(arm) @ np.concatenate([turn, -jacobians[:, :, :k]], axis=2)  # pinv: the wrist may be singular
-    gradient = np.einsum("bi,bij->bj", slope[:, k:], moved)
-    gradient[:, 1:] += slope[:, :k]
+    moved = np.linalg.pinv(arm) @ np.concatenate([turn, -jacobians[:, :, given]], axis=2)  # pinv: the wrist may be singular
+    gradient = np.einsum("bi,bij->bj", slope[:, solved], moved)
+    gradient[:, 1:] += slope[:, given]
+    if len(solved) > 6:  # and the arm angle, which moves the solved joints alone
+        own = np.zeros_like(q, np.float64)
+        own[:, solved] = np.linalg.svd(arm)[2][:, -1]
+        step = 1e-4
+        rate = (given_values(chain, q + step * own) - given_values(chain, q - step * own))[:, solver.first]
+        rate = (rate + np.pi) % (2.0 * np.pi) - np.pi
+        along = np.einsum("bi,bi->b", slope, own) * 2.0 * step / np.where(np.abs(rate) < 1e-2 * step, np.inf, rate)
+        gradient = np.insert(gradient, 1 + solver.first, along, axis=1)
     return gradient / np.maximum(np.linalg.norm(gradient, axis=1, keepdims=True), 1e-12)

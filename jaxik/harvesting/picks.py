@@ -15,6 +15,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+from jaxik.analytic.solutions import closed_forms, given_values
 from jaxik.collision.attached import attach
 from jaxik.collision.scene import Fruit, Scene
 from jaxik.harvesting.grasp import Grasp, grasp_poses
@@ -23,7 +24,6 @@ from jaxik.planning.timing import time_optimal
 from jaxik.planning.trajectory import JointPath, Trajectory
 from jaxik.reasons import Reason
 from jaxik.robot.chain import Chain
-from jaxik.robot.spherical_wrist import closed_forms
 from jaxik.spmd.batch import in_blocks
 
 PIECES = 8  # of a line's spline: as many as `plan_motion`'s paths have, so that they are timed by one program
@@ -159,7 +159,7 @@ def tip_lines(
     away = np.linspace(0.0, length, PIECES + 1)
     along = np.repeat(poses[:, None], len(away), axis=1)
     along[..., :3, 3] += away[:, None] * (poses[:, :3, :3] @ direction)[:, None]
-    leading = np.repeat(q[:, : chain.num_joints - 6], len(away), axis=0)
+    leading = np.repeat(given_values(chain, q), len(away), axis=0)
     found, _, fits = in_blocks(closed_forms(chain), along.reshape(-1, 4, 4), leading, double=True)
     found, fits = (x.reshape(len(q), len(away), *x.shape[1:]) for x in (found, fits))
     branch = np.argmin(np.abs(found[:, 0] - q[:, None]).max(axis=-1), axis=1)

@@ -18,6 +18,8 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+from jaxik.analytic.families import closed_form_obstacle
+from jaxik.analytic.solutions import BRANCHES, closed_branches, valid_branches
 from jaxik.checks.options import check_finite, check_kind
 from jaxik.collision.bvh import grouped
 from jaxik.collision.clearances import check_geometry, clearance, object_clearances
@@ -27,7 +29,6 @@ from jaxik.harvesting.grasp import Grasp, approach_grid, grasp_poses
 from jaxik.reach.leading_joints import leading_grid
 from jaxik.reasons import Reason
 from jaxik.robot.chain import Chain
-from jaxik.robot.spherical_wrist import BRANCHES, closed_branches, closed_form_obstacle, valid_branches
 from jaxik.spmd import HostKernel
 from jaxik.spmd.batch import in_blocks
 

@@ -32,6 +32,7 @@ from jaxik.reasons import Reason
 from jaxik.robot.reach_bound import reach_bound
 
 TOGETHER = (4, 64)  # lanes that cost less than another wave, in the first and in later ones
+EXACT = 1e-5  # tolerances [m, rad] at which what has no exact solution is out of reach
 UNLIMITED = 16  # seeds for the question whether it was the limits
 
 
@@ -183,7 +184,9 @@ def _beyond_limits(problem: Problem, poses: np.ndarray, reason: np.ndarray) -> n
     left = np.flatnonzero(reason == OPEN)
     if not len(left):
         return reason
-    if problem.chain.num_joints == 6 and problem.strategy == "closed_form" and not problem.options.locked:
+    options = problem.options
+    exact = max(np.max(options.position_tolerance), np.max(options.rotation_tolerance)) <= EXACT
+    if problem.chain.num_joints == 6 and problem.strategy == "closed_form" and not options.locked and exact:
         reason[left] = np.where(seeds.any_branch(problem.chain, poses[left]), Reason.LIMITS, Reason.OUT_OF_REACH)
         return reason
     held = problem.low == problem.high  # what is locked stays so

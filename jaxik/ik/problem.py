@@ -9,6 +9,7 @@ from typing import Any
 
 import numpy as np
 
+from jaxik.analytic.families import closed_form_obstacle, scannable
 from jaxik.checks import arrays as given
 from jaxik.checks.options import check_finite, check_seed, shown
 from jaxik.collision.bvh import Grouped, grouped
@@ -18,7 +19,6 @@ from jaxik.ik import seeds, sqp_programs
 from jaxik.ik.options import IKOptions
 from jaxik.robot.chain import Chain, finite_range
 from jaxik.robot.joint_turns import TURN
-from jaxik.robot.spherical_wrist import closed_form_obstacle
 
 ROUNDED = 1e-6  # [rad] that limits of +-180 degrees may be short of a turn in a file
 EXACT = 1e-9  # [rad], [unit lengths]: what an answer's error becomes, and less where the tolerances ask for less
@@ -171,4 +171,4 @@ def _strategy(chain: Chain, options: IKOptions) -> str:
     obstacle = closed_form_obstacle(chain) if all(options.task.bound) else "the task leaves axes free"
     if options.seeds == "closed_form" and obstacle:
         raise ValueError(f"{chain.name}: seeds 'closed_form' need the closed form, and {obstacle}")
-    return "library" if obstacle else "closed_form"
+    return "library" if obstacle or not (options.seeds == "closed_form" or scannable(chain)) else "closed_form"

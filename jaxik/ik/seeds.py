@@ -20,10 +20,11 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+from jaxik.analytic.families import solver_of
+from jaxik.analytic.solutions import BRANCHES, closed_form, closed_forms
 from jaxik.pytree import read_only
 from jaxik.robot.chain import Chain
 from jaxik.robot.kinematics import joint_frames
-from jaxik.robot.spherical_wrist import BRANCHES, closed_form, closed_forms
 from jaxik.robot.task import Task
 from jaxik.spmd import HostKernel
 from jaxik.spmd.batch import in_blocks
@@ -156,7 +157,8 @@ def branches(chain: Chain, inside: Range, seed: int, first: int, last: int, pose
     numbers = np.tile(np.arange(first, last), len(poses))
     lead = np.zeros((len(numbers), 0))
     if chain.num_joints > 6:
-        lead = low_discrepancy(Range(inside.low[:-6], inside.high[:-6]), seed, 2 ** int(last - 1).bit_length())[numbers]
+        ends = (tuple(end.tolist()) for end in solver_of(chain).given_range(inside.low, inside.high))
+        lead = low_discrepancy(Range(*ends), seed, 2 ** int(last - 1).bit_length())[numbers]
     instead = uniforms(inside, seed, first, last)[numbers - first]
     rows = np.repeat(poses, last - first, axis=0), lead, numbers.astype(np.int32), instead
     fixed = np.array(inside.low), np.array(inside.high)

@@ -9,18 +9,19 @@ empty is out of reach for any position of the slide; one that has some left at t
 from __future__ import annotations
 
 import functools
+import itertools
 from typing import Any, NamedTuple
 
 import jax.numpy as jnp
 import numpy as np
 
+from jaxik.analytic.families import Solver, solver_of
 from jaxik.checks.options import as_count
 from jaxik.reach.leading_joints import arm_of, grid, may_be_inside
 from jaxik.robot.chain import Chain, finite_limits
 from jaxik.robot.joint_turns import TURN
 from jaxik.robot.kinematics import joint_frames
 from jaxik.robot.reach_bound import ReachBound, reach_bound
-from jaxik.robot.spherical_wrist import WAYS, half_branches, wrist_branches
 from jaxik.spatial.algebra import Frame
 from jaxik.spatial.ball import Ball, possible, whole
 from jaxik.spmd import HostKernel
@@ -30,7 +31,7 @@ from jaxik.spmd.host import host_kernels
 PORTION = 8000  # targets whose cells stand in memory: their last, few cells fill a block
 COARSE = 9  # positions of each leading joint that are enough to tell what is far away
 SLACK = 1e-9  # more than float64 rounds by
-SIGNS = np.array(WAYS)
+SIGNS = np.array(list(itertools.product((1.0, -1.0), repeat=2)))  # of a way's two equations
 
 
 class Certified(NamedTuple):
@@ -45,7 +46,7 @@ class Certified(NamedTuple):
 def certify(chain: Chain, poses: np.ndarray, slides: Any, depth: int) -> Certified:
     """Looks between the positions of `leading_grid(chain, slides)` for the poses `base_T_tip` (N, 4, 4) that have no
     posture on it, halving what stays possible `depth` times. In float64."""
-    k, slides = chain.num_joints - 6, as_count("slides", slides)
+    k, slides = len(solver_of(chain).limits()[0]), as_count("slides", slides)
     found = Certified(np.full((len(poses), k), np.nan), np.full(len(poses), -1), np.zeros(len(poses), bool))
     if k:  # six joints have all their postures
         for start in range(0, len(poses), PORTION):
@@ -102,8 +103,7 @@ _BEYOND = HostKernel(_beyond, 1)
 
 def _cells(chain: Chain, slides: int) -> tuple[np.ndarray, np.ndarray]:
     """The middles (m, k) of the cells between the grid's positions, and half their edges (k,)."""
-    k = chain.num_joints - 6
-    low, high = (x[:k] for x in finite_limits(chain))
+    low, high = solver_of(chain).limits()
     count = max(slides - 1, 1)
     half = (high - low) / (2.0 * count)
     axes = [a + h * (2.0 * np.arange(count) + 1.0) for a, h in zip(low, half, strict=True)]
@@ -126,20 +126,20 @@ def _spheres(chain: Chain, slides: int) -> tuple[ReachBound, np.ndarray, np.ndar
     """The arm's reach; and of each cell the sphere's centre (m, 3) that it fills, and `radius^2 - |centre|^2` (m,): without
     bound where a leading joint turns, which moves the arm's base by what its own reach is."""
     centres, half = _cells(chain, slides)
-    k = len(half)
+    k = solver_of(chain).first
     bound = reach_bound(chain.part(k, chain.num_joints))
     if not k or not all(chain.is_prismatic[:k]):
         return bound, np.zeros((len(centres), 3)), np.full(len(centres), np.inf)
-    frame: Frame = joint_frames(chain.part(0, k), list(centres.astype(np.float64).T)).joints[-1]
+    frame: Frame = joint_frames(chain.part(0, k), list(centres.astype(np.float64).T[:k])).joints[-1]
     origin = (frame.matrices @ np.append(bound.origin, 1.0))[:, :3]
-    return bound, origin, (bound.longest + float(half.sum()) + SLACK) ** 2 - np.sum(origin * origin, axis=1)
+    return bound, origin, (bound.longest + float(half[:k].sum()) + SLACK) ** 2 - np.sum(origin * origin, axis=1)
 
 
 @host_kernels(2)
 def _reaches(chain: Chain, pose: Any, centre: Any, half: Any) -> Any:
     """Compiled, by rows: which of the ways (4,) of joints 1 to 3 can be inside the limits anywhere in a cell. Most cannot, and
     what is left costs four times as much to look at."""
-    ways = half_branches(chain, pose, [Ball(c, h) for c, h in zip(centre, half, strict=True)])
+    ways = solver_of(chain).half_branches(pose, [Ball(c, h) for c, h in zip(centre, half, strict=True)])
     return jnp.stack([possible(way.margin >= -SLACK) & may_be_inside(chain, way.turns, SLACK) for way in ways])
 
 
@@ -148,17 +148,18 @@ def _enclosed(chain: Chain, pose: Any, centre: Any, signs: Any, half: Any) -> tu
     """Compiled, by rows, for the way of joints 1 to 3 that has these signs: whether one of its two branches can be inside the
     limits anywhere in a cell, and the first that is in its middle, or -1."""
     leading = [Ball(c, h) for c, h in zip(centre, half, strict=True)]
-    (way,) = half_branches(chain, pose, leading, signs[:1], signs[1:])
-    (may, one), (may_two, two) = (_inside(chain, *branch) for branch in wrist_branches(chain, way, pose.dtype))
+    solver = solver_of(chain)
+    (way,) = solver.half_branches(pose, leading, (signs[:1], signs[1:]))
+    (may, one), (may_two, two) = (_inside(solver, *branch) for branch in way.finish())
     return may | may_two, jnp.where(one, 0, jnp.where(two, 1, -1))
 
 
-def _inside(chain: Chain, angles: Any, margin: Ball) -> tuple[Any, Any]:
-    """Whether the last six joints, at these balls of angles, can be inside their limits, and whether they are in the middle."""
-    low, high = (x[-6:] for x in finite_limits(chain))
+def _inside(solver: Solver, angles: Any, margin: Ball) -> tuple[Any, Any]:
+    """Whether the solved joints, at these balls of angles, can be inside their limits, and whether they are in the middle."""
+    low, high = (x[solver.solved] for x in finite_limits(solver.chain))
     middle, reach_ = (low + high) / 2.0, (high - low) / 2.0
     may, is_ = possible(margin >= -SLACK), margin.mid >= 0.0
-    for i in np.flatnonzero(chain.is_limited[-6:]):
+    for i in np.flatnonzero(solver.chain.is_limited[solver.solved]):
         away = angles[i] - middle[i]
         away = abs(away - whole(away * (1.0 / TURN)) * TURN)
         may &= possible(away <= reach_[i] + SLACK)

@@ -17,10 +17,11 @@ import jax.numpy as jnp
 import numpy as np
 from jax import lax
 
+from jaxik.analytic.families import solver_of
+from jaxik.analytic.half_branches import HalfBranch
 from jaxik.checks.options import as_count_or_values
 from jaxik.robot.chain import Chain, finite_limits
 from jaxik.robot.joint_turns import TURN
-from jaxik.robot.spherical_wrist import HalfBranch, half_branches, wrist_branches
 from jaxik.spatial.ball import possible
 from jaxik.spmd.batch import in_blocks
 from jaxik.spmd.host import host_kernels
@@ -31,13 +32,13 @@ NEARLY = 1e-3  # of a cosine, by which what is not looked at closely may be past
 
 def leading_grid(chain: Chain, slides: Any) -> np.ndarray:
     """Values (m, k) of the k leading joints: as given (of one joint (m,) too), or a grid over their ranges, a count each; one
-    empty row for k = 0. Raises `ValueError` for what is neither a count nor such values."""
-    k = chain.num_joints - 6
+    empty row for k = 0. Raises `ValueError` for what is neither a count nor such values, and where there is no closed form."""
+    low, high = solver_of(chain).limits()
+    k = len(low)
     slides = as_count_or_values("slides", slides, (-1, k))
     if isinstance(slides, np.ndarray):
         return slides
-    low, high = finite_limits(chain)
-    return grid([np.linspace(a, b, slides) for a, b in zip(low[:k], high[:k], strict=True)])
+    return grid([np.linspace(a, b, slides) for a, b in zip(low, high, strict=True)])
 
 
 def grid(axes: list[np.ndarray]) -> np.ndarray:
@@ -91,7 +92,7 @@ def first_most(owner: np.ndarray, value: np.ndarray) -> np.ndarray:
 def arm_of(chain: Chain) -> Chain:
     """The chain without its mount and the strokes of its leading slides, which enter no program of this module: another place
     or another stroke compiles nothing."""
-    sliding = np.array(chain.is_prismatic) & (np.arange(chain.num_joints) < chain.num_joints - 6)
+    sliding = np.array(chain.is_prismatic)
     lower, upper = np.where(sliding, -np.inf, chain.lower), np.where(sliding, np.inf, chain.upper)
     return dataclasses.replace(chain, lower=lower, upper=upper, world_T_base=np.eye(4))
 
@@ -102,7 +103,7 @@ def _freest(chain: Chain, size: int, pose: Any, leading: Any, many: Any, past: A
     to 3 that may be inside the limits or, if `past`, all that have the pose. What no lane asks for is not computed."""
 
     def turn(best: _Best, i: Any) -> tuple[_Best, Any]:
-        ways = half_branches(chain, pose, leading[i])
+        ways = solver_of(chain).half_branches(pose, leading[i])
         may = [(way.margin >= 0.0) & (past | may_be_inside(chain, way.turns, NEARLY)) for way in ways]
 
         def solved(best: _Best) -> _Best:
@@ -133,7 +134,7 @@ class _Best(NamedTuple):
 
 def _freer(chain: Chain, leading: Any, lead: Any, number: int, way: HalfBranch, best: _Best) -> _Best:
     """With the two branches of a way of joints 1 to 3; of those that are as free the first way counts, and its first lead."""
-    one, two = (_freedom(chain, leading, *branch) for branch in wrist_branches(chain, way, leading.dtype))
+    one, two = (_freedom(chain, leading, *branch) for branch in way.finish())
     freedom, branch = jnp.maximum(one, two), 2 * number + (two > one).astype(jnp.int32)
     better = (freedom > best.freedom) | ((freedom == best.freedom) & (number < best.branch // 2))
     bits = [(each >= 0.0).astype(jnp.uint8) for each in (one, two)]
@@ -143,13 +144,13 @@ def _freer(chain: Chain, leading: Any, lead: Any, number: int, way: HalfBranch, 
 
 
 def may_be_inside(chain: Chain, turns: Any, slack: float) -> Any:
-    """Whether joints 1 to 3, given by sines and cosines (of balls: any in them), are inside their limits or past them by no
+    """Whether the joints whose sines and cosines are known (of balls: any in them) are inside their limits or past them by no
     more than `slack` of a cosine: `cos(q - middle) >= cos(half)`, which needs no angle."""
-    low, high = (x[-6:] for x in finite_limits(chain))
+    low, high = finite_limits(chain)
     inside: Any = True
-    for i, (sin, cos) in enumerate(turns):
+    for i, (sin, cos) in turns.items():
         middle, half = (low[i] + high[i]) / 2.0, (high[i] - low[i]) / 2.0
-        if chain.is_limited[i - 6] and half < np.pi:
+        if chain.is_limited[i] and half < np.pi:
             inside &= possible(cos * math.cos(middle) + sin * math.sin(middle) >= math.cos(half) - slack)
     return inside
 
@@ -158,11 +159,12 @@ def _freedom(chain: Chain, leading: Any, angles: Any, margin: Any) -> Any:
     """`joint_limit_margin` of a branch, its angles turned to the middle of their ranges; `NOTHING` where it lacks the pose."""
     low, high = finite_limits(chain)
     middle, half = (low + high) / 2.0, np.maximum((high - low) / 2.0, 1e-9)
-    joints = [*(leading[i] for i in range(chain.num_joints - 6)), *angles]
+    solver = solver_of(chain)
+    joints = solver.joints(leading, angles)
     least: Any = 1.0
     for i in np.flatnonzero(chain.is_limited & ~np.array(chain.is_prismatic)):
         away = joints[i] - middle[i]
-        if i < chain.num_joints - 6:  # given, and so inside
+        if i not in solver.solved:  # given, and so inside
             each = jnp.maximum(1.0 - jnp.abs(away) * (1.0 / half[i]), 0.0)
         else:
             each = 1.0 - jnp.abs(away - jnp.round(away * (1.0 / TURN)) * TURN) * (1.0 / half[i])

@@ -15,6 +15,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float
 
+from jaxik.analytic.solutions import BRANCHES, closed_forms
 from jaxik.checks.arrays import numbers
 from jaxik.checks.options import as_count, check_finite
 from jaxik.collision.bvh import Grouped, grouped
@@ -24,7 +25,6 @@ from jaxik.optimise.linear import definite_solve
 from jaxik.reach.leading_joints import arm_of, leading_grid
 from jaxik.robot.chain import Array, Chain, as_numbers, as_shaped, finite_limits
 from jaxik.robot.kinematics import forward_kinematics, jacobian
-from jaxik.robot.spherical_wrist import BRANCHES, closed_forms
 from jaxik.spmd import kernel
 from jaxik.spmd.batch import in_blocks
 from jaxik.spmd.host import host_kernels

@@ -1,5 +1,9 @@
 """A robot arm and what its joints decide: the chain, where its links are, what a task asks of its tip."""
 
+import importlib
+import warnings
+from typing import TYPE_CHECKING, Any
+
 from jaxik.robot.actuation import friction_torque, joint_torsion, motor_current, static_friction, torque_of_current
 from jaxik.robot.chain import Body, Chain, finite_limits, within_limits
 from jaxik.robot.contact import Contact, contact_jacobian, contact_torque, material_point
@@ -19,13 +23,11 @@ from jaxik.robot.dynamics import (
 )
 from jaxik.robot.joint_turns import admissible_turns
 from jaxik.robot.kinematics import bias_acceleration, forward_kinematics, jacobian, link_frames, manipulability
-from jaxik.robot.spherical_wrist import ClosedForm, closed_form, closed_form_obstacle
 from jaxik.robot.task import Task
 
 __all__ = [
     "Body",
     "Chain",
-    "ClosedForm",
     "Contact",
     "Drive",
     "Friction",
@@ -34,8 +36,6 @@ __all__ = [
     "bias_acceleration",
     "bias_torque",
     "body_parameters",
-    "closed_form",
-    "closed_form_obstacle",
     "contact_jacobian",
     "contact_torque",
     "finite_limits",
@@ -60,3 +60,15 @@ __all__ = [
     "within_limits",
     "wrench_on",
 ]
+
+
+def _moved(name: str) -> Any:
+    """What was here, from where it is now, until the next release."""
+    if name not in ("ClosedForm", "closed_form", "closed_form_obstacle"):
+        raise AttributeError(f"module 'jaxik.robot' has no attribute {name!r}")
+    warnings.warn(f"jaxik.robot.{name} is jaxik.analytic.{name} now", DeprecationWarning, stacklevel=2)
+    return getattr(importlib.import_module("jaxik.analytic"), name)
+
+
+if not TYPE_CHECKING:  # or to a type checker every slip would be a name
+    __getattr__ = _moved

@@ -12,6 +12,8 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from jaxik.analytic.families import solver_of
+from jaxik.analytic.solutions import BRANCHES, closed_branches, closed_forms, one_branch
 from jaxik.collision.bvh import Grouped, grouped
 from jaxik.collision.scene import Scene, remembered
 from jaxik.collision.scene_builder import make_scene
@@ -21,9 +23,8 @@ from jaxik.ik.solve import IKResult, as_poses, solved
 from jaxik.reach.certify import beyond, certify
 from jaxik.reach.leading_joints import NOTHING, arm_of, first_most, freest, grid, leading_grid
 from jaxik.reasons import Reason
-from jaxik.robot.chain import Chain, finite_limits
+from jaxik.robot.chain import Chain
 from jaxik.robot.kinematics import manipulability, pose_errors
-from jaxik.robot.spherical_wrist import BRANCHES, closed_branches, closed_forms, one_branch
 from jaxik.spatial.algebra import traced
 from jaxik.spmd import HostKernel
 from jaxik.spmd.batch import in_blocks
@@ -305,7 +306,7 @@ def _beside(study: Study, chain: Chain, poses: np.ndarray, near: _Near, around: 
     k = near.leading.shape[1]
     if not k or not len(near.target):
         return found
-    low, high = (x[:k] for x in finite_limits(chain))
+    low, high = solver_of(chain).limits()
     steps = grid([np.linspace(-0.75, 0.75, 7)] * k) * (high - low) / max(study.slides - 1, 1)
     leading = np.clip(near.leading[:, None] + steps, low, high).reshape(-1, k)
     target = np.repeat(near.target, len(steps))

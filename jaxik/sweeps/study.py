@@ -16,12 +16,12 @@ import jax
 import numpy as np
 
 import jaxik
+from jaxik.analytic.families import scannable
 from jaxik.collision.scene import Scene
 from jaxik.files.robot_toml import Table, read_toml
 from jaxik.harvesting.scanning import Weights
 from jaxik.ik.options import IKOptions
 from jaxik.robot.chain import Chain
-from jaxik.robot.spherical_wrist import closed_form_obstacle
 from jaxik.sweeps.robot_variants import Variant, variant_name
 from jaxik.sweeps.targets import Targets
 
@@ -109,7 +109,7 @@ class Study:
 
     def method(self, chain: Chain) -> str:
         """How a chain's targets are answered: "closed form" or "search"."""
-        return "search" if self.targets.free_rotation or closed_form_obstacle(chain) else "closed form"
+        return "closed form" if scannable(chain) and not self.targets.free_rotation else "search"
 
 
 def _digest(scene: Scene) -> str:

@@ -238,7 +238,7 @@ def test_drivers_say_what_is_missing_before_they_compile(monkeypatch):
         "jaxik.ik.solve.search",
         "jaxik.harvesting.scanning._candidates",
         "jaxik.reach.scoring.closed_forms",
-        "jaxik.robot.spherical_wrist.closed_forms",
+        "jaxik.analytic.solutions.closed_forms",
     ):
         module, _, name = place.rpartition(".")
         monkeypatch.setattr(sys.modules[module], name, lambda *_, **__: pytest.fail("compiled"))

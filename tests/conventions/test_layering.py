@@ -17,6 +17,7 @@ FLOORS = [  # what the house is made of, from the ground up
     "spatial",
     "optimise",  # nor do the solvers
     "robot",
+    "analytic",
     "costs",
     "collision",
     "fitting",

@@ -139,7 +139,7 @@ def test_behind_limits():
 def test_six_joints_with_a_closed_form_are_decided():
     p6r = chain_of("p6r")
     arm = p6r.part(1, 7)
-    assert not jaxik.robot.closed_form_obstacle(arm)
+    assert not jaxik.analytic.closed_form_obstacle(arm)
     pose = reachable(arm, 1, seed=1)[0]
     pose[:3, 3] *= 0.05 / np.linalg.norm(pose[:3, 3])  # inside its own shoulder
     assert jaxik.solve_ik(arm, pose).reason in (Reason.OUT_OF_REACH, Reason.LIMITS)
@@ -180,7 +180,7 @@ def test_mistakes_are_one_line(panda):
         (lambda: jaxik.solve_ik(panda, eye, seeds="sobol"), ("sobol", "library")),
         (lambda: jaxik.solve_ik(panda, eye, choice="best"), ("best", "closest")),
         (lambda: jaxik.solve_ik(panda, eye, choice="closest"), ("reference",)),
-        (lambda: jaxik.solve_ik(panda, eye, seeds="closed_form"), ("closed form", "parallel")),
+        (lambda: jaxik.solve_ik(jaxik.load("planar2"), eye, seeds="closed_form"), ("closed form", "2 joints")),
         (lambda: jaxik.solve_ik(panda, eye, locked={"elbow": 0.0}), ("elbow", "panda_joint1")),
         (lambda: jaxik.solve_ik(panda, eye, locked={"panda_joint4": 1.0}), ("panda_joint4", "limits")),
         (lambda: jaxik.solve_ik(panda, eye, weights=np.ones(6)), ("weights", "(6,)", "(7,)")),

@@ -15,9 +15,9 @@ import pytest
 from jax.extend.core import jaxpr_as_fun
 
 import jaxik
+from jaxik.analytic.solutions import closed_branches, closed_forms
 from jaxik.collision import clearances as collision
 from jaxik.robot import kinematics
-from jaxik.robot.spherical_wrist import closed_branches, closed_forms
 from jaxik.spmd import kernel, primitive
 from jaxik.spmd.decorator import __file__ as kernel_file
 

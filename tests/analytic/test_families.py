@@ -1,0 +1,96 @@
+"""Every family: round trips over random arms, branches against EAIK, real arms, their redundancy, refusals."""
+
+import numpy as np
+import pytest
+from arm import eaik_robot
+from random_arms import FAMILIES, frame, random_arm
+from robots import FOLDER, ROBOTS
+
+import jaxik
+from jaxik.analytic.solutions import closed_forms, given_values
+from jaxik.robot.kinematics import joint_frames
+from jaxik.spmd.batch import in_blocks
+
+EXACT = 1e-10
+KNOWN_TO_EAIK = [  # by subproblems; the others it searches for, or does not take
+    "wrist, 2 and 3 parallel",
+    "wrist, 1 and 2 meet",
+    "wrist, 2 and 3 meet",
+    "wrist, 1 and 2 parallel",
+    "wrist, any",
+    "shoulder, any",
+    "shoulder, 5 and 6 meet",
+    "2 to 4 parallel, 5 and 6 meet",
+    "4 to 6 parallel, 2 and 3 meet",
+]
+
+
+def poses_of(chain, q):
+    return joint_frames(chain, list(np.asarray(q, np.float64).T)).tip.matrices
+
+
+def solved(chain, poses, given):
+    """All branches, and the largest error of those that are said to have the pose."""
+    q, valid, _ = in_blocks(closed_forms(chain), poses, given, double=True)
+    back = poses_of(chain, q.reshape(-1, chain.num_joints)).reshape(*q.shape[:2], 4, 4)
+    return q, valid, np.where(valid, np.abs(back - poses[:, None]).max(axis=(2, 3)), 0.0)
+
+
+def apart(a, b):
+    return np.abs((a - b + np.pi) % (2 * np.pi) - np.pi).max(axis=-1)
+
+
+def has_the_branches_of_eaik(chain, poses, q, valid):
+    robot, end = eaik_robot(chain)
+    assert robot.hasKnownDecomposition()
+    for pose, found, good in zip(poses, q, valid, strict=True):
+        theirs = robot.IK(frame(pose[:3, :3] @ end.T, pose[:3, 3]))
+        exact = [s for s, approximate in zip(theirs.Q, theirs.is_LS, strict=True) if not approximate]
+        for s in exact:
+            if np.abs(poses_of(chain, s[None])[0] - pose).max() <= 1e-6:  # not all that it calls exact is
+                assert apart(found[good], s).min() <= 1e-5
+
+
+@pytest.mark.parametrize("family", FAMILIES)
+def test_random_arms(family):
+    chain = random_arm(1, family, slide=family in ("wrist, any", "arm angle", "2 to 4 parallel, 5 and 6 meet"))
+    q = np.random.default_rng(2).uniform(-np.pi, np.pi, (2000, chain.num_joints))
+    poses, given = poses_of(chain, q), given_values(chain, q)
+    found, valid, error = solved(chain, poses, given)
+    assert valid.any(axis=1).all() and error.max() <= EXACT
+    nearest = np.where(valid, apart(found, q[:, None]), np.inf).min(axis=1)
+    assert (
+        np.quantile(nearest, 0.99) <= EXACT and nearest.max() <= 1e-4
+    )  # near a singularity joints lose digits, the pose does not
+    if family in KNOWN_TO_EAIK:
+        has_the_branches_of_eaik(chain, poses[:40], found[:40], valid[:40])
+
+
+@pytest.mark.parametrize(
+    "name, given",
+    [
+        ("ur5", ()),
+        ("panda", ("panda_joint7",)),
+        ("kinova", ()),
+        ("tiago", ("torso_lift_joint", "arm_1_joint")),
+        ("talos arm", ()),
+        ("pr2", ("torso_lift_joint", "r_shoulder_pan_joint")),
+    ],
+)
+def test_real_arms(name, given):
+    file, tip = ROBOTS[name]
+    chain = jaxik.load(FOLDER / file, tip=tip)
+    assert jaxik.analytic.redundancy(chain).names == given
+    q = np.random.default_rng(3).uniform(-np.pi, np.pi, (2000, chain.num_joints))
+    q[::10, 3:] = np.round(q[::10, 3:])  # where single angles are singular
+    q[::20, -2] = 0.0
+    poses = poses_of(chain, q)
+    _, valid, error = solved(chain, poses, given_values(chain, q))
+    assert valid.any(axis=1).all() and error.max() <= EXACT
+
+
+def test_what_has_no_family_says_why():
+    chain = random_arm(0, "wrist, any").part(0, 5)
+    assert "5 joints" in jaxik.analytic.closed_form_obstacle(chain)
+    slanted = random_arm(0, "arm angle").part(1, 7).part(0, 6)
+    assert jaxik.analytic.closed_form_obstacle(slanted) == ""
