@@ -115,7 +115,10 @@ def test_the_slope_of_recovery_is_autodiffs():
         u, branch = np.array([found.table.angle[i], found.table.leading[i, 0]]), int(found.table.branch[i])
         q = jaxik.closed_form(CHAIN, pose(u[0]), u[1:]).q[branch]
         jacobian, slope = np.asarray(jaxik.jacobian(CHAIN, q)), np.asarray(slopes(q))
-        ours, exact = _self_motion(jacobian[None], slope[None], axis, CHAIN, np.asarray(q)[None])[0], np.asarray(through(u, branch))
+        ours, exact = (
+            _self_motion(jacobian[None], slope[None], axis, CHAIN, np.asarray(q)[None])[0],
+            np.asarray(through(u, branch)),
+        )
         assert np.allclose(ours, exact / np.linalg.norm(exact), atol=1e-6)
 
 
