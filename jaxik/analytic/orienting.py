@@ -12,7 +12,7 @@ axis in line the third joint is set to 0 (or to its nearest limit) and the first
 from __future__ import annotations
 
 import math
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -23,11 +23,13 @@ from jaxik.spatial.ball import minimum, where
 
 
 class Oriented(NamedTuple):
-    """The three angles [rad] of a solution, their turns, and how far it is from turning complex (< 0: it has)."""
+    """The three angles [rad] of a solution, their turns, how far it is from turning complex (< 0: it has), and whether the
+    outer axes are in line: then only what the first and the third turn do together is known."""
 
     angles: tuple[Scalar, Scalar, Scalar]
     turns: tuple[Turn, Turn, Turn]
     margin: Scalar
+    in_line: Any
 
 
 class Orienting:
@@ -88,13 +90,13 @@ class Orienting:
             q5 = wrapped(sign * angle - self.zero)
             last = Turn(where(singular, math.sin(self.rest), sin6), where(singular, math.cos(self.rest), cos6))
             margin = minimum(margin, where(q6 == q6, 1.0, -1.0))
-            found.append(Oriented((atan2(sin4, cos4), q5, q6), (Turn(s4, c4), Turn(sin5, cos5), last), margin))
+            found.append(Oriented((atan2(sin4, cos4), q5, q6), (Turn(s4, c4), Turn(sin5, cos5), last), margin, singular))
         if right_angled:
-            (q4, q5, q6), (turn4, _, turn6), margin = found[0]
+            (q4, q5, q6), (turn4, _, turn6), margin, _ = found[0]
             flip = where(singular, 0.0, math.pi)
             back = where(singular, 1.0, -1.0)
             turned = [Turn(turn.sin * back, turn.cos * back) for turn in (turn4, turn6)]
             second = Turn(sub(mul(-sine, c0), mul(cosine, s0)), add(mul(cosine, c0), mul(-sine, s0)))
             angles = wrapped(q4 + flip), wrapped(-angle - self.zero), wrapped(q6 + flip)
-            found.append(Oriented(angles, (turned[0], second, turned[1]), margin))
+            found.append(Oriented(angles, (turned[0], second, turned[1]), margin, singular))
         return found

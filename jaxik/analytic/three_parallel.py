@@ -34,7 +34,7 @@ from jaxik.analytic.turns import (
     vector_of,
 )
 from jaxik.spatial.algebra import Frame, Rot3, Scalar, Vec3, add, constants, mul, sub
-from jaxik.spatial.ball import minimum
+from jaxik.spatial.ball import minimum, where
 
 
 class _Plane:
@@ -49,6 +49,22 @@ class _Plane:
         self.across = np.cross(self.h, np.eye(3)[np.argmin(np.abs(self.h))])
         self.across /= np.linalg.norm(self.across)
         self.signs = [float(np.sign(self.h @ each)) for each in axes.h[first : first + 3]]
+
+    def nearest_turn(self, place: Vec3, centre: Vec3, eps: float) -> Turn:
+        """The least turn about a line through `centre` that brings `place` within the triangle's reach."""
+        h = vector_of(self.h, eps)
+        flat = lambda v: v - h * h.dot(v)
+        arm, middle = flat(place - centre), flat(centre - vector_of(self.start, eps))
+        upper, lower = (float(np.linalg.norm(v)) for v in (self.upper, self.lower))
+        now = arm + middle
+        now = now.dot(now)
+        # a hair inside, so that rounding does not put it out again
+        least, most = (upper - lower) ** 2 * (1.0 + 64.0 * eps), (upper + lower) ** 2 * (1.0 - 64.0 * eps)
+        wanted = where(now <= least, least, where(now >= most, most, now))
+        one, two = turns_to_distance(arm, -middle, h, wanted, eps)[0]
+        nearer = either(one.cos >= two.cos, one, two)
+        stays = lambda there, moved: where(now <= least, moved, where(now >= most, moved, there))
+        return Turn(stays(0.0, nearer.sin), stays(1.0, nearer.cos))
 
     def solve(self, place: Vec3, turn: Turn, eps: float) -> list[tuple[tuple[Scalar, Scalar, Scalar], Scalar]]:
         """The angles [rad] that bring the third axis to `place` and turn by `turn` in all, and their margin."""
@@ -138,7 +154,7 @@ class ThreeParallel:
         for far in fars:
             hands = self._hands(moved, far, eps)
             for hand in hands if signs is ALL else [either(sign > 0.0, *hands) for sign in signs[1]]:
-                yield self._half(moved, far, hand.turns, minimum(margin, hand.margin), eps)
+                yield self._half(moved, far, hand.turns, minimum(margin, hand.margin), eps, hand.in_line)
 
     def _of_any(self, moved: Frame, eps: float, signs: Signs) -> Iterator[HalfBranch]:
         near = [self._near_row(place=p) for p in (True, False)]
@@ -148,7 +164,7 @@ class ThreeParallel:
             one, two = self._hands(moved, pair.second, eps)
             likeness = [hand.turns[1].cos * pair.first.cos + hand.turns[1].sin * pair.first.sin for hand in (one, two)]
             hand = either(likeness[0] >= likeness[1], one, two)
-            yield self._half(moved, pair.second, hand.turns, minimum(pair.margin, hand.margin), eps)
+            yield self._half(moved, pair.second, hand.turns, minimum(pair.margin, hand.margin), eps, hand.in_line)
 
     def _of_parallel(self, moved: Frame, eps: float, signs: Signs) -> Iterator[HalfBranch]:
         place, direction = (self._far_row(moved, eps, place=p) for p in (True, False))
@@ -181,17 +197,26 @@ class ThreeParallel:
         third, across = (own @ (left @ vector_of(v, eps)) for v in (self.hand.third, self.hand.across))
         return self.hand.solve(third, across, eps)
 
-    def _half(self, moved: Frame, far: Turn, hand: Any, margin: Scalar, eps: float) -> HalfBranch:
+    def _half(self, moved: Frame, far: Turn, hand: Any, margin: Scalar, eps: float, in_line: Any = False) -> HalfBranch:
         turn, a, b = hand
+        h, k_b = vector_of(self.plane.h, eps), vector_of(self.axes.h[self.b], eps)
+        point = vector_of(self.plane.end, eps)  # of the third parallel axis: where it is without a and b
+        for joint, each in ((self.a, a), (self.b, b)):
+            k, p = vector_of(self.axes.h[joint], eps), vector_of(self.axes.p[joint], eps)
+            point = each.about(k).T @ (point - p) + p
+        left = self._left(moved, far, eps)
+        place = left @ point
+        if in_line is not False:
+            # what the plane turns more joint b turns less; the third axis goes about joint b's
+            centre = left @ vector_of(self.p_b, eps)
+            more = self.plane.nearest_turn(place, centre, eps)
+            more = Turn(where(in_line, more.sin, 0.0), where(in_line, more.cos, 1.0))
+            place = centre + more.about(h) @ (place - centre)
+            along = (left.rotation @ k_b).dot(h)
+            turn, b = turn + more, b - Turn(more.sin * where(along >= 0.0, 1.0, -1.0), more.cos)
         turns = {self.far: far, self.a: a, self.b: b}
 
         def finish() -> list[tuple[tuple[Scalar, ...], Scalar]]:
-            # the third parallel axis, without a and b
-            point = vector_of(self.plane.end, eps)
-            for joint, each in ((self.a, a), (self.b, b)):
-                k, p = vector_of(self.axes.h[joint], eps), vector_of(self.axes.p[joint], eps)
-                point = each.about(k).T @ (point - p) + p
-            place = self._left(moved, far, eps) @ point
             known = [far.angle, a.angle, b.angle]
             found = []
             for plane, margin_plane in self.plane.solve(place, turn, eps):

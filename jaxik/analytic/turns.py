@@ -10,7 +10,6 @@ Scalars are those of `algebra`: numbers fold, arrays are traced, balls bound.
 from __future__ import annotations
 
 import itertools
-import math
 from collections.abc import Sequence
 from typing import Any, NamedTuple
 
@@ -40,6 +39,12 @@ class Turn(NamedTuple):
     def about(self, axis: Vec3) -> Rot3:
         """The rotation about a unit axis."""
         return Rot3.about(axis, self.sin, self.cos)
+
+    def __add__(self, o: Turn) -> Turn:  # type: ignore[override]
+        return Turn(
+            add(mul(self.sin, o.cos), mul(self.cos, o.sin)),
+            sub(mul(self.cos, o.cos), mul(self.sin, o.sin)),
+        )
 
     def __sub__(self, o: Turn) -> Turn:
         return Turn(
@@ -103,7 +108,7 @@ def turns_to_distance(p: Vec3, q: Vec3, k: Vec3, square: Scalar, eps: float, sig
     half = _unit(safe_sqrt(sin2), safe_sqrt(cos2))
     away = Turn(2.0 * half.sin * half.cos, half.cos * half.cos - half.sin * half.sin)
     nearest = turn_between(p, q, k)
-    return [nearest - Turn(away.sin * -sign, away.cos) for sign in signs], margin
+    return [nearest + Turn(away.sin * sign, away.cos) for sign in signs], margin
 
 
 def turns_to_plane(h: Vec3, p: Vec3, k: Vec3, d: Scalar, eps: float, signs: Any = BOTH) -> tuple[list[Turn], Scalar]:
@@ -116,17 +121,13 @@ def turns_to_meet(
     p: Vec3, q: Vec3, k1: Vec3, k2: Vec3, eps: float, signs: Any = BOTH
 ) -> tuple[list[tuple[Turn, Turn]], Scalar]:
     """Subproblem 2: the pairs of turns with `R(k1) p = R(k2) q`, of p and q of one length and axes that are not parallel."""
-    cosine = k1.dot(k2)
-    scale = 1.0 / (1.0 - cosine * cosine)
-    a, b = k1.dot(p), k2.dot(q)
-    plane = k1 * mul(sub(a, mul(cosine, b)), scale) + k2 * mul(sub(b, mul(cosine, a)), scale)
-    size = p.dot(p)
-    rest = sub(size, plane.dot(plane))
-    margin = rest + SLACK * eps * (size + plane.dot(plane)) * scale
-    root = safe_sqrt(rest) * math.sqrt(scale) if isinstance(scale, float) else safe_sqrt(rest * scale)
-    up = k1.cross(k2)
-    met = [plane + up * (root * sign) for sign in signs]
-    return [(turn_between(p, z, k1), turn_between(q, z, k2)) for z in met], margin
+    # R(k2) q is as far from the first axis as p is; told by the distance from where that axis is nearest to p, which is small
+    # where the angle between them is, and keeps its digits
+    length = safe_sqrt(p.dot(p))
+    nearest = k1 * where(k1.dot(p) >= 0.0, length, -length)
+    away = p - nearest
+    seconds, margin = turns_to_distance(q, nearest, k2, away.dot(away), eps, signs)
+    return [(turn_between(p, second.about(k2) @ q, k1), second) for second in seconds], margin
 
 
 # --------------------------------------------------------------------------------------------------------------------

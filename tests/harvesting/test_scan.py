@@ -187,7 +187,7 @@ def test_each_reason():
     with pytest.raises(ValueError, match="no fruit"):
         jaxik.harvest(CHAIN, upside)
     with pytest.raises(ValueError, match="needs the closed form"):
-        jaxik.harvesting.scan(jaxik.load("crops_v2"), OPEN, OPEN.fruits[0])
+        jaxik.harvesting.scan(jaxik.load("pendulum4"), OPEN, OPEN.fruits[0])
 
 
 def test_a_million_candidates_stay_below_a_gibibyte():
