@@ -29,7 +29,8 @@ class FromTip:
     """A family that fits the arm as it is seen from its tip."""
 
     def __init__(self, family: Any):
-        self.family, self.name, self.cost = family, family.name, family.cost
+        self.family, self.cost = family, family.cost
+        self.name = f"{family.name}, seen from the tip"
         self.joints, self.parameters = family.joints, family.parameters
 
     def half_branches(self, target: Frame, given: list[Scalar], eps: float, signs: Signs = ALL) -> list[HalfBranch]:
@@ -178,9 +179,13 @@ def solver_of(chain: Chain) -> Solver:
 
 class Redundancy(NamedTuple):
     """What a chain's closed form is given: the joints that are left over, before and after those that it solves, and the arm
-    angle where it solves seven. One entry each (k,): its name, a joint's or "arm angle", and its range [m, rad], a whole turn
-    where there are no limits."""
+    angle where it solves seven.
 
+    One entry each (k,): its name, a joint's or "arm angle", and its range [m, rad], a whole turn where there are no limits.
+    `family` says what the solved joints are solved by.
+    """
+
+    family: str
     names: tuple[str, ...]
     lower: np.ndarray
     upper: np.ndarray
@@ -194,4 +199,4 @@ def redundancy(chain: Chain) -> Redundancy:
     solver = solver_of(chain)
     names = [chain.joint_names[i] for i in solver.given_joints]
     names[solver.first : solver.first] = [solver.family.name] * solver.family.parameters
-    return Redundancy(tuple(names), *solver.limits())
+    return Redundancy(solver.family.name, tuple(names), *solver.limits())
