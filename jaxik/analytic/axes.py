@@ -40,6 +40,14 @@ class Axes(NamedTuple):
         back = np.linalg.inv(self.tip)
         return Axes(-self.h[::-1] @ back[:3, :3].T, self.p[::-1] @ back[:3, :3].T + back[:3, 3], back)
 
+    @property
+    def misfit(self) -> float:
+        """By how much axes that count as parallel or meeting are not [rad, m]: files round their angles."""
+        neighbours = list(itertools.pairwise(range(len(self.h))))
+        skewed = [float(np.linalg.norm(np.cross(self.h[a], self.h[b]))) for a, b in neighbours]
+        missed = [self.miss(a, b) for a, b in neighbours] + [self.miss(i, i + 1, i + 2) for i in range(len(self.h) - 2)]
+        return max((x for x in (*skewed, *missed) if x <= TOLERANCE), default=0.0)
+
     def parallel(self, *which: int) -> bool:
         """Whether these axes are."""
         return all(np.linalg.norm(np.cross(self.h[which[0]], self.h[i])) <= TOLERANCE for i in which[1:])

@@ -43,6 +43,7 @@ class Solver(NamedTuple):
     chain: Chain
     first: int
     family: Any
+    misfit: float
 
     @property
     def solved(self) -> range:
@@ -72,7 +73,7 @@ class Solver(NamedTuple):
 
     def half_branches(self, pose: Any, given: Any, signs: Signs = ALL) -> list[HalfBranch]:
         """The half branches of a pose (4, 4), their joints counted in the chain. What of them is not used is not computed."""
-        eps = float(np.finfo(pose.dtype).eps)
+        eps = max(float(np.finfo(pose.dtype).eps), 4.0 * self.misfit)  # of files whose right angles are rounded
         halves = self.family.half_branches(self.target(pose, given), self.split(given)[1], eps, signs)
         return [half._replace(turns={i + self.first: turn for i, turn in half.turns.items()}) for half in halves]
 
@@ -140,7 +141,7 @@ def _found(chain: Chain) -> tuple[Solver | None, str]:
             families = list(_families(chain.part(first, first + size)))
             for reason, made in families:
                 if not reason:
-                    solver = Solver(chain, first, made())
+                    solver = Solver(chain, first, made(), Axes.of(chain.part(first, first + size)).misfit)
                     best = solver if best is None or solver.family.cost < best.family.cost else best
             reasons.append((size, first, [reason for reason, _ in families]))
     if best is not None:

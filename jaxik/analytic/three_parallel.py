@@ -13,9 +13,11 @@ solutions at most; 3, 4, 5 and 4, 5, 6 are the same seen from the tip.
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from typing import Any
 
+import jax
+import jax.numpy as jnp
 import numpy as np
 
 from jaxik.analytic.axes import Axes
@@ -197,6 +199,15 @@ class ThreeParallel:
         third, across = (own @ (left @ vector_of(v, eps)) for v in (self.hand.third, self.hand.across))
         return self.hand.solve(third, across, eps)
 
+    @staticmethod
+    def _where_in_line(in_line: Any, turn: Callable[[], Turn]) -> Turn:
+        """A turn that is hardly ever asked for: not computed where no lane does."""
+        if isinstance(in_line, jax.Array):
+            kinds = jax.eval_shape(turn)
+            return jax.lax.cond(in_line, turn, lambda: Turn(jnp.zeros((), kinds.sin.dtype), jnp.ones((), kinds.cos.dtype)))
+        more = turn()
+        return Turn(where(in_line, more.sin, 0.0), where(in_line, more.cos, 1.0))
+
     def _half(self, moved: Frame, far: Turn, hand: Any, margin: Scalar, eps: float, in_line: Any = False) -> HalfBranch:
         turn, a, b = hand
         h, k_b = vector_of(self.plane.h, eps), vector_of(self.axes.h[self.b], eps)
@@ -209,8 +220,7 @@ class ThreeParallel:
         if in_line is not False:
             # what the plane turns more joint b turns less; the third axis goes about joint b's
             centre = left @ vector_of(self.p_b, eps)
-            more = self.plane.nearest_turn(place, centre, eps)
-            more = Turn(where(in_line, more.sin, 0.0), where(in_line, more.cos, 1.0))
+            more = self._where_in_line(in_line, lambda: self.plane.nearest_turn(place, centre, eps))
             place = centre + more.about(h) @ (place - centre)
             along = (left.rotation @ k_b).dot(h)
             turn, b = turn + more, b - Turn(more.sin * where(along >= 0.0, 1.0, -1.0), more.cos)
