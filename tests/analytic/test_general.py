@@ -1,0 +1,130 @@
+"""Arms of six joints in general: every posture, by multistart and by EAIK; singular targets, derivatives, refusals."""
+
+import itertools
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from arm import eaik_robot
+from general_arms import Judge, apart, multistart, random_arm
+from robots import FOLDER, ROBOTS
+
+import jaxik
+from jaxik.analytic import general_arm, general_kernel, general_solutions
+from jaxik.analytic.axes import Axes
+
+EXACT = 1e-10  # [m, rad] of a round trip
+
+
+def _axes(name):
+    """The last six joints of a robot, and their axes."""
+    chain = jaxik.load(FOLDER / ROBOTS[name][0], tip=ROBOTS[name][1])
+    chain = chain.part(chain.num_joints - 6, chain.num_joints)
+    return chain, Axes.of(chain)
+
+
+def _arms():
+    return [random_arm(np.random.default_rng(1), 0.0), random_arm(np.random.default_rng(2), 0.3), _axes("kinova")[1]]
+
+
+def _solved(axes, q):
+    """The arm, its judge, the targets of q (m, 6), and what is found of them."""
+    arm, judge = general_arm(axes), Judge(axes)
+    poses = np.array([judge.pose(x) for x in q])
+    return arm, judge, poses, general_kernel().run(poses, arm, double=True)
+
+
+def _angles(seed, count):
+    return np.random.default_rng(seed).uniform(-np.pi, np.pi, (count, 6))
+
+
+@pytest.mark.parametrize("axes", _arms(), ids=["any links", "special links", "Jaco"])
+def test_every_posture(axes):
+    """That many starts find is found, and what is found has the pose and is there once."""
+    random, own = np.random.default_rng(0), _angles(5, 40)
+    _, judge, poses, (q, margin, complete) = _solved(axes, own)
+    assert complete.all() and np.abs(q).max() <= np.pi + 1e-12
+    for i, (target, known) in enumerate(zip(poses, own, strict=True)):
+        found = q[i][margin[i] >= 0.0]
+        assert max(judge.error(x, target) for x in found) < EXACT
+        assert min(apart(a, b) for a, b in itertools.combinations([*found, found[0] + 1.0], 2)) > 1e-6
+        theirs = multistart(axes, target, judge, random) if i < 3 else []
+        assert all(min(apart(x, y) for y in found) < 1e-6 for x in [known, *theirs])
+
+
+def test_as_many_as_the_arm_has():
+    """Raghavan and Roth's 16, and 8 where EAIK has 8."""
+    counts = [int(general_arm(axes).starts.count) for axes in (_arms()[0], _axes("ur5")[1])]
+    assert counts == [16, 8]
+
+
+def test_eaik():
+    chain, axes = _axes("ur5")
+    robot, tip_rotation = eaik_robot(chain)
+    _, _, poses, (q, margin, _) = _solved(axes, _angles(3, 40))
+    for target, found in zip(poses, [x[m >= 0.0] for x, m in zip(q, margin, strict=True)], strict=True):
+        arm_pose = target.copy()
+        arm_pose[:3, :3] = target[:3, :3] @ tip_rotation.T
+        theirs = [np.asarray(x) for x, least in zip(*_eaik(robot, arm_pose), strict=True) if not least]
+        assert len(found) == len(theirs)
+        assert all(min(apart(x, y) for y in found) < 1e-6 for x in theirs)
+
+
+def _eaik(robot, pose):
+    solved = robot.IK(pose)
+    return solved.Q, solved.is_LS
+
+
+@pytest.mark.parametrize("name", ["ur5", "kinova", "panda"])
+def test_singular(name):
+    """At right angles wrists are straight and elbows stretched: a posture is found all the same, and all found are true."""
+    q = np.round(_angles(4, 60) / (np.pi / 2)) * np.pi / 2
+    q[::2] += np.random.default_rng(1).normal(size=(30, 6)) * 10.0 ** np.random.default_rng(2).uniform(-7, -3, (30, 1))
+    _, judge, poses, (found, margin, _) = _solved(_axes(name)[1], q)
+    assert np.isfinite(found).all() and (margin >= 0.0).any(axis=1).all()
+    errors = [judge.error(x, target) for target, row, m in zip(poses, found, margin, strict=True) for x in row[m >= 0.0]]
+    assert max(errors) < EXACT
+
+
+def test_out_of_reach():
+    arm, _, poses, _ = _solved(_arms()[0], _angles(0, 4))
+    poses[:, :3, 3] += 100.0
+    q, margin, _ = general_kernel().run(poses, arm, double=True)
+    assert np.isfinite(q).all() and (margin < 0.0).all()
+
+
+def test_traced():
+    """jit and vmap give the bits of the host's kernel; the derivative by the target is the inverse of Pinocchio's Jacobian."""
+    arm, judge, poses, (q, margin, complete) = _solved(_arms()[0], _angles(6, 3))
+    found = jax.jit(jax.vmap(lambda target: general_solutions(arm, target)))(poses)
+    assert all((np.asarray(a) == b).all() for a, b in zip(found, (q, margin, complete), strict=True))
+
+    target, twist = poses[0], np.array([0.3, -0.2, 0.5, 0.7, 0.1, -0.4])  # in the tip's frame
+    spin = np.cross(np.eye(3), twist[3:]) * -1.0
+    change = np.zeros((4, 4))
+    change[:3, :3], change[:3, 3] = target[:3, :3] @ spin.T, target[:3, :3] @ twist[:3]
+    _, rates = jax.jvp(lambda t: general_solutions(arm, t).q, (jnp.asarray(target),), (jnp.asarray(change),))
+    for x, rate, m in zip(q[0], np.asarray(rates), margin[0], strict=True):
+        np.testing.assert_allclose(judge.jacobian(x) @ rate if m >= 0.0 else rate, twist if m >= 0.0 else 0.0, atol=1e-9)
+    pulled = jax.grad(lambda t: jnp.sum(general_solutions(arm, t).q @ jnp.arange(6.0)))(jnp.asarray(target))
+    np.testing.assert_allclose(np.sum(np.asarray(pulled) * change), np.sum(np.asarray(rates) @ np.arange(6.0)), rtol=1e-9)
+
+
+def test_derivative_at_a_singular_target():
+    axes = _axes("ur5")[1]
+    arm, target = general_arm(axes), Judge(axes).pose(np.zeros(6))
+    pulled = jax.grad(lambda t: jnp.sum(general_solutions(arm, t).q))(jnp.asarray(target))
+    assert np.isfinite(pulled).all()
+
+
+def test_refused(untyped):
+    axes = _arms()[0]
+    with pytest.raises(ValueError, match=r"p of shape \(5, 3\); allowed: \(6, 3\)"):
+        general_arm(axes._replace(p=axes.p[:5]))
+    with pytest.raises(ValueError, match="axis 2 is 0 0 0"):
+        general_arm(axes._replace(h=axes.h * np.array([1.0, 0, 1, 1, 1, 1])[:, None]))
+    with pytest.raises(ValueError, match="cannot move the tip in all six directions"):
+        general_arm(axes._replace(h=np.broadcast_to([0.0, 0.0, 1.0], (6, 3))))
+    with pytest.raises(ValueError, match="p6r has 7 joints, 1 of them prismatic; six revolute ones are solved"):
+        general_arm(jaxik.load("p6r"))
