@@ -130,7 +130,7 @@ class Judge:
 
 
 def eaik(chain: jaxik.Chain) -> tuple[Any, dict[int, float], np.ndarray]:
-    """The arm for EAIK, with what is given fixed (an arm angle's third joint), and its tip's rotation; None where it has none."""
+    """The arm for EAIK, with what is given fixed (an arm angle's third joint), and its tip's rotation; None if not known."""
     names = jaxik.analytic.redundancy(chain).names
     given = [2 if name == "arm angle" else chain.joint_names.index(name) for name in names]
     fixed = {i: 0.2 + 0.1 * i for i in given}

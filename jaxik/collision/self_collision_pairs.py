@@ -12,6 +12,8 @@ from jaxik.collision.volumes import skeletons
 from jaxik.robot.chain import Chain, finite_limits, solid_links
 from jaxik.spatial.algebra import BASE
 
+STILL = 1e-9  # [m] by which a distance that no joint changes changes all the same
+
 
 class SelfCollisions(NamedTuple):
     """The pairs of links worth a check; those of them that touch in the default pose; and the share of random configurations
@@ -38,8 +40,9 @@ def self_collisions(
 ) -> SelfCollisions:
     """The pairs of links worth a check against each other.
 
-    Left out: links that move together or are neighbours on the chain, pairs in `disabled` (SRDF), and pairs that touch in at
-    least 95 % of random configurations (fixed seed): their shapes overlap by design and would always report a collision.
+    Left out: links that move together or are neighbours on the chain, pairs in `disabled` (SRDF), pairs that are as far apart
+    in all random configurations (fixed seed), of which no posture is better than another, and pairs that touch in at least
+    95 % of them: their shapes overlap by design and would always report a collision.
     """
     pairs = candidate_pairs(chain, solid_links(chain), disabled, aside)
     if not pairs:
@@ -54,8 +57,9 @@ def self_collisions(
             shape = len(q), len(skeleton.link)
             balls.append((np.stack([np.broadcast_to(c, shape).T for c in corner], axis=-1), skeleton.radius, skeleton.link))
     p, r, o = (np.concatenate(each) for each in zip(*balls, strict=True))
-    touch = {(a, b): _touching(p, r, o == a, o == b) for a, b in pairs}
-    kept = {pair: hit for pair, hit in touch.items() if hit[:-1].mean() < 0.95}
+    gaps = {(a, b): _gaps(p, r, o == a, o == b) for a, b in pairs}
+    told = {pair: gap <= 0.0 for pair, gap in gaps.items() if np.ptp(gap) > STILL or gap[0] <= 0.0}
+    kept = {pair: hit for pair, hit in told.items() if hit[:-1].mean() < 0.95}
     share = np.any([hit[:-1] for hit in kept.values()], axis=0).mean() if kept else 0.0
     return SelfCollisions(tuple(kept), tuple(pair for pair, hit in kept.items() if hit[-1]), float(share))
 
@@ -72,10 +76,10 @@ def _samples(count: int) -> np.ndarray:
     return sixths[sixths.sum(axis=1) == 6] / 6.0
 
 
-def _touching(p: np.ndarray, r: np.ndarray, a: np.ndarray, b: np.ndarray) -> np.ndarray:
-    """The configurations in which any sphere of a touches any of b."""
-    hit = np.zeros(p.shape[1], bool)
+def _gaps(p: np.ndarray, r: np.ndarray, a: np.ndarray, b: np.ndarray) -> np.ndarray:
+    """In each configuration the least distance of a sphere of a from one of b [m]."""
+    least = np.full(p.shape[1], np.inf)
     for i in np.flatnonzero(a):
         gap = np.linalg.norm(p[i] - p[b], axis=-1) - r[i] - r[b, None]
-        hit |= gap.min(axis=0) <= 0.0
-    return hit
+        least = np.minimum(least, gap.min(axis=0))
+    return least

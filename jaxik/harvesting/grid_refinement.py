@@ -134,14 +134,29 @@ def _self_motion(jacobians: np.ndarray, slope: np.ndarray, axis: np.ndarray, cha
     arm = jacobians[:, :, solved]
     turn = np.broadcast_to(np.concatenate([np.zeros(3), axis])[:, None], (len(arm), 6, 1))
     moved = np.linalg.pinv(arm) @ np.concatenate([turn, -jacobians[:, :, given]], axis=2)  # pinv: the wrist may be singular
+    if len(solved) > 6:
+        moved = _with_arm_angle(chain, q, arm, moved)
     gradient = np.einsum("bi,bij->bj", slope[:, solved], moved)
-    gradient[:, 1:] += slope[:, given]
-    if len(solved) > 6:  # and the arm angle, which moves the solved joints alone
-        own = np.zeros_like(q, np.float64)
-        own[:, solved] = np.linalg.svd(arm)[2][:, -1]
-        step = 1e-4
-        rate = (given_values(chain, q + step * own) - given_values(chain, q - step * own))[:, solver.first]
-        rate = (rate + np.pi) % (2.0 * np.pi) - np.pi
-        along = np.einsum("bi,bi->b", slope, own) * 2.0 * step / np.where(np.abs(rate) < 1e-2 * step, np.inf, rate)
-        gradient = np.insert(gradient, 1 + solver.first, along, axis=1)
+    joints = np.ones(gradient.shape[1], bool)
+    joints[[0, *range(1 + solver.first, 1 + solver.first + solver.family.parameters)]] = False
+    gradient[:, joints] += slope[:, given]
     return gradient / np.maximum(np.linalg.norm(gradient, axis=1, keepdims=True), 1e-12)
+
+
+def _with_arm_angle(chain: Chain, q: np.ndarray, arm: np.ndarray, moved: np.ndarray) -> np.ndarray:
+    """How the seven solved joints follow (b, 7, m), the arm angle held, with the column of the arm angle itself: along the one
+    motion that leaves the tip where it is, as fast as differences of the angle tell."""
+    solver = solver_of(chain)
+    own = np.linalg.svd(arm)[2][:, -1]
+    step = 1e-4
+
+    def rate(motion: np.ndarray) -> np.ndarray:
+        away = np.zeros(q.shape)
+        away[:, list(solver.solved)] = step * motion
+        turned = (given_values(chain, q + away) - given_values(chain, q - away))[:, solver.first]
+        return ((turned + np.pi) % (2.0 * np.pi) - np.pi) / (2.0 * step)
+
+    alone = rate(own)
+    alone = own / np.where(np.abs(alone) < 1e-2, np.inf, alone)[:, None]
+    held = [column - rate(column)[:, None] * alone for column in np.moveaxis(moved, 2, 0)]
+    return np.stack([*held[: 1 + solver.first], alone, *held[1 + solver.first :]], axis=2)

@@ -16,6 +16,7 @@ from jaxik.harvesting.grid_refinement import _climb, _misses, _self_motion, reco
 from jaxik.harvesting.scanning import Weights, approach_angles, scan_two_step
 from jaxik.reasons import Reason
 from jaxik.robot.chain import within_limits
+from jaxik.robot.kinematics import joint_frames
 
 CHAIN = jaxik.load("p6r")
 
@@ -120,6 +121,33 @@ def test_the_slope_of_recovery_is_autodiffs():
             np.asarray(through(u, branch)),
         )
         assert np.allclose(ours, exact / np.linalg.norm(exact), atol=1e-6)
+
+
+@pytest.mark.parametrize("name, given", [("ur10e_rail", 1), ("panda_lift", 2), ("iiwa14", 1)])
+def test_arms_of_other_families(name, given):
+    """A rail before the arm, a lift before and a joint after it, an arm angle: postures have the grasp's pose, and what is
+    given is moved along a function's slope, as differences of the closed form have it."""
+    chain = jaxik.load(name)
+    scene = OPEN if name != "iiwa14" else crop(("leaf_1", True, wall(0.3)), position=(0.45, 0.1, 0.5))
+    fruit = scene.fruits[0]
+    found = jaxik.harvesting.scan(chain, scene, fruit, angles=16, slides=9)
+    table = found.table
+    assert len(table.q) and table.leading.shape[1] == given
+    poses = grasp_poses(chain, fruit, table.angle)
+    back = joint_frames(chain, list(table.q.T.astype(np.float64))).tip.matrices
+    assert np.abs(back - poses).max() <= 2e-5
+    assert np.all((table.q >= chain.lower - 1e-6) & (table.q <= chain.upper + 1e-6))
+    axis = chain.world_T_base[:3, :3].T @ fruit.axis
+    row = int(np.argmax(table.freedom))
+    branch, u = int(table.branch[row]), np.array([table.angle[row], *table.leading[row]])
+    solve = jax.jit(lambda pose, given: jaxik.closed_form(chain, pose, given).q[branch])
+    worth = lambda q: float(np.sum(np.sin(np.asarray(q) + 0.3)))
+    at = lambda u: solve(grasp_poses(chain, fruit, u[:1])[0], u[1:])
+    numeric = [(worth(at(u + 1e-5 * e)) - worth(at(u - 1e-5 * e))) / 2e-5 for e in np.eye(len(u))]
+    q = np.asarray(at(u))
+    jacobian = np.asarray(jaxik.jacobian(chain, q))
+    (ours,) = _self_motion(jacobian[None], np.cos(q + 0.3)[None], axis, chain, q[None])
+    assert np.allclose(ours, numeric / np.linalg.norm(numeric), atol=1e-3)
 
 
 def test_recovery_finds_what_the_grid_misses():
