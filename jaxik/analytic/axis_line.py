@@ -144,15 +144,17 @@ def equations(chain: list[Link], aim: tuple[Vec3, ...]) -> tuple[list[Any], list
     return away, [*columns, [x for v in aim[2:] for x in v]]
 
 
-def _newton(arm: Arm, begin: Line, end: Line, x: Any, s: Any) -> tuple[Any, Any]:
-    """Newton's correction of the angles x (2, 5) at s, and their derivative by s, (2, 5) each."""
+def _newton(arm: Arm, begin: Line, end: Line, x: Any, s: Any) -> tuple[Any, Any, Any]:
+    """Newton's correction of the angles x (2, 5) at s and their derivative by s, (2, 5) each. An axis keeps |l| = 1, so five of
+    the six equations count; what is left of the sixth tells solutions from their mirror images."""
     chain = links_at(arm, [Complex(x[0, i], x[1, i]) for i in range(5)])
     away, columns = equations(chain, _line_between(begin, end, s))
     columns.insert(5, [-e for e in away])
     entries = [e if isinstance(e, Complex) else Complex(e, 0.0) for row in zip(*columns, strict=True) for e in row]
     table = Complex(*(stack([e[part] for e in entries], (6, 7), x.dtype) for part in (0, 1)))
-    found = jnp.stack(pivoted_solve(table, 5))  # (2, 5, 2)
-    return found[..., 0], found[..., 1]
+    solved, (left,) = pivoted_solve(table, 5)
+    found = jnp.stack(solved)  # (2, 5, 2)
+    return found[..., 0], found[..., 1], Complex(left.re[0], left.im[0]).square
 
 
 def settled(arm: Arm, aim: tuple[Vec3, Vec3], x: Any, tolerance: float) -> Any:

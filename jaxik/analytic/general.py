@@ -8,7 +8,9 @@ only on a set of one complex dimension less do solutions meet, and a path from a
 
 Once for an arm (`general_arm`): one solution of a random complex line is known, from random complex angles. Loops through other
 lines lead from it to all others (monodromy: the solutions of all lines are one piece, since the five angles tell the line);
-when many loops find nothing new, N is known. Then all N of some hundred lines, near to the real ones: starts for short paths.
+when many loops find nothing new, N is known. Then all N of some hundred lines near to the real ones, starts for short paths.
+These lines are those of random angles, too, so one solution of each is known beforehand: N stands if it is always there.
+
 For a target (`general_solutions`) N paths begin at the nearest start, turned about axis 1, along which nothing changes. If N
 different solutions arrive, none is missing, since there are no more; else the same from another start, with smaller steps.
 
@@ -55,17 +57,20 @@ from jaxik.spmd.host import HostKernel
 
 LINES = 512  # lines whose solutions are kept as starts
 LOOPS = 16  # of monodromy at a time; as many in vain, twice, and all are found
+CHECKS = 3  # of them, as often as they bring solutions that were missing
 ATTEMPTS = 3  # at a target, each with steps of a fifth
 NEARBY = 1e-4  # off a line, in lengths and of its direction: real parts from which a real solution is looked for
 APART = 1e-6  # [rad] two postures nearer than that are one
 
 
 class Starts(NamedTuple):
-    """Lines (m, 2, 3) and all their solutions, angles (m, 16, 2, 5) of which `count` are used."""
+    """Lines (m, 2, 3) and all their solutions, angles (m, 16, 2, 5) of which `count` are used. `sure`: that these are all is
+    borne out by the solution that is known of each line."""
 
     lines: Line
     angles: Any
     count: Any
+    sure: Any
 
 
 class GeneralArm(NamedTuple):
@@ -122,13 +127,24 @@ def _general_arm(h: bytes, p: bytes, tip: bytes, seed: int) -> GeneralArm:
         raise ValueError("general_arm: these six joints cannot move the tip in all six directions, wherever they stand")
     line = _lines(arm, first)
     known = _all_solutions(arm, line, first, random)
-    lines = _lines(arm, _random_angles(random, LINES, 0.15))
-    found = _tracked(arm, line, lines, known)
-    good, angles = found.complete, found.angles
+    own = _random_angles(random, LINES, 0.15)
+    lines = _lines(arm, own)
+    for _ in range(CHECKS):  # of each line one solution is known: is it there?
+        found = _tracked(arm, line, lines, known)
+        there = np.array([not _all_far(x, ends[: len(known)]) for x, ends in zip(own, found.angles, strict=True)])
+        if np.all(there):
+            break
+        back = _tracked(arm, Line(*(x[~there] for x in lines)), line, own[~there, None])
+        more = _with(known, back.angles[:, 0][back.status[:, 0] == ARRIVED])
+        if len(more) == len(known):
+            break
+        known = more
+    good, angles = there & found.complete, found.angles
     if not np.any(good):  # next to an arm with fewer some solutions may be out of a path's sight
         good, lines, angles = np.ones(1, bool), line, _padded(known)[None]
     rows = np.resize(np.flatnonzero(good), LINES)  # as many for every arm
-    return GeneralArm(arm, Starts(Line(*(x[rows] for x in lines)), angles[rows], np.int32(len(known))))
+    sure = not np.any(found.complete & ~there)
+    return GeneralArm(arm, Starts(Line(*(x[rows] for x in lines)), angles[rows], np.int32(len(known)), np.bool_(sure)))
 
 
 def _random_angles(random: np.random.Generator, count: int, imaginary: float) -> np.ndarray:
@@ -169,19 +185,25 @@ def _all_solutions(arm: Arm, line: Line, known: np.ndarray, random: np.random.Ge
             ends = _tracked(arm, begin, end, x)
             x = ends.angles[:, : len(known)]
             arrived &= ends.status[:, : len(known)] == ARRIVED
-        new = list(known)
-        for each in x[arrived]:
-            if all(_far(each, other) for other in new):
-                new.append(each)
-        in_vain = in_vain + 1 if len(new) == len(known) else 0
-        known = np.array(new[:BRANCHES])
+        more = _with(known, x[arrived])
+        in_vain = in_vain + 1 if len(more) == len(known) else 0
+        known = more
     return known
 
 
-def _far(a: np.ndarray, b: np.ndarray) -> bool:
-    """Whether two solutions (2, 5) are different ones."""
-    turn = np.abs(a[0] - b[0] + np.pi) % (2.0 * np.pi) - np.pi
-    return bool(np.hypot(turn, a[1] - b[1]).max() > SAME)
+def _with(known: np.ndarray, more: np.ndarray) -> np.ndarray:
+    """Solutions (N, 2, 5) and those of others that are new."""
+    found = list(known)
+    for each in more:
+        if _all_far(each, np.array(found)):
+            found.append(each)
+    return np.array(found[:BRANCHES])
+
+
+def _all_far(one: np.ndarray, others: np.ndarray) -> bool:
+    """Whether a solution (2, 5) is none of the others (m, 2, 5)."""
+    turn = np.abs(one[0] - others[:, 0] + np.pi) % (2.0 * np.pi) - np.pi
+    return bool(np.all(np.hypot(turn, one[1] - others[:, 1]).max(axis=1) > SAME))
 
 
 def _padded(angles: np.ndarray) -> np.ndarray:
@@ -329,7 +351,7 @@ def _solved(given: GeneralArm, target: Any) -> tuple[Any, Any, Any]:
 
     q, margin = lax.scan(posture, None, jnp.arange(BRANCHES))[1]
     margin = lax.scan(alone, None, jnp.arange(BRANCHES))[1]
-    return q, margin, found.complete.astype(dtype)
+    return q, margin, (found.complete & given.starts.sure).astype(dtype)
 
 
 def _wrapped(angle: Any) -> Any:

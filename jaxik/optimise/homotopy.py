@@ -32,7 +32,8 @@ FAR = 14.0  # of an imaginary part: no root that is wanted
 STEEP = 100.0  # of |dx/ds|: near where roots meet
 NEAR = 0.05  # of all imaginary parts at the end: a root that may be real, and is landed on to the last digit
 
-Newton = Callable[[Any, Any], tuple[Any, Any]]  # x (2, n), s -> correction and tangent (2, n)
+# x (2, n), s -> correction and tangent (2, n), and the square of what no correction mends, of equations to spare
+Newton = Callable[[Any, Any], tuple[Any, Any, Any]]
 
 
 class End(NamedTuple):
@@ -74,8 +75,8 @@ def follow_path(newton: Newton, x: Any, goal: Any = GOAL) -> End:
 def _evaluated(newton: Newton, p: _Path, goal: Any) -> _Path:
     """One correction, and what follows from it: another one, the next point, or a shorter step."""
     begins, s = p.step == 0.0, jnp.minimum(p.s + p.step, 1.0)
-    correction, tangent = newton(p.trial, s)
-    size = jnp.sqrt(jnp.sum(jnp.square(correction)))
+    correction, tangent, left = newton(p.trial, s)
+    size = jnp.sqrt(jnp.sum(jnp.square(correction)) + left)
     size = jnp.where(size < 1e6, size, 1e6)  # of what is no number too
     trial = p.trial + jnp.where(size < 1e6, correction, 0.0)
     first = jnp.where(p.tries == 0, size, p.first)

@@ -58,11 +58,11 @@ class Complex(NamedTuple):
         return Complex(s * cosh, c * sinh), Complex(c * cosh, -s * sinh)
 
 
-def pivoted_solve(rows: Complex, unknowns: int) -> Complex:
+def pivoted_solve(rows: Complex, unknowns: int) -> tuple[Complex, list[Complex]]:
     """Solutions (n, k) of `A X = B` from rows (m, n + k) of `A | B`, m >= n, by elimination with partial pivoting.
 
-    Of more than n equations those with the largest pivots count; the others are to agree with them. Source: Golub and Van Loan
-    2013, sec. 3.4.
+    Of more than n equations those with the largest pivots count; by how much the others are not satisfied comes second, as rows
+    (k,). Source: Golub and Van Loan 2013, sec. 3.4.
     """
     part = lambda a, at: Complex(a.re[at], a.im[at])
     rest, triangle = [part(rows, i) for i in range(len(rows.re))], []
@@ -81,4 +81,4 @@ def pivoted_solve(rows: Complex, unknowns: int) -> Complex:
         for k, known in enumerate(reversed(found)):
             right = right - known * part(row, k)
         found.append(right)
-    return Complex(*(jnp.stack(x[::-1]) for x in zip(*found, strict=True)))
+    return Complex(*(jnp.stack(x[::-1]) for x in zip(*found, strict=True))), rest

@@ -26,7 +26,7 @@ def _path(x, coefficients):
         begin = GAMMA * (power - 1.0)
         inverse = (GAMMA * slope * (1.0 - s) + rise * s).inverse()
         step, tangent = -((begin * (1.0 - s) + value * s) * inverse), (begin - value) * inverse
-        return jnp.stack(step)[:, None], jnp.stack(tangent)[:, None]
+        return jnp.stack(step)[:, None], jnp.stack(tangent)[:, None], 0.0
 
     return follow_path(newton, x)
 
@@ -71,7 +71,7 @@ def test_to_infinity():
         begin, end = GAMMA * (w * w - 1.0), w - 2.0
         slope = (GAMMA * w * 2.0 * (1.0 - s) + Complex(s, 0.0)) * Complex(-w.im, w.re)
         step, tangent = -((begin * (1.0 - s) + end * s) * slope.inverse()), (begin - end) * slope.inverse()
-        return jnp.stack(step)[:, None], jnp.stack(tangent)[:, None]
+        return jnp.stack(step)[:, None], jnp.stack(tangent)[:, None], 0.0
 
     starts = np.array([[0.0, 0.0], [np.pi, 0.0]])[:, :, None]
     x, _, status, _ = HostKernel(lambda x: follow_path(newton, x), 1).run(starts, double=True)

@@ -35,4 +35,6 @@ def test_pivoted_solve(more):
     a[0, 0] = a[1, 1] = 0.0
     a = np.vstack([a, random.normal(size=(more, 5)) @ a])
     x = random.normal(size=(5, 2)) + 1j * random.normal(size=(5, 2))
-    np.testing.assert_allclose(_number(pivoted_solve(_pair(np.hstack([a, a @ x])), 5)), x, rtol=1e-12)
+    found, left = pivoted_solve(_pair(np.hstack([a, a @ x])), 5)
+    np.testing.assert_allclose(_number(found), x, rtol=1e-12)
+    assert len(left) == more and all(np.abs(_number(row)).max() < 1e-12 for row in left)
