@@ -16,7 +16,15 @@ from tables_motions import (
     predictive_markdown,
     statistics_markdown,
 )
-from tables_postures import base_markdown, ik_markdown, kinematics_markdown, narrow_markdown, nine_dof_markdown, sweep_markdown
+from tables_postures import (
+    base_markdown,
+    closed_forms_markdown,
+    ik_markdown,
+    kinematics_markdown,
+    narrow_markdown,
+    nine_dof_markdown,
+    sweep_markdown,
+)
 from tables_teleoperation import teleoperation_markdown
 from tables_words import duration
 
@@ -25,6 +33,7 @@ TABLES = {
     "astar.json": astar_markdown,
     "base_placement.json": base_markdown,
     "benchmark.json": kinematics_markdown,
+    "closed_forms.json": closed_forms_markdown,
     "collision_benchmark.json": collision_markdown,
     "collision_models.json": model_markdown,
     "collision_scaling.json": scaling_markdown,

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import Any
 
-from tables_words import ratio, time_each
+from tables_words import duration, ratio, time_each
 
 PUBLISHED = (  # by their authors, on their machines
     "PyRoki, batches on an RTX 4090: 15 us a pose",
@@ -44,6 +44,32 @@ def kinematics_markdown(result: dict[str, Any]) -> str:
         f"{memory['candidates'] / 1e6:.1f} million candidates",
         f"needs {memory['peak_bytes'] / 2**30:.2f} GiB with everything in the process.",
     ]
+    return "\n".join(lines)
+
+
+def closed_forms_markdown(result: dict[str, Any]) -> str:
+    """A row for each speed, and one for each arm."""
+    lines = ["| work | who | each | jaxik is faster by | compile |", "| --- | --- | --- | --- | --- |"]
+    for row in result["rows"]:
+        faster = "-" if row["who"] == "jaxik" else ratio(row["jaxik_is_faster_by"])
+        compiled = f"{row['compile_s']:.1f} s" if row["compile_s"] else "-"
+        lines.append(f"| {row['work']} | {row['who']} | {duration(1e6 / row['per_second'])} | {faster} | {compiled} |")
+    heads = (
+        "arm",
+        "family",
+        "given",
+        "poses",
+        "without a branch",
+        "own branch lost",
+        "error",
+        "EAIK's branches missing, of it more",
+    )
+    lines += ["", f"| {' | '.join(heads)} |", "| --- " * len(heads) + "|"]
+    for row in result["arms"]:
+        beside = "not known to it" if row["missing"] is None else f"{row['missing']}, {row['more']} ({row['eaik']})"
+        given = ", ".join(row["given"]) or "-"
+        judged = f"{row['poses']:,} | {row['unsolved']} | {row['lost']} | {row['error']:.0e} | {beside}"
+        lines.append(f"| {row['arm']} | {row['family']} | {given} | {judged} |")
     return "\n".join(lines)
 
 

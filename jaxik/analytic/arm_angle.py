@@ -26,12 +26,12 @@ class ArmAngle:
     """Axes 1, 2, 3 and axes 5, 6, 7 of seven meet; the last joint stands at `rest` where axes 5 and 7 are in line."""
 
     name = "arm angle"
-    joints, parameters, cost = 7, 1, 0
+    joints, parameters, branches, cost = 7, 1, 8, 0
 
     @staticmethod
     def obstacle(axes: Axes) -> str:
         if not axes.meet(0, 1, 2) or not axes.meet(4, 5, 6):
-            return "its first three and its last three axes do not meet in a shoulder and a wrist"
+            return "its first and its last three axes do not meet in a shoulder and a wrist"
         reach = [axes.point(0, 1, 2) - axes.p[3], axes.point(4, 5, 6) - axes.p[3]]
         if min(np.linalg.norm(np.cross(axes.h[3], v)) for v in reach) < 1e-6:
             return "its elbow axis passes through the shoulder or the wrist"

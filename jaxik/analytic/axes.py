@@ -50,7 +50,11 @@ class Axes(NamedTuple):
 
     def parallel(self, *which: int) -> bool:
         """Whether these axes are."""
-        return all(np.linalg.norm(np.cross(self.h[which[0]], self.h[i])) <= TOLERANCE for i in which[1:])
+        return self.tilt(*which) <= TOLERANCE
+
+    def tilt(self, *which: int) -> float:
+        """How far the axis that is least parallel to the first is from that [rad]."""
+        return max(float(np.linalg.norm(np.cross(self.h[which[0]], self.h[i]))) for i in which[1:])
 
     def clear(self, a: int, b: int) -> bool:
         """Whether two axes are not even nearly parallel."""

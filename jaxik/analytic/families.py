@@ -11,10 +11,12 @@ import functools
 from collections.abc import Callable, Iterator
 from typing import Any, NamedTuple
 
+import jax.numpy as jnp
 import numpy as np
 
 from jaxik.analytic.arm_angle import ArmAngle
-from jaxik.analytic.axes import Axes
+from jaxik.analytic.axes import TOLERANCE, Axes
+from jaxik.analytic.general import general_arm, general_solutions
 from jaxik.analytic.half_branches import HalfBranch
 from jaxik.analytic.spherical_wrist import SphericalWrist
 from jaxik.analytic.three_parallel import ThreeParallel
@@ -22,7 +24,7 @@ from jaxik.analytic.turns import ALL, Signs
 from jaxik.checks.options import check_kind
 from jaxik.robot.chain import Chain, finite_limits
 from jaxik.robot.kinematics import joint_frames
-from jaxik.spatial.algebra import BASE, Frame, Scalar, traced
+from jaxik.spatial.algebra import BASE, Frame, Scalar, stack, traced
 
 
 class FromTip:
@@ -31,7 +33,7 @@ class FromTip:
     def __init__(self, family: Any):
         self.family, self.cost = family, family.cost
         self.name = f"{family.name}, seen from the tip"
-        self.joints, self.parameters = family.joints, family.parameters
+        self.joints, self.parameters, self.branches = family.joints, family.parameters, family.branches
 
     def half_branches(self, target: Frame, given: list[Scalar], eps: float, signs: Signs = ALL) -> list[HalfBranch]:
         return [half.from_tip(self.joints) for half in self.family.half_branches(target.inverse(), given, eps, signs)]
@@ -105,6 +107,22 @@ class Solver(NamedTuple):
         return given
 
 
+class AnySix:
+    """Six joints that are of no family, by paths of complex solutions: sixteen postures at most."""
+
+    name = "any six joints"
+    joints, parameters, branches = 6, 0, 16
+
+    def __init__(self, axes: Axes):
+        self.arm = general_arm(axes)
+
+    def half_branches(self, target: Frame, given: list[Scalar], eps: float, signs: Signs = ALL) -> list[HalfBranch]:
+        dtype = jnp.result_type(*target.rotation.entries)
+        q, margin, _ = general_solutions(self.arm, stack(target.entries, (4, 4), dtype))
+        both = lambda k: [(tuple(q[i, j] for j in range(6)), margin[i]) for i in (k, k + 1)]
+        return [HalfBranch({}, jnp.maximum(margin[k], margin[k + 1]), functools.partial(both, k)) for k in range(0, 16, 2)]
+
+
 Maker = Callable[[], Any]
 
 
@@ -148,8 +166,8 @@ def _found(chain: Chain) -> tuple[Solver | None, str]:
         return best, ""
     if chain.num_joints < 6:
         return None, f"it has {chain.num_joints} joints, and six revolute ones are needed"
-    why = [f"of joints {first + 1} to {first + size}: " + "; ".join(each) for size, first, each in reasons if size == 6]
-    return None, "no six neighbouring joints are of a family that has one; " + ". ".join(why)
+    why = [f"of joints {first + 1} to {first + size} " + "; ".join(each) for size, first, each in reasons if size == 6]
+    return None, f"no six neighbouring joints are of a family ({TOLERANCE:g} allowed): " + ". ".join(why)
 
 
 def closed_form_obstacle(chain: Chain) -> str:
@@ -178,6 +196,23 @@ def solver_of(chain: Chain) -> Solver:
     return solver
 
 
+def any_solver_of(chain: Chain) -> Solver:
+    """The chain's closed form, or what finds all postures of the last six neighbouring revolute joints without one. Raises
+    `ValueError` with the reason where there are no such joints."""
+    if closed_form_obstacle(chain) and (solver := _without_family(chain)):
+        return solver
+    return solver_of(chain)
+
+
+@functools.lru_cache(maxsize=64)
+def _without_family(chain: Chain) -> Solver | None:
+    for first in range(chain.num_joints - 6, -1, -1):
+        part = chain.part(first, first + 6)
+        if chain.concrete and not any(part.is_prismatic):
+            return Solver(chain, first, AnySix(Axes.of(part)), 0.0)
+    return None
+
+
 class Redundancy(NamedTuple):
     """What a chain's closed form is given: the joints that are left over, before and after those that it solves, and the arm
     angle where it solves seven.
@@ -195,9 +230,9 @@ class Redundancy(NamedTuple):
 def redundancy(chain: Chain) -> Redundancy:
     """What `closed_form(chain, pose, slide)` takes as `slide`, in this order. Host driver.
 
-    Raises `ValueError` with the reason where the chain has no closed form.
+    Raises `ValueError` with the reason where the chain has no six neighbouring revolute joints.
     """
-    solver = solver_of(chain)
+    solver = any_solver_of(chain)
     names = [chain.joint_names[i] for i in solver.given_joints]
     names[solver.first : solver.first] = [solver.family.name] * solver.family.parameters
     return Redundancy(solver.family.name, tuple(names), *solver.limits())

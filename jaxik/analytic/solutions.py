@@ -9,7 +9,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Bool, Float
 
-from jaxik.analytic.families import solver_of
+from jaxik.analytic.families import any_solver_of, solver_of
 from jaxik.robot.chain import Array, Chain, as_numbers
 from jaxik.robot.joint_turns import into_limits
 from jaxik.spatial.algebra import stack
@@ -21,15 +21,16 @@ BRANCHES = 8
 
 
 class ClosedForm(NamedTuple):
-    """All eight solutions; always finite where the pose is. Of a spherical wrist branch `4 shoulder + 2 elbow + wrist`.
+    """All m = 8 solutions, 16 of joints that are of no family; always finite where the pose is. Of a spherical wrist branch
+    `4 shoulder + 2 elbow + wrist`.
 
     `valid` says that the branch has the pose; `within_limits` that it also has a turn of 2 pi for each joint inside its
     limits. `q` holds the admissible turn nearest to the middle of each joint's range (`admissible_turns` lists all).
     """
 
-    q: Float[Array, "8 n"]
-    valid: Bool[Array, "8"]
-    within_limits: Bool[Array, "8"]
+    q: Float[Array, "m n"]
+    valid: Bool[Array, " m"]
+    within_limits: Bool[Array, " m"]
 
 
 @kernel(models=1)
@@ -39,11 +40,12 @@ def closed_form(chain: Chain, pose: Float[Array, "4 4"], slide: Float[Array, "..
     `slide` has shape () for one value, (k,) for k, and is left out for none: the joints before the six that are solved and
     those after them, in the chain's order, and the arm angle where an arm is solved over it (`redundancy`). Differentiable in
     both. Source: Van Henten et al. 2010, App. B, derived again for every arm with a spherical wrist; Elias and Wen 2022;
-    Shimizu et al. 2008.
+    Shimizu et al. 2008. Six joints that are of no family (see `closed_form_obstacle`) have all their postures, too, found along
+    paths of complex ones in some thousand times the time (`general_solutions`); give float64.
 
-    Raises `ValueError` with the reason where the chain is of no family (see `closed_form_obstacle`) or a shape is wrong.
+    Raises `ValueError` with the reason where no six neighbouring joints are revolute, or a shape is wrong.
     """
-    solver = solver_of(chain)
+    solver = any_solver_of(chain)
     left_over = len(solver.limits()[0])
     pose = as_numbers("pose", pose)
     given = jnp.zeros(0, pose.dtype) if slide is None else jnp.atleast_1d(as_numbers("slide", slide))
@@ -53,8 +55,8 @@ def closed_form(chain: Chain, pose: Float[Array, "4 4"], slide: Float[Array, "..
     pose, given = pose.astype(dtype), given.astype(dtype)
     found = [each for half in solver.half_branches(pose, given) for each in half.finish()]
     all_joints = [x for angles, _ in found for x in solver.joints(given, angles)]
-    q, inside = into_limits(chain, stack(all_joints, (BRANCHES, chain.num_joints), dtype))
-    valid = stack([margin for _, margin in found], (BRANCHES,), dtype) >= 0.0  # NaN is not
+    q, inside = into_limits(chain, stack(all_joints, (solver.family.branches, chain.num_joints), dtype))
+    valid = stack([margin for _, margin in found], (len(found),), dtype) >= 0.0  # NaN is not
     return ClosedForm(q, valid, valid & inside)
 
 
@@ -88,7 +90,7 @@ def given_values(chain: Chain, q: Any) -> np.ndarray:
 
 @host_kernels(1, known=16)
 def _given_values(chain: Chain, q: Any) -> Any:
-    values = solver_of(chain).values(q)
+    values = any_solver_of(chain).values(q)
     return stack(values, (len(values),), q.dtype)
 
 

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from typing import Any
 
-from jaxik.analytic.axes import Axes
+from jaxik.analytic.axes import TOLERANCE, Axes
 from jaxik.analytic.half_branches import HalfBranch
 from jaxik.analytic.orienting import Orienting
 from jaxik.analytic.positioning import obstacle, positioning
@@ -21,12 +21,13 @@ class SphericalWrist:
     """Axes 4, 5, 6 of six meet; the last joint stands at `rest` [rad] where axes 4 and 6 are in line."""
 
     name = "spherical wrist"
-    joints, parameters = 6, 0
+    joints, parameters, branches = 6, 0, 8
 
     @staticmethod
     def obstacle(axes: Axes) -> str:
         if not axes.meet(3, 4, 5):
-            return "its last three axes do not meet" if axes.miss(3, 4, 5) > 1e-7 else "axes of its wrist are parallel"
+            miss = axes.miss(3, 4, 5)
+            return f"its last three axes miss a point by {miss:.2g} m" if miss > TOLERANCE else "axes of its wrist are parallel"
         return obstacle(axes, axes.point(3, 4, 5))
 
     def __init__(self, axes: Axes, rest: float):

@@ -91,13 +91,13 @@ class ThreeParallel:
     """
 
     name = "three parallel axes"
-    joints, parameters = 6, 0
+    joints, parameters, branches = 6, 0, 8
 
     @staticmethod
     def obstacle(axes: Axes, first: int) -> str:
         plane = range(first, first + 3)
         if not axes.parallel(*plane):
-            return f"its axes {first + 1} to {first + 3} are not parallel"
+            return f"its axes {first + 1} to {first + 3} are {axes.tilt(*plane):.2g} rad from parallel"
         for i, j in ((first + 2, first + 3), (0, 1)) if first else ((2, 3),):
             if not axes.clear(i, j):
                 return f"axes {first + 1} to {first + 3} have a fourth that is parallel"

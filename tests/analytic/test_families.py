@@ -3,10 +3,12 @@
 import numpy as np
 import pytest
 from arm import eaik_robot
+from panda import bare_urdf
 from random_arms import FAMILIES, frame, random_arm
 from robots import FOLDER, ROBOTS
 
 import jaxik
+from jaxik.analytic.families import scannable
 from jaxik.analytic.solutions import closed_forms, given_values
 from jaxik.robot.kinematics import joint_frames
 from jaxik.spmd.batch import in_blocks
@@ -86,6 +88,19 @@ def test_real_arms(name, given):
     poses = poses_of(chain, q)
     _, valid, error = solved(chain, poses, given_values(chain, q))
     assert valid.any(axis=1).all() and error.max() <= EXACT
+
+
+def test_joints_of_no_family_have_all_their_postures_too():
+    """xArm7, whose file rounds right angles to 1.5708: by paths, with its first joint given."""
+    file, tip = FOLDER / "xarm_description/urdf/xarm7.urdf", "link_eef"
+    chain = jaxik.load(bare_urdf(file, tip), tip=tip)
+    assert "5.4e-07 m" in jaxik.analytic.closed_form_obstacle(chain) and not scannable(chain)
+    assert jaxik.analytic.redundancy(chain).names == ("joint1",)
+    q = np.random.default_rng(3).uniform(-2.0, 2.0, (20, 7))
+    poses = poses_of(chain, q)
+    found, valid, error = solved(chain, poses, given_values(chain, q))
+    assert found.shape == (20, 16, 7) and error.max() <= EXACT
+    assert np.where(valid, apart(found, q[:, None]), np.inf).min(axis=1).max() <= 1e-8
 
 
 def test_what_has_no_family_says_why():
