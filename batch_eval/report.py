@@ -19,6 +19,7 @@ from tables_motions import (
 from tables_postures import (
     base_markdown,
     closed_forms_markdown,
+    general_markdown,
     ik_markdown,
     kinematics_markdown,
     narrow_markdown,
@@ -38,6 +39,7 @@ TABLES = {
     "collision_models.json": model_markdown,
     "collision_scaling.json": scaling_markdown,
     "dynamics_benchmark.json": dynamics_markdown,
+    "general_arms.json": general_markdown,
     "harvest_motions.json": harvest_motions_markdown,
     "identification.json": identification_markdown,
     "ik_benchmark.json": ik_markdown,

@@ -130,6 +130,34 @@ def narrow_markdown(result: dict[str, Any]) -> str:
     return "\n".join(lines)
 
 
+def general_markdown(result: dict[str, Any]) -> str:
+    """A row for each kind of arm and of target, and a line on times."""
+    lines = ["| arms of six joints | arms | targets | postures | found by multistart | of these lost | false |"]
+    lines.append("| --- | --- | --- | --- | --- | --- | --- |")
+    for name, each in result["arms"].items():
+        for kind, row in each["targets"].items():
+            counts = [row[what] for what in ("targets", "postures", "multistart", "lost", "false")]
+            lines.append(f"| {name}; {kind} | {each['arms']:,} | " + " | ".join(f"{x:,}" for x in counts) + " |")
+    numbers: dict[int, int] = {}
+    for each in result["arms"].values():
+        for number, arms in each["solutions_of_a_line"].items():
+            numbers[int(number)] = numbers.get(int(number), 0) + arms
+    arms = ", ".join(f"{numbers[number]:,} with {number}" for number in sorted(numbers, reverse=True))
+    unsure = sum(row["incomplete"] for each in result["arms"].values() for row in each["targets"].values())
+    worst = max(each["worst_round_trip"] for each in result["arms"].values())
+    once = duration(1e6 * max(each["once_for_an_arm_cpu_s"] for each in result["arms"].values()))
+    lines += [
+        "",
+        f"Solutions in complex angles: {arms}. The worst round trip is {worst:.0e} m or rad.",
+        f"Of {unsure} targets it says itself that it may not have all (`complete`).",
+        f"All postures of a target take {duration(result['us_each_of_4096'])} of one core in a batch and "
+        f"{duration(result['us_of_one'])} alone, an arm {once} once.",
+        f"The first call of a process takes {result['first_call_cpu_s']:.1f} s for any arm, with its kernels on disk "
+        f"{result['second_process_cpu_s']:.1f} s.",
+    ]
+    return "\n".join(lines)
+
+
 def sweep_markdown(result: dict[str, Any]) -> str:
     """A row for each kind of sweep, and lines on its scaling and its kills."""
     lines = ["| sweep | targets | targets/s | false negatives, in 95 % at most |", "| --- | --- | --- | --- |"]
