@@ -18,7 +18,7 @@ import jax.numpy as jnp
 from jax import lax
 
 from jaxik.spatial.algebra import Rot3, Scalar, Vec3, add, atan2, constants, mul, safe_sqrt, sub
-from jaxik.spatial.ball import Ball, minimum, where
+from jaxik.spatial.ball import Ball, Perhaps, minimum, where
 
 BOTH = (1.0, -1.0)  # signs of the two roots of an equation
 Signs = tuple[Sequence[Any], Sequence[Any]]  # of two equations, which may be traced
@@ -59,8 +59,8 @@ def vector_of(v: Any, eps: float) -> Vec3:
 
 
 def either(first: Any, one: Any, two: Any) -> Any:
-    """One of two trees of scalars."""
-    return jax.tree_util.tree_map(lambda a, b: where(first, a, b), one, two)
+    """One of two trees of scalars, and of what was compared."""
+    return jax.tree_util.tree_map(lambda a, b: where(first, a, b), one, two, is_leaf=lambda x: isinstance(x, Ball | Perhaps))
 
 
 # --------------------------------------------------------------------------------------------------------------------

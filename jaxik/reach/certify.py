@@ -1,6 +1,6 @@
 """What a grid of leading positions (of the slide) can have missed: found between its points, or proven not to be there.
 
-Certified two positions of the grid the closed form is evaluated on balls (`ball`): the slide anywhere in the cell. If then no
+Between two positions of the grid the closed form is evaluated on balls (`ball`): the slide anywhere in the cell. If then no
 branch can be inside the limits, the cell is empty, and that is a proof. What is left is halved, and so on; the middle of each
 cell is a position of its own, and where a branch is inside the limits there, the grid missed it. A target whose cells are all
 empty is out of reach for any position of the slide; one that has some left at the end stays open, and says so.
@@ -23,7 +23,7 @@ from jaxik.robot.joint_turns import TURN
 from jaxik.robot.kinematics import joint_frames
 from jaxik.robot.reach_bound import ReachBound, reach_bound
 from jaxik.spatial.algebra import Frame
-from jaxik.spatial.ball import Ball, possible, whole
+from jaxik.spatial.ball import Ball, ball, possible, whole
 from jaxik.spmd import HostKernel
 from jaxik.spmd.batch import in_blocks
 from jaxik.spmd.host import host_kernels
@@ -154,13 +154,14 @@ def _enclosed(chain: Chain, pose: Any, centre: Any, signs: Any, half: Any) -> tu
     return may | may_two, jnp.where(one, 0, jnp.where(two, 1, -1))
 
 
-def _inside(solver: Solver, angles: Any, margin: Ball) -> tuple[Any, Any]:
+def _inside(solver: Solver, angles: Any, margin: Any) -> tuple[Any, Any]:
     """Whether the solved joints, at these balls of angles, can be inside their limits, and whether they are in the middle."""
     low, high = (x[solver.solved] for x in finite_limits(solver.chain))
     middle, reach_ = (low + high) / 2.0, (high - low) / 2.0
+    margin = ball(margin)  # what no given joint moves is a number
     may, is_ = possible(margin >= -SLACK), margin.mid >= 0.0
     for i in np.flatnonzero(solver.chain.is_limited[solver.solved]):
-        away = angles[i] - middle[i]
+        away = ball(angles[i]) - middle[i]
         away = abs(away - whole(away * (1.0 / TURN)) * TURN)
         may &= possible(away <= reach_[i] + SLACK)
         is_ &= away.mid <= reach_[i]

@@ -75,10 +75,12 @@ class Ball:
         return Ball(root, jnp.maximum(high - root, root - low))
 
     def __le__(self, other: Any) -> Perhaps:
-        return Perhaps(self.high <= other, ~(self.low > other), self.mid <= other)
+        o = ball(other)
+        return Perhaps(self.high <= o.low, ~(self.low > o.high), self.mid <= o.mid)
 
     def __ge__(self, other: Any) -> Perhaps:
-        return Perhaps(self.low >= other, ~(self.high < other), self.mid >= other)
+        o = ball(other)
+        return Perhaps(self.low >= o.high, ~(self.high < o.low), self.mid >= o.mid)
 
 
 @dataclasses.dataclass(frozen=True)
@@ -95,6 +97,11 @@ def possible(condition: Any) -> Any:
     return condition.any if isinstance(condition, Perhaps) else condition
 
 
+def perhaps(x: Any) -> Perhaps:
+    """What is true or not as what may be."""
+    return x if isinstance(x, Perhaps) else Perhaps(x, x, x)
+
+
 def ball(x: Any) -> Ball:
     """A number as a ball of radius 0."""
     return x if isinstance(x, Ball) else Ball(x, 0.0)
@@ -104,6 +111,10 @@ def where(condition: Any, a: Any, b: Any) -> Any:
     """`a` where the condition is true, else `b`; both where it is so of some numbers only."""
     if not any(isinstance(x, Ball | Perhaps) for x in (condition, a, b)):
         return jnp.where(condition, a, b)
+    if isinstance(a, Perhaps) or isinstance(b, Perhaps):
+        c, a, b = perhaps(condition), perhaps(a), perhaps(b)
+        every = (~c.any | a.all) & (c.all | b.all)
+        return Perhaps(every, (c.any & a.any) | (~c.all & b.any), jnp.where(c.mid, a.mid, b.mid))
     a, b = ball(a), ball(b)
     if not isinstance(condition, Perhaps):
         return Ball(jnp.where(condition, a.mid, b.mid), jnp.where(condition, a.rad, b.rad))
