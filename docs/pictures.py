@@ -232,7 +232,7 @@ def _cells(axis: Any, chain: jaxik.Chain, pose: np.ndarray, slides: int, depth: 
         for low, high in cells:
             lower, upper = np.array(chain.lower), np.array(chain.upper)
             lower[0], upper[0] = low, high
-            here = certify.between(dataclasses.replace(chain, lower=lower, upper=upper), pose[None], 2, 0)
+            here = certify.certify(dataclasses.replace(chain, lower=lower, upper=upper), pose[None], 2, 0)
             kind = "found in its middle" if here.branch[0] >= 0 else "still possible" if here.open[0] else "proven empty"
             colour = {"found in its middle": GREEN, "still possible": ORANGE, "proven empty": PALE}[kind]
             label = None if kind in shown else kind

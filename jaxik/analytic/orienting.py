@@ -19,7 +19,7 @@ import numpy as np
 from jaxik.analytic.turns import Turn
 from jaxik.robot.joint_turns import wrapped
 from jaxik.spatial.algebra import Rot3, Scalar, Vec3, add, atan2, constants, mul, safe_sqrt, sub
-from jaxik.spatial.ball import minimum, where
+from jaxik.spatial.ball import Ball, capped, minimum, unit, where
 
 
 class Oriented(NamedTuple):
@@ -57,6 +57,9 @@ class Orienting:
         large = (1.0 + abs(third.z)) / 2.0
         small = flat / (4.0 * large)
         sin2, cos2 = where(near, small, large), where(near, large, small)
+        if isinstance(third.z, Ball):  # each is (1 -+ z) / 2, which may bound more closely
+            away = 0.5 * (third.z - third.z.mid)
+            sin2, cos2 = sin2.narrowed(sin2.mid - away), cos2.narrowed(cos2.mid + away)
         scale = 1.0 / (math.sin(self.alpha) * math.sin(self.beta))
         ends = [math.sin((self.alpha - self.beta) / 2) ** 2, math.cos((self.alpha + self.beta) / 2) ** 2]
         closest, farthest = constants(ends, eps)
@@ -75,7 +78,7 @@ class Orienting:
         found = []
         for sign in (1.0,) if right_angled else (1.0, -1.0):
             s = sine * sign
-            sin5, cos5 = sub(mul(s, c0), mul(cosine, s0)), add(mul(cosine, c0), mul(s, s0))
+            sin5, cos5 = capped(sub(mul(s, c0), mul(cosine, s0))), capped(add(mul(cosine, c0), mul(s, s0)))
             back = Rot3.about(Vec3(sa, 0.0, ca), sin5, cos5).T
             # the first joint turns h_3, as the second leaves it, to its azimuth; in line it turns `across` instead
             wx, wy = sub(mul(cb, sa), mul(mul(sb, ca), cosine)), mul(-sb, s)
@@ -83,9 +86,9 @@ class Orienting:
             sin4 = where(singular, sub(mul(aim.y, forward.x), mul(aim.x, forward.y)), sub(mul(third.y, wx), mul(third.x, wy)))
             cos4 = where(singular, add(mul(aim.x, forward.x), mul(aim.y, forward.y)), add(mul(third.x, wx), mul(third.y, wy)))
             length = where(singular, 1.0, inverse)
-            s4, c4 = sin4 * length, cos4 * length
+            s4, c4 = unit(sin4, cos4) if isinstance(flat, Ball) else (sin4 * length, cos4 * length)
             left = back @ Vec3(across.x * c4 + across.y * s4, across.y * c4 - across.x * s4, across.z)
-            sin6, cos6 = e2.dot(left), e1.dot(left)
+            sin6, cos6 = capped(e2.dot(left)), capped(e1.dot(left))
             q6 = where(singular, self.rest, atan2(sin6, cos6))
             q5 = wrapped(sign * angle - self.zero)
             last = Turn(where(singular, math.sin(self.rest), sin6), where(singular, math.cos(self.rest), cos6))

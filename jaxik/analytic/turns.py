@@ -18,7 +18,7 @@ import jax.numpy as jnp
 from jax import lax
 
 from jaxik.spatial.algebra import Rot3, Scalar, Vec3, add, atan2, constants, mul, safe_sqrt, sub
-from jaxik.spatial.ball import Ball, Perhaps, minimum, where
+from jaxik.spatial.ball import Ball, Perhaps, capped, minimum, unit, where
 
 BOTH = (1.0, -1.0)  # signs of the two roots of an equation
 Signs = tuple[Sequence[Any], Sequence[Any]]  # of two equations, which may be traced
@@ -79,7 +79,8 @@ def cosine_equation(a: Scalar, b: Scalar, c: Scalar, eps: float, signs: Any = BO
     found = []
     for sign in signs:
         side = root * sign
-        found.append(Turn((c * b + a * side) * inverse, where(any_turn, 1.0, (c * a - b * side) * inverse)))
+        sin, cos = (c * b + a * side) * inverse, where(any_turn, 1.0, (c * a - b * side) * inverse)
+        found.append(Turn(capped(sin), capped(cos)))
     return found, margin
 
 
@@ -267,6 +268,8 @@ def _polished(turn: Turn, k: Scalar, b1: Scalar, b2: Scalar, p: Scalar, r: Scala
 
 def _unit(sin: Scalar, cos: Scalar) -> Turn:
     """Of a vector, which has any length; 0 of none."""
+    if isinstance(sin, Ball) or isinstance(cos, Ball):
+        return Turn(*unit(sin, cos))
     square = sin * sin + cos * cos
     none = square <= 0.0
     inverse = where(none, 0.0, 1.0 / safe_sqrt(where(none, 1.0, square)))

@@ -17,7 +17,7 @@ import numpy as np
 
 from jaxik.analytic.families import Solver, solver_of
 from jaxik.checks.options import as_count
-from jaxik.reach.leading_joints import arm_of, grid, may_be_inside
+from jaxik.reach.leading_joints import arm_of, grid, may_be_inside, whole_turns
 from jaxik.robot.chain import Chain, finite_limits
 from jaxik.robot.joint_turns import TURN
 from jaxik.robot.kinematics import joint_frames
@@ -104,9 +104,9 @@ _BEYOND = HostKernel(_beyond, 1)
 def _cells(chain: Chain, slides: int) -> tuple[np.ndarray, np.ndarray]:
     """The middles (m, k) of the cells between the grid's positions, and half their edges (k,)."""
     low, high = solver_of(chain).limits()
-    count = max(slides - 1, 1)
+    count = np.maximum(np.where(whole_turns(chain), slides, slides - 1), 1)
     half = (high - low) / (2.0 * count)
-    axes = [a + h * (2.0 * np.arange(count) + 1.0) for a, h in zip(low, half, strict=True)]
+    axes = [a + h * (2.0 * np.arange(n) + 1.0) for a, h, n in zip(low, half, count, strict=True)]
     return grid(axes), half
 
 
@@ -139,7 +139,7 @@ def _spheres(chain: Chain, slides: int) -> tuple[ReachBound, np.ndarray, np.ndar
 def _reaches(chain: Chain, pose: Any, centre: Any, half: Any) -> Any:
     """Compiled, by rows: which of the ways (4,) of joints 1 to 3 can be inside the limits anywhere in a cell. Most cannot, and
     what is left costs four times as much to look at."""
-    ways = solver_of(chain).half_branches(pose, [Ball(c, h) for c, h in zip(centre, half, strict=True)])
+    ways = solver_of(chain).half_branches(pose, Ball.inputs(centre, half))
     return jnp.stack([possible(way.margin >= -SLACK) & may_be_inside(chain, way.turns, SLACK) for way in ways])
 
 
@@ -147,9 +147,9 @@ def _reaches(chain: Chain, pose: Any, centre: Any, half: Any) -> Any:
 def _enclosed(chain: Chain, pose: Any, centre: Any, signs: Any, half: Any) -> tuple[Any, Any]:
     """Compiled, by rows, for the way of joints 1 to 3 that has these signs: whether one of its two branches can be inside the
     limits anywhere in a cell, and the first that is in its middle, or -1."""
-    leading = [Ball(c, h) for c, h in zip(centre, half, strict=True)]
+    leading = Ball.inputs(centre, half)
     solver = solver_of(chain)
-    (way,) = solver.half_branches(pose, leading, (signs[:1], signs[1:]))
+    (way,) = solver.half_branches(pose, leading, ((signs[0],), (signs[1],)))
     (may, one), (may_two, two) = (_inside(solver, *branch) for branch in way.finish())
     return may | may_two, jnp.where(one, 0, jnp.where(two, 1, -1))
 

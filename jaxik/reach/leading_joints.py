@@ -31,14 +31,24 @@ NEARLY = 1e-3  # of a cosine, by which what is not looked at closely may be past
 
 
 def leading_grid(chain: Chain, slides: Any) -> np.ndarray:
-    """Values (m, k) of the k leading joints: as given (of one joint (m,) too), or a grid over their ranges, a count each; one
-    empty row for k = 0. Raises `ValueError` for what is neither a count nor such values, and where there is no closed form."""
+    """Values (m, k) of the k leading joints: as given (of one joint (m,) too), or a grid over their ranges, a count each, of
+    which a whole turn has one end only; one empty row for k = 0. Raises `ValueError` for what is neither a count nor such
+    values, and where there is no closed form."""
     low, high = solver_of(chain).limits()
-    k = len(low)
+    k, around = len(low), whole_turns(chain)
     slides = as_count_or_values("slides", slides, (-1, k))
     if isinstance(slides, np.ndarray):
         return slides
-    return grid([np.linspace(a, b, slides) for a, b in zip(low, high, strict=True)])
+    return grid([np.linspace(a, b, slides, endpoint=not turn) for a, b, turn in zip(low, high, around, strict=True)])
+
+
+def whole_turns(chain: Chain) -> np.ndarray:
+    """Which of the leading values (k,) have a whole turn as their range, both ends of which are one posture."""
+    solver = solver_of(chain)
+    low, high = solver.limits()
+    turning = np.array([not chain.is_prismatic[i] for i in solver.given_joints], bool)
+    turning = np.insert(turning, solver.first, [True] * solver.family.parameters)
+    return turning & (np.abs(high - low - TURN) <= 1e-9)
 
 
 def grid(axes: list[np.ndarray]) -> np.ndarray:

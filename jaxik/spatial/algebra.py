@@ -21,7 +21,7 @@ import jax.numpy as jnp
 import numpy as np
 from jax import lax
 
-from jaxik.spatial.ball import Ball, direction
+from jaxik.spatial.ball import Ball, direction, waves
 from jaxik.spmd import elementary
 
 Scalar = Any  # float | jax.Array of shape () | np.ndarray | Ball
@@ -243,8 +243,7 @@ def sincos(x: Scalar) -> tuple[Scalar, Scalar]:
     if isinstance(x, np.ndarray):
         return np.sin(x), np.cos(x)
     if isinstance(x, Ball):
-        sine, cosine = _sincos(x.mid)
-        return Ball(sine, x.rad), Ball(cosine, x.rad)
+        return waves(x, *_sincos(x.mid))
     return _sincos(x)
 
 

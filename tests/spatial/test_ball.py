@@ -4,6 +4,7 @@ The oracle is mpmath with 50 digits. Balls do not count rounding; what is used o
 tests: 64 units in the last place of the largest number on the way.
 """
 
+import math
 import operator
 
 import jax.numpy as jnp
@@ -14,7 +15,7 @@ from hypothesis import assume, example, given, settings
 from hypothesis import strategies as st
 
 from jaxik.spatial.algebra import atan2, safe_sqrt, sincos
-from jaxik.spatial.ball import Ball, minimum, possible, where, whole
+from jaxik.spatial.ball import Ball, minimum, possible, unit, where, whole
 
 mpmath.mp.dps = 50
 ROUNDING = 64 * np.finfo(np.float64).eps
@@ -157,22 +158,52 @@ def test_whole_turns_of_an_angle_are_the_same_for_all_in_it(a, offset):
 
 @given(
     st.lists(members(), min_size=4, max_size=4),
-    st.lists(st.sampled_from([*BINARY, "absolute", "twice"]), min_size=3, max_size=8),
+    st.lists(st.sampled_from([*BINARY, "absolute", "twice", "root"]), min_size=3, max_size=8),
     st.data(),
 )
 @many
 def test_programs(start, steps, data):
-    """Operations one after the other, as in the closed form: what one makes larger the next must count."""
-    stack = list(start)
+    """Operations one after the other, as in the closed form: what one makes larger the next must count. Two of the numbers are
+    inputs, whose slopes are known."""
+    mids, rads = zip(*((ball.mid, ball.rest) for ball, _ in start[:2]), strict=True)
+    stack = [(ball, x) for ball, (_, x) in zip(Ball.inputs(mids, rads), start, strict=False)] + start[2:]
     for step in steps:
         (a, x), (b, y) = (stack[data.draw(st.integers(0, len(stack) - 1))] for _ in range(2))
         with np.errstate(all="ignore"):
             if step == "/":
                 b, y = b * b + 1.0, y * y + 1
+            if step == "root":
+                a, x = a * a + 1.0, x * x + 1
             ours, exact = BINARY[step][:2] if step in BINARY else UNARY[step]
             stack.append((ours(a, b), exact(x, y)) if step in BINARY else (ours(a), exact(x)))
         assume(size(stack[-1][0]) < 1e9)
         assert holds(*stack[-1], 1e4 * max(size(b) for b, _ in stack))  # rounding, too, grows from step to step
+
+
+def angles(t):
+    """Of an input: its sine, and the direction of a point on a curve, by its angle, sine and cosine."""
+    y, x = 0.3 + t * t, t * 0.7 - 0.4
+    return [*sincos(t), *((atan2(y, x), *unit(y, x)) if isinstance(t, Ball) else curve(float(y), float(x)))]
+
+
+def curve(y, x):
+    return math.atan2(y, x), y / math.hypot(y, x), x / math.hypot(y, x)
+
+
+@pytest.mark.parametrize("mid", [-1.1, 0.0, 0.3, 2.0])
+def test_what_slopes_leave_grows_with_the_square_of_the_radius(mid):
+    """The ball holds all, by the plain numbers in it; of an input ten times as narrow a hundredth is left beside the slopes."""
+    rests = []
+    for rad in (1.0, 1e-1, 1e-2, 1e-3):
+        (t,) = Ball.inputs([jnp.float64(mid)], [rad])
+        found = angles(t)
+        for member in np.linspace(mid - rad, mid + rad, 41):
+            for ball, exact in zip(found, angles(float(member)), strict=True):
+                off = abs(exact - float(ball.mid))
+                assert min(off, abs(off - 2.0 * math.pi)) <= float(ball.rad) + ROUNDING
+        assert all(float(abs(b.mid) + b.rad) <= 2.0 + abs(b.mid) for b in found[3:])
+        rests.append([float(b.rest) for b in found])
+    assert np.all(np.array(rests[3]) <= 0.012 * np.array(rests[2]) + ROUNDING)
 
 
 def test_what_is_unbounded_excludes_nothing():
