@@ -33,6 +33,7 @@ FILES = {  # of example-robot-data: file, tip
     "Kinova j2s6s200": ("kinova_description/robots/kinova.urdf", "j2s6s200_end_effector"),
     "Z1": ("z1_description/urdf/z1.urdf", "link06"),
     "SO-100": ("so_arm_description/urdf/so100.urdf", "jaw"),
+    "xArm7": ("xarm_description/urdf/xarm7.urdf", "link_eef"),
     "Talos, left arm": ("talos_data/robots/talos_left_arm.urdf", "gripper_left_base_link"),
     "Talos, left leg": ("talos_data/robots/talos_full_v2.urdf", "left_sole_link"),
     "TIAGo": ("tiago_description/robots/tiago_no_hand.urdf", "wrist_ft_tool_link"),

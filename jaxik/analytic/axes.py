@@ -17,7 +17,7 @@ import numpy as np
 
 from jaxik.robot.chain import Chain
 
-TOLERANCE = 1e-7  # [m, rad] within which axes count as parallel, meeting or crossing
+TOLERANCE = 1e-5  # [m, rad] within which axes count as parallel or meeting: files round right angles to 1.5708
 CLEAR = 1e-3  # [rad] by which axes that must not be parallel are apart
 
 

@@ -10,6 +10,7 @@ import numpy as np
 from jaxtyping import Bool, Float
 
 from jaxik.analytic.families import any_solver_of, solver_of
+from jaxik.analytic.polishing import polished
 from jaxik.robot.chain import Array, Chain, as_numbers
 from jaxik.robot.joint_turns import into_limits
 from jaxik.spatial.algebra import stack
@@ -55,8 +56,10 @@ def closed_form(chain: Chain, pose: Float[Array, "4 4"], slide: Float[Array, "..
     pose, given = pose.astype(dtype), given.astype(dtype)
     found = [each for half in solver.half_branches(pose, given) for each in half.finish()]
     all_joints = [x for angles, _ in found for x in solver.joints(given, angles)]
-    q, inside = into_limits(chain, stack(all_joints, (solver.family.branches, chain.num_joints), dtype))
-    valid = stack([margin for _, margin in found], (len(found),), dtype) >= 0.0  # NaN is not
+    found_q = stack(all_joints, (solver.family.branches, chain.num_joints), dtype)
+    q, margins = polished(solver, pose, found_q, stack([margin for _, margin in found], (len(found),), dtype))
+    q, inside = into_limits(chain, q)
+    valid = margins >= 0.0  # NaN is not
     return ClosedForm(q, valid, valid & inside)
 
 
@@ -78,7 +81,8 @@ def one_branch(chain: Chain, pose: Any, given: Any, number: Any) -> tuple[Any, A
     (half,) = solver.half_branches(pose, given, ((sign(4),), (sign(2),)))
     branches = [(*angles, margin) for angles, margin in half.finish()]
     *angles, margin = (jnp.where(number & 1, two, one) for one, two in zip(*branches, strict=True))
-    q, inside = into_limits(chain, jnp.stack(solver.joints(given, angles)))
+    (q,), (margin,) = polished(solver, pose, jnp.stack(solver.joints(given, angles))[None], jnp.stack([margin]))
+    q, inside = into_limits(chain, q)
     return q, (margin >= 0.0) & inside
 
 

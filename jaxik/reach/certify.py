@@ -31,6 +31,7 @@ from jaxik.spmd.host import host_kernels
 PORTION = 8000  # targets whose cells stand in memory: their last, few cells fill a block
 COARSE = 9  # positions of each leading joint that are enough to tell what is far away
 SLACK = 1e-9  # more than float64 rounds by
+PROVEN = 1e-7  # [m, rad] by which an arm's axes may miss: nothing is proven of one that is only nearly of its family
 SIGNS = np.array(list(itertools.product((1.0, -1.0), repeat=2)))  # of a way's two equations
 
 
@@ -52,6 +53,8 @@ def certify(chain: Chain, poses: np.ndarray, slides: Any, depth: int) -> Certifi
         for start in range(0, len(poses), PORTION):
             part = slice(start, start + PORTION)
             _search(chain, poses[part], slides, depth, Certified(*(column[part] for column in found)))
+        if solver_of(chain).misfit > PROVEN:
+            found.open[found.branch < 0] = True
     return found
 
 

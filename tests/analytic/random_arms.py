@@ -24,6 +24,7 @@ FAMILIES = {  # which axes (from 0) meet in a point, which are parallel; and how
     "arm angle": ([(0, 1, 2), (4, 5, 6)], [], 7),
     "shoulder, last joint given": ([(0, 1, 2), (4, 5)], [], 7),
     "wrist, first joint given": ([(4, 5, 6), (1, 2)], [], 7),
+    "no family": ([], [], 7),
 }
 
 
