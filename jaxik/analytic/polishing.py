@@ -29,18 +29,9 @@ def polished(solver: Solver, pose: Any, q: Any, margins: Any) -> tuple[Any, Any]
         return q, margins
     aim = Frame.of_entries(traced(pose))
 
-    def branch(_: None, row: Any) -> tuple[None, Any]:
+    def branch(carry: None, row: Any) -> tuple[None, Any]:
         q, margin = row
-        for _ in range(STEPS):
-            columns, away = _look(solver, q, aim)
-            rows = [list(r) for r in zip(*columns, strict=True)]
-            squares = [
-                [dot(a, b) + (1e-12 if i == j else 0.0) for j, b in enumerate(rows[: i + 1])] for i, a in enumerate(rows)
-            ]
-            pull = definite_solve(squares, away, 1e-12)
-            step = jnp.stack([dot(each, pull) for each in columns])
-            step = jnp.where(jnp.max(jnp.abs(step)) < 0.1, step, 0.0)  # else it is next to a singularity
-            q = q + jnp.concatenate([jnp.zeros(solver.first, q.dtype), step, jnp.zeros(len(q) - solver.solved.stop, q.dtype)])
+        q = lax.fori_loop(0, STEPS, lambda _, q: q + _step(solver, q, aim), q)
         left = jnp.max(jnp.abs(jnp.stack(_look(solver, q, aim)[1])))
         return None, (q, jnp.where(left <= CLOSE, margin, -left))
 

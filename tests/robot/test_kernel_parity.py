@@ -71,6 +71,18 @@ def _errors(q, pose):
 ANGLES = lambda n: lambda u: (2.0 * u[:n],)
 MOVED = lambda u: (2.0 * u[:2], u[2:4], u[4:6])
 PAIR = lambda u: (2.0 * u[:2], u[2:4])
+AXES = np.array([[0.6, 0.0, 0.8], [0.0, -0.6, 0.8], [0.8, 0.6, 0.0]])
+MIX = np.random.default_rng(2).normal(size=(12, 8))  # vectors of a subproblem, of eight numbers
+MIXED = MIX[:, :1].reshape(2, 2, 3)
+
+
+def _turns(number, *given):
+    """Those that solve a subproblem: of the others there is no slope."""
+    dtype = jnp.result_type(*(x for x in given if isinstance(x, jax.Array)))
+    found = getattr(jaxik.analytic, f"subproblem_{number}")(*(jnp.asarray(x, dtype) for x in given))
+    return jnp.where(found.exact[:, None], found.angles, 0.0)
+
+
 FUNCTIONS = {
     "forward_kinematics": (lambda q: jaxik.forward_kinematics(ARM, q), ANGLES(4)),
     "forward_kinematics of traced links": (_longer, lambda u: (2.0 * u[:2], 0.1 * u[2:5])),
@@ -103,6 +115,12 @@ FUNCTIONS = {
         lambda pose, slide: jaxik.closed_form(GANTRY, pose, slide),
         lambda u: (jaxik.forward_kinematics.__wrapped__(GANTRY, 0.5 * u[:7]), 0.5 * u[0]),
     ),
+    "subproblem_1": (lambda *u: _turns(1, *u, AXES[0]), lambda u: (u[:3], u[3:6])),
+    "subproblem_2": (lambda *u: _turns(2, *u, *AXES[:2]), lambda u: (u[:3], u[3:6])),
+    "subproblem_3": (lambda p, q, d: _turns(3, p, q, AXES[0], d), lambda u: (u[:3], u[3:6], 1.0 + u[6])),
+    "subproblem_4": (lambda h, p, d: _turns(4, h, p, AXES[0], d), lambda u: (u[:3], u[3:6], 0.2 * u[6])),
+    "subproblem_5": (lambda p: _turns(5, p, AXES), lambda u: ((MIX @ u).reshape(4, 3),)),
+    "subproblem_6": (lambda p, d: _turns(6, MIXED, p, AXES[:2], d), lambda u: ((MIX @ u).reshape(2, 2, 3), 0.3 * u[:2])),
     "clearance": (lambda q: jaxik.clearance(PLANAR, SCENE, q), ANGLES(2)),
     "link_clearances of traced obstacles": (_moved, lambda u: (2.0 * u[:2], 0.1 * u[2:5])),
     "object_clearances": (lambda q: jaxik.collision.object_clearances(PLANAR, SCENE, q), ANGLES(2)),
