@@ -30,7 +30,7 @@ def goal(problem: Problem, cost: Cost | None = None) -> Goal:
 
 def pushed(problem: Problem, poses: np.ndarray, stuck: Found, count: int) -> Found:
     """The answers that a search for clearance makes of the best few colliding postures of each target."""
-    chosen = stuck.rows(far_apart(stuck, stuck.clearance, count))
+    chosen = stuck.rows(far_apart(problem, stuck, stuck.clearance, count))
     if not len(chosen.q):
         return chosen
     program = batch(2, land, problem.chain, goal(problem), PUSHES, problem.options.avoid)
@@ -49,7 +49,7 @@ def hopped(problem: Problem, poses: np.ndarray, stuck: Found, count: int) -> Fou
     """The answers on other branches than colliding postures: from these, with one joint mirrored or turned by half."""
     answers, reached = [nothing(problem)], stuck
     for _ in range(HOPS):
-        chosen = reached.rows(far_apart(reached, reached.clearance, count))
+        chosen = reached.rows(far_apart(problem, reached, reached.clearance, count))
         q, one = chosen.q[:, None], np.eye(chosen.q.shape[1])
         half = np.where(problem.chain.is_prismatic, 0.0, np.copysign(np.pi, q))
         start = q - np.concatenate([2.0 * q * one, half * one], axis=1)
@@ -69,7 +69,7 @@ def improved(problem: Problem, poses: np.ndarray, found: Found) -> Found:
         return found
     found = _cheaper_turns(problem, found)
     if problem.options.choice == "first":
-        found = found.rows(far_apart(found, -costs(problem, found.q), max(IMPROVED, problem.options.solutions)))
+        found = found.rows(far_apart(problem, found, -costs(problem, found.q), max(IMPROVED, problem.most)))
     iterations = problem.options.cost_iterations
     program = batch(2, land, problem.chain, goal(problem, problem.options.cost), iterations, problem.options.improve)
     around = () if problem.scene is None else ((problem.scene, problem.options.margin + IMPROVE_MARGIN),)

@@ -23,11 +23,13 @@ from typing import NamedTuple
 
 import numpy as np
 
+from jaxik.analytic.solutions import BRANCHES
 from jaxik.ik import seeds
+from jaxik.ik.enumeration import enumerable, enumerated
 from jaxik.ik.improvement import PUSHED, hopped, improved, is_fixed, pushed
 from jaxik.ik.problem import Problem
-from jaxik.ik.refinement import EARLY, OPEN, PORTION, SOLVED, STEPS, Misses, compile_finisher, rescued, searched, settling
-from jaxik.ik.solutions import Found, at_home, candidates, judged, nothing, within
+from jaxik.ik.refinement import EARLY, OPEN, SOLVED, STEPS, Misses, compile_finisher, rescued, searched, settling
+from jaxik.ik.solutions import Found, at_home, candidates, judged, nothing, portions, within
 from jaxik.reasons import Reason
 from jaxik.robot.reach_bound import reach_bound
 
@@ -75,11 +77,16 @@ def search(problem: Problem, poses: np.ndarray, valid: np.ndarray) -> Outcome:
         stuck = Found.joined(blocked)
         return stuck.rows(reason[stuck.target] == OPEN)
 
-    compile_finisher(settling(problem), problem.chain.num_joints)
+    asked = problem
+    if enumerable(problem):
+        note(enumerated(problem, poses, np.flatnonzero(reason == OPEN)))
+        problem = _of_the_rest(problem)
+    if OPEN in reason:
+        compile_finisher(settling(problem), problem.chain.num_joints)
     waves = _waves(problem.options.max_seeds, problem.first_will_do, problem.scene is not None)
     while waves and len(left := np.flatnonzero(reason == OPEN)):
         wave, waves = _joined_waves(waves, len(left))
-        for some in _portions(left, wave.size):
+        for some in portions(left, wave.size):
             note(*_search_wave(problem, poses, some, wave, misses))
         if wave.rescues and OPEN in reason:  # what is left by now is near a singularity, or unreachable
             note(*rescued(problem, poses, misses.near(reason)))
@@ -92,6 +99,7 @@ def search(problem: Problem, poses: np.ndarray, valid: np.ndarray) -> Outcome:
         landed = within(missed, problem.tolerance)
         note(*judged(problem, missed.rows(landed)))  # late, but they have the pose
         missed = missed.rows(~landed)
+    problem = asked
     found = at_home(problem, Found.joined(answers))
     if problem.options.cost is not None:
         found = improved(problem, poses, found)
@@ -101,6 +109,21 @@ def search(problem: Problem, poses: np.ndarray, valid: np.ndarray) -> Outcome:
     reason[stuck.target] = Reason.COLLISION
     reason = _beyond_limits(problem, poses, reason)
     return Outcome(reason, found, at_home(problem, stuck), at_home(problem, missed))
+
+
+def _of_the_rest(problem: Problem) -> Problem:
+    """How what the closed form's branches do not answer is searched for: of six joints, whose branches are all, from these put
+    inside the limits, as there may be an answer within the tolerances, or joints that turn against each other where they are in
+    line; of others as if there were none."""
+    if problem.chain.num_joints > 6 or not _is_exact(problem):
+        return problem
+    few = min(BRANCHES, problem.options.max_seeds)
+    return dataclasses.replace(problem, options=dataclasses.replace(problem.options, choice="first", max_seeds=few))
+
+
+def _is_exact(problem: Problem) -> bool:
+    """Whether what has no exact solution has none within the tolerances."""
+    return bool(max(np.max(problem.options.position_tolerance), np.max(problem.options.rotation_tolerance)) <= EXACT)
 
 
 def _out_of_reach(problem: Problem, poses: np.ndarray) -> np.ndarray:
@@ -142,12 +165,6 @@ def _joined_waves(waves: tuple[Wave, ...], targets: int) -> tuple[Wave, tuple[Wa
     return waves[number - 1]._replace(first=first), waves[number:]
 
 
-def _portions(rows: np.ndarray, each: int) -> list[np.ndarray]:
-    """The rows in portions of at most `PORTION` lanes, `each` a row."""
-    size = max(1, PORTION // each)
-    return [rows[i : i + size] for i in range(0, len(rows), size)]
-
-
 def _search_wave(problem: Problem, poses: np.ndarray, some: np.ndarray, wave: Wave, misses: Misses) -> tuple[Found, Found]:
     """Searches `some` targets from the wave's seeds: the answers, and postures that have the pose and collide."""
     target, number = np.repeat(some, wave.size), np.tile(np.arange(wave.first, wave.last), len(some))
@@ -184,9 +201,8 @@ def _beyond_limits(problem: Problem, poses: np.ndarray, reason: np.ndarray) -> n
     left = np.flatnonzero(reason == OPEN)
     if not len(left):
         return reason
-    options = problem.options
-    exact = max(np.max(options.position_tolerance), np.max(options.rotation_tolerance)) <= EXACT
-    if problem.chain.num_joints == 6 and problem.strategy == "closed_form" and not options.locked and exact:
+    six = problem.chain.num_joints == 6 and problem.strategy == "closed_form"
+    if six and not problem.options.locked and _is_exact(problem):
         reason[left] = np.where(seeds.any_branch(problem.chain, poses[left]), Reason.LIMITS, Reason.OUT_OF_REACH)
         return reason
     held = problem.low == problem.high  # what is locked stays so
@@ -195,7 +211,7 @@ def _beyond_limits(problem: Problem, poses: np.ndarray, reason: np.ndarray) -> n
     inside = seeds.Range(*(tuple(bound.tolist()) for bound in up_to(np.pi)))
     options = dataclasses.replace(problem.options, choice="first", solutions=1, cost=None)
     free = dataclasses.replace(problem, scene=None, low=low, high=high, inside=inside, options=options)
-    for some in _portions(left, UNLIMITED):
+    for some in portions(left, UNLIMITED):
         found, _ = _search_wave(free, poses, some, Wave(0, UNLIMITED, STEPS, False, 0), Misses(problem))
         reason[found.target] = Reason.LIMITS
     return reason

@@ -27,8 +27,10 @@ class IKOptions:
     task: which of the six components a target binds (`Task`).
     position_tolerance [m], rotation_tolerance [rad]: largest errors of an answer; one number, or one a target.
     margin: least clearance with a scene [m].
-    seeds: where searches start (`jaxik.ik.seeds`); "auto" is the closed form where the chain has one, else the library,
-        and for "closest" half of them around the reference, which is the first.
+    seeds: where searches start (`jaxik.ik.seeds`); "auto" is the closed form of six joints that have one, else the library,
+        and for "closest" half of them around the reference, which is the first. With "auto" and "closed_form" a pose without
+        scene and cost is answered by the closed form itself (`jaxik.ik.enumeration`), and only what that leaves is searched
+        for; its branch b at given values number k is the seed 8 k + b.
     max_seeds: seeds a target gets before it is given up.
     choice: which answer is taken: that of the "first" seed that leads to one, or with a `cost` the cheapest; or of all that
         `max_seeds` find the "closest" to `reference`, the one with the largest "clearance", "manipulability" or joint
@@ -38,7 +40,8 @@ class IKOptions:
         "freedom", the nearest to the middle of the ranges (of a joint without limits: to 0); "first", "clearance" and
         "manipulability" with a `cost`: the one that costs less, where a joint has both limits.
     norm: in which "closest" measures, "l2" or "linf", joints multiplied by `weights`.
-    solutions: so many different answers a target are returned, best first; turns by 2 pi count as different.
+    solutions: so many different answers a target are returned, best first, or "all" that were found; turns by 2 pi count as
+        different. Of six joints in closed form "all" is all that there are.
     distinct: answers nearer to each other than this in every joint are one [rad, m].
     locked: joints (by name) that stay at a value [rad, m].
     weights: (n,) how unwilling each joint is to move, 1 unless given.
@@ -59,7 +62,7 @@ class IKOptions:
     choice: str = "first"
     reference: Any = None
     norm: str = "l2"
-    solutions: int = 1
+    solutions: int | Literal["all"] = 1
     distinct: float = 0.05
     locked: Mapping[str, float] = dataclasses.field(default_factory=dict)
     weights: Any = None
@@ -75,8 +78,10 @@ class IKOptions:
     def __post_init__(self) -> None:
         check_choices("solve_ik", seeds=(self.seeds, seeds.Strategy), choice=(self.choice, Choice))
         check_choices("solve_ik", collision=(self.collision, Collision), norm=(self.norm, Norm))
-        for name in ("max_seeds", "solutions", "cost_iterations"):
-            object.__setattr__(self, name, as_count(f"solve_ik: {name}", getattr(self, name)))
+        for name, also in (("max_seeds", ""), ("cost_iterations", ""), ("solutions", ', or "all"')):
+            value = getattr(self, name)
+            if not (also and isinstance(value, str) and value == "all"):
+                object.__setattr__(self, name, as_count(f"solve_ik: {name}", value, also))
         check_finite("solve_ik", margin=self.margin)
         check_finite("solve_ik", 0.0, distinct=self.distinct, activation=self.activation, penalty=self.penalty)
         check_kind("solve_ik", "task", self.task, Task)

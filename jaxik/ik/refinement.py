@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from jaxik.ik.problem import Problem
-from jaxik.ik.solutions import Found, cleared, judged, nothing, top, within
+from jaxik.ik.solutions import PORTION, Found, cleared, judged, nothing, top, within
 from jaxik.ik.sqp_programs import batch, settle
 from jaxik.optimise import sqp
 from jaxik.reasons import Reason
@@ -22,7 +22,6 @@ ARRIVED = 2e-5  # [rad], [unit lengths]: steps in float32 lead no further
 LANDED = 2e-3  # from where a few steps in float64 reach 1e-9 nearly always
 FINISH = sqp.Options(floor=1e-10, cap=0.1)
 FINISHING = 4  # steps at most
-PORTION = 65_536  # lanes at a time, which bounds the memory
 KEPT, NEAR, RESCUE = 32, 0.05, 24  # so many misses, this near [rad, unit lengths], get so many more steps
 SOLVED, OPEN = int(Reason.SOLVED), int(Reason.NOT_CONVERGED)
 CREEP = 0.95  # of its error, at most, is left of a miss after two steps, or it is at rest; some return, so not among obstacles

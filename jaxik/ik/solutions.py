@@ -14,6 +14,7 @@ from jaxik.robot.joint_turns import TURN, nearest_turns
 from jaxik.spmd.batch import in_blocks
 
 APART = 0.2  # [rad, m] between these in some joint: nearer ones end at the same place
+PORTION = 65_536  # lanes at a time, which bounds the memory
 
 
 class Found(NamedTuple):
@@ -45,6 +46,12 @@ def within(found: Found, tolerance: np.ndarray) -> np.ndarray:
     """Whose errors are no more than their target's of the tolerances (N, 2)."""
     allowed = tolerance[found.target]
     return (found.position_error <= allowed[:, 0]) & (found.rotation_error <= allowed[:, 1])
+
+
+def portions(rows: np.ndarray, each: int) -> list[np.ndarray]:
+    """The rows in portions of at most `PORTION` lanes, `each` a row."""
+    size = max(1, PORTION // each)
+    return [rows[i : i + size] for i in range(0, len(rows), size)]
 
 
 def candidates(q: np.ndarray, target: np.ndarray, number: np.ndarray) -> Found:
@@ -96,14 +103,15 @@ def unwound(chain: Chain, q: np.ndarray) -> np.ndarray:
     return q - np.where(turns, np.round(q / TURN) * TURN, 0.0)
 
 
-def far_apart(found: Found, score: np.ndarray, count: int) -> np.ndarray:
-    """Up to `count` rows of each target, those with the largest score first, none near one before it."""
-    order, kept = top(found.target, score, len(found.q)), [np.zeros(0, int)]
+def far_apart(problem: Problem, found: Found, score: np.ndarray, count: int, apart: float = APART) -> np.ndarray:
+    """Up to `count` rows of each target, those with the largest score first, none with each joint near one before it."""
+    order, kept = top(found.target, score, len(found.q), found.seed), [np.zeros(0, int)]
     while len(order) and len(kept) <= count:
         begins = np.diff(found.target[order], prepend=-1) != 0
         best = order[begins]
         kept.append(best)
-        order = order[np.abs(found.q[order] - found.q[best[np.cumsum(begins) - 1]]).max(axis=1) > APART]
+        away = unwound(problem.chain, found.q[order] - found.q[best[np.cumsum(begins) - 1]])
+        order = order[np.abs(away).max(axis=1) > apart]
     return np.concatenate(kept)
 
 
@@ -113,3 +121,13 @@ def top(target: np.ndarray, score: np.ndarray, count: int, *rank: np.ndarray) ->
     order = np.lexsort((*rank, -score, target))
     sorted_targets = target[order]
     return order[np.arange(len(order)) - np.searchsorted(sorted_targets, sorted_targets) < count]
+
+
+def first_most(owner: np.ndarray, value: np.ndarray) -> np.ndarray:
+    """Of rows in the order of their owners: the first row of each that has its largest value."""
+    if not len(owner):
+        return np.zeros(0, int)
+    starts = np.flatnonzero(np.diff(owner, prepend=-1))
+    most = np.repeat(np.maximum.reduceat(value, starts), np.diff(starts, append=len(owner)))
+    rows = np.flatnonzero(value == most)
+    return rows[np.diff(owner[rows], prepend=-1) != 0]

@@ -24,17 +24,13 @@ from jaxik.collision.bvh import Grouped
 from jaxik.collision.clearances import check_geometry
 from jaxik.collision.contact_report import Contact, explain
 from jaxik.collision.scene import Scene
-from jaxik.costs import comfort_cost, joint_limit_margin
-from jaxik.ik.improvement import costs
+from jaxik.ik.choosing import scores, with_turns
 from jaxik.ik.multistart import Outcome, search
 from jaxik.ik.options import IKOptions
 from jaxik.ik.problem import Problem
-from jaxik.ik.solutions import Found, candidates, top, unwound
-from jaxik.ik.sqp_programs import batch
+from jaxik.ik.solutions import Found, candidates, far_apart, top
 from jaxik.reasons import Reason, Reasoned
 from jaxik.robot.chain import Chain
-from jaxik.robot.joint_turns import admissible_turns
-from jaxik.robot.kinematics import manipulability
 from jaxik.robot.reach_bound import millimetres
 from jaxik.robot.task import Task
 from jaxik.spatial.rotations import frame
@@ -188,8 +184,15 @@ def solved(
         parts.append(_result(part, search(part, poses[rows], valid[rows]), fault[rows]))
         if progress:
             progress(min(start + TARGETS, len(poses)))
-    joined = parts[0] if len(parts) == 1 else jax.tree_util.tree_map(lambda *columns: np.concatenate(columns), *parts)
+    joined = parts[0] if len(parts) == 1 else jax.tree_util.tree_map(lambda *columns: np.concatenate(columns), *_as_wide(parts))
     return joined if scene is None else dataclasses.replace(joined, solved_in=(chain, scene, options.margin))
+
+
+def _as_wide(parts: list[IKResult]) -> list[IKResult]:
+    """With as many columns of `solutions` as the part with most of them has."""
+    width = max(part.solutions.shape[1] for part in parts)
+    filled = lambda x: np.pad(x, ((0, 0), (0, width - x.shape[1]), (0, 0)), constant_values=np.nan)
+    return [dataclasses.replace(part, solutions=filled(part.solutions)) for part in parts]
 
 
 def as_poses(targets: Any, task: Task) -> tuple[np.ndarray, np.ndarray, bool]:
@@ -235,34 +238,17 @@ RIGID_POSE = HostKernel(_rigid_pose, 1)
 
 
 # --------------------------------------------------------------------------------------------------------------------
-# Which answer
-
-
-def _score(problem: Problem, found: Found) -> np.ndarray:
-    """How good answers are by the user's choice; more is better."""
-    choice, chain, reference = problem.options.choice, problem.chain, problem.reference
-    if choice == "first":
-        return -found.seed.astype(float) if problem.options.cost is None else -costs(problem, found.q)
-    if choice == "clearance":
-        return np.nan_to_num(found.clearance)
-    if choice == "closest" or (choice == "comfort" and reference is not None):
-        assert reference is not None
-        away = np.abs(found.q - reference[found.target]) * problem.weights
-        return -(away.max(axis=1) if problem.options.norm == "linf" else np.sqrt(np.sum(away**2, axis=1)))
-    measure = {"manipulability": manipulability, "freedom": joint_limit_margin, "comfort": comfort_cost}[choice]
-    value = in_blocks(batch(1, measure, chain), found.q, double=True)[0]
-    return -value if choice == "comfort" else value
+# What is returned
 
 
 def _result(problem: Problem, outcome: Outcome, fault: np.ndarray) -> IKResult:
     """Of each target the best answer, else the freest of those that collide, else the nearest miss."""
     found, stuck = outcome.found, outcome.stuck
-    count, n, k = len(outcome.reason), problem.chain.num_joints, problem.options.solutions
-    if k > 1:
-        found = _with_turns(problem, found)
-    score = _score(problem, found)
-    best = found.rows(top(found.target, score, 1, found.seed))
-    shown = best
+    count, n = len(outcome.reason), problem.chain.num_joints
+    if problem.most > 1:
+        found = with_turns(problem, found)
+    score = scores(problem, found)
+    shown = best = found.rows(top(found.target, score, 1, found.seed))
     if len(best.q) < count:  # else it is one of each, in their order
         unknown = candidates(np.full((count, n), np.nan), np.arange(count), np.full(count, -1))
         freest = stuck.rows(top(stuck.target, stuck.clearance, 1, stuck.seed))
@@ -270,32 +256,11 @@ def _result(problem: Problem, outcome: Outcome, fault: np.ndarray) -> IKResult:
         last = np.zeros(count, int)
         last[ranked.target] = np.arange(len(ranked.target))
         shown = ranked.rows(last)
-    solutions, known = np.full((count, k, n), np.nan), np.zeros(count, int)
-    if k == 1:
-        solutions[best.target, 0], known[best.target] = best.q, 1
-    else:
-        _fill_distinct(problem, found.rows(np.lexsort((found.seed, -score))), solutions, known)
+    if problem.most > 1:
+        best = found.rows(far_apart(problem, found, score, problem.most, problem.options.distinct))
+    best = best.rows(np.argsort(best.target, kind="stable"))
+    known = np.bincount(best.target, minlength=count)
+    width = max(1, *known) if problem.options.solutions == "all" else problem.most
+    solutions = np.full((count, width, n), np.nan)
+    solutions[best.target, np.arange(len(best.target)) - np.searchsorted(best.target, best.target)] = best.q
     return IKResult(shown.q, outcome.reason, *shown[2:], solutions=solutions, num_solutions=known, fault=fault)
-
-
-def _fill_distinct(problem: Problem, ranked: Found, solutions: np.ndarray, known: np.ndarray) -> None:
-    """Up to k answers of each target that differ, from the best on."""
-    for target, q in zip(ranked.target, ranked.q, strict=True):
-        have = known[target]
-        if have == problem.options.solutions:
-            continue
-        away = np.abs(unwound(problem.chain, solutions[target, :have] - q)).max(axis=1)
-        if np.all(away > problem.options.distinct):
-            solutions[target, have] = q
-            known[target] += 1
-
-
-def _with_turns(problem: Problem, found: Found) -> Found:
-    """Answers with every turn of their joints by 2 pi that stays inside the problem's limits, of each the best turn first."""
-    if not problem.turnable.any() or not len(found.q):
-        return found
-    turned = [admissible_turns(problem.chain, q, problem.low, problem.high) for q in found.q]
-    row = np.repeat(np.arange(len(found.q)), [len(t) for t in turned])
-    again = found.rows(row)._replace(q=np.concatenate(turned))
-    price = costs(problem, again.q) if problem.cost_turns else np.abs(again.q - problem.home(again.target)).sum(axis=1)
-    return again.rows(np.lexsort((price, row)))

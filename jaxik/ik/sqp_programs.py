@@ -104,6 +104,13 @@ def settle(
     return *_apart(chain, task, found, apart), count
 
 
+def errors(chain: Chain, task: Task, q: Any, pose: Any) -> tuple[Any, Any]:
+    """Of a configuration, its tip's errors [m], [rad]."""
+    position, rotation = task.residual(joint_frames(chain, list(q), dtype=q.dtype).tip, Frame.of_columns(pose))
+    length = lambda x: safe_sqrt(sum(each * each for each in x)) if x else jnp.zeros((), q.dtype)
+    return length(position), length(rotation)
+
+
 def clearance_around(chain: Chain, q: Any, scene: Any) -> Any:
     """`clearance`, of rows of configurations in one scene."""
     return clearance(chain, scene, q)

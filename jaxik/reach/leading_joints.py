@@ -88,16 +88,6 @@ def freest(chain: Chain, poses: np.ndarray, leading: np.ndarray) -> Freest:
     return found._replace(branches=found.branches[:, : len(leading)])
 
 
-def first_most(owner: np.ndarray, value: np.ndarray) -> np.ndarray:
-    """Of rows in the order of their owners: the first row of each that has its largest value."""
-    if not len(owner):
-        return np.zeros(0, int)
-    starts = np.flatnonzero(np.diff(owner, prepend=-1))
-    most = np.repeat(np.maximum.reduceat(value, starts), np.diff(starts, append=len(owner)))
-    rows = np.flatnonzero(value == most)
-    return rows[np.diff(owner[rows], prepend=-1) != 0]
-
-
 @functools.lru_cache(maxsize=64)
 def arm_of(chain: Chain) -> Chain:
     """The chain without its mount and the strokes of its leading slides, which enter no program of this module: another place

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import itertools
 import math
 from typing import Any
 
@@ -43,14 +42,22 @@ def admissible_turns(chain: Chain, q: Float[Array, " n"], lower: Any = None, upp
     q = shaped("admissible_turns: q", q, shape)
     lower = chain.lower if lower is None else shaped("admissible_turns: lower", lower, shape)
     upper = chain.upper if upper is None else shaped("admissible_turns: upper", upper, shape)
-    choices = []
-    for value, low, high, prismatic in zip(q, lower, upper, chain.is_prismatic, strict=True):
-        if not prismatic and np.isfinite(high - low):
-            first, last = _turns(value, low, high)
-            choices.append([float(np.clip(value + TURN * k, low, high)) for k in range(int(first), int(last) + 1)])
-        else:
-            choices.append([float(value)] if low <= value <= high else [])
-    return np.array(list(itertools.product(*choices))).reshape(-1, chain.num_joints)
+    return all_turns(chain, q[None], lower, upper)[1]
+
+
+def all_turns(chain: Chain, q: Any, lower: Any, upper: Any) -> tuple[np.ndarray, np.ndarray]:
+    """`admissible_turns` of rows `q` (N, n): the row that each is of (m,), and they themselves (m, n). On the host."""
+    turns = ~np.array(chain.is_prismatic) & np.isfinite(upper - lower)
+    stays = np.where((lower <= q) & (q <= upper), 0.0, np.nan)
+    first, last = (np.where(turns, k, stays) for k in _turns(q, lower, upper))
+    counts = np.maximum(np.nan_to_num(last - first + 1.0), 0.0).astype(int)
+    each = counts.prod(axis=1)
+    row = np.repeat(np.arange(len(q)), each)
+    number, digits = np.arange(len(row)) - np.repeat(np.cumsum(each) - each, each), np.empty((len(row), q.shape[1]), int)
+    for i in reversed(range(q.shape[1])):  # the last joint turns first
+        number, digits[:, i] = np.divmod(number, counts[row, i])
+    turned = q[row] + TURN * (first[row] + digits)
+    return row, np.where(turns, np.clip(turned, lower, upper), q[row])
 
 
 def nearest_turns(chain: Chain, q: Any, goal: Any, lower: Any, upper: Any) -> np.ndarray:

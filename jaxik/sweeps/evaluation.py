@@ -19,9 +19,10 @@ from jaxik.collision.scene import Scene, remembered
 from jaxik.collision.scene_builder import make_scene
 from jaxik.costs import joint_limit_margin
 from jaxik.harvesting.scanning import measures
+from jaxik.ik.solutions import first_most
 from jaxik.ik.solve import IKResult, as_poses, solved
 from jaxik.reach.certify import beyond, certify
-from jaxik.reach.leading_joints import NOTHING, arm_of, first_most, freest, grid, leading_grid
+from jaxik.reach.leading_joints import NOTHING, arm_of, freest, grid, leading_grid
 from jaxik.reasons import Reason
 from jaxik.robot.chain import Chain
 from jaxik.robot.kinematics import manipulability, pose_errors

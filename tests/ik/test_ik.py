@@ -8,6 +8,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 import scipy
+from arm import eaik_robot
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from robots import ROBOTS, bare, joint_range, pinocchio, pose_errors
@@ -16,6 +17,7 @@ import jaxik
 from jaxik import Reason
 from jaxik.ik import sqp_programs
 from jaxik.optimise import sqp
+from jaxik.robot import admissible_turns
 from jaxik.robot.chain import Volume
 from jaxik.spmd import call as kernels
 
@@ -99,7 +101,7 @@ def test_nothing_compiles_for_another_number(panda):
     targets = reachable(panda, 1000, seed=4)
     programs = []
     for count in (1, 17, 1000):
-        jaxik.solve_ik(panda, targets[:count])
+        jaxik.solve_ik(panda, targets[:count], seeds="library")
         programs.append(sum(len(p.known) for p in _programs(panda)))
     assert programs[0] == programs[1] == programs[2] == 2
 
@@ -665,3 +667,62 @@ def test_the_closest_answer_to_one_that_is_right_is_it(name):
     targets = jax.vmap(lambda q: jaxik.forward_kinematics(chain, q))(q)
     found = jaxik.solve_ik(chain, targets, choice="closest", reference=q, max_seeds=16)
     np.testing.assert_allclose(found.q, q, atol=1e-4)
+
+
+# --------------------------------------------------------------------------------------------------------------------
+# The closed form as the answer
+
+
+def test_six_joints_have_all_their_answers():
+    """Every answer of EAIK, on every turn inside the limits, and no other: by whole turns and by Pinocchio."""
+    chain = chain_of("ur5")
+    targets = reachable(chain, 12, seed=41)
+    result = jaxik.solve_ik(chain, targets, solutions="all")
+    assert result.success.all() and not result.iterations.any()
+    pose, eaik = pinocchio(chain), eaik_solver(chain)
+    for target, found, count in zip(targets, result.solutions, result.num_solutions, strict=True):
+        found = found[:count]
+        assert all(max(pose_errors(pose(q), target)) < 1e-9 for q in found)
+        wanted = np.concatenate([admissible_turns(chain, q) for q in eaik(target)])
+        apart = np.abs(found[:, None] - wanted).max(axis=2)
+        assert len(found) == len(wanted) and apart.min(axis=0).max() < 1e-6 and apart.min(axis=1).max() < 1e-6
+
+
+def eaik_solver(chain):
+    """EAIK's exact answers to a pose, (m, 6)."""
+    robot, end = eaik_robot(chain)
+
+    def answers(target):
+        answer = robot.IK(np.block([[target[:3, :3] @ end.T, target[:3, 3:]], [np.eye(4)[3]]]))
+        return np.array(answer.Q).reshape(-1, 6)[~np.array(answer.is_LS, bool)]
+
+    return answers
+
+
+@pytest.mark.parametrize("name", ["panda", "iiwa14"])
+def test_over_given_values_no_target_is_lost(name):
+    """Answers next to the limits lie in gaps of what is given: the search finds those."""
+    chain = chain_of(name)
+    low, high = joint_range(chain)
+    rng = np.random.default_rng(42)
+    share = np.where(rng.random((60, 7)) < 0.5, np.round(rng.random((60, 7))), rng.random((60, 7)))
+    targets = np.stack([pinocchio(chain)(q) for q in low + (0.002 + 0.996 * share) * (high - low)])
+    result = jaxik.solve_ik(chain, targets)
+    assert result.success.all() and np.any(result.iterations == 0)
+    assert_solves(chain, result, targets)
+    several = jaxik.solve_ik(chain, targets[:5], solutions=8)
+    assert_solves(chain, several, targets[:5])
+    for target, found, count in zip(targets[:5], several.solutions, several.num_solutions, strict=True):
+        assert all(max(pose_errors(pinocchio(chain)(q), target)) < POSITION + SLACK for q in found[:count])
+    freest = jaxik.solve_ik(chain, targets[:20], choice="freedom")
+    searched = jaxik.solve_ik(chain, targets[:20], choice="freedom", seeds="library")
+    freedom = jax.vmap(lambda q: jaxik.costs.joint_limit_margin(chain, q))
+    assert freedom(freest.q).mean() > freedom(searched.q).mean() - 1e-3
+
+
+def test_a_given_joint_may_be_locked(panda):
+    name, value = panda.joint_names[-1], 0.3
+    q = np.random.default_rng(43).uniform(*joint_range(panda), (5, 7))
+    q[:, -1] = value
+    result = jaxik.solve_ik(panda, np.stack([pinocchio(panda)(row) for row in q]), locked={name: value})
+    assert result.success.all() and np.all(result.q[:, -1] == value) and not result.iterations.any()

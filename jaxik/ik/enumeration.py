@@ -1,0 +1,147 @@
+"""Answers without a search: where a target is a pose and nothing else is asked, the closed form's branches are what there is.
+
+Six joints have up to eight, which are all answers. With values given beside them, those are tried one after the other over
+their ranges, and the best of their branches are followed to better ones nearby. Whoever has no answer after that, as its
+answers lie in a gap, is searched for. So is the answer nearest to a reference, to which a descent from the reference leads
+as soon, and over two given values nearer.
+"""
+
+from __future__ import annotations
+
+import itertools
+
+import numpy as np
+
+from jaxik.analytic.families import scannable, solver_of
+from jaxik.analytic.solutions import BRANCHES, closed_branches, closed_forms, given_values
+from jaxik.ik import seeds
+from jaxik.ik.choosing import scores
+from jaxik.ik.problem import Problem
+from jaxik.ik.solutions import Found, at_home, candidates, far_apart, first_most, nothing, portions, top, within
+from jaxik.ik.sqp_programs import batch, errors
+from jaxik.spmd.batch import in_blocks
+
+ENOUGH = 16  # of them where one answer is enough: who has none by then (2 % of a Panda's targets) is found sooner by a search
+TRIED = 2  # given values that are tried first where some answer will do; then each time as many as all before
+TOGETHER = 32  # and of so few targets that they are fewer than this, which takes no longer
+ZOOMS, ZOOMED, NARROWER = 3, 8, 0.3  # how often better given values are sought, how many, and how much nearer each time
+
+
+def enumerable(problem: Problem) -> bool:
+    """Whether branches of the closed form are all that is asked for: poses, without obstacles, a cost, or seeds of another
+    kind, and no joint locked but those that it is given."""
+    options, chain = problem.options, problem.chain
+    asked = options.seeds == "closed_form" or (options.seeds == "auto" and all(options.task.bound) and scannable(chain))
+    if not asked or problem.scene is not None or options.cost is not None:
+        return False
+    nearest = options.choice == "closest" or (options.choice == "comfort" and problem.reference is not None)
+    if nearest and chain.num_joints > 6:
+        return False
+    return set(options.locked) <= {chain.joint_names[i] for i in solver_of(chain).given_joints}
+
+
+def enumerated(problem: Problem, poses: np.ndarray, left: np.ndarray) -> Found:
+    """Answers of the targets `left`: of each the best by the choice, as many as are asked for."""
+    targets, found = left, nothing(problem)
+    for first, last in itertools.pairwise(_tries(problem, len(left))):
+        new = [_kept(problem, _of_values(problem, poses, some, first, last)) for some in portions(left, last - first)]
+        found = Found.joined([found, *new])
+        if problem.options.choice == "first":
+            found = _best(problem, found)
+            left = targets[np.bincount(np.searchsorted(targets, found.target), minlength=len(targets)) < problem.most]
+        if not len(left):
+            break
+    if problem.options.choice != "first":
+        followed = [_followed(problem, poses, found)] if problem.chain.num_joints > 6 else []
+        found = _best(problem, Found.joined([found, *followed]))
+    found = measured(problem, poses, found)
+    return found.rows(within(found, problem.tolerance))
+
+
+def _tries(problem: Problem, targets: int) -> list[int]:
+    """Where waves of given values begin and end."""
+    if problem.chain.num_joints == 6:
+        return [0, 1]
+    most = problem.options.max_seeds
+    if problem.options.choice != "first":
+        return [0, most]
+    most = min(most, ENOUGH) if problem.first_will_do else most
+    few = max(TRIED, TOGETHER // max(targets, 1))
+    return [0, *itertools.takewhile(lambda k: k < most, (few << k for k in range(32))), most]
+
+
+def _of_values(problem: Problem, poses: np.ndarray, some: np.ndarray, first: int, last: int) -> Found:
+    """The branches inside the limits of `some` targets, of given values number `first` to `last` (not counted); in the order of
+    targets, and of branches where one is not as good as the other, else of values."""
+    count, target = last - first, np.repeat(some, last - first)
+    given = np.tile(_values(problem, first, last), (len(some), 1))
+    q, _, inside = in_blocks(closed_forms(problem.chain), poses[target], given, double=True)
+    fits, any_will_do = inside.reshape(len(some), count, BRANCHES), problem.options.choice == "first"
+    if any_will_do:
+        row, value, branch = np.nonzero(fits)
+    else:
+        row, branch, value = np.nonzero(fits.transpose(0, 2, 1))
+    found = candidates(q[row * count + value, branch], some[row], BRANCHES * (first + value) + branch)
+    return found if any_will_do else at_home(problem, found)
+
+
+def _kept(problem: Problem, found: Found) -> Found:
+    """What may be needed of all that is found of some targets: the first, or the best of each branch, or all."""
+    if problem.most > 1:
+        return _best(problem, found)
+    if problem.options.choice == "first":
+        return found.rows(np.diff(found.target, prepend=-1) != 0)
+    return found.rows(first_most(BRANCHES * found.target + found.seed % BRANCHES, scores(problem, found)))
+
+
+def _best(problem: Problem, found: Found) -> Found:
+    """Of each target the best by the choice, as many as are asked for."""
+    score = scores(problem, found)
+    if problem.most == 1:
+        return found.rows(top(found.target, score, 1, found.seed))
+    return found.rows(far_apart(problem, found, score, problem.most, problem.options.distinct))
+
+
+def _range(problem: Problem) -> seeds.Range:
+    """Of what is given."""
+    low, high = solver_of(problem.chain).given_range(problem.inside.low, problem.inside.high)
+    return seeds.Range(tuple(low.tolist()), tuple(high.tolist()))
+
+
+def _values(problem: Problem, first: int, last: int) -> np.ndarray:
+    """Given values number `first` to `last` (not counted), (last - first, k): a low-discrepancy sequence over their range."""
+    inside = _range(problem)
+    if not inside.low:
+        return np.zeros((1, 0))
+    return seeds.low_discrepancy(inside, problem.seed, 2 ** int(last - 1).bit_length())[first:last]
+
+
+def _followed(problem: Problem, poses: np.ndarray, found: Found) -> Found:
+    """Each answer, or a better one by the choice of the same branch at values near what it is given, ever nearer."""
+    if not len(found.q):
+        return found
+    inside, rows = _range(problem), np.arange(len(found.q))
+    low, high = np.array(inside.low), np.array(inside.high)
+    share = seeds.low_discrepancy(seeds.Range((-1.0,) * len(low), (1.0,) * len(low)), problem.seed, ZOOMED)
+    width = (high - low) / problem.options.max_seeds ** (1.0 / len(low))
+    for zoom in range(ZOOMS):
+        given = given_values(problem.chain, found.q)
+        near = np.clip(given[:, None] + width * NARROWER**zoom * share, low, high).reshape(-1, len(low))
+        row = np.repeat(rows, ZOOMED)
+        again = found.rows(row)
+        q, fits = in_blocks(
+            closed_branches(problem.chain), poses[again.target], near, (again.seed % BRANCHES).astype(np.int32), double=True
+        )
+        moved = at_home(problem, again._replace(q=q)).rows(fits)
+        both = Found.joined([found, moved])
+        found = both.rows(top(np.concatenate([rows, row[fits]]), scores(problem, both), 1))
+    return found
+
+
+def measured(problem: Problem, poses: np.ndarray, found: Found) -> Found:
+    """With the errors of their tips, in float64."""
+    if not len(found.q):
+        return found
+    program = batch(2, errors, problem.chain, problem.options.task)
+    away, turned = in_blocks(program, found.q, poses[found.target], double=True)
+    return found._replace(position_error=away, rotation_error=turned)
