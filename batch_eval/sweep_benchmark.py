@@ -1,7 +1,8 @@
 """What a sweep costs, and that nothing is lost: `python batch_eval/sweep_benchmark.py [PART ...]`, on Linux.
 
-Parts: eaik, crop, search, scaling, scene, processes, kills, same. Each part's rows are kept in `sweep_benchmark.json`; the
-others stay as they were. `scene` and `scaling` draw `sweep_scaling.png`. Needs `pip install -e ".[test,peers]"`.
+Parts: eaik, between, crop, search, scaling, scene, processes, kills, same. Each part's rows are kept in
+`sweep_benchmark.json`; the others stay as they were. `scene` and `scaling` draw `sweep_scaling.png`. Needs
+`pip install -e ".[test,peers]"`.
 """
 
 from __future__ import annotations
@@ -19,12 +20,17 @@ import time
 from pathlib import Path
 from typing import Any
 
+import jax
 import numpy as np
 import panda
 from arm import eaik_robot
 from race import machine
+from scipy.spatial.transform import Rotation
 
 import jaxik
+from jaxik.reach.certify import beyond, certify
+from jaxik.reach.leading_joints import freest, leading_grid
+from jaxik.robot.chain import finite_limits
 
 HERE = Path(__file__).parent
 OUT = Path(__file__).with_suffix(".json")
@@ -84,6 +90,59 @@ def eaik() -> dict[str, Any]:
         us = 1e6 / each["per_second"]
         each |= {"us": us, "times_eaik": rows["eaik_us"] / us, "times_eaik_with_limits": rows["eaik_with_limits_us"] / us}
     return rows
+
+
+def between() -> dict[str, Any]:
+    """What arms over a rail, a first or last joint, an arm angle, or two of them have between the positions of a grid: random
+    poses all around, in any direction, and a grid 100 times denser, which must find nothing that was called out of reach."""
+    tiago = panda.ROBOTS / "tiago_description/robots/tiago_no_hand.urdf", "wrist_ft_tool_link"
+    chains = {name: jaxik.load(name) for name in ("p6r", "panda", "iiwa14", "gen3", "ur10e_rail", "panda_lift")}
+    chains["tiago"] = jaxik.load(panda.bare_urdf(*tiago), tip=tiago[1])
+    return {"cpu": machine()["cpu"], "arms": {name: _between(chain) for name, chain in chains.items()}}
+
+
+def _between(chain: jaxik.Chain, count: int = 4000, refine: int = 5) -> dict[str, Any]:
+    rng, given = np.random.default_rng(0), jaxik.analytic.redundancy(chain)
+    poses, slides = _around(chain, rng, count), 11 if len(given.names) == 1 else 6
+    away = beyond(chain, poses)
+    on_grid = lambda positions: freest(chain, poses, leading_grid(chain, positions)).freedom >= 0.0
+    found = on_grid(slides) & ~away
+    asked = np.flatnonzero(~found & ~away)
+    certify(chain, poses[asked], slides, refine)  # compiled
+    begun = time.perf_counter()
+    more = certify(chain, poses[asked], slides, refine)
+    seconds = time.perf_counter() - begun
+    hits, open_ = more.branch >= 0, np.zeros(count, bool)
+    open_[asked] = more.open
+    reached = found.copy()
+    reached[asked[hits]] = True
+    finer = 100 if len(given.names) == 1 else 10  # of two, 10 times as many of each
+    dense = on_grid(finer * (slides - 1) + 1)
+    return {
+        "given": list(given.names),
+        "targets": count,
+        "positions": slides ** len(given.names),
+        "refine": refine,
+        "on_the_grid": int(found.sum()),
+        "between": int(hits.sum()),
+        "out_of_reach": int((~reached & ~open_).sum()),
+        "undecided": int(open_.sum()),
+        "undecided_once_more": int(certify(chain, poses[np.flatnonzero(open_)], slides, refine + 3).open.sum()),
+        "seconds": seconds,
+        "dense": int((dense & ~found).sum()),
+        "dense_called_out_of_reach": int((dense & ~reached & ~open_).sum()),
+        "dense_undecided": int((dense & open_).sum()),
+    }
+
+
+def _around(chain: jaxik.Chain, rng: np.random.Generator, count: int) -> np.ndarray:
+    """Poses `base_T_tip` (count, 4, 4) in the box of where the tip can be, turned anyhow."""
+    q = rng.uniform(*finite_limits(chain), (400, chain.num_joints))
+    tips = np.asarray(jax.jit(jax.vmap(lambda q: jaxik.forward_kinematics(chain, q)))(q))[:, :3, 3]
+    poses = np.tile(np.eye(4), (count, 1, 1))
+    poses[:, :3, 3] = rng.uniform(tips.min(axis=0), tips.max(axis=0), (count, 3))
+    poses[:, :3, :3] = Rotation.random(count, rng).as_matrix()
+    return poses
 
 
 def crop() -> dict[str, Any]:
@@ -263,7 +322,7 @@ def same() -> dict[str, Any]:
         }
 
 
-PARTS = {f.__name__: f for f in (eaik, crop, search, scaling, scene, processes, kills, same)}
+PARTS = {f.__name__: f for f in (eaik, between, crop, search, scaling, scene, processes, kills, same)}
 
 
 def draw(result: dict[str, Any]) -> None:

@@ -158,6 +158,25 @@ def general_markdown(result: dict[str, Any]) -> str:
     return "\n".join(lines)
 
 
+def _between_rows(result: dict[str, Any]) -> list[str]:
+    """What several arms have between the positions of a grid, and what a denser one finds."""
+    lines = [
+        "",
+        f"Random poses all around, on one {result['cpu']}:",
+        "",
+        "| arm | over | targets | on the grid | between | out of reach | undecided (8 halvings) | proof | 100 times denser |",
+        "| --- | --- | --- | --- | --- | --- | --- | --- | --- |",
+    ]
+    for name, row in result["arms"].items():
+        over = f"{', '.join(row['given'])}: {row['positions']} positions"
+        counts = " | ".join(f"{row[what]:,}" for what in ("targets", "on_the_grid", "between", "out_of_reach"))
+        undecided = f"{row['undecided']:,} ({row['undecided_once_more']:,})"
+        dense = f"{row['dense']:,} more, {row['dense_called_out_of_reach']} of them called out of reach"
+        proof = duration(1e6 * row["seconds"])
+        lines.append(f"| {name} | {over} | {counts} | {undecided} | {proof} | {dense} |")
+    return lines
+
+
 def sweep_markdown(result: dict[str, Any]) -> str:
     """A row for each kind of sweep, and lines on its scaling and its kills."""
     lines = ["| sweep | targets | targets/s | false negatives, in 95 % at most |", "| --- | --- | --- | --- |"]
@@ -187,6 +206,7 @@ def sweep_markdown(result: dict[str, Any]) -> str:
         f"Killed {kills} times at random moments, a store ends with the same bits. With {ends('obstacles')};",
         f"with {ends('spheres')}.",
     ]
+    lines += _between_rows(result["between"])
     return "\n".join(lines)
 
 
