@@ -111,7 +111,7 @@ class AnySix:
     """Six joints that are of no family, by paths of complex solutions: sixteen postures at most."""
 
     name = "any six joints"
-    joints, parameters, branches = 6, 0, 16
+    joints, parameters, branches, cost = 6, 0, 16, 1000
 
     def __init__(self, axes: Axes):
         self.arm = general_arm(axes)

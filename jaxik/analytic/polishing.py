@@ -1,7 +1,8 @@
-"""Newton steps for arms that are of a family but for their file's rounding.
+"""Newton steps for the branches that a closed form leaves short of digits. [Murray, Li and Sastry 1994, ch. 3.4]
 
 Right angles written as 1.5708 are off by 4e-6 rad; then a wrist's axes miss their point by a micrometre, and a closed form that
-takes them to meet misses the pose by as much. Two steps on the arm as it is mend that. [Murray, Li and Sastry 1994, ch. 3.4]
+takes them to meet misses the pose by as much. And where an ellipse touches a circle a branch has half its digits. Some steps on
+the arm as it is mend both.
 """
 
 from __future__ import annotations
@@ -13,6 +14,7 @@ import numpy as np
 from jax import lax
 
 from jaxik.analytic.families import Solver
+from jaxik.analytic.turns import ELLIPSE
 from jaxik.optimise.linear import definite_solve, dot
 from jaxik.robot.kinematics import jacobian_columns, joint_frames
 from jaxik.spatial.algebra import Frame, traced
@@ -20,12 +22,14 @@ from jaxik.spatial.algebra import Frame, traced
 EXACT = 1e-13  # [m, rad] by which axes may miss without it
 STEPS = 4
 CLOSE = 1e-10  # [m, rad] of a pose, once mended
+EDGE = 1e-4  # of a margin, by which a branch may seem to have ended where the steps find that it has not
 
 
 def polished(solver: Solver, pose: Any, q: Any, margins: Any) -> tuple[Any, Any]:
     """Branches q (m, n) and their margins (m,), after some steps of the solved joints towards the pose (4, 4); a branch that
-    does not come close has no margin. As they are where the axes meet, or digits do not suffice to tell."""
-    if solver.misfit <= max(EXACT, float(jnp.finfo(q.dtype).eps)):
+    does not come close has no margin. As they are where they need no steps, and in float32."""
+    eps = float(jnp.finfo(q.dtype).eps)
+    if eps > EXACT or (solver.misfit <= EXACT and solver.family.cost != ELLIPSE):
         return q, margins
     aim = Frame.of_entries(traced(pose))
 
@@ -33,7 +37,8 @@ def polished(solver: Solver, pose: Any, q: Any, margins: Any) -> tuple[Any, Any]
         q, margin = row
         q = lax.fori_loop(0, STEPS, lambda _, q: q + _step(solver, q, aim), q)
         left = jnp.max(jnp.abs(jnp.stack(_look(solver, q, aim)[1])))
-        return None, (q, jnp.where(left <= CLOSE, margin, -left))
+        there = (left <= CLOSE) & (margin >= -EDGE)
+        return None, (q, jnp.where(there, jnp.maximum(margin, 0.0), -jnp.maximum(left, EXACT)))
 
     return lax.scan(branch, None, (q, margins))[1]
 

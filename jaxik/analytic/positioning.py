@@ -25,6 +25,7 @@ import numpy as np
 from jaxik.analytic.axes import Axes
 from jaxik.analytic.turns import (
     ALL,
+    ELLIPSE,
     Signs,
     Turn,
     chosen,
@@ -251,7 +252,7 @@ class ParallelShoulder(_Turning):
 class AnyThree(_Turning):
     """Axes that have nothing in common."""
 
-    cost = 3
+    cost = ELLIPSE
 
     @staticmethod
     def fits(axes: Axes) -> bool:

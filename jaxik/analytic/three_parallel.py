@@ -25,6 +25,7 @@ from jaxik.analytic.half_branches import HalfBranch
 from jaxik.analytic.orienting import Oriented, Orienting
 from jaxik.analytic.turns import (
     ALL,
+    ELLIPSE,
     Signs,
     Turn,
     chosen,
@@ -114,7 +115,7 @@ class ThreeParallel:
         self.place_is_alone = axes.meet(self.a, self.b)  # the place equation holds the far joint alone
         self.direction_is_alone = axes.parallel(self.a, self.b)
         self.p_b = axes.point(self.a, self.b) if self.place_is_alone else axes.p[self.b]
-        self.cost = 1 if self.place_is_alone or self.direction_is_alone else 3
+        self.cost = 1 if self.place_is_alone or self.direction_is_alone else ELLIPSE
         self.hand: Any = None
         if not self.direction_is_alone:
             self.hand = Orienting(np.stack([self.plane.h, axes.h[self.a], axes.h[self.b]]), rest if first else 0.0)
