@@ -183,7 +183,16 @@ MOST_SCANNED = 2  # values given, a grid over which is smaller than a search
 
 def scannable(chain: Chain) -> bool:
     """Whether postures are sought over a grid of what the chain's closed form is given."""
-    return not closed_form_obstacle(chain) and len(solver_of(chain).limits()[0]) <= MOST_SCANNED
+    return not scan_obstacle(chain)
+
+
+def scan_obstacle(chain: Chain) -> str:
+    """Why they are not, or an empty string."""
+    if reason := closed_form_obstacle(chain):
+        return reason
+    names = redundancy(chain).names
+    many = f"it is given {len(names)} values ({', '.join(names)}), and a grid over more than {MOST_SCANNED} is larger than a search"
+    return many if len(names) > MOST_SCANNED else ""
 
 
 def solver_of(chain: Chain) -> Solver:

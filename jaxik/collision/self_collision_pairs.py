@@ -58,7 +58,8 @@ def self_collisions(
             balls.append((np.stack([np.broadcast_to(c, shape).T for c in corner], axis=-1), skeleton.radius, skeleton.link))
     p, r, o = (np.concatenate(each) for each in zip(*balls, strict=True))
     gaps = {(a, b): _gaps(p, r, o == a, o == b) for a, b in pairs}
-    told = {pair: gap <= 0.0 for pair, gap in gaps.items() if np.ptp(gap) > STILL or gap[0] <= 0.0}
+    near = lambda a, b: abs(chain.link_joint[a] - chain.link_joint[b]) < 2  # of a link that is held: it may be held otherwise
+    told = {pair: gap <= 0.0 for pair, gap in gaps.items() if near(*pair) or np.ptp(gap) > STILL or gap[0] <= 0.0}
     kept = {pair: hit for pair, hit in told.items() if hit[:-1].mean() < 0.95}
     share = np.any([hit[:-1] for hit in kept.values()], axis=0).mean() if kept else 0.0
     return SelfCollisions(tuple(kept), tuple(pair for pair, hit in kept.items() if hit[-1]), float(share))

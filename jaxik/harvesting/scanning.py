@@ -18,7 +18,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from jaxik.analytic.families import closed_form_obstacle
+from jaxik.analytic.families import scan_obstacle
 from jaxik.analytic.solutions import BRANCHES, closed_branches, valid_branches
 from jaxik.checks.options import check_finite, check_kind
 from jaxik.collision.bvh import grouped
@@ -132,7 +132,7 @@ def scan(
     check_kind("scan", "weights", weights, Weights, optional=True)
     check_kind("scan", "grasp", grasp, Grasp, optional=True)
     check_finite("scan", margin=margin)
-    reason = closed_form_obstacle(chain)
+    reason = scan_obstacle(chain)
     if reason:
         raise ValueError(f"{chain.name}: a scan needs the closed form, and {reason}")
     check_geometry(chain)

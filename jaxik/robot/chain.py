@@ -213,7 +213,7 @@ class Chain(Constant):
             boxes=own(self.boxes),
             volumes=own(self.volumes),
             self_pairs=tuple((link[a], link[b]) for a, b in self.self_pairs if a in link and b in link),
-            unread_meshes=tuple(n for n in self.unread_meshes if self.link_names.index(n) in link),
+            unread_meshes=tuple(n for n in self.unread_meshes if n in (self.link_names[i] for i in kept)),
             ignored=tuple((link[i], name) for i, name in self.ignored if i in link),
             pair_tables=tuple(
                 dataclasses.replace(t, links=(link[a], link[b]), joints=(i - first, j - first))

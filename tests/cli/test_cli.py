@@ -68,7 +68,7 @@ def test_it_writes_table_picture_and_arrays(tmp_path):
         (("--scene", "broken.toml"), ("broken.toml", "malformed TOML")),
         (("--scene", "absent.toml"), ("absent.toml", "cannot be read")),
         (("--scene", "greenhouse"), ("no such shipped scene", "cucumber_row")),
-        (("--robot", "crops_v2"), ("needs the closed form", "axes")),
+        (("--robot", "crops_v2"), ("needs the closed form", "given 3 values")),
         (("--angles", "0"), ("--angles 0", "at least 1")),
         (("--leaves", "brush", "--approach", "0.2"), ("--leaves, --approach: of motions; add --motions",)),
     ],
