@@ -191,7 +191,7 @@ def scan_obstacle(chain: Chain) -> str:
     if reason := closed_form_obstacle(chain):
         return reason
     names = redundancy(chain).names
-    many = f"it is given {len(names)} values ({', '.join(names)}), and a grid over more than {MOST_SCANNED} is larger than a search"
+    many = f"it is given {len(names)} values ({', '.join(names)}); a grid over more than {MOST_SCANNED} is larger than a search"
     return many if len(names) > MOST_SCANNED else ""
 
 
