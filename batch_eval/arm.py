@@ -16,16 +16,16 @@ from race import PLAIN, Entry, compiled, single
 import jaxik
 
 
-def eaik_robot(chain: jaxik.Chain) -> tuple[HPRobot, np.ndarray]:
-    """The last six joints for EAIK, the leading ones at 0, and its tip's rotation (3, 3), which it does not carry."""
+def eaik_robot(chain: jaxik.Chain, last: int = 6, **options: Any) -> tuple[HPRobot, np.ndarray]:
+    """The `last` joints for EAIK, the leading ones at 0, and its tip's rotation (3, 3), which it does not carry."""
     frame, axes, points = np.eye(4), [], []
     for parent_T_joint, axis in zip(chain.parent_T_joint, chain.axis, strict=True):
         frame = frame @ parent_T_joint
         axes.append(frame[:3, :3] @ axis)
         points.append(frame[:3, 3])
     tip = frame @ chain.joint_T_tip
-    offsets = np.diff(np.array([np.zeros(3), *points[-6:], tip[:3, 3]]), axis=0)
-    return HPRobot(np.array(axes[-6:]), offsets), tip[:3, :3]
+    offsets = np.diff(np.array([np.zeros(3), *points[-last:], tip[:3, 3]]), axis=0)
+    return HPRobot(np.array(axes[-last:]), offsets, **options), tip[:3, :3]
 
 
 def closed_form_entries(dtype: Any, count: int = 50_000) -> list[Entry]:

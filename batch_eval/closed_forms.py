@@ -17,7 +17,7 @@ from typing import Any
 import jax
 import jax.numpy as jnp
 import numpy as np
-from eaik.IK_HP import HPRobot
+from arm import eaik_robot
 from panda import ROBOTS, bare_urdf, pose_of
 from race import PLAIN, Entry, compiled, from_scratch, machine, race
 
@@ -137,19 +137,12 @@ def eaik(chain: jaxik.Chain) -> tuple[Any, dict[int, float], np.ndarray]:
     fixed = {i: 0.2 + 0.1 * i for i in given}
     if any(chain.is_prismatic):
         return None, fixed, np.eye(3)
-    frame, axes, points = np.eye(4), [], []
-    for parent_T_joint, axis in zip(chain.parent_T_joint, chain.axis, strict=True):
-        frame = frame @ parent_T_joint
-        axes.append(frame[:3, :3] @ axis)
-        points.append(frame[:3, 3])
-    tip = frame @ chain.joint_T_tip
-    offsets = np.diff(np.array([np.zeros(3), *points, tip[:3, 3]]), axis=0)
     try:
-        robot = HPRobot(np.array(axes), offsets, list(fixed.items()))
+        robot, end = eaik_robot(chain, chain.num_joints, fixed_axes=list(fixed.items()))
         robot.IK(np.eye(4))
     except RuntimeError:
         return None, fixed, np.eye(3)
-    return robot, fixed, tip[:3, :3]
+    return robot, fixed, end
 
 
 # --------------------------------------------------------------------------------------------------------------------

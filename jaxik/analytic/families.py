@@ -61,6 +61,11 @@ class Solver(NamedTuple):
         given = [given[i] for i in range(len(self.given_joints) + self.family.parameters)]
         return given[: self.first], given[self.first : end], given[end:]
 
+    def joined(self, of_joints: Any, own: Any) -> list[Any]:
+        """What is given, of something that each joint of the chain has, and of the family's own parameters."""
+        given = [of_joints[i] for i in self.given_joints]
+        return [*given[: self.first], *own, *given[self.first :]]
+
     def target(self, pose: Any, given: Any) -> Frame:
         """Where the solved joints have to bring the frame of the last of them (or the tip), from where they are mounted."""
         before, _, after = self.split(given)
@@ -90,21 +95,16 @@ class Solver(NamedTuple):
 
     def given_range(self, low: Any, high: Any) -> tuple[np.ndarray, np.ndarray]:
         """Of bounds of all joints (n,), those of what is given (k,)."""
-        ends = []
-        for bound, turn in ((low, -np.pi), (high, np.pi)):
-            given = [bound[i] for i in self.given_joints]
-            given[self.first : self.first] = [turn] * self.family.parameters
-            ends.append(np.array(given, float))
-        return ends[0], ends[1]
+        own = np.full(self.family.parameters, np.pi)
+        return np.array(self.joined(low, -own), float), np.array(self.joined(high, own), float)
 
     def values(self, q: Any) -> list[Scalar]:
         """What is given where all joints are `q` (n,)."""
-        given = [q[i] for i in self.given_joints]
-        if self.family.parameters:
-            part = self.chain.part(self.solved.start, self.solved.stop)
-            frames = joint_frames(part, [q[i] for i in self.solved], BASE, q.dtype)
-            given[self.first : self.first] = [self.family.parameter(frames, float(np.finfo(q.dtype).eps))]
-        return given
+        if not self.family.parameters:
+            return self.joined(q, [])
+        part = self.chain.part(self.solved.start, self.solved.stop)
+        frames = joint_frames(part, [q[i] for i in self.solved], BASE, q.dtype)
+        return self.joined(q, [self.family.parameter(frames, float(np.finfo(q.dtype).eps))])
 
 
 class AnySix:
@@ -208,7 +208,7 @@ def solver_of(chain: Chain) -> Solver:
 def any_solver_of(chain: Chain) -> Solver:
     """The chain's closed form, or what finds all postures of the last six neighbouring revolute joints without one. Raises
     `ValueError` with the reason where there are no such joints."""
-    if closed_form_obstacle(chain) and (solver := _without_family(chain)):
+    if chain.concrete and closed_form_obstacle(chain) and (solver := _without_family(chain)):
         return solver
     return solver_of(chain)
 
@@ -217,7 +217,7 @@ def any_solver_of(chain: Chain) -> Solver:
 def _without_family(chain: Chain) -> Solver | None:
     for first in range(chain.num_joints - 6, -1, -1):
         part = chain.part(first, first + 6)
-        if chain.concrete and not any(part.is_prismatic):
+        if not any(part.is_prismatic):
             return Solver(chain, first, AnySix(Axes.of(part)), 0.0)
     return None
 
@@ -242,6 +242,5 @@ def redundancy(chain: Chain) -> Redundancy:
     Raises `ValueError` with the reason where the chain has no six neighbouring revolute joints.
     """
     solver = any_solver_of(chain)
-    names = [chain.joint_names[i] for i in solver.given_joints]
-    names[solver.first : solver.first] = [solver.family.name] * solver.family.parameters
+    names = solver.joined(chain.joint_names, [solver.family.name] * solver.family.parameters)
     return Redundancy(solver.family.name, tuple(names), *solver.limits())

@@ -1,4 +1,4 @@
-"""Six joints of which the last three meet in a point Q: the first three bring Q where the pose has it, they turn the hand.
+"""Six joints of which the last three meet in a point Q: the others bring Q to its place, these turn the hand.
 
 The arm that Appendix B of Van Henten et al. (2010) solves, without its special angles and offsets: the wrist may be oblique,
 and the first three axes may lie anyhow. Eight solutions at most. A spherical shoulder is the same, seen from the tip.

@@ -23,9 +23,7 @@ from jaxik.spatial.ball import Ball, Perhaps, capped, minimum, unit, where
 BOTH = (1.0, -1.0)  # signs of the two roots of an equation
 Signs = tuple[Sequence[Any], Sequence[Any]]  # of two equations, which may be traced
 ALL: Signs = (BOTH, BOTH)
-ELLIPSE = (
-    3  # what an ellipse and a circle cost a family, that of a line and a circle being 1; a double root has half the digits
-)
+ELLIPSE = 3  # cost of a family that needs an ellipse and a circle, where a line and a circle cost 1
 SLACK = 64.0  # units of rounding by which an equation may be missed: poses come with that
 
 

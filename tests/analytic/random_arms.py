@@ -48,13 +48,18 @@ def random_arm(seed, family, slide=False):
         p[list(group)] = p[group[0]]
     for group in parallel:
         h[list(group)] = h[group[0]] * rng.choice([-1.0, 1.0], (len(group), 1))
-    h /= np.linalg.norm(h, axis=1, keepdims=True)
+    return assembled(rng, h, p, f"arm{seed}", slide)
+
+
+def assembled(rng, h, p, name, slide=False):
+    """The arm of these axes, with its joints' frames, its tip's and its slide's direction at random."""
+    h = h / np.linalg.norm(h, axis=1, keepdims=True)
     joints, before = [], np.eye(4)
     if slide:
         axis = rng.normal(size=3)
         joints.append(Joint("slide", "prismatic", np.eye(4), "cart", axis / np.linalg.norm(axis), -1.0, 1.0))
-    for i in range(count):
+    for i in range(len(h)):
         here = frame(rotation(rng), p[i])
         joints.append(Joint(f"j{i}", "revolute", np.linalg.inv(before) @ here, f"l{i}", here[:3, :3].T @ h[i], -7.0, 7.0))
         before = here
-    return assemble(Path("random"), f"arm{seed}", "base", joints, {}, frame(rotation(rng), rng.normal(size=3) * 0.2))
+    return assemble(Path("random"), name, "base", joints, {}, frame(rotation(rng), rng.normal(size=3) * 0.2))

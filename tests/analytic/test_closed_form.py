@@ -1,28 +1,16 @@
 """The closed form: round trips over random arms, branches against EAIK, singularities, edges, refusals."""
 
 import dataclasses
-from pathlib import Path
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
 from arm import eaik_robot
+from random_arms import assembled, frame
 from robots import bare
 
 import jaxik
-from jaxik.files.chain_builder import Joint, assemble
-
-
-def _rotation(rng):
-    q, _ = np.linalg.qr(rng.normal(size=(3, 3)))
-    return q * np.sign(np.linalg.det(q))
-
-
-def _frame(rotation, translation):
-    frame = np.eye(4)
-    frame[:3, :3], frame[:3, 3] = rotation, translation
-    return frame
 
 
 def random_arm(seed, right_angled=False, slide=False):
@@ -35,16 +23,7 @@ def random_arm(seed, right_angled=False, slide=False):
         h[5] = np.cross(h[4], rng.normal(size=3))
     h[2] = h[1] * rng.choice([-1.0, 1.0])
     p[4] = p[5] = p[3]
-    h /= np.linalg.norm(h, axis=1, keepdims=True)
-    joints, before = [], np.eye(4)
-    if slide:
-        axis = rng.normal(size=3)
-        joints.append(Joint("slide", "prismatic", np.eye(4), "cart", axis / np.linalg.norm(axis), -1.0, 1.0))
-    for i in range(6):
-        here = _frame(_rotation(rng), p[i])
-        joints.append(Joint(f"j{i}", "revolute", np.linalg.inv(before) @ here, f"l{i}", here[:3, :3].T @ h[i], -7.0, 7.0))
-        before = here
-    return assemble(Path("random"), f"arm{seed}", "base", joints, {}, _frame(_rotation(rng), rng.normal(size=3) * 0.2))
+    return assembled(rng, h, p, f"arm{seed}", slide)
 
 
 def _round_trip(chain, q, dtype=jnp.float64):
@@ -75,7 +54,7 @@ def test_round_trip_of_random_arms(seed):
 def _has_the_branches_of_eaik(chain, found, poses):
     robot, end = eaik_robot(chain)
     for i, pose in enumerate(poses):
-        theirs = robot.IK(_frame(pose[:3, :3] @ end.T, pose[:3, 3]))
+        theirs = robot.IK(frame(pose[:3, :3] @ end.T, pose[:3, 3]))
         exact = [s for s, approximate in zip(theirs.Q, theirs.is_LS, strict=True) if not approximate]
         ours = np.asarray(found.q[i])[np.asarray(found.valid[i])]
         assert len(ours) == len(exact)
