@@ -37,6 +37,8 @@ ROBOTS = {  # file under example-robot-data, tip; or a data sheet, or a shipped 
     "crops_v2": None,
     "chembuly9": None,
 }
+CLOSED = ("UR5", "iiwa 14")  # of these also by search alone, and with all answers
+ALL = 200  # targets of which all are asked for
 
 
 def robot(name: str) -> jaxik.Chain:
@@ -97,21 +99,35 @@ def beside_peers() -> list[dict[str, Any]]:
 
 
 def other_robots() -> list[dict[str, Any]]:
-    """Success and time on every robot, and EAIK's on the one whose six joints it knows a decomposition of."""
+    """Success and time on every robot; of arms whose closed form answers, beside the search that other arms have, and with all
+    their answers; and EAIK's on the one whose six joints it knows a decomposition of."""
     rows = []
     for name in ROBOTS:
         chain = robot(name)
         poses = targets(chain, 2000)
-        solve = lambda chain=chain, poses=poses: jaxik.solve_ik(
-            chain, poses, position_tolerance=POSITION, rotation_tolerance=ROTATION
+        solve = lambda count=None, chain=chain, poses=poses, **options: jaxik.solve_ik(
+            chain, poses[:count], position_tolerance=POSITION, rotation_tolerance=ROTATION, **options
         )
-        result, first, each = timed(solve, 5)
+        result, first, each = timed(solve, 15)
         rows.append(row(f"{name}, {chain.num_joints} joints: jaxik", len(poses), first, each, judge(chain, result.q, poses)))
+        if name in CLOSED:
+            searched, first, each = timed(functools.partial(solve, seeds="library"), 15)
+            rows.append(row(f"{name}: jaxik, by search alone", len(poses), first, each, judge(chain, searched.q, poses)))
+            rows.append(all_answers(name, chain, poses[:ALL], functools.partial(solve, ALL, solutions="all")))
         if name == "UR5":
             run = ik_peers.eaik_solver(chain)
             q, first, each = timed(lambda run=run, poses=poses: run(poses), 5)
             rows.append(row("UR5: EAIK", len(poses), first, each, judge(chain, q, poses)))
     return rows
+
+
+def all_answers(name: str, chain: jaxik.Chain, poses: np.ndarray, solve: Callable[[], Any]) -> dict[str, Any]:
+    """Every different answer of each target; the success is of all of them."""
+    result, first, each = timed(solve, 3)
+    owner, number = np.nonzero(np.isfinite(result.solutions[..., 0]))
+    success = judge(chain, result.solutions[owner, number], poses[owner])
+    line = row(f"{name}: jaxik, solutions='all'", len(poses), first, each, success)
+    return line | {"solutions": float(np.mean(result.num_solutions))}
 
 
 LOOSE = {"position_tolerance": 1e-4, "rotation_tolerance": 1e-3}  # of the goals among obstacles [m], [rad]

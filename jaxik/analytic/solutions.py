@@ -86,6 +86,20 @@ def one_branch(chain: Chain, pose: Any, given: Any, number: Any) -> tuple[Any, A
     return q, (margin >= 0.0) & inside
 
 
+def first_branch(chain: Chain, pose: Any, given: Any) -> tuple[Any, Any]:
+    """Of a pose and what is given: the joints (n,) of the first branch that has them inside the limits, and its number;
+    `BRANCHES` where there is none. Traced."""
+    q, _, inside = closed_form(chain, pose, given)
+    joints, number = q[-1], jnp.int32(BRANCHES)
+    for k in reversed(range(BRANCHES)):
+        joints, number = jnp.where(inside[k], q[k], joints), jnp.where(inside[k], jnp.int32(k), number)
+    return joints, number
+
+
+# a batch of `first_branch`: (poses, what is given), by rows
+first_branches = host_kernels(2, known=16)(first_branch)
+
+
 def given_values(chain: Chain, q: Any) -> np.ndarray:
     """What `closed_form` is to be given (N, k) to have each of the configurations `q` (N, n) among its solutions [m, rad]. Host
     driver."""

@@ -3,7 +3,7 @@
 Six joints have up to eight, which are all answers. With values given beside them, those are tried one after the other over
 their ranges, and the best of their branches are followed to better ones nearby. Whoever has no answer after that, as its
 answers lie in a gap, is searched for. So is the answer nearest to a reference, to which a descent from the reference leads
-as soon, and over two given values nearer.
+as soon, and over two given values nearer; and any one answer over two given values, which a search finds sooner.
 """
 
 from __future__ import annotations
@@ -13,7 +13,7 @@ import itertools
 import numpy as np
 
 from jaxik.analytic.families import scannable, solver_of
-from jaxik.analytic.solutions import BRANCHES, closed_branches, closed_forms, given_values
+from jaxik.analytic.solutions import BRANCHES, closed_branches, closed_forms, first_branches, given_values
 from jaxik.ik import seeds
 from jaxik.ik.choosing import scores
 from jaxik.ik.problem import Problem
@@ -21,9 +21,8 @@ from jaxik.ik.solutions import Found, at_home, candidates, far_apart, first_most
 from jaxik.ik.sqp_programs import batch, errors
 from jaxik.spmd.batch import in_blocks
 
-ENOUGH = 16  # of them where one answer is enough: who has none by then (2 % of a Panda's targets) is found sooner by a search
 TRIED = 2  # given values that are tried first where some answer will do; then each time as many as all before
-TOGETHER = 32  # and of so few targets that they are fewer than this, which takes no longer
+TOGETHER = 32  # rows that take no longer than one: of few targets so many are tried first
 ZOOMS, ZOOMED, NARROWER = 3, 8, 0.3  # how often better given values are sought, how many, and how much nearer each time
 
 
@@ -35,62 +34,83 @@ def enumerable(problem: Problem) -> bool:
     if not asked or problem.scene is not None or options.cost is not None:
         return False
     nearest = options.choice == "closest" or (options.choice == "comfort" and problem.reference is not None)
-    if nearest and chain.num_joints > 6:
+    if (nearest and chain.num_joints > 6) or (problem.first_will_do and chain.num_joints > 7 and options.seeds == "auto"):
         return False
     return set(options.locked) <= {chain.joint_names[i] for i in solver_of(chain).given_joints}
 
 
 def enumerated(problem: Problem, poses: np.ndarray, left: np.ndarray) -> Found:
     """Answers of the targets `left`: of each the best by the choice, as many as are asked for."""
-    targets, found = left, nothing(problem)
-    for first, last in itertools.pairwise(_tries(problem, len(left))):
-        new = [_kept(problem, _of_values(problem, poses, some, first, last)) for some in portions(left, last - first)]
-        found = Found.joined([found, *new])
-        if problem.options.choice == "first":
-            found = _best(problem, found)
-            left = targets[np.bincount(np.searchsorted(targets, found.target), minlength=len(targets)) < problem.most]
-        if not len(left):
-            break
     if problem.options.choice != "first":
+        found = _kept_of(problem, poses, left, 0, _most(problem))
         followed = [_followed(problem, poses, found)] if problem.chain.num_joints > 6 else []
         found = _best(problem, Found.joined([found, *followed]))
+    else:
+        found = (_first if problem.most == 1 else _several)(problem, poses, left)
     found = measured(problem, poses, found)
     return found.rows(within(found, problem.tolerance))
 
 
+def _first(problem: Problem, poses: np.ndarray, left: np.ndarray) -> Found:
+    """Of each target the first branch inside the limits, of the first value that has one."""
+    found = [nothing(problem)]
+    for first, last in itertools.pairwise(_tries(problem, len(left))):
+        values = _values(problem, first, last)
+        rows = np.repeat(poses[left], len(values), axis=0), np.tile(values, (len(left), 1))
+        q, branch = in_blocks(first_branches(problem.chain), *rows, double=True)
+        fits = (branch < BRANCHES).reshape(len(left), len(values))
+        value, has = np.argmax(fits, axis=1), fits.any(axis=1)
+        row = (np.arange(len(left)) * len(values) + value)[has]
+        found.append(candidates(q[row], left[has], BRANCHES * (first + value[has]) + branch[row]))
+        left = left[~has]
+        if not len(left):
+            break
+    return Found.joined(found)
+
+
+def _several(problem: Problem, poses: np.ndarray, targets: np.ndarray) -> Found:
+    """Of each target so many branches as are asked for, of one wave of values after the other until there are enough."""
+    left, found = targets, nothing(problem)
+    for first, last in itertools.pairwise(_tries(problem, len(left))):
+        found = _best(problem, Found.joined([found, _kept_of(problem, poses, left, first, last)]))
+        left = targets[np.bincount(np.searchsorted(targets, found.target), minlength=len(targets)) < problem.most]
+        if not len(left):
+            break
+    return found
+
+
+def _most(problem: Problem) -> int:
+    """How many given values are tried."""
+    return 1 if problem.chain.num_joints == 6 else problem.options.max_seeds
+
+
 def _tries(problem: Problem, targets: int) -> list[int]:
     """Where waves of given values begin and end."""
-    if problem.chain.num_joints == 6:
-        return [0, 1]
-    most = problem.options.max_seeds
-    if problem.options.choice != "first":
-        return [0, most]
-    most = min(most, ENOUGH) if problem.first_will_do else most
-    few = max(TRIED, TOGETHER // max(targets, 1))
+    most, few = _most(problem), max(TRIED, TOGETHER // max(targets, 1))
     return [0, *itertools.takewhile(lambda k: k < most, (few << k for k in range(32))), most]
+
+
+def _kept_of(problem: Problem, poses: np.ndarray, some: np.ndarray, first: int, last: int) -> Found:
+    """What may be needed of the branches of `some` targets, a portion of them at a time."""
+    parts = (_of_values(problem, poses, part, first, last) for part in portions(some, last - first))
+    return Found.joined([_kept(problem, part) for part in parts])
 
 
 def _of_values(problem: Problem, poses: np.ndarray, some: np.ndarray, first: int, last: int) -> Found:
     """The branches inside the limits of `some` targets, of given values number `first` to `last` (not counted); in the order of
-    targets, and of branches where one is not as good as the other, else of values."""
+    targets and their branches."""
     count, target = last - first, np.repeat(some, last - first)
     given = np.tile(_values(problem, first, last), (len(some), 1))
     q, _, inside = in_blocks(closed_forms(problem.chain), poses[target], given, double=True)
-    fits, any_will_do = inside.reshape(len(some), count, BRANCHES), problem.options.choice == "first"
-    if any_will_do:
-        row, value, branch = np.nonzero(fits)
-    else:
-        row, branch, value = np.nonzero(fits.transpose(0, 2, 1))
+    row, branch, value = np.nonzero(inside.reshape(len(some), count, BRANCHES).transpose(0, 2, 1))
     found = candidates(q[row * count + value, branch], some[row], BRANCHES * (first + value) + branch)
-    return found if any_will_do else at_home(problem, found)
+    return found if problem.options.choice == "first" else at_home(problem, found)
 
 
 def _kept(problem: Problem, found: Found) -> Found:
-    """What may be needed of all that is found of some targets: the first, or the best of each branch, or all."""
+    """What may be needed of all that is found of some targets: the best of each branch, or all."""
     if problem.most > 1:
         return _best(problem, found)
-    if problem.options.choice == "first":
-        return found.rows(np.diff(found.target, prepend=-1) != 0)
     return found.rows(first_most(BRANCHES * found.target + found.seed % BRANCHES, scores(problem, found)))
 
 
@@ -113,7 +133,7 @@ def _values(problem: Problem, first: int, last: int) -> np.ndarray:
     inside = _range(problem)
     if not inside.low:
         return np.zeros((1, 0))
-    return seeds.low_discrepancy(inside, problem.seed, 2 ** int(last - 1).bit_length())[first:last]
+    return seeds.low_discrepancy(inside, problem.seed, first, last)
 
 
 def _followed(problem: Problem, poses: np.ndarray, found: Found) -> Found:
@@ -122,7 +142,7 @@ def _followed(problem: Problem, poses: np.ndarray, found: Found) -> Found:
         return found
     inside, rows = _range(problem), np.arange(len(found.q))
     low, high = np.array(inside.low), np.array(inside.high)
-    share = seeds.low_discrepancy(seeds.Range((-1.0,) * len(low), (1.0,) * len(low)), problem.seed, ZOOMED)
+    share = seeds.low_discrepancy(seeds.Range((-1.0,) * len(low), (1.0,) * len(low)), problem.seed, 0, ZOOMED)
     width = (high - low) / problem.options.max_seeds ** (1.0 / len(low))
     for zoom in range(ZOOMS):
         given = given_values(problem.chain, found.q)

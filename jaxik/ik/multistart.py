@@ -190,7 +190,7 @@ def _anywhere(problem: Problem, poses: np.ndarray, some: np.ndarray, first: int,
     if problem.strategy == "library":
         return seeds.library(chain, options.task, problem.unit, *numbers, poses[some])
     if problem.strategy == "low_discrepancy":
-        each = seeds.low_discrepancy(problem.inside, problem.seed, max(options.max_seeds, last))[first:last]
+        each = seeds.low_discrepancy(*numbers)
     else:
         each = seeds.uniforms(*numbers)
     return np.broadcast_to(each, (len(some), *each.shape))

@@ -6,7 +6,7 @@ library          the nearest to the target, by pose, of 1024 (later 512) configu
                  number k searches the k-th such set. A search from there succeeds about twice as often as from a random
                  configuration, and sooner.
 uniform          independent and uniform inside the limits
-low_discrepancy  a Halton sequence inside the limits [Halton 1960], scrambled by `seed`
+low_discrepancy  an additive recurrence of generalised golden ratios inside the limits [Roberts 2018], shifted by `seed`
 near             the reference, then uniform around it in ever wider boxes
 closed_form      the branches of the closed form for one position of the leading joints after the other
 """
@@ -54,11 +54,14 @@ def uniform(inside: Range, seed: int, number: int, count: int = 1) -> np.ndarray
 
 
 @functools.lru_cache(maxsize=64)
-def low_discrepancy(inside: Range, seed: int, count: int) -> np.ndarray:
-    """The first `count` points of the sequence, (count, n)."""
-    from scipy.stats import qmc
-
-    return read_only(inside.between(qmc.Halton(len(inside.low), seed=np.random.default_rng((STREAM, seed))).random(count)))
+def low_discrepancy(inside: Range, seed: int, first: int, last: int) -> np.ndarray:
+    """Numbers `first` to `last` (not counted) of the sequence, (last - first, n): each joint steps by its power of 1/g, where
+    g^(n + 1) = g + 1, round its range. SciPy has others, whose import takes longer than to find all answers."""
+    n, g = len(inside.low), 2.0
+    for _ in range(64):
+        g = (1.0 + g) ** (1.0 / (n + 1))
+    begin = np.random.default_rng((STREAM, seed)).random(n)
+    return read_only(inside.between((begin + np.outer(np.arange(first, last), g ** -np.arange(1.0, n + 1))) % 1.0))
 
 
 @functools.lru_cache(maxsize=64)
@@ -158,7 +161,7 @@ def branches(chain: Chain, inside: Range, seed: int, first: int, last: int, pose
     lead = np.zeros((len(numbers), 0))
     if chain.num_joints > 6:
         ends = (tuple(end.tolist()) for end in solver_of(chain).given_range(inside.low, inside.high))
-        lead = low_discrepancy(Range(*ends), seed, 2 ** int(last - 1).bit_length())[numbers]
+        lead = low_discrepancy(Range(*ends), seed, 0, last)[numbers]
     instead = uniforms(inside, seed, first, last)[numbers - first]
     rows = np.repeat(poses, last - first, axis=0), lead, numbers.astype(np.int32), instead
     fixed = np.array(inside.low), np.array(inside.high)

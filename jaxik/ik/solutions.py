@@ -14,6 +14,7 @@ from jaxik.robot.joint_turns import TURN, nearest_turns
 from jaxik.spmd.batch import in_blocks
 
 APART = 0.2  # [rad, m] between these in some joint: nearer ones end at the same place
+ROUNDS = 6  # through all rows that cost no more than to part them first
 PORTION = 65_536  # lanes at a time, which bounds the memory
 
 
@@ -105,14 +106,37 @@ def unwound(chain: Chain, q: np.ndarray) -> np.ndarray:
 
 def far_apart(problem: Problem, found: Found, score: np.ndarray, count: int, apart: float = APART) -> np.ndarray:
     """Up to `count` rows of each target, those with the largest score first, none with each joint near one before it."""
-    order, kept = top(found.target, score, len(found.q), found.seed), [np.zeros(0, int)]
+    near = found.target if count <= ROUNDS else _neighbours(problem.chain, found, apart)
+    kept = [np.zeros(0, int)]
+    order = top(near, score, len(near), found.seed)
     while len(order) and len(kept) <= count:
-        begins = np.diff(found.target[order], prepend=-1) != 0
+        begins = np.diff(near[order], prepend=-1) != 0
         best = order[begins]
         kept.append(best)
         away = unwound(problem.chain, found.q[order] - found.q[best[np.cumsum(begins) - 1]])
         order = order[np.abs(away).max(axis=1) > apart]
-    return np.concatenate(kept)
+    rows = np.sort(np.concatenate(kept))
+    return rows[top(found.target[rows], score[rows], count, found.seed[rows])]
+
+
+def _neighbours(chain: Chain, found: Found, apart: float) -> np.ndarray:
+    """Numbers that part the rows of each target such that rows of two numbers are apart: joint after joint, values in their
+    order part where the next is further away than `apart`."""
+    number, values = found.target, unwound(chain, found.q)
+    for value, turns in zip(values.T, unwound(chain, np.full(chain.num_joints, TURN)) == 0.0, strict=True):
+        order = np.lexsort((value, number))
+        ordered, owner = value[order], number[order]
+        begins = np.diff(owner, prepend=-1) != 0
+        parts = np.cumsum(begins | (np.diff(ordered, prepend=0.0) > apart))
+        if turns and len(order):  # the last values of a turn may be next to its first
+            first, last = np.flatnonzero(begins), np.append(np.flatnonzero(begins)[1:], len(order)) - 1
+            joined = ordered[first] + TURN - ordered[last] <= apart
+            same = np.arange(parts[-1] + 1)
+            same[parts[last[joined]]] = parts[first[joined]]
+            parts = same[parts]
+        number = np.empty_like(parts)
+        number[order] = parts
+    return number
 
 
 def top(target: np.ndarray, score: np.ndarray, count: int, *rank: np.ndarray) -> np.ndarray:

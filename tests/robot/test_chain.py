@@ -77,7 +77,7 @@ def test_numbers_of_a_chain_may_be_jax_s_and_traced():
 
 def test_what_is_cached_and_shared_cannot_be_written():
     inside = seeds.Range((0.0, -1.0), (1.0, 1.0))
-    shared = [seeds.uniform(inside, 0, 3), seeds.low_discrepancy(inside, 0, 8), reach_bound(CHAIN)]
+    shared = [seeds.uniform(inside, 0, 3), seeds.low_discrepancy(inside, 0, 0, 8), reach_bound(CHAIN)]
     shared.append(
         seeds._set(CHAIN, jaxik.Task(), seeds.Range(tuple(CHAIN.lower.tolist()), tuple(CHAIN.upper.tolist())), 1.0, 0)
     )
