@@ -1,6 +1,7 @@
 """Answers without a search: where a target is a pose and nothing else is asked, the closed form's branches are what there is.
 
-Six joints have up to eight, which are all answers. With values given beside them, those are tried one after the other over
+Six joints have up to eight, which are all answers; of no family up to sixteen, found by homotopy, which takes longer than to
+search for one of them. With values given beside them, those are tried one after the other over
 their ranges, and the best of their branches are followed to better ones nearby. Whoever has no answer after that, as its
 answers lie in a gap, is searched for. So is the answer nearest to a reference, to which a descent from the reference leads
 as soon, and over two given values nearer; and any one answer over two given values, which a search finds sooner.
@@ -8,17 +9,21 @@ as soon, and over two given values nearer; and any one answer over two given val
 
 from __future__ import annotations
 
+import functools
 import itertools
 
 import numpy as np
 
-from jaxik.analytic.families import scannable, solver_of
+from jaxik.analytic.families import closed_form_obstacle, scannable, solver_of
+from jaxik.analytic.general import GeneralArm, general_arm, general_kernel
 from jaxik.analytic.solutions import BRANCHES, closed_branches, closed_forms, first_branches, given_values
 from jaxik.ik import seeds
 from jaxik.ik.choosing import scores
 from jaxik.ik.problem import Problem
 from jaxik.ik.solutions import Found, at_home, candidates, far_apart, first_most, nothing, portions, top, within
 from jaxik.ik.sqp_programs import batch, errors
+from jaxik.robot.chain import Chain
+from jaxik.robot.joint_turns import nearest_turns
 from jaxik.spmd.batch import in_blocks
 
 TRIED = 2  # given values that are tried first where some answer will do; then each time as many as all before
@@ -28,15 +33,30 @@ ZOOMS, ZOOMED, NARROWER = 3, 8, 0.3  # how often better given values are sought,
 
 def enumerable(problem: Problem) -> bool:
     """Whether branches of the closed form are all that is asked for: poses, without obstacles, a cost, or seeds of another
-    kind, and no joint locked but those that it is given."""
-    options, chain = problem.options, problem.chain
-    asked = options.seeds == "closed_form" or (options.seeds == "auto" and all(options.task.bound) and scannable(chain))
-    if not asked or problem.scene is not None or options.cost is not None:
+    kind, and no joint locked but those that it is given. Or where six joints have none, whether more than one answer is."""
+    options, chain, wanted = problem.options, problem.chain, problem.options.seeds == "closed_form"
+    if problem.scene is not None or options.cost is not None or not (wanted or options.seeds == "auto"):
         return False
+    if not wanted and not all(options.task.bound):
+        return False
+    if not wanted and not scannable(chain):
+        return not problem.first_will_do and not options.locked and _without_closed_form(chain) is not None
     nearest = options.choice == "closest" or (options.choice == "comfort" and problem.reference is not None)
-    if (nearest and chain.num_joints > 6) or (problem.first_will_do and chain.num_joints > 7 and options.seeds == "auto"):
+    if (nearest and chain.num_joints > 6) or (problem.first_will_do and chain.num_joints > 7 and not wanted):
         return False
     return set(options.locked) <= {chain.joint_names[i] for i in solver_of(chain).given_joints}
+
+
+@functools.lru_cache(maxsize=64)
+def _without_closed_form(chain: Chain) -> GeneralArm | None:
+    """What it takes to find all postures of six joints of no family; None for other chains, and for joints that cannot move the
+    tip in all directions."""
+    if chain.num_joints != 6 or any(chain.is_prismatic) or not closed_form_obstacle(chain):
+        return None
+    try:
+        return general_arm(chain)
+    except ValueError:
+        return None
 
 
 def enumerated(problem: Problem, poses: np.ndarray, left: np.ndarray) -> Found:
@@ -99,6 +119,8 @@ def _kept_of(problem: Problem, poses: np.ndarray, some: np.ndarray, first: int, 
 def _of_values(problem: Problem, poses: np.ndarray, some: np.ndarray, first: int, last: int) -> Found:
     """The branches inside the limits of `some` targets, of given values number `first` to `last` (not counted); in the order of
     targets and their branches."""
+    if (arm := _without_closed_form(problem.chain)) is not None:
+        return _of_general(problem, arm, poses, some)
     count, target = last - first, np.repeat(some, last - first)
     given = np.tile(_values(problem, first, last), (len(some), 1))
     q, _, inside = in_blocks(closed_forms(problem.chain), poses[target], given, double=True)
@@ -107,9 +129,18 @@ def _of_values(problem: Problem, poses: np.ndarray, some: np.ndarray, first: int
     return found if problem.options.choice == "first" else at_home(problem, found)
 
 
+def _of_general(problem: Problem, arm: GeneralArm, poses: np.ndarray, some: np.ndarray) -> Found:
+    """The postures inside the limits of an arm without a closed form."""
+    q, margin, _ = in_blocks(general_kernel(), poses[some], fixed=(arm,), double=True)
+    row, number = np.nonzero(margin >= 0.0)
+    target, low, high = some[row], problem.low, problem.high
+    q = nearest_turns(problem.chain, q[row, number], problem.home(target), low, high)
+    return candidates(q, target, number).rows(np.all((low <= q) & (q <= high), axis=1))
+
+
 def _kept(problem: Problem, found: Found) -> Found:
     """What may be needed of all that is found of some targets: the best of each branch, or all."""
-    if problem.most > 1:
+    if problem.most > 1 or problem.chain.num_joints == 6:
         return _best(problem, found)
     return found.rows(first_most(BRANCHES * found.target + found.seed % BRANCHES, scores(problem, found)))
 

@@ -115,7 +115,7 @@ def _of_the_rest(problem: Problem) -> Problem:
     """How what the closed form's branches do not answer is searched for: of six joints, whose branches are all, from these put
     inside the limits, as there may be an answer within the tolerances, or joints that turn against each other where they are in
     line; of others as if there were none."""
-    if problem.chain.num_joints > 6 or not _is_exact(problem):
+    if problem.chain.num_joints > 6 or problem.strategy != "closed_form" or not _is_exact(problem):
         return problem
     few = min(BRANCHES, problem.options.max_seeds)
     return dataclasses.replace(problem, options=dataclasses.replace(problem.options, choice="first", max_seeds=few))

@@ -41,7 +41,7 @@ class IKOptions:
         "manipulability" with a `cost`: the one that costs less, where a joint has both limits.
     norm: in which "closest" measures, "l2" or "linf", joints multiplied by `weights`.
     solutions: so many different answers a target are returned, best first, or "all" that were found; turns by 2 pi count as
-        different. Of six joints in closed form "all" is all that there are.
+        different. Of six joints in closed form "all" is all that there are, and of six others all to which homotopy leads.
     distinct: answers nearer to each other than this in every joint are one [rad, m].
     locked: joints (by name) that stay at a value [rad, m].
     weights: (n,) how unwilling each joint is to move, 1 unless given.

@@ -8,11 +8,13 @@ import numpy as np
 import pytest
 from arm import eaik_robot
 from general_arms import Judge, apart, multistart, random_arm
+from random_arms import assembled
 from robots import FOLDER, ROBOTS
 
 import jaxik
 from jaxik.analytic import general_arm, general_kernel, general_solutions
 from jaxik.analytic.axes import Axes
+from jaxik.costs import joint_limit_margin
 
 EXACT = 1e-10  # [m, rad] of a round trip
 
@@ -128,3 +130,22 @@ def test_refused(untyped):
         general_arm(axes._replace(h=np.broadcast_to([0.0, 0.0, 1.0], (6, 3))))
     with pytest.raises(ValueError, match="p6r has 7 joints, 1 of them prismatic; six revolute ones are solved"):
         general_arm(jaxik.load("p6r"))
+
+
+def test_inverse_kinematics_has_all_answers():
+    """Those of the multistart, on every turn inside limits of 7 rad, and of many the best."""
+    random = np.random.default_rng(5)
+    axes = random_arm(random, 0.0)
+    chain = assembled(random, axes.h, axes.p, "of no family")
+    axes = Axes.of(chain)
+    judge, poses = Judge(axes), [jaxik.forward_kinematics(chain, q) for q in random.uniform(-3.0, 3.0, (3, 6))]
+    every = jaxik.solve_ik(chain, np.stack(poses), solutions="all")
+    best = jaxik.solve_ik(chain, np.stack(poses), choice="freedom")
+    for i, pose in enumerate(map(np.asarray, poses)):
+        expected = [turned for q in multistart(axes, pose, judge, random) for turned in jaxik.robot.admissible_turns(chain, q)]
+        found = every.solutions[i, : every.num_solutions[i]]
+        assert len(found) == len(expected) > 1
+        assert all(min(np.abs(q - other).max() for other in expected) < 1e-6 for q in found)
+        margins = [float(joint_limit_margin(chain, q)) for q in expected]
+        assert np.isclose(float(joint_limit_margin(chain, best.q[i])), max(margins), atol=1e-6)
+    assert jaxik.solve_ik(chain, np.stack(poses), solutions=2).num_solutions.tolist() == [2, 2, 2]
