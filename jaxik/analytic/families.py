@@ -89,6 +89,11 @@ class Solver(NamedTuple):
         before, _, after = self.split(given)
         return [*before, *angles, *after]
 
+    @property
+    def given_names(self) -> tuple[str, ...]:
+        """Of what is given: a joint's, or the parameter's."""
+        return tuple(self.joined(self.chain.joint_names, [self.family.name] * self.family.parameters))
+
     def limits(self) -> tuple[np.ndarray, np.ndarray]:
         """The range (k,), (k,) of what is given [m, rad]: finite, a turn where there are no limits."""
         return self.given_range(*finite_limits(self.chain))
@@ -242,5 +247,4 @@ def redundancy(chain: Chain) -> Redundancy:
     Raises `ValueError` with the reason where the chain has no six neighbouring revolute joints.
     """
     solver = any_solver_of(chain)
-    names = solver.joined(chain.joint_names, [solver.family.name] * solver.family.parameters)
-    return Redundancy(solver.family.name, tuple(names), *solver.limits())
+    return Redundancy(solver.family.name, solver.given_names, *solver.limits())

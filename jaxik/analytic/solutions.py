@@ -47,11 +47,14 @@ def closed_form(chain: Chain, pose: Float[Array, "4 4"], slide: Float[Array, "..
     Raises `ValueError` with the reason where no six neighbouring joints are revolute, or a shape is wrong.
     """
     solver = any_solver_of(chain)
-    left_over = len(solver.limits()[0])
+    names = solver.given_names
     pose = as_numbers("pose", pose)
     given = jnp.zeros(0, pose.dtype) if slide is None else jnp.atleast_1d(as_numbers("slide", slide))
-    if pose.shape != (4, 4) or given.shape != (left_over,):
-        raise ValueError(f"closed_form: pose {pose.shape} and slide {given.shape}; expected (4, 4) and ({left_over},)")
+    if pose.shape != (4, 4) or given.shape != (len(names),):
+        wanted = f"({len(names)},): {', '.join(names) or 'nothing is given'}"
+        raise ValueError(
+            f"closed_form: pose {pose.shape} and slide {given.shape}; expected (4, 4) and {wanted}; vmap it over more"
+        )
     dtype = jnp.result_type(pose, given, jnp.float32)
     pose, given = pose.astype(dtype), given.astype(dtype)
     found = [each for half in solver.half_branches(pose, given) for each in half.finish()]
@@ -101,9 +104,16 @@ first_branches = host_kernels(2, known=16)(first_branch)
 
 
 def given_values(chain: Chain, q: Any) -> np.ndarray:
-    """What `closed_form` is to be given (N, k) to have each of the configurations `q` (N, n) among its solutions [m, rad]. Host
-    driver."""
-    return in_blocks(_given_values(chain), np.asarray(q), double=True)[0]
+    """What `closed_form` is to be given (k,), or (N, k), to have the configuration `q` (n,), or each of (N, n), among its
+    solutions [m, rad]. Host driver.
+
+    Raises `ValueError` for another shape, and with the reason where no six neighbouring joints are revolute.
+    """
+    q = np.asarray(q, float)
+    if q.ndim not in (1, 2) or q.shape[-1] != chain.num_joints:
+        raise ValueError(f"given_values: q {q.shape}; expected ({chain.num_joints},) or (N, {chain.num_joints})")
+    values = in_blocks(_given_values(chain), np.atleast_2d(q), double=True)[0]
+    return values[0] if q.ndim == 1 else values
 
 
 @host_kernels(1, known=16)

@@ -126,6 +126,23 @@ def test_chains_outside_the_families_are_refused_with_the_reason(name, words):
         jaxik.closed_form(chain, jnp.eye(4))
 
 
+@pytest.mark.parametrize("name, given", [("ur5e", r"\(0,\): nothing"), ("panda_lift", r"\(2,\): lift, panda_joint7")])
+def test_what_is_given_in_another_shape_is_refused_by_its_names(name, given):
+    chain = jaxik.load(name)
+    with pytest.raises(ValueError, match=given):
+        jaxik.closed_form(chain, jnp.eye(4), jnp.zeros(3))
+
+
+def test_one_configuration_is_given_its_values():
+    chain = jaxik.load("panda")
+    q = np.random.default_rng(0).uniform(chain.lower, chain.upper, (3, 7))
+    every = jaxik.analytic.given_values(chain, q)
+    assert every.shape == (3, 1) and jaxik.analytic.given_values(chain, q[1]) == every[1]
+    for wrong in (q[0, 0], q[:, :6], q[None]):
+        with pytest.raises(ValueError, match=r"expected \(7,\) or \(N, 7\)"):
+            jaxik.analytic.given_values(chain, wrong)
+
+
 def test_traced_numbers_are_refused():
     chain = jaxik.load("p6r")
     traced = dataclasses.replace(chain, parent_T_joint=jnp.asarray(chain.parent_T_joint))
