@@ -18,7 +18,7 @@ import numpy as np
 from jaxik.robot.chain import Chain
 
 TOLERANCE = 1e-5  # [m, rad] within which axes count as parallel or meeting: files round right angles to 1.5708
-CLEAR = 1e-3  # [rad] by which axes that must not be parallel are apart
+OBLIQUE = 1e-3  # [rad] by which axes that must not be parallel are apart
 
 
 class Axes(NamedTuple):
@@ -30,7 +30,7 @@ class Axes(NamedTuple):
 
     @staticmethod
     def of(part: Chain) -> Axes:
-        """Of revolute joints."""
+        """Of a chain of revolute joints, with concrete numbers."""
         frames = np.array(list(itertools.accumulate(part.parent_T_joint, np.matmul, initial=np.eye(4)))[1:])
         h = np.einsum("nij,nj->ni", frames[:, :3, :3], part.axis)
         return Axes(h, frames[:, :3, 3], frames[-1] @ part.joint_T_tip)
@@ -42,36 +42,35 @@ class Axes(NamedTuple):
 
     @property
     def misfit(self) -> float:
-        """By how much axes that count as parallel or meeting are not [rad, m]: files round their angles."""
+        """The largest of what neighbouring axes that count as parallel or meeting miss that by [rad, m]; 0 of exact ones."""
         neighbours = list(itertools.pairwise(range(len(self.h))))
-        skewed = [float(np.linalg.norm(np.cross(self.h[a], self.h[b]))) for a, b in neighbours]
+        skewed = [self.tilt(a, b) for a, b in neighbours]
         missed = [self.miss(a, b) for a, b in neighbours] + [self.miss(i, i + 1, i + 2) for i in range(len(self.h) - 2)]
         return max((x for x in (*skewed, *missed) if x <= TOLERANCE), default=0.0)
 
     def parallel(self, *which: int) -> bool:
-        """Whether these axes are."""
+        """Whether these axes are parallel, either way round, within `TOLERANCE`."""
         return self.tilt(*which) <= TOLERANCE
 
     def tilt(self, *which: int) -> float:
-        """How far the axis that is least parallel to the first is from that [rad]."""
+        """The largest angle between the first of these axes and another, by its sine [rad]."""
         return max(float(np.linalg.norm(np.cross(self.h[which[0]], self.h[i]))) for i in which[1:])
 
-    def clear(self, a: int, b: int) -> bool:
-        """Whether two axes are not even nearly parallel."""
-        return bool(np.linalg.norm(np.cross(self.h[a], self.h[b])) >= CLEAR)
+    def oblique(self, a: int, b: int) -> bool:
+        """Whether two axes are far enough from parallel to divide by the sine of their angle."""
+        return self.tilt(a, b) >= OBLIQUE
 
     def meet(self, *which: int) -> bool:
-        """Whether these axes pass through one point, and no two that follow each other are parallel."""
-        return self.miss(*which) <= TOLERANCE and all(self.clear(a, b) for a, b in itertools.pairwise(which))
+        """Whether these axes pass through one point, within `TOLERANCE`, and no two that follow each other are parallel."""
+        return self.miss(*which) <= TOLERANCE and all(self.oblique(a, b) for a, b in itertools.pairwise(which))
 
     def miss(self, *which: int) -> float:
-        """How far the axis that is furthest from their common point passes it [m]."""
+        """The largest distance of these axes from the point that they pass nearest to [m]."""
         rows = list(which)
-        away = (np.eye(3) - self.h[rows, :, None] * self.h[rows, None, :]) @ (self.point(*which) - self.p[rows])[:, :, None]
-        return float(np.max(np.linalg.norm(away[:, :, 0], axis=1)))
+        return float(np.max(np.linalg.norm(np.cross(self.h[rows], self.point(*which) - self.p[rows]), axis=1)))
 
     def point(self, *which: int) -> np.ndarray:
-        """The point that these axes pass nearest to."""
+        """The point (3,) [m] with the least sum of squared distances from these axes."""
         rows = list(which)
         across = np.eye(3) - self.h[rows, :, None] * self.h[rows, None, :]
         found, *_ = np.linalg.lstsq(across.reshape(-1, 3), np.einsum("kij,kj->ki", across, self.p[rows]).ravel(), rcond=None)

@@ -31,6 +31,7 @@ from jaxik.analytic.turns import (
     chosen,
     circle_between,
     cosine_equation,
+    sphere_rows,
     turn_between,
     turns_to_distance,
     turns_to_meet,
@@ -43,17 +44,21 @@ from jaxik.spatial.ball import minimum, where
 
 
 class Positioned(NamedTuple):
-    """One way: the angles [rad] and turns of the three joints, some vectors as they were before these turned, and how far the
-    way is from turning complex (< 0: it has)."""
+    """One solution: the angles [rad] and turns of the three joints, the given vectors as they were before these turned (in the
+    frame `own` of what solved it), and how far the solution is from turning complex (< 0: it has)."""
 
     angles: tuple[Scalar, Scalar, Scalar]
-    turns: tuple[Any, Any, Any]
+    turns: tuple[Turn, Turn, Turn]
     vectors: list[Vec3]
     margin: Scalar
 
 
 def positioning(axes: Axes, point: np.ndarray) -> Any:
-    """What brings a point (3,), given at q = 0, to a place by the first three axes: `solve(place, vectors, eps, signs)`."""
+    """What brings a point (3,) [m], given at q = 0, to a place by the first three axes, as the cheapest of the cases above.
+
+    Its `solve(place, vectors, eps, signs)` gives a `Positioned` a solution; `own` (3, 3) is the frame that its vectors are
+    in.
+    """
     kind = next(kind for kind in (ParallelElbow, MeetingShoulder, MeetingElbow, ParallelShoulder, AnyThree) if kind.fits(axes))
     return kind(axes, point)
 
@@ -68,7 +73,7 @@ def obstacle(axes: Axes, point: np.ndarray) -> str:
         return "axes 2 and 3 are the same line"
     if _apart(axes.h[2], point - axes.p[2]) < 1e-6:
         return "the distance from axis 3 to the wrist centre is 0"
-    if axes.clear(0, 1) and axes.clear(1, 2) and axes.meet(0, 1, 2):
+    if axes.oblique(0, 1) and axes.oblique(1, 2) and axes.meet(0, 1, 2):
         return "its first three axes meet, and the wrist keeps to a sphere"
     return ""
 
@@ -85,7 +90,7 @@ class ParallelElbow:
 
     @staticmethod
     def fits(axes: Axes) -> bool:
-        return axes.parallel(1, 2) and axes.clear(0, 1)
+        return axes.parallel(1, 2) and axes.oblique(0, 1)
 
     def __init__(self, axes: Axes, point: np.ndarray):
         h, p, _ = axes
@@ -160,7 +165,7 @@ class ParallelElbow:
 
 
 class _Turning:
-    """The three axes as they are, and what is common to the ways that only differ in how the turns are found."""
+    """What the cases share that differ only in how they find the three turns; the axes stay in the arm's own frame."""
 
     own = np.eye(3)
 
@@ -178,7 +183,7 @@ class _Turning:
             yield Positioned(tuple(t.angle for t in turns), turns, back, margin)
 
     def turns(self, h: list[Vec3], place: Vec3, eps: float, signs: Signs) -> Iterator[tuple[Any, Scalar]]:
-        """The three turns of each way, and its margin."""
+        """The three turns of each solution, and its margin."""
         raise NotImplementedError
 
 
@@ -233,7 +238,7 @@ class ParallelShoulder(_Turning):
 
     @staticmethod
     def fits(axes: Axes) -> bool:
-        return axes.parallel(0, 1) and axes.clear(1, 2)
+        return axes.parallel(0, 1) and axes.oblique(1, 2)
 
     def turns(self, h: list[Vec3], place: Vec3, eps: float, signs: Signs) -> Iterator[tuple[Any, Scalar]]:
         vector = lambda v: vector_of(v, eps)
@@ -259,27 +264,12 @@ class AnyThree(_Turning):
         return True
 
     def turns(self, h: list[Vec3], place: Vec3, eps: float, signs: Signs) -> Iterator[tuple[Any, Scalar]]:
-        """Seen from axis 2, the point after joint 3 and the place before joint 1 are as far away and as high: `u + R_3 w` and
-        `R_1' t - v`."""
-        w, u, v = self.point - self.p[2], self.p[2] - self.p[1], self.p[1] - self.p[0]
-        t = place - vector_of(self.p[0], eps)
-        h1, h2, h3 = self.h[:3]
-        plane = w - h3 * (h3 @ w), np.cross(h3, w)  # R_3 w = plane_1 cos + plane_2 sin + its height
-        high = h3 * (h3 @ w) + u
-        near = [(u @ u + w @ w + 2.0 * (u @ h3) * (h3 @ w), 2.0 * u @ plane[0], 2.0 * u @ plane[1])]
-        near.append((h2 @ high, h2 @ plane[0], h2 @ plane[1]))
-        near = [tuple(float(x) for x in row) for row in near]
-        # R_1' t by its height and the turn of joint 1
-        along = h[0].dot(t)
-        flat, across = t - h[0] * along, h[0].cross(t)
-        from_v, from_h = vector_of(v, eps), vector_of(h2, eps)
-        far_away = add(t.dot(t), float(v @ v)), mul(-2.0 * float(v @ h1), along)
-        far = [
-            (add(*far_away), mul(-2.0, from_v.dot(flat)), mul(2.0, from_v.dot(across))),
-            (sub(mul(float(h2 @ h1), along), float(h2 @ v)), from_h.dot(flat), sub(0.0, from_h.dot(across))),
-        ]
-        for pair in chosen(circle_between(near, far, eps), signs):
+        """Subproblem 5, `R_1' t - v = R_2 (u + R_3 w)`: a point of axis 2 is the origin, from where the place before joint 1
+        and the point after joint 3 are as far away and as high."""
+        vector = lambda v: vector_of(v, eps)
+        w, u, v = vector(self.point - self.p[2]), vector(self.p[2] - self.p[1]), vector(self.p[1] - self.p[0])
+        t = place - vector(self.p[0])
+        for pair in chosen(circle_between(sphere_rows(u, w, h[2], h[1]), sphere_rows(-v, t, -h[0], h[1]), eps), signs):
             third, first = pair.first, pair.second
-            reached = vector_of(u, eps) + third.about(h[2]) @ vector_of(w, eps)
-            second = turn_between(reached, first.about(h[0]).T @ t - from_v, h[1])
+            second = turn_between(u + third.about(h[2]) @ w, first.about(h[0]).T @ t - v, h[1])
             yield (first, second, third), pair.margin

@@ -29,6 +29,7 @@ from jaxik.analytic.turns import (
     circle_between,
     either,
     row_of,
+    sphere_rows,
     turn_between,
     turns_to_distance,
     turns_to_meet,
@@ -128,14 +129,8 @@ def subproblem_5(p: Float[Array, "4 3"], k: Float[Array, "3 3"]) -> Turns:
     other shapes.
     """
     (p0, p1, p2, p3, k1, k2, k3), dtype, eps = _given(*as_numbers("p", p), *as_numbers("k", k))
-    rows = []
-    for at, moved, axis in ((p0, p1, k1), (p2, p3, k3)):
-        known, cos, sin = row_of(at, moved, axis)
-        length = at.dot(at) + moved.dot(moved) + 2.0 * known, 2.0 * cos, 2.0 * sin
-        known, cos, sin = row_of(k2, moved, axis)
-        rows.append((length, (known + k2.dot(at), cos, sin)))
     found, margins = [], []
-    for a, c, margin in _either_side(rows[0], rows[1], eps):
+    for a, c, margin in _either_side(sphere_rows(p0, p1, k1, k2), sphere_rows(p2, p3, k3, k2), eps):
         left, right = p0 + a.about(k1) @ p1, p2 + c.about(k3) @ p3
         found.append((a, turn_between(right, left, k2), c))
         margins.append(margin)

@@ -32,6 +32,7 @@ from jaxik.analytic.turns import (
     circle_between,
     cosine_equation,
     either,
+    row_of,
     turn_between,
     turns_to_distance,
     vector_of,
@@ -70,7 +71,7 @@ class _Plane:
         return Turn(stays(0.0, nearer.sin), stays(1.0, nearer.cos))
 
     def solve(self, place: Vec3, turn: Turn, eps: float) -> list[tuple[tuple[Scalar, Scalar, Scalar], Scalar]]:
-        """The angles [rad] that bring the third axis to `place` and turn by `turn` in all, and their margin."""
+        """Both triples of angles [rad] that bring the third axis to `place` and turn by `turn` in all, with their margin."""
         vector = lambda v: vector_of(v, eps)
         h, upper, lower = vector(self.h), vector(self.upper), vector(self.lower)
         away = place - vector(self.start)
@@ -100,7 +101,7 @@ class ThreeParallel:
         if not axes.parallel(*plane):
             return f"its axes {first + 1} to {first + 3} are {axes.tilt(*plane):.2g} rad from parallel"
         for i, j in ((first + 2, first + 3), (0, 1)) if first else ((2, 3),):
-            if not axes.clear(i, j):
+            if not axes.oblique(i, j):
                 return f"axes {first + 1} to {first + 3} have a fourth that is parallel"
         sides = _Plane(axes, first)
         if min(np.linalg.norm(sides.upper), np.linalg.norm(sides.lower)) < 1e-6:
@@ -141,15 +142,14 @@ class ThreeParallel:
         else:
             v, g = vector(point - p if place else point), moved.rotation.T @ h
             known = h.dot(moved @ vector(p))
-        along = mul(g.dot(k), k.dot(v))
-        return add(known, along) if place else along, sub(g.dot(v), along), -g.dot(k.cross(v))
+        along, cos, sin = row_of(g, v, k)  # by the angle, and the far joint turns back
+        return add(known, along) if place else along, cos, -sin
 
     def _near_row(self, *, place: bool) -> tuple[float, float, float]:
         """`h . E_a p_b` or `h . R_a h_b` as constant, cosine and sine of joint a."""
         h, k, p = self.plane.h, self.axes.h[self.a], self.axes.p[self.a]
-        v = self.p_b - p if place else self.axes.h[self.b]
-        along = float((h @ k) * (k @ v))
-        return along + float(h @ p) * place, float(h @ v) - along, float(h @ np.cross(k, v))
+        along, cos, sin = row_of(*(vector_of(v, 0.0) for v in (h, self.p_b - p if place else self.axes.h[self.b], k)))
+        return along + float(h @ p) * place, cos, sin
 
     def _of_meeting(self, moved: Frame, eps: float, signs: Signs) -> Iterator[HalfBranch]:
         known, cos, sin = self._far_row(moved, eps, place=True)

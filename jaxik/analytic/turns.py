@@ -60,7 +60,7 @@ def vector_of(v: Any, eps: float) -> Vec3:
 
 
 def either(first: Any, one: Any, two: Any) -> Any:
-    """One of two trees of scalars, and of what was compared."""
+    """`one` where `first`, else `two`: trees of scalars."""
     return jax.tree_util.tree_map(lambda a, b: where(first, a, b), one, two, is_leaf=lambda x: isinstance(x, Ball | Perhaps))
 
 
@@ -179,9 +179,18 @@ def circle_between(near: Sequence[Row], far: Sequence[Row], eps: float) -> list[
 
 
 def row_of(h: Vec3, p: Vec3, k: Vec3) -> Row:
-    """`h . R(k) p`."""
+    """`h . R(k, x) p` as constant, cosine and sine of x."""
     along = mul(h.dot(k), k.dot(p))
     return along, sub(h.dot(p), along), h.dot(k.cross(p))
+
+
+def sphere_rows(at: Vec3, moved: Vec3, k: Vec3, second: Vec3) -> tuple[Row, Row]:
+    """Of the point `at + R(k) moved`: the square of its distance from the origin, and its coordinate along the axis `second`.
+    A turn about that axis through the origin changes neither."""
+    known, cos, sin = row_of(at, moved, k)
+    square = add(add(at.dot(at), moved.dot(moved)), mul(2.0, known)), mul(2.0, cos), mul(2.0, sin)
+    known, cos, sin = row_of(second, moved, k)
+    return square, (add(known, second.dot(at)), cos, sin)
 
 
 def chosen(four: list[Pair], signs: Signs) -> list[Pair]:
@@ -191,7 +200,7 @@ def chosen(four: list[Pair], signs: Signs) -> list[Pair]:
     return [either(a > 0.0, either(b > 0.0, *four[:2]), either(b > 0.0, *four[2:])) for a, b in itertools.product(*signs)]
 
 
-BISECTIONS = 60  # of a bracket, most of them Newton steps; lanes take as many as the worst needs
+BISECTIONS = 60  # of the bracket; most are Newton steps
 POLISH = 3
 
 
@@ -216,7 +225,20 @@ def _quartic(equation: tuple[Scalar, ...], eps: float) -> list[tuple[Turn, Scala
 
 
 def _lines(k: Scalar, b1: Scalar, b2: Scalar, p: Scalar, r: Scalar) -> list[tuple[Scalar, Scalar, Scalar]]:
-    """The two lines `alpha cos + beta sin = m` that hold all four roots."""
+    """The two lines `alpha cos + beta sin = m` that hold all four roots of `k + b1 cos + b2 sin + p cos 2 + r sin 2 = 0`.
+
+    In the axes of p and r the equation is `k + a1 x + d1 y + a2 (x^2 - y^2) = 0`, a2 >= 0. Adding `2 a2 (1/2 - t)` times
+    `x^2 + y^2 - 1 = 0` makes it, of the same points of the circle,
+
+        alpha^2 x^2 - beta^2 y^2 + a1 x + d1 y + c = 0,   alpha^2 = 2 a2 (1 - t),   beta^2 = 2 a2 t,   c = k - a2 + 2 a2 t,
+
+    which is `(alpha x + beta y - m1) (alpha x - beta y - m2) = 0` where
+
+        alpha (m1 + m2) = -a1,   beta (m1 - m2) = d1,   m1 m2 = c.
+
+    Without m1 and m2 that is `t a1^2 / 4 = (1 - t) (2 a2 t c + d1^2 / 4)`, a cubic in t. Left minus right is <= 0 at t = 0 and
+    >= 0 at t = 1, so a root lies between, and alpha and beta are real.
+    """
     a2 = jnp.sqrt(p * p + r * r)
     skewed = a2 > 0.0
     inverse = 1.0 / jnp.where(skewed, a2, 1.0)
@@ -226,7 +248,6 @@ def _lines(k: Scalar, b1: Scalar, b2: Scalar, p: Scalar, r: Scalar) -> list[tupl
     cos, sin = jnp.where(cosine >= 0.0, large, small), jnp.where(cosine >= 0.0, small, large)
     a1, d1 = b1 * cos + b2 * sin, b2 * cos - b1 * sin
     aa, dd, rest = a1 * a1 / 4.0, d1 * d1 / 4.0, k - a2
-    # the conics of the pencil with real lines of opposite slopes: share t of the way, from d1^2 <= 0 at 0 to a1^2 >= 0 at 1
 
     def step(i: Any, state: Any) -> Any:
         low, high, t = state
@@ -241,7 +262,7 @@ def _lines(k: Scalar, b1: Scalar, b2: Scalar, p: Scalar, r: Scalar) -> list[tupl
     _, _, t = lax.fori_loop(0, BISECTIONS, step, (zero, zero + 1.0, zero + 0.5))
     alpha, beta = jnp.sqrt(2.0 * a2 * (1.0 - t)), jnp.sqrt(2.0 * a2 * t)
     product = rest + 2.0 * a2 * t
-    steep = alpha >= beta  # the sum of both m from the larger, their difference from their product
+    steep = alpha >= beta  # the larger gives the sum or the difference of m1 and m2, and c the other
     total = -a1 / jnp.where(steep & (alpha > 0.0), alpha, 1.0)
     apart = d1 / jnp.where(steep, 1.0, beta)
     difference = jnp.where(d1 < 0.0, -1.0, 1.0) * jnp.sqrt(jnp.maximum(total * total - 4.0 * product, 0.0))
@@ -268,7 +289,7 @@ def _polished(turn: Turn, k: Scalar, b1: Scalar, b2: Scalar, p: Scalar, r: Scala
 
 
 def _unit(sin: Scalar, cos: Scalar) -> Turn:
-    """Of a vector, which has any length; 0 of none."""
+    """The angle of the vector (cos, sin), which may have any length; 0 where that is 0."""
     if isinstance(sin, Ball) or isinstance(cos, Ball):
         return Turn(*unit(sin, cos))
     square = sin * sin + cos * cos
