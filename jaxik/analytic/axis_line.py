@@ -24,7 +24,7 @@ from jaxik.spatial.complex_scalar import Complex, pivoted_solve
 from jaxik.spatial.rotations import frame
 from jaxik.spmd.host import HostKernel
 
-BRANCHES = 16
+MOST_SOLUTIONS = 16  # of a line, complex ones counted [Raghavan and Roth 1990]
 SAME = 1e-4  # two ends of paths nearer than that, of about 1, are one
 TWOFOLD = 1e7  # of |dx/ds|: there two paths may end as one
 SETTLING = 30  # steps
@@ -205,15 +205,15 @@ def line_paths(arm: Arm, begin: Line, end: Line, angle: Any, count: Any, goal: A
         path = lax.cond(k < count, lambda: follow_path(functools.partial(_newton, arm, begin, end), x, goal), lambda: none)
         return None, (path, jnp.stack(_mark([Complex(path.x[0, i], path.x[1, i]) for i in range(5)])))
 
-    _, (paths, marks) = lax.scan(turn, None, jnp.arange(BRANCHES))
+    _, (paths, marks) = lax.scan(turn, None, jnp.arange(MOST_SOLUTIONS))
     arrived = (paths.status == ARRIVED) | (paths.status == SINGULAR)
 
     def alone(fine: Any, k: Any) -> tuple[Any, None]:
         near = jnp.sum(jnp.square(marks - marks[k]), axis=1) < SAME**2 * (1.0 + jnp.sum(jnp.square(marks[k])))
-        twins = near & arrived & (jnp.arange(BRANCHES) > k) & ((paths.speed < TWOFOLD) | (paths.speed[k] < TWOFOLD))
+        twins = near & arrived & (jnp.arange(MOST_SOLUTIONS) > k) & ((paths.speed < TWOFOLD) | (paths.speed[k] < TWOFOLD))
         return fine & ((k >= count) | (arrived[k] & ~jnp.any(twins))), None
 
-    complete, _ = lax.scan(alone, jnp.asarray(True), jnp.arange(BRANCHES))
+    complete, _ = lax.scan(alone, jnp.asarray(True), jnp.arange(MOST_SOLUTIONS))
     return Ends(paths.x, paths.speed, paths.status, complete, jnp.sum(paths.evaluations, dtype=jnp.int32))
 
 

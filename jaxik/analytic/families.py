@@ -16,8 +16,9 @@ import numpy as np
 
 from jaxik.analytic.arm_angle import ArmAngle
 from jaxik.analytic.axes import TOLERANCE, Axes
+from jaxik.analytic.axis_line import MOST_SOLUTIONS
 from jaxik.analytic.general import general_arm, general_solutions
-from jaxik.analytic.half_branches import HalfBranch
+from jaxik.analytic.half_branches import Family, HalfBranch
 from jaxik.analytic.spherical_wrist import SphericalWrist
 from jaxik.analytic.three_parallel import ThreeParallel
 from jaxik.analytic.turns import ALL, Signs
@@ -30,21 +31,24 @@ from jaxik.spatial.algebra import BASE, Frame, Scalar, stack, traced
 class FromTip:
     """A family that fits the arm as it is seen from its tip."""
 
-    def __init__(self, family: Any):
+    parameters = 0
+
+    def __init__(self, family: Family):
         self.family, self.cost = family, family.cost
         self.name = f"{family.name}, seen from the tip"
-        self.joints, self.parameters, self.branches = family.joints, family.parameters, family.branches
+        self.joints, self.branches = family.joints, family.branches
 
     def half_branches(self, target: Frame, given: list[Scalar], eps: float, signs: Signs = ALL) -> list[HalfBranch]:
         return [half.from_tip(self.joints) for half in self.family.half_branches(target.inverse(), given, eps, signs)]
 
 
 class Solver(NamedTuple):
-    """A chain's closed form: the joints from `first` on are solved by the family, the others are given."""
+    """A chain's closed form: the joints from `first` on are solved by the family, the others are given. `misfit` is that of
+    their axes [rad, m]."""
 
     chain: Chain
     first: int
-    family: Any
+    family: Family
     misfit: float
 
     @property
@@ -62,7 +66,7 @@ class Solver(NamedTuple):
         return given[: self.first], given[self.first : end], given[end:]
 
     def joined(self, of_joints: Any, own: Any) -> list[Any]:
-        """What is given, of something that each joint of the chain has, and of the family's own parameters."""
+        """The inverse of `split`: of one entry a joint those of the given joints, with the family's `own` in their place."""
         given = [of_joints[i] for i in self.given_joints]
         return [*given[: self.first], *own, *given[self.first :]]
 
@@ -79,13 +83,13 @@ class Solver(NamedTuple):
         return target
 
     def half_branches(self, pose: Any, given: Any, signs: Signs = ALL) -> list[HalfBranch]:
-        """The half branches of a pose (4, 4), their joints counted in the chain. What of them is not used is not computed."""
-        eps = max(float(np.finfo(pose.dtype).eps), 4.0 * self.misfit)  # of files whose right angles are rounded
+        """The half branches of a pose (4, 4), their `turns` by number in the chain."""
+        eps = max(float(np.finfo(pose.dtype).eps), 4.0 * self.misfit)  # a rounded right angle counts as one
         halves = self.family.half_branches(self.target(pose, given), self.split(given)[1], eps, signs)
         return [half._replace(turns={i + self.first: turn for i, turn in half.turns.items()}) for half in halves]
 
     def joints(self, given: Any, angles: Any) -> list[Scalar]:
-        """All joints of the chain, of what is given and the angles that were found."""
+        """All joints of the chain (n,): the given ones about the angles that were found."""
         before, _, after = self.split(given)
         return [*before, *angles, *after]
 
@@ -95,11 +99,11 @@ class Solver(NamedTuple):
         return tuple(self.joined(self.chain.joint_names, [self.family.name] * self.family.parameters))
 
     def limits(self) -> tuple[np.ndarray, np.ndarray]:
-        """The range (k,), (k,) of what is given [m, rad]: finite, a turn where there are no limits."""
+        """The finite range (k,), (k,) of what is given [m, rad]: a whole turn where there are no limits."""
         return self.given_range(*finite_limits(self.chain))
 
     def given_range(self, low: Any, high: Any) -> tuple[np.ndarray, np.ndarray]:
-        """Of bounds of all joints (n,), those of what is given (k,)."""
+        """The range (k,), (k,) of what is given, from bounds of all joints (n,), (n,) [m, rad]."""
         own = np.full(self.family.parameters, np.pi)
         return np.array(self.joined(low, -own), float), np.array(self.joined(high, own), float)
 
@@ -109,6 +113,7 @@ class Solver(NamedTuple):
             return self.joined(q, [])
         part = self.chain.part(self.solved.start, self.solved.stop)
         frames = joint_frames(part, [q[i] for i in self.solved], BASE, q.dtype)
+        assert isinstance(self.family, ArmAngle)  # the one that has a parameter
         return self.joined(q, [self.family.parameter(frames, float(np.finfo(q.dtype).eps))])
 
 
@@ -116,7 +121,7 @@ class AnySix:
     """Six joints that are of no family, by paths of complex solutions: sixteen postures at most."""
 
     name = "any six joints"
-    joints, parameters, branches, cost = 6, 0, 16, 1000
+    joints, parameters, branches, cost = 6, 0, MOST_SOLUTIONS, 1000
 
     def __init__(self, axes: Axes):
         self.arm = general_arm(axes)
@@ -125,14 +130,12 @@ class AnySix:
         dtype = jnp.result_type(*target.rotation.entries)
         q, margin, _ = general_solutions(self.arm, stack(target.entries, (4, 4), dtype))
         both = lambda k: [(tuple(q[i, j] for j in range(6)), margin[i]) for i in (k, k + 1)]
-        return [HalfBranch({}, jnp.maximum(margin[k], margin[k + 1]), functools.partial(both, k)) for k in range(0, 16, 2)]
+        pairs = range(0, self.branches, 2)
+        return [HalfBranch({}, jnp.maximum(margin[k], margin[k + 1]), functools.partial(both, k)) for k in pairs]
 
 
-Maker = Callable[[], Any]
-
-
-def _families(part: Chain) -> Iterator[tuple[str, Maker]]:
-    """Of six or seven revolute joints: each family's obstacle, and how it is made."""
+def _families(part: Chain) -> Iterator[tuple[str, Callable[[], Family]]]:
+    """The families for six or seven revolute joints: why each does not fit, or an empty string, and how it is made."""
     axes = Axes.of(part)
     rest = lambda joint: float(np.clip(0.0, part.lower[joint], part.upper[joint]))
     if part.num_joints == 7:
@@ -153,46 +156,50 @@ def _families(part: Chain) -> Iterator[tuple[str, Maker]]:
 @functools.lru_cache(maxsize=64)
 def _found(chain: Chain) -> tuple[Solver | None, str]:
     """The chain's cheapest closed form, or why it has none."""
-    best, reasons = None, []
+    best: Solver | None = None
+    reasons: list[str] = []
     for size in (7, 6):
         for first in range(chain.num_joints - size, -1, -1):
-            joints = slice(first, first + size)
-            if any(chain.is_prismatic[joints]):
-                name = chain.joint_names[joints][chain.is_prismatic[joints].index(True)]
-                reasons.append((size, first, [f"joint '{name}' is prismatic"]))
-                continue
-            families = list(_families(chain.part(first, first + size)))
-            for reason, made in families:
-                if not reason:
-                    solver = Solver(chain, first, made(), Axes.of(chain.part(first, first + size)).misfit)
-                    best = solver if best is None or solver.family.cost < best.family.cost else best
-            reasons.append((size, first, [reason for reason, _ in families]))
+            part = chain.part(first, first + size)
+            if any(part.is_prismatic):
+                families, why = [], f"joint '{part.joint_names[part.is_prismatic.index(True)]}' is prismatic"
+            else:
+                families = list(_families(part))
+                why = "; ".join(reason for reason, _ in families)
+            if size == 6:
+                reasons.append(f"of joints {first + 1} to {first + size} {why}")
+            for made in [made for reason, made in families if not reason]:
+                solver = Solver(chain, first, made(), Axes.of(part).misfit)
+                best = solver if best is None or solver.family.cost < best.family.cost else best
     if best is not None:
         return best, ""
     if chain.num_joints < 6:
         return None, f"it has {chain.num_joints} joints, and six revolute ones are needed"
-    why = [f"of joints {first + 1} to {first + size} " + "; ".join(each) for size, first, each in reasons if size == 6]
-    return None, f"no six neighbouring joints are of a family ({TOLERANCE:g} allowed): " + ". ".join(why)
+    return None, f"no six neighbouring joints are of a family ({TOLERANCE:g} allowed): " + ". ".join(reasons)
 
 
 def closed_form_obstacle(chain: Chain) -> str:
-    """Why the chain has no closed form here, or an empty string. Reads the chain's concrete numbers. Host."""
+    """Why the chain has no closed form, or an empty string. Host.
+
+    Six joints that are of no family have none, and are solved all the same (`closed_form`). A chain with traced numbers has
+    none either; raises `ValueError` for what is no chain.
+    """
     check_kind("closed_form", "chain", chain, Chain)
     if not all(isinstance(x, np.ndarray) for x in (chain.parent_T_joint, chain.axis, chain.joint_T_tip)):
         return "its numbers are traced; closed_form reads them while tracing, so close over the chain"
     return _found(chain)[1]
 
 
-MOST_SCANNED = 2  # values given, a grid over which is smaller than a search
+MOST_SCANNED = 2  # given values: a grid over three is larger than a search
 
 
 def scannable(chain: Chain) -> bool:
-    """Whether postures are sought over a grid of what the chain's closed form is given."""
+    """Whether the chain has a closed form that is given few enough values to seek postures over a grid of them."""
     return not scan_obstacle(chain)
 
 
 def scan_obstacle(chain: Chain) -> str:
-    """Why they are not, or an empty string."""
+    """Why it is not `scannable`, or an empty string."""
     if reason := closed_form_obstacle(chain):
         return reason
     names = redundancy(chain).names
@@ -228,11 +235,11 @@ def _without_family(chain: Chain) -> Solver | None:
 
 
 class Redundancy(NamedTuple):
-    """What a chain's closed form is given: the joints that are left over, before and after those that it solves, and the arm
-    angle where it solves seven.
+    """What a chain's closed form is given: the joints before and after those that it solves, and the arm angle where it solves
+    seven.
 
-    One entry each (k,): its name, a joint's or "arm angle", and its range [m, rad], a whole turn where there are no limits.
-    `family` says what the solved joints are solved by.
+    One entry each (k,): `names`, a joint's or "arm angle", and its range `lower` to `upper` [m, rad], a whole turn where there
+    are no limits. `family` is the name of what solves the other joints.
     """
 
     family: str

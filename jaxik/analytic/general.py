@@ -32,7 +32,7 @@ from jaxtyping import Bool, Float
 from jaxik.analytic.axes import Axes
 from jaxik.analytic.axis_line import (
     AXIS,
-    BRANCHES,
+    MOST_SOLUTIONS,
     ORIGIN,
     SAME,
     Arm,
@@ -178,7 +178,7 @@ def _freedom(arm: Arm, angles: np.ndarray) -> float:
 def _all_solutions(arm: Arm, line: Line, known: np.ndarray, random: np.random.Generator) -> np.ndarray:
     """All solutions (N, 2, 5) of a line (1, 2, 3) of which some are known, by monodromy."""
     in_vain = 0
-    while in_vain < 2 and len(known) < BRANCHES:
+    while in_vain < 2 and len(known) < MOST_SOLUTIONS:
         stops = [_lines(arm, _random_angles(random, LOOPS, 0.5)) for _ in range(2)]
         x, arrived = known, np.ones((LOOPS, len(known)), bool)
         for begin, end in ((line, stops[0]), (stops[0], stops[1]), (stops[1], line)):
@@ -197,7 +197,7 @@ def _with(known: np.ndarray, more: np.ndarray) -> np.ndarray:
     for each in more:
         if _all_far(each, np.array(found)):
             found.append(each)
-    return np.array(found[:BRANCHES])
+    return np.array(found[:MOST_SOLUTIONS])
 
 
 def _all_far(one: np.ndarray, others: np.ndarray) -> bool:
@@ -208,7 +208,7 @@ def _all_far(one: np.ndarray, others: np.ndarray) -> bool:
 
 def _padded(angles: np.ndarray) -> np.ndarray:
     """(..., N, 2, 5) to (..., 16, 2, 5)."""
-    full = np.zeros((*angles.shape[:-3], BRANCHES, 2, 5))
+    full = np.zeros((*angles.shape[:-3], MOST_SOLUTIONS, 2, 5))
     full[..., : angles.shape[-3], :, :] = angles
     return full
 
@@ -220,7 +220,7 @@ def _tracked(arm: Arm, begin: Line, end: Line, angles: np.ndarray) -> Ends:
     many = lambda x, shape: np.broadcast_to(x, (rows, *shape))
     lines = [many(x, (2, 3)) for x in (*begin, *end)]
     count = np.int32(angles.shape[-3])
-    return Ends(*line_path_kernel().run(*lines, many(_padded(angles), (BRANCHES, 2, 5)), arm, count, double=True))
+    return Ends(*line_path_kernel().run(*lines, many(_padded(angles), (MOST_SOLUTIONS, 2, 5)), arm, count, double=True))
 
 
 # --------------------------------------------------------------------------------------------------------------------
@@ -282,8 +282,8 @@ def _attempts(given: GeneralArm, aim: tuple[Vec3, Vec3], dtype: Any) -> Ends:
         back = ends.angles.at[:, 0, 0].add(-atan2(start.turn[1], start.turn[0]))
         return _Attempt(last.number + 1, start.number, ends._replace(angles=back))
 
-    nothing = jnp.zeros(BRANCHES, dtype)
-    none = Ends(jnp.zeros((BRANCHES, 2, 5), dtype), nothing, nothing.astype(jnp.int32), jnp.asarray(False), jnp.int32(0))
+    nothing = jnp.zeros(MOST_SOLUTIONS, dtype)
+    none = Ends(jnp.zeros((MOST_SOLUTIONS, 2, 5), dtype), nothing, nothing.astype(jnp.int32), jnp.asarray(False), jnp.int32(0))
     first = _Attempt(jnp.int32(0), jnp.int32(-1), none)
     return lax.while_loop(lambda a: ~a.ends.complete & (a.number < ATTEMPTS), attempt, first).ends
 
@@ -346,11 +346,11 @@ def _solved(given: GeneralArm, target: Any) -> tuple[Any, Any, Any]:
 
     def alone(_: None, k: Any) -> tuple[None, Any]:
         near = jnp.max(jnp.abs(_wrapped(q - q[k])), axis=1) < APART
-        twin = jnp.any(near & (jnp.arange(BRANCHES) < k) & (margin >= 0.0))
+        twin = jnp.any(near & (jnp.arange(MOST_SOLUTIONS) < k) & (margin >= 0.0))
         return None, jnp.where(twin & (margin[k] >= 0.0), -APART, margin[k])
 
-    q, margin = lax.scan(posture, None, jnp.arange(BRANCHES))[1]
-    margin = lax.scan(alone, None, jnp.arange(BRANCHES))[1]
+    q, margin = lax.scan(posture, None, jnp.arange(MOST_SOLUTIONS))[1]
+    margin = lax.scan(alone, None, jnp.arange(MOST_SOLUTIONS))[1]
     return q, margin, (found.complete & given.starts.sure).astype(dtype)
 
 
