@@ -11,6 +11,7 @@ tip the same arm has the axes -h_6 ... -h_1 and the inverse as its pose: what is
 from __future__ import annotations
 
 import itertools
+from collections.abc import Callable
 from typing import NamedTuple
 
 import numpy as np
@@ -19,6 +20,19 @@ from jaxik.robot.chain import Chain
 
 TOLERANCE = 1e-5  # [m, rad] within which axes count as parallel or meeting: files round right angles to 1.5708
 OBLIQUE = 1e-3  # [rad] by which axes that must not be parallel are apart
+
+Named = Callable[[int, int], str]  # axes from one to another, counted from 0, in words
+
+
+def named_from(start: int, step: int) -> Named:
+    """Names axes by the numbers of their joints in a chain, of which the first is `start`: `axes 2 to 4`, `axes 1 and 2`. The
+    step to the next is -1 where an arm is seen from its tip."""
+
+    def named(first: int, last: int) -> str:
+        low, high = sorted((start + step * first, start + step * last))
+        return f"axes {low} {'to' if high - low > 1 else 'and'} {high}"
+
+    return named
 
 
 class Axes(NamedTuple):
@@ -53,8 +67,9 @@ class Axes(NamedTuple):
         return self.tilt(*which) <= TOLERANCE
 
     def tilt(self, *which: int) -> float:
-        """The largest angle between the first of these axes and another, by its sine [rad]."""
-        return max(float(np.linalg.norm(np.cross(self.h[which[0]], self.h[i]))) for i in which[1:])
+        """The largest angle between the first of these axes and another, either way round [rad]."""
+        first, others = self.h[which[0]], self.h[list(which[1:])]
+        return float(np.max(np.arctan2(np.linalg.norm(np.cross(first, others), axis=1), np.abs(others @ first))))
 
     def oblique(self, a: int, b: int) -> bool:
         """Whether two axes are far enough from parallel to divide by the sine of their angle."""

@@ -15,7 +15,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from jaxik.analytic.arm_angle import ArmAngle
-from jaxik.analytic.axes import TOLERANCE, Axes
+from jaxik.analytic.axes import TOLERANCE, Axes, named_from
 from jaxik.analytic.axis_line import MOST_SOLUTIONS
 from jaxik.analytic.general import general_arm, general_solutions
 from jaxik.analytic.half_branches import Family, HalfBranch
@@ -33,9 +33,9 @@ class FromTip:
 
     parameters = 0
 
-    def __init__(self, family: Family):
+    def __init__(self, family: SphericalWrist | ThreeParallel):
         self.family, self.cost = family, family.cost
-        self.name = f"{family.name}, seen from the tip"
+        self.name = family.name_from_tip
         self.joints, self.branches = family.joints, family.branches
 
     def half_branches(self, target: Frame, given: list[Scalar], eps: float, signs: Signs = ALL) -> list[HalfBranch]:
@@ -134,23 +134,24 @@ class AnySix:
         return [HalfBranch({}, jnp.maximum(margin[k], margin[k + 1]), functools.partial(both, k)) for k in pairs]
 
 
-def _families(part: Chain) -> Iterator[tuple[str, Callable[[], Family]]]:
-    """The families for six or seven revolute joints: why each does not fit, or an empty string, and how it is made."""
+def _families(part: Chain, first: int) -> Iterator[tuple[str, Callable[[], Family]]]:
+    """The families for six or seven revolute joints, from number `first` of the chain on: why each does not fit, or an empty
+    string, and how it is made."""
     axes = Axes.of(part)
     rest = lambda joint: float(np.clip(0.0, part.lower[joint], part.upper[joint]))
     if part.num_joints == 7:
         yield ArmAngle.obstacle(axes), lambda: ArmAngle(axes, rest(-1), rest(2))
         return
-    seen = axes.reversed()
-    yield SphericalWrist.obstacle(axes), lambda: SphericalWrist(axes, rest(-1))
-    for first in (1, 0):
-        yield ThreeParallel.obstacle(axes, first), lambda first=first: ThreeParallel(axes, rest(-1), first)
-    tip = "seen from the tip, "
-    reason = SphericalWrist.obstacle(seen)
-    yield reason and tip + reason, lambda: FromTip(SphericalWrist(seen, rest(0)))
-    for first in (1, 0):
-        reason = ThreeParallel.obstacle(seen, first)
-        yield reason and tip + reason, lambda first=first: FromTip(ThreeParallel(seen, rest(0), first))
+    seen, named, seen_named = axes.reversed(), named_from(first + 1, 1), named_from(first + 6, -1)
+    yield SphericalWrist.obstacle(axes, named), lambda: SphericalWrist(axes, rest(-1))
+    for plane in (1, 0):
+        yield ThreeParallel.obstacle(axes, plane, named), lambda plane=plane: ThreeParallel(axes, rest(-1), plane)
+    yield SphericalWrist.obstacle(seen, seen_named), lambda: FromTip(SphericalWrist(seen, rest(0)))
+    for plane in (1, 0):
+        yield (
+            ThreeParallel.obstacle(seen, plane, seen_named),
+            lambda plane=plane: FromTip(ThreeParallel(seen, rest(0), plane)),
+        )
 
 
 @functools.lru_cache(maxsize=64)
@@ -164,10 +165,10 @@ def _found(chain: Chain) -> tuple[Solver | None, str]:
             if any(part.is_prismatic):
                 families, why = [], f"joint '{part.joint_names[part.is_prismatic.index(True)]}' is prismatic"
             else:
-                families = list(_families(part))
+                families = list(_families(part, first))
                 why = "; ".join(reason for reason, _ in families)
             if size == 6:
-                reasons.append(f"of joints {first + 1} to {first + size} {why}")
+                reasons.append(f"of joints {first + 1} to {first + size}: {why}")
             for made in [made for reason, made in families if not reason]:
                 solver = Solver(chain, first, made(), Axes.of(part).misfit)
                 best = solver if best is None or solver.family.cost < best.family.cost else best

@@ -22,7 +22,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from jaxik.analytic.axes import Axes
+from jaxik.analytic.axes import Axes, Named
 from jaxik.analytic.turns import (
     ALL,
     ELLIPSE,
@@ -63,18 +63,18 @@ def positioning(axes: Axes, point: np.ndarray) -> Any:
     return kind(axes, point)
 
 
-def obstacle(axes: Axes, point: np.ndarray) -> str:
-    """Why these three axes do not position the point, or an empty string."""
+def obstacle(axes: Axes, point: np.ndarray, named: Named) -> str:
+    """Why the first three axes do not position the point in which the others meet, or an empty string."""
     if axes.parallel(0, 1, 2):
-        return "its first three axes are parallel, and the wrist keeps to a plane"
+        return f"{named(0, 2)} are parallel, and {named(3, 5)} meet in a plane across them"
     if axes.parallel(0, 1) and _apart(axes.h[0], axes.p[1] - axes.p[0]) < 1e-6:
-        return "axes 1 and 2 are the same line"
+        return f"{named(0, 1)} are the same line"
     if axes.parallel(1, 2) and _apart(axes.h[1], axes.p[2] - axes.p[1]) < 1e-6:
-        return "axes 2 and 3 are the same line"
+        return f"{named(1, 2)} are the same line"
     if _apart(axes.h[2], point - axes.p[2]) < 1e-6:
-        return "the distance from axis 3 to the wrist centre is 0"
+        return f"{named(2, 5)} meet in one point"
     if axes.oblique(0, 1) and axes.oblique(1, 2) and axes.meet(0, 1, 2):
-        return "its first three axes meet, and the wrist keeps to a sphere"
+        return f"{named(0, 2)} meet, and {named(3, 5)} meet on a sphere about that point"
     return ""
 
 

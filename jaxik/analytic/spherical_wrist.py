@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from typing import Any
 
-from jaxik.analytic.axes import TOLERANCE, Axes
+from jaxik.analytic.axes import TOLERANCE, Axes, Named
 from jaxik.analytic.half_branches import HalfBranch
 from jaxik.analytic.orienting import Orienting
 from jaxik.analytic.positioning import obstacle, positioning
@@ -20,15 +20,15 @@ from jaxik.spatial.ball import minimum
 class SphericalWrist:
     """Axes 4, 5, 6 of six meet; the last joint stands at `rest` [rad] where axes 4 and 6 are in line."""
 
-    name = "spherical wrist"
+    name, name_from_tip = "spherical wrist", "spherical shoulder"
     joints, parameters, branches = 6, 0, 8
 
     @staticmethod
-    def obstacle(axes: Axes) -> str:
+    def obstacle(axes: Axes, named: Named) -> str:
         if not axes.meet(3, 4, 5):
             miss = axes.miss(3, 4, 5)
-            return f"its last three axes miss a point by {miss:.2g} m" if miss > TOLERANCE else "axes of its wrist are parallel"
-        return obstacle(axes, axes.point(3, 4, 5))
+            return f"{named(3, 5)} " + (f"miss a point by {miss:.2g} m" if miss > TOLERANCE else "meet, two of them parallel")
+        return obstacle(axes, axes.point(3, 4, 5), named)
 
     def __init__(self, axes: Axes, rest: float):
         centre = axes.point(3, 4, 5)

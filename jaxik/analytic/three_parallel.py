@@ -20,7 +20,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from jaxik.analytic.axes import Axes
+from jaxik.analytic.axes import Axes, Named
 from jaxik.analytic.half_branches import HalfBranch
 from jaxik.analytic.orienting import Oriented, Orienting
 from jaxik.analytic.turns import (
@@ -92,22 +92,22 @@ class ThreeParallel:
     Z = E_1^-1 X or X E_6^-1 is a motion of the plane, then a's and b's.
     """
 
-    name = "three parallel axes"
+    name = name_from_tip = "three parallel axes"
     joints, parameters, branches = 6, 0, 8
 
     @staticmethod
-    def obstacle(axes: Axes, first: int) -> str:
+    def obstacle(axes: Axes, first: int, named: Named) -> str:
         plane = range(first, first + 3)
         if not axes.parallel(*plane):
-            return f"its axes {first + 1} to {first + 3} are {axes.tilt(*plane):.2g} rad from parallel"
+            return f"{named(first, first + 2)} are {axes.tilt(*plane):.2g} rad from parallel"
         for i, j in ((first + 2, first + 3), (0, 1)) if first else ((2, 3),):
             if not axes.oblique(i, j):
-                return f"axes {first + 1} to {first + 3} have a fourth that is parallel"
+                return f"{named(first, first + 2)} have a fourth that is parallel"
         sides = _Plane(axes, first)
         if min(np.linalg.norm(sides.upper), np.linalg.norm(sides.lower)) < 1e-6:
-            return "two of its parallel axes are the same line"
+            return f"two of {named(first, first + 2)} are the same line"
         if axes.parallel(first + 3, first + 4) and axes.miss(first + 3, first + 4) < 1e-6:
-            return f"axes {first + 4} and {first + 5} are the same line"
+            return f"{named(first + 3, first + 4)} are the same line"
         return ""
 
     def __init__(self, axes: Axes, rest: float, first: int):

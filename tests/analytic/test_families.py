@@ -1,5 +1,7 @@
 """Every family: round trips over random arms, branches against EAIK, real arms, their redundancy, refusals."""
 
+import dataclasses
+
 import numpy as np
 import pytest
 from arm import eaik_robot
@@ -119,3 +121,15 @@ def test_what_has_no_family_says_why():
     assert "5 joints" in jaxik.analytic.closed_form_obstacle(chain)
     slanted = random_arm(0, "arm angle").part(1, 7).part(0, 6)
     assert jaxik.analytic.closed_form_obstacle(slanted) == ""
+
+
+def test_what_is_missing_is_said_of_the_joints_as_the_chain_counts_them():
+    """Of a UR10e on a rail whose joint 4 is tilted by 0.01 rad; axes at right angles are so."""
+    chain = jaxik.load("ur10e_rail")
+    bent = np.array(chain.parent_T_joint)
+    cos, sin = np.cos(0.01), np.sin(0.01)
+    bent[3] = bent[3] @ frame(np.array([[1, 0, 0], [0, cos, -sin], [0, sin, cos]]), np.zeros(3))
+    said = jaxik.analytic.closed_form_obstacle(dataclasses.replace(chain, parent_T_joint=bent))
+    assert "axes 3 to 5 are 0.01 rad from parallel" in said and "axes 2 to 4 are 1.6 rad from parallel" in said
+    assert "axes 2 to 4 miss a point" in said and "axes 5 to 7 miss a point" in said and "joint 'rail' is prismatic" in said
+    assert jaxik.analytic.redundancy(jaxik.load("panda")).family == "spherical shoulder"
