@@ -50,7 +50,7 @@ from jaxik.analytic.axis_line import (
 from jaxik.checks.options import check_kind
 from jaxik.optimise.homotopy import ARRIVED, GOAL, GONE, LOST, NEAR, SINGULAR, STEEP
 from jaxik.optimise.linear import definite_solve
-from jaxik.robot.chain import Chain
+from jaxik.robot.chain import Chain, as_shaped
 from jaxik.spatial.algebra import Frame, Vec3, atan2, stack, sub
 from jaxik.spmd import kernel
 from jaxik.spmd.host import HostKernel
@@ -299,8 +299,11 @@ def general_solutions(arm: GeneralArm, target: Float[jax.Array, "4 4"]) -> Gener
     and 0 where there is no posture. Accuracy as the round trip has it: 1e-13 in float64 but for postures next to singular ones,
     4e-11 there (lengths in that of the arm). Where the target lets a whole curve of postures move, some of these are given.
     In float32 poses are right to 1e-6, and up to a tenth of the targets are not called `complete` though nothing is missing.
+
+    Raises `ValueError` for another shape, or an `arm` that `general_arm` did not make.
     """
-    target = jnp.asarray(target)
+    check_kind("general_solutions", "arm", arm, GeneralArm)
+    target = as_shaped("target", target, (4, 4))
     dtype = jnp.result_type(target, jnp.float32)
     arm = jax.tree.map(lambda x: jnp.asarray(x, dtype if jnp.issubdtype(x.dtype, jnp.floating) else x.dtype), arm)
     q, margin, complete = _solved(arm, target.astype(dtype))

@@ -9,7 +9,8 @@
     5   p0 + R(k1, a) p1 = R(k2, b) (p2 + R(k3, c) p3)           up to four triples
     6   h_j1 . R(k1, a) p_j1 + h_j2 . R(k2, b) p_j2 = d_j, j = 1, 2      up to four pairs
 
-On arrays, for users; the families of arms call the same on scalars (`turns`).
+R(k, a) is the rotation by the angle a [rad] about the unit axis k. On arrays, for users; the families of arms call the same on
+scalars (`turns`).
 """
 
 from __future__ import annotations
@@ -35,7 +36,7 @@ from jaxik.analytic.turns import (
     turns_to_meet,
     turns_to_plane,
 )
-from jaxik.robot.chain import Array, as_numbers
+from jaxik.robot.chain import Array, as_shaped
 from jaxik.spatial.algebra import Scalar, Vec3, safe_sqrt, stack, traced
 from jaxik.spatial.ball import minimum
 from jaxik.spmd import kernel
@@ -49,17 +50,18 @@ class Turns(NamedTuple):
     exact: Bool[Array, " m"]
 
 
-def _given(*vectors: Any) -> tuple[list[Vec3], Any, float]:
-    """Vectors (3,) as scalars of their common type, that type, and its rounding."""
-    arrays = [as_numbers("a vector", v) for v in vectors]
-    dtype = jnp.result_type(*arrays, jnp.float32)
-    for v in arrays:
-        if v.shape != (3,):
-            raise ValueError(f"a subproblem's vectors have shape (3,), axes length 1; here {v.shape}")
-    return [Vec3(*traced(v.astype(dtype))) for v in arrays], dtype, float(np.finfo(dtype).eps)
+def _given(*shapes: tuple[int, ...], **arrays: Any) -> tuple[list[Vec3], Any, float]:
+    """Arrays of these shapes, or vectors (3,), by rows as scalars of their common type; that type, and its rounding. Raises
+    `ValueError` for other shapes."""
+    shapes = shapes or ((3,),) * len(arrays)
+    given = [as_shaped(name, each, shape) for (name, each), shape in zip(arrays.items(), shapes, strict=True)]
+    dtype = jnp.result_type(*given, jnp.float32)
+    rows = [row for each in given for row in each.astype(dtype).reshape(-1, 3)]
+    return [Vec3(*traced(row)) for row in rows], dtype, float(np.finfo(dtype).eps)
 
 
 def _turns(found: Sequence[tuple[Turn, ...]], margins: Any, dtype: Any) -> Turns:
+    """The solutions as arrays; a margin each, or one for all."""
     angles = stack([turn.angle for each in found for turn in each], (len(found), len(found[0])), dtype)
     each = margins if isinstance(margins, list) else [margins] * len(found)
     return Turns(angles, stack(each, (len(found),), dtype) >= 0.0)
@@ -76,7 +78,7 @@ def subproblem_1(p: Float[Array, "3"], q: Float[Array, "3"], k: Float[Array, "3"
 
     Source: Murray, Li and Sastry 1994, ch. 3.3. Raises `ValueError` for other shapes.
     """
-    (p_, q_, k_), dtype, eps = _given(p, q, k)
+    (p_, q_, k_), dtype, eps = _given(p=p, q=q, k=k)
     along = k_.dot(p_), k_.dot(q_)
     size = p_.dot(p_), q_.dot(q_)
     margin = minimum(_misses(*size, eps), SLACK * eps * safe_sqrt(size[0] + size[1]) - abs(along[0] - along[1]))
@@ -89,7 +91,7 @@ def subproblem_2(p: Float[Array, "3"], q: Float[Array, "3"], k1: Float[Array, "3
 
     The unit axes are not parallel. Source: Murray, Li and Sastry 1994, ch. 3.3. Raises `ValueError` for other shapes.
     """
-    (p_, q_, a, b), dtype, eps = _given(p, q, k1, k2)
+    (p_, q_, a, b), dtype, eps = _given(p=p, q=q, k1=k1, k2=k2)
     size = p_.dot(p_), q_.dot(q_)
     one, two = (v * (1.0 / safe_sqrt(jnp.where(s > 0.0, s, 1.0))) for v, s in zip((p_, q_), size, strict=True))
     pairs, margin = turns_to_meet(one, two, a, b, eps)
@@ -103,8 +105,8 @@ def subproblem_3(p: Float[Array, "3"], q: Float[Array, "3"], k: Float[Array, "3"
 
     Source: Murray, Li and Sastry 1994, ch. 3.3. Raises `ValueError` for other shapes.
     """
-    (p_, q_, k_), dtype, eps = _given(p, q, k)
-    d = as_numbers("d", d).astype(dtype)
+    (p_, q_, k_), dtype, eps = _given(p=p, q=q, k=k)
+    d = as_shaped("d", d, ()).astype(dtype)
     turns, margin = turns_to_distance(p_, q_, k_, d * d, eps)
     return _turns([(turn,) for turn in turns], margin, dtype)
 
@@ -115,8 +117,8 @@ def subproblem_4(h: Float[Array, "3"], p: Float[Array, "3"], k: Float[Array, "3"
 
     Source: Elias and Wen 2022. Raises `ValueError` for other shapes.
     """
-    (h_, p_, k_), dtype, eps = _given(h, p, k)
-    turns, margin = turns_to_plane(h_, p_, k_, as_numbers("d", d).astype(dtype), eps)
+    (h_, p_, k_), dtype, eps = _given(h=h, p=p, k=k)
+    turns, margin = turns_to_plane(h_, p_, k_, as_shaped("d", d, ()).astype(dtype), eps)
     return _turns([(turn,) for turn in turns], margin, dtype)
 
 
@@ -128,7 +130,7 @@ def subproblem_5(p: Float[Array, "4 3"], k: Float[Array, "3 3"]) -> Turns:
     lie anyhow, but not so that one of the equations holds one turn alone. Source: Elias and Wen 2022. Raises `ValueError` for
     other shapes.
     """
-    (p0, p1, p2, p3, k1, k2, k3), dtype, eps = _given(*as_numbers("p", p), *as_numbers("k", k))
+    (p0, p1, p2, p3, k1, k2, k3), dtype, eps = _given((4, 3), (3, 3), p=p, k=k)
     found, margins = [], []
     for a, c, margin in _either_side(sphere_rows(p0, p1, k1, k2), sphere_rows(p2, p3, k3, k2), eps):
         left, right = p0 + a.about(k1) @ p1, p2 + c.about(k3) @ p3
@@ -141,14 +143,11 @@ def subproblem_5(p: Float[Array, "4 3"], k: Float[Array, "3 3"]) -> Turns:
 def subproblem_6(h: Float[Array, "2 2 3"], p: Float[Array, "2 2 3"], k: Float[Array, "2 3"], d: Float[Array, "2"]) -> Turns:
     """The turns with `h_j1 . R(k_1, a) p_j1 + h_j2 . R(k_2, b) p_j2 = d_j`, j = 1, 2: (4, 2) [rad]. Traced.
 
-    Not for equations that each hold one turn alone, which are two subproblems 4. Source: Elias and Wen 2022. Raises
-    `ValueError` for other shapes.
+    `h` and `p` are by equation, then by turn. Not for equations that each hold one turn alone, which are two subproblems 4.
+    Source: Elias and Wen 2022. Raises `ValueError` for other shapes.
     """
-    h, p = as_numbers("h", h), as_numbers("p", p)
-    if h.shape != (2, 2, 3) or p.shape != (2, 2, 3):
-        raise ValueError(f"subproblem_6: h {h.shape} and p {p.shape}; expected (2, 2, 3), by equation and turn")
-    vectors, dtype, eps = _given(*h.reshape(4, 3), *p.reshape(4, 3), *as_numbers("k", k))
-    axes, given = vectors[8:], as_numbers("d", d).astype(dtype)
+    vectors, dtype, eps = _given((2, 2, 3), (2, 2, 3), (2, 3), h=h, p=p, k=k)
+    axes, given = vectors[8:], as_shaped("d", d, (2,)).astype(dtype)
     near, far = ([row_of(vectors[2 * j + i], vectors[4 + 2 * j + i], axes[i]) for j in range(2)] for i in range(2))
     far = [(given[j] - known, -cos, -sin) for j, (known, cos, sin) in enumerate(far)]
     found = _either_side((near[0], near[1]), (far[0], far[1]), eps)
@@ -156,7 +155,8 @@ def subproblem_6(h: Float[Array, "2 2 3"], p: Float[Array, "2 2 3"], k: Float[Ar
 
 
 def _either_side(one: tuple[Row, Row], two: tuple[Row, Row], eps: float) -> list[Pair]:
-    """Two equations of two turns, solved for that turn whose rows are less alike."""
+    """Two equations of two turns, `one(first) = two(second)`, solved for the turn whose cosines and sines are less nearly
+    multiples of each other in both equations."""
     area = [(c1 * s2 - s1 * c2) ** 2 for (_, c1, s1), (_, c2, s2) in (one, two)]
     size = [(c1 * c1 + s1 * s1) * (c2 * c2 + s2 * s2) for (_, c1, s1), (_, c2, s2) in (one, two)]
     first = area[0] * size[1] >= area[1] * size[0]

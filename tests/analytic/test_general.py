@@ -130,6 +130,8 @@ def test_refused(untyped):
         general_arm(axes._replace(h=np.broadcast_to([0.0, 0.0, 1.0], (6, 3))))
     with pytest.raises(ValueError, match="p6r has 7 joints, 1 of them prismatic; six revolute ones are solved"):
         general_arm(jaxik.load("p6r"))
+    with pytest.raises(ValueError, match=r"target has the shape \(3, 3\); allowed: \(4, 4\)"):
+        general_solutions(general_arm(axes), np.eye(3))
 
 
 def test_inverse_kinematics_has_all_answers():

@@ -1,5 +1,7 @@
 """The subproblems: what solves them, what misses by least, their slopes, and what balls enclose."""
 
+import re
+
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -119,10 +121,17 @@ def test_slopes():
 def test_parallel_vectors_and_shapes():
     z = np.array([0.0, 0.0, 1.0])
     assert np.asarray(analytic.subproblem_1(z, z, z).angles) == 0.0
-    with pytest.raises(ValueError, match=r"shape \(3,\)"):
-        analytic.subproblem_1(np.eye(3), z, z)
-    with pytest.raises(ValueError, match=r"\(2, 2, 3\)"):
-        analytic.subproblem_6(np.eye(3), np.eye(3), np.eye(3)[:2], np.zeros(2))
+    e, four = np.eye(3), np.ones((2, 2, 3))
+    for refused, words in (
+        (lambda: analytic.subproblem_1(e, z, z), "p has the shape (3, 3); allowed: (3,)"),
+        (lambda: analytic.subproblem_4(z, z, z, [1.0]), "d has the shape (1,); allowed: one number"),
+        (lambda: analytic.subproblem_5(e, e), "p has the shape (3, 3); allowed: (4, 3)"),
+        (lambda: analytic.subproblem_6(e, four, e[:2], [0.0, 0.0]), "h has the shape (3, 3); allowed: (2, 2, 3)"),
+        (lambda: analytic.subproblem_6(four, four, e, [0.0, 0.0]), "k has the shape (3, 3); allowed: (2, 3)"),
+        (lambda: analytic.subproblem_6(four, four, e[:2], 1.0), "d has the shape (); allowed: (2,)"),
+    ):
+        with pytest.raises(ValueError, match=re.escape(words)):
+            refused()
 
 
 def any_turns(kind, p, k, k2, q):
