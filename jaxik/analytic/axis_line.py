@@ -19,16 +19,16 @@ from jax import lax
 from jaxik.analytic.axes import Axes
 from jaxik.optimise.homotopy import ARRIVED, GOAL, RUNNING, SINGULAR, End, follow_path
 from jaxik.optimise.linear import definite_solve
-from jaxik.spatial.algebra import Vec3, sincos, stack, traced
+from jaxik.spatial.algebra import ZERO, Vec3, sincos, stack, traced
 from jaxik.spatial.complex_scalar import Complex, pivoted_solve
 from jaxik.spatial.rotations import frame
 from jaxik.spmd.host import HostKernel
 
 MOST_SOLUTIONS = 16  # of a line, complex ones counted [Raghavan and Roth 1990]
-SAME = 1e-4  # two ends of paths nearer than that, of about 1, are one
-TWOFOLD = 1e7  # of |dx/ds|: there two paths may end as one
-SETTLING = 30  # steps
-ORIGIN, AXIS = Vec3(0.0, 0.0, 0.0), Vec3(0.0, 0.0, 1.0)
+SAME = 1e-4  # two ends of paths nearer than that, relative to their size, are the same solution
+TWOFOLD = 1e7  # |dx/ds| of a double root, where two paths may end at the same solution
+SETTLING = 30  # steps of `settled` at most
+ORIGIN, AXIS = ZERO, Vec3(0.0, 0.0, 1.0)
 
 
 class Arm(NamedTuple):
@@ -51,7 +51,7 @@ class Line(NamedTuple):
 
 
 def links(axes: Axes) -> Arm:
-    """The same arm. Host."""
+    """The arm of these axes as links. Host."""
     h, points, tip = axes.h / np.linalg.norm(axes.h, axis=1, keepdims=True), axes.p, axes.tip
     middle = points.mean(axis=0)
     origins = points + h * np.einsum("ij,ij->i", h, middle - points)[:, None]
@@ -69,7 +69,7 @@ def links(axes: Axes) -> Arm:
 
 
 def _across(z: np.ndarray, x: np.ndarray) -> np.ndarray:
-    """The unit vector across z nearest to x; any if there is none."""
+    """The unit vector across z nearest to x; any across z where x is along z or 0."""
     if np.linalg.norm(x) < 1e-12:
         x = np.eye(3)[np.argmin(np.abs(z))]
     x = x - z * (z @ x)
@@ -85,20 +85,20 @@ class Link(NamedTuple):
     shift: Vec3
 
     def ahead(self, v: Vec3, shift: Vec3 = ORIGIN) -> Vec3:
-        """A direction given behind the link, as it is before it; a point with the `shift`."""
+        """A direction in the frame behind the link, in the frame before it; with the link's `shift` a point."""
         c, s = self.turn
         v = Vec3(v.x, v.y * c - v.z * s, v.y * s + v.z * c) + shift
         return Vec3(self.cos * v.x - self.sin * v.y, self.sin * v.x + self.cos * v.y, v.z)
 
     def back(self, v: Vec3, shift: Vec3 = ORIGIN) -> Vec3:
-        """The other way."""
+        """The inverse of `ahead`: from the frame before the link to the one behind it."""
         c, s = self.turn
         v = Vec3(self.cos * v.x + self.sin * v.y, self.cos * v.y - self.sin * v.x, v.z) - shift
         return Vec3(v.x, v.y * c + v.z * s, v.z * c - v.y * s)
 
 
 def links_at(arm: Arm, angles: list[Any]) -> list[Link]:
-    """The five links at angles from which `sincos` makes sines and cosines."""
+    """The five links at angles [rad], scalars or `Complex`."""
     both = [x.sincos() if isinstance(x, Complex) else sincos(x) for x in angles]
     return [Link(s, c, traced(arm.turn[i]), Vec3(*arm.shift[i])) for i, (s, c) in enumerate(both)]
 
@@ -126,8 +126,9 @@ def _line_between(begin: Line, end: Line, s: Any) -> tuple[Vec3, Vec3, Vec3, Vec
 
 
 def equations(chain: list[Link], aim: tuple[Vec3, ...]) -> tuple[list[Any], list[list[Any]]]:
-    """How far axis 6 is from a line, point and direction (6,), and what five angles do to that, five columns; a sixth is what
-    else comes with `aim`. All in the frame behind joint 3, where chains of two and of three links meet."""
+    """How far axis 6 is from the line `aim`, in point and direction (6 entries), and the five columns of its derivative by the
+    angles; a sixth column is what else `aim` holds. All in the frame behind joint 3, so that no vector is carried over more
+    than three links."""
     fourth, fifth = chain[3:]
     axes: list[tuple[Vec3, Vec3]] = []
     for link in chain[:3]:
@@ -145,8 +146,8 @@ def equations(chain: list[Link], aim: tuple[Vec3, ...]) -> tuple[list[Any], list
 
 
 def _newton(arm: Arm, begin: Line, end: Line, x: Any, s: Any) -> tuple[Any, Any, Any]:
-    """Newton's correction of the angles x (2, 5) at s and their derivative by s, (2, 5) each. An axis keeps |l| = 1, so five of
-    the six equations count; what is left of the sixth tells solutions from their mirror images."""
+    """Newton's correction of the angles x (2, 5) at s, their derivative by s (2, 5), and the square of what the correction
+    leaves. |l| = 1 makes one of the six equations superfluous, but for a sign: where it is not met l is a mirror image."""
     chain = links_at(arm, [Complex(x[0, i], x[1, i]) for i in range(5)])
     away, columns = equations(chain, _line_between(begin, end, s))
     columns.insert(5, [-e for e in away])
@@ -158,8 +159,8 @@ def _newton(arm: Arm, begin: Line, end: Line, x: Any, s: Any) -> tuple[Any, Any,
 
 
 def settled(arm: Arm, aim: tuple[Vec3, Vec3], x: Any, tolerance: float) -> Any:
-    """Real angles (5,) with axis 6 at a line, from ones nearby, where columns may be dependent: the method of Levenberg and
-    Marquardt, damped by the square of what is left [Yamashita and Fukushima 2001]."""
+    """Real angles (5,) with axis 6 at the line `aim`, from angles x (5,) nearby: the method of Levenberg and Marquardt, damped
+    by the square of what is left, which converges at singular solutions, too [Yamashita and Fukushima 2001]."""
 
     def unfinished(state: Any) -> Any:
         _, left, turns = state
@@ -186,8 +187,8 @@ def _vector(v: Any) -> Vec3:
 
 
 class Ends(NamedTuple):
-    """Ends of the paths: angles (16, 2, 5), |dx/ds| there and how each ended, (16,); whether so many different ones arrived as
-    began, none of them lost; and after how many evaluations in all."""
+    """Ends of the paths: angles (16, 2, 5), the `speed` |dx/ds| there and the status, (16,) each; `complete` if all arrived, at
+    different solutions; and how many evaluations they took together."""
 
     angles: Any
     speed: Any
@@ -197,7 +198,7 @@ class Ends(NamedTuple):
 
 
 def line_paths(arm: Arm, begin: Line, end: Line, angle: Any, count: Any, goal: Any) -> Ends:
-    """Of the paths from the solutions `angle(k)` (2, 5) of line `begin`, k < count, to line `end`."""
+    """The ends at line `end` of the paths from the solutions `angle(k)` (2, 5) of line `begin`, k < `count`."""
 
     def turn(_: None, k: Any) -> tuple[None, Any]:
         x = angle(k)
@@ -218,8 +219,9 @@ def line_paths(arm: Arm, begin: Line, end: Line, angle: Any, count: Any, goal: A
 
 
 def _mark(angles: list[Complex]) -> Complex:
-    """A number that tells solutions apart, however large their imaginary parts: a sum of `(z - a) / (z - b)`, z = exp(i angle),
-    which is neither large nor small at both ends."""
+    """A number that tells solutions apart, whatever turns of 2 pi and however large imaginary parts their angles have: a sum of
+    `w (z - i a) / (z - b - i b)`, z = exp(i angle), which is bounded for z towards 0 and towards infinity. The numbers a, b, w
+    are arbitrary."""
     total = Complex(0.0, 0.0)
     for (sin, cos), (a, b, weight) in zip((x.sincos() for x in angles), _MARKS, strict=True):
         z = cos + Complex(-sin.im, sin.re)

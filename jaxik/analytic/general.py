@@ -6,13 +6,14 @@ solutions in complex angles, N a property of the arm: 16 in general [Raghavan an
 parallel. While (p, l) goes from one line to another, through complex ones, they go along [Sommese and Wampler 2005, ch. 7];
 only on a set of one complex dimension less do solutions meet, and a path from a complex line to a real one misses it.
 
-Once for an arm (`general_arm`): one solution of a random complex line is known, from random complex angles. Loops through other
-lines lead from it to all others (monodromy: the solutions of all lines are one piece, since the five angles tell the line);
-when many loops find nothing new, N is known. Then all N of some hundred lines near to the real ones, starts for short paths.
-These lines are those of random angles, too, so one solution of each is known beforehand: N stands if it is always there.
+Once for an arm (`general_arm`): random complex angles are one solution of the line that they make. Loops through other lines
+lead from it to that line's other solutions (monodromy: pairs of a line and a solution are connected, since each is told by its
+five angles); when many loops find nothing new, N is known. Then all N solutions of some hundred lines close to real ones are
+computed, from which paths to a target are short. These lines are made of random angles, too, so one solution of each is known
+beforehand: N stands if that one is always found.
 
-For a target (`general_solutions`) N paths begin at the nearest start, turned about axis 1, along which nothing changes. If N
-different solutions arrive, none is missing, since there are no more; else the same from another start, with smaller steps.
+For a target (`general_solutions`) N paths begin at the nearest of these lines, after a turn of the target about axis 1, which
+only adds to joint 1. If N different solutions arrive none is missing; else the same from another line, with smaller steps.
 
 Raghavan and Roth, "A general solution for the inverse kinematics of all series chains", RoManSy 1990.
 Sommese and Wampler, "The numerical solution of systems of polynomials", World Scientific 2005.
@@ -51,21 +52,22 @@ from jaxik.checks.options import check_kind
 from jaxik.optimise.homotopy import ARRIVED, GOAL, GONE, LOST, NEAR, SINGULAR, STEEP
 from jaxik.optimise.linear import definite_solve
 from jaxik.robot.chain import Chain, as_shaped
+from jaxik.robot.joint_turns import wrapped
 from jaxik.spatial.algebra import Frame, Vec3, atan2, stack, sub
 from jaxik.spmd import kernel
 from jaxik.spmd.host import HostKernel
 
 LINES = 512  # lines whose solutions are kept as starts
-LOOPS = 16  # of monodromy at a time; as many in vain, twice, and all are found
-CHECKS = 3  # of them, as often as they bring solutions that were missing
-ATTEMPTS = 3  # at a target, each with steps of a fifth
-NEARBY = 1e-4  # off a line, in lengths and of its direction: real parts from which a real solution is looked for
+LOOPS = 16  # of monodromy at a time; if these find nothing new twice running, all solutions are known
+CHECKS = 3  # at most: of known solutions of the lines, repeated while they bring solutions that were missing
+ATTEMPTS = 3  # at a target, each with a goal of a fifth of the last one's
+NEARBY = 1e-4  # miss of a line, in lengths and of its direction, of real parts from which a real solution is looked for
 APART = 1e-6  # [rad] two postures nearer than that are one
 
 
 class Starts(NamedTuple):
-    """Lines (m, 2, 3) and all their solutions, angles (m, 16, 2, 5) of which `count` are used. `sure`: that these are all is
-    borne out by the solution that is known of each line."""
+    """Lines (m, 2, 3) and all their solutions, angles (m, 16, 2, 5) of which the first `count` are used. `sure`: no complete
+    set of paths to a line missed the solution of it that was known beforehand, so nothing speaks against these being all."""
 
     lines: Line
     angles: Any
@@ -81,8 +83,8 @@ class GeneralArm(NamedTuple):
 
 
 class General(NamedTuple):
-    """Up to 16 postures `q` [rad] in [-pi, pi], in no order that means anything; `margin` is >= 0 where `q` has the pose, and
-    else says by how much it misses. `complete`: so many different solutions arrived, complex ones included, as there are."""
+    """Up to 16 postures `q` [rad] in [-pi, pi], in no particular order; `margin` is >= 0 where `q` has the pose, and below 0
+    where a row holds none. `complete`: as many different solutions arrived, complex ones included, as the arm has."""
 
     q: Float[jax.Array, "*b 16 6"]
     margin: Float[jax.Array, "*b 16"]
@@ -94,9 +96,9 @@ class General(NamedTuple):
 
 
 def general_arm(arm: Chain | Axes, seed: int = 0) -> GeneralArm:
-    """What it takes to solve an arm of six revolute joints, a chain or its axes; kept for arms that come again. Host.
+    """What `general_solutions` needs of an arm of six revolute joints, a chain or its axes; cached by its numbers. Host.
 
-    Random numbers are those of `seed`. Raises `ValueError` for other chains and shapes, and for joints that cannot
+    `seed` draws the random lines. Raises `ValueError` for other chains and shapes, and for joints that cannot
     move the tip in all six directions.
     """
     if not isinstance(arm, Axes):
@@ -129,7 +131,7 @@ def _general_arm(h: bytes, p: bytes, tip: bytes, seed: int) -> GeneralArm:
     known = _all_solutions(arm, line, first, random)
     own = _random_angles(random, LINES, 0.15)
     lines = _lines(arm, own)
-    for _ in range(CHECKS):  # of each line one solution is known: is it there?
+    for _ in range(CHECKS):  # is the one solution of each line that is known among those found?
         found = _tracked(arm, line, lines, known)
         there = np.array([not _all_far(x, ends[: len(known)]) for x, ends in zip(own, found.angles, strict=True)])
         if np.all(there):
@@ -167,7 +169,7 @@ def _lines(arm: Arm, angles: np.ndarray) -> Line:
 
 
 def _freedom(arm: Arm, angles: np.ndarray) -> float:
-    """The smallest singular value, to the largest, of what the five angles (2, 5) do to the line."""
+    """The smallest singular value over the largest of the line's derivative by the five angles (2, 5)."""
     z, step = _complex(angles), 1e-6
     moved = np.concatenate([z[None] + step * np.eye(5), z[None] - step * np.eye(5)])
     lines = np.concatenate([_complex(x) for x in _lines(arm, np.stack([moved.real, moved.imag], axis=1))], axis=1)
@@ -192,7 +194,7 @@ def _all_solutions(arm: Arm, line: Line, known: np.ndarray, random: np.random.Ge
 
 
 def _with(known: np.ndarray, more: np.ndarray) -> np.ndarray:
-    """Solutions (N, 2, 5) and those of others that are new."""
+    """Known solutions (N, 2, 5), and after them those of `more` (m, 2, 5) that are new."""
     found = list(known)
     for each in more:
         if _all_far(each, np.array(found)):
@@ -201,7 +203,7 @@ def _with(known: np.ndarray, more: np.ndarray) -> np.ndarray:
 
 
 def _all_far(one: np.ndarray, others: np.ndarray) -> bool:
-    """Whether a solution (2, 5) is none of the others (m, 2, 5)."""
+    """Whether a solution (2, 5) differs from each of the others (m, 2, 5)."""
     turn = np.abs(one[0] - others[:, 0] + np.pi) % (2.0 * np.pi) - np.pi
     return bool(np.all(np.hypot(turn, one[1] - others[:, 1]).max(axis=1) > SAME))
 
@@ -236,7 +238,7 @@ class _Nearest(NamedTuple):
 
 
 def _nearest(starts: Starts, aim: tuple[Vec3, Vec3], but: Any) -> _Nearest:
-    """The start nearest to a line that is turned about axis 1; not number `but`."""
+    """The start other than number `but` to which a line comes nearest when it is turned about axis 1."""
     point, direction = aim
 
     def nearer(best: _Nearest, row: Any) -> tuple[_Nearest, None]:
@@ -261,7 +263,7 @@ def _turned(v: Vec3, turn: Any) -> Vec3:
 
 
 class _Attempt(NamedTuple):
-    """How many have been made, and of the last one the start and the ends of its paths, turned back."""
+    """How many attempts have been made, and of the last one the number of its start and the ends of its paths."""
 
     number: Any
     start: Any
@@ -269,7 +271,8 @@ class _Attempt(NamedTuple):
 
 
 def _attempts(given: GeneralArm, aim: tuple[Vec3, Vec3], dtype: Any) -> Ends:
-    """Paths to a line until so many different solutions arrive as there are, each time from another start and closer."""
+    """The ends of paths to a line: of the first attempt at which as many different solutions arrive as there are, or of the
+    last. Each attempt begins at another start and takes smaller steps."""
     arm, starts = given
 
     def attempt(last: _Attempt) -> _Attempt:
@@ -317,7 +320,8 @@ def general_kernel() -> HostKernel:
 
 
 def _behind(arm: Arm, target: Any, homogeneous: float = 1.0) -> Frame:
-    """The frame behind joint 6, in frame 0 and the arm's lengths, at a target (4, 4), or how it changes with it."""
+    """The frame behind joint 6 at a target (4, 4), in frame 0 and the arm's unit of length. With `homogeneous` 0 its change
+    with a change of the target."""
     at, tip = Frame.of_columns(target), Frame.of_columns(arm.tip).inverse()
     at = Frame(at.rotation, at.translation * (1.0 / arm.length))
     turn, place = Frame.of_columns(arm.base).inverse()
@@ -329,36 +333,45 @@ def _behind(arm: Arm, target: Any, homogeneous: float = 1.0) -> Frame:
 @kernel
 def _solved(given: GeneralArm, target: Any) -> tuple[Any, Any, Any]:
     arm, dtype = given.arm, target.dtype
-    behind, tolerance = _behind(arm, target), float(jnp.finfo(dtype).eps) ** (2.0 / 3.0)
-    aim = behind.translation, Vec3(*(row.z for row in behind.rotation))
-    found = _attempts(given, aim, dtype)
+    behind = _behind(arm, target)
+    found = _attempts(given, _axis_6(behind), dtype)
+    one = lambda _, k: (None, _posture(arm, behind, found, k, k < given.starts.count))
+    q, margin = lax.scan(one, None, jnp.arange(MOST_SOLUTIONS))[1]
+    return q, _once_each(q, margin), (found.complete & given.starts.sure).astype(dtype)
 
-    def posture(_: None, k: Any) -> tuple[None, Any]:
-        x, imaginary = found.angles[k, 0], jnp.max(jnp.abs(found.angles[k, 1]))
-        away = lambda x: jnp.sqrt(sum(e * e for e in equations(links_at(arm, [x[i] for i in range(5)]), aim)[0]))
-        off, status = away(x), found.status[k]
-        unsure = (status == SINGULAR) | (status == LOST) | (found.speed[k] > 10.0 * STEEP)
-        real = (imaginary < NEAR) | (off < NEARBY) | (unsure & (imaginary < 1.5))
-        real &= (k < given.starts.count) & (status != GONE)
-        x = lax.cond(real & ~(off < 0.1 * tolerance), lambda: settled(arm, aim, x, 0.01 * tolerance), lambda: x)
-        side = Vec3(*(row.x for row in behind.rotation))
-        for link in links_at(arm, [x[i] for i in range(5)]):
-            side = link.back(side)
-        q = _wrapped(jnp.stack([*(x[i] for i in range(5)), atan2(side.y, side.x)]) - arm.zero)
-        return None, (q, jnp.where(real, tolerance - away(x), -1.0 - imaginary))
+
+def _axis_6(behind: Frame) -> tuple[Vec3, Vec3]:
+    """Point and direction of the axis of joint 6, which the joint leaves where it is."""
+    return behind.translation, Vec3(*(row.z for row in behind.rotation))
+
+
+def _posture(arm: Arm, behind: Frame, found: Ends, k: Any, used: Any) -> tuple[Any, Any]:
+    """The posture (6,) of the end of path `k`, and its margin: by how much it is within the tolerance. Of an end that is real,
+    or may be, the real angles are settled first; of another the margin is below -1."""
+    x, imaginary = found.angles[k, 0], jnp.max(jnp.abs(found.angles[k, 1]))
+    tolerance, aim = float(jnp.finfo(x.dtype).eps) ** (2.0 / 3.0), _axis_6(behind)
+    away = lambda x: jnp.sqrt(sum(e * e for e in equations(links_at(arm, [x[i] for i in range(5)]), aim)[0]))
+    off, status = away(x), found.status[k]
+    unsure = (status == SINGULAR) | (status == LOST) | (found.speed[k] > 10.0 * STEEP)
+    real = (imaginary < NEAR) | (off < NEARBY) | (unsure & (imaginary < 1.5))
+    real &= used & (status != GONE)
+    x = lax.cond(real & ~(off < 0.1 * tolerance), lambda: settled(arm, aim, x, 0.01 * tolerance), lambda: x)
+    side = Vec3(*(row.x for row in behind.rotation))  # behind joint 6, seen from before it: joint 6 is its angle
+    for link in links_at(arm, [x[i] for i in range(5)]):
+        side = link.back(side)
+    q = wrapped(jnp.stack([*(x[i] for i in range(5)), atan2(side.y, side.x)]) - arm.zero)
+    return q, jnp.where(real, tolerance - away(x), -1.0 - imaginary)
+
+
+def _once_each(q: Any, margin: Any) -> Any:
+    """The margins (16,), below 0 for a posture that an earlier row has, too."""
 
     def alone(_: None, k: Any) -> tuple[None, Any]:
-        near = jnp.max(jnp.abs(_wrapped(q - q[k])), axis=1) < APART
+        near = jnp.max(jnp.abs(wrapped(q - q[k])), axis=1) < APART
         twin = jnp.any(near & (jnp.arange(MOST_SOLUTIONS) < k) & (margin >= 0.0))
         return None, jnp.where(twin & (margin[k] >= 0.0), -APART, margin[k])
 
-    q, margin = lax.scan(posture, None, jnp.arange(MOST_SOLUTIONS))[1]
-    margin = lax.scan(alone, None, jnp.arange(MOST_SOLUTIONS))[1]
-    return q, margin, (found.complete & given.starts.sure).astype(dtype)
-
-
-def _wrapped(angle: Any) -> Any:
-    return angle - jnp.round(angle * (0.5 / np.pi)) * (2.0 * np.pi)
+    return lax.scan(alone, None, jnp.arange(MOST_SOLUTIONS))[1]
 
 
 @_solved.defjvp
@@ -377,8 +390,8 @@ def _solved_jvp(primals: Any, tangents: Any) -> Any:
 
 @kernel
 def _inverses(arm: Arm, at: Any, q: Any, margin: Any) -> Any:
-    """What makes joint rates of a twist at a point, J^-1 (16, 6, 6), by damped least squares, once corrected; 0 where there is
-    no posture."""
+    """The inverse Jacobians (16, 6, 6) at postures q (16, 6), for twists of the point `at` (3,): by damped least squares and
+    one step of iterative refinement; 0 where there is no posture."""
 
     def inverse(_: None, row: Any) -> tuple[None, Any]:
         q, margin = row
