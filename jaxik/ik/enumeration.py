@@ -1,10 +1,12 @@
-"""Answers without a search: where a target is a pose and nothing else is asked, the closed form's branches are what there is.
+"""Answers without a search: where a target is a pose and nothing else is asked, they are branches of the closed form.
 
-Six joints have up to eight, which are all answers; of no family up to sixteen, found by homotopy, which takes longer than to
-search for one of them. With values given beside them, those are tried one after the other over
-their ranges, and the best of their branches are followed to better ones nearby. Whoever has no answer after that, as its
-answers lie in a gap, is searched for. So is the answer nearest to a reference, to which a descent from the reference leads
-as soon, and over two given values nearer; and any one answer over two given values, which a search finds sooner.
+Of six joints its up to eight branches are all answers; of six joints of no family homotopy finds all. Where it is given values
+(a rail, a last joint), points of a sequence over their ranges are tried, and the best branches are improved at points nearby.
+Left to the search are
+
+- targets without an answer at these points;
+- the answer nearest to a reference: a descent from the reference is as fast, and over two given values ends nearer;
+- any one answer over two given values, or of six joints of no family, which the search finds sooner.
 """
 
 from __future__ import annotations
@@ -26,14 +28,14 @@ from jaxik.robot.chain import Chain
 from jaxik.robot.joint_turns import nearest_turns
 from jaxik.spmd.batch import in_blocks
 
-TRIED = 2  # given values that are tried first where some answer will do; then each time as many as all before
-TOGETHER = 32  # rows that take no longer than one: of few targets so many are tried first
-ZOOMS, ZOOMED, NARROWER = 3, 8, 0.3  # how often better given values are sought, how many, and how much nearer each time
+TRIED = 2  # points of the first wave; each further wave has as many as all before it
+TOGETHER = 32  # rows of a kernel's call that take no longer than one: the first wave of few targets fills them
+ZOOMS, ZOOMED, NARROWER = 3, 8, 0.3  # rounds of points near an answer's own, points of each, and how much nearer each is
 
 
 def enumerable(problem: Problem) -> bool:
-    """Whether branches of the closed form are all that is asked for: poses, without obstacles, a cost, or seeds of another
-    kind, and no joint locked but those that it is given. Or where six joints have none, whether more than one answer is."""
+    """Whether the closed form answers the problem: poses, without obstacles, a cost, or seeds of another kind, and no joint
+    locked but those that it is given. Of six joints of no family: whether more than one answer is asked for, none locked."""
     options, chain, wanted = problem.options, problem.chain, problem.options.seeds == "closed_form"
     if problem.scene is not None or options.cost is not None or not (wanted or options.seeds == "auto"):
         return False
@@ -49,8 +51,8 @@ def enumerable(problem: Problem) -> bool:
 
 @functools.lru_cache(maxsize=64)
 def _without_closed_form(chain: Chain) -> GeneralArm | None:
-    """What it takes to find all postures of six joints of no family; None for other chains, and for joints that cannot move the
-    tip in all directions."""
+    """`general_arm` of six joints of no family; None for other chains, and for joints that cannot move the tip in all six
+    directions."""
     if chain.num_joints != 6 or any(chain.is_prismatic) or not closed_form_obstacle(chain):
         return None
     try:
@@ -60,7 +62,7 @@ def _without_closed_form(chain: Chain) -> GeneralArm | None:
 
 
 def enumerated(problem: Problem, poses: np.ndarray, left: np.ndarray) -> Found:
-    """Answers of the targets `left`: of each the best by the choice, as many as are asked for."""
+    """Answers of the targets numbered `left`, of poses (N, 4, 4): of each the best by the choice, as many as are asked for."""
     if problem.options.choice != "first":
         found = _kept_of(problem, poses, left, 0, _most(problem))
         followed = [_followed(problem, poses, found)] if problem.chain.num_joints > 6 else []
@@ -72,7 +74,7 @@ def enumerated(problem: Problem, poses: np.ndarray, left: np.ndarray) -> Found:
 
 
 def _first(problem: Problem, poses: np.ndarray, left: np.ndarray) -> Found:
-    """Of each target the first branch inside the limits, of the first value that has one."""
+    """Of each target the first branch inside the limits, at the first point that has one."""
     found = [nothing(problem)]
     for first, last in itertools.pairwise(_tries(problem, len(left))):
         values = _values(problem, first, last)
@@ -89,7 +91,7 @@ def _first(problem: Problem, poses: np.ndarray, left: np.ndarray) -> Found:
 
 
 def _several(problem: Problem, poses: np.ndarray, targets: np.ndarray) -> Found:
-    """Of each target so many branches as are asked for, of one wave of values after the other until there are enough."""
+    """Of each target as many branches as are asked for, from one wave of points after the other until there are enough."""
     left, found = targets, nothing(problem)
     for first, last in itertools.pairwise(_tries(problem, len(left))):
         found = _best(problem, Found.joined([found, _kept_of(problem, poses, left, first, last)]))
@@ -100,24 +102,25 @@ def _several(problem: Problem, poses: np.ndarray, targets: np.ndarray) -> Found:
 
 
 def _most(problem: Problem) -> int:
-    """How many given values are tried."""
+    """How many points are tried."""
     return 1 if problem.chain.num_joints == 6 else problem.options.max_seeds
 
 
 def _tries(problem: Problem, targets: int) -> list[int]:
-    """Where waves of given values begin and end."""
+    """The numbers of the points at which waves begin, and the end."""
     most, few = _most(problem), max(TRIED, TOGETHER // max(targets, 1))
     return [0, *itertools.takewhile(lambda k: k < most, (few << k for k in range(32))), most]
 
 
 def _kept_of(problem: Problem, poses: np.ndarray, some: np.ndarray, first: int, last: int) -> Found:
-    """What may be needed of the branches of `some` targets, a portion of them at a time."""
+    """What `_kept` keeps of the branches of `some` targets at points number `first` to `last`, so many targets at a time as
+    memory holds."""
     parts = (_of_values(problem, poses, part, first, last) for part in portions(some, last - first))
     return Found.joined([_kept(problem, part) for part in parts])
 
 
 def _of_values(problem: Problem, poses: np.ndarray, some: np.ndarray, first: int, last: int) -> Found:
-    """The branches inside the limits of `some` targets, of given values number `first` to `last` (not counted); in the order of
+    """The branches inside the limits of `some` targets, at points number `first` to `last` (not counted); in the order of
     targets and their branches."""
     if (arm := _without_closed_form(problem.chain)) is not None:
         return _of_general(problem, arm, poses, some)
@@ -130,7 +133,7 @@ def _of_values(problem: Problem, poses: np.ndarray, some: np.ndarray, first: int
 
 
 def _of_general(problem: Problem, arm: GeneralArm, poses: np.ndarray, some: np.ndarray) -> Found:
-    """The postures inside the limits of an arm without a closed form."""
+    """The postures inside the limits of six joints of no family, of `some` targets."""
     q, margin, _ = in_blocks(general_kernel(), poses[some], fixed=(arm,), double=True)
     row, number = np.nonzero(margin >= 0.0)
     target, low, high = some[row], problem.low, problem.high
@@ -139,7 +142,8 @@ def _of_general(problem: Problem, arm: GeneralArm, poses: np.ndarray, some: np.n
 
 
 def _kept(problem: Problem, found: Found) -> Found:
-    """What may be needed of all that is found of some targets: the best of each branch, or all."""
+    """What is kept of the branches of some targets: where one answer is asked for the best of each branch number, to be
+    followed; else the best of all."""
     if problem.most > 1 or problem.chain.num_joints == 6:
         return _best(problem, found)
     return found.rows(first_most(BRANCHES * found.target + found.seed % BRANCHES, scores(problem, found)))
@@ -154,13 +158,13 @@ def _best(problem: Problem, found: Found) -> Found:
 
 
 def _range(problem: Problem) -> seeds.Range:
-    """Of what is given."""
+    """The range of what the closed form is given."""
     low, high = solver_of(problem.chain).given_range(problem.inside.low, problem.inside.high)
     return seeds.Range(tuple(low.tolist()), tuple(high.tolist()))
 
 
 def _values(problem: Problem, first: int, last: int) -> np.ndarray:
-    """Given values number `first` to `last` (not counted), (last - first, k): a low-discrepancy sequence over their range."""
+    """Points number `first` to `last` (not counted) of a low-discrepancy sequence over what is given, (last - first, k)."""
     inside = _range(problem)
     if not inside.low:
         return np.zeros((1, 0))
@@ -168,7 +172,7 @@ def _values(problem: Problem, first: int, last: int) -> np.ndarray:
 
 
 def _followed(problem: Problem, poses: np.ndarray, found: Found) -> Found:
-    """Each answer, or a better one by the choice of the same branch at values near what it is given, ever nearer."""
+    """Each answer, or a better one by the choice: of the same branch, at points ever nearer to what it is given itself."""
     if not len(found.q):
         return found
     inside, rows = _range(problem), np.arange(len(found.q))

@@ -8,7 +8,7 @@ library          the nearest to the target, by pose, of 1024 (later 512) configu
 uniform          independent and uniform inside the limits
 low_discrepancy  an additive recurrence of generalised golden ratios inside the limits [Roberts 2018], shifted by `seed`
 near             the reference, then uniform around it in ever wider boxes
-closed_form      the branches of the closed form for one position of the leading joints after the other
+closed_form      the branches of the closed form, at one point after the other of what it is given
 """
 
 from __future__ import annotations
@@ -154,16 +154,16 @@ NEAREST = HostKernel(_first_largest, 1)
 
 
 def branches(chain: Chain, inside: Range, seed: int, first: int, last: int, poses: np.ndarray) -> np.ndarray:
-    """Numbers `first` to `last` of the closed form's branches for poses (N, 4, 4), (N, last - first, n). With leading joints
-    number k is the best branch at the k-th position of a low-discrepancy sequence; without, the k-th best of the eight. Best is
-    what leaves the limits least; where there is none, the start is a uniform one."""
+    """Numbers `first` to `last` of the closed form's branches for poses (N, 4, 4), (N, last - first, n). Where it is given
+    values, number k is the best branch at the k-th point of a low-discrepancy sequence of them, else the k-th best of
+    the eight. Best is what leaves the limits least; where there is none, the start is a uniform one."""
     numbers = np.tile(np.arange(first, last), len(poses))
-    lead = np.zeros((len(numbers), 0))
+    given = np.zeros((len(numbers), 0))
     if chain.num_joints > 6:
         ends = (tuple(end.tolist()) for end in solver_of(chain).given_range(inside.low, inside.high))
-        lead = low_discrepancy(Range(*ends), seed, 0, last)[numbers]
+        given = low_discrepancy(Range(*ends), seed, 0, last)[numbers]
     instead = uniforms(inside, seed, first, last)[numbers - first]
-    rows = np.repeat(poses, last - first, axis=0), lead, numbers.astype(np.int32), instead
+    rows = np.repeat(poses, last - first, axis=0), given, numbers.astype(np.int32), instead
     fixed = np.array(inside.low), np.array(inside.high)
     (at,) = in_blocks(_branch(chain), *rows, fixed=fixed, double=False)
     return at.reshape(len(poses), last - first, -1)
@@ -171,12 +171,12 @@ def branches(chain: Chain, inside: Range, seed: int, first: int, last: int, pose
 
 @functools.lru_cache(maxsize=64)
 def _branch(chain: Chain) -> HostKernel:
-    def chosen(pose: Any, lead: Any, number: Any, instead: Any, low: Any, high: Any) -> Any:
-        q, valid, _ = closed_form(chain, pose, lead)
+    def chosen(pose: Any, given: Any, number: Any, instead: Any, low: Any, high: Any) -> Any:
+        q, valid, _ = closed_form(chain, pose, given)
         past = jnp.maximum(jnp.max(jnp.maximum(low - q, q - high), axis=1), 0.0)
         past = jnp.where(valid, past, jnp.inf)
         k = jnp.arange(BRANCHES)
-        rank = 0 if lead.size else number
+        rank = 0 if given.size else number
         place = jnp.sum((past[None] < past[:, None]) | ((past[None] == past[:, None]) & (k[None] < k[:, None])), axis=1)
         mine = (place == rank) & valid
         return jnp.where(jnp.any(mine), jnp.sum(jnp.where(mine[:, None], q, 0.0), axis=0), instead)

@@ -14,7 +14,7 @@ from jaxik.robot.joint_turns import TURN, nearest_turns
 from jaxik.spmd.batch import in_blocks
 
 APART = 0.2  # [rad, m] between these in some joint: nearer ones end at the same place
-ROUNDS = 6  # through all rows that cost no more than to part them first
+ROUNDS = 6  # solutions a target, above which it pays to part rows into neighbourhoods before they are compared
 PORTION = 65_536  # lanes at a time, which bounds the memory
 
 
