@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import collections
 import csv
+import re
 from collections.abc import Iterable, Sequence
 from pathlib import Path
 
@@ -25,17 +26,36 @@ def write_csv(path: Path, columns: dict[str, np.ndarray]) -> None:
 
 
 def print_table(title: str, headings: Sequence[str], rows: Iterable[Sequence[str]]) -> None:
-    """A table whose first two columns are words, and the others numbers, to the right."""
+    """A table whose first two columns are words, and the others numbers, to the right. Where there is little room headings are
+    broken; no name or number below them is."""
     from rich.console import Console
     from rich.markup import escape
     from rich.table import Table
 
+    width, rows = max(120, Console().width), list(rows)
+    least = [max((len(row[i]) for row in rows), default=1) for i in range(len(headings))]
+    least[-1] = max((len(word) for row in rows for word in row[-1].split()), default=1)  # a list, which may go on below
+    edges = 3 * len(headings) + 1
+    if sum(map(max, zip(least, map(len, headings), strict=True))) + edges > width:
+        headings = [_broken(heading, size) for heading, size in zip(headings, least, strict=True)]
+    sizes = [max(size, *map(len, text.split("\n"))) for size, text in zip(least, headings, strict=True)]
     table = Table(title=escape(title))
     for i, heading in enumerate(headings):
-        table.add_column(escape(heading), justify="left" if i < 2 else "right")
+        last = i == len(headings) - 1
+        table.add_column(escape(heading), justify="left" if i < 2 else "right", no_wrap=not last, min_width=sizes[i])
     for row in rows:
         table.add_row(*map(escape, row))
-    Console(width=max(120, Console().width)).print(table)
+    Console(width=max(width, sum(sizes) + edges)).print(table)
+
+
+def _broken(heading: str, width: int) -> str:
+    """In lines of this width where its words, and what underscores part, are not longer."""
+    lines = [""]
+    for piece in re.findall(r"[^_ ]*[_ ]?", heading):
+        if lines[-1] and len((lines[-1] + piece).rstrip()) > width:
+            lines.append("")
+        lines[-1] += piece
+    return "\n".join(line.rstrip() for line in lines)
 
 
 def offenders(result: IKResult) -> str:

@@ -16,6 +16,7 @@ from robot_files import ARM, POST, write
 import jaxik
 from jaxik import cli
 from jaxik.cli.harvest import _in_the_way, _print_table, write_harvest
+from jaxik.cli.results import print_table
 from jaxik.collision.sphere_levels import hierarchical_clearance
 from jaxik.harvesting.blocking_objects import Blockers
 
@@ -181,6 +182,27 @@ def test_units_are_said(harvested, tmp_path, monkeypatch, capsys):
     assert {"fruit", "reason", "angle [rad]", "clearance [m]", "position_error [m]", "rotation_error [rad]"} < set(header)
     with np.load(tmp_path / "out" / "postures.npz", allow_pickle=False) as arrays:
         assert {"fruit", "reason", "angle", "clearance", "position_error", "rotation_error", "q"} < set(arrays)
+
+
+def test_names_and_numbers_of_a_wide_table_are_not_cut(monkeypatch, capsys):
+    """Of an arm of eight joints with long names: the leaves to take away are what the table is for."""
+    monkeypatch.setenv("COLUMNS", "80")
+    headings = (
+        "fruit",
+        "result",
+        "lift",
+        *(f"panda_joint{i}" for i in range(1, 8)),
+        "clearance [mm]",
+        "freedom",
+        "found by, or remove",
+    )
+    rows = [["fruit_11", "solved", "0.020", *["-120.4"] * 7, "21", "0.42", "grid"]]
+    rows.append(["fruit_12", "collision", *[""] * 10, "leaf_12_2, leaf_11_10"])
+    print_table("panda_lift in row [1]", headings, rows)
+    printed = capsys.readouterr().out
+    assert "…" not in printed and printed.count("-120.4") == 7
+    assert all(word in printed for word in ("fruit_11", "collision", "leaf_12_2,", "leaf_11_10", "freedom"))
+    assert all(line[-1] in "┓┃┩│┘" for line in printed.splitlines()[1:])  # no line is cut
 
 
 @pytest.mark.parametrize("option, words", [(("--weights.reach", "0"), "reach > 0"), (("--wieghts.reach", "1"), "wieghts")])
