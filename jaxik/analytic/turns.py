@@ -268,8 +268,12 @@ def _lines(k: Scalar, b1: Scalar, b2: Scalar, p: Scalar, r: Scalar) -> list[tupl
     difference = jnp.where(d1 < 0.0, -1.0, 1.0) * jnp.sqrt(jnp.maximum(total * total - 4.0 * product, 0.0))
     summed = jnp.where(a1 < 0.0, 1.0, -1.0) * jnp.sqrt(jnp.maximum(apart * apart + 4.0 * product, 0.0))
     total, difference = jnp.where(steep, total, summed), jnp.where(steep, difference, apart)
+    # the smaller m from their product: where the ellipse is nearly a circle the other line is all but at infinity
+    same = total * difference >= 0.0
+    larger = jnp.where(same, total + difference, total - difference) / 2.0
+    smaller = product / jnp.where(larger == 0.0, 1.0, larger)
     # back from the ellipse's axes; where it is a circle there is one line
-    both = ((beta, (total + difference) / 2.0), (-beta, (total - difference) / 2.0))
+    both = ((beta, jnp.where(same, larger, smaller)), (-beta, jnp.where(same, smaller, larger)))
     lines = [(jnp.where(skewed, alpha, a1), jnp.where(skewed, b, d1), jnp.where(skewed, m, -k)) for b, m in both]
     return [(x * cos - y * sin, x * sin + y * cos, m) for x, y, m in lines]
 

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from arm import eaik_robot
 from panda import bare_urdf
-from random_arms import FAMILIES, frame, random_arm
+from random_arms import FAMILIES, assembled, frame, random_arm
 from robots import FOLDER, ROBOTS
 
 import jaxik
@@ -114,6 +114,16 @@ def test_joints_of_no_family_have_all_their_postures_too():
     found, valid, error = solved(chain, poses, given_values(chain, q))
     assert found.shape == (20, 16, 7) and error.max() <= EXACT
     assert np.where(valid, apart(found, q[:, None]), np.inf).min(axis=1).max() <= 1e-8
+
+
+def test_an_ellipse_that_is_a_circle():
+    """Right angles and two offsets of one length: by rounding the pencil's second line is all but at infinity."""
+    h = np.array([[0, -1, 0], [0, 0, -1], [-1, 0, 0], [1, 0, 0], [0, 1, 0], [0, 0, -1.0]])
+    p = np.array([[0, 0.1, 0.1], [0.3, 0.1, 0.1], [0.05, 0.4, 0.1], *[[0.35, 0.825, 0.1]] * 3])
+    chain = assembled(np.random.default_rng(0), h, p, "equal offsets")
+    q = np.random.default_rng(3).uniform(-np.pi, np.pi, (1000, 6))
+    found, valid, error = solved(chain, poses_of(chain, q), np.zeros((1000, 0)))
+    assert error.max() <= EXACT and np.where(valid, apart(found, q[:, None]), np.inf).min(axis=1).max() <= 1e-6
 
 
 def test_what_has_no_family_says_why():
