@@ -78,7 +78,7 @@ def search(problem: Problem, poses: np.ndarray, valid: np.ndarray) -> Outcome:
         return stuck.rows(reason[stuck.target] == OPEN)
 
     asked = problem
-    if enumerable(problem):
+    if OPEN in reason and enumerable(problem):
         note(enumerated(problem, poses, np.flatnonzero(reason == OPEN)))
         problem = _of_the_rest(problem)
     if OPEN in reason:

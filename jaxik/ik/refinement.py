@@ -50,7 +50,8 @@ def _inside(problem: Problem, q: np.ndarray) -> np.ndarray:
     out = problem.circles & ((q < problem.low) | (q > problem.high))
     if not out.any():
         return q
-    return np.where(out, np.minimum(problem.low + np.mod(q - problem.low, TURN), problem.high), q).astype(q.dtype)
+    low, high = (np.where(problem.circles, bound, 0.0) for bound in problem.limits[:2])
+    return np.where(out, np.minimum(low + np.mod(q - low, TURN), high), q).astype(q.dtype)
 
 
 def settling(problem: Problem, options: sqp.Options = FINISH) -> Callable[..., Any]:

@@ -260,7 +260,7 @@ def _result(problem: Problem, outcome: Outcome, fault: np.ndarray) -> IKResult:
         best = found.rows(far_apart(problem, found, score, problem.most, problem.options.distinct))
     best = best.rows(np.argsort(best.target, kind="stable"))
     known = np.bincount(best.target, minlength=count)
-    width = max(1, *known) if problem.options.solutions == "all" else problem.most
+    width = max([1, *known]) if problem.options.solutions == "all" else problem.most
     solutions = np.full((count, width, n), np.nan)
     solutions[best.target, np.arange(len(best.target)) - np.searchsorted(best.target, best.target)] = best.q
     return IKResult(shown.q, outcome.reason, *shown[2:], solutions=solutions, num_solutions=known, fault=fault)

@@ -2,6 +2,7 @@
 
 import dataclasses
 import functools
+import warnings
 
 import jax
 import jax.numpy as jnp
@@ -718,6 +719,30 @@ def test_over_given_values_no_target_is_lost(name):
     searched = jaxik.solve_ik(chain, targets[:20], choice="freedom", seeds="library")
     freedom = jax.vmap(lambda q: jaxik.costs.joint_limit_margin(chain, q))
     assert freedom(freest.q).mean() > freedom(searched.q).mean() - 1e-3
+
+
+@pytest.mark.parametrize("options", [{"solutions": "all"}, {"solutions": 3}, {"choice": "freedom"}])
+@pytest.mark.parametrize("name", ["ur5", "panda"])
+def test_no_target_at_all_and_none_that_may_have_an_answer(name, options):
+    chain = chain_of(name)
+    none = jaxik.solve_ik(chain, np.zeros((0, 4, 4)), **options)
+    assert len(none) == 0 and none.solutions.shape[2] == chain.num_joints
+    far, faulty = np.eye(4), np.full((4, 4), np.nan)
+    far[0, 3] = 5.0
+    result = jaxik.solve_ik(chain, np.stack([far, faulty]), **options)
+    assert list(result.reason) == [Reason.OUT_OF_REACH, Reason.INVALID] and not result.num_solutions.any()
+
+
+def test_limits_on_one_side_warn_of_nothing():
+    """Beside joints that turn all the way round, without a remainder of infinities, which NumPy warns of."""
+    chain = jaxik.load("ur10e")
+    lower, upper = np.full(6, -np.pi), np.full(6, np.pi)
+    lower[5] = -np.inf
+    chain = dataclasses.replace(chain, lower=lower, upper=upper)
+    targets = reachable(dataclasses.replace(chain, lower=np.full(6, -3.0), upper=np.full(6, 3.0)), 30, seed=44)
+    with warnings.catch_warnings():
+        warnings.simplefilter("error", RuntimeWarning)
+        assert jaxik.solve_ik(chain, targets, seeds="library").success.all()
 
 
 def test_a_given_joint_may_be_locked(panda):
