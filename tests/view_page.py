@@ -40,6 +40,7 @@ STUDY = {
     },
 }
 PINK = (255, 32, 96)  # of the target's square
+BUSY = 6.0  # [s] the longest to wait for a picture of a loop that goes on, which need not come to rest
 CHANGE = 0.0005  # of the pixels, by which pictures differ that show something else
 TABS = {
     "Robot": ("robot as", "target to drag", "slide [m]", "theta2 [deg]"),
@@ -56,7 +57,7 @@ def browser():
     options.binary_location = shutil.which("chromium") or shutil.which("chromium-browser") or ""
     for flag in ("--headless=new", "--no-sandbox", "--use-gl=angle", "--use-angle=swiftshader", "--enable-unsafe-swiftshader"):
         options.add_argument(flag)
-    options.add_argument("--window-size=1400,900")
+    options.add_argument("--window-size=1200,800")
     options.set_capability("goog:loggingPrefs", {"browser": "ALL"})
     return webdriver.Chrome(options=options, service=Service(shutil.which("chromedriver")))
 
@@ -179,7 +180,7 @@ def steer(out):
         for client in page.server.get_clients().values():
             client.camera.position = tuple(tip + np.array([0.0, -0.9, 0.25]))  # which shifts what it looks at
             client.camera.look_at = tuple(tip)
-        first = settled(driver, pause=1.0)
+        first = settled(driver, pause=1.0, seconds=BUSY)
         canvas = driver.find_element(By.TAG_NAME, "canvas")
         high, wide = canvas.size["height"], canvas.size["width"]
         found, columns = np.nonzero(np.all(np.abs(first[:high, : int(0.62 * wide)] - PINK) < 40.0, axis=2))
@@ -213,14 +214,14 @@ def steer(out):
         )
         assert way > 0.02 and apart[-1] < 0.005, "the tip does not follow"
         driver.find_element(By.XPATH, "//*[text()='Stop']").click()
-        settled(driver)
+        settled(driver, seconds=BUSY)
         with tempfile.TemporaryDirectory() as folder:
             file = Path(folder) / "motion.json"
             page.steering.file.value = str(file)
             driver.find_element(By.XPATH, "//*[text()='Save']").click()
             assert until(lambda: file.exists() and file.stat().st_size > 1000), page.steering.kept.content
         driver.find_element(By.XPATH, "//*[text()='Play the recording']").click()
-        settled(driver)
+        assert until(lambda: page.steering.playing, 10.0) and until(lambda: not page.steering.playing), "it is not played"
         push_sticks(driver, page)
         read(driver, "Drag the arrows", "virtual springs", "game pad", "Hz", "samples", "near a joint's limit")
         severe = [e["message"] for e in driver.get_log("browser") if e["level"] == "SEVERE" and "favicon" not in e["message"]]
