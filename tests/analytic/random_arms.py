@@ -3,6 +3,7 @@
 from pathlib import Path
 
 import numpy as np
+from arm import eaik_robot
 
 from jaxik.files.chain_builder import Joint, assemble
 
@@ -37,6 +38,20 @@ def frame(turn, place):
     found = np.eye(4)
     found[:3, :3], found[:3, 3] = turn, place
     return found
+
+
+def apart(a, b):
+    """The largest angle between postures (..., n)."""
+    return np.abs((a - b + np.pi) % (2 * np.pi) - np.pi).max(axis=-1)
+
+
+def exact_branches_of_eaik(chain, poses):
+    """What EAIK calls exact, of each pose a list of postures (6,); its least-squares ones are left out."""
+    robot, tip_rotation = eaik_robot(chain)
+    assert robot.hasKnownDecomposition()
+    for pose in poses:
+        found = robot.IK(frame(pose[:3, :3] @ tip_rotation.T, pose[:3, 3]))
+        yield [q for q, least_squares in zip(found.Q, found.is_LS, strict=True) if not least_squares]
 
 
 def random_arm(seed, family, slide=False):

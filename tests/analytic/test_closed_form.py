@@ -6,8 +6,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from arm import eaik_robot
-from random_arms import assembled, frame
+from random_arms import apart, assembled, exact_branches_of_eaik
 from robots import bare
 
 import jaxik
@@ -44,23 +43,17 @@ def test_round_trip_of_random_arms(seed):
     found, error, poses = _round_trip(chain, q)
     assert np.all(np.asarray(found.valid).any(axis=1))
     assert error.max() <= 1e-10
-    apart = np.abs((np.asarray(found.q) - q[:, None] + np.pi) % (2 * np.pi) - np.pi).max(axis=2)
-    nearest = np.where(found.valid, apart, np.inf).min(axis=1)
+    nearest = np.where(found.valid, apart(np.asarray(found.q), q[:, None]), np.inf).min(axis=1)
     assert np.quantile(nearest, 0.99) <= 1e-10  # near a singularity single joints lose digits, the pose does not
     if chain.num_joints == 6:
         _has_the_branches_of_eaik(chain, found, poses[:60])
 
 
 def _has_the_branches_of_eaik(chain, found, poses):
-    robot, end = eaik_robot(chain)
-    for i, pose in enumerate(poses):
-        theirs = robot.IK(frame(pose[:3, :3] @ end.T, pose[:3, 3]))
-        exact = [s for s, approximate in zip(theirs.Q, theirs.is_LS, strict=True) if not approximate]
+    for i, exact in enumerate(exact_branches_of_eaik(chain, poses)):
         ours = np.asarray(found.q[i])[np.asarray(found.valid[i])]
         assert len(ours) == len(exact)
-        for s in exact:
-            apart = np.abs((ours - s + np.pi) % (2 * np.pi) - np.pi).max(axis=1)
-            assert apart.min() <= 1e-6
+        assert all(apart(ours, s).min() <= 1e-6 for s in exact)
 
 
 @pytest.mark.parametrize("dtype, bound", [(jnp.float64, 1e-10), (jnp.float32, 5e-5)])
@@ -79,8 +72,8 @@ def test_wrist_singularity_and_its_neighbourhood(dtype, bound):
 
 def test_edge_of_the_workspace():
     chain = jaxik.load("p6r")
-    straight = -np.pi / 2 - np.arctan2(0.09, 0.255) + np.pi / 2 - np.pi / 2
-    q = np.tile([0.4, 0.3, -0.5, straight, 0.7, 0.4, 0.5], (1, 1))
+    straight = -np.pi / 2 - np.arctan2(0.09, 0.255)
+    q = np.array([[0.4, 0.3, -0.5, straight, 0.7, 0.4, 0.5]])
     pose = np.array(jaxik.forward_kinematics(chain, q[0]))
     found, error, _ = _round_trip(chain, q)
     assert np.asarray(found.valid).any() and error.max() <= 1e-10
@@ -109,6 +102,10 @@ def test_limits_and_turns():
     assert len(inside) and np.all((inside >= chain.lower) & (inside <= chain.upper))
     turns = [t for s in inside for t in jaxik.robot.admissible_turns(chain, s)]
     assert len(turns) > len(inside) and min(np.max(np.abs(t - q)) for t in turns) <= 1e-10
+
+
+def test_no_pose_has_no_branch():
+    chain = jaxik.load("p6r")
     not_a_pose = jaxik.closed_form(chain, jnp.full((4, 4), jnp.nan), 0.1)
     assert not np.any(not_a_pose.valid)
 

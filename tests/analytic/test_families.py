@@ -4,9 +4,8 @@ import dataclasses
 
 import numpy as np
 import pytest
-from arm import eaik_robot
 from panda import bare_urdf
-from random_arms import FAMILIES, assembled, frame, random_arm
+from random_arms import FAMILIES, apart, assembled, exact_branches_of_eaik, frame, random_arm
 from robots import FOLDER, ROBOTS
 
 import jaxik
@@ -39,16 +38,8 @@ def solved(chain, poses, given):
     return q, valid, np.where(valid, np.abs(back - poses[:, None]).max(axis=(2, 3)), 0.0)
 
 
-def apart(a, b):
-    return np.abs((a - b + np.pi) % (2 * np.pi) - np.pi).max(axis=-1)
-
-
 def has_the_branches_of_eaik(chain, poses, q, valid):
-    robot, end = eaik_robot(chain)
-    assert robot.hasKnownDecomposition()
-    for pose, found, good in zip(poses, q, valid, strict=True):
-        theirs = robot.IK(frame(pose[:3, :3] @ end.T, pose[:3, 3]))
-        exact = [s for s, approximate in zip(theirs.Q, theirs.is_LS, strict=True) if not approximate]
+    for pose, found, good, exact in zip(poses, q, valid, exact_branches_of_eaik(chain, poses), strict=True):
         for s in exact:
             if np.abs(poses_of(chain, s[None])[0] - pose).max() <= 1e-6:  # not all that it calls exact is
                 assert apart(found[good], s).min() <= 1e-5
@@ -129,8 +120,7 @@ def test_an_ellipse_that_is_a_circle():
 def test_what_has_no_family_says_why():
     chain = random_arm(0, "wrist, any").part(0, 5)
     assert "5 joints" in jaxik.analytic.closed_form_obstacle(chain)
-    slanted = random_arm(0, "arm angle").part(1, 7).part(0, 6)
-    assert jaxik.analytic.closed_form_obstacle(slanted) == ""
+    assert jaxik.analytic.closed_form_obstacle(random_arm(0, "arm angle").part(1, 7)) == ""  # a spherical wrist
 
 
 def test_what_is_missing_is_said_of_the_joints_as_the_chain_counts_them():

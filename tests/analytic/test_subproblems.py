@@ -148,16 +148,18 @@ def any_turns(kind, p, k, k2, q):
 @pytest.mark.parametrize("kind", ["meet", "distance", "plane"])
 def test_balls_enclose(kind):
     """The turns of any numbers in the balls are in those of the balls, or the balls' are any turn."""
-    rng = np.random.default_rng(3)
+    rng, bounded = np.random.default_rng(3), 0
     for _ in range(30):
         p, q, (k, k2) = rng.normal(size=3), rng.normal(size=3), unit(rng.normal(size=(2, 3)))
         radius = 10.0 ** rng.uniform(-4, -1)
         if kind == "meet":
             q = turned(k2, rng.uniform(-3, 3), turned(k, rng.uniform(-3, 3), p))
         balls, margin = any_turns(kind, p, k, k2, Vec3(*(Ball(np.asarray(x), radius) for x in q)))
+        bounded += bool(margin.low > 0.0) and max(float(x.rad) for turn in balls for x in turn) < 1.0
         for _ in range(10):
             inner, inner_margin = any_turns(kind, p, k, k2, Vec3(*(jnp.asarray(x + rng.uniform(-radius, radius)) for x in q)))
             assert margin.low - 1e-12 <= inner_margin <= margin.high + 1e-12 or not np.isfinite(margin.rad)
             for wide, narrow in zip(balls, inner, strict=True):
                 for a, b in zip(wide, narrow, strict=True):
                     assert inner_margin < 0.0 or not abs(a.mid - b) > a.rad + 1e-12  # NaN encloses all
+    assert bounded >= 10  # not by balls that hold everything
