@@ -62,6 +62,24 @@ class Axes(NamedTuple):
         missed = [self.miss(a, b) for a, b in neighbours] + [self.miss(i, i + 1, i + 2) for i in range(len(self.h) - 2)]
         return max((x for x in (*skewed, *missed) if x <= TOLERANCE), default=0.0)
 
+    @property
+    def spanning(self) -> bool:
+        """Whether the joints can move the tip in all six directions somewhere, by the Jacobian at some random angles."""
+        points = self.p - np.mean(self.p, axis=0)
+        length = float(np.max(np.linalg.norm(points, axis=1))) or 1.0
+        ratios = []
+        for q in np.random.default_rng(0).uniform(-np.pi, np.pi, (4, len(self.h))):
+            turn, place, columns = np.eye(3), np.zeros(3), []
+            for angle, h, p in zip(q, self.h, points / length, strict=True):
+                axis, point = turn @ h, turn @ p + place
+                columns.append(np.concatenate([np.cross(point, axis), axis]))
+                cross = np.cross(np.eye(3), h)
+                turn = turn @ (np.eye(3) + np.sin(angle) * cross + (1.0 - np.cos(angle)) * cross @ cross)
+                place = point - turn @ p
+            values = np.linalg.svd(np.array(columns), compute_uv=False)
+            ratios.append(values[5] / values[0])
+        return bool(max(ratios) > TOLERANCE)
+
     def parallel(self, *which: int) -> bool:
         """Whether these axes are parallel, either way round, within `TOLERANCE`."""
         return self.tilt(*which) <= TOLERANCE

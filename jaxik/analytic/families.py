@@ -162,8 +162,11 @@ def _found(chain: Chain) -> tuple[Solver | None, str]:
     for size in (7, 6):
         for first in range(chain.num_joints - size, -1, -1):
             part = chain.part(first, first + size)
+            families: list[tuple[str, Maker]] = []
             if any(part.is_prismatic):
-                families, why = [], f"joint '{part.joint_names[part.is_prismatic.index(True)]}' is prismatic"
+                why = f"joint '{part.joint_names[part.is_prismatic.index(True)]}' is prismatic"
+            elif not Axes.of(part).spanning:
+                why = "they cannot move the tip in all six directions, wherever they stand"
             else:
                 families = list(_families(part, first))
                 why = "; ".join(reason for reason, _ in families)
@@ -230,7 +233,7 @@ def any_solver_of(chain: Chain) -> Solver:
 def _without_family(chain: Chain) -> Solver | None:
     for first in range(chain.num_joints - 6, -1, -1):
         part = chain.part(first, first + 6)
-        if not any(part.is_prismatic):
+        if not any(part.is_prismatic) and Axes.of(part).spanning:
             return Solver(chain, first, AnySix(Axes.of(part)), 0.0)
     return None
 

@@ -201,10 +201,10 @@ def _beyond_limits(problem: Problem, poses: np.ndarray, reason: np.ndarray) -> n
     left = np.flatnonzero(reason == OPEN)
     if not len(left):
         return reason
-    six = problem.chain.num_joints == 6 and problem.strategy == "closed_form"
-    if six and not problem.options.locked and _is_exact(problem):
+    known = problem.chain.num_joints == 6 and problem.strategy == "closed_form" and not problem.options.locked
+    if known and _is_exact(problem):
         reason[left] = np.where(seeds.any_branch(problem.chain, poses[left]), Reason.LIMITS, Reason.OUT_OF_REACH)
-        return reason
+        left = left[reason[left] == Reason.OUT_OF_REACH]  # unless the posture that stands for many at a singular pose is none
     held = problem.low == problem.high  # what is locked stays so
     up_to = lambda bound: (np.where(held, problem.low, -bound), np.where(held, problem.high, bound))
     low, high = up_to(np.inf)

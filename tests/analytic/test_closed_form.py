@@ -144,3 +144,28 @@ def test_traced_numbers_are_refused():
     chain = jaxik.load("p6r")
     traced = dataclasses.replace(chain, parent_T_joint=jnp.asarray(chain.parent_T_joint))
     assert "traced" in jaxik.analytic.closed_form_obstacle(traced)
+
+
+def test_six_joints_that_cannot_reach_every_pose_are_not_solved():
+    """Four parallel axes in a row turn and shift in three directions only."""
+    rng = np.random.default_rng(0)
+    h, p = rng.normal(size=(6, 3)), rng.normal(size=(6, 3))
+    h[1:4] = h[0]
+    chain = assembled(rng, h, p, "planar")
+    assert "cannot move the tip in all six directions" in jaxik.analytic.closed_form_obstacle(chain)
+    q = rng.uniform(-1.0, 1.0, 6)
+    assert np.linalg.matrix_rank(jaxik.jacobian(chain, q), tol=1e-9) == 5
+
+
+def test_limits_where_a_posture_stands_for_many():
+    """At doubly singular poses the posture that stands for all others may not have the pose, which is no proof."""
+    rng = np.random.default_rng(6)
+    h = np.array([[1, 0, 0], [1, 0, 0], [-1, 0, 0], [0, -1, 0], [0, 0, 1], [0, 0, -1]], float)
+    p = np.array([[0, 0, 0], [0, -0.25, 0], [0, -0.25, 0.3], [0, -0.25, 0.725], [0, -0.25, 1.025], [0.425, -0.25, 1.025]])
+    chain = assembled(rng, h, p, "right-angled")
+    q = rng.uniform(-np.pi, np.pi, (40, 6))
+    q[:, 3], q[:, 4], q[20:, 5] = np.pi / 2 * rng.choice([-1, 1], 40), np.pi, 0.0
+    poses = np.stack([jaxik.forward_kinematics(chain, each) for each in q])
+    assert jaxik.solve_ik(chain, poses).success.all()
+    narrow = dataclasses.replace(chain, lower=np.full(6, 0.1), upper=np.full(6, 1.0))
+    assert set(jaxik.solve_ik(narrow, poses).reasons) == {"limits"}
