@@ -44,6 +44,8 @@ class IKArguments(RobotArguments):
     """Largest error of an answer [rad]."""
     choice: Literal["first", "clearance", "manipulability", "freedom", "comfort"] = "first"
     """Which of several answers is taken."""
+    solutions: int | Literal["all"] = 1
+    """So many different answers of each target are written, best first, or all that are found."""
     max_seeds: int = 128
     """Seeds that a target gets before it is given up."""
     seed: int = 0
@@ -74,7 +76,7 @@ class IKArguments(RobotArguments):
             show = lambda done: bar.update(line, completed=done)
             result = jaxik.solve_ik(chain, targets, scene, self.seed, task=task, progress=show, **chosen)
         seconds = time.perf_counter() - start
-        write_ik(chain, result, self.out)
+        write_ik(chain, result, self.out, several=self.solutions != 1)
         if targets.ndim == 2:
             print(f"position only: {self.targets} binds no rotation")
         counts = result.counts()
@@ -85,24 +87,40 @@ class IKArguments(RobotArguments):
             print(f"target {i + 1}: {FAULTS[result.fault[i]]}")
         if said := offenders(result):
             print(said)
+        if self.solutions != 1:
+            print(f"{result.num_solutions.sum()} answers")
         print(f"{counts.get('solved', 0)} of {len(result)} targets solved in {seconds:.2f} s; wrote {self.out}")
 
 
-def write_ik(chain: jaxik.Chain, result: jaxik.ik.IKResult, out: Path) -> None:
-    """The results of a batch, one row a target: arrays (.npz, no pickle) or a table (.csv, .parquet); written aside, then
-    renamed."""
+def write_ik(chain: jaxik.Chain, result: jaxik.ik.IKResult, out: Path, several: bool = False) -> None:
+    """The results of a batch: arrays (.npz, no pickle) or a table (.csv, .parquet), one row a target, or with `several` one an
+    answer; written aside, then renamed."""
     names = ("success", "position_error", "rotation_error", "clearance", "seed", "iterations")
     columns = {"reason": result.reasons, **{name: getattr(result, name) for name in names}}
+    table = _answers(result) if several else {**columns, "q": result.q}
     out.parent.mkdir(parents=True, exist_ok=True)
-    table = {**columns, **dict(zip(chain.joint_names, result.q.T, strict=True))}
     with tempfile.TemporaryDirectory(prefix=".", dir=out.parent, ignore_cleanup_errors=True) as folder:
         aside = Path(folder) / out.name
-        if out.suffix == ".parquet":
-            import pyarrow.parquet
-
-            pyarrow.parquet.write_table(pyarrow.table(table), aside)
-        elif out.suffix == ".csv":
-            write_csv(aside, table)
+        if out.suffix == ".npz":
+            more = {"solutions": result.solutions, "num_solutions": result.num_solutions} if several else {}
+            np.savez(aside, allow_pickle=False, joint_names=np.array(chain.joint_names), q=result.q, **columns, **more)
         else:
-            np.savez(aside, allow_pickle=False, joint_names=np.array(chain.joint_names), q=result.q, **columns)
+            joints = table.pop("q").T
+            table |= dict(zip(chain.joint_names, joints, strict=True))
+            if out.suffix == ".parquet":
+                import pyarrow.parquet
+
+                pyarrow.parquet.write_table(pyarrow.table(table), aside)
+            else:
+                write_csv(aside, table)
         aside.replace(out)
+
+
+def _answers(result: jaxik.ik.IKResult) -> dict[str, np.ndarray]:
+    """One row an answer, of targets and answers counted from 1; of a target without one its nearest miss, as answer 0."""
+    count = np.maximum(result.num_solutions, 1)
+    target = np.repeat(np.arange(len(result)), count)
+    number = np.arange(len(target)) - np.repeat(np.cumsum(count) - count, count)
+    solved = result.success[target]
+    q = np.where(solved[:, None], result.solutions[target, number], result.q[target])
+    return {"target": target + 1, "solution": np.where(solved, number + 1, 0), "reason": result.reasons[target], "q": q}
