@@ -162,7 +162,7 @@ def _found(chain: Chain) -> tuple[Solver | None, str]:
     for size in (7, 6):
         for first in range(chain.num_joints - size, -1, -1):
             part = chain.part(first, first + size)
-            families: list[tuple[str, Maker]] = []
+            families: list[tuple[str, Callable[[], Family]]] = []
             if any(part.is_prismatic):
                 why = f"joint '{part.joint_names[part.is_prismatic.index(True)]}' is prismatic"
             elif not Axes.of(part).spanning:

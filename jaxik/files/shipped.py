@@ -5,7 +5,7 @@ from __future__ import annotations
 import os
 from pathlib import Path
 
-from jaxik.checks.options import shown
+from jaxik.checks.options import nearest, shown
 from jaxik.reasons import LoadError
 
 
@@ -26,4 +26,6 @@ def locate(source: str | Path, what: str = "robot") -> Path:
         return shipped[str(source)]
     if os.path.exists(path):  # of a name that no file can have, too
         return path  # to be told that a file needs an ending
-    raise LoadError(shown(source), what, f"no such shipped {what}", f"shipped: {', '.join(shipped)}; or give a file")
+    close = nearest(str(source).lower(), list(shipped))
+    meant = f"did you mean '{close}'? " if close else ""
+    raise LoadError(shown(source), what, f"no such shipped {what}", f"{meant}shipped: {', '.join(shipped)}; or give a file")

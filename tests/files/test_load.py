@@ -284,6 +284,8 @@ def test_siblings_of_a_robot_file_that_are_not_there(tmp_path):
             reader(tmp_path)
         with pytest.raises(jaxik.LoadError, match="no such shipped"):
             reader("absent")
+    with pytest.raises(jaxik.LoadError, match="did you mean 'ur5e'"):
+        jaxik.load("UR5e")
 
 
 def test_nearly_unit_axes_are_made_unit(tmp_path):
