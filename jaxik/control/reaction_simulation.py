@@ -20,7 +20,7 @@ from jaxik.control.touch import TouchSensor
 from jaxik.motions.path import Path, check_path, motion
 from jaxik.pytree import Pytree
 from jaxik.reasons import Reason, Reasoned
-from jaxik.robot.chain import Array, as_configuration, as_numbers
+from jaxik.robot.chain import Array, Chain, as_configuration, as_numbers
 from jaxik.robot.contact import Contact, check_joint, contact_jacobian, material_point
 from jaxik.spatial.algebra import safe_sqrt
 from jaxik.spmd import kernel
