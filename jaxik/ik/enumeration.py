@@ -107,8 +107,10 @@ def _most(problem: Problem) -> int:
 
 
 def _tries(problem: Problem, targets: int) -> list[int]:
-    """The numbers of the points at which waves begin, and the end."""
+    """The numbers of the points at which waves begin, and the end; one wave where there are never enough answers."""
     most, few = _most(problem), max(TRIED, TOGETHER // max(targets, 1))
+    if problem.options.solutions == "all":
+        return [0, most]
     return [0, *itertools.takewhile(lambda k: k < most, (few << k for k in range(32))), most]
 
 
