@@ -11,7 +11,7 @@ import argparse
 import hashlib
 import json
 import random
-import resource
+import re
 import signal
 import subprocess
 import sys
@@ -202,7 +202,8 @@ def scaling_child() -> None:
             while time.perf_counter() < begun + 3.0:
                 runs[n].append(_timed_run(n))
     runs[across[0]].pop(0)  # it compiled
-    most = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 2**20
+    # not getrusage's, which a child takes over from the parent that it was forked from
+    most = int(re.search(r"VmHWM:\s+(\d+) kB", Path("/proc/self/status").read_text())[1]) / 2**20
     wall, cpu = zip(*(np.median(each, axis=0).tolist() for each in runs.values()), strict=True)
     found = {"wall": {"seconds": wall}, "cpu": {"seconds": cpu}, "runs": [len(each) for each in runs.values()]}
     print(json.dumps({"targets": [625 * n for n in across], **found, "resident_gib": most}))
