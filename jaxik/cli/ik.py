@@ -97,7 +97,6 @@ def write_ik(chain: jaxik.Chain, result: jaxik.ik.IKResult, out: Path, several: 
     answer; written aside, then renamed."""
     names = ("success", "position_error", "rotation_error", "clearance", "seed", "iterations")
     columns = {"reason": result.reasons, **{name: getattr(result, name) for name in names}}
-    table = _answers(result) if several else {**columns, "q": result.q}
     out.parent.mkdir(parents=True, exist_ok=True)
     with tempfile.TemporaryDirectory(prefix=".", dir=out.parent, ignore_cleanup_errors=True) as folder:
         aside = Path(folder) / out.name
@@ -105,8 +104,8 @@ def write_ik(chain: jaxik.Chain, result: jaxik.ik.IKResult, out: Path, several: 
             more = {"solutions": result.solutions, "num_solutions": result.num_solutions} if several else {}
             np.savez(aside, allow_pickle=False, joint_names=np.array(chain.joint_names), q=result.q, **columns, **more)
         else:
-            joints = table.pop("q").T
-            table |= dict(zip(chain.joint_names, joints, strict=True))
+            table = _answers(result) if several else {**columns, "q": result.q}
+            table |= dict(zip(chain.joint_names, table.pop("q").T, strict=True))
             if out.suffix == ".parquet":
                 import pyarrow.parquet
 

@@ -16,8 +16,8 @@ import itertools
 
 import numpy as np
 
-from jaxik.analytic.families import closed_form_obstacle, scannable, solver_of
-from jaxik.analytic.general import GeneralArm, general_arm, general_kernel
+from jaxik.analytic.families import AnySix, any_solver_of, scannable, solver_of
+from jaxik.analytic.general import GeneralArm, general_kernel
 from jaxik.analytic.solutions import BRANCHES, closed_branches, closed_forms, first_branches, given_values
 from jaxik.ik import seeds
 from jaxik.ik.choosing import scores
@@ -53,12 +53,13 @@ def enumerable(problem: Problem) -> bool:
 def _without_closed_form(chain: Chain) -> GeneralArm | None:
     """`general_arm` of six joints of no family; None for other chains, and for joints that cannot move the tip in all six
     directions."""
-    if chain.num_joints != 6 or any(chain.is_prismatic) or not closed_form_obstacle(chain):
+    if chain.num_joints != 6:
         return None
     try:
-        return general_arm(chain)
+        family = any_solver_of(chain).family
     except ValueError:
         return None
+    return family.arm if isinstance(family, AnySix) else None
 
 
 def enumerated(problem: Problem, poses: np.ndarray, left: np.ndarray) -> Found:
