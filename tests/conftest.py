@@ -32,9 +32,12 @@ import jax  # noqa: E402
 import jaxtyping  # noqa: E402
 import pytest  # noqa: E402
 
-from jaxik.spmd import primitive  # noqa: E402
+from jaxik.spmd import call, primitive  # noqa: E402
 
 jax.config.update("jax_enable_x64", True)
+# most of a run is compiling, and its results are read once: XLA's and LLVM's quick code, which of kernels has the same bits
+jax.config.update("jax_disable_most_optimizations", True)
+call.QUICK = 0
 jax.config.update("jax_persistent_cache_min_compile_time_secs", 0.3)
 gc.set_threshold(100_000, 50, 100)  # traces make many objects and little garbage
 

@@ -199,7 +199,7 @@ def motion(path: Path, duration: Any, t: Any) -> Motion:
     if is_known((path, duration, t)):
         jax.eval_shape(path.pose, jax.ShapeDtypeStruct((), jnp.result_type(t, float)))  # raises for what is known to be wrong
         return _compiled(path, duration, t)  # not operation by operation, each of which XLA would compile
-    return _each(_motion)(path, duration, t)
+    return _at_each(path, duration, t)
 
 
 def _each(function: Callable[..., Motion]) -> Callable[..., Motion]:
@@ -227,7 +227,8 @@ def _motion(path: Path, duration: Any, t: Any) -> Motion:
     return Motion(pose, first * rate, second * rate**2 + first * rate_2)
 
 
-_compiled = jax.jit(_each(kernel(_motion)))
+_at_each = _each(kernel(_motion))
+_compiled = jax.jit(_at_each)
 
 
 def _vector(skew: Any) -> Any:

@@ -472,6 +472,7 @@ def test_what_a_loop_stacks_is_written_row_by_row(dtype, turns):
 def test_quick_code_has_the_same_bits(monkeypatch):
     """What a program too large for LLVM's good code gets."""
     monkeypatch.setattr(cache, "cache_folder", lambda: None)
+    monkeypatch.setattr(call, "QUICK", 30_000)  # the tests' own set-up asks for quick code alone
     good = jax.jit(jax.vmap(spmd.kernel(lambda q, a: arm(q, a)[1])))(Q, LENGTHS)
     monkeypatch.setattr(call, "QUICK", 0)
     monkeypatch.setattr(call, "_made", {})
