@@ -73,19 +73,34 @@ def _abs(t: Text, e: Expression) -> str:
 
 
 def _extreme(t: Text, e: Expression) -> str:
-    """The larger or the smaller; NaN if either is."""
+    """The larger or the smaller; NaN if either is, and -0 below 0 [IEEE 754-2019, maximum and minimum]."""
     shape, code = t.shape(e.type, e.wide), {"max": "gt", "min": "lt"}[e.code]
     a, b = e.names
+    either = lambda a, b: t.assign(_select(t, e, t.assign(_comparison(code, e.type, shape, [a, b])), a, b))
     if e.type not in FLOATS:
         return _select(t, e, t.assign(_comparison(code, e.type, shape, [a, b])), a, b)
-    is_number = [k is not None and k == k for k in e.known]
-    if is_number[1]:
-        a, b = b, a  # the number first: a comparison with NaN fails and leaves it
-    value = _select(t, e, t.assign(_comparison(code, e.type, shape, [a, b])), a, b)
-    if any(is_number):
-        return value
-    value = t.assign(value)
-    return _select(t, e, t.assign(f"fcmp uno {shape} {a}, {a}"), a, value)
+    for known, a, b in zip(e.known, e.names, e.names[::-1], strict=True):
+        if known is not None and known == known:  # the number first: a comparison with NaN, or of zeros, leaves the other
+            return _beside_zero(t, e, either(a, b), known)
+    # the second where neither is beyond the other: of zeros, and of a number and NaN, each once
+    bits = "i32" if e.type == "float" else "i64"
+    whole = t.shape(bits, e.wide)
+    one, two = (t.assign(f"bitcast {shape} {x} to {whole}") for x in (either(a, b), either(b, a)))
+    found = t.assign(f"or {whole} {one}, {two}")
+    if e.code == "max":  # the sign is both's, all other bits are either's
+        both = t.assign(f"and {whole} {one}, {two}")
+        size = t.assign(f"and {whole} {found}, {t.constant(np.iinfo(DTYPES[bits]).max, bits, e.wide)}")
+        found = t.assign(f"or {whole} {both}, {size}")
+    return f"bitcast {whole} {found} to {shape}"
+
+
+def _beside_zero(t: Text, e: Expression, value: str, known: Any) -> str:
+    """The extreme of a number that is `known`, which may have become the other zero: that of 0 is at least 0."""
+    shape = t.shape(e.type, e.wide)
+    if known != 0 or np.signbit(known) != (e.code == "min"):
+        return t.same(shape, value)
+    size = t.intrinsic("fabs", e.type, e.wide, [value])
+    return size if e.code == "max" else f"fneg {shape} {t.assign(size)}"
 
 
 def _convert(t: Text, e: Expression) -> str:

@@ -286,8 +286,8 @@ _EVALUATE: dict[str, Callable[..., Any]] = {
     "ceil": np.ceil,
     "rint": np.rint,
     "trunc": np.trunc,
-    "max": np.maximum,
-    "min": np.minimum,
+    "max": lambda a, b: a + b if a == b == 0 else np.maximum(a, b),  # 0 of 0 and -0
+    "min": lambda a, b: a if a == b == 0 and np.signbit(a) else np.minimum(a, b),
     "and": np.bitwise_and,
     "or": np.bitwise_or,
     "xor": np.bitwise_xor,

@@ -16,7 +16,7 @@ import jax
 import numpy as np
 from jax.extend.core import ClosedJaxpr, Jaxpr, Literal
 
-from jaxik.spmd.program import DTYPES, TYPES, Memory, Program, Whole
+from jaxik.spmd.program import DTYPES, TYPES, Block, Memory, Program, Whole
 
 UNROLLED = 64  # operations of a scan's turns together, up to which it is written out
 FLAT = 32  # operations of both sides, up to which a branch is a selection
@@ -88,7 +88,8 @@ class Scalariser:
 
     def __init__(self, program: Program):
         self.program = program
-        self.spilled: dict[int, tuple[Array, Array]] = {}
+        # what is copied to memory, and the block whose lanes have written it: another block may not have run
+        self.spilled: dict[int, tuple[Array, Array, Block]] = {}
 
     def run(self, jaxpr: Jaxpr, consts: Sequence[Array], args: Sequence[Array]) -> list[Array]:
         env: dict[Any, Array] = {}
@@ -177,14 +178,13 @@ class Scalariser:
         """The same array, written to a table or to scratch so that it can be read at computed indices."""
         if array.memory is not None and array.strides is not None:
             return array
-        known = self.spilled.get(id(array))
-        if known is not None:
+        p, known = self.program, self.spilled.get(id(array))
+        if known is not None and any(block is known[2] for block in p.blocks):
             return known[1]
-        p = self.program
         values = self.values(array).ravel().tolist()
         places = np.arange(len(values)).reshape(array.shape)
         if all(v in p.constant for v in values):
-            spilled = Array(places, array.type, p.table(np.array([p.constant[v] for v in values])))
+            level, spilled = 0, Array(places, array.type, p.table(np.array([p.constant[v] for v in values])))
         else:
             memory, level = p.room(array.type, len(values)), max(p.depth[v] for v in values)
             while any(not b.hoists for b in p.blocks[level + 1 :]):
@@ -193,7 +193,7 @@ class Scalariser:
             for i, v in enumerate(values):
                 after = p.store(memory, i, None, v, level)
             spilled = Array(places, array.type, memory, after)
-        self.spilled[id(array)] = array, spilled  # the array is kept, so that its id is
+        self.spilled[id(array)] = array, spilled, p.blocks[level]  # the array is kept, so that its id is
         return spilled
 
     def index(self, value: int) -> int:

@@ -73,8 +73,6 @@ def _cond(s: Scalariser, eqn: Any, which: Array, *args: Array) -> list[Array]:
     if known is not None:
         return s.closed(branches[int(np.clip(int(known), 0, len(branches) - 1))], args)
     kinds, shapes = [type_of(v.aval) for v in eqn.outvars], [v.aval.shape for v in eqn.outvars]
-    if sum(_weight(b.jaxpr) for b in branches) > FLAT:
-        args = tuple(Array(s.values(x), x.type) if x.memory is None else x for x in args)
 
     def values(number: int) -> list[int]:
         return [v for x in s.closed(branches[number], args) for v in s.values(x).ravel().tolist()]
@@ -117,6 +115,12 @@ class _Carried:
         return [v for x, c in zip(arrays, self.changes, strict=True) if c for v in s.values(x).ravel().tolist()]
 
 
+def _where(s: Scalariser, truth: Array, yes: Array, no: Array) -> Array:
+    """Rows of `yes` where their truth holds, else of `no`; the truth has the first of their axes."""
+    rows = np.reshape(s.values(truth), truth.shape + (1,) * (len(yes.shape) - len(truth.shape)))
+    return s.map("select", yes.type, Array(rows, "i1"), yes, no)
+
+
 @rule("while")
 def _while(s: Scalariser, eqn: Any, *args: Array) -> list[Array]:
     p = eqn.params
@@ -124,11 +128,18 @@ def _while(s: Scalariser, eqn: Any, *args: Array) -> list[Array]:
     test_consts, body_consts, init = args[:k], args[k : k + m], args[k + m :]
     carried = _Carried(s, init, p["body_jaxpr"].jaxpr, m)
 
+    def test(flat: list[int]) -> Array:
+        return s.closed(p["cond_jaxpr"], [*test_consts, *carried.arrays(flat)])[0]
+
     def again(flat: list[int]) -> int:
-        return s.values(s.closed(p["cond_jaxpr"], [*test_consts, *carried.arrays(flat)])[0]).item()
+        return s.fold("or", "i1", s.values(test(flat)).ravel().tolist())
 
     def body(flat: list[int]) -> list[int]:
-        return carried.flattened(s, s.closed(p["body_jaxpr"], [*body_consts, *carried.arrays(flat)]))
+        after = s.closed(p["body_jaxpr"], [*body_consts, *carried.arrays(flat)])
+        goes_on = test(flat)
+        if goes_on.shape:  # a loop under `vmap`: a truth a row, and rows that are done keep what they have
+            after = [_where(s, goes_on, x, old) for x, old in zip(after, carried.arrays(flat), strict=True)]
+        return carried.flattened(s, after)
 
     return carried.arrays(s.program.loop(carried.flat, again, body))
 

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from jaxik.spmd import elementary
-from jaxik.spmd.program import FLOATS
+from jaxik.spmd.program import DTYPES, FLOATS, limits
 from jaxik.spmd.scalarise import RULES, Array, Rule, Scalariser, Unsupported, kind_of, rule, unflattened
 
 _SAME = {"add": "add", "add_any": "add", "sub": "sub", "mul": "mul", "neg": "neg", "abs": "abs", "max": "max", "min": "min"}
@@ -16,7 +16,22 @@ _SAME |= {"sqrt": "sqrt", "floor": "floor", "ceil": "ceil", "and": "and", "or": 
 _SAME |= {name: name for name in ("eq", "ne", "lt", "le", "gt", "ge")}
 for _name, _code in _SAME.items():
     RULES[_name] = lambda s, eqn, *xs, code=_code: s.map(code, kind_of(eqn), *xs)
-RULES["eq_to"], RULES["lt_to"], RULES["le_to"] = RULES["eq"], RULES["lt"], RULES["le"]
+
+
+@rule("eq_to", "lt_to", "le_to")
+def _in_total_order(s: Scalariser, eqn: Any, a: Array, b: Array) -> Array:
+    """-NaN < -inf < ... < -0 < 0 < ... < inf < NaN, each equal to itself, by which JAX searches [IEEE 754, totalOrder]."""
+    return s.map(eqn.primitive.name.removesuffix("_to"), "i1", _rank(s, a), _rank(s, b))
+
+
+def _rank(s: Scalariser, x: Array) -> Array:
+    """An integer that stands in the total order where the float does: its bits, all but the sign turned over if negative."""
+    if x.type not in FLOATS:
+        return x
+    kind = "i32" if x.type == "float" else "i64"
+    bits = s.map("bitcast", kind, x)
+    turned = s.map("xor", kind, bits, s.full((), limits(DTYPES[kind])[1], kind))
+    return s.map("select", kind, s.map("lt", "i1", bits, s.full((), 0, kind)), turned, bits)
 
 
 @rule("copy", "copy_p", "stop_gradient", "reduce_precision")
