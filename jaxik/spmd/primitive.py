@@ -30,20 +30,23 @@ kernel_p.multiple_results = True
 
 def bind(traced: Traced, args: Sequence[Any], batch: tuple[int, ...] = (), masks: Masks | None = None) -> list[Any]:
     """The program of operands, each with those axes of `batch` in front that its mask names."""
+    return list(kernel_p.bind(*_alike(args), traced=traced, batch=batch, masks=masks or ((),) * len(args)))
+
+
+def _alike(args: Sequence[Any]) -> Sequence[Any]:
+    """Inside `shard_map` with its checks: what one operand differs along, all do."""
     axes = _varying(map(jax.typeof, args))
-    if axes:  # inside `shard_map` with its checks: what one operand differs along, all do
-        args = [jax.lax.pcast(x, tuple(axes - _varying([jax.typeof(x)])), to="varying") for x in args]
-    return list(kernel_p.bind(*args, traced=traced, batch=batch, masks=masks or ((),) * len(args)))
+    return [jax.lax.pcast(x, tuple(axes - _varying([jax.typeof(x)])), to="varying") for x in args] if axes else args
 
 
 @kernel_p.def_abstract_eval
 def _(*avals: Any, traced: Traced, batch: tuple[int, ...], masks: Masks) -> list[Any]:
-    shapes = [((*batch, *a.shape), a.dtype) for a in traced.outputs]
+    shapes = [((*batch, *a.shape), a.dtype, a.weak_type) for a in traced.outputs]
     if not avals or avals[0].sharding.mesh.empty:
         return [jax.core.ShapedArray(*each) for each in shapes]
     mesh, axes = avals[0].sharding.mesh, avals[0].mat
     whole = lambda shape: jax.sharding.NamedSharding(mesh, jax.sharding.PartitionSpec(*[None] * len(shape)))
-    return [jax.core.ShapedArray(s, t, sharding=whole(s), manual_axis_type=axes) for s, t in shapes]
+    return [jax.core.ShapedArray(s, t, weak, sharding=whole(s), manual_axis_type=axes) for s, t, weak in shapes]
 
 
 def _varying(avals: Iterable[Any]) -> frozenset[Any]:
@@ -67,9 +70,12 @@ def _jitted(traced: Traced, batch: tuple[int, ...], masks: Masks) -> Callable[..
 def _batched(args: Sequence[Any], dims: Sequence[Any], *, traced: Traced, batch: tuple[int, ...], masks: Masks) -> Any:
     has = [d is not None for d in dims]
     size = next(x.shape[d] for x, d in zip(args, dims, strict=True) if d is not None)
-    moved = [x if d is None else jnp.moveaxis(x, d, 0) for x, d in zip(args, dims, strict=True)]
-    outs = bind(traced, moved, (size, *batch), tuple((h, *m) for h, m in zip(has, masks, strict=True)))
+    outs = bind(traced, _in_front(args, dims), (size, *batch), tuple((h, *m) for h, m in zip(has, masks, strict=True)))
     return outs, [0] * len(outs)
+
+
+def _in_front(args: Sequence[Any], dims: Sequence[Any]) -> list[Any]:
+    return [x if d is None else jnp.moveaxis(x, d, 0) for x, d in zip(args, dims, strict=True)]
 
 
 batching.primitive_batchers[kernel_p] = _batched
@@ -108,13 +114,32 @@ def _jvp(primals: Sequence[Any], tangents: Sequence[Any], *, traced: Traced, bat
             own = iter(tangents[i].shape)
             lead = [next(own) if m else 1 for m in masks[i]]
             t = tangents[i].reshape(*lead, *[1] * len(aval.shape), *traced.inputs[i].shape)
-            part = jnp.sum(slope * t, axis=tuple(range(slope.ndim - axes, slope.ndim))).astype(aval.dtype)  # widths may mix
+            part = jnp.sum(_along(slope, t), axis=tuple(range(slope.ndim - axes, slope.ndim))).astype(aval.dtype)  # widths may mix
             total = part if total is None else total + part
         results.append(total)
     return outs, results
 
 
 ad.primitive_jvps[kernel_p] = _jvp
+
+along_p = Primitive("spmd_along")  # slope * tangent; where nothing moves it is 0, however steep the slope
+along_p.def_abstract_eval(lambda slope, tangent: jax.lax.mul_p.abstract_eval(slope, tangent)[0])
+along_p.def_impl(jax.jit(lambda slope, tangent: _moved(slope, tangent)))
+mlir.register_lowering(along_p, mlir.lower_fun(lambda slope, tangent: _moved(slope, tangent), multiple_results=False))
+ad.defbilinear(along_p, lambda ct, slope, tangent: ct * tangent, lambda ct, slope, tangent: _along(slope, ct))
+batching.primitive_batchers[along_p] = lambda args, dims: (_along(*_in_front(args, dims)), 0)
+RULES["spmd_along"] = RULES["mul"]
+
+
+def _along(slope: Any, tangent: Any) -> Any:
+    kind, shape = jnp.result_type(slope, tangent), jnp.broadcast_shapes(slope.shape, tangent.shape)
+    return along_p.bind(*_alike([jnp.broadcast_to(x.astype(kind), shape) for x in (slope, tangent)]))
+
+
+def _moved(slope: Any, tangent: Any) -> Any:
+    return jnp.where(tangent == 0, 0, slope * tangent)
+
+
 # `vmap` of a differentiated `cond` leaves one on a tangent, and JAX cannot transpose it [JAX issue 22011]
 ad.primitive_transposes.setdefault(stop_gradient_p, lambda cotangent, _: [cotangent])
 

@@ -2,8 +2,9 @@
 
 A value is the index of an `Op`. Equal operations are one value, constants fold, and an operation stands in the outermost block
 that knows its arguments, so that what a loop does not change is computed before it; but never outside the branch that asks for
-it. Folding is exact: what IEEE arithmetic would give, NaN, infinities and signed zeros included. Only `structural` programs,
-which are derivatives, take a product with a constant 0 for 0: there it means that nothing depends on anything.
+it. Folding is exact: what IEEE arithmetic would give, NaN, infinities and signed zeros included. Only what is `structural`, the
+tangents of a derivative, takes a product with a constant 0 for 0: there it means that nothing depends on anything, and so it
+does where a selection says 0, which masks what a singular slope would make of it.
 """
 
 from __future__ import annotations
@@ -128,8 +129,8 @@ _COMMUTE = ("add", "mul", "and", "or", "xor", "eq", "ne")
 class Program:
     """Built op by op; afterwards `top`, `outputs` and what they refer to are the program."""
 
-    def __init__(self, structural: bool = False):
-        self.structural = structural
+    def __init__(self) -> None:
+        self.structural = False
         self.ops: list[Op] = []
         self.depth: list[int] = []
         self.constant: dict[int, Any] = {}  # value -> its number, a NumPy scalar
@@ -322,13 +323,32 @@ def _mul(p: Program, type: str, a: int, b: int) -> int | None:
                 return p.op("neg", type, other)
             if c == 0 and (p.structural or type not in FLOATS):
                 return p.number(0, type)
+    if p.structural:
+        for x, other in ((a, b), (b, a)):
+            masked = _masked(p, type, x, lambda y, other=other: p.op("mul", type, y, other))
+            if masked is not None:
+                return masked
     return None
+
+
+def _masked(p: Program, type: str, a: int, function: Callable[[int], int]) -> int | None:
+    """A function of a selection between a value and 0, which is 0 at 0: the selection of its value, whatever it is where 0 is."""
+    op = p.ops[a]
+    if op.code != "select":
+        return None
+    condition, *sides = op.args
+    zeros = [p.constant.get(x) == 0 for x in sides]
+    if not any(zeros):
+        return None
+    return p.op("select", type, condition, *(x if zero else function(x) for x, zero in zip(sides, zeros, strict=True)))
 
 
 def _div(p: Program, type: str, a: int, b: int) -> int | None:
     c = p.constant.get(b)
     if c is None:
-        return p.number(0, type) if p.structural and p.constant.get(a) == 0 else None
+        if not p.structural:
+            return None
+        return p.number(0, type) if p.constant.get(a) == 0 else _masked(p, type, a, lambda x: p.op("fdiv", type, x, b))
     if c == 1:
         return a
     tiny = np.finfo(c.dtype).tiny  # neither it nor its inverse may be a denormal, which counts as 0

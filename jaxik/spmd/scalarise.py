@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import dataclasses
 import functools
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Sequence, Set
 from typing import Any, NamedTuple
 
 import jax
@@ -17,6 +17,7 @@ import numpy as np
 from jax.extend.core import ClosedJaxpr, Jaxpr, Literal
 
 from jaxik.spmd.program import DTYPES, TYPES, Block, Memory, Program, Whole
+from jaxik.spmd.tangents import tangents
 
 UNROLLED = 64  # operations of a scan's turns together, up to which it is written out
 FLAT = 32  # operations of both sides, up to which a branch is a selection
@@ -70,9 +71,11 @@ def type_of(aval: Any) -> str:
     return name
 
 
-def scalarised(closed: ClosedJaxpr, structural: bool = False) -> Program:
-    """The program of a jaxpr; its operands are the jaxpr's arguments. Raises `Unsupported`."""
-    s = Scalariser(Program(structural))
+def scalarised(closed: ClosedJaxpr, seeds: int = 0) -> Program:
+    """The program of a jaxpr; its operands are the jaxpr's arguments, and so many of its last constants the unit vectors along
+    which it is a derivative. Raises `Unsupported`."""
+    constants = closed.jaxpr.constvars
+    s = Scalariser(Program(), tangents(closed.jaxpr, constants[len(constants) - seeds :]))
     operands = []
     for number, var in enumerate(closed.jaxpr.invars):
         kind, shape = type_of(var.aval), var.aval.shape
@@ -86,8 +89,8 @@ def scalarised(closed: ClosedJaxpr, structural: bool = False) -> Program:
 class Scalariser:
     """Walks a jaxpr and builds the program."""
 
-    def __init__(self, program: Program):
-        self.program = program
+    def __init__(self, program: Program, tangents: Set[Any] = frozenset()):
+        self.program, self.tangents = program, tangents
         # what is copied to memory, and the block whose lanes have written it: another block may not have run
         self.spilled: dict[int, tuple[Array, Array, Block]] = {}
 
@@ -100,6 +103,7 @@ class Scalariser:
             rule = RULES.get(eqn.primitive.name)
             if rule is None:
                 raise Unsupported(f"the primitive '{eqn.primitive.name}'")
+            self.program.structural = any(not isinstance(v, Literal) and v in self.tangents for v in eqn.invars)
             results = rule(self, eqn, *map(read, eqn.invars))
             if len(self.program.ops) > MOST:
                 raise Unsupported(f"more than {MOST} operations")

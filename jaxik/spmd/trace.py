@@ -24,10 +24,11 @@ def on_one_device() -> Any:
 
 
 class Traced:
-    """A jaxpr whose constants are numbers; what it closed over beside them are its last arguments."""
+    """A jaxpr whose constants are numbers; what it closed over beside them are its last arguments. Of a derivative the last
+    constants are the unit vectors along which it is one, so many `seeds`."""
 
-    def __init__(self, closed: ClosedJaxpr, structural: bool = False, name: str = ""):
-        self.closed, self.structural = closed, structural
+    def __init__(self, closed: ClosedJaxpr, seeds: int = 0, name: str = ""):
+        self.closed, self.seeds = closed, seeds
         self.name = name or str(getattr(closed.jaxpr.debug_info, "func_name", "a function"))
         self.derivatives: dict[tuple[int, ...], Traced] = {}
 
@@ -41,7 +42,7 @@ class Traced:
 
     @functools.cached_property
     def digest(self) -> str:
-        return digest(self.closed) + ("d" if self.structural else "")
+        return digest(self.closed) + (f"d{self.seeds}" if self.seeds else "")
 
     def __repr__(self) -> str:
         return f"<{self.name} {self.digest[:8]}>"
@@ -50,8 +51,8 @@ class Traced:
         """(inputs) -> outputs and, for each float output and each `active` input, the derivative, shaped (*output, *input)."""
         if active not in self.derivatives:
             with on_one_device():
-                way = _derivative(self.closed, active)
-            self.derivatives[active] = Traced(way, True, f"the derivative of {self.name}")
+                way, seeds = _derivative(self.closed, active)
+            self.derivatives[active] = Traced(way, seeds, f"the derivative of {self.name}")
         return self.derivatives[active]
 
 
@@ -76,8 +77,9 @@ def is_float(aval: Any) -> bool:
     return bool(jnp.issubdtype(aval.dtype, jnp.floating))
 
 
-def _derivative(closed: ClosedJaxpr, active: tuple[int, ...]) -> ClosedJaxpr:
-    """Forward, a column an input, or backward, a row an output: whichever are fewer."""
+def _derivative(closed: ClosedJaxpr, active: tuple[int, ...]) -> tuple[ClosedJaxpr, int]:
+    """Forward, a column an input, or backward, a row an output: whichever are fewer; and how many of its last constants are
+    the unit vectors of the fewer."""
     inputs, run = closed.in_avals, jaxpr_as_fun(closed)
     smooth = [i for i, a in enumerate(closed.out_avals) if is_float(a)]
     wide = sum(int(np.prod(inputs[i].shape)) for i in active)
@@ -93,22 +95,14 @@ def _derivative(closed: ClosedJaxpr, active: tuple[int, ...]) -> ClosedJaxpr:
 
         return function, [args[i] for i in active]
 
-    def basis(avals: Sequence[Any]) -> list[Any]:
-        sizes = [int(np.prod(a.shape)) for a in avals]
-        eye, cuts = np.eye(sum(sizes)), np.cumsum([0, *sizes])
-        return [
-            jnp.asarray(eye[:, s:e].reshape(len(eye), *a.shape), a.dtype)
-            for a, s, e in zip(avals, cuts, cuts[1:], strict=False)
-        ]
-
-    def forward(*args: Any) -> Any:
+    def forward(args: Sequence[Any], basis: Sequence[Any]) -> Any:
         function, point = of(args)
 
         def push(*tangent: Any) -> Any:
             _, out, outs = jax.jvp(function, point, list(tangent), has_aux=True)
             return out, outs
 
-        columns, outs = jax.vmap(push, out_axes=(0, None))(*basis([inputs[i] for i in active]))
+        columns, outs = jax.vmap(push, out_axes=(0, None))(*basis)
         cuts = np.cumsum([int(np.prod(inputs[i].shape)) for i in active])[:-1]
         found = []
         for column in columns:  # (wide, *output)
@@ -116,10 +110,10 @@ def _derivative(closed: ClosedJaxpr, active: tuple[int, ...]) -> ClosedJaxpr:
                 found.append(part.reshape(*column.shape[1:], *inputs[i].shape))
         return [*outs, *found]
 
-    def backward(*args: Any) -> Any:
+    def backward(args: Sequence[Any], basis: Sequence[Any]) -> Any:
         function, point = of(args)
         _, pull, outs = jax.vjp(function, *point, has_aux=True)
-        rows = jax.vmap(lambda *cotangent: pull(list(cotangent)))(*basis([closed.out_avals[i] for i in smooth]))
+        rows = jax.vmap(lambda *cotangent: pull(list(cotangent)))(*basis)
         cuts = np.cumsum([int(np.prod(closed.out_avals[i].shape)) for i in smooth])[:-1]
         parts = [jnp.split(row, cuts, axis=0) for row in rows]  # by input, then by output
         found = []
@@ -128,12 +122,28 @@ def _derivative(closed: ClosedJaxpr, active: tuple[int, ...]) -> ClosedJaxpr:
                 found.append(parts[j][k].reshape(*closed.out_avals[out].shape, *inputs[i].shape))
         return [*outs, *found]
 
-    shapes = [jax.ShapeDtypeStruct(a.shape, a.dtype) for a in inputs]
-    way, other = (backward, forward) if tall < wide else (forward, backward)
+    ways = [(forward, [inputs[i] for i in active]), (backward, [closed.out_avals[i] for i in smooth])]
+    first, second = ways[::-1] if tall < wide else ways
     try:
-        return jax.make_jaxpr(way)(*shapes)
+        return _along(*first, inputs)
     except (TypeError, ValueError):  # a while loop has no way back, a custom_vjp none forward
-        return jax.make_jaxpr(other)(*shapes)
+        return _along(*second, inputs)
+
+
+def _along(way: Callable[..., Any], avals: Sequence[Any], inputs: Sequence[Any]) -> tuple[ClosedJaxpr, int]:
+    """A way at `inputs`, along the unit vectors of arrays, which are its last constants; and their number."""
+    sizes = [int(np.prod(a.shape)) for a in avals]
+    eye, cuts = np.eye(sum(sizes)), np.cumsum([0, *sizes])
+    basis = [eye[:, s:e].reshape(len(eye), *a.shape).astype(a.dtype) for a, s, e in zip(avals, cuts, cuts[1:], strict=False)]
+    shapes = [[jax.ShapeDtypeStruct(a.shape, a.dtype) for a in each] for each in (inputs, basis)]
+    closed = jax.make_jaxpr(way)(*shapes)
+    jaxpr, count = closed.jaxpr, len(inputs)
+    moved = jaxpr.replace(
+        constvars=[*jaxpr.constvars, *jaxpr.invars[count:]],
+        invars=jaxpr.invars[:count],
+        debug_info=jaxpr.debug_info._replace(arg_names=None),
+    )
+    return ClosedJaxpr(moved, [*closed.consts, *basis]), len(basis)
 
 
 # --------------------------------------------------------------------------------------------------------------------

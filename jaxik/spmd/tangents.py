@@ -1,0 +1,63 @@
+"""Which variables of a derivative's jaxpr are tangents, or cotangents: what depends on the unit vectors that it is taken along.
+
+All others are the function's own, and are computed exactly as the function alone computes them.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from typing import Any
+
+from jax.extend.core import ClosedJaxpr, Jaxpr, Literal, Var
+
+
+def tangents(jaxpr: Jaxpr, seeds: Sequence[Var]) -> set[Var]:
+    """What depends on the `seeds`, in inner jaxprs, too; one that stands in two places is taken for a tangent's in both."""
+    found = set(seeds)
+    while _spread(jaxpr, found):
+        pass
+    return found
+
+
+def _spread(jaxpr: Jaxpr, found: set[Var]) -> bool:
+    """Marks what a marked variable leads to; whether there was anything new: a loop carries it back."""
+    before = len(found)
+    for eqn in jaxpr.eqns:
+        bodies = list(_bodies(eqn))
+        if not bodies and any(_is(v, found) for v in eqn.invars):
+            found.update(eqn.outvars)
+        for body, given, gives in bodies:
+            found.update(p for p, v in zip(body.invars, given, strict=True) if _is(v, found))
+            _spread(body, found)
+            for result, places in zip(body.outvars, gives, strict=True):
+                if _is(result, found):
+                    found.update(places)
+    return len(found) > before
+
+
+def _is(v: Any, found: set[Var]) -> bool:
+    return not isinstance(v, Literal) and v in found
+
+
+def _bodies(eqn: Any) -> Iterator[tuple[Jaxpr, Sequence[Any], list[tuple[Any, ...]]]]:
+    """The jaxprs inside of an equation, with what each is given, and where each of its results goes."""
+    params, outs = eqn.params, [(v,) for v in eqn.outvars]
+    match eqn.primitive.name:
+        case "cond":
+            for branch in params["branches"]:
+                yield branch.jaxpr, eqn.invars[1:], outs
+        case "scan":
+            body, k, m = params["jaxpr"].jaxpr, params["num_consts"], params["num_carry"]
+            yield body, eqn.invars, [(v, *body.invars[k + i : k + min(i + 1, m)]) for i, v in enumerate(eqn.outvars)]
+        case "while":
+            test, body, k, m = params["cond_jaxpr"].jaxpr, params["body_jaxpr"].jaxpr, params["cond_nconsts"], params["body_nconsts"]
+            yield body, eqn.invars[k:], list(zip(eqn.outvars, body.invars[m:], test.invars[k:], strict=True))
+            yield test, [*eqn.invars[:k], *eqn.invars[k + m :]], [()]
+        case "spmd_kernel":
+            yield params["traced"].closed.jaxpr, eqn.invars, outs
+        case _:
+            for name in ("jaxpr", "call_jaxpr", "fun_jaxpr", "call"):
+                inner = params.get(name)
+                if isinstance(inner, ClosedJaxpr | Jaxpr):
+                    yield getattr(inner, "jaxpr", inner), eqn.invars, outs
+                    return
