@@ -7,7 +7,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from jaxik.spmd.program import DTYPES, FLOATS
+from jaxik.spmd.program import DTYPES, FLOATS, limits
 from jaxik.spmd.text import BITS, Text, is_unsigned
 
 BINARY = {"add": "add", "sub": "sub", "mul": "mul", "and": "and", "or": "or", "xor": "xor"}
@@ -89,7 +89,7 @@ def _extreme(t: Text, e: Expression) -> str:
     found = t.assign(f"or {whole} {one}, {two}")
     if e.code == "max":  # the sign is both's, all other bits are either's
         both = t.assign(f"and {whole} {one}, {two}")
-        size = t.assign(f"and {whole} {found}, {t.constant(np.iinfo(DTYPES[bits]).max, bits, e.wide)}")
+        size = t.assign(f"and {whole} {found}, {t.constant(limits(DTYPES[bits])[1], bits, e.wide)}")
         found = t.assign(f"or {whole} {both}, {size}")
     return f"bitcast {whole} {found} to {shape}"
 

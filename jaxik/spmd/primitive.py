@@ -111,10 +111,13 @@ def _jvp(primals: Sequence[Any], tangents: Sequence[Any], *, traced: Traced, bat
         total = None
         for i in active:
             slope, axes = next(given), len(traced.inputs[i].shape)
-            own = iter(tangents[i].shape)
+            t = jnp.asarray(tangents[i])  # one of `jax.jvp` may be a number
+            own = iter(t.shape)
             lead = [next(own) if m else 1 for m in masks[i]]
-            t = tangents[i].reshape(*lead, *[1] * len(aval.shape), *traced.inputs[i].shape)
-            part = jnp.sum(_along(slope, t), axis=tuple(range(slope.ndim - axes, slope.ndim))).astype(aval.dtype)  # widths may mix
+            t = t.reshape(*lead, *[1] * len(aval.shape), *traced.inputs[i].shape)
+            part = jnp.sum(_along(slope, t), axis=tuple(range(slope.ndim - axes, slope.ndim))).astype(
+                aval.dtype
+            )  # widths may mix
             total = part if total is None else total + part
         results.append(total)
     return outs, results

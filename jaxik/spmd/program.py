@@ -332,7 +332,7 @@ def _mul(p: Program, type: str, a: int, b: int) -> int | None:
 
 
 def _masked(p: Program, type: str, a: int, function: Callable[[int], int]) -> int | None:
-    """A function of a selection between a value and 0, which is 0 at 0: the selection of its value, whatever it is where 0 is."""
+    """A function, 0 at 0, of a selection between a value and 0: the selection between its value and 0, however steep it is."""
     op = p.ops[a]
     if op.code != "select":
         return None

@@ -50,7 +50,12 @@ def _bodies(eqn: Any) -> Iterator[tuple[Jaxpr, Sequence[Any], list[tuple[Any, ..
             body, k, m = params["jaxpr"].jaxpr, params["num_consts"], params["num_carry"]
             yield body, eqn.invars, [(v, *body.invars[k + i : k + min(i + 1, m)]) for i, v in enumerate(eqn.outvars)]
         case "while":
-            test, body, k, m = params["cond_jaxpr"].jaxpr, params["body_jaxpr"].jaxpr, params["cond_nconsts"], params["body_nconsts"]
+            test, body, k, m = (
+                params["cond_jaxpr"].jaxpr,
+                params["body_jaxpr"].jaxpr,
+                params["cond_nconsts"],
+                params["body_nconsts"],
+            )
             yield body, eqn.invars[k:], list(zip(eqn.outvars, body.invars[m:], test.invars[k:], strict=True))
             yield test, [*eqn.invars[:k], *eqn.invars[k + m :]], [()]
         case "spmd_kernel":
@@ -59,5 +64,5 @@ def _bodies(eqn: Any) -> Iterator[tuple[Jaxpr, Sequence[Any], list[tuple[Any, ..
             for name in ("jaxpr", "call_jaxpr", "fun_jaxpr", "call"):
                 inner = params.get(name)
                 if isinstance(inner, ClosedJaxpr | Jaxpr):
-                    yield getattr(inner, "jaxpr", inner), eqn.invars, outs
+                    yield inner.jaxpr if isinstance(inner, ClosedJaxpr) else inner, eqn.invars, outs
                     return

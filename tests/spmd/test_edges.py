@@ -1,0 +1,150 @@
+"""Where a kernel could silently be another function: branches that no lane takes, NaN, signed zeros, singular slopes.
+
+The oracle is the same function by XLA, or, where XLA's own slope is NaN behind a mask, the derivative on paper.
+"""
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from jax import lax
+
+from jaxik import spmd
+
+RNG = np.random.default_rng(35)
+EDGES = np.array([0.0, -0.0, np.nan, np.inf, -np.inf, 1.5, -1.5, 2.0])
+
+
+def both(function, *args, axes=0):
+    return [jax.jit(jax.vmap(f, axes))(*args) for f in (spmd.kernel(function), function)]
+
+
+def same(found, expected):
+    """To the last bit, zeros' signs included; any NaN is a NaN."""
+    found, expected = np.asarray(found), np.asarray(expected)
+    np.testing.assert_array_equal(found, expected)
+    number = ~np.isnan(expected)
+    np.testing.assert_array_equal(np.signbit(found)[number], np.signbit(expected)[number])
+
+
+def gathered(q, i):
+    rows = jnp.sin(jnp.arange(27.0).reshape(9, 3) * q)
+    yes = lambda r: jnp.sum(r[i]) + jnp.sum(jnp.exp(r))
+    no = lambda r: jnp.sum(r[i]) - jnp.sum(jnp.exp(r))
+    return lax.cond(q[0] > 0, yes, no, rows) + rows[i[0], i[1]]
+
+
+def scanned(q, i):
+    rolled = jnp.roll(jnp.tile(q, 4), 3)
+    turn = lambda wave: lambda y: lax.scan(lambda c, v: (0.9 * c + wave(v), c), 0.0, y)[0]
+    end = lax.switch(i[0] % 3, [turn(jnp.sin), turn(jnp.cos), turn(jnp.tanh)], rolled)
+    return end + lax.scan(lambda c, v: (0.7 * c + v, c), end, rolled)[0]
+
+
+def looped(q, i):
+    """Copied first inside a loop's test, then its body, then after it."""
+    rows = jnp.sin(jnp.arange(27.0).reshape(9, 3) * q)
+    more = lambda c: (c[0] < 5) & (rows[i[0], c[0] % 3] < 2.0)
+    body = lambda c: (c[0] + 1, c[1] + lax.cond(q[1] > 0, lambda: rows[i[1], 0], lambda: rows[c[0], 1]))
+    return lax.while_loop(more, body, (0, q[0]))[1] + rows[i[1], i[0] % 3]
+
+
+@pytest.mark.parametrize("function", [gathered, scanned, looped])
+@pytest.mark.parametrize("signs", [[1.0], [-1.0], [1.0, -1.0]])
+def test_what_a_branch_copied_is_not_taken_for_copied_elsewhere(function, signs):
+    q = np.abs(RNG.normal(size=(32, 3))) * np.resize(signs, (32, 1))
+    i = np.tile(np.array([[1, 7]], np.int32), (32, 1)) if len(signs) == 1 else RNG.integers(0, 3, (32, 2)).astype(np.int32)
+    np.testing.assert_allclose(*both(function, q, i), rtol=1e-12, atol=1e-12)
+
+
+def test_a_while_loop_under_vmap_ends_row_by_row(only_kernels):
+    one = lambda x, n: lax.while_loop(lambda c: c[1] < n, lambda c: (c[0] * 1.5 + x, c[1] + 1), (x, 0))[0]
+    rows = lambda x, n: jax.vmap(one)(x, n) * jnp.arange(1.0, 4.0)
+    x, n = RNG.normal(size=(21, 3)), RNG.integers(0, 9, (21, 3))
+    np.testing.assert_allclose(*both(rows, x, n), rtol=1e-13)
+    np.testing.assert_allclose(*both(lambda x: jax.vmap(lambda n: one(x[0], n))(jnp.arange(5)), x), rtol=1e-13)
+
+
+@pytest.mark.parametrize("dtype", [np.float32, np.float64])
+def test_searches_beside_nan(dtype, only_kernels):
+    table = np.sort(RNG.choice([*EDGES, 3.0, -2.0], (40, 6)), axis=1).astype(dtype)
+    wanted = np.tile(EDGES.astype(dtype), (40, 1))
+    for side in ("left", "right"):
+        for method in ("scan", "scan_unrolled", "compare_all"):
+            same(*both(lambda x, v, s=side, m=method: jnp.searchsorted(x, v, side=s, method=m), table, wanted))
+
+
+EXTREMES = {
+    "larger": jnp.maximum,
+    "smaller": jnp.minimum,
+    "at least 0": lambda a, b: jnp.maximum(a, 0.0),
+    "at least -0": lambda a, b: jnp.maximum(-0.0, a),
+    "at most 0": lambda a, b: jnp.minimum(0.0, a),
+    "at most -0": lambda a, b: jnp.minimum(a, -0.0),
+    "clipped": lambda a, b: jnp.stack([jnp.clip(a, 0.0, 1.0), jnp.clip(b, -1.0, -0.0)]),
+    "running": lambda a, b: jnp.stack([lax.cummax(jnp.stack([a, b, a])), lax.cummin(jnp.stack([b, a, b]))]),
+    "of all": lambda a, b: jnp.stack([jnp.max(jnp.stack([a, b, a])), jnp.min(jnp.stack([b, b, a]))]),
+    "of known zeros": lambda a, b: jnp.maximum(jnp.array([0.0, -0.0]), jnp.array([-0.0, -0.0])) * jnp.sign(a * a + 1.0),
+    "signs": lambda a, b: jnp.signbit(jnp.clip(jnp.where(b > 0, a, -0.0), -1.0, 0.0)),
+}
+
+
+@pytest.mark.parametrize("dtype", [np.float32, np.float64])
+@pytest.mark.parametrize("name", EXTREMES)
+def test_minus_zero_is_below_zero(name, dtype, only_kernels):
+    same(*both(EXTREMES[name], *(x.ravel().astype(dtype) for x in np.meshgrid(EDGES, EDGES))))
+
+
+MASKED = {  # -> the gradient at (0, 1) on paper
+    "logarithm": (lambda x: jnp.sum(jnp.where(x > 0, jnp.log(x), 0.0)), [0.0, 1.0]),
+    "root": (lambda x: jnp.sum(jnp.where(x > 0, jnp.sqrt(x), 0.0)), [0.0, 0.5]),
+    "quotient": (lambda x: jnp.sum(jnp.where(x != 0, 2.0 / x, 0.0) ** 2), [0.0, -8.0]),
+    "asked": (lambda x: lax.cond(x[0] > 0, lambda: jnp.log(x[0]), lambda: 0.0) + x[1], [0.0, 1.0]),
+}
+
+
+@pytest.mark.parametrize("name", MASKED)
+def test_a_masked_singularity_leaves_all_directions(name):
+    function, slope = MASKED[name]
+    f, x = spmd.kernel(function), jnp.array([[0.0, 1.0], [2.0, 1.0]])
+    for way in (jax.grad, jax.jacfwd, jax.jacrev):
+        found = jax.vmap(way(f))(x)
+        np.testing.assert_allclose(found[0], slope, rtol=1e-12)
+        np.testing.assert_allclose(found[1], jax.grad(function)(x[1]), rtol=1e-12)
+    tangent = jnp.array([0.0, 1.0])
+    np.testing.assert_allclose(jax.jvp(f, (x[0],), (tangent,))[1], slope[1], rtol=1e-12)
+    np.testing.assert_allclose(jax.vmap(jax.hessian(f))(x)[:, 1, 1], jax.vmap(jax.hessian(function))(x)[:, 1, 1], rtol=1e-12)
+
+
+def test_a_steep_slope_moves_nothing_that_stands():
+    """A root's slope at 0 is infinite, along its own entry alone."""
+    f = spmd.kernel(lambda x: jnp.sqrt(x)[:1] * x[1] + jnp.zeros(3))
+    for way in (jax.jacfwd, jax.jacrev):
+        same(jax.vmap(way(f))(jnp.array([[0.0, 1.0]]))[0], [[np.inf, 0.0]] * 3)
+
+
+@pytest.mark.parametrize("x", [-0.0, np.inf, np.nan, 0.5])
+def test_the_value_beside_a_gradient_is_the_value(x):
+    zero, one = np.array([0.0, 1.0])
+    for function in (lambda x: 1.0 / (x + zero), lambda x: one + zero * x, lambda x: x * zero - x):
+        f = spmd.kernel(function)
+        same(jax.value_and_grad(f)(x)[0], f(x))
+        same(jax.jvp(f, (x,), (1.0,))[0], f(x))
+        with np.errstate(all="ignore"):
+            same(f(x), function(np.float64(x)))  # XLA takes x + 0 for x, which -0 is not
+
+
+def test_second_derivatives_of_shared_operands():
+    f = lambda x, y: jnp.sum(jnp.sin(x) * y[0]) + jnp.prod(y) * x[1]
+    x, y = RNG.normal(size=(5, 3)), RNG.normal(size=2)
+    mixed = lambda f: jax.grad(lambda x, y: jnp.sum(jax.jacfwd(f, 1)(x, y) ** 2))
+    for way in (jax.hessian, lambda f: jax.jacrev(jax.grad(f, 1), 0), mixed):
+        found, expected = (jax.jit(jax.vmap(way(g), (0, None)))(x, y) for g in (spmd.kernel(f), f))
+        np.testing.assert_allclose(found, expected, rtol=1e-12, atol=1e-14)
+
+
+def test_weak_types_stay_weak():
+    half = jnp.ones((), jnp.bfloat16)
+    for run in (spmd.kernel, jax.jit):
+        assert (run(lambda a: a * 2)(1.5) * half).dtype == jnp.bfloat16
+        assert (run(lambda a: a * 2)(jnp.float32(1.5)) * half).dtype == jnp.float32
