@@ -1,0 +1,64 @@
+"""Random programs through the kernel compiler and through XLA: `python batch_eval/random_programs.py [--count N]`.
+
+Each program chains two to five steps (loops, branches, gathers, scatters, searches, integers of all widths, nested) in float32
+or float64, and is compared on 19 rows, by its value or by a derivative; `tests/random_programs.py` says how. Prints what differs
+as it is found, and writes the counts by kind to `batch_eval/random_programs.json`. Needs `pip install -e ".[test]"`.
+"""
+
+from __future__ import annotations
+
+import argparse
+import collections
+import importlib.metadata
+import json
+import sys
+import time
+from pathlib import Path
+
+import jax
+from race import processor
+
+HERE = Path(__file__).parent
+TOGETHER = 20  # programs compiled in one call
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--count", type=int, default=20_000)
+    parser.add_argument("--first", type=int, default=0)
+    wanted = parser.parse_args()
+    jax.config.update("jax_enable_x64", True)
+    jax.config.update("jax_disable_most_optimizations", True)  # XLA's half of the time
+    sys.path.insert(0, str(HERE.parent / "tests"))
+    import random_programs
+
+    kinds: dict[str, collections.Counter[str]] = collections.defaultdict(collections.Counter)
+    steps: collections.Counter[str] = collections.Counter()
+    wrong, begun, seed = [], time.time(), wanted.first
+    while sum(map(collections.Counter.total, kinds.values())) < wanted.count:
+        for case, said in random_programs.judged(range(seed, seed + TOGETHER)):
+            verdict = said if said in ("", "ill-conditioned") else "wrong"
+            kinds[case.kind][verdict or "equal"] += 1
+            steps.update({name for name, _ in case.steps})
+            if verdict == "wrong":
+                wrong.append({"seeds": [seed, seed + TOGETHER], "kind": case.kind, "steps": case.steps, "said": said})
+                print(wrong[-1], flush=True)
+        seed += TOGETHER
+        jax.clear_caches()
+        result = {
+            "processor": processor(),
+            "versions": {name: importlib.metadata.version(name) for name in ("jax", "jaxlib", "llvmlite", "numpy")},
+            "seeds": [wanted.first, seed],
+            "seconds": round(time.time() - begun),
+            "ulps": random_programs.ULPS,
+            "kinds": {kind: dict(counts) for kind, counts in sorted(kinds.items())},
+            "steps": dict(sorted(steps.items())),
+            "wrong": wrong,
+        }
+        (HERE / "random_programs.json").write_text(json.dumps(result, indent=1) + "\n")
+    for kind, counts in sorted(kinds.items()):
+        print(f"{kind:40s}", dict(counts))
+
+
+if __name__ == "__main__":
+    main()
