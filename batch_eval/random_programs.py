@@ -1,8 +1,8 @@
 """Random programs through the kernel compiler and through XLA: `python batch_eval/random_programs.py [--count N]`.
 
 Each program chains two to five steps (loops, branches, gathers, scatters, searches, integers of all widths, nested) in float32
-or float64, and is compared on 19 rows, by its value or by a derivative; `tests/random_programs.py` says how. Prints what differs
-as it is found, and writes the counts by kind to `batch_eval/random_programs.json`. Needs `pip install -e ".[test]"`.
+or float64, and is compared on 19 rows, by its value or by a derivative; `tests/random_programs.py` says how. Prints what
+differs as it is found, and writes the counts by kind to `batch_eval/random_programs.json`. Needs `pip install -e ".[test]"`.
 """
 
 from __future__ import annotations
