@@ -20,16 +20,17 @@ from jaxik.collision.scene import Fruit, Scene
 from jaxik.collision.self_collision_pairs import default_pose
 from jaxik.harvesting.driver import Harvest, Posture
 from jaxik.harvesting.harvest_plan import Cycle, HarvestPlan, HarvestPlanOptions, Stage
-from jaxik.harvesting.picks import Limits, Picks, Way, ends, find_picks, rows_of
+from jaxik.harvesting.picks import Picks, Way, ends, find_picks, rows_of
 from jaxik.harvesting.tour import best_members, shortest_tour
-from jaxik.ik import IKOptions, solve_ik
 from jaxik.planning.collision_checker import CollisionChecker, judged, touched
+from jaxik.planning.goal_postures import postures
 from jaxik.planning.planner import PlanOptions, motion_limits, plan_motion
 from jaxik.planning.trajectory import Trajectory
 from jaxik.reasons import Reason
 from jaxik.robot.chain import Chain
 
 DETOUR = 1.3  # times as long as straight, what a leg is taken to be that may not be straight, until it is planned
+PLACES = 8  # postures of a pose to place at
 WORTH = 0.998  # of the best tour's time, below which another is worth to be planned
 REVISED = 20  # times at most that a tour is found again
 LONG, ATTEMPTS = 1.3, 4  # times as long as straight, from which on a leg is planned anew, and how often at most
@@ -95,7 +96,7 @@ class _Planner:
         self.chain, scene, asked = harvested.chain, harvested.scene, harvested.options
         self.around = _Surroundings(scene, options.leaves)
         self.motion = PlanOptions(options.margin, options.velocity, options.acceleration, options.rounds)
-        self.limits = Limits(*motion_limits("plan_harvest", self.chain, self.motion))
+        self.limits = motion_limits("plan_harvest", self.chain, self.motion)
         clear = max(options.margin, asked.margin)
         self.way = Way(asked.grasp, options.approach, options.candidates, options.margin, clear, self.limits)
         self.rank = _ranks(scene.fruits, options.order)  # from which the shortest order is looked for, too
@@ -110,13 +111,13 @@ class _Planner:
         several = name == "place"
         scene = self.around.levels[-1]
         if several and asked.shape[-2:] == (4, 4) and asked.ndim <= 3 and (n != 4 or asked.ndim == 3):
-            want = IKOptions(task=self.options.task, margin=self.options.margin, solutions=8)
-            found = solve_ik(self.chain, asked.reshape(-1, 4, 4), scene, self.seed, want)
-            if not found.success.any():
-                raise ValueError(
-                    f"plan_harvest: {name}: {', '.join(found.counts())}; give a pose that is within reach, and free"
-                )
-            asked = np.concatenate([q[:count] for q, count in zip(found.solutions, found.num_solutions, strict=True)])
+            poses = asked.reshape(-1, 4, 4)
+            near, bound = np.tile(self.home, (len(poses), 1)), (self.options.task, self.options.margin)
+            reason, found = postures(self.chain, scene, near, poses, PLACES, self.limits, self.seed, *bound)
+            if reason.all():
+                told = ", ".join(sorted({Reason(int(r)).text for r in reason}))
+                raise ValueError(f"plan_harvest: {name}: {told}; give a pose that is within reach, and free")
+            asked = found[np.isfinite(found).all(axis=2)]
         if asked.shape != (n,) and not (several and asked.ndim == 2 and asked.shape[1] == n and len(asked)):
             also = f", (p, {n}), or poses (4, 4), (p, 4, 4)" if several else ""
             raise ValueError(f"plan_harvest: {name} of shape {asked.shape}; allowed: ({n},){also}")

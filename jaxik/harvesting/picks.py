@@ -20,6 +20,7 @@ from jaxik.collision.attached import attach
 from jaxik.collision.scene import Fruit, Scene
 from jaxik.harvesting.grasp import Grasp, grasp_poses
 from jaxik.planning.collision_checker import CollisionChecker, touched
+from jaxik.planning.limits import Limits
 from jaxik.planning.timing import time_optimal
 from jaxik.planning.trajectory import JointPath, Trajectory
 from jaxik.reasons import Reason
@@ -35,22 +36,6 @@ ROUND = 1e-5  # [m] that a body may be off its axis
 SLACK = 1e-9  # [rad, m] past a limit, of rounding
 HELD = "held"  # the name of the link that a fruit becomes
 TRIED = 4  # times as many postures as are wanted, of which the first that can be picked from are taken
-
-
-class Limits(NamedTuple):
-    """Of velocity and acceleration (n,)."""
-
-    velocity: np.ndarray
-    acceleration: np.ndarray
-
-    def straight(self, moved: np.ndarray) -> np.ndarray:
-        """How long straight motions over `moved` (..., n) take from rest to rest [s]: a trapezoid of speed, or a triangle."""
-        with np.errstate(divide="ignore"):
-            fastest = np.min(self.velocity / np.abs(moved), axis=-1)
-            brisk = np.min(self.acceleration / np.abs(moved), axis=-1)
-        full = fastest**2 < brisk  # it has its full speed for a while
-        trapezoid = 1.0 / np.where(full, fastest, 1.0) + np.where(full, fastest, 1.0) / brisk
-        return np.where(full, trapezoid, 2.0 / np.sqrt(brisk))  # 0 of what stands still
 
 
 class Picks(NamedTuple):

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -18,6 +18,22 @@ UNITS = {  # of a joint that turns, and of one that slides
 }
 
 
+class Limits(NamedTuple):
+    """What velocity and acceleration (n,) are kept."""
+
+    velocity: np.ndarray
+    acceleration: np.ndarray
+
+    def straight(self, moved: np.ndarray) -> np.ndarray:
+        """How long straight motions over `moved` (..., n) take from rest to rest [s]: a trapezoid of speed, or a triangle."""
+        with np.errstate(divide="ignore", invalid="ignore"):
+            fastest = np.min(self.velocity / np.abs(moved), axis=-1)
+            brisk = np.min(self.acceleration / np.abs(moved), axis=-1)
+        full = fastest**2 < brisk  # it has its full speed for a while
+        trapezoid = 1.0 / np.where(full, fastest, 1.0) + np.where(full, fastest, 1.0) / brisk
+        return np.where(full, trapezoid, 2.0 / np.sqrt(brisk))  # 0 of what stands still
+
+
 def limit_of(who: str, name: str, given: Any, shape: tuple[int, ...]) -> np.ndarray:
     """A limit, one of `UNITS` by name, in the `shape` (n,) of one motion, or (N, n) of many.
 
@@ -31,12 +47,10 @@ def limit_of(who: str, name: str, given: Any, shape: tuple[int, ...]) -> np.ndar
     return np.broadcast_to(limit, shape)
 
 
-def limits_of(
-    who: str, velocity: Any, acceleration: Any, shape: tuple[int, ...], driven: bool = False
-) -> tuple[np.ndarray, np.ndarray]:
+def limits_of(who: str, velocity: Any, acceleration: Any, shape: tuple[int, ...], driven: bool = False) -> Limits:
     """Those of velocity and acceleration, of which only the first may be infinite, unless it is `driven`: within limits of
     torque. Raises `ValueError` likewise."""
-    both = limit_of(who, "velocity", velocity, shape), limit_of(who, "acceleration", acceleration, shape)
-    if not (driven or np.isfinite(both[1]).all()):
+    both = Limits(limit_of(who, "velocity", velocity, shape), limit_of(who, "acceleration", acceleration, shape))
+    if not (driven or np.isfinite(both.acceleration).all()):
         raise ValueError(f"{who}: acceleration is infinite; give finite numbers {UNITS['acceleration']}")
     return both

@@ -13,12 +13,11 @@ from jaxik.checks.arrays import check_known, is_rigid, numbers
 from jaxik.checks.options import as_count, changed, check_finite, check_kind, check_seed
 from jaxik.collision.clearances import check_geometry
 from jaxik.collision.scene import Scene
-from jaxik.collision.scene_builder import make_scene
-from jaxik.ik import IKOptions, solve_ik
 from jaxik.planning.attempts import ATTEMPTS, proven_way
 from jaxik.planning.collision_checker import CollisionChecker, judged
 from jaxik.planning.corner_blending import blended
-from jaxik.planning.limits import limits_of
+from jaxik.planning.goal_postures import postures
+from jaxik.planning.limits import Limits, limits_of
 from jaxik.planning.outcome import Outcome
 from jaxik.planning.timing import time_optimal
 from jaxik.planning.trajectory import JointPath, Trajectory, padded, polyline
@@ -39,7 +38,8 @@ class PlanOptions:
     velocity, acceleration: limits (n,), or one number [rad, m and s]; None is the chain's velocity, and four times it a second.
     rounds: of the search for a way, in each of four attempts, each with finer samples, begun anew twice; one tries 32 edges.
     timeout: of that search, for one problem [s]; None is no other limit than the rounds, so that `seed` alone decides.
-    task, postures: what a pose as the goal binds, and how many postures that have it the search may choose from.
+    task, postures: what a pose as the goal binds, and how many different postures that have it the search may choose from,
+        those that are nearest in time.
     places: at which the speed is chosen (`time_optimal`).
     """
 
@@ -115,10 +115,11 @@ def plan_motion(
     whole way, not at samples, and the limits of position, velocity and acceleration. Host driver.
 
     `goal` is a configuration (n,), several (g, n), of which the one that is reached first is taken, or a pose `base_T_tip`
-    (4, 4) [m], for which `solve_ik` finds postures. A joint without limits takes the shorter turn, and to a pose every joint
-    that may. The straight line is taken where it is proven by `motion_clearance`'s bound. Else two trees find a way
-    (`tree_search`), and the shortest of the lines between its points that are proven is taken; its corners are rounded as far
-    as that is proven, too; `time_optimal` times it. `seed` decides. `changes` are fields of `PlanOptions`.
+    (4, 4) [m], for which `solve_ik` finds postures; where the start has it, nothing moves. A joint without limits takes the
+    shorter turn, and to a pose every joint that may. The straight line is taken where it is proven by `motion_clearance`'s
+    bound. Else two trees find a way (`tree_search`), and the shortest of the lines between its points that are proven is taken;
+    its corners are rounded as far as that is proven, too; `time_optimal` times it. `seed` decides. `changes` are fields of
+    `PlanOptions`.
 
     Reasons: SOLVED; INVALID, NaN in the start or the goal; LIMITS, COLLISION of the `start` or the `goal`, whichever is in
     `where`; OUT_OF_REACH and others of `solve_ik` for a pose; NOT_CONVERGED, no way found within the rounds and the timeout
@@ -198,15 +199,14 @@ def _planned(
     limits = motion_limits(who, chain, options)
     reason = np.zeros(len(starts), int)
     if pose:
-        asked = IKOptions(task=options.task, margin=options.margin, solutions=options.postures)
-        found = solve_ik(chain, goals, make_scene() if scene is None else scene, seed, asked)
-        reason, goals = np.asarray(found.reason), found.solutions
+        reason, goals = postures(chain, scene, starts, goals, options.postures, limits, seed, options.task, options.margin)
+    else:
+        goals = turned(chain, starts[:, None], goals)
     space = CollisionChecker(chain, scene, options.margin)
-    goals = turned(chain, starts[:, None], goals, pose)
     at_start = judged(chain, space, starts)
     at_goal = judged(chain, space, goals.reshape(-1, chain.num_joints)).reshape(goals.shape[:2])
     free = (at_start[:, None] == Reason.SOLVED) & (at_goal == Reason.SOLVED)
-    straight = _straight(space, starts, goals, free)
+    straight = _straight(space, starts, goals, free, limits)
     rows, paths = [], []
     for i, start in enumerate(starts):
         if reason[i] or at_start[i] or not free[i].any():
@@ -226,7 +226,7 @@ def _planned(
     return [dataclasses.replace(row, trajectory=next(timed)) if row else row for row in rows]
 
 
-def motion_limits(who: str, chain: Chain, options: PlanOptions) -> tuple[np.ndarray, np.ndarray]:
+def motion_limits(who: str, chain: Chain, options: PlanOptions) -> Limits:
     """Of velocity and acceleration, each (n,)."""
     velocity = numbers(f"{who}: velocity", chain.velocity if options.velocity is None else options.velocity)
     if options.acceleration is None and np.isinf(velocity).any():
@@ -235,11 +235,11 @@ def motion_limits(who: str, chain: Chain, options: PlanOptions) -> tuple[np.ndar
     return limits_of(who, velocity, acceleration, (chain.num_joints,))
 
 
-def turned(chain: Chain, starts: np.ndarray, goals: np.ndarray, pose: bool = False) -> np.ndarray:
-    """Goals (b, g, n), joints without limits turned to be nearest to the start (b, 1, n), of a pose all that may be."""
+def turned(chain: Chain, starts: np.ndarray, goals: np.ndarray) -> np.ndarray:
+    """Goals (b, g, n), joints without limits turned to be nearest to the start (b, 1, n)."""
     endless = np.isinf(chain.lower) & np.isinf(chain.upper)
     with np.errstate(invalid="ignore"):  # of what is no number
-        return np.where(endless | pose, nearest_turns(chain, goals, starts, chain.lower, chain.upper), goals)
+        return np.where(endless, nearest_turns(chain, goals, starts, chain.lower, chain.upper), goals)
 
 
 def _refused(pose: int, start: int, goals: np.ndarray) -> Planned:
@@ -249,17 +249,19 @@ def _refused(pose: int, start: int, goals: np.ndarray) -> Planned:
     return Planned(Reason(start), "start")
 
 
-def _straight(space: CollisionChecker, starts: np.ndarray, goals: np.ndarray, free: np.ndarray) -> list[np.ndarray | None]:
-    """From each start to the nearest of its free goals whose straight line is proven, if any."""
-    lengths = np.full(free.shape, np.inf)
+def _straight(
+    space: CollisionChecker, starts: np.ndarray, goals: np.ndarray, free: np.ndarray, limits: Limits
+) -> list[np.ndarray | None]:
+    """From each start to that of its free goals whose straight line is proven which is reached soonest, if any."""
+    times = np.full(free.shape, np.inf)
     row, which = np.nonzero(free)
     begin, end = starts[row], goals[row, which]
     proven = space.free_part(begin, end, ATTEMPTS[0][0]) == 1.0  # most that are not are told so sooner than by a proof
     moved = proven & (begin != end).any(axis=1)
     proven[moved] = space.proven_closely(begin[moved], end[moved])
-    lengths[row, which] = np.where(proven, space.length(end - begin), np.inf)
-    best = [(i, int(np.argmin(each))) for i, each in enumerate(lengths)]
-    return [np.stack([starts[i], goals[i, k]]) if np.isfinite(lengths[i, k]) else None for i, k in best]
+    times[row, which] = np.where(proven, limits.straight(end - begin), np.inf)
+    best = [(i, int(np.argmin(each))) for i, each in enumerate(times)]
+    return [np.stack([starts[i], goals[i, k]]) if np.isfinite(times[i, k]) else None for i, k in best]
 
 
 def _rounded(space: CollisionChecker, waypoints: np.ndarray) -> JointPath:

@@ -59,6 +59,23 @@ def test_a_joint_without_limits_takes_the_shorter_turn(arm):
     assert moved.waypoints[-1, 2] == pytest.approx(2.0 * np.pi - 3.0)
 
 
+@pytest.mark.parametrize("name", ["ur5e", "ur10e_rail"])
+def test_to_a_pose_goes_the_posture_that_is_soonest(name):
+    """Of the pose of a posture near the start no further one is taken, whatever turns it has; nor from where the pose is."""
+    chain, rng = jaxik.load(name), np.random.default_rng(7)
+    low, high = np.clip(chain.lower, -2.0, 2.0), np.clip(chain.upper, -2.0, 2.0)
+    starts = rng.uniform(low, high, (12, chain.num_joints))
+    aims = np.clip(starts + rng.uniform(-0.3, 0.3, starts.shape), low, high)
+    told = plan_motions(chain, None, starts, aims, rounds=1)
+    kept = np.flatnonzero(told.success)
+    assert len(kept) > 4
+    poses = np.asarray(jax.vmap(lambda q: jaxik.forward_kinematics(chain, q))(aims[kept]))
+    for by_pose, number in zip(plan_motions(chain, None, starts[kept], poses), kept, strict=True):
+        assert by_pose.trajectory.duration <= 1.01 * told[number].trajectory.duration
+    stays = plan_motion(chain, None, aims[kept[0]], poses[0])
+    assert stays.success and stays.trajectory.duration == 0.0
+
+
 def test_a_pose_is_reached_by_the_shorter_turn(arm):
     """Though `solve_ik` gives its postures between -pi and pi, or anywhere inside the limits."""
     chain, coal = arm
