@@ -98,8 +98,8 @@ def follow(
     each: Sequence[str] = (),
     **changes: Any,
 ) -> Followed:
-    """The motion from q (n,), at rest, along `path`, timed over `duration` [s]; `cost` is what the null space goes down.
-    Host driver.
+    """The motion from q (n,), at rest, along `path`, timed over `duration` [s]; `cost` is what the null space goes down. Its
+    last sample is the first that is not before the path's end. Host driver.
 
     With q (b, n) it is b motions in one call; `each` names what else has one entry a motion ("path", "duration"). `changes`
     are fields of `FollowOptions` by name.
@@ -120,7 +120,7 @@ def follow(
     if isinstance(faster, tuple) and len(faster) != n:
         allowed = f"one, or one for each of the {n} joints of {chain.name}"
         raise ValueError(f"follow: acceleration has {len(faster)} numbers; allowed: {allowed}")
-    count = round(float(np.max(duration)) / options.dt) + 1
+    count = samples(float(np.max(duration)), options.dt)
     axes = None if q.ndim == 1 else (0, *batch_axes(each, Each))
     found = _program(chain, cost, options, count, axes)(jnp.asarray(q), path, duration)
     followed = Followed(options.dt * np.arange(count), *map(np.asarray, found))
@@ -128,6 +128,11 @@ def follow(
     if off > options.tolerance:
         warnings.warn(f"follow: the path begins {off:.2g} m or rad from the tip at q; begin it there", stacklevel=2)
     return followed
+
+
+def samples(duration: float, dt: float) -> int:
+    """How many samples every `dt` [s] there are from 0 to the first that is not before the end."""
+    return int(np.ceil(duration / dt - 1e-6)) + 1
 
 
 @functools.lru_cache(maxsize=32)
@@ -146,7 +151,7 @@ def _program(
 
         whole = kernel(lambda q, stages: jax.lax.scan(turn, (q, jnp.zeros_like(q)), stages)[1])
         at, moving, error, damping, held = whole(q, stages)
-        course = Course(at, moving, error, damping, stages.pose[:, 0], stages.velocity[:, 0], held)
+        course = Course(at, moving, error, damping, stages.pose[:, 0], held)
         reason, sample = diagnose(chain, how.task, course, how.tolerance, how.limits)
         return (*_standing(course, jnp.where(reason == Reason.STILL, count, sample)), reason, sample)
 

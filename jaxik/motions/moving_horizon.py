@@ -23,7 +23,7 @@ from jaxtyping import Float, Int
 
 from jaxik.checks.options import as_count, check_finite
 from jaxik.motions.diagnosis import Course, diagnose
-from jaxik.motions.following import Followed
+from jaxik.motions.following import Followed, samples
 from jaxik.motions.path import Path, check_path, motion
 from jaxik.motions.predictive import Horizon, RunningCost, future, objective, problem
 from jaxik.optimise import descent, ocp
@@ -139,19 +139,21 @@ class Moved(Followed):
 def follow_predictively(
     control: MovingHorizon, path: Path, duration: float, q: Any, given: Callable[[float], Any] | Any = None, until: Any = None
 ) -> Moved:
-    """The whole motion from q (n,), to `until` [s], by default the path's end. `given` may be a function of the time [s]: of a
-    scene that moves. Host driver. Raises `ValueError` for what is no path, a duration that is not positive, and an `until`
-    before the first sample."""
+    """The whole motion from q (n,), to the first sample not before `until` [s], by default the path's end. Host driver.
+
+    `given` may be a function of the time [s]: of a scene that moves. Raises `ValueError` for what is no path, a duration that
+    is not positive, and an `until` before the first sample.
+    """
     check_path("moving horizon", path, duration)
     dt = control.horizon.dt
     until = float(duration) if until is None else until
     check_finite("moving horizon", dt, until=until)
-    time = dt * np.arange(round(until / dt))
-    state, samples = control.start(q), []
+    time = dt * np.arange(samples(until, dt))
+    state, moments = control.start(q), []
     for t in time:
         state, now = control.step(state, path, duration, given(t) if callable(given) else given)
-        samples.append((now.q, now.qdot, now.total, now.error, now.damping))
-    q, qdot, total, error, damping = map(np.stack, zip(*samples, strict=True))
+        moments.append((now.q, now.qdot, now.total, now.error, now.damping))
+    q, qdot, total, error, damping = map(np.stack, zip(*moments, strict=True))
     asked = motion(path, duration, time)
-    judged = control._judged(Course(q, qdot, error, damping, asked.pose, asked.velocity))
+    judged = control._judged(Course(q, qdot, error, damping, asked.pose, costs=total))
     return Moved(time, q, qdot, error, damping, *map(np.asarray, judged), total=total)

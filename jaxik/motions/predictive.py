@@ -240,7 +240,7 @@ def _program(chain: Chain, cost: RunningCost, horizon: Horizon, axes: Axes | Non
         w = found.w[1:] if horizon.start == "free" else found.w
         run, record = found.aux, (found.iterations, found.costs, found.alphas, found.betas)
         (q, *_), seen, asked = run.y, run.seen, ahead.asked
-        course = Course(q[:-1], run.v, seen.error, seen.damping, asked.pose[:, 0], asked.velocity[:, 0])
+        course = Course(q[:-1], run.v, seen.error, seen.damping, asked.pose[:, 0], costs=run.costs)
         judged = diagnose(chain, horizon.task, course, horizon.tolerance, keep=True)
         return Prediction(q, run.v, w, run.costs, seen.error, seen.damping, *judged, *record)
 
@@ -275,6 +275,8 @@ def predict(
     **changes: Any,
 ) -> Prediction:
     """The null-space motion from q (n,) along `path`, timed over `duration` [s], within the horizon. Traced.
+
+    It is judged as far as the horizon goes, `count` samples, which may end before the path does.
 
     `guess` (count, n) is the first input, 0 unless given. `given`, any pytree, is handed to the cost as its last argument: what
     may change from call to call without compiling again. With q (b, n) it is b scenarios in one call, every field of the result

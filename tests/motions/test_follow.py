@@ -196,3 +196,59 @@ def test_a_path_that_begins_elsewhere_is_told():
     with pytest.warns(UserWarning, match="begins 0.05 m or rad from the tip"):
         moved = jaxik.follow(arm, line, 1.0, q, dt=0.1, task=in_plane)
     assert not moved.success and moved.sample == 0
+
+
+@pytest.fixture(scope="module")
+def slow(pendulum):
+    """Joints of 0.2 rad/s, where the paths below ask for more."""
+    return dataclasses.replace(pendulum, velocity=np.full(4, 0.2))
+
+
+CALM = quadratic_cost()
+
+
+def judged_motions(chain, path, cost=CALM):
+    """By all that predict: a horizon as long as the path, and a moving one."""
+    horizon = Horizon(dt=0.02, count=50, task=IN_PLANE, descend=jaxik.optimise.descent.Descent(iterations=2))
+    yield jaxik.predict(chain, path, 1.0, START, cost, horizon)
+    yield follow_predictively(MovingHorizon(chain, cost, dataclasses.replace(horizon, count=5), 1), path, 1.0, START)
+
+
+def test_no_motion_is_solved_that_joints_are_too_slow_for(pendulum, slow, to):
+    for found in judged_motions(pendulum, to(0.7, 3.6)):
+        assert found.reason == Reason.SOLVED and np.abs(found.qdot).max() > 0.2
+    for found in judged_motions(slow, to(0.7, 3.6)):
+        assert found.reason == Reason.LIMITS
+        first = np.flatnonzero(np.abs(np.asarray(found.qdot)).max(axis=1) > 0.2 * 1.0001)[0]
+        assert found.sample == first
+
+
+def test_a_cost_that_is_no_number_is_invalid(pendulum, to):
+    for found in judged_motions(pendulum, to(0.9, 3.7), quadratic_cost(lambda q: jnp.nan * q[0])):
+        assert found.reason == Reason.INVALID and found.sample == 0
+    found = follow(pendulum, to(0.9, 3.7), 1.0, START, lambda q: jnp.nan * q[0], scheme="asc", dt=0.02, task=IN_PLANE)
+    assert found.reason == Reason.INVALID
+
+
+@pytest.mark.parametrize("dt, count", [(0.3, 5), (0.4, 4), (0.25, 5), (0.1, 11)])
+def test_the_last_sample_is_not_before_the_end(dt, count, pendulum, to):
+    path = to(0.98, 3.72)
+    found = follow(pendulum, path, 1.0, START, dt=dt, task=IN_PLANE)
+    assert len(found.time) == count and found.reason == Reason.SOLVED
+    np.testing.assert_allclose(tips(pendulum, found.q[-1:])[0], path.end[:2, 3], atol=3e-3)
+    moved = follow_predictively(MovingHorizon(pendulum, CALM, Horizon(dt=dt, count=3, task=IN_PLANE), 1), path, 1.0, START)
+    np.testing.assert_allclose(moved.time, found.time)
+
+
+def test_a_slow_motion_is_no_still_one(pendulum, to):
+    slowly = follow(pendulum, to(1.0, 3.7316), 100.0, START.astype(np.float32), dt=1.0, task=IN_PLANE)
+    assert slowly.reason == Reason.SOLVED
+    still = follow(pendulum, to(1.0, 2.0 + np.sqrt(3.0)), 1.0, START, dt=0.1, task=IN_PLANE)
+    assert still.reason == Reason.STILL
+
+
+def test_a_path_that_begins_elsewhere_was_not_left_for_limits(slow, to):
+    with pytest.warns(UserWarning, match="the path begins"):
+        found = follow(slow, to(0.5, 3.0, START + 0.3), 1.0, START, dt=0.02, task=IN_PLANE)
+    (predicted, *_) = judged_motions(slow, to(0.5, 3.0, START + 0.3))
+    assert found.reason == predicted.reason == Reason.NOT_CONVERGED
