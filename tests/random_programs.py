@@ -212,7 +212,7 @@ def together(cases: Sequence[Case], change: Callable[[Any], Any]) -> Callable[..
 def disagreement(found: Any, expected: Any, moved: Sequence[Any]) -> str:
     """ "", "ill-conditioned" where results differ by no more than an input's last digits make of them (`moved`), or what is
     wrong."""
-    said = ""
+    said, sizes = "", _sizes(expected)
     for k, (f, e, *others) in enumerate(zip(*map(jax.tree.leaves, (found, expected, *moved)), strict=True)):
         f, e, others = np.asarray(f), np.asarray(e), [np.asarray(o) for o in others]
         if f.dtype != e.dtype:
@@ -221,8 +221,7 @@ def disagreement(found: Any, expected: Any, moved: Sequence[Any]) -> str:
             differs, shaky = f != e, np.any([o != e for o in others], axis=0)
         else:
             with np.errstate(all="ignore"):
-                size = np.max(np.where(np.isfinite(e), np.abs(e), 0.0), axis=tuple(range(1, e.ndim)), keepdims=True)
-                near = np.abs(f - e) <= ULPS * np.finfo(e.dtype).eps * np.maximum(size, 1.0)
+                near = np.abs(f - e) <= ULPS * np.finfo(e.dtype).eps * sizes.reshape(-1, *[1] * (e.ndim - 1))
                 shaky = np.any([~(np.abs(f - e) > 8.0 * np.abs(o - e)) for o in others], axis=0)
             differs = ~(near | (f == e) | (np.isnan(f) & np.isnan(e)))
         if np.any(differs & ~shaky):
@@ -230,6 +229,13 @@ def disagreement(found: Any, expected: Any, moved: Sequence[Any]) -> str:
             return f"result {k} at {at}: {f[at]} instead of {e[at]}"
         said = "ill-conditioned" if np.any(differs) else said
     return said
+
+
+def _sizes(results: Any) -> np.ndarray:
+    """Of each row the largest number in it, values beside derivatives, or 1: what rounding is measured by."""
+    floats = [np.asarray(x) for x in jax.tree.leaves(results) if np.asarray(x).dtype.kind == "f"]
+    rows = [np.where(np.isfinite(x), np.abs(x), 0.0).reshape(len(x), -1).max(axis=1) for x in floats]
+    return np.max([np.ones(len(rows[0])), *rows], axis=0)
 
 
 def judged(seeds: Sequence[int]) -> list[tuple[Case, str]]:
@@ -240,8 +246,20 @@ def judged(seeds: Sequence[int]) -> list[tuple[Case, str]]:
     plain = together(cases, lambda f: f)
     found, expected = together(cases, spmd.kernel)(rows), plain(rows)
     moved = [plain([_moved(case, each, way) for case, each in zip(cases, rows, strict=True)]) for way in (1, 2, 3)]
-    each = zip(cases, found, expected, *moved, strict=True)
-    return [(case, disagreement(f, e, others)) for case, f, e, *others in each]
+    verdicts = []
+    for case, row, f, e, *others in zip(cases, rows, found, expected, *moved, strict=True):
+        said = disagreement(f, e, others)
+        if said not in ("", "ill-conditioned") and case.dtype == np.float32:  # is it XLA's own rounding?
+            said = disagreement(f, e, [*others, _wide(case, row, e)])
+        verdicts.append((case, said))
+    return verdicts
+
+
+def _wide(case: Case, rows: Sequence[np.ndarray], like: Any) -> Any:
+    """What float64 says, in the types of the results."""
+    exact = case._replace(dtype=np.dtype(np.float64))
+    (found,) = together([exact], lambda f: f)([[x.astype(np.float64) if x.dtype.kind == "f" else x for x in rows]])
+    return jax.tree.map(lambda x, y: np.asarray(x).astype(y.dtype), found, like)
 
 
 def _moved(case: Case, rows: Sequence[np.ndarray], way: int) -> list[np.ndarray]:
