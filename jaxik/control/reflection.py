@@ -24,9 +24,10 @@ from jaxik.checks.options import check_choices, check_finite
 from jaxik.costs import Cost, check_cost
 from jaxik.optimise.linear import least_solve
 from jaxik.robot.chain import Array, Chain, as_configuration
-from jaxik.robot.contact import Contact, as_contacts, contact_torque
+from jaxik.robot.contact import Contact, as_contacts, check_joint, contact_torque
 from jaxik.robot.kinematics import jacobian
 from jaxik.spatial.algebra import safe_divide, safe_sqrt
+from jaxik.spmd import kernel
 
 Felt = Literal["power", "lever", "magnitude"]
 
@@ -41,8 +42,15 @@ def reflect(
     """
     check_choices("reflect", felt=(felt, Felt))
     check_finite("reflect", 1e-9, length=length)
+    contact = as_contacts("reflect", contact)
+    check_joint("reflect", chain, contact.joint)
+    return _reflected(chain, felt, length, q, contact)
+
+
+@kernel(models=3)
+def _reflected(chain: Chain, felt: str, length: float, q: Any, contact: Contact) -> Any:
     q = as_configuration(chain, q)
-    contact = Contact(*(x.astype(q.dtype) for x in as_contacts("reflect", contact)))
+    contact = Contact(*(x.astype(q.dtype) for x in contact))
     if felt == "power":
         rows = jacobian(chain, q)[: 6 if chain.num_joints >= 6 else 3]
         return least_solve(rows, contact_torque(chain, q, contact))[:3]

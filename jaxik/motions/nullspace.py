@@ -35,6 +35,7 @@ from jaxik.robot.chain import Array, Chain, as_configuration, as_shaped
 from jaxik.robot.kinematics import bias_acceleration, jacobian_columns, joint_frames
 from jaxik.robot.task import POSE, Task
 from jaxik.spatial.algebra import Frame, safe_divide, traced
+from jaxik.spmd import kernel
 
 FLOOR = 1e-4  # sine 0.01 between what the task's rows ask
 _PASSES = 4  # of holding joints at their bounds
@@ -84,8 +85,19 @@ def resolve_velocity(
     `gain` [1/s] pulls the tip back to its path. `box` holds what the velocities must lie between. Raises `ValueError`
     for an array of another shape, and for weights that are known and not above zero.
     """
+    check_weights(chain, weights)
+    return _velocity(chain, task, floor, q, motion, u, gain, weights, box)
+
+
+def resolved_velocity(
+    chain: Chain, task: Task, floor: float, q: Any, motion: Motion, u: Any, gain: Any, weights: Any, box: Any = None
+) -> Resolved:
+    """`resolve_velocity`, inside a kernel of its own that is differentiated."""
     at = TaskAt(chain, q, motion, task)
     return at.resolved(at.velocity(gain), u, weights, floor, box)
+
+
+_velocity = kernel(models=3)(resolved_velocity)
 
 
 def resolve_acceleration(
@@ -105,6 +117,14 @@ def resolve_acceleration(
     `gains` (K [1/s2], K' [1/s]) pull the tip back to its path; K' = 2 sqrt(K) without overshoot. `box` holds what the
     accelerations must lie between. Raises `ValueError` as `resolve_velocity` does.
     """
+    check_weights(chain, weights)
+    return _acceleration(chain, task, floor, q, qdot, motion, u, gains, weights, box)
+
+
+@kernel(models=3)
+def _acceleration(
+    chain: Chain, task: Task, floor: float, q: Any, qdot: Any, motion: Motion, u: Any, gains: Any, weights: Any, box: Any
+) -> Resolved:
     at = TaskAt(chain, q, motion, task)
     return at.resolved(at.acceleration(qdot, gains), u, weights, floor, box)
 
@@ -150,10 +170,17 @@ def inverse_weights(chain: Chain, weights: Any, dtype: Any) -> jax.Array:
     and not above zero."""
     if weights is None:
         return jnp.ones(chain.num_joints, dtype)
-    array = as_shaped(f"weights of the joints of {chain.name}", weights, (chain.num_joints,))
+    check_weights(chain, weights)
+    return 1.0 / as_shaped("weights", weights, (chain.num_joints,)).astype(dtype)
+
+
+def check_weights(chain: Chain, weights: Any) -> None:
+    """Raises `ValueError` for weights (n,) of another shape, and for what is known and not above zero; None is 1 each."""
+    if weights is None:
+        return
+    as_shaped(f"weights of the joints of {chain.name}", weights, (chain.num_joints,))
     if is_known(weights) and not np.all((np.asarray(weights) > 0.0) & np.isfinite(np.asarray(weights))):
         raise ValueError(f"weights {shown(weights)}: all are finite and > 0")
-    return 1.0 / array.astype(dtype)
 
 
 class TaskAt:

@@ -31,7 +31,7 @@ from jaxtyping import Float, Int
 from jaxik.checks.arrays import is_known, positive, shaped
 from jaxik.checks.options import as_count, batch_axes, changed, check_choices, check_each, check_finite, check_kind, check_seed
 from jaxik.motions.diagnosis import Course, diagnose
-from jaxik.motions.nullspace import FLOOR, Resolved, loop_gain, resolve_velocity, settles
+from jaxik.motions.nullspace import FLOOR, Resolved, loop_gain, resolved_velocity, settles
 from jaxik.motions.path import Motion, Path, check_path, motion
 from jaxik.optimise import descent, ocp
 from jaxik.reasons import Reasoned
@@ -120,7 +120,7 @@ class Horizon:
     def resolve(self, chain: Chain, q: Any, asked: Motion, u: Any, gain: float | None = None) -> Resolved:
         """`resolve_velocity` with these options; with another `gain` if one is given."""
         gain = loop_gain(self.gain, self.dt) if gain is None else gain
-        return resolve_velocity(chain, q, asked, u, self.task, gain, self.weights, self.floor)
+        return resolved_velocity(chain, self.task, self.floor, q, asked, u, gain, self.weights)
 
 
 class Future(NamedTuple):
