@@ -1,0 +1,125 @@
+"""A public function that is traced is a few kernels, not scalars by the thousand, each of which XLA would compile."""
+
+import importlib
+import inspect
+import sys
+from pathlib import Path
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+import jaxik
+from jaxik import analytic, collision, control, ik, motions, reach, robot, spatial
+from jaxik.spmd import call
+
+sys.path.insert(0, str(Path(__file__).parents[2] / "docs"))
+public = importlib.import_module("public")
+
+MOST = 300  # lines; a Panda's `resolve_velocity` had 7,600 where the kernel's call has 53
+ARM, UR = jaxik.load("crops_v2"), jaxik.load("ur5e")  # nine joints with bodies and drives; six with a closed form
+Q = jnp.linspace(0.1, 0.5, 9)
+POSE = jnp.asarray(jaxik.pose([0.3, 0.2, 0.4]))
+SCENE = jaxik.make_scene(spheres=[[0.5, 0.1, 0.4, 0.1]], boxes=[[0.5, 0.5, 0.5, 0.1, 0.1, 0.1]])
+MOTION = motions.path.Motion(POSE, jnp.zeros(6), jnp.zeros(6))
+TOUCH = robot.Contact(3, jnp.array([0.1, 0.0, 0.2]), jnp.array([1.0, 2.0, 3.0]))
+V, P2 = jnp.array([0.1, 0.2, 0.3]), jnp.ones((2, 2, 3))
+HOLD = lambda q: jnp.sum(q * q)
+
+CALLS = {  # name -> (function of arrays, arrays)
+    "analytic.closed_form": (lambda pose: analytic.closed_form(UR, pose), POSE),
+    "analytic.subproblem_1": (analytic.subproblem_1, V, V[::-1], V),
+    "analytic.subproblem_2": (analytic.subproblem_2, V, V[::-1], V, -V),
+    "analytic.subproblem_3": (analytic.subproblem_3, V, V[::-1], V, V[0]),
+    "analytic.subproblem_4": (analytic.subproblem_4, V, V[::-1], V, V[0]),
+    "analytic.subproblem_5": (analytic.subproblem_5, jnp.ones((4, 3)), jnp.ones((3, 3))),
+    "analytic.subproblem_6": (analytic.subproblem_6, P2, P2, P2[0], V[:2]),
+    "collision.clearance": (lambda q: collision.clearance(ARM, SCENE, q), Q),
+    "collision.collides": (lambda q: collision.collides(ARM, SCENE, q), Q),
+    "collision.link_circles": (lambda q: collision.link_circles(ARM, q), Q),
+    "collision.link_spheres": (lambda q: collision.link_spheres(ARM, q), Q),
+    "collision.motion_clearance": (lambda q: collision.motion_clearance(ARM, SCENE, q, 1.1 * q), Q),
+    "collision.motion_collides": (lambda q: collision.motion_collides(ARM, SCENE, q, 1.1 * q), Q),
+    "collision.object_clearances": (lambda q: collision.object_clearances(ARM, SCENE, q), Q),
+    "collision.self_clearance": (lambda q: collision.self_clearance(ARM, q), Q),
+    "collision.surfaces_cross": (collision.surfaces_cross, jnp.ones((4, 3, 3)), jnp.zeros((5, 3, 3))),
+    "control.locate_contact": (lambda q: control.locate_contact(ARM, q, 0.1 * q, 6, [0.0, 0.0, 0.2]), Q),
+    "control.reflect": (lambda q: control.reflect(ARM, q, TOUCH), Q),
+    "control.reflect_cost": (lambda q: control.reflect_cost(ARM, q, HOLD), Q),
+    "ik.descend": (lambda q: ik.descend(ARM, POSE, q), Q),
+    "ik.implicit_ik": (lambda q: ik.implicit_ik(ARM, POSE, q), Q),
+    "motions.asc": (lambda q: motions.asc(ARM, q, MOTION, HOLD), Q),
+    "motions.motion": (lambda t: motions.motion(motions.Line(POSE, POSE.at[0, 3].add(0.1)), 1.0, t), jnp.linspace(0, 1, 9)),
+    "motions.rac": (lambda q: motions.rac(ARM, q, q, MOTION, HOLD), Q),
+    "motions.resolve_acceleration": (lambda q: motions.resolve_acceleration(ARM, q, q, MOTION, q), Q),
+    "motions.resolve_velocity": (lambda q: motions.resolve_velocity(ARM, q, MOTION, q), Q),
+    "motions.rmrc": (lambda q: motions.rmrc(ARM, q, MOTION), Q),
+    "reach.log_reach_score": (lambda q: reach.log_reach_score(ARM, SCENE, POSE[None], q[None]), Q),
+    "reach.reach_score": (lambda q: reach.reach_score(ARM, SCENE, POSE[None], q[None]), Q),
+    "robot.bias_acceleration": (lambda q: robot.bias_acceleration(ARM, q, q), Q),
+    "robot.bias_torque": (lambda q: robot.bias_torque(ARM, q, q), Q),
+    "robot.contact_jacobian": (lambda q: robot.contact_jacobian(ARM, q, 3, TOUCH.point), Q),
+    "robot.contact_torque": (lambda q: robot.contact_torque(ARM, q, TOUCH), Q),
+    "robot.forward_dynamics": (lambda q: robot.forward_dynamics(ARM, q, q, q), Q),
+    "robot.forward_kinematics": (lambda q: robot.forward_kinematics(ARM, q), Q),
+    "robot.friction_torque": (lambda q: robot.friction_torque(ARM, q, q), Q),
+    "robot.gravity_torque": (lambda q: robot.gravity_torque(ARM, q), Q),
+    "robot.inverse_dynamics": (lambda q: robot.inverse_dynamics(ARM, q, q, q), Q),
+    "robot.jacobian": (lambda q: robot.jacobian(ARM, q), Q),
+    "robot.joint_torsion": (lambda q: robot.joint_torsion(ARM, q), Q),
+    "robot.kinetic_energy": (lambda q: robot.kinetic_energy(ARM, q, q), Q),
+    "robot.link_frames": (lambda q: robot.link_frames(ARM, q), Q),
+    "robot.manipulability": (lambda q: robot.manipulability(ARM, q), Q),
+    "robot.mass_matrix": (lambda q: robot.mass_matrix(ARM, q), Q),
+    "robot.material_point": (lambda q: robot.material_point(ARM, q, 3, TOUCH.point), Q),
+    "robot.motor_current": (lambda q: robot.motor_current(ARM, q, q), Q),
+    "robot.potential_energy": (lambda q: robot.potential_energy(ARM, q), Q),
+    "robot.regressor": (lambda q: robot.regressor(ARM, q, q, q), Q),
+    "robot.static_friction": (lambda q: robot.static_friction(ARM, q), Q),
+    "robot.torque_of_current": (lambda q: robot.torque_of_current(ARM, q, q), Q),
+    "robot.within_limits": (lambda q: robot.within_limits(ARM, q), Q),
+    "robot.wrench_on": (lambda q: robot.wrench_on(ARM, q, ARM.link_names[-1], [1.0, 0.0, 0.0], [0.0, 0.0, 0.0]), Q),
+    "spatial.rotation_exp": (spatial.rotation_exp, V),
+    "spatial.rotation_log": (spatial.rotation_log, POSE[:3, :3]),
+}
+LONGER = {  # what is no function of a moment: whole descents, searches and simulations, and what makes a cost or a robot
+    "analytic.general_solutions",
+    "control.contact_cost",
+    "control.over_log",
+    "control.simulate_reaction",
+    "control.simulate_teleoperation",
+    "motions.energy_cost",
+    "motions.predict",
+    "motions.quadratic_cost",
+    "planning.trajectory_cost",
+    "robot.body_parameters",
+    "robot.with_body_parameters",
+    "spmd.kernel",
+}
+
+
+def traced_names():
+    """Public functions that say of themselves that they are traced."""
+    for package in public.packages():
+        for name, what in public.names(package).items():
+            if callable(what) and not inspect.isclass(what) and "Traced." in (inspect.getdoc(what) or ""):
+                yield f"{package}.{name}"
+
+
+def test_each_traced_function_is_judged_here():
+    costs = {name for name in traced_names() if name.startswith("costs.")}  # small by themselves, and none calls a robot
+    assert set(traced_names()) - costs == set(CALLS) | LONGER
+
+
+@pytest.fixture
+def unmade(monkeypatch):
+    """Calls of kernels that nobody makes: nothing runs here."""
+    monkeypatch.setattr(call, "made", lambda traced, shared: call.Made("unmade", None, 8, 1))
+
+
+@pytest.mark.parametrize("name", CALLS)
+def test_it_is_a_few_kernels(name, unmade):
+    function, *arrays = CALLS[name]
+    lines = jax.jit(function).lower(*map(np.asarray, arrays)).as_text().count("\n")
+    assert lines < MOST, f"{name} is {lines} lines"
