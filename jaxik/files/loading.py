@@ -19,6 +19,7 @@ from jaxik.files.chain_files import read_chain
 from jaxik.files.held_joints import Posture
 from jaxik.files.mesh import Meshes
 from jaxik.files.mjcf import load_mjcf
+from jaxik.files.packages import as_packages
 from jaxik.files.robot_toml import load_toml, read_toml
 from jaxik.files.shipped import locate
 from jaxik.files.unchecked_pairs import disabled_pairs, ignored
@@ -44,6 +45,7 @@ def load(
     srdf: str | Path | None = None,
     ignore: Any = (),
     posture: Any = None,
+    packages: Any = (),
 ) -> Chain:
     """The serial chain of a shipped model (`"p6r"`) or of a file: `.urdf`, `.xml` (MJCF) or `.toml`. Host.
 
@@ -60,21 +62,22 @@ def load(
     0. A warning names those whose links have shapes, unless a posture is given: `{}` says that all of them are right so. What
     is above `base` is left out, and what flies freely in an MJCF.
 
-    A mesh `package://my_pkg/meshes/a.stl` is `meshes/a.stl` below the nearest folder above the model's file that is called
-    `my_pkg`. Any other name is a path from the file's folder, which stays below it (below the folder above, where the file's
-    own is called urdf, urdfs, xacro, robots, mjcf or xml). DAE needs `pip install "jaxik[dae]"`.
+    A mesh `package://my_pkg/meshes/a.stl` is `meshes/a.stl` in a folder `my_pkg`: the nearest above the model's file, else one
+    that `packages` names, or that is in a folder that it names (one, or a list), else one that ROS finds (`ROS_PACKAGE_PATH`,
+    `AMENT_PREFIX_PATH`). Any other name is a path from the file's folder, which stays below it (below the folder above, where
+    the file's own is called urdf, urdfs, xacro, robots, mjcf or xml). DAE needs `pip install "jaxik[dae]"`.
 
     Raises `LoadError` (a `ValueError`) with one line: the file, the element, what is allowed, the mend; and `ValueError` for a
-    `fit` without `meshes`, for a `posture` that is no mapping of names to finite numbers, and for MJCF without MuJoCo (the
-    extra `mjcf`).
+    `fit` without `meshes`, for `packages` that are no folders, for a `posture` that is no mapping of names to finite numbers,
+    and for MJCF without MuJoCo (the extra `mjcf`).
     """
     path = locate(source)
     tool = None if tool is None else np.asarray(rigid_frame("tool (tip_T_tool)", tool), np.float64)
     check_kind("load", "fit", fit, Fit, optional=True)
     if fit is not FIT and not meshes:
         raise ValueError(f"load: fit is {shown(fit)}, but no meshes are read; write meshes=True, or leave it out")
-    stance = _stance("load", posture)
-    chain, shapes, pairs = _read(path, tip, base, tool, Meshes(meshes, meshes and fit is not None), stance)
+    stance, shapes_of = _stance("load", posture), Meshes(meshes, meshes and fit is not None, as_packages("load", packages))
+    chain, shapes, pairs = _read(path, tip, base, tool, shapes_of, stance)
     apart, beside = ignored(path, chain, ignore)
     disabled = apart | disabled_pairs(srdf)
     chain = dataclasses.replace(chain, ignored=tuple(dict.fromkeys(chain.ignored + beside)))
@@ -163,6 +166,7 @@ def fit_report(
     srdf: str | Path | None = None,
     ignore: Any = (),
     posture: Mapping[str, Any] | None = None,
+    packages: Any = (),
     progress: Callable[[int, int], None] | None = None,
 ) -> tuple[LinkFit, ...]:
     """What `load(..., meshes=True, fit=fit)` puts around each collision mesh of a file: one `LinkFit` a mesh. Host.
@@ -172,18 +176,23 @@ def fit_report(
     path = locate(source)
     check_kind("fit_report", "fit", fit, Fit)
     stance = _stance("fit_report", posture)
-    chain, shapes, _ = _read(path, tip, base, None, Meshes(True, True), stance)
+    chain, shapes, _ = _read(path, tip, base, None, Meshes(True, True, as_packages("fit_report", packages)), stance)
     disabled = disabled_pairs(srdf) | ignored(path, chain, ignore)[0]
     told = None if progress is None else lambda done: progress(done, FITS * len(shapes))
     return link_fits(chain, shapes, modelled(chain, shapes, fit, disabled, stance.behind, told))
 
 
 def link_meshes(
-    source: str | Path, tip: str | None = None, base: str | None = None, posture: Mapping[str, Any] | None = None
+    source: str | Path,
+    tip: str | None = None,
+    base: str | None = None,
+    posture: Mapping[str, Any] | None = None,
+    packages: Any = (),
 ) -> list[Shape]:
     """The collision meshes, boxes and cylinders of a file's links, in the frames of the joints that move them, to look at.
     Host."""
-    return _read(locate(source), tip, base, None, Meshes(True, True), _stance("link_meshes", posture))[1]
+    shapes_of = Meshes(True, True, as_packages("link_meshes", packages))
+    return _read(locate(source), tip, base, None, shapes_of, _stance("link_meshes", posture))[1]
 
 
 def load_scene(source: str | Path) -> Scene:

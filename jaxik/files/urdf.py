@@ -127,7 +127,7 @@ def _shape(path: Path, owner: str, origin: np.ndarray, shape: Element, link: Lin
         name = attribute(path, f"{where} <mesh>", shape, "filename")
         scale = numbers(path, f"{where} <mesh>", shape, "scale", "1 1 1", 3)
         if meshes.read:
-            meshes.mesh(owner, link, name, origin, *read_mesh(path, where, name, scale))
+            meshes.mesh(owner, link, name, origin, *read_mesh(path, where, name, scale, meshes.packages))
         else:
             link.meshes.append(name)  # whatever it is: kinematics need none
     else:

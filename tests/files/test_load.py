@@ -232,6 +232,33 @@ def test_a_mesh_that_is_not_there_is_named_with_where_it_was_looked_for(tmp_path
     refused(arm("../a.dae"), "mesh '../a.dae': reading DAE needs pycollada", 'pip install "jaxik[dae]"', meshes=True)
 
 
+def test_packages_are_found_as_ros_finds_them(tmp_path, monkeypatch):
+    """Above the file, then in `packages`, then in the environment; the package itself, or what holds it, or its repository."""
+    for variable in ("ROS_PACKAGE_PATH", "AMENT_PREFIX_PATH"):
+        monkeypatch.delenv(variable, raising=False)
+    model = tmp_path / "model"
+    model.mkdir()
+    path = write(model, "arm.urdf", with_mesh("package://hand/m.obj"))
+    edges = {"ws/repo/hand": 1.0, "prefix/share/hand": 2.0, "elsewhere/hand": 3.0, "model/hand": 4.0}
+    for place, edge in edges.items():
+        corners = "\n".join(f"v {x} {y} {z}" for x in (0, edge) for y in (0, edge) for z in (0, edge))
+        (tmp_path / place).mkdir(parents=True)
+        write(tmp_path / place, "m.obj", f"{corners}\nf 1 2 3\nf 5 6 8\n")
+    size = lambda path, *packages: 2.0 * jaxik.load(path, meshes=True, fit=None, packages=packages).boxes[0].half[0]
+    refused(path, "called 'hand'", "packages= (--packages)", "ROS_PACKAGE_PATH or AMENT_PREFIX_PATH", meshes=True)
+    assert np.isclose(size(path, tmp_path / "elsewhere"), 3.0) and np.isclose(size(path, str(tmp_path / "elsewhere/hand")), 3.0)
+    assert np.isclose(size(path, model, tmp_path / "elsewhere"), 4.0)
+    monkeypatch.setenv("AMENT_PREFIX_PATH", str(tmp_path / "prefix"))
+    assert np.isclose(size(path), 2.0)
+    monkeypatch.setenv("ROS_PACKAGE_PATH", f"{tmp_path / 'absent'}:{tmp_path / 'ws'}")
+    assert np.isclose(size(path), 1.0) and np.isclose(size(path, tmp_path / "elsewhere"), 3.0)
+    assert np.isclose(size(write(model / "hand", "arm.urdf", path.read_text()), tmp_path / "elsewhere"), 4.0)
+    refused(write(model, "away.urdf", with_mesh("package://hand/../m.obj")), "leaves its package", meshes=True)
+    for wrong in ("absent", [tmp_path / "absent"], 3):
+        with pytest.raises(ValueError, match=r"^load: packages: .* is no folder"):
+            jaxik.load(path, packages=wrong)
+
+
 def test_a_third_slash_is_no_fault(tmp_path):
     """`package:///name/...` is `package://name/...`, and no way out of the package."""
     folder = tmp_path / "my_robot" / "urdf"
