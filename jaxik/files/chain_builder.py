@@ -215,11 +215,11 @@ def checked(file: Path, joint: Joint) -> Joint:
 
 def _bodies(content: Sequence[Link], offsets: Sequence[np.ndarray], counts: Sequence[int], n: int) -> tuple[Body, ...]:
     """The inertia of all links that move with a joint, about their common centre of gravity, in the joint's frame."""
-    if not any(link.mass for link in content):
+    if not any(link.mass or link.inertia.any() for link in content):
         return ()
     each = [
         Body(np.asarray(link.mass, np.float64), link.com, link.inertia).moved(o)
         for link, o in zip(content, offsets, strict=True)
     ]
-    moved = lambda joint: [b for b, c in zip(each, counts, strict=True) if c == joint and b.mass > 0.0]
+    moved = lambda joint: [b for b, c in zip(each, counts, strict=True) if c == joint]
     return tuple(Body.fused(moved(joint)) for joint in range(1, n + 1))
