@@ -19,6 +19,7 @@ from jaxik.files.chain_files import read_chain
 from jaxik.files.held_joints import Posture
 from jaxik.files.mesh import Meshes
 from jaxik.files.mjcf import load_mjcf
+from jaxik.files.notes import Notes
 from jaxik.files.packages import as_packages
 from jaxik.files.robot_toml import load_toml, read_toml
 from jaxik.files.shipped import locate
@@ -77,9 +78,11 @@ def load(
     if fit is not FIT and not meshes:
         raise ValueError(f"load: fit is {shown(fit)}, but no meshes are read; write meshes=True, or leave it out")
     stance, shapes_of = _stance("load", posture), Meshes(meshes, meshes and fit is not None, as_packages("load", packages))
-    chain, shapes, pairs = _read(path, tip, base, tool, shapes_of, stance)
+    chain, shapes, pairs = _read(path, tip, base, tool, shapes_of, stance, notes := Notes())
     apart, beside = ignored(path, chain, ignore)
-    disabled = apart | disabled_pairs(srdf)
+    disabled = apart | notes.apart | disabled_pairs(srdf)
+    for line in notes.lines():
+        warnings.warn(f"{chain.name}: {line}", stacklevel=2)
     chain = dataclasses.replace(chain, ignored=tuple(dict.fromkeys(chain.ignored + beside)))
     solid = {chain.link_names[i] for i in {*solid_links(chain), *(shape.link for shape in shapes)}}
     if posture is None and not chain.unread_meshes and (told := stance.told(solid)):
@@ -108,7 +111,7 @@ def _stance(who: str, posture: Any) -> Posture:
 
 
 def _read(
-    path: Path, tip: str | None, base: str | None, tool: np.ndarray | None, meshes: Meshes, posture: Posture
+    path: Path, tip: str | None, base: str | None, tool: np.ndarray | None, meshes: Meshes, posture: Posture, notes: Notes
 ) -> tuple[Chain, list[Shape], tuple[tuple[int, int], ...] | None]:
     """The chain of a file, the shapes that are to be fitted, and the pairs of links to check where the file says them."""
     kind, readers = path.suffix.lower(), {".urdf": load_urdf, ".xml": load_mjcf, ".mjcf": load_mjcf}
@@ -117,9 +120,9 @@ def _read(
         if model.content.get("convention") == "chain":
             chain = _saved(path, read_chain(model), tip, base, tool, posture)
             return chain, [], chain.self_pairs
-        chain = load_toml(model, tip, base, tool, posture)
+        chain = load_toml(model, tip, base, tool, posture, notes)
     elif kind in readers:
-        chain = readers[kind](path, tip, base, tool, meshes, posture)
+        chain = readers[kind](path, tip, base, tool, meshes, posture, notes)
     else:
         raise LoadError(path, "file", f"ending '{kind}'", "allowed: .urdf, .xml (MJCF), .toml")
     return chain, meshes.shapes(chain), None
@@ -176,8 +179,10 @@ def fit_report(
     path = locate(source)
     check_kind("fit_report", "fit", fit, Fit)
     stance = _stance("fit_report", posture)
-    chain, shapes, _ = _read(path, tip, base, None, Meshes(True, True, as_packages("fit_report", packages)), stance)
-    disabled = disabled_pairs(srdf) | ignored(path, chain, ignore)[0]
+    chain, shapes, _ = _read(
+        path, tip, base, None, Meshes(True, True, as_packages("fit_report", packages)), stance, notes := Notes()
+    )
+    disabled = disabled_pairs(srdf) | ignored(path, chain, ignore)[0] | notes.apart
     told = None if progress is None else lambda done: progress(done, FITS * len(shapes))
     return link_fits(chain, shapes, modelled(chain, shapes, fit, disabled, stance.behind, told))
 
@@ -192,7 +197,7 @@ def link_meshes(
     """The collision meshes, boxes and cylinders of a file's links, in the frames of the joints that move them, to look at.
     Host."""
     shapes_of = Meshes(True, True, as_packages("link_meshes", packages))
-    return _read(locate(source), tip, base, None, shapes_of, _stance("link_meshes", posture))[1]
+    return _read(locate(source), tip, base, None, shapes_of, _stance("link_meshes", posture), Notes())[1]
 
 
 def load_scene(source: str | Path) -> Scene:

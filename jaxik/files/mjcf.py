@@ -12,6 +12,8 @@ from jaxik.checks.optional_modules import optional
 from jaxik.files.chain_builder import Joint, Link, assemble, displacement, way_up
 from jaxik.files.held_joints import Posture
 from jaxik.files.mesh import Meshes, add_box, add_capsule, add_cylinder, home, resolve
+from jaxik.files.mjcf_constraints import FREE, check_loops, note_contacts, solid_geoms
+from jaxik.files.notes import Notes
 from jaxik.files.xml import parse
 from jaxik.reasons import LoadError
 from jaxik.robot.chain import Chain
@@ -19,18 +21,15 @@ from jaxik.spatial.rotations import frame, from_wxyz
 
 FOLDERS = ("meshdir", "texturedir", "assetdir")
 MOST_FILES = 100
-FREE = 0  # of MuJoCo's joint types
+LIGHT = 1e-12  # [kg, kg m2] the least that a body gets whose mass was its mesh's
 
 
-def load_mjcf(path: Path, tip: str | None, base: str | None, tool: np.ndarray | None, meshes: Meshes, held: Posture) -> Chain:
+def load_mjcf(
+    path: Path, tip: str | None, base: str | None, tool: np.ndarray | None, meshes: Meshes, held: Posture, notes: Notes
+) -> Chain:
     """The serial chain from body `base` (the world) to body or site `tip` (the only leaf), and what it carries, `held` in a
     posture; bodies that fly freely are no part of it."""
-    mujoco = optional(f"{path}: MJCF", "mujoco", "mjcf")
-    _check_files(path, path, set())
-    try:
-        model = mujoco.MjModel.from_xml_path(str(path))
-    except (ValueError, mujoco.FatalError) as error:
-        raise LoadError(path, "document", f"MuJoCo refuses it ({error})", "mend what it names") from None
+    model, unread = _compiled(path, meshes)
     names = [model.body(i).name or f"body{i}" for i in range(model.nbody)]
     above = {names[i]: names[model.body_parentid[i]] for i in range(1, model.nbody)}
     sites = {model.site(i).name: model.site(i) for i in range(model.nsite)}
@@ -40,23 +39,66 @@ def load_mjcf(path: Path, tip: str | None, base: str | None, tool: np.ndarray | 
     if tip in sites and tip not in names:
         tip_T_site, tip = frame(sites[tip].pos, from_wxyz(sites[tip].quat)), names[sites[tip].bodyid[0]]
     *run, start = (names.index(name) for name in way_up(path, names, above, tip, base, "body"))
+    moved = {start: 0}
+    for i in run[::-1]:
+        moved[i] = moved[model.body_parentid[i]] + int(model.body_jntnum[i])
     joints = [j for i in run[::-1] for j in _body_joints(path, model, i, names[i])]
     aside = _aside(model, {start, *run})
+    for i in aside:
+        moved[i] = moved[model.body_parentid[i]]
+    check_loops(path, model, names, moved, notes)
+    note_contacts(model, names, moved, notes)
     carried = held.hold(path, joints, [j for i in aside for j in _carried(path, model, i, names)])
-    links = {names[i]: _link(model, i, names[i], meshes) for i in (start, *run, *aside)}
+    solid = solid_geoms(model)
+    links = {names[i]: _link(model, i, names[i], meshes, solid) for i in moved}
+    for name in {*unread} & {*links}:
+        links[name].meshes += unread[name]
     tool = tip_T_site if tool is None else tip_T_site @ tool
     return assemble(path, path.stem, names[start], joints, links, tool, carried=carried)
 
 
+def _compiled(path: Path, meshes: Meshes) -> tuple[Any, dict[str, list[str]]]:
+    """MuJoCo's model; and the meshes of each body that are not there, which a chain without meshes does without."""
+    mujoco = optional(f"{path}: MJCF", "mujoco", "mjcf")
+    _check_files(path, path, set())
+    try:
+        return mujoco.MjModel.from_xml_path(str(path)), {}
+    except (ValueError, mujoco.FatalError) as error:
+        refused = LoadError(path, "document", f"MuJoCo refuses it ({error})", "mend what it names")
+    if meshes.read:
+        raise refused
+    try:
+        spec = mujoco.MjSpec.from_file(str(path))
+        unread = _without_meshes(spec)
+        return spec.compile(), unread
+    except (ValueError, mujoco.FatalError):
+        raise refused from None
+
+
+def _without_meshes(spec: Any) -> dict[str, list[str]]:
+    """Take a model's meshes and what is painted on them away. Their names, by the body that they were on."""
+    found: dict[str, list[str]] = {}
+    named = {mesh.name or Path(mesh.file).stem for mesh in spec.meshes}
+    for geom in [*spec.geoms]:
+        geom.material = ""
+        if geom.meshname in named:
+            found.setdefault(geom.parent.name, []).append(geom.meshname)
+            spec.delete(geom)
+    for part in (*spec.meshes, *spec.materials, *spec.textures):
+        spec.delete(part)
+    spec.compiler.boundmass = spec.compiler.boundinertia = LIGHT  # else bodies without a mass of their own are refused
+    return found
+
+
 def _aside(model: Any, chain: set[int]) -> list[int]:
     """The bodies that hang on a chain, none of them by a free joint; parents before children, as MuJoCo numbers them."""
-    found: list[int] = []
+    reached = dict.fromkeys(chain)
     for body in range(1, model.nbody):
         first, count = int(model.body_jntadr[body]), int(model.body_jntnum[body])
         free = count > 0 and model.jnt_type[first] == FREE
-        if body not in chain and model.body_parentid[body] in {*chain, *found} and not free:
-            found.append(body)
-    return found
+        if body not in chain and model.body_parentid[body] in reached and not free:
+            reached[body] = None
+    return [body for body in reached if body not in chain]
 
 
 def _carried(path: Path, model: Any, body: int, names: list[str]) -> list[tuple[str, Joint]]:
@@ -151,7 +193,7 @@ def _law(model: Any, row: int) -> tuple[str, Polynomial]:
     return _label(model, second) if second >= 0 else "", law
 
 
-def _link(model: Any, body: int, name: str, meshes: Meshes) -> Link:
+def _link(model: Any, body: int, name: str, meshes: Meshes, solid: np.ndarray) -> Link:
     import mujoco
 
     turn, kinds = from_wxyz(model.body_iquat[body]), mujoco.mjtGeom
@@ -161,7 +203,7 @@ def _link(model: Any, body: int, name: str, meshes: Meshes) -> Link:
     for i in range(first, first + count):
         geom = model.geom(i)
         kind, size = geom.type[0], geom.size.tolist()
-        if not (geom.contype[0] or geom.conaffinity[0]) or kind == kinds.mjGEOM_PLANE:
+        if not solid[i] or kind == kinds.mjGEOM_PLANE:
             continue  # drawn only, or without end
         body_T_geom = frame(geom.pos, from_wxyz(geom.quat))
         if kind == kinds.mjGEOM_SPHERE:

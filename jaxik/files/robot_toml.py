@@ -19,6 +19,7 @@ from jaxik.checks.options import nearest, shown
 from jaxik.files.chain_builder import JOINT_TYPES, Joint, Link, assemble, read_bytes, symmetric, unique, way_up
 from jaxik.files.held_joints import Posture
 from jaxik.files.mesh import resolve
+from jaxik.files.notes import Notes
 from jaxik.files.shipped import locate
 from jaxik.reasons import LoadError
 from jaxik.robot.chain import Chain
@@ -203,7 +204,9 @@ class Parts:
         return ["base", *(joint.child for joint in self.joints)]
 
 
-def load_toml(model: Table, tip: str | None, base: str | None, tool: np.ndarray | None, posture: Posture) -> Chain:
+def load_toml(
+    model: Table, tip: str | None, base: str | None, tool: np.ndarray | None, posture: Posture, notes: Notes
+) -> Chain:
     """A model file to a chain from link `base` to link `tip`, where they are given; joints after the tip are held."""
     path, parts = model.path, _parts(model, (model.path.resolve(),))
     joints, names = parts.joints, parts.names

@@ -11,13 +11,16 @@ from numpy.polynomial import Polynomial
 from jaxik.files.chain_builder import JOINT_TYPES, Joint, Link, assemble, symmetric, unique, way_up
 from jaxik.files.held_joints import Posture
 from jaxik.files.mesh import Meshes, add_box, add_capsule, add_cylinder, read_mesh
+from jaxik.files.notes import Notes
 from jaxik.files.xml import attribute, number, numbers, parse
 from jaxik.reasons import LoadError
 from jaxik.robot.chain import Chain
 from jaxik.spatial.rotations import frame, from_rpy
 
 
-def load_urdf(path: Path, tip: str | None, base: str | None, tool: np.ndarray | None, meshes: Meshes, held: Posture) -> Chain:
+def load_urdf(
+    path: Path, tip: str | None, base: str | None, tool: np.ndarray | None, meshes: Meshes, held: Posture, notes: Notes
+) -> Chain:
     """The serial chain from link `base` (the root) to link `tip` (the only leaf), and what it carries, `held` in a posture."""
     root = parse(path, "robot")
     elements = {kind: root.findall(kind) for kind in ("link", "joint")}
