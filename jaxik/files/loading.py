@@ -54,8 +54,9 @@ def load(
     `tool` (4, 4) moves the tip [m]. `meshes=True` reads collision meshes and fits capsules around their convex hulls (`fit`;
     None puts one box around each mesh), with tables of the hulls' distance for links that pass too closely; without it a URDF
     with meshes has its kinematics, and `clearance` says what is missing. `srdf` names a file whose `disable_collisions` pairs
-    are not checked. `ignore` lists what is not checked, either: pairs of links, pairs of a link and an object of the scene,
-    whose name is not nearly a link's, and links that no object of a scene counts for.
+    are not checked, nor those of its `disable_default_collisions` links but for its `enable_collisions`; nor what an MJCF's
+    `exclude`, contype and conaffinity keep apart. `ignore` lists what is not checked, either: pairs of links, pairs of a link
+    and an object of the scene, whose name is not nearly a link's, and links that no object of a scene counts for.
 
     All that hangs on the chain belongs to it, with shapes and masses: joints beside it, those of a head, a gripper, another
     arm, are held. `posture` says where, by their names [rad, m], `{"panda_finger_joint1": 0.04}`; others are at 0 (MJCF: the
@@ -80,7 +81,7 @@ def load(
     stance, shapes_of = _stance("load", posture), Meshes(meshes, meshes and fit is not None, as_packages("load", packages))
     chain, shapes, pairs = _read(path, tip, base, tool, shapes_of, stance, notes := Notes())
     apart, beside = ignored(path, chain, ignore)
-    disabled = apart | notes.apart | disabled_pairs(srdf)
+    disabled = apart | notes.apart | disabled_pairs(srdf, notes.links or chain.link_names, notes)
     for line in notes.lines():
         warnings.warn(f"{chain.name}: {line}", stacklevel=2)
     chain = dataclasses.replace(chain, ignored=tuple(dict.fromkeys(chain.ignored + beside)))
@@ -182,7 +183,7 @@ def fit_report(
     chain, shapes, _ = _read(
         path, tip, base, None, Meshes(True, True, as_packages("fit_report", packages)), stance, notes := Notes()
     )
-    disabled = disabled_pairs(srdf) | ignored(path, chain, ignore)[0] | notes.apart
+    disabled = disabled_pairs(srdf, notes.links or chain.link_names, notes) | ignored(path, chain, ignore)[0] | notes.apart
     told = None if progress is None else lambda done: progress(done, FITS * len(shapes))
     return link_fits(chain, shapes, modelled(chain, shapes, fit, disabled, stance.behind, told))
 

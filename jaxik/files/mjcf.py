@@ -31,6 +31,7 @@ def load_mjcf(
     posture; bodies that fly freely are no part of it."""
     model, unread = _compiled(path, meshes)
     names = [model.body(i).name or f"body{i}" for i in range(model.nbody)]
+    notes.links = tuple(names)
     above = {names[i]: names[model.body_parentid[i]] for i in range(1, model.nbody)}
     sites = {model.site(i).name: model.site(i) for i in range(model.nsite)}
     if tip not in (*names, *sites, None):

@@ -11,11 +11,12 @@ NAMED = 4  # in one line
 
 @dataclasses.dataclass
 class Notes:
-    """Lines to tell (`told`: what is so, of which joints or links), and pairs of links that the file does not check
-    (`apart`)."""
+    """Lines to tell (`told`: what is so, of which joints or links), pairs of links that the file does not check (`apart`), and
+    all links that it has, those that are no part of the chain, too."""
 
     told: dict[str, list[str]] = dataclasses.field(default_factory=dict)
     apart: set[frozenset[str]] = dataclasses.field(default_factory=set)
+    links: tuple[str, ...] = ()
 
     def add(self, told: str, *names: str) -> None:
         """That something is so, of one more name."""

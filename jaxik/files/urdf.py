@@ -27,7 +27,7 @@ def load_urdf(
     for kind, found in elements.items():
         unique(path, kind, (attribute(path, f"a <{kind}>", e, "name") for e in found))
     links = {str(e.get("name")): e for e in elements["link"]}
-    above = _parents(path, elements["joint"], links)
+    above, notes.links = _parents(path, elements["joint"], links), tuple(links)
     *below, first = way_up(path, [*links], {child: parent for child, (_, parent) in above.items()}, tip, base)
     run, names = [_joint(path, above[link][0], link) for link in below], [first, *below]
     carried = held.hold(path, run, _carried(path, names, above))

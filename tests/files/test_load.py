@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
-from robot_files import URDF, refused, write
+from robot_files import ARM, URDF, refused, write
 from robots import FOLDER, ROBOTS
 
 import jaxik
@@ -300,6 +300,40 @@ def test_a_file_that_is_not_there_is_said_to_be_that(tmp_path, ending):
     refused(tmp_path / f"{400 * 'a'}{ending}", "cannot be read", "too long", reader=READERS[ending])
     with pytest.raises(jaxik.LoadError, match="null"):
         READERS[ending](f"a\0{ending}")
+
+
+SRDF = '<robot name="arm">{}</robot>'
+ALONE = '<disable_default_collisions link="{}"/>'
+PAIR = '<{}_collisions link1="{}" link2="{}"/>'
+
+
+@pytest.mark.parametrize(
+    "content, checked",
+    [
+        ("", {"base arm", "base tip"}),
+        (PAIR.format("disable", "tip", "base"), {"base arm"}),
+        (ALONE.format("base"), set()),
+        (ALONE.format("base") + PAIR.format("enable", "base", "arm"), {"base arm"}),
+        (ALONE.format("tip") + PAIR.format("enable", "base", "tip") + PAIR.format("disable", "base", "tip"), {"base arm"}),
+    ],
+)
+def test_an_srdf_says_which_pairs_are_checked(tmp_path, content, checked):
+    """As MoveIt reads it: what is disabled is so even if it is enabled, too."""
+    path, srdf = write(tmp_path, "arm.urdf", ARM), write(tmp_path, "arm.srdf", SRDF.format(content))
+    chain = jaxik.load(path, srdf=srdf)
+    assert {" ".join(chain.link_names[i] for i in pair) for pair in chain.self_pairs} == checked
+
+
+def test_links_of_an_srdf_that_are_not_there(tmp_path):
+    """Those of a larger robot, or misspelt; a file that has no link of the robot is another's."""
+    path, pair = write(tmp_path, "arm.urdf", ARM), PAIR.format("disable", "tip", "bse")
+    with pytest.warns(UserWarning, match=r"bse: a\.srdf \('arm'\) names these links, .* has not; did you mean 'base'"):
+        jaxik.load(path, srdf=write(tmp_path, "a.srdf", SRDF.format(pair)))
+    alien = write(tmp_path, "b.srdf", SRDF.format(PAIR.format("disable", "l1", "l2")).replace("arm", "zzz"))
+    with pytest.raises(jaxik.LoadError, match=r"b\.srdf: robot 'zzz': none of its links is in this robot; .*links: base, hub"):
+        jaxik.load(path, srdf=alien)
+    beyond = write(tmp_path, "c.srdf", SRDF.format(PAIR.format("disable", "base", "tip")))
+    assert jaxik.load(path, base="hub", srdf=beyond).link_names == ("hub", "arm", "tip")  # the base is the robot's, too
 
 
 def test_siblings_of_a_robot_file_that_are_not_there(tmp_path):
