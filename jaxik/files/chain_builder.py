@@ -14,7 +14,7 @@ from numpy.polynomial import Polynomial
 
 from jaxik.reasons import LoadError
 from jaxik.robot.chain import Body, Box, Chain, JointType, Volume
-from jaxik.robot.drive import Drive
+from jaxik.robot.drive import Drive, Friction
 from jaxik.spatial.rotations import about, frame
 
 MAX_BYTES = 16 * 2**20  # of a robot or scene file; a mesh may have four times that
@@ -163,6 +163,22 @@ def assemble(
         drives=all_or_none(file, {j.name: j.drive for j in movable}),
         **stacked,
     )
+
+
+def rubbing(file: Path, joint: Joint, coulomb: float, viscous: float) -> None:
+    """Give a joint the friction that its file has, [Nm, N] and [Nm s/rad, N s/m], in a drive that is ideal otherwise."""
+    for what, value in (("friction", coulomb), ("damping", viscous)):
+        if not 0.0 <= value < np.inf:
+            raise LoadError(file, joint.element, f"{what} {value:g}", "write a finite number of at least 0")
+    if coulomb or viscous:
+        joint.drive = Drive(rotor_inertia=joint.armature, friction=Friction(coulomb, viscous=viscous))
+
+
+def all_driven(joints: Iterable[Joint]) -> None:
+    """Where one joint has a drive, give the others an ideal one."""
+    movable = [joint for joint in joints if joint.type != "fixed"]
+    for joint in movable if any(joint.drive for joint in movable) else ():
+        joint.drive = joint.drive or Drive(rotor_inertia=joint.armature)
 
 
 def all_or_none(file: Path, drives: Mapping[str, Drive | None]) -> tuple[Drive, ...]:

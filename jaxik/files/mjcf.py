@@ -9,7 +9,7 @@ import numpy as np
 from numpy.polynomial import Polynomial
 
 from jaxik.checks.optional_modules import optional
-from jaxik.files.chain_builder import Joint, Link, assemble, displacement, way_up
+from jaxik.files.chain_builder import Joint, Link, all_driven, assemble, displacement, rubbing, way_up
 from jaxik.files.held_joints import Posture
 from jaxik.files.mesh import Meshes, add_box, add_capsule, add_cylinder, home, resolve
 from jaxik.files.mjcf_constraints import FREE, check_loops, note_contacts, solid_geoms
@@ -17,6 +17,7 @@ from jaxik.files.notes import Notes
 from jaxik.files.xml import parse
 from jaxik.reasons import LoadError
 from jaxik.robot.chain import Chain
+from jaxik.robot.dynamics import GRAVITY
 from jaxik.spatial.rotations import frame, from_wxyz
 
 FOLDERS = ("meshdir", "texturedir", "assetdir")
@@ -44,6 +45,8 @@ def load_mjcf(
     for i in run[::-1]:
         moved[i] = moved[model.body_parentid[i]] + int(model.body_jntnum[i])
     joints = [j for i in run[::-1] for j in _body_joints(path, model, i, names[i])]
+    all_driven(joints)
+    _note_forces(model, run, names, notes)
     aside = _aside(model, {start, *run})
     for i in aside:
         moved[i] = moved[model.body_parentid[i]]
@@ -56,6 +59,23 @@ def load_mjcf(
         links[name].meshes += unread[name]
     tool = tip_T_site if tool is None else tip_T_site @ tool
     return assemble(path, path.stem, names[start], joints, links, tool, carried=carried)
+
+
+def _note_forces(model: Any, run: list[int], names: list[str], notes: Notes) -> None:
+    """Tell of what acts on the chain in MuJoCo, and is in no torque here."""
+    joints = [i for i in range(model.njnt) if model.jnt_bodyid[i] in run]
+    dof = model.jnt_dofadr[joints]
+    springs = (model.jnt_stiffness[joints] != 0.0) | model.jnt_stiffnesspoly[joints].any(axis=1)
+    for told, of in (("stiffness", springs), ("damping beyond its linear term", model.dof_dampingpoly[dof].any(axis=1))):
+        if of.any():
+            notes.add(
+                f"the {told} is in no torque here", *(_label(model, i) for i, there in zip(joints, of, strict=True) if there)
+            )
+    if floating := [names[i] for i in run if model.body_gravcomp[i]]:
+        notes.add("gravcomp is not read: gravity pulls at the whole mass", *floating)
+    if not np.array_equal(model.opt.gravity, GRAVITY):
+        given = " ".join(f"{g:g}" for g in model.opt.gravity)
+        notes.add(f"gravity is {given} in its file, which no function reads; pass gravity= (--gravity)")
 
 
 def _compiled(path: Path, meshes: Meshes) -> tuple[Any, dict[str, list[str]]]:
@@ -152,6 +172,8 @@ def _body_joints(path: Path, model: Any, body: int, name: str, beside: bool = Fa
         back = displacement(kind, axis, -reference) if reference else np.eye(4)
         run.append(Joint(label, kind, pending @ anchor @ back, f"{name}/{label}", axis, lower, upper, default=reference))
         run[-1].armature = float(model.dof_armature[joint.dofadr[0]])
+        if not beside:
+            rubbing(path, run[-1], float(model.dof_frictionloss[joint.dofadr[0]]), float(model.dof_damping[joint.dofadr[0]]))
         run[-1].effort = _effort(model, i)
         run[-1].mimic = _law(model, coupled[i]) if i in coupled else None
         pending = np.linalg.inv(anchor)

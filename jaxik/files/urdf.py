@@ -8,7 +8,7 @@ from xml.etree.ElementTree import Element
 import numpy as np
 from numpy.polynomial import Polynomial
 
-from jaxik.files.chain_builder import JOINT_TYPES, Joint, Link, assemble, symmetric, unique, way_up
+from jaxik.files.chain_builder import JOINT_TYPES, Joint, Link, all_driven, assemble, rubbing, symmetric, unique, way_up
 from jaxik.files.held_joints import Posture
 from jaxik.files.mesh import Meshes, add_box, add_capsule, add_cylinder, read_mesh
 from jaxik.files.notes import Notes
@@ -30,6 +30,7 @@ def load_urdf(
     above, notes.links = _parents(path, elements["joint"], links), tuple(links)
     *below, first = way_up(path, [*links], {child: parent for child, (_, parent) in above.items()}, tip, base)
     run, names = [_joint(path, above[link][0], link) for link in below], [first, *below]
+    all_driven(run)
     carried = held.hold(path, run, _carried(path, names, above))
     content = {name: _link(path, name, links[name], meshes) for name in (*names, *(j.child for _, j in carried))}
     return assemble(path, root.get("name", path.stem), first, run[::-1], content, tool, carried=carried)
@@ -89,6 +90,9 @@ def _joint(path: Path, element: Element, child: str, beside: bool = False) -> Jo
     if limit is not None and not (beside and kind == "continuous"):
         joint.lower, joint.upper = (number(path, where, limit, k, "0") for k in ("lower", "upper"))
         joint.velocity, joint.effort = (number(path, where, limit, k, "0") or np.inf for k in ("velocity", "effort"))
+    if not beside:
+        dynamics = element.find("dynamics")
+        rubbing(path, joint, *(number(path, where, dynamics, k, "0") for k in ("friction", "damping")))
     return joint
 
 
