@@ -12,11 +12,14 @@ from typing import Any, BinaryIO, get_args
 import numpy as np
 from numpy.polynomial import Polynomial
 
+from jaxik.checks.options import among
+from jaxik.files.notes import listed
 from jaxik.reasons import LoadError
 from jaxik.robot.chain import Body, Box, Chain, JointType, Volume
 from jaxik.robot.drive import Drive, Friction
 from jaxik.spatial.rotations import about, frame
 
+LEAVES = 40  # that a line names
 MAX_BYTES = 16 * 2**20  # of a robot or scene file; a mesh may have four times that
 COLUMNS = ("axis", "lower", "upper", "velocity", "effort", "armature")  # numbers of a joint that a chain has, too
 JOINT_TYPES = (*get_args(JointType), "fixed")
@@ -39,6 +42,7 @@ class Joint:
     default: float = 0.0  # where it stands beside a chain [rad, m]
     drive: Drive | None = None
     mimic: tuple[str, Polynomial] | None = None  # the joint that drives it, and how its value follows
+    stands: str = ""  # a type that no chain has, of a joint beside one, which is fixed where it stands
 
     @property
     def element(self) -> str:
@@ -93,12 +97,12 @@ def way_up(
     if tip is None:
         leaves = sorted(set(names) - set(above.values()))
         if len(leaves) != 1:
-            choice = f"one of: {', '.join(leaves)}" if leaves else f"the {many} form a loop"
-            raise LoadError(file, "tip", f"is not given and the tree has {len(leaves)} leaves", f"pass tip=, {choice}")
+            choice = f"one of: {listed(leaves, LEAVES)}" if leaves else f"the {many} form a loop"
+            raise LoadError(file, "tip", f"is not given and the tree has {len(leaves)} leaves", f"pass tip= (--tip), {choice}")
         tip = leaves[0]
     for what, name in (("tip", tip), ("base", base)):
         if name not in (*names, None):
-            raise LoadError(file, f"{what} '{name}'", f"no such {one}", f"{many}: {', '.join(names)}")
+            raise LoadError(file, f"{what} '{name}'", f"no such {one}", among(str(name), names, many))
     way = [tip]
     while way[-1] != base and way[-1] in above:
         way.append(above[way[-1]])

@@ -125,7 +125,8 @@ def _read(
     elif kind in readers:
         chain = readers[kind](path, tip, base, tool, meshes, posture, notes)
     else:
-        raise LoadError(path, "file", f"ending '{kind}'", "allowed: .urdf, .xml (MJCF), .toml")
+        expand = f"; expand a xacro: xacro {path.name} > {path.name.partition('.')[0]}.urdf" if kind == ".xacro" else ""
+        raise LoadError(path, "file", f"ending '{kind}'", f"allowed: .urdf, .xml (MJCF), .toml{expand}")
     return chain, meshes.shapes(chain), None
 
 

@@ -2,13 +2,17 @@
 
 from __future__ import annotations
 
+import contextlib
+import math
 from pathlib import Path
 from typing import Any
+from xml.etree.ElementTree import Element
 
 import numpy as np
 from numpy.polynomial import Polynomial
 
 from jaxik.checks.optional_modules import optional
+from jaxik.checks.options import among
 from jaxik.files.chain_builder import Joint, Link, all_driven, assemble, displacement, rubbing, way_up
 from jaxik.files.held_joints import Posture
 from jaxik.files.mesh import Meshes, add_box, add_capsule, add_cylinder, home, resolve
@@ -22,6 +26,8 @@ from jaxik.spatial.rotations import frame, from_wxyz
 
 FOLDERS = ("meshdir", "texturedir", "assetdir")
 MOST_FILES = 100
+COPYING = ("replicate", "composite", "flexcomp")  # elements that make as many of others as their count= says
+MOST_COPIES = 20_000
 LIGHT = 1e-12  # [kg, kg m2] the least that a body gets whose mass was its mesh's
 
 
@@ -36,7 +42,7 @@ def load_mjcf(
     above = {names[i]: names[model.body_parentid[i]] for i in range(1, model.nbody)}
     sites = {model.site(i).name: model.site(i) for i in range(model.nsite)}
     if tip not in (*names, *sites, None):
-        raise LoadError(path, f"tip '{tip}'", "no such body or site", f"bodies: {', '.join(names)}")
+        raise LoadError(path, f"tip '{tip}'", "no such body or site", among(str(tip), names, "bodies"))
     tip_T_site = np.eye(4)
     if tip in sites and tip not in names:
         tip_T_site, tip = frame(sites[tip].pos, from_wxyz(sites[tip].quat)), names[sites[tip].bodyid[0]]
@@ -128,12 +134,15 @@ def _carried(path: Path, model: Any, body: int, names: list[str]) -> list[tuple[
     return [*zip((names[int(model.body_parentid[body])], *(j.child for j in run)), run, strict=False)]
 
 
-def _check_files(path: Path, model: Path, seen: set[Path], below: Path | None = None) -> None:
-    """Every file that `model` names in its part `path`, in includes and attached models too, lies `below` a folder."""
+def _check_files(path: Path, model: Path, seen: set[Path], below: Path | None = None, copies: float = 1.0) -> None:
+    """Every file that `model` names in its part `path`, in includes and attached models too, lies `below` a folder; and what is
+    copied, this part itself `copies` times, becomes no more than MuJoCo can build."""
     seen.add(path)
     if len(seen) > MOST_FILES:
         raise LoadError(model, "document", f"is made of more than {MOST_FILES} files", "write it in fewer")
     document = parse(path, "mujoco" if len(seen) == 1 else None)  # what is included is stripped of its root
+    parts = _copied(model, document, copies)
+    attached = max((count for part, count in parts.items() if part.tag == "attach"), default=1.0)
     below = below or home(path)
     folders = ["", *(c.get(key, "") for c in document.iter("compiler") for key in FOLDERS)]
     for element in document.iter():
@@ -143,7 +152,26 @@ def _check_files(path: Path, model: Path, seen: set[Path], below: Path | None = 
             for folder in ("",) if part or key in FOLDERS else folders:
                 target = resolve(model, where, str(Path(folder) / name), below)
             if part and target is not None and target not in seen:
-                _check_files(target, target if element.tag == "model" else model, seen, below)
+                whose = target if element.tag == "model" else model
+                _check_files(target, whose, seen, below, parts.get(element, attached))
+
+
+def _copied(model: Path, document: Element, copies: float) -> dict[Element, float]:
+    """How often each `<include>` and `<attach>` of a document is copied, itself `copies` times. Refuse too many copies."""
+    parts, made, left = {}, 0.0, [(document, copies)]
+    while left:
+        element, count = left.pop()
+        if element.tag in COPYING:
+            with contextlib.suppress(ValueError):  # what is no number MuJoCo refuses
+                count *= math.prod(max(float(word), 1.0) for word in element.get("count", "1").split())
+        if element.tag in ("include", "attach"):
+            parts[element] = count
+        made += count if count > 1.0 else 0.0
+        left += [(child, count) for child in element]
+    if not made <= MOST_COPIES:
+        mend = f"at most {MOST_COPIES} are built: lower count= of {', '.join(f'<{tag}>' for tag in COPYING)}"
+        raise LoadError(model, "document", f"makes {made:.3g} elements by copying", mend)
+    return parts
 
 
 def _body_joints(path: Path, model: Any, body: int, name: str, beside: bool = False) -> list[Joint]:
@@ -163,7 +191,7 @@ def _body_joints(path: Path, model: Any, body: int, name: str, beside: bool = Fa
             mend = "drive it as a joint of its own: remove the equality"
             raise LoadError(path, f"joint '{label}'", "an equality couples it to another (mimic)", mend)
         if kind is None:
-            mend = "allowed: hinge, slide; pass base= to start below it"
+            mend = "allowed: hinge, slide; pass base= (--base) to start below it"
             raise LoadError(path, f"joint '{label}'", "a free or ball joint on the chain", mend)
         limited, anchor, axis = bool(joint.limited[0]), frame(joint.pos), np.asarray(joint.axis, dtype=np.float64)
         lower, upper = (float(x) for x in joint.range) if limited else (-np.inf, np.inf)

@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import dataclasses
-import itertools
 from collections.abc import Iterable
+
+from jaxik.checks.options import shown
 
 NAMED = 4  # in one line
 
@@ -32,4 +33,4 @@ def listed(names: Iterable[str], most: int = NAMED) -> str:
     """The first few of some names, and how many there are."""
     every = [*names]
     rest = f", ... ({len(every)} in all)" if len(every) > most else ""
-    return ", ".join(itertools.islice(every, most)) + rest
+    return ", ".join(map(shown, every[:most])) + rest

@@ -7,6 +7,7 @@ degrees. A table may say where its numbers come from: `origin = {d = "paper", a 
 from __future__ import annotations
 
 import dataclasses
+import functools
 import math
 import tomllib
 from collections.abc import Iterable
@@ -16,6 +17,7 @@ from typing import Any, get_args
 import numpy as np
 
 from jaxik.checks.options import nearest, shown
+from jaxik.collision.scene import LIMIT
 from jaxik.files.chain_builder import JOINT_TYPES, Joint, Link, assemble, read_bytes, symmetric, unique, way_up
 from jaxik.files.held_joints import Posture
 from jaxik.files.mesh import resolve
@@ -33,6 +35,7 @@ UNITS = {
     "plain": {"": 1.0},
 }
 ORIGINS = ("paper", "catalogue", "stand-in")
+TURNS = 4.0 * math.pi  # [rad] what few joints turn
 CORNERS = {"sphere": 1, "capsule": 2, "triangle": 3}  # of swept-sphere volumes
 Shape = tuple[int, ...]
 CARRIED = 9  # models in one another
@@ -85,10 +88,21 @@ class Table:
             raise self.fail(f"'{given[0]}' is not {what}", f"write {f'rows of {row}' if row else what}") from None
         if np.any(np.isnan(values)):
             raise self.fail(f"'{given[0]}' holds NaN", "write numbers")
+        if unit == "length" and given[0] == key and np.any(far := np.isfinite(values) & (np.abs(values) > LIMIT)):
+            problem = f"{key} holds {values[far].flat[0]:g} m, over {LIMIT:g} m"
+            raise self.fail(problem, f"lengths are metres, not millimetres: write {key}_mm")
         return np.asarray(values * choices[given[0]])
 
     def number(self, key: str, unit: str, default: float | None = None) -> float:
         return float(self.array(key, unit, (), default))
+
+    def turned(self, key: str, default: float | None = None) -> float:
+        """Likewise an angle; in radians none of more than two turns, which is likely in degrees."""
+        value = self.number(key, "angle", default)
+        if key in self.content and TURNS < abs(value) < math.inf:
+            mend = f"write {key}_deg = {value:g} for degrees, and so many turns in degrees"
+            raise self.fail(f"{key} = {value:g} rad, over {TURNS:.4g}", mend)
+        return value
 
     def finite(self, key: str, shape: Shape, least: float = -math.inf, unit: str = "plain", default: Any = None) -> np.ndarray:
         """Likewise numbers that are finite, at least one of them, and none less than `least`."""
@@ -182,9 +196,10 @@ def _numeric(value: Any) -> bool:
 
 def read_toml(path: Path) -> Table:
     """The whole file as a table."""
+    content = read_bytes(path)
     try:
-        return Table(path, "file", tomllib.loads(read_bytes(path).decode()))
-    except (tomllib.TOMLDecodeError, UnicodeDecodeError, RecursionError) as error:
+        return Table(path, "file", tomllib.loads(content.decode()))
+    except (ValueError, RecursionError) as error:  # of the syntax, of UTF-8, and of an integer of too many digits
         raise LoadError(path, "document", f"malformed TOML ({error})", "mend the syntax") from None
 
 
@@ -270,7 +285,7 @@ def _joint(table: Table, name: str, kind: str, convention: str) -> tuple[list[Jo
         axis = table.array("axis", "plain", (3,), (0.0, 0.0, 1.0))
     else:
         a, d = (table.number(key, "length", 0.0) for key in ("a", "d"))
-        alpha, theta = (table.number(key, "angle", 0.0) for key in ("alpha", "theta"))
+        alpha, theta = (table.turned(key, 0.0) for key in ("alpha", "theta"))
         turned, twisted = frame((0, 0, d), from_rpy((0, 0, theta))), frame((a, 0, 0), from_rpy((alpha, 0, 0)))
         axis = np.array([0.0, 0.0, 1.0])
         # Craig's (modified) row twists before its joint turns, the standard row after [Craig 2005, ch. 3]
@@ -278,7 +293,8 @@ def _joint(table: Table, name: str, kind: str, convention: str) -> tuple[list[Jo
     joint = Joint(name, kind, before, link_name, axis)
     if kind != "fixed":
         least, most = (-np.inf, np.inf) if kind == "continuous" else (None, None)
-        joint.lower, joint.upper = table.number("lower", unit, least), table.number("upper", unit, most)
+        limit = functools.partial(table.number, unit=unit) if kind == "prismatic" else table.turned
+        joint.lower, joint.upper = limit("lower", default=least), limit("upper", default=most)
         joint.velocity = table.number("velocity", unit, np.inf)
         joint.effort = table.number("effort", "plain", np.inf)
         joint.drive = read_drive(table)

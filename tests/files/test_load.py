@@ -4,6 +4,7 @@ import io
 import itertools
 import json
 import struct
+import sys
 import zipfile
 
 import jax
@@ -16,6 +17,7 @@ from robots import FOLDER, ROBOTS
 
 import jaxik
 from jaxik.files import targets as target_files
+from jaxik.files import urdf
 from jaxik.files.chain_builder import MAX_BYTES
 
 TOML = """name = "arm"
@@ -41,6 +43,7 @@ size = [0.1, 0.1, 0.2]
 MJCF = """<mujoco><worldbody><body name="upper"><joint name="shoulder" axis="0 0 1"/><geom size=".1"/>
 <body name="tool" pos=".3 0 0"><joint name="wrist" type="slide" axis="0 1 0" range="0 .4"/><geom size=".05"/></body></body>
 </worldbody></mujoco>"""
+NESTED = '<replicate count="1000">' * 3 + '<geom size=".1"/>' + "</replicate>" * 3 + "<body"
 SCENE = """name = "s"
 [[object]]
 name = "leaf"
@@ -93,6 +96,57 @@ def test_urdf_refusals(tmp_path, old, new, words):
     refused(write(tmp_path, "arm.urdf", text), *words)
 
 
+PLANAR = URDF.replace('type="continuous"', 'type="planar"')
+SHAPE = "<collision><geometry><sphere radius='.02'/></geometry></collision>"
+
+
+@pytest.mark.parametrize(
+    "text, words",
+    [
+        (URDF.replace("<robot", '<robot xmlns:xacro="http://ros.org/wiki/xacro"').replace("</robot>", "<xacro:arm/></robot>"),
+         ("<arm>", "is xacro", "xacro arm.xacro > arm.urdf")),
+        (URDF.replace("</robot>", "<xacro:arm/></robot>"), ("malformed XML", "expand it: xacro arm.xacro > arm.urdf")),
+        (URDF.replace('xyz="0 0 0.1"', 'xyz="0 0 ${a}"'), ("<joint>", "is xacro", "expand it")),
+        (PLANAR, ("joint 'wrist'", "planar", "pass base= (--base) to start below it")),
+    ],
+)  # fmt: skip
+def test_what_is_to_be_made_of_it_first(tmp_path, text, words):
+    refused(write(tmp_path, "arm.urdf", text), *words)
+    refused(write(tmp_path, "arm.urdf.xacro", text), "ending '.xacro'", "xacro arm.urdf.xacro > arm.urdf")
+
+
+@pytest.mark.parametrize(
+    "text, words",
+    [
+        (URDF.replace('lower="-1" upper="1" ', ""), "arm: shoulder: has no lower and no upper in its <limit>, which locks"),
+        (URDF.replace('lower="-1"', 'lower="-180"'), "arm: shoulder: has a limit beyond 12.6 rad; are these degrees?"),
+        (
+            PLANAR.replace('<link name="tool"/>', f'<link name="tool">{SHAPE}</link>'),
+            r"joints .* wrist \(planar\) where it stands",
+        ),
+        (URDF.replace('lower="-1" upper="1"', 'lower="-1e9" upper="1e9"'), None),  # without end
+    ],
+)
+def test_what_is_probably_a_slip_is_told(tmp_path, text, words):
+    path = write(tmp_path, "arm.urdf", text)
+    if words is None:
+        assert jaxik.load(path, tip="upper").num_joints == 1
+        return
+    with pytest.warns(UserWarning, match=words):
+        jaxik.load(path, tip="upper")
+
+
+def test_what_is_drawn_alone_is_told(tmp_path):
+    """A URDF without collision shapes is hit by nothing, whatever it looks like."""
+    drawn = SHAPE.replace("collision", "visual")
+    path = write(tmp_path, "arm.urdf", URDF.replace('<link name="tool"/>', f'<link name="tool">{drawn}</link>'))
+    with pytest.warns(UserWarning, match=r"arm: none of its links has a <collision>, and a <visual> is not read"):
+        chain = jaxik.load(path, meshes=True)
+    with pytest.raises(ValueError, match=r"no collision geometry; .* <collision> of a URDF"):
+        jaxik.clearance(chain, jaxik.make_scene(), np.zeros(2))
+    assert jaxik.load(path) == chain
+
+
 def test_base_and_tip_are_found_or_refused(tmp_path):
     path = write(tmp_path, "arm.urdf", URDF)
     assert jaxik.load(path, tip="upper").joint_names == ("shoulder",)
@@ -131,6 +185,10 @@ def test_base_and_tip_are_found_or_refused(tmp_path):
         ("[[shape]]", "[[shapes]]", ("unknown key 'shapes'", "did you mean 'shape'?")),
         ("[[shape]]", "[shape]", ("list of tables",)),
         ("[[joint]]", "[[joint", ("malformed TOML",)),
+        ("upper_mm = 400", f"upper_mm = {'9' * 5000}", ("malformed TOML", "limit")),
+        ("upper_mm = 400", "upper = 400", ("joint 'lift'", "upper holds 400 m, over 100 m", "write upper_mm")),
+        ("translation_mm = [300", "translation = [300", ("joint 'turn'", "translation holds 300 m", "write translation_mm")),
+        ("lower_deg = -90", "lower = -90", ("joint 'turn'", "lower = -90 rad, over 12.57", "write lower_deg = -90")),
     ],
 )
 def test_toml_refusals(tmp_path, old, new, words):
@@ -158,6 +216,9 @@ def test_toml_refusals(tmp_path, old, new, words):
         ("<worldbody>", '<include file="/etc/hostname"/><worldbody>', ("outside",)),
         ("<mujoco>", f"{EXTERNAL.replace('robot', 'mujoco')}<mujoco>", ("entity",)),
         ("<worldbody>", "<world>", ("malformed XML",)),
+        ("<body", '<replicate count="100000000"><geom size=".1"/></replicate><body', ("2e+08 elements", "at most 20000")),
+        ("<body", NESTED, ("e+09 elements", "at most")),
+        ("<body", '<body><flexcomp type="grid" count="999 999 999" name="f"/></body><body', ("9.97e+08", "lower count=")),
     ],
 )
 def test_mjcf_refusals(tmp_path, old, new, words):
@@ -184,6 +245,47 @@ def test_files_of_an_attached_model_stay_below_the_folder(tmp_path):
         write(part, "hand.xml", content)
         with pytest.raises(jaxik.LoadError, match=r"outside|entity|malformed"):
             jaxik.load(path)
+
+
+def test_copies_of_what_is_included_are_counted(tmp_path):
+    """However the file is cut; what is copied often enough is small, or is refused."""
+    inside = '<mujocoinclude><replicate count="{}" offset="1 0 0"><geom size=".1"/></replicate></mujocoinclude>'
+    outside = '<replicate count="100" offset="0 1 0"><include file="more.xml"/></replicate>'
+    path = write(tmp_path, "arm.xml", MJCF.replace("<worldbody>", f"<worldbody>{outside}", 1))
+    write(tmp_path, "more.xml", inside.format(1000))
+    refused(path, "2e+05 elements by copying", "<replicate>")
+    write(tmp_path, "more.xml", inside.format(3))
+    assert len(jaxik.load(path, tip="tool").volumes) == 302
+
+
+def test_a_star_of_links_is_read_in_the_time_of_a_line_of_links(tmp_path):
+    """Each joint is looked at a few times, however many hang on one link."""
+    count, steps = 1000, 0
+    joint = '<link name="l{0}"/><joint name="k{0}" type="fixed"><parent link="upper"/><child link="l{0}"/></joint>'
+    star = "".join(joint.format(i) for i in range(count))
+    path = write(tmp_path, "arm.urdf", URDF.replace("</robot>", f"{star}</robot>"))
+
+    def step(frame, event, arg):
+        nonlocal steps
+        steps += 1
+        return step if frame.f_code.co_filename == urdf.__file__ else None
+
+    sys.settrace(step)
+    try:
+        chain = jaxik.load(path, tip="tool")
+    finally:
+        sys.settrace(None)
+    assert len(chain.link_names) == count + 3 and steps < 1000 * count
+
+
+def test_a_line_is_bounded_whatever_the_names(tmp_path):
+    name = "n" * 5000
+    many = "".join(f'<link name="{name}{i}"/>' for i in range(50))
+    path = write(tmp_path, "arm.urdf", URDF.replace("</robot>", f"{many}</robot>"))
+    for options in ({}, {"tip": name}, {"base": name}, {"tip": "tool", "ignore": [(name, "tool")]}):
+        with pytest.raises(jaxik.LoadError) as error:
+            jaxik.load(path, **options)
+        assert len(str(error.value)) < 4000 + len(str(path))
 
 
 def test_an_include_has_any_root(tmp_path):
