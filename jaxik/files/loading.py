@@ -32,7 +32,7 @@ from jaxik.reasons import LoadError
 from jaxik.robot.chain import Chain, solid_links
 
 FIT = Fit()
-APART = "leave out pairs that touch by design (ignore=, srdf=)"
+APART = "leave out pairs that touch by design: ignore=, srdf= (--ignore, --srdf)"
 
 
 def load(
@@ -149,10 +149,8 @@ def _tell(chain: Chain, what: str, at_home: Mapping[tuple[int, int], float | Non
     zero = "with all joints at 0 (or amid limits that leave 0 out)"
     if names and None not in at_home.values():  # hulls: what they do there, they are taken to do by design
         every = f"(*chain.self_pairs, {next(iter(at_home))})"
-        told = (
-            f"these pairs of links are not checked, because their {what} touch {zero}: {some}; ignore=[{names[0]}, ...] says "
-        )
-        told += f"that they may, dataclasses.replace(chain, self_pairs={every}) checks one"
+        told = f"these pairs of links are not checked, because their {what} touch {zero}: {some}; ignore=[{names[0]}, ...] "
+        told += f"(--ignore {':'.join(names[0])}) says that they may, dataclasses.replace(chain, self_pairs={every}) checks one"
     elif names:
         told = f"its {what} touch {zero}: {some}; {APART}"
     elif share > 0.5:

@@ -132,7 +132,9 @@ def read_mesh(
     target = resolve(path, where, name, packages=packages)
     if target is None or not target.is_file():
         package = f"no folder above the file is called '{package_of(name)[0]}': {MEND}"
-        mend = f"{f'put it at {target}' if target else package}, or load with meshes=False for the kinematics alone"
+        mend = (
+            f"{f'put it at {target}' if target else package}, or load with meshes=False (--no-meshes) for the kinematics alone"
+        )
         raise LoadError(path, where, f"mesh '{name}' is not found", mend)
     return _parsed(path, where, name, target, scale)
 
