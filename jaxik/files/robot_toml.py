@@ -16,7 +16,7 @@ from typing import Any, get_args
 
 import numpy as np
 
-from jaxik.checks.options import nearest, shown
+from jaxik.checks.options import among, nearest, shown
 from jaxik.collision.scene import LIMIT
 from jaxik.files.chain_builder import JOINT_TYPES, Joint, Link, assemble, read_bytes, symmetric, unique, way_up
 from jaxik.files.held_joints import Posture
@@ -337,7 +337,7 @@ def _inertia(table: Table) -> Link:
 def _shape(table: Table, links: dict[str, Link], names: list[str]) -> None:
     name = table.text("link", "base")
     if name not in names:
-        raise table.fail(f"no such link '{name[:40]}'", f"links: {', '.join(sorted(names))}")
+        raise table.fail(f"no such link '{name[:40]}'", among(name, sorted(names), "links"))
     link = links.setdefault(name, Link())
     kind = table.text("kind", None, ("box", *CORNERS))
     if kind == "box":

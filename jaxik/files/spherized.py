@@ -10,6 +10,7 @@ from xml.etree import ElementTree
 import numpy as np
 
 from jaxik.collision.volumes import box_spheres
+from jaxik.files.notes import listed
 from jaxik.robot.chain import Body, Chain
 from jaxik.spatial.rotations import to_rpy
 
@@ -25,7 +26,7 @@ def spherized(chain: Chain, beyond: float) -> tuple[str, float]:
     Raises `ValueError` for a chain whose meshes were not read.
     """
     if chain.unread_meshes:
-        raise ValueError(f"save: the meshes of {', '.join(chain.unread_meshes)} are not read; load with meshes=True")
+        raise ValueError(f"save: the meshes of {listed(chain.unread_meshes)} are not read; load with meshes=True (--meshes)")
     root = ElementTree.Element("robot", name=chain.name)
     names = _frame_names(chain)
     spheres: dict[int, list[tuple[np.ndarray, float]]] = {i: [] for i in range(len(chain.link_names))}

@@ -35,7 +35,7 @@ def ignored(path: Path, chain: Chain, entries: Any) -> tuple[frozenset[frozenset
             raise LoadError(path, what, "is no link and no pair of names", 'write "link" or ("link", "other")')
         link, other = names
         if link not in chain.link_names:
-            raise LoadError(path, what, f"no such link '{link[:40]}'", f"links: {', '.join(chain.link_names)}")
+            raise LoadError(path, what, f"no such link '{link[:40]}'", among(link, chain.link_names, "links"))
         if other in chain.link_names:
             apart.append(frozenset(names))
         elif meant := nearest(other, chain.link_names, ALIKE):

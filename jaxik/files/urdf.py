@@ -9,6 +9,7 @@ from xml.etree.ElementTree import Element
 import numpy as np
 from numpy.polynomial import Polynomial
 
+from jaxik.checks.options import among
 from jaxik.files.chain_builder import JOINT_TYPES, Joint, Link, all_driven, assemble, rubbing, symmetric, unique, way_up
 from jaxik.files.held_joints import Posture
 from jaxik.files.mesh import Meshes, add_box, add_capsule, add_cylinder, read_mesh
@@ -74,7 +75,7 @@ def _parents(path: Path, joints: list[Element], links: dict[str, Element]) -> di
         parent, child = (attribute(path, f"{where} <{k}>", element.find(k), "link") for k in ("parent", "child"))
         for link in (parent, child):
             if link not in links:
-                raise LoadError(path, where, f"link '{link}' is not defined", f"links: {', '.join(links)}")
+                raise LoadError(path, where, f"link '{link}' is not defined", among(link, [*links], "links"))
         if child in above:
             raise LoadError(path, where, f"link '{child}' has two parent joints", "a chain needs a tree")
         above[child] = (element, parent)

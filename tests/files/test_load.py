@@ -285,7 +285,7 @@ def test_a_line_is_bounded_whatever_the_names(tmp_path):
     for options in ({}, {"tip": name}, {"base": name}, {"tip": "tool", "ignore": [(name, "tool")]}):
         with pytest.raises(jaxik.LoadError) as error:
             jaxik.load(path, **options)
-        assert len(str(error.value)) < 4000 + len(str(path))
+        assert len(str(error.value)) < 1500 + len(str(path))
 
 
 def test_an_include_has_any_root(tmp_path):
