@@ -60,6 +60,8 @@ def load_mjcf(
     note_contacts(model, names, moved, notes)
     carried = held.hold(path, joints, [j for i in aside for j in _carried(path, model, i, names)])
     solid = solid_geoms(model)
+    if meshes.read and not solid[np.isin(model.geom_bodyid, [*moved])].any():
+        notes.add("none of its geoms touches anything, by their contype and conaffinity: give them bits that meet")
     links = {names[i]: _link(model, i, names[i], meshes, solid) for i in moved}
     for name in {*unread} & {*links}:
         links[name].meshes += unread[name]

@@ -86,7 +86,7 @@ def solid_geoms(model: Any) -> np.ndarray:
 
 
 def note_contacts(model: Any, names: Sequence[str], moved: Mapping[int, int], notes: Notes) -> None:
-    """The pairs of bodies that MuJoCo never checks, of those that `moved` has. Of such whose bits do not meet a line is told,
+    """Note the pairs of bodies that MuJoCo never checks, of those that `moved` has; and tell of those whose bits do not meet,
     for bits are also given to make a simulation fast."""
     paired = {frozenset(model.geom_bodyid[[i, j]].tolist()) for i, j in zip(model.pair_geom1, model.pair_geom2, strict=True)}
     excluded = {frozenset((int(code) >> 16, int(code) & 0xFFFF)) for code in model.exclude_signature}

@@ -7,7 +7,6 @@ degrees. A table may say where its numbers come from: `origin = {d = "paper", a 
 from __future__ import annotations
 
 import dataclasses
-import functools
 import math
 import tomllib
 from collections.abc import Iterable
@@ -88,13 +87,18 @@ class Table:
             raise self.fail(f"'{given[0]}' is not {what}", f"write {f'rows of {row}' if row else what}") from None
         if np.any(np.isnan(values)):
             raise self.fail(f"'{given[0]}' holds NaN", "write numbers")
-        if unit == "length" and given[0] == key and np.any(far := np.isfinite(values) & (np.abs(values) > LIMIT)):
-            problem = f"{key} holds {values[far].flat[0]:g} m, over {LIMIT:g} m"
-            raise self.fail(problem, f"lengths are metres, not millimetres: write {key}_mm")
         return np.asarray(values * choices[given[0]])
 
     def number(self, key: str, unit: str, default: float | None = None) -> float:
         return float(self.array(key, unit, (), default))
+
+    def metres(self, key: str, values: np.ndarray) -> np.ndarray:
+        """The lengths that were read under `key`. Refuse one of a robot's in metres that is likely in millimetres."""
+        far = np.isfinite(values) & (np.abs(values) > LIMIT)
+        if key in self.content and far.any():
+            problem = f"{key} holds {values[far].flat[0]:g} m, over {LIMIT:g} m"
+            raise self.fail(problem, f"lengths are metres, not millimetres: write {key}_mm")
+        return values
 
     def turned(self, key: str, default: float | None = None) -> float:
         """Likewise an angle; in radians none of more than two turns, which is likely in degrees."""
@@ -271,7 +275,7 @@ def _model(row: Table, name: str, files: tuple[Path, ...]) -> tuple[list[Joint],
 
 
 def _frame(table: Table) -> np.ndarray:
-    translation = table.array("translation", "length", (3,), np.zeros(3))
+    translation = table.metres("translation", table.array("translation", "length", (3,), np.zeros(3)))
     return frame(translation, table.turn())
 
 
@@ -284,7 +288,7 @@ def _joint(table: Table, name: str, kind: str, convention: str) -> tuple[list[Jo
         before = _frame(table)
         axis = table.array("axis", "plain", (3,), (0.0, 0.0, 1.0))
     else:
-        a, d = (table.number(key, "length", 0.0) for key in ("a", "d"))
+        a, d = (float(table.metres(key, table.array(key, "length", (), 0.0))) for key in ("a", "d"))
         alpha, theta = (table.turned(key, 0.0) for key in ("alpha", "theta"))
         turned, twisted = frame((0, 0, d), from_rpy((0, 0, theta))), frame((a, 0, 0), from_rpy((alpha, 0, 0)))
         axis = np.array([0.0, 0.0, 1.0])
@@ -293,8 +297,9 @@ def _joint(table: Table, name: str, kind: str, convention: str) -> tuple[list[Jo
     joint = Joint(name, kind, before, link_name, axis)
     if kind != "fixed":
         least, most = (-np.inf, np.inf) if kind == "continuous" else (None, None)
-        limit = functools.partial(table.number, unit=unit) if kind == "prismatic" else table.turned
-        joint.lower, joint.upper = limit("lower", default=least), limit("upper", default=most)
+        slid = lambda key, default: float(table.metres(key, table.array(key, "length", (), default)))
+        limit = slid if kind == "prismatic" else table.turned
+        joint.lower, joint.upper = limit("lower", least), limit("upper", most)
         joint.velocity = table.number("velocity", unit, np.inf)
         joint.effort = table.number("effort", "plain", np.inf)
         joint.drive = read_drive(table)
@@ -341,10 +346,11 @@ def _shape(table: Table, links: dict[str, Link], names: list[str]) -> None:
     link = links.setdefault(name, Link())
     kind = table.text("kind", None, ("box", *CORNERS))
     if kind == "box":
-        half = table.finite("size", (3,), unit="length") / 2.0
+        half = table.metres("size", table.finite("size", (3,), unit="length")) / 2.0
         if not np.all(half > 0.0):
             raise table.fail("'size' is not positive", "write three sizes > 0")
         link.boxes.append((frame(table.finite("center", (3,), unit="length", default=np.zeros(3)), table.turn()), half))
     else:
-        corners, radius = table.finite("points", (CORNERS[kind], 3), unit="length"), table.finite("radius", (), 0.0, "length")
+        corners = table.metres("points", table.finite("points", (CORNERS[kind], 3), unit="length"))
+        radius = table.metres("radius", table.finite("radius", (), 0.0, "length"))
         link.volumes.append((corners, float(radius)))

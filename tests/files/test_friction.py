@@ -7,7 +7,7 @@ import pytest
 from robot_files import URDF, refused, write
 
 import jaxik
-from jaxik.robot import Drive, forward_kinematics, friction_torque, inverse_dynamics, motor_current
+from jaxik.robot import Drive, Friction, forward_kinematics, friction_torque, inverse_dynamics, motor_current
 
 RUBS = URDF.replace('<axis xyz="0 0 1"/>', '<axis xyz="0 0 1"/><dynamics damping="3" friction="5"/>')
 MJCF = """<mujoco><option {option}/><worldbody><body name="upper"{upper}>
@@ -30,8 +30,14 @@ def test_a_urdf_rubs_as_pinocchio_reads_it(tmp_path):
     np.testing.assert_allclose(motor_current(chain, torque, RATE), [1.0 + 5.0 + 3.0 * 0.7, 2.0], rtol=1e-6)  # 1 Nm/A
     assert jaxik.load(write(tmp_path, "none.urdf", RUBS.replace('damping="3" friction="5"', 'damping="0"'))).drives == ()
     refused(write(tmp_path, "bad.urdf", RUBS.replace('"3"', '"-3"')), "joint 'shoulder'", "damping -3", "at least 0")
-    jaxik.save(chain, tmp_path / "saved.toml")
+    for saved in ("saved.toml", "saved.urdf"):
+        jaxik.save(chain, tmp_path / saved)
+        assert of(tmp_path / saved) == [(5.0, 3.0), (0.0, 0.0)]
     assert jaxik.load(tmp_path / "saved.toml") == chain
+    geared = Drive(ratio=10.0, friction=Friction(coulomb=0.2, viscous=0.01, side="motor"))
+    jaxik.save(chain.with_drives([geared, Drive()]), tmp_path / "geared.urdf")
+    back, rate = jaxik.load(tmp_path / "geared.urdf"), np.array([0.7, 0.0])
+    np.testing.assert_allclose(friction_torque(back, rate, rate), friction_torque(chain.with_drives([geared] * 2), rate, rate))
 
 
 def test_an_mjcf_rubs_as_mujoco_does(tmp_path):

@@ -188,6 +188,7 @@ def test_base_and_tip_are_found_or_refused(tmp_path):
         ("upper_mm = 400", f"upper_mm = {'9' * 5000}", ("malformed TOML", "limit")),
         ("upper_mm = 400", "upper = 400", ("joint 'lift'", "upper holds 400 m, over 100 m", "write upper_mm")),
         ("translation_mm = [300", "translation = [300", ("joint 'turn'", "translation holds 300 m", "write translation_mm")),
+        ("size = [0.1", "size = [120", ("shape 1", "size holds 120 m", "write size_mm")),
         ("lower_deg = -90", "lower = -90", ("joint 'turn'", "lower = -90 rad, over 12.57", "write lower_deg = -90")),
     ],
 )

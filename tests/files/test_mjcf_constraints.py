@@ -104,6 +104,14 @@ def test_bits_that_never_meet_are_told(tmp_path):
         jaxik.load(arm(tmp_path, a=(1, 0), c=(1, 0)), tip="d", posture={})
 
 
+def test_a_robot_that_nothing_touches_is_told(tmp_path):
+    path = arm(tmp_path, a=(0, 0), b=(0, 0), c=(0, 0))
+    path = write(tmp_path, "arm.xml", path.read_text().replace('name="gd"', 'name="gd" contype="0" conaffinity="0"'))
+    with pytest.warns(UserWarning, match="arm: none of its geoms touches anything"):
+        chain = jaxik.load(path, tip="d", meshes=True, posture={})
+    assert not chain.volumes and jaxik.load(path, tip="d", posture={}) == chain
+
+
 MESHED = """<mujoco><compiler meshdir="assets"/><asset><mesh name="m" file="gone.stl"/><mesh file="n.obj"/>
 <texture name="t" type="2d" file="gone.png"/><material name="red" texture="t"/></asset><worldbody>
 <body name="a"><joint name="j1" axis="0 0 1"/><inertial pos="0 0 0" mass="2" diaginertia="1 1 1"/>
