@@ -121,7 +121,7 @@ def _read(
         if model.content.get("convention") == "chain":
             chain = _saved(path, read_chain(model), tip, base, tool, posture)
             return chain, [], chain.self_pairs
-        chain = load_toml(model, tip, base, tool, posture, notes)
+        chain = load_toml(model, tip, base, tool, posture)
     elif kind in readers:
         chain = readers[kind](path, tip, base, tool, meshes, posture, notes)
     else:

@@ -36,7 +36,7 @@ def load_mjcf(
 ) -> Chain:
     """The serial chain from body `base` (the world) to body or site `tip` (the only leaf), and what it carries, `held` in a
     posture; bodies that fly freely are no part of it."""
-    model, unread = _compiled(path, meshes)
+    model, unread = _compiled(path, meshes, notes)
     names = [model.body(i).name or f"body{i}" for i in range(model.nbody)]
     notes.links = tuple(names)
     above = {names[i]: names[model.body_parentid[i]] for i in range(1, model.nbody)}
@@ -86,7 +86,7 @@ def _note_forces(model: Any, run: list[int], names: list[str], notes: Notes) -> 
         notes.add(f"gravity is {given} in its file, which no function reads; pass gravity= (--gravity)")
 
 
-def _compiled(path: Path, meshes: Meshes) -> tuple[Any, dict[str, list[str]]]:
+def _compiled(path: Path, meshes: Meshes, notes: Notes) -> tuple[Any, dict[str, list[str]]]:
     """MuJoCo's model; and the meshes of each body that are not there, which a chain without meshes does without."""
     mujoco = optional(f"{path}: MJCF", "mujoco", "mjcf")
     _check_files(path, path, set())
@@ -94,24 +94,28 @@ def _compiled(path: Path, meshes: Meshes) -> tuple[Any, dict[str, list[str]]]:
         return mujoco.MjModel.from_xml_path(str(path)), {}
     except (ValueError, mujoco.FatalError) as error:
         refused = LoadError(path, "document", f"MuJoCo refuses it ({error})", "mend what it names")
-    if meshes.read:
-        raise refused
     try:
         spec = mujoco.MjSpec.from_file(str(path))
-        unread = _without_meshes(spec)
-        return spec.compile(), unread
+        files = [*((spec.meshdir, mesh.file) for mesh in spec.meshes), *((spec.texturedir, t.file) for t in spec.textures)]
+        absent = [file for folder, file in files if file and not Path(spec.modelfiledir, folder, file).is_file()]
+        if absent and not meshes.read:
+            unread = _without_meshes(spec, notes)
+            return spec.compile(), unread
     except (ValueError, mujoco.FatalError):
-        raise refused from None
+        pass
+    raise refused from None
 
 
-def _without_meshes(spec: Any) -> dict[str, list[str]]:
-    """Take a model's meshes and what is painted on them away. Their names, by the body that they were on."""
+def _without_meshes(spec: Any, notes: Notes) -> dict[str, list[str]]:
+    """Take a model's meshes away, and what is painted. Their names, by the body that they were on."""
     found: dict[str, list[str]] = {}
     named = {mesh.name or Path(mesh.file).stem for mesh in spec.meshes}
     for geom in [*spec.geoms]:
         geom.material = ""
         if geom.meshname in named:
-            found.setdefault(geom.parent.name, []).append(geom.meshname)
+            found.setdefault(body := geom.parent.name, []).append(geom.meshname)
+            if not geom.parent.explicitinertial:
+                notes.add("a mesh is missing, and the mass that it would give the body", body)
             spec.delete(geom)
     for part in (*spec.meshes, *spec.materials, *spec.textures):
         spec.delete(part)

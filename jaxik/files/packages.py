@@ -16,11 +16,12 @@ MEND = "give the robot's folder that name, pass packages= (--packages), or set R
 
 def as_packages(who: str, given: Any) -> tuple[Path, ...]:
     """A folder, or a list of them. Raises `ValueError` for what is no folder."""
-    folders = (given,) if isinstance(given, str | Path) else given
-    for folder in folders if isinstance(folders, Iterable) else (folders,):
+    many = isinstance(given, Iterable) and not isinstance(given, str | Path)
+    folders = [*given] if many else [given]
+    for folder in folders:
         if not (isinstance(folder, str | Path) and os.path.isdir(folder)):
             raise ValueError(f"{who}: packages: {shown(folder)} is no folder; give packages, or the folders that hold them")
-    return tuple(Path(folder).resolve() for folder in folders)
+    return tuple(Path(folder).absolute() for folder in folders)
 
 
 def package_of(name: str) -> tuple[str, str]:

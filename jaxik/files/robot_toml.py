@@ -20,7 +20,6 @@ from jaxik.collision.scene import LIMIT
 from jaxik.files.chain_builder import JOINT_TYPES, Joint, Link, assemble, read_bytes, symmetric, unique, way_up
 from jaxik.files.held_joints import Posture
 from jaxik.files.mesh import resolve
-from jaxik.files.notes import Notes
 from jaxik.files.shipped import locate
 from jaxik.reasons import LoadError
 from jaxik.robot.chain import Chain
@@ -101,7 +100,7 @@ class Table:
         return values
 
     def turned(self, key: str, default: float | None = None) -> float:
-        """Likewise an angle; in radians none of more than two turns, which is likely in degrees."""
+        """Likewise an angle of a robot. Refuse one in radians of more than two turns, which is likely in degrees."""
         value = self.number(key, "angle", default)
         if key in self.content and TURNS < abs(value) < math.inf:
             mend = f"write {key}_deg = {value:g} for degrees, and so many turns in degrees"
@@ -223,9 +222,7 @@ class Parts:
         return ["base", *(joint.child for joint in self.joints)]
 
 
-def load_toml(
-    model: Table, tip: str | None, base: str | None, tool: np.ndarray | None, posture: Posture, notes: Notes
-) -> Chain:
+def load_toml(model: Table, tip: str | None, base: str | None, tool: np.ndarray | None, posture: Posture) -> Chain:
     """A model file to a chain from link `base` to link `tip`, where they are given; joints after the tip are held."""
     path, parts = model.path, _parts(model, (model.path.resolve(),))
     joints, names = parts.joints, parts.names

@@ -51,7 +51,7 @@ def _refuse_xacro(path: Path, root: Element) -> None:
         values = (value for e in part.iter() for value in e.attrib.values()) if part.tag in ("link", "joint") else ()
         if "xacro}" in part.tag or any("${" in value for value in values):
             tag = part.tag.rpartition("}")[2]
-            raise LoadError(path, f"<{tag}>", "is xacro, of which a robot is still to be made", XACRO.format(path.stem))
+            raise LoadError(path, f"<{tag}>", "is xacro, of which a robot is still to be made", XACRO.format(path))
 
 
 def _carried(path: Path, chain: list[str], above: dict[str, tuple[Element, str]], notes: Notes) -> list[tuple[str, Joint]]:

@@ -104,8 +104,8 @@ SHAPE = "<collision><geometry><sphere radius='.02'/></geometry></collision>"
     "text, words",
     [
         (URDF.replace("<robot", '<robot xmlns:xacro="http://ros.org/wiki/xacro"').replace("</robot>", "<xacro:arm/></robot>"),
-         ("<arm>", "is xacro", "xacro arm.xacro > arm.urdf")),
-        (URDF.replace("</robot>", "<xacro:arm/></robot>"), ("malformed XML", "expand it: xacro arm.xacro > arm.urdf")),
+         ("<arm>", "is xacro", "xacro arm.urdf > arm_expanded.urdf")),
+        (URDF.replace("</robot>", "<xacro:arm/></robot>"), ("malformed XML", "expand it: xacro arm.urdf > arm_expanded.urdf")),
         (URDF.replace('xyz="0 0 0.1"', 'xyz="0 0 ${a}"'), ("<joint>", "is xacro", "expand it")),
         (PLANAR, ("joint 'wrist'", "planar", "pass base= (--base) to start below it")),
     ],

@@ -121,10 +121,12 @@ MESHED = """<mujoco><compiler meshdir="assets"/><asset><mesh name="m" file="gone
 
 def test_kinematics_need_no_meshes(tmp_path):
     path = write(tmp_path, "arm.xml", MESHED)
-    chain = jaxik.load(path)
-    np.testing.assert_allclose(
-        jaxik.forward_kinematics(chain, np.array([0.3, 0.4]))[:2, 3], [np.cos(0.3), np.sin(0.3)], atol=1e-6
-    )
+    with pytest.warns(UserWarning, match="arm: b: a mesh is missing, and the mass that"):
+        chain = jaxik.load(path)
+    tip = jaxik.forward_kinematics(chain, np.array([0.3, 0.4]))
+    np.testing.assert_allclose(tip[:2, 3], [np.cos(0.3), np.sin(0.3)], atol=1e-6)
     assert chain.unread_meshes == ("a", "b") and chain.bodies[0].mass == 2.0
     refused(path, "gone.stl", "MuJoCo refuses", meshes=True)
     refused(write(tmp_path, "bad.xml", MESHED.replace('type="mesh"', 'type="mush"')), "MuJoCo refuses")
+    weightless = "<mujoco><worldbody><body><joint/></body></worldbody></mujoco>"
+    refused(write(tmp_path, "light.xml", weightless), "MuJoCo refuses", "mass and inertia")
