@@ -83,11 +83,11 @@ def load(
     apart, beside = ignored(path, chain, ignore)
     disabled = apart | notes.apart | disabled_pairs(srdf, notes.links or chain.link_names, notes)
     for line in notes.lines():
-        warnings.warn(f"{chain.name}: {line}", stacklevel=2)
+        warnings.warn(f"{shown(chain.name)}: {line}", stacklevel=2)
     chain = dataclasses.replace(chain, ignored=tuple(dict.fromkeys(chain.ignored + beside)))
     solid = {chain.link_names[i] for i in {*solid_links(chain), *(shape.link for shape in shapes)}}
     if posture is None and not chain.unread_meshes and (told := stance.told(solid)):
-        warnings.warn(f"{chain.name}: {told}", stacklevel=2)
+        warnings.warn(f"{shown(chain.name)}: {told}", stacklevel=2)
     if pairs is not None:
         names = chain.link_names
         kept = tuple(pair for pair in pairs if frozenset(names[i] for i in pair) not in disabled)

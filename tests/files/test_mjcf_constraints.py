@@ -100,7 +100,7 @@ def test_pairs_are_checked_as_mujoco_does(tmp_path, more, bits):
 
 
 def test_bits_that_never_meet_are_told(tmp_path):
-    with pytest.warns(UserWarning, match=r"arm: 1 pairs of links .* contype and conaffinity say: a and c; give"):
+    with pytest.warns(UserWarning, match=r"arm: links are not checked .* contype and conaffinity say: a and c; give"):
         jaxik.load(arm(tmp_path, a=(1, 0), c=(1, 0)), tip="d", posture={})
 
 
