@@ -64,6 +64,10 @@ def load(
     0. A warning names those whose links have shapes, unless a posture is given: `{}` says that all of them are right so. What
     is above `base` is left out, and what flies freely in an MJCF.
 
+    Damping and dry friction of a URDF's and an MJCF's joints are in `drives`, which are ideal otherwise: a current is a torque.
+    A warning, one line each, tells what a file has besides that the chain has not (springs, gravity of its own), and what it is
+    likely to mean otherwise (limits in degrees).
+
     A mesh `package://my_pkg/meshes/a.stl` is `meshes/a.stl` in a folder `my_pkg`: the nearest above the model's file, else one
     that `packages` names, or that is in a folder that it names (one, or a list), else one that ROS finds (`ROS_PACKAGE_PATH`,
     `AMENT_PREFIX_PATH`). Any other name is a path from the file's folder, which stays below it (below the folder above, where
