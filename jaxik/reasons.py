@@ -56,11 +56,15 @@ class Reasoned:
         return {Reason(int(r)).text: int(c) for r, c in zip(found, counts, strict=True)}
 
 
+MEND = 1000  # letters of one
+
+
 class LoadError(ValueError):
     """A file that cannot be used. One line: the file, the element, what is allowed, the mend."""
 
     def __init__(self, file: str | Path, element: str, problem: str, mend: str = ""):
         # what a file or a caller wrote may be of any length
         element, problem = (words if len(words) <= 200 else f"{words[:120]}...{words[-77:]}" for words in (element, problem))
+        mend = mend if len(mend) <= MEND else f"{mend[: MEND - 3]}..."
         line = f"{file}: {element}: {problem}" + (f"; {mend}" if mend else "")
         super().__init__(" ".join(line.split()))

@@ -109,7 +109,8 @@ def check_geometry(chain: Chain) -> None:
         links = ", ".join(chain.unread_meshes[:5])
         raise ValueError(f"{chain.name}: the meshes of {links} were not read; load the chain with meshes=True (--meshes)")
     if not chain.boxes and not chain.volumes:
-        raise ValueError(f"{chain.name}: has no collision geometry; add shapes to its file (box, sphere, capsule, triangle)")
+        mend = "add shapes to its file ([[shape]] of a TOML, <collision> of a URDF, geoms of an MJCF)"
+        raise ValueError(f"{chain.name}: has no collision geometry; {mend}")
     with contextlib.suppress(jax.errors.TracerArrayConversionError):  # of what is traced nothing is known: `_unsound`
         _check_finite(chain)  # the cache knows it in a microsecond, where to look for tracers takes ten
 

@@ -12,11 +12,14 @@ from typing import Any, BinaryIO, get_args
 import numpy as np
 from numpy.polynomial import Polynomial
 
+from jaxik.checks.options import among
+from jaxik.files.notes import listed
 from jaxik.reasons import LoadError
 from jaxik.robot.chain import Body, Box, Chain, JointType, Volume
-from jaxik.robot.drive import Drive
+from jaxik.robot.drive import Drive, Friction
 from jaxik.spatial.rotations import about, frame
 
+LEAVES = 40  # that a line names
 MAX_BYTES = 16 * 2**20  # of a robot or scene file; a mesh may have four times that
 COLUMNS = ("axis", "lower", "upper", "velocity", "effort", "armature")  # numbers of a joint that a chain has, too
 JOINT_TYPES = (*get_args(JointType), "fixed")
@@ -39,6 +42,7 @@ class Joint:
     default: float = 0.0  # where it stands beside a chain [rad, m]
     drive: Drive | None = None
     mimic: tuple[str, Polynomial] | None = None  # the joint that drives it, and how its value follows
+    stands: str = ""  # a type that no chain has, of a joint beside one, which is fixed where it stands
 
     @property
     def element(self) -> str:
@@ -93,12 +97,12 @@ def way_up(
     if tip is None:
         leaves = sorted(set(names) - set(above.values()))
         if len(leaves) != 1:
-            choice = f"one of: {', '.join(leaves)}" if leaves else f"the {many} form a loop"
-            raise LoadError(file, "tip", f"is not given and the tree has {len(leaves)} leaves", f"pass tip=, {choice}")
+            choice = f"one of: {listed(leaves, LEAVES)}" if leaves else f"the {many} form a loop"
+            raise LoadError(file, "tip", f"is not given and the tree has {len(leaves)} leaves", f"pass tip= (--tip), {choice}")
         tip = leaves[0]
     for what, name in (("tip", tip), ("base", base)):
         if name not in (*names, None):
-            raise LoadError(file, f"{what} '{name}'", f"no such {one}", f"{many}: {', '.join(names)}")
+            raise LoadError(file, f"{what} '{name}'", f"no such {one}", among(str(name), names, many))
     way = [tip]
     while way[-1] != base and way[-1] in above:
         way.append(above[way[-1]])
@@ -165,6 +169,22 @@ def assemble(
     )
 
 
+def rubbing(file: Path, joint: Joint, coulomb: float, viscous: float) -> None:
+    """Give a joint the friction that its file has, [Nm, N] and [Nm s/rad, N s/m], in a drive that is ideal otherwise."""
+    for what, value in (("friction", coulomb), ("damping", viscous)):
+        if not 0.0 <= value < np.inf:
+            raise LoadError(file, joint.element, f"{what} {value:g}", "write a finite number of at least 0")
+    if coulomb or viscous:
+        joint.drive = Drive(rotor_inertia=joint.armature, friction=Friction(coulomb, viscous=viscous))
+
+
+def all_driven(joints: Iterable[Joint]) -> None:
+    """Where one joint has a drive, give the others an ideal one."""
+    movable = [joint for joint in joints if joint.type != "fixed"]
+    for joint in movable if any(joint.drive for joint in movable) else ():
+        joint.drive = joint.drive or Drive(rotor_inertia=joint.armature)
+
+
 def all_or_none(file: Path, drives: Mapping[str, Drive | None]) -> tuple[Drive, ...]:
     """The drives of all joints, by their names, or none. Refuse those of some."""
     known = tuple(drive for drive in drives.values() if drive is not None)
@@ -215,11 +235,11 @@ def checked(file: Path, joint: Joint) -> Joint:
 
 def _bodies(content: Sequence[Link], offsets: Sequence[np.ndarray], counts: Sequence[int], n: int) -> tuple[Body, ...]:
     """The inertia of all links that move with a joint, about their common centre of gravity, in the joint's frame."""
-    if not any(link.mass for link in content):
+    if not any(link.mass or link.inertia.any() for link in content):
         return ()
     each = [
         Body(np.asarray(link.mass, np.float64), link.com, link.inertia).moved(o)
         for link, o in zip(content, offsets, strict=True)
     ]
-    moved = lambda joint: [b for b, c in zip(each, counts, strict=True) if c == joint and b.mass > 0.0]
+    moved = lambda joint: [b for b, c in zip(each, counts, strict=True) if c == joint]
     return tuple(Body.fused(moved(joint)) for joint in range(1, n + 1))

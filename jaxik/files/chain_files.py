@@ -12,6 +12,7 @@ import numpy as np
 from jaxik.checks.options import check_finite, check_kind, shown
 from jaxik.collision.volumes import LEVELS
 from jaxik.files.chain_builder import all_or_none, unique
+from jaxik.files.notes import listed
 from jaxik.files.robot_toml import CORNERS, Table, read_drive
 from jaxik.files.spherized import spherized
 from jaxik.files.unchecked_pairs import check_ours, write_disabled
@@ -122,7 +123,7 @@ def _columns(rows: Sequence[dict[str, Any]], keys: dict[str, str]) -> dict[str, 
 def _beside(table: Table, given: Any, names: Sequence[str]) -> tuple[int, str]:
     """The number of a link, and an object's name."""
     if not (isinstance(given, list) and len(given) == 2 and given[0] in names and isinstance(given[1], str) and given[1]):
-        mend = f'write ["link", "object"], of any object "*"; links: {", ".join(names)}'
+        mend = f'write ["link", "object"], of any object "*"; links: {listed(names)}'
         raise table.fail(f"ignored_objects holds {shown(given)}", mend)
     return names.index(given[0]), given[1]
 
@@ -130,7 +131,7 @@ def _beside(table: Table, given: Any, names: Sequence[str]) -> tuple[int, str]:
 def _two(table: Table, key: str, given: Any, names: Sequence[str]) -> tuple[int, int]:
     """The numbers of two names."""
     if not (isinstance(given, list) and len(given) == 2 and all(n in names for n in given)):
-        raise table.fail(f"{key} holds {str(given)[:60]}", f"two of: {', '.join(names)}")
+        raise table.fail(f"{key} holds {str(given)[:60]}", f"two of: {listed(names)}")
     return names.index(given[0]), names.index(given[1])
 
 

@@ -10,20 +10,22 @@ import numpy as np
 
 from jaxik.checks.options import among
 from jaxik.files.chain_builder import Joint, checked, displacement
+from jaxik.files.notes import listed
 from jaxik.reasons import LoadError
 
 MASTERS = 100  # in a row, each driven by the next
-NAMED = 4  # joints in the one line that says what is held
 
 
 @dataclasses.dataclass
 class Posture:
     """What the caller says of joints beside the chain (`given`); and, once a file is read, where each is `held` [rad, m], the
-    joints that another of the chain drives (`driven`), and for each link behind such joints which they are (`behind`)."""
+    joints that another of the chain drives (`driven`), the types of those that only stand (`stands`), and for each link behind
+    such joints which they are (`behind`)."""
 
     given: Mapping[str, float] = dataclasses.field(default_factory=dict)
     held: dict[str, float] = dataclasses.field(default_factory=dict)
     driven: dict[str, str] = dataclasses.field(default_factory=dict)
+    stands: dict[str, str] = dataclasses.field(default_factory=dict)
     behind: dict[str, tuple[str, ...]] = dataclasses.field(default_factory=dict)
 
     def hold(self, file: Path, chain: Sequence[Joint], carried: Sequence[tuple[str, Joint]]) -> list[tuple[str, Joint]]:
@@ -47,6 +49,8 @@ class Posture:
                 # what does not move needs no axis: faults of joints that nobody uses are let pass
                 moved = displacement(joint.type, checked(file, joint).axis, value) if value else np.eye(4)
                 joint = Joint(joint.name, "fixed", joint.parent_T_joint @ moved, joint.child)
+            elif joint.stands:
+                above, self.stands[joint.name] = (*above, joint.name), joint.stands
             if above:
                 self.behind[joint.child] = above
             fixed.append((parent, joint))
@@ -81,11 +85,12 @@ class Posture:
     def told(self, solid: set[str]) -> str | None:
         """One line of the joints that hold `solid` links, those with collision geometry; None where there are none."""
         holding = {name for link in solid for name in self.behind.get(link, ())}
-        names = [name for name in self.held if name in holding]
-        if not names:
+        held, stands = ([name for name in names if name in holding] for names in (self.held, self.stands))
+        if not held and not stands:
             return None
         driven = lambda name: f" (driven by {self.driven[name]})" if name in self.driven else ""
-        words = [f"{name} at {self.held[name]:.4g}{driven(name)}" for name in names]
-        rest = f", ... ({len(names)} in all)" if len(names) > NAMED else ""
-        held = f"joints beside the chain are held, and links behind them count for collisions: {', '.join(words[:NAMED])}{rest}"
-        return f"{held}; posture={{'{names[0]}': ...}} holds them elsewhere, posture={{}} says that this is meant"
+        words = [f"{name} at {self.held[name]:.4g}{driven(name)}" for name in held]
+        words += [f"{name} ({self.stands[name]}) where it stands" for name in stands]
+        told = f"joints beside the chain are held, and links behind them count for collisions: {listed(words)}; "
+        elsewhere = f"posture={{'{held[0]}': ...}} (--posture {held[0]}=...) holds them elsewhere, " if held else ""
+        return f"{told}{elsewhere}posture={{}} says that this is meant"

@@ -19,6 +19,8 @@ from jaxik.files.chain_files import read_chain
 from jaxik.files.held_joints import Posture
 from jaxik.files.mesh import Meshes
 from jaxik.files.mjcf import load_mjcf
+from jaxik.files.notes import Notes
+from jaxik.files.packages import as_packages
 from jaxik.files.robot_toml import load_toml, read_toml
 from jaxik.files.shipped import locate
 from jaxik.files.unchecked_pairs import disabled_pairs, ignored
@@ -30,7 +32,7 @@ from jaxik.reasons import LoadError
 from jaxik.robot.chain import Chain, solid_links
 
 FIT = Fit()
-APART = "leave out pairs that touch by design (ignore=, srdf=)"
+APART = "leave out pairs that touch by design: ignore=, srdf= (--ignore, --srdf)"
 
 
 def load(
@@ -44,6 +46,7 @@ def load(
     srdf: str | Path | None = None,
     ignore: Any = (),
     posture: Any = None,
+    packages: Any = (),
 ) -> Chain:
     """The serial chain of a shipped model (`"p6r"`) or of a file: `.urdf`, `.xml` (MJCF) or `.toml`. Host.
 
@@ -51,8 +54,9 @@ def load(
     `tool` (4, 4) moves the tip [m]. `meshes=True` reads collision meshes and fits capsules around their convex hulls (`fit`;
     None puts one box around each mesh), with tables of the hulls' distance for links that pass too closely; without it a URDF
     with meshes has its kinematics, and `clearance` says what is missing. `srdf` names a file whose `disable_collisions` pairs
-    are not checked. `ignore` lists what is not checked, either: pairs of links, pairs of a link and an object of the scene,
-    whose name is not nearly a link's, and links that no object of a scene counts for.
+    are not checked, nor those of its `disable_default_collisions` links but for its `enable_collisions`; nor what an MJCF's
+    `exclude`, contype and conaffinity keep apart. `ignore` lists what is not checked, either: pairs of links, pairs of a link
+    and an object of the scene, whose name is not nearly a link's, and links that no object of a scene counts for.
 
     All that hangs on the chain belongs to it, with shapes and masses: joints beside it, those of a head, a gripper, another
     arm, are held. `posture` says where, by their names [rad, m], `{"panda_finger_joint1": 0.04}`; others are at 0 (MJCF: the
@@ -60,27 +64,34 @@ def load(
     0. A warning names those whose links have shapes, unless a posture is given: `{}` says that all of them are right so. What
     is above `base` is left out, and what flies freely in an MJCF.
 
-    A mesh `package://my_pkg/meshes/a.stl` is `meshes/a.stl` below the nearest folder above the model's file that is called
-    `my_pkg`. Any other name is a path from the file's folder, which stays below it (below the folder above, where the file's
-    own is called urdf, urdfs, xacro, robots, mjcf or xml). DAE needs `pip install "jaxik[dae]"`.
+    Damping and dry friction of a URDF's and an MJCF's joints are in `drives`, which are ideal otherwise: a current is a torque.
+    A warning, one line each, tells what a file has besides that the chain has not (springs, gravity of its own), and what it is
+    likely to mean otherwise (limits in degrees).
+
+    A mesh `package://my_pkg/meshes/a.stl` is `meshes/a.stl` in a folder `my_pkg`: the nearest above the model's file, else one
+    that `packages` names, or that is in a folder that it names (one, or a list), else one that ROS finds (`ROS_PACKAGE_PATH`,
+    `AMENT_PREFIX_PATH`). Any other name is a path from the file's folder, which stays below it (below the folder above, where
+    the file's own is called urdf, urdfs, xacro, robots, mjcf or xml). DAE needs `pip install "jaxik[dae]"`.
 
     Raises `LoadError` (a `ValueError`) with one line: the file, the element, what is allowed, the mend; and `ValueError` for a
-    `fit` without `meshes`, for a `posture` that is no mapping of names to finite numbers, and for MJCF without MuJoCo (the
-    extra `mjcf`).
+    `fit` without `meshes`, for `packages` that are no folders, for a `posture` that is no mapping of names to finite numbers,
+    and for MJCF without MuJoCo (the extra `mjcf`).
     """
     path = locate(source)
     tool = None if tool is None else np.asarray(rigid_frame("tool (tip_T_tool)", tool), np.float64)
     check_kind("load", "fit", fit, Fit, optional=True)
     if fit is not FIT and not meshes:
         raise ValueError(f"load: fit is {shown(fit)}, but no meshes are read; write meshes=True, or leave it out")
-    stance = _stance("load", posture)
-    chain, shapes, pairs = _read(path, tip, base, tool, Meshes(meshes, meshes and fit is not None), stance)
+    stance, shapes_of = _stance("load", posture), Meshes(meshes, meshes and fit is not None, as_packages("load", packages))
+    chain, shapes, pairs = _read(path, tip, base, tool, shapes_of, stance, notes := Notes())
     apart, beside = ignored(path, chain, ignore)
-    disabled = apart | disabled_pairs(srdf)
+    disabled = apart | notes.apart | disabled_pairs(srdf, notes.links or chain.link_names, notes)
+    for line in notes.lines():
+        warnings.warn(f"{shown(chain.name)}: {line}", stacklevel=2)
     chain = dataclasses.replace(chain, ignored=tuple(dict.fromkeys(chain.ignored + beside)))
     solid = {chain.link_names[i] for i in {*solid_links(chain), *(shape.link for shape in shapes)}}
     if posture is None and not chain.unread_meshes and (told := stance.told(solid)):
-        warnings.warn(f"{chain.name}: {told}", stacklevel=2)
+        warnings.warn(f"{shown(chain.name)}: {told}", stacklevel=2)
     if pairs is not None:
         names = chain.link_names
         kept = tuple(pair for pair in pairs if frozenset(names[i] for i in pair) not in disabled)
@@ -105,7 +116,7 @@ def _stance(who: str, posture: Any) -> Posture:
 
 
 def _read(
-    path: Path, tip: str | None, base: str | None, tool: np.ndarray | None, meshes: Meshes, posture: Posture
+    path: Path, tip: str | None, base: str | None, tool: np.ndarray | None, meshes: Meshes, posture: Posture, notes: Notes
 ) -> tuple[Chain, list[Shape], tuple[tuple[int, int], ...] | None]:
     """The chain of a file, the shapes that are to be fitted, and the pairs of links to check where the file says them."""
     kind, readers = path.suffix.lower(), {".urdf": load_urdf, ".xml": load_mjcf, ".mjcf": load_mjcf}
@@ -116,9 +127,10 @@ def _read(
             return chain, [], chain.self_pairs
         chain = load_toml(model, tip, base, tool, posture)
     elif kind in readers:
-        chain = readers[kind](path, tip, base, tool, meshes, posture)
+        chain = readers[kind](path, tip, base, tool, meshes, posture, notes)
     else:
-        raise LoadError(path, "file", f"ending '{kind}'", "allowed: .urdf, .xml (MJCF), .toml")
+        expand = f"; expand a xacro: xacro {path.name} > {path.name.partition('.')[0]}.urdf" if kind == ".xacro" else ""
+        raise LoadError(path, "file", f"ending '{kind}'", f"allowed: .urdf, .xml (MJCF), .toml{expand}")
     return chain, meshes.shapes(chain), None
 
 
@@ -141,10 +153,8 @@ def _tell(chain: Chain, what: str, at_home: Mapping[tuple[int, int], float | Non
     zero = "with all joints at 0 (or amid limits that leave 0 out)"
     if names and None not in at_home.values():  # hulls: what they do there, they are taken to do by design
         every = f"(*chain.self_pairs, {next(iter(at_home))})"
-        told = (
-            f"these pairs of links are not checked, because their {what} touch {zero}: {some}; ignore=[{names[0]}, ...] says "
-        )
-        told += f"that they may, dataclasses.replace(chain, self_pairs={every}) checks one"
+        told = f"these pairs of links are not checked, because their {what} touch {zero}: {some}; ignore=[{names[0]}, ...] "
+        told += f"(--ignore {':'.join(names[0])}) says that they may, dataclasses.replace(chain, self_pairs={every}) checks one"
     elif names:
         told = f"its {what} touch {zero}: {some}; {APART}"
     elif share > 0.5:
@@ -163,6 +173,7 @@ def fit_report(
     srdf: str | Path | None = None,
     ignore: Any = (),
     posture: Mapping[str, Any] | None = None,
+    packages: Any = (),
     progress: Callable[[int, int], None] | None = None,
 ) -> tuple[LinkFit, ...]:
     """What `load(..., meshes=True, fit=fit)` puts around each collision mesh of a file: one `LinkFit` a mesh. Host.
@@ -172,18 +183,25 @@ def fit_report(
     path = locate(source)
     check_kind("fit_report", "fit", fit, Fit)
     stance = _stance("fit_report", posture)
-    chain, shapes, _ = _read(path, tip, base, None, Meshes(True, True), stance)
-    disabled = disabled_pairs(srdf) | ignored(path, chain, ignore)[0]
+    chain, shapes, _ = _read(
+        path, tip, base, None, Meshes(True, True, as_packages("fit_report", packages)), stance, notes := Notes()
+    )
+    disabled = disabled_pairs(srdf, notes.links or chain.link_names, notes) | ignored(path, chain, ignore)[0] | notes.apart
     told = None if progress is None else lambda done: progress(done, FITS * len(shapes))
     return link_fits(chain, shapes, modelled(chain, shapes, fit, disabled, stance.behind, told))
 
 
 def link_meshes(
-    source: str | Path, tip: str | None = None, base: str | None = None, posture: Mapping[str, Any] | None = None
+    source: str | Path,
+    tip: str | None = None,
+    base: str | None = None,
+    posture: Mapping[str, Any] | None = None,
+    packages: Any = (),
 ) -> list[Shape]:
     """The collision meshes, boxes and cylinders of a file's links, in the frames of the joints that move them, to look at.
     Host."""
-    return _read(locate(source), tip, base, None, Meshes(True, True), _stance("link_meshes", posture))[1]
+    shapes_of = Meshes(True, True, as_packages("link_meshes", packages))
+    return _read(locate(source), tip, base, None, shapes_of, _stance("link_meshes", posture), Notes())[1]
 
 
 def load_scene(source: str | Path) -> Scene:

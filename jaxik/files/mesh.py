@@ -5,8 +5,9 @@ from __future__ import annotations
 import dataclasses
 import io
 import itertools
+from collections.abc import Sequence
 from importlib.util import find_spec
-from pathlib import Path, PurePosixPath
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -14,6 +15,7 @@ import numpy as np
 from jaxik.checks.arrays import numbers, rigid_frame
 from jaxik.checks.options import shown
 from jaxik.files.chain_builder import MAX_BYTES, Link
+from jaxik.files.packages import MEND, PACKAGE, in_package, package_of
 from jaxik.fitting.link_distance_tables import SECTIONS
 from jaxik.fitting.model import Shape
 from jaxik.reasons import LoadError
@@ -21,17 +23,18 @@ from jaxik.robot.chain import Chain
 
 # A ROS package keeps its model in urdf/ and its meshes beside that folder, so the model's folder is then the package's.
 _INNER_FOLDERS = ("urdf", "urdfs", "xacro", "robots", "mjcf", "xml")
-PACKAGE = "package://"
 FORMATS = (".stl", ".obj", ".ply", ".dae", ".off", ".glb")  # and no archive, whose size says nothing of its content's
 
 
 @dataclasses.dataclass
 class Meshes:
     """What is made of collision shapes: `fitted` ones are collected here while a file is read, in the frames of their links;
-    otherwise a mesh becomes the smallest box around it, if it is `read` at all. Spheres and capsules stay what they are."""
+    otherwise a mesh becomes the smallest box around it, if it is `read` at all. Spheres and capsules stay what they are.
+    `packages` are where meshes of ROS packages may lie."""
 
     read: bool
     fitted: bool
+    packages: tuple[Path, ...] = ()
     found: list[tuple[str, Shape]] = dataclasses.field(default_factory=list)
 
     def mesh(
@@ -87,16 +90,12 @@ def home(path: Path) -> Path:
     return folder.parent if folder.name in _INNER_FOLDERS else folder
 
 
-def resolve(path: Path, where: str, name: str, below: Path | None = None) -> Path | None:
-    """The file that a mesh name means: `package://name/...` (or with a third slash) below the nearest folder above of that
-    name, None where there is none; else a path below the model's own folder (or `below`). One that leaves it is refused."""
+def resolve(path: Path, where: str, name: str, below: Path | None = None, packages: Sequence[Path] = ()) -> Path | None:
+    """The file that a mesh name means: one of a package for `package://name/...`, None where there is no such package; else a
+    path below the model's own folder (or `below`). One that leaves it is refused."""
     folder, root = path.resolve().parent, below or home(path)
     if name.startswith(PACKAGE):
-        package, rest = _package(name)
-        above = [p for p in (folder, *folder.parents) if p.name == package]
-        if ".." in PurePosixPath(rest).parts or package in ("", ".", ".."):
-            raise LoadError(path, where, f"file '{name}' leaves its package", "name a file inside it")
-        return above[0] / rest if above else None
+        return in_package(path, where, name, packages)
     if "://" in name and not name.startswith("file://"):
         raise LoadError(path, where, f"file '{name}' is no file", "give a path or package://")
     try:
@@ -106,11 +105,6 @@ def resolve(path: Path, where: str, name: str, below: Path | None = None) -> Pat
     if not target.is_relative_to(root):
         raise LoadError(path, where, f"file '{name}' lies outside the model's folder", f"move it below {root.name}/")
     return target
-
-
-def _package(name: str) -> tuple[str, str]:
-    package, _, rest = name.removeprefix(PACKAGE).removeprefix("/").partition("/")
-    return package, rest
 
 
 def load_mesh(path: str | Path, frame: Any = None, scale: Any = 1.0) -> np.ndarray:
@@ -131,12 +125,16 @@ def load_mesh(path: str | Path, frame: Any = None, scale: Any = 1.0) -> np.ndarr
     return (points @ frame[:3, :3].T + frame[:3, 3])[faces]
 
 
-def read_mesh(path: Path, where: str, name: str, scale: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+def read_mesh(
+    path: Path, where: str, name: str, scale: np.ndarray, packages: Sequence[Path] = ()
+) -> tuple[np.ndarray, np.ndarray]:
     """The corners of a mesh (p, 3) [m], in its frame, and its triangles (f, 3)."""
-    target = resolve(path, where, name)
+    target = resolve(path, where, name, packages=packages)
     if target is None or not target.is_file():
-        package = f"no folder above the file is called '{_package(name)[0]}': give the robot's folder that name"
-        mend = f"{f'put it at {target}' if target else package}, or load with meshes=False for the kinematics alone"
+        package = f"no folder above the file is called '{package_of(name)[0]}': {MEND}"
+        mend = (
+            f"{f'put it at {target}' if target else package}, or load with meshes=False (--no-meshes) for the kinematics alone"
+        )
         raise LoadError(path, where, f"mesh '{name}' is not found", mend)
     return _parsed(path, where, name, target, scale)
 

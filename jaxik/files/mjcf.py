@@ -2,61 +2,136 @@
 
 from __future__ import annotations
 
+import contextlib
+import math
 from pathlib import Path
 from typing import Any
+from xml.etree.ElementTree import Element
 
 import numpy as np
 from numpy.polynomial import Polynomial
 
 from jaxik.checks.optional_modules import optional
-from jaxik.files.chain_builder import Joint, Link, assemble, displacement, way_up
+from jaxik.checks.options import among
+from jaxik.files.chain_builder import Joint, Link, all_driven, assemble, displacement, rubbing, way_up
 from jaxik.files.held_joints import Posture
 from jaxik.files.mesh import Meshes, add_box, add_capsule, add_cylinder, home, resolve
+from jaxik.files.mjcf_constraints import FREE, check_loops, note_contacts, solid_geoms
+from jaxik.files.notes import Notes
 from jaxik.files.xml import parse
 from jaxik.reasons import LoadError
 from jaxik.robot.chain import Chain
+from jaxik.robot.dynamics import GRAVITY
 from jaxik.spatial.rotations import frame, from_wxyz
 
 FOLDERS = ("meshdir", "texturedir", "assetdir")
 MOST_FILES = 100
-FREE = 0  # of MuJoCo's joint types
+COPYING = ("replicate", "composite", "flexcomp")  # elements that make as many of others as their count= says
+MOST_COPIES = 20_000
+LIGHT = 1e-12  # [kg, kg m2] the least that a body gets whose mass was its mesh's
 
 
-def load_mjcf(path: Path, tip: str | None, base: str | None, tool: np.ndarray | None, meshes: Meshes, held: Posture) -> Chain:
+def load_mjcf(
+    path: Path, tip: str | None, base: str | None, tool: np.ndarray | None, meshes: Meshes, held: Posture, notes: Notes
+) -> Chain:
     """The serial chain from body `base` (the world) to body or site `tip` (the only leaf), and what it carries, `held` in a
     posture; bodies that fly freely are no part of it."""
-    mujoco = optional(f"{path}: MJCF", "mujoco", "mjcf")
-    _check_files(path, path, set())
-    try:
-        model = mujoco.MjModel.from_xml_path(str(path))
-    except (ValueError, mujoco.FatalError) as error:
-        raise LoadError(path, "document", f"MuJoCo refuses it ({error})", "mend what it names") from None
+    model, unread = _compiled(path, meshes, notes)
     names = [model.body(i).name or f"body{i}" for i in range(model.nbody)]
+    notes.links = tuple(names)
     above = {names[i]: names[model.body_parentid[i]] for i in range(1, model.nbody)}
     sites = {model.site(i).name: model.site(i) for i in range(model.nsite)}
     if tip not in (*names, *sites, None):
-        raise LoadError(path, f"tip '{tip}'", "no such body or site", f"bodies: {', '.join(names)}")
+        raise LoadError(path, f"tip '{tip}'", "no such body or site", among(str(tip), names, "bodies"))
     tip_T_site = np.eye(4)
     if tip in sites and tip not in names:
         tip_T_site, tip = frame(sites[tip].pos, from_wxyz(sites[tip].quat)), names[sites[tip].bodyid[0]]
     *run, start = (names.index(name) for name in way_up(path, names, above, tip, base, "body"))
+    moved = {start: 0}
+    for i in run[::-1]:
+        moved[i] = moved[model.body_parentid[i]] + int(model.body_jntnum[i])
     joints = [j for i in run[::-1] for j in _body_joints(path, model, i, names[i])]
+    all_driven(joints)
+    _note_forces(model, run, names, notes)
     aside = _aside(model, {start, *run})
+    for i in aside:
+        moved[i] = moved[model.body_parentid[i]]
+    check_loops(path, model, names, moved, notes)
+    note_contacts(model, names, moved, notes)
     carried = held.hold(path, joints, [j for i in aside for j in _carried(path, model, i, names)])
-    links = {names[i]: _link(model, i, names[i], meshes) for i in (start, *run, *aside)}
+    solid = solid_geoms(model)
+    if meshes.read and not solid[np.isin(model.geom_bodyid, [*moved])].any():
+        notes.add("none of its geoms touches anything, by their contype and conaffinity: give them bits that meet")
+    links = {names[i]: _link(model, i, names[i], meshes, solid) for i in moved}
+    for name in {*unread} & {*links}:
+        links[name].meshes += unread[name]
     tool = tip_T_site if tool is None else tip_T_site @ tool
     return assemble(path, path.stem, names[start], joints, links, tool, carried=carried)
 
 
+def _note_forces(model: Any, run: list[int], names: list[str], notes: Notes) -> None:
+    """Tell of what acts on the chain in MuJoCo, and is in no torque here."""
+    joints = [i for i in range(model.njnt) if model.jnt_bodyid[i] in run]
+    dof = model.jnt_dofadr[joints]
+    springs = (model.jnt_stiffness[joints] != 0.0) | model.jnt_stiffnesspoly[joints].any(axis=1)
+    for told, of in (("stiffness", springs), ("damping beyond its linear term", model.dof_dampingpoly[dof].any(axis=1))):
+        if of.any():
+            notes.add(
+                f"the {told} is in no torque here", *(_label(model, i) for i, there in zip(joints, of, strict=True) if there)
+            )
+    if floating := [names[i] for i in run if model.body_gravcomp[i]]:
+        notes.add("gravcomp is not read: gravity pulls at the whole mass", *floating)
+    if not np.array_equal(model.opt.gravity, GRAVITY):
+        given = " ".join(f"{g:g}" for g in model.opt.gravity)
+        notes.add(f"gravity is {given} in its file, which no function reads; pass gravity= (--gravity)")
+
+
+def _compiled(path: Path, meshes: Meshes, notes: Notes) -> tuple[Any, dict[str, list[str]]]:
+    """MuJoCo's model; and the meshes of each body that are not there, which a chain without meshes does without."""
+    mujoco = optional(f"{path}: MJCF", "mujoco", "mjcf")
+    _check_files(path, path, set())
+    try:
+        return mujoco.MjModel.from_xml_path(str(path)), {}
+    except (ValueError, mujoco.FatalError) as error:
+        refused = LoadError(path, "document", f"MuJoCo refuses it ({error})", "mend what it names")
+    try:
+        spec = mujoco.MjSpec.from_file(str(path))
+        files = [*((spec.meshdir, mesh.file) for mesh in spec.meshes), *((spec.texturedir, t.file) for t in spec.textures)]
+        absent = [file for folder, file in files if file and not Path(spec.modelfiledir, folder, file).is_file()]
+        if absent and not meshes.read:
+            unread = _without_meshes(spec, notes)
+            return spec.compile(), unread
+    except (ValueError, mujoco.FatalError):
+        pass
+    raise refused from None
+
+
+def _without_meshes(spec: Any, notes: Notes) -> dict[str, list[str]]:
+    """Take a model's meshes away, and what is painted. Their names, by the body that they were on."""
+    found: dict[str, list[str]] = {}
+    named = {mesh.name or Path(mesh.file).stem for mesh in spec.meshes}
+    for geom in [*spec.geoms]:
+        geom.material = ""
+        if geom.meshname in named:
+            found.setdefault(body := geom.parent.name, []).append(geom.meshname)
+            if not geom.parent.explicitinertial:
+                notes.add("a mesh is missing, and the mass that it would give the body", body)
+            spec.delete(geom)
+    for part in (*spec.meshes, *spec.materials, *spec.textures):
+        spec.delete(part)
+    spec.compiler.boundmass = spec.compiler.boundinertia = LIGHT  # else bodies without a mass of their own are refused
+    return found
+
+
 def _aside(model: Any, chain: set[int]) -> list[int]:
     """The bodies that hang on a chain, none of them by a free joint; parents before children, as MuJoCo numbers them."""
-    found: list[int] = []
+    reached = dict.fromkeys(chain)
     for body in range(1, model.nbody):
         first, count = int(model.body_jntadr[body]), int(model.body_jntnum[body])
         free = count > 0 and model.jnt_type[first] == FREE
-        if body not in chain and model.body_parentid[body] in {*chain, *found} and not free:
-            found.append(body)
-    return found
+        if body not in chain and model.body_parentid[body] in reached and not free:
+            reached[body] = None
+    return [body for body in reached if body not in chain]
 
 
 def _carried(path: Path, model: Any, body: int, names: list[str]) -> list[tuple[str, Joint]]:
@@ -65,12 +140,15 @@ def _carried(path: Path, model: Any, body: int, names: list[str]) -> list[tuple[
     return [*zip((names[int(model.body_parentid[body])], *(j.child for j in run)), run, strict=False)]
 
 
-def _check_files(path: Path, model: Path, seen: set[Path], below: Path | None = None) -> None:
-    """Every file that `model` names in its part `path`, in includes and attached models too, lies `below` a folder."""
+def _check_files(path: Path, model: Path, seen: set[Path], below: Path | None = None, copies: float = 1.0) -> None:
+    """Every file that `model` names in its part `path`, in includes and attached models too, lies `below` a folder; and what is
+    copied, this part itself `copies` times, becomes no more than MuJoCo can build."""
     seen.add(path)
     if len(seen) > MOST_FILES:
         raise LoadError(model, "document", f"is made of more than {MOST_FILES} files", "write it in fewer")
     document = parse(path, "mujoco" if len(seen) == 1 else None)  # what is included is stripped of its root
+    parts = _copied(model, document, copies)
+    attached = max((count for part, count in parts.items() if part.tag == "attach"), default=1.0)
     below = below or home(path)
     folders = ["", *(c.get(key, "") for c in document.iter("compiler") for key in FOLDERS)]
     for element in document.iter():
@@ -80,7 +158,26 @@ def _check_files(path: Path, model: Path, seen: set[Path], below: Path | None = 
             for folder in ("",) if part or key in FOLDERS else folders:
                 target = resolve(model, where, str(Path(folder) / name), below)
             if part and target is not None and target not in seen:
-                _check_files(target, target if element.tag == "model" else model, seen, below)
+                whose = target if element.tag == "model" else model
+                _check_files(target, whose, seen, below, parts.get(element, attached))
+
+
+def _copied(model: Path, document: Element, copies: float) -> dict[Element, float]:
+    """How often each `<include>` and `<attach>` of a document is copied, itself `copies` times. Refuse too many copies."""
+    parts, made, left = {}, 0.0, [(document, copies)]
+    while left:
+        element, count = left.pop()
+        if element.tag in COPYING:
+            with contextlib.suppress(ValueError):  # what is no number MuJoCo refuses
+                count *= math.prod(max(float(word), 1.0) for word in element.get("count", "1").split())
+        if element.tag in ("include", "attach"):
+            parts[element] = count
+        made += count if count > 1.0 else 0.0
+        left += [(child, count) for child in element]
+    if not made <= MOST_COPIES:
+        mend = f"at most {MOST_COPIES} are built: lower count= of {', '.join(f'<{tag}>' for tag in COPYING)}"
+        raise LoadError(model, "document", f"makes {made:.3g} elements by copying", mend)
+    return parts
 
 
 def _body_joints(path: Path, model: Any, body: int, name: str, beside: bool = False) -> list[Joint]:
@@ -100,7 +197,7 @@ def _body_joints(path: Path, model: Any, body: int, name: str, beside: bool = Fa
             mend = "drive it as a joint of its own: remove the equality"
             raise LoadError(path, f"joint '{label}'", "an equality couples it to another (mimic)", mend)
         if kind is None:
-            mend = "allowed: hinge, slide; pass base= to start below it"
+            mend = "allowed: hinge, slide; pass base= (--base) to start below it"
             raise LoadError(path, f"joint '{label}'", "a free or ball joint on the chain", mend)
         limited, anchor, axis = bool(joint.limited[0]), frame(joint.pos), np.asarray(joint.axis, dtype=np.float64)
         lower, upper = (float(x) for x in joint.range) if limited else (-np.inf, np.inf)
@@ -109,6 +206,8 @@ def _body_joints(path: Path, model: Any, body: int, name: str, beside: bool = Fa
         back = displacement(kind, axis, -reference) if reference else np.eye(4)
         run.append(Joint(label, kind, pending @ anchor @ back, f"{name}/{label}", axis, lower, upper, default=reference))
         run[-1].armature = float(model.dof_armature[joint.dofadr[0]])
+        if not beside:
+            rubbing(path, run[-1], float(model.dof_frictionloss[joint.dofadr[0]]), float(model.dof_damping[joint.dofadr[0]]))
         run[-1].effort = _effort(model, i)
         run[-1].mimic = _law(model, coupled[i]) if i in coupled else None
         pending = np.linalg.inv(anchor)
@@ -151,7 +250,7 @@ def _law(model: Any, row: int) -> tuple[str, Polynomial]:
     return _label(model, second) if second >= 0 else "", law
 
 
-def _link(model: Any, body: int, name: str, meshes: Meshes) -> Link:
+def _link(model: Any, body: int, name: str, meshes: Meshes, solid: np.ndarray) -> Link:
     import mujoco
 
     turn, kinds = from_wxyz(model.body_iquat[body]), mujoco.mjtGeom
@@ -161,7 +260,7 @@ def _link(model: Any, body: int, name: str, meshes: Meshes) -> Link:
     for i in range(first, first + count):
         geom = model.geom(i)
         kind, size = geom.type[0], geom.size.tolist()
-        if not (geom.contype[0] or geom.conaffinity[0]) or kind == kinds.mjGEOM_PLANE:
+        if not solid[i] or kind == kinds.mjGEOM_PLANE:
             continue  # drawn only, or without end
         body_T_geom = frame(geom.pos, from_wxyz(geom.quat))
         if kind == kinds.mjGEOM_SPHERE:

@@ -15,7 +15,8 @@ from typing import Any, get_args
 
 import numpy as np
 
-from jaxik.checks.options import nearest, shown
+from jaxik.checks.options import among, nearest, shown
+from jaxik.collision.scene import LIMIT
 from jaxik.files.chain_builder import JOINT_TYPES, Joint, Link, assemble, read_bytes, symmetric, unique, way_up
 from jaxik.files.held_joints import Posture
 from jaxik.files.mesh import resolve
@@ -32,6 +33,7 @@ UNITS = {
     "plain": {"": 1.0},
 }
 ORIGINS = ("paper", "catalogue", "stand-in")
+TURNS = 4.0 * math.pi  # [rad] what few joints turn
 CORNERS = {"sphere": 1, "capsule": 2, "triangle": 3}  # of swept-sphere volumes
 Shape = tuple[int, ...]
 CARRIED = 9  # models in one another
@@ -88,6 +90,22 @@ class Table:
 
     def number(self, key: str, unit: str, default: float | None = None) -> float:
         return float(self.array(key, unit, (), default))
+
+    def metres(self, key: str, values: np.ndarray) -> np.ndarray:
+        """The lengths that were read under `key`. Refuse one of a robot's in metres that is likely in millimetres."""
+        far = np.isfinite(values) & (np.abs(values) > LIMIT)
+        if key in self.content and far.any():
+            problem = f"{key} holds {values[far].flat[0]:g} m, over {LIMIT:g} m"
+            raise self.fail(problem, f"lengths are metres, not millimetres: write {key}_mm")
+        return values
+
+    def turned(self, key: str, default: float | None = None) -> float:
+        """Likewise an angle of a robot. Refuse one in radians of more than two turns, which is likely in degrees."""
+        value = self.number(key, "angle", default)
+        if key in self.content and TURNS < abs(value) < math.inf:
+            mend = f"write {key}_deg = {value:g} for degrees, and so many turns in degrees"
+            raise self.fail(f"{key} = {value:g} rad, over {TURNS:.4g}", mend)
+        return value
 
     def finite(self, key: str, shape: Shape, least: float = -math.inf, unit: str = "plain", default: Any = None) -> np.ndarray:
         """Likewise numbers that are finite, at least one of them, and none less than `least`."""
@@ -181,9 +199,10 @@ def _numeric(value: Any) -> bool:
 
 def read_toml(path: Path) -> Table:
     """The whole file as a table."""
+    content = read_bytes(path)
     try:
-        return Table(path, "file", tomllib.loads(read_bytes(path).decode()))
-    except (tomllib.TOMLDecodeError, UnicodeDecodeError, RecursionError) as error:
+        return Table(path, "file", tomllib.loads(content.decode()))
+    except (ValueError, RecursionError) as error:  # of the syntax, of UTF-8, and of an integer of too many digits
         raise LoadError(path, "document", f"malformed TOML ({error})", "mend the syntax") from None
 
 
@@ -253,7 +272,7 @@ def _model(row: Table, name: str, files: tuple[Path, ...]) -> tuple[list[Joint],
 
 
 def _frame(table: Table) -> np.ndarray:
-    translation = table.array("translation", "length", (3,), np.zeros(3))
+    translation = table.metres("translation", table.array("translation", "length", (3,), np.zeros(3)))
     return frame(translation, table.turn())
 
 
@@ -266,8 +285,8 @@ def _joint(table: Table, name: str, kind: str, convention: str) -> tuple[list[Jo
         before = _frame(table)
         axis = table.array("axis", "plain", (3,), (0.0, 0.0, 1.0))
     else:
-        a, d = (table.number(key, "length", 0.0) for key in ("a", "d"))
-        alpha, theta = (table.number(key, "angle", 0.0) for key in ("alpha", "theta"))
+        a, d = (float(table.metres(key, table.array(key, "length", (), 0.0))) for key in ("a", "d"))
+        alpha, theta = (table.turned(key, 0.0) for key in ("alpha", "theta"))
         turned, twisted = frame((0, 0, d), from_rpy((0, 0, theta))), frame((a, 0, 0), from_rpy((alpha, 0, 0)))
         axis = np.array([0.0, 0.0, 1.0])
         # Craig's (modified) row twists before its joint turns, the standard row after [Craig 2005, ch. 3]
@@ -275,7 +294,9 @@ def _joint(table: Table, name: str, kind: str, convention: str) -> tuple[list[Jo
     joint = Joint(name, kind, before, link_name, axis)
     if kind != "fixed":
         least, most = (-np.inf, np.inf) if kind == "continuous" else (None, None)
-        joint.lower, joint.upper = table.number("lower", unit, least), table.number("upper", unit, most)
+        slid = lambda key, default: float(table.metres(key, table.array(key, "length", (), default)))
+        limit = slid if kind == "prismatic" else table.turned
+        joint.lower, joint.upper = limit("lower", least), limit("upper", most)
         joint.velocity = table.number("velocity", unit, np.inf)
         joint.effort = table.number("effort", "plain", np.inf)
         joint.drive = read_drive(table)
@@ -318,14 +339,15 @@ def _inertia(table: Table) -> Link:
 def _shape(table: Table, links: dict[str, Link], names: list[str]) -> None:
     name = table.text("link", "base")
     if name not in names:
-        raise table.fail(f"no such link '{name[:40]}'", f"links: {', '.join(sorted(names))}")
+        raise table.fail(f"no such link '{name[:40]}'", among(name, sorted(names), "links"))
     link = links.setdefault(name, Link())
     kind = table.text("kind", None, ("box", *CORNERS))
     if kind == "box":
-        half = table.finite("size", (3,), unit="length") / 2.0
+        half = table.metres("size", table.finite("size", (3,), unit="length")) / 2.0
         if not np.all(half > 0.0):
             raise table.fail("'size' is not positive", "write three sizes > 0")
         link.boxes.append((frame(table.finite("center", (3,), unit="length", default=np.zeros(3)), table.turn()), half))
     else:
-        corners, radius = table.finite("points", (CORNERS[kind], 3), unit="length"), table.finite("radius", (), 0.0, "length")
+        corners = table.metres("points", table.finite("points", (CORNERS[kind], 3), unit="length"))
+        radius = table.metres("radius", table.finite("radius", (), 0.0, "length"))
         link.volumes.append((corners, float(radius)))

@@ -10,12 +10,14 @@ from xml.etree import ElementTree
 import numpy as np
 
 from jaxik.collision.volumes import box_spheres
+from jaxik.files.notes import listed
 from jaxik.robot.chain import Body, Chain
+from jaxik.robot.drive import Drive
 from jaxik.spatial.rotations import to_rpy
 
 LOST = (
     "the .srdf beside it names the pairs of links that are not to be checked; tables of distances, ignored objects and the "
-    "inertia of rotors are lost"
+    "inertia of rotors are lost, and of drives all but coulomb and viscous friction"
 )
 
 
@@ -25,7 +27,7 @@ def spherized(chain: Chain, beyond: float) -> tuple[str, float]:
     Raises `ValueError` for a chain whose meshes were not read.
     """
     if chain.unread_meshes:
-        raise ValueError(f"save: the meshes of {', '.join(chain.unread_meshes)} are not read; load with meshes=True")
+        raise ValueError(f"save: the meshes of {listed(chain.unread_meshes)} are not read; load with meshes=True (--meshes)")
     root = ElementTree.Element("robot", name=chain.name)
     names = _frame_names(chain)
     spheres: dict[int, list[tuple[np.ndarray, float]]] = {i: [] for i in range(len(chain.link_names))}
@@ -56,6 +58,8 @@ def spherized(chain: Chain, beyond: float) -> tuple[str, float]:
         effort = chain.effort[i] if np.isfinite(chain.effort[i]) else 0.0  # which the format wants of every joint
         limit = ends | {"velocity": chain.velocity[i], "effort": effort}
         ElementTree.SubElement(joint, "limit", {k: repr(float(v)) for k, v in limit.items() if np.isfinite(v)})
+        if chain.drives:
+            ElementTree.SubElement(joint, "dynamics", _friction(chain.drives[i]))
     placed = zip(chain.link_names, chain.link_joint, chain.link_offset, strict=True)
     fixed = [(name, names[joint], offset) for name, joint, offset in placed if name not in names]
     for name, parent, frame in (*fixed, (tool, names[-1], chain.joint_T_tip)):
@@ -90,6 +94,13 @@ def _inertial(element: ElementTree.Element, body: Body) -> None:
     ElementTree.SubElement(inertial, "mass", value=repr(float(body.mass)))
     entries = {f"i{'xyz'[i]}{'xyz'[j]}": repr(float(body.inertia[i, j])) for i in range(3) for j in range(i, 3)}
     ElementTree.SubElement(inertial, "inertia", entries)
+
+
+def _friction(drive: Drive) -> dict[str, str]:
+    """What a drive rubs at its joint, as a URDF has it."""
+    ratio = float(drive.ratio) if drive.friction.side == "motor" else 1.0
+    rubs = {"friction": ratio * float(drive.friction.coulomb), "damping": ratio**2 * float(drive.friction.viscous)}
+    return {key: repr(value) for key, value in rubs.items()}
 
 
 def _joined(root: Any, name: str, kind: str, parent: str, child: str, frame: Any) -> ElementTree.Element:

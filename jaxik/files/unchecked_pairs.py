@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 import itertools
-from collections.abc import Iterable
+from collections.abc import Collection, Iterable
 from pathlib import Path
 from typing import Any
 from xml.etree import ElementTree
 
-from jaxik.checks.options import nearest, shown
+from jaxik.checks.options import among, nearest, shown
+from jaxik.files.notes import Notes
 from jaxik.files.writing import write_text
 from jaxik.files.xml import attribute, parse
 from jaxik.reasons import LoadError
@@ -34,7 +35,7 @@ def ignored(path: Path, chain: Chain, entries: Any) -> tuple[frozenset[frozenset
             raise LoadError(path, what, "is no link and no pair of names", 'write "link" or ("link", "other")')
         link, other = names
         if link not in chain.link_names:
-            raise LoadError(path, what, f"no such link '{link[:40]}'", f"links: {', '.join(chain.link_names)}")
+            raise LoadError(path, what, f"no such link '{link[:40]}'", among(link, chain.link_names, "links"))
         if other in chain.link_names:
             apart.append(frozenset(names))
         elif meant := nearest(other, chain.link_names, ALIKE):
@@ -45,12 +46,30 @@ def ignored(path: Path, chain: Chain, entries: Any) -> tuple[frozenset[frozenset
     return frozenset(apart), tuple(dict.fromkeys(beside))
 
 
-def disabled_pairs(srdf: str | Path | None) -> frozenset[frozenset[str]]:
-    """The pairs of every `<disable_collisions link1= link2=>` of a file, if there is one."""
+def disabled_pairs(srdf: str | Path | None, links: Collection[str], notes: Notes) -> frozenset[frozenset[str]]:
+    """The pairs of a robot's `links` that a file, if there is one, says are not checked: those of `<disable_collisions>`, and
+    those of a link in `<disable_default_collisions>` that no `<enable_collisions>` names.
+
+    Refuse a file that names links and none of these; tell of those that it names besides.
+    """
     if srdf is None:
         return frozenset()
-    found = parse(Path(srdf), "robot").findall("disable_collisions")
-    return frozenset(frozenset(attribute(Path(srdf), "<disable_collisions>", e, k) for k in ("link1", "link2")) for e in found)
+    path = Path(srdf)
+    root = parse(path, "robot")
+    names = lambda e, *keys: frozenset(attribute(path, f"<{e.tag}>", e, key) for key in keys)
+    pairs = lambda tag: {names(e, "link1", "link2") for e in root.findall(tag)}
+    off, on = pairs("disable_collisions"), pairs("enable_collisions")
+    alone = frozenset().union(*(names(e, "link") for e in root.findall("disable_default_collisions")))
+    named = dict.fromkeys(sorted(alone.union(*off, *on)))
+    strangers = [name for name in named if name not in links]
+    if named and len(strangers) == len(named):
+        robot = shown(root.get("name", ""))
+        raise LoadError(path, f"robot '{robot}'", "none of its links is in this robot", among(strangers[0], [*links], "links"))
+    if strangers:
+        meant = nearest(strangers[0], [*links])
+        mend = f"; did you mean '{meant}' by the first?" if meant else ""
+        notes.add(f"{path.name} ('{shown(root.get('name', ''))}') names these links, which the robot has not{mend}", *strangers)
+    return frozenset(off | ({frozenset((link, other)) for link in alone for other in links if link != other} - on))
 
 
 def unchecked(chain: Chain) -> list[tuple[str, str]]:

@@ -2,44 +2,69 @@
 
 from __future__ import annotations
 
+import collections
 from pathlib import Path
 from xml.etree.ElementTree import Element
 
 import numpy as np
 from numpy.polynomial import Polynomial
 
-from jaxik.files.chain_builder import JOINT_TYPES, Joint, Link, assemble, symmetric, unique, way_up
+from jaxik.checks.options import among
+from jaxik.files.chain_builder import JOINT_TYPES, Joint, Link, all_driven, assemble, rubbing, symmetric, unique, way_up
 from jaxik.files.held_joints import Posture
 from jaxik.files.mesh import Meshes, add_box, add_capsule, add_cylinder, read_mesh
-from jaxik.files.xml import attribute, number, numbers, parse
+from jaxik.files.notes import Notes
+from jaxik.files.robot_toml import TURNS
+from jaxik.files.xml import XACRO, attribute, number, numbers, parse
 from jaxik.reasons import LoadError
 from jaxik.robot.chain import Chain
 from jaxik.spatial.rotations import frame, from_rpy
 
+DEGREES = 1080.0  # a limit beyond them is meant to be none
 
-def load_urdf(path: Path, tip: str | None, base: str | None, tool: np.ndarray | None, meshes: Meshes, held: Posture) -> Chain:
+
+def load_urdf(
+    path: Path, tip: str | None, base: str | None, tool: np.ndarray | None, meshes: Meshes, held: Posture, notes: Notes
+) -> Chain:
     """The serial chain from link `base` (the root) to link `tip` (the only leaf), and what it carries, `held` in a posture."""
     root = parse(path, "robot")
+    _refuse_xacro(path, root)
     elements = {kind: root.findall(kind) for kind in ("link", "joint")}
     for kind, found in elements.items():
         unique(path, kind, (attribute(path, f"a <{kind}>", e, "name") for e in found))
     links = {str(e.get("name")): e for e in elements["link"]}
-    above = _parents(path, elements["joint"], links)
+    above, notes.links = _parents(path, elements["joint"], links), tuple(links)
     *below, first = way_up(path, [*links], {child: parent for child, (_, parent) in above.items()}, tip, base)
-    run, names = [_joint(path, above[link][0], link) for link in below], [first, *below]
-    carried = held.hold(path, run, _carried(path, names, above))
+    run, names = [_joint(path, above[link][0], link, notes) for link in below], [first, *below]
+    all_driven(run)
+    carried = held.hold(path, run, _carried(path, names, above, notes))
     content = {name: _link(path, name, links[name], meshes) for name in (*names, *(j.child for _, j in carried))}
+    seen = {tag: any(links[name].find(tag) is not None for name in content) for tag in ("visual", "collision")}
+    if meshes.read and seen["visual"] and not seen["collision"]:
+        notes.add("none of its links has a <collision>, and a <visual> is not read: copy it where it is to be collided with")
     return assemble(path, root.get("name", path.stem), first, run[::-1], content, tool, carried=carried)
 
 
-def _carried(path: Path, chain: list[str], above: dict[str, tuple[Element, str]]) -> list[tuple[str, Joint]]:
+def _refuse_xacro(path: Path, root: Element) -> None:
+    """Refuse a URDF that is still to be made, by its tags or by a value of its links and joints."""
+    for part in root:
+        values = (value for e in part.iter() for value in e.attrib.values()) if part.tag in ("link", "joint") else ()
+        if "xacro}" in part.tag or any("${" in value for value in values):
+            tag = part.tag.rpartition("}")[2]
+            raise LoadError(path, f"<{tag}>", "is xacro, of which a robot is still to be made", XACRO.format(path))
+
+
+def _carried(path: Path, chain: list[str], above: dict[str, tuple[Element, str]], notes: Notes) -> list[tuple[str, Joint]]:
     """The joints that lead aside from the chain, and on from there: a head, a hand's fingers, a camera. With their parents."""
     found: list[tuple[str, Joint]] = []
+    on_chain, below = {*chain}, collections.defaultdict(list)
+    for child, (element, parent) in above.items():
+        below[parent].append((element, child))
     reached = list(chain)
     for parent in reached:  # grows while it is read
-        aside = [child for child, (_, link) in above.items() if link == parent and child not in chain]
-        found += [(parent, _joint(path, above[child][0], child, beside=True)) for child in aside]
-        reached += aside
+        aside = [(element, child) for element, child in below[parent] if child not in on_chain]
+        found += [(parent, _joint(path, element, child, notes, beside=True)) for element, child in aside]
+        reached += [child for _, child in aside]
     return found
 
 
@@ -50,7 +75,7 @@ def _parents(path: Path, joints: list[Element], links: dict[str, Element]) -> di
         parent, child = (attribute(path, f"{where} <{k}>", element.find(k), "link") for k in ("parent", "child"))
         for link in (parent, child):
             if link not in links:
-                raise LoadError(path, where, f"link '{link}' is not defined", f"links: {', '.join(links)}")
+                raise LoadError(path, where, f"link '{link}' is not defined", among(link, [*links], "links"))
         if child in above:
             raise LoadError(path, where, f"link '{child}' has two parent joints", "a chain needs a tree")
         above[child] = (element, parent)
@@ -63,15 +88,17 @@ def _origin(path: Path, where: str, element: Element) -> np.ndarray:
     return frame(translation, from_rpy(numbers(path, where, origin, "rpy", "0 0 0", 3)))
 
 
-def _joint(path: Path, element: Element, child: str, beside: bool = False) -> Joint:
+def _joint(path: Path, element: Element, child: str, notes: Notes, beside: bool = False) -> Joint:
     """A joint of the chain; or one beside it, which may be of any type and follow another."""
     name = str(element.get("name"))
     where = f"joint '{name}'"
     kind = attribute(path, where, element, "type")
     if kind not in JOINT_TYPES and not beside:
-        raise LoadError(path, where, f"type '{kind}' is not supported", f"allowed: {', '.join(JOINT_TYPES)}")
+        mend = f"allowed: {', '.join(JOINT_TYPES)}; pass base= (--base) to start below it"
+        raise LoadError(path, where, f"type '{kind}' is not supported", mend)
     joint = Joint(name, kind if kind in JOINT_TYPES else "fixed", _origin(path, where, element), child)
     if joint.type == "fixed":
+        joint.stands = "" if kind == "fixed" else kind
         return joint
     mimic = element.find("mimic")
     if mimic is not None and not beside:
@@ -86,7 +113,19 @@ def _joint(path: Path, element: Element, child: str, beside: bool = False) -> Jo
     if limit is not None and not (beside and kind == "continuous"):
         joint.lower, joint.upper = (number(path, where, limit, k, "0") for k in ("lower", "upper"))
         joint.velocity, joint.effort = (number(path, where, limit, k, "0") or np.inf for k in ("velocity", "effort"))
+    if not beside:
+        _note_limits(joint, limit, kind, notes)
+        dynamics = element.find("dynamics")
+        rubbing(path, joint, *(number(path, where, dynamics, k, "0") for k in ("friction", "damping")))
     return joint
+
+
+def _note_limits(joint: Joint, limit: Element | None, kind: str, notes: Notes) -> None:
+    """Tell of limits that are probably none: forgotten ones, and degrees."""
+    if limit is not None and kind != "continuous" and not {"lower", "upper"} & {*limit.keys()}:
+        notes.add("has no lower and no upper in its <limit>, which locks it at 0; write them", joint.name)
+    if kind == "revolute" and any(TURNS < abs(end) <= DEGREES for end in (joint.lower, joint.upper)):
+        notes.add(f"has a limit beyond {TURNS:.3g} rad; are these degrees? a URDF has radians", joint.name)
 
 
 def _link(path: Path, name: str, element: Element, meshes: Meshes) -> Link:
@@ -127,7 +166,7 @@ def _shape(path: Path, owner: str, origin: np.ndarray, shape: Element, link: Lin
         name = attribute(path, f"{where} <mesh>", shape, "filename")
         scale = numbers(path, f"{where} <mesh>", shape, "scale", "1 1 1", 3)
         if meshes.read:
-            meshes.mesh(owner, link, name, origin, *read_mesh(path, where, name, scale))
+            meshes.mesh(owner, link, name, origin, *read_mesh(path, where, name, scale, meshes.packages))
         else:
             link.meshes.append(name)  # whatever it is: kinematics need none
     else:

@@ -13,6 +13,8 @@ from defusedxml.ElementTree import fromstring
 from jaxik.files.chain_builder import read_bytes
 from jaxik.reasons import LoadError
 
+XACRO = "expand it: xacro {0.name} > {0.stem}_expanded.urdf"
+
 
 def parse(path: Path, root_tag: str | None) -> Element:
     """The root element; entities, external references and a root of another tag (None: any will do) are refused."""
@@ -23,7 +25,8 @@ def parse(path: Path, root_tag: str | None) -> Element:
         problem = f"a document type or entity ({type(error).__name__})"
         raise LoadError(path, "document", problem, "robot files need none: remove the declaration") from None
     except (ParseError, ValueError, LookupError) as error:  # LookupError: an encoding that Python does not know
-        raise LoadError(path, "document", f"malformed XML ({error})", "mend the syntax") from None
+        mend = XACRO.format(path) if b"<xacro:" in content else "mend the syntax"
+        raise LoadError(path, "document", f"malformed XML ({error})", mend) from None
     if root_tag is not None and root.tag != root_tag:
         raise LoadError(path, f"element <{root.tag}>", f"the root is not <{root_tag}>", f"give a file with <{root_tag}>")
     return root

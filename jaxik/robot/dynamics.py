@@ -364,6 +364,6 @@ def _judge(who: str, chain: Chain) -> None:
         if not 0.0 <= rotor < np.inf:
             raise ValueError(f"{who}: the armature of joint '{name}' is {rotor:g}; allowed: finite numbers >= 0")
         check_mass(what, body.mass, body.com, body.inertia)
-        driven |= bool(body.mass > 0.0 or rotor > 0.0)
+        driven |= bool(body.mass > 0.0 or np.any(body.inertia) or rotor > 0.0)
         if not driven:
             raise ValueError(f"{what} has no mass, nor has anything beyond it; write a mass, or an armature of the joint")

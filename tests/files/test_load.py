@@ -4,6 +4,7 @@ import io
 import itertools
 import json
 import struct
+import sys
 import zipfile
 
 import jax
@@ -11,11 +12,12 @@ import numpy as np
 import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
-from robot_files import URDF, refused, write
+from robot_files import ARM, URDF, refused, write
 from robots import FOLDER, ROBOTS
 
 import jaxik
 from jaxik.files import targets as target_files
+from jaxik.files import urdf
 from jaxik.files.chain_builder import MAX_BYTES
 
 TOML = """name = "arm"
@@ -41,6 +43,7 @@ size = [0.1, 0.1, 0.2]
 MJCF = """<mujoco><worldbody><body name="upper"><joint name="shoulder" axis="0 0 1"/><geom size=".1"/>
 <body name="tool" pos=".3 0 0"><joint name="wrist" type="slide" axis="0 1 0" range="0 .4"/><geom size=".05"/></body></body>
 </worldbody></mujoco>"""
+NESTED = '<replicate count="1000">' * 3 + '<geom size=".1"/>' + "</replicate>" * 3 + "<body"
 SCENE = """name = "s"
 [[object]]
 name = "leaf"
@@ -93,6 +96,57 @@ def test_urdf_refusals(tmp_path, old, new, words):
     refused(write(tmp_path, "arm.urdf", text), *words)
 
 
+PLANAR = URDF.replace('type="continuous"', 'type="planar"')
+SHAPE = "<collision><geometry><sphere radius='.02'/></geometry></collision>"
+
+
+@pytest.mark.parametrize(
+    "text, words",
+    [
+        (URDF.replace("<robot", '<robot xmlns:xacro="http://ros.org/wiki/xacro"').replace("</robot>", "<xacro:arm/></robot>"),
+         ("<arm>", "is xacro", "xacro arm.urdf > arm_expanded.urdf")),
+        (URDF.replace("</robot>", "<xacro:arm/></robot>"), ("malformed XML", "expand it: xacro arm.urdf > arm_expanded.urdf")),
+        (URDF.replace('xyz="0 0 0.1"', 'xyz="0 0 ${a}"'), ("<joint>", "is xacro", "expand it")),
+        (PLANAR, ("joint 'wrist'", "planar", "pass base= (--base) to start below it")),
+    ],
+)  # fmt: skip
+def test_what_is_to_be_made_of_it_first(tmp_path, text, words):
+    refused(write(tmp_path, "arm.urdf", text), *words)
+    refused(write(tmp_path, "arm.urdf.xacro", text), "ending '.xacro'", "xacro arm.urdf.xacro > arm.urdf")
+
+
+@pytest.mark.parametrize(
+    "text, words",
+    [
+        (URDF.replace('lower="-1" upper="1" ', ""), "arm: shoulder: has no lower and no upper in its <limit>, which locks"),
+        (URDF.replace('lower="-1"', 'lower="-180"'), "arm: shoulder: has a limit beyond 12.6 rad; are these degrees?"),
+        (
+            PLANAR.replace('<link name="tool"/>', f'<link name="tool">{SHAPE}</link>'),
+            r"joints .* wrist \(planar\) where it stands",
+        ),
+        (URDF.replace('lower="-1" upper="1"', 'lower="-1e9" upper="1e9"'), None),  # without end
+    ],
+)
+def test_what_is_probably_a_slip_is_told(tmp_path, text, words):
+    path = write(tmp_path, "arm.urdf", text)
+    if words is None:
+        assert jaxik.load(path, tip="upper").num_joints == 1
+        return
+    with pytest.warns(UserWarning, match=words):
+        jaxik.load(path, tip="upper")
+
+
+def test_what_is_drawn_alone_is_told(tmp_path):
+    """A URDF without collision shapes is hit by nothing, whatever it looks like."""
+    drawn = SHAPE.replace("collision", "visual")
+    path = write(tmp_path, "arm.urdf", URDF.replace('<link name="tool"/>', f'<link name="tool">{drawn}</link>'))
+    with pytest.warns(UserWarning, match=r"arm: none of its links has a <collision>, and a <visual> is not read"):
+        chain = jaxik.load(path, meshes=True)
+    with pytest.raises(ValueError, match=r"no collision geometry; .* <collision> of a URDF"):
+        jaxik.clearance(chain, jaxik.make_scene(), np.zeros(2))
+    assert jaxik.load(path) == chain
+
+
 def test_base_and_tip_are_found_or_refused(tmp_path):
     path = write(tmp_path, "arm.urdf", URDF)
     assert jaxik.load(path, tip="upper").joint_names == ("shoulder",)
@@ -131,6 +185,11 @@ def test_base_and_tip_are_found_or_refused(tmp_path):
         ("[[shape]]", "[[shapes]]", ("unknown key 'shapes'", "did you mean 'shape'?")),
         ("[[shape]]", "[shape]", ("list of tables",)),
         ("[[joint]]", "[[joint", ("malformed TOML",)),
+        ("upper_mm = 400", f"upper_mm = {'9' * 5000}", ("malformed TOML", "limit")),
+        ("upper_mm = 400", "upper = 400", ("joint 'lift'", "upper holds 400 m, over 100 m", "write upper_mm")),
+        ("translation_mm = [300", "translation = [300", ("joint 'turn'", "translation holds 300 m", "write translation_mm")),
+        ("size = [0.1", "size = [120", ("shape 1", "size holds 120 m", "write size_mm")),
+        ("lower_deg = -90", "lower = -90", ("joint 'turn'", "lower = -90 rad, over 12.57", "write lower_deg = -90")),
     ],
 )
 def test_toml_refusals(tmp_path, old, new, words):
@@ -158,6 +217,9 @@ def test_toml_refusals(tmp_path, old, new, words):
         ("<worldbody>", '<include file="/etc/hostname"/><worldbody>', ("outside",)),
         ("<mujoco>", f"{EXTERNAL.replace('robot', 'mujoco')}<mujoco>", ("entity",)),
         ("<worldbody>", "<world>", ("malformed XML",)),
+        ("<body", '<replicate count="100000000"><geom size=".1"/></replicate><body', ("2e+08 elements", "at most 20000")),
+        ("<body", NESTED, ("e+09 elements", "at most")),
+        ("<body", '<body><flexcomp type="grid" count="999 999 999" name="f"/></body><body', ("9.97e+08", "lower count=")),
     ],
 )
 def test_mjcf_refusals(tmp_path, old, new, words):
@@ -184,6 +246,47 @@ def test_files_of_an_attached_model_stay_below_the_folder(tmp_path):
         write(part, "hand.xml", content)
         with pytest.raises(jaxik.LoadError, match=r"outside|entity|malformed"):
             jaxik.load(path)
+
+
+def test_copies_of_what_is_included_are_counted(tmp_path):
+    """However the file is cut; what is copied often enough is small, or is refused."""
+    inside = '<mujocoinclude><replicate count="{}" offset="1 0 0"><geom size=".1"/></replicate></mujocoinclude>'
+    outside = '<replicate count="100" offset="0 1 0"><include file="more.xml"/></replicate>'
+    path = write(tmp_path, "arm.xml", MJCF.replace("<worldbody>", f"<worldbody>{outside}", 1))
+    write(tmp_path, "more.xml", inside.format(1000))
+    refused(path, "2e+05 elements by copying", "<replicate>")
+    write(tmp_path, "more.xml", inside.format(3))
+    assert len(jaxik.load(path, tip="tool").volumes) == 302
+
+
+def test_a_star_of_links_is_read_in_the_time_of_a_line_of_links(tmp_path):
+    """Each joint is looked at a few times, however many hang on one link."""
+    count, steps = 1000, 0
+    joint = '<link name="l{0}"/><joint name="k{0}" type="fixed"><parent link="upper"/><child link="l{0}"/></joint>'
+    star = "".join(joint.format(i) for i in range(count))
+    path = write(tmp_path, "arm.urdf", URDF.replace("</robot>", f"{star}</robot>"))
+
+    def step(frame, event, arg):
+        nonlocal steps
+        steps += 1
+        return step if frame.f_code.co_filename == urdf.__file__ else None
+
+    sys.settrace(step)
+    try:
+        chain = jaxik.load(path, tip="tool")
+    finally:
+        sys.settrace(None)
+    assert len(chain.link_names) == count + 3 and steps < 1000 * count
+
+
+def test_a_line_is_bounded_whatever_the_names(tmp_path):
+    name = "n" * 5000
+    many = "".join(f'<link name="{name}{i}"/>' for i in range(50))
+    path = write(tmp_path, "arm.urdf", URDF.replace("</robot>", f"{many}</robot>"))
+    for options in ({}, {"tip": name}, {"base": name}, {"tip": "tool", "ignore": [(name, "tool")]}):
+        with pytest.raises(jaxik.LoadError) as error:
+            jaxik.load(path, **options)
+        assert len(str(error.value)) < 1500 + len(str(path))
 
 
 def test_an_include_has_any_root(tmp_path):
@@ -232,6 +335,33 @@ def test_a_mesh_that_is_not_there_is_named_with_where_it_was_looked_for(tmp_path
     refused(arm("../a.dae"), "mesh '../a.dae': reading DAE needs pycollada", 'pip install "jaxik[dae]"', meshes=True)
 
 
+def test_packages_are_found_as_ros_finds_them(tmp_path, monkeypatch):
+    """Above the file, then in `packages`, then in the environment; the package itself, or what holds it, or its repository."""
+    for variable in ("ROS_PACKAGE_PATH", "AMENT_PREFIX_PATH"):
+        monkeypatch.delenv(variable, raising=False)
+    model = tmp_path / "model"
+    model.mkdir()
+    path = write(model, "arm.urdf", with_mesh("package://hand/m.obj"))
+    edges = {"ws/repo/hand": 1.0, "prefix/share/hand": 2.0, "elsewhere/hand": 3.0, "model/hand": 4.0}
+    for place, edge in edges.items():
+        corners = "\n".join(f"v {x} {y} {z}" for x in (0, edge) for y in (0, edge) for z in (0, edge))
+        (tmp_path / place).mkdir(parents=True)
+        write(tmp_path / place, "m.obj", f"{corners}\nf 1 2 3\nf 5 6 8\n")
+    size = lambda path, *packages: 2.0 * jaxik.load(path, meshes=True, fit=None, packages=packages).boxes[0].half[0]
+    refused(path, "called 'hand'", "packages= (--packages)", "ROS_PACKAGE_PATH or AMENT_PREFIX_PATH", meshes=True)
+    assert np.isclose(size(path, tmp_path / "elsewhere"), 3.0) and np.isclose(size(path, str(tmp_path / "elsewhere/hand")), 3.0)
+    assert np.isclose(size(path, model, tmp_path / "elsewhere"), 4.0)
+    monkeypatch.setenv("AMENT_PREFIX_PATH", str(tmp_path / "prefix"))
+    assert np.isclose(size(path), 2.0)
+    monkeypatch.setenv("ROS_PACKAGE_PATH", f"{tmp_path / 'absent'}:{tmp_path / 'ws'}")
+    assert np.isclose(size(path), 1.0) and np.isclose(size(path, tmp_path / "elsewhere"), 3.0)
+    assert np.isclose(size(write(model / "hand", "arm.urdf", path.read_text()), tmp_path / "elsewhere"), 4.0)
+    refused(write(model, "away.urdf", with_mesh("package://hand/../m.obj")), "leaves its package", meshes=True)
+    for wrong in ("absent", [tmp_path / "absent"], 3):
+        with pytest.raises(ValueError, match=r"^load: packages: .* is no folder"):
+            jaxik.load(path, packages=wrong)
+
+
 def test_a_third_slash_is_no_fault(tmp_path):
     """`package:///name/...` is `package://name/...`, and no way out of the package."""
     folder = tmp_path / "my_robot" / "urdf"
@@ -273,6 +403,40 @@ def test_a_file_that_is_not_there_is_said_to_be_that(tmp_path, ending):
     refused(tmp_path / f"{400 * 'a'}{ending}", "cannot be read", "too long", reader=READERS[ending])
     with pytest.raises(jaxik.LoadError, match="null"):
         READERS[ending](f"a\0{ending}")
+
+
+SRDF = '<robot name="arm">{}</robot>'
+ALONE = '<disable_default_collisions link="{}"/>'
+PAIR = '<{}_collisions link1="{}" link2="{}"/>'
+
+
+@pytest.mark.parametrize(
+    "content, checked",
+    [
+        ("", {"base arm", "base tip"}),
+        (PAIR.format("disable", "tip", "base"), {"base arm"}),
+        (ALONE.format("base"), set()),
+        (ALONE.format("base") + PAIR.format("enable", "base", "arm"), {"base arm"}),
+        (ALONE.format("tip") + PAIR.format("enable", "base", "tip") + PAIR.format("disable", "base", "tip"), {"base arm"}),
+    ],
+)
+def test_an_srdf_says_which_pairs_are_checked(tmp_path, content, checked):
+    """As MoveIt reads it: what is disabled is so even if it is enabled, too."""
+    path, srdf = write(tmp_path, "arm.urdf", ARM), write(tmp_path, "arm.srdf", SRDF.format(content))
+    chain = jaxik.load(path, srdf=srdf)
+    assert {" ".join(chain.link_names[i] for i in pair) for pair in chain.self_pairs} == checked
+
+
+def test_links_of_an_srdf_that_are_not_there(tmp_path):
+    """Those of a larger robot, or misspelt; a file that has no link of the robot is another's."""
+    path, pair = write(tmp_path, "arm.urdf", ARM), PAIR.format("disable", "tip", "bse")
+    with pytest.warns(UserWarning, match=r"bse: a\.srdf \('arm'\) names these links, .* has not; did you mean 'base'"):
+        jaxik.load(path, srdf=write(tmp_path, "a.srdf", SRDF.format(pair)))
+    alien = write(tmp_path, "b.srdf", SRDF.format(PAIR.format("disable", "l1", "l2")).replace("arm", "zzz"))
+    with pytest.raises(jaxik.LoadError, match=r"b\.srdf: robot 'zzz': none of its links is in this robot; .*links: base, hub"):
+        jaxik.load(path, srdf=alien)
+    beyond = write(tmp_path, "c.srdf", SRDF.format(PAIR.format("disable", "base", "tip")))
+    assert jaxik.load(path, base="hub", srdf=beyond).link_names == ("hub", "arm", "tip")  # the base is the robot's, too
 
 
 def test_siblings_of_a_robot_file_that_are_not_there(tmp_path):

@@ -65,6 +65,25 @@ def test_against_mujoco(tmp_path):
         assert np.abs(matrices[i] - mass).max() <= 1e-10 * np.abs(mass).max()
 
 
+ROTORS = """<robot name="rotors"><link name="base"/><link name="rotor"><inertial><origin xyz="0 0.1 0" rpy="0.3 0 0"/>
+<mass value="0"/><inertia ixx="1" ixy="0" ixz="0" iyy="1" iyz="0" izz="1.5"/></inertial></link>
+<link name="arm"><inertial><origin xyz="0.3 0 0"/>
+<mass value="1"/><inertia ixx=".5" ixy="0" ixz="0" iyy=".5" iyz="0" izz=".5"/></inertial></link>
+<link name="wheel"><inertial><mass value="0"/><inertia ixx=".3" ixy="0" ixz="0" iyy=".3" iyz="0" izz=".4"/></inertial></link>
+<joint name="turn" type="continuous"><parent link="base"/><child link="rotor"/><axis xyz="0 0 1"/></joint>
+<joint name="bend" type="continuous"><parent link="rotor"/><child link="arm"/><origin xyz="0.4 0 0"/><axis xyz="0 1 0"/></joint>
+<joint name="weld" type="fixed"><parent link="arm"/><child link="wheel"/><origin xyz="0 0.2 0" rpy="1 0 0"/></joint></robot>"""
+
+
+def test_an_inertia_without_a_mass_counts(tmp_path):
+    """Rotors that a file writes so: of a link that moves alone, and of one that is welded to another."""
+    path = write(tmp_path, "rotors.urdf", ROTORS)
+    chain = jaxik.load(path)
+    assert max(deviations(chain, of_urdf(path, chain), FORCES[:3]).values()) <= 1e-12
+    massless = write(tmp_path, "none.urdf", ROTORS.replace('mass value="1"', 'mass value="0"'))
+    assert [float(body.mass) for body in jaxik.load(massless).bodies] == [0.0, 0.0]
+
+
 def test_forward_undoes_inverse():
     q, v, a, _, w = states(ARM, 500, seed=1)
     torque = jax.vmap(lambda *given: robot.inverse_dynamics(ARM, *given))(q, v, a, w)
@@ -161,7 +180,6 @@ def _with_last(**changes):
 REFUSED = {
     "has no bodies; write mass": lambda q: robot.mass_matrix(jaxik.load("p6r"), np.zeros(7)),
     "mass of -1 kg": lambda q: robot.inverse_dynamics(_with_last(mass=np.array(-1.0)), q, q, q),
-    "mass of 0 kg and an inertia": lambda q: robot.gravity_torque(_with_last(mass=np.array(0.0)), q),
     "'wrist_3_joint' of ur5 moves has no mass, nor": lambda q: robot.forward_dynamics(
         dataclasses.replace(_with_last(mass=np.zeros(()), inertia=np.zeros((3, 3))), armature=np.zeros(6)), q, q, q
     ),
