@@ -19,6 +19,7 @@ from jaxik.checks.arrays import numbers
 from jaxik.collision.distance import passes_through
 from jaxik.robot.chain import Array
 from jaxik.spatial.algebra import Vec3
+from jaxik.spmd import kernel
 
 SAME = 1e-7  # of its size: corners of a surface that are nearer to each other are one; files have them in float32
 FLAT = 1e-6  # of its size, that a polygon's corners may be out of its plane
@@ -30,10 +31,15 @@ def surfaces_cross(first: Float[Array, "k 3 3"], second: Float[Array, "m 3 3"]) 
     The test of Van Henten et al. (2003, sec. 4.3.2, after Boyse 1979), to compare with; `collides` does not look at what is
     far, and sees what is wholly inside.
     """
-    columns = lambda surface: [Vec3(*(jnp.asarray(surface)[:, i, k] for k in range(3))) for i in range(3)]
-    mine, theirs = [Vec3(*(x[:, None] for x in corner)) for corner in columns(first)], columns(second)
+    each = jax.vmap(jax.vmap(_triangles_cross, (None, 0)), (0, None))
+    return jnp.any(each(jnp.asarray(first), jnp.asarray(second)))
+
+
+@kernel
+def _triangles_cross(first: Any, second: Any) -> Any:
+    mine, theirs = ([Vec3(*corner) for corner in triangle] for triangle in (first, second))
     pairs = (mine, theirs), (theirs, mine)
-    return jnp.any(functools.reduce(operator.or_, (passes_through(a[i - 1], a[i], *b) for a, b in pairs for i in range(3))))
+    return functools.reduce(operator.or_, (passes_through(a[i - 1], a[i], *b) for a, b in pairs for i in range(3)))
 
 
 def bounding_box(corners: Any) -> tuple[np.ndarray, np.ndarray]:

@@ -19,6 +19,7 @@ from jaxik.checks.options import as_count
 from jaxik.robot.chain import Array, Box, Chain, Volume, as_configuration
 from jaxik.robot.kinematics import joint_frames
 from jaxik.spatial.algebra import Frame, Scalar, Vec3, traced
+from jaxik.spmd import kernel
 
 LEVELS = {1: 0, 8: 1, 64: 2, 512: 3}
 
@@ -117,11 +118,14 @@ def link_circles(chain: Chain, q: Float[Array, " n"], circles: int = 11, around:
     What the box penalty of IJE 2022 (`costs.box_penalty`) asks for: "the surface of the link is considered as a series of
     circles" (sec. 5). The capsules' numbers must be concrete. Raises `ValueError` where the chain has none.
     """
-    lines = [v for v in chain.volumes if v.corners.shape[0] == 2]
-    if not lines:
+    if not any(v.corners.shape[0] == 2 for v in chain.volumes):
         raise ValueError(f"{chain.name}: has no cylindrical link; add capsules to its file")
-    circles, around = as_count("link_circles: circles", circles), as_count("link_circles: around", around)
-    q = as_configuration(chain, q)
+    return _link_circles(chain, as_count("link_circles: circles", circles), as_count("link_circles: around", around), q)
+
+
+@kernel(models=3)
+def _link_circles(chain: Chain, circles: int, around: int, q: Any) -> jax.Array:
+    q, lines = as_configuration(chain, q), [v for v in chain.volumes if v.corners.shape[0] == 2]
     root = Frame.of(chain.world_T_base, float(np.finfo(q.dtype).eps))
     frames = (root, *joint_frames(chain, traced(q), root, q.dtype).joints)
     links = np.repeat([v.link for v in lines], circles * around)

@@ -44,11 +44,10 @@ CALLS = {  # name -> (function of arrays, arrays)
     "collision.object_clearances": (lambda q: collision.object_clearances(ARM, SCENE, q), Q),
     "collision.self_clearance": (lambda q: collision.self_clearance(ARM, q), Q),
     "collision.surfaces_cross": (collision.surfaces_cross, jnp.ones((4, 3, 3)), jnp.zeros((5, 3, 3))),
-    "control.locate_contact": (lambda q: control.locate_contact(ARM, q, 0.1 * q, 6, [0.0, 0.0, 0.2]), Q),
+    "control.locate_contact": (lambda q: control.locate_contact(ARM, q, 0.1 * q, 6, [[0.0, 0.0, 0.0], [0.0, 0.0, 0.2]]), Q),
     "control.reflect": (lambda q: control.reflect(ARM, q, TOUCH), Q),
     "control.reflect_cost": (lambda q: control.reflect_cost(ARM, q, HOLD), Q),
     "ik.descend": (lambda q: ik.descend(ARM, POSE, q), Q),
-    "ik.implicit_ik": (lambda q: ik.implicit_ik(ARM, POSE, q), Q),
     "motions.asc": (lambda q: motions.asc(ARM, q, MOTION, HOLD), Q),
     "motions.motion": (lambda t: motions.motion(motions.Line(POSE, POSE.at[0, 3].add(0.1)), 1.0, t), jnp.linspace(0, 1, 9)),
     "motions.rac": (lambda q: motions.rac(ARM, q, q, MOTION, HOLD), Q),
@@ -83,12 +82,14 @@ CALLS = {  # name -> (function of arrays, arrays)
     "spatial.rotation_exp": (spatial.rotation_exp, V),
     "spatial.rotation_log": (spatial.rotation_log, POSE[:3, :3]),
 }
-LONGER = {  # what is no function of a moment: whole descents, searches and simulations, and what makes a cost or a robot
+# what is no function of a moment: descents, searches, equations of optimality, simulations; and what makes a cost or a robot
+LONGER = {
     "analytic.general_solutions",
     "control.contact_cost",
     "control.over_log",
     "control.simulate_reaction",
     "control.simulate_teleoperation",
+    "ik.implicit_ik",
     "motions.energy_cost",
     "motions.predict",
     "motions.quadratic_cost",
