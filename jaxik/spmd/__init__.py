@@ -13,6 +13,7 @@ on disk), `primitive` (batches, derivatives, lowering). `host` calls a kernel on
 a function. `docs/kernels.md` tells it from the beginning.
 """
 
+from jaxik.spmd import jax_version as jax_version  # first: it may refuse
 from jaxik.spmd import rules
 from jaxik.spmd.decorator import kernel
 from jaxik.spmd.explanation import Explanation, explain

@@ -10,14 +10,13 @@ import functools
 import os
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
-from pathlib import Path
 from typing import Any, TypeVar
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 
-from jaxik.spmd import HostKernel, Unsupported
+from jaxik.spmd import HostKernel, Unsupported, cache
 
 Cached = TypeVar("Cached", bound=Any)
 GATHERED = 16384  # rows at a time that are made for a kernel: few calls, and they stay in the caches
@@ -87,7 +86,10 @@ def _by_blocks(function: Callable[..., list[np.ndarray]], columns: tuple[np.ndar
 
 def compilation_cache() -> None:
     """JAX's persistent cache, so that the second run compiles nothing. Only the commands, and workers, call this."""
-    folder = Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache") / "jaxik"
+    own = cache.user_folder()
+    if own is None:
+        return
+    folder = own / "jaxik"
     try:
         folder.mkdir(parents=True, exist_ok=True)
     except OSError:

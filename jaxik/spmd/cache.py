@@ -5,7 +5,9 @@ from __future__ import annotations
 import contextlib
 import hashlib
 import os
+import stat
 import tempfile
+from collections.abc import Callable
 from pathlib import Path
 
 import jax
@@ -15,33 +17,70 @@ LIMIT = 2**28  # bytes of the objects on disk, some 10,000 kernels; beyond, thos
 _unseen = LIMIT  # bytes that this process has written since it last looked how large the folder is
 
 
+def user_folder() -> Path | None:
+    """The user's folder for what can be made again [XDG]; None for a user without a home."""
+    given = os.environ.get("XDG_CACHE_HOME", "")
+    if os.path.isabs(given):  # any other is to be ignored
+        return Path(given)
+    try:
+        return Path.home() / ".cache"
+    except RuntimeError:
+        return None
+
+
 def cache_folder() -> Path | None:
-    """Where compiled kernels lie: beside JAX's compilation cache, or in the user's cache folder; None where JAXIK_CACHE is
-    "off"."""
+    """Where compiled kernels lie: beside JAX's compilation cache, if that is a folder, or in the user's; None where there is
+    neither, and where JAXIK_CACHE is "off"."""
     if os.environ.get("JAXIK_CACHE", "") == "off":
         return None
     beside = jax.config.values["jax_compilation_cache_dir"]
-    if beside:
+    if beside and "://" not in str(beside):
         return Path(beside) / "kernels"
-    return Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache") / "jaxik" / "kernels"
+    own = user_folder()
+    return own and own / "jaxik" / "kernels"
 
 
 def read(name: str) -> bytes | None:
-    """The object of that name; None if there is none, or one that is damaged or somebody else's."""
+    """The object of that name; None if there is none, or one that is damaged, or that somebody else could have written: it is
+    machine code, and will run."""
     folder = cache_folder()
     if folder is None:
         return None
     try:
-        path = folder / name
-        if hasattr(os, "getuid") and path.stat().st_uid != os.getuid():
-            return None
-        content = path.read_bytes()
+        content = _read(folder, name)
     except OSError:
         return None
-    with contextlib.suppress(OSError):  # a folder to read only
-        os.utime(path)
     check, image = content[:32], content[32:]
     return image if image and hashlib.sha256(image).digest() == check else None
+
+
+def drop(name: str) -> None:
+    """Away with an object that is whole and of no use."""
+    folder = cache_folder()
+    if folder is not None:
+        with contextlib.suppress(OSError):
+            (folder / name).unlink()
+
+
+def _read(folder: Path, name: str) -> bytes:
+    """What is judged is what is read: each is opened once, by no link. Raises `OSError`."""
+    inside = os.open(folder, os.O_RDONLY | getattr(os, "O_DIRECTORY", 0))
+    try:
+        file = os.open(name, os.O_RDONLY | getattr(os, "O_NOFOLLOW", 0) | getattr(os, "O_NONBLOCK", 0), dir_fd=inside)
+        with os.fdopen(file, "rb") as opened:
+            if not (_ours_alone(inside, stat.S_ISDIR) and _ours_alone(file, stat.S_ISREG)):
+                raise PermissionError(f"{folder / name}: others may write to it")
+            with contextlib.suppress(OSError):  # a folder to read only
+                os.utime(file)
+            return opened.read()
+    finally:
+        os.close(inside)
+
+
+def _ours_alone(opened: int, kind: Callable[[int], bool]) -> bool:
+    """Whether it is of that kind, this user's, or of the machine's own, and nobody else may write to it."""
+    state = os.fstat(opened)
+    return kind(state.st_mode) and state.st_uid in (os.getuid(), 0) and not state.st_mode & 0o022
 
 
 def write(name: str, image: bytes) -> None:

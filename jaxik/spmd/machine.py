@@ -5,6 +5,7 @@ from __future__ import annotations
 import ctypes
 import ctypes.util
 import functools
+import itertools
 import sys
 import threading
 from typing import Any
@@ -50,6 +51,7 @@ def target_machine(quick: bool = False) -> Any:
 
 _lock = threading.Lock()
 _kept: list[Any] = []  # compiled code lives as long as the process: an executable may call it at any time
+_tries = itertools.count()
 
 
 @functools.cache
@@ -96,6 +98,6 @@ def linked(image: bytes, *names: str) -> list[int]:
     for name in names:
         builder.export_symbol(name)
     with _lock:
-        library = builder.link(_jit(), names[0])
+        library = builder.link(_jit(), f"{names[0]}_{next(_tries)}")  # one that failed keeps its name
         _kept.append(library)
         return [int(library[name]) for name in names]

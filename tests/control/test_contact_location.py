@@ -42,7 +42,8 @@ def test_few_joints_tell_what_they_feel():
 
 
 @pytest.mark.parametrize(
-    ("joint", "axis", "noise"), [(3, [[0.0, 0.0, 0.1], [-0.39, 0.0, 0.1]], 1e-3), (5, [[0.0, 0.0, 0.0], [0.0, 0.12, 0.1]], 0.02)]
+    ("joint", "axis", "noise"),
+    [(3, [[0.0, 0.0, 0.1], [-0.39, 0.0, 0.1]], 1e-3), (5, [[0.0, 0.0, 0.0], [0.0, 0.12, 0.1]], 0.02)],
 )
 def test_a_place_is_told_only_where_no_other_explains_the_torques(joint, axis, noise):
     """With three joints nearly any place does, by a force of its own; NumPy's least squares is asked of each. With more, and
