@@ -23,6 +23,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from jaxik.analytic.families import solver_of
 from jaxik.analytic.solutions import BRANCHES
 from jaxik.ik import seeds
 from jaxik.ik.enumeration import enumerable, enumerated
@@ -115,15 +116,17 @@ def _of_the_rest(problem: Problem) -> Problem:
     """How what the closed form's branches do not answer is searched for: of six joints, whose branches are all, from these put
     inside the limits, as there may be an answer within the tolerances, or joints that turn against each other where they are in
     line; of others as if there were none."""
-    if problem.chain.num_joints > 6 or problem.strategy != "closed_form" or not _is_exact(problem):
+    if not _is_known(problem):
         return problem
     few = min(BRANCHES, problem.options.max_seeds)
     return dataclasses.replace(problem, options=dataclasses.replace(problem.options, choice="first", max_seeds=few))
 
 
-def _is_exact(problem: Problem) -> bool:
-    """Whether what has no exact solution has none within the tolerances."""
-    return bool(max(np.max(problem.options.position_tolerance), np.max(problem.options.rotation_tolerance)) <= EXACT)
+def _is_known(problem: Problem) -> bool:
+    """Whether the branches of six joints are all answers, and what has no exact solution has none within the tolerances."""
+    if problem.chain.num_joints > 6 or problem.strategy != "closed_form" or np.max(problem.tolerance, initial=0.0) > EXACT:
+        return False
+    return solver_of(problem.chain).proves
 
 
 def _out_of_reach(problem: Problem, poses: np.ndarray) -> np.ndarray:
@@ -201,8 +204,7 @@ def _beyond_limits(problem: Problem, poses: np.ndarray, reason: np.ndarray) -> n
     left = np.flatnonzero(reason == OPEN)
     if not len(left):
         return reason
-    known = problem.chain.num_joints == 6 and problem.strategy == "closed_form" and not problem.options.locked
-    if known and _is_exact(problem):
+    if _is_known(problem) and not problem.options.locked:
         reason[left] = np.where(seeds.any_branch(problem.chain, poses[left]), Reason.LIMITS, Reason.OUT_OF_REACH)
         left = left[reason[left] == Reason.OUT_OF_REACH]  # unless the posture that stands for many at a singular pose is none
     held = problem.low == problem.high  # what is locked stays so
