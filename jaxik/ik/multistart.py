@@ -8,6 +8,8 @@ costs what one lane does.
 Every number in this is a target's own: which seeds it gets, how many steps each runs, and that the first seed that leads to an
 answer is taken. So a target has the same result alone and among a million.
 
+Where the robot may hit nothing but itself, few first answers do: what is searched for again are the targets of those.
+
 With a scene an answer must also keep `margin` of clearance. Where no seed leads to such a posture, those that have the pose and
 collide, far apart from each other, are the starts of a second search, which holds the pose and moves the spare joints until the
 clearance, as a constraint, is kept. Or the free branch is one that few lanes land on, as next to a singularity they creep: so
@@ -30,7 +32,7 @@ from jaxik.ik.enumeration import enumerable, enumerated
 from jaxik.ik.improvement import PUSHED, hopped, improved, is_fixed, pushed
 from jaxik.ik.problem import Problem
 from jaxik.ik.refinement import EARLY, OPEN, SOLVED, STEPS, Misses, compile_finisher, rescued, searched, settling
-from jaxik.ik.solutions import Found, at_home, candidates, judged, nothing, portions, within
+from jaxik.ik.solutions import Found, at_home, candidates, cleared, judged, nothing, portions, top, within
 from jaxik.reasons import Reason
 from jaxik.robot.reach_bound import reach_bound
 
@@ -65,6 +67,24 @@ class Wave(NamedTuple):
 
 def search(problem: Problem, poses: np.ndarray, valid: np.ndarray) -> Outcome:
     """Answers for the poses (N, 4, 4) that are `valid` (N,), or reasons."""
+    if not (problem.alone and problem.first_will_do):
+        return _searched_for(problem, poses, valid)
+    blind = _searched_for(dataclasses.replace(problem, scene=None), poses, valid)
+    first = blind.found.rows(top(blind.found.target, -blind.found.seed, 1))
+    free, stuck = judged(problem, first)
+    blind = Outcome(blind.reason, free, stuck, cleared(problem, blind.missed))
+    if not len(stuck.q):
+        return blind
+    again = np.zeros(len(poses), bool)
+    again[stuck.target] = True
+    rest = _searched_for(problem, poses, again)
+    reason = np.where(again, np.where(rest.reason == SOLVED, SOLVED, Reason.COLLISION), blind.reason)
+    stuck = stuck.rows(reason[stuck.target] != SOLVED)
+    return Outcome(reason, Found.joined([free, rest.found]), Found.joined([stuck, rest.stuck]), blind.missed)
+
+
+def _searched_for(problem: Problem, poses: np.ndarray, valid: np.ndarray) -> Outcome:
+    """Likewise, by the problem's own scene throughout."""
     none, misses = nothing(problem), Misses(problem)
     reason = np.where(valid, np.where(_out_of_reach(problem, poses), Reason.OUT_OF_REACH, OPEN), Reason.INVALID)
     answers, blocked = [none], [none]
@@ -115,8 +135,8 @@ def search(problem: Problem, poses: np.ndarray, valid: np.ndarray) -> Outcome:
 def _of_the_rest(problem: Problem) -> Problem:
     """How what the closed form's branches do not answer is searched for: of six joints, whose branches are all, from these put
     inside the limits, as there may be an answer within the tolerances, or joints that turn against each other where they are in
-    line; of others as if there were none."""
-    if not _is_known(problem):
+    line; of others, and where these collide, as if there were none."""
+    if problem.alone or not _is_known(problem):
         return problem
     few = min(BRANCHES, problem.options.max_seeds)
     return dataclasses.replace(problem, options=dataclasses.replace(problem.options, choice="first", max_seeds=few))

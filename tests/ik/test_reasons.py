@@ -34,7 +34,7 @@ def test_an_arm_that_is_nearly_of_a_family_has_no_false_proof(name, angle):
     chain = turned(jaxik.load(name), angle)
     assert not jaxik.analytic.closed_form_obstacle(chain)
     targets = poses_at_the_wrist(chain, 300)
-    result = jaxik.solve_ik(chain, targets)
+    result = jaxik.solve_ik(chain, targets, collision=False)
     assert result.counts() == {"solved": 300}
     pose = pinocchio(chain)
     assert max(max(pose_errors(pose(q), target)) for q, target in zip(result.q, targets, strict=True)) < 1.001e-6
