@@ -31,7 +31,7 @@ from jaxik.ik import seeds
 from jaxik.ik.enumeration import enumerable, enumerated
 from jaxik.ik.improvement import PUSHED, hopped, improved, is_fixed, pushed
 from jaxik.ik.problem import Problem
-from jaxik.ik.refinement import EARLY, OPEN, SOLVED, STEPS, Misses, compile_finisher, rescued, searched, settling
+from jaxik.ik.refinement import EARLY, OPEN, SOLVED, STEPS, Misses, compile_finisher, loosened, rescued, searched, settling
 from jaxik.ik.solutions import Found, at_home, candidates, cleared, judged, nothing, portions, top, within
 from jaxik.reasons import Reason
 from jaxik.robot.reach_bound import reach_bound
@@ -114,6 +114,8 @@ def _searched_for(problem: Problem, poses: np.ndarray, valid: np.ndarray) -> Out
         if wave.pushes and OPEN in reason:  # more seeds cost less than moving out of obstacles
             blocked = [still_blocked()]
             note((hopped if is_fixed(problem) else pushed)(problem, poses, blocked[0], wave.pushes))
+    if OPEN in reason:
+        note(*loosened(problem, poses, misses.loose(reason)))
     missed = none
     if OPEN in reason:
         missed = misses.nearest(poses, reason)
