@@ -98,22 +98,25 @@ def _searched_for(problem: Problem, poses: np.ndarray, valid: np.ndarray) -> Out
         stuck = Found.joined(blocked)
         return stuck.rows(reason[stuck.target] == OPEN)
 
-    asked = problem
+    asked, waves = problem, _waves(problem.options.max_seeds, problem.first_will_do, problem.scene is not None)
+    stages = [waves]
     if OPEN in reason and enumerable(problem):
         note(enumerated(problem, poses, np.flatnonzero(reason == OPEN)))
-        problem = _of_the_rest(problem)
+        if not problem.alone and _is_known(problem):
+            problem, stages = _of_the_rest(problem)
     if OPEN in reason:
         compile_finisher(settling(problem), problem.chain.num_joints)
-    waves = _waves(problem.options.max_seeds, problem.first_will_do, problem.scene is not None)
-    while waves and len(left := np.flatnonzero(reason == OPEN)):
-        wave, waves = _joined_waves(waves, len(left))
-        for some in portions(left, wave.size):
-            note(*_search_wave(problem, poses, some, wave, misses))
-        if wave.rescues and OPEN in reason:  # what is left by now is near a singularity, or unreachable
-            note(*rescued(problem, poses, misses.near(reason)))
-        if wave.pushes and OPEN in reason:  # more seeds cost less than moving out of obstacles
-            blocked = [still_blocked()]
-            note((hopped if is_fixed(problem) else pushed)(problem, poses, blocked[0], wave.pushes))
+    for number, waves in enumerate(stages):
+        worth = misses.close(reason) if number else np.ones(len(poses), bool)
+        while waves and len(left := np.flatnonzero(worth & (reason == OPEN))):
+            wave, waves = _joined_waves(waves, len(left))
+            for some in portions(left, wave.size):
+                note(*_search_wave(problem, poses, some, wave, misses))
+            if wave.rescues and OPEN in reason:  # what is left by now is near a singularity, or unreachable
+                note(*rescued(problem, poses, misses.near(reason)))
+            if wave.pushes and OPEN in reason:  # more seeds cost less than moving out of obstacles
+                blocked = [still_blocked()]
+                note((hopped if is_fixed(problem) else pushed)(problem, poses, blocked[0], wave.pushes))
     if OPEN in reason:
         note(*loosened(problem, poses, misses.loose(reason)))
     missed = none
@@ -130,18 +133,18 @@ def _searched_for(problem: Problem, poses: np.ndarray, valid: np.ndarray) -> Out
         return Outcome(reason, found, none, none)
     stuck = still_blocked()
     reason[stuck.target] = Reason.COLLISION
-    reason = _beyond_limits(problem, poses, reason)
+    reason = _beyond_limits(problem, poses, reason, misses)
     return Outcome(reason, found, at_home(problem, stuck), at_home(problem, missed))
 
 
-def _of_the_rest(problem: Problem) -> Problem:
-    """How what the closed form's branches do not answer is searched for: of six joints, whose branches are all, from these put
+def _of_the_rest(problem: Problem) -> tuple[Problem, list[tuple[Wave, ...]]]:
+    """How what the branches of six joints, which are all, do not answer is searched for, and in which stages: from these put
     inside the limits, as there may be an answer within the tolerances, or joints that turn against each other where they are in
-    line; of others, and where these collide, as if there were none."""
-    if problem.alone or not _is_known(problem):
-        return problem
-    few = min(BRANCHES, problem.options.max_seeds)
-    return dataclasses.replace(problem, options=dataclasses.replace(problem.options, choice="first", max_seeds=few))
+    line; then from elsewhere, too, where that came close."""
+    most = problem.options.max_seeds
+    few, more = (_waves(count, True, False) for count in (min(BRANCHES, most), most))
+    stages = [few, tuple(wave for wave in more if wave.first >= BRANCHES)]
+    return dataclasses.replace(problem, options=dataclasses.replace(problem.options, choice="first")), stages
 
 
 def _is_known(problem: Problem) -> bool:
@@ -221,14 +224,16 @@ def _anywhere(problem: Problem, poses: np.ndarray, some: np.ndarray, first: int,
     return np.broadcast_to(each, (len(some), *each.shape))
 
 
-def _beyond_limits(problem: Problem, poses: np.ndarray, reason: np.ndarray) -> np.ndarray:
-    """LIMITS for targets that a search without limits reaches; where a closed form knows all answers, it decides."""
+def _beyond_limits(problem: Problem, poses: np.ndarray, reason: np.ndarray, misses: Misses) -> np.ndarray:
+    """LIMITS for targets that a search without limits reaches. Where a closed form knows all answers it decides, but of what is
+    missed by so little that there may be an answer within the tolerances."""
     left = np.flatnonzero(reason == OPEN)
     if not len(left):
         return reason
     if _is_known(problem) and not problem.options.locked:
-        reason[left] = np.where(seeds.any_branch(problem.chain, poses[left]), Reason.LIMITS, Reason.OUT_OF_REACH)
-        left = left[reason[left] == Reason.OUT_OF_REACH]  # unless the posture that stands for many at a singular pose is none
+        has = seeds.any_branch(problem.chain, poses[left])
+        reason[left] = np.where(has, Reason.LIMITS, np.where(misses.close(reason)[left], OPEN, Reason.OUT_OF_REACH))
+        left = left[~has]  # unless the posture that stands for many at a singular pose is none
     held = problem.low == problem.high  # what is locked stays so
     up_to = lambda bound: (np.where(held, problem.low, -bound), np.where(held, problem.high, bound))
     low, high = up_to(np.inf)

@@ -24,6 +24,7 @@ FINISH = sqp.Options(floor=1e-10, cap=0.1)
 FINISHING = 4  # steps at most
 KEPT, NEAR, RESCUE = 32, 0.05, 24  # so many misses, this near [rad, unit lengths], get so many more steps
 SOLVED, OPEN = int(Reason.SOLVED), int(Reason.NOT_CONVERGED)
+CLOSE = 1e-3  # [rad, unit lengths] by which a pose next to a singularity may be missed that has one within the tolerances
 FEW = 10  # of the tolerances, from where steps may lead to within these
 LOOSE, LOOSENING = 40, sqp.Options(floor=1e-10, cap=0.3)  # steps at most, and how they are made
 CREEP = 0.95  # of its error, at most, is left of a miss after two steps, or it is at rest; some return, so not among obstacles
@@ -140,6 +141,12 @@ class Misses:
     def near(self, reason: np.ndarray) -> Found:
         """Those of targets searched for in vain that came within `NEAR`."""
         return self._nearest(KEPT, reason, NEAR)
+
+    def close(self, reason: np.ndarray) -> np.ndarray:
+        """Which targets (N,) searched for in vain are missed by so little that steps may yet lead to within the tolerances."""
+        found = np.zeros(len(reason), bool)
+        found[self._nearest(1, reason, CLOSE).target] = True
+        return found
 
     def loose(self, reason: np.ndarray) -> Found:
         """Those of them that came within a few of the tolerances."""

@@ -40,6 +40,10 @@ from jaxik.spmd.batch import in_blocks
 
 TARGETS = 16_384  # at a time, which bounds the memory
 DEFAULT = IKOptions()
+MENDS = {  # of targets that are no poses, by the length of their rows
+    3: "; for positions alone give task=jaxik.Task.position(), for poses jaxik.pose(xyz, wxyz=...)",
+    7: "; jaxik.pose(xyz, wxyz=...) makes poses of positions and quaternions",
+}
 FAULTS = (  # of a target that is no pose, by the number in `IKResult.fault`
     "",
     "its position holds NaN or infinity",
@@ -225,7 +229,8 @@ def as_poses(targets: Any, task: Task) -> tuple[np.ndarray, np.ndarray, bool]:
     poses = frame(given) if not task.rotations and given.ndim in (1, 2) and given.shape[-1] == 3 else given
     if poses.ndim not in (2, 3) or poses.shape[-2:] != (4, 4):
         also = " or positions (3,), (N, 3)" if not task.rotations else ""
-        raise ValueError(f"targets have shape {given.shape}; allowed: poses (4, 4) or (N, 4, 4){also}")
+        mend = MENDS.get(given.shape[-1], "") if given.ndim in (1, 2) else ""
+        raise ValueError(f"targets have shape {given.shape}; allowed: poses (4, 4) or (N, 4, 4){also}{mend}")
     each = poses.reshape(-1, 4, 4)
     cleaned, valid = in_blocks(RIGID_POSE, each, double=True)
     fault = np.zeros(len(each), np.int8)

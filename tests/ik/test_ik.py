@@ -177,7 +177,9 @@ def test_mistakes_are_one_line(panda):
     eye = np.eye(4)
     for call, words in (
         (lambda: jaxik.solve_ik(panda, np.eye(3)), ("(3, 3)", "(N, 4, 4)")),
-        (lambda: jaxik.solve_ik(panda, np.zeros(3)), ("(3,)", "(4, 4)")),
+        (lambda: jaxik.solve_ik(panda, np.zeros(3)), ("(3,)", "(4, 4)", "task=jaxik.Task.position()", "jaxik.pose(xyz, wxyz=")),
+        (lambda: jaxik.solve_ik(panda, np.zeros((5, 3))), ("(5, 3)", "task=jaxik.Task.position()")),
+        (lambda: jaxik.solve_ik(panda, np.zeros((5, 7))), ("(5, 7)", "jaxik.pose(xyz, wxyz=")),
         (lambda: jaxik.solve_ik(panda, "pose"), ("str",)),
         (lambda: jaxik.solve_ik(panda, eye, tolerance=1), ("tolerance", "position_tolerance")),
         (lambda: jaxik.solve_ik(panda, eye, seeds="sobol"), ("sobol", "library")),

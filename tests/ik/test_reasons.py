@@ -4,8 +4,9 @@ import dataclasses
 
 import numpy as np
 import pytest
-from robots import joint_range, pinocchio, pose_errors
+from robots import bare, joint_range, pinocchio, pose_errors
 from scipy.spatial.transform import Rotation
+from test_tolerances import moved
 
 import jaxik
 from jaxik.reach.certify import certify
@@ -39,3 +40,16 @@ def test_an_arm_that_is_nearly_of_a_family_has_no_false_proof(name, angle):
     pose = pinocchio(chain)
     assert max(max(pose_errors(pose(q), target)) for q, target in zip(result.q, targets, strict=True)) < 1.001e-6
     assert certify(chain, targets[:5], 1, 0).open.all()  # found by none of its branches, it is not proven to be away
+
+
+def test_what_only_the_tolerances_reach_is_not_proven_away():
+    """Next to the shoulder's singularity a posture has the pose within the tolerances, and none has it exactly."""
+    file, tip = bare("talos arm")
+    chain = jaxik.load(file, tip=tip)
+    targets = moved(chain, 150, 1e-6, 1e-6, jaxik.Task.pose())
+    assert jaxik.solve_ik(chain, targets).success.all()
+    # each alone has what it has among the others
+    alone = jaxik.solve_ik(chain, targets[46])
+    np.testing.assert_array_equal(alone.q, jaxik.solve_ik(chain, targets[40:50]).q[6])
+    targets[:, :3, 3] *= 1.3  # what is missed by far is decided all the same
+    assert set(jaxik.solve_ik(chain, targets).reasons) <= {"solved", "limits", "out of reach"}
