@@ -129,8 +129,8 @@ def inverse(name: str, counts: tuple[int, ...], small: bool) -> dict[str, Any]:
     chain, found = chain_of(name), {}
     for count in counts:
         poses = problems.targets(chain, min(count, 50) if small else count)
-        tolerances = {"position_tolerance": problems.POSITION, "rotation_tolerance": problems.ROTATION}
-        solve = lambda poses=poses, tolerances=tolerances: jaxik.solve_ik(chain, poses, **tolerances).q
+        asked = {"position_tolerance": problems.POSITION, "rotation_tolerance": problems.ROTATION, "collision": False}
+        solve = lambda poses=poses, asked=asked: jaxik.solve_ik(chain, poses, **asked).q
         row, q = driven(solve, len(poses)), np.asarray(solve(), np.float64)
         found[f"{count:,} poses"] = row | {"success": problems.solved(chain, q, problems.tips(chain, q), poses)}
     return found

@@ -57,7 +57,7 @@ def solve(chain: jaxik.Chain) -> list[dict[str, Any]]:
                 start = time.perf_counter()
                 result = run()
                 times.append(time.perf_counter() - start)
-            blind = jaxik.solve_ik(chain, target, task=TASK, position_tolerance=1e-9)
+            blind = jaxik.solve_ik(chain, target, task=TASK, position_tolerance=1e-9, collision=False)
             tip = chain.world_T_base @ pose(result.q) if result.success else np.full((4, 4), np.nan)
             low, high = boxes_of(others)
             rows.append(

@@ -27,6 +27,8 @@ from jaxik.robot.chain import Chain, finite_limits
 from jaxik.robot.kinematics import joint_frames
 from jaxik.spatial.algebra import BASE, Frame, Scalar, stack, traced
 
+PROVEN = 1e-9  # [m, rad] by which axes may miss their family: an arm that misses it by more has postures where it has none
+
 
 class FromTip:
     """A family that fits the arm as it is seen from its tip."""
@@ -92,6 +94,12 @@ class Solver(NamedTuple):
         """All joints of the chain (n,): the given ones about the angles that were found."""
         before, _, after = self.split(given)
         return [*before, *angles, *after]
+
+    @property
+    def proves(self) -> bool:
+        """Whether there is no posture where there is no branch. Of axes that miss their family there may be: next to a
+        singularity what they miss ends branches that the arm has."""
+        return self.misfit <= PROVEN
 
     @property
     def given_names(self) -> tuple[str, ...]:

@@ -1,4 +1,4 @@
-"""Answers without a search: where a target is a pose and nothing else is asked, they are branches of the closed form.
+"""Answers without a search: where a target is a pose, and no obstacle is near, they are branches of the closed form.
 
 Of six joints its up to eight branches are all answers; of six joints of no family homotopy finds all. Where it is given values
 (a rail, a last joint), points of a sequence over their ranges are tried, and the best branches are improved at points nearby.
@@ -22,7 +22,20 @@ from jaxik.analytic.solutions import BRANCHES, closed_branches, closed_forms, fi
 from jaxik.ik import seeds
 from jaxik.ik.choosing import scores
 from jaxik.ik.problem import Problem
-from jaxik.ik.solutions import Found, at_home, candidates, far_apart, first_most, nothing, portions, top, within
+from jaxik.ik.solutions import (
+    Found,
+    at_home,
+    candidates,
+    cleared,
+    colliding,
+    far_apart,
+    first_most,
+    judged,
+    nothing,
+    portions,
+    top,
+    within,
+)
 from jaxik.ik.sqp_programs import batch, errors
 from jaxik.robot.chain import Chain
 from jaxik.robot.joint_turns import nearest_turns
@@ -37,7 +50,7 @@ def enumerable(problem: Problem) -> bool:
     """Whether the closed form answers the problem: poses, without obstacles, a cost, or seeds of another kind, and no joint
     locked but those that it is given. Of six joints of no family: whether more than one answer is asked for, none locked."""
     options, chain, wanted = problem.options, problem.chain, problem.options.seeds == "closed_form"
-    if problem.scene is not None or options.cost is not None or not (wanted or options.seeds == "auto"):
+    if problem.scene or options.cost is not None or not (wanted or options.seeds == "auto"):
         return False
     if not wanted and not all(options.task.bound):
         return False
@@ -69,7 +82,7 @@ def enumerated(problem: Problem, poses: np.ndarray, left: np.ndarray) -> Found:
         followed = [_followed(problem, poses, found)] if problem.chain.num_joints > 6 else []
         found = _best(problem, Found.joined([found, *followed]))
     else:
-        found = (_first if problem.most == 1 else _several)(problem, poses, left)
+        found = (_first if problem.most == 1 and problem.scene is None else _several)(problem, poses, left)
     found = measured(problem, poses, found)
     return found.rows(within(found, problem.tolerance))
 
@@ -116,9 +129,9 @@ def _tries(problem: Problem, targets: int) -> list[int]:
 
 
 def _kept_of(problem: Problem, poses: np.ndarray, some: np.ndarray, first: int, last: int) -> Found:
-    """What `_kept` keeps of the branches of `some` targets at points number `first` to `last`, so many targets at a time as
-    memory holds."""
-    parts = (_of_values(problem, poses, part, first, last) for part in portions(some, last - first))
+    """What `_kept` keeps of the branches of `some` targets at points number `first` to `last` that do not collide, so many
+    targets at a time as memory holds."""
+    parts = (judged(problem, _of_values(problem, poses, part, first, last))[0] for part in portions(some, last - first))
     return Found.joined([_kept(problem, part) for part in parts])
 
 
@@ -190,8 +203,9 @@ def _followed(problem: Problem, poses: np.ndarray, found: Found) -> Found:
         q, fits = in_blocks(
             closed_branches(problem.chain), poses[again.target], near, (again.seed % BRANCHES).astype(np.int32), double=True
         )
-        moved = at_home(problem, again._replace(q=q)).rows(fits)
-        both = Found.joined([found, moved])
+        moved = cleared(problem, at_home(problem, again._replace(q=q)))
+        fits &= ~colliding(problem, moved)
+        both = Found.joined([found, moved.rows(fits)])
         found = both.rows(top(np.concatenate([rows, row[fits]]), scores(problem, both), 1))
     return found
 

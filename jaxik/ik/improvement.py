@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import warnings
 
 import numpy as np
@@ -24,7 +25,7 @@ IMPROVED = 32  # answers of a target that a cost is made smaller from, the cheap
 def goal(problem: Problem, cost: Cost | None = None) -> Goal:
     """What a lane is to reach, and minds beside: the cost, and obstacles as the options have it."""
     options = problem.options
-    collision = "none" if problem.scene is None else options.collision
+    collision = "none" if problem.scene is None else str(options.collision)
     return Goal(options.task, cost, collision, options.activation, options.penalty)
 
 
@@ -70,15 +71,27 @@ def improved(problem: Problem, poses: np.ndarray, found: Found) -> Found:
     found = _cheaper_turns(problem, found)
     if problem.options.choice == "first":
         found = found.rows(far_apart(problem, found, -costs(problem, found.q), max(IMPROVED, problem.most)))
-    iterations = problem.options.cost_iterations
-    program = batch(2, land, problem.chain, goal(problem, problem.options.cost), iterations, problem.options.improve)
-    around = () if problem.scene is None else ((problem.scene, problem.options.margin + IMPROVE_MARGIN),)
     _check_slopes(problem, found)
+    if not problem.alone:
+        return _cheaper(problem, poses, found, problem)[0]
+    found, hits = _cheaper(problem, poses, found, dataclasses.replace(problem, scene=None))
+    if not hits.any():
+        return found
+    return Found.joined([found.rows(~hits), _cheaper(problem, poses, found.rows(hits), problem)[0]])
+
+
+def _cheaper(problem: Problem, poses: np.ndarray, found: Found, minds: Problem) -> tuple[Found, np.ndarray]:
+    """The answers led down the user's cost among the obstacles of `minds`, where that leaves them answers; and which stay as
+    they were for what they would hit."""
+    iterations = problem.options.cost_iterations
+    program = batch(2, land, problem.chain, goal(minds, problem.options.cost), iterations, problem.options.improve)
+    around = () if minds.scene is None else ((minds.scene, problem.options.margin + IMPROVE_MARGIN),)
     q, away, turned = in_blocks(program, found.q, poses[found.target], fixed=(problem.limits, *around), double=True)
     better = found._replace(q=q, position_error=away, rotation_error=turned, iterations=found.iterations + iterations)
     better = _cheaper_turns(problem, cleared(problem, at_home(problem, better)))
-    kept = within(better, problem.tolerance) & ~colliding(problem, better)
-    return Found.joined([found, better]).rows(np.arange(len(kept)) + len(kept) * kept)
+    lands, hits = within(better, problem.tolerance), colliding(problem, better)
+    kept = lands & ~hits
+    return Found.joined([found, better]).rows(np.arange(len(kept)) + len(kept) * kept), lands & hits
 
 
 def _check_slopes(problem: Problem, found: Found) -> None:
@@ -90,7 +103,7 @@ def _check_slopes(problem: Problem, found: Found) -> None:
         warnings.warn(
             f"solve_ik: the cost's derivative is {rise} at q = {q} and at {len(bad) - 1} more of {len(slopes)} answers, which "
             "stay as they were found; a root, a norm or a division by what is 0 there has none: write sqrt(x + 1e-12)",
-            stacklevel=6,
+            stacklevel=7,
         )
 
 

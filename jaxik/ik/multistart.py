@@ -8,6 +8,8 @@ costs what one lane does.
 Every number in this is a target's own: which seeds it gets, how many steps each runs, and that the first seed that leads to an
 answer is taken. So a target has the same result alone and among a million.
 
+Where the robot may hit nothing but itself, few first answers do: what is searched for again are the targets of those.
+
 With a scene an answer must also keep `margin` of clearance. Where no seed leads to such a posture, those that have the pose and
 collide, far apart from each other, are the starts of a second search, which holds the pose and moves the spare joints until the
 clearance, as a constraint, is kept. Or the free branch is one that few lanes land on, as next to a singularity they creep: so
@@ -23,13 +25,14 @@ from typing import NamedTuple
 
 import numpy as np
 
+from jaxik.analytic.families import solver_of
 from jaxik.analytic.solutions import BRANCHES
 from jaxik.ik import seeds
 from jaxik.ik.enumeration import enumerable, enumerated
 from jaxik.ik.improvement import PUSHED, hopped, improved, is_fixed, pushed
 from jaxik.ik.problem import Problem
-from jaxik.ik.refinement import EARLY, OPEN, SOLVED, STEPS, Misses, compile_finisher, rescued, searched, settling
-from jaxik.ik.solutions import Found, at_home, candidates, judged, nothing, portions, within
+from jaxik.ik.refinement import EARLY, OPEN, SOLVED, STEPS, Misses, compile_finisher, loosened, rescued, searched, settling
+from jaxik.ik.solutions import Found, at_home, candidates, cleared, judged, nothing, portions, top, within
 from jaxik.reasons import Reason
 from jaxik.robot.reach_bound import reach_bound
 
@@ -64,6 +67,24 @@ class Wave(NamedTuple):
 
 def search(problem: Problem, poses: np.ndarray, valid: np.ndarray) -> Outcome:
     """Answers for the poses (N, 4, 4) that are `valid` (N,), or reasons."""
+    if not (problem.alone and problem.first_will_do):
+        return _searched_for(problem, poses, valid)
+    blind = _searched_for(dataclasses.replace(problem, scene=None), poses, valid)
+    first = blind.found.rows(top(blind.found.target, -blind.found.seed, 1))
+    free, stuck = judged(problem, first)
+    blind = Outcome(blind.reason, free, stuck, cleared(problem, blind.missed))
+    if not len(stuck.q):
+        return blind
+    again = np.zeros(len(poses), bool)
+    again[stuck.target] = True
+    rest = _searched_for(problem, poses, again)
+    reason = np.where(again, np.where(rest.reason == SOLVED, SOLVED, Reason.COLLISION), blind.reason)
+    stuck = stuck.rows(reason[stuck.target] != SOLVED)
+    return Outcome(reason, Found.joined([free, rest.found]), Found.joined([stuck, rest.stuck]), blind.missed)
+
+
+def _searched_for(problem: Problem, poses: np.ndarray, valid: np.ndarray) -> Outcome:
+    """Likewise, by the problem's own scene throughout."""
     none, misses = nothing(problem), Misses(problem)
     reason = np.where(valid, np.where(_out_of_reach(problem, poses), Reason.OUT_OF_REACH, OPEN), Reason.INVALID)
     answers, blocked = [none], [none]
@@ -77,22 +98,27 @@ def search(problem: Problem, poses: np.ndarray, valid: np.ndarray) -> Outcome:
         stuck = Found.joined(blocked)
         return stuck.rows(reason[stuck.target] == OPEN)
 
-    asked = problem
+    asked, waves = problem, _waves(problem.options.max_seeds, problem.first_will_do, problem.scene is not None)
+    stages = [waves]
     if OPEN in reason and enumerable(problem):
         note(enumerated(problem, poses, np.flatnonzero(reason == OPEN)))
-        problem = _of_the_rest(problem)
+        if not problem.alone and _is_known(problem):
+            problem, stages = _of_the_rest(problem)
     if OPEN in reason:
         compile_finisher(settling(problem), problem.chain.num_joints)
-    waves = _waves(problem.options.max_seeds, problem.first_will_do, problem.scene is not None)
-    while waves and len(left := np.flatnonzero(reason == OPEN)):
-        wave, waves = _joined_waves(waves, len(left))
-        for some in portions(left, wave.size):
-            note(*_search_wave(problem, poses, some, wave, misses))
-        if wave.rescues and OPEN in reason:  # what is left by now is near a singularity, or unreachable
-            note(*rescued(problem, poses, misses.near(reason)))
-        if wave.pushes and OPEN in reason:  # more seeds cost less than moving out of obstacles
-            blocked = [still_blocked()]
-            note((hopped if is_fixed(problem) else pushed)(problem, poses, blocked[0], wave.pushes))
+    for number, waves in enumerate(stages):
+        worth = misses.close(reason) if number else np.ones(len(poses), bool)
+        while waves and len(left := np.flatnonzero(worth & (reason == OPEN))):
+            wave, waves = _joined_waves(waves, len(left))
+            for some in portions(left, wave.size):
+                note(*_search_wave(problem, poses, some, wave, misses))
+            if wave.rescues and OPEN in reason:  # what is left by now is near a singularity, or unreachable
+                note(*rescued(problem, poses, misses.near(reason)))
+            if wave.pushes and OPEN in reason:  # more seeds cost less than moving out of obstacles
+                blocked = [still_blocked()]
+                note((hopped if is_fixed(problem) else pushed)(problem, poses, blocked[0], wave.pushes))
+    if OPEN in reason:
+        note(*loosened(problem, poses, misses.loose(reason)))
     missed = none
     if OPEN in reason:
         missed = misses.nearest(poses, reason)
@@ -107,23 +133,25 @@ def search(problem: Problem, poses: np.ndarray, valid: np.ndarray) -> Outcome:
         return Outcome(reason, found, none, none)
     stuck = still_blocked()
     reason[stuck.target] = Reason.COLLISION
-    reason = _beyond_limits(problem, poses, reason)
+    reason = _beyond_limits(problem, poses, reason, misses)
     return Outcome(reason, found, at_home(problem, stuck), at_home(problem, missed))
 
 
-def _of_the_rest(problem: Problem) -> Problem:
-    """How what the closed form's branches do not answer is searched for: of six joints, whose branches are all, from these put
+def _of_the_rest(problem: Problem) -> tuple[Problem, list[tuple[Wave, ...]]]:
+    """How what the branches of six joints, which are all, do not answer is searched for, and in which stages: from these put
     inside the limits, as there may be an answer within the tolerances, or joints that turn against each other where they are in
-    line; of others as if there were none."""
-    if problem.chain.num_joints > 6 or problem.strategy != "closed_form" or not _is_exact(problem):
-        return problem
-    few = min(BRANCHES, problem.options.max_seeds)
-    return dataclasses.replace(problem, options=dataclasses.replace(problem.options, choice="first", max_seeds=few))
+    line; then from elsewhere, too, where that came close."""
+    most = problem.options.max_seeds
+    few, more = (_waves(count, True, False) for count in (min(BRANCHES, most), most))
+    stages = [few, tuple(wave for wave in more if wave.first >= BRANCHES)]
+    return dataclasses.replace(problem, options=dataclasses.replace(problem.options, choice="first")), stages
 
 
-def _is_exact(problem: Problem) -> bool:
-    """Whether what has no exact solution has none within the tolerances."""
-    return bool(max(np.max(problem.options.position_tolerance), np.max(problem.options.rotation_tolerance)) <= EXACT)
+def _is_known(problem: Problem) -> bool:
+    """Whether the branches of six joints are all answers, and what has no exact solution has none within the tolerances."""
+    if problem.chain.num_joints > 6 or problem.strategy != "closed_form" or np.max(problem.tolerance, initial=0.0) > EXACT:
+        return False
+    return solver_of(problem.chain).proves
 
 
 def _out_of_reach(problem: Problem, poses: np.ndarray) -> np.ndarray:
@@ -196,15 +224,16 @@ def _anywhere(problem: Problem, poses: np.ndarray, some: np.ndarray, first: int,
     return np.broadcast_to(each, (len(some), *each.shape))
 
 
-def _beyond_limits(problem: Problem, poses: np.ndarray, reason: np.ndarray) -> np.ndarray:
-    """LIMITS for targets that a search without limits reaches; where a closed form knows all answers, it decides."""
+def _beyond_limits(problem: Problem, poses: np.ndarray, reason: np.ndarray, misses: Misses) -> np.ndarray:
+    """LIMITS for targets that a search without limits reaches. Where a closed form knows all answers it decides, but of what is
+    missed by so little that there may be an answer within the tolerances."""
     left = np.flatnonzero(reason == OPEN)
     if not len(left):
         return reason
-    known = problem.chain.num_joints == 6 and problem.strategy == "closed_form" and not problem.options.locked
-    if known and _is_exact(problem):
-        reason[left] = np.where(seeds.any_branch(problem.chain, poses[left]), Reason.LIMITS, Reason.OUT_OF_REACH)
-        left = left[reason[left] == Reason.OUT_OF_REACH]  # unless the posture that stands for many at a singular pose is none
+    if _is_known(problem) and not problem.options.locked:
+        has = seeds.any_branch(problem.chain, poses[left])
+        reason[left] = np.where(has, Reason.LIMITS, np.where(misses.close(reason)[left], OPEN, Reason.OUT_OF_REACH))
+        left = left[~has]  # unless the posture that stands for many at a singular pose is none
     held = problem.low == problem.high  # what is locked stays so
     up_to = lambda bound: (np.where(held, problem.low, -bound), np.where(held, problem.high, bound))
     low, high = up_to(np.inf)

@@ -13,7 +13,7 @@ from jaxik.ik.sqp_programs import SEARCH
 from jaxik.optimise import sqp
 from jaxik.robot.task import POSE, Task
 
-Choice = Literal["first", "closest", "clearance", "manipulability", "freedom", "comfort"]
+Choice = Literal["auto", "first", "closest", "clearance", "manipulability", "freedom", "comfort"]
 Collision = Literal["constraint", "penalty"]
 Norm = Literal["l2", "linf"]
 AVOID = sqp.Options(passes=3)
@@ -26,15 +26,16 @@ class IKOptions:
 
     task: which of the six components a target binds (`Task`).
     position_tolerance [m], rotation_tolerance [rad]: largest errors of an answer; one number, or one a target.
-    margin: least clearance with a scene [m].
+    margin: least clearance, to the scene and of the robot to itself [m].
     seeds: where searches start (`jaxik.ik.seeds`); "auto" is the closed form of six joints that have one, else the library,
         and for "closest" half of them around the reference, which is the first. With "auto" and "closed_form" a pose without
-        scene and cost is answered by the closed form itself (`jaxik.ik.enumeration`), and only what that leaves is searched
+        obstacles and cost is answered by the closed form itself (`jaxik.ik.enumeration`), and only what that leaves is searched
         for; its branch b at given values number k is the seed 8 k + b.
     max_seeds: seeds a target gets before it is given up.
     choice: which answer is taken: that of the "first" seed that leads to one, or with a `cost` the cheapest; or of all that
         `max_seeds` find the "closest" to `reference`, the one with the largest "clearance", "manipulability" or joint
-        "freedom", or the one nearest to the middle of the ranges ("comfort", or to `reference` where it is given).
+        "freedom", or the one nearest to the middle of the ranges ("comfort", or to `reference` where it is given). "auto" is
+        "closest" where a `reference` is given and no `cost`, else "first".
     reference: a configuration (n,) or one a target (N, n); needed by "closest" and by the seeds "near".
         Of one posture's turns by 2 pi inside the limits an answer is the one nearest to the reference; without one, and for
         "freedom", the nearest to the middle of the ranges (of a joint without limits: to 0); "first", "clearance" and
@@ -45,8 +46,9 @@ class IKOptions:
     distinct: answers nearer to each other than this in every joint are one [rad, m].
     locked: joints (by name) that stay at a value [rad, m].
     weights: (n,) how unwilling each joint is to move, 1 unless given.
-    collision: how a scene enters the search: "constraint", or "penalty" (the smooth one of Schuetz 2017, (4.31), summed over
-        the links, times `penalty`). Either way an answer keeps `margin`.
+    collision: how what may be hit enters the search: "constraint", or "penalty" (the smooth one of Schuetz 2017, (4.31), summed
+        over the links, times `penalty`). Either way an answer keeps `margin`. With False nothing is looked at, not even the
+        robot itself.
     cost: a pure function of q (n,), made smaller within what the task leaves free, in `cost_iterations` steps from the
         cheapest answers of `max_seeds` seeds. It needs a derivative there, and a warning says where it has none. A function
         defined once is traced once; a lambda written anew in each call is traced again, and compiles nothing.
@@ -59,14 +61,14 @@ class IKOptions:
     margin: float = 0.0
     seeds: str = "auto"
     max_seeds: int = 128
-    choice: str = "first"
+    choice: str = "auto"
     reference: Any = None
     norm: str = "l2"
     solutions: int | Literal["all"] = 1
     distinct: float = 0.05
     locked: Mapping[str, float] = dataclasses.field(default_factory=dict)
     weights: Any = None
-    collision: str = "constraint"
+    collision: str | Literal[False] = "constraint"
     activation: float = 0.05
     penalty: float = 100.0
     cost: Cost | None = None
@@ -77,7 +79,12 @@ class IKOptions:
 
     def __post_init__(self) -> None:
         check_choices("solve_ik", seeds=(self.seeds, seeds.Strategy), choice=(self.choice, Choice))
-        check_choices("solve_ik", collision=(self.collision, Collision), norm=(self.norm, Norm))
+        check_choices("solve_ik", norm=(self.norm, Norm))
+        if self.collision is not False:
+            check_choices("solve_ik", collision=(self.collision, Collision))
+        elif self.margin or self.choice == "clearance":
+            asked = "choice 'clearance'" if self.choice == "clearance" else f"margin {shown(self.margin)}"
+            raise ValueError(f"solve_ik: {asked} with collision=False, which looks at nothing that may be hit; leave it out")
         for name, also in (("max_seeds", ""), ("cost_iterations", ""), ("solutions", ', or "all"')):
             value = getattr(self, name)
             if not (also and isinstance(value, str) and value == "all"):

@@ -45,6 +45,9 @@ class Problem:
     @staticmethod
     def of(chain: Chain, scene: Scene | Grouped | None, seed: int, options: IKOptions, count: int) -> Problem:
         n = chain.num_joints
+        if options.choice == "auto":
+            closest = options.reference is not None and options.cost is None
+            options = dataclasses.replace(options, choice="closest" if closest else "first")
         low, high = _limits(chain, options)
         weights = np.ones(n)
         if options.weights is not None:
@@ -73,6 +76,11 @@ class Problem:
             return self
         reference = None if self.reference is None else self.reference[rows]
         return dataclasses.replace(self, tolerance=self.tolerance[rows], reference=reference)
+
+    @property
+    def alone(self) -> bool:
+        """Whether the robot itself is all that it may hit."""
+        return self.scene == ()
 
     @property
     def near(self) -> int:

@@ -11,7 +11,7 @@ import numpy as np
 
 from jaxik.ik.problem import Problem
 from jaxik.ik.solutions import PORTION, Found, cleared, judged, nothing, top, within
-from jaxik.ik.sqp_programs import batch, settle
+from jaxik.ik.sqp_programs import batch, loosen, settle
 from jaxik.optimise import sqp
 from jaxik.reasons import Reason
 from jaxik.robot.joint_turns import TURN
@@ -24,6 +24,9 @@ FINISH = sqp.Options(floor=1e-10, cap=0.1)
 FINISHING = 4  # steps at most
 KEPT, NEAR, RESCUE = 32, 0.05, 24  # so many misses, this near [rad, unit lengths], get so many more steps
 SOLVED, OPEN = int(Reason.SOLVED), int(Reason.NOT_CONVERGED)
+CLOSE = 1e-3  # [rad, unit lengths] by which a pose next to a singularity may be missed that has one within the tolerances
+FEW = 10  # of the tolerances, from where steps may lead to within these
+LOOSE, LOOSENING = 40, sqp.Options(floor=1e-10, cap=0.3)  # steps at most, and how they are made
 CREEP = 0.95  # of its error, at most, is left of a miss after two steps, or it is at rest; some return, so not among obstacles
 
 
@@ -87,6 +90,22 @@ def rescued(problem: Problem, poses: np.ndarray, near: Found) -> tuple[Found, Fo
     return judged(problem, near.rows(within(near, problem.tolerance)))
 
 
+def loosened(problem: Problem, poses: np.ndarray, missed: Found) -> tuple[Found, Found]:
+    """Near misses after steps to within the tolerances, and no nearer: answers, and colliding ones. Where a pose is just out of
+    reach, or beyond the limits, there are no others."""
+    if not len(missed.q):
+        return missed, missed
+    aim = problem.aim[missed.target]
+    slack = problem.tolerance[missed.target] / [problem.unit, 1.0] - 2.0 * aim[:, None]
+    rows, fixed = (missed.q, poses[missed.target], aim, slack), (problem.round_limits, LOOSE)
+    program = batch(4, loosen, problem.chain, problem.options.task, LOOSENING)
+    q, away, turned, count = in_blocks(program, *rows, fixed=fixed, double=True)
+    ended = missed._replace(
+        q=_inside(problem, q), position_error=away, rotation_error=turned, iterations=missed.iterations + count
+    )
+    return judged(problem, ended.rows(within(ended, problem.tolerance)))
+
+
 class Misses:
     """The lanes of each target that came nearest, `KEPT` of them."""
 
@@ -102,12 +121,17 @@ class Misses:
             kept = self._nearest(KEPT)
             self.parts, self.count = [(kept, np.zeros(len(kept.q), bool))], len(kept.q)
 
-    def _nearest(self, count: int, reason: np.ndarray | None = None) -> Found:
-        """So many of each target, those with the least errors; only of targets without an answer, where reasons are known."""
+    def _nearest(self, count: int, reason: np.ndarray | None = None, most: Any = None) -> Found:
+        """So many of each target, those with the least errors, and these less than `most`, a number or one a target; only of
+        targets without an answer, where reasons are known."""
         noted = Found.joined([nothing(self.problem), *(ended.rows(~well) for ended, well in self.parts)])
         if reason is not None:
             noted = noted.rows(reason[noted.target] != SOLVED)
-        return noted.rows(top(noted.target, -np.nan_to_num(self._away(noted), nan=np.inf), count))
+        away = np.nan_to_num(self._away(noted), nan=np.inf)
+        if most is not None:
+            near = away < np.broadcast_to(most, len(self.problem.tolerance))[noted.target]
+            noted, away = noted.rows(near), away[near]
+        return noted.rows(top(noted.target, -away, count))
 
     def _away(self, found: Found) -> np.ndarray:
         """How far rows are from their targets [rad, unit lengths]; in float64, so that they rank the same whatever they are
@@ -116,8 +140,17 @@ class Misses:
 
     def near(self, reason: np.ndarray) -> Found:
         """Those of targets searched for in vain that came within `NEAR`."""
-        lanes = self._nearest(KEPT, reason)
-        return lanes.rows(self._away(lanes) < NEAR)
+        return self._nearest(KEPT, reason, NEAR)
+
+    def close(self, reason: np.ndarray) -> np.ndarray:
+        """Which targets (N,) searched for in vain are missed by so little that steps may yet lead to within the tolerances."""
+        found = np.zeros(len(reason), bool)
+        found[self._nearest(1, reason, CLOSE).target] = True
+        return found
+
+    def loose(self, reason: np.ndarray) -> Found:
+        """Those of them that came within a few of the tolerances."""
+        return self._nearest(KEPT, reason, FEW * (self.problem.tolerance @ [1.0 / self.problem.unit, 1.0]))
 
     def nearest(self, poses: np.ndarray, reason: np.ndarray) -> Found:
         """The nearest of each target without an answer, judged in float64."""

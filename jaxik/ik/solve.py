@@ -21,9 +21,10 @@ from jaxik.checks.arrays import RIGID, numbers
 from jaxik.checks.options import changed, check_kind
 from jaxik.collision.always_colliding import warn_of_scene
 from jaxik.collision.bvh import Grouped
-from jaxik.collision.clearances import check_geometry
+from jaxik.collision.clearances import check_geometry, has_geometry
 from jaxik.collision.contact_report import Contact, explain
 from jaxik.collision.scene import Scene
+from jaxik.collision.scene_builder import make_scene
 from jaxik.ik.choosing import scores, with_turns
 from jaxik.ik.multistart import Outcome, search
 from jaxik.ik.options import IKOptions
@@ -39,6 +40,10 @@ from jaxik.spmd.batch import in_blocks
 
 TARGETS = 16_384  # at a time, which bounds the memory
 DEFAULT = IKOptions()
+MENDS = {  # of targets that are no poses, by the length of their rows
+    3: "; for positions alone give task=jaxik.Task.position(), for poses jaxik.pose(xyz, wxyz=...)",
+    7: "; jaxik.pose(xyz, wxyz=...) makes poses of positions and quaternions",
+}
 FAULTS = (  # of a target that is no pose, by the number in `IKResult.fault`
     "",
     "its position holds NaN or infinity",
@@ -65,9 +70,9 @@ class IKResult(Reasoned):
 
     q (n,) [rad, m] is the answer, or, where there is none, the nearest miss inside the limits (NaN for a target that is invalid
     or proven out of reach: it is not searched for). position_error [m] and rotation_error [rad] belong to q, in float64;
-    clearance [m] too (NaN without a scene). seed is the number of the seed that led to q, iterations the SQP steps from there.
-    solutions (k, n) holds all different answers, best first, NaN where there are no more; num_solutions counts them. fault is
-    what makes a target INVALID, a number of `FAULTS`, else 0; `why` says it in words.
+    clearance [m] too (to the scene and to itself; NaN where nothing is checked). seed is the number of the seed that led to q,
+    iterations the SQP steps from there. solutions (k, n) holds all different answers, best first, NaN where there are no more;
+    num_solutions counts them. fault is what makes a target INVALID, a number of `FAULTS`, else 0; `why` says it in words.
     """
 
     q: Float[np.ndarray, "*b n"]
@@ -135,35 +140,53 @@ def solve_ik(
     """Configurations inside the limits whose tip has the target poses, `base_T_tip` (4, 4) or (N, 4, 4) [m]; or reasons. Host
     driver.
 
-    Without a scene nothing is checked for collision, not even the robot against itself, and a `margin` is refused: give
-    `jaxik.make_scene()`, which is empty, for the robot alone.
+    An answer keeps `margin` to the scene, and the robot to itself; without a scene to itself alone. Nothing is checked for a
+    chain without collision geometry, and with `collision=False`; where only the geometry's meshes were not read, a warning says
+    so.
 
     A task that binds no rotation takes positions too, (3,) or (N, 3). `changes` are fields of `IKOptions` by name. `progress`
     is called with the number of targets done. Deterministic: `seed` decides, and a target's result does not depend on the
     others.
 
-    Reasons: SOLVED; OUT_OF_REACH, proven by the chain's reach bound or its closed form; LIMITS, found only beyond them;
-    COLLISION, found, but every one collides; NOT_CONVERGED; INVALID, the target is no pose (`why` says what is wrong with it).
+    Reasons: SOLVED; OUT_OF_REACH, proven by the chain's reach bound or its closed form; LIMITS, found only beyond them, which
+    is a proof where the closed form knows all answers; COLLISION, found, but every one collides; NOT_CONVERGED; INVALID, the
+    target is no pose (`why` says what is wrong with it).
 
-    Raises `ValueError` for arguments of a wrong shape, name or range. Warns of targets that look like millimetres, and of what
-    is in collision in every configuration.
+    Raises `ValueError` for arguments of a wrong shape, name or range. Warns of targets that look like millimetres, of what is
+    in collision in every configuration, and of meshes that were not read.
     """
     check_kind("solve_ik", "chain", chain, Chain)
     if not isinstance(scene, tuple):  # which is grouped
         check_kind("solve_ik", "scene", scene, Scene, optional=True)
     options = changed("solve_ik", options or DEFAULT, changes)
     poses, fault, single = as_poses(targets, options.task)
-    if scene is None and (options.choice == "clearance" or options.margin):
-        asked = "choice 'clearance'" if options.choice == "clearance" else f"margin {options.margin:g}"
-        raise ValueError(f"solve_ik: {asked} needs a scene; for the robot alone give jaxik.make_scene()")
-    if scene is not None:
-        check_geometry(chain)
+    scene, unseen = _around(chain, scene, options)
+    if unseen:
+        warnings.warn(f"solve_ik: {unseen}", stacklevel=2)
     if isinstance(scene, Scene):
         warn_of_scene("solve_ik", chain, scene, options.margin)
     if doubt := millimetres(chain, poses[fault == 0, :3, 3]):
         warnings.warn(f"solve_ik: {doubt}", stacklevel=2)
     result = solved(chain, poses, fault, scene, seed, options, progress)
     return result[0] if single else result
+
+
+def _around(chain: Chain, scene: Scene | Grouped | None, options: IKOptions) -> tuple[Scene | Grouped | None, str]:
+    """What answers keep clear of, None where nothing is looked at; and in words, what of the robot would have to be seen and is
+    not."""
+    if options.collision is False:
+        if scene is not None:
+            raise ValueError("solve_ik: a scene with collision=False, which looks at no obstacle; leave one of them out")
+        return None, ""
+    if scene is None and not options.margin and options.choice != "clearance" and not has_geometry(chain):
+        links = ", ".join(chain.unread_meshes[:5])
+        words = f"{chain.name} may hit itself unseen: the meshes of {links} were not read"
+        return None, links and f"{words}; load it with meshes=True (--meshes), or say collision=False"
+    check_geometry(chain)
+    return _nothing_else() if scene is None else scene, ""
+
+
+_nothing_else = functools.cache(make_scene)  # one, which remembers what a chain's own links do in it
 
 
 def solved(
@@ -175,7 +198,8 @@ def solved(
     options: IKOptions,
     progress: Callable[[int], Any] | None = None,
 ) -> IKResult:
-    """`solve_ik` of many, once what was given is checked and told: `poses` and `fault` as `as_poses` gives them."""
+    """`solve_ik` of many, once what was given is checked and told: `poses` and `fault` as `as_poses` gives them. Without a
+    scene nothing is looked at that may be hit, and `()` is the robot alone."""
     problem, valid = Problem.of(chain, scene, seed, options, len(poses)), fault == 0
     parts: list[IKResult] = []
     for start in range(0, max(1, len(poses)), TARGETS):
@@ -205,7 +229,8 @@ def as_poses(targets: Any, task: Task) -> tuple[np.ndarray, np.ndarray, bool]:
     poses = frame(given) if not task.rotations and given.ndim in (1, 2) and given.shape[-1] == 3 else given
     if poses.ndim not in (2, 3) or poses.shape[-2:] != (4, 4):
         also = " or positions (3,), (N, 3)" if not task.rotations else ""
-        raise ValueError(f"targets have shape {given.shape}; allowed: poses (4, 4) or (N, 4, 4){also}")
+        mend = MENDS.get(given.shape[-1], "") if given.ndim in (1, 2) else ""
+        raise ValueError(f"targets have shape {given.shape}; allowed: poses (4, 4) or (N, 4, 4){also}{mend}")
     each = poses.reshape(-1, 4, 4)
     cleaned, valid = in_blocks(RIGID_POSE, each, double=True)
     fault = np.zeros(len(each), np.int8)

@@ -19,6 +19,7 @@ from jaxik.checks.options import as_count
 from jaxik.collision.clearances import clearance, link_contacts
 from jaxik.costs import Cost, collision_cost
 from jaxik.optimise import sqp
+from jaxik.optimise.linear import column, dot
 from jaxik.optimise.qp import NONE, Rows
 from jaxik.robot.chain import Array, Chain, as_configuration
 from jaxik.robot.kinematics import jacobian_columns, joint_frames
@@ -104,6 +105,16 @@ def settle(
     return *_apart(chain, task, found, apart), count
 
 
+def loosen(
+    chain: Chain, task: Task, options: sqp.Options, q: Any, pose: Any, aim: Any, slack: Any, limits: Any, most: Any
+) -> tuple[Any, ...]:
+    """`settle` to within `slack` (2,) of the pose [unit lengths, rad], whatever is inside that being as good."""
+    low, high, weights = limits
+    problem = _problem(chain, Goal(task), pose, weights, (None, None), q.dtype, slack)
+    found, _, count = sqp.settle(problem, jnp.clip(q, low, high), low, high, most, aim, jnp.inf, options)
+    return found, *errors(chain, task, found, pose), count
+
+
 def errors(chain: Chain, task: Task, q: Any, pose: Any) -> tuple[Any, Any]:
     """Of a configuration, its tip's errors [m], [rad]."""
     position, rotation = task.residual(joint_frames(chain, list(q), dtype=q.dtype).tip, Frame.of_columns(pose))
@@ -128,8 +139,9 @@ def _apart(chain: Chain, task: Task, found: Any, apart: Any) -> tuple[Any, Any, 
     return found, length(apart[:places]) * unit_length(chain), length(apart[places:])
 
 
-def _problem(chain: Chain, goal: Goal, pose: Any, weights: Any, around: Any, dtype: Any) -> sqp.Problem:
-    """The tip at `pose`, and what is minded beside, as equations, cost and inequalities of the joints."""
+def _problem(chain: Chain, goal: Goal, pose: Any, weights: Any, around: Any, dtype: Any, slack: Any = None) -> sqp.Problem:
+    """The tip at `pose`, or within `slack` of it, and what is minded beside, as equations, cost and inequalities of the
+    joints."""
     n, scale = chain.num_joints, 1.0 / unit_length(chain)
     units = [scale**2 if prismatic else 1.0 for prismatic in chain.is_prismatic]
     metric = [[weights[i] * units[i] if i == j else 0.0 for j in range(n)] for i in range(n)]
@@ -142,10 +154,32 @@ def _problem(chain: Chain, goal: Goal, pose: Any, weights: Any, around: Any, dty
         scales = [scale] * len(position) + [1.0] * len(rotation)
         value = [mul(s, v) for s, v in zip(scales, position + rotation, strict=True)]
         equality = Rows(value, [[mul(s, v) for v in row] for s, row in zip(scales, rows, strict=True)])
+        if slack is not None:
+            k = len(position)
+            near, turned = (
+                _outside(Rows(equality.value[p], equality.matrix[p]), radius)
+                for p, radius in zip((slice(k), slice(k, None)), slack, strict=True)
+            )
+            equality = Rows([*near.value, *turned.value], [*near.matrix, *turned.matrix])
         cost, gradient, inequality = _beside(chain, goal, stack(x, (n,), dtype), around, scale)
         return sqp.Model(cost, gradient, equality, inequality)
 
     return sqp.Problem(model, metric)
+
+
+def _outside(rows: Rows, radius: Any) -> Rows:
+    """How far a vector is outside the ball of this radius, `r max(0, 1 - radius / |r|)`, with its derivative; 0 inside."""
+    if not rows.value:
+        return rows
+    length = safe_sqrt(dot(rows.value, rows.value))
+    out = length > radius
+    inverse = jnp.where(out, 1.0 / jnp.where(out, length, 1.0), 0.0)
+    share = radius * inverse  # of the vector that is inside
+    rest = jnp.where(out, 1.0 - share, 0.0)
+    along = [v * inverse for v in rows.value]
+    rise = [share * dot(along, column(rows.matrix, j)) for j in range(len(rows.matrix[0]))]  # of the length
+    matrix = [[rest * x + a * y for x, y in zip(row, rise, strict=True)] for a, row in zip(along, rows.matrix, strict=True)]
+    return Rows([rest * v for v in rows.value], matrix)
 
 
 def _beside(chain: Chain, goal: Goal, q: Any, around: Any, scale: float) -> tuple[Scalar, list[Scalar], Rows]:

@@ -8,7 +8,6 @@ import jax
 import numpy as np
 
 from jaxik.collision.scene import Scene
-from jaxik.collision.scene_builder import make_scene
 from jaxik.ik import IKOptions, solve_ik
 from jaxik.optimise import collocation, splines
 from jaxik.planning.collision_checker import CollisionChecker
@@ -105,9 +104,9 @@ class Search:
             solutions=self.options.postures,
             choice="closest",
             reference=self.starts[open_],
+            collision=False if self.judge.space is None else "constraint",
         )
-        scene = None if self.judge.space is None else make_scene() if self.scene is None else self.scene
-        found = solve_ik(self.chain, self.poses[open_], scene, self.seed, asked)
+        found = solve_ik(self.chain, self.poses[open_], self.scene, self.seed, asked)
         self.reason[open_] = np.where(found.success, int(Reason.NOT_CONVERGED), found.reason)
         counts = np.asarray(found.num_solutions)
         each = np.arange(self.options.postures) < counts[:, None]

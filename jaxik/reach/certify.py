@@ -31,7 +31,6 @@ from jaxik.spmd.host import host_kernels
 PORTION = 8000  # targets whose cells stand in memory: their last, few cells fill a block
 COARSE = 9  # positions of each leading joint that are enough to tell what is far away
 SLACK = 1e-9  # more than float64 rounds by
-PROVEN = 1e-7  # [m, rad] by which an arm's axes may miss: nothing is proven of one that is only nearly of its family
 SIGNS = np.array(list(itertools.product((1.0, -1.0), repeat=2)))  # of a way's two equations
 
 
@@ -47,14 +46,13 @@ class Certified(NamedTuple):
 def certify(chain: Chain, poses: np.ndarray, slides: Any, depth: int) -> Certified:
     """Looks between the positions of `leading_grid(chain, slides)` for the poses `base_T_tip` (N, 4, 4) that have no
     posture on it, halving what stays possible `depth` times. In float64."""
-    k, slides = len(solver_of(chain).limits()[0]), as_count("slides", slides)
+    solver, slides = solver_of(chain), as_count("slides", slides)
+    k = len(solver.limits()[0])
     found = Certified(np.full((len(poses), k), np.nan), np.full(len(poses), -1), np.zeros(len(poses), bool))
-    if k:  # six joints have all their postures
-        for start in range(0, len(poses), PORTION):
-            part = slice(start, start + PORTION)
-            _search(chain, poses[part], slides, depth, Certified(*(column[part] for column in found)))
-        if solver_of(chain).misfit > PROVEN:
-            found.open[found.branch < 0] = True
+    for start in range(0, len(poses), PORTION) if k else ():  # six joints have all their postures
+        part = slice(start, start + PORTION)
+        _search(chain, poses[part], slides, depth, Certified(*(column[part] for column in found)))
+    found.open[found.branch < 0] |= not solver.proves
     return found
 
 

@@ -20,6 +20,7 @@ from jaxik.files.targets import as_frames
 from jaxik.fitting.model import Shape
 from jaxik.harvesting.driver import Harvest
 from jaxik.harvesting.harvest_plan import HarvestPlan
+from jaxik.ik.options import IKOptions
 from jaxik.ik.solve import solve_ik
 from jaxik.reasons import Reason
 from jaxik.robot.chain import Chain
@@ -163,8 +164,11 @@ class Page:
     def reach(self, world_T_tip: np.ndarray) -> Reason:
         """Brings the tip to a pose (4, 4), by the posture next to the one shown; where there is none, says why."""
         base_T_tip = np.linalg.inv(np.asarray(self.chain.world_T_base)) @ world_T_tip
-        scene = self.scene if self.clear.value and not self.blind else None
-        found = solve_ik(self.chain, base_T_tip, scene, task=self.task, reference=self._q, seeds="near", max_seeds=32)
+        near = IKOptions(self.task, reference=self._q, seeds="near", max_seeds=32)
+        if self.clear.value and not self.blind:
+            found = solve_ik(self.chain, base_T_tip, self.scene, options=near)
+        else:
+            found = solve_ik(self.chain, base_T_tip, options=near, collision=False)
         reason = Reason(int(found.reason))
         if found.success:
             self._show(found.q, follow=False)

@@ -282,7 +282,7 @@ def test_what_is_of_another_kind():
 
 def test_one_line_says_what_reads_a_file():
     refused(
-        r"margin 0.1 needs a scene; for the robot alone give jaxik.make_scene\(\)", jaxik.solve_ik, P6R, np.eye(4), margin=0.1
+        r"margin 0.1 with collision=False, which looks at nothing", jaxik.solve_ik, P6R, np.eye(4), margin=0.1, collision=False
     )
     refused(r"write a jaxik.Scene, e.g. jaxik.load_scene\('c.toml'\)", jaxik.solve_ik, P6R, np.eye(4), "c.toml")
     refused("write a jaxik.Scene$", jaxik.solve_ik, P6R, np.eye(4), [SCENE])

@@ -66,7 +66,7 @@ def panda():
 def test_reachable_poses_are_solved(name):
     chain = chain_of(name)
     targets = reachable(chain, 500)
-    result = jaxik.solve_ik(chain, targets)
+    result = jaxik.solve_ik(chain, targets, collision=False)
     assert result.success.mean() >= 0.998, result.counts()
     assert_solves(chain, result, targets)
 
@@ -177,7 +177,9 @@ def test_mistakes_are_one_line(panda):
     eye = np.eye(4)
     for call, words in (
         (lambda: jaxik.solve_ik(panda, np.eye(3)), ("(3, 3)", "(N, 4, 4)")),
-        (lambda: jaxik.solve_ik(panda, np.zeros(3)), ("(3,)", "(4, 4)")),
+        (lambda: jaxik.solve_ik(panda, np.zeros(3)), ("(3,)", "(4, 4)", "task=jaxik.Task.position()", "jaxik.pose(xyz, wxyz=")),
+        (lambda: jaxik.solve_ik(panda, np.zeros((5, 3))), ("(5, 3)", "task=jaxik.Task.position()")),
+        (lambda: jaxik.solve_ik(panda, np.zeros((5, 7))), ("(5, 7)", "jaxik.pose(xyz, wxyz=")),
         (lambda: jaxik.solve_ik(panda, "pose"), ("str",)),
         (lambda: jaxik.solve_ik(panda, eye, tolerance=1), ("tolerance", "position_tolerance")),
         (lambda: jaxik.solve_ik(panda, eye, seeds="sobol"), ("sobol", "library")),
@@ -197,7 +199,12 @@ def test_mistakes_are_one_line(panda):
         (lambda: jaxik.solve_ik(panda, eye, seed=-1), ("seed", "-1")),
         (lambda: jaxik.solve_ik(panda, eye + 0j), ("targets", "numbers")),
         (lambda: jaxik.solve_ik(panda, eye, max_seeds=0), ("max_seeds",)),
-        (lambda: jaxik.solve_ik(panda, eye, choice="clearance"), ("scene",)),
+        (lambda: jaxik.solve_ik(panda, eye, choice="clearance"), ("no collision geometry",)),
+        (lambda: jaxik.solve_ik(panda, eye, margin=0.01), ("no collision geometry",)),
+        (lambda: jaxik.solve_ik(panda, eye, margin=0.01, collision=False), ("margin 0.01", "collision=False")),
+        (lambda: jaxik.solve_ik(panda, eye, choice="clearance", collision=False), ("'clearance'", "collision=False")),
+        (lambda: jaxik.solve_ik(panda, eye, jaxik.make_scene(), collision=False), ("scene", "collision=False")),
+        (lambda: jaxik.solve_ik(panda, eye, collision="soft"), ("soft", "constraint")),
         (lambda: jaxik.Task((False,) * 6), ("at least one",)),
         (lambda: jaxik.Task((True,) * 6, "world"), ("world", "tool")),
         (lambda: sqp.Options(merit="l2"), ("l2", "augmented_lagrangian")),
@@ -441,7 +448,7 @@ def test_of_two_turns_the_better_one_is_taken():
         (to_middle, {}),
         (to_middle, {"choice": "comfort"}),
         (freedom, {"choice": "freedom", "reference": reference}),
-        (to_reference, {"reference": reference}),
+        (to_reference, {"choice": "first", "reference": reference}),
         (to_reference, {"reference": reference, "seeds": "near"}),
         (to_reference, {"choice": "comfort", "reference": reference}),
         (to_reference, {"choice": "closest", "reference": reference, "norm": "linf"}),
@@ -666,7 +673,7 @@ def test_the_closest_answer_to_one_that_is_right_is_it(name):
     chain = jaxik.load(name)
     q = np.random.default_rng(7).uniform(*jaxik.robot.finite_limits(chain), (20, chain.num_joints))
     targets = jax.vmap(lambda q: jaxik.forward_kinematics(chain, q))(q)
-    found = jaxik.solve_ik(chain, targets, choice="closest", reference=q, max_seeds=16)
+    found = jaxik.solve_ik(chain, targets, choice="closest", reference=q, max_seeds=16, collision=False)
     np.testing.assert_allclose(found.q, q, atol=1e-4)
 
 
@@ -708,10 +715,10 @@ def test_over_given_values_no_target_is_lost(name):
     rng = np.random.default_rng(42)
     share = np.where(rng.random((60, 7)) < 0.5, np.round(rng.random((60, 7))), rng.random((60, 7)))
     targets = np.stack([pinocchio(chain)(q) for q in low + (0.002 + 0.996 * share) * (high - low)])
-    result = jaxik.solve_ik(chain, targets)
+    result = jaxik.solve_ik(chain, targets, collision=False)
     assert result.success.all() and np.any(result.iterations == 0)
     assert_solves(chain, result, targets)
-    several = jaxik.solve_ik(chain, targets[:5], solutions=8)
+    several = jaxik.solve_ik(chain, targets[:5], solutions=8, collision=False)
     assert_solves(chain, several, targets[:5])
     for target, found, count in zip(targets[:5], several.solutions, several.num_solutions, strict=True):
         assert all(max(pose_errors(pinocchio(chain)(q), target)) < POSITION + SLACK for q in found[:count])
@@ -742,7 +749,7 @@ def test_limits_on_one_side_warn_of_nothing():
     targets = reachable(dataclasses.replace(chain, lower=np.full(6, -3.0), upper=np.full(6, 3.0)), 30, seed=44)
     with warnings.catch_warnings():
         warnings.simplefilter("error", RuntimeWarning)
-        assert jaxik.solve_ik(chain, targets, seeds="library").success.all()
+        assert jaxik.solve_ik(chain, targets, seeds="library", collision=False).success.all()
 
 
 def test_a_given_joint_may_be_locked(panda):
