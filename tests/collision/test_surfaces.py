@@ -283,8 +283,9 @@ def test_what_crosses_a_triangle_is_as_deep_as_its_shortest_way_out():
         for i in np.flatnonzero(deep):
             apart = (ways @ mine[i].T).min(axis=1) - (ways @ theirs[i].T).max(axis=1)
             overlap = partial(_overlap, mine=mine[i], theirs=theirs[i])
-            found = minimize(overlap, ways[apart.argmax()], method="Nelder-Mead", tol=1e-10)
-            assert abs(ours[i] + 2.0 * radius + found.fun) <= 1e-4 and ours[i] + 2.0 * radius >= apart.max() - 1e-12
+            starts = ways[np.argsort(-apart)[:150:15]]  # from one of them it may stop at a kink
+            least = min(minimize(overlap, n, method="Nelder-Mead", tol=1e-10).fun for n in starts)
+            assert abs(ours[i] + 2.0 * radius + least) <= 1e-4 and ours[i] + 2.0 * radius >= apart.max() - 1e-12
             np.testing.assert_allclose(np.linalg.norm(slopes[i].sum(axis=0)), 1.0, atol=1e-9)  # it leads out
 
 
