@@ -271,7 +271,7 @@ def test_what_crosses_a_triangle_is_as_deep_as_its_shortest_way_out():
     volume = lambda corners: (tuple(Vec3(*c) for c in corners), jnp.asarray(radius))
     gap = lambda mine, theirs: skeleton_gap(volume(mine), volume(theirs))
     kernel = HostKernel(jax.value_and_grad(gap), 2)
-    ways = rng.normal(size=(20_000, 3))
+    ways = rng.normal(size=(5000, 3))
     ways /= np.linalg.norm(ways, axis=1, keepdims=True)
     for count in (2, 3):
         mine, theirs = 0.4 * rng.normal(size=(150, 3, 3)), 0.4 * rng.normal(size=(150, count, 3))
@@ -280,7 +280,7 @@ def test_what_crosses_a_triangle_is_as_deep_as_its_shortest_way_out():
         np.testing.assert_allclose(ours, swapped, atol=1e-12)
         deep = ours < -2.0 * radius - 1e-3
         assert deep.sum() >= 8
-        for i in np.flatnonzero(deep):
+        for i in np.flatnonzero(deep)[:8]:
             apart = (ways @ mine[i].T).min(axis=1) - (ways @ theirs[i].T).max(axis=1)
             overlap = partial(_overlap, mine=mine[i], theirs=theirs[i])
             starts = ways[np.argsort(-apart)[:150:15]]  # from one of them it may stop at a kink

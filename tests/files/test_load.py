@@ -17,6 +17,8 @@ from robots import FOLDER, ROBOTS
 import jaxik
 from jaxik.files import targets as target_files
 from jaxik.files.chain_builder import MAX_BYTES
+from jaxik.files.mesh import load_mesh
+from jaxik.reasons import LoadError
 
 TOML = """name = "arm"
 convention = "frames"
@@ -605,9 +607,11 @@ end_header
 """
 
 
-@pytest.mark.parametrize("corner, last, why", [(1, 99999999, "cannot be read"), (1, -1, "cannot be read"), ("1e38", 2, "100 m")])
+@pytest.mark.parametrize(
+    "corner, last, why", [(1, 99999999, "cannot be read"), (1, -1, "cannot be read"), ("1e38", 2, "100 m")]
+)
 def test_a_mesh_that_is_no_surface_is_refused_in_one_line(tmp_path, corner, last, why):
     (file := tmp_path / "part.ply").write_text(PLY.format(corner, last))
-    with pytest.raises(LoadError, match=why) as refused:
+    with pytest.raises(LoadError, match=why) as told:
         load_mesh(file)
-    assert "\n" not in str(refused.value)
+    assert "\n" not in str(told.value)
