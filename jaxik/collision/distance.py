@@ -7,9 +7,8 @@ minimum lies at an end): so the minimiser is found without derivatives, held fix
 gradient [Danskin 1967].
 
 What a negative distance says: the shortest way out, of points, and so of spheres, of lines, of triangles in boxes, and where
-only radii overlap. A triangle that enters a cylinder is as deep as the deepest of some lines in it: it must move at least so
-far. A triangle of a robot that another volume of it crosses is 0 apart from it: that tells that they do, not how far; with a
-triangle of the scene it is the shortest way out. The sign is right.
+only radii overlap, and of whatever crosses a triangle. A triangle that enters a cylinder is as deep as the deepest of some
+lines in it: it must move at least so far. The sign is right.
 """
 
 from __future__ import annotations

@@ -27,7 +27,9 @@ def square_gap(volumes: Any, point: Any) -> Any:
 
 def skeleton_gap(volumes: Any, other: Any) -> Any:
     """To one swept-sphere obstacle, or one volume of another link."""
-    return distance.between(volumes[0], other[0]) - (volumes[1] + other[1])
+    fewer, more = sorted((volumes[0], other[0]), key=len)  # of points and lines that cross the radii are the way out
+    apart = distance.skeleton_triangle if len(more) == 3 else distance.between
+    return apart(fewer, more) - (volumes[1] + other[1])
 
 
 def box_gap(volumes: Any, box: Any) -> Any:

@@ -14,6 +14,7 @@ import numpy as np
 
 from jaxik.checks.arrays import numbers, rigid_frame
 from jaxik.checks.options import shown
+from jaxik.collision.scene import LIMIT
 from jaxik.files.chain_builder import MAX_BYTES, Link
 from jaxik.files.packages import MEND, PACKAGE, in_package, package_of
 from jaxik.fitting.link_distance_tables import SECTIONS
@@ -152,9 +153,16 @@ def _parsed(path: Path, where: str, name: str, target: Path, scale: np.ndarray) 
         content = io.BytesIO(target.read_bytes())  # not the path: a mesh may name other files, anywhere
         mesh: Any = trimesh.load(content, file_type=target.suffix[1:].lower(), force="mesh", process=False)
         points = np.asarray(mesh.vertices, dtype=np.float64) * scale
+        faces = np.asarray(mesh.faces).reshape(-1, 3)
         if not len(points) or not np.all(np.isfinite(points)):
             raise ValueError("no corners, or such that are not finite")
+        if np.any((faces < 0) | (faces >= len(points))):
+            raise ValueError("triangles of corners that it has not")
     except Exception as error:  # a parser for every format: whatever it raises is the file's fault
         problem = f"mesh '{name}' cannot be read ({type(error).__name__})"
         raise LoadError(path, where, problem, "give STL, OBJ, PLY or DAE") from None
-    return points, np.asarray(mesh.faces).reshape(-1, 3)
+    if (far := float(np.abs(points).max())) > LIMIT:
+        raise LoadError(path, where, f"mesh '{name}' reaches {far:g} m; allowed: {LIMIT:g} m", "give its scale, 0.001 for mm")
+    if not np.ptp(points, axis=0).any():
+        raise LoadError(path, where, f"mesh '{name}' is a single point", "give a scale other than 0")
+    return points, faces

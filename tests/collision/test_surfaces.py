@@ -1,16 +1,20 @@
 """Surfaces as obstacles: distances against coal's, what is wholly inside, gradients; and polygons as triangles."""
 
 import dataclasses
+from functools import partial
 
 import coal
 import jax
+import jax.numpy as jnp
 import numpy as np
 import pytest
 import trimesh
+from scipy.optimize import minimize
 from scipy.spatial.transform import Rotation
 
 import jaxik
 from jaxik.collision import bounding_box, distance, polygon_triangles, surfaces_cross
+from jaxik.collision.shape_distances import skeleton_gap
 from jaxik.collision.surfaces import as_bodies
 from jaxik.spatial.algebra import Vec3
 from jaxik.spmd import HostKernel
@@ -259,3 +263,32 @@ def test_a_carried_surface_moves_with_the_tip(arm):
     truth = apart_in_coal(in_coal(placed), in_coal(np.full((1, 3, 3), [1.0, 0.6, 0.3]))) - 0.1
     found = {c.link: c.distance for c in jaxik.explain(held.chain, ball, q, 9).contacts}
     assert abs(found["sheet"] - truth) <= 1e-9
+
+
+def test_what_crosses_a_triangle_is_as_deep_as_its_shortest_way_out():
+    """The oracle: of many directions that along which two volumes overlap least, and what SciPy finds from there."""
+    rng, radius = np.random.default_rng(35), 0.05
+    volume = lambda corners: (tuple(Vec3(*c) for c in corners), jnp.asarray(radius))
+    gap = lambda mine, theirs: skeleton_gap(volume(mine), volume(theirs))
+    kernel = HostKernel(jax.value_and_grad(gap), 2)
+    ways = rng.normal(size=(5000, 3))
+    ways /= np.linalg.norm(ways, axis=1, keepdims=True)
+    for count in (2, 3):
+        mine, theirs = 0.4 * rng.normal(size=(150, 3, 3)), 0.4 * rng.normal(size=(150, count, 3))
+        ours, slopes = kernel.run(mine, theirs)
+        swapped = kernel.run(theirs, mine)[0]
+        np.testing.assert_allclose(ours, swapped, atol=1e-12)
+        deep = ours < -2.0 * radius - 1e-3
+        assert deep.sum() >= 8
+        for i in np.flatnonzero(deep)[:8]:
+            apart = (ways @ mine[i].T).min(axis=1) - (ways @ theirs[i].T).max(axis=1)
+            overlap = partial(_overlap, mine=mine[i], theirs=theirs[i])
+            starts = ways[np.argsort(-apart)[:150:15]]  # from one of them it may stop at a kink
+            least = min(minimize(overlap, n, method="Nelder-Mead", tol=1e-10).fun for n in starts)
+            assert abs(ours[i] + 2.0 * radius + least) <= 1e-4 and ours[i] + 2.0 * radius >= apart.max() - 1e-12
+            np.testing.assert_allclose(np.linalg.norm(slopes[i].sum(axis=0)), 1.0, atol=1e-9)  # it leads out
+
+
+def _overlap(n, mine, theirs):
+    n = n / np.linalg.norm(n)
+    return (theirs @ n).max() - (mine @ n).min()

@@ -19,6 +19,8 @@ import jaxik
 from jaxik.files import targets as target_files
 from jaxik.files import urdf
 from jaxik.files.chain_builder import MAX_BYTES
+from jaxik.files.mesh import load_mesh
+from jaxik.reasons import LoadError
 
 TOML = """name = "arm"
 convention = "frames"
@@ -751,3 +753,29 @@ def test_targets_in_millimetres(tmp_path):
     (tmp_path / "mm.csv").write_text("x_mm,y_mm,z_mm,qw,qx,qy,qz\n500,-250,0,1,0,0,0\n")
     (pose,) = jaxik.load_targets(tmp_path / "mm.csv")
     assert np.array_equal(pose[:3, 3], [0.5, -0.25, 0.0]) and np.array_equal(pose[:3, :3], np.eye(3))
+
+
+PLY = """ply
+format ascii 1.0
+element vertex 3
+property float x
+property float y
+property float z
+element face 1
+property list uchar int vertex_indices
+end_header
+0 0 0
+{} 0 0
+0 1 0
+3 0 1 {}
+"""
+
+
+@pytest.mark.parametrize(
+    "corner, last, why", [(1, 99999999, "cannot be read"), (1, -1, "cannot be read"), ("1e38", 2, "100 m")]
+)
+def test_a_mesh_that_is_no_surface_is_refused_in_one_line(tmp_path, corner, last, why):
+    (file := tmp_path / "part.ply").write_text(PLY.format(corner, last))
+    with pytest.raises(LoadError, match=why) as told:
+        load_mesh(file)
+    assert "\n" not in str(told.value)
