@@ -19,13 +19,14 @@ import jax
 from race import processor
 
 HERE = Path(__file__).parent
+OUT = HERE / "random_programs.json"
 TOGETHER = 20  # programs compiled in one call
 
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--count", type=int, default=20_000)
-    parser.add_argument("--first", type=int, default=0)
+    parser.add_argument("--resume", action="store_true", help="go on where the JSON ends; what was wrong is judged again")
     wanted = parser.parse_args()
     jax.config.update("jax_enable_x64", True)
     jax.config.update("jax_disable_most_optimizations", True)  # XLA's half of the time
@@ -34,28 +35,39 @@ def main() -> None:
 
     kinds: dict[str, collections.Counter[str]] = collections.defaultdict(collections.Counter)
     steps: collections.Counter[str] = collections.Counter()
-    wrong, begun, seed = [], time.time(), wanted.first
+    wrong, before, seed = [], 0.0, 0
+    if wanted.resume:
+        known = json.loads(OUT.read_text())
+        kinds.update({kind: collections.Counter(counts) for kind, counts in known["kinds"].items()})
+        steps.update(known["steps"])
+        before, seed = known["seconds"], known["seeds"]
+        for one in known["wrong"]:
+            again = [said for case, said in random_programs.judged([one["seed"]]) if said not in ("", "ill-conditioned")]
+            kinds[one["kind"]] += collections.Counter({"wrong": -1, "wrong" if again else "equal": 1})
+            wrong += [one] if again else []
+    begun = time.time()
     while sum(map(collections.Counter.total, kinds.values())) < wanted.count:
-        for case, said in random_programs.judged(range(seed, seed + TOGETHER)):
+        seeds = [s for s in range(seed, seed + TOGETHER) if random_programs.Case.of(s).possible()]
+        for number, (case, said) in zip(seeds, random_programs.judged(seeds), strict=True):
             verdict = said if said in ("", "ill-conditioned") else "wrong"
             kinds[case.kind][verdict or "equal"] += 1
             steps.update({name for name, _ in case.steps})
             if verdict == "wrong":
-                wrong.append({"seeds": [seed, seed + TOGETHER], "kind": case.kind, "steps": case.steps, "said": said})
+                wrong.append({"seed": number, "kind": case.kind, "steps": case.steps, "said": said})
                 print(wrong[-1], flush=True)
         seed += TOGETHER
         jax.clear_caches()
         result = {
             "processor": processor(),
             "versions": {name: importlib.metadata.version(name) for name in ("jax", "jaxlib", "llvmlite", "numpy")},
-            "seeds": [wanted.first, seed],
-            "seconds": round(time.time() - begun),
+            "seeds": seed,
+            "seconds": round(before + time.time() - begun),
             "ulps": random_programs.ULPS,
             "kinds": {kind: dict(counts) for kind, counts in sorted(kinds.items())},
             "steps": dict(sorted(steps.items())),
             "wrong": wrong,
         }
-        (HERE / "random_programs.json").write_text(json.dumps(result, indent=1) + "\n")
+        OUT.write_text(json.dumps(result, indent=1) + "\n")
     for kind, counts in sorted(kinds.items()):
         print(f"{kind:40s}", dict(counts))
 

@@ -169,6 +169,11 @@ class Case(NamedTuple):
         lanes = "one way" if self.together else "mixed"
         return f"{self.dtype}, {'edges' if self.edges else 'finite'}, {self.way}, {lanes}"
 
+    @property
+    def eps(self) -> float:
+        """What its results are good to: one step goes through float32."""
+        return float(np.finfo(np.float32 if "narrow" in dict(self.steps) else self.dtype).eps)
+
     def rows(self, seed: int) -> list[np.ndarray]:
         """Operands (LANES, SIZE): x, y, i, b."""
         rng = np.random.default_rng([seed, 1])
@@ -209,7 +214,7 @@ def together(cases: Sequence[Case], change: Callable[[Any], Any]) -> Callable[..
     return jax.jit(lambda rows: [f(*each) for f, each in zip(functions, rows, strict=True)])
 
 
-def disagreement(found: Any, expected: Any, moved: Sequence[Any]) -> str:
+def disagreement(found: Any, expected: Any, moved: Sequence[Any], eps: float | None = None) -> str:
     """ "", "ill-conditioned" where results differ by no more than an input's last digits make of them (`moved`), or what is
     wrong."""
     said, sizes = "", _sizes(expected)
@@ -221,7 +226,7 @@ def disagreement(found: Any, expected: Any, moved: Sequence[Any]) -> str:
             differs, shaky = f != e, np.any([o != e for o in others], axis=0)
         else:
             with np.errstate(all="ignore"):
-                near = np.abs(f - e) <= ULPS * np.finfo(e.dtype).eps * sizes.reshape(-1, *[1] * (e.ndim - 1))
+                near = np.abs(f - e) <= ULPS * (eps or np.finfo(e.dtype).eps) * sizes.reshape(-1, *[1] * (e.ndim - 1))
                 shaky = np.any([~(np.abs(f - e) > 8.0 * np.abs(o - e)) for o in others], axis=0)
             differs = ~(near | (f == e) | (np.isnan(f) & np.isnan(e)))
         if np.any(differs & ~shaky):
@@ -248,9 +253,9 @@ def judged(seeds: Sequence[int]) -> list[tuple[Case, str]]:
     moved = [plain([_moved(case, each, way) for case, each in zip(cases, rows, strict=True)]) for way in (1, 2, 3)]
     verdicts = []
     for case, row, f, e, *others in zip(cases, rows, found, expected, *moved, strict=True):
-        said = disagreement(f, e, others)
+        said = disagreement(f, e, others, case.eps)
         if said not in ("", "ill-conditioned") and case.dtype == np.float32:  # is it XLA's own rounding?
-            said = disagreement(f, e, [*others, _wide(case, row, e)])
+            said = disagreement(f, e, [*others, _wide(case, row, e)], case.eps)
         verdicts.append((case, said))
     return verdicts
 
