@@ -28,6 +28,12 @@ def test_the_readme_is_a_page():
     assert linked and all((HERE.parent / each).exists() for each in linked)
 
 
+def test_the_readme_has_two_commands_that_do_everything():
+    """Of which `.ci/run` reads each, as it stands there."""
+    first, second = re.search(r"```\n(pip install .*)\n(pip install .*)\n```", (HERE.parent / "README.md").read_text()).groups()
+    assert first.endswith("jaxik harvest") and second.endswith("pytest")
+
+
 def test_what_is_public_is_in_the_reference():
     assert public.faults() == []
 
