@@ -153,16 +153,20 @@ class Chain(Constant):
     def with_drives(self, drives: Iterable[Drive]) -> Chain:
         """The same chain with these drives, one a joint, and their rotors as its armature; or without drives.
 
-        Raises `ValueError` for another number of them.
+        Where a drive has no rotor the joint keeps the armature that its file gives it. Raises `ValueError` for another number
+        of drives.
         """
         drives = tuple(drives) if isinstance(drives, Iterable) else (drives,)
         for drive in drives:
             check_kind("with_drives", "a drive", drive, Drive)
         if len(drives) not in (0, self.num_joints):
             raise ValueError(f"with_drives: {len(drives)} drives; {self.name} has {self.num_joints} joints, write one for each")
-        rotors = [drive.armature for drive in drives]
-        armature = np.array(rotors) if is_known(rotors) else jnp.stack(rotors)
-        return dataclasses.replace(self, drives=drives, armature=armature if drives else self.armature)
+        rotors, before = ([drive.armature for drive in each] for each in (drives, self.drives))
+        if not is_known((rotors, before, self.armature)):
+            return dataclasses.replace(self, drives=drives, armature=jnp.stack(rotors) if drives else self.armature)
+        of_file = np.where(np.array(before) > 0.0, 0.0, self.armature) if before else self.armature
+        armature = np.where(np.array(rotors) > 0.0, rotors, of_file) if drives else self.armature
+        return dataclasses.replace(self, drives=drives, armature=armature)
 
     def with_load(self, mass: Any, com: Any = (0.0, 0.0, 0.0), inertia: Any = None) -> Chain:
         """The same chain with a load at its tip: `mass` [kg], `com` (3,) [m] and `inertia` (3, 3) about it [kg m2] in the tip's

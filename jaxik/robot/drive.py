@@ -64,7 +64,7 @@ class Friction(_Numbers):
     `viscous_load`, (3.14) has a `breakaway` like its `coulomb`, which it is unless given, and (3.16) is `coulomb` and `viscous`
     at the joint. `breakaway` is T_S of (3.13), where the curve ends at rest: in table 3.4 it is below T_0, `coulomb`.
 
-    Raises `ValueError` for a number below 0.
+    Raises `ValueError` for a number below 0, and for a `breakaway` other than `coulomb` without a `stribeck_velocity`.
     """
 
     coulomb: Number = 0.0
@@ -81,6 +81,10 @@ class Friction(_Numbers):
         if self.breakaway is None:
             vars(self)["breakaway"] = self.coulomb
         super().__post_init__()
+        if is_known((self.coulomb, self.breakaway, self.stribeck_velocity)):
+            if np.any(np.isinf(self.stribeck_velocity) & (np.asarray(self.breakaway) != np.asarray(self.coulomb))):
+                told = f"breakaway {shown(self.breakaway)} beside coulomb {shown(self.coulomb)}"
+                raise ValueError(f"Friction: {told} would hold at every speed; give stribeck_velocity, at which it is half gone")
 
 
 class Drive(_Numbers):

@@ -83,7 +83,7 @@ def test_of_a_simulated_arm():
     """MuJoCo's, with drives whose friction the model has a fifth too small, and sensors of currents that are noisy."""
     drive = Drive(ratio=100.0, torque_constant=0.05, rotor_inertia=1e-5, friction=Friction(coulomb=2.0, viscous=1.0))
     model = WRIST.with_drives([drive] * 6)
-    rubs = dataclasses.replace(drive.friction, coulomb=2.4)
+    rubs = dataclasses.replace(drive.friction, coulomb=2.4, breakaway=2.4)
     arm = model.with_drives([dataclasses.replace(drive, friction=rubs)] * 6)
     ways = np.array([[-0.6] * 6, [0.6, 0.8, -0.5, 0.7, 0.9, -0.8], [0.1, -0.7, 0.6, -0.8, -0.9, 0.8]])
     plan = jaxik.planning.quintic([ways[0], ways[1], ways[2]], velocity=1.0, acceleration=3.0)

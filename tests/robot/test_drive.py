@@ -152,3 +152,21 @@ def test_drives_in_files(tmp_path):
     ):
         with pytest.raises(jaxik.LoadError, match=line):
             jaxik.load(write(tmp_path, "arm.toml", ARM.replace(wrong, right)))
+
+
+def test_a_breakaway_needs_the_speed_at_which_it_is_gone():
+    """Else it would hold at every speed, and `coulomb` nowhere."""
+    with pytest.raises(ValueError, match=r"breakaway 10.* beside coulomb 8.*; give stribeck_velocity") as refused:
+        Friction(coulomb=8.0, breakaway=10.0)
+    assert "\n" not in str(refused.value)
+    chain = jaxik.load("planar2").with_drives([Drive(friction=Friction(coulomb=8.0, breakaway=10.0, stribeck_velocity=0.01))] * 2)
+    np.testing.assert_allclose(friction_torque(chain, np.array([1.0, -100.0]), np.zeros(2)), [-8.0002, 8.0], rtol=1e-6)
+
+
+def test_a_drive_without_a_rotor_leaves_the_armature_of_the_file():
+    chain = dataclasses.replace(jaxik.load("planar2"), armature=np.array([0.3, 0.7]))
+    rubbing = chain.with_drives([Drive(friction=Friction(viscous=1.0))] * 2)
+    np.testing.assert_array_equal(rubbing.armature, [0.3, 0.7])
+    turning = rubbing.with_drives([Drive(), Drive(ratio=10.0, rotor_inertia=0.01)])
+    np.testing.assert_array_equal(turning.armature, [0.3, 1.0])
+    np.testing.assert_array_equal(turning.with_drives([Drive()] * 2).armature, [0.3, 0.0])  # what its rotor gave goes with it
