@@ -22,6 +22,7 @@ class Reason(IntEnum):
     STILL = 7  # of a motion: the path has no length; the tip stands still
     UNEXCITED = 8  # of a log: it does not tell well all that motions of the chain could
     SILENT = 9  # of a device: it says nothing
+    UNEXPLAINED = 10  # of a log: most of a joint's torque is nothing that bodies and friction do
 
     @property
     def text(self) -> str:

@@ -9,7 +9,7 @@ import numpy as np
 from jaxik.identification.columns import LOADED
 from jaxik.identification.identifiable import BaseParameters
 from jaxik.identification.problem import Curve, Problem
-from jaxik.identification.weighted_fit import EXACT, TOLD, condition, weighted_fit
+from jaxik.identification.weighted_fit import EXACT, TOLD, condition, repeated, weighted_fit
 
 PARTS = np.geomspace(0.05, 4.0, 30)  # of a joint's usual speed, where its Stribeck velocity is looked for
 WIDEST = 3.0  # logarithms about the likely one: beyond, the curve is a step or flat where the joint moved
@@ -19,13 +19,14 @@ SETTLED = 1e-6  # of the sum of squares: what a step still takes away at the end
 
 
 class BaseFit(NamedTuple):
-    """Base parameters (b,) and their standard errors, the condition number of their columns at equal lengths, the noise (n,),
-    the curve that friction has, and whether that has settled."""
+    """Base parameters (b,) and their standard errors, the condition number of their columns at equal lengths, the noise (n,)
+    and in how many rows the same one stands (n,), the curve that friction has, and whether that has settled."""
 
     value: np.ndarray
     std: np.ndarray
     condition: float
     noise: np.ndarray
+    repeats: np.ndarray
     curve: Curve
     settled: bool
 
@@ -61,7 +62,8 @@ def _linear_fit(problem: Problem, base: BaseParameters, curve: Curve, coefficien
         columns = np.hstack([columns, bend * problem.steepness(coefficients)])
     least = EXACT * np.sqrt(np.mean(problem.torque**2, axis=0))
     fit = weighted_fit(columns, torque, joint, problem.counts.sum(axis=0), least)
-    return BaseFit(fit.value[:b], fit.std()[:b], condition(columns[:, :b]), fit.noise, curve, False)
+    repeats = repeated(problem.left(*problem.split(base, fit.value[:b]), curve), problem.counts)
+    return BaseFit(fit.value[:b], fit.std(repeats)[:b], condition(columns[:, :b]), fit.noise, repeats, curve, False)
 
 
 def _likely_stribeck(problem: Problem, base: BaseParameters, load: np.ndarray) -> np.ndarray:

@@ -20,13 +20,16 @@ from jaxik.identification.columns import Term, check_terms
 from jaxik.identification.identifiable import BaseParameters, base_parameters
 from jaxik.identification.log import MotionLog
 from jaxik.identification.physical_fit import physical_fit
-from jaxik.identification.problem import Problem, posed
+from jaxik.identification.problem import Problem, check_alive, posed
 from jaxik.reasons import Reason, Reasoned
 from jaxik.robot.chain import Chain
 from jaxik.robot.drive import Drive, Friction
-from jaxik.robot.dynamics import body_parameters, with_body_parameters
+from jaxik.robot.dynamics import INERTIAL, body_parameters, with_body_parameters
 
 LEAST_PRIOR = 1e-6  # as a logarithm; with less nothing would be found at all
+MOST, ALL = 0.3, 0.9  # of a joint's torque that may be left, if it is no fresh noise in each row; and in any case
+FRESH = 3.0  # rows in which the same noise stands: in more it is no noise, but what the model does not know
+HEAVY = 10.0  # times as heavy, or as light, as the file says a robot is: torques in other units, or of other joints
 FAR, SHARE = 3.0, 0.01  # times the noise, and of a joint's torque: what leaves more than both has not arrived at the log
 
 
@@ -50,7 +53,8 @@ class IdentifyOptions:
 class Identified(Reasoned):
     """The `chain` with the bodies and drives found, all physical; its `base` parameters as the log alone tells them, `value`
     and standard error `std` (b,); the excitation's `condition` number (columns of equal length); of each joint the root mean
-    square `residual` (n,) [Nm, N] and the `rows` that counted; and the `reason`: SOLVED, UNEXCITED or NOT_CONVERGED."""
+    square `residual` (n,) [Nm, N] and the `rows` that counted; and the `reason`: SOLVED, UNEXCITED, UNEXPLAINED or
+    NOT_CONVERGED."""
 
     chain: Chain
     base: BaseParameters
@@ -84,7 +88,9 @@ def identify(
 
     `changes` are fields of the options. The chain's own bodies are what is taken for granted where a log says nothing; those
     without a mass, as 10 g. The drives that come back have their friction at the joint, without a load's share that was not
-    asked for. What leaves far more than the noise of the log is NOT_CONVERGED: a log that no bodies explain, for one.
+    asked for. A log is UNEXPLAINED where bodies and friction leave a third of a joint's torque that is no noise, or nearly all
+    of it, or where they weigh ten times as much as the chain's own: look at the order of its columns, and at its units.
+    `std` counts rows in which the same noise stands, as a filter makes it, as one.
 
     Raises `ValueError` for logs and options that cannot be used. Sources: Gautier 1991; Rucker, Wensing 2022.
     """
@@ -106,10 +112,16 @@ def _identified(chain: Chain, problem: Problem, known: np.ndarray, options: Iden
     base = base_parameters(chain, options.terms)
     if (rows := int(problem.counts.sum())) < 2 * len(base):
         raise ValueError(f"identify: {rows} values for {len(base)} unknowns; log a longer motion, twice as many at least")
+    check_alive("identify", chain, problem.torque)
     fit = base_fit(problem, base, known, options.rounds)
     found = physical_fit(problem, fit.curve, fit.noise, known, options.prior, options.steps)
-    arrived = found.residual <= np.maximum(FAR * fit.noise, SHARE * np.sqrt(np.mean(problem.torque**2, axis=0)))
+    usual = np.sqrt(np.mean(problem.torque**2, axis=0))
+    arrived = found.residual <= np.maximum(FAR * fit.noise, SHARE * usual)
+    share, masses = fit.noise / usual, (np.sum(x.reshape(-1, INERTIAL)[:, 0]) for x in (found.bodies, known))
+    strange = np.any((share > MOST) & ((fit.repeats > FRESH) | (share > ALL))) or _far(*masses)
+    well = found.settled and fit.settled and bool(arrived.all())
     reason = Reason.UNEXCITED if fit.condition > options.condition else Reason.SOLVED
+    reason = Reason.UNEXPLAINED if strange else reason if well else Reason.NOT_CONVERGED
     return Identified(
         chain=_with_friction(with_body_parameters(chain, found.bodies.ravel()), found.friction, fit.curve.stribeck),
         base=base,
@@ -118,8 +130,13 @@ def _identified(chain: Chain, problem: Problem, known: np.ndarray, options: Iden
         condition=fit.condition,
         residual=found.residual,
         rows=problem.counts.sum(axis=0),
-        reason=reason if found.settled and fit.settled and arrived.all() else Reason.NOT_CONVERGED,
+        reason=reason,
     )
+
+
+def _far(found: float, known: float) -> bool:
+    """Whether bodies weigh another order of magnitude than those that are known, if any are."""
+    return bool(known > 0.0 and not known / HEAVY <= found <= known * HEAVY)
 
 
 def _with_friction(chain: Chain, friction: dict[Term, np.ndarray], stribeck: np.ndarray) -> Chain:

@@ -26,7 +26,7 @@ from jaxik.identification.fit import FAR, LEAST_PRIOR, SHARE
 from jaxik.identification.log import MotionLog, joined
 from jaxik.identification.physical_fit import nearest_bodies
 from jaxik.identification.pseudo_inertia import FROM_PSEUDO, TO_PSEUDO
-from jaxik.identification.weighted_fit import EXACT, condition, weighted_fit
+from jaxik.identification.weighted_fit import EXACT, condition, repeated, weighted_fit
 from jaxik.reasons import Reason, Reasoned
 from jaxik.robot.actuation import torque_of_current
 from jaxik.robot.chain import Chain, steiner
@@ -125,7 +125,7 @@ def _found(
 ) -> IdentifiedLoad:
     """Of Y (k, n, 10), Y phi (k, n), which rows count (k, n), and what torques usually are (n,)."""
     rows, joint = np.maximum(counts.sum(axis=0), 1), np.nonzero(counts)[1]
-    columns, missing = columns[counts], missing[counts]
+    whole, columns, missing = (columns, missing), columns[counts], missing[counts]
     fit = weighted_fit(columns, missing, joint, rows, np.maximum(EXACT * usual, 1e-12))
     known = _ball(fit.value)
     bodies, _, settled = nearest_bodies(
@@ -134,7 +134,8 @@ def _found(
     residual = np.sqrt(np.bincount(joint, (columns @ bodies[0] - missing) ** 2, len(usual)) / rows)
     arrived = np.all(residual <= np.maximum(FAR * fit.noise, SHARE * usual))
     mass, com, inertia = _split(_as_body(bodies[0]))
-    mass_std, com_std, inertia_std = _split(fit.std(_slope(bodies[0])))
+    repeats = repeated(np.where(counts, whole[0] @ fit.value - whole[1], 0.0), counts)
+    mass_std, com_std, inertia_std = _split(fit.std(repeats, _slope(bodies[0])))
     excited = condition(columns[:, :4])
     reason = Reason.UNEXCITED if excited > options.condition else Reason.SOLVED
     return IdentifiedLoad(

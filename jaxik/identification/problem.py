@@ -103,6 +103,11 @@ class Problem:
         rotors = [c for term, c in zip(self.terms, coefficients, strict=True) if term == "armature"]
         return load + self.qddot * rotors[0] if rotors else load
 
+    def left(self, bodies: np.ndarray, coefficients: np.ndarray, curve: Curve) -> np.ndarray:
+        """What bodies (10 n,) and friction's coefficients (t, n) leave of the torques (K, n)."""
+        rubs = np.einsum("tkn,tn->kn", np.asarray(self.friction(curve)).reshape(-1, *self.qdot.shape), coefficients)
+        return np.asarray(self.torque - self.rotor - self.bodies @ bodies - rubs)
+
 
 def _turned(basis: np.ndarray, triangle: np.ndarray, own: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """The columns `basis @ triangle` beside those of `own` (k, c), in coordinates in which k is as small as it can be."""
@@ -111,6 +116,13 @@ def _turned(basis: np.ndarray, triangle: np.ndarray, own: np.ndarray) -> tuple[n
     again = basis.T @ rest  # what rounding has left
     outside = np.linalg.qr(rest - basis @ again, mode="r")
     return np.vstack([triangle, np.zeros((len(outside), triangle.shape[1]))]), np.vstack([inside + again, outside])
+
+
+def check_alive(who: str, chain: Chain, torque: np.ndarray) -> None:
+    """Raises `ValueError` where a joint's torque (K, n) is 0 throughout: such are dead channels."""
+    for name, column in zip(chain.joint_names, torque.T, strict=True):
+        if not column.any():
+            raise ValueError(f"{who}: the torque of {name} is 0 in all rows; a dead channel tells nothing, log it again")
 
 
 def posed(chain: Chain, logs: MotionLog | Sequence[MotionLog], terms: tuple[Term, ...], slowest: float) -> Problem:

@@ -12,19 +12,38 @@ TOLD = 1e-9  # of the largest singular value: a combination of less is not told 
 
 
 class WeightedFit(NamedTuple):
-    """Values (p,), 0 where no row tells any, which `untold` (p,) says; `spread` (r, p), whose square S'S is their covariance;
-    and the noise of each joint (n,)."""
+    """Values (p,), 0 where no row tells any, which `untold` (p,) says; `spread` (t, p), by which the noise of each row comes
+    into them through the orthonormal columns `basis` (r, t); the `joint` of each row (r,), and the noise of each joint (n,)."""
 
     value: np.ndarray
     untold: np.ndarray
     spread: np.ndarray
+    basis: np.ndarray
+    joint: np.ndarray
     noise: np.ndarray
 
-    def std(self, slope: np.ndarray | None = None) -> np.ndarray:
-        """Standard errors (p,), or of what has the derivative `slope` (m, p) by the values (m,); infinite where untold."""
+    def std(self, repeats: np.ndarray, slope: np.ndarray | None = None) -> np.ndarray:
+        """Standard errors (p,), or of what has the derivative `slope` (m, p) by the values (m,); infinite where untold.
+        `repeats` (n,): in how many rows of a joint the same noise stands."""
         slope = np.eye(len(self.value)) if slope is None else slope
         lost = np.any(slope[:, self.untold] != 0.0, axis=1)
-        return np.where(lost, np.inf, np.linalg.norm(self.spread @ slope.T, axis=0))
+        triangle = np.linalg.qr(self.basis * np.sqrt(repeats[self.joint])[:, None], mode="r")
+        return np.where(lost, np.inf, np.linalg.norm(triangle @ self.spread @ slope.T, axis=0))
+
+
+def repeated(left: np.ndarray, counts: np.ndarray) -> np.ndarray:
+    """In how many rows the same noise stands (n,), of what is left (k, n) in the rows that count (k, n): as a filter makes it.
+
+    `1 + 2 sum of rho_k`, rho_k being the correlation k rows apart, up to the first that is not above 0 [Geyer 1992].
+    """
+    found = []
+    for row, there in zip((left * counts).T, counts.T.astype(float), strict=True):
+        power = lambda x: np.fft.irfft(np.abs(np.fft.rfft(x, 2 * len(x))) ** 2)[: len(x)]
+        pairs = np.maximum(np.round(power(there)), 1.0)
+        rho = power(row) / pairs / max(float(np.mean(row**2) * len(row) / max(there.sum(), 1.0)), 1e-300)
+        ends = np.flatnonzero(rho[1:] <= 0.0)
+        found.append(1.0 + 2.0 * rho[1 : 1 + (ends[0] if len(ends) else len(rho) // 2)].sum())
+    return np.array(found)
 
 
 def weighted_fit(
@@ -44,7 +63,8 @@ def weighted_fit(
         value = vt[told].T @ ((orthogonal @ u[:, told]).T @ (torque * weight) / s[told])
         noise = np.maximum(np.sqrt(np.bincount(joint, (columns @ value - torque) ** 2, len(rows)) / rows), least)
     untold = np.any(np.abs(vt[~told]) > TOLD, axis=0)
-    return WeightedFit(value / lengths, untold, vt[told] / s[told][:, None] / lengths, noise)
+    spread = vt[told] / s[told][:, None] / lengths
+    return WeightedFit(value / lengths, untold, spread, orthogonal @ u[:, told], joint, noise)
 
 
 def condition(columns: np.ndarray) -> float:

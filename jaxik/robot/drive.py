@@ -82,9 +82,12 @@ class Friction(_Numbers):
             vars(self)["breakaway"] = self.coulomb
         super().__post_init__()
         if is_known((self.coulomb, self.breakaway, self.stribeck_velocity)):
-            if np.any(np.isinf(self.stribeck_velocity) & (np.asarray(self.breakaway) != np.asarray(self.coulomb))):
-                told = f"breakaway {shown(self.breakaway)} beside coulomb {shown(self.coulomb)}"
-                raise ValueError(f"Friction: {told} would hold at every speed; give stribeck_velocity, at which it is half gone")
+            self._check_breakaway()
+
+    def _check_breakaway(self) -> None:
+        if np.any(np.isinf(self.stribeck_velocity) & (np.asarray(self.breakaway) != np.asarray(self.coulomb))):
+            told = f"breakaway {shown(self.breakaway)} beside coulomb {shown(self.coulomb)} would hold at every speed"
+            raise ValueError(f"Friction: {told}; give stribeck_velocity, at which it is half gone")
 
 
 class Drive(_Numbers):

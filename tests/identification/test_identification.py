@@ -9,7 +9,7 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 import jaxik
-from jaxik.identification import MotionLog, base_parameters, excite, identify, pseudo_inertias
+from jaxik.identification import MotionLog, base_parameters, excite, identify, pseudo_inertias, smoothed
 from jaxik.identification.clear_motion import ClearSpace
 from jaxik.identification.columns import body_columns, side_by_side
 from jaxik.identification.excitation import ExcitationOptions, _Search
@@ -277,3 +277,72 @@ def test_faults_in_one_line(change, line):
 def test_faults_of_excitations(change, line):
     with pytest.raises(ValueError, match=line):
         excite(**({"chain": ARM} | change))
+
+
+SIX = jaxik.load("crops_v2").part(1, 7)  # six joints of many sizes
+
+
+@pytest.fixture(scope="module")
+def six():
+    """Another arm of its kind, and 20 s of its motion at 100 Hz: times, joints and torques."""
+    rng, time = np.random.default_rng(5), np.arange(0.0, 20.0, 0.01)
+    low, high = np.maximum(SIX.lower, -1.5), np.minimum(SIX.upper, 1.5)
+    hertz, phase = rng.uniform(0.1, 0.7, (4, 1, 6)), rng.uniform(0.0, 6.0, (4, 1, 6))
+    w = 2.0 * np.pi * hertz
+    wave = [
+        np.mean(f, axis=0) * (high - low) / 2.0
+        for f in (
+            np.sin(w * time[:, None] + phase),
+            w * np.cos(w * time[:, None] + phase),
+            -(w**2) * np.sin(w * time[:, None] + phase),
+        )
+    ]
+    wave[0] = wave[0] + (low + high) / 2.0
+    heavier = dataclasses.replace(
+        SIX, drives=(), bodies=tuple(Body(np.asarray(1.2 * b.mass), b.com + 0.01, 1.2 * b.inertia) for b in SIX.bodies)
+    )
+    return time, wave, np.asarray(torques(heavier, *wave)), heavier
+
+
+def test_filtered_noise_is_counted_once(six):
+    """Standard errors are those of the errors, of logs as they are and of those that a low pass has been over."""
+    time, wave, torque, heavier = six
+    base, known = base_parameters(SIX), dataclasses.replace(SIX, drives=())
+    true, rng = base.matrix[:, : 10 * 6] @ np.asarray(body_parameters(heavier)), np.random.default_rng(8)
+    for filtered in (False, True):
+        off = []
+        for _ in range(4):
+            noisy = torque + 0.1 * torque.std(axis=0) * rng.normal(size=torque.shape)
+            noisy = smoothed(time, noisy, cutoff=8.0).value if filtered else noisy
+            found = identify(known, MotionLog(*wave, torque=noisy), terms=())
+            assert found.reason == Reason.SOLVED
+            off.append((found.value - true) / found.std)
+        assert 0.6 < np.sqrt(np.mean(np.square(off))) < 1.5 and np.mean(np.abs(off) < 2.0) > 0.85
+
+
+STRANGE = {
+    "the order of another program": lambda t, rng: t[:, [2, 1, 0, 3, 4, 5]],
+    "backward": lambda t, rng: t[:, ::-1],
+    "rows shuffled": lambda t, rng: rng.permutation(t),
+    "pure noise": lambda t, rng: rng.normal(size=t.shape) * t.std(axis=0),
+    "Nmm": lambda t, rng: 1000.0 * t,
+}
+
+
+@pytest.mark.parametrize("name", STRANGE)
+def test_a_log_that_nothing_explains_says_so(name, six):
+    _, wave, torque, _ = six
+    rng = np.random.default_rng(2)
+    known, noisy = dataclasses.replace(SIX, drives=()), torque + rng.normal(0.0, 0.1, torque.shape)
+    assert identify(known, MotionLog(*wave, torque=noisy), terms=()).reason == Reason.SOLVED
+    found = identify(known, MotionLog(*wave, torque=STRANGE[name](noisy, rng)), terms=())
+    assert found.reason == Reason.UNEXPLAINED and "unexplained" in repr(found)
+
+
+@pytest.mark.parametrize("dead", [slice(0, 6), slice(2, 3)])
+def test_a_dead_channel_is_named(dead, six):
+    _, wave, torque, _ = six
+    silent = torque.copy()
+    silent[:, dead] = 0.0
+    with pytest.raises(ValueError, match=f"the torque of {SIX.joint_names[dead.start]} is 0 in all rows; a dead channel"):
+        identify(SIX, MotionLog(*wave, torque=silent), terms=())

@@ -159,7 +159,9 @@ def test_a_breakaway_needs_the_speed_at_which_it_is_gone():
     with pytest.raises(ValueError, match=r"breakaway 10.* beside coulomb 8.*; give stribeck_velocity") as refused:
         Friction(coulomb=8.0, breakaway=10.0)
     assert "\n" not in str(refused.value)
-    chain = jaxik.load("planar2").with_drives([Drive(friction=Friction(coulomb=8.0, breakaway=10.0, stribeck_velocity=0.01))] * 2)
+    chain = jaxik.load("planar2").with_drives(
+        [Drive(friction=Friction(coulomb=8.0, breakaway=10.0, stribeck_velocity=0.01))] * 2
+    )
     np.testing.assert_allclose(friction_torque(chain, np.array([1.0, -100.0]), np.zeros(2)), [-8.0002, 8.0], rtol=1e-6)
 
 
