@@ -16,6 +16,7 @@ from jaxik.cli.dynamics import DynamicsArguments
 from jaxik.cli.fit import FitArguments
 from jaxik.cli.harvest import HarvestArguments
 from jaxik.cli.ik import IKArguments
+from jaxik.cli.interruption import STOPPED, Unsolved, interrupt_surely
 from jaxik.cli.plan import PlanArguments
 from jaxik.cli.sweep import SweepArguments
 from jaxik.cli.view import ViewArguments
@@ -43,18 +44,26 @@ COMMANDS = {
 
 
 def main() -> None:
-    """The entry point. A mistake in the input ends with one line and exit code 2."""
+    """The entry point. It ends with 0; with 1 and one line where something that was asked has no answer; with 2 and one line
+    for a mistake in the input; and with 130 and one line after Ctrl-C."""
     if sys.argv[1:] == ["--version"]:
         return _About().run()
     kinds: Any = Union[tuple(Annotated[kind, tyro.conf.subcommand(name)] for name, kind in COMMANDS.items())]  # noqa: UP007
     command = tyro.cli(kinds, prog="jaxik", description=(jaxik.__doc__ or "").partition("\n")[0])
-    compilation_cache()
+    interrupt_surely()
     try:
+        compilation_cache()
         with _warnings_as_lines():
             command.run()
+    except Unsolved as told:
+        print(f"jaxik: {told}", file=sys.stderr)
+        raise SystemExit(1) from None
     except (ValueError, OSError) as error:
         print(f"jaxik: {error}", file=sys.stderr)
         raise SystemExit(2) from None
+    except KeyboardInterrupt:
+        print("jaxik: stopped", file=sys.stderr)
+        raise SystemExit(STOPPED) from None
 
 
 @contextlib.contextmanager

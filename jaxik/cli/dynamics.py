@@ -14,6 +14,7 @@ import numpy as np
 import tyro
 
 import jaxik
+from jaxik.cli.results import writing
 from jaxik.cli.robot_arguments import RobotArguments
 from jaxik.planning.trajectory import JointState
 from jaxik.planning.trajectory_files import as_states, check_ending
@@ -74,14 +75,14 @@ class DynamicsArguments(RobotArguments):
         self._doubt(chain, time, found["q"])
         time, state = as_states(time, found, self.smooth)
         demand = demanded(chain, state, self.gravity)
-        self.out.parent.mkdir(parents=True, exist_ok=True)
-        _write(self.out, chain, time, demand)
+        with writing(self.out) as wrote:
+            _write(self.out, chain, time, demand)
         if "acceleration" not in found:
             print(f"  {self._derived('velocity' in found)}")
         for line in _lines(chain, demand):
             print(f"  {line}")
         work = np.trapezoid(np.maximum(demand.power, 0.0).sum(axis=1), time)
-        print(f"{len(time)} samples, {time[-1] - time[0]:.2f} s, {work:.1f} J into the joints; wrote {self.out}")
+        print(f"{len(time)} samples, {time[-1] - time[0]:.2f} s, {work:.1f} J into the joints; {wrote}")
         if self.plot is not None:
             from jaxik.view.torque_picture import torque_picture
 

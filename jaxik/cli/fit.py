@@ -42,6 +42,8 @@ class FitArguments(RobotArguments):
             line = bar.add_task("fit", total=None)
             show = lambda done, of: bar.update(line, completed=done, total=of)
             report = jaxik.files.fit_report(self.robot, progress=show, **what)
+        if not report:
+            raise ValueError(f"{self.robot}: has no meshes that capsules could be fitted to; its shapes are those of its file")
         seconds = time.perf_counter() - start
         chain = jaxik.load(self.robot, meshes=True, **what)
         print_table(f"{chain.name}: capsules around its meshes, lengths in mm", HEADINGS, map(_cells, report))

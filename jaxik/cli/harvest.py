@@ -13,7 +13,7 @@ import numpy as np
 
 import jaxik
 from jaxik.cli.results import print_table, write_csv
-from jaxik.cli.robot_arguments import RobotArguments
+from jaxik.cli.robot_arguments import ShapedRobotArguments
 from jaxik.harvesting.blocking_objects import Blockers
 from jaxik.harvesting.driver import Harvest
 from jaxik.harvesting.harvest_plan import HarvestPlan, HarvestPlanOptions, Leaves, Order
@@ -27,15 +27,13 @@ OF_MOTIONS = "order", "home", "place", "leaves", "approach", "candidates", "peri
 
 
 @dataclasses.dataclass(kw_only=True)
-class HarvestArguments(RobotArguments):
+class HarvestArguments(ShapedRobotArguments):
     """The best collision-free posture for every fruit of a scene, as a table, a file and a picture; and the motions."""
 
     robot: str = "p6r"
     """A shipped model or a robot file (.urdf, .xml, .toml)."""
     scene: str = "cucumber_row"
     """A shipped scene or a scene file (.toml, or labelled points as .csv or .ply)."""
-    meshes: bool = False
-    """Read the robot's collision meshes (URDF) for capsules around them."""
     weights: Weights = dataclasses.field(default_factory=Weights)
     """What makes a posture good."""
     angles: int = 72
@@ -76,7 +74,7 @@ class HarvestArguments(RobotArguments):
         given = [f"--{name}" for name in OF_MOTIONS if getattr(self, name) != getattr(type(self), name)]
         if given and not self.motions:
             raise ValueError(f"{', '.join(given)}: of motions; add --motions")
-        chain = jaxik.load(self.robot, meshes=self.meshes, **self.loading())
+        chain = jaxik.load(self.robot, **self.loading())
         scene = jaxik.load_scene(self.scene)
         how = self.plan_options(chain.num_joints)
         options = {name: getattr(self, name) for name in ("weights", "angles", "slides", "margin")}

@@ -3,37 +3,43 @@
 from __future__ import annotations
 
 import dataclasses
+import sys
 import tempfile
 import time
 from pathlib import Path
 from typing import Literal
 
+import jax
 import numpy as np
 import tyro
 
 import jaxik
 from jaxik.checks.optional_modules import optional
-from jaxik.cli.results import offenders, write_csv
-from jaxik.cli.robot_arguments import RobotArguments
+from jaxik.cli.interruption import STOPPED, Patience
+from jaxik.cli.results import offenders, write_csv, writing
+from jaxik.cli.robot_arguments import ShapedRobotArguments
 from jaxik.ik.solve import FAULTS
+from jaxik.ik.sqp_programs import solve_errors
+from jaxik.spatial.rotations import frame
 
+AT_ONCE = 1024  # targets, between which Ctrl-C is heard
 SHOWN = 5  # invalid targets of which it is said why
 
 
 @dataclasses.dataclass(kw_only=True)
-class IKArguments(RobotArguments):
+class IKArguments(ShapedRobotArguments):
     """A configuration for every target of a file, or the reason why there is none."""
 
     robot: tyro.conf.Positional[str]
     """A shipped model or a robot file (.urdf, .xml, .toml)."""
     targets: tyro.conf.Positional[Path]
     """Targets in the robot's base: .csv (x, y, z, qw, qx, qy, qz), .npz (poses, or positions and wxyz) or .json."""
-    meshes: bool = False
-    """Read the robot's collision meshes (URDF) for capsules around them, which a scene needs."""
     scene: str | None = None
-    """A shipped scene or a scene file: obstacles to keep clear of."""
+    """A shipped scene or a scene file: obstacles to keep clear of; without one, the robot keeps clear of itself."""
+    collision: bool = True
+    """Keep clear of the scene and of the robot itself; --no-collision asks for kinematics alone."""
     margin: float = 0.0
-    """Least clearance with a scene [m]."""
+    """Least clearance [m]."""
     free: tuple[Literal["x", "y", "z", "roll", "pitch", "yaw"], ...] = ()
     """Components that a target leaves free."""
     axes: Literal["tool", "base"] = "tool"
@@ -64,19 +70,29 @@ class IKArguments(RobotArguments):
             optional("--out: .parquet", "pyarrow", "parquet")  # before the work, not after
         if self.out.is_dir():
             raise ValueError(f"--out {self.out}: is a folder; name a file")
-        chain = jaxik.load(self.robot, meshes=self.meshes, **self.loading())
+        chain = jaxik.load(self.robot, **self.loading())
         scene = None if self.scene is None else jaxik.load_scene(self.scene)
         targets = jaxik.load_targets(self.targets)
         free = (*self.free, *(("roll", "pitch", "yaw") if targets.ndim == 2 else ()))  # a position says nothing of rotation
-        task = jaxik.Task.pose(free, self.axes)
         chosen = {f.name: getattr(self, f.name) for f in dataclasses.fields(jaxik.IKOptions) if hasattr(self, f.name)}
-        start = time.perf_counter()
-        with Progress(console=Console(stderr=True)) as bar:
+        chosen["collision"] = "constraint" if self.collision else False
+        options = jaxik.IKOptions(task=jaxik.Task.pose(free, self.axes), **chosen)
+        start, console = time.perf_counter(), Console(stderr=True)
+        with Progress(console=console) as bar, Patience(console, "these targets") as asked:
             line = bar.add_task("ik", total=len(targets))
-            show = lambda done: bar.update(line, completed=done)
-            result = jaxik.solve_ik(chain, targets, scene, self.seed, task=task, progress=show, **chosen)
-        seconds = time.perf_counter() - start
-        write_ik(chain, result, self.out, several=self.solutions != 1)
+            parts: list[jaxik.ik.IKResult] = []
+            while not parts or (sum(map(len, parts)) < len(targets) and not asked.stop):
+                done = sum(map(len, parts))
+                show = lambda more, done=done: bar.update(line, completed=done + more)
+                some = targets[done : done + AT_ONCE]
+                parts.append(jaxik.solve_ik(chain, some, scene, self.seed, options=options, progress=show))
+        result, seconds = _joined(parts), time.perf_counter() - start
+        with writing(self.out) as wrote:
+            write_ik(chain, result, self.out, _table(chain, result, targets[: len(result)], scene, options))
+        self._print(result, targets, seconds, wrote)
+
+    def _print(self, result: jaxik.ik.IKResult, targets: np.ndarray, seconds: float, wrote: str) -> None:
+        """A line a reason, and one of counts and times. Exits where not all are solved, or not all were tried."""
         if targets.ndim == 2:
             print(f"position only: {self.targets} binds no rotation")
         counts = result.counts()
@@ -89,37 +105,59 @@ class IKArguments(RobotArguments):
             print(said)
         if self.solutions != 1:
             print(f"{result.num_solutions.sum()} answers")
-        print(f"{counts.get('solved', 0)} of {len(result)} targets solved in {seconds:.2f} s; wrote {self.out}")
+        solved = counts.get("solved", 0)
+        print(f"{solved} of {len(result)} targets solved in {seconds:.2f} s; {wrote}")
+        if len(result) < len(targets):
+            print(f"stopped; targets {len(result) + 1} to {len(targets)} were not tried", file=sys.stderr)
+            raise SystemExit(STOPPED)
+        if solved < len(targets):
+            raise SystemExit(1)
 
 
-def write_ik(chain: jaxik.Chain, result: jaxik.ik.IKResult, out: Path, several: bool = False) -> None:
-    """The results of a batch: arrays (.npz, no pickle) or a table (.csv, .parquet), one row a target, or with `several` one an
-    answer; written aside, then renamed."""
-    names = ("success", "position_error", "rotation_error", "clearance", "seed", "iterations")
-    columns = {"reason": result.reasons, **{name: getattr(result, name) for name in names}}
-    out.parent.mkdir(parents=True, exist_ok=True)
+def _joined(parts: list[jaxik.ik.IKResult]) -> jaxik.ik.IKResult:
+    """One result of several, one after another: as many solutions wide as the widest."""
+    most = max(part.solutions.shape[1] for part in parts)
+    pad = lambda x: np.pad(x, ((0, 0), (0, most - x.shape[1]), (0, 0)), constant_values=np.nan)
+    padded = [dataclasses.replace(part, solutions=pad(part.solutions)) for part in parts]
+    return jax.tree_util.tree_map(lambda *columns: np.concatenate(columns), *padded)
+
+
+def write_ik(chain: jaxik.Chain, result: jaxik.ik.IKResult, out: Path, table: dict[str, np.ndarray]) -> None:
+    """The results of a batch: arrays (.npz, no pickle), one row a target, or a table (.csv, .parquet), one row an answer;
+    written aside, then renamed."""
+    names = ("success", "position_error", "rotation_error", "clearance", "seed", "iterations", "solutions", "num_solutions")
     with tempfile.TemporaryDirectory(prefix=".", dir=out.parent, ignore_cleanup_errors=True) as folder:
         aside = Path(folder) / out.name
         if out.suffix == ".npz":
-            more = {"solutions": result.solutions, "num_solutions": result.num_solutions} if several else {}
-            np.savez(aside, allow_pickle=False, joint_names=np.array(chain.joint_names), q=result.q, **columns, **more)
-        else:
-            table = _answers(result) if several else {**columns, "q": result.q}
-            table |= dict(zip(chain.joint_names, table.pop("q").T, strict=True))
-            if out.suffix == ".parquet":
-                import pyarrow.parquet
+            columns = {"reason": result.reasons, **{name: getattr(result, name) for name in names}}
+            np.savez(aside, allow_pickle=False, joint_names=np.array(chain.joint_names), q=result.q, **columns)
+        elif out.suffix == ".parquet":
+            import pyarrow.parquet
 
-                pyarrow.parquet.write_table(pyarrow.table(table), aside)
-            else:
-                write_csv(aside, table)
+            pyarrow.parquet.write_table(pyarrow.table(table), aside)
+        else:
+            write_csv(aside, table)
         aside.replace(out)
 
 
-def _answers(result: jaxik.ik.IKResult) -> dict[str, np.ndarray]:
+def _table(
+    chain: jaxik.Chain, result: jaxik.ik.IKResult, targets: np.ndarray, scene: jaxik.Scene | None, options: jaxik.IKOptions
+) -> dict[str, np.ndarray]:
     """One row an answer, of targets and answers counted from 1; of a target without one its nearest miss, as answer 0."""
     count = np.maximum(result.num_solutions, 1)
     target = np.repeat(np.arange(len(result)), count)
     number = np.arange(len(target)) - np.repeat(np.cumsum(count) - count, count)
-    solved = result.success[target]
+    solved, first = result.success[target], number == 0
     q = np.where(solved[:, None], result.solutions[target, number], result.q[target])
-    return {"target": target + 1, "solution": np.where(solved, number + 1, 0), "reason": result.reasons[target], "q": q}
+    errors: list[np.ndarray] = [result.position_error[target], result.rotation_error[target]]
+    clearance = result.clearance[target]
+    if not first.all():
+        poses = frame(targets) if targets.ndim == 2 else targets
+        others = solve_errors(chain, options.task, q, poses[target])
+        errors = [np.where(first, best, each) for best, each in zip(errors, others, strict=True)]
+        gap = jax.jit(jax.vmap(lambda q: jaxik.clearance(chain, scene, q)))
+        clearance = clearance if np.isnan(result.clearance).all() else np.where(first, clearance, gap(q))
+    columns = {"target": target + 1, "solution": np.where(solved, number + 1, 0), "reason": result.reasons[target]}
+    columns |= {"position_error": errors[0], "rotation_error": errors[1], "clearance": clearance}
+    columns |= {"seed": result.seed[target], "iterations": result.iterations[target]}
+    return columns | dict(zip(chain.joint_names, q.T, strict=True))

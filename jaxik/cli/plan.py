@@ -10,14 +10,16 @@ import numpy as np
 import tyro
 
 import jaxik
-from jaxik.cli.robot_arguments import RobotArguments
+from jaxik.cli.interruption import Unsolved
+from jaxik.cli.results import writing
+from jaxik.cli.robot_arguments import ShapedRobotArguments
 from jaxik.planning import Planned
 from jaxik.planning.trajectory_files import ENDINGS
 from jaxik.reasons import Reason
 
 
 @dataclasses.dataclass(kw_only=True)
-class PlanArguments(RobotArguments):
+class PlanArguments(ShapedRobotArguments):
     """A motion from one configuration to another, proven free of collision, timed within the joints' limits."""
 
     robot: tyro.conf.Positional[str]
@@ -26,8 +28,6 @@ class PlanArguments(RobotArguments):
     """The joints' values at the start [rad, m]."""
     goal: tuple[float, ...]
     """Those at the goal."""
-    meshes: bool = False
-    """Read the robot's collision meshes for capsules around them."""
     scene: str | None = None
     """A shipped scene or a scene file: obstacles to keep clear of; without one, the robot keeps clear of itself."""
     without: tuple[str, ...] = ()
@@ -50,12 +50,12 @@ class PlanArguments(RobotArguments):
     """The motion: .csv, .npz, or .json with the fields of ROS' JointTrajectory."""
 
     def run(self) -> None:
-        """Load, plan, write, and end with one line. Raises `ValueError` where there is no motion, with the reason."""
+        """Load, plan, write, and end with one line. Raises `Unsolved` where there is no motion, with the reason."""
         if self.out.suffix not in ENDINGS:
             raise ValueError(f"--out {self.out}: ending '{self.out.suffix}'; allowed: {', '.join(ENDINGS)}")
         if not 0.0 < self.period < np.inf:
             raise ValueError(f"--period {self.period:g}: it is above zero [s]")
-        chain = jaxik.load(self.robot, meshes=self.meshes, **self.loading())
+        chain = jaxik.load(self.robot, **self.loading())
         scene = jaxik.make_scene() if self.scene is None else jaxik.load_scene(self.scene).without(self.without)
         names = [f.name for f in dataclasses.fields(jaxik.planning.PlanOptions)]
         options = jaxik.planning.PlanOptions(**{k: v for k, v in dataclasses.asdict(self).items() if k in names})
@@ -63,11 +63,11 @@ class PlanArguments(RobotArguments):
         moved = jaxik.plan_motion(chain, scene, self.start, self.goal, self.seed, options)
         seconds = time.perf_counter() - began
         if moved.trajectory is None or moved.waypoints is None:
-            raise ValueError(f"no motion in {seconds:.1f} s: {moved.why}{self._what(moved, chain, scene)}")
-        self.out.parent.mkdir(parents=True, exist_ok=True)
-        jaxik.planning.save_trajectory(self.out, moved.trajectory, self.period, chain.joint_names)
+            raise Unsolved(f"no motion in {seconds:.1f} s: {moved.why}{self._what(moved, chain, scene)}")
+        with writing(self.out) as wrote:
+            jaxik.planning.save_trajectory(self.out, moved.trajectory, self.period, chain.joint_names)
         lasts, corners = moved.trajectory.duration, len(moved.waypoints) - 2
-        print(f"{lasts:.2f} s around {corners} corners, planned in {seconds:.2f} s; wrote {self.out}")
+        print(f"{lasts:.2f} s around {corners} corners, planned in {seconds:.2f} s; {wrote}")
 
     def _what(self, moved: Planned, chain: jaxik.Chain, scene: jaxik.Scene) -> str:
         """The joint that is beyond its limits most, or the pair that collides, at the start or the goal."""

@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 import collections
+import contextlib
 import csv
 import re
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from pathlib import Path
 
 import numpy as np
@@ -23,6 +24,17 @@ def write_csv(path: Path, columns: dict[str, np.ndarray]) -> None:
         writer = csv.writer(file)
         writer.writerow([f"{name} [{UNITS[name]}]" if name in UNITS else name for name in columns])
         writer.writerows(zip(*(values.tolist() for values in columns.values()), strict=True))
+
+
+@contextlib.contextmanager
+def writing(path: Path) -> Iterator[str]:
+    """What is to be said of a file once it is written, and whether over another. Raises an `OSError` that names it."""
+    over = ", over the old one" if path.exists() else ""
+    try:
+        path.parent.mkdir(parents=True, exist_ok=True)
+        yield f"wrote {path}{over}"
+    except OSError as error:
+        raise OSError(f"--out {path}: {error.strerror or error}") from None
 
 
 def print_table(title: str, headings: Sequence[str], rows: Iterable[Sequence[str]]) -> None:

@@ -26,11 +26,25 @@ class RobotArguments:
     srdf: Path | None = None
     """A file that says which links are not checked against each other."""
     ignore: Ignored = ()
+    packages: tuple[Path, ...] = ()
+    """Folders of ROS packages, or that hold such, beside those above the file and in ROS' environment."""
 
     def loading(self) -> dict[str, Any]:
         """What `jaxik.load` takes of these."""
         more = {"posture": read_posture(self.posture), "ignore": ignored_pairs(self.ignore)}
-        return {"tip": self.tip, "base": self.base, "srdf": self.srdf, **more}
+        return {"tip": self.tip, "base": self.base, "srdf": self.srdf, "packages": self.packages, **more}
+
+
+@dataclasses.dataclass(kw_only=True)
+class ShapedRobotArguments(RobotArguments):
+    """A robot whose shape counts."""
+
+    meshes: bool = True
+    """Read the robot's collision meshes (URDF, MJCF), for capsules around them: the first time it takes some seconds."""
+
+    def loading(self) -> dict[str, Any]:
+        """What `jaxik.load` takes of these."""
+        return super().loading() | {"meshes": self.meshes}
 
 
 def read_posture(words: Sequence[str]) -> dict[str, float] | None:

@@ -3,15 +3,14 @@
 from __future__ import annotations
 
 import dataclasses
-import signal
 import sys
 import time
 from pathlib import Path
-from typing import Any
 
 import tyro
 
 import jaxik
+from jaxik.cli.interruption import STOPPED, Patience
 from jaxik.cli.results import LOOKED, offenders
 from jaxik.cli.robot_arguments import Ignored, ignored_pairs
 
@@ -44,7 +43,7 @@ class SweepArguments:
         console = Console(stderr=True)
         rate = TextColumn("{task.fields[rate]} targets/s")
         columns = (TextColumn("sweep"), BarColumn(), MofNCompleteColumn(), rate, TimeRemainingColumn())
-        with Progress(*columns, console=console) as bar, _Interrupt(console) as asked:
+        with Progress(*columns, console=console) as bar, Patience(console, "this chunk") as asked:
             line = bar.add_task("sweep", total=None, rate="-")
             begun: list[int] = []
 
@@ -69,23 +68,4 @@ class SweepArguments:
             print(f"drew {picture}")
         if asked.stop and not result.complete:
             print("stopped; run the same command again and it goes on", file=sys.stderr)
-            raise SystemExit(130)
-
-
-class _Interrupt:
-    """While it is open, the first Ctrl-C only sets `stop`; the second interrupts as ever."""
-
-    def __init__(self, console: Any):
-        self.stop, self.console = False, console
-
-    def __enter__(self) -> _Interrupt:
-        self.before = signal.signal(signal.SIGINT, self._asked)
-        return self
-
-    def _asked(self, number: int, frame: Any) -> None:
-        self.stop = True
-        self.console.print("stopping after this chunk; Ctrl-C again leaves it")
-        signal.signal(signal.SIGINT, self.before)
-
-    def __exit__(self, *error: Any) -> None:
-        signal.signal(signal.SIGINT, self.before)
+            raise SystemExit(STOPPED)

@@ -38,6 +38,8 @@ class ViewArguments(RobotArguments):
         """Serve the page until Ctrl-C."""
         from jaxik.view.page import Page
 
+        if not 1 <= self.port <= 65535:
+            raise ValueError(f"--port {self.port}: it is from 1 to 65535")
         how = self.loading()
         chain = jaxik.load(self.robot, meshes=True, **how)
         harvest = self.harvest or self.motions
@@ -48,7 +50,7 @@ class ViewArguments(RobotArguments):
         scene = None if self.scene is None else jaxik.load_scene(self.scene)
         picked = jaxik.harvest(chain, scene) if harvest and scene is not None else None
         plan = plan_harvest(picked) if self.motions and picked is not None else None
-        meshes = link_meshes(self.robot, self.tip, self.base, how["posture"])
+        meshes = link_meshes(self.robot, self.tip, self.base, how["posture"], packages=self.packages)
         page = Page(chain, scene, self.store, picked, self.host, self.port, meshes, plan, self.teleop)
         print(f"open {page.url} in a browser; Ctrl-C ends", flush=True)
         page.wait()

@@ -107,7 +107,9 @@ def check_geometry(chain: Chain) -> None:
     NaN or infinity in the numbers by which it does, where these are known."""
     if chain.unread_meshes:
         links = ", ".join(chain.unread_meshes[:5])
-        raise ValueError(f"{chain.name}: the meshes of {links} were not read; load the chain with meshes=True (--meshes)")
+        raise ValueError(
+            f"{chain.name}: the meshes of {links} were not read; load the chain with meshes=True (without --no-meshes)"
+        )
     if not chain.boxes and not chain.volumes:
         mend = "add shapes to its file ([[shape]] of a TOML, <collision> of a URDF, geoms of an MJCF)"
         raise ValueError(f"{chain.name}: has no collision geometry; {mend}")

@@ -27,7 +27,7 @@ def spherized(chain: Chain, beyond: float) -> tuple[str, float]:
     Raises `ValueError` for a chain whose meshes were not read.
     """
     if chain.unread_meshes:
-        raise ValueError(f"save: the meshes of {listed(chain.unread_meshes)} are not read; load with meshes=True (--meshes)")
+        raise ValueError(f"save: the meshes of {listed(chain.unread_meshes)} are not read; load with meshes=True")
     root = ElementTree.Element("robot", name=chain.name)
     names = _frame_names(chain)
     spheres: dict[int, list[tuple[np.ndarray, float]]] = {i: [] for i in range(len(chain.link_names))}

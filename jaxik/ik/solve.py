@@ -181,7 +181,10 @@ def _around(chain: Chain, scene: Scene | Grouped | None, options: IKOptions) -> 
     if scene is None and not options.margin and options.choice != "clearance" and not has_geometry(chain):
         links = ", ".join(chain.unread_meshes[:5])
         words = f"{chain.name} may hit itself unseen: the meshes of {links} were not read"
-        return None, links and f"{words}; load it with meshes=True (--meshes), or say collision=False"
+        return (
+            None,
+            links and f"{words}; load it with meshes=True (without --no-meshes), or say collision=False (--no-collision)",
+        )
     check_geometry(chain)
     return _nothing_else() if scene is None else scene, ""
 

@@ -13,6 +13,7 @@ from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
+import numpy as np
 from jaxtyping import Float
 
 from jaxik.checks.options import as_count
@@ -27,6 +28,7 @@ from jaxik.robot.reach_bound import reach_bound
 from jaxik.robot.task import POSE, Task
 from jaxik.spatial.algebra import Frame, Scalar, add, mul, safe_sqrt, stack
 from jaxik.spmd import HostKernel, kernel
+from jaxik.spmd.batch import in_blocks
 
 
 class Landed(NamedTuple):
@@ -120,6 +122,11 @@ def errors(chain: Chain, task: Task, q: Any, pose: Any) -> tuple[Any, Any]:
     position, rotation = task.residual(joint_frames(chain, list(q), dtype=q.dtype).tip, Frame.of_columns(pose))
     length = lambda x: safe_sqrt(sum(each * each for each in x)) if x else jnp.zeros((), q.dtype)
     return length(position), length(rotation)
+
+
+def solve_errors(chain: Chain, task: Task, q: np.ndarray, poses: np.ndarray) -> list[np.ndarray]:
+    """The errors [m], [rad] of configurations (b, n) by their poses (b, 4, 4), each (b,), in float64. On the host."""
+    return in_blocks(batch(2, errors, chain, task), q, poses, double=True)
 
 
 def clearance_around(chain: Chain, q: Any, scene: Any) -> Any:

@@ -9,12 +9,11 @@ import numpy as np
 from jaxik.collision.scene import Scene
 from jaxik.collision.scene_builder import make_scene
 from jaxik.ik import IKOptions, solve_ik
-from jaxik.ik.sqp_programs import batch, errors
+from jaxik.ik.sqp_programs import solve_errors
 from jaxik.planning.limits import Limits
 from jaxik.robot.chain import Chain
 from jaxik.robot.joint_turns import TURN, nearest_turns
 from jaxik.robot.task import Task
-from jaxik.spmd.batch import in_blocks
 
 MOST = 512  # answers of a pose, turns of the same posture among them, that are looked through
 SAME = 1e-3  # [rad, m] in each joint: nearer postures are one
@@ -68,5 +67,5 @@ def _different(q: np.ndarray, count: int) -> np.ndarray:
 def _has(chain: Chain, task: Task, q: np.ndarray, poses: np.ndarray, asked: IKOptions) -> Any:
     """Which configurations (b, n) inside the limits have their poses, within what `solve_ik` was asked for."""
     inside = np.all((chain.lower <= q) & (q <= chain.upper), axis=1)
-    position, rotation = in_blocks(batch(2, errors, chain, task), q, poses, double=True)
+    position, rotation = solve_errors(chain, task, q, poses)
     return inside & (position <= asked.position_tolerance) & (rotation <= asked.rotation_tolerance)

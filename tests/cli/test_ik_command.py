@@ -1,6 +1,10 @@
 """Several answers of each target, from the shell."""
 
 import csv
+import signal
+import subprocess
+import sys
+import time
 
 import numpy as np
 import pytest
@@ -17,8 +21,12 @@ def test_several_answers(tmp_path, monkeypatch, capsys, solutions):
     poses = np.stack([np.asarray(jaxik.forward_kinematics(chain, row)) for row in q])
     poses[1, 0, 3] += 9.0
     np.savez("targets.npz", poses=poses)
-    IKArguments(robot="irb120", targets="targets.npz", solutions=solutions, out=tmp_path / "ik.csv").run()
-    IKArguments(robot="irb120", targets="targets.npz", solutions=solutions, out=tmp_path / "ik.npz").run()
+    for out in ("ik.csv", "ik.npz", "ik.csv"):
+        with pytest.raises(SystemExit, match="1"):
+            IKArguments(robot="irb120", targets="targets.npz", solutions=solutions, out=tmp_path / out).run()
+    assert "ik.csv, over the old one" in capsys.readouterr().out.splitlines()[-1]
+    with pytest.raises(SystemExit, match="1"):
+        IKArguments(robot="irb120", targets="targets.npz", solutions=solutions, out=tmp_path / "ik.npz").run()
     rows = list(csv.DictReader((tmp_path / "ik.csv").read_text().splitlines()))
     with np.load("ik.npz", allow_pickle=False) as arrays:
         counts, answers = arrays["num_solutions"], arrays["solutions"]
@@ -30,5 +38,53 @@ def test_several_answers(tmp_path, monkeypatch, capsys, solutions):
         assert [row["solution"] for row in of_it] == [str(k + 1) for k in range(counts[i])]
         written = np.array([[float(row[name]) for name in chain.joint_names] for row in of_it])
         assert np.array_equal(written, answers[i, : counts[i]])
+        assert [float(row["position_error [m]"]) < 1e-6 and float(row["clearance [m]"]) >= 0.0 for row in of_it]
         for row in written:
             np.testing.assert_allclose(jaxik.forward_kinematics(chain, row), poses[i], atol=1e-9)
+
+
+def test_one_answer_has_the_columns_of_many(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    np.savez("targets.npz", poses=np.asarray(jaxik.forward_kinematics(jaxik.load("irb120"), np.full(6, 0.3)))[None])
+    heads = []
+    for solutions in (1, 2):
+        IKArguments(robot="irb120", targets="targets.npz", solutions=solutions, out=tmp_path / "ik.csv").run()
+        heads.append((tmp_path / "ik.csv").read_text().splitlines()[0])
+    assert heads[0] == heads[1] and heads[0].startswith("target,solution,reason,position_error [m],")
+
+
+SLOW = """
+import sys, time
+import jaxik, jaxik.cli.ik
+from jaxik import cli
+solve = jaxik.solve_ik
+jaxik.cli.ik.AT_ONCE = 4
+def slowly(*given, **named):
+    found = solve(*given, **named)
+    print("solved", flush=True)
+    time.sleep(1.0)
+    return found
+jaxik.solve_ik = slowly
+sys.argv = ["jaxik", *sys.argv[1:]]
+cli.main()
+"""
+
+
+@pytest.mark.parametrize("times", [1, 2])
+def test_ctrl_c_keeps_what_is_done(tmp_path, times):
+    """Once: what is solved so far is written; twice: it ends at once. No traceback."""
+    poses = np.tile(np.asarray(jaxik.forward_kinematics(jaxik.load("irb120"), np.full(6, 0.3))), (40, 1, 1))
+    np.savez(tmp_path / "targets.npz", poses=poses)
+    words = [sys.executable, "-c", SLOW, "ik", "irb120", str(tmp_path / "targets.npz"), "--out", str(tmp_path / "ik.npz")]
+    command = subprocess.Popen(words, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
+    assert command.stdout.readline() == "solved\n"
+    for _ in range(times):
+        command.send_signal(signal.SIGINT)
+        time.sleep(0.3)
+    out, told = command.communicate(timeout=60)
+    assert command.returncode == 130 and "Traceback" not in told
+    if times == 2:
+        assert told.splitlines()[-1] == "jaxik: stopped" and not (tmp_path / "ik.npz").exists()
+    else:
+        assert told.splitlines()[-1] == "stopped; targets 5 to 40 were not tried" and "4 of 4 targets solved" in out
+        assert len(np.load(tmp_path / "ik.npz")["q"]) == 4
