@@ -1,16 +1,19 @@
 """From a hand's place to the velocity that it asks of the tip [Schuetz 2017, sec. 3.1.4, fig. 3.5].
 
     rate control       v = g(dx) dx / |dx|,       g = (exp(c2 (|dx| - band)) - 1) / c1       dx = x_hand - x_ref
-    position control   v = (k dx - w) / T,        w += v dt                                  w: the integrated command
+    position control   v = k xdot_hand,           w = integral of v, which the arm makes up for in the time T
 
-Both are bounded by `fastest`. The thesis' g (3.1) is exp(c2 |dx|) / c1, which jumps to 1 / c1 at the reference and never lets
-an arm stand still: here a dead band of radius `band` stands still, and g begins at zero on its edge. The arm's own position,
-which comes back late, is not used: w is what was asked for so far.
+Both are bounded by `fastest`, the first here, the second at the arm. What the hand feels works on the hand's own velocity: that
+is what the channel is told and counts, and what takes tremor away stands behind it.
 
-While the hand may not move the arm (the clutch is pressed, the device is silent), v is 0. A position control takes its
-reference anew there, so that the arm goes on from where it stands: that is indexing, as one lifts a computer's mouse. A rate
-control waits until the hand has been in the dead band: a stick that is let go returns to the middle, and a new reference would
-make that a command.
+The thesis' g (3.1) is exp(c2 |dx|) / c1, which jumps to 1 / c1 at the reference and never lets an arm stand still: here a dead
+band of radius `band` stands still, and g begins at zero on its edge. The arm's own position, which comes back late, is not
+used: w is what was asked for so far.
+
+While the hand may not move the arm (the clutch is pressed, the device is silent), v is 0, and it feels nothing. A position
+control takes its reference anew there, so that the arm goes on from where it stands: that is indexing, as one lifts a computer's
+mouse. A rate control waits until the hand has been in the dead band: a stick that is let go returns to the middle, and a new
+reference would make that a command.
 """
 
 from __future__ import annotations
@@ -27,8 +30,8 @@ from jaxik.spatial.algebra import safe_divide, safe_sqrt
 
 
 class Mapped(NamedTuple):
-    """The reference x_ref (3,) [m] of the hand; what was asked of the tip so far, w (3,) [m]; whether the hand moves the arm,
-    and whether it ever did."""
+    """The reference x_ref (3,) [m] of the hand, of position control where it was last; what was asked of the tip so far, w (3,)
+    [m]; whether the hand moves the arm, and whether it ever did."""
 
     reference: Float[Array, "3"]
     asked: Float[Array, "3"]
@@ -74,8 +77,8 @@ class RateControl(_Mapping):
 class PositionControl(_Mapping):
     """A way of the hand is a way of the tip, `workspace` times as long, as with a computer's mouse.
 
-    The way is made up for in the time constant `smoothing` [s], which takes tremor away (T in the equation; a sample if that is
-    longer); at most `fastest` [m/s] and `turning` [rad/s].
+    The arm makes up for it in the time constant `smoothing` [s], which takes tremor away (T in the equation; a sample if that
+    is longer), with at most `fastest` [m/s] and `turning` [rad/s].
     """
 
     workspace: float = 1.0
@@ -89,10 +92,8 @@ class PositionControl(_Mapping):
 
     def step(self, state: Mapped, position: Any, active: Any, dt: float) -> tuple[Mapped, Any]:
         """The velocity (3,) [m/s] for a hand at `position` (3,) [m] that may move the arm if `active`. Traced."""
-        reference = jnp.where(active & state.moves, state.reference, position - state.asked / self.workspace)
-        wanted = self.workspace * (position - reference) - state.asked
-        velocity = jnp.where(active, bounded(wanted / max(dt, self.smoothing), self.fastest), 0.0)
-        return Mapped(reference, state.asked + dt * velocity, active, state.known | active), velocity
+        velocity = jnp.where(active & state.moves, self.workspace * (position - state.reference) / dt, 0.0)
+        return Mapped(position, state.asked + dt * velocity, active, state.known | active), velocity
 
 
 def bounded(vector: Any, most: Any) -> Any:

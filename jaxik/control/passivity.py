@@ -77,8 +77,9 @@ class Channel(Protocol):
         """The hand's velocity in; what is sent to the arm, and the force on the hand."""
         ...
 
-    def arm(self, end: End, arrived: Packet, force: Any, dt: float) -> tuple[End, Any]:
-        """The force on the arm in; the velocity that its tip is to have."""
+    def arm(self, end: End, arrived: Packet, force: Any, dt: float, smoothing: float = 0.0) -> tuple[End, Any]:
+        """The force on the arm in; the velocity that its tip is to have. What has arrived is made up for in the time
+        `smoothing` [s]."""
         ...
 
     def share(self, end: End, force: Any, moved: Any, dt: float) -> Any:
@@ -126,9 +127,9 @@ class Direct(_Channel):
         sent = Packet(end.sent.values + dt * velocity, end.sent.energy)
         return end._replace(sent=sent), sent, force
 
-    def arm(self, end: End, arrived: Packet, force: Any, dt: float) -> tuple[End, Any]:
+    def arm(self, end: End, arrived: Packet, force: Any, dt: float, smoothing: float = 0.0) -> tuple[End, Any]:
         """As `Channel` says. Traced."""
-        velocity = (arrived.values - end.played.values) / dt
+        velocity = (arrived.values - end.played.values) / max(dt, smoothing)
         over = jnp.maximum(-dt * force @ velocity - self._spare(end, arrived), 0.0)
         return end._replace(spare=self._spare(end, arrived)), velocity + force * safe_divide(over, dt * force @ force)
 
@@ -186,9 +187,9 @@ class WaveVariables(_Channel):
         end = _sent(end, u, dt)
         return end, end.sent, root * w - self.impedance * velocity
 
-    def arm(self, end: End, arrived: Packet, force: Any, dt: float) -> tuple[End, Any]:
+    def arm(self, end: End, arrived: Packet, force: Any, dt: float, smoothing: float = 0.0) -> tuple[End, Any]:
         """As `Channel` says. Traced."""
-        end, u = _played(end, arrived, dt)
+        end, u = _played(end, arrived, dt, smoothing)
         return end, ((2.0 * self.impedance) ** 0.5 * u + force) / (2.0 * self.impedance)
 
     def reply(self, end: End, force: Any, velocity: Any, moved: Any, dt: float) -> tuple[End, Packet]:
@@ -210,12 +211,13 @@ class WaveVariables(_Channel):
         return end._replace(played=arrived, now=jnp.zeros(3))
 
 
-def _played(end: End, arrived: Packet, dt: float) -> tuple[End, Any]:
-    """The wave (3,) that leads to the integral that has arrived, as fast as the energy that has arrived lasts: over the time
-    |g|^2 / (2 E) a constant wave makes up for the gap g with the energy E."""
+def _played(end: End, arrived: Packet, dt: float, smoothing: float = 0.0) -> tuple[End, Any]:
+    """The wave (3,) that leads to the integral that has arrived in the time `smoothing`, or as fast as the energy that has
+    arrived lasts: over the time |g|^2 / (2 E) a constant wave makes up for the gap g with the energy E."""
     gap, spare = arrived.values - end.played.values, jnp.maximum(arrived.energy - end.played.energy, 0.0)
     square = gap @ gap
-    wave = gap * jnp.where(square <= 2.0 * spare * dt, 1.0 / dt, safe_divide(2.0 * spare, square))
+    share = jnp.where(square <= 2.0 * spare * dt, 1.0 / dt, safe_divide(2.0 * spare, square))
+    wave = gap * jnp.minimum(share, 1.0 / max(dt, smoothing))
     return end._replace(played=_added(end.played, wave, dt), now=wave), wave
 
 

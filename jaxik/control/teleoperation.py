@@ -202,7 +202,8 @@ class Teleoperation:
         mapped, velocity = self.mapping.step(state.mapped, position, active, self.dt)
         end, packet, force = self.channel.hand(state.hand, state.arrived, velocity, self.dt)
         turn = jnp.where(mapped.moves, bounded(hand.turn, self.mapping.turning), 0.0)
-        return mapped, end, Asked(packet, turn, ~well), force, velocity
+        felt = jnp.where(active, force, 0.0)  # a hand that does not move the arm would be moved for nothing
+        return mapped, end, Asked(packet, turn, ~well), felt, velocity
 
     def _felt(self, q: Any, contact: Contact | None) -> Any:
         """The force (3,) at the tip that stands for the contacts, in world axes."""
@@ -210,7 +211,7 @@ class Teleoperation:
 
     def _at_arm(self, state: TeleoperationState, asked: Asked, felt: Any, held: Any) -> tuple[End, Any, Any]:
         """The velocity and the turn of the tip that are asked for, in world axes."""
-        end, velocity = self.channel.arm(state.arm, asked.packet, felt, self.dt)
+        end, velocity = self.channel.arm(state.arm, asked.packet, felt, self.dt, getattr(self.mapping, "smoothing", 0.0))
         velocity = bounded(velocity, self.mapping.fastest)
         let_go = self.channel.release(state.arm, asked.packet)
         end = jax.tree_util.tree_map(lambda x, y: jnp.where(held, x, y), let_go, end)

@@ -252,7 +252,7 @@ def test_meshes_are_asked_for(tmp_path, monkeypatch, capsys):
     line = refused(monkeypatch, capsys, *words)
     assert "far enough" in line  # they are read unless one asks not to
     line = refused(monkeypatch, capsys, *words, "--no-meshes")
-    assert "meshes of base" in line and "--meshes" in line
+    assert "meshes of base" in line and "--no-meshes" in line
     seen = []
     monkeypatch.setattr(jaxik, "solve_ik", lambda chain, *_, **__: stopped(seen.append(chain)))
     read = "--posture", "slide=0.03"
