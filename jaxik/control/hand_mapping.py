@@ -11,9 +11,9 @@ band of radius `band` stands still, and g begins at zero on its edge. The arm's 
 used: w is what was asked for so far.
 
 While the hand may not move the arm (the clutch is pressed, the device is silent), v is 0, and it feels nothing. A position
-control takes its reference anew there, so that the arm goes on from where it stands: that is indexing, as one lifts a computer's
-mouse. A rate control waits until the hand has been in the dead band: a stick that is let go returns to the middle, and a new
-reference would make that a command.
+control takes its reference anew there, so that the arm goes on from where it stands: that is indexing, as one lifts a mouse. A
+rate control waits until the hand has been in the dead band: a stick that is let go returns to the middle, and a new reference
+would make that a command.
 """
 
 from __future__ import annotations
