@@ -39,6 +39,17 @@ class KalmanFilter(Pytree):
     Q: Float[Array, "n n"]
     R: Float[Array, "m m"]
 
+    def __post_init__(self) -> None:
+        shapes = {name: jnp.shape(x) for name, x in vars(self).items()}
+        n, m, p = shapes["A"][-1:], shapes["C"][:1], shapes["B"][-1:]
+        wanted = {"A": (*n, *n), "B": (*n, *p), "C": (*m, *n), "Q": (*n, *n), "R": (*m, *m)}
+        wrong = [name for name, shape in shapes.items() if isinstance(shape, tuple) and shape != wanted[name]]
+        if wrong:
+            told = ", ".join(f"{name} {shapes[name]}" for name in shapes)
+            raise ValueError(f"KalmanFilter: {told}; allowed: A (n, n), B (n, p), C (m, n), Q (n, n), R (m, m)")
+        if is_known(self.R) and np.linalg.eigvalsh(np.asarray(self.R)).min(initial=1.0) <= 0.0:
+            raise ValueError("KalmanFilter: R is not positive definite; each measurement has noise")
+
     def init(self, x: Float[Array, " n"], P: Float[Array, "n n"]) -> KalmanState:
         """At x, which is known to the covariance P. Traced."""
         return KalmanState(jnp.asarray(x), jnp.asarray(P), jnp.zeros(jnp.shape(self.C)[::-1]))

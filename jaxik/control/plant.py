@@ -78,7 +78,8 @@ class Gains:
     damping: float = 0.7
 
     def __post_init__(self) -> None:
-        check_finite("gains", 0.0, frequency=self.frequency, damping=self.damping)
+        check_finite("gains", 1e-9, frequency=self.frequency)
+        check_finite("gains", 0.0, damping=self.damping)
 
 
 class SimulatedLog(Pytree):

@@ -62,7 +62,9 @@ def simulate_teleoperation(
         state, command = teleoperation.step(state, q, hand._replace(position=place), contact)
         seen = Teleoperated(q, jnp.asarray(chain.world_T_base)[:3, :3] @ tip, place, command)
         if grip is not None:
-            pull = grip.stiffness * (hand.position - place) + grip.damping * (heading - speed) + command.force
+            sound = jnp.isfinite(hand.position)  # who tells no number holds still, and goes on after it
+            towards, heading = jnp.where(sound, hand.position, place), jnp.where(jnp.isfinite(heading), heading, 0.0)
+            pull = grip.stiffness * (towards - place) + grip.damping * (heading - speed) + command.force
             speed = speed + dt * pull / grip.mass
             place = place + dt * speed
         return (state, q + dt * command.rate, command.rate, place, speed), seen

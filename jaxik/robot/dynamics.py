@@ -145,7 +145,7 @@ def wrench_on(chain: Chain, q: Float[Array, " n"], link: str, force: Any, point:
     """
     check_kind("wrench_on", "chain", chain, Chain)
     if link not in chain.link_names:
-        raise ValueError(no_such("wrench_on", "link", link, chain.link_names))
+        raise ValueError(no_such("wrench_on", "link", str(link), chain.link_names))
     return _wrench(chain, chain.link_joint[chain.link_names.index(link)], q, force, point)
 
 

@@ -114,3 +114,15 @@ def test_refusals(changes, says):
     with pytest.raises(ValueError, match=says) as refused:
         a_filter(**changes)
     assert "\n" not in str(refused.value)
+
+
+@pytest.mark.parametrize(
+    ("changed", "words"),
+    [({"R": -np.eye(2)}, "R is not positive definite"), ({"A": np.eye(4)}, r"A \(4, 4\), .*; allowed: A \(n, n\)")],
+)
+def test_a_filter_that_is_none(changed, words):
+    good = {"A": np.eye(3), "B": np.eye(3), "C": np.ones((2, 3)), "Q": np.eye(3), "R": np.eye(2)}
+    KalmanFilter(**good)
+    with pytest.raises(ValueError, match=words) as refused:
+        KalmanFilter(**good | changed)
+    assert "\n" not in str(refused.value)

@@ -471,3 +471,11 @@ def test_refusals(call, says):
     with pytest.raises(ValueError, match=says) as refused:
         call()
     assert "\n" not in str(refused.value)
+
+
+def test_a_hand_held_in_a_grip_goes_on_after_a_number_that_is_none():
+    setup = teleoperation(mapping=PositionControl())
+    way = circle(300, 0.01)
+    way[100] = np.nan
+    done = jax.jit(lambda w: simulate_teleoperation(setup, jnp.asarray(Q), hands(w), grip=HandImpedance()))(way)
+    assert (np.asarray(done.command.reason) != Reason.SOLVED).sum() <= 1 and np.isfinite(done.hand[101:]).all()
