@@ -26,6 +26,7 @@ from tables_postures import (
     nine_dof_markdown,
     sweep_markdown,
 )
+from tables_programs import programs_markdown
 from tables_teleoperation import teleoperation_markdown
 from tables_words import duration
 
@@ -51,6 +52,7 @@ TABLES = {
     "planning_benchmark.json": planning_markdown,
     "predictive_benchmark.json": predictive_markdown,
     "predictive_statistics.json": statistics_markdown,
+    "random_programs.json": programs_markdown,
     "sweep_benchmark.json": sweep_markdown,
     "teleoperation.json": teleoperation_markdown,
     "torque_estimation.json": torque_markdown,
