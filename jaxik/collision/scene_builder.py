@@ -104,12 +104,16 @@ class SceneBuilder:
 def make_scene(point_radius: Any = 0.0, name: str = "scene", **obstacles: Any) -> Scene:
     """A scene from plain arrays, each obstacle an object of its own; the keywords are those of `SceneBuilder.add` [m]. Host.
 
+    So is each triangle, but for those that close around a body: they are one object, a solid, and what is wholly inside
+    collides.
+
     Raises `ValueError` as `SceneBuilder` does.
     """
     builder = SceneBuilder(name, point_radius)
     for kind, rows in _each("", obstacles).items():
-        for i, row in enumerate(rows):
-            builder._put(f"{kind}_{i + 1}", True, {kind: row[None]})
+        solid = _with_bodies(rows, True)[:, -1] > 0.0 if kind == "triangles" else np.zeros(len(rows), bool)
+        for i in np.flatnonzero(~solid | (np.cumsum(solid) == 1)).tolist():
+            builder._put(f"{kind}_{i + 1}", True, {kind: rows[solid] if solid[i] else rows[i : i + 1]})
     return builder.scene()
 
 

@@ -16,6 +16,7 @@ from scipy.spatial.transform import Rotation
 import jaxik
 from jaxik.collision.bvh import grouped
 from jaxik.collision.scene import KINDS
+from jaxik.collision.scene_builder import SceneBuilder
 from jaxik.files import save_scene
 
 WIDTHS = {"points": 3, "spheres": 4, "capsules": 7, "triangles": 9}
@@ -568,3 +569,22 @@ def test_what_is_taken_away_leaves_the_shapes_of_what_is_grouped():
     chain, scene = jaxik.load("p6r"), jaxik.load_scene("cucumber_row")
     shapes = lambda scene: jax.tree_util.tree_map(np.shape, grouped(scene, chain))
     assert shapes(scene) == shapes(scene.without([n for n in scene.object_names if n.startswith(("leaf", "fruit"))]))
+
+
+def test_a_closed_surface_is_one_solid_however_it_is_given(tmp_path):
+    """And an open triangle beside it is an object of its own; a file keeps both."""
+    tetrahedron = (
+        2.0 * np.array([[1, 1, 1], [1, -1, -1], [-1, 1, -1], [-1, -1, 1.0]])[[[0, 1, 2], [0, 3, 1], [0, 2, 3], [1, 2, 3]]]
+    )
+    lonely = np.array([[[5.0, 0, 0], [5, 1, 0], [5, 0, 1]]])
+    chain, builder = jaxik.load("planar2"), SceneBuilder()
+    builder.add("solid", triangles=tetrahedron)
+    builder.add("lonely", triangles=lonely)
+    plain = jaxik.make_scene(triangles=np.concatenate([tetrahedron, lonely]))
+    assert plain.object_names == ("triangles_1", "triangles_5")
+    save_scene(plain, tmp_path / "scene.toml")
+    for q in np.random.default_rng(4).uniform(-3.0, 3.0, (4, 2)):
+        clear = [
+            float(jaxik.clearance(chain, s, q)) for s in (builder.scene(), plain, jaxik.load_scene(tmp_path / "scene.toml"))
+        ]
+        assert clear[0] < -0.3 and clear[0] == clear[1] == pytest.approx(clear[2], abs=1e-6)
