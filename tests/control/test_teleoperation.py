@@ -354,6 +354,17 @@ def test_no_work_comes_out_at_the_hand(channel, smoothing):
     assert not force[clutch == 1.0].any() and not force[age == 1.0].any()
 
 
+@pytest.mark.parametrize("channel", [Direct(), WaveVariables(20.0)], ids=["direct", "waves"])
+def test_the_clutch_stops_the_arm(channel):
+    """However far the arm is behind a hand that was faster than it may be."""
+    setup = teleoperation(mapping=PositionControl(10.0, smoothing=0.05, fastest=0.1), channel=channel)
+    way = np.minimum(np.arange(600) / 100.0, 1.0)[:, None] * [-0.05, 0.0, 0.0]
+    pressed = np.arange(600)[:, None] >= 200
+    done = jax.jit(functools.partial(simulate_teleoperation, setup))(Q, hands(way, buttons=pressed))
+    speed = np.linalg.norm(np.diff(done.tip, axis=0), axis=1) / DT
+    assert speed[150:200].min() > 0.08 and speed[300:].max() < 1e-3
+
+
 def test_a_loop_is_the_step():
     """As a kernel, in NumPy; with a contact, a turn and the clutch."""
     setup = Teleoperation(NINE, RateControl(), WaveVariables(), cost=lambda q: jaxik.costs.joint_limit_cost(NINE, q))
