@@ -51,8 +51,8 @@ from jaxik.spmd import kernel
 
 
 class Asked(NamedTuple):
-    """What the hand's end sends: the channel's packet, the turn (3,) [rad/s], whether the arm is to be held, and whether the hand
-    leads it."""
+    """What the hand's end sends: the channel's packet, the turn (3,) [rad/s], whether the arm is to be held, and whether the
+    hand leads it."""
 
     packet: Packet
     turn: Float[Array, "3"]
