@@ -155,6 +155,17 @@ def test_what_an_arm_cannot_do_is_not_felt(tilt):
     np.testing.assert_allclose(reflect(arm, q, Contact(4, tip, force + 7.0 * across)), force, atol=1e-6)
 
 
+def test_a_force_at_the_tip_is_felt_at_a_singular_wrist():
+    """A UR5 whose axes 4 and 6 are parallel can go in all directions, and by far; and so nearly, and turned by nothing else."""
+    arm, reflected = jaxik.load("ur5"), jax.jit(functools.partial(reflect, jaxik.load("ur5")))
+    for wrist in (0.0, 1e-4, 1e-3, 1e-2, 0.5):
+        q = np.array([0.3, -1.2, 1.4, -0.7, wrist, 0.4])
+        jac, tip = np.asarray(jaxik.jacobian(arm, q)), np.asarray(jaxik.forward_kinematics(arm, q))[:3, 3]
+        assert np.linalg.svd(jac[:3])[1].min() > 0.2
+        for force in 10.0 * np.eye(3):
+            np.testing.assert_allclose(reflected(q, Contact(6, tip, force)), force, atol=1e-3)
+
+
 def test_levers_and_magnitudes():
     """(3.2) and (3.3), for one contact and for two."""
     external = columns(MID, TOUCHED).T @ TOUCHED.force
