@@ -17,7 +17,7 @@ import numpy as np
 from jaxtyping import Float
 
 from jaxik.checks.arrays import numbers
-from jaxik.checks.options import check_kind
+from jaxik.checks.options import as_count, check_kind
 from jaxik.control.packed_step import Packed, PackedStep
 from jaxik.robot.chain import Array, Chain
 from jaxik.spmd import HostKernel
@@ -56,8 +56,8 @@ class Estimator(Hashable, Protocol):
         """The state before the first sample, a pytree whose `external` (n,) [Nm, N] is the estimate."""
         ...
 
-    def advance(self, state: Any, sensed: Any) -> Any:
-        """The state after a sample."""
+    def advance(self, state: Any, sensed: Any, missed: Any = 0) -> Any:
+        """The state after a sample, before which so many were `missed`."""
         ...
 
 
@@ -126,7 +126,11 @@ def _checked(who: str, estimator: Estimator, sample: Sample, of_log: bool) -> Sa
         bad = ~np.isfinite(x)
         if bad.any():
             *_, k, joint = 0, *(int(i) for i in np.argwhere(bad)[0])
-            at, mend = (f" at sample {k}", "cut it out of the log") if of_log else ("", "leave this sample out")
+            at, mend = (
+                (f" at sample {k}", "interpolate it, or cut the log in two there")
+                if of_log
+                else ("", "leave this sample out, and count it in `missed`")
+            )
             raise ValueError(f"{who}: {name} holds {x[bad][0]}{at}, {chain.joint_names[joint]}; {mend}")
     return Sample(**arrays)
 
@@ -139,7 +143,8 @@ class EstimationLoop:
         while True:
             state = loop.step(state, sample)
 
-    The estimate is `state.external` (n,) [Nm, N].
+    The estimate is `state.external` (n,) [Nm, N]. A sample that cannot be had is left out: the next `step` is told how many
+    were `missed`.
     """
 
     def __init__(self, estimator: Estimator):
@@ -153,14 +158,16 @@ class EstimationLoop:
         with jax.enable_x64(True):
             begun = _of_rows(HostKernel(self._begin, len(given)), [x[None] for x in given])
         begun = jax.tree_util.tree_map(lambda x: x[0], begun)
-        self._step = PackedStep("estimation loop", self._advance, begun, *given)
+        self._step = PackedStep("estimation loop", self._advance, begun, np.zeros(()), *given)
         return self._step.packed(begun)
 
-    def step(self, state: Packed, sample: Sample) -> Packed:
-        """The state after a sample; the given one stays as it is. Raises `ValueError` for numbers that do not fit, and for a
-        sample without what the first one had."""
+    def step(self, state: Packed, sample: Sample, missed: int = 0) -> Packed:
+        """The state after a sample, before which so many were `missed`; the given one stays as it is. Raises `ValueError` for
+        numbers that do not fit, and for a sample without what the first one had."""
+        if missed != 0:
+            as_count("estimation loop: missed", missed, least=0)
         try:
-            after, sound = self._step(state, *(getattr(sample, name) for name in self._names))
+            after, sound = self._step(state, missed, *(getattr(sample, name) for name in self._names))
         except (AttributeError, ValueError):
             self._checked(sample)  # which says what is wrong
             raise
@@ -176,7 +183,7 @@ class EstimationLoop:
     def _begin(self, *given: Any) -> Any:
         return self.estimator.init(_sensed(self.estimator, self._names, *given))
 
-    def _advance(self, state: Any, *given: Any) -> tuple[Any, Any]:
+    def _advance(self, state: Any, missed: Any, *given: Any) -> tuple[Any, Any]:
         """The state, and whether all that went in, and the estimate, are numbers."""
-        after = self.estimator.advance(state, _sensed(self.estimator, self._names, *given))
+        after = self.estimator.advance(state, _sensed(self.estimator, self._names, *given), missed)
         return after, jnp.all(jnp.isfinite(jnp.stack([*given, after.external])))

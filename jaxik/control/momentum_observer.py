@@ -18,7 +18,7 @@ low pass of first order with the time constant 1 / K.
 from __future__ import annotations
 
 import dataclasses
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -83,7 +83,8 @@ class MomentumObserver:
         # with this drive the first sample, which has none before it, tells nothing
         return ObserverState(sensed.momentum, -sensed.drive, jnp.zeros_like(sensed.momentum))
 
-    def advance(self, state: ObserverState, sensed: Momentum) -> ObserverState:
-        """The next state. Traced."""
-        found = (sensed.momentum - state.momentum) / self.dt - 0.5 * (sensed.drive + state.drive)
-        return ObserverState(*sensed, state.external + self.gain * self.dt * (found - state.external))
+    def advance(self, state: ObserverState, sensed: Momentum, missed: Any = 0) -> ObserverState:
+        """The next state, over the time of the samples that were `missed`, too. Traced."""
+        passed = (1.0 + missed) * self.dt
+        found = (sensed.momentum - state.momentum) / passed - 0.5 * (sensed.drive + state.drive)
+        return ObserverState(*sensed, state.external + jnp.minimum(self.gain * passed, 1.0) * (found - state.external))

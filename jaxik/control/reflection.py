@@ -53,7 +53,7 @@ def _reflected(chain: Chain, felt: str, length: float, q: Any, contact: Contact)
     contact = Contact(*(x.astype(q.dtype) for x in contact))
     if felt == "power":
         rows = jacobian(chain, q)[: 6 if chain.num_joints >= 6 else 3]
-        return least_solve(rows, contact_torque(chain, q, contact))[:3]
+        return _pushes(rows, contact_torque(chain, q, contact))
     towards = _towards(chain, q, length)
     if felt == "lever":
         return towards @ contact_torque(chain, q, contact)
@@ -63,6 +63,22 @@ def _reflected(chain: Chain, felt: str, length: float, q: Any, contact: Contact)
         return way * safe_divide(size, safe_sqrt(way @ way))
 
     return one(contact) if contact.force.ndim == 1 else jnp.sum(jax.vmap(one)(contact), axis=0)
+
+
+def _pushes(rows: Any, torque: Any) -> Any:
+    """The force (3,) of the wrench at the tip that does the work of `torque` (n,) on its twists `rows` @ qdot. Where the tip
+    cannot do one of these, many wrenches do; of them that of the least moment, so that a force alone stays what it is."""
+    wrench = least_solve(rows, torque)
+    if len(rows) == 3:
+        return wrench
+    moment = wrench[3:]
+    idle = jnp.concatenate([jnp.zeros_like(moment), moment])
+    idle = idle - least_solve(rows, idle @ rows)  # the share that does no work
+    share = safe_divide(idle[3:] @ moment, idle[3:] @ idle[3:] + _REGULAR * moment @ moment)
+    return wrench[:3] - share * idle[:3]
+
+
+_REGULAR = 1e-6  # of the moment's square: an idle part below is that of the solution's last digits
 
 
 def reflect_cost(

@@ -51,16 +51,18 @@ from jaxik.spmd import kernel
 
 
 class Asked(NamedTuple):
-    """What the hand's end sends: the channel's packet, the turn (3,) [rad/s], and whether the arm is to be held."""
+    """What the hand's end sends: the channel's packet, the turn (3,) [rad/s], whether the arm is to be held, and whether the
+    hand leads it."""
 
     packet: Packet
     turn: Float[Array, "3"]
     held: Any
+    leads: Any
 
 
 class TeleoperationState(NamedTuple):
     """Between samples: the mapping's state and the hand's last good position; both ends of the channel and what is underway;
-    the arm's last good q, its rates (n,) and where its tip is to be; the passivity sum [J]."""
+    the arm's last good q, its rates (n,) and where its tip is to be; whether the hand led it; the passivity sum [J]."""
 
     mapped: Mapped
     position: Float[Array, "3"]
@@ -72,6 +74,7 @@ class TeleoperationState(NamedTuple):
     q: Float[Array, " n"]
     rate: Float[Array, " n"]
     target: Float[Array, "4 4"]
+    led: Any
     energy: Float[Array, ""]
 
 
@@ -154,8 +157,8 @@ class Teleoperation:
     def init(self, q: Float[Array, " n"]) -> TeleoperationState:
         """At rest at q (n,) [rad, m], before the device has said anything; in JAX's precision, whatever q has. Traced."""
         q = as_configuration(self.chain, q).astype(float)
-        none = jnp.zeros(3)
-        asked = Asked(silence(), none, jnp.ones((), bool))
+        none, no = jnp.zeros(3), jnp.zeros((), bool)
+        asked = Asked(silence(), none, ~no, no)
         return TeleoperationState(
             self.mapping.init(),
             none,
@@ -167,6 +170,7 @@ class Teleoperation:
             q,
             jnp.zeros_like(q),
             forward_kinematics(self.chain, q),
+            no,
             jnp.zeros(()),
         )
 
@@ -187,7 +191,7 @@ class Teleoperation:
         arm, packet = self.channel.reply(arm, felt, wanted, moved, self.dt)
         back, packet = self.back.step(state.back, packet, self.dt)
         energy = state.energy + self.dt * (felt @ moved - force @ velocity)
-        after = TeleoperationState(mapped, position, end, arm, there, back, packet, q, rate, target, energy)
+        after = TeleoperationState(mapped, position, end, arm, there, back, packet, q, rate, target, asked.leads, energy)
         reason = jnp.where(broken & (told == Reason.SOLVED), Reason.INVALID, told)
         return after, TeleoperationCommand(rate, self.force_ratio * force, target, felt, energy, apart, reason)
 
@@ -203,7 +207,7 @@ class Teleoperation:
         end, packet, force = self.channel.hand(state.hand, state.arrived, velocity, self.dt)
         turn = jnp.where(mapped.moves, bounded(hand.turn, self.mapping.turning), 0.0)
         felt = jnp.where(active, force, 0.0)  # a hand that does not move the arm would be moved for nothing
-        return mapped, end, Asked(packet, turn, ~well), felt, velocity
+        return mapped, end, Asked(packet, turn, ~well, active), felt, velocity
 
     def _felt(self, q: Any, contact: Contact | None) -> Any:
         """The force (3,) at the tip that stands for the contacts, in world axes."""
@@ -213,9 +217,10 @@ class Teleoperation:
         """The velocity and the turn of the tip that are asked for, in world axes."""
         end, velocity = self.channel.arm(state.arm, asked.packet, felt, self.dt, getattr(self.mapping, "smoothing", 0.0))
         velocity = bounded(velocity, self.mapping.fastest)
+        dropped = held | (state.led & ~asked.leads)  # the clutch ends the way that is not made up for yet, too
         let_go = self.channel.release(state.arm, asked.packet)
-        end = jax.tree_util.tree_map(lambda x, y: jnp.where(held, x, y), let_go, end)
-        return end, jnp.where(held, 0.0, velocity), jnp.where(held, 0.0, asked.turn)
+        end = jax.tree_util.tree_map(lambda x, y: jnp.where(dropped, x, y), let_go, end)
+        return end, jnp.where(dropped, 0.0, velocity), jnp.where(held, 0.0, asked.turn)
 
     def _resolved(self, before: Any, target: Any, q: Any, velocity: Any, turn: Any, held: Any) -> tuple[Any, ...]:
         """The joints' rates, after those `before`, the target after them, the clearance, and the velocity that the tip gets."""

@@ -186,8 +186,8 @@ class TorqueEstimator:
         n = self.chain.num_joints
         return RecursiveState(self._kalman.init(sensed.internal, self.start * jnp.eye(n)), sensed.internal, external)
 
-    def advance(self, state: Any, sensed: Sensed) -> SteadyState | RecursiveState:
-        """The next state. Traced."""
+    def advance(self, state: Any, sensed: Sensed, missed: Any = 0) -> SteadyState | RecursiveState:
+        """The next state; each sample tells a torque by itself, so that those `missed` only make it come later. Traced."""
         if self.steady:
             return SteadyState(self.filter.step(state.external, *sensed))
         measured = jnp.concatenate([sensed.current, sensed.torsion])

@@ -97,9 +97,11 @@ def test_a_loop_is_what_a_log_is(log, estimator, monkeypatch):
         state = loop.step(state, sample)
         found.append(state.external)
     np.testing.assert_allclose(found, estimate(estimator, log)[0, :5], rtol=1e-12, atol=1e-12)
+    with pytest.raises(ValueError, match="estimation loop: missed is -1; allowed: a count"):
+        loop.step(state, samples[0], missed=-1)
     bad = samples[0]._replace(current=[0.0, np.nan])
     for faulty, says in (
-        (bad, "estimation loop: current holds nan, q2; leave this sample out"),
+        (bad, "estimation loop: current holds nan, q2; leave this sample out, and count it in `missed`"),
         (bad._replace(q=[0.0, 0.0, 0.0]), r"q of shape \(3,\); allowed: \(2,\)"),
         (bad._replace(q=0.0), r"q of shape \(\); allowed: \(2,\)"),
         (samples[0]._replace(current=None), r"the sample has no current; give Sample\(..., current=\)"),
@@ -111,6 +113,18 @@ def test_a_loop_is_what_a_log_is(log, estimator, monkeypatch):
         with pytest.raises(ValueError, match=says):
             loop.step(state, faulty)
     assert np.isfinite(state.external).all()
+
+
+def test_what_is_left_out_is_no_contact(log):
+    """An observer that is told how many samples it missed finds the push that it had found; one that is not is alarmed."""
+    loop, gap = EstimationLoop(MomentumObserver(ARM, 100.0, DT)), 3
+    samples = [Sample(x.q, x.qdot, current=x.current) for x in (Sample(*(y[0, k] for y in log)) for k in range(200))]
+    state = loop.start(samples[0])
+    for sample in samples[: -gap - 1]:
+        state = loop.step(state, sample)
+    told, untold = (loop.step(state, samples[-1], missed).external for missed in (gap, 0))
+    np.testing.assert_allclose(told, PUSH, atol=2e-3)
+    assert np.abs(untold - PUSH).max() > 0.1
 
 
 @pytest.mark.parametrize(
@@ -125,7 +139,7 @@ def test_a_loop_is_what_a_log_is(log, estimator, monkeypatch):
         (lambda log: TorqueEstimator(jaxik.load("planar2"), FILTER), "torque estimator: planar2 has no drives; write"),
         (
             lambda log: estimate(TorqueEstimator(ARM, FILTER), log._replace(torsion=np.full_like(log.q, np.inf))),
-            "torsion holds .* at sample 0, q1; cut it out of the log",
+            "torsion holds .* at sample 0, q1; interpolate it, or cut the log in two there",
         ),
         (lambda log: TorqueFilter.of_drives(jaxik.load("planar2"), 1.0, 1.0), "planar2 has no drives; use chain.with_drives"),
         (lambda log: TorqueEstimator(jaxik.load("crops_v2"), FILTER), "a filter of 2 joints; crops_v2 has 9 joints"),

@@ -155,6 +155,17 @@ def test_what_an_arm_cannot_do_is_not_felt(tilt):
     np.testing.assert_allclose(reflect(arm, q, Contact(4, tip, force + 7.0 * across)), force, atol=1e-6)
 
 
+def test_a_force_at_the_tip_is_felt_at_a_singular_wrist():
+    """A UR5 whose axes 4 and 6 are parallel can go in all directions, and by far; and so nearly, and turned by nothing else."""
+    arm, reflected = jaxik.load("ur5"), jax.jit(functools.partial(reflect, jaxik.load("ur5")))
+    for wrist in (0.0, 1e-4, 1e-3, 1e-2, 0.5):
+        q = np.array([0.3, -1.2, 1.4, -0.7, wrist, 0.4])
+        jac, tip = np.asarray(jaxik.jacobian(arm, q)), np.asarray(jaxik.forward_kinematics(arm, q))[:3, 3]
+        assert np.linalg.svd(jac[:3])[1].min() > 0.2
+        for force in 10.0 * np.eye(3):
+            np.testing.assert_allclose(reflected(q, Contact(6, tip, force)), force, atol=1e-3)
+
+
 def test_levers_and_magnitudes():
     """(3.2) and (3.3), for one contact and for two."""
     external = columns(MID, TOUCHED).T @ TOUCHED.force
@@ -352,6 +363,17 @@ def test_no_work_comes_out_at_the_hand(channel, smoothing):
     assert np.isfinite(force).all() and np.abs(force).max() > 3.0 and stored.max() > 0.05
     assert (given - stored).min() > -0.1  # a sample's force is held while the hand moves on [Colgate and Schenkel 1997]
     assert not force[clutch == 1.0].any() and not force[age == 1.0].any()
+
+
+@pytest.mark.parametrize("channel", [Direct(), WaveVariables(20.0)], ids=["direct", "waves"])
+def test_the_clutch_stops_the_arm(channel):
+    """However far the arm is behind a hand that was faster than it may be."""
+    setup = teleoperation(mapping=PositionControl(10.0, smoothing=0.05, fastest=0.1), channel=channel)
+    way = np.minimum(np.arange(600) / 100.0, 1.0)[:, None] * [-0.05, 0.0, 0.0]
+    pressed = np.arange(600)[:, None] >= 200
+    done = jax.jit(functools.partial(simulate_teleoperation, setup))(Q, hands(way, buttons=pressed))
+    speed = np.linalg.norm(np.diff(done.tip, axis=0), axis=1) / DT
+    assert speed[150:200].min() > 0.08 and speed[300:].max() < 1e-3
 
 
 def test_a_loop_is_the_step():
