@@ -50,7 +50,10 @@ def another(rng: np.random.Generator) -> jaxik.Chain:
         bodies.append(dataclasses.replace(body, mass=share * body.mass, com=com, inertia=share * body.inertia))
     for drive in model().drives:
         names = ("coulomb", "breakaway", "load", "viscous", "viscous_load", "correction")
-        friction = dataclasses.replace(drive.friction, **{k: near(getattr(drive.friction, k), OFF["friction"]) for k in names})
+        rubs = {k: near(getattr(drive.friction, k), OFF["friction"]) for k in names}
+        if np.isinf(drive.friction.stribeck_velocity):  # friction is the same at rest and at speed
+            rubs["coulomb"] = rubs["breakaway"]
+        friction = dataclasses.replace(drive.friction, **rubs)
         own = {k: near(getattr(drive, k), OFF[k]) for k in ("torque_constant", "stiffness")}
         drives.append(dataclasses.replace(drive, friction=friction, **own))
     return dataclasses.replace(model(), bodies=tuple(bodies)).with_drives(drives)
