@@ -28,6 +28,8 @@ from jaxik.checks.options import check_finite
 from jaxik.robot.chain import Array
 from jaxik.spatial.algebra import safe_divide, safe_sqrt
 
+_FASTEST_HAND = 5.0  # [m/s]; beyond it is a device that jumps, and begins anew where it is
+
 
 class Mapped(NamedTuple):
     """The reference x_ref (3,) [m] of the hand, of position control where it was last; what was asked of the tip so far, w (3,)
@@ -92,7 +94,9 @@ class PositionControl(_Mapping):
 
     def step(self, state: Mapped, position: Any, active: Any, dt: float) -> tuple[Mapped, Any]:
         """The velocity (3,) [m/s] for a hand at `position` (3,) [m] that may move the arm if `active`. Traced."""
-        velocity = jnp.where(active & state.moves, self.workspace * (position - state.reference) / dt, 0.0)
+        way = position - state.reference
+        follows = active & state.moves & (way @ way <= (_FASTEST_HAND * dt) ** 2)
+        velocity = jnp.where(follows, self.workspace * way / dt, 0.0)
         return Mapped(position, state.asked + dt * velocity, active, state.known | active), velocity
 
 
