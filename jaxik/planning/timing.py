@@ -19,13 +19,15 @@ from jaxik.spmd import HostKernel
 from jaxik.spmd.batch import in_blocks
 
 LEAST = 8  # parts of a piece: it may have to stop at both its ends, and speeds up in between
+FINE = 125  # parts of a piece by default: what the time is above the least goes as one over them, however many pieces there are
+MANY = 500  # places by default of a path of fewer pieces than these make
 
 
 def time_optimal(
     path: JointPath,
     velocity: Any = None,
     acceleration: Any = None,
-    places: int = 500,
+    places: int | None = None,
     chain: Chain | None = None,
     torque: Any = None,
     power: Any = None,
@@ -41,9 +43,10 @@ def time_optimal(
 
     Paths that are stacked, with leaves (N, ...), are timed together, as are rows (N, n) of limits. The limits hold at every
     moment, not only at the `places` at which the speed is chosen; these are spread evenly over the pieces, eight a piece or
-    more, and their number decides how near the time comes to the least: about 1 % at 400, half of it at 800. Where the path has
-    a corner, the motion stops there. A velocity may be infinite. Of a path with NaN (`reason` INVALID), and of one in a stack
-    on which the drives cannot hold the arm still (LIMITS), the timing is NaN.
+    more, and how many a piece has decides how near the time comes to the least: random splines of 3 to 300 waypoints take 0.8 %
+    more at 125 a piece (at most 2 %), twice that at half as many. None is 125 a piece, and no fewer than 500. Where the path
+    has a corner, the motion stops there. A velocity may be infinite. Of a path with NaN (`reason` INVALID), and of one in a
+    stack on which the drives cannot hold the arm still (LIMITS), the timing is NaN.
 
     Raises `ValueError` for limits that are not positive or of another shape, for arrays that are no path, and for drives that
     cannot hold the arm on a way that is alone, with the joint and the place, counted in the path's pieces. Source: Pham
@@ -58,7 +61,7 @@ def time_optimal(
     limited = _drives(chain, torque, power, gravity, n)
     given = _given(chain, velocity, acceleration, limited is not None)
     limits = limits_of("time_optimal", *given, (len(lengths), n), limited is not None)
-    parts = max(LEAST, -(-as_count("time_optimal: places", places) // k))
+    parts = max(FINE, -(-MANY // k)) if places is None else max(LEAST, -(-as_count("time_optimal: places", places) // k))
     known = np.isfinite(lengths).all(axis=1) & np.isfinite(curve).all(axis=(1, 2, 3))
     if limited is None:
         (squares,) = in_blocks(_fastest(parts), curve, lengths, *limits, double=True)

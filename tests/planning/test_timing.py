@@ -41,19 +41,30 @@ def _dense(moved, between=23):
         return moments, jax.tree_util.tree_map(np.asarray, jax.jit(jax.vmap(moved.at))(moments))
 
 
+def _toppra(points, velocity, acceleration, places):
+    """The duration by toppra, which meets the limits at its places alone, and may be a little faster for it."""
+    knots = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(points, axis=0), axis=1))])
+    limits = [
+        toppra.constraint.JointVelocityConstraint(np.stack([-velocity, velocity], axis=1)),
+        toppra.constraint.JointAccelerationConstraint(np.stack([-acceleration, acceleration], axis=1)),
+    ]
+    path, grid = toppra.SplineInterpolator(knots, points, bc_type="natural"), np.linspace(0.0, knots[-1], places + 1)
+    return toppra.algorithm.TOPPRA(limits, path, gridpoints=grid, solver_wrapper="seidel").compute_trajectory(0, 0).duration
+
+
 def test_as_fast_as_toppra():
-    """Which meets its limits at its grid alone, and may be a little faster for it."""
     waypoints = _paths(4)
     ours = time_optimal(_stacked([spline(w) for w in waypoints]), VELOCITY, ACCELERATION, places=800)
     for i, points in enumerate(waypoints):
-        knots = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(points, axis=0), axis=1))])
-        limits = [
-            toppra.constraint.JointVelocityConstraint(np.stack([-VELOCITY, VELOCITY], axis=1)),
-            toppra.constraint.JointAccelerationConstraint(np.stack([-ACCELERATION, ACCELERATION], axis=1)),
-        ]
-        path, grid = toppra.SplineInterpolator(knots, points, bc_type="natural"), np.linspace(0.0, knots[-1], 801)
-        theirs = toppra.algorithm.TOPPRA(limits, path, gridpoints=grid, solver_wrapper="seidel").compute_trajectory(0, 0)
-        assert -1e-3 < ours.duration[i] / theirs.duration - 1.0 < 0.01
+        assert -1e-3 < ours.duration[i] / _toppra(points, VELOCITY, ACCELERATION, 800) - 1.0 < 0.01
+
+
+@pytest.mark.parametrize("waypoints", [3, 20, 60])
+def test_as_fast_as_toppra_however_many_the_waypoints(waypoints):
+    """Without a word of the places: a grid of as many for every path leaves few to each piece of a long one."""
+    (points,) = _paths(1, waypoints=waypoints)
+    ours = time_optimal(spline(points), VELOCITY, ACCELERATION)
+    assert -1e-3 < ours.duration / _toppra(points, VELOCITY, ACCELERATION, 100 * waypoints) - 1.0 < 0.02
 
 
 @pytest.mark.parametrize("make", [spline, polyline])
