@@ -5,9 +5,9 @@ from __future__ import annotations
 import numpy as np
 
 from jaxik.planning.collision_checker import CollisionChecker
+from jaxik.planning.limits import search_range
 from jaxik.planning.shortcuts import shortened
 from jaxik.planning.tree_search import Budget, connected
-from jaxik.robot.chain import finite_limits
 
 ATTEMPTS = (0.1, 0.006), (0.05, 0.003), (0.03, 0.001), (0.02, 0.0)  # steps of samples, and their cushion [m], one after another
 CYCLES = 0.1, 0.3, 0.6  # of the rounds: trees that grew into the wrong places are better left than grown on
@@ -17,7 +17,7 @@ def proven_way(
     space: CollisionChecker, start: np.ndarray, goals: np.ndarray, seed: int, rounds: int, budget: Budget
 ) -> np.ndarray | None:
     """Waypoints (k, n) from the start (n,) to one of the goals (g, n), straight lines between them proven free; or None."""
-    lower, upper = finite_limits(space.chain)
+    lower, upper = search_range(space.chain, start)
     bounds = np.minimum(lower, np.min([start, *goals], axis=0)), np.maximum(upper, np.max([start, *goals], axis=0))
     rng = np.random.default_rng(seed)
     for share in CYCLES:

@@ -14,9 +14,11 @@ from jaxik.collision.clearances import check_geometry
 from jaxik.collision.scene import Scene
 from jaxik.planning.collision_checker import CollisionChecker, judged
 from jaxik.planning.grid_search import MOST, Grid, shortest
+from jaxik.planning.limits import search_range
 from jaxik.planning.outcome import Outcome
+from jaxik.planning.planner import turned
 from jaxik.reasons import Reason
-from jaxik.robot.chain import Chain, finite_limits
+from jaxik.robot.chain import Chain
 
 FIVE_DEGREES = math.radians(5.0)  # the paper's
 Direction = Literal["forward", "backward", "both"]
@@ -71,8 +73,9 @@ def plan_on_grid(
     """The shortest way from `start` to `goal` (n,) over a grid of configurations inside the limits, by A*. Host driver.
 
     The way leads from the start to the nearest free node beside it, over nodes that keep the margin, and from that nearest to
-    the goal on to the goal itself. What lies between two nodes is not looked at; `plan_motion` proves its ways, and needs no
-    grid.
+    the goal on to the goal itself; where the start is the goal, nothing moves. A joint without limits takes the shorter turn;
+    its nodes lie up to half a turn beside the start. What lies between two nodes is not looked at; `plan_motion` proves its
+    ways, and needs no grid.
 
     Reasons: SOLVED; INVALID, LIMITS, COLLISION of the start or the goal, or of all nodes beside it; NOT_CONVERGED, given up;
     OUT_OF_REACH, proven: the grid has no way.
@@ -87,10 +90,12 @@ def plan_on_grid(
     check_known("plan_on_grid", start=start, goal=goal)
     options = changed("plan_on_grid", options or GridOptions(), changes)
     ends = np.stack([shaped(f"plan_on_grid: {k}", q, chain.lower.shape) for k, q in (("start", start), ("goal", goal))])
-    grid, space = _grid(chain, options), CollisionChecker(chain, scene, options.margin)
-    nodes = []
-    for where, end in zip(("start", "goal"), ends, strict=True):
-        verdict = Reason(int(judged(chain, space, end[None])[0]))
+    ends[1] = turned(chain, ends[:1], ends[1:])[0]
+    grid, space = _grid(chain, options, ends[0]), CollisionChecker(chain, scene, options.margin)
+    verdicts, nodes = judged(chain, space, ends), []
+    if not verdicts.any() and (ends[0] == ends[1]).all():
+        return GridPlanned(Reason.SOLVED, "", ends, 0.0)
+    for where, end, verdict in zip(("start", "goal"), ends, map(Reason, verdicts.tolist()), strict=True):
         near = grid.nearest(end) if verdict == Reason.SOLVED else np.zeros(0, int)
         free = ~space.hits(grid.configurations(near))
         if not free.any():
@@ -109,9 +114,9 @@ def plan_on_grid(
     return GridPlanned(Reason.SOLVED, "", waypoints[kept], found.length, found.expanded, found.judged)
 
 
-def _grid(chain: Chain, options: GridOptions) -> Grid:
-    """From each joint's lower limit on."""
-    lower, upper = finite_limits(chain)
+def _grid(chain: Chain, options: GridOptions, start: np.ndarray) -> Grid:
+    """From each joint's lower limit on, or from half a turn before the start (n,)."""
+    lower, upper = search_range(chain, np.where(np.isfinite(start), start, 0.0))
     step = numbers("plan_on_grid: step", options.step)
     if step.shape not in ((), lower.shape) or not (np.isfinite(step).all() and (step > 0.0).all()):
         raise ValueError(f"plan_on_grid: step of shape {step.shape}; allowed: a positive number, or one a joint {lower.shape}")

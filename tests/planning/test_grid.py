@@ -71,6 +71,7 @@ def test_nodes_are_judged_when_they_are_expanded():
 ARM = jaxik.load("planar2")
 CELL = jaxik.make_scene(boxes=[[1.2, 0.9, 0.0, 0.1, 0.6, 1.0], [1.5, 0.35, 0.0, 0.6, 0.1, 1.0]])
 START, GOAL = np.radians([-60.0, 30.0]), np.radians([120.0, -30.0])
+HIT = np.radians([55.0, -30.0])
 
 
 def test_an_arm_on_a_grid():
@@ -89,10 +90,29 @@ def test_an_arm_on_a_grid():
     assert wide.length < ways[0].length
 
 
+def test_where_the_start_is_the_goal_nothing_moves():
+    stays = plan_on_grid(ARM, CELL, START, START)
+    assert stays and stays.length == 0.0
+    np.testing.assert_array_equal(stays.waypoints, [START, START])
+    assert plan_on_grid(ARM, CELL, HIT, HIT).why == "start: collision"
+
+
+def test_a_joint_without_limits_on_a_grid(arm):
+    """It takes the shorter turn, from wherever it is: nodes from -pi to pi, and none beyond, would know neither."""
+    chain, _ = arm
+    for turns in (0, 20):
+        begin, end = (np.array([0.0, 0.5, x + 2.0 * np.pi * turns]) for x in (3.0, -3.0))
+        found = plan_on_grid(chain, None, begin, end, step=0.2)
+        assert found, found.why
+        np.testing.assert_array_equal(found.waypoints[0], begin)
+        np.testing.assert_allclose(found.waypoints[-1], end + 2.0 * np.pi * np.eye(3)[2])
+        assert np.abs(np.diff(found.waypoints[:, 2])).max() <= 0.2 + 1e-9
+
+
 @pytest.mark.parametrize(
     ("start", "goal", "reason", "where"),
     [
-        (np.radians([55.0, -30.0]), GOAL, "collision", "start"),
+        (HIT, GOAL, "collision", "start"),
         (START, [4.0, 0.0], "limits", "goal"),
         ([np.nan, 0.0], GOAL, "invalid", "start"),
     ],

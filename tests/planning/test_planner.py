@@ -59,6 +59,21 @@ def test_a_joint_without_limits_takes_the_shorter_turn(arm):
     assert moved.waypoints[-1, 2] == pytest.approx(2.0 * np.pi - 3.0)
 
 
+@pytest.mark.parametrize("turns", [100, -10000])
+def test_the_turns_that_a_joint_has_made_make_no_difference(arm, turns):
+    """A search looks around the start; nor is a motion far from zero proven by the few digits that float32 has left there."""
+    chain, coal = arm
+    poles = jaxik.make_scene(boxes=[[0.65, 0.0, 0.0, 0.3, 0.05, 0.5], [0.75, -0.25, 0.0, 0.05, 0.05, 0.5]])
+    away = np.array([0.0, 0.0, 2.0 * np.pi * turns])
+    near, far = (plan_motion(chain, poles, START + by, GOAL + by) for by in (0.0, away))
+    _judged(far, coal, poles)
+    assert near.rounds > 0 and far.rounds <= 2 * near.rounds
+    assert np.abs(far.waypoints[:, 2] - START[2] - away[2]).max() <= np.pi + 1e-6
+    pose = np.asarray(jaxik.forward_kinematics(chain, START + 0.1))
+    posed = plan_motion(chain, None, START + away, pose)
+    np.testing.assert_allclose(posed.waypoints[-1], START + 0.1 + away, atol=1e-5)
+
+
 @pytest.mark.parametrize("name", ["ur5e", "ur10e_rail"])
 def test_to_a_pose_goes_the_posture_that_is_soonest(name):
     """Of the pose of a posture near the start no further one is taken, whatever turns it has; nor from where the pose is."""
