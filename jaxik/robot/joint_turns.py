@@ -69,6 +69,12 @@ def nearest_turns(chain: Chain, q: Any, goal: Any, lower: Any, upper: Any) -> np
     return np.where(moves, np.clip(q + np.where(moves, turns, 0.0) * TURN, lower, upper), q)
 
 
+def whole_turns(chain: Chain, q: np.ndarray) -> np.ndarray:
+    """What joints without limits have turned by, in whole turns (..., n) [rad]; 0 of others. On the host."""
+    endless = np.isinf(chain.lower) & np.isinf(chain.upper) & ~np.array(chain.is_prismatic)
+    return TURN * np.round(np.where(endless & np.isfinite(q), q, 0.0) / TURN)
+
+
 def _turns(q: Any, lower: Any, upper: Any) -> tuple[Any, Any]:
     """The first and the last multiple of 2 pi that leave q inside the limits, but for rounding."""
     slack = 1e-12

@@ -485,6 +485,15 @@ def test_endless_joints_end_on_the_turn_of_the_reference():
     assert_solves(chain, result, targets)
 
 
+def test_a_reference_is_a_seed_whatever_turns_it_has_made():
+    chain = jaxik.load("gen3")
+    q = np.random.default_rng(5).uniform(*jaxik.robot.finite_limits(chain), (10, chain.num_joints))
+    targets = jax.vmap(lambda q: jaxik.forward_kinematics(chain, q))(q)
+    reference = q + 200.0 * np.pi * ~np.isfinite(chain.lower)
+    found = jaxik.solve_ik(chain, targets, reference=reference, max_seeds=16)
+    np.testing.assert_allclose(found.q, reference, atol=1e-4)
+
+
 def test_continuous_joints_wrap():
     chain = chain_of("kinova")
     targets = reachable(chain, 500, seed=16)
