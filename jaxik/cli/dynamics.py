@@ -94,7 +94,7 @@ class DynamicsArguments(RobotArguments):
         """Warns of numbers that are hardly radians, metres and seconds."""
         if told := beyond_limits(chain, q, ROUNDED):
             warnings.warn(f"{self.motion}: {told}", stacklevel=2)
-        if (period := float(np.median(np.diff(time)))) > SLOWEST:
+        if len(time) > 1 and (period := float(np.median(np.diff(time)))) > SLOWEST:
             warnings.warn(f"{self.motion}: samples are {period:.4g} s apart; are these milliseconds?", stacklevel=2)
 
     def _derived(self, of_rates: bool) -> str:

@@ -51,7 +51,7 @@ class PlanArguments(ShapedRobotArguments):
 
     def run(self) -> None:
         """Load, plan, write, and end with one line. Raises `Unsolved` where there is no motion, with the reason."""
-        if self.out.suffix not in ENDINGS:
+        if self.out.suffix.lower() not in ENDINGS:
             raise ValueError(f"--out {self.out}: ending '{self.out.suffix}'; allowed: {', '.join(ENDINGS)}")
         if not 0.0 < self.period < np.inf:
             raise ValueError(f"--period {self.period:g}: it is above zero [s]")

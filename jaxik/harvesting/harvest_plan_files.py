@@ -9,7 +9,7 @@ import numpy as np
 
 from jaxik.checks.options import check_kind
 from jaxik.harvesting.harvest_plan import HarvestPlan
-from jaxik.planning.trajectory_files import check_ending, joint_points, table
+from jaxik.planning.trajectory_files import arrays, check_ending, joint_points, table
 
 
 def save_harvest_plan(file: str | Path, plan: HarvestPlan, period: float = 0.01) -> Path:
@@ -21,7 +21,7 @@ def save_harvest_plan(file: str | Path, plan: HarvestPlan, period: float = 0.01)
     """
     check_kind("save_harvest_plan", "plan", plan, HarvestPlan)
     file, names = check_ending("save_harvest_plan", file), list(plan.chain.joint_names)
-    if file.suffix == ".json":
+    if file.suffix.lower() == ".json":
         stages = [
             {"fruit": s.fruit, "stage": s.kind, "joint_names": names, "points": joint_points(*s.trajectory.sample(period))}
             for s in plan.stages
@@ -30,8 +30,8 @@ def save_harvest_plan(file: str | Path, plan: HarvestPlan, period: float = 0.01)
         return file
     time, state, number = plan.sample(period)
     words = {key: np.array([getattr(s, kind) for s in plan.stages])[number] for key, kind in _WORDS.items()}
-    if file.suffix == ".npz":
-        np.savez(file, allow_pickle=False, time=time, **words, **state._asdict(), joint_names=names)
+    if file.suffix.lower() == ".npz":
+        arrays(file, time=time, **words, **state._asdict(), joint_names=names)
     else:
         table(file, time, state, names, words)
     return file

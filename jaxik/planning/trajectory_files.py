@@ -13,7 +13,7 @@ import numpy as np
 from jaxik.checks.options import check_kind
 from jaxik.optimise.smoothing import slope, smoothed
 from jaxik.planning.trajectory import JointState, Trajectory
-from jaxik.planning.trajectory_readers import read_motion
+from jaxik.planning.trajectory_readers import as_names, read_motion
 
 ENDINGS = ".csv", ".npz", ".json"
 
@@ -23,16 +23,17 @@ def save_trajectory(file: str | Path, trajectory: Trajectory, period: float, joi
     (i,), q, velocity and acceleration (i, n), joint_names), or `.json` with the fields of ROS'
     `trajectory_msgs/JointTrajectory`. Gives the file's path. Host.
 
-    Raises `ValueError` for another ending, for as many names as there are no joints, and as `sample` does.
+    Raises `ValueError` for another ending, for as many names as there are no joints, for names that are no text or stand twice,
+    and as `sample` does.
     """
     check_kind("save_trajectory", "trajectory", trajectory, Trajectory)
-    file, names = check_ending("save_trajectory", file), list(joint_names)
+    file, names = check_ending("save_trajectory", file), as_names("save_trajectory: joint_names", joint_names)
     time, state = trajectory.sample(period)
     if len(names) != state.q.shape[1]:
         raise ValueError(f"save_trajectory: {len(names)} joint_names of {state.q.shape[1]} joints; give one a joint")
-    if file.suffix == ".npz":
-        np.savez(file, time=time, **state._asdict(), joint_names=names)
-    elif file.suffix == ".csv":
+    if file.suffix.lower() == ".npz":
+        arrays(file, time=time, **state._asdict(), joint_names=names)
+    elif file.suffix.lower() == ".csv":
         table(file, time, state, names)
     else:
         file.write_text(json.dumps({"joint_names": names, "points": joint_points(time, state)}))
@@ -51,7 +52,7 @@ def load_trajectory(file: str | Path, joint_names: Sequence[str], smooth: float 
     Raises `ValueError` for another ending, a joint that is not in it, times that do not grow, and what is no finite number,
     with the line or the sample; and as `smoothed` does. `OSError` where there is no such file.
     """
-    file, names = check_ending("load_trajectory", file), list(joint_names)
+    file, names = check_ending("load_trajectory", file), as_names("load_trajectory: joint_names", joint_names)
     return as_states(*read_motion(file, names), smooth)
 
 
@@ -65,10 +66,16 @@ def as_states(time: np.ndarray, found: Mapping[str, np.ndarray], smooth: float |
 
 
 def check_ending(who: str, file: str | Path) -> Path:
-    """Raises `ValueError` for one that is none of `ENDINGS`."""
-    if Path(file).suffix not in ENDINGS:
+    """Raises `ValueError` for one that is none of `ENDINGS`, in capitals or not."""
+    if Path(file).suffix.lower() not in ENDINGS:
         raise ValueError(f"{who}: {Path(file).name}; allowed endings: {', '.join(ENDINGS)}")
     return Path(file)
+
+
+def arrays(file: Path, **held: np.ndarray | Sequence[str]) -> None:
+    """As `.npz`, under the very name of the file, to which `numpy.savez` would add an ending."""
+    with file.open("wb") as out:
+        np.savez(out, allow_pickle=False, **held)
 
 
 def table(

@@ -6,12 +6,13 @@ import csv
 import json
 import re
 import zipfile
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
+from jaxik.checks.arrays import numbers
 from jaxik.checks.options import among, shown
 from jaxik.planning.trajectory import JointState
 
@@ -24,18 +25,19 @@ MESSAGE = "write joint_names, and points with positions [rad, m] and time_from_s
 
 
 def read_motion(file: Path, names: Sequence[str]) -> Found:
-    """What a file has of the joints `names`, in their order: two or more samples, finite, at times that grow.
+    """What a file has of the joints `names`, in their order: samples, finite, at times that grow; two or more, or one whose
+    rates it has, too.
 
     Raises `ValueError` of one line: the file, the line or the sample in it, what is wrong there, what is to be written.
     """
-    time, found, places = {".npz": _npz, ".csv": _csv, ".json": _json}[file.suffix](file, names)
-    if len(time) < 2:
+    time, found, places = {".npz": _npz, ".csv": _csv, ".json": _json}[file.suffix.lower()](file, names)
+    if len(time) < (1 if len(found) == len(JointState._fields) else 2):  # what stands still is saved as one
         raise ValueError(f"{file}: {len(time)} samples; a motion has two or more")
-    for what, numbers in {"time": time[:, None], **found}.items():
-        if (wrong := ~np.isfinite(numbers)).any():
+    for what, values in {"time": time[:, None], **found}.items():
+        if (wrong := ~np.isfinite(values)).any():
             row, joint = np.argwhere(wrong)[0]
             label = what if what == "time" else f"{what} of {names[joint]}"
-            raise ValueError(f"{file}, {places[row]}: {label} is {numbers[row, joint]}; write a finite number")
+            raise ValueError(f"{file}, {places[row]}: {label} is {values[row, joint]}; write a finite number")
     if (stuck := np.diff(time) <= 0.0).any():
         row = int(np.argmax(stuck)) + 1
         raise ValueError(f"{file}, {places[row]}: time is {time[row]:.12g} after {time[row - 1]:.12g}; it grows [s]")
@@ -91,7 +93,7 @@ def _npz(file: Path, names: Sequence[str]) -> tuple[np.ndarray, dict[str, np.nda
         raise ValueError(f"{file}: cannot be read ({shown(error)}); {ARRAYS}") from None
     if absent := [key for key in ("time", "q", "joint_names") if key not in held]:
         raise ValueError(f"{file}: no {absent[0]}; {ARRAYS}; yours has {shown(there) or 'none'}")
-    time, joints = held.pop("time"), [str(name) for name in held.pop("joint_names").ravel()]
+    time, joints = held.pop("time"), held.pop("joint_names").tolist()
     return _ordered(file, names, joints, time, held, ARRAYS)
 
 
@@ -112,21 +114,33 @@ def _json(file: Path, names: Sequence[str]) -> tuple[np.ndarray, dict[str, np.nd
     return _ordered(file, names, joints, time, held, MESSAGE)
 
 
+def as_names(what: str, given: Any) -> list[str]:
+    """Raises `ValueError` for what are no names of joints, or for one that stands twice."""
+    names = list(given) if isinstance(given, Iterable) and not isinstance(given, str) else None
+    if names is None or not all(isinstance(name, str) for name in names):
+        raise ValueError(f"{what} is {shown(given)}; write one name a joint, such as ['shoulder', 'elbow']")
+    for name in names:
+        if names.count(name) > 1:
+            raise ValueError(f"{what}: '{shown(name)}' stands twice; each joint has a name of its own")
+    return [str(name) for name in names]
+
+
 def _ordered(
-    file: Path, names: Sequence[str], joints: Sequence[str], time: Any, held: dict[str, Any], mend: str
+    file: Path, names: Sequence[str], joints: Any, time: Any, held: dict[str, Any], mend: str
 ) -> tuple[np.ndarray, dict[str, np.ndarray], list[str]]:
     """The columns of `joints` in the order of `names`, of arrays that fit each other."""
+    joints = as_names(f"{file}: joint_names", joints)
     if absent := [name for name in names if name not in joints]:
         raise ValueError(f"{file}: no joint '{absent[0]}'; {among(absent[0], joints, 'its joint_names')}")
     arrays = {}
     for what, given in {"time": time, **held}.items():
         try:
-            arrays[what] = np.asarray(given, np.float64)
-        except (TypeError, ValueError):
+            arrays[what] = numbers(what, given)
+        except ValueError:
             raise ValueError(f"{file}: {what} is no array of numbers; {mend}") from None
         shape = (arrays["time"].size, len(joints))[: 1 if what == "time" else 2]
         if arrays[what].shape != shape:
             raise ValueError(f"{file}: {what} of shape {arrays[what].shape}, not {shape}; {mend}")
-    order = [list(joints).index(name) for name in names]
+    order = [joints.index(name) for name in names]
     found = {kind: arrays[kind][:, order] for kind in JointState._fields if kind in arrays}
     return arrays["time"], found, [f"sample {i}" for i in range(len(arrays["time"]))]

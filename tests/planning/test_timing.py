@@ -207,6 +207,22 @@ def test_files_hold_what_was_sampled(tmp_path):
             load_trajectory(tmp_path / file, ["z"])
 
 
+@pytest.mark.parametrize("file", ["x.csv", "x.NPZ", "x.Json"])
+def test_files_hold_a_motion_that_stands_still(tmp_path, file):
+    """Whatever the ending's case; no file of another name is left beside it."""
+    still = time_optimal(polyline([[1.0, 2.0], [1.0, 2.0]]), 1.0, 2.0)
+    assert save_trajectory(tmp_path / file, still, 0.01, ["a", "b"]) == tmp_path / file
+    assert [each.name for each in tmp_path.iterdir()] == [file]
+    time, state = load_trajectory(tmp_path / file, ["b", "a"])
+    np.testing.assert_array_equal(time, [0.0])
+    np.testing.assert_array_equal(np.concatenate(state), [[2.0, 1.0], [0.0, 0.0], [0.0, 0.0]])
+    for names, said in ((["a", "a"], ": 'a' stands twice"), ("ab", " is ab; write one name"), ([1, 2], " is .1, 2.; write")):
+        with pytest.raises(ValueError, match=f"save_trajectory: joint_names{said}"):
+            save_trajectory(tmp_path / file, still, 0.01, names)
+        with pytest.raises(ValueError, match=f"load_trajectory: joint_names{said}"):
+            load_trajectory(tmp_path / file, names)
+
+
 def _torques(chain, moved):
     _, state = _dense(moved, between=7)
     with jax.enable_x64(True):

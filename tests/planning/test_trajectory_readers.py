@@ -70,6 +70,9 @@ def test_what_is_wrong_in_arrays_is_named(tmp_path):
         ({"time": 1.0, "q": q, "joint_names": names}, r"time of shape \(\), not \(1,\)"),
         ({"time": time, "q": np.array([None, 1]), "joint_names": names}, "cannot be read"),
         ({"time": time, "q": q * [1.0, np.nan], "joint_names": names}, "sample 0: q of b is nan"),
+        ({"time": time, "q": q + 1j, "joint_names": names}, "q is no array of numbers; write time"),
+        ({"time": time, "q": q, "joint_names": ["b", "b"]}, "joint_names: 'b' stands twice"),
+        ({"time": time, "q": q, "joint_names": [1, 2]}, "joint_names is .1, 2.; write one name"),
         ({"time": [0.0, 2.0, 1.0], "q": q, "joint_names": names}, "sample 2: time is 1 after 2"),
     ):
         np.savez(tmp_path / "x.npz", **arrays)
@@ -90,6 +93,9 @@ def test_what_is_wrong_in_a_message_is_named(tmp_path):
         ('"nanosec"', '"nsecs"', "no nanosec; "),
         ("[1, 2.0]", "[1]", "q is no array of numbers"),
         ('["a", "b"]', '["a"]', "no joint 'b'"),
+        ('["a", "b"]', '["a", "b", "a"]', "joint_names: 'a' stands twice"),
+        ('["a", "b"]', '"ab"', "joint_names is ab; write one name"),
+        ('["a", "b"]', "[1, 2]", "joint_names is .1, 2.; write one name"),
         ("{", "", "cannot be read"),
         ('"points": [', '"points": [], "more": [', "cannot be read .it has no points"),
     ):
