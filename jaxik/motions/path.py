@@ -76,12 +76,12 @@ class Arc(Pytree):
 
 
 class Curve(Pytree):
-    """Through via points with continuous velocity and acceleration: a cubic spline of position and of the rotation vector from
-    the first pose. Made by `via`."""
+    """Through via points with continuous velocity and acceleration: on each piece a cubic of position, and of the rotation
+    vector from the pose at its beginning. Made by `via`."""
 
     knots: Float[Array, " k"]
     coefficients: Float[Array, "k1 4 6"]
-    first: Float[Array, "3 3"]
+    rotations: Float[Array, "k1 3 3"]
 
     def pose(self, s: Any) -> Any:
         """Position (3,) and rotation (3, 3) at s."""
@@ -89,7 +89,7 @@ class Curve(Pytree):
         i = jnp.clip(jnp.searchsorted(knots, s, side="right") - 1, 0, len(knots) - 2)
         x, c = s - knots[i], jnp.asarray(self.coefficients)[i]
         value = ((c[0] * x + c[1]) * x + c[2]) * x + c[3]
-        return value[:3], jnp.asarray(self.first) @ rotation_exp(value[3:])
+        return value[:3], jnp.asarray(self.rotations)[i] @ rotation_exp(value[3:])
 
 
 Path = Line | Arc | Curve
@@ -144,24 +144,31 @@ def check_path(who: str, path: Path, duration: Any, rows: tuple[int, ...] = ()) 
 def via(poses: Any) -> Curve:
     """The curve through poses (k, 4, 4) or positions (k, 3), k >= 2, reached at times in proportion to their distances. Host.
 
-    Each pose may be turned by less than pi from the first, and so may what lies between two, by the shorter way. Raises
-    `ValueError` for one that is, for another shape, for what is no pose, and for equal neighbours.
+    From each pose to the next it turns by less than pi, the shorter way, and as far as you like in all. Raises `ValueError` for
+    one that is turned by pi from the one before, for another shape, for what is no pose, and for equal neighbours.
     """
     from scipy.interpolate import CubicSpline
+    from scipy.spatial.transform import Rotation, RotationSpline
 
-    values, first = _via_values(poses)
-    away = np.linalg.norm(np.diff(values, axis=0), axis=1)
+    given = _via_poses(poses)
+    places, rotations = given[:, :3, 3], Rotation.from_matrix(given[:, :3, :3])  # the nearest ones
+    turns = (rotations[:-1].inv() * rotations[1:]).as_rotvec()
+    if np.any(beyond := np.linalg.norm(turns, axis=1) > np.pi - 1e-9):
+        k = int(np.argmax(beyond)) + 1
+        raise ValueError(f"via: pose {k} is turned by pi from the one before; add one between them, which says which way")
+    away = np.linalg.norm(np.hstack([np.diff(places, axis=0), turns]), axis=1)
     if not np.all(away > 0.0):
         raise ValueError(f"via: points {int(np.argmin(away))} and {int(np.argmin(away)) + 1} are equal; leave one out")
     knots = np.concatenate([[0.0], np.cumsum(away)]) / away.sum()
-    spline = CubicSpline(knots, values, bc_type="natural" if len(values) > 2 else "clamped")
-    return Curve(knots, np.moveaxis(spline.c, 0, 1), first)
+    if len(given) > 2:
+        moving, turning = CubicSpline(knots, places, bc_type="natural").c, RotationSpline(knots, rotations).interpolator.c
+    else:
+        moving, turning = (CubicSpline(knots, x, bc_type="clamped").c for x in (places, np.pad(turns, ((1, 0), (0, 0)))))
+    return Curve(knots, np.moveaxis(np.concatenate([moving, turning], axis=2), 0, 1), rotations[:-1].as_matrix())
 
 
-def _via_values(poses: Any) -> tuple[np.ndarray, np.ndarray]:
-    """Positions and rotation vectors from the first (k, 6), and the first rotation (3, 3)."""
-    from scipy.spatial.transform import Rotation
-
+def _via_poses(poses: Any) -> np.ndarray:
+    """(k, 4, 4)"""
     given = numbers("via: poses", poses)
     if given.ndim == 2 and given.shape[1] == 3:
         given = frame(given)
@@ -171,20 +178,7 @@ def _via_values(poses: Any) -> tuple[np.ndarray, np.ndarray]:
     if not np.all(valid):
         k = int(np.argmin(valid))
         raise ValueError(f"via: pose {k} is no pose; allowed: finite, an orthonormal rotation, last row 0 0 0 1")
-    rotations = Rotation.from_matrix(given[:, :3, :3])  # the nearest ones; where one holds infinity, LAPACK does not return
-    first = rotations[0].as_matrix()
-    turned = (rotations[0].inv() * rotations).as_rotvec()
-    # the same rotation by the other way round is nearer to the one before where the shorter way between them passes pi
-    angle = np.linalg.norm(turned, axis=1, keepdims=True)
-    other = turned - np.divide(2.0 * np.pi * turned, angle, out=np.zeros_like(turned), where=angle > 0.0)
-    before = np.concatenate([turned[:1], turned[:-1]])
-    gap = lambda x: np.linalg.norm(x - before, axis=1)
-    beyond = (angle[:, 0] > 0.0) & (gap(other) <= gap(turned) + 1e-9)
-    if np.any(beyond):
-        k = int(np.argmax(beyond))
-        allowed = "less; another path may take over before it"
-        raise ValueError(f"via: pose {k} is turned by pi or more from the first; allowed: {allowed}")
-    return np.concatenate([given[:, :3, 3], turned], axis=1), first
+    return given
 
 
 def motion(path: Path, duration: Any, t: Any) -> Motion:
