@@ -21,7 +21,7 @@ from jaxik.checks.arrays import shaped
 from jaxik.planning.limits import limit_of
 from jaxik.planning.trajectory import along_pieces
 from jaxik.robot.chain import Chain
-from jaxik.robot.dynamics import inverse_dynamics
+from jaxik.robot.dynamics import inverse_dynamics, need_bodies
 from jaxik.spmd.batch import in_blocks
 from jaxik.spmd.host import host_kernels
 
@@ -55,10 +55,14 @@ class Forces(NamedTuple):
 
 
 def drives(who: str, chain: Chain, torque: Any, power: Any, gravity: Any) -> Drives:
-    """What is not given is no limit. Raises `ValueError` of `who` as `limit_of` does, and for what is no gravity (3,)."""
+    """What is not given is no limit. Raises `ValueError` of `who` as `limit_of` does, for what is no gravity (3,), and for a
+    robot without bodies."""
     most = {"torque": torque, "power": power}
     limits = {k: limit_of(who, k, np.inf if x is None else x, (chain.num_joints,)) for k, x in most.items()}
-    return Drives(chain, **limits, gravity=shaped(f"{who}: gravity", gravity, (3,)))
+    found = Drives(chain, **limits, gravity=shaped(f"{who}: gravity", gravity, (3,)))
+    if found.limited:
+        need_bodies(who, chain)
+    return found
 
 
 def forces(limits: Drives, curve: np.ndarray, lengths: np.ndarray, parts: int) -> Forces:

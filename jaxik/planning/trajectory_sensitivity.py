@@ -41,7 +41,9 @@ def trajectory_cost(
     with the motion and its multipliers as they were `found`: the Lagrangian, whose derivative by anything that the problem
     depends on is that of the least cost [envelope theorem; Nocedal and Wright 2006, sec. 12.8], though nothing is optimised
     again. So `jax.grad` of it by the scene says where an obstacle is in the way, by the chain which link is too short. `goal`
-    (a pose), `via` and the options are those of `optimise_trajectory`; `arc_length` has no such derivative.
+    (a pose), `via` and the options are those of `optimise_trajectory`; `arc_length` has no such derivative. Where the motion
+    comes to lie as far from one object as from another, or from the robot itself, the cost has a kink, and this is its slope
+    on one side, the motion being held.
 
     Raises `ValueError` for a batch (vmap it), for arc_length, and for poses that are not as many as the multipliers.
     """

@@ -311,7 +311,7 @@ def body_parameters(chain: Chain) -> Float[Array, " p"]:
 
     Raises `ValueError` for a chain without bodies.
     """
-    _need_bodies("body_parameters", chain)
+    need_bodies("body_parameters", chain)
     every: list[Any] = []
     for body in chain.bodies:
         inertia = body.inertia + steiner(body.mass, body.com)
@@ -340,13 +340,14 @@ def with_body_parameters(chain: Chain, parameters: Any) -> Chain:
 
 def _bodies(who: str, chain: Chain) -> list[Moments]:
     """Raises `ValueError` for a chain without bodies, and for what no body can be; what is traced is taken as it is."""
-    _need_bodies(who, chain)
+    need_bodies(who, chain)
     if is_known((chain.bodies, chain.armature)):
         _judge(who, chain)
     return [Moments.of(body) for body in chain.bodies]
 
 
-def _need_bodies(who: str, chain: Chain) -> None:
+def need_bodies(who: str, chain: Chain) -> None:
+    """Raises `ValueError` of `who` for a chain whose joints have no bodies."""
     check_kind(who, "chain", chain, Chain)
     if not chain.bodies:
         mend = "write mass, com and inertia of its joints in its file, or give them by jaxik.robot.with_body_parameters"

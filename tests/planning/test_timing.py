@@ -376,5 +376,10 @@ def test_torque_limits_that_are_none():
     np.testing.assert_array_equal(moved.path.coefficients[1], unknown.coefficients)
     with pytest.raises(ValueError, match="time_optimal: torque and power are of a robot; write chain="):
         time_optimal(path, 1.0, 1.0, power=3.0)
+    without, way = jaxik.load("ur5e"), np.eye(6)[:2]
+    with pytest.raises(ValueError, match=r"^time_optimal: ur5e has no bodies; write mass, com and inertia"):
+        time_optimal(polyline(way), 1.0, 1.0, chain=without, torque=1.0)
+    with pytest.raises(ValueError, match=r"^optimise_trajectory: ur5e has no bodies; write mass, com and inertia"):
+        jaxik.planning.optimise_trajectory(without, None, *way, margin=None, torque=1.0)
     with pytest.raises(ValueError, match="time_optimal: a path of 2 joints, and crops_v2 has 9"):
         time_optimal(polyline([[0.0, 0.0], [1.0, 1.0]]), 1.0, 1.0, chain=chain, torque=1.0)
