@@ -27,8 +27,8 @@ from jaxik.spmd import kernel
 
 
 def clearance(chain: Chain, scene: Scene | Grouped | None, q: Float[Array, " n"]) -> Float[jax.Array, ""]:
-    """The smallest signed distance of the robot to the scene and to itself [m]; negative is depth of penetration, of a triangle
-    in a cylinder a part of it (`distance`). Traced.
+    """The smallest signed distance of the robot to the scene and to itself [m]; negative is depth of penetration: the
+    shortest way out, of what is in a mesh a bound (`distance`). Traced.
 
     `D = min |c_A - c_B| - (R_A + R_B)` over the robot's spheres and the obstacles [Van Henten et al. 2010, (A2)], likewise for
     lines and triangles [Schuetz 2017, sec. 4.2.2] and for boxes and cylinders. Infinite where there is nothing to hit. The

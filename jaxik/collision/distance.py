@@ -6,9 +6,8 @@ minimisation over its skeleton. And at that minimum the derivative with respect 
 minimum lies at an end): so the minimiser is found without derivatives, held fixed, and the distance at it has the right
 gradient [Danskin 1967].
 
-What a negative distance says: the shortest way out, of points, and so of spheres, of lines, of triangles in boxes, and where
-only radii overlap, and of whatever crosses a triangle. A triangle that enters a cylinder is as deep as the deepest of some
-lines in it: it must move at least so far. The sign is right.
+What a negative distance says: the shortest way out, along the direction in which two bodies overlap least; where only radii
+overlap that of their skeletons. Of two such ways that are as short the gradient is one of them, not their mean, and leads out.
 """
 
 from __future__ import annotations
@@ -23,12 +22,10 @@ import jax
 import jax.numpy as jnp
 from jax import lax
 
-from jaxik.spatial.algebra import Rot3, Vec3, safe_divide, safe_sqrt, sincos
+from jaxik.spatial.algebra import Rot3, Vec3, atan2, safe_divide, safe_sqrt, sincos
 
-_GOLDEN = (5.0**0.5 - 1.0) / 2.0
 _NEWTON = {4: 8, 8: 10}  # steps to a cylinder: in 100,000 random cases 8 reach rounding
 _SLANTED = {4: 8, 8: 12}  # steps to the best way out of one
-_STEPS = {4: 32, 8: 64}  # golden-section steps to the rounding of float32 and float64: 0.618^32 = 2e-7, 0.618^64 = 4e-14
 
 
 def norm(v: Vec3) -> Any:
@@ -47,6 +44,28 @@ def _clip01(t: Any) -> Any:
 
 
 _held: Callable[[Any], Any] = lax.stop_gradient
+
+
+@jax.custom_jvp
+def _more(x: Any, y: Any) -> Any:
+    """The larger, with the derivative of one of two that are equal: the mean of two opposite ways out would lead nowhere."""
+    return jnp.maximum(x, y)
+
+
+@_more.defjvp
+def _more_jvp(primals: Any, tangents: Any) -> Any:
+    return _more(*primals), jnp.where(primals[0] < primals[1], tangents[1], tangents[0])
+
+
+@jax.custom_jvp
+def _size(x: Any) -> Any:
+    """|x|, with a derivative at 0, too."""
+    return jnp.abs(x)
+
+
+@_size.defjvp
+def _size_jvp(primals: Any, tangents: Any) -> Any:
+    return _size(*primals), jnp.where(primals[0] < 0.0, -tangents[0], tangents[0])
 
 
 # --------------------------------------------------------------------------------------------------------------------
@@ -149,6 +168,11 @@ def _stacked(points: Sequence[Vec3], beside: Vec3) -> Vec3:
     return Vec3(*(jnp.stack([jnp.broadcast_to(x, shape) for x in xs]) for xs in zip(*points, strict=True)))
 
 
+def _most(stacked: Any) -> Any:
+    """The largest along the first axis."""
+    return reduce(_more, [stacked[i] for i in range(len(stacked))])
+
+
 def _least(stacked: Any) -> Any:
     """The least along the first axis; not by `min`, which minds NaN."""
     return reduce(jnp.minimum, [stacked[i] for i in range(len(stacked))])
@@ -192,7 +216,7 @@ def _way_apart(skeleton: tuple[Vec3, ...], triangle: tuple[Vec3, ...]) -> Any:
     n = _stacked(axes, skeleton[0])
     length, (mine, theirs) = safe_sqrt(n.dot(n)), ([n.dot(corner) for corner in corners] for corners in both)
     gaps = (reduce(jnp.minimum, a) - reduce(jnp.maximum, b) for a, b in ((mine, theirs), (theirs, mine)))
-    return -_least(-jnp.where(length > 0.0, safe_divide(jnp.maximum(*gaps), length), -jnp.inf))
+    return _most(jnp.where(length > 0.0, safe_divide(_more(*gaps), length), -jnp.inf))
 
 
 def upward_crossing(p: Vec3, a: Vec3, b: Vec3, c: Vec3) -> Any:
@@ -218,8 +242,8 @@ def upward_crossing(p: Vec3, a: Vec3, b: Vec3, c: Vec3) -> Any:
 def point_box(p: Vec3, world_R_box: Rot3, centre: Vec3, half: Vec3) -> Any:
     """Signed distance of a point to a box: to the surface outside, to the nearest face inside."""
     local = world_R_box.T @ (p - centre)
-    beyond = Vec3(*(jnp.abs(x) - h for x, h in zip(local, half, strict=True)))
-    inside = jnp.maximum(jnp.maximum(beyond.x, beyond.y), beyond.z)
+    beyond = Vec3(*(_size(x) - h for x, h in zip(local, half, strict=True)))
+    inside = reduce(_more, beyond)
     outside = norm(Vec3(*(jnp.maximum(x, 0.0) for x in beyond)))
     return jnp.where(inside <= 0.0, inside, outside)
 
@@ -227,11 +251,8 @@ def point_box(p: Vec3, world_R_box: Rot3, centre: Vec3, half: Vec3) -> Any:
 def point_cylinder(p: Vec3, world_R_cylinder: Rot3, centre: Vec3, radius: Any, half: Any) -> Any:
     """Signed distance of a point to a cylinder about its frame's z."""
     local = world_R_cylinder.T @ (p - centre)
-    radial = safe_sqrt(local.x * local.x + local.y * local.y) - radius
-    axial = jnp.abs(local.z) - half
-    inside = jnp.maximum(radial, axial)
-    r, z = jnp.maximum(radial, 0.0), jnp.maximum(axial, 0.0)
-    return jnp.where(inside <= 0.0, inside, safe_sqrt(r * r + z * z))
+    inside = _more(*_past(local, radius, half))
+    return jnp.where(inside <= 0.0, inside, _beyond(local, radius, half))
 
 
 def skeleton_box(skeleton: tuple[Vec3, ...], world_R_box: Rot3, centre: Vec3, half: Vec3) -> Any:
@@ -244,15 +265,14 @@ def skeleton_box(skeleton: tuple[Vec3, ...], world_R_box: Rot3, centre: Vec3, ha
 
 
 def skeleton_cylinder(skeleton: tuple[Vec3, ...], world_R_cylinder: Rot3, centre: Vec3, radius: Any, half: Any) -> Any:
-    """The least signed distance to a cylinder about its frame's z over a point, a line or a triangle."""
+    """Signed distance of a point, a line or a triangle to a cylinder about its frame's z; inside the shortest way out."""
     if len(skeleton) == 1:
         return point_cylinder(skeleton[0], world_R_cylinder, centre, radius, half)
     corners = [world_R_cylinder.T @ (p - centre) for p in skeleton]
-    a, b, *more = corners
-    if not more:
-        return _segment_cylinder(a, b, radius, half)
-    (c,) = more  # that of lines parallel to its first edge is convex in their distance from it
-    return _least_on(lambda v: _segment_cylinder(a * (1.0 - v) + c * v, b * (1.0 - v) + c * v, radius, half))
+    measure: Callable[..., Any] = _line_cylinder if len(corners) == 2 else _triangle_cylinder
+    enters, outside = measure(*corners, radius, half)
+    way_out = lambda: jnp.minimum(_way_out_of_cylinder(corners, radius, half), 0.0)
+    return jnp.where(enters, lax.cond(jnp.any(enters), way_out, lambda: jnp.zeros_like(outside)), outside)
 
 
 def _separation(corners: list[Vec3], half: Vec3) -> Any:
@@ -269,12 +289,12 @@ def _separation(corners: list[Vec3], half: Vec3) -> Any:
         length = safe_sqrt(n.dot(n))
         reach = sum(h * jnp.abs(x) for h, x in zip(half, n, strict=True))
         found.append(jnp.where(length > 0.0, safe_divide(_gap([n.dot(c) for c in corners], reach), length), -jnp.inf))
-    return reduce(jnp.maximum, found)
+    return reduce(_more, found)
 
 
 def _gap(places: list[Any], reach: Any) -> Any:
     """From places on a line to [-reach, reach]; negative where they overlap."""
-    return jnp.maximum(reduce(jnp.minimum, places), -reduce(jnp.maximum, places)) - reach
+    return _more(reduce(jnp.minimum, places), -reduce(jnp.maximum, places)) - reach
 
 
 def _segment_box(a: Vec3, b: Vec3, half: Vec3) -> Any:
@@ -300,18 +320,44 @@ def _triangle_box(a: Vec3, b: Vec3, c: Vec3, *, half: Vec3) -> Any:
     return reduce(jnp.minimum, [*edges, *(point_triangle(p, a, b, c) for p in corners)])
 
 
-def _segment_cylinder(a: Vec3, b: Vec3, radius: Any, half: Any) -> Any:
-    """The segment ab to a cylinder about z, between -half and half.
+# About a cylinder about z, between -half and half
+
+
+def _past(p: Vec3, radius: Any, half: Any) -> tuple[Any, Any]:
+    """How far a point is past the side and past the caps."""
+    return safe_sqrt(p.x * p.x + p.y * p.y) - radius, _size(p.z) - half
+
+
+def _beyond(p: Vec3, radius: Any, half: Any) -> Any:
+    """The distance of a point that is outside."""
+    out, past = (jnp.maximum(x, 0.0) for x in _past(p, radius, half))
+    return safe_sqrt(out * out + past * past)
+
+
+def _triangle_cylinder(a: Vec3, b: Vec3, c: Vec3, radius: Any, half: Any) -> tuple[Any, Any]:
+    """Whether the triangle abc enters the cylinder, and its distance if not.
+
+    What no edge enters goes through the inside, and so does the line between the two points at which the cylinder is longest
+    along the normal; or one of them is the nearest to the inside.
+    """
+    ends, normal = _edges((a, b, c), a), (b - a).cross(c - a)
+    x, y, z = _held(normal)
+    flat = safe_sqrt(x * x + y * y)
+    tip = Vec3(radius * safe_divide(x, flat), radius * safe_divide(y, flat), half * jnp.sign(z))
+    enters, outside = _line_cylinder(*ends, radius, half)
+    facing = tip * jnp.where(normal.dot(a) < 0.0, -1.0, 1.0)
+    through = passes_through(-tip, tip, a, b, c)
+    return jnp.any(enters, axis=0) | through, jnp.minimum(_least(outside), point_triangle(facing, a, b, c))
+
+
+def _line_cylinder(a: Vec3, b: Vec3, radius: Any, half: Any) -> tuple[Any, Any]:
+    """Whether the segment ab enters the cylinder, and its distance if not.
 
     It enters where its deepest point is inside: of the larger of two convex functions, the distances past the side and past the
     caps, the least is at an end, where one of them is least, or where they meet: where `x^2 + y^2 = (r - h +- z)^2`, two
     quadratic equations.
     """
     u = b - a
-    at = lambda t: a + u * t
-    radial = lambda p: safe_sqrt(p.x * p.x + p.y * p.y) - radius
-    axial = lambda p: jnp.abs(p.z) - half
-    deep = lambda p: jnp.maximum(radial(p), axial(p))
     across = u.x * u.x + u.y * u.y
     nearest = _clip01(safe_divide(-(a.x * u.x + a.y * u.y), across))
     zero = jnp.zeros_like(nearest)
@@ -323,16 +369,32 @@ def _segment_cylinder(a: Vec3, b: Vec3, radius: Any, half: Any) -> Any:
         spread = safe_sqrt(q * q - p * rest)
         larger = -(q + jnp.where(q < 0.0, -spread, spread))  # the root that does not cancel, the other by their product
         places += [_clip01(safe_divide(larger, p)), _clip01(safe_divide(rest, larger))]
-    enters = reduce(jnp.minimum, [deep(at(t)) for t in places]) <= 0.0
-    ways_out = lambda: [_gap([a.z, b.z], half), radial(at(nearest)), *_slanted_ways_out(a, b, radius, half)]
-    depth = lax.cond(jnp.any(enters), lambda: jnp.minimum(reduce(jnp.maximum, ways_out()), 0.0), lambda: zero)
-    p = at(_nearest_to_cylinder(*_held((a, b, radius, half))))
-    out, past = jnp.maximum(radial(p), 0.0), jnp.maximum(axial(p), 0.0)
-    return jnp.where(enters, depth, safe_sqrt(out * out + past * past))
+    enters = reduce(jnp.minimum, [jnp.maximum(*_past(a + u * t, radius, half)) for t in places]) <= 0.0
+    return enters, _beyond(a + u * _nearest_to_cylinder(*_held((a, b, radius, half))), radius, half)
 
 
-def _slanted_ways_out(a: Vec3, b: Vec3, radius: Any, half: Any) -> list[Any]:
-    """How far a line is inside a cylinder's upper and lower rim, minus, along directions at right angles to the line.
+def _way_out_of_cylinder(corners: list[Vec3], radius: Any, half: Any) -> Any:
+    """By how far a line or a triangle is apart from the cylinder, along the direction where that is most: where they cross,
+    minus the shortest way out. Such directions are the axis, the normal, those at right angles to the axis through a corner or
+    across an edge, and those across an edge and past a rim; along others the two meet in corners, which are longer."""
+    a, b, *more = corners
+    edges = [(a, b), (b, *more), (*more, a)] if more else [(a, b)]
+    zero = jnp.zeros_like(a.z)
+    # held, since the corner decides and not where it points to; of one on the axis any direction does
+    normals = [_held(Vec3(jnp.where((p.x == 0.0) & (p.y == 0.0), 1.0, p.x), p.y, zero)) for p in corners]
+    normals += [Vec3(v.y - u.y, u.x - v.x, zero) for u, v in edges] + [(b - a).cross(c - a) for c in more]
+    n = _stacked(normals, a)
+    across = n.x * n.x + n.y * n.y
+    length, reach = safe_sqrt(across + n.z * n.z), radius * safe_sqrt(across) + half * jnp.abs(n.z)
+    ways = jnp.where(length > 0.0, safe_divide(_gap([n.dot(p) for p in corners], reach), length), -jnp.inf)
+    starts, ends = (_stacked(each, a) for each in zip(*edges, strict=True))
+    slanted = _slanted_ways_out(starts, ends, radius, half, _stacked([*more, a, b], a) if more else None)
+    return reduce(_more, [_gap([p.z for p in corners], half), *map(_most, (ways, *slanted))])
+
+
+def _slanted_ways_out(a: Vec3, b: Vec3, radius: Any, half: Any, third: Vec3 | None = None) -> list[Any]:
+    """How far a line is inside a cylinder's upper and lower rim, minus, along directions at right angles to the line; those
+    along which a `third` corner is not before the line.
 
     Seen along the line u the rim is an ellipse of the half axes r and `r w`, w = |u_z| / |u|, and the line a point p. The way
     out at the ellipse's point `r (cos t, w sin t)` is `(w p_x cos t + p_y sin t - r w) / sqrt(w^2 cos^2 t + sin^2 t)`.
@@ -340,15 +402,25 @@ def _slanted_ways_out(a: Vec3, b: Vec3, radius: Any, half: Any) -> list[Any]:
     u, eps = b - a, float(jnp.finfo(a.x.dtype).eps)
     length, across = safe_sqrt(u.dot(u)), safe_sqrt(u.x * u.x + u.y * u.y)
     w, c = safe_divide(jnp.abs(u.z), length), safe_divide(across, length)
-    first = safe_divide(jnp.abs(a.x * u.y - a.y * u.x), across)
-    height = safe_divide(a.z - safe_divide(u.z * a.dot(u), length * length), c)
-    slanted = (c > 16.0 * eps) & (w > 16.0 * eps)
-    ways = [_way_out_of_ellipse(first, side * height - half * c, radius, w) for side in (1.0, -1.0)]
-    return [jnp.where(slanted, way, -jnp.inf) for way in ways]
+    right = lambda p: safe_divide(p.x * u.y - p.y * u.x, across)
+    up = lambda p: safe_divide(p.z - safe_divide(u.z * p.dot(u), length * length), c)
+    slanted, first, height = (c > 16.0 * eps) & (w > 16.0 * eps), right(a), up(a)
+    ways = []
+    for side in (1.0, -1.0):
+        low, high, some = jnp.zeros_like(w), jnp.full_like(w, math.pi / 2.0), slanted
+        if third is not None:  # where `p cos t + q sin t >= 0`
+            behind = third - a
+            p, q = _held((w * jnp.where(first < 0.0, -1.0, 1.0) * right(behind), side * up(behind)))
+            turn, some = atan2(jnp.abs(p), jnp.abs(q)), slanted & ((p >= 0.0) | (q >= 0.0))
+            low, high = jnp.where(p < 0.0, turn, low), jnp.where(q < 0.0, turn, high)
+        way = _way_out_of_ellipse(jnp.abs(first), side * height - half * c, radius, w, low, high)
+        ways.append(jnp.where(some, way, -jnp.inf))
+    return ways
 
 
-def _way_out_of_ellipse(x: Any, y: Any, radius: Any, w: Any) -> Any:
-    """The largest, t in [0, pi/2]: near the best of a few t by Newton's steps, and by halves where one leaves the bracket."""
+def _way_out_of_ellipse(x: Any, y: Any, radius: Any, w: Any, low: Any, high: Any) -> Any:
+    """The largest, t between `low` and `high`, in [0, pi/2]: near the best of a few t by Newton's steps, and by halves where
+    one leaves the bracket. On the ends are other ways out."""
 
     def terms(t: Any, x: Any, y: Any, w: Any, radius: Any) -> tuple[Any, Any, Any]:
         sine, cosine = sincos(t)
@@ -369,12 +441,12 @@ def _way_out_of_ellipse(x: Any, y: Any, radius: Any, w: Any) -> Any:
         curve = (turn * sine * cosine - rise * (cosine * cosine - sine * sine)) * (1.0 - w * w)
         return -value, (w * x * cosine + y * sine) * size - curve
 
-    zero, pace = jnp.zeros_like(held[0]), math.pi / 16.0
-    best, most = zero, way(zero, *held)
-    for k in range(1, 9):
-        value = way(zero + k * pace, *held)
-        best, most = jnp.where(value > most, k * pace, best), jnp.maximum(value, most)
-    t = _zero(slope, jnp.maximum(best - pace, 0.0), jnp.minimum(best + pace, math.pi / 2.0), best, _SLANTED)
+    pace = (high - low) / 8.0
+    best, most = low, jnp.full_like(low, -jnp.inf)
+    for k in range(1, 8):
+        value = way(low + k * pace, *held)
+        best, most = jnp.where(value > most, low + k * pace, best), jnp.maximum(value, most)
+    t = _zero(slope, jnp.maximum(best - pace, low), jnp.minimum(best + pace, high), best, _SLANTED)
     return way(_held(jnp.where(way(t, *held) > most, t, best)), x, y, w, radius)
 
 
@@ -437,42 +509,3 @@ def _least_between(low: Any, high: Any, t: Any) -> Any:
     flat = (low[1] == 0.0) & (high[1] == 0.0)
     end = jnp.where(low[1] > 0.0, 0.0, jnp.where(high[1] < 0.0, 1.0, t))
     return _held(jnp.where(flat, (low[0] + high[0]) / 2.0, end))
-
-
-def _least_on(value: Callable[[Any], Any]) -> Any:
-    """The least value of a convex function on [0, 1], with its derivative in whatever else `value` depends on.
-
-    Inside a body the distance has kinks (two faces equally near), and there a line's minimum likes to be. Its derivative is
-    the mean of those on both sides, weighted so that the one along the line vanishes [Danskin 1967].
-    """
-    held = lambda t: _held(value(t))
-    t = _golden(held)
-    step = float(jnp.finfo(t.dtype).eps) ** 0.4
-    low, high = jnp.maximum(t - step, 0.0), jnp.minimum(t + step, 1.0)
-    least, before, after = held(t), held(low), held(high)
-    fall, rise = safe_divide(before - least, t - low), safe_divide(after - least, high - t)
-    inside = (t > 0.0) & (t < 1.0)
-    # on an end the minimum stays there
-    weight = jnp.where(inside, jnp.where(fall + rise > 0.0, safe_divide(rise, fall + rise), 0.5), 1.0)
-    left, right = jnp.where(inside, low, t), jnp.where(inside, high, t)
-    slope = weight * value(left) + (1.0 - weight) * value(right)
-    return least + (slope - _held(slope))
-
-
-def _golden(value: Callable[[Any], Any]) -> Any:
-    """The minimiser of a convex function on [0, 1], elementwise, ends included [Kiefer 1953]."""
-    start = jnp.zeros_like(value(0.0))
-
-    def narrow(_: Any, bounds: Any) -> Any:
-        low, high = bounds
-        left, right = high - _GOLDEN * (high - low), low + _GOLDEN * (high - low)
-        keep_left = value(left) <= value(right)
-        return jnp.where(keep_left, low, left), jnp.where(keep_left, right, high)
-
-    low, high = lax.fori_loop(0, _STEPS[start.dtype.itemsize], narrow, (start, start + 1.0))
-    inner = (low + high) / 2.0
-    best, least = inner, value(inner)
-    for end in (0.0, 1.0):
-        at_end = value(jnp.full_like(inner, end))
-        best, least = jnp.where(at_end <= least, end, best), jnp.minimum(at_end, least)
-    return best
