@@ -1,7 +1,7 @@
 """Random programs through the kernel compiler and through XLA: `python batch_eval/random_programs.py [--count N]`.
 
 Each program chains two to five steps (loops, branches, gathers, scatters, searches, integers of all widths, nested) in float32
-or float64, and is compared on 19 rows, by its value or by a derivative; `tests/random_programs.py` says how. Prints what
+or float64, and is compared on 19 rows, by its value or by a derivative; `tests/program_generator.py` says how. Prints what
 differs as it is found, and writes the counts by kind to `batch_eval/random_programs.json`. Needs `pip install -e ".[test]"`.
 """
 
@@ -31,7 +31,7 @@ def main() -> None:
     jax.config.update("jax_enable_x64", True)
     jax.config.update("jax_disable_most_optimizations", True)  # XLA's half of the time
     sys.path.insert(0, str(HERE.parent / "tests"))
-    import random_programs
+    import program_generator
 
     kinds: dict[str, collections.Counter[str]] = collections.defaultdict(collections.Counter)
     steps: collections.Counter[str] = collections.Counter()
@@ -42,13 +42,13 @@ def main() -> None:
         steps.update(known["steps"])
         before, seed = known["seconds"], known["seeds"]
         for one in known["wrong"]:
-            again = [said for case, said in random_programs.judged([one["seed"]]) if said not in ("", "ill-conditioned")]
+            again = [said for case, said in program_generator.judged([one["seed"]]) if said not in ("", "ill-conditioned")]
             kinds[one["kind"]] += collections.Counter({"wrong": -1, "wrong" if again else "equal": 1})
             wrong += [one] if again else []
     begun = time.time()
     while sum(map(collections.Counter.total, kinds.values())) < wanted.count:
-        seeds = [s for s in range(seed, seed + TOGETHER) if random_programs.Case.of(s).possible()]
-        for number, (case, said) in zip(seeds, random_programs.judged(seeds), strict=True):
+        seeds = [s for s in range(seed, seed + TOGETHER) if program_generator.Case.of(s).possible()]
+        for number, (case, said) in zip(seeds, program_generator.judged(seeds), strict=True):
             verdict = said if said in ("", "ill-conditioned") else "wrong"
             kinds[case.kind][verdict or "equal"] += 1
             steps.update({name for name, _ in case.steps})
@@ -62,7 +62,7 @@ def main() -> None:
             "versions": {name: importlib.metadata.version(name) for name in ("jax", "jaxlib", "llvmlite", "numpy")},
             "seeds": seed,
             "seconds": round(before + time.time() - begun),
-            "ulps": random_programs.ULPS,
+            "ulps": program_generator.ULPS,
             "kinds": {kind: dict(counts) for kind, counts in sorted(kinds.items())},
             "steps": dict(sorted(steps.items())),
             "wrong": wrong,

@@ -43,6 +43,14 @@ gc.set_threshold(100_000, 50, 100)  # traces make many objects and little garbag
 
 
 @pytest.fixture
+def optimised():
+    """XLA's good code, for what runs long by XLA alone."""
+    jax.config.update("jax_disable_most_optimizations", False)
+    yield
+    jax.config.update("jax_disable_most_optimizations", True)
+
+
+@pytest.fixture
 def untyped():
     """What a user sees, whose mistakes the tests' own types would be the first to refuse."""
     jaxtyping.config.update("jaxtyping_disable", True)

@@ -64,8 +64,9 @@ class MomentumObserver:
     def __post_init__(self) -> None:
         need_drives("momentum observer", self.chain)
         check_finite("momentum observer", dt=self.dt)
-        object.__setattr__(self, "gain", numbers("momentum observer: gain", self.gain))
-        share = self.gain * self.dt
+        gain = numbers("momentum observer: gain", self.gain)
+        object.__setattr__(self, "gain", gain)
+        share = gain * self.dt
         if share.shape not in ((), (self.chain.num_joints,)) or not np.all((share > 0.0) & (share <= 1.0)):
             raise ValueError(f"momentum observer: gain {self.gain} at dt {self.dt:g} s; allowed: above 0, at most 1 / dt [1/s]")
 

@@ -106,7 +106,8 @@ class Search:
             reference=self.starts[open_],
             collision=False if self.judge.space is None else "constraint",
         )
-        found = solve_ik(self.chain, self.poses[open_], self.scene, self.seed, asked)
+        scene = None if self.judge.space is None else self.scene
+        found = solve_ik(self.chain, self.poses[open_], scene, self.seed, asked)
         self.reason[open_] = np.where(found.success, int(Reason.NOT_CONVERGED), found.reason)
         counts = np.asarray(found.num_solutions)
         each = np.arange(self.options.postures) < counts[:, None]

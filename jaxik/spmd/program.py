@@ -157,18 +157,25 @@ class Program:
         return known
 
     def op(self, code: str, type: str, *args: Any) -> int:
-        """The value of an operation on values, folded where it can be."""
+        """The value of an operation on values, folded where it can be; of tangents, only if the same was not asked exactly."""
+        ordered = args[::-1] if code in _COMMUTE and args[1] < args[0] else args  # so that `b a` is known where `a b` is
+        if self.structural and code in ("add", "sub", "mul", "fdiv"):
+            known = self._known(Op(code, type, ordered))
+            if known is not None:
+                return known
         fold = _FOLDS.get(code)
         if fold is not None:
             folded = fold(self, type, *args)
             if folded is not None:
                 return folded
-        if code in _COMMUTE and args[1] < args[0]:
-            args = args[::-1]  # so that `b a` is known where `a b` is
         if code in _EVALUATE and all(a in self.constant for a in args):
             with np.errstate(all="ignore"):
-                return self.number(_EVALUATE[code](*(self.constant[a] for a in args)), type)
-        return self.place(Op(code, type, args), args)
+                return self.number(_EVALUATE[code](*(self.constant[a] for a in ordered)), type)
+        return self.place(Op(code, type, ordered), ordered)
+
+    def _known(self, op: Op) -> int | None:
+        """The value of an operation that an open block has."""
+        return next((block.known[op] for block in self.blocks if op in block.known), None)
 
     def place(self, op: Op, needs: Sequence[int]) -> int:
         """The operation in the outermost block that knows what it `needs`; one that is there already is taken."""

@@ -17,7 +17,7 @@ import numpy as np
 from jax.extend.core import ClosedJaxpr, Jaxpr, Literal
 
 from jaxik.spmd.program import DTYPES, TYPES, Block, Memory, Program, Whole
-from jaxik.spmd.tangents import tangents
+from jaxik.spmd.tangents import has_blocks, tangents
 
 UNROLLED = 64  # operations of a scan's turns together, up to which it is written out
 FLAT = 32  # operations of both sides, up to which a branch is a selection
@@ -71,9 +71,9 @@ def type_of(aval: Any) -> str:
     return name
 
 
-def scalarised(closed: ClosedJaxpr, seeds: int = 0) -> Program:
+def scalarised(closed: ClosedJaxpr, seeds: int = 0, values: ClosedJaxpr | None = None) -> Program:
     """The program of a jaxpr; its operands are the jaxpr's arguments, and so many of its last constants the unit vectors along
-    which it is a derivative. Raises `Unsupported`."""
+    which it is a derivative, whose first results are the `values` of another jaxpr. Raises `Unsupported`."""
     constants = closed.jaxpr.constvars
     s = Scalariser(Program(), tangents(closed.jaxpr, constants[len(constants) - seeds :]))
     operands = []
@@ -81,7 +81,11 @@ def scalarised(closed: ClosedJaxpr, seeds: int = 0) -> Program:
         kind, shape = type_of(var.aval), var.aval.shape
         memory = Memory("operand", number, kind, int(np.prod(shape)))
         operands.append(Array(np.arange(memory.size).reshape(shape), kind, memory))
-    results = s.run(closed.jaxpr, [s.known(c) for c in closed.consts], operands)
+    first: list[Array] = []
+    if values is not None and not has_blocks(values.jaxpr):
+        first = s.closed(values, operands)  # what is known of these is taken as it is; all else is of tangents
+        s.tangents, s.program.structural = None, True
+    results = [*first, *s.closed(closed, operands)[len(first) :]]
     s.program.outputs = [s.output(x) for x in results]
     return s.program
 
@@ -89,7 +93,7 @@ def scalarised(closed: ClosedJaxpr, seeds: int = 0) -> Program:
 class Scalariser:
     """Walks a jaxpr and builds the program."""
 
-    def __init__(self, program: Program, tangents: Set[Any] = frozenset()):
+    def __init__(self, program: Program, tangents: Set[Any] | None = frozenset()):
         self.program, self.tangents = program, tangents
         # what is copied to memory, and the block whose lanes have written it: another block may not have run
         self.spilled: dict[int, tuple[Array, Array, Block]] = {}
@@ -103,7 +107,8 @@ class Scalariser:
             rule = RULES.get(eqn.primitive.name)
             if rule is None:
                 raise Unsupported(f"the primitive '{eqn.primitive.name}'")
-            self.program.structural = any(not isinstance(v, Literal) and v in self.tangents for v in eqn.invars)
+            if self.tangents is not None:
+                self.program.structural = any(not isinstance(v, Literal) and v in self.tangents for v in eqn.invars)
             results = rule(self, eqn, *map(read, eqn.invars))
             if len(self.program.ops) > MOST:
                 raise Unsupported(f"more than {MOST} operations")

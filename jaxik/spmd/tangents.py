@@ -19,6 +19,25 @@ def tangents(jaxpr: Jaxpr, seeds: Sequence[Var]) -> set[Var]:
     return found
 
 
+def has_blocks(jaxpr: Jaxpr) -> bool:
+    """Whether it loops anywhere, or branches by what is not known now, as the platform is: what is inside of such a block is
+    computed there, or again."""
+    known: set[Var] = set()
+    for eqn in jaxpr.eqns:
+        name, bodies = eqn.primitive.name, list(_bodies(eqn))
+        if name in ("scan", "while") or (name == "cond" and not _known(eqn.invars[0], known)):
+            return True
+        if any(has_blocks(body) for body, *_ in bodies):
+            return True
+        if name == "platform_index" or (eqn.invars and not bodies and all(_known(v, known) for v in eqn.invars)):
+            known.update(eqn.outvars)
+    return False
+
+
+def _known(v: Any, known: set[Var]) -> bool:
+    return isinstance(v, Literal) or v in known
+
+
 def _spread(jaxpr: Jaxpr, found: set[Var]) -> bool:
     """Marks what a marked variable leads to; whether there was anything new: a loop carries it back."""
     before = len(found)

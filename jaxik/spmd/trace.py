@@ -25,10 +25,10 @@ def on_one_device() -> Any:
 
 class Traced:
     """A jaxpr whose constants are numbers; what it closed over beside them are its last arguments. Of a derivative the last
-    constants are the unit vectors along which it is one, so many `seeds`."""
+    constants are the unit vectors along which it is one, so many `seeds`, and its first results are `values` of another."""
 
-    def __init__(self, closed: ClosedJaxpr, seeds: int = 0, name: str = ""):
-        self.closed, self.seeds = closed, seeds
+    def __init__(self, closed: ClosedJaxpr, seeds: int = 0, name: str = "", values: ClosedJaxpr | None = None):
+        self.closed, self.seeds, self.values = closed, seeds, values
         self.name = name or str(getattr(closed.jaxpr.debug_info, "func_name", "a function"))
         self.derivatives: dict[tuple[int, ...], Traced] = {}
 
@@ -52,7 +52,7 @@ class Traced:
         if active not in self.derivatives:
             with on_one_device():
                 way, seeds = _derivative(self.closed, active)
-            self.derivatives[active] = Traced(way, seeds, f"the derivative of {self.name}")
+            self.derivatives[active] = Traced(way, seeds, f"the derivative of {self.name}", self.closed)
         return self.derivatives[active]
 
 

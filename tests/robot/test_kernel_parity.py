@@ -121,6 +121,7 @@ FUNCTIONS = {
     "subproblem_4": (lambda h, p, d: _turns(4, h, p, AXES[0], d), lambda u: (u[:3], u[3:6], 0.2 * u[6])),
     "subproblem_5": (lambda p: _turns(5, p, AXES), lambda u: ((MIX @ u).reshape(4, 3),)),
     "subproblem_6": (lambda p, d: _turns(6, MIXED, p, AXES[:2], d), lambda u: ((MIX @ u).reshape(2, 2, 3), 0.3 * u[:2])),
+    "rotation_log": (jaxik.spatial.rotation_log, lambda u: (jaxik.spatial.rotation_exp(3.0 * u[:3]),)),
     "clearance": (lambda q: jaxik.clearance(PLANAR, SCENE, q), ANGLES(2)),
     "link_clearances of traced obstacles": (_moved, lambda u: (2.0 * u[:2], 0.1 * u[2:5])),
     "object_clearances": (lambda q: jaxik.collision.object_clearances(PLANAR, SCENE, q), ANGLES(2)),
@@ -216,6 +217,7 @@ def by_xla(monkeypatch):
 
 
 @pytest.mark.parametrize("name", [name for name in FUNCTIONS if name != "collides"])
+@pytest.mark.usefixtures("optimised")
 def test_derivatives(name, by_xla):
     """By every float operand, forward and backward."""
     function, operands = FUNCTIONS[name][0], _operands(name, 3, np.float64)

@@ -106,6 +106,7 @@ def _as_they_read_it(model):
     return assemble(Path("pytorch"), "pytorch", "root", joints, {})
 
 
+@pytest.mark.usefixtures("optimised")
 @pytest.mark.parametrize("name", ROBOTS)
 def test_against_mujoco_and_mjx(name):
     from mujoco import mjx

@@ -5,10 +5,10 @@ import warnings
 import jax
 import jax.numpy as jnp
 import numpy as np
+import program_generator
 import pytest
-import random_programs
 from jax import lax
-from random_programs import SIZE, program
+from program_generator import SIZE, program
 
 from jaxik import spmd
 from jaxik.spmd import primitive
@@ -40,7 +40,7 @@ WHOLE, TRUE = np.random.default_rng(1).integers(-3, 9, (19, SIZE)).astype(np.int
 def test_programs(first, only_kernels):
     """`batch_eval/random_programs.py` runs as many as one likes."""
     wrong = [
-        (case, said) for case, said in random_programs.judged(range(first, first + 20)) if said not in ("", "ill-conditioned")
+        (case, said) for case, said in program_generator.judged(range(first, first + 20)) if said not in ("", "ill-conditioned")
     ]
     assert not wrong
 
@@ -49,10 +49,10 @@ def test_the_judge_sees_a_difference():
     """A kernel that is off in one entry of one row, by more than rounding; and one whose inputs' last digits explain it."""
     expected = [np.ones((19, SIZE), np.float32)]
     off = expected[0] + 1e-4 * (np.arange(19) == 7)[:, None].astype(np.float32)
-    said = random_programs.disagreement([off], expected, [expected])
+    said = program_generator.disagreement([off], expected, [expected])
     assert said.startswith("result 0 at (7, 0)")
-    assert random_programs.disagreement([off], expected, [[2.0 * expected[0]]]) == "ill-conditioned"
-    assert random_programs.disagreement(expected, expected, [expected]) == ""
+    assert program_generator.disagreement([off], expected, [[2.0 * expected[0]]]) == "ill-conditioned"
+    assert program_generator.disagreement(expected, expected, [expected]) == ""
 
 
 @pytest.mark.parametrize("name", FOREIGN)

@@ -570,9 +570,9 @@ HELD = """
 import signal, time
 from jaxik.sweeps.store import Store
 write = Store.write
-def held(*given):  # the first chunk is on disk, and no other until Ctrl-C was heard: its second would be Python's own
+def held(*given):  # the first chunk is on disk, and no other until Ctrl-C was heard: its second would end the command
     write(*given)
-    while signal.getsignal(signal.SIGINT) is not signal.default_int_handler:
+    while "Patience" in repr(signal.getsignal(signal.SIGINT)):
         time.sleep(0.01)
 Store.write = held
 """
