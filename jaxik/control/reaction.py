@@ -46,6 +46,8 @@ from jaxik.robot.task import POSITION, Task
 from jaxik.spatial.algebra import safe_divide, safe_sqrt
 
 Scheme = Literal["baseline", "rmrc", "rac", "feedback", "task", "joint", "multi"]
+LOST = 0.1  # [s] without a force: a contact that comes back sooner, as after a bounce, is the same one
+SUDDEN = 1.0  # [N] above the threshold: a force that begins with more was there before it was shown
 USED_UP = 0.02  # of k_n + k_t: below it a space's share is not enough to be divided by
 
 
@@ -64,15 +66,16 @@ class ReactionCommand(Pytree, Reasoned):
 
 class ReactionState(NamedTuple):
     """What is kept from sample to sample: of k contacts the link's `joint` count (k,), the `point` (k, 3) and the last
-    `direction` (k, 3) of the forces, as parts of their root of squares; the filters, the depth [m], how long there was
-    contact [s], the stiffness; the laws of the null space and of the task; the last command's rates (n,)."""
+    `direction` (k, 3) of the forces, as parts of their root of squares; the forces' filter; the depth [m] from where the force
+    passed its threshold, and the filter of that depth and of the force above it; for how long the force has been below [s];
+    the stiffness; the laws of the null space and of the task; the last command's rates (n,)."""
 
     joint: Float[Array, " k"]
     point: Float[Array, "k 3"]
     direction: Float[Array, "k 3"]
     filter: Float[Array, "s 2 k 3"]
     depth: Float[Array, ""]
-    depth_filter: Float[Array, "s 2"]
+    depth_filter: Float[Array, "s 2 2"]
     since: Float[Array, ""]
     stiffness: StiffnessState
     law: LawState
@@ -162,8 +165,8 @@ class Reaction:
             direction=zeros(k, 3),
             filter=of(zeros(k, 3)),
             depth=zeros(),
-            depth_filter=of(zeros()),
-            since=zeros(),
+            depth_filter=of(zeros(2)),
+            since=zeros() + LOST,
             stiffness=self._estimator.init(q.dtype),
             law=law,
             task_law=law,
@@ -197,29 +200,49 @@ class Reaction:
     def _reacted(
         self, state: ReactionState, q: Any, qdot: Any, motion: Motion, force: Any
     ) -> tuple[ReactionState, ReactionCommand]:
+        state = self._pressed(state, q, qdot, force)
         filtered, force = self._filtered(state.filter, force)
         felt = safe_sqrt(jnp.sum(force**2))
         touching = felt > self.threshold
         direction = jnp.where(touching, safe_divide(force, felt), state.direction)
         a = contact_torque(self.chain, q, Contact(state.joint, state.point, direction))
         moved = self.dt * (a @ qdot)
-        depth_filter, depth = self._filtered(state.depth_filter, state.depth - moved)
-        since = jnp.where(touching, state.since + self.dt, 0.0)
-        settled = 0.0 if self.filter is None else self.filter.settling
-        known = self._estimator.step(state.stiffness, depth, felt, since > settled)
+        stiffness = state.stiffness.stiffness
         at = TaskAt(self.chain, q, motion, self.task)
         laws = state.law, state.task_law
         if self.scheme == "rac":
             above = jnp.maximum(felt - self.threshold, 0.0)
             rate = state.rate + self.dt * self._accelerations(at, state.rate, a, above)
         else:
-            rate, laws = self._rates(at, a, state, felt, known.stiffness, moved)
+            rate, laws = self._rates(at, a, state, felt, stiffness, moved)
         drift = [contact_jacobian(self.chain, q, *x) @ qdot for x in zip(state.joint, state.point, strict=True)]
-        kept = state.joint, state.point + self.dt * jnp.stack(drift), direction
-        after = ReactionState(*kept, filtered, state.depth - moved, depth_filter, since, known, *laws, rate)
+        kept = {"point": state.point + self.dt * jnp.stack(drift), "direction": direction, "filter": filtered}
+        after = state._replace(**kept, law=laws[0], task_law=laws[1], rate=rate)
         acceleration = (rate - state.rate) / self.dt
         reason = jnp.asarray(int(Reason.SOLVED), jnp.int32)
-        return after, ReactionCommand(rate, acceleration, felt, known.stiffness, at.error, reason)
+        return after, ReactionCommand(rate, acceleration, felt, stiffness, at.error, reason)
+
+    def _pressed(self, state: ReactionState, q: Any, qdot: Any, force: Any) -> ReactionState:
+        """The state with what a sample tells of the stiffness. Depth and force both count from where the force, as yet
+        unfiltered, passed its threshold, so that their slope is the stiffness from the first touch on: a law that believes in
+        something much softer has left it before a filter settles."""
+        if not isinstance(self.stiffness, StiffnessEstimator):
+            return state
+        size = safe_sqrt(jnp.sum(force**2))
+        above = jnp.maximum(size - self.threshold, 0.0)
+        touching, touched = above > 0.0, state.since == 0.0
+        direction = jnp.where(touching, safe_divide(force, size), state.direction)
+        depth = state.depth - self.dt * (contact_torque(self.chain, q, Contact(state.joint, state.point, direction)) @ qdot)
+        since = jnp.where(touching, 0.0, state.since + self.dt)
+        # a force that has not been seen to begin, or ends deep inside: nobody knows the depth, and it counts anew from here
+        sudden, deep = above > SUDDEN, state.stiffness.stiffness * jnp.abs(depth) > SUDDEN
+        anew = jnp.where(touching, ~touched & sudden, touched & deep)
+        depth = jnp.where((since > LOST) | (anew & ~touching), 0.0, depth)
+        now = jnp.stack([jnp.where(touching, depth, jnp.maximum(depth, 0.0)), above])
+        before = state.depth_filter if self.filter is None else jnp.where(anew, self.filter.init(now), state.depth_filter)
+        filter, (x, f) = self._filtered(before, now)
+        known = self.stiffness.step(state.stiffness, x, f, ~anew)
+        return state._replace(depth=depth, depth_filter=filter, since=since, stiffness=known)
 
     def _rates(
         self, at: TaskAt, a: Any, state: ReactionState, felt: Any, stiffness: Any, moved: Any

@@ -53,7 +53,7 @@ class StiffnessEstimator:
         return StiffnessState(*(jnp.asarray(x, dtype) for x in numbers))
 
     def step(self, state: StiffnessState, depth: Any, force: Any, touching: Any) -> StiffnessState:
-        """After a sample of depth [m] (from anywhere) and force [N], both filtered alike. Traced. Where nothing is touched it
+        """After a sample of depth [m] and force [N], both from anywhere and filtered alike. Traced. Where not `touching` it
         begins anew there, with what it knows."""
         change, rise = depth - state.depth, force - state.force
         moved = touching & (jnp.abs(change) >= self.travel)

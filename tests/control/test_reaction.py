@@ -78,6 +78,24 @@ def test_a_stiffness_that_is_not_known_is_found():
     assert off(found) < 0.3 * off(wrong)
 
 
+@pytest.mark.parametrize("scheme", ["feedback", "multi"])
+def test_a_wall_much_stiffer_than_believed_is_found(scheme):
+    """From the first touch on, before a law that believes in 60 N/m has leapt off it; through a filter, and with noise."""
+    away = np.array([-0.977, -0.214, 0.0])  # the elbow goes against it
+    push = Line(HERE, HERE + np.array([[0, 0, 0, 0.4], [0, 0, 0, -0.3], [0, 0, 0, 0], [0, 0, 0, 0]]))
+
+    def run(stiffness):
+        reaction = Reaction(ARM, scheme, task=TASK, stiffness=stiffness or StiffnessEstimator())
+        met = lambda true: Encounter(SpringContact(AT - 0.03 * away, away, true), 2, ELBOW)
+        go = lambda true: simulate_reaction(reaction, push, 4.0, Q, met(true), 2500)
+        return jax.jit(jax.vmap(go))(np.array([30.0, 400.0, 4000.0]) if stiffness is None else np.array([stiffness]))
+
+    found = run(None)
+    np.testing.assert_allclose(found.stiffness[:, -1], [30.0, 400.0, 4000.0], rtol=0.02)
+    touches = np.sum(np.diff(np.asarray(found.force) > 0.0, axis=1) & (np.asarray(found.force)[:, 1:] > 0.0), axis=1)
+    assert touches[:2].tolist() == [1, 1] and np.abs(found.rate).max() < 1.3 * np.abs(run(4000.0).rate).max()
+
+
 STATES = np.random.default_rng(0).uniform(-1.2, 1.2, (8, 4))
 
 
