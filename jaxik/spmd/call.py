@@ -54,7 +54,10 @@ class Made:
 
 def plan(traced: Traced, shared: tuple[bool, ...], name: str) -> Plan:
     """The text of a kernel; `shared` says which operands all lanes have in common. Raises `Unsupported`."""
-    program = scalarised(traced.closed, traced.seeds, traced.values)
+    try:
+        program = scalarised(traced)
+    except RecursionError as error:
+        raise Unsupported("so many operations, each of the one before") from error
     row = lambda aval, shared: Row(type_of(aval), int(np.prod(aval.shape)), shared)
     rows_in = [row(a, s) for a, s in zip(traced.inputs, shared, strict=True)]
     rows_out = [row(a, False) for a in traced.outputs]

@@ -90,7 +90,7 @@ def kernel(function: Callable[..., Any] | None = None, *, models: int = 0) -> An
         traced, results, more = found
         if traced.closed.effects:  # what prints or talks to other lanes stands where it is called, or it would be lost
             try:
-                scalarised(traced.closed)
+                scalarised(traced)
             except Unsupported as error:
                 warn(traced, str(error))
                 return function(*args)

@@ -54,12 +54,15 @@ def _varying(avals: Iterable[Any]) -> frozenset[Any]:
     return frozenset().union(*(a.mat.varying for a in avals))
 
 
-_first: dict[str, Traced] = {}  # of equal programs the one that came first, so that XLA compiles its call once
+_first: dict[Any, Traced] = {}  # of equal programs the one that came first, so that XLA compiles its call once
 
 
 @kernel_p.def_impl
 def _(*args: Any, traced: Traced, batch: tuple[int, ...], masks: Masks) -> list[Any]:
-    return _jitted(_first.setdefault(traced.digest, traced), batch, masks)(*args)
+    if jax.config.values["jax_debug_nans"] or jax.config.values["jax_debug_infs"]:
+        return _by_xla(*args, traced=traced, batch=batch, masks=masks)  # whose operations say where it came from
+    key = traced.digest, tuple(a.weak_type for a in traced.outputs)
+    return _jitted(_first.setdefault(key, traced), batch, masks)(*args)
 
 
 @functools.lru_cache(maxsize=512)  # an executable of XLA takes 1.5 MB
@@ -131,7 +134,6 @@ along_p.def_impl(jax.jit(lambda slope, tangent: _moved(slope, tangent)))
 mlir.register_lowering(along_p, mlir.lower_fun(lambda slope, tangent: _moved(slope, tangent), multiple_results=False))
 ad.defbilinear(along_p, lambda ct, slope, tangent: ct * tangent, lambda ct, slope, tangent: _along(slope, ct))
 batching.primitive_batchers[along_p] = lambda args, dims: (_along(*_in_front(args, dims)), 0)
-RULES["spmd_along"] = RULES["mul"]
 
 
 def _along(slope: Any, tangent: Any) -> Any:
@@ -244,15 +246,20 @@ mlir.register_lowering(kernel_p, functools.partial(_lowered, way=_on_cpu), platf
 
 def _inlined(s: Scalariser, eqn: Any, *xs: Array) -> list[Array]:
     """A kernel inside another is part of it; of a few, each."""
-    closed, batch, masks = eqn.params["traced"].closed, eqn.params["batch"], eqn.params["masks"]
+    traced, batch, masks = (eqn.params[name] for name in ("traced", "batch", "masks"))
     if math.prod(batch) > _FEW:
         raise Unsupported(f"a batch of more than {_FEW} kernels inside a kernel")
     own = lambda x, mask, place: x.rearranged(x.at[tuple(i for i, has in zip(place, mask, strict=True) if has)])
-    each = [s.closed(closed, [own(x, m, place) for x, m in zip(xs, masks, strict=True)]) for place in np.ndindex(*batch)]
+    each = [s.traced(traced, [own(x, m, place) for x, m in zip(xs, masks, strict=True)]) for place in np.ndindex(*batch)]
     if not batch:
         return each[0]
     joined = lambda ys: np.stack([s.values(y) for y in ys]).reshape(*batch, *ys[0].shape)
     return [Array(joined(ys), ys[0].type) for ys in zip(*each, strict=True)]
 
 
-RULES["spmd_kernel"] = _inlined
+def _along_inside(s: Scalariser, eqn: Any, *xs: Array) -> Array:
+    s.program.structural = True  # along a unit vector's zeros there is nothing
+    return RULES["mul"](s, eqn, *xs)
+
+
+RULES["spmd_kernel"], RULES["spmd_along"] = _inlined, _along_inside

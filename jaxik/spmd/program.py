@@ -146,7 +146,11 @@ class Program:
 
     def number(self, value: Any, type: str) -> int:
         """A constant."""
-        scalar = DTYPES[type].type(value)
+        try:
+            scalar = DTYPES[type].type(value)
+        except (OverflowError, ValueError):  # an integer's type does not hold it: as a conversion of JAX's has it
+            with np.errstate(invalid="ignore"):
+                scalar = np.asarray(value).astype(DTYPES[type])[()]
         key = (type, scalar.tobytes())
         known = self.numbers.get(key)
         if known is None:
@@ -339,7 +343,7 @@ def _mul(p: Program, type: str, a: int, b: int) -> int | None:
 
 
 def _masked(p: Program, type: str, a: int, function: Callable[[int], int]) -> int | None:
-    """A function, 0 at 0, of a selection between a value and 0: the selection between its value and 0, however steep it is."""
+    """A linear function of a selection between a value and 0: the selection between its value and 0, however steep it is."""
     op = p.ops[a]
     if op.code != "select":
         return None
@@ -365,7 +369,9 @@ def _div(p: Program, type: str, a: int, b: int) -> int | None:
 
 def _neg(p: Program, type: str, a: int) -> int | None:
     op = p.ops[a]
-    return op.args[0] if op.code == "neg" else None
+    if op.code == "neg":
+        return op.args[0]
+    return _masked(p, type, a, lambda x: p.op("neg", type, x)) if p.structural else None
 
 
 def _select(p: Program, type: str, condition: int, a: int, b: int) -> int | None:

@@ -18,6 +18,7 @@ from jax.extend.core import ClosedJaxpr, Jaxpr, Literal
 
 from jaxik.spmd.program import DTYPES, TYPES, Block, Memory, Program, Whole
 from jaxik.spmd.tangents import has_blocks, tangents
+from jaxik.spmd.trace import Traced
 
 UNROLLED = 64  # operations of a scan's turns together, up to which it is written out
 FLAT = 32  # operations of both sides, up to which a branch is a selection
@@ -71,30 +72,23 @@ def type_of(aval: Any) -> str:
     return name
 
 
-def scalarised(closed: ClosedJaxpr, seeds: int = 0, values: ClosedJaxpr | None = None) -> Program:
-    """The program of a jaxpr; its operands are the jaxpr's arguments, and so many of its last constants the unit vectors along
-    which it is a derivative, whose first results are the `values` of another jaxpr. Raises `Unsupported`."""
-    constants = closed.jaxpr.constvars
-    s = Scalariser(Program(), tangents(closed.jaxpr, constants[len(constants) - seeds :]))
-    operands = []
-    for number, var in enumerate(closed.jaxpr.invars):
-        kind, shape = type_of(var.aval), var.aval.shape
-        memory = Memory("operand", number, kind, int(np.prod(shape)))
-        operands.append(Array(np.arange(memory.size).reshape(shape), kind, memory))
-    first: list[Array] = []
-    if values is not None and not has_blocks(values.jaxpr):
-        first = s.closed(values, operands)  # what is known of these is taken as it is; all else is of tangents
-        s.tangents, s.program.structural = None, True
-    results = [*first, *s.closed(closed, operands)[len(first) :]]
-    s.program.outputs = [s.output(x) for x in results]
+def scalarised(traced: Traced) -> Program:
+    """The program of a function; its operands are the function's. Raises `Unsupported`."""
+    s, operands = Scalariser(Program()), []
+    for number, aval in enumerate(traced.inputs):
+        kind = type_of(aval)
+        memory = Memory("operand", number, kind, int(np.prod(aval.shape)))
+        operands.append(Array(np.arange(memory.size).reshape(aval.shape), kind, memory))
+    s.program.outputs = [s.output(x) for x in s.traced(traced, operands)]
     return s.program
 
 
 class Scalariser:
     """Walks a jaxpr and builds the program."""
 
-    def __init__(self, program: Program, tangents: Set[Any] | None = frozenset()):
-        self.program, self.tangents = program, tangents
+    def __init__(self, program: Program):
+        self.program = program
+        self.tangents: Set[Any] | None = frozenset()  # None: what is not known yet is of tangents
         # what is copied to memory, and the block whose lanes have written it: another block may not have run
         self.spilled: dict[int, tuple[Array, Array, Block]] = {}
 
@@ -116,6 +110,21 @@ class Scalariser:
                 results = [results]
             env.update(zip(eqn.outvars, results, strict=True))
         return [read(v) for v in jaxpr.outvars]
+
+    def traced(self, traced: Traced, args: Sequence[Array]) -> list[Array]:
+        """A function of its own; of a derivative first the values, as the function computes them alone."""
+        outer, jaxpr, values = self.tangents, traced.closed.jaxpr, traced.values
+        first: list[Array] = []
+        if values is not None and not has_blocks(values.closed.jaxpr):
+            first = self.traced(values, args)  # what is known of these is taken as it is; all else is of tangents
+            self.tangents, self.program.structural = None, True
+        elif values is not None and outer is not None:
+            constants = jaxpr.constvars
+            given = [v for v in jaxpr.invars if v in outer]
+            self.tangents = outer | tangents(jaxpr, [*constants[len(constants) - traced.seeds :], *given])
+        results = [*first, *self.closed(traced.closed, args)[len(first) :]]
+        self.tangents = outer
+        return results
 
     def closed(self, closed: ClosedJaxpr | Jaxpr, args: Sequence[Array]) -> list[Array]:
         if isinstance(closed, Jaxpr):

@@ -24,12 +24,12 @@ def has_blocks(jaxpr: Jaxpr) -> bool:
     computed there, or again."""
     known: set[Var] = set()
     for eqn in jaxpr.eqns:
-        name, bodies = eqn.primitive.name, list(_bodies(eqn))
+        name, inner = eqn.primitive.name, [body for body, *_ in bodies(eqn)]
         if name in ("scan", "while") or (name == "cond" and not _known(eqn.invars[0], known)):
             return True
-        if any(has_blocks(body) for body, *_ in bodies):
+        if any(map(has_blocks, inner)):
             return True
-        if name == "platform_index" or (eqn.invars and not bodies and all(_known(v, known) for v in eqn.invars)):
+        if name == "platform_index" or (eqn.invars and not inner and all(_known(v, known) for v in eqn.invars)):
             known.update(eqn.outvars)
     return False
 
@@ -42,10 +42,10 @@ def _spread(jaxpr: Jaxpr, found: set[Var]) -> bool:
     """Marks what a marked variable leads to; whether there was anything new: a loop carries it back."""
     before = len(found)
     for eqn in jaxpr.eqns:
-        bodies = list(_bodies(eqn))
-        if not bodies and any(_is(v, found) for v in eqn.invars):
+        inner = list(bodies(eqn))
+        if not inner and any(_is(v, found) for v in eqn.invars):
             found.update(eqn.outvars)
-        for body, given, gives in bodies:
+        for body, given, gives in inner:
             found.update(p for p, v in zip(body.invars, given, strict=True) if _is(v, found))
             _spread(body, found)
             for result, places in zip(body.outvars, gives, strict=True):
@@ -58,7 +58,7 @@ def _is(v: Any, found: set[Var]) -> bool:
     return not isinstance(v, Literal) and v in found
 
 
-def _bodies(eqn: Any) -> Iterator[tuple[Jaxpr, Sequence[Any], list[tuple[Any, ...]]]]:
+def bodies(eqn: Any) -> Iterator[tuple[Jaxpr, Sequence[Any], list[tuple[Any, ...]]]]:
     """The jaxprs inside of an equation, with what each is given, and where each of its results goes."""
     params, outs = eqn.params, [(v,) for v in eqn.outvars]
     match eqn.primitive.name:

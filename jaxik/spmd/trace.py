@@ -25,9 +25,9 @@ def on_one_device() -> Any:
 
 class Traced:
     """A jaxpr whose constants are numbers; what it closed over beside them are its last arguments. Of a derivative the last
-    constants are the unit vectors along which it is one, so many `seeds`, and its first results are `values` of another."""
+    constants are the unit vectors along which it is one, so many `seeds`, and its first results are the `values` of another."""
 
-    def __init__(self, closed: ClosedJaxpr, seeds: int = 0, name: str = "", values: ClosedJaxpr | None = None):
+    def __init__(self, closed: ClosedJaxpr, seeds: int = 0, name: str = "", values: Traced | None = None):
         self.closed, self.seeds, self.values = closed, seeds, values
         self.name = name or str(getattr(closed.jaxpr.debug_info, "func_name", "a function"))
         self.derivatives: dict[tuple[int, ...], Traced] = {}
@@ -42,7 +42,10 @@ class Traced:
 
     @functools.cached_property
     def digest(self) -> str:
-        return digest(self.closed) + (f"d{self.seeds}" if self.seeds else "")
+        own = digest(self.closed)
+        if self.values is None:
+            return own
+        return hashlib.sha256(f"{own} {self.seeds} {self.values.digest}".encode()).hexdigest()[:32]
 
     def __repr__(self) -> str:
         return f"<{self.name} {self.digest[:8]}>"
@@ -52,7 +55,7 @@ class Traced:
         if active not in self.derivatives:
             with on_one_device():
                 way, seeds = _derivative(self.closed, active)
-            self.derivatives[active] = Traced(way, seeds, f"the derivative of {self.name}", self.closed)
+            self.derivatives[active] = Traced(way, seeds, f"the derivative of {self.name}", self)
         return self.derivatives[active]
 
 
@@ -126,7 +129,7 @@ def _derivative(closed: ClosedJaxpr, active: tuple[int, ...]) -> tuple[ClosedJax
     first, second = ways[::-1] if tall < wide else ways
     try:
         return _along(*first, inputs)
-    except (TypeError, ValueError):  # a while loop has no way back, a custom_vjp none forward
+    except (TypeError, ValueError, NotImplementedError):  # a while loop has no way back, a custom_vjp none forward
         return _along(*second, inputs)
 
 

@@ -148,3 +148,65 @@ def test_weak_types_stay_weak():
     for run in (spmd.kernel, jax.jit):
         assert (run(lambda a: a * 2)(1.5) * half).dtype == jnp.bfloat16
         assert (run(lambda a: a * 2)(jnp.float32(1.5)) * half).dtype == jnp.float32
+
+
+def test_a_masked_singularity_in_second_derivatives_and_inside_of_kernels():
+    function = lambda x: jnp.sum(jnp.where(x > 0, jnp.log(x), 0.0))
+    f, x, slope, curve = spmd.kernel(function), jnp.array([0.0, 1.0, 2.0]), [0.0, 1.0, 0.5], [0.0, -1.0, -0.25]
+    for way in (jax.jacfwd, jax.jacrev):
+        for outer in (jax.jacfwd, jax.jacrev):
+            np.testing.assert_allclose(outer(way(f))(x), np.diag(curve), rtol=1e-6)
+        np.testing.assert_allclose(spmd.kernel(way(f))(x), slope, rtol=1e-6)
+        for found, expected in zip(jax.jvp(way(f), (x,), (jnp.ones(3),)), (slope, curve), strict=True):
+            np.testing.assert_allclose(found, expected, rtol=1e-6)
+    along = spmd.kernel(lambda x: jax.jvp(f, (x,), (jnp.array([0.0, 1.0, 0.0]),))[1])
+    np.testing.assert_allclose(along(x), 1.0, rtol=1e-6)
+
+
+def test_a_derivative_has_the_values_of_its_own_function():
+    """Two functions with one rule for their derivatives, which has values of its own."""
+    for factor in (2.0, 3.0):
+        function = jax.custom_jvp(lambda x, factor=factor: x * factor)
+        function.defjvp(lambda at, t: (jnp.cos(at[0]), -t[0] * jnp.sin(at[0])))
+        f = spmd.kernel(lambda x, function=function: function(x))
+        assert jax.value_and_grad(f)(1.5)[0] == f(1.5) == factor * 1.5
+
+
+def test_a_kernel_in_a_branch_runs_only_if_it_is_taken():
+    inner = spmd.kernel(lambda x: lax.while_loop(lambda y: y < 1, lambda y: y + x, 0.0 * x))
+    outer = spmd.kernel(lambda x: lax.cond(x > 0, lambda: inner(x), lambda: -1.0 + 0 * x))
+    np.testing.assert_allclose(jax.jit(outer)(-1.0), -1.0)  # inner(-1.0) never ends
+
+
+def test_programs_that_differ_in_weak_types_alone():
+    half, f, g = jnp.ones((), jnp.bfloat16), spmd.kernel(lambda a: a * 13), spmd.kernel(lambda a: a * 11)
+    assert [(f(x) * half).dtype for x in (1.5, jnp.float32(1.5))] == [jnp.bfloat16, jnp.float32]
+    assert [(g(x) * half).dtype for x in (jnp.float32(1.5), 1.5)] == [jnp.float32, jnp.bfloat16]
+
+
+def test_a_rule_that_has_no_way_back_goes_forward():
+    relu = jax.custom_jvp(lambda x: jnp.maximum(x, 0.0))
+    relu.defjvp(lambda at, t: (relu(at[0]), jnp.where(at[0] == 0, jnp.maximum(t[0], 0.0), t[0] * (at[0] > 0))))
+    ones = (jnp.ones(6),)
+    assert jax.jvp(spmd.kernel(lambda x: jnp.sum(relu(x) * jnp.arange(6.0))), ones, ones)[1] == 15.0
+
+
+@pytest.mark.parametrize(("dtype", "fill"), [("uint32", -1), ("int8", 300), ("uint8", -3)])
+def test_what_an_integer_does_not_hold_wraps(dtype, fill, only_kernels):
+    at = jnp.array([0, 7, 1])
+    same(*both(lambda a: a.astype(dtype).at[at].get(mode="fill", fill_value=fill), jnp.arange(6.0).reshape(2, 3)))
+    same(*both(lambda a: lax.argmax(a, 0, jnp.int8), jnp.zeros((2, 200)).at[1, 150].set(1.0)))
+
+
+def test_nan_is_found_where_it_began():
+    with jax.debug_nans(True):
+        for run in (jax.jit, lambda f: f):
+            with pytest.raises(FloatingPointError, match="nan"):
+                run(spmd.kernel(jnp.log))(-1.0)
+
+
+def test_many_branches():
+    branches = [lambda x, k=k: jnp.sin(k * x) for k in range(300)]
+    x = jnp.stack([jnp.arange(-3.0, 310.0), jnp.ones(313)], 1)
+    found, expected = both(lambda x: lax.switch(jnp.int32(x[0]), branches, x[1]), x)
+    np.testing.assert_allclose(found, expected, atol=1e-6)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from typing import Any
 
@@ -21,6 +22,7 @@ from jaxik.spmd.scalarise import (
     type_of,
     unflattened,
 )
+from jaxik.spmd.tangents import bodies
 
 
 @rule(
@@ -59,10 +61,8 @@ def _weight(jaxpr: Any) -> int:
         if eqn.primitive.name in ("scan", "while"):
             return MOST
         total += sum(int(np.prod(v.aval.shape)) for v in eqn.outvars)
-        for param in eqn.params.values():
-            for each in param if isinstance(param, tuple | list) else (param,):
-                if isinstance(each, ClosedJaxpr | Jaxpr):
-                    total += _weight(getattr(each, "jaxpr", each))
+        times = math.prod(eqn.params["batch"]) if eqn.primitive.name == "spmd_kernel" else 1
+        total += times * sum(_weight(body) for body, *_ in bodies(eqn))
     return total
 
 
@@ -82,11 +82,12 @@ def _cond(s: Scalariser, eqn: Any, which: Array, *args: Array) -> list[Array]:
     def chosen(numbers: Sequence[int]) -> list[int]:
         if len(numbers) == 1:
             return values(numbers[0])
+        half = len(numbers) // 2
         if p.ops[index].type == "i1":
             last = index
         else:
-            last = p.op("ge", "i1", index, p.number(numbers[-1], p.ops[index].type))
-        yes, no = lambda: values(numbers[-1]), lambda: chosen(numbers[:-1])
+            last = p.op("ge", "i1", index, p.number(numbers[half], p.ops[index].type))
+        yes, no = lambda: chosen(numbers[half:]), lambda: chosen(numbers[:half])
         if sum(_weight(branches[k].jaxpr) for k in numbers) <= FLAT:
             return [p.op("select", k, last, a, b) for k, a, b in zip(flat_kinds, yes(), no(), strict=True)]
         return p.branch(last, yes, no)
