@@ -59,10 +59,22 @@ _first: dict[Any, Traced] = {}  # of equal programs the one that came first, so 
 
 @kernel_p.def_impl
 def _(*args: Any, traced: Traced, batch: tuple[int, ...], masks: Masks) -> list[Any]:
-    if jax.config.values["jax_debug_nans"] or jax.config.values["jax_debug_infs"]:
-        return _by_xla(*args, traced=traced, batch=batch, masks=masks)  # whose operations say where it came from
+    if jax.config.jax_debug_nans or jax.config.jax_debug_infs:  # type: ignore[attr-defined]
+        return _debugged(traced, _by_xla(*args, traced=traced, batch=batch, masks=masks))
     key = traced.digest, tuple(a.weak_type for a in traced.outputs)
     return _jitted(_first.setdefault(key, traced), batch, masks)(*args)
+
+
+def _debugged(traced: Traced, found: list[Any]) -> list[Any]:
+    """What operations found, which say themselves where a NaN began, or else the kernel does: `jax_debug_nans`."""
+    for x in (x for x in found if is_float(x)):
+        for name, wanted, holds in (
+            ("nan", jax.config.jax_debug_nans, jnp.isnan),
+            ("inf", jax.config.jax_debug_infs, jnp.isinf),
+        ):  # type: ignore[attr-defined]
+            if wanted and np.any(holds(x)):
+                raise FloatingPointError(f"invalid value ({name}) encountered in {traced.name}")
+    return found
 
 
 @functools.lru_cache(maxsize=512)  # an executable of XLA takes 1.5 MB
