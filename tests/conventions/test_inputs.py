@@ -299,3 +299,15 @@ def test_one_line_says_what_reads_a_file():
         lambda q: q @ q,
         HORIZON,
     )
+
+
+def test_a_tensor_of_torch_is_an_array_of_numbers():
+    """As lists are: here and in what they call, whatever its width."""
+    import torch
+
+    q = np.array([0.3, -0.4])
+    asked = [lambda q, f=f, s=s: f(ARM, s, q) for f in (jaxik.clearance, jaxik.collides) for s in (SCENE, None)]
+    asked += [lambda q: jaxik.collision.object_clearances(ARM, SCENE, q), lambda q: jaxik.collision.self_clearance(ARM, q)]
+    for ask in asked:
+        for wide in (torch.float32, torch.float64):
+            np.testing.assert_allclose(np.asarray(ask(torch.tensor(q, dtype=wide))), np.asarray(ask(q)), atol=1e-6)
