@@ -5,19 +5,21 @@ from __future__ import annotations
 import csv
 import io
 import math
+import os
 import warnings
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from jaxik.checks.options import check_kind
+from jaxik.checks.options import check_kind, shown
 from jaxik.collision.scene import FAR, SHAPES, Fruit, Scene
 from jaxik.collision.scene_builder import SceneBuilder, hanging
 from jaxik.collision.surfaces import as_bodies, polygon_triangles
 from jaxik.files.chain_builder import read_bytes
 from jaxik.files.mesh import load_mesh, resolve
 from jaxik.files.robot_toml import Table, read_toml
+from jaxik.files.targets import folded, metre_of, point_columns
 from jaxik.files.writing import toml, write_text
 from jaxik.reasons import LoadError
 from jaxik.spatial.rotations import frame
@@ -112,7 +114,7 @@ def _mesh(table: Table) -> np.ndarray:
     name, scale = table.text("file"), table.finite("scale", (), 1e-12, default=1.0)
     place = frame(table.finite("position", (3,), unit="length", default=np.zeros(3)), table.turn())
     target = resolve(table.path, table.where, name, table.path.resolve().parent)
-    if target is None or not target.is_file():
+    if target is None or not os.path.isfile(target):
         raise table.fail(f"mesh '{name}' is not found", f"put it at {target}" if target else "give a path from this file on")
     return load_mesh(target, place, scale).reshape(-1, 9)
 
@@ -122,20 +124,23 @@ def _from_csv(path: Path) -> Scene:
         rows = list(csv.reader(io.StringIO(read_bytes(path).decode("utf-8-sig"))))
     except (UnicodeDecodeError, csv.Error) as error:
         raise LoadError(path, "document", f"malformed CSV ({error})", "write label,x,y,z lines in UTF-8") from None
-    if not rows or [c.strip().lower() for c in rows[0]] != ["label", "x", "y", "z"]:
-        raise LoadError(path, "line 1", "the header is not label,x,y,z", "write it so; lengths are metres")
+    mend = "write label,x,y,z, in any order; lengths are metres (or x_mm, y_mm, z_mm)"
+    header = folded(rows[0]) if rows else []
+    columns = point_columns(path, "line 1", header, ["label"], mend)
+    for spare in (name for name in header if name.strip() and name not in dict(columns)):  # a radius, say
+        raise LoadError(path, "line 1", f"column '{shown(spare)}' is not read", mend)
+    *places, at = (i for _, i in columns)
     labels, points = [], []
     for number, row in ((i, row) for i, row in enumerate(rows[1:], 2) if row):
         try:
-            label, x, y, z = row
-            if not label.strip():
+            if any(row[len(header) :]) or not (label := row[at].strip()):
                 raise ValueError
-            points.append([float(x), float(y), float(z)])
-        except ValueError:
-            raise LoadError(path, f"line {number}", f"'{','.join(row)[:40]}'", "write label,x,y,z") from None
+            points.append([metre_of(columns) * float(row[i]) for i in places])
+        except (ValueError, IndexError):
+            raise LoadError(path, f"line {number}", f"'{','.join(row)[:40]}'", f"write {','.join(header)}") from None
         if not all(map(math.isfinite, points[-1])):
             raise LoadError(path, f"line {number}", f"'{label[:40]}' holds NaN or infinity", "write finite numbers")
-        labels.append(label.strip())
+        labels.append(label)
     return _from_points(path, labels, np.array(points, dtype=np.float64).reshape(-1, 3))
 
 

@@ -38,10 +38,10 @@ GROUPS = ("wijk", "ijk", "abcd", "abc", "wpr", "uvw", ("phi", "theta"), ("theta"
 def load_targets(path: str | Path) -> np.ndarray:
     """Poses (N, 4, 4), or positions (N, 3) where the file has no rotations [m]. Host.
 
-    CSV: columns x, y, z (or x_mm, y_mm, z_mm) and, for poses, qw, qx, qy, qz; others are not read, unless they look like a
-    rotation by another name, which is refused (so in the other formats). NPZ: `poses` (N, 4, 4), or `positions` (N, 3) with or
-    without `wxyz` (N, 4). JSON: a list of objects with `pose` (4 rows of 4), or `position` with or without `wxyz`.
-    Quaternions are wxyz and are normalised; a zero or NaN one makes an invalid target, not an error.
+    CSV: columns x, y, z (or x_mm, y_mm, z_mm) and, for poses, qw, qx, qy, qz, in any order and case; others are not read
+    unless they look like a rotation by another name, which is refused (so in the other formats). NPZ: `poses` (N, 4, 4), or
+    `positions` (N, 3) with or without `wxyz` (N, 4). JSON: a list of objects with `pose` (4 rows of 4), or `position` with or
+    without `wxyz`. Quaternions are wxyz and are normalised; a zero or NaN one makes an invalid target, not an error.
 
     Raises `LoadError` with one line: the file, the element, what is allowed, the mend.
     """
@@ -72,30 +72,48 @@ def _csv(path: Path, file: BinaryIO) -> np.ndarray:
     try:
         with io.TextIOWrapper(file, "utf-8-sig", newline="") as text:
             rows = csv.reader(text)
-            header = [name.strip() for name in next(rows, [])]
+            header = next(rows, [])
             columns = _columns(path, header)
             found = np.fromiter(_numbers(path, rows, columns, len(header)), np.float64).reshape(-1, len(columns))
-            found[:, :3] *= UNITS["length"][columns[0][0].removeprefix("x")]
+            found[:, :3] *= metre_of(columns)
             return found
     except (UnicodeDecodeError, csv.Error) as error:
         raise LoadError(path, "file", f"is no CSV ({error})", "write a header line and one line a target") from None
 
 
 def _columns(path: Path, header: list[str]) -> list[tuple[str, int]]:
-    units = [ending for ending in UNITS["length"] if f"x{ending}" in header] or [""]
-    position = tuple(name + units[0] for name in POSITION)
-    turned = QUATERNION if set(QUATERNION) & set(header) else ()
-    missing = [name for name in (*position, *turned) if name not in header]
-    if missing:
-        mend = "write x, y, z in metres (or x_mm, y_mm, z_mm) and, for poses, qw, qx, qy, qz: lower case, separated by commas"
-        raise LoadError(path, "header", f"'{shown(','.join(header))}' lacks {', '.join(missing)}", mend)
-    for name in (n for n in (*position, *turned) if header.count(n) > 1):
-        raise LoadError(path, "header", f"column '{name}' stands twice", "keep one")
-    if len(units) > 1:
-        raise LoadError(path, "header", f"{' and '.join('x' + ending for ending in units)} say the same", "keep one")
+    turned = QUATERNION if set(QUATERNION) & set(folded(header)) else ()
+    mend = "write x, y, z in metres (or x_mm, y_mm, z_mm) and, for poses, qw, qx, qy, qz: separated by commas"
+    found = point_columns(path, "header", header, turned, mend)
     if not turned:
         _refuse_lost_rotation(path, "header", header, ", ".join(QUATERNION))
-    return [(name, header.index(name)) for name in (*position, *turned)]
+    return found
+
+
+def folded(header: Iterable[str]) -> list[str]:
+    """The names of a CSV's columns, which stand in any order and in any case."""
+    return [name.strip().casefold() for name in header]
+
+
+def point_columns(path: Path, where: str, header: list[str], others: Iterable[str], mend: str) -> list[tuple[str, int]]:
+    """The names of x, y and z, all with one unit's ending, and of `others`, and where they stand in a CSV's header. Refuse one
+    that is missing, or twice."""
+    names = folded(header)
+    units = [ending for ending in UNITS["length"] if f"x{ending}" in names] or [""]
+    wanted = (*(name + units[0] for name in POSITION), *others)
+    missing = [name for name in wanted if name not in names]
+    if missing:
+        raise LoadError(path, where, f"'{shown(','.join(header))}' lacks {', '.join(missing)}", mend)
+    for name in (n for n in wanted if names.count(n) > 1):
+        raise LoadError(path, where, f"column '{name}' stands twice", "keep one")
+    if len(units) > 1:
+        raise LoadError(path, where, f"{' and '.join('x' + ending for ending in units)} say the same", "keep one")
+    return [(name, names.index(name)) for name in wanted]
+
+
+def metre_of(columns: list[tuple[str, int]]) -> float:
+    """How many metres one is in the columns x, y and z, which are the first."""
+    return UNITS["length"][columns[0][0].removeprefix("x")]
 
 
 def _refuse_lost_rotation(path: Path, where: str, names: Iterable[str], known: str) -> None:

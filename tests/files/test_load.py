@@ -465,7 +465,7 @@ def test_nearly_unit_axes_are_made_unit(tmp_path):
 LOST = (
     *("w,i,j,k", "roll,pitch,yaw", "Roll,Pitch,Yaw", "rx,ry,rz", "RX,RY,RZ", "a,b,c,d", "A,B,C", "yaw", "yaw_deg", "yaw [rad]"),
     *("rotx,roty,rotz", "rot_x,rot_y,rot_z", "rotation_x,rotation_y,rotation_z", "q0,q1,q2,q3", "q1,q2,q3,q4", "ow,ox,oy,oz"),
-    *("Qw,Qx,Qy,Qz", "QX,QY,QZ,QW", "q_w,q_x,q_y,q_z", "quat_w,quat_x,quat_y,quat_z", "orientation.w,orientation.x"),
+    *("q_w,q_x,q_y,q_z", "quat_w,quat_x,quat_y,quat_z", "orientation.w,orientation.x"),
     *(
         "pose.orientation.x",
         "phi,theta,psi",
@@ -515,6 +515,26 @@ def test_targets_in_json_are_not_reshaped(tmp_path, row, words):
     refused(write(tmp_path, "targets.json", json.dumps([row])), *words, reader=jaxik.load_targets)
 
 
+@pytest.mark.parametrize("header", ["x,y,z,{}", "Z,{},Y,X", "y_mm,X_mm,{},z_MM", " {} , z,x,Y"])
+def test_columns_stand_in_any_order_and_case(tmp_path, header):
+    """Of targets as of scenes."""
+    names = header.format("i").split(",")
+    axes = [name.strip().lower()[0] for name in names]
+    row = ",".join({"x": "0.5", "y": "0.25", "z": "2", "i": "leaf"}[axis] for axis in axes)
+    factor = 1e-3 if "mm" in header else 1.0
+    for label in ("label", "LABEL"):
+        scene = jaxik.load_scene(write(tmp_path, "s.csv", f"{header.format(label)}\n{row}\n"))
+        assert scene.object_names == ("leaf",) and np.allclose(scene.points.center, factor * np.array([[0.5, 0.25, 2.0]]))
+    targets = write(tmp_path, "t.csv", f"{header.format('Qw,QX,qy,Qz')}\n{row.replace('leaf', '0,0,0,1')}\n")
+    pose = jaxik.load_targets(targets)[0]
+    assert np.allclose(pose[:3, 3], factor * np.array([0.5, 0.25, 2.0])) and np.allclose(np.diag(pose), [-1, -1, 1, 1])
+
+
+def test_a_number_of_5000_digits_is_the_files_fault(tmp_path):
+    for name, reader in (("a.toml", jaxik.load), ("s.toml", jaxik.load_scene)):
+        refused(write(tmp_path, name, f'name = "a"\nx = {"9" * 5000}\n'), "document", "5000 digits", reader=reader)
+
+
 def test_a_target_left_out_in_json(tmp_path):
     assert np.isnan(jaxik.load_targets(write(tmp_path, "t.json", '[{"position": [null, 0, 1]}]'))[0, 0])
 
@@ -525,7 +545,8 @@ def test_a_target_left_out_in_json(tmp_path):
         ("x,y,z,x\n1,2,3,4\n", ("column 'x'", "twice")),
         ("x,y,z\n0,5,0,6,0,7\n", ("line 2", "6 fields for 3 columns")),
         ("x;y;z\n0;5;0\n", ("header", "'x;y;z' lacks x, y, z", "separated by commas")),
-        ("X,Y,Z\n0,5,0\n", ("header", "'X,Y,Z' lacks x, y, z", "in metres", "lower case")),
+        ("X,Y,x\n0,5,0\n", ("header", "'X,Y,x' lacks z", "in metres")),
+        ("X,y,Z,x\n1,2,3,4\n", ("column 'x'", "twice")),
         ("x_mm,y,z\n0,5,0\n", ("header", "lacks y_mm, z_mm")),
         ("x,y,z,x_mm\n0,5,0,1\n", ("header", "x and x_mm say the same")),
     ],
@@ -703,6 +724,10 @@ def test_labelled_points(tmp_path, name, content):
     [
         ("a,b\n", ("line 1", "label,x,y,z")),
         ("label,x,y,z\nleaf,1,2\n", ("line 2",)),
+        ("label,x,y,z\nleaf,1,2,3,4\n", ("line 2",)),
+        ("label,x,y,z\n ,1,2,3\n", ("line 2",)),
+        ("label,x,y,z,radius\nleaf,1,2,3,4\n", ("line 1", "column 'radius' is not read")),
+        ("label,x,y,z,X\nleaf,1,2,3,4\n", ("line 1", "column 'x' stands twice")),
         ("label,x,y,z\nleaf,1,2,nan\nfruit_1,0,0,0\n", ("'leaf'", "NaN")),
         ("label,x,y,z\nleaf,1,2,300\nfruit_1,0,0,0\n", ("'leaf'", "300 m, over 100 m", "millimetres")),
         ("label,x,y,z\n", ("neither an object nor a fruit",)),
