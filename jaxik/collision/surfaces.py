@@ -143,16 +143,32 @@ def polygon_triangles(corners: Any) -> Float[np.ndarray, "n 3 3"]:
     out = float(np.abs(centred @ normal).max()) / long
     if out > FLAT * size:
         raise ValueError(f"polygon: a corner is {out:g} m out of its plane; split it into triangles")
-    drop = int(np.abs(normal).argmax())  # seen along an axis, the other two in the order that keeps it counter-clockwise
-    flat = centred[:, [(drop + 1) % 3, (drop + 2) % 3]][:, :: 1 if normal[drop] > 0.0 else -1]
-    left, found = list(range(len(flat))), []
-    while len(left) > 2:
-        ear = next((i for i in range(len(left)) if _is_ear(flat[left], i)), None)
-        if ear is None:
-            raise ValueError("polygon crosses itself; split it into such that do not")
-        found.append([left[ear - 1], left[ear], left[(ear + 1) % len(left)]])
-        del left[ear]
+    found = ears(centred, normal)
+    if found is None:
+        raise ValueError("polygon crosses itself; split it into such that do not")
     return points[found]
+
+
+def ears(corners: np.ndarray, normal: np.ndarray) -> list[list[int]] | None:
+    """The numbers of a polygon's corners (k, 3) in its triangles, as seen against its normal; None where it crosses itself, or
+    has no normal."""
+    drop = int(np.abs(normal).argmax())  # seen along an axis, the other two in the order that keeps it counter-clockwise
+    if not abs(normal[drop]) > 0.0:
+        return None
+    flat = corners[:, [(drop + 1) % 3, (drop + 2) % 3]][:, :: 1 if normal[drop] > 0.0 else -1]
+    left: list[int] = list(range(len(flat)))
+    found, out = [], [_is_ear(flat, i) for i in left]
+    while len(left) > 2:
+        if not any(out):  # what was in an ear's way may be cut off
+            out = [_is_ear(flat[left], i) for i in range(len(left))]
+        if not any(out):
+            return None
+        ear = out.index(True)
+        found.append([left[ear - 1], left[ear], left[(ear + 1) % len(left)]])
+        del left[ear], out[ear]
+        for i in (ear - 1, ear % len(left)):
+            out[i] = _is_ear(flat[left], i % len(left))
+    return found
 
 
 def _is_ear(flat: np.ndarray, i: int) -> bool:

@@ -71,7 +71,7 @@ def load(
     A mesh `package://my_pkg/meshes/a.stl` is `meshes/a.stl` in a folder `my_pkg`: the nearest above the model's file, else one
     that `packages` names, or that is in a folder that it names (one, or a list), else one that ROS finds (`ROS_PACKAGE_PATH`,
     `AMENT_PREFIX_PATH`). Any other name is a path from the file's folder, which stays below it (below the folder above, where
-    the file's own is called urdf, urdfs, xacro, robots, mjcf or xml). DAE needs `pip install "jaxik[dae]"`.
+    the file's own is called urdf, urdfs, xacro, robots, mjcf or xml). Links are followed. DAE needs `pip install "jaxik[dae]"`.
 
     Raises `LoadError` (a `ValueError`) with one line: the file, the element, what is allowed, the mend; and `ValueError` for a
     `fit` without `meshes`, for `packages` that are no folders, for a `posture` that is no mapping of names to finite numbers,

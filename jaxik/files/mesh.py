@@ -5,6 +5,7 @@ from __future__ import annotations
 import dataclasses
 import io
 import itertools
+import os
 from collections.abc import Sequence
 from importlib.util import find_spec
 from pathlib import Path
@@ -17,6 +18,7 @@ from jaxik.checks.options import shown
 from jaxik.collision.scene import LIMIT
 from jaxik.files.chain_builder import MAX_BYTES, Link
 from jaxik.files.packages import MEND, PACKAGE, in_package, package_of
+from jaxik.files.polygon_files import READERS, read_polygons
 from jaxik.fitting.link_distance_tables import SECTIONS
 from jaxik.fitting.model import Shape
 from jaxik.reasons import LoadError
@@ -93,17 +95,20 @@ def home(path: Path) -> Path:
 
 def resolve(path: Path, where: str, name: str, below: Path | None = None, packages: Sequence[Path] = ()) -> Path | None:
     """The file that a mesh name means: one of a package for `package://name/...`, None where there is no such package; else a
-    path below the model's own folder (or `below`). One that leaves it is refused."""
+    path below the model's own folder (or `below`). A name that leads out of either is refused; where a link leads does not
+    count, for workspaces (colcon's `--symlink-install`) and stores of large files are made of them."""
     folder, root = path.resolve().parent, below or home(path)
     if name.startswith(PACKAGE):
         return in_package(path, where, name, packages)
     if "://" in name and not name.startswith("file://"):
         raise LoadError(path, where, f"file '{name}' is no file", "give a path or package://")
+    given = folder / name.removeprefix("file://")
     try:
-        target = (folder / name.removeprefix("file://")).resolve()
+        places = (Path(os.path.normpath(given)), given.resolve())  # an absolute name may come to the folder by a link
     except (OSError, ValueError, RuntimeError):
         raise LoadError(path, where, f"file '{name}' is no path", "give a path below the model's folder") from None
-    if not target.is_relative_to(root):
+    target = next((place for place in places if place.is_relative_to(root)), None)
+    if target is None:
         raise LoadError(path, where, f"file '{name}' lies outside the model's folder", f"move it below {root.name}/")
     return target
 
@@ -120,7 +125,7 @@ def load_mesh(path: str | Path, frame: Any = None, scale: Any = 1.0) -> np.ndarr
     if factor.shape not in ((), (3,)) or not (np.isfinite(factor) & (factor > 0.0)).all():
         raise ValueError(f"load_mesh: scale is {shown(scale)}; allowed: one number above zero, or three")
     path = Path(path)
-    if not path.is_file():
+    if not os.path.isfile(path):
         raise LoadError(path, "mesh", "is not found", "check the path")
     points, faces = _parsed(path, "mesh", path.name, path, np.broadcast_to(factor, 3))
     return (points @ frame[:3, :3].T + frame[:3, 3])[faces]
@@ -131,18 +136,19 @@ def read_mesh(
 ) -> tuple[np.ndarray, np.ndarray]:
     """The corners of a mesh (p, 3) [m], in its frame, and its triangles (f, 3)."""
     target = resolve(path, where, name, packages=packages)
-    if target is None or not target.is_file():
+    if target is None or not os.path.isfile(target):
         package = f"no folder above the file is called '{package_of(name)[0]}': {MEND}"
         mend = (
             f"{f'put it at {target}' if target else package}, or load with meshes=False (--no-meshes) for the kinematics alone"
         )
         raise LoadError(path, where, f"mesh '{name}' is not found", mend)
+    if not np.all(scale):
+        given = " ".join(f"{each:g}" for each in scale)
+        raise LoadError(path, where, f"mesh '{name}': scale '{given}' makes it flat", "write three numbers other than 0")
     return _parsed(path, where, name, target, scale)
 
 
 def _parsed(path: Path, where: str, name: str, target: Path, scale: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    import trimesh
-
     if target.stat().st_size > 4 * MAX_BYTES:
         raise LoadError(path, where, f"mesh '{name}' is larger than {4 * MAX_BYTES} bytes", "simplify it")
     if target.suffix.lower() not in FORMATS:
@@ -150,10 +156,8 @@ def _parsed(path: Path, where: str, name: str, target: Path, scale: np.ndarray) 
     if target.suffix.lower() == ".dae" and find_spec("collada") is None:
         raise LoadError(path, where, f"mesh '{name}': reading DAE needs pycollada", 'pip install "jaxik[dae]"')
     try:
-        content = io.BytesIO(target.read_bytes())  # not the path: a mesh may name other files, anywhere
-        mesh: Any = trimesh.load(content, file_type=target.suffix[1:].lower(), force="mesh", process=False)
-        points = np.asarray(mesh.vertices, dtype=np.float64) * scale
-        faces = np.asarray(mesh.faces).reshape(-1, 3)
+        points, faces = _read(target.suffix.lower(), target.read_bytes())
+        points = points * scale
         if not len(points) or not np.all(np.isfinite(points)):
             raise ValueError("no corners, or such that are not finite")
         if np.any((faces < 0) | (faces >= len(points))):
@@ -166,3 +170,13 @@ def _parsed(path: Path, where: str, name: str, target: Path, scale: np.ndarray) 
     if not np.ptp(points, axis=0).any():
         raise LoadError(path, where, f"mesh '{name}' is a single point", "give a scale other than 0")
     return points, faces
+
+
+def _read(kind: str, content: bytes) -> tuple[np.ndarray, np.ndarray]:
+    """The corners (p, 3) and the triangles (f, 3) of a mesh file; by its bytes, for it may name other files, anywhere."""
+    if kind in READERS:
+        return read_polygons(kind, content)
+    import trimesh
+
+    mesh: Any = trimesh.load(io.BytesIO(content), file_type=kind[1:], force="mesh", process=False)
+    return np.asarray(mesh.vertices, dtype=np.float64), np.asarray(mesh.faces).reshape(-1, 3)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import math
+import os
 from pathlib import Path
 from typing import Any
 from xml.etree.ElementTree import Element
@@ -97,7 +98,7 @@ def _compiled(path: Path, meshes: Meshes, notes: Notes) -> tuple[Any, dict[str, 
     try:
         spec = mujoco.MjSpec.from_file(str(path))
         files = [*((spec.meshdir, mesh.file) for mesh in spec.meshes), *((spec.texturedir, t.file) for t in spec.textures)]
-        absent = [file for folder, file in files if file and not Path(spec.modelfiledir, folder, file).is_file()]
+        absent = [file for folder, file in files if file and not os.path.isfile(Path(spec.modelfiledir, folder, file))]
         if absent and not meshes.read:
             unread = _without_meshes(spec, notes)
             return spec.compile(), unread
