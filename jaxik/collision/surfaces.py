@@ -22,6 +22,7 @@ from jaxik.spatial.algebra import Vec3
 from jaxik.spmd import kernel
 
 SAME = 1e-7  # of its size: corners of a surface that are nearer to each other are one; files have them in float32
+NOTHING = 1e-12  # of what its triangles add up to without their signs, that a surface holds of nothing: rounding
 FLAT = 1e-6  # of its size, that a polygon's corners may be out of its plane
 
 
@@ -54,7 +55,8 @@ def bounding_box(corners: Any) -> tuple[np.ndarray, np.ndarray]:
 def as_bodies(triangles: Float[np.ndarray, "k 3 3"]) -> tuple[Float[np.ndarray, "k 3 3"], Float[np.ndarray, " k"]]:
     """The triangles, those of closed surfaces turned to be seen counter-clockwise from outside, and which these are: 1, or 0.
 
-    A closed surface inside of another is turned so, too: what it hollows out counts as full.
+    A closed surface inside of another is turned so, too: what it hollows out counts as full. Where triangles of an open
+    surface, or of one with both its sides, stand more than once, the first of them may close it.
     """
     from scipy.sparse import coo_array
     from scipy.sparse.csgraph import connected_components
@@ -71,6 +73,10 @@ def as_bodies(triangles: Float[np.ndarray, "k 3 3"]) -> tuple[Float[np.ndarray, 
     part = connected_components(links, directed=False)[1][: len(faces)]
     for rows in np.split(np.argsort(part, kind="stable"), np.cumsum(np.bincount(part))[:-1]):
         flip = _outward(faces[rows], turned[rows])
+        once = np.sort(np.unique(np.sort(faces[rows], axis=1), axis=0, return_index=True)[1])
+        if flip is None and len(once) < len(rows):  # files have both sides of a surface, or copies
+            rows = rows[once]
+            flip = _outward(faces[rows], turned[rows])
         if flip is not None:
             solid[rows] = 1.0
             turned[rows[flip]] = turned[rows[flip]][:, ::-1]
@@ -86,8 +92,9 @@ def _outward(faces: np.ndarray, triangles: np.ndarray) -> np.ndarray | None:
         if not _closes(np.where(flip[:, None], faces[:, ::-1], faces)):
             return None
     a, b, c = np.moveaxis(triangles - triangles.mean(axis=(0, 1)), 1, 0)
-    volume = float(np.sum(np.where(flip, -1.0, 1.0) * np.einsum("ij,ij->i", a, np.cross(b, c))))
-    return None if volume == 0.0 else ~flip if volume < 0.0 else flip
+    each = np.where(flip, -1.0, 1.0) * np.einsum("ij,ij->i", a, np.cross(b, c))
+    volume = float(each.sum())
+    return None if abs(volume) <= NOTHING * float(np.abs(each).sum()) else ~flip if volume < 0.0 else flip
 
 
 def _edges(faces: np.ndarray) -> np.ndarray:

@@ -214,6 +214,34 @@ def test_what_is_closed_is_seen_from_outside(changed):
         assert abs(winding(inside, body) - 1.0) <= 1e-9
 
 
+def test_bodies_that_share_a_face_are_solid_each():
+    """The face stands twice, once from either side."""
+    box = np.array(trimesh.creation.box((1.0, 1.0, 1.0)).triangles)
+    both = np.concatenate([box, (box * (1.0, 1.0, -1.0) + (0.0, 0.0, 1.0))[:, ::-1]])
+    turned, solid = as_bodies(both)
+    assert solid.all() and all(abs(winding(np.array([0.1, 0.2, z]), turned) - 1.0) <= 1e-9 for z in (0.1, 0.9))
+
+
+@pytest.mark.parametrize("more", [lambda t: t[:, ::-1], lambda t: t[3:9], lambda t: t[::7, [1, 2, 0]]])
+def test_triangles_that_stand_twice_count_once(more):
+    """A closed mesh with both sides, as drawing programs write them, or with copies, is as solid as the mesh alone."""
+    ball, rng = trimesh.creation.icosphere(2).triangles, np.random.default_rng(0)
+    every = np.concatenate([ball, more(ball)])
+    turned, solid = as_bodies(every[rng.permutation(len(every))])
+    assert solid.sum() == len(ball)
+    kept = turned[solid > 0.0]
+    volume = np.einsum("ki,ki->", kept[:, 0], np.cross(kept[:, 1], kept[:, 2])) / 6.0
+    assert np.isclose(volume, trimesh.creation.icosphere(2).volume)
+    builder = jaxik.collision.SceneBuilder("s")
+    builder.add("ball", triangles=every)
+    alone = jaxik.collision.SceneBuilder("s")
+    alone.add("ball", triangles=ball)
+    robot = jaxik.load("planar2")
+    for place in (np.zeros(2), np.array([0.7, 2.0])):
+        found, wanted = (float(jaxik.clearance(robot, scene.scene(), place)) for scene in (builder, alone))
+        assert wanted < 0.0 and np.isclose(found, wanted, atol=1e-6)
+
+
 def test_polygons_become_triangles():
     """A star, in any plane, has its area, and no triangle outside of it; surfaces cross where an edge goes through."""
     turn = 2.0 * np.pi * np.arange(14) / 14
