@@ -18,7 +18,7 @@ from jaxik.files.robot_toml import TURNS
 from jaxik.files.xml import XACRO, attribute, number, numbers, parse
 from jaxik.reasons import LoadError
 from jaxik.robot.chain import Chain
-from jaxik.spatial.rotations import frame, from_rpy
+from jaxik.spatial.rotations import frame, from_rpy, from_wxyz
 
 DEGREES = 1080.0  # a limit beyond them is meant to be none
 
@@ -29,6 +29,8 @@ def load_urdf(
     """The serial chain from link `base` (the root) to link `tip` (the only leaf), and what it carries, `held` in a posture."""
     root = parse(path, "robot")
     _refuse_xacro(path, root)
+    if root.get("version", "1.0") == "1.0" and any("quat_xyzw" in origin.attrib for origin in root.iter("origin")):
+        raise LoadError(path, "<origin>", "quat_xyzw is not read in version 1.0", 'write rpy, or <robot version="1.1">')
     elements = {kind: root.findall(kind) for kind in ("link", "joint")}
     for kind, found in elements.items():
         unique(path, kind, (attribute(path, f"a <{kind}>", e, "name") for e in found))
@@ -85,6 +87,13 @@ def _parents(path: Path, joints: list[Element], links: dict[str, Element]) -> di
 def _origin(path: Path, where: str, element: Element) -> np.ndarray:
     origin = element.find("origin")
     translation = numbers(path, where, origin, "xyz", "0 0 0", 3)
+    if origin is not None and origin.get("quat_xyzw") is not None:
+        if origin.get("rpy") is not None:
+            raise LoadError(path, where, "quat_xyzw and rpy say the same", "keep one")
+        *xyz, w = numbers(path, where, origin, "quat_xyzw", None, 4)
+        if not abs(float(np.linalg.norm((*xyz, w))) - 1.0) < 1e-2:  # as for axes
+            raise LoadError(path, where, "quat_xyzw is not of length 1", "write a unit quaternion, w last")
+        return frame(translation, from_wxyz((w, *xyz)))
     return frame(translation, from_rpy(numbers(path, where, origin, "rpy", "0 0 0", 3)))
 
 

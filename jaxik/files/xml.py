@@ -27,6 +27,9 @@ def parse(path: Path, root_tag: str | None) -> Element:
     except (ParseError, ValueError, LookupError) as error:  # LookupError: an encoding that Python does not know
         mend = XACRO.format(path) if b"<xacro:" in content else "mend the syntax"
         raise LoadError(path, "document", f"malformed XML ({error})", mend) from None
+    namespace = root.tag.rpartition("}")[0] + "}"  # a default one, as old files of Drake have it, means nothing here
+    for element in root.iter() if len(namespace) > 1 else ():
+        element.tag = element.tag.removeprefix(namespace)
     if root_tag is not None and root.tag != root_tag:
         raise LoadError(path, f"element <{root.tag}>", f"the root is not <{root_tag}>", f"give a file with <{root_tag}>")
     return root

@@ -9,6 +9,7 @@ import zipfile
 
 import jax
 import numpy as np
+import pinocchio as pin
 import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
@@ -147,6 +148,22 @@ def test_what_is_drawn_alone_is_told(tmp_path):
     with pytest.raises(ValueError, match=r"no collision geometry; .* <collision> of a URDF"):
         jaxik.clearance(chain, jaxik.make_scene(), np.zeros(2))
     assert jaxik.load(path) == chain
+
+
+def test_quaternions_and_namespaces_are_read_as_pinocchio_reads_them(tmp_path):
+    """Origins of URDF 1.1; and a default namespace, which urdfdom does not look at."""
+    turned = URDF.replace('<robot name="arm">', '<robot name="arm" version="1.1" xmlns="http://drake.mit.edu">').replace(
+        'xyz="0.3 0 0"', 'xyz="0.3 0 0" quat_xyzw="0.1 -0.5 0.3 0.806"'
+    )
+    path, q = write(tmp_path, "arm.urdf", turned), np.array([0.4, 0.7])
+    model = pin.buildModelFromUrdf(str(path))
+    data, angle = model.createData(), np.array([q[0], np.cos(q[1]), np.sin(q[1])])
+    pin.framesForwardKinematics(model, data, angle)
+    wanted = data.oMf[model.getFrameId("tool")].homogeneous
+    assert np.allclose(jaxik.forward_kinematics(jaxik.load(path), q), wanted, atol=1e-6)
+    refused(write(tmp_path, "arm.urdf", turned.replace('version="1.1"', "")), "quat_xyzw", "version 1.0")
+    refused(write(tmp_path, "arm.urdf", turned.replace(" quat_xyzw", ' rpy="0 0 0" quat_xyzw')), "'wrist'", "keep one")
+    refused(write(tmp_path, "arm.urdf", turned.replace('0.806"', '8.06"')), "'wrist'", "not of length 1")
 
 
 def test_base_and_tip_are_found_or_refused(tmp_path):
