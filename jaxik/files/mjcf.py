@@ -29,6 +29,7 @@ FOLDERS = ("meshdir", "texturedir", "assetdir")
 MOST_FILES = 100
 COPYING = ("replicate", "composite", "flexcomp")  # elements that make as many of others as their count= says
 MOST_COPIES = 20_000
+PLANE = 0  # of MuJoCo's types of geoms
 LIGHT = 1e-12  # [kg, kg m2] the least that a body gets whose mass was its mesh's
 
 
@@ -63,6 +64,10 @@ def load_mjcf(
     solid = solid_geoms(model)
     if meshes.read and not solid[np.isin(model.geom_bodyid, [*moved])].any():
         notes.add("none of its geoms touches anything, by their contype and conaffinity: give them bits that meet")
+    planes = np.flatnonzero(solid & (model.geom_type == PLANE) & np.isin(model.geom_bodyid, [*moved]))
+    if len(planes):
+        told = "a plane is left out, for the robot's shapes have an end; put a floor into the scene"
+        notes.add(told, *(model.geom(i).name or f"geom{i}" for i in planes))
     links = {names[i]: _link(model, i, names[i], meshes, solid) for i in moved}
     for name in {*unread} & {*links}:
         links[name].meshes += unread[name]
@@ -261,7 +266,7 @@ def _link(model: Any, body: int, name: str, meshes: Meshes, solid: np.ndarray) -
     for i in range(first, first + count):
         geom = model.geom(i)
         kind, size = geom.type[0], geom.size.tolist()
-        if not solid[i] or kind == kinds.mjGEOM_PLANE:
+        if not solid[i] or kind == PLANE:
             continue  # drawn only, or without end
         body_T_geom = frame(geom.pos, from_wxyz(geom.quat))
         if kind == kinds.mjGEOM_SPHERE:

@@ -248,6 +248,15 @@ def test_mjcf_refusals(tmp_path, old, new, words):
     refused(write(tmp_path, "good.xml", MJCF), "tip 'hand'", "bodies: world, upper, tool", tip="hand")
 
 
+def test_a_plane_of_an_mjcf_is_told(tmp_path):
+    """It would be the robot's, without end; one that touches nothing is not told of."""
+    floor = lambda bits: MJCF.replace("<worldbody>", f'<worldbody><geom name="floor" type="plane" size="1 1 1" {bits}/>', 1)
+    with pytest.warns(UserWarning, match="arm: floor: a plane is left out"):
+        chain = jaxik.load(write(tmp_path, "arm.xml", floor("")))
+    assert not chain.boxes and {volume.link for volume in chain.volumes} == {*map(chain.link_names.index, ("upper", "tool"))}
+    jaxik.load(write(tmp_path, "arm.xml", floor('contype="0" conaffinity="0"')))
+
+
 def test_files_of_an_attached_model_stay_below_the_folder(tmp_path):
     """What a model names in its assets is a model itself, with files beside it."""
     model, part = tmp_path / "model", tmp_path / "model" / "part"
