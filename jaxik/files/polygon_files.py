@@ -48,7 +48,8 @@ def read_polygons(kind: str, content: bytes) -> tuple[np.ndarray, np.ndarray]:
         raise ValueError("no faces")
     if np.any((indices < 0) | (indices >= len(points))):
         raise ValueError("faces of corners that it has not")
-    faces = _triangles(points, indices, counts)
+    with np.errstate(all="ignore"):  # corners that are not finite, or too far, are refused by who reads
+        faces = _triangles(points, indices, counts)
     used, faces = np.unique(faces, return_inverse=True)
     return points[used], faces.reshape(-1, 3)
 
@@ -62,18 +63,22 @@ def _triangles(points: np.ndarray, indices: np.ndarray, counts: np.ndarray) -> n
         faces = indices[starts[which][:, None] + np.arange(n)]
         fan = np.stack([np.zeros(n - 2, int), np.arange(1, n - 1), np.arange(2, n)], axis=1)
         cut = np.tile(fan, (len(faces), 1, 1))
-        for i in np.flatnonzero(_bent(points[faces])) if n > 3 else ():
+        inwards = _inwards(points[faces])
+        if n == 4:  # from the one corner that is turned inwards both triangles are inside
+            start = np.where(inwards.sum(axis=1) == 1, inwards.argmax(axis=1), 0)
+            cut = (cut + start[:, None, None]) % 4
+        for i in np.flatnonzero(inwards.any(axis=1)) if n > 4 else ():
             cut[i] = _cut(points[faces[i]], fan)
         found.append(np.take_along_axis(faces, cut.reshape(len(faces), -1), axis=1).reshape(-1, 3))
         order.append(np.repeat(which, n - 2))
     return np.concatenate(found)[np.argsort(np.concatenate(order), kind="stable")]
 
 
-def _bent(corners: np.ndarray) -> np.ndarray:
-    """Which faces, of corners (k, n, 3), have one that is turned inwards."""
+def _inwards(corners: np.ndarray) -> np.ndarray:
+    """Which corners (k, n) of faces (k, n, 3) are turned inwards."""
     normal, along = _normals(corners), np.roll(corners, -1, axis=1) - corners
     turns = np.einsum("kni,ki->kn", np.cross(np.roll(along, 1, axis=1), along), normal)
-    return np.any(turns < -REFLEX * np.sum(normal**2, axis=1)[:, None], axis=1)
+    return np.asarray(turns < -REFLEX * np.sum(normal**2, axis=1)[:, None])
 
 
 def _normals(corners: np.ndarray) -> np.ndarray:
@@ -122,7 +127,10 @@ def _off(content: bytes) -> tuple[np.ndarray, Faces]:
     if min(corners, faces) < 0 or len(rows) < corners + faces:
         raise ValueError("fewer lines than it says")
     points = np.array([row[:3] for row in rows[:corners]], np.float64).reshape(-1, 3)
-    return points, _flat([int(i) for i in row[1 : 1 + int(row[0])]] for row in rows[corners : corners + faces])
+    rows = rows[corners : corners + faces]
+    if any(not 0 <= int(row[0]) < len(row) for row in rows):
+        raise ValueError("fewer corners than it says")
+    return points, _flat([int(i) for i in row[1 : 1 + int(row[0])]] for row in rows)
 
 
 def _ply(content: bytes) -> tuple[np.ndarray, Faces]:
