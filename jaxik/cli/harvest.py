@@ -14,7 +14,6 @@ import numpy as np
 import jaxik
 from jaxik.cli.results import print_table, write_csv
 from jaxik.cli.robot_arguments import ShapedRobotArguments
-from jaxik.harvesting.blocking_objects import Blockers
 from jaxik.harvesting.driver import Harvest
 from jaxik.harvesting.harvest_plan import HarvestPlan, HarvestPlanOptions, Leaves, Order
 from jaxik.harvesting.harvest_plan_files import save_harvest_plan
@@ -134,20 +133,11 @@ def _print_table(result: Harvest) -> None:
             joints = [f"{x:.3f}" if p else f"{np.degrees(x):.1f}" for x, p in zip(row.q, chain.is_prismatic, strict=True)]
             cells = [*joints, f"{1000 * row.clearance:.0f}", f"{row.freedom:.2f}", row.found_by]
         else:
-            cells = [*[""] * (chain.num_joints + 2), _in_the_way(row.blockers)]
+            cells = [*[""] * (chain.num_joints + 2), row.blockers.words if row.blockers else ""]
         rows.append([row.fruit, row.reason.text, *cells])
-    headings = ("fruit", "result", *chain.joint_names, "clearance [mm]", "freedom", "found by, or remove")
+    headings = ("fruit", "result", *chain.joint_names, "clearance [mm]", "freedom", "found by, or first")
     print_table(f"{chain.name} in {result.scene.name}", headings, rows)
     print("joints in degrees, prismatic ones in metres")
-
-
-def _in_the_way(found: Blockers | None) -> str:
-    """What to remove; where that does not help, what blocks most postures, or the robot itself."""
-    if found is None:
-        return ""
-    if found.removal:
-        return ", ".join(found.removal)
-    return f"behind {', '.join(found.names[:3])}" if found.names else "the robot hits itself"
 
 
 def write_harvest(result: Harvest, out: Path, plan: HarvestPlan | None = None, period: float = 0.01) -> None:
