@@ -14,7 +14,7 @@ import numpy as np
 import tyro
 
 import jaxik
-from jaxik.cli.results import writing
+from jaxik.cli.results import check_writable, writing
 from jaxik.cli.robot_arguments import RobotArguments
 from jaxik.planning.trajectory import JointState
 from jaxik.planning.trajectory_files import as_states, check_ending
@@ -67,6 +67,9 @@ class DynamicsArguments(RobotArguments):
             raise ValueError(f"--out {self.out}: ending '{self.out.suffix}'; allowed: .csv")
         if self.plot is not None and self.plot.suffix not in PICTURES:
             raise ValueError(f"--plot {self.plot}: ending '{self.plot.suffix}'; allowed: {', '.join(PICTURES)}")
+        check_writable(self.out)
+        if self.plot is not None:
+            check_writable(self.plot, "--plot")
         if not np.isfinite(self.gravity).all():
             raise ValueError(f"--gravity {' '.join(map(str, self.gravity))}: finite numbers [m/s2]")
         chain = jaxik.load(self.robot, **self.loading())
@@ -75,8 +78,8 @@ class DynamicsArguments(RobotArguments):
         self._doubt(chain, time, found["q"])
         time, state = as_states(time, found, self.smooth)
         demand = demanded(chain, state, self.gravity)
-        with writing(self.out) as wrote:
-            _write(self.out, chain, time, demand)
+        with writing(self.out) as (aside, wrote):
+            _write(aside, chain, time, demand)
         if "acceleration" not in found:
             print(f"  {self._derived('velocity' in found)}")
         for line in _lines(chain, demand):
@@ -86,9 +89,10 @@ class DynamicsArguments(RobotArguments):
         if self.plot is not None:
             from jaxik.view.torque_picture import torque_picture
 
-            self.plot.parent.mkdir(parents=True, exist_ok=True)
             title = f"{chain.name}, {self.load:g} kg at its tip" if self.load else chain.name
-            torque_picture(chain, time, demand.torque, demand.gravity, self.plot, title)
+            with writing(self.plot, "--plot") as (aside, drew):
+                torque_picture(chain, time, demand.torque, demand.gravity, aside, title)
+            print(drew)
 
     def _doubt(self, chain: Chain, time: np.ndarray, q: np.ndarray) -> None:
         """Warns of numbers that are hardly radians, metres and seconds."""
