@@ -48,10 +48,10 @@ def main() -> None:
     for a mistake in the input; and with 130 and one line after Ctrl-C."""
     if sys.argv[1:] == ["--version"]:
         return _About().run()
-    kinds: Any = Union[tuple(Annotated[kind, tyro.conf.subcommand(name)] for name, kind in COMMANDS.items())]  # noqa: UP007
-    command = tyro.cli(kinds, prog="jaxik", description=(jaxik.__doc__ or "").partition("\n")[0])
     interrupt_surely()
+    kinds: Any = Union[tuple(Annotated[kind, tyro.conf.subcommand(name)] for name, kind in COMMANDS.items())]  # noqa: UP007
     try:
+        command = tyro.cli(kinds, prog="jaxik", description=(jaxik.__doc__ or "").partition("\n")[0])
         compilation_cache()
         with _warnings_as_lines():
             command.run()

@@ -25,12 +25,13 @@ from jaxik.robot.dynamics import gravity_torque, inverse_dynamics
 
 ROUNDED = 1e-3  # [rad, m] beyond its limits that a joint may be, as files are rounded
 SLOWEST = 1.0  # [s] between samples that are told in seconds
+DRIVEN = ", friction {:8.2f}", ", current {:6.2f} A"  # of drives that are known, and of their motors
 PICTURES = ".png", ".pdf", ".svg"
 
 
 class Demand(NamedTuple):
     """What a motion takes of each joint, (i, n): the drives' torque in total, gravity's share of it [Nm, N], and power [W]; and
-    where drives are known, friction at the joints [Nm, N] and the motors' currents [A]."""
+    where drives are known, friction at the joints [Nm, N], and where their motors are, the currents [A]."""
 
     torque: np.ndarray
     gravity: np.ndarray
@@ -42,7 +43,7 @@ class Demand(NamedTuple):
 @dataclasses.dataclass(kw_only=True)
 class DynamicsArguments(RobotArguments):
     """The torques that a motion takes of each joint, those that hold the arm among them, and the power; of a robot whose drives
-    are known also friction, and the motors' currents."""
+    are known also friction, and of known motors the currents."""
 
     robot: tyro.conf.Positional[str]
     """A shipped model or a robot file with masses and inertias (.urdf, .xml, .toml)."""
@@ -119,8 +120,10 @@ def demanded(chain: Chain, state: JointState, gravity: tuple[float, float, float
         if not chain.drives:
             return found
         friction = every(lambda v, t: friction_torque(chain, v, t), state.velocity, torque)
-        current = every(lambda t, v: motor_current(chain, t, v), torque, state.velocity)
-        return found._replace(friction=friction, current=current)
+        found = found._replace(friction=friction)
+        if all(drive.torque_per_current == 1.0 for drive in chain.drives):  # a file that tells of friction knows no motors
+            return found
+        return found._replace(current=every(lambda t, v: motor_current(chain, t, v), torque, state.velocity))
 
 
 def _lines(chain: Chain, demand: Demand) -> Iterable[str]:
@@ -132,7 +135,7 @@ def _lines(chain: Chain, demand: Demand) -> Iterable[str]:
         limit = f" ({torque / chain.effort[i]:4.0%} of its limit)" if np.isfinite(chain.effort[i]) else ""
         line = f"{name:<20} at most {torque:8.2f} {'N ' if slides else 'Nm'}{limit}, rms {usual[i]:8.2f}"
         line += f", of gravity {gravity:8.2f}, power {power:8.2f} W"
-        yield line + (", friction {:8.2f}, current {:6.2f} A".format(*driven) if driven else "")
+        yield line + "".join(told.format(x) for told, x in zip(DRIVEN, driven, strict=False))
 
 
 def _write(file: Path, chain: Chain, time: np.ndarray, demand: Demand) -> None:

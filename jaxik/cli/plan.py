@@ -59,6 +59,10 @@ class PlanArguments(ShapedRobotArguments):
         chain = jaxik.load(self.robot, **self.loading())
         scene = jaxik.make_scene() if self.scene is None else jaxik.load_scene(self.scene).without(self.without)
         names = [f.name for f in dataclasses.fields(jaxik.planning.PlanOptions)]
+        for name in ("start", "goal"):
+            if (count := len(getattr(self, name))) != chain.num_joints:
+                joints = f"{chain.num_joints}: {', '.join(chain.joint_names)}"
+                raise ValueError(f"--{name}: {count} numbers; {chain.name} has {joints}")
         options = jaxik.planning.PlanOptions(**{k: v for k, v in dataclasses.asdict(self).items() if k in names})
         began = time.perf_counter()
         moved = jaxik.plan_motion(chain, scene, self.start, self.goal, self.seed, options)

@@ -90,7 +90,7 @@ def as_wide(around: Grouped, q: Any) -> Grouped:
     """Grouped obstacles with floats as wide as JAX takes q: a kernel would narrow them one by one, for every few configurations
     anew."""
     wide = getattr(q, "dtype", None)
-    if wide is None or not jnp.issubdtype(wide, jnp.floating):
+    if not isinstance(wide, np.dtype) or not jnp.issubdtype(wide, jnp.floating):  # PyTorch has dtypes of its own
         return around
     wide = jax.dtypes.canonicalize_dtype(wide)  # of NumPy's float64 a float32, unless JAX is set to float64
     other = lambda x: x.dtype != wide and jnp.issubdtype(x.dtype, jnp.floating)

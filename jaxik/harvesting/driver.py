@@ -10,7 +10,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from jaxik.checks.options import changed, check_kind
+from jaxik.checks.options import changed, check_finite, check_kind
 from jaxik.collision.always_colliding import warn_of_scene
 from jaxik.collision.clearances import check_geometry
 from jaxik.collision.scene import Scene
@@ -107,6 +107,11 @@ class HarvestOptions:
     slides: Any = 41
     margin: float = 0.005
     grasp: Grasp = dataclasses.field(default_factory=Grasp)
+
+    def __post_init__(self) -> None:
+        check_kind("harvest", "weights", self.weights, Weights)
+        check_kind("harvest", "grasp", self.grasp, Grasp)
+        check_finite("harvest", margin=self.margin)
 
 
 def harvest(
