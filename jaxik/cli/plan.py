@@ -56,10 +56,14 @@ class PlanArguments(ShapedRobotArguments):
         if not 0.0 < self.period < np.inf:
             raise ValueError(f"--period {self.period:g}: it is above zero [s]")
         check_writable(self.out)
+        if self.without and self.scene is None:
+            raise ValueError(f"--without {' '.join(self.without)}: of a scene; add --scene")
         chain = jaxik.load(self.robot, **self.loading())
         scene = jaxik.make_scene() if self.scene is None else jaxik.load_scene(self.scene).without(self.without)
         names = [f.name for f in dataclasses.fields(jaxik.planning.PlanOptions)]
         for name in ("start", "goal"):
+            if not np.isfinite(getattr(self, name)).all():
+                raise ValueError(f"--{name} {' '.join(map(str, getattr(self, name)))}: finite numbers [rad, m]")
             if (count := len(getattr(self, name))) != chain.num_joints:
                 joints = f"{chain.num_joints}: {', '.join(chain.joint_names)}"
                 raise ValueError(f"--{name}: {count} numbers; {chain.name} has {joints}")
