@@ -510,7 +510,7 @@ def test_a_motion_is_planned_and_written(tmp_path, monkeypatch, capsys):
     assert message["joint_names"] == ["q1", "q2"] and message["points"][-1]["positions"] == pytest.approx([1.5, -0.3])
     for more, words in (
         (("--goal", 9, 0), "no motion in 0.0 s: goal: limits; q1 is 5.858 rad beyond its limits"),
-        (("--goal", 1), "goal of shape (1,)"),
+        (("--goal", 1), "--goal: 1 numbers; planar2 has 2: q1, q2"),
         (("--period", 0), "--period 0: it is above zero [s]"),
         (("--out", "motion.txt"), "ending '.txt'; allowed: .csv, .npz, .json"),
     ):
