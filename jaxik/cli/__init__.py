@@ -48,10 +48,10 @@ def main() -> None:
     for a mistake in the input; and with 130 and one line after Ctrl-C."""
     if sys.argv[1:] == ["--version"]:
         return _About().run()
-    kinds: Any = Union[tuple(Annotated[kind, tyro.conf.subcommand(name)] for name, kind in COMMANDS.items())]  # noqa: UP007
-    command = tyro.cli(kinds, prog="jaxik", description=(jaxik.__doc__ or "").partition("\n")[0])
     interrupt_surely()
+    kinds: Any = Union[tuple(Annotated[kind, tyro.conf.subcommand(name)] for name, kind in COMMANDS.items())]  # noqa: UP007
     try:
+        command = tyro.cli(kinds, prog="jaxik", description=(jaxik.__doc__ or "").partition("\n")[0])
         compilation_cache()
         with _warnings_as_lines():
             command.run()
@@ -59,11 +59,17 @@ def main() -> None:
         print(f"jaxik: {told}", file=sys.stderr)
         raise SystemExit(1) from None
     except (ValueError, OSError) as error:
-        print(f"jaxik: {error}", file=sys.stderr)
+        print(f"jaxik: {_one_line(error)}", file=sys.stderr)
         raise SystemExit(2) from None
     except KeyboardInterrupt:
         print("jaxik: stopped", file=sys.stderr)
         raise SystemExit(STOPPED) from None
+
+
+def _one_line(error: Exception) -> str:
+    """What is wrong, and of a file that the system refused which."""
+    refused = isinstance(error, OSError) and error.filename and error.strerror
+    return f"{error.filename}: {error.strerror}" if refused else str(error)  # type: ignore[attr-defined]
 
 
 @contextlib.contextmanager

@@ -14,7 +14,7 @@ import numpy as np
 import tyro
 
 import jaxik
-from jaxik.cli.results import writing
+from jaxik.cli.results import check_writable, writing
 from jaxik.cli.robot_arguments import RobotArguments
 from jaxik.planning.trajectory import JointState
 from jaxik.planning.trajectory_files import as_states, check_ending
@@ -25,12 +25,13 @@ from jaxik.robot.dynamics import gravity_torque, inverse_dynamics
 
 ROUNDED = 1e-3  # [rad, m] beyond its limits that a joint may be, as files are rounded
 SLOWEST = 1.0  # [s] between samples that are told in seconds
+DRIVEN = ", friction {:8.2f}", ", current {:6.2f} A"  # of drives that are known, and of their motors
 PICTURES = ".png", ".pdf", ".svg"
 
 
 class Demand(NamedTuple):
     """What a motion takes of each joint, (i, n): the drives' torque in total, gravity's share of it [Nm, N], and power [W]; and
-    where drives are known, friction at the joints [Nm, N] and the motors' currents [A]."""
+    where drives are known, friction at the joints [Nm, N], and where their motors are, the currents [A]."""
 
     torque: np.ndarray
     gravity: np.ndarray
@@ -42,7 +43,7 @@ class Demand(NamedTuple):
 @dataclasses.dataclass(kw_only=True)
 class DynamicsArguments(RobotArguments):
     """The torques that a motion takes of each joint, those that hold the arm among them, and the power; of a robot whose drives
-    are known also friction, and the motors' currents."""
+    are known also friction, and of known motors the currents."""
 
     robot: tyro.conf.Positional[str]
     """A shipped model or a robot file with masses and inertias (.urdf, .xml, .toml)."""
@@ -67,6 +68,9 @@ class DynamicsArguments(RobotArguments):
             raise ValueError(f"--out {self.out}: ending '{self.out.suffix}'; allowed: .csv")
         if self.plot is not None and self.plot.suffix not in PICTURES:
             raise ValueError(f"--plot {self.plot}: ending '{self.plot.suffix}'; allowed: {', '.join(PICTURES)}")
+        check_writable(self.out)
+        if self.plot is not None:
+            check_writable(self.plot, "--plot")
         if not np.isfinite(self.gravity).all():
             raise ValueError(f"--gravity {' '.join(map(str, self.gravity))}: finite numbers [m/s2]")
         chain = jaxik.load(self.robot, **self.loading())
@@ -75,8 +79,8 @@ class DynamicsArguments(RobotArguments):
         self._doubt(chain, time, found["q"])
         time, state = as_states(time, found, self.smooth)
         demand = demanded(chain, state, self.gravity)
-        with writing(self.out) as wrote:
-            _write(self.out, chain, time, demand)
+        with writing(self.out) as (aside, wrote):
+            _write(aside, chain, time, demand)
         if "acceleration" not in found:
             print(f"  {self._derived('velocity' in found)}")
         for line in _lines(chain, demand):
@@ -86,9 +90,10 @@ class DynamicsArguments(RobotArguments):
         if self.plot is not None:
             from jaxik.view.torque_picture import torque_picture
 
-            self.plot.parent.mkdir(parents=True, exist_ok=True)
             title = f"{chain.name}, {self.load:g} kg at its tip" if self.load else chain.name
-            torque_picture(chain, time, demand.torque, demand.gravity, self.plot, title)
+            with writing(self.plot, "--plot") as (aside, drew):
+                torque_picture(chain, time, demand.torque, demand.gravity, aside, title)
+            print(drew)
 
     def _doubt(self, chain: Chain, time: np.ndarray, q: np.ndarray) -> None:
         """Warns of numbers that are hardly radians, metres and seconds."""
@@ -115,8 +120,10 @@ def demanded(chain: Chain, state: JointState, gravity: tuple[float, float, float
         if not chain.drives:
             return found
         friction = every(lambda v, t: friction_torque(chain, v, t), state.velocity, torque)
-        current = every(lambda t, v: motor_current(chain, t, v), torque, state.velocity)
-        return found._replace(friction=friction, current=current)
+        found = found._replace(friction=friction)
+        if all(drive.torque_per_current == 1.0 for drive in chain.drives):  # a file that tells of friction knows no motors
+            return found
+        return found._replace(current=every(lambda t, v: motor_current(chain, t, v), torque, state.velocity))
 
 
 def _lines(chain: Chain, demand: Demand) -> Iterable[str]:
@@ -128,7 +135,7 @@ def _lines(chain: Chain, demand: Demand) -> Iterable[str]:
         limit = f" ({torque / chain.effort[i]:4.0%} of its limit)" if np.isfinite(chain.effort[i]) else ""
         line = f"{name:<20} at most {torque:8.2f} {'N ' if slides else 'Nm'}{limit}, rms {usual[i]:8.2f}"
         line += f", of gravity {gravity:8.2f}, power {power:8.2f} W"
-        yield line + (", friction {:8.2f}, current {:6.2f} A".format(*driven) if driven else "")
+        yield line + "".join(told.format(x) for told, x in zip(DRIVEN, driven, strict=False))
 
 
 def _write(file: Path, chain: Chain, time: np.ndarray, demand: Demand) -> None:

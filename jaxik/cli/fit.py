@@ -9,7 +9,8 @@ from pathlib import Path
 import tyro
 
 import jaxik
-from jaxik.cli.results import print_table
+from jaxik.cli.progress import progress_bar
+from jaxik.cli.results import check_writable, naming, print_table
 from jaxik.cli.robot_arguments import RobotArguments
 from jaxik.files.unchecked_pairs import unchecked
 
@@ -31,19 +32,19 @@ class FitArguments(RobotArguments):
 
     def run(self) -> None:
         """Fit with a progress bar, and end with a table of the meshes, and the file."""
-        from rich.console import Console
-        from rich.progress import Progress
-
         if self.to is not None and self.to.suffix not in (".toml", ".urdf"):
             raise ValueError(f"--to {self.to}: ending '{self.to.suffix}'; allowed: .toml, .urdf")
+        if self.to is not None:
+            check_writable(self.to, "--to")
         what = self.loading() | {"fit": jaxik.Fit(self.accuracy / 1e3, self.most)}
         start = time.perf_counter()
-        with Progress(console=Console(stderr=True)) as bar:
+        with progress_bar() as bar:
             line = bar.add_task("fit", total=None)
             show = lambda done, of: bar.update(line, completed=done, total=of)
             report = jaxik.files.fit_report(self.robot, progress=show, **what)
-        if not report:
-            raise ValueError(f"{self.robot}: has no meshes that capsules could be fitted to; its shapes are those of its file")
+            if not report:
+                none = "has no meshes that capsules could be fitted to; its shapes are those of its file"
+                raise ValueError(f"{self.robot}: {none}")
         seconds = time.perf_counter() - start
         chain = jaxik.load(self.robot, meshes=True, **what)
         print_table(f"{chain.name}: capsules around its meshes, lengths in mm", HEADINGS, map(_cells, report))
@@ -54,7 +55,8 @@ class FitArguments(RobotArguments):
             f"the worst link falsely collides with others in {false:.1%} of random configurations"
         )
         if self.to is not None:
-            beyond = jaxik.save(chain, self.to)
+            with naming(self.to, "--to"):
+                beyond = jaxik.save(chain, self.to)
             print(f"wrote {self.to}" + (_told(chain, self.to, beyond) if self.to.suffix == ".urdf" else ""))
 
 

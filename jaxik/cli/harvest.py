@@ -12,9 +12,9 @@ from pathlib import Path
 import numpy as np
 
 import jaxik
-from jaxik.cli.results import print_table, write_csv
+from jaxik.cli.progress import progress_bar
+from jaxik.cli.results import check_writable, naming, print_table, write_csv
 from jaxik.cli.robot_arguments import ShapedRobotArguments
-from jaxik.harvesting.blocking_objects import Blockers
 from jaxik.harvesting.driver import Harvest
 from jaxik.harvesting.harvest_plan import HarvestPlan, HarvestPlanOptions, Leaves, Order
 from jaxik.harvesting.harvest_plan_files import save_harvest_plan
@@ -63,22 +63,19 @@ class HarvestArguments(ShapedRobotArguments):
 
     def run(self) -> None:
         """Load, harvest with a progress bar, write, and end with one line of counts and times."""
-        from rich.console import Console
         from rich.markup import escape
-        from rich.progress import Progress
 
         if self.angles < 1 or self.slides < 1:
             raise ValueError(f"--angles {self.angles} --slides {self.slides}: both are at least 1")
-        if self.out.is_file():
-            raise ValueError(f"--out {self.out}: is a file; name a folder")
         given = [f"--{name}" for name in OF_MOTIONS if getattr(self, name) != getattr(type(self), name)]
         if given and not self.motions:
             raise ValueError(f"{', '.join(given)}: of motions; add --motions")
+        check_writable(self.out, folder=True)
         chain = jaxik.load(self.robot, **self.loading())
         scene = jaxik.load_scene(self.scene)
         how = self.plan_options(chain.num_joints)
         options = {name: getattr(self, name) for name in ("weights", "angles", "slides", "margin")}
-        with Progress(console=Console(stderr=True)) as bar:
+        with progress_bar() as bar:
 
             def shown(words: str) -> Callable[[str], None]:
                 task = bar.add_task(words, total=len(scene.fruits))
@@ -89,7 +86,8 @@ class HarvestArguments(ShapedRobotArguments):
         _print_table(result)
         if plan is not None:
             _print_cycles(plan)
-        write_harvest(result, self.out, plan, self.period)
+        with naming(self.out):
+            write_harvest(result, self.out, plan, self.period)
         counts = ", ".join(f"{n} {reason}" for reason, n in result.counts().items())
         took = f"{result.candidates} candidates in {result.seconds:.1f} s"
         print(f"{len(result.rows)} fruits: {counts}; {took}; {'' if plan is None else _in_motion(plan)}wrote {self.out}/")
@@ -134,20 +132,11 @@ def _print_table(result: Harvest) -> None:
             joints = [f"{x:.3f}" if p else f"{np.degrees(x):.1f}" for x, p in zip(row.q, chain.is_prismatic, strict=True)]
             cells = [*joints, f"{1000 * row.clearance:.0f}", f"{row.freedom:.2f}", row.found_by]
         else:
-            cells = [*[""] * (chain.num_joints + 2), _in_the_way(row.blockers)]
+            cells = [*[""] * (chain.num_joints + 2), row.blockers.words if row.blockers else ""]
         rows.append([row.fruit, row.reason.text, *cells])
-    headings = ("fruit", "result", *chain.joint_names, "clearance [mm]", "freedom", "found by, or remove")
+    headings = ("fruit", "result", *chain.joint_names, "clearance [mm]", "freedom", "found by, or first")
     print_table(f"{chain.name} in {result.scene.name}", headings, rows)
     print("joints in degrees, prismatic ones in metres")
-
-
-def _in_the_way(found: Blockers | None) -> str:
-    """What to remove; where that does not help, what blocks most postures, or the robot itself."""
-    if found is None:
-        return ""
-    if found.removal:
-        return ", ".join(found.removal)
-    return f"behind {', '.join(found.names[:3])}" if found.names else "the robot hits itself"
 
 
 def write_harvest(result: Harvest, out: Path, plan: HarvestPlan | None = None, period: float = 0.01) -> None:

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import dataclasses
 import sys
-import tempfile
 import time
 from pathlib import Path
 from typing import Literal
@@ -15,8 +14,10 @@ import tyro
 
 import jaxik
 from jaxik.checks.optional_modules import optional
+from jaxik.checks.options import check_seed
 from jaxik.cli.interruption import STOPPED, Patience
-from jaxik.cli.results import offenders, write_csv, writing
+from jaxik.cli.progress import progress_bar
+from jaxik.cli.results import check_writable, offenders, write_csv, writing
 from jaxik.cli.robot_arguments import ShapedRobotArguments
 from jaxik.ik.solve import FAULTS
 from jaxik.ik.sqp_programs import solve_errors
@@ -62,14 +63,13 @@ class IKArguments(ShapedRobotArguments):
     def run(self) -> None:
         """Load, solve with a progress bar, write, and end with one line a reason and one of counts and times."""
         from rich.console import Console
-        from rich.progress import Progress
 
         if self.out.suffix not in (".npz", ".csv", ".parquet"):
             raise ValueError(f"--out {self.out}: ending '{self.out.suffix}'; allowed: .npz, .csv, .parquet")
         if self.out.suffix == ".parquet":
             optional("--out: .parquet", "pyarrow", "parquet")  # before the work, not after
-        if self.out.is_dir():
-            raise ValueError(f"--out {self.out}: is a folder; name a file")
+        check_writable(self.out)
+        check_seed("solve_ik", self.seed)
         chain = jaxik.load(self.robot, **self.loading())
         scene = None if self.scene is None else jaxik.load_scene(self.scene)
         targets = jaxik.load_targets(self.targets)
@@ -78,7 +78,7 @@ class IKArguments(ShapedRobotArguments):
         chosen["collision"] = "constraint" if self.collision else False
         options = jaxik.IKOptions(task=jaxik.Task.pose(free, self.axes), **chosen)
         start, console = time.perf_counter(), Console(stderr=True)
-        with Progress(console=console) as bar, Patience(console, "these targets") as asked:
+        with progress_bar(console=console) as bar, Patience(console, "these targets") as asked:
             line = bar.add_task("ik", total=len(targets))
             parts: list[jaxik.ik.IKResult] = []
             while not parts or (sum(map(len, parts)) < len(targets) and not asked.stop):
@@ -87,8 +87,8 @@ class IKArguments(ShapedRobotArguments):
                 some = targets[done : done + AT_ONCE]
                 parts.append(jaxik.solve_ik(chain, some, scene, self.seed, options=options, progress=show))
         result, seconds = _joined(parts), time.perf_counter() - start
-        with writing(self.out) as wrote:
-            write_ik(chain, result, self.out, _table(chain, result, targets[: len(result)], scene, options))
+        with writing(self.out) as (aside, wrote):
+            write_ik(chain, result, aside, _table(chain, result, targets[: len(result)], scene, options))
         self._print(result, targets, seconds, wrote)
 
     def _print(self, result: jaxik.ik.IKResult, targets: np.ndarray, seconds: float, wrote: str) -> None:
@@ -123,21 +123,17 @@ def _joined(parts: list[jaxik.ik.IKResult]) -> jaxik.ik.IKResult:
 
 
 def write_ik(chain: jaxik.Chain, result: jaxik.ik.IKResult, out: Path, table: dict[str, np.ndarray]) -> None:
-    """The results of a batch: arrays (.npz, no pickle), one row a target, or a table (.csv, .parquet), one row an answer;
-    written aside, then renamed."""
+    """The results of a batch: arrays (.npz, no pickle), one row a target, or a table (.csv, .parquet), one row an answer."""
     names = ("success", "position_error", "rotation_error", "clearance", "seed", "iterations", "solutions", "num_solutions")
-    with tempfile.TemporaryDirectory(prefix=".", dir=out.parent, ignore_cleanup_errors=True) as folder:
-        aside = Path(folder) / out.name
-        if out.suffix == ".npz":
-            columns = {"reason": result.reasons, **{name: getattr(result, name) for name in names}}
-            np.savez(aside, allow_pickle=False, joint_names=np.array(chain.joint_names), q=result.q, **columns)
-        elif out.suffix == ".parquet":
-            import pyarrow.parquet
+    if out.suffix == ".npz":
+        columns = {"reason": result.reasons, **{name: getattr(result, name) for name in names}}
+        np.savez(out, allow_pickle=False, joint_names=np.array(chain.joint_names), q=result.q, **columns)
+    elif out.suffix == ".parquet":
+        import pyarrow.parquet
 
-            pyarrow.parquet.write_table(pyarrow.table(table), aside)
-        else:
-            write_csv(aside, table)
-        aside.replace(out)
+        pyarrow.parquet.write_table(pyarrow.table(table), out)
+    else:
+        write_csv(out, table)
 
 
 def _table(

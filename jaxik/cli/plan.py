@@ -11,7 +11,7 @@ import tyro
 
 import jaxik
 from jaxik.cli.interruption import Unsolved
-from jaxik.cli.results import writing
+from jaxik.cli.results import check_writable, writing
 from jaxik.cli.robot_arguments import ShapedRobotArguments
 from jaxik.planning import Planned
 from jaxik.planning.trajectory_files import ENDINGS
@@ -55,17 +55,26 @@ class PlanArguments(ShapedRobotArguments):
             raise ValueError(f"--out {self.out}: ending '{self.out.suffix}'; allowed: {', '.join(ENDINGS)}")
         if not 0.0 < self.period < np.inf:
             raise ValueError(f"--period {self.period:g}: it is above zero [s]")
+        check_writable(self.out)
+        if self.without and self.scene is None:
+            raise ValueError(f"--without {' '.join(self.without)}: of a scene; add --scene")
         chain = jaxik.load(self.robot, **self.loading())
         scene = jaxik.make_scene() if self.scene is None else jaxik.load_scene(self.scene).without(self.without)
         names = [f.name for f in dataclasses.fields(jaxik.planning.PlanOptions)]
+        for name in ("start", "goal"):
+            if not np.isfinite(getattr(self, name)).all():
+                raise ValueError(f"--{name} {' '.join(map(str, getattr(self, name)))}: finite numbers [rad, m]")
+            if (count := len(getattr(self, name))) != chain.num_joints:
+                joints = f"{chain.num_joints}: {', '.join(chain.joint_names)}"
+                raise ValueError(f"--{name}: {count} numbers; {chain.name} has {joints}")
         options = jaxik.planning.PlanOptions(**{k: v for k, v in dataclasses.asdict(self).items() if k in names})
         began = time.perf_counter()
         moved = jaxik.plan_motion(chain, scene, self.start, self.goal, self.seed, options)
         seconds = time.perf_counter() - began
         if moved.trajectory is None or moved.waypoints is None:
             raise Unsolved(f"no motion in {seconds:.1f} s: {moved.why}{self._what(moved, chain, scene)}")
-        with writing(self.out) as wrote:
-            jaxik.planning.save_trajectory(self.out, moved.trajectory, self.period, chain.joint_names)
+        with writing(self.out) as (aside, wrote):
+            jaxik.planning.save_trajectory(aside, moved.trajectory, self.period, chain.joint_names)
         lasts, corners = moved.trajectory.duration, len(moved.waypoints) - 2
         print(f"{lasts:.2f} s around {corners} corners, planned in {seconds:.2f} s; {wrote}")
 

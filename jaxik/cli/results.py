@@ -6,6 +6,7 @@ import collections
 import contextlib
 import csv
 import re
+import tempfile
 from collections.abc import Iterable, Iterator, Sequence
 from pathlib import Path
 
@@ -27,14 +28,35 @@ def write_csv(path: Path, columns: dict[str, np.ndarray]) -> None:
 
 
 @contextlib.contextmanager
-def writing(path: Path) -> Iterator[str]:
-    """What is to be said of a file once it is written, and whether over another. Raises an `OSError` that names it."""
-    over = ", over the old one" if path.exists() else ""
+def naming(path: Path, flag: str = "--out") -> Iterator[None]:
+    """An `OSError` inside names the option and its file or folder."""
     try:
-        path.parent.mkdir(parents=True, exist_ok=True)
-        yield f"wrote {path}{over}"
+        yield
     except OSError as error:
-        raise OSError(f"--out {path}: {error.strerror or error}") from None
+        raise OSError(f"{flag} {path}: cannot be written ({error.strerror or error})") from None
+
+
+@contextlib.contextmanager
+def writing(path: Path, flag: str = "--out") -> Iterator[tuple[Path, str]]:
+    """Where a file is to be written, and what is to be said then, and whether it goes over another. It is written aside and
+    then renamed, so that the old one stays where that fails. Raises an `OSError` that names it."""
+    over = ", over the old one" if path.exists() else ""
+    with naming(path, flag):
+        path.parent.mkdir(parents=True, exist_ok=True)
+        with tempfile.TemporaryDirectory(prefix=".", dir=path.parent, ignore_cleanup_errors=True) as folder:
+            aside = Path(folder) / path.name
+            yield aside, f"wrote {path}{over}"
+            aside.replace(path)
+
+
+def check_writable(path: Path, flag: str = "--out", folder: bool = False) -> None:
+    """Raises an error before the work where a file, or a folder, cannot be made after it."""
+    if path.exists() and path.is_dir() != folder:
+        is_a, name_a = ("file", "folder") if folder else ("folder", "file")
+        raise ValueError(f"{flag} {path}: is a {is_a}; name a {name_a}")
+    there = next(each for each in ((path,) if folder else ()) + tuple(path.absolute().parents) if each.exists())
+    with naming(path, flag), tempfile.TemporaryDirectory(prefix=".", dir=there):
+        pass
 
 
 def print_table(title: str, headings: Sequence[str], rows: Iterable[Sequence[str]]) -> None:

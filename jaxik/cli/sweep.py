@@ -11,7 +11,8 @@ import tyro
 
 import jaxik
 from jaxik.cli.interruption import STOPPED, Patience
-from jaxik.cli.results import LOOKED, offenders
+from jaxik.cli.progress import progress_bar
+from jaxik.cli.results import LOOKED, naming, offenders
 from jaxik.cli.robot_arguments import Ignored, ignored_pairs
 
 
@@ -36,14 +37,14 @@ class SweepArguments:
     def run(self) -> None:
         """Work through a study with a progress bar, and end with one line of counts and times. Ctrl-C ends after the chunk."""
         from rich.console import Console
-        from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
+        from rich.progress import BarColumn, MofNCompleteColumn, TextColumn, TimeRemainingColumn
 
         study = jaxik.sweeps.Study.of(self.study, ignore=ignored_pairs(self.ignore) or None)
         start = time.perf_counter()
         console = Console(stderr=True)
         rate = TextColumn("{task.fields[rate]} targets/s")
         columns = (TextColumn("sweep"), BarColumn(), MofNCompleteColumn(), rate, TimeRemainingColumn())
-        with Progress(*columns, console=console) as bar, Patience(console, "this chunk") as asked:
+        with progress_bar(*columns, console=console) as bar, Patience(console, "this chunk") as asked:
             line = bar.add_task("sweep", total=None, rate="-")
             begun: list[int] = []
 
@@ -64,7 +65,8 @@ class SweepArguments:
             from jaxik.view.sweep_picture import plot_sweep
 
             picture = out.with_suffix(".png")
-            plot_sweep(out, picture, study.scene)
+            with naming(picture, "--plot"):
+                plot_sweep(out, picture, study.scene)
             print(f"drew {picture}")
         if asked.stop and not result.complete:
             print("stopped; run the same command again and it goes on", file=sys.stderr)

@@ -1,13 +1,14 @@
-"""What stands in the way of a fruit, and the fewest objects to remove."""
+"""What stands in the way of a fruit, and the least that has to go first: neighbours to pick, leaves to take away."""
 
 from __future__ import annotations
 
 import functools
+from collections.abc import Collection, Mapping
 from typing import NamedTuple
 
 import numpy as np
 
-from jaxik.checks.options import check_finite, check_kind
+from jaxik.checks.options import check_finite, check_kind, no_such
 from jaxik.collision.bvh import grouped
 from jaxik.collision.clearances import by_object, self_clearance
 from jaxik.collision.scene import Scene
@@ -16,6 +17,8 @@ from jaxik.robot.chain import Chain
 from jaxik.spmd import HostKernel
 from jaxik.spmd.batch import in_blocks
 
+MOST = 3  # objects that are named where nothing helps
+
 
 @functools.lru_cache(maxsize=16)
 def _contacts(chain: Chain, objects: int) -> HostKernel:
@@ -23,38 +26,117 @@ def _contacts(chain: Chain, objects: int) -> HostKernel:
 
 
 class Blockers(NamedTuple):
-    """Objects in the way of a fruit: the share of candidate postures that each blocks, and a smallest set to remove.
+    """Objects in the way of a fruit: the share of candidate postures that each blocks, and what has to go first.
 
-    `removal` is None where no removable set opens a posture (the robot hits itself or what may not be removed).
+    Fruits are picked first, `pick_first`, which will be picked anyway; then leaves are taken away, `removal`, as few as
+    possible. They open `row` of the table. `removal` and `row` are None where nothing opens a posture (the robot hits itself,
+    or what may not go).
     """
 
     names: tuple[str, ...]
     share: tuple[float, ...]
     removal: tuple[str, ...] | None
-    row: int | None  # of the table: the posture that the removal opens
+    row: int | None
+    pick_first: tuple[str, ...] = ()
+
+    @property
+    def in_the_way(self) -> tuple[str, ...]:
+        """What has to go first; where nothing helps, the three objects that block most postures."""
+        return self.names[:MOST] if self.removal is None else (*self.pick_first, *self.removal)
+
+    @property
+    def mend(self) -> str:
+        """What to do first, in words; "" where nothing helps."""
+        words = (("pick", self.pick_first), ("take away", self.removal or ()))
+        return ", ".join(f"{verb} {_listed(names)}" for verb, names in words if names)
+
+    @property
+    def words(self) -> str:
+        """What to do first; where nothing helps what the fruit is behind, or that it is the robot itself."""
+        behind = f"behind {', '.join(self.in_the_way)}" if self.names else "the robot hits itself"
+        return self.mend or behind
 
 
-def blockers(chain: Chain, scene: Scene, found: Scan, margin: float = 0.005) -> Blockers:
-    """Which objects stand in the way of a scanned fruit, and the fewest whose removal opens a posture of its table. Host
-    driver.
+def _listed(names: tuple[str, ...]) -> str:
+    return " and ".join(filter(None, (", ".join(names[:-1]), names[-1])))
 
-    A posture opens exactly when all that it touches is removed; so the smallest set is the smallest of the sets that the
-    candidates touch, no search needed. Of equal sets the one with the most clearance to what stays is taken.
+
+class Touched(NamedTuple):
+    """What the candidate postures of a fruit touch: the share of them that touches each object; and the different sets (k,
+    objects) of those that may go, each with the row of the posture that keeps most clear of what stays, by `clearance` [m]."""
+
+    scene: Scene
+    share: np.ndarray
+    sets: np.ndarray
+    row: np.ndarray
+    clearance: np.ndarray
+
+    def opened(self, pickable: Collection[str] = (), leaves: bool = True) -> Blockers:
+        """The cheapest set whose removal opens a posture, of fruits that are `pickable` and, where they may go, `leaves`: of
+        the fewest leaves, then of the fewest fruits, then with the most clearance to what stays."""
+        objects = self.scene.object_names
+        order = [int(i) for i in np.argsort(-self.share, kind="stable") if self.share[i] > 0.0]
+        known = Blockers(tuple(objects[i] for i in order), tuple(float(self.share[i]) for i in order), None, None)
+        picked = np.array([name in pickable for name in objects], bool)
+        taken = np.array(self.scene.removable, bool) & ~picked
+        possible = np.flatnonzero(~np.any(self.sets & ~(picked | (taken & leaves)), axis=1))
+        if not len(possible):
+            return known
+        cost = lambda i: (int((self.sets[i] & taken).sum()), int(self.sets[i].sum()), -float(self.clearance[i]))
+        best = min(possible, key=cost)
+        named = lambda which: tuple(objects[i] for i in np.flatnonzero(self.sets[best] & which))
+        return known._replace(removal=named(taken), row=int(self.row[best]), pick_first=named(picked))
+
+
+def touched_sets(chain: Chain, scene: Scene, found: Scan, margin: float) -> Touched:
+    """What each candidate posture of a scanned fruit touches. Host driver."""
+    count = len(scene.object_names)
+    if not len(found.table.q):
+        nothing = np.zeros(0)
+        return Touched(scene, np.zeros(count), np.zeros((0, count), bool), nothing.astype(int), nothing)
+    around = grouped(without_fruit(scene, found.fruit), chain, by_object=True)
+    distance, own = in_blocks(_contacts(chain, count), found.table.q, fixed=(around,))
+    hit = distance < margin
+    fruits = [fruit.name for fruit in scene.fruits]
+    goes = np.array([one or name in fruits for name, one in zip(scene.object_names, scene.removable, strict=True)], bool)
+    possible = np.flatnonzero((own >= margin) & ~np.any(hit & ~goes, axis=1) & hit.any(axis=1))
+    stays = np.minimum(np.where(hit, np.inf, distance).min(axis=1, initial=np.inf), own)
+    clearest = possible[np.argsort(-stays[possible], kind="stable")]
+    first = np.unique(np.packbits(hit[clearest], axis=1), axis=0, return_index=True)[1] if len(clearest) else clearest
+    rows = clearest[np.sort(first)]
+    return Touched(scene, hit.mean(axis=0), hit[rows], rows, stays[rows])
+
+
+def blockers(chain: Chain, scene: Scene, found: Scan, margin: float = 0.005, pickable: Collection[str] = ()) -> Blockers:
+    """Which objects stand in the way of a scanned fruit, and the least that has to go for a posture of its table. Host driver.
+
+    A posture opens exactly when all that it touches is gone; so the smallest set is the smallest of the sets that the
+    candidates touch, no search needed. Leaves go, and the fruits that you say are `pickable` themselves, by their names: of
+    what opens a posture the set with the fewest leaves is taken, of equal ones that with the fewest fruits, then with the most
+    clearance to what stays. `harvest` says of all fruits of a scene which are pickable.
     """
     check_kind("blockers", "found", found, Scan)
     check_finite("blockers", margin=margin)
-    if not len(found.table.q):
-        return Blockers((), (), None, None)
-    around = grouped(without_fruit(scene, found.fruit), chain, by_object=True)
-    distance, own = in_blocks(_contacts(chain, len(scene.object_names)), found.table.q, fixed=(around,))
-    hit = distance < margin
-    share = hit.mean(axis=0)
-    order = [int(i) for i in np.argsort(-share, kind="stable") if share[i] > 0.0]
-    possible = np.flatnonzero((own >= margin) & ~np.any(hit & ~np.array(scene.removable, bool), axis=1))
-    names = tuple(scene.object_names[i] for i in order)
-    shares = tuple(float(share[i]) for i in order)
-    if not len(possible):
-        return Blockers(names, shares, None, None)
-    stays = np.where(hit, np.inf, distance).min(axis=1, initial=np.inf)
-    row = min(possible, key=lambda i: (int(hit[i].sum()), -float(min(stays[i], own[i]))))
-    return Blockers(names, shares, tuple(scene.object_names[i] for i in np.flatnonzero(hit[row])), int(row))
+    names = [fruit.name for fruit in scene.fruits]
+    pickable = [pickable] if isinstance(pickable, str) else pickable
+    for name in pickable:
+        if name not in names:
+            raise ValueError(no_such("blockers: pickable", "fruit", str(name), names))
+    return touched_sets(chain, scene, found, margin).opened(pickable)
+
+
+def unblocked(touched: Mapping[str, Touched], pickable: Collection[str]) -> dict[str, Blockers]:
+    """What has to go for each of some fruits, by name, where others are `pickable`. One that needs only others to be picked is
+    pickable as well, after them; and where that ends, so is one for which leaves are taken away."""
+    known: dict[str, Blockers] = {}
+    tried: dict[str, Blockers] = {}
+    can = list(pickable)
+    for leaves in (False, True):
+        while True:
+            tried = {fruit: each.opened(can, leaves) for fruit, each in touched.items() if fruit not in known}
+            more = {fruit: found for fruit, found in tried.items() if found.removal is not None}
+            if not more:
+                break
+            known |= more
+            can += more
+    return tried | known

@@ -10,11 +10,11 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from jaxik.checks.options import changed, check_kind
+from jaxik.checks.options import changed, check_finite, check_kind
 from jaxik.collision.always_colliding import warn_of_scene
 from jaxik.collision.clearances import check_geometry
 from jaxik.collision.scene import Scene
-from jaxik.harvesting.blocking_objects import Blockers, blockers
+from jaxik.harvesting.blocking_objects import Blockers, touched_sets, unblocked
 from jaxik.harvesting.grasp import Grasp, grasp_poses
 from jaxik.harvesting.grid_refinement import recover
 from jaxik.harvesting.scanning import Scan, Weights, scan
@@ -47,6 +47,11 @@ class Posture(NamedTuple):
     def success(self) -> bool:
         return self.reason == Reason.SOLVED
 
+    @property
+    def why(self) -> str:
+        """The reason in words, and of a fruit that is blocked what would help: `collision: pick fruit_7`."""
+        return self.reason.text + (f": {self.blockers.words}" if self.blockers else "")
+
 
 @dataclasses.dataclass(frozen=True, repr=False)
 class Harvest(Reasoned):
@@ -60,7 +65,7 @@ class Harvest(Reasoned):
     options: HarvestOptions
 
     def __repr__(self) -> str:
-        fate = lambda row: f"clearance {1000 * row.clearance:.1f} mm" if row.success else str(row.reason)
+        fate = lambda row: f"clearance {1000 * row.clearance:.1f} mm" if row.success else row.why
         lines = [f"  {row.fruit}: {fate(row)}" for row in self.rows]
         return "\n".join([f"Harvest of {self.scene.name} by {self.chain.name}: {self.counts()}", *lines])
 
@@ -79,7 +84,7 @@ class Harvest(Reasoned):
     def arrays(self) -> dict[str, np.ndarray]:
         """Everything that a table holds, as arrays with one entry a fruit."""
         column = lambda name: np.array([getattr(row, name) for row in self.rows])
-        removals = [" ".join((row.blockers.removal if row.blockers else None) or ()) for row in self.rows]
+        joined = lambda name: np.array([" ".join(getattr(row.blockers, name, None) or ()) for row in self.rows])
         numbers = ("angle", "clearance", "freedom", "score", "position_error", "rotation_error")
         known = {
             "fruit": column("fruit"),
@@ -87,7 +92,8 @@ class Harvest(Reasoned):
             "q": self.q,
             "success": self.success,
         }
-        known |= {"reason": self.reasons, "found_by": column("found_by"), "remove": np.array(removals)}
+        known |= {"reason": self.reasons, "found_by": column("found_by")}
+        known |= {"pick_first": joined("pick_first"), "remove": joined("removal")}
         return known | {name: column(name) for name in numbers}
 
 
@@ -102,6 +108,11 @@ class HarvestOptions:
     margin: float = 0.005
     grasp: Grasp = dataclasses.field(default_factory=Grasp)
 
+    def __post_init__(self) -> None:
+        check_kind("harvest", "weights", self.weights, Weights)
+        check_kind("harvest", "grasp", self.grasp, Grasp)
+        check_finite("harvest", margin=self.margin)
+
 
 def harvest(
     chain: Chain,
@@ -112,10 +123,10 @@ def harvest(
 ) -> Harvest:
     """The best collision-free posture of `chain` for every fruit of `scene`, or the reason why there is none. Host driver.
 
-    Scans all angles about a fruit's axis with all positions of the leading joints and all branches (`scan`), recovers between
-    the grid's points where the grid has nothing (`recover`), and for a fruit behind obstacles names them and the fewest to
-    remove (`blockers`). `changes` are fields of `HarvestOptions` by name. `progress` is called with the name of each finished
-    fruit.
+    Scans all angles about a fruit's axis with all positions of the leading joints and all branches (`scan`), and recovers
+    between the grid's points where the grid has nothing (`recover`). For a fruit behind obstacles it names them and what has
+    to go first (`blockers`): neighbours that can be picked themselves, else the fewest leaves. `changes` are fields of
+    `HarvestOptions` by name. `progress` is called with the name of each finished fruit.
 
     Raises `ValueError` where the chain has no closed form or the scene no fruit, and for an option that is none. Source: Van
     Henten et al. 2010, sec. 4, 5.1.
@@ -129,12 +140,16 @@ def harvest(
         raise ValueError(f"scene '{scene.name}' has no fruit; add one with SceneBuilder.add_fruit")
     check_geometry(chain)
     warn_of_scene("harvest", chain, scene, options.margin)
-    start, rows = time.perf_counter(), []
+    start, rows, touched = time.perf_counter(), [], {}
     for fruit in scene.fruits:
         found = scan(chain, scene, fruit, **vars(options))
         rows.append(_posture(chain, scene, found, options))
+        if rows[-1].reason == Reason.COLLISION:
+            touched[fruit.name] = touched_sets(chain, scene, found, options.margin)
         if progress:
             progress(fruit.name)
+    blocked = unblocked(touched, [row.fruit for row in rows if row.success])
+    rows = [row._replace(blockers=blocked.get(row.fruit)) for row in rows]
     return Harvest(chain, scene, tuple(rows), time.perf_counter() - start, sum(row.scan.status.size for row in rows), options)
 
 
@@ -144,8 +159,7 @@ def _posture(chain: Chain, scene: Scene, found: Scan, options: HarvestOptions) -
         row, how = recover(chain, scene, found, options.weights, options.margin, options.grasp) or (None, "")
     if row is None:
         nothing, nans = np.full(chain.num_joints, np.nan), (np.nan,) * 6
-        in_the_way = blockers(chain, scene, found, options.margin) if found.reason == Reason.COLLISION else None
-        return Posture(found.fruit.name, found.reason, nothing, *nans, "", in_the_way, found)
+        return Posture(found.fruit.name, found.reason, nothing, *nans, "", None, found)
     q = row.q[0].astype(np.float64)
     pose = grasp_poses(chain, found.fruit, row.angle, options.grasp)[0]
     away, turned = pose_errors(chain, q.tolist(), pose.ravel().tolist())

@@ -83,15 +83,21 @@ class Stage(NamedTuple):
 
 
 class Cycle(NamedTuple):
-    """What became of a fruit: its stages, and which leaves they touch; or the reason why there are none, where that is
-    ("posture", "approach", "retreat", "transfer", "transport", "place"), and what is in the way."""
+    """What became of a fruit: the posture `q` (n,) [rad, m] that grasps it, its stages, and which leaves they touch. Without
+    stages `q` is NaN, and there is the reason, where that is ("posture", "approach", "retreat", "transfer", "transport",
+    "place"), and what is in the way."""
 
     fruit: str
     reason: Reason
+    q: np.ndarray
     where: str = ""
     stages: tuple[Stage, ...] = ()
     leaves: tuple[str, ...] = ()
     blockers: tuple[str, ...] = ()
+
+    @property
+    def success(self) -> bool:
+        return self.reason == Reason.SOLVED
 
     @property
     def seconds(self) -> float:
@@ -119,6 +125,11 @@ class HarvestPlan(Reasoned):
     @property
     def reason(self) -> np.ndarray:
         return np.array([int(row.reason) for row in self.rows])
+
+    @property
+    def q(self) -> np.ndarray:
+        """The posture (b, n) [rad, m] that grasps each fruit; NaN of one that is not picked."""
+        return np.stack([row.q for row in self.rows])
 
     @property
     def order(self) -> tuple[str, ...]:

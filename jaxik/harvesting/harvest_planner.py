@@ -135,7 +135,7 @@ class _Planner:
                 picks.append(self.picks(row, gone))
                 if not gone:
                     progress(row.fruit)
-            self.cycles |= {p.fruit: Cycle(p.fruit, p.reason, p.where, blockers=p.blockers) for p in picks}
+            self.cycles |= {p.fruit: self.failed(p.fruit, p.reason, p.where, p.blockers) for p in picks}
             tour = _Tour(self, at, [p for p in picks if p.reason == Reason.SOLVED], gone)
             nodes, motions = tour.planned()
             if not nodes:
@@ -161,7 +161,8 @@ class _Planner:
             found = find_picks(self.chain, scene, row.scan.fruit, angles, q, self.way)
             if found.reason == Reason.SOLVED:
                 return self.counted(found) if self.options.leaves == "brush" else found
-        blocking = row.blockers.removal or row.blockers.names[:3] if row.blockers and found.where == "posture" else ()
+        named = row.blockers.in_the_way if row.blockers and found.where == "posture" else ()
+        blocking = tuple(name for name in named if name not in gone)
         return found._replace(blockers=blocking or found.blockers)
 
     def leaves(self, arm: Chain, q: np.ndarray, fruit: str) -> np.ndarray:
@@ -186,7 +187,12 @@ class _Planner:
             if len(self.places):
                 parts.append(("transport", motions.pop(0)))
             stages = tuple(self.add(kind, fruit, moved) for kind, moved in parts)
-            self.cycles[fruit] = Cycle(fruit, Reason.SOLVED, "", stages, self.brushed(stages, picks.held[row]))
+            q, leaves = ends(lines[0])[1], self.brushed(stages, picks.held[row])
+            self.cycles[fruit] = Cycle(fruit, Reason.SOLVED, q, "", stages, leaves)
+
+    def failed(self, fruit: str, reason: Reason, where: str, blockers: tuple[str, ...] = ()) -> Cycle:
+        """A cycle without motions."""
+        return Cycle(fruit, reason, np.full(len(self.home), np.nan), where, blockers=blockers)
 
     def brushed(self, stages: Sequence[Stage], held: Chain) -> tuple[str, ...]:
         """The names of the leaves that are touched."""
@@ -327,7 +333,7 @@ class _Tour:
                 if at_once or self.failures[fruit] >= GIVEN_UP:
                     del self.groups[fruit]
                     where = "transfer" if self.fruit(b) else "transport"
-                    self.planner.cycles[fruit] = Cycle(fruit, leg.reason, where)
+                    self.planner.cycles[fruit] = self.planner.failed(fruit, leg.reason, where)
 
 
 def _length(costs: np.ndarray, nodes: Sequence[int]) -> float:

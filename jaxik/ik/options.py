@@ -16,6 +16,7 @@ from jaxik.robot.task import POSE, Task
 Choice = Literal["auto", "first", "closest", "clearance", "manipulability", "freedom", "comfort"]
 Collision = Literal["constraint", "penalty"]
 Norm = Literal["l2", "linf"]
+MOST_SEEDS = 1_000_000
 AVOID = sqp.Options(passes=3)
 IMPROVE = sqp.Options(hessian="bfgs", merit="augmented_lagrangian", floor=1e-10, passes=3)
 
@@ -31,7 +32,7 @@ class IKOptions:
         and for "closest" half of them around the reference, which is the first. With "auto" and "closed_form" a pose without
         obstacles and cost is answered by the closed form itself (`jaxik.ik.enumeration`), and only what that leaves is searched
         for; its branch b at given values number k is the seed 8 k + b.
-    max_seeds: seeds a target gets before it is given up.
+    max_seeds: seeds a target gets before it is given up, a million at most.
     choice: which answer is taken: that of the "first" seed that leads to one, or with a `cost` the cheapest; or of all that
         `max_seeds` find the "closest" to `reference`, the one with the largest "clearance", "manipulability" or joint
         "freedom", or the one nearest to the middle of the ranges ("comfort", or to `reference` where it is given). "auto" is
@@ -89,6 +90,8 @@ class IKOptions:
             value = getattr(self, name)
             if not (also and isinstance(value, str) and value == "all"):
                 object.__setattr__(self, name, as_count(f"solve_ik: {name}", value, also))
+        if self.max_seeds > MOST_SEEDS:
+            raise ValueError(f"solve_ik: max_seeds is {self.max_seeds}; at most {MOST_SEEDS}")
         check_finite("solve_ik", margin=self.margin)
         check_finite("solve_ik", 0.0, distinct=self.distinct, activation=self.activation, penalty=self.penalty)
         check_kind("solve_ik", "task", self.task, Task)

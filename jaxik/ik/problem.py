@@ -60,7 +60,8 @@ class Problem:
         names = "position_tolerance", "rotation_tolerance"
         tolerance = np.array([_shaped(name, getattr(options, name), (count,)) for name in names]).T
         if not (tolerance > 0.0).all():
-            raise ValueError("position_tolerance and rotation_tolerance are > 0")
+            given = shown(", ".join(f"{name} {getattr(options, name)}" for name in names))
+            raise ValueError(f"solve_ik: {given}; both are > 0 [m, rad]")
         reference = None if options.reference is None else _shaped("reference", options.reference, (count, n), least=1)
         if reference is not None and not np.isfinite(reference).all():
             raise ValueError("reference holds NaN or infinity; write a configuration (n,), or one a target (N, n) [rad, m]")

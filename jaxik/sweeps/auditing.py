@@ -1,7 +1,8 @@
 """How many reachable targets a sweep missed: some of them, drawn at random, are asked again with more effort.
 
-Effort is positions of each leading joint where the closed form answers, and seeds where the search does. What more effort finds
-and the study did not is a false negative; of the rate that is seen there is an upper bound [Clopper and Pearson 1934].
+Effort is positions of what the closed form is given (a slide, an arm angle) where that answers, and seeds where the search
+does. What more effort finds and the study did not is a false negative; of the rate that is seen there is an upper bound
+[Clopper and Pearson 1934]. A closed form that is given nothing knows no effort, and misses nothing.
 """
 
 from __future__ import annotations
@@ -11,6 +12,8 @@ from typing import Any
 
 import numpy as np
 
+from jaxik.analytic.families import redundancy
+from jaxik.robot.chain import Chain
 from jaxik.sweeps.evaluation import answer
 from jaxik.sweeps.robot_variants import Variant
 from jaxik.sweeps.store import Store
@@ -35,7 +38,8 @@ def audit(store: Store) -> dict[str, Any]:
         own = range(v * study.chunks, (v + 1) * study.chunks)
         seen = np.concatenate([store.column(int(n), "reachable") for n in own])[rows]
         method = study.method(each.chain)
-        found.setdefault(method, []).append(np.stack([*_again(study, each, rows, method), seen]))
+        again = _again(study, each, rows, method) if given(study, each.chain) else [seen] * len(EFFORTS[method])
+        found.setdefault(method, []).append(np.stack([*again, seen]))
     joined = {method: np.concatenate(parts, axis=1) for method, parts in found.items()}
     missed = sum(int(np.sum(t[:-1].any(axis=0) & ~t[-1])) for t in joined.values())
     truth = sum(int(np.sum(t.any(axis=0))) for t in joined.values())
@@ -48,6 +52,11 @@ def bound(missed: int, truth: int) -> float:
     from scipy.stats import beta
 
     return 1.0 if missed >= truth else float(beta.ppf(0.95, missed + 1, truth - missed))
+
+
+def given(study: Study, chain: Chain) -> tuple[str, ...]:
+    """What there may be more of, by name: of the search its seeds, of the closed form what it is given."""
+    return ("seed",) if study.method(chain) == "search" else redundancy(chain).names
 
 
 def _again(study: Study, variant: Variant, rows: np.ndarray, method: str) -> list[np.ndarray]:
@@ -72,5 +81,8 @@ def _summary(study: Study, method: str, table: np.ndarray) -> dict[str, Any]:
     truth = table.any(axis=0)
     count = max(int(truth.sum()), 1)
     rates = [float(np.sum(truth & ~row)) / count for row in table]
-    known = {"effort": WHAT[method], "efforts": _efforts(study, method), "rates": rates[:-1], "false_negative_rate": rates[-1]}
+    known: dict[str, Any] = {"effort": WHAT[method], "efforts": [], "rates": [], "false_negative_rate": rates[-1]}
+    chains = [each.chain for each in study.variants if study.method(each.chain) == method]
+    if of := sorted({name for chain in chains for name in given(study, chain)}):
+        known |= {"efforts": _efforts(study, method), "rates": rates[:-1], "of": of}
     return known | {"sample": table.shape[1], "reachable_in_sample": int(truth.sum())}

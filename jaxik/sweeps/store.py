@@ -52,7 +52,11 @@ class Store:
         zarr = optional("a sweep's store", "zarr", "sweep")
         path = Path(path)
         if not path.exists():
-            _create(path, study)
+            try:
+                _create(path, study)
+            except OSError as error:
+                where = f"nothing can be written in {path.absolute().parent}"
+                raise OSError(f"{path}: {where} ({error.strerror or error})") from None
         try:
             group = zarr.open_group(str(path), mode="r+")
             known = json.loads(str(group.attrs["study"]))

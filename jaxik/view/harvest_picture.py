@@ -64,18 +64,18 @@ def fate(row: Posture) -> str:
         return f"{1000.0 * row.clearance:.0f} mm clear"
     if row.blockers is None:
         return WORDS[row.reason]
-    if row.blockers.removal:
-        return f"blocked; take away {', '.join(row.blockers.removal)}"
-    return f"hidden behind {', '.join(row.blockers.names[:3])}" if row.blockers.names else "the arm would hit itself"
+    if row.blockers.mend:
+        return f"blocked; first {row.blockers.mend}"
+    return f"hidden {row.blockers.words}" if row.blockers.names else "the arm would hit itself"
 
 
 def in_the_way(row: Posture) -> tuple[str, ...]:
     """The objects that keep the robot from a fruit."""
-    return () if row.blockers is None else tuple(row.blockers.removal or row.blockers.names[:3])
+    return () if row.blockers is None else row.blockers.in_the_way
 
 
 def posture(row: Posture) -> np.ndarray | None:
-    """The posture that picks a fruit, or would once what is in the way were taken away."""
+    """The posture that picks a fruit, or would once what is in the way were gone."""
     if row.success:
         return row.q
     return None if row.blockers is None or row.blockers.row is None else np.asarray(row.scan.table.q[row.blockers.row])
@@ -154,6 +154,6 @@ def _write_head(figure: Any, size: tuple[float, float], result: Harvest, shown: 
     ]
     if any(in_the_way(row) for row in result.rows):
         entries.append(marker(COLOURS[Reason.COLLISION], "o", "what is in this fruit's way", ms=5))
-        entries.append(Patch(fc="w", ec=ARM_EDGE, label="the arm, once that is taken away"))
+        entries.append(Patch(fc="w", ec=ARM_EDGE, label="the arm, once that is gone"))
     place = (SIDE / size[0], 0.05 / size[1])
     figure.legend(handles=entries, loc="lower left", bbox_to_anchor=place, ncols=3, fontsize=9, frameon=False)

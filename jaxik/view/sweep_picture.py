@@ -18,7 +18,6 @@ from jaxik.view.solids import scene_points, scene_solids
 SHOWN = 20_000  # points of a scatter plot
 SLICES = 3
 VARIANTS = 20  # bars
-EFFORTS = {"slides": "positions of the slide", "max_seeds": "seeds"}
 
 
 class Map(NamedTuple):
@@ -75,7 +74,8 @@ def plot_sweep(path: str | Path, out: str | Path, scene: Scene | None = None) ->
     group = open_store(path)
     every = shares(group)
     best = tuple(int(i) for i in np.unravel_index(np.argmax(every), every.shape))
-    shown, audit = variant_map(group, best), dict(group.attrs.get("audit", {}))
+    shown = variant_map(group, best)
+    audit = {method: found for method, found in group.attrs.get("audit", {}).items() if found["efforts"]}
     figure = Figure(figsize=(15, 9.5), layout="constrained")
     head, above, legend, below = figure.subfigures(4, 1, height_ratios=(0.07, 1.0, 0.08, 0.9))
     handles = _draw_slices(above, group, shown, best, scene)
@@ -193,8 +193,13 @@ def _draw_missed(axis: Any, audit: dict[str, Any]) -> None:
     axis.minorticks_off()
     axis.set_xticks(efforts, [str(e) for e in efforts])
     axis.legend(fontsize=9, frameon=False)
-    named = " or ".join(dict.fromkeys(EFFORTS[found["effort"]] for found in audit.values()))
+    named = " or ".join(_effort(found) for found in audit.values())
     axis.set(title="Reachable targets that are missed", xlabel=f"{named} that are tried", ylabel="missed [%]", ylim=(0.0, None))
+
+
+def _effort(found: dict[str, Any]) -> str:
+    """What an audit has more of."""
+    return "seeds" if found["effort"] == "max_seeds" else f"positions of {' and '.join(found.get('of', ['the slide']))}"
 
 
 def _draw_margins(axis: Any, shown: Map) -> None:

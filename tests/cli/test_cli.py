@@ -15,7 +15,7 @@ from robot_files import ARM, POST, write
 
 import jaxik
 from jaxik import cli
-from jaxik.cli.harvest import _in_the_way, _print_table, write_harvest
+from jaxik.cli.harvest import _print_table, write_harvest
 from jaxik.cli.results import print_table
 from jaxik.collision.sphere_levels import hierarchical_clearance
 from jaxik.harvesting.blocking_objects import Blockers
@@ -172,9 +172,11 @@ def test_an_out_that_is_a_file_is_told_first(tmp_path, monkeypatch, capsys):
 
 def test_what_hides_a_fruit_is_named():
     found = Blockers(("stem_1", "wire", "leaf_1", "leaf_2"), (0.9, 0.3, 0.2, 0.1), None, None)
-    assert _in_the_way(None) == "" and _in_the_way(found) == "behind stem_1, wire, leaf_1"
-    assert _in_the_way(found._replace(removal=("leaf_1",))) == "leaf_1"
-    assert _in_the_way(found._replace(names=(), share=())) == "the robot hits itself"
+    assert found.words == "behind stem_1, wire, leaf_1" and found.in_the_way == ("stem_1", "wire", "leaf_1")
+    assert found._replace(removal=("leaf_1",)).words == "take away leaf_1"
+    both = found._replace(removal=("leaf_1", "leaf_2"), pick_first=("fruit_1", "fruit_2", "fruit_3"))
+    assert both.words == "pick fruit_1, fruit_2 and fruit_3, take away leaf_1 and leaf_2"
+    assert found._replace(names=(), share=()).words == "the robot hits itself"
 
 
 def test_units_are_said(harvested, tmp_path, monkeypatch, capsys):
@@ -508,7 +510,7 @@ def test_a_motion_is_planned_and_written(tmp_path, monkeypatch, capsys):
     assert message["joint_names"] == ["q1", "q2"] and message["points"][-1]["positions"] == pytest.approx([1.5, -0.3])
     for more, words in (
         (("--goal", 9, 0), "no motion in 0.0 s: goal: limits; q1 is 5.858 rad beyond its limits"),
-        (("--goal", 1), "goal of shape (1,)"),
+        (("--goal", 1), "--goal: 1 numbers; planar2 has 2: q1, q2"),
         (("--period", 0), "--period 0: it is above zero [s]"),
         (("--out", "motion.txt"), "ending '.txt'; allowed: .csv, .npz, .json"),
     ):

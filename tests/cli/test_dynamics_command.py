@@ -66,6 +66,21 @@ def test_limits_and_drives_are_told(robot, tmp_path, capsys):
     np.testing.assert_allclose(5.0 * table["current_a"] + table["friction_a"], table["torque_a"], atol=1e-9)
 
 
+def test_a_file_that_tells_of_friction_knows_no_motors(tmp_path, monkeypatch, capsys):
+    """An ampere a newton metre would be made up."""
+    monkeypatch.chdir(tmp_path)
+    inertia = '<inertia ixx="1" iyy="1" izz="1" ixy="0" ixz="0" iyz="0"/>'
+    link = f'<link name="{{}}"><inertial><mass value="2"/>{inertia}</inertial></link>'
+    joint = '<joint name="{}" type="revolute"><parent link="{}"/><child link="{}"/><axis xyz="0 1 0"/>{}</joint>'
+    rubs = '<limit lower="-2" upper="2" effort="9" velocity="9"/><dynamics damping="3" friction="5"/>'
+    parts = [*map(link.format, "klm"), joint.format("a", "k", "l", rubs), joint.format("b", "l", "m", rubs)]
+    (tmp_path / "arm.urdf").write_text(f"<robot name='arm'>{''.join(parts)}</robot>")
+    _log(np.column_stack([WAY, RATES, -4.0 * WAY]), "time,q_a,q_b,velocity_a,velocity_b,acceleration_a,acceleration_b")
+    table, printed = _torques(tmp_path / "arm.urdf"), capsys.readouterr().out
+    assert "friction" in printed and "current" not in printed
+    assert np.abs(table["friction_a"]).max() > 5.0 and not any("current" in name for name in table.dtype.names)
+
+
 def test_degrees_and_milliseconds_are_doubted(robot):
     _log(np.degrees(WAY))
     with pytest.warns(

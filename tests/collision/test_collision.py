@@ -465,6 +465,14 @@ def _flat(chain, scene, q):
     return jnp.linalg.norm(centres[:, None] - scene.points.center, axis=-1) - radii[:, None]
 
 
+def test_the_width_of_a_torch_tensor_is_not_asked():
+    """PyTorch's dtypes are none of NumPy's; JAX makes an array of it later."""
+    import torch
+
+    around = grouped(jaxik.load_scene("cucumber_row"), jaxik.load("p6r"))
+    assert clearances.as_wide(around, torch.zeros(7)) is around
+
+
 def test_padding_and_removal_change_nothing_else():
     chain, rng = jaxik.load("p6r"), np.random.default_rng(4)
     scene = _scene(rng)

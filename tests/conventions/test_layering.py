@@ -32,6 +32,7 @@ FLOORS = [  # what the house is made of, from the ground up
     "sweeps",
     "view",
     "cli",
+    "__main__",
     "crop",  # its old place
 ]
 ROOT = Path(jaxik.__file__).parent

@@ -2,6 +2,7 @@
 
 import itertools
 from functools import partial
+from types import SimpleNamespace
 
 import jax
 import numpy as np
@@ -9,6 +10,7 @@ import pytest
 
 import jaxik
 from jaxik.files.scene import save_scene
+from jaxik.harvesting.blocking_objects import Touched, unblocked
 from jaxik.harvesting.crop import cucumber_row
 from jaxik.reasons import Reason
 from jaxik.view.harvest_picture import fate, in_the_way, posture
@@ -38,22 +40,93 @@ def _contacts(chain, scene, q):
     return jaxik.collision.object_clearances(chain, scene, q), jaxik.collision.self_clearance(chain, q)
 
 
-def test_removal_opens_a_posture_and_no_smaller_set_does(harvest):
-    chain, scene = harvest.chain, harvest.scene
+def _opened_by_brute_force(harvest, row):
+    """A function of a set of objects: whether a posture of a fruit's table is free without them."""
+    own = harvest.scene.object_names.index(row.fruit)
+    each = jax.jit(jax.vmap(partial(_contacts, harvest.chain, harvest.scene.without([own]))))
+    distance, to_itself = (np.asarray(x) for x in each(row.scan.table.q))
+    margin = harvest.options.margin
+    return lambda gone: bool(np.any((np.delete(distance, gone, axis=1).min(axis=1) >= margin) & (to_itself >= margin)))
+
+
+def test_what_has_to_go_opens_a_posture_and_nothing_cheaper_does(harvest):
+    """Fewer leaves do not, with all fruits picked that can be; nor do as many with fewer fruits."""
+    numbers = lambda names: [harvest.scene.object_names.index(name) for name in names]
+    pickable = numbers(row.fruit for row in harvest.rows if row.success)
+    leaves = [i for i, removable in enumerate(harvest.scene.removable) if removable]
     blocked = [row for row in harvest.rows if row.reason == Reason.COLLISION]
     assert blocked
     for row in blocked:
-        own = scene.object_names.index(row.fruit)
-        each = jax.jit(jax.vmap(partial(_contacts, chain, scene.without([own]))))
-        distance, to_itself = (np.asarray(x) for x in each(row.scan.table.q))
-        removal = row.blockers.removal
-        assert removal is not None
-        leaves = [i for i, r in enumerate(scene.removable) if r]
-        sets = [s for n in range(len(removal)) for s in itertools.combinations(leaves, n)]
-        for gone in [*sets, tuple(scene.object_names.index(n) for n in removal)]:
-            kept = np.delete(distance, gone, axis=1).min(axis=1)
-            opened = bool(np.any((kept >= 0.005) & (to_itself >= 0.005)))
-            assert opened == (len(gone) == len(removal))
+        opened = _opened_by_brute_force(harvest, row)
+        picked, removed = (numbers(names) for names in (row.blockers.pick_first, row.blockers.removal))
+        assert opened([*picked, *removed]) and set(picked) <= set(pickable) and set(removed) <= set(leaves)
+        for few in itertools.combinations(leaves, max(len(removed) - 1, 0)) if removed else ():
+            assert not opened([*pickable, *few])
+        for n in range(len(picked)):
+            for some, few in itertools.product(
+                itertools.combinations(pickable, n), itertools.combinations(leaves, len(removed))
+            ):
+                assert not opened([*some, *few])
+
+
+def test_a_neighbour_is_picked_before_a_leaf_is_taken_away(harvest):
+    """Either opens fruit_12 of the shipped row; nothing but a leaf opens fruit_4."""
+    rows = {row.fruit: row for row in harvest.rows}
+    names, twelve = harvest.scene.object_names, rows["fruit_12"]
+    assert twelve.blockers.pick_first == ("fruit_7",) and twelve.blockers.removal == () and rows["fruit_7"].success
+    assert _opened_by_brute_force(harvest, twelve)([names.index("leaf_2_3")])
+    assert twelve.why == "collision: pick fruit_7" and rows["fruit_4"].why == "collision: take away leaf_4_1"
+    assert "fruit_12: collision: pick fruit_7" in str(harvest) and rows["fruit_7"].why == "solved"
+    arrays = harvest.arrays()
+    assert arrays["pick_first"][11] == "fruit_7" and arrays["remove"][11] == "" and arrays["remove"][3] == "leaf_4_1"
+    alone = jaxik.harvesting.blockers(harvest.chain, harvest.scene, twelve.scan)  # of which nobody says what can be picked
+    assert alone.pick_first == () and alone.removal == ("leaf_2_3",)
+    with pytest.raises(ValueError, match=r"blockers: pickable: no fruit 'fruit_77'"):
+        jaxik.harvesting.blockers(harvest.chain, harvest.scene, twelve.scan, pickable=["fruit_77"])
+
+
+@pytest.mark.parametrize("gate, mend", [("fruit", "pick gate"), ("leaf", "take away gate"), ("stem", "")])
+def test_what_stands_in_the_only_way(gate, mend):
+    """Posts that may not go stand all around a fruit, but where the gate is."""
+    builder = jaxik.collision.SceneBuilder("cage", point_radius=0.01)
+    builder.add_fruit("inner", (0.5, 0.66, 0.6), length=0.1, radius=0.02)
+    ring = [(0.5 + 0.11 * np.sin(a), 0.66 - 0.11 * np.cos(a), z) for a in np.linspace(0.9, 5.4, 15) for z in (0.5, 0.6, 0.7)]
+    builder.add("posts", removable=False, points=ring)
+    if gate == "fruit":
+        builder.add_fruit("gate", (0.5, 0.53, 0.62), length=0.2, radius=0.03)
+    else:
+        builder.add("gate", gate == "leaf", capsules=[[0.5, 0.53, 0.62, 0.5, 0.53, 0.42, 0.03]])
+    harvest = jaxik.harvest(jaxik.load("p6r"), builder.scene(), angles=24, slides=11)
+    inner = harvest.rows[0]
+    assert inner.reason == Reason.COLLISION and inner.blockers.mend == mend
+    opened, gone = _opened_by_brute_force(harvest, inner), harvest.scene.object_names.index("gate")
+    assert opened([gone]) and not opened([])
+    assert fate(inner) == (f"blocked; first {mend}" if mend else f"hidden behind {', '.join(inner.blockers.names)}")
+    if gate == "fruit":
+        assert harvest.rows[1].success
+
+
+def _touched(*sets):
+    names = ("leaf_1", "leaf_2", "a", "b", "c", "d")
+    scene = SimpleNamespace(object_names=names, removable=(True, True, False, False, False, False))
+    hit = np.array([[name in each for name in names] for each in sets])
+    return Touched(scene, hit.mean(axis=0), hit, np.arange(len(sets)), np.zeros(len(sets)))
+
+
+def test_fruits_that_others_open_are_picked_first_in_turn():
+    """b after a, c after b, though a leaf would do; d only with a leaf, which then opens e. Two that wait for each other do."""
+    touched = {"b": _touched({"a"}, {"leaf_1"}), "c": _touched({"leaf_2"}, {"a", "b"}, {"b"}), "d": _touched({"a", "leaf_1"})}
+    found = unblocked(touched | {"e": _touched({"d", "a"})}, ["a"])
+    assert {name: each.mend for name, each in found.items()} == {
+        "b": "pick a",
+        "c": "pick b",
+        "d": "pick a, take away leaf_1",
+        "e": "pick a and d",
+    }
+    waiting = unblocked({"c": _touched({"d"}), "d": _touched({"c"})}, ["a", "b"])
+    assert {name: each.words for name, each in waiting.items()} == {"c": "behind d", "d": "behind c"}
+    assert unblocked({"c": _touched({"leaf_1", "leaf_2"}, {"d"})}, [])["c"].mend == "take away leaf_1 and leaf_2"
+    assert unblocked({}, ["a"]) == {}
 
 
 def test_the_shipped_row_is_the_generators(tmp_path):
@@ -91,7 +164,7 @@ def test_the_picture_says_what_became_of_each_fruit(harvest):
             assert fate(row) == f"{1000 * row.clearance:.0f} mm clear" and in_the_way(row) == () and posture(row) is row.q
         else:
             scene = harvest.scene.without(row.fruit)
-            assert fate(row) == f"blocked; take away {', '.join(in_the_way(row))}"
+            assert fate(row) == f"blocked; first {row.blockers.mend}" and row.blockers.in_the_way == in_the_way(row) != ()
             opened = clear(harvest.chain, scene.without(in_the_way(row)).padded(), posture(row))
             assert opened >= 0.005 - 1e-5 > clear(harvest.chain, scene.padded(), posture(row))
     hidden = harvest.rows[3]

@@ -66,6 +66,21 @@ def test_every_fruit_has_motions_or_a_reason(plan, harvested):
     assert "retreat: collision (leaf_3_1)" in str(plan)
 
 
+def test_rows_have_what_those_of_the_harvest_have(plan, harvested):
+    """`success`, and the posture `q` in which the tip grasps the fruit; and a neighbour that is picked first opens the next."""
+    assert [row.success for row in plan.rows] == plan.success.tolist() and plan.q.shape == harvested.q.shape
+    for row, fruit in zip(plan.rows, plan.scene.fruits, strict=True):
+        if row.success:
+            np.testing.assert_allclose(row.q, row.stages[1].trajectory.sample(0.01)[1].q[-1], atol=1e-9)
+            tip = plan.chain.world_T_base @ np.asarray(jaxik.forward_kinematics(plan.chain, row.q))
+            np.testing.assert_allclose(tip[:3, 3], fruit.position, atol=1e-5)
+        else:
+            assert np.isnan(row.q).all() and row.q.shape == harvested.rows[0].q.shape
+    needs = {row.fruit: row.blockers.pick_first for row in harvested.rows if row.blockers and not row.blockers.removal}
+    assert needs == {"fruit_12": ("fruit_7",)}
+    assert plan.rows[11].success and plan.order.index("fruit_7") < plan.order.index("fruit_12")
+
+
 def test_the_shortest_order_is_shorter_than_the_rows(harvested):
     """By more than 15 %, of what was planned, against the best posture of each fruit from left to right."""
     row = jaxik.harvesting.plan_harvest(harvested, order="row", candidates=1)

@@ -195,6 +195,22 @@ def test_search_answers_what_has_no_closed_form():
     assert np.isnan(free["quaternion"]).all() and np.isnan(free["rotation_error"]).all()
 
 
+def test_a_closed_form_that_is_given_nothing_misses_nothing(tmp_path, monkeypatch):
+    """More positions of no slide are no effort: nothing is asked again, and the picture has no panel of what was missed."""
+    from jaxik.sweeps import auditing
+    from jaxik.view import sweep_picture
+
+    monkeypatch.setattr(auditing, "answer", lambda *_: pytest.fail("asked again"))
+    targets = {"kind": "grid", "x": [0.3, 0.9, 3], "y": [0.0, 0.4, 3], "z": [0.2, 0.8, 3], "directions": [[0, 0, -1]]}
+    done = jaxik.sweep({"robot": "ur5e", "targets": targets}, tmp_path / "u.zarr")
+    known = done.dataset().attrs
+    assert done.counts["solved"] > 0 and known["false_negative_rate"] == 0.0
+    assert known["audit"]["closed form"]["efforts"] == known["audit"]["closed form"]["rates"] == []
+    monkeypatch.setattr(sweep_picture, "_draw_missed", lambda *_: pytest.fail("drawn"))
+    sweep_picture.plot_sweep(tmp_path / "u.zarr", tmp_path / "u.png")
+    assert sweep_picture._effort({"effort": "slides", "of": ["lift", "panda_joint7"]}) == "positions of lift and panda_joint7"
+
+
 def test_what_is_missed_is_measured(tmp_path):
     """The audit's rates, against sweeps of the same targets with the same efforts; and its bound against SciPy's own test."""
     from scipy.stats import binomtest
@@ -209,6 +225,7 @@ def test_what_is_missed_is_measured(tmp_path):
     truth = np.any(reached, axis=0)
     assert np.allclose(efforts["rates"], [np.mean(~r[truth]) for r in reached])
     assert known["false_negative_rate"] == efforts["rates"][2] > 0.0
+    assert efforts["of"] == ["slide"] and known["audit"].keys() == {"closed form"}
     for missed, of in ((0, 100), (3, 50), (7, 7)):
         limit = bound(missed, of)
         assert limit == 1.0 or abs(binomtest(missed, of, limit, "less").pvalue - 0.05) < 1e-6
