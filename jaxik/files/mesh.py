@@ -95,20 +95,19 @@ def home(path: Path) -> Path:
 
 def resolve(path: Path, where: str, name: str, below: Path | None = None, packages: Sequence[Path] = ()) -> Path | None:
     """The file that a mesh name means: one of a package for `package://name/...`, None where there is no such package; else a
-    path below the model's own folder (or `below`). A name that leads out of either is refused; where a link leads does not
-    count, for workspaces (colcon's `--symlink-install`) and stores of large files are made of them."""
+    path below the model's own folder (or `below`). What lies outside of that folder is refused, also by way of a link; a name
+    that leads out of its package, too, but a package's links are followed: workspaces (colcon's `--symlink-install`) are made of
+    them."""
     folder, root = path.resolve().parent, below or home(path)
     if name.startswith(PACKAGE):
         return in_package(path, where, name, packages)
     if "://" in name and not name.startswith("file://"):
         raise LoadError(path, where, f"file '{name}' is no file", "give a path or package://")
-    given = folder / name.removeprefix("file://")
     try:
-        places = (Path(os.path.normpath(given)), given.resolve())  # an absolute name may come to the folder by a link
+        target = (folder / name.removeprefix("file://")).resolve()
     except (OSError, ValueError, RuntimeError):
         raise LoadError(path, where, f"file '{name}' is no path", "give a path below the model's folder") from None
-    target = next((place for place in places if place.is_relative_to(root)), None)
-    if target is None:
+    if not target.is_relative_to(root):
         raise LoadError(path, where, f"file '{name}' lies outside the model's folder", f"move it below {root.name}/")
     return target
 
