@@ -210,3 +210,27 @@ def test_many_branches():
     x = jnp.stack([jnp.arange(-3.0, 310.0), jnp.ones(313)], 1)
     found, expected = both(lambda x: lax.switch(jnp.int32(x[0]), branches, x[1]), x)
     np.testing.assert_allclose(found, expected, atol=1e-6)
+
+
+
+
+
+
+
+
+
+
+def test_models_that_are_equal_and_of_other_types():
+    f = spmd.kernel(lambda scale, x: x * scale[0], models=1)
+    assert [f((scale,), jnp.arange(3)).dtype.kind for scale in (1, 1.0, True)] == ["i", "f", "i"]
+
+
+def test_arrays_of_another_width_than_now():
+    with jax.enable_x64(True):
+        wide, x = jnp.arange(3.0), np.arange(3.0)
+    with jax.enable_x64(False):
+        f = spmd.kernel(lambda x: jnp.cos(x) * x)
+        slope = jax.grad(lambda x: jnp.sum(f(x)))(wide)
+        assert f(wide).dtype == jnp.float32
+        np.testing.assert_allclose(f(wide), np.cos(x) * x, rtol=1e-6)
+        np.testing.assert_allclose(slope, np.cos(x) - np.sin(x) * x, rtol=1e-6)
