@@ -213,6 +213,11 @@ def test_many_branches():
 
 
 
+def test_several_powers_of_one_number(only_kernels):
+    powers = lambda x: [jnp.power(x, jnp.full(3, p)) for p in (2.0, 0.5, 1.5)] + [jnp.power(3.0, jnp.full(2, 2.0)) + x]
+    for found, expected in zip(*both(powers, jnp.arange(5.0)), strict=True):
+        np.testing.assert_allclose(found, expected, rtol=1e-5)
+
 
 
 
