@@ -44,9 +44,9 @@ def kernel(function: Callable[..., Any] | None = None, *, models: int = 0) -> An
     It takes and returns pytrees of arrays (floats, integers and truth values of up to 64 bits) of one configuration, of any
     shapes and units, and is pure: what it closes over is read when it is first called with arguments of those shapes. Of the
     first `models` arguments (a robot) the numbers fold into the program, except those that are traced; they are hashable, and
-    equal ones share it. What a kernel cannot do runs by XLA, with one warning that says what it was: none of it raises. What
-    the function itself raises, of arguments that it cannot take, comes from a call of it without a kernel; that function is
-    `__wrapped__`.
+    equal ones of equal types share it. What a kernel cannot do runs by XLA, with one warning that says what it was: none of it
+    raises. What the function itself raises, of arguments that it cannot take, comes from a call of it without a kernel; that
+    function is `__wrapped__`.
     """
     if function is None:
         return functools.partial(kernel, models=models)
@@ -67,7 +67,8 @@ def kernel(function: Callable[..., Any] | None = None, *, models: int = 0) -> An
         leaves = [x if isinstance(x, jax.Array) else jnp.asarray(x) for x in leaves]
         operands = [*(numbers[i] for i in moving), *leaves]
         shapes = [jax.ShapeDtypeStruct(x.shape, x.dtype, weak_type=x.weak_type) for x in operands]
-        key = None if moving else (fixed, tree, tuple((x.shape, x.dtype, x.weak_type) for x in shapes), jnp.result_type(float))
+        width, kinds = jnp.result_type(float), tuple(map(type, numbers))  # 1, 1.0 and True are equal
+        key = None if moving else (fixed, kinds, tree, tuple((x.shape, x.dtype, x.weak_type) for x in shapes), width)
         found = known.get(key)
         if found is None:
 
@@ -85,7 +86,8 @@ def kernel(function: Callable[..., Any] | None = None, *, models: int = 0) -> An
                 return function(*args)  # says what is wrong in its own words, of what was given
             if key is not None and not found[2]:  # what it closes over may be another array in the next call
                 if len(known) >= KEPT:
-                    known.pop(next(iter(known)))
+                    with contextlib.suppress(RuntimeError):  # of another thread that does the same
+                        known.pop(next(iter(known)), None)
                 known[key] = found
         traced, results, more = found
         if traced.closed.effects:  # what prints or talks to other lanes stands where it is called, or it would be lost
@@ -94,7 +96,9 @@ def kernel(function: Callable[..., Any] | None = None, *, models: int = 0) -> An
             except Unsupported as error:
                 warn(traced, str(error))
                 return function(*args)
-        return jax.tree_util.tree_unflatten(results, bind(traced, [*operands, *more]))
+        given = zip([*operands, *more], traced.inputs, strict=True)
+        wanted = [x if x.dtype == a.dtype else x.astype(a.dtype) for x, a in given]  # of 64 bits, where JAX has 32 now
+        return jax.tree_util.tree_unflatten(results, bind(traced, wanted))
 
     call.models = models  # type: ignore[attr-defined]
     return call

@@ -16,8 +16,8 @@ from jax.extend.core.primitives import stop_gradient_p
 from jax.interpreters import ad, batching, mlir
 
 from jaxik.spmd import call
-from jaxik.spmd.scalarise import RULES, Array, Scalariser, Unsupported
-from jaxik.spmd.trace import Traced, is_float, on_one_device
+from jaxik.spmd.scalarise import RULES, Array, Scalariser, Unsupported, type_of
+from jaxik.spmd.trace import Traced, is_float, is_smooth, on_one_device
 
 Masks = tuple[tuple[bool, ...], ...]  # for each operand, which axes of the batch it has
 
@@ -68,11 +68,8 @@ def _(*args: Any, traced: Traced, batch: tuple[int, ...], masks: Masks) -> list[
 def _debugged(traced: Traced, found: list[Any]) -> list[Any]:
     """What operations found, which say themselves where a NaN began, or else the kernel does: `jax_debug_nans`."""
     for x in (x for x in found if is_float(x)):
-        for name, wanted, holds in (
-            ("nan", jax.config.jax_debug_nans, jnp.isnan),
-            ("inf", jax.config.jax_debug_infs, jnp.isinf),
-        ):  # type: ignore[attr-defined]
-            if wanted and np.any(holds(x)):
+        for name, holds in (("nan", jnp.isnan), ("inf", jnp.isinf)):
+            if jax.config.values[f"jax_debug_{name}s"] and np.any(holds(x)):
                 raise FloatingPointError(f"invalid value ({name}) encountered in {traced.name}")
     return found
 
@@ -98,12 +95,10 @@ batching.primitive_batchers[kernel_p] = _batched
 
 def _jvp(primals: Sequence[Any], tangents: Sequence[Any], *, traced: Traced, batch: tuple[int, ...], masks: Masks) -> Any:
     """One kernel gives values and derivatives; ordinary operations contract them with the tangents."""
-    active = tuple(i for i, t in enumerate(tangents) if not isinstance(t, ad.Zero) and is_float(traced.inputs[i]))
+    active = tuple(i for i, t in enumerate(tangents) if not isinstance(t, ad.Zero) and is_smooth(traced.inputs[i]))
     count = len(traced.outputs)
-    size = sum(math.prod(a.shape) for a in traced.outputs if is_float(a)) * sum(
-        math.prod(traced.inputs[i].shape) for i in active
-    )
-    if size > _DENSE:  # a matrix that a kernel would write and somebody read: JAX's own rules need none
+    derivative = _dense(traced, active) if active else None
+    if active and derivative is None:
 
         def changing(*xs: Any) -> list[Any]:
             args = list(primals)
@@ -112,11 +107,8 @@ def _jvp(primals: Sequence[Any], tangents: Sequence[Any], *, traced: Traced, bat
             return _by_xla(*args, traced=traced, batch=batch, masks=masks)
 
         return jax.jvp(changing, [primals[i] for i in active], [tangents[i] for i in active])
-    if not active:
-        outs, slopes = bind(traced, primals, batch, masks), []
-    else:
-        found = bind(traced.derivative(active), primals, batch, masks)
-        outs, slopes = found[:count], found[count:]
+    found = bind(derivative or traced, primals, batch, masks)
+    outs, slopes = found[:count], found[count:]
     results: list[Any] = []
     given = iter(slopes)
     for aval, out in zip(traced.outputs, outs, strict=True):
@@ -139,6 +131,38 @@ def _jvp(primals: Sequence[Any], tangents: Sequence[Any], *, traced: Traced, bat
 
 
 ad.primitive_jvps[kernel_p] = _jvp
+
+
+def _dense(traced: Traced, active: tuple[int, ...]) -> Traced | None:
+    """The derivative as a kernel. None where JAX's own rules are to take over: of a matrix that a kernel would write and
+    somebody read, of complex numbers, and where a custom rule is none of numbers."""
+    moved = [traced.inputs[i] for i in active]
+    smooth = [a for a in traced.outputs if is_smooth(a)]
+    if sum(math.prod(a.shape) for a in smooth) * sum(math.prod(a.shape) for a in moved) > _DENSE:
+        return None
+    if not all(map(is_float, [*moved, *smooth])):
+        return None
+    return traced.derivative(active)
+
+
+def _transposed(cotangents: Sequence[Any], *args: Any, traced: Traced, batch: tuple[int, ...], masks: Masks) -> list[Any]:
+    """The way back of a kernel that is linear in those arguments that are not known, by JAX's own rules."""
+    unknown = [i for i, x in enumerate(args) if ad.is_undefined_primal(x)]
+
+    def linear(*xs: Any) -> list[Any]:
+        whole = list(args)
+        for i, x in zip(unknown, xs, strict=True):
+            whole[i] = x
+        return _by_xla(*whole, traced=traced, batch=batch, masks=masks)
+
+    found = jax.linear_transpose(linear, *(args[i].aval for i in unknown))(list(map(ad.instantiate_zeros, cotangents)))
+    given: list[Any] = [None] * len(args)
+    for i, x in zip(unknown, found, strict=True):
+        given[i] = x
+    return given
+
+
+ad.primitive_transposes[kernel_p] = _transposed
 
 along_p = Primitive("spmd_along")  # slope * tangent; where nothing moves it is 0, however steep the slope
 along_p.def_abstract_eval(lambda slope, tangent: jax.lax.mul_p.abstract_eval(slope, tangent)[0])
@@ -261,6 +285,8 @@ def _inlined(s: Scalariser, eqn: Any, *xs: Array) -> list[Array]:
     traced, batch, masks = (eqn.params[name] for name in ("traced", "batch", "masks"))
     if math.prod(batch) > _FEW:
         raise Unsupported(f"a batch of more than {_FEW} kernels inside a kernel")
+    if not math.prod(batch):
+        return [s.full(v.aval.shape, 0, type_of(v.aval)) for v in eqn.outvars]
     own = lambda x, mask, place: x.rearranged(x.at[tuple(i for i, has in zip(place, mask, strict=True) if has)])
     each = [s.traced(traced, [own(x, m, place) for x, m in zip(xs, masks, strict=True)]) for place in np.ndindex(*batch)]
     if not batch:

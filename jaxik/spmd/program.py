@@ -147,7 +147,7 @@ class Program:
     def number(self, value: Any, type: str) -> int:
         """A constant."""
         try:
-            scalar = DTYPES[type].type(value)
+            scalar: Any = DTYPES[type].type(value)
         except (OverflowError, ValueError):  # an integer's type does not hold it: as a conversion of JAX's has it
             with np.errstate(invalid="ignore"):
                 scalar = np.asarray(value).astype(DTYPES[type])[()]

@@ -108,6 +108,9 @@ class Scalariser:
                 raise Unsupported(f"more than {MOST} operations")
             if not eqn.primitive.multiple_results:
                 results = [results]
+            avals: list[Any] = [v.aval for v in eqn.outvars]
+            if any(x.shape != a.shape for x, a in zip(results, avals, strict=True)):
+                raise Unsupported(f"the primitive '{eqn.primitive.name}' of these shapes")
             env.update(zip(eqn.outvars, results, strict=True))
         return [read(v) for v in jaxpr.outvars]
 

@@ -14,6 +14,8 @@ import jax.numpy as jnp
 import numpy as np
 from jax.extend.core import ClosedJaxpr, Jaxpr, Literal, jaxpr_as_fun
 
+from jaxik.spmd.linearity import custom, is_linear
+
 _OPERAND = 512  # entries of an array that is closed over, from which it is an operand: another table compiles nothing
 _FUNCTIONS = ("jvp_jaxpr_fun", "fwd_jaxpr_thunk", "bwd", "fwd", "out_trees", "transpose_rules", "rule", "in_tree", "out_tree")
 
@@ -30,7 +32,7 @@ class Traced:
     def __init__(self, closed: ClosedJaxpr, seeds: int = 0, name: str = "", values: Traced | None = None):
         self.closed, self.seeds, self.values = closed, seeds, values
         self.name = name or str(getattr(closed.jaxpr.debug_info, "func_name", "a function"))
-        self.derivatives: dict[tuple[int, ...], Traced] = {}
+        self.derivatives: dict[tuple[int, ...], Traced | None] = {}
 
     @property
     def inputs(self) -> list[Any]:
@@ -50,13 +52,22 @@ class Traced:
     def __repr__(self) -> str:
         return f"<{self.name} {self.digest[:8]}>"
 
-    def derivative(self, active: tuple[int, ...]) -> Traced:
-        """(inputs) -> outputs and, for each float output and each `active` input, the derivative, shaped (*output, *input)."""
+    def derivative(self, active: tuple[int, ...]) -> Traced | None:
+        """(inputs) -> outputs and, for each float output and each `active` input, the derivative, shaped (*output, *input).
+        None where a custom rule is not linear, or knows what is traced outside of the function."""
         if active not in self.derivatives:
             with on_one_device():
                 way, seeds = _derivative(self.closed, active)
-            self.derivatives[active] = Traced(way, seeds, f"the derivative of {self.name}", self)
+            found = Traced(way, seeds, f"the derivative of {self.name}", self)
+            self.derivatives[active] = found if self._is_matrix(found) else None
         return self.derivatives[active]
+
+    def _is_matrix(self, derivative: Traced) -> bool:
+        closed, seeds = derivative.closed, derivative.seeds
+        if any(isinstance(c, jax.core.Tracer) for c in closed.consts):
+            return False
+        variables = closed.jaxpr.constvars[len(closed.consts) - seeds :]
+        return not custom(self.closed.jaxpr) or is_linear(closed.jaxpr, variables, closed.consts, len(self.outputs))
 
 
 def trace(function: Callable[..., Any], args: Sequence[Any]) -> tuple[Traced, Any, list[Any]]:
@@ -76,8 +87,13 @@ def trace(function: Callable[..., Any], args: Sequence[Any]) -> tuple[Traced, An
 
 
 def is_float(aval: Any) -> bool:
-    """Whether an array holds floats: what has derivatives."""
+    """Whether an array holds floats: what a kernel has derivatives of."""
     return bool(jnp.issubdtype(aval.dtype, jnp.floating))
+
+
+def is_smooth(aval: Any) -> bool:
+    """Whether an array holds floats or complex numbers: what has derivatives."""
+    return bool(jnp.issubdtype(aval.dtype, jnp.inexact))
 
 
 def _derivative(closed: ClosedJaxpr, active: tuple[int, ...]) -> tuple[ClosedJaxpr, int]:

@@ -10,6 +10,7 @@ import pytest
 from jax import lax
 
 from jaxik import spmd
+from jaxik.spmd.trace import trace
 
 RNG = np.random.default_rng(35)
 EDGES = np.array([0.0, -0.0, np.nan, np.inf, -np.inf, 1.5, -1.5, 2.0])
@@ -210,3 +211,93 @@ def test_many_branches():
     x = jnp.stack([jnp.arange(-3.0, 310.0), jnp.ones(313)], 1)
     found, expected = both(lambda x: lax.switch(jnp.int32(x[0]), branches, x[1]), x)
     np.testing.assert_allclose(found, expected, atol=1e-6)
+
+
+def test_complex_numbers_have_derivatives():
+    f = lambda x: x * (1 + 2j)
+    power = lambda f: lambda x: jnp.sum(jnp.abs(f(x)) ** 2)
+    x = jnp.array([1.0, -2.0])
+    for z in (x, x + 1j * x[::-1]):
+        np.testing.assert_allclose(jax.grad(power(spmd.kernel(f)))(z), jax.grad(power(f))(z), rtol=1e-6)
+        for found, expected in zip(*(jax.jvp(g, (z,), (z,)) for g in (spmd.kernel(f), f)), strict=True):
+            np.testing.assert_allclose(found, expected, rtol=1e-6)
+    holomorphic = [jax.grad(g, holomorphic=True)(1.0 + 2.0j) for g in (spmd.kernel(jnp.square), jnp.square)]
+    np.testing.assert_allclose(*holomorphic, rtol=1e-6)
+
+
+def test_several_powers_of_one_number(only_kernels):
+    powers = lambda x: [jnp.power(x, jnp.full(3, p)) for p in (2.0, 0.5, 1.5)] + [jnp.power(3.0, jnp.full(2, 2.0)) + x]
+    for found, expected in zip(*both(powers, jnp.arange(5.0)), strict=True):
+        np.testing.assert_allclose(found, expected, rtol=1e-5)
+
+
+def test_no_kernels_inside_of_a_kernel(only_kernels):
+    inner = spmd.kernel(lambda y: (2.0 * y, y > 0))
+    same(*both(lambda x: [x + jnp.sum(z) for z in jax.vmap(inner)(x[:0])], jnp.ones((3, 2))))
+
+
+def test_a_linear_kernel_is_transposed():
+    f, x, y = lambda x, y: (2.0 * x[::-1], jnp.sum(x) * y), jnp.arange(6.0).reshape(2, 3), jnp.array([3.0, 4.0])
+    back = lambda f: lambda x, y: jax.linear_transpose(lambda x: f(x, y), x)((x, y))[0]
+    np.testing.assert_allclose(*(jax.vmap(back(g))(x, y) for g in (spmd.kernel(f), f)))
+    matrix = jnp.eye(3) + 1.0
+    solved = lambda product: lambda b: jnp.sum(jax.scipy.sparse.linalg.cg(product, b)[0] ** 2)
+    product = lambda v: matrix @ v
+    np.testing.assert_allclose(*(jax.grad(solved(g))(x[1]) for g in (spmd.kernel(product), product)), rtol=1e-5)
+
+
+clipped = jax.custom_vjp(lambda x: x)
+clipped.defvjp(lambda x: (x, None), lambda _, g: (jnp.clip(g, -0.1, 0.1),))
+normed = jax.custom_vjp(lambda x: x)
+normed.defvjp(lambda x: (x, None), lambda _, g: (g / jnp.linalg.norm(g),))
+decayed = jax.custom_vjp(lambda x: x)
+decayed.defvjp(lambda x: (x, x), lambda x, g: (g + 0.1 * x,))
+stacked = lambda x: lax.scan(lambda c, v: (clipped(c) * v, c), x[0], jnp.tile(x, 20))[0]
+asked = lambda x: lax.cond(x[0] > 0, lambda: normed(x) * x[0], lambda: clipped(x))
+
+
+@pytest.mark.parametrize("function", [clipped, normed, decayed, stacked, asked, lambda x: spmd.kernel(clipped)(x) * x])
+def test_a_rule_that_is_not_linear_has_no_matrix(function):
+    """What comes back is clipped or scaled as it is, not as a unit vector is."""
+    x = jnp.array([[1.0, -2.0, 0.5], [-1.0, 0.3, 0.7]])
+    slope = lambda f: jax.vmap(jax.grad(lambda x: 5.0 * jnp.sum(f(x))))
+    np.testing.assert_allclose(slope(spmd.kernel(function))(x), slope(function)(x), rtol=1e-5)
+
+
+def test_rules_that_are_linear_have_a_matrix():
+    turn = lambda a, b: jnp.where(b > 0, a @ b, 0.0)
+    rule = jax.custom_jvp(jax.jit(turn))
+    rule.defjvp(lambda at, t: (turn(*at), turn(t[0], at[1]) + (at[1] > 0) * jnp.matmul(at[0], t[1])))
+    back = jax.custom_vjp(lambda x: x[1:] ** 2)
+    back.defvjp(lambda x: (back(x), x), lambda x, g: (jnp.zeros_like(x).at[1:].add(2.0 * x[1:] * g),))
+    looped = lambda x: lax.scan(lambda c, v: (back(c.ravel()).sum() * c / 9.0, v), rule(x, x.T), jnp.ones((20, 1)))[0]
+    asked = lambda x: lax.cond(x[0, 0] > 0, lambda: looped(x), lambda: rule(x, x))
+    for function in (looped, asked, lambda x: jax.nn.relu(x) + jax.nn.silu(x)):
+        traced, _, _ = trace(function, [jnp.ones((3, 3))])
+        assert traced.derivative((0,)) is not None
+
+
+def test_a_rule_that_knows_what_is_traced_outside():
+    def slope(change, x):
+        rule = jax.custom_jvp(jnp.sin)
+        rule.defjvp(lambda at, t: (jnp.sin(at[0]), 2.0 * x * t[0]))
+        return jax.grad(change(lambda y: rule(y) * y))(x)
+
+    found, expected = (jax.jit(jax.vmap(lambda x, c=c: slope(c, x)))(jnp.arange(3.0)) for c in (spmd.kernel, lambda f: f))
+    np.testing.assert_allclose(found, expected, rtol=1e-6)
+
+
+def test_models_that_are_equal_and_of_other_types():
+    f = spmd.kernel(lambda scale, x: x * scale[0], models=1)
+    assert [f((scale,), jnp.arange(3)).dtype.kind for scale in (1, 1.0, True)] == ["i", "f", "i"]
+
+
+def test_arrays_of_another_width_than_now():
+    with jax.enable_x64(True):
+        wide, x = jnp.arange(3.0), np.arange(3.0)
+    with jax.enable_x64(False):
+        f = spmd.kernel(lambda x: jnp.cos(x) * x)
+        slope = jax.grad(lambda x: jnp.sum(f(x)))(wide)
+        assert f(wide).dtype == jnp.float32
+        np.testing.assert_allclose(f(wide), np.cos(x) * x, rtol=1e-6)
+        np.testing.assert_allclose(slope, np.cos(x) - np.sin(x) * x, rtol=1e-6)

@@ -199,13 +199,13 @@ def _pow(s: Scalariser, eqn: Any, x: Array, y: Array) -> Array:
     p, kind = s.program, x.type
     if y.type not in FLOATS:
         y = s.map("convert", kind, y)
+    x, y = (Array(v, kind) for v in np.broadcast_arrays(s.values(x), s.values(y)))  # either may be a number
     power = {float(p.constant.get(v, np.nan)) for v in s.values(y).ravel().tolist()}
     if power == {2.0}:
         return s.map("mul", kind, x, x)
     if power == {0.5}:  # pow(-inf, 0.5) is inf, and pow(-0, 0.5) is 0
         root = s.map("add", kind, s.map("sqrt", kind, x), s.full((), 0, kind))
         return s.map("select", kind, s.map("eq", "i1", x, s.full((), -np.inf, kind)), s.full((), np.inf, kind), root)
-    x, y = (Array(v, kind) for v in np.broadcast_arrays(s.values(x), s.values(y)))
     if kind == "double":
         return s.map("libm_pow", kind, x, y)
     usual, special = _elementary("usual_pow")(s, eqn, x, y), []
