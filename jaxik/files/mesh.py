@@ -96,8 +96,8 @@ def home(path: Path) -> Path:
 def resolve(path: Path, where: str, name: str, below: Path | None = None, packages: Sequence[Path] = ()) -> Path | None:
     """The file that a mesh name means: one of a package for `package://name/...`, None where there is no such package; else a
     path below the model's own folder (or `below`). What lies outside of that folder is refused, also by way of a link; a name
-    that leads out of its package, too, but a package's links are followed: workspaces (colcon's `--symlink-install`) are made of
-    them."""
+    that leads out of its package, too, but a package's links are followed: workspaces (colcon's `--symlink-install`) are made
+    of them."""
     folder, root = path.resolve().parent, below or home(path)
     if name.startswith(PACKAGE):
         return in_package(path, where, name, packages)
