@@ -39,7 +39,9 @@ def test_an_arm_with_few_decimals_is_not_proven_away_from_its_own_poses():
     chain = dataclasses.replace(chain, parent_T_joint=frames)
     count, square = 600, np.round(rng.uniform(-2.0, 2.0, (600, n))) * np.pi / 2.0
     q = np.where(rng.random((count, n)) < 0.6, square, rng.uniform(chain.lower, chain.upper, (count, n)))
-    q = np.clip(np.where(rng.random((count, n)) < 0.3, np.where(square < 0.0, chain.lower, chain.upper), q), chain.lower, chain.upper)
+    q = np.clip(
+        np.where(rng.random((count, n)) < 0.3, np.where(square < 0.0, chain.lower, chain.upper), q), chain.lower, chain.upper
+    )
     pose = pinocchio(chain)
     poses = np.stack([pose(row) for row in q])
     found = certify(chain, poses, 5, 3)
