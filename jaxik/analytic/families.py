@@ -25,9 +25,12 @@ from jaxik.analytic.turns import ALL, Signs
 from jaxik.checks.options import check_kind
 from jaxik.robot.chain import Chain, finite_limits
 from jaxik.robot.kinematics import joint_frames
+from jaxik.robot.reach_bound import reach_bound
 from jaxik.spatial.algebra import BASE, Frame, Scalar, stack, traced
+from jaxik.spatial.ball import Ball, ball
 
 PROVEN = 1e-9  # [m, rad] by which axes may miss their family: an arm that misses it by more has postures where it has none
+ROUNDED = 1e-14  # [rad, m] of it that is rounding of exact numbers
 
 
 class FromTip:
@@ -84,10 +87,14 @@ class Solver(NamedTuple):
             target = target @ joint_frames(rest, after, BASE, pose.dtype).tip.inverse()
         return target
 
-    def half_branches(self, pose: Any, given: Any, signs: Signs = ALL) -> list[HalfBranch]:
-        """The half branches of a pose (4, 4), their `turns` by number in the chain."""
+    def half_branches(self, pose: Any, given: Any, signs: Signs = ALL, within: float = 0.0) -> list[HalfBranch]:
+        """The half branches of a pose (4, 4), their `turns` by number in the chain; as balls, of all poses whose entries are
+        `within` so much of it, if that is not 0."""
         eps = max(float(np.finfo(pose.dtype).eps), 4.0 * self.misfit)  # a rounded right angle counts as one
-        halves = self.family.half_branches(self.target(pose, given), self.split(given)[1], eps, signs)
+        target = self.target(pose, given)
+        if within:
+            target = Frame.of_entries([ball(entry) + Ball(0.0, within) for entry in target.entries])
+        halves = self.family.half_branches(target, self.split(given)[1], eps, signs)
         return [half._replace(turns={i + self.first: turn for i, turn in half.turns.items()}) for half in halves]
 
     def joints(self, given: Any, angles: Any) -> list[Scalar]:
@@ -100,6 +107,14 @@ class Solver(NamedTuple):
         """Whether there is no posture where there is no branch. Of axes that miss their family there may be: next to a
         singularity what they miss ends branches that the arm has."""
         return self.misfit <= PROVEN
+
+    @property
+    def away(self) -> float:
+        """How far a pose [rad, m] may be from the one that the family, whose axes miss these by `misfit`, has at a posture."""
+        if self.misfit <= ROUNDED:
+            return 0.0
+        arm = self.chain.part(self.first, self.chain.num_joints)
+        return len(self.solved) * self.misfit * (1.0 + reach_bound(arm).longest)
 
     @property
     def given_names(self) -> tuple[str, ...]:

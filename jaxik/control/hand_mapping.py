@@ -3,8 +3,9 @@
     rate control       v = g(dx) dx / |dx|,       g = (exp(c2 (|dx| - band)) - 1) / c1       dx = x_hand - x_ref
     position control   v = k xdot_hand,           w = integral of v, which the arm makes up for in the time T
 
-Both are bounded by `fastest`, the first here, the second at the arm. What the hand feels works on the hand's own velocity: that
-is what the channel is told and counts, and what takes tremor away stands behind it.
+Both are bounded by `fastest`, the first here, the second at the arm, where what is ahead is made up for later. What the hand
+feels works on the hand's own velocity: that is what the channel is told and counts, and what takes tremor away stands behind
+it.
 
 The thesis' g (3.1) is exp(c2 |dx|) / c1, which jumps to 1 / c1 at the reference and never lets an arm stand still: here a dead
 band of radius `band` stands still, and g begins at zero on its edge. The arm's own position, which comes back late, is not

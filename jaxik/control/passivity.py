@@ -28,12 +28,14 @@ which its friction has to take [Colgate and Schenkel 1997].
 from __future__ import annotations
 
 import dataclasses
+from math import inf
 from typing import Any, NamedTuple, Protocol
 
 import jax.numpy as jnp
 from jaxtyping import Float
 
 from jaxik.checks.options import check_finite
+from jaxik.control.hand_mapping import bounded
 from jaxik.robot.chain import Array
 from jaxik.spatial.algebra import safe_divide
 
@@ -77,9 +79,11 @@ class Channel(Protocol):
         """The hand's velocity in; what is sent to the arm, and the force on the hand."""
         ...
 
-    def arm(self, end: End, arrived: Packet, force: Any, dt: float, smoothing: float = 0.0) -> tuple[End, Any]:
-        """The force on the arm in; the velocity that its tip is to have. What has arrived is made up for in the time
-        `smoothing` [s]."""
+    def arm(
+        self, end: End, arrived: Packet, force: Any, dt: float, smoothing: float = 0.0, fastest: float = inf
+    ) -> tuple[End, Any]:
+        """The force on the arm in; the velocity that its tip is to have, at most `fastest` [m/s]. What has arrived is made up
+        for in the time `smoothing` [s]."""
         ...
 
     def share(self, end: End, force: Any, moved: Any, dt: float) -> Any:
@@ -127,11 +131,14 @@ class Direct(_Channel):
         sent = Packet(end.sent.values + dt * velocity, end.sent.energy)
         return end._replace(sent=sent), sent, force
 
-    def arm(self, end: End, arrived: Packet, force: Any, dt: float, smoothing: float = 0.0) -> tuple[End, Any]:
+    def arm(
+        self, end: End, arrived: Packet, force: Any, dt: float, smoothing: float = 0.0, fastest: float = inf
+    ) -> tuple[End, Any]:
         """As `Channel` says. Traced."""
         velocity = (arrived.values - end.played.values) / max(dt, smoothing)
         over = jnp.maximum(-dt * force @ velocity - self._spare(end, arrived), 0.0)
-        return end._replace(spare=self._spare(end, arrived)), velocity + force * safe_divide(over, dt * force @ force)
+        velocity = velocity + force * safe_divide(over, dt * force @ force)
+        return end._replace(spare=self._spare(end, arrived)), bounded(velocity, fastest)
 
     def reply(self, end: End, force: Any, velocity: Any, moved: Any, dt: float) -> tuple[End, Packet]:
         """As `Channel` says. Traced."""
@@ -187,10 +194,21 @@ class WaveVariables(_Channel):
         end = _sent(end, u, dt)
         return end, end.sent, root * w - self.impedance * velocity
 
-    def arm(self, end: End, arrived: Packet, force: Any, dt: float, smoothing: float = 0.0) -> tuple[End, Any]:
-        """As `Channel` says. Traced."""
-        end, u = _played(end, arrived, dt, smoothing)
-        return end, ((2.0 * self.impedance) ** 0.5 * u + force) / (2.0 * self.impedance)
+    def arm(
+        self, end: End, arrived: Packet, force: Any, dt: float, smoothing: float = 0.0, fastest: float = inf
+    ) -> tuple[End, Any]:
+        """As `Channel` says. Traced. Of a wave that would be faster it plays what is as fast, and the rest later: thrown back
+        it would be felt as a spring of the impedance over the delay, stiff as a wall."""
+        root = (2.0 * self.impedance) ** 0.5
+        at = lambda wave: (root * wave + force) / root**2
+        whole, wave = _played(end, arrived, dt, smoothing)
+        velocity = at(wave)
+        bound = bounded(velocity, fastest)
+        slower = (root**2 * bound - force) / root
+        plays = ~(slower @ slower > wave @ wave)  # what a force drives that fast takes more than has arrived
+        slower = jnp.where(plays, slower, wave)
+        played = jnp.where(jnp.any(bound != velocity), slower, wave)
+        return whole._replace(played=_added(end.played, played, dt), now=played), bound
 
     def reply(self, end: End, force: Any, velocity: Any, moved: Any, dt: float) -> tuple[End, Packet]:
         """As `Channel` says. What the arm could not do is lost, as in a slipping clutch, as long as what the arm's end has

@@ -215,8 +215,8 @@ class Teleoperation:
 
     def _at_arm(self, state: TeleoperationState, asked: Asked, felt: Any, held: Any) -> tuple[End, Any, Any]:
         """The velocity and the turn of the tip that are asked for, in world axes."""
-        end, velocity = self.channel.arm(state.arm, asked.packet, felt, self.dt, getattr(self.mapping, "smoothing", 0.0))
-        velocity = bounded(velocity, self.mapping.fastest)
+        slow = getattr(self.mapping, "smoothing", 0.0), self.mapping.fastest
+        end, velocity = self.channel.arm(state.arm, asked.packet, felt, self.dt, *slow)
         dropped = held | (state.led & ~asked.leads)  # the clutch ends the way that is not made up for yet, too
         let_go = self.channel.release(state.arm, asked.packet)
         end = jax.tree_util.tree_map(lambda x, y: jnp.where(dropped, x, y), let_go, end)

@@ -15,20 +15,22 @@ import numpy as np
 from threadpoolctl import threadpool_limits
 
 from jaxik.checks.options import as_count, changed, check_finite, check_kind
-from jaxik.identification.base_fit import base_fit
+from jaxik.identification.base_fit import BaseFit, base_fit
 from jaxik.identification.columns import Term, check_terms
 from jaxik.identification.identifiable import BaseParameters, base_parameters
 from jaxik.identification.log import MotionLog
 from jaxik.identification.physical_fit import physical_fit
 from jaxik.identification.problem import Problem, check_alive, posed
+from jaxik.identification.weighted_fit import repeated
 from jaxik.reasons import Reason, Reasoned
 from jaxik.robot.chain import Chain
 from jaxik.robot.drive import Drive, Friction
 from jaxik.robot.dynamics import INERTIAL, body_parameters, with_body_parameters
 
 LEAST_PRIOR = 1e-6  # as a logarithm; with less nothing would be found at all
-MOST, ALL = 0.3, 0.9  # of a joint's torque that may be left, if it is no fresh noise in each row; and in any case
-FRESH = 3.0  # rows in which the same noise stands: in more it is no noise, but what the model does not know
+MOST, ALL = 0.3, 0.9  # of a joint's torque that may be left, if it is no noise; and that is nearly all of it
+FRESH, SLOW = 3.0, 0.4  # rows in which noise stands, or the share of those in which the motion does, as a filter leaves it
+BURIED = 0.75  # of what is left is what the known bodies ask of a joint: less may go under in noise, and nobody is wrong
 HEAVY = 10.0  # times as heavy, or as light, as the file says a robot is: torques in other units, or of other joints
 FAR, SHARE = 3.0, 0.01  # times the noise, and of a joint's torque: what leaves more than both has not arrived at the log
 
@@ -89,7 +91,8 @@ def identify(
     `changes` are fields of the options. The chain's own bodies are what is taken for granted where a log says nothing; those
     without a mass, as 10 g. The drives that come back have their friction at the joint, without a load's share that was not
     asked for. A log is UNEXPLAINED where bodies and friction leave a third of a joint's torque that is no noise, or nearly all
-    of it, or where they weigh ten times as much as the chain's own: look at the order of its columns, and at its units.
+    of it though the chain's own bodies ask for as much, or of every joint's, or where they weigh ten times as much as the
+    chain's own: look at the order of its columns, and at its units. Noise changes faster than the motion, filtered or not.
     `std` counts rows in which the same noise stands, as a filter makes it, as one.
 
     Raises `ValueError` for logs and options that cannot be used. Sources: Gautier 1991; Rucker, Wensing 2022.
@@ -117,8 +120,7 @@ def _identified(chain: Chain, problem: Problem, known: np.ndarray, options: Iden
     found = physical_fit(problem, fit.curve, fit.noise, known, options.prior, options.steps)
     usual = np.sqrt(np.mean(problem.torque**2, axis=0))
     arrived = found.residual <= np.maximum(FAR * fit.noise, SHARE * usual)
-    share, masses = fit.noise / usual, (np.sum(x.reshape(-1, INERTIAL)[:, 0]) for x in (found.bodies, known))
-    strange = np.any((share > MOST) & ((fit.repeats > FRESH) | (share > ALL))) or _far(*masses)
+    strange = _unlike(problem, fit, known) or _far(*(np.sum(x.reshape(-1, INERTIAL)[:, 0]) for x in (found.bodies, known)))
     well = found.settled and fit.settled and bool(arrived.all())
     reason = Reason.UNEXCITED if fit.condition > options.condition else Reason.SOLVED
     reason = Reason.UNEXPLAINED if strange else reason if well else Reason.NOT_CONVERGED
@@ -132,6 +134,17 @@ def _identified(chain: Chain, problem: Problem, known: np.ndarray, options: Iden
         rows=problem.counts.sum(axis=0),
         reason=reason,
     )
+
+
+def _unlike(problem: Problem, fit: BaseFit, known: np.ndarray) -> bool:
+    """Whether more is left of some joint's torque than noise leaves. Noise may be most of what a joint shows that has little to
+    carry, as a last one: then the known bodies ask for little there, too."""
+    share = fit.noise / np.sqrt(np.mean(problem.torque**2, axis=0))
+    asked = np.sqrt(np.mean((problem.bodies @ known) ** 2, axis=0))
+    moved = np.median(repeated(problem.qdot, np.ones_like(problem.counts)))
+    stands = (share > MOST) & (fit.repeats > max(FRESH, SLOW * moved))
+    drowned = share > ALL
+    return bool(np.any(stands | (drowned & (asked > BURIED * fit.noise))) or np.all(drowned))
 
 
 def _far(found: float, known: float) -> bool:

@@ -22,7 +22,7 @@ from jaxtyping import Float
 from threadpoolctl import threadpool_limits
 
 from jaxik.checks.options import as_count, changed, check_finite, check_kind
-from jaxik.identification.fit import FAR, LEAST_PRIOR, SHARE
+from jaxik.identification.fit import FAR, FRESH, HEAVY, LEAST_PRIOR, MOST, SHARE, SLOW
 from jaxik.identification.log import MotionLog, joined
 from jaxik.identification.physical_fit import nearest_bodies
 from jaxik.identification.pseudo_inertia import FROM_PSEUDO, TO_PSEUDO
@@ -34,6 +34,7 @@ from jaxik.robot.dynamics import INERTIAL, inverse_dynamics, regressor
 from jaxik.spmd.host import host_kernels
 
 APART = 0.1  # [rad, m] by which two logs of one motion may differ, for a load bends an arm
+TELLING = 0.1  # of the torques: less may be friction that was another in the second log, and no order of columns
 LIGHTEST = 1e-3  # [kg] that a load is looked for around
 WATER = 1000.0  # [kg/m3]
 TENSOR = np.array([[4, 5, 7], [5, 6, 8], [7, 8, 9]])  # where a body's parameters have its inertia
@@ -57,7 +58,8 @@ class IdentifiedLoad(Reasoned):
     """A load as `chain.with_load(mass, com, inertia)` takes it: `mass` [kg], centre of gravity `com` (3,) [m] and `inertia`
     (3, 3) [kg m2] about that, in the tip's axes; their standard errors `mass_std`, `com_std`, `inertia_std`, infinite where the
     logs do not tell; the `condition` number of mass and moments (columns of equal length); of each joint the root mean square
-    `residual` (n,) [Nm, N] and the `rows` that counted; and the `reason`: SOLVED, UNEXCITED or NOT_CONVERGED."""
+    `residual` (n,) [Nm, N] and the `rows` that counted; and the `reason`: SOLVED, UNEXCITED, UNEXPLAINED or
+    NOT_CONVERGED."""
 
     mass: float
     com: np.ndarray
@@ -93,7 +95,8 @@ def identify_load(
     `chain` is the arm without the load. Both logs are to begin at the same moment of the motion: row by row they are compared,
     and what they share, errors of the model and friction, goes out. Friction that grows with the load is what the chain's
     drives say of it. Without `empty` all that the model does not know counts for the load: use the chain that `identify` found.
-    `changes` are fields of the options.
+    `changes` are fields of the options. Logs are UNEXPLAINED where a load leaves a third of what is between them that is no
+    noise, or weighs ten times as much as the arm: look at the order of their columns, and at their units.
 
     Raises `ValueError` for logs and options that cannot be used, and for logs of different motions. Sources: Khalil, Gautier,
     Lemoine 2007; Rucker, Wensing 2022.
@@ -117,13 +120,17 @@ def identify_load(
     with jax.enable_x64(True):
         columns = _regressors(chain)(q, qdot, qddot)[0] @ _of_tip(np.asarray(chain.joint_T_tip))
     with threadpool_limits(1, "blas"):
-        return _found(columns, missing, counts, np.sqrt(np.mean(torque**2, axis=0)), options)
+        found, strange = _found(columns, missing, counts, torque, qdot, options)
+    strange |= 0.0 < HEAVY * sum(float(body.mass) for body in chain.bodies) < found.mass
+    return dataclasses.replace(found, reason=Reason.UNEXPLAINED) if strange else found
 
 
 def _found(
-    columns: np.ndarray, missing: np.ndarray, counts: np.ndarray, usual: np.ndarray, options: LoadOptions
-) -> IdentifiedLoad:
-    """Of Y (k, n, 10), Y phi (k, n), which rows count (k, n), and what torques usually are (n,)."""
+    columns: np.ndarray, missing: np.ndarray, counts: np.ndarray, torque: np.ndarray, qdot: np.ndarray, options: LoadOptions
+) -> tuple[IdentifiedLoad, bool]:
+    """The load, and whether it is no load that is between the logs: of Y (k, n, 10), Y phi (k, n), which rows count (k, n), and
+    the torques and the rates (k, n)."""
+    usual = np.sqrt(np.mean(torque**2, axis=0))
     rows, joint = np.maximum(counts.sum(axis=0), 1), np.nonzero(counts)[1]
     whole, columns, missing = (columns, missing), columns[counts], missing[counts]
     fit = weighted_fit(columns, missing, joint, rows, np.maximum(EXACT * usual, 1e-12))
@@ -134,11 +141,12 @@ def _found(
     residual = np.sqrt(np.bincount(joint, (columns @ bodies[0] - missing) ** 2, len(usual)) / rows)
     arrived = np.all(residual <= np.maximum(FAR * fit.noise, SHARE * usual))
     mass, com, inertia = _split(_as_body(bodies[0]))
-    repeats = repeated(np.where(counts, whole[0] @ fit.value - whole[1], 0.0), counts)
+    left = np.where(counts, whole[0] @ fit.value - whole[1], 0.0)
+    repeats = repeated(left, counts)
     mass_std, com_std, inertia_std = _split(fit.std(repeats, _slope(bodies[0])))
     excited = condition(columns[:, :4])
     reason = Reason.UNEXCITED if excited > options.condition else Reason.SOLVED
-    return IdentifiedLoad(
+    found = IdentifiedLoad(
         mass=float(mass),
         com=com,
         inertia=inertia,
@@ -150,6 +158,16 @@ def _found(
         rows=counts.sum(axis=0),
         reason=reason if settled and arrived else Reason.NOT_CONVERGED,
     )
+    return found, _unlike(left, np.where(counts, whole[1], 0.0), np.where(counts, torque, 0.0), qdot, repeats)
+
+
+def _unlike(left: np.ndarray, missing: np.ndarray, torque: np.ndarray, qdot: np.ndarray, repeats: np.ndarray) -> bool:
+    """Whether what is `left` (k, n) of what the logs are apart, `missing`, is much, and changes as slowly as the motion: noise
+    does not, filtered or not."""
+    most = repeats[np.argmax(np.sum(left**2, axis=0))]
+    slow = most > max(FRESH, SLOW * float(np.median(repeated(qdot, np.ones_like(qdot)))))
+    size = float(np.linalg.norm(left))
+    return bool(slow and size > MOST * np.linalg.norm(missing) and size > TELLING * np.linalg.norm(torque))
 
 
 def _check_one_motion(chain: Chain, q: np.ndarray, other: np.ndarray) -> None:

@@ -3,7 +3,8 @@
 Between two positions of the grid the closed form is evaluated on balls (`ball`): the slide anywhere in the cell. If then no
 branch can be inside the limits, the cell is empty, and that is a proof. What is left is halved, and so on; the middle of each
 cell is a position of its own, and where a branch is inside the limits there, the grid missed it. A target whose cells are all
-empty is out of reach for any position of the slide; one that has some left at the end stays open, and says so.
+empty is out of reach for any position of the slide; one that has some left at the end stays open, and says so. Of an arm whose
+axes miss their family by a little, the closed form's poses are as far from its own: so a pose stands for all that are.
 """
 
 from __future__ import annotations
@@ -140,7 +141,8 @@ def _spheres(chain: Chain, slides: int) -> tuple[ReachBound, np.ndarray, np.ndar
 def _reaches(chain: Chain, pose: Any, centre: Any, half: Any) -> Any:
     """Compiled, by rows: which of the ways (4,) of joints 1 to 3 can be inside the limits anywhere in a cell. Most cannot, and
     what is left costs four times as much to look at."""
-    ways = solver_of(chain).half_branches(pose, Ball.inputs(centre, half))
+    solver = solver_of(chain)
+    ways = solver.half_branches(pose, Ball.inputs(centre, half), within=solver.away)
     return jnp.stack([possible(way.margin >= -SLACK) & may_be_inside(chain, way.turns, SLACK) for way in ways])
 
 
@@ -150,7 +152,7 @@ def _enclosed(chain: Chain, pose: Any, centre: Any, signs: Any, half: Any) -> tu
     limits anywhere in a cell, and the first that is in its middle, or -1."""
     leading = Ball.inputs(centre, half)
     solver = solver_of(chain)
-    (way,) = solver.half_branches(pose, leading, ((signs[0],), (signs[1],)))
+    (way,) = solver.half_branches(pose, leading, ((signs[0],), (signs[1],)), within=solver.away)
     (may, one), (may_two, two) = (_inside(solver, *branch) for branch in way.finish())
     return may | may_two, jnp.where(one, 0, jnp.where(two, 1, -1))
 

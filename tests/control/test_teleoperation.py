@@ -113,6 +113,21 @@ def test_the_clutch_indexes():
     np.testing.assert_allclose(np.sum(velocity, axis=0) * DT, [0.0, 0.2, 0.0], atol=1e-12)
 
 
+@pytest.mark.parametrize("smoothing", [0.0, 0.05])
+@pytest.mark.parametrize("late", [0.0, 0.05])
+def test_a_hand_that_outruns_the_arm_feels_the_drag_alone(late, smoothing):
+    """Where nothing touches the arm a line of waves is a damper, also for a hand that is faster than the arm may be; and the
+    arm gets there in the end."""
+    mapping, b = PositionControl(3.0, smoothing, fastest=0.2), 20.0
+    lines = {"there": DelayLine(late), "back": DelayLine(late)}
+    setup = teleoperation(mapping=mapping, channel=WaveVariables(b), leash=1.0, acceleration=1e3, **lines)
+    way = np.minimum(0.2 * DT * np.arange(1000), 0.03)[:, None] * [-1.0, 0.0, 0.0]
+    done = jax.jit(functools.partial(simulate_teleoperation, setup))(Q, hands(way))
+    np.testing.assert_allclose(np.abs(done.command.force).max(), b * 3.0 * 0.2, rtol=0.1)
+    assert np.linalg.norm(np.diff(done.tip, axis=0), axis=1).max() < 1.1 * 0.2 * DT
+    np.testing.assert_allclose(done.tip[-1] - done.tip[0], [-0.09, 0.0, 0.0], atol=2e-3)
+
+
 def test_tremor_is_smoothed():
     t = DT * np.arange(2000)
     tremor = np.stack([1e-4 * np.sin(2.0 * np.pi * 9.0 * t), 0.0 * t, 0.0 * t], axis=1)

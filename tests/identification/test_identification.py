@@ -339,6 +339,20 @@ def test_a_log_that_nothing_explains_says_so(name, six):
     assert found.reason == Reason.UNEXPLAINED and "unexplained" in repr(found)
 
 
+@pytest.mark.parametrize("cutoff", [None, 8.0, 3.0])
+def test_a_joint_that_drowns_in_noise_is_not_strange(cutoff, six):
+    """A last joint has little to carry: its sensor's noise is most of what it shows, and the log is right all the same."""
+    time, wave, torque, _ = six
+    noisy = torque + 3.0 * torque[:, -1].std() * np.random.default_rng(4).normal(size=torque.shape)
+    noisy = smoothed(time, noisy, cutoff=cutoff).value if cutoff else noisy
+    known = dataclasses.replace(SIX, drives=())
+    found = identify(known, MotionLog(*wave, torque=noisy), terms=())
+    assert found.reason == Reason.SOLVED
+    assert found.residual[-1] > (0.4 if cutoff else 0.9) * np.sqrt(np.mean(noisy[:, -1] ** 2))
+    exchanged = noisy[:, [0, 2, 1, 3, 4, 5]]
+    assert identify(known, MotionLog(*wave, torque=exchanged), terms=()).reason == Reason.UNEXPLAINED
+
+
 @pytest.mark.parametrize("dead", [slice(0, 6), slice(2, 3)])
 def test_a_dead_channel_is_named(dead, six):
     _, wave, torque, _ = six

@@ -120,3 +120,21 @@ def test_faults_in_one_line(logs, line):
 def test_what_no_load_explains(logs):
     """A load that was taken away rather than added."""
     assert identify_load(WRIST, *logs[::-1]).reason == Reason.NOT_CONVERGED
+
+
+@pytest.mark.parametrize("change", [lambda t: t[:, ::-1], lambda t: t[:, [2, 1, 0, 3, 4, 5]], lambda t: 1e3 * t])
+def test_logs_in_another_order_or_unit_say_so(logs, change):
+    """The same of both, so that what they share goes out all the same."""
+    swapped = [MotionLog(log.q, log.qdot, log.qddot, torque=change(log.torque)) for log in logs]
+    found = identify_load(WRIST, *swapped)
+    assert found.reason == Reason.UNEXPLAINED and "unexplained" in repr(found)
+
+
+def test_no_load_is_none():
+    """What two logs without a load are apart is noise, and friction that has changed a little."""
+    moved, rng, reasons = motion(), np.random.default_rng(3), []
+    for drift in (0.0, 0.1):
+        torque = pinocchios(WRIST, moved) + (3.0 + drift * np.arange(2)[:, None, None]) * np.sign(moved[1])
+        found = [MotionLog(*moved, torque=each + 0.02 * rng.normal(size=each.shape)) for each in torque]
+        reasons.append(identify_load(WRIST, *found).reason)
+    assert Reason.UNEXPLAINED not in reasons

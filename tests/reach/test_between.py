@@ -1,7 +1,10 @@
 """Proofs between positions of a last joint, a first joint, an arm angle and a rail, against a grid 100 times denser."""
 
+import dataclasses
+
 import numpy as np
 import pytest
+from robots import pinocchio
 from scipy.spatial.transform import Rotation
 
 import jaxik
@@ -25,6 +28,27 @@ def test_a_denser_grid_finds_nothing_that_was_called_out_of_reach(name):
     missed = dense & ~coarse
     assert not np.any(missed & (found.branch < 0) & ~found.open) and not np.any(dense & away)
     assert missed.sum() >= 2 and found.open[~coarse & ~away].sum() <= undecided
+
+
+def test_an_arm_with_few_decimals_is_not_proven_away_from_its_own_poses():
+    """At the corners of its limits, where nothing is to spare; and what is far away is proven to be."""
+    chain, rng = jaxik.load("iiwa14"), np.random.default_rng(8)
+    frames, n = np.array(chain.parent_T_joint), chain.num_joints
+    frames[:, :3, :3] = frames[:, :3, :3] @ Rotation.from_rotvec(4e-10 * rng.normal(size=(n, 3))).as_matrix()
+    frames[:, :3, 3] += 1e-10 * rng.normal(size=(n, 3))
+    chain = dataclasses.replace(chain, parent_T_joint=frames)
+    count, square = 600, np.round(rng.uniform(-2.0, 2.0, (600, n))) * np.pi / 2.0
+    q = np.where(rng.random((count, n)) < 0.6, square, rng.uniform(chain.lower, chain.upper, (count, n)))
+    q = np.clip(
+        np.where(rng.random((count, n)) < 0.3, np.where(square < 0.0, chain.lower, chain.upper), q), chain.lower, chain.upper
+    )
+    pose = pinocchio(chain)
+    poses = np.stack([pose(row) for row in q])
+    found = certify(chain, poses, 5, 3)
+    assert (found.open | (found.branch >= 0)).all()
+    poses[:, :3, 3] *= 1.6
+    away = certify(chain, poses, 5, 5)
+    assert np.mean(~away.open & (away.branch < 0)) > 0.5
 
 
 @pytest.mark.parametrize("name", ["iiwa14", "gen3"])
