@@ -55,6 +55,8 @@ class PlanArguments(ShapedRobotArguments):
             raise ValueError(f"--out {self.out}: ending '{self.out.suffix}'; allowed: {', '.join(ENDINGS)}")
         if not 0.0 < self.period < np.inf:
             raise ValueError(f"--period {self.period:g}: it is above zero [s]")
+        if self.without and self.scene is None:
+            raise ValueError(f"--without {' '.join(self.without)}: there is no scene to leave it out of; give --scene")
         chain = jaxik.load(self.robot, **self.loading())
         scene = jaxik.make_scene() if self.scene is None else jaxik.load_scene(self.scene).without(self.without)
         names = [f.name for f in dataclasses.fields(jaxik.planning.PlanOptions)]
