@@ -92,10 +92,10 @@ def boundary_value(
         ends = lambda a, b: np.asarray(system.ends(world, a, b, start, basis))
         found = solve_bvp(rates, ends, time, first, tol=tolerance, max_nodes=max_nodes)
         each = _padded(functools.partial(system.judged, world), found.x, found.y)
-        w, costs, left, reason = (np.asarray(x)[: len(found.x)] for x in each)
+        w, costs, left, reasons = (np.asarray(x)[: len(found.x)] for x in each)
         y, adjoint = np.split(found.y.T, 2, axis=1)
         total, residual = float(simpson(costs, x=found.x)), float(np.max(found.rms_residuals))
-        reason, message = _verdict(found, Reason(int(reason[0])), bool((left <= STATIONARY).all()))
+        reason, message = _verdict(found, Reason(int(reasons[0])), bool((left <= STATIONARY).all()))
         u, solved = y[:, n:] if system.rate_level else w, reason == Reason.SOLVED
         return Boundary(found.x, y[:, :n], u, adjoint, w, costs, total, solved, message, residual, reason)
 
@@ -180,7 +180,7 @@ class _System:
             (w, left), y = self.input(world, t, z), jnp.split(z, 2)[0]
             q, *u = jnp.split(y, 2) if self.rate_level else (y,)
             seen, cost = self.resolved(world, t, q, *(u or (w,))), self.running(world, t, y, w)[1]
-            pose = motion(*world[:2], t).pose
+            pose = motion(world[0], world[1], t).pose
             return w, cost, left, Course(q, seen.rate, seen.error, seen.damping, pose, costs=cost)
 
         w, costs, left, course = jax.vmap(at, (0, 1), 0)(t, z)

@@ -329,8 +329,8 @@ def multistart(
     seed: int = 0,
     **options: Any,
 ) -> Prediction:
-    """`predict` from `starts` first inputs, 0 and smooth random ones, for the global picture: what is solved first, and of that,
-    and of the rest, the best first. Host driver.
+    """`predict` from `starts` first inputs, 0 and smooth random ones, for the global picture: what is solved first, and of
+    that, and of the rest, the best first. Host driver.
 
     A random input is a sum of the first five cosines of the horizon, of random amplitudes [`spread` rad/s2 or rad/s] that fall
     with their frequency, so that it moves the arm and does not shake it. Raises `ValueError` as `predict` does, and for a

@@ -139,8 +139,8 @@ class Terms:
 
     @property
     def parts(self) -> list[tuple[Chain, Scene | None, float]]:
-        """Robots, obstacles, and the distance [m] at which these begin to cost. What costs is the robot's distance to itself and
-        to the scene, each by itself: were it the lesser of both, a link that is always near its neighbour would see nothing
+        """Robots, obstacles, and the distance [m] at which these begin to cost. What costs is the robot's distance to itself,
+        and to the scene, each by itself: were it the lesser of both, a link that is always near its neighbour would see nothing
         else, and the cost would have a kink where both are equally far."""
         if not self.apart:
             return [(self.chain, self.scene, self.activation)]

@@ -463,7 +463,7 @@ def test_the_reference_knows_other_costs_and_says_what_became_of_the_motion():
     np.testing.assert_allclose(w, least, atol=1e-6)
     off = boundary_value(chain, path, 1.0, start + 0.2, quadratic_cost(), horizon, tolerance=1e-2)
     assert not off.success and off.reason == jaxik.Reason.NOT_CONVERGED and "of the motion: not converged" in off.message
-    with pytest.raises(ValueError, match="boundary value: q is .nan nan.; it has finite numbers"):
+    with pytest.raises(ValueError, match=r"boundary value: q is .nan nan.; it has finite numbers"):
         boundary_value(chain, path, 1.0, start * np.nan, steep, horizon)
     many = predict(chain, path, 1.0, start[None], quadratic_cost(), horizon)
     with pytest.raises(ValueError, match=r"the guess has q \(1, 21, 2\); allowed: one motion, \(k, 2\)"):
