@@ -32,7 +32,7 @@ from jaxik.reasons import Reason
 from jaxik.robot.chain import Chain
 
 NEWTON = 20  # steps to the input, at most
-STATIONARY = 1e-9  # of dH/dw without an input, that may be left of it
+STATIONARY = 1e-9  # share of dH/dw and H without an input that may be left of dH/dw
 
 
 class Boundary(NamedTuple):
@@ -150,10 +150,10 @@ class _System:
         return level + adjoint @ (jnp.concatenate([qdot, w]) if self.rate_level else qdot)
 
     def input(self, world: Any, t: Any, z: Any) -> tuple[Any, Any]:
-        """Where dH/dw = 0, and which share of what it is without an input is left of that."""
+        """Where dH/dw = 0, and what is left of that, as a share of what it and H are without an input: it may be 0 there."""
         slope = lambda w: jax.grad(self.hamiltonian, argnums=3)(world, t, z, w)
         none = jnp.zeros(self.chain.num_joints, z.dtype)
-        whole = jnp.max(jnp.abs(first := slope(none)))
+        whole = jnp.max(jnp.abs(first := slope(none))) + jnp.abs(self.hamiltonian(world, t, z, none))
 
         def turn(now: Any) -> Any:
             w, left, k = now
