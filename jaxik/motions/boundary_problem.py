@@ -5,7 +5,7 @@
     start given      q(0) = q0, u(0) = 0,   lambda(T) = 0                                       (5.5), (5.9)
     start free       the tip at the path's start, N lambda(0) = 0,   lambda(T) = 0              (5.4)
 
-The input is eliminated by one Newton step from 0, which is exact where H is quadratic in it, as with `quadratic_cost`
+The input is eliminated by Newton steps from 0, of which one is all where H is quadratic in it, as with `quadratic_cost`
 (there w = -lambda_2 / zeta, (5.17)). Its derivatives are JAX's; the collocation, and the differences that it takes of them,
 are SciPy's, in float64.
 """
@@ -19,19 +19,26 @@ from typing import Any, NamedTuple
 import jax
 import jax.numpy as jnp
 import numpy as np
+from jax import lax
 from jaxtyping import Float
 
 from jaxik.checks.arrays import shaped
-from jaxik.checks.options import as_count, check_finite
+from jaxik.checks.options import as_count, check_finite, shown
+from jaxik.motions.diagnosis import Course, diagnose
 from jaxik.motions.nullspace import Resolved
 from jaxik.motions.path import Path, check_path, motion
 from jaxik.motions.predictive import Horizon, Prediction, RunningCost, outlook
+from jaxik.reasons import Reason
 from jaxik.robot.chain import Chain
+
+NEWTON = 20  # steps to the input, at most
+STATIONARY = 1e-9  # share of dH/dw and H without an input that may be left of dH/dw
 
 
 class Boundary(NamedTuple):
     """The solution at its nodes: time (k,) [s], q (k, n), null-space input u (k, n), the adjoint variables (k, n or 2 n), input
-    w (k, n), the cost per second (k,) and its integral; whether it was found, SciPy's message, and the largest residual."""
+    w (k, n), the cost per second (k,) and its integral; whether it was found and is a motion that `diagnose` calls solved, the
+    message that says so, and the largest residual; and the `Reason`."""
 
     time: Float[np.ndarray, " k"]
     q: Float[np.ndarray, "k n"]
@@ -43,6 +50,7 @@ class Boundary(NamedTuple):
     success: bool
     message: str
     residual: float
+    reason: Reason
 
 
 def boundary_value(
@@ -62,8 +70,10 @@ def boundary_value(
     q, and u = lambda = 0. Host driver. `options` are what is `given` to the cost, and fields of `Horizon`, by name, as
     `predict` takes them.
 
-    Raises `ValueError` for a q of another shape, a duration that is not positive, a path that `motion` refuses, an option or a
-    cost that `predict` refuses, and counts or a tolerance that are none.
+    The motion is judged as that of `predict` is; beyond the joints' limits, or off its path, it is no success.
+
+    Raises `ValueError` for a q or a guess of another shape, a q that is no number, a duration that is not positive, a path that
+    `motion` refuses, an option or a cost that `predict` refuses, and counts or a tolerance that are none.
     """
     from scipy.integrate import simpson, solve_bvp
 
@@ -74,18 +84,38 @@ def boundary_value(
     with jax.enable_x64(True):
         path.pose(0.0)
         system, world = _System(chain, cost, horizon), (path, float(duration), given)
-        n, start = chain.num_joints, shaped("boundary value: q", q, (chain.num_joints,))
+        n, start = chain.num_joints, _start(chain, q, guess)
         time, first = _first(system, world, start, nodes, guess)
         free = np.linalg.svd(np.asarray(system.freedom(world, start)).T)[0]  # first the motions that leave the tip in place
         basis = free[:, : n - sum(horizon.task.bound)]
-        rates = lambda t, y: _padded(functools.partial(system.rates, world), t, y)
+        rates = lambda t, y: np.asarray(_padded(functools.partial(system.rates, world), t, y))[:, : len(t)]
         ends = lambda a, b: np.asarray(system.ends(world, a, b, start, basis))
         found = solve_bvp(rates, ends, time, first, tol=tolerance, max_nodes=max_nodes)
-        w, costs = map(np.asarray, system.inputs_and_costs(world, found.x, found.y))
+        each = _padded(functools.partial(system.judged, world), found.x, found.y)
+        w, costs, left, reasons = (np.asarray(x)[: len(found.x)] for x in each)
         y, adjoint = np.split(found.y.T, 2, axis=1)
         total, residual = float(simpson(costs, x=found.x)), float(np.max(found.rms_residuals))
-        u = y[:, n:] if system.rate_level else w
-        return Boundary(found.x, y[:, :n], u, adjoint, w, costs, total, bool(found.success), found.message, residual)
+        reason, message = _verdict(found, Reason(int(reasons[0])), bool((left <= STATIONARY).all()))
+        u, solved = y[:, n:] if system.rate_level else w, reason == Reason.SOLVED
+        return Boundary(found.x, y[:, :n], u, adjoint, w, costs, total, solved, message, residual, reason)
+
+
+def _start(chain: Chain, q: Any, guess: Prediction | None) -> np.ndarray:
+    start, n = shaped("boundary value: q", q, (chain.num_joints,)), chain.num_joints
+    if not np.isfinite(start).all():
+        raise ValueError(f"boundary value: q is {shown(q)}; it has finite numbers")
+    if guess is not None and (np.ndim(guess.q) != 2 or np.shape(guess.q)[1] != n):
+        raise ValueError(f"boundary value: the guess has q {np.shape(guess.q)}; allowed: one motion, (k, {n})")
+    return start
+
+
+def _verdict(found: Any, reason: Reason, stationary: bool) -> tuple[Reason, str]:
+    """What became of it, and the words for that: of SciPy, or of what the motion does."""
+    if not found.success:
+        return reason if reason == Reason.INVALID else Reason.NOT_CONVERGED, found.message
+    if not stationary:
+        return Reason.NOT_CONVERGED, "Newton steps found no input where dH/dw = 0."
+    return reason, found.message if reason == Reason.SOLVED else f"The conditions are met; of the motion: {reason}."
 
 
 _compiled = functools.partial(jax.jit, static_argnums=0)
@@ -119,27 +149,43 @@ class _System:
         qdot, level = self.running(world, t, y, w)
         return level + adjoint @ (jnp.concatenate([qdot, w]) if self.rate_level else qdot)
 
-    def input(self, world: Any, t: Any, z: Any) -> Any:
-        """Where dH/dw = 0."""
+    def input(self, world: Any, t: Any, z: Any) -> tuple[Any, Any]:
+        """Where dH/dw = 0, and what is left of that, as a share of what it and H are without an input: it may be 0 there."""
+        slope = lambda w: jax.grad(self.hamiltonian, argnums=3)(world, t, z, w)
         none = jnp.zeros(self.chain.num_joints, z.dtype)
-        slope = jax.grad(self.hamiltonian, argnums=3)
-        return -jnp.linalg.solve(jax.jacfwd(slope, argnums=3)(world, t, z, none), slope(world, t, z, none))
+        whole = jnp.max(jnp.abs(first := slope(none))) + jnp.abs(self.hamiltonian(world, t, z, none))
+
+        def turn(now: Any) -> Any:
+            w, left, k = now
+            w = w - jnp.linalg.solve(jax.jacfwd(slope)(w), left)
+            return w, slope(w), k + 1
+
+        open_ = lambda now: (jnp.max(jnp.abs(now[1])) > STATIONARY * whole) & (now[2] < NEWTON)
+        w, left, _ = lax.while_loop(open_, turn, (none, first, 0))
+        return w, jnp.max(jnp.abs(left)) / jnp.where(whole > 0.0, whole, 1.0)
 
     @_compiled
     def rates(self, world: Any, t: Any, z: Any) -> Any:
         def at(t: Any, z: Any) -> Any:
-            by_y, by_adjoint = jnp.split(jax.grad(self.hamiltonian, argnums=2)(world, t, z, self.input(world, t, z)), 2)
+            by_y, by_adjoint = jnp.split(jax.grad(self.hamiltonian, argnums=2)(world, t, z, self.input(world, t, z)[0]), 2)
             return jnp.concatenate([by_adjoint, -by_y])
 
         return jax.vmap(at, (0, 1), 1)(t, z)
 
     @_compiled
-    def inputs_and_costs(self, world: Any, t: Any, z: Any) -> tuple[Any, Any]:
-        def at(t: Any, z: Any) -> Any:
-            w = self.input(world, t, z)
-            return w, self.running(world, t, jnp.split(z, 2)[0], w)[1]
+    def judged(self, world: Any, t: Any, z: Any) -> tuple[Any, Any, Any, Any]:
+        """At each node the input, the cost per second, and what is left of dH/dw; and the `Reason` of the whole motion."""
 
-        return jax.vmap(at, (0, 1))(t, z)
+        def at(t: Any, z: Any) -> Any:
+            (w, left), y = self.input(world, t, z), jnp.split(z, 2)[0]
+            q, *u = jnp.split(y, 2) if self.rate_level else (y,)
+            seen, cost = self.resolved(world, t, q, *(u or (w,))), self.running(world, t, y, w)[1]
+            pose = motion(world[0], world[1], t).pose
+            return w, cost, left, Course(q, seen.rate, seen.error, seen.damping, pose, costs=cost)
+
+        w, costs, left, course = jax.vmap(at, (0, 1), 0)(t, z)
+        reason, _ = diagnose(self.chain, self.horizon.task, course, self.horizon.tolerance, keep=True)
+        return w, costs, left, jnp.full(len(t), reason)
 
     @_compiled
     def ends(self, world: Any, a: Any, b: Any, start: Any, basis: Any) -> Any:
@@ -184,5 +230,4 @@ def _first(system: _System, world: Any, q: Any, nodes: int, guess: Prediction | 
 def _padded(function: Any, t: Any, y: Any) -> Any:
     """A call with a number of columns that is a power of two: no new program for each mesh."""
     more = (1 << max(5, (len(t) - 1).bit_length())) - len(t)
-    found = function(np.pad(t, (0, more), "edge"), np.pad(y, ((0, 0), (0, more)), "edge"))
-    return np.asarray(found)[..., : len(t)]
+    return function(np.pad(t, (0, more), "edge"), np.pad(y, ((0, 0), (0, more)), "edge"))

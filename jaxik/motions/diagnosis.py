@@ -38,25 +38,30 @@ def diagnose(chain: Chain, task: Task, course: Course, tolerance: float, keep: b
     (LIMITS) or damping acted (SINGULAR), or else for no reason but that its loop is not closed well, or that it begins
     elsewhere (NOT_CONVERGED). A path without length is STILL.
     """
-    count, index = len(course.q), jnp.arange(len(course.q))
+    count = len(course.q)
     columns = [jnp.broadcast_to(x, (count, *jnp.shape(x)[1:])) for x in map(jnp.asarray, course)]
-    judge = jax.vmap(lambda *moment: _moment(chain, task, tolerance, bool(keep), *moment))
-    lost, outside, late, well, beyond, moves = jnp.moveaxis(judge(*columns, columns[4][:1].repeat(count, 0)), 1, 0)
-    fails = lost | outside | late
-    k = jnp.argmax(fails)
-    since = (index >= jnp.max(jnp.where(well & (index < k), index, 0))) & (index <= k)
-    behind = jnp.where(jnp.any((columns[3] > 0.0) & since), Reason.SINGULAR, Reason.NOT_CONVERGED)
-    behind = jnp.where(jnp.any(columns[5] & since) | outside[k], Reason.LIMITS, behind)
-    behind = jnp.where(late[0], Reason.NOT_CONVERGED, behind)
-    stretched = jnp.any(beyond & (index >= k)) & late[k]  # an arm is stretched there, and late already before
-    failed = jnp.where(lost[k], Reason.INVALID, jnp.where(stretched, Reason.OUT_OF_REACH, behind))
-    any_moves, any_fails = jnp.any(moves), jnp.any(fails)
-    well_done = jnp.where(any_moves, Reason.SOLVED, Reason.STILL)
-    return jnp.where(any_fails, failed, well_done), jnp.where(any_fails, k, jnp.where(any_moves, count, 0))
+    return _diagnosed(chain, task, float(tolerance), bool(keep), *columns)
+
+
+class _Known(NamedTuple):
+    """What is known of a motion up to a sample: whether it failed, at which sample and why; whether damping and limits acted
+    since the tip was last where it should be; whether it was late then, whether the path is beyond reach since, whether it
+    moves, and whether it began late."""
+
+    number: Any
+    failed: Any
+    sample: Any
+    reason: Any
+    damped: Any
+    held: Any
+    late: Any
+    beyond: Any
+    moves: Any
+    off: Any
 
 
 @kernel(models=4)
-def _moment(
+def _diagnosed(
     chain: Chain,
     task: Task,
     tolerance: float,
@@ -68,9 +73,45 @@ def _moment(
     pose: Any,
     held: Any,
     costs: Any,
-    first: Any,
-) -> Any:
+) -> tuple[Any, Any]:
+    def turn(known: _Known, row: Any) -> tuple[_Known, None]:
+        now = Course(*row)
+        lost, outside, late, well, beyond, moved = _moment(chain, task, tolerance, keep, now, pose[0])
+        fails = lost | outside | late
+        first, open_, behind = fails & ~known.failed, ~known.failed, ~(well & ~fails)
+        damped = jnp.where(open_, (known.damped & behind) | (now.damping > 0.0), known.damped)
+        limited = jnp.where(open_, (known.held & behind) | now.held, known.held)
+        off = known.off | (late & (known.number == 0))
+        reason = jnp.where(damped, int(Reason.SINGULAR), int(Reason.NOT_CONVERGED))
+        reason = jnp.where(limited | outside, int(Reason.LIMITS), reason)
+        reason = jnp.where(off, int(Reason.NOT_CONVERGED), reason)
+        reason = jnp.where(lost, int(Reason.INVALID), reason)
+        failed = known.failed | fails
+        return _Known(
+            known.number + 1,
+            failed,
+            jnp.where(first, known.number, known.sample),
+            jnp.where(first, reason, known.reason),
+            damped,
+            limited,
+            jnp.where(first, late, known.late),
+            known.beyond | (beyond & failed),  # an arm is stretched there, and late already before
+            known.moves | moved,
+            off,
+        ), None
+
+    none, zero = jnp.zeros((), bool), jnp.zeros((), int)
+    start = _Known(zero, none, zero, zero, none, none, none, none, none, none)
+    end, _ = jax.lax.scan(turn, start, Course(q, qdot, error, damping, pose, held, costs))
+    failed = jnp.where(end.beyond & end.late, int(Reason.OUT_OF_REACH), end.reason)
+    well_done = jnp.where(end.moves, int(Reason.SOLVED), int(Reason.STILL))
+    reached = jnp.where(end.moves, len(q), 0)
+    return jnp.where(end.failed, failed, well_done), jnp.where(end.failed, end.sample, reached)
+
+
+def _moment(chain: Chain, task: Task, tolerance: float, keep: bool, now: Course, first: Any) -> tuple[Any, ...]:
     """Of a sample, beside the `first` pose: whether it is lost, outside of the limits, late, well, beyond reach, and moved."""
+    q, qdot, error, _, pose, _, costs = now
     finite = [jnp.all(jnp.isfinite(x)) for x in (q, qdot, error, pose, costs)]
     lost = ~jnp.all(jnp.stack(finite))
     lower, upper, fastest = (jnp.asarray(bound, q.dtype) for bound in (chain.lower, chain.upper, chain.velocity))
@@ -79,7 +120,7 @@ def _moment(
     away = jnp.max(jnp.abs(error), initial=0.0)
     moved = jnp.any(jnp.abs(pose - first) > 100.0 * jnp.finfo(q.dtype).eps)
     late = ~(away <= tolerance) & ~lost
-    return jnp.stack([lost, jnp.any(outside) & keep & ~lost, late, away <= 0.1 * tolerance, _beyond(chain, task, pose), moved])
+    return lost, jnp.any(outside) & keep & ~lost, late, away <= 0.1 * tolerance, _beyond(chain, task, pose), moved
 
 
 def _beyond(chain: Chain, task: Task, pose: Any) -> Any:

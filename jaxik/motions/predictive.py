@@ -329,7 +329,8 @@ def multistart(
     seed: int = 0,
     **options: Any,
 ) -> Prediction:
-    """`predict` from `starts` first inputs, the best first: 0, and smooth random ones, for the global picture. Host driver.
+    """`predict` from `starts` first inputs, 0 and smooth random ones, for the global picture: what is solved first, and of
+    that, and of the rest, the best first. Host driver.
 
     A random input is a sum of the first five cosines of the horizon, of random amplitudes [`spread` rad/s2 or rad/s] that fall
     with their frequency, so that it moves the arm and does not shake it. Raises `ValueError` as `predict` does, and for a
@@ -347,5 +348,5 @@ def multistart(
     inputs = np.einsum("skn,kt->stn", spread * rng.normal(size=(starts, 5, n)) / (1.0 + order)[:, None], waves)
     inputs[0] = 0.0
     found = predict(chain, path, duration, np.tile(q, (starts, 1)), cost, horizon, inputs, *given, each=("guess",))
-    best = np.argsort(np.nan_to_num(np.asarray(found.total), nan=np.inf), kind="stable")
+    best = np.lexsort((np.nan_to_num(np.asarray(found.total), nan=np.inf), ~np.asarray(found.success)))
     return jax.tree_util.tree_map(lambda x: np.asarray(x)[best], found)

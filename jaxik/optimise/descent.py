@@ -30,6 +30,7 @@ or where it rises, and then what was before is kept.
 from __future__ import annotations
 
 import dataclasses
+import functools
 from collections.abc import Callable
 from typing import Any, Literal, NamedTuple
 
@@ -41,6 +42,7 @@ from jaxtyping import Float, Int
 from jaxik.checks.arrays import numbers
 from jaxik.checks.options import as_count, check_choices, check_finite, shown
 from jaxik.spatial.algebra import safe_divide
+from jaxik.spmd import kernel
 
 Direction = Literal["steepest", "hestenes_stiefel", "fletcher_reeves", "polak_ribiere", "hager_zhang", "lbfgs"]
 Search = Literal["fixed", "backtracking", "polynomial", "secant"]
@@ -150,13 +152,19 @@ def advance(objective: Objective, state: State, options: Descent, glance: bool =
     w, kept_cost, kept_aux = keep((w, cost, aux), (state.w, state.cost, state.aux))
     over = better & (state.cost - cost < options.tolerance * jnp.abs(state.cost))
     if options.search == "polynomial":
-        least, most = (share * jnp.asarray(options.interval, interval.dtype) for share in _SHARES)
-        interval = jnp.clip(jnp.where(better, interval, 0.1 * state.interval), least, most)
         s = jnp.where(better, s, jnp.zeros_like(s))  # and from here straight down
-        over |= (interval[1] <= least[1]) | ~(cost == cost)
+        interval, short = kernel(functools.partial(_narrowed, options.interval))(better, interval, state.interval)
+        over |= short | ~(cost == cost)
     else:
         over |= ~better
     return State(w, kept_cost, kept_aux, g, s, memory, interval, state.iterations + 1, alpha, beta, over)
+
+
+def _narrowed(first: tuple[float, float], better: Any, interval: Any, before: Any) -> tuple[Any, Any]:
+    """The next interval, a tenth of the one before where nothing is better, and whether it is too short."""
+    least, most = (share * jnp.asarray(first, interval.dtype) for share in _SHARES)
+    interval = jnp.clip(jnp.where(better, interval, 0.1 * before), least, most)
+    return interval, interval[1] <= least[1]
 
 
 def run(objective: Objective, w: Any, options: Descent) -> Descended:
@@ -208,12 +216,20 @@ def _heading(objective: Objective, state: State, options: Descent) -> tuple[Any,
         slope = -inner(g, scaled)
         s, slope = jnp.where(slope < 0.0, -scaled, -g), jnp.where(slope < 0.0, slope, -square)
         return g, s, slope, jnp.zeros((), g.dtype), memory
-    across, along = inner(g, before), inner(g, s)
-    beta = _beta(options.direction, square, across, inner(before, before), along, inner(before, s))
-    again = jnp.abs(across) > options.restart * square
-    beta = jnp.where((state.iterations == 0) | again, 0.0, jnp.asarray(beta, g.dtype))
-    beta = jnp.where(beta * along < square, beta, 0.0)  # else it does not descend
-    return g, beta * s - g, beta * along - square, beta, ()
+    products = square, inner(g, before), inner(before, before), inner(g, s), inner(before, s)
+    beta, slope = kernel(functools.partial(_conjugate, options.direction, options.restart))(*products, state.iterations)
+    return g, beta * s - g, slope, beta, ()
+
+
+def _conjugate(
+    kind: str, restart: float, square: Any, across: Any, before: Any, along: Any, along_before: Any, iterations: Any
+) -> tuple[Any, Any]:
+    """Beta, 0 where there is no direction before or where it would not descend, and the slope."""
+    beta = _beta(kind, square, across, before, along, along_before)
+    again = jnp.abs(across) > restart * square
+    beta = jnp.where((iterations == 0) | again, 0.0, jnp.asarray(beta, square.dtype))
+    beta = jnp.where(beta * along < square, beta, 0.0)
+    return beta, beta * along - square
 
 
 def _search(objective: Objective, state: State, g: Any, s: Any, slope: Any, options: Descent) -> tuple[Any, Any, Any, Any]:
@@ -229,7 +245,7 @@ def _search(objective: Objective, state: State, g: Any, s: Any, slope: Any, opti
     if options.search == "polynomial":
         three = _three(interval)
         costs = objective.along(state.w, s, three) if objective.along else jax.vmap(lambda alpha: at(alpha)[0])(three)
-        return *_parabola(costs, state.cost, interval), None
+        return *kernel(_parabola)(costs, state.cost, interval), None
     if options.search == "secant":
         moved, change = state.alpha * state.direction, g - state.gradient
         two_points = safe_divide(objective.inner(moved, moved), objective.inner(moved, change))

@@ -25,6 +25,8 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Bool, Float
 
+from jaxik.spmd import kernel
+
 
 class Program(NamedTuple):
     """A problem's functions of (x, t): cost (), equations (m,), inequalities (k,)."""
@@ -88,14 +90,17 @@ def _system(program: Program, x: Any, t: Any, low: Any, high: Any) -> _System:
     n, near = len(x), float(jnp.finfo(x.dtype).eps) ** 0.5
     held = (x <= low + near) | (x >= high - near)
     r, c = program.equality(x, t), _finite(program.inequality(x, t))
-    rows = jnp.concatenate([jax.jacfwd(program.equality)(x, t), jax.jacfwd(lambda x: _finite(program.inequality(x, t)))(x)])
+    by_x = jax.jacfwd(lambda x: _finite(program.inequality(x, t)))(x)
+    rows = jnp.concatenate([kernel(jax.jacfwd(program.equality))(x, t), by_x])
     m, active = len(r), c <= 10.0 * near
     counted = jnp.concatenate([jnp.ones(m, bool), active])
-    slope = jax.grad(program.cost)(x, t)
+    slope = kernel(jax.grad(program.cost))(x, t)
     inside = jnp.where(held | ~counted[:, None], 0.0, rows)
     multipliers, *_ = jnp.linalg.lstsq(inside.T, jnp.where(held, 0.0, -slope))
     y, z = multipliers[:m], -multipliers[m:]
-    curvature = jax.hessian(lambda x: _lagrangian(program, x, t, y, z))(x)
+    curvature = kernel(jax.hessian(lambda x, t, y: program.cost(x, t) + y @ program.equality(x, t)))(x, t, y)
+    if len(c):
+        curvature -= jax.hessian(lambda x: z @ _finite(program.inequality(x, t)))(x)
     matrix = jnp.block([[curvature, inside.T], [inside, jnp.zeros((len(rows), len(rows)))]])
     off = jnp.concatenate([held, ~counted])
     matrix = jnp.where(off[:, None] | off, jnp.eye(len(off), dtype=x.dtype), matrix)

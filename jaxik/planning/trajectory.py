@@ -27,6 +27,7 @@ _ENDLESS = {
     Reason.INVALID: "its path holds what is no finite number",
     Reason.LIMITS: "its drives cannot hold the arm still on the way, or its limits let nothing move",
 }
+MOST = 10_000_000  # samples of a motion
 SLOWEST = 0.1  # [s] between samples, that a controller may want of a motion that is over sooner
 
 
@@ -97,8 +98,8 @@ class Trajectory(Pytree, Reasoned):
         """Times (i,) and states (i, n) as a controller takes them, one a `period` [s], the last at the end. Host.
 
         The motion is slowed down, by less than a period in all, so that it ends with one: its limits hold for the samples, too.
-        Raises `ValueError` for a batch, for a period that is no positive number, or longer than the motion and `SLOWEST`, and
-        for a timing that is NaN.
+        Raises `ValueError` for a batch, for a period that is no positive number, longer than the motion and `SLOWEST`, or so
+        short that there are more than `MOST` samples, and for a timing that is NaN.
         """
         _check_one("Trajectory.sample", self.time)
         check_finite("sample", period=period)
@@ -107,7 +108,7 @@ class Trajectory(Pytree, Reasoned):
         whole = jax.tree_util.tree_map(lambda x: np.asarray(x, np.float64), self)
         if not np.isfinite(whole.duration):
             raise ValueError(f"sample: the trajectory lasts {whole.duration} s; {_ENDLESS[Reason(int(whole.reason))]}")
-        if period > max(SLOWEST, whole.duration):
+        if period > max(SLOWEST, whole.duration) or whole.duration > MOST * period:
             raise ValueError(f"sample: period is {period:g} s, and the motion lasts {whole.duration:.3g} s; give seconds")
         steps = int(np.ceil(whole.duration / period - 1e-9))
         slower = steps * period / whole.duration if steps else 1.0

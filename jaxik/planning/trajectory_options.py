@@ -29,7 +29,8 @@ class TrajectoryOptions:
     acceleration_cost, jerk_cost: zeta_a [s2], zeta_j [s4]; None is 0 for degree 2, and (duration / 7)^2 and 0 for degree 3.
     margin: clearance [m] that is kept on the whole way; None asks for none.
     collision_weight, collision_maximum: zeta_coll, and l_coll at no distance (6.7).
-    activation, self_activation: distances [m] to obstacles and to itself below which that costs.
+    activation, self_activation: distances [m] to obstacles and to itself below which that costs, of each link and each by
+        itself; the second is as the first unless given.
     arc_length: collision cost by the way the arm moves [m] rather than by time, so that haste does not make it cheap.
     velocity, acceleration, jerk: limits (n,) or one number [rad, m and s]; None is the chain's velocity, and no other.
     torque, power: limits (n,) or one number [Nm and N, W] of what the drives give, in `gravity` [m/s2, world]; or none.
@@ -123,6 +124,7 @@ class TrajectoryOptions:
             collision_maximum=self.collision_maximum,
             activation=self.activation,
             self_activation=self.activation if self.self_activation is None else self.self_activation,
+            apart=self.collision_weight > 0.0,
             arc_length=self.arc_length,
             velocity=velocity,
             acceleration=acceleration,

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import dataclasses
 from collections.abc import Sequence
 from typing import Any
 
@@ -41,9 +40,11 @@ def trajectory_cost(
     with the motion and its multipliers as they were `found`: the Lagrangian, whose derivative by anything that the problem
     depends on is that of the least cost [envelope theorem; Nocedal and Wright 2006, sec. 12.8], though nothing is optimised
     again. So `jax.grad` of it by the scene says where an obstacle is in the way, by the chain which link is too short. `goal`
-    (a pose), `via` and the options are those of `optimise_trajectory`; `arc_length` has no such derivative. Where the motion
-    comes to lie as far from one object as from another, or from the robot itself, the cost has a kink, and this is its slope
-    on one side, the motion being held.
+    (a pose), `via` and the options are those of `optimise_trajectory`; `arc_length` has no such derivative.
+
+    It holds where each link has one nearest place. A motion that settles where a link is as far from one obstacle as from
+    another lies on a kink of its cost; there this is the slope on one side, the motion being held, and the least cost's own
+    slope lies between that and the other side's.
 
     Raises `ValueError` for a batch (vmap it), for arc_length, and for poses that are not as many as the multipliers.
     """
@@ -67,9 +68,12 @@ def trajectory_cost(
     if options.margin is not None:
         pressed = np.flatnonzero(np.any(found.pressure > 1e-9 * np.max(found.pressure, initial=1.0), axis=1))
 
+        asked_of = options.terms(chain, scene).parts
+
         @kernel  # of one number, whose derivative by many obstacles is a row of them and no matrix
         def pressing(q: Any, pressure: Any) -> Any:
-            return jnp.sum(jnp.where(pressure > 0.0, pressure * jnp.minimum(link_clearances(chain, scene, q), 1e3), 0.0))
+            near = jnp.concatenate([link_clearances(robot, around, q) for robot, around, _ in asked_of])
+            return jnp.sum(jnp.where(pressure > 0.0, pressure * jnp.minimum(near, 1e3), 0.0))
 
         if len(pressed):
             parts = jax.vmap(pressing)(q[pressed], jnp.asarray(found.pressure, q.dtype)[pressed])
@@ -83,16 +87,12 @@ def _collision_cost(chain: Chain, scene: Scene | None, q: Any, options: Trajecto
     terms = options.terms(chain, scene)
     step = terms.duration / (len(q) - 1)
     weight = jnp.full(len(q), step, q.dtype).at[jnp.array([0, -1])].mul(0.5)
-    itself, alone = chain, dataclasses.replace(chain, self_pairs=())
-    apart = terms.self_activation != terms.activation
     maximum = options.collision_maximum
 
     @kernel
     def each(q: Any) -> Any:
-        parts = [(itself, None, terms.self_activation), (alone, scene, terms.activation)]
-        parts = parts if apart else [(itself, scene, terms.activation)]
-        near = (jnp.minimum(link_clearances(robot, around, q), 1e3) for robot, around, _ in parts)
-        return sum(jnp.sum(collision_cost(d, part[2], maximum)) for d, part in zip(near, parts, strict=True))
+        near = ((jnp.minimum(link_clearances(robot, around, q), 1e3), at) for robot, around, at in terms.parts)
+        return sum(jnp.sum(collision_cost(d, at, maximum)) for d, at in near)
 
     return options.collision_weight * weight @ jax.vmap(each)(q)
 

@@ -65,6 +65,7 @@ class Terms:
     collision_maximum: float
     activation: float
     self_activation: float
+    apart: bool
     arc_length: bool
     velocity: np.ndarray
     acceleration: np.ndarray
@@ -136,19 +137,21 @@ class Terms:
         }
         return (*rows, *(more[order] for order in self.orders[1:]))
 
+    @property
+    def parts(self) -> list[tuple[Chain, Scene | None, float]]:
+        """Robots, obstacles, and the distance [m] at which these begin to cost. What costs is the robot's distance to itself,
+        and to the scene, each by itself: were it the lesser of both, a link that is always near its neighbour would see nothing
+        else, and the cost would have a kink where both are equally far."""
+        if not self.apart:
+            return [(self.chain, self.scene, self.activation)]
+        alone = dataclasses.replace(self.chain, self_pairs=())
+        return [(self.chain, None, self.self_activation), (alone, self.scene, self.activation)]
+
     @functools.cached_property
     def _robots(self) -> list[tuple[Chain, Any, float]]:
-        """A chain, obstacles, and the distance [m] at which they begin to cost; itself and the scene apart where these differ;
-        none of a chain without shapes."""
-        if not has_geometry(self.chain):
-            return []
-        if self.self_activation == self.activation or not self.collision_weight:
-            return [(self.chain, grouped(self.scene, self.chain), self.activation)]
-        alone = dataclasses.replace(self.chain, self_pairs=())
-        return [
-            (self.chain, grouped(None, self.chain), self.self_activation),
-            (alone, grouped(self.scene, alone), self.activation),
-        ]
+        """The `parts` with their obstacles by place; none of a chain without shapes."""
+        known = has_geometry(self.chain)
+        return [(chain, grouped(scene, chain), near) for chain, scene, near in self.parts] if known else []
 
     @functools.cached_property
     def _reaches(self) -> np.ndarray:

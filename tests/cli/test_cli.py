@@ -513,6 +513,8 @@ def test_a_motion_is_planned_and_written(tmp_path, monkeypatch, capsys):
         (("--goal", 1), "--goal: 1 numbers; planar2 has 2: q1, q2"),
         (("--period", 0), "--period 0: it is above zero [s]"),
         (("--out", "motion.txt"), "ending '.txt'; allowed: .csv, .npz, .json"),
+        (("--without", "crate"), "--without crate: there is no scene to leave it out of; give --scene"),
+        (("--period", 1e-9), "period is 1e-09 s, and the motion lasts"),
     ):
         with pytest.raises(SystemExit) as left:
             call(monkeypatch, "plan", "planar2", *ends, "--velocity", 1, *more)

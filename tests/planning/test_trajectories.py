@@ -12,6 +12,7 @@ from scipy.optimize import minimize
 import jaxik
 from jaxik.collision.clearances import link_clearances
 from jaxik.collision.continuous_collision import joint_reaches
+from jaxik.costs import collision_cost
 from jaxik.optimise import collocation, splines
 from jaxik.optimise.banded import banded_solve
 from jaxik.planning import TrajectoryOptions, optimise_trajectory, trajectory_cost
@@ -275,6 +276,31 @@ def test_cost_by_obstacles_and_links(arm):
     assert np.abs(slope).min() > 0.1
     np.testing.assert_allclose(slope, truth, rtol=1e-3)
     np.testing.assert_allclose(cost, found.cost, rtol=1e-7)
+
+
+def test_a_link_sees_what_is_behind_its_neighbour():
+    """A wrist is always near itself, and yet a post beside it costs; the cost's derivative by it is that of the optima."""
+    chain = jaxik.load("ur5e")
+    start, goal = (np.array([side, -1.2, 1.4, -1.6, -1.5, 0.0]) for side in (-0.4, 0.4))
+    x, y, z = np.asarray(jaxik.forward_kinematics(chain, 0.5 * (start + goal)))[:3, 3]
+    options = SOFT | {"activation": 0.1, "tolerance": 1e-9, "iterations": 300}
+
+    def post(top):
+        scene = jaxik.make_scene(capsules=[[x, y, 0.0, x, y, 1.0, 0.03]])
+        return dataclasses.replace(scene, capsules=dataclasses.replace(scene.capsules, b=jnp.array([[x, y, top]])))
+
+    best = lambda top: optimise_trajectory(chain, jax.tree_util.tree_map(np.asarray, post(top)), start, goal, **options)
+    found, least, most = (best(z - 0.05 + h) for h in (0.0, -1e-4, 1e-4))
+    slope = jax.grad(lambda top: trajectory_cost(chain, post(top), found, **options))(z - 0.05)
+    assert slope > 0.1 and found.iterations < 50
+    np.testing.assert_allclose(slope, (most.cost - least.cost) / 2e-4, rtol=1e-2)
+    beside, alone = post(z - 0.05), dataclasses.replace(chain, self_pairs=())
+    near = lambda q: jnp.concatenate([link_clearances(chain, None, q), link_clearances(alone, beside, q)])
+    each = jax.vmap(lambda q: collision_cost(near(q), 0.1).sum())(sampled(found.trajectory, np.linspace(0.0, 2.0, 25)).q)
+    np.testing.assert_allclose(found.parts[3], 10.0 * np.trapezoid(each, dx=2.0 / 24), rtol=1e-6)
+    kept = options | {"margin": 0.0, "rounds": 9}
+    held = optimise_trajectory(chain, beside, start, goal, **kept)  # a margin, too, of each by itself
+    np.testing.assert_allclose(trajectory_cost(chain, beside, held, **kept), held.cost, rtol=1e-7)
 
 
 def test_reasons(arm):
