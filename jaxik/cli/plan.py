@@ -57,7 +57,7 @@ class PlanArguments(ShapedRobotArguments):
             raise ValueError(f"--period {self.period:g}: it is above zero [s]")
         check_writable(self.out)
         if self.without and self.scene is None:
-            raise ValueError(f"--without {' '.join(self.without)}: of a scene; add --scene")
+            raise ValueError(f"--without {' '.join(self.without)}: there is no scene to leave it out of; give --scene")
         chain = jaxik.load(self.robot, **self.loading())
         scene = jaxik.make_scene() if self.scene is None else jaxik.load_scene(self.scene).without(self.without)
         names = [f.name for f in dataclasses.fields(jaxik.planning.PlanOptions)]
