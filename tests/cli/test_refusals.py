@@ -54,7 +54,10 @@ def refused(tmp_path, monkeypatch, capsys):
             "--start: 2 numbers; ur5e has 6: shoulder_pan_joint, ",
         ),
         ("plan ur5e --start 0 0 0 0 0 0 --goal 1 0 0 0 0 nan", "--goal 1.0 0.0 0.0 0.0 0.0 nan: finite numbers"),
-        ("plan ur5e --start 0 0 0 0 0 0 --goal 1 0 0 0 0 0 --without leaf_1", "--without leaf_1: there is no scene to leave it out of; give --scene"),
+        (
+            "plan ur5e --start 0 0 0 0 0 0 --goal 1 0 0 0 0 0 --without leaf_1",
+            "--without leaf_1: there is no scene to leave it out of; give --scene",
+        ),
         (f"dynamics crops_v2 absent.csv --plot {SHUT}/a.png", f"--plot {SHUT}/a.png: cannot be written"),
         ("dynamics crops_v2 absent.csv", "jaxik: absent.csv: No such file or directory"),
         (f"harvest --out {SHUT}/a", f"--out {SHUT}/a: cannot be written"),

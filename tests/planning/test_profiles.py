@@ -149,5 +149,5 @@ def test_profiles_are_traced_and_written(tmp_path):
     with jax.enable_x64(True):
         at = jax.jit(jax.vmap(moved.at))(time[:-1] * moved.duration / time[-1])
     np.testing.assert_allclose(at.q, state.q[:-1], atol=1e-12)
-    table = np.load(save_trajectory(tmp_path / "x.npz", moved, 0.05, "abc"))
+    table = np.load(save_trajectory(tmp_path / "x.npz", moved, 0.05, list("abc")))
     np.testing.assert_array_equal(table["q"], state.q)
