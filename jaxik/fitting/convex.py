@@ -1,23 +1,17 @@
-"""Convex bodies in many places at once: whether two of them touch, and how far apart they are [Gilbert, Johnson, Keerthi 1988].
-
-The nearest point v to the origin of the set of differences a - b is sought on simplices of at most four of its corners. The
-farthest corner w against v bounds the distance from below by v.w / |v|: where that is positive, a plane lies between the two.
-"""
+"""Convex bodies in many places at once: whether two of them touch, how far they are apart, and how deep they overlap."""
 
 from __future__ import annotations
 
-import itertools
 from collections.abc import Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
 
+from jaxik.fitting.gjk import SEPARATION, WAY_OUT
+from jaxik.spmd.batch import in_blocks
+
 MANY = 400  # directions that are looked in for a way out
-BLOCK = 64  # places at a time, which bounds the memory
-STEPS = 60  # corners that are looked at, at most; a dozen is usual
-CLOSE = 1e-4  # of a distance, to which it is sought
-FLAT = 1e-12  # of a simplex' size squared, below which it has no inside
-_SUBSETS = {k: np.array(list(itertools.combinations(range(4), k))) for k in (1, 2, 3)}
+ROOMS = (64, 512, 4096)  # corners that kernels are made for
 
 
 class Body(NamedTuple):
@@ -37,29 +31,23 @@ def overlap(a: Body, b: Body, turn: np.ndarray, place: np.ndarray) -> np.ndarray
 
 def ways_out(a: Body, b: Body, turn: np.ndarray, place: np.ndarray, count: int = MANY) -> tuple[np.ndarray, np.ndarray]:
     """`overlap`, and the directions (n, 3) from a to b in which it is so much, found from `count` of all."""
-    depth, across = np.zeros(len(place)), np.zeros((len(place), 3))
-    for k in range(0, len(place), BLOCK):
-        rows = slice(k, k + BLOCK)
-        depth[rows], across[rows] = _ways_out(a, b, turn[rows], place[rows], count)
+    around = np.concatenate([np.zeros((1, 3)), directions(48), 0.4 * directions(16)])
+    depth, across = in_blocks(
+        WAY_OUT, rows_of(turn, place), fixed=(*room_of(a), *room_of(b), directions(count), around), double=True
+    )
     return depth + (a.radius + b.radius), across
 
 
-def _ways_out(a: Body, b: Body, turn: np.ndarray, place: np.ndarray, count: int) -> tuple[np.ndarray, np.ndarray]:
-    depth = lambda across: support(a, across) + support(b, -across @ turn) - np.einsum("...ki,...i->...k", across, place)
-    rows, around = np.arange(len(place)), np.concatenate([np.zeros((1, 3)), directions(48), 0.4 * directions(16)])
-    first = directions(count)
-    along = first[depth(np.broadcast_to(first, (len(place), count, 3))).argmin(axis=1)]
-    for spread in (0.16, 0.04, 0.01):
-        across = along[:, None] + spread * around
-        across = across / np.linalg.norm(across, axis=2, keepdims=True)
-        told = depth(across)
-        along = across[rows, told.argmin(axis=1)]
-    return told.min(axis=1), along
+def rows_of(turn: np.ndarray, place: np.ndarray) -> np.ndarray:
+    """The upper three rows of frames (n, 12)."""
+    return np.concatenate([turn, place[:, :, None]], axis=2).reshape(-1, 12)
 
 
-def support(body: Body, across: np.ndarray) -> np.ndarray:
-    """How far a body's corners are in directions (..., 3) [m]."""
-    return np.asarray((across @ body.corners.T).max(axis=-1))
+def room_of(body: Body) -> tuple[np.ndarray, np.int32]:
+    """A body's corners in an array of one of a few lengths, which are compiled for, and their number."""
+    count = len(body.corners)
+    room = next((n for n in ROOMS if n >= count), count)
+    return np.concatenate([body.corners, np.zeros((room - count, 3))]), np.int32(count)
 
 
 def directions(count: int) -> np.ndarray:
@@ -73,32 +61,12 @@ def separated(a: Body, b: Body, turn: np.ndarray, place: np.ndarray, least: floa
     """How far a is from b, which stands at `turn` (n, 3, 3) and `place` (n, 3) in a's frame: lower bounds (n,) [m], and the
     directions (n, 3) from a to b in which they are that far apart.
 
-    Exact to `CLOSE` where the bodies are nearer than `least`, and no less than that elsewhere; 0 or less where they touch.
+    Exact to `gjk.CLOSE` where the bodies are nearer than `least`, and no less than that elsewhere; 0 or less where they touch.
     """
-    bound, across = np.full(len(place), -1.0), np.zeros((len(place), 3))
-    lane = np.arange(len(place))
-    simplex, used = np.zeros((len(place), 4, 3)), np.zeros((len(place), 4), bool)
-    simplex[:, 0], used[:, 0] = a.corners[0] - (turn @ b.corners[0] + place), True
-    v = simplex[:, 0].copy()
-    need, more = least + a.radius + b.radius, a.radius + b.radius
-    for _ in range(STEPS):
-        if not len(lane):
-            break
-        far = b.corners[np.argmax(np.einsum("nij,ni->nj", turn[lane], v) @ b.corners.T, axis=1)]
-        w = a.corners[np.argmin(v @ a.corners.T, axis=1)] - np.einsum("nij,nj->ni", turn[lane], far) - place[lane]
-        length, along = np.linalg.norm(v, axis=1), np.einsum("ni,ni->n", v, w)
-        along = along / np.maximum(length, 1e-12)
-        better = along > bound[lane]
-        bound[lane[better]], across[lane[better]] = along[better], -(v / np.maximum(length, 1e-12)[:, None])[better]
-        free = np.argmin(used, axis=1)
-        rows = np.arange(len(lane))
-        simplex[rows, free], used[rows, free] = w, True
-        v, used = _nearest(simplex, used)
-        now = np.linalg.norm(v, axis=1)
-        going = ~used.all(axis=1) & (now > 1e-9) & (now < length * (1.0 - 1e-12))
-        going &= (bound[lane] < need) & (now - bound[lane] > CLOSE * now)
-        lane, simplex, used, v = lane[going], simplex[going], used[going], v[going]
-    return np.maximum(bound, 0.0) - more, across
+    radii = a.radius + b.radius
+    need = np.full(len(place), least + radii)
+    bound, across = in_blocks(SEPARATION, rows_of(turn, place), need, fixed=(*room_of(a), *room_of(b)), double=True)
+    return bound - radii, across
 
 
 def apart_at_least(a: Body, b: Body, turn: np.ndarray, place: np.ndarray) -> np.ndarray:
@@ -112,7 +80,7 @@ def gaps(couples: Sequence[tuple[Body, Body]], turn: np.ndarray, place: np.ndarr
     least = np.full(len(place), enough)
     for a, b in couples:
         rows = np.flatnonzero(apart_at_least(a, b, turn, place) < least)
-        least[rows] = np.minimum(least[rows], separated(a, b, turn[rows], place[rows], float(least.max()))[0])
+        least[rows] = np.minimum(least[rows], separated(a, b, turn[rows], place[rows], float(least.max(initial=0.0)))[0])
     return least
 
 
@@ -141,62 +109,3 @@ def hull_corners(points: np.ndarray) -> np.ndarray:
     """Those of the points (p, 3) that are corners of their convex hull; all of them where they are flat."""
     hull = hull_of(points)
     return points if hull is None else np.asarray(points[hull.vertices])
-
-
-def _nearest(simplex: np.ndarray, used: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """The point of each simplex (n, 4, 3) nearest to the origin, of the corners `used`; and which of them hold it."""
-    count = len(simplex)
-    best, point, held = np.full(count, np.inf), np.zeros((count, 3)), np.zeros((count, 4), bool)
-    for subsets in _SUBSETS.values():
-        corners = simplex[:, subsets]  # (n, s, size, 3)
-        weights, valid = _weights(corners)
-        valid &= used[:, subsets].all(axis=2)
-        found = np.einsum("nsk,nskc->nsc", weights, corners)
-        square = np.where(valid, np.sum(found * found, axis=2), np.inf)
-        which = np.argmin(square, axis=1)
-        rows = np.arange(count)
-        better = square[rows, which] < best
-        best = np.where(better, square[rows, which], best)
-        point = np.where(better[:, None], found[rows, which], point)
-        mask = np.zeros((len(subsets), 4), bool)
-        np.put_along_axis(mask, subsets, True, axis=1)
-        held = np.where(better[:, None], mask[which], held)
-    whole = used.all(axis=1)
-    if whole.any():
-        inside = whole & _holds_origin(simplex)
-        point[inside], held[inside] = 0.0, True
-    return point, held
-
-
-def _weights(corners: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Where on points, lines or triangles (..., k, 3), without end, the origin projects; and whether that is inside."""
-    size = corners.shape[2]
-    if size == 1:
-        return np.ones(corners.shape[:3]), np.ones(corners.shape[:2], bool)
-    origin, edges = corners[:, :, 0], corners[:, :, 1:] - corners[:, :, :1]
-    gram = np.einsum("nsic,nsjc->nsij", edges, edges)
-    pull = -np.einsum("nsic,nsc->nsi", edges, origin)
-    g, h, k = gram[..., 0, 0], gram[..., 0, -1], gram[..., -1, -1]
-    if size == 2:
-        whole, part = g, pull
-        flat = whole <= FLAT**2
-    else:
-        whole, part = (
-            g * k - h**2,
-            np.stack([k * pull[..., 0] - h * pull[..., 1], g * pull[..., 1] - h * pull[..., 0]], axis=-1),
-        )
-        flat = whole <= FLAT * g * k
-    part = part / np.where(flat, 1.0, whole)[..., None]
-    weights = np.concatenate([1.0 - part.sum(axis=-1, keepdims=True), part], axis=-1)
-    return weights, ~flat & (weights > 0.0).all(axis=-1)
-
-
-def _holds_origin(simplex: np.ndarray) -> np.ndarray:
-    """Whether each tetrahedron (n, 4, 3) holds the origin."""
-    inside = np.ones(len(simplex), bool)
-    for i, (j, k, m) in enumerate(((1, 2, 3), (0, 3, 2), (0, 1, 3), (0, 2, 1))):
-        normal = np.cross(simplex[:, k] - simplex[:, j], simplex[:, m] - simplex[:, j])
-        own = np.einsum("nc,nc->n", normal, simplex[:, i] - simplex[:, j])
-        zero = -np.einsum("nc,nc->n", normal, simplex[:, j])
-        inside &= (own * zero >= 0.0) & (own != 0.0)
-    return inside

@@ -11,15 +11,17 @@ import functools
 import itertools
 import math
 from collections.abc import Sequence
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 
-from jaxik.fitting.convex import Body, gaps, hull_corners, separated, ways_out
+from jaxik.fitting.closer_between_nodes import EXCESS
+from jaxik.fitting.convex import Body, gaps, hull_corners, room_of, rows_of, separated, ways_out
 from jaxik.robot.chain import Chain
 from jaxik.robot.kinematics import joint_frames
 from jaxik.robot.link_distance_table import PairTable, stored
 from jaxik.spatial.algebra import BASE
+from jaxik.spmd.batch import in_blocks
 
 SIDES = 64, 256  # values of each joint, fewest and most
 TURN = (-math.pi, math.pi)
@@ -27,12 +29,10 @@ ENOUGH = 0.1  # [m] from which on gaps are not told apart
 USEFUL = 0.3  # of what it is made for, which a table at least says is free
 SECTIONS = 32  # corners that stand for a circle
 FEW = 100  # directions in which depth is sought at first
-BLOCK = 512  # places at a time, which bounds the memory
 
 Limits = tuple[np.ndarray, np.ndarray]
 Couple = tuple[Body, Body]
 Couples = list[Couple]
-Half = tuple[float, float]  # of the steps between a table's nodes, by joint
 Places = tuple[np.ndarray, np.ndarray]  # turns (n, 3, 3) and places (n, 3)
 
 
@@ -159,83 +159,18 @@ def _signed(a: Body, b: Body, turn: np.ndarray, place: np.ndarray) -> tuple[np.n
 def _excess(
     couple: Couple, places: Places, across: np.ndarray, distance: np.ndarray, axes: list[Axis], steps: list[float]
 ) -> np.ndarray:
-    """By how much interpolation between the nodes' `distance` may be too large in each cell [m].
-
-    In any direction n two bodies are apart by `min_x n.x - max_y n.y` over the corners x of b and y of a, which is no more than
-    their distance. Within half a step of a node n is the node's, kept in the frame of a, of b or of what is between the joints,
-    whichever is best: a corner's height along it changes at the speeds of the joints that move it there, and by its arcs. So
-    each corner says by how much it may come closer than the interpolation does, in each of the quarters around the node.
-    """
+    """By how much interpolation between the nodes' `distance` may be too large in each cell [m]."""
     side, radii = math.isqrt(len(distance)), sum(body.radius for body in couple)
-    grid, half = distance.reshape(side, side), (steps[0] / 2.0, steps[1] / 2.0)
+    grid, half = distance.reshape(side, side), np.array(steps) / 2.0
     before = [np.diff(grid, axis=k, prepend=np.take(grid, [0], k)) / steps[k] for k in range(2)]
     after = [np.diff(grid, axis=k, append=np.take(grid, [-1], k)) / steps[k] for k in range(2)]
     mixed = np.abs(np.diff(np.diff(grid, axis=0), axis=1)) / 4.0
-    over = np.empty((2, 2, side * side))
-    for start in range(0, side * side, BLOCK):
-        rows = slice(start, start + BLOCK)
-        bodies = _corners_at(couple, (places[0][rows], places[1][rows]), across[rows], axes, half)
-        for i, j in itertools.product(range(2), repeat=2):
-            slopes = [(after if later else before)[k].ravel()[rows] for k, later in enumerate((i, j))]
-            over[i, j, rows] = distance[rows] - _least(bodies, slopes, (2 * i - 1, 2 * j - 1), half) + radii
-    quarter = lambda i, j: over[i, j].reshape(side, side)[1 - i : side - i, 1 - j : side - j]
+    slopes = np.stack([np.stack([before[k].ravel(), after[k].ravel()], axis=1) for k in range(2)], axis=1)
+    seen = np.array([[*axis.origin, *axis.along, axis.slides] for axis in axes], float)
+    fixed = *(x for body in couple for x in room_of(body)), seen, half
+    (over,) = in_blocks(EXCESS, rows_of(*places), across, distance, slopes, fixed=fixed, double=True)
+    quarter = lambda i, j: (over[:, i, j] + radii).reshape(side, side)[1 - i : side - i, 1 - j : side - j]
     return np.asarray(np.max([np.zeros_like(mixed), *(quarter(i, j) + mixed for i in range(2) for j in range(2))], axis=0))
-
-
-class _Corners:
-    """Of a body's corners (n, p): how high they are along a direction, how fast they rise with each joint, and how far they go
-    from there within half a step by the arc of the joint next to the body, and with the other's [m]."""
-
-    def __init__(self, body: Body, places: Places, across: np.ndarray, axes: list[Axis], next_to: int, half: Half):
-        """Of a body in some places, next to one of the joints, whose axes have origins and directions (n, 3)."""
-        turn, place = places
-        along = lambda way, shift: np.einsum("nij,ni->nj", turn, way) @ body.corners.T + _dot(way, shift)[:, None]
-        speeds, radii = [], []
-        for axis in axes:
-            away = place - axis.origin
-            if axis.slides:
-                speeds.append(np.broadcast_to(_dot(across, axis.along)[:, None], (len(place), len(body.corners))))
-                radii.append(np.ones(speeds[-1].shape))
-            else:
-                speeds.append(along(np.cross(across, axis.along), away))
-                square = np.sum(body.corners**2, axis=1) - _dot(away, away)[:, None] + 2.0 * along(away, away)
-                radii.append(np.sqrt(np.maximum(square - along(axis.along, away) ** 2, 0.0)))
-        (inner, outer), (own, other) = ([pair[next_to], pair[1 - next_to]] for pair in (radii, half))
-        turns = [float(not axes[k].slides) for k in (next_to, 1 - next_to)]
-        arc = 0.5 * turns[0] * inner * own**2
-        more = turns[1] * (0.5 * (outer + inner * own) * other**2 + inner * own * other)
-        self.height, self.speeds, self.arc, self.arcs = along(across, place), speeds, arc, arc + more
-
-
-def _dot(a: np.ndarray, b: np.ndarray) -> np.ndarray:
-    return np.asarray(np.einsum("ni,ni->n", a, b))
-
-
-def _corners_at(couple: Couple, places: Places, across: np.ndarray, axes: list[Axis], half: Half) -> tuple[_Corners, _Corners]:
-    """Of two bodies, the second in some places in the frame of the first."""
-    (turn, place), (near, far) = places, axes
-    seen = [
-        Axis(np.broadcast_to(near.origin, place.shape), np.broadcast_to(near.along, place.shape), near.slides),
-        Axis(turn @ far.origin + place, turn @ far.along, far.slides),
-    ]
-    still = np.broadcast_to(np.eye(3), turn.shape), np.zeros_like(place)
-    first, second = (_Corners(couple[k], (still, places)[k], across, seen, k, half) for k in range(2))
-    return first, second
-
-
-def _least(bodies: tuple[_Corners, _Corners], slopes: list[np.ndarray], signs: Sequence[int], half: Half) -> np.ndarray:
-    """How far two bodies are apart at least in one of the quarters around some nodes (n,), less what the interpolation's
-    `slopes` add there."""
-
-    def falls(corners: _Corners, joints: Sequence[int]) -> Any:
-        each = [np.maximum(signs[k] * (slopes[k][:, None] - corners.speeds[k]), 0.0) * half[k] for k in joints]
-        return sum(each) + (0.0, corners.arc, corners.arcs)[len(joints)]
-
-    found, (first, second) = [], bodies
-    for cut in range(3):  # the direction goes with the first body, with what is between, with the second
-        low = (second.height - falls(second, range(cut, 2))).min(axis=1)
-        found.append(low - (first.height + falls(first, range(cut))).max(axis=1))
-    return np.asarray(np.max(found, axis=0))
 
 
 def _of_nodes(cells: np.ndarray, wraps: Sequence[bool]) -> np.ndarray:
