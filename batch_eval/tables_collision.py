@@ -38,18 +38,16 @@ def collision_markdown(result: dict[str, Any]) -> str:
 
 
 def model_markdown(result: dict[str, Any]) -> str:
-    """A row for each robot: its collision model's size and what it says falsely, in two settings."""
-    fit = result["finer"]["fit"]
+    """A row for each robot: its collision model's size, and what it says falsely, beside that of hulls."""
     lines = [
-        f"| robot | volumes | protrusion, most, mean | free by hulls | false | missed | finer ({1e3 * fit['accuracy']:.0f} mm, "
-        f"{fit['most']} a mesh): volumes | false | missed |",
+        "| robot | parts of meshes | volumes | out of meshes, most, mean | free | false | missed | by hulls: volumes | false |",
         "| --- | --- | --- | --- | --- | --- | --- | --- | --- |",
     ]
-    for row, finer in zip(result["default"]["rows"], result["finer"]["rows"], strict=True):
+    for row, hulls in zip(result["default"]["rows"], result["hulls"]["rows"], strict=True):
         reach = f"{row['protrusion max [mm]']:.0f} mm, {row['protrusion mean [mm]']:.0f} mm"
-        shares = f"{100 * row['free by hulls']:.1f} % | {100 * row['false']:.1f} % | {row['missed']}"
-        more = f"{finer['volumes']} | {100 * finer['false']:.1f} % | {finer['missed']}"
-        lines.append(f"| {row['robot']} | {row['volumes']} | {reach} | {shares} | {more} |")
+        shares = f"{100 * row['free']:.1f} % | {100 * row['false']:.1f} % | {row['missed']}"
+        size = f"{row['parts']} of {row['meshes']} | {row['volumes']}"
+        lines.append(f"| {row['robot']} | {size} | {reach} | {shares} | {hulls['volumes']} | {100 * hulls['false']:.1f} % |")
     return "\n".join(lines)
 
 

@@ -84,7 +84,7 @@ _MOVED = {  # until the next release; a name that is another now stands behind =
     "collision": "Attached Fruit MotionClearance SceneBuilder attach link_circles link_spheres motion_collides "
     "object_clearances self_clearance",
     "files": "fit_report",
-    "fitting": "LinkFit",
+    "fitting": "FitReport LinkFit",
     "harvesting": "Grasp Harvest Weights blockers crop fit_mapping scan",
     "ik": "IKResult descend",
     "motions": "Arc Follow=FollowOptions Horizon Line MovingHorizon asc boundary_value follow_predictively motion "

@@ -11,10 +11,17 @@ import tyro
 import jaxik
 from jaxik.cli.progress import progress_bar
 from jaxik.cli.results import check_writable, naming, print_table
-from jaxik.cli.robot_arguments import RobotArguments
+from jaxik.cli.robot_arguments import Checked, RobotArguments, checked_pairs
 from jaxik.files.unchecked_pairs import unchecked
 
-HEADINGS = ("link", "mesh", "volumes", "coverage", "protrusion", "mean", "gap", "false collisions")
+HEADINGS = ("link", "mesh", "parts", "volumes", "closed", "coverage", "protrusion", "mean", "false collisions")
+PAIRS = ("link", "other", "checked", "meshes touch", "false collisions")
+LEFT = {
+    "named": "no: as told",
+    "touches": "no: meshes mostly touch",
+    "neighbours": "no: neighbours",
+    "never": "no: never touch",
+}
 
 
 @dataclasses.dataclass(kw_only=True)
@@ -24,9 +31,12 @@ class FitArguments(RobotArguments):
     robot: tyro.conf.Positional[str]
     """A robot file with meshes (.urdf, .xml)."""
     accuracy: float = 1e3 * jaxik.Fit().accuracy
-    """How far a capsule should reach beyond its mesh's hull, at most [mm]; the table says how far it does."""
+    """How far a capsule should reach beyond its part of the mesh, at most [mm]; the table says how far they do."""
     most: int = jaxik.Fit().most
-    """Capsules a mesh, at most."""
+    """Capsules a convex part, at most."""
+    parts: int = jaxik.Fit().parts
+    """Convex parts that a mesh is cut into, at most."""
+    pairs: Checked = ()
     to: Path | None = None
     """A file to write: .toml, which jaxik loads as it is; .urdf, in which spheres are the links, for other programs."""
 
@@ -36,19 +46,21 @@ class FitArguments(RobotArguments):
             raise ValueError(f"--to {self.to}: ending '{self.to.suffix}'; allowed: .toml, .urdf")
         if self.to is not None:
             check_writable(self.to, "--to")
-        what = self.loading() | {"fit": jaxik.Fit(self.accuracy / 1e3, self.most)}
+        fit = jaxik.Fit(self.accuracy / 1e3, self.most, self.parts)
+        what = self.loading() | {"fit": fit, "pairs": checked_pairs(self.pairs)}
         start = time.perf_counter()
         with progress_bar() as bar:
             line = bar.add_task("fit", total=None)
             show = lambda done, of: bar.update(line, completed=done, total=of)
             report = jaxik.files.fit_report(self.robot, progress=show, **what)
-            if not report:
+            if not report.links:
                 none = "has no meshes that capsules could be fitted to; its shapes are those of its file"
                 raise ValueError(f"{self.robot}: {none}")
         seconds = time.perf_counter() - start
         chain = jaxik.load(self.robot, meshes=True, **what)
-        print_table(f"{chain.name}: capsules around its meshes, lengths in mm", HEADINGS, map(_cells, report))
-        false = max((row.false for row in report), default=0.0)
+        print_table(f"{chain.name}: capsules around its meshes, lengths in mm", HEADINGS, map(_cells, report.links))
+        print_table("pairs of links", PAIRS, map(_pair, report.pairs))
+        false = max(row.false for row in report.links)
         print(
             f"{len(chain.volumes)} volumes, {len(chain.self_pairs)} pairs of links to check, "
             f"{len(chain.pair_tables)} of them by a table of distances, in {seconds:.1f} s; "
@@ -68,5 +80,10 @@ def _told(chain: jaxik.Chain, to: Path, beyond: float) -> str:
 
 
 def _cells(row: jaxik.fitting.LinkFit) -> tuple[str, ...]:
-    lengths = (f"{1e3 * x:.1f}" for x in (row.protrusion, row.mean, row.gap))
-    return row.link, row.mesh.rpartition("/")[2], str(row.capsules), f"{row.coverage:.1%}", *lengths, f"{row.false:.1%}"
+    counts = str(row.parts), str(row.capsules), "yes" if row.closes else "no"
+    told = f"{row.coverage:.1%}", f"{1e3 * row.protrusion:.1f}", f"{1e3 * row.mean:.1f}", f"{row.false:.1%}"
+    return row.link, row.mesh.rpartition("/")[2], *counts, *told
+
+
+def _pair(row: jaxik.fitting.PairFit) -> tuple[str, ...]:
+    return *row.links, LEFT.get(row.unchecked, "yes"), f"{row.touch:.1%}", f"{row.false:.1%}"

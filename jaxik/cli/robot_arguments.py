@@ -12,6 +12,9 @@ import tyro
 IGNORED = "What is not checked: two links (forearm:hand), a link and an object (base:floor), a link and any object (rail)."
 Ignored = Annotated[tuple[str, ...], tyro.conf.arg(metavar="[LINK|LINK:OTHER]...", help=IGNORED)]
 
+CHECKED = "Links that are checked against each other in any case (forearm:hand), though their meshes mostly touch; or all."
+Checked = Annotated[tuple[str, ...], tyro.conf.arg(metavar="[LINK:LINK|all]...", help=CHECKED)]
+
 
 @dataclasses.dataclass(kw_only=True)
 class RobotArguments:
@@ -41,10 +44,11 @@ class ShapedRobotArguments(RobotArguments):
 
     meshes: bool = True
     """Read the robot's collision meshes (URDF, MJCF), for capsules around them: the first time it takes some seconds."""
+    pairs: Checked = ()
 
     def loading(self) -> dict[str, Any]:
         """What `jaxik.load` takes of these."""
-        return super().loading() | {"meshes": self.meshes}
+        return super().loading() | {"meshes": self.meshes, "pairs": checked_pairs(self.pairs)}
 
 
 def read_posture(words: Sequence[str]) -> dict[str, float] | None:
@@ -67,3 +71,14 @@ def ignored_pairs(given: Sequence[str]) -> list[Any]:
             example = "--ignore forearm:hand base:floor rail"
             raise ValueError(f"--ignore {each}: write LINK, LINK:LINK or LINK:OBJECT, e.g. {example}")
     return [names if len(names) == 2 else names[0] for names in pairs]
+
+
+def checked_pairs(given: Sequence[str]) -> Any:
+    """What `jaxik.load(pairs=)` takes, of words as they stand in a command: "LINK:LINK", or "all"."""
+    if tuple(given) == ("all",):
+        return "all"
+    pairs = [tuple(each.split(":")) for each in given]
+    for each, names in zip(given, pairs, strict=True):
+        if len(names) != 2 or not all(names):
+            raise ValueError(f"--pairs {each}: write LINK:LINK, e.g. --pairs forearm:hand, or all")
+    return pairs

@@ -17,7 +17,7 @@ from jaxik.files.robot_toml import CORNERS, Table, read_drive
 from jaxik.files.spherized import spherized
 from jaxik.files.unchecked_pairs import check_ours, write_disabled
 from jaxik.files.writing import toml, write_text
-from jaxik.robot.chain import Body, Box, Chain, JointType, Volume
+from jaxik.robot.chain import Body, Box, Chain, JointType, Unchecked, UncheckedReason, Volume
 from jaxik.robot.link_distance_table import PairTable, packed, unpacked
 
 # what a file calls the fields of a chain that have a row a joint, or a row a link
@@ -75,6 +75,7 @@ def _toml(chain: Chain) -> str:
         found: dict[str, Any] = {"links": [names[i] for i in table.links], "joints": [joints[j] for j in table.joints]}
         found |= {key: list(getattr(table, key)) for key in ("low", "high", "turns", "reach")}
         tables.append(("table", found | {"bounds": packed(table.stored), "geometry": table.geometry}))
+    tables += [("unchecked", dataclasses.asdict(each) | {"links": list(each.links)}) for each in chain.unchecked]
     return toml(head, tables)
 
 
@@ -109,9 +110,11 @@ def read_chain(model: Table) -> Chain:
     )
     pairs = [_two(model, "pairs", pair, names) for pair in model.listed("pairs")]
     tables = [_table(table, chain) for table in model.tables("table")]
+    left = [_unchecked(table, names) for table in model.tables("unchecked")]
     beside = [_beside(model, entry, names) for entry in model.listed("ignored_objects")]
     model.close()
-    return dataclasses.replace(chain, self_pairs=tuple(pairs), ignored=tuple(beside), pair_tables=tuple(tables))
+    chain = dataclasses.replace(chain, self_pairs=tuple(pairs), ignored=tuple(beside))
+    return dataclasses.replace(chain, pair_tables=tuple(tables), unchecked=tuple(left))
 
 
 def _columns(rows: Sequence[dict[str, Any]], keys: dict[str, str]) -> dict[str, Any]:
@@ -150,6 +153,13 @@ def _table(table: Table, chain: Chain) -> PairTable:
         return PairTable(links, joints, low, high, turns, reach, unpacked(bounds), geometry)
     except ValueError:
         raise table.fail("bounds cannot be read", "take the table out, or save the chain again") from None
+
+
+def _unchecked(table: Table, names: Sequence[str]) -> Unchecked:
+    first, second = (names[i] for i in _two(table, "links", table.listed("links"), names))
+    share, depth = (table.number(key, "plain", 0.0) for key in ("share", "depth"))
+    reason: Any = table.text("reason", None, get_args(UncheckedReason))
+    return Unchecked((first, second), reason, share, depth)
 
 
 def _joint(table: Table) -> dict[str, Any]:

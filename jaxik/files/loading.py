@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import warnings
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from pathlib import Path
 from typing import Any
 
@@ -23,15 +23,17 @@ from jaxik.files.notes import Notes
 from jaxik.files.packages import as_packages
 from jaxik.files.robot_toml import load_toml, read_toml
 from jaxik.files.shipped import locate
-from jaxik.files.unchecked_pairs import disabled_pairs, ignored
+from jaxik.files.unchecked_pairs import asked_pairs, disabled_pairs, ignored
 from jaxik.files.urdf import load_urdf
 from jaxik.fitting.capsules import Fit
-from jaxik.fitting.model import FITS, Shape, modelled
-from jaxik.fitting.report import LinkFit, link_fits
+from jaxik.fitting.links import Shape
+from jaxik.fitting.model import modelled
+from jaxik.fitting.report import FitReport, fit_of
 from jaxik.reasons import LoadError
 from jaxik.robot.chain import Chain, solid_links
 
 FIT = Fit()
+TOLD = 0.01  # of random configurations, in which a pair touches that is not checked
 APART = "leave out pairs that touch by design: ignore=, srdf= (--ignore, --srdf)"
 
 
@@ -45,15 +47,22 @@ def load(
     fit: Any = FIT,
     srdf: str | Path | None = None,
     ignore: Any = (),
+    pairs: Any = (),
     posture: Any = None,
     packages: Any = (),
 ) -> Chain:
     """The serial chain of a shipped model (`"p6r"`) or of a file: `.urdf`, `.xml` (MJCF) or `.toml`. Host.
 
     `tip` and `base` name links (bodies or a site in MJCF); without them the chain runs from the root to the only leaf.
-    `tool` (4, 4) moves the tip [m]. `meshes=True` reads collision meshes and fits capsules around their convex hulls (`fit`;
-    None puts one box around each mesh), with tables of the hulls' distance for links that pass too closely; without it a URDF
-    with meshes has its kinematics, and `clearance` says what is missing. `srdf` names a file whose `disable_collisions` pairs
+    `tool` (4, 4) moves the tip [m]. `meshes=True` reads collision meshes, cuts concave ones into convex parts and fits capsules
+    around these (`fit`; None puts one box around each mesh), with tables of the parts' distance for links that pass closely;
+    without it a URDF with meshes has its kinematics, and `clearance` says what is missing.
+
+    Links are checked against each other unless they do not move against each other, their meshes touch in at least half of the
+    random postures, or never do; nor are neighbours, on either side of one joint. `chain.unchecked` lists each pair that is not
+    checked, with the reason. `pairs` names more to check, `[("hand", "forearm")]`, or is "all".
+
+    `srdf` names a file whose `disable_collisions` pairs
     are not checked, nor those of its `disable_default_collisions` links but for its `enable_collisions`; nor what an MJCF's
     `exclude`, contype and conaffinity keep apart. `ignore` lists what is not checked, either: pairs of links, pairs of a link
     and an object of the scene, whose name is not nearly a link's, and links that no object of a scene counts for.
@@ -74,16 +83,19 @@ def load(
     the file's own is called urdf, urdfs, xacro, robots, mjcf or xml). Links are followed. DAE needs `pip install "jaxik[dae]"`.
 
     Raises `LoadError` (a `ValueError`) with one line: the file, the element, what is allowed, the mend; and `ValueError` for a
-    `fit` without `meshes`, for `packages` that are no folders, for a `posture` that is no mapping of names to finite numbers,
-    and for MJCF without MuJoCo (the extra `mjcf`).
+    `fit` or `pairs` without `meshes`, for `packages` that are no folders, for a `posture` that is no mapping of names to finite
+    numbers, and for MJCF without MuJoCo (the extra `mjcf`).
     """
     path = locate(source)
     tool = None if tool is None else np.asarray(rigid_frame("tool (tip_T_tool)", tool), np.float64)
     check_kind("load", "fit", fit, Fit, optional=True)
     if fit is not FIT and not meshes:
         raise ValueError(f"load: fit is {shown(fit)}, but no meshes are read; write meshes=True, or leave it out")
+    if not meshes and (isinstance(pairs, str) or len(pairs)):
+        raise ValueError(f"load: pairs is {shown(pairs)}, but no meshes are read; write meshes=True, or leave it out")
     stance, shapes_of = _stance("load", posture), Meshes(meshes, meshes and fit is not None, as_packages("load", packages))
-    chain, shapes, pairs = _read(path, tip, base, tool, shapes_of, stance, notes := Notes())
+    chain, shapes, saved = _read(path, tip, base, tool, shapes_of, stance, notes := Notes())
+    asked = asked_pairs(path, chain, pairs)
     apart, beside = ignored(path, chain, ignore)
     disabled = apart | notes.apart | disabled_pairs(srdf, notes.links or chain.link_names, notes)
     for line in notes.lines():
@@ -92,14 +104,16 @@ def load(
     solid = {chain.link_names[i] for i in {*solid_links(chain), *(shape.link for shape in shapes)}}
     if posture is None and not chain.unread_meshes and (told := stance.told(solid)):
         warnings.warn(f"{shown(chain.name)}: {told}", stacklevel=2)
-    if pairs is not None:
+    if saved is not None:
         names = chain.link_names
-        kept = tuple(pair for pair in pairs if frozenset(names[i] for i in pair) not in disabled)
+        kept = tuple(pair for pair in saved if frozenset(names[i] for i in pair) not in disabled)
         return dataclasses.replace(chain, self_pairs=kept)
     if shapes:
-        model = modelled(chain, shapes, fit, disabled, stance.behind)
-        _tell(chain, "hulls", model.at_home, model.colliding)
-        return model.of(chain, shapes)
+        model = modelled(chain, shapes, fit, dataclasses.replace(asked, apart=disabled), stance.behind)
+        _tell(chain, "meshes", model.at_home, model.colliding)
+        modelled_chain = model.of(chain, shapes)
+        _tell_unchecked(modelled_chain)
+        return modelled_chain
     found = self_collisions(chain, disabled, stance.behind)
     if meshes:
         _tell(chain, "boxes", dict.fromkeys(found.at_home), found.share)
@@ -145,23 +159,39 @@ def _saved(path: Path, chain: Chain, tip: str | None, base: str | None, tool: np
 
 
 def _tell(chain: Chain, what: str, at_home: Mapping[tuple[int, int], float | None], share: float) -> None:
-    """One line where a robot's shapes collide in its default pose, or mostly: what they say of the robot is not true, then."""
+    """One line where a robot's shapes collide in its default pose, or mostly: that may not be what its file is to say."""
     names = [tuple(chain.link_names[i] for i in pair) for pair in at_home]
     depths = ["" if depth is None else f" by {1e3 * depth:.1f} mm" for depth in at_home.values()]
-    some = "; ".join(f"{a} and {b}{depth}" for (a, b), depth in zip(names[:3], depths, strict=False))
-    some += f"; ... ({len(names)} in all)" if names[3:] else ""
-    zero = "with all joints at 0 (or amid limits that leave 0 out)"
-    if names and None not in at_home.values():  # hulls: what they do there, they are taken to do by design
-        every = f"(*chain.self_pairs, {next(iter(at_home))})"
-        told = f"these pairs of links are not checked, because their {what} touch {zero}: {some}; ignore=[{names[0]}, ...] "
-        told += f"(--ignore {':'.join(names[0])}) says that they may, dataclasses.replace(chain, self_pairs={every}) checks one"
-    elif names:
-        told = f"its {what} touch {zero}: {some}; {APART}"
+    some = _some(f"{a} and {b}{depth}" for (a, b), depth in zip(names, depths, strict=True))
+    if names:
+        checked = "they are checked; " if None not in at_home.values() else ""
+        told = f"its {what} touch with all joints at 0 (or amid limits that leave 0 out): {some}; {checked}{APART}"
     elif share > 0.5:
         told = f"its {what} collide in {share:.0%} of random configurations; {APART}"
     else:
         return
     warnings.warn(f"{chain.name}: {told}", stacklevel=3)
+
+
+def _tell_unchecked(chain: Chain) -> None:
+    """One line of the pairs that are not checked since they touch mostly, but for neighbours, whose bearings do."""
+    joint = dict(zip(chain.link_names, chain.link_joint, strict=True))
+    apart = lambda links: abs(joint[links[0]] - joint[links[1]])
+    told = [u for u in chain.unchecked if u.reason == "touches" and u.share > TOLD and apart(u.links) > 1]
+    if told:
+        some = _some(f"{a} and {b} in {u.share:.0%}, by {1e3 * u.depth:.1f} mm" for u in told for a, b in [u.links])
+        mend = f"pairs=[{told[0].links}, ...] (--pairs {':'.join(told[0].links)}) checks them"
+        warnings.warn(
+            f"{chain.name}: these pairs of links are not checked, because their meshes touch in most random configurations: "
+            f"{some}; {mend}",
+            stacklevel=3,
+        )
+
+
+def _some(words: Iterable[str]) -> str:
+    """The first three, and how many there are."""
+    every = [*words]
+    return "; ".join(every[:3]) + (f"; ... ({len(every)} in all)" if every[3:] else "")
 
 
 def fit_report(
@@ -172,11 +202,12 @@ def fit_report(
     fit: Fit = FIT,
     srdf: str | Path | None = None,
     ignore: Any = (),
+    pairs: Any = (),
     posture: Mapping[str, Any] | None = None,
     packages: Any = (),
     progress: Callable[[int, int], None] | None = None,
-) -> tuple[LinkFit, ...]:
-    """What `load(..., meshes=True, fit=fit)` puts around each collision mesh of a file: one `LinkFit` a mesh. Host.
+) -> FitReport:
+    """What `load(..., meshes=True, fit=fit)` puts around each mesh of a file, and which pairs of links it checks. Host.
 
     `progress` hears of how many fits are made, of how many. Raises `LoadError` as `load` does.
     """
@@ -187,8 +218,8 @@ def fit_report(
         path, tip, base, None, Meshes(True, True, as_packages("fit_report", packages)), stance, notes := Notes()
     )
     disabled = disabled_pairs(srdf, notes.links or chain.link_names, notes) | ignored(path, chain, ignore)[0] | notes.apart
-    told = None if progress is None else lambda done: progress(done, FITS * len(shapes))
-    return link_fits(chain, shapes, modelled(chain, shapes, fit, disabled, stance.behind, told))
+    asked = dataclasses.replace(asked_pairs(path, chain, pairs), apart=disabled)
+    return fit_of(chain, shapes, modelled(chain, shapes, fit, asked, stance.behind, progress))
 
 
 def link_meshes(

@@ -20,7 +20,7 @@ from jaxik.files.chain_builder import MAX_BYTES, Link
 from jaxik.files.packages import MEND, PACKAGE, in_package, package_of
 from jaxik.files.polygon_files import READERS, read_polygons
 from jaxik.fitting.link_distance_tables import SECTIONS
-from jaxik.fitting.model import Shape
+from jaxik.fitting.links import Shape
 from jaxik.reasons import LoadError
 from jaxik.robot.chain import Chain
 
@@ -45,6 +45,9 @@ class Meshes:
     ) -> None:
         """A mesh by its corners (p, 3) in the frame `origin`, and its triangles (f, 3), those of its hull unless given."""
         if self.fitted:
+            if faces is not None:  # of STL each triangle has its own corners: where they are the same, they stay so when moved
+                points, number = np.unique(points, axis=0, return_inverse=True)
+                faces = number.reshape(-1)[faces]
             self.found.append((owner, Shape(0, name, points @ origin[:3, :3].T + origin[:3, 3], faces)))
         else:
             import trimesh  # half a second to import, and only meshes need it

@@ -12,6 +12,7 @@ from jaxik.checks.options import among, nearest, shown
 from jaxik.files.notes import Notes
 from jaxik.files.writing import write_text
 from jaxik.files.xml import attribute, parse
+from jaxik.fitting.links import Asked
 from jaxik.reasons import LoadError
 from jaxik.robot.chain import Chain, solid_links
 
@@ -44,6 +45,24 @@ def ignored(path: Path, chain: Chain, entries: Any) -> tuple[frozenset[frozenset
         else:
             beside.append((chain.link_names.index(link), other))
     return frozenset(apart), tuple(dict.fromkeys(beside))
+
+
+def asked_pairs(path: Path, chain: Chain, entries: Any) -> Asked:
+    """The pairs of links that are checked in any case, as `entries` name them, or all."""
+    if entries == "all":
+        return Asked(all=True)
+    if isinstance(entries, str) or not isinstance(entries, Iterable):
+        raise LoadError(path, f"pairs {shown(entries)}", "is no list", 'write [("link", "other")], or "all"')
+    found = []
+    for names in entries:
+        if not isinstance(names, tuple | list) or len(names) != 2 or not all(isinstance(n, str) for n in names):
+            raise LoadError(path, f"pairs {shown(names)}", "is no pair of links", 'write ("link", "other")')
+        for name in names:
+            if name not in chain.link_names:
+                mend = among(name, chain.link_names, "links")
+                raise LoadError(path, f"pairs {shown(names)}", f"no such link '{shown(name)}'", mend)
+        found.append(frozenset(names))
+    return Asked(checked=frozenset(found))
 
 
 def disabled_pairs(srdf: str | Path | None, links: Collection[str], notes: Notes) -> frozenset[frozenset[str]]:

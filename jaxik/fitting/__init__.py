@@ -1,6 +1,6 @@
-"""Collision models from meshes: capsules around convex hulls, and tables where capsules are too coarse."""
+"""Collision models from meshes: capsules around convex parts, and tables where capsules are too coarse."""
 
 from jaxik.fitting.capsules import Fit
-from jaxik.fitting.report import LinkFit
+from jaxik.fitting.report import FitReport, LinkFit, PairFit
 
-__all__ = ["Fit", "LinkFit"]
+__all__ = ["Fit", "FitReport", "LinkFit", "PairFit"]

@@ -33,20 +33,23 @@ NOTHING = np.zeros((0, 3)), np.zeros(0)  # to keep to
 
 @dataclasses.dataclass(frozen=True)
 class Fit:
-    """How links' collision meshes become capsules: as few as come within `accuracy` [m] of the mesh's convex hull, and keep to
-    their half of the gap where other links pass; where `most` a mesh are too few for that, as close as these come. What was
-    reached is told by `fit_report`. Raises `ValueError` for what is neither."""
+    """How links' collision meshes become capsules. A concave mesh is cut into convex `parts`, so many at most, where other
+    links pass. Around these go as few capsules as come within `accuracy` [m] of them, and keep to their half of the gap to
+    other links; where `most` a mesh, and three a part, are too few for that, as close as these come. What was reached is told
+    by `fit_report`. Raises `ValueError` for what is none of these."""
 
     accuracy: Any = 0.025
-    most: Any = 16
+    most: Any = 24
+    parts: Any = 16
 
     def __post_init__(self) -> None:
         number = isinstance(self.accuracy, int | float | np.number) and not isinstance(self.accuracy, bool | np.bool_)
         if not (number and 1e-4 <= float(self.accuracy) <= 0.2):
             raise ValueError(f"Fit: accuracy={shown(self.accuracy)}; allowed: 0.0001 to 0.2, in metres; 10 mm is 0.01")
-        whole = isinstance(self.most, int | np.integer) and not isinstance(self.most, bool)
-        if not (whole and 1 <= self.most <= 256):
-            raise ValueError(f"Fit: most={shown(self.most)} capsules a mesh; allowed: 1 to 256")
+        for name, what, limit in (("most", "capsules a mesh", 256), ("parts", "convex parts a mesh", 64)):
+            value = getattr(self, name)
+            if not (isinstance(value, int | np.integer) and not isinstance(value, bool) and 1 <= value <= limit):
+                raise ValueError(f"Fit: {name}={shown(value)} {what}; allowed: 1 to {limit}")
 
 
 class Fitted(NamedTuple):
@@ -55,6 +58,11 @@ class Fitted(NamedTuple):
     ends: np.ndarray
     radii: np.ndarray
     protrusion: np.ndarray
+
+
+def joined(fits: Sequence[Fitted]) -> Fitted:
+    """The capsules of several parts."""
+    return Fitted(*map(np.concatenate, zip(*fits, strict=True)))
 
 
 class _Hull(NamedTuple):
@@ -217,9 +225,3 @@ def _edges(corners: np.ndarray) -> np.ndarray:
         return np.stack(np.triu_indices(len(corners), 1), axis=1)
     pairs = hull.simplices[:, [[0, 1], [1, 2], [2, 0]]].reshape(-1, 2)
     return np.unique(np.sort(pairs, axis=1), axis=0)
-
-
-def mean_protrusion(points: np.ndarray, surface: np.ndarray) -> float:
-    """How far a model's `surface` (k, 3) lies beyond the convex hull of `points` in the mean [m]."""
-    beyond = np.maximum(_convex(points, 1.0)[1].beyond(surface), 0.0)
-    return float(beyond.mean()) if len(beyond) else 0.0

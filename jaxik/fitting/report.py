@@ -1,4 +1,4 @@
-"""What a fitted collision model is worth: how many capsules, how far they reach beyond the meshes, what they say falsely."""
+"""What a fitted collision model is worth: how far it stands out of the meshes, what is checked, and what it says falsely."""
 
 from __future__ import annotations
 
@@ -7,46 +7,70 @@ from typing import NamedTuple
 
 import numpy as np
 
-from jaxik.fitting.capsules import Fitted, away, mean_protrusion
+from jaxik.fitting.capsules import Fitted, away, joined
 from jaxik.fitting.convex import directions
-from jaxik.fitting.model import Model, Shape
+from jaxik.fitting.links import Shape
+from jaxik.fitting.model import Model
+from jaxik.fitting.surfaces import closes, distances
 from jaxik.robot.chain import Chain
 
-SAMPLED = 2000  # points of a mesh's surface
+SAMPLED = 2000  # points of a mesh's surface, and of a model's
 
 
 class LinkFit(NamedTuple):
-    """What `fit_report` tells of one mesh: its link, its name, the number of capsules; the share of the mesh's surface that
-    they cover; how far they reach beyond its convex hull [m], at most and in the mean over their common surface; how far that
-    surface is from the mesh in the mean [m]; and the share of random configurations in which the link falsely collides."""
+    """What `fit_report` tells of one mesh: its link, its name, the numbers of its convex parts and capsules; whether it closes,
+    which is what has an inside; the share of the mesh's surface that the capsules cover; how far their common surface is from
+    the mesh [m], at most and in the mean; and the share of random configurations in which the link falsely collides."""
 
     link: str
     mesh: str
+    parts: int
     capsules: int
+    closes: bool
     coverage: float
     protrusion: float
     mean: float
-    gap: float
     false: float
 
 
-def link_fits(chain: Chain, shapes: Sequence[Shape], model: Model) -> tuple[LinkFit, ...]:
-    """One `LinkFit` a shape."""
-    return tuple(
-        LinkFit(chain.link_names[s.link], s.name, len(f.radii), *_measured(s, f), model.false_by_link.get(s.link, 0.0))
-        for s, f in zip(shapes, model.fits, strict=True)
-    )
+class PairFit(NamedTuple):
+    """What `fit_report` tells of two links: why they are not checked, "" if they are (`Unchecked`); in which share of the
+    random configurations their meshes touch; and in which the model alone says so."""
+
+    links: tuple[str, str]
+    unchecked: str
+    touch: float
+    false: float
 
 
-def _measured(shape: Shape, found: Fitted) -> tuple[float, float, float, float]:
-    """Coverage, protrusion, mean protrusion and gap."""
-    from scipy.spatial import cKDTree
+class FitReport(NamedTuple):
+    """A robot's collision model: one `LinkFit` a mesh, one `PairFit` a pair of links that move against each other."""
 
+    links: tuple[LinkFit, ...]
+    pairs: tuple[PairFit, ...]
+
+
+def fit_of(chain: Chain, shapes: Sequence[Shape], model: Model) -> FitReport:
+    """The report on a model of some shapes."""
+    links = []
+    for number, shape in enumerate(shapes):
+        fits = [found for found, owner in zip(model.fits, model.owners, strict=True) if owner == number]
+        triangles, all_of = shape.corners[shape.triangles], joined(fits)
+        false, measured = model.false_by_link.get(shape.link, 0.0), _measured(shape, all_of)
+        told = chain.link_names[shape.link], shape.name, len(fits), len(all_of.radii), closes(triangles)
+        links.append(LinkFit(*told, *measured, false))
+    names = lambda pair: (chain.link_names[pair[0]], chain.link_names[pair[1]])
+    pairs = [PairFit(names(p), "", model.touch[p], model.false_by_pair[p]) for p in model.pairs]
+    pairs += [PairFit(u.links, u.reason, u.share, 0.0) for u in model.unchecked if u.reason != "fixed"]
+    return FitReport(tuple(links), tuple(pairs))
+
+
+def _measured(shape: Shape, found: Fitted) -> tuple[float, float, float]:
+    """Coverage, and how far the model's surface is from the mesh at most and in the mean."""
     mesh, model = surface(shape), outer(found)
     covered = np.min([np.linalg.norm(away(mesh, e), axis=1) - r for e, r in zip(found.ends, found.radii, strict=True)], axis=0)
-    gap = float(cKDTree(mesh).query(model)[0].mean()) if len(model) else 0.0
-    mean = mean_protrusion(shape.corners, model)
-    return float(np.mean(covered <= 0.0)), float(found.protrusion.max()), mean, gap
+    away_from = distances(shape.corners[shape.triangles], model) if len(shape.triangles) and len(model) else np.zeros(1)
+    return float(np.mean(covered <= 0.0)), float(away_from.max()), float(away_from.mean())
 
 
 def surface(shape: Shape) -> np.ndarray:
@@ -73,4 +97,5 @@ def outer(found: Fitted) -> np.ndarray:
         widths = found.radii - 1e-6 * (np.arange(len(found.radii)) == i)  # a sphere's sample may lie in its own capsule
         inside = [np.linalg.norm(away(points, other), axis=1) < width for other, width in zip(found.ends, widths, strict=True)]
         kept.append(points[~np.any(inside, axis=0)])
-    return np.concatenate(kept)
+    points = np.concatenate(kept)
+    return points[:: max(len(points) // SAMPLED, 1)]

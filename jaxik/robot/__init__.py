@@ -5,7 +5,7 @@ import warnings
 from typing import TYPE_CHECKING, Any
 
 from jaxik.robot.actuation import friction_torque, joint_torsion, motor_current, static_friction, torque_of_current
-from jaxik.robot.chain import Body, Chain, finite_limits, within_limits
+from jaxik.robot.chain import Body, Chain, Unchecked, finite_limits, within_limits
 from jaxik.robot.contact import Contact, contact_jacobian, contact_torque, material_point
 from jaxik.robot.drive import Drive, Friction
 from jaxik.robot.dynamics import (
@@ -32,6 +32,7 @@ __all__ = [
     "Drive",
     "Friction",
     "Task",
+    "Unchecked",
     "admissible_turns",
     "bias_acceleration",
     "bias_torque",

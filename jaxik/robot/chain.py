@@ -28,6 +28,7 @@ from jaxik.robot.link_distance_table import PairTable
 
 Array = jax.Array | np.ndarray
 JointType = Literal["revolute", "continuous", "prismatic"]
+UncheckedReason = Literal["fixed", "named", "touches", "neighbours", "never"]
 
 
 class Body(Constant):
@@ -78,15 +79,29 @@ class Volume(Constant):
     link: int = static()
 
 
+@dataclasses.dataclass(frozen=True)
+class Unchecked:
+    """Two links that are not checked against each other, and why: `fixed` (they do not move against each other), `named` (by
+    the user, an SRDF, an MJCF), `touches` (their surfaces touch in at least half of the random postures: they are meant to),
+    `neighbours` (on either side of one joint), `never` (they do not touch, neither in random postures nor in a search from the
+    nearest). They touch in a `share` of the random postures, by `depth` at most [m], as their convex parts say."""
+
+    links: tuple[str, str]
+    reason: UncheckedReason
+    share: float = 0.0
+    depth: float = 0.0
+
+
 class Chain(Constant):
     """A serial chain of n movable joints from a base to a tip; fixed joints are fused away.
 
     `parent_T_joint[i]` is the frame of joint i at q_i = 0 in the (moved) frame of joint i-1, the base frame for i = 0.
     `link_joint[l]` counts the movable joints between the base and link l: its frame is `link_offset[l]` in that joint's.
     `self_pairs` are the links to check against each other, `ignored` links with the object of a scene ("*": any) not to check,
-    `pair_tables` what is known of pairs beside their volumes. `armature` is the inertia of each joint's rotor at the joint,
-    behind its gears [kg m2, kg]; 0 unless given. `effort` is the most that its drive gives [Nm, N]; infinite unless given: no
-    function keeps to it unless asked, as by `torque=chain.effort`. `drives` has one a joint, or none at all.
+    `pair_tables` what is known of pairs beside their volumes, `unchecked` the pairs that are left out, and why. `armature` is
+    the inertia of each joint's rotor at the joint, behind its gears [kg m2, kg]; 0 unless given. `effort` is the most that its
+    drive gives [Nm, N]; infinite unless given: no function keeps to it unless asked, as by `torque=chain.effort`. `drives` has
+    one a joint, or none at all.
     """
 
     # not in the instance's dictionary, which copies and pickles take over
@@ -116,6 +131,7 @@ class Chain(Constant):
     armature: Float[Array, " n"] = dataclasses.field(default_factory=lambda: np.zeros(0))
     drives: tuple[Drive, ...] = ()
     effort: Float[Array, " n"] = dataclasses.field(default_factory=lambda: np.zeros(0))
+    unchecked: tuple[Unchecked, ...] = static(default=())
 
     def __post_init__(self) -> None:
         for name, default in (("armature", 0.0), ("effort", np.inf)):
@@ -219,6 +235,7 @@ class Chain(Constant):
             self_pairs=tuple((link[a], link[b]) for a, b in self.self_pairs if a in link and b in link),
             unread_meshes=tuple(n for n in self.unread_meshes if n in (self.link_names[i] for i in kept)),
             ignored=tuple((link[i], name) for i, name in self.ignored if i in link),
+            unchecked=tuple(u for u in self.unchecked if all(n in (self.link_names[i] for i in kept) for n in u.links)),
             pair_tables=tuple(
                 dataclasses.replace(t, links=(link[a], link[b]), joints=(i - first, j - first))
                 for t, (a, b), (i, j) in ((t, t.links, t.joints) for t in self.pair_tables)

@@ -17,7 +17,7 @@ from jaxik.collision.scene import Scene
 from jaxik.collision.scene_builder import make_scene
 from jaxik.collision.self_collision_pairs import default_pose
 from jaxik.files.targets import as_frames
-from jaxik.fitting.model import Shape
+from jaxik.fitting.links import Shape
 from jaxik.harvesting.driver import Harvest
 from jaxik.harvesting.harvest_plan import HarvestPlan
 from jaxik.ik.options import IKOptions

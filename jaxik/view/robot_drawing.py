@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from jaxik.fitting.model import Shape
+from jaxik.fitting.links import Shape
 from jaxik.robot.chain import Chain
 from jaxik.spatial.rotations import to_wxyz
 from jaxik.view.meshes import draw_mesh, mesh_of

@@ -1,0 +1,207 @@
+"""Links' own surfaces are the truth: whether they touch is coal's answer, and no model misses it."""
+
+import coal
+import jax
+import numpy as np
+import pytest
+import trimesh
+from robot_files import write
+from scipy.spatial import ConvexHull
+from scipy.spatial.transform import Rotation
+
+import jaxik
+from jaxik.collision.surface_pair import tree_of
+from jaxik.fitting.convex import rows_of
+from jaxik.fitting.parts import convex_parts
+from jaxik.fitting.surfaces import _GAP, closes, distances, surface_of, touching
+from jaxik.spmd.batch import in_blocks
+
+
+def triangles(mesh):
+    return np.asarray(mesh.vertices, float)[mesh.faces]
+
+
+def in_coal(triangles):
+    model = coal.BVHModelOBBRSS()
+    model.beginModel(len(triangles), 3 * len(triangles))
+    for corners in triangles:
+        model.addTriangle(*corners)
+    model.endModel()
+    return model
+
+
+def winding(point, triangles):
+    """By solid angles [Van Oosterom and Strackee 1983]."""
+    a, b, c = np.moveaxis(triangles - point, 1, 0)
+    la, lb, lc = (np.linalg.norm(x, axis=1) for x in (a, b, c))
+    dot = lambda x, y: np.sum(x * y, axis=1)
+    over = la * lb * lc + dot(a, b) * lc + dot(b, c) * la + dot(c, a) * lb
+    return np.sum(2.0 * np.arctan2(dot(a, np.cross(b, c)), over)) / (4.0 * np.pi)
+
+
+def fork(width=0.1):
+    """A hollow that another link may enter: two prongs on a bar."""
+    bars = [trimesh.creation.box((0.3, 0.04, 0.04)), *(trimesh.creation.box((0.04, 0.04, 0.2)) for _ in range(2))]
+    for bar, side in zip(bars[1:], (-1, 1), strict=True):
+        bar.apply_translation((side * width, 0.0, 0.1))
+    return trimesh.boolean.union(bars, engine="manifold")
+
+
+def carved(seed):
+    """A random box with holes and slots."""
+    rng = np.random.default_rng(seed)
+    body = trimesh.creation.box(rng.uniform(0.1, 0.3, 3))
+    for _ in range(3):
+        tool = trimesh.creation.cylinder(rng.uniform(0.02, 0.05), 0.5, sections=12)
+        tool.apply_transform(trimesh.transformations.random_rotation_matrix(rng.uniform(size=3)))
+        tool.apply_translation(rng.uniform(-0.12, 0.12, 3))
+        body = trimesh.boolean.difference([body, tool], engine="manifold")
+    return body
+
+
+SHAPES = {"fork": fork(), "carved 0": carved(0), "carved 1": carved(1), "ring": trimesh.creation.annulus(0.1, 0.15, 0.05)}
+
+
+def placed(count, seed, spread=0.25):
+    turn = Rotation.random(count, random_state=seed).as_matrix()
+    return turn, np.random.default_rng(seed).normal(size=(count, 3)) * spread
+
+
+@pytest.mark.parametrize("first, second", [("fork", "ring"), ("carved 0", "fork"), ("ring", "carved 1")])
+def test_surfaces_are_as_far_apart_as_coal_says(first, second):
+    """Which cross, and how far the others are apart, within what is asked for."""
+    a, b = (triangles(SHAPES[name]) for name in (first, second))
+    turn, place = placed(200, 3)
+    one, other, request, told = in_coal(a), in_coal(b), coal.DistanceRequest(), coal.DistanceResult()
+    true = np.empty(200)
+    for i in range(200):
+        told.clear()
+        true[i] = coal.distance(one, coal.Transform3s.Identity(), other, coal.Transform3s(turn[i], place[i]), request, told)
+    true = np.maximum(true, 0.0)
+    rows, trees = rows_of(turn, place), (tree_of(a), tree_of(b))
+    (gap,) = in_blocks(_GAP, rows, np.full(200, np.inf), fixed=trees, double=True)
+    assert 20 < np.sum(true == 0.0) < 180
+    np.testing.assert_allclose(gap, true, atol=1e-9)
+    (soon,) = in_blocks(_GAP, rows, np.full(200, 0.03), fixed=trees, double=True)
+    np.testing.assert_allclose(soon, np.minimum(true, 0.03), atol=1e-9)
+    touch = touching([surface_of([a], 0.0, 1)], [surface_of([b], 0.0, 1)], turn, place)
+    assert np.all(touch >= (true == 0.0)) and not touch[true > 0.1].any()
+
+
+def test_what_is_swallowed_touches():
+    """A ball in a hollow shell crosses nothing; in a ring it is outside."""
+    shell, ball = trimesh.creation.box((0.4, 0.4, 0.4)), trimesh.creation.icosphere(1, 0.05)
+    at = np.eye(3)[None].repeat(3, 0), np.array([[0.0, 0.0, 0.0], [0.1, 0.1, 0.1], [0.3, 0.0, 0.0]])
+    asked = lambda mesh: [surface_of([triangles(mesh)], 0.0, 1)]
+    assert touching(asked(shell), asked(ball), *at).tolist() == [True, True, False]
+    assert touching(asked(ball), asked(shell), *at).tolist() == [True, True, False]
+    open_box = triangles(shell)[:-1]
+    assert closes(triangles(shell)) and not closes(open_box)
+    assert not touching([surface_of([open_box], 0.0, 1)], asked(ball), *at).any()
+    assert not touching(asked(SHAPES["ring"]), asked(ball), at[0][:1], at[1][:1]).any()
+
+
+@pytest.mark.parametrize("name", SHAPES)
+def test_parts_hold_the_surface_and_its_inside(name):
+    mesh = SHAPES[name]
+    parts = convex_parts(np.asarray(mesh.vertices), np.asarray(mesh.faces), 6)
+    assert 1 < len(parts) <= 6
+    hulls = [ConvexHull(part.hull) for part in parts]
+    inside = np.random.default_rng(0).uniform(*mesh.bounds, (1000, 3))
+    inside = inside[[abs(winding(point, triangles(mesh))) > 0.5 for point in inside]]
+    points = np.concatenate([mesh.vertices, trimesh.sample.sample_surface(mesh, 2000, seed=0)[0], inside])
+    assert len(inside) > 100
+    beyond = np.min([(points @ h.equations[:, :3].T + h.equations[:, 3]).max(axis=1) for h in hulls], axis=0)
+    assert beyond.max() < 1e-9
+    assert sum(h.volume for h in hulls) < (1.0 if "carved" in name else 0.8) * mesh.convex_hull.volume
+
+
+def test_distances_of_points_are_trimeshs():
+    mesh, points = SHAPES["fork"], np.random.default_rng(0).normal(size=(200, 3)) * 0.2
+    true = trimesh.proximity.closest_point_naive(mesh, points)[1]
+    np.testing.assert_allclose(distances(triangles(mesh), points), true, atol=1e-9)
+
+
+ARM = """<robot name="forked"><link name="base">{fork}</link><link name="arm"/><link name="finger">{bar}</link>
+<link name="tip"/>
+<joint name="slide" type="prismatic"><parent link="base"/><child link="arm"/><axis xyz="1 0 0"/>
+<limit lower="-0.2" upper="0.2" velocity="1" effort="1"/></joint>
+<joint name="turn" type="revolute"><parent link="arm"/><child link="finger"/><axis xyz="0 1 0"/><origin xyz="0 0 0.3"/>
+<limit lower="-1.5" upper="1.5" velocity="1" effort="1"/></joint>
+<joint name="end" type="fixed"><parent link="finger"/><child link="tip"/></joint></robot>"""
+MESH = '<collision><geometry><mesh filename="{}.stl"/></geometry></collision>'
+
+
+@pytest.fixture(scope="module")
+def forked(tmp_path_factory):
+    """A finger that slides and turns between the prongs of a fork, whose hull it is always in."""
+    folder, finger = tmp_path_factory.mktemp("forked"), trimesh.creation.box((0.03, 0.03, 0.34))
+    finger.apply_translation((0.0, 0.0, -0.05))
+    SHAPES["fork"].export(folder / "fork.stl")
+    finger.export(folder / "bar.stl")
+    return write(folder, "arm.urdf", ARM.format(fork=MESH.format("fork"), bar=MESH.format("bar"))), finger
+
+
+def test_a_concave_link_leaves_room(forked):
+    """No posture is called free in which meshes cross, and hardly one is called a collision in which they do not (coal)."""
+    path, finger = forked
+    chain = jaxik.load(path, tip="tip", meshes=True)
+    q = np.random.default_rng(1).uniform(chain.lower, chain.upper, (400, 2))
+    frames = np.asarray(jax.vmap(lambda q: jaxik.robot.link_frames(chain, q))(q))[:, chain.link_names.index("finger")]
+    one, other = in_coal(triangles(SHAPES["fork"])), in_coal(triangles(finger))
+    request, told, still = coal.CollisionRequest(), coal.CollisionResult(), coal.Transform3s.Identity()
+
+    def cross(frame):
+        told.clear()
+        return coal.collide(one, still, other, coal.Transform3s(frame[:3, :3], frame[:3, 3]), request, told) > 0
+
+    true = np.array([cross(frame) for frame in frames])
+    says = np.asarray(jax.vmap(lambda q: jaxik.collides(chain, None, q))(q))
+    assert 0.2 < true.mean() < 0.8 and not np.any(true & ~says)
+    assert np.mean(says[~true]) < 0.05
+    hull = jaxik.load(path, tip="tip", meshes=True, fit=jaxik.Fit(parts=1))
+    assert np.mean(np.asarray(jax.vmap(lambda q: jaxik.collides(hull, None, q))(q))[~true]) > 0.2
+
+
+def test_what_is_not_checked_is_listed(forked, tmp_path):
+    """With the reason and the share; and any pair can be checked."""
+    path, _ = forked
+    chain = jaxik.load(path, tip="tip", meshes=True, ignore=[("base", "finger")])
+    (left,) = chain.unchecked
+    assert left == jaxik.robot.Unchecked(("base", "finger"), "named") and not chain.self_pairs
+    jaxik.save(chain, tmp_path / "arm.toml")
+    again = jaxik.load(tmp_path / "arm.toml")
+    assert again == chain and again.unchecked == chain.unchecked
+    assert chain.part(1, 2).unchecked == ()
+
+
+def test_pairs_are_asked_for(arm_of_bars):
+    """A link that is always in another one is not checked, one line says so, and `pairs` checks it."""
+    with pytest.warns(UserWarning, match=r"not checked, .* base and hand in 100%, by .* pairs=\[\('base', 'hand'\)"):
+        chain = jaxik.load(arm_of_bars, meshes=True)
+    told = {each.links: each for each in chain.unchecked}
+    both = told["base", "hand"]
+    assert (both.reason, both.share) == ("touches", 1.0) and both.depth > 0.05
+    assert told["base", "arm"].reason == "touches" and not chain.self_pairs  # neighbours: no line of these
+    for pairs in ([("hand", "base")], "all"):
+        with pytest.warns(UserWarning, match="touch with all joints at 0 .* base and hand"):
+            asked = jaxik.load(arm_of_bars, meshes=True, pairs=pairs)
+        assert (0, 2) in asked.self_pairs and jaxik.collides(asked, None, np.zeros(2))
+    report = jaxik.files.fit_report(arm_of_bars, pairs=[("base", "hand")])
+    assert {(row.links, row.unchecked) for row in report.pairs} >= {(("base", "hand"), ""), (("base", "arm"), "touches")}
+    for pairs, words in (([("base", "hnd")], "did you mean 'hand'"), ("base", "is no list"), ([("base",)], "no pair of links")):
+        with pytest.raises(ValueError, match=words):
+            jaxik.load(arm_of_bars, meshes=True, pairs=pairs)
+    with pytest.raises(ValueError, match="no meshes are read"):
+        jaxik.load(arm_of_bars, pairs="all")
+
+
+@pytest.fixture
+def arm_of_bars(tmp_path):
+    """Two joints that turn about one axis, and three bars in the same place."""
+    trimesh.creation.box((0.1, 0.1, 0.4)).export(tmp_path / "bar.stl")
+    joint = '<joint name="{1}" type="revolute"><parent link="{0}"/><child link="{1}"/><axis xyz="0 0 1"/>'
+    joint += '<limit lower="-1" upper="1" velocity="1" effort="1"/></joint>'
+    links = "".join(f'<link name="{name}">{MESH.format("bar")}</link>' for name in ("base", "arm", "hand"))
+    joints = joint.format("base", "arm") + joint.format("arm", "hand")
+    return write(tmp_path, "bars.urdf", f'<robot name="bars">{links}{joints}</robot>')
