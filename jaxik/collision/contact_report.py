@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import dataclasses
 import itertools
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from functools import cache, partial
 from typing import Any
 
@@ -66,10 +66,12 @@ class Limit:
 
 @dataclasses.dataclass(frozen=True)
 class Surroundings:
-    """The nearest pairs and the nearest limits, nearest first."""
+    """The nearest pairs and the nearest limits, nearest first; and of the pairs of links that are not checked, but for
+    neighbours, those whose volumes overlap here."""
 
     contacts: tuple[Contact, ...]
     limits: tuple[Limit, ...]
+    unchecked: tuple[Contact, ...] = ()
 
     @property
     def colliding(self) -> tuple[Contact, ...]:
@@ -77,12 +79,13 @@ class Surroundings:
         return tuple(c for c in self.contacts if c.distance < 0.0)
 
     def __str__(self) -> str:
-        return "\n".join(map(str, (*self.contacts, *self.limits)))
+        return "\n".join(map(str, (*self.contacts, *(f"not checked: {c}" for c in self.unchecked), *self.limits)))
 
 
 def explain(chain: Chain, scene: Scene | None, q: Float[Array, " n"], count: int = 5, below: float = np.inf) -> Surroundings:
     """What is nearest to the robot at `q` (n,) [rad, m]: the `count` nearest pairs of a link with an object of the scene or
-    with another link, those nearer than `below` [m], and the `count` joints nearest to a limit. Host.
+    with another link, those nearer than `below` [m], and the `count` joints nearest to a limit; and which links overlap that
+    are not checked against each other (`chain.unchecked`), but for neighbours. Host.
 
     Each pair of names stands once, at its least distance; the first pair's is `clearance`. A host function, in float64.
     Raises `ValueError` for a chain without collision geometry, or a q of another shape or with NaN or infinity.
@@ -98,11 +101,21 @@ def explain(chain: Chain, scene: Scene | None, q: Float[Array, " n"], count: int
     check_geometry(chain)
     volumes = skeletons(chain, posture.tolist(), np.float64)
     with jax.enable_x64(True):
-        pairs = [*_with_scene(chain, scene, volumes), *_with_itself(chain, volumes)]
+        pairs = [*_with_scene(chain, scene, volumes), *_with_itself(chain, volumes, chain.self_pairs)]
         bounds = {table.links: float(table(posture)) for table in pair_tables(chain)}
         found = [row for row in _nearest(pairs, bounds)[:count] if row[0] < below]
         contacts = tuple(_contact(chain, scene, pairs[number], apart, *row) for apart, number, *row in found)
-    return Surroundings(contacts, _limits(chain, posture)[:count])
+        beside = [*_with_itself(chain, volumes, _left_out(chain))]
+        overlapping = [row for row in _nearest(beside, {})[:count] if row[0] < 0.0]
+        unchecked = tuple(_contact(chain, None, beside[number], apart, *row) for apart, number, *row in overlapping)
+    return Surroundings(contacts, _limits(chain, posture)[:count], unchecked)
+
+
+def _left_out(chain: Chain) -> list[tuple[int, int]]:
+    """The pairs of links that move against each other, are no neighbours, and are not checked though they may touch."""
+    number = {name: i for i, name in enumerate(chain.link_names)}
+    pairs = [(number[a], number[b]) for u in chain.unchecked if u.reason in ("named", "touches") for a, b in [u.links]]
+    return [(a, b) for a, b in pairs if abs(chain.link_joint[a] - chain.link_joint[b]) > 1]
 
 
 class _Pairs:
@@ -180,10 +193,10 @@ def _with_scene(chain: Chain, scene: Scene | None, volumes: dict[int, Skeleton])
                     yield from (_Depths(pace * s, skeleton, others, owners, meet) for s in range(count))
 
 
-def _with_itself(chain: Chain, volumes: dict[int, Skeleton]) -> Iterator[_Pairs]:
-    """Of each pair of links the later one is the link, the earlier the other."""
+def _with_itself(chain: Chain, volumes: dict[int, Skeleton], pairs: Iterable[tuple[int, int]]) -> Iterator[_Pairs]:
+    """Of each of some pairs of links the later one is the link, the earlier the other."""
     meet = np.zeros((len(chain.link_names),) * 2, bool)
-    for a, b in chain.self_pairs:
+    for a, b in pairs:
         meet[a, b] = True
     for mine, theirs in itertools.product(volumes.values(), repeat=2):
         if meet[np.ix_(np.unique(theirs.link), np.unique(mine.link))].any():

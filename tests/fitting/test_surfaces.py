@@ -169,6 +169,10 @@ def test_what_is_not_checked_is_listed(forked, tmp_path):
     chain = jaxik.load(path, tip="tip", meshes=True, ignore=[("base", "finger")])
     (left,) = chain.unchecked
     assert left == jaxik.robot.Unchecked(("base", "finger"), "named") and not chain.self_pairs
+    told = jaxik.explain(chain, None, np.array([0.1, 0.0]))
+    assert not told.contacts and [(c.link, c.other) for c in told.unchecked] == [("finger", "base")]
+    assert "not checked: finger and base collide by" in str(told)
+    assert not jaxik.explain(chain, None, np.array([0.0, 0.0])).unchecked  # between the prongs
     jaxik.save(chain, tmp_path / "arm.toml")
     again = jaxik.load(tmp_path / "arm.toml")
     assert again == chain and again.unchecked == chain.unchecked
