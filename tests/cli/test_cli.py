@@ -463,8 +463,14 @@ def test_a_fit_is_told_and_written(tmp_path, monkeypatch, capsys):
         chain = jaxik.load(tmp_path / "arm.urdf", meshes=True, fit=jaxik.Fit(0.015))
         assert counts.startswith(f"{len(chain.volumes)} volumes, 1 pairs of links to check, ")
         rows = [[word.strip() for word in line.split("\u2502")[1:-1]] for line in table if line.startswith("\u2502")]
-        assert [row[:2] for row in rows] == [["base", "cylinder"], ["arm", "box"]]
-        assert sum(int(row[2]) for row in rows) == len(chain.volumes) - 1 and {row[3] for row in rows} == {"100.0%"}
+        links, pairs = rows[:2], rows[2:]
+        assert [row[:5:2] for row in links] == [["base", "1", "yes"], ["arm", "1", "yes"]]
+        assert sum(int(row[3]) for row in links) == len(chain.volumes) - 1 and {row[5] for row in links} == {"100.0%"}
+        assert {(*row[:2], row[2]) for row in pairs} == {
+            ("base", "arm", "yes"),
+            ("base", "tip", "no: never touch"),
+            ("arm", "tip", "no: never touch"),
+        }
         assert str(tmp_path / name) in wrote and ("spheres up to" in wrote) == (name == "model.urdf")
         assert (f"has to disable 2 pairs of links: {tmp_path / 'model.srdf'}" in wrote) == (name == "model.urdf")
     assert jaxik.load(tmp_path / "model.toml") == chain

@@ -23,7 +23,7 @@ def test_a_chain_is_read_as_it_was_written(tmp_path, name):
     assert jaxik.load(tmp_path / "chain.toml") == chain
 
 
-@pytest.mark.filterwarnings("ignore:panda. these pairs of links are not checked")  # `test_fit` holds that it is said
+@pytest.mark.filterwarnings("ignore:panda. its meshes touch with all joints at 0")  # `test_fit` holds that it is said
 def test_a_fitted_model_is_read_as_it_was_written(tmp_path):
     file, tip = ROBOTS["panda"]
     left = ["panda_link0", ("panda_link2", 'a "table"')]
