@@ -11,7 +11,7 @@ from jaxik.fitting.gjk import SEPARATION, WAY_OUT
 from jaxik.spmd.batch import in_blocks
 
 MANY = 400  # directions that are looked in for a way out
-ROOMS = (64, 512, 4096)  # corners that kernels are made for
+ROOMS = (256, 4096)  # corners that kernels are made for
 
 
 class Body(NamedTuple):
@@ -32,9 +32,7 @@ def overlap(a: Body, b: Body, turn: np.ndarray, place: np.ndarray) -> np.ndarray
 def ways_out(a: Body, b: Body, turn: np.ndarray, place: np.ndarray, count: int = MANY) -> tuple[np.ndarray, np.ndarray]:
     """`overlap`, and the directions (n, 3) from a to b in which it is so much, found from `count` of all."""
     around = np.concatenate([np.zeros((1, 3)), directions(48), 0.4 * directions(16)])
-    depth, across = in_blocks(
-        WAY_OUT, rows_of(turn, place), fixed=(*room_of(a), *room_of(b), directions(count), around), double=True
-    )
+    depth, across = in_blocks(WAY_OUT, rows_of(turn, place), fixed=(*rooms_of(a, b), directions(count), around), double=True)
     return depth + (a.radius + b.radius), across
 
 
@@ -43,11 +41,12 @@ def rows_of(turn: np.ndarray, place: np.ndarray) -> np.ndarray:
     return np.concatenate([turn, place[:, :, None]], axis=2).reshape(-1, 12)
 
 
-def room_of(body: Body) -> tuple[np.ndarray, np.int32]:
-    """A body's corners in an array of one of a few lengths, which are compiled for, and their number."""
-    count = len(body.corners)
-    room = next((n for n in ROOMS if n >= count), count)
-    return np.concatenate([body.corners, np.zeros((room - count, 3))]), np.int32(count)
+def rooms_of(*bodies: Body) -> tuple[Any, ...]:
+    """Of each body its corners, in arrays of one of a few lengths, which are compiled for, and their number."""
+    most = max(len(body.corners) for body in bodies)
+    room = next((n for n in ROOMS if n >= most), most)
+    filled = (np.concatenate([body.corners, np.zeros((room - len(body.corners), 3))]) for body in bodies)
+    return tuple(x for each, body in zip(filled, bodies, strict=True) for x in (each, np.int32(len(body.corners))))
 
 
 def directions(count: int) -> np.ndarray:
@@ -65,7 +64,7 @@ def separated(a: Body, b: Body, turn: np.ndarray, place: np.ndarray, least: floa
     """
     radii = a.radius + b.radius
     need = np.full(len(place), least + radii)
-    bound, across = in_blocks(SEPARATION, rows_of(turn, place), need, fixed=(*room_of(a), *room_of(b)), double=True)
+    bound, across = in_blocks(SEPARATION, rows_of(turn, place), need, fixed=rooms_of(a, b), double=True)
     return bound - radii, across
 
 

@@ -16,7 +16,16 @@ from typing import NamedTuple
 import numpy as np
 
 from jaxik.fitting.closer_between_nodes import EXCESS
-from jaxik.fitting.convex import Body, gaps, hull_corners, room_of, rows_of, separated, ways_out
+from jaxik.fitting.convex import (
+    Body,
+    apart_at_least,
+    gaps,
+    hull_corners,
+    rooms_of,
+    rows_of,
+    separated,
+    ways_out,
+)
 from jaxik.robot.chain import Chain
 from jaxik.robot.kinematics import joint_frames
 from jaxik.robot.link_distance_table import PairTable, stored
@@ -104,12 +113,19 @@ def _table(chain: Chain, near: int, far: int, k: int, couples: Couples, limits: 
     q[:, k : k + 2] = np.stack(np.meshgrid(*(np.linspace(*r, side) for r in ranges), indexing="ij"), axis=-1).reshape(-1, 2)
     steps = [(high - low) / (side - 1) for low, high in ranges]
     places = between(chain, (near, far), frames(chain, q))
-    found = [_signed(a, b, *places) for a, b in couples]
-    distance = np.minimum(np.min([gap for gap, _ in found], axis=0), ENOUGH)
+    found = [separated(a, b, *places, ENOUGH) for a, b in couples]
     wraps = tuple(r == TURN for r in ranges)
+    free = np.min([gap for gap, _ in found], axis=0) > 0.0
+    edge = _beside(free)  # cells without a free node say that nothing is free there, whatever their depth
+    found = [_signed(couple, places, *gap, edge) for couple, gap in zip(couples, found, strict=True)]
+    distance = np.minimum(np.min([gap for gap, _ in found], axis=0), ENOUGH)
+    close = distance < ENOUGH
+    asked = edge & _beside(close)  # elsewhere the fastest that anything moves is bound enough
     pairs = zip(couples, found, strict=True)
-    excess = [_excess(couple, places, across, distance, turns, steps) for couple, (_, across) in pairs]
-    bounds = distance.reshape(side, side) - _of_nodes(np.max(excess, axis=0), wraps)
+    excess = [_excess(couple, places, across, distance, turns, steps, asked) for couple, (_, across) in pairs]
+    most = sum(r * step / 2.0 for r, step in zip(reach, steps, strict=True))
+    over = np.where(_cells(close), np.max(excess, axis=0), most) * _cells(free)
+    bounds = distance.reshape(side, side) - _of_nodes(over, wraps)
     for way in (w for w, whole in zip((bounds, bounds.T), wraps, strict=True) if whole):
         way[[0, -1]] = np.minimum(way[0], way[-1])  # the same place, but for rounding
     low, high = zip(*ranges, strict=True)
@@ -146,20 +162,41 @@ def _swept(body: Body, origin: np.ndarray, axis: np.ndarray) -> Body:
     return body._replace(corners=hull_corners((origin + along + wide).reshape(-1, 3)))
 
 
-def _signed(a: Body, b: Body, turn: np.ndarray, place: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """How far two bodies are apart (n,) [m], and the directions (n, 3) from a to b in which they are; less than 0 where they
-    overlap. No less than `ENOUGH` where it is more."""
-    gap, across = separated(a, b, turn, place, ENOUGH)
-    inside = np.flatnonzero(gap <= 0.0)
-    depth, across[inside] = ways_out(a, b, turn[inside], place[inside], FEW)
+def _signed(
+    couple: Couple, places: Places, gap: np.ndarray, across: np.ndarray, edge: np.ndarray
+) -> tuple[np.ndarray, np.ndarray]:
+    """How far two bodies are apart (n,) [m], and the directions (n, 3) from one to the other in which they are; less than 0
+    where they overlap: by how much on the `edge` of what is free, elsewhere what the balls around them say."""
+    inside, deep = (np.flatnonzero((gap <= 0.0) & where) for where in (edge, ~edge))
+    depth, across[inside] = ways_out(*couple, places[0][inside], places[1][inside], FEW)
     gap[inside] = -depth
+    gap[deep] = np.minimum(apart_at_least(*couple, places[0][deep], places[1][deep]), 0.0)
     return gap, across
 
 
+def _beside(nodes: np.ndarray) -> np.ndarray:
+    """Those nodes of a square grid (n,), and those next to them."""
+    side = math.isqrt(len(nodes))
+    wide = np.pad(nodes.reshape(side, side), 1)
+    return np.any([wide[i : i + side, j : j + side] for i in range(3) for j in range(3)], axis=0).ravel()
+
+
+def _cells(nodes: np.ndarray) -> np.ndarray:
+    """The cells of a square grid that have one of some nodes (n,)."""
+    grid = nodes.reshape(math.isqrt(len(nodes)), -1)
+    return np.asarray(grid[1:, 1:] | grid[:-1, 1:] | grid[1:, :-1] | grid[:-1, :-1])
+
+
 def _excess(
-    couple: Couple, places: Places, across: np.ndarray, distance: np.ndarray, axes: list[Axis], steps: list[float]
+    couple: Couple,
+    places: Places,
+    across: np.ndarray,
+    distance: np.ndarray,
+    axes: list[Axis],
+    steps: list[float],
+    asked: np.ndarray,
 ) -> np.ndarray:
-    """By how much interpolation between the nodes' `distance` may be too large in each cell [m]."""
+    """By how much interpolation between the nodes' `distance` may be too large in each cell [m], as the nodes `asked` say."""
     side, radii = math.isqrt(len(distance)), sum(body.radius for body in couple)
     grid, half = distance.reshape(side, side), np.array(steps) / 2.0
     before = [np.diff(grid, axis=k, prepend=np.take(grid, [0], k)) / steps[k] for k in range(2)]
@@ -167,8 +204,10 @@ def _excess(
     mixed = np.abs(np.diff(np.diff(grid, axis=0), axis=1)) / 4.0
     slopes = np.stack([np.stack([before[k].ravel(), after[k].ravel()], axis=1) for k in range(2)], axis=1)
     seen = np.array([[*axis.origin, *axis.along, axis.slides] for axis in axes], float)
-    fixed = *(x for body in couple for x in room_of(body)), seen, half
-    (over,) = in_blocks(EXCESS, rows_of(*places), across, distance, slopes, fixed=fixed, double=True)
+    rows = np.flatnonzero(asked)
+    lanes = rows_of(places[0][rows], places[1][rows]), across[rows], distance[rows], slopes[rows]
+    over = np.zeros((len(distance), 2, 2))
+    (over[rows],) = in_blocks(EXCESS, *lanes, fixed=(*rooms_of(*couple), seen, half), double=True)
     quarter = lambda i, j: (over[:, i, j] + radii).reshape(side, side)[1 - i : side - i, 1 - j : side - j]
     return np.asarray(np.max([np.zeros_like(mixed), *(quarter(i, j) + mixed for i in range(2) for j in range(2))], axis=0))
 
