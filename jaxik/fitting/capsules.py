@@ -19,15 +19,16 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from jaxik.checks.options import shown
+from jaxik.fitting.capsule_descent import DESCENT
 from jaxik.fitting.convex import directions, hull_of
+from jaxik.spmd.batch import in_blocks
 
 ROUNDING = 1e-9  # [m] that a radius has in addition, for what places its capsule in the world
 THICK = 1e-6  # [m] that a flat mesh is made thick
-SIZE = 20.0  # extent of what is optimised: the line search starts with steps of one
+SIZE = 20.0  # extent of what is optimised: a descent starts with steps of one
 POINTS = 48  # directions whose extreme corners and faces stand for all while a capsule is optimised
 WORTH = 0.2  # of its longest side that a piece's other side has at least, to be tried for a cut
-SMOOTH = (0.1, 0.02)  # temperatures of the maxima
-STEPS = 20  # of a descent at each
+ROOMS = (128, 512, 2048)  # planes that kernels are made for
 NOTHING = np.zeros((0, 3)), np.zeros(0)  # to keep to
 
 
@@ -92,7 +93,7 @@ def fitted(points: np.ndarray, fit: Fit, keep: tuple[np.ndarray, np.ndarray] = N
     unit = SIZE / max(float(np.ptp(points, axis=0).max()), THICK)
     corners, hull = _convex(points, unit)
     room = _room(corners, hull, fit.accuracy * unit, (keep[0], keep[1] * unit), ROUNDING * unit)
-    pieces = [_around(corners, hull, room)]
+    pieces = _around([corners], hull, room)
     while len(pieces) < fit.most:
         worst = max(range(len(pieces)), key=lambda i: pieces[i].excess)
         if pieces[worst].excess <= 0.0:
@@ -145,41 +146,24 @@ def _sides(corners: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     return axes[order], low[order], high[order]
 
 
-def _around(corners: np.ndarray, hull: _Hull, room: _Hull) -> _Piece:
-    """The capsule about a piece whose excess is small."""
-    from scipy.optimize import minimize
-
-    some = corners[np.unique((corners @ directions(POINTS).T).argmax(axis=0))] if len(corners) > POINTS else corners
-    axes, low, high = _sides(corners)
-    half = (high - low) / 2.0
-    reach = max(half[0] - half[1], 0.2 * half[0]) * axes[0]
-    centre = (low + high) / 2.0 @ axes
-    start = np.stack([centre - reach, centre + reach])
-    x = start.ravel()
-    for temperature in SMOOTH:
-        # not L-BFGS-B: its compiled part wakes the threads of BLAS for six numbers
-        x = minimize(_smooth, x, (some, room, temperature), "BFGS", jac=True, options={"maxiter": STEPS}).x
-    return min((_measured(ends, corners, hull, room) for ends in (start, x.reshape(2, 3))), key=lambda piece: piece.excess)
-
-
-def _smooth(x: np.ndarray, corners: np.ndarray, room: _Hull, temperature: float) -> tuple[float, np.ndarray]:
-    """The excess, its maxima made smooth, and its slope."""
-    ends = x.reshape(2, 3)
-    t, apart = _along(corners, ends), away(corners, ends)
-    length = np.sqrt(np.sum(apart * apart, axis=1)) + 1e-12
-    radius, share = _soft(length, temperature)
-    depth, on = _soft(ends @ room.normals.T - room.offsets, temperature)
-    pull = (share / length)[:, None] * apart
-    slope = on @ room.normals - np.stack([(1.0 - t) @ pull, t @ pull])
-    return radius + depth, slope.ravel()
-
-
-def _soft(values: np.ndarray, temperature: float) -> tuple[float, np.ndarray]:
-    """A smooth maximum, and its derivative by each value."""
-    most = values.max()
-    weights = np.exp((values - most) / temperature)
-    total = weights.sum()
-    return float(most + temperature * np.log(total)), weights / total
+def _around(parts: Sequence[np.ndarray], hull: _Hull, room: _Hull) -> list[_Piece]:
+    """The capsules about some pieces whose excess is small."""
+    starts, few, counts = np.zeros((len(parts), 6)), np.zeros((len(parts), POINTS, 3)), np.zeros(len(parts), np.int32)
+    for k, corners in enumerate(parts):
+        some = corners[np.unique((corners @ directions(POINTS).T).argmax(axis=0))] if len(corners) > POINTS else corners
+        few[k, : len(some)], counts[k] = some, len(some)
+        axes, low, high = _sides(corners)
+        half = (high - low) / 2.0
+        reach = max(half[0] - half[1], 0.2 * half[0]) * axes[0]
+        centre = (low + high) / 2.0 @ axes
+        starts[k] = np.concatenate([centre - reach, centre + reach])
+    size = next((n for n in ROOMS if n >= len(room.offsets)), len(room.offsets))
+    behind = [np.concatenate([x, np.zeros((size - len(x), *x.shape[1:]))]) for x in (room.normals, room.offsets)]
+    (found,) = in_blocks(DESCENT, starts, few, counts, fixed=(*behind, np.int32(len(room.offsets))), double=True)
+    return [
+        min((_measured(x.reshape(2, 3), corners, hull, room) for x in ends), key=lambda piece: piece.excess)
+        for corners, *ends in zip(parts, starts, found, strict=True)
+    ]
 
 
 def _measured(ends: np.ndarray, corners: np.ndarray, hull: _Hull, room: _Hull) -> _Piece:
@@ -197,8 +181,9 @@ def _divided(corners: np.ndarray, hull: _Hull, room: _Hull) -> list[_Piece]:
     """Two pieces in place of one, cut in the middle of one of its longer sides."""
     axes, low, high = _sides(corners)
     sides = [side for side in zip(axes, low, high, strict=True) if side[2] - side[1] >= WORTH * (high[0] - low[0])]
-    cuts = (_cut(corners, axis, (start + end) / 2.0) for axis, start, end in sides)
-    return min(([_around(part, hull, room) for part in parts] for parts in cuts), key=_worth)
+    cuts = [part for axis, start, end in sides for part in _cut(corners, axis, (start + end) / 2.0)]
+    pieces = _around(cuts, hull, room)
+    return min((pieces[k : k + 2] for k in range(0, len(pieces), 2)), key=_worth)
 
 
 def _worth(pair: Sequence[_Piece]) -> float:
