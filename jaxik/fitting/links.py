@@ -31,6 +31,7 @@ OFTEN = 0.05  # of them from which a pair is checked in any case
 NEAREST, CHILDREN, ROUNDS = 12, 6, 8  # of the search for a collision
 FAR = 1e3  # [m] by which what is close goes before what is not
 PARTS = 4  # that a mesh is cut into by volume alone
+BESIDE = 8  # configurations of neighbours, of which one tells enough of their joint
 WORST = 4  # parts of two links that are tried for a cut
 WORTH_CUTTING = 0.1  # of the false overlaps of a part, that a cut does away with
 SHOWN = 100  # configurations that say how deep a pair is that is not checked
@@ -154,9 +155,12 @@ class Links:
             reason, share, depth = self.named(pair), 0.0, 0.0
             if not reason:
                 passes[pair] = self.passes(pair, 2.0 * self.fit.accuracy)
-                touch[pair] = self.surfaces_touch(pair, self.least(passes[pair]))
-                share = float(touch[pair][1:].mean())
-                reason = self.reason(pair, share, self.least(passes[pair]))
+                gap, every = self.least(passes[pair]), BESIDE if self.neighbours(pair) else 1
+                touch[pair] = self.surfaces_touch(pair, gap, every)
+                share = float(touch[pair][every::every].mean())
+                reason = self.reason(pair, share, gap)
+                if not reason and every > 1:
+                    touch[pair] = self.surfaces_touch(pair, gap)
             if not reason:
                 kept.append(pair)
                 continue
@@ -168,6 +172,10 @@ class Links:
     def apart(self, pair: Pair) -> int:
         """How many joints are between two links."""
         return abs(self.chain.link_joint[pair[0]] - self.chain.link_joint[pair[1]])
+
+    def neighbours(self, pair: Pair) -> bool:
+        """Whether one joint is between two links, and neither is behind a joint beside the chain."""
+        return self.apart(pair) == 1 and not {self.names[link] for link in pair} & set(self.aside)
 
     def named(self, pair: Pair) -> UncheckedReason | Literal[""]:
         """Why a pair is not checked, of which no configuration tells anything."""
@@ -182,7 +190,7 @@ class Links:
             return ""
         if share >= MOSTLY:
             return "touches"
-        if self.apart(pair) == 1 and not names & set(self.aside):
+        if self.neighbours(pair):
             return "neighbours" if share else "never"
         return "" if share or self.collides(pair, gap) else "never"
 
@@ -217,9 +225,10 @@ class Links:
                 return True
         return False
 
-    def surfaces_touch(self, pair: Pair, gap: np.ndarray) -> np.ndarray:
-        """In which configurations the surfaces of two links touch: where their parts do, at most."""
-        found, rows = np.zeros(len(self.q), bool), np.flatnonzero(gap <= 0.0)
+    def surfaces_touch(self, pair: Pair, gap: np.ndarray, every: int = 1) -> np.ndarray:
+        """In which configurations the surfaces of two links touch, of all or one in `every`: where their parts do, at most."""
+        found = np.zeros(len(self.q), bool)
+        rows = np.flatnonzero((gap <= 0.0) & (np.arange(len(gap)) % every == 0))
         turn, place = between(self.chain, pair, self.frames[:, rows])
         found[rows] = touching(self.surfaces[pair[0]], self.surfaces[pair[1]], turn, place)
         return found

@@ -39,7 +39,7 @@ LEAST = 3  # capsules that a part may have, of however many
 FITS = 2  # of all parts
 WORTH = 3e-4  # of false collisions, in shares, that a capsule is worth
 SELDOM = 0.0005  # of them, in which a pair may collide falsely without a table
-_VERSION = 19  # of what is stored
+_VERSION = 20  # of what is stored
 
 
 class Model(NamedTuple):
