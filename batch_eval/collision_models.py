@@ -29,6 +29,7 @@ import numpy as np
 import trimesh
 from panda import ROBOTS as FOLDER
 from race import machine
+from triangle_truth import in_coal
 
 import jaxik
 
@@ -62,15 +63,6 @@ def draw(chain: jaxik.Chain, count: int) -> np.ndarray:
     return np.vstack([home(chain), np.random.default_rng(7).uniform(lower, upper, (count, chain.num_joints))])
 
 
-def surface(triangles: np.ndarray) -> Any:
-    model = coal.BVHModelOBBRSS()
-    model.beginModel(len(triangles), 3 * len(triangles))
-    for corners in triangles:
-        model.addTriangle(*corners)
-    model.endModel()
-    return model
-
-
 def origin(element: ElementTree.Element) -> np.ndarray:
     """A URDF origin, its angles by trimesh."""
     found = element.find("origin")
@@ -89,7 +81,7 @@ def shape(geometry: ElementTree.Element, frame: np.ndarray, folder: Path) -> Any
         beside = folder if (folder / name).is_file() else FOLDER
         mesh: Any = trimesh.load(beside / name.removeprefix("package://"), force="mesh", process=False)
         points = np.asarray(mesh.vertices) * number("scale", "1 1 1")
-        return surface((points @ frame[:3, :3].T + frame[:3, 3])[mesh.faces]), np.eye(4)
+        return in_coal((points @ frame[:3, :3].T + frame[:3, 3])[mesh.faces]), np.eye(4)
     if kind.tag == "box":
         return coal.Box(*number("size")), frame
     if kind.tag == "sphere":

@@ -24,6 +24,7 @@ from panda import ROBOTS, TIP
 from race import Entry, compiled, machine, race
 from scipy.spatial import ConvexHull
 from scipy.spatial.transform import Rotation
+from triangle_truth import in_coal
 
 import jaxik
 from jaxik.collision.bvh import grouped
@@ -56,11 +57,7 @@ class Judge:
     """coal: the chain's capsules and balls, and a mesh."""
 
     def __init__(self, chain: jaxik.Chain, triangles: np.ndarray):
-        self.chain, self.triangles, self.mesh = chain, triangles, coal.BVHModelOBBRSS()
-        self.mesh.beginModel(len(triangles), 3 * len(triangles))
-        for corners in triangles:
-            self.mesh.addTriangle(*corners)
-        self.mesh.endModel()
+        self.chain, self.triangles, self.mesh = chain, triangles, in_coal(triangles)
         self.still, ends = coal.Transform3s.Identity(), [v.corners[[0, -1]] for v in chain.volumes]
         lengths = [float(np.linalg.norm(b - a)) for a, b in ends]
         self.bodies = [coal.Capsule(float(v.radius), long) for v, long in zip(chain.volumes, lengths, strict=True)]

@@ -87,9 +87,9 @@ def _outward(faces: np.ndarray, triangles: np.ndarray) -> np.ndarray | None:
     """Which of a connected surface's triangles are to be reversed so that all are seen counter-clockwise from outside; None of
     a surface that is open, has two sides that are one, or holds nothing."""
     flip = np.zeros(len(faces), bool)
-    if not _closes(faces):
+    if not closes(faces):
         flip = _alike(faces)
-        if not _closes(np.where(flip[:, None], faces[:, ::-1], faces)):
+        if not closes(np.where(flip[:, None], faces[:, ::-1], faces)):
             return None
     a, b, c = np.moveaxis(triangles - triangles.mean(axis=(0, 1)), 1, 0)
     each = np.where(flip, -1.0, 1.0) * np.einsum("ij,ij->i", a, np.cross(b, c))
@@ -102,7 +102,7 @@ def _edges(faces: np.ndarray) -> np.ndarray:
     return np.concatenate([faces[:, [0, 1]], faces[:, [1, 2]], faces[:, [2, 0]]])
 
 
-def _closes(faces: np.ndarray) -> bool:
+def closes(faces: np.ndarray) -> bool:
     """Whether each edge is there as often as its reverse."""
     edges = _edges(faces)
     return not np.bincount(_undirected(faces)[0], np.sign(edges[:, 1] - edges[:, 0])).any()

@@ -10,7 +10,7 @@ import jax.numpy as jnp
 import numpy as np
 from jax import lax
 
-from jaxik.collision import distance
+from jaxik.collision import distance, surfaces
 from jaxik.collision.leaf_rows import entry
 from jaxik.collision.surface_pair import Tree, surface_gap, tree_of
 from jaxik.fitting.convex import rows_of
@@ -40,11 +40,8 @@ def surface_of(shapes: Iterable[np.ndarray], radius: float, room: int) -> Surfac
 
 
 def closes(triangles: np.ndarray) -> bool:
-    """Whether each edge of some triangles (t, 3, 3) is passed as often one way as the other: then they have an inside."""
-    number = np.unique(triangles.reshape(-1, 3), axis=0, return_inverse=True)[1].reshape(-1, 3)
-    edges = number[:, [[0, 1], [1, 2], [2, 0]]].reshape(-1, 2)
-    there, back = (np.unique(e[e[:, 0] != e[:, 1]], axis=0, return_counts=True) for e in (edges, edges[:, ::-1]))
-    return all(np.array_equal(a, b) for a, b in zip(there, back, strict=True))
+    """Whether some triangles (t, 3, 3) close, as they are turned: then they have an inside."""
+    return surfaces.closes(np.unique(triangles.reshape(-1, 3), axis=0, return_inverse=True)[1].reshape(-1, 3))
 
 
 def touching(first: Sequence[Surface], second: Sequence[Surface], turn: np.ndarray, place: np.ndarray) -> np.ndarray:

@@ -11,6 +11,7 @@ import pytest
 import trimesh
 from scipy.optimize import minimize
 from scipy.spatial.transform import Rotation
+from triangle_truth import in_coal, winding
 
 import jaxik
 from jaxik.collision import bounding_box, distance, polygon_triangles, surfaces_cross
@@ -64,28 +65,9 @@ def volumes_at(chain, q):
         yield turned[[0, len(turned) // 2, -1]], float(v.radius)
 
 
-def in_coal(triangles):
-    model = coal.BVHModelOBBRSS()
-    model.beginModel(len(triangles), 3 * len(triangles))
-    for corners in triangles:
-        model.addTriangle(*corners)
-    model.endModel()
-    return model
-
-
 def apart_in_coal(a, b):
     still = coal.Transform3s.Identity()
     return max(coal.distance(a, still, b, still, coal.DistanceRequest(), coal.DistanceResult()), 0.0)
-
-
-def winding(point, triangles):
-    """By solid angles [Van Oosterom and Strackee 1983]."""
-    a, b, c = np.moveaxis(triangles - point, 1, 0)
-    la, lb, lc = (np.linalg.norm(x, axis=1) for x in (a, b, c))
-    dot = lambda x, y: np.sum(x * y, axis=1)
-    return np.arctan2(dot(a, np.cross(b, c)), la * lb * lc + dot(a, b) * lc + dot(b, c) * la + dot(c, a) * lb).sum() / (
-        2 * np.pi
-    )
 
 
 @pytest.mark.parametrize("name", MESHES)

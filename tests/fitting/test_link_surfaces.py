@@ -8,6 +8,7 @@ import trimesh
 from robot_files import write
 from scipy.spatial import ConvexHull
 from scipy.spatial.transform import Rotation
+from triangle_truth import in_coal, winding
 
 import jaxik
 from jaxik.collision.surface_pair import tree_of
@@ -19,24 +20,6 @@ from jaxik.spmd.batch import in_blocks
 
 def triangles(mesh):
     return np.asarray(mesh.vertices, float)[mesh.faces]
-
-
-def in_coal(triangles):
-    model = coal.BVHModelOBBRSS()
-    model.beginModel(len(triangles), 3 * len(triangles))
-    for corners in triangles:
-        model.addTriangle(*corners)
-    model.endModel()
-    return model
-
-
-def winding(point, triangles):
-    """By solid angles [Van Oosterom and Strackee 1983]."""
-    a, b, c = np.moveaxis(triangles - point, 1, 0)
-    la, lb, lc = (np.linalg.norm(x, axis=1) for x in (a, b, c))
-    dot = lambda x, y: np.sum(x * y, axis=1)
-    over = la * lb * lc + dot(a, b) * lc + dot(b, c) * la + dot(c, a) * lb
-    return np.sum(2.0 * np.arctan2(dot(a, np.cross(b, c)), over)) / (4.0 * np.pi)
 
 
 def fork(width=0.1):
