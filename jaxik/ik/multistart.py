@@ -34,7 +34,7 @@ from jaxik.ik.problem import Problem
 from jaxik.ik.refinement import EARLY, OPEN, SOLVED, STEPS, Misses, compile_finisher, loosened, rescued, searched, settling
 from jaxik.ik.solutions import Found, at_home, candidates, cleared, judged, nothing, portions, top, within
 from jaxik.reasons import Reason
-from jaxik.robot.joint_turns import whole_turns
+from jaxik.robot.joint_turns import endless, whole_turns
 from jaxik.robot.reach_bound import reach_bound
 
 TOGETHER = (4, 64)  # lanes that cost less than another wave, in the first and in later ones
@@ -207,7 +207,7 @@ def _starts(problem: Problem, poses: np.ndarray, some: np.ndarray, first: int, l
     if first == split:
         return _anywhere(problem, poses, some, first - problem.near, last - problem.near)
     assert problem.reference is not None
-    reference = problem.reference[some] - whole_turns(problem.chain, problem.reference[some])
+    reference = problem.reference[some] - whole_turns(endless(problem.chain), problem.reference[some])
     near = seeds.near(problem.whole, problem.seed, first, split, reference)
     return near if split == last else np.concatenate([near, _starts(problem, poses, some, split, last)], axis=1)
 

@@ -143,6 +143,8 @@ def _neighbours(chain: Chain, found: Found, apart: float) -> np.ndarray:
 def top(target: np.ndarray, score: np.ndarray, count: int, *rank: np.ndarray) -> np.ndarray:
     """The rows with the `count` largest scores of each target, by target and from the best on; of equal ones the first, or that
     of the least `rank`."""
+    if (np.diff(target) > 0).all():  # one each
+        return np.arange(len(target) if count > 0 else 0)
     order = np.lexsort((*rank, -score, target))
     sorted_targets = target[order]
     return order[np.arange(len(order)) - np.searchsorted(sorted_targets, sorted_targets) < count]

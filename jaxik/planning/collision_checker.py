@@ -14,7 +14,7 @@ from jaxik.collision.continuous_collision import joint_reaches, motion_collides_
 from jaxik.collision.scene import Scene
 from jaxik.reasons import Reason
 from jaxik.robot.chain import Chain, Volume
-from jaxik.robot.joint_turns import whole_turns
+from jaxik.robot.joint_turns import endless, whole_turns
 from jaxik.spmd.batch import in_blocks
 from jaxik.spmd.host import host_kernels
 
@@ -35,6 +35,7 @@ class CollisionChecker:
         self.margin, self.cushion = np.float32(margin), np.float32(cushion)
         self.obstacles = jax.tree_util.tree_map(np.asarray, grouped(scene, chain))
         self.size = np.float32(size_of(scene))
+        self.endless = endless(chain)
         self.weights = joint_reaches(jax.tree_util.tree_map(np.asarray, chain) if self.carried else chain)
         self.checked = 0
 
@@ -46,7 +47,7 @@ class CollisionChecker:
         """Which configurations come nearer than the margin, and a cushion [m] beyond it."""
         self.checked += len(q)
         fixed = self.margin + np.float32(cushion), self.obstacles, self.carried
-        return in_blocks(_hits(self.chain), q - whole_turns(self.chain, q), fixed=fixed, double=False)[0]
+        return in_blocks(_hits(self.chain), q - whole_turns(self.endless, q), fixed=fixed, double=False)[0]
 
     def free_part(self, start: np.ndarray, end: np.ndarray, step: float) -> np.ndarray:
         """Of each straight motion, the part (b,) up to its first sample that hits, by samples every `step` [m]; 1 of all."""
@@ -64,7 +65,7 @@ class CollisionChecker:
         """Which straight motions are proven to keep the margin, and `extra` (b,) [m] beyond it, throughout."""
         margins = np.broadcast_to(self.margin + np.asarray(extra, np.float32), len(start))
         fixed = np.float32(resolution), self.size, self.obstacles, self.carried
-        turns = whole_turns(self.chain, start)  # float32 has few digits left after many
+        turns = whole_turns(self.endless, start)  # float32 has few digits left after many
         return ~in_blocks(_moves(self.chain), start - turns, end - turns, margins, fixed=fixed, double=False)[0]
 
     def proven_closely(self, start: np.ndarray, end: np.ndarray) -> np.ndarray:

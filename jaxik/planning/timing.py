@@ -72,8 +72,9 @@ def time_optimal(
             forces = torque_limits.forces(limited, *finite, parts)
             raise ValueError(f"time_optimal: {torque_limits.weakest(limited, forces, parts)}")
     squares[~known] = np.nan
-    since = lambda x: np.pad(np.cumsum(x, axis=1), ((0, 0), (1, 0)))
-    speed = np.sqrt(np.pad(squares, ((0, 0), (1, 0))))
+    from_rest = lambda x: np.concatenate([np.zeros((len(x), 1)), x], axis=1)
+    since = lambda x: from_rest(np.cumsum(x, axis=1))
+    speed = np.sqrt(from_rest(squares))
     step, both = np.repeat(lengths / parts, parts, axis=1), speed[:, 1:] + speed[:, :-1]
     with np.errstate(divide="ignore"):  # limits so small that nothing moves: it takes for ever
         place, time = since(step), since(np.divide(2.0 * step, both, out=np.zeros_like(both), where=~(step == 0.0)))

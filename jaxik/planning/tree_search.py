@@ -14,6 +14,7 @@ from typing import Protocol
 import numpy as np
 
 PATIENCE = 30  # rounds that add nothing to a tree, before it counts as walled in
+ROOM = 256  # nodes that a tree has room for at first
 UNLIKE = 10  # times as many nodes as the other tree has
 
 
@@ -42,8 +43,8 @@ class _Tree:
 
     def __init__(self, roots: np.ndarray, weights: np.ndarray):
         self.count, self.idle, self.weights = 0, 0, weights
-        self._nodes, self._before = np.empty((0, roots.shape[1])), np.empty(0, int)
-        self._terms = np.empty((roots.shape[1] + 1, 0), np.float32)  # -2 w x and |w x|^2 of each node x
+        self._nodes, self._before = np.empty((ROOM, roots.shape[1])), np.empty(ROOM, int)
+        self._terms = np.empty((roots.shape[1] + 1, ROOM), np.float32)  # -2 w x and |w x|^2 of each node x
         self.grow(roots, np.full(len(roots), -1))
 
     @property

@@ -69,9 +69,15 @@ def nearest_turns(chain: Chain, q: Any, goal: Any, lower: Any, upper: Any) -> np
     return np.where(moves, np.clip(q + np.where(moves, turns, 0.0) * TURN, lower, upper), q)
 
 
-def whole_turns(chain: Chain, q: np.ndarray) -> np.ndarray:
-    """What joints without limits have turned by, in whole turns (..., n) [rad]; 0 of others. On the host."""
-    endless = np.isinf(chain.lower) & np.isinf(chain.upper) & ~np.array(chain.is_prismatic)
+def endless(chain: Chain) -> np.ndarray:
+    """Which joints turn without limits (n,)."""
+    return np.isinf(chain.lower) & np.isinf(chain.upper) & ~np.array(chain.is_prismatic)
+
+
+def whole_turns(endless: np.ndarray, q: np.ndarray) -> Any:
+    """What `endless` joints (n,) have turned by, in whole turns (..., n) [rad]; 0 of others. On the host."""
+    if not endless.any():  # planning asks often, and of a few at a time
+        return 0.0
     return TURN * np.round(np.where(endless & np.isfinite(q), q, 0.0) / TURN)
 
 

@@ -45,13 +45,14 @@ FAR_OFF = 10.0  # reaches: no use for a target so far away, unless its unit is a
 def millimetres(chain: Chain, positions: np.ndarray, world: bool = False) -> str | None:
     """In words, why positions (N, 3) [m] in the base (or the world) look like millimetres, if they do: most of them lie many
     times beyond the chain's reach, and their thousandth does not."""
-    bound, known = reach_bound(chain, rotation=False), positions[np.isfinite(positions).all(axis=1)]
+    bound = reach_bound(chain, rotation=False)
     origin = chain.world_T_base[:3, :3] @ bound.origin + chain.world_T_base[:3, 3] if world else bound.origin
-    if not len(known) or not np.isfinite(bound.longest):
+    far, away = FAR_OFF * bound.longest, positions - origin
+    if 2 * np.count_nonzero(np.einsum("ni,ni->n", away, away) <= far * far) > len(positions):  # quickly, since all calls ask
         return None
+    known = positions[np.isfinite(positions).all(axis=1)]
     apart = lambda unit: float(np.median(np.linalg.norm(known * unit - origin, axis=1)))
-    away, far = apart(1.0), FAR_OFF * bound.longest
-    if away <= far or apart(1e-3) > far:
+    if not len(known) or not np.isfinite(far) or (away := apart(1.0)) <= far or apart(1e-3) > far:
         return None
     return f"targets lie about {away:.3g} m from {chain.name}, which reaches {bound.longest:.3g} m: are they millimetres?"
 
