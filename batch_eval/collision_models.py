@@ -5,7 +5,8 @@
 For each robot, at random configurations inside its limits: how many collide by the model and not by the meshes (false, of those
 that are free), or by the meshes and not by the model (missed). All pairs of links count, whether the chain checks them or not,
 but neighbours across one joint, links that do not move against each other, and those whose meshes touch in at least half of the
-configurations. Needs `pip install -e ".[test]"`; the robots are those of example-robot-data.
+configurations. Likewise where the meshes decide (`exact=True`), and how far the distance is then from coal's, of the pairs that
+the chain checks, where that is below what the model stands out of the meshes. Needs `pip install -e ".[test]"`; the robots are those of example-robot-data.
 """
 
 from __future__ import annotations
@@ -32,8 +33,9 @@ from race import machine
 from triangle_truth import in_coal
 
 import jaxik
+from jaxik.collision.exact_pairs import WITHIN
 
-SETTINGS = {"default": jaxik.Fit(), "hulls": jaxik.Fit(parts=1)}
+SETTINGS = {"default": (jaxik.Fit(), False), "exact": (jaxik.Fit(), True), "hulls": (jaxik.Fit(parts=1), False)}
 ROBOTS = {  # file under example-robot-data, tip, base
     "UR5": ("ur_description/urdf/ur5_robot.urdf", "ee_link", None),
     "xArm7": ("xarm_description/urdf/xarm7.urdf", "link_eef", None),
@@ -45,6 +47,7 @@ ROBOTS = {  # file under example-robot-data, tip, base
     "HyQ's leg": ("hyq_description/robots/hyq_no_sensors.urdf", "lf_foot", None),
     "Baxter's arm": ("baxter_description/urdf/baxter.urdf", "left_gripper", None),
 }
+COMPARED = 300  # configurations whose distances are compared with coal's
 MOSTLY = 0.5  # of the configurations in which meshes touch that are meant to
 Transform = tuple[np.ndarray, np.ndarray]
 
@@ -115,6 +118,16 @@ class Meshes:
         return found
 
 
+    def apart(self, i: int, a: int, b: int) -> float:
+        """How far two links are apart at configuration i [m]."""
+        least = np.inf
+        for (one, f), (other, g) in itertools.product(self.shapes.get(a, []), self.shapes.get(b, [])):
+            first, second = self.frames[i, a] @ f, self.frames[i, b] @ g
+            at = [coal.Transform3s(frame[:3, :3], frame[:3, 3]) for frame in (first, second)]
+            least = min(least, coal.distance(one, at[0], other, at[1], coal.DistanceRequest(), coal.DistanceResult()))
+        return float(least)
+
+
 def _apart(one: Any, first: np.ndarray, other: Any, second: np.ndarray) -> np.ndarray:
     """How far the balls around two shapes are apart."""
     centres = []
@@ -130,10 +143,18 @@ def timed(make: Any) -> tuple[float, Any]:
     return time.perf_counter() - start, made
 
 
-def measure(name: str, fit: jaxik.Fit, count: int, truth: dict[str, Any]) -> dict[str, Any]:
+def off(meshes: Meshes, chain: jaxik.Chain, found: np.ndarray) -> dict[str, Any]:
+    """How far distances are from coal's, of all pairs that the chain checks, where these are above 0 and below `WITHIN`: of
+    configurations with such a distance the first so many."""
+    rows = np.flatnonzero((found > 0.0) & (found < WITHIN))[:COMPARED]
+    true = np.array([min(meshes.apart(i, *pair) for pair in chain.self_pairs) for i in rows])
+    return {"compared": len(rows), "off coal's at most [m]": float(np.abs(found[rows] - true).max(initial=0.0))}
+
+
+def measure(name: str, fit: jaxik.Fit, exact: bool, count: int, truth: dict[str, Any]) -> dict[str, Any]:
     """One robot's row."""
     file, tip, base = ROBOTS[name]
-    load = lambda: jaxik.load(FOLDER / file, tip=tip, base=base, meshes=True, fit=fit, posture={})
+    load = lambda: jaxik.load(FOLDER / file, tip=tip, base=base, meshes=True, fit=fit, posture={}, exact=exact)
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")
         seconds, chain = timed(load)
@@ -144,11 +165,14 @@ def measure(name: str, fit: jaxik.Fit, count: int, truth: dict[str, Any]) -> dic
         meshes, joint = Meshes(FOLDER / file, chain, q), chain.link_joint
         pairs = [(a, b) for a, b in itertools.combinations(meshes.shapes, 2) if abs(joint[b] - joint[a]) > 1]
         found = {pair: meshes.touch(*pair) for pair in pairs}
-        truth[name] = np.any([hit for hit in found.values() if hit[1:].mean() < MOSTLY], axis=0), len(pairs)
-    hit, judged = truth[name]
+        truth[name] = np.any([hit for hit in found.values() if hit[1:].mean() < MOSTLY], axis=0), len(pairs), meshes
+    hit, judged, meshes = truth[name]
     own = jax.jit(jax.vmap(lambda q: jaxik.collision.self_clearance(chain, q)))
     first, _ = timed(lambda: own(jnp.asarray(q, jnp.float32)))
     each = min(timed(lambda: own(jnp.asarray(q, jnp.float32)))[0] for _ in range(5))
+    asked = jax.jit(jax.vmap(lambda q: jaxik.collides(chain, None, q)))
+    timed(lambda: asked(jnp.asarray(q, jnp.float32)))
+    soon = min(timed(lambda: asked(jnp.asarray(q, jnp.float32)))[0] for _ in range(5))
     model = np.asarray(jax.jit(jax.vmap(lambda q: jaxik.collision.self_clearance(chain, q)))(jnp.asarray(q)))
     protrusion = [row.protrusion for row in told.links]
     left = [u for u in chain.unchecked if u.reason == "touches"]
@@ -174,7 +198,8 @@ def measure(name: str, fit: jaxik.Fit, count: int, truth: dict[str, Any]) -> dic
         "home touches": bool(hit[0]),
         "first [s]": first,
         "self-clearance [us]": 1e6 * each / len(q),
-    }
+        "collides [us]": 1e6 * soon / len(q),
+    } | (off(meshes, chain, model) if exact else {})
 
 
 def main() -> None:
@@ -187,13 +212,13 @@ def main() -> None:
     parser.add_argument("--json")
     given = parser.parse_args()
     jax.config.update("jax_enable_x64", True)
-    settings = {"own": jaxik.Fit(given.accuracy, given.most, given.parts)} if given.accuracy else SETTINGS
+    settings = {"own": (jaxik.Fit(given.accuracy, given.most, given.parts), False)} if given.accuracy else SETTINGS
     told: dict[str, Any] = {"count": given.count} | machine()
     truth: dict[str, Any] = {}
-    for setting, fit in settings.items():
+    for setting, (fit, exact) in settings.items():
         told[setting] = {"fit": dataclasses.asdict(fit), "rows": []}
         for name in given.robot or ROBOTS:
-            told[setting]["rows"].append(row := measure(name, fit, given.count, truth))
+            told[setting]["rows"].append(row := measure(name, fit, exact, given.count, truth))
             show = lambda v: f"{v:.3g}" if isinstance(v, float) else v
             print(setting, "  ".join(f"{k} {show(v)}" for k, v in row.items()), flush=True)
     if given.json:

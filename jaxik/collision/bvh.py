@@ -19,10 +19,12 @@ from jax import lax
 
 from jaxik.checks.arrays import is_known
 from jaxik.collision.scene import FAR, SHAPES, SIZES_OF, Scene, check_scene, remembered, with_zeros
+from jaxik.collision.surface_trees import Trees, forest, tree_of
 from jaxik.collision.volumes import local_volumes
 from jaxik.pytree import static
 from jaxik.robot.chain import Chain, geometry_between, solid_links
 from jaxik.robot.link_distance_table import PairTable
+from jaxik.robot.surface import Surface
 
 # obstacles a leaf, where there are a few
 LEAF = {"points": 4, "spheres": 4, "capsules": 1, "boxes": 1, "cylinders": 1, "triangles": 1}
@@ -61,18 +63,31 @@ class Obstacles:
     ignores: tuple[tuple[int, str], ...] = static()
 
 
-Grouped = tuple[Obstacles, ...]
+@jax.tree_util.register_dataclass
+@dataclasses.dataclass(frozen=True)
+class OwnSurfaces:
+    """Those of an exact chain, a tree a part (`Robot.links`), and of each triangle the joint (t,); and the numbers of some of
+    their triangles, one a shape: part p has `points[first[p]]` to `points[first[p + 1]]`, not counted."""
+
+    trees: Trees
+    joint: Any
+    points: Any
+    first: Any
+    ignores: tuple[tuple[int, str], ...] = static()
+
+
+Grouped = tuple[Obstacles | OwnSurfaces, ...]
 
 
 def grouped(scene: Scene | Grouped | None, chain: Chain, by_object: bool = False) -> Grouped:
-    """The scene's obstacles by kind, for a chain; what is out of the way is left out where that is known. `by_object`: branch b
-    holds what belongs to object b.
+    """The scene's obstacles by kind, for a chain, and at last its own surfaces, where it has any; what is out of the way is left
+    out where that is known. `by_object`: branch b holds what belongs to object b.
 
     Raises `ValueError` for arrays that were put in by hand and are none of a scene, for a chain that ignores too much, and for
     obstacles that were grouped for a chain that ignores others.
     """
     if scene is None:
-        return ()
+        return own_surfaces(chain)
     if not isinstance(scene, Scene):
         if any(obstacles.ignores != chain.ignored for obstacles in scene):
             raise ValueError(
@@ -81,9 +96,20 @@ def grouped(scene: Scene | Grouped | None, chain: Chain, by_object: bool = False
         return scene
     if not scene.concrete:
         check_scene(scene)
-        return _grouped(scene, chain.ignored, by_object)
+        return _grouped(scene, chain.ignored, by_object) + own_surfaces(chain)
     remembered(scene, "checked", lambda: check_scene(scene))
-    return remembered(scene, (chain.ignored, by_object), lambda: _grouped(scene, chain.ignored, by_object))
+    found = remembered(scene, (chain.ignored, by_object), lambda: _grouped(scene, chain.ignored, by_object))
+    return found + own_surfaces(chain)
+
+
+def obstacles_in(around: Grouped) -> tuple[Obstacles, ...]:
+    """Those of the scene."""
+    return tuple(each for each in around if isinstance(each, Obstacles))
+
+
+def surfaces_in(around: Grouped) -> tuple[OwnSurfaces, ...]:
+    """The robot's own, or none."""
+    return tuple(each for each in around if isinstance(each, OwnSurfaces))
 
 
 def bits(ignored: tuple[tuple[int, str], ...]) -> dict[int, int]:
@@ -94,7 +120,28 @@ def bits(ignored: tuple[tuple[int, str], ...]) -> dict[int, int]:
     return {link: 1 << k for k, link in enumerate(links)}
 
 
-def _grouped(scene: Scene, ignored: tuple[tuple[int, str], ...], by_object: bool) -> Grouped:
+def own_surfaces(chain: Chain) -> tuple[OwnSurfaces, ...]:
+    """An exact chain's; of no other any."""
+    if not chain.surfaces:
+        return ()
+    return (_own_surfaces(chain.surfaces, tuple(solid_links(chain)[::-1]), chain.link_joint, chain.ignored),)
+
+
+@functools.lru_cache(maxsize=16)
+def _own_surfaces(
+    surfaces: tuple[Surface, ...], links: tuple[int, ...], link_joint: tuple[int, ...], ignored: tuple[tuple[int, str], ...]
+) -> OwnSurfaces:
+    of = {each.link: each for each in surfaces}
+    parts = [of[link] for link in links]
+    trees = forest([tree_of(s.corners, s.radius, s.solid) for s in parts])
+    sizes, points = [len(s.corners) for s in parts], [len(s.points) for s in parts]
+    starts = np.cumsum([0, *sizes])[:-1]
+    joint = np.repeat([link_joint[link] for link in links], sizes).astype(np.int32)
+    number = np.concatenate([s.points + start for s, start in zip(parts, starts, strict=True)]).astype(np.int32)
+    return OwnSurfaces(trees, joint, number, np.cumsum([0, *points]).astype(np.int32), ignored)
+
+
+def _grouped(scene: Scene, ignored: tuple[tuple[int, str], ...], by_object: bool) -> tuple[Obstacles, ...]:
     bit = bits(ignored)
     masks = [sum({bit[link] for link, what in ignored if what in ("*", name)}) for name in (*scene.object_names, "")]
     found = []
@@ -266,7 +313,7 @@ class Tables:
 class Robot:
     """A chain's volumes by corner count, and its parts: links, the last first, each with a sphere around it.
 
-    `other[first[p]:last[p]]` are the parts, of earlier links, that part p is checked against.
+    `other[first[p]:last[p]]` are the parts, of earlier links, that part p is checked against; `part` is p, of each of these.
     """
 
     def __init__(self, chain: Chain):
@@ -278,6 +325,7 @@ class Robot:
         part = {link: p for p, link in enumerate(self.links)}
         before = [[part[a] for a, b in chain.self_pairs if b == link and a in part] for link in self.links]
         ends = np.cumsum([0, *map(len, before)], dtype=np.int32)
+        self.part = np.repeat(np.arange(len(before), dtype=np.int32), [len(each) for each in before])
         self.first, self.last, self.other = ends[:-1], ends[1:], np.array([p for each in before for p in each], np.int32)
         self.tables = Tables(chain, [(self.links[o], self.links[p]) for p, each in enumerate(before) for o in each])
 

@@ -19,7 +19,7 @@ from jaxtyping import Bool, Float
 
 from jaxik.checks.arrays import is_known, stop_gradients
 from jaxik.checks.options import check_kind
-from jaxik.collision.bvh import Grouped, grouped
+from jaxik.collision.bvh import Grouped, grouped, obstacles_in
 from jaxik.collision.nearest_pair import Space
 from jaxik.collision.scene import FAR, Scene
 from jaxik.robot.chain import Array, Chain, as_configuration
@@ -148,7 +148,10 @@ def by_object(chain: Chain, count: int, around: Grouped, q: Any) -> Any:
 def _collides(chain: Chain, around: Grouped, q: Any, margin: Any) -> Any:
     q = as_configuration(chain, q)
     margin = jnp.asarray(margin, q.dtype)
-    least = Space(chain, around, q).all(margin, enough=margin).distance
+    space = Space(chain, around, q)
+    if space.exact is not None:
+        space.exact.within = jnp.maximum(space.exact.within, margin)
+    least = space.all(margin, enough=margin).distance
     return ~((least >= margin) & (_unsound(chain, around, q) == 0.0))
 
 
@@ -181,7 +184,7 @@ def _unsound(chain: Chain, around: Grouped, q: Any) -> Any:
     """0, or NaN where a number of the scene, of q or of a traced chain is (`check_geometry` knows the others): comparisons, by
     which the nearest is found, do not carry it on."""
     shape = [] if is_known(chain) else jax.tree_util.tree_leaves(_shape_of(chain))
-    found = [*(o.unsound for o in around), *(0.0 * jnp.sum(x) for x in shape)]
+    found = [*(o.unsound for o in obstacles_in(around)), *(0.0 * jnp.sum(x) for x in shape)]
     return lax.stop_gradient(sum((x.astype(q.dtype) for x in found), start=0.0 * jnp.sum(q)))
 
 

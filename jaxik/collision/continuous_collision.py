@@ -30,7 +30,7 @@ from jaxtyping import Bool, Float, Int
 
 from jaxik.checks.arrays import is_known, stop_gradients
 from jaxik.checks.options import check_finite, check_kind
-from jaxik.collision.bvh import balls_of, grouped, pair_tables
+from jaxik.collision.bvh import balls_of, grouped, obstacles_in, pair_tables, surfaces_in
 from jaxik.collision.clearances import as_wide, check_geometry, clearance, link_clearances
 from jaxik.collision.scene import FAR, KINDS, Scene
 from jaxik.collision.volumes import box_spheres, xp_of
@@ -143,7 +143,7 @@ def _march(who: str, first: bool, chain: Any, scene: Any, q_from: Any, q_to: Any
             raise ValueError(f"{who}: resolution is {float(resolution):g}; it is above zero [m]")
     dtype = jnp.result_type(q_from, q_to)  # of all, so that one kernel serves every caller
     each = (jnp.asarray(x, dtype) for x in (q_from, q_to, margin, resolution, enough, size_of(scene)))
-    return _marched(chain, first, None if scene is None else as_wide(grouped(scene, chain), q_from), *each)
+    return _marched(chain, first, as_wide(grouped(scene, chain), q_from) or None, *each)
 
 
 @kernel(models=2)
@@ -207,8 +207,8 @@ def _advanced(
     asked = _Asked(margin, resolution, jnp.clip(enough, margin, FAR / 4.0), first)
     end = _State(_Measured(one, 0, 0), one, one, far, zero, far, jnp.zeros((), bool), jnp.zeros((), jnp.int32))
     if chain.self_pairs:
-        end = _marched_on(*_ruler(chain, None, q_from, q_to, extent, margin), asked, end)
-    if scene is not None:
+        end = _marched_on(*_ruler(chain, surfaces_in(scene or ()), q_from, q_to, extent, margin), asked, end)
+    if obstacles_in(scene or ()):
         alone = dataclasses.replace(chain, self_pairs=())
         end = _marched_on(*_ruler(alone, scene, q_from, q_to, extent, margin), asked, end)
     free = ~end.hit & (end.here.t >= 1.0)
@@ -326,6 +326,7 @@ def _corners(chain: Chain, link: int) -> Any:
     """The corners of a link's skeleton in its joint's frame (m, 3); its shapes are this, rounded."""
     corners = [v.corners for v in chain.volumes if v.link == link]
     corners += [box_spheres(box, chain.spheres_per_box)[0] for box in chain.boxes if box.link == link]
+    corners += [surface.outermost for surface in chain.surfaces if surface.link == link]
     return xp_of(*corners).concatenate(corners)
 
 

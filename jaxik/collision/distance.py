@@ -151,15 +151,25 @@ def passes_through(p: Vec3, q: Vec3, a: Vec3, b: Vec3, c: Vec3) -> Any:
 
 def triangle_triangle(a: Vec3, b: Vec3, c: Vec3, d: Vec3, e: Vec3, f: Vec3) -> Any:
     """Triangle abc to triangle def; 0 where they cross."""
+    return jnp.where(triangles_cross(a, b, c, d, e, f), 0.0, triangles_apart(a, b, c, d, e, f))
+
+
+def triangles_cross(a: Vec3, b: Vec3, c: Vec3, d: Vec3, e: Vec3, f: Vec3) -> Any:
+    """Whether an edge of one of two triangles, abc and def, passes through the other."""
     pairs = ((a, b, c), (d, e, f)), ((d, e, f), (a, b, c))
-    edges = [_edges(mine, other[0]) for mine, other in pairs]
     through = [
-        _least(jnp.where(passes_through(*edge, *other), 0.0, 1.0)) for edge, (_, other) in zip(edges, pairs, strict=True)
+        _least(jnp.where(passes_through(*_edges(mine, other[0]), *other), 0.0, 1.0)) for mine, other in pairs
     ]
-    (p, q), (o, r) = edges  # each edge of the one, stacked, with one of the other
+    return _less(*through) == 0.0
+
+
+def triangles_apart(a: Vec3, b: Vec3, c: Vec3, d: Vec3, e: Vec3, f: Vec3) -> Any:
+    """Triangle abc to triangle def, which do not cross."""
+    pairs = ((a, b, c), (d, e, f)), ((d, e, f), (a, b, c))
+    (p, q), (o, r) = (_edges(mine, other[0]) for mine, other in pairs)  # each edge of the one, stacked, with one of the other
     apart = [segment_segment(p, q, *(Vec3(*(x[i] for x in end)) for end in (o, r))) for i in range(3)]
     apart += [point_triangle(_stacked(mine, other[0]), *other) for mine, other in pairs]
-    return jnp.where(_less(*through) == 0.0, 0.0, reduce(_less, map(_least, apart)))
+    return reduce(_less, map(_least, apart))
 
 
 def _edges(triangle: tuple[Vec3, ...], beside: Vec3) -> tuple[Vec3, Vec3]:

@@ -2,14 +2,16 @@
 
 from __future__ import annotations
 
-from typing import Any, NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
 from jax import lax
 
-from jaxik.collision.bvh import Balls
 from jaxik.spatial.algebra import Vec3
+
+if TYPE_CHECKING:
+    from jaxik.collision.bvh import Balls
 
 
 class Found(NamedTuple):

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import functools
 import itertools
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from typing import Any, NamedTuple
 
 import jax
@@ -20,6 +20,7 @@ from jax import lax
 from jaxik.checks.arrays import is_known
 from jaxik.collision import bvh, distance
 from jaxik.collision.bvh import Grouped, Robot, Volumes
+from jaxik.collision.exact_pairs import Exact
 from jaxik.collision.leaf_rows import Found, as_columns, count_of, entry, nearest_of, row_at, rows_from
 from jaxik.collision.shape_distances import Gap, depth_gap, obstacles_of, skeleton_gap, square_gap, triangle_gap
 from jaxik.collision.solids import Solids
@@ -55,7 +56,7 @@ class Space:
     """A robot at one configuration, among what surrounds it."""
 
     def __init__(self, chain: Chain, around: Grouped, q: Any, skips: bool = True):
-        self.robot, self.obstacles, self.dtype, self.skips = bvh.robot(chain), around, q.dtype, skips
+        self.robot, self.obstacles, self.dtype, self.skips = bvh.robot(chain), bvh.obstacles_in(around), q.dtype, skips
         self.prismatic, self.q, self.tabled = chain.is_prismatic, q, len(self.robot.tables.size) > 0
         bit = bvh.bits(chain.ignored)
         self.bits = np.array([bit.get(link, 0) for link in self.robot.links], np.int32) if bit else None
@@ -66,19 +67,21 @@ class Space:
         sizes = [len(v.radius) for v in self.robot.kinds]
         self.first = np.cumsum([0, *sizes]).tolist()  # of the volumes of each kind, in one numbering
         others: list[tuple[Any, Gap, Any, int, bool]] = []
-        for o in around:
+        for o in self.obstacles:
             gap, columns = obstacles_of(o.kind, o.rows, q.dtype)
             size = count_of(columns) // len(o.leaves.radius)
             others.append((columns, gap, as_columns(o.leaves, q.dtype), size, o.kind == "points"))
         for v, p in zip(self.robot.kinds, self.placed, strict=True):
             others.append(((p.corners, p.radius), skeleton_gap, p.leaves, v.size, v.even and v.arity == 1))
         self.enough: Any = None  # a distance [m] that ends the search
-        self.solid = [k for k, o in enumerate(around) if o.bodies is not None]
+        self.solid = [k for k, o in enumerate(self.obstacles) if o.bodies is not None]
         self.inner = len(others)  # the first of those that are the same triangles, seen from inside
         others += [(others[k][0], depth_gap, *others[k][2:]) for k in self.solid]
         # those of tables come after them
         *origins, self.rows = itertools.accumulate((count_of(columns) for columns, *_ in others), initial=0)
         self.others = [Others(*each, origin) for each, origin in zip(others, origins, strict=True)]
+        count = self.rows + len(self.robot.tables.size)
+        self.exact = next((Exact(self, own, self.first[-1], count) for own in bvh.surfaces_in(around)), None)
 
     # ----------------------------------------------------------------------------------------------------------------
     # Which pairs
@@ -88,11 +91,13 @@ class Space:
         self.enough = enough
 
         def step(p: Any, found: Found) -> Found:  # not a loop with an end a lane: then p would be a lane's own, too
-            go_on = lambda found: self.part(p, found)
+            go_on = lambda found: self.part(p, found, self.exact is None)
             return go_on(found) if enough is None else lax.cond(found.distance < enough, lambda found: found, go_on, found)
 
-        count = jnp.int32(len(self.robot.links))
-        return lax.fori_loop(jnp.int32(0), count, step, self._start(start, tracked))
+        count, found = jnp.int32(len(self.robot.links)), self._start(start, tracked)
+        if self.exact is not None:  # all pairs together, so that few lanes wait for others
+            found = self._to_itself(jnp.int32(0), jnp.int32(len(self.robot.other)), found)
+        return lax.fori_loop(jnp.int32(0), count, step, found)
 
     def each(self, then: Callable[[Found], Any], tracked: bool = False) -> Any:
         """`then` of the nearest pair of each part, in arrays with an entry a link, from the base on."""
@@ -112,11 +117,11 @@ class Space:
 
         return lax.scan(one, None, jnp.arange(count, dtype=jnp.int32))[1]
 
-    def part(self, p: Any, found: Found) -> Found:
+    def part(self, p: Any, found: Found, itself: bool = True) -> Found:
         """The nearest pair of part p, a later one of two parts, or what was `found` if none is nearer."""
         ball = row_at(self.parts, p)
-        if len(self.robot.other):  # before the obstacles: it is near whatever the scene, and rules most of them out
-            found = self._to_itself(p, ball, found)
+        if itself:  # before the obstacles: it is near whatever the scene, and rules most of them out
+            found = self._to_itself(entry(self.robot.first, p), entry(self.robot.last, p), found)
         for k, obstacles in enumerate(self.obstacles):
             found = self._to_branches(p, ball, k, jnp.int32(0), jnp.asarray(obstacles.count, jnp.int32), found)
         return found
@@ -131,34 +136,50 @@ class Space:
         obstacles = self.obstacles[k]
         first, last = entry(obstacles.first, b), entry(obstacles.last, b)
         branch = row_at(as_columns(obstacles.branches, self.dtype), b)
-        inside = lambda found: self._leaves(p, first, last, self.others[k], found, branch)
+        every = lambda found: self._leaves(p, first, last, self.others[k], found, branch)
+        each = lambda found: lax.fori_loop(first, last, functools.partial(self._to_leaf, p, ball, k), found)
+        inside = every if self.exact is None else each
         if self.bits is not None:
             inside = lambda found, leaves=inside: lax.cond(self.counts(p, k, b), leaves, lambda found: found, found)
         return self._if_near(found, ball, branch, inside)
+
+    def _to_leaf(self, p: Any, ball: Any, k: int, j: Any, found: Found) -> Found:
+        """Part p of an exact robot against leaf j of the obstacles of kind k."""
+        others = self.others[k]
+
+        def nearer(found: Found, mine: Any, rows: Any, places: Any) -> Found:
+            return _nearer(found, mine, rows, others.gap, False, False, places)
+
+        model = lambda found: self._leaves(p, j, j + 1, others, found)
+        return self._if_near(found, ball, row_at(others.leaves, j), self.exact.leaf(p, others, j, model, nearer))
 
     def counts(self, p: Any, k: int, b: Any) -> Any:
         """Whether branch b of the obstacles of kind k counts for part p."""
         return entry(self.obstacles[k].ignored, b) & entry(self.bits, p) == 0 if self.bits is not None else True
 
-    def _to_itself(self, p: Any, ball: Any, found: Found) -> Found:
+    def _to_itself(self, first: Any, last: Any, found: Found) -> Found:
+        """Pairs of parts from `first` to `last`, not counted."""
         robot = self.robot
+        if not len(robot.other):
+            return found
 
         def pair(k: Any, found: Found) -> Found:
-            o = entry(robot.other, k)
+            p, o = entry(robot.part, k), entry(robot.other, k)
+            ball = row_at(self.parts, p)
 
             def inside(found: Found) -> Found:
                 for volumes, others in zip(robot.kinds, self.others[len(self.obstacles) : self.inner], strict=True):
                     found = self._leaves(p, entry(volumes.first, o), entry(volumes.last, o), others, found)
                 return found
 
-            if not self.tabled:
-                return self._if_near(found, ball, row_at(self.parts, o), inside)
-            number = entry(robot.tables.of, k)
-            known = lambda found: self._beyond(number, found, inside)
-            either = lambda found: lax.cond(number >= 0, known, inside, found)
+            either = inside
+            if self.tabled:
+                number = entry(robot.tables.of, k)
+                known = lambda found: self._beyond(number, found, inside)
+                either = lambda found: lax.cond(number >= 0, known, inside, found)
             return self._if_near(found, ball, row_at(self.parts, o), either)
 
-        return lax.fori_loop(entry(robot.first, p), entry(robot.last, p), pair, found)
+        return lax.fori_loop(first, last, pair, found) if self.exact is None else self.exact.pairs(first, last, pair, found)
 
     def _beyond(self, number: Any, found: Found, inside: Callable[[Found], Found]) -> Found:
         """What is found `inside` a pair of parts, but no nearer than its table says."""
@@ -275,31 +296,42 @@ class Space:
     def _if_tabled(self, found: Found, function: Callable[[Any], Any], otherwise: Any) -> Any:
         """`function` of the number of the table that a found pair's distance is from, if it is from one."""
         number = found.other - self.rows
-        return lax.cond(number >= 0, lambda _: function(number), lambda value: value, otherwise)
+        there = (number >= 0) & (number < len(self.robot.tables.size))
+        return lax.cond(there, lambda _: function(number), lambda value: value, otherwise)
 
     def _of_pair(self, found: Found, function: Callable[..., Any], nothing: Any) -> Any:
         """`function(gap, own, other, joints)` of a found pair, or `nothing`; the joints are those that move the one and the
         other."""
         value = nothing
-        for volumes, origin in zip(self.robot.kinds, self.first, strict=False):
-            for k, others in enumerate(self.others):
-                i, j = found.mine - origin, found.other - others.origin
-                here = (i >= 0) & (i < len(volumes.radius)) & (j >= 0) & (j < count_of(others.columns))
-                theirs = self.robot.kinds[k - len(self.obstacles)] if len(self.obstacles) <= k < self.inner else None
-                gap: Any = others.gap if k < self.inner else functools.partial(depth_gap, at=found.at)
+        for volumes, origin, others, theirs, gap in self._kinds_of_pairs(found):
+            own_count, count = len(volumes.radius), len(theirs.radius) if theirs is not None else count_of(others.columns)
+            i, j = found.mine - origin, found.other - others.origin
+            here = (i >= 0) & (i < own_count) & (j >= 0) & (j < count)
 
-                def inside(value: Any, v: Any = (volumes, others, theirs, i, j, gap)) -> Any:
-                    volumes, others, theirs, i, j, gap = v
-                    own, above = self._volume(volumes, i)
-                    other, below = row_at(others.columns, j), jnp.int32(0)
-                    if theirs is not None:
-                        other, below = self._volume(theirs, j)
-                    return function(gap, own, other, (above, below))
+            def inside(value: Any, v: Any = (volumes, others, theirs, i, j, gap)) -> Any:
+                volumes, others, theirs, i, j, gap = v
+                own, above = self._volume(volumes, i)
+                other, below = self._volume(theirs, j) if theirs is not None else (row_at(others.columns, j), jnp.int32(0))
+                return function(gap, own, other, (above, below))
 
-                value = lax.cond(here, inside, lambda value: value, value)
+            value = lax.cond(here, inside, lambda value: value, value)
         return value
 
-    def _volume(self, volumes: Volumes, i: Any) -> Any:
+    def _kinds_of_pairs(self, found: Found) -> Iterator[tuple[Any, int, Any, Any, Any]]:
+        """The robot's volumes of a kind and what they may be measured against: the first ones' number, the others, which of
+        the robot's own these are, if any, and the gap."""
+        around, depth = len(self.obstacles), functools.partial(depth_gap, at=found.at)
+        for volumes, origin in zip(self.robot.kinds, self.first, strict=False):
+            for k, others in enumerate(self.others):
+                theirs = self.robot.kinds[k - around] if around <= k < self.inner else None
+                yield volumes, origin, others, theirs, others.gap if k < self.inner else depth
+        if self.exact is not None:
+            yield self.exact, self.exact.first, self.exact, self.exact, skeleton_gap
+            for k, others in enumerate(self.others):
+                if not around <= k < self.inner:
+                    yield self.exact, self.exact.first, others, None, others.gap if k < self.inner else depth
+
+    def _volume(self, volumes: Volumes | Exact, i: Any) -> Any:
         """One volume, whose number may differ from lane to lane, and its joint."""
         joint, local = entry(volumes.joint, i), entry(jnp.asarray(volumes.corners, self.dtype), i)
         frame = Frame.of_entries(traced(entry(self.frames, joint)))

@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 
 from jaxik.checks.arrays import rigid_frame
-from jaxik.checks.options import check_finite, check_kind, shown
+from jaxik.checks.options import check_finite, check_flag, check_kind, shown
 from jaxik.collision.scene import Scene
 from jaxik.collision.self_collision_pairs import self_collisions
 from jaxik.files import scene as scene_files
@@ -26,7 +26,7 @@ from jaxik.files.shipped import locate
 from jaxik.files.unchecked_pairs import asked_pairs, disabled_pairs, ignored
 from jaxik.files.urdf import load_urdf
 from jaxik.fitting.capsules import Fit
-from jaxik.fitting.links import Shape
+from jaxik.fitting.links import Shape, link_surfaces
 from jaxik.fitting.model import modelled
 from jaxik.fitting.report import FitReport, fit_of
 from jaxik.reasons import LoadError
@@ -48,6 +48,7 @@ def load(
     srdf: str | Path | None = None,
     ignore: Any = (),
     pairs: Any = (),
+    exact: bool = False,
     posture: Any = None,
     packages: Any = (),
 ) -> Chain:
@@ -61,6 +62,10 @@ def load(
     Links are checked against each other unless they do not move against each other, their meshes touch in at least half of the
     random postures, or never do; nor are neighbours, on either side of one joint. `chain.unchecked` lists each pair that is not
     checked, with the reason. `pairs` names more to check, `[("hand", "forearm")]`, or is "all".
+
+    The model holds the meshes: what is free by it is free. It gives up some free room; with `exact=True` the meshes' own
+    triangles decide where it comes nearer than 25 mm, or the margin (`chain.surfaces`), for all that asks for distances. That
+    costs some times as much.
 
     `srdf` names a file whose `disable_collisions` pairs
     are not checked, nor those of its `disable_default_collisions` links but for its `enable_collisions`; nor what an MJCF's
@@ -83,7 +88,7 @@ def load(
     the file's own is called urdf, urdfs, xacro, robots, mjcf or xml). Links are followed. DAE needs `pip install "jaxik[dae]"`.
 
     Raises `LoadError` (a `ValueError`) with one line: the file, the element, what is allowed, the mend; and `ValueError` for a
-    `fit` or `pairs` without `meshes`, for `packages` that are no folders, for a `posture` that is no mapping of names to finite
+    `fit`, `pairs` or `exact` without `meshes`, for `packages` that are no folders, for a `posture` that is no mapping of names to finite
     numbers, and for MJCF without MuJoCo (the extra `mjcf`).
     """
     path = locate(source)
@@ -93,6 +98,9 @@ def load(
         raise ValueError(f"load: fit is {shown(fit)}, but no meshes are read; write meshes=True, or leave it out")
     if not meshes and (isinstance(pairs, str) or len(pairs)):
         raise ValueError(f"load: pairs is {shown(pairs)}, but no meshes are read; write meshes=True, or leave it out")
+    check_flag("load", exact=exact)
+    if exact and (not meshes or fit is None):
+        raise ValueError("load: exact is True, but no mesh is fitted; write meshes=True, and leave fit=None out")
     stance, shapes_of = _stance("load", posture), Meshes(meshes, meshes and fit is not None, as_packages("load", packages))
     chain, shapes, saved = _read(path, tip, base, tool, shapes_of, stance, notes := Notes())
     asked = asked_pairs(path, chain, pairs)
@@ -113,7 +121,8 @@ def load(
         _tell(chain, "meshes", model.at_home, model.colliding)
         modelled_chain = model.of(chain, shapes)
         _tell_unchecked(modelled_chain)
-        return modelled_chain
+        surfaces = link_surfaces(chain, shapes) if exact else ()
+        return dataclasses.replace(modelled_chain, surfaces=surfaces)
     found = self_collisions(chain, disabled, stance.behind)
     if meshes:
         _tell(chain, "boxes", dict.fromkeys(found.at_home), found.share)

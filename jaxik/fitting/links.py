@@ -21,8 +21,9 @@ from jaxik.fitting.capsules import Fit
 from jaxik.fitting.convex import Body, apart_at_least, depths, gaps, hull_of, separated
 from jaxik.fitting.link_distance_tables import Places, between, frames
 from jaxik.fitting.parts import best_cut, convex_parts, divided
-from jaxik.fitting.surfaces import Surface, surface_of, touching
+from jaxik.fitting.surfaces import surface_of, touching
 from jaxik.robot.chain import Chain, Unchecked, UncheckedReason, finite_limits
+from jaxik.robot.surface import Surface, fan
 
 SAMPLES = 2000  # random configurations
 MOSTLY = 0.5  # of them in which the surfaces of a pair touch that is not checked: they are meant to
@@ -230,20 +231,14 @@ class Links:
         found = np.zeros(len(self.q), bool)
         rows = np.flatnonzero((gap <= 0.0) & (np.arange(len(gap)) % every == 0))
         turn, place = between(self.chain, pair, self.frames[:, rows])
-        found[rows] = touching(self.surfaces[pair[0]], self.surfaces[pair[1]], turn, place)
+        room = max(len(each.corners) for each in self.surfaces.values())
+        found[rows] = touching(self.surfaces[pair[0]], self.surfaces[pair[1]], turn, place, room)
         return found
 
     @functools.cached_property
-    def surfaces(self) -> dict[int, list[Surface]]:
-        """Those of each link: its shapes' together, and each exact volume's."""
-        meshes: dict[int, list[np.ndarray]] = {}
-        for s in self.shapes:
-            meshes.setdefault(s.link, []).append(s.corners[s.triangles] if len(s.triangles) else _fan(s.corners))
-        room = max((sum(map(len, each)) for each in meshes.values()), default=1)
-        found = {link: [surface_of(each, 0.0, room)] for link, each in meshes.items()}
-        for v in self.chain.volumes:
-            found.setdefault(v.link, []).append(surface_of([_fan(np.asarray(v.corners))], float(v.radius), room))
-        return found
+    def surfaces(self) -> dict[int, Surface]:
+        """That of each link."""
+        return {each.link: each for each in link_surfaces(self.chain, self.shapes)}
 
     # ----------------------------------------------------------------------------------------------------------------
     # Where parts are cut
@@ -304,7 +299,11 @@ def _overlaps(body: Body, others: Sequence[Body], at: Places) -> np.ndarray:
     return gaps([(body, other) for other in others], *at, 1e-9) <= 0.0
 
 
-def _fan(corners: np.ndarray) -> np.ndarray:
-    """Triangles (t, 3, 3) of what is flat, of a line, of a point."""
-    last = np.arange(len(corners))
-    return corners[np.stack([0 * last, np.maximum(last - 1, 0), last], axis=1)[min(len(last) - 1, 2) :]]
+def link_surfaces(chain: Chain, shapes: Sequence[Shape]) -> tuple[Surface, ...]:
+    """The surface of each link that has shapes, or volumes of a chain that has no others yet."""
+    found: dict[int, list[tuple[np.ndarray, float]]] = {}
+    for s in shapes:
+        found.setdefault(s.link, []).append((s.corners[s.triangles] if len(s.triangles) else fan(s.corners), 0.0))
+    for v in chain.volumes:
+        found.setdefault(v.link, []).append((fan(np.asarray(v.corners)), float(v.radius)))
+    return tuple(surface_of(link, found[link]) for link in sorted(found))

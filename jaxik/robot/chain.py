@@ -25,6 +25,7 @@ from jaxik.checks.options import check_kind, shown
 from jaxik.pytree import Constant, static
 from jaxik.robot.drive import Drive
 from jaxik.robot.link_distance_table import PairTable
+from jaxik.robot.surface import Surface
 
 Array = jax.Array | np.ndarray
 JointType = Literal["revolute", "continuous", "prismatic"]
@@ -98,7 +99,8 @@ class Chain(Constant):
     `parent_T_joint[i]` is the frame of joint i at q_i = 0 in the (moved) frame of joint i-1, the base frame for i = 0.
     `link_joint[l]` counts the movable joints between the base and link l: its frame is `link_offset[l]` in that joint's.
     `self_pairs` are the links to check against each other, `ignored` links with the object of a scene ("*": any) not to check,
-    `pair_tables` what is known of pairs beside their volumes, `unchecked` the pairs that are left out, and why. `armature` is
+    `pair_tables` what is known of pairs beside their volumes, `unchecked` the pairs that are left out, and why. `surfaces` are
+    the links' own, where these decide what is near (`load(.., exact=True)`). `armature` is
     the inertia of each joint's rotor at the joint, behind its gears [kg m2, kg]; 0 unless given. `effort` is the most that its
     drive gives [Nm, N]; infinite unless given: no function keeps to it unless asked, as by `torque=chain.effort`. `drives` has
     one a joint, or none at all.
@@ -132,6 +134,7 @@ class Chain(Constant):
     drives: tuple[Drive, ...] = ()
     effort: Float[Array, " n"] = dataclasses.field(default_factory=lambda: np.zeros(0))
     unchecked: tuple[Unchecked, ...] = static(default=())
+    surfaces: tuple[Surface, ...] = static(default=())
 
     def __post_init__(self) -> None:
         for name, default in (("armature", 0.0), ("effort", np.inf)):
@@ -232,6 +235,7 @@ class Chain(Constant):
             link_offset=self.link_offset[np.array(kept, int)],
             boxes=own(self.boxes),
             volumes=own(self.volumes),
+            surfaces=own(self.surfaces),
             self_pairs=tuple((link[a], link[b]) for a, b in self.self_pairs if a in link and b in link),
             unread_meshes=tuple(n for n in self.unread_meshes if n in (self.link_names[i] for i in kept)),
             ignored=tuple((link[i], name) for i, name in self.ignored if i in link),
@@ -246,6 +250,7 @@ class Chain(Constant):
     def __repr__(self) -> str:
         head = f"Chain {self.name}: {self.num_joints} joints, {len(self.link_names)} links, {len(self.boxes)} boxes, "
         head += f"{len(self.volumes)} volumes, {len(self.self_pairs)} pairs of links to check, {len(self.pair_tables)} tables"
+        head += f"; exact, {sum(len(s.corners) for s in self.surfaces):,} triangles" if self.surfaces else ""
         head += f"; meshes of {len(self.unread_meshes)} links not read" if self.unread_meshes else ""
         spans = [""] * self.num_joints
         if all(isinstance(x, np.ndarray | jax.Array) and is_known(x) for x in (self.lower, self.upper)):

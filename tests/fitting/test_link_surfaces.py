@@ -11,7 +11,7 @@ from scipy.spatial.transform import Rotation
 from triangle_truth import in_coal, winding
 
 import jaxik
-from jaxik.collision.surface_pair import tree_of
+from jaxik.collision.surface_trees import order_of, roomy, tree_of
 from jaxik.fitting.convex import rows_of
 from jaxik.fitting.parts import convex_parts
 from jaxik.fitting.surfaces import _GAP, closes, distances, surface_of, touching
@@ -61,13 +61,13 @@ def test_surfaces_are_as_far_apart_as_coal_says(first, second):
         told.clear()
         true[i] = coal.distance(one, coal.Transform3s.Identity(), other, coal.Transform3s(turn[i], place[i]), request, told)
     true = np.maximum(true, 0.0)
-    rows, trees = rows_of(turn, place), (tree_of(a), tree_of(b))
+    rows, trees = rows_of(turn, place), tuple(roomy(tree_of(t[order_of(t)])) for t in (a, b))
     (gap,) = in_blocks(_GAP, rows, np.full(200, np.inf), fixed=trees, double=True)
     assert 20 < np.sum(true == 0.0) < 180
     np.testing.assert_allclose(gap, true, atol=1e-9)
     (soon,) = in_blocks(_GAP, rows, np.full(200, 0.03), fixed=trees, double=True)
     np.testing.assert_allclose(soon, np.minimum(true, 0.03), atol=1e-9)
-    touch = touching([surface_of([a], 0.0, 1)], [surface_of([b], 0.0, 1)], turn, place)
+    touch = touching(surface_of(0, [(a, 0.0)]), surface_of(0, [(b, 0.0)]), turn, place)
     assert np.all(touch >= (true == 0.0)) and not touch[true > 0.1].any()
 
 
@@ -75,12 +75,12 @@ def test_what_is_swallowed_touches():
     """A ball in a hollow shell crosses nothing; in a ring it is outside."""
     shell, ball = trimesh.creation.box((0.4, 0.4, 0.4)), trimesh.creation.icosphere(1, 0.05)
     at = np.eye(3)[None].repeat(3, 0), np.array([[0.0, 0.0, 0.0], [0.1, 0.1, 0.1], [0.3, 0.0, 0.0]])
-    asked = lambda mesh: [surface_of([triangles(mesh)], 0.0, 1)]
+    asked = lambda mesh: surface_of(0, [(triangles(mesh), 0.0)])
     assert touching(asked(shell), asked(ball), *at).tolist() == [True, True, False]
     assert touching(asked(ball), asked(shell), *at).tolist() == [True, True, False]
     open_box = triangles(shell)[:-1]
     assert closes(triangles(shell)) and not closes(open_box)
-    assert not touching([surface_of([open_box], 0.0, 1)], asked(ball), *at).any()
+    assert not touching(surface_of(0, [(open_box, 0.0)]), asked(ball), *at).any()
     assert not touching(asked(SHAPES["ring"]), asked(ball), at[0][:1], at[1][:1]).any()
 
 

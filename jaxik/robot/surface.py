@@ -1,0 +1,107 @@
+"""A link's own surface: the triangles of its meshes, which decide where its fitted volumes are too near to tell."""
+
+from __future__ import annotations
+
+import base64
+import contextlib
+import dataclasses
+import functools
+import hashlib
+import zlib
+from collections.abc import Iterable
+
+import numpy as np
+from scipy.spatial import ConvexHull, QhullError
+
+from jaxik.pytree import read_only
+
+MOST = 2**30  # bytes of a packed surface
+
+
+@dataclasses.dataclass(frozen=True, eq=False, repr=False)
+class Surface:
+    """Triangles of a link, `corners` (t, 3, 3) [m] in the frame of the link's joint, and what is within `radius` (t,) [m] of
+    them. `shape` (t,) is the number of the shape that each belongs to, from 0 on in order; `solid` (t,) whether that closes,
+    which is what has an inside. A value: equal numbers, equal surface."""
+
+    link: int
+    corners: np.ndarray
+    radius: np.ndarray
+    solid: np.ndarray
+    shape: np.ndarray
+
+    def __post_init__(self) -> None:
+        kinds = {"corners": np.float64, "radius": np.float64, "solid": np.bool_, "shape": np.int32}
+        vars(self).update(read_only({name: np.asarray(getattr(self, name), kind) for name, kind in kinds.items()}))
+
+    @staticmethod
+    def joined(link: int, surfaces: Iterable[Surface]) -> Surface:
+        """One of several, each with its shapes."""
+        parts = list(surfaces)
+        before = np.cumsum([0, *(p.shape.max(initial=-1) + 1 for p in parts)])
+        shapes = np.concatenate([p.shape + n for p, n in zip(parts, before, strict=False)])
+        corners, radius, solid = (np.concatenate([getattr(p, name) for p in parts]) for name in ("corners", "radius", "solid"))
+        return Surface(link, corners, radius, solid, shapes)
+
+    @functools.cached_property
+    def points(self) -> np.ndarray:
+        """The number of one triangle of each shape (k,)."""
+        return np.unique(self.shape, return_index=True)[1]
+
+    @functools.cached_property
+    def outermost(self) -> np.ndarray:
+        """Those of its corners that are furthest in some direction (k, 3): the corners of its hull, or all."""
+        places = np.unique(self.corners.reshape(-1, 3), axis=0)
+        with contextlib.suppress(QhullError, ValueError):  # flat, or few
+            return np.asarray(places[ConvexHull(places).vertices])
+        return places
+
+    @functools.cached_property
+    def digest(self) -> str:
+        """A hash of everything in it."""
+        content = hashlib.sha256(str((self.link, self.corners.shape)).encode())
+        for each in (self.corners, self.radius, self.solid, self.shape):
+            content.update(np.ascontiguousarray(each).tobytes())
+        return content.hexdigest()
+
+    def __hash__(self) -> int:
+        return hash(self.digest)
+
+    def __eq__(self, other: object) -> bool:
+        return self is other or (isinstance(other, Surface) and self.digest == other.digest)
+
+    def __repr__(self) -> str:
+        return f"Surface(link={self.link}, triangles={len(self.corners)}, digest={self.digest})"
+
+    def packed(self) -> str:
+        """Its numbers as a word in a text file, to the last bit: the corners, each once, and which three a triangle has."""
+        places, number = np.unique(self.corners.reshape(-1, 3), axis=0, return_inverse=True)
+        head = np.array([len(places), len(self.corners)], np.int64)
+        parts = head, places, number.reshape(-1).astype(np.int32), self.radius, self.solid, self.shape
+        return base64.b64encode(zlib.compress(b"".join(part.tobytes() for part in parts), 6)).decode()
+
+    @staticmethod
+    def unpacked(link: int, word: str) -> Surface:
+        """Raises `ValueError` for what `packed` did not make."""
+        try:
+            content = zlib.decompressobj().decompress(base64.b64decode(word, validate=True), MOST)
+        except zlib.error:
+            raise ValueError("no packed surface") from None
+        corners, triangles = (int(n) for n in np.frombuffer(content, np.int64, 2))
+        sizes = [16, 24 * corners, 12 * triangles, 8 * triangles, triangles, 4 * triangles]
+        if min(corners, triangles) < 1 or len(content) != sum(sizes):
+            raise ValueError("no packed surface")
+        kinds = np.int64, np.float64, np.int32, np.float64, np.bool_, np.int32
+        ends = np.cumsum(sizes)
+        _, places, number, radius, solid, shape = (
+            np.frombuffer(content[end - size : end], kind) for end, size, kind in zip(ends, sizes, kinds, strict=True)
+        )
+        if not (np.isfinite(places).all() and np.isfinite(radius).all() and 0 <= number.min() <= number.max() < corners):
+            raise ValueError("no packed surface")
+        return Surface(link, places.reshape(-1, 3)[number].reshape(-1, 3, 3), radius, solid, shape)
+
+
+def fan(corners: np.ndarray) -> np.ndarray:
+    """Triangles (t, 3, 3) of what is flat, of a line, of a point."""
+    last = np.arange(len(corners))
+    return corners[np.stack([0 * last, np.maximum(last - 1, 0), last], axis=1)[min(len(last) - 1, 2) :]]
