@@ -33,7 +33,7 @@ from race import machine
 from triangle_truth import in_coal
 
 import jaxik
-from jaxik.collision.exact_pairs import WITHIN
+from jaxik.collision.bvh import WITHIN
 
 SETTINGS = {"default": (jaxik.Fit(), False), "exact": (jaxik.Fit(), True), "hulls": (jaxik.Fit(parts=1), False)}
 ROBOTS = {  # file under example-robot-data, tip, base
@@ -116,7 +116,6 @@ class Meshes:
                     at = (coal.Transform3s(f[i, :3, :3], f[i, :3, 3]) for f in (first, second))
                     found[i] = coal.collide(one, next(at), other, next(at), request, told) > 0
         return found
-
 
     def apart(self, i: int, a: int, b: int) -> float:
         """How far two links are apart at configuration i [m]."""

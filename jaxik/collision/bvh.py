@@ -29,6 +29,8 @@ from jaxik.robot.surface import Surface
 # obstacles a leaf, where there are a few
 LEAF = {"points": 4, "spheres": 4, "capsules": 1, "boxes": 1, "cylinders": 1, "triangles": 1}
 FAN = 4  # leaves a branch, at least
+WITHIN = 0.025  # [m] of volumes' distance, below which an exact robot's own surfaces decide: a model stands so far out of them
+CLOSE = 0.003  # [m] beyond a margin, likewise, where nothing but whether it is kept is asked for
 LEAVES = (16, 128, 1024, 8192, 65536)  # what is compiled for: up to so many leaves, of which those that are there are looked at
 SLACK = 1e-4  # [m] that a bounding sphere is larger: nothing is lost to rounding in float32, 100 m from the origin
 
@@ -67,12 +69,14 @@ class Obstacles:
 @dataclasses.dataclass(frozen=True)
 class OwnSurfaces:
     """Those of an exact chain, a tree a part (`Robot.links`), and of each triangle the joint (t,); and the numbers of some of
-    their triangles, one a shape: part p has `points[first[p]]` to `points[first[p + 1]]`, not counted."""
+    their triangles, one a shape: part p has `points[first[p]]` to `points[first[p + 1]]`, not counted. They decide where volumes
+    are nearer than `within` [m]."""
 
     trees: Trees
     joint: Any
     points: Any
     first: Any
+    within: Any
     ignores: tuple[tuple[int, str], ...] = static()
 
 
@@ -93,7 +97,7 @@ def grouped(scene: Scene | Grouped | None, chain: Chain, by_object: bool = False
             raise ValueError(
                 f"{chain.name}: the obstacles are grouped for another chain's `ignored`; group the scene for this one"
             )
-        return scene
+        return scene if surfaces_in(scene) else scene + own_surfaces(chain)
     if not scene.concrete:
         check_scene(scene)
         return _grouped(scene, chain.ignored, by_object) + own_surfaces(chain)
@@ -138,7 +142,17 @@ def _own_surfaces(
     starts = np.cumsum([0, *sizes])[:-1]
     joint = np.repeat([link_joint[link] for link in links], sizes).astype(np.int32)
     number = np.concatenate([s.points + start for s, start in zip(parts, starts, strict=True)]).astype(np.int32)
-    return OwnSurfaces(trees, joint, number, np.cumsum([0, *points]).astype(np.int32), ignored)
+    return OwnSurfaces(trees, joint, number, np.cumsum([0, *points]).astype(np.int32), np.asarray(WITHIN), ignored)
+
+
+def at_margin(around: Grouped, margin: Any, resolution: float = CLOSE) -> Grouped:
+    """The same for what only asks whether a `margin` is kept [m], to some resolution: a robot's own surfaces decide no further
+    from it."""
+    within = np.maximum(margin, 0.0) + resolution if is_known(margin) else jnp.maximum(margin, 0.0) + resolution
+    nearer = lambda own: dataclasses.replace(
+        own, within=(np if is_known(margin) else jnp).asarray(within, own.trees.corners.dtype)
+    )
+    return tuple(nearer(each) if isinstance(each, OwnSurfaces) else each for each in around)
 
 
 def _grouped(scene: Scene, ignored: tuple[tuple[int, str], ...], by_object: bool) -> tuple[Obstacles, ...]:

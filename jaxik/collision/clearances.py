@@ -19,7 +19,7 @@ from jaxtyping import Bool, Float
 
 from jaxik.checks.arrays import is_known, stop_gradients
 from jaxik.checks.options import check_kind
-from jaxik.collision.bvh import Grouped, grouped, obstacles_in
+from jaxik.collision.bvh import Grouped, at_margin, grouped, obstacles_in
 from jaxik.collision.nearest_pair import Space
 from jaxik.collision.scene import FAR, Scene
 from jaxik.robot.chain import Array, Chain, as_configuration
@@ -148,10 +148,7 @@ def by_object(chain: Chain, count: int, around: Grouped, q: Any) -> Any:
 def _collides(chain: Chain, around: Grouped, q: Any, margin: Any) -> Any:
     q = as_configuration(chain, q)
     margin = jnp.asarray(margin, q.dtype)
-    space = Space(chain, around, q)
-    if space.exact is not None:
-        space.exact.within = jnp.maximum(space.exact.within, margin)
-    least = space.all(margin, enough=margin).distance
+    least = Space(chain, at_margin(around, margin), q).all(margin, enough=margin).distance
     return ~((least >= margin) & (_unsound(chain, around, q) == 0.0))
 
 

@@ -30,7 +30,7 @@ from jaxtyping import Bool, Float, Int
 
 from jaxik.checks.arrays import is_known, stop_gradients
 from jaxik.checks.options import check_finite, check_kind
-from jaxik.collision.bvh import balls_of, grouped, obstacles_in, pair_tables, surfaces_in
+from jaxik.collision.bvh import CLOSE, WITHIN, OwnSurfaces, balls_of, grouped, obstacles_in, pair_tables, surfaces_in
 from jaxik.collision.clearances import as_wide, check_geometry, clearance, link_clearances
 from jaxik.collision.scene import FAR, KINDS, Scene
 from jaxik.collision.volumes import box_spheres, xp_of
@@ -205,6 +205,8 @@ def _advanced(
     zero, one, far = (jnp.asarray(x, q_from.dtype) for x in (0.0, 1.0, FAR))
     resolution = jnp.where(resolution > 0.0, resolution, jnp.nan)  # a traced one: then nothing is proven
     asked = _Asked(margin, resolution, jnp.clip(enough, margin, FAR / 4.0), first)
+    if scene is not None:
+        scene = _asked_of(scene, asked)
     end = _State(_Measured(one, 0, 0), one, one, far, zero, far, jnp.zeros((), bool), jnp.zeros((), jnp.int32))
     if chain.self_pairs:
         end = _marched_on(*_ruler(chain, surfaces_in(scene or ()), q_from, q_to, extent, margin), asked, end)
@@ -216,6 +218,14 @@ def _advanced(
     found = jnp.where(bound > FAR / 8.0, jnp.inf, bound), jnp.where(free, jnp.inf, end.here.t), end.nearest
     clear, contact, nearest = (jnp.where(jnp.isnan(end.least), jnp.nan, x) for x in found)
     return MotionClearance(clear, contact, nearest, end.count)
+
+
+def _asked_of(scene: Any, asked: _Asked) -> Any:
+    """What is around, for what is asked: an exact robot's own surfaces decide no further off than that, if that is known."""
+    precise = jnp.maximum(CLOSE, 2.0 * asked.resolution)
+    plain = jnp.asarray(WITHIN, precise.dtype)
+    within = jnp.where(asked.enough > jnp.maximum(asked.margin, plain), plain, jnp.maximum(asked.enough, 0.0) + precise)
+    return tuple(dataclasses.replace(x, within=within) if isinstance(x, OwnSurfaces) else x for x in scene)
 
 
 def _ruler(chain: Chain, scene: Any, q_from: Any, q_to: Any, extent: Any, margin: Any) -> tuple[Any, _Bounds]:

@@ -157,9 +157,7 @@ def triangle_triangle(a: Vec3, b: Vec3, c: Vec3, d: Vec3, e: Vec3, f: Vec3) -> A
 def triangles_cross(a: Vec3, b: Vec3, c: Vec3, d: Vec3, e: Vec3, f: Vec3) -> Any:
     """Whether an edge of one of two triangles, abc and def, passes through the other."""
     pairs = ((a, b, c), (d, e, f)), ((d, e, f), (a, b, c))
-    through = [
-        _least(jnp.where(passes_through(*_edges(mine, other[0]), *other), 0.0, 1.0)) for mine, other in pairs
-    ]
+    through = [_least(jnp.where(passes_through(*_edges(mine, other[0]), *other), 0.0, 1.0)) for mine, other in pairs]
     return _less(*through) == 0.0
 
 

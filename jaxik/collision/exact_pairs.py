@@ -1,7 +1,7 @@
 """What a robot's own triangles decide, where its fitted volumes are too near to tell: a part of the search for the nearest pair.
 
-The volumes hold the links' surfaces, so what they are apart is never too much. Where it is less than `within`, the surfaces'
-own distance is taken instead, at most `within`: with the volumes' distance V and the surfaces' S,
+The volumes hold the links' surfaces, so what they are apart is never too much. Where it is less than `within` (25 mm, or what is
+asked for), the surfaces' own distance is taken instead, at most `within`: with the volumes' distance V and the surfaces' S,
 
     D = V where V >= within, else min(S, within); where surfaces cross, or one thing is inside of another, V, which is below 0.
 
@@ -24,8 +24,6 @@ from jaxik.collision.leaf_rows import Found, entry, nearest_of, row_at, rows_fro
 from jaxik.collision.surface_trees import TOUCH, square_beyond, surface_gap, triangle_at, walk, winds_around
 from jaxik.spatial.algebra import Frame, Rot3, Vec3, traced
 
-WITHIN = 0.025  # [m] of the volumes' distance, below which the triangles decide: as far as a model stands out of its meshes
-
 
 class Exact:
     """A robot's surfaces, each in the frame of its part's joint. Its triangles are numbered from `first` on among the robot's
@@ -36,7 +34,7 @@ class Exact:
     def __init__(self, space: Any, own: OwnSurfaces, first: int, origin: int):
         self.space, self.trees, self.own, self.first, self.origin = space, own.trees, own, first, origin
         self.corners, self.radius, self.joint = own.trees.corners, own.trees.radius, own.joint
-        self.within: Any = jnp.asarray(WITHIN, space.dtype)
+        self.within = jnp.asarray(own.within, space.dtype)
 
     def pairs(self, first: Any, last: Any, nearest: Callable[[Any, Found], Found], found: Found) -> Found:
         """What was found, or the nearest of the robot's pairs of parts from `first` to `last`, not counted, if they are nearer;
@@ -58,7 +56,12 @@ class Exact:
         def by_triangles(state: tuple[Any, Any, Found]) -> tuple[Any, Any, Found]:
             k, left, found = state
             p, o = entry(robot.part, k), entry(robot.other, k)
-            walked = lambda start, enough: surface_gap(self.trees, p, self.trees, o, self._between(p, o), start, enough)
+
+            def walked(start: Found, enough: Any) -> Found:
+                told = surface_gap(self.trees, p, self.trees, o, self._between(p, o), start, enough)
+                number = lambda k, first: None if k is None else jnp.where(k >= 0, k + first, k)
+                return told._replace(mine=number(told.mine, self.first), other=number(told.other, self.origin))
+
             held = lambda: self._holds_points(p, o) | self._holds_points(o, p)
             found = self._decided(found, row_at(near, k), walked, held)
             left = lax.dynamic_update_index_in_dim(left, jnp.full_like(found.distance, jnp.inf), k, 0)
@@ -115,7 +118,8 @@ class Exact:
             apart = near & (told.distance > 0.0) & (nearest.distance < 0.0)
             inside = lax.cond(apart, held, lambda: jnp.zeros((), bool)) if self.solid else jnp.zeros((), bool)
             crossing = (told.distance <= 0.0) | (apart & inside)
-            return nearest_of(found, nearest_of(nearest._replace(distance=jnp.where(crossing, nearest.distance, jnp.inf)), told))
+            decided = jax.tree_util.tree_map(lambda volumes, own: jnp.where(crossing, volumes, own), nearest, told)
+            return nearest_of(found, decided)
 
         return lax.cond(near, by_triangles, lambda found: nearest, found)
 

@@ -77,7 +77,10 @@ def forest(trees: Sequence[Trees]) -> Trees:
     joined = lambda name: np.concatenate([getattr(t, name) for t in trees])
     before = lambda name: np.cumsum([0, *(len(getattr(t, name)) for t in trees)])[:-1]
     run = max(t.leaves.shape[1] for t in trees)
-    leaves = [np.pad(t.leaves, ((0, 0), (0, run - t.leaves.shape[1])), "edge") + n for t, n in zip(trees, before("corners"), strict=True)]
+    leaves = [
+        np.pad(t.leaves, ((0, 0), (0, run - t.leaves.shape[1])), "edge") + n
+        for t, n in zip(trees, before("corners"), strict=True)
+    ]
     heap, leaf = (before(name).astype(np.int32) for name in ("boxes", "leaves"))
     own = (joined(name) for name in ("corners", "radius", "solid", "boxes"))
     return Trees(*own, np.concatenate(leaves).astype(np.int32), heap - 1, leaf, joined("levels"))

@@ -50,7 +50,7 @@ def enumerable(problem: Problem) -> bool:
     """Whether the closed form answers the problem: poses, without obstacles, a cost, or seeds of another kind, and no joint
     locked but those that it is given. Of six joints of no family: whether more than one answer is asked for, none locked."""
     options, chain, wanted = problem.options, problem.chain, problem.options.seeds == "closed_form"
-    if problem.scene or options.cost is not None or not (wanted or options.seeds == "auto"):
+    if (problem.scene is not None and not problem.alone) or options.cost is not None or not (wanted or options.seeds == "auto"):
         return False
     if not wanted and not all(options.task.bound):
         return False

@@ -12,7 +12,7 @@ import numpy as np
 from jaxik.analytic.families import closed_form_obstacle
 from jaxik.checks import arrays as given
 from jaxik.checks.options import check_finite, check_seed, shown
-from jaxik.collision.bvh import Grouped, grouped
+from jaxik.collision.bvh import Grouped, at_margin, grouped, obstacles_in
 from jaxik.collision.scene import Scene
 from jaxik.costs import check_cost
 from jaxik.ik import seeds, sqp_programs
@@ -67,7 +67,7 @@ class Problem:
             raise ValueError("reference holds NaN or infinity; write a configuration (n,), or one a target (N, n) [rad, m]")
         strategy = _strategy(chain, options)
         inside, whole = (_range(chain, tuple(low.tolist()), tuple(high.tolist()), one_turn) for one_turn in (True, False))
-        around = grouped(scene, chain) if scene is not None else None
+        around = at_margin(grouped(scene, chain), options.margin) if scene is not None else None
         unit = sqp_programs.unit_length(chain)
         return Problem(chain, around, seed, options, low, high, weights, inside, whole, unit, strategy, tolerance, reference)
 
@@ -81,7 +81,7 @@ class Problem:
     @property
     def alone(self) -> bool:
         """Whether the robot itself is all that it may hit."""
-        return self.scene == ()
+        return self.scene is not None and not obstacles_in(self.scene)
 
     @property
     def near(self) -> int:

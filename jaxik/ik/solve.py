@@ -20,7 +20,7 @@ from jaxtyping import Float, Int
 from jaxik.checks.arrays import RIGID, numbers
 from jaxik.checks.options import changed, check_kind
 from jaxik.collision.always_colliding import warn_of_scene
-from jaxik.collision.bvh import Grouped
+from jaxik.collision.bvh import CLOSE, WITHIN, Grouped, at_margin, surfaces_in
 from jaxik.collision.clearances import check_geometry, has_geometry
 from jaxik.collision.contact_report import Contact, explain
 from jaxik.collision.scene import Scene
@@ -29,7 +29,7 @@ from jaxik.ik.choosing import scores, with_turns
 from jaxik.ik.multistart import Outcome, search
 from jaxik.ik.options import IKOptions
 from jaxik.ik.problem import Problem
-from jaxik.ik.solutions import Found, candidates, far_apart, top
+from jaxik.ik.solutions import Found, candidates, cleared, far_apart, top
 from jaxik.reasons import Reason, Reasoned
 from jaxik.robot.chain import Chain
 from jaxik.robot.reach_bound import millimetres
@@ -284,6 +284,8 @@ def _result(problem: Problem, outcome: Outcome, fault: np.ndarray) -> IKResult:
         last = np.zeros(count, int)
         last[ranked.target] = np.arange(len(ranked.target))
         shown = ranked.rows(last)
+    if problem.scene is not None and surfaces_in(problem.scene):  # the search looked no further than the margin
+        shown = cleared(dataclasses.replace(problem, scene=at_margin(problem.scene, WITHIN - CLOSE)), shown)
     if problem.most > 1:
         best = found.rows(far_apart(problem, found, score, problem.most, problem.options.distinct))
     best = best.rows(np.argsort(best.target, kind="stable"))

@@ -33,7 +33,8 @@ class CollisionChecker:
     def __init__(self, chain: Chain, scene: Scene | None, margin: float, cushion: float = 0.0):
         self.chain, self.carried = _apart(chain)
         self.margin, self.cushion = np.float32(margin), np.float32(cushion)
-        self.obstacles = jax.tree_util.tree_map(np.asarray, grouped(scene, chain))
+        narrow = lambda x: np.asarray(x, np.float32 if np.issubdtype(np.result_type(x), np.floating) else None)
+        self.obstacles = jax.tree_util.tree_map(narrow, grouped(scene, chain))
         self.size = np.float32(size_of(scene))
         self.endless = endless(chain)
         self.weights = joint_reaches(jax.tree_util.tree_map(np.asarray, chain) if self.carried else chain)

@@ -11,7 +11,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from jaxik.collision.bvh import grouped
+from jaxik.collision.bvh import at_margin, grouped
 from jaxik.collision.clearances import has_geometry, link_contacts
 from jaxik.collision.continuous_collision import joint_reaches
 from jaxik.collision.scene import Scene
@@ -151,7 +151,8 @@ class Terms:
     def _robots(self) -> list[tuple[Chain, Any, float]]:
         """The `parts` with their obstacles by place; none of a chain without shapes."""
         known = has_geometry(self.chain)
-        return [(chain, grouped(scene, chain), near) for chain, scene, near in self.parts] if known else []
+        around = lambda chain, scene: at_margin(grouped(scene, chain), self.margin or 0.0)
+        return [(chain, around(chain, scene), near) for chain, scene, near in self.parts] if known else []
 
     @functools.cached_property
     def _reaches(self) -> np.ndarray:
