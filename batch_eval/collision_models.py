@@ -6,7 +6,8 @@ For each robot, at random configurations inside its limits: how many collide by 
 that are free), or by the meshes and not by the model (missed). All pairs of links count, whether the chain checks them or not,
 but neighbours across one joint, links that do not move against each other, and those whose meshes touch in at least half of the
 configurations. Likewise where the meshes decide (`exact=True`), and how far the distance is then from coal's, of the pairs that
-the chain checks, where that is below what the model stands out of the meshes. Needs `pip install -e ".[test]"`; the robots are those of example-robot-data.
+the chain checks, where that is below what the model stands out of the meshes. Needs `pip install -e ".[test]"`; the robots are
+those of example-robot-data.
 """
 
 from __future__ import annotations

@@ -45,10 +45,12 @@ class ShapedRobotArguments(RobotArguments):
     meshes: bool = True
     """Read the robot's collision meshes (URDF, MJCF), for capsules around them: the first time it takes some seconds."""
     pairs: Checked = ()
+    exact: bool = False
+    """Let the meshes' triangles decide where the capsules are too near to tell: slower, and no free room is given up."""
 
     def loading(self) -> dict[str, Any]:
         """What `jaxik.load` takes of these."""
-        return super().loading() | {"meshes": self.meshes, "pairs": checked_pairs(self.pairs)}
+        return super().loading() | {"meshes": self.meshes, "pairs": checked_pairs(self.pairs), "exact": self.exact}
 
 
 def read_posture(words: Sequence[str]) -> dict[str, float] | None:

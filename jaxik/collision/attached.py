@@ -12,8 +12,10 @@ from jaxtyping import Float
 from jaxik.checks.arrays import check_known
 from jaxik.checks.options import check_kind, no_such, shown
 from jaxik.collision.scene import Scene, check_scene
+from jaxik.collision.surface_trees import surface_of
 from jaxik.robot.chain import Array, Box, Chain, Volume, solid_links
 from jaxik.robot.kinematics import as_posture, joint_frames
+from jaxik.robot.surface import Surface, brick, fan, prism
 from jaxik.spatial.algebra import Frame
 
 MOST = 1000  # volumes that an arm carries: each is measured against all obstacles
@@ -58,8 +60,10 @@ def attach(chain: Chain, scene: Scene, name: str, q: Float[Array, " n"], touches
     if count > MOST:
         mend = f"at most {MOST:,}; put a few spheres or boxes around it"
         raise ValueError(f"attach: '{shown(name)}' has {count:,} obstacles; {mend}")
+    own = (_surface(scene, name, joint_T_world, link, volumes),) if chain.surfaces else ()
     held = dataclasses.replace(
         chain,
+        surfaces=(*chain.surfaces, *own),
         link_names=(*chain.link_names, name),
         link_joint=(*chain.link_joint, last),
         link_offset=np.concatenate([chain.link_offset, np.eye(4)[None]]),
@@ -95,6 +99,26 @@ def _carried(scene: Scene, name: str, joint_T_world: np.ndarray, link: int) -> t
         volumes.append(volume(*_capsule(np.asarray(cylinders.world_T_cylinder[i]), cylinders.radius[i], cylinders.half[i])))
     boxes = [Box(joint_T_world @ scene.boxes.world_T_box[i], np.asarray(scene.boxes.half[i]), link) for i in own["boxes"]]
     return boxes, volumes
+
+
+def _surface(scene: Scene, name: str, joint_T_world: np.ndarray, link: int, volumes: list[Volume]) -> Surface:
+    """The object's own surface, for an exact robot: that of its volumes, and of its boxes and cylinders themselves."""
+    index = scene.object_names.index(name)
+    of = {
+        kind: np.flatnonzero((owners == index) & obstacles.there)
+        for kind, obstacles, owners in scene.by_kind()
+    }
+    placed = lambda triangles, world_T_b: triangles @ (joint_T_world @ world_T_b)[:3, :3].T + (joint_T_world @ world_T_b)[:3, 3]
+    boxes, cylinders, triangles = scene.boxes, scene.cylinders, len(of["triangles"])
+    shapes = [(placed(brick(np.asarray(boxes.half[i])), np.asarray(boxes.world_T_box[i])), 0.0) for i in of["boxes"]]
+    for i in of["cylinders"]:
+        own = prism(float(cylinders.radius[i]), float(cylinders.half[i]))
+        shapes.append((placed(own, np.asarray(cylinders.world_T_cylinder[i])), 0.0))
+    flat = [np.asarray(v.corners) for v in volumes if len(v.corners) == 3]
+    shapes += [(np.stack(flat), 0.0)] if triangles else []
+    others = volumes[: len(volumes) - len(of["cylinders"])]
+    shapes += [(fan(np.asarray(v.corners)), float(v.radius)) for v in others if len(v.corners) < 3]
+    return surface_of(link, shapes)
 
 
 def _capsule(world_T_cylinder: np.ndarray, radius: Any, half: Any) -> tuple[np.ndarray, Any]:

@@ -69,8 +69,8 @@ class Obstacles:
 @dataclasses.dataclass(frozen=True)
 class OwnSurfaces:
     """Those of an exact chain, a tree a part (`Robot.links`), and of each triangle the joint (t,); and the numbers of some of
-    their triangles, one a shape: part p has `points[first[p]]` to `points[first[p + 1]]`, not counted. They decide where volumes
-    are nearer than `within` [m]."""
+    their triangles, one a shape: part p has `points[first[p]]` to `points[first[p + 1]]`, not counted. They decide where
+    volumes are nearer than `within` [m]."""
 
     trees: Trees
     joint: Any
@@ -84,8 +84,8 @@ Grouped = tuple[Obstacles | OwnSurfaces, ...]
 
 
 def grouped(scene: Scene | Grouped | None, chain: Chain, by_object: bool = False) -> Grouped:
-    """The scene's obstacles by kind, for a chain, and at last its own surfaces, where it has any; what is out of the way is left
-    out where that is known. `by_object`: branch b holds what belongs to object b.
+    """The scene's obstacles by kind, for a chain, and at last its own surfaces, where it has any; what is out of the way is
+    left out where that is known. `by_object`: branch b holds what belongs to object b.
 
     Raises `ValueError` for arrays that were put in by hand and are none of a scene, for a chain that ignores too much, and for
     obstacles that were grouped for a chain that ignores others.
@@ -128,6 +128,11 @@ def own_surfaces(chain: Chain) -> tuple[OwnSurfaces, ...]:
     """An exact chain's; of no other any."""
     if not chain.surfaces:
         return ()
+    known = {each.link for each in chain.surfaces}
+    for link in solid_links(chain):
+        if link not in known:
+            name = chain.link_names[link]
+            raise ValueError(f"{chain.name}: exact, but {name} has no surface; give it one in `surfaces`, or leave all out")
     return (_own_surfaces(chain.surfaces, tuple(solid_links(chain)[::-1]), chain.link_joint, chain.ignored),)
 
 
@@ -148,10 +153,9 @@ def _own_surfaces(
 def at_margin(around: Grouped, margin: Any, resolution: float = CLOSE) -> Grouped:
     """The same for what only asks whether a `margin` is kept [m], to some resolution: a robot's own surfaces decide no further
     from it."""
-    within = np.maximum(margin, 0.0) + resolution if is_known(margin) else jnp.maximum(margin, 0.0) + resolution
-    nearer = lambda own: dataclasses.replace(
-        own, within=(np if is_known(margin) else jnp).asarray(within, own.trees.corners.dtype)
-    )
+    xp = np if is_known(margin) else jnp
+    within = xp.maximum(margin, 0.0) + resolution
+    nearer = lambda own: dataclasses.replace(own, within=xp.asarray(within, own.trees.corners.dtype))
     return tuple(nearer(each) if isinstance(each, OwnSurfaces) else each for each in around)
 
 

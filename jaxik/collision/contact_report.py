@@ -10,18 +10,20 @@ from __future__ import annotations
 import dataclasses
 import itertools
 from collections.abc import Iterable, Iterator
-from functools import cache, partial
+from functools import cache, lru_cache, partial
 from typing import Any
 
 import jax
+import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float
 
 from jaxik.checks.arrays import check_known
 from jaxik.checks.options import as_count, check_finite, check_kind
 from jaxik.collision import distance
-from jaxik.collision.bvh import pair_tables
+from jaxik.collision.bvh import Grouped, OwnSurfaces, grouped, pair_tables, robot
 from jaxik.collision.clearances import check_geometry
+from jaxik.collision.nearest_pair import Space
 from jaxik.collision.scene import FAR, Scene, check_scene
 from jaxik.collision.shape_distances import Gap, along, columns_of, depth_gap, obstacles_of, skeleton_gap
 from jaxik.collision.solids import SAMPLES
@@ -87,7 +89,9 @@ def explain(chain: Chain, scene: Scene | None, q: Float[Array, " n"], count: int
     with another link, those nearer than `below` [m], and the `count` joints nearest to a limit; and which links overlap that
     are not checked against each other (`chain.unchecked`), but for neighbours. Host.
 
-    Each pair of names stands once, at its least distance; the first pair's is `clearance`. A host function, in float64.
+    Each pair of names stands once, at its least distance; the first pair's is `clearance`. Of an exact robot, whose meshes
+    decide (`load(.., exact=True)`), distances are the meshes' own, also where `clearance` is content with less; where they
+    cross, by how far its volumes do. A host function, in float64.
     Raises `ValueError` for a chain without collision geometry, or a q of another shape or with NaN or infinity.
     """
     check_kind("explain", "scene", scene, Scene, optional=True)
@@ -101,14 +105,50 @@ def explain(chain: Chain, scene: Scene | None, q: Float[Array, " n"], count: int
     check_geometry(chain)
     volumes = skeletons(chain, posture.tolist(), np.float64)
     with jax.enable_x64(True):
-        pairs = [*_with_scene(chain, scene, volumes), *_with_itself(chain, volumes, chain.self_pairs)]
-        bounds = {table.links: float(table(posture)) for table in pair_tables(chain)}
-        found = [row for row in _nearest(pairs, bounds)[:count] if row[0] < below]
-        contacts = tuple(_contact(chain, scene, pairs[number], apart, *row) for apart, number, *row in found)
+        if chain.surfaces:
+            every = sorted(_by_surfaces(chain, scene, posture), key=lambda contact: contact.distance)
+            contacts = tuple(contact for contact in every[:count] if contact.distance < below)
+        else:
+            pairs = [*_with_scene(chain, scene, volumes), *_with_itself(chain, volumes, chain.self_pairs)]
+            bounds = {table.links: float(table(posture)) for table in pair_tables(chain)}
+            found = [row for row in _nearest(pairs, bounds)[:count] if row[0] < below]
+            contacts = tuple(_contact(chain, scene, pairs[number], apart, *row) for apart, number, *row in found)
         beside = [*_with_itself(chain, volumes, _left_out(chain))]
         overlapping = [row for row in _nearest(beside, {})[:count] if row[0] < 0.0]
         unchecked = tuple(_contact(chain, None, beside[number], apart, *row) for apart, number, *row in overlapping)
     return Surroundings(contacts, _limits(chain, posture)[:count], unchecked)
+
+
+def _by_surfaces(chain: Chain, scene: Scene | None, q: np.ndarray) -> Iterator[Contact]:
+    """Of an exact robot every pair of links, and of a link and an object, that counts."""
+    names: tuple[str, ...] = ()
+    if scene is not None:  # what belongs to no object makes one
+        owners = tuple(tuple(int(o) if o >= 0 else len(scene.object_names) for o in own) for _, _, own in scene.by_kind())
+        names = (*scene.object_names, "the scene")
+        scene = dataclasses.replace(scene, object_names=names, removable=(*scene.removable, False), owners=owners)
+    around = grouped(scene, chain, by_object=True)
+    exactly = tuple(dataclasses.replace(x, within=np.asarray(FAR)) if isinstance(x, OwnSurfaces) else x for x in around)
+    apart, points, others = (x[0] for x in _every_contact(chain, len(names)).run(q[None], exactly, double=True))
+    own, links = robot(chain), chain.link_names
+    pairs = [(own.links[p], links[own.links[o]]) for p, o in zip(own.part, own.other, strict=True)]
+    pairs += [(link, name) for link in own.links for name in names]
+    for (link, other), distance, mine, theirs in zip(pairs, apart, points, others, strict=True):
+        if distance < FAR / 2.0:
+            yield Contact(links[link], other, float(distance), mine, theirs)
+
+
+@lru_cache(maxsize=64)
+def _every_contact(chain: Chain, objects: int) -> HostKernel:
+    """Of each pair of parts, and of each part and object, the distance, and where the two are nearest."""
+
+    def contacts(q: Any, around: Grouped) -> Any:
+        space = Space(chain, around, q)
+        told = lambda found: (found.distance, *space.nearest_points(found))
+        parts = [space.each_pair(told)] if len(space.robot.other) else []
+        parts += [space.each_object(objects, told)] if objects else []
+        return tuple(jnp.concatenate(columns) for columns in zip(*parts, strict=True))
+
+    return HostKernel(contacts, 1)
 
 
 def _left_out(chain: Chain) -> list[tuple[int, int]]:

@@ -136,8 +136,7 @@ def point_triangle(p: Vec3, a: Vec3, b: Vec3, c: Vec3) -> Any:
 
 def segment_triangle(p: Vec3, q: Vec3, a: Vec3, b: Vec3, c: Vec3) -> Any:
     """Segment pq to the triangle abc; 0 where it passes through."""
-    ends, edges = point_triangle(_stacked([p, q], a), a, b, c), segment_segment(p, q, *_edges((a, b, c), p))
-    return jnp.where(passes_through(p, q, a, b, c), 0.0, _less(_least(ends), _least(edges)))
+    return jnp.where(passes_through(p, q, a, b, c), 0.0, outside_triangle((p, q), (a, b, c)))
 
 
 def passes_through(p: Vec3, q: Vec3, a: Vec3, b: Vec3, c: Vec3) -> Any:
@@ -205,6 +204,17 @@ def between(s: tuple[Vec3, ...], t: tuple[Vec3, ...]) -> Any:
         (3, 3): triangle_triangle,
     }
     return pairs[len(s), len(t)](*s, *t)
+
+
+def outside_triangle(skeleton: tuple[Vec3, ...], triangle: tuple[Vec3, ...]) -> Any:
+    """The distance of a point, a line or a triangle to a triangle that it does not cross."""
+    if len(skeleton) == 3:
+        return triangles_apart(*skeleton, *triangle)
+    if len(skeleton) == 1:
+        return point_triangle(*skeleton, *triangle)
+    p, q = skeleton
+    ends, edges = point_triangle(_stacked([p, q], triangle[0]), *triangle), segment_segment(p, q, *_edges(triangle, p))
+    return _less(_least(ends), _least(edges))
 
 
 # --------------------------------------------------------------------------------------------------------------------
@@ -287,6 +297,17 @@ def skeleton_cylinder(skeleton: tuple[Vec3, ...], world_R_cylinder: Rot3, centre
     enters, outside = measure(*corners, radius, half)
     way_out = lambda: _less(_way_out_of_cylinder(corners, radius, half), 0.0)
     return jnp.where(enters, lax.cond(jnp.any(enters), way_out, lambda: jnp.zeros_like(outside)), outside)
+
+
+def triangle_outside_box(triangle: tuple[Vec3, ...], world_R_box: Rot3, centre: Vec3, half: Vec3) -> Any:
+    """The distance of a triangle to a box that it does not meet."""
+    return _triangle_box(*(world_R_box.T @ (p - centre) for p in triangle), half=half)
+
+
+def triangle_outside_cylinder(triangle: tuple[Vec3, ...], world_R_cylinder: Rot3, centre: Vec3, radius: Any, half: Any) -> Any:
+    """The distance of a triangle to a cylinder about its frame's z that it does not meet."""
+    a, b, c = (world_R_cylinder.T @ (p - centre) for p in triangle)
+    return _triangle_cylinder(a, b, c, radius, half)[1]
 
 
 def _separation(corners: list[Vec3], half: Vec3) -> Any:

@@ -1,7 +1,7 @@
-"""What a robot's own triangles decide, where its fitted volumes are too near to tell: a part of the search for the nearest pair.
+"""What a robot's own triangles decide, where its volumes are too near to tell: a part of the search for the nearest pair.
 
-The volumes hold the links' surfaces, so what they are apart is never too much. Where it is less than `within` (25 mm, or what is
-asked for), the surfaces' own distance is taken instead, at most `within`: with the volumes' distance V and the surfaces' S,
+The volumes hold the links' surfaces, so what they are apart is never too much. Where it is less than `within` (25 mm, or what
+is asked for), the surfaces' own distance is taken instead, at most `within`: with the volumes' distance V and the surfaces' S,
 
     D = V where V >= within, else min(S, within); where surfaces cross, or one thing is inside of another, V, which is below 0.
 
@@ -21,7 +21,7 @@ from jax import lax
 
 from jaxik.collision.bvh import OwnSurfaces
 from jaxik.collision.leaf_rows import Found, entry, nearest_of, row_at, rows_from
-from jaxik.collision.surface_trees import TOUCH, square_beyond, surface_gap, triangle_at, walk, winds_around
+from jaxik.collision.surface_trees import TOUCH, square_beyond, surface_gap, triangle_at, walk, wanted, winds_around
 from jaxik.spatial.algebra import Frame, Rot3, Vec3, traced
 
 
@@ -82,7 +82,7 @@ class Exact:
 
             def meets(box: Any, found: Found) -> Any:
                 reach = found.distance + radius
-                return (square_beyond(middle - box[0], box[1]) < reach * reach) & (found.distance > enough)
+                return (square_beyond(middle - box[0], box[1]) < reach * reach) & wanted(found.distance, enough)
 
             def inside(k: Any, found: Found) -> Found:
                 corners = tuple(frame @ corner for corner in triangle_at(self.trees, k, dtype))

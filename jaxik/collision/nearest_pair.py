@@ -22,7 +22,7 @@ from jaxik.collision import bvh, distance
 from jaxik.collision.bvh import Grouped, Robot, Volumes
 from jaxik.collision.exact_pairs import Exact
 from jaxik.collision.leaf_rows import Found, as_columns, count_of, entry, nearest_of, row_at, rows_from
-from jaxik.collision.shape_distances import Gap, depth_gap, obstacles_of, skeleton_gap, square_gap, triangle_gap
+from jaxik.collision.shape_distances import Gap, depth_gap, obstacles_of, outside, skeleton_gap, square_gap, triangle_gap
 from jaxik.collision.solids import Solids
 from jaxik.robot.chain import Chain
 from jaxik.robot.kinematics import joint_frames
@@ -109,13 +109,26 @@ class Space:
         """`then` of the nearest pair of each object, which is branch after branch of the obstacles."""
 
         def one(_: Any, b: Any) -> Any:
-            found = self._start(jnp.inf, tracked)
-            for k in range(len(self.obstacles)):
-                step = lambda p, found, k=k: self._to_branches(p, row_at(self.parts, p), k, b, b + 1, found)
-                found = lax.fori_loop(jnp.int32(0), jnp.int32(len(self.robot.links)), step, found)
-            return None, then(found)
+            step = lambda p, found: self._to_object(p, b, found)
+            return None, then(lax.fori_loop(jnp.int32(0), jnp.int32(len(self.robot.links)), step, self._start(jnp.inf, tracked)))
 
         return lax.scan(one, None, jnp.arange(count, dtype=jnp.int32))[1]
+
+    def each_object(self, count: int, then: Callable[[Found], Any]) -> Any:
+        """`then` of each part and each object, in arrays (parts * count,)."""
+        one = lambda _, i: (None, then(self._to_object(i // count, i % count, self._start(jnp.inf, True))))
+        return lax.scan(one, None, jnp.arange(len(self.robot.links) * count, dtype=jnp.int32))[1]
+
+    def _to_object(self, p: Any, b: Any, found: Found) -> Found:
+        """Part p against branch b of the obstacles of each kind."""
+        for k in range(len(self.obstacles)):
+            found = self._to_branches(p, row_at(self.parts, p), k, b, b + 1, found)
+        return found
+
+    def each_pair(self, then: Callable[[Found], Any]) -> Any:
+        """`then` of each pair of parts, in the order of `Robot.other`."""
+        one = lambda _, k: (None, then(self._to_itself(k, k + 1, self._start(jnp.inf, True))))
+        return lax.scan(one, None, jnp.arange(len(self.robot.other), dtype=jnp.int32))[1]
 
     def part(self, p: Any, found: Found, itself: bool = True) -> Found:
         """The nearest pair of part p, a later one of two parts, or what was `found` if none is nearer."""
@@ -145,13 +158,14 @@ class Space:
 
     def _to_leaf(self, p: Any, ball: Any, k: int, j: Any, found: Found) -> Found:
         """Part p of an exact robot against leaf j of the obstacles of kind k."""
-        others = self.others[k]
+        others, exact = self.others[k], self.exact
+        assert exact is not None
 
         def nearer(found: Found, mine: Any, rows: Any, places: Any) -> Found:
             return _nearer(found, mine, rows, others.gap, False, False, places)
 
-        model = lambda found: self._leaves(p, j, j + 1, others, found)
-        return self._if_near(found, ball, row_at(others.leaves, j), self.exact.leaf(p, others, j, model, nearer))
+        model = lambda found: self._leaves(p, j, j + 1, others, found, row_at(others.leaves, j))
+        return self._if_near(found, ball, row_at(others.leaves, j), exact.leaf(p, others, j, model, nearer))
 
     def counts(self, p: Any, k: int, b: Any) -> Any:
         """Whether branch b of the obstacles of kind k counts for part p."""
@@ -293,6 +307,22 @@ class Space:
 
         return list(self._if_tabled(found, steep, tuple(rows)))
 
+    def nearest_points(self, found: Found) -> tuple[Any, Any]:
+        """Where a pair that was found is nearest: on its own volume (3,), and on the other (3,) [m, world]."""
+
+        def points(gap: Gap, own: Any, other: Any, _: Any) -> Any:
+            corners, radius = own
+            value, back = jax.vjp(lambda corners: gap((corners, radius), other), corners)
+            (slopes,) = back(jnp.ones_like(value))
+            force = functools.reduce(Vec3.__add__, slopes)
+            share = lambda slope: jnp.where(force.dot(force) > 0.0, slope.dot(force), 1.0 / len(corners))
+            nearest = functools.reduce(Vec3.__add__, [c * share(f) for c, f in zip(corners, slopes, strict=True)])
+            return nearest - force * radius, nearest - force * (radius + value)
+
+        nowhere = Vec3(*[jnp.full((), jnp.nan, self.dtype)] * 3)
+        mine, other = self._of_pair(found, points, (nowhere, nowhere))
+        return stack(mine, (3,), self.dtype), stack(other, (3,), self.dtype)
+
     def _if_tabled(self, found: Found, function: Callable[[Any], Any], otherwise: Any) -> Any:
         """`function` of the number of the table that a found pair's distance is from, if it is from one."""
         number = found.other - self.rows
@@ -326,10 +356,10 @@ class Space:
                 theirs = self.robot.kinds[k - around] if around <= k < self.inner else None
                 yield volumes, origin, others, theirs, others.gap if k < self.inner else depth
         if self.exact is not None:
-            yield self.exact, self.exact.first, self.exact, self.exact, skeleton_gap
+            yield self.exact, self.exact.first, self.exact, self.exact, outside(skeleton_gap)
             for k, others in enumerate(self.others):
                 if not around <= k < self.inner:
-                    yield self.exact, self.exact.first, others, None, others.gap if k < self.inner else depth
+                    yield self.exact, self.exact.first, others, None, outside(others.gap) if k < self.inner else depth
 
     def _volume(self, volumes: Volumes | Exact, i: Any) -> Any:
         """One volume, whose number may differ from lane to lane, and its joint."""

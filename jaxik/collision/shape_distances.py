@@ -47,6 +47,18 @@ def triangle_gap(volumes: Any, triangle: Any) -> Any:
     return distance.skeleton_triangle(volumes[0], triangle[0]) - volumes[1]
 
 
+def outside(gap: Gap) -> Gap:
+    """The gap of a triangle, within a radius, to what it does not meet: a fraction of a `gap` to compile."""
+    swept = lambda own, other: distance.outside_triangle(other[0], own[0]) - (own[1] + other[1])
+    known: dict[Gap, Gap] = {
+        skeleton_gap: swept,
+        box_gap: lambda own, box: distance.triangle_outside_box(own[0], *box) - own[1],
+        cylinder_gap: lambda own, cylinder: distance.triangle_outside_cylinder(own[0], *cylinder) - own[1],
+        triangle_gap: lambda own, other: distance.outside_triangle(own[0], other[0]) - own[1],
+    }
+    return known[gap]
+
+
 def depth_gap(volumes: Any, triangle: Any, at: Any) -> Any:
     """Of a ball that is inside of a solid, whose nearest triangle this is: where its volume's skeleton is `at`."""
     return -(distance.point_triangle(along(volumes[0], at), *triangle[0]) + volumes[1])

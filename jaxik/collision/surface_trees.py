@@ -1,23 +1,24 @@
 """How far surfaces of triangles are apart, exactly: the truth that links' models are judged by, and that decides with them.
 
 Each surface is a binary tree of bounding boxes above its triangles, along the axes of its frame. Two trees are walked at once,
-and what cannot be nearer than the least distance so far is skipped [Larsen et al. 1999]. Every lane of a kernel walks by itself,
-without a stack: a pair of boxes, one of them halved at each step, is a number, whose bits say which halves; the next pair in
-order is the next number. Lanes that have come to triangles wait for the others, and all are measured at once [Aila and Laine
-2009].
+and what cannot be nearer than the least distance so far is skipped [Larsen et al. 1999]. Every lane of a kernel walks on its
+own, without a stack: a pair of boxes, one of them halved at each step, is a number, whose bits say which halves; the next pair
+in order is the next number. A lane that has come to triangles waits for others, and what they have come to is measured at once
+[Aila and Laine 2009].
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from typing import Any, NamedTuple
 
 import jax.numpy as jnp
 import numpy as np
 from jax import lax
 
-from jaxik.collision import distance
+from jaxik.collision import distance, surfaces
 from jaxik.collision.leaf_rows import Found, entry, nearest_of
+from jaxik.robot.surface import Surface
 from jaxik.spatial.algebra import Frame, Vec3, traced
 
 STEPS = 6  # of a walk through boxes, before triangles are measured
@@ -59,17 +60,32 @@ def order_of(triangles: np.ndarray) -> np.ndarray:
     return order
 
 
+def surface_of(link: int, shapes: Iterable[tuple[np.ndarray, float]]) -> Surface:
+    """A link's, in the order of a tree, of shapes: each its triangles (t, 3, 3) [m], and what is within a radius of them."""
+    parts = [
+        Surface(link, t, np.full(len(t), radius), np.full(len(t), closes(t)), np.zeros(len(t), int)) for t, radius in shapes
+    ]
+    whole = Surface.joined(link, parts)
+    order = order_of(whole.corners)
+    return Surface(link, *(x[order] for x in (whole.corners, whole.radius, whole.solid, whole.shape)))
+
+
+def closes(triangles: np.ndarray) -> bool:
+    """Whether some triangles (t, 3, 3) close, as they are turned: then they have an inside."""
+    return surfaces.closes(np.unique(triangles.reshape(-1, 3), axis=0, return_inverse=True)[1].reshape(-1, 3))
+
+
 def tree_of(triangles: np.ndarray, radius: np.ndarray | None = None, solid: np.ndarray | None = None) -> Trees:
     """The tree of one surface's triangles (t, 3, 3) [m], which are in `order_of`."""
-    count, levels = len(triangles), _levels(len(triangles))
+    count, most = len(triangles), _levels(len(triangles))
     radius = np.zeros(count) if radius is None else radius
     solid = np.zeros(count, bool) if solid is None else solid
-    boxes = np.concatenate([_boxes(triangles, radius, _cuts(count, level)) for level in range(levels + 1)])
-    ends = _cuts(count, levels)
+    boxes = np.concatenate([_boxes(triangles, radius, _cuts(count, level)) for level in range(most + 1)])
+    ends = _cuts(count, most)
     run = int(np.diff(ends).max())
     leaves = np.minimum(ends[:-1, None] + np.arange(run), np.maximum(ends[1:, None] - 1, ends[:-1, None])).clip(0, count - 1)
-    numbers = (np.array([each], np.int32) for each in (-1, 0, levels))  # a heap counts from 1
-    return Trees(triangles, radius, solid, boxes, leaves.astype(np.int32), *numbers)
+    heap, leaf, levels = (np.array([each], np.int32) for each in (-1, 0, most))  # a heap counts from 1
+    return Trees(triangles, radius, solid, boxes, leaves.astype(np.int32), heap, leaf, levels)
 
 
 def forest(trees: Sequence[Trees]) -> Trees:
@@ -77,13 +93,11 @@ def forest(trees: Sequence[Trees]) -> Trees:
     joined = lambda name: np.concatenate([getattr(t, name) for t in trees])
     before = lambda name: np.cumsum([0, *(len(getattr(t, name)) for t in trees)])[:-1]
     run = max(t.leaves.shape[1] for t in trees)
-    leaves = [
-        np.pad(t.leaves, ((0, 0), (0, run - t.leaves.shape[1])), "edge") + n
-        for t, n in zip(trees, before("corners"), strict=True)
-    ]
+    widened = lambda x: np.pad(x, ((0, 0), (0, run - x.shape[1])), "edge")
+    leaves = [widened(t.leaves) + n for t, n in zip(trees, before("corners"), strict=True)]
     heap, leaf = (before(name).astype(np.int32) for name in ("boxes", "leaves"))
-    own = (joined(name) for name in ("corners", "radius", "solid", "boxes"))
-    return Trees(*own, np.concatenate(leaves).astype(np.int32), heap - 1, leaf, joined("levels"))
+    corners, radius, solid, boxes, levels = map(joined, ("corners", "radius", "solid", "boxes", "levels"))
+    return Trees(corners, radius, solid, boxes, np.concatenate(leaves).astype(np.int32), heap - 1, leaf, levels)
 
 
 def roomy(tree: Trees, room: int = 0) -> Trees:
@@ -92,8 +106,9 @@ def roomy(tree: Trees, room: int = 0) -> Trees:
     run = max(-(-room // 2**MOST), 1)
     filled = lambda x, most: np.concatenate([x, np.zeros((most - len(x), *x.shape[1:]), x.dtype)])
     leaves = np.pad(tree.leaves, ((0, 0), (0, run - tree.leaves.shape[1])), "edge")
-    own = [filled(getattr(tree, name), room) for name in ("corners", "radius", "solid")]
-    return Trees(*own, filled(tree.boxes, 4 * room), filled(leaves, 2 * room), tree.heap, tree.leaf, tree.levels)
+    corners, radius, solid = (filled(x, room) for x in (tree.corners, tree.radius, tree.solid))
+    boxes, leaves = filled(tree.boxes, 4 * room), filled(leaves, 2 * room)
+    return Trees(corners, radius, solid, boxes, leaves, tree.heap, tree.leaf, tree.levels)
 
 
 def _levels(count: int) -> int:
@@ -154,6 +169,11 @@ def _every_other(x: Any) -> Any:
     return x
 
 
+def wanted(least: Any, enough: Any) -> Any:
+    """Whether anything nearer than the least distance so far is: not where surfaces cross, or are nearer than is enough."""
+    return (least > 0.0) & (least >= enough)
+
+
 class _Place(NamedTuple):
     """Where a walk through two trees is: the `number` of a pair of boxes, a 1 and a bit for each of its `depth` halvings; the
     leaves that it came to last, if it is `at_leaf`; and whether it is `over`."""
@@ -168,7 +188,7 @@ class _Place(NamedTuple):
 
 def surface_gap(a: Trees, i: Any, b: Trees, j: Any, a_T_b: Frame, found: Found, enough: Any = 0.0) -> Found:
     """The nearest triangles of surface i of `a` and surface j of `b`, 0 apart where they cross, less their radii; or what was
-    `found`, if none are nearer. It ends where some are no more than `enough` [m] apart."""
+    `found`, if none are nearer. It ends where some cross, or are less than `enough` [m] apart."""
     dtype = found.distance.dtype
     levels, others, heap, other_heap = entry(a.levels, i), entry(b.levels, j), entry(a.heap, i), entry(b.heap, j)
     both, most = 2 * jnp.minimum(levels, others), levels + others
@@ -188,7 +208,7 @@ def surface_gap(a: Trees, i: Any, b: Trees, j: Any, a_T_b: Frame, found: Found, 
     sized = lambda turn, half: Vec3(*(sum(jnp.abs(x) * h for x, h in zip(row, half, strict=True)) for row in turn))
 
     def square(mine: Any, theirs: Any) -> Any:
-        """The square of what two boxes are apart at least: by their gaps along the axes of either, which are at right angles."""
+        """The square of what two boxes are apart at least, by their gaps along the axes of either."""
         (own, half), (other, size) = box_at(a, heap + mine, dtype), box_at(b, other_heap + theirs, dtype)
         apart = own - a_T_b @ other
         by_mine = square_beyond(apart, half + sized(a_T_b.rotation, size))
@@ -196,7 +216,7 @@ def surface_gap(a: Trees, i: Any, b: Trees, j: Any, a_T_b: Frame, found: Found, 
 
     def step(at: _Place, least: Any) -> _Place:
         mine, theirs = halves(at.number, at.depth)
-        near = (square(mine, theirs) < least * least) & (least > enough)
+        near = (square(mine, theirs) < least * least) & wanted(least, enough)
         leaf, down = near & (at.depth == most), near & (at.depth < most)
         after, fewer = _next(at.number)
         return _Place(
@@ -260,7 +280,7 @@ def surface_gap(a: Trees, i: Any, b: Trees, j: Any, a_T_b: Frame, found: Found, 
         return onwards(at, found.distance), found
 
     one = jnp.ones_like(levels)
-    near = (square(one, one) < found.distance**2) & (found.distance > enough)
+    near = (square(one, one) < found.distance**2) & wanted(found.distance, enough)
     start = _Place(one, one * 0, *greedy(), near, ~near)
     return lax.while_loop(lambda state: ~state[0].over | state[0].at_leaf, again, (start, found))[1]
 

@@ -19,6 +19,7 @@ from jaxik.files.unchecked_pairs import check_ours, write_disabled
 from jaxik.files.writing import toml, write_text
 from jaxik.robot.chain import Body, Box, Chain, JointType, Unchecked, UncheckedReason, Volume
 from jaxik.robot.link_distance_table import PairTable, packed, unpacked
+from jaxik.robot.surface import Surface
 
 # what a file calls the fields of a chain that have a row a joint, or a row a link
 JOINT = {"name": "joint_names", "type": "joint_types", "frame": "parent_T_joint", "axis": "axis"}
@@ -75,6 +76,7 @@ def _toml(chain: Chain) -> str:
         found: dict[str, Any] = {"links": [names[i] for i in table.links], "joints": [joints[j] for j in table.joints]}
         found |= {key: list(getattr(table, key)) for key in ("low", "high", "turns", "reach")}
         tables.append(("table", found | {"bounds": packed(table.stored), "geometry": table.geometry}))
+    tables += [("surface", {"link": names[each.link], "triangles": each.packed()}) for each in chain.surfaces]
     tables += [("unchecked", dataclasses.asdict(each) | {"links": list(each.links)}) for each in chain.unchecked]
     return toml(head, tables)
 
@@ -111,10 +113,11 @@ def read_chain(model: Table) -> Chain:
     pairs = [_two(model, "pairs", pair, names) for pair in model.listed("pairs")]
     tables = [_table(table, chain) for table in model.tables("table")]
     left = [_unchecked(table, names) for table in model.tables("unchecked")]
+    surfaces = [_surface(table, names) for table in model.tables("surface")]
     beside = [_beside(model, entry, names) for entry in model.listed("ignored_objects")]
     model.close()
     chain = dataclasses.replace(chain, self_pairs=tuple(pairs), ignored=tuple(beside))
-    return dataclasses.replace(chain, pair_tables=tuple(tables), unchecked=tuple(left))
+    return dataclasses.replace(chain, pair_tables=tuple(tables), unchecked=tuple(left), surfaces=tuple(surfaces))
 
 
 def _columns(rows: Sequence[dict[str, Any]], keys: dict[str, str]) -> dict[str, Any]:
@@ -153,6 +156,14 @@ def _table(table: Table, chain: Chain) -> PairTable:
         return PairTable(links, joints, low, high, turns, reach, unpacked(bounds), geometry)
     except ValueError:
         raise table.fail("bounds cannot be read", "take the table out, or save the chain again") from None
+
+
+def _surface(table: Table, names: Sequence[str]) -> Surface:
+    link, word = names.index(table.text("link", None, names)), table.text("triangles")
+    try:
+        return Surface.unpacked(link, word)
+    except ValueError:
+        raise table.fail("triangles cannot be read", "take the surfaces out, or save the chain again") from None
 
 
 def _unchecked(table: Table, names: Sequence[str]) -> Unchecked:

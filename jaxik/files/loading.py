@@ -88,8 +88,8 @@ def load(
     the file's own is called urdf, urdfs, xacro, robots, mjcf or xml). Links are followed. DAE needs `pip install "jaxik[dae]"`.
 
     Raises `LoadError` (a `ValueError`) with one line: the file, the element, what is allowed, the mend; and `ValueError` for a
-    `fit`, `pairs` or `exact` without `meshes`, for `packages` that are no folders, for a `posture` that is no mapping of names to finite
-    numbers, and for MJCF without MuJoCo (the extra `mjcf`).
+    `fit`, `pairs` or `exact` without `meshes`, for `packages` that are no folders, for a `posture` that is no mapping of names
+    to finite numbers, and for MJCF without MuJoCo (the extra `mjcf`).
     """
     path = locate(source)
     tool = None if tool is None else np.asarray(rigid_frame("tool (tip_T_tool)", tool), np.float64)

@@ -23,6 +23,7 @@ from jaxik.fitting.link_distance_tables import SECTIONS
 from jaxik.fitting.links import Shape
 from jaxik.reasons import LoadError
 from jaxik.robot.chain import Chain
+from jaxik.robot.surface import ROUND, prism
 
 # A ROS package keeps its model in urdf/ and its meshes beside that folder, so the model's folder is then the package's.
 _INNER_FOLDERS = ("urdf", "urdfs", "xacro", "robots", "mjcf", "xml")
@@ -41,14 +42,21 @@ class Meshes:
     found: list[tuple[str, Shape]] = dataclasses.field(default_factory=list)
 
     def mesh(
-        self, owner: str, link: Link, name: str, origin: np.ndarray, points: np.ndarray, faces: np.ndarray | None = None
+        self,
+        owner: str,
+        link: Link,
+        name: str,
+        origin: np.ndarray,
+        points: np.ndarray,
+        faces: np.ndarray | None = None,
+        fine: np.ndarray | None = None,
     ) -> None:
         """A mesh by its corners (p, 3) in the frame `origin`, and its triangles (f, 3), those of its hull unless given."""
         if self.fitted:
             if faces is not None:  # of STL each triangle has its own corners: where they are the same, they stay so when moved
                 points, number = np.unique(points, axis=0, return_inverse=True)
                 faces = number.reshape(-1)[faces]
-            self.found.append((owner, Shape(0, name, points @ origin[:3, :3].T + origin[:3, 3], faces)))
+            self.found.append((owner, Shape(0, name, points, faces, fine).moved(origin)))
         else:
             import trimesh  # half a second to import, and only meshes need it
 
@@ -61,8 +69,7 @@ class Meshes:
         for owner, shape in self.found:
             if owner in chain.link_names:
                 link = chain.link_names.index(owner)
-                turn, shift = chain.link_offset[link][:3, :3], chain.link_offset[link][:3, 3]
-                found.append(shape._replace(link=link, corners=shape.corners @ turn.T + shift))
+                found.append(shape.moved(np.asarray(chain.link_offset[link]))._replace(link=link))
         return found
 
 
@@ -82,10 +89,9 @@ def add_capsule(link: Link, origin: np.ndarray, radius: float, half: float) -> N
 def add_cylinder(meshes: Meshes, owner: str, link: Link, origin: np.ndarray, radius: float, half: float) -> None:
     """A cylinder about its frame's z, as a prism around it where meshes are fitted; a box otherwise."""
     if meshes.fitted:
-        turn = 2.0 * np.pi * np.arange(SECTIONS) / SECTIONS
-        ring = radius / np.cos(np.pi / SECTIONS) * np.stack([np.cos(turn), np.sin(turn)], axis=1)
-        ends = [np.column_stack([ring, np.full(SECTIONS, z)]) for z in (-half, half)]
-        meshes.mesh(owner, link, "cylinder", origin, np.concatenate(ends))
+        fine = prism(radius, half)
+        coarse = prism(radius + ROUND, half, SECTIONS)[: 2 * SECTIONS, 0]  # which holds the fine one
+        meshes.mesh(owner, link, "cylinder", origin, coarse, fine=fine)
     else:
         link.boxes.append((origin, np.array([radius, radius, half])))
 

@@ -17,11 +17,12 @@ from typing import Literal, NamedTuple
 import numpy as np
 
 from jaxik.collision.self_collision_pairs import default_pose
+from jaxik.collision.surface_trees import surface_of
 from jaxik.fitting.capsules import Fit
 from jaxik.fitting.convex import Body, apart_at_least, depths, gaps, hull_of, separated
 from jaxik.fitting.link_distance_tables import Places, between, frames
 from jaxik.fitting.parts import best_cut, convex_parts, divided
-from jaxik.fitting.surfaces import surface_of, touching
+from jaxik.fitting.surfaces import touching
 from jaxik.robot.chain import Chain, Unchecked, UncheckedReason, finite_limits
 from jaxik.robot.surface import Surface, fan
 
@@ -44,12 +45,19 @@ Hits = dict[Pair, np.ndarray]  # in which of the configurations a pair of links 
 
 class Shape(NamedTuple):
     """A shape of a link whose parts are fitted: the link, what the file calls it, its corners (p, 3) in the joint's frame [m],
-    and its triangles (f, 3), where they are not those of the hull."""
+    and its triangles (f, 3), where they are not those of the hull; `fine` (t, 3, 3) are triangles that are nearer to what is
+    round than those."""
 
     link: int
     name: str
     corners: np.ndarray
     faces: np.ndarray | None = None
+    fine: np.ndarray | None = None
+
+    def moved(self, a_T_b: np.ndarray) -> Shape:
+        """The same in frame a, of one in frame b."""
+        placed = lambda x: x @ a_T_b[:3, :3].T + a_T_b[:3, 3]
+        return self._replace(corners=placed(self.corners), fine=None if self.fine is None else placed(self.fine))
 
     @property
     def triangles(self) -> np.ndarray:
@@ -303,7 +311,8 @@ def link_surfaces(chain: Chain, shapes: Sequence[Shape]) -> tuple[Surface, ...]:
     """The surface of each link that has shapes, or volumes of a chain that has no others yet."""
     found: dict[int, list[tuple[np.ndarray, float]]] = {}
     for s in shapes:
-        found.setdefault(s.link, []).append((s.corners[s.triangles] if len(s.triangles) else fan(s.corners), 0.0))
+        own = s.corners[s.triangles] if len(s.triangles) else fan(s.corners)
+        found.setdefault(s.link, []).append((own if s.fine is None else s.fine, 0.0))
     for v in chain.volumes:
         found.setdefault(v.link, []).append((fan(np.asarray(v.corners)), float(v.radius)))
     return tuple(surface_of(link, found[link]) for link in sorted(found))

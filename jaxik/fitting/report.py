@@ -7,11 +7,12 @@ from typing import NamedTuple
 
 import numpy as np
 
+from jaxik.collision.surface_trees import closes
 from jaxik.fitting.capsules import Fitted, away, joined
 from jaxik.fitting.convex import directions
 from jaxik.fitting.links import Shape
 from jaxik.fitting.model import Model
-from jaxik.fitting.surfaces import closes, distances
+from jaxik.fitting.surfaces import distances
 from jaxik.robot.chain import Chain
 
 SAMPLED = 2000  # points of a mesh's surface, and of a model's

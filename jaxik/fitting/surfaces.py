@@ -3,14 +3,13 @@
 from __future__ import annotations
 
 import functools
-from collections.abc import Iterable
 from typing import Any
 
 import jax.numpy as jnp
 import numpy as np
 from jax import lax
 
-from jaxik.collision import distance, surfaces
+from jaxik.collision import distance
 from jaxik.collision.leaf_rows import Found, entry
 from jaxik.collision.surface_trees import Trees, order_of, roomy, surface_gap, tree_of, winds_around
 from jaxik.fitting.convex import rows_of
@@ -20,21 +19,6 @@ from jaxik.spmd import HostKernel
 from jaxik.spmd.batch import in_blocks
 
 NEAR = 1e-6  # [m] beyond what touches, where a walk through two trees ends
-
-
-def surface_of(link: int, shapes: Iterable[tuple[np.ndarray, float]]) -> Surface:
-    """A link's, of shapes: each its triangles (t, 3, 3) [m], and what is within a radius of them [m]. In the order of a tree."""
-    parts = [
-        Surface(link, t, np.full(len(t), radius), np.full(len(t), closes(t)), np.zeros(len(t), int)) for t, radius in shapes
-    ]
-    whole = Surface.joined(link, parts)
-    order = order_of(whole.corners)
-    return Surface(link, *(x[order] for x in (whole.corners, whole.radius, whole.solid, whole.shape)))
-
-
-def closes(triangles: np.ndarray) -> bool:
-    """Whether some triangles (t, 3, 3) close, as they are turned: then they have an inside."""
-    return surfaces.closes(np.unique(triangles.reshape(-1, 3), axis=0, return_inverse=True)[1].reshape(-1, 3))
 
 
 def touching(a: Surface, b: Surface, turn: np.ndarray, place: np.ndarray, room: int = 0) -> np.ndarray:

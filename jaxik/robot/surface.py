@@ -7,6 +7,8 @@ import contextlib
 import dataclasses
 import functools
 import hashlib
+import itertools
+import math
 import zlib
 from collections.abc import Iterable
 
@@ -16,6 +18,7 @@ from scipy.spatial import ConvexHull, QhullError
 from jaxik.pytree import read_only
 
 MOST = 2**30  # bytes of a packed surface
+ROUND = 4e-6  # [m] by which the surface of a round shape may stand out of it
 
 
 @dataclasses.dataclass(frozen=True, eq=False, repr=False)
@@ -93,9 +96,10 @@ class Surface:
             raise ValueError("no packed surface")
         kinds = np.int64, np.float64, np.int32, np.float64, np.bool_, np.int32
         ends = np.cumsum(sizes)
-        _, places, number, radius, solid, shape = (
+        parts: list[np.ndarray] = [
             np.frombuffer(content[end - size : end], kind) for end, size, kind in zip(ends, sizes, kinds, strict=True)
-        )
+        ]
+        _, places, number, radius, solid, shape = parts
         if not (np.isfinite(places).all() and np.isfinite(radius).all() and 0 <= number.min() <= number.max() < corners):
             raise ValueError("no packed surface")
         return Surface(link, places.reshape(-1, 3)[number].reshape(-1, 3, 3), radius, solid, shape)
@@ -105,3 +109,23 @@ def fan(corners: np.ndarray) -> np.ndarray:
     """Triangles (t, 3, 3) of what is flat, of a line, of a point."""
     last = np.arange(len(corners))
     return corners[np.stack([0 * last, np.maximum(last - 1, 0), last], axis=1)[min(len(last) - 1, 2) :]]
+
+
+def brick(half: np.ndarray) -> np.ndarray:
+    """The triangles (12, 3, 3) of a box about the origin, along the axes, as seen from outside counter-clockwise."""
+    corners = half * np.array([*itertools.product((-1.0, 1.0), repeat=3)])
+    faces = [[0, 1, 3, 2], [4, 6, 7, 5], [0, 4, 5, 1], [2, 3, 7, 6], [0, 2, 6, 4], [1, 5, 7, 3]]
+    return corners[[[f[0], f[k], f[k + 1]] for f in faces for k in (1, 2)]]
+
+
+def prism(radius: float, half: float, sections: int = 0) -> np.ndarray:
+    """The triangles (4 sections, 3, 3) of a prism around a cylinder about z, as seen from outside counter-clockwise;
+    of as many `sections` as it takes to stand out by no more than `ROUND`, unless given."""
+    sections = sections or max(8, math.ceil(np.pi * math.sqrt(radius / (2.0 * ROUND))))
+    turn = 2.0 * np.pi * np.arange(sections + 1) / sections
+    ring = radius / np.cos(np.pi / sections) * np.stack([np.cos(turn), np.sin(turn)], axis=1)
+    ring[-1] = ring[0]
+    low, high = (np.column_stack([ring, np.full(sections + 1, z)]) for z in (-half, half))
+    below, above = (np.broadcast_to([0.0, 0.0, z], (sections, 3)) for z in (-half, half))
+    sides = [(low[:-1], low[1:], high[1:]), (high[:-1], low[:-1], high[1:])]
+    return np.concatenate([np.stack(x, axis=1) for x in [*sides, (low[1:], low[:-1], below), (high[:-1], high[1:], above)]])

@@ -11,10 +11,10 @@ from scipy.spatial.transform import Rotation
 from triangle_truth import in_coal, winding
 
 import jaxik
-from jaxik.collision.surface_trees import order_of, roomy, tree_of
+from jaxik.collision.surface_trees import closes, order_of, roomy, surface_of, tree_of
 from jaxik.fitting.convex import rows_of
 from jaxik.fitting.parts import convex_parts
-from jaxik.fitting.surfaces import _GAP, closes, distances, surface_of, touching
+from jaxik.fitting.surfaces import _GAP, distances, touching
 from jaxik.spmd.batch import in_blocks
 
 

@@ -1,0 +1,270 @@
+"""An exact robot, whose meshes' triangles decide: its distances are coal's, in scenes and to itself, and so are its proofs."""
+
+import dataclasses
+from functools import partial
+
+import coal
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+import trimesh
+from robot_files import write
+from triangle_truth import in_coal
+
+import jaxik
+from jaxik.collision.bvh import WITHIN
+from jaxik.robot import link_frames
+
+JOINTS = {
+    "pan": ("base", "lower", "0 0 0.25", "0 0 1"),
+    "lift": ("lower", "upper", "0 0 0.1", "0 1 0"),
+    "elbow": ("upper", "fork", "0.3 0 0", "0 1 0"),
+    "twist": ("fork", "tip", "0.2 0 0", "1 0 0"),
+}
+
+
+def fork():
+    """Two prongs on a bar: a hollow that other links may enter."""
+    bars = [trimesh.creation.box((0.04, 0.22, 0.04)), *(trimesh.creation.box((0.16, 0.03, 0.04)) for _ in range(2))]
+    for bar, side in zip(bars[1:], (-1, 1), strict=True):
+        bar.apply_translation((0.08, 0.09 * side, 0.0))
+    whole = trimesh.boolean.union(bars, engine="manifold")
+    whole.apply_translation((0.03, 0.0, 0.0))
+    return whole
+
+
+def bar(size, at):
+    found = trimesh.creation.box(size)
+    found.apply_translation(at)
+    return found
+
+
+SHAPES = {
+    "base": trimesh.creation.annulus(0.12, 0.18, 0.3),
+    "lower": bar((0.08, 0.08, 0.12), (0.0, 0.0, 0.03)),
+    "upper": bar((0.3, 0.05, 0.05), (0.15, 0.0, 0.0)),
+    "fork": fork(),
+    "tip": bar((0.05, 0.02, 0.02), (0.02, 0.0, 0.0)),
+}
+
+
+@pytest.fixture(scope="module")
+def arm(tmp_path_factory):
+    """An arm of five meshes, two of them hollow, by a model of their hulls alone, and exact."""
+    folder = tmp_path_factory.mktemp("arm")
+    for name, mesh in SHAPES.items():
+        mesh.export(folder / f"{name}.stl")
+    links = "".join(
+        f'<link name="{n}"><collision><geometry><mesh filename="{n}.stl"/></geometry></collision></link>' for n in SHAPES
+    )
+    joint = '<joint name="{}" type="revolute"><parent link="{}"/><child link="{}"/><origin xyz="{}"/><axis xyz="{}"/>'
+    joint += '<limit lower="-2.6" upper="2.6" velocity="1" effort="1"/></joint>'
+    joints = "".join(joint.format(name, *what) for name, what in JOINTS.items())
+    path = write(folder, "arm.urdf", f'<robot name="arm">{links}{joints}</robot>')
+    return tuple(jaxik.load(path, meshes=True, exact=exact, fit=jaxik.Fit(parts=1)) for exact in (False, True))
+
+
+SCENE = jaxik.make_scene(
+    boxes=[[0.45, 0.1, 0.3, 0.1, 0.2, 0.3]],
+    spheres=[[-0.3, 0.3, 0.5, 0.1]],
+    capsules=[[-0.4, -0.3, 0.2, -0.2, -0.4, 0.6, 0.05]],
+)
+
+
+def drawn(chain, count, seed=0):
+    return np.random.default_rng(seed).uniform(chain.lower, chain.upper, (count, chain.num_joints))
+
+
+class Truth:
+    """The arm's meshes at configurations, as coal sees them."""
+
+    def __init__(self, chain, q):
+        self.chain, self.meshes = (
+            chain,
+            {n: in_coal(np.asarray(m.vertices, np.float32).astype(float)[m.faces]) for n, m in SHAPES.items()},
+        )
+        with jax.enable_x64(True):
+            self.frames = np.asarray(jax.vmap(lambda q: link_frames(chain, q))(jnp.asarray(q)))
+
+    def link(self, i, name):
+        frame = self.frames[i, self.chain.link_names.index(name)]
+        return self.meshes[name], coal.Transform3s(frame[:3, :3], frame[:3, 3])
+
+    def itself(self, i):
+        names = self.chain.link_names
+        return min(apart(*self.link(i, names[a]), *self.link(i, names[b])) for a, b in self.chain.self_pairs)
+
+    def scene(self, i):
+        return min(apart(*self.link(i, name), *thing) for name in SHAPES for thing in THINGS)
+
+
+def apart(one, first, other, second):
+    return max(coal.distance(one, first, other, second, coal.DistanceRequest(), coal.DistanceResult()), 0.0)
+
+
+def standing(turn, place):
+    return coal.Transform3s(np.asarray(turn, float), np.asarray(place, float))
+
+
+ALONG = np.array([[0.2, -0.1, 0.4]]) / np.linalg.norm([0.2, -0.1, 0.4])
+TURN = trimesh.geometry.align_vectors([0, 0, 1], ALONG[0])[:3, :3]
+THINGS = [
+    (coal.Box(0.1, 0.2, 0.3), standing(np.eye(3), (0.45, 0.1, 0.3))),
+    (coal.Sphere(0.1), standing(np.eye(3), (-0.3, 0.3, 0.5))),
+    (coal.Capsule(0.05, float(np.linalg.norm([0.2, -0.1, 0.4]))), standing(TURN, (-0.3, -0.35, 0.4))),
+]
+
+
+def measured(function, q):
+    with jax.enable_x64(True):
+        return np.asarray(jax.jit(jax.vmap(function))(jnp.asarray(q)))
+
+
+def agrees(found, volumes, true):
+    """What an exact robot's distance is: its volumes' beyond 25 mm, the meshes' own below, at most that, and less than 0 where
+    these cross. Each of them is among the cases."""
+    far, crossing = volumes >= WITHIN, true == 0.0
+    assert min(far.sum(), crossing.sum(), (~far & ~crossing).sum()) > 10
+    np.testing.assert_allclose(found[far], volumes[far], atol=1e-12)
+    assert np.all(found[crossing] < 0.0) and np.all(volumes <= found + 1e-9)
+    between = ~far & ~crossing
+    np.testing.assert_allclose(found[between], np.minimum(true, WITHIN)[between], atol=1e-9)
+
+
+def test_it_is_as_far_from_itself_as_its_meshes_are(arm):
+    """In 400 configurations; its volumes alone call some of them collisions that are none."""
+    _, exact = arm
+    q = drawn(exact, 400)
+    truth = Truth(exact, q)
+    true = np.array([truth.itself(i) for i in range(len(q))])
+    volumes, found = (measured(lambda q, chain=chain: jaxik.clearance(chain, None, q), q) for chain in arm)
+    agrees(found, volumes, true)
+    assert np.sum((volumes <= 0.0) & (true > 0.0)) > 2
+    hits = measured(lambda q: jaxik.collides(exact, None, q, 0.01), q)
+    assert np.all(hits == (true < 0.01))
+
+
+def test_it_is_as_far_from_a_scene_as_its_meshes_are(arm):
+    """From a box, a ball and a capsule, all of which coal knows."""
+    _, exact = arm
+    q = drawn(exact, 400, 1)
+    truth = Truth(exact, q)
+    true = np.array([min(truth.itself(i), truth.scene(i)) for i in range(len(q))])
+    volumes, found = (measured(lambda q, chain=chain: jaxik.clearance(chain, SCENE, q), q) for chain in arm)
+    agrees(found, volumes, true)
+
+
+def test_its_gradient_is_that_of_the_meshes(arm):
+    """Central differences, wherever the nearest triangles stay the same."""
+    _, exact = arm
+    q, step = drawn(exact, 300, 2), 1e-6
+    scene = jaxik.make_scene(boxes=[[0.45, 0.1, 0.3, 0.1, 0.2, 0.3]])
+    value = lambda q: jaxik.clearance(exact, scene, q)
+    slopes, there = measured(jax.grad(value), q), measured(value, q)
+    moved = [(measured(value, q + step * e) - measured(value, q - step * e)) / (2.0 * step) for e in np.eye(exact.num_joints)]
+    off = np.abs(slopes - np.stack(moved, axis=1)).max(axis=1)
+    assert np.sum((there > 0.0) & (there < WITHIN)) > 10 and np.mean(off < 1e-6) > 0.97
+
+
+def test_what_is_swallowed_collides(arm):
+    """A ball in the middle of a link, a link in a closed mesh, and one link's mesh within another's: no surfaces cross."""
+    _, exact = arm
+    home = np.array([0.0, -1.2, 0.3, 0.0])
+    centre = np.asarray(link_frames(exact, home)[exact.link_names.index("upper")]) @ [0.15, 0.0, 0.0, 1.0]
+    ball = jaxik.make_scene(spheres=[[*centre[:3], 0.004]])
+    shell = trimesh.creation.box((4.0, 4.0, 4.0))
+    inside = jaxik.make_scene(triangles=np.asarray(shell.vertices)[shell.faces])
+    free, *swallowed = (measured(partial(jaxik.clearance, exact, scene), home[None])[0] for scene in (None, ball, inside))
+    assert free > 0.0 and max(swallowed) < 0.0
+    assert [contact.other for contact in jaxik.explain(exact, ball, home).colliding] == ["spheres_1"]
+
+
+def test_motions_are_proven_by_the_meshes(arm):
+    """Of motions in the scene, those that are proven free keep clear at 100 configurations, and those that are not come within
+    the resolution; some are free by the meshes alone."""
+    model, exact = arm
+    q = drawn(exact, 8000, 5)
+    volumes, meshes = (measured(partial(jaxik.clearance, chain, SCENE), q) for chain in arm)
+    free, hollow = np.flatnonzero(meshes > 0.005)[:60], np.flatnonzero((meshes > 0.005) & (volumes < 0.0))[:20]
+    first = np.concatenate([q[free[::2]], q[hollow]])
+    last = np.concatenate([q[free[::2]] + 0.25 * (q[free[1::2]] - q[free[::2]]), q[hollow] + 0.02])
+    with jax.enable_x64(True):
+        proven = lambda chain: (
+            ~jax.vmap(lambda a, b: jaxik.collision.motion_collides(chain, SCENE, a, b))(jnp.asarray(first), jnp.asarray(last))
+        )
+        free, by_model = np.asarray(proven(exact)), np.asarray(proven(model))
+    share = np.linspace(0.0, 1.0, 101)[:, None, None]
+    way = (first + share * (last - first)).reshape(-1, exact.num_joints)
+    along = Truth(exact, way)
+    least = np.array([min(along.itself(i), along.scene(i)) for i in range(len(way))]).reshape(101, -1).min(axis=0)
+    assert np.all(least[free] > 0.0) and np.all(least[~free] < 0.004) and not np.any(by_model & ~free)
+    assert free.sum() > 10 and (~free).sum() > 5 and np.sum(free & ~by_model) > 0
+
+
+def test_answers_and_plans_are_free_by_the_meshes(arm):
+    """IK's answers, whose clearance is that of the configuration, and a plan at 200 configurations."""
+    _, exact = arm
+    q = drawn(exact, 60, 6)
+    truth = Truth(exact, q)
+    ends = q[[i for i in range(len(q)) if min(truth.itself(i), truth.scene(i)) > 0.01]][:12]
+    poses = measured(lambda q: jaxik.forward_kinematics(exact, q), ends)
+    found = jaxik.solve_ik(exact, poses, SCENE, task=jaxik.Task.position())
+    assert found.success.all()
+    answers = Truth(exact, found.q)
+    assert all(min(answers.itself(i), answers.scene(i)) > 0.0 for i in range(len(found.q)))
+    np.testing.assert_allclose(found.clearance, measured(lambda q: jaxik.clearance(exact, SCENE, q), found.q), atol=1e-9)
+    plan = jaxik.plan_motion(exact, SCENE, ends[0], ends[1], seed=1)
+    assert plan.success
+    at = np.asarray(plan.trajectory.at(np.linspace(0.0, float(plan.trajectory.duration), 200)).q)
+    along = Truth(exact, at)
+    assert all(min(along.itself(i), along.scene(i)) > 0.0 for i in range(200))
+
+
+def test_what_it_carries_is_exact_too(arm):
+    """A box in the hand, against coal's box."""
+    _, exact = arm
+    q = drawn(exact, 1, 7)[0]
+    tip = np.asarray(link_frames(exact, q))[exact.link_names.index("tip")]
+    world_T_block = tip @ np.array([[1, 0, 0, 0.08], [0, 1, 0, 0], [0, 0, 1, 0], [0, 0, 0, 1]])
+    scene = jaxik.make_scene(boxes=[(world_T_block, (0.04, 0.06, 0.05))])
+    held = jaxik.collision.attach(exact, scene, "boxes_1", q, touches=["tip", "fork"]).chain
+    at = drawn(exact, 300, 8)
+    truth, block = Truth(exact, at), coal.Box(0.04, 0.06, 0.05)
+    frames = truth.frames[:, exact.link_names.index("tip")]
+    moved = frames[:, :3, :3] @ [0.08, 0.0, 0.0] + frames[:, :3, 3]
+    names = [exact.link_names[a] for a, b in held.self_pairs if held.link_names[b] == "boxes_1"]
+    carried = [coal.Transform3s(f[:3, :3], place) for f, place in zip(frames, moved, strict=True)]
+    true = np.array([min(truth.itself(i), *(apart(*truth.link(i, n), block, carried[i]) for n in names)) for i in range(300)])
+    found = measured(lambda q: jaxik.clearance(held, None, q), at)
+    assert np.all((found < 0.0) == (true == 0.0)) and np.sum(true == 0.0) > 10
+    near = (true > 0.0) & (found < WITHIN)
+    np.testing.assert_allclose(found[near], true[near], atol=1e-9)
+
+
+def test_it_is_saved_with_its_meshes(arm, tmp_path):
+    """And reads back equal; what is explained are the meshes' own distances; a part of it keeps its own."""
+    model, exact = arm
+    jaxik.save(exact, tmp_path / "arm.toml")
+    again = jaxik.load(tmp_path / "arm.toml")
+    assert again == exact != model and hash(again) == hash(exact)
+    assert [s.link for s in exact.part(1, 4).surfaces] == [0, 1, 2]
+    q = drawn(exact, 20, 9)
+    truth = Truth(exact, q)
+    for i, posture in enumerate(q):
+        nearest = jaxik.explain(exact, SCENE, posture).contacts[0]
+        assert abs(max(nearest.distance, 0.0) - min(truth.itself(i), truth.scene(i))) < 1e-9
+    text = (tmp_path / "arm.toml").read_text().replace('triangles = "eJ', 'triangles = "xx')
+    (tmp_path / "torn.toml").write_text(text)
+    with pytest.raises(jaxik.LoadError, match="triangles cannot be read"):
+        jaxik.load(tmp_path / "torn.toml")
+
+
+def test_it_is_refused_without_meshes(arm):
+    """In one line; and so is a link that has volumes and no surface."""
+    _, exact = arm
+    with pytest.raises(ValueError, match="exact is True, but no mesh is fitted; write meshes=True"):
+        jaxik.load("panda", exact=True)
+    without = dataclasses.replace(exact, surfaces=exact.surfaces[1:])
+    with pytest.raises(ValueError, match="arm: exact, but base has no surface"):
+        jaxik.clearance(without, None, np.zeros(4))
