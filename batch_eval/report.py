@@ -6,7 +6,14 @@ import json
 from pathlib import Path
 from typing import Any
 
-from tables_collision import collision_markdown, mesh_markdown, model_markdown, motions_markdown, scaling_markdown
+from tables_collision import (
+    collision_markdown,
+    mesh_markdown,
+    model_markdown,
+    motions_markdown,
+    scaling_markdown,
+    scenes_markdown,
+)
 from tables_forces import dynamics_markdown, identification_markdown, torque_markdown, touch_markdown
 from tables_motions import (
     astar_markdown,
@@ -38,6 +45,7 @@ TABLES = {
     "closed_forms.json": closed_forms_markdown,
     "collision_benchmark.json": collision_markdown,
     "collision_models.json": model_markdown,
+    "collision_scenes.json": scenes_markdown,
     "collision_scaling.json": scaling_markdown,
     "dynamics_benchmark.json": dynamics_markdown,
     "general_arms.json": general_markdown,

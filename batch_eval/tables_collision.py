@@ -38,16 +38,36 @@ def collision_markdown(result: dict[str, Any]) -> str:
 
 
 def model_markdown(result: dict[str, Any]) -> str:
-    """A row for each robot: its collision model's size, and what it says falsely, beside that of hulls."""
+    """A row for each robot: its collision model's size, what it says falsely, and what it costs; beside it where the meshes
+    decide, and hulls."""
     lines = [
-        "| robot | parts of meshes | volumes | out of meshes, most, mean | free | false | missed | by hulls: volumes | false |",
-        "| --- | --- | --- | --- | --- | --- | --- | --- | --- |",
+        "| robot | parts of meshes | volumes | out of meshes, most, mean | free | false | missed | by hulls: false |",
+        "| --- | --- | --- | --- | --- | --- | --- | --- |",
     ]
+    share = lambda row, key: f"{100 * row[key]:.1f} %"
     for row, hulls in zip(result["default"]["rows"], result["hulls"]["rows"], strict=True):
         reach = f"{row['protrusion max [mm]']:.0f} mm, {row['protrusion mean [mm]']:.0f} mm"
-        shares = f"{100 * row['free']:.1f} % | {100 * row['false']:.1f} % | {row['missed']}"
-        size = f"{row['parts']} of {row['meshes']} | {row['volumes']}"
-        lines.append(f"| {row['robot']} | {size} | {reach} | {shares} | {hulls['volumes']} | {100 * hulls['false']:.1f} % |")
+        told = f"{row['parts']} of {row['meshes']} | {row['volumes']} | {reach} | {share(row, 'free')} | {share(row, 'false')}"
+        lines.append(f"| {row['robot']} | {told} | {row['missed']} | {share(hulls, 'false')} |")
+    lines += ["", "| exact | false | missed | off coal's distance, at most | collides: hulls, capsules, exact | clearance |"]
+    lines.append("| --- | --- | --- | --- | --- | --- |")
+    for row, exact, hulls in zip(*(result[each]["rows"] for each in ("default", "exact", "hulls")), strict=True):
+        times = [
+            ", ".join(duration(each[key]) for each in (hulls, row, exact)) for key in ("collides [us]", "self-clearance [us]")
+        ]
+        off = "{:.0e} m".format(exact["off coal's at most [m]"])
+        lines.append(f"| {row['robot']} | {100 * exact['false']:.2f} % | {exact['missed']} | {off} | {' | '.join(times)} |")
+    return "\n".join(lines)
+
+
+def scenes_markdown(result: dict[str, Any]) -> str:
+    """A row for each robot: what its model says falsely of random scenes, and misses, beside where the meshes decide."""
+    lines = ["| robot | free | false | missed | exact: false | missed |", "| --- | --- | --- | --- | --- | --- |"]
+    for row in result["rows"]:
+        told = [f"{100 * row['free']:.1f} %"]
+        for kind in ("default", "exact"):
+            told += [f"{100 * row[f'{kind} false']:.2f} %", str(row[f"{kind} missed"])]
+        lines.append(f"| {row['robot']} | {' | '.join(told)} |")
     return "\n".join(lines)
 
 

@@ -104,10 +104,7 @@ def _carried(scene: Scene, name: str, joint_T_world: np.ndarray, link: int) -> t
 def _surface(scene: Scene, name: str, joint_T_world: np.ndarray, link: int, volumes: list[Volume]) -> Surface:
     """The object's own surface, for an exact robot: that of its volumes, and of its boxes and cylinders themselves."""
     index = scene.object_names.index(name)
-    of = {
-        kind: np.flatnonzero((owners == index) & obstacles.there)
-        for kind, obstacles, owners in scene.by_kind()
-    }
+    of = {kind: np.flatnonzero((owners == index) & obstacles.there) for kind, obstacles, owners in scene.by_kind()}
     placed = lambda triangles, world_T_b: triangles @ (joint_T_world @ world_T_b)[:3, :3].T + (joint_T_world @ world_T_b)[:3, 3]
     boxes, cylinders, triangles = scene.boxes, scene.cylinders, len(of["triangles"])
     shapes = [(placed(brick(np.asarray(boxes.half[i])), np.asarray(boxes.world_T_box[i])), 0.0) for i in of["boxes"]]

@@ -132,9 +132,9 @@ def _by_surfaces(chain: Chain, scene: Scene | None, q: np.ndarray) -> Iterator[C
     own, links = robot(chain), chain.link_names
     pairs = [(own.links[p], links[own.links[o]]) for p, o in zip(own.part, own.other, strict=True)]
     pairs += [(link, name) for link in own.links for name in names]
-    for (link, other), distance, mine, theirs in zip(pairs, apart, points, others, strict=True):
-        if distance < FAR / 2.0:
-            yield Contact(links[link], other, float(distance), mine, theirs)
+    for (link, other), gap, mine, theirs in zip(pairs, apart, points, others, strict=True):
+        if gap < FAR / 2.0:
+            yield Contact(links[link], other, float(gap), mine, theirs)
 
 
 @lru_cache(maxsize=64)

@@ -109,8 +109,8 @@ class Space:
         """`then` of the nearest pair of each object, which is branch after branch of the obstacles."""
 
         def one(_: Any, b: Any) -> Any:
-            step = lambda p, found: self._to_object(p, b, found)
-            return None, then(lax.fori_loop(jnp.int32(0), jnp.int32(len(self.robot.links)), step, self._start(jnp.inf, tracked)))
+            step, parts = lambda p, found: self._to_object(p, b, found), jnp.int32(len(self.robot.links))
+            return None, then(lax.fori_loop(jnp.int32(0), parts, step, self._start(jnp.inf, tracked)))
 
         return lax.scan(one, None, jnp.arange(count, dtype=jnp.int32))[1]
 
