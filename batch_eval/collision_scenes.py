@@ -3,9 +3,9 @@
     python batch_eval/collision_scenes.py [--scenes 1000] [--each 20] [--json collision_scenes.json] [robot ...]
 
 In each scene a box, a cylinder and a mesh (a ring, which is hollow) stand within the arm's reach. Of random configurations in
-it the question is whether a link touches one of them: by the capsules that were fitted, and where the meshes decide (`exact=True`).
-Told are the false ones, of those that are free, and the missed. Needs `pip install -e ".[test]"`; the robots are those of
-`collision_models.py`.
+it the question is whether a link touches one of them: by the capsules that were fitted, and where the meshes decide
+(`exact=True`). Told are the false ones, of those that are free, and the missed. Needs `pip install -e ".[test]"`; the robots
+are those of `collision_models.py`.
 """
 
 from __future__ import annotations

@@ -150,6 +150,12 @@ def _own_surfaces(
     return OwnSurfaces(trees, joint, number, np.cumsum([0, *points]).astype(np.int32), np.asarray(WITHIN), ignored)
 
 
+@functools.lru_cache(maxsize=64)
+def by_volumes(chain: Chain) -> Chain:
+    """An exact chain as its volumes alone know it, which hold its surfaces; any other as it is."""
+    return dataclasses.replace(chain, surfaces=()) if chain.surfaces else chain
+
+
 def at_margin(around: Grouped, margin: Any, resolution: float = CLOSE) -> Grouped:
     """The same for what only asks whether a `margin` is kept [m], to some resolution: a robot's own surfaces decide no further
     from it."""

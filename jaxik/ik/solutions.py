@@ -7,6 +7,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from jaxik.collision.bvh import by_volumes, obstacles_in, surfaces_in
 from jaxik.ik.problem import Problem
 from jaxik.ik.sqp_programs import batch, clearance_around
 from jaxik.robot.chain import Chain
@@ -78,8 +79,13 @@ def cleared(problem: Problem, found: Found) -> Found:
     """With their clearance, where there is a scene."""
     if problem.scene is None or not len(found.q):
         return found
-    program = batch(1, clearance_around, problem.chain)
-    return found._replace(clearance=in_blocks(program, found.q, fixed=(problem.scene,), double=True)[0])
+    volumes = batch(1, clearance_around, by_volumes(problem.chain))
+    apart = in_blocks(volumes, found.q, fixed=(obstacles_in(problem.scene),), double=True)[0]
+    for own in surfaces_in(problem.scene):  # of an exact robot, for those that are near by these
+        near = np.flatnonzero(apart < own.within)
+        program = batch(1, clearance_around, problem.chain)
+        apart[near] = in_blocks(program, found.q[near], fixed=(problem.scene,), double=True)[0]
+    return found._replace(clearance=apart)
 
 
 def judged(problem: Problem, found: Found) -> tuple[Found, Found]:

@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 import dataclasses
+from collections.abc import Callable
 from typing import Any
 
 import jax
 import numpy as np
 
-from jaxik.collision.bvh import grouped
+from jaxik.collision.bvh import by_volumes, grouped, obstacles_in, surfaces_in
 from jaxik.collision.clearances import by_object, collides
 from jaxik.collision.continuous_collision import joint_reaches, motion_collides_within, size_of
 from jaxik.collision.scene import Scene
@@ -47,8 +48,11 @@ class CollisionChecker:
     def hits(self, q: np.ndarray, cushion: Any = 0.0) -> np.ndarray:
         """Which configurations come nearer than the margin, and a cushion [m] beyond it."""
         self.checked += len(q)
-        fixed = self.margin + np.float32(cushion), self.obstacles, self.carried
-        return in_blocks(_hits(self.chain), q - whole_turns(self.endless, q), fixed=fixed, double=False)[0]
+        margin, turned = self.margin + np.float32(cushion), q - whole_turns(self.endless, q)
+        asked = lambda chain, around, rows: in_blocks(
+            _hits(chain), turned[rows], fixed=(margin, around, self.carried), double=False
+        )[0]
+        return self._first_by_volumes(asked)
 
     def free_part(self, start: np.ndarray, end: np.ndarray, step: float) -> np.ndarray:
         """Of each straight motion, the part (b,) up to its first sample that hits, by samples every `step` [m]; 1 of all."""
@@ -65,9 +69,25 @@ class CollisionChecker:
     def proven(self, start: np.ndarray, end: np.ndarray, extra: Any = 0.0, resolution: float = RESOLUTION) -> np.ndarray:
         """Which straight motions are proven to keep the margin, and `extra` (b,) [m] beyond it, throughout."""
         margins = np.broadcast_to(self.margin + np.asarray(extra, np.float32), len(start))
-        fixed = np.float32(resolution), self.size, self.obstacles, self.carried
         turns = whole_turns(self.endless, start)  # float32 has few digits left after many
-        return ~in_blocks(_moves(self.chain), start - turns, end - turns, margins, fixed=fixed, double=False)[0]
+        begin, finish = start - turns, end - turns
+
+        def asked(chain: Chain, around: Any, rows: Any) -> np.ndarray:
+            fixed = np.float32(resolution), self.size, around, self.carried
+            return in_blocks(_moves(chain), begin[rows], finish[rows], margins[rows], fixed=fixed, double=False)[0]
+
+        return ~self._first_by_volumes(asked)
+
+    def _first_by_volumes(self, asked: Callable[[Chain, Any, Any], np.ndarray]) -> np.ndarray:
+        """Which rows hit, as `asked` says of a chain, what is around it, and some of the rows: of an exact robot first by its
+        volumes alone, which hold its surfaces, and then only of those that hit by these."""
+        if not surfaces_in(self.obstacles):
+            return asked(self.chain, self.obstacles, slice(None))
+        found = asked(by_volumes(self.chain), obstacles_in(self.obstacles), slice(None)).copy()
+        left = np.flatnonzero(found)
+        if len(left):
+            found[left] = asked(self.chain, self.obstacles, left)
+        return found
 
     def proven_closely(self, start: np.ndarray, end: np.ndarray) -> np.ndarray:
         """Likewise; those that are not are looked at more closely, for a way may begin hardly beyond the margin."""

@@ -23,6 +23,7 @@ from jaxik.robot.dynamics import (
 )
 from jaxik.robot.joint_turns import admissible_turns
 from jaxik.robot.kinematics import bias_acceleration, forward_kinematics, jacobian, link_frames, manipulability
+from jaxik.robot.surface import Surface
 from jaxik.robot.task import Task
 
 __all__ = [
@@ -31,6 +32,7 @@ __all__ = [
     "Contact",
     "Drive",
     "Friction",
+    "Surface",
     "Task",
     "Unchecked",
     "admissible_turns",
