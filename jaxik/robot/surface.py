@@ -13,7 +13,6 @@ import zlib
 from collections.abc import Iterable
 
 import numpy as np
-from scipy.spatial import ConvexHull, QhullError
 
 from jaxik.pytree import read_only
 
@@ -54,6 +53,8 @@ class Surface:
     @functools.cached_property
     def outermost(self) -> np.ndarray:
         """Those of its corners that are furthest in some direction (k, 3): the corners of its hull, or all."""
+        from scipy.spatial import ConvexHull, QhullError  # 0.1 s to import, and only exact robots ask
+
         places = np.unique(self.corners.reshape(-1, 3), axis=0)
         with contextlib.suppress(QhullError, ValueError):  # flat, or few
             return np.asarray(places[ConvexHull(places).vertices])
