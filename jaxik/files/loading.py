@@ -88,8 +88,8 @@ def load(
     the file's own is called urdf, urdfs, xacro, robots, mjcf or xml). Links are followed. DAE needs `pip install "jaxik[dae]"`.
 
     Raises `LoadError` (a `ValueError`) with one line: the file, the element, what is allowed, the mend; and `ValueError` for a
-    `fit`, `pairs` or `exact` without `meshes`, for `packages` that are no folders, for a `posture` that is no mapping of names
-    to finite numbers, and for MJCF without MuJoCo (the extra `mjcf`).
+    `fit`, `pairs` or `exact` without `meshes`, for an `exact` file without any, for `packages` that are no folders, for a
+    `posture` that is no mapping of names to finite numbers, and for MJCF without MuJoCo (the extra `mjcf`).
     """
     path = locate(source)
     tool = None if tool is None else np.asarray(rigid_frame("tool (tip_T_tool)", tool), np.float64)
@@ -112,6 +112,8 @@ def load(
     solid = {chain.link_names[i] for i in {*solid_links(chain), *(shape.link for shape in shapes)}}
     if posture is None and not chain.unread_meshes and (told := stance.told(solid)):
         warnings.warn(f"{shown(chain.name)}: {told}", stacklevel=2)
+    if exact and not shapes and not chain.surfaces:
+        raise ValueError(f"load: exact is True, but {path.name} has no meshes; leave it out: its shapes are what is measured")
     if saved is not None:
         names = chain.link_names
         kept = tuple(pair for pair in saved if frozenset(names[i] for i in pair) not in disabled)

@@ -263,6 +263,8 @@ def test_it_is_saved_with_its_meshes(arm, tmp_path):
 def test_it_is_refused_without_meshes(arm):
     """In one line; and so is a link that has volumes and no surface."""
     _, exact = arm
+    with pytest.raises(ValueError, match="has no meshes; leave it out"):
+        jaxik.load("panda", meshes=True, exact=True)
     with pytest.raises(ValueError, match="exact is True, but no mesh is fitted; write meshes=True"):
         jaxik.load("panda", exact=True)
     without = dataclasses.replace(exact, surfaces=exact.surfaces[1:])
