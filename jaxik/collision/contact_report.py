@@ -68,8 +68,8 @@ class Limit:
 
 @dataclasses.dataclass(frozen=True)
 class Surroundings:
-    """The nearest pairs and the nearest limits, nearest first; and of the pairs of links that are not checked, but for
-    neighbours, those whose volumes overlap here."""
+    """The nearest pairs and the nearest limits, nearest first; and those whose volumes overlap here of the pairs that are not
+    checked: of links, but for neighbours, and of links and objects that these ignore."""
 
     contacts: tuple[Contact, ...]
     limits: tuple[Limit, ...]
@@ -87,7 +87,7 @@ class Surroundings:
 def explain(chain: Chain, scene: Scene | None, q: Float[Array, " n"], count: int = 5, below: float = np.inf) -> Surroundings:
     """What is nearest to the robot at `q` (n,) [rad, m]: the `count` nearest pairs of a link with an object of the scene or
     with another link, those nearer than `below` [m], and the `count` joints nearest to a limit; and which links overlap that
-    are not checked against each other (`chain.unchecked`), but for neighbours. Host.
+    are not checked against each other (`chain.unchecked`), but for neighbours, or objects that they ignore. Host.
 
     Each pair of names stands once, at its least distance; the first pair's is `clearance`. Of an exact robot, whose meshes
     decide (`load(.., exact=True)`), distances are the meshes' own, also where `clearance` is content with less; where they
@@ -113,9 +113,9 @@ def explain(chain: Chain, scene: Scene | None, q: Float[Array, " n"], count: int
             bounds = {table.links: float(table(posture)) for table in pair_tables(chain)}
             found = [row for row in _nearest(pairs, bounds)[:count] if row[0] < below]
             contacts = tuple(_contact(chain, scene, pairs[number], apart, *row) for apart, number, *row in found)
-        beside = [*_with_itself(chain, volumes, _left_out(chain))]
+        beside = [*_with_itself(chain, volumes, _left_out(chain)), *_with_scene(chain, scene, volumes, ignored=True)]
         overlapping = [row for row in _nearest(beside, {})[:count] if row[0] < 0.0]
-        unchecked = tuple(_contact(chain, None, beside[number], apart, *row) for apart, number, *row in overlapping)
+        unchecked = tuple(_contact(chain, scene, beside[number], apart, *row) for apart, number, *row in overlapping)
     return Surroundings(contacts, _limits(chain, posture)[:count], unchecked)
 
 
@@ -217,12 +217,14 @@ def _crossings() -> HostKernel:
     return HostKernel(cut, 12)
 
 
-def _with_scene(chain: Chain, scene: Scene | None, volumes: dict[int, Skeleton]) -> Iterator[_Pairs]:
-    if scene is None:
+def _with_scene(chain: Chain, scene: Scene | None, volumes: dict[int, Skeleton], ignored: bool = False) -> Iterator[_Pairs]:
+    """Of each link and object that count, or those that are `ignored`."""
+    if scene is None or (ignored and not chain.ignored):
         return
     meet = np.ones((len(scene.object_names) + 1, len(chain.link_names)), bool)  # the last for what has no name
     for link, what in chain.ignored:
         meet[[what in ("*", name) for name in (*scene.object_names, "")], link] = False
+    meet ^= ignored
     for kind, obstacles, owners in scene.by_kind():
         if len(owners):
             gap, others = obstacles_of(kind, vars(obstacles), np.float64, np)

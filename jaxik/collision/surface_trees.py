@@ -170,7 +170,7 @@ def _every_other(x: Any) -> Any:
 
 
 def wanted(least: Any, enough: Any) -> Any:
-    """Whether anything nearer than the least distance so far is: not where surfaces cross, or are nearer than is enough."""
+    """Whether nearer ones than the least so far are: not where surfaces cross, nor where they are nearer than is enough."""
     return (least > 0.0) & (least >= enough)
 
 

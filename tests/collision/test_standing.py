@@ -67,3 +67,11 @@ def test_an_invalid_target_says_why():
     assert result[1].why == "invalid: its rotation is 0, as of a quaternion of length 0" and list(result[5:].why) == [
         *result.why[5:]
     ]
+
+
+def test_what_is_ignored_is_explained(post, cell):
+    """It is no contact, and yet told: what overlaps, by how far; nothing of what is ignored and far."""
+    told = jaxik.explain(post(ignore=[("foot", "floor"), ("arm", "floor")]), cell, np.zeros(1))
+    assert [(c.link, c.other) for c in told.unchecked] == [("foot", "floor")] and not told.colliding
+    assert "not checked: foot and floor collide by 20.0 mm" in str(told)
+    assert not jaxik.explain(post(), None, np.zeros(1)).unchecked
