@@ -95,8 +95,8 @@ class Space:
             return go_on(found) if enough is None else lax.cond(found.distance < enough, lambda found: found, go_on, found)
 
         count, found = jnp.int32(len(self.robot.links)), self._start(start, tracked)
-        if self.exact is not None:  # all pairs together, so that few lanes wait for others
-            found = self._to_itself(jnp.int32(0), jnp.int32(len(self.robot.other)), found)
+        # of an exact robot all pairs together, so that few lanes wait for others
+        found = self._exactly(jnp.int32(0), jnp.int32(len(self.robot.other)), found)
         return lax.fori_loop(jnp.int32(0), count, step, found)
 
     def each(self, then: Callable[[Found], Any], tracked: bool = False) -> Any:
@@ -126,15 +126,15 @@ class Space:
         return found
 
     def each_pair(self, then: Callable[[Found], Any]) -> Any:
-        """`then` of each pair of parts, in the order of `Robot.other`."""
-        one = lambda _, k: (None, then(self._to_itself(k, k + 1, self._start(jnp.inf, True))))
+        """`then` of each pair of parts of an exact robot, in the order of `Robot.other`."""
+        one = lambda _, k: (None, then(self._exactly(k, k + 1, self._start(jnp.inf, True))))
         return lax.scan(one, None, jnp.arange(len(self.robot.other), dtype=jnp.int32))[1]
 
     def part(self, p: Any, found: Found, itself: bool = True) -> Found:
         """The nearest pair of part p, a later one of two parts, or what was `found` if none is nearer."""
         ball = row_at(self.parts, p)
-        if itself:  # before the obstacles: it is near whatever the scene, and rules most of them out
-            found = self._to_itself(entry(self.robot.first, p), entry(self.robot.last, p), found)
+        if itself and len(self.robot.other):  # before the obstacles: near whatever the scene, it rules most of them out
+            found = self._to_itself(p, ball, found)
         for k, obstacles in enumerate(self.obstacles):
             found = self._to_branches(p, ball, k, jnp.int32(0), jnp.asarray(obstacles.count, jnp.int32), found)
         return found
@@ -171,29 +171,39 @@ class Space:
         """Whether branch b of the obstacles of kind k counts for part p."""
         return entry(self.obstacles[k].ignored, b) & entry(self.bits, p) == 0 if self.bits is not None else True
 
-    def _to_itself(self, first: Any, last: Any, found: Found) -> Found:
-        """Pairs of parts from `first` to `last`, not counted."""
-        robot = self.robot
-        if not len(robot.other):
+    def _to_itself(self, p: Any, ball: Any, found: Found) -> Found:
+        """Part p against those that it is checked against."""
+        first, last = entry(self.robot.first, p), entry(self.robot.last, p)
+        if self.exact is not None:
+            return self._exactly(first, last, found)
+        return lax.fori_loop(first, last, functools.partial(self._to_part, p, ball), found)
+
+    def _exactly(self, first: Any, last: Any, found: Found) -> Found:
+        """The pairs of parts from `first` to `last`, not counted, of an exact robot."""
+        if self.exact is None or not len(self.robot.other):
             return found
 
-        def pair(k: Any, found: Found) -> Found:
-            p, o = entry(robot.part, k), entry(robot.other, k)
-            ball = row_at(self.parts, p)
+        def by_volumes(k: Any, found: Found) -> Found:
+            p = entry(self.robot.part, k)
+            return self._to_part(p, row_at(self.parts, p), k, found)
 
-            def inside(found: Found) -> Found:
-                for volumes, others in zip(robot.kinds, self.others[len(self.obstacles) : self.inner], strict=True):
-                    found = self._leaves(p, entry(volumes.first, o), entry(volumes.last, o), others, found)
-                return found
+        return self.exact.pairs(first, last, by_volumes, found)
 
-            either = inside
-            if self.tabled:
-                number = entry(robot.tables.of, k)
-                known = lambda found: self._beyond(number, found, inside)
-                either = lambda found: lax.cond(number >= 0, known, inside, found)
-            return self._if_near(found, ball, row_at(self.parts, o), either)
+    def _to_part(self, p: Any, ball: Any, k: Any, found: Found) -> Found:
+        """Part p against the part of pair k, by their volumes."""
+        o = entry(self.robot.other, k)
 
-        return lax.fori_loop(first, last, pair, found) if self.exact is None else self.exact.pairs(first, last, pair, found)
+        def inside(found: Found) -> Found:
+            for volumes, others in zip(self.robot.kinds, self.others[len(self.obstacles) : self.inner], strict=True):
+                found = self._leaves(p, entry(volumes.first, o), entry(volumes.last, o), others, found)
+            return found
+
+        if not self.tabled:
+            return self._if_near(found, ball, row_at(self.parts, o), inside)
+        number = entry(self.robot.tables.of, k)
+        known = lambda found: self._beyond(number, found, inside)
+        either = lambda found: lax.cond(number >= 0, known, inside, found)
+        return self._if_near(found, ball, row_at(self.parts, o), either)
 
     def _beyond(self, number: Any, found: Found, inside: Callable[[Found], Found]) -> Found:
         """What is found `inside` a pair of parts, but no nearer than its table says."""

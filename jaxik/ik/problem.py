@@ -67,7 +67,9 @@ class Problem:
             raise ValueError("reference holds NaN or infinity; write a configuration (n,), or one a target (N, n) [rad, m]")
         strategy = _strategy(chain, options)
         inside, whole = (_range(chain, tuple(low.tolist()), tuple(high.tolist()), one_turn) for one_turn in (True, False))
-        around = at_margin(grouped(scene, chain), options.margin) if scene is not None else None
+        around = grouped(scene, chain) if scene is not None else None
+        if around is not None and options.choice != "clearance":  # which ranks what is clear
+            around = at_margin(around, options.margin)
         unit = sqp_programs.unit_length(chain)
         return Problem(chain, around, seed, options, low, high, weights, inside, whole, unit, strategy, tolerance, reference)
 
