@@ -24,7 +24,7 @@ from panda import ROBOTS, TIP
 from race import Entry, compiled, machine, race
 from scipy.spatial import ConvexHull
 from scipy.spatial.transform import Rotation
-from triangle_truth import in_coal
+from triangle_truth import in_coal, winding
 
 import jaxik
 from jaxik.collision.bvh import grouped
@@ -86,7 +86,7 @@ class Judge:
         Strackee 1983]."""
         points = np.array([T.getTranslation() for T in row])
         low, high = self.triangles.min(axis=(0, 1)), self.triangles.max(axis=(0, 1))
-        return any(_winding(p, self.triangles) > 0.5 for p in points[np.all((points > low) & (points < high), axis=1)])
+        return any(winding(p, self.triangles) > 0.5 for p in points[np.all((points > low) & (points < high), axis=1)])
 
 
 def _between(a: np.ndarray, b: np.ndarray) -> np.ndarray:
@@ -96,14 +96,6 @@ def _between(a: np.ndarray, b: np.ndarray) -> np.ndarray:
         T[:3, :3] = Rotation.align_vectors([b - a], [[0.0, 0.0, 1.0]])[0].as_matrix()
     T[:3, 3] = (a + b) / 2.0
     return T
-
-
-def _winding(point: np.ndarray, triangles: np.ndarray) -> float:
-    a, b, c = np.moveaxis(triangles - point, 1, 0)
-    la, lb, lc = (np.linalg.norm(x, axis=1) for x in (a, b, c))
-    dot = lambda x, y: np.sum(x * y, axis=1)
-    under = la * lb * lc + dot(a, b) * lc + dot(b, c) * la + dot(c, a) * lb
-    return float(np.arctan2(dot(a, np.cross(b, c)), under).sum() / (2.0 * np.pi))
 
 
 # --------------------------------------------------------------------------------------------------------------------

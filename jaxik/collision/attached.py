@@ -83,10 +83,15 @@ def _links(chain: Chain, names: Iterable[str]) -> set[int]:
     return {chain.link_names.index(name) for name in names}
 
 
+def _rows_of(scene: Scene, name: str) -> dict[str, np.ndarray]:
+    """Which obstacles of each kind are an object's."""
+    index = scene.object_names.index(name)
+    return {kind: np.flatnonzero((owners == index) & obstacles.there) for kind, obstacles, owners in scene.by_kind()}
+
+
 def _carried(scene: Scene, name: str, joint_T_world: np.ndarray, link: int) -> tuple[list[Box], list[Volume]]:
     """The object's obstacles in the last joint's frame."""
-    index = scene.object_names.index(name)
-    own = {kind: np.flatnonzero((owners == index) & obstacles.there) for kind, obstacles, owners in scene.by_kind()}
+    own = _rows_of(scene, name)
     local = lambda points: np.asarray(points, np.float64) @ joint_T_world[:3, :3].T + joint_T_world[:3, 3]
     volume = lambda corners, radius: Volume(local(corners), np.asarray(radius, np.float64), link)
     points, spheres, capsules, cylinders = scene.points, scene.spheres, scene.capsules, scene.cylinders
@@ -103,8 +108,7 @@ def _carried(scene: Scene, name: str, joint_T_world: np.ndarray, link: int) -> t
 
 def _surface(scene: Scene, name: str, joint_T_world: np.ndarray, link: int, volumes: list[Volume]) -> Surface:
     """The object's own surface, for an exact robot: that of its volumes, and of its boxes and cylinders themselves."""
-    index = scene.object_names.index(name)
-    of = {kind: np.flatnonzero((owners == index) & obstacles.there) for kind, obstacles, owners in scene.by_kind()}
+    of = _rows_of(scene, name)
     placed = lambda triangles, world_T_b: triangles @ (joint_T_world @ world_T_b)[:3, :3].T + (joint_T_world @ world_T_b)[:3, 3]
     boxes, cylinders, triangles = scene.boxes, scene.cylinders, len(of["triangles"])
     shapes = [(placed(brick(np.asarray(boxes.half[i])), np.asarray(boxes.world_T_box[i])), 0.0) for i in of["boxes"]]

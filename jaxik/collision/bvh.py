@@ -159,10 +159,14 @@ def by_volumes(chain: Chain) -> Chain:
 def at_margin(around: Grouped, margin: Any, resolution: float = CLOSE) -> Grouped:
     """The same for what only asks whether a `margin` is kept [m], to some resolution: a robot's own surfaces decide no further
     from it."""
-    xp = np if is_known(margin) else jnp
-    within = xp.maximum(margin, 0.0) + resolution
-    nearer = lambda own: dataclasses.replace(own, within=xp.asarray(within, own.trees.corners.dtype))
-    return tuple(nearer(each) if isinstance(each, OwnSurfaces) else each for each in around)
+    return decided_within(around, (np if is_known(margin) else jnp).maximum(margin, 0.0) + resolution)
+
+
+def decided_within(around: Grouped, within: Any) -> Grouped:
+    """The same, where a robot's own surfaces decide what its volumes are nearer to than `within` [m]."""
+    xp = np if is_known(within) else jnp
+    changed = lambda own: dataclasses.replace(own, within=xp.asarray(within, own.trees.corners.dtype))
+    return tuple(changed(each) if isinstance(each, OwnSurfaces) else each for each in around)
 
 
 def _grouped(scene: Scene, ignored: tuple[tuple[int, str], ...], by_object: bool) -> tuple[Obstacles, ...]:

@@ -21,7 +21,7 @@ from jaxtyping import Float
 from jaxik.checks.arrays import check_known
 from jaxik.checks.options import as_count, check_finite, check_kind
 from jaxik.collision import distance
-from jaxik.collision.bvh import Grouped, OwnSurfaces, grouped, pair_tables, robot
+from jaxik.collision.bvh import Grouped, decided_within, grouped, pair_tables, robot
 from jaxik.collision.clearances import check_geometry
 from jaxik.collision.nearest_pair import Space
 from jaxik.collision.scene import FAR, Scene, check_scene
@@ -126,8 +126,7 @@ def _by_surfaces(chain: Chain, scene: Scene | None, q: np.ndarray) -> Iterator[C
         owners = tuple(tuple(int(o) if o >= 0 else len(scene.object_names) for o in own) for _, _, own in scene.by_kind())
         names = (*scene.object_names, "the scene")
         scene = dataclasses.replace(scene, object_names=names, removable=(*scene.removable, False), owners=owners)
-    around = grouped(scene, chain, by_object=True)
-    exactly = tuple(dataclasses.replace(x, within=np.asarray(FAR)) if isinstance(x, OwnSurfaces) else x for x in around)
+    exactly = decided_within(grouped(scene, chain, by_object=True), FAR)
     apart, points, others = (x[0] for x in _every_contact(chain, len(names)).run(q[None], exactly, double=True))
     own, links = robot(chain), chain.link_names
     pairs = [(own.links[p], links[own.links[o]]) for p, o in zip(own.part, own.other, strict=True)]

@@ -30,7 +30,7 @@ from jaxtyping import Bool, Float, Int
 
 from jaxik.checks.arrays import is_known, stop_gradients
 from jaxik.checks.options import check_finite, check_kind
-from jaxik.collision.bvh import CLOSE, WITHIN, OwnSurfaces, balls_of, grouped, obstacles_in, pair_tables, surfaces_in
+from jaxik.collision.bvh import CLOSE, WITHIN, balls_of, decided_within, grouped, obstacles_in, pair_tables, surfaces_in
 from jaxik.collision.clearances import as_wide, check_geometry, clearance, link_clearances
 from jaxik.collision.scene import FAR, KINDS, Scene
 from jaxik.collision.volumes import box_spheres, xp_of
@@ -225,7 +225,7 @@ def _asked_of(scene: Any, asked: _Asked) -> Any:
     precise = jnp.maximum(CLOSE, 2.0 * asked.resolution)
     plain = jnp.asarray(WITHIN, precise.dtype)
     within = jnp.where(asked.enough > jnp.maximum(asked.margin, plain), plain, jnp.maximum(asked.enough, 0.0) + precise)
-    return tuple(dataclasses.replace(x, within=within) if isinstance(x, OwnSurfaces) else x for x in scene)
+    return decided_within(scene, within)
 
 
 def _ruler(chain: Chain, scene: Any, q_from: Any, q_to: Any, extent: Any, margin: Any) -> tuple[Any, _Bounds]:

@@ -94,15 +94,15 @@ class Exact:
 
         return lambda found: self._decided(found, nearest(found), walked, lambda: self._holds_rows(p, others, j))
 
-    def points(self, p: Any, then: Callable[[Vec3, Any, Found], Found], found: Found) -> Found:
-        """`then` of a point on each shape of part p, in the world, and its triangle's number."""
+    def points(self, p: Any, then: Callable[[Vec3, Any, Any], Any], state: Any) -> Any:
+        """`then` of a point on each shape of part p, in the world, its triangle's number, and the state that it hands on."""
         frame = self._frame(p)
 
-        def one(k: Any, found: Found) -> Found:
+        def one(k: Any, state: Any) -> Any:
             triangle = entry(self.own.points, k)
-            return then(frame @ triangle_at(self.trees, triangle, self.space.dtype)[0], self.first + triangle, found)
+            return then(frame @ triangle_at(self.trees, triangle, self.space.dtype)[0], self.first + triangle, state)
 
-        return lax.fori_loop(entry(self.own.first, p), entry(self.own.first, p + 1), one, found)
+        return lax.fori_loop(entry(self.own.first, p), entry(self.own.first, p + 1), one, state)
 
     def _decided(self, found: Found, nearest: Found, walked: Any, held: Callable[[], Any]) -> Found:
         bound = jnp.minimum(found.distance, self.within)
@@ -143,10 +143,7 @@ class Exact:
 
     def _holds_points(self, p: Any, o: Any) -> Any:
         """Whether part p holds a shape of part o."""
-        frame = self._frame(o)
-        point = lambda k: frame @ triangle_at(self.trees, entry(self.own.points, k), self.space.dtype)[0]
-        step = lambda k, held: held | self._holds(p, point(k))
-        return lax.fori_loop(entry(self.own.first, o), entry(self.own.first, o + 1), step, jnp.zeros((), bool))
+        return self.points(o, lambda point, _, held: held | self._holds(p, point), jnp.zeros((), bool))
 
     def _holds_rows(self, p: Any, others: Any, j: Any) -> Any:
         """Whether part p holds an obstacle of leaf j."""

@@ -292,10 +292,7 @@ class Space:
         """
 
         def pull(gap: Gap, own: Any, other: Any, between: Any) -> Any:
-            corners, radius = own
-            value, back = jax.vjp(lambda corners: gap((corners, radius), other), corners)
-            (slope,) = back(jnp.ones_like(value))
-            force = functools.reduce(Vec3.__add__, slope)
+            corners, (_, slope, force) = own[0], _pulled(gap, own, other)
             moment = functools.reduce(Vec3.__add__, [c.cross(f) for c, f in zip(corners, slope, strict=True)])
             return force, moment, between
 
@@ -321,10 +318,7 @@ class Space:
         """Where a pair that was found is nearest: on its own volume (3,), and on the other (3,) [m, world]."""
 
         def points(gap: Gap, own: Any, other: Any, _: Any) -> Any:
-            corners, radius = own
-            value, back = jax.vjp(lambda corners: gap((corners, radius), other), corners)
-            (slopes,) = back(jnp.ones_like(value))
-            force = functools.reduce(Vec3.__add__, slopes)
+            (corners, radius), (value, slopes, force) = own, _pulled(gap, own, other)
             share = lambda slope: jnp.where(force.dot(force) > 0.0, slope.dot(force), 1.0 / len(corners))
             nearest = functools.reduce(Vec3.__add__, [c * share(f) for c, f in zip(corners, slopes, strict=True)])
             return nearest - force * radius, nearest - force * (radius + value)
@@ -399,6 +393,14 @@ def _placed(robot: Robot, frames: Any, dtype: Any) -> tuple[tuple[Vec3, Any], tu
     ball = lambda balls: (next(each), jnp.asarray(balls.radius, dtype))
     corners = lambda v: tuple(itertools.islice(each, v.arity))
     return ball(robot.parts), tuple(Placed(ball(v.leaves), corners(v), jnp.asarray(v.radius, dtype)) for v in robot.kinds)
+
+
+def _pulled(gap: Gap, own: Any, other: Any) -> tuple[Any, tuple[Vec3, ...], Vec3]:
+    """A volume's distance, its slope by each of the volume's corners, and their sum: the force with which it pulls."""
+    corners, radius = own
+    value, back = jax.vjp(lambda corners: gap((corners, radius), other), corners)
+    (slopes,) = back(jnp.ones_like(value))
+    return value, slopes, functools.reduce(Vec3.__add__, slopes)
 
 
 def _if_beside(found: Found, mine: Any, ball: Any, inside: Callable[[Found], Found]) -> Found:

@@ -148,6 +148,7 @@ def square_beyond(apart: Vec3, half: Vec3) -> Any:
 
 
 def triangle_at(trees: Trees, i: Any, dtype: Any) -> tuple[Vec3, Vec3, Vec3]:
+    """The corners of a triangle."""
     a, b, c = (Vec3(*traced(x)) for x in entry(jnp.asarray(trees.corners, dtype), i))
     return a, b, c
 
