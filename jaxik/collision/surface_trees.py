@@ -63,7 +63,9 @@ def order_of(triangles: np.ndarray) -> np.ndarray:
 def surface_of(link: int, shapes: Iterable[tuple[np.ndarray, float]]) -> Surface:
     """A link's, in the order of a tree, of shapes: each its triangles (t, 3, 3) [m], and what is within a radius of them."""
     parts = [
-        Surface(link, t, np.full(len(t), radius), np.full(len(t), closes(t)), np.zeros(len(t), int)) for t, radius in shapes
+        Surface(link, t, np.full(len(t), radius), solid, np.zeros(len(t), int))
+        for triangles, radius in shapes
+        for t, solid in surfaces.as_shells(triangles)
     ]
     whole = Surface.joined(link, parts)
     order = order_of(whole.corners)

@@ -58,29 +58,63 @@ def as_bodies(triangles: Float[np.ndarray, "k 3 3"]) -> tuple[Float[np.ndarray, 
     A closed surface inside of another is turned so, too: what it hollows out counts as full. Where triangles of an open
     surface, or of one with both its sides, stand more than once, the first of them may close it.
     """
-    from scipy.sparse import coo_array
-    from scipy.sparse.csgraph import connected_components
-
     turned, solid = triangles.copy(), np.zeros(len(triangles))
     if len(triangles) < 4:  # fewer close around nothing
         return turned, solid
+    faces = _faces(triangles)
+    for rows in _connected(faces):
+        body, flip = _body(faces, turned, rows)
+        if flip is not None:
+            solid[body] = 1.0
+            turned[body[flip]] = turned[body[flip]][:, ::-1]
+    return turned, solid
+
+
+def as_shells(triangles: np.ndarray) -> list[tuple[np.ndarray, np.ndarray]]:
+    """The triangles (k, 3, 3) in connected surfaces, each with which of its triangles close around something (n,).
+
+    What closes as it is stays so: then a surface inside of another, seen from there, hollows it out. Others are turned as
+    `as_bodies` turns them."""
+    faces, found = _faces(triangles), []
+    for rows in _connected(faces):
+        own, solid = triangles[rows], np.ones(len(rows), bool)
+        if not closes(faces[rows]):
+            body, flip = _body(faces, triangles, rows)
+            solid = np.isin(rows, body) & (flip is not None)
+            if flip is not None:
+                turned = np.isin(rows, body[flip])
+                own = np.where(turned[:, None, None], own[:, ::-1], own)
+        found.append((own, solid))
+    return found
+
+
+def _faces(triangles: np.ndarray) -> np.ndarray:
+    """The numbers of the triangles' corners (k, 3), of which those at one place are one."""
     corners = triangles.reshape(-1, 3)
     size = float(np.ptp(corners, axis=0).max()) or 1.0
-    faces = np.unique(np.round(corners / (SAME * size)), axis=0, return_inverse=True)[1].reshape(-1, 3)
+    return np.unique(np.round(corners / (SAME * size)), axis=0, return_inverse=True)[1].reshape(-1, 3)
+
+
+def _connected(faces: np.ndarray) -> list[np.ndarray]:
+    """The triangles of each surface: what shares an edge is one."""
+    from scipy.sparse import coo_array
+    from scipy.sparse.csgraph import connected_components
+
     which, owner = _undirected(faces)[0], np.tile(np.arange(len(faces)), 3)
-    count = len(faces) + int(which.max()) + 1  # what shares an edge is one surface
+    count = len(faces) + int(which.max()) + 1
     links = coo_array((np.ones(len(which)), (owner, len(faces) + which)), (count, count))
     part = connected_components(links, directed=False)[1][: len(faces)]
-    for rows in np.split(np.argsort(part, kind="stable"), np.cumsum(np.bincount(part))[:-1]):
-        flip = _outward(faces[rows], turned[rows])
-        once = np.sort(np.unique(np.sort(faces[rows], axis=1), axis=0, return_index=True)[1])
-        if flip is None and len(once) < len(rows):  # files have both sides of a surface, or copies
-            rows = rows[once]
-            flip = _outward(faces[rows], turned[rows])
-        if flip is not None:
-            solid[rows] = 1.0
-            turned[rows[flip]] = turned[rows[flip]][:, ::-1]
-    return turned, solid
+    return np.split(np.argsort(part, kind="stable"), np.cumsum(np.bincount(part))[:-1])
+
+
+def _body(faces: np.ndarray, triangles: np.ndarray, rows: np.ndarray) -> tuple[np.ndarray, np.ndarray | None]:
+    """Those triangles of a connected surface that close around a body, and which of them to reverse (`_outward`)."""
+    flip = _outward(faces[rows], triangles[rows])
+    once = np.sort(np.unique(np.sort(faces[rows], axis=1), axis=0, return_index=True)[1])
+    if flip is None and len(once) < len(rows):  # files have both sides of a surface, or copies
+        rows = rows[once]
+        flip = _outward(faces[rows], triangles[rows])
+    return rows, flip
 
 
 def _outward(faces: np.ndarray, triangles: np.ndarray) -> np.ndarray | None:

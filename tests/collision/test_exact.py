@@ -260,6 +260,38 @@ def test_it_is_saved_with_its_meshes(arm, tmp_path):
         jaxik.load(tmp_path / "torn.toml")
 
 
+def test_what_closes_once_it_is_turned_swallows_too(tmp_path):
+    """A box of 0.1 m on slides, in boxes of 0.4 m whose files have some triangles turned, a flap beside them, or some triangles
+    twice; around a speck that hangs beside a plate in one file; and in a hollow, where it is free."""
+    box = trimesh.creation.box((0.4, 0.4, 0.4))
+    turned = np.where(np.arange(12)[:, None] % 3 == 0, box.faces[:, ::-1], box.faces)
+    flap, hollow = trimesh.Trimesh([[0.2, 0.2, 0.2], [0.3, 0.3, 0.2], [0.2, 0.3, 0.3]], [[0, 1, 2]]), box.copy()
+    hollow.apply_scale(0.9)
+    hollow.invert()
+    meshes = [
+        trimesh.Trimesh(box.vertices, turned, process=False),
+        trimesh.util.concatenate([box, flap]),
+        trimesh.Trimesh(box.vertices, np.vstack([box.faces, box.faces[:3]]), process=False),
+        trimesh.util.concatenate([bar((0.02, 0.02, 0.02), (0.0, 0.0, 0.0)), bar((0.1, 0.4, 0.4), (-0.3, 0.0, 0.0))]),
+        trimesh.util.concatenate([box, hollow]),
+    ]
+    for i, mesh in enumerate(meshes):
+        mesh.export(tmp_path / f"{i}.stl")
+    shape = '<collision><origin xyz="{} 0 0"/><geometry><mesh filename="{}.stl"/></geometry></collision>'
+    links = f'<link name="l0">{"".join(shape.format(i + 1, i) for i in range(5))}</link><link name="l1"/><link name="l2"/>'
+    links += '<link name="l3"><collision><geometry><box size="0.1 0.1 0.1"/></geometry></collision></link>'
+    slide = '<joint name="j{}" type="prismatic"><parent link="l{}"/><child link="l{}"/><axis xyz="{}"/>'
+    slide += '<limit lower="-5" upper="5" velocity="1" effort="1"/></joint>'
+    slides = "".join(slide.format(i, i, i + 1, axis) for i, axis in enumerate(("1 0 0", "0 1 0", "0 0 1")))
+    path = write(tmp_path, "slides.urdf", f'<robot name="slides">{links}{slides}</robot>')
+    exact = jaxik.load(path, meshes=True, exact=True, pairs="all")
+    q = np.array([[i + 1.01, 0.01, 0.02] for i in range(5)] + [[0.5, 0.0, 0.0]])
+    hits = measured(lambda q: jaxik.collides(exact, None, q), q)
+    assert hits.tolist() == [True, True, True, True, False, False]
+    found = measured(lambda q: jaxik.clearance(exact, None, q), q)
+    assert np.all(found[:4] < 0.0) and np.all(found[4:] > 0.0)
+
+
 def test_it_is_refused_without_meshes(arm):
     """In one line; and so is a link that has volumes and no surface."""
     _, exact = arm
