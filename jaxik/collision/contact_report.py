@@ -126,9 +126,11 @@ def _by_surfaces(chain: Chain, scene: Scene | None, q: np.ndarray) -> Iterator[C
         owners = tuple(tuple(int(o) if o >= 0 else len(scene.object_names) for o in own) for _, _, own in scene.by_kind())
         names = (*scene.object_names, "the scene")
         scene = dataclasses.replace(scene, object_names=names, removable=(*scene.removable, False), owners=owners)
+    own, links = robot(chain), chain.link_names
+    if not len(own.other) and not names:  # a program of no pairs has no results
+        return
     exactly = decided_within(grouped(scene, chain, by_object=True), FAR)
     apart, points, others = (x[0] for x in _every_contact(chain, len(names)).run(q[None], exactly, double=True))
-    own, links = robot(chain), chain.link_names
     pairs = [(own.links[p], links[own.links[o]]) for p, o in zip(own.part, own.other, strict=True)]
     pairs += [(link, name) for link in own.links for name in names]
     for (link, other), gap, mine, theirs in zip(pairs, apart, points, others, strict=True):

@@ -180,6 +180,12 @@ def test_what_is_swallowed_collides(arm):
     assert [contact.other for contact in jaxik.explain(exact, ball, home).colliding] == ["spheres_1"]
 
 
+def test_nothing_is_near_where_nothing_is_checked(arm):
+    """An exact robot none of whose links are checked has no contacts, and no distance."""
+    alone = dataclasses.replace(arm[1], self_pairs=(), pair_tables=())
+    assert not jaxik.explain(alone, None, np.zeros(4)).contacts and jaxik.clearance(alone, None, np.zeros(4)) == np.inf
+
+
 def test_motions_are_proven_by_the_meshes(arm):
     """Of motions in the scene, those that are proven free keep clear at 100 configurations, and those that are not come within
     the resolution; some are free by the meshes alone."""
