@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import math
 import time
 from pathlib import Path
 
@@ -12,10 +13,12 @@ import jaxik
 from jaxik.cli.progress import progress_bar
 from jaxik.cli.results import check_writable, naming, print_table
 from jaxik.cli.robot_arguments import Checked, RobotArguments, checked_pairs
+from jaxik.files.notes import listed
 from jaxik.files.unchecked_pairs import unchecked
 
 HEADINGS = ("link", "mesh", "parts", "volumes", "closed", "coverage", "protrusion", "mean", "false collisions")
 PAIRS = ("link", "other", "checked", "meshes touch", "false collisions")
+HELD = ("joint", "driven by", "value [rad, m]", "carries")
 LEFT = {
     "named": "no: as told",
     "touches": "no: meshes mostly touch",
@@ -60,6 +63,11 @@ class FitArguments(RobotArguments):
         chain = jaxik.load(self.robot, meshes=True, **what)
         print_table(f"{chain.name}: capsules around its meshes, lengths in mm", HEADINGS, map(_cells, report.links))
         print_table("pairs of links", PAIRS, map(_pair, report.pairs))
+        if report.held:
+            print_table("joints beside the chain, which are held", HELD, map(_held, report.held))
+            print(
+                "what these joints carry collides as it does at these values alone; --posture JOINT=VALUE holds them elsewhere"
+            )
         false = max(row.false for row in report.links)
         print(
             f"{len(chain.volumes)} volumes, {len(chain.self_pairs)} pairs of links to check, "
@@ -87,3 +95,8 @@ def _cells(row: jaxik.fitting.LinkFit) -> tuple[str, ...]:
 
 def _pair(row: jaxik.fitting.PairFit) -> tuple[str, ...]:
     return *row.links, LEFT.get(row.unchecked, "yes"), f"{row.touch:.1%}", f"{row.false:.1%}"
+
+
+def _held(row: jaxik.fitting.HeldJoint) -> tuple[str, ...]:
+    at = "where it stands" if math.isnan(row.value) else f"{row.value:.4g}"
+    return row.joint, row.driven or "-", at, listed(row.links) or "no shapes"

@@ -11,6 +11,7 @@ import numpy as np
 from jaxik.checks.options import among
 from jaxik.files.chain_builder import Joint, checked, displacement
 from jaxik.files.notes import listed
+from jaxik.fitting.report import HeldJoint
 from jaxik.reasons import LoadError
 
 MASTERS = 100  # in a row, each driven by the next
@@ -81,6 +82,12 @@ class Posture:
             raise LoadError(file, where, f"follows '{joint.mimic[0]}' (mimic)", "give that one a value")
         if not joint.lower <= value <= joint.upper:
             raise LoadError(file, where, f"{value:g} is outside of its limits", f"allowed: {joint.lower:g} to {joint.upper:g}")
+
+    def joints(self, solid: set[str]) -> tuple[HeldJoint, ...]:
+        """Each joint that is held, and those of the `solid` links that are behind it."""
+        links = lambda name: tuple(link for link, above in self.behind.items() if name in above and link in solid)
+        every = self.held | dict.fromkeys(self.stands, np.nan)
+        return tuple(HeldJoint(name, float(at), self.driven.get(name, ""), links(name)) for name, at in every.items())
 
     def told(self, solid: set[str]) -> str | None:
         """One line of the joints that hold `solid` links, those with collision geometry; None where there are none."""

@@ -109,8 +109,7 @@ def load(
     for line in notes.lines():
         warnings.warn(f"{shown(chain.name)}: {line}", stacklevel=2)
     chain = dataclasses.replace(chain, ignored=tuple(dict.fromkeys(chain.ignored + beside)))
-    solid = {chain.link_names[i] for i in {*solid_links(chain), *(shape.link for shape in shapes)}}
-    if posture is None and not chain.unread_meshes and (told := stance.told(solid)):
+    if posture is None and not chain.unread_meshes and (told := stance.told(_solid(chain, shapes))):
         warnings.warn(f"{shown(chain.name)}: {told}", stacklevel=2)
     if exact and not shapes and not chain.surfaces:
         raise ValueError(f"load: exact is True, but {path.name} has no meshes; leave it out: its shapes are what is measured")
@@ -129,6 +128,11 @@ def load(
     if meshes:
         _tell(chain, "boxes", dict.fromkeys(found.at_home), found.share)
     return dataclasses.replace(chain, self_pairs=found.pairs)
+
+
+def _solid(chain: Chain, shapes: Iterable[Shape]) -> set[str]:
+    """The names of the links that have shapes, be they still to be fitted."""
+    return {chain.link_names[i] for i in {*solid_links(chain), *(shape.link for shape in shapes)}}
 
 
 def _stance(who: str, posture: Any) -> Posture:
@@ -218,7 +222,8 @@ def fit_report(
     packages: Any = (),
     progress: Callable[[int, int], None] | None = None,
 ) -> FitReport:
-    """What `load(..., meshes=True, fit=fit)` puts around each mesh of a file, and which pairs of links it checks. Host.
+    """What `load(..., meshes=True, fit=fit)` puts around each mesh of a file, which pairs of links it checks, and at which
+    values it holds joints beside the chain, as those of a hand. Host.
 
     `progress` hears of how many fits are made, of how many. Raises `LoadError` as `load` does.
     """
@@ -230,7 +235,8 @@ def fit_report(
     )
     disabled = disabled_pairs(srdf, notes.links or chain.link_names, notes) | ignored(path, chain, ignore)[0] | notes.apart
     asked = dataclasses.replace(asked_pairs(path, chain, pairs), apart=disabled)
-    return fit_of(chain, shapes, modelled(chain, shapes, fit, asked, stance.behind, progress))
+    model = modelled(chain, shapes, fit, asked, stance.behind, progress)
+    return fit_of(chain, shapes, model, stance.joints(_solid(chain, shapes)))
 
 
 def link_meshes(

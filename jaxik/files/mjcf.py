@@ -198,6 +198,8 @@ def _body_joints(path: Path, model: Any, body: int, name: str, beside: bool = Fa
         joint, label = model.joint(i), _label(model, i)
         kind = kinds.get(int(joint.type[0]))
         if kind is None and beside:
+            run.append(Joint(label, "fixed", pending, f"{name}/{label}", stands="ball"))
+            pending = np.eye(4)
             continue
         if i in coupled and not beside:
             mend = "drive it as a joint of its own: remove the equality"

@@ -1,6 +1,6 @@
 """Collision models from meshes: capsules around convex parts, and tables where capsules are too coarse."""
 
 from jaxik.fitting.capsules import Fit
-from jaxik.fitting.report import FitReport, LinkFit, PairFit
+from jaxik.fitting.report import FitReport, HeldJoint, LinkFit, PairFit
 
-__all__ = ["Fit", "FitReport", "LinkFit", "PairFit"]
+__all__ = ["Fit", "FitReport", "HeldJoint", "LinkFit", "PairFit"]

@@ -44,15 +44,28 @@ class PairFit(NamedTuple):
     false: float
 
 
+class HeldJoint(NamedTuple):
+    """What `fit_report` tells of a joint that the file has beside the chain: the `value` at which it is held [rad, m], NaN for
+    one of a type without a single value; the joint of the chain that drives it (a mimic joint), "" if none does; and the links
+    behind it that have shapes, whose collisions are those at this value alone."""
+
+    joint: str
+    value: float
+    driven: str
+    links: tuple[str, ...]
+
+
 class FitReport(NamedTuple):
-    """A robot's collision model: one `LinkFit` a mesh, one `PairFit` a pair of links that move against each other."""
+    """A robot's collision model: one `LinkFit` a mesh, one `PairFit` a pair of links that move against each other, and one
+    `HeldJoint` a joint beside the chain, such as a hand's, which does not move."""
 
     links: tuple[LinkFit, ...]
     pairs: tuple[PairFit, ...]
+    held: tuple[HeldJoint, ...] = ()
 
 
-def fit_of(chain: Chain, shapes: Sequence[Shape], model: Model) -> FitReport:
-    """The report on a model of some shapes."""
+def fit_of(chain: Chain, shapes: Sequence[Shape], model: Model, held: Sequence[HeldJoint] = ()) -> FitReport:
+    """The report on a model of some shapes, while some joints are held."""
     links = []
     for number, shape in enumerate(shapes):
         fits = [found for found, owner in zip(model.fits, model.owners, strict=True) if owner == number]
@@ -63,7 +76,7 @@ def fit_of(chain: Chain, shapes: Sequence[Shape], model: Model) -> FitReport:
     names = lambda pair: (chain.link_names[pair[0]], chain.link_names[pair[1]])
     pairs = [PairFit(names(p), "", model.touch[p], model.false_by_pair[p]) for p in model.pairs]
     pairs += [PairFit(u.links, u.reason, u.share, 0.0) for u in model.unchecked if u.reason != "fixed"]
-    return FitReport(tuple(links), tuple(pairs))
+    return FitReport(tuple(links), tuple(pairs), tuple(held))
 
 
 def _measured(shape: Shape, found: Fitted) -> tuple[float, float, float]:

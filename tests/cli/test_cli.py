@@ -473,6 +473,10 @@ def test_a_fit_is_told_and_written(tmp_path, monkeypatch, capsys):
         }
         assert str(tmp_path / name) in wrote and ("spheres up to" in wrote) == (name == "model.urdf")
         assert (f"has to disable 2 pairs of links: {tmp_path / 'model.srdf'}" in wrote) == (name == "model.urdf")
+    call(monkeypatch, "fit", tmp_path / "arm.urdf", "--tip", "arm", "--posture", "twist=0.5")
+    told = capsys.readouterr().out
+    (row,) = ([word.strip() for word in line.split("\u2502")[1:-1]] for line in told.splitlines() if "twist" in line)
+    assert row == ["twist", "-", "0.5", "tip"] and "--posture JOINT=VALUE" in told and "held" not in "".join(table)
     assert jaxik.load(tmp_path / "model.toml") == chain
     assert len(jaxik.load(tmp_path / "model.urdf", tip="tool").volumes) > len(chain.volumes)
     assert "allowed: .toml, .urdf" in refused(monkeypatch, capsys, "fit", tmp_path / "arm.urdf", "--to", "model.txt")

@@ -95,6 +95,12 @@ def test_what_is_held_is_said_once(arm):
     ):
         assert words in line
     assert jaxik.load(arm, tip="hand", posture={}) == chain
+    for posture in (None, {}, POSTURE):  # the report tells all of them, and what each carries
+        told = {row.joint: row for row in jaxik.files.fit_report(arm, tip="hand", posture=posture).held}
+        expected = VALUES if posture else {"neck": 0.0, "thumb": 0.01, "index": 0.08, "nail": 0.3}
+        assert {name: pytest.approx(row.value) for name, row in told.items()} == expected
+        assert {name: row.driven for name, row in told.items()} == dict.fromkeys(expected, "") | {"nail": "bend"}
+        assert told["neck"].links == ("head", "camera") and told["index"].links == ("right", "claw")
     named = {frozenset((chain.link_names[a], chain.link_names[b])) for a, b in chain.self_pairs}
     assert frozenset(("upper", "head")) in named  # one joint apart, and no neighbours
     assert not {frozenset(("base", "trunk")), frozenset(("trunk", "head")), frozenset(("hand", "left"))} & named
@@ -187,8 +193,13 @@ def test_mjcf_is_held_as_mujoco_poses_it(tmp_path):
         np.testing.assert_allclose(frames[name][:3, 3], data.body(name).xpos, atol=1e-12)
         np.testing.assert_allclose(frames[name][:3, :3].ravel(), data.body(name).xmat, atol=1e-12)
     assert "crate" not in frames
-    with pytest.warns(UserWarning, match=r"thumb at 0\.01, index at 0\.0202, roll at 0;"):
+    with pytest.warns(UserWarning, match=r"thumb at 0\.01, index at 0\.0202, roll at 0, joint6 \(ball\) where it stands;"):
         jaxik.load(path, tip="hand")
+    told = {row.joint: row for row in jaxik.files.fit_report(path, tip="hand", posture={"thumb": 0.03, "roll": 0.5}).held}
+    assert [*told] == ["thumb", "index", "roll", "joint6"] and told["roll"].links == ("right", "ball")
+    at = [told[name].value for name in ("thumb", "index", "roll")]
+    np.testing.assert_allclose(at, [values[name] for name in ("thumb", "index", "roll")], atol=1e-12)
+    assert np.isnan(told["joint6"].value) and told["joint6"].links == ("ball",)
 
 
 # --------------------------------------------------------------------------------------------------------------------
