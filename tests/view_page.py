@@ -15,6 +15,7 @@ from pathlib import Path
 
 import numpy as np
 from PIL import Image
+from robot_files import ARM, write
 from selenium import webdriver
 from selenium.common.exceptions import TimeoutException
 from selenium.webdriver.chrome.service import Service
@@ -23,7 +24,6 @@ from selenium.webdriver.common.by import By
 
 import jaxik
 from jaxik.view.page import Page
-from jaxik.view.robot_drawing import SHOWS
 from jaxik.view.solids import frames
 
 STUDY = {
@@ -43,7 +43,7 @@ PINK = (255, 32, 96)  # of the target's square
 BUSY = 6.0  # [s] the longest to wait for a picture of a loop that goes on, which need not come to rest
 CHANGE = 0.0005  # of the pixels, by which pictures differ that show something else
 TABS = {
-    "Robot": ("robot as", "target to drag", "slide [m]", "theta2 [deg]"),
+    "Robot": ("volumes kept clear", "target to drag", "slide [m]", "theta2 [deg]"),
     "Map": ("reachable from every direction", "not reachable", "z [m]"),
     "Fruits": ("p6r can pick 10 of the 12 fruits", "the best posture stays"),
     "Motions": ("p6r picks 9 of 12 fruits in", "Play", "drag the time"),
@@ -232,6 +232,33 @@ def steer(out):
         page.close()
 
 
+def choose_a_pair(out):
+    """A model beside its meshes: a row of the list of pairs that are not checked colours its two links, and none again."""
+    with tempfile.TemporaryDirectory() as folder:
+        file = write(Path(folder), "arm.urdf", ARM)
+        page = Page(jaxik.load(file, meshes=True), port=8093, meshes=jaxik.files.link_meshes(file))
+    driver = browser()
+    try:
+        driver.get(page.url)
+        read(driver, "volumes kept clear", "2 pairs of links are not checked")
+        driver.find_element(By.XPATH, "//*[contains(text(),'pairs of links are not checked')]").click()
+        read(driver, "never touch (2)")
+        first = settled(driver, pause=1.0)
+        row = driver.find_element(By.CSS_SELECTOR, "[data-pair='1']")
+        row.click()
+        assert until(lambda: page.robot.chosen == set(page.unchecked.rows[1].links)), "the row is not chosen"
+        print(f"a pair: {(change := changed(first, settled(driver, first))):.2%} of the pixels")
+        assert change > CHANGE, "a pair that is chosen is not seen"
+        driver.save_screenshot(str(out.with_stem(f"{out.stem}_pair")))
+        row.click()
+        assert until(lambda: not page.robot.chosen), "the row stays chosen"
+        severe = [e["message"] for e in driver.get_log("browser") if e["level"] == "SEVERE" and "favicon" not in e["message"]]
+        assert not severe, severe
+    finally:
+        driver.quit()
+        page.close()
+
+
 def main(out):
     scene = jaxik.load_scene("cucumber_row")
     chain = jaxik.load("p6r")
@@ -274,9 +301,9 @@ def main(out):
             driver.save_screenshot(str(out.with_stem(f"{out.stem}_dragged")))
             assert not np.array_equal(page.q, before) or "No posture" in page.said.content, "the robot does not follow"
             print("dragged:", page.said.content)
-            page.robot.style.value = SHOWS[1]
-            look("its volumes")
-            page.robot.style.value = SHOWS[3]
+            page.robot.volumes.value = True
+            look("its volumes, too")
+            page.robot.shape.value = page.robot.volumes.value = False
             look("joints alone")
             page.map.visible.value, page.map.variant.value = True, list(page.map.indices)[1]
             assert np.isclose(page.chain.world_T_base[2, 3] - chain.world_T_base[2, 3], 0.25), "the robot stands elsewhere"
@@ -294,8 +321,9 @@ def main(out):
         finally:
             driver.quit()
             page.close()
+    choose_a_pair(out)
     steer(out)
-    print("2 passed, 0 failed")
+    print("3 passed, 0 failed")
 
 
 if __name__ == "__main__":

@@ -8,13 +8,13 @@ from pathlib import Path
 import tyro
 
 import jaxik
-from jaxik.cli.robot_arguments import RobotArguments
+from jaxik.cli.robot_arguments import ShapedRobotArguments
 from jaxik.files import link_meshes
 from jaxik.harvesting import plan_harvest
 
 
 @dataclasses.dataclass(kw_only=True)
-class ViewArguments(RobotArguments):
+class ViewArguments(ShapedRobotArguments):
     """A page in the browser: the robot with joints to drag, the scene, a sweep's map, each fruit's posture and the motions."""
 
     robot: tyro.conf.Positional[str] = "p6r"
@@ -41,7 +41,7 @@ class ViewArguments(RobotArguments):
         if not 1 <= self.port <= 65535:
             raise ValueError(f"--port {self.port}: it is from 1 to 65535")
         how = self.loading()
-        chain = jaxik.load(self.robot, meshes=True, **how)
+        chain = jaxik.load(self.robot, **how)
         harvest = self.harvest or self.motions
         if harvest and self.scene is None:
             raise ValueError(
@@ -50,7 +50,8 @@ class ViewArguments(RobotArguments):
         scene = None if self.scene is None else jaxik.load_scene(self.scene)
         picked = jaxik.harvest(chain, scene) if harvest and scene is not None else None
         plan = plan_harvest(picked) if self.motions and picked is not None else None
-        meshes = link_meshes(self.robot, self.tip, self.base, how["posture"], packages=self.packages)
+        read = self.meshes and not chain.surfaces  # which are what is to be seen
+        meshes = link_meshes(self.robot, self.tip, self.base, how["posture"], packages=self.packages) if read else ()
         page = Page(chain, scene, self.store, picked, self.host, self.port, meshes, plan, self.teleop)
         print(f"open {page.url} in a browser; Ctrl-C ends", flush=True)
         page.wait()

@@ -29,18 +29,36 @@ from jaxik.spatial.rotations import to_wxyz
 from jaxik.view.cloud import Cloud, store_of
 from jaxik.view.fruit_list import FruitList
 from jaxik.view.latest import Latest
-from jaxik.view.palette import BAD, FRUIT, GOOD, LEAF, NEAR_LIMIT, OBSTACLE, ROBOT, WORDS, boxed, marked, rgb, swatches
+from jaxik.view.palette import (
+    BAD,
+    FRUIT,
+    GOOD,
+    LEAF,
+    LEFT_OUT,
+    NEAR_LIMIT,
+    OBSTACLE,
+    ROBOT,
+    VOLUME,
+    WORDS,
+    boxed,
+    marked,
+    rgb,
+    swatches,
+)
 from jaxik.view.player import Player
 from jaxik.view.robot_drawing import RobotDrawing
 from jaxik.view.scene_drawing import SceneDrawing
 from jaxik.view.sliders import Sliders
 from jaxik.view.solids import bones, frames, scene_points
 from jaxik.view.steering import STEER, Steering, ready_posture
+from jaxik.view.unchecked_list import UncheckedList
 
 HELP = (
     "**Look:** drag to turn, right button to shift, wheel to come nearer.",
     "**Joints:** the sliders move them. The line at the top says what is nearest to the robot, or what it hits.",
     "**Target:** drag the arrows and rings at the tip. Inverse kinematics follows, or says why it cannot.",
+    "**Shape:** the robot's own, and the volumes around it that are kept clear. Below are the pairs of links that are not "
+    "checked against each other, and why: click one to see it.",
     "**Map:** each point is a place that a sweep has tried. Click one that is reachable to see the posture there.",
     "**Steer** (`--teleop`): drag the tip, or push a game pad's sticks in that tab: the arm follows; record, play, save.",
     "**Fruits:** choose one to see how it is picked, or what is in its way.",
@@ -83,10 +101,12 @@ class Page:
         self.hit, self.strained = frozenset[str](), frozenset[int]()
         self.steering: Steering | None = None
         self.server = viser.ViserServer(host=host, port=port, label="jaxik", verbose=False)
-        self._furnish(teleop)
+        self._furnish()
         self.tabs = self.server.gui.add_tab_group()
         with self.tabs.add_tab("Robot"):
-            self.robot = RobotDrawing(self.server, chain, meshes, lambda: self._draw(follow=False))
+            self.robot = RobotDrawing(self.server, chain, meshes, lambda: self._restyled(teleop))
+            self.legend.content = boxed(swatches(self._legend(teleop)))
+            self.unchecked = UncheckedList(self, chain)
             self.surroundings = SceneDrawing(self.server, self.around, scene is None)
             self._target()
             self.sliders = Sliders(self.server.gui, chain, self._q, self._slid)
@@ -147,6 +167,12 @@ class Page:
         self.strained = joints
         self.robot.colour(self.hit, self.strained)
 
+    def choose(self, links: frozenset[str]) -> None:
+        """Colours these links, by name, and no others, as chosen."""
+        self.robot.chosen = links
+        with self.server.atomic():
+            self.robot.colour(self.hit, self.strained)
+
     def show_among(self, scene: Scene, q: np.ndarray) -> None:
         """Shows the robot at `q` (n,) [rad, m], and what it is near to in a scene that is less than the page's."""
         self.scene = scene
@@ -180,7 +206,7 @@ class Page:
 
     # ----------------------------------------------------------------------------------------------------------------
 
-    def _furnish(self, teleop: bool) -> None:
+    def _furnish(self) -> None:
         """The floor, the camera, and the panel's head: what is near, and the legend."""
         gui, title = self.server.gui, self.chain.name + (f" in {self.scene.name}" if self.scene is not None else "")
         self.server.scene.set_up_direction("+z")
@@ -189,7 +215,7 @@ class Page:
         gui.set_panel_label(f"jaxik: {title}")
         self._look()
         self.near = gui.add_html("")
-        self.legend = gui.add_html(boxed(swatches(self._legend(teleop))))
+        self.legend = gui.add_html("")
 
     def _tab(self, name: str, panel: Any, shown: Any, missing: str) -> Any:
         """A tab with the panel of what is shown; or what to do where there is none."""
@@ -211,11 +237,18 @@ class Page:
         points, fruits = len(self.around.points.center), len(self.around.fruits)
         there = {"robot": (ROBOT, True), "what collides": (BAD, True), "obstacles": (OBSTACLE, self.scene is not None)}
         there |= {
+            "volumes kept clear": (VOLUME, self.robot.volumes.value),
+            "touch, and not checked": (LEFT_OUT, bool(self.robot.left_out)),
             "near a joint's limit": (NEAR_LIMIT, teleop),
             "leaves (points)": (LEAF, points > 0),
             "fruits": (FRUIT, fruits > 0),
         }
         return {words: colour for words, (colour, some) in there.items() if some}
+
+    def _restyled(self, teleop: bool) -> None:
+        """The legend of what is shown now, and what is shown where it is."""
+        self.legend.content = boxed(swatches(self._legend(teleop)))
+        self._draw(follow=False)
 
     def _slid(self, joint: int, value: float) -> None:
         self._q[joint] = value

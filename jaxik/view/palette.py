@@ -25,6 +25,11 @@ LEAF, WOOD, OBSTACLE, FRUIT = "#9ab46a", "#8b6b4a", "#a3998c", "#e8a33d"
 ARM, ARM_EDGE, INK = "#c9d3df", "#5b6b7f", "#222222"
 PATH, CARRIED = "#2f6db3", "#d1495b"  # of the tip, without a fruit and with one
 ROBOT = "#8d9db0"  # in the light of the page
+VOLUME = "#e3cf9a"  # around it
+LEFT_OUT, CHOSEN = (
+    "#7a3fa0",
+    "#2fc4ea",
+)  # of pairs of links that are not checked: those that touch, and the one that is looked at
 
 
 def rgb(colour: str) -> tuple[int, int, int]:

@@ -11,23 +11,31 @@ from jaxik.fitting.links import Shape
 from jaxik.robot.chain import Chain
 from jaxik.spatial.rotations import to_wxyz
 from jaxik.view.meshes import draw_mesh, mesh_of
-from jaxik.view.palette import BAD, INK, NEAR_LIMIT, ROBOT, rgb
-from jaxik.view.solids import box_solids, volume_solids
+from jaxik.view.palette import BAD, CHOSEN, INK, LEFT_OUT, NEAR_LIMIT, ROBOT, VOLUME, rgb
+from jaxik.view.solids import Solid, box_solids, volume_solids
+from jaxik.view.unchecked_list import left_out
 
-SHOWS = ("its own shape", "volumes kept clear", "both", "joints alone")
+SHAPE, AROUND = 0.7, 0.4  # how opaque a shape is that is drawn with the volumes around it, and these are
+SMALLER = 0.99  # of the radius of what is its own shape and its volume, which else lie in each other
 
 
 class RobotDrawing:
-    """Each link's one mesh that moves with its joint, and a switch of what is shown. `redraw` is called when it is used."""
+    """Each link's own shape and its volumes, two meshes that move with its joint, and a switch of each. `redraw` is called when
+    one is used."""
 
     def __init__(self, server: Any, chain: Chain, meshes: Sequence[Shape], redraw: Callable[[], Any]):
         gui, scene, self.chain = server.gui, server.scene, chain
+        self.left_out, self.chosen = left_out(chain), frozenset[str]()
         self.roots = {name: scene.add_frame(f"/{name}", show_axes=False) for name in ("shape", "volumes")}
+        fitted = bool(chain.surfaces) or any(len(s.triangles) for s in meshes)
         self.parts = _parts(scene, chain, meshes)
         if not self.parts:
             gui.add_markdown("This robot's file holds no shapes: only its joints are shown.")
-        self.style = gui.add_dropdown("robot as", SHOWS)
-        self.style.on_update(lambda _: self._restyled(redraw))
+        some, apart = bool(self.parts), fitted or bool(chain.boxes)  # else its volumes are its own shape
+        self.shape = gui.add_checkbox("its own shape", True, visible=some)
+        self.volumes = gui.add_checkbox("volumes kept clear", fitted, visible=some and apart)
+        for switch in (self.shape, self.volumes):
+            switch.on_update(lambda _: self._restyled(redraw))
         self._styled()
         self.tip = scene.add_frame("/robot/tip", axes_length=0.08, axes_radius=0.004)
         none = np.zeros((1, 2, 3))
@@ -40,15 +48,22 @@ class RobotDrawing:
         self.tip.wxyz, self.tip.position = turned[-1], line[-1]
         for link, part in self.parts:
             joint = self.chain.link_joint[link]
-            if self.roots[part.name.split("/")[1]].visible:  # the other ones, when they are shown
+            if self.roots[_kind(part)].visible:  # the other ones, when they are shown
                 part.wxyz, part.position = turned[joint], placed[joint, :3, 3]
 
     def colour(self, hit: frozenset[str], strained: frozenset[int]) -> None:
-        """The links: those that `hit` something, by name, those that joints near a limit move, counted from 1, and the
-        others."""
+        """The links: those that are chosen, by name, those that `hit` something, those that joints near a limit move, counted
+        from 1, those that are left out though they touch, and the others."""
         for link, part in self.parts:
-            struck, near = self.chain.link_names[link] in hit, self.chain.link_joint[link] in strained
-            colour = rgb(BAD if struck else NEAR_LIMIT if near else ROBOT)
+            name = self.chain.link_names[link]
+            looks = (
+                (CHOSEN, name in self.chosen),
+                (BAD, name in hit),
+                (NEAR_LIMIT, self.chain.link_joint[link] in strained),
+                (LEFT_OUT, name in self.left_out),
+                (VOLUME if _kind(part) == "volumes" else ROBOT, True),
+            )
+            colour = rgb(next(colour for colour, holds in looks if holds))
             if tuple(part.color) != colour:
                 part.color = colour
 
@@ -57,20 +72,49 @@ class RobotDrawing:
         redraw()
 
     def _styled(self) -> None:
-        self.roots["shape"].visible = self.style.value in (SHOWS[0], SHOWS[2])
-        self.roots["volumes"].visible = self.style.value in (SHOWS[1], SHOWS[2])
+        self.roots["shape"].visible, self.roots["volumes"].visible = self.shape.value, self.volumes.value
+        both = self.shape.value and self.volumes.value
+        for _, part in self.parts:
+            opacity, side = SHAPE if both else None, "back" if both else "front"
+            if _kind(part) == "shape" and part.opacity != opacity:
+                part.opacity = opacity
+            if _kind(part) == "volumes" and part.side != side:
+                part.side = side  # a browser hides what it happens to draw later than a volume's front, such as the shape in it
+
+
+def _kind(part: Any) -> str:
+    return str(part.name.split("/")[1])
 
 
 def _parts(scene: Any, chain: Chain, meshes: Sequence[Shape]) -> list[tuple[int, Any]]:
     """The links' numbers and their meshes."""
     import trimesh
 
-    own = [(s.link, trimesh.Trimesh(s.corners, s.triangles, process=False)) for s in meshes if len(s.triangles)]
-    own = own or [(link, mesh_of([solid])) for link, solid in box_solids(chain)]
+    own = _own(chain, meshes)
     volumes = [(link, mesh_of([solid])) for link, solid in volume_solids(chain)]
     joined = lambda parts, link: trimesh.util.concatenate([mesh for of, mesh in parts if of == link])
+    looks: dict[str, dict[str, Any]] = {
+        "shape": {"colour": ROBOT, "flat_shading": True},
+        "volumes": {"colour": VOLUME, "opacity": AROUND, "cast_shadow": False, "receive_shadow": False},
+    }
     return [
-        (link, draw_mesh(scene, f"/{name}/{link}", joined(kind, link), ROBOT, opacity=opacity, flat_shading=not opacity))
-        for name, kind, opacity in (("shape", own, None), ("volumes", volumes, 0.4))
+        (link, draw_mesh(scene, f"/{name}/{link}", joined(kind, link), **looks[name]))
+        for name, kind in (("shape", own), ("volumes", volumes))
         for link in sorted({part[0] for part in kind})
     ]
+
+
+def _own(chain: Chain, meshes: Sequence[Shape]) -> list[tuple[int, Any]]:
+    """What the links are, each shape with its link's number: an exact chain's surfaces, or meshes; else boxes and volumes."""
+    import trimesh
+
+    bare = lambda corners, faces: trimesh.Trimesh(corners, faces, process=False)
+    own: list[tuple[int, Any]] = []
+    for s in chain.surfaces:
+        flat, round_ = s.corners[s.radius <= 0.0], s.radius > 0.0
+        own += [(s.link, bare(flat.reshape(-1, 3), np.arange(3 * len(flat)).reshape(-1, 3)))] if len(flat) else []
+        own += [(s.link, mesh_of([Solid("", *x)])) for x in zip(s.corners[round_], SMALLER * s.radius[round_], strict=True)]
+    own = own or [(s.link, bare(s.corners, s.triangles)) for s in meshes if len(s.triangles)]
+    known = {link for link, _ in own}
+    rest = [(link, solid._replace(radius=SMALLER * solid.radius)) for link, solid in box_solids(chain) if link not in known]
+    return own + [(link, mesh_of([solid])) for link, solid in rest]

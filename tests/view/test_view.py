@@ -8,7 +8,7 @@ import pytest
 
 import jaxik
 from jaxik.view.page import Page
-from jaxik.view.palette import COLOURS, PARTLY, rgb
+from jaxik.view.palette import CHOSEN, COLOURS, LEFT_OUT, PARTLY, rgb
 from jaxik.view.solids import Solid, scene_points, scene_solids
 from jaxik.view.sweep_picture import categories, plot_sweep, variant_map
 
@@ -178,4 +178,106 @@ def test_a_robot_without_shapes_has_its_joints():
     q = np.array([0.5, 0.1, 0.1, -0.9, 0.2, 0.6, 0.1])
     world_T_tip = np.asarray(chain.world_T_base) @ np.asarray(jaxik.forward_kinematics(chain, q))
     assert page.reach(world_T_tip) == jaxik.Reason.SOLVED
+    page.close()
+
+
+BOX = '<collision><geometry><box size="{0}"/></geometry></collision>'
+BALL = '<collision><geometry><sphere radius="0.05"/></geometry></collision>'
+ENDS = '<joint name="{0}" type="revolute"><parent link="{1}"/><child link="{2}"/><origin xyz="{3}"/><axis xyz="0 0 1"/>'
+JOINT = ENDS + '<limit lower="-1" upper="1" velocity="1" effort="1"/></joint>'
+SHAPES = {"base": BOX, "arm": BOX, "hand": BOX, "tip": BALL}
+
+
+@pytest.fixture(scope="module")
+def bars(tmp_path_factory):
+    """Three bars in one place, which always touch, and a ball that never touches the first two."""
+    links = "".join(f'<link name="{n}">{shape.format("0.1 0.1 0.4")}</link>' for n, shape in SHAPES.items())
+    rows = (("turn", "base", "arm", "0 0 0"), ("bend", "arm", "hand", "0 0 0"), ("roll", "hand", "tip", "0 0 0.5"))
+    path = tmp_path_factory.mktemp("bars") / "bars.urdf"
+    path.write_text(f'<robot name="bars">{links}{"".join(JOINT.format(*row) for row in rows)}</robot>')
+    return path
+
+
+def colours(page, links, kind):
+    """The colours of the meshes of some links, of their own shapes or of their volumes."""
+    parts = [(page.chain.link_names[link], part) for link, part in page.robot.parts if part.name.startswith(f"/{kind}/")]
+    return {tuple(part.color) for name, part in parts if name in links}
+
+
+@pytest.mark.parametrize("exact", [False, True], ids=["capsules", "exact"])
+def test_a_model_is_drawn_with_its_shapes(bars, exact):
+    """Both half transparent, or one alone; and the links that touch and are not checked, and are no neighbours, in a colour."""
+    with pytest.warns(UserWarning, match="base and hand in 100%"):
+        chain = jaxik.load(bars, meshes=True, exact=exact)
+    page = Page(chain, port=0, meshes=() if exact else jaxik.files.link_meshes(bars))
+    own, volumes = ({link: p for link, p in page.robot.parts if p.name.startswith(f"/{k}/")} for k in ("shape", "volumes"))
+    assert set(own) == set(volumes) == {0, 1, 2, 3}
+    for link in (0, 1, 2):  # the bars' corners, and what holds them
+        assert np.allclose(np.abs(own[link].vertices), [0.05, 0.05, 0.2])
+        assert np.all(np.max(np.abs(volumes[link].vertices), axis=0) >= [0.05, 0.05, 0.2])
+    assert np.allclose(np.linalg.norm(own[3].vertices, axis=1), 0.0495)
+    assert page.robot.shape.value and page.robot.volumes.value and own[0].opacity < 1.0
+    page.robot.volumes.value = False
+    assert own[0].opacity is None and [root.visible for root in page.robot.roots.values()] == [True, False]
+    page.robot.volumes.value, page.robot.shape.value = True, False
+    assert volumes[0].opacity < 1.0 and [root.visible for root in page.robot.roots.values()] == [False, True]
+    assert "touch, and not checked" in page.legend.content and "volumes kept clear" in page.legend.content
+    for kind in ("shape", "volumes"):
+        assert colours(page, {"base", "hand"}, kind) == {rgb(LEFT_OUT)} and rgb(LEFT_OUT) not in colours(
+            page, {"arm", "tip"}, kind
+        )
+    page.close()
+
+
+def test_pairs_that_are_not_checked_are_listed(bars):
+    """With the reason, the share and the depth; a row shows its two links, and none again."""
+    with pytest.warns(UserWarning, match="base and hand in 100%"):
+        chain = jaxik.load(bars, meshes=True, ignore=[("arm", "tip")])
+    page = Page(chain, port=0)
+    listed, rows = page.unchecked.list.content, page.unchecked.rows
+    assert {row.links for row in rows} == {each.links for each in chain.unchecked} and rows[0].links == ("base", "hand")
+    for words in (
+        "their surfaces mostly touch (1)",
+        "neighbours whose surfaces mostly touch (2)",
+        "named: by you",
+        "never touch",
+    ):
+        assert words in listed
+    assert listed.count("data-pair='") == len(rows) and "100%" in listed and f"{1e3 * rows[0].depth:.1f} mm" in listed
+    page.unchecked.choose(1)
+    assert (
+        colours(page, rows[1].links, "volumes") == {rgb(CHOSEN)} and " and ".join(rows[1].links) in page.unchecked.field.value
+    )
+    page.move(np.full(3, 0.1))  # it stays
+    assert colours(page, rows[1].links, "volumes") == {rgb(CHOSEN)}
+    for word in ("pair: 99", "pair: ?", "pair: none", "pair: \u00b2"):  # what a browser may send
+        page.unchecked.choose(0)
+        page.unchecked.field.value = word
+        page.unchecked._told()
+        assert page.unchecked.field.value == "pair: none" and not page.robot.chosen
+    page.close()
+
+
+def test_names_of_a_file_are_no_html(bars):
+    with pytest.warns(UserWarning):
+        chain = jaxik.load(bars, meshes=True)
+    names = tuple(f"<img src=x onerror=alert(1)>{name}" for name in chain.link_names)
+    bad = dict(zip(chain.link_names, names, strict=True))
+    left = tuple(dataclasses.replace(u, links=tuple(bad[n] for n in u.links)) for u in chain.unchecked)
+    page = Page(dataclasses.replace(chain, link_names=names, unchecked=left), port=0)
+    assert "<img" not in page.unchecked.list.content and "&lt;img" in page.unchecked.list.content
+    page.close()
+
+
+@pytest.mark.parametrize("name, drawn", [("iiwa7", False), ("ur10e_rail", True), ("p6r", True)])
+def test_a_robot_without_meshes_is_its_volumes(name, drawn):
+    """Volumes are drawn once; beside boxes they can be shown; the pairs of its file have no reason."""
+    page = Page(chain := jaxik.load(name), port=0)
+    assert page.robot.volumes.visible == drawn and not page.robot.volumes.value and page.robot.shape.value
+    assert "volumes kept clear" not in page.legend.content
+    page.robot.volumes.value = drawn
+    assert ("volumes kept clear" in page.legend.content) == drawn
+    solid = {link for link, part in page.robot.parts if part.name.startswith("/shape/")}
+    assert len(page.unchecked.rows) + len(chain.self_pairs) == len(solid) * (len(solid) - 1) // 2
+    assert "by the robot's file" in page.unchecked.list.content
     page.close()

@@ -1,0 +1,105 @@
+"""A list on the page of the pairs of links that are not checked against each other: choosing one colours its two links."""
+
+from __future__ import annotations
+
+from html import escape
+from typing import TYPE_CHECKING, Any
+
+from jaxik.files.unchecked_pairs import unchecked
+from jaxik.robot.chain import Chain, Unchecked
+from jaxik.view.palette import LEFT_OUT
+
+if TYPE_CHECKING:
+    from jaxik.view.page import Page
+
+NONE = "pair: none"
+WORDS = {  # what stands out first
+    "touches": "their surfaces mostly touch",
+    "beside": "neighbours whose surfaces mostly touch",
+    "neighbours": "neighbours that touch at times",
+    "named": "named: by you, an SRDF, the file",
+    "": "by the robot's file, as neighbours, or as always apart or touching",
+    "never": "never touch",
+    "fixed": "do not move against each other",
+}
+OPEN = 20  # rows, of which a group is closed at first if it has more, but for the first
+# A page of viser has no other way back from what it does not know than a field that it knows (`game_pad`).
+_SCRIPT = """const row = event.target.closest('[data-pair]');
+const field = [...document.querySelectorAll('input')].find(x => x.value.startsWith('pair:'));
+if (row && field) {
+  const again = row.style.fontWeight === 'bold';
+  this.querySelectorAll('[data-pair]').forEach(each => { each.style.fontWeight = each === row && !again ? 'bold' : '' });
+  const write = Object.getOwnPropertyDescriptor(HTMLInputElement.prototype, 'value').set;
+  write.call(field, 'pair: ' + (again ? 'none' : row.dataset.pair));
+  field.dispatchEvent(new Event('input', {bubbles: true}));
+}"""
+
+
+class UncheckedList:
+    """Its rows, in groups by the reason."""
+
+    def __init__(self, page: Page, chain: Chain):
+        gui, self.page, groups = page.server.gui, page, unchecked_groups(chain)
+        self.rows = [row for group in groups.values() for row in group]
+        with gui.add_folder(f"{len(self.rows)} pairs of links are not checked", expand_by_default=False):
+            gui.add_markdown(f"{len(chain.self_pairs)} pairs are. Click one of these to see it:")
+            self.field = gui.add_text("shown", NONE, disabled=True)
+            self.field.on_update(lambda event: self._told() if event.client is not None else None)
+            self.list = gui.add_html(_listed(groups))
+
+    def choose(self, number: int | None) -> None:
+        """Colours the two links of a row, counted from 0, or of none."""
+        links = () if number is None else self.rows[number].links
+        self.field.value = f"pair: {' and '.join(links)}" if links else NONE
+        self.page.choose(frozenset(links))
+
+    def _told(self) -> None:
+        word = self.field.value.removeprefix("pair:").strip()
+        known = word.isascii() and word.isdigit() and int(word) < len(self.rows)
+        self.choose(int(word) if known else None)
+
+
+def unchecked_groups(chain: Chain) -> dict[str, list[Unchecked]]:
+    """Each pair of links with shapes that is not checked, by the reason in `WORDS`, deepest first; "" where a file has none."""
+    why = {frozenset(u.links): u for u in chain.unchecked}
+    groups: dict[str, list[Unchecked]] = {reason: [] for reason in WORDS}
+    for pair in unchecked(chain):
+        row: Any = why.get(frozenset(pair))
+        reason = "" if row is None else "beside" if row.reason == "touches" and _neighbours(chain, pair) else row.reason
+        groups[reason].append(row or Unchecked(pair, "named"))
+    return {reason: sorted(rows, key=lambda row: -row.depth) for reason, rows in groups.items() if rows}
+
+
+def left_out(chain: Chain) -> frozenset[str]:
+    """The links of pairs that are not checked since they mostly touch, though they are no neighbours."""
+    return frozenset(name for row in unchecked_groups(chain).get("touches", []) for name in row.links)
+
+
+def _neighbours(chain: Chain, pair: tuple[str, str]) -> bool:
+    """Whether one joint is between two links, whose bearings touch."""
+    joint = [chain.link_joint[chain.link_names.index(name)] for name in pair]
+    return abs(joint[0] - joint[1]) <= 1
+
+
+def _listed(groups: dict[str, list[Unchecked]]) -> str:
+    """The groups as HTML, whose names are from files."""
+    told, first = "", 0
+    for reason, rows in groups.items():
+        head = f"{WORDS[reason]} ({len(rows)})"
+        head = f"<span style='color:{LEFT_OUT}'>\u25a0</span> {head}" if reason == "touches" else head
+        body = "".join(_row(first + i, row) for i, row in enumerate(rows))
+        opened = " open" if reason == "touches" or len(rows) <= OPEN else ""
+        right = "<td style='text-align:right;white-space:nowrap'>"
+        columns = f"<tr><td></td>{right}of postures</td>{right}deep</td></tr>"
+        table = f"<table style='width:100%'>{columns if any(row.share for row in rows) else ''}{body}</table>"
+        told += f"<details{opened}><summary style='margin-top:0.5em'>{head}</summary>{table}</details>"
+        first += len(rows)
+    style = "padding:0 0.9em;font-size:0.85em;overflow-wrap:anywhere;max-height:25em;overflow-y:auto"
+    return f'<div style="{style}" onclick="{_SCRIPT}">{told}</div>'
+
+
+def _row(number: int, row: Unchecked) -> str:
+    first, second = map(escape, row.links)
+    numbers = f"{row.share:.0%}", f"{1e3 * row.depth:.1f} mm"
+    cells = "".join(f"<td style='text-align:right;white-space:nowrap'>{x if row.share else ''}</td>" for x in numbers)
+    return f"<tr data-pair='{number}' style='cursor:pointer'><td>{first}<br>{second}</td>{cells}</tr>"
