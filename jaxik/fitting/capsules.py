@@ -121,9 +121,14 @@ def _convex(points: np.ndarray, unit: float) -> tuple[np.ndarray, _Hull]:
             points = np.concatenate([points - THICK * axis, points + THICK * axis])
     points = points * unit
     hull = ConvexHull(points)
-    planes = np.unique(np.round(hull.equations, 9), axis=0)
+    planes, number = np.unique(np.round(hull.equations, 9), axis=0, return_inverse=True)
+    normals, number = planes[:, :3], number.reshape(-1)
+    # of a plane its own corners tell: all with all are gigabytes of a fine mesh
+    heights = np.einsum("fci,fi->fc", points[hull.simplices], normals[number]).max(axis=1)
+    offsets = np.full(len(planes), -np.inf)
+    np.maximum.at(offsets, number, heights)
     corners = points[hull.vertices]
-    return corners, _Hull(planes[:, :3], (corners @ planes[:, :3].T).max(axis=0), corners.mean(axis=0))
+    return corners, _Hull(normals, offsets, corners.mean(axis=0))
 
 
 def _along(points: np.ndarray, ends: np.ndarray) -> np.ndarray:
