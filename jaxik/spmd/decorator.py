@@ -14,10 +14,11 @@ import numpy as np
 
 from jaxik.spmd.primitive import bind, warn
 from jaxik.spmd.scalarise import Unsupported, scalarised
-from jaxik.spmd.trace import Traced, trace
+from jaxik.spmd.trace import Traced, ordering, trace
 
 P = ParamSpec("P")
 R = TypeVar("R")
+Order = Callable[..., Any]
 KEPT = 256  # jaxprs of one function, of robots and shapes; their machine code is kept for good
 
 
@@ -29,10 +30,10 @@ class _Known(dict[Any, tuple[Traced, Any, list[Any]]]):
 
 
 @overload
-def kernel(function: Callable[P, R], *, models: int = 0) -> Callable[P, R]: ...
+def kernel(function: Callable[P, R], *, models: int = 0, order: Order | None = None) -> Callable[P, R]: ...
 @overload
-def kernel(*, models: int = 0) -> Callable[[Callable[P, R]], Callable[P, R]]: ...
-def kernel(function: Callable[..., Any] | None = None, *, models: int = 0) -> Any:
+def kernel(*, models: int = 0, order: Order | None = None) -> Callable[[Callable[P, R]], Callable[P, R]]: ...
+def kernel(function: Callable[..., Any] | None = None, *, models: int = 0, order: Order | None = None) -> Any:
     """The same function, compiled to one SIMD function over any batch on a CPU. Traced.
 
         @kernel
@@ -44,12 +45,15 @@ def kernel(function: Callable[..., Any] | None = None, *, models: int = 0) -> An
     It takes and returns pytrees of arrays (floats, integers and truth values of up to 64 bits) of one configuration, of any
     shapes and units, and is pure: what it closes over is read when it is first called with arguments of those shapes. Of the
     first `models` arguments (a robot) the numbers fold into the program, except those that are traced; they are hashable, and
-    equal ones of equal types share it. What a kernel cannot do runs by XLA, with one warning that says what it was: none of it
+    equal ones of equal types share it. Where some configurations take more work than others, `order` is a function of the same
+    arguments that is cheap and gives a number from 0 to 1, or None where it is not worth its while: those of a large batch
+    whose numbers are alike are computed side by side, so that fewer wait for others; the results are the same. What a kernel
+    cannot do runs by XLA, with one warning that says what it was: none of it
     raises. What the function itself raises, of arguments that it cannot take, comes from a call of it without a kernel; that
     function is `__wrapped__`.
     """
     if function is None:
-        return functools.partial(kernel, models=models)
+        return functools.partial(kernel, models=models, order=order)
     known = _Known()
 
     @functools.wraps(function)
@@ -72,16 +76,18 @@ def kernel(function: Callable[..., Any] | None = None, *, models: int = 0) -> An
         found = known.get(key)
         if found is None:
 
-            def flat(*operands: Any) -> Any:
+            def flat(function: Callable[..., Any], *operands: Any) -> Any:
                 inner = list(numbers)
                 for i, x in zip(moving, operands, strict=False):
                     inner[i] = x
                 models = jax.tree_util.tree_unflatten(model_tree, inner) if moving else fixed
                 return function(*models, *jax.tree_util.tree_unflatten(tree, operands[len(moving) :]))
 
-            flat.__name__ = getattr(function, "__name__", "a function")
+            name = getattr(function, "__name__", "a function")
             with contextlib.suppress(TypeError, ValueError):
-                found = trace(flat, shapes)
+                found = trace(_called(name, functools.partial(flat, function)), shapes)
+            if found is not None and order is not None and not moving:
+                found[0].order = ordering(_called(f"the order of {name}", functools.partial(flat, order)), shapes)
             if found is None:
                 return function(*args)  # says what is wrong in its own words, of what was given
             if key is not None and not found[2]:  # what it closes over may be another array in the next call
@@ -102,6 +108,12 @@ def kernel(function: Callable[..., Any] | None = None, *, models: int = 0) -> An
 
     call.models = models  # type: ignore[attr-defined]
     return call
+
+
+def _called(name: str, function: functools.partial[Any]) -> Callable[..., Any]:
+    """A function by a name of its own."""
+    function.__name__ = name  # type: ignore[attr-defined]
+    return function
 
 
 def _by_position(function: Callable[..., Any], args: tuple[Any, ...], named: dict[str, Any]) -> tuple[Any, ...]:

@@ -27,7 +27,10 @@ def on_one_device() -> Any:
 
 class Traced:
     """A jaxpr whose constants are numbers; what it closed over beside them are its last arguments. Of a derivative the last
-    constants are the unit vectors along which it is one, so many `seeds`, and its first results are the `values` of another."""
+    constants are the unit vectors along which it is one, so many `seeds`, and its first results are the `values` of another.
+    Its `order` is a program of the same first arguments: lanes for which it gives like numbers do alike."""
+
+    order: Traced | None = None
 
     def __init__(self, closed: ClosedJaxpr, seeds: int = 0, name: str = "", values: Traced | None = None):
         self.closed, self.seeds, self.values = closed, seeds, values
@@ -59,6 +62,7 @@ class Traced:
             with on_one_device():
                 way, seeds = _derivative(self.closed, active)
             found = Traced(way, seeds, f"the derivative of {self.name}", self)
+            found.order = self.order
             self.derivatives[active] = found if self._is_matrix(found) else None
         return self.derivatives[active]
 
@@ -84,6 +88,14 @@ def trace(function: Callable[..., Any], args: Sequence[Any]) -> tuple[Traced, An
     info = jaxpr.debug_info._replace(arg_names=None) if more else jaxpr.debug_info
     whole = jaxpr.replace(constvars=inner_vars, invars=[*jaxpr.invars, *outer_vars], debug_info=info)
     return Traced(ClosedJaxpr(whole, numbers)), tree, more
+
+
+def ordering(function: Callable[..., Any], args: Sequence[Any]) -> Traced | None:
+    """The program of an order, a number from 0 to 1; None where there is none, or it would have operands of its own."""
+    if jax.eval_shape(function, *args) is None:
+        return None
+    traced, _, more = trace(function, args)
+    return None if more else traced
 
 
 def is_float(aval: Any) -> bool:

@@ -308,3 +308,20 @@ def test_it_is_refused_without_meshes(arm):
     without = dataclasses.replace(exact, surfaces=exact.surfaces[1:])
     with pytest.raises(ValueError, match="arm: exact, but base has no surface"):
         jaxik.clearance(without, None, np.zeros(4))
+
+
+@pytest.mark.parametrize("exact", [True, False])
+def test_a_large_batch_is_what_its_parts_are(arm, exact):
+    """It is computed in another order; results, derivatives and the NaN of one stand where they belong."""
+    chain = arm[1] if exact else jaxik.load("p6r")
+    scene = SCENE if exact else jaxik.load_scene("cucumber_row")
+    q = jnp.asarray(drawn(chain, 400, 10)).at[7, 0].set(jnp.nan)
+    for of in (
+        lambda q: jaxik.collides(chain, scene, q, 0.01),
+        jax.value_and_grad(lambda q: jaxik.clearance(chain, scene, q)),
+        lambda q: jaxik.collision.link_clearances(chain, scene, q),
+    ):
+        whole = jax.tree_util.tree_leaves(jax.jit(jax.vmap(of))(q))
+        parts = [jax.tree_util.tree_leaves(jax.jit(jax.vmap(of))(q[k : k + 100])) for k in range(0, 400, 100)]
+        for found, *each in zip(whole, *parts, strict=True):
+            np.testing.assert_array_equal(found, np.concatenate(each))
