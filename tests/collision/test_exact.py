@@ -13,6 +13,7 @@ from robot_files import write
 from triangle_truth import in_coal
 
 import jaxik
+from jaxik.collision import clearances
 from jaxik.collision.bvh import WITHIN
 from jaxik.robot import link_frames
 
@@ -319,7 +320,7 @@ def test_a_large_batch_is_what_its_parts_are(arm, exact):
     for of in (
         lambda q: jaxik.collides(chain, scene, q, 0.01),
         jax.value_and_grad(lambda q: jaxik.clearance(chain, scene, q)),
-        lambda q: jaxik.collision.link_clearances(chain, scene, q),
+        lambda q: clearances.link_clearances(chain, scene, q),
     ):
         whole = jax.tree_util.tree_leaves(jax.jit(jax.vmap(of))(q))
         parts = [jax.tree_util.tree_leaves(jax.jit(jax.vmap(of))(q[k : k + 100])) for k in range(0, 400, 100)]
