@@ -40,6 +40,8 @@ class FitArguments(RobotArguments):
     parts: int = jaxik.Fit().parts
     """Convex parts that a mesh is cut into, at most."""
     pairs: Checked = ()
+    exact: bool = False
+    """Keep the meshes in the file --to, a .toml: their triangles decide what is near."""
     to: Path | None = None
     """A file to write: .toml, which jaxik loads as it is; .urdf, in which spheres are the links, for other programs."""
 
@@ -47,6 +49,8 @@ class FitArguments(RobotArguments):
         """Fit with a progress bar, and end with a table of the meshes, and the file."""
         if self.to is not None and self.to.suffix not in (".toml", ".urdf"):
             raise ValueError(f"--to {self.to}: ending '{self.to.suffix}'; allowed: .toml, .urdf")
+        if self.exact and (self.to is None or self.to.suffix != ".toml"):
+            raise ValueError("--exact: keeps the meshes in a file; write --to MODEL.toml with it")
         if self.to is not None:
             check_writable(self.to, "--to")
         fit = jaxik.Fit(self.accuracy / 1e3, self.most, self.parts)
@@ -60,7 +64,7 @@ class FitArguments(RobotArguments):
                 none = "has no meshes that capsules could be fitted to; its shapes are those of its file"
                 raise ValueError(f"{self.robot}: {none}")
         seconds = time.perf_counter() - start
-        chain = jaxik.load(self.robot, meshes=True, **what)
+        chain = jaxik.load(self.robot, meshes=True, exact=self.exact, **what)
         print_table(f"{chain.name}: capsules around its meshes, lengths in mm", HEADINGS, map(_cells, report.links))
         print_table("pairs of links", PAIRS, map(_pair, report.pairs))
         if report.held:

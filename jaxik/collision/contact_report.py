@@ -143,7 +143,7 @@ def _every_contact(chain: Chain, objects: int) -> HostKernel:
     """Of each pair of parts, and of each part and object, the distance, and where the two are nearest."""
 
     def contacts(q: Any, around: Grouped) -> Any:
-        space = Space(chain, around, q)
+        space = Space(chain, around, q, by_table=False)
         told = lambda found: (found.distance, *space.nearest_points(found))
         parts = [space.each_pair(told)] if len(space.robot.other) else []
         parts += [space.each_object(objects, told)] if objects else []

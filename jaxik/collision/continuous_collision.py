@@ -221,10 +221,11 @@ def _advanced(
 
 
 def _asked_of(scene: Any, asked: _Asked) -> Any:
-    """What is around, for what is asked: an exact robot's own surfaces decide no further off than that, if that is known."""
+    """What is around, for what is asked: an exact robot's own surfaces decide no further off than that, if that is known, and
+    in any case what is nearer than the margin."""
     precise = jnp.maximum(CLOSE, 2.0 * asked.resolution)
-    plain = jnp.asarray(WITHIN, precise.dtype)
-    within = jnp.where(asked.enough > jnp.maximum(asked.margin, plain), plain, jnp.maximum(asked.enough, 0.0) + precise)
+    plain = jnp.maximum(jnp.asarray(WITHIN, precise.dtype), asked.margin + precise)
+    within = jnp.where(asked.enough > plain, plain, jnp.maximum(asked.enough, 0.0) + precise)
     return decided_within(scene, within)
 
 

@@ -53,10 +53,12 @@ class Others(NamedTuple):
 
 
 class Space:
-    """A robot at one configuration, among what surrounds it."""
+    """A robot at one configuration, among what surrounds it. `by_table`: of a pair whose distance is from a table that is told,
+    not the nearest volumes, which have points."""
 
-    def __init__(self, chain: Chain, around: Grouped, q: Any, skips: bool = True):
+    def __init__(self, chain: Chain, around: Grouped, q: Any, skips: bool = True, by_table: bool = True):
         self.robot, self.obstacles, self.dtype, self.skips = bvh.robot(chain), bvh.obstacles_in(around), q.dtype, skips
+        self.by_table = by_table
         self.prismatic, self.q, self.tabled = chain.is_prismatic, q, len(self.robot.tables.size) > 0
         bit = bvh.bits(chain.ignored)
         self.bits = np.array([bit.get(link, 0) for link in self.robot.links], np.int32) if bit else None
@@ -212,7 +214,11 @@ class Space:
         def compared(found: Found) -> Found:
             nearest = inside(found)
             raised = bound > nearest.distance
-            other = None if found.other is None else jnp.where(raised, self.rows + number, nearest.other)
+            other = (
+                jnp.where(raised, self.rows + number, nearest.other)
+                if self.by_table and found.other is not None
+                else nearest.other
+            )
             return nearest_of(found, nearest._replace(distance=jnp.where(raised, bound, nearest.distance), other=other))
 
         return lax.cond(bound < found.distance, compared, lambda found: found, found) if self.skips else compared(found)

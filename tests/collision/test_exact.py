@@ -326,3 +326,28 @@ def test_a_large_batch_is_what_its_parts_are(arm, exact):
         parts = [jax.tree_util.tree_leaves(jax.jit(jax.vmap(of))(q[k : k + 100])) for k in range(0, 400, 100)]
         for found, *each in zip(whole, *parts, strict=True):
             np.testing.assert_array_equal(found, np.concatenate(each))
+
+
+def test_margins_beyond_what_is_shown_are_decided_by_triangles(arm):
+    """`clearance` ends at 25 mm where the volumes are nearer; what keeps a margin above that says so all the same."""
+    exact = arm[1]
+    q = jnp.asarray(drawn(exact, 3000, 11))
+    shown = np.asarray(jax.jit(jax.vmap(lambda q: jaxik.clearance(exact, SCENE, q)))(q))
+    tight = np.asarray(jax.jit(jax.vmap(lambda q: jaxik.collides(exact, SCENE, q, 0.03)))(q))
+    wide = np.flatnonzero(~tight & (shown < WITHIN + 1e-6))[:5]
+    assert len(wide) == 5
+    for row in wide:
+        near = q[row], q[row] + 1e-4
+        assert jaxik.motion_clearance(exact, SCENE, *near, margin=0.028).free
+        assert not jaxik.collision.motion_collides(exact, SCENE, *near, margin=0.028)
+    poses = jax.vmap(lambda q: jaxik.forward_kinematics(exact, q))(q[wide])
+    found = jaxik.solve_ik(exact, poses, scene=SCENE, margin=0.03)
+    assert found.success.any() and np.all(found.clearance[found.success] >= 0.03 - 1e-6)
+
+
+def test_links_that_cross_are_told_with_points(arm):
+    """Also where a table says how deep they are, which has no points."""
+    exact = arm[1]
+    for q in drawn(exact, 150, 12):
+        for contact in jaxik.explain(exact, None, q).contacts:
+            assert np.isfinite(contact.point).all() and np.isfinite(contact.other_point).all()
