@@ -1,6 +1,6 @@
 """Collision models from meshes against the truth: capsules fitted to links, and coal's answer on the meshes' triangles.
 
-    python batch_eval/collision_models.py [--parts 16 --most 24] [--count 20000] [--json collision_models.json] [robot ...]
+    python batch_eval/collision_models.py [--parts 32 --most 24] [--count 20000] [--json collision_models.json] [robot ...]
 
 For each robot, at random configurations inside its limits: how many collide by the model and not by the meshes (false, of those
 that are free), or by the meshes and not by the model (missed). All pairs of links count, whether the chain checks them or not,

@@ -11,6 +11,7 @@ from tables_collision import (
     mesh_markdown,
     model_markdown,
     motions_markdown,
+    plans_markdown,
     scaling_markdown,
     scenes_markdown,
 )
@@ -45,6 +46,7 @@ TABLES = {
     "closed_forms.json": closed_forms_markdown,
     "collision_benchmark.json": collision_markdown,
     "collision_models.json": model_markdown,
+    "collision_plans.json": plans_markdown,
     "collision_scenes.json": scenes_markdown,
     "collision_scaling.json": scaling_markdown,
     "dynamics_benchmark.json": dynamics_markdown,

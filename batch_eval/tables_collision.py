@@ -71,6 +71,21 @@ def scenes_markdown(result: dict[str, Any]) -> str:
     return "\n".join(lines)
 
 
+def plans_markdown(result: dict[str, Any]) -> str:
+    """A row for each robot: motions that are found and their samples that collide, and how often links keep 5 mm apart."""
+    lines = [
+        f"| robot | plans found of {result['plans']}: capsules, exact | samples that collide | keep 5 mm: coal, capsules, exact |",
+        "| --- | --- | --- | --- |",
+    ]
+    kinds = "default", "exact"
+    for row in result["rows"]:
+        found = ", ".join(str(row[f"{kind} plans"]) for kind in kinds)
+        hits = ", ".join(str(row[f"{kind} samples that collide"]) for kind in kinds)
+        kept = ", ".join(f"{100 * x:.1f} %" for x in (row["keep 5 mm"], *(row[f"{kind} keep 5 mm"] for kind in kinds)))
+        lines.append(f"| {row['robot']} | {found} | {hits} | {kept} |")
+    return "\n".join(lines)
+
+
 def scaling_markdown(result: dict[str, Any]) -> str:
     """A row for each kind and number: the times of both questions, on one core and on two."""
     rows = {(row["what"], row["count"], row["work"], row["cores"]): row["ns"] / 1e3 for row in result["rows"]}

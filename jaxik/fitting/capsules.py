@@ -41,7 +41,7 @@ class Fit:
 
     accuracy: Any = 0.025
     most: Any = 24
-    parts: Any = 16
+    parts: Any = 32
 
     def __post_init__(self) -> None:
         number = isinstance(self.accuracy, int | float | np.number) and not isinstance(self.accuracy, bool | np.bool_)
