@@ -74,7 +74,7 @@ def scenes_markdown(result: dict[str, Any]) -> str:
 def plans_markdown(result: dict[str, Any]) -> str:
     """A row for each robot: motions that are found and their samples that collide, and how often links keep 5 mm apart."""
     lines = [
-        f"| robot | plans found of {result['plans']}: capsules, exact | samples that collide | keep 5 mm: coal, capsules, exact |",
+        f"| robot | of {result['plans']} plans: capsules, exact | samples that collide | keep 5 mm: coal, capsules, exact |",
         "| --- | --- | --- | --- |",
     ]
     kinds = "default", "exact"

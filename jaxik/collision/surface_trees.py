@@ -109,7 +109,8 @@ def roomy(tree: Trees, room: int = 0) -> Trees:
     filled = lambda x, most: np.concatenate([x, np.zeros((most - len(x), *x.shape[1:]), x.dtype)])
     leaves = np.pad(tree.leaves, ((0, 0), (0, run - tree.leaves.shape[1])), "edge")
     corners, radius, solid = (filled(x, room) for x in (tree.corners, tree.radius, tree.solid))
-    boxes, leaves = filled(tree.boxes, 4 * room), filled(leaves, 2 * room)
+    most = min(2 * room, 2**MOST)  # leaves
+    boxes, leaves = filled(tree.boxes, 2 * most), filled(leaves, most)
     return Trees(corners, radius, solid, boxes, leaves, tree.heap, tree.leaf, tree.levels)
 
 

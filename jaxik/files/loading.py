@@ -100,7 +100,7 @@ def load(
         raise ValueError(f"load: pairs is {shown(pairs)}, but no meshes are read; write meshes=True, or leave it out")
     check_flag("load", exact=exact)
     if exact and (not meshes or fit is None):
-        mend = "of a file with meshes write meshes=True, and leave fit=None out; a model that was saved exact is so without"
+        mend = "write meshes=True, and leave fit=None out; a model that was saved exact is so without"
         raise ValueError(f"load: exact is True, but no mesh is fitted; {mend}")
     stance, shapes_of = _stance("load", posture), Meshes(meshes, meshes and fit is not None, as_packages("load", packages))
     chain, shapes, saved = _read(path, tip, base, tool, shapes_of, stance, notes := Notes())

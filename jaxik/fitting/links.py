@@ -25,6 +25,7 @@ from jaxik.fitting.parts import best_cut, convex_parts, divided
 from jaxik.fitting.surfaces import touching
 from jaxik.robot.chain import Chain, Unchecked, UncheckedReason, finite_limits
 from jaxik.robot.surface import Surface, fan
+from jaxik.spmd.batch import threads
 
 SAMPLES = 2000  # random configurations
 MOSTLY = 0.5  # of them in which the surfaces of a pair touch that is not checked: they are meant to
@@ -107,7 +108,8 @@ class Links:
         self.chain, self.shapes, self.fit, self.asked, self.aside = chain, shapes, fit, asked, aside
         self.names = chain.link_names
         first = min(fit.parts, PARTS)
-        self.pieces = [(i, each) for i, s in enumerate(shapes) for each in convex_parts(s.corners, s.triangles, first)]
+        parts = threads().map(lambda s: convex_parts(s.corners, s.triangles, first), shapes)  # hulls let go of Python's lock
+        self.pieces = [(i, each) for i, found in enumerate(parts) for each in found]
         self.limits = finite_limits(chain)
         rng = np.random.default_rng(0)
         self.q = np.vstack([default_pose(chain), rng.uniform(*self.limits, (SAMPLES, chain.num_joints))])
@@ -289,7 +291,7 @@ class Links:
         for count, number, others, at in sorted(tried, key=lambda each: -each[0])[:WORST]:
             owner, piece = self.pieces[number]
             left = lambda cut, o=others, at=at: np.any([_overlaps(Body(side), o, at) for side in cut.sides], axis=0).sum()
-            gain, cut = best_cut(piece, lambda _, cut, n=count, left=left: float(n - left(cut)))
+            gain, cut = best_cut(piece, lambda _, n=count, left=left: lambda each: float(n - left(each)))
             if cut is not None and gain >= WORTH_CUTTING * count:
                 self.pieces[number : number + 1] = [(owner, side) for side in divided(piece, cut)]
                 del self.bodies

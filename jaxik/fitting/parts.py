@@ -72,17 +72,19 @@ def convex_parts(corners: np.ndarray, faces: np.ndarray, most: int) -> list[Piec
     return [piece for piece, *_ in pieces]
 
 
-def best_cut(piece: Piece, gain: Callable[[Piece, Cut], float]) -> tuple[float, Cut | None]:
-    """The most that a cut of a piece gains, and that cut; 0 and None where none gains anything."""
+def best_cut(piece: Piece, gain: Callable[[Piece], Callable[[Cut], float]]) -> tuple[float, Cut | None]:
+    """The most that a cut gains of a piece, and that cut; 0 and None where none gains anything."""
     coarse = _coarse(piece)
-    tried = [(gain(coarse, cut), cut) for cut in _cuts(coarse)]
+    gained = gain(coarse)
+    tried = [(gained(cut), cut) for cut in _cuts(coarse)]
     most = max((value for value, _ in tried), default=0.0)
     return (most, next(cut for value, cut in tried if value == most)) if most > 0.0 else (0.0, None)
 
 
-def _saved(piece: Piece, cut: Cut) -> float:
-    """By how much smaller the hulls are after a cut [m3]."""
-    return _volume(_few(piece.corners)) - sum(map(_volume, cut.sides))
+def _saved(piece: Piece) -> Callable[[Cut], float]:
+    """By how much smaller the hulls of a piece are after a cut [m3]."""
+    whole = _volume(_few(piece.corners))
+    return lambda cut: whole - sum(map(_volume, cut.sides))
 
 
 def _cuts(piece: Piece) -> Iterator[Cut]:

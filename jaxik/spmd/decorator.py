@@ -110,10 +110,11 @@ def kernel(function: Callable[..., Any] | None = None, *, models: int = 0, order
     return call
 
 
-def _called(name: str, function: functools.partial[Any]) -> Callable[..., Any]:
-    """A function by a name of its own."""
-    function.__name__ = name  # type: ignore[attr-defined]
-    return function
+def _called(name: str, function: Callable[..., Any]) -> Callable[..., Any]:
+    """A function by a name, which JAX and warnings tell; of a `partial` they would tell another's."""
+    named = lambda *operands: function(*operands)
+    named.__name__ = name
+    return named
 
 
 def _by_position(function: Callable[..., Any], args: tuple[Any, ...], named: dict[str, Any]) -> tuple[Any, ...]:

@@ -14,7 +14,7 @@ from scipy.spatial.transform import Rotation
 from triangle_truth import in_coal, winding
 
 import jaxik
-from jaxik.collision import bounding_box, distance, polygon_triangles, surfaces_cross
+from jaxik.collision import bounding_box, distance, polygon_triangles, surface_trees, surfaces_cross
 from jaxik.collision.shape_distances import skeleton_gap
 from jaxik.collision.surfaces import as_bodies
 from jaxik.spatial.algebra import Vec3
@@ -302,3 +302,11 @@ def test_what_crosses_a_triangle_is_as_deep_as_its_shortest_way_out():
 def _overlap(n, mine, theirs):
     n = n / np.linalg.norm(n)
     return (theirs @ n).max() - (mine @ n).min()
+
+
+def test_room_for_many_triangles_is_no_more_than_their_trees_need():
+    """Above so many levels a leaf holds several triangles, and there are no more leaves."""
+    room = 4**10
+    tree = surface_trees.roomy(surface_trees.tree_of(np.zeros((8, 3, 3)) + np.arange(8.0)[:, None, None]), room)
+    assert len(tree.corners) == room and tree.leaves.shape == (2**surface_trees.MOST, room // 2**surface_trees.MOST)
+    assert len(tree.boxes) == 2 ** (surface_trees.MOST + 1)
