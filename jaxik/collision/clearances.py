@@ -141,7 +141,7 @@ def _order(chain: Chain, around: Grouped, q: Any, *_: Any) -> Any:
     robot = bvh.robot(chain)
     if not chain.surfaces and _pairs_of_leaves(robot, around) < MANY:
         return None
-    low, high = finite_limits(chain)
+    q, (low, high) = as_configuration(chain, q), finite_limits(chain)
     place, first = jnp.int32(0), range(min(3, chain.num_joints))
     for j in first:
         step = jnp.clip((q[j] - low[j]) * (2**BITS / max(high[j] - low[j], 1e-9)), 0, 2**BITS - 1).astype(jnp.int32)
