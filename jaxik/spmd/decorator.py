@@ -76,18 +76,22 @@ def kernel(function: Callable[..., Any] | None = None, *, models: int = 0, order
         found = known.get(key)
         if found is None:
 
-            def flat(function: Callable[..., Any], *operands: Any) -> Any:
-                inner = list(numbers)
-                for i, x in zip(moving, operands, strict=False):
-                    inner[i] = x
-                models = jax.tree_util.tree_unflatten(model_tree, inner) if moving else fixed
-                return function(*models, *jax.tree_util.tree_unflatten(tree, operands[len(moving) :]))
+            def flattened(function: Callable[..., Any], name: str) -> Callable[..., Any]:
+                def flat(*operands: Any) -> Any:
+                    inner = list(numbers)
+                    for i, x in zip(moving, operands, strict=False):
+                        inner[i] = x
+                    models = jax.tree_util.tree_unflatten(model_tree, inner) if moving else fixed
+                    return function(*models, *jax.tree_util.tree_unflatten(tree, operands[len(moving) :]))
+
+                flat.__name__ = name
+                return flat
 
             name = getattr(function, "__name__", "a function")
             with contextlib.suppress(TypeError, ValueError):
-                found = trace(_called(name, functools.partial(flat, function)), shapes)
+                found = trace(flattened(function, name), shapes)
             if found is not None and order is not None and not moving:
-                found[0].order = ordering(_called(f"the order of {name}", functools.partial(flat, order)), shapes)
+                found[0].order = ordering(flattened(order, f"the order of {name}"), shapes)
             if found is None:
                 return function(*args)  # says what is wrong in its own words, of what was given
             if key is not None and not found[2]:  # what it closes over may be another array in the next call
@@ -108,13 +112,6 @@ def kernel(function: Callable[..., Any] | None = None, *, models: int = 0, order
 
     call.models = models  # type: ignore[attr-defined]
     return call
-
-
-def _called(name: str, function: Callable[..., Any]) -> Callable[..., Any]:
-    """A function by a name, which JAX and warnings tell; of a `partial` they would tell another's."""
-    named = lambda *operands: function(*operands)
-    named.__name__ = name
-    return named
 
 
 def _by_position(function: Callable[..., Any], args: tuple[Any, ...], named: dict[str, Any]) -> tuple[Any, ...]:

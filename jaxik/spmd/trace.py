@@ -92,10 +92,8 @@ def trace(function: Callable[..., Any], args: Sequence[Any]) -> tuple[Traced, An
 
 def ordering(function: Callable[..., Any], args: Sequence[Any]) -> Traced | None:
     """The program of an order, a number from 0 to 1; None where there is none, or it would have operands of its own."""
-    if jax.eval_shape(function, *args) is None:
-        return None
     traced, _, more = trace(function, args)
-    return None if more else traced
+    return None if more or not traced.outputs else traced
 
 
 def is_float(aval: Any) -> bool:

@@ -326,10 +326,8 @@ def test_a_large_batch_is_what_its_parts_are(arm, exact):
         parts = [jax.tree_util.tree_leaves(jax.jit(jax.vmap(of))(q[k : k + 100])) for k in range(0, 400, 100)]
         for found, *each in zip(whole, *parts, strict=True):
             np.testing.assert_array_equal(found, np.concatenate(each))
-    around, ones = (
-        clearances.grouped(scene, chain),
-        [1] * chain.num_joints,
-    )  # of a list, as the checks of tests do not let through
+    # a list, which the checks of the tests do not let through to `clearance`
+    around, ones = clearances.grouped(scene, chain), [1] * chain.num_joints
     assert clearances._clearance(chain, around, ones) == jaxik.clearance(chain, scene, jnp.ones(chain.num_joints))
 
 
