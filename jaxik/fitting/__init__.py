@@ -1,4 +1,4 @@
-"""Collision models from meshes: capsules around convex parts, and tables where capsules are too coarse."""
+"""Collision models from meshes: convex parts, capsules around them, and tables where capsules are too coarse."""
 
 from jaxik.fitting.capsules import Fit
 from jaxik.fitting.report import FitReport, HeldJoint, LinkFit, PairFit

@@ -5,9 +5,8 @@ it holds a piece when it holds the piece's corners, so the capsules together hol
 signed distance s to a convex body is convex, too, so over a capsule of radius r with its ends at a and b in the body it is at
 most `r + max(s(a), s(b))`, and reaches that: this is the protrusion.
 
-What the fit makes small is the excess: how far a capsule crosses the planes that it should keep behind. Those are the faces of
-the hull, moved out by the accuracy that is asked for, and planes beside it where other links pass (`model`): a flange may
-reach far to where nothing ever is, and must not towards the link that turns a centimetre before it.
+What the fit makes small is the excess: how far a capsule crosses the faces of the hull, moved out by the accuracy that is asked
+for.
 """
 
 from __future__ import annotations
@@ -29,14 +28,13 @@ SIZE = 20.0  # extent of what is optimised: a descent starts with steps of one
 POINTS = 48  # directions whose extreme corners and faces stand for all while a capsule is optimised
 WORTH = 0.2  # of its longest side that a piece's other side has at least, to be tried for a cut
 ROOMS = (128, 512, 2048)  # planes that kernels are made for
-NOTHING = np.zeros((0, 3)), np.zeros(0)  # to keep to
 
 
 @dataclasses.dataclass(frozen=True)
 class Fit:
-    """How links' collision meshes become capsules. A concave mesh is cut into convex `parts`, so many at most, where other
-    links pass. Around these go as few capsules as come within `accuracy` [m] of them, and keep to their half of the gap to
-    other links; where `most` a mesh, and three a part, are too few for that, as close as these come. What was reached is told
+    """How links' collision meshes become convex parts and capsules. A concave mesh is cut into `parts`, so many at most, where
+    other links pass. Around the mesh, or the two parts that it is cut into first, go as few capsules as come within `accuracy`
+    [m] of these; where `most` a mesh, and three a part, are too few for that, as close as these come. What was reached is told
     by `fit_report`. Raises `ValueError` for what is none of these."""
 
     accuracy: Any = 0.025
@@ -86,13 +84,12 @@ class _Piece(NamedTuple):
     excess: float
 
 
-def fitted(points: np.ndarray, fit: Fit, keep: tuple[np.ndarray, np.ndarray] = NOTHING) -> Fitted:
-    """Capsules that hold the convex hull of `points` (p, 3) [m]. `keep` are directions (k, 3) in which they may reach only so
-    far beyond it (k,) [m]."""
+def fitted(points: np.ndarray, fit: Fit) -> Fitted:
+    """Capsules that hold the convex hull of `points` (p, 3) [m]."""
     points = np.asarray(points, np.float64)
     unit = SIZE / max(float(np.ptp(points, axis=0).max()), THICK)
     corners, hull = _convex(points, unit)
-    room = _room(corners, hull, fit.accuracy * unit, (keep[0], keep[1] * unit), ROUNDING * unit)
+    room = _room(hull, fit.accuracy * unit, ROUNDING * unit)
     pieces = _around([corners], hull, room)
     while len(pieces) < fit.most:
         worst = max(range(len(pieces)), key=lambda i: pieces[i].excess)
@@ -103,12 +100,10 @@ def fitted(points: np.ndarray, fit: Fit, keep: tuple[np.ndarray, np.ndarray] = N
     return Fitted(ends, radii + ROUNDING, protrusion + ROUNDING)
 
 
-def _room(corners: np.ndarray, hull: _Hull, accuracy: float, keep: tuple[np.ndarray, np.ndarray], rounding: float) -> _Hull:
-    """The planes that capsules should keep behind: some faces of the hull, moved out, and those of `keep`."""
+def _room(hull: _Hull, accuracy: float, rounding: float) -> _Hull:
+    """The planes that capsules should keep behind: some faces of the hull, moved out."""
     few = np.unique((hull.normals @ directions(2 * POINTS).T).argmax(axis=0))
-    across, beyond = keep
-    offsets = np.concatenate([hull.offsets[few] + accuracy, (corners @ across.T).max(axis=0) + beyond])
-    return _Hull(np.concatenate([hull.normals[few], across]), offsets - rounding, hull.middle)
+    return _Hull(hull.normals[few], hull.offsets[few] + accuracy - rounding, hull.middle)
 
 
 def _convex(points: np.ndarray, unit: float) -> tuple[np.ndarray, _Hull]:

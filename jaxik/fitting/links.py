@@ -21,26 +21,28 @@ from jaxik.collision.surface_trees import surface_of
 from jaxik.fitting.capsules import Fit
 from jaxik.fitting.convex import Body, apart_at_least, depths, gaps, hull_of, separated
 from jaxik.fitting.link_distance_tables import Places, between, frames
-from jaxik.fitting.parts import best_cut, convex_parts, divided
+from jaxik.fitting.parts import best_cut, divided, divisions
 from jaxik.fitting.surfaces import touching
 from jaxik.robot.chain import Chain, Unchecked, UncheckedReason, finite_limits
 from jaxik.robot.surface import Surface, fan
 from jaxik.spmd.batch import threads
 
 SAMPLES = 2000  # random configurations
+NEAR = 0.01  # [m] of gaps between links that matter to their fit
 MOSTLY = 0.5  # of them in which the surfaces of a pair touch that is not checked: they are meant to
 DEEP = 0.0005  # [m] that the parts of a pair may overlap where it never touches
 OFTEN = 0.05  # of them from which a pair is checked in any case
 NEAREST, CHILDREN, ROUNDS = 12, 6, 8  # of the search for a collision
 FAR = 1e3  # [m] by which what is close goes before what is not
-PARTS = 4  # that a mesh is cut into by volume alone
+PARTS, FEW = 6, 2  # that a mesh is cut into by volume alone, and of these, that capsules are fitted to
 BESIDE = 8  # configurations of neighbours, of which one tells enough of their joint
 WORST = 4  # parts of two links that are tried for a cut
 WORTH_CUTTING = 0.1  # of the false overlaps of a part, that a cut does away with
 SHOWN = 100  # configurations that say how deep a pair is that is not checked
-FEW = 0.003  # of the configurations, in which the parts of a pair may overlap falsely
+RARE = 0.003  # of the configurations, in which the parts of a pair may overlap falsely
 
 Pair = tuple[int, int]
+Bodies = list[tuple[int, Body]]  # each with its link
 Hits = dict[Pair, np.ndarray]  # in which of the configurations a pair of links touches
 
 
@@ -86,19 +88,12 @@ NOTHING_ASKED = Asked()
 
 
 class Pass(NamedTuple):
-    """Two bodies that come close: their numbers, the configurations, the gaps [m] and the directions between them, in the
-    frame of the first's joint; and the second's turn in it."""
+    """Two bodies that come close: their numbers, the configurations, and the gaps [m]."""
 
     first: int
     second: int
     rows: np.ndarray
     gap: np.ndarray
-    across: np.ndarray
-    turn: np.ndarray
-
-    def where(self, chosen: np.ndarray) -> Pass:
-        """In some of the configurations."""
-        return self._replace(**{name: getattr(self, name)[chosen] for name in ("rows", "gap", "across", "turn")})
 
 
 class Links:
@@ -107,19 +102,24 @@ class Links:
     def __init__(self, chain: Chain, shapes: Sequence[Shape], fit: Fit, asked: Asked, aside: Collection[str]):
         self.chain, self.shapes, self.fit, self.asked, self.aside = chain, shapes, fit, asked, aside
         self.names = chain.link_names
-        first = min(fit.parts, PARTS)
-        parts = threads().map(lambda s: convex_parts(s.corners, s.triangles, first), shapes)  # hulls let go of Python's lock
-        self.pieces = [(i, each) for i, found in enumerate(parts) for each in found]
+        # hulls let go of Python's lock
+        found = [*threads().map(lambda s: divisions(s.corners, s.triangles, min(fit.parts, PARTS)), shapes)]
+        self.few = [[pieces for pieces in each if len(pieces) <= max(FEW, len(each[0]))][-1] for each in found]  # of each shape
+        self.pieces = [(i, piece) for i, each in enumerate(found) for piece in each[-1]]
         self.limits = finite_limits(chain)
         rng = np.random.default_rng(0)
         self.q = np.vstack([default_pose(chain), rng.uniform(*self.limits, (SAMPLES, chain.num_joints))])
         self.frames = frames(chain, self.q)
 
     @functools.cached_property
-    def bodies(self) -> list[tuple[int, Body]]:
+    def bodies(self) -> Bodies:
         """The links' convex parts, and what is exact, each with its link."""
-        exact = [(v.link, Body(np.asarray(v.corners, np.float64), float(v.radius))) for v in self.chain.volumes]
-        return [(self.shapes[owner].link, Body(piece.hull)) for owner, piece in self.pieces] + exact
+        return [(self.shapes[owner].link, Body(piece.hull)) for owner, piece in self.pieces] + self.exact
+
+    @property
+    def exact(self) -> Bodies:
+        """What needs no fit."""
+        return [(v.link, Body(np.asarray(v.corners, np.float64), float(v.radius))) for v in self.chain.volumes]
 
     def of(self, link: int) -> list[int]:
         """The numbers of a link's bodies."""
@@ -129,16 +129,16 @@ class Links:
         """The bodies of a pair of links, each with each."""
         return [(self.bodies[i][1], self.bodies[j][1]) for i, j in itertools.product(*map(self.of, pair))]
 
-    def passes(self, pair: Pair, near: float) -> list[Pass]:
-        """Where bodies of a pair of links come nearer than `near`."""
+    def passes(self, pair: Pair, near: float = NEAR) -> list[Pass]:
+        """Where bodies of a pair of links come nearer than `near` [m]."""
         turn, place = between(self.chain, pair, self.frames)
         found = []
         for i, j in itertools.product(*map(self.of, pair)):
             a, b = self.bodies[i][1], self.bodies[j][1]
             rows = np.flatnonzero(apart_at_least(a, b, turn, place) < near)
-            gap, across = separated(a, b, turn[rows], place[rows], near)
+            gap = separated(a, b, turn[rows], place[rows], near)[0]
             close = gap < near
-            found.append(Pass(i, j, rows[close], gap[close], across[close], turn[rows[close]]))
+            found.append(Pass(i, j, rows[close], gap[close]))
         return found
 
     def least(self, passes: Sequence[Pass]) -> np.ndarray:
@@ -165,7 +165,7 @@ class Links:
         for pair in itertools.combinations(sorted({link for link, _ in self.bodies}), 2):
             reason, share, depth = self.named(pair), 0.0, 0.0
             if not reason:
-                passes[pair] = self.passes(pair, 2.0 * self.fit.accuracy)
+                passes[pair] = self.passes(pair)
                 gap, every = self.least(passes[pair]), BESIDE if self.neighbours(pair) else 1
                 touch[pair] = self.surfaces_touch(pair, gap, every)
                 share = float(touch[pair][every::every].mean())
@@ -260,7 +260,7 @@ class Links:
         done, finished = False, set[Pair]()
         while True:
             worst = {pair: float(rows.mean()) for pair, rows in said.items() if pair not in finished}
-            if not worst or max(worst.values()) <= FEW:
+            if not worst or max(worst.values()) <= RARE:
                 return done
             pair = max(worst, key=lambda each: worst[each])
             number = self.cut(pair, said[pair])
@@ -270,11 +270,13 @@ class Links:
             done, link = True, self.bodies[number][0]
             said |= {p: rows & self.falsely(p, ~rows) for p, rows in said.items() if link in p}
 
-    def falsely(self, pair: Pair, touch: np.ndarray) -> np.ndarray:
-        """The configurations in which the parts of a pair of links overlap, of those in which they do not `touch`."""
+    def falsely(self, pair: Pair, touch: np.ndarray, bodies: Bodies | None = None) -> np.ndarray:
+        """The configurations in which the parts of a pair of links overlap, or the `bodies` that stand for all links' parts, of
+        those in which they do not `touch`."""
         rows, found = np.flatnonzero(~touch), np.zeros(len(self.q), bool)
         turn, place = between(self.chain, pair, self.frames[:, rows])
-        found[rows] = gaps(self.couples(pair), turn, place, 1e-9) <= 0.0
+        first, second = ([body for link, body in bodies or self.bodies if link == each] for each in pair)
+        found[rows] = gaps([*itertools.product(first, second)], turn, place, 1e-9) <= 0.0
         return found
 
     def cut(self, pair: Pair, falsely: np.ndarray) -> int | None:

@@ -13,12 +13,14 @@ from typing import NamedTuple
 
 import numpy as np
 
-from jaxik.fitting.convex import directions, hull_corners, hull_of
+from jaxik.fitting.convex import Body, directions, hull_corners, hull_of
+from jaxik.fitting.surfaces import distances
 
 PLACES = np.linspace(0.0, 1.0, 10)[1:-1]  # along an axis, where cuts are tried
 LOOK = directions(80)  # whose extreme points stand for a piece while cuts are compared
 HOLLOW = 0.8  # of its hull, that a surface encloses which is cut without gain
 SAVING = 0.01  # of the whole hull's volume, which a cut is worth
+FEWEST = 14  # directions whose extreme corners a body keeps in any case
 CELLS = 40  # along the longest side of a piece, in each of which one corner stands for all while cuts are compared
 
 
@@ -54,8 +56,9 @@ class Cut(NamedTuple):
     sides: tuple[np.ndarray, np.ndarray]
 
 
-def convex_parts(corners: np.ndarray, faces: np.ndarray, most: int) -> list[Piece]:
-    """The pieces of a surface with `corners` (p, 3) [m] and triangles (t, 3), whose hulls are small: `most` of them at most."""
+def divisions(corners: np.ndarray, faces: np.ndarray, most: int) -> list[list[Piece]]:
+    """The pieces of a surface with `corners` (p, 3) [m] and triangles (t, 3), whose hulls are small: `most` of them at most, at
+    last; before these, those that there were before each cut."""
     whole = Piece.welded(corners, faces)
     least = SAVING * _volume(whole.corners)
     pieces = [(whole, *best_cut(whole, _saved))]
@@ -63,13 +66,29 @@ def convex_parts(corners: np.ndarray, faces: np.ndarray, most: int) -> list[Piec
         pieces[0][1] <= least < abs(whole.volume) < HOLLOW * least / SAVING and most > 1
     ):  # a ring, of which a half saves nothing
         pieces = [(side, *best_cut(side, _saved)) for side in divided(whole, _halving(whole))]
+    found = [[piece for piece, *_ in pieces]]
     while len(pieces) < most:
         number = int(np.argmax([gain for _, gain, _ in pieces]))
         piece, gain, cut = pieces[number]
         if cut is None or gain <= least:
             break
         pieces[number : number + 1] = [(side, *best_cut(side, _saved)) for side in divided(piece, cut)]
-    return [piece for piece, *_ in pieces]
+        found.append([piece for piece, *_ in pieces])
+    return found
+
+
+def few_corners(points: np.ndarray, tolerance: float) -> Body:
+    """A body around the hull of points (p, 3) [m] with fewer corners, all of them its own, that stands out by a radius of
+    `tolerance` at most."""
+    few = np.unique((points @ directions(FEWEST).T).argmax(axis=0))
+    while len(few) < len(points) and (hull := hull_of(points[few])) is not None:
+        outside = points @ hull.equations[:, :3].T + hull.equations[:, 3]
+        beyond = np.where(outside.max(axis=1) > 0.0, distances(points[few][hull.simplices], points), 0.0)
+        if beyond.max() <= tolerance:
+            return Body(points[few], float(beyond.max()))
+        farthest = outside.argmax(axis=0)[outside.max(axis=0) > tolerance]  # beyond each face
+        few = np.unique([*few, beyond.argmax(), *farthest])
+    return Body(points)
 
 
 def best_cut(piece: Piece, gain: Callable[[Piece], Callable[[Cut], float]]) -> tuple[float, Cut | None]:

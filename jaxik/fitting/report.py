@@ -8,7 +8,7 @@ from typing import NamedTuple
 import numpy as np
 
 from jaxik.collision.surface_trees import closes
-from jaxik.fitting.capsules import Fitted, away, joined
+from jaxik.fitting.capsules import Fitted, away
 from jaxik.fitting.convex import directions
 from jaxik.fitting.links import Shape
 from jaxik.fitting.model import Model
@@ -68,10 +68,9 @@ def fit_of(chain: Chain, shapes: Sequence[Shape], model: Model, held: Sequence[H
     """The report on a model of some shapes, while some joints are held."""
     links = []
     for number, shape in enumerate(shapes):
-        fits = [found for found, owner in zip(model.fits, model.owners, strict=True) if owner == number]
-        triangles, all_of = shape.corners[shape.triangles], joined(fits)
+        all_of, triangles = model.fits[number], shape.corners[shape.triangles]
         false, measured = model.false_by_link.get(shape.link, 0.0), _measured(shape, all_of)
-        told = chain.link_names[shape.link], shape.name, len(fits), len(all_of.radii), closes(triangles)
+        told = chain.link_names[shape.link], shape.name, len(model.bodies[number]), len(all_of.radii), closes(triangles)
         links.append(LinkFit(*told, *measured, false))
     names = lambda pair: (chain.link_names[pair[0]], chain.link_names[pair[1]])
     pairs = [PairFit(names(p), "", model.touch[p], model.false_by_pair[p]) for p in model.pairs]

@@ -4,12 +4,13 @@ A chain never changes: its arrays cannot be written. They are the leaves of a py
 differentiate the reach with respect to a link's length by `dataclasses.replace`. Names and joint types are static. Numbers that
 are concrete while JAX traces fold into the program, so close over a chain (`jax.jit(lambda q: forward_kinematics(chain, q))`)
 rather than pass it through `jit`: both are right, the first is several times faster. Only a chain whose shapes are such
-numbers is judged by its `pair_tables`, too; any other by its volumes alone, which are larger than the links.
+numbers is judged by its `convex_parts` and `pair_tables`, too; any other by its volumes alone, which are larger than the links.
 """
 
 from __future__ import annotations
 
 import dataclasses
+import functools
 import hashlib
 from collections.abc import Iterable, Sequence
 from typing import Any, Literal
@@ -22,7 +23,7 @@ from jaxtyping import Bool, Float
 from jaxik.checks.arrays import is_known, rigid_frame, shaped
 from jaxik.checks.masses import check_mass
 from jaxik.checks.options import check_kind, shown
-from jaxik.pytree import Constant, static
+from jaxik.pytree import Constant, read_only, static
 from jaxik.robot.drive import Drive
 from jaxik.robot.link_distance_table import PairTable
 from jaxik.robot.surface import Surface
@@ -80,6 +81,40 @@ class Volume(Constant):
     link: int = static()
 
 
+@dataclasses.dataclass(frozen=True, eq=False, repr=False)
+class ConvexPart:
+    """A convex part of a link: the hull of `corners` (c, 3) [m] in the frame of the link's joint, and what is within `radius`
+    [m] of it. All of a link's together hold its shapes, and decide where its volumes are too near to tell; `geometry` says
+    which volumes these are (`link_geometry`): of others the parts know nothing. A value: equal numbers, equal part."""
+
+    link: int
+    corners: np.ndarray
+    radius: float
+    geometry: str
+
+    def __post_init__(self) -> None:
+        corners = shaped("ConvexPart: corners", self.corners, (max(len(self.corners), 1), 3))
+        if not (np.isfinite(corners).all() and 0.0 <= self.radius < np.inf):
+            raise ValueError(
+                f"ConvexPart: radius {shown(self.radius)}, {len(corners)} corners; write finite numbers, radius >= 0"
+            )
+        vars(self).update(read_only({"corners": corners}), radius=float(self.radius))
+
+    @functools.cached_property
+    def digest(self) -> str:
+        """A hash of everything in it."""
+        return hashed((self.link, self.geometry), [self.corners, self.radius])
+
+    def __hash__(self) -> int:
+        return hash(self.digest)
+
+    def __eq__(self, other: object) -> bool:
+        return self is other or (isinstance(other, ConvexPart) and self.digest == other.digest)
+
+    def __repr__(self) -> str:  # by which a chain's digest knows it
+        return f"ConvexPart(link={self.link}, corners={len(self.corners)}, digest={self.digest})"
+
+
 @dataclasses.dataclass(frozen=True)
 class Unchecked:
     """Two links that are not checked against each other, and why: `fixed` (they do not move against each other), `named` (by
@@ -99,11 +134,11 @@ class Chain(Constant):
     `parent_T_joint[i]` is the frame of joint i at q_i = 0 in the (moved) frame of joint i-1, the base frame for i = 0.
     `link_joint[l]` counts the movable joints between the base and link l: its frame is `link_offset[l]` in that joint's.
     `self_pairs` are the links to check against each other, `ignored` links with the object of a scene ("*": any) not to check,
-    `pair_tables` what is known of pairs beside their volumes, `unchecked` the pairs that are left out, and why. `surfaces` are
-    the links' own, where these decide what is near (`load(.., exact=True)`). `armature` is
-    the inertia of each joint's rotor at the joint, behind its gears [kg m2, kg]; 0 unless given. `effort` is the most that its
-    drive gives [Nm, N]; infinite unless given: no function keeps to it unless asked, as by `torque=chain.effort`. `drives` has
-    one a joint, or none at all.
+    `pair_tables` what is known of pairs beside their volumes, `unchecked` the pairs that are left out, and why. `convex_parts`
+    are those of fitted meshes, which decide what is near; `surfaces` the links' own, where these do (`load(.., exact=True)`).
+    `armature` is the inertia of each joint's rotor at the joint, behind its gears [kg m2, kg]; 0 unless given. `effort` is the
+    most that its drive gives [Nm, N]; infinite unless given: no function keeps to it unless asked, as by `torque=chain.effort`.
+    `drives` has one a joint, or none at all.
     """
 
     # not in the instance's dictionary, which copies and pickles take over
@@ -135,6 +170,7 @@ class Chain(Constant):
     effort: Float[Array, " n"] = dataclasses.field(default_factory=lambda: np.zeros(0))
     unchecked: tuple[Unchecked, ...] = static(default=())
     surfaces: tuple[Surface, ...] = static(default=())
+    convex_parts: tuple[ConvexPart, ...] = static(default=())
 
     def __post_init__(self) -> None:
         for name, default in (("armature", 0.0), ("effort", np.inf)):
@@ -236,6 +272,7 @@ class Chain(Constant):
             boxes=own(self.boxes),
             volumes=own(self.volumes),
             surfaces=own(self.surfaces),
+            convex_parts=own(self.convex_parts),
             self_pairs=tuple((link[a], link[b]) for a, b in self.self_pairs if a in link and b in link),
             unread_meshes=tuple(n for n in self.unread_meshes if n in (self.link_names[i] for i in kept)),
             ignored=tuple((link[i], name) for i, name in self.ignored if i in link),
@@ -250,6 +287,7 @@ class Chain(Constant):
     def __repr__(self) -> str:
         head = f"Chain {self.name}: {self.num_joints} joints, {len(self.link_names)} links, {len(self.boxes)} boxes, "
         head += f"{len(self.volumes)} volumes, {len(self.self_pairs)} pairs of links to check, {len(self.pair_tables)} tables"
+        head += f", {len(self.convex_parts)} convex parts" if self.convex_parts else ""
         head += f"; exact, {sum(len(s.corners) for s in self.surfaces):,} triangles" if self.surfaces else ""
         head += f"; meshes of {len(self.unread_meshes)} links not read" if self.unread_meshes else ""
         spans = [""] * self.num_joints
@@ -305,6 +343,19 @@ def hashed(words: object, arrays: Iterable[Any]) -> str:
 def solid_links(chain: Chain) -> list[int]:
     """The links that have collision geometry, from the base on."""
     return sorted({box.link for box in chain.boxes} | {volume.link for volume in chain.volumes})
+
+
+def link_geometry(chain: Chain, link: int) -> str:
+    """A hash of a link's volumes and boxes."""
+    shapes = [(v.corners, v.radius) for v in chain.volumes if v.link == link]
+    shapes += [(b.joint_T_box, b.half) for b in chain.boxes if b.link == link]
+    return hashed([[np.shape(x) for x in shape] for shape in shapes], [x for shape in shapes for x in shape])
+
+
+def known_parts(chain: Chain) -> tuple[ConvexPart, ...]:
+    """The convex parts of links whose volumes are those that these parts are known for."""
+    geometry = {link: link_geometry(chain, link) for link in {part.link for part in chain.convex_parts}}
+    return tuple(part for part in chain.convex_parts if part.geometry == geometry[part.link])
 
 
 def geometry_between(chain: Chain, links: tuple[int, int], joints: tuple[int, int]) -> str:

@@ -13,7 +13,7 @@ from triangle_truth import in_coal, winding
 import jaxik
 from jaxik.collision.surface_trees import closes, order_of, roomy, surface_of, tree_of
 from jaxik.fitting.convex import rows_of
-from jaxik.fitting.parts import convex_parts
+from jaxik.fitting.parts import divisions, few_corners
 from jaxik.fitting.surfaces import _GAP, distances, touching
 from jaxik.spmd.batch import in_blocks
 
@@ -87,7 +87,7 @@ def test_what_is_swallowed_touches():
 @pytest.mark.parametrize("name", SHAPES)
 def test_parts_hold_the_surface_and_its_inside(name):
     mesh = SHAPES[name]
-    parts = convex_parts(np.asarray(mesh.vertices), np.asarray(mesh.faces), 6)
+    parts = divisions(np.asarray(mesh.vertices), np.asarray(mesh.faces), 6)[-1]
     assert 1 < len(parts) <= 6
     hulls = [ConvexHull(part.hull) for part in parts]
     inside = np.random.default_rng(0).uniform(*mesh.bounds, (1000, 3))
@@ -97,6 +97,21 @@ def test_parts_hold_the_surface_and_its_inside(name):
     beyond = np.min([(points @ h.equations[:, :3].T + h.equations[:, 3]).max(axis=1) for h in hulls], axis=0)
     assert beyond.max() < 1e-9
     assert sum(h.volume for h in hulls) < (1.0 if "carved" in name else 0.8) * mesh.convex_hull.volume
+
+
+@pytest.mark.parametrize("tolerance", [2e-5, 1e-3, 0.02])
+def test_fewer_corners_hold_the_hull(tolerance):
+    """Of a ball, a ring's hull, and what has no more corners than it needs: within the radius, by trimesh."""
+    for mesh in (trimesh.creation.icosphere(3, 0.1), SHAPES["ring"].convex_hull, trimesh.creation.box((0.1, 0.2, 0.3))):
+        points = np.asarray(mesh.vertices)
+        found = few_corners(points, tolerance)
+        assert {*map(tuple, found.corners)} <= {*map(tuple, points)} and 0.0 <= found.radius <= tolerance
+        hull = ConvexHull(found.corners)
+        outside = points[(points @ hull.equations[:, :3].T + hull.equations[:, 3]).max(axis=1) > 1e-12]
+        shell = trimesh.Trimesh(found.corners, hull.simplices, process=False)
+        away = trimesh.proximity.closest_point_naive(shell, outside)[1] if len(outside) else np.zeros(1)
+        assert away.max() <= found.radius + 1e-12
+    assert len(few_corners(np.asarray(trimesh.creation.icosphere(3, 0.1).vertices), 2e-3).corners) < 400
 
 
 def test_distances_of_points_are_trimeshs():
