@@ -1,4 +1,4 @@
-"""`jaxik fit`: capsules around a robot's collision meshes."""
+"""`jaxik fit`: convex parts of a robot's collision meshes, and capsules around them."""
 
 from __future__ import annotations
 
@@ -29,14 +29,14 @@ LEFT = {
 
 @dataclasses.dataclass(kw_only=True)
 class FitArguments(RobotArguments):
-    """Capsules around a robot's collision meshes: how close they come, and a file of the robot with them."""
+    """Convex parts of a robot's collision meshes, and capsules around them: how close they come, and a file with them."""
 
     robot: tyro.conf.Positional[str]
     """A robot file with meshes (.urdf, .xml)."""
     accuracy: float = 1e3 * jaxik.Fit().accuracy
     """How far a capsule should reach beyond its part of the mesh, at most [mm]; the table says how far they do."""
     most: int = jaxik.Fit().most
-    """Capsules a convex part, at most."""
+    """Capsules a mesh, at most."""
     parts: int = jaxik.Fit().parts
     """Convex parts that a mesh is cut into, at most."""
     pairs: Checked = ()
@@ -61,11 +61,15 @@ class FitArguments(RobotArguments):
             show = lambda done, of: bar.update(line, completed=done, total=of)
             report = jaxik.files.fit_report(self.robot, progress=show, **what)
             if not report.links:
-                none = "has no meshes that capsules could be fitted to; its shapes are those of its file"
+                none = "has no meshes to fit to; its shapes are those of its file"
                 raise ValueError(f"{self.robot}: {none}")
         seconds = time.perf_counter() - start
         chain = jaxik.load(self.robot, meshes=True, exact=self.exact, **what)
-        print_table(f"{chain.name}: capsules around its meshes, lengths in mm", HEADINGS, map(_cells, report.links))
+        print_table(
+            f"{chain.name}: convex parts of its meshes, and capsules around them, lengths in mm",
+            HEADINGS,
+            map(_cells, report.links),
+        )
         print_table("pairs of links", PAIRS, map(_pair, report.pairs))
         if report.held:
             print_table("joints beside the chain, which are held", HELD, map(_held, report.held))
@@ -74,8 +78,9 @@ class FitArguments(RobotArguments):
             )
         false = max(row.false for row in report.links)
         print(
-            f"{len(chain.volumes)} volumes, {len(chain.self_pairs)} pairs of links to check, "
-            f"{len(chain.pair_tables)} of them by a table of distances, in {seconds:.1f} s; "
+            f"{len(chain.convex_parts)} convex parts, {len(chain.volumes)} volumes, "
+            f"{len(chain.self_pairs)} pairs of links to check, {len(chain.pair_tables)} of them with a table of distances, "
+            f"in {seconds:.1f} s; "
             f"the worst link falsely collides with others in {false:.1%} of random configurations"
         )
         if self.to is not None:
@@ -86,7 +91,7 @@ class FitArguments(RobotArguments):
 
 def _told(chain: jaxik.Chain, to: Path, beyond: float) -> str:
     """What has to be known of a URDF of spheres."""
-    lost = f"; without {len(chain.pair_tables)} tables of distances" if chain.pair_tables else ""
+    lost = f"; without {len(chain.convex_parts)} convex parts, which are closer" if chain.convex_parts else ""
     reach = f", spheres up to {1e3 * beyond:.1f} mm beyond the volumes{lost}; who reads it has to disable "
     return f"{reach}{len(unchecked(chain))} pairs of links: {to.with_suffix('.srdf')}"
 

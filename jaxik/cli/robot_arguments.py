@@ -43,10 +43,10 @@ class ShapedRobotArguments(RobotArguments):
     """A robot whose shape counts."""
 
     meshes: bool = True
-    """Read the robot's collision meshes (URDF, MJCF), for capsules around them: the first time it takes some seconds."""
+    """Read the robot's collision meshes (URDF, MJCF), and fit a model to them: the first time it takes some seconds."""
     pairs: Checked = ()
     exact: bool = False
-    """Let the meshes' triangles decide where the capsules are too near to tell: slower, and no free room is given up."""
+    """Let the meshes' triangles decide what is near: slower, and no free room is given up."""
 
     def loading(self) -> dict[str, Any]:
         """What `jaxik.load` takes of these."""

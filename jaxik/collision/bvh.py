@@ -10,6 +10,7 @@ from __future__ import annotations
 import dataclasses
 import functools
 import itertools
+from collections.abc import Callable
 from typing import Any, NamedTuple
 
 import jax
@@ -22,14 +23,15 @@ from jaxik.collision.scene import FAR, SHAPES, SIZES_OF, Scene, check_scene, rem
 from jaxik.collision.surface_trees import Trees, forest, tree_of
 from jaxik.collision.volumes import local_volumes
 from jaxik.pytree import static
-from jaxik.robot.chain import Chain, geometry_between, solid_links
+from jaxik.robot.chain import Chain, geometry_between, hashed, known_parts, solid_links
 from jaxik.robot.link_distance_table import PairTable
 from jaxik.robot.surface import Surface
 
 # obstacles a leaf, where there are a few
 LEAF = {"points": 4, "spheres": 4, "capsules": 1, "boxes": 1, "cylinders": 1, "triangles": 1}
 FAN = 4  # leaves a branch, at least
-WITHIN = 0.025  # [m] of volumes' distance, below which an exact robot's own surfaces decide: a model stands so far out of them
+WITHIN = 0.025  # [m] of volumes' distance, below which an exact robot's own surfaces decide: volumes stand so far out of them
+NEAR = 0.010  # likewise, convex parts
 CLOSE = 0.003  # [m] beyond a margin, likewise, where nothing but whether it is kept is asked for
 LEAVES = (16, 128, 1024, 8192, 65536)  # what is compiled for: up to so many leaves, of which those that are there are looked at
 SLACK = 1e-4  # [m] that a bounding sphere is larger: nothing is lost to rounding in float32, 100 m from the origin
@@ -70,17 +72,41 @@ class Obstacles:
 class OwnSurfaces:
     """Those of an exact chain, a tree a part (`Robot.links`), and of each triangle the joint (t,); and the numbers of some of
     their triangles, one a shape: part p has `points[first[p]]` to `points[first[p + 1]]`, not counted. They decide where
-    volumes are nearer than `within` [m]."""
+    volumes are nearer than `within` [m]. `of` says which links' (`_shape_of`)."""
 
     trees: Trees
     joint: Any
     points: Any
     first: Any
     within: Any
+    of: str = static()
     ignores: tuple[tuple[int, str], ...] = static()
 
 
-Grouped = tuple[Obstacles | OwnSurfaces, ...]
+@jax.tree_util.register_dataclass
+@dataclasses.dataclass(frozen=True)
+class OwnParts:
+    """A chain's convex bodies, of each part of the robot (`Robot.links`) those from `first[p]` to `first[p + 1]`, not counted:
+    body b is the hull of the `corners` (c, 3) from `begins[b]` to `begins[b + 1]` in its joint's frame, and what is within its
+    `radius` of that, all in a box along that frame's axes, of a `center` (3,) and `half` its edges (3,). They are a link's
+    convex parts, where `closer[p]`, else its volumes. They decide where volumes are nearer than `within` [m]. `of` says which
+    links' (`_shape_of`)."""
+
+    corners: Any
+    begins: Any
+    radius: Any
+    joint: Any
+    center: Any
+    half: Any
+    first: Any
+    closer: Any
+    within: Any
+    of: str = static()
+    ignores: tuple[tuple[int, str], ...] = static()
+
+
+Own = OwnSurfaces | OwnParts
+Grouped = tuple[Obstacles | Own, ...]
 
 
 def grouped(scene: Scene | Grouped | None, chain: Chain, by_object: bool = False) -> Grouped:
@@ -91,19 +117,20 @@ def grouped(scene: Scene | Grouped | None, chain: Chain, by_object: bool = False
     obstacles that were grouped for a chain that ignores others.
     """
     if scene is None:
-        return own_surfaces(chain)
+        return own_shapes(chain)
     if not isinstance(scene, Scene):
         if any(obstacles.ignores != chain.ignored for obstacles in scene):
             raise ValueError(
                 f"{chain.name}: the obstacles are grouped for another chain's `ignored`; group the scene for this one"
             )
-        return scene if surfaces_in(scene) else scene + own_surfaces(chain)
+        known = any(own.of == _shape_of(chain) for own in own_in(scene))
+        return scene if known else obstacles_in(scene) + own_shapes(chain)
     if not scene.concrete:
         check_scene(scene)
-        return _grouped(scene, chain.ignored, by_object) + own_surfaces(chain)
+        return _grouped(scene, chain.ignored, by_object) + own_shapes(chain)
     remembered(scene, "checked", lambda: check_scene(scene))
     found = remembered(scene, (chain.ignored, by_object), lambda: _grouped(scene, chain.ignored, by_object))
-    return found + own_surfaces(chain)
+    return found + own_shapes(chain)
 
 
 def obstacles_in(around: Grouped) -> tuple[Obstacles, ...]:
@@ -111,8 +138,13 @@ def obstacles_in(around: Grouped) -> tuple[Obstacles, ...]:
     return tuple(each for each in around if isinstance(each, Obstacles))
 
 
+def own_in(around: Grouped) -> tuple[Own, ...]:
+    """The robot's own surfaces, or convex parts, or none."""
+    return tuple(each for each in around if not isinstance(each, Obstacles))
+
+
 def surfaces_in(around: Grouped) -> tuple[OwnSurfaces, ...]:
-    """The robot's own, or none."""
+    """The robot's own surfaces, or none."""
     return tuple(each for each in around if isinstance(each, OwnSurfaces))
 
 
@@ -124,21 +156,28 @@ def bits(ignored: tuple[tuple[int, str], ...]) -> dict[int, int]:
     return {link: 1 << k for k, link in enumerate(links)}
 
 
-def own_surfaces(chain: Chain) -> tuple[OwnSurfaces, ...]:
-    """An exact chain's; of no other any."""
+def own_shapes(chain: Chain) -> tuple[Own, ...]:
+    """What decides where a chain's volumes are too near to tell: surfaces of an exact one, convex parts of one with fitted
+    meshes, if they speak of its volumes as they are."""
+    parts = _known_parts(chain) if chain.concrete else _own_parts(chain)
     if not chain.surfaces:
-        return ()
+        return parts
     known = {each.link for each in chain.surfaces}
     for link in solid_links(chain):
         if link not in known:
             name = chain.link_names[link]
             raise ValueError(f"{chain.name}: exact, but {name} has no surface; give it one in `surfaces`, or leave all out")
-    return (_own_surfaces(chain.surfaces, tuple(solid_links(chain)[::-1]), chain.link_joint, chain.ignored),)
+    own = _own_surfaces(chain.surfaces, tuple(solid_links(chain)[::-1]), chain.link_joint, chain.ignored, _shape_of(chain))
+    return own, *parts
 
 
 @functools.lru_cache(maxsize=16)
 def _own_surfaces(
-    surfaces: tuple[Surface, ...], links: tuple[int, ...], link_joint: tuple[int, ...], ignored: tuple[tuple[int, str], ...]
+    surfaces: tuple[Surface, ...],
+    links: tuple[int, ...],
+    link_joint: tuple[int, ...],
+    ignored: tuple[tuple[int, str], ...],
+    shape: str,
 ) -> OwnSurfaces:
     of = {each.link: each for each in surfaces}
     parts = [of[link] for link in links]
@@ -147,26 +186,81 @@ def _own_surfaces(
     starts = np.cumsum([0, *sizes])[:-1]
     joint = np.repeat([link_joint[link] for link in links], sizes).astype(np.int32)
     number = np.concatenate([s.points + start for s, start in zip(parts, starts, strict=True)]).astype(np.int32)
-    return OwnSurfaces(trees, joint, number, np.cumsum([0, *points]).astype(np.int32), np.asarray(WITHIN), ignored)
+    return OwnSurfaces(trees, joint, number, np.cumsum([0, *points]).astype(np.int32), np.asarray(WITHIN), shape, ignored)
+
+
+def _shape_of(chain: Chain) -> str:
+    """A hash of a chain's links and their shapes, but for what JAX arrays hold: those are operands of its kernels."""
+    return _known_shape(chain) if chain.concrete else _hash_of(chain)
+
+
+def _hash_of(chain: Chain) -> str:
+    shapes = jax.tree_util.tree_leaves(
+        [(v.corners, v.radius) for v in chain.volumes] + [(b.joint_T_box, b.half) for b in chain.boxes]
+    )
+    fixed = [x for x in shapes if not isinstance(x, jax.Array)]
+    return hashed((solid_links(chain), chain.link_joint, chain.convex_parts, [np.shape(x) for x in shapes]), fixed)
+
+
+def _own_parts(chain: Chain) -> tuple[OwnParts, ...]:
+    """None where no link's volumes are those that its parts are known for, or these are traced."""
+    if not chain.convex_parts or not is_known((chain.volumes, chain.boxes)):
+        return ()
+    fitted: dict[int, list[tuple[np.ndarray, float]]] = {}
+    for part in known_parts(chain):
+        fitted.setdefault(part.link, []).append((part.corners, part.radius))
+    if not fitted:
+        return ()
+    links, plain = solid_links(chain)[::-1], _plain_bodies(chain)
+    of = [fitted.get(link) or plain[link] for link in links]
+    bodies = [body for each in of for body in each]
+    starts = lambda sizes: np.cumsum([0, *sizes]).astype(np.int32)
+    corners, radius = np.concatenate([c for c, _ in bodies]), np.array([r for _, r in bodies])
+    low, high = (np.array([f(c, axis=0) + s * (r + SLACK) for c, r in bodies]) for f, s in ((np.min, -1.0), (np.max, 1.0)))
+    center, half = (high + low) / 2.0, (high - low) / 2.0
+    joint = np.repeat([chain.link_joint[link] for link in links], [len(each) for each in of]).astype(np.int32)
+    closer = np.array([link in fitted for link in links])
+    begins, first = starts(len(c) for c, _ in bodies), starts(map(len, of))
+    return (
+        OwnParts(
+            corners, begins, radius, joint, center, half, first, closer, np.asarray(NEAR), _shape_of(chain), chain.ignored
+        ),
+    )
+
+
+def _plain_bodies(chain: Chain) -> dict[int, list[tuple[np.ndarray, float]]]:
+    """Each link's volumes."""
+    found: dict[int, list[tuple[np.ndarray, float]]] = {}
+    for corners, radius, link in filter(None, (local_volumes(chain, count) for count in (1, 2, 3))):
+        for owner, *volume in zip(link.tolist(), np.asarray(corners), np.asarray(radius).tolist(), strict=True):
+            found.setdefault(owner, []).append((volume[0], volume[1]))
+    return found
+
+
+_known_parts = functools.lru_cache(maxsize=64)(_own_parts)
+_known_shape = functools.lru_cache(maxsize=64)(_hash_of)
 
 
 @functools.lru_cache(maxsize=64)
 def by_volumes(chain: Chain) -> Chain:
-    """An exact chain as its volumes alone know it, which hold its surfaces; any other as it is."""
+    """An exact chain as its volumes and convex parts know it, which hold its surfaces; any other as it is."""
     return dataclasses.replace(chain, surfaces=()) if chain.surfaces else chain
 
 
 def at_margin(around: Grouped, margin: Any, resolution: float = CLOSE) -> Grouped:
-    """The same for what only asks whether a `margin` is kept [m], to some resolution: a robot's own surfaces decide no further
+    """The same for what only asks whether a `margin` is kept [m], to some resolution: a robot's own shape decides no further
     from it."""
-    return decided_within(around, (np if is_known(margin) else jnp).maximum(margin, 0.0) + resolution)
+    return decided_within(around, lambda _: (np if is_known(margin) else jnp).maximum(margin, 0.0) + resolution)
 
 
-def decided_within(around: Grouped, within: Any) -> Grouped:
-    """The same, where a robot's own surfaces decide what its volumes are nearer to than `within` [m]."""
-    xp = np if is_known(within) else jnp
-    changed = lambda own: dataclasses.replace(own, within=xp.asarray(within, own.trees.corners.dtype))
-    return tuple(changed(each) if isinstance(each, OwnSurfaces) else each for each in around)
+def decided_within(around: Grouped, within: Callable[[float], Any]) -> Grouped:
+    """The same, where a robot's own shape decides what its volumes are nearer to than `within(usual)` [m]."""
+
+    def changed(own: Own) -> Own:
+        told = within(WITHIN if isinstance(own, OwnSurfaces) else NEAR)
+        return dataclasses.replace(own, within=(np if is_known(told) else jnp).asarray(told, own.within.dtype))
+
+    return tuple(each if isinstance(each, Obstacles) else changed(each) for each in around)
 
 
 def _grouped(scene: Scene, ignored: tuple[tuple[int, str], ...], by_object: bool) -> tuple[Obstacles, ...]:

@@ -29,8 +29,8 @@ from jaxik.spmd import kernel
 
 def clearance(chain: Chain, scene: Scene | Grouped | None, q: Float[Array, " n"]) -> Float[jax.Array, ""]:
     """The smallest signed distance of the robot to the scene and to itself [m]; negative is depth of penetration: the
-    shortest way out, of what is in a mesh a bound (`distance`). Of an exact robot it is 25 mm at most where its volumes are
-    nearer than that (`exact_pairs`). Traced.
+    shortest way out, of what is in a mesh a bound (`distance`). Where volumes are near, a fitted robot's convex parts decide,
+    an exact one's triangles (`own_shape`): it is then 10 mm at most, or 25 mm. Traced.
 
     `D = min |c_A - c_B| - (R_A + R_B)` over the robot's spheres and the obstacles [Van Henten et al. 2010, (A2)], likewise for
     lines and triangles [Schuetz 2017, sec. 4.2.2] and for boxes and cylinders. Infinite where there is nothing to hit. The
@@ -59,8 +59,8 @@ def self_clearance(chain: Chain, q: Float[Array, " n"]) -> Float[jax.Array, ""]:
 
 
 def collides(chain: Chain, scene: Scene | Grouped | None, q: Float[Array, " n"], margin: Any = 0.0) -> Bool[jax.Array, ""]:
-    """Whether the robot comes nearer than `margin` [m] to the scene or to itself: `clearance < margin`, or NaN. Of an
-    exact robot the triangles decide at any margin, also above the 25 mm at which `clearance` ends. Traced.
+    """Whether the robot comes nearer than `margin` [m] to the scene or to itself: `clearance < margin`, or NaN. What
+    decides where volumes are near does so at any margin, also above the 10 or 25 mm at which `clearance` ends. Traced.
 
     What is further away than the margin is not measured, and the first that is nearer ends it. How much time that saves depends
     on the robot and the batch: a fifth for P6R, three fifths with 64 times its spheres, nothing for some.

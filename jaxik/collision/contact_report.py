@@ -21,7 +21,7 @@ from jaxtyping import Float
 from jaxik.checks.arrays import check_known
 from jaxik.checks.options import as_count, check_finite, check_kind
 from jaxik.collision import distance
-from jaxik.collision.bvh import Grouped, decided_within, grouped, pair_tables, robot
+from jaxik.collision.bvh import Grouped, decided_within, grouped, own_in, pair_tables, robot
 from jaxik.collision.clearances import check_geometry
 from jaxik.collision.nearest_pair import Space
 from jaxik.collision.scene import FAR, Scene, check_scene
@@ -89,9 +89,9 @@ def explain(chain: Chain, scene: Scene | None, q: Float[Array, " n"], count: int
     with another link, those nearer than `below` [m], and the `count` joints nearest to a limit; and which links overlap that
     are not checked against each other (`chain.unchecked`), but for neighbours, or objects that they ignore. Host.
 
-    Each pair of names stands once, at its least distance; the first pair's is `clearance`. Of an exact robot, whose meshes
-    decide (`load(.., exact=True)`), distances are the meshes' own, also where `clearance` is content with less; where they
-    cross, by how far its volumes do. A host function, in float64.
+    Each pair of names stands once, at its least distance; the first pair's is `clearance`. Of a robot whose meshes decide
+    (`load(.., exact=True)`), or their convex parts, distances are those of these, also where `clearance` is content with less;
+    where they cross, by how far its volumes do. A host function, in float64.
     Raises `ValueError` for a chain without collision geometry, or a q of another shape or with NaN or infinity.
     """
     check_kind("explain", "scene", scene, Scene, optional=True)
@@ -105,8 +105,8 @@ def explain(chain: Chain, scene: Scene | None, q: Float[Array, " n"], count: int
     check_geometry(chain)
     volumes = skeletons(chain, posture.tolist(), np.float64)
     with jax.enable_x64(True):
-        if chain.surfaces:
-            every = sorted(_by_surfaces(chain, scene, posture), key=lambda contact: contact.distance)
+        if own_in(grouped(None, chain)):
+            every = sorted(_by_own_shape(chain, scene, posture), key=lambda contact: contact.distance)
             contacts = tuple(contact for contact in every[:count] if contact.distance < below)
         else:
             pairs = [*_with_scene(chain, scene, volumes), *_with_itself(chain, volumes, chain.self_pairs)]
@@ -119,8 +119,8 @@ def explain(chain: Chain, scene: Scene | None, q: Float[Array, " n"], count: int
     return Surroundings(contacts, _limits(chain, posture)[:count], unchecked)
 
 
-def _by_surfaces(chain: Chain, scene: Scene | None, q: np.ndarray) -> Iterator[Contact]:
-    """Of an exact robot every pair of links, and of a link and an object, that counts."""
+def _by_own_shape(chain: Chain, scene: Scene | None, q: np.ndarray) -> Iterator[Contact]:
+    """Of a robot that knows more than its volumes, every pair of links, and of a link and an object, that counts."""
     names: tuple[str, ...] = ()
     if scene is not None:  # what belongs to no object makes one
         owners = tuple(tuple(int(o) if o >= 0 else len(scene.object_names) for o in own) for _, _, own in scene.by_kind())
@@ -129,7 +129,7 @@ def _by_surfaces(chain: Chain, scene: Scene | None, q: np.ndarray) -> Iterator[C
     own, links = robot(chain), chain.link_names
     if not len(own.other) and not names:  # a program of no pairs has no results
         return
-    exactly = decided_within(grouped(scene, chain, by_object=True), FAR)
+    exactly = decided_within(grouped(scene, chain, by_object=True), lambda _: FAR)
     apart, points, others = (x[0] for x in _every_contact(chain, len(names)).run(q[None], exactly, double=True))
     pairs = [(own.links[p], links[own.links[o]]) for p, o in zip(own.part, own.other, strict=True)]
     pairs += [(link, name) for link in own.links for name in names]

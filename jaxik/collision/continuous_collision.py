@@ -30,7 +30,7 @@ from jaxtyping import Bool, Float, Int
 
 from jaxik.checks.arrays import is_known, stop_gradients
 from jaxik.checks.options import check_finite, check_kind
-from jaxik.collision.bvh import CLOSE, WITHIN, balls_of, decided_within, grouped, obstacles_in, pair_tables, surfaces_in
+from jaxik.collision.bvh import CLOSE, balls_of, decided_within, grouped, obstacles_in, own_in, pair_tables
 from jaxik.collision.clearances import as_wide, check_geometry, clearance, link_clearances
 from jaxik.collision.scene import FAR, KINDS, Scene
 from jaxik.collision.volumes import box_spheres, xp_of
@@ -76,15 +76,17 @@ def motion_clearance(
     """A bound from below of the clearance [m] on the whole motion `q_from + t (q_to - q_from)`, 0 <= t <= 1, not at samples.
     Traced.
 
-    Traced: `jit` and `vmap` it; one kernel on a CPU. With `D(t)` the `clearance` of a configuration, a motion that keeps more
-    than `margin + resolution` [m] throughout is proven free, one that comes to `margin` never is, and
+    Traced: `jit` and `vmap` it; one kernel on a CPU. With `D(t)` the `clearance` of a configuration, told as far as the margin
+    at least, a motion that keeps more than `margin + resolution` [m] throughout is proven free, one that comes to `margin`
+    never is, and
 
         clearance <= min_t D(t) <= clearance + resolution
 
     of a free one, but for rounding (`ROUNDING`: 1e-5 m for an arm of 1 m in float32, 2e-14 in float64). The march ends where it
     comes to less than `margin + resolution`, at `contact`, which is 0 for what begins there; what comes after is not looked
-    at. With `margin=-inf` it goes on to the end, and bounds the depth of penetration. Clearances above `enough` [m], at
-    least the margin, are not told apart: a planner asks for `enough=margin`, which takes a tenth of the configurations.
+    at. With `margin=-inf` it goes on to the end, and bounds the depth of penetration. Below 0 that is told by the robot's
+    volumes alone, whose distances change no faster than it moves. Clearances above `enough` [m], at least the margin, are not
+    told apart: a planner asks for `enough=margin`, which takes a tenth of the configurations.
 
     Joints' values are taken as they are: no turn is shortened, no limit looked at. NaN in a motion is NaN in its results, and
     not free. What is left after `MOST` configurations counts as not free. The derivative of `clearance`, by anything, is that
@@ -209,7 +211,7 @@ def _advanced(
         scene = _asked_of(scene, asked)
     end = _State(_Measured(one, 0, 0), one, one, far, zero, far, jnp.zeros((), bool), jnp.zeros((), jnp.int32))
     if chain.self_pairs:
-        end = _marched_on(*_ruler(chain, surfaces_in(scene or ()), q_from, q_to, extent, margin), asked, end)
+        end = _marched_on(*_ruler(chain, own_in(scene or ()), q_from, q_to, extent, margin), asked, end)
     if obstacles_in(scene or ()):
         alone = dataclasses.replace(chain, self_pairs=())
         end = _marched_on(*_ruler(alone, scene, q_from, q_to, extent, margin), asked, end)
@@ -221,11 +223,15 @@ def _advanced(
 
 
 def _asked_of(scene: Any, asked: _Asked) -> Any:
-    """What is around, for what is asked: an exact robot's own surfaces decide no further off than that, if that is known, and
-    in any case what is nearer than the margin."""
+    """What is around, for what is asked: a robot's own shape decides no further off than that, if that is known, and in any
+    case what is nearer than the margin. Of a margin below 0 volumes alone decide, whose depth does not jump."""
     precise = jnp.maximum(CLOSE, 2.0 * asked.resolution)
-    plain = jnp.maximum(jnp.asarray(WITHIN, precise.dtype), asked.margin + precise)
-    within = jnp.where(asked.enough > plain, plain, jnp.maximum(asked.enough, 0.0) + precise)
+
+    def within(usual: float) -> Any:
+        plain = jnp.maximum(jnp.asarray(usual, precise.dtype), asked.margin + precise)
+        told = jnp.where(asked.enough > plain, plain, jnp.maximum(asked.enough, 0.0) + precise)
+        return jnp.where(asked.margin < 0.0, -FAR, told)
+
     return decided_within(scene, within)
 
 
@@ -334,9 +340,10 @@ def _rows(chain: Chain) -> list[_Row]:
 
 
 def _corners(chain: Chain, link: int) -> Any:
-    """The corners of a link's skeleton in its joint's frame (m, 3); its shapes are this, rounded."""
+    """The corners of a link's skeleton, parts and surface in its joint's frame (m, 3); its shapes are these, rounded."""
     corners = [v.corners for v in chain.volumes if v.link == link]
     corners += [box_spheres(box, chain.spheres_per_box)[0] for box in chain.boxes if box.link == link]
+    corners += [part.corners for part in chain.convex_parts if part.link == link]
     corners += [surface.outermost for surface in chain.surfaces if surface.link == link]
     return xp_of(*corners).concatenate(corners)
 

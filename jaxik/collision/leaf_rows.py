@@ -26,8 +26,12 @@ class Found(NamedTuple):
 
 def nearest_of(found: Found, another: Found) -> Found:
     """What was found, unless the other is nearer."""
-    closer = another.distance < found.distance
-    return jax.tree_util.tree_map(lambda new, old: jnp.where(closer, new, old), another, found)
+    return either(another.distance < found.distance, another, found)
+
+
+def either(which: Any, a: Any, b: Any) -> Any:
+    """The one tree or the other."""
+    return jax.tree_util.tree_map(lambda x, y: jnp.where(which, x, y), a, b)
 
 
 def entry(x: Any, i: Any) -> Any:

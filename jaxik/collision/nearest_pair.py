@@ -20,6 +20,7 @@ from jax import lax
 from jaxik.checks.arrays import is_known
 from jaxik.collision import bvh, distance
 from jaxik.collision.bvh import Grouped, Robot, Volumes
+from jaxik.collision.convex_pairs import Parts
 from jaxik.collision.exact_pairs import Exact
 from jaxik.collision.leaf_rows import Found, as_columns, count_of, entry, nearest_of, row_at, rows_from
 from jaxik.collision.shape_distances import Gap, depth_gap, obstacles_of, outside, skeleton_gap, square_gap, triangle_gap
@@ -83,7 +84,13 @@ class Space:
         *origins, self.rows = itertools.accumulate((count_of(columns) for columns, *_ in others), initial=0)
         self.others = [Others(*each, origin) for each, origin in zip(others, origins, strict=True)]
         count = self.rows + len(self.robot.tables.size)
-        self.exact = next((Exact(self, own, self.first[-1], count) for own in bvh.surfaces_in(around)), None)
+        self.own = self._own_shape(around, count)
+
+    def _own_shape(self, around: Grouped, origin: int) -> Exact | Parts | None:
+        """What decides where volumes are near, numbered from `origin` on: surfaces, or else convex parts."""
+        first, parts = self.first[-1], next((each for each in around if isinstance(each, bvh.OwnParts)), None)
+        known = None if parts is None else Parts(self, parts, first, origin)
+        return next((Exact(self, own, first, origin, known) for own in bvh.surfaces_in(around)), known)
 
     # ----------------------------------------------------------------------------------------------------------------
     # Which pairs
@@ -93,12 +100,12 @@ class Space:
         self.enough = enough
 
         def step(p: Any, found: Found) -> Found:  # not a loop with an end a lane: then p would be a lane's own, too
-            go_on = lambda found: self.part(p, found, self.exact is None)
+            go_on = lambda found: self.part(p, found, self.own is None)
             return go_on(found) if enough is None else lax.cond(found.distance < enough, lambda found: found, go_on, found)
 
         count, found = jnp.int32(len(self.robot.links)), self._start(start, tracked)
-        # of an exact robot all pairs together, so that few lanes wait for others
-        found = self._exactly(jnp.int32(0), jnp.int32(len(self.robot.other)), found)
+        # of a robot with an own shape all pairs together, so that few lanes wait for others
+        found = self._by_own_shape(jnp.int32(0), jnp.int32(len(self.robot.other)), found)
         return lax.fori_loop(jnp.int32(0), count, step, found)
 
     def each(self, then: Callable[[Found], Any], tracked: bool = False) -> Any:
@@ -128,8 +135,8 @@ class Space:
         return found
 
     def each_pair(self, then: Callable[[Found], Any]) -> Any:
-        """`then` of each pair of parts of an exact robot, in the order of `Robot.other`."""
-        one = lambda _, k: (None, then(self._exactly(k, k + 1, self._start(jnp.inf, True))))
+        """`then` of each pair of parts of a robot with an own shape, in the order of `Robot.other`."""
+        one = lambda _, k: (None, then(self._by_own_shape(k, k + 1, self._start(jnp.inf, True))))
         return lax.scan(one, None, jnp.arange(len(self.robot.other), dtype=jnp.int32))[1]
 
     def part(self, p: Any, found: Found, itself: bool = True) -> Found:
@@ -153,21 +160,21 @@ class Space:
         branch = row_at(as_columns(obstacles.branches, self.dtype), b)
         every = lambda found: self._leaves(p, first, last, self.others[k], found, branch)
         each = lambda found: lax.fori_loop(first, last, functools.partial(self._to_leaf, p, ball, k), found)
-        inside = every if self.exact is None else each
+        inside = every if self.own is None else each
         if self.bits is not None:
             inside = lambda found, leaves=inside: lax.cond(self.counts(p, k, b), leaves, lambda found: found, found)
         return self._if_near(found, ball, branch, inside)
 
     def _to_leaf(self, p: Any, ball: Any, k: int, j: Any, found: Found) -> Found:
-        """Part p of an exact robot against leaf j of the obstacles of kind k."""
-        others, exact = self.others[k], self.exact
-        assert exact is not None
+        """Part p of a robot with an own shape against leaf j of the obstacles of kind k."""
+        others, own = self.others[k], self.own
+        assert own is not None
 
         def nearer(found: Found, mine: Any, rows: Any, places: Any) -> Found:
             return _nearer(found, mine, rows, others.gap, False, False, places)
 
         model = lambda found: self._leaves(p, j, j + 1, others, found, row_at(others.leaves, j))
-        return self._if_near(found, ball, row_at(others.leaves, j), exact.leaf(p, others, j, model, nearer))
+        return self._if_near(found, ball, row_at(others.leaves, j), own.leaf(p, others, j, model, nearer))
 
     def counts(self, p: Any, k: int, b: Any) -> Any:
         """Whether branch b of the obstacles of kind k counts for part p."""
@@ -176,20 +183,20 @@ class Space:
     def _to_itself(self, p: Any, ball: Any, found: Found) -> Found:
         """Part p against those that it is checked against."""
         first, last = entry(self.robot.first, p), entry(self.robot.last, p)
-        if self.exact is not None:
-            return self._exactly(first, last, found)
+        if self.own is not None:
+            return self._by_own_shape(first, last, found)
         return lax.fori_loop(first, last, functools.partial(self._to_part, p, ball), found)
 
-    def _exactly(self, first: Any, last: Any, found: Found) -> Found:
-        """The pairs of parts from `first` to `last`, not counted, of an exact robot."""
-        if self.exact is None or not len(self.robot.other):
+    def _by_own_shape(self, first: Any, last: Any, found: Found) -> Found:
+        """The pairs of parts from `first` to `last`, not counted, of a robot with an own shape."""
+        if self.own is None or not len(self.robot.other):
             return found
 
         def by_volumes(k: Any, found: Found) -> Found:
             p = entry(self.robot.part, k)
             return self._to_part(p, row_at(self.parts, p), k, found)
 
-        return self.exact.pairs(first, last, by_volumes, found)
+        return self.own.pairs(first, last, by_volumes, found)
 
     def _to_part(self, p: Any, ball: Any, k: Any, found: Found) -> Found:
         """Part p against the part of pair k, by their volumes."""
@@ -342,7 +349,7 @@ class Space:
     def _of_pair(self, found: Found, function: Callable[..., Any], nothing: Any) -> Any:
         """`function(gap, own, other, joints)` of a found pair, or `nothing`; the joints are those that move the one and the
         other."""
-        value = nothing
+        value, touch = nothing, self.own.touch(found) if isinstance(self.own, Parts) else None
         for volumes, origin, others, theirs, gap in self._kinds_of_pairs(found):
             own_count, count = len(volumes.radius), len(theirs.radius) if theirs is not None else count_of(others.columns)
             i, j = found.mine - origin, found.other - others.origin
@@ -350,8 +357,12 @@ class Space:
 
             def inside(value: Any, v: Any = (volumes, others, theirs, i, j, gap)) -> Any:
                 volumes, others, theirs, i, j, gap = v
-                own, above = self._volume(volumes, i)
-                other, below = self._volume(theirs, j) if theirs is not None else (row_at(others.columns, j), jnp.int32(0))
+                above, below = entry(volumes.joint, i), entry(theirs.joint, j) if theirs is not None else jnp.int32(0)
+                if isinstance(volumes, Parts):
+                    own, other = volumes.pair(i, j if theirs is not None else row_at(others.columns, j), gap, touch)
+                else:
+                    own = self._volume(volumes, i)
+                    other = self._volume(theirs, j) if theirs is not None else row_at(others.columns, j)
                 return function(gap, own, other, (above, below))
 
             value = lax.cond(here, inside, lambda value: value, value)
@@ -365,18 +376,20 @@ class Space:
             for k, others in enumerate(self.others):
                 theirs = self.robot.kinds[k - around] if around <= k < self.inner else None
                 yield volumes, origin, others, theirs, others.gap if k < self.inner else depth
-        if self.exact is not None:
-            yield self.exact, self.exact.first, self.exact, self.exact, outside(skeleton_gap)
-            for k, others in enumerate(self.others):
-                if not around <= k < self.inner:
-                    yield self.exact, self.exact.first, others, None, outside(others.gap) if k < self.inner else depth
+        if self.own is None:
+            return
+        apart: Callable[[Gap], Gap] = outside if isinstance(self.own, Exact) else lambda gap: gap
+        yield self.own, self.own.first, self.own, self.own, apart(skeleton_gap)
+        for k, others in enumerate(self.others):
+            if not around <= k < self.inner:
+                yield self.own, self.own.first, others, None, apart(others.gap) if k < self.inner else depth
 
     def _volume(self, volumes: Volumes | Exact, i: Any) -> Any:
-        """One volume, whose number may differ from lane to lane, and its joint."""
+        """One volume, whose number may differ from lane to lane."""
         joint, local = entry(volumes.joint, i), entry(jnp.asarray(volumes.corners, self.dtype), i)
         frame = Frame.of_entries(traced(entry(self.frames, joint)))
         corners = tuple(frame @ Vec3(*traced(local[c])) for c in range(volumes.arity))
-        return (corners, entry(jnp.asarray(volumes.radius, self.dtype), i)), joint
+        return corners, entry(jnp.asarray(volumes.radius, self.dtype), i)
 
 
 def _placed(robot: Robot, frames: Any, dtype: Any) -> tuple[tuple[Vec3, Any], tuple[Placed, ...]]:

@@ -36,7 +36,7 @@ class Solids:
 
     def deepest(self, ball: Any, found: Found) -> Found:
         """What was found, or the deepest of all points inside, if it is deeper and what was found is not enough."""
-        return self._if_within(ball, self._of_volumes if self.space.exact is None else self._of_surfaces, found)
+        return self._if_within(ball, self._of_volumes if self.space.own is None else self._of_own_shape, found)
 
     def _if_within(self, ball: Any, then: Callable[[Found], Found], found: Found) -> Found:
         """What `then` finds, if the ball is near enough to a body to have points inside of it."""
@@ -78,15 +78,15 @@ class Solids:
             found = lax.fori_loop(entry(volumes.first, self.p), entry(volumes.last, self.p), own, found)
         return found
 
-    def _of_surfaces(self, found: Found) -> Found:
-        """Of an exact robot a point of each shape: what is not wholly inside crosses a triangle."""
+    def _of_own_shape(self, found: Found) -> Found:
+        """A point of each shape, or convex part: what is not wholly inside crosses a triangle."""
         zero = jnp.zeros((), self.space.dtype)
 
         def one(point: Vec3, number: Any, found: Found) -> Found:
             inside = lambda found: self._of_point(point, zero, found, (number, zero))
             return self._if_within((point, zero), inside, found)
 
-        return self.space.exact.points(self.p, one, found)
+        return self.space.own.points(self.p, one, found)
 
     def _of_point(self, point: Vec3, radius: Any, found: Found, mark: tuple[Any, Any]) -> Found:
         """A point in the middle of a ball; `mark`: its volume's number, and where `along` the skeleton it is."""

@@ -17,7 +17,7 @@ from jaxik.files.robot_toml import CORNERS, Table, read_drive
 from jaxik.files.spherized import spherized
 from jaxik.files.unchecked_pairs import check_ours, write_disabled
 from jaxik.files.writing import toml, write_text
-from jaxik.robot.chain import Body, Box, Chain, JointType, Unchecked, UncheckedReason, Volume
+from jaxik.robot.chain import Body, Box, Chain, ConvexPart, JointType, Unchecked, UncheckedReason, Volume
 from jaxik.robot.link_distance_table import PairTable, packed, unpacked
 from jaxik.robot.surface import Surface
 
@@ -32,8 +32,8 @@ def save(chain: Chain, path: str | Path, beyond: float = 0.005) -> float:
     spheres that reach at most `beyond` [m] further than it. Returns how far they do [m], 0 for TOML. Host.
 
     A URDF says nothing of pairs of links: those that the chain does not check are written beside it, as `.srdf`
-    (`load(.., srdf=)`). Its `pair_tables`, where links pass more closely than spheres tell, and the objects that it ignores
-    are in the TOML alone.
+    (`load(.., srdf=)`). Its `convex_parts` and `pair_tables`, where links pass more closely than spheres tell, and the
+    objects that it ignores are in the TOML alone.
 
     Raises `ValueError` for another ending, for a file that cannot be written, for a URDF of a chain whose meshes were not read,
     and where the `.srdf` would replace one that is not from here.
@@ -76,6 +76,9 @@ def _toml(chain: Chain) -> str:
         found: dict[str, Any] = {"links": [names[i] for i in table.links], "joints": [joints[j] for j in table.joints]}
         found |= {key: list(getattr(table, key)) for key in ("low", "high", "turns", "reach")}
         tables.append(("table", found | {"bounds": packed(table.stored), "geometry": table.geometry}))
+    for part in chain.convex_parts:
+        found = {"link": names[part.link], "points": part.corners, "radius": part.radius, "geometry": part.geometry}
+        tables.append(("part", found))
     tables += [("surface", {"link": names[each.link], "triangles": each.packed()}) for each in chain.surfaces]
     tables += [("unchecked", dataclasses.asdict(each) | {"links": list(each.links)}) for each in chain.unchecked]
     return toml(head, tables)
@@ -114,10 +117,12 @@ def read_chain(model: Table) -> Chain:
     tables = [_table(table, chain) for table in model.tables("table")]
     left = [_unchecked(table, names) for table in model.tables("unchecked")]
     surfaces = [_surface(table, names) for table in model.tables("surface")]
+    parts = [_part(table, names) for table in model.tables("part")]
     beside = [_beside(model, entry, names) for entry in model.listed("ignored_objects")]
     model.close()
     chain = dataclasses.replace(chain, self_pairs=tuple(pairs), ignored=tuple(beside))
-    return dataclasses.replace(chain, pair_tables=tuple(tables), unchecked=tuple(left), surfaces=tuple(surfaces))
+    chain = dataclasses.replace(chain, pair_tables=tuple(tables), unchecked=tuple(left))
+    return dataclasses.replace(chain, surfaces=tuple(surfaces), convex_parts=tuple(parts))
 
 
 def _columns(rows: Sequence[dict[str, Any]], keys: dict[str, str]) -> dict[str, Any]:
@@ -164,6 +169,14 @@ def _surface(table: Table, names: Sequence[str]) -> Surface:
         return Surface.unpacked(link, word)
     except ValueError:
         raise table.fail("triangles cannot be read", "take the surfaces out, or save the chain again") from None
+
+
+def _part(table: Table, names: Sequence[str]) -> ConvexPart:
+    link, count = names.index(table.text("link", None, names)), len(table.listed("points"))
+    if not count:
+        raise table.fail("points are none", "take the parts of this link out, or save the chain again")
+    points, radius = table.finite("points", (count, 3)), float(table.finite("radius", (), 0.0))
+    return ConvexPart(link, points, radius, table.text("geometry"))
 
 
 def _unchecked(table: Table, names: Sequence[str]) -> Unchecked:

@@ -55,15 +55,15 @@ def load(
     """The serial chain of a shipped model (`"p6r"`) or of a file: `.urdf`, `.xml` (MJCF) or `.toml`. Host.
 
     `tip` and `base` name links (bodies or a site in MJCF); without them the chain runs from the root to the only leaf.
-    `tool` (4, 4) moves the tip [m]. `meshes=True` reads collision meshes, cuts concave ones into convex parts and fits capsules
-    around these (`fit`; None puts one box around each mesh), with tables of the parts' distance for links that pass closely;
-    without it a URDF with meshes has its kinematics, and `clearance` says what is missing.
+    `tool` (4, 4) moves the tip [m]. `meshes=True` reads collision meshes, cuts concave ones into convex parts, which decide
+    where links are near, and fits capsules for what is far (`fit`; None puts one box around each mesh instead); without it a
+    URDF with meshes has its kinematics, and `clearance` says what is missing.
 
     Links are checked against each other unless they do not move against each other, their meshes touch in at least half of the
     random postures, or never do; nor are neighbours, on either side of one joint. `chain.unchecked` lists each pair that is not
     checked, with the reason. `pairs` names more to check, `[("hand", "forearm")]`, or is "all".
 
-    The model holds the meshes: what is free by it is free. It gives up some free room; with `exact=True` the meshes' own
+    The model holds the meshes: what is free by it is free. It gives up a little free room; with `exact=True` the meshes' own
     triangles decide where it comes nearer than 25 mm, or the margin (`chain.surfaces`), for all that asks for distances. That
     costs some times as much.
 

@@ -7,7 +7,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from jaxik.collision.bvh import by_volumes, obstacles_in, surfaces_in
+from jaxik.collision.bvh import by_volumes, decided_within, grouped, obstacles_in, surfaces_in
 from jaxik.ik.problem import Problem
 from jaxik.ik.sqp_programs import batch, clearance_around
 from jaxik.robot.chain import Chain
@@ -79,12 +79,14 @@ def cleared(problem: Problem, found: Found) -> Found:
     """With their clearance, where there is a scene."""
     if problem.scene is None or not len(found.q):
         return found
-    volumes = batch(1, clearance_around, by_volumes(problem.chain))
-    apart = in_blocks(volumes, found.q, fixed=(obstacles_in(problem.scene),), double=True)[0]
-    for own in surfaces_in(problem.scene):  # of an exact robot, for those that are near by these
-        near = np.flatnonzero(apart < own.within)
-        program = batch(1, clearance_around, problem.chain)
-        apart[near] = in_blocks(program, found.q[near], fixed=(problem.scene,), double=True)[0]
+    exact, program = surfaces_in(problem.scene), batch(1, clearance_around, problem.chain)
+    if not exact:
+        return found._replace(clearance=in_blocks(program, found.q, fixed=(problem.scene,), double=True)[0])
+    model = by_volumes(problem.chain)
+    around = decided_within(grouped(obstacles_in(problem.scene), model), lambda usual: exact[0].within)
+    apart = in_blocks(batch(1, clearance_around, model), found.q, fixed=(around,), double=True)[0]
+    near = np.flatnonzero(apart < exact[0].within)  # for these the surfaces decide
+    apart[near] = in_blocks(program, found.q[near], fixed=(problem.scene,), double=True)[0]
     return found._replace(clearance=apart)
 
 

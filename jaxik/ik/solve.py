@@ -20,7 +20,7 @@ from jaxtyping import Float, Int
 from jaxik.checks.arrays import RIGID, numbers
 from jaxik.checks.options import changed, check_kind
 from jaxik.collision.always_colliding import warn_of_scene
-from jaxik.collision.bvh import CLOSE, WITHIN, Grouped, decided_within, surfaces_in
+from jaxik.collision.bvh import CLOSE, Grouped, decided_within, own_in
 from jaxik.collision.clearances import check_geometry, has_geometry
 from jaxik.collision.contact_report import Contact, explain
 from jaxik.collision.scene import Scene
@@ -284,9 +284,9 @@ def _result(problem: Problem, outcome: Outcome, fault: np.ndarray) -> IKResult:
         last = np.zeros(count, int)
         last[ranked.target] = np.arange(len(ranked.target))
         shown = ranked.rows(last)
-    if problem.scene is not None and surfaces_in(problem.scene):  # the search looked no further than the margin
-        within = max(WITHIN, problem.options.margin + CLOSE)
-        shown = cleared(dataclasses.replace(problem, scene=decided_within(problem.scene, within)), shown)
+    if problem.scene is not None and own_in(problem.scene):  # the search looked no further than the margin
+        around = decided_within(problem.scene, lambda usual: max(usual, problem.options.margin + CLOSE))
+        shown = cleared(dataclasses.replace(problem, scene=around), shown)
     if problem.most > 1:
         best = found.rows(far_apart(problem, found, score, problem.most, problem.options.distinct))
     best = best.rows(np.argsort(best.target, kind="stable"))

@@ -9,7 +9,7 @@ from typing import Any
 import jax
 import numpy as np
 
-from jaxik.collision.bvh import by_volumes, grouped, obstacles_in, surfaces_in
+from jaxik.collision.bvh import by_volumes, grouped
 from jaxik.collision.clearances import by_object, collides
 from jaxik.collision.continuous_collision import joint_reaches, motion_collides_within, size_of
 from jaxik.collision.scene import Scene
@@ -35,7 +35,9 @@ class CollisionChecker:
         self.chain, self.carried = _apart(chain)
         self.margin, self.cushion = np.float32(margin), np.float32(cushion)
         narrow = lambda x: np.asarray(x, np.float32 if np.issubdtype(np.result_type(x), np.floating) else None)
-        self.obstacles = jax.tree_util.tree_map(narrow, grouped(scene, chain))
+        around = lambda chain: jax.tree_util.tree_map(narrow, grouped(scene, chain))
+        self.obstacles = around(chain)
+        self.model = (by_volumes(self.chain), around(by_volumes(chain))) if chain.surfaces else None
         self.size = np.float32(size_of(scene))
         self.endless = endless(chain)
         self.weights = joint_reaches(jax.tree_util.tree_map(np.asarray, chain) if self.carried else chain)
@@ -80,10 +82,10 @@ class CollisionChecker:
 
     def _first_by_volumes(self, asked: Callable[[Chain, Any, Any], np.ndarray]) -> np.ndarray:
         """Which rows hit, as `asked` says of a chain, what is around it, and some of the rows: of an exact robot first by its
-        volumes alone, which hold its surfaces, and then only of those that hit by these."""
-        if not surfaces_in(self.obstacles):
+        volumes and convex parts, which hold its surfaces, and then only of those that hit by these."""
+        if self.model is None:
             return asked(self.chain, self.obstacles, slice(None))
-        found = asked(by_volumes(self.chain), obstacles_in(self.obstacles), slice(None)).copy()
+        found = asked(*self.model, slice(None)).copy()
         left = np.flatnonzero(found)
         if len(left):
             found[left] = asked(self.chain, self.obstacles, left)

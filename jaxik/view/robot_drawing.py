@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from jaxik.fitting.links import Shape
-from jaxik.robot.chain import Chain
+from jaxik.robot.chain import Chain, known_parts
 from jaxik.spatial.rotations import to_wxyz
 from jaxik.view.meshes import draw_mesh, mesh_of
 from jaxik.view.palette import BAD, CHOSEN, INK, LEFT_OUT, NEAR_LIMIT, ROBOT, VOLUME, rgb
@@ -91,7 +91,7 @@ def _parts(scene: Any, chain: Chain, meshes: Sequence[Shape]) -> list[tuple[int,
     import trimesh
 
     own = _own(chain, meshes)
-    volumes = [(link, mesh_of([solid])) for link, solid in volume_solids(chain)]
+    volumes = _kept_clear(chain)
     joined = lambda parts, link: trimesh.util.concatenate([mesh for of, mesh in parts if of == link])
     looks: dict[str, dict[str, Any]] = {
         "shape": {"colour": ROBOT, "flat_shading": True},
@@ -102,6 +102,16 @@ def _parts(scene: Any, chain: Chain, meshes: Sequence[Shape]) -> list[tuple[int,
         for name, kind in (("shape", own), ("volumes", volumes))
         for link in sorted({part[0] for part in kind})
     ]
+
+
+def _kept_clear(chain: Chain) -> list[tuple[int, Any]]:
+    """What collides, each with its link's number: convex parts where these decide, or else volumes."""
+    parts = known_parts(chain)
+    fitted = {part.link for part in parts}
+    # what stands for a mesh was grown by less than is seen
+    solids = [(p.link, Solid("", p.corners, p.radius if len(p.corners) <= 3 else 0.0)) for p in parts]
+    solids += [(link, solid) for link, solid in volume_solids(chain) if link not in fitted]
+    return [(link, mesh_of([solid])) for link, solid in solids]
 
 
 def _own(chain: Chain, meshes: Sequence[Shape]) -> list[tuple[int, Any]]:

@@ -9,117 +9,23 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 import trimesh
+from meshed_arm import SCENE, Truth, apart, arm_file, bar, drawn, measured
 from robot_files import write
-from triangle_truth import in_coal
 
 import jaxik
 from jaxik.collision import clearances
 from jaxik.collision.bvh import WITHIN
 from jaxik.robot import link_frames
 
-JOINTS = {
-    "pan": ("base", "lower", "0 0 0.25", "0 0 1"),
-    "lift": ("lower", "upper", "0 0 0.1", "0 1 0"),
-    "elbow": ("upper", "fork", "0.3 0 0", "0 1 0"),
-    "twist": ("fork", "tip", "0.2 0 0", "1 0 0"),
-}
-
-
-def fork():
-    """Two prongs on a bar: a hollow that other links may enter."""
-    bars = [trimesh.creation.box((0.04, 0.22, 0.04)), *(trimesh.creation.box((0.16, 0.03, 0.04)) for _ in range(2))]
-    for bar, side in zip(bars[1:], (-1, 1), strict=True):
-        bar.apply_translation((0.08, 0.09 * side, 0.0))
-    whole = trimesh.boolean.union(bars, engine="manifold")
-    whole.apply_translation((0.03, 0.0, 0.0))
-    return whole
-
-
-def bar(size, at):
-    found = trimesh.creation.box(size)
-    found.apply_translation(at)
-    return found
-
-
-SHAPES = {
-    "base": trimesh.creation.annulus(0.12, 0.18, 0.3),
-    "lower": bar((0.08, 0.08, 0.12), (0.0, 0.0, 0.03)),
-    "upper": bar((0.3, 0.05, 0.05), (0.15, 0.0, 0.0)),
-    "fork": fork(),
-    "tip": bar((0.05, 0.02, 0.02), (0.02, 0.0, 0.0)),
-}
-
 
 @pytest.fixture(scope="module")
 def arm(tmp_path_factory):
-    """An arm of five meshes, two of them hollow, by a model of their hulls alone, and exact."""
-    folder = tmp_path_factory.mktemp("arm")
-    for name, mesh in SHAPES.items():
-        mesh.export(folder / f"{name}.stl")
-    links = "".join(
-        f'<link name="{n}"><collision><geometry><mesh filename="{n}.stl"/></geometry></collision></link>' for n in SHAPES
+    """By a model of its hulls alone, and exact."""
+    path = arm_file(tmp_path_factory.mktemp("arm"))
+    fit = jaxik.Fit(parts=1)
+    return dataclasses.replace(jaxik.load(path, meshes=True, fit=fit), convex_parts=()), jaxik.load(
+        path, meshes=True, exact=True, fit=fit
     )
-    joint = '<joint name="{}" type="revolute"><parent link="{}"/><child link="{}"/><origin xyz="{}"/><axis xyz="{}"/>'
-    joint += '<limit lower="-2.6" upper="2.6" velocity="1" effort="1"/></joint>'
-    joints = "".join(joint.format(name, *what) for name, what in JOINTS.items())
-    path = write(folder, "arm.urdf", f'<robot name="arm">{links}{joints}</robot>')
-    return tuple(jaxik.load(path, meshes=True, exact=exact, fit=jaxik.Fit(parts=1)) for exact in (False, True))
-
-
-SCENE = jaxik.make_scene(
-    boxes=[[0.45, 0.1, 0.3, 0.1, 0.2, 0.3]],
-    spheres=[[-0.3, 0.3, 0.5, 0.1]],
-    capsules=[[-0.4, -0.3, 0.2, -0.2, -0.4, 0.6, 0.05]],
-)
-
-
-def drawn(chain, count, seed=0):
-    return np.random.default_rng(seed).uniform(chain.lower, chain.upper, (count, chain.num_joints))
-
-
-class Truth:
-    """The arm's meshes at configurations, as coal sees them."""
-
-    def __init__(self, chain, q):
-        self.chain, self.meshes = (
-            chain,
-            {n: in_coal(np.asarray(m.vertices, np.float32).astype(float)[m.faces]) for n, m in SHAPES.items()},
-        )
-        with jax.enable_x64(True):
-            self.frames = np.asarray(jax.vmap(lambda q: link_frames(chain, q))(jnp.asarray(q)))
-
-    def link(self, i, name):
-        frame = self.frames[i, self.chain.link_names.index(name)]
-        return self.meshes[name], coal.Transform3s(frame[:3, :3], frame[:3, 3])
-
-    def itself(self, i):
-        names = self.chain.link_names
-        return min(apart(*self.link(i, names[a]), *self.link(i, names[b])) for a, b in self.chain.self_pairs)
-
-    def scene(self, i):
-        return min(apart(*self.link(i, name), *thing) for name in SHAPES for thing in THINGS)
-
-
-def apart(one, first, other, second):
-    return max(coal.distance(one, first, other, second, coal.DistanceRequest(), coal.DistanceResult()), 0.0)
-
-
-def standing(turn, place):
-    return coal.Transform3s(np.asarray(turn, float), np.asarray(place, float))
-
-
-ALONG = np.array([[0.2, -0.1, 0.4]]) / np.linalg.norm([0.2, -0.1, 0.4])
-TURN = trimesh.geometry.align_vectors([0, 0, 1], ALONG[0])[:3, :3]
-THINGS = [
-    (coal.Box(0.1, 0.2, 0.3), standing(np.eye(3), (0.45, 0.1, 0.3))),
-    (coal.Sphere(0.1), standing(np.eye(3), (-0.3, 0.3, 0.5))),
-    (coal.Capsule(0.05, float(np.linalg.norm([0.2, -0.1, 0.4]))), standing(TURN, (-0.3, -0.35, 0.4))),
-]
-
-
-def measured(function, q):
-    with jax.enable_x64(True):
-        return np.asarray(jax.jit(jax.vmap(function))(jnp.asarray(q)))
 
 
 def agrees(found, volumes, true):
@@ -142,6 +48,9 @@ def test_it_is_as_far_from_itself_as_its_meshes_are(arm):
     volumes, found = (measured(lambda q, chain=chain: jaxik.clearance(chain, None, q), q) for chain in arm)
     agrees(found, volumes, true)
     assert np.sum((volumes <= 0.0) & (true > 0.0)) > 2
+    alone = dataclasses.replace(exact, convex_parts=())  # what rules out triangles takes part in no distance
+    slowly = measured(lambda q: jaxik.clearance(alone, None, q), q)
+    np.testing.assert_array_equal(found[true > 0.0], slowly[true > 0.0])
     hits = measured(lambda q: jaxik.collides(exact, None, q, 0.01), q)
     assert np.all(hits == (true < 0.01))
 
