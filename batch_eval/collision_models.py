@@ -36,6 +36,7 @@ from triangle_truth import in_coal
 import jaxik
 from jaxik.collision.bvh import WITHIN
 
+# hulls: capsules around the hull of each mesh, and nothing else
 SETTINGS = {"default": (jaxik.Fit(), False), "exact": (jaxik.Fit(), True), "hulls": (jaxik.Fit(parts=1), False)}
 ROBOTS = {  # file under example-robot-data, tip, base
     "UR5": ("ur_description/urdf/ur5_robot.urdf", "ee_link", None),
@@ -158,6 +159,8 @@ def measure(name: str, fit: jaxik.Fit, exact: bool, count: int, truth: dict[str,
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")
         seconds, chain = timed(load)
+        if fit.parts == 1:
+            chain = dataclasses.replace(chain, convex_parts=())
         again, _ = timed(load)
         told = jaxik.files.fit_report(FOLDER / file, tip=tip, base=base, fit=fit)
     q = draw(chain, count)

@@ -49,7 +49,7 @@ def model_markdown(result: dict[str, Any]) -> str:
         reach = f"{row['protrusion max [mm]']:.0f} mm, {row['protrusion mean [mm]']:.0f} mm"
         told = f"{row['parts']} of {row['meshes']} | {row['volumes']} | {reach} | {share(row, 'free')} | {share(row, 'false')}"
         lines.append(f"| {row['robot']} | {told} | {row['missed']} | {share(hulls, 'false')} |")
-    lines += ["", "| exact | false | missed | off coal's distance, at most | collides: hulls, capsules, exact | clearance |"]
+    lines += ["", "| exact | false | missed | off coal's distance, at most | collides: hulls, default, exact | clearance |"]
     lines.append("| --- | --- | --- | --- | --- | --- |")
     for row, exact, hulls in zip(*(result[each]["rows"] for each in ("default", "exact", "hulls")), strict=True):
         times = [
@@ -74,7 +74,7 @@ def scenes_markdown(result: dict[str, Any]) -> str:
 def plans_markdown(result: dict[str, Any]) -> str:
     """A row for each robot: motions that are found and their samples that collide, and how often links keep 5 mm apart."""
     lines = [
-        f"| robot | of {result['plans']} plans: capsules, exact | samples that collide | keep 5 mm: coal, capsules, exact |",
+        f"| robot | of {result['plans']} plans: default, exact | samples that collide | keep 5 mm: coal, default, exact |",
         "| --- | --- | --- | --- |",
     ]
     kinds = "default", "exact"
