@@ -114,9 +114,22 @@ def explain(chain: Chain, scene: Scene | None, q: Float[Array, " n"], count: int
             found = [row for row in _nearest(pairs, bounds)[:count] if row[0] < below]
             contacts = tuple(_contact(chain, scene, pairs[number], apart, *row) for apart, number, *row in found)
         beside = [*_with_itself(chain, volumes, _left_out(chain)), *_with_scene(chain, scene, volumes, ignored=True)]
-        overlapping = [row for row in _nearest(beside, {})[:count] if row[0] < 0.0]
+        overlapping = _overlapping(chain, posture, beside)[:count]
         unchecked = tuple(_contact(chain, scene, beside[number], apart, *row) for apart, number, *row in overlapping)
     return Surroundings(contacts, _limits(chain, posture)[:count], unchecked)
+
+
+def _overlapping(chain: Chain, q: np.ndarray, pairs: list[_Pairs]) -> list[tuple[float, int, int, int]]:
+    """Of each two names that overlap, the deepest row (`_nearest`): those whose volumes do, and of two links what decides where
+    volumes are near, too."""
+    found = [row for row in _nearest(pairs, {}) if row[0] < 0.0]
+    if not any(pairs[number].itself for _, number, *_ in found) or not own_in(grouped(None, chain)):
+        return found
+    apart = dataclasses.replace(chain, self_pairs=tuple(_left_out(chain)))
+    told = [contact for contact in _by_own_shape(apart, None, q) if contact.distance < 0.0]
+    crossing, links = {(contact.link, contact.other) for contact in told}, chain.link_names
+    counts = lambda each, other, volume: not each.itself or (links[each.links[volume]], links[each.owners[other]]) in crossing
+    return [(gap, number, *row) for gap, number, *row in found if counts(pairs[number], *row)]
 
 
 def _by_own_shape(chain: Chain, scene: Scene | None, q: np.ndarray) -> Iterator[Contact]:

@@ -461,7 +461,8 @@ def test_a_fit_is_told_and_written(tmp_path, monkeypatch, capsys):
         call(monkeypatch, "fit", tmp_path / "arm.urdf", "--accuracy", 15, "--to", tmp_path / name)
         *table, counts, wrote = capsys.readouterr().out.splitlines()
         chain = jaxik.load(tmp_path / "arm.urdf", meshes=True, fit=jaxik.Fit(0.015))
-        assert counts.startswith(f"{len(chain.volumes)} volumes, 1 pairs of links to check, ")
+        parts, volumes = len(chain.convex_parts), len(chain.volumes)
+        assert counts.startswith(f"{parts} convex parts, {volumes} volumes, 1 pairs of links to check, ")
         rows = [[word.strip() for word in line.split("\u2502")[1:-1]] for line in table if line.startswith("\u2502")]
         links, pairs = rows[:2], rows[2:]
         assert [row[:5:2] for row in links] == [["base", "1", "yes"], ["arm", "1", "yes"]]
