@@ -16,7 +16,7 @@ from jaxik.collision.gjk import Support, farthest, separation
 from jaxik.collision.leaf_rows import Found, count_of, entry, nearest_of, row_at
 from jaxik.collision.own_shape import OwnShape
 from jaxik.collision.shape_distances import Gap, box_gap, cylinder_gap, skeleton_gap, triangle_gap
-from jaxik.collision.surface_trees import square_beyond, wanted
+from jaxik.collision.surface_trees import square_between, square_beyond, wanted
 from jaxik.spatial.algebra import Frame, Rot3, Vec3, safe_sqrt, traced
 
 DIGITS = 1e3  # of the dtype's precision, to which a distance is sought
@@ -55,31 +55,27 @@ class Parts(OwnShape):
 
     def beside(self, p: Any, o: Any, start: Found, enough: Any) -> Found:
         """The nearest of the bodies of parts p and o of the robot, if they are nearer than the `start`."""
-        frame = self.frame(p)
-        between = frame.inverse() @ self.frame(o)
-        turn, back = between.rotation, between.rotation.T
+        frame, beside = self.frame(p), self.frame(o)
+        between = frame.inverse() @ beside
         center, radius = row_at(self.space.parts, o)
         middle = frame.inverse() @ center
 
         def own(a: Any, _: Any, found: Found) -> Found:
-            place, half = self._center(a), self._half(a)
+            def other(b: Any, near: Any, found: Found) -> Found:
+                theirs = self._support(beside, b), entry(self.radius, b), beside @ self._center(b), self.origin + b
+                return self._nearer(a, frame, near, found, theirs)
 
-            def square(b: Any) -> Any:  # of what two boxes are apart at least, by their gaps along the axes of either
-                apart, other = place - between @ self._center(b), self._half(b)
-                mine = square_beyond(apart, half + _extents(turn, other))
-                return jnp.maximum(mine, square_beyond(back @ apart, other + _extents(back, half)))
-
-            other = lambda b, near, found: self._nearer(a, frame, near, found, self._body(o, b))
+            square = lambda b: square_between(self._box(a), self._box(b), between)
             return self._near(o, square, 0.0, found, enough, other)
 
-        beyond = lambda a: square_beyond(middle - self._center(a), self._half(a))
+        beyond = lambda a: square_beyond(middle - self._center(a), self._box(a)[1])
         return self._near(p, beyond, radius, start, enough, own)
 
     def beside_leaf(self, p: Any, others: Any, j: Any, start: Found, enough: Any) -> Found:
         """The nearest of the bodies of part p and the obstacles of leaf j, if they are nearer than the `start`."""
         frame, (center, radius) = self.frame(p), row_at(others.leaves, j)
         middle = frame.inverse() @ center
-        beyond = lambda a: square_beyond(middle - self._center(a), self._half(a))
+        beyond = lambda a: square_beyond(middle - self._center(a), self._box(a)[1])
 
         def row(i: Any, found: Found) -> Found:
             number = j * others.size + i
@@ -92,7 +88,8 @@ class Parts(OwnShape):
 
     def points(self, p: Any, then: Callable[[Vec3, Any, Any], Any], state: Any) -> Any:
         """`then` of a point in each body of part p, in the world, the body's number, and the state that it hands on."""
-        one = lambda b, state: then(self.frame(p) @ self._corner(b), self.first + b, state)
+        frame = self.frame(p)
+        one = lambda b, state: then(frame @ self._corner(b), self.first + b, state)
         return lax.fori_loop(entry(self.own.first, p), entry(self.own.first, p + 1), one, state)
 
     def touch(self, found: Found) -> tuple[Vec3, Vec3]:
@@ -138,13 +135,9 @@ class Parts(OwnShape):
         """The middle of the box around body b, in its joint's frame."""
         return Vec3(*traced(entry(self.centers, b)))
 
-    def _half(self, b: Any) -> Vec3:
-        return Vec3(*traced(entry(self.halves, b)))
-
-    def _body(self, p: Any, b: Any) -> tuple[Support, Any, Vec3, Any]:
-        """Body b of part p as what another is near to: its farthest points, its radius, a point in its middle, its number."""
-        frame = self.frame(p)
-        return self._support(frame, b), entry(self.radius, b), frame @ self._center(b), self.origin + b
+    def _box(self, b: Any) -> tuple[Vec3, Vec3]:
+        """The box around body b in its joint's frame: its centre, and half its edges."""
+        return self._center(b), Vec3(*traced(entry(self.halves, b)))
 
     def _near(self, p: Any, square: Any, more: Any, found: Found, enough: Any, then: Callable[..., Found]) -> Found:
         """`then` of each body of part p that is near, in which lanes it is, and what is found: where the `square` of what it is
@@ -166,11 +159,6 @@ class Parts(OwnShape):
         gap = jnp.where(near, told.apart - radii, jnp.inf)
         mark = lambda n: jnp.zeros_like(found.mine) + n
         return nearest_of(found, Found(gap) if found.mine is None else Found(gap, mark(self.first + a), mark(number), found.at))
-
-
-def _extents(turn: Rot3, half: Vec3) -> Vec3:
-    """Half the edges of a box around one that is turned."""
-    return Vec3(*(sum(jnp.abs(x) * h for x, h in zip(row, half, strict=True)) for row in turn))
 
 
 class Core(NamedTuple):

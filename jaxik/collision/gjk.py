@@ -15,7 +15,7 @@ from typing import Any, NamedTuple
 import jax.numpy as jnp
 from jax import lax
 
-from jaxik.collision.leaf_rows import entry
+from jaxik.collision.leaf_rows import either, entry
 from jaxik.spatial.algebra import Vec3, safe_divide, safe_sqrt, traced
 
 STEPS = 60  # points that are looked at, at most; a dozen is usual
@@ -93,7 +93,7 @@ def separation(a: Support, b: Support, start: Vec3, least: Any, close: float, tr
         for u in state.used:
             free.append(~u & ~taken)
             taken = taken | ~u
-        simplex = tuple(_either(f, w, s) for f, s in zip(free, state.simplex, strict=True))
+        simplex = tuple(either(f, w, s) for f, s in zip(free, state.simplex, strict=True))
         nearest, used = _nearest(simplex, [u | f for u, f in zip(state.used, free, strict=True)])
         now = safe_sqrt(nearest.apart.dot(nearest.apart))
         outside = ~reduce(jnp.logical_and, used) & (now > ZERO)
@@ -110,11 +110,6 @@ def _supported(a: Support, b: Support, v: Vec3, tracked: bool) -> _Corner:
     return _Corner(mine - theirs, (mine, theirs) if tracked else ())
 
 
-def _either(which: Any, a: _Corner, b: _Corner) -> _Corner:
-    chosen = lambda x, y: Vec3(*(jnp.where(which, *both) for both in zip(x, y, strict=True)))
-    return _Corner(chosen(a.apart, b.apart), tuple(map(chosen, a.points, b.points)))
-
-
 def _nearest(simplex: tuple[_Corner, ...], used: list[Any]) -> tuple[_Corner, list[Any]]:
     """The point of a simplex nearest to the origin, of the corners `used`; and which of them hold it."""
     zero = jnp.zeros_like(simplex[0].apart.x)
@@ -127,7 +122,7 @@ def _nearest(simplex: tuple[_Corner, ...], used: list[Any]) -> tuple[_Corner, li
             square = found.apart.dot(found.apart)
             better = valid & (square < least)
             least = jnp.where(better, square, least)
-            point = _either(better, found, point)
+            point = either(better, found, point)
             held = [jnp.where(better, ~false if k in subset else false, h) for k, h in enumerate(held)]
     whole = reduce(jnp.logical_and, used) & _holds_origin([s.apart for s in simplex])
     return point._replace(apart=Vec3(*(jnp.where(whole, 0.0, x) for x in point.apart))), [h | whole for h in held]

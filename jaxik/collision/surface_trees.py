@@ -150,6 +150,16 @@ def square_beyond(apart: Vec3, half: Vec3) -> Any:
     return beyond.dot(beyond)
 
 
+def square_between(one: tuple[Vec3, Vec3], other: tuple[Vec3, Vec3], one_T_other: Frame) -> Any:
+    """The square of what two boxes, each its centre and half its edges in its own frame, are apart at least: by their gaps
+    along the axes of either."""
+    (center, half), (middle, size), turn = one, other, one_T_other.rotation
+    sized = lambda turn, half: Vec3(*(sum(jnp.abs(x) * h for x, h in zip(row, half, strict=True)) for row in turn))
+    apart = center - one_T_other @ middle
+    by_one = square_beyond(apart, half + sized(turn, size))
+    return jnp.maximum(by_one, square_beyond(turn.T @ apart, size + sized(turn.T, half)))
+
+
 def triangle_at(trees: Trees, i: Any, dtype: Any) -> tuple[Vec3, Vec3, Vec3]:
     """The corners of a triangle."""
     a, b, c = (Vec3(*traced(x)) for x in entry(jnp.asarray(trees.corners, dtype), i))
@@ -209,14 +219,8 @@ def surface_gap(a: Trees, i: Any, b: Trees, j: Any, a_T_b: Frame, found: Found, 
         longer = levels > others
         return jnp.where(longer, (mine << rest) + more, mine), jnp.where(longer, theirs, (theirs << rest) + more)
 
-    sized = lambda turn, half: Vec3(*(sum(jnp.abs(x) * h for x, h in zip(row, half, strict=True)) for row in turn))
-
     def square(mine: Any, theirs: Any) -> Any:
-        """The square of what two boxes are apart at least, by their gaps along the axes of either."""
-        (own, half), (other, size) = box_at(a, heap + mine, dtype), box_at(b, other_heap + theirs, dtype)
-        apart = own - a_T_b @ other
-        by_mine = square_beyond(apart, half + sized(a_T_b.rotation, size))
-        return jnp.maximum(by_mine, square_beyond(a_T_b.rotation.T @ apart, size + sized(a_T_b.rotation.T, half)))
+        return square_between(box_at(a, heap + mine, dtype), box_at(b, other_heap + theirs, dtype), a_T_b)
 
     def step(at: _Place, least: Any) -> _Place:
         mine, theirs = halves(at.number, at.depth)
