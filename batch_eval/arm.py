@@ -16,14 +16,14 @@ from race import PLAIN, Entry, compiled, single
 import jaxik
 
 
-def eaik_robot(chain: jaxik.Chain, last: int = 6, **options: Any) -> tuple[HPRobot, np.ndarray]:
+def eaik_robot(robot: jaxik.Robot, last: int = 6, **options: Any) -> tuple[HPRobot, np.ndarray]:
     """The `last` joints for EAIK, the leading ones at 0, and its tip's rotation (3, 3), which it does not carry."""
     frame, axes, points = np.eye(4), [], []
-    for parent_T_joint, axis in zip(chain.parent_T_joint, chain.axis, strict=True):
+    for parent_T_joint, axis in zip(robot.parent_T_joint, robot.axis, strict=True):
         frame = frame @ parent_T_joint
         axes.append(frame[:3, :3] @ axis)
         points.append(frame[:3, 3])
-    tip = frame @ chain.joint_T_tip
+    tip = frame @ robot.joint_T_tip
     offsets = np.diff(np.array([np.zeros(3), *points[-last:], tip[:3, 3]]), axis=0)
     return HPRobot(np.array(axes[-last:]), offsets, **options), tip[:3, :3]
 
@@ -35,15 +35,15 @@ def closed_form_entries(dtype: Any, count: int = 50_000) -> list[Entry]:
     before the clock starts. jaxik's error is the worst pose of a branch that it calls valid.
     """
     with jax.enable_x64(True):
-        chain = jaxik.load("p6r")
-        q = np.random.default_rng(0).uniform(chain.lower, chain.upper, (count, 7))
-        pose = jax.jit(jax.vmap(lambda q: jaxik.forward_kinematics(chain, q)))
+        robot = jaxik.load("p6r")
+        q = np.random.default_rng(0).uniform(robot.lower, robot.upper, (count, 7))
+        pose = jax.jit(jax.vmap(lambda q: jaxik.forward_kinematics(robot, q)))
         poses = np.asarray(pose(q))
         arm_poses = np.array(pose(q * (np.arange(7) > 0)))
     with jax.enable_x64(dtype == np.float64):
         batch = jnp.asarray(poses, dtype), jnp.asarray(q[:, 0], dtype)
-        run, seconds = compiled(jax.vmap(functools.partial(jaxik.closed_form, chain)), *batch)
-        plain = Entry(PLAIN, count, *compiled(jax.vmap(functools.partial(jaxik.closed_form.__wrapped__, chain)), *batch))
+        run, seconds = compiled(jax.vmap(functools.partial(jaxik.closed_form, robot)), *batch)
+        plain = Entry(PLAIN, count, *compiled(jax.vmap(functools.partial(jaxik.closed_form.__wrapped__, robot)), *batch))
         found = run()
     with jax.enable_x64(True):
         back = np.asarray(pose(np.asarray(found.q, np.float64).reshape(-1, 7))).reshape(count, 8, 4, 4)
@@ -51,24 +51,24 @@ def closed_form_entries(dtype: Any, count: int = 50_000) -> list[Entry]:
     valid = np.asarray(found.valid)
     worst, success = float(np.max(error, where=valid, initial=0.0)), float(valid.any(axis=1).mean())
     ours = Entry("jaxik", count, run, seconds, worst, success)
-    robot, tip = eaik_robot(chain)
+    peer, tip = eaik_robot(robot)
     arm_poses[:, :3, :3] = arm_poses[:, :3, :3] @ tip.T
     matrices = list(arm_poses)
-    theirs = [Entry(f"EAIK, {n} threads", count, lambda n=n: robot.IK_batched(matrices, n) and None) for n in (2, 4)]
+    theirs = [Entry(f"EAIK, {n} threads", count, lambda n=n: peer.IK_batched(matrices, n) and None) for n in (2, 4)]
     return [ours, plain, *theirs]
 
 
 def single_calls() -> dict[str, dict[str, Callable[[], Any]]]:
     """One pose: all eight branches by calls that wait for their results."""
-    chain = jaxik.load("p6r")
-    q = np.random.default_rng(0).uniform(chain.lower, chain.upper)
-    pose = jaxik.forward_kinematics(chain, jnp.asarray(q * (np.arange(7) > 0)))  # the slide at 0, as EAIK has none
-    solve = functools.partial(jaxik.closed_form, chain)
-    works = single(solve, functools.partial(jaxik.closed_form.__wrapped__, chain), pose, jnp.zeros(()))
-    robot, tip = eaik_robot(chain)
+    robot = jaxik.load("p6r")
+    q = np.random.default_rng(0).uniform(robot.lower, robot.upper)
+    pose = jaxik.forward_kinematics(robot, jnp.asarray(q * (np.arange(7) > 0)))  # the slide at 0, as EAIK has none
+    solve = functools.partial(jaxik.closed_form, robot)
+    works = single(solve, functools.partial(jaxik.closed_form.__wrapped__, robot), pose, jnp.zeros(()))
+    peer, tip = eaik_robot(robot)
     matrix = np.array(pose, np.float64)
     matrix[:3, :3] = matrix[:3, :3] @ tip.T
-    return {"closed form, P6R, all 8 branches": works | {"EAIK, from Python": lambda: robot.IK(matrix)}}
+    return {"closed form, P6R, all 8 branches": works | {"EAIK, from Python": lambda: peer.IK(matrix)}}
 
 
 def crop(points: int = 150) -> jaxik.Scene:
@@ -84,9 +84,9 @@ def crop(points: int = 150) -> jaxik.Scene:
 
 def clearance_entry(count: int = 10_000) -> Entry:
     """Distances of 56 spheres to 150 points and to each other."""
-    chain, scene = jaxik.load("p6r"), crop()
-    q = np.random.default_rng(0).uniform(chain.lower, chain.upper, (count, 7)).astype(np.float32)
-    run, seconds = compiled(jax.vmap(lambda q: jaxik.clearance(chain, scene, q)), jnp.asarray(q))
+    robot, scene = jaxik.load("p6r"), crop()
+    q = np.random.default_rng(0).uniform(robot.lower, robot.upper, (count, 7)).astype(np.float32)
+    run, seconds = compiled(jax.vmap(lambda q: jaxik.clearance(robot, scene, q)), jnp.asarray(q))
     return Entry("jaxik", count, run, seconds)
 
 
@@ -95,8 +95,8 @@ def scan_entry(angles: int = 144, slides: int = 82) -> Entry:
 
     The seconds to compile are those of the first scan.
     """
-    chain, scene = jaxik.load("p6r"), crop()
-    run = lambda: jaxik.harvesting.scan(chain, scene, scene.fruits[0], angles, slides) and None
+    robot, scene = jaxik.load("p6r"), crop()
+    run = lambda: jaxik.harvesting.scan(robot, scene, scene.fruits[0], angles, slides) and None
     start = time.perf_counter()
-    solved = jaxik.harvesting.scan(chain, scene, scene.fruits[0], angles, slides).reason == jaxik.Reason.SOLVED
+    solved = jaxik.harvesting.scan(robot, scene, scene.fruits[0], angles, slides).reason == jaxik.Reason.SOLVED
     return Entry("jaxik", angles * slides * 8, run, time.perf_counter() - start, success=float(solved))

@@ -30,12 +30,12 @@ START, FRUIT = np.zeros(2), np.array([0.4, 1.25])  # straight along the row; beh
 SIX = {"degrees": 15.0, "slide": 0.3}
 
 
-def planar() -> tuple[jaxik.Chain, jaxik.Scene, np.ndarray]:
+def planar() -> tuple[jaxik.Robot, jaxik.Scene, np.ndarray]:
     """Two links of 1 m, the row of stems, and the posture at the fruit that is free."""
-    chain, scene = jaxik.load("planar2"), jaxik.make_scene(boxes=STEMS)
+    robot, scene = jaxik.load("planar2"), jaxik.make_scene(boxes=STEMS)
     pose = jaxik.pose([*FRUIT, 0.0])
     in_plane = jaxik.Task.pose(("z", "roll", "pitch", "yaw"), "base")
-    return chain, scene, jaxik.solve_ik(chain, pose, scene, task=in_plane, choice="clearance").q
+    return robot, scene, jaxik.solve_ik(robot, pose, scene, task=in_plane, choice="clearance").q
 
 
 def truth(nodes: np.ndarray, hits: np.ndarray, start: np.ndarray, goal: np.ndarray) -> float:
@@ -53,29 +53,29 @@ def truth(nodes: np.ndarray, hits: np.ndarray, start: np.ndarray, goal: np.ndarr
 
 def figure_7(file: Path) -> dict[str, Any]:
     """The counts, and the picture."""
-    chain, scene, goal = planar()
+    robot, scene, goal = planar()
     values = np.arange(-np.pi, np.pi + 1e-9, STEP)
     nodes = np.stack(np.meshgrid(values, values, indexing="ij"), axis=-1)
-    collides = jax.jit(jax.vmap(lambda q: jaxik.collides(chain, scene, q)))
+    collides = jax.jit(jax.vmap(lambda q: jaxik.collides(robot, scene, q)))
     hits = np.asarray(collides(nodes.reshape(-1, 2).astype(np.float32))).reshape(nodes.shape[:2])
     result: dict[str, Any] = {"nodes": hits.size, "free": int((~hits).sum()), "dijkstra": truth(nodes, hits, START, goal)}
     for direction in ("forward", "backward", "both"):
         for name, how in {"one by one": {"batch": 1, "euclidean": True}, "in batches": {"batch": 256}}.items():
-            run = lambda how=how, direction=direction: plan_on_grid(chain, scene, START, goal, direction=direction, **how)
+            run = lambda how=how, direction=direction: plan_on_grid(robot, scene, START, goal, direction=direction, **how)
             run()
             found, seconds = clocked(run)
             row = {"expanded": found.expanded, "judged": found.judged, "length": found.length, "ms": 1e3 * seconds}
             result[f"{direction}, {name}"] = row
             print(f"{direction:9s} {name:11s} {row}")
-    draw(file, chain, hits, START, goal)
+    draw(file, robot, hits, START, goal)
     return result
 
 
-def draw(file: Path, chain: jaxik.Chain, hits: np.ndarray, start: np.ndarray, goal: np.ndarray) -> None:
+def draw(file: Path, robot: jaxik.Robot, hits: np.ndarray, start: np.ndarray, goal: np.ndarray) -> None:
     """The row from above with the motion, and the space of the joints with what each search looked at."""
     scene = jaxik.make_scene(boxes=STEMS)
     figure, axes = plt.subplots(1, 3, figsize=(13, 4.3), layout="constrained")
-    found = {d: plan_on_grid(chain, scene, start, goal, direction=d, batch=1, euclidean=True) for d in ("forward", "backward")}
+    found = {d: plan_on_grid(robot, scene, start, goal, direction=d, batch=1, euclidean=True) for d in ("forward", "backward")}
     for box in STEMS:
         axes[0].add_patch(plt.Rectangle((box[0] - 0.05, box[1] - 0.05), 0.1, 0.1, color="0.35"))
     way = found["forward"].waypoints
@@ -119,15 +119,15 @@ def six_joints() -> dict[str, Any]:
     whole, scene = jaxik.load("p6r"), jaxik.load_scene("cucumber_row")
     row = next(row for row in jaxik.harvest(whole, scene).rows if row.success and row.q[0] > 0.0)
     hold = lambda limit: np.concatenate([row.q[:1], limit[1:]])
-    chain, around = dataclasses.replace(whole, lower=hold(whole.lower), upper=hold(whole.upper)), scene.without(row.fruit)
+    robot, around = dataclasses.replace(whole, lower=hold(whole.lower), upper=hold(whole.upper)), scene.without(row.fruit)
     rng = np.random.default_rng(0)
-    draws = (rng.uniform(chain.lower, chain.upper) for _ in range(1000))
-    start = next(q for q in draws if not jaxik.collides(chain, around, q, 0.03))
+    draws = (rng.uniform(robot.lower, robot.upper) for _ in range(1000))
+    start = next(q for q in draws if not jaxik.collides(robot, around, q, 0.03))
     result: dict[str, Any] = {"fruit": row.fruit, "degrees": SIX["degrees"]}
     step = np.concatenate([[1.0], np.full(6, np.radians(SIX["degrees"]))])
     for direction in ("forward", "backward", "both"):
         found, seconds = clocked(
-            lambda d=direction: plan_on_grid(chain, around, start, row.q, step=step, direction=d, batch=8192)
+            lambda d=direction: plan_on_grid(robot, around, start, row.q, step=step, direction=d, batch=8192)
         )
         result[direction] = {"solved": bool(found), "expanded": found.expanded, "length": found.length, "s": seconds}
         print(direction, result[direction])

@@ -25,7 +25,7 @@ import jaxik
 from jaxik.harvesting.grasp import approach_grid, fruit_frames
 
 OUT = Path(__file__).with_suffix(".json")
-CHAIN, SCENE = jaxik.load("p6r"), jaxik.load_scene("cucumber_row")
+ROBOT, SCENE = jaxik.load("p6r"), jaxik.load_scene("cucumber_row")
 ANGLES = 24  # a fruit is picked at any of them
 POSES = [fruit_frames(fruit, approach_grid(ANGLES)[::2]) for fruit in SCENE.fruits]
 AROUND = [SCENE.without([fruit.name]).geometry() for fruit in SCENE.fruits]
@@ -40,7 +40,7 @@ def placed(base: Any) -> Any:
     y, z, yaw = base
     c, s, zero, one = jnp.cos(yaw), jnp.sin(yaw), jnp.zeros_like(y), jnp.ones_like(y)
     rows = [[c, -s, zero, zero], [s, c, zero, y], [zero, zero, one, z], [zero, zero, zero, one]]
-    return jnp.stack([jnp.stack(row) for row in rows]) @ CHAIN.world_T_base
+    return jnp.stack([jnp.stack(row) for row in rows]) @ ROBOT.world_T_base
 
 
 def picked(y: Any, z: Any, yaw: Any) -> np.ndarray:
@@ -56,7 +56,7 @@ def picked(y: Any, z: Any, yaw: Any) -> np.ndarray:
 
 @jax.jit
 def score(base: Any, poses: Any, q: Any, scene: Any) -> Any:
-    return jax.value_and_grad(lambda b: jaxik.reach.log_reach_score(CHAIN.mounted(placed(b)), scene, poses, q))(base)
+    return jax.value_and_grad(lambda b: jaxik.reach.log_reach_score(ROBOT.mounted(placed(b)), scene, poses, q))(base)
 
 
 def ascend(base: np.ndarray) -> tuple[np.ndarray, list[Any]]:
@@ -65,10 +65,10 @@ def ascend(base: np.ndarray) -> tuple[np.ndarray, list[Any]]:
     history, mean, square = [], np.zeros(3), np.zeros(3)
     best, best_value = base, -np.inf
     for i in range(1, STEPS + 1):
-        chain = CHAIN.mounted(np.asarray(placed(jnp.asarray(base))))
+        robot = ROBOT.mounted(np.asarray(placed(jnp.asarray(base))))
         value, slope = 0.0, np.zeros(3)
         for poses, scene in zip(POSES, AROUND, strict=True):
-            at, q = jaxik.reach.likely_postures(chain, scene, poses, slides=6)
+            at, q = jaxik.reach.likely_postures(robot, scene, poses, slides=6)
             v, g = score(jnp.asarray(base, jnp.float32), at.astype(np.float32), q, scene)
             value, slope = value + float(v), slope + np.asarray(g, float)
         history.append([*map(float, base), value])

@@ -46,19 +46,19 @@ EXACT = 1e-10
 SAME = 1e-5  # [rad] of two branches that are one: at a double root EAIK's have half the digits
 
 
-def chains() -> dict[str, jaxik.Chain]:
+def robots() -> dict[str, jaxik.Robot]:
     return {
         **{name: jaxik.load(name) for name in SHIPPED},
         **{name: jaxik.load(bare_urdf(ROBOTS / file, tip), tip=tip) for name, (file, tip) in FILES.items()},
     }
 
 
-def configurations(chain: jaxik.Chain, count: int, seed: int) -> np.ndarray:
+def configurations(robot: jaxik.Robot, count: int, seed: int) -> np.ndarray:
     """Random ones (count, n), a tenth of them with some joints at quarter turns."""
     rng = np.random.default_rng(seed)
-    low, high = jaxik.robot.finite_limits(chain)
-    slides = np.array(chain.is_prismatic)
-    q = rng.uniform(np.where(slides, low, -np.pi), np.where(slides, high, np.pi), (count, chain.num_joints))
+    low, high = jaxik.kinematics.finite_limits(robot)
+    slides = np.array(robot.is_prismatic)
+    q = rng.uniform(np.where(slides, low, -np.pi), np.where(slides, high, np.pi), (count, robot.num_joints))
     quarter = (rng.random(q.shape) < 0.5) & ~slides & (np.arange(count) % 10 == 0)[:, None]
     return np.where(quarter, np.round(q / (np.pi / 2)) * (np.pi / 2), q)
 
@@ -71,18 +71,18 @@ def apart(a: np.ndarray, b: np.ndarray) -> np.ndarray:
 class Judge:
     """One arm's batched closed form and forward kinematics, in float64."""
 
-    def __init__(self, chain: jaxik.Chain):
-        self.chain = chain
-        self.solve = jax.jit(jax.vmap(functools.partial(jaxik.closed_form, chain)))
-        self.forward = jax.jit(jax.vmap(functools.partial(jaxik.forward_kinematics, chain)))
+    def __init__(self, robot: jaxik.Robot):
+        self.robot = robot
+        self.solve = jax.jit(jax.vmap(functools.partial(jaxik.closed_form, robot)))
+        self.forward = jax.jit(jax.vmap(functools.partial(jaxik.forward_kinematics, robot)))
 
     def round_trip(self, count: int, portion: int = 20_000) -> dict[str, Any]:
         """Over random configurations; the poses are Pinocchio's."""
-        pinocchio, lost, unsolved, worst, branches = pose_of(self.chain), 0, 0, 0.0, 0
+        pinocchio, lost, unsolved, worst, branches = pose_of(self.robot), 0, 0, 0.0, 0
         for seed in range(-(-count // portion)):
-            q = configurations(self.chain, portion, seed)
+            q = configurations(self.robot, portion, seed)
             poses = np.array([pinocchio(row) for row in q])
-            found = self.solve(poses, jaxik.analytic.given_values(self.chain, q))
+            found = self.solve(poses, jaxik.analytic.given_values(self.robot, q))
             each, valid = np.asarray(found.q), np.asarray(found.valid)
             back = np.asarray(self.forward(each.reshape(-1, q.shape[1]))).reshape(*each.shape[:2], 4, 4)
             worst = max(worst, float(np.max(np.abs(back - poses[:, None]), where=valid[..., None, None], initial=0.0)))
@@ -95,54 +95,54 @@ class Judge:
 
     def beside_eaik(self, count: int) -> dict[str, Any]:
         """Of random poses, the branches of both that the other one lacks."""
-        q = configurations(self.chain, count, 99)
+        q = configurations(self.robot, count, 99)
         q = q[np.arange(count) % 10 != 0]
-        robot, fixed, end = eaik(self.chain)
-        if robot is None:
+        peer, fixed, end = eaik(self.robot)
+        if peer is None:
             return {"eaik": "none", "missing": None, "more": None}
         q[:, list(fixed)] = list(fixed.values())
-        poses = np.array([pose_of(self.chain)(row) for row in q])
+        poses = np.array([pose_of(self.robot)(row) for row in q])
         missing = more = 0
         for pose in poses:
-            theirs = self._exact(robot, pose, end, fixed)
+            theirs = self._exact(peer, pose, end, fixed)
             # an arm angle is another one for each branch: the closed form is asked at each
-            given = jaxik.analytic.given_values(self.chain, theirs) if len(theirs) else np.zeros((0, 0))
+            given = jaxik.analytic.given_values(self.robot, theirs) if len(theirs) else np.zeros((0, 0))
             asked = np.unique(np.round(given, 9), axis=0) if len(theirs) else given
             ours = [self._at(pose, row) for row in (asked if len(asked) else given)]
             ours = np.concatenate(ours) if ours else np.zeros((0, q.shape[1]))
             missing += sum(int(not len(ours) or apart(ours, row).min() > SAME) for row in theirs)
-            if not len(fixed) or jaxik.analytic.redundancy(self.chain).names[0] != "arm angle":
+            if not len(fixed) or jaxik.analytic.redundancy(self.robot).names[0] != "arm angle":
                 more += sum(int(not len(theirs) or apart(theirs, row).min() > SAME) for row in ours)
-        return {"eaik": "closed form" if robot.hasKnownDecomposition() else "search", "missing": missing, "more": more}
+        return {"eaik": "closed form" if peer.hasKnownDecomposition() else "search", "missing": missing, "more": more}
 
     def _at(self, pose: np.ndarray, given: np.ndarray) -> np.ndarray:
         found = self.solve(pose[None], given[None])
         return np.asarray(found.q)[0][np.asarray(found.valid)[0]]
 
-    def _exact(self, robot: Any, pose: np.ndarray, end: np.ndarray, fixed: dict[int, float]) -> np.ndarray:
+    def _exact(self, peer: Any, pose: np.ndarray, end: np.ndarray, fixed: dict[int, float]) -> np.ndarray:
         """EAIK's solutions that have the pose, all joints."""
         at = pose.copy()
         at[:3, :3] = pose[:3, :3] @ end.T
-        found = np.array(robot.IK(at).Q).reshape(-1, self.chain.num_joints)
+        found = np.array(peer.IK(at).Q).reshape(-1, self.robot.num_joints)
         if not len(found):
             return found
         back = np.asarray(self.forward(found))
         return found[np.abs(back - pose).max(axis=(1, 2)) <= 1e-6]
 
 
-def eaik(chain: jaxik.Chain) -> tuple[Any, dict[int, float], np.ndarray]:
+def eaik(robot: jaxik.Robot) -> tuple[Any, dict[int, float], np.ndarray]:
     """The arm for EAIK, with what is given fixed (an arm angle's third joint), and its tip's rotation; None if not known."""
-    names = jaxik.analytic.redundancy(chain).names
-    given = [2 if name == "arm angle" else chain.joint_names.index(name) for name in names]
+    names = jaxik.analytic.redundancy(robot).names
+    given = [2 if name == "arm angle" else robot.joint_names.index(name) for name in names]
     fixed = {i: 0.2 + 0.1 * i for i in given}
-    if any(chain.is_prismatic):
+    if any(robot.is_prismatic):
         return None, fixed, np.eye(3)
     try:
-        robot, end = eaik_robot(chain, chain.num_joints, fixed_axes=list(fixed.items()))
-        robot.IK(np.eye(4))
+        peer, end = eaik_robot(robot, robot.num_joints, fixed_axes=list(fixed.items()))
+        peer.IK(np.eye(4))
     except RuntimeError:
         return None, fixed, np.eye(3)
-    return robot, fixed, end
+    return peer, fixed, end
 
 
 # --------------------------------------------------------------------------------------------------------------------
@@ -152,33 +152,33 @@ def eaik(chain: jaxik.Chain) -> tuple[Any, dict[int, float], np.ndarray]:
 def entries(name: str, dtype: Any, count: int = 50_000) -> list[Entry]:
     """All branches of random poses, with limits, beside EAIK, which has none."""
     with jax.enable_x64(True):
-        chain = jaxik.load(name)
-        q = configurations(chain, count, 0)
-        poses = np.asarray(jax.jit(jax.vmap(functools.partial(jaxik.forward_kinematics, chain)))(q))
-        given = jaxik.analytic.given_values(chain, q)
-        robot, fixed, end = eaik(chain)
+        robot = jaxik.load(name)
+        q = configurations(robot, count, 0)
+        poses = np.asarray(jax.jit(jax.vmap(functools.partial(jaxik.forward_kinematics, robot)))(q))
+        given = jaxik.analytic.given_values(robot, q)
+        peer, fixed, end = eaik(robot)
         q[:, list(fixed)] = list(fixed.values())
-        at = np.asarray(jax.jit(jax.vmap(functools.partial(jaxik.forward_kinematics, chain)))(q)).copy()
+        at = np.asarray(jax.jit(jax.vmap(functools.partial(jaxik.forward_kinematics, robot)))(q)).copy()
     with jax.enable_x64(dtype == np.float64):
         batch = jnp.asarray(poses, dtype), jnp.asarray(given, dtype)
-        ours = Entry("jaxik", count, *compiled(jax.vmap(functools.partial(jaxik.closed_form, chain)), *batch))
-        plain = Entry(PLAIN, count, *compiled(jax.vmap(functools.partial(jaxik.closed_form.__wrapped__, chain)), *batch))
+        ours = Entry("jaxik", count, *compiled(jax.vmap(functools.partial(jaxik.closed_form, robot)), *batch))
+        plain = Entry(PLAIN, count, *compiled(jax.vmap(functools.partial(jaxik.closed_form.__wrapped__, robot)), *batch))
     at[:, :3, :3] = at[:, :3, :3] @ end.T
     matrices = list(at)
-    run: Callable[[int], Any] = lambda threads: robot.IK_batched(matrices, threads) and None
+    run: Callable[[int], Any] = lambda threads: peer.IK_batched(matrices, threads) and None
     return [ours, plain, *(Entry(f"EAIK, {n} threads", count, functools.partial(run, n)) for n in (1, 2))]
 
 
 def poses_over(name: str, values: int = 41, count: int = 20_000) -> list[Entry]:
     """All branches at 41 values of what is given: an entry's item is a pose."""
-    chain = jaxik.load(name)
+    robot = jaxik.load(name)
     with jax.enable_x64(True):
-        q = configurations(chain, count, 0)
-        poses = np.asarray(jax.jit(jax.vmap(functools.partial(jaxik.forward_kinematics, chain)))(q))
-    own = jaxik.analytic.redundancy(chain)
+        q = configurations(robot, count, 0)
+        poses = np.asarray(jax.jit(jax.vmap(functools.partial(jaxik.forward_kinematics, robot)))(q))
+    own = jaxik.analytic.redundancy(robot)
     grid = jnp.asarray(np.linspace(own.lower, own.upper, values), jnp.float32)
     at = jnp.asarray(poses, jnp.float32)
-    function = jax.vmap(jax.vmap(functools.partial(jaxik.closed_form, chain), (None, 0)), (0, None))
+    function = jax.vmap(jax.vmap(functools.partial(jaxik.closed_form, robot), (None, 0)), (0, None))
     counted = lambda poses, grid: jnp.sum(function(poses, grid).within_limits, axis=(1, 2))
     return [Entry("jaxik", count, *compiled(counted, at, grid))]
 
@@ -192,14 +192,14 @@ def main() -> None:
     from_scratch()
     result: dict[str, Any] = {"machine": machine(), "arms": [], "rows": []}
     with jax.enable_x64(True):
-        for name, chain in chains().items():
-            judge = Judge(chain)
-            names = jaxik.analytic.redundancy(chain).names
+        for name, robot in robots().items():
+            judge = Judge(robot)
+            names = jaxik.analytic.redundancy(robot).names
             row = {
                 "arm": name,
-                "joints": chain.num_joints,
+                "joints": robot.num_joints,
                 "given": list(names),
-                "family": jaxik.analytic.redundancy(chain).family,
+                "family": jaxik.analytic.redundancy(robot).family,
             }
             row |= judge.round_trip(arguments.poses) | judge.beside_eaik(arguments.beside)
             print(json.dumps(row), flush=True)

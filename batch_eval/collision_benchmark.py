@@ -37,18 +37,18 @@ class Work:
     """A robot, its scenes, and random configurations inside its limits for each."""
 
     def __init__(self, folder: Path, tip: str | None = None):
-        self.chain = motionbenchmaker.robot(folder, tip)
+        self.robot = motionbenchmaker.load_robot(folder, tip)
         self.files = motionbenchmaker.files(folder)
-        self.posture = motionbenchmaker.posture(folder, self.chain)
-        self.scenes = [goal.scene for goal in motionbenchmaker.goals(folder, self.chain)]
-        shape = (len(self.scenes), OURS, self.chain.num_joints)
-        self.q = np.random.default_rng(0).uniform(*jaxik.robot.finite_limits(self.chain), shape).astype(np.float32)
+        self.posture = motionbenchmaker.posture(folder, self.robot)
+        self.scenes = [goal.scene for goal in motionbenchmaker.goals(folder, self.robot)]
+        shape = (len(self.scenes), OURS, self.robot.num_joints)
+        self.q = np.random.default_rng(0).uniform(*jaxik.kinematics.finite_limits(self.robot), shape).astype(np.float32)
         self.padded = [jax.device_put(scene.geometry()) for scene in self.scenes]
 
     @functools.cached_property
     def coal(self) -> Coal:
         """The judge."""
-        return Coal(self.chain, *self.files, posture=self.posture)
+        return Coal(self.robot, *self.files, posture=self.posture)
 
     @functools.cached_property
     def truth(self) -> np.ndarray:
@@ -60,11 +60,11 @@ class Work:
         return np.stack([peer.clearance(scene, q[:LOOPS]) for scene, q in zip(self.scenes, self.q, strict=True)])
 
     def ours(self, who: str, function: Callable[..., Any]) -> Entry:
-        """`function(chain, scene, q)`, traced, over all scenes and configurations; a program for each size of scene. Scenes are
+        """`function(robot, scene, q)`, traced, over all scenes and configurations; a program for each size of scene. Scenes are
         put in order before the clock starts, as peers' are made."""
-        batch = jax.jit(jax.vmap(lambda scene, q: function(self.chain, scene, q), in_axes=(None, 0)))
+        batch = jax.jit(jax.vmap(lambda scene, q: function(self.robot, scene, q), in_axes=(None, 0)))
         q = [jnp.asarray(rows) for rows in self.q]
-        scenes = [jaxik.collision.bvh.grouped(s, self.chain) for s in self.scenes]
+        scenes = [jaxik.collision.bvh.grouped(s, self.robot) for s in self.scenes]
         run = lambda: [batch(scene, rows) for scene, rows in zip(scenes, q, strict=True)]
         start = time.perf_counter()
         jax.block_until_ready(run())
@@ -93,9 +93,9 @@ def clearances(work: Work) -> list[Entry]:
         entry.error = float(np.abs(found - work.truth)[work.truth > SEEN].max(initial=0.0))
     peers = {
         "coal and Pinocchio, Python loop": work.coal,
-        f"MuJoCo, contacts within {MARGIN:g} m, Python loop": MuJoCo(work.chain, *work.files, margin=MARGIN),
-        "PyRoki, vmap, cylinders as capsules": PyRoki(work.chain, *work.files),
-        "scikit-robot on JAX, vmap, cylinders as capsules": ScikitRobot(work.chain, *work.files),
+        f"MuJoCo, contacts within {MARGIN:g} m, Python loop": MuJoCo(work.robot, *work.files, margin=MARGIN),
+        "PyRoki, vmap, cylinders as capsules": PyRoki(work.robot, *work.files),
+        "scikit-robot on JAX, vmap, cylinders as capsules": ScikitRobot(work.robot, *work.files),
     }
     return [*ours, *(work.peer(who, peer, "clearance") for who, peer in peers.items())]
 
@@ -106,8 +106,8 @@ def collisions(work: Work) -> list[Entry]:
     ours.success = float(np.mean(np.stack([np.asarray(rows[:LOOPS]) for rows in ours.run()]) == (work.truth < 0.0)))
     peers = {
         "coal and Pinocchio, to the first hit, Python loop": work.coal,
-        "coal and Pinocchio, broad phase, Python loop": Coal(work.chain, *work.files, broad=True, posture=work.posture),
-        "MuJoCo, Python loop": MuJoCo(work.chain, *work.files),
+        "coal and Pinocchio, broad phase, Python loop": Coal(work.robot, *work.files, broad=True, posture=work.posture),
+        "MuJoCo, Python loop": MuJoCo(work.robot, *work.files),
     }
     return [ours, *(work.peer(who, peer, "collides") for who, peer in peers.items())]
 
@@ -115,9 +115,9 @@ def collisions(work: Work) -> list[Entry]:
 def agreement(work: Work) -> dict[str, Any]:
     """jaxik's clearances beside coal's and MuJoCo's [m]. A sphere whose centre is inside a cylinder is measured to the nearest
     way out by jaxik and MuJoCo, along the radius by coal; so depths are held against MuJoCo's."""
-    measure = jax.jit(jax.vmap(lambda scene, q: jaxik.clearance(work.chain, scene, q), in_axes=(None, 0)))
+    measure = jax.jit(jax.vmap(lambda scene, q: jaxik.clearance(work.robot, scene, q), in_axes=(None, 0)))
     ours = np.stack([np.asarray(measure(scene, q[:LOOPS]), np.float64) for scene, q in zip(work.padded, work.q, strict=True)])
-    judges = {"coal": work.truth, "mujoco": work.told(MuJoCo(work.chain, *work.files, margin=MARGIN))}
+    judges = {"coal": work.truth, "mujoco": work.told(MuJoCo(work.robot, *work.files, margin=MARGIN))}
     found: dict[str, Any] = {"configurations": ours.size, "free": float(np.mean(ours >= 0.0))}
     for who, theirs in judges.items():
         told, off = np.isfinite(theirs), np.abs(ours - theirs)
@@ -151,7 +151,7 @@ def main() -> None:
     arguments = parser.parse_args()
     from_scratch()
     work = Work(arguments.folder, arguments.tip)
-    spheres, name = sum(len(v.corners) == 1 for v in work.chain.volumes), work.chain.name
+    spheres, name = sum(len(v.corners) == 1 for v in work.robot.volumes), work.robot.name
     among = f"{name}, {spheres} spheres, {len(work.scenes)} scenes"
     result: dict[str, Any] = {"machine": machine(), "scenes": len(work.scenes), "rows": []}
     print(json.dumps(result["machine"]))

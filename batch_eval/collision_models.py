@@ -3,10 +3,10 @@
     python batch_eval/collision_models.py [--parts 32 --most 24] [--count 20000] [--json collision_models.json] [robot ...]
 
 For each robot, at random configurations inside its limits: how many collide by the model and not by the meshes (false, of those
-that are free), or by the meshes and not by the model (missed). All pairs of links count, whether the chain checks them or not,
+that are free), or by the meshes and not by the model (missed). All pairs of links count, whether the robot checks them or not,
 but neighbours across one joint, links that do not move against each other, and those whose meshes touch in at least half of the
 configurations. Likewise where the meshes decide (`exact=True`), and how far the distance is then from coal's, of the pairs that
-the chain checks, where that is below what the model stands out of the meshes. Needs `pip install -e ".[test]"`; the robots are
+the robot checks, where that is below what the model stands out of the meshes. Needs `pip install -e ".[test]"`; the robots are
 those of example-robot-data.
 """
 
@@ -54,18 +54,18 @@ MOSTLY = 0.5  # of the configurations in which meshes touch that are meant to
 Transform = tuple[np.ndarray, np.ndarray]
 
 
-def home(chain: jaxik.Chain) -> np.ndarray:
+def home(robot: jaxik.Robot) -> np.ndarray:
     """0, or the middle of a joint's limits where 0 is outside."""
-    inside = (chain.lower <= 0.0) & (chain.upper >= 0.0)
+    inside = (robot.lower <= 0.0) & (robot.upper >= 0.0)
     with np.errstate(invalid="ignore"):
-        return np.where(inside, 0.0, (chain.lower + chain.upper) / 2.0)
+        return np.where(inside, 0.0, (robot.lower + robot.upper) / 2.0)
 
 
-def draw(chain: jaxik.Chain, count: int) -> np.ndarray:
+def draw(robot: jaxik.Robot, count: int) -> np.ndarray:
     """Random configurations, and the home pose before them."""
-    lower = np.where(np.isfinite(chain.lower), chain.lower, -np.pi)
-    upper = np.where(np.isfinite(chain.upper), chain.upper, np.pi)
-    return np.vstack([home(chain), np.random.default_rng(7).uniform(lower, upper, (count, chain.num_joints))])
+    lower = np.where(np.isfinite(robot.lower), robot.lower, -np.pi)
+    upper = np.where(np.isfinite(robot.upper), robot.upper, np.pi)
+    return np.vstack([home(robot), np.random.default_rng(7).uniform(lower, upper, (count, robot.num_joints))])
 
 
 def origin(element: ElementTree.Element) -> np.ndarray:
@@ -97,14 +97,14 @@ def shape(geometry: ElementTree.Element, frame: np.ndarray, folder: Path) -> Any
 class Meshes:
     """The links as coal sees them, at given configurations."""
 
-    def __init__(self, file: Path, chain: jaxik.Chain, q: np.ndarray) -> None:
+    def __init__(self, file: Path, robot: jaxik.Robot, q: np.ndarray) -> None:
         self.shapes: dict[int, list[Any]] = {}
         for element in ElementTree.parse(file).getroot().findall("link"):
-            if element.get("name") in chain.link_names:
-                link = chain.link_names.index(str(element.get("name")))
+            if element.get("name") in robot.link_names:
+                link = robot.link_names.index(str(element.get("name")))
                 parts = [(c.find("geometry"), origin(c)) for c in element.findall("collision")]
                 self.shapes[link] = [shape(g, o, file.parent) for g, o in parts if g is not None]
-        self.frames = np.asarray(jax.jit(jax.vmap(lambda q: jaxik.robot.link_frames(chain, q)))(jnp.asarray(q)))
+        self.frames = np.asarray(jax.jit(jax.vmap(lambda q: jaxik.kinematics.link_frames(robot, q)))(jnp.asarray(q)))
 
     def touch(self, a: int, b: int) -> np.ndarray:
         """Whether two links touch at each configuration."""
@@ -144,11 +144,11 @@ def timed(make: Any) -> tuple[float, Any]:
     return time.perf_counter() - start, made
 
 
-def off(meshes: Meshes, chain: jaxik.Chain, found: np.ndarray) -> dict[str, Any]:
-    """How far distances are from coal's, of all pairs that the chain checks, where these are above 0 and below `WITHIN`: of
+def off(meshes: Meshes, robot: jaxik.Robot, found: np.ndarray) -> dict[str, Any]:
+    """How far distances are from coal's, of all pairs that the robot checks, where these are above 0 and below `WITHIN`: of
     configurations with such a distance the first so many."""
     rows = np.flatnonzero((found > 0.0) & (found < WITHIN))[:COMPARED]
-    true = np.array([min(meshes.apart(i, *pair) for pair in chain.self_pairs) for i in rows])
+    true = np.array([min(meshes.apart(i, *pair) for pair in robot.self_pairs) for i in rows])
     return {"compared": len(rows), "off coal's at most [m]": float(np.abs(found[rows] - true).max(initial=0.0))}
 
 
@@ -158,37 +158,37 @@ def measure(name: str, fit: jaxik.Fit, exact: bool, count: int, truth: dict[str,
     load = lambda: jaxik.load(FOLDER / file, tip=tip, base=base, meshes=True, fit=fit, posture={}, exact=exact)
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")
-        seconds, chain = timed(load)
+        seconds, robot = timed(load)
         if fit.parts == 1:
-            chain = dataclasses.replace(chain, convex_parts=())
+            robot = dataclasses.replace(robot, convex_parts=())
         again, _ = timed(load)
         told = jaxik.files.fit_report(FOLDER / file, tip=tip, base=base, fit=fit)
-    q = draw(chain, count)
+    q = draw(robot, count)
     if name not in truth:
-        meshes, joint = Meshes(FOLDER / file, chain, q), chain.link_joint
+        meshes, joint = Meshes(FOLDER / file, robot, q), robot.link_joint
         pairs = [(a, b) for a, b in itertools.combinations(meshes.shapes, 2) if abs(joint[b] - joint[a]) > 1]
         found = {pair: meshes.touch(*pair) for pair in pairs}
         truth[name] = np.any([hit for hit in found.values() if hit[1:].mean() < MOSTLY], axis=0), len(pairs), meshes
     hit, judged, meshes = truth[name]
-    own = jax.jit(jax.vmap(lambda q: jaxik.collision.self_clearance(chain, q)))
+    own = jax.jit(jax.vmap(lambda q: jaxik.collision.self_clearance(robot, q)))
     first, _ = timed(lambda: own(jnp.asarray(q, jnp.float32)))
     each = min(timed(lambda: own(jnp.asarray(q, jnp.float32)))[0] for _ in range(5))
-    asked = jax.jit(jax.vmap(lambda q: jaxik.collides(chain, None, q)))
+    asked = jax.jit(jax.vmap(lambda q: jaxik.collides(robot, None, q)))
     timed(lambda: asked(jnp.asarray(q, jnp.float32)))
     soon = min(timed(lambda: asked(jnp.asarray(q, jnp.float32)))[0] for _ in range(5))
-    model = np.asarray(jax.jit(jax.vmap(lambda q: jaxik.collision.self_clearance(chain, q)))(jnp.asarray(q)))
+    model = np.asarray(jax.jit(jax.vmap(lambda q: jaxik.collision.self_clearance(robot, q)))(jnp.asarray(q)))
     protrusion = [row.protrusion for row in told.links]
-    left = [u for u in chain.unchecked if u.reason == "touches"]
+    left = [u for u in robot.unchecked if u.reason == "touches"]
     return {
         "robot": name,
         "meshes": len(told.links),
         "closed": sum(row.closes for row in told.links),
         "parts": sum(row.parts for row in told.links),
-        "volumes": len(chain.volumes),
-        "boxes": len(chain.boxes),
-        "pairs": len(chain.self_pairs),
+        "volumes": len(robot.volumes),
+        "boxes": len(robot.boxes),
+        "pairs": len(robot.self_pairs),
         "judged pairs": judged,
-        "tables": len(chain.pair_tables),
+        "tables": len(robot.pair_tables),
         "left out since they touch": [[*u.links, u.share] for u in left],
         "load [s]": seconds,
         "load again [s]": again,
@@ -202,7 +202,7 @@ def measure(name: str, fit: jaxik.Fit, exact: bool, count: int, truth: dict[str,
         "first [s]": first,
         "self-clearance [us]": 1e6 * each / len(q),
         "collides [us]": 1e6 * soon / len(q),
-    } | (off(meshes, chain, model) if exact else {})
+    } | (off(meshes, robot, model) if exact else {})
 
 
 def main() -> None:

@@ -38,10 +38,10 @@ def frames(scene: jaxik.Scene) -> list[tuple[str, np.ndarray, tuple[float, ...]]
     return boxes + [("cylinder", frame, (radius, half)) for frame, radius, half in round_] + balls
 
 
-def ignored(chain: jaxik.Chain, srdf: Path | None) -> list[tuple[str, str]]:
+def ignored(robot: jaxik.Robot, srdf: Path | None) -> list[tuple[str, str]]:
     """The pairs of links that nobody holds against each other: those that an SRDF leaves out, and neighbours on the chain."""
     found = [] if srdf is None else ET.parse(srdf).getroot().iter("disable_collisions")
-    joint = dict(zip(chain.link_names, chain.link_joint, strict=True))
+    joint = dict(zip(robot.link_names, robot.link_joint, strict=True))
     near = [(a, b) for a, b in itertools.combinations(joint, 2) if abs(joint[a] - joint[b]) <= 1]
     return [(str(pair.get("link1")), str(pair.get("link2"))) for pair in found] + near
 
@@ -98,7 +98,7 @@ class Coal(Peer):
 
     def __init__(
         self,
-        chain: jaxik.Chain,
+        robot: jaxik.Robot,
         urdf: Path,
         srdf: Path | None,
         broad: bool = False,
@@ -109,14 +109,14 @@ class Coal(Peer):
         self.robot = pin.buildGeomFromUrdf(self.model, str(bare(urdf)), pin.GeometryType.COLLISION)
         self.robot.addAllCollisionPairs()
         name = [self.model.frames[body.parentFrame].name for body in self.robot.geometryObjects]
-        left_out = {frozenset(pair) for pair in ignored(chain, srdf)}
+        left_out = {frozenset(pair) for pair in ignored(robot, srdf)}
         pairs = [(pair.first, pair.second) for pair in self.robot.collisionPairs]
         self.robot.removeAllCollisionPairs()
         for a, b in pairs:
             if frozenset((name[a], name[b])) not in left_out:
                 self.robot.addCollisionPair(pin.CollisionPair(a, b))
         self.data = self.model.createData()
-        self.names, self.posture = chain.joint_names, posture or {}
+        self.names, self.posture = robot.joint_names, posture or {}
 
     def prepared(self, scene: jaxik.Scene) -> Any:
         """The geometry of the robot and the scene, and the tree over it."""
@@ -167,9 +167,9 @@ class MuJoCo(Peer):
     """Contacts of `mj_collision`, which has a broad phase of its own, in a Python loop. Distances are those of contacts within
     `margin` [m], so that is all that it sees; what does not move is not held against what does not move."""
 
-    def __init__(self, chain: jaxik.Chain, urdf: Path, srdf: Path | None, margin: float = 0.0):
+    def __init__(self, robot: jaxik.Robot, urdf: Path, srdf: Path | None, margin: float = 0.0):
         super().__init__()
-        self.names, self.urdf, self.pairs, self.margin = chain.joint_names, bare(urdf), ignored(chain, srdf), margin
+        self.names, self.urdf, self.pairs, self.margin = robot.joint_names, bare(urdf), ignored(robot, srdf), margin
 
     def prepared(self, scene: jaxik.Scene) -> Any:
         spec = mujoco.MjSpec.from_file(str(self.urdf))
@@ -222,7 +222,7 @@ class Batched(Peer):
 class PyRoki(Batched):
     """Its RobotCollision of these spheres, `vmap`-ed and jitted."""
 
-    def __init__(self, chain: jaxik.Chain, urdf: Path, srdf: Path | None):
+    def __init__(self, robot: jaxik.Robot, urdf: Path, srdf: Path | None):
         super().__init__()
         import jaxlie
         import pyroki
@@ -230,23 +230,23 @@ class PyRoki(Batched):
         from pyroki.collision import Box, Capsule, RobotCollision
 
         file = yourdfpy.URDF.load(str(bare(urdf)), load_meshes=False, load_collision_meshes=False)
-        robot = pyroki.Robot.from_urdf(file)
+        peer = pyroki.Robot.from_urdf(file)
         links = {name: {"centers": c.tolist(), "radii": r.tolist()} for name, (c, r) in spheres(urdf).items()}
-        body = RobotCollision.from_sphere_decomposition(links, file, tuple(ignored(chain, srdf)))
-        order = np.array([chain.joint_names.index(name) for name in robot.joints.actuated_names])
+        body = RobotCollision.from_sphere_decomposition(links, file, tuple(ignored(robot, srdf)))
+        order = np.array([robot.joint_names.index(name) for name in peer.joints.actuated_names])
 
         def pose(frame: Any) -> Any:
             return jaxlie.SE3.from_matrix(frame)
 
         def clearance(boxes: Any, capsules: Any, q: Any) -> Any:
-            at = body.compute_self_collision_distance(robot, q[order]).min()
+            at = body.compute_self_collision_distance(peer, q[order]).min()
             (box_T, half), (capsule_T, radius, length) = boxes, capsules
             if len(half):
                 world = Box(pose=pose(box_T), size=half)
-                at = jnp.minimum(at, body.compute_world_collision_distance(robot, q[order], world).min())
+                at = jnp.minimum(at, body.compute_world_collision_distance(peer, q[order], world).min())
             if len(radius):
                 world = Capsule(pose=pose(capsule_T), size=jnp.stack([radius, 2.0 * length], axis=-1))
-                at = jnp.minimum(at, body.compute_world_collision_distance(robot, q[order], world).min())
+                at = jnp.minimum(at, body.compute_world_collision_distance(peer, q[order], world).min())
             return at
 
         self.batch = jax.jit(jax.vmap(clearance, in_axes=(None, None, 0)))
@@ -255,7 +255,7 @@ class PyRoki(Batched):
 class ScikitRobot(Batched):
     """The distances of its trajectory optimisation on JAX, `vmap`-ed and jitted, for these spheres and pairs."""
 
-    def __init__(self, chain: jaxik.Chain, urdf: Path, srdf: Path | None):
+    def __init__(self, robot: jaxik.Robot, urdf: Path, srdf: Path | None):
         super().__init__()
         from skrobot.collision.distance import sphere_capsule_distance
         from skrobot.collision.geometry import Capsule, Sphere
@@ -263,10 +263,10 @@ class ScikitRobot(Batched):
         from skrobot.planner.trajectory_optimization import fk_utils
         from skrobot.planner.trajectory_optimization.problem import TrajectoryProblem
 
-        robot, given = RobotModelFromURDF(urdf_file=str(bare(urdf))), spheres(urdf)
-        moving = [joint.child_link for joint in robot.joint_list if joint.name in chain.joint_names]
-        problem = TrajectoryProblem(robot, moving, 1)
-        problem.add_collision_cost([robot.__dict__[name] for name in given], [])
+        peer, given = RobotModelFromURDF(urdf_file=str(bare(urdf))), spheres(urdf)
+        moving = [joint.child_link for joint in peer.joint_list if joint.name in robot.joint_names]
+        problem = TrajectoryProblem(peer, moving, 1)
+        problem.add_collision_cost([peer.__dict__[name] for name in given], [])
         owner = np.repeat(np.arange(len(given)), [len(radius) for _, radius in given.values()])
         problem.collision_spheres = {
             "sphere_centers_local": np.concatenate([center for center, _ in given.values()]),
@@ -275,7 +275,7 @@ class ScikitRobot(Batched):
         }
         data = fk_utils.prepare_fk_data(problem, jnp)
         places = fk_utils.build_fk_functions(data, jnp)[1]
-        name, left_out = list(given), {frozenset(pair) for pair in ignored(chain, srdf)}
+        name, left_out = list(given), {frozenset(pair) for pair in ignored(robot, srdf)}
         apart = lambda a, b: owner[a] != owner[b] and frozenset((name[owner[a]], name[owner[b]])) not in left_out
         first, second = np.array([(a, b) for b in range(len(owner)) for a in range(b) if apart(a, b)]).T
         radii = jnp.asarray(data["sphere_radii"])

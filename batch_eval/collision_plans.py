@@ -5,7 +5,7 @@
 For each robot, alone: motions between random configurations that are free by coal, by capsules and where the meshes decide
 (`exact=True`); of those found, how many samples collide by coal, over the pairs that `collision_models` judges; why the others
 were not found. And of random configurations the share whose links keep 5 mm from each other, by coal and by both models, over
-the pairs that the chain checks. Needs `pip install -e ".[test]"`.
+the pairs that the robot checks. Needs `pip install -e ".[test]"`.
 """
 
 from __future__ import annotations
@@ -30,9 +30,9 @@ import jaxik
 MARGIN, SAMPLES, SHARE = 0.005, 1000, 600  # [m]; of a motion; configurations whose margin is asked for
 
 
-def judged(meshes: Meshes, chain: jaxik.Chain) -> tuple[list[tuple[int, int]], np.ndarray]:
+def judged(meshes: Meshes, robot: jaxik.Robot) -> tuple[list[tuple[int, int]], np.ndarray]:
     """The pairs of links that count, and whether any of them touches at each configuration."""
-    joint = chain.link_joint
+    joint = robot.link_joint
     pairs = [(a, b) for a, b in itertools.combinations(meshes.shapes, 2) if abs(joint[b] - joint[a]) > 1]
     found = {pair: meshes.touch(*pair) for pair in pairs}
     kept = [pair for pair, hit in found.items() if hit.mean() < MOSTLY]
@@ -58,30 +58,30 @@ def measure(name: str, plans: int) -> dict[str, Any]:
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")
         load = lambda exact: jaxik.load(FOLDER / file, tip=tip, base=base, meshes=True, posture={}, exact=exact)
-        chains = {"default": load(False), "exact": load(True)}
-    chain = chains["default"]
-    q = draw(chain, 2000)[1:]
-    meshes = Meshes(FOLDER / file, chain, q)
-    pairs, hit = judged(meshes, chain)
-    some = Meshes(FOLDER / file, chain, q[:SHARE])
-    checked = [pair for pair in chain.self_pairs if pair in pairs or pair[::-1] in pairs]
+        robots = {"default": load(False), "exact": load(True)}
+    robot = robots["default"]
+    q = draw(robot, 2000)[1:]
+    meshes = Meshes(FOLDER / file, robot, q)
+    pairs, hit = judged(meshes, robot)
+    some = Meshes(FOLDER / file, robot, q[:SHARE])
+    checked = [pair for pair in robot.self_pairs if pair in pairs or pair[::-1] in pairs]
     row: dict[str, Any] = {"robot": name, "keep 5 mm": float(np.mean(keeps(some, checked, MARGIN)))}
     free = q[~hit]
-    for kind, each in chains.items():
-        asked = jax.jit(jax.vmap(lambda q, chain=each: jaxik.collides(chain, None, q, MARGIN)))
+    for kind, each in robots.items():
+        asked = jax.jit(jax.vmap(lambda q, robot=each: jaxik.collides(robot, None, q, MARGIN)))
         row[f"{kind} keep 5 mm"] = float(1.0 - np.mean(np.asarray(asked(jnp.asarray(q[:SHARE])))))
         moves = [jaxik.plan_motion(each, None, free[2 * k], free[2 * k + 1], seed=k) for k in range(plans)]
         found = [move.trajectory for move in moves if move.trajectory is not None]
         at = [np.asarray(way.sample(float(way.duration) / (SAMPLES - 1))[1].q) for way in found]
-        touching = judged_at(file, chain, np.concatenate(at), pairs) if at else np.zeros(0, bool)
+        touching = judged_at(file, robot, np.concatenate(at), pairs) if at else np.zeros(0, bool)
         row |= {f"{kind} plans": len(found), f"{kind} samples that collide": int(touching.sum())}
         row[f"{kind} not found"] = dict(collections.Counter(move.why for move in moves if not move.success))
     return row
 
 
-def judged_at(file: str, chain: jaxik.Chain, q: np.ndarray, pairs: list[tuple[int, int]]) -> np.ndarray:
+def judged_at(file: str, robot: jaxik.Robot, q: np.ndarray, pairs: list[tuple[int, int]]) -> np.ndarray:
     """Whether any of some pairs of links touches at configurations, in coal."""
-    meshes = Meshes(FOLDER / file, chain, q)
+    meshes = Meshes(FOLDER / file, robot, q)
     return np.any([meshes.touch(*pair) for pair in pairs], axis=0)
 
 

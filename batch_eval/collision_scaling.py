@@ -46,11 +46,11 @@ def crowd(kind: str, count: int) -> jaxik.Scene:
     return jaxik.make_scene(capsules=np.concatenate([center - half, center + half, np.full((count, 1), THICK)], axis=1))
 
 
-def measured(chain: jaxik.Chain, scene: jaxik.Scene, function: Callable[..., Any], rounds: int) -> float:
+def measured(robot: jaxik.Robot, scene: jaxik.Scene, function: Callable[..., Any], rounds: int) -> float:
     """Nanoseconds a configuration, in the largest batch of 16,384 and less that takes `SECONDS`."""
-    q = np.random.default_rng(0).uniform(chain.lower, chain.upper, (16_384, chain.num_joints)).astype(np.float32)
-    placed = jax.device_put(grouped(scene, chain))  # an operand: no compilation for another scene
-    batch = jax.vmap(lambda around, q: function(chain, around, q), in_axes=(None, 0))
+    q = np.random.default_rng(0).uniform(robot.lower, robot.upper, (16_384, robot.num_joints)).astype(np.float32)
+    placed = jax.device_put(grouped(scene, robot))  # an operand: no compilation for another scene
+    batch = jax.vmap(lambda around, q: function(robot, around, q), in_axes=(None, 0))
     few, _ = compiled(batch, placed, jnp.asarray(q[:64]))
     few()
     each = min(clocked(few)[1] for _ in range(3)) / 64
@@ -65,9 +65,9 @@ def series(rounds: int) -> list[dict[str, Any]]:
     p6r, rows = jaxik.load("p6r"), []
     cases = [(kind, count, p6r, crowd(kind, count)) for kind in ("points", "capsules") for count in OBSTACLES]
     cases += [("spheres", 7 * level, p6r.with_spheres(level), arm.crop()) for level in LEVELS]
-    for what, count, chain, scene in cases:
+    for what, count, robot, scene in cases:
         for work, function in works.items():
-            each = measured(chain, scene, function, rounds)
+            each = measured(robot, scene, function, rounds)
             rows.append({"what": what, "count": count, "work": work, "cores": len(cores()), "ns": each})
             print(f"{work:10s} {count:6d} {what:9s} {len(cores())} cores {each:14.1f} ns a configuration", flush=True)
     return rows

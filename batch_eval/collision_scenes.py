@@ -76,11 +76,11 @@ def measure(name: str, scenes: int, each: int) -> dict[str, Any]:
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")
         load = lambda exact: jaxik.load(FOLDER / file, tip=tip, base=base, meshes=True, posture={}, exact=exact)
-        chains = {"default": load(False), "exact": load(True)}
-    q = draw(chains["default"], scenes * each)[1:]
-    meshes = Meshes(FOLDER / file, chains["default"], q)
+        robots = {"default": load(False), "exact": load(True)}
+    q = draw(robots["default"], scenes * each)[1:]
+    meshes = Meshes(FOLDER / file, robots["default"], q)
     places = meshes.frames[:, :, :3, 3]
-    middle = places[:, chains["default"].link_joint.index(0)].mean(axis=0)  # of what stands still
+    middle = places[:, robots["default"].link_joint.index(0)].mean(axis=0)  # of what stands still
     reach = float(np.quantile(np.linalg.norm(places - middle, axis=2).max(axis=1), 0.9))
     frames = frames_of(np.random.default_rng(11), scenes, reach)
     frames[..., :3, 3] += middle
@@ -88,8 +88,8 @@ def measure(name: str, scenes: int, each: int) -> dict[str, Any]:
     ring = in_coal(np.asarray(RING.vertices)[RING.faces])
     hit = touches(meshes, [coal.Box(*SIZES[0]), coal.Cylinder(*SIZES[1]), ring], frames)
     row: dict[str, Any] = {"robot": name, "configurations": len(q), "free": float(np.mean(~hit))}
-    for kind, chain in chains.items():
-        alone = dataclasses.replace(chain, self_pairs=())
+    for kind, robot in robots.items():
+        alone = dataclasses.replace(robot, self_pairs=())
         told = jax.jit(jax.vmap(lambda q, frames, alone=alone: jaxik.collides(alone, scene_of(frames), q)))
         model = np.asarray(told(jnp.asarray(q), jnp.asarray(frames)))
         row |= {f"{kind} false": float(np.mean(model[~hit])), f"{kind} missed": int(np.sum(hit & ~model))}

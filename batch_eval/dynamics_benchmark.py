@@ -23,12 +23,12 @@ import pinocchio as pin
 from benchmark import show
 from panda import ROBOTS, urdf_file
 from race import Entry, compiled, from_scratch, machine, race
-from rigid_truth import Truth, changed, deviations, of_chain, of_urdf
+from rigid_truth import Truth, changed, deviations, of_robot, of_urdf
 
 import jaxik
-from jaxik import robot
+from jaxik import dynamics
 
-JUDGED = {  # prismatic and continuous joints among them; of a name without a file the model is the chain's
+JUDGED = {  # prismatic and continuous joints among them; of a name without a file the model is the robot's
     "panda": ("panda_description/urdf/panda.urdf", "panda_link8"),
     "ur5": ("ur_description/urdf/ur5_robot.urdf", "tool0"),
     "kinova": ("kinova_description/robots/kinova.urdf", "j2s6s200_end_effector"),
@@ -55,20 +55,20 @@ def check() -> dict[str, dict[str, float]]:
     with jax.enable_x64(True):
         for name, place in JUDGED.items():
             file = place and ROBOTS / place[0]
-            chain = jaxik.load(file, tip=place[1], posture={}) if place else jaxik.load(name)
-            for label, each in ((name, chain), (f"{name}, rotors, leaning", changed(chain))):
-                found[label] = deviations(each, of_urdf(file, each) if file else of_chain(each))
+            robot = jaxik.load(file, tip=place[1], posture={}) if place else jaxik.load(name)
+            for label, each in ((name, robot), (f"{name}, rotors, leaning", changed(robot))):
+                found[label] = deviations(each, of_urdf(file, each) if file else of_robot(each))
                 print(label, {k: f"{v:.1e}" for k, v in found[label].items()}, flush=True)
     return found
 
 
-def ours(chain: jaxik.Chain, plain: bool = False) -> Functions:
+def ours(robot: jaxik.Robot, plain: bool = False) -> Functions:
     """jaxik's, each a kernel, or as ordinary operations of JAX."""
-    of = lambda f: functools.partial(f.__wrapped__ if plain else f, chain)
-    inverse, mass, forward = map(of, (robot.inverse_dynamics, robot.mass_matrix, robot.forward_dynamics))
+    of = lambda f: functools.partial(f.__wrapped__ if plain else f, robot)
+    inverse, mass, forward = map(of, (dynamics.inverse_dynamics, dynamics.mass_matrix, dynamics.forward_dynamics))
     functions = {"inverse_dynamics": inverse, "mass_matrix": lambda q, v, a: mass(q), "forward_dynamics": forward}
     if not plain:
-        functions["regressor"] = of(robot.regressor)
+        functions["regressor"] = of(dynamics.regressor)
         for name, f in (("inverse_dynamics", inverse), ("forward_dynamics", forward)):
             functions[f"derivatives of {name}"] = lambda *given, f=f: jnp.stack(jax.jacfwd(f, (0, 1, 2))(*given))
     return functions
@@ -108,12 +108,12 @@ def frax(urdf: Path) -> Functions:
     }
 
 
-def adam(urdf: Path, chain: jaxik.Chain) -> Functions:
+def adam(urdf: Path, robot: jaxik.Robot) -> Functions:
     """Of a base that flies: the joints' part, and forward by solving with it, for its own lets the base go."""
     from adam.jax import KinDynComputations
 
     gravity = np.array([0.0, 0.0, -9.81, 0.0, 0.0, 0.0])
-    model = KinDynComputations(str(urdf), list(chain.joint_names), dtype=jnp.float32, gravity=gravity)
+    model = KinDynComputations(str(urdf), list(robot.joint_names), dtype=jnp.float32, gravity=gravity)
     model.rbdalgos.math.factory._device = None  # adam 0.5.0 would place tracers on a device, which JAX 0.10 refuses
     still, rest = jnp.eye(4), jnp.zeros(6)
     mass = lambda q: model.mass_matrix(still, q)[6:, 6:]
@@ -136,20 +136,20 @@ def loop(call: Callable[..., Any], model: pin.Model, rows: list[tuple[np.ndarray
     return run
 
 
-def contenders(urdf: Path, chain: jaxik.Chain, count: int) -> dict[str, list[Entry]]:
+def contenders(urdf: Path, robot: jaxik.Robot, count: int) -> dict[str, list[Entry]]:
     """A list for each work, jaxik first."""
-    model = of_urdf(urdf, chain)
-    truth, rng = Truth(model, chain), np.random.default_rng(0)
-    q = rng.uniform(chain.lower, chain.upper, (count, 7)).astype(np.float32)
+    model = of_urdf(urdf, robot)
+    truth, rng = Truth(model, robot), np.random.default_rng(0)
+    q = rng.uniform(robot.lower, robot.upper, (count, 7)).astype(np.float32)
     given = (q, *rng.normal(size=(2, count, 7)).astype(np.float32))
     few = [tuple(x[i].astype(np.float64) for x in given) for i in range(50)]
     true = [truth.answers(q, v, a, a, np.zeros((7, 6))) for q, v, a in few]
     every = {
-        "jaxik": (ours(chain), count),
-        "jaxik's functions, plain jax.jit": (ours(chain, plain=True), PEERS),
+        "jaxik": (ours(robot), count),
+        "jaxik's functions, plain jax.jit": (ours(robot, plain=True), PEERS),
         "MJX, vmap": (mjx(urdf), SLOW),
         "frax, vmap": (frax(urdf), PEERS),
-        "adam, vmap": (adam(urdf, chain), PEERS),
+        "adam, vmap": (adam(urdf, robot), PEERS),
     }
     works: dict[str, list[Entry]] = {}
     for work, (name, call, arity) in WORKS.items():
@@ -179,9 +179,9 @@ def main() -> None:
     if arguments.check:
         return
     urdf = urdf_file()
-    chain = jaxik.load(urdf)
+    robot = jaxik.load(urdf)
     rows: list[dict[str, Any]] = []
-    for work, entries in contenders(urdf, chain, arguments.count).items():
+    for work, entries in contenders(urdf, robot, arguments.count).items():
         rows += show(work, race(entries, arguments.rounds))
     result["rows"] = rows
     arguments.out.write_text(json.dumps(result, indent=1) + "\n")

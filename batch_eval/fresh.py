@@ -20,7 +20,7 @@ FIRST = """
 import sys, time
 import jax, numpy as np
 import jaxik
-chain, poses = jaxik.load(sys.argv[1]), np.load(sys.argv[2])
+robot, poses = jaxik.load(sys.argv[1]), np.load(sys.argv[2])
 start = time.perf_counter()
 jax.block_until_ready({call})
 print(time.perf_counter() - start)
@@ -31,10 +31,10 @@ sys.path.insert(0, sys.argv[4])
 import numpy as np
 import jaxik, motionbenchmaker
 folder, tip, poses = pathlib.Path(sys.argv[1]), sys.argv[2] or None, np.load(sys.argv[3])
-chain, times = motionbenchmaker.robot(folder, tip), []
-for goal, pose in zip(motionbenchmaker.goals(folder, chain), poses):
+robot, times = motionbenchmaker.load_robot(folder, tip), []
+for goal, pose in zip(motionbenchmaker.goals(folder, robot), poses):
     start = time.perf_counter()
-    jaxik.solve_ik(chain, pose, goal.scene, position_tolerance=1e-4, rotation_tolerance=1e-3)
+    jaxik.solve_ik(robot, pose, goal.scene, position_tolerance=1e-4, rotation_tolerance=1e-3)
     times.append(time.perf_counter() - start)
 warm = float(np.median(times))
 print(json.dumps({"first_s": times[0], "slowest_later_s": max(times[1:]), "beyond_warm_s": sum(times) - warm * len(times)}))
@@ -44,16 +44,16 @@ import json, pathlib, sys, time
 sys.path.insert(0, sys.argv[3])
 import jaxik, motionbenchmaker
 folder, tip = pathlib.Path(sys.argv[1]), sys.argv[2] or None
-chain, times = motionbenchmaker.robot(folder, tip), []
-for goal in motionbenchmaker.goals(folder, chain):
+robot, times = motionbenchmaker.load_robot(folder, tip), []
+for goal in motionbenchmaker.goals(folder, robot):
     start = time.perf_counter()
-    jaxik.plan_motion(chain, goal.scene, goal.start, goal.q)
+    jaxik.plan_motion(robot, goal.scene, goal.start, goal.q)
     times.append(time.perf_counter() - start)
 print(json.dumps({"first_s": times[0], "slowest_later_s": max(times[1:])}))
 """
 CALLS = {
-    "eager forward_kinematics": "jaxik.forward_kinematics(chain, np.zeros(chain.num_joints))",
-    "solve_ik of ten targets": "jaxik.solve_ik(chain, poses).q",
+    "eager forward_kinematics": "jaxik.forward_kinematics(robot, np.zeros(robot.num_joints))",
+    "solve_ik of ten targets": "jaxik.solve_ik(robot, poses).q",
 }
 
 CROWD = """
@@ -61,9 +61,9 @@ import itertools, os, sys, time
 os.sched_setaffinity(0, map(int, sys.argv[1].split(",")))  # before XLA counts its threads
 import jax, numpy as np
 import jaxik
-chain, count = jaxik.load("p6r"), int(sys.argv[2])
-q = jax.numpy.asarray(np.random.default_rng(0).uniform(chain.lower, chain.upper, (count, chain.num_joints)), "float32")
-run = jax.jit(jax.vmap(lambda q: jaxik.forward_kinematics(chain, q)))
+robot, count = jaxik.load("p6r"), int(sys.argv[2])
+q = jax.numpy.asarray(np.random.default_rng(0).uniform(robot.lower, robot.upper, (count, robot.num_joints)), "float32")
+run = jax.jit(jax.vmap(lambda q: jaxik.forward_kinematics(robot, q)))
 for line in itertools.chain(["0.2"], sys.stdin):
     calls, start, spent = 0, time.perf_counter(), 0.0
     while spent < float(line):
@@ -75,10 +75,10 @@ for line in itertools.chain(["0.2"], sys.stdin):
 COMPILE = """
 import time
 import jax, jax.numpy as jnp, jaxik
-chain, scene = jaxik.load("p6r"), jaxik.load_scene("cucumber_row")
+robot, scene = jaxik.load("p6r"), jaxik.load_scene("cucumber_row")
 q, start = jnp.zeros((1000, 7)), time.perf_counter()
-for f in (jaxik.forward_kinematics, jaxik.jacobian, lambda chain, q: jaxik.clearance(chain, scene, q)):
-    jax.jit(jax.vmap(lambda q: f(chain, q))).lower(q).compile()
+for f in (jaxik.forward_kinematics, jaxik.jacobian, lambda robot, q: jaxik.clearance(robot, scene, q)):
+    jax.jit(jax.vmap(lambda q: f(robot, q))).lower(q).compile()
 print(time.perf_counter() - start)
 """
 
@@ -89,10 +89,10 @@ import jaxik
 def peak():  # not getrusage: it begins with what the parent process had
     return 1024 * next(int(line.split()[1]) for line in open("/proc/self/status") if line.startswith("VmHWM"))
 
-chain, scene = jaxik.load("p6r"), jaxik.load_scene("cucumber_row")
-jaxik.harvesting.scan(chain, scene, scene.fruits[0], 8, 4)
+robot, scene = jaxik.load("p6r"), jaxik.load_scene("cucumber_row")
+jaxik.harvesting.scan(robot, scene, scene.fruits[0], 8, 4)
 before = peak()
-found = jaxik.harvesting.scan(chain, scene, scene.fruits[0], 720, 174)
+found = jaxik.harvesting.scan(robot, scene, scene.fruits[0], 720, 174)
 print(json.dumps({"candidates": found.status.size, "before_bytes": before, "peak_bytes": peak()}))
 """
 

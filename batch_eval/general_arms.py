@@ -22,8 +22,8 @@ import numpy as np
 import pinocchio as pin
 from race import machine
 
-from jaxik.analytic import general_arm, general_kernel
-from jaxik.analytic.axes import Axes
+from jaxik.homotopy import general_arm, general_kernel
+from jaxik.kinematics.axes import Axes
 
 OUT = Path(__file__).with_suffix(".json")
 STARTS, STEPS = 300, 40
@@ -201,8 +201,8 @@ FIRST = """
 import time
 import numpy as np
 from general_arms import random_arm
-from jaxik.analytic import general_arm, general_kernel
-from jaxik.analytic.axes import Axes
+from jaxik.homotopy import general_arm, general_kernel
+from jaxik.kinematics.axes import Axes
 axes = random_arm(np.random.default_rng(1), 0.0)
 start = time.process_time()
 arm = general_arm(axes)

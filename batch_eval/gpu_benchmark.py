@@ -37,18 +37,18 @@ Row = Callable[[bool], dict[str, Any]]  # of "small", what it measured
 # Rows
 
 
-def chain_of(name: str) -> jaxik.Chain:
+def robot_of(name: str) -> jaxik.Robot:
     """A data sheet's arm, a shipped one, or a file of example-robot-data where that is installed."""
     if name.startswith("TIAGo"):
         import ik_benchmark
 
-        return ik_benchmark.robot(name)
+        return ik_benchmark.load_robot(name)
     return jaxik.load(problems.sheet(name) if name in problems.SHEETS else name)
 
 
-def configurations(chain: jaxik.Chain, count: int, dtype: Any = np.float32) -> np.ndarray:
+def configurations(robot: jaxik.Robot, count: int, dtype: Any = np.float32) -> np.ndarray:
     """Uniform inside the limits, seed 0."""
-    return np.random.default_rng(0).uniform(chain.lower, chain.upper, (count, chain.num_joints)).astype(dtype)
+    return np.random.default_rng(0).uniform(robot.lower, robot.upper, (count, robot.num_joints)).astype(dtype)
 
 
 def batch(function: Callable[..., Any], *args: Any) -> tuple[dict[str, Any], Any]:
@@ -65,17 +65,17 @@ def off(values: Any, true: np.ndarray) -> float:
 
 
 def kinematics(function: Callable[..., Any], true: Callable[..., Any], count: int, small: bool) -> dict[str, Any]:
-    chain = chain_of("Panda")
-    q = configurations(chain, count // 256 if small else count)
-    row, values = batch(jax.vmap(functools.partial(function, chain)), q)
-    return row | {"error": off(values, true(chain, q[:50]))}
+    robot = robot_of("Panda")
+    q = configurations(robot, count // 256 if small else count)
+    row, values = batch(jax.vmap(functools.partial(function, robot)), q)
+    return row | {"error": off(values, true(robot, q[:50]))}
 
 
-def slopes(chain: jaxik.Chain, q: np.ndarray, step: float = 1e-6) -> np.ndarray:
+def slopes(robot: jaxik.Robot, q: np.ndarray, step: float = 1e-6) -> np.ndarray:
     """Jacobians (N, 6, n) by central differences of SciPy's poses."""
-    columns, at = [], problems.tips(chain, q)
-    for shift in step * np.eye(chain.num_joints):
-        change = (problems.tips(chain, q + shift) - problems.tips(chain, q - shift)) / (2.0 * step)
+    columns, at = [], problems.tips(robot, q)
+    for shift in step * np.eye(robot.num_joints):
+        change = (problems.tips(robot, q + shift) - problems.tips(robot, q - shift)) / (2.0 * step)
         skew = change[:, :3, :3] @ np.swapaxes(at[:, :3, :3], 1, 2)
         turn = np.stack([skew[:, 2, 1], skew[:, 0, 2], skew[:, 1, 0]], axis=1)
         columns.append(np.concatenate([change[:, :3, 3], turn], axis=1))
@@ -84,26 +84,26 @@ def slopes(chain: jaxik.Chain, q: np.ndarray, step: float = 1e-6) -> np.ndarray:
 
 def closed_form(function: Callable[..., Any], dtype: Any, small: bool) -> dict[str, Any]:
     """The error is the worst pose of a branch that is called valid."""
-    chain = jaxik.load("p6r")
-    q = configurations(chain, 500 if small else 50_000, np.float64)
-    poses = problems.tips(chain, q)
+    robot = jaxik.load("p6r")
+    q = configurations(robot, 500 if small else 50_000, np.float64)
+    poses = problems.tips(robot, q)
     with jax.enable_x64(dtype == np.float64):
-        row, found = batch(jax.vmap(functools.partial(function, chain)), poses.astype(dtype), q[:, 0].astype(dtype))
+        row, found = batch(jax.vmap(functools.partial(function, robot)), poses.astype(dtype), q[:, 0].astype(dtype))
         valid, branches = np.asarray(found.valid), np.asarray(found.q, np.float64)
-    wrong = np.abs(problems.tips(chain, branches[valid]) - np.repeat(poses, valid.sum(axis=1), axis=0))
+    wrong = np.abs(problems.tips(robot, branches[valid]) - np.repeat(poses, valid.sum(axis=1), axis=0))
     return row | {"error": float(wrong.max()), "success": float(valid.any(axis=1).mean())}
 
 
 def clearance(gradient: bool, small: bool) -> dict[str, Any]:
-    chain, scene = jaxik.load("p6r"), jaxik.load_scene("cucumber_row")
-    distance = lambda q: jaxik.clearance(chain, scene, q)
-    return batch(jax.vmap(jax.grad(distance) if gradient else distance), configurations(chain, 100 if small else 10_000))[0]
+    robot, scene = jaxik.load("p6r"), jaxik.load_scene("cucumber_row")
+    distance = lambda q: jaxik.clearance(robot, scene, q)
+    return batch(jax.vmap(jax.grad(distance) if gradient else distance), configurations(robot, 100 if small else 10_000))[0]
 
 
 def harvest_scan(small: bool) -> dict[str, Any]:
-    chain, scene = jaxik.load("p6r"), jaxik.load_scene("cucumber_row")
+    robot, scene = jaxik.load("p6r"), jaxik.load_scene("cucumber_row")
     size = (24, 12) if small else (144, 82)
-    return driven(lambda: jaxik.harvesting.scan(chain, scene, scene.fruits[0], *size) and None, 8 * size[0] * size[1])
+    return driven(lambda: jaxik.harvesting.scan(robot, scene, scene.fruits[0], *size) and None, 8 * size[0] * size[1])
 
 
 def driven(run: Callable[[], Any], count: int, rounds: int = 5) -> dict[str, Any]:
@@ -115,43 +115,43 @@ def driven(run: Callable[[], Any], count: int, rounds: int = 5) -> dict[str, Any
 
 def one(name: str, small: bool) -> dict[str, Any]:
     """Calls for one configuration, p50 and p95 [us]."""
-    chain = chain_of("p6r" if name == "closed_form" else "Panda")
-    q = jnp.asarray(configurations(chain, 1)[0])
-    args = (jaxik.forward_kinematics(chain, q), q[0]) if name == "closed_form" else (q,)
+    robot = robot_of("p6r" if name == "closed_form" else "Panda")
+    q = jnp.asarray(configurations(robot, 1)[0])
+    args = (jaxik.forward_kinematics(robot, q), q[0]) if name == "closed_form" else (q,)
     function = getattr(jaxik, name)
-    calls = single(functools.partial(function, chain), functools.partial(function.__wrapped__, chain), *args)
+    calls = single(functools.partial(function, robot), functools.partial(function.__wrapped__, robot), *args)
     spent = alone(calls, rounds=2 if small else 11, each=20)
     return {who: {"p50_us": 1e6 * p50, "p95_us": 1e6 * p95} for who, (p50, p95) in spent.items()}
 
 
 def inverse(name: str, counts: tuple[int, ...], small: bool) -> dict[str, Any]:
     """By the number of targets in a call; the first one compiles."""
-    chain, found = chain_of(name), {}
+    robot, found = robot_of(name), {}
     for count in counts:
-        poses = problems.targets(chain, min(count, 50) if small else count)
+        poses = problems.targets(robot, min(count, 50) if small else count)
         asked = {"position_tolerance": problems.POSITION, "rotation_tolerance": problems.ROTATION, "collision": False}
-        solve = lambda poses=poses, asked=asked: jaxik.solve_ik(chain, poses, **asked).q
+        solve = lambda poses=poses, asked=asked: jaxik.solve_ik(robot, poses, **asked).q
         row, q = driven(solve, len(poses)), np.asarray(solve(), np.float64)
-        found[f"{count:,} poses"] = row | {"success": problems.solved(chain, q, problems.tips(chain, q), poses)}
+        found[f"{count:,} poses"] = row | {"success": problems.solved(robot, q, problems.tips(robot, q), poses)}
     return found
 
 
 def descent(small: bool) -> dict[str, Any]:
     """One seed each, all in one traced program; the success is that of single seeds, to 1e-4 m and 1e-3 rad in float32."""
-    chain, count = chain_of("Panda"), 256 if small else 65_536
-    poses, seeds = problems.targets(chain, count), configurations(chain, count)[::-1].copy()
-    row, landed = batch(jax.vmap(functools.partial(jaxik.ik.descend, chain)), poses.astype(np.float32), seeds)
+    robot, count = robot_of("Panda"), 256 if small else 65_536
+    poses, seeds = problems.targets(robot, count), configurations(robot, count)[::-1].copy()
+    row, landed = batch(jax.vmap(functools.partial(jaxik.ik.descend, robot)), poses.astype(np.float32), seeds)
     q = np.asarray(landed.q, np.float64)
-    return row | {"success": problems.solved(chain, q, problems.tips(chain, q), poses, 1e-4, 1e-3)}
+    return row | {"success": problems.solved(robot, q, problems.tips(robot, q), poses, 1e-4, 1e-3)}
 
 
 def among_leaves(small: bool) -> dict[str, Any]:
     """Poses of configurations that are free in the shipped crop; `success` is what the solver says."""
-    chain, scene = jaxik.load("p6r"), jaxik.load_scene("cucumber_row")
-    q = configurations(chain, 100 if small else 400)
-    free = np.asarray(jax.vmap(lambda q: jaxik.clearance(chain, scene, q))(q)) > 0.005
-    poses = problems.tips(chain, q[free])[: 4 if small else 100]
-    solve = lambda: jaxik.solve_ik(chain, poses, scene)
+    robot, scene = jaxik.load("p6r"), jaxik.load_scene("cucumber_row")
+    q = configurations(robot, 100 if small else 400)
+    free = np.asarray(jax.vmap(lambda q: jaxik.clearance(robot, scene, q))(q)) > 0.005
+    poses = problems.tips(robot, q[free])[: 4 if small else 100]
+    solve = lambda: jaxik.solve_ik(robot, poses, scene)
     return driven(lambda: solve().q, len(poses), rounds=2) | {"success": float(np.mean(solve().success))}
 
 
@@ -172,27 +172,27 @@ def peer_kinematics(who: str, small: bool) -> dict[str, Any]:
     import panda
 
     urdf = panda.urdf_file()
-    chain = jaxik.load(urdf, tip=panda.TIP)
+    robot = jaxik.load(urdf, tip=panda.TIP)
     make = {
         "PyRoki": lambda: panda.pyroki_poses(urdf)["PyRoki"],
-        "frax": lambda: panda.frax_functions(urdf, chain)[0],
-        "MJX": lambda: panda.mjx_poses(urdf, chain),
+        "frax": lambda: panda.frax_functions(urdf, robot)[0],
+        "MJX": lambda: panda.mjx_poses(urdf, robot),
     }
-    return batch(make[who](), configurations(chain, 256 if small else 65_536))[0]
+    return batch(make[who](), configurations(robot, 256 if small else 65_536))[0]
 
 
 def peer_inverse(who: str, small: bool) -> dict[str, Any]:
     import ik_peers
     import panda
 
-    urdf, chain = panda.urdf_file(), chain_of("Panda")
+    urdf, robot = panda.urdf_file(), robot_of("Panda")
     make = {
         "PyRoki": functools.partial(ik_peers.pyroki_solver, hard_limits=False),
         "scikit-robot": functools.partial(ik_peers.skrobot_solver, steps=ik_peers.STEPS),
     }
-    solve, poses = make[who](urdf), problems.targets(chain, 20 if small else 1000)
+    solve, poses = make[who](urdf), problems.targets(robot, 20 if small else 1000)
     row, q = driven(lambda: solve(poses), len(poses), rounds=2), np.asarray(solve(poses), np.float64)
-    return row | {"success": problems.solved(chain, q, problems.tips(chain, q), poses)}
+    return row | {"success": problems.solved(robot, q, problems.tips(robot, q), poses)}
 
 
 def rows() -> dict[str, Row]:

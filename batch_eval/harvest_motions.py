@@ -79,12 +79,12 @@ def checked(plan: HarvestPlan, step: float = 1e-3) -> dict[str, float]:
     which no ball moves by more than `step` [m]. Of a robot that is boxes alone, and fruits that are capsules.
 
     What is nearer than the margin to a fruit where it hangs does not count for it until the end of its retreat."""
-    chain, scene = plan.chain, plan.scene
-    one = lambda q: (*jaxik.collision.link_spheres(chain, q), chain.world_T_base @ jaxik.forward_kinematics(chain, q))
+    robot, scene = plan.robot, plan.scene
+    one = lambda q: (*jaxik.collision.link_spheres(robot, q), robot.world_T_base @ jaxik.forward_kinematics(robot, q))
     each = jax.jit(jax.vmap(one))
-    links = np.repeat(sorted(box.link for box in chain.boxes), chain.spheres_per_box)
-    pairs = np.array([[(a, b) in chain.self_pairs for b in links] for a in links])
-    others = np.array([[chain.link_joint[link] < chain.num_joints for link in links]])
+    links = np.repeat(sorted(box.link for box in robot.boxes), robot.spheres_per_box)
+    pairs = np.array([[(a, b) in robot.self_pairs for b in links] for a in links])
+    others = np.array([[robot.link_joint[link] < robot.num_joints for link in links]])
     gone, found = set(), {"clearance": np.inf, "velocity": 0.0, "acceleration": 0.0, "beyond": 0.0, "samples": 0}
     for stage in plan.stages:
         if stage.kind == "retreat":
@@ -96,7 +96,7 @@ def checked(plan: HarvestPlan, step: float = 1e-3) -> dict[str, float]:
 
         def placed(count: int, stage: Any = stage) -> Any:
             _, state = stage.trajectory.sample(float(stage.trajectory.duration) / count)
-            blocks = np.resize(state.q, (-(-len(state.q) // BLOCK), BLOCK, chain.num_joints))  # of one size: it compiles once
+            blocks = np.resize(state.q, (-(-len(state.q) // BLOCK), BLOCK, robot.num_joints))  # of one size: it compiles once
             parts = [[np.asarray(x) for x in each(block)] for block in blocks]
             return state, *(np.concatenate(x)[: len(state.q)] for x in zip(*parts, strict=True))
 
@@ -116,9 +116,9 @@ def checked(plan: HarvestPlan, step: float = 1e-3) -> dict[str, float]:
                 distance[:-1, touching] = np.inf
             clear += [distance.min(), between(swept(frames), thick, centres, radii[0], others)]
         found["clearance"] = min(found["clearance"], *map(float, clear))
-        found["velocity"] = max(found["velocity"], float(np.max(np.abs(state.velocity) / chain.velocity)))
-        found["acceleration"] = max(found["acceleration"], float(np.max(np.abs(state.acceleration) / (4.0 * chain.velocity))))
-        found["beyond"] = max(found["beyond"], float(np.max([chain.lower - state.q, state.q - chain.upper])))
+        found["velocity"] = max(found["velocity"], float(np.max(np.abs(state.velocity) / robot.velocity)))
+        found["acceleration"] = max(found["acceleration"], float(np.max(np.abs(state.acceleration) / (4.0 * robot.velocity))))
+        found["beyond"] = max(found["beyond"], float(np.max([robot.lower - state.q, state.q - robot.upper])))
         found["samples"] += len(state.q)
     return found
 

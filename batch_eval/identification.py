@@ -20,8 +20,9 @@ from panda import ROBOTS
 from race import clocked, machine
 
 import jaxik
+from jaxik.dynamics import Drive, Friction, body_parameters, inverse_dynamics, motor_current
 from jaxik.identification import Identified, IdentifyOptions, MotionLog, excite, identify, pseudo_inertias
-from jaxik.robot import Body, Chain, Drive, Friction, body_parameters, inverse_dynamics, motor_current
+from jaxik.kinematics import Body, Robot
 
 COUNT, PERIOD, SECONDS, RATE, NOISE = 3, 20.0, 40.0, 100.0, 0.01
 ASKED = {"period": PERIOD, "margin": None}  # the files are read without their meshes
@@ -33,43 +34,43 @@ FILES = {
 }
 
 
-def robot(name: str) -> Chain:
+def load_robot(name: str) -> Robot:
     """The robot, with drives that rub, which a URDF's do little."""
     file, tip, _, _ = FILES[name]
-    chain = jaxik.load(file, tip=tip, posture={})
-    rub = [Drive(friction=Friction(coulomb=1.0 - 0.1 * i, viscous=0.5, side="joint")) for i in range(chain.num_joints)]
-    return chain if name == "crops_v2" else chain.with_drives(rub)
+    robot = jaxik.load(file, tip=tip, posture={})
+    rub = [Drive(friction=Friction(coulomb=1.0 - 0.1 * i, viscous=0.5, side="joint")) for i in range(robot.num_joints)]
+    return robot if name == "crops_v2" else robot.with_drives(rub)
 
 
-def another(chain: Chain, seed: int) -> Chain:
+def another(robot: Robot, seed: int) -> Robot:
     """The same robot as it may have been built: masses and inertias by up to a third, centres by 10 mm."""
     rng = np.random.default_rng(seed)
     bodies = [
         Body(b.mass * rng.uniform(0.75, 1.33), b.com + rng.normal(0.0, 0.01, 3), b.inertia * rng.uniform(0.75, 1.33))
-        for b in chain.bodies
+        for b in robot.bodies
     ]
-    return dataclasses.replace(chain, bodies=tuple(bodies))
+    return dataclasses.replace(robot, bodies=tuple(bodies))
 
 
-def torques(chain: Chain, motion: Any) -> np.ndarray:
-    return np.asarray(jax.jit(jax.vmap(lambda *row: inverse_dynamics(chain, *row)))(*motion))
+def torques(robot: Robot, motion: Any) -> np.ndarray:
+    return np.asarray(jax.jit(jax.vmap(lambda *row: inverse_dynamics(robot, *row)))(*motion))
 
 
-def currents(chain: Chain, motion: Any) -> np.ndarray:
-    return np.asarray(jax.jit(jax.vmap(lambda t, qdot: motor_current(chain, t, qdot)))(torques(chain, motion), motion[1]))
+def currents(robot: Robot, motion: Any) -> np.ndarray:
+    return np.asarray(jax.jit(jax.vmap(lambda t, qdot: motor_current(robot, t, qdot)))(torques(robot, motion), motion[1]))
 
 
-def logged(true: Chain, motion: Any, seed: int) -> MotionLog:
+def logged(true: Robot, motion: Any, seed: int) -> MotionLog:
     """Currents along a motion, and their noise."""
     current = currents(true, motion)
     noise = np.random.default_rng(seed).normal(size=current.shape) * NOISE * current.std(axis=0)
     return MotionLog(*motion, current=current + noise)
 
 
-def coefficients(chain: Chain, term: str) -> list[float]:
+def coefficients(robot: Robot, term: str) -> list[float]:
     """A term of the friction at each joint, whichever side it is told at."""
     found = []
-    for drive in chain.drives:
+    for drive in robot.drives:
         law, r = drive.friction, float(drive.ratio) if drive.friction.side == "motor" else 1.0
         backward, forward = (float(x) for x in law.correction)
         even, uneven = 0.5 * (backward + forward), 0.5 * (forward - backward)
@@ -82,18 +83,18 @@ def coefficients(chain: Chain, term: str) -> list[float]:
 
 def judged(name: str, seed: int, motion: Any, other: Any) -> dict[str, Any]:
     """One robot that nobody knows, and what is known of it afterwards."""
-    chain, terms = robot(name), FILES[name][2]
-    true = another(chain, seed)
+    robot, terms = load_robot(name), FILES[name][2]
+    true = another(robot, seed)
     log = logged(true, motion, seed)
     found: Identified
-    found, seconds = clocked(lambda: identify(chain, log, terms=terms))
+    found, seconds = clocked(lambda: identify(robot, log, terms=terms))
     values = np.concatenate([body_parameters(true), *(coefficients(true, term) for term in terms)])
     truth = found.base.matrix @ values
     off, unknown = np.abs(found.value - truth), set(found.unknown())
     told = np.array([word not in unknown for word in found.base.words])
     wanted, moves = currents(true, other), np.abs(other[1]) > IdentifyOptions().slowest
     rms = lambda x: np.sqrt(np.mean(x**2, axis=0, where=moves))
-    missed = [rms(currents(c, other) - wanted) / wanted.std(axis=0) for c in (chain, found.chain)]
+    missed = [rms(currents(c, other) - wanted) / wanted.std(axis=0) for c in (robot, found.robot)]
     return {
         "reason": found.reason.text,
         "seconds": seconds,
@@ -104,27 +105,27 @@ def judged(name: str, seed: int, motion: Any, other: Any) -> dict[str, Any]:
         "condition": found.condition,
         "current_before": float(missed[0].max()),
         "current_after": float(missed[1].max()),
-        "physical": bool(np.linalg.eigvalsh(pseudo_inertias(body_parameters(found.chain))).min() > 0.0),
+        "physical": bool(np.linalg.eigvalsh(pseudo_inertias(body_parameters(found.robot))).min() > 0.0),
     }
 
 
 def row(name: str) -> dict[str, Any]:
     """All robots of a name: means, and the worst of them."""
-    chain, (_, _, terms, velocity) = robot(name), FILES[name]
-    excitation, seconds = clocked(lambda: excite(chain, terms=terms, **ASKED, velocity=velocity, steps=20))
+    robot, (_, _, terms, velocity) = load_robot(name), FILES[name]
+    excitation, seconds = clocked(lambda: excite(robot, terms=terms, **ASKED, velocity=velocity, steps=20))
     motion = excitation.at(np.arange(0.0, SECONDS, 1.0 / RATE))
-    other = excite(chain, terms=terms, **ASKED, velocity=velocity, seed=1, steps=1).at(np.arange(0.0, PERIOD, 0.05))
+    other = excite(robot, terms=terms, **ASKED, velocity=velocity, seed=1, steps=1).at(np.arange(0.0, PERIOD, 0.05))
     each = [judged(name, seed, motion, other) for seed in range(COUNT)]
     whole = lambda key, of: of([one[key] for one in each])
     return {
         "robot": name,
-        "joints": chain.num_joints,
+        "joints": robot.num_joints,
         "terms": list(terms),
         "robots": COUNT,
         "solved": sum(one["reason"] == "solved" for one in each),
         "physical": sum(one["physical"] for one in each),
         "base": each[0]["base"],
-        "unseen": len(chain.bodies) * 10 + len(terms) * chain.num_joints - each[0]["base"],
+        "unseen": len(robot.bodies) * 10 + len(terms) * robot.num_joints - each[0]["base"],
         "told": whole("told", np.mean),
         "told_off": whole("told_off", max),
         "within_two_std": whole("within_two_std", np.mean),

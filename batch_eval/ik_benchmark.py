@@ -41,7 +41,7 @@ CLOSED = ("UR5", "iiwa 14")  # of these also by search alone, and with all answe
 ALL = 200  # targets of which all are asked for
 
 
-def robot(name: str) -> jaxik.Chain:
+def load_robot(name: str) -> jaxik.Robot:
     """One of `ROBOTS`."""
     place = ROBOTS[name]
     if place is None:
@@ -49,11 +49,11 @@ def robot(name: str) -> jaxik.Chain:
     return jaxik.load(panda.bare_urdf(panda.ROBOTS / place[0], place[1]), tip=place[1])
 
 
-def judge(chain: jaxik.Chain, q: np.ndarray, poses: np.ndarray, *tolerances: float) -> float:
+def judge(robot: jaxik.Robot, q: np.ndarray, poses: np.ndarray, *tolerances: float) -> float:
     """The share of configurations inside the limits that have their poses, by Pinocchio."""
-    pose = pose_of(chain)
+    pose = pose_of(robot)
     reached = np.stack([pose(row) if np.isfinite(row).all() else np.full((4, 4), np.nan) for row in q])
-    return problems.solved(chain, q, reached, poses, *tolerances)
+    return problems.solved(robot, q, reached, poses, *tolerances)
 
 
 def timed(run: Callable[[], Any], rounds: int) -> tuple[Any, float, float]:
@@ -74,15 +74,15 @@ def row(who: str, count: int, first: float, each: float, success: float) -> dict
 def beside_peers() -> list[dict[str, Any]]:
     """The Panda, random reachable poses."""
     urdf = panda.urdf_file()
-    chain = jaxik.load(urdf, tip=panda.TIP)
-    poses, rows = targets(chain, 2000), []
+    robot = jaxik.load(urdf, tip=panda.TIP)
+    poses, rows = targets(robot, 2000), []
     asked = {"position_tolerance": POSITION, "rotation_tolerance": ROTATION, "collision": False}  # as its peers
-    ours = lambda poses: jaxik.solve_ik(chain, poses, **asked).q
+    ours = lambda poses: jaxik.solve_ik(robot, poses, **asked).q
     q, first, each = timed(lambda: ours(poses), 15)
-    rows.append(row("Panda: jaxik", len(poses), first, each, judge(chain, q, poses)))
+    rows.append(row("Panda: jaxik", len(poses), first, each, judge(robot, q, poses)))
     (_, first), *alone = [clocked(lambda pose=pose: ours(pose)) for pose in poses[:201]]
     each, p95 = percentiles([spent for _, spent in alone])
-    success = judge(chain, np.stack([q for q, _ in alone]), poses[1:201])
+    success = judge(robot, np.stack([q for q, _ in alone]), poses[1:201])
     rows.append(row("Panda: jaxik", 1, first, each, success) | {"p95_us_each": 1e6 * p95})
     for name, solver, count in (
         ("PyRoki, vmap, one start, hard limits", functools.partial(ik_peers.pyroki_solver, hard_limits=True), 200),
@@ -95,7 +95,7 @@ def beside_peers() -> list[dict[str, Any]]:
     ):
         run = solver(urdf)
         q, first, each = timed(lambda run=run, count=count: run(poses[:count]), 3)
-        rows.append(row(f"Panda: {name}", count, first, each, judge(chain, q, poses[:count])))
+        rows.append(row(f"Panda: {name}", count, first, each, judge(robot, q, poses[:count])))
     return rows
 
 
@@ -104,29 +104,29 @@ def other_robots() -> list[dict[str, Any]]:
     their answers; and EAIK's on the one whose six joints it knows a decomposition of."""
     rows = []
     for name in ROBOTS:
-        chain = robot(name)
-        poses = targets(chain, 2000)
-        solve = lambda count=None, chain=chain, poses=poses, **options: jaxik.solve_ik(
-            chain, poses[:count], position_tolerance=POSITION, rotation_tolerance=ROTATION, collision=False, **options
+        robot = load_robot(name)
+        poses = targets(robot, 2000)
+        solve = lambda count=None, robot=robot, poses=poses, **options: jaxik.solve_ik(
+            robot, poses[:count], position_tolerance=POSITION, rotation_tolerance=ROTATION, collision=False, **options
         )
         result, first, each = timed(solve, 15)
-        rows.append(row(f"{name}, {chain.num_joints} joints: jaxik", len(poses), first, each, judge(chain, result.q, poses)))
+        rows.append(row(f"{name}, {robot.num_joints} joints: jaxik", len(poses), first, each, judge(robot, result.q, poses)))
         if name in CLOSED:
             searched, first, each = timed(functools.partial(solve, seeds="library"), 15)
-            rows.append(row(f"{name}: jaxik, by search alone", len(poses), first, each, judge(chain, searched.q, poses)))
-            rows.append(all_answers(name, chain, poses[:ALL], functools.partial(solve, ALL, solutions="all")))
+            rows.append(row(f"{name}: jaxik, by search alone", len(poses), first, each, judge(robot, searched.q, poses)))
+            rows.append(all_answers(name, robot, poses[:ALL], functools.partial(solve, ALL, solutions="all")))
         if name == "UR5":
-            run = ik_peers.eaik_solver(chain)
+            run = ik_peers.eaik_solver(robot)
             q, first, each = timed(lambda run=run, poses=poses: run(poses), 5)
-            rows.append(row("UR5: EAIK", len(poses), first, each, judge(chain, q, poses)))
+            rows.append(row("UR5: EAIK", len(poses), first, each, judge(robot, q, poses)))
     return rows
 
 
-def all_answers(name: str, chain: jaxik.Chain, poses: np.ndarray, solve: Callable[[], Any]) -> dict[str, Any]:
+def all_answers(name: str, robot: jaxik.Robot, poses: np.ndarray, solve: Callable[[], Any]) -> dict[str, Any]:
     """Every different answer of each target; the success is of all of them."""
     result, first, each = timed(solve, 3)
     owner, number = np.nonzero(np.isfinite(result.solutions[..., 0]))
-    success = judge(chain, result.solutions[owner, number], poses[owner])
+    success = judge(robot, result.solutions[owner, number], poses[owner])
     line = row(f"{name}: jaxik, solutions='all'", len(poses), first, each, success)
     return line | {"solutions": float(np.mean(result.num_solutions))}
 
@@ -142,13 +142,13 @@ def goals(folder: Path, tip: str | None = None) -> dict[str, Any]:
     Judged from outside: the pose by Pinocchio, free of collision by coal. A goal's own configuration may collide, too; those
     that do not are `own_free`, and all of them have an answer.
     """
-    chain = motionbenchmaker.robot(folder, tip)
-    problems = list(motionbenchmaker.goals(folder, chain))
-    pose, coal = pose_of(chain), Coal(chain, *motionbenchmaker.files(folder), posture=motionbenchmaker.posture(folder, chain))
+    robot = motionbenchmaker.load_robot(folder, tip)
+    problems = list(motionbenchmaker.goals(folder, robot))
+    pose, coal = pose_of(robot), Coal(robot, *motionbenchmaker.files(folder), posture=motionbenchmaker.posture(folder, robot))
     wanted = [pose(goal.q) for goal in problems]
     for _ in range(2):  # the first round compiles
         each = [
-            clocked(lambda goal=goal, target=target: jaxik.solve_ik(chain, target, goal.scene, **LOOSE))
+            clocked(lambda goal=goal, target=target: jaxik.solve_ik(robot, target, goal.scene, **LOOSE))
             for goal, target in zip(problems, wanted, strict=True)
         ]
     answers, times = zip(*each, strict=True)
@@ -160,11 +160,11 @@ def goals(folder: Path, tip: str | None = None) -> dict[str, Any]:
     own, free = np.transpose(apart)
     p50, p95 = percentiles(times)
     result = {
-        "robot": chain.name,
+        "robot": robot.name,
         "elsewhere": sum(bool(goal.elsewhere) for goal in problems),
         "goals": len(problems),
         "solved": float(np.mean(solved)),
-        "of_these_exact": judge(chain, np.stack([a.q for a in answers])[solved], np.stack(wanted)[solved], 1e-4, 1e-3),
+        "of_these_exact": judge(robot, np.stack([a.q for a in answers])[solved], np.stack(wanted)[solved], 1e-4, 1e-3),
         "free": int((solved & free).sum()),
         "own_free": int(own.sum()),
         "own_free_solved": int((own & solved).sum()),
@@ -173,30 +173,30 @@ def goals(folder: Path, tip: str | None = None) -> dict[str, Any]:
         "mean_ms": 1e3 * float(np.mean(times)),
         "failed": {g.name: a.reason.text for g, a in zip(problems, answers, strict=True) if not a.success},
         "fresh": fresh.first_goals(folder, tip, np.stack(wanted)),
-        "batch": goal_batches(chain, problems[::EVERY]),
+        "batch": goal_batches(robot, problems[::EVERY]),
     }
     print(json.dumps(result))
     return result
 
 
-def goal_batches(chain: jaxik.Chain, problems: list[motionbenchmaker.Goal]) -> dict[str, float]:
+def goal_batches(robot: jaxik.Robot, problems: list[motionbenchmaker.Goal]) -> dict[str, float]:
     """Calls for many targets of one scene. The data set has one goal a scene; so a batch is the goal and the poses of random
     configurations around it that are free, `SPREAD` about each joint [rad, m] and less where there is no room: all of them have
     an answer. One call a scene, warm."""
-    pose, rng = pose_of(chain), np.random.default_rng(0)
-    measure = jax.jit(jax.vmap(lambda scene, q: jaxik.clearance(chain, scene, q), in_axes=(None, 0)))
+    pose, rng = pose_of(robot), np.random.default_rng(0)
+    measure = jax.jit(jax.vmap(lambda scene, q: jaxik.clearance(robot, scene, q), in_axes=(None, 0)))
     solved, times = [], []
     for goal in problems:
         free, spread = goal.q[None], SPREAD
         while len(free) < AROUND:
-            near = np.clip(goal.q + spread * rng.normal(size=(512, chain.num_joints)), chain.lower, chain.upper)
+            near = np.clip(goal.q + spread * rng.normal(size=(512, robot.num_joints)), robot.lower, robot.upper)
             room = np.asarray(measure(goal.scene.geometry(), near.astype(np.float32))) > TOUCH
             free, spread = np.concatenate([free, near[room]])[:AROUND], spread / 2.0
         targets = np.stack([pose(q) for q in free])
-        solve = lambda goal=goal, targets=targets: jaxik.solve_ik(chain, targets, goal.scene, **LOOSE)
+        solve = lambda goal=goal, targets=targets: jaxik.solve_ik(robot, targets, goal.scene, **LOOSE)
         solve()  # a new size of scene compiles
         answers, spent = clocked(solve)
-        solved.append(judge(chain, answers.q, targets, 1e-4, 1e-3))
+        solved.append(judge(robot, answers.q, targets, 1e-4, 1e-3))
         times.append(spent / AROUND)
     p50, p95 = percentiles(times)
     figures = {"mean_ms": 1e3 * float(np.mean(times)), "p50_ms": 1e3 * p50, "p95_ms": 1e3 * p95}

@@ -18,8 +18,8 @@ from arm import eaik_robot
 from panda import TIP
 from problems import POSITION, ROTATION
 
-from jaxik import Chain
-from jaxik.robot import finite_limits
+from jaxik import Robot
+from jaxik.kinematics import finite_limits
 
 Solver = Callable[[np.ndarray], np.ndarray]
 RESTARTS, STEPS = 10, 100  # of solvers that follow one start at a time
@@ -33,16 +33,16 @@ def pyroki_solver(urdf: Path, hard_limits: bool) -> Solver:
     import pyroki
     import yourdfpy
 
-    robot = pyroki.Robot.from_urdf(yourdfpy.URDF.load(str(urdf), load_meshes=False, load_collision_meshes=False))
-    tip, variable = jnp.asarray(robot.links.names.index(TIP)), robot.joint_var_cls(0)
+    peer = pyroki.Robot.from_urdf(yourdfpy.URDF.load(str(urdf), load_meshes=False, load_collision_meshes=False))
+    tip, variable = jnp.asarray(peer.links.names.index(TIP)), peer.joint_var_cls(0)
 
     def solve(wxyz_xyz: Any) -> Any:
         target = jaxlie.SE3(wxyz_xyz)
         costs = [
-            pyroki.costs.pose_cost_analytic_jac(robot, variable, target, tip, pos_weight=50.0, ori_weight=10.0),
-            pyroki.costs.limit_constraint(robot, variable)
+            pyroki.costs.pose_cost_analytic_jac(peer, variable, target, tip, pos_weight=50.0, ori_weight=10.0),
+            pyroki.costs.limit_constraint(peer, variable)
             if hard_limits
-            else pyroki.costs.limit_cost(robot, variable, weight=100.0),
+            else pyroki.costs.limit_cost(peer, variable, weight=100.0),
         ]
         problem = jaxls.LeastSquaresProblem(costs=costs, variables=[variable]).analyze()
         options = {
@@ -51,7 +51,7 @@ def pyroki_solver(urdf: Path, hard_limits: bool) -> Solver:
             "trust_region": jaxls.TrustRegionConfig(lambda_initial=1.0),
         }
         q = problem.solve(**options)[variable]
-        return q if hard_limits else jnp.clip(q, robot.joints.lower_limits, robot.joints.upper_limits)
+        return q if hard_limits else jnp.clip(q, peer.joints.lower_limits, peer.joints.upper_limits)
 
     batch = jax.jit(jax.vmap(solve))
 
@@ -62,16 +62,16 @@ def pyroki_solver(urdf: Path, hard_limits: bool) -> Solver:
     return run
 
 
-def eaik_solver(chain: Chain) -> Solver:
+def eaik_solver(robot: Robot) -> Solver:
     """EAIK on an arm of six joints whose geometry it knows: of all branches the one that leaves the limits least."""
-    robot, tip_R = eaik_robot(chain)
-    low, high = finite_limits(chain)
+    peer, tip_R = eaik_robot(robot)
+    low, high = finite_limits(robot)
 
     def run(poses: np.ndarray) -> np.ndarray:
         batch = poses.copy()
         batch[:, :3, :3] = batch[:, :3, :3] @ tip_R.T
         found = []
-        for answer in robot.IK_batched(list(batch), 2):
+        for answer in peer.IK_batched(list(batch), 2):
             branches = np.array(answer.Q).reshape(-1, 6)
             past = np.maximum(low - branches, branches - high).max(axis=1)
             exact = ~np.array(answer.is_LS, bool)
@@ -86,11 +86,11 @@ def torch_solver(urdf: Path) -> Solver:
     import pytorch_kinematics as pk
     import torch
 
-    chain = pk.build_serial_chain_from_urdf(urdf.read_bytes(), TIP).to(dtype=torch.float32)
-    limits = torch.tensor(chain.get_joint_limits()).T
+    robot = pk.build_serial_chain_from_urdf(urdf.read_bytes(), TIP).to(dtype=torch.float32)
+    limits = torch.tensor(robot.get_joint_limits()).T
     torch.manual_seed(0)
     solver = pk.PseudoInverseIK(
-        chain,
+        robot,
         pos_tolerance=POSITION,
         rot_tolerance=ROTATION,
         num_retries=RESTARTS,
@@ -115,10 +115,10 @@ def skrobot_solver(urdf: Path, steps: int) -> Solver:
     from skrobot.kinematics import create_batch_ik_solver
     from skrobot.models.urdf import RobotModelFromURDF
 
-    robot, x64 = RobotModelFromURDF(urdf_file=str(urdf)), jax.config.jax_enable_x64
-    tip = robot.__dict__[TIP]
-    links = [link for link in robot.link_lists(tip) if link.joint in robot.joint_list]  # the fixed tip has no joint to turn
-    solve = create_batch_ik_solver(robot, links, tip, backend_name="jax", method="jacobian")
+    peer, x64 = RobotModelFromURDF(urdf_file=str(urdf)), jax.config.jax_enable_x64
+    tip = peer.__dict__[TIP]
+    links = [link for link in peer.link_lists(tip) if link.joint in peer.joint_list]  # the fixed tip has no joint to turn
+    solve = create_batch_ik_solver(peer, links, tip, backend_name="jax", method="jacobian")
     jax.config.update("jax_enable_x64", x64)  # which it sets for all
     options = {
         "max_iterations": steps,

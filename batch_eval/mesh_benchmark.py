@@ -54,20 +54,20 @@ def scene(triangles: np.ndarray) -> jaxik.Scene:
 
 
 class Judge:
-    """coal: the chain's capsules and balls, and a mesh."""
+    """coal: the robot's capsules and balls, and a mesh."""
 
-    def __init__(self, chain: jaxik.Chain, triangles: np.ndarray):
-        self.chain, self.triangles, self.mesh = chain, triangles, in_coal(triangles)
-        self.still, ends = coal.Transform3s.Identity(), [v.corners[[0, -1]] for v in chain.volumes]
+    def __init__(self, robot: jaxik.Robot, triangles: np.ndarray):
+        self.robot, self.triangles, self.mesh = robot, triangles, in_coal(triangles)
+        self.still, ends = coal.Transform3s.Identity(), [v.corners[[0, -1]] for v in robot.volumes]
         lengths = [float(np.linalg.norm(b - a)) for a, b in ends]
-        self.bodies = [coal.Capsule(float(v.radius), long) for v, long in zip(chain.volumes, lengths, strict=True)]
+        self.bodies = [coal.Capsule(float(v.radius), long) for v, long in zip(robot.volumes, lengths, strict=True)]
         self.local = np.array([_between(a, b) for a, b in ends])
-        self.links = [v.link for v in chain.volumes]
-        self.frames = jax.jit(jax.vmap(lambda q: jaxik.robot.link_frames(chain, q)))
+        self.links = [v.link for v in robot.volumes]
+        self.frames = jax.jit(jax.vmap(lambda q: jaxik.kinematics.link_frames(robot, q)))
 
     def placed(self, q: np.ndarray) -> list[list[coal.Transform3s]]:
         """Where the capsules are at configurations (b, n)."""
-        joints = self.chain.world_T_base @ np.asarray(self.frames(q)) @ np.linalg.inv(self.chain.link_offset)
+        joints = self.robot.world_T_base @ np.asarray(self.frames(q)) @ np.linalg.inv(self.robot.link_offset)
         every = joints[:, self.links] @ self.local
         return [[coal.Transform3s(T[:3, :3], T[:3, 3]) for T in row] for row in every]
 
@@ -102,31 +102,31 @@ def _between(a: np.ndarray, b: np.ndarray) -> np.ndarray:
 # Meshes
 
 
-def meshes(chain: jaxik.Chain, count: int, rounds: int) -> dict[str, Any]:
+def meshes(robot: jaxik.Robot, count: int, rounds: int) -> dict[str, Any]:
     """Times of both questions, and how the answers agree, over all places of a tube of so many triangles."""
     tubes = [tube(count, seed) for seed in range(PLACES)]
-    scenes, judges = [scene(t) for t in tubes], [Judge(chain, t) for t in tubes]
-    q = np.random.default_rng(count).uniform(chain.lower, chain.upper, (PLACES, OURS, chain.num_joints))
+    scenes, judges = [scene(t) for t in tubes], [Judge(robot, t) for t in tubes]
+    q = np.random.default_rng(count).uniform(robot.lower, robot.upper, (PLACES, OURS, robot.num_joints))
     rows = [judge.placed(each[:LOOPS]) for judge, each in zip(judges, q, strict=True)]
     times = {}
     for what, ours in {"clearance": jaxik.clearance, "collides": jaxik.collides}.items():
-        batch = jax.jit(jax.vmap(lambda around, q, f=ours: f(chain, around, q), in_axes=(None, 0)))
-        given = [(jax.device_put(grouped(s, chain)), jnp.asarray(x, jnp.float32)) for s, x in zip(scenes, q, strict=True)]
+        batch = jax.jit(jax.vmap(lambda around, q, f=ours: f(robot, around, q), in_axes=(None, 0)))
+        given = [(jax.device_put(grouped(s, robot)), jnp.asarray(x, jnp.float32)) for s, x in zip(scenes, q, strict=True)]
         asked = [(getattr(judge, what), row) for judge, rows_ in zip(judges, rows, strict=True) for row in rows_]
         contenders = [
             Entry("jaxik", PLACES * OURS, lambda batch=batch, given=given: [batch(*each) for each in given]),
             Entry("coal, Python loop", len(asked), lambda asked=asked: [ask(row) for ask, row in asked]),
         ]
         times[what] = {entry.who: 1e6 / entry.rate for entry in race(contenders, rounds, most=4.0)}
-    return {"triangles": count, "us": times, **agreement(chain, scenes, judges, q, rows)}
+    return {"triangles": count, "us": times, **agreement(robot, scenes, judges, q, rows)}
 
 
-def agreement(chain: jaxik.Chain, scenes: Any, judges: Any, q: np.ndarray, rows: Any) -> dict[str, Any]:
+def agreement(robot: jaxik.Robot, scenes: Any, judges: Any, q: np.ndarray, rows: Any) -> dict[str, Any]:
     """In float64, where coal says that nothing touches; and how many answers are others than coal's."""
     counts, off = dict.fromkeys(("configurations", "collide", "wholly inside", "other answers"), 0), 0.0
     with jax.enable_x64(True):
         for around, judge, each, placed in zip(scenes, judges, q, rows, strict=True):
-            ours = np.asarray(jax.vmap(lambda q, s=around: jaxik.clearance(chain, s, q))(each[:LOOPS]))
+            ours = np.asarray(jax.vmap(lambda q, s=around: jaxik.clearance(robot, s, q))(each[:LOOPS]))
             theirs, inside = np.array([judge.clearance(row) for row in placed]), np.array([judge.holds(row) for row in placed])
             free = (theirs > APART) & ~inside
             off = max(off, float(np.abs(ours - theirs)[free].max(initial=0.0)))
@@ -138,15 +138,15 @@ def agreement(chain: jaxik.Chain, scenes: Any, judges: Any, q: np.ndarray, rows:
     return {**counts, "off_m": off}
 
 
-def motions(chain: jaxik.Chain, count: int) -> dict[str, int]:
+def motions(robot: jaxik.Robot, count: int) -> dict[str, int]:
     """How many motions are proven free, and of how many of them a sample hits by coal."""
     found = dict.fromkeys(("motions", "free", "free that hit"), 0)
     for seed in range(PLACES):
         triangles = tube(count, seed)
-        around, judge, rng = scene(triangles), Judge(chain, triangles), np.random.default_rng(seed)
-        start = rng.uniform(chain.lower, chain.upper, (MOTIONS, chain.num_joints))
-        end = start + rng.uniform(0.0, 0.3, (MOTIONS, 1)) * (rng.uniform(chain.lower, chain.upper, start.shape) - start)
-        collide = jax.vmap(lambda a, b, s=around: jaxik.collision.motion_collides(chain, s, a, b))
+        around, judge, rng = scene(triangles), Judge(robot, triangles), np.random.default_rng(seed)
+        start = rng.uniform(robot.lower, robot.upper, (MOTIONS, robot.num_joints))
+        end = start + rng.uniform(0.0, 0.3, (MOTIONS, 1)) * (rng.uniform(robot.lower, robot.upper, start.shape) - start)
+        collide = jax.vmap(lambda a, b, s=around: jaxik.collision.motion_collides(robot, s, a, b))
         free = ~np.asarray(collide(start.astype(np.float32), end.astype(np.float32)))
         found["motions"] += MOTIONS
         found["free"] += int(free.sum())
@@ -160,29 +160,29 @@ def motions(chain: jaxik.Chain, count: int) -> dict[str, int]:
 # The paper's test
 
 
-def surfaces(chain: jaxik.Chain, count: int, rounds: int) -> list[dict[str, Any]]:
+def surfaces(robot: jaxik.Robot, count: int, rounds: int) -> list[dict[str, Any]]:
     """Times of edges against surfaces, of thinned hulls of the robot's meshes and of boxes about them; beside `collides`."""
     shapes = jaxik.files.link_meshes(ROBOTS / "panda_description/urdf/panda.urdf", tip=TIP)
     hulls = [(s.link, _hull(s.corners)) for s in shapes]
     boxes = [(link, _box(hull)) for link, hull in hulls]
-    around, q = tube(count, 0), np.random.default_rng(1).uniform(chain.lower, chain.upper, (OURS, chain.num_joints))
+    around, q = tube(count, 0), np.random.default_rng(1).uniform(robot.lower, robot.upper, (OURS, robot.num_joints))
     entries, rows = [], []
     for who, model in (("hulls", hulls), ("boxes", boxes)):
         links, local = np.concatenate([np.full(len(t), link) for link, t in model]), np.concatenate([t for _, t in model])
 
         def cross(q: Any, links: np.ndarray = links, local: np.ndarray = local) -> Any:
-            frames = (chain.world_T_base @ jaxik.robot.link_frames(chain, q) @ np.linalg.inv(chain.link_offset))[links]
+            frames = (robot.world_T_base @ jaxik.kinematics.link_frames(robot, q) @ np.linalg.inv(robot.link_offset))[links]
             placed = jnp.einsum("kij,kcj->kci", frames[:, :3, :3], local) + frames[:, None, :3, 3]
             return jaxik.collision.surfaces_cross(placed, around.astype(q.dtype))
 
         run, _ = compiled(lambda q, f=cross: jax.lax.map(f, q), jnp.asarray(q[:LOOPS], jnp.float32))
         entries.append(Entry(f"edges against surfaces, {who}", LOOPS, run))
         rows.append(len(local))
-    run, _ = compiled(jax.vmap(lambda q: jaxik.collides(chain, scene(around), q)), jnp.asarray(q, jnp.float32))
+    run, _ = compiled(jax.vmap(lambda q: jaxik.collides(robot, scene(around), q)), jnp.asarray(q, jnp.float32))
     entries.append(Entry("collides, capsules", OURS, run))
     race(entries, rounds, most=4.0)
     hits = [float(np.mean(np.asarray(entry.run())[:LOOPS])) for entry in entries]
-    numbers = (*rows, len(chain.volumes))
+    numbers = (*rows, len(robot.volumes))
     return [
         {"who": e.who, "surfaces": n, "against": count, "us": 1e6 / e.rate, "collide": hit}
         for e, n, hit in zip(entries, numbers, hits, strict=True)
@@ -209,15 +209,15 @@ def main() -> None:
     parser.add_argument("--out", type=Path, default=Path(__file__).with_suffix(".json"))
     arguments = parser.parse_args()
     whole = jaxik.load(ROBOTS / "panda_description/urdf/panda.urdf", tip=TIP, meshes=True, posture={})
-    chain = dataclasses.replace(whole, self_pairs=())  # the mesh alone is compared
+    robot = dataclasses.replace(whole, self_pairs=())  # the mesh alone is compared
     rows = []
     for count in SECTIONS:
-        rows.append(meshes(chain, count, arguments.rounds))
+        rows.append(meshes(robot, count, arguments.rounds))
         print(json.dumps(rows[-1]), flush=True)
-    result: dict[str, Any] = {"machine": machine(), "robot": f"{len(chain.volumes)} capsules of a Panda", "meshes": rows}
-    result["motions"] = motions(chain, 1000)
+    result: dict[str, Any] = {"machine": machine(), "robot": f"{len(robot.volumes)} capsules of a Panda", "meshes": rows}
+    result["motions"] = motions(robot, 1000)
     print(json.dumps(result["motions"]), flush=True)
-    result["surfaces"] = surfaces(chain, 1000, arguments.rounds)
+    result["surfaces"] = surfaces(robot, 1000, arguments.rounds)
     print(json.dumps(result["surfaces"]), flush=True)
     arguments.out.write_text(json.dumps(result, indent=1) + "\n")
 

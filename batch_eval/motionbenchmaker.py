@@ -33,8 +33,8 @@ SIZES = {"box": "3: the edges", "cylinder": "2: height and radius", "sphere": "1
 
 
 class Goal(NamedTuple):
-    """One goal: its name, the chain's joints there and at the start (n,), NaN where not told, the scene, and joints beside the
-    chain that stand elsewhere in this problem than in the first, at which the chain holds them."""
+    """One goal: its name, the robot's joints there and at the start (n,), NaN where not told, the scene, and joints beside the
+    robot that stand elsewhere in this problem than in the first, at which the robot holds them."""
 
     name: str
     q: np.ndarray
@@ -43,7 +43,7 @@ class Goal(NamedTuple):
     elsewhere: tuple[str, ...] = ()
 
 
-def robot(folder: Path, tip: str | None = None) -> jaxik.Chain:
+def load_robot(folder: Path, tip: str | None = None) -> jaxik.Robot:
     """The folder's robot with its collision geometry, up to the link `tip`."""
     urdf, srdf = files(folder)
     read = not urdf.stem.endswith("_spherized")
@@ -51,10 +51,10 @@ def robot(folder: Path, tip: str | None = None) -> jaxik.Chain:
     return load(meshes=read, posture=posture(folder, load(posture={})))
 
 
-def posture(folder: Path, chain: jaxik.Chain) -> dict[str, float]:
+def posture(folder: Path, robot: jaxik.Robot) -> dict[str, float]:
     """Where the first problem has the joints beside the chain [rad, m], inside their limits."""
     texts, held = _texts(folder), {}
-    told = _beside(_load(texts[min(_requests(texts))]), chain) if _requests(texts) else {}
+    told = _beside(_load(texts[min(_requests(texts))]), robot) if _requests(texts) else {}
     for joint in ET.parse(files(folder)[0]).getroot().iter("joint"):
         name, kind = joint.get("name"), joint.get("type")
         if name in told and kind in ("revolute", "prismatic", "continuous") and joint.find("mimic") is None:
@@ -80,7 +80,7 @@ def end_effector(srdf: Path | None) -> str | None:
     return found[0] if found else None
 
 
-def goals(folder: Path, chain: jaxik.Chain) -> Iterator[Goal]:
+def goals(folder: Path, robot: jaxik.Robot) -> Iterator[Goal]:
     """All goals, by name; a start or goal that the robot's shapes make collide is kept."""
     texts = _texts(folder)
     if not (requests := _requests(texts)):
@@ -94,26 +94,26 @@ def goals(folder: Path, chain: jaxik.Chain) -> Iterator[Goal]:
         short = "/".join(Path(name).parts[-2:])
         try:
             request = _load(texts[name])
-            beside = _beside(request, chain)
+            beside = _beside(request, robot)
             first = beside if first is None else first
             elsewhere = tuple(joint for joint, at in beside.items() if not np.isclose(at, first.get(joint, at)))
-            for goal in _goals(short, chain, request, scene_of(_load(texts[scene]))):
+            for goal in _goals(short, robot, request, scene_of(_load(texts[scene]))):
                 yield goal._replace(elsewhere=elsewhere)
         except (ValueError, KeyError, TypeError, yaml.YAMLError) as error:
             missing = f"'{error.args[0]}' is missing" if isinstance(error, KeyError) else " ".join(str(error).split())
             raise ValueError(f"{folder}: {short} or its scene: {missing}") from None
 
 
-def _goals(name: str, chain: jaxik.Chain, request: dict[str, Any], scene: jaxik.Scene) -> Iterator[Goal]:
+def _goals(name: str, robot: jaxik.Robot, request: dict[str, Any], scene: jaxik.Scene) -> Iterator[Goal]:
     start = _start(request)
     for i, wanted in enumerate(request["goal_constraints"]):
         others = [key for key, value in wanted.items() if key.endswith("_constraints") and key != "joint_constraints" and value]
         if others or not wanted.get("joint_constraints"):
             raise ValueError(f"a goal by {', '.join(others) or 'nothing'}; known: joint_constraints")
         joints = {c["joint_name"]: c["position"] for c in wanted["joint_constraints"]}
-        if lacking := [joint for joint in chain.joint_names if joint not in joints]:
+        if lacking := [joint for joint in robot.joint_names if joint not in joints]:
             raise ValueError(f"the goal says nothing of {', '.join(lacking)}; it moves {', '.join(joints)}")
-        ours = lambda told: np.array([told.get(joint, np.nan) for joint in chain.joint_names], np.float64)
+        ours = lambda told: np.array([told.get(joint, np.nan) for joint in robot.joint_names], np.float64)
         yield Goal(name if i == 0 else f"{name}#{i + 1}", ours(joints), ours(start), scene)
 
 
@@ -123,11 +123,11 @@ def _start(request: dict[str, Any]) -> dict[str, float]:
     return dict(zip(begin.get("name", ()), begin.get("position", ()), strict=True))
 
 
-def _beside(request: dict[str, Any], chain: jaxik.Chain) -> dict[str, float]:
-    """Where a problem has joints that are not the chain's: at its start, or else at its goal."""
+def _beside(request: dict[str, Any], robot: jaxik.Robot) -> dict[str, float]:
+    """Where a problem has joints that are not the robot's: at its start, or else at its goal."""
     wanted = (c for goal in request.get("goal_constraints", ()) for c in goal.get("joint_constraints") or ())
     told = {c["joint_name"]: c["position"] for c in wanted if "position" in c} | _start(request)
-    return {joint: at for joint, at in told.items() if joint not in chain.joint_names}
+    return {joint: at for joint, at in told.items() if joint not in robot.joint_names}
 
 
 def scene_of(message: dict[str, Any]) -> jaxik.Scene:

@@ -43,18 +43,18 @@ ROBOTS = {  # file under example-robot-data and tip; or a shipped model
 SHARES = {"p6r": 0.6, "chembuly9": 0.1, "crops_v2": 0.0025, "pendulum4": 0.0025, "Panda": 0.19, "UR10": 0.1, "TIAGo": 0.005}
 
 
-def robot(name: str) -> jaxik.Chain:
+def load_robot(name: str) -> jaxik.Robot:
     """One of `ROBOTS`, with its collision geometry."""
     place = ROBOTS[name]
     return jaxik.load(name) if place is None else jaxik.load(FOLDER / place[0], tip=place[1], meshes=True, posture={})
 
 
-def obstacles(chain: jaxik.Chain) -> jaxik.Scene:
+def obstacles(robot: jaxik.Robot) -> jaxik.Scene:
     """Thin ones and thick ones about where the robot's parts come, by a fixed seed; none that is nearly always
     in the way."""
-    rng, limits = np.random.default_rng(16), jaxik.robot.finite_limits(chain)
-    frames = jax.jit(jax.vmap(lambda q: jaxik.forward_kinematics(chain, q)))(rng.uniform(*limits, (500, chain.num_joints)))
-    places = np.asarray(frames)[:, :3, 3] @ chain.world_T_base[:3, :3].T + chain.world_T_base[:3, 3]
+    rng, limits = np.random.default_rng(16), jaxik.kinematics.finite_limits(robot)
+    frames = jax.jit(jax.vmap(lambda q: jaxik.forward_kinematics(robot, q)))(rng.uniform(*limits, (500, robot.num_joints)))
+    places = np.asarray(frames)[:, :3, 3] @ robot.world_T_base[:3, :3].T + robot.world_T_base[:3, 3]
     reach = float(np.linalg.norm(places - places.mean(axis=0), axis=1).max())
 
     def frame() -> np.ndarray:
@@ -78,27 +78,27 @@ def obstacles(chain: jaxik.Chain) -> jaxik.Scene:
         boxes=[(frame(), edges) for _ in range(CLUTTER) for edges in (size(3), [*size(2), 0.002])],
         cylinders=[(frame(), 0.002, size()) for _ in range(CLUTTER)],
     )
-    apart = jax.jit(jax.vmap(lambda q: jaxik.collision.object_clearances(chain, scene, q)))(
-        rng.uniform(*limits, (500, chain.num_joints))
+    apart = jax.jit(jax.vmap(lambda q: jaxik.collision.object_clearances(robot, scene, q)))(
+        rng.uniform(*limits, (500, robot.num_joints))
     )
     often = np.mean(np.asarray(apart) < 0.01, axis=0) > 0.1
     return scene.without(np.flatnonzero(often).tolist())
 
 
-def motions(chain: jaxik.Chain, scene: jaxik.Scene, count: int, seed: int = 17) -> tuple[np.ndarray, np.ndarray]:
+def motions(robot: jaxik.Robot, scene: jaxik.Scene, count: int, seed: int = 17) -> tuple[np.ndarray, np.ndarray]:
     """`count` of them: (count, n) twice, in float32; the first ends are free."""
-    rng, limits = np.random.default_rng(seed), jaxik.robot.finite_limits(chain)
-    measure = jax.jit(jax.vmap(lambda q: jaxik.clearance(chain, scene, q)))
+    rng, limits = np.random.default_rng(seed), jaxik.kinematics.finite_limits(robot)
+    measure = jax.jit(jax.vmap(lambda q: jaxik.clearance(robot, scene, q)))
     kept: list[np.ndarray] = []
     while sum(map(len, kept)) < count:
-        q = rng.uniform(*limits, (BLOCK, chain.num_joints)).astype(np.float32)
+        q = rng.uniform(*limits, (BLOCK, robot.num_joints)).astype(np.float32)
         kept.append(q[np.asarray(measure(q)) > max(MARGINS) + 2.0 * RESOLUTION])
     q_from = np.concatenate(kept)[:count]
     share = rng.uniform(0.0, 0.5, (count, 1)) ** 2
     return q_from, (q_from + share * (rng.uniform(*limits, q_from.shape) - q_from)).astype(np.float32)
 
 
-def dense(chain: jaxik.Chain, scene: jaxik.Scene | None, samples: int = SAMPLES) -> Any:
+def dense(robot: jaxik.Robot, scene: jaxik.Scene | None, samples: int = SAMPLES) -> Any:
     """q_from, q_to, margin -> the least clearance of the samples, and the first fraction that does not keep the margin."""
 
     @jaxik.kernel
@@ -106,7 +106,7 @@ def dense(chain: jaxik.Chain, scene: jaxik.Scene | None, samples: int = SAMPLES)
         def sample(low: Any, high: Any, count: int) -> Any:
             def one(i: Any, found: Any) -> Any:
                 t = low + (high - low) * i / count
-                apart = jaxik.clearance(chain, scene, q_from + t * (q_to - q_from))
+                apart = jaxik.clearance(robot, scene, q_from + t * (q_to - q_from))
                 first = jnp.where((apart <= margin) & jnp.isinf(found[2]), t, found[2])
                 return jnp.minimum(apart, found[0]), jnp.where(apart < found[0], t, found[1]), first
 
@@ -119,12 +119,12 @@ def dense(chain: jaxik.Chain, scene: jaxik.Scene | None, samples: int = SAMPLES)
     return jax.jit(jax.vmap(least))
 
 
-def judged(chain: jaxik.Chain, scene: jaxik.Scene | None, q_from: np.ndarray, q_to: np.ndarray, samples: int) -> dict[str, Any]:
+def judged(robot: jaxik.Robot, scene: jaxik.Scene | None, q_from: np.ndarray, q_to: np.ndarray, samples: int) -> dict[str, Any]:
     """Counts of what must not be, and the bound's slack."""
     margin = np.resize(np.float32(MARGINS), len(q_from))
-    bound = jax.jit(jax.vmap(lambda a, b, m: jaxik.motion_clearance(chain, scene, a, b, m, RESOLUTION)))
-    hits = jax.jit(jax.vmap(lambda a, b, m: jaxik.collision.motion_collides(chain, scene, a, b, m, RESOLUTION)))
-    truth = dense(chain, scene, samples)
+    bound = jax.jit(jax.vmap(lambda a, b, m: jaxik.motion_clearance(robot, scene, a, b, m, RESOLUTION)))
+    hits = jax.jit(jax.vmap(lambda a, b, m: jaxik.collision.motion_collides(robot, scene, a, b, m, RESOLUTION)))
+    truth = dense(robot, scene, samples)
 
     def timed(f: Any) -> tuple[Any, float]:
         blocks = [slice(i, i + BLOCK) for i in range(0, len(q_from), BLOCK)]
@@ -172,10 +172,10 @@ def main() -> None:
     if arguments.robots != list(ROBOTS) and arguments.out.exists():  # the others' rows stay
         result["robots"] = json.loads(arguments.out.read_text())["robots"]
     for name in arguments.robots:
-        chain = robot(name)
-        scene = obstacles(chain)
-        q_from, q_to = motions(chain, scene, round(SHARES[name] * arguments.count))
-        row = result["robots"][name] = judged(chain, scene, q_from, q_to, arguments.samples)
+        robot = load_robot(name)
+        scene = obstacles(robot)
+        q_from, q_to = motions(robot, scene, round(SHARES[name] * arguments.count))
+        row = result["robots"][name] = judged(robot, scene, q_from, q_to, arguments.samples)
         print(f"{name:10s} {json.dumps(row)}", flush=True)
         arguments.out.write_text(json.dumps(result, indent=1) + "\n")
 

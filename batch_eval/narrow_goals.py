@@ -37,7 +37,7 @@ ROBOTS = {  # file under example-robot-data and tip; or a shipped model
 }
 
 
-def robot(name: str) -> jaxik.Chain:
+def load_robot(name: str) -> jaxik.Robot:
     """One of `ROBOTS`, with its collision geometry."""
     place = ROBOTS[name]
     if place is not None:
@@ -48,12 +48,12 @@ def robot(name: str) -> jaxik.Chain:
     return p6r if name == "p6r" else p6r.part(1, 7)
 
 
-def obstacles(name: str, chain: jaxik.Chain) -> jaxik.Scene:
+def obstacles(name: str, robot: jaxik.Robot) -> jaxik.Scene:
     """The crop for p6r; else boxes and spheres about the robot, by a fixed seed."""
     if name == "p6r":
         return jaxik.load_scene("cucumber_row")
     rng = np.random.default_rng(14)
-    length = np.linalg.norm(chain.parent_T_joint[:, :3, 3], axis=1).sum()
+    length = np.linalg.norm(robot.parent_T_joint[:, :3, 3], axis=1).sum()
 
     def somewhere() -> np.ndarray:
         direction = rng.normal(size=3)
@@ -69,13 +69,13 @@ def obstacles(name: str, chain: jaxik.Chain) -> jaxik.Scene:
     return jaxik.make_scene(boxes=[box() for _ in range(CLUTTER)], spheres=spheres)
 
 
-def configurations(chain: jaxik.Chain, scene: jaxik.Scene, count: int) -> dict[str, np.ndarray]:
+def configurations(robot: jaxik.Robot, scene: jaxik.Scene, count: int) -> dict[str, np.ndarray]:
     """Up to `count` configurations of goals of each kind, (m, n)."""
-    measure = jax.jit(jax.vmap(lambda q: (jaxik.clearance(chain, scene, q), jaxik.collision.self_clearance(chain, q))))
-    rng, limits = np.random.default_rng(15), jaxik.robot.finite_limits(chain)
+    measure = jax.jit(jax.vmap(lambda q: (jaxik.clearance(robot, scene, q), jaxik.collision.self_clearance(robot, q))))
+    rng, limits = np.random.default_rng(15), jaxik.kinematics.finite_limits(robot)
     kept: dict[str, list[np.ndarray]] = {"scene": [], "self": [], "easy": []}
     for _ in range(20):
-        q = rng.uniform(*limits, (5000, chain.num_joints))
+        q = rng.uniform(*limits, (5000, robot.num_joints))
         least, own = (np.asarray(x) for x in measure(q))
         narrow = (least >= LEAST) & (least < NARROW)
         for kind, rows in (("scene", narrow & (own > least)), ("self", narrow & (own <= least)), ("easy", least >= NARROW)):
@@ -85,14 +85,14 @@ def configurations(chain: jaxik.Chain, scene: jaxik.Scene, count: int) -> dict[s
     return {kind: np.array(rows) for kind, rows in kinds.items() if len(rows) >= TIMED}
 
 
-def solved(chain: jaxik.Chain, scene: jaxik.Scene, q: np.ndarray) -> dict[str, Any]:
+def solved(robot: jaxik.Robot, scene: jaxik.Scene, q: np.ndarray) -> dict[str, Any]:
     """The share of goals solved, why the others were not, and the times of warm calls for one goal each."""
-    pose, times = pose_of(chain), []
+    pose, times = pose_of(robot), []
     targets = np.stack([pose(row) for row in q])
-    result = jaxik.solve_ik(chain, targets, scene)
+    result = jaxik.solve_ik(robot, targets, scene)
     for target in targets[:TIMED]:
         start = time.perf_counter()
-        jaxik.solve_ik(chain, target, scene)
+        jaxik.solve_ik(robot, target, scene)
         times.append(time.perf_counter() - start)
     p50, p95 = np.percentile(times, [50, 95])
     return {
@@ -113,11 +113,11 @@ def main() -> None:
     arguments = parser.parse_args()
     result: dict[str, Any] = {"cpu": processor(), "jax": jax.__version__, "narrow_m": [LEAST, NARROW], "robots": {}}
     for name in arguments.robots:
-        chain = robot(name)
-        scene = obstacles(name, chain)
+        robot = load_robot(name)
+        scene = obstacles(name, robot)
         result["robots"][name] = {}
-        for kind, q in configurations(chain, scene, arguments.count).items():
-            row = result["robots"][name][kind] = solved(chain, scene, q)
+        for kind, q in configurations(robot, scene, arguments.count).items():
+            row = result["robots"][name][kind] = solved(robot, scene, q)
             print(
                 f"{name:24s} {kind:7s} {row['solved']:4d} of {row['goals']:4d}, median {row['p50_ms']:6.1f} ms, "
                 f"95 % {row['p95_ms']:7.1f} ms {row['failed'] or ''}",

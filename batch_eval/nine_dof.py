@@ -42,31 +42,31 @@ def boxes_of(scene: jaxik.Scene) -> tuple[np.ndarray, np.ndarray]:
     return centre - scene.boxes.half, centre + scene.boxes.half
 
 
-def solve(chain: jaxik.Chain) -> list[dict[str, Any]]:
+def solve(robot: jaxik.Robot) -> list[dict[str, Any]]:
     """All targets of the text, each in its crop without the fruit itself."""
-    pose, rows = pose_of(chain), []
-    penalty = jax.jit(lambda q, low, high: box_penalty(jaxik.collision.link_circles(chain, q), low, high, 1.0))
+    pose, rows = pose_of(robot), []
+    penalty = jax.jit(lambda q, low, high: box_penalty(jaxik.collision.link_circles(robot, q), low, high, 1.0))
     for crop, targets in TRELLIS_TARGETS.items():
         scene = trellis_crop(crop)
         for i, target in enumerate(np.array(targets, np.float64) / 100.0):
             others = scene.without([scene.object_names.index(f"fruit_{i + 1}")])
-            run = lambda others=others, target=target: jaxik.solve_ik(chain, target, others, options=OPTIONS)
+            run = lambda others=others, target=target: jaxik.solve_ik(robot, target, others, options=OPTIONS)
             run()  # compiles
             times = []
             for _ in range(11):
                 start = time.perf_counter()
                 result = run()
                 times.append(time.perf_counter() - start)
-            blind = jaxik.solve_ik(chain, target, task=TASK, position_tolerance=1e-9, collision=False)
-            tip = chain.world_T_base @ pose(result.q) if result.success else np.full((4, 4), np.nan)
+            blind = jaxik.solve_ik(robot, target, task=TASK, position_tolerance=1e-9, collision=False)
+            tip = robot.world_T_base @ pose(result.q) if result.success else np.full((4, 4), np.nan)
             low, high = boxes_of(others)
             rows.append(
                 {
                     "crop": crop,
                     "target_cm": [float(x) for x in targets[i]],
                     "reason": result.reason.text,
-                    "error_m": float(np.linalg.norm((np.linalg.inv(chain.world_T_base) @ tip)[:3, 3] - target)),
-                    "limits_kept": bool(np.all((result.q >= chain.lower) & (result.q <= chain.upper))),
+                    "error_m": float(np.linalg.norm((np.linalg.inv(robot.world_T_base) @ tip)[:3, 3] - target)),
+                    "limits_kept": bool(np.all((result.q >= robot.lower) & (result.q <= robot.upper))),
                     "clearance_m": float(result.clearance),
                     "boxes_hit_by_points": float(penalty(result.q, low, high)) if result.success else None,
                     "reachable_without_obstacles": bool(blind.success),
@@ -78,34 +78,34 @@ def solve(chain: jaxik.Chain) -> list[dict[str, Any]]:
     return rows
 
 
-def paper_rows(chain: jaxik.Chain) -> list[dict[str, Any]]:
+def paper_rows(robot: jaxik.Robot) -> list[dict[str, Any]]:
     """Table 4's own joint variables: their positions, and which limits of (9) they break."""
-    pose, rows = pose_of(chain), []
+    pose, rows = pose_of(robot), []
     for printed, target in zip(TABLE_4, TRELLIS_TARGETS["bitter_gourd"], strict=False):
         q = np.array([printed[0] / 100.0, *np.radians(printed[1:])])
-        broken = [n for n, x, a, b in zip(chain.joint_names, q, chain.lower, chain.upper, strict=True) if not a <= x <= b]
+        broken = [n for n, x, a, b in zip(robot.joint_names, q, robot.lower, robot.upper, strict=True) if not a <= x <= b]
         away = np.linalg.norm(pose(q)[:3, 3] - np.array(target) / 100.0)
         rows.append({"target_cm": list(target), "error_m": float(away), "limits_broken": broken})
         print(rows[-1])
     return rows
 
 
-def baselines(chain: jaxik.Chain, starts: int = 100) -> list[dict[str, Any]]:
+def baselines(robot: jaxik.Robot, starts: int = 100) -> list[dict[str, Any]]:
     """The six rows by the textbook iterations from random starts, and by the global search with the paper's penalty."""
     rows = []
     scene = trellis_crop("bitter_gourd")
     with jax.enable_x64(True):
-        q0 = np.random.default_rng(1).uniform(chain.lower, chain.upper, (starts, chain.num_joints))
+        q0 = np.random.default_rng(1).uniform(robot.lower, robot.upper, (starts, robot.num_joints))
         for i, target in enumerate(np.array(TRELLIS_TARGETS["bitter_gourd"][:6]) / 100.0):
             wanted = np.eye(4)
             wanted[:3, 3] = target
             for who, damping in (("Newton-Raphson", 0.0), ("damped least squares", 0.05)):
-                run = jax.jit(jax.vmap(lambda q, w=wanted, d=damping: newton_ik(chain, w, q, d, TASK)))
+                run = jax.jit(jax.vmap(lambda q, w=wanted, d=damping: newton_ik(robot, w, q, d, TASK)))
                 jax.block_until_ready(run(q0))
                 start = time.perf_counter()
                 root = jax.block_until_ready(run(q0))
                 seconds = time.perf_counter() - start
-                inside = np.all((root.x >= chain.lower) & (root.x <= chain.upper), axis=1)
+                inside = np.all((root.x >= robot.lower) & (root.x <= robot.upper), axis=1)
                 reached = np.asarray(root.residual) <= 1e-9
                 rows.append(
                     {
@@ -117,7 +117,7 @@ def baselines(chain: jaxik.Chain, starts: int = 100) -> list[dict[str, Any]]:
                     }
                 )
             start = time.perf_counter()
-            found = global_search(chain, wanted, boxes=boxes_of(scene), task=TASK, generations=400)
+            found = global_search(robot, wanted, boxes=boxes_of(scene), task=TASK, generations=400)
             rows.append(
                 {
                     "who": "differential evolution",
@@ -134,9 +134,9 @@ def baselines(chain: jaxik.Chain, starts: int = 100) -> list[dict[str, Any]]:
 
 def main() -> None:
     """Everything, and the JSON."""
-    chain = jaxik.load("chembuly9")
+    robot = jaxik.load("chembuly9")
     result = {"machine": machine(), "options": {k: str(v) for k, v in dataclasses.asdict(OPTIONS).items()}}
-    result |= {"paper": paper_rows(chain), "ours": solve(chain), "baselines": baselines(chain)}
+    result |= {"paper": paper_rows(robot), "ours": solve(robot), "baselines": baselines(robot)}
     Path(__file__).with_suffix(".json").write_text(json.dumps(result, indent=1) + "\n")
 
 

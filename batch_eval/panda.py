@@ -48,18 +48,18 @@ def urdf_file() -> Path:
     return bare_urdf(ROBOTS / "panda_description/urdf/panda.urdf", TIP)
 
 
-def pose_of(chain: jaxik.Chain) -> Callable[[np.ndarray], np.ndarray]:
-    """q -> tip pose (4, 4) by Pinocchio's kinematics, from the chain's numbers, whatever file they came from."""
+def pose_of(robot: jaxik.Robot) -> Callable[[np.ndarray], np.ndarray]:
+    """q -> tip pose (4, 4) by Pinocchio's kinematics, from the robot's numbers, whatever file they came from."""
     model, joint = pin.Model(), 0
-    for i, prismatic in enumerate(chain.is_prismatic):
+    for i, prismatic in enumerate(robot.is_prismatic):
         kind = pin.JointModelPrismaticUnaligned if prismatic else pin.JointModelRevoluteUnaligned
-        placed = pin.SE3(chain.parent_T_joint[i][:3, :3], chain.parent_T_joint[i][:3, 3])
-        joint = model.addJoint(joint, kind(np.array(chain.axis[i])), placed, chain.joint_names[i])
+        placed = pin.SE3(robot.parent_T_joint[i][:3, :3], robot.parent_T_joint[i][:3, 3])
+        joint = model.addJoint(joint, kind(np.array(robot.axis[i])), placed, robot.joint_names[i])
     data = model.createData()
 
     def pose(q: np.ndarray) -> np.ndarray:
         pin.forwardKinematics(model, data, np.asarray(q, np.float64))
-        return data.oMi[joint].homogeneous @ chain.joint_T_tip
+        return data.oMi[joint].homogeneous @ robot.joint_T_tip
 
     return pose
 
@@ -99,8 +99,8 @@ class Truth:
 def contenders(count: int = 65_536) -> tuple[list[Entry], list[Entry]]:
     """Entries for the pose and for the Jacobian of `count` random configurations."""
     urdf = urdf_file()
-    chain, truth = jaxik.load(urdf, tip=TIP), Truth(urdf)
-    q = np.random.default_rng(0).uniform(chain.lower, chain.upper, (count, 7)).astype(np.float32)
+    robot, truth = jaxik.load(urdf, tip=TIP), Truth(urdf)
+    q = np.random.default_rng(0).uniform(robot.lower, robot.upper, (count, 7)).astype(np.float32)
     few = q[:50]
     poses = np.stack([truth.pose(row) for row in few])
     jacobians = np.stack([truth.jacobian(row) for row in few])
@@ -114,7 +114,7 @@ def contenders(count: int = 65_536) -> tuple[list[Entry], list[Entry]]:
 
     def ours(function: Callable[..., Any], true: np.ndarray) -> list[Entry]:
         batches = {"jaxik": function, PLAIN: function.__wrapped__}  # type: ignore[attr-defined]
-        each = {who: jax.vmap(functools.partial(f, chain)) for who, f in batches.items()}
+        each = {who: jax.vmap(functools.partial(f, robot)) for who, f in batches.items()}
         return [jaxs(who, f, f, true) for who, f in each.items()]
 
     forward, columns = ours(jaxik.forward_kinematics, poses), ours(jaxik.jacobian, jacobians)
@@ -126,10 +126,10 @@ def contenders(count: int = 65_536) -> tuple[list[Entry], list[Entry]]:
         entries.append(torch_entry)
     for name, function in pyroki_poses(urdf).items():
         forward.append(jaxs(name, function, lambda q, f=function: _matrices(f(jnp.asarray(q))), poses))
-    frax_pose, frax_jacobian = frax_functions(urdf, chain)
+    frax_pose, frax_jacobian = frax_functions(urdf, robot)
     forward.append(jaxs("frax, vmap", frax_pose, frax_pose, poses))
     columns.append(jaxs("frax, vmap", frax_jacobian, frax_jacobian, jacobians))
-    mjx_pose = mjx_poses(urdf, chain)
+    mjx_pose = mjx_poses(urdf, robot)
     forward.append(jaxs("MJX, vmap", mjx_pose, lambda q: _homogeneous(*mjx_pose(q)), poses, q[:4096]))
     return forward, columns
 
@@ -137,8 +137,8 @@ def contenders(count: int = 65_536) -> tuple[list[Entry], list[Entry]]:
 def single_calls() -> dict[str, dict[str, Callable[[], Any]]]:
     """One configuration: the pose and the Jacobian, each by calls that wait for their results."""
     urdf = urdf_file()
-    chain, truth = jaxik.load(urdf, tip=TIP), Truth(urdf)
-    row = np.random.default_rng(0).uniform(chain.lower, chain.upper)
+    robot, truth = jaxik.load(urdf, tip=TIP), Truth(urdf)
+    row = np.random.default_rng(0).uniform(robot.lower, robot.upper)
     q = jnp.asarray(row, jnp.float32)
     works = {}
     for name, function, loop in zip(
@@ -147,7 +147,7 @@ def single_calls() -> dict[str, dict[str, Callable[[], Any]]]:
         truth.loops([row]),
         strict=True,
     ):
-        works[name] = single(functools.partial(function, chain), functools.partial(function.__wrapped__, chain), q)
+        works[name] = single(functools.partial(function, robot), functools.partial(function.__wrapped__, robot), q)
         works[name]["Pinocchio, from Python"] = loop
     return works
 
@@ -181,11 +181,11 @@ def pyroki_poses(urdf: Path) -> dict[str, Callable[..., Any]]:
     import pyroki
     import yourdfpy
 
-    robot = pyroki.Robot.from_urdf(yourdfpy.URDF.load(str(urdf), load_meshes=False, load_collision_meshes=False))
-    tip = robot.links.names.index(TIP)
+    peer = pyroki.Robot.from_urdf(yourdfpy.URDF.load(str(urdf), load_meshes=False, load_collision_meshes=False))
+    tip = peer.links.names.index(TIP)
     return {
-        "PyRoki": lambda q: robot.forward_kinematics(q)[..., tip, :],
-        "PyRoki, unroll_fk": lambda q: robot.forward_kinematics(q, unroll_fk=True)[..., tip, :],
+        "PyRoki": lambda q: peer.forward_kinematics(q)[..., tip, :],
+        "PyRoki, unroll_fk": lambda q: peer.forward_kinematics(q, unroll_fk=True)[..., tip, :],
     }
 
 
@@ -203,24 +203,24 @@ def _homogeneous(rotations: Any, positions: Any) -> np.ndarray:
     return poses
 
 
-def frax_functions(urdf: Path, chain: jaxik.Chain) -> tuple[Callable[..., Any], Callable[..., Any]]:
+def frax_functions(urdf: Path, robot: jaxik.Robot) -> tuple[Callable[..., Any], Callable[..., Any]]:
     """Pose and Jacobian of a batch."""
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")  # it advises single-threaded settings, which would slow everyone else
         import frax
 
-        robot = frax.Manipulator(str(urdf), ee_offset=np.asarray(chain.joint_T_tip))
-    return jax.vmap(robot.ee_transform), jax.vmap(robot.ee_jacobian)
+        peer = frax.Manipulator(str(urdf), ee_offset=np.asarray(robot.joint_T_tip))
+    return jax.vmap(peer.ee_transform), jax.vmap(peer.ee_jacobian)
 
 
-def mjx_poses(urdf: Path, chain: jaxik.Chain) -> Callable[..., Any]:
+def mjx_poses(urdf: Path, robot: jaxik.Robot) -> Callable[..., Any]:
     """(N, 7) -> rotations and positions."""
     from mujoco import mjx
 
     # fixed bodies fused, as MuJoCo does by default: it is faster by 1.7; the tip is put back on the last body
     fused = mujoco.MjModel.from_xml_path(str(urdf))
     model = mjx.put_model(fused)
-    blank, last, tip = mjx.make_data(model), fused.nbody - 1, jnp.asarray(chain.joint_T_tip)
+    blank, last, tip = mjx.make_data(model), fused.nbody - 1, jnp.asarray(robot.joint_T_tip)
 
     def pose(q: Any) -> Any:
         moved = mjx.kinematics(model, blank.replace(qpos=q))

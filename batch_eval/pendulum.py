@@ -21,23 +21,23 @@ INSTANTANEOUS = jaxik.motions.FollowOptions("asc", DT, "euler", IN_PLANE, alpha=
 
 
 @functools.cache
-def arm() -> jaxik.Chain:
+def arm() -> jaxik.Robot:
     """It may pass through itself."""
     return dataclasses.replace(jaxik.load("pendulum4"), self_pairs=())
 
 
 @functools.cache
-def path(chain: jaxik.Chain) -> jaxik.motions.Line:
-    start = np.asarray(jaxik.forward_kinematics(chain, START))
+def path(robot: jaxik.Robot) -> jaxik.motions.Line:
+    start = np.asarray(jaxik.forward_kinematics(robot, START))
     end = start.copy()
     end[:2, 3] = 0.5, 0.0
     return jaxik.motions.Line(start, end)
 
 
-def position_cost(chain: jaxik.Chain) -> Callable[[Any], Any]:
+def position_cost(robot: jaxik.Robot) -> Callable[[Any], Any]:
     """(5.35), weighted."""
     scene = jaxik.make_scene(points=[OBSTACLE])
-    return lambda q: STEEP / 3.0 * jnp.maximum(ACTIVATION - jaxik.clearance(chain, scene, q), 0.0) ** 3
+    return lambda q: STEEP / 3.0 * jnp.maximum(ACTIVATION - jaxik.clearance(robot, scene, q), 0.0) ** 3
 
 
 def horizon(descend: jaxik.optimise.Descent = jaxik.optimise.QUASI_NEWTON) -> jaxik.motions.Horizon:

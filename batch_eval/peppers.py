@@ -96,20 +96,20 @@ def detour(start: np.ndarray, goal: np.ndarray, away: float = 0.25, back: float 
     return poses
 
 
-def followed(chain: jaxik.Chain, poses: list[np.ndarray]) -> np.ndarray:
+def followed(robot: jaxik.Robot, poses: list[np.ndarray]) -> np.ndarray:
     """(79, 101, 9): the tip along each path, the null space down the costs of limits, itself and the stem."""
     around = scene()
 
     def cost(q: Any) -> Any:
-        near = collision_cost(jnp.minimum(link_clearances(chain, around, q), 1.0), ACTIVATION, MOST)
-        return jnp.sum(near) + 5.0 * joint_limit_cost(chain, q, soft=0.2)
+        near = collision_cost(jnp.minimum(link_clearances(robot, around, q), 1.0), ACTIVATION, MOST)
+        return jnp.sum(near) + 5.0 * joint_limit_cost(robot, q, soft=0.2)
 
     paths = jax.tree_util.tree_map(lambda *x: np.stack(x), *(via(each) for each in poses))
     start = np.tile(HOME, (len(poses), 1))
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")
-        found = follow(chain, paths, DURATION, start, cost, each=("path",), scheme="asc", dt=DT, alpha=0.5, limits=False)
-    return np.clip(found.q[:, :: round(DURATION / SPANS / DT)], chain.lower, chain.upper)
+        found = follow(robot, paths, DURATION, start, cost, each=("path",), scheme="asc", dt=DT, alpha=0.5, limits=False)
+    return np.clip(found.q[:, :: round(DURATION / SPANS / DT)], robot.lower, robot.upper)
 
 
 def dynamic_cost(q: np.ndarray) -> np.ndarray:
@@ -121,15 +121,15 @@ def dynamic_cost(q: np.ndarray) -> np.ndarray:
 
 
 class Printed:
-    """The programme in CasADi: (6.4) to (6.10) with table 6.1, from the chain's frames alone."""
+    """The programme in CasADi: (6.4) to (6.10) with table 6.1, from the robot's frames alone."""
 
-    def __init__(self, chain: jaxik.Chain, iterations: int = 1000):
-        n, count, step = chain.num_joints, SPANS + 1, DURATION / SPANS
+    def __init__(self, robot: jaxik.Robot, iterations: int = 1000):
+        n, count, step = robot.num_joints, SPANS + 1, DURATION / SPANS
         q = ca.SX.sym("q", n)
-        frames = casadi_peer._frames(chain, q)
-        near, least = self._collisions(chain, frames)
+        frames = casadi_peer._frames(robot, q)
+        near, least = self._collisions(robot, frames)
         self.clearance = ca.Function("clearance", [q], [least])
-        cost, tip = ca.Function("cost", [q], [near]), ca.Function("tip", [q], [frames[-1] @ ca.DM(chain.joint_T_tip)])
+        cost, tip = ca.Function("cost", [q], [near]), ca.Function("tip", [q], [frames[-1] @ ca.DM(robot.joint_T_tip)])
         qs, us, goal = ca.MX.sym("q", n, count), ca.MX.sym("u", n, count), ca.MX.sym("goal", 4, 4)
         weight = np.full(count, step)
         weight[[0, -1]] *= 0.5
@@ -142,22 +142,22 @@ class Printed:
         steps = qs[:, 1:] - qs[:, :-1] - step / 2.0 * (us[:, 1:] + us[:, :-1])
         zero = ca.vertcat(ca.vec(steps), qs[:, 0] - ca.DM(HOME), us[:, 0], us[:, -1], end[:3, 3] - goal[:3, 3], skew)
         self.limits = [
-            np.concatenate([np.tile(x, count), np.full(n * count, s)]) for x, s in ((chain.lower, -SPEED), (chain.upper, SPEED))
+            np.concatenate([np.tile(x, count), np.full(n * count, s)]) for x, s in ((robot.lower, -SPEED), (robot.upper, SPEED))
         ]
         quiet = {"ipopt.print_level": 0, "print_time": 0, "ipopt.sb": "yes"}
         options = quiet | {"ipopt.max_iter": iterations, "ipopt.hessian_approximation": "limited-memory"}
         self.solver = ca.nlpsol("printed", "ipopt", {"x": ca.veccat(qs, us), "f": total, "g": zero, "p": ca.vec(goal)}, options)
 
-    def _collisions(self, chain: jaxik.Chain, frames: list[Any]) -> tuple[Any, Any]:
+    def _collisions(self, robot: jaxik.Robot, frames: list[Any]) -> tuple[Any, Any]:
         """What links cost, each by its nearest, to itself and the stem; and the least distance."""
         ends, radius = {}, {}
-        for volume in chain.volumes:
-            frame = frames[chain.link_joint[volume.link]] @ ca.DM(chain.link_offset[volume.link])
+        for volume in robot.volumes:
+            frame = frames[robot.link_joint[volume.link]] @ ca.DM(robot.link_offset[volume.link])
             ends[volume.link] = [(frame @ ca.DM([*corner, 1.0]))[:3] for corner in volume.corners]
             radius[volume.link] = float(volume.radius)
         stem, total, nearest = [ca.DM([*STEM, 0.0]), ca.DM([*STEM, 2.6])], 0, ca.SX(1e3)
         for b in ends:
-            own = [casadi_peer._between(ends[a], ends[b]) - radius[a] - radius[b] for a, c in chain.self_pairs if c == b]
+            own = [casadi_peer._between(ends[a], ends[b]) - radius[a] - radius[b] for a, c in robot.self_pairs if c == b]
             for gaps, activation in (
                 (own, SELF_ACTIVATION),
                 ([casadi_peer._between(ends[b], stem) - radius[b] - RADIUS], ACTIVATION),
@@ -182,9 +182,9 @@ class Printed:
         said = {"cost": float(found["f"]), "iterations": status["iter_count"], "s": seconds, "converged": converged}
         return np.array(found["x"]).ravel()[: q.size].reshape(q.shape), said
 
-    def free(self, chain: jaxik.Chain, q: np.ndarray) -> bool:
+    def free(self, robot: jaxik.Robot, q: np.ndarray) -> bool:
         """Whether samples (k, n) of a motion are free, and others between them, at most a millimetre apart."""
-        reach = jaxik.collision.continuous_collision.joint_reaches(chain)
+        reach = jaxik.collision.continuous_collision.joint_reaches(robot)
         way = np.concatenate([[0.0], np.cumsum(np.abs(np.diff(q, axis=0)) @ reach)])
         places = np.linspace(0.0, way[-1], int(way[-1] / 1e-3) + 2)
         rows = np.stack([np.interp(places, way, column) for column in q.T])
@@ -197,17 +197,17 @@ def samples(found: OptimisedTrajectory, count: int = 1001) -> np.ndarray:
     return np.asarray(jax.vmap(at)(found.trajectory))
 
 
-def judged(chain: jaxik.Chain, peer: Printed, found: OptimisedTrajectory) -> np.ndarray:
+def judged(robot: jaxik.Robot, peer: Printed, found: OptimisedTrajectory) -> np.ndarray:
     """Which motions converged and are free, by CasADi's distances."""
     good = np.isfinite(found.cost)
     for i, q in enumerate(samples(found)):
-        good[i] = good[i] and peer.free(chain, q)
+        good[i] = good[i] and peer.free(robot, q)
     return good
 
 
-def missed(chain: jaxik.Chain, guess: np.ndarray) -> np.ndarray:
+def missed(robot: jaxik.Robot, guess: np.ndarray) -> np.ndarray:
     """How far from each fruit a guess ends (79,) [m]."""
-    ends = np.asarray(jax.vmap(lambda q: jaxik.forward_kinematics(chain, q))(guess[:, -1]))
+    ends = np.asarray(jax.vmap(lambda q: jaxik.forward_kinematics(robot, q))(guess[:, -1]))
     return np.linalg.norm(ends[:, :3, 3] - goals()[:, :3, 3], axis=1)
 
 
@@ -215,21 +215,21 @@ def table(values: np.ndarray) -> list[float]:
     return [float(np.median(values)), float(np.mean(values))]
 
 
-def redrawn(chain: jaxik.Chain, peer: Printed, guesses: dict[str, np.ndarray]) -> tuple[dict[str, Any], dict[str, np.ndarray]]:
+def redrawn(robot: jaxik.Robot, peer: Printed, guesses: dict[str, np.ndarray]) -> tuple[dict[str, Any], dict[str, np.ndarray]]:
     """Table 6.2: the printed problem from both guesses, each fruit by itself, and all at once."""
     aims, result, drawn = goals(), {}, {}
     reference = dynamic_cost(guesses["heuristic"])
     for name, guess in guesses.items():
-        call = lambda rows, guess=guess: optimise_trajectory(chain, scene(), HOME, aims[rows], guess[rows], **AS_PRINTED)
+        call = lambda rows, guess=guess: optimise_trajectory(robot, scene(), HOME, aims[rows], guess[rows], **AS_PRINTED)
         call(slice(0, 2))
         each = [clocked(lambda i=i, call=call: call(slice(i, i + 1))) for i in range(0, COUNT, TIMED)]
         seconds = np.array([s for _, s in each])
         found, together = clocked(lambda call=call: call(slice(0, COUNT)))
-        good = judged(chain, peer, found) & found.converged
-        remaining, sound = found.parts[:, 0] / reference, missed(chain, guesses["heuristic"]) < 1e-3
+        good = judged(robot, peer, found) & found.converged
+        remaining, sound = found.parts[:, 0] / reference, missed(robot, guesses["heuristic"]) < 1e-3
         result[name] = {
-            "guess_free": sum(peer.free(chain, q) for q in guess),
-            "guess_reaches": int(np.sum(missed(chain, guess) < 1e-3)),
+            "guess_free": sum(peer.free(robot, q) for q in guess),
+            "guess_reaches": int(np.sum(missed(robot, guess) < 1e-3)),
             "converged": int(found.converged.sum()),
             "converged_and_free": int(good.sum()),
             "remaining": table(remaining[good & sound]),
@@ -243,20 +243,20 @@ def redrawn(chain: jaxik.Chain, peer: Printed, guesses: dict[str, np.ndarray]) -
 
 
 def best(
-    chain: jaxik.Chain, peer: Printed, guess: np.ndarray, reference: np.ndarray
+    robot: jaxik.Robot, peer: Printed, guess: np.ndarray, reference: np.ndarray
 ) -> tuple[dict[str, Any], OptimisedTrajectory]:
     """All 79 in one batch, several postures each, the margin kept between samples."""
-    call = lambda: optimise_trajectory(chain, scene(), HOME, goals(), margin=0.0, **PRINTED)
+    call = lambda: optimise_trajectory(robot, scene(), HOME, goals(), margin=0.0, **PRINTED)
     first = clocked(call)[1]
     times = [clocked(call) for _ in range(5)]
     found, seconds = times[0][0], float(np.median([s for _, s in times]))
     solved = np.asarray(found.success)
-    one = lambda i: optimise_trajectory(chain, scene(), HOME, goals()[i], margin=0.0, **PRINTED)
+    one = lambda i: optimise_trajectory(robot, scene(), HOME, goals()[i], margin=0.0, **PRINTED)
     alone = np.array([clocked(lambda i=i: one(i))[1] for i in range(0, COUNT, TIMED)])
-    sound = solved & (missed(chain, guess) < 1e-3)
+    sound = solved & (missed(robot, guess) < 1e-3)
     result = {
         "solved": int(solved.sum()),
-        "free": int(judged(chain, peer, found)[solved].sum()),
+        "free": int(judged(robot, peer, found)[solved].sum()),
         "converged": int(found.converged.sum()),
         "remaining": table((found.parts[:, 0] / reference)[sound]),
         "of": int(sound.sum()),
@@ -269,12 +269,12 @@ def best(
     return result, found
 
 
-def beside_ipopt(chain: jaxik.Chain, peer: Printed, guess: np.ndarray, every: int) -> list[dict[str, Any]]:
+def beside_ipopt(robot: jaxik.Robot, peer: Printed, guess: np.ndarray, every: int) -> list[dict[str, Any]]:
     """The printed problem from the heuristic guess, by both; and IPOPT again from where jaxik ended."""
     rows, step = [], DURATION / SPANS
     for i in range(0, COUNT, every):
         goal = goals()[i]
-        ours, seconds = clocked(lambda i=i, goal=goal: optimise_trajectory(chain, scene(), HOME, goal, guess[i], **CLOSELY))
+        ours, seconds = clocked(lambda i=i, goal=goal: optimise_trajectory(robot, scene(), HOME, goal, guess[i], **CLOSELY))
         q = samples(jax.tree_util.tree_map(lambda x: np.asarray(x)[None], ours), SPANS + 1)[0]
         rate = np.asarray(ours.trajectory.at(jnp.linspace(0.0, DURATION, SPANS + 1)).velocity)
         _, theirs = peer.solve(guess[i], np.gradient(guess[i], step, axis=0), goal)
@@ -314,20 +314,20 @@ def main() -> None:
     parser.add_argument("--ipopt", type=int, default=8, help="every so many fruits")
     parser.add_argument("--out", type=Path, default=Path(__file__).with_suffix(".json"))
     arguments = parser.parse_args()
-    chain = self_collision.arm()
-    peer = Printed(chain)
-    start = np.asarray(jaxik.forward_kinematics(chain, HOME), np.float64)
+    robot = self_collision.arm()
+    peer = Printed(robot)
+    start = np.asarray(jaxik.forward_kinematics(robot, HOME), np.float64)
     guesses = {
-        "heuristic": followed(chain, [detour(start, goal) for goal in goals()]),
-        "straight": followed(chain, [np.stack([start, goal]) for goal in goals()]),
+        "heuristic": followed(robot, [detour(start, goal) for goal in goals()]),
+        "straight": followed(robot, [np.stack([start, goal]) for goal in goals()]),
     }
     result: dict[str, Any] = {"machine": machine(), "paper": PAPER}
-    result["printed"], drawn = redrawn(chain, peer, guesses)
+    result["printed"], drawn = redrawn(robot, peer, guesses)
     reference = dynamic_cost(guesses["heuristic"])
-    result["best"], found = best(chain, peer, guesses["heuristic"], reference)
-    sound = missed(chain, guesses["heuristic"]) < 1e-3
+    result["best"], found = best(robot, peer, guesses["heuristic"], reference)
+    sound = missed(robot, guesses["heuristic"]) < 1e-3
     drawn |= {"jaxik: cost": (found.parts[:, 0] / reference)[sound], "jaxik: iterations": found.iterations}
-    result["ipopt"] = beside_ipopt(chain, peer, guesses["heuristic"], arguments.ipopt)
+    result["ipopt"] = beside_ipopt(robot, peer, guesses["heuristic"], arguments.ipopt)
     arguments.out.write_text(json.dumps(result, indent=1) + "\n")
     draw(arguments.out.with_suffix(".png"), drawn, result)
 

@@ -31,42 +31,42 @@ VELOCITY, ACCELERATION = 2.0, 8.0
 PLACES = {"toppra": 100, "jaxik": 500}
 
 
-def judged(chain: jaxik.Chain, coal: Coal, scene: jaxik.Scene, moved: Planned) -> dict[str, Any]:
+def judged(robot: jaxik.Robot, coal: Coal, scene: jaxik.Scene, moved: Planned) -> dict[str, Any]:
     """Whether a motion is free, and the greatest shares of the limits that it takes."""
     assert moved.trajectory is not None
-    reach = jaxik.collision.continuous_collision.joint_reaches(chain)
+    reach = jaxik.collision.continuous_collision.joint_reaches(robot)
     _, state = moved.trajectory.sample(1e-3)
     way = np.concatenate([[0.0], np.cumsum(np.abs(np.diff(state.q, axis=0)) @ reach)])
     places = np.linspace(0.0, way[-1], int(np.ceil(way[-1] / APART)) + 1)
     q = np.stack([np.interp(places, way, column) for column in state.q.T], axis=1)
     hit = np.flatnonzero(coal.collides(scene, q))
-    inside = np.all((state.q >= chain.lower - 1e-9) & (state.q <= chain.upper + 1e-9))
+    inside = np.all((state.q >= robot.lower - 1e-9) & (state.q <= robot.upper + 1e-9))
     return {
         "free": not len(hit) or bool(coal.clearance(scene, q[hit]).min() >= -TOUCH),
         "inside": bool(inside),
-        "velocity": float(np.max(np.abs(state.velocity) / chain.velocity)),
-        "acceleration": float(np.max(np.abs(state.acceleration) / (4.0 * chain.velocity))),
+        "velocity": float(np.max(np.abs(state.velocity) / robot.velocity)),
+        "acceleration": float(np.max(np.abs(state.acceleration) / (4.0 * robot.velocity))),
     }
 
 
 def problems(folder: Path, tip: str | None = None) -> dict[str, Any]:
     """All problems, one call each, warm, and what a fresh process loses to compiling."""
-    chain = motionbenchmaker.robot(folder, tip)
-    goals = list(motionbenchmaker.goals(folder, chain))
-    coal = Coal(chain, *motionbenchmaker.files(folder), broad=True, posture=motionbenchmaker.posture(folder, chain))
+    robot = motionbenchmaker.load_robot(folder, tip)
+    goals = list(motionbenchmaker.goals(folder, robot))
+    coal = Coal(robot, *motionbenchmaker.files(folder), broad=True, posture=motionbenchmaker.posture(folder, robot))
     for _ in range(2):  # the first round compiles
-        each = [clocked(lambda goal=goal: plan_motion(chain, goal.scene, goal.start, goal.q)) for goal in goals]
+        each = [clocked(lambda goal=goal: plan_motion(robot, goal.scene, goal.start, goal.q)) for goal in goals]
     motions, times = zip(*each, strict=True)
     verdicts = []
     for goal, moved in zip(goals, motions, strict=True):
         if moved:
-            verdicts.append(judged(chain, coal, goal.scene, moved))
+            verdicts.append(judged(robot, coal, goal.scene, moved))
             coal.scenes.clear()
     p50, p95 = percentiles(times)
     solved = [moved for moved in motions if moved]
-    stops = [time_optimal(jaxik.planning.polyline(m.waypoints), chain.velocity, 4.0 * chain.velocity) for m in solved[::10]]
+    stops = [time_optimal(jaxik.planning.polyline(m.waypoints), robot.velocity, 4.0 * robot.velocity) for m in solved[::10]]
     result = {
-        "robot": chain.name,
+        "robot": robot.name,
         "problems": len(goals),
         "solved": len(solved),
         "free": sum(verdict["free"] for verdict in verdicts),

@@ -36,11 +36,11 @@ ALPHAS = (0.3, 1.0, 3.0)
 
 def real_time(seconds: float) -> dict[str, Any]:
     """Times of one sample each, ours and CasADi's, and what the motion is like."""
-    chain = case.arm()
-    path, control = case.path(chain), case.controller(chain, seconds)
+    robot = case.arm()
+    path, control = case.path(robot), case.controller(robot, seconds)
     jax.block_until_ready(control.step(control.start(case.START), path, case.DURATION))
     begin = time.perf_counter()
-    cost, both = casadi_peer.programs(chain, control.horizon.count)
+    cost, both = casadi_peer.programs(robot, control.horizon.count)
     generated = time.perf_counter() - begin
     look = jax.jit(lambda t: future(path, case.DURATION, control.horizon, t).asked)
     times, theirs, moved = [], [], []
@@ -67,44 +67,44 @@ def real_time(seconds: float) -> dict[str, Any]:
         "casadi_p50_ms": float(peers[0]),
         "casadi_p99_ms": float(peers[1]),
         "casadi_generate_s": generated,
-        **character(chain, *map(np.array, zip(*moved, strict=True))),
+        **character(robot, *map(np.array, zip(*moved, strict=True))),
     }
 
 
-def character(chain: jaxik.Chain, q: np.ndarray, qdot: np.ndarray) -> dict[str, float]:
+def character(robot: jaxik.Robot, q: np.ndarray, qdot: np.ndarray) -> dict[str, float]:
     """Speeds of the revolute joints, the least clearance, what the posture costs, and whether limits are kept."""
-    clearance = jax.jit(jax.vmap(lambda q: jaxik.collision.self_clearance(chain, q)))
+    clearance = jax.jit(jax.vmap(lambda q: jaxik.collision.self_clearance(robot, q)))
     speed = np.sum(qdot[:, 1:] ** 2, axis=1)
-    beyond = np.maximum(q - chain.upper, chain.lower - q)
+    beyond = np.maximum(q - robot.upper, robot.lower - q)
     return {
         "peak_speed": float(speed.max()),
         "speed": case.DT * float(speed.sum()),
         "clearance_m": float(np.min(clearance(q))),
         "beyond_limits": float(max(beyond.max(), 0.0)),
-        "position_cost": case.DT * float(np.sum(jax.jit(jax.vmap(case.position_cost(chain)))(q))),
+        "position_cost": case.DT * float(np.sum(jax.jit(jax.vmap(case.position_cost(robot)))(q))),
     }
 
 
 def instantaneous() -> list[dict[str, Any]]:
-    chain, rows = case.arm(), []
+    robot, rows = case.arm(), []
     for alpha in ALPHAS:
-        moved = case.instantaneous(chain, alpha)
-        rows.append({"alpha": alpha, **character(chain, moved.q, moved.qdot)})
+        moved = case.instantaneous(robot, alpha)
+        rows.append({"alpha": alpha, **character(robot, moved.q, moved.qdot)})
     return rows
 
 
 def oracle(count: int = 200) -> dict[str, float]:
     """How far CasADi's cost and gradient are from ours, at a random plan, relative."""
-    chain = case.arm()
+    robot = case.arm()
     horizon, rng = case.horizon(count * case.DT), np.random.default_rng(0)
-    ahead = future(case.path(chain), case.DURATION, horizon, 1.5)
-    plan = 0.3 * rng.normal(size=(count, chain.num_joints))
-    cost = jaxik.motions.quadratic_cost(case.position_cost(chain), case.VELOCITY, case.EFFORT)
-    goal = objective(chain, cost, horizon, jnp.asarray(case.START), ahead, (), jnp.zeros(chain.num_joints))
+    ahead = future(case.path(robot), case.DURATION, horizon, 1.5)
+    plan = 0.3 * rng.normal(size=(count, robot.num_joints))
+    cost = jaxik.motions.quadratic_cost(case.position_cost(robot), case.VELOCITY, case.EFFORT)
+    goal = objective(robot, cost, horizon, jnp.asarray(case.START), ahead, (), jnp.zeros(robot.num_joints))
     total, run = jax.jit(goal.value)(plan)
     gradient = case.DT * np.asarray(jax.jit(goal.gradient)(plan, run))
-    _, both = casadi_peer.programs(chain, count)
-    start = np.concatenate([case.START, np.zeros(chain.num_joints)])
+    _, both = casadi_peer.programs(robot, count)
+    start = np.concatenate([case.START, np.zeros(robot.num_joints)])
     theirs, slope = both(start, plan.T, casadi_peer.targets(ahead.asked))
     differs = np.max(np.abs(np.asarray(slope).T - gradient)) / np.max(np.abs(gradient))
     return {"cost": abs(float(theirs) / float(total) - 1.0), "gradient": float(differs)}
@@ -174,8 +174,8 @@ def optimum() -> dict[str, Any]:
 
 def first_call() -> float:
     """Seconds that the first sample takes, with a horizon of 2 s: tracing, compiling, running."""
-    chain = case.arm()
-    path, control = case.path(chain), case.controller(chain, 2.0)
+    robot = case.arm()
+    path, control = case.path(robot), case.controller(robot, 2.0)
     begin = time.perf_counter()
     jax.block_until_ready(control.step(control.start(case.START), path, case.DURATION))
     return time.perf_counter() - begin

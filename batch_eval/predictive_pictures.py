@@ -61,12 +61,12 @@ def pendulum_motions() -> list[Shown]:
 
 def nine_joint_motions(seconds: Sequence[float] = (0.15, 2.0), alpha: float = 1.0) -> list[Shown]:
     """The instantaneous one, and those under moving horizons."""
-    chain = case.arm()
-    path, colours = case.path(chain), plt.get_cmap("viridis")(np.linspace(0.3, 0.8, len(seconds)))
-    now = case.instantaneous(chain, alpha)
+    robot = case.arm()
+    path, colours = case.path(robot), plt.get_cmap("viridis")(np.linspace(0.3, 0.8, len(seconds)))
+    now = case.instantaneous(robot, alpha)
     shown = [Shown("instantaneous", GREY, case.DT, now.q[:-1], now.qdot[:-1])]
     for horizon, colour in zip(seconds, colours, strict=True):
-        moved = jaxik.motions.follow_predictively(case.controller(chain, horizon), path, case.DURATION, case.START)
+        moved = jaxik.motions.follow_predictively(case.controller(robot, horizon), path, case.DURATION, case.START)
         shown.append(Shown(f"horizon {horizon:g} s", colour, case.DT, moved.q, moved.qdot))
     return shown
 
@@ -164,8 +164,8 @@ def statistics(result: dict[str, Any]) -> Any:
 
 def speeds(motions: Sequence[Shown]) -> Any:
     """Fig. 5.11: squared velocities of the revolute joints; and how far the arm stays from itself."""
-    chain = case.arm()
-    apart = jax.jit(jax.vmap(lambda q: jaxik.collision.self_clearance(chain, q)))
+    robot = case.arm()
+    apart = jax.jit(jax.vmap(lambda q: jaxik.collision.self_clearance(robot, q)))
     figure, axes = plt.subplots(2, 1, figsize=(8, 6), sharex=True, layout="constrained")
     for motion in motions:
         axes[0].plot(motion.time, motion.speed, color=motion.colour, lw=2, label=motion.name)
@@ -198,14 +198,14 @@ def postures(motions: Sequence[Shown], times: Sequence[float] = (0.0, 1.5, 2.2, 
 
 
 def _draw_nine(axis: Any, motion: Shown, t: float) -> None:
-    chain = case.arm()
+    robot = case.arm()
     k = min(round(t / motion.dt), len(motion.q) - 1)
-    frames = np.asarray(_frames(chain, motion.q[k]))
-    for volume in chain.volumes:
+    frames = np.asarray(_frames(robot, motion.q[k]))
+    for volume in robot.volumes:
         ends = volume.corners @ frames[volume.link][:3, :3].T + frames[volume.link][:3, 3]
-        colour = "0.4" if volume.link == chain.volumes[0].link else motion.colour
+        colour = "0.4" if volume.link == robot.volumes[0].link else motion.colour
         axis.plot(*ends.T, color=colour, lw=110 * float(volume.radius), solid_capstyle="round", alpha=0.8)
-    line = case.path(chain)
+    line = case.path(robot)
     axis.plot(*np.array([line.start[:3, 3], line.end[:3, 3]]).T, color=GREEN, lw=1.5)
     axis.set(xlim=(-0.4, 0.5), ylim=(0.0, 0.8), zlim=(0.4, 1.9))
     axis.set_box_aspect((0.9, 0.8, 1.5))
@@ -213,7 +213,7 @@ def _draw_nine(axis: Any, motion: Shown, t: float) -> None:
     axis.tick_params(labelsize=6)
 
 
-_frames = jax.jit(jaxik.robot.link_frames, static_argnums=0)
+_frames = jax.jit(jaxik.kinematics.link_frames, static_argnums=0)
 
 
 def animate(figure: Any, draw: Any, duration: float, path: Path, every: float = 0.08) -> None:

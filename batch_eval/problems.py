@@ -66,27 +66,27 @@ def sheet(name: str) -> Path:
     return path
 
 
-def tips(chain: jaxik.Chain, q: np.ndarray) -> np.ndarray:
+def tips(robot: jaxik.Robot, q: np.ndarray) -> np.ndarray:
     """The tip's poses (N, 4, 4) of configurations (N, n), in float64."""
     q, pose = np.asarray(q, np.float64), np.eye(4)
-    for i, prismatic in enumerate(chain.is_prismatic):
-        along, motion = q[:, i, None] * np.asarray(chain.axis[i]), np.tile(np.eye(4), (len(q), 1, 1))
+    for i, prismatic in enumerate(robot.is_prismatic):
+        along, motion = q[:, i, None] * np.asarray(robot.axis[i]), np.tile(np.eye(4), (len(q), 1, 1))
         if prismatic:
             motion[:, :3, 3] = along
         else:
             motion[:, :3, :3] = Rotation.from_rotvec(along).as_matrix()
-        pose = pose @ np.asarray(chain.parent_T_joint[i]) @ motion
-    return pose @ np.asarray(chain.joint_T_tip)
+        pose = pose @ np.asarray(robot.parent_T_joint[i]) @ motion
+    return pose @ np.asarray(robot.joint_T_tip)
 
 
-def targets(chain: jaxik.Chain, count: int) -> np.ndarray:
+def targets(robot: jaxik.Robot, count: int) -> np.ndarray:
     """Poses of configurations uniform inside the limits (+-pi, +-1 m where there are none), seed 0."""
-    low, high = jaxik.robot.finite_limits(chain)
-    return tips(chain, np.random.default_rng(0).uniform(low, high, (count, chain.num_joints)))
+    low, high = jaxik.kinematics.finite_limits(robot)
+    return tips(robot, np.random.default_rng(0).uniform(low, high, (count, robot.num_joints)))
 
 
 def solved(
-    chain: jaxik.Chain,
+    robot: jaxik.Robot,
     q: np.ndarray,
     reached: np.ndarray,
     poses: np.ndarray,
@@ -94,7 +94,7 @@ def solved(
     rotation: float = ROTATION,
 ) -> float:
     """The share of configurations (N, n) inside the limits whose tips, `reached` (N, 4, 4), have their poses (N, 4, 4)."""
-    inside = np.all((q >= chain.lower - 1e-6) & (q <= chain.upper + 1e-6), axis=1)  # a float32 limit is not yet broken
+    inside = np.all((q >= robot.lower - 1e-6) & (q <= robot.upper + 1e-6), axis=1)  # a float32 limit is not yet broken
     here = inside & np.isfinite(reached).all(axis=(1, 2))
     away = np.linalg.norm(reached[here, :3, 3] - poses[here, :3, 3], axis=1)
     chord = np.linalg.norm(reached[here, :3, :3] - poses[here, :3, :3], axis=(1, 2)) / np.sqrt(8.0)

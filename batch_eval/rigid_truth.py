@@ -1,4 +1,4 @@
-"""What Pinocchio says of a chain's dynamics, in float64, and how far jaxik is from it."""
+"""What Pinocchio says of a robot's dynamics, in float64, and how far jaxik is from it."""
 
 from __future__ import annotations
 
@@ -11,38 +11,38 @@ import numpy as np
 import pinocchio as pin
 
 import jaxik
-from jaxik import robot
+from jaxik import dynamics
 
 
-def of_urdf(path: Path, chain: jaxik.Chain) -> pin.Model:
-    """The file's own model, the joints beside the chain locked where a chain holds them unless told."""
+def of_urdf(path: Path, robot: jaxik.Robot) -> pin.Model:
+    """The file's own model, the joints beside the chain locked where a robot holds them unless told."""
     model = pin.buildModelFromUrdf(str(path))
-    beside = [model.getJointId(name) for name in list(model.names)[1:] if name not in chain.joint_names]
+    beside = [model.getJointId(name) for name in list(model.names)[1:] if name not in robot.joint_names]
     return pin.buildReducedModel(model, beside, pin.neutral(model))
 
 
-def of_chain(chain: jaxik.Chain) -> pin.Model:
-    """A model of the chain's own numbers."""
+def of_robot(robot: jaxik.Robot) -> pin.Model:
+    """A model of the robot's own numbers."""
     model, joint = pin.Model(), 0
-    for i, (slides, body) in enumerate(zip(chain.is_prismatic, chain.bodies, strict=True)):
+    for i, (slides, body) in enumerate(zip(robot.is_prismatic, robot.bodies, strict=True)):
         kind = pin.JointModelPrismaticUnaligned if slides else pin.JointModelRevoluteUnaligned
-        placed = pin.SE3(np.array(chain.parent_T_joint[i]))
-        joint = model.addJoint(joint, kind(np.array(chain.axis[i])), placed, chain.joint_names[i])
+        placed = pin.SE3(np.array(robot.parent_T_joint[i]))
+        joint = model.addJoint(joint, kind(np.array(robot.axis[i])), placed, robot.joint_names[i])
         inertia = pin.Inertia(float(body.mass), np.array(body.com), np.array(body.inertia))
         model.appendBodyToJoint(joint, inertia, pin.SE3.Identity())
     return model
 
 
 class Truth:
-    """Pinocchio's answers in the order of the chain's joints."""
+    """Pinocchio's answers in the order of the robot's joints."""
 
-    def __init__(self, model: pin.Model, chain: jaxik.Chain):
+    def __init__(self, model: pin.Model, robot: jaxik.Robot):
         self.model, self.data = model, model.createData()
-        self.ids = [model.getJointId(name) for name in chain.joint_names]
+        self.ids = [model.getJointId(name) for name in robot.joint_names]
         self.joints = [model.joints[i] for i in self.ids]
         self.order = np.array([joint.idx_v for joint in self.joints])
-        model.armature[self.order] = chain.armature
-        model.gravity.linear = np.asarray(chain.world_T_base)[:3, :3].T @ [0.0, 0.0, -9.81]
+        model.armature[self.order] = robot.armature
+        model.gravity.linear = np.asarray(robot.world_T_base)[:3, :3].T @ [0.0, 0.0, -9.81]
 
     def q(self, q: np.ndarray) -> np.ndarray:
         full = pin.neutral(self.model)
@@ -91,46 +91,46 @@ class Truth:
         return found
 
 
-def jaxiks(chain: jaxik.Chain) -> dict[str, Any]:
+def jaxiks(robot: jaxik.Robot) -> dict[str, Any]:
     """Functions of q, qdot, qddot, torque and wrenches."""
-    inverse = lambda q, v, a: robot.inverse_dynamics(chain, q, v, a)
-    forward = lambda q, v, tau: robot.forward_dynamics(chain, q, v, tau)
+    inverse = lambda q, v, a: dynamics.inverse_dynamics(robot, q, v, a)
+    forward = lambda q, v, tau: dynamics.forward_dynamics(robot, q, v, tau)
     by_all = lambda f: lambda *given: jax.numpy.stack(jax.jacfwd(f, (0, 1, 2))(*given))
     return {
-        "inverse_dynamics": lambda q, v, a, tau, w: robot.inverse_dynamics(chain, q, v, a, w),
-        "mass_matrix": lambda q, v, a, tau, w: robot.mass_matrix(chain, q),
-        "forward_dynamics": lambda q, v, a, tau, w: robot.forward_dynamics(chain, q, v, tau, w),
-        "gravity_torque": lambda q, v, a, tau, w: robot.gravity_torque(chain, q),
-        "bias_torque": lambda q, v, a, tau, w: robot.bias_torque(chain, q, v),
-        "regressor": lambda q, v, a, tau, w: robot.regressor(chain, q, v, a),
-        "kinetic_energy": lambda q, v, a, tau, w: robot.kinetic_energy(chain, q, v),
-        "potential_energy": lambda q, v, a, tau, w: robot.potential_energy(chain, q),
+        "inverse_dynamics": lambda q, v, a, tau, w: dynamics.inverse_dynamics(robot, q, v, a, w),
+        "mass_matrix": lambda q, v, a, tau, w: dynamics.mass_matrix(robot, q),
+        "forward_dynamics": lambda q, v, a, tau, w: dynamics.forward_dynamics(robot, q, v, tau, w),
+        "gravity_torque": lambda q, v, a, tau, w: dynamics.gravity_torque(robot, q),
+        "bias_torque": lambda q, v, a, tau, w: dynamics.bias_torque(robot, q, v),
+        "regressor": lambda q, v, a, tau, w: dynamics.regressor(robot, q, v, a),
+        "kinetic_energy": lambda q, v, a, tau, w: dynamics.kinetic_energy(robot, q, v),
+        "potential_energy": lambda q, v, a, tau, w: dynamics.potential_energy(robot, q),
         "derivatives of inverse_dynamics": lambda q, v, a, tau, w: by_all(inverse)(q, v, a),
         "derivatives of forward_dynamics": lambda q, v, a, tau, w: by_all(forward)(q, v, tau),
     }
 
 
-def changed(chain: jaxik.Chain) -> jaxik.Chain:
-    """The chain with rotors, on a base that leans."""
+def changed(robot: jaxik.Robot) -> jaxik.Robot:
+    """The robot with rotors, on a base that leans."""
     lean = np.eye(4)
     lean[:3, :3] = pin.rpy.rpyToMatrix(0.4, -0.9, 2.0)
-    return dataclasses.replace(chain.mounted(lean), armature=np.linspace(0.05, 0.3, chain.num_joints))
+    return dataclasses.replace(robot.mounted(lean), armature=np.linspace(0.05, 0.3, robot.num_joints))
 
 
-def states(chain: jaxik.Chain, count: int, seed: int = 0) -> tuple[np.ndarray, ...]:
-    """Random q, qdot, qddot, torques and wrenches of a chain."""
-    rng, n = np.random.default_rng(seed), chain.num_joints
-    q = rng.uniform(np.maximum(chain.lower, -np.pi), np.minimum(chain.upper, np.pi), (count, n))
+def states(robot: jaxik.Robot, count: int, seed: int = 0) -> tuple[np.ndarray, ...]:
+    """Random q, qdot, qddot, torques and wrenches of a robot."""
+    rng, n = np.random.default_rng(seed), robot.num_joints
+    q = rng.uniform(np.maximum(robot.lower, -np.pi), np.minimum(robot.upper, np.pi), (count, n))
     v, a, tau = rng.normal(size=(3, count, n))
     return q, v, a, 10.0 * tau, 20.0 * rng.normal(size=(count, n, 6))
 
 
-def deviations(chain: jaxik.Chain, model: pin.Model, functions: tuple[str, ...] = (), count: int = 20) -> dict[str, float]:
+def deviations(robot: jaxik.Robot, model: pin.Model, functions: tuple[str, ...] = (), count: int = 20) -> dict[str, float]:
     """The largest relative deviation of some functions, or of all, over random configurations; needs float64."""
-    truth, given = Truth(model, chain), states(chain, count)
+    truth, given = Truth(model, robot), states(robot, count)
     rows = [truth.answers(*row) for row in zip(*given, strict=True)]
     worst = {}
-    for name, function in jaxiks(chain).items():
+    for name, function in jaxiks(robot).items():
         if functions and name not in functions:
             continue
         ours = np.asarray(jax.jit(jax.vmap(function))(*given))

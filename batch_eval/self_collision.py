@@ -30,29 +30,29 @@ POSITION = jaxik.Task.position()
 
 
 @functools.cache
-def arm() -> jaxik.Chain:
+def arm() -> jaxik.Robot:
     """Without the pairs of links that no posture brings further apart than the cost reaches: they would always cost."""
-    chain = jaxik.load("crops_v2")
-    q = np.random.default_rng(0).uniform(chain.lower, chain.upper, (300, chain.num_joints))
-    only = lambda pair: dataclasses.replace(chain, self_pairs=(pair,))
+    robot = jaxik.load("crops_v2")
+    q = np.random.default_rng(0).uniform(robot.lower, robot.upper, (300, robot.num_joints))
+    only = lambda pair: dataclasses.replace(robot, self_pairs=(pair,))
     apart = lambda pair: float(jnp.max(jax.vmap(lambda q: jaxik.collision.self_clearance(only(pair), q))(q)))
-    return dataclasses.replace(chain, self_pairs=tuple(pair for pair in chain.self_pairs if apart(pair) > NEAR))
+    return dataclasses.replace(robot, self_pairs=tuple(pair for pair in robot.self_pairs if apart(pair) > NEAR))
 
 
 @functools.cache
-def path(chain: jaxik.Chain) -> jaxik.motions.Line:
-    start = np.asarray(jaxik.forward_kinematics(chain, START))
+def path(robot: jaxik.Robot) -> jaxik.motions.Line:
+    start = np.asarray(jaxik.forward_kinematics(robot, START))
     end = start.copy()
     end[2, 3] += RISE
     return jaxik.motions.Line(start, end)
 
 
-def position_cost(chain: jaxik.Chain) -> Callable[[Any], Any]:
+def position_cost(robot: jaxik.Robot) -> Callable[[Any], Any]:
     """H(q): self-collision, summed over links, and joint limits."""
 
     def cost(q: Any) -> Any:
-        depth = jnp.maximum(NEAR - link_clearances(chain, None, q), 0.0)
-        return LIMITS * jaxik.costs.joint_limit_cost(chain, q, SOFT) + STEEP / 3.0 * jnp.sum(depth**3)
+        depth = jnp.maximum(NEAR - link_clearances(robot, None, q), 0.0)
+        return LIMITS * jaxik.costs.joint_limit_cost(robot, q, SOFT) + STEEP / 3.0 * jnp.sum(depth**3)
 
     return cost
 
@@ -61,14 +61,14 @@ def horizon(seconds: float) -> Horizon:
     return Horizon(DT, round(seconds / DT), task=POSITION, gain=10.0, weights=WEIGHTS)
 
 
-def controller(chain: jaxik.Chain, seconds: float) -> jaxik.motions.MovingHorizon:
+def controller(robot: jaxik.Robot, seconds: float) -> jaxik.motions.MovingHorizon:
     """One iteration a sample."""
     return jaxik.motions.MovingHorizon(
-        chain, jaxik.motions.quadratic_cost(position_cost(chain), VELOCITY, EFFORT), horizon(seconds)
+        robot, jaxik.motions.quadratic_cost(position_cost(robot), VELOCITY, EFFORT), horizon(seconds)
     )
 
 
-def instantaneous(chain: jaxik.Chain, alpha: float) -> Any:
+def instantaneous(robot: jaxik.Robot, alpha: float) -> Any:
     """The motion that goes down `alpha` times the cost's gradient at every moment."""
     how = jaxik.motions.FollowOptions("asc", DT, "euler", POSITION, alpha, gain=10.0, weights=WEIGHTS, limits=False)
-    return jaxik.follow(chain, path(chain), DURATION, START, position_cost(chain), how)
+    return jaxik.follow(robot, path(robot), DURATION, START, position_cost(robot), how)

@@ -28,9 +28,9 @@ from race import machine
 from scipy.spatial.transform import Rotation
 
 import jaxik
+from jaxik.kinematics.robot import finite_limits
 from jaxik.reach.certify import beyond, certify
 from jaxik.reach.leading_joints import freest, leading_grid
-from jaxik.robot.chain import finite_limits
 
 HERE = Path(__file__).parent
 OUT = Path(__file__).with_suffix(".json")
@@ -55,11 +55,11 @@ def eaik() -> dict[str, Any]:
     """p6r, a million targets with limits, beside EAIK over the same slides: its solutions alone, and with the limits looked at,
     which is what a map needs."""
     study = jaxik.sweeps.Study.of(FREE)
-    chain, count = study.variants[0].chain, len(study.targets)
-    robot, tip = eaik_robot(chain)
+    robot, count = study.variants[0].robot, len(study.targets)
+    peer, tip = eaik_robot(robot)
     some = np.random.default_rng(0).choice(count, 2000, replace=False)
-    poses = np.linalg.inv(chain.world_T_base) @ study.targets.poses_at(some)
-    lower, upper = chain.lower[1:], chain.upper[1:]
+    poses = np.linalg.inv(robot.world_T_base) @ study.targets.poses_at(some)
+    lower, upper = robot.lower[1:], robot.upper[1:]
     rows: dict[str, Any] = {"targets": count, "slides": study.slides}
     alone, full, reached = [], [], np.zeros(len(some), bool)
     for refine in (0, 5):
@@ -72,7 +72,7 @@ def eaik() -> dict[str, Any]:
             moved[:, :3, :3] = moved[:, :3, :3] @ tip.T
             batch = list(moved)
             start = time.perf_counter()
-            found = robot.IK_batched(batch, 2)
+            found = peer.IK_batched(batch, 2)
             spent[0] += time.perf_counter() - start
             joints, exact = [each.Q for each in found], [each.is_LS for each in found]  # what its interface gives, one by one
             owner = np.repeat(np.arange(len(found)), [len(x) for x in joints])
@@ -96,21 +96,21 @@ def between() -> dict[str, Any]:
     """What arms over a rail, a first or last joint, an arm angle, or two of them have between the positions of a grid: random
     poses all around, in any direction, and a grid 100 times denser, which must find nothing that was called out of reach."""
     tiago = panda.ROBOTS / "tiago_description/robots/tiago_no_hand.urdf", "wrist_ft_tool_link"
-    chains = {name: jaxik.load(name) for name in ("p6r", "panda", "iiwa14", "gen3", "ur10e_rail", "panda_lift")}
-    chains["tiago"] = jaxik.load(panda.bare_urdf(*tiago), tip=tiago[1])
-    return {"cpu": machine()["cpu"], "arms": {name: _between(chain) for name, chain in chains.items()}}
+    robots = {name: jaxik.load(name) for name in ("p6r", "panda", "iiwa14", "gen3", "ur10e_rail", "panda_lift")}
+    robots["tiago"] = jaxik.load(panda.bare_urdf(*tiago), tip=tiago[1])
+    return {"cpu": machine()["cpu"], "arms": {name: _between(robot) for name, robot in robots.items()}}
 
 
-def _between(chain: jaxik.Chain, count: int = 4000, refine: int = 5) -> dict[str, Any]:
-    rng, given = np.random.default_rng(0), jaxik.analytic.redundancy(chain)
-    poses, slides = _around(chain, rng, count), 11 if len(given.names) == 1 else 6
-    away = beyond(chain, poses)
-    on_grid = lambda positions: freest(chain, poses, leading_grid(chain, positions)).freedom >= 0.0
+def _between(robot: jaxik.Robot, count: int = 4000, refine: int = 5) -> dict[str, Any]:
+    rng, given = np.random.default_rng(0), jaxik.analytic.redundancy(robot)
+    poses, slides = _around(robot, rng, count), 11 if len(given.names) == 1 else 6
+    away = beyond(robot, poses)
+    on_grid = lambda positions: freest(robot, poses, leading_grid(robot, positions)).freedom >= 0.0
     found = on_grid(slides) & ~away
     asked = np.flatnonzero(~found & ~away)
-    certify(chain, poses[asked], slides, refine)  # compiled
+    certify(robot, poses[asked], slides, refine)  # compiled
     begun = time.perf_counter()
-    more = certify(chain, poses[asked], slides, refine)
+    more = certify(robot, poses[asked], slides, refine)
     seconds = time.perf_counter() - begun
     hits, open_ = more.branch >= 0, np.zeros(count, bool)
     open_[asked] = more.open
@@ -127,7 +127,7 @@ def _between(chain: jaxik.Chain, count: int = 4000, refine: int = 5) -> dict[str
         "between": int(hits.sum()),
         "out_of_reach": int((~reached & ~open_).sum()),
         "undecided": int(open_.sum()),
-        "undecided_once_more": int(certify(chain, poses[np.flatnonzero(open_)], slides, refine + 3).open.sum()),
+        "undecided_once_more": int(certify(robot, poses[np.flatnonzero(open_)], slides, refine + 3).open.sum()),
         "seconds": seconds,
         "dense": int((dense & ~found).sum()),
         "dense_called_out_of_reach": int((dense & ~reached & ~open_).sum()),
@@ -135,10 +135,10 @@ def _between(chain: jaxik.Chain, count: int = 4000, refine: int = 5) -> dict[str
     }
 
 
-def _around(chain: jaxik.Chain, rng: np.random.Generator, count: int) -> np.ndarray:
+def _around(robot: jaxik.Robot, rng: np.random.Generator, count: int) -> np.ndarray:
     """Poses `base_T_tip` (count, 4, 4) in the box of where the tip can be, turned anyhow."""
-    q = rng.uniform(*finite_limits(chain), (400, chain.num_joints))
-    tips = np.asarray(jax.jit(jax.vmap(lambda q: jaxik.forward_kinematics(chain, q)))(q))[:, :3, 3]
+    q = rng.uniform(*finite_limits(robot), (400, robot.num_joints))
+    tips = np.asarray(jax.jit(jax.vmap(lambda q: jaxik.forward_kinematics(robot, q)))(q))[:, :3, 3]
     poses = np.tile(np.eye(4), (count, 1, 1))
     poses[:, :3, 3] = rng.uniform(tips.min(axis=0), tips.max(axis=0), (count, 3))
     poses[:, :3, :3] = Rotation.random(count, rng).as_matrix()
@@ -159,7 +159,7 @@ def _known(attributes: dict[str, Any]) -> dict[str, Any]:
 
 
 def search() -> dict[str, Any]:
-    """Chains without a closed form: crops_v2 (nine joints), and the Panda of example-robot-data."""
+    """Robots without a closed form: crops_v2 (nine joints), and the Panda of example-robot-data."""
     file, tip = panda.ROBOTS / "panda_description/urdf/panda.urdf", "panda_link8"
     cases = {
         "crops_v2": {"robot": "crops_v2", "targets": {"kind": "grid", "x": [-1, 1, 16], "y": [-1, 1, 16], "z": [0, 1.6, 10]}},
@@ -232,11 +232,11 @@ def scene() -> dict[str, Any]:
         )
         rows["obstacles"].append([count, known["targets"] / seconds])
     for each in (1, 8, 64, 512):
-        chain = jaxik.load("p6r").with_spheres(each)
+        robot = jaxik.load("p6r").with_spheres(each)
         if each > 8:  # pairs of spheres grow with the square
             study["targets"] = small | {"x": [0.0, 1.0, 3], "y": [0.3, 0.8, 3], "z": [0.1, 0.8, 3]}
-        seconds, known = timed(study | {"robot": chain, "collision": {"scene": "cucumber_row"}})
-        rows["spheres"].append([each * len(chain.boxes), known["targets"] / seconds])
+        seconds, known = timed(study | {"robot": robot, "collision": {"scene": "cucumber_row"}})
+        rows["spheres"].append([each * len(robot.boxes), known["targets"] / seconds])
     return rows
 
 

@@ -20,20 +20,20 @@ import numpy as np
 from race import machine
 
 import jaxik
-from jaxik.control import (
+from jaxik.dynamics import Contact
+from jaxik.teleoperation import (
     DelayLine,
     Direct,
     Hand,
     HandImpedance,
     PassivityController,
     PositionControl,
-    SpringContact,
     Teleoperation,
     TeleoperationLoop,
     WaveVariables,
     simulate_teleoperation,
 )
-from jaxik.robot import Contact
+from jaxik.touch import SpringContact
 
 DT, WORKSPACE, DRAG = 1e-3, 15.0, 10.0
 FORCE, GRIP = 0.1, HandImpedance(0.5, 600.0, 20.0)  # of the hand by that of the arm; and a hand of our own
@@ -51,7 +51,7 @@ METHODS = {
 
 
 @functools.cache
-def arm() -> jaxik.Chain:
+def arm() -> jaxik.Robot:
     return jaxik.load("crops_v2")
 
 

@@ -23,7 +23,7 @@ from race import machine
 from torque_logs import CREEP, DT, JUDGED, MEASUREMENTS, OFF, SENSORS, TUNED, WIDTH, arms, friction_band, logs, model
 from torque_pictures import draw
 
-from jaxik.control import (
+from jaxik.estimation import (
     Detector,
     EstimationLoop,
     Judged,

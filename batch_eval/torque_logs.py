@@ -8,7 +8,7 @@ import functools
 import numpy as np
 
 import jaxik
-from jaxik.control import Instruments, Push, SimulatedLog, play
+from jaxik.estimation import Instruments, Push, SimulatedLog, play
 from jaxik.planning import Trajectory, quintic
 
 DT = 1e-3
@@ -30,17 +30,17 @@ MEASUREMENTS = ((0.15, 60.0), (0.3, 60.0), (0.15, 150.0), (0.3, 150.0))  # faste
 
 
 @functools.cache
-def model() -> jaxik.Chain:
+def model() -> jaxik.Robot:
     """What the estimator knows."""
     return jaxik.load("crops_v2")
 
 
 @functools.cache
-def arms() -> list[jaxik.Chain]:
+def arms() -> list[jaxik.Robot]:
     return [another(np.random.default_rng(seed)) for seed in (*TUNED, *JUDGED)]
 
 
-def another(rng: np.random.Generator) -> jaxik.Chain:
+def another(rng: np.random.Generator) -> jaxik.Robot:
     """An arm of the same make: each number is off by its own draw."""
     near = lambda x, by: x * (1.0 + by * rng.standard_normal(np.shape(x)))
     bodies, drives = [], []
@@ -93,4 +93,4 @@ def logs(arm: int, pushed: bool) -> list[SimulatedLog]:
 
 def friction_band(q: np.ndarray) -> np.ndarray:
     """What static friction hides (n,) [Nm, N] where the arm is held at q; it grows with what the gears carry."""
-    return np.asarray(jaxik.robot.static_friction(model(), jaxik.robot.gravity_torque(model(), q)))
+    return np.asarray(jaxik.dynamics.static_friction(model(), jaxik.dynamics.gravity_torque(model(), q)))

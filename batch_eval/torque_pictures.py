@@ -10,8 +10,8 @@ import matplotlib.pyplot as plt
 import numpy as np
 from torque_logs import CREEP, ELBOW, JUDGED, MEASUREMENTS, WIDTH, friction_band, logs, model
 
-from jaxik.control import SimulatedLog, TorqueEstimator, estimate
-from jaxik.robot import inverse_dynamics, motor_current
+from jaxik.dynamics import inverse_dynamics, motor_current
+from jaxik.estimation import SimulatedLog, TorqueEstimator, estimate
 
 JOINTS = np.arange(2, 9)
 

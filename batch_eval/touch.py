@@ -25,8 +25,10 @@ import numpy as np
 from race import machine
 
 import jaxik
-from jaxik.control import (
-    Butterworth,
+from jaxik.dynamics import Contact, material_point
+from jaxik.estimation import Butterworth
+from jaxik.motions import Line, motion
+from jaxik.touch import (
     Encounter,
     Reacted,
     Reaction,
@@ -36,8 +38,6 @@ from jaxik.control import (
     TouchSensor,
     simulate_reaction,
 )
-from jaxik.motions import Line, motion
-from jaxik.robot import Contact, material_point
 
 DT, WEIGHTS = 1e-3, (10.0, 1.0, 2.0, 2.0, 1.0, 1.0, 1.0, 1.5, 1.0)
 POSTURE = np.array([0.7, 0.3, 0.5, 0.4, -1.2, 0.1, 0.1, 0.0, 0.2])  # near which the arm begins
@@ -56,7 +56,7 @@ COLOURS = {"baseline": "0.6", "rmrc": "tab:blue", "rac": "tab:green", "feedback"
 
 
 @functools.cache
-def model() -> jaxik.Chain:
+def model() -> jaxik.Robot:
     return jaxik.load("crops_v2")
 
 
@@ -174,10 +174,10 @@ def anywhere(seed: int = 0) -> tuple[Draws, np.ndarray]:
     """Random postures, lines of 0.1 to 0.4 m in 2 s, and walls of 20 to 500 N/m across the way of a point on links 3 to 6,
     which comes 0.02 to 0.2 m deep unless it reacts; and the force [N] that this would be. Of 25,000 drawn the first 10,000 that
     the arm can follow to 1 mm, with less than 2 rad/s, and whose point moves by more than 0.03 m."""
-    rng, chain = np.random.default_rng(seed), model()
-    middle, half = (chain.upper + chain.lower) / 2, (chain.upper - chain.lower) / 2
+    rng, robot = np.random.default_rng(seed), model()
+    middle, half = (robot.upper + robot.lower) / 2, (robot.upper - robot.lower) / 2
     q = middle + 0.5 * half * rng.uniform(-1.0, 1.0, (DRAWN, 9))
-    poses = np.asarray(jax.jit(jax.vmap(lambda q: jaxik.forward_kinematics(chain, q)))(q))
+    poses = np.asarray(jax.jit(jax.vmap(lambda q: jaxik.forward_kinematics(robot, q)))(q))
     way, ends = rng.normal(size=(DRAWN, 3)), poses.copy()
     ends[:, :3, 3] += rng.uniform(0.1, 0.4, (DRAWN, 1)) * way / np.linalg.norm(way, axis=1, keepdims=True)
     joint = rng.integers(3, 7, DRAWN)
@@ -187,7 +187,7 @@ def anywhere(seed: int = 0) -> tuple[Draws, np.ndarray]:
     of = jax.jit(jax.vmap(SpringContact))
     far = of(np.full((DRAWN, 3), 1e3), np.tile([1.0, 0.0, 0.0], (DRAWN, 1)), np.zeros(DRAWN))
     found = many(reaction("baseline"), Draws(q, poses, ends, joint, local, far))
-    place = jax.jit(jax.vmap(lambda *x: material_point(chain, *x)))
+    place = jax.jit(jax.vmap(lambda *x: material_point(robot, *x)))
     begins, stops = np.asarray(place(q, joint, local)), np.asarray(place(found["q"], joint, local))
     travel = np.linalg.norm(stops - begins, axis=1)
     fit = np.flatnonzero((found["error"] < 1e-3) & (found["rate"] < 2.0) & (travel > 0.03))[:CONTACTS]

@@ -89,15 +89,15 @@ def kernels() -> None:
 
 def inverse_kinematics() -> None:
     """Seeds of one target: where they start and end, and how their errors fall."""
-    chain, steps = jaxik.load("pendulum4"), 16
+    robot, steps = jaxik.load("pendulum4"), 16
     task = jaxik.Task.pose(("z", "roll", "pitch", "yaw"), "base")
     target = np.eye(4)
     target[:2, 3] = 1.4, 2.2
     seeds = np.random.default_rng(4).uniform(-np.pi, np.pi, (5, 4)).astype(np.float32)
     figure, axes = plt.subplots(1, 2, figsize=(10, 4), width_ratios=(1, 1.15))
-    places = jax.vmap(lambda q: jaxik.robot.link_frames(chain, q)[:, :3, 3])
-    tip = jax.vmap(lambda q: jaxik.forward_kinematics(chain, q)[:3, 3])
-    solve = jax.vmap(lambda q: jaxik.ik.descend(chain, jnp.asarray(target, jnp.float32), q, task, iterations=steps).q)
+    places = jax.vmap(lambda q: jaxik.kinematics.link_frames(robot, q)[:, :3, 3])
+    tip = jax.vmap(lambda q: jaxik.forward_kinematics(robot, q)[:3, 3])
+    solve = jax.vmap(lambda q: jaxik.ik.descend(robot, jnp.asarray(target, jnp.float32), q, task, iterations=steps).q)
     for q, colour, label in ((seeds, "#b0b0b0", "seeds"), (np.asarray(solve(seeds)), BLUE, "after some steps")):
         for i, (arm, end) in enumerate(zip(np.asarray(places(q)), np.asarray(tip(q)), strict=True)):
             line = np.vstack([arm, end])
@@ -107,14 +107,14 @@ def inverse_kinematics() -> None:
     axes[0].set(xlim=(-2.2, 2.6), ylim=(-1.6, 3.8))
     axes[0].legend(fontsize=8, loc="lower right")
 
-    chain = jaxik.load("p6r")
+    robot = jaxik.load("p6r")
     q = jnp.array([0.3, 0.2, -0.5, -0.4, 0.3, 0.5, 0.1])
-    pose = jaxik.forward_kinematics(chain, q)
-    seeds = np.random.default_rng(0).uniform(chain.lower, chain.upper, (40, 7)).astype(np.float32)
-    short = lambda q: jnp.linalg.norm(jaxik.forward_kinematics(chain, q) - pose)
+    pose = jaxik.forward_kinematics(robot, q)
+    seeds = np.random.default_rng(0).uniform(robot.lower, robot.upper, (40, 7)).astype(np.float32)
+    short = lambda q: jnp.linalg.norm(jaxik.forward_kinematics(robot, q) - pose)
     errors = np.array(
         [
-            jax.vmap(lambda q, k=k: short(jaxik.ik.descend(chain, pose, q, iterations=k).q if k else q))(seeds)
+            jax.vmap(lambda q, k=k: short(jaxik.ik.descend(robot, pose, q, iterations=k).q if k else q))(seeds)
             for k in range(steps + 1)
         ]
     )
@@ -129,17 +129,17 @@ def inverse_kinematics() -> None:
 
 def collision() -> None:
     """The nearest pair of a posture, and how a whole motion is proven free."""
-    chain, scene = jaxik.load("p6r"), jaxik.load_scene("cucumber_row")
+    robot, scene = jaxik.load("p6r"), jaxik.load_scene("cucumber_row")
     q = jnp.array([0.3, 0.2, -0.5, -0.4, 0.3, 0.5, 0.1]).at[1].add(0.25)
     figure, axes = plt.subplots(1, 2, figsize=(10, 4.2), width_ratios=(1, 1.25))
-    centres, radii = (np.asarray(x) for x in jaxik.collision.link_spheres(chain, q))
+    centres, radii = (np.asarray(x) for x in jaxik.collision.link_spheres(robot, q))
     for centre, radius in zip(centres, radii, strict=True):
         axes[0].add_patch(plt.Circle(centre[[0, 2]], radius, color=BLUE, alpha=0.15, lw=0))
     points = np.asarray(scene.points.center)
     axes[0].scatter(points[:, 0], points[:, 2], s=5, color=GREEN, label="leaves: points")
     for a, b in zip(np.asarray(scene.capsules.a), np.asarray(scene.capsules.b), strict=True):
         axes[0].plot([a[0], b[0]], [a[2], b[2]], color=GREY, lw=2, alpha=0.6)
-    nearest = jaxik.explain(chain, scene, q, 1).contacts[0]
+    nearest = jaxik.explain(robot, scene, q, 1).contacts[0]
     pair = np.array([nearest.point, nearest.other_point])
     axes[0].plot(pair[:, 0], pair[:, 2], "-o", color=RED, ms=4, lw=2, label=f"nearest pair: {1e3 * nearest.distance:.0f} mm")
     axes[0].set(xlim=(-0.25, 0.95), ylim=(-0.05, 1.1), aspect="equal", xlabel="x [m]", ylabel="z [m]")
@@ -147,7 +147,7 @@ def collision() -> None:
     axes[0].legend(fontsize=8, loc="upper right")
 
     after = q + jnp.array([0.24, 0.35, -0.38, 0.05, 0.28, -0.09, -0.01])
-    distance = jax.jit(jax.vmap(lambda t: jaxik.clearance(chain, scene, q + t * (after - q))))
+    distance = jax.jit(jax.vmap(lambda t: jaxik.clearance(robot, scene, q + t * (after - q))))
     t = np.linspace(0.0, 1.0, 801)
     gap = 1e3 * np.asarray(distance(t))
     assert gap.min() > 1.0
@@ -176,14 +176,14 @@ def collision() -> None:
 def between() -> None:
     """A target that the grid of the slide misses: found between its positions, and the rest proven to be empty."""
     jax.config.update("jax_enable_x64", True)
-    chain, slides, depth = jaxik.load("p6r"), 11, 5
+    robot, slides, depth = jaxik.load("p6r"), 11, 5
     rng = np.random.default_rng(1)
-    q = rng.uniform(chain.lower, chain.upper, (20_000, 7))
-    poses = np.asarray(jax.jit(jax.vmap(lambda q: jaxik.forward_kinematics(chain, q)))(q))
-    fine = np.linspace(chain.lower[0], chain.upper[0], 2001)
+    q = rng.uniform(robot.lower, robot.upper, (20_000, 7))
+    poses = np.asarray(jax.jit(jax.vmap(lambda q: jaxik.forward_kinematics(robot, q)))(q))
+    fine = np.linspace(robot.lower[0], robot.upper[0], 2001)
     branches = jax.jit(
         lambda pose: jax.vmap(
-            lambda slide: _freedom(chain, jaxik.closed_form(chain, pose, slide)),
+            lambda slide: _freedom(robot, jaxik.closed_form(robot, pose, slide)),
         )(fine)
     )
     every = (len(fine) - 1) // (slides - 1)
@@ -209,30 +209,30 @@ def between() -> None:
     axes[0].set(ylim=(-1.0, max(0.2, 1.4 * best.max())), ylabel="freedom of each branch\n(< 0: past a limit)")
     axes[0].legend(fontsize=8, loc="center left")
     axes[0].set_title("one target, all positions of the slide")
-    _cells(axes[1], chain, pose, slides, depth)
+    _cells(axes[1], robot, pose, slides, depth)
     _save(figure, "between")
 
 
-def _freedom(chain: jaxik.Chain, found: jaxik.analytic.ClosedForm) -> Any:
+def _freedom(robot: jaxik.Robot, found: jaxik.analytic.ClosedForm) -> Any:
     """The freedom (8,) of the branches, past a limit below 0, NaN where they do not have the pose."""
-    low, high = np.asarray(chain.lower)[1:], np.asarray(chain.upper)[1:]
+    low, high = np.asarray(robot.lower)[1:], np.asarray(robot.upper)[1:]
     middle, half = (low + high) / 2.0, (high - low) / 2.0
     away = found.q[:, 1:] - middle
     away = jnp.abs(away - 2.0 * jnp.pi * jnp.round(away / (2.0 * jnp.pi)))
     return jnp.where(found.valid, jnp.min(1.0 - away / half, axis=1), jnp.nan)
 
 
-def _cells(axis: Any, chain: jaxik.Chain, pose: np.ndarray, slides: int, depth: int) -> None:
+def _cells(axis: Any, robot: jaxik.Robot, pose: np.ndarray, slides: int, depth: int) -> None:
     """The intervals of the slide that `between` looks at, halved where they stay possible."""
-    edges = np.linspace(chain.lower[0], chain.upper[0], slides)
+    edges = np.linspace(robot.lower[0], robot.upper[0], slides)
     cells = list(itertools.pairwise(edges))
     shown: set[str] = set()
     for level in range(depth + 1):
         left = []
         for low, high in cells:
-            lower, upper = np.array(chain.lower), np.array(chain.upper)
+            lower, upper = np.array(robot.lower), np.array(robot.upper)
             lower[0], upper[0] = low, high
-            here = certify.certify(dataclasses.replace(chain, lower=lower, upper=upper), pose[None], 2, 0)
+            here = certify.certify(dataclasses.replace(robot, lower=lower, upper=upper), pose[None], 2, 0)
             kind = "found in its middle" if here.branch[0] >= 0 else "still possible" if here.open[0] else "proven empty"
             colour = {"found in its middle": GREEN, "still possible": ORANGE, "proven empty": PALE}[kind]
             label = None if kind in shown else kind
@@ -266,7 +266,7 @@ def predictive() -> None:
     horizon = Horizon(dt=0.01, count=400, task=task, descend=jaxik.optimise.QUASI_NEWTON)
     ahead = jaxik.predict(arm, path, 4.0, q, quadratic_cost(near), horizon)
     figure, axes = plt.subplots(1, 3, figsize=(11, 4), width_ratios=(1, 1, 1.3))
-    places = jax.vmap(lambda q: jaxik.robot.link_frames(arm, q)[:, :3, 3])
+    places = jax.vmap(lambda q: jaxik.kinematics.link_frames(arm, q)[:, :3, 3])
     tip = jax.vmap(lambda q: jaxik.forward_kinematics(arm, q)[:3, 3])
     for axis, motion, colour, title in (
         (axes[0], now, GREY, "moment by moment (follow)"),
@@ -290,19 +290,19 @@ def predictive() -> None:
 
 def external_torque() -> None:
     """The estimate of a push on an arm whose friction is known to a tenth, and the band within which no motor current tells."""
-    from jaxik import control
+    from jaxik import estimation
 
     model, joint = jaxik.load("crops_v2"), 1
     rubs = [dataclasses.replace(d.friction, coulomb=1.1 * d.friction.coulomb) for d in model.drives]
     arm = model.with_drives(dataclasses.replace(d, friction=f) for d, f in zip(model.drives, rubs, strict=True))
     middle, away = np.array([0.5, 0, 0, 0, 0.3, 0.1, 0.4, 0.2, 0.1]), np.array([0, 0.3, 0.2, 0.2, 0.1, 0.1, 0.1, 0.1, 0.1])
     motion = jaxik.planning.quintic([middle - away, middle + away], velocity=0.4, acceleration=2.0)
-    push = control.Contact("body4", [0.16, 0.0, -0.03], force=[20.0, 0.0, 0.0], start=1.0, end=1.5)
-    sensors = control.Instruments(current_noise=0.05, current_step=0.01)
-    log = control.play(arm, motion, [push], model=model, instruments=sensors, rest=(0.2, 0.2))
-    estimator = control.TorqueEstimator(model, control.TorqueFilter.of_drives(model, 0.05, 0.05), width=0.005)
-    found = control.estimate(estimator, log.samples())[:, joint]
-    band = float(jaxik.robot.static_friction(model, jaxik.robot.gravity_torque(model, middle))[joint])
+    push = estimation.Push("body4", [0.16, 0.0, -0.03], force=[20.0, 0.0, 0.0], start=1.0, end=1.5)
+    sensors = estimation.Instruments(current_noise=0.05, current_step=0.01)
+    log = estimation.play(arm, motion, [push], model=model, instruments=sensors, rest=(0.2, 0.2))
+    estimator = estimation.TorqueEstimator(model, estimation.TorqueFilter.of_drives(model, 0.05, 0.05), width=0.005)
+    found = estimation.estimate(estimator, log.samples())[:, joint]
+    band = float(jaxik.dynamics.static_friction(model, jaxik.dynamics.gravity_torque(model, middle))[joint])
     figure, (above, below) = plt.subplots(2, 1, figsize=(8, 4.4), sharex=True, height_ratios=(3, 1))
     slow = np.abs(log.qdot_des[:, joint]) < 0.02
     above.fill_between(log.t, -band, band, where=slow, color=PALE, lw=0, label="friction's band, where the joint nearly rests")

@@ -1,13 +1,12 @@
 """Cost functionals: plain, pure, differentiable functions that sums and weights combine; all are >= 0.
 
-They take what they need (positions, distances, a chain's limits), not a robot and a solver: an inverse kinematics, a nullspace
+They take what they need (positions, distances, a robot's limits), not a robot and a solver: an inverse kinematics, a nullspace
 scheme and a trajectory optimiser share them.
 """
 
 from __future__ import annotations
 
 import functools
-import warnings
 from collections.abc import Callable, Sequence
 from typing import Any
 
@@ -17,7 +16,7 @@ import numpy as np
 from jaxtyping import Float
 
 from jaxik.checks.options import shown
-from jaxik.robot.chain import Array, Chain, as_configuration, finite_limits
+from jaxik.kinematics.robot import Array, Robot, as_configuration, finite_limits
 
 Cost = Callable[[Any], Any]
 
@@ -81,26 +80,26 @@ def bounding_box(points: Float[Array, "p 3"]) -> tuple[Float[Array, "3"], Float[
     return jnp.min(jnp.asarray(points), axis=0), jnp.max(jnp.asarray(points), axis=0)
 
 
-def comfort_cost(chain: Chain, q: Float[Array, " n"], comfort: Float[Array, " n"] | None = None) -> Float[Array, ""]:
+def comfort_cost(robot: Robot, q: Float[Array, " n"], comfort: Float[Array, " n"] | None = None) -> Float[Array, ""]:
     """`H_cmf = 1/2 sum (q_i - q_cmf,i)^2 / (q_max,i - q_min,i)^2`, `comfort` being the middle of the range unless given.
 
     A joint without limits has a range of 2 pi about 0. Source: Schuetz 2017, (4.25).
     """
-    q = as_configuration(chain, q)
-    lower, upper = _range(chain)
+    q = as_configuration(robot, q)
+    lower, upper = _range(robot)
     target = (lower + upper) / 2.0 if comfort is None else comfort
     return 0.5 * jnp.sum(((q - jnp.asarray(target, q.dtype)) / jnp.asarray(upper - lower, q.dtype)) ** 2)
 
 
-def joint_limit_cost(chain: Chain, q: Float[Array, " n"], soft: float = 0.1, order: int = 3) -> Float[Array, ""]:
+def joint_limit_cost(robot: Robot, q: Float[Array, " n"], soft: float = 0.1, order: int = 3) -> Float[Array, ""]:
     """`H_jla = sum ((q_i - q_soft,i) / (q_lim,i - q_soft,i))^order` beyond the soft limits: 0 there, 1 at the limits.
 
     The soft limits lie inside the hard ones by the share `soft` of the range. Order 3 keeps accelerations continuous. Joints
     without limits cost nothing. Source: Schuetz 2017, (4.27), (4.28).
     """
-    q = as_configuration(chain, q)
-    limited = chain.is_limited
-    lower, upper = _range(chain)
+    q = as_configuration(robot, q)
+    limited = robot.is_limited
+    lower, upper = _range(robot)
     band = jnp.asarray(soft * (upper - lower), q.dtype)
     below = jnp.maximum(jnp.asarray(lower, q.dtype) + band - q, 0.0) / band
     above = jnp.maximum(q - jnp.asarray(upper, q.dtype) + band, 0.0) / band
@@ -108,10 +107,10 @@ def joint_limit_cost(chain: Chain, q: Float[Array, " n"], soft: float = 0.1, ord
 
 
 def comfort_and_limit_cost(
-    chain: Chain, q: Float[Array, " n"], comfort_weight: float = 0.1, soft: float = 0.1, order: int = 3
+    robot: Robot, q: Float[Array, " n"], comfort_weight: float = 0.1, soft: float = 0.1, order: int = 3
 ) -> Float[Array, ""]:
     """`H_cmf' = H_jla + zeta_cmf H_cmf`. Source: Schuetz 2017, (4.30)."""
-    return joint_limit_cost(chain, q, soft, order) + comfort_weight * comfort_cost(chain, q)
+    return joint_limit_cost(robot, q, soft, order) + comfort_weight * comfort_cost(robot, q)
 
 
 def damping_cost(qdot: Float[Array, " n"]) -> Float[Array, ""]:
@@ -124,27 +123,20 @@ def weighted_sum(terms: Sequence[tuple[float, Cost]]) -> Cost:
     return lambda q: sum((weight * cost(q) for weight, cost in terms), start=jnp.zeros(()))
 
 
-def joint_limit_margin(chain: Chain, q: Float[Array, " n"]) -> Float[Array, ""]:
+def joint_limit_margin(robot: Robot, q: Float[Array, " n"]) -> Float[Array, ""]:
     """The least free joint's distance to its nearest limit, as a share of half its range: 1 in the middle, 0 at a limit.
 
     The "freedom in the rotations" that Van Henten et al. 2010, sec. 4.1 rank postures by, over the revolute joints; a joint
     without limits is free.
     """
-    q = as_configuration(chain, q)
-    counted = chain.is_limited & ~np.array(chain.is_prismatic)
-    lower, upper = (jnp.asarray(x, q.dtype) for x in _range(chain))
+    q = as_configuration(robot, q)
+    counted = robot.is_limited & ~np.array(robot.is_prismatic)
+    lower, upper = (jnp.asarray(x, q.dtype) for x in _range(robot))
     share = jnp.minimum(q - lower, upper - q) / ((upper - lower) / 2.0)
     return jnp.min(jnp.where(counted, share, 1.0))
 
 
-def _range(chain: Chain) -> tuple[np.ndarray, np.ndarray]:
+def _range(robot: Robot) -> tuple[np.ndarray, np.ndarray]:
     """Limits, with +-pi (+-1 m) for those that are not, and a locked joint's range of 0 opened to keep quotients finite."""
-    lower, upper = finite_limits(chain)
+    lower, upper = finite_limits(robot)
     return lower, np.maximum(upper, lower + 1e-9)
-
-
-def __getattr__(name: str) -> Any:
-    if name == "joint_freedom":
-        warnings.warn("costs.joint_freedom is costs.joint_limit_margin now", DeprecationWarning, stacklevel=2)
-        return joint_limit_margin
-    raise AttributeError(f"module 'jaxik.costs' has no attribute {name!r}")

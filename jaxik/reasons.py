@@ -20,7 +20,7 @@ class Reason(IntEnum):
     INVALID = 5  # the target itself is no pose: NaN, not a rotation; of a motion: not a number from here on
     SINGULAR = 6  # of a motion: the arm cannot move as the path asks, and the tip falls behind
     STILL = 7  # of a motion: the path has no length; the tip stands still
-    UNEXCITED = 8  # of a log: it does not tell well all that motions of the chain could
+    UNEXCITED = 8  # of a log: it does not tell well all that motions of the robot could
     SILENT = 9  # of a device: it says nothing
     UNEXPLAINED = 10  # of a log: most of a joint's torque is nothing that bodies and friction do
 

@@ -17,17 +17,17 @@ ROBOTS = {
 
 
 def bare(name):
-    """The robot's chain alone, without shapes, as a file that every library reads."""
+    """The robot's robot alone, without shapes, as a file that every library reads."""
     file, tip = ROBOTS[name]
     return bare_urdf(FOLDER / file, tip), tip
 
 
-def joint_range(chain):
+def joint_range(robot):
     """The limits, and +-pi where there are none."""
-    return np.where(np.isfinite(chain.lower), chain.lower, -np.pi), np.where(np.isfinite(chain.upper), chain.upper, np.pi)
+    return np.where(np.isfinite(robot.lower), robot.lower, -np.pi), np.where(np.isfinite(robot.upper), robot.upper, np.pi)
 
 
-pinocchio = panda.pose_of  # q -> tip pose, by Pinocchio, from a chain's numbers
+pinocchio = panda.pose_of  # q -> tip pose, by Pinocchio, from a robot's numbers
 
 
 def pose_errors(pose, target):

@@ -41,49 +41,49 @@ def test_collision_cost_is_twice_smooth():
 
 @pytest.mark.parametrize("name", ["p6r", "crops_v2", "chembuly9", "pendulum4"])
 def test_joint_costs_have_the_analytic_derivative(name):
-    chain = jaxik.load(name)
+    robot = jaxik.load(name)
     rng = np.random.default_rng(0)
-    lower, upper = joint_range(chain)
-    for q in rng.uniform(lower, upper, (5, chain.num_joints)):
+    lower, upper = joint_range(robot)
+    for q in rng.uniform(lower, upper, (5, robot.num_joints)):
         for cost in (costs.comfort_cost, costs.joint_limit_cost, costs.comfort_and_limit_cost):
-            _gradient_is_numeric(partial(cost, chain), q, tolerance=1e-5 if chain.lower[0] == 0.0 else 1e-7)
+            _gradient_is_numeric(partial(cost, robot), q, tolerance=1e-5 if robot.lower[0] == 0.0 else 1e-7)
     width, middle = upper - lower, (upper + lower) / 2
     q = rng.uniform(lower, upper)
-    assert np.allclose(jax.grad(partial(costs.comfort_cost, chain))(q), (q - middle) / width**2, rtol=1e-12)  # (4.26)
-    assert costs.comfort_cost(chain, middle) <= 1e-30
+    assert np.allclose(jax.grad(partial(costs.comfort_cost, robot))(q), (q - middle) / width**2, rtol=1e-12)  # (4.26)
+    assert costs.comfort_cost(robot, middle) <= 1e-30
 
 
 def test_joint_limit_cost_at_its_marks():
-    chain = jaxik.load("planar2")
-    lower, upper = joint_range(chain)
-    limited = np.isfinite(chain.lower) & np.isfinite(chain.upper)
+    robot = jaxik.load("planar2")
+    lower, upper = joint_range(robot)
+    limited = np.isfinite(robot.lower) & np.isfinite(robot.upper)
     middle, band = (lower + upper) / 2, 0.1 * (upper - lower)
-    assert costs.joint_limit_cost(chain, middle) == 0.0
-    assert abs(costs.joint_limit_cost(chain, np.where(limited, upper, middle)) - limited.sum()) <= 1e-12
+    assert costs.joint_limit_cost(robot, middle) == 0.0
+    assert abs(costs.joint_limit_cost(robot, np.where(limited, upper, middle)) - limited.sum()) <= 1e-12
     at = np.where(limited, upper - band / 2, middle)  # (4.29): 3/band (1/2)^2
-    assert np.allclose(jax.grad(partial(costs.joint_limit_cost, chain))(at), np.where(limited, 0.75 / band, 0.0), rtol=1e-10)
+    assert np.allclose(jax.grad(partial(costs.joint_limit_cost, robot))(at), np.where(limited, 0.75 / band, 0.0), rtol=1e-10)
 
 
 def test_freedom_and_sums():
-    chain = jaxik.load("p6r")
-    middle = (chain.lower + chain.upper) / 2
-    assert costs.joint_limit_margin(chain, middle) == 1.0
+    robot = jaxik.load("p6r")
+    middle = (robot.lower + robot.upper) / 2
+    assert costs.joint_limit_margin(robot, middle) == 1.0
     edge = middle.copy()
-    edge[3] = chain.upper[3]
-    assert abs(costs.joint_limit_margin(chain, edge)) <= 1e-15
-    total = costs.weighted_sum([(2.0, partial(costs.comfort_cost, chain)), (0.5, costs.damping_cost)])
-    assert abs(total(edge) - 2.0 * costs.comfort_cost(chain, edge) - 0.5 * np.sum(edge**2)) <= 1e-12
+    edge[3] = robot.upper[3]
+    assert abs(costs.joint_limit_margin(robot, edge)) <= 1e-15
+    total = costs.weighted_sum([(2.0, partial(costs.comfort_cost, robot)), (0.5, costs.damping_cost)])
+    assert abs(total(edge) - 2.0 * costs.comfort_cost(robot, edge) - 0.5 * np.sum(edge**2)) <= 1e-12
 
 
 def test_box_penalty_on_the_links_circles():
-    chain, q = jaxik.load("chembuly9"), np.full(9, 0.1)
-    points = np.asarray(jaxik.collision.link_circles(chain, q, circles=5, around=6))
+    robot, q = jaxik.load("chembuly9"), np.full(9, 0.1)
+    points = np.asarray(jaxik.collision.link_circles(robot, q, circles=5, around=6))
     # each circle lies 1 cm from its link's axis
-    frames = np.asarray(jaxik.robot.link_frames(chain, q))
-    lines = [v for v in chain.volumes if len(v.corners) == 2]
+    frames = np.asarray(jaxik.kinematics.link_frames(robot, q))
+    lines = [v for v in robot.volumes if len(v.corners) == 2]
     assert len(points) == len(lines) * 30
     for volume, ring in zip(lines, points.reshape(len(lines), 30, 3), strict=True):
-        frame = frames[volume.link] @ np.linalg.inv(chain.link_offset[volume.link])
+        frame = frames[volume.link] @ np.linalg.inv(robot.link_offset[volume.link])
         a, b = volume.corners @ frame[:3, :3].T + frame[:3, 3]
         along = (b - a) / np.linalg.norm(b - a)
         off = (ring - a) - np.outer((ring - a) @ along, along)

@@ -9,15 +9,15 @@ import numpy as np
 import jaxik
 
 
-def height(chain: jaxik.Chain, q: jax.Array) -> jax.Array:
+def height(robot: jaxik.Robot, q: jax.Array) -> jax.Array:
     """Of the tip [m]; traced."""
-    tip: jax.Array = jaxik.forward_kinematics(chain, q)
+    tip: jax.Array = jaxik.forward_kinematics(robot, q)
     return jnp.sum(tip[2, 3])
 
 
-def answers(chain: jaxik.Chain, targets: np.ndarray, scene: jaxik.Scene | None = None) -> dict[str, int]:
+def answers(robot: jaxik.Robot, targets: np.ndarray, scene: jaxik.Scene | None = None) -> dict[str, int]:
     options = jaxik.IKOptions(max_seeds=32, margin=0.01)
-    result = jaxik.solve_ik(chain, targets, scene, options=options)
+    result = jaxik.solve_ik(robot, targets, scene, options=options)
     q: np.ndarray = result.q
     print(q.shape, [jaxik.Reason(int(r)).text for r in result.reason])
     solved: np.ndarray = q[result.success]
@@ -28,42 +28,42 @@ def answers(chain: jaxik.Chain, targets: np.ndarray, scene: jaxik.Scene | None =
     return result.counts()
 
 
-def motions(chain: jaxik.Chain, q: np.ndarray) -> jaxik.Reason:
+def motions(robot: jaxik.Robot, q: np.ndarray) -> jaxik.Reason:
     """Along a line of 1 mm: moment by moment, ahead of time, and under a moving horizon."""
-    start = np.asarray(jaxik.forward_kinematics(chain, q))
+    start = np.asarray(jaxik.forward_kinematics(robot, q))
     path = jaxik.motions.Line(start, start + 0.001 * np.eye(4, k=3))
-    followed = jaxik.follow(chain, path, 0.1, q, dt=0.05)
+    followed = jaxik.follow(robot, path, 0.1, q, dt=0.05)
     moved: np.ndarray = followed.q
     rates: np.ndarray = followed.qdot
     print(moved.shape == rates.shape, followed.time[-1], np.abs(followed.error).max(), followed.damping.max())
     cost = jaxik.motions.quadratic_cost()
-    ahead = jaxik.predict(chain, path, 0.1, q, cost, dt=0.05, count=2)
+    ahead = jaxik.predict(robot, path, 0.1, q, cost, dt=0.05, count=2)
     planned: np.ndarray = np.asarray(ahead.q)
     print(planned.shape, float(ahead.total), ahead.w.shape, ahead.costs.shape, int(ahead.iterations), int(ahead.sample))
-    control = jaxik.motions.MovingHorizon(chain, cost, jaxik.motions.Horizon(0.05, 2))
+    control = jaxik.motions.MovingHorizon(robot, cost, jaxik.motions.Horizon(0.05, 2))
     state, now = control.step(control.start(q), path, 0.1)
     print(state.time.shape, now.qdot.shape, now.planned.shape, float(now.total))
     return jaxik.Reason(int(followed.reason))
 
 
-def solutions(chain: jaxik.Chain, q: jax.Array) -> float:
+def solutions(robot: jaxik.Robot, q: jax.Array) -> float:
     """One lane of the search, and its answer as a differentiable function of its target."""
-    target = jaxik.forward_kinematics(chain, q)
-    landed = jaxik.ik.descend(chain, target, q + 0.01)
-    moved = jaxik.implicit_ik(chain, target, landed.q)
+    target = jaxik.forward_kinematics(robot, q)
+    landed = jaxik.ik.descend(robot, target, q + 0.01)
+    moved = jaxik.implicit_ik(robot, target, landed.q)
     print(landed.q.shape, bool(moved.defined), moved.x.shape)
     return float(landed.position_error) + float(landed.rotation_error)
 
 
 def main() -> None:
-    chain = jaxik.load("p6r", ignore=[("base", "forearm")])
+    robot = jaxik.load("p6r", ignore=[("base", "forearm")])
     scene = jaxik.load_scene("cucumber_row")
-    middle = jnp.asarray((chain.lower + chain.upper) / 2)
-    print(chain.num_joints, chain.joint_names, scene.counts)
-    print(height(chain, middle), jax.grad(lambda q: height(chain, q))(middle))
-    print(jaxik.clearance(chain, scene, q=middle), jaxik.motions.Line(np.eye(4), np.eye(4)).pose(0.5))
-    print(answers(chain, np.asarray(jaxik.forward_kinematics(chain, middle))[None], scene))
-    print(motions(chain, np.asarray(middle)), solutions(chain, middle))
+    middle = jnp.asarray((robot.lower + robot.upper) / 2)
+    print(robot.num_joints, robot.joint_names, scene.counts)
+    print(height(robot, middle), jax.grad(lambda q: height(robot, q))(middle))
+    print(jaxik.clearance(robot, scene, q=middle), jaxik.motions.Line(np.eye(4), np.eye(4)).pose(0.5))
+    print(answers(robot, np.asarray(jaxik.forward_kinematics(robot, middle))[None], scene))
+    print(motions(robot, np.asarray(middle)), solutions(robot, middle))
 
 
 if __name__ == "__main__":

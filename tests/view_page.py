@@ -143,7 +143,7 @@ PAD = "navigator.getGamepads = () => window.sticks ? [null, {axes: window.sticks
 
 def push_sticks(driver, page):
     """A game pad of the browser moves the tip: along x until the stick is in its middle; not when the pad has gone."""
-    place = lambda: frames(page.chain, page.q)[-1][:3, 3]
+    place = lambda: frames(page.robot, page.q)[-1][:3, 3]
     page.move(np.array([0.5, 0.1, 0.1, -0.9, 0.2, 0.6, 0.1]))
     time.sleep(1.0)
     start = place()
@@ -162,7 +162,7 @@ def tips(page, rows, ended):
     """Where the target and the tip are, a hundred times a second while the target is dragged."""
     while not ended.wait(0.01):
         if page.steering.device.dragged:
-            rows.append((*page.gizmo.position, *frames(page.chain, page.q)[-1][:3, 3]))
+            rows.append((*page.gizmo.position, *frames(page.robot, page.q)[-1][:3, 3]))
 
 
 def steer(out):
@@ -176,7 +176,7 @@ def steer(out):
         read(driver, "Steer")
         page.move(np.array([0.5, 0.1, 0.1, -0.9, 0.2, 0.6, 0.1]))
         time.sleep(1.0)
-        tip = frames(page.chain, page.q)[-1][:3, 3]
+        tip = frames(page.robot, page.q)[-1][:3, 3]
         for client in page.server.get_clients().values():
             client.camera.position = tuple(tip + np.array([0.0, -0.9, 0.25]))  # which shifts what it looks at
             client.camera.look_at = tuple(tip)
@@ -246,12 +246,12 @@ def choose_a_pair(out):
         first = settled(driver, pause=1.0)
         row = driver.find_element(By.CSS_SELECTOR, "[data-pair='1']")
         row.click()
-        assert until(lambda: page.robot.chosen == set(page.unchecked.rows[1].links)), "the row is not chosen"
+        assert until(lambda: page.drawing.chosen == set(page.unchecked.rows[1].links)), "the row is not chosen"
         print(f"a pair: {(change := changed(first, settled(driver, first))):.2%} of the pixels")
         assert change > CHANGE, "a pair that is chosen is not seen"
         driver.save_screenshot(str(out.with_stem(f"{out.stem}_pair")))
         row.click()
-        assert until(lambda: not page.robot.chosen), "the row stays chosen"
+        assert until(lambda: not page.drawing.chosen), "the row stays chosen"
         severe = [e["message"] for e in driver.get_log("browser") if e["level"] == "SEVERE" and "favicon" not in e["message"]]
         assert not severe, severe
     finally:
@@ -261,12 +261,12 @@ def choose_a_pair(out):
 
 def main(out):
     scene = jaxik.load_scene("cucumber_row")
-    chain = jaxik.load("p6r")
+    robot = jaxik.load("p6r")
     with tempfile.TemporaryDirectory() as folder:
         done = jaxik.sweep(STUDY, Path(folder) / "view.zarr")
-        picked = jaxik.harvest(chain, scene)
+        picked = jaxik.harvest(robot, scene)
         plan = jaxik.harvesting.plan_harvest(picked, order="row", candidates=2)
-        page = Page(chain, scene, done.path, picked, port=8091, plan=plan)
+        page = Page(robot, scene, done.path, picked, port=8091, plan=plan)
         driver = browser()
         try:
             driver.get(page.url)
@@ -301,12 +301,12 @@ def main(out):
             driver.save_screenshot(str(out.with_stem(f"{out.stem}_dragged")))
             assert not np.array_equal(page.q, before) or "No posture" in page.said.content, "the robot does not follow"
             print("dragged:", page.said.content)
-            page.robot.volumes.value = True
+            page.drawing.volumes.value = True
             look("its volumes, too")
-            page.robot.shape.value = page.robot.volumes.value = False
+            page.drawing.shape.value = page.drawing.volumes.value = False
             look("joints alone")
             page.map.visible.value, page.map.variant.value = True, list(page.map.indices)[1]
-            assert np.isclose(page.chain.world_T_base[2, 3] - chain.world_T_base[2, 3], 0.25), "the robot stands elsewhere"
+            assert np.isclose(page.robot.world_T_base[2, 3] - robot.world_T_base[2, 3], 0.25), "the robot stands elsewhere"
             look("from a higher base")
             page.map.rest.value = "faint"
             look("what is not reachable, too")

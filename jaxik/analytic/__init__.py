@@ -1,8 +1,6 @@
-"""Analytic inverse kinematics: closed forms of six joints, over what joints an arm has beyond, and what they are made of;
-homotopy for arms that have none."""
+"""Analytic inverse kinematics: closed forms of six joints, over what joints an arm has beyond, and what they are made of."""
 
 from jaxik.analytic.families import Redundancy, closed_form_obstacle, redundancy
-from jaxik.analytic.general import General, GeneralArm, general_arm, general_kernel, general_solutions
 from jaxik.analytic.solutions import ClosedForm, closed_form, given_values
 from jaxik.analytic.subproblems import (
     Turns,
@@ -16,15 +14,10 @@ from jaxik.analytic.subproblems import (
 
 __all__ = [
     "ClosedForm",
-    "General",
-    "GeneralArm",
     "Redundancy",
     "Turns",
     "closed_form",
     "closed_form_obstacle",
-    "general_arm",
-    "general_kernel",
-    "general_solutions",
     "given_values",
     "redundancy",
     "subproblem_1",

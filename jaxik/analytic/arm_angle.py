@@ -13,11 +13,11 @@ from typing import Any
 
 import numpy as np
 
-from jaxik.analytic.axes import Axes
 from jaxik.analytic.half_branches import HalfBranch
 from jaxik.analytic.orienting import Orienting
 from jaxik.analytic.turns import ALL, Signs, Turn, either, turns_to_distance, vector_of
-from jaxik.robot.kinematics import JointFrames
+from jaxik.kinematics.axes import Axes
+from jaxik.kinematics.forward import JointFrames
 from jaxik.spatial.algebra import Frame, Rot3, Scalar, Vec3, constants, safe_sqrt, sincos
 from jaxik.spatial.ball import minimum, where
 

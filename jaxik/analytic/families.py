@@ -1,7 +1,7 @@
-"""Which joints of a chain are solved, by which closed form, and which are given.
+"""Which joints of a robot are solved, by which closed form, and which are given.
 
 Six neighbouring joints are solved (seven over the arm angle); those before and after them are given: a rail, a lift, a first
-joint, a last one. All that a family needs is read off the chain's numbers, so no robot is known by its name. Of all blocks of
+joint, a last one. All that a family needs is read off the robot's numbers, so no robot is known by its name. Of all blocks of
 neighbours, and of all families, the one that costs least is taken; among equals the one that leaves fewest joints behind it.
 """
 
@@ -15,17 +15,17 @@ import jax.numpy as jnp
 import numpy as np
 
 from jaxik.analytic.arm_angle import ArmAngle
-from jaxik.analytic.axes import TOLERANCE, Axes, named_from
-from jaxik.analytic.axis_line import MOST_SOLUTIONS
-from jaxik.analytic.general import general_arm, general_solutions
 from jaxik.analytic.half_branches import Family, HalfBranch
 from jaxik.analytic.spherical_wrist import SphericalWrist
 from jaxik.analytic.three_parallel import ThreeParallel
 from jaxik.analytic.turns import ALL, Signs
 from jaxik.checks.options import check_kind
-from jaxik.robot.chain import Chain, finite_limits
-from jaxik.robot.kinematics import joint_frames
-from jaxik.robot.reach_bound import reach_bound
+from jaxik.homotopy.axis_line import MOST_SOLUTIONS
+from jaxik.homotopy.general import general_arm, general_solutions
+from jaxik.kinematics.axes import TOLERANCE, Axes, named_from
+from jaxik.kinematics.forward import joint_frames
+from jaxik.kinematics.reach_bound import reach_bound
+from jaxik.kinematics.robot import Robot, finite_limits
 from jaxik.spatial.algebra import BASE, Frame, Scalar, stack, traced
 from jaxik.spatial.ball import Ball, ball
 
@@ -48,10 +48,10 @@ class FromTip:
 
 
 class Solver(NamedTuple):
-    """A chain's closed form: the joints from `first` on are solved by the family, the others are given. `misfit` is that of
+    """A robot's closed form: the joints from `first` on are solved by the family, the others are given. `misfit` is that of
     their axes [rad, m]."""
 
-    chain: Chain
+    robot: Robot
     first: int
     family: Family
     misfit: float
@@ -62,7 +62,7 @@ class Solver(NamedTuple):
 
     @property
     def given_joints(self) -> list[int]:
-        return [i for i in range(self.chain.num_joints) if i not in self.solved]
+        return [i for i in range(self.robot.num_joints) if i not in self.solved]
 
     def split(self, given: Any) -> tuple[list[Scalar], list[Scalar], list[Scalar]]:
         """Of what is given, the joints before the solved ones, the family's own parameters, and the joints after."""
@@ -80,15 +80,15 @@ class Solver(NamedTuple):
         before, _, after = self.split(given)
         target = Frame.of_entries(traced(pose))
         if before:
-            base = joint_frames(self.chain.part(0, len(before)), before, BASE, pose.dtype).joints[-1]
+            base = joint_frames(self.robot.part(0, len(before)), before, BASE, pose.dtype).joints[-1]
             target = base.inverse() @ target
         if after:
-            rest = self.chain.part(self.solved.stop, self.chain.num_joints)
+            rest = self.robot.part(self.solved.stop, self.robot.num_joints)
             target = target @ joint_frames(rest, after, BASE, pose.dtype).tip.inverse()
         return target
 
     def half_branches(self, pose: Any, given: Any, signs: Signs = ALL, within: float = 0.0) -> list[HalfBranch]:
-        """The half branches of a pose (4, 4), their `turns` by number in the chain; as balls, of all poses whose entries are
+        """The half branches of a pose (4, 4), their `turns` by number in the robot; as balls, of all poses whose entries are
         `within` so much of it, if that is not 0."""
         eps = max(float(np.finfo(pose.dtype).eps), 4.0 * self.misfit)  # a rounded right angle counts as one
         target = self.target(pose, given)
@@ -98,7 +98,7 @@ class Solver(NamedTuple):
         return [half._replace(turns={i + self.first: turn for i, turn in half.turns.items()}) for half in halves]
 
     def joints(self, given: Any, angles: Any) -> list[Scalar]:
-        """All joints of the chain (n,): the given ones about the angles that were found."""
+        """All joints of the robot (n,): the given ones about the angles that were found."""
         before, _, after = self.split(given)
         return [*before, *angles, *after]
 
@@ -113,17 +113,17 @@ class Solver(NamedTuple):
         """How far a pose [rad, m] may be from the one that the family, whose axes miss these by `misfit`, has at a posture."""
         if self.misfit <= ROUNDED:
             return 0.0
-        arm = self.chain.part(self.first, self.chain.num_joints)
+        arm = self.robot.part(self.first, self.robot.num_joints)
         return len(self.solved) * self.misfit * (1.0 + reach_bound(arm).longest)
 
     @property
     def given_names(self) -> tuple[str, ...]:
         """Of what is given: a joint's, or the parameter's."""
-        return tuple(self.joined(self.chain.joint_names, [self.family.name] * self.family.parameters))
+        return tuple(self.joined(self.robot.joint_names, [self.family.name] * self.family.parameters))
 
     def limits(self) -> tuple[np.ndarray, np.ndarray]:
         """The finite range (k,), (k,) of what is given [m, rad]: a whole turn where there are no limits."""
-        return self.given_range(*finite_limits(self.chain))
+        return self.given_range(*finite_limits(self.robot))
 
     def given_range(self, low: Any, high: Any) -> tuple[np.ndarray, np.ndarray]:
         """The range (k,), (k,) of what is given, from bounds of all joints (n,), (n,) [m, rad]."""
@@ -134,7 +134,7 @@ class Solver(NamedTuple):
         """What is given where all joints are `q` (n,)."""
         if not self.family.parameters:
             return self.joined(q, [])
-        part = self.chain.part(self.solved.start, self.solved.stop)
+        part = self.robot.part(self.solved.start, self.solved.stop)
         frames = joint_frames(part, [q[i] for i in self.solved], BASE, q.dtype)
         assert isinstance(self.family, ArmAngle)  # the one that has a parameter
         return self.joined(q, [self.family.parameter(frames, float(np.finfo(q.dtype).eps))])
@@ -157,8 +157,8 @@ class AnySix:
         return [HalfBranch({}, jnp.maximum(margin[k], margin[k + 1]), functools.partial(both, k)) for k in pairs]
 
 
-def _families(part: Chain, first: int) -> Iterator[tuple[str, Callable[[], Family]]]:
-    """The families for six or seven revolute joints, from number `first` of the chain on: why each does not fit, or an empty
+def _families(part: Robot, first: int) -> Iterator[tuple[str, Callable[[], Family]]]:
+    """The families for six or seven revolute joints, from number `first` of the robot on: why each does not fit, or an empty
     string, and how it is made."""
     axes = Axes.of(part)
     rest = lambda joint: float(np.clip(0.0, part.lower[joint], part.upper[joint]))
@@ -178,13 +178,13 @@ def _families(part: Chain, first: int) -> Iterator[tuple[str, Callable[[], Famil
 
 
 @functools.lru_cache(maxsize=64)
-def _found(chain: Chain) -> tuple[Solver | None, str]:
-    """The chain's cheapest closed form, or why it has none."""
+def _found(robot: Robot) -> tuple[Solver | None, str]:
+    """The robot's cheapest closed form, or why it has none."""
     best: Solver | None = None
     reasons: list[str] = []
     for size in (7, 6):
-        for first in range(chain.num_joints - size, -1, -1):
-            part = chain.part(first, first + size)
+        for first in range(robot.num_joints - size, -1, -1):
+            part = robot.part(first, first + size)
             families: list[tuple[str, Callable[[], Family]]] = []
             if any(part.is_prismatic):
                 why = f"joint '{part.joint_names[part.is_prismatic.index(True)]}' is prismatic"
@@ -196,73 +196,73 @@ def _found(chain: Chain) -> tuple[Solver | None, str]:
             if size == 6:
                 reasons.append(f"of joints {first + 1} to {first + size}: {why}")
             for made in [made for reason, made in families if not reason]:
-                solver = Solver(chain, first, made(), Axes.of(part).misfit)
+                solver = Solver(robot, first, made(), Axes.of(part).misfit)
                 best = solver if best is None or solver.family.cost < best.family.cost else best
     if best is not None:
         return best, ""
-    if chain.num_joints < 6:
-        return None, f"it has {chain.num_joints} joints, and six revolute ones are needed"
+    if robot.num_joints < 6:
+        return None, f"it has {robot.num_joints} joints, and six revolute ones are needed"
     return None, f"no six neighbouring joints are of a family ({TOLERANCE:g} allowed): " + ". ".join(reasons)
 
 
-def closed_form_obstacle(chain: Chain) -> str:
-    """Why the chain has no closed form, or an empty string. Host.
+def closed_form_obstacle(robot: Robot) -> str:
+    """Why the robot has no closed form, or an empty string. Host.
 
-    Six joints that are of no family have none, and are solved all the same (`closed_form`). A chain with traced numbers has
-    none either; raises `ValueError` for what is no chain.
+    Six joints that are of no family have none, and are solved all the same (`closed_form`). A robot with traced numbers has
+    none either; raises `ValueError` for what is no robot.
     """
-    check_kind("closed_form", "chain", chain, Chain)
-    if not all(isinstance(x, np.ndarray) for x in (chain.parent_T_joint, chain.axis, chain.joint_T_tip)):
-        return "its numbers are traced; closed_form reads them while tracing, so close over the chain"
-    return _found(chain)[1]
+    check_kind("closed_form", "robot", robot, Robot)
+    if not all(isinstance(x, np.ndarray) for x in (robot.parent_T_joint, robot.axis, robot.joint_T_tip)):
+        return "its numbers are traced; closed_form reads them while tracing, so close over the robot"
+    return _found(robot)[1]
 
 
 MOST_SCANNED = 2  # given values: a grid over three is larger than a search
 
 
-def scannable(chain: Chain) -> bool:
-    """Whether the chain has a closed form that is given few enough values to seek postures over a grid of them."""
-    return not scan_obstacle(chain)
+def scannable(robot: Robot) -> bool:
+    """Whether the robot has a closed form that is given few enough values to seek postures over a grid of them."""
+    return not scan_obstacle(robot)
 
 
-def scan_obstacle(chain: Chain) -> str:
+def scan_obstacle(robot: Robot) -> str:
     """Why it is not `scannable`, or an empty string."""
-    if reason := closed_form_obstacle(chain):
+    if reason := closed_form_obstacle(robot):
         return reason
-    names = redundancy(chain).names
+    names = redundancy(robot).names
     many = f"it is given {len(names)} values ({', '.join(names)}); a grid over more than {MOST_SCANNED} is larger than a search"
     return many if len(names) > MOST_SCANNED else ""
 
 
-def solver_of(chain: Chain) -> Solver:
-    """The chain's closed form. Raises `ValueError` with the reason where it has none."""
-    reason = closed_form_obstacle(chain)
+def solver_of(robot: Robot) -> Solver:
+    """The robot's closed form. Raises `ValueError` with the reason where it has none."""
+    reason = closed_form_obstacle(robot)
     if reason:
-        raise ValueError(f"{chain.name} has no closed form here: {reason}")
-    solver = _found(chain)[0]
+        raise ValueError(f"{robot.name} has no closed form here: {reason}")
+    solver = _found(robot)[0]
     assert solver is not None
     return solver
 
 
-def any_solver_of(chain: Chain) -> Solver:
-    """The chain's closed form, or what finds all postures of the last six neighbouring revolute joints without one. Raises
+def any_solver_of(robot: Robot) -> Solver:
+    """The robot's closed form, or what finds all postures of the last six neighbouring revolute joints without one. Raises
     `ValueError` with the reason where there are no such joints."""
-    if chain.concrete and closed_form_obstacle(chain) and (solver := _without_family(chain)):
+    if robot.concrete and closed_form_obstacle(robot) and (solver := _without_family(robot)):
         return solver
-    return solver_of(chain)
+    return solver_of(robot)
 
 
 @functools.lru_cache(maxsize=64)
-def _without_family(chain: Chain) -> Solver | None:
-    for first in range(chain.num_joints - 6, -1, -1):
-        part = chain.part(first, first + 6)
+def _without_family(robot: Robot) -> Solver | None:
+    for first in range(robot.num_joints - 6, -1, -1):
+        part = robot.part(first, first + 6)
         if not any(part.is_prismatic) and Axes.of(part).spanning:
-            return Solver(chain, first, AnySix(Axes.of(part)), 0.0)
+            return Solver(robot, first, AnySix(Axes.of(part)), 0.0)
     return None
 
 
 class Redundancy(NamedTuple):
-    """What a chain's closed form is given: the joints before and after those that it solves, and the arm angle where it solves
+    """What a robot's closed form is given: the joints before and after those that it solves, and the arm angle where it solves
     seven.
 
     One entry each (k,): `names`, a joint's or "arm angle", and its range `lower` to `upper` [m, rad], a whole turn where there
@@ -275,10 +275,10 @@ class Redundancy(NamedTuple):
     upper: np.ndarray
 
 
-def redundancy(chain: Chain) -> Redundancy:
-    """What `closed_form(chain, pose, slide)` takes as `slide`, in this order. Host driver.
+def redundancy(robot: Robot) -> Redundancy:
+    """What `closed_form(robot, pose, slide)` takes as `slide`, in this order. Host driver.
 
-    Raises `ValueError` with the reason where the chain has no six neighbouring revolute joints.
+    Raises `ValueError` with the reason where the robot has no six neighbouring revolute joints.
     """
-    solver = any_solver_of(chain)
+    solver = any_solver_of(robot)
     return Redundancy(solver.family.name, solver.given_names, *solver.limits())

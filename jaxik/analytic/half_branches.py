@@ -35,7 +35,7 @@ class Family(Protocol):
     """A closed form of one kind of arms, made for one of them.
 
     It solves `joints` neighbours given `parameters` values of its own (the arm angle), in up to `branches` solutions. Of two
-    that fit a chain the one of less `cost` is taken: 0 or 1 for lines that meet circles, `ELLIPSE` with an ellipse.
+    that fit a robot the one of less `cost` is taken: 0 or 1 for lines that meet circles, `ELLIPSE` with an ellipse.
     """
 
     @property

@@ -17,7 +17,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from jaxik.analytic.turns import Turn
-from jaxik.robot.joint_turns import wrapped
+from jaxik.kinematics.joint_turns import wrapped
 from jaxik.spatial.algebra import Rot3, Scalar, Vec3, add, atan2, constants, mul, safe_sqrt, sub
 from jaxik.spatial.ball import Ball, capped, minimum, unit, where
 

@@ -15,8 +15,8 @@ from jax import lax
 
 from jaxik.analytic.families import Solver
 from jaxik.analytic.turns import ELLIPSE
+from jaxik.kinematics.forward import jacobian_columns, joint_frames
 from jaxik.optimise.linear import definite_solve, dot
-from jaxik.robot.kinematics import jacobian_columns, joint_frames
 from jaxik.spatial.algebra import Frame, traced
 
 EXACT = 1e-13  # [m, rad] by which axes may miss without it
@@ -58,8 +58,8 @@ def _step(solver: Solver, q: Any, aim: Frame) -> Any:
 
 def _look(solver: Solver, q: Any, aim: Frame) -> tuple[list[Any], list[Any]]:
     """The Jacobian's columns of the solved joints, and how far the tip is from the pose, in base axes."""
-    frames = joint_frames(solver.chain, list(q), dtype=q.dtype)
+    frames = joint_frames(solver.robot, list(q), dtype=q.dtype)
     turn = aim.rotation @ frames.tip.rotation.T
     skew = [(turn[i][j] - turn[j][i]) * 0.5 for i, j in ((2, 1), (0, 2), (1, 0))]
-    columns = jacobian_columns(solver.chain, frames)[solver.first : solver.solved.stop]
+    columns = jacobian_columns(solver.robot, frames)[solver.first : solver.solved.stop]
     return columns, [*(aim.translation - frames.tip.translation), *skew]

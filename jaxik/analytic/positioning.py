@@ -22,7 +22,6 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from jaxik.analytic.axes import Axes, Named
 from jaxik.analytic.turns import (
     ALL,
     ELLIPSE,
@@ -38,7 +37,8 @@ from jaxik.analytic.turns import (
     turns_to_plane,
     vector_of,
 )
-from jaxik.robot.joint_turns import wrapped
+from jaxik.kinematics.axes import Axes, Named
+from jaxik.kinematics.joint_turns import wrapped
 from jaxik.spatial.algebra import Rot3, Scalar, Vec3, add, atan2, constants, mul, safe_sqrt, sub
 from jaxik.spatial.ball import minimum, where
 

@@ -8,11 +8,11 @@ from __future__ import annotations
 
 from typing import Any
 
-from jaxik.analytic.axes import TOLERANCE, Axes, Named
 from jaxik.analytic.half_branches import HalfBranch
 from jaxik.analytic.orienting import Orienting
 from jaxik.analytic.positioning import obstacle, positioning
 from jaxik.analytic.turns import ALL, Signs, vector_of
+from jaxik.kinematics.axes import TOLERANCE, Axes, Named
 from jaxik.spatial.algebra import Frame, Rot3, Scalar, constants
 from jaxik.spatial.ball import minimum
 

@@ -20,7 +20,6 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from jaxik.analytic.axes import Axes, Named
 from jaxik.analytic.half_branches import HalfBranch
 from jaxik.analytic.orienting import Oriented, Orienting
 from jaxik.analytic.turns import (
@@ -37,6 +36,7 @@ from jaxik.analytic.turns import (
     turns_to_distance,
     vector_of,
 )
+from jaxik.kinematics.axes import Axes, Named
 from jaxik.spatial.algebra import Frame, Rot3, Scalar, Vec3, add, constants, mul, sub
 from jaxik.spatial.ball import minimum, where
 

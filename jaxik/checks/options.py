@@ -12,8 +12,8 @@ from typing import Any, TypeVar, get_args
 import numpy as np
 
 Options = TypeVar("Options", bound=Any)
-TOP = ("Chain", "Fit", "IKOptions", "Scene", "Task")  # classes that `jaxik` itself shows
-READERS = {"Chain": "load", "Scene": "load_scene"}  # what reads a file that is given in the place of these
+TOP = ("Robot", "Fit", "IKOptions", "Scene", "Task")  # classes that `jaxik` itself shows
+READERS = {"Robot": "load", "Scene": "load_scene"}  # what reads a file that is given in the place of these
 
 
 def check_choices(who: str, **choices: tuple[str, Any]) -> None:

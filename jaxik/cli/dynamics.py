@@ -16,12 +16,12 @@ import tyro
 import jaxik
 from jaxik.cli.results import check_writable, writing
 from jaxik.cli.robot_arguments import RobotArguments
+from jaxik.dynamics.actuation import friction_torque, motor_current
+from jaxik.dynamics.recursions import gravity_torque, inverse_dynamics
+from jaxik.kinematics.robot import Robot, beyond_limits
 from jaxik.planning.trajectory import JointState
 from jaxik.planning.trajectory_files import as_states, check_ending
 from jaxik.planning.trajectory_readers import read_motion
-from jaxik.robot.actuation import friction_torque, motor_current
-from jaxik.robot.chain import Chain, beyond_limits
-from jaxik.robot.dynamics import gravity_torque, inverse_dynamics
 
 ROUNDED = 1e-3  # [rad, m] beyond its limits that a joint may be, as files are rounded
 SLOWEST = 1.0  # [s] between samples that are told in seconds
@@ -73,31 +73,31 @@ class DynamicsArguments(RobotArguments):
             check_writable(self.plot, "--plot")
         if not np.isfinite(self.gravity).all():
             raise ValueError(f"--gravity {' '.join(map(str, self.gravity))}: finite numbers [m/s2]")
-        chain = jaxik.load(self.robot, **self.loading())
-        chain = chain.with_load(self.load, np.zeros(3), np.zeros((3, 3))) if self.load else chain
-        time, found = read_motion(check_ending("dynamics", self.motion), chain.joint_names)
-        self._doubt(chain, time, found["q"])
+        robot = jaxik.load(self.robot, **self.loading())
+        robot = robot.with_load(self.load, np.zeros(3), np.zeros((3, 3))) if self.load else robot
+        time, found = read_motion(check_ending("dynamics", self.motion), robot.joint_names)
+        self._doubt(robot, time, found["q"])
         time, state = as_states(time, found, self.smooth)
-        demand = demanded(chain, state, self.gravity)
+        demand = demanded(robot, state, self.gravity)
         with writing(self.out) as (aside, wrote):
-            _write(aside, chain, time, demand)
+            _write(aside, robot, time, demand)
         if "acceleration" not in found:
             print(f"  {self._derived('velocity' in found)}")
-        for line in _lines(chain, demand):
+        for line in _lines(robot, demand):
             print(f"  {line}")
         work = np.trapezoid(np.maximum(demand.power, 0.0).sum(axis=1), time)
         print(f"{len(time)} samples, {time[-1] - time[0]:.2f} s, {work:.1f} J into the joints; {wrote}")
         if self.plot is not None:
             from jaxik.view.torque_picture import torque_picture
 
-            title = f"{chain.name}, {self.load:g} kg at its tip" if self.load else chain.name
+            title = f"{robot.name}, {self.load:g} kg at its tip" if self.load else robot.name
             with writing(self.plot, "--plot") as (aside, drew):
-                torque_picture(chain, time, demand.torque, demand.gravity, aside, title)
+                torque_picture(robot, time, demand.torque, demand.gravity, aside, title)
             print(drew)
 
-    def _doubt(self, chain: Chain, time: np.ndarray, q: np.ndarray) -> None:
+    def _doubt(self, robot: Robot, time: np.ndarray, q: np.ndarray) -> None:
         """Warns of numbers that are hardly radians, metres and seconds."""
-        if told := beyond_limits(chain, q, ROUNDED):
+        if told := beyond_limits(robot, q, ROUNDED):
             warnings.warn(f"{self.motion}: {told}", stacklevel=2)
         if len(time) > 1 and (period := float(np.median(np.diff(time)))) > SLOWEST:
             warnings.warn(f"{self.motion}: samples are {period:.4g} s apart; are these milliseconds?", stacklevel=2)
@@ -110,36 +110,36 @@ class DynamicsArguments(RobotArguments):
         return f"{what}, {noise}"
 
 
-def demanded(chain: Chain, state: JointState, gravity: tuple[float, float, float]) -> Demand:
+def demanded(robot: Robot, state: JointState, gravity: tuple[float, float, float]) -> Demand:
     """Along a motion of states (i, n)."""
     every = lambda of, *x: np.asarray(jax.jit(jax.vmap(of))(*x))
     with jax.enable_x64(True):
-        torque = every(lambda *x: inverse_dynamics(chain, *x, gravity=gravity), *state)
-        still = every(lambda q: gravity_torque(chain, q, gravity), state.q)
+        torque = every(lambda *x: inverse_dynamics(robot, *x, gravity=gravity), *state)
+        still = every(lambda q: gravity_torque(robot, q, gravity), state.q)
         found = Demand(torque, still, torque * state.velocity)
-        if not chain.drives:
+        if not robot.drives:
             return found
-        friction = every(lambda v, t: friction_torque(chain, v, t), state.velocity, torque)
+        friction = every(lambda v, t: friction_torque(robot, v, t), state.velocity, torque)
         found = found._replace(friction=friction)
-        if all(drive.torque_per_current == 1.0 for drive in chain.drives):  # a file that tells of friction knows no motors
+        if all(drive.torque_per_current == 1.0 for drive in robot.drives):  # a file that tells of friction knows no motors
             return found
-        return found._replace(current=every(lambda t, v: motor_current(chain, t, v), torque, state.velocity))
+        return found._replace(current=every(lambda t, v: motor_current(robot, t, v), torque, state.velocity))
 
 
-def _lines(chain: Chain, demand: Demand) -> Iterable[str]:
+def _lines(robot: Robot, demand: Demand) -> Iterable[str]:
     """Of each joint, what it takes most."""
     most = {kind: np.abs(values).max(axis=0) for kind, values in demand._asdict().items() if values is not None}
     usual = np.sqrt(np.mean(demand.torque**2, axis=0))
-    for i, (name, slides) in enumerate(zip(chain.joint_names, chain.is_prismatic, strict=True)):
+    for i, (name, slides) in enumerate(zip(robot.joint_names, robot.is_prismatic, strict=True)):
         torque, gravity, power, *driven = (values[i] for values in most.values())
-        limit = f" ({torque / chain.effort[i]:4.0%} of its limit)" if np.isfinite(chain.effort[i]) else ""
+        limit = f" ({torque / robot.effort[i]:4.0%} of its limit)" if np.isfinite(robot.effort[i]) else ""
         line = f"{name:<20} at most {torque:8.2f} {'N ' if slides else 'Nm'}{limit}, rms {usual[i]:8.2f}"
         line += f", of gravity {gravity:8.2f}, power {power:8.2f} W"
         yield line + "".join(told.format(x) for told, x in zip(DRIVEN, driven, strict=False))
 
 
-def _write(file: Path, chain: Chain, time: np.ndarray, demand: Demand) -> None:
+def _write(file: Path, robot: Robot, time: np.ndarray, demand: Demand) -> None:
     kinds = {kind: values for kind, values in demand._asdict().items() if values is not None}
-    header = ["time", *(f"{kind}_{name}" for kind in kinds for name in chain.joint_names)]
+    header = ["time", *(f"{kind}_{name}" for kind in kinds for name in robot.joint_names)]
     with file.open("w", newline="", encoding="utf-8") as out:
         csv.writer(out, lineterminator="\n").writerows([header, *np.column_stack([time, *kinds.values()]).tolist()])

@@ -64,9 +64,9 @@ class FitArguments(RobotArguments):
                 none = "has no meshes to fit to; its shapes are those of its file"
                 raise ValueError(f"{self.robot}: {none}")
         seconds = time.perf_counter() - start
-        chain = jaxik.load(self.robot, meshes=True, exact=self.exact, **what)
+        robot = jaxik.load(self.robot, meshes=True, exact=self.exact, **what)
         print_table(
-            f"{chain.name}: convex parts of its meshes, and capsules around them, lengths in mm",
+            f"{robot.name}: convex parts of its meshes, and capsules around them, lengths in mm",
             HEADINGS,
             map(_cells, report.links),
         )
@@ -78,22 +78,22 @@ class FitArguments(RobotArguments):
             )
         false = max(row.false for row in report.links)
         print(
-            f"{len(chain.convex_parts)} convex parts, {len(chain.volumes)} volumes, "
-            f"{len(chain.self_pairs)} pairs of links to check, {len(chain.pair_tables)} of them with a table of distances, "
+            f"{len(robot.convex_parts)} convex parts, {len(robot.volumes)} volumes, "
+            f"{len(robot.self_pairs)} pairs of links to check, {len(robot.pair_tables)} of them with a table of distances, "
             f"in {seconds:.1f} s; "
             f"the worst link falsely collides with others in {false:.1%} of random configurations"
         )
         if self.to is not None:
             with naming(self.to, "--to"):
-                beyond = jaxik.save(chain, self.to)
-            print(f"wrote {self.to}" + (_told(chain, self.to, beyond) if self.to.suffix == ".urdf" else ""))
+                beyond = jaxik.save(robot, self.to)
+            print(f"wrote {self.to}" + (_told(robot, self.to, beyond) if self.to.suffix == ".urdf" else ""))
 
 
-def _told(chain: jaxik.Chain, to: Path, beyond: float) -> str:
+def _told(robot: jaxik.Robot, to: Path, beyond: float) -> str:
     """What has to be known of a URDF of spheres."""
-    lost = f"; without {len(chain.convex_parts)} convex parts, which are closer" if chain.convex_parts else ""
+    lost = f"; without {len(robot.convex_parts)} convex parts, which are closer" if robot.convex_parts else ""
     reach = f", spheres up to {1e3 * beyond:.1f} mm beyond the volumes{lost}; who reads it has to disable "
-    return f"{reach}{len(unchecked(chain))} pairs of links: {to.with_suffix('.srdf')}"
+    return f"{reach}{len(unchecked(robot))} pairs of links: {to.with_suffix('.srdf')}"
 
 
 def _cells(row: jaxik.fitting.LinkFit) -> tuple[str, ...]:

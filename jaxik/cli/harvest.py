@@ -71,9 +71,9 @@ class HarvestArguments(ShapedRobotArguments):
         if given and not self.motions:
             raise ValueError(f"{', '.join(given)}: of motions; add --motions")
         check_writable(self.out, folder=True)
-        chain = jaxik.load(self.robot, **self.loading())
+        robot = jaxik.load(self.robot, **self.loading())
         scene = jaxik.load_scene(self.scene)
-        how = self.plan_options(chain.num_joints)
+        how = self.plan_options(robot.num_joints)
         options = {name: getattr(self, name) for name in ("weights", "angles", "slides", "margin")}
         with progress_bar() as bar:
 
@@ -81,7 +81,7 @@ class HarvestArguments(ShapedRobotArguments):
                 task = bar.add_task(words, total=len(scene.fruits))
                 return lambda name: bar.update(task, advance=1, description=escape(f"{words} {name}"))
 
-            result = jaxik.harvest(chain, scene, progress=shown("harvest"), **options)
+            result = jaxik.harvest(robot, scene, progress=shown("harvest"), **options)
             plan = plan_harvest(result, how, progress=shown("motions")) if self.motions else None
         _print_table(result)
         if plan is not None:
@@ -126,16 +126,16 @@ def _in_motion(plan: HarvestPlan) -> str:
 
 
 def _print_table(result: Harvest) -> None:
-    chain, rows = result.chain, []
+    robot, rows = result.robot, []
     for row in result.rows:
         if row.success:
-            joints = [f"{x:.3f}" if p else f"{np.degrees(x):.1f}" for x, p in zip(row.q, chain.is_prismatic, strict=True)]
+            joints = [f"{x:.3f}" if p else f"{np.degrees(x):.1f}" for x, p in zip(row.q, robot.is_prismatic, strict=True)]
             cells = [*joints, f"{1000 * row.clearance:.0f}", f"{row.freedom:.2f}", row.found_by]
         else:
-            cells = [*[""] * (chain.num_joints + 2), row.blockers.words if row.blockers else ""]
+            cells = [*[""] * (robot.num_joints + 2), row.blockers.words if row.blockers else ""]
         rows.append([row.fruit, row.reason.text, *cells])
-    headings = ("fruit", "result", *chain.joint_names, "clearance [mm]", "freedom", "found by, or first")
-    print_table(f"{chain.name} in {result.scene.name}", headings, rows)
+    headings = ("fruit", "result", *robot.joint_names, "clearance [mm]", "freedom", "found by, or first")
+    print_table(f"{robot.name} in {result.scene.name}", headings, rows)
     print("joints in degrees, prismatic ones in metres")
 
 
@@ -157,7 +157,7 @@ def write_harvest(result: Harvest, out: Path, plan: HarvestPlan | None = None, p
         aside.mkdir()
         arrays = result.arrays()
         np.savez(aside / "postures.npz", allow_pickle=False, **arrays)
-        joints = dict(zip(result.chain.joint_names, result.q.T, strict=True))
+        joints = dict(zip(result.robot.joint_names, result.q.T, strict=True))
         write_csv(aside / "postures.csv", {k: v for k, v in arrays.items() if k not in ("q", "joint_names")} | joints)
         plot_harvest(result, aside / "harvest.png")
         if plan is not None:

@@ -70,7 +70,7 @@ class IKArguments(ShapedRobotArguments):
             optional("--out: .parquet", "pyarrow", "parquet")  # before the work, not after
         check_writable(self.out)
         check_seed("solve_ik", self.seed)
-        chain = jaxik.load(self.robot, **self.loading())
+        robot = jaxik.load(self.robot, **self.loading())
         scene = None if self.scene is None else jaxik.load_scene(self.scene)
         targets = jaxik.load_targets(self.targets)
         free = (*self.free, *(("roll", "pitch", "yaw") if targets.ndim == 2 else ()))  # a position says nothing of rotation
@@ -85,10 +85,10 @@ class IKArguments(ShapedRobotArguments):
                 done = sum(map(len, parts))
                 show = lambda more, done=done: bar.update(line, completed=done + more)
                 some = targets[done : done + AT_ONCE]
-                parts.append(jaxik.solve_ik(chain, some, scene, self.seed, options=options, progress=show))
+                parts.append(jaxik.solve_ik(robot, some, scene, self.seed, options=options, progress=show))
         result, seconds = _joined(parts), time.perf_counter() - start
         with writing(self.out) as (aside, wrote):
-            write_ik(chain, result, aside, _table(chain, result, targets[: len(result)], scene, options))
+            write_ik(robot, result, aside, _table(robot, result, targets[: len(result)], scene, options))
         self._print(result, targets, seconds, wrote)
 
     def _print(self, result: jaxik.ik.IKResult, targets: np.ndarray, seconds: float, wrote: str) -> None:
@@ -122,12 +122,12 @@ def _joined(parts: list[jaxik.ik.IKResult]) -> jaxik.ik.IKResult:
     return jax.tree_util.tree_map(lambda *columns: np.concatenate(columns), *padded)
 
 
-def write_ik(chain: jaxik.Chain, result: jaxik.ik.IKResult, out: Path, table: dict[str, np.ndarray]) -> None:
+def write_ik(robot: jaxik.Robot, result: jaxik.ik.IKResult, out: Path, table: dict[str, np.ndarray]) -> None:
     """The results of a batch: arrays (.npz, no pickle), one row a target, or a table (.csv, .parquet), one row an answer."""
     names = ("success", "position_error", "rotation_error", "clearance", "seed", "iterations", "solutions", "num_solutions")
     if out.suffix == ".npz":
         columns = {"reason": result.reasons, **{name: getattr(result, name) for name in names}}
-        np.savez(out, allow_pickle=False, joint_names=np.array(chain.joint_names), q=result.q, **columns)
+        np.savez(out, allow_pickle=False, joint_names=np.array(robot.joint_names), q=result.q, **columns)
     elif out.suffix == ".parquet":
         import pyarrow.parquet
 
@@ -137,7 +137,7 @@ def write_ik(chain: jaxik.Chain, result: jaxik.ik.IKResult, out: Path, table: di
 
 
 def _table(
-    chain: jaxik.Chain, result: jaxik.ik.IKResult, targets: np.ndarray, scene: jaxik.Scene | None, options: jaxik.IKOptions
+    robot: jaxik.Robot, result: jaxik.ik.IKResult, targets: np.ndarray, scene: jaxik.Scene | None, options: jaxik.IKOptions
 ) -> dict[str, np.ndarray]:
     """One row an answer, of targets and answers counted from 1; of a target without one its nearest miss, as answer 0."""
     count = np.maximum(result.num_solutions, 1)
@@ -149,11 +149,11 @@ def _table(
     clearance = result.clearance[target]
     if not first.all():
         poses = frame(targets) if targets.ndim == 2 else targets
-        others = solve_errors(chain, options.task, q, poses[target])
+        others = solve_errors(robot, options.task, q, poses[target])
         errors = [np.where(first, best, each) for best, each in zip(errors, others, strict=True)]
-        gap = jax.jit(jax.vmap(lambda q: jaxik.clearance(chain, scene, q)))
+        gap = jax.jit(jax.vmap(lambda q: jaxik.clearance(robot, scene, q)))
         clearance = clearance if np.isnan(result.clearance).all() else np.where(first, clearance, gap(q))
     columns = {"target": target + 1, "solution": np.where(solved, number + 1, 0), "reason": result.reasons[target]}
     columns |= {"position_error": errors[0], "rotation_error": errors[1], "clearance": clearance}
     columns |= {"seed": result.seed[target], "iterations": result.iterations[target]}
-    return columns | dict(zip(chain.joint_names, q.T, strict=True))
+    return columns | dict(zip(robot.joint_names, q.T, strict=True))

@@ -58,29 +58,29 @@ class PlanArguments(ShapedRobotArguments):
         check_writable(self.out)
         if self.without and self.scene is None:
             raise ValueError(f"--without {' '.join(self.without)}: there is no scene to leave it out of; give --scene")
-        chain = jaxik.load(self.robot, **self.loading())
+        robot = jaxik.load(self.robot, **self.loading())
         scene = jaxik.make_scene() if self.scene is None else jaxik.load_scene(self.scene).without(self.without)
         names = [f.name for f in dataclasses.fields(jaxik.planning.PlanOptions)]
         for name in ("start", "goal"):
             if not np.isfinite(getattr(self, name)).all():
                 raise ValueError(f"--{name} {' '.join(map(str, getattr(self, name)))}: finite numbers [rad, m]")
-            if (count := len(getattr(self, name))) != chain.num_joints:
-                joints = f"{chain.num_joints}: {', '.join(chain.joint_names)}"
-                raise ValueError(f"--{name}: {count} numbers; {chain.name} has {joints}")
+            if (count := len(getattr(self, name))) != robot.num_joints:
+                joints = f"{robot.num_joints}: {', '.join(robot.joint_names)}"
+                raise ValueError(f"--{name}: {count} numbers; {robot.name} has {joints}")
         options = jaxik.planning.PlanOptions(**{k: v for k, v in dataclasses.asdict(self).items() if k in names})
         began = time.perf_counter()
-        moved = jaxik.plan_motion(chain, scene, self.start, self.goal, self.seed, options)
+        moved = jaxik.plan_motion(robot, scene, self.start, self.goal, self.seed, options)
         seconds = time.perf_counter() - began
         if moved.trajectory is None or moved.waypoints is None:
-            raise Unsolved(f"no motion in {seconds:.1f} s: {moved.why}{self._what(moved, chain, scene)}")
+            raise Unsolved(f"no motion in {seconds:.1f} s: {moved.why}{self._what(moved, robot, scene)}")
         with writing(self.out) as (aside, wrote):
-            jaxik.planning.save_trajectory(aside, moved.trajectory, self.period, chain.joint_names)
+            jaxik.planning.save_trajectory(aside, moved.trajectory, self.period, robot.joint_names)
         lasts, corners = moved.trajectory.duration, len(moved.waypoints) - 2
         print(f"{lasts:.2f} s around {corners} corners, planned in {seconds:.2f} s; {wrote}")
 
-    def _what(self, moved: Planned, chain: jaxik.Chain, scene: jaxik.Scene) -> str:
+    def _what(self, moved: Planned, robot: jaxik.Robot, scene: jaxik.Scene) -> str:
         """The joint that is beyond its limits most, or the pair that collides, at the start or the goal."""
         if moved.reason not in (Reason.LIMITS, Reason.COLLISION):
             return ""
-        near = jaxik.explain(chain, scene, np.array(self.start if moved.where == "start" else self.goal), 1)
+        near = jaxik.explain(robot, scene, np.array(self.start if moved.where == "start" else self.goal), 1)
         return f"; {(near.limits if moved.reason == Reason.LIMITS else near.contacts)[0]}"

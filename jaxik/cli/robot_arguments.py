@@ -23,7 +23,7 @@ class RobotArguments:
     tip: str | None = None
     """The link at the tip, which goes to the targets; needed where the robot has several."""
     base: str | None = None
-    """The link that the chain starts from, and targets are given in; the root unless given."""
+    """The link that the robot starts from, and targets are given in; the root unless given."""
     posture: tuple[str, ...] = ()
     """Where joints beside the chain are held, joint=value [rad, m]: a head, a gripper; 0 unless given."""
     srdf: Path | None = None

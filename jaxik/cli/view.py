@@ -41,17 +41,17 @@ class ViewArguments(ShapedRobotArguments):
         if not 1 <= self.port <= 65535:
             raise ValueError(f"--port {self.port}: it is from 1 to 65535")
         how = self.loading()
-        chain = jaxik.load(self.robot, **how)
+        robot = jaxik.load(self.robot, **how)
         harvest = self.harvest or self.motions
         if harvest and self.scene is None:
             raise ValueError(
                 f"--{'harvest' if self.harvest else 'motions'}: needs a --scene with fruits, e.g. --scene cucumber_row"
             )
         scene = None if self.scene is None else jaxik.load_scene(self.scene)
-        picked = jaxik.harvest(chain, scene) if harvest and scene is not None else None
+        picked = jaxik.harvest(robot, scene) if harvest and scene is not None else None
         plan = plan_harvest(picked) if self.motions and picked is not None else None
-        read = self.meshes and not chain.surfaces  # which are what is to be seen
+        read = self.meshes and not robot.surfaces  # which are what is to be seen
         meshes = link_meshes(self.robot, self.tip, self.base, how["posture"], packages=self.packages) if read else ()
-        page = Page(chain, scene, self.store, picked, self.host, self.port, meshes, plan, self.teleop)
+        page = Page(robot, scene, self.store, picked, self.host, self.port, meshes, plan, self.teleop)
         print(f"open {page.url} in a browser; Ctrl-C ends", flush=True)
         page.wait()

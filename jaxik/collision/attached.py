@@ -13,9 +13,9 @@ from jaxik.checks.arrays import check_known
 from jaxik.checks.options import check_kind, no_such, shown
 from jaxik.collision.scene import Scene, check_scene
 from jaxik.collision.surface_trees import surface_of
-from jaxik.robot.chain import Array, Box, Chain, Volume, solid_links
-from jaxik.robot.kinematics import as_posture, joint_frames
-from jaxik.robot.surface import Surface, brick, fan, prism
+from jaxik.kinematics.forward import as_posture, joint_frames
+from jaxik.kinematics.robot import Array, Box, Robot, Volume, solid_links
+from jaxik.kinematics.surface import Surface, brick, fan, prism
 from jaxik.spatial.algebra import Frame
 
 MOST = 1000  # volumes that an arm carries: each is measured against all obstacles
@@ -24,35 +24,35 @@ MOST = 1000  # volumes that an arm carries: each is measured against all obstacl
 class Attached(NamedTuple):
     """The robot with what it holds, and the scene without it."""
 
-    chain: Chain
+    robot: Robot
     scene: Scene
 
 
-def attach(chain: Chain, scene: Scene, name: str, q: Float[Array, " n"], touches: Iterable[str] = ()) -> Attached:
+def attach(robot: Robot, scene: Scene, name: str, q: Float[Array, " n"], touches: Iterable[str] = ()) -> Attached:
     """The object `name`, as it lies when the robot is at `q` (n,) [rad, m], made a link of that name which moves with the last
     joint; and the scene without it (`Scene.without`: its name stays in `object_names`). Host.
 
-    Points become balls of the scene's radius; spheres and capsules stay what they are; boxes become boxes of the chain, which
+    Points become balls of the scene's radius; spheres and capsules stay what they are; boxes become boxes of the robot, which
     `spheres_per_box` spheres cover; a cylinder is carried as a capsule up to 42 % of its radius larger, the one about it that
     protrudes least; triangles stay surfaces, so what is wholly inside of a body that they enclose is not seen. The link is
     checked against the scene and against the robot's other links, but for those that move with the last joint, too, and those
     that it `touches` (MoveIt's touch_links). It has no mass.
 
-    Raises `ValueError` for an object that is not there, has no obstacle or the name of a link, for links that the chain does
+    Raises `ValueError` for an object that is not there, has no obstacle or the name of a link, for links that the robot does
     not have, for a q of another shape, and for what is traced.
     """
-    check_kind("attach", "chain", chain, Chain)
+    check_kind("attach", "robot", robot, Robot)
     check_kind("attach", "scene", scene, Scene)
-    check_known("attach", chain=chain, scene=scene)
+    check_known("attach", robot=robot, scene=scene)
     check_scene(scene)
-    last, link = chain.num_joints, len(chain.link_names)
+    last, link = robot.num_joints, len(robot.link_names)
     if name not in scene.object_names:
         raise ValueError(no_such("attach", "object", str(name), scene.object_names))
-    if name in chain.link_names:
-        raise ValueError(f"attach: {chain.name} has a link '{shown(name)}' already; give the object another name")
-    free = _links(chain, touches) | {i for i, joint in enumerate(chain.link_joint) if joint == last}
-    posture = as_posture("attach", chain, q)
-    frames = joint_frames(chain, posture.tolist(), Frame.of(chain.world_T_base)).joints
+    if name in robot.link_names:
+        raise ValueError(f"attach: {robot.name} has a link '{shown(name)}' already; give the object another name")
+    free = _links(robot, touches) | {i for i, joint in enumerate(robot.link_joint) if joint == last}
+    posture = as_posture("attach", robot, q)
+    frames = joint_frames(robot, posture.tolist(), Frame.of(robot.world_T_base)).joints
     joint_T_world = np.linalg.inv(frames[-1].matrices)
     boxes, volumes = _carried(scene, name, joint_T_world, link)
     if not (count := len(boxes) + len(volumes)):
@@ -60,27 +60,27 @@ def attach(chain: Chain, scene: Scene, name: str, q: Float[Array, " n"], touches
     if count > MOST:
         mend = f"at most {MOST:,}; put a few spheres or boxes around it"
         raise ValueError(f"attach: '{shown(name)}' has {count:,} obstacles; {mend}")
-    own = (_surface(scene, name, joint_T_world, link, volumes),) if chain.surfaces else ()
+    own = (_surface(scene, name, joint_T_world, link, volumes),) if robot.surfaces else ()
     held = dataclasses.replace(
-        chain,
-        surfaces=(*chain.surfaces, *own),
-        link_names=(*chain.link_names, name),
-        link_joint=(*chain.link_joint, last),
-        link_offset=np.concatenate([chain.link_offset, np.eye(4)[None]]),
-        boxes=(*chain.boxes, *boxes),
-        volumes=(*chain.volumes, *volumes),
-        self_pairs=(*chain.self_pairs, *((i, link) for i in solid_links(chain) if i not in free)),
+        robot,
+        surfaces=(*robot.surfaces, *own),
+        link_names=(*robot.link_names, name),
+        link_joint=(*robot.link_joint, last),
+        link_offset=np.concatenate([robot.link_offset, np.eye(4)[None]]),
+        boxes=(*robot.boxes, *boxes),
+        volumes=(*robot.volumes, *volumes),
+        self_pairs=(*robot.self_pairs, *((i, link) for i in solid_links(robot) if i not in free)),
     )
     return Attached(held, scene.without([name]))
 
 
-def _links(chain: Chain, names: Iterable[str]) -> set[int]:
+def _links(robot: Robot, names: Iterable[str]) -> set[int]:
     if isinstance(names, str):
         raise ValueError(f"attach: touches is '{shown(names)}'; write a list of links, ['{shown(names)}']")
     for name in (names := list(names)):
-        if name not in chain.link_names:
-            raise ValueError(no_such(f"attach: {chain.name}", "link", str(name), chain.link_names))
-    return {chain.link_names.index(name) for name in names}
+        if name not in robot.link_names:
+            raise ValueError(no_such(f"attach: {robot.name}", "link", str(name), robot.link_names))
+    return {robot.link_names.index(name) for name in names}
 
 
 def _rows_of(scene: Scene, name: str) -> dict[str, np.ndarray]:

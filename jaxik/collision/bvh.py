@@ -22,10 +22,10 @@ from jaxik.checks.arrays import is_known
 from jaxik.collision.scene import FAR, SHAPES, SIZES_OF, Scene, check_scene, remembered, with_zeros
 from jaxik.collision.surface_trees import Trees, forest, tree_of
 from jaxik.collision.volumes import local_volumes
+from jaxik.kinematics.link_distance_table import PairTable
+from jaxik.kinematics.robot import Robot, geometry_between, hashed, known_parts, solid_links
+from jaxik.kinematics.surface import Surface
 from jaxik.pytree import static
-from jaxik.robot.chain import Chain, geometry_between, hashed, known_parts, solid_links
-from jaxik.robot.link_distance_table import PairTable
-from jaxik.robot.surface import Surface
 
 # obstacles a leaf, where there are a few
 LEAF = {"points": 4, "spheres": 4, "capsules": 1, "boxes": 1, "cylinders": 1, "triangles": 1}
@@ -49,7 +49,7 @@ class Balls(NamedTuple):
 class Obstacles:
     """Those of one `kind`, ordered by place: leaves of `LEAF` rows each; branch b holds the leaves `first[b]` to `last[b]`, not
     counted, and is one of the `count` that are there if b is less; `ignored[b]` are the `bits` of links that it does not
-    count for, of a chain that ignores `ignores`. `unsound` is 0, or NaN where a number of theirs is. Where there may be solids
+    count for, of a robot that ignores `ignores`. `unsound` is 0, or NaN where a number of theirs is. Where there may be solids
     of triangles, `bodies[b]` is how far those of branch b are out along -x, -y, -z, x, y, z, and how far their inside is from
     their triangles at most, half the least extent [m].
     """
@@ -70,8 +70,8 @@ class Obstacles:
 @jax.tree_util.register_dataclass
 @dataclasses.dataclass(frozen=True)
 class OwnSurfaces:
-    """Those of an exact chain, a tree a part (`Robot.links`), and of each triangle the joint (t,); and the numbers of some of
-    their triangles, one a shape: part p has `points[first[p]]` to `points[first[p + 1]]`, not counted. They decide where
+    """The surfaces of an exact robot, a tree a part (`RobotTrees.links`), the joint of each triangle (t,), and the numbers of
+    some triangles, one a shape: part p has `points[first[p]]` to `points[first[p + 1]]`, not counted. They decide where
     volumes are nearer than `within` [m]. `of` says which links' (`_shape_of`)."""
 
     trees: Trees
@@ -86,7 +86,7 @@ class OwnSurfaces:
 @jax.tree_util.register_dataclass
 @dataclasses.dataclass(frozen=True)
 class OwnParts:
-    """A chain's convex bodies, of each part of the robot (`Robot.links`) those from `first[p]` to `first[p + 1]`, not counted:
+    """A robot's convex bodies; part p (`RobotTrees.links`) has those from `first[p]` to `first[p + 1]`, not counted:
     body b is the hull of the `corners` (c, 3) from `begins[b]` to `begins[b + 1]` in its joint's frame, and what is within its
     `radius` of that, all in a box along that frame's axes, of a `center` (3,) and `half` its edges (3,). They are a link's
     convex parts, where `closer[p]`, else its volumes. They decide where volumes are nearer than `within` [m]. `of` says which
@@ -109,28 +109,28 @@ Own = OwnSurfaces | OwnParts
 Grouped = tuple[Obstacles | Own, ...]
 
 
-def grouped(scene: Scene | Grouped | None, chain: Chain, by_object: bool = False) -> Grouped:
-    """The scene's obstacles by kind, for a chain, and at last its own surfaces, where it has any; what is out of the way is
+def grouped(scene: Scene | Grouped | None, robot: Robot, by_object: bool = False) -> Grouped:
+    """The scene's obstacles by kind, for a robot, and at last its own surfaces, where it has any; what is out of the way is
     left out where that is known. `by_object`: branch b holds what belongs to object b.
 
-    Raises `ValueError` for arrays that were put in by hand and are none of a scene, for a chain that ignores too much, and for
-    obstacles that were grouped for a chain that ignores others.
+    Raises `ValueError` for arrays that were put in by hand and are none of a scene, for a robot that ignores too much, and for
+    obstacles that were grouped for a robot that ignores others.
     """
     if scene is None:
-        return own_shapes(chain)
+        return own_shapes(robot)
     if not isinstance(scene, Scene):
-        if any(obstacles.ignores != chain.ignored for obstacles in scene):
+        if any(obstacles.ignores != robot.ignored for obstacles in scene):
             raise ValueError(
-                f"{chain.name}: the obstacles are grouped for another chain's `ignored`; group the scene for this one"
+                f"{robot.name}: the obstacles are grouped for another robot's `ignored`; group the scene for this one"
             )
-        known = any(own.of == _shape_of(chain) for own in own_in(scene))
-        return scene if known else obstacles_in(scene) + own_shapes(chain)
+        known = any(own.of == _shape_of(robot) for own in own_in(scene))
+        return scene if known else obstacles_in(scene) + own_shapes(robot)
     if not scene.concrete:
         check_scene(scene)
-        return _grouped(scene, chain.ignored, by_object) + own_shapes(chain)
+        return _grouped(scene, robot.ignored, by_object) + own_shapes(robot)
     remembered(scene, "checked", lambda: check_scene(scene))
-    found = remembered(scene, (chain.ignored, by_object), lambda: _grouped(scene, chain.ignored, by_object))
-    return found + own_shapes(chain)
+    found = remembered(scene, (robot.ignored, by_object), lambda: _grouped(scene, robot.ignored, by_object))
+    return found + own_shapes(robot)
 
 
 def obstacles_in(around: Grouped) -> tuple[Obstacles, ...]:
@@ -156,18 +156,18 @@ def bits(ignored: tuple[tuple[int, str], ...]) -> dict[int, int]:
     return {link: 1 << k for k, link in enumerate(links)}
 
 
-def own_shapes(chain: Chain) -> tuple[Own, ...]:
-    """What decides where a chain's volumes are too near to tell: surfaces of an exact one, convex parts of one with fitted
+def own_shapes(robot: Robot) -> tuple[Own, ...]:
+    """What decides where a robot's volumes are too near to tell: surfaces of an exact one, convex parts of one with fitted
     meshes, if they speak of its volumes as they are."""
-    parts = _known_parts(chain) if chain.concrete else _own_parts(chain)
-    if not chain.surfaces:
+    parts = _known_parts(robot) if robot.concrete else _own_parts(robot)
+    if not robot.surfaces:
         return parts
-    known = {each.link for each in chain.surfaces}
-    for link in solid_links(chain):
+    known = {each.link for each in robot.surfaces}
+    for link in solid_links(robot):
         if link not in known:
-            name = chain.link_names[link]
-            raise ValueError(f"{chain.name}: exact, but {name} has no surface; give it one in `surfaces`, or leave all out")
-    own = _own_surfaces(chain.surfaces, tuple(solid_links(chain)[::-1]), chain.link_joint, chain.ignored, _shape_of(chain))
+            name = robot.link_names[link]
+            raise ValueError(f"{robot.name}: exact, but {name} has no surface; give it one in `surfaces`, or leave all out")
+    own = _own_surfaces(robot.surfaces, tuple(solid_links(robot)[::-1]), robot.link_joint, robot.ignored, _shape_of(robot))
     return own, *parts
 
 
@@ -189,49 +189,49 @@ def _own_surfaces(
     return OwnSurfaces(trees, joint, number, np.cumsum([0, *points]).astype(np.int32), np.asarray(WITHIN), shape, ignored)
 
 
-def _shape_of(chain: Chain) -> str:
-    """A hash of a chain's links and their shapes, but for what JAX arrays hold: those are operands of its kernels."""
-    return _known_shape(chain) if chain.concrete else _hash_of(chain)
+def _shape_of(robot: Robot) -> str:
+    """A hash of a robot's links and their shapes, but for what JAX arrays hold: those are operands of its kernels."""
+    return _known_shape(robot) if robot.concrete else _hash_of(robot)
 
 
-def _hash_of(chain: Chain) -> str:
+def _hash_of(robot: Robot) -> str:
     shapes = jax.tree_util.tree_leaves(
-        [(v.corners, v.radius) for v in chain.volumes] + [(b.joint_T_box, b.half) for b in chain.boxes]
+        [(v.corners, v.radius) for v in robot.volumes] + [(b.joint_T_box, b.half) for b in robot.boxes]
     )
     fixed = [x for x in shapes if not isinstance(x, jax.Array)]
-    return hashed((solid_links(chain), chain.link_joint, chain.convex_parts, [np.shape(x) for x in shapes]), fixed)
+    return hashed((solid_links(robot), robot.link_joint, robot.convex_parts, [np.shape(x) for x in shapes]), fixed)
 
 
-def _own_parts(chain: Chain) -> tuple[OwnParts, ...]:
+def _own_parts(robot: Robot) -> tuple[OwnParts, ...]:
     """None where no link's volumes are those that its parts are known for, or these are traced."""
-    if not chain.convex_parts or not is_known((chain.volumes, chain.boxes)):
+    if not robot.convex_parts or not is_known((robot.volumes, robot.boxes)):
         return ()
     fitted: dict[int, list[tuple[np.ndarray, float]]] = {}
-    for part in known_parts(chain):
+    for part in known_parts(robot):
         fitted.setdefault(part.link, []).append((part.corners, part.radius))
     if not fitted:
         return ()
-    links, plain = solid_links(chain)[::-1], _plain_bodies(chain)
+    links, plain = solid_links(robot)[::-1], _plain_bodies(robot)
     of = [fitted.get(link) or plain[link] for link in links]
     bodies = [body for each in of for body in each]
     starts = lambda sizes: np.cumsum([0, *sizes]).astype(np.int32)
     corners, radius = np.concatenate([c for c, _ in bodies]), np.array([r for _, r in bodies])
     low, high = (np.array([f(c, axis=0) + s * (r + SLACK) for c, r in bodies]) for f, s in ((np.min, -1.0), (np.max, 1.0)))
     center, half = (high + low) / 2.0, (high - low) / 2.0
-    joint = np.repeat([chain.link_joint[link] for link in links], [len(each) for each in of]).astype(np.int32)
+    joint = np.repeat([robot.link_joint[link] for link in links], [len(each) for each in of]).astype(np.int32)
     closer = np.array([link in fitted for link in links])
     begins, first = starts(len(c) for c, _ in bodies), starts(map(len, of))
     return (
         OwnParts(
-            corners, begins, radius, joint, center, half, first, closer, np.asarray(NEAR), _shape_of(chain), chain.ignored
+            corners, begins, radius, joint, center, half, first, closer, np.asarray(NEAR), _shape_of(robot), robot.ignored
         ),
     )
 
 
-def _plain_bodies(chain: Chain) -> dict[int, list[tuple[np.ndarray, float]]]:
+def _plain_bodies(robot: Robot) -> dict[int, list[tuple[np.ndarray, float]]]:
     """Each link's volumes."""
     found: dict[int, list[tuple[np.ndarray, float]]] = {}
-    for corners, radius, link in filter(None, (local_volumes(chain, count) for count in (1, 2, 3))):
+    for corners, radius, link in filter(None, (local_volumes(robot, count) for count in (1, 2, 3))):
         for owner, *volume in zip(link.tolist(), np.asarray(corners), np.asarray(radius).tolist(), strict=True):
             found.setdefault(owner, []).append((volume[0], volume[1]))
     return found
@@ -242,9 +242,9 @@ _known_shape = functools.lru_cache(maxsize=64)(_hash_of)
 
 
 @functools.lru_cache(maxsize=64)
-def by_volumes(chain: Chain) -> Chain:
-    """An exact chain as its volumes and convex parts know it, which hold its surfaces; any other as it is."""
-    return dataclasses.replace(chain, surfaces=()) if chain.surfaces else chain
+def by_volumes(robot: Robot) -> Robot:
+    """An exact robot as its volumes and convex parts know it, which hold its surfaces; any other as it is."""
+    return dataclasses.replace(robot, surfaces=()) if robot.surfaces else robot
 
 
 def at_margin(around: Grouped, margin: Any, resolution: float = CLOSE) -> Grouped:
@@ -402,7 +402,7 @@ class Volumes:
 
     `corners` (v, c, 3) and `leaves` in the frames of `joint` (v,); `even`: whether the radii in a leaf are the same."""
 
-    def __init__(self, chain: Chain, links: tuple[int, ...], corners: Any, radius: Any, link: np.ndarray):
+    def __init__(self, robot: Robot, links: tuple[int, ...], corners: Any, radius: Any, link: np.ndarray):
         known, self.arity = is_known((corners, radius)), int(corners.shape[1])
         fixed, xp = ((corners, radius), np) if known else (lax.stop_gradient((corners, radius)), jnp)
         center, reach = balls_of(*fixed, xp)
@@ -413,16 +413,16 @@ class Volumes:
         self.first, self.last = ends[:-1].astype(np.int32), ends[1:].astype(np.int32)
         self.leaves = around(center[order].reshape(-1, size, 3), reach[order].reshape(-1, size), xp)
         self.corners, self.radius, self.link = corners[order], radius[order], link[order]
-        self.joint = np.array(chain.link_joint, np.int32)[self.link]
+        self.joint = np.array(robot.link_joint, np.int32)[self.link]
         self.even = known and bool(np.all(np.ptp(self.radius.reshape(-1, size), axis=1) == 0.0))
 
 
 class Tables:
-    """A chain's `pair_tables`: which of them each pair of parts has (-1: none), and of each table its joints (t, 2), its `axes`
+    """A robot's `pair_tables`: which of them each pair of parts has (-1: none), and of each table its joints (t, 2), its `axes`
     (t, 2, 6), how many nodes it has along a joint (t,), where its bounds begin (t,), and the bounds of all."""
 
-    def __init__(self, chain: Chain, pairs: list[tuple[int, int]]):
-        found = pair_tables(chain)
+    def __init__(self, robot: Robot, pairs: list[tuple[int, int]]):
+        found = pair_tables(robot)
         number = {table.links: t for t, table in enumerate(found)}
         self.of = np.array([number.get(pair, -1) for pair in pairs], np.int32)
         self.joints, self.axes = np.array([t.joints for t in found], np.int32), np.array([t.axes for t in found])
@@ -432,41 +432,41 @@ class Tables:
         self.bounds = np.concatenate(bounds)
 
 
-class Robot:
-    """A chain's volumes by corner count, and its parts: links, the last first, each with a sphere around it.
+class RobotTrees:
+    """A robot's volumes by corner count, and its parts: links, the last first, each with a sphere around it.
 
     `other[first[p]:last[p]]` are the parts, of earlier links, that part p is checked against; `part` is p, of each of these.
     """
 
-    def __init__(self, chain: Chain):
-        self.links = tuple(solid_links(chain)[::-1])
-        self.joint = np.array([chain.link_joint[link] for link in self.links], np.int32)
-        local = (local_volumes(chain, count) for count in (1, 2, 3))
-        self.kinds = tuple(Volumes(chain, self.links, *each) for each in local if each is not None)
+    def __init__(self, robot: Robot):
+        self.links = tuple(solid_links(robot)[::-1])
+        self.joint = np.array([robot.link_joint[link] for link in self.links], np.int32)
+        local = (local_volumes(robot, count) for count in (1, 2, 3))
+        self.kinds = tuple(Volumes(robot, self.links, *each) for each in local if each is not None)
         self.parts = _parts(self.links, self.kinds)
         part = {link: p for p, link in enumerate(self.links)}
-        before = [[part[a] for a, b in chain.self_pairs if b == link and a in part] for link in self.links]
+        before = [[part[a] for a, b in robot.self_pairs if b == link and a in part] for link in self.links]
         ends = np.cumsum([0, *map(len, before)], dtype=np.int32)
         self.part = np.repeat(np.arange(len(before), dtype=np.int32), [len(each) for each in before])
         self.first, self.last, self.other = ends[:-1], ends[1:], np.array([p for each in before for p in each], np.int32)
-        self.tables = Tables(chain, [(self.links[o], self.links[p]) for p, each in enumerate(before) for o in each])
+        self.tables = Tables(robot, [(self.links[o], self.links[p]) for p, each in enumerate(before) for o in each])
 
 
-_known_robot = functools.lru_cache(maxsize=64)(Robot)
+_known_robot = functools.lru_cache(maxsize=64)(RobotTrees)
 
 
-def robot(chain: Chain) -> Robot:
+def robot_trees(robot: Robot) -> RobotTrees:
     """Raises nothing; `clearances.check_geometry` says what is missing."""
-    return _known_robot(chain) if chain.concrete else Robot(chain)
+    return _known_robot(robot) if robot.concrete else RobotTrees(robot)
 
 
-def pair_tables(chain: Chain) -> list[PairTable]:
+def pair_tables(robot: Robot) -> list[PairTable]:
     """Those that speak of the links as they are; none where these are JAX arrays, which a kernel takes as operands."""
-    measured = jax.tree_util.tree_leaves((chain.parent_T_joint, chain.axis, chain.volumes, chain.boxes))
-    if not chain.pair_tables or any(isinstance(x, jax.Array) for x in measured):
+    measured = jax.tree_util.tree_leaves((robot.parent_T_joint, robot.axis, robot.volumes, robot.boxes))
+    if not robot.pair_tables or any(isinstance(x, jax.Array) for x in measured):
         return []
-    pairs = set(chain.self_pairs)
-    return [t for t in chain.pair_tables if t.links in pairs and t.geometry == geometry_between(chain, t.links, t.joints)]
+    pairs = set(robot.self_pairs)
+    return [t for t in robot.pair_tables if t.links in pairs and t.geometry == geometry_between(robot, t.links, t.joints)]
 
 
 def _parts(links: tuple[int, ...], kinds: tuple[Volumes, ...]) -> Balls:

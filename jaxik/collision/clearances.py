@@ -23,11 +23,11 @@ from jaxik.collision import bvh
 from jaxik.collision.bvh import Grouped, at_margin, grouped, obstacles_in
 from jaxik.collision.nearest_pair import Space
 from jaxik.collision.scene import FAR, Scene
-from jaxik.robot.chain import Array, Chain, as_configuration, finite_limits
+from jaxik.kinematics.robot import Array, Robot, as_configuration, finite_limits
 from jaxik.spmd import kernel
 
 
-def clearance(chain: Chain, scene: Scene | Grouped | None, q: Float[Array, " n"]) -> Float[jax.Array, ""]:
+def clearance(robot: Robot, scene: Scene | Grouped | None, q: Float[Array, " n"]) -> Float[jax.Array, ""]:
     """The smallest signed distance of the robot to the scene and to itself [m]; negative is depth of penetration: the
     shortest way out, of what is in a mesh a bound (`distance`). Where volumes are near, a fitted robot's convex parts decide,
     an exact one's triangles (`own_shape`): it is then 10 mm at most, or 25 mm. Traced.
@@ -37,56 +37,56 @@ def clearance(chain: Chain, scene: Scene | Grouped | None, q: Float[Array, " n"]
     gradient is that of the closest pair; where a sphere's centre lies on a point it is 0.
 
     A scene that is known while JAX traces is ordered by place, so that most of it need not be measured: close over it, or give
-    what `bvh.grouped` makes of it. Raises `ValueError` for a chain without collision geometry, or whose meshes were
+    what `bvh.grouped` makes of it. Raises `ValueError` for a robot without collision geometry, or whose meshes were
     not read.
     """
-    return _clearance(chain, _around("clearance", chain, scene, q), q)
+    return _clearance(robot, _around("clearance", robot, scene, q), q)
 
 
-def link_clearances(chain: Chain, scene: Scene | Grouped | None, q: Float[Array, " n"]) -> Float[jax.Array, " k"]:
+def link_clearances(robot: Robot, scene: Scene | Grouped | None, q: Float[Array, " n"]) -> Float[jax.Array, " k"]:
     """The clearance of each link that has collision geometry, in the order of the links [m]; `clearance` is their minimum.
     Traced.
 
     A pair of links counts for the later one. As constraints of an optimiser these are smoother than their minimum, which jumps
     from link to link.
     """
-    return _link_clearances(chain, _around("link_clearances", chain, scene, q), q)
+    return _link_clearances(robot, _around("link_clearances", robot, scene, q), q)
 
 
-def self_clearance(chain: Chain, q: Float[Array, " n"]) -> Float[jax.Array, ""]:
-    """The smallest signed distance of the robot to itself, over `chain.self_pairs` [m]. Traced."""
-    return _clearance(chain, _around("self_clearance", chain, None, q), q)
+def self_clearance(robot: Robot, q: Float[Array, " n"]) -> Float[jax.Array, ""]:
+    """The smallest signed distance of the robot to itself, over `robot.self_pairs` [m]. Traced."""
+    return _clearance(robot, _around("self_clearance", robot, None, q), q)
 
 
-def collides(chain: Chain, scene: Scene | Grouped | None, q: Float[Array, " n"], margin: Any = 0.0) -> Bool[jax.Array, ""]:
+def collides(robot: Robot, scene: Scene | Grouped | None, q: Float[Array, " n"], margin: Any = 0.0) -> Bool[jax.Array, ""]:
     """Whether the robot comes nearer than `margin` [m] to the scene or to itself: `clearance < margin`, or NaN. What
     decides where volumes are near does so at any margin, also above the 10 or 25 mm at which `clearance` ends. Traced.
 
     What is further away than the margin is not measured, and the first that is nearer ends it. How much time that saves depends
     on the robot and the batch: a fifth for P6R, three fifths with 64 times its spheres, nothing for some.
     """
-    return _collides(chain, _around("collides", chain, scene, q), q, margin)
+    return _collides(robot, _around("collides", robot, scene, q), q, margin)
 
 
-def object_clearances(chain: Chain, scene: Scene, q: Float[Array, " n"]) -> Float[jax.Array, " o"]:
+def object_clearances(robot: Robot, scene: Scene, q: Float[Array, " n"]) -> Float[jax.Array, " o"]:
     """The robot's signed distance to each object of `scene.object_names` [m]; infinite to one that is moved away. Traced."""
     check_kind("object_clearances", "scene", scene, Scene)
-    check_geometry(chain)
-    return by_object(chain, len(scene.object_names), as_wide(grouped(scene, chain, by_object=True), q), q)
+    check_geometry(robot)
+    return by_object(robot, len(scene.object_names), as_wide(grouped(scene, robot, by_object=True), q), q)
 
 
-def link_contacts(chain: Chain, around: Grouped, q: Any) -> tuple[Any, list[Any]]:
+def link_contacts(robot: Robot, around: Grouped, q: Any) -> tuple[Any, list[Any]]:
     """`link_clearances` (k,), and their derivatives by each joint: n arrays (k,) [m/rad, 1]."""
-    space = Space(chain, around, as_configuration(chain, q))
+    space = Space(robot, around, as_configuration(robot, q))
     return space.each(lambda found: (_seen(found.distance), space.slopes(found)), tracked=True)
 
 
-def _around(who: str, chain: Chain, scene: Any, q: Any) -> Grouped:
+def _around(who: str, robot: Robot, scene: Any, q: Any) -> Grouped:
     if not isinstance(scene, tuple):
         check_kind(who, "scene", scene, Scene, optional=True)
-    check_kind(who, "chain", chain, Chain)
-    check_geometry(chain)
-    return as_wide(grouped(scene, chain), q)
+    check_kind(who, "robot", robot, Robot)
+    check_geometry(robot)
+    return as_wide(grouped(scene, robot), q)
 
 
 def as_wide(around: Grouped, q: Any) -> Grouped:
@@ -100,31 +100,31 @@ def as_wide(around: Grouped, q: Any) -> Grouped:
     return jax.tree_util.tree_map(lambda x: x.astype(wide) if other(x) else x, around)
 
 
-def has_geometry(chain: Chain) -> bool:
-    """Whether the chain has shapes to collide with, and no meshes that were not read."""
-    return bool(chain.boxes or chain.volumes) and not chain.unread_meshes
+def has_geometry(robot: Robot) -> bool:
+    """Whether the robot has shapes to collide with, and no meshes that were not read."""
+    return bool(robot.boxes or robot.volumes) and not robot.unread_meshes
 
 
-def check_geometry(chain: Chain) -> None:
-    """What drivers ask before they compile anything. Raises `ValueError` for a chain that has no shapes to collide with, or
+def check_geometry(robot: Robot) -> None:
+    """What drivers ask before they compile anything. Raises `ValueError` for a robot that has no shapes to collide with, or
     NaN or infinity in the numbers by which it does, where these are known."""
-    if chain.unread_meshes:
-        links = ", ".join(chain.unread_meshes[:5])
+    if robot.unread_meshes:
+        links = ", ".join(robot.unread_meshes[:5])
         raise ValueError(
-            f"{chain.name}: the meshes of {links} were not read; load the chain with meshes=True (without --no-meshes)"
+            f"{robot.name}: the meshes of {links} were not read; load the robot with meshes=True (without --no-meshes)"
         )
-    if not chain.boxes and not chain.volumes:
+    if not robot.boxes and not robot.volumes:
         mend = "add shapes to its file ([[shape]] of a TOML, <collision> of a URDF, geoms of an MJCF)"
-        raise ValueError(f"{chain.name}: has no collision geometry; {mend}")
+        raise ValueError(f"{robot.name}: has no collision geometry; {mend}")
     with contextlib.suppress(jax.errors.TracerArrayConversionError):  # of what is traced nothing is known: `_unsound`
-        _check_finite(chain)  # the cache knows it in a microsecond, where to look for tracers takes ten
+        _check_finite(robot)  # the cache knows it in a microsecond, where to look for tracers takes ten
 
 
 @functools.lru_cache(maxsize=64)
-def _check_finite(chain: Chain) -> None:
-    for name, part in _shape_of(chain).items():
+def _check_finite(robot: Robot) -> None:
+    for name, part in _shape_of(robot).items():
         if not all(np.isfinite(x).all() for x in jax.tree_util.tree_leaves(part)):
-            raise ValueError(f"{chain.name}: {name} holds NaN or infinity; write finite numbers")
+            raise ValueError(f"{robot.name}: {name} holds NaN or infinity; write finite numbers")
 
 
 # --------------------------------------------------------------------------------------------------------------------
@@ -135,14 +135,14 @@ MANY = 300  # pairs of leaves, from which lanes that are alike save more time th
 BITS = 5  # of each joint's value, in an order
 
 
-def _order(chain: Chain, around: Grouped, q: Any, *_: Any) -> Any:
+def _order(robot: Robot, around: Grouped, q: Any, *_: Any) -> Any:
     """Where a configuration comes in an order in which neighbours are near the same things: along Morton's curve through the
     values of the first three joints [Morton 1966]. None where there is little to skip."""
-    robot = bvh.robot(chain)
-    if not chain.surfaces and _pairs_of_leaves(robot, around) < MANY:
+    trees = bvh.robot_trees(robot)
+    if not robot.surfaces and _pairs_of_leaves(trees, around) < MANY:
         return None
-    q, (low, high) = as_configuration(chain, q), finite_limits(chain)
-    place, first = jnp.int32(0), range(min(3, chain.num_joints))
+    q, (low, high) = as_configuration(robot, q), finite_limits(robot)
+    place, first = jnp.int32(0), range(min(3, robot.num_joints))
     for j in first:
         step = jnp.clip((q[j] - low[j]) * (2**BITS / max(high[j] - low[j], 1e-9)), 0, 2**BITS - 1).astype(jnp.int32)
         for bit in range(BITS):
@@ -150,72 +150,72 @@ def _order(chain: Chain, around: Grouped, q: Any, *_: Any) -> Any:
     return place.astype(q.dtype) / 2 ** (BITS * len(first))
 
 
-def _pairs_of_leaves(robot: bvh.Robot, around: Grouped) -> int:
-    own = np.sum([v.last - v.first for v in robot.kinds], axis=0)  # of each part
+def _pairs_of_leaves(trees: bvh.RobotTrees, around: Grouped) -> int:
+    own = np.sum([v.last - v.first for v in trees.kinds], axis=0)  # of each part
     obstacles = sum(len(o.leaves.radius) for o in obstacles_in(around))
-    return int(np.sum(own[robot.part] * own[robot.other]) + np.sum(own) * obstacles)
+    return int(np.sum(own[trees.part] * own[trees.other]) + np.sum(own) * obstacles)
 
 
 @kernel(models=1, order=_order)
-def _clearance(chain: Chain, around: Grouped, q: Any) -> Any:
-    return _measured(chain, around, q, lambda space, then, tracked: then(space.all(tracked=tracked)))
+def _clearance(robot: Robot, around: Grouped, q: Any) -> Any:
+    return _measured(robot, around, q, lambda space, then, tracked: then(space.all(tracked=tracked)))
 
 
 @kernel(models=1, order=_order)
-def _link_clearances(chain: Chain, around: Grouped, q: Any) -> Any:
-    return _measured(chain, around, q, lambda space, then, tracked: space.each(then, tracked))
+def _link_clearances(robot: Robot, around: Grouped, q: Any) -> Any:
+    return _measured(robot, around, q, lambda space, then, tracked: space.each(then, tracked))
 
 
 @kernel(models=2)
-def by_object(chain: Chain, count: int, around: Grouped, q: Any) -> Any:
+def by_object(robot: Robot, count: int, around: Grouped, q: Any) -> Any:
     """`object_clearances` (count,) to obstacles that are ordered so."""
-    return _measured(chain, around, q, lambda space, then, tracked: space.objects(count, then, tracked))
+    return _measured(robot, around, q, lambda space, then, tracked: space.objects(count, then, tracked))
 
 
 @kernel(models=1, order=_order)
-def _collides(chain: Chain, around: Grouped, q: Any, margin: Any) -> Any:
-    q = as_configuration(chain, q)
+def _collides(robot: Robot, around: Grouped, q: Any, margin: Any) -> Any:
+    q = as_configuration(robot, q)
     margin = jnp.asarray(margin, q.dtype)
-    least = Space(chain, at_margin(around, margin), q).all(margin, enough=margin).distance
-    return ~((least >= margin) & (_unsound(chain, around, q) == 0.0))
+    least = Space(robot, at_margin(around, margin), q).all(margin, enough=margin).distance
+    return ~((least >= margin) & (_unsound(robot, around, q) == 0.0))
 
 
-def _measured(chain: Chain, around: Grouped, q: Any, search: Callable[..., Any]) -> Any:
+def _measured(robot: Robot, around: Grouped, q: Any, search: Callable[..., Any]) -> Any:
     """What `search` finds, whose derivative by q is that of `Space.slopes`."""
-    q = as_configuration(chain, q)
+    q = as_configuration(robot, q)
 
     def direct(around: Grouped, q: Any) -> Any:
-        space = Space(chain, around, q)
-        return search(Space(*stop_gradients((chain, around, q))), lambda found: _seen(space.gap(found)), True)
+        space = Space(robot, around, q)
+        return search(Space(*stop_gradients((robot, around, q))), lambda found: _seen(space.gap(found)), True)
 
     def plain(around: Grouped, q: Any) -> Any:
-        return search(Space(chain, around, q), lambda found: _seen(found.distance), False)
+        return search(Space(robot, around, q), lambda found: _seen(found.distance), False)
 
     def rule(primals: Any, tangents: Any) -> Any:
         if not all(map(_is_zero, jax.tree_util.tree_leaves(tangents[0], is_leaf=_is_zero))):  # the scene moves, too
             return jax.jvp(direct, primals, jax.tree_util.tree_map(_materialised, tangents, is_leaf=_is_zero))
-        space, fixed = Space(chain, *primals), Space(chain, *stop_gradients(primals))
+        space, fixed = Space(robot, *primals), Space(robot, *stop_gradients(primals))
         value, slopes = search(fixed, lambda found: (_seen(found.distance), space.slopes(found)), True)
         turned = _materialised(tangents[1])
         return value, sum(slope * turned[j] for j, slope in enumerate(slopes))
 
     measure = jax.custom_jvp(plain)
     measure.defjvp(rule, symbolic_zeros=True)
-    shaped = any(isinstance(leaf, jax.Array) for leaf in jax.tree_util.tree_leaves(chain))  # it may be differentiated itself
-    return (direct if shaped else measure)(around, q) + _unsound(chain, around, q)
+    shaped = any(isinstance(leaf, jax.Array) for leaf in jax.tree_util.tree_leaves(robot))  # it may be differentiated itself
+    return (direct if shaped else measure)(around, q) + _unsound(robot, around, q)
 
 
-def _unsound(chain: Chain, around: Grouped, q: Any) -> Any:
-    """0, or NaN where a number of the scene, of q or of a traced chain is (`check_geometry` knows the others): comparisons, by
+def _unsound(robot: Robot, around: Grouped, q: Any) -> Any:
+    """0, or NaN where a number of the scene, of q or of a traced robot is (`check_geometry` knows the others): comparisons, by
     which the nearest is found, do not carry it on."""
-    shape = [] if is_known(chain) else jax.tree_util.tree_leaves(_shape_of(chain))
+    shape = [] if is_known(robot) else jax.tree_util.tree_leaves(_shape_of(robot))
     found = [*(o.unsound for o in obstacles_in(around)), *(0.0 * jnp.sum(x) for x in shape)]
     return lax.stop_gradient(sum((x.astype(q.dtype) for x in found), start=0.0 * jnp.sum(q)))
 
 
-def _shape_of(chain: Chain) -> dict[str, Any]:
-    """The numbers by which a chain collides. Its limits, which may be infinite, are not among them."""
-    return {name: getattr(chain, name) for name in ("parent_T_joint", "axis", "world_T_base", "boxes", "volumes")}
+def _shape_of(robot: Robot) -> dict[str, Any]:
+    """The numbers by which a robot collides. Its limits, which may be infinite, are not among them."""
+    return {name: getattr(robot, name) for name in ("parent_T_joint", "axis", "world_T_base", "boxes", "volumes")}
 
 
 def _is_zero(tangent: Any) -> bool:

@@ -21,15 +21,15 @@ from jaxtyping import Float
 from jaxik.checks.arrays import check_known
 from jaxik.checks.options import as_count, check_finite, check_kind
 from jaxik.collision import distance
-from jaxik.collision.bvh import Grouped, decided_within, grouped, own_in, pair_tables, robot
+from jaxik.collision.bvh import Grouped, decided_within, grouped, own_in, pair_tables, robot_trees
 from jaxik.collision.clearances import check_geometry
 from jaxik.collision.nearest_pair import Space
 from jaxik.collision.scene import FAR, Scene, check_scene
 from jaxik.collision.shape_distances import Gap, along, columns_of, depth_gap, obstacles_of, skeleton_gap
 from jaxik.collision.solids import SAMPLES
 from jaxik.collision.volumes import Skeleton, skeletons
-from jaxik.robot.chain import Array, Chain
-from jaxik.robot.kinematics import as_posture
+from jaxik.kinematics.forward import as_posture
+from jaxik.kinematics.robot import Array, Robot
 from jaxik.spatial.algebra import Vec3
 from jaxik.spmd import HostKernel
 
@@ -84,66 +84,66 @@ class Surroundings:
         return "\n".join(map(str, (*self.contacts, *(f"not checked: {c}" for c in self.unchecked), *self.limits)))
 
 
-def explain(chain: Chain, scene: Scene | None, q: Float[Array, " n"], count: int = 5, below: float = np.inf) -> Surroundings:
+def explain(robot: Robot, scene: Scene | None, q: Float[Array, " n"], count: int = 5, below: float = np.inf) -> Surroundings:
     """What is nearest to the robot at `q` (n,) [rad, m]: the `count` nearest pairs of a link with an object of the scene or
     with another link, those nearer than `below` [m], and the `count` joints nearest to a limit; and which links overlap that
-    are not checked against each other (`chain.unchecked`), but for neighbours, or objects that they ignore. Host.
+    are not checked against each other (`robot.unchecked`), but for neighbours, or objects that they ignore. Host.
 
     Each pair of names stands once, at its least distance; the first pair's is `clearance`. Of a robot whose meshes decide
     (`load(.., exact=True)`), or their convex parts, distances are those of these, also where `clearance` is content with less;
     where they cross, by how far its volumes do. A host function, in float64.
-    Raises `ValueError` for a chain without collision geometry, or a q of another shape or with NaN or infinity.
+    Raises `ValueError` for a robot without collision geometry, or a q of another shape or with NaN or infinity.
     """
     check_kind("explain", "scene", scene, Scene, optional=True)
-    check_known("explain", chain=chain, scene=scene)
+    check_known("explain", robot=robot, scene=scene)
     if scene is not None:
         check_scene(scene)
     count = as_count("explain: count", count)
     if below != np.inf:
         check_finite("explain", below=below)
-    posture = as_posture("explain", chain, q)
-    check_geometry(chain)
-    volumes = skeletons(chain, posture.tolist(), np.float64)
+    posture = as_posture("explain", robot, q)
+    check_geometry(robot)
+    volumes = skeletons(robot, posture.tolist(), np.float64)
     with jax.enable_x64(True):
-        if own_in(grouped(None, chain)):
-            every = sorted(_by_own_shape(chain, scene, posture), key=lambda contact: contact.distance)
+        if own_in(grouped(None, robot)):
+            every = sorted(_by_own_shape(robot, scene, posture), key=lambda contact: contact.distance)
             contacts = tuple(contact for contact in every[:count] if contact.distance < below)
         else:
-            pairs = [*_with_scene(chain, scene, volumes), *_with_itself(chain, volumes, chain.self_pairs)]
-            bounds = {table.links: float(table(posture)) for table in pair_tables(chain)}
+            pairs = [*_with_scene(robot, scene, volumes), *_with_itself(robot, volumes, robot.self_pairs)]
+            bounds = {table.links: float(table(posture)) for table in pair_tables(robot)}
             found = [row for row in _nearest(pairs, bounds)[:count] if row[0] < below]
-            contacts = tuple(_contact(chain, scene, pairs[number], apart, *row) for apart, number, *row in found)
-        beside = [*_with_itself(chain, volumes, _left_out(chain)), *_with_scene(chain, scene, volumes, ignored=True)]
-        overlapping = _overlapping(chain, posture, beside)[:count]
-        unchecked = tuple(_contact(chain, scene, beside[number], apart, *row) for apart, number, *row in overlapping)
-    return Surroundings(contacts, _limits(chain, posture)[:count], unchecked)
+            contacts = tuple(_contact(robot, scene, pairs[number], apart, *row) for apart, number, *row in found)
+        beside = [*_with_itself(robot, volumes, _left_out(robot)), *_with_scene(robot, scene, volumes, ignored=True)]
+        overlapping = _overlapping(robot, posture, beside)[:count]
+        unchecked = tuple(_contact(robot, scene, beside[number], apart, *row) for apart, number, *row in overlapping)
+    return Surroundings(contacts, _limits(robot, posture)[:count], unchecked)
 
 
-def _overlapping(chain: Chain, q: np.ndarray, pairs: list[_Pairs]) -> list[tuple[float, int, int, int]]:
+def _overlapping(robot: Robot, q: np.ndarray, pairs: list[_Pairs]) -> list[tuple[float, int, int, int]]:
     """Of each two names that overlap, the deepest row (`_nearest`): those whose volumes do, and of two links what decides where
     volumes are near, too."""
     found = [row for row in _nearest(pairs, {}) if row[0] < 0.0]
-    if not any(pairs[number].itself for _, number, *_ in found) or not own_in(grouped(None, chain)):
+    if not any(pairs[number].itself for _, number, *_ in found) or not own_in(grouped(None, robot)):
         return found
-    apart = dataclasses.replace(chain, self_pairs=tuple(_left_out(chain)))
+    apart = dataclasses.replace(robot, self_pairs=tuple(_left_out(robot)))
     told = [contact for contact in _by_own_shape(apart, None, q) if contact.distance < 0.0]
-    crossing, links = {(contact.link, contact.other) for contact in told}, chain.link_names
+    crossing, links = {(contact.link, contact.other) for contact in told}, robot.link_names
     counts = lambda each, other, volume: not each.itself or (links[each.links[volume]], links[each.owners[other]]) in crossing
     return [(gap, number, *row) for gap, number, *row in found if counts(pairs[number], *row)]
 
 
-def _by_own_shape(chain: Chain, scene: Scene | None, q: np.ndarray) -> Iterator[Contact]:
+def _by_own_shape(robot: Robot, scene: Scene | None, q: np.ndarray) -> Iterator[Contact]:
     """Of a robot that knows more than its volumes, every pair of links, and of a link and an object, that counts."""
     names: tuple[str, ...] = ()
     if scene is not None:  # what belongs to no object makes one
         owners = tuple(tuple(int(o) if o >= 0 else len(scene.object_names) for o in own) for _, _, own in scene.by_kind())
         names = (*scene.object_names, "the scene")
         scene = dataclasses.replace(scene, object_names=names, removable=(*scene.removable, False), owners=owners)
-    own, links = robot(chain), chain.link_names
+    own, links = robot_trees(robot), robot.link_names
     if not len(own.other) and not names:  # a program of no pairs has no results
         return
-    exactly = decided_within(grouped(scene, chain, by_object=True), lambda _: FAR)
-    apart, points, others = (x[0] for x in _every_contact(chain, len(names)).run(q[None], exactly, double=True))
+    exactly = decided_within(grouped(scene, robot, by_object=True), lambda _: FAR)
+    apart, points, others = (x[0] for x in _every_contact(robot, len(names)).run(q[None], exactly, double=True))
     pairs = [(own.links[p], links[own.links[o]]) for p, o in zip(own.part, own.other, strict=True)]
     pairs += [(link, name) for link in own.links for name in names]
     for (link, other), gap, mine, theirs in zip(pairs, apart, points, others, strict=True):
@@ -152,24 +152,24 @@ def _by_own_shape(chain: Chain, scene: Scene | None, q: np.ndarray) -> Iterator[
 
 
 @lru_cache(maxsize=64)
-def _every_contact(chain: Chain, objects: int) -> HostKernel:
+def _every_contact(robot: Robot, objects: int) -> HostKernel:
     """Of each pair of parts, and of each part and object, the distance, and where the two are nearest."""
 
     def contacts(q: Any, around: Grouped) -> Any:
-        space = Space(chain, around, q, by_table=False)
+        space = Space(robot, around, q, by_table=False)
         told = lambda found: (found.distance, *space.nearest_points(found))
-        parts = [space.each_pair(told)] if len(space.robot.other) else []
+        parts = [space.each_pair(told)] if len(space.trees.other) else []
         parts += [space.each_object(objects, told)] if objects else []
         return tuple(jnp.concatenate(columns) for columns in zip(*parts, strict=True))
 
     return HostKernel(contacts, 1)
 
 
-def _left_out(chain: Chain) -> list[tuple[int, int]]:
+def _left_out(robot: Robot) -> list[tuple[int, int]]:
     """The pairs of links that move against each other, are no neighbours, and are not checked though they may touch."""
-    number = {name: i for i, name in enumerate(chain.link_names)}
-    pairs = [(number[a], number[b]) for u in chain.unchecked if u.reason in ("named", "touches") for a, b in [u.links]]
-    return [(a, b) for a, b in pairs if abs(chain.link_joint[a] - chain.link_joint[b]) > 1]
+    number = {name: i for i, name in enumerate(robot.link_names)}
+    pairs = [(number[a], number[b]) for u in robot.unchecked if u.reason in ("named", "touches") for a, b in [u.links]]
+    return [(a, b) for a, b in pairs if abs(robot.link_joint[a] - robot.link_joint[b]) > 1]
 
 
 class _Pairs:
@@ -231,12 +231,12 @@ def _crossings() -> HostKernel:
     return HostKernel(cut, 12)
 
 
-def _with_scene(chain: Chain, scene: Scene | None, volumes: dict[int, Skeleton], ignored: bool = False) -> Iterator[_Pairs]:
+def _with_scene(robot: Robot, scene: Scene | None, volumes: dict[int, Skeleton], ignored: bool = False) -> Iterator[_Pairs]:
     """Of each link and object that count, or those that are `ignored`."""
-    if scene is None or (ignored and not chain.ignored):
+    if scene is None or (ignored and not robot.ignored):
         return
-    meet = np.ones((len(scene.object_names) + 1, len(chain.link_names)), bool)  # the last for what has no name
-    for link, what in chain.ignored:
+    meet = np.ones((len(scene.object_names) + 1, len(robot.link_names)), bool)  # the last for what has no name
+    for link, what in robot.ignored:
         meet[[what in ("*", name) for name in (*scene.object_names, "")], link] = False
     meet ^= ignored
     for kind, obstacles, owners in scene.by_kind():
@@ -249,9 +249,9 @@ def _with_scene(chain: Chain, scene: Scene | None, volumes: dict[int, Skeleton],
                     yield from (_Depths(pace * s, skeleton, others, owners, meet) for s in range(count))
 
 
-def _with_itself(chain: Chain, volumes: dict[int, Skeleton], pairs: Iterable[tuple[int, int]]) -> Iterator[_Pairs]:
+def _with_itself(robot: Robot, volumes: dict[int, Skeleton], pairs: Iterable[tuple[int, int]]) -> Iterator[_Pairs]:
     """Of each of some pairs of links the later one is the link, the earlier the other."""
-    meet = np.zeros((len(chain.link_names),) * 2, bool)
+    meet = np.zeros((len(robot.link_names),) * 2, bool)
     for a, b in pairs:
         meet[a, b] = True
     for mine, theirs in itertools.product(volumes.values(), repeat=2):
@@ -296,7 +296,7 @@ def _nearest(pairs: list[_Pairs], bounds: dict[tuple[int, int], float]) -> list[
     return [(float(raised[i]), int(number[i]), int(other[i]), int(volume[i])) for i in order[np.sort(first)]]
 
 
-def _contact(chain: Chain, scene: Scene | None, each: _Pairs, apart: float, other: int, volume: int) -> Contact:
+def _contact(robot: Robot, scene: Scene | None, each: _Pairs, apart: float, other: int, volume: int) -> Contact:
     (gap,), *pull = each.told(1, [other], [volume])
     corners = np.array([[x[volume] for x in corner] for corner in each.volumes[0]])
     slopes = np.reshape(pull, corners.shape)
@@ -304,13 +304,13 @@ def _contact(chain: Chain, scene: Scene | None, each: _Pairs, apart: float, othe
     force = slopes.sum(axis=0)
     nearest = (slopes @ force) @ corners if force.any() else corners.mean(axis=0)
     owner = each.owners[other]
-    name = chain.link_names[owner] if each.itself else scene.object_names[owner] if scene and owner >= 0 else "the scene"
-    link = chain.link_names[each.links[volume]]
+    name = robot.link_names[owner] if each.itself else scene.object_names[owner] if scene and owner >= 0 else "the scene"
+    link = robot.link_names[each.links[volume]]
     return Contact(link, name, apart, nearest - radius * force, nearest - (radius + gap) * force)
 
 
-def _limits(chain: Chain, q: np.ndarray) -> tuple[Limit, ...]:
-    margins = np.minimum(q - chain.lower, chain.upper - q)
-    units = ["m" if prismatic else "rad" for prismatic in chain.is_prismatic]
+def _limits(robot: Robot, q: np.ndarray) -> tuple[Limit, ...]:
+    margins = np.minimum(q - robot.lower, robot.upper - q)
+    units = ["m" if prismatic else "rad" for prismatic in robot.is_prismatic]
     order = [i for i in np.argsort(margins, kind="stable") if np.isfinite(margins[i])]
-    return tuple(Limit(chain.joint_names[i], float(margins[i]), units[i]) for i in order)
+    return tuple(Limit(robot.joint_names[i], float(margins[i]), units[i]) for i in order)

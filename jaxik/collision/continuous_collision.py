@@ -7,7 +7,7 @@ points move at a speed of at most v at t, and are accelerated by at most a anywh
     min(v s + a s^2 / 2, V s),     V = sum_j |dq_j| r_j,     a = sum_j |dq_j| r_j (|dq_j| + 2 sum_{i<j} |dq_i|)
 
 and its distance to what stands still has changed by no more than that. v is measured, by the twist of a ball about the link's
-skeleton; r_j, how far a point of the link ever is from joint j's axis, follows from the chain's lengths and the travel of its
+skeleton; r_j, how far a point of the link ever is from joint j's axis, follows from the robot's lengths and the travel of its
 slides. A slide has 1 in place of r_j in V, `2 |dq_j| sum_{i<j} |dq_i|` in a, and is no i: it turns nothing. Two links move
 relative to each other by the joints between them alone. A bound that a table gives (`link_distance_table`) changes no faster
 than the table does anywhere.
@@ -34,9 +34,9 @@ from jaxik.collision.bvh import CLOSE, balls_of, decided_within, grouped, obstac
 from jaxik.collision.clearances import as_wide, check_geometry, clearance, link_clearances
 from jaxik.collision.scene import FAR, KINDS, Scene
 from jaxik.collision.volumes import box_spheres, xp_of
-from jaxik.robot.chain import Array, Chain, as_configuration, as_shaped, finite_limits, solid_links
-from jaxik.robot.kinematics import joint_frames
-from jaxik.robot.link_distance_table import PairTable
+from jaxik.kinematics.forward import joint_frames
+from jaxik.kinematics.link_distance_table import PairTable
+from jaxik.kinematics.robot import Array, Robot, as_configuration, as_shaped, finite_limits, solid_links
 from jaxik.spatial.algebra import ZERO, Frame, Vec3, traced
 from jaxik.spmd import kernel
 
@@ -65,7 +65,7 @@ class MotionClearance(NamedTuple):
 
 
 def motion_clearance(
-    chain: Chain,
+    robot: Robot,
     scene: Scene | None,
     q_from: Float[Array, " n"],
     q_to: Float[Array, " n"],
@@ -95,11 +95,11 @@ def motion_clearance(
     Raises `ValueError` as `clearance` does, and for a resolution that is not above zero. Source: Schwarzer, Saha, Latombe,
     Adaptive dynamic collision checking for single and multiple articulated robots in complex environments, 2005.
     """
-    return _march("motion_clearance", False, chain, scene, q_from, q_to, margin, resolution, enough)
+    return _march("motion_clearance", False, robot, scene, q_from, q_to, margin, resolution, enough)
 
 
 def motion_collides(
-    chain: Chain,
+    robot: Robot,
     scene: Scene | None,
     q_from: Float[Array, " n"],
     q_to: Float[Array, " n"],
@@ -112,30 +112,30 @@ def motion_collides(
     Never false where it comes to `margin`; never true where it keeps more than `margin + resolution`, but for rounding and
     `MOST`; true for NaN.
     """
-    return ~_march("motion_collides", True, chain, scene, q_from, q_to, margin, resolution, margin).free
+    return ~_march("motion_collides", True, robot, scene, q_from, q_to, margin, resolution, margin).free
 
 
 def motion_collides_within(
-    chain: Chain, q_from: Any, q_to: Any, margin: Any, resolution: Any, size: Any, obstacles: Any
+    robot: Robot, q_from: Any, q_to: Any, margin: Any, resolution: Any, size: Any, obstacles: Any
 ) -> Any:
     """`motion_collides` of obstacles that are grouped, whose scene is of such a `size_of`; nothing is checked. Traced."""
-    return ~_marched(chain, True, obstacles or None, q_from, q_to, margin, resolution, margin, size).free
+    return ~_marched(robot, True, obstacles or None, q_from, q_to, margin, resolution, margin, size).free
 
 
 @functools.lru_cache(maxsize=64)
-def joint_reaches(chain: Chain) -> np.ndarray:
+def joint_reaches(robot: Robot) -> np.ndarray:
     """How far a unit of each joint moves a point of the shapes' skeletons at most, inside the limits (n,) [m/rad, 1]. Host."""
-    furthest = np.max(np.abs(finite_limits(chain)), axis=0)
-    travel = [furthest[j] if prismatic else 0.0 for j, prismatic in enumerate(chain.is_prismatic)]
-    speeds = lambda turned: [_bounds(chain, link, 0, turned, travel).speed for link in solid_links(chain)]
-    return np.array([float(np.max(speeds(list(one)))) for one in np.eye(chain.num_joints)])
+    furthest = np.max(np.abs(finite_limits(robot)), axis=0)
+    travel = [furthest[j] if prismatic else 0.0 for j, prismatic in enumerate(robot.is_prismatic)]
+    speeds = lambda turned: [_bounds(robot, link, 0, turned, travel).speed for link in solid_links(robot)]
+    return np.array([float(np.max(speeds(list(one)))) for one in np.eye(robot.num_joints)])
 
 
-def _march(who: str, first: bool, chain: Any, scene: Any, q_from: Any, q_to: Any, *numbers: Any) -> MotionClearance:
-    check_kind(who, "chain", chain, Chain)
+def _march(who: str, first: bool, robot: Any, scene: Any, q_from: Any, q_to: Any, *numbers: Any) -> MotionClearance:
+    check_kind(who, "robot", robot, Robot)
     check_kind(who, "scene", scene, Scene, optional=True)
-    check_geometry(chain)
-    q_from, q_to = as_configuration(chain, q_from), as_configuration(chain, q_to)
+    check_geometry(robot)
+    q_from, q_to = as_configuration(robot, q_from), as_configuration(robot, q_to)
     margin, resolution, enough = (
         as_shaped(f"{who}: {name}", value, ()) for name, value in zip(("margin", "resolution", "enough"), numbers, strict=True)
     )
@@ -145,14 +145,14 @@ def _march(who: str, first: bool, chain: Any, scene: Any, q_from: Any, q_to: Any
             raise ValueError(f"{who}: resolution is {float(resolution):g}; it is above zero [m]")
     dtype = jnp.result_type(q_from, q_to)  # of all, so that one kernel serves every caller
     each = (jnp.asarray(x, dtype) for x in (q_from, q_to, margin, resolution, enough, size_of(scene)))
-    return _marched(chain, first, as_wide(grouped(scene, chain), q_from) or None, *each)
+    return _marched(robot, first, as_wide(grouped(scene, robot), q_from) or None, *each)
 
 
 @kernel(models=2)
-def _marched(chain: Chain, first: bool, scene: Any, q_from: Any, q_to: Any, *numbers: Any) -> MotionClearance:
-    found = _advanced(first, *map(stop_gradients, (chain, scene, q_from, q_to, *numbers)))
+def _marched(robot: Robot, first: bool, scene: Any, q_from: Any, q_to: Any, *numbers: Any) -> MotionClearance:
+    found = _advanced(first, *map(stop_gradients, (robot, scene, q_from, q_to, *numbers)))
     nearest = q_from + found.nearest * (q_to - q_from)
-    return found._replace(clearance=_sloped(found.clearance, clearance(chain, scene, nearest)))
+    return found._replace(clearance=_sloped(found.clearance, clearance(robot, scene, nearest)))
 
 
 @jax.custom_jvp
@@ -200,7 +200,7 @@ class _State(NamedTuple):
 
 
 def _advanced(
-    first: bool, chain: Chain, scene: Any, q_from: Any, q_to: Any, margin: Any, resolution: Any, enough: Any, extent: Any
+    first: bool, robot: Robot, scene: Any, q_from: Any, q_to: Any, margin: Any, resolution: Any, enough: Any, extent: Any
 ) -> MotionClearance:
     """The march of the links against each other, which is cheap and has the smaller steps, and then that against the scene: as
     far as the first came, and no finer than it needs beside the first."""
@@ -210,10 +210,10 @@ def _advanced(
     if scene is not None:
         scene = _asked_of(scene, asked)
     end = _State(_Measured(one, 0, 0), one, one, far, zero, far, jnp.zeros((), bool), jnp.zeros((), jnp.int32))
-    if chain.self_pairs:
-        end = _marched_on(*_ruler(chain, own_in(scene or ()), q_from, q_to, extent, margin), asked, end)
+    if robot.self_pairs:
+        end = _marched_on(*_ruler(robot, own_in(scene or ()), q_from, q_to, extent, margin), asked, end)
     if obstacles_in(scene or ()):
-        alone = dataclasses.replace(chain, self_pairs=())
+        alone = dataclasses.replace(robot, self_pairs=())
         end = _marched_on(*_ruler(alone, scene, q_from, q_to, extent, margin), asked, end)
     free = ~end.hit & (end.here.t >= 1.0)
     bound = jnp.where(free, end.bound, jnp.minimum(end.bound, margin))
@@ -235,17 +235,17 @@ def _asked_of(scene: Any, asked: _Asked) -> Any:
     return decided_within(scene, within)
 
 
-def _ruler(chain: Chain, scene: Any, q_from: Any, q_to: Any, extent: Any, margin: Any) -> tuple[Any, _Bounds]:
+def _ruler(robot: Robot, scene: Any, q_from: Any, q_to: Any, extent: Any, margin: Any) -> tuple[Any, _Bounds]:
     """What measures one configuration of the motion, less what rounding may have added, and the bounds of its rows."""
-    rows, moved = _rows(chain), q_to - q_from
-    bounds, tables = _row_bounds(chain, rows, q_from, q_to), _table_speeds(chain, rows, q_from, q_to, margin)
-    short = ROUNDING * float(jnp.finfo(q_from.dtype).eps) * (extent + _size(chain, bounds.length, q_from, q_to))
-    columns = np.searchsorted(solid_links(chain), [row.link for row in rows])
+    rows, moved = _rows(robot), q_to - q_from
+    bounds, tables = _row_bounds(robot, rows, q_from, q_to), _table_speeds(robot, rows, q_from, q_to, margin)
+    short = ROUNDING * float(jnp.finfo(q_from.dtype).eps) * (extent + _size(robot, bounds.length, q_from, q_to))
+    columns = np.searchsorted(solid_links(robot), [row.link for row in rows])
 
     def measured(t: Any) -> _Measured:
         q = q_from + t * moved
-        apart = jnp.minimum(link_clearances(chain, scene, q)[columns] - short, FAR)  # a number, where there is nothing to hit
-        return _Measured(t, apart, jnp.maximum(_speeds(chain, rows, q, moved), tables))
+        apart = jnp.minimum(link_clearances(robot, scene, q)[columns] - short, FAR)  # a number, where there is nothing to hit
+        return _Measured(t, apart, jnp.maximum(_speeds(robot, rows, q, moved), tables))
 
     return measured, bounds._replace(speed=jnp.maximum(bounds.speed, tables))
 
@@ -329,22 +329,22 @@ class _Row(NamedTuple):
     moved: tuple[tuple[int, int], ...]
 
 
-def _rows(chain: Chain) -> list[_Row]:
+def _rows(robot: Robot) -> list[_Row]:
     """Those of the later links of pairs; without any, of all against the scene."""
-    joint = chain.link_joint
-    if not chain.self_pairs:
-        return [_Row(link, ((link, 0),)) for link in solid_links(chain)]
+    joint = robot.link_joint
+    if not robot.self_pairs:
+        return [_Row(link, ((link, 0),)) for link in solid_links(robot)]
     moved = lambda a, b: (a, joint[b]) if joint[a] > joint[b] else (b, joint[a])
-    links = sorted({later for _, later in chain.self_pairs})
-    return [_Row(link, tuple(sorted({moved(*pair) for pair in chain.self_pairs if pair[1] == link}))) for link in links]
+    links = sorted({later for _, later in robot.self_pairs})
+    return [_Row(link, tuple(sorted({moved(*pair) for pair in robot.self_pairs if pair[1] == link}))) for link in links]
 
 
-def _corners(chain: Chain, link: int) -> Any:
+def _corners(robot: Robot, link: int) -> Any:
     """The corners of a link's skeleton, parts and surface in its joint's frame (m, 3); its shapes are these, rounded."""
-    corners = [v.corners for v in chain.volumes if v.link == link]
-    corners += [box_spheres(box, chain.spheres_per_box)[0] for box in chain.boxes if box.link == link]
-    corners += [part.corners for part in chain.convex_parts if part.link == link]
-    corners += [surface.outermost for surface in chain.surfaces if surface.link == link]
+    corners = [v.corners for v in robot.volumes if v.link == link]
+    corners += [box_spheres(box, robot.spheres_per_box)[0] for box in robot.boxes if box.link == link]
+    corners += [part.corners for part in robot.convex_parts if part.link == link]
+    corners += [surface.outermost for surface in robot.surfaces if surface.link == link]
     return xp_of(*corners).concatenate(corners)
 
 
@@ -357,21 +357,21 @@ class _Bounds(NamedTuple):
     length: Any
 
 
-def _bounds(chain: Chain, link: int, other: int, turned: list[Any], travel: list[Any]) -> _Bounds:
+def _bounds(robot: Robot, link: int, other: int, turned: list[Any], travel: list[Any]) -> _Bounds:
     """`turned`: |dq_j|, `travel`: how far a slide is ever out, 0 of what turns."""
-    corners = _corners(chain, link)
-    xp = xp_of(corners, chain.axis, chain.parent_T_joint)
+    corners = _corners(robot, link)
+    xp = xp_of(corners, robot.axis, robot.parent_T_joint)
     length = lambda rows: xp.max(xp.sqrt(xp.sum(xp.square(rows), axis=-1)))
     arms, ever = {}, 0.0  # from the joint's axis; from its origin
-    for j in reversed(range(other, chain.link_joint[link])):
-        at_end = j + 1 == chain.link_joint[link]
-        beyond = corners if at_end else xp.asarray(chain.parent_T_joint[j + 1, :3, 3])[None]
+    for j in reversed(range(other, robot.link_joint[link])):
+        at_end = j + 1 == robot.link_joint[link]
+        beyond = corners if at_end else xp.asarray(robot.parent_T_joint[j + 1, :3, 3])[None]
         after = ever if at_end else ever + travel[j + 1]
-        arms[j] = length(xp.cross(beyond, chain.axis[j])) + after
+        arms[j] = length(xp.cross(beyond, robot.axis[j])) + after
         ever = length(beyond) + after
     speed = acceleration = turning = 0.0
     for j in sorted(arms):
-        if chain.is_prismatic[j]:
+        if robot.is_prismatic[j]:
             speed = speed + turned[j]
             acceleration = acceleration + 2.0 * turned[j] * turning
         else:
@@ -381,20 +381,20 @@ def _bounds(chain: Chain, link: int, other: int, turned: list[Any], travel: list
     return _Bounds(speed, acceleration, ever)
 
 
-def _row_bounds(chain: Chain, rows: list[_Row], q_from: Any, q_to: Any) -> _Bounds:
+def _row_bounds(robot: Robot, rows: list[_Row], q_from: Any, q_to: Any) -> _Bounds:
     """Of each row (k,), the largest of what moves in it."""
     furthest = jnp.maximum(jnp.abs(q_from), jnp.abs(q_to))
     turned = traced(jnp.abs(q_to - q_from))
-    travel = [furthest[j] if prismatic else 0.0 for j, prismatic in enumerate(chain.is_prismatic)]
-    found = [[_bounds(chain, *each, turned, travel) for each in row.moved] for row in rows]
+    travel = [furthest[j] if prismatic else 0.0 for j, prismatic in enumerate(robot.is_prismatic)]
+    found = [[_bounds(robot, *each, turned, travel) for each in row.moved] for row in rows]
     most = lambda i: jnp.stack([jnp.max(jnp.stack([jnp.asarray(b[i], q_from.dtype) for b in each])) for each in found])
     return _Bounds(most(0), most(1), most(2))
 
 
-def _table_speeds(chain: Chain, rows: list[_Row], q_from: Any, q_to: Any, margin: Any) -> Any:
+def _table_speeds(robot: Robot, rows: list[_Row], q_from: Any, q_to: Any, margin: Any) -> Any:
     """How fast the bounds of pairs' tables change at most, of each row (k,), 0 without any; those above `-SHALLOW` alone where
     the margin is, since what is deeper is below it, however fast."""
-    tables, moved = pair_tables(chain), jnp.abs(q_to - q_from)
+    tables, moved = pair_tables(robot), jnp.abs(q_to - q_from)
 
     def speed(table: PairTable) -> Any:
         shallow, any_depth = table.slopes(-SHALLOW), table.slopes(-np.inf)
@@ -410,31 +410,31 @@ def _table_speeds(chain: Chain, rows: list[_Row], q_from: Any, q_to: Any, margin
     return jnp.stack([jnp.max(jnp.stack([jnp.asarray(x, q_from.dtype) for x in (0.0, *each)])) for each in found])
 
 
-def _speeds(chain: Chain, rows: list[_Row], q: Any, moved: Any) -> Any:
+def _speeds(robot: Robot, rows: list[_Row], q: Any, moved: Any) -> Any:
     """How fast the points of each row's link move at `q` at most, by fractions of the motion (k,): the twist of a ball about
     its skeleton, of all joints that move it relative to what it may hit."""
-    root = Frame.of(chain.world_T_base, float(np.finfo(q.dtype).eps))
-    frames, rates = joint_frames(chain, traced(q), root, q.dtype), traced(moved)
+    root = Frame.of(robot.world_T_base, float(np.finfo(q.dtype).eps))
+    frames, rates = joint_frames(robot, traced(q), root, q.dtype), traced(moved)
     found: dict[tuple[int, int], Any] = {}
     for link in sorted({link for row in rows for link, _ in row.moved}):
-        corners = _corners(chain, link)
+        corners = _corners(robot, link)
         centre, radius = (x[0] for x in balls_of(corners[None], 0.0, xp_of(corners)))
         linear, angular = ZERO, ZERO
-        found[link, chain.link_joint[link]] = jnp.zeros((), q.dtype)
-        for j in reversed(range(chain.link_joint[link])):
+        found[link, robot.link_joint[link]] = jnp.zeros((), q.dtype)
+        for j in reversed(range(robot.link_joint[link])):
             axis, frame = frames.axes[j] * rates[j], frames.joints[j]
-            if chain.is_prismatic[j]:
+            if robot.is_prismatic[j]:
                 linear = linear + axis
             else:
-                place = frames.joints[chain.link_joint[link] - 1] @ Vec3(*traced(centre))
+                place = frames.joints[robot.link_joint[link] - 1] @ Vec3(*traced(centre))
                 linear, angular = linear + axis.cross(place - frame.translation), angular + axis
             found[link, j] = jnp.sqrt(linear.dot(linear)) + radius * jnp.sqrt(angular.dot(angular))
     return jnp.stack([jnp.max(jnp.stack([jnp.asarray(found[each], q.dtype) for each in row.moved])) for row in rows])
 
 
-def _size(chain: Chain, length: Any, q_from: Any, q_to: Any) -> Any:
+def _size(robot: Robot, length: Any, q_from: Any, q_to: Any) -> Any:
     """What rounding takes its share of, the robot's part [m]: its coordinates, and what a joint's value moves."""
-    base = jnp.max(jnp.abs(jnp.asarray(chain.world_T_base[:3, 3], q_from.dtype)))
+    base = jnp.max(jnp.abs(jnp.asarray(robot.world_T_base[:3, 3], q_from.dtype)))
     return base + length * (1.0 + jnp.sum(jnp.maximum(jnp.abs(q_from), jnp.abs(q_to))))
 
 

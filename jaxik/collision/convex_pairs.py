@@ -36,10 +36,10 @@ class Parts(OwnShape):
     def pairs(self, first: Any, last: Any, nearest: Callable[[Any, Found], Found], found: Found) -> Found:
         """What was found, or the nearest of the robot's pairs of parts from `first` to `last`, not counted, if they are nearer;
         `nearest(k, found)` knows pair k by its volumes."""
-        robot = self.space.robot
+        trees = self.space.trees
 
         def pair(k: Any, found: Found) -> Found:
-            p, o = entry(robot.part, k), entry(robot.other, k)
+            p, o = entry(trees.part, k), entry(trees.other, k)
             walked = lambda start, enough: self.beside(p, o, start, enough)
             decided = lambda told: self.decided(found, told, walked, None)
             closer = entry(self.own.closer, p) | entry(self.own.closer, o)

@@ -39,8 +39,8 @@ class Exact(OwnShape):
 
         First the volumes of all pairs, and the convex parts of what is near; then each lane goes through those that were near
         in it, whichever these are, the nearest first."""
-        robot, bound = self.space.robot, jnp.minimum(found.distance, self.within)
-        row = lambda x: jnp.zeros((len(robot.other),), x.dtype)
+        trees, bound = self.space.trees, jnp.minimum(found.distance, self.within)
+        row = lambda x: jnp.zeros((len(trees.other),), x.dtype)
         near, least = jax.tree_util.tree_map(row, found), jnp.full_like(row(found.distance), jnp.inf)
         enough = self.space.enough
         put = lambda row, x, k: lax.dynamic_update_index_in_dim(row, x, k, 0)
@@ -49,7 +49,7 @@ class Exact(OwnShape):
             found, near, least = state
             told = nearest(k, found)
             start = self.start(told, bound)
-            parts = self._beside(entry(robot.part, k), entry(robot.other, k), start)
+            parts = self._beside(entry(trees.part, k), entry(trees.other, k), start)
             close = (start.distance > 0.0) & (parts.distance < start.distance)
             kept = told._replace(distance=jnp.where(close, told.distance, jnp.inf))
             near = jax.tree_util.tree_map(lambda row, x: put(row, x, k), near, kept)
@@ -62,7 +62,7 @@ class Exact(OwnShape):
 
         def by_triangles(state: tuple[Any, Any, Found]) -> tuple[Any, Any, Found]:
             k, left, found = state
-            p, o = entry(robot.part, k), entry(robot.other, k)
+            p, o = entry(trees.part, k), entry(trees.other, k)
 
             def walked(start: Found, enough: Any) -> Found:
                 between = self.frame(p).inverse() @ self.frame(o)

@@ -19,15 +19,15 @@ from jax import lax
 
 from jaxik.checks.arrays import is_known
 from jaxik.collision import bvh, distance
-from jaxik.collision.bvh import Grouped, Robot, Volumes
+from jaxik.collision.bvh import Grouped, RobotTrees, Volumes
 from jaxik.collision.convex_pairs import Parts
 from jaxik.collision.exact_pairs import Exact
 from jaxik.collision.leaf_rows import Found, as_columns, count_of, entry, nearest_of, row_at, rows_from
 from jaxik.collision.shape_distances import Gap, depth_gap, obstacles_of, outside, skeleton_gap, square_gap, triangle_gap
 from jaxik.collision.solids import Solids
-from jaxik.robot.chain import Chain
-from jaxik.robot.kinematics import joint_frames
-from jaxik.robot.link_distance_table import interpolated
+from jaxik.kinematics.forward import joint_frames
+from jaxik.kinematics.link_distance_table import interpolated
+from jaxik.kinematics.robot import Robot
 from jaxik.spatial.algebra import Frame, Vec3, stack, traced
 
 FEW = 16  # points of a robot, up to which they are moved without a loop
@@ -57,24 +57,24 @@ class Space:
     """A robot at one configuration, among what surrounds it. `by_table`: of a pair whose distance is from a table that is told,
     not the nearest volumes, which have points."""
 
-    def __init__(self, chain: Chain, around: Grouped, q: Any, skips: bool = True, by_table: bool = True):
-        self.robot, self.obstacles, self.dtype, self.skips = bvh.robot(chain), bvh.obstacles_in(around), q.dtype, skips
+    def __init__(self, robot: Robot, around: Grouped, q: Any, skips: bool = True, by_table: bool = True):
+        self.trees, self.obstacles, self.dtype, self.skips = bvh.robot_trees(robot), bvh.obstacles_in(around), q.dtype, skips
         self.by_table = by_table
-        self.prismatic, self.q, self.tabled = chain.is_prismatic, q, len(self.robot.tables.size) > 0
-        bit = bvh.bits(chain.ignored)
-        self.bits = np.array([bit.get(link, 0) for link in self.robot.links], np.int32) if bit else None
-        root = Frame.of(chain.world_T_base, float(np.finfo(q.dtype).eps))
-        self.joints = joint_frames(chain, traced(q), root, q.dtype)
+        self.prismatic, self.q, self.tabled = robot.is_prismatic, q, len(self.trees.tables.size) > 0
+        bit = bvh.bits(robot.ignored)
+        self.bits = np.array([bit.get(link, 0) for link in self.trees.links], np.int32) if bit else None
+        root = Frame.of(robot.world_T_base, float(np.finfo(q.dtype).eps))
+        self.joints = joint_frames(robot, traced(q), root, q.dtype)
         self.frames = jnp.stack([stack(f.entries[:12], (12,), q.dtype) for f in (root, *self.joints.joints)])
-        self.parts, self.placed = _placed(self.robot, self.frames, q.dtype)
-        sizes = [len(v.radius) for v in self.robot.kinds]
+        self.parts, self.placed = _placed(self.trees, self.frames, q.dtype)
+        sizes = [len(v.radius) for v in self.trees.kinds]
         self.first = np.cumsum([0, *sizes]).tolist()  # of the volumes of each kind, in one numbering
         others: list[tuple[Any, Gap, Any, int, bool]] = []
         for o in self.obstacles:
             gap, columns = obstacles_of(o.kind, o.rows, q.dtype)
             size = count_of(columns) // len(o.leaves.radius)
             others.append((columns, gap, as_columns(o.leaves, q.dtype), size, o.kind == "points"))
-        for v, p in zip(self.robot.kinds, self.placed, strict=True):
+        for v, p in zip(self.trees.kinds, self.placed, strict=True):
             others.append(((p.corners, p.radius), skeleton_gap, p.leaves, v.size, v.even and v.arity == 1))
         self.enough: Any = None  # a distance [m] that ends the search
         self.solid = [k for k, o in enumerate(self.obstacles) if o.bodies is not None]
@@ -83,7 +83,7 @@ class Space:
         # those of tables come after them
         *origins, self.rows = itertools.accumulate((count_of(columns) for columns, *_ in others), initial=0)
         self.others = [Others(*each, origin) for each, origin in zip(others, origins, strict=True)]
-        count = self.rows + len(self.robot.tables.size)
+        count = self.rows + len(self.trees.tables.size)
         self.own = self._own_shape(around, count)
 
     def _own_shape(self, around: Grouped, origin: int) -> Exact | Parts | None:
@@ -103,22 +103,22 @@ class Space:
             go_on = lambda found: self.part(p, found, self.own is None)
             return go_on(found) if enough is None else lax.cond(found.distance < enough, lambda found: found, go_on, found)
 
-        count, found = jnp.int32(len(self.robot.links)), self._start(start, tracked)
+        count, found = jnp.int32(len(self.trees.links)), self._start(start, tracked)
         # of a robot with an own shape all pairs together, so that few lanes wait for others
-        found = self._by_own_shape(jnp.int32(0), jnp.int32(len(self.robot.other)), found)
+        found = self._by_own_shape(jnp.int32(0), jnp.int32(len(self.trees.other)), found)
         return lax.fori_loop(jnp.int32(0), count, step, found)
 
     def each(self, then: Callable[[Found], Any], tracked: bool = False) -> Any:
         """`then` of the nearest pair of each part, in arrays with an entry a link, from the base on."""
         one = lambda _, p: (None, then(self.part(p, self._start(jnp.inf, tracked))))
-        found = lax.scan(one, None, jnp.arange(len(self.robot.links), dtype=jnp.int32))[1]
+        found = lax.scan(one, None, jnp.arange(len(self.trees.links), dtype=jnp.int32))[1]
         return jax.tree_util.tree_map(lambda x: x[::-1], found)
 
     def objects(self, count: int, then: Callable[[Found], Any], tracked: bool = False) -> Any:
         """`then` of the nearest pair of each object, which is branch after branch of the obstacles."""
 
         def one(_: Any, b: Any) -> Any:
-            step, parts = lambda p, found: self._to_object(p, b, found), jnp.int32(len(self.robot.links))
+            step, parts = lambda p, found: self._to_object(p, b, found), jnp.int32(len(self.trees.links))
             return None, then(lax.fori_loop(jnp.int32(0), parts, step, self._start(jnp.inf, tracked)))
 
         return lax.scan(one, None, jnp.arange(count, dtype=jnp.int32))[1]
@@ -126,7 +126,7 @@ class Space:
     def each_object(self, count: int, then: Callable[[Found], Any]) -> Any:
         """`then` of each part and each object, in arrays (parts * count,)."""
         one = lambda _, i: (None, then(self._to_object(i // count, i % count, self._start(jnp.inf, True))))
-        return lax.scan(one, None, jnp.arange(len(self.robot.links) * count, dtype=jnp.int32))[1]
+        return lax.scan(one, None, jnp.arange(len(self.trees.links) * count, dtype=jnp.int32))[1]
 
     def _to_object(self, p: Any, b: Any, found: Found) -> Found:
         """Part p against branch b of the obstacles of each kind."""
@@ -135,14 +135,14 @@ class Space:
         return found
 
     def each_pair(self, then: Callable[[Found], Any]) -> Any:
-        """`then` of each pair of parts of a robot with an own shape, in the order of `Robot.other`."""
+        """`then` of each pair of parts of a robot with an own shape, in the order of `RobotTrees.other`."""
         one = lambda _, k: (None, then(self._by_own_shape(k, k + 1, self._start(jnp.inf, True))))
-        return lax.scan(one, None, jnp.arange(len(self.robot.other), dtype=jnp.int32))[1]
+        return lax.scan(one, None, jnp.arange(len(self.trees.other), dtype=jnp.int32))[1]
 
     def part(self, p: Any, found: Found, itself: bool = True) -> Found:
         """The nearest pair of part p, a later one of two parts, or what was `found` if none is nearer."""
         ball = row_at(self.parts, p)
-        if itself and len(self.robot.other):  # before the obstacles: near whatever the scene, it rules most of them out
+        if itself and len(self.trees.other):  # before the obstacles: near whatever the scene, it rules most of them out
             found = self._to_itself(p, ball, found)
         for k, obstacles in enumerate(self.obstacles):
             found = self._to_branches(p, ball, k, jnp.int32(0), jnp.asarray(obstacles.count, jnp.int32), found)
@@ -182,34 +182,34 @@ class Space:
 
     def _to_itself(self, p: Any, ball: Any, found: Found) -> Found:
         """Part p against those that it is checked against."""
-        first, last = entry(self.robot.first, p), entry(self.robot.last, p)
+        first, last = entry(self.trees.first, p), entry(self.trees.last, p)
         if self.own is not None:
             return self._by_own_shape(first, last, found)
         return lax.fori_loop(first, last, functools.partial(self._to_part, p, ball), found)
 
     def _by_own_shape(self, first: Any, last: Any, found: Found) -> Found:
         """The pairs of parts from `first` to `last`, not counted, of a robot with an own shape."""
-        if self.own is None or not len(self.robot.other):
+        if self.own is None or not len(self.trees.other):
             return found
 
         def by_volumes(k: Any, found: Found) -> Found:
-            p = entry(self.robot.part, k)
+            p = entry(self.trees.part, k)
             return self._to_part(p, row_at(self.parts, p), k, found)
 
         return self.own.pairs(first, last, by_volumes, found)
 
     def _to_part(self, p: Any, ball: Any, k: Any, found: Found) -> Found:
         """Part p against the part of pair k, by their volumes."""
-        o = entry(self.robot.other, k)
+        o = entry(self.trees.other, k)
 
         def inside(found: Found) -> Found:
-            for volumes, others in zip(self.robot.kinds, self.others[len(self.obstacles) : self.inner], strict=True):
+            for volumes, others in zip(self.trees.kinds, self.others[len(self.obstacles) : self.inner], strict=True):
                 found = self._leaves(p, entry(volumes.first, o), entry(volumes.last, o), others, found)
             return found
 
         if not self.tabled:
             return self._if_near(found, ball, row_at(self.parts, o), inside)
-        number = entry(self.robot.tables.of, k)
+        number = entry(self.trees.tables.of, k)
         known = lambda found: self._beyond(number, found, inside)
         either = lambda found: lax.cond(number >= 0, known, inside, found)
         return self._if_near(found, ball, row_at(self.parts, o), either)
@@ -232,19 +232,19 @@ class Space:
 
     def _joints_of(self, number: Any) -> tuple[Any, Any]:
         """The values of a table's joints."""
-        joints = entry(self.robot.tables.joints, number)
+        joints = entry(self.trees.tables.joints, number)
         return entry(self.q, joints[0]), entry(self.q, joints[1])
 
     def _tabled_gap(self, number: Any, values: tuple[Any, Any]) -> Any:
         """The bound that a table has for its joints' `values` [m]."""
-        tables = self.robot.tables
+        tables = self.trees.tables
         bounds, size, first = jnp.asarray(tables.bounds, self.dtype), entry(tables.size, number), entry(tables.first, number)
         node = lambda i, j: entry(bounds, first + i * size + j)
         return interpolated(values, entry(jnp.asarray(tables.axes, self.dtype), number), node, jnp)
 
     def _leaves(self, p: Any, first: Any, last: Any, others: Others, found: Found, around: Any = None) -> Found:
         """All leaves of part p against those of the others from `first` to `last`, not counted, in a ball `around`."""
-        for volumes, placed, origin in zip(self.robot.kinds, self.placed, self.first, strict=False):
+        for volumes, placed, origin in zip(self.trees.kinds, self.placed, self.first, strict=False):
             squares = others.even and volumes.arity == 1
             # to the triangles of a surface, small and many, a ball around a line is no measure
             long = others.gap is triangle_gap and volumes.arity > 1 and self.skips
@@ -320,7 +320,7 @@ class Space:
             return rows
 
         def steep(number: Any) -> tuple[Any, ...]:
-            joints, values = entry(self.robot.tables.joints, number), self._joints_of(number)
+            joints, values = entry(self.trees.tables.joints, number), self._joints_of(number)
             one, back = jax.vjp(lambda values: self._tabled_gap(number, values), values)
             (slopes,) = back(jnp.ones_like(one))
             return tuple(sum(jnp.where(joints[i] == j, s, 0.0) for i, s in enumerate(slopes)) for j in range(len(rows)))
@@ -343,7 +343,7 @@ class Space:
     def _if_tabled(self, found: Found, function: Callable[[Any], Any], otherwise: Any) -> Any:
         """`function` of the number of the table that a found pair's distance is from, if it is from one."""
         number = found.other - self.rows
-        there = (number >= 0) & (number < len(self.robot.tables.size))
+        there = (number >= 0) & (number < len(self.trees.tables.size))
         return lax.cond(there, lambda _: function(number), lambda value: value, otherwise)
 
     def _of_pair(self, found: Found, function: Callable[..., Any], nothing: Any) -> Any:
@@ -372,9 +372,9 @@ class Space:
         """The robot's volumes of a kind and what they may be measured against: the first ones' number, the others, which of
         the robot's own these are, if any, and the gap."""
         around, depth = len(self.obstacles), functools.partial(depth_gap, at=found.at)
-        for volumes, origin in zip(self.robot.kinds, self.first, strict=False):
+        for volumes, origin in zip(self.trees.kinds, self.first, strict=False):
             for k, others in enumerate(self.others):
-                theirs = self.robot.kinds[k - around] if around <= k < self.inner else None
+                theirs = self.trees.kinds[k - around] if around <= k < self.inner else None
                 yield volumes, origin, others, theirs, others.gap if k < self.inner else depth
         if self.own is None:
             return
@@ -392,11 +392,11 @@ class Space:
         return corners, entry(jnp.asarray(volumes.radius, self.dtype), i)
 
 
-def _placed(robot: Robot, frames: Any, dtype: Any) -> tuple[tuple[Vec3, Any], tuple[Placed, ...]]:
+def _placed(trees: RobotTrees, frames: Any, dtype: Any) -> tuple[tuple[Vec3, Any], tuple[Placed, ...]]:
     """The spheres of the parts, and the volumes, in the world: one loop over all points, each by its joint's frame; written out
     where they are few, so that a planar robot's zeros fold."""
-    local, joint = [robot.parts.center], [robot.joint]
-    for v in robot.kinds:
+    local, joint = [trees.parts.center], [trees.joint]
+    for v in trees.kinds:
         local += [v.leaves.center, *(v.corners[:, c] for c in range(v.arity))]
         joint += [v.joint[:: v.size], *[v.joint] * v.arity]
     xp = np if is_known(local) else jnp
@@ -411,7 +411,7 @@ def _placed(robot: Robot, frames: Any, dtype: Any) -> tuple[tuple[Vec3, Any], tu
     each = (Vec3(*(x[a:b] for x in columns)) for a, b in cuts)
     ball = lambda balls: (next(each), jnp.asarray(balls.radius, dtype))
     corners = lambda v: tuple(itertools.islice(each, v.arity))
-    return ball(robot.parts), tuple(Placed(ball(v.leaves), corners(v), jnp.asarray(v.radius, dtype)) for v in robot.kinds)
+    return ball(trees.parts), tuple(Placed(ball(v.leaves), corners(v), jnp.asarray(v.radius, dtype)) for v in trees.kinds)
 
 
 def _pulled(gap: Gap, own: Any, other: Any) -> tuple[Any, tuple[Vec3, ...], Vec3]:

@@ -57,4 +57,4 @@ class OwnShape:
 
     def frame(self, p: Any) -> Frame:
         """The frame of a part's joint."""
-        return Frame.of_entries(traced(entry(self.space.frames, entry(self.space.robot.joint, p))))
+        return Frame.of_entries(traced(entry(self.space.frames, entry(self.space.trees.joint, p))))

@@ -19,8 +19,8 @@ from jaxtyping import Float
 
 from jaxik.checks.arrays import is_known, is_rigid, rigid_frame
 from jaxik.checks.options import no_such, shown
+from jaxik.kinematics.robot import Array
 from jaxik.pytree import Constant, static
-from jaxik.robot.chain import Array
 from jaxik.spatial.rotations import frame
 
 LIMIT = 100.0  # [m] that anything may be away or long; a crop or a cell is smaller, one in millimetres is not

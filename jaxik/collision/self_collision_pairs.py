@@ -9,7 +9,7 @@ from typing import NamedTuple
 import numpy as np
 
 from jaxik.collision.volumes import skeletons
-from jaxik.robot.chain import Chain, finite_limits, solid_links
+from jaxik.kinematics.robot import Robot, finite_limits, solid_links
 from jaxik.spatial.algebra import BASE
 
 STILL = 1e-9  # [m] by which a distance that no joint changes changes all the same
@@ -25,18 +25,18 @@ class SelfCollisions(NamedTuple):
 
 
 def candidate_pairs(
-    chain: Chain, links: Iterable[int], disabled: frozenset[frozenset[str]], aside: Collection[str] = ()
+    robot: Robot, links: Iterable[int], disabled: frozenset[frozenset[str]], aside: Collection[str] = ()
 ) -> list[tuple[int, int]]:
     """The pairs of some links that are neither neighbours, nor move together, nor are `disabled`. Links `aside`, behind joints
     beside the chain, are neighbours of none whose joint is another."""
-    joint, names = chain.link_joint, chain.link_names
+    joint, names = robot.link_joint, robot.link_names
     least = lambda a, b: 1 if names[a] in aside or names[b] in aside else 2
     checked = lambda a, b: abs(joint[a] - joint[b]) >= least(a, b) and frozenset((names[a], names[b])) not in disabled
     return [(a, b) for a, b in itertools.combinations(sorted(links), 2) if checked(a, b)]
 
 
 def self_collisions(
-    chain: Chain, disabled: frozenset[frozenset[str]] = frozenset(), aside: Collection[str] = (), samples: int = 512
+    robot: Robot, disabled: frozenset[frozenset[str]] = frozenset(), aside: Collection[str] = (), samples: int = 512
 ) -> SelfCollisions:
     """The pairs of links worth a check against each other.
 
@@ -44,30 +44,30 @@ def self_collisions(
     in all random configurations (fixed seed), of which no posture is better than another, and pairs that touch in at least
     95 % of them: their shapes overlap by design and would always report a collision.
     """
-    pairs = candidate_pairs(chain, solid_links(chain), disabled, aside)
+    pairs = candidate_pairs(robot, solid_links(robot), disabled, aside)
     if not pairs:
         return SelfCollisions((), (), 0.0)
     rng = np.random.default_rng(0)
-    q = np.vstack([rng.uniform(*finite_limits(chain), (samples, chain.num_joints)), default_pose(chain)])
-    columns = [q[:, i, None] for i in range(chain.num_joints)]
+    q = np.vstack([rng.uniform(*finite_limits(robot), (samples, robot.num_joints)), default_pose(robot)])
+    columns = [q[:, i, None] for i in range(robot.num_joints)]
     balls = []
-    for count, skeleton in skeletons(chain, columns, np.float64, BASE).items():
+    for count, skeleton in skeletons(robot, columns, np.float64, BASE).items():
         for weights in _samples(count):
             corner = [sum(w * c[i] for w, c in zip(weights, skeleton.corners, strict=True)) for i in range(3)]
             shape = len(q), len(skeleton.link)
             balls.append((np.stack([np.broadcast_to(c, shape).T for c in corner], axis=-1), skeleton.radius, skeleton.link))
     p, r, o = (np.concatenate(each) for each in zip(*balls, strict=True))
     gaps = {(a, b): _gaps(p, r, o == a, o == b) for a, b in pairs}
-    near = lambda a, b: abs(chain.link_joint[a] - chain.link_joint[b]) < 2  # of a link that is held: it may be held otherwise
+    near = lambda a, b: abs(robot.link_joint[a] - robot.link_joint[b]) < 2  # of a link that is held: it may be held otherwise
     told = {pair: gap <= 0.0 for pair, gap in gaps.items() if near(*pair) or np.ptp(gap) > STILL or gap[0] <= 0.0}
     kept = {pair: hit for pair, hit in told.items() if hit[:-1].mean() < 0.95}
     share = np.any([hit[:-1] for hit in kept.values()], axis=0).mean() if kept else 0.0
     return SelfCollisions(tuple(kept), tuple(pair for pair, hit in kept.items() if hit[-1]), float(share))
 
 
-def default_pose(chain: Chain) -> np.ndarray:
+def default_pose(robot: Robot) -> np.ndarray:
     """0 for each joint, or the middle of its limits where they leave 0 out [rad, m]."""
-    lower, upper = finite_limits(chain)
+    lower, upper = finite_limits(robot)
     return np.where((lower <= 0.0) & (upper >= 0.0), 0.0, (lower + upper) / 2.0)
 
 

@@ -55,7 +55,7 @@ class Solids:
 
     def _of_volumes(self, found: Found) -> Found:
         space = self.space
-        for volumes, placed, origin in zip(space.robot.kinds, space.placed, space.first, strict=False):
+        for volumes, placed, origin in zip(space.trees.kinds, space.placed, space.first, strict=False):
             count, pace = SAMPLES[volumes.arity]
 
             def own(i: Any, found: Found, v: Any = (volumes, placed, origin, count, pace)) -> Found:

@@ -11,44 +11,44 @@ from jaxtyping import Float
 from jaxik.collision.clearances import check_geometry
 from jaxik.collision.scene import Scene
 from jaxik.collision.volumes import LEVELS, skeletons
-from jaxik.robot.chain import Array, Chain
-from jaxik.robot.kinematics import as_posture
+from jaxik.kinematics.forward import as_posture
+from jaxik.kinematics.robot import Array, Robot
 
 
-def hierarchical_clearance(chain: Chain, scene: Scene, q: Float[Array, " n"]) -> tuple[float, int]:
+def hierarchical_clearance(robot: Robot, scene: Scene, q: Float[Array, " n"]) -> tuple[float, int]:
     """The clearance of the finest spheres to the scene's points and spheres, by descending from one sphere a box.
 
     A box's coarse sphere contains its finer ones, so its distance bounds theirs from below; and the finer spheres cover the
     box, so the coarse centre's distance to an obstacle bounds theirs from above. A pair whose lower bound exceeds the least
     upper bound cannot hold the minimum and is not refined: the answer is the flat one [Van Henten et al. 2010, App. A;
     Hubbard 1996]. Returns the distance [m] and how many pairs were looked at. Runs on the host, for one configuration. Raises
-    `ValueError` for a chain with other shapes than boxes.
+    `ValueError` for a robot with other shapes than boxes.
     """
-    return _descend(chain, scene, q, detect=False)
+    return _descend(robot, scene, q, detect=False)
 
 
-def hierarchical_collision(chain: Chain, scene: Scene, q: Float[Array, " n"]) -> tuple[bool, int]:
+def hierarchical_collision(robot: Robot, scene: Scene, q: Float[Array, " n"]) -> tuple[bool, int]:
     """Whether the finest spheres touch the scene's points or spheres (A1), refining only pairs that still touch. Raises
     likewise."""
-    least, looked = _descend(chain, scene, q, detect=True)
+    least, looked = _descend(robot, scene, q, detect=True)
     return least <= 0.0, looked
 
 
-def _descend(chain: Chain, scene: Scene, q: Any, detect: bool) -> tuple[float, int]:
-    check_geometry(chain)
-    if chain.volumes:
-        raise ValueError(f"{chain.name}: has {len(chain.volumes)} shapes that are no boxes, which alone descend; use clearance")
-    q = as_posture("hierarchical_clearance", chain, q)
-    columns = [q[i, None] for i in range(chain.num_joints)]
+def _descend(robot: Robot, scene: Scene, q: Any, detect: bool) -> tuple[float, int]:
+    check_geometry(robot)
+    if robot.volumes:
+        raise ValueError(f"{robot.name}: has {len(robot.volumes)} shapes that are no boxes, which alone descend; use clearance")
+    q = as_posture("hierarchical_clearance", robot, q)
+    columns = [q[i, None] for i in range(robot.num_joints)]
     obstacles = np.concatenate([scene.points.center, scene.spheres.center])
     radii = np.concatenate([np.full(len(scene.points.center), scene.points.radius), scene.spheres.radius])
-    boxes = len(chain.boxes)
+    boxes = len(robot.boxes)
     pairs = np.stack(np.meshgrid(np.arange(boxes), np.arange(len(obstacles)), indexing="ij"), -1).reshape(-1, 2)
     looked, least = 0, np.inf
-    for per_box in (p for p in LEVELS if p <= chain.spheres_per_box):
+    for per_box in (p for p in LEVELS if p <= robot.spheres_per_box):
         if per_box > 1:  # each sphere becomes its eight children
             pairs = np.stack([(pairs[:, :1] * 8 + np.arange(8)).ravel(), np.repeat(pairs[:, 1], 8)], axis=1)
-        centres, size = _box_centres(chain.with_spheres(per_box), columns)
+        centres, size = _box_centres(robot.with_spheres(per_box), columns)
         apart = np.linalg.norm(centres[pairs[:, 0]] - obstacles[pairs[:, 1]], axis=1) - radii[pairs[:, 1]]
         gap = apart - size[pairs[:, 0]]
         looked, least = looked + len(pairs), float(np.min(gap, initial=np.inf))
@@ -58,8 +58,8 @@ def _descend(chain: Chain, scene: Scene, q: Any, detect: bool) -> tuple[float, i
     return least, looked
 
 
-def _box_centres(chain: Chain, columns: Any) -> tuple[np.ndarray, np.ndarray]:
-    """World centres and radii of the boxes' spheres, in the order of `chain.boxes`."""
-    bare = dataclasses.replace(chain, volumes=(), boxes=tuple(sorted(chain.boxes, key=lambda b: b.link)))
+def _box_centres(robot: Robot, columns: Any) -> tuple[np.ndarray, np.ndarray]:
+    """World centres and radii of the boxes' spheres, in the order of `robot.boxes`."""
+    bare = dataclasses.replace(robot, volumes=(), boxes=tuple(sorted(robot.boxes, key=lambda b: b.link)))
     spheres = skeletons(bare, columns, np.float64)[1]
     return np.stack([np.broadcast_to(c, (len(spheres.link),)) for c in spheres.corners[0]], axis=-1), spheres.radius

@@ -17,7 +17,7 @@ from jaxtyping import Bool, Float
 
 from jaxik.checks.arrays import numbers
 from jaxik.collision.distance import passes_through
-from jaxik.robot.chain import Array
+from jaxik.kinematics.robot import Array
 from jaxik.spatial.algebra import Vec3
 from jaxik.spmd import kernel
 

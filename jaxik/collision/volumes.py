@@ -16,8 +16,8 @@ import numpy as np
 from jaxtyping import Float
 
 from jaxik.checks.options import as_count
-from jaxik.robot.chain import Array, Box, Chain, Volume, as_configuration
-from jaxik.robot.kinematics import joint_frames
+from jaxik.kinematics.forward import joint_frames
+from jaxik.kinematics.robot import Array, Box, Robot, Volume, as_configuration
 from jaxik.spatial.algebra import Frame, Scalar, Vec3, traced
 from jaxik.spmd import kernel
 
@@ -51,13 +51,13 @@ class Skeleton(NamedTuple):
     link: np.ndarray
 
 
-def local_volumes(chain: Chain, count: int) -> tuple[Any, Any, np.ndarray] | None:
-    """The chain's volumes with `count` corners, ordered by link; spheres of boxes among those with one: corners (k, c, 3) in
+def local_volumes(robot: Robot, count: int) -> tuple[Any, Any, np.ndarray] | None:
+    """The robot's volumes with `count` corners, ordered by link; spheres of boxes among those with one: corners (k, c, 3) in
     their joints' frames, radii (k,) and links (k,)."""
-    parts = [(v.link, v.corners[None], v.radius) for v in chain.volumes if v.corners.shape[0] == count]
+    parts = [(v.link, v.corners[None], v.radius) for v in robot.volumes if v.corners.shape[0] == count]
     if count == 1:
-        for box in chain.boxes:
-            centres, radius = box_spheres(box, chain.spheres_per_box)
+        for box in robot.boxes:
+            centres, radius = box_spheres(box, robot.spheres_per_box)
             parts.append((box.link, centres[:, None], radius))
     if not parts:
         return None
@@ -69,26 +69,26 @@ def local_volumes(chain: Chain, count: int) -> tuple[Any, Any, np.ndarray] | Non
     return xp.concatenate(corners), each, np.repeat(links, sizes)
 
 
-def skeletons(chain: Chain, q: Any, dtype: Any, root: Frame | None = None) -> dict[int, Skeleton]:
-    """The chain's volumes in the world for scalars `q`, by corner count (1, 2, 3); kinds that the chain lacks are left out.
+def skeletons(robot: Robot, q: Any, dtype: Any, root: Frame | None = None) -> dict[int, Skeleton]:
+    """The robot's volumes in the world for scalars `q`, by corner count (1, 2, 3); kinds that the robot lacks are left out.
 
     With NumPy scalars of shape (N, 1) each entry of a Vec3 has shape (N, k).
     """
     snap = float(np.finfo(dtype).eps)
-    root = Frame.of(chain.world_T_base, snap) if root is None else root
-    moved = (root, *joint_frames(chain, q, root, dtype).joints)
+    root = Frame.of(robot.world_T_base, snap) if root is None else root
+    moved = (root, *joint_frames(robot, q, root, dtype).joints)
     found = {}
     for count in (1, 2, 3):
-        if (local := local_volumes(chain, count)) is not None:
+        if (local := local_volumes(robot, count)) is not None:
             points, radius, link = local
-            corners = tuple(_carried(chain, moved, points[:, c], link, dtype) for c in range(count))
+            corners = tuple(_carried(robot, moved, points[:, c], link, dtype) for c in range(count))
             found[count] = Skeleton(corners, radius if isinstance(radius, jax.Array) else np.asarray(radius, dtype), link)
     return found
 
 
-def _carried(chain: Chain, frames: tuple[Frame, ...], points: Any, link: np.ndarray, dtype: Any) -> Vec3:
+def _carried(robot: Robot, frames: tuple[Frame, ...], points: Any, link: np.ndarray, dtype: Any) -> Vec3:
     """Points given in their joints' frames, in the root frame: runs of one joint share its frame."""
-    joint = np.array([chain.link_joint[i] for i in link])
+    joint = np.array([robot.link_joint[i] for i in link])
     cuts = [0, *(np.flatnonzero(np.diff(joint)) + 1), len(joint)]
     points = points if isinstance(points, jax.Array) else np.asarray(points, dtype)
     pieces = [frames[joint[a]] @ Vec3(*(points[a:b, i] for i in range(3))) for a, b in itertools.pairwise(cuts)]
@@ -101,35 +101,35 @@ def _joined(pieces: list[Scalar], sizes: np.ndarray) -> Any:
     return xp.concatenate([xp.broadcast_to(p, (*lead, n)) for p, n in zip(pieces, sizes, strict=True)], axis=-1)
 
 
-def link_spheres(chain: Chain, q: Float[Array, " n"]) -> tuple[Float[Array, "s 3"], Float[Array, " s"]]:
-    """Centres in the world [m] and radii [m] of the chain's spheres at `q` (n,); lines and triangles are not among them.
+def link_spheres(robot: Robot, q: Float[Array, " n"]) -> tuple[Float[Array, "s 3"], Float[Array, " s"]]:
+    """Centres in the world [m] and radii [m] of the robot's spheres at `q` (n,); lines and triangles are not among them.
     Traced."""
-    q = as_configuration(chain, q)
-    found = skeletons(chain, traced(q), q.dtype).get(1)
+    q = as_configuration(robot, q)
+    found = skeletons(robot, traced(q), q.dtype).get(1)
     if found is None:
         return jnp.zeros((0, 3), q.dtype), jnp.zeros(0, q.dtype)
     return jnp.stack([jnp.asarray(c, q.dtype) for c in found.corners[0]], axis=-1), jnp.asarray(found.radius, q.dtype)
 
 
-def link_circles(chain: Chain, q: Float[Array, " n"], circles: int = 11, around: int = 12) -> Float[Array, "p 3"]:
-    """Points in the world [m] on the cylindrical links (capsules) of a chain: `circles` along each, `around` points on one.
+def link_circles(robot: Robot, q: Float[Array, " n"], circles: int = 11, around: int = 12) -> Float[Array, "p 3"]:
+    """Points in the world [m] on the cylindrical links (capsules) of a robot: `circles` along each, `around` points on one.
     Traced.
 
     What the box penalty of IJE 2022 (`costs.box_penalty`) asks for: "the surface of the link is considered as a series of
-    circles" (sec. 5). The capsules' numbers must be concrete. Raises `ValueError` where the chain has none.
+    circles" (sec. 5). The capsules' numbers must be concrete. Raises `ValueError` where the robot has none.
     """
-    if not any(v.corners.shape[0] == 2 for v in chain.volumes):
-        raise ValueError(f"{chain.name}: has no cylindrical link; add capsules to its file")
-    return _link_circles(chain, as_count("link_circles: circles", circles), as_count("link_circles: around", around), q)
+    if not any(v.corners.shape[0] == 2 for v in robot.volumes):
+        raise ValueError(f"{robot.name}: has no cylindrical link; add capsules to its file")
+    return _link_circles(robot, as_count("link_circles: circles", circles), as_count("link_circles: around", around), q)
 
 
 @kernel(models=3)
-def _link_circles(chain: Chain, circles: int, around: int, q: Any) -> jax.Array:
-    q, lines = as_configuration(chain, q), [v for v in chain.volumes if v.corners.shape[0] == 2]
-    root = Frame.of(chain.world_T_base, float(np.finfo(q.dtype).eps))
-    frames = (root, *joint_frames(chain, traced(q), root, q.dtype).joints)
+def _link_circles(robot: Robot, circles: int, around: int, q: Any) -> jax.Array:
+    q, lines = as_configuration(robot, q), [v for v in robot.volumes if v.corners.shape[0] == 2]
+    root = Frame.of(robot.world_T_base, float(np.finfo(q.dtype).eps))
+    frames = (root, *joint_frames(robot, traced(q), root, q.dtype).joints)
     links = np.repeat([v.link for v in lines], circles * around)
-    points = _carried(chain, frames, np.concatenate([_circles(v, circles, around) for v in lines]), links, q.dtype)
+    points = _carried(robot, frames, np.concatenate([_circles(v, circles, around) for v in lines]), links, q.dtype)
     return jnp.stack([jnp.asarray(x, q.dtype) for x in points], axis=-1)
 
 

@@ -9,8 +9,8 @@ from pathlib import Path
 import numpy as np
 
 from jaxik.checks.options import among
-from jaxik.files.chain_builder import Joint, checked, displacement
 from jaxik.files.notes import listed
+from jaxik.files.robot_builder import Joint, checked, displacement
 from jaxik.fitting.report import HeldJoint
 from jaxik.reasons import LoadError
 
@@ -20,7 +20,7 @@ MASTERS = 100  # in a row, each driven by the next
 @dataclasses.dataclass
 class Posture:
     """What the caller says of joints beside the chain (`given`); and, once a file is read, where each is `held` [rad, m], the
-    joints that another of the chain drives (`driven`), the types of those that only stand (`stands`), and for each link behind
+    joints that another of the robot drives (`driven`), the types of those that only stand (`stands`), and for each link behind
     such joints which they are (`behind`)."""
 
     given: Mapping[str, float] = dataclasses.field(default_factory=dict)
@@ -29,22 +29,22 @@ class Posture:
     stands: dict[str, str] = dataclasses.field(default_factory=dict)
     behind: dict[str, tuple[str, ...]] = dataclasses.field(default_factory=dict)
 
-    def hold(self, file: Path, chain: Sequence[Joint], carried: Sequence[tuple[str, Joint]]) -> list[tuple[str, Joint]]:
-        """Joints that lead aside from a chain, each with its parent link and after it, fixed where they are held.
+    def hold(self, file: Path, robot: Sequence[Joint], carried: Sequence[tuple[str, Joint]]) -> list[tuple[str, Joint]]:
+        """Joints that lead aside from a robot, each with its parent link and after it, fixed where they are held.
 
         One is held where the caller says; else where the joint is that it mimics; else at its default, or the nearest limit.
         """
         beside = {j.name: j for _, j in carried if j.type != "fixed"}
-        on_chain = {j.name: j for j in chain if j.type != "fixed"}
+        on_robot = {j.name: j for j in robot if j.type != "fixed"}
         for name in self.given:
-            self._check(file, name, beside, on_chain)
+            self._check(file, name, beside, on_robot)
         fixed = []
         for parent, joint in carried:
             above = self.behind.get(parent, ())
             if joint.type != "fixed":
                 above = (*above, joint.name)
                 with np.errstate(all="ignore"):
-                    value = self.held[joint.name] = self._value(file, joint, beside, on_chain)
+                    value = self.held[joint.name] = self._value(file, joint, beside, on_robot)
                 if not np.isfinite(value):
                     raise LoadError(file, joint.element, "its mimic leads to infinity", "mend its numbers")
                 # what does not move needs no axis: faults of joints that nobody uses are let pass
@@ -57,22 +57,22 @@ class Posture:
             fixed.append((parent, joint))
         return fixed
 
-    def _value(self, file: Path, joint: Joint, beside: dict[str, Joint], on_chain: dict[str, Joint], depth: int = 0) -> float:
+    def _value(self, file: Path, joint: Joint, beside: dict[str, Joint], on_robot: dict[str, Joint], depth: int = 0) -> float:
         master, law = joint.mimic or ("", None)
         if law is not None and master in beside:
             if depth > MASTERS:
                 raise LoadError(file, joint.element, "mimics itself, by way of others", "remove a mimic")
-            return float(law(self._value(file, beside[master], beside, on_chain, depth + 1)))
+            return float(law(self._value(file, beside[master], beside, on_robot, depth + 1)))
         if joint.name in self.given:
             return float(self.given[joint.name])
-        if master in on_chain:
+        if master in on_robot:
             self.driven[joint.name] = master
-        at = np.clip(0.0, on_chain[master].lower, on_chain[master].upper) if master in on_chain else 0.0
+        at = np.clip(0.0, on_robot[master].lower, on_robot[master].upper) if master in on_robot else 0.0
         return float(np.clip(joint.default if law is None else float(law(at)), joint.lower, joint.upper))
 
-    def _check(self, file: Path, name: str, beside: dict[str, Joint], on_chain: dict[str, Joint]) -> None:
+    def _check(self, file: Path, name: str, beside: dict[str, Joint], on_robot: dict[str, Joint]) -> None:
         where, value = f"posture '{name}'", self.given[name]
-        if name in on_chain:
+        if name in on_robot:
             raise LoadError(file, where, "is a joint of the chain, whose value is in q", "leave it out")
         if name not in beside:
             mend = among(name, tuple(beside), "joints")

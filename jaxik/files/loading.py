@@ -1,4 +1,4 @@
-"""Robot files to chains. The only place that reads them."""
+"""Robot files to robots. The only place that reads them."""
 
 from __future__ import annotations
 
@@ -15,12 +15,12 @@ from jaxik.checks.options import check_finite, check_flag, check_kind, shown
 from jaxik.collision.scene import Scene
 from jaxik.collision.self_collision_pairs import self_collisions
 from jaxik.files import scene as scene_files
-from jaxik.files.chain_files import read_chain
 from jaxik.files.held_joints import Posture
 from jaxik.files.mesh import Meshes
 from jaxik.files.mjcf import load_mjcf
 from jaxik.files.notes import Notes
 from jaxik.files.packages import as_packages
+from jaxik.files.robot_files import read_robot
 from jaxik.files.robot_toml import load_toml, read_toml
 from jaxik.files.shipped import locate
 from jaxik.files.unchecked_pairs import asked_pairs, disabled_pairs, ignored
@@ -29,8 +29,8 @@ from jaxik.fitting.capsules import Fit
 from jaxik.fitting.links import Shape, link_surfaces
 from jaxik.fitting.model import modelled
 from jaxik.fitting.report import FitReport, fit_of
+from jaxik.kinematics.robot import Robot, solid_links
 from jaxik.reasons import LoadError
-from jaxik.robot.chain import Chain, solid_links
 
 FIT = Fit()
 TOLD = 0.01  # of random configurations, in which a pair touches that is not checked
@@ -51,20 +51,20 @@ def load(
     exact: bool = False,
     posture: Any = None,
     packages: Any = (),
-) -> Chain:
+) -> Robot:
     """The serial chain of a shipped model (`"p6r"`) or of a file: `.urdf`, `.xml` (MJCF) or `.toml`. Host.
 
-    `tip` and `base` name links (bodies or a site in MJCF); without them the chain runs from the root to the only leaf.
+    `tip` and `base` name links (bodies or a site in MJCF); without them the robot runs from the root to the only leaf.
     `tool` (4, 4) moves the tip [m]. `meshes=True` reads collision meshes, cuts concave ones into convex parts, which decide
     where links are near, and fits capsules for what is far (`fit`; None puts one box around each mesh instead); without it a
     URDF with meshes has its kinematics, and `clearance` says what is missing.
 
     Links are checked against each other unless they do not move against each other, their meshes touch in at least half of the
-    random postures, or never do; nor are neighbours, on either side of one joint. `chain.unchecked` lists each pair that is not
+    random postures, or never do; nor are neighbours, on either side of one joint. `robot.unchecked` lists each pair that is not
     checked, with the reason. `pairs` names more to check, `[("hand", "forearm")]`, or is "all".
 
     The model holds the meshes: what is free by it is free. It gives up a little free room; with `exact=True` the meshes' own
-    triangles decide where it comes nearer than 25 mm, or the margin (`chain.surfaces`), for all that asks for distances. That
+    triangles decide where it comes nearer than 25 mm, or the margin (`robot.surfaces`), for all that asks for distances. That
     costs some times as much.
 
     `srdf` names a file whose `disable_collisions` pairs
@@ -79,7 +79,7 @@ def load(
     is above `base` is left out, and what flies freely in an MJCF.
 
     Damping and dry friction of a URDF's and an MJCF's joints are in `drives`, which are ideal otherwise: a current is a torque.
-    A warning, one line each, tells what a file has besides that the chain has not (springs, gravity of its own), and what it is
+    A warning, one line each, tells what a file has besides that the robot has not (springs, gravity of its own), and what it is
     likely to mean otherwise (limits in degrees).
 
     A mesh `package://my_pkg/meshes/a.stl` is `meshes/a.stl` in a folder `my_pkg`: the nearest above the model's file, else one
@@ -103,37 +103,37 @@ def load(
         mend = "write meshes=True, and leave fit=None out; a model that was saved exact is so without"
         raise ValueError(f"load: exact is True, but no mesh is fitted; {mend}")
     stance, shapes_of = _stance("load", posture), Meshes(meshes, meshes and fit is not None, as_packages("load", packages))
-    chain, shapes, saved = _read(path, tip, base, tool, shapes_of, stance, notes := Notes())
-    asked = asked_pairs(path, chain, pairs)
-    apart, beside = ignored(path, chain, ignore)
-    disabled = apart | notes.apart | disabled_pairs(srdf, notes.links or chain.link_names, notes)
+    robot, shapes, saved = _read(path, tip, base, tool, shapes_of, stance, notes := Notes())
+    asked = asked_pairs(path, robot, pairs)
+    apart, beside = ignored(path, robot, ignore)
+    disabled = apart | notes.apart | disabled_pairs(srdf, notes.links or robot.link_names, notes)
     for line in notes.lines():
-        warnings.warn(f"{shown(chain.name)}: {line}", stacklevel=2)
-    chain = dataclasses.replace(chain, ignored=tuple(dict.fromkeys(chain.ignored + beside)))
-    if posture is None and not chain.unread_meshes and (told := stance.told(_solid(chain, shapes))):
-        warnings.warn(f"{shown(chain.name)}: {told}", stacklevel=2)
-    if exact and not shapes and not chain.surfaces:
+        warnings.warn(f"{shown(robot.name)}: {line}", stacklevel=2)
+    robot = dataclasses.replace(robot, ignored=tuple(dict.fromkeys(robot.ignored + beside)))
+    if posture is None and not robot.unread_meshes and (told := stance.told(_solid(robot, shapes))):
+        warnings.warn(f"{shown(robot.name)}: {told}", stacklevel=2)
+    if exact and not shapes and not robot.surfaces:
         raise ValueError(f"load: exact is True, but {path.name} has no meshes; leave it out: its shapes are what is measured")
     if saved is not None:
-        names = chain.link_names
+        names = robot.link_names
         kept = tuple(pair for pair in saved if frozenset(names[i] for i in pair) not in disabled)
-        return dataclasses.replace(chain, self_pairs=kept)
+        return dataclasses.replace(robot, self_pairs=kept)
     if shapes:
-        model = modelled(chain, shapes, fit, dataclasses.replace(asked, apart=disabled), stance.behind)
-        _tell(chain, "meshes", model.at_home, model.colliding)
-        modelled_chain = model.of(chain, shapes)
-        _tell_unchecked(modelled_chain)
-        surfaces = link_surfaces(chain, shapes) if exact else ()
-        return dataclasses.replace(modelled_chain, surfaces=surfaces)
-    found = self_collisions(chain, disabled, stance.behind)
+        model = modelled(robot, shapes, fit, dataclasses.replace(asked, apart=disabled), stance.behind)
+        _tell(robot, "meshes", model.at_home, model.colliding)
+        modelled_robot = model.of(robot, shapes)
+        _tell_unchecked(modelled_robot)
+        surfaces = link_surfaces(robot, shapes) if exact else ()
+        return dataclasses.replace(modelled_robot, surfaces=surfaces)
+    found = self_collisions(robot, disabled, stance.behind)
     if meshes:
-        _tell(chain, "boxes", dict.fromkeys(found.at_home), found.share)
-    return dataclasses.replace(chain, self_pairs=found.pairs)
+        _tell(robot, "boxes", dict.fromkeys(found.at_home), found.share)
+    return dataclasses.replace(robot, self_pairs=found.pairs)
 
 
-def _solid(chain: Chain, shapes: Iterable[Shape]) -> set[str]:
+def _solid(robot: Robot, shapes: Iterable[Shape]) -> set[str]:
     """The names of the links that have shapes, be they still to be fitted."""
-    return {chain.link_names[i] for i in {*solid_links(chain), *(shape.link for shape in shapes)}}
+    return {robot.link_names[i] for i in {*solid_links(robot), *(shape.link for shape in shapes)}}
 
 
 def _stance(who: str, posture: Any) -> Posture:
@@ -147,36 +147,36 @@ def _stance(who: str, posture: Any) -> Posture:
 
 def _read(
     path: Path, tip: str | None, base: str | None, tool: np.ndarray | None, meshes: Meshes, posture: Posture, notes: Notes
-) -> tuple[Chain, list[Shape], tuple[tuple[int, int], ...] | None]:
-    """The chain of a file, the shapes that are to be fitted, and the pairs of links to check where the file says them."""
+) -> tuple[Robot, list[Shape], tuple[tuple[int, int], ...] | None]:
+    """The robot of a file, the shapes that are to be fitted, and the pairs of links to check where the file says them."""
     kind, readers = path.suffix.lower(), {".urdf": load_urdf, ".xml": load_mjcf, ".mjcf": load_mjcf}
     if kind == ".toml":
         model = read_toml(path)
         if model.content.get("convention") == "chain":
-            chain = _saved(path, read_chain(model), tip, base, tool, posture)
-            return chain, [], chain.self_pairs
-        chain = load_toml(model, tip, base, tool, posture)
+            robot = _saved(path, read_robot(model), tip, base, tool, posture)
+            return robot, [], robot.self_pairs
+        robot = load_toml(model, tip, base, tool, posture)
     elif kind in readers:
-        chain = readers[kind](path, tip, base, tool, meshes, posture, notes)
+        robot = readers[kind](path, tip, base, tool, meshes, posture, notes)
     else:
         expand = f"; expand a xacro: xacro {path.name} > {path.name.partition('.')[0]}.urdf" if kind == ".xacro" else ""
         raise LoadError(path, "file", f"ending '{kind}'", f"allowed: .urdf, .xml (MJCF), .toml{expand}")
-    return chain, meshes.shapes(chain), None
+    return robot, meshes.shapes(robot), None
 
 
-def _saved(path: Path, chain: Chain, tip: str | None, base: str | None, tool: np.ndarray | None, posture: Posture) -> Chain:
-    """A chain that `save` wrote has its base and its tip, and what it carries stands still."""
+def _saved(path: Path, robot: Robot, tip: str | None, base: str | None, tool: np.ndarray | None, posture: Posture) -> Robot:
+    """A robot that `save` wrote has its base and its tip, and what it carries stands still."""
     if tip is not None or base is not None:
-        raise LoadError(path, f"tip '{tip}', base '{base}'", "are fixed in a saved chain", "leave them out, or use chain.part")
+        raise LoadError(path, f"tip '{tip}', base '{base}'", "are fixed in a saved robot", "leave them out, or use robot.part")
     if posture.given:
         where = f"posture '{next(iter(posture.given))}'"
-        raise LoadError(path, where, "is fixed in a saved chain", "load the robot's own file")
-    return chain if tool is None else chain.with_tool(tool)
+        raise LoadError(path, where, "is fixed in a saved robot", "load the robot's own file")
+    return robot if tool is None else robot.with_tool(tool)
 
 
-def _tell(chain: Chain, what: str, at_home: Mapping[tuple[int, int], float | None], share: float) -> None:
+def _tell(robot: Robot, what: str, at_home: Mapping[tuple[int, int], float | None], share: float) -> None:
     """One line where a robot's shapes collide in its default pose, or mostly: that may not be what its file is to say."""
-    names = [tuple(chain.link_names[i] for i in pair) for pair in at_home]
+    names = [tuple(robot.link_names[i] for i in pair) for pair in at_home]
     depths = ["" if depth is None else f" by {1e3 * depth:.1f} mm" for depth in at_home.values()]
     some = _some(f"{a} and {b}{depth}" for (a, b), depth in zip(names, depths, strict=True))
     if names:
@@ -186,19 +186,19 @@ def _tell(chain: Chain, what: str, at_home: Mapping[tuple[int, int], float | Non
         told = f"its {what} collide in {share:.0%} of random configurations; {APART}"
     else:
         return
-    warnings.warn(f"{chain.name}: {told}", stacklevel=3)
+    warnings.warn(f"{robot.name}: {told}", stacklevel=3)
 
 
-def _tell_unchecked(chain: Chain) -> None:
+def _tell_unchecked(robot: Robot) -> None:
     """One line of the pairs that are not checked since they touch mostly, but for neighbours, whose bearings do."""
-    joint = dict(zip(chain.link_names, chain.link_joint, strict=True))
+    joint = dict(zip(robot.link_names, robot.link_joint, strict=True))
     apart = lambda links: abs(joint[links[0]] - joint[links[1]])
-    told = [u for u in chain.unchecked if u.reason == "touches" and u.share > TOLD and apart(u.links) > 1]
+    told = [u for u in robot.unchecked if u.reason == "touches" and u.share > TOLD and apart(u.links) > 1]
     if told:
         some = _some(f"{a} and {b} in {u.share:.0%}, by {1e3 * u.depth:.1f} mm" for u in told for a, b in [u.links])
         mend = f"pairs=[{told[0].links}, ...] (--pairs {':'.join(told[0].links)}) checks them"
         warnings.warn(
-            f"{chain.name}: these pairs of links are not checked, because their meshes touch in most random configurations: "
+            f"{robot.name}: these pairs of links are not checked, because their meshes touch in most random configurations: "
             f"{some}; {mend}",
             stacklevel=3,
         )
@@ -231,13 +231,13 @@ def fit_report(
     path = locate(source)
     check_kind("fit_report", "fit", fit, Fit)
     stance = _stance("fit_report", posture)
-    chain, shapes, _ = _read(
+    robot, shapes, _ = _read(
         path, tip, base, None, Meshes(True, True, as_packages("fit_report", packages)), stance, notes := Notes()
     )
-    disabled = disabled_pairs(srdf, notes.links or chain.link_names, notes) | ignored(path, chain, ignore)[0] | notes.apart
-    asked = dataclasses.replace(asked_pairs(path, chain, pairs), apart=disabled)
-    model = modelled(chain, shapes, fit, asked, stance.behind, progress)
-    return fit_of(chain, shapes, model, stance.joints(_solid(chain, shapes)))
+    disabled = disabled_pairs(srdf, notes.links or robot.link_names, notes) | ignored(path, robot, ignore)[0] | notes.apart
+    asked = dataclasses.replace(asked_pairs(path, robot, pairs), apart=disabled)
+    model = modelled(robot, shapes, fit, asked, stance.behind, progress)
+    return fit_of(robot, shapes, model, stance.joints(_solid(robot, shapes)))
 
 
 def link_meshes(

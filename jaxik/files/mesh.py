@@ -16,14 +16,14 @@ import numpy as np
 from jaxik.checks.arrays import numbers, rigid_frame
 from jaxik.checks.options import shown
 from jaxik.collision.scene import LIMIT
-from jaxik.files.chain_builder import MAX_BYTES, Link
 from jaxik.files.packages import MEND, PACKAGE, in_package, package_of
 from jaxik.files.polygon_files import READERS, read_polygons
+from jaxik.files.robot_builder import MAX_BYTES, Link
 from jaxik.fitting.link_distance_tables import SECTIONS
 from jaxik.fitting.links import Shape
+from jaxik.kinematics.robot import Robot
+from jaxik.kinematics.surface import ROUND, prism
 from jaxik.reasons import LoadError
-from jaxik.robot.chain import Chain
-from jaxik.robot.surface import ROUND, prism
 
 # A ROS package keeps its model in urdf/ and its meshes beside that folder, so the model's folder is then the package's.
 _INNER_FOLDERS = ("urdf", "urdfs", "xacro", "robots", "mjcf", "xml")
@@ -63,13 +63,13 @@ class Meshes:
             to_origin, extents = trimesh.bounds.oriented_bounds(points)  # of the smallest box around
             link.boxes.append((origin @ np.linalg.inv(to_origin), np.asarray(extents) / 2.0))
 
-    def shapes(self, chain: Chain) -> list[Shape]:
-        """What was collected, in the frames of the chain's joints."""
+    def shapes(self, robot: Robot) -> list[Shape]:
+        """What was collected, in the frames of the robot's joints."""
         found = []
         for owner, shape in self.found:
-            if owner in chain.link_names:
-                link = chain.link_names.index(owner)
-                found.append(shape.moved(np.asarray(chain.link_offset[link]))._replace(link=link))
+            if owner in robot.link_names:
+                link = robot.link_names.index(owner)
+                found.append(shape.moved(np.asarray(robot.link_offset[link]))._replace(link=link))
         return found
 
 

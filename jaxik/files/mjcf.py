@@ -1,4 +1,4 @@
-"""MJCF to a chain. MuJoCo itself compiles the file, so every default, class and include means what MuJoCo means by it."""
+"""MJCF to a robot. MuJoCo itself compiles the file, so every default, class and include means what MuJoCo means by it."""
 
 from __future__ import annotations
 
@@ -14,15 +14,15 @@ from numpy.polynomial import Polynomial
 
 from jaxik.checks.optional_modules import optional
 from jaxik.checks.options import among
-from jaxik.files.chain_builder import Joint, Link, all_driven, assemble, displacement, rubbing, way_up
+from jaxik.dynamics.recursions import GRAVITY
 from jaxik.files.held_joints import Posture
 from jaxik.files.mesh import Meshes, add_box, add_capsule, add_cylinder, home, resolve
 from jaxik.files.mjcf_constraints import FREE, check_loops, note_contacts, solid_geoms
 from jaxik.files.notes import Notes
+from jaxik.files.robot_builder import Joint, Link, all_driven, assemble, displacement, rubbing, way_up
 from jaxik.files.xml import parse
+from jaxik.kinematics.robot import Robot
 from jaxik.reasons import LoadError
-from jaxik.robot.chain import Chain
-from jaxik.robot.dynamics import GRAVITY
 from jaxik.spatial.rotations import frame, from_wxyz
 
 FOLDERS = ("meshdir", "texturedir", "assetdir")
@@ -35,7 +35,7 @@ LIGHT = 1e-12  # [kg, kg m2] the least that a body gets whose mass was its mesh'
 
 def load_mjcf(
     path: Path, tip: str | None, base: str | None, tool: np.ndarray | None, meshes: Meshes, held: Posture, notes: Notes
-) -> Chain:
+) -> Robot:
     """The serial chain from body `base` (the world) to body or site `tip` (the only leaf), and what it carries, `held` in a
     posture; bodies that fly freely are no part of it."""
     model, unread = _compiled(path, meshes, notes)
@@ -93,7 +93,7 @@ def _note_forces(model: Any, run: list[int], names: list[str], notes: Notes) -> 
 
 
 def _compiled(path: Path, meshes: Meshes, notes: Notes) -> tuple[Any, dict[str, list[str]]]:
-    """MuJoCo's model; and the meshes of each body that are not there, which a chain without meshes does without."""
+    """MuJoCo's model; and the meshes of each body that are not there, which a robot without meshes does without."""
     mujoco = optional(f"{path}: MJCF", "mujoco", "mjcf")
     _check_files(path, path, set())
     try:
@@ -129,15 +129,15 @@ def _without_meshes(spec: Any, notes: Notes) -> dict[str, list[str]]:
     return found
 
 
-def _aside(model: Any, chain: set[int]) -> list[int]:
-    """The bodies that hang on a chain, none of them by a free joint; parents before children, as MuJoCo numbers them."""
-    reached = dict.fromkeys(chain)
+def _aside(model: Any, robot: set[int]) -> list[int]:
+    """The bodies that hang on a robot, none of them by a free joint; parents before children, as MuJoCo numbers them."""
+    reached = dict.fromkeys(robot)
     for body in range(1, model.nbody):
         first, count = int(model.body_jntadr[body]), int(model.body_jntnum[body])
         free = count > 0 and model.jnt_type[first] == FREE
-        if body not in chain and model.body_parentid[body] in reached and not free:
+        if body not in robot and model.body_parentid[body] in reached and not free:
             reached[body] = None
-    return [body for body in reached if body not in chain]
+    return [body for body in reached if body not in robot]
 
 
 def _carried(path: Path, model: Any, body: int, names: list[str]) -> list[tuple[str, Joint]]:
@@ -188,7 +188,7 @@ def _copied(model: Path, document: Element, copies: float) -> dict[Element, floa
 
 def _body_joints(path: Path, model: Any, body: int, name: str, beside: bool = False) -> list[Joint]:
     """A body's joints as a run; a hinge turns about its anchor, so the body's own frame is offset from it. Those beside the
-    chain may follow others; a ball among them stays as it is."""
+    robot may follow others; a ball among them stays as it is."""
     kinds = {2: "prismatic", 3: "revolute"}
     coupled = _coupled(model)
     pending = frame(model.body_pos[body], from_wxyz(model.body_quat[body]))

@@ -20,9 +20,9 @@ FREE = 0  # of MuJoCo's joint types
 
 
 def check_loops(path: Path, model: Any, names: Sequence[str], moved: Mapping[int, int], notes: Notes) -> None:
-    """Refuse an active equality between what different joints of the chain move (`moved`: how many are before a body).
+    """Refuse an active equality between what different joints of the robot move (`moved`: how many are before a body).
 
-    What flies freely, or is led by hand (mocap), follows the chain; that it is tied to it is told.
+    What flies freely, or is led by hand (mocap), follows the robot; that it is tied to it is told.
     """
     import mujoco
 

@@ -1,4 +1,4 @@
-"""What a robot's file says that its chain cannot hold, for one line of warning each; and the links that it lets pass."""
+"""What a robot's file says that its robot cannot hold, for one line of warning each; and the links that it lets pass."""
 
 from __future__ import annotations
 

@@ -17,13 +17,13 @@ import numpy as np
 
 from jaxik.checks.options import among, nearest, shown
 from jaxik.collision.scene import LIMIT
-from jaxik.files.chain_builder import JOINT_TYPES, Joint, Link, assemble, read_bytes, symmetric, unique, way_up
 from jaxik.files.held_joints import Posture
 from jaxik.files.mesh import resolve
+from jaxik.files.robot_builder import JOINT_TYPES, Joint, Link, assemble, read_bytes, symmetric, unique, way_up
 from jaxik.files.shipped import locate
+from jaxik.kinematics.drive import Drive, Friction, Side
+from jaxik.kinematics.robot import Robot
 from jaxik.reasons import LoadError
-from jaxik.robot.chain import Chain
-from jaxik.robot.drive import Drive, Friction, Side
 from jaxik.spatial.rotations import frame, from_rpy
 
 UNITS = {
@@ -222,7 +222,7 @@ class Parts:
         return ["base", *(joint.child for joint in self.joints)]
 
 
-def load_toml(model: Table, tip: str | None, base: str | None, tool: np.ndarray | None, posture: Posture) -> Chain:
+def load_toml(model: Table, tip: str | None, base: str | None, tool: np.ndarray | None, posture: Posture) -> Robot:
     """A model file to a chain from link `base` to link `tip`, where they are given; joints after the tip are held."""
     path, parts = model.path, _parts(model, (model.path.resolve(),))
     joints, names = parts.joints, parts.names

@@ -6,7 +6,6 @@ import csv
 import io
 import math
 import os
-import warnings
 from pathlib import Path
 from typing import Any
 
@@ -16,8 +15,8 @@ from jaxik.checks.options import check_kind, shown
 from jaxik.collision.scene import FAR, SHAPES, Fruit, Scene
 from jaxik.collision.scene_builder import SceneBuilder, hanging
 from jaxik.collision.surfaces import as_bodies, polygon_triangles
-from jaxik.files.chain_builder import read_bytes
 from jaxik.files.mesh import load_mesh, resolve
+from jaxik.files.robot_builder import read_bytes
 from jaxik.files.robot_toml import Table, read_toml
 from jaxik.files.targets import folded, metre_of, point_columns
 from jaxik.files.writing import toml, write_text
@@ -181,22 +180,17 @@ def _from_points(path: Path, labels: list[str], points: np.ndarray) -> Scene:
     return builder.scene()
 
 
-def save_scene(scene: Scene | str | Path, path: str | Path | Scene, description: str = "-") -> None:
+def save_scene(scene: Scene, path: str | Path, *, description: str = "-") -> None:
     """Writes a scene as `.toml`, which `load_scene` gives back to the last bit, objects first and fruits after them, without
     what was taken away (`Scene.without`). Host.
 
     Raises `ValueError` for another ending, for a file that cannot be written, and for obstacles that belong to no object
     (`Scene.geometry`), which a file cannot name.
     """
-    what: Any = scene
-    where: Any = path
-    if isinstance(scene, str | Path):
-        warnings.warn("save_scene: write save_scene(scene, path), as save(chain, path)", DeprecationWarning, stacklevel=2)
-        what, where = path, scene
-    check_kind("save_scene", "scene", what, Scene)
-    if (file := Path(where)).suffix != ".toml":
+    check_kind("save_scene", "scene", scene, Scene)
+    if (file := Path(path)).suffix != ".toml":
         raise ValueError(f"save_scene: {file}: ending '{file.suffix}'; allowed: .toml")
-    write_text("save_scene", file, _written(what, description))
+    write_text("save_scene", file, _written(scene, description))
 
 
 def _written(scene: Scene, description: str) -> str:

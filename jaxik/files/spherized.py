@@ -1,4 +1,4 @@
-"""A chain as a URDF whose links are spheres: what other programs read (PyRoki, cuRobo, VAMP's generator)."""
+"""A robot as a URDF whose links are spheres: what other programs read (PyRoki, cuRobo, VAMP's generator)."""
 
 from __future__ import annotations
 
@@ -11,8 +11,8 @@ import numpy as np
 
 from jaxik.collision.volumes import box_spheres
 from jaxik.files.notes import listed
-from jaxik.robot.chain import Body, Chain
-from jaxik.robot.drive import Drive
+from jaxik.kinematics.drive import Drive
+from jaxik.kinematics.robot import Body, Robot
 from jaxik.spatial.rotations import to_rpy
 
 LOST = (
@@ -21,49 +21,49 @@ LOST = (
 )
 
 
-def spherized(chain: Chain, beyond: float) -> tuple[str, float]:
-    """A URDF of a chain whose links are spheres, and how far these reach beyond the chain's volumes [m], at most `beyond`.
+def spherized(robot: Robot, beyond: float) -> tuple[str, float]:
+    """A URDF of a robot whose links are spheres, and how far these reach beyond the robot's volumes [m], at most `beyond`.
 
-    Raises `ValueError` for a chain whose meshes were not read.
+    Raises `ValueError` for a robot whose meshes were not read.
     """
-    if chain.unread_meshes:
-        raise ValueError(f"save: the meshes of {listed(chain.unread_meshes)} are not read; load with meshes=True")
-    root = ElementTree.Element("robot", name=chain.name)
-    names = _frame_names(chain)
-    spheres: dict[int, list[tuple[np.ndarray, float]]] = {i: [] for i in range(len(chain.link_names))}
+    if robot.unread_meshes:
+        raise ValueError(f"save: the meshes of {listed(robot.unread_meshes)} are not read; load with meshes=True")
+    root = ElementTree.Element("robot", name=robot.name)
+    names = _frame_names(robot)
+    spheres: dict[int, list[tuple[np.ndarray, float]]] = {i: [] for i in range(len(robot.link_names))}
     reach = 0.0
-    for volume in chain.volumes:
+    for volume in robot.volumes:
         centres, more = _covering(np.asarray(volume.corners), float(volume.radius), beyond)
         spheres[volume.link] += [(centre, float(volume.radius) + more) for centre in centres]
         reach = max(reach, more)
-    for box in chain.boxes:
-        middles, size = box_spheres(box, chain.spheres_per_box)
+    for box in robot.boxes:
+        middles, size = box_spheres(box, robot.spheres_per_box)
         spheres[box.link] += [(np.asarray(middle), float(size)) for middle in middles]
-    tool = _free("tool", (*names, *chain.link_names))
-    every = dict.fromkeys((*names, *chain.link_names, tool))
+    tool = _free("tool", (*names, *robot.link_names))
+    every = dict.fromkeys((*names, *robot.link_names, tool))
     elements = {name: ElementTree.SubElement(root, "link", name=name) for name in every}
-    for i, name in enumerate(chain.link_names):
+    for i, name in enumerate(robot.link_names):
         element = elements[name]
-        if name in names and chain.bodies and chain.link_joint[i]:  # it stands for the frame of what moves with a joint
-            _inertial(element, chain.bodies[chain.link_joint[i] - 1])
-        back = np.linalg.inv(chain.link_offset[i])
+        if name in names and robot.bodies and robot.link_joint[i]:  # it stands for the frame of what moves with a joint
+            _inertial(element, robot.bodies[robot.link_joint[i] - 1])
+        back = np.linalg.inv(robot.link_offset[i])
         for centre, radius in spheres[i]:
             collision = ElementTree.SubElement(element, "collision")
             ElementTree.SubElement(collision, "origin", xyz=_words(back[:3, :3] @ centre + back[:3, 3]), rpy="0 0 0")
             ElementTree.SubElement(ElementTree.SubElement(collision, "geometry"), "sphere", radius=repr(float(radius)))
-    for i, name in enumerate(chain.joint_names):
-        joint = _joined(root, name, chain.joint_types[i], names[i], names[i + 1], chain.parent_T_joint[i])
-        ElementTree.SubElement(joint, "axis", xyz=_words(chain.axis[i]))
-        ends = {} if chain.joint_types[i] == "continuous" else {"lower": chain.lower[i], "upper": chain.upper[i]}
-        effort = chain.effort[i] if np.isfinite(chain.effort[i]) else 0.0  # which the format wants of every joint
-        limit = ends | {"velocity": chain.velocity[i], "effort": effort}
+    for i, name in enumerate(robot.joint_names):
+        joint = _joined(root, name, robot.joint_types[i], names[i], names[i + 1], robot.parent_T_joint[i])
+        ElementTree.SubElement(joint, "axis", xyz=_words(robot.axis[i]))
+        ends = {} if robot.joint_types[i] == "continuous" else {"lower": robot.lower[i], "upper": robot.upper[i]}
+        effort = robot.effort[i] if np.isfinite(robot.effort[i]) else 0.0  # which the format wants of every joint
+        limit = ends | {"velocity": robot.velocity[i], "effort": effort}
         ElementTree.SubElement(joint, "limit", {k: repr(float(v)) for k, v in limit.items() if np.isfinite(v)})
-        if chain.drives:
-            ElementTree.SubElement(joint, "dynamics", _friction(chain.drives[i]))
-    placed = zip(chain.link_names, chain.link_joint, chain.link_offset, strict=True)
+        if robot.drives:
+            ElementTree.SubElement(joint, "dynamics", _friction(robot.drives[i]))
+    placed = zip(robot.link_names, robot.link_joint, robot.link_offset, strict=True)
     fixed = [(name, names[joint], offset) for name, joint, offset in placed if name not in names]
-    for name, parent, frame in (*fixed, (tool, names[-1], chain.joint_T_tip)):
-        _joined(root, _free(f"{name}_fixed", chain.joint_names), "fixed", parent, name, frame)
+    for name, parent, frame in (*fixed, (tool, names[-1], robot.joint_T_tip)):
+        _joined(root, _free(f"{name}_fixed", robot.joint_names), "fixed", parent, name, frame)
     count = sum(map(len, spheres.values()))
     note = f"{count} spheres, which reach at most {1e3 * reach:.1f} mm beyond the collision model; the tip is '{tool}'"
     root.insert(0, ElementTree.Comment(f" {note} "))
@@ -72,14 +72,14 @@ def spherized(chain: Chain, beyond: float) -> tuple[str, float]:
     return ElementTree.tostring(root, encoding="unicode") + "\n", reach
 
 
-def _frame_names(chain: Chain) -> list[str]:
-    """A link for the base's frame and each joint's: one of the chain's that stands there, or another."""
+def _frame_names(robot: Robot) -> list[str]:
+    """A link for the base's frame and each joint's: one of the robot's that stands there, or another."""
     found: list[str] = []
-    for joint in range(chain.num_joints + 1):
-        there = [n for n, j, o in zip(chain.link_names, chain.link_joint, chain.link_offset, strict=True)
+    for joint in range(robot.num_joints + 1):
+        there = [n for n, j, o in zip(robot.link_names, robot.link_joint, robot.link_offset, strict=True)
                  if j == joint and np.array_equal(o, np.eye(4))]  # fmt: skip
-        named = "base_frame" if joint == 0 else f"{chain.joint_names[joint - 1]}_frame"
-        found.append(there[0] if there else _free(named, (*chain.link_names, *found)))
+        named = "base_frame" if joint == 0 else f"{robot.joint_names[joint - 1]}_frame"
+        found.append(there[0] if there else _free(named, (*robot.link_names, *found)))
     return found
 
 

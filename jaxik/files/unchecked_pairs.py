@@ -13,14 +13,14 @@ from jaxik.files.notes import Notes
 from jaxik.files.writing import write_text
 from jaxik.files.xml import attribute, parse
 from jaxik.fitting.links import Asked
+from jaxik.kinematics.robot import Robot, solid_links
 from jaxik.reasons import LoadError
-from jaxik.robot.chain import Chain, solid_links
 
 MARK = "<!-- of the .urdf beside it, by jaxik -->"
 ALIKE = 0.8  # share of letters, by difflib, from which a name is a link's misspelt: 'Link2', 'link_2'
 
 
-def ignored(path: Path, chain: Chain, entries: Any) -> tuple[frozenset[frozenset[str]], tuple[tuple[int, str], ...]]:
+def ignored(path: Path, robot: Robot, entries: Any) -> tuple[frozenset[frozenset[str]], tuple[tuple[int, str], ...]]:
     """The pairs of links, and the pairs of a link's number with an object's name ("*": any), that `entries` say.
 
     An entry is a link's name (no object of a scene counts for it), two links' names, or those of a link and of an object; a
@@ -35,19 +35,19 @@ def ignored(path: Path, chain: Chain, entries: Any) -> tuple[frozenset[frozenset
         if not isinstance(names, tuple | list) or len(names) != 2 or not all(isinstance(n, str) and n for n in names):
             raise LoadError(path, what, "is no link and no pair of names", 'write "link" or ("link", "other")')
         link, other = names
-        if link not in chain.link_names:
-            raise LoadError(path, what, f"no such link '{link[:40]}'", among(link, chain.link_names, "links"))
-        if other in chain.link_names:
+        if link not in robot.link_names:
+            raise LoadError(path, what, f"no such link '{link[:40]}'", among(link, robot.link_names, "links"))
+        if other in robot.link_names:
             apart.append(frozenset(names))
-        elif meant := nearest(other, chain.link_names, ALIKE):
+        elif meant := nearest(other, robot.link_names, ALIKE):
             mend = f"did you mean '{meant}'? an object of the scene needs a name that is less like a link's"
             raise LoadError(path, what, f"no such link '{shown(other)}'", mend)
         else:
-            beside.append((chain.link_names.index(link), other))
+            beside.append((robot.link_names.index(link), other))
     return frozenset(apart), tuple(dict.fromkeys(beside))
 
 
-def asked_pairs(path: Path, chain: Chain, entries: Any) -> Asked:
+def asked_pairs(path: Path, robot: Robot, entries: Any) -> Asked:
     """The pairs of links that are checked in any case, as `entries` name them, or all."""
     if entries == "all":
         return Asked(all=True)
@@ -58,8 +58,8 @@ def asked_pairs(path: Path, chain: Chain, entries: Any) -> Asked:
         if not isinstance(names, tuple | list) or len(names) != 2 or not all(isinstance(n, str) for n in names):
             raise LoadError(path, f"pairs {shown(names)}", "is no pair of links", 'write ("link", "other")')
         for name in names:
-            if name not in chain.link_names:
-                mend = among(name, chain.link_names, "links")
+            if name not in robot.link_names:
+                mend = among(name, robot.link_names, "links")
                 raise LoadError(path, f"pairs {shown(names)}", f"no such link '{shown(name)}'", mend)
         found.append(frozenset(names))
     return Asked(checked=frozenset(found))
@@ -91,16 +91,16 @@ def disabled_pairs(srdf: str | Path | None, links: Collection[str], notes: Notes
     return frozenset(off | ({frozenset((link, other)) for link in alone for other in links if link != other} - on))
 
 
-def unchecked(chain: Chain) -> list[tuple[str, str]]:
-    """The pairs of links with geometry that a chain does not check against each other."""
-    checked, names = {frozenset(pair) for pair in chain.self_pairs}, chain.link_names
-    return [(names[a], names[b]) for a, b in itertools.combinations(solid_links(chain), 2) if {a, b} not in checked]
+def unchecked(robot: Robot) -> list[tuple[str, str]]:
+    """The pairs of links with geometry that a robot does not check against each other."""
+    checked, names = {frozenset(pair) for pair in robot.self_pairs}, robot.link_names
+    return [(names[a], names[b]) for a, b in itertools.combinations(solid_links(robot), 2) if {a, b} not in checked]
 
 
-def write_disabled(chain: Chain, path: Path) -> None:
-    """A file that disables what a chain does not check."""
-    root = ElementTree.Element("robot", name=chain.name)
-    for first, second in unchecked(chain):
+def write_disabled(robot: Robot, path: Path) -> None:
+    """A file that disables what a robot does not check."""
+    root = ElementTree.Element("robot", name=robot.name)
+    for first, second in unchecked(robot):
         ElementTree.SubElement(root, "disable_collisions", link1=first, link2=second, reason="User")
     ElementTree.indent(root)
     write_text("save", path, f"{MARK}\n{ElementTree.tostring(root, encoding='unicode')}\n")

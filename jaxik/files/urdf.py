@@ -1,4 +1,4 @@
-"""URDF to a chain [http://wiki.ros.org/urdf/XML]."""
+"""URDF to a robot [http://wiki.ros.org/urdf/XML]."""
 
 from __future__ import annotations
 
@@ -10,14 +10,14 @@ import numpy as np
 from numpy.polynomial import Polynomial
 
 from jaxik.checks.options import among
-from jaxik.files.chain_builder import JOINT_TYPES, Joint, Link, all_driven, assemble, rubbing, symmetric, unique, way_up
 from jaxik.files.held_joints import Posture
 from jaxik.files.mesh import Meshes, add_box, add_capsule, add_cylinder, read_mesh
 from jaxik.files.notes import Notes
+from jaxik.files.robot_builder import JOINT_TYPES, Joint, Link, all_driven, assemble, rubbing, symmetric, unique, way_up
 from jaxik.files.robot_toml import TURNS
 from jaxik.files.xml import XACRO, attribute, number, numbers, parse
+from jaxik.kinematics.robot import Robot
 from jaxik.reasons import LoadError
-from jaxik.robot.chain import Chain
 from jaxik.spatial.rotations import frame, from_rpy, from_wxyz
 
 DEGREES = 1080.0  # a limit beyond them is meant to be none
@@ -25,7 +25,7 @@ DEGREES = 1080.0  # a limit beyond them is meant to be none
 
 def load_urdf(
     path: Path, tip: str | None, base: str | None, tool: np.ndarray | None, meshes: Meshes, held: Posture, notes: Notes
-) -> Chain:
+) -> Robot:
     """The serial chain from link `base` (the root) to link `tip` (the only leaf), and what it carries, `held` in a posture."""
     root = parse(path, "robot")
     _refuse_xacro(path, root)
@@ -56,15 +56,15 @@ def _refuse_xacro(path: Path, root: Element) -> None:
             raise LoadError(path, f"<{tag}>", "is xacro, of which a robot is still to be made", XACRO.format(path))
 
 
-def _carried(path: Path, chain: list[str], above: dict[str, tuple[Element, str]], notes: Notes) -> list[tuple[str, Joint]]:
-    """The joints that lead aside from the chain, and on from there: a head, a hand's fingers, a camera. With their parents."""
+def _carried(path: Path, robot: list[str], above: dict[str, tuple[Element, str]], notes: Notes) -> list[tuple[str, Joint]]:
+    """The joints that lead aside from the robot, and on from there: a head, a hand's fingers, a camera. With their parents."""
     found: list[tuple[str, Joint]] = []
-    on_chain, below = {*chain}, collections.defaultdict(list)
+    on_robot, below = {*robot}, collections.defaultdict(list)
     for child, (element, parent) in above.items():
         below[parent].append((element, child))
-    reached = list(chain)
+    reached = list(robot)
     for parent in reached:  # grows while it is read
-        aside = [(element, child) for element, child in below[parent] if child not in on_chain]
+        aside = [(element, child) for element, child in below[parent] if child not in on_robot]
         found += [(parent, _joint(path, element, child, notes, beside=True)) for element, child in aside]
         reached += [child for _, child in aside]
     return found
@@ -79,7 +79,7 @@ def _parents(path: Path, joints: list[Element], links: dict[str, Element]) -> di
             if link not in links:
                 raise LoadError(path, where, f"link '{link}' is not defined", among(link, [*links], "links"))
         if child in above:
-            raise LoadError(path, where, f"link '{child}' has two parent joints", "a chain needs a tree")
+            raise LoadError(path, where, f"link '{child}' has two parent joints", "a robot needs a tree")
         above[child] = (element, parent)
     return above
 

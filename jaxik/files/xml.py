@@ -10,7 +10,7 @@ import numpy as np
 from defusedxml import DefusedXmlException
 from defusedxml.ElementTree import fromstring
 
-from jaxik.files.chain_builder import read_bytes
+from jaxik.files.robot_builder import read_bytes
 from jaxik.reasons import LoadError
 
 XACRO = "expand it: xacro {0.name} > {0.stem}_expanded.urdf"

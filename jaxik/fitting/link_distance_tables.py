@@ -26,9 +26,9 @@ from jaxik.fitting.convex import (
     separated,
     ways_out,
 )
-from jaxik.robot.chain import Chain
-from jaxik.robot.kinematics import joint_frames
-from jaxik.robot.link_distance_table import PairTable, stored
+from jaxik.kinematics.forward import joint_frames
+from jaxik.kinematics.link_distance_table import PairTable, stored
+from jaxik.kinematics.robot import Robot
 from jaxik.spatial.algebra import BASE
 from jaxik.spmd.batch import in_blocks
 
@@ -45,15 +45,15 @@ Couples = list[Couple]
 Places = tuple[np.ndarray, np.ndarray]  # turns (n, 3, 3) and places (n, 3)
 
 
-def frames(chain: Chain, q: np.ndarray) -> np.ndarray:
+def frames(robot: Robot, q: np.ndarray) -> np.ndarray:
     """The frames of the base and of each joint (joints + 1, n, 4, 4) in the base's."""
-    found = (BASE, *joint_frames(chain, list(q.T), BASE, np.float64).joints)
+    found = (BASE, *joint_frames(robot, list(q.T), BASE, np.float64).joints)
     return np.stack([np.broadcast_to(frame.matrices, (len(q), 4, 4)) for frame in found])
 
 
-def between(chain: Chain, pair: tuple[int, int], frames: np.ndarray) -> Places:
+def between(robot: Robot, pair: tuple[int, int], frames: np.ndarray) -> Places:
     """Where the second link's joint stands in the frame of the first's."""
-    a, b = (frames[chain.link_joint[link]] for link in pair)
+    a, b = (frames[robot.link_joint[link]] for link in pair)
     back = a[:, :3, :3].transpose(0, 2, 1)
     return back @ b[:, :3, :3], np.einsum("nij,nj->ni", back, b[:, :3, 3] - a[:, :3, 3])
 
@@ -64,31 +64,31 @@ def side_of(accuracy: float) -> int:
 
 
 def table_of(
-    chain: Chain, pair: tuple[int, int], bodies: dict[int, list[Body]], limits: Limits, q: np.ndarray, side: int
+    robot: Robot, pair: tuple[int, int], bodies: dict[int, list[Body]], limits: Limits, q: np.ndarray, side: int
 ) -> PairTable | None:
     """The table, of `side` values of each joint, that says of most configurations `q` (k, n), in which a pair is free, that it
     is; None if of too few."""
-    near, far = sorted(pair, key=lambda link: chain.link_joint[link])
-    first, last = chain.link_joint[near], chain.link_joint[far]
-    before, after = (not chain.is_prismatic[j] for j in (first, last - 1))  # whether these joints may sweep their links
+    near, far = sorted(pair, key=lambda link: robot.link_joint[link])
+    first, last = robot.link_joint[near], robot.link_joint[far]
+    before, after = (not robot.is_prismatic[j] for j in (first, last - 1))  # whether these joints may sweep their links
     best: tuple[float, int, Couples] = USEFUL, 0, []
     for k in range(first, last - 1):
         if k - first <= before and last - 2 - k <= after:
-            couples = _couples(chain, near, far, k, bodies)
-            still = np.where(np.isin(np.arange(chain.num_joints), (k, k + 1)), q, 0.0)  # the others are swept
-            share = float(np.mean(gaps(couples, *between(chain, (near, far), frames(chain, still)), ENOUGH) > 0.0))
+            couples = _couples(robot, near, far, k, bodies)
+            still = np.where(np.isin(np.arange(robot.num_joints), (k, k + 1)), q, 0.0)  # the others are swept
+            share = float(np.mean(gaps(couples, *between(robot, (near, far), frames(robot, still)), ENOUGH) > 0.0))
             best = max(best, (share, k, couples), key=lambda each: each[0])
     if not best[2]:
         return None
-    table = _table(chain, near, far, *best[1:], limits, side)
+    table = _table(robot, near, far, *best[1:], limits, side)
     return dataclasses.replace(table, links=pair) if np.mean(table(q) > 0.0) >= USEFUL else None
 
 
-def _couples(chain: Chain, near: int, far: int, k: int, bodies: dict[int, list[Body]]) -> Couples:
+def _couples(robot: Robot, near: int, far: int, k: int, bodies: dict[int, list[Body]]) -> Couples:
     """The bodies of the link nearer to the base, each with each of the one further: or, where joints lie between beside k and
     k + 1, all that they sweep by them."""
-    axes, frame = np.asarray(chain.axis, np.float64), np.asarray(chain.parent_T_joint, np.float64)
-    first, last, mine, theirs = chain.link_joint[near], chain.link_joint[far], bodies[near], bodies[far]
+    axes, frame = np.asarray(robot.axis, np.float64), np.asarray(robot.parent_T_joint, np.float64)
+    first, last, mine, theirs = robot.link_joint[near], robot.link_joint[far], bodies[near], bodies[far]
     if k > first:
         mine = [_swept(body, frame[first, :3, 3], frame[first, :3, :3] @ axes[first]) for body in mine]
     if k + 2 < last:
@@ -96,23 +96,23 @@ def _couples(chain: Chain, near: int, far: int, k: int, bodies: dict[int, list[B
     return list(itertools.product(mine, theirs))
 
 
-def _table(chain: Chain, near: int, far: int, k: int, couples: Couples, limits: Limits, side: int) -> PairTable:
+def _table(robot: Robot, near: int, far: int, k: int, couples: Couples, limits: Limits, side: int) -> PairTable:
     """A table by joints k and k + 1, the others between at 0."""
-    axes, frame = np.asarray(chain.axis, np.float64), np.asarray(chain.parent_T_joint, np.float64)
-    first, last = chain.link_joint[near], chain.link_joint[far]
+    axes, frame = np.asarray(robot.axis, np.float64), np.asarray(robot.parent_T_joint, np.float64)
+    first, last = robot.link_joint[near], robot.link_joint[far]
     own = functools.reduce(np.matmul, frame[first : k + 1])  # joint k, seen from the nearer link
     other = np.linalg.inv(functools.reduce(np.matmul, frame[k + 2 : last], np.eye(4)))  # joint k + 1, seen from the further one
-    slides = [chain.is_prismatic[j] for j in (k, k + 1)]
+    slides = [robot.is_prismatic[j] for j in (k, k + 1)]
     turns = [Axis(f[:3, 3], f[:3, :3] @ axes[j], s) for j, f, s in zip((k, k + 1), (own, other), slides, strict=True)]
     fastest = lambda turn, body: float(np.linalg.norm(turn.moved(body.corners), axis=1).max())
     each = zip(turns, zip(*couples, strict=True), strict=True)
     reach = tuple(max(fastest(turn, body) for body in own) for turn, own in each)
 
-    ranges = [_range(chain, j, limits) for j in (k, k + 1)]
-    q = np.zeros((side * side, chain.num_joints))
+    ranges = [_range(robot, j, limits) for j in (k, k + 1)]
+    q = np.zeros((side * side, robot.num_joints))
     q[:, k : k + 2] = np.stack(np.meshgrid(*(np.linspace(*r, side) for r in ranges), indexing="ij"), axis=-1).reshape(-1, 2)
     steps = [(high - low) / (side - 1) for low, high in ranges]
-    places = between(chain, (near, far), frames(chain, q))
+    places = between(robot, (near, far), frames(robot, q))
     found = [separated(a, b, *places, ENOUGH) for a, b in couples]
     wraps = tuple(r == TURN for r in ranges)
     free = np.min([gap for gap, _ in found], axis=0) > 0.0
@@ -145,10 +145,10 @@ class Axis(NamedTuple):
         return np.broadcast_to(along, points.shape) if self.slides else np.cross(along, points - self.origin[..., None, :])
 
 
-def _range(chain: Chain, joint: int, limits: Limits) -> tuple[float, float]:
+def _range(robot: Robot, joint: int, limits: Limits) -> tuple[float, float]:
     """The values of a joint that a table covers."""
     low, high = (float(limit[joint]) for limit in limits)
-    whole = not chain.is_prismatic[joint] and high - low > TURN[1] - TURN[0] - 1e-6
+    whole = not robot.is_prismatic[joint] and high - low > TURN[1] - TURN[0] - 1e-6
     return TURN if whole else (low, max(high, low + 1e-3))
 
 

@@ -23,8 +23,8 @@ from jaxik.fitting.convex import Body, apart_at_least, depths, gaps, hull_of, se
 from jaxik.fitting.link_distance_tables import Places, between, frames
 from jaxik.fitting.parts import best_cut, divided, divisions
 from jaxik.fitting.surfaces import touching
-from jaxik.robot.chain import Chain, Unchecked, UncheckedReason, finite_limits
-from jaxik.robot.surface import Surface, fan
+from jaxik.kinematics.robot import Robot, Unchecked, UncheckedReason, finite_limits
+from jaxik.kinematics.surface import Surface, fan
 from jaxik.spmd.batch import threads
 
 SAMPLES = 2000  # random configurations
@@ -99,17 +99,17 @@ class Pass(NamedTuple):
 class Links:
     """The links' surfaces and their convex parts in random configurations, the default pose before them."""
 
-    def __init__(self, chain: Chain, shapes: Sequence[Shape], fit: Fit, asked: Asked, aside: Collection[str]):
-        self.chain, self.shapes, self.fit, self.asked, self.aside = chain, shapes, fit, asked, aside
-        self.names = chain.link_names
+    def __init__(self, robot: Robot, shapes: Sequence[Shape], fit: Fit, asked: Asked, aside: Collection[str]):
+        self.robot, self.shapes, self.fit, self.asked, self.aside = robot, shapes, fit, asked, aside
+        self.names = robot.link_names
         # hulls let go of Python's lock
         found = [*threads().map(lambda s: divisions(s.corners, s.triangles, min(fit.parts, PARTS)), shapes)]
         self.few = [[pieces for pieces in each if len(pieces) <= max(FEW, len(each[0]))][-1] for each in found]  # of each shape
         self.pieces = [(i, piece) for i, each in enumerate(found) for piece in each[-1]]
-        self.limits = finite_limits(chain)
+        self.limits = finite_limits(robot)
         rng = np.random.default_rng(0)
-        self.q = np.vstack([default_pose(chain), rng.uniform(*self.limits, (SAMPLES, chain.num_joints))])
-        self.frames = frames(chain, self.q)
+        self.q = np.vstack([default_pose(robot), rng.uniform(*self.limits, (SAMPLES, robot.num_joints))])
+        self.frames = frames(robot, self.q)
 
     @functools.cached_property
     def bodies(self) -> Bodies:
@@ -119,7 +119,7 @@ class Links:
     @property
     def exact(self) -> Bodies:
         """What needs no fit."""
-        return [(v.link, Body(np.asarray(v.corners, np.float64), float(v.radius))) for v in self.chain.volumes]
+        return [(v.link, Body(np.asarray(v.corners, np.float64), float(v.radius))) for v in self.robot.volumes]
 
     def of(self, link: int) -> list[int]:
         """The numbers of a link's bodies."""
@@ -131,7 +131,7 @@ class Links:
 
     def passes(self, pair: Pair, near: float = NEAR) -> list[Pass]:
         """Where bodies of a pair of links come nearer than `near` [m]."""
-        turn, place = between(self.chain, pair, self.frames)
+        turn, place = between(self.robot, pair, self.frames)
         found = []
         for i, j in itertools.product(*map(self.of, pair)):
             a, b = self.bodies[i][1], self.bodies[j][1]
@@ -150,7 +150,7 @@ class Links:
 
     def depth(self, pair: Pair, q: np.ndarray) -> np.ndarray:
         """How far a pair of links overlaps at configurations `q` (n,) [m]."""
-        return depths(self.couples(pair), *between(self.chain, pair, frames(self.chain, q)))
+        return depths(self.couples(pair), *between(self.robot, pair, frames(self.robot, q)))
 
     # ----------------------------------------------------------------------------------------------------------------
     # Which pairs
@@ -182,7 +182,7 @@ class Links:
 
     def apart(self, pair: Pair) -> int:
         """How many joints are between two links."""
-        return abs(self.chain.link_joint[pair[0]] - self.chain.link_joint[pair[1]])
+        return abs(self.robot.link_joint[pair[0]] - self.robot.link_joint[pair[1]])
 
     def neighbours(self, pair: Pair) -> bool:
         """Whether one joint is between two links, and neither is behind a joint beside the chain."""
@@ -208,7 +208,7 @@ class Links:
     def signed(self, pair: Pair, q: np.ndarray, enough: float) -> np.ndarray:
         """The gap of a pair of links at configurations `q` (n,) [m], at least `enough` where it is no less; where they overlap,
         by how much, less than 0."""
-        turn, place = between(self.chain, pair, frames(self.chain, q))
+        turn, place = between(self.robot, pair, frames(self.robot, q))
         least = gaps(self.couples(pair), turn, place, max(enough, 1e-9))
         touching = least <= 0.0
         least[touching] = -depths(self.couples(pair), turn[touching], place[touching])
@@ -220,8 +220,8 @@ class Links:
         touching = np.flatnonzero(gap <= 0.0)
         if len(touching) > OFTEN * len(gap) or (len(touching) and self.depth(pair, self.q[touching]).max() > DEEP):
             return True
-        joints = np.arange(*sorted(self.chain.link_joint[link] for link in pair))
-        turn, place = between(self.chain, pair, self.frames)
+        joints = np.arange(*sorted(self.robot.link_joint[link] for link in pair))
+        turn, place = between(self.robot, pair, self.frames)
         bound = np.min([apart_at_least(a, b, turn, place) for a, b in self.couples(pair)], axis=0)
         best = self.q[np.argsort(np.where(np.isfinite(gap), gap - FAR, bound), kind="stable")[:NEAREST]]
         value, (low, high), rng = self.signed(pair, best, np.inf), self.limits, np.random.default_rng(1)
@@ -240,7 +240,7 @@ class Links:
         """In which configurations the surfaces of two links touch, of all or one in `every`: where their parts do, at most."""
         found = np.zeros(len(self.q), bool)
         rows = np.flatnonzero((gap <= 0.0) & (np.arange(len(gap)) % every == 0))
-        turn, place = between(self.chain, pair, self.frames[:, rows])
+        turn, place = between(self.robot, pair, self.frames[:, rows])
         room = max(len(each.corners) for each in self.surfaces.values())
         found[rows] = touching(self.surfaces[pair[0]], self.surfaces[pair[1]], turn, place, room)
         return found
@@ -248,7 +248,7 @@ class Links:
     @functools.cached_property
     def surfaces(self) -> dict[int, Surface]:
         """That of each link."""
-        return {each.link: each for each in link_surfaces(self.chain, self.shapes)}
+        return {each.link: each for each in link_surfaces(self.robot, self.shapes)}
 
     # ----------------------------------------------------------------------------------------------------------------
     # Where parts are cut
@@ -274,7 +274,7 @@ class Links:
         """The configurations in which the parts of a pair of links overlap, or the `bodies` that stand for all links' parts, of
         those in which they do not `touch`."""
         rows, found = np.flatnonzero(~touch), np.zeros(len(self.q), bool)
-        turn, place = between(self.chain, pair, self.frames[:, rows])
+        turn, place = between(self.robot, pair, self.frames[:, rows])
         first, second = ([body for link, body in bodies or self.bodies if link == each] for each in pair)
         found[rows] = gaps([*itertools.product(first, second)], turn, place, 1e-9) <= 0.0
         return found
@@ -283,7 +283,7 @@ class Links:
         """Cut that part of two links which most often overlaps the other link `falsely`; its number, or None where no cut
         helps or the mesh has as many parts as it may."""
         rows = np.flatnonzero(falsely)
-        turn, place = between(self.chain, pair, self.frames[:, rows[:: max(len(rows) // SHOWN, 1)]])
+        turn, place = between(self.robot, pair, self.frames[:, rows[:: max(len(rows) // SHOWN, 1)]])
         back = turn.transpose(0, 2, 1), -np.einsum("nji,nj->ni", turn, place)
         tried = []
         for link, other, at in ((*pair, (turn, place)), (*pair[::-1], back)):
@@ -311,12 +311,12 @@ def _overlaps(body: Body, others: Sequence[Body], at: Places) -> np.ndarray:
     return gaps([(body, other) for other in others], *at, 1e-9) <= 0.0
 
 
-def link_surfaces(chain: Chain, shapes: Sequence[Shape]) -> tuple[Surface, ...]:
-    """The surface of each link that has shapes, or volumes of a chain that has no others yet."""
+def link_surfaces(robot: Robot, shapes: Sequence[Shape]) -> tuple[Surface, ...]:
+    """The surface of each link that has shapes, or volumes of a robot that has no others yet."""
     found: dict[int, list[tuple[np.ndarray, float]]] = {}
     for s in shapes:
         own = s.corners[s.triangles] if len(s.triangles) else fan(s.corners)
         found.setdefault(s.link, []).append((own if s.fine is None else s.fine, 0.0))
-    for v in chain.volumes:
+    for v in robot.volumes:
         found.setdefault(v.link, []).append((fan(np.asarray(v.corners)), float(v.radius)))
     return tuple(surface_of(link, found[link]) for link in sorted(found))

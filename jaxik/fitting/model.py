@@ -26,8 +26,8 @@ from jaxik.fitting.convex import Body
 from jaxik.fitting.link_distance_tables import between, side_of, table_of
 from jaxik.fitting.links import NEAR, NOTHING_ASKED, Asked, Hits, Links, Pair, Pass, Shape
 from jaxik.fitting.parts import few_corners
-from jaxik.robot.chain import Chain, ConvexPart, Unchecked, Volume, finite_limits, geometry_between, hashed, link_geometry
-from jaxik.robot.link_distance_table import PairTable
+from jaxik.kinematics.link_distance_table import PairTable
+from jaxik.kinematics.robot import ConvexPart, Robot, Unchecked, Volume, finite_limits, geometry_between, hashed, link_geometry
 from jaxik.spatial.algebra import Vec3
 from jaxik.spmd import HostKernel
 from jaxik.spmd.batch import in_blocks
@@ -57,45 +57,45 @@ class Model(NamedTuple):
     touch: dict[Pair, float]
     tables: tuple[PairTable, ...]
 
-    def of(self, chain: Chain, shapes: Sequence[Shape]) -> Chain:
-        """The chain with its links' capsules as volumes, and what else the model says."""
+    def of(self, robot: Robot, shapes: Sequence[Shape]) -> Robot:
+        """The robot with its links' capsules as volumes, and what else the model says."""
         fitted = [
             Volume(ends, np.asarray(radius), shape.link)
             for shape, found in zip(shapes, self.fits, strict=True)
             for ends, radius in zip(found.ends, found.radii, strict=True)
         ]
         links = {shape.link for shape in shapes}
-        exact = [(v.link, np.asarray(v.corners), float(v.radius)) for v in chain.volumes if v.link in links]
-        chain = dataclasses.replace(chain, volumes=(*chain.volumes, *fitted), self_pairs=self.pairs, unchecked=self.unchecked)
+        exact = [(v.link, np.asarray(v.corners), float(v.radius)) for v in robot.volumes if v.link in links]
+        robot = dataclasses.replace(robot, volumes=(*robot.volumes, *fitted), self_pairs=self.pairs, unchecked=self.unchecked)
         bodies = [(shape.link, *body) for shape, own in zip(shapes, self.bodies, strict=True) for body in own]
-        known = {link: link_geometry(chain, link) for link in links}
+        known = {link: link_geometry(robot, link) for link in links}
         parts = tuple(ConvexPart(*body, known[body[0]]) for body in [*bodies, *exact])
-        chain = dataclasses.replace(chain, convex_parts=parts)
-        tables = [dataclasses.replace(t, geometry=geometry_between(chain, t.links, t.joints)) for t in self.tables]
-        return dataclasses.replace(chain, pair_tables=tuple(tables))
+        robot = dataclasses.replace(robot, convex_parts=parts)
+        tables = [dataclasses.replace(t, geometry=geometry_between(robot, t.links, t.joints)) for t in self.tables]
+        return dataclasses.replace(robot, pair_tables=tuple(tables))
 
 
 def modelled(
-    chain: Chain,
+    robot: Robot,
     shapes: Sequence[Shape],
     fit: Fit,
     asked: Asked = NOTHING_ASKED,
     aside: Collection[str] = (),
     progress: Callable[[int, int], None] | None = None,
 ) -> Model:
-    """The model of a chain whose other volumes are exact; read from disk where it is known. Links `aside` are behind joints
+    """The model of a robot whose other volumes are exact; read from disk where it is known. Links `aside` are behind joints
     beside the chain. `progress` hears of how many fits are made, of how many."""
-    links = (chain.link_joint, chain.link_names, [v.link for v in chain.volumes], [s.link for s in shapes], sorted(aside))
-    exact = [part for v in chain.volumes for part in (v.corners, v.radius)]
+    links = (robot.link_joint, robot.link_names, [v.link for v in robot.volumes], [s.link for s in shapes], sorted(aside))
+    exact = [part for v in robot.volumes for part in (v.corners, v.radius)]
     surfaces = [part for s in shapes for part in (s.corners, s.triangles)]
-    arrays = [chain.parent_T_joint, chain.axis, *finite_limits(chain), *exact, *surfaces]
+    arrays = [robot.parent_T_joint, robot.axis, *finite_limits(robot), *exact, *surfaces]
     said = [sorted(map(sorted, asked.apart)), sorted(map(sorted, asked.checked)), asked.all]
-    words = _VERSION, fit, said, chain.joint_types, links, [np.shape(x) for x in arrays]
+    words = _VERSION, fit, said, robot.joint_types, links, [np.shape(x) for x in arrays]
     name = f"jaxik_fit_{hashed(words, arrays)[:32]}"
     if (stored := read(name)) is not None:
         with contextlib.suppress(ValueError, SyntaxError, TypeError):  # of another make: it is made again
             return _unpacked(stored)
-    found = _Fitting(chain, shapes, fit, asked, aside).model(progress)
+    found = _Fitting(robot, shapes, fit, asked, aside).model(progress)
     write(name, _packed(found))
     return found
 
@@ -172,12 +172,12 @@ class _Fitting(Links):
         """Of the pairs of links whose capsules falsely collide in more of the samples than `TABLED`."""
         often = [pair for pair, rows in hit.items() if rows.mean() > TABLED]
         bodies = {link: [self.bodies[i][1] for i in self.of(link)] for pair in often for link in pair}
-        found = [table_of(self.chain, pair, bodies, self.limits, self.q[hit[pair]], side) for pair in often]
+        found = [table_of(self.robot, pair, bodies, self.limits, self.q[hit[pair]], side) for pair in often]
         return [table for table in found if table is not None]
 
     def touching(self, pair: Pair, fits: Sequence[Fitted]) -> np.ndarray:
         """The configurations in which the capsules of a pair of links touch."""
-        turn, place = between(self.chain, pair, self.frames)
+        turn, place = between(self.robot, pair, self.frames)
         hit = np.zeros(len(self.q), bool)
         for ((a, b), radius), ((c, d), width) in itertools.product(*(self.capsules(link, fits) for link in pair)):
             rows = np.flatnonzero(~hit)

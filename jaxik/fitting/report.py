@@ -13,7 +13,7 @@ from jaxik.fitting.convex import directions
 from jaxik.fitting.links import Shape
 from jaxik.fitting.model import Model
 from jaxik.fitting.surfaces import distances
-from jaxik.robot.chain import Chain
+from jaxik.kinematics.robot import Robot
 
 SAMPLED = 2000  # points of a mesh's surface, and of a model's
 
@@ -64,15 +64,15 @@ class FitReport(NamedTuple):
     held: tuple[HeldJoint, ...] = ()
 
 
-def fit_of(chain: Chain, shapes: Sequence[Shape], model: Model, held: Sequence[HeldJoint] = ()) -> FitReport:
+def fit_of(robot: Robot, shapes: Sequence[Shape], model: Model, held: Sequence[HeldJoint] = ()) -> FitReport:
     """The report on a model of some shapes, while some joints are held."""
     links = []
     for number, shape in enumerate(shapes):
         all_of, triangles = model.fits[number], shape.corners[shape.triangles]
         false, measured = model.false_by_link.get(shape.link, 0.0), _measured(shape, all_of)
-        told = chain.link_names[shape.link], shape.name, len(model.bodies[number]), len(all_of.radii), closes(triangles)
+        told = robot.link_names[shape.link], shape.name, len(model.bodies[number]), len(all_of.radii), closes(triangles)
         links.append(LinkFit(*told, *measured, false))
-    names = lambda pair: (chain.link_names[pair[0]], chain.link_names[pair[1]])
+    names = lambda pair: (robot.link_names[pair[0]], robot.link_names[pair[1]])
     pairs = [PairFit(names(p), "", model.touch[p], model.false_by_pair[p]) for p in model.pairs]
     pairs += [PairFit(u.links, u.reason, u.share, 0.0) for u in model.unchecked if u.reason != "fixed"]
     return FitReport(tuple(links), tuple(pairs), tuple(held))

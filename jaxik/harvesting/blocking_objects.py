@@ -13,7 +13,7 @@ from jaxik.collision.bvh import grouped
 from jaxik.collision.clearances import by_object, self_clearance
 from jaxik.collision.scene import Scene
 from jaxik.harvesting.scanning import Scan, without_fruit
-from jaxik.robot.chain import Chain
+from jaxik.kinematics.robot import Robot
 from jaxik.spmd import HostKernel
 from jaxik.spmd.batch import in_blocks
 
@@ -21,8 +21,8 @@ MOST = 3  # objects that are named where nothing helps
 
 
 @functools.lru_cache(maxsize=16)
-def _contacts(chain: Chain, objects: int) -> HostKernel:
-    return HostKernel(lambda q, around: (by_object(chain, objects, around, q), self_clearance(chain, q)), 1)
+def _contacts(robot: Robot, objects: int) -> HostKernel:
+    return HostKernel(lambda q, around: (by_object(robot, objects, around, q), self_clearance(robot, q)), 1)
 
 
 class Blockers(NamedTuple):
@@ -88,14 +88,14 @@ class Touched(NamedTuple):
         return known._replace(removal=named(taken), row=int(self.row[best]), pick_first=named(picked))
 
 
-def touched_sets(chain: Chain, scene: Scene, found: Scan, margin: float) -> Touched:
+def touched_sets(robot: Robot, scene: Scene, found: Scan, margin: float) -> Touched:
     """What each candidate posture of a scanned fruit touches. Host driver."""
     count = len(scene.object_names)
     if not len(found.table.q):
         nothing = np.zeros(0)
         return Touched(scene, np.zeros(count), np.zeros((0, count), bool), nothing.astype(int), nothing)
-    around = grouped(without_fruit(scene, found.fruit), chain, by_object=True)
-    distance, own = in_blocks(_contacts(chain, count), found.table.q, fixed=(around,))
+    around = grouped(without_fruit(scene, found.fruit), robot, by_object=True)
+    distance, own = in_blocks(_contacts(robot, count), found.table.q, fixed=(around,))
     hit = distance < margin
     fruits = [fruit.name for fruit in scene.fruits]
     goes = np.array([one or name in fruits for name, one in zip(scene.object_names, scene.removable, strict=True)], bool)
@@ -107,7 +107,7 @@ def touched_sets(chain: Chain, scene: Scene, found: Scan, margin: float) -> Touc
     return Touched(scene, hit.mean(axis=0), hit[rows], rows, stays[rows])
 
 
-def blockers(chain: Chain, scene: Scene, found: Scan, margin: float = 0.005, pickable: Collection[str] = ()) -> Blockers:
+def blockers(robot: Robot, scene: Scene, found: Scan, margin: float = 0.005, pickable: Collection[str] = ()) -> Blockers:
     """Which objects stand in the way of a scanned fruit, and the least that has to go for a posture of its table. Host driver.
 
     A posture opens exactly when all that it touches is gone; so the smallest set is the smallest of the sets that the
@@ -122,7 +122,7 @@ def blockers(chain: Chain, scene: Scene, found: Scan, margin: float = 0.005, pic
     for name in pickable:
         if name not in names:
             raise ValueError(no_such("blockers: pickable", "fruit", str(name), names))
-    return touched_sets(chain, scene, found, margin).opened(pickable)
+    return touched_sets(robot, scene, found, margin).opened(pickable)
 
 
 def unblocked(touched: Mapping[str, Touched], pickable: Collection[str]) -> dict[str, Blockers]:

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import dataclasses
 import time
-import warnings
 from collections.abc import Callable
 from typing import Any, NamedTuple
 
@@ -18,9 +17,9 @@ from jaxik.harvesting.blocking_objects import Blockers, touched_sets, unblocked
 from jaxik.harvesting.grasp import Grasp, grasp_poses
 from jaxik.harvesting.grid_refinement import recover
 from jaxik.harvesting.scanning import Scan, Weights, scan
+from jaxik.kinematics.forward import pose_errors
+from jaxik.kinematics.robot import Robot
 from jaxik.reasons import Reason, Reasoned
-from jaxik.robot.chain import Chain
-from jaxik.robot.kinematics import pose_errors
 
 
 class Posture(NamedTuple):
@@ -57,7 +56,7 @@ class Posture(NamedTuple):
 class Harvest(Reasoned):
     """One row a fruit, in the scene's order, and how long it took [s]; it prints as a line a fruit."""
 
-    chain: Chain
+    robot: Robot
     scene: Scene
     rows: tuple[Posture, ...]
     seconds: float
@@ -67,7 +66,7 @@ class Harvest(Reasoned):
     def __repr__(self) -> str:
         fate = lambda row: f"clearance {1000 * row.clearance:.1f} mm" if row.success else row.why
         lines = [f"  {row.fruit}: {fate(row)}" for row in self.rows]
-        return "\n".join([f"Harvest of {self.scene.name} by {self.chain.name}: {self.counts()}", *lines])
+        return "\n".join([f"Harvest of {self.scene.name} by {self.robot.name}: {self.counts()}", *lines])
 
     @property
     def q(self) -> np.ndarray:
@@ -88,7 +87,7 @@ class Harvest(Reasoned):
         numbers = ("angle", "clearance", "freedom", "score", "position_error", "rotation_error")
         known = {
             "fruit": column("fruit"),
-            "joint_names": np.array(self.chain.joint_names),
+            "joint_names": np.array(self.robot.joint_names),
             "q": self.q,
             "success": self.success,
         }
@@ -115,53 +114,50 @@ class HarvestOptions:
 
 
 def harvest(
-    chain: Chain,
+    robot: Robot,
     scene: Scene,
-    options: HarvestOptions | Weights | None = None,
+    options: HarvestOptions | None = None,
     progress: Callable[[str], Any] | None = None,
     **changes: Any,
 ) -> Harvest:
-    """The best collision-free posture of `chain` for every fruit of `scene`, or the reason why there is none. Host driver.
+    """The best collision-free posture of `robot` for every fruit of `scene`, or the reason why there is none. Host driver.
 
     Scans all angles about a fruit's axis with all positions of the leading joints and all branches (`scan`), and recovers
     between the grid's points where the grid has nothing (`recover`). For a fruit behind obstacles it names them and what has
     to go first (`blockers`): neighbours that can be picked themselves, else the fewest leaves. `changes` are fields of
     `HarvestOptions` by name. `progress` is called with the name of each finished fruit.
 
-    Raises `ValueError` where the chain has no closed form or the scene no fruit, and for an option that is none. Source: Van
+    Raises `ValueError` where the robot has no closed form or the scene no fruit, and for an option that is none. Source: Van
     Henten et al. 2010, sec. 4, 5.1.
     """
-    if isinstance(options, Weights):
-        warnings.warn("harvest: write weights=..., which the third argument was", DeprecationWarning, stacklevel=2)
-        changes, options = {"weights": options} | changes, None
     options = changed("harvest", options or HarvestOptions(), {k: v for k, v in changes.items() if v is not None})
     check_kind("harvest", "scene", scene, Scene)
     if not scene.fruits:
         raise ValueError(f"scene '{scene.name}' has no fruit; add one with SceneBuilder.add_fruit")
-    check_geometry(chain)
-    warn_of_scene("harvest", chain, scene, options.margin)
+    check_geometry(robot)
+    warn_of_scene("harvest", robot, scene, options.margin)
     start, rows, touched = time.perf_counter(), [], {}
     for fruit in scene.fruits:
-        found = scan(chain, scene, fruit, **vars(options))
-        rows.append(_posture(chain, scene, found, options))
+        found = scan(robot, scene, fruit, **vars(options))
+        rows.append(_posture(robot, scene, found, options))
         if rows[-1].reason == Reason.COLLISION:
-            touched[fruit.name] = touched_sets(chain, scene, found, options.margin)
+            touched[fruit.name] = touched_sets(robot, scene, found, options.margin)
         if progress:
             progress(fruit.name)
     blocked = unblocked(touched, [row.fruit for row in rows if row.success])
     rows = [row._replace(blockers=blocked.get(row.fruit)) for row in rows]
-    return Harvest(chain, scene, tuple(rows), time.perf_counter() - start, sum(row.scan.status.size for row in rows), options)
+    return Harvest(robot, scene, tuple(rows), time.perf_counter() - start, sum(row.scan.status.size for row in rows), options)
 
 
-def _posture(chain: Chain, scene: Scene, found: Scan, options: HarvestOptions) -> Posture:
+def _posture(robot: Robot, scene: Scene, found: Scan, options: HarvestOptions) -> Posture:
     row, how = found.table.best_row(options.margin), "grid"
     if row is None:
-        row, how = recover(chain, scene, found, options.weights, options.margin, options.grasp) or (None, "")
+        row, how = recover(robot, scene, found, options.weights, options.margin, options.grasp) or (None, "")
     if row is None:
-        nothing, nans = np.full(chain.num_joints, np.nan), (np.nan,) * 6
+        nothing, nans = np.full(robot.num_joints, np.nan), (np.nan,) * 6
         return Posture(found.fruit.name, found.reason, nothing, *nans, "", None, found)
     q = row.q[0].astype(np.float64)
-    pose = grasp_poses(chain, found.fruit, row.angle, options.grasp)[0]
-    away, turned = pose_errors(chain, q.tolist(), pose.ravel().tolist())
+    pose = grasp_poses(robot, found.fruit, row.angle, options.grasp)[0]
+    away, turned = pose_errors(robot, q.tolist(), pose.ravel().tolist())
     angle, distance, freedom, score = (float(x[0]) for x in (row.angle, row.clearance, row.freedom, row.score))
     return Posture(found.fruit.name, Reason.SOLVED, q, angle, distance, freedom, score, away, turned, how, None, found)

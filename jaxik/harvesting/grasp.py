@@ -10,7 +10,7 @@ import numpy as np
 from jaxik.checks.arrays import shaped
 from jaxik.checks.options import as_count_or_values, shown
 from jaxik.collision.scene import Fruit
-from jaxik.robot.chain import Chain
+from jaxik.kinematics.robot import Robot
 from jaxik.spatial.rotations import frame
 
 
@@ -33,9 +33,9 @@ class Grasp:
             raise ValueError(f"grasp: {given}; write e.g. up = (-1, 0, 0), approach = (0, 0, 1)")
 
 
-def grasp_poses(chain: Chain, fruit: Fruit, angles: np.ndarray, grasp: Grasp | None = None) -> np.ndarray:
-    """`fruit_frames` in the chain's base."""
-    return np.linalg.inv(chain.world_T_base) @ fruit_frames(fruit, angles, grasp)
+def grasp_poses(robot: Robot, fruit: Fruit, angles: np.ndarray, grasp: Grasp | None = None) -> np.ndarray:
+    """`fruit_frames` in the robot's base."""
+    return np.linalg.inv(robot.world_T_base) @ fruit_frames(fruit, angles, grasp)
 
 
 def fruit_frames(fruit: Fruit, angles: np.ndarray, grasp: Grasp | None = None) -> np.ndarray:

@@ -17,9 +17,9 @@ from jaxik.collision.clearances import clearance
 from jaxik.collision.scene import Scene
 from jaxik.harvesting.grasp import Grasp, grasp_poses
 from jaxik.harvesting.scanning import MISSES, Scan, Table, Weights, measured, scan, without_fruit
+from jaxik.kinematics.forward import jacobian
+from jaxik.kinematics.robot import Robot
 from jaxik.reach.leading_joints import grid
-from jaxik.robot.chain import Chain
-from jaxik.robot.kinematics import jacobian
 from jaxik.spmd import HostKernel
 from jaxik.spmd.batch import in_blocks
 
@@ -28,16 +28,16 @@ LIMIT_LENGTH = 0.1  # [m/rad] at which a joint past its limit weighs against cle
 
 
 @functools.lru_cache(maxsize=16)
-def _ascent(chain: Chain) -> HostKernel:
+def _ascent(robot: Robot) -> HostKernel:
     """What recovery raises (`_worth`), its gradient in q, and the Jacobian."""
 
-    worth = jax.value_and_grad(lambda q, scene: _worth(chain, clearance(chain, scene, q), q))
-    return HostKernel(lambda q, scene: (*worth(q, scene), jacobian(chain, q)), 1)
+    worth = jax.value_and_grad(lambda q, scene: _worth(robot, clearance(robot, scene, q), q))
+    return HostKernel(lambda q, scene: (*worth(q, scene), jacobian(robot, q)), 1)
 
 
-def _worth(chain: Chain, distance: Any, q: Any) -> Any:
+def _worth(robot: Robot, distance: Any, q: Any) -> Any:
     """The clearance, or the room to the limits if that is less: positive exactly where a posture is admissible."""
-    room = jnp.minimum(q - jnp.asarray(chain.lower, q.dtype), jnp.asarray(chain.upper, q.dtype) - q)
+    room = jnp.minimum(q - jnp.asarray(robot.lower, q.dtype), jnp.asarray(robot.upper, q.dtype) - q)
     return jnp.minimum(distance, LIMIT_LENGTH * jnp.min(room))
 
 
@@ -49,7 +49,7 @@ class Recovered(NamedTuple):
 
 
 def recover(
-    chain: Chain, scene: Scene, found: Scan, weights: Weights | None = None, margin: float = 0.005, grasp: Grasp | None = None
+    robot: Robot, scene: Scene, found: Scan, weights: Weights | None = None, margin: float = 0.005, grasp: Grasp | None = None
 ) -> Recovered | None:
     """A posture near the misses of a scan that has none: a grid ten times finer around them, then gradient ascent.
 
@@ -59,12 +59,12 @@ def recover(
     starts = _misses(found)
     if not len(starts):
         return None
-    for spread in _finer(chain, found, starts):
-        finer = scan(chain, scene, found.fruit, *spread, weights=weights, margin=margin, grasp=grasp)
+    for spread in _finer(robot, found, starts):
+        finer = scan(robot, scene, found.fruit, *spread, weights=weights, margin=margin, grasp=grasp)
         best = finer.table.best_row(margin)
         if best is not None:
             return Recovered(best, "finer grid")
-    return _climb(chain, scene, found, starts, weights or Weights(), margin, grasp)
+    return _climb(robot, scene, found, starts, weights or Weights(), margin, grasp)
 
 
 def _misses(found: Scan) -> np.ndarray:
@@ -76,39 +76,39 @@ def _misses(found: Scan) -> np.ndarray:
     return np.concatenate([close, np.column_stack([found.angles[a], found.leading[s], b])])
 
 
-def _finer(chain: Chain, found: Scan, starts: np.ndarray) -> Iterator[tuple[np.ndarray, np.ndarray]]:
+def _finer(robot: Robot, found: Scan, starts: np.ndarray) -> Iterator[tuple[np.ndarray, np.ndarray]]:
     """Around the few best distinct cells: a tenth of the grid's step, one step to either side."""
     step = 2.0 * np.pi / max(len(found.angles), 2)
     lead = found.leading
     width = np.array([np.min(np.diff(np.unique(c)), initial=np.inf) if len(np.unique(c)) > 1 else 0.0 for c in lead.T])
     fine = np.linspace(-1.0, 1.0, 21)
     cells = np.unique(starts[:, :-1], axis=0, return_index=True)[1]
-    low, high = solver_of(chain).limits()
+    low, high = solver_of(robot).limits()
     for row in starts[np.sort(cells)][:4]:
         axes = [np.clip(row[1 + i] + fine * width[i], low[i], high[i]) for i in range(len(low))]
         yield row[0] + fine * step, grid(axes)
 
 
 def _climb(
-    chain: Chain, scene: Scene, found: Scan, starts: np.ndarray, weights: Weights, margin: float, grasp: Grasp | None
+    robot: Robot, scene: Scene, found: Scan, starts: np.ndarray, weights: Weights, margin: float, grasp: Grasp | None
 ) -> Recovered | None:
-    others = grouped(without_fruit(scene, found.fruit), chain)
-    low, high = solver_of(chain).limits()
-    axis = np.asarray(chain.world_T_base[:3, :3].T @ found.fruit.axis)
+    others = grouped(without_fruit(scene, found.fruit), robot)
+    low, high = solver_of(robot).limits()
+    axis = np.asarray(robot.world_T_base[:3, :3].T @ found.fruit.axis)
     branch = starts[:, -1].astype(int)
     rows = np.arange(len(starts))
 
     def solve(u: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        poses = grasp_poses(chain, found.fruit, u[:, 0], grasp)
-        q, valid, _ = in_blocks(closed_forms(chain), poses.astype(np.float32), u[:, 1:].astype(np.float32))
+        poses = grasp_poses(robot, found.fruit, u[:, 0], grasp)
+        q, valid, _ = in_blocks(closed_forms(robot), poses.astype(np.float32), u[:, 1:].astype(np.float32))
         return q[rows, branch], valid[rows, branch]
 
-    measure = lambda q: in_blocks(_ascent(chain), q, fixed=(others,))
+    measure = lambda q: in_blocks(_ascent(robot), q, fixed=(others,))
     u, stride = starts[:, :-1].copy(), np.full(len(starts), 0.1)
     q, _ = solve(u)
     worth, slope, jacobians = measure(q)
     for _ in range(STEPS):
-        direction = _self_motion(jacobians.astype(np.float64), slope.astype(np.float64), axis, chain, q)
+        direction = _self_motion(jacobians.astype(np.float64), slope.astype(np.float64), axis, robot, q)
         trial = u + stride[:, None] * direction
         trial[:, 1:] = np.clip(trial[:, 1:], low, high)
         trial_q, valid = solve(trial)
@@ -120,22 +120,22 @@ def _climb(
         stride = np.where(better, np.minimum(1.5 * stride, 0.3), 0.4 * stride)
         if np.max(worth) > margin or np.max(stride) < 1e-4:
             break
-    distance, freedom = measured(chain, scene, found.fruit, q)
-    inside = np.all((q >= chain.lower) & (q <= chain.upper), axis=1)
+    distance, freedom = measured(robot, scene, found.fruit, q)
+    inside = np.all((q >= robot.lower) & (q <= robot.upper), axis=1)
     table = Table(u[:, 0], u[:, 1:], branch, q, np.where(inside, distance, -np.inf), freedom, weights.score(distance, freedom))
     best = table.best_row(margin)
     return None if best is None else Recovered(best, "gradient")
 
 
-def _self_motion(jacobians: np.ndarray, slope: np.ndarray, axis: np.ndarray, chain: Chain, q: np.ndarray) -> np.ndarray:
+def _self_motion(jacobians: np.ndarray, slope: np.ndarray, axis: np.ndarray, robot: Robot, q: np.ndarray) -> np.ndarray:
     """The unit direction in (angle, what is given) that raises a function of q with gradient `slope` most."""
-    solver = solver_of(chain)
+    solver = solver_of(robot)
     solved, given = list(solver.solved), solver.given_joints
     arm = jacobians[:, :, solved]
     turn = np.broadcast_to(np.concatenate([np.zeros(3), axis])[:, None], (len(arm), 6, 1))
     moved = np.linalg.pinv(arm) @ np.concatenate([turn, -jacobians[:, :, given]], axis=2)  # pinv: the wrist may be singular
     if len(solved) > 6:
-        moved = _with_arm_angle(chain, q, arm, moved)
+        moved = _with_arm_angle(robot, q, arm, moved)
     gradient = np.einsum("bi,bij->bj", slope[:, solved], moved)
     joints = np.ones(gradient.shape[1], bool)
     joints[[0, *range(1 + solver.first, 1 + solver.first + solver.family.parameters)]] = False
@@ -143,17 +143,17 @@ def _self_motion(jacobians: np.ndarray, slope: np.ndarray, axis: np.ndarray, cha
     return gradient / np.maximum(np.linalg.norm(gradient, axis=1, keepdims=True), 1e-12)
 
 
-def _with_arm_angle(chain: Chain, q: np.ndarray, arm: np.ndarray, moved: np.ndarray) -> np.ndarray:
+def _with_arm_angle(robot: Robot, q: np.ndarray, arm: np.ndarray, moved: np.ndarray) -> np.ndarray:
     """How the seven solved joints follow (b, 7, m), the arm angle held, with the column of the arm angle itself: along the one
     motion that leaves the tip where it is, as fast as differences of the angle tell."""
-    solver = solver_of(chain)
+    solver = solver_of(robot)
     own = np.linalg.svd(arm)[2][:, -1]
     step = 1e-4
 
     def rate(motion: np.ndarray) -> np.ndarray:
         away = np.zeros(q.shape)
         away[:, list(solver.solved)] = step * motion
-        turned = (given_values(chain, q + away) - given_values(chain, q - away))[:, solver.first]
+        turned = (given_values(robot, q + away) - given_values(robot, q - away))[:, solver.first]
         return ((turned + np.pi) % (2.0 * np.pi) - np.pi) / (2.0 * step)
 
     alone = rate(own)

@@ -9,10 +9,10 @@ import numpy as np
 
 from jaxik.checks.options import as_count, check_choices, check_finite, check_kind, shown
 from jaxik.collision.scene import Scene
+from jaxik.kinematics.robot import Robot
+from jaxik.kinematics.task import POSE, Task
 from jaxik.planning.trajectory import JointState, Trajectory
 from jaxik.reasons import Reason, Reasoned
-from jaxik.robot.chain import Chain
-from jaxik.robot.task import POSE, Task
 
 Order = Literal["shortest", "row"]
 Leaves = Literal["avoid", "brush", "ignore"]
@@ -116,7 +116,7 @@ class HarvestPlan(Reasoned):
     """One row a fruit, in the scene's order; all stages one after another, the way home at last; how long it took to plan [s].
     It prints as a line a fruit."""
 
-    chain: Chain
+    robot: Robot
     scene: Scene
     rows: tuple[Cycle, ...]
     stages: tuple[Stage, ...]
@@ -155,7 +155,7 @@ class HarvestPlan(Reasoned):
         number = {name: i for i, name in enumerate(self.order, 1)}
         fate = lambda row: f"{number[row.fruit]}. in {row.seconds:.2f} s" if row.stages else row.why
         lines = [f"  {row.fruit}: {fate(row)}" for row in self.rows]
-        return "\n".join([f"Harvest of {self.scene.name} by {self.chain.name} in {self.duration:.1f} s", *lines])
+        return "\n".join([f"Harvest of {self.scene.name} by {self.robot.name} in {self.duration:.1f} s", *lines])
 
     def sample(self, period: float) -> Samples:
         """One a `period` [s], each stage from its beginning on (`Trajectory.sample`). Host."""
@@ -165,7 +165,7 @@ class HarvestPlan(Reasoned):
             first = min(number, 1)  # where a stage ends the next one begins
             parts.append((start + time[first:], *(x[first:] for x in state), np.full(len(time) - first, number)))
             start += time[-1]
-        n = self.chain.num_joints
+        n = self.robot.num_joints
         columns = zip(*parts, strict=True) if parts else ([np.zeros((0, *shape))] for shape in ((), (n,), (n,), (n,), ()))
         time, q, velocity, acceleration, numbers = (np.concatenate(list(each)) for each in columns)
         return Samples(time, JointState(q, velocity, acceleration), numbers.astype(int))

@@ -20,7 +20,7 @@ def save_harvest_plan(file: str | Path, plan: HarvestPlan, period: float = 0.01)
     Raises `ValueError` for another ending and for a period that is no positive number.
     """
     check_kind("save_harvest_plan", "plan", plan, HarvestPlan)
-    file, names = check_ending("save_harvest_plan", file), list(plan.chain.joint_names)
+    file, names = check_ending("save_harvest_plan", file), list(plan.robot.joint_names)
     if file.suffix.lower() == ".json":
         stages = [
             {"fruit": s.fruit, "stage": s.kind, "joint_names": names, "points": joint_points(*s.trajectory.sample(period))}

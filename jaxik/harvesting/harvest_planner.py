@@ -22,12 +22,12 @@ from jaxik.harvesting.driver import Harvest, Posture
 from jaxik.harvesting.harvest_plan import Cycle, HarvestPlan, HarvestPlanOptions, Stage
 from jaxik.harvesting.picks import Picks, Way, ends, find_picks, rows_of
 from jaxik.harvesting.tour import best_members, shortest_tour
+from jaxik.kinematics.robot import Robot
 from jaxik.planning.collision_checker import CollisionChecker, judged, touched
 from jaxik.planning.goal_postures import postures
 from jaxik.planning.planner import PlanOptions, motion_limits, plan_motion
 from jaxik.planning.trajectory import Trajectory
 from jaxik.reasons import Reason
-from jaxik.robot.chain import Chain
 
 DETOUR = 1.3  # times as long as straight, what a leg is taken to be that may not be straight, until it is planned
 PLACES = 8  # postures of a pose to place at
@@ -69,7 +69,7 @@ def plan_harvest(
     planner = _Planner(harvested, options, seed)
     planner.run(progress or (lambda name: None))
     rows = tuple(planner.cycles[row.fruit] for row in harvested.rows)
-    return HarvestPlan(harvested.chain, harvested.scene, rows, tuple(planner.stages), time.perf_counter() - began)
+    return HarvestPlan(harvested.robot, harvested.scene, rows, tuple(planner.stages), time.perf_counter() - began)
 
 
 class _Surroundings:
@@ -93,27 +93,27 @@ class _Planner:
 
     def __init__(self, harvested: Harvest, options: HarvestPlanOptions, seed: int):
         self.harvested, self.options, self.seed = harvested, options, seed
-        self.chain, scene, asked = harvested.chain, harvested.scene, harvested.options
+        self.robot, scene, asked = harvested.robot, harvested.scene, harvested.options
         self.around = _Surroundings(scene, options.leaves)
         self.motion = PlanOptions(options.margin, options.velocity, options.acceleration, options.rounds)
-        self.limits = motion_limits("plan_harvest", self.chain, self.motion)
+        self.limits = motion_limits("plan_harvest", self.robot, self.motion)
         clear = max(options.margin, asked.margin)
         self.way = Way(asked.grasp, options.approach, options.candidates, options.margin, clear, self.limits)
         self.rank = _ranks(scene.fruits, options.order)  # from which the shortest order is looked for, too
-        self.home = self.free("home", default_pose(self.chain) if options.home is None else options.home)[0]
+        self.home = self.free("home", default_pose(self.robot) if options.home is None else options.home)[0]
         self.places = np.empty((0, len(self.home))) if options.place is None else self.free("place", options.place)
         self.cycles: dict[str, Cycle] = {}
         self.stages: list[Stage] = []
 
     def free(self, name: str, given: Any) -> np.ndarray:
         """The configurations (p, n) of a home or a place that are free. Raises `ValueError` where none is."""
-        n, asked = self.chain.num_joints, numbers(f"plan_harvest: {name}", given)
+        n, asked = self.robot.num_joints, numbers(f"plan_harvest: {name}", given)
         several = name == "place"
         scene = self.around.levels[-1]
         if several and asked.shape[-2:] == (4, 4) and asked.ndim <= 3 and (n != 4 or asked.ndim == 3):
             poses = asked.reshape(-1, 4, 4)
             near, bound = np.tile(self.home, (len(poses), 1)), (self.options.task, self.options.margin)
-            reason, found = postures(self.chain, scene, near, poses, PLACES, self.limits, self.seed, *bound)
+            reason, found = postures(self.robot, scene, near, poses, PLACES, self.limits, self.seed, *bound)
             if reason.all():
                 told = ", ".join(sorted({Reason(int(r)).text for r in reason}))
                 raise ValueError(f"plan_harvest: {name}: {told}; give a pose that is within reach, and free")
@@ -121,7 +121,7 @@ class _Planner:
         if asked.shape != (n,) and not (several and asked.ndim == 2 and asked.shape[1] == n and len(asked)):
             also = f", (p, {n}), or poses (4, 4), (p, 4, 4)" if several else ""
             raise ValueError(f"plan_harvest: {name} of shape {asked.shape}; allowed: ({n},){also}")
-        verdict = judged(self.chain, CollisionChecker(self.chain, scene, self.options.margin), asked.reshape(-1, n))
+        verdict = judged(self.robot, CollisionChecker(self.robot, scene, self.options.margin), asked.reshape(-1, n))
         if not (verdict == Reason.SOLVED).any():
             raise ValueError(f"plan_harvest: {name}: {Reason(int(verdict[0]))}; give {name}=, free and within the limits")
         return asked.reshape(-1, n)[verdict == Reason.SOLVED]
@@ -158,14 +158,14 @@ class _Planner:
         if not len(q):
             return Picks(row.fruit, row.reason, "posture")
         for scene in self.around.each(gone):
-            found = find_picks(self.chain, scene, row.scan.fruit, angles, q, self.way)
+            found = find_picks(self.robot, scene, row.scan.fruit, angles, q, self.way)
             if found.reason == Reason.SOLVED:
                 return self.counted(found) if self.options.leaves == "brush" else found
         named = row.blockers.in_the_way if row.blockers and found.where == "posture" else ()
         blocking = tuple(name for name in named if name not in gone)
         return found._replace(blockers=blocking or found.blockers)
 
-    def leaves(self, arm: Chain, q: np.ndarray, fruit: str) -> np.ndarray:
+    def leaves(self, arm: Robot, q: np.ndarray, fruit: str) -> np.ndarray:
         """Which objects that may be removed each configuration (b, n) touches (b, objects)."""
         scene = self.around.scene
         others = scene.without([fruit]) if fruit in scene.object_names else scene
@@ -176,7 +176,7 @@ class _Planner:
         there, back = (moved.path.coefficients[:, :, 3] for moved in (found.approach, found.retreat))
         hit = lambda arm, q: self.leaves(arm, q, found.fruit).any(axis=0)
         rows = zip(found.held, there, back, strict=True)
-        return found._replace(touched=np.array([np.sum(hit(self.chain, a) | hit(arm, b)) for arm, a, b in rows]))
+        return found._replace(touched=np.array([np.sum(hit(self.robot, a) | hit(arm, b)) for arm, a, b in rows]))
 
     def drive(self, tour: _Tour, nodes: Sequence[int], motions: list[Trajectory]) -> None:
         """The stages and cycles of a tour."""
@@ -194,14 +194,14 @@ class _Planner:
         """A cycle without motions."""
         return Cycle(fruit, reason, np.full(len(self.home), np.nan), where, blockers=blockers)
 
-    def brushed(self, stages: Sequence[Stage], held: Chain) -> tuple[str, ...]:
+    def brushed(self, stages: Sequence[Stage], held: Robot) -> tuple[str, ...]:
         """The names of the leaves that are touched."""
         if self.options.leaves == "avoid":
             return ()
         hit = np.zeros(len(self.around.removable), bool)
         for stage in stages:
             q = np.asarray(stage.trajectory.sample(PERIOD)[1].q)
-            hit |= self.leaves(held if stage.carries else self.chain, q, stage.fruit).any(axis=0)
+            hit |= self.leaves(held if stage.carries else self.robot, q, stage.fruit).any(axis=0)
         return tuple(name for name, one in zip(self.around.scene.object_names, hit, strict=True) if one)
 
     def add(self, kind: str, fruit: str, trajectory: Trajectory) -> Stage:
@@ -242,7 +242,7 @@ class _Tour:
         """What each leg takes, as if it were straight [s]."""
         planner = self.planner
         seconds = planner.limits.straight(self.ends[None] - self.begins[:, None])
-        space = CollisionChecker(planner.chain, planner.around.each(self.gone)[0], planner.options.margin)
+        space = CollisionChecker(planner.robot, planner.around.each(self.gone)[0], planner.options.margin)
         a, b = (x.ravel() for x in np.indices(seconds.shape))
         part = space.free_part(self.begins[a], self.ends[b], STEP).reshape(seconds.shape)
         return np.where(part < 1.0, DETOUR, 1.0) * seconds
@@ -305,7 +305,7 @@ class _Tour:
         return found, new
 
     def plan(self, a: int, b: int, gone: frozenset[str]) -> _Leg:
-        planner, arm = self.planner, self.planner.chain
+        planner, arm = self.planner, self.planner.robot
         if b >= self.nodes:
             picks, row = self.members[a - 1]
             arm = picks.held[row]

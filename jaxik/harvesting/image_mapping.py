@@ -12,7 +12,7 @@ from jaxtyping import Float
 
 from jaxik.checks.arrays import numbers
 from jaxik.checks.options import as_count
-from jaxik.robot.chain import Array
+from jaxik.kinematics.robot import Array
 
 
 class Mapping(NamedTuple):

@@ -19,12 +19,12 @@ from jaxik.analytic.solutions import closed_forms, given_values
 from jaxik.collision.attached import attach
 from jaxik.collision.scene import Fruit, Scene
 from jaxik.harvesting.grasp import Grasp, grasp_poses
+from jaxik.kinematics.robot import Robot
 from jaxik.planning.collision_checker import CollisionChecker, touched
 from jaxik.planning.limits import Limits
 from jaxik.planning.timing import time_optimal
 from jaxik.planning.trajectory import JointPath, Trajectory
 from jaxik.reasons import Reason
-from jaxik.robot.chain import Chain
 from jaxik.spmd.batch import in_blocks
 
 PIECES = 8  # of a line's spline: as many as `plan_motion`'s paths have, so that they are timed by one program
@@ -49,7 +49,7 @@ class Picks(NamedTuple):
     retreat: Any = None
     seconds: np.ndarray = np.zeros(0)
     touched: np.ndarray = np.zeros(0, int)
-    held: tuple[Chain, ...] = ()
+    held: tuple[Robot, ...] = ()
     blockers: tuple[str, ...] = ()
 
     @property
@@ -81,19 +81,19 @@ def ends(moved: Trajectory) -> tuple[np.ndarray, np.ndarray]:
     return c[..., 0, 3, :], ((a * x + b) * x + slope) * x + begin
 
 
-def find_picks(chain: Chain, scene: Scene, fruit: Fruit, angles: np.ndarray, q: np.ndarray, way: Way) -> Picks:
+def find_picks(robot: Robot, scene: Scene, fruit: Fruit, angles: np.ndarray, q: np.ndarray, way: Way) -> Picks:
     """The ways to pick a fruit from postures `q` (b, n), best first, at `angles` (b,) about its axis, among what is in the
     scene; `way.candidates` of them that differ much. Host driver."""
     others = scene.without([fruit.name]) if fruit.name in scene.object_names else scene
-    free, whole = CollisionChecker(chain, others, way.margin), CollisionChecker(chain, scene, way.margin)
+    free, whole = CollisionChecker(robot, others, way.margin), CollisionChecker(robot, scene, way.margin)
     kept = ~free.hits(q, way.clear - way.margin)
     if not kept.any():
         return Picks(fruit.name, Reason.COLLISION, "posture")
-    found = _approaches(free, whole, q[kept], grasp_poses(chain, fruit, angles[kept], way.grasp), way)
+    found = _approaches(free, whole, q[kept], grasp_poses(robot, fruit, angles[kept], way.grasp), way)
     if found.reason != Reason.SOLVED:
         return Picks(fruit.name, found.reason, "approach")
     both, held, most = [], [], way.candidates
-    for arm, rows in carrying(chain, scene, fruit, found.lines[:, 0], way.grasp):
+    for arm, rows in carrying(robot, scene, fruit, found.lines[:, 0], way.grasp):
         retreats, sure = _retreats(arm, free, others, found.lines[rows, 0], found.poses[rows], found.length, way)
         both.append((rows_of(found.path, rows[sure]), retreats))
         held += [arm] * int(sure.sum())
@@ -123,7 +123,7 @@ def _approaches(free: CollisionChecker, whole: CollisionChecker, q: np.ndarray, 
     """Of grasps `q` (b, n), a few that differ much, all proven; where they begin, the fruit itself is an obstacle, too."""
     reason = Reason.LIMITS
     for length in way.approach * SHORTER:
-        lines, fits = tip_lines(free.chain, q, poses, -np.array(way.grasp.approach), length)
+        lines, fits = tip_lines(free.robot, q, poses, -np.array(way.grasp.approach), length)
         reason = Reason.COLLISION if fits.any() else reason
         good = np.flatnonzero(fits)
         good = good[~_any_hit(free, lines[good]) & ~whole.hits(lines[good, -1], CUSHION)]
@@ -137,15 +137,15 @@ def _approaches(free: CollisionChecker, whole: CollisionChecker, q: np.ndarray, 
 
 
 def tip_lines(
-    chain: Chain, q: np.ndarray, poses: np.ndarray, direction: np.ndarray, length: float
+    robot: Robot, q: np.ndarray, poses: np.ndarray, direction: np.ndarray, length: float
 ) -> tuple[np.ndarray, np.ndarray]:
     """The arm at `PIECES + 1` places of lines of the tip (b, k, n), which begin at `q` (b, n) with the `poses` (b, 4, 4) and
     lead along a direction in the tip's frame [m]; and which stay inside the limits and off singularities."""
     away = np.linspace(0.0, length, PIECES + 1)
     along = np.repeat(poses[:, None], len(away), axis=1)
     along[..., :3, 3] += away[:, None] * (poses[:, :3, :3] @ direction)[:, None]
-    leading = np.repeat(given_values(chain, q), len(away), axis=0)
-    found, _, fits = in_blocks(closed_forms(chain), along.reshape(-1, 4, 4), leading, double=True)
+    leading = np.repeat(given_values(robot, q), len(away), axis=0)
+    found, _, fits = in_blocks(closed_forms(robot), along.reshape(-1, 4, 4), leading, double=True)
     found, fits = (x.reshape(len(q), len(away), *x.shape[1:]) for x in (found, fits))
     branch = np.argmin(np.abs(found[:, 0] - q[:, None]).max(axis=-1), axis=1)
     rows = np.arange(len(q))
@@ -162,36 +162,36 @@ def spread(q: np.ndarray, limits: Limits, most: int) -> np.ndarray:
     return np.array(chosen)
 
 
-def carrying(chain: Chain, scene: Scene, fruit: Fruit, q: np.ndarray, grasp: Grasp) -> Iterator[tuple[Chain, np.ndarray]]:
+def carrying(robot: Robot, scene: Scene, fruit: Fruit, q: np.ndarray, grasp: Grasp) -> Iterator[tuple[Robot, np.ndarray]]:
     """The arm that holds the fruit as it is grasped at each of `q` (b, n), and the rows that this is true of: all of a body
     that is round about the fruit's axis. Its numbers are JAX arrays, so that no kernel is made for a fruit alone."""
     rows = np.arange(len(q))
     if fruit.name not in scene.object_names:
-        yield chain, rows
+        yield robot, rows
         return
-    first = _held(chain, scene, fruit, q[0])
-    tip_T_joint = np.linalg.inv(np.asarray(chain.joint_T_tip))
-    corners = np.concatenate([v.corners for v in first.volumes[len(chain.volumes) :]])
+    first = _held(robot, scene, fruit, q[0])
+    tip_T_joint = np.linalg.inv(np.asarray(robot.joint_T_tip))
+    corners = np.concatenate([v.corners for v in first.volumes[len(robot.volumes) :]])
     across = np.cross(corners @ tip_T_joint[:3, :3].T + tip_T_joint[:3, 3], grasp.up)
-    if len(first.boxes) == len(chain.boxes) and np.abs(across).max() < ROUND:
-        yield _as_operands(first, len(chain.volumes)), rows
+    if len(first.boxes) == len(robot.boxes) and np.abs(across).max() < ROUND:
+        yield _as_operands(first, len(robot.volumes)), rows
     else:
         for row in rows:
-            yield _as_operands(_held(chain, scene, fruit, q[row]), len(chain.volumes)), rows[row : row + 1]
+            yield _as_operands(_held(robot, scene, fruit, q[row]), len(robot.volumes)), rows[row : row + 1]
 
 
-def _held(chain: Chain, scene: Scene, fruit: Fruit, q: np.ndarray) -> Chain:
-    held = attach(chain, scene, fruit.name, q).chain
-    return dataclasses.replace(held, link_names=(*chain.link_names, HELD))  # one name, one kernel
+def _held(robot: Robot, scene: Scene, fruit: Fruit, q: np.ndarray) -> Robot:
+    held = attach(robot, scene, fruit.name, q).robot
+    return dataclasses.replace(held, link_names=(*robot.link_names, HELD))  # one name, one kernel
 
 
-def _as_operands(held: Chain, first: int) -> Chain:
+def _as_operands(held: Robot, first: int) -> Robot:
     operand = lambda v: dataclasses.replace(v, corners=jnp.asarray(v.corners), radius=jnp.asarray(v.radius))
     return dataclasses.replace(held, volumes=(*held.volumes[:first], *map(operand, held.volumes[first:])))
 
 
 def _retreats(
-    arm: Chain, free: CollisionChecker, others: Scene, q: np.ndarray, poses: np.ndarray, length: float, way: Way
+    arm: Robot, free: CollisionChecker, others: Scene, q: np.ndarray, poses: np.ndarray, length: float, way: Way
 ) -> tuple[JointPath, np.ndarray]:
     """Straight back with the fruit, or lifted, or up; at the end nothing may touch the fruit, on the way only what touches it
     where it hangs. The paths, stacked, and which rows (b,) have one."""
@@ -202,7 +202,7 @@ def _retreats(
     order = []
     for direction in (back, (back + up) / np.sqrt(2.0), up):
         left = np.flatnonzero(~sure)
-        lines, good = tip_lines(free.chain, q[left], poses[left], direction, length)
+        lines, good = tip_lines(free.robot, q[left], poses[left], direction, length)
         good[good] = ~_any_hit(free, lines[good]) & ~_any_hit(holds, lines[good]) & ~leaves.hits(lines[good][:, -1], CUSHION)
         path, proven = _driven(lines[good], length, free, holds)
         paths.append(rows_of(path, proven))
@@ -212,7 +212,7 @@ def _retreats(
     return rows_of(joined, np.argsort(np.concatenate(order))), sure
 
 
-def _in_the_way(arm: Chain, others: Scene, lines: np.ndarray, margin: float) -> tuple[str, ...]:
+def _in_the_way(arm: Robot, others: Scene, lines: np.ndarray, margin: float) -> tuple[str, ...]:
     """The objects that are touched by most of the last samples of lines (b, k, n), at most three."""
     share = touched(arm, others, lines[:, -1], margin).mean(axis=0)
     return tuple(others.object_names[i] for i in np.argsort(-share, kind="stable")[:3] if share[i] > 0.0)
@@ -228,7 +228,7 @@ def _driven(lines: np.ndarray, length: float, *spaces: CollisionChecker) -> tupl
     and inside the limits."""
     from scipy.interpolate import CubicSpline
 
-    chain, (count, samples, n) = spaces[0].chain, lines.shape
+    robot, (count, samples, n) = spaces[0].robot, lines.shape
     if not count:
         return JointPath(np.zeros((0, samples - 1)), np.zeros((0, samples - 1, 4, n))), np.zeros(0, bool)
     h, along = length / (samples - 1), np.linspace(0.0, length, (samples - 1) * CHORDS + 1)
@@ -238,7 +238,7 @@ def _driven(lines: np.ndarray, length: float, *spaces: CollisionChecker) -> tupl
     off = np.repeat(bends * (h / CHORDS) ** 2 / 8.0, CHORDS, axis=1)  # a cubic's second derivative is greatest at an end
     starts, stops = points[:, :-1], points[:, 1:]
     low, high = np.minimum(starts, stops) - off, np.maximum(starts, stops) + off
-    sure = ((low >= chain.lower - SLACK) & (high <= chain.upper + SLACK)).all(axis=(1, 2))
+    sure = ((low >= robot.lower - SLACK) & (high <= robot.upper + SLACK)).all(axis=(1, 2))
     for space in spaces:
         extra = np.sum(off * space.weights, axis=-1).ravel()
         sure &= space.proven(starts.reshape(-1, n), stops.reshape(-1, n), extra).reshape(count, -1).all(axis=1)

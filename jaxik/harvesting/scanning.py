@@ -26,9 +26,9 @@ from jaxik.collision.clearances import check_geometry, clearance, object_clearan
 from jaxik.collision.scene import Fruit, Scene, remembered
 from jaxik.costs import joint_limit_margin
 from jaxik.harvesting.grasp import Grasp, approach_grid, grasp_poses
+from jaxik.kinematics.robot import Robot
 from jaxik.reach.leading_joints import leading_grid
 from jaxik.reasons import Reason
-from jaxik.robot.chain import Chain
 from jaxik.spmd import HostKernel
 from jaxik.spmd.batch import in_blocks
 
@@ -97,13 +97,13 @@ class Scan(NamedTuple):
 
 
 # --------------------------------------------------------------------------------------------------------------------
-# Compiled once a chain
+# Compiled once a robot
 
 
 @functools.lru_cache(maxsize=64)
-def measures(chain: Chain) -> HostKernel:
+def measures(robot: Robot) -> HostKernel:
     """A batch of clearances [m] and freedoms: (q, scene)."""
-    return HostKernel(lambda q, scene: (clearance(chain, scene, q), joint_limit_margin(chain, q)), 1)
+    return HostKernel(lambda q, scene: (clearance(robot, scene, q), joint_limit_margin(robot, q)), 1)
 
 
 # --------------------------------------------------------------------------------------------------------------------
@@ -111,7 +111,7 @@ def measures(chain: Chain) -> HostKernel:
 
 
 def scan(
-    chain: Chain,
+    robot: Robot,
     scene: Scene,
     fruit: Fruit,
     angles: Any = 72,
@@ -125,23 +125,23 @@ def scan(
     `angles` and `slides` are counts or the values themselves, (m,) [rad] and (m, k) [m, rad]; of one slide (m,) too. The fruit
     itself is no obstacle. A candidate is SOLVED in `status` with at least `margin` [m] of clearance.
 
-    Raises `ValueError` where the chain has no closed form, or nothing to collide with, for what is neither a count nor values,
+    Raises `ValueError` where the robot has no closed form, or nothing to collide with, for what is neither a count nor values,
     and for a fruit, weights, grasp or margin that is none.
     """
     check_kind("scan", "fruit", fruit, Fruit)
     check_kind("scan", "weights", weights, Weights, optional=True)
     check_kind("scan", "grasp", grasp, Grasp, optional=True)
     check_finite("scan", margin=margin)
-    reason = scan_obstacle(chain)
+    reason = scan_obstacle(robot)
     if reason:
-        raise ValueError(f"{chain.name}: a scan needs the closed form, and {reason}")
-    check_geometry(chain)
+        raise ValueError(f"{robot.name}: a scan needs the closed form, and {reason}")
+    check_geometry(robot)
     at = approach_grid(angles)
-    lead = leading_grid(chain, slides)
-    poses = grasp_poses(chain, fruit, at, grasp)
+    lead = leading_grid(robot, slides)
+    poses = grasp_poses(robot, fruit, at, grasp)
     shape = (len(at), len(lead), BRANCHES)
-    q, status, rows, near = _candidates(chain, poses, lead)
-    distance, freedom = measured(chain, scene, fruit, q)
+    q, status, rows, near = _candidates(robot, poses, lead)
+    distance, freedom = measured(robot, scene, fruit, q)
     status[rows] = np.where(distance >= margin, Reason.SOLVED, Reason.COLLISION)
     angle, position, branch = np.unravel_index(rows, shape)
     score = (weights or Weights()).score(distance, freedom)
@@ -149,20 +149,20 @@ def scan(
     return Scan(fruit, at, lead, status.reshape(shape), table, np.stack(np.unravel_index(near, shape), axis=-1))
 
 
-def _candidates(chain: Chain, poses: np.ndarray, lead: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
+def _candidates(robot: Robot, poses: np.ndarray, lead: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
     """Of all poses at all leading positions: postures inside the limits, the status of all candidates, the rows of those
     inside, and the nearest past the limits. All are asked which branches have the pose; only these are solved."""
     poses, leading, count = poses.astype(np.float32), lead.astype(np.float32), len(lead)
     cell = lambda pair: (poses.take(pair // count, axis=0), leading.take(pair % count, axis=0))
     pairs = np.arange(len(poses) * count, dtype=np.int32)
-    (bits,) = in_blocks(valid_branches(chain), pairs, double=False, rows=cell)
+    (bits,) = in_blocks(valid_branches(robot), pairs, double=False, rows=cell)
     valid = np.flatnonzero(np.unpackbits(bits, bitorder="little").view(bool))
     posture = lambda row: (*cell(row // BRANCHES), (row % BRANCHES).astype(np.int32))
-    q, within = in_blocks(closed_branches(chain), valid, double=False, rows=posture)
+    q, within = in_blocks(closed_branches(robot), valid, double=False, rows=posture)
     status = np.full(len(pairs) * BRANCHES, Reason.OUT_OF_REACH, np.int8)
     status[valid] = Reason.LIMITS
     past = ~within
-    violation = np.maximum(chain.lower - q[past], q[past] - chain.upper).max(axis=1)
+    violation = np.maximum(robot.lower - q[past], q[past] - robot.upper).max(axis=1)
     near = valid[past][np.argsort(violation, kind="stable")[:MISSES]]
     return q[within], status, valid[within], near
 
@@ -176,11 +176,11 @@ def without_fruit(scene: Scene, fruit: Fruit) -> Scene:
     return remembered(scene, ("without", fruit.name), lambda: scene.without(own))
 
 
-def measured(chain: Chain, scene: Scene, fruit: Fruit, q: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+def measured(robot: Robot, scene: Scene, fruit: Fruit, q: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Clearance [m] and freedom of postures (N, n) that pick the fruit, which is no obstacle."""
     if not len(q):
         return np.zeros(0), np.zeros(0)
-    distance, freedom = in_blocks(measures(chain), q, fixed=(grouped(without_fruit(scene, fruit), chain),))
+    distance, freedom = in_blocks(measures(robot), q, fixed=(grouped(without_fruit(scene, fruit), robot),))
     return distance, freedom
 
 
@@ -189,7 +189,7 @@ def measured(chain: Chain, scene: Scene, fruit: Fruit, q: np.ndarray) -> tuple[n
 
 
 def approach_angles(
-    chain: Chain, scene: Scene, fruit: Fruit, angles: Any = 72, grasp: Grasp | None = None
+    robot: Robot, scene: Scene, fruit: Fruit, angles: Any = 72, grasp: Grasp | None = None
 ) -> tuple[np.ndarray, np.ndarray]:
     """The approach angles [rad] from best to worst, and the clearance [m] of the last three links, straight, at each. Host
     driver.
@@ -197,12 +197,12 @@ def approach_angles(
     Source: Van Henten et al. 2010, sec. 4.1, step 1.
     """
     at = approach_grid(angles)
-    hand = chain.part(chain.num_joints - 3, chain.num_joints)
+    hand = robot.part(robot.num_joints - 3, robot.num_joints)
     rest = np.zeros(hand.num_joints)
     straight = hand.joint_T_tip
     for frame in hand.parent_T_joint[::-1]:
         straight = frame @ straight
-    placed = chain.world_T_base @ grasp_poses(chain, fruit, at, grasp) @ np.linalg.inv(straight)
+    placed = robot.world_T_base @ grasp_poses(robot, fruit, at, grasp) @ np.linalg.inv(straight)
     others = without_fruit(scene, fruit)
     each = jax.jit(jax.vmap(lambda frame: jnp.min(object_clearances(hand.mounted(frame), others, rest))))
     distance = np.asarray(each(placed))
@@ -211,17 +211,17 @@ def approach_angles(
 
 
 def scan_two_step(
-    chain: Chain, scene: Scene, fruit: Fruit, angles: Any = 72, slides: Any = 41, **options: Any
+    robot: Robot, scene: Scene, fruit: Fruit, angles: Any = 72, slides: Any = 41, **options: Any
 ) -> tuple[Scan, int]:
     """The paper's two steps, with the recovery that it lacks: where the best angle has no posture the next one is taken. Host
     driver.
 
     Returns the scan of the first angle that has one (else of the best angle) and how many angles were tried.
     """
-    order, _ = approach_angles(chain, scene, fruit, angles, options.get("grasp"))
+    order, _ = approach_angles(robot, scene, fruit, angles, options.get("grasp"))
     first = None
     for tried, angle in enumerate(order, 1):
-        found = scan(chain, scene, fruit, np.array([angle]), slides, **options)
+        found = scan(robot, scene, fruit, np.array([angle]), slides, **options)
         first = first or found
         if found.reason == Reason.SOLVED:
             return found, tried

@@ -16,8 +16,8 @@ from jaxik.checks.options import check_finite
 from jaxik.collision.bvh import grouped
 from jaxik.collision.clearances import check_geometry, link_contacts
 from jaxik.collision.scene import Scene
+from jaxik.kinematics.robot import Robot
 from jaxik.planning.collision_checker import CollisionChecker
-from jaxik.robot.chain import Chain
 from jaxik.spmd.batch import in_blocks
 from jaxik.spmd.host import host_kernels
 
@@ -27,17 +27,17 @@ NEAR = 0.03  # [m] beyond the margin, where a link begins to cost
 class ClearSpace:
     """Of one robot in one scene, with `margin` [m]; configurations are rows (k, n).
 
-    Raises `ValueError` for a chain whose shapes nobody knows.
+    Raises `ValueError` for a robot whose shapes nobody knows.
     """
 
-    def __init__(self, who: str, chain: Chain, scene: Scene | None, margin: float):
+    def __init__(self, who: str, robot: Robot, scene: Scene | None, margin: float):
         check_finite(who, margin=margin)
         try:
-            check_geometry(chain)
+            check_geometry(robot)
         except ValueError as error:
             raise ValueError(f"{who}: {error}; or write margin=None for a motion that may hit") from None
-        self.chain, self.margin, self.around = chain, margin, grouped(scene, chain)
-        self.checker = CollisionChecker(chain, scene, margin)
+        self.robot, self.margin, self.around = robot, margin, grouped(scene, robot)
+        self.checker = CollisionChecker(robot, scene, margin)
 
     def nearness(self, q: np.ndarray) -> tuple[float, np.ndarray]:
         """The cost, and its derivative (k, n)."""
@@ -55,11 +55,11 @@ class ClearSpace:
         return bool(self.checker.proven(q, np.roll(q, -1, axis=0), np.full(len(q), sag)).all())
 
     def _contacts(self, q: np.ndarray) -> list[np.ndarray]:
-        return in_blocks(_link_contacts(self.chain), q, fixed=(self.around,), double=True)
+        return in_blocks(_link_contacts(self.robot), q, fixed=(self.around,), double=True)
 
 
 @host_kernels(1)
-def _link_contacts(chain: Chain, q: Any, around: Any) -> Any:
+def _link_contacts(robot: Robot, q: Any, around: Any) -> Any:
     """Each link's clearance (l,) and its slopes (l, n)."""
-    apart, slopes = link_contacts(chain, around, q)
+    apart, slopes = link_contacts(robot, around, q)
     return apart, jnp.stack(slopes, axis=-1)

@@ -7,7 +7,7 @@ breakaway     s w
 viscous       qdot
 load          s |T|           T the joint's torque behind the gear, rotor included
 viscous_load  qdot |T|
-asymmetry     |tanh(N qdot)|  what friction is larger forward, and smaller backward; (3.15), of the chain's ratio N
+asymmetry     |tanh(N qdot)|  what friction is larger forward, and smaller backward; (3.15), of the robot's ratio N
 armature      qddot
 """
 
@@ -20,8 +20,8 @@ import jax
 import numpy as np
 
 from jaxik.checks.options import check_choices, shown
-from jaxik.robot.chain import Chain
-from jaxik.robot.dynamics import regressor
+from jaxik.dynamics.recursions import regressor
+from jaxik.kinematics.robot import Robot
 from jaxik.spmd.host import host_kernels
 
 Term = Literal["coulomb", "breakaway", "viscous", "load", "viscous_load", "asymmetry", "armature"]
@@ -40,21 +40,21 @@ def check_terms(who: str, terms: Any) -> None:
             raise ValueError(f"{who}: terms has {term} {terms.count(term)} times; write it once")
 
 
-def ratios(chain: Chain) -> np.ndarray:
+def ratios(robot: Robot) -> np.ndarray:
     """How far each motor turns while its joint moves by 1 (n,) [1, rad/m]."""
-    return np.array([float(drive.ratio) for drive in chain.drives]) if chain.drives else np.ones(chain.num_joints)
+    return np.array([float(drive.ratio) for drive in robot.drives]) if robot.drives else np.ones(robot.num_joints)
 
 
-def body_columns(chain: Chain, q: np.ndarray, qdot: np.ndarray, qddot: np.ndarray) -> np.ndarray:
+def body_columns(robot: Robot, q: np.ndarray, qdot: np.ndarray, qddot: np.ndarray) -> np.ndarray:
     """Y of every row (K, n, 10 n), in float64."""
     with jax.enable_x64(True):
-        return _regressors(chain)(q, qdot, qddot)[0]
+        return _regressors(robot)(q, qdot, qddot)[0]
 
 
-def names(chain: Chain, terms: Sequence[Term]) -> list[str]:
+def names(robot: Robot, terms: Sequence[Term]) -> list[str]:
     """Of all columns: ten a body, then each term for all joints."""
-    bodies = [f"{name}({joint})" for joint in chain.joint_names for name in BODY]
-    return [*bodies, *(f"{term}({joint})" for term in terms for joint in chain.joint_names)]
+    bodies = [f"{name}({joint})" for joint in robot.joint_names for name in BODY]
+    return [*bodies, *(f"{term}({joint})" for term in terms for joint in robot.joint_names)]
 
 
 def friction_columns(

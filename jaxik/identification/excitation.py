@@ -21,12 +21,12 @@ from threadpoolctl import threadpool_limits
 from jaxik.checks.arrays import shaped
 from jaxik.checks.options import as_count, changed, check_finite, check_kind, check_seed
 from jaxik.collision.scene import Scene
+from jaxik.dynamics.recursions import body_parameters
 from jaxik.identification.clear_motion import ClearSpace
 from jaxik.identification.columns import Term, body_columns, check_terms, friction_columns, ratios, side_by_side
 from jaxik.identification.identifiable import base_parameters
 from jaxik.identification.weighted_fit import condition
-from jaxik.robot.chain import Chain, finite_limits
-from jaxik.robot.dynamics import body_parameters
+from jaxik.kinematics.robot import Robot, finite_limits
 
 STEP = 1e-6  # of finite differences, in units of the limits
 LEAST = 1e-12  # of the largest singular value
@@ -94,13 +94,13 @@ def _series(times: np.ndarray, period: float, harmonics: int) -> np.ndarray:
 class _Search:
     """The objective and its gradient by the series' coefficients (2 h, n) and the shares (n,), in one row each (2 h + 1, n)."""
 
-    def __init__(self, chain: Chain, space: ClearSpace | None, middle: np.ndarray, options: ExcitationOptions):
-        self.chain, self.space, self.middle, self.terms = chain, space, middle, options.terms
-        self.base, self.weight = base_parameters(chain, options.terms), WEIGHTS[0]
-        fastest = np.minimum(chain.velocity, options.velocity)
-        self.limits = np.array([half_range(chain, middle, options.share), fastest, np.full_like(middle, options.acceleration)])
-        self.inertial = np.asarray(body_parameters(chain)) if chain.bodies else np.zeros(10 * chain.num_joints)
-        self.ratio = ratios(chain)
+    def __init__(self, robot: Robot, space: ClearSpace | None, middle: np.ndarray, options: ExcitationOptions):
+        self.robot, self.space, self.middle, self.terms = robot, space, middle, options.terms
+        self.base, self.weight = base_parameters(robot, options.terms), WEIGHTS[0]
+        fastest = np.minimum(robot.velocity, options.velocity)
+        self.limits = np.array([half_range(robot, middle, options.share), fastest, np.full_like(middle, options.acceleration)])
+        self.inertial = np.asarray(body_parameters(robot)) if robot.bodies else np.zeros(10 * robot.num_joints)
+        self.ratio = ratios(robot)
         self.series = _series(_times(options.period, options.samples), options.period, options.harmonics)
 
     def scaled(self, series: np.ndarray, c: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
@@ -114,7 +114,7 @@ class _Search:
     def columns(self, motion: np.ndarray) -> np.ndarray:
         """The base parameters' columns of a motion (3, k, n), (k, n, b)."""
         q, qdot, qddot = motion
-        bodies = body_columns(self.chain, self.middle + q, qdot, qddot)
+        bodies = body_columns(self.robot, self.middle + q, qdot, qddot)
         friction = friction_columns(self.terms, self.ratio, qdot, qddot, bodies @ self.inertial, 0.25 * self.limits[1])
         return side_by_side(bodies, friction)[:, :, self.base.kept]
 
@@ -131,7 +131,7 @@ class _Search:
 
     def __call__(self, flat: np.ndarray) -> tuple[float, np.ndarray]:
         """The value, and its gradient."""
-        x = flat.reshape(-1, self.chain.num_joints)
+        x = flat.reshape(-1, self.robot.num_joints)
         whole, scale, bound = self.scaled(self.series, x[:-1])
         motion = whole * x[-1]
         value, matrix, pull = self.told(motion)
@@ -170,9 +170,9 @@ class _Search:
         return condition(self.columns(motion).reshape(-1, len(self.base)))
 
 
-def half_range(chain: Chain, middle: np.ndarray, share: float) -> np.ndarray:
+def half_range(robot: Robot, middle: np.ndarray, share: float) -> np.ndarray:
     """How far a motion may go about its middle (n,) within a share of the joints' range."""
-    lower, upper = finite_limits(chain)
+    lower, upper = finite_limits(robot)
     return np.asarray(np.minimum(middle - lower, upper - middle) - 0.5 * (1.0 - share) * (upper - lower))
 
 
@@ -181,38 +181,38 @@ def _times(period: float, count: int) -> np.ndarray:
 
 
 def excite(
-    chain: Chain, scene: Scene | None = None, options: ExcitationOptions = ExcitationOptions(), **changes: Any
+    robot: Robot, scene: Scene | None = None, options: ExcitationOptions = ExcitationOptions(), **changes: Any
 ) -> Excitation:
-    """A periodic motion inside the chain's limits that tells its bodies and friction apart well. Host driver.
+    """A periodic motion inside the robot's limits that tells its bodies and friction apart well. Host driver.
 
     `changes` are fields of the options. The robot keeps clear of itself and of the scene by `margin`, between samples, too;
-    what carries it, and what it carries, are in the chain or in the scene, or are not looked at.
+    what carries it, and what it carries, are in the robot or in the scene, or are not looked at.
 
-    Raises `ValueError` for options that cannot be used, for a joint that cannot move, for a chain without shapes where
+    Raises `ValueError` for options that cannot be used, for a joint that cannot move, for a robot without shapes where
     `margin` is not None, and where no motion is clear. Source: Swevers, Ganseman, Tukel, De Schutter, Van Brussel 1997.
     """
-    check_kind("excite", "chain", chain, Chain)
+    check_kind("excite", "robot", robot, Robot)
     check_kind("excite", "scene", scene, Scene, optional=True)
     options = changed("excite", options, changes)
-    _check(chain, options)
-    space = None if options.margin is None else ClearSpace("excite", chain, scene, options.margin)
+    _check(robot, options)
+    space = None if options.margin is None else ClearSpace("excite", robot, scene, options.margin)
     with threadpool_limits(1, "blas"):  # matrices are small, and threads would wait for each other
-        search = _Search(chain, space, _middle(chain, space, options), options)
+        search = _Search(robot, space, _middle(robot, space, options), options)
         return _excited(search, options)
 
 
-def _middle(chain: Chain, space: ClearSpace | None, options: ExcitationOptions) -> np.ndarray:
+def _middle(robot: Robot, space: ClearSpace | None, options: ExcitationOptions) -> np.ndarray:
     """That of the limits, one that is given, or where that of the limits has no room the roomiest of many."""
-    lower, upper = finite_limits(chain)
+    lower, upper = finite_limits(robot)
     middle = 0.5 * (lower + upper)
     if options.middle is not None:
         middle = shaped("excite: middle", options.middle, middle.shape)
-        if not np.all(half_range(chain, middle, options.share) > 0.0):
-            joint = chain.joint_names[int(np.argmin(half_range(chain, middle, options.share)))]
+        if not np.all(half_range(robot, middle, options.share) > 0.0):
+            joint = robot.joint_names[int(np.argmin(half_range(robot, middle, options.share)))]
             raise ValueError(f"excite: the middle of {joint} is not within share={options.share:g} of its limits")
     elif space is not None and space.room(middle[None])[0] < ROOM:
-        reach = 0.5 * half_range(chain, middle, options.share)
-        others = middle + reach * np.random.default_rng(options.seed).uniform(-1.0, 1.0, (POSTURES, chain.num_joints))
+        reach = 0.5 * half_range(robot, middle, options.share)
+        others = middle + reach * np.random.default_rng(options.seed).uniform(-1.0, 1.0, (POSTURES, robot.num_joints))
         every = np.vstack([middle, others])
         middle = every[np.argmax(space.room(every))]
     if space is not None and (room := space.room(middle[None])[0]) < 0.0:
@@ -266,7 +266,7 @@ def _largest(clear: Callable[[float], bool]) -> float:
     return low
 
 
-def _check(chain: Chain, options: ExcitationOptions) -> None:
+def _check(robot: Robot, options: ExcitationOptions) -> None:
     check_terms("excite", options.terms)
     check_seed("excite", options.seed)
     counts = {name: as_count(f"excite: {name}", getattr(options, name)) for name in ("harmonics", "samples", "starts", "steps")}
@@ -274,7 +274,7 @@ def _check(chain: Chain, options: ExcitationOptions) -> None:
         raise ValueError(
             f"excite: {counts['samples']} samples of {counts['harmonics']} harmonics; allowed: at least 4 for each"
         )
-    for name, low, high, fastest in zip(chain.joint_names, *finite_limits(chain), chain.velocity, strict=True):
+    for name, low, high, fastest in zip(robot.joint_names, *finite_limits(robot), robot.velocity, strict=True):
         if not (low < high and fastest > 0.0):
             mend = "give it room, or excite the part of the chain that moves"
             raise ValueError(f"excite: {name} cannot move: {low:g} to {high:g}, velocity {fastest:g}; {mend}")

@@ -2,7 +2,7 @@
 
 First the base parameters and friction's curve by least squares, each joint's residuals in units of its own noise, with their
 standard errors. Then, for the same rows, bodies within what is physical (`pseudo_inertia`) and friction of at least 0, from the
-chain's own numbers on, to which what the logs do not tell stays close.
+robot's own numbers on, to which what the logs do not tell stays close.
 """
 
 from __future__ import annotations
@@ -15,6 +15,7 @@ import numpy as np
 from threadpoolctl import threadpool_limits
 
 from jaxik.checks.options import as_count, changed, check_finite, check_kind
+from jaxik.dynamics.recursions import INERTIAL, body_parameters, with_body_parameters
 from jaxik.identification.base_fit import BaseFit, base_fit
 from jaxik.identification.columns import Term, check_terms
 from jaxik.identification.identifiable import BaseParameters, base_parameters
@@ -22,10 +23,9 @@ from jaxik.identification.log import MotionLog
 from jaxik.identification.physical_fit import physical_fit
 from jaxik.identification.problem import Problem, check_alive, posed
 from jaxik.identification.weighted_fit import repeated
+from jaxik.kinematics.drive import Drive, Friction
+from jaxik.kinematics.robot import Robot
 from jaxik.reasons import Reason, Reasoned
-from jaxik.robot.chain import Chain
-from jaxik.robot.drive import Drive, Friction
-from jaxik.robot.dynamics import INERTIAL, body_parameters, with_body_parameters
 
 LEAST_PRIOR = 1e-6  # as a logarithm; with less nothing would be found at all
 MOST, ALL = 0.3, 0.9  # of a joint's torque that may be left, if it is no noise; and that is nearly all of it
@@ -38,8 +38,8 @@ FAR, SHARE = 3.0, 0.01  # times the noise, and of a joint's torque: what leaves 
 @dataclasses.dataclass(frozen=True)
 class IdentifyOptions:
     """`terms` of the drives' friction to find: those that are left out count as none, but for the rotors, which
-    are then the chain's `armature`. Rows in which a joint is slower than `slowest` [rad/s, m/s] do not count for it, for at
-    rest friction has no law. `prior` is how far bodies may be from the chain's where the log does not say, as a logarithm (1:
+    are then the robot's `armature`. Rows in which a joint is slower than `slowest` [rad/s, m/s] do not count for it, for at
+    rest friction has no law. `prior` is how far bodies may be from the robot's where the log does not say, as a logarithm (1:
     by factors of about e). Beyond a `condition` number the reason is UNEXCITED. The load of the friction is found in
     `rounds`, and bodies that can be in `steps`, at most."""
 
@@ -53,12 +53,12 @@ class IdentifyOptions:
 
 @dataclasses.dataclass(frozen=True, eq=False, repr=False)
 class Identified(Reasoned):
-    """The `chain` with the bodies and drives found, all physical; its `base` parameters as the log alone tells them, `value`
+    """The `robot` with the bodies and drives found, all physical; its `base` parameters as the log alone tells them, `value`
     and standard error `std` (b,); the excitation's `condition` number (columns of equal length); of each joint the root mean
     square `residual` (n,) [Nm, N] and the `rows` that counted; and the `reason`: SOLVED, UNEXCITED, UNEXPLAINED or
     NOT_CONVERGED."""
 
-    chain: Chain
+    robot: Robot
     base: BaseParameters
     value: np.ndarray
     std: np.ndarray
@@ -74,48 +74,48 @@ class Identified(Reasoned):
 
     def __repr__(self) -> str:
         known = len(self.base) - len(self.unknown())
-        head = f"Identified {self.chain.name}: {self.reasons}, condition number {self.condition:.0f}, "
+        head = f"Identified {self.robot.name}: {self.reasons}, condition number {self.condition:.0f}, "
         head += f"{known} of {len(self.base)} within 1 %"
         wide = max(map(len, self.base.words), default=0)
         rows = zip(self.base.words, self.value, self.std, strict=True)
         told = [f"  {word:<{wide}} {value:11.5g} +- {std:.2g}" for word, value, std in rows]
-        left = zip(self.chain.joint_names, self.residual, strict=True)
+        left = zip(self.robot.joint_names, self.residual, strict=True)
         return "\n".join([head, *told, f"  not explained: {', '.join(f'{name} {rms:.3g}' for name, rms in left)} [Nm, N]"])
 
 
 def identify(
-    chain: Chain, logs: MotionLog | Sequence[MotionLog], options: IdentifyOptions = IdentifyOptions(), **changes: Any
+    robot: Robot, logs: MotionLog | Sequence[MotionLog], options: IdentifyOptions = IdentifyOptions(), **changes: Any
 ) -> Identified:
-    """The chain's bodies and friction, from motions that were measured. Host driver.
+    """The robot's bodies and friction, from motions that were measured. Host driver.
 
-    `changes` are fields of the options. The chain's own bodies are what is taken for granted where a log says nothing; those
+    `changes` are fields of the options. The robot's own bodies are what is taken for granted where a log says nothing; those
     without a mass, as 10 g. The drives that come back have their friction at the joint, without a load's share that was not
     asked for. A log is UNEXPLAINED where bodies and friction leave a third of a joint's torque that is no noise, or nearly all
-    of it though the chain's own bodies ask for as much, or of every joint's, or where they weigh ten times as much as the
-    chain's own: look at the order of its columns, and at its units. Noise changes faster than the motion, filtered or not.
+    of it though the robot's own bodies ask for as much, or of every joint's, or where they weigh ten times as much as the
+    robot's own: look at the order of its columns, and at its units. Noise changes faster than the motion, filtered or not.
     `std` counts rows in which the same noise stands, as a filter makes it, as one.
 
     Raises `ValueError` for logs and options that cannot be used. Sources: Gautier 1991; Rucker, Wensing 2022.
     """
-    check_kind("identify", "chain", chain, Chain)
+    check_kind("identify", "robot", robot, Robot)
     options = changed("identify", options, changes)
     check_terms("identify", options.terms)
     check_finite("identify", 0.0, slowest=options.slowest, condition=options.condition)
     check_finite("identify", LEAST_PRIOR, prior=options.prior)
     for name in ("rounds", "steps"):
         as_count(f"identify: {name}", getattr(options, name))
-    known = np.asarray(body_parameters(chain), np.float64)
+    known = np.asarray(body_parameters(robot), np.float64)
     if not np.isfinite(known).all():
-        raise ValueError(f"identify: a body of {chain.name} holds NaN or infinity; write finite mass, com and inertia")
+        raise ValueError(f"identify: a body of {robot.name} holds NaN or infinity; write finite mass, com and inertia")
     with threadpool_limits(1, "blas"):  # matrices are narrow, and threads would wait for each other
-        return _identified(chain, posed(chain, logs, options.terms, options.slowest), known, options)
+        return _identified(robot, posed(robot, logs, options.terms, options.slowest), known, options)
 
 
-def _identified(chain: Chain, problem: Problem, known: np.ndarray, options: IdentifyOptions) -> Identified:
-    base = base_parameters(chain, options.terms)
+def _identified(robot: Robot, problem: Problem, known: np.ndarray, options: IdentifyOptions) -> Identified:
+    base = base_parameters(robot, options.terms)
     if (rows := int(problem.counts.sum())) < 2 * len(base):
         raise ValueError(f"identify: {rows} values for {len(base)} unknowns; log a longer motion, twice as many at least")
-    check_alive("identify", chain, problem.torque)
+    check_alive("identify", robot, problem.torque)
     fit = base_fit(problem, base, known, options.rounds)
     found = physical_fit(problem, fit.curve, fit.noise, known, options.prior, options.steps)
     usual = np.sqrt(np.mean(problem.torque**2, axis=0))
@@ -125,7 +125,7 @@ def _identified(chain: Chain, problem: Problem, known: np.ndarray, options: Iden
     reason = Reason.UNEXCITED if fit.condition > options.condition else Reason.SOLVED
     reason = Reason.UNEXPLAINED if strange else reason if well else Reason.NOT_CONVERGED
     return Identified(
-        chain=_with_friction(with_body_parameters(chain, found.bodies.ravel()), found.friction, fit.curve.stribeck),
+        robot=_with_friction(with_body_parameters(robot, found.bodies.ravel()), found.friction, fit.curve.stribeck),
         base=base,
         value=fit.value,
         std=fit.std,
@@ -152,16 +152,16 @@ def _far(found: float, known: float) -> bool:
     return bool(known > 0.0 and not known / HEAVY <= found <= known * HEAVY)
 
 
-def _with_friction(chain: Chain, friction: dict[Term, np.ndarray], stribeck: np.ndarray) -> Chain:
-    """The chain with drives that rub as was found; other drives where it has none."""
+def _with_friction(robot: Robot, friction: dict[Term, np.ndarray], stribeck: np.ndarray) -> Robot:
+    """The robot with drives that rub as was found; other drives where it has none."""
     if not friction:
-        return chain
-    armature = friction.get("armature", np.asarray(chain.armature))
+        return robot
+    armature = friction.get("armature", np.asarray(robot.armature))
     drives = []
-    for j, drive in enumerate(chain.drives or [Drive()] * chain.num_joints):
+    for j, drive in enumerate(robot.drives or [Drive()] * robot.num_joints):
         of = {term: float(values[j]) for term, values in friction.items() if term not in ("armature", "asymmetry")}
         uneven = float(friction["asymmetry"][j]) if "asymmetry" in friction else 0.0
         curve = {"stribeck_velocity": float(stribeck[j])} if "breakaway" in of else {}
         law = Friction(**{"coulomb": 0.0, **of, **curve}, correction=(-uneven, uneven), side="joint")
         drives.append(dataclasses.replace(drive, friction=law, rotor_inertia=float(armature[j] / drive.ratio**2)))
-    return chain.with_drives(drives)
+    return robot.with_drives(drives)

@@ -1,4 +1,4 @@
-"""Which combinations of parameters a chain's motion can tell at all: its base parameters [Gautier 1991].
+"""Which combinations of parameters a robot's motion can tell at all: its base parameters [Gautier 1991].
 
 The columns of a matrix over random motions, taken in their order, are each kept or a sum of those kept before it: theta_kept +
 K theta_dropped is what counts, and a column of zeros is what no motion tells.
@@ -13,7 +13,7 @@ import numpy as np
 
 from jaxik.checks.options import check_kind, check_seed
 from jaxik.identification.columns import Term, body_columns, check_terms, friction_columns, names, ratios, side_by_side
-from jaxik.robot.chain import Chain, finite_limits
+from jaxik.kinematics.robot import Robot, finite_limits
 
 ROWS = 4  # random motions a column, at least
 DEPENDENT = 1e-9  # of the longest column: what is shorter than that, once the columns kept are taken away, is rounding
@@ -38,21 +38,21 @@ class BaseParameters:
         return f"BaseParameters of {self.matrix.shape[1]}: {len(self)}; unseen: {', '.join(self.unseen) or 'none'}"
 
 
-def base_parameters(chain: Chain, terms: Sequence[Term] = (), seed: int = 0) -> BaseParameters:
-    """What any motion of the chain can tell of its bodies and of the `terms` of its drives' friction. Host driver.
+def base_parameters(robot: Robot, terms: Sequence[Term] = (), seed: int = 0) -> BaseParameters:
+    """What any motion of the robot can tell of its bodies and of the `terms` of its drives' friction. Host driver.
 
     Raises `ValueError` for a term that there is none of. Source: Gautier 1991.
     """
-    check_kind("base_parameters", "chain", chain, Chain)
+    check_kind("base_parameters", "robot", robot, Robot)
     check_terms("base_parameters", terms)
     check_seed("base_parameters", seed)
-    n, rng = chain.num_joints, np.random.default_rng(seed)
+    n, rng = robot.num_joints, np.random.default_rng(seed)
     rows = ROWS * (10 + len(terms)) + 10
-    q = rng.uniform(*finite_limits(chain), (rows, n))
+    q = rng.uniform(*finite_limits(robot), (rows, n))
     qdot, qddot, load = rng.normal(size=(3, rows, n))
-    friction = friction_columns(terms, ratios(chain), qdot, qddot, load, np.ones(n))
-    columns = side_by_side(body_columns(chain, q, qdot, qddot), friction)
-    return combinations(columns.reshape(rows * n, -1), names(chain, terms))
+    friction = friction_columns(terms, ratios(robot), qdot, qddot, load, np.ones(n))
+    columns = side_by_side(body_columns(robot, q, qdot, qddot), friction)
+    return combinations(columns.reshape(rows * n, -1), names(robot, terms))
 
 
 def combinations(columns: np.ndarray, called: Sequence[str]) -> BaseParameters:

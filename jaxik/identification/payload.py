@@ -22,15 +22,15 @@ from jaxtyping import Float
 from threadpoolctl import threadpool_limits
 
 from jaxik.checks.options import as_count, changed, check_finite, check_kind
+from jaxik.dynamics.actuation import torque_of_current
+from jaxik.dynamics.recursions import INERTIAL, inverse_dynamics, regressor
 from jaxik.identification.fit import FAR, FRESH, HEAVY, LEAST_PRIOR, MOST, SHARE, SLOW
 from jaxik.identification.log import MotionLog, joined
 from jaxik.identification.physical_fit import nearest_bodies
 from jaxik.identification.pseudo_inertia import FROM_PSEUDO, TO_PSEUDO
 from jaxik.identification.weighted_fit import EXACT, condition, repeated, weighted_fit
+from jaxik.kinematics.robot import Robot, steiner
 from jaxik.reasons import Reason, Reasoned
-from jaxik.robot.actuation import torque_of_current
-from jaxik.robot.chain import Chain, steiner
-from jaxik.robot.dynamics import INERTIAL, inverse_dynamics, regressor
 from jaxik.spmd.host import host_kernels
 
 APART = 0.1  # [rad, m] by which two logs of one motion may differ, for a load bends an arm
@@ -55,7 +55,7 @@ class LoadOptions:
 
 @dataclasses.dataclass(frozen=True, eq=False, repr=False)
 class IdentifiedLoad(Reasoned):
-    """A load as `chain.with_load(mass, com, inertia)` takes it: `mass` [kg], centre of gravity `com` (3,) [m] and `inertia`
+    """A load as `robot.with_load(mass, com, inertia)` takes it: `mass` [kg], centre of gravity `com` (3,) [m] and `inertia`
     (3, 3) [kg m2] about that, in the tip's axes; their standard errors `mass_std`, `com_std`, `inertia_std`, infinite where the
     logs do not tell; the `condition` number of mass and moments (columns of equal length); of each joint the root mean square
     `residual` (n,) [Nm, N] and the `rows` that counted; and the `reason`: SOLVED, UNEXCITED, UNEXPLAINED or
@@ -84,44 +84,44 @@ class IdentifiedLoad(Reasoned):
 
 
 def identify_load(
-    chain: Chain,
+    robot: Robot,
     loaded: MotionLog | Sequence[MotionLog],
     empty: MotionLog | Sequence[MotionLog] | None = None,
     options: LoadOptions = LoadOptions(),
     **changes: Any,
 ) -> IdentifiedLoad:
-    """The load at the chain's tip, from a log of a motion with it, and better one of the same motion without. Host driver.
+    """The load at the robot's tip, from a log of a motion with it, and better one of the same motion without. Host driver.
 
-    `chain` is the arm without the load. Both logs are to begin at the same moment of the motion: row by row they are compared,
-    and what they share, errors of the model and friction, goes out. Friction that grows with the load is what the chain's
-    drives say of it. Without `empty` all that the model does not know counts for the load: use the chain that `identify` found.
+    `robot` is the arm without the load. Both logs are to begin at the same moment of the motion: row by row they are compared,
+    and what they share, errors of the model and friction, goes out. Friction that grows with the load is what the robot's
+    drives say of it. Without `empty` all that the model does not know counts for the load: use the robot that `identify` found.
     `changes` are fields of the options. Logs are UNEXPLAINED where a load leaves a third of what is between them that is no
     noise, or weighs ten times as much as the arm: look at the order of their columns, and at their units.
 
     Raises `ValueError` for logs and options that cannot be used, and for logs of different motions. Sources: Khalil, Gautier,
     Lemoine 2007; Rucker, Wensing 2022.
     """
-    check_kind("identify_load", "chain", chain, Chain)
+    check_kind("identify_load", "robot", robot, Robot)
     options = changed("identify_load", options, changes)
     check_finite("identify_load", 0.0, slowest=options.slowest, condition=options.condition)
     check_finite("identify_load", LEAST_PRIOR, prior=options.prior)
     as_count("identify_load: steps", options.steps)
-    q, qdot, qddot, torque = joined(chain, loaded, "identify_load")
-    missing, counts = _missing(chain, q, qdot, qddot, torque), np.abs(qdot) >= options.slowest
+    q, qdot, qddot, torque = joined(robot, loaded, "identify_load")
+    missing, counts = _missing(robot, q, qdot, qddot, torque), np.abs(qdot) >= options.slowest
     if empty is not None:
-        others = joined(chain, empty, "identify_load: empty")
-        _check_one_motion(chain, q, others[0])
-        missing -= _missing(chain, *others)
+        others = joined(robot, empty, "identify_load: empty")
+        _check_one_motion(robot, q, others[0])
+        missing -= _missing(robot, *others)
         counts &= (np.abs(others[1]) >= options.slowest) & (qdot * others[1] >= 0.0)
     counts &= np.isfinite(missing)  # a drive that locks itself says nothing
     if (rows := int(counts.sum())) < 2 * INERTIAL:
         mend = "log a longer motion; of torques measured behind friction write slowest=0"
         raise ValueError(f"identify_load: {rows} values faster than slowest={options.slowest:g}; {mend}")
     with jax.enable_x64(True):
-        columns = _regressors(chain)(q, qdot, qddot)[0] @ _of_tip(np.asarray(chain.joint_T_tip))
+        columns = _regressors(robot)(q, qdot, qddot)[0] @ _of_tip(np.asarray(robot.joint_T_tip))
     with threadpool_limits(1, "blas"):
         found, strange = _found(columns, missing, counts, torque, qdot, options)
-    strange |= 0.0 < HEAVY * sum(float(body.mass) for body in chain.bodies) < found.mass
+    strange |= 0.0 < HEAVY * sum(float(body.mass) for body in robot.bodies) < found.mass
     return dataclasses.replace(found, reason=Reason.UNEXPLAINED) if strange else found
 
 
@@ -170,36 +170,36 @@ def _unlike(left: np.ndarray, missing: np.ndarray, torque: np.ndarray, qdot: np.
     return bool(slow and size > MOST * np.linalg.norm(missing) and size > TELLING * np.linalg.norm(torque))
 
 
-def _check_one_motion(chain: Chain, q: np.ndarray, other: np.ndarray) -> None:
+def _check_one_motion(robot: Robot, q: np.ndarray, other: np.ndarray) -> None:
     mend = "play one motion with and without the load, and cut both logs at the same moments; or leave empty out"
     if q.shape != other.shape:
         raise ValueError(f"identify_load: {len(q)} rows with the load, {len(other)} without; {mend}")
     apart = np.abs(q - other)
     if apart.max() > APART:
         row, joint = np.unravel_index(np.argmax(apart), apart.shape)
-        where = f"{chain.joint_names[joint]} is {apart.max():.3g} apart in row {row} of the two logs"
+        where = f"{robot.joint_names[joint]} is {apart.max():.3g} apart in row {row} of the two logs"
         raise ValueError(f"identify_load: {where}, allowed: {APART:g}; {mend}")
 
 
-def _missing(chain: Chain, q: np.ndarray, qdot: np.ndarray, qddot: np.ndarray, torque: np.ndarray) -> np.ndarray:
+def _missing(robot: Robot, q: np.ndarray, qdot: np.ndarray, qddot: np.ndarray, torque: np.ndarray) -> np.ndarray:
     """What the drives give behind friction beyond what the model asks for (k, n)."""
     with jax.enable_x64(True):
-        return np.array(_beyond(chain)(q, qdot, qddot, torque)[0])
+        return np.array(_beyond(robot)(q, qdot, qddot, torque)[0])
 
 
 @host_kernels(4)
-def _beyond(chain: Chain, q: Any, qdot: Any, qddot: Any, torque: Any) -> Any:
-    if chain.drives:
-        gain = np.array([float(drive.torque_per_current) for drive in chain.drives])
-        springs = np.array([float(drive.spring_force) for drive in chain.drives])
-        torque = torque_of_current(chain, (torque - springs) / gain, qdot)
-    return torque - inverse_dynamics(chain, q, qdot, qddot)
+def _beyond(robot: Robot, q: Any, qdot: Any, qddot: Any, torque: Any) -> Any:
+    if robot.drives:
+        gain = np.array([float(drive.torque_per_current) for drive in robot.drives])
+        springs = np.array([float(drive.spring_force) for drive in robot.drives])
+        torque = torque_of_current(robot, (torque - springs) / gain, qdot)
+    return torque - inverse_dynamics(robot, q, qdot, qddot)
 
 
 @host_kernels(3)
-def _regressors(chain: Chain, q: Any, qdot: Any, qddot: Any) -> Any:
+def _regressors(robot: Robot, q: Any, qdot: Any, qddot: Any) -> Any:
     """Y of what moves with the last joint (n, 10)."""
-    return regressor(chain, q, qdot, qddot)[:, -INERTIAL:]
+    return regressor(robot, q, qdot, qddot)[:, -INERTIAL:]
 
 
 def _of_tip(joint_T_tip: Float[np.ndarray, "4 4"]) -> np.ndarray:

@@ -9,11 +9,11 @@ from typing import NamedTuple
 
 import numpy as np
 
+from jaxik.dynamics.recursions import INERTIAL
 from jaxik.identification.columns import Term, body_columns, friction_columns, ratios
 from jaxik.identification.identifiable import BaseParameters
 from jaxik.identification.log import MotionLog, joined
-from jaxik.robot.chain import Chain
-from jaxik.robot.dynamics import INERTIAL
+from jaxik.kinematics.robot import Robot
 
 
 class Curve(NamedTuple):
@@ -118,21 +118,21 @@ def _turned(basis: np.ndarray, triangle: np.ndarray, own: np.ndarray) -> tuple[n
     return np.vstack([triangle, np.zeros((len(outside), triangle.shape[1]))]), np.vstack([inside + again, outside])
 
 
-def check_alive(who: str, chain: Chain, torque: np.ndarray) -> None:
+def check_alive(who: str, robot: Robot, torque: np.ndarray) -> None:
     """Raises `ValueError` where a joint's torque (K, n) is 0 throughout: such are dead channels."""
-    for name, column in zip(chain.joint_names, torque.T, strict=True):
+    for name, column in zip(robot.joint_names, torque.T, strict=True):
         if not column.any():
             raise ValueError(f"{who}: the torque of {name} is 0 in all rows; a dead channel tells nothing, log it again")
 
 
-def posed(chain: Chain, logs: MotionLog | Sequence[MotionLog], terms: tuple[Term, ...], slowest: float) -> Problem:
+def posed(robot: Robot, logs: MotionLog | Sequence[MotionLog], terms: tuple[Term, ...], slowest: float) -> Problem:
     """Raises `ValueError` for logs that cannot be used, and where a joint never moves and its friction is asked for."""
-    q, qdot, qddot, torque = joined(chain, logs)
-    rotor = np.zeros_like(torque) if "armature" in terms else qddot * np.asarray(chain.armature)
+    q, qdot, qddot, torque = joined(robot, logs)
+    rotor = np.zeros_like(torque) if "armature" in terms else qddot * np.asarray(robot.armature)
     rubs = {"coulomb", "breakaway", "load"} & set(terms)
     counts = np.abs(qdot) > slowest if rubs else np.ones_like(qdot, bool)
-    for name, moves in zip(chain.joint_names, counts.T, strict=True):
+    for name, moves in zip(robot.joint_names, counts.T, strict=True):
         if not moves.any():
             mend = "log a motion of every joint, or ask for no friction"
             raise ValueError(f"identify: {name} is never faster than slowest={slowest:g}; {mend}")
-    return Problem(body_columns(chain, q, qdot, qddot), qdot, qddot, torque, rotor, counts, terms, ratios(chain))
+    return Problem(body_columns(robot, q, qdot, qddot), qdot, qddot, torque, rotor, counts, terms, ratios(robot))

@@ -17,21 +17,21 @@ from jaxik.collision.clearances import clearance
 from jaxik.collision.scene import Scene
 from jaxik.collision.volumes import link_circles
 from jaxik.costs import box_penalty, proximity_penalty
+from jaxik.kinematics.forward import joint_frames
+from jaxik.kinematics.robot import Array, Robot, as_configuration, finite_limits
+from jaxik.kinematics.task import POSE, Task
 from jaxik.optimise.newton import Root, damped_least_squares, newton_raphson
-from jaxik.robot.chain import Array, Chain, as_configuration, finite_limits
-from jaxik.robot.kinematics import joint_frames
-from jaxik.robot.task import POSE, Task
 from jaxik.spatial.algebra import Frame, traced
 from jaxik.spmd import HostKernel, kernel
 from jaxik.spmd.batch import in_blocks
 
 
-def residual(chain: Chain, target: Float[Array, "4 4"], task: Task = POSE) -> Callable[[Any], Any]:
+def residual(robot: Robot, target: Float[Array, "4 4"], task: Task = POSE) -> Callable[[Any], Any]:
     """q (n,) -> what the tip misses of the target: the bound components [m], [rad]."""
 
     @kernel
     def missed(q: Any) -> Any:
-        tip = joint_frames(chain, traced(q), dtype=q.dtype).tip
+        tip = joint_frames(robot, traced(q), dtype=q.dtype).tip
         position, rotation = task.residual(tip, Frame.of_entries(traced(jnp.asarray(target, q.dtype))))
         return jnp.stack(position + rotation)
 
@@ -39,7 +39,7 @@ def residual(chain: Chain, target: Float[Array, "4 4"], task: Task = POSE) -> Ca
 
 
 def newton_ik(
-    chain: Chain,
+    robot: Robot,
     target: Float[Array, "4 4"],
     q: Float[Array, " n"],
     damping: float = 0.0,
@@ -51,7 +51,7 @@ def newton_ik(
 
     Source: Schuetz 2017, sec. 4.1; Wampler 1986.
     """
-    missed, start = residual(chain, target, task), as_configuration(chain, q)
+    missed, start = residual(robot, target, task), as_configuration(robot, q)
     if damping > 0.0:
         return damped_least_squares(missed, start, damping, tolerance, iterations)
     return newton_raphson(missed, start, tolerance, iterations)
@@ -66,7 +66,7 @@ class Searched(NamedTuple):
 
 
 def global_search(
-    chain: Chain,
+    robot: Robot,
     target: Float[Array, "4 4"],
     scene: Scene | None = None,
     boxes: tuple[np.ndarray, np.ndarray] | None = None,
@@ -83,14 +83,14 @@ def global_search(
     """
     from scipy.optimize import differential_evolution
 
-    missed = residual(chain, target, task)
+    missed = residual(robot, target, task)
 
     def objective(q: Any) -> Any:
         total = jnp.sum(missed(q) ** 2)
         if scene is not None:
-            total += proximity_penalty(clearance(chain, scene, q))
+            total += proximity_penalty(clearance(robot, scene, q))
         if boxes is not None:
-            total += box_penalty(link_circles(chain, q), *boxes)
+            total += box_penalty(link_circles(robot, q), *boxes)
         return total
 
     each, looked = HostKernel(objective, 1), 0
@@ -100,7 +100,7 @@ def global_search(
         looked += columns.shape[1]
         return in_blocks(each, columns.T, double=True)[0]
 
-    bounds, rng = np.stack(finite_limits(chain), axis=1), np.random.default_rng(seed)
+    bounds, rng = np.stack(finite_limits(robot), axis=1), np.random.default_rng(seed)
     plain = {"vectorized": True, "updating": "deferred", "polish": False, "tol": 0.0, "atol": 0.0}
     found = differential_evolution(evaluate, bounds, rng=rng, maxiter=generations, popsize=population, **plain)
     return Searched(found.x, float(found.fun), looked)

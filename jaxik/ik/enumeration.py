@@ -17,8 +17,8 @@ import itertools
 import numpy as np
 
 from jaxik.analytic.families import AnySix, any_solver_of, scannable, solver_of
-from jaxik.analytic.general import GeneralArm, general_kernel
 from jaxik.analytic.solutions import BRANCHES, closed_branches, closed_forms, first_branches, given_values
+from jaxik.homotopy.general import GeneralArm, general_kernel
 from jaxik.ik import seeds
 from jaxik.ik.choosing import scores
 from jaxik.ik.problem import Problem
@@ -37,8 +37,8 @@ from jaxik.ik.solutions import (
     within,
 )
 from jaxik.ik.sqp_programs import batch, errors
-from jaxik.robot.chain import Chain
-from jaxik.robot.joint_turns import nearest_turns
+from jaxik.kinematics.joint_turns import nearest_turns
+from jaxik.kinematics.robot import Robot
 from jaxik.spmd.batch import in_blocks
 
 TRIED = 2  # points of the first wave; each further wave has as many as all before it
@@ -49,27 +49,27 @@ ZOOMS, ZOOMED, NARROWER = 3, 8, 0.3  # rounds of points near an answer's own, po
 def enumerable(problem: Problem) -> bool:
     """Whether the closed form answers the problem: poses, without obstacles, a cost, or seeds of another kind, and no joint
     locked but those that it is given. Of six joints of no family: whether more than one answer is asked for, none locked."""
-    options, chain, wanted = problem.options, problem.chain, problem.options.seeds == "closed_form"
+    options, robot, wanted = problem.options, problem.robot, problem.options.seeds == "closed_form"
     if (problem.scene is not None and not problem.alone) or options.cost is not None or not (wanted or options.seeds == "auto"):
         return False
     if not wanted and not all(options.task.bound):
         return False
-    if not wanted and not scannable(chain):
-        return not problem.first_will_do and not options.locked and _without_closed_form(chain) is not None
+    if not wanted and not scannable(robot):
+        return not problem.first_will_do and not options.locked and _without_closed_form(robot) is not None
     nearest = options.choice == "closest" or (options.choice == "comfort" and problem.reference is not None)
-    if (nearest and chain.num_joints > 6) or (problem.first_will_do and chain.num_joints > 7 and not wanted):
+    if (nearest and robot.num_joints > 6) or (problem.first_will_do and robot.num_joints > 7 and not wanted):
         return False
-    return set(options.locked) <= {chain.joint_names[i] for i in solver_of(chain).given_joints}
+    return set(options.locked) <= {robot.joint_names[i] for i in solver_of(robot).given_joints}
 
 
 @functools.lru_cache(maxsize=64)
-def _without_closed_form(chain: Chain) -> GeneralArm | None:
-    """`general_arm` of six joints of no family; None for other chains, and for joints that cannot move the tip in all six
+def _without_closed_form(robot: Robot) -> GeneralArm | None:
+    """`general_arm` of six joints of no family; None for other robots, and for joints that cannot move the tip in all six
     directions."""
-    if chain.num_joints != 6:
+    if robot.num_joints != 6:
         return None
     try:
-        family = any_solver_of(chain).family
+        family = any_solver_of(robot).family
     except ValueError:
         return None
     return family.arm if isinstance(family, AnySix) else None
@@ -79,7 +79,7 @@ def enumerated(problem: Problem, poses: np.ndarray, left: np.ndarray) -> Found:
     """Answers of the targets numbered `left`, of poses (N, 4, 4): of each the best by the choice, as many as are asked for."""
     if problem.options.choice != "first":
         found = _kept_of(problem, poses, left, 0, _most(problem))
-        followed = [_followed(problem, poses, found)] if problem.chain.num_joints > 6 else []
+        followed = [_followed(problem, poses, found)] if problem.robot.num_joints > 6 else []
         found = _best(problem, Found.joined([found, *followed]))
     else:
         found = (_first if problem.most == 1 and problem.scene is None else _several)(problem, poses, left)
@@ -93,7 +93,7 @@ def _first(problem: Problem, poses: np.ndarray, left: np.ndarray) -> Found:
     for first, last in itertools.pairwise(_tries(problem, len(left))):
         values = _values(problem, first, last)
         rows = np.repeat(poses[left], len(values), axis=0), np.tile(values, (len(left), 1))
-        q, branch = in_blocks(first_branches(problem.chain), *rows, double=True)
+        q, branch = in_blocks(first_branches(problem.robot), *rows, double=True)
         fits = (branch < BRANCHES).reshape(len(left), len(values))
         value, has = np.argmax(fits, axis=1), fits.any(axis=1)
         row = (np.arange(len(left)) * len(values) + value)[has]
@@ -117,7 +117,7 @@ def _several(problem: Problem, poses: np.ndarray, targets: np.ndarray) -> Found:
 
 def _most(problem: Problem) -> int:
     """How many points are tried."""
-    return 1 if problem.chain.num_joints == 6 else problem.options.max_seeds
+    return 1 if problem.robot.num_joints == 6 else problem.options.max_seeds
 
 
 def _tries(problem: Problem, targets: int) -> list[int]:
@@ -138,11 +138,11 @@ def _kept_of(problem: Problem, poses: np.ndarray, some: np.ndarray, first: int, 
 def _of_values(problem: Problem, poses: np.ndarray, some: np.ndarray, first: int, last: int) -> Found:
     """The branches inside the limits of `some` targets, at points number `first` to `last` (not counted); in the order of
     targets and their branches."""
-    if (arm := _without_closed_form(problem.chain)) is not None:
+    if (arm := _without_closed_form(problem.robot)) is not None:
         return _of_general(problem, arm, poses, some)
     count, target = last - first, np.repeat(some, last - first)
     given = np.tile(_values(problem, first, last), (len(some), 1))
-    q, _, inside = in_blocks(closed_forms(problem.chain), poses[target], given, double=True)
+    q, _, inside = in_blocks(closed_forms(problem.robot), poses[target], given, double=True)
     row, branch, value = np.nonzero(inside.reshape(len(some), count, BRANCHES).transpose(0, 2, 1))
     found = candidates(q[row * count + value, branch], some[row], BRANCHES * (first + value) + branch)
     return found if problem.options.choice == "first" else at_home(problem, found)
@@ -153,14 +153,14 @@ def _of_general(problem: Problem, arm: GeneralArm, poses: np.ndarray, some: np.n
     q, margin, _ = in_blocks(general_kernel(), poses[some], fixed=(arm,), double=True)
     row, number = np.nonzero(margin >= 0.0)
     target, low, high = some[row], problem.low, problem.high
-    q = nearest_turns(problem.chain, q[row, number], problem.home(target), low, high)
+    q = nearest_turns(problem.robot, q[row, number], problem.home(target), low, high)
     return candidates(q, target, number).rows(np.all((low <= q) & (q <= high), axis=1))
 
 
 def _kept(problem: Problem, found: Found) -> Found:
     """What is kept of the branches of some targets: where one answer is asked for the best of each branch number, to be
     followed; else the best of all."""
-    if problem.most > 1 or problem.chain.num_joints == 6:
+    if problem.most > 1 or problem.robot.num_joints == 6:
         return _best(problem, found)
     return found.rows(first_most(BRANCHES * found.target + found.seed % BRANCHES, scores(problem, found)))
 
@@ -175,7 +175,7 @@ def _best(problem: Problem, found: Found) -> Found:
 
 def _range(problem: Problem) -> seeds.Range:
     """The range of what the closed form is given."""
-    low, high = solver_of(problem.chain).given_range(problem.inside.low, problem.inside.high)
+    low, high = solver_of(problem.robot).given_range(problem.inside.low, problem.inside.high)
     return seeds.Range(tuple(low.tolist()), tuple(high.tolist()))
 
 
@@ -196,12 +196,12 @@ def _followed(problem: Problem, poses: np.ndarray, found: Found) -> Found:
     share = seeds.low_discrepancy(seeds.Range((-1.0,) * len(low), (1.0,) * len(low)), problem.seed, 0, ZOOMED)
     width = (high - low) / problem.options.max_seeds ** (1.0 / len(low))
     for zoom in range(ZOOMS):
-        given = given_values(problem.chain, found.q)
+        given = given_values(problem.robot, found.q)
         near = np.clip(given[:, None] + width * NARROWER**zoom * share, low, high).reshape(-1, len(low))
         row = np.repeat(rows, ZOOMED)
         again = found.rows(row)
         q, fits = in_blocks(
-            closed_branches(problem.chain), poses[again.target], near, (again.seed % BRANCHES).astype(np.int32), double=True
+            closed_branches(problem.robot), poses[again.target], near, (again.seed % BRANCHES).astype(np.int32), double=True
         )
         moved = cleared(problem, at_home(problem, again._replace(q=q)))
         fits &= ~colliding(problem, moved)
@@ -214,6 +214,6 @@ def measured(problem: Problem, poses: np.ndarray, found: Found) -> Found:
     """With the errors of their tips, in float64."""
     if not len(found.q):
         return found
-    program = batch(2, errors, problem.chain, problem.options.task)
+    program = batch(2, errors, problem.robot, problem.options.task)
     away, turned = in_blocks(program, found.q, poses[found.target], double=True)
     return found._replace(position_error=away, rotation_error=turned)

@@ -13,14 +13,14 @@ from jaxik.collision.clearances import link_clearances
 from jaxik.collision.scene import Scene
 from jaxik.costs import Cost
 from jaxik.ik.baselines import residual
+from jaxik.kinematics.robot import Array, Robot, as_configuration, as_shaped
+from jaxik.kinematics.task import POSE, Task
 from jaxik.optimise.implicit import Implicit, Program, implicit
-from jaxik.robot.chain import Array, Chain, as_configuration, as_shaped
-from jaxik.robot.task import POSE, Task
 from jaxik.spmd import kernel
 
 
 def implicit_ik(
-    chain: Chain,
+    robot: Robot,
     target: Float[Array, "4 4"],
     q: Float[Array, " n"],
     scene: Scene | None = None,
@@ -28,7 +28,7 @@ def implicit_ik(
     task: Task = POSE,
     margin: float = 0.0,
 ) -> Implicit:
-    """A solution `q` (n,) as a differentiable function of the target, the chain's numbers and the scene. Traced.
+    """A solution `q` (n,) as a differentiable function of the target, the robot's numbers and the scene. Traced.
 
     `x` is q; its derivative is that of the solution that moves on with them: `q` minimises `cost` over what the task leaves
     free, or, without one, moves as little as possible, `dq = -J+ dr`. Joints on their limits and links at `margin` [m] from the
@@ -38,13 +38,13 @@ def implicit_ik(
 
     Raises `ValueError` for a target, q or margin of another shape. Source: Fiacco 1976, through `optimise.implicit`.
     """
-    q = as_configuration(chain, q)
+    q = as_configuration(robot, q)
     as_shaped("target", target, (4, 4))
     as_shaped("margin", margin, ())
     dtype = q.dtype
 
     # what is traced may be differentiated; the rest stays concrete and folds, which spares half the compile time
-    leaves, tree = jax.tree_util.tree_flatten((chain, target, scene, lax.stop_gradient(q)))
+    leaves, tree = jax.tree_util.tree_flatten((robot, target, scene, lax.stop_gradient(q)))
     traced = [i for i, leaf in enumerate(leaves) if isinstance(leaf, jax.core.Tracer)]
 
     def whole(t: Any) -> Any:
@@ -55,22 +55,22 @@ def implicit_ik(
     least = kernel(lambda x, t: 0.5 * jnp.sum((x - whole(t)[3]) ** 2) if cost is None else cost(x))
 
     def inequality(x: Any, t: Any) -> Any:
-        its_chain, _, its_scene, _ = whole(t)
-        return jnp.zeros(0, dtype) if scene is None else link_clearances(its_chain, its_scene, x) - margin  # a kernel
+        its_robot, _, its_scene, _ = whole(t)
+        return jnp.zeros(0, dtype) if scene is None else link_clearances(its_robot, its_scene, x) - margin  # a kernel
 
-    bounds = (jnp.asarray(b, dtype) for b in (chain.lower, chain.upper))
+    bounds = (jnp.asarray(b, dtype) for b in (robot.lower, robot.upper))
     found = implicit(Program(least, equality, inequality), q, [leaves[i] for i in traced], *bounds)
-    if scene is None or _curved_rightly(chain, scene):
+    if scene is None or _curved_rightly(robot, scene):
         return found
     away = lax.stop_gradient(inequality(q, [leaves[i] for i in traced]))
     return found._replace(defined=found.defined & jnp.all(away > 1e-4))
 
 
-def _curved_rightly(chain: Chain, scene: Scene) -> bool:
+def _curved_rightly(robot: Robot, scene: Scene) -> bool:
     """Whether second derivatives of all distances are known: where two lines, or a line and a body, are nearest is held fixed
     while they are differentiated (`distance`), which is exact for the first derivative only."""
-    spheres_only = all(volume.corners.shape[0] == 1 for volume in chain.volumes)
+    spheres_only = all(volume.corners.shape[0] == 1 for volume in robot.volumes)
     only_points = (
-        not any(scene.counts[kind] for kind in ("capsules", "boxes", "cylinders", "triangles")) and not chain.self_pairs
+        not any(scene.counts[kind] for kind in ("capsules", "boxes", "cylinders", "triangles")) and not robot.self_pairs
     )
-    return spheres_only or (only_points and all(volume.corners.shape[0] <= 2 for volume in chain.volumes))
+    return spheres_only or (only_points and all(volume.corners.shape[0] <= 2 for volume in robot.volumes))

@@ -12,7 +12,7 @@ from jaxik.ik.problem import Problem
 from jaxik.ik.refinement import STEPS, Misses, finish, searched
 from jaxik.ik.solutions import Found, at_home, cleared, colliding, far_apart, judged, nothing, within
 from jaxik.ik.sqp_programs import Goal, batch, land, slope
-from jaxik.robot.joint_turns import TURN
+from jaxik.kinematics.joint_turns import TURN
 from jaxik.spmd.batch import in_blocks
 
 PUSHED, PUSHES = (4, 64), 24  # colliding postures a target that are moved out of the obstacles, at first and at last; the steps
@@ -34,7 +34,7 @@ def pushed(problem: Problem, poses: np.ndarray, stuck: Found, count: int) -> Fou
     chosen = stuck.rows(far_apart(problem, stuck, stuck.clearance, count))
     if not len(chosen.q):
         return chosen
-    program = batch(2, land, problem.chain, goal(problem), PUSHES, problem.options.avoid)
+    program = batch(2, land, problem.robot, goal(problem), PUSHES, problem.options.avoid)
     fixed = problem.limits, (problem.scene, problem.options.margin + PUSH_MARGIN)
     q = in_blocks(program, chosen.q, poses[chosen.target], fixed=fixed, double=False)[0]
     moved = chosen._replace(q=q, iterations=chosen.iterations + PUSHES)
@@ -52,7 +52,7 @@ def hopped(problem: Problem, poses: np.ndarray, stuck: Found, count: int) -> Fou
     for _ in range(HOPS):
         chosen = reached.rows(far_apart(problem, reached, reached.clearance, count))
         q, one = chosen.q[:, None], np.eye(chosen.q.shape[1])
-        half = np.where(problem.chain.is_prismatic, 0.0, np.copysign(np.pi, q))
+        half = np.where(problem.robot.is_prismatic, 0.0, np.copysign(np.pi, q))
         start = q - np.concatenate([2.0 * q * one, half * one], axis=1)
         row = np.repeat(np.arange(len(chosen.q)), start.shape[1])
         lanes = chosen.rows(row)._replace(q=np.clip(start.reshape(-1, chosen.q.shape[1]), problem.low, problem.high))
@@ -84,7 +84,7 @@ def _cheaper(problem: Problem, poses: np.ndarray, found: Found, minds: Problem) 
     """The answers led down the user's cost among the obstacles of `minds`, where that leaves them answers; and which stay as
     they were for what they would hit."""
     iterations = problem.options.cost_iterations
-    program = batch(2, land, problem.chain, goal(minds, problem.options.cost), iterations, problem.options.improve)
+    program = batch(2, land, problem.robot, goal(minds, problem.options.cost), iterations, problem.options.improve)
     around = () if minds.scene is None else ((minds.scene, problem.options.margin + IMPROVE_MARGIN),)
     q, away, turned = in_blocks(program, found.q, poses[found.target], fixed=(problem.limits, *around), double=True)
     better = found._replace(q=q, position_error=away, rotation_error=turned, iterations=found.iterations + iterations)
@@ -112,7 +112,7 @@ def _cheaper_turns(problem: Problem, found: Found) -> Found:
     if not problem.cost_turns or not problem.turnable.any() or not len(found.q):
         return found
     q, price, less = found.q, costs(problem, found.q), np.ones(1, bool)
-    turns = TURN * np.eye(problem.chain.num_joints)[problem.turnable]
+    turns = TURN * np.eye(problem.robot.num_joints)[problem.turnable]
     while less.any():
         less = np.zeros(len(q), bool)
         for turn in (*turns, *-turns):

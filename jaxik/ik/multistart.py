@@ -33,9 +33,9 @@ from jaxik.ik.improvement import PUSHED, hopped, improved, is_fixed, pushed
 from jaxik.ik.problem import Problem
 from jaxik.ik.refinement import EARLY, OPEN, SOLVED, STEPS, Misses, compile_finisher, loosened, rescued, searched, settling
 from jaxik.ik.solutions import Found, at_home, candidates, cleared, judged, nothing, portions, top, within
+from jaxik.kinematics.joint_turns import endless, whole_turns
+from jaxik.kinematics.reach_bound import reach_bound
 from jaxik.reasons import Reason
-from jaxik.robot.joint_turns import endless, whole_turns
-from jaxik.robot.reach_bound import reach_bound
 
 TOGETHER = (4, 64)  # lanes that cost less than another wave, in the first and in later ones
 EXACT = 1e-5  # tolerances [m, rad] at which what has no exact solution is out of reach
@@ -106,7 +106,7 @@ def _searched_for(problem: Problem, poses: np.ndarray, valid: np.ndarray) -> Out
         if not problem.alone and _is_known(problem):
             problem, stages = _of_the_rest(problem)
     if OPEN in reason:
-        compile_finisher(settling(problem), problem.chain.num_joints)
+        compile_finisher(settling(problem), problem.robot.num_joints)
     for number, waves in enumerate(stages):
         worth = misses.close(reason) if number else np.ones(len(poses), bool)
         while waves and len(left := np.flatnonzero(worth & (reason == OPEN))):
@@ -150,16 +150,16 @@ def _of_the_rest(problem: Problem) -> tuple[Problem, list[tuple[Wave, ...]]]:
 
 def _is_known(problem: Problem) -> bool:
     """Whether the branches of six joints are all answers, and what has no exact solution has none within the tolerances."""
-    if problem.chain.num_joints > 6 or problem.strategy != "closed_form" or np.max(problem.tolerance, initial=0.0) > EXACT:
+    if problem.robot.num_joints > 6 or problem.strategy != "closed_form" or np.max(problem.tolerance, initial=0.0) > EXACT:
         return False
-    return solver_of(problem.chain).proves
+    return solver_of(problem.robot).proves
 
 
 def _out_of_reach(problem: Problem, poses: np.ndarray) -> np.ndarray:
     task = problem.options.task
     if len(task.positions) < 3:
         return np.zeros(len(poses), bool)
-    bound = reach_bound(problem.chain, len(task.rotations) == 3)
+    bound = reach_bound(problem.robot, len(task.rotations) == 3)
     slack = problem.tolerance @ [1.0, np.linalg.norm(bound.tip_p)]  # a turn of the tip moves the point that is bounded
     return bound.excess(poses) > 1e-9 + slack
 
@@ -207,18 +207,18 @@ def _starts(problem: Problem, poses: np.ndarray, some: np.ndarray, first: int, l
     if first == split:
         return _anywhere(problem, poses, some, first - problem.near, last - problem.near)
     assert problem.reference is not None
-    reference = problem.reference[some] - whole_turns(endless(problem.chain), problem.reference[some])
+    reference = problem.reference[some] - whole_turns(endless(problem.robot), problem.reference[some])
     near = seeds.near(problem.whole, problem.seed, first, split, reference)
     return near if split == last else np.concatenate([near, _starts(problem, poses, some, split, last)], axis=1)
 
 
 def _anywhere(problem: Problem, poses: np.ndarray, some: np.ndarray, first: int, last: int) -> np.ndarray:
     """Likewise, by the strategy."""
-    chain, options, numbers = problem.chain, problem.options, (problem.inside, problem.seed, first, last)
+    robot, options, numbers = problem.robot, problem.options, (problem.inside, problem.seed, first, last)
     if problem.strategy == "closed_form":
-        return seeds.branches(chain, *numbers, poses[some])
+        return seeds.branches(robot, *numbers, poses[some])
     if problem.strategy == "library":
-        return seeds.library(chain, options.task, problem.unit, *numbers, poses[some])
+        return seeds.library(robot, options.task, problem.unit, *numbers, poses[some])
     if problem.strategy == "low_discrepancy":
         each = seeds.low_discrepancy(*numbers)
     else:
@@ -233,7 +233,7 @@ def _beyond_limits(problem: Problem, poses: np.ndarray, reason: np.ndarray, miss
     if not len(left):
         return reason
     if _is_known(problem) and not problem.options.locked:
-        has = seeds.any_branch(problem.chain, poses[left])
+        has = seeds.any_branch(problem.robot, poses[left])
         reason[left] = np.where(has, Reason.LIMITS, np.where(misses.close(reason)[left], OPEN, Reason.OUT_OF_REACH))
         left = left[~has]  # unless the posture that stands for many at a singular pose is none
     held = problem.low == problem.high  # what is locked stays so

@@ -10,8 +10,8 @@ from jaxik.checks.options import as_count, check_choices, check_finite, check_ki
 from jaxik.costs import Cost
 from jaxik.ik import seeds
 from jaxik.ik.sqp_programs import SEARCH
+from jaxik.kinematics.task import POSE, Task
 from jaxik.optimise import sqp
-from jaxik.robot.task import POSE, Task
 
 Choice = Literal["auto", "first", "closest", "clearance", "manipulability", "freedom", "comfort"]
 Collision = Literal["constraint", "penalty"]

@@ -17,8 +17,8 @@ from jaxik.collision.scene import Scene
 from jaxik.costs import check_cost
 from jaxik.ik import seeds, sqp_programs
 from jaxik.ik.options import IKOptions
-from jaxik.robot.chain import Chain, finite_range
-from jaxik.robot.joint_turns import TURN
+from jaxik.kinematics.joint_turns import TURN
+from jaxik.kinematics.robot import Robot, finite_range
 
 ROUNDED = 1e-6  # [rad] that limits of +-180 degrees may be short of a turn in a file
 EXACT = 1e-9  # [rad], [unit lengths]: what an answer's error becomes, and less where the tolerances ask for less
@@ -28,7 +28,7 @@ EXACT = 1e-9  # [rad], [unit lengths]: what an answer's error becomes, and less 
 class Problem:
     """What all targets share, and for each its tolerances (N, 2) and reference (N, n)."""
 
-    chain: Chain
+    robot: Robot
     scene: Grouped | None
     seed: int
     options: IKOptions
@@ -43,12 +43,12 @@ class Problem:
     reference: np.ndarray | None
 
     @staticmethod
-    def of(chain: Chain, scene: Scene | Grouped | None, seed: int, options: IKOptions, count: int) -> Problem:
-        n = chain.num_joints
+    def of(robot: Robot, scene: Scene | Grouped | None, seed: int, options: IKOptions, count: int) -> Problem:
+        n = robot.num_joints
         if options.choice == "auto":
             closest = options.reference is not None and options.cost is None
             options = dataclasses.replace(options, choice="closest" if closest else "first")
-        low, high = _limits(chain, options)
+        low, high = _limits(robot, options)
         weights = np.ones(n)
         if options.weights is not None:
             weights = _shaped("weights", options.weights, (n,), least=1)
@@ -65,13 +65,13 @@ class Problem:
         reference = None if options.reference is None else _shaped("reference", options.reference, (count, n), least=1)
         if reference is not None and not np.isfinite(reference).all():
             raise ValueError("reference holds NaN or infinity; write a configuration (n,), or one a target (N, n) [rad, m]")
-        strategy = _strategy(chain, options)
-        inside, whole = (_range(chain, tuple(low.tolist()), tuple(high.tolist()), one_turn) for one_turn in (True, False))
-        around = grouped(scene, chain) if scene is not None else None
+        strategy = _strategy(robot, options)
+        inside, whole = (_range(robot, tuple(low.tolist()), tuple(high.tolist()), one_turn) for one_turn in (True, False))
+        around = grouped(scene, robot) if scene is not None else None
         if around is not None and options.choice != "clearance":  # which ranks what is clear
             around = at_margin(around, options.margin)
-        unit = sqp_programs.unit_length(chain)
-        return Problem(chain, around, seed, options, low, high, weights, inside, whole, unit, strategy, tolerance, reference)
+        unit = sqp_programs.unit_length(robot)
+        return Problem(robot, around, seed, options, low, high, weights, inside, whole, unit, strategy, tolerance, reference)
 
     def part(self, rows: slice) -> Problem:
         """The same for some of the targets."""
@@ -107,7 +107,7 @@ class Problem:
     def circles(self) -> np.ndarray:
         """(n,): which joints turn all the way round inside their limits, but for what a file rounds off [rad]."""
         span = self.high - self.low
-        return ~np.array(self.chain.is_prismatic) & np.isfinite(span) & (span >= TURN - ROUNDED)
+        return ~np.array(self.robot.is_prismatic) & np.isfinite(span) & (span >= TURN - ROUNDED)
 
     @functools.cached_property
     def round_limits(self) -> tuple[np.ndarray, ...]:
@@ -127,7 +127,7 @@ class Problem:
     @functools.cached_property
     def may_turn(self) -> np.ndarray:
         """(n,): which joints have several turns of one posture inside their limits."""
-        return ~np.array(self.chain.is_prismatic) & (self.high - self.low >= TURN)
+        return ~np.array(self.robot.is_prismatic) & (self.high - self.low >= TURN)
 
     @property
     def turnable(self) -> np.ndarray:
@@ -144,18 +144,18 @@ class Problem:
         middle of the ranges."""
         if self.reference is not None and self.options.choice != "freedom":
             return self.reference[target]
-        middle = np.array(sum(finite_range(self.chain, self.low, self.high))) / 2.0
+        middle = np.array(sum(finite_range(self.robot, self.low, self.high))) / 2.0
         return np.broadcast_to(middle, (len(target), len(middle)))
 
 
-def _limits(chain: Chain, options: IKOptions) -> tuple[np.ndarray, np.ndarray]:
-    """The chain's own (n,), of a locked joint its value twice."""
-    low, high = np.array(chain.lower, np.float64), np.array(chain.upper, np.float64)
+def _limits(robot: Robot, options: IKOptions) -> tuple[np.ndarray, np.ndarray]:
+    """The robot's own (n,), of a locked joint its value twice."""
+    low, high = np.array(robot.lower, np.float64), np.array(robot.upper, np.float64)
     for name, value in options.locked.items():
-        if name not in chain.joint_names:
-            raise ValueError(f"locked: {chain.name} has no joint '{name}'; it has {', '.join(chain.joint_names)}")
+        if name not in robot.joint_names:
+            raise ValueError(f"locked: {robot.name} has no joint '{name}'; it has {', '.join(robot.joint_names)}")
         check_finite("locked", **{name: value})
-        i = chain.joint_names.index(name)
+        i = robot.joint_names.index(name)
         if not low[i] <= value <= high[i]:
             raise ValueError(f"locked: {name} = {value:g} is outside its limits [{low[i]:g}, {high[i]:g}]")
         low[i] = high[i] = value
@@ -163,12 +163,12 @@ def _limits(chain: Chain, options: IKOptions) -> tuple[np.ndarray, np.ndarray]:
 
 
 @functools.lru_cache(maxsize=64)
-def _range(chain: Chain, lower: tuple[float, ...], upper: tuple[float, ...], one_turn: bool) -> seeds.Range:
+def _range(robot: Robot, lower: tuple[float, ...], upper: tuple[float, ...], one_turn: bool) -> seeds.Range:
     """Where searches start: of a joint that turns further, if `one_turn`, in one turn about its middle. The rest holds the same
     postures again, and limits to run into."""
-    low, high = finite_range(chain, np.array(lower), np.array(upper))
+    low, high = finite_range(robot, np.array(lower), np.array(upper))
     if one_turn:
-        over = np.where(chain.is_prismatic, 0.0, np.maximum(high - low - TURN, 0.0)) / 2.0
+        over = np.where(robot.is_prismatic, 0.0, np.maximum(high - low - TURN, 0.0)) / 2.0
         low, high = low + over, high - over
     return seeds.Range(tuple(low.tolist()), tuple(high.tolist()))
 
@@ -182,11 +182,11 @@ def _shaped(name: str, value: Any, shape: tuple[int, ...], least: int = 0) -> np
     return np.broadcast_to(array, shape)
 
 
-def _strategy(chain: Chain, options: IKOptions) -> str:
+def _strategy(robot: Robot, options: IKOptions) -> str:
     if options.seeds not in ("auto", "closed_form"):
         return options.seeds
-    obstacle = closed_form_obstacle(chain) if all(options.task.bound) else "the task leaves axes free"
+    obstacle = closed_form_obstacle(robot) if all(options.task.bound) else "the task leaves axes free"
     if options.seeds == "closed_form" and obstacle:
-        raise ValueError(f"{chain.name}: seeds 'closed_form' need the closed form, and {obstacle}")
+        raise ValueError(f"{robot.name}: seeds 'closed_form' need the closed form, and {obstacle}")
     # over given values the library leads to more: of 400 goals in a row of plants a UR10e on a rail missed 57 from branches
-    return "library" if obstacle or (options.seeds == "auto" and chain.num_joints > 6) else "closed_form"
+    return "library" if obstacle or (options.seeds == "auto" and robot.num_joints > 6) else "closed_form"

@@ -12,9 +12,9 @@ import numpy as np
 from jaxik.ik.problem import Problem
 from jaxik.ik.solutions import PORTION, Found, cleared, judged, nothing, top, within
 from jaxik.ik.sqp_programs import batch, loosen, settle
+from jaxik.kinematics.joint_turns import TURN
 from jaxik.optimise import sqp
 from jaxik.reasons import Reason
-from jaxik.robot.joint_turns import TURN
 from jaxik.spmd.batch import anew_in_forks, in_blocks, threads
 
 EARLY, STEPS = 7, 16  # of a lane before it is given up, from an early seed and a late one: most that land need four
@@ -59,7 +59,7 @@ def _inside(problem: Problem, q: np.ndarray) -> np.ndarray:
 
 def settling(problem: Problem, options: sqp.Options = FINISH) -> Callable[..., Any]:
     """The program of such steps; without options of the last ones, in float64."""
-    return batch(3, settle, problem.chain, problem.options.task, options)
+    return batch(3, settle, problem.robot, problem.options.task, options)
 
 
 @anew_in_forks
@@ -74,7 +74,7 @@ def finish(problem: Problem, poses: np.ndarray, landed: Found, misses: Misses) -
     """In float64: the last steps, and whose errors are within the tolerances."""
     if not len(landed.q):
         return landed
-    compile_finisher(settling(problem), problem.chain.num_joints).result()
+    compile_finisher(settling(problem), problem.robot.num_joints).result()
     found = settled(problem, poses, landed, FINISHING)
     exact = within(found, problem.tolerance)
     misses.note(found, exact)
@@ -98,7 +98,7 @@ def loosened(problem: Problem, poses: np.ndarray, missed: Found) -> tuple[Found,
     aim = problem.aim[missed.target]
     slack = problem.tolerance[missed.target] / [problem.unit, 1.0] - 2.0 * aim[:, None]
     rows, fixed = (missed.q, poses[missed.target], aim, slack), (problem.round_limits, LOOSE)
-    program = batch(4, loosen, problem.chain, problem.options.task, LOOSENING)
+    program = batch(4, loosen, problem.robot, problem.options.task, LOOSENING)
     q, away, turned, count = in_blocks(program, *rows, fixed=fixed, double=True)
     ended = missed._replace(
         q=_inside(problem, q), position_error=away, rotation_error=turned, iterations=missed.iterations + count

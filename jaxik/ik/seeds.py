@@ -22,10 +22,10 @@ import numpy as np
 
 from jaxik.analytic.families import solver_of
 from jaxik.analytic.solutions import BRANCHES, closed_form, closed_forms
+from jaxik.kinematics.forward import joint_frames
+from jaxik.kinematics.robot import Robot
+from jaxik.kinematics.task import Task
 from jaxik.pytree import read_only
-from jaxik.robot.chain import Chain
-from jaxik.robot.kinematics import joint_frames
-from jaxik.robot.task import Task
 from jaxik.spmd import HostKernel
 from jaxik.spmd.batch import in_blocks
 
@@ -105,24 +105,24 @@ class _Set(NamedTuple):
 
 
 @functools.lru_cache(maxsize=64)
-def _set(chain: Chain, task: Task, inside: Range, length: float, number: int) -> _Set:
-    # the user's seed does not change it: it is built once a chain
+def _set(robot: Robot, task: Task, inside: Range, length: float, number: int) -> _Set:
+    # the user's seed does not change it: it is built once a robot
     q = uniform(inside, 0, number, LATER if number else FIRST)
-    features = _features(task, joint_frames(chain, list(q.T)).tip.matrices, length)
+    features = _features(task, joint_frames(robot, list(q.T)).tip.matrices, length)
     return read_only(_Set(q.astype(np.float32), np.column_stack([features, -0.5 * np.sum(features**2, axis=1)])))
 
 
 @functools.lru_cache(maxsize=64)
-def _sets(chain: Chain, task: Task, inside: Range, length: float, first: int, last: int) -> list[_Set]:
-    return [_set(chain, task, inside, length, number) for number in range(first, last)]
+def _sets(robot: Robot, task: Task, inside: Range, length: float, first: int, last: int) -> list[_Set]:
+    return [_set(robot, task, inside, length, number) for number in range(first, last)]
 
 
 def library(
-    chain: Chain, task: Task, length: float, inside: Range, seed: int, first: int, last: int, poses: np.ndarray
+    robot: Robot, task: Task, length: float, inside: Range, seed: int, first: int, last: int, poses: np.ndarray
 ) -> np.ndarray:
     """Numbers `first` to `last` for poses (N, 4, 4), (N, last - first, n)."""
-    at = np.empty((len(poses), last - first, chain.num_joints), np.float32)
-    sets = _sets(chain, task, inside, length, first, min(last, SETS))
+    at = np.empty((len(poses), last - first, robot.num_joints), np.float32)
+    sets = _sets(robot, task, inside, length, first, min(last, SETS))
     if sets:
         found = in_blocks(NEAREST, _features(task, poses, length), fixed=([each.table for each in sets],), double=False)
         for k, rows in enumerate(found):
@@ -153,26 +153,26 @@ NEAREST = HostKernel(_first_largest, 1)
 # The closed form
 
 
-def branches(chain: Chain, inside: Range, seed: int, first: int, last: int, poses: np.ndarray) -> np.ndarray:
+def branches(robot: Robot, inside: Range, seed: int, first: int, last: int, poses: np.ndarray) -> np.ndarray:
     """Numbers `first` to `last` of the closed form's branches for poses (N, 4, 4), (N, last - first, n). Where it is given
     values, number k is the best branch at the k-th point of a low-discrepancy sequence of them, else the k-th best of
     the eight. Best is what leaves the limits least; where there is none, the start is a uniform one."""
     numbers = np.tile(np.arange(first, last), len(poses))
     given = np.zeros((len(numbers), 0))
-    if chain.num_joints > 6:
-        ends = (tuple(end.tolist()) for end in solver_of(chain).given_range(inside.low, inside.high))
+    if robot.num_joints > 6:
+        ends = (tuple(end.tolist()) for end in solver_of(robot).given_range(inside.low, inside.high))
         given = low_discrepancy(Range(*ends), seed, 0, last)[numbers]
     instead = uniforms(inside, seed, first, last)[numbers - first]
     rows = np.repeat(poses, last - first, axis=0), given, numbers.astype(np.int32), instead
     fixed = np.array(inside.low), np.array(inside.high)
-    (at,) = in_blocks(_branch(chain), *rows, fixed=fixed, double=False)
+    (at,) = in_blocks(_branch(robot), *rows, fixed=fixed, double=False)
     return at.reshape(len(poses), last - first, -1)
 
 
 @functools.lru_cache(maxsize=64)
-def _branch(chain: Chain) -> HostKernel:
+def _branch(robot: Robot) -> HostKernel:
     def chosen(pose: Any, given: Any, number: Any, instead: Any, low: Any, high: Any) -> Any:
-        q, valid, _ = closed_form(chain, pose, given)
+        q, valid, _ = closed_form(robot, pose, given)
         past = jnp.maximum(jnp.max(jnp.maximum(low - q, q - high), axis=1), 0.0)
         past = jnp.where(valid, past, jnp.inf)
         k = jnp.arange(BRANCHES)
@@ -184,7 +184,7 @@ def _branch(chain: Chain) -> HostKernel:
     return HostKernel(chosen, 4)
 
 
-def any_branch(chain: Chain, poses: np.ndarray) -> np.ndarray:
+def any_branch(robot: Robot, poses: np.ndarray) -> np.ndarray:
     """Whether six joints with a closed form have poses (N, 4, 4) at all, limits aside."""
-    _, valid, _ = in_blocks(closed_forms(chain), poses, np.zeros((len(poses), 0)), double=True)
+    _, valid, _ = in_blocks(closed_forms(robot), poses, np.zeros((len(poses), 0)), double=True)
     return np.any(valid, axis=1)

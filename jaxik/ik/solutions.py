@@ -10,8 +10,8 @@ import numpy as np
 from jaxik.collision.bvh import by_volumes, decided_within, grouped, obstacles_in, surfaces_in
 from jaxik.ik.problem import Problem
 from jaxik.ik.sqp_programs import batch, clearance_around
-from jaxik.robot.chain import Chain
-from jaxik.robot.joint_turns import TURN, nearest_turns
+from jaxik.kinematics.joint_turns import TURN, nearest_turns
+from jaxik.kinematics.robot import Robot
 from jaxik.spmd.batch import in_blocks
 
 APART = 0.2  # [rad, m] between these in some joint: nearer ones end at the same place
@@ -65,7 +65,7 @@ def candidates(q: np.ndarray, target: np.ndarray, number: np.ndarray) -> Found:
 def nothing(problem: Problem) -> Found:
     """No lane at all."""
     empty = np.zeros(0, int)
-    return candidates(np.zeros((0, problem.chain.num_joints)), empty, empty)
+    return candidates(np.zeros((0, problem.robot.num_joints)), empty, empty)
 
 
 def colliding(problem: Problem, found: Found) -> np.ndarray:
@@ -79,10 +79,10 @@ def cleared(problem: Problem, found: Found) -> Found:
     """With their clearance, where there is a scene."""
     if problem.scene is None or not len(found.q):
         return found
-    exact, program = surfaces_in(problem.scene), batch(1, clearance_around, problem.chain)
+    exact, program = surfaces_in(problem.scene), batch(1, clearance_around, problem.robot)
     if not exact:
         return found._replace(clearance=in_blocks(program, found.q, fixed=(problem.scene,), double=True)[0])
-    model = by_volumes(problem.chain)
+    model = by_volumes(problem.robot)
     around = decided_within(grouped(obstacles_in(problem.scene), model), lambda usual: exact[0].within)
     apart = in_blocks(batch(1, clearance_around, model), found.q, fixed=(around,), double=True)[0]
     near = np.flatnonzero(apart < exact[0].within)  # for these the surfaces decide
@@ -103,35 +103,35 @@ def at_home(problem: Problem, found: Found) -> Found:
     """Each joint on the turn that is nearest to the target's home."""
     if not len(found.q) or not problem.may_turn.any():
         return found
-    return found._replace(q=nearest_turns(problem.chain, found.q, problem.home(found.target), problem.low, problem.high))
+    return found._replace(q=nearest_turns(problem.robot, found.q, problem.home(found.target), problem.low, problem.high))
 
 
-def unwound(chain: Chain, q: np.ndarray) -> np.ndarray:
+def unwound(robot: Robot, q: np.ndarray) -> np.ndarray:
     """Continuous joints, and others without limits, in [-pi, pi]."""
-    turns = np.isinf(chain.lower) & np.isinf(chain.upper) & ~np.array(chain.is_prismatic)
+    turns = np.isinf(robot.lower) & np.isinf(robot.upper) & ~np.array(robot.is_prismatic)
     return q - np.where(turns, np.round(q / TURN) * TURN, 0.0)
 
 
 def far_apart(problem: Problem, found: Found, score: np.ndarray, count: int, apart: float = APART) -> np.ndarray:
     """Up to `count` rows of each target, those with the largest score first, none with each joint near one before it."""
-    near = found.target if count <= ROUNDS else _neighbours(problem.chain, found, apart)
+    near = found.target if count <= ROUNDS else _neighbours(problem.robot, found, apart)
     kept = [np.zeros(0, int)]
     order = top(near, score, len(near), found.seed)
     while len(order) and len(kept) <= count:
         begins = np.diff(near[order], prepend=-1) != 0
         best = order[begins]
         kept.append(best)
-        away = unwound(problem.chain, found.q[order] - found.q[best[np.cumsum(begins) - 1]])
+        away = unwound(problem.robot, found.q[order] - found.q[best[np.cumsum(begins) - 1]])
         order = order[np.abs(away).max(axis=1) > apart]
     rows = np.sort(np.concatenate(kept))
     return rows[top(found.target[rows], score[rows], count, found.seed[rows])]
 
 
-def _neighbours(chain: Chain, found: Found, apart: float) -> np.ndarray:
+def _neighbours(robot: Robot, found: Found, apart: float) -> np.ndarray:
     """Numbers that part the rows of each target such that rows of two numbers are apart: joint after joint, values in their
     order part where the next is further away than `apart`."""
-    number, values = found.target, unwound(chain, found.q)
-    for value, turns in zip(values.T, unwound(chain, np.full(chain.num_joints, TURN)) == 0.0, strict=True):
+    number, values = found.target, unwound(robot, found.q)
+    for value, turns in zip(values.T, unwound(robot, np.full(robot.num_joints, TURN)) == 0.0, strict=True):
         low, high = value.min(initial=0.0), value.max(initial=0.0)
         order = np.argsort(number + 0.5 * (value - low) / (high - low or 1.0))  # a third of lexsort's time
         ordered, owner = value[order], number[order]

@@ -1,4 +1,4 @@
-"""Inverse kinematics of any chain for any number of targets: a configuration for each, or the reason why there is none.
+"""Inverse kinematics of any robot for any number of targets: a configuration for each, or the reason why there is none.
 
 Several tips at once are out of scope.
 """
@@ -30,10 +30,10 @@ from jaxik.ik.multistart import Outcome, search
 from jaxik.ik.options import IKOptions
 from jaxik.ik.problem import Problem
 from jaxik.ik.solutions import Found, candidates, cleared, far_apart, top
+from jaxik.kinematics.reach_bound import millimetres
+from jaxik.kinematics.robot import Robot
+from jaxik.kinematics.task import Task
 from jaxik.reasons import Reason, Reasoned
-from jaxik.robot.chain import Chain
-from jaxik.robot.reach_bound import millimetres
-from jaxik.robot.task import Task
 from jaxik.spatial.rotations import frame
 from jaxik.spmd import HostKernel
 from jaxik.spmd.batch import in_blocks
@@ -85,7 +85,7 @@ class IKResult(Reasoned):
     solutions: Float[np.ndarray, "*b k n"]
     num_solutions: Int[np.ndarray, "*b"] | Any
     fault: Int[np.ndarray, "*b"] | Any = 0
-    solved_in: Any = dataclasses.field(default=None, repr=False, metadata={"static": True})  # chain, scene, margin
+    solved_in: Any = dataclasses.field(default=None, repr=False, metadata={"static": True})  # robot, scene, margin
 
     @property
     def why(self) -> Any:
@@ -102,9 +102,9 @@ class IKResult(Reasoned):
             return Offenders(row.offenders for row in self)
         if self.reason != Reason.COLLISION or self.solved_in is None:
             return ()
-        chain, scene, margin = self.solved_in
-        found = explain(chain, scene, self.q, sys.maxsize, below=margin).contacts
-        return found or explain(chain, scene, self.q, 1).contacts  # rounding may put the nearest on the margin itself
+        robot, scene, margin = self.solved_in
+        found = explain(robot, scene, self.q, sys.maxsize, below=margin).contacts
+        return found or explain(robot, scene, self.q, 1).contacts  # rounding may put the nearest on the margin itself
 
     def __len__(self) -> int:
         """How many targets: 1 for a single one."""
@@ -129,7 +129,7 @@ class IKResult(Reasoned):
 
 
 def solve_ik(
-    chain: Chain,
+    robot: Robot,
     targets: Any,
     scene: Scene | Grouped | None = None,
     seed: int = 0,
@@ -141,59 +141,59 @@ def solve_ik(
     driver.
 
     An answer keeps `margin` to the scene, and the robot to itself; without a scene to itself alone. Nothing is checked for a
-    chain without collision geometry, and with `collision=False`; where only the geometry's meshes were not read, a warning says
+    robot without collision geometry, and with `collision=False`; where only the geometry's meshes were not read, a warning says
     so.
 
     A task that binds no rotation takes positions too, (3,) or (N, 3). `changes` are fields of `IKOptions` by name. `progress`
     is called with the number of targets done. Deterministic: `seed` decides, and a target's result does not depend on the
     others.
 
-    Reasons: SOLVED; OUT_OF_REACH, proven by the chain's reach bound or its closed form; LIMITS, found only beyond them, which
+    Reasons: SOLVED; OUT_OF_REACH, proven by the robot's reach bound or its closed form; LIMITS, found only beyond them, which
     is a proof where the closed form knows all answers; COLLISION, found, but every one collides; NOT_CONVERGED; INVALID, the
     target is no pose (`why` says what is wrong with it).
 
     Raises `ValueError` for arguments of a wrong shape, name or range. Warns of targets that look like millimetres, of what is
     in collision in every configuration, and of meshes that were not read.
     """
-    check_kind("solve_ik", "chain", chain, Chain)
+    check_kind("solve_ik", "robot", robot, Robot)
     if not isinstance(scene, tuple):  # which is grouped
         check_kind("solve_ik", "scene", scene, Scene, optional=True)
     options = changed("solve_ik", options or DEFAULT, changes)
     poses, fault, single = as_poses(targets, options.task)
-    scene, unseen = _around(chain, scene, options)
+    scene, unseen = _around(robot, scene, options)
     if unseen:
         warnings.warn(f"solve_ik: {unseen}", stacklevel=2)
     if isinstance(scene, Scene):
-        warn_of_scene("solve_ik", chain, scene, options.margin)
-    if doubt := millimetres(chain, poses[fault == 0, :3, 3]):
+        warn_of_scene("solve_ik", robot, scene, options.margin)
+    if doubt := millimetres(robot, poses[fault == 0, :3, 3]):
         warnings.warn(f"solve_ik: {doubt}", stacklevel=2)
-    result = solved(chain, poses, fault, scene, seed, options, progress)
+    result = solved(robot, poses, fault, scene, seed, options, progress)
     return result[0] if single else result
 
 
-def _around(chain: Chain, scene: Scene | Grouped | None, options: IKOptions) -> tuple[Scene | Grouped | None, str]:
+def _around(robot: Robot, scene: Scene | Grouped | None, options: IKOptions) -> tuple[Scene | Grouped | None, str]:
     """What answers keep clear of, None where nothing is looked at; and in words, what of the robot would have to be seen and is
     not."""
     if options.collision is False:
         if scene is not None:
             raise ValueError("solve_ik: a scene with collision=False, which looks at no obstacle; leave one of them out")
         return None, ""
-    if scene is None and not options.margin and options.choice != "clearance" and not has_geometry(chain):
-        links = ", ".join(chain.unread_meshes[:5])
-        words = f"{chain.name} may hit itself unseen: the meshes of {links} were not read"
+    if scene is None and not options.margin and options.choice != "clearance" and not has_geometry(robot):
+        links = ", ".join(robot.unread_meshes[:5])
+        words = f"{robot.name} may hit itself unseen: the meshes of {links} were not read"
         return (
             None,
             links and f"{words}; load it with meshes=True (without --no-meshes), or say collision=False (--no-collision)",
         )
-    check_geometry(chain)
+    check_geometry(robot)
     return _nothing_else() if scene is None else scene, ""
 
 
-_nothing_else = functools.cache(make_scene)  # one, which remembers what a chain's own links do in it
+_nothing_else = functools.cache(make_scene)  # one, which remembers what a robot's own links do in it
 
 
 def solved(
-    chain: Chain,
+    robot: Robot,
     poses: np.ndarray,
     fault: np.ndarray,
     scene: Scene | Grouped | None,
@@ -203,7 +203,7 @@ def solved(
 ) -> IKResult:
     """`solve_ik` of many, once what was given is checked and told: `poses` and `fault` as `as_poses` gives them. Without a
     scene nothing is looked at that may be hit, and `()` is the robot alone."""
-    problem, valid = Problem.of(chain, scene, seed, options, len(poses)), fault == 0
+    problem, valid = Problem.of(robot, scene, seed, options, len(poses)), fault == 0
     parts: list[IKResult] = []
     for start in range(0, max(1, len(poses)), TARGETS):
         rows = slice(start, start + TARGETS)
@@ -212,7 +212,7 @@ def solved(
         if progress:
             progress(min(start + TARGETS, len(poses)))
     joined = parts[0] if len(parts) == 1 else jax.tree_util.tree_map(lambda *columns: np.concatenate(columns), *_as_wide(parts))
-    return joined if scene is None else dataclasses.replace(joined, solved_in=(chain, scene, options.margin))
+    return joined if scene is None else dataclasses.replace(joined, solved_in=(robot, scene, options.margin))
 
 
 def _as_wide(parts: list[IKResult]) -> list[IKResult]:
@@ -272,7 +272,7 @@ RIGID_POSE = HostKernel(_rigid_pose, 1)
 def _result(problem: Problem, outcome: Outcome, fault: np.ndarray) -> IKResult:
     """Of each target the best answer, else the freest of those that collide, else the nearest miss."""
     found, stuck = outcome.found, outcome.stuck
-    count, n = len(outcome.reason), problem.chain.num_joints
+    count, n = len(outcome.reason), problem.robot.num_joints
     if problem.most > 1:
         found = with_turns(problem, found)
     score = scores(problem, found)

@@ -1,8 +1,8 @@
 """The programs of inverse kinematics: each takes one start and one target, and runs a fixed number of SQP steps.
 
 They join the robot (`kinematics`, `collision`, `task`) to the solver (`optimise.sqp`), which knows none. Lengths are measured
-in a third of the chain's reach, so that damping and step bounds mean the same for a finger and for a crane. One program serves
-all limits, targets, weights and scenes of a chain: they are its arguments.
+in a third of the robot's reach, so that damping and step bounds mean the same for a finger and for a crane. One program serves
+all limits, targets, weights and scenes of a robot: they are its arguments.
 """
 
 from __future__ import annotations
@@ -19,13 +19,13 @@ from jaxtyping import Float
 from jaxik.checks.options import as_count
 from jaxik.collision.clearances import clearance, link_contacts
 from jaxik.costs import Cost, collision_cost
+from jaxik.kinematics.forward import jacobian_columns, joint_frames
+from jaxik.kinematics.reach_bound import reach_bound
+from jaxik.kinematics.robot import Array, Robot, as_configuration
+from jaxik.kinematics.task import POSE, Task
 from jaxik.optimise import sqp
 from jaxik.optimise.linear import column, dot
 from jaxik.optimise.qp import NONE, Rows
-from jaxik.robot.chain import Array, Chain, as_configuration
-from jaxik.robot.kinematics import jacobian_columns, joint_frames
-from jaxik.robot.reach_bound import reach_bound
-from jaxik.robot.task import POSE, Task
 from jaxik.spatial.algebra import Frame, Scalar, add, mul, safe_sqrt, stack
 from jaxik.spmd import HostKernel, kernel
 from jaxik.spmd.batch import in_blocks
@@ -53,33 +53,33 @@ class Goal(NamedTuple):
 SEARCH = sqp.Options()
 
 
-def unit_length(chain: Chain) -> float:
+def unit_length(robot: Robot) -> float:
     """The length [m] that counts as much as a radian."""
-    return reach_bound(chain, False).length / 3.0
+    return reach_bound(robot, False).length / 3.0
 
 
 def descend(
-    chain: Chain,
+    robot: Robot,
     target: Float[Array, "4 4"],
     q: Float[Array, " n"],
     task: Task = POSE,
     iterations: int = 20,
     options: sqp.Options = SEARCH,
 ) -> Landed:
-    """`iterations` SQP steps from the seed q (n,) towards `base_T_tip = target` (4, 4) [m], inside the chain's limits. Traced.
+    """`iterations` SQP steps from the seed q (n,) towards `base_T_tip = target` (4, 4) [m], inside the robot's limits. Traced.
 
     One lane of what `solve_ik` makes of many seeds, for control loops and pipelines of one's own: `jit` and `vmap` it. Nothing
     is judged but by the errors it returns: where they are not small, another seed is wanted. For the derivative of a
     solution `implicit_ik` needs none of the steps. Raises `ValueError` for a q of another shape.
     """
-    return _descend(chain, task, as_count("iterations", iterations), options, jnp.asarray(target), as_configuration(chain, q))
+    return _descend(robot, task, as_count("iterations", iterations), options, jnp.asarray(target), as_configuration(robot, q))
 
 
 @kernel(models=4)
-def _descend(chain: Chain, task: Task, iterations: int, options: sqp.Options, target: Any, q: Any) -> Landed:
-    low, high = jnp.asarray(chain.lower, q.dtype), jnp.asarray(chain.upper, q.dtype)
+def _descend(robot: Robot, task: Task, iterations: int, options: sqp.Options, target: Any, q: Any) -> Landed:
+    low, high = jnp.asarray(robot.lower, q.dtype), jnp.asarray(robot.upper, q.dtype)
     limits = low, high, jnp.ones_like(q)
-    return land(chain, Goal(task), iterations, options, jnp.clip(q, low, high), target.astype(q.dtype), limits)
+    return land(robot, Goal(task), iterations, options, jnp.clip(q, low, high), target.astype(q.dtype), limits)
 
 
 @functools.lru_cache(maxsize=256)
@@ -89,49 +89,49 @@ def batch(lanes: int, function: Callable[..., Any], *known: Any) -> HostKernel:
 
 
 def land(
-    chain: Chain, goal: Goal, iterations: int, options: sqp.Options, q: Any, pose: Any, limits: Any, around: Any = (None, None)
+    robot: Robot, goal: Goal, iterations: int, options: sqp.Options, q: Any, pose: Any, limits: Any, around: Any = (None, None)
 ) -> Landed:
     """`sqp.run` from q to a pose; `limits` are lower, upper and weights, `around` is a scene, and the margin to keep."""
     low, high, weights = limits
-    problem = _problem(chain, goal, pose, weights, around, q.dtype)
-    return Landed(*_apart(chain, goal.task, *sqp.run(problem, q, low, high, iterations, options)))
+    problem = _problem(robot, goal, pose, weights, around, q.dtype)
+    return Landed(*_apart(robot, goal.task, *sqp.run(problem, q, low, high, iterations, options)))
 
 
 def settle(
-    chain: Chain, task: Task, options: sqp.Options, q: Any, pose: Any, aim: Any, limits: Any, most: Any, creep: Any
+    robot: Robot, task: Task, options: sqp.Options, q: Any, pose: Any, aim: Any, limits: Any, most: Any, creep: Any
 ) -> tuple[Any, ...]:
     """`sqp.settle` likewise: q, its errors, and after how many steps it came to rest."""
     low, high, weights = limits
-    problem = _problem(chain, Goal(task), pose, weights, (None, None), q.dtype)
+    problem = _problem(robot, Goal(task), pose, weights, (None, None), q.dtype)
     found, apart, count = sqp.settle(problem, jnp.clip(q, low, high), low, high, most, aim, creep, options)
-    return *_apart(chain, task, found, apart), count
+    return *_apart(robot, task, found, apart), count
 
 
 def loosen(
-    chain: Chain, task: Task, options: sqp.Options, q: Any, pose: Any, aim: Any, slack: Any, limits: Any, most: Any
+    robot: Robot, task: Task, options: sqp.Options, q: Any, pose: Any, aim: Any, slack: Any, limits: Any, most: Any
 ) -> tuple[Any, ...]:
     """`settle` to within `slack` (2,) of the pose [unit lengths, rad], whatever is inside that being as good."""
     low, high, weights = limits
-    problem = _problem(chain, Goal(task), pose, weights, (None, None), q.dtype, slack)
+    problem = _problem(robot, Goal(task), pose, weights, (None, None), q.dtype, slack)
     found, _, count = sqp.settle(problem, jnp.clip(q, low, high), low, high, most, aim, jnp.inf, options)
-    return found, *errors(chain, task, found, pose), count
+    return found, *errors(robot, task, found, pose), count
 
 
-def errors(chain: Chain, task: Task, q: Any, pose: Any) -> tuple[Any, Any]:
+def errors(robot: Robot, task: Task, q: Any, pose: Any) -> tuple[Any, Any]:
     """Of a configuration, its tip's errors [m], [rad]."""
-    position, rotation = task.residual(joint_frames(chain, list(q), dtype=q.dtype).tip, Frame.of_columns(pose))
+    position, rotation = task.residual(joint_frames(robot, list(q), dtype=q.dtype).tip, Frame.of_columns(pose))
     length = lambda x: safe_sqrt(sum(each * each for each in x)) if x else jnp.zeros((), q.dtype)
     return length(position), length(rotation)
 
 
-def solve_errors(chain: Chain, task: Task, q: np.ndarray, poses: np.ndarray) -> list[np.ndarray]:
+def solve_errors(robot: Robot, task: Task, q: np.ndarray, poses: np.ndarray) -> list[np.ndarray]:
     """The errors [m], [rad] of configurations (b, n) by their poses (b, 4, 4), each (b,), in float64. On the host."""
-    return in_blocks(batch(2, errors, chain, task), q, poses, double=True)
+    return in_blocks(batch(2, errors, robot, task), q, poses, double=True)
 
 
-def clearance_around(chain: Chain, q: Any, scene: Any) -> Any:
+def clearance_around(robot: Robot, q: Any, scene: Any) -> Any:
     """`clearance`, of rows of configurations in one scene."""
-    return clearance(chain, scene, q)
+    return clearance(robot, scene, q)
 
 
 def slope(cost: Cost, q: Any) -> Any:
@@ -139,25 +139,25 @@ def slope(cost: Cost, q: Any) -> Any:
     return jax.grad(cost)(q)
 
 
-def _apart(chain: Chain, task: Task, found: Any, apart: Any) -> tuple[Any, Any, Any]:
+def _apart(robot: Robot, task: Task, found: Any, apart: Any) -> tuple[Any, Any, Any]:
     """A configuration, and from its equations' values the errors [m], [rad]."""
     places = len(task.positions)
     length = lambda x: safe_sqrt(jnp.sum(x**2))
-    return found, length(apart[:places]) * unit_length(chain), length(apart[places:])
+    return found, length(apart[:places]) * unit_length(robot), length(apart[places:])
 
 
-def _problem(chain: Chain, goal: Goal, pose: Any, weights: Any, around: Any, dtype: Any, slack: Any = None) -> sqp.Problem:
+def _problem(robot: Robot, goal: Goal, pose: Any, weights: Any, around: Any, dtype: Any, slack: Any = None) -> sqp.Problem:
     """The tip at `pose`, or within `slack` of it, and what is minded beside, as equations, cost and inequalities of the
     joints."""
-    n, scale = chain.num_joints, 1.0 / unit_length(chain)
-    units = [scale**2 if prismatic else 1.0 for prismatic in chain.is_prismatic]
+    n, scale = robot.num_joints, 1.0 / unit_length(robot)
+    units = [scale**2 if prismatic else 1.0 for prismatic in robot.is_prismatic]
     metric = [[weights[i] * units[i] if i == j else 0.0 for j in range(n)] for i in range(n)]
     target = Frame.of_columns(pose)
 
     def model(x: Sequence[Scalar]) -> sqp.Model:
-        frames = joint_frames(chain, x, dtype=dtype)
+        frames = joint_frames(robot, x, dtype=dtype)
         position, rotation = goal.task.residual(frames.tip, target)
-        rows = goal.task.rows(jacobian_columns(chain, frames), target)
+        rows = goal.task.rows(jacobian_columns(robot, frames), target)
         scales = [scale] * len(position) + [1.0] * len(rotation)
         value = [mul(s, v) for s, v in zip(scales, position + rotation, strict=True)]
         equality = Rows(value, [[mul(s, v) for v in row] for s, row in zip(scales, rows, strict=True)])
@@ -168,7 +168,7 @@ def _problem(chain: Chain, goal: Goal, pose: Any, weights: Any, around: Any, dty
                 for p, radius in zip((slice(k), slice(k, None)), slack, strict=True)
             )
             equality = Rows([*near.value, *turned.value], [*near.matrix, *turned.matrix])
-        cost, gradient, inequality = _beside(chain, goal, stack(x, (n,), dtype), around, scale)
+        cost, gradient, inequality = _beside(robot, goal, stack(x, (n,), dtype), around, scale)
         return sqp.Model(cost, gradient, equality, inequality)
 
     return sqp.Problem(model, metric)
@@ -189,7 +189,7 @@ def _outside(rows: Rows, radius: Any) -> Rows:
     return Rows([rest * v for v in rows.value], matrix)
 
 
-def _beside(chain: Chain, goal: Goal, q: Any, around: Any, scale: float) -> tuple[Scalar, list[Scalar], Rows]:
+def _beside(robot: Robot, goal: Goal, q: Any, around: Any, scale: float) -> tuple[Scalar, list[Scalar], Rows]:
     """Cost, its gradient, and the inequalities."""
     cost: Scalar = 0.0
     gradient: list[Scalar] = [0.0] * len(q)
@@ -199,7 +199,7 @@ def _beside(chain: Chain, goal: Goal, q: Any, around: Any, scale: float) -> tupl
         gradient = [rise[i] for i in range(len(q))]
     if goal.collision != "none":
         scene, margin = around
-        apart, slopes = link_contacts(chain, scene, q)
+        apart, slopes = link_contacts(robot, scene, q)
         apart = jnp.minimum(apart, 1e3) - margin  # infinite for a link with nothing to hit
     if goal.collision == "penalty":
         penalty = lambda d: goal.penalty * jnp.sum(collision_cost(d, goal.activation))

@@ -24,12 +24,12 @@ from jaxtyping import Float
 
 from jaxik.checks.arrays import shaped
 from jaxik.checks.options import as_count, check_finite, shown
+from jaxik.kinematics.robot import Robot
 from jaxik.motions.diagnosis import Course, diagnose
 from jaxik.motions.nullspace import Resolved
 from jaxik.motions.path import Path, check_path, motion
 from jaxik.motions.predictive import Horizon, Prediction, RunningCost, outlook
 from jaxik.reasons import Reason
-from jaxik.robot.chain import Chain
 
 NEWTON = 20  # steps to the input, at most
 STATIONARY = 1e-9  # share of dH/dw and H without an input that may be left of dH/dw
@@ -54,7 +54,7 @@ class Boundary(NamedTuple):
 
 
 def boundary_value(
-    chain: Chain,
+    robot: Robot,
     path: Path,
     duration: float,
     q: Any,
@@ -83,8 +83,8 @@ def boundary_value(
     check_finite("boundary value", np.finfo(float).eps, tolerance=tolerance)
     with jax.enable_x64(True):
         path.pose(0.0)
-        system, world = _System(chain, cost, horizon), (path, float(duration), given)
-        n, start = chain.num_joints, _start(chain, q, guess)
+        system, world = _System(robot, cost, horizon), (path, float(duration), given)
+        n, start = robot.num_joints, _start(robot, q, guess)
         time, first = _first(system, world, start, nodes, guess)
         free = np.linalg.svd(np.asarray(system.freedom(world, start)).T)[0]  # first the motions that leave the tip in place
         basis = free[:, : n - sum(horizon.task.bound)]
@@ -100,8 +100,8 @@ def boundary_value(
         return Boundary(found.x, y[:, :n], u, adjoint, w, costs, total, solved, message, residual, reason)
 
 
-def _start(chain: Chain, q: Any, guess: Prediction | None) -> np.ndarray:
-    start, n = shaped("boundary value: q", q, (chain.num_joints,)), chain.num_joints
+def _start(robot: Robot, q: Any, guess: Prediction | None) -> np.ndarray:
+    start, n = shaped("boundary value: q", q, (robot.num_joints,)), robot.num_joints
     if not np.isfinite(start).all():
         raise ValueError(f"boundary value: q is {shown(q)}; it has finite numbers")
     if guess is not None and (np.ndim(guess.q) != 2 or np.shape(guess.q)[1] != n):
@@ -126,7 +126,7 @@ class _System:
     """The equations of one problem, in worlds of a path, a duration and what is given to the cost; z holds the state and the
     adjoint variables."""
 
-    chain: Chain
+    robot: Robot
     cost: RunningCost
     horizon: Horizon
 
@@ -136,7 +136,7 @@ class _System:
 
     def resolved(self, world: Any, t: Any, q: Any, u: Any, gain: float | None = None) -> Resolved:
         path, duration, _ = world
-        return self.horizon.resolve(self.chain, q, motion(path, duration, t), u, gain)
+        return self.horizon.resolve(self.robot, q, motion(path, duration, t), u, gain)
 
     def running(self, world: Any, t: Any, y: Any, w: Any) -> tuple[Any, Any]:
         """qdot, and the cost per second."""
@@ -152,7 +152,7 @@ class _System:
     def input(self, world: Any, t: Any, z: Any) -> tuple[Any, Any]:
         """Where dH/dw = 0, and what is left of that, as a share of what it and H are without an input: it may be 0 there."""
         slope = lambda w: jax.grad(self.hamiltonian, argnums=3)(world, t, z, w)
-        none = jnp.zeros(self.chain.num_joints, z.dtype)
+        none = jnp.zeros(self.robot.num_joints, z.dtype)
         whole = jnp.max(jnp.abs(first := slope(none))) + jnp.abs(self.hamiltonian(world, t, z, none))
 
         def turn(now: Any) -> Any:
@@ -184,13 +184,13 @@ class _System:
             return w, cost, left, Course(q, seen.rate, seen.error, seen.damping, pose, costs=cost)
 
         w, costs, left, course = jax.vmap(at, (0, 1), 0)(t, z)
-        reason, _ = diagnose(self.chain, self.horizon.task, course, self.horizon.tolerance, keep=True)
+        reason, _ = diagnose(self.robot, self.horizon.task, course, self.horizon.tolerance, keep=True)
         return w, costs, left, jnp.full(len(t), reason)
 
     @_compiled
     def ends(self, world: Any, a: Any, b: Any, start: Any, basis: Any) -> Any:
         """What must be 0 of the first and the last z."""
-        n = self.chain.num_joints
+        n = self.robot.num_joints
         (first, adjoint), (_, last) = jnp.split(a, 2), jnp.split(b, 2)
         if self.horizon.start == "given":
             return jnp.concatenate([first[:n] - start, first[n:], last])
@@ -200,7 +200,7 @@ class _System:
     @_compiled
     def freedom(self, world: Any, q: Any) -> Any:
         """N at the path's start."""
-        return jax.vmap(lambda u: self.resolved(world, 0.0, q, u, gain=0.0).rate)(jnp.eye(self.chain.num_joints))
+        return jax.vmap(lambda u: self.resolved(world, 0.0, q, u, gain=0.0).rate)(jnp.eye(self.robot.num_joints))
 
     @_compiled
     def instantaneous(self, world: Any, q: Any, times: Any) -> Any:

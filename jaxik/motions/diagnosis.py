@@ -7,10 +7,10 @@ from typing import Any, NamedTuple
 import jax
 import jax.numpy as jnp
 
+from jaxik.kinematics.reach_bound import reach_bound
+from jaxik.kinematics.robot import Robot
+from jaxik.kinematics.task import Task
 from jaxik.reasons import Reason
-from jaxik.robot.chain import Chain
-from jaxik.robot.reach_bound import reach_bound
-from jaxik.robot.task import Task
 from jaxik.spmd import kernel
 
 FASTER = 1e-4  # of a joint's velocity limit, that rounding and differences of samples may add
@@ -29,7 +29,7 @@ class Course(NamedTuple):
     costs: Any = 0.0
 
 
-def diagnose(chain: Chain, task: Task, course: Course, tolerance: float, keep: bool) -> tuple[Any, Any]:
+def diagnose(robot: Robot, task: Task, course: Course, tolerance: float, keep: bool) -> tuple[Any, Any]:
     """The `Reason` and the sample where it happened, the number of samples where all is well. Traced.
 
     A motion fails where something is not a number, its cost included (INVALID), where a joint passes the limits of position or
@@ -40,7 +40,7 @@ def diagnose(chain: Chain, task: Task, course: Course, tolerance: float, keep: b
     """
     count = len(course.q)
     columns = [jnp.broadcast_to(x, (count, *jnp.shape(x)[1:])) for x in map(jnp.asarray, course)]
-    return _diagnosed(chain, task, float(tolerance), bool(keep), *columns)
+    return _diagnosed(robot, task, float(tolerance), bool(keep), *columns)
 
 
 class _Known(NamedTuple):
@@ -62,7 +62,7 @@ class _Known(NamedTuple):
 
 @kernel(models=4)
 def _diagnosed(
-    chain: Chain,
+    robot: Robot,
     task: Task,
     tolerance: float,
     keep: bool,
@@ -76,7 +76,7 @@ def _diagnosed(
 ) -> tuple[Any, Any]:
     def turn(known: _Known, row: Any) -> tuple[_Known, None]:
         now = Course(*row)
-        lost, outside, late, well, beyond, moved = _moment(chain, task, tolerance, keep, now, pose[0])
+        lost, outside, late, well, beyond, moved = _moment(robot, task, tolerance, keep, now, pose[0])
         fails = lost | outside | late
         first, open_, behind = fails & ~known.failed, ~known.failed, ~(well & ~fails)
         damped = jnp.where(open_, (known.damped & behind) | (now.damping > 0.0), known.damped)
@@ -109,23 +109,23 @@ def _diagnosed(
     return jnp.where(end.failed, failed, well_done), jnp.where(end.failed, end.sample, reached)
 
 
-def _moment(chain: Chain, task: Task, tolerance: float, keep: bool, now: Course, first: Any) -> tuple[Any, ...]:
+def _moment(robot: Robot, task: Task, tolerance: float, keep: bool, now: Course, first: Any) -> tuple[Any, ...]:
     """Of a sample, beside the `first` pose: whether it is lost, outside of the limits, late, well, beyond reach, and moved."""
     q, qdot, error, _, pose, _, costs = now
     finite = [jnp.all(jnp.isfinite(x)) for x in (q, qdot, error, pose, costs)]
     lost = ~jnp.all(jnp.stack(finite))
-    lower, upper, fastest = (jnp.asarray(bound, q.dtype) for bound in (chain.lower, chain.upper, chain.velocity))
+    lower, upper, fastest = (jnp.asarray(bound, q.dtype) for bound in (robot.lower, robot.upper, robot.velocity))
     near = 1e-6 * (1.0 + jnp.abs(q))
     outside = (q < lower - near) | (q > upper + near) | (jnp.abs(qdot) > (1.0 + FASTER) * fastest)
     away = jnp.max(jnp.abs(error), initial=0.0)
     moved = jnp.any(jnp.abs(pose - first) > 100.0 * jnp.finfo(q.dtype).eps)
     late = ~(away <= tolerance) & ~lost
-    return lost, jnp.any(outside) & keep & ~lost, late, away <= 0.1 * tolerance, _beyond(chain, task, pose), moved
+    return lost, jnp.any(outside) & keep & ~lost, late, away <= 0.1 * tolerance, _beyond(robot, task, pose), moved
 
 
-def _beyond(chain: Chain, task: Task, pose: Any) -> Any:
+def _beyond(robot: Robot, task: Task, pose: Any) -> Any:
     """Whether a pose asks for a position that no configuration has, by the components that are bound."""
-    bounds = reach_bound(chain, False)
+    bounds = reach_bound(robot, False)
     apart = pose[:3, 3] - jnp.asarray(bounds.origin, pose.dtype)
     if task.axes == "tool":
         apart = pose[:3, :3].T @ apart

@@ -21,14 +21,14 @@ from jaxtyping import Float, Int
 from jaxik.checks.arrays import numbers, positive
 from jaxik.checks.options import batch_axes, changed, check_choices, check_each, check_finite, check_kind, shown
 from jaxik.costs import Cost
+from jaxik.kinematics.robot import Robot
+from jaxik.kinematics.task import POSE, Task
 from jaxik.motions.diagnosis import Course, diagnose
 from jaxik.motions.nullspace import FLOOR, Box, Resolved, asc, loop_gain, rac, settles
 from jaxik.motions.path import Motion, Path, check_path, motion
 from jaxik.motions.rate_limits import RateLimits
 from jaxik.optimise import ocp
 from jaxik.reasons import Reason, Reasoned
-from jaxik.robot.chain import Chain
-from jaxik.robot.task import POSE, Task
 from jaxik.spmd import kernel
 
 Scheme = Literal["rmrc", "asc", "rac"]
@@ -41,7 +41,7 @@ class FollowOptions:
     by half their square); the `task`; `alpha` of the cost's gradient and `damping` [1/s] of null-space velocity (rac); `gain`
     [1/s] of the closed loop, by default 1/dt, which takes a sample's error back in the next (rac: 0.5/dt, critically damped).
 
-    `limits` keeps the chain's joint limits and velocity limits, and `acceleration` [rad/s2, m/s2], one number or one a joint,
+    `limits` keeps the robot's joint limits and velocity limits, and `acceleration` [rad/s2, m/s2], one number or one a joint,
     is kept, too. A motion fails where the tip is further from its path than `tolerance` [m, rad] in any bound component.
     """
 
@@ -89,7 +89,7 @@ class Followed(Reasoned):
 
 
 def follow(
-    chain: Chain,
+    robot: Robot,
     path: Path,
     duration: Any,
     q: Any,
@@ -106,23 +106,20 @@ def follow(
     Raises `ValueError` for a q of another shape, what is no path, a duration that is not positive, weights or accelerations of
     another length, or a name in `each` that is not known.
     """
-    if "how" in changes:
-        warnings.warn("follow: how is options now", DeprecationWarning, stacklevel=2)
-        options = changes.pop("how")
     options = changed("follow", options or FollowOptions(), changes)
     q = numbers("follow: q", q)
     check_each("follow", each, Each)
     check_path("follow", path, duration, q.shape[:1] if "duration" in each else ())
-    n, faster = chain.num_joints, options.acceleration
+    n, faster = robot.num_joints, options.acceleration
     if q.ndim not in (1, 2) or q.shape[-1] != n or (each and q.ndim == 1):
         allowed = f"({n},), or rows of it, as where `each` names something"
-        raise ValueError(f"follow: q has the shape {q.shape}; {chain.name} takes {allowed}")
+        raise ValueError(f"follow: q has the shape {q.shape}; {robot.name} takes {allowed}")
     if isinstance(faster, tuple) and len(faster) != n:
-        allowed = f"one, or one for each of the {n} joints of {chain.name}"
+        allowed = f"one, or one for each of the {n} joints of {robot.name}"
         raise ValueError(f"follow: acceleration has {len(faster)} numbers; allowed: {allowed}")
     count = samples(float(np.max(duration)), options.dt)
     axes = None if q.ndim == 1 else (0, *batch_axes(each, Each))
-    found = _program(chain, cost, options, count, axes)(jnp.asarray(q), path, duration)
+    found = _program(robot, cost, options, count, axes)(jnp.asarray(q), path, duration)
     followed = Followed(options.dt * np.arange(count), *map(np.asarray, found))
     off = np.max(np.abs(followed.error[..., 0, :]), initial=0.0)
     if off > options.tolerance:
@@ -137,29 +134,29 @@ def samples(duration: float, dt: float) -> int:
 
 @functools.lru_cache(maxsize=32)
 def _program(
-    chain: Chain, cost: Cost | None, how: FollowOptions, count: int, axes: tuple[int | None, ...] | None
+    robot: Robot, cost: Cost | None, how: FollowOptions, count: int, axes: tuple[int | None, ...] | None
 ) -> Callable[..., tuple[Any, ...]]:
     def run(q: Any, path: Path, duration: Any) -> tuple[Any, ...]:
         times = how.dt * (jnp.arange(float(count))[:, None] + jnp.array([0.0, 0.5, 1.0]))
         stages = Motion(*(x.reshape(count, 3, *x.shape[1:]) for x in motion(path, duration, times.reshape(-1))))
-        limits = RateLimits.of(chain, how.limits, how.acceleration)
+        limits = RateLimits.of(robot, how.limits, how.acceleration)
 
         def turn(state: tuple[Any, Any], stages: Motion) -> Any:
             q, qdot = state
-            after, found, held = _moved(chain, cost, how, limits, q, qdot, stages)
+            after, found, held = _moved(robot, cost, how, limits, q, qdot, stages)
             return after, (q, (after[0] - q) / how.dt, found.error, found.damping, held)
 
         whole = kernel(lambda q, stages: jax.lax.scan(turn, (q, jnp.zeros_like(q)), stages)[1])
         at, moving, error, damping, held = whole(q, stages)
         course = Course(at, moving, error, damping, stages.pose[:, 0], held)
-        reason, sample = diagnose(chain, how.task, course, how.tolerance, how.limits)
+        reason, sample = diagnose(robot, how.task, course, how.tolerance, how.limits)
         return (*_standing(course, jnp.where(reason == Reason.STILL, count, sample)), reason, sample)
 
     return jax.jit(run if axes is None else jax.vmap(run, in_axes=axes))
 
 
 def _moved(
-    chain: Chain, cost: Cost | None, how: FollowOptions, limits: RateLimits, q: Any, qdot: Any, stages: Motion
+    robot: Robot, cost: Cost | None, how: FollowOptions, limits: RateLimits, q: Any, qdot: Any, stages: Motion
 ) -> tuple[Any, Resolved, Any]:
     """The state a sample later; how it was resolved at its start; and whether a limit held a joint back."""
     dt = how.dt
@@ -170,14 +167,14 @@ def _moved(
         slow = loop_gain(how.gain, dt, 0.5)
         box = limits.accelerations(q, qdot, dt) if boxed else None
         gains, start = (0.25 * slow**2, slow), ocp.sample(stages, 0)
-        found = rac(chain, q, qdot, start, cost, how.alpha, how.damping, gains=gains, box=box, **options)
+        found = rac(robot, q, qdot, start, cost, how.alpha, how.damping, gains=gains, box=box, **options)
         rate = qdot + dt * found.rate
         after = q + 0.5 * dt * (qdot + rate)
     else:
         down, box = cost if how.scheme == "asc" else None, Box(low, high) if boxed else None
 
         def field(q: Any, _: Any, asked: Motion) -> tuple[Any, Resolved]:
-            found = asc(chain, q, asked, down, how.alpha, gain=loop_gain(how.gain, dt), box=box, **options)
+            found = asc(robot, q, asked, down, how.alpha, gain=loop_gain(how.gain, dt), box=box, **options)
             return found.rate, found
 
         after, _, found = ocp.integrator(how.integrator, field, dt)(q, None, stages)

@@ -22,12 +22,12 @@ import numpy as np
 from jaxtyping import Float, Int
 
 from jaxik.checks.options import as_count, check_finite
+from jaxik.kinematics.robot import Array, Robot, as_shaped
 from jaxik.motions.diagnosis import Course, diagnose
 from jaxik.motions.following import Followed, samples
 from jaxik.motions.path import Path, check_path, motion
 from jaxik.motions.predictive import Horizon, RunningCost, future, objective, problem
 from jaxik.optimise import descent, ocp
-from jaxik.robot.chain import Array, Chain, as_shaped
 
 
 class State(NamedTuple):
@@ -65,7 +65,7 @@ class MovingHorizon:
     may differ from call to call without compiling again, as long as their shapes do not.
     """
 
-    chain: Chain
+    robot: Robot
     cost: RunningCost
     horizon: Horizon = dataclasses.field(default_factory=Horizon)
     iterations: int = 1
@@ -78,9 +78,9 @@ class MovingHorizon:
 
     def start(self, q: Any) -> State:
         """At rest at q (n,), with an empty plan. Raises `ValueError` for another shape."""
-        n = self.chain.num_joints
+        n = self.robot.num_joints
         # a copy: a step uses its state up
-        q = jnp.array(as_shaped(f"moving horizon: q of {self.chain.name}", q, (n,)), jnp.result_type(float))
+        q = jnp.array(as_shaped(f"moving horizon: q of {self.robot.name}", q, (n,)), jnp.result_type(float))
         plan = jnp.zeros((self.horizon.count, n), q.dtype)
         interval = jnp.array(self.horizon.descend.interval, q.dtype)
         return State(q, jnp.zeros_like(q), jnp.zeros((), q.dtype), plan, plan + 0, plan + 0, interval, jnp.zeros((), int))
@@ -97,12 +97,12 @@ class MovingHorizon:
 
     @functools.cached_property
     def _judged(self) -> Callable[[Course], tuple[Any, Any]]:
-        return jax.jit(lambda course: diagnose(self.chain, self.horizon.task, course, self.horizon.tolerance, keep=True))
+        return jax.jit(lambda course: diagnose(self.robot, self.horizon.task, course, self.horizon.tolerance, keep=True))
 
     def _advance(self, state: State, path: Path, duration: Any, given: tuple[Any, ...]) -> tuple[State, Sample]:
         horizon, options = self.horizon, self.horizon.descend
         ahead = future(path, duration, horizon, state.time)
-        goal = objective(self.chain, self.cost, horizon, state.q, ahead, given, state.u)
+        goal = objective(self.robot, self.cost, horizon, state.q, ahead, given, state.u)
         plan = descent.init(goal, state.w, options, measured=False)._replace(
             gradient=state.gradient, direction=state.direction, interval=state.interval, iterations=state.samples
         )
@@ -122,7 +122,7 @@ class MovingHorizon:
         after the next sample only: till then it is the roll-out."""
         if self.horizon.level == "acceleration":
             return run.y[0][1], state.u + self.horizon.dt * w
-        control = problem(self.chain, self.cost, self.horizon, *given)
+        control = problem(self.robot, self.cost, self.horizon, *given)
         (q,), *_ = control.step((state.q,), w, ocp.sample(ahead, 0))
         return q, state.u
 

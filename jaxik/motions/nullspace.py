@@ -29,11 +29,11 @@ from jaxtyping import Float
 from jaxik.checks.arrays import is_known
 from jaxik.checks.options import shown
 from jaxik.costs import Cost
+from jaxik.kinematics.forward import bias_acceleration, jacobian_columns, joint_frames
+from jaxik.kinematics.robot import Array, Robot, as_configuration, as_shaped
+from jaxik.kinematics.task import POSE, Task
 from jaxik.motions.path import Motion
 from jaxik.optimise.linear import damped_solve
-from jaxik.robot.chain import Array, Chain, as_configuration, as_shaped
-from jaxik.robot.kinematics import bias_acceleration, jacobian_columns, joint_frames
-from jaxik.robot.task import POSE, Task
 from jaxik.spatial.algebra import Frame, safe_divide, traced
 from jaxik.spmd import kernel
 
@@ -69,7 +69,7 @@ class Resolved(NamedTuple):
 
 
 def resolve_velocity(
-    chain: Chain,
+    robot: Robot,
     q: Float[Array, " n"],
     motion: Motion,
     u: Float[Array, " n"],
@@ -85,15 +85,15 @@ def resolve_velocity(
     `gain` [1/s] pulls the tip back to its path. `box` holds what the velocities must lie between. Raises `ValueError`
     for an array of another shape, and for weights that are known and not above zero.
     """
-    check_weights(chain, weights)
-    return _velocity(chain, task, floor, q, motion, u, gain, weights, box)
+    check_weights(robot, weights)
+    return _velocity(robot, task, floor, q, motion, u, gain, weights, box)
 
 
 def resolved_velocity(
-    chain: Chain, task: Task, floor: float, q: Any, motion: Motion, u: Any, gain: Any, weights: Any, box: Any = None
+    robot: Robot, task: Task, floor: float, q: Any, motion: Motion, u: Any, gain: Any, weights: Any, box: Any = None
 ) -> Resolved:
     """`resolve_velocity`, inside a kernel of its own that is differentiated."""
-    at = TaskAt(chain, q, motion, task)
+    at = TaskAt(robot, q, motion, task)
     return at.resolved(at.velocity(gain), u, weights, floor, box)
 
 
@@ -101,7 +101,7 @@ _velocity = kernel(models=3)(resolved_velocity)
 
 
 def resolve_acceleration(
-    chain: Chain,
+    robot: Robot,
     q: Float[Array, " n"],
     qdot: Float[Array, " n"],
     motion: Motion,
@@ -117,31 +117,31 @@ def resolve_acceleration(
     `gains` (K [1/s2], K' [1/s]) pull the tip back to its path; K' = 2 sqrt(K) without overshoot. `box` holds what the
     accelerations must lie between. Raises `ValueError` as `resolve_velocity` does.
     """
-    check_weights(chain, weights)
-    return _acceleration(chain, task, floor, q, qdot, motion, u, gains, weights, box)
+    check_weights(robot, weights)
+    return _acceleration(robot, task, floor, q, qdot, motion, u, gains, weights, box)
 
 
 @kernel(models=3)
 def _acceleration(
-    chain: Chain, task: Task, floor: float, q: Any, qdot: Any, motion: Motion, u: Any, gains: Any, weights: Any, box: Any
+    robot: Robot, task: Task, floor: float, q: Any, qdot: Any, motion: Motion, u: Any, gains: Any, weights: Any, box: Any
 ) -> Resolved:
-    at = TaskAt(chain, q, motion, task)
+    at = TaskAt(robot, q, motion, task)
     return at.resolved(at.acceleration(qdot, gains), u, weights, floor, box)
 
 
-def rmrc(chain: Chain, q: Float[Array, " n"], motion: Motion, **options: Any) -> Resolved:
+def rmrc(robot: Robot, q: Float[Array, " n"], motion: Motion, **options: Any) -> Resolved:
     """Resolved motion rate control: the least joint velocities. Options are those of `resolve_velocity`. Traced."""
-    return resolve_velocity(chain, q, motion, jnp.zeros(chain.num_joints), **options)
+    return resolve_velocity(robot, q, motion, jnp.zeros(robot.num_joints), **options)
 
 
-def asc(chain: Chain, q: Float[Array, " n"], motion: Motion, cost: Cost | None, alpha: Any = 1.0, **options: Any) -> Resolved:
+def asc(robot: Robot, q: Float[Array, " n"], motion: Motion, cost: Cost | None, alpha: Any = 1.0, **options: Any) -> Resolved:
     """Automatic supervisory control: down the gradient of `cost` by `alpha` in the null space. Options are those of
     `resolve_velocity`. Traced."""
-    return resolve_velocity(chain, q, motion, downhill(chain, q, cost, alpha, **options), **options)
+    return resolve_velocity(robot, q, motion, downhill(robot, q, cost, alpha, **options), **options)
 
 
 def rac(
-    chain: Chain,
+    robot: Robot,
     q: Float[Array, " n"],
     qdot: Float[Array, " n"],
     motion: Motion,
@@ -152,33 +152,33 @@ def rac(
 ) -> Resolved:
     """Resolved acceleration control: down the gradient of `cost`, the null-space velocity damped by `damping` [1/s]. Options
     are those of `resolve_acceleration`. Traced."""
-    u = downhill(chain, q, cost, alpha, **options) - damping * as_configuration(chain, qdot)
-    return resolve_acceleration(chain, q, qdot, motion, u, **options)
+    u = downhill(robot, q, cost, alpha, **options) - damping * as_configuration(robot, qdot)
+    return resolve_acceleration(robot, q, qdot, motion, u, **options)
 
 
-def downhill(chain: Chain, q: Any, cost: Cost | None, alpha: float, weights: Any = None, **_: Any) -> Any:
+def downhill(robot: Robot, q: Any, cost: Cost | None, alpha: float, weights: Any = None, **_: Any) -> Any:
     """`-alpha W^-1 dH/dq` (n,), 0 without a cost."""
     if cost is None:
-        return jnp.zeros(chain.num_joints)
-    slope = jax.grad(cost)(as_configuration(chain, q))
+        return jnp.zeros(robot.num_joints)
+    slope = jax.grad(cost)(as_configuration(robot, q))
     as_shaped("alpha", alpha, ())
-    return -alpha * slope * inverse_weights(chain, weights, slope.dtype)
+    return -alpha * slope * inverse_weights(robot, weights, slope.dtype)
 
 
-def inverse_weights(chain: Chain, weights: Any, dtype: Any) -> jax.Array:
+def inverse_weights(robot: Robot, weights: Any, dtype: Any) -> jax.Array:
     """The diagonal of W^-1 (n,) of `weights`, or None. Raises `ValueError` for another shape, and for what is known
     and not above zero."""
     if weights is None:
-        return jnp.ones(chain.num_joints, dtype)
-    check_weights(chain, weights)
-    return 1.0 / as_shaped("weights", weights, (chain.num_joints,)).astype(dtype)
+        return jnp.ones(robot.num_joints, dtype)
+    check_weights(robot, weights)
+    return 1.0 / as_shaped("weights", weights, (robot.num_joints,)).astype(dtype)
 
 
-def check_weights(chain: Chain, weights: Any) -> None:
+def check_weights(robot: Robot, weights: Any) -> None:
     """Raises `ValueError` for weights (n,) of another shape, and for what is known and not above zero; None is 1 each."""
     if weights is None:
         return
-    as_shaped(f"weights of the joints of {chain.name}", weights, (chain.num_joints,))
+    as_shaped(f"weights of the joints of {robot.name}", weights, (robot.num_joints,))
     if is_known(weights) and not np.all((np.asarray(weights) > 0.0) & np.isfinite(np.asarray(weights))):
         raise ValueError(f"weights {shown(weights)}: all are finite and > 0")
 
@@ -186,12 +186,12 @@ def check_weights(chain: Chain, weights: Any) -> None:
 class TaskAt:
     """A moment of a task: its rows of the Jacobian (m, n) at q, its error (m,), and what its motion asks. Traced."""
 
-    def __init__(self, chain: Chain, q: Any, motion: Motion, task: Task):
-        self.q = q = as_configuration(chain, q)
-        self.chain, self.task, self.dtype, self.motion = chain, task, q.dtype, motion
+    def __init__(self, robot: Robot, q: Any, motion: Motion, task: Task):
+        self.q = q = as_configuration(robot, q)
+        self.robot, self.task, self.dtype, self.motion = robot, task, q.dtype, motion
         self.target = Frame.of_entries(traced(as_shaped("pose", motion.pose, (4, 4)).astype(q.dtype)))
-        frames = joint_frames(chain, traced(q), dtype=q.dtype)
-        self.rows = jnp.asarray(task.rows(jacobian_columns(chain, frames), self.target), q.dtype)
+        frames = joint_frames(robot, traced(q), dtype=q.dtype)
+        self.rows = jnp.asarray(task.rows(jacobian_columns(robot, frames), self.target), q.dtype)
         position, rotation = task.residual(frames.tip, self.target)
         self.error = jnp.asarray(position + rotation, q.dtype)
 
@@ -203,7 +203,7 @@ class TaskAt:
     def acceleration(self, qdot: Any, gains: tuple[Any, Any]) -> Any:
         """`wddot + K' werrdot + K werr - Jdot qdot` (m,), of `gains` (K [1/s2], K' [1/s])."""
         qdot = as_shaped("qdot", qdot, self.q.shape).astype(self.dtype)
-        bias = self._components("bias", bias_acceleration(self.chain, self.q, qdot))
+        bias = self._components("bias", bias_acceleration(self.robot, self.q, qdot))
         slow = self._components("velocity", self.motion.velocity) - self.rows @ qdot
         asked = self._components("acceleration", self.motion.acceleration)
         return asked + gains[1] * slow - gains[0] * self.error - bias
@@ -220,9 +220,9 @@ class TaskAt:
         (saturation in the null space [Flacco, De Luca, Khatib 2012], all that leave at once). Where so many are held that the
         task is lost, u is instead followed as far as the box lets all joints: the task comes first.
         """
-        n, wanted = self.chain.num_joints, wanted.astype(self.dtype)
+        n, wanted = self.robot.num_joints, wanted.astype(self.dtype)
         free = as_shaped("u", u, (n,)).astype(self.dtype)
-        inverse = inverse_weights(self.chain, weights, self.dtype)
+        inverse = inverse_weights(self.robot, weights, self.dtype)
         whole = self._solved(wanted, free, inverse, floor)
         if box is None:
             return Resolved(whole[0], self.error, whole[1])

@@ -20,8 +20,8 @@ from jaxtyping import Float
 
 from jaxik.checks.arrays import RIGID, direction, is_known, is_rigid, numbers, rigid_frame
 from jaxik.checks.options import shown
+from jaxik.kinematics.robot import Array, as_numbers
 from jaxik.pytree import Pytree, static
-from jaxik.robot.chain import Array, as_numbers
 from jaxik.spatial.rotations import frame, rotation_exp, rotation_log
 from jaxik.spmd import kernel
 

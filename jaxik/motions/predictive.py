@@ -30,14 +30,14 @@ from jaxtyping import Float, Int
 
 from jaxik.checks.arrays import is_known, positive, shaped
 from jaxik.checks.options import as_count, batch_axes, changed, check_choices, check_each, check_finite, check_kind, check_seed
+from jaxik.dynamics.recursions import GRAVITY, gravity_torque, kinetic_energy
+from jaxik.kinematics.robot import Array, Robot, as_numbers
+from jaxik.kinematics.task import POSE, Task
 from jaxik.motions.diagnosis import Course, diagnose
 from jaxik.motions.nullspace import FLOOR, Resolved, loop_gain, resolved_velocity, settles
 from jaxik.motions.path import Motion, Path, check_path, motion
 from jaxik.optimise import descent, ocp
 from jaxik.reasons import Reasoned
-from jaxik.robot.chain import Array, Chain, as_numbers
-from jaxik.robot.dynamics import GRAVITY, gravity_torque, kinetic_energy
-from jaxik.robot.task import POSE, Task
 from jaxik.spmd import kernel
 from jaxik.spmd.batch import in_blocks
 
@@ -64,7 +64,7 @@ def quadratic_cost(position: Callable[..., Any] | None = None, velocity: float =
 
 
 def energy_cost(
-    chain: Chain,
+    robot: Robot,
     position: Callable[..., Any] | None = None,
     kinetic: float = 1.0,
     holding: float = 0.0,
@@ -76,12 +76,12 @@ def energy_cost(
 
     That is the energy in the moving masses [J], and the heat in windings that hold them, which grows with the square of torque;
     torques that accelerate are not in it. `torque` (n,) or one number [Nm, N] is what counts as one; `position` and `effort`
-    are those of `quadratic_cost`. Raises `ValueError` for a chain without bodies, when it is called.
+    are those of `quadratic_cost`. Raises `ValueError` for a robot without bodies, when it is called.
     """
 
     def running(q: Any, qdot: Any, w: Any, t: Any, *given: Any) -> Any:
-        held = jnp.sum((gravity_torque(chain, q, gravity) / jnp.asarray(torque, q.dtype)) ** 2) if holding else 0.0
-        level = kinetic * kinetic_energy(chain, q, qdot) + 0.5 * holding * held + 0.5 * effort * jnp.sum(w**2)
+        held = jnp.sum((gravity_torque(robot, q, gravity) / jnp.asarray(torque, q.dtype)) ** 2) if holding else 0.0
+        level = kinetic * kinetic_energy(robot, q, qdot) + 0.5 * holding * held + 0.5 * effort * jnp.sum(w**2)
         return level if position is None else level + position(q, *given)
 
     return running
@@ -117,10 +117,10 @@ class Horizon:
         if not (self.dt > 0.0 and settles(self.gain, self.dt)):
             raise ValueError(f"horizon: dt {self.dt}, gain {self.gain}; allowed: dt > 0, 0 <= gain dt < 2")
 
-    def resolve(self, chain: Chain, q: Any, asked: Motion, u: Any, gain: float | None = None) -> Resolved:
+    def resolve(self, robot: Robot, q: Any, asked: Motion, u: Any, gain: float | None = None) -> Resolved:
         """`resolve_velocity` with these options; with another `gain` if one is given."""
         gain = loop_gain(self.gain, self.dt) if gain is None else gain
-        return resolved_velocity(chain, self.task, self.floor, q, asked, u, gain, self.weights)
+        return resolved_velocity(robot, self.task, self.floor, q, asked, u, gain, self.weights)
 
 
 class Future(NamedTuple):
@@ -167,12 +167,12 @@ def future(path: Path, duration: Any, horizon: Horizon, start: Any = 0.0) -> Fut
     return Future(Motion(*(x.reshape(horizon.count, len(stages), *x.shape[1:]) for x in asked)), time)
 
 
-def problem(chain: Chain, cost: RunningCost, horizon: Horizon, *given: Any, many: bool = False) -> ocp.Problem:
+def problem(robot: Robot, cost: RunningCost, horizon: Horizon, *given: Any, many: bool = False) -> ocp.Problem:
     """The optimal control problem, of one or `many` scenarios; its samples are a `Future`, and what it sees of each is the
     `Resolved`."""
 
     def field(q: Any, u: Any, asked: Motion) -> tuple[Any, Resolved]:
-        found = horizon.resolve(chain, q, asked, u)
+        found = horizon.resolve(robot, q, asked, u)
         return found.rate, found
 
     move = ocp.driven(ocp.integrator(horizon.integrator, field, horizon.dt), horizon.dt)
@@ -181,7 +181,7 @@ def problem(chain: Chain, cost: RunningCost, horizon: Horizon, *given: Any, many
 
 
 def objective(
-    chain: Chain,
+    robot: Robot,
     cost: RunningCost,
     horizon: Horizon,
     q: Any,
@@ -195,9 +195,9 @@ def objective(
     A free start is one more row before the others: the motion before the clock runs, over sqrt(dt), which makes it of one
     measure with them.
     """
-    control = problem(chain, cost, horizon, *given, many=many)
+    control = problem(robot, cost, horizon, *given, many=many)
     root, free = horizon.dt**0.5, horizon.start == "free"
-    begin, inputs = lambda first: self_motion(chain, q, root * first, ahead, horizon), lambda z: z[1:] if free else z
+    begin, inputs = lambda first: self_motion(robot, q, root * first, ahead, horizon), lambda z: z[1:] if free else z
     rest = () if horizon.level == "velocity" else (jnp.zeros_like(q) if u is None else u,)
 
     def value(z: Any) -> Any:
@@ -220,28 +220,28 @@ def objective(
     return descent.Objective(jax.jit(value), slope, lambda a, b: horizon.dt * jnp.sum(a * b), along if many else None)
 
 
-def self_motion(chain: Chain, q: Any, along: Any, ahead: Future, horizon: Horizon, turns: int = 12) -> Any:
+def self_motion(robot: Robot, q: Any, along: Any, ahead: Future, horizon: Horizon, turns: int = 12) -> Any:
     """Where a motion that leaves the tip at the path's start ends: of `qdot = (1 - J# J) along` after 1 s, brought back to the
     path by Newton steps."""
     pose = ahead.asked.pose[0, 0]
     asked = Motion(pose, jnp.zeros(6, pose.dtype), jnp.zeros(6, pose.dtype))
-    turn = lambda q, share: (q + horizon.resolve(chain, q, asked, share * along, 1.0).rate, None)
+    turn = lambda q, share: (q + horizon.resolve(robot, q, asked, share * along, 1.0).rate, None)
     shares = jnp.concatenate([jnp.full(turns, 1.0 / turns), jnp.zeros(4)]).astype(q.dtype)
     return kernel(lambda q, shares: jax.lax.scan(turn, q, shares)[0])(q, shares)
 
 
 @functools.lru_cache(maxsize=32)
-def _program(chain: Chain, cost: RunningCost, horizon: Horizon, axes: Axes | None) -> Callable[..., Prediction]:
+def _program(robot: Robot, cost: RunningCost, horizon: Horizon, axes: Axes | None) -> Callable[..., Prediction]:
     def solve(q: Any, path: Path, duration: Any, w: Any, given: tuple[Any, ...]) -> Prediction:
         ahead = future(path, duration, horizon)
         many = axes is not None and jax.default_backend() == "cpu"
-        goal = objective(chain, cost, horizon, q, ahead, given, many=many)
+        goal = objective(robot, cost, horizon, q, ahead, given, many=many)
         found = descent.run(goal, w, horizon.descend)
         w = found.w[1:] if horizon.start == "free" else found.w
         run, record = found.aux, (found.iterations, found.costs, found.alphas, found.betas)
         (q, *_), seen, asked = run.y, run.seen, ahead.asked
         course = Course(q[:-1], run.v, seen.error, seen.damping, asked.pose[:, 0], costs=run.costs)
-        judged = diagnose(chain, horizon.task, course, horizon.tolerance, keep=True)
+        judged = diagnose(robot, horizon.task, course, horizon.tolerance, keep=True)
         return Prediction(q, run.v, w, run.costs, seen.error, seen.damping, *judged, *record)
 
     return jax.jit(solve if axes is None else jax.vmap(solve, in_axes=axes))
@@ -263,7 +263,7 @@ def outlook(who: str, cost: RunningCost, horizon: Horizon | None, /, given: Any 
 
 
 def predict(
-    chain: Chain,
+    robot: Robot,
     path: Path,
     duration: Any,
     q: Any,
@@ -288,7 +288,7 @@ def predict(
     """
     horizon, more = outlook("predict", cost, horizon, given, **changes)
     q = as_numbers("predict: q", q).astype(jnp.result_type(float))
-    n, free = chain.num_joints, horizon.start == "free"
+    n, free = robot.num_joints, horizon.start == "free"
     shape = (horizon.count + free, n)
     check_each("predict", each, Each)
     check_path("predict", path, duration, q.shape[:1] if "duration" in each else ())
@@ -298,9 +298,9 @@ def predict(
     wanted = (*q.shape[:1], *shape) if "guess" in each else shape
     if q.shape[-1:] != (n,) or q.ndim not in (1, 2) or w.shape != wanted or (each and q.ndim == 1):
         also = "or a leading axis of q, and of what `each` names"
-        raise ValueError(f"predict: q {np.shape(q)} and guess {w.shape}; {chain.name} takes ({n},) and {shape}, {also}")
+        raise ValueError(f"predict: q {np.shape(q)} and guess {w.shape}; {robot.name} takes ({n},) and {shape}, {also}")
     axes = (0, *batch_axes(each, Each)) if q.ndim == 2 else None
-    program, args = _program(chain, cost, horizon, axes), (q, path, duration, w, more)
+    program, args = _program(robot, cost, horizon, axes), (q, path, duration, w, more)
     return program(*args) if axes is None else _in_blocks(program, axes, args)
 
 
@@ -318,7 +318,7 @@ def _in_blocks(program: Callable[..., Prediction], axes: Axes, args: tuple[Any, 
 
 
 def multistart(
-    chain: Chain,
+    robot: Robot,
     path: Path,
     duration: Any,
     q: Any,
@@ -338,7 +338,7 @@ def multistart(
     name, as `predict` takes them.
     """
     horizon, given = outlook("multistart", cost, horizon, **options)
-    count, n = horizon.count, chain.num_joints
+    count, n = horizon.count, robot.num_joints
     q, starts = shaped("multistart: q", q, (n,)), as_count("multistart: starts", starts)
     check_finite("multistart", 0.0, spread=spread)
     check_seed("multistart", seed)
@@ -347,6 +347,6 @@ def multistart(
     waves = np.cos(np.pi * order[:, None] * (np.arange(count) + 0.5) / count)
     inputs = np.einsum("skn,kt->stn", spread * rng.normal(size=(starts, 5, n)) / (1.0 + order)[:, None], waves)
     inputs[0] = 0.0
-    found = predict(chain, path, duration, np.tile(q, (starts, 1)), cost, horizon, inputs, *given, each=("guess",))
+    found = predict(robot, path, duration, np.tile(q, (starts, 1)), cost, horizon, inputs, *given, each=("guess",))
     best = np.lexsort((np.nan_to_num(np.asarray(found.total), nan=np.inf), ~np.asarray(found.success)))
     return jax.tree_util.tree_map(lambda x: np.asarray(x)[best], found)

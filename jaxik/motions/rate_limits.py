@@ -18,8 +18,8 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float
 
+from jaxik.kinematics.robot import Array, Robot
 from jaxik.motions.nullspace import Box
-from jaxik.robot.chain import Array, Chain
 
 
 class RateLimits(NamedTuple):
@@ -31,10 +31,10 @@ class RateLimits(NamedTuple):
     acceleration: Float[Array, " n"]
 
     @staticmethod
-    def of(chain: Chain, limits: bool = True, acceleration: Any = None) -> RateLimits:
-        """The chain's own, unless `limits` is False, and an `acceleration` [rad/s2, m/s2], one for all, (n,) or None. Host."""
-        none = np.full(chain.num_joints, np.inf)
-        own = (chain.lower, chain.upper, chain.velocity) if limits else (-none, none, none)
+    def of(robot: Robot, limits: bool = True, acceleration: Any = None) -> RateLimits:
+        """The robot's own, unless `limits` is False, and an `acceleration` [rad/s2, m/s2], one for all, (n,) or None. Host."""
+        none = np.full(robot.num_joints, np.inf)
+        own = (robot.lower, robot.upper, robot.velocity) if limits else (-none, none, none)
         return RateLimits(*own, np.broadcast_to(np.inf if acceleration is None else np.asarray(acceleration), none.shape))
 
     def rates(self, q: Any, qdot: Any, dt: float) -> Box:

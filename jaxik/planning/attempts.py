@@ -17,7 +17,7 @@ def proven_way(
     space: CollisionChecker, start: np.ndarray, goals: np.ndarray, seed: int, rounds: int, budget: Budget
 ) -> np.ndarray | None:
     """Waypoints (k, n) from the start (n,) to one of the goals (g, n), straight lines between them proven free; or None."""
-    lower, upper = search_range(space.chain, start)
+    lower, upper = search_range(space.robot, start)
     bounds = np.minimum(lower, np.min([start, *goals], axis=0)), np.maximum(upper, np.max([start, *goals], axis=0))
     rng = np.random.default_rng(seed)
     for share in CYCLES:

@@ -13,9 +13,9 @@ from jaxik.collision.bvh import by_volumes, grouped
 from jaxik.collision.clearances import by_object, collides
 from jaxik.collision.continuous_collision import joint_reaches, motion_collides_within, size_of
 from jaxik.collision.scene import Scene
+from jaxik.kinematics.joint_turns import endless, whole_turns
+from jaxik.kinematics.robot import Robot, Volume
 from jaxik.reasons import Reason
-from jaxik.robot.chain import Chain, Volume
-from jaxik.robot.joint_turns import endless, whole_turns
 from jaxik.spmd.batch import in_blocks
 from jaxik.spmd.host import host_kernels
 
@@ -28,19 +28,19 @@ class CollisionChecker:
     is. Rows of configurations are NumPy arrays (b, n).
 
     `weights` (n,) are how far a joint's unit moves the robot at most [m]: distances between configurations are measured so.
-    `checked` counts the configurations that were asked for. Volumes of the chain that are JAX arrays are operands of its
+    `checked` counts the configurations that were asked for. Volumes of the robot that are JAX arrays are operands of its
     kernels: one serves all that an arm carries, if it has as many volumes."""
 
-    def __init__(self, chain: Chain, scene: Scene | None, margin: float, cushion: float = 0.0):
-        self.chain, self.carried = _apart(chain)
+    def __init__(self, robot: Robot, scene: Scene | None, margin: float, cushion: float = 0.0):
+        self.robot, self.carried = _apart(robot)
         self.margin, self.cushion = np.float32(margin), np.float32(cushion)
         narrow = lambda x: np.asarray(x, np.float32 if np.issubdtype(np.result_type(x), np.floating) else None)
-        around = lambda chain: jax.tree_util.tree_map(narrow, grouped(scene, chain))
-        self.obstacles = around(chain)
-        self.model = (by_volumes(self.chain), around(by_volumes(chain))) if chain.surfaces else None
+        around = lambda robot: jax.tree_util.tree_map(narrow, grouped(scene, robot))
+        self.obstacles = around(robot)
+        self.model = (by_volumes(self.robot), around(by_volumes(robot))) if robot.surfaces else None
         self.size = np.float32(size_of(scene))
-        self.endless = endless(chain)
-        self.weights = joint_reaches(jax.tree_util.tree_map(np.asarray, chain) if self.carried else chain)
+        self.endless = endless(robot)
+        self.weights = joint_reaches(jax.tree_util.tree_map(np.asarray, robot) if self.carried else robot)
         self.checked = 0
 
     def length(self, moved: np.ndarray) -> np.ndarray:
@@ -51,8 +51,8 @@ class CollisionChecker:
         """Which configurations come nearer than the margin, and a cushion [m] beyond it."""
         self.checked += len(q)
         margin, turned = self.margin + np.float32(cushion), q - whole_turns(self.endless, q)
-        asked = lambda chain, around, rows: in_blocks(
-            _hits(chain), turned[rows], fixed=(margin, around, self.carried), double=False
+        asked = lambda robot, around, rows: in_blocks(
+            _hits(robot), turned[rows], fixed=(margin, around, self.carried), double=False
         )[0]
         return self._first_by_volumes(asked)
 
@@ -74,21 +74,21 @@ class CollisionChecker:
         turns = whole_turns(self.endless, start)  # float32 has few digits left after many
         begin, finish = start - turns, end - turns
 
-        def asked(chain: Chain, around: Any, rows: Any) -> np.ndarray:
+        def asked(robot: Robot, around: Any, rows: Any) -> np.ndarray:
             fixed = np.float32(resolution), self.size, around, self.carried
-            return in_blocks(_moves(chain), begin[rows], finish[rows], margins[rows], fixed=fixed, double=False)[0]
+            return in_blocks(_moves(robot), begin[rows], finish[rows], margins[rows], fixed=fixed, double=False)[0]
 
         return ~self._first_by_volumes(asked)
 
-    def _first_by_volumes(self, asked: Callable[[Chain, Any, Any], np.ndarray]) -> np.ndarray:
-        """Which rows hit, as `asked` says of a chain, what is around it, and some of the rows: of an exact robot first by its
+    def _first_by_volumes(self, asked: Callable[[Robot, Any, Any], np.ndarray]) -> np.ndarray:
+        """Which rows hit, as `asked` says of a robot, what is around it, and some of the rows: of an exact robot first by its
         volumes and convex parts, which hold its surfaces, and then only of those that hit by these."""
         if self.model is None:
-            return asked(self.chain, self.obstacles, slice(None))
+            return asked(self.robot, self.obstacles, slice(None))
         found = asked(*self.model, slice(None)).copy()
         left = np.flatnonzero(found)
         if len(left):
-            found[left] = asked(self.chain, self.obstacles, left)
+            found[left] = asked(self.robot, self.obstacles, left)
         return found
 
     def proven_closely(self, start: np.ndarray, end: np.ndarray) -> np.ndarray:
@@ -99,18 +99,18 @@ class CollisionChecker:
         return found
 
 
-def touched(chain: Chain, scene: Scene, q: np.ndarray, margin: float) -> np.ndarray:
+def touched(robot: Robot, scene: Scene, q: np.ndarray, margin: float) -> np.ndarray:
     """Which objects of the scene each configuration (b, n) is nearer to than the margin (b, objects)."""
-    alone, carried = _apart(chain)
-    fixed = jax.tree_util.tree_map(np.asarray, grouped(scene, chain, by_object=True)), carried
+    alone, carried = _apart(robot)
+    fixed = jax.tree_util.tree_map(np.asarray, grouped(scene, robot, by_object=True)), carried
     return in_blocks(_objects(alone, len(scene.object_names)), q, fixed=fixed, double=False)[0] < margin
 
 
-def judged(chain: Chain, space: CollisionChecker | None, postures: np.ndarray) -> np.ndarray:
+def judged(robot: Robot, space: CollisionChecker | None, postures: np.ndarray) -> np.ndarray:
     """The reason of each posture (b, n), LIMITS before COLLISION, which is known in a `space` alone; at the limits what float32
     makes of them counts as inside."""
     near = 1e-6 * (1.0 + np.abs(postures))
-    inside = ((postures >= chain.lower - near) & (postures <= chain.upper + near)).all(axis=1)
+    inside = ((postures >= robot.lower - near) & (postures <= robot.upper + near)).all(axis=1)
     hits = np.zeros(len(postures), bool) if space is None else space.hits(postures)
     reason = np.where(~inside, Reason.LIMITS, np.where(hits, Reason.COLLISION, Reason.SOLVED))
     return np.where(np.isfinite(postures).all(axis=1), reason, Reason.INVALID)
@@ -119,31 +119,31 @@ def judged(chain: Chain, space: CollisionChecker | None, postures: np.ndarray) -
 Carried = dict[int, Volume]
 
 
-def _apart(chain: Chain) -> tuple[Chain, Carried]:
-    """The chain without the numbers of those of its volumes that are JAX arrays, and these by their place."""
-    carried = {i: v for i, v in enumerate(chain.volumes) if isinstance(v.corners, jax.Array)}
+def _apart(robot: Robot) -> tuple[Robot, Carried]:
+    """The robot without the numbers of those of its volumes that are JAX arrays, and these by their place."""
+    carried = {i: v for i, v in enumerate(robot.volumes) if isinstance(v.corners, jax.Array)}
     without = lambda v: dataclasses.replace(v, corners=np.zeros(v.corners.shape), radius=np.zeros(()))
-    volumes = tuple(without(v) if i in carried else v for i, v in enumerate(chain.volumes))
-    return (dataclasses.replace(chain, volumes=volumes) if carried else chain), carried
+    volumes = tuple(without(v) if i in carried else v for i, v in enumerate(robot.volumes))
+    return (dataclasses.replace(robot, volumes=volumes) if carried else robot), carried
 
 
-def _together(chain: Chain, carried: Carried) -> Chain:
-    volumes = tuple(carried.get(i, v) for i, v in enumerate(chain.volumes))
-    return dataclasses.replace(chain, volumes=volumes) if carried else chain
-
-
-@host_kernels(1)
-def _hits(chain: Chain, q: Any, margin: Any, obstacles: Any, carried: Carried) -> Any:
-    return collides(_together(chain, carried), obstacles, q, margin)
+def _together(robot: Robot, carried: Carried) -> Robot:
+    volumes = tuple(carried.get(i, v) for i, v in enumerate(robot.volumes))
+    return dataclasses.replace(robot, volumes=volumes) if carried else robot
 
 
 @host_kernels(1)
-def _objects(chain: Chain, count: int, q: Any, obstacles: Any, carried: Carried) -> Any:
-    return by_object(_together(chain, carried), count, obstacles, q)
+def _hits(robot: Robot, q: Any, margin: Any, obstacles: Any, carried: Carried) -> Any:
+    return collides(_together(robot, carried), obstacles, q, margin)
+
+
+@host_kernels(1)
+def _objects(robot: Robot, count: int, q: Any, obstacles: Any, carried: Carried) -> Any:
+    return by_object(_together(robot, carried), count, obstacles, q)
 
 
 @host_kernels(3)
 def _moves(
-    chain: Chain, start: Any, end: Any, margin: Any, resolution: Any, size: Any, obstacles: Any, carried: Carried
+    robot: Robot, start: Any, end: Any, margin: Any, resolution: Any, size: Any, obstacles: Any, carried: Carried
 ) -> Any:
-    return motion_collides_within(_together(chain, carried), start, end, margin, resolution, size, obstacles)
+    return motion_collides_within(_together(robot, carried), start, end, margin, resolution, size, obstacles)

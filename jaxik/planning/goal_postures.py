@@ -10,17 +10,17 @@ from jaxik.collision.scene import Scene
 from jaxik.collision.scene_builder import make_scene
 from jaxik.ik import IKOptions, solve_ik
 from jaxik.ik.sqp_programs import solve_errors
+from jaxik.kinematics.joint_turns import TURN, nearest_turns
+from jaxik.kinematics.robot import Robot
+from jaxik.kinematics.task import Task
 from jaxik.planning.limits import Limits
-from jaxik.robot.chain import Chain
-from jaxik.robot.joint_turns import TURN, nearest_turns
-from jaxik.robot.task import Task
 
 MOST = 512  # answers of a pose, turns of the same posture among them, that are looked through
 SAME = 1e-3  # [rad, m] in each joint: nearer postures are one
 
 
 def postures(
-    chain: Chain,
+    robot: Robot,
     scene: Scene | None,
     starts: np.ndarray,
     poses: np.ndarray,
@@ -35,7 +35,7 @@ def postures(
     No two are the same posture turned: each joint is on the turn nearest to the start (b, n). The soonest reached by a straight
     motion within the `limits` stands first; where the start has the pose already it is the only one.
     """
-    turnable = ~np.array(chain.is_prismatic) & (chain.upper - chain.lower > TURN) & np.isfinite(chain.upper - chain.lower)
+    turnable = ~np.array(robot.is_prismatic) & (robot.upper - robot.lower > TURN) & np.isfinite(robot.upper - robot.lower)
     asked = IKOptions(
         task=task,
         margin=margin,
@@ -45,12 +45,12 @@ def postures(
         reference=np.nan_to_num(starts),  # NaN is told of later
         weights=1.0 / np.minimum(*limits),
     )
-    found = solve_ik(chain, poses, make_scene() if scene is None else scene, seed, asked)
-    nearest = nearest_turns(chain, found.solutions, starts[:, None], chain.lower, chain.upper)
+    found = solve_ik(robot, poses, make_scene() if scene is None else scene, seed, asked)
+    nearest = nearest_turns(robot, found.solutions, starts[:, None], robot.lower, robot.upper)
     order = np.argsort(np.nan_to_num(limits.straight(nearest - starts[:, None]), nan=np.inf), axis=1, kind="stable")
     ordered = np.take_along_axis(nearest, order[..., None], axis=1)
     goals = np.stack([_different(row, count) for row in ordered])
-    there = found.success & _has(chain, task, starts, poses, asked)
+    there = found.success & _has(robot, task, starts, poses, asked)
     goals[there] = np.nan
     goals[there, 0] = starts[there]
     return np.asarray(found.reason), goals
@@ -64,8 +64,8 @@ def _different(q: np.ndarray, count: int) -> np.ndarray:
     return np.concatenate([kept, np.full((count - len(kept), q.shape[1]), np.nan)])
 
 
-def _has(chain: Chain, task: Task, q: np.ndarray, poses: np.ndarray, asked: IKOptions) -> Any:
+def _has(robot: Robot, task: Task, q: np.ndarray, poses: np.ndarray, asked: IKOptions) -> Any:
     """Which configurations (b, n) inside the limits have their poses, within what `solve_ik` was asked for."""
-    inside = np.all((chain.lower <= q) & (q <= chain.upper), axis=1)
-    position, rotation = solve_errors(chain, task, q, poses)
+    inside = np.all((robot.lower <= q) & (q <= robot.upper), axis=1)
+    position, rotation = solve_errors(robot, task, q, poses)
     return inside & (position <= asked.position_tolerance) & (rotation <= asked.rotation_tolerance)

@@ -12,13 +12,13 @@ from jaxik.checks.arrays import check_known, numbers, shaped
 from jaxik.checks.options import as_count, changed, check_choices, check_finite, check_kind
 from jaxik.collision.clearances import check_geometry
 from jaxik.collision.scene import Scene
+from jaxik.kinematics.robot import Robot
 from jaxik.planning.collision_checker import CollisionChecker, judged
 from jaxik.planning.grid_search import MOST, Grid, shortest
 from jaxik.planning.limits import search_range
 from jaxik.planning.outcome import Outcome
 from jaxik.planning.planner import turned
 from jaxik.reasons import Reason
-from jaxik.robot.chain import Chain
 
 FIVE_DEGREES = math.radians(5.0)  # the paper's
 Direction = Literal["forward", "backward", "both"]
@@ -68,7 +68,7 @@ class GridPlanned(Outcome):
 
 
 def plan_on_grid(
-    chain: Chain, scene: Scene | None, start: Any, goal: Any, options: GridOptions | None = None, **changes: Any
+    robot: Robot, scene: Scene | None, start: Any, goal: Any, options: GridOptions | None = None, **changes: Any
 ) -> GridPlanned:
     """The shortest way from `start` to `goal` (n,) over a grid of configurations inside the limits, by A*. Host driver.
 
@@ -83,16 +83,16 @@ def plan_on_grid(
     Raises `ValueError` for arguments of a wrong shape, name or range, and for a grid of more than 10^8 nodes. Source: van
     Henten et al., Collision-free motion planning for a cucumber picking robot, 2003, sec. 4.3.
     """
-    check_kind("plan_on_grid", "chain", chain, Chain)
+    check_kind("plan_on_grid", "robot", robot, Robot)
     check_kind("plan_on_grid", "scene", scene, Scene, optional=True)
     check_kind("plan_on_grid", "options", options, GridOptions, optional=True)
-    check_geometry(chain)
+    check_geometry(robot)
     check_known("plan_on_grid", start=start, goal=goal)
     options = changed("plan_on_grid", options or GridOptions(), changes)
-    ends = np.stack([shaped(f"plan_on_grid: {k}", q, chain.lower.shape) for k, q in (("start", start), ("goal", goal))])
-    ends[1] = turned(chain, ends[:1], ends[1:])[0]
-    grid, space = _grid(chain, options, ends[0]), CollisionChecker(chain, scene, options.margin)
-    verdicts, nodes = judged(chain, space, ends), []
+    ends = np.stack([shaped(f"plan_on_grid: {k}", q, robot.lower.shape) for k, q in (("start", start), ("goal", goal))])
+    ends[1] = turned(robot, ends[:1], ends[1:])[0]
+    grid, space = _grid(robot, options, ends[0]), CollisionChecker(robot, scene, options.margin)
+    verdicts, nodes = judged(robot, space, ends), []
     if not verdicts.any() and (ends[0] == ends[1]).all():
         return GridPlanned(Reason.SOLVED, "", ends, 0.0)
     for where, end, verdict in zip(("start", "goal"), ends, map(Reason, verdicts.tolist()), strict=True):
@@ -114,9 +114,9 @@ def plan_on_grid(
     return GridPlanned(Reason.SOLVED, "", waypoints[kept], found.length, found.expanded, found.judged)
 
 
-def _grid(chain: Chain, options: GridOptions, start: np.ndarray) -> Grid:
+def _grid(robot: Robot, options: GridOptions, start: np.ndarray) -> Grid:
     """From each joint's lower limit on, or from half a turn before the start (n,)."""
-    lower, upper = search_range(chain, np.where(np.isfinite(start), start, 0.0))
+    lower, upper = search_range(robot, np.where(np.isfinite(start), start, 0.0))
     step = numbers("plan_on_grid: step", options.step)
     if step.shape not in ((), lower.shape) or not (np.isfinite(step).all() and (step > 0.0).all()):
         raise ValueError(f"plan_on_grid: step of shape {step.shape}; allowed: a positive number, or one a joint {lower.shape}")

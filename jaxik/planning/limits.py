@@ -8,7 +8,7 @@ import numpy as np
 
 from jaxik.checks.arrays import numbers
 from jaxik.checks.options import shown
-from jaxik.robot.chain import Chain, finite_limits
+from jaxik.kinematics.robot import Robot, finite_limits
 
 UNITS = {  # of a joint that turns, and of one that slides
     "velocity": "[rad/s, m/s]",
@@ -35,11 +35,11 @@ class Limits(NamedTuple):
         return np.where(full, trapezoid, 2.0 / np.sqrt(brisk))  # 0 of what stands still
 
 
-def search_range(chain: Chain, start: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+def search_range(robot: Robot, start: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """`finite_limits`; those of a joint that lacks one are moved as far towards the start (n,) as its other one allows: how
     often it has turned before makes no difference to a search."""
-    lower, upper = finite_limits(chain)
-    least, most = (np.where(np.isfinite(limit), 0.0, end) for limit, end in ((chain.lower, -np.inf), (chain.upper, np.inf)))
+    lower, upper = finite_limits(robot)
+    least, most = (np.where(np.isfinite(limit), 0.0, end) for limit, end in ((robot.lower, -np.inf), (robot.upper, np.inf)))
     moved = np.clip(start - 0.5 * (lower + upper), least, most)
     return lower + moved, upper + moved
 

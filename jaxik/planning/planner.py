@@ -13,6 +13,9 @@ from jaxik.checks.arrays import check_known, is_rigid, numbers
 from jaxik.checks.options import as_count, changed, check_finite, check_kind, check_seed
 from jaxik.collision.clearances import check_geometry
 from jaxik.collision.scene import Scene
+from jaxik.kinematics.joint_turns import nearest_turns
+from jaxik.kinematics.robot import Robot
+from jaxik.kinematics.task import POSE, Task
 from jaxik.planning.attempts import ATTEMPTS, proven_way
 from jaxik.planning.collision_checker import CollisionChecker, judged
 from jaxik.planning.corner_blending import blended
@@ -23,9 +26,6 @@ from jaxik.planning.timing import time_optimal
 from jaxik.planning.trajectory import JointPath, Trajectory, padded, polyline
 from jaxik.planning.tree_search import Budget
 from jaxik.reasons import Reason, Reasoned
-from jaxik.robot.chain import Chain
-from jaxik.robot.joint_turns import nearest_turns
-from jaxik.robot.task import POSE, Task
 
 BRISK = 4.0  # [1/s] how soon a joint has its full velocity, where nothing is said of its acceleration
 
@@ -35,7 +35,7 @@ class PlanOptions:
     """How `plan_motion` searches and times.
 
     margin: least clearance on the way [m].
-    velocity, acceleration: limits (n,), or one number [rad, m and s]; None is the chain's velocity, and four times it a second.
+    velocity, acceleration: limits (n,), or one number [rad, m and s]; None is the robot's velocity, and four times it a second.
     rounds: of the search for a way, in each of four attempts, each with finer samples, begun anew twice; one tries 32 edges.
     timeout: of that search, for one problem [s]; None is no other limit than the rounds, so that `seed` alone decides.
     task, postures: what a pose as the goal binds, and how many different postures that have it the search may choose from,
@@ -103,7 +103,7 @@ class PlannedMotions(Reasoned):
 
 
 def plan_motion(
-    chain: Chain,
+    robot: Robot,
     scene: Scene | None,
     start: Any,
     goal: Any,
@@ -130,8 +130,8 @@ def plan_motion(
     """
     check_known("plan_motion", start=start, goal=goal)
     begin, aim = numbers("plan_motion: start", start), numbers("plan_motion: goal", goal)
-    check_kind("plan_motion", "chain", chain, Chain)
-    n = chain.num_joints
+    check_kind("plan_motion", "robot", robot, Robot)
+    n = robot.num_joints
     pose = aim.shape == (4, 4) and (n != 4 or bool(is_rigid(aim[None])[0]))
     if begin.shape != (n,) or not (pose or aim.shape == (n,) or (aim.ndim == 2 and aim.shape[1:] == (n,) and len(aim))):
         raise ValueError(
@@ -139,11 +139,11 @@ def plan_motion(
             f"(g, {n}) or a pose (4, 4); jaxik.planning.plan_motions takes many starts, each with its own goal"
         )
     aims = aim[None] if pose else aim.reshape(1, -1, n)
-    return _planned("plan_motion", chain, scene, begin[None], aims, pose, seed, options, changes)[0]
+    return _planned("plan_motion", robot, scene, begin[None], aims, pose, seed, options, changes)[0]
 
 
 def plan_motions(
-    chain: Chain,
+    robot: Robot,
     scene: Scene | None,
     starts: Any,
     goals: Any,
@@ -161,8 +161,8 @@ def plan_motions(
     """
     check_known("plan_motions", starts=starts, goals=goals)
     begins, aims = numbers("plan_motions: starts", starts), numbers("plan_motions: goals", goals)
-    check_kind("plan_motions", "chain", chain, Chain)
-    n, b = chain.num_joints, len(np.atleast_1d(begins))
+    check_kind("plan_motions", "robot", robot, Robot)
+    n, b = robot.num_joints, len(np.atleast_1d(begins))
     if not begins.size and not aims.size:
         begins, aims = np.empty((0, n)), np.empty((0, 1, n))
     pose = aims.shape == (b, 4, 4) and (n != 4 or bool(is_rigid(aims).any()))
@@ -173,12 +173,12 @@ def plan_motions(
             f"allowed: starts (b, {n}) and goals (b, {n}), (b, g, {n}) or poses (b, 4, 4), as many of both"
         )
     aims = aims if pose or several else aims[:, None]
-    return PlannedMotions(tuple(_planned("plan_motions", chain, scene, begins, aims, pose, seed, options, changes)))
+    return PlannedMotions(tuple(_planned("plan_motions", robot, scene, begins, aims, pose, seed, options, changes)))
 
 
 def _planned(
     who: str,
-    chain: Chain,
+    robot: Robot,
     scene: Scene | None,
     starts: np.ndarray,
     goals: np.ndarray,
@@ -192,19 +192,19 @@ def _planned(
     check_kind(who, "options", options, PlanOptions, optional=True)
     check_seed(who, seed)
     for name in {"torque", "power"} & set(changes):
-        mend = f"time its way anew by planning.time_optimal(moved.trajectory.path, chain=chain, {name}=...)"
+        mend = f"time its way anew by planning.time_optimal(moved.trajectory.path, robot=robot, {name}=...)"
         raise ValueError(f"{who}: {name} is no option; {mend}, or ask optimise_trajectory, which has {name}=")
     options = changed(who, options or PlanOptions(), changes)
-    check_geometry(chain)
-    limits = motion_limits(who, chain, options)
+    check_geometry(robot)
+    limits = motion_limits(who, robot, options)
     reason = np.zeros(len(starts), int)
     if pose:
-        reason, goals = postures(chain, scene, starts, goals, options.postures, limits, seed, options.task, options.margin)
+        reason, goals = postures(robot, scene, starts, goals, options.postures, limits, seed, options.task, options.margin)
     else:
-        goals = turned(chain, starts[:, None], goals)
-    space = CollisionChecker(chain, scene, options.margin)
-    at_start = judged(chain, space, starts)
-    at_goal = judged(chain, space, goals.reshape(-1, chain.num_joints)).reshape(goals.shape[:2])
+        goals = turned(robot, starts[:, None], goals)
+    space = CollisionChecker(robot, scene, options.margin)
+    at_start = judged(robot, space, starts)
+    at_goal = judged(robot, space, goals.reshape(-1, robot.num_joints)).reshape(goals.shape[:2])
     free = (at_start[:, None] == Reason.SOLVED) & (at_goal == Reason.SOLVED)
     straight = _straight(space, starts, goals, free, limits)
     rows, paths = [], []
@@ -226,20 +226,20 @@ def _planned(
     return [dataclasses.replace(row, trajectory=next(timed)) if row else row for row in rows]
 
 
-def motion_limits(who: str, chain: Chain, options: PlanOptions) -> Limits:
+def motion_limits(who: str, robot: Robot, options: PlanOptions) -> Limits:
     """Of velocity and acceleration, each (n,)."""
-    velocity = numbers(f"{who}: velocity", chain.velocity if options.velocity is None else options.velocity)
+    velocity = numbers(f"{who}: velocity", robot.velocity if options.velocity is None else options.velocity)
     if options.acceleration is None and np.isinf(velocity).any():
-        raise ValueError(f"{who}: {chain.name} has no limits of velocity; give acceleration= [rad/s2, m/s2]")
+        raise ValueError(f"{who}: {robot.name} has no limits of velocity; give acceleration= [rad/s2, m/s2]")
     acceleration = BRISK * velocity if options.acceleration is None else options.acceleration
-    return limits_of(who, velocity, acceleration, (chain.num_joints,))
+    return limits_of(who, velocity, acceleration, (robot.num_joints,))
 
 
-def turned(chain: Chain, starts: np.ndarray, goals: np.ndarray) -> np.ndarray:
+def turned(robot: Robot, starts: np.ndarray, goals: np.ndarray) -> np.ndarray:
     """Goals (b, g, n), joints without limits turned to be nearest to the start (b, 1, n)."""
-    endless = np.isinf(chain.lower) & np.isinf(chain.upper)
+    endless = np.isinf(robot.lower) & np.isinf(robot.upper)
     with np.errstate(invalid="ignore"):  # of what is no number
-        return np.where(endless, nearest_turns(chain, goals, starts, chain.lower, chain.upper), goals)
+        return np.where(endless, nearest_turns(robot, goals, starts, robot.lower, robot.upper), goals)
 
 
 def _refused(pose: int, start: int, goals: np.ndarray) -> Planned:

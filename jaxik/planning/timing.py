@@ -9,12 +9,12 @@ import numpy as np
 
 from jaxik.checks.arrays import numbers
 from jaxik.checks.options import as_count, check_kind
+from jaxik.dynamics.recursions import GRAVITY
+from jaxik.kinematics.robot import Robot
 from jaxik.optimise.time_scaling import fastest
 from jaxik.planning import torque_limits
 from jaxik.planning.limits import limits_of
 from jaxik.planning.trajectory import JointPath, Trajectory
-from jaxik.robot.chain import Chain
-from jaxik.robot.dynamics import GRAVITY
 from jaxik.spmd import HostKernel
 from jaxik.spmd.batch import in_blocks
 
@@ -28,7 +28,7 @@ def time_optimal(
     velocity: Any = None,
     acceleration: Any = None,
     places: int | None = None,
-    chain: Chain | None = None,
+    robot: Robot | None = None,
     torque: Any = None,
     power: Any = None,
     gravity: Any = GRAVITY,
@@ -36,9 +36,9 @@ def time_optimal(
     """The fastest motion along a path, from rest to rest, within `velocity` and `acceleration` (n,) or one number [rad, m and
     s]. Host driver.
 
-    With a `chain`, also within each joint's `torque` [Nm, N], such as `chain.effort`, and `power` |torque rate| [W], (n,) or
+    With a `robot`, also within each joint's `torque` [Nm, N], such as `robot.effort`, and `power` |torque rate| [W], (n,) or
     one number, as `inverse_dynamics` has them in `gravity`; friction is not in them. These hold where the speed is chosen and
-    at three moments between. The velocity is the chain's unless it is given; acceleration may be infinite then, and is unless
+    at three moments between. The velocity is the robot's unless it is given; acceleration may be infinite then, and is unless
     it is given.
 
     Paths that are stacked, with leaves (N, ...), are timed together, as are rows (N, n) of limits. The limits hold at every
@@ -58,8 +58,8 @@ def time_optimal(
     single, (*_, k, n) = lengths.ndim == 1, (*lengths.shape, curve.shape[-1])
     if single:
         lengths, curve = lengths[None], curve[None]
-    limited = _drives(chain, torque, power, gravity, n)
-    given = _given(chain, velocity, acceleration, limited is not None)
+    limited = _drives(robot, torque, power, gravity, n)
+    given = _given(robot, velocity, acceleration, limited is not None)
     limits = limits_of("time_optimal", *given, (len(lengths), n), limited is not None)
     parts = max(FINE, -(-MANY // k)) if places is None else max(LEAST, -(-as_count("time_optimal: places", places) // k))
     known = np.isfinite(lengths).all(axis=1) & np.isfinite(curve).all(axis=(1, 2, 3))
@@ -88,27 +88,27 @@ def _fastest(parts: int, rows: int = 0) -> HostKernel:
     return HostKernel(functools.partial(fastest, parts=parts), 4 + rows)
 
 
-def _drives(chain: Chain | None, torque: Any, power: Any, gravity: Any, n: int) -> torque_limits.Drives | None:
+def _drives(robot: Robot | None, torque: Any, power: Any, gravity: Any, n: int) -> torque_limits.Drives | None:
     """None where nothing limits them. Raises `ValueError` where there is no robot, or one of other joints than the path's n."""
-    check_kind("time_optimal", "chain", chain, Chain, optional=True)
-    if chain is None:
+    check_kind("time_optimal", "robot", robot, Robot, optional=True)
+    if robot is None:
         if not (torque is None and power is None):
-            raise ValueError("time_optimal: torque and power are of a robot; write chain=")
+            raise ValueError("time_optimal: torque and power are of a robot; write robot=")
         return None
-    if chain.num_joints != n:
-        raise ValueError(f"time_optimal: a path of {n} joints, and {chain.name} has {chain.num_joints}")
-    found = torque_limits.drives("time_optimal", chain, torque, power, gravity)
+    if robot.num_joints != n:
+        raise ValueError(f"time_optimal: a path of {n} joints, and {robot.name} has {robot.num_joints}")
+    found = torque_limits.drives("time_optimal", robot, torque, power, gravity)
     return found if found.limited else None
 
 
-def _given(chain: Chain | None, velocity: Any, acceleration: Any, driven: bool) -> tuple[Any, Any]:
+def _given(robot: Robot | None, velocity: Any, acceleration: Any, driven: bool) -> tuple[Any, Any]:
     """The limits of velocity and acceleration, or what is meant where none are given."""
-    if velocity is None and chain is not None:
-        velocity = chain.velocity
+    if velocity is None and robot is not None:
+        velocity = robot.velocity
     if velocity is None:
-        raise ValueError("time_optimal: no velocity; give velocity= [rad/s, m/s], or chain=, whose own is taken then")
+        raise ValueError("time_optimal: no velocity; give velocity= [rad/s, m/s], or robot=, whose own is taken then")
     if acceleration is None and not driven:
-        mend = "give acceleration= [rad/s2, m/s2], or chain= with finite torque= [Nm, N] or power= [W]"
+        mend = "give acceleration= [rad/s2, m/s2], or robot= with finite torque= [Nm, N] or power= [W]"
         raise ValueError(f"time_optimal: nothing limits how it accelerates; {mend}")
     return velocity, np.inf if acceleration is None else acceleration
 

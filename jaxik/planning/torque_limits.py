@@ -18,10 +18,10 @@ import jax.numpy as jnp
 import numpy as np
 
 from jaxik.checks.arrays import shaped
+from jaxik.dynamics.recursions import inverse_dynamics, need_bodies
+from jaxik.kinematics.robot import Robot
 from jaxik.planning.limits import limit_of
 from jaxik.planning.trajectory import along_pieces
-from jaxik.robot.chain import Chain
-from jaxik.robot.dynamics import inverse_dynamics, need_bodies
 from jaxik.spmd.batch import in_blocks
 from jaxik.spmd.host import host_kernels
 
@@ -34,7 +34,7 @@ SLOWER = np.concatenate([1.0 - np.linspace(0.0, 0.95, 300) ** 3, np.geomspace(0.
 class Drives(NamedTuple):
     """A robot in gravity [m/s2, world axes], and the limits of its joints' torque [Nm, N] and power [W], (n,) or more."""
 
-    chain: Chain
+    robot: Robot
     torque: np.ndarray
     power: np.ndarray
     gravity: np.ndarray
@@ -54,14 +54,14 @@ class Forces(NamedTuple):
     slope: np.ndarray
 
 
-def drives(who: str, chain: Chain, torque: Any, power: Any, gravity: Any) -> Drives:
+def drives(who: str, robot: Robot, torque: Any, power: Any, gravity: Any) -> Drives:
     """What is not given is no limit. Raises `ValueError` of `who` as `limit_of` does, for what is no gravity (3,), and for a
     robot without bodies."""
     most = {"torque": torque, "power": power}
-    limits = {k: limit_of(who, k, np.inf if x is None else x, (chain.num_joints,)) for k, x in most.items()}
-    found = Drives(chain, **limits, gravity=shaped(f"{who}: gravity", gravity, (3,)))
+    limits = {k: limit_of(who, k, np.inf if x is None else x, (robot.num_joints,)) for k, x in most.items()}
+    found = Drives(robot, **limits, gravity=shaped(f"{who}: gravity", gravity, (3,)))
     if found.limited:
-        need_bodies(who, chain)
+        need_bodies(who, robot)
     return found
 
 
@@ -78,17 +78,17 @@ def forces(limits: Drives, curve: np.ndarray, lengths: np.ndarray, parts: int) -
 def _along(limits: Drives, *states: np.ndarray) -> list[np.ndarray]:
     """`_forces` of states (..., n)."""
     flat = (x.reshape(-1, x.shape[-1]) for x in states)
-    return [x.reshape(states[0].shape) for x in in_blocks(_forces(limits.chain), *flat, fixed=(limits.gravity,), double=True)]
+    return [x.reshape(states[0].shape) for x in in_blocks(_forces(limits.robot), *flat, fixed=(limits.gravity,), double=True)]
 
 
 @host_kernels(3)
-def _forces(chain: Chain, q: Any, slope: Any, bend: Any, gravity: Any) -> Any:
+def _forces(robot: Robot, q: Any, slope: Any, bend: Any, gravity: Any) -> Any:
     """What multiplies u, what multiplies x, and g (n,) [Nm, N], of a path's q, q' and q''."""
     none, still = jnp.zeros_like(q), jnp.zeros(3, q.dtype)
     return (
-        inverse_dynamics(chain, q, none, slope, gravity=still),
-        inverse_dynamics(chain, q, slope, bend, gravity=still),
-        inverse_dynamics(chain, q, none, none, gravity=gravity),
+        inverse_dynamics(robot, q, none, slope, gravity=still),
+        inverse_dynamics(robot, q, slope, bend, gravity=still),
+        inverse_dynamics(robot, q, none, none, gravity=gravity),
     )
 
 
@@ -151,7 +151,7 @@ def weakest(limits: Drives, given: Forces, parts: int) -> str:
     part, joint = np.unravel_index(np.argmax(still.max(axis=1) / limits.torque), (len(still), still.shape[2]))
     moment = int(np.argmax(still[part, :, joint]))
     need, place = still[part, moment, joint] + _bend(given.still)[0, part, joint], (part + WITHIN[moment]) / parts
-    name, unit = limits.chain.joint_names[joint], "N" if limits.chain.is_prismatic[joint] else "Nm"
+    name, unit = limits.robot.joint_names[joint], "N" if limits.robot.is_prismatic[joint] else "Nm"
     return f"{name} needs {need:.4g} {unit} at waypoint {place:.3g} to stand still; the limit is {limits.torque[joint]:.4g}"
 
 

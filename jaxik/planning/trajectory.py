@@ -19,9 +19,9 @@ from jaxtyping import Float
 
 from jaxik.checks.arrays import is_known, numbers
 from jaxik.checks.options import check_finite
+from jaxik.kinematics.robot import Array
 from jaxik.pytree import Pytree
 from jaxik.reasons import Reason, Reasoned
-from jaxik.robot.chain import Array
 
 _ENDLESS = {
     Reason.INVALID: "its path holds what is no finite number",

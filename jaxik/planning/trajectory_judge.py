@@ -19,24 +19,24 @@ BETWEEN = np.linspace(0.0, 1.0, 5)  # of a span, where torques are judged
 
 
 class Judge:
-    """Of motions given by control points (b, N + degree, n) over N equal spans. What a chain without shapes hits is not known:
+    """Of motions given by control points (b, N + degree, n) over N equal spans. What a robot without shapes hits is not known:
     `space` is None then."""
 
     def __init__(self, terms: Terms, options: TrajectoryOptions):
-        self.chain, self.terms, self.options = terms.chain, terms, options
-        margin, seen = options.margin or 0.0, has_geometry(terms.chain)
-        self.space = CollisionChecker(terms.chain, terms.scene, margin) if seen else None
+        self.robot, self.terms, self.options = terms.robot, terms, options
+        margin, seen = options.margin or 0.0, has_geometry(terms.robot)
+        self.space = CollisionChecker(terms.robot, terms.scene, margin) if seen else None
 
     def postures(self, q: np.ndarray) -> np.ndarray:
         """The reason of each posture (b, n) at which a motion is to begin or end, LIMITS too where the drives cannot hold the
         arm; without a margin it may collide."""
-        verdict, may_collide = judged(self.chain, self.space, q), self.options.margin is None
+        verdict, may_collide = judged(self.robot, self.space, q), self.options.margin is None
         verdict = np.where(may_collide & (verdict == Reason.COLLISION), int(Reason.SOLVED), verdict)
         return np.where((verdict == Reason.SOLVED) & ~self.holds(q), int(Reason.LIMITS), verdict)
 
     def holds(self, q: np.ndarray) -> np.ndarray:
         """(b,): whether the drives hold the arm still in each posture (b, n)."""
-        return torque_limits.holds(self.options.drives(self.chain), q)
+        return torque_limits.holds(self.options.drives(self.robot), q)
 
     def kept(self, problem: collocation.Problem, found: collocation.Found) -> np.ndarray:
         """The reason of each motion (b,) by its limits and targets alone, which are those of the problem."""
@@ -51,7 +51,7 @@ class Judge:
         over = np.maximum(over, self.loaded(found.points).max(axis=1) - 1.0)
         if self.options.degree == 2 and self.options.margin is not None:
             value = splines.turning_values(found.points)
-            over = np.maximum(over, np.maximum(self.chain.lower - value, value - self.chain.upper).max(axis=(1, 2)))
+            over = np.maximum(over, np.maximum(self.robot.lower - value, value - self.robot.upper).max(axis=(1, 2)))
         broken = np.where(over > BROKEN, int(Reason.LIMITS), int(Reason.SOLVED))
         return np.where(missed > BROKEN, int(Reason.NOT_CONVERGED), broken)
 
@@ -92,11 +92,11 @@ class Judge:
         """The least time [s] in which motions that take a second keep their limits."""
         least = np.where(np.isnan(points).any(axis=(1, 2)), np.nan, 0.0)
         points = np.where(np.ptp(points, axis=1, keepdims=True) < BROKEN, points[:, :1], points)  # what does not move
-        for order, limit in enumerate(self.options.limits(self.chain), 1):
+        for order, limit in enumerate(self.options.limits(self.robot), 1):
             if order <= self.options.degree:
                 size = np.abs(splines.applied(splines.DIFFERENCE[order], points)).max(axis=1) * spans**order
                 least = np.maximum(least, (size / limit).max(axis=1) ** (1.0 / order))
-        drives, moves = self.options.drives(self.chain), np.flatnonzero(~np.isnan(least))
+        drives, moves = self.options.drives(self.robot), np.flatnonzero(~np.isnan(least))
         if len(moves) and drives.limited:
             least[moves] = np.maximum(least[moves], torque_limits.least_time(drives, *self.states(points[moves])))
         return least

@@ -24,6 +24,7 @@ from jaxik.checks.arrays import check_known, is_rigid, numbers, rigid_frame
 from jaxik.checks.options import changed, check_finite, check_kind, check_seed, shown
 from jaxik.collision.clearances import check_geometry, has_geometry
 from jaxik.collision.scene import Scene
+from jaxik.kinematics.robot import Robot
 from jaxik.optimise import splines
 from jaxik.planning.planner import turned
 from jaxik.planning.trajectory import JointPath, Trajectory
@@ -31,7 +32,6 @@ from jaxik.planning.trajectory_options import TrajectoryOptions
 from jaxik.planning.trajectory_search import Search, Solved, finer
 from jaxik.planning.trajectory_terms import Target, at_knot, told_apart
 from jaxik.reasons import Reason, Reasoned
-from jaxik.robot.chain import Chain
 
 
 @jax.tree_util.register_dataclass
@@ -56,7 +56,7 @@ class OptimisedTrajectory(Reasoned):
 
 
 def optimise_trajectory(
-    chain: Chain,
+    robot: Robot,
     scene: Scene | None,
     start: Any,
     goal: Any,
@@ -78,31 +78,31 @@ def optimise_trajectory(
     Reasons: SOLVED, proven free between samples too, unless `margin` is None; INVALID, NaN; LIMITS, of the start or the goal,
     where their joints' range or a `torque` that does not hold the arm there is meant, or of velocities, accelerations, torque
     and power in the time given; COLLISION, likewise, or where obstacles only cost, of the best motion; OUT_OF_REACH and
-    others of `solve_ik` for a pose; NOT_CONVERGED. A chain without collision geometry is taken with `margin` None and no
+    others of `solve_ik` for a pose; NOT_CONVERGED. A robot without collision geometry is taken with `margin` None and no
     `collision_weight`; what it hits is not known.
 
     Raises `ValueError` for arguments of a wrong shape, name or range. Sources: Schuetz 2017, ch. 6; Zucker et al. 2013.
     """
-    check_kind("optimise_trajectory", "chain", chain, Chain)
+    check_kind("optimise_trajectory", "robot", robot, Robot)
     check_kind("optimise_trajectory", "scene", scene, Scene, optional=True)
     check_kind("optimise_trajectory", "options", options, TrajectoryOptions, optional=True)
     check_seed("optimise_trajectory", seed)
     check_known("optimise_trajectory", start=start, goal=goal, guess=guess)
     options = changed("optimise_trajectory", options or TrajectoryOptions(), changes)
-    if options.needs_geometry or has_geometry(chain):
-        check_geometry(chain)
-    starts, goals, poses, single = _problems(chain, start, goal)
-    begin = _guess(chain, guess, len(starts))
+    if options.needs_geometry or has_geometry(robot):
+        check_geometry(robot)
+    starts, goals, poses, single = _problems(robot, start, goal)
+    begin = _guess(robot, guess, len(starts))
     if goals is not None:
-        goals = turned(chain, (starts if begin is None else begin[:, -1])[:, None], goals[:, None])[:, 0]
-    search = Search(chain, scene, starts, goals, poses, _targets(via, len(starts), options), seed, options)
+        goals = turned(robot, (starts if begin is None else begin[:, -1])[:, None], goals[:, None])[:, 0]
+    search = Search(robot, scene, starts, goals, poses, _targets(via, len(starts), options), seed, options)
     found = _packed(search, search.run(begin))
     return found if not single else jax.tree_util.tree_map(lambda x: x[0], found)
 
 
-def _problems(chain: Chain, start: Any, goal: Any) -> tuple[np.ndarray, np.ndarray | None, np.ndarray | None, bool]:
+def _problems(robot: Robot, start: Any, goal: Any) -> tuple[np.ndarray, np.ndarray | None, np.ndarray | None, bool]:
     """Starts (b, n); goals (b, n) or poses (b, 4, 4), the other is None; and whether it is one problem."""
-    n = chain.num_joints
+    n = robot.num_joints
     starts, goals = numbers("optimise_trajectory: start", start), numbers("optimise_trajectory: goal", goal)
     starts, goals = (np.zeros((0, n)) if x.shape == (0,) else x for x in (starts, goals))  # no rows are a batch of none
     pose = goals.shape[-2:] == (4, 4) and (goals.ndim == 3 or n != 4 or bool(is_rigid(goals)))
@@ -139,13 +139,13 @@ def _targets(via: Any, count: int, options: TrajectoryOptions) -> tuple[Target, 
     return tuple(found)
 
 
-def _guess(chain: Chain, guess: Any, count: int) -> np.ndarray | None:
+def _guess(robot: Robot, guess: Any, count: int) -> np.ndarray | None:
     if guess is None:
         return None
     given = numbers("optimise_trajectory: guess", guess)
     fits = given.ndim == 2 or (given.ndim == 3 and len(given) == count)
-    if not fits or given.shape[-1] != chain.num_joints or given.shape[-2] < 2:
-        allowed = f"(k, {chain.num_joints}) or ({count}, k, {chain.num_joints}), k >= 2"
+    if not fits or given.shape[-1] != robot.num_joints or given.shape[-2] < 2:
+        allowed = f"(k, {robot.num_joints}) or ({count}, k, {robot.num_joints}), k >= 2"
         raise ValueError(f"optimise_trajectory: guess of shape {given.shape}; allowed: {allowed}")
     if not np.isfinite(given).all():
         raise ValueError("optimise_trajectory: guess holds NaN or infinity; write configurations in equal times")
@@ -155,7 +155,7 @@ def _guess(chain: Chain, guess: Any, count: int) -> np.ndarray | None:
 def _packed(search: Search, kept: list[Solved]) -> OptimisedTrajectory:
     """A row a problem, all over as many spans as the finest needs."""
     terms, options, reason = search.terms, search.options, search.reason
-    count, n, degree = len(search.starts), search.chain.num_joints, options.degree
+    count, n, degree = len(search.starts), search.robot.num_joints, options.degree
     kept = [(rows, found) for rows, found in kept if len(rows)]
     spans = max([options.spans, *(found.points.shape[1] - degree for _, found in kept)])
     points, cost, parts = np.full((count, spans + degree, n), np.nan), np.full(count, np.nan), np.full((count, 4), np.nan)

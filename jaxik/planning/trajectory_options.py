@@ -10,12 +10,12 @@ import numpy as np
 from jaxik.checks.arrays import numbers
 from jaxik.checks.options import as_count, check_finite, check_flag, check_kind, shown
 from jaxik.collision.scene import Scene
+from jaxik.dynamics.recursions import GRAVITY
+from jaxik.kinematics.robot import Robot
+from jaxik.kinematics.task import POSE, POSITION, Task
 from jaxik.planning import torque_limits
 from jaxik.planning.limits import limit_of
 from jaxik.planning.trajectory_terms import Terms
-from jaxik.robot.chain import Chain
-from jaxik.robot.dynamics import GRAVITY
-from jaxik.robot.task import POSE, POSITION, Task
 
 
 @dataclasses.dataclass(frozen=True)
@@ -32,7 +32,7 @@ class TrajectoryOptions:
     activation, self_activation: distances [m] to obstacles and to itself below which that costs, of each link and each by
         itself; the second is as the first unless given.
     arc_length: collision cost by the way the arm moves [m] rather than by time, so that haste does not make it cheap.
-    velocity, acceleration, jerk: limits (n,) or one number [rad, m and s]; None is the chain's velocity, and no other.
+    velocity, acceleration, jerk: limits (n,) or one number [rad, m and s]; None is the robot's velocity, and no other.
     torque, power: limits (n,) or one number [Nm and N, W] of what the drives give, in `gravity` [m/s2, world]; or none.
     task, via_task: what a pose as the goal, and each as a via point, binds.
     postures, kept: how many postures that have the goal's pose are compared, and how many of them are optimised.
@@ -102,21 +102,21 @@ class TrajectoryOptions:
 
     @property
     def needs_geometry(self) -> bool:
-        """Whether a chain must have shapes to collide with: for a margin, or for what collisions cost."""
+        """Whether a robot must have shapes to collide with: for a margin, or for what collisions cost."""
         return self.margin is not None or self.collision_weight > 0.0
 
-    def terms(self, chain: Chain, scene: Scene | None) -> Terms:
+    def terms(self, robot: Robot, scene: Scene | None) -> Terms:
         """What a robot costs with these options; of a duration that is free, within a second and without limits of motion."""
         duration = 1.0 if self.duration is None else float(self.duration)
         first, last = np.broadcast_to(numbers("optimise_trajectory: velocity_cost", self.velocity_cost), 2).tolist()
         smooth = (duration / 7.0) ** 2 if self.degree == 3 else 0.0
-        limits, drives = self.limits(chain), self.drives(chain)
+        limits, drives = self.limits(robot), self.drives(robot)
         if self.duration is None:
-            free = np.full(chain.num_joints, np.inf)
+            free = np.full(robot.num_joints, np.inf)
             limits, drives = [free] * 3, drives._replace(torque=free, power=free)
         velocity, acceleration, jerk = limits
         return Terms(
-            *(chain, scene, duration, self.degree, (first, last)),
+            *(robot, scene, duration, self.degree, (first, last)),
             acceleration_cost=smooth if self.acceleration_cost is None else self.acceleration_cost,
             jerk_cost=self.jerk_cost,
             margin=self.margin,
@@ -132,18 +132,18 @@ class TrajectoryOptions:
             drives=drives,
         )
 
-    def drives(self, chain: Chain) -> torque_limits.Drives:
+    def drives(self, robot: Robot) -> torque_limits.Drives:
         """The robot in its gravity, and the limits of its drives."""
-        return torque_limits.drives("optimise_trajectory", chain, self.torque, self.power, self.gravity)
+        return torque_limits.drives("optimise_trajectory", robot, self.torque, self.power, self.gravity)
 
-    def limits(self, chain: Chain) -> list[np.ndarray]:
+    def limits(self, robot: Robot) -> list[np.ndarray]:
         """Of velocity, acceleration and jerk, each (n,). Raises `ValueError` where no time follows from them, nor is given."""
-        given = {"velocity": chain.velocity if self.velocity is None else self.velocity}
+        given = {"velocity": robot.velocity if self.velocity is None else self.velocity}
         given |= {"acceleration": self.acceleration, "jerk": self.jerk}
-        found = [limit_of("optimise_trajectory", name, x, (chain.num_joints,)) for name, x in given.items()]
+        found = [limit_of("optimise_trajectory", name, x, (robot.num_joints,)) for name, x in given.items()]
         if self.duration is None:
-            drives = self.drives(chain)
+            drives = self.drives(robot)
             if np.isinf([*found[: self.degree], drives.torque, drives.power]).all(axis=0).any():
                 mend = "give velocity= [rad/s, m/s], or duration= [s]"
-                raise ValueError(f"optimise_trajectory: {chain.name} has no limits of velocity; {mend}")
+                raise ValueError(f"optimise_trajectory: {robot.name} has no limits of velocity; {mend}")
         return found

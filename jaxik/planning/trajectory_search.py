@@ -9,6 +9,7 @@ import numpy as np
 
 from jaxik.collision.scene import Scene
 from jaxik.ik import IKOptions, solve_ik
+from jaxik.kinematics.robot import Robot
 from jaxik.optimise import collocation, splines
 from jaxik.planning.collision_checker import CollisionChecker
 from jaxik.planning.planner import PlanOptions, plan_motions
@@ -16,7 +17,6 @@ from jaxik.planning.trajectory_judge import BROKEN, CUSHION, Judge
 from jaxik.planning.trajectory_options import TrajectoryOptions
 from jaxik.planning.trajectory_terms import Target, told_apart
 from jaxik.reasons import Reason
-from jaxik.robot.chain import Chain
 
 MENDS = 4  # rounds in which a motion that is not proven free is mended, the last ones with finer spans
 DEEP = 0.02  # [m] in an obstacle, from which no mending is tried: it is jumped
@@ -32,7 +32,7 @@ class Search:
 
     def __init__(
         self,
-        chain: Chain,
+        robot: Robot,
         scene: Scene | None,
         starts: np.ndarray,
         goals: np.ndarray | None,
@@ -41,9 +41,9 @@ class Search:
         seed: int,
         options: TrajectoryOptions,
     ):
-        self.chain, self.scene, self.starts, self.goals, self.seed, self.options = chain, scene, starts, goals, seed, options
+        self.robot, self.scene, self.starts, self.goals, self.seed, self.options = robot, scene, starts, goals, seed, options
         self.targets = via if poses is None else (*via, Target(1.0, poses, options.task))
-        self.poses, self.terms = poses, options.terms(chain, scene)
+        self.poses, self.terms = poses, options.terms(robot, scene)
         self.soft = self.terms.softened()
         self.judge = Judge(self.terms, options)
         self.reason = np.full(len(starts), int(Reason.NOT_CONVERGED))
@@ -107,7 +107,7 @@ class Search:
             collision=False if self.judge.space is None else "constraint",
         )
         scene = None if self.judge.space is None else self.scene
-        found = solve_ik(self.chain, self.poses[open_], scene, self.seed, asked)
+        found = solve_ik(self.robot, self.poses[open_], scene, self.seed, asked)
         self.reason[open_] = np.where(found.success, int(Reason.NOT_CONVERGED), found.reason)
         counts = np.asarray(found.num_solutions)
         each = np.arange(self.options.postures) < counts[:, None]
@@ -124,7 +124,7 @@ class Search:
         goals = np.full((len(open_), place.max() + 1, ends.shape[1]), np.nan)
         goals[each, place] = ends
         options = PlanOptions(self.options.margin or 0.0, velocity=1.0, acceleration=1.0, rounds=int(self.options.rounds))
-        found = plan_motions(self.chain, self.scene, self.starts[open_], goals, self.seed, options)
+        found = plan_motions(self.robot, self.scene, self.starts[open_], goals, self.seed, options)
         ways = {i: moved.waypoints for i, moved in zip(open_, found, strict=True) if moved.waypoints is not None}
         samples = np.empty((len(ways), 4 * self.options.spans + 1, ends.shape[1]))
         x = np.linspace(0.0, 1.0, samples.shape[1])

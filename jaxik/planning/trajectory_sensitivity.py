@@ -14,18 +14,18 @@ from jaxik.checks.options import changed, check_kind
 from jaxik.collision.clearances import link_clearances
 from jaxik.collision.scene import Scene
 from jaxik.costs import collision_cost
+from jaxik.kinematics.forward import joint_frames
+from jaxik.kinematics.robot import Robot
+from jaxik.kinematics.task import Task
 from jaxik.planning.trajectory_optimiser import OptimisedTrajectory
 from jaxik.planning.trajectory_options import TrajectoryOptions
 from jaxik.planning.trajectory_terms import at_knot
-from jaxik.robot.chain import Chain
-from jaxik.robot.kinematics import joint_frames
-from jaxik.robot.task import Task
 from jaxik.spatial.algebra import Frame, stack, traced
 from jaxik.spmd import kernel
 
 
 def trajectory_cost(
-    chain: Chain,
+    robot: Robot,
     scene: Scene | None,
     found: OptimisedTrajectory,
     goal: Any = None,
@@ -39,7 +39,7 @@ def trajectory_cost(
 
     with the motion and its multipliers as they were `found`: the Lagrangian, whose derivative by anything that the problem
     depends on is that of the least cost [envelope theorem; Nocedal and Wright 2006, sec. 12.8], though nothing is optimised
-    again. So `jax.grad` of it by the scene says where an obstacle is in the way, by the chain which link is too short. `goal`
+    again. So `jax.grad` of it by the scene says where an obstacle is in the way, by the robot which link is too short. `goal`
     (a pose), `via` and the options are those of `optimise_trajectory`; `arc_length` has no such derivative.
 
     It holds where each link has one nearest place. A motion that settles where a link is as far from one obstacle as from
@@ -61,18 +61,18 @@ def trajectory_cost(
         raise ValueError(f"trajectory_cost: {len(asked)} poses, {found.multipliers.shape[0]} when it was found; give the same")
     last = ((curve[-1, 0] * (span := found.trajectory.path.lengths[-1]) + curve[-1, 1]) * span + curve[-1, 2]) * span
     q = jnp.concatenate([curve[:, 3], (last + curve[-1, 3])[None]])
-    total = jnp.asarray(np.sum(found.parts[:3]), q.dtype) + _collision_cost(chain, scene, q, options)
+    total = jnp.asarray(np.sum(found.parts[:3]), q.dtype) + _collision_cost(robot, scene, q, options)
     for (share, pose, task), multipliers in zip(asked, found.multipliers, strict=True):
-        residual = _missed(chain, task, pose, q[round(share * (len(q) - 1))])
+        residual = _missed(robot, task, pose, q[round(share * (len(q) - 1))])
         total += jnp.asarray(multipliers, q.dtype)[: len(residual)] @ residual
     if options.margin is not None:
         pressed = np.flatnonzero(np.any(found.pressure > 1e-9 * np.max(found.pressure, initial=1.0), axis=1))
 
-        asked_of = options.terms(chain, scene).parts
+        asked_of = options.terms(robot, scene).parts
 
         @kernel  # of one number, whose derivative by many obstacles is a row of them and no matrix
         def pressing(q: Any, pressure: Any) -> Any:
-            near = jnp.concatenate([link_clearances(robot, around, q) for robot, around, _ in asked_of])
+            near = jnp.concatenate([link_clearances(part, around, q) for part, around, _ in asked_of])
             return jnp.sum(jnp.where(pressure > 0.0, pressure * jnp.minimum(near, 1e3), 0.0))
 
         if len(pressed):
@@ -81,22 +81,22 @@ def trajectory_cost(
     return total
 
 
-def _collision_cost(chain: Chain, scene: Scene | None, q: Any, options: TrajectoryOptions) -> Any:
+def _collision_cost(robot: Robot, scene: Scene | None, q: Any, options: TrajectoryOptions) -> Any:
     if not options.collision_weight:
         return jnp.zeros((), q.dtype)
-    terms = options.terms(chain, scene)
+    terms = options.terms(robot, scene)
     step = terms.duration / (len(q) - 1)
     weight = jnp.full(len(q), step, q.dtype).at[jnp.array([0, -1])].mul(0.5)
     maximum = options.collision_maximum
 
     @kernel
     def each(q: Any) -> Any:
-        near = ((jnp.minimum(link_clearances(robot, around, q), 1e3), at) for robot, around, at in terms.parts)
+        near = ((jnp.minimum(link_clearances(part, around, q), 1e3), at) for part, around, at in terms.parts)
         return sum(jnp.sum(collision_cost(d, at, maximum)) for d, at in near)
 
     return options.collision_weight * weight @ jax.vmap(each)(q)
 
 
-def _missed(chain: Chain, task: Task, pose: Any, q: Any) -> Any:
-    position, rotation = task.residual(joint_frames(chain, traced(q), dtype=q.dtype).tip, Frame.of_columns(jnp.asarray(pose)))
+def _missed(robot: Robot, task: Task, pose: Any, q: Any) -> Any:
+    position, rotation = task.residual(joint_frames(robot, traced(q), dtype=q.dtype).tip, Frame.of_columns(jnp.asarray(pose)))
     return stack(position + rotation, (len(position) + len(rotation),), q.dtype)

@@ -15,13 +15,13 @@ from jaxik.collision.bvh import at_margin, grouped
 from jaxik.collision.clearances import has_geometry, link_contacts
 from jaxik.collision.continuous_collision import joint_reaches
 from jaxik.collision.scene import Scene
+from jaxik.dynamics.recursions import inverse_dynamics, mass_matrix
+from jaxik.kinematics.forward import jacobian_columns, joint_frames
+from jaxik.kinematics.robot import Robot
+from jaxik.kinematics.task import Task
 from jaxik.optimise import collocation, splines
 from jaxik.optimise.collocation import FAR, Rows
 from jaxik.planning.torque_limits import Drives
-from jaxik.robot.chain import Chain
-from jaxik.robot.dynamics import inverse_dynamics, mass_matrix
-from jaxik.robot.kinematics import jacobian_columns, joint_frames
-from jaxik.robot.task import Task
 from jaxik.spatial.algebra import Frame, stack, traced
 from jaxik.spmd.batch import in_blocks
 from jaxik.spmd.host import host_kernels
@@ -53,7 +53,7 @@ def told_apart(via: Sequence[Target], spans: int) -> bool:
 class Terms:
     """Of one robot in one scene: which limits hold and what costs how much (`TrajectoryOptions`), within `duration` [s]."""
 
-    chain: Chain
+    robot: Robot
     scene: Scene | None
     duration: float
     degree: int
@@ -115,7 +115,7 @@ class Terms:
 
     def clearance(self, q: np.ndarray) -> np.ndarray:
         """Of configurations (b, n): (b,) [m]."""
-        each = (in_blocks(_contacts(chain), q, fixed=(around,), double=True)[0] for chain, around, _ in self._robots)
+        each = (in_blocks(_contacts(robot), q, fixed=(around,), double=True)[0] for robot, around, _ in self._robots)
         return np.min([d.min(axis=1, initial=FAR) for d in each], axis=0)
 
     def _rows(self, spans: int, cautious: bool) -> tuple[Rows, ...]:
@@ -128,7 +128,7 @@ class Terms:
         trapezoid = np.full(len(grown), span)
         trapezoid[[0, -1]] *= 0.5
         rows = [
-            Rows(place, 0.0, self.chain.lower, self.chain.upper),
+            Rows(place, 0.0, self.robot.lower, self.robot.upper),
             Rows(stencil(1), trapezoid * (first + (last - first) * grown), -self.velocity, self.velocity),
         ]
         more = {
@@ -138,32 +138,32 @@ class Terms:
         return (*rows, *(more[order] for order in self.orders[1:]))
 
     @property
-    def parts(self) -> list[tuple[Chain, Scene | None, float]]:
+    def parts(self) -> list[tuple[Robot, Scene | None, float]]:
         """Robots, obstacles, and the distance [m] at which these begin to cost. What costs is the robot's distance to itself,
         and to the scene, each by itself: were it the lesser of both, a link that is always near its neighbour would see nothing
         else, and the cost would have a kink where both are equally far."""
         if not self.apart:
-            return [(self.chain, self.scene, self.activation)]
-        alone = dataclasses.replace(self.chain, self_pairs=())
-        return [(self.chain, None, self.self_activation), (alone, self.scene, self.activation)]
+            return [(self.robot, self.scene, self.activation)]
+        alone = dataclasses.replace(self.robot, self_pairs=())
+        return [(self.robot, None, self.self_activation), (alone, self.scene, self.activation)]
 
     @functools.cached_property
-    def _robots(self) -> list[tuple[Chain, Any, float]]:
-        """The `parts` with their obstacles by place; none of a chain without shapes."""
-        known = has_geometry(self.chain)
-        around = lambda chain, scene: at_margin(grouped(scene, chain), self.margin or 0.0)
-        return [(chain, around(chain, scene), near) for chain, scene, near in self.parts] if known else []
+    def _robots(self) -> list[tuple[Robot, Any, float]]:
+        """The `parts` with their obstacles by place; none of a robot without shapes."""
+        known = has_geometry(self.robot)
+        around = lambda robot, scene: at_margin(grouped(scene, robot), self.margin or 0.0)
+        return [(robot, around(robot, scene), near) for robot, scene, near in self.parts] if known else []
 
     @functools.cached_property
     def _reaches(self) -> np.ndarray:
-        return joint_reaches(self.chain)
+        return joint_reaches(self.robot)
 
     def _samples(self, extra: Any, open_end: bool, q: np.ndarray, rate: np.ndarray, which: np.ndarray) -> collocation.Samples:
         """What is near configurations (b, k, n) at knots, of problems `which` (b,): what it costs (6.7), and its margins."""
         count, knots, n = q.shape
         distances, slopes, near = [], [], []
-        for chain, around, activation in self._robots:
-            d, slope = in_blocks(_contacts(chain), q.reshape(-1, n), fixed=(around,), double=True)
+        for robot, around, activation in self._robots:
+            d, slope = in_blocks(_contacts(robot), q.reshape(-1, n), fixed=(around,), double=True)
             distances.append(np.minimum(d, FAR).reshape(count, knots, -1))
             slopes.append(slope.reshape(count, knots, -1, n))
             near.append(np.full(d.shape[1], activation))
@@ -189,7 +189,7 @@ class Terms:
     def _loads(self, q: np.ndarray, rate: np.ndarray, bend: np.ndarray, _: np.ndarray) -> collocation.Loads:
         """Torques and powers of states (b, k, n) as shares of their limits, where these are finite, and their slopes."""
         flat = (x.reshape(-1, x.shape[2]) for x in (q, rate, bend))
-        torque, slopes = in_blocks(_torques(self.chain), *flat, fixed=(self.drives.gravity,), double=True)
+        torque, slopes = in_blocks(_torques(self.robot), *flat, fixed=(self.drives.gravity,), double=True)
         torque, slopes = torque.reshape(q.shape), slopes.reshape(*q.shape, 3, q.shape[2])
         power = rate[..., None, None] * slopes
         power[..., 1, :] += torque[..., None] * np.eye(q.shape[2])
@@ -206,28 +206,28 @@ class Terms:
         for j, target in enumerate(targets):
             bound = sum(target.task.bound)
             asked = q[:, j], np.ascontiguousarray(target.pose[which]), multipliers[:, j, :bound]
-            residual, slopes, bend = in_blocks(_reached(self.chain, target.task), *asked, double=True)
+            residual, slopes, bend = in_blocks(_reached(self.robot, target.task), *asked, double=True)
             more = ((0, 0), (0, count - bound))
             parts.append((np.pad(residual, more), np.pad(slopes, (*more, (0, 0))), bend))
         return collocation.Equations(*(np.stack(each, axis=1) for each in zip(*parts, strict=True)))
 
 
 @host_kernels(1)
-def _contacts(chain: Chain, q: Any, around: Any) -> Any:
+def _contacts(robot: Robot, q: Any, around: Any) -> Any:
     """Each link's clearance (l,) and its slopes (l, n)."""
-    apart, slopes = link_contacts(chain, around, q)
+    apart, slopes = link_contacts(robot, around, q)
     return apart, jnp.stack(slopes, axis=-1)
 
 
 @host_kernels(3)
-def _reached(chain: Chain, task: Task, q: Any, pose: Any, multipliers: Any) -> Any:
+def _reached(robot: Robot, task: Task, q: Any, pose: Any, multipliers: Any) -> Any:
     """The task's residual (m,), its slopes (m, n), and the second derivative of their sum by the multipliers (n, n)."""
 
     def pull(q: Any) -> Any:
         x, target = traced(q), Frame.of_columns(pose)
-        frames = joint_frames(chain, x, dtype=q.dtype)
+        frames = joint_frames(robot, x, dtype=q.dtype)
         position, rotation = task.residual(frames.tip, target)
-        rows = task.rows(jacobian_columns(chain, frames), target)
+        rows = task.rows(jacobian_columns(robot, frames), target)
         slopes = stack([entry for row in rows for entry in row], (len(rows), len(x)), q.dtype)
         return multipliers @ slopes, (stack(position + rotation, (len(rows),), q.dtype), slopes)
 
@@ -236,14 +236,14 @@ def _reached(chain: Chain, task: Task, q: Any, pose: Any, multipliers: Any) -> A
 
 
 @host_kernels(3)
-def _torques(chain: Chain, q: Any, rate: Any, bend: Any, gravity: Any) -> Any:
+def _torques(robot: Robot, q: Any, rate: Any, bend: Any, gravity: Any) -> Any:
     """The drives' torques (n,), and their slopes (n, 3, n) by q, rates and their rates."""
     n = len(q)
-    torque = lambda q, rate: inverse_dynamics(chain, q, rate, bend, gravity=gravity)
+    torque = lambda q, rate: inverse_dynamics(robot, q, rate, bend, gravity=gravity)
 
     def along(tangent: Any) -> Any:  # one at a time, or the program would be as long as all of them
         return jax.jvp(torque, (q, rate), (tangent[:n], tangent[n:]))[1]
 
     slopes = jax.lax.map(along, jnp.eye(2 * n, dtype=q.dtype))
     by_state = jnp.stack([slopes[:n].T, slopes[n:].T], axis=1)
-    return torque(q, rate), jnp.concatenate([by_state, mass_matrix(chain, q)[:, None]], axis=1)
+    return torque(q, rate), jnp.concatenate([by_state, mass_matrix(robot, q)[:, None]], axis=1)

@@ -18,11 +18,11 @@ import numpy as np
 
 from jaxik.analytic.families import Solver, solver_of
 from jaxik.checks.options import as_count
+from jaxik.kinematics.forward import joint_frames
+from jaxik.kinematics.joint_turns import TURN
+from jaxik.kinematics.reach_bound import ReachBound, reach_bound
+from jaxik.kinematics.robot import Robot, finite_limits
 from jaxik.reach.leading_joints import arm_of, grid, may_be_inside, whole_turns
-from jaxik.robot.chain import Chain, finite_limits
-from jaxik.robot.joint_turns import TURN
-from jaxik.robot.kinematics import joint_frames
-from jaxik.robot.reach_bound import ReachBound, reach_bound
 from jaxik.spatial.algebra import Frame
 from jaxik.spatial.ball import Ball, ball, possible, whole
 from jaxik.spmd import HostKernel
@@ -44,25 +44,25 @@ class Certified(NamedTuple):
     open: np.ndarray
 
 
-def certify(chain: Chain, poses: np.ndarray, slides: Any, depth: int) -> Certified:
-    """Looks between the positions of `leading_grid(chain, slides)` for the poses `base_T_tip` (N, 4, 4) that have no
+def certify(robot: Robot, poses: np.ndarray, slides: Any, depth: int) -> Certified:
+    """Looks between the positions of `leading_grid(robot, slides)` for the poses `base_T_tip` (N, 4, 4) that have no
     posture on it, halving what stays possible `depth` times. In float64."""
-    solver, slides = solver_of(chain), as_count("slides", slides)
+    solver, slides = solver_of(robot), as_count("slides", slides)
     k = len(solver.limits()[0])
     found = Certified(np.full((len(poses), k), np.nan), np.full(len(poses), -1), np.zeros(len(poses), bool))
     for start in range(0, len(poses), PORTION) if k else ():  # six joints have all their postures
         part = slice(start, start + PORTION)
-        _search(chain, poses[part], slides, depth, Certified(*(column[part] for column in found)))
+        _search(robot, poses[part], slides, depth, Certified(*(column[part] for column in found)))
     found.open[found.branch < 0] |= not solver.proves
     return found
 
 
-def _search(chain: Chain, poses: np.ndarray, slides: int, depth: int, found: Certified) -> None:
-    arm = arm_of(chain)
-    centres, half = _cells(chain, slides)
+def _search(robot: Robot, poses: np.ndarray, slides: int, depth: int, found: Certified) -> None:
+    arm = arm_of(robot)
+    centres, half = _cells(robot, slides)
     cells = lambda target, centre: (poses[target], centre)
     ways = lambda target, centre, way: (poses[target], centre, SIGNS[way])
-    target, cell = np.nonzero(_within_reach(chain, poses, slides))
+    target, cell = np.nonzero(_within_reach(robot, poses, slides))
     centre = centres[cell]
     halves = grid([np.array([-0.5, 0.5])] * centre.shape[1])
     for level in range(depth + 1):
@@ -86,10 +86,10 @@ def _search(chain: Chain, poses: np.ndarray, slides: int, depth: int, found: Cer
     found.open[target] = True
 
 
-def beyond(chain: Chain, poses: np.ndarray) -> np.ndarray:
-    """Whether each of the poses (N, 4, 4) is proven to be out of reach: of the chain, or of the arm at any leading position."""
-    spheres = _spheres(chain, COARSE)
-    (found,) = in_blocks(_BEYOND, poses, fixed=(reach_bound(chain), spheres[0].tip_p, *spheres[1:]), double=True)
+def beyond(robot: Robot, poses: np.ndarray) -> np.ndarray:
+    """Whether each of the poses (N, 4, 4) is proven to be out of reach: of the robot, or of the arm at any leading position."""
+    spheres = _spheres(robot, COARSE)
+    (found,) = in_blocks(_BEYOND, poses, fixed=(reach_bound(robot), spheres[0].tip_p, *spheres[1:]), double=True)
     return found
 
 
@@ -103,18 +103,18 @@ def _beyond(pose: Any, bound: ReachBound, tip_p: Any, origin: Any, within: Any) 
 _BEYOND = HostKernel(_beyond, 1)
 
 
-def _cells(chain: Chain, slides: int) -> tuple[np.ndarray, np.ndarray]:
+def _cells(robot: Robot, slides: int) -> tuple[np.ndarray, np.ndarray]:
     """The middles (m, k) of the cells between the grid's positions, and half their edges (k,)."""
-    low, high = solver_of(chain).limits()
-    count = np.maximum(np.where(whole_turns(chain), slides, slides - 1), 1)
+    low, high = solver_of(robot).limits()
+    count = np.maximum(np.where(whole_turns(robot), slides, slides - 1), 1)
     half = (high - low) / (2.0 * count)
     axes = [a + h * (2.0 * np.arange(n) + 1.0) for a, h, n in zip(low, half, count, strict=True)]
     return grid(axes), half
 
 
-def _within_reach(chain: Chain, poses: np.ndarray, slides: int) -> np.ndarray:
+def _within_reach(robot: Robot, poses: np.ndarray, slides: int) -> np.ndarray:
     """Which cells (N, m) may have the arm near enough to a pose, by its reach: cheap, and most are not."""
-    bound, origin, within = _spheres(chain, slides)
+    bound, origin, within = _spheres(robot, slides)
     points = bound.point(poses)
     # |p - o|^2 by its parts: a fifth of the time of differences, and rounding is far below the slack. Not by `@`: BLAS lets its
     # threads spin for a while after a product, on the cores that the other chunk wants
@@ -124,34 +124,34 @@ def _within_reach(chain: Chain, poses: np.ndarray, slides: int) -> np.ndarray:
 
 
 @functools.lru_cache(maxsize=64)
-def _spheres(chain: Chain, slides: int) -> tuple[ReachBound, np.ndarray, np.ndarray]:
+def _spheres(robot: Robot, slides: int) -> tuple[ReachBound, np.ndarray, np.ndarray]:
     """The arm's reach; and of each cell the sphere's centre (m, 3) that it fills, and `radius^2 - |centre|^2` (m,): without
     bound where a leading joint turns, which moves the arm's base by what its own reach is."""
-    centres, half = _cells(chain, slides)
-    k = solver_of(chain).first
-    bound = reach_bound(chain.part(k, chain.num_joints))
-    if not k or not all(chain.is_prismatic[:k]):
+    centres, half = _cells(robot, slides)
+    k = solver_of(robot).first
+    bound = reach_bound(robot.part(k, robot.num_joints))
+    if not k or not all(robot.is_prismatic[:k]):
         return bound, np.zeros((len(centres), 3)), np.full(len(centres), np.inf)
-    frame: Frame = joint_frames(chain.part(0, k), list(centres.astype(np.float64).T[:k])).joints[-1]
+    frame: Frame = joint_frames(robot.part(0, k), list(centres.astype(np.float64).T[:k])).joints[-1]
     origin = (frame.matrices @ np.append(bound.origin, 1.0))[:, :3]
     return bound, origin, (bound.longest + float(half[:k].sum()) + SLACK) ** 2 - np.sum(origin * origin, axis=1)
 
 
 @host_kernels(2)
-def _reaches(chain: Chain, pose: Any, centre: Any, half: Any) -> Any:
+def _reaches(robot: Robot, pose: Any, centre: Any, half: Any) -> Any:
     """Compiled, by rows: which of the ways (4,) of joints 1 to 3 can be inside the limits anywhere in a cell. Most cannot, and
     what is left costs four times as much to look at."""
-    solver = solver_of(chain)
+    solver = solver_of(robot)
     ways = solver.half_branches(pose, Ball.inputs(centre, half), within=solver.away)
-    return jnp.stack([possible(way.margin >= -SLACK) & may_be_inside(chain, way.turns, SLACK) for way in ways])
+    return jnp.stack([possible(way.margin >= -SLACK) & may_be_inside(robot, way.turns, SLACK) for way in ways])
 
 
 @host_kernels(3)
-def _enclosed(chain: Chain, pose: Any, centre: Any, signs: Any, half: Any) -> tuple[Any, Any]:
+def _enclosed(robot: Robot, pose: Any, centre: Any, signs: Any, half: Any) -> tuple[Any, Any]:
     """Compiled, by rows, for the way of joints 1 to 3 that has these signs: whether one of its two branches can be inside the
     limits anywhere in a cell, and the first that is in its middle, or -1."""
     leading = Ball.inputs(centre, half)
-    solver = solver_of(chain)
+    solver = solver_of(robot)
     (way,) = solver.half_branches(pose, leading, ((signs[0],), (signs[1],)), within=solver.away)
     (may, one), (may_two, two) = (_inside(solver, *branch) for branch in way.finish())
     return may | may_two, jnp.where(one, 0, jnp.where(two, 1, -1))
@@ -159,11 +159,11 @@ def _enclosed(chain: Chain, pose: Any, centre: Any, signs: Any, half: Any) -> tu
 
 def _inside(solver: Solver, angles: Any, margin: Any) -> tuple[Any, Any]:
     """Whether the solved joints, at these balls of angles, can be inside their limits, and whether they are in the middle."""
-    low, high = (x[solver.solved] for x in finite_limits(solver.chain))
+    low, high = (x[solver.solved] for x in finite_limits(solver.robot))
     middle, reach_ = (low + high) / 2.0, (high - low) / 2.0
     margin = ball(margin)  # what no given joint moves is a number
     may, is_ = possible(margin >= -SLACK), margin.mid >= 0.0
-    for i in np.flatnonzero(solver.chain.is_limited[solver.solved]):
+    for i in np.flatnonzero(solver.robot.is_limited[solver.solved]):
         away = ball(angles[i]) - middle[i]
         away = abs(away - whole(away * (1.0 / TURN)) * TURN)
         may &= possible(away <= reach_[i] + SLACK)

@@ -20,8 +20,8 @@ from jax import lax
 from jaxik.analytic.families import solver_of
 from jaxik.analytic.half_branches import HalfBranch
 from jaxik.checks.options import as_count_or_values
-from jaxik.robot.chain import Chain, finite_limits
-from jaxik.robot.joint_turns import TURN
+from jaxik.kinematics.joint_turns import TURN
+from jaxik.kinematics.robot import Robot, finite_limits
 from jaxik.spatial.ball import possible
 from jaxik.spmd.batch import in_blocks
 from jaxik.spmd.host import host_kernels
@@ -30,23 +30,23 @@ NOTHING = -2.0  # freedom of a branch that does not have the pose; past its limi
 NEARLY = 1e-3  # of a cosine, by which what is not looked at closely may be past a limit
 
 
-def leading_grid(chain: Chain, slides: Any) -> np.ndarray:
+def leading_grid(robot: Robot, slides: Any) -> np.ndarray:
     """Values (m, k) of the k leading joints: as given (of one joint (m,) too), or a grid over their ranges, a count each, of
     which a whole turn has one end only; one empty row for k = 0. Raises `ValueError` for what is neither a count nor such
     values, and where there is no closed form."""
-    low, high = solver_of(chain).limits()
-    k, around = len(low), whole_turns(chain)
+    low, high = solver_of(robot).limits()
+    k, around = len(low), whole_turns(robot)
     slides = as_count_or_values("slides", slides, (-1, k))
     if isinstance(slides, np.ndarray):
         return slides
     return grid([np.linspace(a, b, slides, endpoint=not turn) for a, b, turn in zip(low, high, around, strict=True)])
 
 
-def whole_turns(chain: Chain) -> np.ndarray:
+def whole_turns(robot: Robot) -> np.ndarray:
     """Which of the leading values (k,) have a whole turn as their range, both ends of which are one posture."""
-    solver = solver_of(chain)
+    solver = solver_of(robot)
     low, high = solver.limits()
-    turning = np.array([not chain.is_prismatic[i] for i in solver.given_joints], bool)
+    turning = np.array([not robot.is_prismatic[i] for i in solver.given_joints], bool)
     turning = np.insert(turning, solver.first, [True] * solver.family.parameters)
     return turning & (np.abs(high - low - TURN) <= 1e-9)
 
@@ -73,12 +73,12 @@ class Freest(NamedTuple):
     branches: np.ndarray
 
 
-def freest(chain: Chain, poses: np.ndarray, leading: np.ndarray) -> Freest:
+def freest(robot: Robot, poses: np.ndarray, leading: np.ndarray) -> Freest:
     """The freest posture of each of the poses `base_T_tip` (N, 4, 4) over `leading` (m, k) [m, rad]; in float32."""
     size = next(s for s in (4**n for n in range(2, 16)) if s >= len(leading))
     padded = np.concatenate([leading, np.repeat(leading[:1], size - len(leading), axis=0)])
     asked = lambda poses, past: Freest(
-        *in_blocks(_freest(arm_of(chain), size), poses, fixed=(padded, np.int32(len(leading)), past), double=False)
+        *in_blocks(_freest(arm_of(robot), size), poses, fixed=(padded, np.int32(len(leading)), past), double=False)
     )
     poses = poses.astype(np.float32)
     found = asked(poses, False)
@@ -89,26 +89,26 @@ def freest(chain: Chain, poses: np.ndarray, leading: np.ndarray) -> Freest:
 
 
 @functools.lru_cache(maxsize=64)
-def arm_of(chain: Chain) -> Chain:
-    """The chain without its mount and the strokes of its leading slides, which enter no program of this module: another place
+def arm_of(robot: Robot) -> Robot:
+    """The robot without its mount and the strokes of its leading slides, which enter no program of this module: another place
     or another stroke compiles nothing."""
-    sliding = np.array(chain.is_prismatic)
-    lower, upper = np.where(sliding, -np.inf, chain.lower), np.where(sliding, np.inf, chain.upper)
-    return dataclasses.replace(chain, lower=lower, upper=upper, world_T_base=np.eye(4))
+    sliding = np.array(robot.is_prismatic)
+    lower, upper = np.where(sliding, -np.inf, robot.lower), np.where(sliding, np.inf, robot.upper)
+    return dataclasses.replace(robot, lower=lower, upper=upper, world_T_base=np.eye(4))
 
 
 @host_kernels(1)
-def _freest(chain: Chain, size: int, pose: Any, leading: Any, many: Any, past: Any) -> tuple[Any, ...]:
+def _freest(robot: Robot, size: int, pose: Any, leading: Any, many: Any, past: Any) -> tuple[Any, ...]:
     """Compiled, by rows of poses: `Freest` over the first `many` of the leading positions (size, k); among the ways of joints 1
     to 3 that may be inside the limits or, if `past`, all that have the pose. What no lane asks for is not computed."""
 
     def turn(best: _Best, i: Any) -> tuple[_Best, Any]:
-        ways = solver_of(chain).half_branches(pose, leading[i])
-        may = [(way.margin >= 0.0) & (past | may_be_inside(chain, way.turns, NEARLY)) for way in ways]
+        ways = solver_of(robot).half_branches(pose, leading[i])
+        may = [(way.margin >= 0.0) & (past | may_be_inside(robot, way.turns, NEARLY)) for way in ways]
 
         def solved(best: _Best) -> _Best:
             for number, way in enumerate(ways):
-                freer = functools.partial(_freer, chain, leading[i], i, number, way)
+                freer = functools.partial(_freer, robot, leading[i], i, number, way)
                 best = lax.cond(may[number], freer, lambda best: best, best)
             return best
 
@@ -132,9 +132,9 @@ class _Best(NamedTuple):
     here: Any
 
 
-def _freer(chain: Chain, leading: Any, lead: Any, number: int, way: HalfBranch, best: _Best) -> _Best:
+def _freer(robot: Robot, leading: Any, lead: Any, number: int, way: HalfBranch, best: _Best) -> _Best:
     """With the two branches of a way of joints 1 to 3; of those that are as free the first way counts, and its first lead."""
-    one, two = (_freedom(chain, leading, *branch) for branch in way.finish())
+    one, two = (_freedom(robot, leading, *branch) for branch in way.finish())
     freedom, branch = jnp.maximum(one, two), 2 * number + (two > one).astype(jnp.int32)
     better = (freedom > best.freedom) | ((freedom == best.freedom) & (number < best.branch // 2))
     bits = [(each >= 0.0).astype(jnp.uint8) for each in (one, two)]
@@ -143,26 +143,26 @@ def _freer(chain: Chain, leading: Any, lead: Any, number: int, way: HalfBranch, 
     return _Best(freedom, lead, branch, best.inside + sum(bits).astype(jnp.int32), here)
 
 
-def may_be_inside(chain: Chain, turns: Any, slack: float) -> Any:
+def may_be_inside(robot: Robot, turns: Any, slack: float) -> Any:
     """Whether the joints whose sines and cosines are known (of balls: any in them) are inside their limits or past them by no
     more than `slack` of a cosine: `cos(q - middle) >= cos(half)`, which needs no angle."""
-    low, high = finite_limits(chain)
+    low, high = finite_limits(robot)
     inside: Any = True
     for i, (sin, cos) in turns.items():
         middle, half = (low[i] + high[i]) / 2.0, (high[i] - low[i]) / 2.0
-        if chain.is_limited[i] and half < np.pi:
+        if robot.is_limited[i] and half < np.pi:
             inside &= possible(cos * math.cos(middle) + sin * math.sin(middle) >= math.cos(half) - slack)
     return inside
 
 
-def _freedom(chain: Chain, leading: Any, angles: Any, margin: Any) -> Any:
+def _freedom(robot: Robot, leading: Any, angles: Any, margin: Any) -> Any:
     """`joint_limit_margin` of a branch, its angles turned to the middle of their ranges; `NOTHING` where it lacks the pose."""
-    low, high = finite_limits(chain)
+    low, high = finite_limits(robot)
     middle, half = (low + high) / 2.0, np.maximum((high - low) / 2.0, 1e-9)
-    solver = solver_of(chain)
+    solver = solver_of(robot)
     joints = solver.joints(leading, angles)
     least: Any = 1.0
-    for i in np.flatnonzero(chain.is_limited & ~np.array(chain.is_prismatic)):
+    for i in np.flatnonzero(robot.is_limited & ~np.array(robot.is_prismatic)):
         away = joints[i] - middle[i]
         if i not in solver.solved:  # given, and so inside
             each = jnp.maximum(1.0 - jnp.abs(away) * (1.0 / half[i]), 0.0)

@@ -21,10 +21,10 @@ from jaxik.checks.options import as_count, check_finite
 from jaxik.collision.bvh import Grouped, grouped
 from jaxik.collision.clearances import check_geometry, clearance
 from jaxik.collision.scene import Scene
+from jaxik.kinematics.forward import forward_kinematics, jacobian
+from jaxik.kinematics.robot import Array, Robot, as_numbers, as_shaped, finite_limits
 from jaxik.optimise.linear import definite_solve
 from jaxik.reach.leading_joints import arm_of, leading_grid
-from jaxik.robot.chain import Array, Chain, as_numbers, as_shaped, finite_limits
-from jaxik.robot.kinematics import forward_kinematics, jacobian
 from jaxik.spmd import kernel
 from jaxik.spmd.batch import in_blocks
 from jaxik.spmd.host import host_kernels
@@ -37,7 +37,7 @@ REACH = 0.075  # [m] of clearance that is worth as much as a joint in the middle
 
 
 def reach_score(
-    chain: Chain,
+    robot: Robot,
     scene: Scene | None,
     poses: Float[Array, "k 4 4"],
     q: Float[Array, "k n"],
@@ -51,15 +51,15 @@ def reach_score(
 
     with margins of clearance (1 at 75 mm) and of each joint to its limits (1 in the middle), and what the tip falls short by.
 
-    Pure: differentiate it in `poses`, in `chain.world_T_base` (`chain.mounted(frame)`), in any number of the chain
+    Pure: differentiate it in `poses`, in `robot.world_T_base` (`robot.mounted(frame)`), in any number of the robot
     (`dataclasses.replace`) and in the scene. `margin` [m] is the least clearance, `temperature` T how much is smoothed (0 to
     1).
     """
-    return jnp.exp(log_reach_score(chain, scene, poses, q, margin, temperature))
+    return jnp.exp(log_reach_score(robot, scene, poses, q, margin, temperature))
 
 
 def log_reach_score(
-    chain: Chain,
+    robot: Robot,
     scene: Scene | None,
     poses: Float[Array, "k 4 4"],
     q: Float[Array, "k n"],
@@ -69,39 +69,39 @@ def log_reach_score(
     """The logarithm of `reach_score`: what to add up over targets and climb, for it has a slope metres away too, where the
     score itself is 0 to the last bit. Traced. Raises `ValueError` for other shapes."""
     poses, q = as_numbers("poses", poses), as_numbers("q", q)
-    if poses.shape != (*q.shape[:1], 4, 4) or q.shape[1:] != (chain.num_joints,) or not len(q):
+    if poses.shape != (*q.shape[:1], 4, 4) or q.shape[1:] != (robot.num_joints,) or not len(q):
         raise ValueError(
-            f"poses {poses.shape} and q {q.shape}; {chain.name} takes (k, 4, 4) and (k, {chain.num_joints}), k >= 1"
+            f"poses {poses.shape} and q {q.shape}; {robot.name} takes (k, 4, 4) and (k, {robot.num_joints}), k >= 1"
         )
     as_shaped("margin", margin, ())
     as_shaped("temperature", temperature, ())
-    around = None if scene is None else grouped(scene, chain)
-    each = jax.vmap(lambda pose, posture: _worth(chain, around, pose, posture, margin, temperature))
+    around = None if scene is None else grouped(scene, robot)
+    each = jax.vmap(lambda pose, posture: _worth(robot, around, pose, posture, margin, temperature))
     best = temperature * jax.nn.logsumexp(each(poses, q) / temperature)
     return jax.nn.log_sigmoid(best / WIDTH)
 
 
 @kernel(models=1)
-def _worth(chain: Chain, around: Grouped | None, pose: Any, q: Any, margin: Any, temperature: Any) -> Any:
+def _worth(robot: Robot, around: Grouped | None, pose: Any, q: Any, margin: Any, temperature: Any) -> Any:
     """The least margin of a posture that follows its target."""
-    q, short = _following(chain, pose, jax.lax.stop_gradient(q))
-    low, high = (jnp.asarray(x, q.dtype) for x in finite_limits(chain))
+    q, short = _following(robot, pose, jax.lax.stop_gradient(q))
+    low, high = (jnp.asarray(x, q.dtype) for x in finite_limits(robot))
     share = jnp.minimum(q - low, high - q) / jnp.maximum((high - low) / 2.0, 1e-9)
-    margins = [jnp.where(chain.is_limited, share, 1.0)]
+    margins = [jnp.where(robot.is_limited, share, 1.0)]
     if around is not None:
-        margins.append((clearance(chain, around, q) - margin)[None] / REACH)
+        margins.append((clearance(robot, around, q) - margin)[None] / REACH)
     return -temperature * jax.nn.logsumexp(-jnp.concatenate(margins) / temperature) - short / SHORT
 
 
-def _following(chain: Chain, pose: Any, q: Any) -> tuple[Any, Any]:
+def _following(robot: Robot, pose: Any, q: Any) -> tuple[Any, Any]:
     """The posture moved after its target by one step, and how far the tip then falls short of it [m, rad]."""
-    base, pose = jnp.asarray(chain.world_T_base, q.dtype), jnp.asarray(pose, q.dtype)
+    base, pose = jnp.asarray(robot.world_T_base, q.dtype), jnp.asarray(pose, q.dtype)
     wanted = base[:3, :3].T @ jnp.concatenate([pose[:3, :3], pose[:3, 3:] - base[:3, 3:]], axis=1)
-    residual, columns = _twist(forward_kinematics(chain, q), wanted), jacobian(chain, q)
+    residual, columns = _twist(forward_kinematics(robot, q), wanted), jacobian(robot, q)
     damped: Any = columns @ columns.T + DAMPING**2 * jnp.eye(6, dtype=q.dtype)
     step = columns.T @ jnp.stack(definite_solve(damped, residual, 0.0))
     q = q + step * jnp.minimum(1.0, STEP / jnp.sqrt(step @ step + 1e-12))
-    left = _twist(forward_kinematics(chain, q), wanted)
+    left = _twist(forward_kinematics(robot, q), wanted)
     return q, jnp.sqrt(left @ left + 1e-8) - 1e-4
 
 
@@ -113,13 +113,13 @@ def _twist(tip: Any, wanted: Any) -> Any:
 
 
 def likely_postures(
-    chain: Chain, scene: Scene | None, poses: np.ndarray, count: int = 8, slides: Any = 11, margin: float = 0.005
+    robot: Robot, scene: Scene | None, poses: np.ndarray, count: int = 8, slides: Any = 11, margin: float = 0.005
 ) -> tuple[np.ndarray, np.ndarray]:
     """Of one target's alternative poses `world_T_tip` (a, 4, 4) the `count` most promising (count, 4, 4), with postures (count,
     n): of all branches at `slides` positions of each leading joint, past limits and reach too, those of the best worth. Host
     driver.
 
-    A host function for chains with a closed form; others take the answers of `solve_ik`. Raises `ValueError` where the chain
+    A host function for robots with a closed form; others take the answers of `solve_ik`. Raises `ValueError` where the robot
     has none, or no pose is one.
     """
     poses, count = numbers("poses", poses), as_count("likely_postures: count", count)
@@ -127,19 +127,19 @@ def likely_postures(
     if poses.ndim != 3 or poses.shape[1:] != (4, 4) or not np.isfinite(poses).all(axis=(1, 2)).any():
         raise ValueError(f"poses of shape {poses.shape} hold no finite frame; give (a, 4, 4), world_T_tip")
     if scene is not None:
-        check_geometry(chain)
-    leading = leading_grid(chain, slides)
-    local = np.linalg.inv(np.asarray(chain.world_T_base)) @ poses
+        check_geometry(robot)
+    leading = leading_grid(robot, slides)
+    local = np.linalg.inv(np.asarray(robot.world_T_base)) @ poses
     pose, lead = (x.ravel() for x in np.meshgrid(np.arange(len(poses)), np.arange(len(leading)), indexing="ij"))
-    q, _, _ = in_blocks(closed_forms(arm_of(chain)), local[pose], leading[lead], double=False)
-    q, at = np.asarray(q).reshape(-1, chain.num_joints), np.repeat(poses[pose], BRANCHES, axis=0)
-    home = chain.mounted(np.eye(4))
-    around = None if scene is None else grouped(scene.moved(np.linalg.inv(np.asarray(chain.world_T_base))), chain)
+    q, _, _ = in_blocks(closed_forms(arm_of(robot)), local[pose], leading[lead], double=False)
+    q, at = np.asarray(q).reshape(-1, robot.num_joints), np.repeat(poses[pose], BRANCHES, axis=0)
+    home = robot.mounted(np.eye(4))
+    around = None if scene is None else grouped(scene.moved(np.linalg.inv(np.asarray(robot.world_T_base))), robot)
     (worth,) = in_blocks(_worths(home), np.repeat(local[pose], BRANCHES, axis=0), q, fixed=(around, margin), double=False)
     best = np.argsort(-np.where(np.isfinite(worth), worth, -np.inf), kind="stable")[:count]
     return at[best], q[best]
 
 
 @host_kernels(2, known=16)
-def _worths(chain: Chain, pose: Any, q: Any, around: Grouped | None, margin: Any) -> Any:
-    return _worth(chain, around, pose, q, margin, 0.01)
+def _worths(robot: Robot, pose: Any, q: Any, around: Grouped | None, margin: Any) -> Any:
+    return _worth(robot, around, pose, q, margin, 0.01)

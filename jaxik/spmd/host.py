@@ -121,7 +121,7 @@ class HostKernel:
 
 
 def host_kernels(lanes: int, known: int = 64) -> Callable[[Callable[..., Any]], Callable[..., HostKernel]]:
-    """Of a function that takes what is fixed and hashable (a chain), rows of `lanes` arguments, and what all rows share: what
+    """Of a function that takes what is fixed and hashable (a robot), rows of `lanes` arguments, and what all rows share: what
     makes its kernel of what is fixed, once for each of the last few `known`."""
 
     def factory(function: Callable[..., Any]) -> Callable[..., HostKernel]:

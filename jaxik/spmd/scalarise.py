@@ -271,7 +271,7 @@ class Scalariser:
         return Array(np.array(flat, np.int64).reshape(many[0].shape), kind)
 
     def fold(self, code: str, kind: str, values: Sequence[int]) -> int:
-        """Values joined pair by pair: short chains, and sums that round less."""
+        """Values joined pair by pair: short robots, and sums that round less."""
         values = list(values)
         while len(values) > 1:
             pairs = [self.program.op(code, kind, a, b) for a, b in zip(values[::2], values[1::2], strict=False)]

@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 
 from jaxik.analytic.families import redundancy
-from jaxik.robot.chain import Chain
+from jaxik.kinematics.robot import Robot
 from jaxik.sweeps.evaluation import answer
 from jaxik.sweeps.robot_variants import Variant
 from jaxik.sweeps.store import Store
@@ -37,8 +37,8 @@ def audit(store: Store) -> dict[str, Any]:
         rows = target[variant == v]
         own = range(v * study.chunks, (v + 1) * study.chunks)
         seen = np.concatenate([store.column(int(n), "reachable") for n in own])[rows]
-        method = study.method(each.chain)
-        again = _again(study, each, rows, method) if given(study, each.chain) else [seen] * len(EFFORTS[method])
+        method = study.method(each.robot)
+        again = _again(study, each, rows, method) if given(study, each.robot) else [seen] * len(EFFORTS[method])
         found.setdefault(method, []).append(np.stack([*again, seen]))
     joined = {method: np.concatenate(parts, axis=1) for method, parts in found.items()}
     missed = sum(int(np.sum(t[:-1].any(axis=0) & ~t[-1])) for t in joined.values())
@@ -54,9 +54,9 @@ def bound(missed: int, truth: int) -> float:
     return 1.0 if missed >= truth else float(beta.ppf(0.95, missed + 1, truth - missed))
 
 
-def given(study: Study, chain: Chain) -> tuple[str, ...]:
+def given(study: Study, robot: Robot) -> tuple[str, ...]:
     """What there may be more of, by name: of the search its seeds, of the closed form what it is given."""
-    return ("seed",) if study.method(chain) == "search" else redundancy(chain).names
+    return ("seed",) if study.method(robot) == "search" else redundancy(robot).names
 
 
 def _again(study: Study, variant: Variant, rows: np.ndarray, method: str) -> list[np.ndarray]:
@@ -82,7 +82,7 @@ def _summary(study: Study, method: str, table: np.ndarray) -> dict[str, Any]:
     count = max(int(truth.sum()), 1)
     rates = [float(np.sum(truth & ~row)) / count for row in table]
     known: dict[str, Any] = {"effort": WHAT[method], "efforts": [], "rates": [], "false_negative_rate": rates[-1]}
-    chains = [each.chain for each in study.variants if study.method(each.chain) == method]
-    if of := sorted({name for chain in chains for name in given(study, chain)}):
+    robots = [each.robot for each in study.variants if study.method(each.robot) == method]
+    if of := sorted({name for robot in robots for name in given(study, robot)}):
         known |= {"efforts": _efforts(study, method), "rates": rates[:-1], "of": of}
     return known | {"sample": table.shape[1], "reachable_in_sample": int(truth.sum())}

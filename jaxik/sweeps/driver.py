@@ -62,9 +62,9 @@ class Sweep(NamedTuple):
         if crops is not None:
             scene = study.targets.scenes[crops[colliding[0]]]
             colliding = colliding[crops[colliding] == crops[colliding[0]]]
-        base_T_frame = np.linalg.inv(variant.chain.world_T_base) if study.targets.frame == "world" else None
+        base_T_frame = np.linalg.inv(variant.robot.world_T_base) if study.targets.frame == "world" else None
         poses, fault, _ = as_poses(study.targets.poses_at(colliding, base_T_frame), study.ik.task)
-        return solved(variant.chain, poses, fault, scene, study.seed, study.ik)
+        return solved(variant.robot, poses, fault, scene, study.seed, study.ik)
 
 
 def sweep(
@@ -96,8 +96,8 @@ def sweep(
     finished = store.finished()
     todo = [n for n in mine if not finished[n] or _kept(store, n, repair) is None]
     if todo and read.scene is not None:
-        chain, *others = (variant.chain for variant in read.variants)
-        warn_of_scene("sweep", chain, read.scene, read.margin, *others)
+        robot, *others = (variant.robot for variant in read.variants)
+        warn_of_scene("sweep", robot, read.scene, read.margin, *others)
     report = progress or (lambda done, total: None)
     sizes = {n: (rows := read.work(n)[2]).stop - rows.start for n in mine}
     total = sum(sizes.values())

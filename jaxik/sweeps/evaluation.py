@@ -21,11 +21,11 @@ from jaxik.costs import joint_limit_margin
 from jaxik.harvesting.scanning import measures
 from jaxik.ik.solutions import first_most
 from jaxik.ik.solve import IKResult, as_poses, solved
+from jaxik.kinematics.forward import manipulability, pose_errors
+from jaxik.kinematics.robot import Robot
 from jaxik.reach.certify import beyond, certify
 from jaxik.reach.leading_joints import NOTHING, arm_of, freest, grid, leading_grid
 from jaxik.reasons import Reason
-from jaxik.robot.chain import Chain
-from jaxik.robot.kinematics import manipulability, pose_errors
 from jaxik.spatial.algebra import traced
 from jaxik.spmd import HostKernel
 from jaxik.spmd.batch import in_blocks
@@ -77,17 +77,17 @@ COLUMNS = {
 
 def answer(study: Study, variant: Variant, rows: slice) -> Columns:
     """The columns of some of the study's targets for one variant, one row a target."""
-    count, chain = rows.stop - rows.start, variant.chain
-    base_T_world = np.linalg.inv(chain.world_T_base)
+    count, robot = rows.stop - rows.start, variant.robot
+    base_T_world = np.linalg.inv(robot.world_T_base)
     base_T_frame = base_T_world if study.targets.frame == "world" else None
     poses, valid = study.targets.poses_at(np.arange(rows.start, rows.stop), base_T_frame), np.ones(count, bool)
     if study.targets.poses is not None:  # someone else's, who may have got them wrong
         poses, fault, _ = as_poses(poses, study.ik.task)
         valid = fault == 0
-    around = _Crops.of(study, chain, rows, base_T_world) if study.collision else None
-    solve = _closed_form if study.method(chain) == "closed form" else _search
-    found = given_columns(study.targets, rows) | solve(study, _at_home(chain), poses, valid, around)
-    found["q"] = np.pad(found["q"], ((0, 0), (0, study.joints - chain.num_joints)), constant_values=np.nan)
+    around = _Crops.of(study, robot, rows, base_T_world) if study.collision else None
+    solve = _closed_form if study.method(robot) == "closed form" else _search
+    found = given_columns(study.targets, rows) | solve(study, _at_home(robot), poses, valid, around)
+    found["q"] = np.pad(found["q"], ((0, 0), (0, study.joints - robot.num_joints)), constant_values=np.nan)
     return {name: np.asarray(values, COLUMNS[name].dtype) for name, values in found.items()}
 
 
@@ -105,11 +105,11 @@ class _Crops(NamedTuple):
     crop: np.ndarray
 
     @staticmethod
-    def of(study: Study, chain: Chain, rows: slice, base_T_world: np.ndarray) -> _Crops:
+    def of(study: Study, robot: Robot, rows: slice, base_T_world: np.ndarray) -> _Crops:
         crops = study.targets.crop
         crop = np.zeros(rows.stop - rows.start, int) if crops is None else crops[rows]
         scene = lambda c: (study.scene or EMPTY) if crops is None else study.targets.scenes[c]
-        return _Crops({int(c): _seen_from(base_T_world, scene(c), chain) for c in np.unique(crop)}, crop)
+        return _Crops({int(c): _seen_from(base_T_world, scene(c), robot) for c in np.unique(crop)}, crop)
 
     def part(self, rows: Any) -> _Crops:
         """Of some of the targets."""
@@ -134,12 +134,12 @@ class _Crops(NamedTuple):
 
 
 @functools.lru_cache(maxsize=64)
-def _branch_measures(chain: Chain) -> HostKernel:
+def _branch_measures(robot: Robot) -> HostKernel:
     """`measures` of a branch, by rows of poses, leading joints and its number."""
 
     def measured(pose: Any, leading: Any, number: Any, scene: Any) -> tuple[Any, Any]:
-        q, _ = one_branch(chain, pose, leading, number)
-        return measures(chain).function(q, scene)
+        q, _ = one_branch(robot, pose, leading, number)
+        return measures(robot).function(q, scene)
 
     return HostKernel(measured, 3)
 
@@ -147,21 +147,21 @@ def _branch_measures(chain: Chain) -> HostKernel:
 EMPTY = make_scene()
 
 
-def _seen_from(base_T_world: np.ndarray, scene: Scene, chain: Chain) -> Grouped:
+def _seen_from(base_T_world: np.ndarray, scene: Scene, robot: Robot) -> Grouped:
     """A scene's obstacles in a base's frame; the scene remembers the last, since chunk after chunk asks for the same."""
-    last, base = remembered(scene, "in a base", dict), (base_T_world.tobytes(), chain.ignored)
+    last, base = remembered(scene, "in a base", dict), (base_T_world.tobytes(), robot.ignored)
     found: Grouped | None = last.get(base)
     if found is None:
-        found = grouped(scene.moved(base_T_world), chain)
+        found = grouped(scene.moved(base_T_world), robot)
         last.clear()
         last[base] = found
     return found
 
 
 @functools.lru_cache(maxsize=64)
-def _at_home(chain: Chain) -> Chain:
-    """The chain with its base in the world's origin."""
-    return chain.mounted(np.eye(4))
+def _at_home(robot: Robot) -> Robot:
+    """The robot with its base in the world's origin."""
+    return robot.mounted(np.eye(4))
 
 
 # --------------------------------------------------------------------------------------------------------------------
@@ -183,40 +183,40 @@ class _Best(NamedTuple):
         return _Best(*numbers, np.full(count, Reason.OUT_OF_REACH, np.int8))
 
 
-def _closed_form(study: Study, chain: Chain, poses: np.ndarray, valid: np.ndarray, around: _Crops | None) -> Columns:
+def _closed_form(study: Study, robot: Robot, poses: np.ndarray, valid: np.ndarray, around: _Crops | None) -> Columns:
     """The postures of poses (N, 4, 4) on the grid of leading positions and, where it has none, between them."""
-    proven = ~valid | beyond(chain, poses)
-    columns = _no_answer(chain, len(poses)) | {"proven": proven}
+    proven = ~valid | beyond(robot, poses)
+    columns = _no_answer(robot, len(poses)) | {"proven": proven}
     columns["reason"] = np.where(valid, Reason.OUT_OF_REACH, Reason.INVALID).astype(np.int8)
     asked = np.flatnonzero(~proven)
     # by tool direction: lanes that are neighbours then ask for the same positions and ways
     asked = asked[np.argsort((asked % study.targets.turns).astype(np.uint16), kind="stable")]
     if len(asked):
         near_by = None if around is None else around.part(asked)
-        best, near = _on_grid(study, chain, poses.take(asked, axis=0), near_by)
-        _answered(columns, chain, poses, asked, best)
+        best, near = _on_grid(study, robot, poses.take(asked, axis=0), near_by)
+        _answered(columns, robot, poses, asked, best)
         kinds = (Reason.OUT_OF_REACH, Reason.LIMITS) if study.refine else ()
         missing = asked[np.isin(columns["reason"][asked], kinds)]
-        found, open_ = _between(study, chain, poses[missing], None if around is None else around.part(missing))
+        found, open_ = _between(study, robot, poses[missing], None if around is None else around.part(missing))
         columns["proven"][missing[~open_]] = True
-        _better(columns, chain, poses, missing, found)
+        _better(columns, robot, poses, missing, found)
         if near_by is not None and study.refine:
-            _better(columns, chain, poses, asked, _beside(study, chain, poses[asked], near, near_by))
+            _better(columns, robot, poses, asked, _beside(study, robot, poses[asked], near, near_by))
     columns["reachable"] = columns["reason"] == Reason.SOLVED
     columns["proven"] |= columns["reachable"]
     return columns
 
 
-def _better(columns: Columns, chain: Chain, poses: np.ndarray, asked: np.ndarray, found: _Best) -> None:
+def _better(columns: Columns, robot: Robot, poses: np.ndarray, asked: np.ndarray, found: _Best) -> None:
     """What was found between the grid's positions for targets that have nothing on it: a posture, or at least one that only
     collides."""
     better = np.flatnonzero(np.isin(found.reason, (Reason.SOLVED, Reason.COLLISION)))
     asked, found = asked[better], _Best(*(column[better] for column in found))
-    _answered(columns, chain, poses, asked, found)
+    _answered(columns, robot, poses, asked, found)
     columns["between"][asked] = columns["reason"][asked] == Reason.SOLVED
 
 
-def _answered(columns: Columns, chain: Chain, poses: np.ndarray, asked: np.ndarray, best: _Best) -> None:
+def _answered(columns: Columns, robot: Robot, poses: np.ndarray, asked: np.ndarray, best: _Best) -> None:
     """Solves the best postures of the targets `asked` again in float64. One that is there past a limit, by what float32 rounds,
     is none."""
     columns["reason"][asked], columns["solutions"][asked] = best.reason, best.solutions
@@ -225,22 +225,22 @@ def _answered(columns: Columns, chain: Chain, poses: np.ndarray, asked: np.ndarr
     if not len(rows):
         return
     these = poses.take(rows, axis=0), best.leading[some], best.branch[some]
-    inside, *found = in_blocks(_posture(arm_of(chain)), *these, double=True)
+    inside, *found = in_blocks(_posture(arm_of(robot)), *these, double=True)
     columns["reason"][rows[~inside]], columns["solutions"][rows[~inside]] = Reason.LIMITS, 0
     good = slice(None) if inside.all() else inside  # nearly always: nothing is copied
     for name, values in zip(("clearance", *WORTH), (best.clearance[some], *found), strict=True):
         columns[name][rows[good]] = values[good]
 
 
-def _between(study: Study, chain: Chain, poses: np.ndarray, around: _Crops | None) -> tuple[_Best, np.ndarray]:
+def _between(study: Study, robot: Robot, poses: np.ndarray, around: _Crops | None) -> tuple[_Best, np.ndarray]:
     """What `certify` finds for poses that have nothing on the grid; and which stay open."""
-    found = certify(chain, poses, study.slides, study.refine)
+    found = certify(robot, poses, study.slides, study.refine)
     best = _Best.nothing(len(poses), found.leading.shape[1])
     rows = np.flatnonzero(found.branch >= 0)
     best.leading[rows], best.branch[rows] = found.leading[rows], found.branch[rows]
     best.reason[rows], best.solutions[rows] = Reason.SOLVED, 1
     if around is not None and len(rows):
-        arm, some = arm_of(chain), (poses[rows], found.leading[rows], found.branch[rows])
+        arm, some = arm_of(robot), (poses[rows], found.leading[rows], found.branch[rows])
         q, _ = in_blocks(closed_branches(arm), *some, double=True)
         best.clearance[rows], _ = around.measured(measures(arm), rows, q)
         hits = rows[~(best.clearance[rows] >= study.margin)]
@@ -248,34 +248,34 @@ def _between(study: Study, chain: Chain, poses: np.ndarray, around: _Crops | Non
     return best, found.open
 
 
-def _no_answer(chain: Chain, count: int) -> Columns:
+def _no_answer(robot: Robot, count: int) -> Columns:
     """All columns but those of the targets."""
-    rows = lambda column: (count, *(chain.num_joints for _ in column.dims))
+    rows = lambda column: (count, *(robot.num_joints for _ in column.dims))
     return {name: np.full(rows(c), c.nothing, c.dtype) for name, c in COLUMNS.items() if name not in GIVEN}
 
 
 @functools.lru_cache(maxsize=64)
-def _worth(chain: Chain) -> HostKernel:
+def _worth(robot: Robot) -> HostKernel:
     """`WORTH` of joint positions, by rows of these and the poses that they are for."""
-    errors = lambda q, pose: pose_errors(chain, list(q), traced(pose))
-    return HostKernel(lambda q, pose: (q, *errors(q, pose), manipulability(chain, q), joint_limit_margin(chain, q)), 2)
+    errors = lambda q, pose: pose_errors(robot, list(q), traced(pose))
+    return HostKernel(lambda q, pose: (q, *errors(q, pose), manipulability(robot, q), joint_limit_margin(robot, q)), 2)
 
 
 @functools.lru_cache(maxsize=64)
-def _posture(chain: Chain) -> HostKernel:
+def _posture(robot: Robot) -> HostKernel:
     """By rows of poses, leading joints and a branch's number: whether it has the pose inside the limits, and its `WORTH`."""
 
     def posture(pose: Any, leading: Any, number: Any) -> Any:
-        q, inside = one_branch(chain, pose, leading, number)
-        return inside, *_worth(chain).function(q, pose)
+        q, inside = one_branch(robot, pose, leading, number)
+        return inside, *_worth(robot).function(q, pose)
 
     return HostKernel(posture, 3)
 
 
-def _on_grid(study: Study, chain: Chain, poses: np.ndarray, around: _Crops | None) -> tuple[_Best, _Near]:
+def _on_grid(study: Study, robot: Robot, poses: np.ndarray, around: _Crops | None) -> tuple[_Best, _Near]:
     """The best over the grid of leading positions; and of targets whose postures all collide, the nearest to be clear."""
-    leading = leading_grid(chain, study.slides)
-    found = freest(chain, poses, leading)
+    leading = leading_grid(robot, study.slides)
+    found = freest(robot, poses, leading)
     past = np.where(found.freedom > NOTHING, Reason.LIMITS, Reason.OUT_OF_REACH)
     reason = np.where(found.inside > 0, Reason.SOLVED, past).astype(np.int8)
     best = _Best(leading[found.lead], found.branch, found.inside, np.full(len(poses), np.nan, np.float32), reason)
@@ -289,7 +289,7 @@ def _on_grid(study: Study, chain: Chain, poses: np.ndarray, around: _Crops | Non
         target, lead = np.divmod(some_bits, len(leading))
         inside = np.unpackbits(bits[some_bits], bitorder="little").view(bool)
         some = _Best(*(column[part] for column in best))
-        close = _avoid(study, chain, poses[part], _Near(target, leading[lead]), inside, around.part(part), some)
+        close = _avoid(study, robot, poses[part], _Near(target, leading[lead]), inside, around.part(part), some)
         near.append(_Near(close.target + start, close.leading))
     return best, _Near(*(np.concatenate(columns) for columns in zip(*near, strict=True)))
 
@@ -301,29 +301,29 @@ class _Near(NamedTuple):
     leading: np.ndarray
 
 
-def _beside(study: Study, chain: Chain, poses: np.ndarray, near: _Near, around: _Crops) -> _Best:
+def _beside(study: Study, robot: Robot, poses: np.ndarray, near: _Near, around: _Crops) -> _Best:
     """The best at leading positions beside those where a target's postures only just collide."""
     found = _Best.nothing(len(poses), near.leading.shape[1])
     k = near.leading.shape[1]
     if not k or not len(near.target):
         return found
-    low, high = solver_of(chain).limits()
+    low, high = solver_of(robot).limits()
     steps = grid([np.linspace(-0.75, 0.75, 7)] * k) * (high - low) / max(study.slides - 1, 1)
     leading = np.clip(near.leading[:, None] + steps, low, high).reshape(-1, k)
     target = np.repeat(near.target, len(steps))
     for first in range(0, len(poses), PORTION):  # all of a target at once
         part = slice(*np.searchsorted(target, (first, first + PORTION)))
-        _avoid(study, chain, poses, _Near(target[part], leading[part]), None, around, found)
+        _avoid(study, robot, poses, _Near(target[part], leading[part]), None, around, found)
     return found
 
 
 def _avoid(
-    study: Study, chain: Chain, poses: np.ndarray, asked: _Near, inside: np.ndarray | None, around: _Crops, best: _Best
+    study: Study, robot: Robot, poses: np.ndarray, asked: _Near, inside: np.ndarray | None, around: _Crops, best: _Best
 ) -> _Near:
     """Of the postures that are `asked` for, of which those `inside` (P * 8,) count (all inside the limits if it is None), the
     best that is clear goes into `best`; of targets without any, the nearest to be."""
     target, leading = asked
-    arm, poses, leads = arm_of(chain), poses.astype(np.float32), leading.astype(np.float32)
+    arm, poses, leads = arm_of(robot), poses.astype(np.float32), leading.astype(np.float32)
     if inside is None:
         _, _, inside = in_blocks(closed_forms(arm), poses[target], leads, double=False)
     pair, branch = np.divmod(np.flatnonzero(inside), BRANCHES)
@@ -359,21 +359,21 @@ def _most(owner: np.ndarray, value: np.ndarray, count: int) -> np.ndarray:
 # By search
 
 
-def _search(study: Study, chain: Chain, poses: np.ndarray, valid: np.ndarray, around: _Crops | None) -> Columns:
+def _search(study: Study, robot: Robot, poses: np.ndarray, valid: np.ndarray, around: _Crops | None) -> Columns:
     """The answers of `solve_ik`."""
     asked = np.where(valid[:, None, None], poses, np.nan)
-    columns = _no_answer(chain, len(poses))
+    columns = _no_answer(robot, len(poses))
     for scene, rows in [(None, slice(None))] if around is None else around.groups(np.arange(len(poses))):
-        for name, values in _searched(study, chain, asked[rows], scene).items():
+        for name, values in _searched(study, robot, asked[rows], scene).items():
             columns[name][rows] = values
     return columns
 
 
-def _searched(study: Study, chain: Chain, poses: np.ndarray, scene: Grouped | None) -> Columns:
-    found: IKResult = solved(chain, *as_poses(poses, study.ik.task)[:2], scene, study.seed, study.ik)
-    columns = _no_answer(chain, len(poses))
+def _searched(study: Study, robot: Robot, poses: np.ndarray, scene: Grouped | None) -> Columns:
+    found: IKResult = solved(robot, *as_poses(poses, study.ik.task)[:2], scene, study.seed, study.ik)
+    columns = _no_answer(robot, len(poses))
     rows = np.flatnonzero(found.success)
-    worth = in_blocks(_worth(chain), found.q[rows], poses[rows], double=True) if len(rows) else []
+    worth = in_blocks(_worth(robot), found.q[rows], poses[rows], double=True) if len(rows) else []
     for name, values in zip(WORTH, worth, strict=False):
         columns[name][rows] = values
     if not all(study.ik.task.bound):  # what the target leaves free is no error

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from jaxik.files.robot_toml import Table
-from jaxik.robot.chain import Box, Chain
+from jaxik.kinematics.robot import Box, Robot
 
 LENGTHS = ("length", "x", "y", "z")
 
@@ -18,7 +18,7 @@ LENGTHS = ("length", "x", "y", "z")
 class Variant:
     """One robot in one place and shape: what a chunk of targets is asked of, and its place along the study's `axes`."""
 
-    chain: Chain
+    robot: Robot
     index: tuple[int, ...]
 
 
@@ -46,48 +46,48 @@ def read_shapes(table: Table) -> list[tuple[str, np.ndarray]]:
 
 
 def all_variants(
-    table: Table, robots: list[tuple[str, Chain]], bases: list[tuple[str, np.ndarray]], shapes: list[tuple[str, np.ndarray]]
+    table: Table, robots: list[tuple[str, Robot]], bases: list[tuple[str, np.ndarray]], shapes: list[tuple[str, np.ndarray]]
 ) -> tuple[tuple[tuple[str, tuple[Any, ...]], ...], tuple[Variant, ...]]:
     """What varies, and each combination of it, in C order of the axes; what has one value only is no axis."""
     changes = [(key, [(value, value) for value in values.tolist()]) for key, values in shapes]
     every: list[tuple[str, list[tuple[Any, Any]]]] = [("robot", robots), ("base", bases), *changes]
     variants = []
     for picks in itertools.product(*(range(len(each)) for _, each in every)):
-        chain, world_T_place, *values = (each[pick][1] for pick, (_, each) in zip(picks, every, strict=True))
+        robot, world_T_place, *values = (each[pick][1] for pick, (_, each) in zip(picks, every, strict=True))
         for value, (key, _) in zip(values, changes, strict=True):
-            chain = _reshaped(table, chain, key, value)
+            robot = _reshaped(table, robot, key, value)
         if not np.array_equal(world_T_place, np.eye(4)):  # at the origin it stays what it was, to the bit
-            chain = chain.mounted(world_T_place @ chain.world_T_base)
+            robot = robot.mounted(world_T_place @ robot.world_T_base)
         index = tuple(pick for pick, (_, each) in zip(picks, every, strict=True) if len(each) > 1)
-        variants.append(Variant(chain, index))
+        variants.append(Variant(robot, index))
     axes = tuple((name, tuple(label for label, _ in each)) for name, each in every if len(each) > 1)
     return axes, tuple(variants)
 
 
-def _reshaped(table: Table, chain: Chain, key: str, value: float) -> Chain:
-    """The chain with one number changed: `JOINT.lower`, `.upper` [rad, m], or `.length`, `.x`, `.y`, `.z` [m] of the link
+def _reshaped(table: Table, robot: Robot, key: str, value: float) -> Robot:
+    """The robot with one number changed: `JOINT.lower`, `.upper` [rad, m], or `.length`, `.x`, `.y`, `.z` [m] of the link
     before the joint (`tip.length` of the last)."""
     joint, _, what = key.rpartition(".")
     if what not in ("lower", "upper", *LENGTHS) or (joint == "tip" and what not in LENGTHS):
         allowed = f"JOINT.lower, .upper, .{', .'.join(LENGTHS)}, tip.{', tip.'.join(LENGTHS)}"
         raise table.fail(f"[parameters] '{key}'", f"allowed: {allowed}")
-    if joint not in (*chain.joint_names, "tip"):
-        names = ", ".join(chain.joint_names)
-        raise table.fail(f"[parameters] '{key}': {chain.name} has no joint '{joint}'", f"{names}, tip")
+    if joint not in (*robot.joint_names, "tip"):
+        names = ", ".join(robot.joint_names)
+        raise table.fail(f"[parameters] '{key}': {robot.name} has no joint '{joint}'", f"{names}, tip")
     if what in LENGTHS:
-        return _stretched(table, chain, joint, what, value)
-    limits: dict[str, Any] = {side: np.array(getattr(chain, side), np.float64) for side in ("lower", "upper")}
-    i = chain.joint_names.index(joint)
+        return _stretched(table, robot, joint, what, value)
+    limits: dict[str, Any] = {side: np.array(getattr(robot, side), np.float64) for side in ("lower", "upper")}
+    i = robot.joint_names.index(joint)
     limits[what][i] = value
     if not limits["lower"][i] <= limits["upper"][i]:
         raise table.fail(f"[parameters] {key} = {value:g} crosses the other limit", "keep lower <= upper")
-    return dataclasses.replace(chain, **limits)
+    return dataclasses.replace(robot, **limits)
 
 
-def _stretched(table: Table, chain: Chain, joint: str, what: str, value: float) -> Chain:
-    """The chain with the offset before `joint` (after the last, for the tip) changed, and that link's geometry with it."""
-    number = chain.num_joints if joint == "tip" else chain.joint_names.index(joint)
-    before = np.array(chain.joint_T_tip if joint == "tip" else chain.parent_T_joint[number], np.float64)
+def _stretched(table: Table, robot: Robot, joint: str, what: str, value: float) -> Robot:
+    """The robot with the offset before `joint` (after the last, for the tip) changed, and that link's geometry with it."""
+    number = robot.num_joints if joint == "tip" else robot.joint_names.index(joint)
+    before = np.array(robot.joint_T_tip if joint == "tip" else robot.parent_T_joint[number], np.float64)
     old, new = before[:3, 3].copy(), before[:3, 3]
     if what == "length":
         if not np.linalg.norm(old) > 1e-9:
@@ -97,15 +97,15 @@ def _stretched(table: Table, chain: Chain, joint: str, what: str, value: float) 
         new *= value / np.linalg.norm(old)
     else:
         new["xyz".index(what)] = value
-    frames = np.array(chain.parent_T_joint, np.float64)
+    frames = np.array(robot.parent_T_joint, np.float64)
     frames[number : number + 1] = before  # none where it is the tip's
-    tip = before if joint == "tip" else chain.joint_T_tip
-    changed = dataclasses.replace(chain, parent_T_joint=frames, joint_T_tip=tip)
-    carried = {link for link, j in enumerate(chain.link_joint) if j == number}
+    tip = before if joint == "tip" else robot.joint_T_tip
+    changed = dataclasses.replace(robot, parent_T_joint=frames, joint_T_tip=tip)
+    carried = {link for link, j in enumerate(robot.link_joint) if j == number}
     return _with_geometry(changed, carried, old, new) if what == "length" else changed
 
 
-def _with_geometry(chain: Chain, links: set[int], old: np.ndarray, new: np.ndarray) -> Chain:
+def _with_geometry(robot: Robot, links: set[int], old: np.ndarray, new: np.ndarray) -> Robot:
     """Boxes and swept volumes of a lengthened link, stretched along it by as much."""
     along = old / np.linalg.norm(old)
     more = np.linalg.norm(new) / np.linalg.norm(old) - 1.0
@@ -118,6 +118,6 @@ def _with_geometry(chain: Chain, links: set[int], old: np.ndarray, new: np.ndarr
         frame[:3, 3] = stretched(frame[:3, 3])
         return dataclasses.replace(box, joint_T_box=frame, half=box.half * (1.0 + more * np.abs(frame[:3, :3].T @ along)))
 
-    boxes = [box_stretched(box) if box.link in links else box for box in chain.boxes]
-    volumes = [dataclasses.replace(v, corners=stretched(v.corners)) if v.link in links else v for v in chain.volumes]
-    return dataclasses.replace(chain, boxes=tuple(boxes), volumes=tuple(volumes))
+    boxes = [box_stretched(box) if box.link in links else box for box in robot.boxes]
+    volumes = [dataclasses.replace(v, corners=stretched(v.corners)) if v.link in links else v for v in robot.volumes]
+    return dataclasses.replace(robot, boxes=tuple(boxes), volumes=tuple(volumes))

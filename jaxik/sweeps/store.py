@@ -197,7 +197,7 @@ def _create(path: Path, study: Study) -> None:
         shape = (*study.shape, study.chunks)
         _new(group, "crc", CRC, shape, (1,) * len(shape), (*axes, "chunk"))
         labels = dict((*study.axes, *LABELS.items()))
-        joint_names = {v.chain.joint_names for v in study.variants}
+        joint_names = {v.robot.joint_names for v in study.variants}
         if len(joint_names) == 1:  # of all robots
             (labels["joint"],) = joint_names
         for name, each in labels.items():
@@ -235,10 +235,10 @@ def _attributes(study: Study) -> dict[str, Any]:
         "quaternion_order": "wxyz",
         "units": "m, rad",
         "coordinates": " ".join(GIVEN),
-        "mounts": {variant_name(v.index): np.asarray(v.chain.world_T_base).tolist() for v in study.variants},
-        "methods": sorted({study.method(v.chain) for v in study.variants}),
-        "joint_names": {str(v.chain.name): list(v.chain.joint_names) for v in study.variants},
-        "joint_types": list(study.variants[0].chain.joint_types),
+        "mounts": {variant_name(v.index): np.asarray(v.robot.world_T_base).tolist() for v in study.variants},
+        "methods": sorted({study.method(v.robot) for v in study.variants}),
+        "joint_names": {str(v.robot.name): list(v.robot.joint_names) for v in study.variants},
+        "joint_types": list(study.variants[0].robot.joint_types),
         "margin": study.margin if study.collision else None,
         "reasons": {r.text: int(r) for r in REASONS},
         "grid": [[float(x) for x in axis] for axis in study.targets.axes],

@@ -1,7 +1,7 @@
 """A study: which robots, from which bases and of which shapes, are asked for which targets, among what.
 
 Written as TOML (`docs/how-to/reach-map.md` lists the keys), or as the same nested dictionaries in Python, where a robot may be
-a `Chain`, a scene a `Scene`, and the targets an array of poses.
+a `Robot`, a scene a `Scene`, and the targets an array of poses.
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ from jaxik.collision.scene import Scene
 from jaxik.files.robot_toml import Table, read_toml
 from jaxik.harvesting.scanning import Weights
 from jaxik.ik.options import IKOptions
-from jaxik.robot.chain import Chain
+from jaxik.kinematics.robot import Robot
 from jaxik.sweeps.robot_variants import Variant, variant_name
 from jaxik.sweeps.targets import Targets
 
@@ -84,8 +84,8 @@ class Study:
 
     @property
     def joints(self) -> int:
-        """Of the chain that has most."""
-        return max(v.chain.num_joints for v in self.variants)
+        """Of the robot that has most."""
+        return max(v.robot.num_joints for v in self.variants)
 
     def work(self, number: int) -> tuple[Variant, int, slice]:
         """The variant, chunk and targets of one piece of work; there are `len(variants) * chunks`."""
@@ -97,7 +97,7 @@ class Study:
         """All that the results depend on, as JSON holds it. Two studies are one where this is equal."""
         return {
             "axes": {name: [str(label) for label in labels] for name, labels in self.axes},
-            "models": {variant_name(v.index): f"{v.chain.name} {v.chain.digest[:16]}" for v in self.variants},
+            "models": {variant_name(v.index): f"{v.robot.name} {v.robot.digest[:16]}" for v in self.variants},
             "targets": self.targets.describe(),
             "scene": None if self.scene is None else f"{self.scene.name} {_digest(self.scene)}",
             "crops": [_digest(s) for s in self.targets.scenes] if self.collision else [],
@@ -107,9 +107,9 @@ class Study:
             "versions": {module.__name__: module.__version__ for module in (jaxik, jax, np)},
         }
 
-    def method(self, chain: Chain) -> str:
-        """How a chain's targets are answered: "closed form" or "search"."""
-        return "closed form" if scannable(chain) and not self.targets.free_rotation else "search"
+    def method(self, robot: Robot) -> str:
+        """How a robot's targets are answered: "closed form" or "search"."""
+        return "closed form" if scannable(robot) and not self.targets.free_rotation else "search"
 
 
 def _digest(scene: Scene) -> str:

@@ -18,9 +18,9 @@ from jaxik.fitting.capsules import Fit
 from jaxik.harvesting.grasp import Grasp
 from jaxik.harvesting.scanning import Weights
 from jaxik.ik.options import IKOptions
-from jaxik.robot.chain import Chain
-from jaxik.robot.reach_bound import millimetres
-from jaxik.robot.task import Task
+from jaxik.kinematics.reach_bound import millimetres
+from jaxik.kinematics.robot import Robot
+from jaxik.kinematics.task import Task
 from jaxik.spatial.rotations import frame, from_rpy
 from jaxik.sweeps import targets as sources
 from jaxik.sweeps.robot_variants import all_variants, read_shapes
@@ -46,7 +46,7 @@ def read_study(table: Table, folder: Path) -> Study:
     scene, margin, weights = _collision(table, folder)
     collision = "collision" in given
     grasp, seed = _grasp(table), table.count("seed", 0, least=0)
-    targets = _targets(table, folder, [v.chain for v in variants], seed, grasp)
+    targets = _targets(table, folder, [v.robot for v in variants], seed, grasp)
     if targets.scenes and scene is not None:
         raise table.fail("the targets' crop and [collision] scene both say what is in the way", "keep one")
     if "tool" in given and not targets.scenes and not len(targets.rotations):
@@ -56,8 +56,8 @@ def read_study(table: Table, folder: Path) -> Study:
     counts |= {k: table.count(k, default, least=0) for k, default in (("refine", 5), ("audited", 2000))}
     table.close()
     for variant in variants if collision else ():
-        mend = "write {file = ..., meshes = true}" if variant.chain.unread_meshes else "or leave [collision] out"
-        _made(table.table("collision"), mend, check_geometry, variant.chain)
+        mend = "write {file = ..., meshes = true}" if variant.robot.unread_meshes else "or leave [collision] out"
+        _made(table.table("collision"), mend, check_geometry, variant.robot)
     return Study(name, variants, axes, targets, scene, collision, margin, weights, seed=seed, ik=ik, **counts)
 
 
@@ -74,15 +74,15 @@ def _file(folder: Path, source: str) -> str | Path:
     return folder / source if Path(source).suffix else source
 
 
-def _robots(table: Table, folder: Path) -> list[tuple[str, Chain]]:
+def _robots(table: Table, folder: Path) -> list[tuple[str, Robot]]:
     given = table.content.get("robots", table.content.get("robot"))
     if given is None or ("robots" in table.content and "robot" in table.content):
         raise table.fail("no robot" if given is None else "'robot' and 'robots' say the same", 'write robot = "p6r"')
     found, ignore = [], table.listed("ignore")
     for i, each in enumerate(given if isinstance(given, list | tuple) else [given]):
-        if isinstance(each, Chain):
+        if isinstance(each, Robot):
             if ignore:
-                raise table.fail(f"ignore, and robot {i + 1} is a Chain", "load it with ignore=")
+                raise table.fail(f"ignore, and robot {i + 1} is a Robot", "load it with ignore=")
             found.append((each.name, each))
         elif isinstance(each, str | dict):
             row = Table(table.path, f"robots {i + 1}", {"file": each} if isinstance(each, str) else each)
@@ -94,8 +94,8 @@ def _robots(table: Table, folder: Path) -> list[tuple[str, Chain]]:
     return found
 
 
-def _robot(row: Table, folder: Path, ignore: list[Any]) -> tuple[str, Chain]:
-    """A robot's name in the study, and its chain: the keys are the arguments of `jaxik.load`."""
+def _robot(row: Table, folder: Path, ignore: list[Any]) -> tuple[str, Robot]:
+    """A robot's name in the study, and its robot: the keys are the arguments of `jaxik.load`."""
     given = row.content
     row.asked.update(("tip", "base", "srdf", "posture", "tool"))
     file, meshes = row.text("file"), row.flag("meshes")
@@ -156,7 +156,7 @@ def _ik(table: Table, targets: Targets, margin: float) -> IKOptions:
     return _made(row, "change it", IKOptions, task=task, margin=margin, **chosen)
 
 
-def _targets(table: Table, folder: Path, chains: list[Chain], seed: int, grasp: Grasp) -> Targets:
+def _targets(table: Table, folder: Path, robots: list[Robot], seed: int, grasp: Grasp) -> Targets:
     row = table.table("targets")
     kind = row.text("kind", "file" if "poses" in row.content else "grid", sources.KINDS)
     frame = row.text("frame", "world", ("world", "base"))
@@ -175,12 +175,12 @@ def _targets(table: Table, folder: Path, chains: list[Chain], seed: int, grasp: 
             size = row.number("size", "length")
             if not size > 0.0:
                 raise row.fail(f"size = {size:g}", "write the edge of a voxel [m], > 0")
-            axes = sources.voxels(chains, size)
+            axes = sources.voxels(robots, size)
         targets = Targets(kind, frame, turned, axes)
     if not len(targets):
         raise row.fail("no target", "give at least one")
     some = targets.poses_at(np.unique(np.linspace(0, len(targets) - 1, 1000).astype(np.int64)))[:, :3, 3]
-    doubts = [millimetres(chain, some, frame == "world") for chain in chains]
+    doubts = [millimetres(robot, some, frame == "world") for robot in robots]
     if all(doubts):
         raise row.fail(str(doubts[0]), "lengths are metres, or those of a key that ends in _mm")
     return targets

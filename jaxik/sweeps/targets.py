@@ -15,8 +15,8 @@ from jaxik.collision.scene import Scene
 from jaxik.files.targets import as_frames
 from jaxik.harvesting.crop import cucumber_row, trellis_crop
 from jaxik.harvesting.grasp import Grasp, across, approach_grid, fruit_frames
-from jaxik.robot.chain import Chain
-from jaxik.robot.reach_bound import reach_bound
+from jaxik.kinematics.reach_bound import reach_bound
+from jaxik.kinematics.robot import Robot
 from jaxik.spatial.rotations import to_wxyz
 
 KINDS = ("grid", "voxels", "file", "crop")
@@ -150,14 +150,14 @@ def rotations(along: np.ndarray, rolls: np.ndarray, grasp: Grasp) -> np.ndarray:
     return np.array(found).reshape(-1, 3, 3)
 
 
-def voxels(chains: list[Chain], size: float) -> tuple[np.ndarray, ...]:
-    """The centres, along x, y and z, of cubes of `size` [m] that fill the box around all that the chains may reach."""
+def voxels(robots: list[Robot], size: float) -> tuple[np.ndarray, ...]:
+    """The centres, along x, y and z, of cubes of `size` [m] that fill the box around all that the robots may reach."""
     low, high = np.full(3, np.inf), np.full(3, -np.inf)
-    for chain in chains:
-        bound = reach_bound(chain, rotation=False)
+    for robot in robots:
+        bound = reach_bound(robot, rotation=False)
         if not np.isfinite(bound.longest):
-            raise ValueError(f"[targets] voxels: {chain.name} has a joint without limits that slides; give a grid")
-        origin = chain.world_T_base[:3, :3] @ bound.origin + chain.world_T_base[:3, 3]
+            raise ValueError(f"[targets] voxels: {robot.name} has a joint without limits that slides; give a grid")
+        origin = robot.world_T_base[:3, :3] @ bound.origin + robot.world_T_base[:3, 3]
         low, high = np.minimum(low, origin - bound.longest), np.maximum(high, origin + bound.longest)
     first, last = np.floor(low / size).astype(int), np.ceil(high / size).astype(int)
     return tuple((np.arange(a, b) + 0.5) * size for a, b in zip(first, last, strict=True))

@@ -9,8 +9,8 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from jaxik.files.targets import as_frames
-from jaxik.robot.chain import Chain
-from jaxik.robot.kinematics import pose_errors
+from jaxik.kinematics.forward import pose_errors
+from jaxik.kinematics.robot import Robot
 from jaxik.sweeps.robot_variants import variant_name
 from jaxik.view.palette import SCALE, bar, rgb, swatches
 from jaxik.view.sweep_picture import Map, categories, open_store, variant_label, variant_map
@@ -150,33 +150,33 @@ def draw_points(scene: Any, name: str, points: np.ndarray, colours: Any, size: f
     scene.add_point_cloud(name, where, colours, point_size=size, point_shape="circle", visible=some)
 
 
-def store_of(chain: Chain, store: str | Path) -> Any:
+def store_of(robot: Robot, store: str | Path) -> Any:
     """The store, if one of its variants is of this robot."""
     group = open_store(store)
-    if any(_is_of(group, index, chain) for index in np.ndindex(*group["reason"].shape[:-1])):
+    if any(_is_of(group, index, robot) for index in np.ndindex(*group["reason"].shape[:-1])):
         return group
     names = sorted({model.rpartition(" ")[0] for model in group.attrs["models"].values()})
-    known = f"another {chain.name}, whose postures do not fit"
-    held = known if chain.name in names else f"{', '.join(names)}, not {chain.name}"
+    known = f"another {robot.name}, whose postures do not fit"
+    held = known if robot.name in names else f"{', '.join(names)}, not {robot.name}"
     raise ValueError(f"{store}: holds {held}; view the robot (file and tip) that was swept")
 
 
-def _is_of(group: Any, index: tuple[int, ...], chain: Chain) -> bool:
+def _is_of(group: Any, index: tuple[int, ...], robot: Robot) -> bool:
     """Whether a variant's robot is this one: its postures bring this one's tip to their targets. Shapes may differ, such as
     meshes that one of both has not read."""
     attributes, mount = group.attrs, _mount(group, index)
     name, _, digest = attributes["models"][variant_name(index)].rpartition(" ")
-    if name != chain.name or attributes["joint_names"][name] != list(chain.joint_names):
+    if name != robot.name or attributes["joint_names"][name] != list(robot.joint_names):
         return False
     found = np.flatnonzero(group["reachable"][(*index, slice(None))])[:1]
-    if chain.mounted(mount).digest.startswith(digest) or not len(found):
+    if robot.mounted(mount).digest.startswith(digest) or not len(found):
         return True
     row = int(found[0])
     pose = as_frames(np.concatenate([group["position"][row], group["quaternion"][row]])[None])[0]
     if not attributes["frame"].startswith("targets are base"):
         pose = np.linalg.inv(mount) @ pose
     q = np.asarray(group["q"][(*index, row)])
-    away, turned = pose_errors(chain, q[np.isfinite(q)].tolist(), pose.ravel().tolist())
+    away, turned = pose_errors(robot, q[np.isfinite(q)].tolist(), pose.ravel().tolist())
     return bool(away < 1e-3 and not turned > 1e-2)  # NaN where the rotation is free
 
 

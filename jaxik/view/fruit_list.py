@@ -18,7 +18,7 @@ class FruitList:
     def __init__(self, page: Page, harvest: Harvest):
         gui, solved = page.server.gui, int(harvest.success.sum())
         self.page, self.rows = page, {f"{'✓' if row.success else '✗'} {row.fruit}": row for row in harvest.rows}
-        gui.add_markdown(f"**{page.chain.name} can pick {solved} of the {len(self.rows)} fruits.** Choose one:")
+        gui.add_markdown(f"**{page.robot.name} can pick {solved} of the {len(self.rows)} fruits.** Choose one:")
         self.chosen, self.said = gui.add_dropdown("fruit", list(self.rows)), gui.add_html("")
         self.chosen.on_update(lambda _: self.show())
         self.chosen.value = next((k for k, row in self.rows.items() if row.success), next(iter(self.rows)))

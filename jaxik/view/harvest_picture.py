@@ -8,8 +8,8 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from jaxik.harvesting.driver import Harvest, Posture
+from jaxik.kinematics.robot import Robot
 from jaxik.reasons import Reason
-from jaxik.robot.chain import Chain
 from jaxik.view.palette import ARM, ARM_EDGE, COLOURS, INK, LEAF, OBSTACLE, WORDS
 from jaxik.view.solids import Solid, frames, scene_points, scene_solids, volume_solids
 
@@ -86,17 +86,17 @@ def _crop(result: Harvest) -> _Crop:
     some = np.random.default_rng(0).permutation(len(points))[:DOTS]
     solids = scene_solids(result.scene)
     reasons = {row.fruit: row.reason for row in result.rows}
-    arms = {row.fruit: _arm(result.chain, q) for row in result.rows if (q := posture(row)) is not None}
+    arms = {row.fruit: _arm(result.robot, q) for row in result.rows if (q := posture(row)) is not None}
     near = [s.span for s in solids if s.owner in reasons] + [s.span for _, arm in arms.values() for s in arm]
-    places = [f.position for f in result.scene.fruits] + [np.asarray(result.chain.world_T_base)[:3, 3]]
+    places = [f.position for f in result.scene.fruits] + [np.asarray(result.robot.world_T_base)[:3, 3]]
     held = np.concatenate([points, np.array(places), *near])
     box = np.array([held.min(axis=0) - 0.05, held.max(axis=0) + 0.05])  # stems and wires go on beyond
     return _Crop(solids, points[some], owners[some], reasons, arms, box)
 
 
-def _arm(chain: Chain, q: np.ndarray) -> tuple[np.ndarray, list[Solid]]:
-    placed = frames(chain, q)
-    return placed, [solid.moved(placed[chain.link_joint[link]]) for link, solid in volume_solids(chain)]
+def _arm(robot: Robot, q: np.ndarray) -> tuple[np.ndarray, list[Solid]]:
+    placed = frames(robot, q)
+    return placed, [solid.moved(placed[robot.link_joint[link]]) for link, solid in volume_solids(robot)]
 
 
 def _draw(axis: Any, result: Harvest, crop: _Crop, row: Posture, i: int) -> None:
@@ -137,7 +137,7 @@ def _write_head(figure: Any, size: tuple[float, float], result: Harvest, shown: 
     from matplotlib.patches import Patch
 
     solved, count = int(result.success.sum()), len(result.rows)
-    title = f"{result.chain.name} can pick {solved} of {count} fruits of {result.scene.name}"
+    title = f"{result.robot.name} can pick {solved} of {count} fruits of {result.scene.name}"
     figure.text(SIDE / size[0], 1.0 - 0.35 / size[1], title, fontsize=15, weight="bold", color=INK)
     how = "For each fruit the best posture, from the front (left) and from the side (right), and how far it stays from all else"
     how += f". The first {shown} are shown." if shown < count else "."

@@ -45,7 +45,7 @@ def plot_harvest_plan(plan: HarvestPlan, path: Path) -> None:
 
 def _paths(plan: HarvestPlan) -> list[tuple[np.ndarray, bool]]:
     """Of each stage the tip's places in the world (k, 3) [m], and whether it carries a fruit."""
-    tip = lambda q: frames(plan.chain, q)[-1, :3, 3]
+    tip = lambda q: frames(plan.robot, q)[-1, :3, 3]
     return [(np.array([tip(q) for q in stage.trajectory.sample(PERIOD)[1].q]), stage.carries) for stage in plan.stages]
 
 
@@ -77,7 +77,7 @@ def _write(figure: Any, plan: HarvestPlan, size: tuple[float, float]) -> None:
     from matplotlib.patches import Patch
 
     left, count = 0.7 / size[0], len(plan.order)
-    title = f"{plan.chain.name} picks {count} of {len(plan.rows)} fruits of {plan.scene.name} in {plan.duration:.1f} s"
+    title = f"{plan.robot.name} picks {count} of {len(plan.rows)} fruits of {plan.scene.name} in {plan.duration:.1f} s"
     figure.text(left, 1.0 - 0.4 / size[1], title, fontsize=15, weight="bold", color=INK)
     each = f"{plan.cycle:.2f} s a fruit, of motions alone; " if count else ""
     figure.text(left, 1.0 - 0.68 / size[1], f"{each}the numbers are their order, ✗ is not picked", fontsize=10, color=INK)

@@ -22,9 +22,9 @@ from jaxik.harvesting.driver import Harvest
 from jaxik.harvesting.harvest_plan import HarvestPlan
 from jaxik.ik.options import IKOptions
 from jaxik.ik.solve import solve_ik
+from jaxik.kinematics.robot import Robot
+from jaxik.kinematics.task import POSE, POSITION, Task
 from jaxik.reasons import Reason
-from jaxik.robot.chain import Chain
-from jaxik.robot.task import POSE, POSITION, Task
 from jaxik.spatial.rotations import to_wxyz
 from jaxik.view.cloud import Cloud, store_of
 from jaxik.view.fruit_list import FruitList
@@ -77,7 +77,7 @@ class Page:
 
     def __init__(
         self,
-        chain: Chain,
+        robot: Robot,
         scene: Scene | None = None,
         store: str | Path | None = None,
         harvest: Harvest | None = None,
@@ -93,23 +93,23 @@ class Page:
         Raises `ValueError` without viser, and for a store of another robot.
         """
         viser = optional("jaxik view", "viser", "view")
-        group = None if store is None else store_of(chain, store)
-        self.home = self.chain = chain
+        group = None if store is None else store_of(robot, store)
+        self.home = self.robot = robot
         self.scene, self.around = scene, scene if scene is not None else make_scene()
-        self.blind = _blind(chain)
-        self._q, self.asked = ready_posture(chain, self.around) if teleop else default_pose(chain), Latest()
+        self.blind = _blind(robot)
+        self._q, self.asked = ready_posture(robot, self.around) if teleop else default_pose(robot), Latest()
         self.hit, self.strained = frozenset[str](), frozenset[int]()
         self.steering: Steering | None = None
         self.server = viser.ViserServer(host=host, port=port, label="jaxik", verbose=False)
         self._furnish()
         self.tabs = self.server.gui.add_tab_group()
         with self.tabs.add_tab("Robot"):
-            self.robot = RobotDrawing(self.server, chain, meshes, lambda: self._restyled(teleop))
+            self.drawing = RobotDrawing(self.server, robot, meshes, lambda: self._restyled(teleop))
             self.legend.content = boxed(swatches(self._legend(teleop)))
-            self.unchecked = UncheckedList(self, chain)
+            self.unchecked = UncheckedList(self, robot)
             self.surroundings = SceneDrawing(self.server, self.around, scene is None)
             self._target()
-            self.sliders = Sliders(self.server.gui, chain, self._q, self._slid)
+            self.sliders = Sliders(self.server.gui, robot, self._q, self._slid)
         self.map = self._tab("Map", Cloud, group, NO_MAP)
         self.fruits = self._tab("Fruits", FruitList, harvest, NO_FRUITS)
         self.player = self._tab("Motions", Player, plan, NO_MOTIONS)
@@ -145,7 +145,7 @@ class Page:
 
     def move(self, q: np.ndarray, world_T_base: np.ndarray | None = None) -> None:
         """Shows the robot at `q` (n,) [rad, m], where it stands unless `world_T_base` (4, 4) puts it elsewhere."""
-        self.chain = self.home if world_T_base is None else self.home.mounted(world_T_base)
+        self.robot = self.home if world_T_base is None else self.home.mounted(world_T_base)
         self._show(q)
 
     def place(self, q: np.ndarray, dragged: bool = False) -> None:
@@ -165,13 +165,13 @@ class Page:
     def strain(self, joints: frozenset[int]) -> None:
         """Colours the links that these joints, counted from 1, move: they are near a limit."""
         self.strained = joints
-        self.robot.colour(self.hit, self.strained)
+        self.drawing.colour(self.hit, self.strained)
 
     def choose(self, links: frozenset[str]) -> None:
         """Colours these links, by name, and no others, as chosen."""
-        self.robot.chosen = links
+        self.drawing.chosen = links
         with self.server.atomic():
-            self.robot.colour(self.hit, self.strained)
+            self.drawing.colour(self.hit, self.strained)
 
     def show_among(self, scene: Scene, q: np.ndarray) -> None:
         """Shows the robot at `q` (n,) [rad, m], and what it is near to in a scene that is less than the page's."""
@@ -189,12 +189,12 @@ class Page:
 
     def reach(self, world_T_tip: np.ndarray) -> Reason:
         """Brings the tip to a pose (4, 4), by the posture next to the one shown; where there is none, says why."""
-        base_T_tip = np.linalg.inv(np.asarray(self.chain.world_T_base)) @ world_T_tip
+        base_T_tip = np.linalg.inv(np.asarray(self.robot.world_T_base)) @ world_T_tip
         near = IKOptions(self.task, reference=self._q, seeds="near", max_seeds=32)
         if self.clear.value and not self.blind:
-            found = solve_ik(self.chain, base_T_tip, self.scene, options=near)
+            found = solve_ik(self.robot, base_T_tip, self.scene, options=near)
         else:
-            found = solve_ik(self.chain, base_T_tip, options=near, collision=False)
+            found = solve_ik(self.robot, base_T_tip, options=near, collision=False)
         reason = Reason(int(found.reason))
         if found.success:
             self._show(found.q, follow=False)
@@ -208,7 +208,7 @@ class Page:
 
     def _furnish(self) -> None:
         """The floor, the camera, and the panel's head: what is near, and the legend."""
-        gui, title = self.server.gui, self.chain.name + (f" in {self.scene.name}" if self.scene is not None else "")
+        gui, title = self.server.gui, self.robot.name + (f" in {self.scene.name}" if self.scene is not None else "")
         self.server.scene.set_up_direction("+z")
         self.server.scene.add_grid("/floor", width=4.0, height=4.0, cell_size=0.1, section_size=0.5, shadow_opacity=0.0)
         gui.configure_theme(show_logo=False, show_share_button=False, brand_color=rgb(GOOD))
@@ -227,7 +227,7 @@ class Page:
     def _look(self) -> None:
         """The camera: far enough to see the robot, and the crop beside it."""
         fruits = np.array([f.position for f in self.around.fruits]).reshape(-1, 3)
-        held = np.concatenate([bones(self.chain, self._q), scene_points(self.around)[0], fruits])
+        held = np.concatenate([bones(self.robot, self._q), scene_points(self.around)[0], fruits])
         low, high = held.min(axis=0), held.max(axis=0)
         centre, away = (low + high) / 2.0, max(0.85 * float(np.linalg.norm(high - low)), 1.3)
         camera = self.server.initial_camera
@@ -237,8 +237,8 @@ class Page:
         points, fruits = len(self.around.points.center), len(self.around.fruits)
         there = {"robot": (ROBOT, True), "what collides": (BAD, True), "obstacles": (OBSTACLE, self.scene is not None)}
         there |= {
-            "volumes kept clear": (VOLUME, self.robot.volumes.value),
-            "touch, and not checked": (LEFT_OUT, bool(self.robot.left_out)),
+            "volumes kept clear": (VOLUME, self.drawing.volumes.value),
+            "touch, and not checked": (LEFT_OUT, bool(self.drawing.left_out)),
             "near a joint's limit": (NEAR_LIMIT, teleop),
             "leaves (points)": (LEAF, points > 0),
             "fruits": (FRUIT, fruits > 0),
@@ -267,7 +267,7 @@ class Page:
         switch = gui.add_checkbox("target to drag", True)
         switch.on_update(lambda _: setattr(self.gizmo, "visible", switch.value))
         kinds = ("position and turn", "position alone")
-        self.binds = gui.add_dropdown("it binds", kinds, initial_value=kinds[self.chain.num_joints < 6])
+        self.binds = gui.add_dropdown("it binds", kinds, initial_value=kinds[self.robot.num_joints < 6])
         self.clear = gui.add_checkbox("keep clear", self.scene is not None, visible=self.scene is not None)
         self.said = gui.add_html(boxed(DRAG))
         self.gizmo.on_update(lambda _: self.asked(self._dragged))
@@ -287,15 +287,15 @@ class Page:
 
     def _place(self, follow: bool) -> None:
         """The links where `q` puts them, and the target at the tip if it is to `follow`."""
-        placed = frames(self.chain, self._q)
-        self.robot.place(placed)
+        placed = frames(self.robot, self._q)
+        self.drawing.place(placed)
         if follow:
             self.gizmo.wxyz, self.gizmo.position = to_wxyz(placed[-1, :3, :3]), placed[-1, :3, 3]
 
     def _draw_contacts(self, contacts: tuple[Contact, ...]) -> None:
         self.hit = frozenset(name for c in contacts if c.distance < 0.0 for name in (c.link, c.other))
         self.surroundings.draw_hit(self.hit)
-        self.robot.colour(self.hit, self.strained)
+        self.drawing.colour(self.hit, self.strained)
         self.surroundings.draw_nearest(contacts)
 
     def _contacts(self) -> tuple[Contact, ...]:
@@ -303,7 +303,7 @@ class Page:
         if self.blind:
             self.near.content = boxed(f"Clearance unknown. {self.blind}")
             return ()
-        found = explain(self.chain, self.scene, self._q, 5)
+        found = explain(self.robot, self.scene, self._q, 5)
         if found.colliding:
             pairs = "; ".join(f"{c.link} and {c.other}, by {-1000.0 * c.distance:.1f} mm" for c in found.colliding)
             self.near.content = marked(False, "Collides:", f" {pairs}")
@@ -313,10 +313,10 @@ class Page:
         return found.colliding or found.contacts[:1]
 
 
-def _blind(chain: Chain) -> str:
+def _blind(robot: Robot) -> str:
     """Why clearance cannot be measured; nothing where it can."""
     try:
-        check_geometry(chain)
+        check_geometry(robot)
     except ValueError as error:
         return str(error)
     return ""

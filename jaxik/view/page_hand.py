@@ -6,8 +6,8 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from jaxik.control import Hand
 from jaxik.spatial.rotations import from_wxyz
+from jaxik.teleoperation import Hand
 from jaxik.view.game_pad import PagePad
 from jaxik.view.solids import frames
 
@@ -34,7 +34,7 @@ class PageHand:
         if not self.page.server.get_clients():
             self.dragged, self._followed, self._pushed = False, False, None
             return None
-        gizmo, tip = self.page.gizmo, frames(self.page.chain, self.page.q)[-1]
+        gizmo, tip = self.page.gizmo, frames(self.page.robot, self.page.q)[-1]
         dragged, before = self.dragged, self._pushed  # the first is another thread's
         begun, self._followed = dragged and not self._followed, dragged
         rate = None if dragged else self.pad.rate()

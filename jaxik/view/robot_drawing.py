@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from jaxik.fitting.links import Shape
-from jaxik.robot.chain import Chain, known_parts
+from jaxik.kinematics.robot import Robot, known_parts
 from jaxik.spatial.rotations import to_wxyz
 from jaxik.view.meshes import draw_mesh, mesh_of
 from jaxik.view.palette import BAD, CHOSEN, INK, LEFT_OUT, NEAR_LIMIT, ROBOT, VOLUME, rgb
@@ -23,15 +23,15 @@ class RobotDrawing:
     """Each link's own shape and its volumes, two meshes that move with its joint, and a switch of each. `redraw` is called when
     one is used."""
 
-    def __init__(self, server: Any, chain: Chain, meshes: Sequence[Shape], redraw: Callable[[], Any]):
-        gui, scene, self.chain = server.gui, server.scene, chain
-        self.left_out, self.chosen = left_out(chain), frozenset[str]()
+    def __init__(self, server: Any, robot: Robot, meshes: Sequence[Shape], redraw: Callable[[], Any]):
+        gui, scene, self.robot = server.gui, server.scene, robot
+        self.left_out, self.chosen = left_out(robot), frozenset[str]()
         self.roots = {name: scene.add_frame(f"/{name}", show_axes=False) for name in ("shape", "volumes")}
-        fitted = bool(chain.surfaces) or any(len(s.triangles) for s in meshes)
-        self.parts = _parts(scene, chain, meshes)
+        fitted = bool(robot.surfaces) or any(len(s.triangles) for s in meshes)
+        self.parts = _parts(scene, robot, meshes)
         if not self.parts:
             gui.add_markdown("This robot's file holds no shapes: only its joints are shown.")
-        some, apart = bool(self.parts), fitted or bool(chain.boxes)  # else its volumes are its own shape
+        some, apart = bool(self.parts), fitted or bool(robot.boxes)  # else its volumes are its own shape
         self.shape = gui.add_checkbox("its own shape", True, visible=some)
         self.volumes = gui.add_checkbox("volumes kept clear", fitted, visible=some and apart)
         for switch in (self.shape, self.volumes):
@@ -47,7 +47,7 @@ class RobotDrawing:
         self.bones.points = np.stack([line[:-1], line[1:]], axis=1)
         self.tip.wxyz, self.tip.position = turned[-1], line[-1]
         for link, part in self.parts:
-            joint = self.chain.link_joint[link]
+            joint = self.robot.link_joint[link]
             if self.roots[_kind(part)].visible:  # the other ones, when they are shown
                 part.wxyz, part.position = turned[joint], placed[joint, :3, 3]
 
@@ -55,11 +55,11 @@ class RobotDrawing:
         """The links: those that are chosen, by name, those that `hit` something, those that joints near a limit move, counted
         from 1, those that are left out though they touch, and the others."""
         for link, part in self.parts:
-            name = self.chain.link_names[link]
+            name = self.robot.link_names[link]
             looks = (
                 (CHOSEN, name in self.chosen),
                 (BAD, name in hit),
-                (NEAR_LIMIT, self.chain.link_joint[link] in strained),
+                (NEAR_LIMIT, self.robot.link_joint[link] in strained),
                 (LEFT_OUT, name in self.left_out),
                 (VOLUME if _kind(part) == "volumes" else ROBOT, True),
             )
@@ -86,12 +86,12 @@ def _kind(part: Any) -> str:
     return str(part.name.split("/")[1])
 
 
-def _parts(scene: Any, chain: Chain, meshes: Sequence[Shape]) -> list[tuple[int, Any]]:
+def _parts(scene: Any, robot: Robot, meshes: Sequence[Shape]) -> list[tuple[int, Any]]:
     """The links' numbers and their meshes."""
     import trimesh
 
-    own = _own(chain, meshes)
-    volumes = _kept_clear(chain)
+    own = _own(robot, meshes)
+    volumes = _kept_clear(robot)
     joined = lambda parts, link: trimesh.util.concatenate([mesh for of, mesh in parts if of == link])
     looks: dict[str, dict[str, Any]] = {
         "shape": {"colour": ROBOT, "flat_shading": True},
@@ -104,27 +104,27 @@ def _parts(scene: Any, chain: Chain, meshes: Sequence[Shape]) -> list[tuple[int,
     ]
 
 
-def _kept_clear(chain: Chain) -> list[tuple[int, Any]]:
+def _kept_clear(robot: Robot) -> list[tuple[int, Any]]:
     """What collides, each with its link's number: convex parts where these decide, or else volumes."""
-    parts = known_parts(chain)
+    parts = known_parts(robot)
     fitted = {part.link for part in parts}
     # what stands for a mesh was grown by less than is seen
     solids = [(p.link, Solid("", p.corners, p.radius if len(p.corners) <= 3 else 0.0)) for p in parts]
-    solids += [(link, solid) for link, solid in volume_solids(chain) if link not in fitted]
+    solids += [(link, solid) for link, solid in volume_solids(robot) if link not in fitted]
     return [(link, mesh_of([solid])) for link, solid in solids]
 
 
-def _own(chain: Chain, meshes: Sequence[Shape]) -> list[tuple[int, Any]]:
-    """What the links are, each shape with its link's number: an exact chain's surfaces, or meshes; else boxes and volumes."""
+def _own(robot: Robot, meshes: Sequence[Shape]) -> list[tuple[int, Any]]:
+    """What the links are, each shape with its link's number: an exact robot's surfaces, or meshes; else boxes and volumes."""
     import trimesh
 
     bare = lambda corners, faces: trimesh.Trimesh(corners, faces, process=False)
     own: list[tuple[int, Any]] = []
-    for s in chain.surfaces:
+    for s in robot.surfaces:
         flat, round_ = s.corners[s.radius <= 0.0], s.radius > 0.0
         own += [(s.link, bare(flat.reshape(-1, 3), np.arange(3 * len(flat)).reshape(-1, 3)))] if len(flat) else []
         own += [(s.link, mesh_of([Solid("", *x)])) for x in zip(s.corners[round_], SMALLER * s.radius[round_], strict=True)]
     own = own or [(s.link, bare(s.corners, s.triangles)) for s in meshes if len(s.triangles)]
     known = {link for link, _ in own}
-    rest = [(link, solid._replace(radius=SMALLER * solid.radius)) for link, solid in box_solids(chain) if link not in known]
+    rest = [(link, solid._replace(radius=SMALLER * solid.radius)) for link, solid in box_solids(robot) if link not in known]
     return own + [(link, mesh_of([solid])) for link, solid in rest]

@@ -7,17 +7,17 @@ from typing import Any
 
 import numpy as np
 
-from jaxik.robot.chain import Chain, finite_limits
+from jaxik.kinematics.robot import Robot, finite_limits
 
 
 class Sliders:
     """They show rounded numbers; `moved(joint, value)` is told, [rad, m], when a person moves one."""
 
-    def __init__(self, gui: Any, chain: Chain, q: np.ndarray, moved: Callable[[int, float], Any]):
-        self.limits, self.moved, slides = np.array(finite_limits(chain)), moved, np.array(chain.is_prismatic)
+    def __init__(self, gui: Any, robot: Robot, q: np.ndarray, moved: Callable[[int, float], Any]):
+        self.limits, self.moved, slides = np.array(finite_limits(robot)), moved, np.array(robot.is_prismatic)
         self._factor, self._digits = np.where(slides, 1.0, np.degrees(1.0)), np.where(slides, 3, 1).tolist()
         self.each = []
-        for i, (name, digits) in enumerate(zip(chain.joint_names, self._digits, strict=True)):
+        for i, (name, digits) in enumerate(zip(robot.joint_names, self._digits, strict=True)):
             low, high, value = (round(float(self._factor[i] * x), digits) for x in (*self.limits[:, i], q[i]))
             slider = gui.add_slider(f"{name} [{'m' if slides[i] else 'deg'}]", low, high, 10.0**-digits, value)
             slider.on_update(lambda event, i=i: self._slid(event, i))

@@ -8,8 +8,8 @@ import numpy as np
 
 from jaxik.collision.scene import LIMIT, Scene
 from jaxik.collision.volumes import local_volumes
-from jaxik.robot.chain import Chain
-from jaxik.robot.kinematics import joint_frames
+from jaxik.kinematics.forward import joint_frames
+from jaxik.kinematics.robot import Robot
 from jaxik.spatial.algebra import Frame
 
 _TURN = 2.0 * np.pi * np.arange(24) / 24
@@ -78,33 +78,33 @@ def scene_points(scene: Scene) -> tuple[np.ndarray, np.ndarray]:
     return centres[here], np.array([*scene.object_names, ""])[owners[here]]
 
 
-def volume_solids(chain: Chain) -> list[tuple[int, Solid]]:
+def volume_solids(robot: Robot) -> list[tuple[int, Solid]]:
     """What stands for the robot where clearance is measured, each with its link, in the frame of the link's joint."""
     return [
-        (int(link), Solid(chain.link_names[link], np.asarray(corners, float), float(radius)))
-        for local in (local_volumes(chain, count) for count in (1, 2, 3))
+        (int(link), Solid(robot.link_names[link], np.asarray(corners, float), float(radius)))
+        for local in (local_volumes(robot, count) for count in (1, 2, 3))
         if local is not None
         for corners, radius, link in zip(*local, strict=True)
     ]
 
 
-def box_solids(chain: Chain) -> list[tuple[int, Solid]]:
+def box_solids(robot: Robot) -> list[tuple[int, Solid]]:
     """The robot's boxes and volumes as its file has them, each with its link, in the frame of the link's joint."""
-    volumes = [(v.link, Solid(chain.link_names[v.link], np.asarray(v.corners), float(v.radius))) for v in chain.volumes]
-    boxes = [(b.link, Solid(chain.link_names[b.link], _placed(_BOX * b.half, b.joint_T_box), 0.0)) for b in chain.boxes]
+    volumes = [(v.link, Solid(robot.link_names[v.link], np.asarray(v.corners), float(v.radius))) for v in robot.volumes]
+    boxes = [(b.link, Solid(robot.link_names[b.link], _placed(_BOX * b.half, b.joint_T_box), 0.0)) for b in robot.boxes]
     return boxes + volumes
 
 
-def frames(chain: Chain, q: Any) -> np.ndarray:
+def frames(robot: Robot, q: Any) -> np.ndarray:
     """The frames (n + 2, 4, 4) of the base, of each joint and of the tip in the world, at `q` (n,) [rad, m]."""
-    root = Frame.of(chain.world_T_base)
-    found = joint_frames(chain, [float(x) for x in q], root)
+    root = Frame.of(robot.world_T_base)
+    found = joint_frames(robot, [float(x) for x in q], root)
     return np.array([[float(x) for x in frame.entries] for frame in (root, *found.joints, found.tip)]).reshape(-1, 4, 4)
 
 
-def bones(chain: Chain, q: Any) -> np.ndarray:
+def bones(robot: Robot, q: Any) -> np.ndarray:
     """Where the joints and the tip are in the world, (n + 1, 3) [m]."""
-    return frames(chain, q)[1:, :3, 3]
+    return frames(robot, q)[1:, :3, 3]
 
 
 def _placed(points: np.ndarray, frame: Any) -> np.ndarray:

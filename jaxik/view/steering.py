@@ -19,13 +19,13 @@ import numpy as np
 from jaxik import costs
 from jaxik.collision.clearances import clearance
 from jaxik.collision.contact_report import Contact as Near
-from jaxik.control import Hand, PositionControl, Teleoperation, TeleoperationLoop, Watchdog
+from jaxik.dynamics.contact import Contact
+from jaxik.kinematics.forward import manipulability
+from jaxik.kinematics.robot import finite_limits
 from jaxik.planning import save_trajectory
 from jaxik.reasons import Reason
-from jaxik.robot.chain import finite_limits
-from jaxik.robot.contact import Contact
-from jaxik.robot.kinematics import manipulability
 from jaxik.spmd import HostKernel
+from jaxik.teleoperation import Hand, PositionControl, Teleoperation, TeleoperationLoop, Watchdog
 from jaxik.view.game_pad import PagePad
 from jaxik.view.page_hand import PERIOD, PageHand
 from jaxik.view.palette import CARRIED, PATH, boxed, rgb
@@ -50,7 +50,7 @@ class Steering:
     """The controls in a tab of the page, and the loop behind them."""
 
     def __init__(self, page: Page):
-        self.page, self.chain, self.running = page, page.home, threading.Event()
+        self.page, self.robot, self.running = page, page.home, threading.Event()
         self.rows: list[np.ndarray] = []
         self.recording = self.playing = False
         gui = page.server.gui
@@ -90,7 +90,7 @@ class Steering:
     def store(self) -> Path | None:
         """The recording as a file, as `planning.save_trajectory` writes it; None, and why on the page, where that fails."""
         try:
-            file = save_trajectory(self.file.value, recorded(self.rows, PERIOD), PERIOD, self.chain.joint_names)
+            file = save_trajectory(self.file.value, recorded(self.rows, PERIOD), PERIOD, self.robot.joint_names)
         except (ValueError, OSError) as error:
             self.kept.content = boxed(str(error))
             return None
@@ -101,17 +101,17 @@ class Steering:
 
     @functools.cached_property
     def loop(self) -> TeleoperationLoop:
-        page, chain = self.page, self.chain
+        page, robot = self.page, self.robot
         scene = page.scene if page.clear.value else None
         blind = bool(page.blind)
 
         def cost(q: Any) -> Any:
-            total = costs.comfort_and_limit_cost(chain, q, 0.05)
-            return total if blind else total + costs.collision_cost(clearance(chain, scene, q), SHELL)
+            total = costs.comfort_and_limit_cost(robot, q, 0.05)
+            return total if blind else total + costs.collision_cost(clearance(robot, scene, q), SHELL)
 
         mapping, margin = PositionControl(smoothing=0.08, fastest=0.5, turning=1.5), None if blind else MARGIN
         quick: dict[str, Any] = {"dt": PERIOD, "gain": 10.0, "acceleration": 10.0, "leash": 0.1}
-        steers = Teleoperation(chain, mapping, task=page.task, cost=cost, scene=scene, margin=margin, **quick)
+        steers = Teleoperation(robot, mapping, task=page.task, cost=cost, scene=scene, margin=margin, **quick)
         return TeleoperationLoop(steers, contacts=1)
 
     def _run(self) -> None:
@@ -151,14 +151,14 @@ class Steering:
             return none, np.zeros(3)
         first = near[0]
         away = (np.asarray(first.point) - np.asarray(first.other_point)) / first.distance
-        base = np.linalg.inv(np.asarray(self.chain.world_T_base))
+        base = np.linalg.inv(np.asarray(self.robot.world_T_base))
         force = base[:3, :3] @ (STIFFNESS * (SHELL - first.distance) * away)
-        joint = self.chain.link_joint[self.chain.link_names.index(first.link)]
+        joint = self.robot.link_joint[self.robot.link_names.index(first.link)]
         return Contact(np.array([joint]), (base @ [*first.point, 1.0])[None, :3], force[None]), np.asarray(first.point)
 
     def _drawn(self, command: Any, contact: Contact, at: np.ndarray) -> None:
         """The contact's force on the arm, and what a hand would feel at the tip."""
-        turn, tip = np.asarray(self.chain.world_T_base)[:3, :3], frames(self.chain, self.page.q)[-1][:3, 3]
+        turn, tip = np.asarray(self.robot.world_T_base)[:3, :3], frames(self.robot, self.page.q)[-1][:3, 3]
         for arrow, start, force in zip(self.arrows, (at, tip), (turn @ contact.force[0], command.felt), strict=True):
             shown = bool(np.linalg.norm(force) > 0.1)
             if shown:
@@ -171,7 +171,7 @@ class Steering:
         reason = Reason(int(command.reason))
         words = f"{pace:.0f} Hz; {np.linalg.norm(command.felt):.1f} N at the tip"
         self._say(words if reason == Reason.SOLVED else f"{words}; held still: {reason}")
-        self.page.strain(near_limits(self.chain, self.page.q))
+        self.page.strain(near_limits(self.robot, self.page.q))
 
     def _recorded(self) -> None:
         """Begins to record, or ends."""
@@ -200,25 +200,25 @@ class Steering:
 _RESTS = Hand(np.zeros(3), np.zeros(3), np.ones(1))
 
 
-def near_limits(chain: Any, q: np.ndarray) -> frozenset[int]:
+def near_limits(robot: Any, q: np.ndarray) -> frozenset[int]:
     """The joints, counted from 1, that are near a limit."""
     with np.errstate(invalid="ignore"):
-        share = np.minimum(q - chain.lower, chain.upper - q) / ((chain.upper - chain.lower) / 2.0)
-    return frozenset(int(i) + 1 for i in np.flatnonzero(chain.is_limited & (share < CLOSE)))
+        share = np.minimum(q - robot.lower, robot.upper - q) / ((robot.upper - robot.lower) / 2.0)
+    return frozenset(int(i) + 1 for i in np.flatnonzero(robot.is_limited & (share < CLOSE)))
 
 
-def ready_posture(chain: Any, scene: Any, count: int = 512) -> np.ndarray:
+def ready_posture(robot: Any, scene: Any, count: int = 512) -> np.ndarray:
     """Of many configurations, the one from which the tip moves best, with room to the joints' limits and to what is around."""
 
     def judged(q: Any) -> Any:
-        room = costs.joint_limit_margin(chain, q) * manipulability(chain, q)
+        room = costs.joint_limit_margin(robot, q) * manipulability(robot, q)
         try:
-            return room * jnp.clip(clearance(chain, scene, q) - MARGIN, 0.0, 2.0 * SHELL)
+            return room * jnp.clip(clearance(robot, scene, q) - MARGIN, 0.0, 2.0 * SHELL)
         except ValueError:  # it has no shapes
             return room
 
-    lower, upper = finite_limits(chain)
-    q = lower + (upper - lower) * (0.5 + 0.35 * (2.0 * np.random.default_rng(0).random((count, chain.num_joints)) - 1.0))
+    lower, upper = finite_limits(robot)
+    q = lower + (upper - lower) * (0.5 + 0.35 * (2.0 * np.random.default_rng(0).random((count, robot.num_joints)) - 1.0))
     with jax.enable_x64(True):
         (room,) = HostKernel(judged, 1)(q)
     return np.asarray(q[int(np.argmax(room))])

@@ -6,24 +6,24 @@ from pathlib import Path
 
 import numpy as np
 
-from jaxik.robot.chain import Chain
+from jaxik.kinematics.robot import Robot
 
 NEAR = 0.25  # of its limit, from which on a torque is drawn beside it
 
 
-def torque_picture(chain: Chain, time: np.ndarray, torque: np.ndarray, holding: np.ndarray, file: Path, title: str) -> None:
+def torque_picture(robot: Robot, time: np.ndarray, torque: np.ndarray, holding: np.ndarray, file: Path, title: str) -> None:
     """A row a joint: its torque (i, n) [Nm, N] over `time` (i,) [s], what would hold the arm at rest there, and its limit
-    `chain.effort`, as a line where it is near."""
+    `robot.effort`, as a line where it is near."""
     from matplotlib.figure import Figure
 
-    n = chain.num_joints
+    n = robot.num_joints
     figure = Figure(figsize=(8.0, 0.6 + 1.1 * n), layout="constrained")
     axes = figure.subplots(n, 1, sharex=True, squeeze=False)[:, 0]
-    for i, (name, slides, axis) in enumerate(zip(chain.joint_names, chain.is_prismatic, axes, strict=True)):
+    for i, (name, slides, axis) in enumerate(zip(robot.joint_names, robot.is_prismatic, axes, strict=True)):
         axis.axhline(0.0, color="0.8", linewidth=0.8)
         axis.plot(time, holding[:, i], color="0.55", linewidth=1.0, linestyle="--", label="holding the arm at rest")
         axis.plot(time, torque[:, i], color="tab:blue", linewidth=1.4, label="in motion")
-        unit, limit = "N" if slides else "Nm", float(chain.effort[i])
+        unit, limit = "N" if slides else "Nm", float(robot.effort[i])
         for side in (-1.0, 1.0):
             if (side * torque[:, i]).max() > NEAR * limit:  # else it would leave no room for the curves
                 axis.axhline(side * limit, color="tab:red", linewidth=1.0, label="limit")

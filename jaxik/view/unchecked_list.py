@@ -6,7 +6,7 @@ from html import escape
 from typing import TYPE_CHECKING, Any
 
 from jaxik.files.unchecked_pairs import unchecked
-from jaxik.robot.chain import Chain, Unchecked
+from jaxik.kinematics.robot import Robot, Unchecked
 from jaxik.view.palette import LEFT_OUT
 
 if TYPE_CHECKING:
@@ -38,11 +38,11 @@ if (row && field) {
 class UncheckedList:
     """Its rows, in groups by the reason."""
 
-    def __init__(self, page: Page, chain: Chain):
-        gui, self.page, groups = page.server.gui, page, unchecked_groups(chain)
+    def __init__(self, page: Page, robot: Robot):
+        gui, self.page, groups = page.server.gui, page, unchecked_groups(robot)
         self.rows = [row for group in groups.values() for row in group]
         with gui.add_folder(f"{len(self.rows)} pairs of links are not checked", expand_by_default=False):
-            gui.add_markdown(f"{len(chain.self_pairs)} pairs are. Click one of these to see it:")
+            gui.add_markdown(f"{len(robot.self_pairs)} pairs are. Click one of these to see it:")
             self.field = gui.add_text("shown", NONE, disabled=True)
             self.field.on_update(lambda event: self._told() if event.client is not None else None)
             self.list = gui.add_html(_listed(groups))
@@ -59,25 +59,25 @@ class UncheckedList:
         self.choose(int(word) if known else None)
 
 
-def unchecked_groups(chain: Chain) -> dict[str, list[Unchecked]]:
+def unchecked_groups(robot: Robot) -> dict[str, list[Unchecked]]:
     """Each pair of links with shapes that is not checked, by the reason in `WORDS`, deepest first; "" where a file has none."""
-    why = {frozenset(u.links): u for u in chain.unchecked}
+    why = {frozenset(u.links): u for u in robot.unchecked}
     groups: dict[str, list[Unchecked]] = {reason: [] for reason in WORDS}
-    for pair in unchecked(chain):
+    for pair in unchecked(robot):
         row: Any = why.get(frozenset(pair))
-        reason = "" if row is None else "beside" if row.reason == "touches" and _neighbours(chain, pair) else row.reason
+        reason = "" if row is None else "beside" if row.reason == "touches" and _neighbours(robot, pair) else row.reason
         groups[reason].append(row or Unchecked(pair, "named"))
     return {reason: sorted(rows, key=lambda row: -row.depth) for reason, rows in groups.items() if rows}
 
 
-def left_out(chain: Chain) -> frozenset[str]:
+def left_out(robot: Robot) -> frozenset[str]:
     """The links of pairs that are not checked since they mostly touch, though they are no neighbours."""
-    return frozenset(name for row in unchecked_groups(chain).get("touches", []) for name in row.links)
+    return frozenset(name for row in unchecked_groups(robot).get("touches", []) for name in row.links)
 
 
-def _neighbours(chain: Chain, pair: tuple[str, str]) -> bool:
+def _neighbours(robot: Robot, pair: tuple[str, str]) -> bool:
     """Whether one joint is between two links, whose bearings touch."""
-    joint = [chain.link_joint[chain.link_names.index(name)] for name in pair]
+    joint = [robot.link_joint[robot.link_names.index(name)] for name in pair]
     return abs(joint[0] - joint[1]) <= 1
 
 

@@ -5,7 +5,7 @@ from pathlib import Path
 import numpy as np
 from arm import eaik_robot
 
-from jaxik.files.chain_builder import Joint, assemble
+from jaxik.files.robot_builder import Joint, assemble
 
 FAMILIES = {  # which axes (from 0) meet in a point, which are parallel; and how many joints there are
     "wrist, 2 and 3 parallel": ([(3, 4, 5)], [(1, 2)], 6),
@@ -45,12 +45,12 @@ def apart(a, b):
     return np.abs((a - b + np.pi) % (2 * np.pi) - np.pi).max(axis=-1)
 
 
-def exact_branches_of_eaik(chain, poses):
+def exact_branches_of_eaik(robot, poses):
     """What EAIK calls exact, of each pose a list of postures (6,); its least-squares ones are left out."""
-    robot, tip_rotation = eaik_robot(chain)
-    assert robot.hasKnownDecomposition()
+    peer, tip_rotation = eaik_robot(robot)
+    assert peer.hasKnownDecomposition()
     for pose in poses:
-        found = robot.IK(frame(pose[:3, :3] @ tip_rotation.T, pose[:3, 3]))
+        found = peer.IK(frame(pose[:3, :3] @ tip_rotation.T, pose[:3, 3]))
         yield [q for q, least_squares in zip(found.Q, found.is_LS, strict=True) if not least_squares]
 
 

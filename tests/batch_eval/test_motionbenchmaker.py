@@ -131,9 +131,9 @@ def _folder(place, ends=("hand",), request=None, **others):
 
 def test_a_folder_says_robot_tip_and_goals(tmp_path):
     folder = _folder(tmp_path, **{"shelf_two/scene_sensed0001.yaml": "not read", "shelf_two/path0001.yaml": "neither"})
-    chain = motionbenchmaker.robot(folder)
-    assert chain.joint_names == ("shoulder", "elbow") and chain.self_pairs == ((2, 3),) and len(chain.volumes) == 3
-    (goal,) = motionbenchmaker.goals(folder, chain)
+    robot = motionbenchmaker.load_robot(folder)
+    assert robot.joint_names == ("shoulder", "elbow") and robot.self_pairs == ((2, 3),) and len(robot.volumes) == 3
+    (goal,) = motionbenchmaker.goals(folder, robot)
     assert goal.name == "shelf_two/request0001.yaml" and goal.elsewhere == ()
     np.testing.assert_array_equal(goal.q, [0.1, 0.2])
     np.testing.assert_array_equal(goal.start, [0.25, np.nan])
@@ -147,7 +147,7 @@ def test_problems_may_lie_unpacked_with_several_goals_each(tmp_path):
     (folder / "cage").mkdir()
     (folder / "cage" / "request0007.yaml").write_text(yaml.safe_dump({"goal_constraints": goals}))
     (folder / "cage" / "scene0007.yaml").write_text(yaml.safe_dump({"world": {"collision_objects": []}}))
-    found = list(motionbenchmaker.goals(folder, motionbenchmaker.robot(folder)))
+    found = list(motionbenchmaker.goals(folder, motionbenchmaker.load_robot(folder)))
     assert [goal.name for goal in found] == ["cage/request0007.yaml", "cage/request0007.yaml#2"]
     np.testing.assert_array_equal(found[1].q, [-0.1, -0.2])
 
@@ -163,36 +163,36 @@ def test_problems_may_lie_unpacked_with_several_goals_each(tmp_path):
 def test_a_goal_that_is_not_known_names_its_file(tmp_path, goal, said):
     folder = _folder(tmp_path, request={"goal_constraints": [goal]})
     with pytest.raises(ValueError) as refused:
-        list(motionbenchmaker.goals(folder, motionbenchmaker.robot(folder)))
+        list(motionbenchmaker.goals(folder, motionbenchmaker.load_robot(folder)))
     assert said in str(refused.value) and "shelf_two/request0001.yaml" in str(refused.value)
 
 
 def test_what_a_folder_lacks_is_named(tmp_path):
     with pytest.raises(ValueError, match=r"holds no \*_spherized.urdf and no \*.urdf"):
-        motionbenchmaker.robot(tmp_path)
+        motionbenchmaker.load_robot(tmp_path)
     folder = _folder(tmp_path, ends=("hand", "other"))
     with pytest.raises(ValueError, match="end effectors on hand, other; say which arm by tip="):
-        motionbenchmaker.robot(folder)
-    chain = motionbenchmaker.robot(folder, tip="hand")
+        motionbenchmaker.load_robot(folder)
+    robot = motionbenchmaker.load_robot(folder, tip="hand")
     (folder / "problems.tar.bz2").unlink()
     with pytest.raises(ValueError, match=r"no requestNNNN.yaml"):
-        list(motionbenchmaker.goals(folder, chain))
+        list(motionbenchmaker.goals(folder, robot))
     (folder / "request0001.yaml").write_text("{}")
     with pytest.raises(ValueError, match=r"request0001\.yaml: no scene0001\.yaml beside it"):
-        list(motionbenchmaker.goals(folder, chain))
+        list(motionbenchmaker.goals(folder, robot))
     (folder / "scene0001.yaml").write_text("[1, 2")
     with pytest.raises(ValueError, match=r"request0001\.yaml or its scene: while parsing"):
-        list(motionbenchmaker.goals(folder, chain))
+        list(motionbenchmaker.goals(folder, robot))
 
 
-def test_joints_beside_the_chain_stand_where_the_problem_has_them(tmp_path):
+def test_joints_beside_the_robot_stand_where_the_problem_has_them(tmp_path):
     """At the start, which has the other arm at 0.5, not at its goal; a problem that has it elsewhere says so."""
     start = {"joint_state": {"name": ["left", "nothing"], "position": [0.7, 1.0]}}
     other = {"start_state": start, "goal_constraints": [_constraints(shoulder=0.1, elbow=0.2)]}
     others = {"shelf_two/request0002.yaml": other, "shelf_two/scene0002.yaml": {"world": None}}
     folder = _folder(tmp_path, **others)
-    chain = motionbenchmaker.robot(folder)
-    assert motionbenchmaker.posture(folder, chain) == {"left": 0.5}
-    centers, _ = jaxik.collision.link_spheres(chain, jnp.zeros(2))
+    robot = motionbenchmaker.load_robot(folder)
+    assert motionbenchmaker.posture(folder, robot) == {"left": 0.5}
+    centers, _ = jaxik.collision.link_spheres(robot, jnp.zeros(2))
     np.testing.assert_allclose(sorted(centers.tolist())[-1], [np.sin(0.5), 0.0, np.cos(0.5)], atol=1e-6)
-    assert [goal.elsewhere for goal in motionbenchmaker.goals(folder, chain)] == [(), ("left",)]
+    assert [goal.elsewhere for goal in motionbenchmaker.goals(folder, robot)] == [(), ("left",)]

@@ -63,9 +63,9 @@ def test_it_writes_table_picture_and_arrays(tmp_path):
         q = arrays["q"][list(arrays["fruit"]).index("near")]
         assert list(arrays["reason"]) == ["solved", "out of reach"] and np.all(np.isnan(arrays["q"][1]))
     rows = list(csv.DictReader((out / "postures.csv").read_text().splitlines()))
-    chain = jaxik.load("p6r")
-    assert np.allclose([float(rows[0][name]) for name in chain.joint_names], q)
-    tip = chain.world_T_base @ np.asarray(jaxik.forward_kinematics(chain, q))
+    robot = jaxik.load("p6r")
+    assert np.allclose([float(rows[0][name]) for name in robot.joint_names], q)
+    tip = robot.world_T_base @ np.asarray(jaxik.forward_kinematics(robot, q))
     assert np.allclose(tip[:3, 3], (0.5, 0.66, 0.6), atol=2e-6)
     assert (out / "harvest.png").read_bytes()[:4] == b"\x89PNG"
 
@@ -247,20 +247,20 @@ MESHES = """<robot name="arm"><link name="base"><collision><geometry><mesh filen
 def test_meshes_are_asked_for(tmp_path, monkeypatch, capsys):
     """What a scene needs is said before anything compiles, and can be given."""
     monkeypatch.setattr(cli, "compilation_cache", lambda: None)
-    robot, targets = write(tmp_path, "arm.urdf", MESHES), write(tmp_path, "targets.csv", "x,y,z\n0.4,0.1,0.4\n")
+    file, targets = write(tmp_path, "arm.urdf", MESHES), write(tmp_path, "targets.csv", "x,y,z\n0.4,0.1,0.4\n")
     trimesh.creation.box((0.1, 0.1, 0.1)).export(tmp_path / "box.stl")
-    words = ("ik", robot, targets, "--tip", "upper", "--scene", "cucumber_row", "--out", tmp_path / "ik.csv")
+    words = ("ik", file, targets, "--tip", "upper", "--scene", "cucumber_row", "--out", tmp_path / "ik.csv")
     monkeypatch.setattr("jaxik.ik.solve.search", stopped)
     line = refused(monkeypatch, capsys, *words)
     assert "far enough" in line  # they are read unless one asks not to
     line = refused(monkeypatch, capsys, *words, "--no-meshes")
     assert "meshes of base" in line and "--no-meshes" in line
     seen = []
-    monkeypatch.setattr(jaxik, "solve_ik", lambda chain, *_, **__: stopped(seen.append(chain)))
+    monkeypatch.setattr(jaxik, "solve_ik", lambda robot, *_, **__: stopped(seen.append(robot)))
     read = "--posture", "slide=0.03"
     assert "far enough" in refused(monkeypatch, capsys, *words, *read) and seen[0].volumes and not seen[0].unread_meshes
-    monkeypatch.setattr(jaxik, "harvest", lambda chain, *_, **__: stopped(seen.append(chain)))
-    line = refused(monkeypatch, capsys, "harvest", "--robot", robot, "--tip", "upper", *read)
+    monkeypatch.setattr(jaxik, "harvest", lambda robot, *_, **__: stopped(seen.append(robot)))
+    line = refused(monkeypatch, capsys, "harvest", "--robot", file, "--tip", "upper", *read)
     assert "far enough" in line and seen[1].volumes
 
 
@@ -275,18 +275,18 @@ def test_drivers_say_what_is_missing_before_they_compile(monkeypatch):
     ):
         module, _, name = place.rpartition(".")
         monkeypatch.setattr(sys.modules[module], name, lambda *_, **__: pytest.fail("compiled"))
-    for chain, words in ((bare, "no collision geometry"), (half, "meshes of upper_arm_link")):
-        study = {"robot": chain, "collision": {"scene": scene}, "targets": {"kind": "crop"}}
+    for robot, words in ((bare, "no collision geometry"), (half, "meshes of upper_arm_link")):
+        study = {"robot": robot, "collision": {"scene": scene}, "targets": {"kind": "crop"}}
         for driver in (
-            lambda chain: jaxik.solve_ik(chain, np.eye(4), scene),
-            lambda chain: jaxik.harvesting.scan(chain, scene, scene.fruits[0]),
-            lambda chain: jaxik.harvest(chain, scene),
-            lambda chain: jaxik.reach.likely_postures(chain, scene, np.eye(4)[None]),
-            lambda chain: hierarchical_clearance(chain, scene, np.zeros(7)),
-            lambda chain, study=study: jaxik.sweeps.Study.of(study | {"targets": GRID}),
+            lambda robot: jaxik.solve_ik(robot, np.eye(4), scene),
+            lambda robot: jaxik.harvesting.scan(robot, scene, scene.fruits[0]),
+            lambda robot: jaxik.harvest(robot, scene),
+            lambda robot: jaxik.reach.likely_postures(robot, scene, np.eye(4)[None]),
+            lambda robot: hierarchical_clearance(robot, scene, np.zeros(7)),
+            lambda robot, study=study: jaxik.sweeps.Study.of(study | {"targets": GRID}),
         ):
             with pytest.raises(ValueError, match=words) as error:
-                driver(chain)
+                driver(robot)
             assert "\n" not in str(error.value)
 
 
@@ -297,7 +297,7 @@ def test_a_cell_without_a_fruit(tmp_path, monkeypatch, capsys):
     cell.write_text('name = "cell"\n[[object]]\nname = "table"\nboxes = [[0.5, 0, -0.1, 1, 1, 0.1]]\n')
     targets.write_text("x,y,z\n0.5,0.6,0.4\n")
     seen = []
-    monkeypatch.setattr(jaxik, "solve_ik", lambda chain, poses, scene, *_, **__: stopped(seen.append(scene)))
+    monkeypatch.setattr(jaxik, "solve_ik", lambda robot, poses, scene, *_, **__: stopped(seen.append(scene)))
     assert "far enough" in refused(monkeypatch, capsys, "ik", "p6r", targets, "--scene", cell)
     assert seen[0].object_names == ("table",)
     study = jaxik.sweeps.Study.of({"robot": "p6r", "collision": {"scene": str(cell)}, "targets": GRID})
@@ -372,9 +372,9 @@ def targets_file(path, poses):
 def test_ik_writes_the_answers_of_any_file(tmp_path, monkeypatch, capsys):
     monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "cache"))
     monkeypatch.setattr(cli, "compilation_cache", lambda: None)
-    chain = jaxik.load("chembuly9")
-    q = np.random.default_rng(0).uniform(chain.lower, chain.upper, (5, chain.num_joints))
-    poses = [np.asarray(jaxik.forward_kinematics(chain, row)) for row in q]
+    robot = jaxik.load("chembuly9")
+    q = np.random.default_rng(0).uniform(robot.lower, robot.upper, (5, robot.num_joints))
+    poses = [np.asarray(jaxik.forward_kinematics(robot, row)) for row in q]
     poses[3] = poses[3] + np.pad([[7.0]], ((0, 3), (3, 0)))  # seven metres away
     tables = []
     for ending in (".csv", ".npz", ".json"):
@@ -384,16 +384,16 @@ def test_ik_writes_the_answers_of_any_file(tmp_path, monkeypatch, capsys):
         assert lines[0] == "out of reach: 1" and lines[1].startswith("4 of 5 targets solved in ")
         with np.load(out, allow_pickle=False) as arrays:
             tables.append(dict(arrays))
-        assert tuple(tables[-1]["joint_names"]) == chain.joint_names
+        assert tuple(tables[-1]["joint_names"]) == robot.joint_names
         assert list(tables[-1]["reason"]) == ["solved"] * 3 + ["out of reach", "solved"]
     for i in (0, 1, 2, 4):
-        np.testing.assert_allclose(jaxik.forward_kinematics(chain, tables[0]["q"][i]), poses[i], atol=2e-6)
+        np.testing.assert_allclose(jaxik.forward_kinematics(robot, tables[0]["q"][i]), poses[i], atol=2e-6)
     np.testing.assert_allclose(tables[1]["q"], tables[2]["q"], atol=1e-5)
     out = tmp_path / "table.csv"
     call_unsolved(monkeypatch, "ik", "chembuly9", tmp_path / "targets.csv", "--out", out)
     rows = list(csv.DictReader(out.read_text().splitlines()))
     assert [row["reason"] for row in rows] == list(tables[0]["reason"])
-    assert np.array_equal([[float(row[name]) for name in chain.joint_names] for row in rows], tables[0]["q"], equal_nan=True)
+    assert np.array_equal([[float(row[name]) for name in robot.joint_names] for row in rows], tables[0]["q"], equal_nan=True)
     for name, unit in (("position_error", "m"), ("rotation_error", "rad"), ("clearance", "m")):
         assert np.array_equal([float(row[f"{name} [{unit}]"]) for row in rows], tables[0][name], equal_nan=True)
     millimetres = [np.vstack([np.column_stack([p[:3, :3], 1000.0 * p[:3, 3]]), p[3:]]) for p in poses]
@@ -406,7 +406,7 @@ def test_ik_writes_the_answers_of_any_file(tmp_path, monkeypatch, capsys):
     call_unsolved(monkeypatch, "ik", "chembuly9", tmp_path / "positions.csv", "--out", out)
     assert capsys.readouterr().out.splitlines()[0].startswith("position only: ")
     table = pyarrow.parquet.read_table(out).to_pydict()
-    assert table["reason"] == ["solved"] * 3 + ["out of reach", "solved"] and set(chain.joint_names) < set(table)
+    assert table["reason"] == ["solved"] * 3 + ["out of reach", "solved"] and set(robot.joint_names) < set(table)
 
 
 @pytest.mark.parametrize(
@@ -460,13 +460,13 @@ def test_a_fit_is_told_and_written(tmp_path, monkeypatch, capsys):
     for name in ("model.toml", "model.urdf"):
         call(monkeypatch, "fit", tmp_path / "arm.urdf", "--accuracy", 15, "--to", tmp_path / name)
         *table, counts, wrote = capsys.readouterr().out.splitlines()
-        chain = jaxik.load(tmp_path / "arm.urdf", meshes=True, fit=jaxik.Fit(0.015))
-        parts, volumes = len(chain.convex_parts), len(chain.volumes)
+        robot = jaxik.load(tmp_path / "arm.urdf", meshes=True, fit=jaxik.Fit(0.015))
+        parts, volumes = len(robot.convex_parts), len(robot.volumes)
         assert counts.startswith(f"{parts} convex parts, {volumes} volumes, 1 pairs of links to check, ")
         rows = [[word.strip() for word in line.split("\u2502")[1:-1]] for line in table if line.startswith("\u2502")]
         links, pairs = rows[:2], rows[2:]
         assert [row[:5:2] for row in links] == [["base", "1", "yes"], ["arm", "1", "yes"]]
-        assert sum(int(row[3]) for row in links) == len(chain.volumes) - 1 and {row[5] for row in links} == {"100.0%"}
+        assert sum(int(row[3]) for row in links) == len(robot.volumes) - 1 and {row[5] for row in links} == {"100.0%"}
         assert {(*row[:2], row[2]) for row in pairs} == {
             ("base", "arm", "yes"),
             ("base", "tip", "no: never touch"),
@@ -478,8 +478,8 @@ def test_a_fit_is_told_and_written(tmp_path, monkeypatch, capsys):
     told = capsys.readouterr().out
     (row,) = ([word.strip() for word in line.split("\u2502")[1:-1]] for line in told.splitlines() if "twist" in line)
     assert row == ["twist", "-", "0.5", "tip"] and "--posture JOINT=VALUE" in told and "held" not in "".join(table)
-    assert jaxik.load(tmp_path / "model.toml") == chain
-    assert len(jaxik.load(tmp_path / "model.urdf", tip="tool").volumes) > len(chain.volumes)
+    assert jaxik.load(tmp_path / "model.toml") == robot
+    assert len(jaxik.load(tmp_path / "model.urdf", tip="tool").volumes) > len(robot.volumes)
     assert "allowed: .toml, .urdf" in refused(monkeypatch, capsys, "fit", tmp_path / "arm.urdf", "--to", "model.txt")
 
 
@@ -534,9 +534,9 @@ def test_a_motion_is_planned_and_written(tmp_path, monkeypatch, capsys):
 
 
 def test_the_torques_of_a_motion(tmp_path, monkeypatch, capsys):
-    chain, time = jaxik.load("crops_v2"), np.linspace(0.0, 1.0, 21)
+    robot, time = jaxik.load("crops_v2"), np.linspace(0.0, 1.0, 21)
     way = 0.3 * np.sin(time[:, None] * np.arange(1, 10))  # positions alone: the rest is a spline's
-    header = ",".join(["time", *(f"q_{name}" for name in reversed(chain.joint_names))])
+    header = ",".join(["time", *(f"q_{name}" for name in reversed(robot.joint_names))])
     np.savetxt(tmp_path / "log.csv", np.column_stack([time, way[:, ::-1]]), header=header, comments="", delimiter=",")
     monkeypatch.chdir(tmp_path)
     call(monkeypatch, "dynamics", "crops_v2", "log.csv", "--load", 2, "--plot", "torques.png")
@@ -546,7 +546,7 @@ def test_the_torques_of_a_motion(tmp_path, monkeypatch, capsys):
     assert printed.count(", friction ") == 9 and printed.count(" A\n") == 9  # it has drives
     assert (tmp_path / "torques.png").stat().st_size > 10000
     table = np.genfromtxt("torques.csv", delimiter=",", names=True)
-    lifted = (sum(float(body.mass) for body in chain.bodies) + 2.0) * 9.81
+    lifted = (sum(float(body.mass) for body in robot.bodies) + 2.0) * 9.81
     np.testing.assert_allclose(table["gravity_joint1"], lifted, rtol=1e-9)
     np.testing.assert_allclose(table["power_joint1"], table["torque_joint1"] * 0.3 * np.cos(time), atol=0.05)
     for given, words in (

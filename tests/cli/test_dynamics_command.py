@@ -7,7 +7,7 @@ from robot_files import write
 
 import jaxik
 from jaxik.cli.dynamics import DynamicsArguments
-from jaxik.robot import friction_torque, inverse_dynamics, motor_current
+from jaxik.dynamics import friction_torque, inverse_dynamics, motor_current
 
 ROW = 'type = "revolute"\na = 0.4\nlower = -2.0\nupper = 2.0\nmass = 2.0\ncom = [0.2, 0, 0]\n'
 ROW += "inertia = [0.01, 0, 0, 0.03, 0, 0.03]\n"
@@ -19,7 +19,7 @@ INSIDE = slice(100, 300)  # what lies far from a log's ends
 
 
 @pytest.fixture
-def robot(tmp_path, monkeypatch):
+def file(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     head = 'name = "arm"\nconvention = "modified_dh"\n[mount]\nrpy = [1.5707963, 0, 0]\n'
     rows = (f'[[joint]]\nname = "{name}"\n{ROW}{more}{DRIVE}' for name, more in (("a", "effort = 100.0\n"), ("b", "")))
@@ -30,35 +30,35 @@ def _log(way, header="time,a,b", **options):
     np.savetxt("log.csv", np.column_stack([TIME, way]), header=header, delimiter=",", **options)
 
 
-def _torques(robot, **options):
-    DynamicsArguments(robot=robot, motion="log.csv", **options).run()
+def _torques(file, **options):
+    DynamicsArguments(robot=file, motion="log.csv", **options).run()
     return np.genfromtxt("torques.csv", delimiter=",", names=True)
 
 
-def test_rounded_positions_are_smoothed(robot, capsys):
+def test_rounded_positions_are_smoothed(file, capsys):
     with jax.enable_x64(True):
-        chain = jaxik.load(robot)
-        true = np.asarray(jax.vmap(lambda *x: inverse_dynamics(chain, *x))(WAY, RATES, -4.0 * WAY))
+        robot = jaxik.load(file)
+        true = np.asarray(jax.vmap(lambda *x: inverse_dynamics(robot, *x))(WAY, RATES, -4.0 * WAY))
     _log(np.round(WAY, 3))
-    raw, clean = _torques(robot), _torques(robot, smooth=4.0)
+    raw, clean = _torques(file), _torques(file, smooth=4.0)
     printed = capsys.readouterr().out
     assert "second derivatives of positions, of measured ones mostly noise: --smooth HZ" in printed
     assert "second derivatives of positions, smoothed below 4 Hz" in printed
-    for i, name in enumerate(chain.joint_names):
+    for i, name in enumerate(robot.joint_names):
         far, near = (np.abs(table[f"torque_{name}"] - true[:, i])[INSIDE].max() for table in (raw, clean))
         assert near < 0.02 * np.abs(true[:, i]).max() and near < 0.1 * far
 
 
-def test_limits_and_drives_are_told(robot, tmp_path, capsys):
+def test_limits_and_drives_are_told(file, tmp_path, capsys):
     _log(np.column_stack([WAY, RATES, -4.0 * WAY]), "time,q_a,q_b,velocity_a,velocity_b,acceleration_a,acceleration_b")
-    table, printed = _torques(robot, plot=tmp_path / "torques.png", load=1.0), capsys.readouterr().out
+    table, printed = _torques(file, plot=tmp_path / "torques.png", load=1.0), capsys.readouterr().out
     assert "derivatives" not in printed and (tmp_path / "torques.png").stat().st_size > 10000
     most = np.abs(table["torque_a"]).max()
     assert f"at most {most:8.2f} Nm ({most / 100.0:4.0%} of its limit)" in printed and printed.count("of its limit") == 1
-    chain, torque = jaxik.load(robot), np.column_stack([table["torque_a"], table["torque_b"]])
+    robot, torque = jaxik.load(file), np.column_stack([table["torque_a"], table["torque_b"]])
     with jax.enable_x64(True):
-        current = jax.vmap(lambda t, v: motor_current(chain, t, v))(torque, RATES)
-        friction = jax.vmap(lambda t, v: friction_torque(chain, v, t))(torque, RATES)
+        current = jax.vmap(lambda t, v: motor_current(robot, t, v))(torque, RATES)
+        friction = jax.vmap(lambda t, v: friction_torque(robot, v, t))(torque, RATES)
     np.testing.assert_allclose(np.column_stack([table["current_a"], table["current_b"]]), current, atol=1e-9)
     np.testing.assert_allclose(table["friction_b"], friction[:, 1], atol=1e-9)
     assert np.all(friction * RATES <= 0.0)
@@ -81,12 +81,12 @@ def test_a_file_that_tells_of_friction_knows_no_motors(tmp_path, monkeypatch, ca
     assert np.abs(table["friction_a"]).max() > 5.0 and not any("current" in name for name in table.dtype.names)
 
 
-def test_degrees_and_milliseconds_are_doubted(robot):
+def test_degrees_and_milliseconds_are_doubted(file):
     _log(np.degrees(WAY))
     with pytest.warns(
         UserWarning, match=r"log.csv: a is 40.1\d* in row \d+, and its limits are -2 and 2 \[rad\]; are these degrees\?"
     ):
-        _torques(robot)
+        _torques(file)
     np.savetxt("log.csv", np.column_stack([1e3 * TIME, WAY]), header="time,a,b", delimiter=",")
     with pytest.warns(UserWarning, match="samples are 10 s apart; are these milliseconds?"):
-        _torques(robot)
+        _torques(file)

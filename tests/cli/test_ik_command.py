@@ -16,9 +16,9 @@ from jaxik.cli.ik import IKArguments
 @pytest.mark.parametrize("solutions", [3, "all"])
 def test_several_answers(tmp_path, monkeypatch, capsys, solutions):
     monkeypatch.chdir(tmp_path)
-    chain = jaxik.load("irb120")
-    q = np.random.default_rng(1).uniform(chain.lower, chain.upper, (3, 6))
-    poses = np.stack([np.asarray(jaxik.forward_kinematics(chain, row)) for row in q])
+    robot = jaxik.load("irb120")
+    q = np.random.default_rng(1).uniform(robot.lower, robot.upper, (3, 6))
+    poses = np.stack([np.asarray(jaxik.forward_kinematics(robot, row)) for row in q])
     poses[1, 0, 3] += 9.0
     np.savez("targets.npz", poses=poses)
     for out in ("ik.csv", "ik.npz", "ik.csv"):
@@ -36,11 +36,11 @@ def test_several_answers(tmp_path, monkeypatch, capsys, solutions):
     for i in (0, 2):
         of_it = [row for row in rows if row["target"] == str(i + 1)]
         assert [row["solution"] for row in of_it] == [str(k + 1) for k in range(counts[i])]
-        written = np.array([[float(row[name]) for name in chain.joint_names] for row in of_it])
+        written = np.array([[float(row[name]) for name in robot.joint_names] for row in of_it])
         assert np.array_equal(written, answers[i, : counts[i]])
         assert [float(row["position_error [m]"]) < 1e-6 and float(row["clearance [m]"]) >= 0.0 for row in of_it]
         for row in written:
-            np.testing.assert_allclose(jaxik.forward_kinematics(chain, row), poses[i], atol=1e-9)
+            np.testing.assert_allclose(jaxik.forward_kinematics(robot, row), poses[i], atol=1e-9)
 
 
 def test_one_answer_has_the_columns_of_many(tmp_path, monkeypatch):

@@ -9,7 +9,7 @@ from robot_files import write
 from triangle_truth import in_coal
 
 import jaxik
-from jaxik.robot import link_frames
+from jaxik.kinematics import link_frames
 
 JOINTS = {
     "pan": ("base", "lower", "0 0 0.25", "0 0 1"),
@@ -64,28 +64,28 @@ SCENE = jaxik.make_scene(
 )
 
 
-def drawn(chain, count, seed=0):
-    return np.random.default_rng(seed).uniform(chain.lower, chain.upper, (count, chain.num_joints))
+def drawn(robot, count, seed=0):
+    return np.random.default_rng(seed).uniform(robot.lower, robot.upper, (count, robot.num_joints))
 
 
 class Truth:
     """The arm's meshes at configurations, as coal sees them."""
 
-    def __init__(self, chain, q):
-        self.chain, self.meshes = (
-            chain,
+    def __init__(self, robot, q):
+        self.robot, self.meshes = (
+            robot,
             {n: in_coal(np.asarray(m.vertices, np.float32).astype(float)[m.faces]) for n, m in SHAPES.items()},
         )
         with jax.enable_x64(True):
-            self.frames = np.asarray(jax.vmap(lambda q: link_frames(chain, q))(jnp.asarray(q)))
+            self.frames = np.asarray(jax.vmap(lambda q: link_frames(robot, q))(jnp.asarray(q)))
 
     def link(self, i, name):
-        frame = self.frames[i, self.chain.link_names.index(name)]
+        frame = self.frames[i, self.robot.link_names.index(name)]
         return self.meshes[name], coal.Transform3s(frame[:3, :3], frame[:3, 3])
 
     def itself(self, i):
-        names = self.chain.link_names
-        return min(apart(*self.link(i, names[a]), *self.link(i, names[b])) for a, b in self.chain.self_pairs)
+        names = self.robot.link_names
+        return min(apart(*self.link(i, names[a]), *self.link(i, names[b])) for a, b in self.robot.self_pairs)
 
     def scene(self, i):
         return min(apart(*self.link(i, name), *thing) for name in SHAPES for thing in THINGS)

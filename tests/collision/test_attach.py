@@ -70,24 +70,24 @@ def apart(scene, name, q):
 
 
 def found(held, name, other):
-    contacts = jaxik.explain(held.chain, held.scene, LATER, 99).contacts
+    contacts = jaxik.explain(held.robot, held.scene, LATER, 99).contacts
     return next(c.distance for c in contacts if {c.link, c.other} == {name, other})
 
 
 @pytest.mark.parametrize("name", ["ball", "cloud", "rod"])
 def test_it_is_where_coal_has_it(scene, name):
     held = jaxik.collision.attach(ARM, scene, name, GRASP)
-    assert held.chain.link_names == (*ARM.link_names, name)
+    assert held.robot.link_names == (*ARM.link_names, name)
     assert found(held, name, "wall") == pytest.approx(apart(scene, name, LATER), abs=1e-6)
-    assert not any(c.other == name for c in jaxik.explain(held.chain, held.scene, LATER, 99).contacts)
+    assert not any(c.other == name for c in jaxik.explain(held.robot, held.scene, LATER, 99).contacts)
 
 
 @pytest.mark.parametrize("name, most", [("can", 0.42 * 0.05), ("plate", 0.42 * 0.2), ("crate", 0.0)])
 def test_what_is_covered_protrudes_little(scene, name, most):
     """Never farther than the body itself, and by no more than is said; a box by its spheres, which other tests hold."""
-    chain = ARM.with_spheres(512) if name == "crate" else ARM
+    robot = ARM.with_spheres(512) if name == "crate" else ARM
     most = most or np.linalg.norm([0.1, 0.05, 0.15]) / 8.0
-    held = jaxik.collision.attach(chain, scene, name, GRASP)
+    held = jaxik.collision.attach(robot, scene, name, GRASP)
     gap = apart(scene, name, LATER) - found(held, name, "wall")
     assert -1e-6 <= gap <= most + 1e-6
 
@@ -95,28 +95,28 @@ def test_what_is_covered_protrudes_little(scene, name, most):
 def test_it_is_checked_against_the_links_before(scene):
     last = [n for n, joint in zip(ARM.link_names, ARM.link_joint, strict=True) if joint == ARM.num_joints]
     solid = {ARM.link_names[v.link] for v in ARM.volumes}
-    partners = lambda chain: {chain.link_names[a] for a, b in chain.self_pairs if chain.link_names[b] == "ball"}
+    partners = lambda robot: {robot.link_names[a] for a, b in robot.self_pairs if robot.link_names[b] == "ball"}
     held = jaxik.collision.attach(ARM, scene, "ball", GRASP)
-    assert partners(held.chain) == solid - set(last) != set()
-    spared = sorted(partners(held.chain))[0]
-    assert partners(jaxik.collision.attach(ARM, scene, "ball", GRASP, [spared]).chain) == solid - {*last, spared}
+    assert partners(held.robot) == solid - set(last) != set()
+    spared = sorted(partners(held.robot))[0]
+    assert partners(jaxik.collision.attach(ARM, scene, "ball", GRASP, [spared]).robot) == solid - {*last, spared}
     folded = np.array([0.0, 3.0, 3.0, 0.0])
-    nearest = min(c.distance for c in jaxik.explain(held.chain, None, folded, 99).contacts if "ball" in (c.link, c.other))
-    assert float(jaxik.collision.self_clearance(held.chain, folded)) <= nearest + 1e-9
+    nearest = min(c.distance for c in jaxik.explain(held.robot, None, folded, 99).contacts if "ball" in (c.link, c.other))
+    assert float(jaxik.collision.self_clearance(held.robot, folded)) <= nearest + 1e-9
 
 
 def test_two_objects_and_an_arm_that_is_mounted(scene):
     once = jaxik.collision.attach(ARM, scene, "ball", GRASP)
     twice = jaxik.collision.attach(*once, "rod", GRASP)
-    assert twice.chain.link_names[-2:] == ("ball", "rod")
-    ball, rod = (twice.chain.link_names.index(name) for name in ("ball", "rod"))
-    assert (ball, rod) not in twice.chain.self_pairs  # both move with the last joint
-    assert {pair for pair in twice.chain.self_pairs if rod not in pair} == set(once.chain.self_pairs)
+    assert twice.robot.link_names[-2:] == ("ball", "rod")
+    ball, rod = (twice.robot.link_names.index(name) for name in ("ball", "rod"))
+    assert (ball, rod) not in twice.robot.self_pairs  # both move with the last joint
+    assert {pair for pair in twice.robot.self_pairs if rod not in pair} == set(once.robot.self_pairs)
     assert not np.any(np.abs(twice.scene.spheres.center[:1]) > 100.0) and np.all(twice.scene.capsules.a > 100.0)
     mounted = np.eye(4)
     mounted[:3, 3] = 0.3, 0.0, 0.5
-    carried = jaxik.collision.attach(ARM.mounted(mounted), scene, "ball", GRASP).chain.volumes[-1].corners
-    assert not np.allclose(carried, once.chain.volumes[-1].corners)
+    carried = jaxik.collision.attach(ARM.mounted(mounted), scene, "ball", GRASP).robot.volumes[-1].corners
+    assert not np.allclose(carried, once.robot.volumes[-1].corners)
 
 
 @pytest.mark.parametrize(
@@ -131,7 +131,7 @@ def test_two_objects_and_an_arm_that_is_mounted(scene):
     ],
 )
 def test_bad_use_is_one_line(scene, change, words):
-    given = {"chain": ARM, "scene": scene, "name": "ball", "q": GRASP} | change
+    given = {"robot": ARM, "scene": scene, "name": "ball", "q": GRASP} | change
     with pytest.raises(ValueError) as error:
         jaxik.collision.attach(**given)
     line = str(error.value)

@@ -181,14 +181,14 @@ def test_the_slope_of_a_line_that_crosses_a_box():
 @pytest.mark.parametrize("name", ["p6r", "crops_v2", "chembuly9"])
 def test_the_robots_clearance_against_coal(name):
     """Every pair, one by one, in coal: spheres and capsules of the robot to the scene and to each other."""
-    chain, rng = jaxik.load(name), np.random.default_rng(7)
+    robot, rng = jaxik.load(name), np.random.default_rng(7)
     scene = _scene(rng)
-    clearance = jax.jit(lambda q: jaxik.clearance(chain, scene, q))
+    clearance = jax.jit(lambda q: jaxik.clearance(robot, scene, q))
     compared = np.zeros(2, int)
-    for q in rng.uniform(chain.lower, chain.upper, (40, chain.num_joints)):
-        robot = _robot_bodies(chain, q)
-        pairs = [(body[1:], other) for body in robot for other in _scene_bodies(scene)]
-        pairs += [(a[1:], b[1:]) for a in robot for b in robot if (a[0], b[0]) in chain.self_pairs]
+    for q in rng.uniform(robot.lower, robot.upper, (40, robot.num_joints)):
+        bodies = _robot_bodies(robot, q)
+        pairs = [(body[1:], other) for body in bodies for other in _scene_bodies(scene)]
+        pairs += [(a[1:], b[1:]) for a in bodies for b in bodies if (a[0], b[0]) in robot.self_pairs]
         theirs = [_coal(*a, *b) for a, b in pairs]
         (shape, _), (other, _) = pairs[int(np.argmin(theirs))]
         least, ours = min(theirs), float(clearance(q))
@@ -199,11 +199,11 @@ def test_the_robots_clearance_against_coal(name):
     assert np.all(compared)
 
 
-def _robot_bodies(chain, q):
-    frames = np.asarray(jaxik.robot.link_frames(chain, q)) @ np.linalg.inv(chain.link_offset)
+def _robot_bodies(robot, q):
+    frames = np.asarray(jaxik.kinematics.link_frames(robot, q)) @ np.linalg.inv(robot.link_offset)
     bodies = []
-    for volume in chain.volumes:
-        frame = chain.world_T_base @ frames[volume.link]
+    for volume in robot.volumes:
+        frame = robot.world_T_base @ frames[volume.link]
         corners, radius = volume.corners @ frame[:3, :3].T + frame[:3, 3], float(volume.radius)
         assert len(corners) <= 2
         if len(corners) == 1:
@@ -212,9 +212,9 @@ def _robot_bodies(chain, q):
             bodies.append(
                 (volume.link, coal.Capsule(radius, float(np.linalg.norm(corners[1] - corners[0]))), _between(*corners))
             )
-    for box in chain.boxes:
-        frame = chain.world_T_base @ frames[box.link]
-        centres, radius = jaxik.collision.volumes.box_spheres(box, chain.spheres_per_box)
+    for box in robot.boxes:
+        frame = robot.world_T_base @ frames[box.link]
+        centres, radius = jaxik.collision.volumes.box_spheres(box, robot.spheres_per_box)
         places = centres @ frame[:3, :3].T + frame[:3, 3]
         bodies += [(box.link, coal.Sphere(float(radius)), (np.eye(3), p)) for p in places]
     return bodies
@@ -244,12 +244,12 @@ def _scene(rng):
 
 @pytest.mark.parametrize("name, alone", [("crops_v2", True), ("chembuly9", False)])  # p6r: test_jax_transformations
 def test_gradient_of_the_clearance(name, alone):
-    chain, rng = jaxik.load(name), np.random.default_rng(2)
+    robot, rng = jaxik.load(name), np.random.default_rng(2)
     scene = jaxik.make_scene() if alone else _scene(rng)
-    clearance = jax.jit(lambda q: jaxik.clearance(chain, scene, q))
+    clearance = jax.jit(lambda q: jaxik.clearance(robot, scene, q))
     slope, step = jax.jit(jax.grad(clearance)), 1e-6
     agreed = 0
-    for q in rng.uniform(chain.lower, chain.upper, (20, chain.num_joints)):
+    for q in rng.uniform(robot.lower, robot.upper, (20, robot.num_joints)):
         exact = np.asarray(slope(q))
         assert np.all(np.isfinite(exact))
         sides = np.array([[clearance(q + s * step * e) for s in (1, -1)] for e in np.eye(len(q))])
@@ -262,14 +262,14 @@ def test_gradient_of_the_clearance(name, alone):
 
 def test_gradient_by_more_obstacles_than_a_dense_derivative_holds():
     """JAX's own rules take over there, in a batch as well: a `cond` of theirs leaves what they cannot transpose."""
-    chain, rng = jaxik.load("planar2"), np.random.default_rng(5)
+    robot, rng = jaxik.load("planar2"), np.random.default_rng(5)
     scene = jaxik.make_scene(points=rng.uniform(-1.0, 1.0, (1000, 3)))
-    q = rng.uniform(chain.lower, chain.upper, (16, chain.num_joints))
+    q = rng.uniform(robot.lower, robot.upper, (16, robot.num_joints))
 
     @jax.jit
     def total(points):
         around = dataclasses.replace(scene, points=dataclasses.replace(scene.points, center=points))
-        apart = jax.vmap(lambda q: clearances.link_clearances(chain, around, q))(q)
+        apart = jax.vmap(lambda q: clearances.link_clearances(robot, around, q))(q)
         return jnp.sum(jnp.minimum(apart, 1.0))
 
     points, step = jnp.asarray(scene.points.center), 1e-6
@@ -295,9 +295,9 @@ POST = """<robot name="arm"><link name="base"/>
 def test_a_later_link_may_be_nearer_to_the_base(tmp_path):
     """What is fixed beside an arm is its last link; distances to it fall and rise with all joints before the other link."""
     (tmp_path / "arm.urdf").write_text(POST)
-    chain = jaxik.load(tmp_path / "arm.urdf", tip="fore")
-    assert [chain.link_names[i] for i in chain.self_pairs[0]] == ["fore", "post"]
-    apart, step = jax.jit(lambda q: jaxik.collision.self_clearance(chain, q)), 1e-6
+    robot = jaxik.load(tmp_path / "arm.urdf", tip="fore")
+    assert [robot.link_names[i] for i in robot.self_pairs[0]] == ["fore", "post"]
+    apart, step = jax.jit(lambda q: jaxik.collision.self_clearance(robot, q)), 1e-6
     slope, around = jax.jit(jax.grad(apart)), np.eye(2) * step
     for q in np.random.default_rng(0).uniform(-3.0, 3.0, (20, 2)):
         numeric = [(apart(q + e) - apart(q - e)) / (2.0 * step) for e in around]
@@ -306,24 +306,24 @@ def test_a_later_link_may_be_nearer_to_the_base(tmp_path):
 
 @pytest.mark.parametrize("per_box", [1, 8, 64, 512])
 def test_the_hierarchy_gives_the_flat_answer(per_box):
-    chain, rng = jaxik.load("p6r").with_spheres(per_box), np.random.default_rng(3)
+    robot, rng = jaxik.load("p6r").with_spheres(per_box), np.random.default_rng(3)
     scene = jaxik.make_scene(points=rng.uniform(-1, 1, (60, 3)) + np.array([0.4, 0.4, 0.8]))
-    flat = jax.jit(lambda q: jnp.min(_flat(chain, scene, q)))
-    for q in rng.uniform(chain.lower, chain.upper, (10, 7)):
-        least, looked = hierarchical_clearance(chain, scene, q)
+    flat = jax.jit(lambda q: jnp.min(_flat(robot, scene, q)))
+    for q in rng.uniform(robot.lower, robot.upper, (10, 7)):
+        least, looked = hierarchical_clearance(robot, scene, q)
         assert abs(least - flat(q)) <= 1e-12
-        assert hierarchical_collision(chain, scene, q)[0] == (float(flat(q)) <= 0.0)
+        assert hierarchical_collision(robot, scene, q)[0] == (float(flat(q)) <= 0.0)
         assert per_box < 64 or looked < 7 * per_box * 60
 
 
 @pytest.mark.parametrize("dtype", [np.float32, np.float64])
 def test_value_and_gradient_where_a_distance_is_zero(dtype):
-    chain = jaxik.load("p6r")
+    robot = jaxik.load("p6r")
     q = jnp.asarray([0.4, 0.3, -0.5, -0.4, 0.7, 0.6, 0.5], dtype)
-    centres, radii = jaxik.collision.link_spheres(chain, q)
+    centres, radii = jaxik.collision.link_spheres(robot, q)
     scene = jaxik.make_scene(points=[centres[40]], capsules=[[*centres[40], *(centres[40] + 1.0), 1.0]])
     scene = eqx.tree_at(lambda s: s.capsules.radius, scene, np.zeros(1))  # thinner than a scene is made
-    value, slope = jax.jit(jax.value_and_grad(lambda q: jaxik.clearance(chain, scene, q)))(q)
+    value, slope = jax.jit(jax.value_and_grad(lambda q: jaxik.clearance(robot, scene, q)))(q)
     assert abs(value + radii[40]) <= 64 * np.finfo(dtype).eps and np.all(np.isfinite(slope))
 
 
@@ -331,17 +331,17 @@ def test_value_and_gradient_where_a_distance_is_zero(dtype):
 @pytest.mark.parametrize("name", ["p6r", "crops_v2"])
 def test_what_is_skipped_changes_no_bit(name, dtype, only_kernels):
     """The flat search and that of the hierarchy, of the robot, each link and each object; and what `collides` says."""
-    chain, rng = jaxik.load(name), np.random.default_rng(8)
-    scene = grouped(_scene(rng), chain)
+    robot, rng = jaxik.load(name), np.random.default_rng(8)
+    scene = grouped(_scene(rng), robot)
     kernels = []
     for skips in (True, False):
         both = lambda space: (space.all(tracked=True), space.each(lambda found: found.distance))
-        kernels.append(HostKernel(lambda q, s, skips=skips, both=both: both(Space(chain, s, q, skips)), 1))
-    q = rng.uniform(chain.lower, chain.upper, (300, chain.num_joints)).astype(dtype)
+        kernels.append(HostKernel(lambda q, s, skips=skips, both=both: both(Space(robot, s, q, skips)), 1))
+    q = rng.uniform(robot.lower, robot.upper, (300, robot.num_joints)).astype(dtype)
     skipped, flat = (each.run(q, scene) for each in kernels)
     assert np.array_equal(skipped[0], flat[0]) and np.array_equal(skipped[-1], flat[-1])
     assert np.array_equal(skipped[-1].min(axis=1), flat[0])
-    touching = HostKernel(lambda q, s, margin: jaxik.collides(chain, s, q, margin), 1)
+    touching = HostKernel(lambda q, s, margin: jaxik.collides(robot, s, q, margin), 1)
     for margin in (0.0, 0.05, float(np.median(flat[0]))):
         (hits,) = touching.run(q, scene, dtype(margin))
         assert np.array_equal(hits, flat[0] < dtype(margin)) and (margin != 0.0 or 0 < hits.sum() < 300)
@@ -349,22 +349,22 @@ def test_what_is_skipped_changes_no_bit(name, dtype, only_kernels):
 
 def test_a_cloud_of_points_against_a_tree():
     """20,000 points, in kernels that are the same for 30,000: distances by scipy's tree, alone and as objects."""
-    chain, rng = jaxik.load("p6r"), np.random.default_rng(10)
-    alone = dataclasses.replace(chain, self_pairs=())
+    robot, rng = jaxik.load("p6r"), np.random.default_rng(10)
+    alone = dataclasses.replace(robot, self_pairs=())
     measure = HostKernel(lambda q, s: jaxik.clearance(alone, s, q), 1)
-    q = rng.uniform(chain.lower, chain.upper, (40, 7))
+    q = rng.uniform(robot.lower, robot.upper, (40, 7))
     for count in (20_000, 30_000):
         points = rng.uniform(-1.5, 1.5, (count, 3)) + np.array([0.4, 0.4, 0.8])
         builder = jaxik.collision.SceneBuilder("crop", point_radius=0.01)
         builder.add("near", points=points[: count // 2])
         builder.add("far", points=points[count // 2 :])
         scene = builder.scene()
-        centres, radii = jax.vmap(lambda q: jaxik.collision.link_spheres(chain, q))(q)
+        centres, radii = jax.vmap(lambda q: jaxik.collision.link_spheres(robot, q))(q)
         away = [cKDTree(part).query(centres)[0] - radii - 0.01 for part in np.split(points, 2)]
         truth = np.stack([each.min(axis=1) for each in away], axis=1)
         assert np.allclose(measure.run(q, grouped(scene, alone))[0], truth.min(axis=1), rtol=0.0, atol=1e-12)
         assert len(measure.known) == 1
-    assert np.allclose(jax.vmap(lambda q: jaxik.collision.object_clearances(chain, scene, q))(q), truth, rtol=0.0, atol=1e-12)
+    assert np.allclose(jax.vmap(lambda q: jaxik.collision.object_clearances(robot, scene, q))(q), truth, rtol=0.0, atol=1e-12)
 
 
 def test_links_ignore_objects():
@@ -375,7 +375,7 @@ def test_links_ignore_objects():
     builder.add("poles", capsules=[[x, 0.8, 0.0, x, 0.8, 1.0, 0.02] for x in np.linspace(0.0, 1.0, 9)])
     scene, q = builder.scene(), rng.uniform(whole.lower, whole.upper, (50, 7))
     carriage, shoulder = (whole.link_names.index(name) for name in ("carriage", "shoulder"))
-    chain = dataclasses.replace(whole, ignored=((carriage, "*"), (shoulder, "floor")))
+    robot = dataclasses.replace(whole, ignored=((carriage, "*"), (shoulder, "floor")))
     alone = dataclasses.replace(whole, self_pairs=())
     links = sorted({b.link for b in whole.boxes})
     to = lambda name: np.array(
@@ -386,24 +386,24 @@ def test_links_ignore_objects():
     counted["poles"][:, links.index(carriage)] = np.inf
     itself = np.array(jax.vmap(lambda q: jaxik.collision.self_clearance(whole, q))(q))
     expected = np.minimum(np.minimum(*(each.min(axis=1) for each in counted.values())), itself)
-    assert np.array_equal(jax.vmap(lambda q: jaxik.clearance(chain, scene, q))(q), expected)
-    objects = jax.vmap(lambda q: jaxik.collision.object_clearances(chain, scene, q))(q)
+    assert np.array_equal(jax.vmap(lambda q: jaxik.clearance(robot, scene, q))(q), expected)
+    objects = jax.vmap(lambda q: jaxik.collision.object_clearances(robot, scene, q))(q)
     assert np.array_equal(objects, np.stack([counted[name].min(axis=1) for name in scene.object_names], axis=1))
     assert np.any(objects > np.asarray(jax.vmap(lambda q: jaxik.collision.object_clearances(whole, scene, q))(q)))
-    told = [jaxik.explain(chain, scene, x, 1).contacts[0].distance for x in q[:5]]
+    told = [jaxik.explain(robot, scene, x, 1).contacts[0].distance for x in q[:5]]
     assert np.allclose(told, expected[:5], rtol=0.0, atol=1e-12)
 
 
 def test_nothing_is_hidden_by_nan():
-    chain, scene = jaxik.load("planar2"), jaxik.make_scene(spheres=[[1.5, 0.2, 0.0, 0.1]], capsules=[[1, 1, 0, 2, 1, 0, 0.1]])
-    distance = jax.jit(lambda scene, q: jaxik.clearance(chain, scene, q))
+    robot, scene = jaxik.load("planar2"), jaxik.make_scene(spheres=[[1.5, 0.2, 0.0, 0.1]], capsules=[[1, 1, 0, 2, 1, 0, 0.1]])
+    distance = jax.jit(lambda scene, q: jaxik.clearance(robot, scene, q))
     assert np.isfinite(distance(scene, np.zeros(2)))
     assert np.isnan(distance(scene, np.array([0.0, np.nan])))
-    assert jaxik.collides(chain, scene, np.array([0.0, np.nan]))
+    assert jaxik.collides(robot, scene, np.array([0.0, np.nan]))
     bad = dataclasses.replace(scene, spheres=jaxik.collision.scene.Spheres(scene.spheres.center * np.nan, scene.spheres.radius))
     assert np.isnan(distance(bad, np.zeros(2)))
     with pytest.raises(ValueError, match=r"spheres row 1: center .*finite"):  # of one that is known
-        jaxik.clearance(chain, bad, np.zeros(2))
+        jaxik.clearance(robot, bad, np.zeros(2))
 
 
 @pytest.mark.parametrize(
@@ -411,12 +411,12 @@ def test_nothing_is_hidden_by_nan():
 )
 def test_no_turned_obstacle_is_hidden_by_nan(kind, place, size):
     """A rotation of NaN, at a place that is a number: of the search's bounding spheres none sees it."""
-    chain = jaxik.load("planar2")
+    robot = jaxik.load("planar2")
     scene = jaxik.make_scene(**{kind: [(np.eye(4), *size)]})
     put = lambda frame: dataclasses.replace(scene, **{kind: dataclasses.replace(getattr(scene, kind), **{place: frame[None]})})
     frame = np.eye(4)
     frame[:2, 3] = 1.0, 1.5
-    asked = jax.jit(lambda T: (jaxik.clearance(chain, put(T), np.zeros(2)), jaxik.collides(chain, put(T), np.zeros(2))))
+    asked = jax.jit(lambda T: (jaxik.clearance(robot, put(T), np.zeros(2)), jaxik.collides(robot, put(T), np.zeros(2))))
     distance, hit = asked(frame)
     assert np.isfinite(distance) and not hit
     frame[0, 0] = np.nan
@@ -425,13 +425,13 @@ def test_no_turned_obstacle_is_hidden_by_nan(kind, place, size):
 
 
 @pytest.mark.parametrize("part", ["parent_T_joint", "world_T_base", "radius"])
-def test_no_chain_is_hidden_by_nan(part):
-    chain, scene = jaxik.load("planar2"), jaxik.make_scene(spheres=[[1.5, 0.9, 0.0, 0.1]])
+def test_no_robot_is_hidden_by_nan(part):
+    robot, scene = jaxik.load("planar2"), jaxik.make_scene(spheres=[[1.5, 0.9, 0.0, 0.1]])
 
     def scaled(x):
         if part == "radius":
-            return eqx.tree_at(lambda c: c.volumes[0].radius, chain, chain.volumes[0].radius * x)
-        return dataclasses.replace(chain, **{part: getattr(chain, part) * x})
+            return eqx.tree_at(lambda c: c.volumes[0].radius, robot, robot.volumes[0].radius * x)
+        return dataclasses.replace(robot, **{part: getattr(robot, part) * x})
 
     asked = jax.jit(lambda x: (jaxik.clearance(scaled(x), scene, np.zeros(2)), jaxik.collides(scaled(x), scene, np.zeros(2))))
     distance, hit = asked(1.0)
@@ -443,14 +443,14 @@ def test_no_chain_is_hidden_by_nan(part):
             ask(scaled(np.nan), scene, np.zeros(2))
 
 
-def test_what_is_grouped_belongs_to_a_chain():
-    """What a chain ignores is written into the obstacles that are made for it; no other may take them."""
+def test_what_is_grouped_belongs_to_a_robot():
+    """What a robot ignores is written into the obstacles that are made for it; no other may take them."""
     arm, scene = jaxik.load("planar2"), jaxik.make_scene(spheres=[[1.5, 0.2, 0.0, 0.1]])
     apart = jaxik.load("planar2", ignore=["link1", "link2"])
     assert jaxik.clearance(apart, grouped(scene, apart), np.zeros(2)) == np.inf
-    for chain, other in ((arm, apart), (apart, arm)):
-        with pytest.raises(ValueError, match=r"^planar2: .* another chain's"):
-            jaxik.clearance(chain, grouped(scene, other), np.zeros(2))
+    for robot, other in ((arm, apart), (apart, arm)):
+        with pytest.raises(ValueError, match=r"^planar2: .* another robot's"):
+            jaxik.clearance(robot, grouped(scene, other), np.zeros(2))
 
 
 def test_the_hierarchy_is_one_of_boxes():
@@ -460,8 +460,8 @@ def test_the_hierarchy_is_one_of_boxes():
             descend(arm, scene, np.zeros(4))
 
 
-def _flat(chain, scene, q):
-    centres, radii = jaxik.collision.link_spheres(chain, q)
+def _flat(robot, scene, q):
+    centres, radii = jaxik.collision.link_spheres(robot, q)
     return jnp.linalg.norm(centres[:, None] - scene.points.center, axis=-1) - radii[:, None]
 
 
@@ -474,21 +474,21 @@ def test_the_width_of_a_torch_tensor_is_not_asked():
 
 
 def test_padding_and_removal_change_nothing_else():
-    chain, rng = jaxik.load("p6r"), np.random.default_rng(4)
+    robot, rng = jaxik.load("p6r"), np.random.default_rng(4)
     scene = _scene(rng)
-    q = jnp.asarray(rng.uniform(chain.lower, chain.upper))
-    assert jaxik.clearance(chain, scene, q) == jaxik.clearance(chain, scene.padded(), q)
-    objects = np.asarray(jaxik.collision.object_clearances(chain, scene, q))
-    least = min(objects.min(), float(jaxik.collision.self_clearance(chain, q)))
-    assert abs(jaxik.clearance(chain, scene, q) - least) <= 1e-12
+    q = jnp.asarray(rng.uniform(robot.lower, robot.upper))
+    assert jaxik.clearance(robot, scene, q) == jaxik.clearance(robot, scene.padded(), q)
+    objects = np.asarray(jaxik.collision.object_clearances(robot, scene, q))
+    least = min(objects.min(), float(jaxik.collision.self_clearance(robot, q)))
+    assert abs(jaxik.clearance(robot, scene, q) - least) <= 1e-12
     removed = scene.without([int(objects.argmin())])
-    assert np.isinf(jaxik.collision.object_clearances(chain, removed, q)[objects.argmin()])
+    assert np.isinf(jaxik.collision.object_clearances(robot, removed, q)[objects.argmin()])
 
 
 def test_a_scene_is_as_wide_as_jax_takes_q():
     """NumPy's float64 is a float32 to JAX, unless that is set to float64; a kernel refuses operands of both kinds."""
-    chain, scene, q = jaxik.load("planar2"), jaxik.make_scene(points=[[0.9, 0.4, 0.0]]), np.array([0.3, 0.2])
+    robot, scene, q = jaxik.load("planar2"), jaxik.make_scene(points=[[0.9, 0.4, 0.0]]), np.array([0.3, 0.2])
     for x64, wide in ((False, np.float32), (True, np.float64)):
         with jax.enable_x64(x64):
-            around = clearances.as_wide(grouped(scene, chain), q)
+            around = clearances.as_wide(grouped(scene, robot), q)
         assert {x.dtype for x in jax.tree_util.tree_leaves(around) if x.dtype.kind == "f"} == {np.dtype(wide)}

@@ -26,10 +26,10 @@ def scene():
     return builder.scene()
 
 
-def shape_of(chain, link, q):
+def shape_of(robot, link, q):
     """The capsule of a link, by jaxik's own frames, which other tests hold."""
-    (volume,) = [v for v in chain.volumes if chain.link_names[v.link] == link]
-    frame = chain.world_T_base @ np.asarray(jaxik.robot.link_frames(chain, q))[volume.link]
+    (volume,) = [v for v in robot.volumes if robot.link_names[v.link] == link]
+    frame = robot.world_T_base @ np.asarray(jaxik.kinematics.link_frames(robot, q))[volume.link]
     a, b = volume.corners @ frame[:3, :3].T + frame[:3, 3]
     return coal.Capsule(float(volume.radius), float(np.linalg.norm(b - a))), a, b
 
@@ -90,7 +90,7 @@ def test_blocks_change_nothing(scene, monkeypatch):
 
 def test_without_a_scene_and_bad_use(scene):
     panda = jaxik.load("p6r")
-    middle = np.add(*jaxik.robot.finite_limits(panda)) / 2.0
+    middle = np.add(*jaxik.kinematics.finite_limits(panda)) / 2.0
     found = jaxik.explain(panda, None, middle)
     assert {c.other for c in found.contacts} <= set(panda.link_names)
     assert found.contacts[0].distance == pytest.approx(float(jaxik.collision.self_clearance(panda, middle)), abs=1e-9)

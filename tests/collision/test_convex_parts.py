@@ -15,8 +15,8 @@ from scipy.spatial.transform import Rotation
 import jaxik
 from jaxik.collision.bvh import NEAR, grouped
 from jaxik.collision.gjk import separation
-from jaxik.robot import link_frames
-from jaxik.robot.surface import brick
+from jaxik.kinematics import link_frames
+from jaxik.kinematics.surface import brick
 from jaxik.spatial.algebra import Vec3
 
 TURN = Rotation.from_euler("xyz", [0.4, 0.7, -0.3]).as_matrix()
@@ -78,16 +78,16 @@ def apart(one, other):
     return max(coal.distance(*one, *other, coal.DistanceRequest(), coal.DistanceResult()), 0.0)
 
 
-def parts_apart(chain, scene, q):
+def parts_apart(robot, scene, q):
     """How far coal says that the convex parts are apart, to themselves, and to a scene's things (k,)."""
     with jax.enable_x64(True):
-        frames = np.asarray(jax.vmap(lambda q: link_frames(chain, q))(jnp.asarray(q)))
-    bodies = [(part.link, convex(part.corners), part.radius) for part in chain.convex_parts]
+        frames = np.asarray(jax.vmap(lambda q: link_frames(robot, q))(jnp.asarray(q)))
+    bodies = [(part.link, convex(part.corners), part.radius) for part in robot.convex_parts]
     found = []
     for at in frames:
         stand = [(link, (body, placed(at[link])), radius) for link, body, radius in bodies]
         gaps = [
-            apart(a, b) - r - s for (i, a, r), (j, b, s) in itertools.product(stand, repeat=2) if (i, j) in chain.self_pairs
+            apart(a, b) - r - s for (i, a, r), (j, b, s) in itertools.product(stand, repeat=2) if (i, j) in robot.self_pairs
         ]
         gaps += [apart(a, (thing, placed(frame))) - r for _, a, r in stand for thing, frame in (THINGS if scene else ())]
         found.append(min(gaps))
@@ -98,7 +98,7 @@ def parts_apart(chain, scene, q):
 def test_where_volumes_are_near_its_parts_decide(arm, bare, scene):
     """D = V beyond 10 mm; below, what coal says of the parts, at most 10 mm; V where these touch."""
     q = drawn(arm, 600, 1)
-    found, volumes = (measured(lambda q, c=chain: jaxik.clearance(c, scene, q), q) for chain in (arm, bare))
+    found, volumes = (measured(lambda q, c=robot: jaxik.clearance(c, scene, q), q) for robot in (arm, bare))
     true = parts_apart(arm, scene is not None, q)
     far, touching = volumes >= NEAR, true <= 0.0
     between = ~far & ~touching
@@ -120,7 +120,7 @@ def test_no_collision_of_meshes_is_missed(arm, bare):
     q = drawn(arm, 2000, 2)
     truth = Truth(arm, q)
     free = np.array([truth.itself(i) > 0.0 for i in range(len(q))])
-    hits, by_volumes = (measured(lambda q, c=chain: jaxik.collides(c, None, q), q) for chain in (arm, bare))
+    hits, by_volumes = (measured(lambda q, c=robot: jaxik.collides(c, None, q), q) for robot in (arm, bare))
     assert (
         not np.any(~hits & ~free)
         and np.mean(by_volumes & free) > 0.01
@@ -166,15 +166,15 @@ def test_of_other_volumes_the_parts_know_nothing(arm, bare):
     """Where a link's volumes were changed, or are traced, these decide; what is attached counts beside the parts."""
     q = drawn(arm, 500, 5)
     grown = tuple(dataclasses.replace(v, radius=np.asarray(v.radius + 0.001)) for v in arm.volumes)
-    clear = lambda chain: measured(lambda q: jaxik.clearance(chain, None, q), q)
-    other, plain = (dataclasses.replace(chain, volumes=grown) for chain in (arm, bare))
+    clear = lambda robot: measured(lambda q: jaxik.clearance(robot, None, q), q)
+    other, plain = (dataclasses.replace(robot, volumes=grown) for robot in (arm, bare))
     np.testing.assert_array_equal(clear(other), clear(plain))
     wider = lambda x: jaxik.clearance(
         dataclasses.replace(arm, volumes=jax.tree_util.tree_map(lambda v: v + x, arm.volumes)), None, q[0]
     )
     assert np.isfinite(jax.grad(wider)(0.0))
     ball = jaxik.make_scene(spheres=[[0.0, 0.0, 1.1, 0.05]])
-    held = jaxik.collision.attach(arm, ball, "spheres_1", np.zeros(4), touches=["tip", "fork"]).chain
+    held = jaxik.collision.attach(arm, ball, "spheres_1", np.zeros(4), touches=["tip", "fork"]).robot
     assert held.convex_parts == arm.convex_parts and np.all(clear(held) <= clear(arm) + 1e-12)
     assert np.mean(clear(held) < clear(arm)) > 0.01
     lower = arm.link_names.index("lower")
@@ -257,10 +257,10 @@ def test_a_scene_that_was_grouped_for_another_robot_is_grouped_again(arm):
     scene = jaxik.make_scene(spheres=[[0.2, 0.1, 1.2, 0.03], [0.4, 0.1, 0.7, 0.05]])
     around = grouped(scene, arm)
     grown = tuple(dataclasses.replace(v, radius=np.asarray(v.radius + 0.02)) for v in arm.volumes)
-    others = jaxik.collision.attach(arm, scene, "spheres_1", np.zeros(4)).chain, dataclasses.replace(arm, volumes=grown)
+    others = jaxik.collision.attach(arm, scene, "spheres_1", np.zeros(4)).robot, dataclasses.replace(arm, volumes=grown)
     q = drawn(arm, 300, 11)
-    for chain in others:
-        told = [measured(lambda q, c=chain, s=s: jaxik.clearance(c, s, q), q) for s in (around, grouped(scene, chain))]
+    for robot in others:
+        told = [measured(lambda q, c=robot, s=s: jaxik.clearance(c, s, q), q) for s in (around, grouped(scene, robot))]
         np.testing.assert_array_equal(*told)
 
 

@@ -15,7 +15,7 @@ from robot_files import write
 import jaxik
 from jaxik.collision import clearances
 from jaxik.collision.bvh import WITHIN
-from jaxik.robot import link_frames
+from jaxik.kinematics import link_frames
 
 
 @pytest.fixture(scope="module")
@@ -45,7 +45,7 @@ def test_it_is_as_far_from_itself_as_its_meshes_are(arm):
     q = drawn(exact, 400)
     truth = Truth(exact, q)
     true = np.array([truth.itself(i) for i in range(len(q))])
-    volumes, found = (measured(lambda q, chain=chain: jaxik.clearance(chain, None, q), q) for chain in arm)
+    volumes, found = (measured(lambda q, robot=robot: jaxik.clearance(robot, None, q), q) for robot in arm)
     agrees(found, volumes, true)
     assert np.sum((volumes <= 0.0) & (true > 0.0)) > 2
     alone = dataclasses.replace(exact, convex_parts=())  # what rules out triangles takes part in no distance
@@ -61,7 +61,7 @@ def test_it_is_as_far_from_a_scene_as_its_meshes_are(arm):
     q = drawn(exact, 400, 1)
     truth = Truth(exact, q)
     true = np.array([min(truth.itself(i), truth.scene(i)) for i in range(len(q))])
-    volumes, found = (measured(lambda q, chain=chain: jaxik.clearance(chain, SCENE, q), q) for chain in arm)
+    volumes, found = (measured(lambda q, robot=robot: jaxik.clearance(robot, SCENE, q), q) for robot in arm)
     agrees(found, volumes, true)
 
 
@@ -101,13 +101,13 @@ def test_motions_are_proven_by_the_meshes(arm):
     the resolution; some are free by the meshes alone."""
     model, exact = arm
     q = drawn(exact, 8000, 5)
-    volumes, meshes = (measured(partial(jaxik.clearance, chain, SCENE), q) for chain in arm)
+    volumes, meshes = (measured(partial(jaxik.clearance, robot, SCENE), q) for robot in arm)
     free, hollow = np.flatnonzero(meshes > 0.005)[:60], np.flatnonzero((meshes > 0.005) & (volumes < 0.0))[:20]
     first = np.concatenate([q[free[::2]], q[hollow]])
     last = np.concatenate([q[free[::2]] + 0.25 * (q[free[1::2]] - q[free[::2]]), q[hollow] + 0.02])
     with jax.enable_x64(True):
-        proven = lambda chain: (
-            ~jax.vmap(lambda a, b: jaxik.collision.motion_collides(chain, SCENE, a, b))(jnp.asarray(first), jnp.asarray(last))
+        proven = lambda robot: (
+            ~jax.vmap(lambda a, b: jaxik.collision.motion_collides(robot, SCENE, a, b))(jnp.asarray(first), jnp.asarray(last))
         )
         free, by_model = np.asarray(proven(exact)), np.asarray(proven(model))
     share = np.linspace(0.0, 1.0, 101)[:, None, None]
@@ -144,7 +144,7 @@ def test_what_it_carries_is_exact_too(arm):
     tip = np.asarray(link_frames(exact, q))[exact.link_names.index("tip")]
     world_T_block = tip @ np.array([[1, 0, 0, 0.08], [0, 1, 0, 0], [0, 0, 1, 0], [0, 0, 0, 1]])
     scene = jaxik.make_scene(boxes=[(world_T_block, (0.04, 0.06, 0.05))])
-    held = jaxik.collision.attach(exact, scene, "boxes_1", q, touches=["tip", "fork"]).chain
+    held = jaxik.collision.attach(exact, scene, "boxes_1", q, touches=["tip", "fork"]).robot
     at = drawn(exact, 300, 8)
     truth, block = Truth(exact, at), coal.Box(0.04, 0.06, 0.05)
     frames = truth.frames[:, exact.link_names.index("tip")]
@@ -223,21 +223,21 @@ def test_it_is_refused_without_meshes(arm):
 @pytest.mark.parametrize("exact", [True, False])
 def test_a_large_batch_is_what_its_parts_are(arm, exact):
     """It is computed in another order; results, derivatives and the NaN of one stand where they belong."""
-    chain = arm[1] if exact else jaxik.load("p6r")
+    robot = arm[1] if exact else jaxik.load("p6r")
     scene = SCENE if exact else jaxik.load_scene("cucumber_row")
-    q = jnp.asarray(drawn(chain, 400, 10)).at[7, 0].set(jnp.nan)
+    q = jnp.asarray(drawn(robot, 400, 10)).at[7, 0].set(jnp.nan)
     for of in (
-        lambda q: jaxik.collides(chain, scene, q, 0.01),
-        jax.value_and_grad(lambda q: jaxik.clearance(chain, scene, q)),
-        lambda q: clearances.link_clearances(chain, scene, q),
+        lambda q: jaxik.collides(robot, scene, q, 0.01),
+        jax.value_and_grad(lambda q: jaxik.clearance(robot, scene, q)),
+        lambda q: clearances.link_clearances(robot, scene, q),
     ):
         whole = jax.tree_util.tree_leaves(jax.jit(jax.vmap(of))(q))
         parts = [jax.tree_util.tree_leaves(jax.jit(jax.vmap(of))(q[k : k + 100])) for k in range(0, 400, 100)]
         for found, *each in zip(whole, *parts, strict=True):
             np.testing.assert_array_equal(found, np.concatenate(each))
     # a list, which the checks of the tests do not let through to `clearance`
-    around, ones = clearances.grouped(scene, chain), [1] * chain.num_joints
-    assert clearances._clearance(chain, around, ones) == jaxik.clearance(chain, scene, jnp.ones(chain.num_joints))
+    around, ones = clearances.grouped(scene, robot), [1] * robot.num_joints
+    assert clearances._clearance(robot, around, ones) == jaxik.clearance(robot, scene, jnp.ones(robot.num_joints))
 
 
 def test_margins_beyond_what_is_shown_are_decided_by_triangles(arm):

@@ -40,8 +40,8 @@ def p6r():
 
 @pytest.fixture(scope="module")
 def march(p6r):
-    chain, scene = p6r
-    return jax.jit(jax.vmap(lambda a, b: jaxik.motion_clearance(chain, scene, a, b)))
+    robot, scene = p6r
+    return jax.jit(jax.vmap(lambda a, b: jaxik.motion_clearance(robot, scene, a, b)))
 
 
 def test_never_free_where_a_dense_sampling_hits(p6r):
@@ -70,28 +70,28 @@ def test_no_tunnelling_through_a_thin_stem():
 
 def test_bounds_of_speed_hold():
     """Speeds by the twist of a ball are no less than those of the skeleton's corners, by differences; the motion's bounds of
-    speed and acceleration hold at random fractions. A chain whose middle joint slides."""
+    speed and acceleration hold at random fractions. A robot whose middle joint slides."""
     from jaxik.collision.continuous_collision import _row_bounds, _rows, _speeds
     from jaxik.collision.volumes import skeletons
     from jaxik.spatial.algebra import traced
 
-    chain = jaxik.load("chembuly9")
-    rows, step = _rows(dataclasses.replace(chain, self_pairs=())), 1e-4
+    robot = jaxik.load("chembuly9")
+    rows, step = _rows(dataclasses.replace(robot, self_pairs=())), 1e-4
     places = jax.jit(
         lambda q: [
-            jnp.stack(jnp.broadcast_arrays(*c)) for s in skeletons(chain, traced(q), q.dtype).values() for c in s.corners
+            jnp.stack(jnp.broadcast_arrays(*c)) for s in skeletons(robot, traced(q), q.dtype).values() for c in s.corners
         ]
     )
-    links = np.concatenate([s.link for s in skeletons(chain, list(np.zeros(9)), np.float64).values() for _ in s.corners])
+    links = np.concatenate([s.link for s in skeletons(robot, list(np.zeros(9)), np.float64).values() for _ in s.corners])
     rng, near = np.random.default_rng(1), []
     for _ in range(20):
-        q_from, q_to = rng.uniform(*jaxik.robot.finite_limits(chain), (2, 9))
-        bounds = _row_bounds(chain, rows, q_from, q_to)
+        q_from, q_to = rng.uniform(*jaxik.kinematics.finite_limits(robot), (2, 9))
+        bounds = _row_bounds(robot, rows, q_from, q_to)
         t = rng.uniform()
         before, here, after = (np.concatenate(places(q_from + s * (q_to - q_from)), axis=1) for s in (t - step, t, t + step))
         speed = np.linalg.norm(after - before, axis=0) / (2 * step)
         bent = np.linalg.norm(after - 2 * here + before, axis=0) / step**2
-        most = _speeds(chain, rows, q_from + t * (q_to - q_from), q_to - q_from)
+        most = _speeds(robot, rows, q_from + t * (q_to - q_from), q_to - q_from)
         for i, row in enumerate(rows):
             own = links == row.link
             assert speed[own].max() <= most[i] + 1e-6 and most[i] <= bounds.speed[i] * 3.0 + 1e-9
@@ -101,9 +101,9 @@ def test_bounds_of_speed_hold():
 
 
 def test_motions_that_do_not_move_or_are_no_numbers(p6r, march):
-    chain, scene = p6r
-    q = motions(chain, scene, 3)[0]
-    found, apart = march(q, q), np.asarray(jax.jit(jax.vmap(lambda q: jaxik.clearance(chain, scene, q)))(q))
+    robot, scene = p6r
+    q = motions(robot, scene, 3)[0]
+    found, apart = march(q, q), np.asarray(jax.jit(jax.vmap(lambda q: jaxik.clearance(robot, scene, q)))(q))
     assert found.clearance.dtype == np.float32 and np.all(found.free) and np.all(found.evaluations <= 2)
     assert np.all((apart - found.clearance >= 0.0) & (apart - found.clearance <= 1e-4)) and np.all(np.isinf(found.contact))
     bad = q.copy()
@@ -114,9 +114,9 @@ def test_motions_that_do_not_move_or_are_no_numbers(p6r, march):
 
 
 def test_what_begins_in_contact_ends_there(p6r, march):
-    chain, scene = p6r
-    q = np.random.default_rng(2).uniform(*jaxik.robot.finite_limits(chain), (200, 7)).astype(np.float32)
-    apart = np.asarray(jax.jit(jax.vmap(lambda q: jaxik.clearance(chain, scene, q)))(q))
+    robot, scene = p6r
+    q = np.random.default_rng(2).uniform(*jaxik.kinematics.finite_limits(robot), (200, 7)).astype(np.float32)
+    apart = np.asarray(jax.jit(jax.vmap(lambda q: jaxik.clearance(robot, scene, q)))(q))
     touching = apart < 0.0
     found = march(q, q + np.float32(0.1))
     assert np.all(found.contact[touching] == 0.0) and not np.any(found.free[touching])
@@ -125,23 +125,23 @@ def test_what_begins_in_contact_ends_there(p6r, march):
 
 
 def test_a_batch_is_its_rows_and_enough_is_enough(p6r, march, only_kernels):
-    chain, scene = p6r
-    q_from, q_to = motions(chain, scene, 24)
+    robot, scene = p6r
+    q_from, q_to = motions(robot, scene, 24)
     batch = march(q_from, q_to)
     for i in range(0, 24, 8):
-        for field, row in zip(batch, jaxik.motion_clearance(chain, scene, q_from[i], q_to[i]), strict=True):
+        for field, row in zip(batch, jaxik.motion_clearance(robot, scene, q_from[i], q_to[i]), strict=True):
             assert np.array_equal(field[i], row, equal_nan=True)
-    planner = jax.jit(jax.vmap(lambda a, b: jaxik.motion_clearance(chain, scene, a, b, enough=0.0)))(q_from, q_to)
+    planner = jax.jit(jax.vmap(lambda a, b: jaxik.motion_clearance(robot, scene, a, b, enough=0.0)))(q_from, q_to)
     assert np.array_equal(planner.free, batch.free) and np.all(planner.clearance[planner.free] >= 0.0)
     assert planner.evaluations[planner.free].mean() < 0.5 * batch.evaluations[batch.free].mean()
     ask = jax.jit(
-        jax.vmap(lambda a, b, *numbers: jaxik.motion_clearance(chain, scene, a, b, *numbers), (0, 0, None, None, None))
+        jax.vmap(lambda a, b, *numbers: jaxik.motion_clearance(robot, scene, a, b, *numbers), (0, 0, None, None, None))
     )
     kept = ask(q_from, q_to, 0.005, 1e-3, 0.0)  # enough, and less than the margin
     assert np.all(kept.free <= (batch.clearance >= 0.003)) and np.all(kept.clearance[kept.free] >= 0.005)
     for odd in ((np.nan, 1e-3, 0.0), (0.0, np.nan, 0.0), (0.0, -1e-3, 0.0), (0.0, 1e-3, np.nan)):
         assert not np.any(ask(q_from, q_to, *odd).free)  # traced numbers that prove nothing
-    collides = jax.jit(jax.vmap(lambda a, b: jaxik.collision.motion_collides(chain, scene, a, b)))(q_from, q_to)
+    collides = jax.jit(jax.vmap(lambda a, b: jaxik.collision.motion_collides(robot, scene, a, b)))(q_from, q_to)
     assert np.array_equal(collides, ~batch.free)
 
 
@@ -184,7 +184,7 @@ def test_nothing_to_hit_fixed_links_and_exhaustion():
         ({"q_to": np.zeros(3)}, "q has shape (3,)"),
         ({"q_from": "home"}, "q is home"),
         ({"scene": "crop"}, "scene is crop"),
-        ({"chain": None}, "chain is None"),
+        ({"robot": None}, "robot is None"),
         ({"margin": [0.0, 1.0]}, "margin has the shape (2,)"),
         ({"resolution": 0.0}, "resolution is 0"),
         ({"resolution": np.nan}, "resolution is nan"),
@@ -193,7 +193,7 @@ def test_nothing_to_hit_fixed_links_and_exhaustion():
 )
 def test_bad_use_is_one_line(change, said, monkeypatch):
     monkeypatch.setattr(jaxtyping.config, "jaxtyping_disable", True)  # the types would refuse it in their words
-    given = {"chain": jaxik.load("planar2"), "scene": None, "q_from": np.zeros(2), "q_to": np.ones(2)} | change
+    given = {"robot": jaxik.load("planar2"), "scene": None, "q_from": np.zeros(2), "q_to": np.ones(2)} | change
     for function in (jaxik.motion_clearance, jaxik.collision.motion_collides):
         with pytest.raises(ValueError) as told:
             function(**given)

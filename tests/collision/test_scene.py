@@ -175,10 +175,10 @@ def test_any_array_of_numbers_is_taken():
     ],
 )
 def test_a_frame_that_is_not_rigid_moves_no_robot(frame, words):
-    chain = jaxik.load("planar2")
+    robot = jaxik.load("planar2")
     for move, name in (
-        (chain.mounted, "world_T_base"),
-        (chain.with_tool, "tip_T_tool"),
+        (robot.mounted, "world_T_base"),
+        (robot.with_tool, "tip_T_tool"),
         (lambda frame: jaxik.load("planar2", tool=frame), "tool"),
     ):
         with pytest.raises(ValueError) as error:
@@ -187,15 +187,15 @@ def test_a_frame_that_is_not_rigid_moves_no_robot(frame, words):
 
 
 def test_a_rigid_frame_is_taken_in_any_form():
-    chain, shift = jaxik.load("planar2"), np.eye(4, dtype=int)
+    robot, shift = jaxik.load("planar2"), np.eye(4, dtype=int)
     shift[0, 3] = 2
     for form in (shift, shift.tolist(), jnp.asarray(shift)):
-        assert chain.mounted(form).world_T_base[0, 3] == 2.0
-        assert np.array_equal(chain.with_tool(form).joint_T_tip, chain.joint_T_tip @ shift)
+        assert robot.mounted(form).world_T_base[0, 3] == 2.0
+        assert np.array_equal(robot.with_tool(form).joint_T_tip, robot.joint_T_tip @ shift)
     # what is traced is known by its shape alone, and has its gradient
-    assert jax.grad(lambda x: chain.with_tool(jnp.eye(4).at[0, 3].set(x)).joint_T_tip[0, 3])(0.1) == 1.0
+    assert jax.grad(lambda x: robot.with_tool(jnp.eye(4).at[0, 3].set(x)).joint_T_tip[0, 3])(0.1) == 1.0
     with pytest.raises(ValueError, match=r"\(3, 3\)"):
-        jax.eval_shape(lambda x: chain.mounted(x).world_T_base, jnp.eye(3))
+        jax.eval_shape(lambda x: robot.mounted(x).world_T_base, jnp.eye(3))
 
 
 def test_boxes_and_cylinders_by_their_centres():
@@ -265,10 +265,10 @@ def hand_made(kind, **arrays):
     ],
 )
 def test_drivers_refuse_what_was_put_in_by_hand(kind, arrays, words):
-    scene, chain = hand_made(kind, **arrays), jaxik.load("pendulum4")
+    scene, robot = hand_made(kind, **arrays), jaxik.load("pendulum4")
     for ask in (
-        lambda: jaxik.solve_ik(chain, np.eye(4), scene),
-        lambda: jaxik.explain(chain, scene, np.zeros(4)),
+        lambda: jaxik.solve_ik(robot, np.eye(4), scene),
+        lambda: jaxik.explain(robot, scene, np.zeros(4)),
         lambda: scene.padded(),
     ):
         with pytest.raises(ValueError) as error:
@@ -384,7 +384,7 @@ def same(a, b):
 @pytest.mark.parametrize("seed", range(20))
 def test_a_file_keeps_a_scene_to_the_last_bit(tmp_path, seed):
     path, scene = tmp_path / "scene.toml", crowded(seed)
-    save_scene(scene, path, 'a "quoted" \\ description')
+    save_scene(scene, path, description='a "quoted" \\ description')
     assert same(jaxik.load_scene(path), scene)
     turned = np.eye(4)
     turned[:3, :3], turned[:3, 3] = Rotation.from_rotvec((0.3, -0.2, 0.9)).as_matrix(), (0.1, 0.2, 0.3)
@@ -552,12 +552,9 @@ def test_a_scene_without_a_fruit_is_a_scene(tmp_path):
         one_line(error, name)
 
 
-def test_a_scene_is_saved_as_a_chain_is(tmp_path):
+def test_a_scene_is_saved_as_a_robot_is(tmp_path):
     scene, path = crowded(), tmp_path / "scene.toml"
     jaxik.files.save_scene(scene, str(path))
-    with pytest.warns(DeprecationWarning, match=r"save_scene\(scene, path\)"):
-        jaxik.files.save_scene(tmp_path / "before.toml", scene)
-    assert (tmp_path / "before.toml").read_bytes() == path.read_bytes()
     for where, words in ((tmp_path / "scene.ply", (".ply", ".toml")), (tmp_path / "no" / "scene.toml", ("cannot be written",))):
         with pytest.raises(ValueError) as error:
             jaxik.files.save_scene(scene, where)
@@ -566,8 +563,8 @@ def test_a_scene_is_saved_as_a_chain_is(tmp_path):
 
 def test_what_is_taken_away_leaves_the_shapes_of_what_is_grouped():
     """So that one kernel serves before and after."""
-    chain, scene = jaxik.load("p6r"), jaxik.load_scene("cucumber_row")
-    shapes = lambda scene: jax.tree_util.tree_map(np.shape, grouped(scene, chain))
+    robot, scene = jaxik.load("p6r"), jaxik.load_scene("cucumber_row")
+    shapes = lambda scene: jax.tree_util.tree_map(np.shape, grouped(scene, robot))
     assert shapes(scene) == shapes(scene.without([n for n in scene.object_names if n.startswith(("leaf", "fruit"))]))
 
 
@@ -577,7 +574,7 @@ def test_a_closed_surface_is_one_solid_however_it_is_given(tmp_path):
         2.0 * np.array([[1, 1, 1], [1, -1, -1], [-1, 1, -1], [-1, -1, 1.0]])[[[0, 1, 2], [0, 3, 1], [0, 2, 3], [1, 2, 3]]]
     )
     lonely = np.array([[[5.0, 0, 0], [5, 1, 0], [5, 0, 1]]])
-    chain, builder = jaxik.load("planar2"), SceneBuilder()
+    robot, builder = jaxik.load("planar2"), SceneBuilder()
     builder.add("solid", triangles=tetrahedron)
     builder.add("lonely", triangles=lonely)
     plain = jaxik.make_scene(triangles=np.concatenate([tetrahedron, lonely]))
@@ -585,6 +582,6 @@ def test_a_closed_surface_is_one_solid_however_it_is_given(tmp_path):
     save_scene(plain, tmp_path / "scene.toml")
     for q in np.random.default_rng(4).uniform(-3.0, 3.0, (4, 2)):
         clear = [
-            float(jaxik.clearance(chain, s, q)) for s in (builder.scene(), plain, jaxik.load_scene(tmp_path / "scene.toml"))
+            float(jaxik.clearance(robot, s, q)) for s in (builder.scene(), plain, jaxik.load_scene(tmp_path / "scene.toml"))
         ]
         assert clear[0] < -0.3 and clear[0] == clear[1] == pytest.approx(clear[2], abs=1e-6)

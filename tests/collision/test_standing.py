@@ -51,17 +51,17 @@ def test_a_misspelt_object_is_told(post, cell):
 
 
 def test_millimetres_are_told():
-    chain, far = jaxik.load("p6r"), np.eye(4)
+    robot, far = jaxik.load("p6r"), np.eye(4)
     far[0, 3] = 800.0
     with pytest.warns(UserWarning, match=r"solve_ik: targets lie about 800 m from p6r, .*millimetres\?"):
-        assert jaxik.solve_ik(chain, far).reason == jaxik.Reason.OUT_OF_REACH
+        assert jaxik.solve_ik(robot, far).reason == jaxik.Reason.OUT_OF_REACH
 
 
 def test_an_invalid_target_says_why():
-    chain, bad = jaxik.load("p6r"), np.tile(np.eye(4), (7, 1, 1))
+    robot, bad = jaxik.load("p6r"), np.tile(np.eye(4), (7, 1, 1))
     bad[0, 0, 3], bad[1, :3, :3], bad[2, 1, 1], bad[3, 3, 0], bad[4, :3, :3] = np.nan, 0.0, np.nan, 2.0, 1.1 * np.eye(3)
     bad[5, 0, 0] = -1.0
-    result = jaxik.solve_ik(chain, bad)
+    result = jaxik.solve_ik(robot, bad)
     words = ("position holds NaN", "length 0", "rotation holds NaN", "last row", "scales", "mirrors")
     assert all(word in why for word, why in zip(words, result.why, strict=False)) and result.why[6] == result.reasons[6]
     assert result[1].why == "invalid: its rotation is 0, as of a quaternion of length 0" and list(result[5:].why) == [

@@ -57,10 +57,10 @@ def scene_of(triangles, seed=0, name="mesh"):
     return builder.scene(), placed
 
 
-def volumes_at(chain, q):
+def volumes_at(robot, q):
     """The corners of each volume as those of a triangle, which may be flat, and the radius."""
-    frames = np.asarray(jaxik.robot.link_frames(chain, q)) @ np.linalg.inv(chain.link_offset)
-    for v in chain.volumes:
+    frames = np.asarray(jaxik.kinematics.link_frames(robot, q)) @ np.linalg.inv(robot.link_offset)
+    for v in robot.volumes:
         turned = v.corners @ frames[v.link][:3, :3].T + frames[v.link][:3, 3]
         yield turned[[0, len(turned) // 2, -1]], float(v.radius)
 
@@ -95,15 +95,15 @@ def test_surfaces_against_coal(arm, name):
 
 def test_slopes_lead_out_of_a_solid(arm):
     """By q, and by where the obstacle is, whose corners are traced then."""
-    chain, scene = (
+    robot, scene = (
         dataclasses.replace(arm, volumes=arm.volumes[1:2]),
         scene_of(trimesh.creation.box((0.5, 0.4, 0.3)).triangles)[0],
     )
     moved = lambda a: jax.tree_util.tree_map(lambda x: x + a if x.ndim == 2 else x, scene)
     q, steps = np.random.default_rng(2).uniform(arm.lower, arm.upper, (60, 3)), 1e-6 * np.eye(3)
-    near = lambda scene, q: jax.vmap(lambda q: jaxik.clearance(chain, scene, q))(q)
-    least, slopes = jax.vmap(jax.value_and_grad(lambda q: jaxik.clearance(chain, scene, q)))(q)
-    by_place = jax.value_and_grad(lambda a, q: jaxik.clearance(chain, moved(a), q))
+    near = lambda scene, q: jax.vmap(lambda q: jaxik.clearance(robot, scene, q))(q)
+    least, slopes = jax.vmap(jax.value_and_grad(lambda q: jaxik.clearance(robot, scene, q)))(q)
+    by_place = jax.value_and_grad(lambda a, q: jaxik.clearance(robot, moved(a), q))
     again, shifts = jax.jit(jax.vmap(by_place, (None, 0)))(np.zeros(3), q)
     np.testing.assert_allclose(again, least, atol=1e-12)
     sides = [
@@ -140,23 +140,23 @@ def test_the_way_out_of_a_triangle():
 
 def test_no_motion_passes_through_a_surface(arm):
     """A body and an open surface, by a dense sampling; and a motion inside of a body is not free."""
-    chain, builder = dataclasses.replace(arm, volumes=arm.volumes[:2]), jaxik.collision.SceneBuilder()
+    robot, builder = dataclasses.replace(arm, volumes=arm.volumes[:2]), jaxik.collision.SceneBuilder()
     builder.add("body", triangles=MESHES["convex"] + [0.1, 0.2, 0.0])
     builder.add("sheets", triangles=0.5 * MESHES["scattered"] + [0.1, -0.25, 0.05])
     scene, rng = builder.scene(), np.random.default_rng(7)
     start = rng.uniform(arm.lower, arm.upper, (300, 3))
     end = start + rng.uniform(0.2, 1.0, (300, 1)) * (rng.uniform(arm.lower, arm.upper, start.shape) - start)
-    free = ~np.asarray(jax.vmap(lambda a, b: jaxik.collision.motion_collides(chain, scene, a, b))(start, end))
+    free = ~np.asarray(jax.vmap(lambda a, b: jaxik.collision.motion_collides(robot, scene, a, b))(start, end))
     way = (start + np.linspace(0.0, 1.0, 400)[:, None, None] * (end - start)).reshape(-1, 3)
-    least = np.asarray(jax.vmap(lambda q: jaxik.clearance(chain, scene, q))(way)).reshape(400, 300).min(axis=0)
+    least = np.asarray(jax.vmap(lambda q: jaxik.clearance(robot, scene, q))(way)).reshape(400, 300).min(axis=0)
     assert not np.any(free & (least <= 0.0)) and np.all(free | (least < 0.01))
     ends = np.minimum(
-        *np.asarray(jax.vmap(lambda q: jaxik.clearance(chain, scene, q))(np.concatenate([start, end]))).reshape(2, -1)
+        *np.asarray(jax.vmap(lambda q: jaxik.clearance(robot, scene, q))(np.concatenate([start, end]))).reshape(2, -1)
     )
     assert free.sum() > 50 and np.sum((least <= 0.0) & (ends > 0.0)) > 10
     inside = np.array([-0.1, 1.1, 0.0]) + 1e-3 * rng.normal(size=(300, 3))
     held, _ = scene_of(20.0 * np.array(MESHES["convex"]))
-    assert jax.vmap(lambda a, b: jaxik.collision.motion_collides(chain, held.padded(), a, b))(inside, inside + 0.1).all()
+    assert jax.vmap(lambda a, b: jaxik.collision.motion_collides(robot, held.padded(), a, b))(inside, inside + 0.1).all()
 
 
 def test_a_room_is_no_solid(arm):
@@ -265,13 +265,13 @@ def test_a_carried_surface_moves_with_the_tip(arm):
     scene, triangles = scene_of(MESHES["open"], name="sheet")
     held = jaxik.collision.attach(arm, scene, "sheet", np.zeros(3), touches=arm.link_names)
     ball = jaxik.make_scene(spheres=[[1.0, 0.6, 0.3, 0.1]])
-    alone = [p for p in held.chain.volumes if held.chain.link_names[p.link] == "sheet"]
+    alone = [p for p in held.robot.volumes if held.robot.link_names[p.link] == "sheet"]
     assert len(alone) == len(triangles)
     q, tip = np.array([0.1, 0.4, -0.3]), lambda q: np.asarray(jaxik.forward_kinematics(arm, q))
     moved = tip(q) @ np.linalg.inv(tip(np.zeros(3)))
     placed = triangles @ moved[:3, :3].T + moved[:3, 3]
     truth = apart_in_coal(in_coal(placed), in_coal(np.full((1, 3, 3), [1.0, 0.6, 0.3]))) - 0.1
-    found = {c.link: c.distance for c in jaxik.explain(held.chain, ball, q, 9).contacts}
+    found = {c.link: c.distance for c in jaxik.explain(held.robot, ball, q, 9).contacts}
     assert abs(found["sheet"] - truth) <= 1e-9
 
 

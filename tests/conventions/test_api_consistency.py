@@ -25,22 +25,19 @@ def test_a_motion_says_its_reason():
     path = jaxik.motions.Line(*(jaxik.forward_kinematics(ARM, np.array(q)) for q in ([0.3, 0.4], [0.4, 0.5])))
     in_plane = jaxik.Task.pose(("z", "roll", "pitch", "yaw"), "base")
     still = jaxik.follow(ARM, path, 0.1, [0.3, 0.4], dt=0.05, task=in_plane)
-    with pytest.warns(DeprecationWarning, match="how is options"):
-        same = jaxik.follow(ARM, path, 0.1, [0.3, 0.4], how=jaxik.motions.FollowOptions(dt=0.05, task=in_plane))
+    same = jaxik.follow(ARM, path, 0.1, [0.3, 0.4], options=jaxik.motions.FollowOptions(dt=0.05, task=in_plane))
     assert still.reasons == Reason(int(still.reason)).text == same.reasons
     assert isinstance(still, jaxik.motions.following.Followed) and len(jax.tree_util.tree_leaves(still)) == 7
 
 
 def test_options_go_by_name():
-    chain, scene = jaxik.load("p6r"), jaxik.load_scene("cucumber_row")
+    robot, scene = jaxik.load("p6r"), jaxik.load_scene("cucumber_row")
     options = jaxik.harvesting.HarvestOptions(angles=4, slides=2)
     scene = dataclasses.replace(scene, fruits=scene.fruits[:1])
-    found = jaxik.harvest(chain, scene, options)
-    assert found.counts() == jaxik.harvest(chain, scene, angles=4, slides=2).counts()
-    with pytest.warns(DeprecationWarning, match="write weights"):
-        assert jaxik.harvest(chain, scene, jaxik.harvesting.Weights(), angles=4, slides=2).counts() == found.counts()
+    found = jaxik.harvest(robot, scene, options)
+    assert found.counts() == jaxik.harvest(robot, scene, angles=4, slides=2).counts()
     for call in (
-        lambda: jaxik.harvest(chain, scene, angle=4),
+        lambda: jaxik.harvest(robot, scene, angle=4),
         lambda: jaxik.solve_ik(ARM, TARGETS, tasks=None),
         lambda: jaxik.follow(ARM, jaxik.motions.Line(TARGETS[0], TARGETS[0]), 1.0, [0.0, 0.0], speed=1.0),
         *(

@@ -21,7 +21,7 @@ def mjcf(folder):
 
 
 def plant(folder):
-    jaxik.control.mujoco_model(jaxik.load("crops_v2"))
+    jaxik.estimation.mujoco_model(jaxik.load("crops_v2"))
 
 
 def parquet(folder):

@@ -74,7 +74,7 @@ def plain(value, *shape):
 @given(ANYTHING)
 def test_configurations(q):
     assume(not plain(q, 2))  # those are what every other test is about
-    for function in (jaxik.forward_kinematics, jaxik.jacobian, lambda chain, q: jaxik.clearance(chain, SCENE, q)):
+    for function in (jaxik.forward_kinematics, jaxik.jacobian, lambda robot, q: jaxik.clearance(robot, SCENE, q)):
         assert answer(function, ARM, q) is None
 
 
@@ -108,8 +108,8 @@ def test_tasks(bound, axes):
 @cheap
 @given(ANYTHING)
 def test_spheres_a_box(count):
-    chain = answer(ARM.with_spheres, count)
-    assert chain is None or (chain.spheres_per_box == count and type(chain.spheres_per_box) is int)
+    robot = answer(ARM.with_spheres, count)
+    assert robot is None or (robot.spheres_per_box == count and type(robot.spheres_per_box) is int)
 
 
 COUNTS, NUMBERS = ("max_seeds", "solutions", "cost_iterations"), ("margin", "distinct", "activation", "penalty")
@@ -155,7 +155,7 @@ def test_weights_are_above_zero(made, weights):
 
 
 def test_weights_and_accelerations_are_one_a_joint():
-    """Those of joints that a chain does not have were left out without a word."""
+    """Those of joints that a robot does not have were left out without a word."""
     for weights in ((1.0,), (1.0, 2.0, 3.0)):
         follow = jaxik.motions.FollowOptions(dt=0.1, task=XY, weights=weights)
         refused(r"weights .* planar2 .*; allowed: \(2,\)", jaxik.follow, ARM, LINE, 1.0, ZEROS, options=follow)
@@ -239,7 +239,7 @@ def test_other_arrays_and_counts(value):
     calls = {
         (4,): [lambda: jaxik.harvesting.fit_mapping(value, pairs), lambda: jaxik.harvesting.fit_mapping(pairs, value)],
         (2,): [
-            lambda: jaxik.robot.admissible_turns(ARM, value),
+            lambda: jaxik.kinematics.admissible_turns(ARM, value),
             lambda: jaxik.motions.MovingHorizon(ARM, COST, HORIZON).start(value),
         ],
         (2, 7): [lambda: jaxik.reach.reach_score(P6R, None, poses, value)],
@@ -266,9 +266,9 @@ def test_what_is_of_another_kind():
     refused("margin is nan", jaxik.harvesting.scan, P6R, SCENE, fruit, 2, 2, margin=np.nan)
     refused("fruit is 3", jaxik.harvesting.scan, P6R, SCENE, 3)
     refused("scene is 3", jaxik.harvest, P6R, 3)
-    refused("chain is 3", jaxik.forward_kinematics, 3, ZEROS)
-    refused("chain is 3", jaxik.robot.finite_limits, 3)
-    refused("chain is 3", jaxik.analytic.closed_form_obstacle, 3)
+    refused("robot is 3", jaxik.forward_kinematics, 3, ZEROS)
+    refused("robot is 3", jaxik.kinematics.finite_limits, 3)
+    refused("robot is 3", jaxik.analytic.closed_form_obstacle, 3)
     refused("scene is 3", jaxik.clearance, ARM, 3, ZEROS)
     refused(r"weights has shape \(\)", jaxik.solve_ik, ARM, np.eye(4), task=XY, weights=44)
     refused("path: str", jaxik.follow, ARM, dataclasses.replace(LINE, start="here"), 1.0, ZEROS)
@@ -286,7 +286,7 @@ def test_one_line_says_what_reads_a_file():
     )
     refused(r"write a jaxik.Scene, e.g. jaxik.load_scene\('c.toml'\)", jaxik.solve_ik, P6R, np.eye(4), "c.toml")
     refused("write a jaxik.Scene$", jaxik.solve_ik, P6R, np.eye(4), [SCENE])
-    refused(r"write a jaxik.Chain, e.g. jaxik.load\('xarm.toml'\)", jaxik.solve_ik, "xarm.toml", np.eye(4))
+    refused(r"write a jaxik.Robot, e.g. jaxik.load\('xarm.toml'\)", jaxik.solve_ik, "xarm.toml", np.eye(4))
     refused(r"accuracy=10; .* metres; 10 mm is 0.01", jaxik.Fit, 10)
     refused("save: /nonexist/a.toml: .*No such file.*name a file in", jaxik.save, P6R, "/nonexist/a.toml")
     refused(

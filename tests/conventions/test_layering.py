@@ -16,7 +16,9 @@ FLOORS = [  # what the house is made of, from the ground up
     "checks",
     "spatial",
     "optimise",  # nor do the solvers
-    "robot",
+    "kinematics",
+    "dynamics",
+    "homotopy",
     "analytic",
     "costs",
     "collision",
@@ -26,14 +28,15 @@ FLOORS = [  # what the house is made of, from the ground up
     "motions",
     "planning",
     "identification",
-    "control",
+    "estimation",
+    "touch",
+    "teleoperation",
     "reach",
     "harvesting",
     "sweeps",
     "view",
     "cli",
     "__main__",
-    "crop",  # its old place
 ]
 ROOT = Path(jaxik.__file__).parent
 

@@ -1,4 +1,4 @@
-"""What is public is there after `import jaxik`; names of the release before work, and say where they are now."""
+"""What is public is there after `import jaxik`, and says where it runs."""
 
 import importlib
 import inspect
@@ -10,28 +10,11 @@ import pytest
 
 import jaxik
 
-MOVED = [(package, *each.partition("=")[::2]) for package, names in jaxik._MOVED.items() for each in names.split()]
-
-
-@pytest.mark.parametrize(("package", "was", "now"), MOVED, ids=[was for _, was, _ in MOVED])
-def test_names_of_before(package, was, now, monkeypatch):
-    monkeypatch.delitem(vars(jaxik), was, raising=False)  # a module of before is an attribute once it was imported
-    with pytest.warns(DeprecationWarning, match=rf"jaxik\.{was} is jaxik\.{package}\.{now or was} now"):
-        moved = getattr(jaxik, was)
-    assert moved is getattr(getattr(jaxik, package), now or was)
-    assert was not in jaxik.__all__ and (now or was) in getattr(jaxik, package).__all__
-
 
 def test_late_packages_are_there_when_asked_for():
     late = [f"jaxik.{package}" for package in jaxik._LATE]
     asked = f"import sys, jaxik; assert not {{*{late}}} & {{*sys.modules}}; [getattr(jaxik, name) for name in dir(jaxik)]"
     subprocess.run([sys.executable, "-c", asked], check=True)
-
-
-def test_a_module_of_before():
-    with pytest.warns(DeprecationWarning, match=r"jaxik\.crop is jaxik\.harvesting\.crop now"):
-        from jaxik.crop import cucumber_row
-    assert cucumber_row is jaxik.harvesting.crop.cucumber_row
 
 
 @pytest.mark.parametrize("package", ["", *(n for n in jaxik.__all__ if hasattr(getattr(jaxik, n), "__path__"))])

@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 import jaxik
-from jaxik import analytic, collision, control, ik, motions, reach, robot, spatial
+from jaxik import analytic, collision, dynamics, ik, kinematics, motions, reach, spatial, teleoperation, touch
 from jaxik.spmd import call
 
 sys.path.insert(0, str(Path(__file__).parents[2] / "docs"))
@@ -23,7 +23,7 @@ Q = jnp.linspace(0.1, 0.5, 9)
 POSE = jnp.asarray(jaxik.pose([0.3, 0.2, 0.4]))
 SCENE = jaxik.make_scene(spheres=[[0.5, 0.1, 0.4, 0.1]], boxes=[[0.5, 0.5, 0.5, 0.1, 0.1, 0.1]])
 MOTION = motions.path.Motion(POSE, jnp.zeros(6), jnp.zeros(6))
-TOUCH = robot.Contact(3, jnp.array([0.1, 0.0, 0.2]), jnp.array([1.0, 2.0, 3.0]))
+TOUCH = dynamics.Contact(3, jnp.array([0.1, 0.0, 0.2]), jnp.array([1.0, 2.0, 3.0]))
 V, P2 = jnp.array([0.1, 0.2, 0.3]), jnp.ones((2, 2, 3))
 HOLD = lambda q: jnp.sum(q * q)
 
@@ -44,9 +44,9 @@ CALLS = {  # name -> (function of arrays, arrays)
     "collision.object_clearances": (lambda q: collision.object_clearances(ARM, SCENE, q), Q),
     "collision.self_clearance": (lambda q: collision.self_clearance(ARM, q), Q),
     "collision.surfaces_cross": (collision.surfaces_cross, jnp.ones((4, 3, 3)), jnp.zeros((5, 3, 3))),
-    "control.locate_contact": (lambda q: control.locate_contact(ARM, q, 0.1 * q, 6, [[0.0, 0.0, 0.0], [0.0, 0.0, 0.2]]), Q),
-    "control.reflect": (lambda q: control.reflect(ARM, q, TOUCH), Q),
-    "control.reflect_cost": (lambda q: control.reflect_cost(ARM, q, HOLD), Q),
+    "touch.locate_contact": (lambda q: touch.locate_contact(ARM, q, 0.1 * q, 6, [[0.0, 0.0, 0.0], [0.0, 0.0, 0.2]]), Q),
+    "teleoperation.reflect": (lambda q: teleoperation.reflect(ARM, q, TOUCH), Q),
+    "teleoperation.reflect_cost": (lambda q: teleoperation.reflect_cost(ARM, q, HOLD), Q),
     "ik.descend": (lambda q: ik.descend(ARM, POSE, q), Q),
     "ik.implicit_ik": (lambda pose, q: ik.implicit_ik(UR, pose, q), POSE, Q[:6]),
     "motions.asc": (lambda q: motions.asc(ARM, q, MOTION, HOLD), Q),
@@ -57,45 +57,45 @@ CALLS = {  # name -> (function of arrays, arrays)
     "motions.rmrc": (lambda q: motions.rmrc(ARM, q, MOTION), Q),
     "reach.log_reach_score": (lambda q: reach.log_reach_score(ARM, SCENE, POSE[None], q[None]), Q),
     "reach.reach_score": (lambda q: reach.reach_score(ARM, SCENE, POSE[None], q[None]), Q),
-    "robot.bias_acceleration": (lambda q: robot.bias_acceleration(ARM, q, q), Q),
-    "robot.bias_torque": (lambda q: robot.bias_torque(ARM, q, q), Q),
-    "robot.contact_jacobian": (lambda q: robot.contact_jacobian(ARM, q, 3, TOUCH.point), Q),
-    "robot.contact_torque": (lambda q: robot.contact_torque(ARM, q, TOUCH), Q),
-    "robot.forward_dynamics": (lambda q: robot.forward_dynamics(ARM, q, q, q), Q),
-    "robot.forward_kinematics": (lambda q: robot.forward_kinematics(ARM, q), Q),
-    "robot.friction_torque": (lambda q: robot.friction_torque(ARM, q, q), Q),
-    "robot.gravity_torque": (lambda q: robot.gravity_torque(ARM, q), Q),
-    "robot.inverse_dynamics": (lambda q: robot.inverse_dynamics(ARM, q, q, q), Q),
-    "robot.jacobian": (lambda q: robot.jacobian(ARM, q), Q),
-    "robot.joint_torsion": (lambda q: robot.joint_torsion(ARM, q), Q),
-    "robot.kinetic_energy": (lambda q: robot.kinetic_energy(ARM, q, q), Q),
-    "robot.link_frames": (lambda q: robot.link_frames(ARM, q), Q),
-    "robot.manipulability": (lambda q: robot.manipulability(ARM, q), Q),
-    "robot.mass_matrix": (lambda q: robot.mass_matrix(ARM, q), Q),
-    "robot.material_point": (lambda q: robot.material_point(ARM, q, 3, TOUCH.point), Q),
-    "robot.motor_current": (lambda q: robot.motor_current(ARM, q, q), Q),
-    "robot.potential_energy": (lambda q: robot.potential_energy(ARM, q), Q),
-    "robot.regressor": (lambda q: robot.regressor(ARM, q, q, q), Q),
-    "robot.static_friction": (lambda q: robot.static_friction(ARM, q), Q),
-    "robot.torque_of_current": (lambda q: robot.torque_of_current(ARM, q, q), Q),
-    "robot.within_limits": (lambda q: robot.within_limits(ARM, q), Q),
-    "robot.wrench_on": (lambda q: robot.wrench_on(ARM, q, ARM.link_names[-1], [1.0, 0.0, 0.0], [0.0, 0.0, 0.0]), Q),
+    "kinematics.bias_acceleration": (lambda q: kinematics.bias_acceleration(ARM, q, q), Q),
+    "dynamics.bias_torque": (lambda q: dynamics.bias_torque(ARM, q, q), Q),
+    "dynamics.contact_jacobian": (lambda q: dynamics.contact_jacobian(ARM, q, 3, TOUCH.point), Q),
+    "dynamics.contact_torque": (lambda q: dynamics.contact_torque(ARM, q, TOUCH), Q),
+    "dynamics.forward_dynamics": (lambda q: dynamics.forward_dynamics(ARM, q, q, q), Q),
+    "kinematics.forward_kinematics": (lambda q: kinematics.forward_kinematics(ARM, q), Q),
+    "dynamics.friction_torque": (lambda q: dynamics.friction_torque(ARM, q, q), Q),
+    "dynamics.gravity_torque": (lambda q: dynamics.gravity_torque(ARM, q), Q),
+    "dynamics.inverse_dynamics": (lambda q: dynamics.inverse_dynamics(ARM, q, q, q), Q),
+    "kinematics.jacobian": (lambda q: kinematics.jacobian(ARM, q), Q),
+    "dynamics.joint_torsion": (lambda q: dynamics.joint_torsion(ARM, q), Q),
+    "dynamics.kinetic_energy": (lambda q: dynamics.kinetic_energy(ARM, q, q), Q),
+    "kinematics.link_frames": (lambda q: kinematics.link_frames(ARM, q), Q),
+    "kinematics.manipulability": (lambda q: kinematics.manipulability(ARM, q), Q),
+    "dynamics.mass_matrix": (lambda q: dynamics.mass_matrix(ARM, q), Q),
+    "dynamics.material_point": (lambda q: dynamics.material_point(ARM, q, 3, TOUCH.point), Q),
+    "dynamics.motor_current": (lambda q: dynamics.motor_current(ARM, q, q), Q),
+    "dynamics.potential_energy": (lambda q: dynamics.potential_energy(ARM, q), Q),
+    "dynamics.regressor": (lambda q: dynamics.regressor(ARM, q, q, q), Q),
+    "dynamics.static_friction": (lambda q: dynamics.static_friction(ARM, q), Q),
+    "dynamics.torque_of_current": (lambda q: dynamics.torque_of_current(ARM, q, q), Q),
+    "kinematics.within_limits": (lambda q: kinematics.within_limits(ARM, q), Q),
+    "dynamics.wrench_on": (lambda q: dynamics.wrench_on(ARM, q, ARM.link_names[-1], [1.0, 0.0, 0.0], [0.0, 0.0, 0.0]), Q),
     "spatial.rotation_exp": (spatial.rotation_exp, V),
     "spatial.rotation_log": (spatial.rotation_log, POSE[:3, :3]),
 }
 # what is no function of a moment: descents, searches, equations of optimality, simulations; and what makes a cost or a robot
 LONGER = {
-    "analytic.general_solutions",
-    "control.contact_cost",
-    "control.over_log",
-    "control.simulate_reaction",
-    "control.simulate_teleoperation",
+    "homotopy.general_solutions",
+    "touch.contact_cost",
+    "estimation.over_log",
+    "touch.simulate_reaction",
+    "teleoperation.simulate_teleoperation",
     "motions.energy_cost",
     "motions.predict",
     "motions.quadratic_cost",
     "planning.trajectory_cost",
-    "robot.body_parameters",
-    "robot.with_body_parameters",
+    "dynamics.body_parameters",
+    "dynamics.with_body_parameters",
     "spmd.kernel",
 }
 

@@ -74,17 +74,17 @@ def lifted(tmp_path):
 
 def test_a_carried_arm_moves_as_alone(lifted, tmp_path):
     """Its frame is the row's, what follows stands on its tip, and its own mount does not count."""
-    chain, arm = jaxik.load(lifted), jaxik.load(tmp_path / "arm.toml")
-    assert chain.joint_names == ("lift", "turn", "wrist") and chain.world_T_base[1, 3] == 1.0
-    assert chain.link_names == ("base", "carriage", "arm_base", "turn_axis", "upper", "arm_tip", "hand")
-    assert [chain.link_names[box.link] for box in chain.boxes] == ["arm_base"]
-    assert [chain.link_names[ball.link] for ball in chain.volumes] == ["hand"] and chain.bodies[1].mass == 2.0
+    robot, arm = jaxik.load(lifted), jaxik.load(tmp_path / "arm.toml")
+    assert robot.joint_names == ("lift", "turn", "wrist") and robot.world_T_base[1, 3] == 1.0
+    assert robot.link_names == ("base", "carriage", "arm_base", "turn_axis", "upper", "arm_tip", "hand")
+    assert [robot.link_names[box.link] for box in robot.boxes] == ["arm_base"]
+    assert [robot.link_names[ball.link] for ball in robot.volumes] == ["hand"] and robot.bodies[1].mass == 2.0
     place, last = np.array([[0, -1, 0, 0.01], [1, 0, 0, 0.02], [0, 0, 1, 0.03 + 0.2], [0, 0, 0, 1]]), np.eye(4)
     turn = np.array([[np.cos(0.4), -np.sin(0.4)], [np.sin(0.4), np.cos(0.4)]])
     last[:2, :2], last[:3, 3] = turn, (0.05, 0, 0.1)
     with jax.enable_x64(True):
         alone = jaxik.forward_kinematics(arm, np.array([0.7]))
-        together = jaxik.forward_kinematics(chain, np.array([0.2, 0.7, 0.4]))
+        together = jaxik.forward_kinematics(robot, np.array([0.2, 0.7, 0.4]))
     assert np.allclose(together, place @ alone @ last, atol=1e-15)
     part = jaxik.load(lifted, base="arm_base", tip="arm_tip", posture={"wrist": 0.0})
     assert part.joint_names == ("turn",) and np.array_equal(part.parent_T_joint, arm.parent_T_joint)
@@ -96,8 +96,8 @@ def test_a_carried_model_may_carry_another(lifted, tmp_path):
         again = again.replace(f'name = "{name}"', f'name = "{name}_2"')
     for name in ("carriage", "hand"):
         again = again.replace(f'link = "{name}"', f'link = "{name}_2"')
-    chain = jaxik.load(write(tmp_path, "twice.toml", again))
-    assert chain.joint_names == ("lift_2", "lift", "turn", "wrist", "wrist_2")
+    robot = jaxik.load(write(tmp_path, "twice.toml", again))
+    assert robot.joint_names == ("lift_2", "lift", "turn", "wrist", "wrist_2")
 
 
 @pytest.mark.parametrize(
@@ -135,16 +135,16 @@ def test_models_in_one_another_have_an_end(tmp_path):
 
 @pytest.mark.parametrize("name, arm", [("ur10e_rail", "ur10e"), ("panda_lift", "panda")])
 def test_shipped_assemblies_carry_the_arms(name, arm):
-    chain, alone = jaxik.load(name), jaxik.load(arm)
+    robot, alone = jaxik.load(name), jaxik.load(arm)
     for numbers in ("lower", "upper", "velocity", "effort", "axis"):
-        assert np.array_equal(getattr(chain, numbers)[1:], getattr(alone, numbers))
-    assert chain.joint_types[0] == "prismatic" and chain.joint_names[1:] == alone.joint_names
+        assert np.array_equal(getattr(robot, numbers)[1:], getattr(alone, numbers))
+    assert robot.joint_types[0] == "prismatic" and robot.joint_names[1:] == alone.joint_names
 
 
 @pytest.mark.parametrize("name", PICKS)
 def test_shipped_assemblies_pick_in_the_shipped_row(name):
     """A posture amid the leaves holds the fruit, by Pinocchio, and is free."""
-    chain, scene, (fruit, angle, q) = jaxik.load(name), jaxik.load_scene("cucumber_row"), PICKS[name]
-    tip = chain.world_T_base @ pinocchio(chain)(np.array(q))
+    robot, scene, (fruit, angle, q) = jaxik.load(name), jaxik.load_scene("cucumber_row"), PICKS[name]
+    tip = robot.world_T_base @ pinocchio(robot)(np.array(q))
     assert np.allclose(tip, fruit_frames(scene.fruits[fruit], np.array([angle]))[0], atol=5e-4)
-    assert jaxik.explain(chain, scene, np.array(q)).contacts[0].distance > 0.005
+    assert jaxik.explain(robot, scene, np.array(q)).contacts[0].distance > 0.005

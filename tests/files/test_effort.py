@@ -1,4 +1,4 @@
-"""The most that drives give: as Pinocchio and MuJoCo read it, and kept by whatever is made of a chain."""
+"""The most that drives give: as Pinocchio and MuJoCo read it, and kept by whatever is made of a robot."""
 
 import mujoco
 import numpy as np
@@ -23,15 +23,15 @@ MJCF = """<mujoco><worldbody><body><joint name="turn" axis="0 0 1"/><geom size="
 @pytest.mark.parametrize("name", ROBOTS)
 def test_as_pinocchio_reads_it(name):
     path, tip = bare(name)
-    model, chain = pin.buildModelFromUrdf(str(path)), jaxik.load(path, tip)
-    theirs = np.array([model.effortLimit[model.joints[model.getJointId(joint)].idx_v] for joint in chain.joint_names])
-    np.testing.assert_array_equal(chain.effort, np.where(theirs > 0.0, theirs, np.inf))  # 0 is what a file says of none
-    assert np.isfinite(chain.effort).any()
+    model, robot = pin.buildModelFromUrdf(str(path)), jaxik.load(path, tip)
+    theirs = np.array([model.effortLimit[model.joints[model.getJointId(joint)].idx_v] for joint in robot.joint_names])
+    np.testing.assert_array_equal(robot.effort, np.where(theirs > 0.0, theirs, np.inf))  # 0 is what a file says of none
+    assert np.isfinite(robot.effort).any()
 
 
 def test_as_mujoco_gives_it(tmp_path):
     """The least in both directions of what a joint gets, however much is asked."""
-    chain, model = jaxik.load(write(tmp_path, "arm.xml", MJCF)), mujoco.MjModel.from_xml_string(MJCF)
+    robot, model = jaxik.load(write(tmp_path, "arm.xml", MJCF)), mujoco.MjModel.from_xml_string(MJCF)
     data, given = mujoco.MjData(model), []
     for sign in (-1.0, 1.0):
         data.ctrl[:] = sign * 1e9 * np.sign(model.actuator_gear[:, 0])
@@ -39,7 +39,7 @@ def test_as_mujoco_gives_it(tmp_path):
         given.append(np.abs(data.qfrc_actuator))
     least = np.min(given, axis=0)
     assert least[4] > 1e8 and least[5] == 0.0  # one of its two motors has no limit; it has none
-    np.testing.assert_allclose(chain.effort, [*least[:4], np.inf, np.inf])
+    np.testing.assert_allclose(robot.effort, [*least[:4], np.inf, np.inf])
 
 
 def test_it_is_kept(tmp_path):
@@ -47,17 +47,17 @@ def test_it_is_kept(tmp_path):
     file = write(
         tmp_path, "arm.toml", f'name = "arm"\nconvention = "modified_dh"\n{rows}type = "prismatic"\nlower = 0\nupper = 1\n'
     )
-    chain = jaxik.load(file)
-    assert chain.effort.tolist() == [12.5, np.inf] and not chain.effort.flags.writeable
-    assert chain.with_tool(np.eye(4)).mounted(np.eye(4)).part(0, 1).effort.tolist() == [12.5]
+    robot = jaxik.load(file)
+    assert robot.effort.tolist() == [12.5, np.inf] and not robot.effort.flags.writeable
+    assert robot.with_tool(np.eye(4)).mounted(np.eye(4)).part(0, 1).effort.tolist() == [12.5]
     for saved in ("same.toml", "same.urdf"):
-        jaxik.save(chain, tmp_path / saved)
+        jaxik.save(robot, tmp_path / saved)
         assert jaxik.load(tmp_path / saved).effort.tolist() == [12.5, np.inf]
-    assert jaxik.load(tmp_path / "same.toml") == chain
+    assert jaxik.load(tmp_path / "same.toml") == robot
     older = write(
         tmp_path, "older.toml", "\n".join(r for r in (tmp_path / "same.toml").read_text().splitlines() if "effort" not in r)
     )
-    assert np.isinf(jaxik.load(older).effort).all() and jaxik.load(older) != chain
+    assert np.isinf(jaxik.load(older).effort).all() and jaxik.load(older) != robot
     for wrong, words in (
         ("-1", "effort limit -1"),
         ("0", "effort limit 0"),

@@ -24,13 +24,13 @@ def leaf(file):
     return max((link.get("name") for link in root.findall("link")), key=depth)
 
 
-def moved(chain, q):
-    """The tip in the base, of a chain's numbers."""
+def moved(robot, q):
+    """The tip in the base, of a robot's numbers."""
     pose = np.eye(4)
-    for fixed, axis, slides, value in zip(chain.parent_T_joint, chain.axis, chain.is_prismatic, q, strict=True):
+    for fixed, axis, slides, value in zip(robot.parent_T_joint, robot.axis, robot.is_prismatic, q, strict=True):
         turn = np.eye(3) if slides else pin.AngleAxis(value, axis).toRotationMatrix()
         pose = pose @ fixed @ pin.SE3(turn, value * axis if slides else np.zeros(3)).homogeneous
-    return pose @ chain.joint_T_tip
+    return pose @ robot.joint_T_tip
 
 
 @pytest.mark.parametrize("file", FILES, ids=lambda file: file.stem)
@@ -39,22 +39,22 @@ def test_is_read_as_pinocchio_reads_it(file):
     with warnings.catch_warnings(record=True) as told:
         warnings.simplefilter("always")
         try:
-            chain = jaxik.load(file, tip=tip)
+            robot = jaxik.load(file, tip=tip)
         except jaxik.LoadError as error:
             assert re.search(REFUSED, str(error)), error
             return
     assert all(re.search(TOLD, str(warning.message)) for warning in told)
     model = pin.buildModelFromUrdf(str(file))
     data, full = model.createData(), pin.neutral(model)
-    low, high = jaxik.robot.finite_limits(chain)
+    low, high = jaxik.kinematics.finite_limits(robot)
     q = np.random.default_rng(0).uniform(np.maximum(low, -3.0), np.minimum(high, 3.0))
-    joints = [model.joints[model.getJointId(name)] for name in chain.joint_names]
+    joints = [model.joints[model.getJointId(name)] for name in robot.joint_names]
     for joint, value in zip(joints, q, strict=True):
         full[joint.idx_q : joint.idx_q + joint.nq] = [value] if joint.nq == 1 else [np.cos(value), np.sin(value)]
     pin.framesForwardKinematics(model, data, full)
     place = lambda link: data.oMf[model.getFrameId(link)].homogeneous
-    np.testing.assert_allclose(place(chain.link_names[0]) @ moved(chain, q), place(tip), atol=1e-12)
-    rubs = [(float(d.friction.coulomb), float(d.friction.viscous)) for d in chain.drives] or [(0.0, 0.0)] * len(joints)
+    np.testing.assert_allclose(place(robot.link_names[0]) @ moved(robot, q), place(tip), atol=1e-12)
+    rubs = [(float(d.friction.coulomb), float(d.friction.viscous)) for d in robot.drives] or [(0.0, 0.0)] * len(joints)
     assert rubs == [(model.friction[joint.idx_v], model.damping[joint.idx_v]) for joint in joints]
-    ours = [(low, high) for low, high, joint in zip(chain.lower, chain.upper, joints, strict=True) if joint.nq == 1]
+    ours = [(low, high) for low, high, joint in zip(robot.lower, robot.upper, joints, strict=True) if joint.nq == 1]
     assert ours == [(model.lowerPositionLimit[j.idx_q], model.upperPositionLimit[j.idx_q]) for j in joints if j.nq == 1]

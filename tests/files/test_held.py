@@ -15,7 +15,7 @@ from robots import FOLDER
 
 import jaxik
 from jaxik.cli.robot_arguments import read_posture
-from jaxik.robot import link_frames
+from jaxik.kinematics import link_frames
 
 DEEP = 0.003  # [m] that a model may be off
 SHAPE = '<collision><geometry><sphere radius="0.05"/></geometry></collision>'
@@ -53,32 +53,32 @@ def arm(tmp_path):
     return write(tmp_path, "arm.urdf", ARM)
 
 
-def state(model, chain, q, held):
+def state(model, robot, q, held):
     """A configuration of Pinocchio's whole robot."""
     full = pin.neutral(model)
-    for name, value in {**dict(zip(chain.joint_names, q, strict=True)), **held}.items():
+    for name, value in {**dict(zip(robot.joint_names, q, strict=True)), **held}.items():
         full[model.joints[model.getJointId(name)].idx_q] = value
     return full
 
 
 def test_links_stand_where_their_joints_are_held(arm):
-    chain = jaxik.load(arm, tip="hand", posture=POSTURE)
+    robot = jaxik.load(arm, tip="hand", posture=POSTURE)
     model = pin.buildModelFromUrdf(str(arm))
     data = model.createData()
-    for q in np.random.default_rng(0).uniform(chain.lower, chain.upper, (5, 3)):
-        pin.framesForwardKinematics(model, data, state(model, chain, q, VALUES))
-        for name, frame in zip(chain.link_names, np.asarray(link_frames(chain, q)), strict=True):
+    for q in np.random.default_rng(0).uniform(robot.lower, robot.upper, (5, 3)):
+        pin.framesForwardKinematics(model, data, state(model, robot, q, VALUES))
+        for name, frame in zip(robot.link_names, np.asarray(link_frames(robot, q)), strict=True):
             np.testing.assert_allclose(frame, data.oMf[model.getFrameId(name)].homogeneous, atol=1e-12)
-    assert set(chain.link_names) == {"base", "trunk", "upper", "hand", "head", "camera", "left", "right", "claw"}
+    assert set(robot.link_names) == {"base", "trunk", "upper", "hand", "head", "camera", "left", "right", "claw"}
 
 
 def test_what_is_held_has_its_mass(arm):
     """The bodies are those of the robot that Pinocchio makes of it with the same joints locked."""
-    chain = jaxik.load(arm, tip="hand", posture=POSTURE)
+    robot = jaxik.load(arm, tip="hand", posture=POSTURE)
     model = pin.buildModelFromUrdf(str(arm))
-    full = state(model, chain, np.zeros(3), VALUES)
+    full = state(model, robot, np.zeros(3), VALUES)
     less = pin.buildReducedModel(model, [model.getJointId(name) for name in VALUES], full)
-    for body, truth in zip(chain.bodies, list(less.inertias)[1:], strict=True):
+    for body, truth in zip(robot.bodies, list(less.inertias)[1:], strict=True):
         np.testing.assert_allclose(body.mass, truth.mass, atol=1e-12)
         np.testing.assert_allclose(body.com, truth.lever, atol=1e-12)
         np.testing.assert_allclose(body.inertia, truth.inertia, atol=1e-12)
@@ -86,7 +86,7 @@ def test_what_is_held_has_its_mass(arm):
 
 def test_what_is_held_is_said_once(arm):
     with pytest.warns(UserWarning) as said:
-        chain = jaxik.load(arm, tip="hand")
+        robot = jaxik.load(arm, tip="hand")
     (line,) = (str(each.message) for each in said)
     for words in (
         "thumb at 0.01, index at 0.08, neck at 0, nail at 0.3 (driven by bend)",
@@ -94,14 +94,14 @@ def test_what_is_held_is_said_once(arm):
         "posture={}",
     ):
         assert words in line
-    assert jaxik.load(arm, tip="hand", posture={}) == chain
+    assert jaxik.load(arm, tip="hand", posture={}) == robot
     for posture in (None, {}, POSTURE):  # the report tells all of them, and what each carries
         told = {row.joint: row for row in jaxik.files.fit_report(arm, tip="hand", posture=posture).held}
         expected = VALUES if posture else {"neck": 0.0, "thumb": 0.01, "index": 0.08, "nail": 0.3}
         assert {name: pytest.approx(row.value) for name, row in told.items()} == expected
         assert {name: row.driven for name, row in told.items()} == dict.fromkeys(expected, "") | {"nail": "bend"}
         assert told["neck"].links == ("head", "camera") and told["index"].links == ("right", "claw")
-    named = {frozenset((chain.link_names[a], chain.link_names[b])) for a, b in chain.self_pairs}
+    named = {frozenset((robot.link_names[a], robot.link_names[b])) for a, b in robot.self_pairs}
     assert frozenset(("upper", "head")) in named  # one joint apart, and no neighbours
     assert not {frozenset(("base", "trunk")), frozenset(("trunk", "head")), frozenset(("hand", "left"))} & named
 
@@ -109,8 +109,8 @@ def test_what_is_held_is_said_once(arm):
 def test_no_geometry_and_no_word(tmp_path):
     """Kinematics alone, whatever the meshes are called: nothing is held that counts."""
     mesh = '<collision><geometry><mesh filename="package:///away/../x.stl"/></geometry></collision>'
-    chain = jaxik.load(write(tmp_path, "arm.urdf", ARM.replace(SHAPE, mesh)), tip="hand")
-    assert len(chain.unread_meshes) == 9
+    robot = jaxik.load(write(tmp_path, "arm.urdf", ARM.replace(SHAPE, mesh)), tip="hand")
+    assert len(robot.unread_meshes) == 9
     jaxik.load(write(tmp_path, "bare.urdf", ARM.replace(SHAPE, "")), tip="hand")
 
 
@@ -136,7 +136,7 @@ def test_a_posture_is_names_and_numbers(arm):
         read_posture(["neck"])
 
 
-def test_joints_that_a_chain_cannot_have_may_stand_beside_it(tmp_path):
+def test_joints_that_a_robot_cannot_have_may_stand_beside_it(tmp_path):
     """Without limits, afloat, about a sloppy axis; but nothing that follows itself."""
     loose = joint("neck", "revolute", "trunk", "head", "0 0 0.5", "0 0 3")
     afloat = joint("neck", "floating", "trunk", "head", "0 0 0.5")
@@ -154,18 +154,18 @@ def test_joints_after_the_tip_of_a_table_are_held():
     np.testing.assert_allclose(link_frames(wrist, q), link_frames(whole, np.array([*q, 0.3, 0.0])), atol=1e-12)
 
 
-def test_a_saved_chain_stands_still(arm, tmp_path):
-    chain = jaxik.load(arm, tip="hand", posture=POSTURE)
-    jaxik.save(chain, tmp_path / "arm.toml")
-    assert jaxik.load(tmp_path / "arm.toml") == chain
-    refused(tmp_path / "arm.toml", "posture 'neck'", "saved chain", posture=POSTURE)
+def test_a_saved_robot_stands_still(arm, tmp_path):
+    robot = jaxik.load(arm, tip="hand", posture=POSTURE)
+    jaxik.save(robot, tmp_path / "arm.toml")
+    assert jaxik.load(tmp_path / "arm.toml") == robot
+    refused(tmp_path / "arm.toml", "posture 'neck'", "saved robot", posture=POSTURE)
 
 
 def test_a_study_says_where_joints_are_held(arm):
     robot = {"file": str(arm), "tip": "hand", "posture": POSTURE}
     targets = {"kind": "grid", "x": [0, 1, 2], "y": [0, 1, 2], "z": [0, 1, 2]}
     (variant,) = jaxik.sweeps.Study.of({"robots": [robot], "targets": targets}).variants
-    assert variant.chain == jaxik.load(arm, tip="hand", posture=POSTURE)
+    assert variant.robot == jaxik.load(arm, tip="hand", posture=POSTURE)
 
 
 MJCF = """<mujoco><compiler angle="radian"/><default><geom size=".05"/></default><worldbody>
@@ -181,14 +181,14 @@ MJCF = """<mujoco><compiler angle="radian"/><default><geom size=".05"/></default
 
 def test_mjcf_is_held_as_mujoco_poses_it(tmp_path):
     path = write(tmp_path, "arm.xml", MJCF)
-    chain = jaxik.load(path, tip="hand", posture={"thumb": 0.03, "roll": 0.5})
+    robot = jaxik.load(path, tip="hand", posture={"thumb": 0.03, "roll": 0.5})
     model = mujoco.MjModel.from_xml_path(str(path))
     data, q = mujoco.MjData(model), np.array([0.4, -0.9])
     values = {"turn": 0.4, "bend": -0.9, "thumb": 0.03, "index": 0.02 + 0.01 - 0.03 + 2 * 0.03**2, "roll": 0.5}
     for name, value in values.items():
         data.joint(name).qpos[0] = value
     mujoco.mj_kinematics(model, data)
-    frames = dict(zip(chain.link_names, np.asarray(link_frames(chain, q)), strict=True))
+    frames = dict(zip(robot.link_names, np.asarray(link_frames(robot, q)), strict=True))
     for name in ("post", "upper", "hand", "left", "right", "ball"):
         np.testing.assert_allclose(frames[name][:3, 3], data.body(name).xpos, atol=1e-12)
         np.testing.assert_allclose(frames[name][:3, :3].ravel(), data.body(name).xmat, atol=1e-12)
@@ -222,7 +222,7 @@ def cut(folder, file, solid):
     return folder / "robot.urdf"
 
 
-def hulls(path, chain, q, held):
+def hulls(path, robot, q, held):
     """The signed distance of the hulls of every two solid links, at each configuration [m]."""
     model = pin.buildModelFromUrdf(str(path))
     shapes = pin.buildGeomFromUrdf(model, str(path), pin.COLLISION, package_dirs=[str(path.parent)])
@@ -237,7 +237,7 @@ def hulls(path, chain, q, held):
     pairs = [frozenset((name(pair.first), name(pair.second))) for pair in shapes.collisionPairs]
     rows = []
     for each in q:
-        pin.computeDistances(model, data, shapes, found, state(model, chain, each, held))
+        pin.computeDistances(model, data, shapes, found, state(model, robot, each, held))
         rows.append([result.min_distance for result in found.distanceResults])
     return pairs, np.array(rows)
 
@@ -259,17 +259,17 @@ def test_what_is_held_is_hit(tmp_path, name):
     path = cut(tmp_path, file, solid)
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")  # pairs that touch in the default pose: they are left out below, too
-        chain = jaxik.load(path, tip=tip, meshes=True, fit=jaxik.Fit(0.03, 4), posture=posture)
-    q = np.random.default_rng(3).uniform(*jaxik.robot.finite_limits(chain), (1500, chain.num_joints))
-    joint = dict(zip(chain.link_names, chain.link_joint, strict=True))
-    home = np.where((chain.lower <= 0.0) & (chain.upper >= 0.0), 0.0, (chain.lower + chain.upper) / 2.0)
+        robot = jaxik.load(path, tip=tip, meshes=True, fit=jaxik.Fit(0.03, 4), posture=posture)
+    q = np.random.default_rng(3).uniform(*jaxik.kinematics.finite_limits(robot), (1500, robot.num_joints))
+    joint = dict(zip(robot.link_names, robot.link_joint, strict=True))
+    home = np.where((robot.lower <= 0.0) & (robot.upper >= 0.0), 0.0, (robot.lower + robot.upper) / 2.0)
     follow = {"panda_finger_joint2": 0.04} if "panda_hand" in joint else {}
-    pairs, gaps = hulls(path, chain, np.vstack([home, q]), posture | follow)
+    pairs, gaps = hulls(path, robot, np.vstack([home, q]), posture | follow)
     fixed = lambda pair: len({joint[link] for link in pair}) == 1
     beside = lambda pair: max(joint[link] for link in pair) - min(joint[link] for link in pair) == 1 and not pair & HELD
     judged = [i for i, pair in enumerate(pairs) if not fixed(pair) and not beside(pair) and gaps[0, i] > 0.0]
     truth = gaps[1:, judged].min(axis=1)
-    told = np.asarray(jax.jit(jax.vmap(lambda q: jaxik.collision.self_clearance(chain, q)))(q))
+    told = np.asarray(jax.jit(jax.vmap(lambda q: jaxik.collision.self_clearance(robot, q)))(q))
     held = gaps[1:, [i for i in judged if pairs[i] & HELD]].min(axis=1)
     assert np.sum(held < -DEEP) > 5  # the joints held do matter
     assert not np.any((told > DEEP) & (truth < -DEEP))

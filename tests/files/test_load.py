@@ -19,8 +19,8 @@ from robots import FOLDER, ROBOTS
 import jaxik
 from jaxik.files import targets as target_files
 from jaxik.files import urdf
-from jaxik.files.chain_builder import MAX_BYTES
 from jaxik.files.mesh import load_mesh
+from jaxik.files.robot_builder import MAX_BYTES
 from jaxik.reasons import LoadError
 
 TOML = """name = "arm"
@@ -60,8 +60,8 @@ FILES = {"arm.urdf": URDF, "arm.toml": TOML, "arm.xml": MJCF}
 
 @pytest.mark.parametrize("name", FILES)
 def test_the_samples_are_good(tmp_path, name):
-    chain = jaxik.load(write(tmp_path, name, FILES[name]))
-    assert chain.num_joints == 2 and np.all(np.isfinite(jaxik.forward_kinematics(chain, np.zeros(2))))
+    robot = jaxik.load(write(tmp_path, name, FILES[name]))
+    assert robot.num_joints == 2 and np.all(np.isfinite(jaxik.forward_kinematics(robot, np.zeros(2))))
 
 
 BILLION = """<!DOCTYPE robot [<!ENTITY a "ha"><!ENTITY b "&a;&a;&a;&a;&a;&a;&a;&a;&a;&a;">]>"""
@@ -144,10 +144,10 @@ def test_what_is_drawn_alone_is_told(tmp_path):
     drawn = SHAPE.replace("collision", "visual")
     path = write(tmp_path, "arm.urdf", URDF.replace('<link name="tool"/>', f'<link name="tool">{drawn}</link>'))
     with pytest.warns(UserWarning, match=r"arm: none of its links has a <collision>, and a <visual> is not read"):
-        chain = jaxik.load(path, meshes=True)
+        robot = jaxik.load(path, meshes=True)
     with pytest.raises(ValueError, match=r"no collision geometry; .* <collision> of a URDF"):
-        jaxik.clearance(chain, jaxik.make_scene(), np.zeros(2))
-    assert jaxik.load(path) == chain
+        jaxik.clearance(robot, jaxik.make_scene(), np.zeros(2))
+    assert jaxik.load(path) == robot
 
 
 def test_quaternions_and_namespaces_are_read_as_pinocchio_reads_them(tmp_path):
@@ -252,8 +252,8 @@ def test_a_plane_of_an_mjcf_is_told(tmp_path):
     """It would be the robot's, without end; one that touches nothing is not told of."""
     floor = lambda bits: MJCF.replace("<worldbody>", f'<worldbody><geom name="floor" type="plane" size="1 1 1" {bits}/>', 1)
     with pytest.warns(UserWarning, match="arm: floor: a plane is left out"):
-        chain = jaxik.load(write(tmp_path, "arm.xml", floor("")))
-    assert not chain.boxes and {volume.link for volume in chain.volumes} == {*map(chain.link_names.index, ("upper", "tool"))}
+        robot = jaxik.load(write(tmp_path, "arm.xml", floor("")))
+    assert not robot.boxes and {volume.link for volume in robot.volumes} == {*map(robot.link_names.index, ("upper", "tool"))}
     jaxik.load(write(tmp_path, "arm.xml", floor('contype="0" conaffinity="0"')))
 
 
@@ -301,10 +301,10 @@ def test_a_star_of_links_is_read_in_the_time_of_a_line_of_links(tmp_path):
 
     sys.settrace(step)
     try:
-        chain = jaxik.load(path, tip="tool")
+        robot = jaxik.load(path, tip="tool")
     finally:
         sys.settrace(None)
-    assert len(chain.link_names) == count + 3 and steps < 1000 * count
+    assert len(robot.link_names) == count + 3 and steps < 1000 * count
 
 
 def test_a_line_is_bounded_whatever_the_names(tmp_path):
@@ -402,12 +402,12 @@ def test_a_third_slash_is_no_fault(tmp_path):
     refused(write(folder, "arm.urdf", with_mesh("package:////etc/m.obj")), "leaves its package", meshes=True)
 
 
-def test_a_chain_and_a_scene_are_printed_in_a_few_lines():
-    chain, scene = jaxik.load("p6r"), jaxik.load_scene("cucumber_row")
-    assert len(repr(chain)) < 600 and "slide: prismatic 0 to 1 m" in repr(chain) and "8 links" in repr(chain)
+def test_a_robot_and_a_scene_are_printed_in_a_few_lines():
+    robot, scene = jaxik.load("p6r"), jaxik.load_scene("cucumber_row")
+    assert len(repr(robot)) < 600 and "slide: prismatic 0 to 1 m" in repr(robot) and "8 links" in repr(robot)
     assert len(repr(scene)) < 300 and "12 fruits" in repr(scene)
     seen = []
-    jax.jit(lambda chain, scene: seen.append(f"{chain}{scene}"))(chain, scene)
+    jax.jit(lambda robot, scene: seen.append(f"{robot}{scene}"))(robot, scene)
     assert "slide: prismatic" in seen[0]  # traced, too
 
 
@@ -451,8 +451,8 @@ PAIR = '<{}_collisions link1="{}" link2="{}"/>'
 def test_an_srdf_says_which_pairs_are_checked(tmp_path, content, checked):
     """As MoveIt reads it: what is disabled is so even if it is enabled, too."""
     path, srdf = write(tmp_path, "arm.urdf", ARM), write(tmp_path, "arm.srdf", SRDF.format(content))
-    chain = jaxik.load(path, srdf=srdf)
-    assert {" ".join(chain.link_names[i] for i in pair) for pair in chain.self_pairs} == checked
+    robot = jaxik.load(path, srdf=srdf)
+    assert {" ".join(robot.link_names[i] for i in pair) for pair in robot.self_pairs} == checked
 
 
 def test_links_of_an_srdf_that_are_not_there(tmp_path):
@@ -481,8 +481,8 @@ def test_siblings_of_a_robot_file_that_are_not_there(tmp_path):
 
 
 def test_nearly_unit_axes_are_made_unit(tmp_path):
-    chain = jaxik.load(write(tmp_path, "arm.urdf", URDF.replace('axis xyz="0 0 1"', 'axis xyz="0.577 0.577 0.577"')))
-    assert abs(np.linalg.norm(chain.axis[0]) - 1.0) <= 1e-15
+    robot = jaxik.load(write(tmp_path, "arm.urdf", URDF.replace('axis xyz="0 0 1"', 'axis xyz="0.577 0.577 0.577"')))
+    assert abs(np.linalg.norm(robot.axis[0]) - 1.0) <= 1e-15
 
 
 # --------------------------------------------------------------------------------------------------------------------
@@ -773,8 +773,8 @@ def test_srdf_disables_pairs(tmp_path):
     def checked(name, kept):
         entries = ['<disable_collisions link1="{}" link2="{}" reason="Never"/>'.format(*p) for p in pairs if p not in kept]
         srdf = write(tmp_path, name, f'<robot name="panda">{"".join(entries)}</robot>')
-        chain = jaxik.load(FOLDER / file, tip=tip, meshes=True, fit=jaxik.Fit(0.1, 2), srdf=srdf, posture={})
-        return {frozenset((chain.link_names[a], chain.link_names[b])) for a, b in chain.self_pairs}
+        robot = jaxik.load(FOLDER / file, tip=tip, meshes=True, fit=jaxik.Fit(0.1, 2), srdf=srdf, posture={})
+        return {frozenset((robot.link_names[a], robot.link_names[b])) for a, b in robot.self_pairs}
 
     assert checked("two.srdf", (left, out)) == {left, out} and checked("one.srdf", (left,)) == {left}
     refused(write(tmp_path, "bad.srdf", "<robot><disable_collisions link1='a'/></robot>"), "link2", reader=lambda p: jaxik.load(
@@ -788,10 +788,10 @@ def test_meshes_of_a_real_robot_lie_in_their_spheres():
     file, tip = ROBOTS["panda"]
     with pytest.raises(ValueError, match="meshes=True"):
         jaxik.collision.self_clearance(jaxik.load(FOLDER / file, tip=tip), np.zeros(7))
-    chain = jaxik.load(FOLDER / file, tip=tip, meshes=True, fit=None, posture={})
-    q = np.zeros(chain.num_joints)
-    centres, radii = jaxik.collision.link_spheres(chain, q)
-    frames = dict(zip(chain.link_names, np.asarray(jaxik.robot.link_frames(chain, q)), strict=True))
+    robot = jaxik.load(FOLDER / file, tip=tip, meshes=True, fit=None, posture={})
+    q = np.zeros(robot.num_joints)
+    centres, radii = jaxik.collision.link_spheres(robot, q)
+    frames = dict(zip(robot.link_names, np.asarray(jaxik.kinematics.link_frames(robot, q)), strict=True))
     for i in range(1, 8):
         mesh = trimesh.load(FOLDER / f"panda_description/meshes/collision/link{i}.stl", force="mesh")
         points = np.asarray(mesh.vertices) @ frames[f"panda_link{i}"][:3, :3].T + frames[f"panda_link{i}"][:3, 3]

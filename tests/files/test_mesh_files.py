@@ -180,7 +180,7 @@ def test_a_mirrored_mesh_is_a_mesh(tmp_path):
     """A negative scale, as one mesh for both hands has it."""
     mesh = trimesh.convex.convex_hull(np.random.default_rng(0).normal(size=(20, 3)) * 0.05)
     mesh.export(tmp_path / "hand.stl")
-    chain = jaxik.load(write(tmp_path, "arm.urdf", with_mesh("hand.stl", "1 -1 1")), meshes=True)
+    robot = jaxik.load(write(tmp_path, "arm.urdf", with_mesh("hand.stl", "1 -1 1")), meshes=True)
     hull = ConvexHull(mesh.vertices * (1.0, -1.0, 1.0))
-    deepest = max(float((hull.equations[:, :3] @ c + hull.equations[:, 3]).max()) for v in chain.volumes for c in v.corners)
-    assert len(chain.volumes) and deepest < 0.02  # the capsules' axes lie in the mirrored hull
+    deepest = max(float((hull.equations[:, :3] @ c + hull.equations[:, 3]).max()) for v in robot.volumes for c in v.corners)
+    assert len(robot.volumes) and deepest < 0.02  # the capsules' axes lie in the mirrored hull

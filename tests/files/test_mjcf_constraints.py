@@ -40,8 +40,8 @@ def arm(folder, more="", **bits):
         ('<tendon tendon1="grip" tendon2="cord"/>', ("'world' and 'c'", "a tendon")),
     ],
 )
-def test_a_loop_on_the_chain_is_refused(tmp_path, equality, words):
-    """MuJoCo's own constraint changes with what the chain takes for free joints."""
+def test_a_loop_on_the_robot_is_refused(tmp_path, equality, words):
+    """MuJoCo's own constraint changes with what the robot takes for free joints."""
     tendons = '<tendon><fixed name="joints"><joint joint="j2" coef="1"/><joint joint="j4" coef="1"/></fixed>'
     tendons += '<fixed name="grip"><joint joint="f1" coef="1"/><joint joint="f2" coef="-1"/></fixed>'
     tendons += '<spatial name="cord"><site site="wall"/><site site="sc"/></spatial></tendon>'
@@ -59,7 +59,7 @@ def test_a_loop_on_the_chain_is_refused(tmp_path, equality, words):
     assert jaxik.load(arm(tmp_path, f"{tendons}<equality>{idle}</equality>"), tip="d").num_joints == 4
 
 
-def test_what_does_not_restrict_the_chain_is_let_pass(tmp_path):
+def test_what_does_not_restrict_the_robot_is_let_pass(tmp_path):
     load = lambda equality: jaxik.load(arm(tmp_path, f"<equality>{equality}</equality>"), tip="d")
     assert load('<connect body1="finger" body2="thumb" anchor="0 0 0"/>').num_joints == 4  # a hand's own loop, held
     for body in ("crate", "guide"):
@@ -89,9 +89,9 @@ def met(model):
 @pytest.mark.filterwarnings("ignore:.*contype and conaffinity say")
 def test_pairs_are_checked_as_mujoco_does(tmp_path, more, bits):
     path = arm(tmp_path, more, **bits)
-    chain = jaxik.load(path, tip="d", posture={})
-    solid = {chain.link_names[v.link] for v in chain.volumes}
-    checked = {frozenset(chain.link_names[i] for i in pair) for pair in chain.self_pairs}
+    robot = jaxik.load(path, tip="d", posture={})
+    solid = {robot.link_names[v.link] for v in robot.volumes}
+    checked = {frozenset(robot.link_names[i] for i in pair) for pair in robot.self_pairs}
     theirs = met(mujoco.MjModel.from_xml_path(str(path)))
     apart = lambda pair: abs(ord(pair[0]) - ord(pair[1])) > 1  # neighbours are checked by neither
     ours = {frozenset(pair) for pair in itertools.combinations("abcd", 2) if apart(pair)}
@@ -108,8 +108,8 @@ def test_a_robot_that_nothing_touches_is_told(tmp_path):
     path = arm(tmp_path, a=(0, 0), b=(0, 0), c=(0, 0))
     path = write(tmp_path, "arm.xml", path.read_text().replace('name="gd"', 'name="gd" contype="0" conaffinity="0"'))
     with pytest.warns(UserWarning, match="arm: none of its geoms touches anything"):
-        chain = jaxik.load(path, tip="d", meshes=True, posture={})
-    assert not chain.volumes and jaxik.load(path, tip="d", posture={}) == chain
+        robot = jaxik.load(path, tip="d", meshes=True, posture={})
+    assert not robot.volumes and jaxik.load(path, tip="d", posture={}) == robot
 
 
 MESHED = """<mujoco><compiler meshdir="assets"/><asset><mesh name="m" file="gone.stl"/><mesh file="n.obj"/>
@@ -122,10 +122,10 @@ MESHED = """<mujoco><compiler meshdir="assets"/><asset><mesh name="m" file="gone
 def test_kinematics_need_no_meshes(tmp_path):
     path = write(tmp_path, "arm.xml", MESHED)
     with pytest.warns(UserWarning, match="arm: b: a mesh is missing, and the mass that"):
-        chain = jaxik.load(path)
-    tip = jaxik.forward_kinematics(chain, np.array([0.3, 0.4]))
+        robot = jaxik.load(path)
+    tip = jaxik.forward_kinematics(robot, np.array([0.3, 0.4]))
     np.testing.assert_allclose(tip[:2, 3], [np.cos(0.3), np.sin(0.3)], atol=1e-6)
-    assert chain.unread_meshes == ("a", "b") and chain.bodies[0].mass == 2.0
+    assert robot.unread_meshes == ("a", "b") and robot.bodies[0].mass == 2.0
     refused(path, "gone.stl", "MuJoCo refuses", meshes=True)
     refused(write(tmp_path, "bad.xml", MESHED.replace('type="mesh"', 'type="mush"')), "MuJoCo refuses")
     weightless = "<mujoco><worldbody><body><joint/></body></worldbody></mujoco>"

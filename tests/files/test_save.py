@@ -1,4 +1,4 @@
-"""Chains to files and back: TOML to the last bit; a URDF of spheres that hold the collision model."""
+"""Robots to files and back: TOML to the last bit; a URDF of spheres that hold the collision model."""
 
 import dataclasses
 
@@ -9,33 +9,33 @@ from robots import FOLDER, ROBOTS
 
 import jaxik
 from jaxik.files.spherized import _covering
-from jaxik.robot.chain import Volume
+from jaxik.kinematics.robot import Volume
 
 SHIPPED = ("p6r", "crops_v2", "chembuly9", "pendulum4", "planar2")
 
 
 @pytest.mark.parametrize("name", SHIPPED)
-def test_a_chain_is_read_as_it_was_written(tmp_path, name):
-    chain = (
+def test_a_robot_is_read_as_it_was_written(tmp_path, name):
+    robot = (
         jaxik.load(name).with_spheres(64).mounted(np.array([[0, -1, 0, 0.1], [1, 0, 0, 0.2], [0, 0, 1, 1 / 3], [0, 0, 0, 1]]))
     )
-    assert jaxik.save(chain, tmp_path / "chain.toml") == 0.0
-    assert jaxik.load(tmp_path / "chain.toml") == chain
+    assert jaxik.save(robot, tmp_path / "robot.toml") == 0.0
+    assert jaxik.load(tmp_path / "robot.toml") == robot
 
 
 @pytest.mark.filterwarnings("ignore:panda. its meshes touch with all joints at 0")  # `test_fit` holds that it is said
 def test_a_fitted_model_is_read_as_it_was_written(tmp_path):
     file, tip = ROBOTS["panda"]
     left = ["panda_link0", ("panda_link2", 'a "table"')]
-    chain = jaxik.load(FOLDER / file, tip=tip, meshes=True, fit=jaxik.Fit(0.1, 2), ignore=left, posture={})
-    assert chain.ignored == ((chain.link_names.index("panda_link0"), "*"), (chain.link_names.index("panda_link2"), 'a "table"'))
-    jaxik.save(chain, tmp_path / "panda.toml")
+    robot = jaxik.load(FOLDER / file, tip=tip, meshes=True, fit=jaxik.Fit(0.1, 2), ignore=left, posture={})
+    assert robot.ignored == ((robot.link_names.index("panda_link0"), "*"), (robot.link_names.index("panda_link2"), 'a "table"'))
+    jaxik.save(robot, tmp_path / "panda.toml")
     again = jaxik.load(tmp_path / "panda.toml")
-    assert again == chain and again.volumes and again.self_pairs == chain.self_pairs and again.ignored == chain.ignored
-    a, b = (chain.link_names[i] for i in chain.self_pairs[0])
+    assert again == robot and again.volumes and again.self_pairs == robot.self_pairs and again.ignored == robot.ignored
+    a, b = (robot.link_names[i] for i in robot.self_pairs[0])
     fewer = jaxik.load(tmp_path / "panda.toml", ignore=[(b, a)])
-    assert fewer.self_pairs == chain.self_pairs[1:]
-    part = chain.part(1, 7)
+    assert fewer.self_pairs == robot.self_pairs[1:]
+    part = robot.part(1, 7)
     assert part.ignored == ((part.link_names.index("panda_link2"), 'a "table"'),) and "panda_link0" not in part.link_names
     unread = jaxik.load(FOLDER / file, tip=tip)
     jaxik.save(unread, tmp_path / "unread.toml")
@@ -48,34 +48,34 @@ def test_what_is_attached_stays_ignored(tmp_path):
     """An object's name that is a link's by now still means the object, and entries keep their order."""
     arm = jaxik.load("planar2", ignore=[("link2", "spheres_1"), "link1", ("link2", "table")])
     scene = jaxik.make_scene(spheres=[[1.2, 0.3, 0.0, 0.05]])
-    held = jaxik.collision.attach(arm, scene, "spheres_1", np.zeros(2)).chain
+    held = jaxik.collision.attach(arm, scene, "spheres_1", np.zeros(2)).robot
     jaxik.save(held, tmp_path / "held.toml")
     again = jaxik.load(tmp_path / "held.toml")
     assert again.ignored == held.ignored != () and again == held
 
 
 def mixed():
-    """A triangle and a capsule on a chain with a slide, and boxes."""
-    chain = jaxik.load("p6r")
-    more = [Volume(np.array([[0.0, 0.1, 0.0], [0.1, 0.1, 0.1], [-0.1, 0.2, 0.1]]), np.asarray(0.02), chain.boxes[-1].link)]
-    more.append(Volume(np.array([[0.0, 0.1, 0.0], [0.1, 0.1, 0.1]]), np.asarray(0.03), chain.boxes[0].link))
-    return dataclasses.replace(chain, volumes=(*chain.volumes, *more))
+    """A triangle and a capsule on a robot with a slide, and boxes."""
+    robot = jaxik.load("p6r")
+    more = [Volume(np.array([[0.0, 0.1, 0.0], [0.1, 0.1, 0.1], [-0.1, 0.2, 0.1]]), np.asarray(0.02), robot.boxes[-1].link)]
+    more.append(Volume(np.array([[0.0, 0.1, 0.0], [0.1, 0.1, 0.1]]), np.asarray(0.03), robot.boxes[0].link))
+    return dataclasses.replace(robot, volumes=(*robot.volumes, *more))
 
 
 def test_spheres_hold_the_model(tmp_path):
-    """In a URDF that stands and moves as the chain does, and reach no further than is told."""
-    chain = mixed()
-    told = jaxik.save(chain, tmp_path / "spheres.urdf", beyond=0.004)
+    """In a URDF that stands and moves as the robot does, and reach no further than is told."""
+    robot = mixed()
+    told = jaxik.save(robot, tmp_path / "spheres.urdf", beyond=0.004)
     assert 0.0 < told <= 0.004 and f"at most {1e3 * told:.1f} mm" in (tmp_path / "spheres.urdf").read_text()
     other = jaxik.load(tmp_path / "spheres.urdf", tip="tool")
     assert {len(v.corners) for v in other.volumes} == {1} and not other.boxes
-    q = np.random.default_rng(0).uniform(*jaxik.robot.finite_limits(chain))
-    pose = jaxik.forward_kinematics(chain.mounted(np.eye(4)), q)
+    q = np.random.default_rng(0).uniform(*jaxik.kinematics.finite_limits(robot))
+    pose = jaxik.forward_kinematics(robot.mounted(np.eye(4)), q)
     np.testing.assert_allclose(jaxik.forward_kinematics(other, q), pose, atol=2e-6)
     rng = np.random.default_rng(1)
-    frames = {name: np.eye(4) if o is None else o for name, o in zip(chain.link_names, chain.link_offset, strict=True)}
-    for volume in chain.volumes:
-        name = chain.link_names[volume.link]
+    frames = {name: np.eye(4) if o is None else o for name, o in zip(robot.link_names, robot.link_offset, strict=True)}
+    for volume in robot.volumes:
+        name = robot.link_names[volume.link]
         back = other.link_offset[other.link_names.index(name)] @ np.linalg.inv(frames[name])
         mine = [v for v in other.volumes if other.link_names[v.link] == name]
         inside = rng.dirichlet(np.ones(len(volume.corners)), 300) @ np.asarray(volume.corners)
@@ -88,33 +88,33 @@ def test_spheres_hold_the_model(tmp_path):
 
 def test_frames_take_names_that_are_free(tmp_path):
     """A link that stands beside its joint, called as the joint's frame would be, keeps its place and its spheres."""
-    chain = jaxik.load("planar2")
-    names = tuple("q1_frame" if name == "link1" else name for name in chain.link_names)
-    beside = np.array(chain.link_offset)
+    robot = jaxik.load("planar2")
+    names = tuple("q1_frame" if name == "link1" else name for name in robot.link_names)
+    beside = np.array(robot.link_offset)
     beside[:, 0, 3] += 0.01
-    chain = dataclasses.replace(chain, link_names=names, link_offset=beside)
-    jaxik.save(chain, tmp_path / "named.urdf")
+    robot = dataclasses.replace(robot, link_names=names, link_offset=beside)
+    jaxik.save(robot, tmp_path / "named.urdf")
     other = jaxik.load(tmp_path / "named.urdf", tip="tool")
     for link, name in enumerate(names):
-        np.testing.assert_allclose(other.link_offset[other.link_names.index(name)], chain.link_offset[link], atol=1e-12)
-    assert {other.link_names[v.link] for v in other.volumes} == {names[v.link] for v in chain.volumes}
+        np.testing.assert_allclose(other.link_offset[other.link_names.index(name)], robot.link_offset[link], atol=1e-12)
+    assert {other.link_names[v.link] for v in other.volumes} == {names[v.link] for v in robot.volumes}
     q, scene = np.array([0.3, -0.4]), jaxik.make_scene(spheres=[[1.2, 0.9, 0.0, 0.05]])
-    assert 0.0 <= jaxik.clearance(chain, scene, q) - jaxik.clearance(other, scene, q) <= 0.005
+    assert 0.0 <= jaxik.clearance(robot, scene, q) - jaxik.clearance(other, scene, q) <= 0.005
 
 
 def test_pairs_that_are_not_checked_are_written_beside(tmp_path):
     """What another program has to be told, in the form that it reads; no file of somebody else's is written over."""
-    chain = mixed()
-    chain = dataclasses.replace(chain, self_pairs=chain.self_pairs[2:])
-    jaxik.save(chain, tmp_path / "spheres.urdf", beyond=0.02)
+    robot = mixed()
+    robot = dataclasses.replace(robot, self_pairs=robot.self_pairs[2:])
+    jaxik.save(robot, tmp_path / "spheres.urdf", beyond=0.02)
     assert "the .srdf beside it names the pairs" in (tmp_path / "spheres.urdf").read_text()
     other = jaxik.load(tmp_path / "spheres.urdf", tip="tool", srdf=tmp_path / "spheres.srdf")
-    named = lambda chain: {frozenset(chain.link_names[i] for i in pair) for pair in chain.self_pairs}
-    assert named(other) == named(chain)
-    jaxik.save(chain, tmp_path / "spheres.urdf", beyond=0.02)
+    named = lambda robot: {frozenset(robot.link_names[i] for i in pair) for pair in robot.self_pairs}
+    assert named(other) == named(robot)
+    jaxik.save(robot, tmp_path / "spheres.urdf", beyond=0.02)
     mine = write(tmp_path, "other.srdf", "<robot name='mine'/>")
     with pytest.raises(ValueError, match=r"other\.srdf is there, and is none of jaxik's; "):
-        jaxik.save(chain, tmp_path / "other.urdf")
+        jaxik.save(robot, tmp_path / "other.urdf")
     assert mine.read_text() == "<robot name='mine'/>" and not (tmp_path / "other.urdf").exists()
 
 
@@ -134,9 +134,9 @@ def test_a_cover_reaches_as_far_as_is_told(count):
 
 
 def test_bad_files_are_one_line(tmp_path):
-    chain = jaxik.load("planar2")
-    jaxik.save(chain, tmp_path / "chain.toml")
-    text = (tmp_path / "chain.toml").read_text()
+    robot = jaxik.load("planar2")
+    jaxik.save(robot, tmp_path / "robot.toml")
+    text = (tmp_path / "robot.toml").read_text()
     bad = {
         "pairs = []": ('pairs = [["link1"]]', "pairs holds"),
         'type = "revolute"': ('type = "fixed"', "type = 'fixed'"),
@@ -153,10 +153,10 @@ def test_bad_files_are_one_line(tmp_path):
         with pytest.raises(jaxik.LoadError) as caught:
             jaxik.load(path)
         assert words in str(caught.value) and "\n" not in str(caught.value)
-    with pytest.raises(jaxik.LoadError, match="fixed in a saved chain"):
-        jaxik.load(tmp_path / "chain.toml", tip="link1")
+    with pytest.raises(jaxik.LoadError, match="fixed in a saved robot"):
+        jaxik.load(tmp_path / "robot.toml", tip="link1")
     with pytest.raises(ValueError, match=r"ending '.yaml'; allowed: .toml, .urdf"):
-        jaxik.save(chain, tmp_path / "chain.yaml")
+        jaxik.save(robot, tmp_path / "robot.yaml")
 
 
 @pytest.mark.parametrize(

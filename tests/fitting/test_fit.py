@@ -162,9 +162,9 @@ def test_a_report_says_what_was_fitted(tmp_path):
     path = write(tmp_path, "arm.urdf", URDF.replace('<link name="tool"/>', mesh + "</geometry></collision></link>"))
     (told,) = jaxik.files.fit_report(path, fit=Fit(0.03)).links
     assert told.link == "tool" and told.mesh == "bar.stl" and 0.0 < told.mean < told.protrusion <= 0.03
-    chain = jaxik.load(path, meshes=True, fit=Fit(0.03))
-    fitted_here = [v for v in chain.volumes if chain.link_names[v.link] == "tool"]
-    assert len(fitted_here) == told.capsules and not chain.unread_meshes
+    robot = jaxik.load(path, meshes=True, fit=Fit(0.03))
+    fitted_here = [v for v in robot.volumes if robot.link_names[v.link] == "tool"]
+    assert len(fitted_here) == told.capsules and not robot.unread_meshes
     assert {len(v.corners) for v in fitted_here} == {2}
     box = jaxik.load(path, meshes=True, fit=None).boxes[-1]
     assert np.allclose(sorted(box.half), [0.05, 0.05, 0.2]) and box.joint_T_box[2, 3] == pytest.approx(0.5)
@@ -174,10 +174,10 @@ def test_a_default_pose_in_collision_is_told():
     """Panda's hand lies in link 5 where all joints are 0: that is a collision as any other."""
     file, _ = ROBOTS["panda"]
     with pytest.warns(UserWarning, match="touch with all joints at 0 .* panda_link5 and panda_hand by .* they are checked"):
-        chain = jaxik.load(FOLDER / file, tip="panda_hand", meshes=True, fit=Fit(0.1, 2, 1), posture={})  # quickly made
-    named = {frozenset((chain.link_names[a], chain.link_names[b])) for a, b in chain.self_pairs}
+        robot = jaxik.load(FOLDER / file, tip="panda_hand", meshes=True, fit=Fit(0.1, 2, 1), posture={})  # quickly made
+    named = {frozenset((robot.link_names[a], robot.link_names[b])) for a, b in robot.self_pairs}
     assert {frozenset(("panda_link5", "panda_hand")), frozenset(("panda_link0", "panda_link6"))} <= named
-    assert jaxik.collides(chain, None, np.zeros(7))
+    assert jaxik.collides(robot, None, np.zeros(7))
 
 
 def as_coal(points):
@@ -238,12 +238,12 @@ def test_mjcf_is_fitted_as_a_urdf_is(tmp_path):
     bar.apply_translation((0.3, 0.0, 0.0))
     bar.export(tmp_path / "bar.stl")
     path = write(tmp_path, "arm.xml", MJCF)
-    chain = jaxik.load(path, tip="arm", meshes=True)
+    robot = jaxik.load(path, tip="arm", meshes=True)
     rows = {row.mesh: row for row in jaxik.files.fit_report(path, tip="arm").links}
     assert set(rows) == {"bar", "cylinder"} and all(row.protrusion <= 0.025 and row.coverage == 1.0 for row in rows.values())
-    exact, fitted_here = chain.volumes[:2], chain.volumes[2:]
+    exact, fitted_here = robot.volumes[:2], robot.volumes[2:]
     assert [float(v.radius) for v in exact] == [0.05, 0.04] and [len(v.corners) for v in exact] == [1, 2]
-    assert not chain.boxes and len(fitted_here) == sum(row.capsules for row in rows.values())
+    assert not robot.boxes and len(fitted_here) == sum(row.capsules for row in rows.values())
     for corner in bar.vertices + np.array([0.0, 0.0, 0.5]):
         assert min(np.linalg.norm(fitting.away(corner[None], v.corners)[0]) - v.radius for v in fitted_here) <= 1e-7
     assert jaxik.load(path, tip="arm").boxes  # as before where nobody asks
@@ -251,6 +251,6 @@ def test_mjcf_is_fitted_as_a_urdf_is(tmp_path):
 
 def test_what_is_nearest_is_named(arm):
     """In the model that was fitted, by the links' names."""
-    chain = jaxik.load(arm, meshes=True)
-    told = jaxik.explain(chain, None, np.array([0.0, 2.3, 0.0]), 1).contacts[0]
+    robot = jaxik.load(arm, meshes=True)
+    told = jaxik.explain(robot, None, np.array([0.0, 2.3, 0.0]), 1).contacts[0]
     assert (told.link, told.other) == ("arm", "base") and told.distance < 0.0

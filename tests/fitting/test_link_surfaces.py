@@ -143,9 +143,9 @@ def forked(tmp_path_factory):
 def test_a_concave_link_leaves_room(forked):
     """No posture is called free in which meshes cross, and hardly one is called a collision in which they do not (coal)."""
     path, finger = forked
-    chain = jaxik.load(path, tip="tip", meshes=True)
-    q = np.random.default_rng(1).uniform(chain.lower, chain.upper, (400, 2))
-    frames = np.asarray(jax.vmap(lambda q: jaxik.robot.link_frames(chain, q))(q))[:, chain.link_names.index("finger")]
+    robot = jaxik.load(path, tip="tip", meshes=True)
+    q = np.random.default_rng(1).uniform(robot.lower, robot.upper, (400, 2))
+    frames = np.asarray(jax.vmap(lambda q: jaxik.kinematics.link_frames(robot, q))(q))[:, robot.link_names.index("finger")]
     one, other = in_coal(triangles(SHAPES["fork"])), in_coal(triangles(finger))
     request, told, still = coal.CollisionRequest(), coal.CollisionResult(), coal.Transform3s.Identity()
 
@@ -154,7 +154,7 @@ def test_a_concave_link_leaves_room(forked):
         return coal.collide(one, still, other, coal.Transform3s(frame[:3, :3], frame[:3, 3]), request, told) > 0
 
     true = np.array([cross(frame) for frame in frames])
-    says = np.asarray(jax.vmap(lambda q: jaxik.collides(chain, None, q))(q))
+    says = np.asarray(jax.vmap(lambda q: jaxik.collides(robot, None, q))(q))
     assert 0.2 < true.mean() < 0.8 and not np.any(true & ~says)
     assert np.mean(says[~true]) < 0.05
     hull = jaxik.load(path, tip="tip", meshes=True, fit=jaxik.Fit(parts=1))
@@ -164,27 +164,27 @@ def test_a_concave_link_leaves_room(forked):
 def test_what_is_not_checked_is_listed(forked, tmp_path):
     """With the reason and the share; and any pair can be checked."""
     path, _ = forked
-    chain = jaxik.load(path, tip="tip", meshes=True, ignore=[("base", "finger")])
-    (left,) = chain.unchecked
-    assert left == jaxik.robot.Unchecked(("base", "finger"), "named") and not chain.self_pairs
-    told = jaxik.explain(chain, None, np.array([0.1, 0.0]))
+    robot = jaxik.load(path, tip="tip", meshes=True, ignore=[("base", "finger")])
+    (left,) = robot.unchecked
+    assert left == jaxik.kinematics.Unchecked(("base", "finger"), "named") and not robot.self_pairs
+    told = jaxik.explain(robot, None, np.array([0.1, 0.0]))
     assert not told.contacts and [(c.link, c.other) for c in told.unchecked] == [("finger", "base")]
     assert "not checked: finger and base collide by" in str(told)
-    assert not jaxik.explain(chain, None, np.array([0.0, 0.0])).unchecked  # between the prongs
-    jaxik.save(chain, tmp_path / "arm.toml")
+    assert not jaxik.explain(robot, None, np.array([0.0, 0.0])).unchecked  # between the prongs
+    jaxik.save(robot, tmp_path / "arm.toml")
     again = jaxik.load(tmp_path / "arm.toml")
-    assert again == chain and again.unchecked == chain.unchecked
-    assert chain.part(1, 2).unchecked == ()
+    assert again == robot and again.unchecked == robot.unchecked
+    assert robot.part(1, 2).unchecked == ()
 
 
 def test_pairs_are_asked_for(arm_of_bars):
     """A link that is always in another one is not checked, one line says so, and `pairs` checks it."""
     with pytest.warns(UserWarning, match=r"not checked, .* base and hand in 100%, by .* pairs=\[\('base', 'hand'\)"):
-        chain = jaxik.load(arm_of_bars, meshes=True)
-    told = {each.links: each for each in chain.unchecked}
+        robot = jaxik.load(arm_of_bars, meshes=True)
+    told = {each.links: each for each in robot.unchecked}
     both = told["base", "hand"]
     assert (both.reason, both.share) == ("touches", 1.0) and both.depth > 0.05
-    assert told["base", "arm"].reason == "touches" and not chain.self_pairs  # neighbours: no line of these
+    assert told["base", "arm"].reason == "touches" and not robot.self_pairs  # neighbours: no line of these
     for pairs in ([("hand", "base")], "all"):
         with pytest.warns(UserWarning, match="touch with all joints at 0 .* base and hand"):
             asked = jaxik.load(arm_of_bars, meshes=True, pairs=pairs)

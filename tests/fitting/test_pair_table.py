@@ -16,7 +16,7 @@ from jaxik.collision.clearances import link_clearances
 from jaxik.collision.nearest_pair import Space
 from jaxik.fitting.convex import Body
 from jaxik.fitting.link_distance_tables import table_of
-from jaxik.robot.chain import finite_limits
+from jaxik.kinematics.robot import finite_limits
 from jaxik.spmd import kernel
 
 BASE, BEAM, TIP = (0.2, 0.16, 0.3), (0.5, 0.05, 0.05), (0.3, 0.03, 0.03)
@@ -43,13 +43,13 @@ def corners(name, sizes=SIZES, places=PLACES):
     return places[name] + half * np.array(list(itertools.product((-1.0, 1.0), repeat=3)))
 
 
-def signed(chain, first, second, q, sizes=SIZES, places=PLACES):
+def signed(robot, first, second, q, sizes=SIZES, places=PLACES):
     """How far two links' boxes are apart, by coal."""
     request, told = coal.DistanceRequest(), coal.DistanceResult()
     request.enable_signed_distance = True
     a, b = (coal.Box(*sizes[name]) for name in (first, second))
-    frames = np.asarray(jax.vmap(lambda q: jaxik.robot.link_frames(chain, q))(q))
-    index, found = [chain.link_names.index(name) for name in (first, second)], []
+    frames = np.asarray(jax.vmap(lambda q: jaxik.kinematics.link_frames(robot, q))(q))
+    index, found = [robot.link_names.index(name) for name in (first, second)], []
     for one, other in frames[:, index]:
         told.clear()
         at = [coal.Transform3s(f[:3, :3], f[:3, :3] @ places[n] + f[:3, 3]) for f, n in ((one, first), (other, second))]
@@ -68,14 +68,14 @@ def kinematics(tmp_path_factory):
 @pytest.mark.parametrize("other", ["beam", "tip"])
 def test_a_table_bounds_coals_distance(kinematics, kind, other):
     """Inside the limits, beyond them and turns away; of the tip, which turns between, for all that it sweeps."""
-    chain, rng = kinematics[kind], np.random.default_rng(0)
-    links = {name: chain.link_names.index(name) for name in ("base", other)}
+    robot, rng = kinematics[kind], np.random.default_rng(0)
+    links = {name: robot.link_names.index(name) for name in ("base", other)}
     bodies = {links[name]: [Body(corners(name))] for name in links}
-    limits = finite_limits(chain)
+    limits = finite_limits(robot)
     inside = rng.uniform(*limits, (3000, 3))
-    true = signed(chain, "base", other, inside)
+    true = signed(robot, "base", other, inside)
     free = (true > 0.0) & (true < 0.01)
-    table = table_of(chain, tuple(links.values()), bodies, limits, inside[free], 128)
+    table = table_of(robot, tuple(links.values()), bodies, limits, inside[free], 128)
     assert table.joints == (0, 1) and table.turns == (True, False) and free.sum() > 50
     assert np.abs(true).min() < 1e-4 and (true < 0.0).mean() > 0.02
     assert (table(inside) - true).max() < EXACT
@@ -83,7 +83,7 @@ def test_a_table_bounds_coals_distance(kinematics, kind, other):
         short = (true - table(inside))[(true > 0.0) & (true < 0.02)]
         assert np.median(short) < 3e-4
     beyond = rng.uniform(limits[0] - 4.0, limits[1] + 4.0, (1000, 3))
-    assert (table(beyond) - signed(chain, "base", other, beyond)).max() < EXACT
+    assert (table(beyond) - signed(robot, "base", other, beyond)).max() < EXACT
     assert np.mean(table(inside[free]) > 0.0) > (0.8 if other == "beam" else 0.3)
     moved = rng.normal(size=inside.shape) * 0.02  # over the ends of a whole turn, too
     moved = np.clip(inside + moved, *limits) - inside
@@ -96,16 +96,16 @@ def test_a_table_bounds_coals_distance(kinematics, kind, other):
 @pytest.mark.parametrize("kind", ["turning", "sliding"])
 def test_nothing_slips_between_the_nodes(kinematics, kind):
     """Plates of 4 mm pass through each other 60 cm from the axis, where a cell of the table is 3 cm."""
-    chain, rng = kinematics[kind], np.random.default_rng(3)
+    robot, rng = kinematics[kind], np.random.default_rng(3)
     sizes = {"base": (0.3, 0.004, 0.3), "beam": (0.2, 0.004, 0.2)}
     places = {"base": np.array([0.6, 0.0, 0.1]), "beam": np.array([0.6, 0.0, 0.0])}
-    links = {name: chain.link_names.index(name) for name in sizes}
+    links = {name: robot.link_names.index(name) for name in sizes}
     bodies = {links[name]: [Body(corners(name, sizes, places))] for name in sizes}
-    limits = finite_limits(chain)
+    limits = finite_limits(robot)
     inside = rng.uniform(*limits, (3000, 3))
     inside[:2000, 0] = rng.choice([0.0, np.pi, -np.pi], 2000) + 0.01 * rng.normal(size=2000)
-    true = signed(chain, "base", "beam", inside, sizes, places)
-    table = table_of(chain, tuple(links.values()), bodies, limits, inside[true > 0.1], 128)
+    true = signed(robot, "base", "beam", inside, sizes, places)
+    table = table_of(robot, tuple(links.values()), bodies, limits, inside[true > 0.1], 128)
     assert ((true < 0.0) & (true > -0.004)).sum() > 50 and (table(inside) - true).max() < EXACT
     assert table(inside[true > 0.1]).min() > 0.03
 
@@ -126,7 +126,7 @@ def test_a_fitted_robot_is_as_free_as_its_links(arm, postures):
     """None missed; without its tables the robot collides falsely."""
     assert {tuple(arm.link_names[i] for i in t.links) for t in arm.pair_tables} >= {("base", "beam")}
     true = np.minimum(signed(arm, "base", "beam", postures), signed(arm, "base", "tip", postures))
-    share = lambda chain: np.asarray(jax.vmap(lambda q: jaxik.collision.self_clearance(chain, q))(postures)) <= 0.0
+    share = lambda robot: np.asarray(jax.vmap(lambda q: jaxik.collision.self_clearance(robot, q))(postures)) <= 0.0
     known, bare = share(arm), share(dataclasses.replace(arm, pair_tables=()))
     assert np.all(bare | ~known) and not np.any(~known & (true < -EXACT))
     known, bare = np.mean(known & (true > 0.0)), np.mean(bare & (true > 0.0))
@@ -177,8 +177,8 @@ def test_motions_are_proven_with_tables(arm, postures):
 
 def test_a_table_is_of_the_links_that_were_measured(arm, postures):
     """Of others it says nothing: a link made thicker, moved, or differentiated by."""
-    apart = lambda chain: np.asarray(jax.vmap(lambda q: jaxik.collision.self_clearance(chain, q))(postures[:200]))
-    bare = lambda chain: dataclasses.replace(chain, pair_tables=())
+    apart = lambda robot: np.asarray(jax.vmap(lambda q: jaxik.collision.self_clearance(robot, q))(postures[:200]))
+    bare = lambda robot: dataclasses.replace(robot, pair_tables=())
     thick = dataclasses.replace(
         arm, volumes=tuple(dataclasses.replace(v, radius=np.asarray(v.radius + 0.02)) for v in arm.volumes)
     )
@@ -194,8 +194,8 @@ def test_a_table_is_of_the_links_that_were_measured(arm, postures):
     for name in ("parent_T_joint", "axis", "lower", "upper", "velocity", "effort", "armature"):
         rail[name] = np.concatenate([getattr(arm, name)[:1], getattr(arm, name)])
     led = dataclasses.replace(arm, bodies=(), **rail)
-    before = lambda chain: np.asarray(
-        jax.vmap(lambda q: jaxik.collision.self_clearance(chain, jnp.append(0.0, q)))(postures[:200])
+    before = lambda robot: np.asarray(
+        jax.vmap(lambda q: jaxik.collision.self_clearance(robot, jnp.append(0.0, q)))(postures[:200])
     )
     assert np.array_equal(before(led), apart(bare(arm)))
     assert np.array_equal(apart(arm.mounted(np.diag([1.0, -1.0, -1.0, 1.0]))), apart(arm))

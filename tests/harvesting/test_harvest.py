@@ -27,23 +27,23 @@ def test_it_prints_as_a_line_a_fruit(harvest):
 
 
 def test_solved_is_solved(harvest):
-    chain, scene = harvest.chain, harvest.scene
+    robot, scene = harvest.robot, harvest.scene
     assert harvest.success.sum() >= 8
     for row in (r for r in harvest.rows if r.success):
         own = scene.object_names.index(row.fruit)
-        assert np.all((row.q >= chain.lower - 1e-6) & (row.q <= chain.upper + 1e-6))
+        assert np.all((row.q >= robot.lower - 1e-6) & (row.q <= robot.upper + 1e-6))
         assert row.position_error <= 2e-6 and row.rotation_error <= 2e-5
-        assert jaxik.clearance(chain, scene.without([own]), row.q) >= 0.005 - 1e-5
+        assert jaxik.clearance(robot, scene.without([own]), row.q) >= 0.005 - 1e-5
 
 
-def _contacts(chain, scene, q):
-    return jaxik.collision.object_clearances(chain, scene, q), jaxik.collision.self_clearance(chain, q)
+def _contacts(robot, scene, q):
+    return jaxik.collision.object_clearances(robot, scene, q), jaxik.collision.self_clearance(robot, q)
 
 
 def _opened_by_brute_force(harvest, row):
     """A function of a set of objects: whether a posture of a fruit's table is free without them."""
     own = harvest.scene.object_names.index(row.fruit)
-    each = jax.jit(jax.vmap(partial(_contacts, harvest.chain, harvest.scene.without([own]))))
+    each = jax.jit(jax.vmap(partial(_contacts, harvest.robot, harvest.scene.without([own]))))
     distance, to_itself = (np.asarray(x) for x in each(row.scan.table.q))
     margin = harvest.options.margin
     return lambda gone: bool(np.any((np.delete(distance, gone, axis=1).min(axis=1) >= margin) & (to_itself >= margin)))
@@ -79,10 +79,10 @@ def test_a_neighbour_is_picked_before_a_leaf_is_taken_away(harvest):
     assert "fruit_12: collision: pick fruit_7" in str(harvest) and rows["fruit_7"].why == "solved"
     arrays = harvest.arrays()
     assert arrays["pick_first"][11] == "fruit_7" and arrays["remove"][11] == "" and arrays["remove"][3] == "leaf_4_1"
-    alone = jaxik.harvesting.blockers(harvest.chain, harvest.scene, twelve.scan)  # of which nobody says what can be picked
+    alone = jaxik.harvesting.blockers(harvest.robot, harvest.scene, twelve.scan)  # of which nobody says what can be picked
     assert alone.pick_first == () and alone.removal == ("leaf_2_3",)
     with pytest.raises(ValueError, match=r"blockers: pickable: no fruit 'fruit_77'"):
-        jaxik.harvesting.blockers(harvest.chain, harvest.scene, twelve.scan, pickable=["fruit_77"])
+        jaxik.harvesting.blockers(harvest.robot, harvest.scene, twelve.scan, pickable=["fruit_77"])
 
 
 @pytest.mark.parametrize("gate, mend", [("fruit", "pick gate"), ("leaf", "take away gate"), ("stem", "")])
@@ -165,8 +165,8 @@ def test_the_picture_says_what_became_of_each_fruit(harvest):
         else:
             scene = harvest.scene.without(row.fruit)
             assert fate(row) == f"blocked; first {row.blockers.mend}" and row.blockers.in_the_way == in_the_way(row) != ()
-            opened = clear(harvest.chain, scene.without(in_the_way(row)).padded(), posture(row))
-            assert opened >= 0.005 - 1e-5 > clear(harvest.chain, scene.padded(), posture(row))
+            opened = clear(harvest.robot, scene.without(in_the_way(row)).padded(), posture(row))
+            assert opened >= 0.005 - 1e-5 > clear(harvest.robot, scene.padded(), posture(row))
     hidden = harvest.rows[3]
     names = hidden._replace(blockers=hidden.blockers._replace(removal=None, names=("stem_1", "wire"), row=None))
     assert fate(names) == "hidden behind stem_1, wire" and posture(names) is None

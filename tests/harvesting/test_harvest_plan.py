@@ -51,7 +51,7 @@ def test_stages_follow_each_other(plan, harvested):
         if row.stages:
             np.testing.assert_allclose(row.stages[-1].trajectory.sample(0.01)[1].q[-1], CRATE, atol=1e-9)
             line = row.stages[1].trajectory.sample(0.01)[1].q
-            tips = np.array([jaxik.forward_kinematics(plan.chain, q) for q in line[[0, len(line) // 2, -1]]])
+            tips = np.array([jaxik.forward_kinematics(plan.robot, q) for q in line[[0, len(line) // 2, -1]]])
             along = tips[:, :3, 3] - tips[-1, :3, 3]
             np.testing.assert_allclose(np.cross(along, tips[-1, :3, 2]), 0.0, atol=2e-4)
             assert 0.0249 < np.linalg.norm(along[0]) < 0.1001
@@ -72,7 +72,7 @@ def test_rows_have_what_those_of_the_harvest_have(plan, harvested):
     for row, fruit in zip(plan.rows, plan.scene.fruits, strict=True):
         if row.success:
             np.testing.assert_allclose(row.q, row.stages[1].trajectory.sample(0.01)[1].q[-1], atol=1e-9)
-            tip = plan.chain.world_T_base @ np.asarray(jaxik.forward_kinematics(plan.chain, row.q))
+            tip = plan.robot.world_T_base @ np.asarray(jaxik.forward_kinematics(plan.robot, row.q))
             np.testing.assert_allclose(tip[:3, 3], fruit.position, atol=1e-5)
         else:
             assert np.isnan(row.q).all() and row.q.shape == harvested.rows[0].q.shape
@@ -97,14 +97,14 @@ def test_leaves_may_be_touched_where_there_is_no_other_way(harvested):
 
 
 def test_a_body_that_is_not_round_is_carried_as_it_is_grasped():
-    chain, q = jaxik.load("p6r"), np.array([[0.3, 0.2, -0.5, -0.4, 0.3, 0.5, turn] for turn in (0.0, 1.0, 2.0)])
-    tips = [chain.world_T_base @ np.asarray(jaxik.forward_kinematics(chain, each)) for each in q]
+    robot, q = jaxik.load("p6r"), np.array([[0.3, 0.2, -0.5, -0.4, 0.3, 0.5, turn] for turn in (0.0, 1.0, 2.0)])
+    tips = [robot.world_T_base @ np.asarray(jaxik.forward_kinematics(robot, each)) for each in q]
     top, down = tips[0][:3, 3], tips[0][:3, 0]
     for more, arms in (({"length": 0.3, "radius": 0.02}, 1), ({"spheres": [[*(top + 0.1), 0.05]]}, 3)):
         builder = SceneBuilder()
         builder.add_fruit("fruit", top, axis=-down, **more)
         scene = builder.scene()
-        found = list(carrying(chain, scene, scene.fruits[0], q[:1] if arms == 1 else q, Grasp()))
+        found = list(carrying(robot, scene, scene.fruits[0], q[:1] if arms == 1 else q, Grasp()))
         assert len(found) == arms and all(arm.link_names[-1] == "held" for arm, _ in found)
 
 
@@ -176,11 +176,11 @@ def test_files_hold_all_stages(plan, harvested, tmp_path, monkeypatch):
     assert [row["stage"] for row in rows][-1] == "home"
     written = json.loads((out / "motions.json").read_text())
     assert [each["stage"] for each in written] == [stage.kind for stage in plan.stages]
-    assert written[1]["joint_names"] == list(plan.chain.joint_names) and "positions" in written[1]["points"][0]
+    assert written[1]["joint_names"] == list(plan.robot.joint_names) and "positions" in written[1]["points"][0]
 
 
 def test_the_page_moves_the_fruit_with_the_gripper(plan, harvested):
-    page = Page(plan.chain, plan.scene, None, harvested, port=0, plan=plan)
+    page = Page(plan.robot, plan.scene, None, harvested, port=0, plan=plan)
     player, name = page.player, plan.order[0]
     fruit = player.fruits[name]
     approach, retreat, transport = plan.stages[1:4]
@@ -191,7 +191,7 @@ def test_the_page_moves_the_fruit_with_the_gripper(plan, harvested):
     assert "Clear" in page.near.content and "approach of" in player.said.content
     for t in (retreat.start + 0.1, transport.start + 0.5):
         player.show(t)
-        tip = plan.chain.world_T_base @ np.asarray(jaxik.forward_kinematics(plan.chain, page.q))
+        tip = plan.robot.world_T_base @ np.asarray(jaxik.forward_kinematics(plan.robot, page.q))
         np.testing.assert_allclose(place(), tip[:3, 3], atol=1e-4)
         assert "Clear" in page.near.content and "1 picked" in player.said.content
     let_go = place()

@@ -14,11 +14,11 @@ from jaxik.files.shipped import models_folder
 from jaxik.harvesting.grasp import grasp_poses
 from jaxik.harvesting.grid_refinement import _climb, _misses, _self_motion, recover
 from jaxik.harvesting.scanning import Weights, approach_angles, scan_two_step
+from jaxik.kinematics.forward import joint_frames
+from jaxik.kinematics.robot import within_limits
 from jaxik.reasons import Reason
-from jaxik.robot.chain import within_limits
-from jaxik.robot.kinematics import joint_frames
 
-CHAIN = jaxik.load("p6r")
+ROBOT = jaxik.load("p6r")
 
 
 def crop(*objects, position=(0.5, 0.66, 0.6)):
@@ -40,7 +40,7 @@ OPEN = crop(("leaf_1", True, wall(0.55)), ("leaf_2", True, wall(0.3)))
 def test_grasp_poses_satisfy_the_paper():
     """(5) of Van Henten et al. 2010 as printed, in the base frame with the fruit's axis along the base's z."""
     fruit = OPEN.fruits[0]
-    upright = CHAIN.mounted(np.eye(4))  # the base frame is the world's: the fruit's axis is its z
+    upright = ROBOT.mounted(np.eye(4))  # the base frame is the world's: the fruit's axis is its z
     for pose in grasp_poses(upright, fruit, np.linspace(-3.0, 3.0, 7)):
         assert harvest_orientation_cost(pose[:3, :3]) <= 1e-28
         assert np.allclose(pose[:3, 3], fruit.position) and abs(np.linalg.det(pose[:3, :3]) - 1.0) <= 1e-14
@@ -48,12 +48,12 @@ def test_grasp_poses_satisfy_the_paper():
 
 @pytest.fixture(scope="module")
 def found():
-    return jaxik.harvesting.scan(CHAIN, OPEN, OPEN.fruits[0], angles=24, slides=7)
+    return jaxik.harvesting.scan(ROBOT, OPEN, OPEN.fruits[0], angles=24, slides=7)
 
 
 def test_the_table_is_what_one_by_one_gives(found):
-    poses = grasp_poses(CHAIN, found.fruit, found.angles)
-    solve = jax.jit(lambda pose, slide: jaxik.closed_form(CHAIN, pose, slide))
+    poses = grasp_poses(ROBOT, found.fruit, found.angles)
+    solve = jax.jit(lambda pose, slide: jaxik.closed_form(ROBOT, pose, slide))
     rows = {
         (int(np.argmin(np.abs(found.angles - a))), int(np.argmin(np.abs(found.leading[:, 0] - s))), int(b)): i
         for i, (a, s, b) in enumerate(zip(found.table.angle, found.table.leading[:, 0], found.table.branch, strict=True))
@@ -70,26 +70,26 @@ def test_the_table_is_what_one_by_one_gives(found):
     others = OPEN.without([0])
     for row in range(0, len(found.table.q), 17):
         q = jnp.asarray(found.table.q[row], jnp.float64)
-        assert within_limits(CHAIN, np.clip(q, CHAIN.lower, CHAIN.upper)) and np.allclose(
-            q, np.clip(q, CHAIN.lower, CHAIN.upper)
+        assert within_limits(ROBOT, np.clip(q, ROBOT.lower, ROBOT.upper)) and np.allclose(
+            q, np.clip(q, ROBOT.lower, ROBOT.upper)
         )
-        assert abs(jaxik.clearance(CHAIN, others, q) - found.table.clearance[row]) <= 1e-5
+        assert abs(jaxik.clearance(ROBOT, others, q) - found.table.clearance[row]) <= 1e-5
 
 
 def test_weights_rank(found):
     free = found.table.clearance >= 0.005
     assert free.any()
     for weights, column in ((Weights(1.0, 0.0, reach=10.0), found.table.clearance), (Weights(0.0, 1.0), found.table.freedom)):
-        best = jaxik.harvesting.scan(CHAIN, OPEN, OPEN.fruits[0], 24, 7, weights).table.best(0.005)
+        best = jaxik.harvesting.scan(ROBOT, OPEN, OPEN.fruits[0], 24, 7, weights).table.best(0.005)
         assert column[best] == column[free].max()
     with pytest.raises(ValueError, match="reach > 0"):
         Weights(reach=0.0)
 
 
 def test_two_steps_take_the_next_angle_where_the_best_has_none(found):
-    order, distance = approach_angles(CHAIN, OPEN, OPEN.fruits[0], 24)
+    order, distance = approach_angles(ROBOT, OPEN, OPEN.fruits[0], 24)
     assert np.all(np.diff(distance) <= 0.0) and set(np.round(order, 9)) == set(np.round(found.angles, 9))
-    steps, tried = scan_two_step(CHAIN, OPEN, OPEN.fruits[0], 24, 7)
+    steps, tried = scan_two_step(ROBOT, OPEN, OPEN.fruits[0], 24, 7)
     assert steps.reason == Reason.SOLVED and steps.angles[0] == order[tried - 1]
     for angle in order[: tried - 1]:  # those before have no posture in the full scan either
         assert not np.any(found.status[np.argmin(np.abs(found.angles - angle))] == Reason.SOLVED)
@@ -98,8 +98,8 @@ def test_two_steps_take_the_next_angle_where_the_best_has_none(found):
 def test_the_slope_of_recovery_is_autodiffs():
     """Clearance over (angle, slide), differentiated through the closed form; the driver's own route is by Jacobian."""
     fruit, others = OPEN.fruits[0], OPEN.without([0])
-    axis = CHAIN.world_T_base[:3, :3].T @ fruit.axis
-    centre, reference = np.linalg.inv(CHAIN.world_T_base) @ [*fruit.position, 1.0], grasp_poses(CHAIN, fruit, np.zeros(1))[0]
+    axis = ROBOT.world_T_base[:3, :3].T @ fruit.axis
+    centre, reference = np.linalg.inv(ROBOT.world_T_base) @ [*fruit.position, 1.0], grasp_poses(ROBOT, fruit, np.zeros(1))[0]
 
     def pose(angle):
         skew = np.array([[0, -axis[2], axis[1]], [axis[2], 0, -axis[0]], [-axis[1], axis[0], 0]])
@@ -107,17 +107,17 @@ def test_the_slope_of_recovery_is_autodiffs():
         top = jnp.concatenate([turn @ reference[:3, :3], centre[:3, None]], axis=1)
         return jnp.concatenate([top, jnp.array([[0.0, 0.0, 0.0, 1.0]])])
 
-    worth = jax.jit(lambda q: jaxik.clearance(CHAIN, others, q))
-    through = jax.jit(jax.grad(lambda u, b: worth(jaxik.closed_form(CHAIN, pose(u[0]), u[1:]).q[b])))
+    worth = jax.jit(lambda q: jaxik.clearance(ROBOT, others, q))
+    through = jax.jit(jax.grad(lambda u, b: worth(jaxik.closed_form(ROBOT, pose(u[0]), u[1:]).q[b])))
     slopes = jax.jit(jax.grad(worth))
-    found = jaxik.harvesting.scan(CHAIN, OPEN, fruit, angles=12, slides=5)
+    found = jaxik.harvesting.scan(ROBOT, OPEN, fruit, angles=12, slides=5)
     rows = np.linspace(0, len(found.table.q) - 1, 6).astype(int)
     for i in rows:
         u, branch = np.array([found.table.angle[i], found.table.leading[i, 0]]), int(found.table.branch[i])
-        q = jaxik.closed_form(CHAIN, pose(u[0]), u[1:]).q[branch]
-        jacobian, slope = np.asarray(jaxik.jacobian(CHAIN, q)), np.asarray(slopes(q))
+        q = jaxik.closed_form(ROBOT, pose(u[0]), u[1:]).q[branch]
+        jacobian, slope = np.asarray(jaxik.jacobian(ROBOT, q)), np.asarray(slopes(q))
         ours, exact = (
-            _self_motion(jacobian[None], slope[None], axis, CHAIN, np.asarray(q)[None])[0],
+            _self_motion(jacobian[None], slope[None], axis, ROBOT, np.asarray(q)[None])[0],
             np.asarray(through(u, branch)),
         )
         assert np.allclose(ours, exact / np.linalg.norm(exact), atol=1e-6)
@@ -127,50 +127,50 @@ def test_the_slope_of_recovery_is_autodiffs():
 def test_arms_of_other_families(name, given):
     """A rail before the arm, a lift before and a joint after it, an arm angle: postures have the grasp's pose, and what is
     given is moved along a function's slope, as differences of the closed form have it."""
-    chain = jaxik.load(name)
+    robot = jaxik.load(name)
     scene = OPEN if name != "iiwa14" else crop(("leaf_1", True, wall(0.3)), position=(0.45, 0.1, 0.5))
     fruit = scene.fruits[0]
-    found = jaxik.harvesting.scan(chain, scene, fruit, angles=16, slides=9)
+    found = jaxik.harvesting.scan(robot, scene, fruit, angles=16, slides=9)
     table = found.table
     assert len(table.q) and table.leading.shape[1] == given
-    poses = grasp_poses(chain, fruit, table.angle)
-    back = joint_frames(chain, list(table.q.T.astype(np.float64))).tip.matrices
+    poses = grasp_poses(robot, fruit, table.angle)
+    back = joint_frames(robot, list(table.q.T.astype(np.float64))).tip.matrices
     assert np.abs(back - poses).max() <= 2e-5
-    assert np.all((table.q >= chain.lower - 1e-6) & (table.q <= chain.upper + 1e-6))
-    axis = chain.world_T_base[:3, :3].T @ fruit.axis
+    assert np.all((table.q >= robot.lower - 1e-6) & (table.q <= robot.upper + 1e-6))
+    axis = robot.world_T_base[:3, :3].T @ fruit.axis
     row = int(np.argmax(table.freedom))
     branch, u = int(table.branch[row]), np.array([table.angle[row], *table.leading[row]])
-    solve = jax.jit(lambda pose, given: jaxik.closed_form(chain, pose, given).q[branch])
+    solve = jax.jit(lambda pose, given: jaxik.closed_form(robot, pose, given).q[branch])
     worth = lambda q: float(np.sum(np.sin(np.asarray(q) + 0.3)))
-    at = lambda u: solve(grasp_poses(chain, fruit, u[:1])[0], u[1:])
+    at = lambda u: solve(grasp_poses(robot, fruit, u[:1])[0], u[1:])
     numeric = [(worth(at(u + 1e-5 * e)) - worth(at(u - 1e-5 * e))) / 2e-5 for e in np.eye(len(u))]
     q = np.asarray(at(u))
-    jacobian = np.asarray(jaxik.jacobian(chain, q))
-    (ours,) = _self_motion(jacobian[None], np.cos(q + 0.3)[None], axis, chain, q[None])
+    jacobian = np.asarray(jaxik.jacobian(robot, q))
+    (ours,) = _self_motion(jacobian[None], np.cos(q + 0.3)[None], axis, robot, q[None])
     assert np.allclose(ours, numeric / np.linalg.norm(numeric), atol=1e-3)
 
 
 def test_recovery_finds_what_the_grid_misses():
-    fine = jaxik.harvesting.scan(CHAIN, OPEN, OPEN.fruits[0], 72, 41)
+    fine = jaxik.harvesting.scan(ROBOT, OPEN, OPEN.fruits[0], 72, 41)
     best = float(fine.table.clearance.max())
-    coarse = jaxik.harvesting.scan(CHAIN, OPEN, OPEN.fruits[0], 7, 3, margin=0.95 * best)
+    coarse = jaxik.harvesting.scan(ROBOT, OPEN, OPEN.fruits[0], 7, 3, margin=0.95 * best)
     assert coarse.reason != Reason.SOLVED  # so high a margin that so coarse a grid has nothing
-    mended = recover(CHAIN, OPEN, coarse, margin=float(coarse.table.clearance.max()) + 0.004)
+    mended = recover(ROBOT, OPEN, coarse, margin=float(coarse.table.clearance.max()) + 0.004)
     assert mended is not None and mended.how in ("finer grid", "gradient")
     assert mended.row.clearance[0] > coarse.table.clearance.max()
     q = mended.row.q[0].astype(np.float64)
-    pose = grasp_poses(CHAIN, OPEN.fruits[0], mended.row.angle)[0]
-    assert np.max(np.abs(jaxik.forward_kinematics(CHAIN, q) - pose)) <= 2e-5
-    assert np.all((q >= CHAIN.lower - 1e-6) & (q <= CHAIN.upper + 1e-6))
+    pose = grasp_poses(ROBOT, OPEN.fruits[0], mended.row.angle)[0]
+    assert np.max(np.abs(jaxik.forward_kinematics(ROBOT, q) - pose)) <= 2e-5
+    assert np.all((q >= ROBOT.lower - 1e-6) & (q <= ROBOT.upper + 1e-6))
 
 
 def test_gradient_ascent_alone_reaches_the_margin():
-    coarse = jaxik.harvesting.scan(CHAIN, OPEN, OPEN.fruits[0], 7, 3)
+    coarse = jaxik.harvesting.scan(ROBOT, OPEN, OPEN.fruits[0], 7, 3)
     margin = float(coarse.table.clearance.max()) + 0.003
-    climbed = _climb(CHAIN, OPEN, coarse, _misses(coarse), Weights(), margin, None)
+    climbed = _climb(ROBOT, OPEN, coarse, _misses(coarse), Weights(), margin, None)
     assert climbed is not None and climbed.how == "gradient" and climbed.row.clearance[0] >= margin
     q = climbed.row.q[0].astype(np.float64)
-    assert np.max(np.abs(jaxik.forward_kinematics(CHAIN, q) - grasp_poses(CHAIN, OPEN.fruits[0], climbed.row.angle)[0])) <= 2e-5
+    assert np.max(np.abs(jaxik.forward_kinematics(ROBOT, q) - grasp_poses(ROBOT, OPEN.fruits[0], climbed.row.angle)[0])) <= 2e-5
 
 
 @pytest.mark.parametrize("leading", [0, 2])
@@ -179,15 +179,15 @@ def test_arms_with_other_numbers_of_leading_joints(leading, tmp_path):
     from jaxik.view.harvest_picture import plot_harvest
 
     if leading == 0:
-        chain = CHAIN.part(1, 7).mounted(CHAIN.world_T_base @ _lift(0.45))
+        robot = ROBOT.part(1, 7).mounted(ROBOT.world_T_base @ _lift(0.45))
     else:
         text = (models_folder() / "p6r.toml").read_text()
         lift = '[[joint]]\nname = "lift"\ntype = "prismatic"\nlower = 0\nupper = 0.2\n\n'
         path = tmp_path / "lifted.toml"
         path.write_text(text.replace("[[joint]]", lift + "[[joint]]", 1))
-        chain = jaxik.load(path)
-    assert chain.num_joints == 6 + leading
-    result = jaxik.harvest(chain, OPEN, angles=36, slides=5)
+        robot = jaxik.load(path)
+    assert robot.num_joints == 6 + leading
+    result = jaxik.harvest(robot, OPEN, angles=36, slides=5)
     assert result.rows[0].success and result.rows[0].position_error <= 2e-6
     assert result.candidates == 36 * 5**leading * 8
     plot_harvest(result, tmp_path / "harvest.png")
@@ -201,19 +201,19 @@ def _lift(z):
 
 def test_each_reason():
     far = crop(position=(0.5, 9.0, 0.6))
-    assert jaxik.harvesting.scan(CHAIN, far, far.fruits[0], 12, 5).reason == Reason.OUT_OF_REACH
+    assert jaxik.harvesting.scan(ROBOT, far, far.fruits[0], 12, 5).reason == Reason.OUT_OF_REACH
     cage = [(0.5 + 0.09 * np.cos(a), 0.66 + 0.09 * np.sin(a), z) for a in np.linspace(0, 6, 24) for z in (0.55, 0.6, 0.65)]
     shut = crop(("leaf_1", True, cage[::2]), ("post_1", False, cage[1::2]))
-    found = jaxik.harvesting.scan(CHAIN, shut, shut.fruits[0], 24, 9)
+    found = jaxik.harvesting.scan(ROBOT, shut, shut.fruits[0], 24, 9)
     assert found.reason == Reason.COLLISION
-    assert jaxik.harvesting.blockers(CHAIN, shut, found).removal is None  # the post may not go
+    assert jaxik.harvesting.blockers(ROBOT, shut, found).removal is None  # the post may not go
     loose = crop(("leaf_1", True, cage[::2]), ("leaf_2", True, cage[1::2]))
     assert set(
-        jaxik.harvesting.blockers(CHAIN, loose, jaxik.harvesting.scan(CHAIN, loose, loose.fruits[0], 24, 9)).removal
+        jaxik.harvesting.blockers(ROBOT, loose, jaxik.harvesting.scan(ROBOT, loose, loose.fruits[0], 24, 9)).removal
     ) <= {"leaf_1", "leaf_2"}
     upside = jaxik.make_scene(points=[[0, 0, 0]])
     with pytest.raises(ValueError, match="no fruit"):
-        jaxik.harvest(CHAIN, upside)
+        jaxik.harvest(ROBOT, upside)
     with pytest.raises(ValueError, match="needs the closed form"):
         jaxik.harvesting.scan(jaxik.load("pendulum4"), OPEN, OPEN.fruits[0])
 
@@ -226,8 +226,8 @@ def test_a_million_candidates_stay_below_a_gibibyte():
 def test_counts_of_any_integer_and_values_of_any_sequence(found):
     """A count is an integer of any kind; what is neither a count nor values is refused in one line."""
     fruit = OPEN.fruits[0]
-    same = lambda **grid: jaxik.harvesting.scan(CHAIN, OPEN, fruit, **{"angles": 24, "slides": 7} | grid).status
-    low, high = CHAIN.lower[0], CHAIN.upper[0]
+    same = lambda **grid: jaxik.harvesting.scan(ROBOT, OPEN, fruit, **{"angles": 24, "slides": 7} | grid).status
+    low, high = ROBOT.lower[0], ROBOT.upper[0]
     for angles in (np.int64(24), np.uint8(24), np.array(24), found.angles, list(found.angles)):
         assert np.array_equal(same(angles=angles), found.status)
     for slides in (np.int64(7), np.array(7), np.linspace(low, high, 7), list(np.linspace(low, high, 7)), found.leading):

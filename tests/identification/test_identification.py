@@ -9,14 +9,15 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 import jaxik
+from jaxik.dynamics import Drive, Friction, body_parameters, friction_torque, inverse_dynamics, with_body_parameters
 from jaxik.identification import MotionLog, base_parameters, excite, identify, pseudo_inertias, smoothed
 from jaxik.identification.clear_motion import ClearSpace
 from jaxik.identification.columns import body_columns, side_by_side
 from jaxik.identification.excitation import ExcitationOptions, _Search
 from jaxik.identification.problem import Curve, posed
 from jaxik.identification.pseudo_inertia import Bodies
+from jaxik.kinematics import Body
 from jaxik.reasons import Reason
-from jaxik.robot import Body, Drive, Friction, body_parameters, friction_torque, inverse_dynamics, with_body_parameters
 
 ARM = jaxik.load("crops_v2").part(0, 3)  # a slide, a vertical and a horizontal axis, with drives
 TERMS = ("coulomb", "viscous", "breakaway", "load", "asymmetry")
@@ -88,7 +89,7 @@ def test_bodies_that_can_be():
 
 def test_excitation_keeps_the_limits(excitation):
     q, qdot, qddot = excitation.at(np.linspace(0.0, 20.0, 5001))
-    lower, upper = jaxik.robot.finite_limits(ARM)
+    lower, upper = jaxik.kinematics.finite_limits(ARM)
     assert np.all((q > lower) & (q < upper)) and np.abs(qdot).max() <= 2.001 and np.abs(qddot).max() <= 4.001
     assert excitation.gain > 1.0 and excitation.condition < 500.0
     np.testing.assert_allclose(np.gradient(q, 0.004, axis=0)[1:-1], qdot[1:-1], atol=1e-3)
@@ -113,7 +114,7 @@ def test_the_search_knows_its_slope():
 
 
 def test_excitation_keeps_clear():
-    """Of a sphere and of itself, by coal's distances of the chain's volumes."""
+    """Of a sphere and of itself, by coal's distances of the robot's volumes."""
     found = excite(ARM, WALL, margin=0.02, velocity=2.0, starts=5, steps=10, samples=50)
     bold = excite(ARM, margin=None, velocity=2.0, starts=5, steps=10, samples=50)
     distances = [min(coals(q) for q in motion.at(np.linspace(0.0, 10.0, 101))[0]) for motion in (found, bold)]
@@ -122,8 +123,8 @@ def test_excitation_keeps_clear():
 
 
 def coals(q):
-    """The least of coal's distances of the chain's capsules, one a link, to the sphere and to each other at q (n,)."""
-    frames = np.asarray(jaxik.robot.link_frames(ARM, q))
+    """The least of coal's distances of the robot's capsules, one a link, to the sphere and to each other at q (n,)."""
+    frames = np.asarray(jaxik.kinematics.link_frames(ARM, q))
     sphere = coal.Sphere(float(WALL.spheres.radius[0])), coal.Transform3s(np.eye(3), np.asarray(WALL.spheres.center[0]))
     capsules = []
     for frame, volume in zip(frames, ARM.volumes, strict=True):
@@ -159,26 +160,26 @@ def test_identification_from_noisy_logs(motion):
     assert set(found.unknown()) == {
         w for w, s, v in zip(found.base.words, found.std, found.value, strict=True) if s > 0.01 * abs(v)
     }
-    assert np.linalg.eigvalsh(pseudo_inertias(np.asarray(body_parameters(found.chain)))).min() > 0.0
-    first, second = found.chain.drives[1].friction, found.chain.drives[2].friction
+    assert np.linalg.eigvalsh(pseudo_inertias(np.asarray(body_parameters(found.robot)))).min() > 0.0
+    first, second = found.robot.drives[1].friction, found.robot.drives[2].friction
     assert abs(first.breakaway - (8.4 + 1.125)) <= 0.1 and abs(second.breakaway - (12.8 + 7.0)) <= 0.2  # tables 3.4 and 3.6
     assert abs(second.stribeck_velocity - 81.7 / 100) <= 0.05 and abs(first.load - 50 * 2.1e-3) <= 0.02
     lines = repr(found).splitlines()
     assert lines[0].startswith("Identified crops_v2: solved, condition number ") and "joint3 0." in lines[-1]
     assert lines[1].split() == [*found.base.words[0].split(), f"{found.value[0]:.5g}", "+-", f"{found.std[0]:.2g}"]
-    again = np.asarray(torques(found.chain, *motion))
+    again = np.asarray(torques(found.robot, *motion))
     assert np.all(np.sqrt(np.mean((again - torque) ** 2, axis=0)) <= 0.01 * torque.std(axis=0))
 
 
 def test_torque_without_friction_is_exact(motion):
-    """Sensors behind the gears, and no noise; the chain's own numbers stay where nothing is told."""
+    """Sensors behind the gears, and no noise; the robot's own numbers stay where nothing is told."""
     true = another().with_drives(())
     motion = [x[::2] for x in motion]
     found = identify(ARM.with_drives(()), MotionLog(*motion, torque=np.asarray(torques(true, *motion))), terms=())
     truth = found.base.matrix @ np.asarray(body_parameters(true))
     np.testing.assert_allclose(found.value, truth, rtol=1e-8, atol=1e-8)
-    assert not found.unknown() and not found.chain.drives
-    np.testing.assert_allclose(found.base.matrix @ np.asarray(body_parameters(found.chain)), truth, rtol=1e-3, atol=1e-3)
+    assert not found.unknown() and not found.robot.drives
+    np.testing.assert_allclose(found.base.matrix @ np.asarray(body_parameters(found.robot)), truth, rtol=1e-3, atol=1e-3)
 
 
 def test_the_drives_found_rub_as_was_measured(motion):
@@ -189,7 +190,7 @@ def test_the_drives_found_rub_as_was_measured(motion):
     rub = np.asarray(rubbed(true, motion[1], torque))
     found = identify(true, MotionLog(*motion, torque=torque - rub), terms=("coulomb", "viscous", "asymmetry"))
     assert found.reason == Reason.SOLVED
-    np.testing.assert_allclose(rubbed(found.chain, motion[1], torque), rub, atol=2e-3)
+    np.testing.assert_allclose(rubbed(found.robot, motion[1], torque), rub, atol=2e-3)
 
 
 def test_rows_that_are_turned_say_the_same(motion):
@@ -218,7 +219,7 @@ def test_a_file_without_masses(motion, share, reason):
     bare = dataclasses.replace(with_body_parameters(ARM, np.zeros(30)), drives=(), armature=np.zeros(3))
     found = identify(bare, MotionLog(*motion, torque=torque), terms=())
     assert found.reason == reason
-    explained = np.all(np.abs(np.asarray(torques(found.chain, *motion)) - torque) <= 0.03 * torque.std(axis=0))
+    explained = np.all(np.abs(np.asarray(torques(found.robot, *motion)) - torque) <= 0.03 * torque.std(axis=0))
     assert explained == (reason == Reason.SOLVED)
 
 
@@ -244,7 +245,7 @@ FAULTS = [
     (dict(terms="load"), "identify: terms is load; write a tuple of coulomb, breakaway"),
     (dict(terms=("load", "load")), "identify: terms has load 2 times; write it once"),
     (dict(logs=None), "log 1 is a NoneType; write a jaxik.identification.MotionLog"),
-    (dict(chain=with_body_parameters(ARM, np.full(30, np.nan))), "identify: a body of crops_v2 holds NaN or infinity"),
+    (dict(robot=with_body_parameters(ARM, np.full(30, np.nan))), "identify: a body of crops_v2 holds NaN or infinity"),
     (dict(prior=0.0), "prior is 0.0; it is a finite number of at least 1e-06"),
     (dict(terms=()), "12 values for 9 unknowns; log a longer motion"),
 ]
@@ -256,7 +257,7 @@ def test_faults_in_one_line(change, line):
     rows = {name: np.zeros((4, 3)) for name in ("q", "qdot", "qddot", "torque")}
     rows |= {name: change[name] for name in rows if name in change}
     with pytest.raises(ValueError, match=line) as caught:
-        given = {"chain": ARM, "logs": MotionLog(**rows)} | {name: x for name, x in change.items() if name not in rows}
+        given = {"robot": ARM, "logs": MotionLog(**rows)} | {name: x for name, x in change.items() if name not in rows}
         identify(**given)
     assert "\n" not in str(caught.value)
 
@@ -269,14 +270,14 @@ def test_faults_in_one_line(change, line):
         (dict(period=0.0), "excite: period is 0; it is above 0"),
         (dict(margin=0.3), "excite: margin=0.3, the middle has a clearance of .* m; give a posture as middle"),
         (dict(middle=[0.5, 3.0, 0.0]), "excite: the middle of joint2 is not within share=0.9 of its limits"),
-        (dict(chain=dataclasses.replace(ARM, volumes=(), self_pairs=())), "no collision geometry; .*; or write margin=None"),
+        (dict(robot=dataclasses.replace(ARM, volumes=(), self_pairs=())), "no collision geometry; .*; or write margin=None"),
         (dict(speed=1.0), "excite: unknown option 'speed'"),
-        (dict(chain=dataclasses.replace(ARM, upper=ARM.lower)), "excite: joint1 cannot move: 0 to 0, velocity inf"),
+        (dict(robot=dataclasses.replace(ARM, upper=ARM.lower)), "excite: joint1 cannot move: 0 to 0, velocity inf"),
     ],
 )
 def test_faults_of_excitations(change, line):
     with pytest.raises(ValueError, match=line):
-        excite(**({"chain": ARM} | change))
+        excite(**({"robot": ARM} | change))
 
 
 SIX = jaxik.load("crops_v2").part(1, 7)  # six joints of many sizes

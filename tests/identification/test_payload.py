@@ -5,12 +5,12 @@ import dataclasses
 import numpy as np
 import pinocchio as pin
 import pytest
-from rigid_truth import of_chain
+from rigid_truth import of_robot
 
 import jaxik
+from jaxik.dynamics import Drive, Friction
 from jaxik.identification import MotionLog, identify_load, pseudo_inertias
 from jaxik.reasons import Reason
-from jaxik.robot import Drive, Friction
 
 WRIST = dataclasses.replace(jaxik.load("crops_v2").part(3, 9), drives=(), armature=np.zeros(6))
 MASS, COM = 1.3, np.array([0.02, -0.03, 0.06])
@@ -29,11 +29,11 @@ def motion(shake=0.0):
     return found
 
 
-def pinocchios(chain, moved, load=None):
+def pinocchios(robot, moved, load=None):
     """Torques of a motion, gravity down along the base's z."""
-    model = of_chain(chain)
+    model = of_robot(robot)
     if load is not None:
-        model.appendBodyToJoint(model.njoints - 1, pin.Inertia(*load), pin.SE3(np.array(chain.joint_T_tip)))
+        model.appendBodyToJoint(model.njoints - 1, pin.Inertia(*load), pin.SE3(np.array(robot.joint_T_tip)))
     data = model.createData()
     return np.array([pin.rnea(model, data, *row) for row in zip(*moved, strict=True)])
 
@@ -60,7 +60,7 @@ def test_against_pinocchio(logs):
     carried = WRIST.with_load(found.mass, found.com, found.inertia)
     exact = WRIST.with_load(MASS, COM, TENSOR)
     q = motion()[0][7]
-    np.testing.assert_allclose(jaxik.robot.gravity_torque(carried, q), jaxik.robot.gravity_torque(exact, q), atol=0.1)
+    np.testing.assert_allclose(jaxik.dynamics.gravity_torque(carried, q), jaxik.dynamics.gravity_torque(exact, q), atol=0.1)
     assert f"mass {found.mass:.4g} +- {found.mass_std:.2g} kg" in repr(found)
 
 
@@ -76,7 +76,7 @@ def test_exact_torques_are_exact():
     assert found.success and abs(found.mass - MASS) <= 1e-4 and np.abs(found.com - COM).max() <= 1e-4
     assert np.isinf(found.inertia_std).all() and np.isfinite(found.com_std).all()
     body = WRIST.with_load(found.mass, found.com, found.inertia)
-    assert np.linalg.eigvalsh(pseudo_inertias(np.asarray(jaxik.robot.body_parameters(body)))).min() > 0.0
+    assert np.linalg.eigvalsh(pseudo_inertias(np.asarray(jaxik.dynamics.body_parameters(body)))).min() > 0.0
 
 
 def test_of_a_simulated_arm():
@@ -87,10 +87,10 @@ def test_of_a_simulated_arm():
     arm = model.with_drives([dataclasses.replace(drive, friction=rubs)] * 6)
     ways = np.array([[-0.6] * 6, [0.6, 0.8, -0.5, 0.7, 0.9, -0.8], [0.1, -0.7, 0.6, -0.8, -0.9, 0.8]])
     plan = jaxik.planning.quintic([ways[0], ways[1], ways[2]], velocity=1.0, acceleration=3.0)
-    sensors = jaxik.control.Instruments(current_noise=0.01)
+    sensors = jaxik.estimation.Instruments(current_noise=0.01)
     logs = []
     for each in (arm.with_load(MASS, COM, TENSOR), arm):
-        log = jaxik.control.play(each, plan, model=model, instruments=sensors, dt=2e-3)
+        log = jaxik.estimation.play(each, plan, model=model, instruments=sensors, dt=2e-3)
         logs.append(MotionLog(log.q, log.qdot, np.gradient(log.qdot, log.t, axis=0), current=log.current))
     found = identify_load(model, *logs, slowest=0.1)
     assert abs(found.mass - MASS) <= 0.05 and np.abs(found.com - COM).max() <= 0.01

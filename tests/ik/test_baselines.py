@@ -30,23 +30,23 @@ def test_roots_against_scipy():
 
 def test_newton_reaches_a_near_pose():
     file, tip = bare("panda")
-    chain = jaxik.load(file, tip=tip)
-    pose = pinocchio(chain)
+    robot = jaxik.load(file, tip=tip)
+    pose = pinocchio(robot)
     goal = np.array([0.3, 0.2, -0.4, -1.5, 0.5, 1.6, 0.4])
     for damping in (0.0, 0.02):
-        found = newton_ik(chain, pose(goal), goal + 0.05, damping, tolerance=1e-10)
+        found = newton_ik(robot, pose(goal), goal + 0.05, damping, tolerance=1e-10)
         assert found.residual <= 1e-10 and max(pose_errors(pose(found.x), pose(goal))) < 1e-9
 
 
 def test_the_global_search_lowers_its_objective_inside_the_limits():
-    chain = jaxik.load("chembuly9")
+    robot = jaxik.load("chembuly9")
     target = np.eye(4)
     target[:3, 3] = np.array(TRELLIS_TARGETS["bitter_gourd"][0]) / 100.0
-    few, many = (global_search(chain, target, task=POSITION, generations=g, seed=1) for g in (5, 150))
+    few, many = (global_search(robot, target, task=POSITION, generations=g, seed=1) for g in (5, 150))
     assert many.objective < few.objective and many.objective < 1e-4
     assert many.evaluations == 151 * 15 * 9  # the first population and 150 generations
-    assert np.all((many.q >= chain.lower) & (many.q <= chain.upper))
-    away = pinocchio(chain)(many.q)[:3, 3] - target[:3, 3]
+    assert np.all((many.q >= robot.lower) & (many.q <= robot.upper))
+    away = pinocchio(robot)(many.q)[:3, 3] - target[:3, 3]
     np.testing.assert_allclose(away @ away, many.objective, rtol=1e-6)
 
 
@@ -67,12 +67,12 @@ def test_trellis_crops(kind):
 
 
 def test_a_target_of_the_paper_among_its_boxes():
-    chain, scene = jaxik.load("chembuly9"), trellis_crop("bitter_gourd")
+    robot, scene = jaxik.load("chembuly9"), trellis_crop("bitter_gourd")
     targets = np.array(TRELLIS_TARGETS["bitter_gourd"][:6]) / 100.0
     others = scene.without([i for i, name in enumerate(scene.object_names) if name in {f"fruit_{k}" for k in range(1, 7)}])
-    result = jaxik.solve_ik(chain, targets, others, task=POSITION, position_tolerance=1e-9, margin=0.005)
-    pose = pinocchio(chain)
+    result = jaxik.solve_ik(robot, targets, others, task=POSITION, position_tolerance=1e-9, margin=0.005)
+    pose = pinocchio(robot)
     assert result.success.all(), result.counts()
     assert max(np.linalg.norm(pose(q)[:3, 3] - p) for q, p in zip(result.q, targets, strict=True)) <= 1e-9
-    assert np.all((result.q >= chain.lower) & (result.q <= chain.upper)) and np.all(result.clearance >= 0.005)
-    assert np.all(jax.jit(jax.vmap(lambda q: jaxik.clearance(chain, others, q)))(result.q) >= 0.005 - 1e-9)
+    assert np.all((result.q >= robot.lower) & (result.q <= robot.upper)) and np.all(result.clearance >= 0.005)
+    assert np.all(jax.jit(jax.vmap(lambda q: jaxik.clearance(robot, others, q)))(result.q) >= 0.005 - 1e-9)

@@ -11,9 +11,9 @@ from jaxik.ik.solutions import candidates, far_apart
 APART = 0.2
 
 
-def by_the_rule(chain, q, score):
+def by_the_rule(robot, q, score):
     """The rows that are kept, one after the other."""
-    turns = np.isinf(chain.lower) & ~np.array(chain.is_prismatic)
+    turns = np.isinf(robot.lower) & ~np.array(robot.is_prismatic)
     kept = []
     for row in np.argsort(-score):
         away = np.abs(q[row] - q[kept])
@@ -26,12 +26,12 @@ def by_the_rule(chain, q, score):
 @pytest.mark.parametrize("name", ["gen3", "ur5e", "crops_v2"])  # four of the joints of a Gen3 have no limits
 @pytest.mark.parametrize("count", [1, 4, 1000])
 def test_far_apart(name, count):
-    chain, rng = jaxik.load(name), np.random.default_rng(0)
+    robot, rng = jaxik.load(name), np.random.default_rng(0)
     for noise in (0.0, 0.02, 0.1, 1.0):
-        centres, target = rng.uniform(-4.0, 4.0, (6, chain.num_joints)), np.sort(rng.integers(0, 5, 300))
-        q = centres[rng.integers(0, 6, 300)] + noise * rng.normal(size=(300, chain.num_joints))
-        score, problem = rng.permutation(300).astype(float), Problem.of(chain, None, 0, IKOptions(), 5)
+        centres, target = rng.uniform(-4.0, 4.0, (6, robot.num_joints)), np.sort(rng.integers(0, 5, 300))
+        q = centres[rng.integers(0, 6, 300)] + noise * rng.normal(size=(300, robot.num_joints))
+        score, problem = rng.permutation(300).astype(float), Problem.of(robot, None, 0, IKOptions(), 5)
         kept = far_apart(problem, candidates(q, target, np.zeros(300, int)), score, count, APART)
         for number in range(5):
             (of_it,) = np.nonzero(target == number)
-            assert kept[target[kept] == number].tolist() == of_it[by_the_rule(chain, q[of_it], score[of_it])[:count]].tolist()
+            assert kept[target[kept] == number].tolist() == of_it[by_the_rule(robot, q[of_it], score[of_it])[:count]].tolist()

@@ -17,9 +17,9 @@ from robots import ROBOTS, bare, joint_range, pinocchio, pose_errors
 import jaxik
 from jaxik import Reason
 from jaxik.ik import sqp_programs
+from jaxik.kinematics import admissible_turns
+from jaxik.kinematics.robot import Volume
 from jaxik.optimise import sqp
-from jaxik.robot import admissible_turns
-from jaxik.robot.chain import Volume
 from jaxik.spmd import call as kernels
 
 POSITION = 1e-6  # [m], the default tolerances
@@ -27,23 +27,23 @@ ROTATION = 1e-6  # [rad]
 SLACK = 1e-9  # between two libraries' kinematics
 
 
-def chain_of(name):
+def robot_of(name):
     if name in ROBOTS:
         file, tip = bare(name)
         return jaxik.load(file, tip=tip)
     return jaxik.load(name)
 
 
-def reachable(chain, count, seed=0):
+def reachable(robot, count, seed=0):
     """Poses of random configurations, by Pinocchio."""
-    q = np.random.default_rng(seed).uniform(*joint_range(chain), (count, chain.num_joints))
-    pose = pinocchio(chain)
+    q = np.random.default_rng(seed).uniform(*joint_range(robot), (count, robot.num_joints))
+    pose = pinocchio(robot)
     return np.stack([pose(row) for row in q])
 
 
-def assert_solves(chain, result, targets, position=POSITION, rotation=ROTATION):
+def assert_solves(robot, result, targets, position=POSITION, rotation=ROTATION):
     """Each answer has its pose for Pinocchio, says its errors rightly, and is inside the limits."""
-    pose = pinocchio(chain)
+    pose = pinocchio(robot)
     for q, target, away, turned in zip(
         result.q[result.success],
         targets[result.success],
@@ -54,21 +54,21 @@ def assert_solves(chain, result, targets, position=POSITION, rotation=ROTATION):
         position_error, rotation_error = pose_errors(pose(q), target)
         assert position_error <= position + SLACK and rotation_error <= rotation + SLACK
         assert abs(position_error - away) < SLACK and abs(rotation_error - turned) < 1e-7
-        assert np.all(q >= chain.lower) and np.all(q <= chain.upper)
+        assert np.all(q >= robot.lower) and np.all(q <= robot.upper)
 
 
 @pytest.fixture(scope="module")
 def panda():
-    return chain_of("panda")
+    return robot_of("panda")
 
 
 @pytest.mark.parametrize("name", ["panda", "ur5", "tiago", "p6r", "crops_v2", "chembuly9"])
 def test_reachable_poses_are_solved(name):
-    chain = chain_of(name)
-    targets = reachable(chain, 500)
-    result = jaxik.solve_ik(chain, targets, collision=False)
+    robot = robot_of(name)
+    targets = reachable(robot, 500)
+    result = jaxik.solve_ik(robot, targets, collision=False)
     assert result.success.mean() >= 0.998, result.counts()
-    assert_solves(chain, result, targets)
+    assert_solves(robot, result, targets)
 
 
 def test_alone_and_in_any_batch_the_same(panda):
@@ -107,12 +107,12 @@ def test_nothing_compiles_for_another_number(panda):
     assert programs[0] == programs[1] == programs[2] == 2
 
 
-def _programs(chain):
+def _programs(robot):
     from jaxik.ik.options import SEARCH
     from jaxik.ik.refinement import FINISH
-    from jaxik.robot.task import POSE
+    from jaxik.kinematics.task import POSE
 
-    return [sqp_programs.batch(3, sqp_programs.settle, chain, POSE, options) for options in (SEARCH, FINISH)]
+    return [sqp_programs.batch(3, sqp_programs.settle, robot, POSE, options) for options in (SEARCH, FINISH)]
 
 
 def test_reasons(panda):
@@ -131,16 +131,16 @@ def test_reasons(panda):
 
 
 def test_behind_limits():
-    chain = chain_of("ur5")
-    targets = reachable(chain, 40, seed=6)
-    narrow = jaxik.Chain(**{k: getattr(chain, k) for k in chain.__dataclass_fields__} | {"upper": chain.lower + 0.3})
+    robot = robot_of("ur5")
+    targets = reachable(robot, 40, seed=6)
+    narrow = jaxik.Robot(**{k: getattr(robot, k) for k in robot.__dataclass_fields__} | {"upper": robot.lower + 0.3})
     result = jaxik.solve_ik(narrow, targets)
     assert (result.reason == Reason.LIMITS).mean() > 0.9 and not result.success.any()
     assert np.all((result.q >= narrow.lower) & (result.q <= narrow.upper))
 
 
 def test_six_joints_with_a_closed_form_are_decided():
-    p6r = chain_of("p6r")
+    p6r = robot_of("p6r")
     arm = p6r.part(1, 7)
     assert not jaxik.analytic.closed_form_obstacle(arm)
     pose = reachable(arm, 1, seed=1)[0]
@@ -271,17 +271,17 @@ def test_tolerance_of_each_target():
 
 def test_within_a_coarse_tolerance_nothing_is_proven_out_of_reach():
     """Poses of a long tool, turned by nearly the tolerance: a turn moves the wrist by the tool's length times the angle."""
-    arm = chain_of("ur5")
+    arm = robot_of("ur5")
     tip = np.array(arm.joint_T_tip)
     tip[:3, 3] += 3.0 * tip[:3, 2]
-    chain = dataclasses.replace(arm, joint_T_tip=tip)
-    q = np.random.default_rng(0).uniform(*joint_range(chain), (300, 6))
+    robot = dataclasses.replace(arm, joint_T_tip=tip)
+    q = np.random.default_rng(0).uniform(*joint_range(robot), (300, 6))
     q[:, 2] = 0.0  # stretched
-    targets = np.stack([pinocchio(chain)(row) for row in q])
+    targets = np.stack([pinocchio(robot)(row) for row in q])
     turns = scipy.spatial.transform.Rotation.random(300, random_state=1).as_rotvec()
     turns *= 0.0999 / np.linalg.norm(turns, axis=1, keepdims=True)
     targets[:, :3, :3] = scipy.spatial.transform.Rotation.from_rotvec(turns).as_matrix() @ targets[:, :3, :3]
-    result = jaxik.solve_ik(chain, targets, rotation_tolerance=0.1, max_seeds=1)
+    result = jaxik.solve_ik(robot, targets, rotation_tolerance=0.1, max_seeds=1)
     assert not np.any(result.reason == Reason.OUT_OF_REACH), result.counts()
 
 
@@ -340,8 +340,8 @@ def test_a_miss_inside_the_limits_is_no_answer(panda, strategy):
 
 def test_a_lone_seed_is_not_given_up_early():
     """Where no other follows it gets the steps that it needs: 42% of these were solved without."""
-    chain = chain_of("ur5")
-    assert jaxik.solve_ik(chain, reachable(chain, 500, seed=9), seeds="uniform", max_seeds=1).success.mean() > 0.7
+    robot = robot_of("ur5")
+    assert jaxik.solve_ik(robot, reachable(robot, 500, seed=9), seeds="uniform", max_seeds=1).success.mean() > 0.7
 
 
 @pytest.mark.parametrize("strategy", ["uniform", "low_discrepancy", "library"])
@@ -379,7 +379,7 @@ def test_choices(panda):
     )
     assert most(largest).mean() <= most(closest).mean() + 1e-9
     freedom = jax.vmap(lambda q: jaxik.costs.joint_limit_margin(panda, q))
-    manipulability = jax.vmap(lambda q: jaxik.robot.manipulability(panda, q))
+    manipulability = jax.vmap(lambda q: jaxik.kinematics.manipulability(panda, q))
     for choice, measure in (("freedom", freedom), ("manipulability", manipulability)):
         result = jaxik.solve_ik(panda, targets, choice=choice, max_seeds=64)
         assert result.success.all() and measure(result.q).mean() > measure(first.q).mean()
@@ -390,60 +390,60 @@ def test_choices(panda):
 
 
 def test_different_solutions_and_turns():
-    chain = chain_of("ur5")  # +-2 pi: every answer has turns
-    target = reachable(chain, 1, seed=15)[0]
-    result = jaxik.solve_ik(chain, target, solutions=40, max_seeds=64)
+    robot = robot_of("ur5")  # +-2 pi: every answer has turns
+    target = reachable(robot, 1, seed=15)[0]
+    result = jaxik.solve_ik(robot, target, solutions=40, max_seeds=64)
     found = result.solutions[: result.num_solutions]
     assert result.num_solutions == 40 and np.isfinite(found).all()
     apart = np.abs(found[:, None] - found).max(axis=2) + np.eye(len(found))
     assert apart.min() > 0.05
     whole_turns = np.abs(found[:, None] - found) / (2.0 * np.pi)
     assert np.any((whole_turns.max(axis=2) > 0.9) & (np.abs(whole_turns - np.round(whole_turns)).max(axis=2) < 1e-6))
-    pose = pinocchio(chain)
+    pose = pinocchio(robot)
     assert all(max(pose_errors(pose(q), target)) < 2 * POSITION for q in found)
     reference = result.q + np.array([2.0 * np.pi, 0, 0, 0, 0, 0]) * np.where(result.q[0] > 0.0, -1.0, 1.0)
-    turned = jaxik.solve_ik(chain, target, choice="closest", reference=reference)
+    turned = jaxik.solve_ik(robot, target, choice="closest", reference=reference)
     assert np.linalg.norm(turned.q - reference) < 1e-3
 
 
-def _turned_further(chain, q, i):
+def _turned_further(robot, q, i):
     """The posture `q` (n,) one or two turns of joint i away, inside the limits."""
     for k in (-2, -1, 1, 2):
         other = q.copy()
         other[i] += 2.0 * np.pi * k
-        if chain.lower[i] <= other[i] <= chain.upper[i]:
+        if robot.lower[i] <= other[i] <= robot.upper[i]:
             yield other
 
 
-def assert_no_turn_is_better(chain, result, price):
+def assert_no_turn_is_better(robot, result, price):
     """No single turn of an answer costs less."""
     assert result.success.any()
     for row in np.flatnonzero(result.success):
         q = result.q[row]
-        for i in range(chain.num_joints):
-            assert all(price(row, q) <= price(row, other) + 1e-9 for other in _turned_further(chain, q, i))
+        for i in range(robot.num_joints):
+            assert all(price(row, q) <= price(row, other) + 1e-9 for other in _turned_further(robot, q, i))
 
 
 def test_locked_joints_are_not_turned():
-    chain = chain_of("ur5")
-    name, value = chain.joint_names[0], 0.2
-    q = np.random.default_rng(31).uniform(*joint_range(chain), (5, 6))
+    robot = robot_of("ur5")
+    name, value = robot.joint_names[0], 0.2
+    q = np.random.default_rng(31).uniform(*joint_range(robot), (5, 6))
     q[:, 0] = value
-    targets = np.stack([pinocchio(chain)(row) for row in q])
-    result = jaxik.solve_ik(chain, targets, locked={name: value}, solutions=8)
+    targets = np.stack([pinocchio(robot)(row) for row in q])
+    result = jaxik.solve_ik(robot, targets, locked={name: value}, solutions=8)
     found = result.solutions[np.isfinite(result.solutions).all(axis=2)]
     assert len(found) > 8 and np.all(found[:, 0] == value)
 
 
 def test_of_two_turns_the_better_one_is_taken():
     """A turn by 2 pi changes what a choice weighs, or how far an answer is from the reference or the middle."""
-    chain = chain_of("ur5")  # +-2 pi
-    targets = reachable(chain, 30, seed=15)
-    reference = np.random.default_rng(32).uniform(*joint_range(chain), (30, 6))
-    middle = (chain.lower + chain.upper) / 2.0
+    robot = robot_of("ur5")  # +-2 pi
+    targets = reachable(robot, 30, seed=15)
+    reference = np.random.default_rng(32).uniform(*joint_range(robot), (30, 6))
+    middle = (robot.lower + robot.upper) / 2.0
     to_middle = lambda row, q: np.abs(q - middle).sum()
     to_reference = lambda row, q: np.abs(q - reference[row]).sum()
-    freedom = lambda row, q: -np.minimum(q - chain.lower, chain.upper - q).min()
+    freedom = lambda row, q: -np.minimum(q - robot.lower, robot.upper - q).min()
     for price, options in (
         (to_middle, {}),
         (to_middle, {"choice": "comfort"}),
@@ -453,11 +453,11 @@ def test_of_two_turns_the_better_one_is_taken():
         (to_reference, {"choice": "comfort", "reference": reference}),
         (to_reference, {"choice": "closest", "reference": reference, "norm": "linf"}),
     ):
-        result = jaxik.solve_ik(chain, targets, max_seeds=16, **options)
-        assert_no_turn_is_better(chain, result, price)
-        several = jaxik.solve_ik(chain, targets[:4], max_seeds=16, solutions=3, **_first_rows(options, 4))
+        result = jaxik.solve_ik(robot, targets, max_seeds=16, **options)
+        assert_no_turn_is_better(robot, result, price)
+        several = jaxik.solve_ik(robot, targets[:4], max_seeds=16, solutions=3, **_first_rows(options, 4))
         assert np.array_equal(several.q[several.success], several.solutions[several.success, 0])
-        assert_no_turn_is_better(chain, several, price)
+        assert_no_turn_is_better(robot, several, price)
 
 
 def _first_rows(options, count):
@@ -465,66 +465,66 @@ def _first_rows(options, count):
 
 
 def test_a_cost_decides_between_turns():
-    chain = chain_of("ur5")
-    targets = reachable(chain, 20, seed=33)
+    robot = robot_of("ur5")
+    targets = reachable(robot, 20, seed=33)
     away = np.array([4.0, -4.0, 4.0, -4.0, 4.0, -4.0])
     cost = lambda q: jnp.sum((q - away) ** 2)
-    result = jaxik.solve_ik(chain, targets, cost=cost)
-    assert_solves(chain, result, targets)
-    assert_no_turn_is_better(chain, result, lambda row, q: np.sum((q - away) ** 2))
+    result = jaxik.solve_ik(robot, targets, cost=cost)
+    assert_solves(robot, result, targets)
+    assert_no_turn_is_better(robot, result, lambda row, q: np.sum((q - away) ** 2))
 
 
 def test_endless_joints_end_on_the_turn_of_the_reference():
-    chain = chain_of("kinova")
-    endless = ~np.isfinite(chain.lower)
-    targets = reachable(chain, 20, seed=16)
-    reference = np.where(endless, 9.0, 0.5 * sum(jaxik.robot.finite_limits(chain)))
-    result = jaxik.solve_ik(chain, targets, reference=reference)
+    robot = robot_of("kinova")
+    endless = ~np.isfinite(robot.lower)
+    targets = reachable(robot, 20, seed=16)
+    reference = np.where(endless, 9.0, 0.5 * sum(jaxik.kinematics.finite_limits(robot)))
+    result = jaxik.solve_ik(robot, targets, reference=reference)
     assert result.success.mean() > 0.9
     assert np.all(np.abs(result.q[:, endless] - 9.0) <= np.pi + 1e-9)
-    assert_solves(chain, result, targets)
+    assert_solves(robot, result, targets)
 
 
 def test_a_reference_is_a_seed_whatever_turns_it_has_made():
-    chain = jaxik.load("gen3")
-    q = np.random.default_rng(5).uniform(*jaxik.robot.finite_limits(chain), (10, chain.num_joints))
-    targets = jax.vmap(lambda q: jaxik.forward_kinematics(chain, q))(q)
-    reference = q + 200.0 * np.pi * ~np.isfinite(chain.lower)
-    found = jaxik.solve_ik(chain, targets, reference=reference, max_seeds=16)
+    robot = jaxik.load("gen3")
+    q = np.random.default_rng(5).uniform(*jaxik.kinematics.finite_limits(robot), (10, robot.num_joints))
+    targets = jax.vmap(lambda q: jaxik.forward_kinematics(robot, q))(q)
+    reference = q + 200.0 * np.pi * ~np.isfinite(robot.lower)
+    found = jaxik.solve_ik(robot, targets, reference=reference, max_seeds=16)
     np.testing.assert_allclose(found.q, reference, atol=1e-4)
 
 
 def test_continuous_joints_wrap():
-    chain = chain_of("kinova")
-    targets = reachable(chain, 500, seed=16)
-    result = jaxik.solve_ik(chain, targets)
+    robot = robot_of("kinova")
+    targets = reachable(robot, 500, seed=16)
+    result = jaxik.solve_ik(robot, targets)
     assert result.success.mean() >= 0.998, result.counts()
-    assert_solves(chain, result, targets)
-    endless = ~np.isfinite(chain.lower)
+    assert_solves(robot, result, targets)
+    endless = ~np.isfinite(robot.lower)
     assert endless.any() and np.all(np.abs(result.q[:, endless]) <= np.pi + 1e-12)
 
 
 def test_a_single_limit_is_not_turned_past():
-    whole = chain_of("kinova")
+    whole = robot_of("kinova")
     endless = int(np.flatnonzero(~np.isfinite(whole.lower))[-1])
     upper = np.where(np.arange(whole.num_joints) == endless, -4.0, whole.upper)
-    chain = dataclasses.replace(whole, upper=upper)
+    robot = dataclasses.replace(whole, upper=upper)
     targets = reachable(whole, 60, seed=20)
-    result = jaxik.solve_ik(chain, targets)
+    result = jaxik.solve_ik(robot, targets)
     assert result.success.mean() > 0.9
-    assert_solves(chain, result, targets)
+    assert_solves(robot, result, targets)
 
 
 def test_a_locked_joint_stays_where_it_is_beyond_a_turn():
-    chain = chain_of("kinova")
-    name = chain.joint_names[int(np.flatnonzero(~np.isfinite(chain.lower))[0])]
-    i = chain.joint_names.index(name)
-    q = np.random.default_rng(21).uniform(*joint_range(chain), (20, chain.num_joints))
+    robot = robot_of("kinova")
+    name = robot.joint_names[int(np.flatnonzero(~np.isfinite(robot.lower))[0])]
+    i = robot.joint_names.index(name)
+    q = np.random.default_rng(21).uniform(*joint_range(robot), (20, robot.num_joints))
     q[:, i] = 4.0
-    targets = np.stack([pinocchio(chain)(row) for row in q])
-    result = jaxik.solve_ik(chain, targets, locked={name: 4.0}, seeds="near", reference=q)
+    targets = np.stack([pinocchio(robot)(row) for row in q])
+    result = jaxik.solve_ik(robot, targets, locked={name: 4.0}, seeds="near", reference=q)
     assert result.success.all() and np.all(result.q[:, i] == 4.0)
-    assert_solves(chain, result, targets)
+    assert_solves(robot, result, targets)
 
 
 def test_a_cost_in_the_null_space(panda):
@@ -586,54 +586,54 @@ def test_a_lambda_written_anew_compiles_nothing(panda):
 
 
 def test_a_scene_is_kept_clear_of():
-    chain = jaxik.load("chembuly9")
+    robot = jaxik.load("chembuly9")
     scene = jaxik.make_scene(
         boxes=[(_at(0.45, 0.0, 0.3), (0.1, 0.6, 0.1)), (_at(0.2, 0.35, 0.5), (0.3, 0.1, 0.3))], spheres=[[0.3, -0.3, 0.4, 0.12]]
     )
-    targets = reachable(chain, 60, seed=18)
-    alone = jaxik.solve_ik(chain, targets)
-    distance = jax.jit(jax.vmap(lambda q: jaxik.clearance(chain, scene, q)))
-    result = jaxik.solve_ik(chain, targets, scene, margin=0.01)
+    targets = reachable(robot, 60, seed=18)
+    alone = jaxik.solve_ik(robot, targets)
+    distance = jax.jit(jax.vmap(lambda q: jaxik.clearance(robot, scene, q)))
+    result = jaxik.solve_ik(robot, targets, scene, margin=0.01)
     assert set(np.unique(result.reason)) <= {Reason.SOLVED, Reason.COLLISION, Reason.NOT_CONVERGED}
     assert result.success.sum() > np.sum(distance(alone.q) >= 0.01) and result.success.sum() >= 20
     assert np.all(distance(result.q[result.success]) >= 0.01 - SLACK)
     np.testing.assert_allclose(result.clearance, distance(result.q), atol=SLACK)
-    assert_solves(chain, result, targets)
+    assert_solves(robot, result, targets)
     stuck = result.reason == Reason.COLLISION
     assert np.all(result.clearance[stuck] < 0.01) and np.all(result.position_error[stuck] < POSITION)
-    roomy = jaxik.solve_ik(chain, targets, scene, margin=0.01, choice="clearance", max_seeds=64)
+    roomy = jaxik.solve_ik(robot, targets, scene, margin=0.01, choice="clearance", max_seeds=64)
     both = roomy.success & result.success
     assert roomy.clearance[both].mean() > result.clearance[both].mean()
 
 
 def test_a_free_branch_that_few_searches_land_on_is_found():
     """Next to the wrist's singularity searches creep, and the branches where they do not collide here."""
-    bare_arm = chain_of("ur5")
+    bare_arm = robot_of("ur5")
     ball = lambda name: Volume(np.zeros((1, 3)), np.asarray(0.05), bare_arm.link_names.index(name))
-    chain = dataclasses.replace(bare_arm, volumes=(ball("forearm_link"), ball("wrist_1_link"), ball("wrist_2_link")))
+    robot = dataclasses.replace(bare_arm, volumes=(ball("forearm_link"), ball("wrist_1_link"), ball("wrist_2_link")))
     rng = np.random.default_rng(41)
     scene = jaxik.make_scene(spheres=np.column_stack([rng.uniform(-0.8, 0.8, (60, 3)), np.full(60, 0.15)]))
-    q = rng.uniform(*joint_range(chain), (4000, 6))
+    q = rng.uniform(*joint_range(robot), (4000, 6))
     q[:, 4] = rng.normal(0.0, 0.01, len(q))
-    free = np.asarray(jax.jit(jax.vmap(lambda q: jaxik.clearance(chain, scene, q)))(q)) > 0.0
-    targets = np.stack([pinocchio(chain)(row) for row in q[free][:400]])
-    result = jaxik.solve_ik(chain, targets, scene)
+    free = np.asarray(jax.jit(jax.vmap(lambda q: jaxik.clearance(robot, scene, q)))(q)) > 0.0
+    targets = np.stack([pinocchio(robot)(row) for row in q[free][:400]])
+    result = jaxik.solve_ik(robot, targets, scene)
     assert result.success.all(), result.counts()
-    assert_solves(chain, result, targets)
+    assert_solves(robot, result, targets)
 
 
 @pytest.mark.parametrize("collision", ["constraint", "penalty"])
 def test_both_forms_of_collision_find_what_is_free(collision):
-    chain, in_plane = jaxik.load("pendulum4"), jaxik.Task.pose(("z", "roll", "pitch", "yaw"), "base")
-    targets = reachable(chain, 60, seed=19)
-    middle = (chain.world_T_base @ targets[0])[:3, 3]
+    robot, in_plane = jaxik.load("pendulum4"), jaxik.Task.pose(("z", "roll", "pitch", "yaw"), "base")
+    targets = reachable(robot, 60, seed=19)
+    middle = (robot.world_T_base @ targets[0])[:3, 3]
     scene = jaxik.make_scene(spheres=[[*middle, 0.3]])
-    alone = jaxik.solve_ik(chain, targets, task=in_plane)
-    result = jaxik.solve_ik(chain, targets, scene, task=in_plane, margin=0.01, collision=collision)
-    distance = jax.jit(jax.vmap(lambda q: jaxik.clearance(chain, scene, q)))
+    alone = jaxik.solve_ik(robot, targets, task=in_plane)
+    result = jaxik.solve_ik(robot, targets, scene, task=in_plane, margin=0.01, collision=collision)
+    distance = jax.jit(jax.vmap(lambda q: jaxik.clearance(robot, scene, q)))
     assert result.success.sum() > np.sum(distance(alone.q) >= 0.01)
     assert np.all(distance(result.q[result.success]) >= 0.01 - SLACK)
-    pose = pinocchio(chain)
+    pose = pinocchio(robot)
     assert all(
         np.linalg.norm(pose(q)[:2, 3] - target[:2, 3]) <= POSITION + SLACK
         for q, target in zip(result.q[result.success], targets[result.success], strict=True)
@@ -679,10 +679,10 @@ def test_a_scene_asks_nothing_of_what_none_collides_with():
 @pytest.mark.parametrize("name", ["p6r", "crops_v2"])
 def test_the_closest_answer_to_one_that_is_right_is_it(name):
     """With the closed form and without it: the reference is a seed."""
-    chain = jaxik.load(name)
-    q = np.random.default_rng(7).uniform(*jaxik.robot.finite_limits(chain), (20, chain.num_joints))
-    targets = jax.vmap(lambda q: jaxik.forward_kinematics(chain, q))(q)
-    found = jaxik.solve_ik(chain, targets, choice="closest", reference=q, max_seeds=16, collision=False)
+    robot = jaxik.load(name)
+    q = np.random.default_rng(7).uniform(*jaxik.kinematics.finite_limits(robot), (20, robot.num_joints))
+    targets = jax.vmap(lambda q: jaxik.forward_kinematics(robot, q))(q)
+    found = jaxik.solve_ik(robot, targets, choice="closest", reference=q, max_seeds=16, collision=False)
     np.testing.assert_allclose(found.q, q, atol=1e-4)
 
 
@@ -692,25 +692,25 @@ def test_the_closest_answer_to_one_that_is_right_is_it(name):
 
 def test_six_joints_have_all_their_answers():
     """Every answer of EAIK, on every turn inside the limits, and no other: by whole turns and by Pinocchio."""
-    chain = chain_of("ur5")
-    targets = reachable(chain, 12, seed=41)
-    result = jaxik.solve_ik(chain, targets, solutions="all")
+    robot = robot_of("ur5")
+    targets = reachable(robot, 12, seed=41)
+    result = jaxik.solve_ik(robot, targets, solutions="all")
     assert result.success.all() and not result.iterations.any()
-    pose, eaik = pinocchio(chain), eaik_solver(chain)
+    pose, eaik = pinocchio(robot), eaik_solver(robot)
     for target, found, count in zip(targets, result.solutions, result.num_solutions, strict=True):
         found = found[:count]
         assert all(max(pose_errors(pose(q), target)) < 1e-9 for q in found)
-        wanted = np.concatenate([admissible_turns(chain, q) for q in eaik(target)])
+        wanted = np.concatenate([admissible_turns(robot, q) for q in eaik(target)])
         apart = np.abs(found[:, None] - wanted).max(axis=2)
         assert len(found) == len(wanted) and apart.min(axis=0).max() < 1e-6 and apart.min(axis=1).max() < 1e-6
 
 
-def eaik_solver(chain):
+def eaik_solver(robot):
     """EAIK's exact answers to a pose, (m, 6)."""
-    robot, end = eaik_robot(chain)
+    peer, end = eaik_robot(robot)
 
     def answers(target):
-        answer = robot.IK(np.block([[target[:3, :3] @ end.T, target[:3, 3:]], [np.eye(4)[3]]]))
+        answer = peer.IK(np.block([[target[:3, :3] @ end.T, target[:3, 3:]], [np.eye(4)[3]]]))
         return np.array(answer.Q).reshape(-1, 6)[~np.array(answer.is_LS, bool)]
 
     return answers
@@ -719,46 +719,46 @@ def eaik_solver(chain):
 @pytest.mark.parametrize("name", ["panda", "iiwa14"])
 def test_over_given_values_no_target_is_lost(name):
     """Answers next to the limits lie in gaps of what is given: the search finds those."""
-    chain = chain_of(name)
-    low, high = joint_range(chain)
+    robot = robot_of(name)
+    low, high = joint_range(robot)
     rng = np.random.default_rng(42)
     share = np.where(rng.random((60, 7)) < 0.5, np.round(rng.random((60, 7))), rng.random((60, 7)))
-    targets = np.stack([pinocchio(chain)(q) for q in low + (0.002 + 0.996 * share) * (high - low)])
-    result = jaxik.solve_ik(chain, targets, collision=False)
+    targets = np.stack([pinocchio(robot)(q) for q in low + (0.002 + 0.996 * share) * (high - low)])
+    result = jaxik.solve_ik(robot, targets, collision=False)
     assert result.success.all() and np.any(result.iterations == 0)
-    assert_solves(chain, result, targets)
-    several = jaxik.solve_ik(chain, targets[:5], solutions=8, collision=False)
-    assert_solves(chain, several, targets[:5])
+    assert_solves(robot, result, targets)
+    several = jaxik.solve_ik(robot, targets[:5], solutions=8, collision=False)
+    assert_solves(robot, several, targets[:5])
     for target, found, count in zip(targets[:5], several.solutions, several.num_solutions, strict=True):
-        assert all(max(pose_errors(pinocchio(chain)(q), target)) < POSITION + SLACK for q in found[:count])
-    freest = jaxik.solve_ik(chain, targets[:20], choice="freedom")
-    searched = jaxik.solve_ik(chain, targets[:20], choice="freedom", seeds="library")
-    freedom = jax.vmap(lambda q: jaxik.costs.joint_limit_margin(chain, q))
+        assert all(max(pose_errors(pinocchio(robot)(q), target)) < POSITION + SLACK for q in found[:count])
+    freest = jaxik.solve_ik(robot, targets[:20], choice="freedom")
+    searched = jaxik.solve_ik(robot, targets[:20], choice="freedom", seeds="library")
+    freedom = jax.vmap(lambda q: jaxik.costs.joint_limit_margin(robot, q))
     assert freedom(freest.q).mean() > freedom(searched.q).mean() - 1e-3
 
 
 @pytest.mark.parametrize("options", [{"solutions": "all"}, {"solutions": 3}, {"choice": "freedom"}])
 @pytest.mark.parametrize("name", ["ur5", "panda"])
 def test_no_target_at_all_and_none_that_may_have_an_answer(name, options):
-    chain = chain_of(name)
-    none = jaxik.solve_ik(chain, np.zeros((0, 4, 4)), **options)
-    assert len(none) == 0 and none.solutions.shape[2] == chain.num_joints
+    robot = robot_of(name)
+    none = jaxik.solve_ik(robot, np.zeros((0, 4, 4)), **options)
+    assert len(none) == 0 and none.solutions.shape[2] == robot.num_joints
     far, faulty = np.eye(4), np.full((4, 4), np.nan)
     far[0, 3] = 5.0
-    result = jaxik.solve_ik(chain, np.stack([far, faulty]), **options)
+    result = jaxik.solve_ik(robot, np.stack([far, faulty]), **options)
     assert list(result.reason) == [Reason.OUT_OF_REACH, Reason.INVALID] and not result.num_solutions.any()
 
 
 def test_limits_on_one_side_warn_of_nothing():
     """Beside joints that turn all the way round, without a remainder of infinities, which NumPy warns of."""
-    chain = jaxik.load("ur10e")
+    robot = jaxik.load("ur10e")
     lower, upper = np.full(6, -np.pi), np.full(6, np.pi)
     lower[5] = -np.inf
-    chain = dataclasses.replace(chain, lower=lower, upper=upper)
-    targets = reachable(dataclasses.replace(chain, lower=np.full(6, -3.0), upper=np.full(6, 3.0)), 30, seed=44)
+    robot = dataclasses.replace(robot, lower=lower, upper=upper)
+    targets = reachable(dataclasses.replace(robot, lower=np.full(6, -3.0), upper=np.full(6, 3.0)), 30, seed=44)
     with warnings.catch_warnings():
         warnings.simplefilter("error", RuntimeWarning)
-        assert jaxik.solve_ik(chain, targets, seeds="library", collision=False).success.all()
+        assert jaxik.solve_ik(robot, targets, seeds="library", collision=False).success.all()
 
 
 def test_a_given_joint_may_be_locked(panda):

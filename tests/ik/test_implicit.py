@@ -20,20 +20,20 @@ def panda():
     return jaxik.load(file, tip=tip)
 
 
-def middle_cost(chain):
-    middle = jnp.asarray((chain.lower + chain.upper) / 2.0)
+def middle_cost(robot):
+    middle = jnp.asarray((robot.lower + robot.upper) / 2.0)
     return lambda q: 0.5 * jnp.sum((q - middle.astype(q.dtype)) ** 2)
 
 
-def solved(chain, targets, cost, **more):
+def solved(robot, targets, cost, **more):
     return jaxik.solve_ik(
-        chain, targets, cost=cost, cost_iterations=80, position_tolerance=1e-8, rotation_tolerance=1e-8, **more
+        robot, targets, cost=cost, cost_iterations=80, position_tolerance=1e-8, rotation_tolerance=1e-8, **more
     )
 
 
-def poses(chain, count, seed):
-    pose = pinocchio(chain)
-    q = np.random.default_rng(seed).uniform(chain.lower, chain.upper, (count, chain.num_joints))
+def poses(robot, count, seed):
+    pose = pinocchio(robot)
+    q = np.random.default_rng(seed).uniform(robot.lower, robot.upper, (count, robot.num_joints))
     return np.stack([pose(row) for row in q])
 
 
@@ -105,16 +105,16 @@ def test_without_a_cost_the_move_is_least(panda, by_position):
 
 def test_by_link_length_with_limits_held(pendulum):
     """A limit that is pushed against stays where it is, and the other joints make up for it."""
-    chain = dataclasses.replace(pendulum, lower=np.full(4, -0.8), upper=np.full(4, 0.8))
+    robot = dataclasses.replace(pendulum, lower=np.full(4, -0.8), upper=np.full(4, 0.8))
     cost = lambda q: 0.5 * jnp.sum((q - jnp.array([1.0, 0.2, -0.3, 0.1], q.dtype)) ** 2)
 
     def longer(by):
         shift = np.zeros((4, 4, 4))
         shift[2, 1, 3] = 1.0  # the second link is along y
-        return dataclasses.replace(chain, parent_T_joint=chain.parent_T_joint + shift * by)
+        return dataclasses.replace(robot, parent_T_joint=robot.parent_T_joint + shift * by)
 
-    targets = poses(chain, 40, seed=6)
-    found = solved(chain, targets, cost, task=IN_PLANE)
+    targets = poses(robot, 40, seed=6)
+    found = solved(robot, targets, cost, task=IN_PLANE)
     assert found.success.all()
     length = lambda by, t, q: jaxik.implicit_ik(longer(by), t, q, cost=cost, task=IN_PLANE)
     slope, defined = map(np.asarray, jax.jit(jax.vmap(lambda t, q: derivative(length)(0.0, t, q)))(targets, found.q))
@@ -138,35 +138,35 @@ def beads(tmp_path):
 
 @pytest.mark.parametrize("obstacle", ["sphere", "box"])
 def test_by_an_obstacle_that_is_pushed_against(obstacle, pendulum, beads):
-    chain = {"sphere": pendulum, "box": beads}[obstacle]
-    cost, targets = middle_cost(chain), poses(chain, 120, seed=5)
-    plain = solved(chain, targets, cost, task=IN_PLANE)
-    elbow = np.median(jax.vmap(lambda q: jaxik.robot.link_frames(chain, q))(plain.q)[:, 3, :3, 3], axis=0)
+    robot = {"sphere": pendulum, "box": beads}[obstacle]
+    cost, targets = middle_cost(robot), poses(robot, 120, seed=5)
+    plain = solved(robot, targets, cost, task=IN_PLANE)
+    elbow = np.median(jax.vmap(lambda q: jaxik.kinematics.link_frames(robot, q))(plain.q)[:, 3, :3, 3], axis=0)
 
     def scene(x):
         frame = np.eye(4)
-        frame[:3, 3] = chain.world_T_base[:3, :3] @ elbow + chain.world_T_base[:3, 3] + np.array([x, 0.0, 0.0])
+        frame[:3, 3] = robot.world_T_base[:3, :3] @ elbow + robot.world_T_base[:3, 3] + np.array([x, 0.0, 0.0])
         if obstacle == "sphere":
             return jaxik.make_scene(spheres=[[*frame[:3, 3], 0.3]])
         frame[:2, :2] = [[0.8, -0.6], [0.6, 0.8]]
         return jaxik.make_scene(boxes=[(frame, (0.8, 0.4, 0.5))])
 
     more = {"task": IN_PLANE, "margin": 0.01, "seeds": "near", "max_seeds": 1}  # next to the answer without the obstacle
-    found = solved(chain, targets, cost, scene=scene(0.0), reference=plain.q, **more)
+    found = solved(robot, targets, cost, scene=scene(0.0), reference=plain.q, **more)
 
     def move(x, target, q):
         still, along = scene(0.0), jnp.stack([x, 0.0 * x, 0.0 * x])
         spheres = dataclasses.replace(still.spheres, center=still.spheres.center + along)
         boxes = dataclasses.replace(still.boxes, world_T_box=still.boxes.world_T_box + jnp.zeros((4, 4)).at[:3, 3].set(along))
         moved = dataclasses.replace(still, spheres=spheres, boxes=boxes)
-        return jaxik.implicit_ik(chain, target, q, moved, cost, IN_PLANE, margin=0.01)
+        return jaxik.implicit_ik(robot, target, q, moved, cost, IN_PLANE, margin=0.01)
 
     leans = found.success & (np.abs(found.clearance - 0.01) < 1e-7)
     slope, defined = map(np.asarray, jax.jit(jax.vmap(lambda t, q: derivative(move)(jnp.zeros(()), t, q)))(targets, found.q))
     leans &= defined
     assert leans.sum() >= 4
     targets, q = targets[leans], found.q[leans]
-    ends = [solved(chain, targets, cost, scene=scene(s * STEP), reference=q, **more).q for s in (1.0, -1.0)]
+    ends = [solved(robot, targets, cost, scene=scene(s * STEP), reference=q, **more).q for s in (1.0, -1.0)]
     close(slope[leans], ends, q)
 
 

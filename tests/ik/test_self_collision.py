@@ -101,13 +101,13 @@ def test_meshes_that_were_not_read_are_told_of_once(tmp_path):
     link = '<collision><geometry><mesh filename="box.stl"/></geometry></collision>'
     joint = '<joint name="a" type="revolute"><parent link="base"/><child link="tip"/><limit lower="-1" upper="1"/></joint>'
     (tmp_path / "arm.urdf").write_text(f'<robot name="arm"><link name="base"/><link name="tip">{link}</link>{joint}</robot>')
-    chain = jaxik.load(tmp_path / "arm.urdf", meshes=False)
+    robot = jaxik.load(tmp_path / "arm.urdf", meshes=False)
     with pytest.warns(UserWarning, match=r"arm may hit itself unseen.*tip.*meshes=True.*collision=False") as said:
-        result = jaxik.solve_ik(chain, np.eye(4))
+        result = jaxik.solve_ik(robot, np.eye(4))
     assert len(said) == 1 and result.reason == Reason.SOLVED and np.isnan(result.clearance)
-    assert jaxik.solve_ik(chain, np.eye(4), collision=False).success  # and no warning
+    assert jaxik.solve_ik(robot, np.eye(4), collision=False).success  # and no warning
     with pytest.raises(ValueError, match="not read"):
-        jaxik.solve_ik(chain, np.eye(4), margin=0.01)
+        jaxik.solve_ik(robot, np.eye(4), margin=0.01)
 
 
 def test_a_reference_alone_means_the_closest(arm):

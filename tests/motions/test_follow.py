@@ -48,9 +48,9 @@ def asked_in_plane(x, y, duration, time):
     return start + (10.0 * share**3 - 15.0 * share**4 + 6.0 * share**5) * (np.array([x, y]) - start)
 
 
-def tips(chain, rows):
+def tips(robot, rows):
     """Where it is (k, 2), by Pinocchio."""
-    pose = pinocchio(chain)
+    pose = pinocchio(robot)
     return np.array([pose(q)[:2, 3] for q in rows])
 
 
@@ -83,9 +83,9 @@ def test_limits_are_kept(pendulum, to):
 def test_a_motion_may_begin_at_a_limit(scheme, acceleration, pendulum, to):
     """Each joint exactly at one of its limits, or without any, with an acceleration limit or without."""
     lower, upper = np.array([START[0], -np.inf, START[2] - 2.0, START[3]]), np.array([3.0, START[1], START[2], np.inf])
-    chain = dataclasses.replace(pendulum, lower=lower, upper=upper, velocity=np.array([2.0, np.inf, 2.0, np.inf]))
+    robot = dataclasses.replace(pendulum, lower=lower, upper=upper, velocity=np.array([2.0, np.inf, 2.0, np.inf]))
     how = FollowOptions(scheme, dt=0.01, task=IN_PLANE, acceleration=acceleration)
-    found = follow(chain, to(0.8, 2.8), 4.0, START, COMFORT, how)
+    found = follow(robot, to(0.8, 2.8), 4.0, START, COMFORT, how)
     assert found.reason == Reason.SOLVED
     assert np.all(found.q >= lower - 1e-9) and np.all(found.q <= upper + 1e-9)
     reached = pinocchio(pendulum)(found.q[-1])[:2, 3]
@@ -95,15 +95,15 @@ def test_a_motion_may_begin_at_a_limit(scheme, acceleration, pendulum, to):
 @pytest.mark.parametrize("slide, rise", [(0.0, -0.05), (1.0, 0.05)])
 def test_a_slide_may_begin_at_its_end(slide, rise):
     """And stay there, where the path would press it beyond."""
-    chain = jaxik.load("p6r")
+    robot = jaxik.load("p6r")
     q = np.array([slide, 0.2, -0.5, -0.4, 0.3, 0.5, 0.1])
-    start = pinocchio(chain)(q)
+    start = pinocchio(robot)(q)
     end = start.copy()
     end[2, 3] += rise
-    found = follow(chain, Line(start, end), 2.0, q, None, FollowOptions(dt=0.01))
-    assert found.reason == Reason.SOLVED and slide in (chain.lower[0], chain.upper[0])
+    found = follow(robot, Line(start, end), 2.0, q, None, FollowOptions(dt=0.01))
+    assert found.reason == Reason.SOLVED and slide in (robot.lower[0], robot.upper[0])
     np.testing.assert_allclose(found.q[:, 0], slide, atol=1e-6)
-    np.testing.assert_allclose(pinocchio(chain)(found.q[-1]), end, atol=1e-5)
+    np.testing.assert_allclose(pinocchio(robot)(found.q[-1]), end, atol=1e-5)
 
 
 def test_what_goes_wrong_is_said_where_it_happens(pendulum, to):
@@ -207,11 +207,11 @@ def slow(pendulum):
 CALM = quadratic_cost()
 
 
-def judged_motions(chain, path, cost=CALM):
+def judged_motions(robot, path, cost=CALM):
     """By all that predict: a horizon as long as the path, and a moving one."""
     horizon = Horizon(dt=0.02, count=50, task=IN_PLANE, descend=jaxik.optimise.descent.Descent(iterations=2))
-    yield jaxik.predict(chain, path, 1.0, START, cost, horizon)
-    yield follow_predictively(MovingHorizon(chain, cost, dataclasses.replace(horizon, count=5), 1), path, 1.0, START)
+    yield jaxik.predict(robot, path, 1.0, START, cost, horizon)
+    yield follow_predictively(MovingHorizon(robot, cost, dataclasses.replace(horizon, count=5), 1), path, 1.0, START)
 
 
 def test_no_motion_is_solved_that_joints_are_too_slow_for(pendulum, slow, to):

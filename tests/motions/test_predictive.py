@@ -12,14 +12,14 @@ from robots import bare, pinocchio
 from scipy.optimize import linprog, lsq_linear, minimize
 
 import jaxik
+from jaxik.dynamics.recursions import inverse_dynamics, mass_matrix
+from jaxik.kinematics.robot import Body
 from jaxik.motions.boundary_problem import _System, boundary_value
 from jaxik.motions.nullspace import Box, asc, rac, resolve_velocity, rmrc
 from jaxik.motions.path import Arc, Line, Motion, motion, via
 from jaxik.motions.predictive import Horizon, energy_cost, future, multistart, objective, predict, problem, quadratic_cost
 from jaxik.optimise import ilqr, ocp
 from jaxik.optimise.descent import QUASI_NEWTON, Descent
-from jaxik.robot.chain import Body
-from jaxik.robot.dynamics import inverse_dynamics, mass_matrix
 
 IN_PLANE = jaxik.Task.pose(("z", "roll", "pitch", "yaw"), "base")
 START = np.radians([30.0, -30.0, -30.0, -60.0])  # of the pendulum, Schuetz 2017, table 5.1
@@ -450,34 +450,34 @@ def test_a_free_start_is_the_best_on_its_manifold(pendulum, line):
 
 def test_the_reference_knows_other_costs_and_says_what_became_of_the_motion():
     """The input that costs its fourth power is where SciPy finds the least; off the path, the conditions are met in vain."""
-    chain = jaxik.load("planar2")
+    robot = jaxik.load("planar2")
     start = np.array([0.3, 0.9])
-    begin = np.asarray(jaxik.forward_kinematics(chain, start))
+    begin = np.asarray(jaxik.forward_kinematics(robot, start))
     path = Line(begin, begin + 0.3 * np.outer(np.eye(4)[0], np.eye(4)[3]))
     horizon = Horizon(0.01, 20, "velocity", task=jaxik.Task.pose(("y", "z", "roll", "pitch", "yaw"), "base"))
     steep = lambda q, qdot, w, t: jnp.sum((q - 1.0) ** 2) + jnp.sum(qdot**2) + jnp.sum(w**2) + 5.0 * jnp.sum(w**4)
-    system, world, z = _System(chain, steep, horizon), (path, 1.0, ()), np.array([0.4, 0.8, 2.0, -3.0])
+    system, world, z = _System(robot, steep, horizon), (path, 1.0, ()), np.array([0.4, 0.8, 2.0, -3.0])
     w, left = jax.jit(lambda z: system.input(world, 0.3, z))(z)
     least = minimize(jax.jit(lambda w: system.hamiltonian(world, 0.3, z, w)), np.zeros(2), tol=1e-9).x
     assert left <= 1e-9 and np.abs(w).max() > 0.1
     np.testing.assert_allclose(w, least, atol=1e-6)
-    off = boundary_value(chain, path, 1.0, start + 0.2, quadratic_cost(), horizon, tolerance=1e-2)
+    off = boundary_value(robot, path, 1.0, start + 0.2, quadratic_cost(), horizon, tolerance=1e-2)
     assert not off.success and off.reason == jaxik.Reason.NOT_CONVERGED and "of the motion: not converged" in off.message
     with pytest.raises(ValueError, match=r"boundary value: q is .nan nan.; it has finite numbers"):
-        boundary_value(chain, path, 1.0, start * np.nan, steep, horizon)
-    many = predict(chain, path, 1.0, start[None], quadratic_cost(), horizon)
+        boundary_value(robot, path, 1.0, start * np.nan, steep, horizon)
+    many = predict(robot, path, 1.0, start[None], quadratic_cost(), horizon)
     with pytest.raises(ValueError, match=r"the guess has q \(1, 21, 2\); allowed: one motion, \(k, 2\)"):
-        boundary_value(chain, path, 1.0, start, steep, horizon, many)
+        boundary_value(robot, path, 1.0, start, steep, horizon, many)
 
 
 def test_multistart_puts_what_is_solved_first():
     """A motion that passes the joints' limits is no better for costing less."""
-    chain = dataclasses.replace(jaxik.load("planar2"), upper=np.array([0.9, 1.2]), self_pairs=())
+    robot = dataclasses.replace(jaxik.load("planar2"), upper=np.array([0.9, 1.2]), self_pairs=())
     start = np.array([0.3, 0.9])
-    begin = np.asarray(jaxik.forward_kinematics(chain, start))
+    begin = np.asarray(jaxik.forward_kinematics(robot, start))
     path = Line(begin, begin - 0.3 * np.outer(np.eye(4)[0], np.eye(4)[3]))
     horizon = Horizon(0.05, 20, task=jaxik.Task.pose(("y", "z", "roll", "pitch", "yaw"), "base"), descend=Descent(iterations=1))
-    found = multistart(chain, path, 1.0, start, quadratic_cost(lambda q: 9.0 * (q[1] - 3.0) ** 2), horizon, 16, 4.0)
+    found = multistart(robot, path, 1.0, start, quadratic_cost(lambda q: 9.0 * (q[1] - 3.0) ** 2), horizon, 16, 4.0)
     assert 0 < found.success.sum() < 16 and np.all(np.diff(found.success.astype(int)) <= 0)
     assert found.total[~found.success].min() < found.total[0]
 

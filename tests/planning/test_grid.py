@@ -99,10 +99,10 @@ def test_where_the_start_is_the_goal_nothing_moves():
 
 def test_a_joint_without_limits_on_a_grid(arm):
     """It takes the shorter turn, from wherever it is: nodes from -pi to pi, and none beyond, would know neither."""
-    chain, _ = arm
+    robot, _ = arm
     for turns in (0, 20):
         begin, end = (np.array([0.0, 0.5, x + 2.0 * np.pi * turns]) for x in (3.0, -3.0))
-        found = plan_on_grid(chain, None, begin, end, step=0.2)
+        found = plan_on_grid(robot, None, begin, end, step=0.2)
         assert found, found.why
         np.testing.assert_array_equal(found.waypoints[0], begin)
         np.testing.assert_allclose(found.waypoints[-1], end + 2.0 * np.pi * np.eye(3)[2])

@@ -24,12 +24,12 @@ def _judged(moved, coal, scene, margin=0.0):
 
 @pytest.mark.parametrize("margin", [0.0, 0.02])
 def test_around_a_pole(arm, margin):
-    chain, coal = arm
-    moved = plan_motion(chain, POLES, START, GOAL, margin=margin)
+    robot, coal = arm
+    moved = plan_motion(robot, POLES, START, GOAL, margin=margin)
     _judged(moved, coal, POLES, margin)
     np.testing.assert_array_equal(moved.waypoints[[0, -1]], [START, GOAL])
     np.testing.assert_allclose(moved.trajectory.sample(0.01)[1].q[[0, -1]], [START, GOAL], atol=1e-12)
-    again = plan_motion(chain, POLES, START, GOAL, margin=margin)
+    again = plan_motion(robot, POLES, START, GOAL, margin=margin)
     np.testing.assert_array_equal(again.waypoints, moved.waypoints)
     corners = len(moved.waypoints)
     assert corners > 2 and moved.trajectory.duration < 0.9 * _stopping(moved)
@@ -41,20 +41,20 @@ def _stopping(moved):
 
 
 def test_to_a_pose_and_to_the_nearest_of_some(arm):
-    chain, coal = arm
-    pose = np.asarray(jaxik.forward_kinematics(chain, GOAL))
-    moved = plan_motion(chain, POLES, START, pose)
+    robot, coal = arm
+    pose = np.asarray(jaxik.forward_kinematics(robot, GOAL))
+    moved = plan_motion(robot, POLES, START, pose)
     _judged(moved, coal, POLES)
-    np.testing.assert_allclose(jaxik.forward_kinematics(chain, moved.waypoints[-1]), pose, atol=1e-5)
+    np.testing.assert_allclose(jaxik.forward_kinematics(robot, moved.waypoints[-1]), pose, atol=1e-5)
     hit, far = np.array([0.0, 0.0, 0.0]), np.array([2.0, 1.0, 1.0])
-    moved = plan_motion(chain, POLES, START, [hit, far, START + 0.1])
+    moved = plan_motion(robot, POLES, START, [hit, far, START + 0.1])
     _judged(moved, coal, POLES)
     np.testing.assert_array_equal(moved.waypoints[-1], START + 0.1)
 
 
 def test_a_joint_without_limits_takes_the_shorter_turn(arm):
-    chain, coal = arm
-    moved = plan_motion(chain, None, [0.0, 0.5, 3.0], [0.0, 0.5, -3.0])
+    robot, coal = arm
+    moved = plan_motion(robot, None, [0.0, 0.5, 3.0], [0.0, 0.5, -3.0])
     _judged(moved, coal, jaxik.make_scene())
     assert moved.waypoints[-1, 2] == pytest.approx(2.0 * np.pi - 3.0)
 
@@ -62,63 +62,63 @@ def test_a_joint_without_limits_takes_the_shorter_turn(arm):
 @pytest.mark.parametrize("turns", [100, -10000])
 def test_the_turns_that_a_joint_has_made_make_no_difference(arm, turns):
     """A search looks around the start; nor is a motion far from zero proven by the few digits that float32 has left there."""
-    chain, coal = arm
+    robot, coal = arm
     poles = jaxik.make_scene(boxes=[[0.65, 0.0, 0.0, 0.3, 0.05, 0.5], [0.75, -0.25, 0.0, 0.05, 0.05, 0.5]])
     away = np.array([0.0, 0.0, 2.0 * np.pi * turns])
-    near, far = (plan_motion(chain, poles, START + by, GOAL + by) for by in (0.0, away))
+    near, far = (plan_motion(robot, poles, START + by, GOAL + by) for by in (0.0, away))
     _judged(far, coal, poles)
     assert near.rounds > 0 and far.rounds <= 2 * near.rounds
     assert np.abs(far.waypoints[:, 2] - START[2] - away[2]).max() <= np.pi + 1e-6
-    pose = np.asarray(jaxik.forward_kinematics(chain, START + 0.1))
-    posed = plan_motion(chain, None, START + away, pose)
+    pose = np.asarray(jaxik.forward_kinematics(robot, START + 0.1))
+    posed = plan_motion(robot, None, START + away, pose)
     np.testing.assert_allclose(posed.waypoints[-1], START + 0.1 + away, atol=1e-5)
 
 
 @pytest.mark.parametrize("name", ["ur5e", "ur10e_rail"])
 def test_to_a_pose_goes_the_posture_that_is_soonest(name):
     """Of the pose of a posture near the start no further one is taken, whatever turns it has; nor from where the pose is."""
-    chain, rng = jaxik.load(name), np.random.default_rng(7)
-    low, high = np.clip(chain.lower, -2.0, 2.0), np.clip(chain.upper, -2.0, 2.0)
-    starts = rng.uniform(low, high, (12, chain.num_joints))
+    robot, rng = jaxik.load(name), np.random.default_rng(7)
+    low, high = np.clip(robot.lower, -2.0, 2.0), np.clip(robot.upper, -2.0, 2.0)
+    starts = rng.uniform(low, high, (12, robot.num_joints))
     aims = np.clip(starts + rng.uniform(-0.3, 0.3, starts.shape), low, high)
-    told = plan_motions(chain, None, starts, aims, rounds=1)
+    told = plan_motions(robot, None, starts, aims, rounds=1)
     kept = np.flatnonzero(told.success)
     assert len(kept) > 4
-    poses = np.asarray(jax.vmap(lambda q: jaxik.forward_kinematics(chain, q))(aims[kept]))
-    for by_pose, number in zip(plan_motions(chain, None, starts[kept], poses), kept, strict=True):
+    poses = np.asarray(jax.vmap(lambda q: jaxik.forward_kinematics(robot, q))(aims[kept]))
+    for by_pose, number in zip(plan_motions(robot, None, starts[kept], poses), kept, strict=True):
         assert by_pose.trajectory.duration <= 1.01 * told[number].trajectory.duration
-    stays = plan_motion(chain, None, aims[kept[0]], poses[0])
+    stays = plan_motion(robot, None, aims[kept[0]], poses[0])
     assert stays.success and stays.trajectory.duration == 0.0
 
 
 def test_a_pose_is_reached_by_the_shorter_turn(arm):
     """Though `solve_ik` gives its postures between -pi and pi, or anywhere inside the limits."""
-    chain, coal = arm
+    robot, coal = arm
     start, near = np.array([0.4, 0.5, 4.0]), np.array([0.5, 0.5, 4.2])
-    moved = plan_motion(chain, None, start, np.asarray(jaxik.forward_kinematics(chain, near)), postures=1)
+    moved = plan_motion(robot, None, start, np.asarray(jaxik.forward_kinematics(robot, near)), postures=1)
     _judged(moved, coal, jaxik.make_scene())
     assert abs(moved.waypoints[-1, 2] - start[2]) <= np.pi
 
 
 @pytest.mark.parametrize("apart", [9e-4, 1e-4])
 def test_away_from_what_is_hardly_beyond_the_margin(arm, apart):
-    chain, coal = arm
+    robot, coal = arm
     q = np.zeros(3)
     scene = jaxik.make_scene(boxes=[[0.4, -0.04 - 0.01 - apart - 0.05, 0.0, 2.0, 0.1, 1.0]])
     assert coal.clearance(scene, q[None])[0] == pytest.approx(0.01 + apart, abs=1e-6)
-    _judged(plan_motion(chain, scene, q, [1.0, 0.3, 0.0], margin=0.01), coal, scene, 0.01)
-    _judged(plan_motion(chain, scene, [1.0, 0.3, 0.0], q, margin=0.01), coal, scene, 0.01)
+    _judged(plan_motion(robot, scene, q, [1.0, 0.3, 0.0], margin=0.01), coal, scene, 0.01)
+    _judged(plan_motion(robot, scene, [1.0, 0.3, 0.0], q, margin=0.01), coal, scene, 0.01)
 
 
 def test_what_float32_makes_of_a_limit_is_inside(arm):
-    chain, _ = arm
-    assert plan_motion(chain, None, [2.8 + 2e-7, 0.0, 0.0], [2.7, 0.0, 0.0])
-    assert plan_motion(chain, None, [2.8001, 0.0, 0.0], [2.7, 0.0, 0.0]).why == "start: limits"
+    robot, _ = arm
+    assert plan_motion(robot, None, [2.8 + 2e-7, 0.0, 0.0], [2.7, 0.0, 0.0])
+    assert plan_motion(robot, None, [2.8001, 0.0, 0.0], [2.7, 0.0, 0.0]).why == "start: limits"
 
 
 def test_already_there(arm):
-    chain, _ = arm
-    moved = plan_motion(chain, POLES, START, START)
+    robot, _ = arm
+    moved = plan_motion(robot, POLES, START, START)
     assert moved and moved.trajectory.duration == 0.0
     np.testing.assert_array_equal(moved.trajectory.sample(0.01)[1].q, [START])
 
@@ -165,26 +165,26 @@ def test_what_is_walled_in_is_given_up_early(arm):
 
 def test_many_are_as_each_is_alone(arm):
     """A straight line, a way that is searched, a joint that turns on, no motion, and three that are none."""
-    chain, _ = arm
+    robot, _ = arm
     starts = [START, START, [0.9, 0.5, 3.0], START, START, [np.nan, 0.0, 0.0], [0.0, 0.0, 0.0]]
     goals = [START + 0.1, GOAL, [0.9, 0.5, -3.0], START, [0.0, 3.0, 0.0], GOAL, GOAL]
-    moved = plan_motions(chain, POLES, starts, goals)
+    moved = plan_motions(robot, POLES, starts, goals)
     assert moved.why == ("solved",) * 4 + ("goal: limits", "start: invalid", "start: collision")
     assert len(moved) == 7 and moved.counts()["solved"] == 4 and moved.success.tolist() == [True] * 4 + [False] * 3
     assert moved[0].rounds == 0 < moved[1].rounds
     with pytest.raises(ValueError, match="the truth of 7 motions is not one answer"):
         bool(moved)
     for each, start, goal in zip(moved, starts, goals, strict=True):
-        alone = plan_motion(chain, POLES, start, goal)
+        alone = plan_motion(robot, POLES, start, goal)
         assert (each.why, each.rounds, each.checked) == (alone.why, alone.rounds, alone.checked)
         if each:
             np.testing.assert_array_equal(each.waypoints, alone.waypoints)
             np.testing.assert_array_equal(each.trajectory.time, alone.trajectory.time)
-    several = plan_motions(chain, POLES, starts[:2], [[START + 0.1, GOAL], [np.full(3, np.nan), GOAL]])
+    several = plan_motions(robot, POLES, starts[:2], [[START + 0.1, GOAL], [np.full(3, np.nan), GOAL]])
     np.testing.assert_array_equal(several[0].waypoints[-1], START + 0.1)
     np.testing.assert_array_equal(several[1].waypoints, moved[1].waypoints)
-    poses = [np.asarray(jaxik.forward_kinematics(chain, GOAL)), jaxik.pose([2.0, 0.0, 0.0]), np.full((4, 4), np.nan)]
-    assert plan_motions(chain, POLES, [START] * 3, poses).why == ("solved", "goal: out of reach", "goal: invalid")
+    poses = [np.asarray(jaxik.forward_kinematics(robot, GOAL)), jaxik.pose([2.0, 0.0, 0.0]), np.full((4, 4), np.nan)]
+    assert plan_motions(robot, POLES, [START] * 3, poses).why == ("solved", "goal: out of reach", "goal: invalid")
 
 
 @pytest.mark.parametrize("empty", [np.empty((0, 3)), [], np.empty((0, 4, 4))])
@@ -203,7 +203,7 @@ def test_an_empty_batch_has_an_empty_answer(arm, empty):
         ({"round": 3}, "unknown option 'round'"),
         (
             {"torque": 3.0},
-            r"torque is no option; time its way anew by planning.time_optimal.moved.trajectory.path, chain=chain, torq",
+            r"torque is no option; time its way anew by planning.time_optimal.moved.trajectory.path, robot=robot, torq",
         ),
         ({"velocity": -1.0}, "plan_motion: velocity is -1.0; allowed: one number or"),
         ({"velocity": [1.0, 1.0]}, r"plan_motion: velocity of shape \(2,\)"),

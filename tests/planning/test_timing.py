@@ -12,9 +12,9 @@ import toppra.constraint
 from scipy.interpolate import CubicSpline
 
 import jaxik
+from jaxik.dynamics.recursions import gravity_torque, inverse_dynamics
 from jaxik.planning import JointPath, load_trajectory, polyline, save_trajectory, spline, time_optimal
 from jaxik.planning.trajectory import padded
-from jaxik.robot.dynamics import gravity_torque, inverse_dynamics
 
 VELOCITY = np.array([1.0, 2.0, 0.5, 1.5, 3.0])
 ACCELERATION = np.array([4.0, 2.0, 6.0, 8.0, 3.0])
@@ -223,21 +223,21 @@ def test_files_hold_a_motion_that_stands_still(tmp_path, file):
             load_trajectory(tmp_path / file, names)
 
 
-def _torques(chain, moved):
+def _torques(robot, moved):
     _, state = _dense(moved, between=7)
     with jax.enable_x64(True):
-        return np.asarray(jax.jit(jax.vmap(lambda *x: inverse_dynamics(chain, *x)))(*state)), state.velocity
+        return np.asarray(jax.jit(jax.vmap(lambda *x: inverse_dynamics(robot, *x)))(*state)), state.velocity
 
 
 def test_within_torque_as_fast_as_toppra():
     """Which meets its limits at its grid alone."""
-    chain, torque = jaxik.load("crops_v2"), np.array([700.0, 120.0, 120.0, 60.0, 30.0, 20.0, 8.0, 8.0, 4.0])
+    robot, torque = jaxik.load("crops_v2"), np.array([700.0, 120.0, 120.0, 60.0, 30.0, 20.0, 8.0, 8.0, 4.0])
     points = np.random.default_rng(0).uniform(-0.8, 0.8, (2, 5, 9)) + 0.4 * np.eye(9)[0]
     velocity = np.full(9, 5.0)
-    moved = time_optimal(_stacked([spline(w) for w in points]), velocity, np.inf, chain=chain, torque=torque)
-    weak = time_optimal(spline(points[0]), velocity, 4.0, chain=chain, torque=torque, power=0.5 * torque)
+    moved = time_optimal(_stacked([spline(w) for w in points]), velocity, np.inf, robot=robot, torque=torque)
+    weak = time_optimal(spline(points[0]), velocity, 4.0, robot=robot, torque=torque, power=0.5 * torque)
     with jax.enable_x64(True):
-        inverse = jax.jit(lambda q, v, a: inverse_dynamics(chain, q, v, a))
+        inverse = jax.jit(lambda q, v, a: inverse_dynamics(robot, q, v, a))
         for i, waypoints in enumerate(points):
             knots = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(waypoints, axis=0), axis=1))])
             scheme = toppra.constraint.DiscretizationType.Interpolation
@@ -252,35 +252,35 @@ def test_within_torque_as_fast_as_toppra():
             theirs = toppra.algorithm.TOPPRA(limits, path, gridpoints=grid, solver_wrapper="seidel").compute_trajectory(0, 0)
             assert -2e-3 < moved.duration[i] / theirs.duration - 1.0 < 0.01
     for each in (_row(moved, 0), _row(moved, 1), weak):
-        found, rate = _torques(chain, each)
+        found, rate = _torques(robot, each)
         assert (np.abs(found) <= (1.0 + 1e-9) * torque).all()
     assert 0.999 < (np.abs(found * rate) / (0.5 * torque)).max() <= 1.0 + 1e-9
 
 
 def test_constant_power_on_a_slide():
     """A mass on a level slide: v^2 = 2 P t / m up to half of the way, and as long again."""
-    chain = jaxik.load("crops_v2").part(0, 1)
-    mass, power, length = float(chain.bodies[0].mass + chain.armature[0]), 50.0, 0.8
+    robot = jaxik.load("crops_v2").part(0, 1)
+    mass, power, length = float(robot.bodies[0].mass + robot.armature[0]), 50.0, 0.8
     level = np.eye(4)
     level[:3, :3] = [[0.0, 0.0, 1.0], [1.0, 0.0, 0.0], [0.0, 1.0, 0.0]]  # the slide's z is the world's x
     half = (0.75 * length / np.sqrt(2.0 * power / mass)) ** (2.0 / 3.0)
     for fastest in (10.0, np.inf):
-        moved = time_optimal(polyline([[0.1], [0.1 + length]]), fastest, np.inf, 2000, chain=chain.mounted(level), power=power)
+        moved = time_optimal(polyline([[0.1], [0.1 + length]]), fastest, np.inf, 2000, robot=robot.mounted(level), power=power)
         assert 1.0 <= moved.duration / (2.0 * half) < 1.012  # the force is without end at first
 
 
 def test_drives_that_cannot_hold_the_arm_are_named(tmp_path):
     """With the joint and the place where it is the heaviest; in a stack the others go on."""
-    chain = jaxik.load("crops_v2").part(1, 3)
+    robot = jaxik.load("crops_v2").part(1, 3)
     path = polyline([[0.0, -1.2], [0.0, -0.9], [0.0, 1.2]])  # a link that comes down, and goes up again
     with jax.enable_x64(True):
         places = np.linspace(0.0, 2.0, 4001)
         q = np.stack([np.interp(places, [0.0, 1.0, 2.0], column) for column in ([0.0, 0.0, 0.0], [-1.2, -0.9, 1.2])], axis=1)
-        still = np.abs(jax.vmap(lambda x: gravity_torque(chain, x))(q))
+        still = np.abs(jax.vmap(lambda x: gravity_torque(robot, x))(q))
     at, joint = np.unravel_index(np.argmax(still), still.shape)
     most = still.max(axis=0)
-    with pytest.raises(ValueError, match=f"{chain.joint_names[joint]} needs .* to stand still; the limit is") as refused:
-        time_optimal(path, chain=chain, torque=np.where(np.arange(2) == joint, 0.9, 2.0) * most)
+    with pytest.raises(ValueError, match=f"{robot.joint_names[joint]} needs .* to stand still; the limit is") as refused:
+        time_optimal(path, robot=robot, torque=np.where(np.arange(2) == joint, 0.9, 2.0) * most)
     words = str(refused.value).split()
     assert float(words[3]) == pytest.approx(most[joint], rel=1e-3) and words[4] == "Nm"
     assert float(words[7]) == pytest.approx(places[at], abs=0.01) and float(words[-1]) == pytest.approx(
@@ -288,32 +288,32 @@ def test_drives_that_cannot_hold_the_arm_are_named(tmp_path):
     )
     high = polyline([[0.0, -1.3], [0.0, -1.25], [0.0, -1.2]])
     unknown = JointPath(path.lengths * np.nan, path.coefficients)
-    moved = time_optimal(_stacked([path, high, unknown]), chain=chain, torque=0.95 * most)
+    moved = time_optimal(_stacked([path, high, unknown]), robot=robot, torque=0.95 * most)
     assert moved.reasons.tolist() == ["limits", "solved", "invalid"] and np.isfinite(moved.duration).tolist() == [
         False,
         True,
         False,
     ]
-    alone = time_optimal(high, chain=chain, torque=0.95 * most)
+    alone = time_optimal(high, robot=robot, torque=0.95 * most)
     assert alone.reasons == "solved" and alone.duration == moved.duration[1]
     for row, said in ((0, "lasts nan s; its drives cannot hold the arm still"), (2, "lasts nan s; its path holds what is no")):
         with pytest.raises(ValueError, match=said):
-            save_trajectory(tmp_path / "x.csv", _row(moved, row), 0.01, chain.joint_names)
+            save_trajectory(tmp_path / "x.csv", _row(moved, row), 0.01, robot.joint_names)
 
 
 def test_what_is_not_given_is_the_robots(tmp_path):
-    chain = jaxik.load("crops_v2").part(1, 3)
-    chain = dataclasses.replace(chain, velocity=np.array([0.4, 3.0]), effort=np.array([20.0, 90.0]))
+    robot = jaxik.load("crops_v2").part(1, 3)
+    robot = dataclasses.replace(robot, velocity=np.array([0.4, 3.0]), effort=np.array([20.0, 90.0]))
     path = polyline([[0.0, -1.3], [0.2, -1.2]])
-    own = time_optimal(path, chain=chain, torque=chain.effort)
-    assert own.duration == time_optimal(path, chain.velocity, np.inf, chain=chain, torque=chain.effort).duration
+    own = time_optimal(path, robot=robot, torque=robot.effort)
+    assert own.duration == time_optimal(path, robot.velocity, np.inf, robot=robot, torque=robot.effort).duration
     assert own.speed.max() / np.hypot(0.2, 0.1) * 0.2 == pytest.approx(0.4)  # its velocity's limit is met
-    assert time_optimal(path, chain=chain, acceleration=2.0).duration == time_optimal(path, chain.velocity, 2.0).duration
+    assert time_optimal(path, robot=robot, acceleration=2.0).duration == time_optimal(path, robot.velocity, 2.0).duration
     for given, said in (
-        ({}, "no velocity; give velocity= .rad/s, m/s., or chain="),
+        ({}, "no velocity; give velocity= .rad/s, m/s., or robot="),
         ({"velocity": 1.0}, "nothing limits how it accelerates; give acceleration="),
-        ({"chain": chain}, "nothing limits how it accelerates"),
-        ({"chain": chain, "torque": np.inf}, "nothing limits how it accelerates; .* with finite torque="),
+        ({"robot": robot}, "nothing limits how it accelerates"),
+        ({"robot": robot, "torque": np.inf}, "nothing limits how it accelerates; .* with finite torque="),
     ):
         with pytest.raises(ValueError, match=said):
             time_optimal(path, **given)
@@ -332,54 +332,54 @@ def test_a_trajectory_is_shown_with_its_duration():
 @pytest.mark.parametrize("power", [1.0, 10.0])
 def test_a_weight_is_lifted_at_constant_power(power):
     """It rises by P / (m g), and nearly all the time is spent at that; there is little to speed up."""
-    chain = jaxik.load("crops_v2").part(0, 1).mounted(np.eye(4))
-    steady = 0.8 * 9.81 * float(chain.bodies[0].mass) / power
-    moved = time_optimal(polyline([[0.1], [0.9]]), np.inf, np.inf, 60, chain=chain, power=power)
+    robot = jaxik.load("crops_v2").part(0, 1).mounted(np.eye(4))
+    steady = 0.8 * 9.81 * float(robot.bodies[0].mass) / power
+    moved = time_optimal(polyline([[0.1], [0.9]]), np.inf, np.inf, 60, robot=robot, power=power)
     assert 1.0 <= moved.duration / steady < 1.05
 
 
 def test_power_sets_the_pace_however_few_the_places():
     """Arms that are this weak do not feel their inertia: a tenth of the power takes ten times as long."""
-    chain, path = jaxik.load("crops_v2").part(0, 3), polyline([[0.1, 0.0, 0.5], [0.9, -0.5, 0.1], [0.3, 0.8, -0.9]])
-    weak, weaker = (time_optimal(path, np.inf, np.inf, 60, chain=chain, power=power) for power in (20.0, 2.0))
+    robot, path = jaxik.load("crops_v2").part(0, 3), polyline([[0.1, 0.0, 0.5], [0.9, -0.5, 0.1], [0.3, 0.8, -0.9]])
+    weak, weaker = (time_optimal(path, np.inf, np.inf, 60, robot=robot, power=power) for power in (20.0, 2.0))
     assert weaker.duration / weak.duration == pytest.approx(10.0, rel=0.01)
     for moved, power in ((weak, 20.0), (weaker, 2.0)):
-        found, rate = _torques(chain, moved)
+        found, rate = _torques(robot, moved)
         assert 0.99 * power < np.abs(found * rate).max() <= (1.0 + 1e-9) * power
 
 
 def test_drives_that_hardly_hold_take_no_age():
     """With a ten-millionth more than the most that holds the arm still, which is between two moments: none."""
-    chain, path = jaxik.load("crops_v2").part(2, 3), polyline([[-1.5], [1.5]])
+    robot, path = jaxik.load("crops_v2").part(2, 3), polyline([[-1.5], [1.5]])
     with jax.enable_x64(True):
-        held = jax.jit(jax.vmap(lambda q: inverse_dynamics(chain, q, np.zeros(1), np.zeros(1))))(
+        held = jax.jit(jax.vmap(lambda q: inverse_dynamics(robot, q, np.zeros(1), np.zeros(1))))(
             np.linspace(-1.5, 1.5, 9999)[:, None]
         )
     most = float(np.abs(held).max())
-    within = lambda more: time_optimal(path, 3.0, 5.0, 60, chain=chain, torque=most * (1.0 + more))
+    within = lambda more: time_optimal(path, 3.0, 5.0, 60, robot=robot, torque=most * (1.0 + more))
     with pytest.raises(ValueError, match=r"joint3 needs .* Nm at waypoint .* to stand still"):
         within(1e-7)
     assert within(0.01).duration < 10.0
 
 
 def test_torque_limits_that_are_none():
-    chain, path = jaxik.load("crops_v2"), polyline(np.eye(9)[:2])
+    robot, path = jaxik.load("crops_v2"), polyline(np.eye(9)[:2])
     with pytest.raises(ValueError, match=r"time_optimal: torque of shape \(3,\) is .*; allowed: one number or \(9,\), above"):
-        time_optimal(path, 1.0, 1.0, chain=chain, torque=np.ones(3))
+        time_optimal(path, 1.0, 1.0, robot=robot, torque=np.ones(3))
     with pytest.raises(ValueError, match="time_optimal: gravity of shape \\(\\); allowed: \\(3,\\)"):
-        time_optimal(path, 1.0, 1.0, chain=chain, torque=1e3, gravity=-9.81)
+        time_optimal(path, 1.0, 1.0, robot=robot, torque=1e3, gravity=-9.81)
     with pytest.raises(ValueError, match="acceleration is infinite"):  # a robot without limits sets none
-        time_optimal(path, 1.0, np.inf, chain=chain)
+        time_optimal(path, 1.0, np.inf, robot=robot)
     unknown = JointPath(path.lengths, np.where(path.coefficients == 1.0, np.nan, path.coefficients))
-    moved = time_optimal(_stacked([path, unknown]), 1.0, 1.0, chain=chain, torque=1e3)
+    moved = time_optimal(_stacked([path, unknown]), 1.0, 1.0, robot=robot, torque=1e3)
     assert np.isfinite(moved.duration[0]) and np.isnan(moved.duration[1])
     np.testing.assert_array_equal(moved.path.coefficients[1], unknown.coefficients)
-    with pytest.raises(ValueError, match="time_optimal: torque and power are of a robot; write chain="):
+    with pytest.raises(ValueError, match="time_optimal: torque and power are of a robot; write robot="):
         time_optimal(path, 1.0, 1.0, power=3.0)
     without, way = jaxik.load("ur5e"), np.eye(6)[:2]
     with pytest.raises(ValueError, match=r"^time_optimal: ur5e has no bodies; write mass, com and inertia"):
-        time_optimal(polyline(way), 1.0, 1.0, chain=without, torque=1.0)
+        time_optimal(polyline(way), 1.0, 1.0, robot=without, torque=1.0)
     with pytest.raises(ValueError, match=r"^optimise_trajectory: ur5e has no bodies; write mass, com and inertia"):
         jaxik.planning.optimise_trajectory(without, None, *way, margin=None, torque=1.0)
     with pytest.raises(ValueError, match="time_optimal: a path of 2 joints, and crops_v2 has 9"):
-        time_optimal(polyline([[0.0, 0.0], [1.0, 1.0]]), 1.0, 1.0, chain=chain, torque=1.0)
+        time_optimal(polyline([[0.0, 0.0], [1.0, 1.0]]), 1.0, 1.0, robot=robot, torque=1.0)

@@ -13,11 +13,11 @@ import jaxik
 from jaxik.collision.clearances import link_clearances
 from jaxik.collision.continuous_collision import joint_reaches
 from jaxik.costs import collision_cost
+from jaxik.dynamics.recursions import inverse_dynamics
 from jaxik.optimise import collocation, splines
 from jaxik.optimise.banded import banded_solve
 from jaxik.planning import TrajectoryOptions, optimise_trajectory, trajectory_cost
 from jaxik.reasons import Reason
-from jaxik.robot.dynamics import inverse_dynamics
 from jaxik.spmd import HostKernel
 
 POLES = jaxik.make_scene(boxes=[[0.65, 0.0, 0.0, 0.3, 0.05, 0.5], [-0.5, 0.5, 0.0, 0.1, 0.3, 0.5]])
@@ -99,36 +99,36 @@ def _judged(found, coal, scene, margin, velocity, acceleration=np.inf, jerk=np.i
 
 
 def test_free_between_samples_and_inside_limits(arm):
-    chain, coal = arm
+    robot, coal = arm
     limits = {"velocity": 1.5, "acceleration": 3.0, "jerk": 30.0}
     goals = np.stack([GOAL, [0.9, 0.2, -0.4]])
-    found = optimise_trajectory(chain, POLES, START, goals, margin=0.01, duration=4.0, spans=32, **limits)
+    found = optimise_trajectory(robot, POLES, START, goals, margin=0.01, duration=4.0, spans=32, **limits)
     assert found.success.all() and found.cost.shape == (2,) and found.trajectory.time.shape == (2, 33)
     for i, goal in enumerate(goals):
         state = _judged(jax.tree_util.tree_map(lambda x: x[i], found), coal, POLES, 0.01, **limits)  # noqa: B023
         np.testing.assert_allclose(state.q[[0, -1]], [START, goal], atol=1e-12)
         np.testing.assert_allclose(state.velocity[[0, -1]], 0.0, atol=1e-9)
-    quick = optimise_trajectory(chain, POLES, START, GOAL, margin=0.01, spans=32, **limits)
+    quick = optimise_trajectory(robot, POLES, START, GOAL, margin=0.01, spans=32, **limits)
     state = _judged(quick, coal, POLES, 0.01, **limits)
     used = np.abs(state.velocity).max() / 1.5, np.abs(state.acceleration).max() / 3.0
     assert max(used) > 0.9  # but for control points, between which the curve stays
 
 
 def test_pose_via_and_free_posture(arm):
-    chain, coal = arm
-    goal, over = (np.asarray(jaxik.forward_kinematics(chain, np.asarray(q))) for q in (ASIDE, [0.9, -0.8, 0.5]))
+    robot, coal = arm
+    goal, over = (np.asarray(jaxik.forward_kinematics(robot, np.asarray(q))) for q in (ASIDE, [0.9, -0.8, 0.5]))
     task = {"task": jaxik.Task.position(), "via_task": jaxik.Task.position()}
-    found = optimise_trajectory(chain, POLES, NEAR, goal, via=[(0.5, over)], spans=32, **task)
+    found = optimise_trajectory(robot, POLES, NEAR, goal, via=[(0.5, over)], spans=32, **task)
     state = _judged(found, coal, POLES, 0.0, 2.0)
-    tip = lambda q: np.asarray(jaxik.forward_kinematics(chain, q))[:3, 3]
+    tip = lambda q: np.asarray(jaxik.forward_kinematics(robot, q))[:3, 3]
     np.testing.assert_allclose(tip(state.q[-1]), goal[:3, 3], atol=2e-6)
     np.testing.assert_allclose(tip(state.q[2000]), over[:3, 3], atol=2e-6)
 
 
 def test_as_good_as_scipy(arm):
     """The printed programme (6.4)-(6.10), written out, by SciPy's SLSQP from where nothing has been optimised."""
-    chain, _ = arm
-    found = optimise_trajectory(chain, POLES, NEAR, ASIDE, velocity_cost=(0.5, 1.0), tolerance=1e-7, **SOFT)
+    robot, _ = arm
+    found = optimise_trajectory(robot, POLES, NEAR, ASIDE, velocity_cost=(0.5, 1.0), tolerance=1e-7, **SOFT)
     count, step = SOFT["spans"] + 1, SOFT["duration"] / SOFT["spans"]
     weight = np.full(count, step)
     weight[[0, -1]] *= 0.5
@@ -141,7 +141,7 @@ def test_as_good_as_scipy(arm):
     @jax.jit
     def total(x):
         q, rate = unpacked(x)
-        depth = jnp.maximum(0.25 - jax.vmap(lambda q: link_clearances(chain, POLES, q))(q), 0.0) / 0.25
+        depth = jnp.maximum(0.25 - jax.vmap(lambda q: link_clearances(robot, POLES, q))(q), 0.0) / 0.25
         return weight * zeta @ jnp.sum(rate**2, axis=1) + 10.0 * weight @ jnp.sum(depth**3, axis=1)
 
     end = jax.jit(lambda x: unpacked(x)[0][-1] - ASIDE)
@@ -160,10 +160,10 @@ def test_as_good_as_scipy(arm):
 
 def test_within_torque_and_power_as_good_as_scipy():
     """At knots, as both have it there; and what is returned keeps the limits between them."""
-    chain, start, end, spans, duration = jaxik.load("crops_v2").part(0, 3), [0.2, 0.0, 0.0], [0.6, 0.8, -0.7], 12, 0.6
+    robot, start, end, spans, duration = jaxik.load("crops_v2").part(0, 3), [0.2, 0.0, 0.0], [0.6, 0.8, -0.7], 12, 0.6
     torque, power, span = np.array([603.0, 12.6, 27.9]), np.array([268.0, 9.6, 20.6]), duration / spans
     options = {"duration": duration, "velocity": 9.0, "margin": None, "torque": torque, "power": power}
-    drives = jax.vmap(lambda *x: inverse_dynamics(chain, *x))
+    drives = jax.vmap(lambda *x: inverse_dynamics(robot, *x))
 
     def rows(x):
         """Values, rates and their rates at knots, with weights of the squares of the latter."""
@@ -188,28 +188,28 @@ def test_within_torque_and_power_as_good_as_scipy():
         jax.jit(cost), begin, jac=jax.jit(jax.grad(cost)), constraints=inside, method="SLSQP", options={"ftol": 1e-12}
     )
     assert truth.success and np.sort(room(truth.x))[2] < 1e-5  # some limits are met
-    problem = TrajectoryOptions(spans=spans, **options).terms(chain, None).problem(spans, (), None, False)
+    problem = TrajectoryOptions(spans=spans, **options).terms(robot, None).problem(spans, (), None, False)
     points = splines.through(np.linspace(start, end, 40)[None], 3, spans)
     found = collocation.optimise(problem, points, 200, 1e-9)
     assert found.converged[0] and abs(found.cost[0] - truth.fun) <= 1e-6 * truth.fun
     for more in ({}, {"duration": None}):
-        moved = optimise_trajectory(chain, None, start, end, **options | more)
+        moved = optimise_trajectory(robot, None, start, end, **options | more)
         state = sampled(moved.trajectory, np.linspace(0.0, moved.trajectory.duration, 1001))
         most = np.abs(drives(*state)).max(axis=0) / torque, np.abs(drives(*state) * state.velocity).max(axis=0) / power
         assert moved.reasons == "solved" and 0.95 < np.max(most) <= 1.0 + 1e-6
-    weak = optimise_trajectory(chain, None, start, end, torque=100.0, margin=None)
+    weak = optimise_trajectory(robot, None, start, end, torque=100.0, margin=None)
     assert weak.reasons == "limits" and np.isnan(weak.trajectory.duration)  # 300 N hold the arm: told before any search
     assert weak.iterations == 0
-    pose = jaxik.forward_kinematics(chain, jnp.array([0.6, 0.8, 0.0]))  # which has one posture, that takes 12.7 Nm
-    heavy = optimise_trajectory(chain, None, [0.2, 0.0, -0.7], pose, torque=[600.0, 50.0, 11.0], margin=None)
+    pose = jaxik.forward_kinematics(robot, jnp.array([0.6, 0.8, 0.0]))  # which has one posture, that takes 12.7 Nm
+    heavy = optimise_trajectory(robot, None, [0.2, 0.0, -0.7], pose, torque=[600.0, 50.0, 11.0], margin=None)
     assert heavy.reasons == "limits" and heavy.iterations == 0
 
 
 def test_the_range_holds_between_knots(arm):
-    chain, _ = arm
-    bent = np.asarray(jaxik.forward_kinematics(chain, np.array([0.3, 2.79, -1.0])))
+    robot, _ = arm
+    bent = np.asarray(jaxik.forward_kinematics(robot, np.array([0.3, 2.79, -1.0])))
     task = {"via": [(0.5, bent)], "via_task": jaxik.Task(), "degree": 2, "spans": 4}
-    found = optimise_trajectory(chain, POLES, [0.3, 0.9, -1.0], [0.3, 2.6, -1.0], duration=2.0, velocity=np.inf, **task)
+    found = optimise_trajectory(robot, POLES, [0.3, 0.9, -1.0], [0.3, 2.6, -1.0], duration=2.0, velocity=np.inf, **task)
     assert found.reasons == "solved"
     q = sampled(found.trajectory, np.linspace(0.0, 2.0, 401)).q
     assert 2.79 - 1e-6 <= q[:, 1].max() <= 2.8 + 1e-6
@@ -217,9 +217,9 @@ def test_the_range_holds_between_knots(arm):
 
 def test_what_obstacles_cost_is_what_is_asked(arm):
     """With a margin that is kept anyway and without; and each part of the cost in its place."""
-    chain, _ = arm
+    robot, _ = arm
     options = SOFT | {"degree": 3, "tolerance": 1e-6, "acceleration_cost": 0.0, "jerk_cost": 1e-4}
-    found, free = (optimise_trajectory(chain, POLES, NEAR, ASIDE, **options | {"margin": x}) for x in (0.0, None))
+    found, free = (optimise_trajectory(robot, POLES, NEAR, ASIDE, **options | {"margin": x}) for x in (0.0, None))
     assert found.reasons == free.reasons == "solved"
     np.testing.assert_allclose(found.parts, free.parts, rtol=1e-3, atol=1e-6)
     assert found.parts[1] == 0.0 and found.parts[[0, 2, 3]].min() > 0.0
@@ -227,44 +227,44 @@ def test_what_obstacles_cost_is_what_is_asked(arm):
 
 def test_cost_by_the_way_does_not_know_of_time(arm):
     """Along the same motion it is the same at any speed; by time it would be less, the faster the motion."""
-    chain, _ = arm
+    robot, _ = arm
     options = SOFT | {"arc_length": True, "velocity_cost": 1e-3, "degree": 3, "acceleration_cost": 0.0, "jerk_cost": 1e-6}
     found, fast = (
-        optimise_trajectory(chain, POLES, NEAR, ASIDE, **options | more) for more in ({}, {"duration": 1.0, **FASTER})
+        optimise_trajectory(robot, POLES, NEAR, ASIDE, **options | more) for more in ({}, {"duration": 1.0, **FASTER})
     )
     assert fast.cost == pytest.approx(found.cost, rel=1e-3) and fast.parts[3] == pytest.approx(found.parts[3], rel=1e-3)
     moments = np.linspace(0.0, 2.0, 2001)
     q, rate, _ = sampled(found.trajectory, moments)
-    near = np.asarray(jax.vmap(lambda q: link_clearances(chain, POLES, q))(q))
+    near = np.asarray(jax.vmap(lambda q: link_clearances(robot, POLES, q))(q))
     level = np.sum(np.maximum(0.25 - near, 0.0) ** 3 / 0.25**3, axis=1)
-    way = np.linalg.norm(rate * joint_reaches(chain), axis=1)
+    way = np.linalg.norm(rate * joint_reaches(robot), axis=1)
     assert found.parts[3] == pytest.approx(10.0 * np.trapezoid(level * way, moments), rel=2e-2)
 
 
 def test_an_endless_joint_takes_the_shorter_turn(arm):
-    chain, _ = arm
+    robot, _ = arm
     goal, turn = np.array([1.5, -0.3, 4.0]), [0.0, 0.0, 2.0 * np.pi]
-    found = optimise_trajectory(chain, POLES, NEAR, goal, spans=32)
+    found = optimise_trajectory(robot, POLES, NEAR, goal, spans=32)
     np.testing.assert_allclose(found.trajectory.at(found.trajectory.duration).q, goal - turn, atol=1e-6)
-    wound = optimise_trajectory(chain, POLES, NEAR, goal, np.linspace(NEAR, goal, 9), spans=32)
+    wound = optimise_trajectory(robot, POLES, NEAR, goal, np.linspace(NEAR, goal, 9), spans=32)
     np.testing.assert_allclose(wound.trajectory.at(wound.trajectory.duration).q, goal, atol=1e-6)
 
 
 def test_cost_by_obstacles_and_links(arm):
     """The least cost's derivatives, against differences of optima."""
-    chain, _ = arm
-    goal = np.asarray(jaxik.forward_kinematics(chain, ASIDE))
+    robot, _ = arm
+    goal = np.asarray(jaxik.forward_kinematics(robot, ASIDE))
     ball = jaxik.make_scene(spheres=[[0.65, 0.0, 0.0, 0.1]])
     options = SOFT | {"tolerance": 1e-10, "iterations": 500, "task": jaxik.Task.position()}
-    found = optimise_trajectory(chain, ball, NEAR, goal, **options)
+    found = optimise_trajectory(robot, ball, NEAR, goal, **options)
     guess = sampled(found.trajectory, np.linspace(0.0, 2.0, 97)).q
 
     def changed(x):
         """The arm with a longer link, and the ball moved."""
         centre = jnp.asarray(ball.spheres.center).at[0, 1].add(x[0])
-        links = jnp.asarray(chain.parent_T_joint).at[2, 0, 3].add(x[1])
+        links = jnp.asarray(robot.parent_T_joint).at[2, 0, 3].add(x[1])
         moved = dataclasses.replace(ball, spheres=dataclasses.replace(ball.spheres, center=centre))
-        return dataclasses.replace(chain, parent_T_joint=links), moved
+        return dataclasses.replace(robot, parent_T_joint=links), moved
 
     def best(x):
         end = optimise_trajectory(*jax.tree_util.tree_map(np.asarray, changed(x)), NEAR, goal, guess, **options)
@@ -280,53 +280,53 @@ def test_cost_by_obstacles_and_links(arm):
 
 def test_a_link_sees_what_is_behind_its_neighbour():
     """A wrist is always near itself, and yet a post beside it costs; the cost's derivative by it is that of the optima."""
-    chain = jaxik.load("ur5e")
+    robot = jaxik.load("ur5e")
     start, goal = (np.array([side, -1.2, 1.4, -1.6, -1.5, 0.0]) for side in (-0.4, 0.4))
-    x, y, z = np.asarray(jaxik.forward_kinematics(chain, 0.5 * (start + goal)))[:3, 3]
+    x, y, z = np.asarray(jaxik.forward_kinematics(robot, 0.5 * (start + goal)))[:3, 3]
     options = SOFT | {"activation": 0.1, "tolerance": 1e-9, "iterations": 300}
 
     def post(top):
         scene = jaxik.make_scene(capsules=[[x, y, 0.0, x, y, 1.0, 0.03]])
         return dataclasses.replace(scene, capsules=dataclasses.replace(scene.capsules, b=jnp.array([[x, y, top]])))
 
-    best = lambda top: optimise_trajectory(chain, jax.tree_util.tree_map(np.asarray, post(top)), start, goal, **options)
+    best = lambda top: optimise_trajectory(robot, jax.tree_util.tree_map(np.asarray, post(top)), start, goal, **options)
     found, least, most = (best(z - 0.05 + h) for h in (0.0, -1e-4, 1e-4))
-    slope = jax.grad(lambda top: trajectory_cost(chain, post(top), found, **options))(z - 0.05)
+    slope = jax.grad(lambda top: trajectory_cost(robot, post(top), found, **options))(z - 0.05)
     assert slope > 0.1 and found.iterations < 50
     np.testing.assert_allclose(slope, (most.cost - least.cost) / 2e-4, rtol=1e-2)
-    beside, alone = post(z - 0.05), dataclasses.replace(chain, self_pairs=())
-    near = lambda q: jnp.concatenate([link_clearances(chain, None, q), link_clearances(alone, beside, q)])
+    beside, alone = post(z - 0.05), dataclasses.replace(robot, self_pairs=())
+    near = lambda q: jnp.concatenate([link_clearances(robot, None, q), link_clearances(alone, beside, q)])
     each = jax.vmap(lambda q: collision_cost(near(q), 0.1).sum())(sampled(found.trajectory, np.linspace(0.0, 2.0, 25)).q)
     np.testing.assert_allclose(found.parts[3], 10.0 * np.trapezoid(each, dx=2.0 / 24), rtol=1e-6)
     kept = options | {"margin": 0.0, "rounds": 9}
-    held = optimise_trajectory(chain, beside, start, goal, **kept)  # a margin, too, of each by itself
-    np.testing.assert_allclose(trajectory_cost(chain, beside, held, **kept), held.cost, rtol=1e-7)
+    held = optimise_trajectory(robot, beside, start, goal, **kept)  # a margin, too, of each by itself
+    np.testing.assert_allclose(trajectory_cost(robot, beside, held, **kept), held.cost, rtol=1e-7)
 
 
 def test_reasons(arm):
-    chain, _ = arm
+    robot, _ = arm
     starts = np.stack([START, [0.0, 0.0, 0.0], [np.nan, 0.0, 0.0], START, START])
     goals = np.stack([GOAL, GOAL, GOAL, [3.0, 0.0, 0.0], START])
-    found = optimise_trajectory(chain, POLES, starts, goals, spans=32)
+    found = optimise_trajectory(robot, POLES, starts, goals, spans=32)
     assert found.reason.tolist() == [Reason.SOLVED, Reason.COLLISION, Reason.INVALID, Reason.LIMITS, Reason.SOLVED]
     assert np.isnan(found.trajectory.time[1:4]).all() and found.trajectory.duration[4] == 0.0
     np.testing.assert_array_equal(found.trajectory.path.coefficients[4, :, :3], 0.0)
     far = np.eye(4)
     far[0, 3] = 5.0
-    assert optimise_trajectory(chain, POLES, START, far, spans=32).reasons == "out of reach"
-    hasty = optimise_trajectory(chain, POLES, START, GOAL, duration=0.1, velocity=1.0, spans=32, rounds=0)
+    assert optimise_trajectory(robot, POLES, START, far, spans=32).reasons == "out of reach"
+    hasty = optimise_trajectory(robot, POLES, START, GOAL, duration=0.1, velocity=1.0, spans=32, rounds=0)
     assert hasty.reasons != "solved"
     for start, goal in ((START, np.zeros((0, 3))), ([], [])):
-        none = optimise_trajectory(chain, POLES, start, goal, spans=32)
+        none = optimise_trajectory(robot, POLES, start, goal, spans=32)
         assert none.reason.shape == (0,) and none.trajectory.time.shape == (0, 33)
 
 
-def test_a_chain_without_shapes():
+def test_a_robot_without_shapes():
     """It moves as one with shapes does that has nothing to hit, and nothing is asked of shapes."""
-    chain, scene, ends = jaxik.load("crops_v2").part(0, 3), jaxik.make_scene(), ([0.2, 0.0, 0.0], [0.6, 0.8, -0.7])
-    bare = dataclasses.replace(chain, boxes=(), volumes=(), self_pairs=())
+    robot, scene, ends = jaxik.load("crops_v2").part(0, 3), jaxik.make_scene(), ([0.2, 0.0, 0.0], [0.6, 0.8, -0.7])
+    bare = dataclasses.replace(robot, boxes=(), volumes=(), self_pairs=())
     options = {"margin": None, "spans": 12, "duration": 0.6, "velocity": 9.0, "torque": [603.0, 12.6, 27.9]}
-    found, like = (optimise_trajectory(each, None, *ends, **options) for each in (bare, chain))
+    found, like = (optimise_trajectory(each, None, *ends, **options) for each in (bare, robot))
     assert found.reasons == like.reasons == "solved"
     np.testing.assert_allclose(found.cost, like.cost, rtol=1e-9)
     pose = np.asarray(jaxik.forward_kinematics(bare, np.array(ends[1])))

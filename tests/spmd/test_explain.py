@@ -32,9 +32,9 @@ def test_width_and_what_has_no_register():
 
 
 def test_the_numbers_of_a_model_are_folded_as_in_its_kernel():
-    chain = jaxik.load("p6r")
-    closed_over = explain(lambda q: jaxik.forward_kinematics(chain, q), Q)
-    given = explain(jaxik.forward_kinematics, chain, Q)
+    robot = jaxik.load("p6r")
+    closed_over = explain(lambda q: jaxik.forward_kinematics(robot, q), Q)
+    given = explain(jaxik.forward_kinematics, robot, Q)
     assert given.name == "forward_kinematics" and given.operations == closed_over.operations
 
 

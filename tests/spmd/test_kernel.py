@@ -288,10 +288,10 @@ def test_a_fork_goes_on():
 
 def test_pickle():
     """Of a kernel that has run, as Dask sends what a script defines; and of a robot, whose kernels the other process makes."""
-    chain, q = jaxik.load("planar2"), Q[0, :2]
-    for kernel in (jaxik.forward_kinematics, spmd.kernel(lambda chain, q: q * chain.num_joints, models=1)):
-        there, same = cloudpickle.loads(cloudpickle.dumps((kernel, chain))) if kernel(chain, q) is not None else ()
-        close(there(same, q), kernel(chain, q), 0)
+    robot, q = jaxik.load("planar2"), Q[0, :2]
+    for kernel in (jaxik.forward_kinematics, spmd.kernel(lambda robot, q: q * robot.num_joints, models=1)):
+        there, same = cloudpickle.loads(cloudpickle.dumps((kernel, robot))) if kernel(robot, q) is not None else ()
+        close(there(same, q), kernel(robot, q), 0)
     host = spmd.HostKernel(arm, 2)
     found = host.run(Q, LENGTHS)
     close(pickle.loads(pickle.dumps(host)).run(Q, LENGTHS), found, 0)

@@ -72,18 +72,18 @@ def bits(folder):
 def test_map_is_that_of_eaik_over_the_same_slides(small):
     """Reachable, the number of postures and how free the best is, EAIK looped over the slide and the limits applied to what it
     finds."""
-    chain, data = small.study.variants[0].chain, small.dataset()
-    robot, tip = eaik_robot(chain)
-    poses = np.linalg.inv(chain.world_T_base) @ small.study.targets.poses_at(np.arange(len(small.study.targets)))
+    robot, data = small.study.variants[0].robot, small.dataset()
+    peer, tip = eaik_robot(robot)
+    poses = np.linalg.inv(robot.world_T_base) @ small.study.targets.poses_at(np.arange(len(small.study.targets)))
     slides = np.linspace(0.0, 1.0, 11)
-    lower, upper = chain.lower[1:], chain.upper[1:]
+    lower, upper = robot.lower[1:], robot.upper[1:]
     for i in range(0, len(poses), 7):
         count, freest = 0, 0.0
         for slide in slides:
             pose = poses[i].copy()
             pose[:3, 3] -= [0.0, 0.0, slide]  # the slide runs along the base's z
             pose[:3, :3] = pose[:3, :3] @ tip.T
-            found = robot.IK(pose)
+            found = peer.IK(pose)
             q = np.array(found.Q)[~np.array(found.is_LS)].reshape(-1, 6)
             turned = q + np.round(((lower + upper) / 2.0 - q) / (2.0 * np.pi)) * 2.0 * np.pi
             count += int(np.sum(np.all((turned >= lower) & (turned <= upper), axis=1)))
@@ -95,10 +95,10 @@ def test_map_is_that_of_eaik_over_the_same_slides(small):
 
 
 def test_postures_have_their_targets_by_pinocchio(small):
-    chain, data = small.study.variants[0].chain, small.dataset()
+    robot, data = small.study.variants[0].robot, small.dataset()
     reached = np.flatnonzero(data.reachable.values)
     assert 0.1 < len(reached) / len(data.target) < 0.95
-    forward = pinocchio(chain)
+    forward = pinocchio(robot)
     for i in reached[::9]:
         target = np.eye(4)
         w, x, y, z = data.quaternion.values[i]
@@ -109,8 +109,8 @@ def test_postures_have_their_targets_by_pinocchio(small):
         ]
         target[:3, 3] = data.position.values[i]
         q = data.q.values[i]
-        errors = pose_errors(chain.world_T_base @ forward(q), target)
-        assert max(errors) < 1e-9 and np.all((q >= chain.lower) & (q <= chain.upper))
+        errors = pose_errors(robot.world_T_base @ forward(q), target)
+        assert max(errors) < 1e-9 and np.all((q >= robot.lower) & (q <= robot.upper))
         assert abs(data.position_error.values[i] - errors[0]) < 1e-9
     assert np.isnan(data.q.values[~data.reachable.values]).all()
 
@@ -135,19 +135,19 @@ def test_two_leading_joints_of_which_one_turns(tmp_path, monkeypatch):
     turn = '[[joint]]\nname = "turn"\ntype = "revolute"\na = 0.2\nlower_deg = -60\nupper_deg = 60\n\n'
     text = (models_folder() / "p6r.toml").read_text()
     (tmp_path / "turned.toml").write_text(text.replace("[[joint]]", turn + "[[joint]]", 1))
-    chain = jaxik.load(tmp_path / "turned.toml")
+    robot = jaxik.load(tmp_path / "turned.toml")
     few = {"x": [-0.3, 1.2, 6], "y": [0.1, 0.9, 5], "z": [0.1, 0.9, 4], "directions": [[0, 1, 0], [1, 1, 0]]}
-    study = {"robot": chain, "slides": 4, "audited": 0, "targets": {"kind": "grid"} | few}
+    study = {"robot": robot, "slides": 4, "audited": 0, "targets": {"kind": "grid"} | few}
     coarse, dense = (sweep_values(study | changes) for changes in ({}, {"slides": 41, "refine": 0}))
     assert not np.any(dense["reachable"] & ~coarse["reachable"] & coarse["proven"])
     assert coarse["between"].any() and (~coarse["proven"]).mean() < 0.1
     forward, poses = (
-        pinocchio(chain),
-        np.linalg.inv(chain.world_T_base) @ jaxik.sweeps.Study.of(study).targets.poses_at(np.arange(240)),
+        pinocchio(robot),
+        np.linalg.inv(robot.world_T_base) @ jaxik.sweeps.Study.of(study).targets.poses_at(np.arange(240)),
     )
     for i in np.flatnonzero(coarse["reachable"])[::9]:
         q = coarse["q"][i]
-        assert max(pose_errors(forward(q), poses[i])) < 1e-9 and np.all((q >= chain.lower) & (q <= chain.upper))
+        assert max(pose_errors(forward(q), poses[i])) < 1e-9 and np.all((q >= robot.lower) & (q <= robot.upper))
 
 
 def sweep_values(study, rows=None):
@@ -161,19 +161,19 @@ def test_collisions_are_those_of_the_scan():
     """Against `scan`, a target at a time: the number of clear postures, and the clearance of the best."""
     found = sweep_values(CROWDED | {"refine": 0})
     study = jaxik.sweeps.Study.of(CROWDED)
-    chain, scene = study.variants[0].chain, study.scene
+    robot, scene = study.variants[0].robot, study.scene
     reached = np.flatnonzero(found["reachable"])
     assert {int(r) for r in Reason if r <= 3} <= {*found["reason"].tolist(), int(Reason.LIMITS)}
     for i in reached[::20]:
-        assert abs(float(jaxik.clearance(chain, scene, found["q"][i])) - found["clearance"][i]) < 1e-5
+        assert abs(float(jaxik.clearance(robot, scene, found["q"][i])) - found["clearance"][i]) < 1e-5
         assert found["clearance"][i] >= study.margin - 1e-6
     blocked = np.flatnonzero(found["reason"] == Reason.COLLISION)
-    poses = np.linalg.inv(chain.world_T_base) @ study.targets.poses_at(np.arange(len(study.targets)))
+    poses = np.linalg.inv(robot.world_T_base) @ study.targets.poses_at(np.arange(len(study.targets)))
     for i in blocked[::20]:
         for slide in np.linspace(0.0, 1.0, 5):
-            each = jaxik.closed_form(chain, poses[i], slide)
+            each = jaxik.closed_form(robot, poses[i], slide)
             for q in np.asarray(each.q)[np.asarray(each.within_limits)]:
-                assert float(jaxik.clearance(chain, scene, q)) < study.margin + 1e-6
+                assert float(jaxik.clearance(robot, scene, q)) < study.margin + 1e-6
 
 
 def test_search_answers_what_has_no_closed_form():
@@ -266,9 +266,9 @@ def test_axes_are_robots_bases_and_parameters(tmp_path):
     assert np.nanmax(data.q.sel({"slide.upper": 0.3}).values[..., 0]) <= 0.3
     moved = data.q.isel(robot=0, base=1).sel({"slide.upper": 1.0}).values
     reached = np.flatnonzero(np.isfinite(moved[:, 0]))
-    chain = jaxik.load("p6r")
+    robot = jaxik.load("p6r")
     for i in reached[::5]:
-        at = chain.world_T_base @ pinocchio(chain)(moved[i])
+        at = robot.world_T_base @ pinocchio(robot)(moved[i])
         assert np.allclose(at[:3, 3] + [0.0, 0.1, 0.0], data.position.values[i], atol=1e-9)
 
 
@@ -289,7 +289,7 @@ def test_robots_with_other_numbers_of_joints_share_a_store(tmp_path):
 
 def test_a_link_s_length(tmp_path):
     changed = jaxik.sweeps.Study.of(SMALL | {"parameters": {"theta4": {"length": [0.25, 0.35]}}})
-    short, long = (v.chain for v in changed.variants)
+    short, long = (v.robot for v in changed.variants)
     assert np.allclose(np.linalg.norm(long.parent_T_joint[3][:3, 3]), 0.35) and np.allclose(
         short.parent_T_joint, jaxik.load("p6r").parent_T_joint
     )
@@ -338,7 +338,7 @@ def test_crops_keep_clear_of_their_own_scene():
     assert len(reached) and np.any(found["reason"] == Reason.COLLISION)
     for i in reached[:5]:
         scene = read.targets.scenes[read.targets.crop[i]]
-        assert abs(float(jaxik.clearance(read.variants[0].chain, scene, found["q"][i])) - found["clearance"][i]) < 1e-5
+        assert abs(float(jaxik.clearance(read.variants[0].robot, scene, found["q"][i])) - found["clearance"][i]) < 1e-5
 
 
 @pytest.mark.parametrize(
@@ -398,10 +398,10 @@ def test_store_is_read_by_xarray_and_says_what_it_holds(small):
     with warnings.catch_warnings():
         warnings.simplefilter("error")
         data = xarray.open_zarr(small.path).load()
-    assert data.q.dims == ("target", "joint") and list(data.joint.values) == list(small.study.variants[0].chain.joint_names)
+    assert data.q.dims == ("target", "joint") and list(data.joint.values) == list(small.study.variants[0].robot.joint_names)
     known = data.attrs
     assert known["quaternion_order"] == "wxyz" and known["complete"] and known["versions"]["jaxik"] == jaxik.__version__
-    assert small.study.variants[0].chain.digest[:16] in known["models"]["only"] and known["seed"] == 0
+    assert small.study.variants[0].robot.digest[:16] in known["models"]["only"] and known["seed"] == 0
     assert data.clearance.attrs["units"] == "m" and "limits" in data.reason.attrs["flag_meanings"]
     assert known["undecided"] == int((~data.proven).sum()) and sum(known["counts"].values()) == len(data.target)
     assert not any(b"pickle" in content for content in bits(small.path).values())

@@ -31,7 +31,7 @@ def until(true, seconds=60.0):
 
 
 def place(page):
-    return frames(page.chain, page.q)[-1][:3, 3]
+    return frames(page.robot, page.q)[-1][:3, 3]
 
 
 def test_the_arm_follows_a_drag_and_is_recorded(page, tmp_path):
@@ -52,7 +52,7 @@ def test_the_arm_follows_a_drag_and_is_recorded(page, tmp_path):
     for ending in ("csv", "npz", "json"):
         steering.file.value = str(tmp_path / f"motion.{ending}")
         assert steering.store() == tmp_path / f"motion.{ending}"
-        moved, state = load_trajectory(tmp_path / f"motion.{ending}", page.chain.joint_names)
+        moved, state = load_trajectory(tmp_path / f"motion.{ending}", page.robot.joint_names)
         assert np.allclose(state.q, rows, atol=1e-9) and np.allclose(np.diff(moved), PERIOD, atol=1e-6)
     steering.file.value = "motion.txt"
     assert steering.store() is None and "allowed endings: .csv, .npz, .json" in steering.kept.content
@@ -68,10 +68,10 @@ def test_joints_near_their_limits_are_coloured(page):
     steering.on.value = False
     time.sleep(5 * PERIOD)  # what was begun is done
     q = page.q
-    q[3] = page.chain.upper[3] - 0.01
+    q[3] = page.robot.upper[3] - 0.01
     page.move(q)
-    links = {link for link, joint in enumerate(page.chain.link_joint) if joint == 4}
-    until(lambda: all(tuple(part.color) == rgb(NEAR_LIMIT) for link, part in page.robot.parts if link in links))
+    links = {link for link, joint in enumerate(page.robot.link_joint) if joint == 4}
+    until(lambda: all(tuple(part.color) == rgb(NEAR_LIMIT) for link, part in page.drawing.parts if link in links))
     steering.on.value = True
 
 

@@ -31,20 +31,20 @@ def store(tmp_path_factory):
 
 def test_a_store_of_another_robot_is_refused(store):
     p6r = jaxik.load("p6r")
-    for chain, words in (
+    for robot, words in (
         (jaxik.load("planar2"), "row.zarr: holds p6r, not planar2"),
         (dataclasses.replace(p6r, joint_names=tuple("abcdefg")), "row.zarr: holds another p6r"),
         (p6r.with_tool(np.diag([1.0, -1.0, -1.0, 1.0])), "row.zarr: holds another p6r"),
     ):
         with pytest.raises(ValueError, match=words) as error:
-            Page(chain, None, store)
+            Page(robot, None, store)
         assert "\n" not in str(error.value)
 
 
 def test_the_same_robot_is_shown_with_and_without_its_shapes(store):
-    """Where the study did not read the meshes that the page shows, the chains differ and the robot does not."""
-    for chain in (jaxik.load("p6r"), dataclasses.replace(jaxik.load("p6r"), boxes=())):
-        page = Page(chain, None, store, port=0)
+    """Where the study did not read the meshes that the page shows, the robots differ and the robot does not."""
+    for robot in (jaxik.load("p6r"), dataclasses.replace(jaxik.load("p6r"), boxes=())):
+        page = Page(robot, None, store, port=0)
         assert page.url.startswith("http://127.0.0.1:")
         assert list(page.map.indices) == ["base z=0", "base z=0.1"] and "reachable (" in page.map.legend.content
         page.map.colour.value = "limit margin"
@@ -138,7 +138,7 @@ def test_the_page_names_what_collides(page):
     page.move(np.array([0.3, 0.2, -0.5, -0.4, 0.3, 0.5, 0.1]))
     assert "Collides:</b> gripper and fruit_2, by 9.0 mm" in page.near.content
     red = rgb(COLOURS[jaxik.Reason.COLLISION])
-    struck = {page.chain.link_names[link] for link, part in page.robot.parts if tuple(part.color) == red}
+    struck = {page.robot.link_names[link] for link, part in page.drawing.parts if tuple(part.color) == red}
     assert struck == {"gripper"} and page.hit == {"gripper", "fruit_2"}
     page.move(np.zeros(7))
     assert "Clear:" in page.near.content and not page.hit
@@ -147,11 +147,11 @@ def test_the_page_names_what_collides(page):
 def test_the_robot_follows_a_target_or_says_why_not(page):
     q = np.array([0.5, 0.1, 0.1, -0.9, 0.2, 0.6, 0.1])
     page.move(q)
-    world_T_tip = np.asarray(page.chain.world_T_base) @ np.asarray(jaxik.forward_kinematics(page.chain, q))
+    world_T_tip = np.asarray(page.robot.world_T_base) @ np.asarray(jaxik.forward_kinematics(page.robot, q))
     assert np.allclose(page.gizmo.position, world_T_tip[:3, 3])
     world_T_tip[2, 3] += 0.02
     assert page.reach(world_T_tip) == jaxik.Reason.SOLVED and "reached" in page.said.content
-    there = np.asarray(page.chain.world_T_base) @ np.asarray(jaxik.forward_kinematics(page.chain, page.q))
+    there = np.asarray(page.robot.world_T_base) @ np.asarray(jaxik.forward_kinematics(page.robot, page.q))
     assert np.allclose(there, world_T_tip, atol=1e-5) and np.max(np.abs(page.q - q)) < 0.5
     q = page.q
     world_T_tip[0, 3] += 9.0
@@ -172,11 +172,11 @@ def test_a_posture_is_exact_and_its_sliders_are_rounded(page):
 
 def test_a_robot_without_shapes_has_its_joints():
     """What is not known is said, and a target is followed all the same."""
-    chain = dataclasses.replace(jaxik.load("p6r"), boxes=())
-    page = Page(chain, jaxik.load_scene("cucumber_row"), port=0)
-    assert "Clearance unknown. p6r: has no collision geometry" in page.near.content and not page.robot.parts
+    robot = dataclasses.replace(jaxik.load("p6r"), boxes=())
+    page = Page(robot, jaxik.load_scene("cucumber_row"), port=0)
+    assert "Clearance unknown. p6r: has no collision geometry" in page.near.content and not page.drawing.parts
     q = np.array([0.5, 0.1, 0.1, -0.9, 0.2, 0.6, 0.1])
-    world_T_tip = np.asarray(chain.world_T_base) @ np.asarray(jaxik.forward_kinematics(chain, q))
+    world_T_tip = np.asarray(robot.world_T_base) @ np.asarray(jaxik.forward_kinematics(robot, q))
     assert page.reach(world_T_tip) == jaxik.Reason.SOLVED
     page.close()
 
@@ -200,7 +200,7 @@ def bars(tmp_path_factory):
 
 def colours(page, links, kind):
     """The colours of the meshes of some links, of their own shapes or of their volumes."""
-    parts = [(page.chain.link_names[link], part) for link, part in page.robot.parts if part.name.startswith(f"/{kind}/")]
+    parts = [(page.robot.link_names[link], part) for link, part in page.drawing.parts if part.name.startswith(f"/{kind}/")]
     return {tuple(part.color) for name, part in parts if name in links}
 
 
@@ -208,19 +208,19 @@ def colours(page, links, kind):
 def test_a_model_is_drawn_with_its_shapes(bars, exact):
     """Both half transparent, or one alone; and the links that touch and are not checked, and are no neighbours, in a colour."""
     with pytest.warns(UserWarning, match="base and hand in 100%"):
-        chain = jaxik.load(bars, meshes=True, exact=exact)
-    page = Page(chain, port=0, meshes=() if exact else jaxik.files.link_meshes(bars))
-    own, volumes = ({link: p for link, p in page.robot.parts if p.name.startswith(f"/{k}/")} for k in ("shape", "volumes"))
+        robot = jaxik.load(bars, meshes=True, exact=exact)
+    page = Page(robot, port=0, meshes=() if exact else jaxik.files.link_meshes(bars))
+    own, volumes = ({link: p for link, p in page.drawing.parts if p.name.startswith(f"/{k}/")} for k in ("shape", "volumes"))
     assert set(own) == set(volumes) == {0, 1, 2, 3}
     for link in (0, 1, 2):  # the bars' corners, and what holds them
         assert np.allclose(np.abs(own[link].vertices), [0.05, 0.05, 0.2])
         assert np.all(np.max(np.abs(volumes[link].vertices), axis=0) >= [0.05, 0.05, 0.2])
     assert np.allclose(np.linalg.norm(own[3].vertices, axis=1), 0.0495)
-    assert page.robot.shape.value and page.robot.volumes.value and own[0].opacity < 1.0
-    page.robot.volumes.value = False
-    assert own[0].opacity is None and [root.visible for root in page.robot.roots.values()] == [True, False]
-    page.robot.volumes.value, page.robot.shape.value = True, False
-    assert volumes[0].opacity < 1.0 and [root.visible for root in page.robot.roots.values()] == [False, True]
+    assert page.drawing.shape.value and page.drawing.volumes.value and own[0].opacity < 1.0
+    page.drawing.volumes.value = False
+    assert own[0].opacity is None and [root.visible for root in page.drawing.roots.values()] == [True, False]
+    page.drawing.volumes.value, page.drawing.shape.value = True, False
+    assert volumes[0].opacity < 1.0 and [root.visible for root in page.drawing.roots.values()] == [False, True]
     assert "touch, and not checked" in page.legend.content and "volumes kept clear" in page.legend.content
     for kind in ("shape", "volumes"):
         assert colours(page, {"base", "hand"}, kind) == {rgb(LEFT_OUT)} and rgb(LEFT_OUT) not in colours(
@@ -232,10 +232,10 @@ def test_a_model_is_drawn_with_its_shapes(bars, exact):
 def test_pairs_that_are_not_checked_are_listed(bars):
     """With the reason, the share and the depth; a row shows its two links, and none again."""
     with pytest.warns(UserWarning, match="base and hand in 100%"):
-        chain = jaxik.load(bars, meshes=True, ignore=[("arm", "tip")])
-    page = Page(chain, port=0)
+        robot = jaxik.load(bars, meshes=True, ignore=[("arm", "tip")])
+    page = Page(robot, port=0)
     listed, rows = page.unchecked.list.content, page.unchecked.rows
-    assert {row.links for row in rows} == {each.links for each in chain.unchecked} and rows[0].links == ("base", "hand")
+    assert {row.links for row in rows} == {each.links for each in robot.unchecked} and rows[0].links == ("base", "hand")
     for words in (
         "their surfaces mostly touch (1)",
         "neighbours whose surfaces mostly touch (2)",
@@ -254,17 +254,17 @@ def test_pairs_that_are_not_checked_are_listed(bars):
         page.unchecked.choose(0)
         page.unchecked.field.value = word
         page.unchecked._told()
-        assert page.unchecked.field.value == "pair: none" and not page.robot.chosen
+        assert page.unchecked.field.value == "pair: none" and not page.drawing.chosen
     page.close()
 
 
 def test_names_of_a_file_are_no_html(bars):
     with pytest.warns(UserWarning):
-        chain = jaxik.load(bars, meshes=True)
-    names = tuple(f"<img src=x onerror=alert(1)>{name}" for name in chain.link_names)
-    bad = dict(zip(chain.link_names, names, strict=True))
-    left = tuple(dataclasses.replace(u, links=tuple(bad[n] for n in u.links)) for u in chain.unchecked)
-    page = Page(dataclasses.replace(chain, link_names=names, unchecked=left), port=0)
+        robot = jaxik.load(bars, meshes=True)
+    names = tuple(f"<img src=x onerror=alert(1)>{name}" for name in robot.link_names)
+    bad = dict(zip(robot.link_names, names, strict=True))
+    left = tuple(dataclasses.replace(u, links=tuple(bad[n] for n in u.links)) for u in robot.unchecked)
+    page = Page(dataclasses.replace(robot, link_names=names, unchecked=left), port=0)
     assert "<img" not in page.unchecked.list.content and "&lt;img" in page.unchecked.list.content
     page.close()
 
@@ -272,12 +272,12 @@ def test_names_of_a_file_are_no_html(bars):
 @pytest.mark.parametrize("name, drawn", [("iiwa7", False), ("ur10e_rail", True), ("p6r", True)])
 def test_a_robot_without_meshes_is_its_volumes(name, drawn):
     """Volumes are drawn once; beside boxes they can be shown; the pairs of its file have no reason."""
-    page = Page(chain := jaxik.load(name), port=0)
-    assert page.robot.volumes.visible == drawn and not page.robot.volumes.value and page.robot.shape.value
+    page = Page(robot := jaxik.load(name), port=0)
+    assert page.drawing.volumes.visible == drawn and not page.drawing.volumes.value and page.drawing.shape.value
     assert "volumes kept clear" not in page.legend.content
-    page.robot.volumes.value = drawn
+    page.drawing.volumes.value = drawn
     assert ("volumes kept clear" in page.legend.content) == drawn
-    solid = {link for link, part in page.robot.parts if part.name.startswith("/shape/")}
-    assert len(page.unchecked.rows) + len(chain.self_pairs) == len(solid) * (len(solid) - 1) // 2
+    solid = {link for link, part in page.drawing.parts if part.name.startswith("/shape/")}
+    assert len(page.unchecked.rows) + len(robot.self_pairs) == len(solid) * (len(solid) - 1) // 2
     assert "by the robot's file" in page.unchecked.list.content
     page.close()

@@ -1,0 +1,370 @@
+"""Forces and motion of a robot of rigid bodies: `M(q) qddot + b(q, qdot) + g(q) = tau + J' wrenches`.
+
+Newton-Euler in the joints' own frames [Luh, Walker, Paul 1980; Featherstone 2008, ch. 5 and 6]. From base to tip, of the frame
+of each joint, its velocity omega, alpha = d omega / dt and the acceleration a of its origin less gravity's:
+
+    U_i = [alpha_i x] + [omega_i x][omega_i x]
+    a_i = R' (a_{i-1} + U_{i-1} r) + 2 omega_i x z qd + z qdd          z qd and z qdd of a sliding joint alone
+    omega_i = R' omega_{i-1} + z qd,   alpha_i = R' alpha_{i-1} + omega_i x z qd + z qdd           of a turning joint
+
+and back, of what a joint carries, with mass m, first moments h = m c and second moments S = sum of m p p' about the origin,
+
+    f_i = m a + U h - f_ext + R f_{i+1},     n_i = h x a + vee(U S - S U') - n_ext + R n_{i+1} + r x R f_{i+1}
+    tau_i = z . n_i (turning) or z . f_i (sliding) + armature_i qdd_i
+
+Everything is linear in m, h and S, which is what `regressor` writes down; composite bodies give `mass_matrix`.
+
+The public functions take one configuration and are pure: `jit`, `vmap` and differentiate them, by the bodies, too. They take
+numbers that are known while JAX traces (the bodies', of a robot that is closed over) into their kernels.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Sequence
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Float
+
+from jaxik.checks.arrays import is_known
+from jaxik.checks.masses import check_mass
+from jaxik.checks.options import check_kind, no_such
+from jaxik.dynamics.rigid_bodies import Moments, Placed, motions, placed
+from jaxik.kinematics.forward import joint_frames
+from jaxik.kinematics.robot import Array, Body, Robot, as_configuration, as_given, as_shaped, steiner
+from jaxik.spatial.algebra import ZERO, Frame, Scalar, Vec3, add, constants, mul, stack, sub, traced
+from jaxik.spmd import kernel
+
+GRAVITY = (0.0, 0.0, -9.81)  # [m/s2], in the world's axes
+
+
+# --------------------------------------------------------------------------------------------------------------------
+# Torques of a motion
+
+
+@kernel(models=1)
+def inverse_dynamics(
+    robot: Robot,
+    q: Float[Array, " n"],
+    qdot: Float[Array, " n"],
+    qddot: Float[Array, " n"],
+    wrenches: Float[Array, "n 6"] | None = None,
+    gravity: Any = GRAVITY,
+) -> Float[jax.Array, " n"]:
+    """What the drives must give in total, `tau = M qddot + b(q, qdot) + g(q) - J' wrenches` [Nm, N]. Traced.
+
+    `qdot` and `qddot` (n,) are in [rad/s, m/s] and [rad/s2, m/s2]. `wrenches` (n, 6) is what the world does to what moves with
+    each joint: force [N], then torque [Nm] about the origin of that joint's frame, both in base axes (`wrench_on` makes them).
+    `gravity` (3,) [m/s2] is in world axes; `robot.world_T_base` says how the base hangs in it. Rotors (`robot.armature`) are in
+    it, friction is not.
+
+    Raises `ValueError` for other shapes, and for a robot without bodies or with what no body can be. Source: Luh, Walker, Paul
+    1980; Schuetz 2017, eq. (3.8)-(3.10).
+    """
+    return _inverse("inverse_dynamics", robot, q, qdot, qddot, wrenches, gravity)
+
+
+@kernel(models=1)
+def gravity_torque(robot: Robot, q: Float[Array, " n"], gravity: Any = GRAVITY) -> Float[jax.Array, " n"]:
+    """What holds the robot still, `g(q)` [Nm, N]: `inverse_dynamics` at rest. Traced."""
+    return _inverse("gravity_torque", robot, q, None, None, None, gravity)
+
+
+@kernel(models=1)
+def bias_torque(
+    robot: Robot, q: Float[Array, " n"], qdot: Float[Array, " n"], gravity: Any = GRAVITY
+) -> Float[jax.Array, " n"]:
+    """What moves it on at constant rates, `b(q, qdot) + g(q)` [Nm, N]: `inverse_dynamics` without acceleration. Traced."""
+    return _inverse("bias_torque", robot, q, qdot, None, None, gravity)
+
+
+def _inverse(who: str, robot: Robot, q: Any, qdot: Any, qddot: Any, wrenches: Any, gravity: Any) -> jax.Array:
+    q = as_configuration(robot, q)
+    qs, dtype = traced(q), q.dtype
+    given = _rates("qdot", robot, qdot, dtype), _rates("qddot", robot, qddot, dtype)
+    around = _in_joints(robot, qs, wrenches, dtype)
+    joints, bodies = placed(robot, qs, dtype), _bodies(who, robot)
+    torques = _torques(robot, joints, bodies, *given, _base_gravity(robot, gravity, dtype), around)
+    return stack(torques, (robot.num_joints,), dtype)
+
+
+def _torques(
+    robot: Robot,
+    joints: Sequence[Placed],
+    bodies: Sequence[Moments],
+    qdot: Sequence[Scalar],
+    qddot: Sequence[Scalar],
+    gravity: Vec3,
+    wrenches: Sequence[tuple[Vec3, Vec3]],
+) -> list[Scalar]:
+    """Inverse dynamics of scalars, gravity in base axes, wrenches in those of the joints."""
+    moved = motions(joints, qdot, qddot, gravity)
+    force, torque, torques = ZERO, ZERO, []
+    for i in reversed(range(len(joints))):
+        (own_force, own_torque), (pull, twist) = bodies[i].inertial(moved[i]), wrenches[i]
+        force, torque = force + own_force - pull, torque + own_torque - twist
+        torques.append(add(joints[i].along(force, torque), mul(_rotor(robot, i), qddot[i])))
+        force, torque = joints[i].carried(force, torque)
+    return torques[::-1]
+
+
+def _rotor(robot: Robot, joint: int) -> Scalar:
+    """The inertia of a rotor as its joint feels it [kg m2, kg]."""
+    return constants(robot.armature[joint])[0]
+
+
+def _rates(what: str, robot: Robot, given: Any, dtype: Any) -> list[Scalar]:
+    """One scalar a joint; 0 where there are none."""
+    n = robot.num_joints
+    return [0.0] * n if given is None else traced(as_shaped(what, given, (n,)).astype(dtype))
+
+
+def _base_gravity(robot: Robot, gravity: Any, dtype: Any) -> Vec3:
+    """Gravity in base axes."""
+    known = gravity is GRAVITY  # what is not given is a constant of the kernel
+    axes = Frame.of(robot.world_T_base, float(np.finfo(dtype).eps)).rotation.T
+    return axes @ Vec3(*(gravity if known else traced(as_shaped("gravity", gravity, (3,)).astype(dtype))))
+
+
+def _in_joints(robot: Robot, q: Sequence[Scalar], wrenches: Any, dtype: Any) -> list[tuple[Vec3, Vec3]]:
+    """Wrenches (n, 6) in base axes, in those of the joints."""
+    if wrenches is None:
+        return [(ZERO, ZERO)] * len(q)
+    rows = as_shaped("wrenches", wrenches, (len(q), 6)).astype(dtype)
+    turns = [frame.rotation.T for frame in joint_frames(robot, q, dtype=dtype).joints]
+    return [(t @ Vec3(*traced(row[:3])), t @ Vec3(*traced(row[3:]))) for t, row in zip(turns, rows, strict=True)]
+
+
+def wrench_on(robot: Robot, q: Float[Array, " n"], link: str, force: Any, point: Any) -> Float[jax.Array, "n 6"]:
+    """The `wrenches` of a `force` (3,) [N] that acts on a link at a `point` (3,) [m], both in the base frame. Traced.
+
+    Of a link that does not move they are 0. Raises `ValueError` for a name that is none of `robot.link_names`.
+    """
+    check_kind("wrench_on", "robot", robot, Robot)
+    if link not in robot.link_names:
+        raise ValueError(no_such("wrench_on", "link", str(link), robot.link_names))
+    return _wrench(robot, robot.link_joint[robot.link_names.index(link)], q, force, point)
+
+
+@kernel(models=2)
+def _wrench(robot: Robot, joint: int, q: Any, force: Any, point: Any) -> jax.Array:
+    """On what moves with a joint, counted from 1; 0 is the base."""
+    q = as_configuration(robot, q)
+    pull, at = (Vec3(*traced(as_shaped(k, v, (3,)).astype(q.dtype))) for k, v in (("force", force), ("point", point)))
+    rows = [(0.0,) * 6 for _ in range(robot.num_joints)]
+    if joint:
+        origin = joint_frames(robot, traced(q), dtype=q.dtype).joints[joint - 1].translation
+        rows[joint - 1] = (*pull, *(at - origin).cross(pull))
+    return stack([e for row in rows for e in row], (robot.num_joints, 6), q.dtype)
+
+
+# --------------------------------------------------------------------------------------------------------------------
+# Motion of torques
+
+
+@kernel(models=1)
+def mass_matrix(robot: Robot, q: Float[Array, " n"]) -> Float[jax.Array, "n n"]:
+    """The joints' mass matrix M(q), rotors on its diagonal [kg m2, kg m, kg]: symmetric, positive definite. Traced.
+
+    Column j is what one unit of joint j takes of all that it carries. Raises as `inverse_dynamics` does. Source: Featherstone
+    2008, sec. 6.2 (composite rigid bodies).
+    """
+    q = as_configuration(robot, q)
+    rows = _mass_matrix(robot, placed(robot, traced(q), q.dtype), _bodies("mass_matrix", robot))
+    return stack([rows[max(i, j)][min(i, j)] for i in range(q.size) for j in range(q.size)], (q.size, q.size), q.dtype)
+
+
+def _mass_matrix(robot: Robot, joints: Sequence[Placed], bodies: Sequence[Moments]) -> list[list[Scalar]]:
+    """The rows of its lower half."""
+    rows: list[list[Scalar]] = []
+    carried = bodies[-1]
+    for j in reversed(range(len(joints))):
+        if rows:
+            carried = bodies[j] + carried.before(joints[j + 1])
+        force, torque = carried.momentum(*joints[j].unit)
+        row = [add(joints[j].along(force, torque), _rotor(robot, j))]
+        for i in reversed(range(j)):
+            force, torque = joints[i + 1].carried(force, torque)
+            row.append(joints[i].along(force, torque))
+        rows.append(row[::-1])
+    return rows[::-1]
+
+
+@kernel(models=1)
+def forward_dynamics(
+    robot: Robot,
+    q: Float[Array, " n"],
+    qdot: Float[Array, " n"],
+    torque: Float[Array, " n"],
+    wrenches: Float[Array, "n 6"] | None = None,
+    gravity: Any = GRAVITY,
+) -> Float[jax.Array, " n"]:
+    """The accelerations `qddot` (n,) [rad/s2, m/s2] that the drives' `torque` (n,) [Nm, N] gives. Traced.
+
+    The inverse of `inverse_dynamics`, and takes and raises what that does. M is factorised from the tip as L' D L; of six to
+    nine joints that is less work than articulated bodies. A joint that turns nothing (point masses on its axis, and no rotor)
+    has infinite acceleration.
+    """
+    q = as_configuration(robot, q)
+    qs, dtype = traced(q), q.dtype
+    joints, bodies = placed(robot, qs, dtype), _bodies("forward_dynamics", robot)
+    rates, rest = _rates("qdot", robot, qdot, dtype), _rates("qddot", robot, None, dtype)
+    around = _in_joints(robot, qs, wrenches, dtype)
+    bias = _torques(robot, joints, bodies, rates, rest, _base_gravity(robot, gravity, dtype), around)
+    given = _rates("torque", robot, torque, dtype)
+    left = [sub(t, b) for t, b in zip(given, bias, strict=True)]
+    return stack(_solved(_mass_matrix(robot, joints, bodies), left), (len(qs),), dtype)
+
+
+def _solved(rows: list[list[Scalar]], right: list[Scalar]) -> list[Scalar]:
+    """`x` of `M x = right`, of the lower rows of a positive definite M; both lists are overwritten.
+
+    Eliminated from the last row up, M = L' D L [Featherstone 2008, sec. 6.3]: the order in which the rows are made.
+    """
+    n = len(right)
+    for k in reversed(range(n)):
+        share = 1.0 / rows[k][k]
+        scaled = [mul(e, share) for e in rows[k][:k]]
+        for i in range(k):
+            right[i] = sub(right[i], mul(scaled[i], right[k]))
+            for j in range(i + 1):
+                rows[i][j] = sub(rows[i][j], mul(scaled[i], rows[k][j]))
+        rows[k][:k], right[k] = scaled, mul(right[k], share)
+    for k in range(n):
+        for i in range(k):
+            right[k] = sub(right[k], mul(rows[k][i], right[i]))
+    return right
+
+
+# --------------------------------------------------------------------------------------------------------------------
+# Energies
+
+
+@kernel(models=1)
+def kinetic_energy(robot: Robot, q: Float[Array, " n"], qdot: Float[Array, " n"]) -> Float[jax.Array, ""]:
+    """`qdot' M qdot / 2` [J], rotors included. Traced. Raises as `inverse_dynamics` does."""
+    q = as_configuration(robot, q)
+    velocity, omega, twice = ZERO, ZERO, jnp.zeros((), q.dtype)
+    rates, bodies = _rates("qdot", robot, qdot, q.dtype), _bodies("kinetic_energy", robot)
+    for i, joint in enumerate(placed(robot, traced(q), q.dtype)):
+        velocity, omega = joint.handed_on(velocity, omega)
+        along, about = joint.unit
+        velocity, omega = velocity + along * rates[i], omega + about * rates[i]
+        linear, angular = bodies[i].momentum(velocity, omega)
+        rotor = mul(_rotor(robot, i), mul(rates[i], rates[i]))
+        twice = add(twice, add(rotor, add(velocity.dot(linear), omega.dot(angular))))
+    return jnp.asarray(twice / 2, q.dtype)
+
+
+@kernel(models=1)
+def potential_energy(robot: Robot, q: Float[Array, " n"], gravity: Any = GRAVITY) -> Float[jax.Array, ""]:
+    """`-sum of m gravity . p` [J], over the centres of gravity p in the world, of what the joints move. Traced.
+
+    Its gradient is `gravity_torque`. Raises as that does.
+    """
+    q = as_configuration(robot, q)
+    base, snap = _base_gravity(robot, gravity, q.dtype), float(np.finfo(q.dtype).eps)
+    energy = jnp.zeros((), q.dtype)
+    root = Frame.of(robot.world_T_base, snap)
+    mount = root.rotation.T @ root.translation
+    for frame, body in zip(
+        joint_frames(robot, traced(q), dtype=q.dtype).joints, _bodies("potential_energy", robot), strict=True
+    ):
+        energy = sub(energy, base.dot((frame.translation + mount) * body.mass + frame.rotation @ body.first))
+    return jnp.asarray(energy, q.dtype)
+
+
+# --------------------------------------------------------------------------------------------------------------------
+# Parameters of the bodies
+
+INERTIAL = 10  # parameters of a body
+ENTRIES = ((0, 0), (0, 1), (1, 1), (0, 2), (1, 2), (2, 2))  # of its inertia, in their order
+
+
+@kernel(models=1)
+def regressor(
+    robot: Robot, q: Float[Array, " n"], qdot: Float[Array, " n"], qddot: Float[Array, " n"], gravity: Any = GRAVITY
+) -> Float[jax.Array, "n 10*n"]:
+    """Y in `inverse_dynamics = Y(q, qdot, qddot) body_parameters + armature qddot`, which is linear in the bodies. Traced.
+
+    It needs no bodies. Raises `ValueError` for other shapes. Source: Atkeson, An, Hollerbach 1986.
+    """
+    q = as_configuration(robot, q)
+    n, dtype = q.size, q.dtype
+    joints = placed(robot, traced(q), dtype)
+    given = _rates("qdot", robot, qdot, dtype), _rates("qddot", robot, qddot, dtype)
+    rows: list[list[Scalar]] = [[0.0] * (INERTIAL * n) for _ in range(n)]
+    units: list[tuple[Vec3, Vec3]] = []  # the motion of this frame by one unit of each joint before
+    for j, motion in enumerate(motions(joints, *given, _base_gravity(robot, gravity, dtype))):
+        units = [joints[j].handed_on(*unit) for unit in units] + [joints[j].unit]
+        for row, unit in zip(rows, units, strict=False):
+            row[INERTIAL * j : INERTIAL * (j + 1)] = motion.work(*unit)
+    return stack([e for row in rows for e in row], (n, INERTIAL * n), dtype)
+
+
+def body_parameters(robot: Robot) -> Float[Array, " p"]:
+    """What `regressor` multiplies, (10 n,): of each body m [kg], m c [kg m] and Ixx Ixy Iyy Ixz Iyz Izz [kg m2], the moments
+    about the origin of its joint's frame, in that frame's axes. Traced.
+
+    Raises `ValueError` for a robot without bodies.
+    """
+    need_bodies("body_parameters", robot)
+    every: list[Any] = []
+    for body in robot.bodies:
+        inertia = body.inertia + steiner(body.mass, body.com)
+        every += [body.mass, *(body.mass * body.com), *(inertia[i, j] for i, j in ENTRIES)]
+    return np.array(every) if is_known(every) else jnp.stack(every)
+
+
+def with_body_parameters(robot: Robot, parameters: Any) -> Robot:
+    """The same robot with bodies of other `body_parameters` (10 n,). Traced.
+
+    Raises `ValueError` for another shape, and for first moments without a mass. Of other parameters that no body can have the
+    functions above say so.
+    """
+    check_kind("with_body_parameters", "robot", robot, Robot)
+    rows = as_given("with_body_parameters: parameters", parameters, (INERTIAL * robot.num_joints,)).reshape(-1, INERTIAL)
+    for name, row in zip(robot.joint_names, rows, strict=True) if is_known(rows) else ():
+        if row[0] == 0.0 and np.any(row[1:4]):
+            raise ValueError(f"with_body_parameters: joint '{name}' moves a mass of 0 kg with moments m com; write a mass > 0")
+    bodies = []
+    for row in rows:
+        mass, com = row[:1].reshape(()), row[1:4] / (row[0] + (row[0] == 0.0))
+        inertia = row[np.array([[4, 5, 7], [5, 6, 8], [7, 8, 9]])]
+        bodies.append(Body(mass, com, inertia - steiner(mass, com)))
+    return dataclasses.replace(robot, bodies=tuple(bodies))
+
+
+def _bodies(who: str, robot: Robot) -> list[Moments]:
+    """Raises `ValueError` for a robot without bodies, and for what no body can be; what is traced is taken as it is."""
+    need_bodies(who, robot)
+    if is_known((robot.bodies, robot.armature)):
+        _judge(who, robot)
+    return [Moments.of(body) for body in robot.bodies]
+
+
+def need_bodies(who: str, robot: Robot) -> None:
+    """Raises `ValueError` of `who` for a robot whose joints have no bodies."""
+    check_kind(who, "robot", robot, Robot)
+    if not robot.bodies:
+        mend = "write mass, com and inertia of its joints in its file, or give them by jaxik.dynamics.with_body_parameters"
+        raise ValueError(f"{who}: {robot.name} has no bodies; {mend}")
+    if len(robot.bodies) != robot.num_joints:
+        raise ValueError(f"{who}: {len(robot.bodies)} bodies; {robot.name} has {robot.num_joints} joints, write one for each")
+    as_given(f"{who}: armature", robot.armature, (robot.num_joints,))
+
+
+def _judge(who: str, robot: Robot) -> None:
+    """Raises `ValueError` for bodies and rotors that cannot be, and for a joint that has nothing to move, from the tip on."""
+    driven = False
+    for name, body, rotor in reversed([*zip(robot.joint_names, robot.bodies, robot.armature, strict=True)]):
+        what = f"{who}: what joint '{name}' of {robot.name} moves"
+        if not 0.0 <= rotor < np.inf:
+            raise ValueError(f"{who}: the armature of joint '{name}' is {rotor:g}; allowed: finite numbers >= 0")
+        check_mass(what, body.mass, body.com, body.inertia)
+        driven |= bool(body.mass > 0.0 or np.any(body.inertia) or rotor > 0.0)
+        if not driven:
+            raise ValueError(f"{what} has no mass, nor has anything beyond it; write a mass, or an armature of the joint")

@@ -1,0 +1,166 @@
+"""The algebra of rigid bodies on scalars, which a robot's dynamics are written with (equations: `jaxik.dynamics.recursions`).
+
+A direction goes from a joint's axes into the next one's in two steps: by the rotation in the file, which is mostly right angles
+and folds, and by that of the joint.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from jaxik.kinematics.robot import Body, Robot
+from jaxik.spatial.algebra import IDENTITY, ZERO, Frame, Rot3, Scalar, Vec3, add, constants, mul, sincos, sub
+
+
+class Placed(NamedTuple):
+    """A joint at its value: its frame in that of the joint before it is `fixed` and then `turned`, at `origin`."""
+
+    fixed: Rot3
+    turned: Rot3
+    origin: Vec3
+    axis: Vec3
+    slides: bool
+
+    def into(self, v: Vec3) -> Vec3:
+        """A direction of the joint before in this joint's axes."""
+        return self.turned.T @ (self.fixed.T @ v)
+
+    def back(self, v: Vec3) -> Vec3:
+        """A direction in this joint's axes, in those of the joint before."""
+        return self.fixed @ (self.turned @ v)
+
+    def along(self, force: Vec3, torque: Vec3) -> Scalar:
+        """What a force and a torque on what the joint carries are to its drive."""
+        return self.axis.dot(force if self.slides else torque)
+
+    def carried(self, force: Vec3, torque: Vec3) -> tuple[Vec3, Vec3]:
+        """The same force, and its torque about the origin of the joint before, in that joint's axes."""
+        force = self.back(force)
+        return force, self.back(torque) + self.origin.cross(force)
+
+    @property
+    def unit(self) -> tuple[Vec3, Vec3]:
+        """The velocity and the angular velocity of its frame at one unit of its rate."""
+        return (self.axis, ZERO) if self.slides else (ZERO, self.axis)
+
+    def handed_on(self, velocity: Vec3, omega: Vec3) -> tuple[Vec3, Vec3]:
+        """The velocities of the frame before at this frame's origin, in its axes."""
+        return self.into(velocity + omega.cross(self.origin)), self.into(omega)
+
+
+class Moments(NamedTuple):
+    """Mass [kg], first moments [kg m] and second moments `sum of m p p'` [kg m2] about a frame's origin."""
+
+    mass: Scalar
+    first: Vec3
+    second: Rot3
+
+    @staticmethod
+    def of(body: Body) -> Moments:
+        """A body's, about the origin of its joint's frame."""
+        mass, com, inertia = body.mass, body.com, body.inertia
+        second = mass * (com[:, None] * com) - inertia + 0.5 * sum(inertia[i, i] for i in range(3)) * np.eye(3)
+        return Moments(constants(mass)[0], Vec3(*constants(mass * com)), Rot3.of(constants(second)))
+
+    def __add__(self, o: Moments) -> Moments:  # type: ignore[override]
+        return Moments(add(self.mass, o.mass), self.first + o.first, _symmetric(self.second, o.second))
+
+    def before(self, joint: Placed) -> Moments:
+        """The same mass in the frame of the joint before."""
+        arm, first = joint.origin, joint.back(self.first)
+        moved = first + arm * self.mass
+        turned = joint.fixed @ (joint.turned @ self.second @ joint.turned.T) @ joint.fixed.T
+        # of p + r: S + h r' + r (h + m r)'
+        return Moments(self.mass, moved, _symmetric(turned, _outer(first, arm), _outer(arm, moved)))
+
+    def momentum(self, velocity: Vec3, omega: Vec3) -> tuple[Vec3, Vec3]:
+        """Linear, and angular about the origin; or the force and torque that accelerate it so from rest."""
+        (sx, sy, sz), h = self.second, self.first
+        spin = omega * add(add(sx.x, sy.y), sz.z) - self.second @ omega
+        return velocity * self.mass + omega.cross(h), h.cross(velocity) + spin
+
+    def inertial(self, motion: Motion) -> tuple[Vec3, Vec3]:
+        """The force, and the torque about the origin, that its motion takes."""
+        x, y, z = motion.spin @ self.second
+        a, turning = motion.acceleration, Vec3(sub(z.y, y.z), sub(x.z, z.x), sub(y.x, x.y))
+        return a * self.mass + motion.spin @ self.first, self.first.cross(a) + turning
+
+
+def _outer(a: Vec3, b: Vec3) -> Rot3:
+    return Rot3(b * a.x, b * a.y, b * a.z)
+
+
+def _symmetric(*summed: Rot3) -> Rot3:
+    """The sum of tensors, a symmetric one, of which half is computed."""
+    x, y, z = (Vec3(*(_sum(t[i][j] for t in summed) if j >= i else 0.0 for j in range(3))) for i in range(3))
+    return Rot3(x, Vec3(x.y, y.y, y.z), Vec3(x.z, y.z, z.z))
+
+
+def _sum(scalars: Iterable[Scalar]) -> Scalar:
+    total: Scalar = 0.0
+    for each in scalars:
+        total = add(total, each)
+    return total
+
+
+def placed(robot: Robot, q: Sequence[Scalar], dtype: Any) -> list[Placed]:
+    """The joints at n scalars `q`."""
+    snap, joints = float(np.finfo(dtype).eps), []
+    for i, slides in enumerate(robot.is_prismatic):
+        fixed, axis = Frame.of(robot.parent_T_joint[i], snap), Vec3(*constants(robot.axis[i], snap))
+        turned = IDENTITY if slides else Rot3.about(axis, *sincos(q[i]))
+        origin = fixed.translation + fixed.rotation @ (axis * q[i]) if slides else fixed.translation
+        joints.append(Placed(fixed.rotation, turned, origin, axis, slides))
+    return joints
+
+
+class Motion(NamedTuple):
+    """Of a frame in its own axes: its origin's acceleration less gravity's, and what `[alpha x] + [omega x][omega x]` is, which
+    makes of a point its acceleration around the origin."""
+
+    acceleration: Vec3
+    spin: Rot3
+
+    @staticmethod
+    def of(omega: Vec3, alpha: Vec3, acceleration: Vec3) -> Motion:
+        """Of an angular velocity and acceleration [rad/s, rad/s2], and the origin's acceleration [m/s2]."""
+        x, y, z = omega
+        xx, yy, zz, xy, xz, yz = mul(x, x), mul(y, y), mul(z, z), mul(x, y), mul(x, z), mul(y, z)
+        spin = Rot3(
+            Vec3(sub(0.0, add(yy, zz)), sub(xy, alpha.z), add(xz, alpha.y)),
+            Vec3(add(xy, alpha.z), sub(0.0, add(xx, zz)), sub(yz, alpha.x)),
+            Vec3(sub(xz, alpha.y), add(yz, alpha.x), sub(0.0, add(xx, yy))),
+        )
+        return Motion(acceleration, spin)
+
+    def work(self, velocity: Vec3, omega: Vec3) -> tuple[Scalar, ...]:
+        """The power that a body's motion takes from these velocities of its frame, of each of ten parameters of the body: m,
+        m c and Ixx Ixy Iyy Ixz Iyz Izz about the origin."""
+        a, (x, y, z) = self.acceleration, omega
+        first = self.spin.T @ velocity + a.cross(omega)
+        across = Rot3(Vec3(0.0, sub(0.0, z), y), Vec3(z, 0.0, sub(0.0, x)), Vec3(sub(0.0, y), x, 0.0))
+        s = self.spin.T @ across  # of the second moments S = tr(I) / 2 - I
+        (xx, xy, xz), (yx, yy, yz), (zx, zy, zz) = s
+        half = mul(0.5, add(add(xx, yy), zz))
+        off = lambda a, b: sub(0.0, add(a, b))
+        return velocity.dot(a), *first, sub(half, xx), off(xy, yx), sub(half, yy), off(xz, zx), off(yz, zy), sub(half, zz)
+
+
+def motions(joints: Sequence[Placed], qdot: Sequence[Scalar], qddot: Sequence[Scalar], gravity: Vec3) -> list[Motion]:
+    """The motion of each joint's frame; `gravity` in base axes."""
+    omega, alpha, found = ZERO, ZERO, []
+    before = Motion.of(ZERO, ZERO, -gravity)
+    for joint, rate, more in zip(joints, qdot, qddot, strict=True):
+        acceleration = joint.into(before.acceleration + before.spin @ joint.origin)
+        omega, alpha, velocity = joint.into(omega), joint.into(alpha), joint.axis * rate
+        if joint.slides:
+            acceleration = acceleration + omega.cross(velocity) * 2.0 + joint.axis * more
+        else:
+            alpha = alpha + omega.cross(velocity) + joint.axis * more
+            omega = omega + velocity
+        before = Motion.of(omega, alpha, acceleration)
+        found.append(before)
+    return found

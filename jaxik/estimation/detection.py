@@ -1,0 +1,145 @@
+"""Contacts from estimates of external torque: an alarm where one exceeds what the estimator's errors alone come to.
+
+The errors are measured, on logs without contact. Where a joint nearly stands still its static friction may carry anything up to
+the friction band unseen [Schuetz 2017, sec. 3.2.4], and so it may for as long after as the filter remembers: there the band is
+added to the threshold.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any, NamedTuple
+
+import numpy as np
+from jaxtyping import Bool, Float
+
+from jaxik.checks.arrays import numbers
+from jaxik.checks.options import as_count, check_finite, check_kind, shown
+from jaxik.kinematics.robot import Array
+from jaxik.pytree import Pytree
+
+
+class Detector(Pytree):
+    """Thresholds and friction bands (n,) [Nm, N]; a joint is at rest below the speed `rest` (n,) [rad/s, m/s], and its
+    estimate is trusted again more than `memory` samples later."""
+
+    threshold: Float[Array, " n"]
+    band: Float[Array, " n"]
+    rest: Float[Array, " n"]
+    memory: int
+
+    def init(self) -> Float[Array, " n"]:
+        """Samples since each joint was at rest (n,), where all are."""
+        return np.zeros(np.shape(self.threshold))
+
+    def step(self, since: Any, external: Any, qdot: Any) -> tuple[Any, Any]:
+        """The next `since`, and the alarms (n,), of an estimate and the joints' rates. Traced. Takes NumPy's arrays, too."""
+        since = (since + 1.0) * (abs(qdot) >= self.rest)
+        return since, abs(external) > self.threshold + self.band * (since <= self.memory)
+
+
+def detect(detector: Detector, external: Any, qdot: Any) -> Bool[np.ndarray, "*log n"]:
+    """The alarms (..., t, n) of estimates (..., t, n) [Nm] at rates (..., t, n), the arm at rest before. Host driver.
+
+    Raises `ValueError` for shapes that do not fit, and for estimates and rates that are not finite.
+    """
+    check_kind("detect", "detector", detector, Detector)
+    external, qdot = _pair("detect", external, qdot)
+    if (n := len(detector.threshold)) != external.shape[-1]:
+        raise ValueError(f"detect: external of {external.shape[-1]} joints, and a detector of {n}")
+    blind = _blind(detector.rest, detector.memory, qdot)
+    return np.abs(external) > detector.threshold + detector.band * blind
+
+
+def _blind(rest: Any, memory: int, qdot: np.ndarray) -> np.ndarray:
+    """Where the joints are at rest, or were so at most `memory` samples before."""
+    time = np.arange(qdot.shape[-2])[:, None]
+    last = np.maximum.accumulate(np.where(np.abs(qdot) < rest, time, -1), axis=-2)
+    return time - last <= memory
+
+
+def fit_detector(
+    external: Any,
+    qdot: Any,
+    band: Any = 0.0,
+    rest: Any = 0.0,
+    memory: int = 0,
+    quantile: float = 1.0,
+    factor: float = 1.2,
+    joint_names: Sequence[str] = (),
+) -> Detector:
+    """Thresholds from estimates (..., t, n) [Nm] of logs without contact, at rates (..., t, n). Host.
+
+    The `quantile` of the errors of each joint where it moves, 1 the largest, times a `factor`. What a friction `band` is, and
+    below which speed a joint is at `rest`, one number or (n,), is the robot's; `memory` is in samples, some 3 / kappa of a
+    filter's gain. Raises `ValueError` for shapes that do not fit, numbers out of range, and a joint that never moves, by its
+    name where `joint_names` has the robot's.
+    """
+    external, qdot = _pair("fit_detector", external, qdot)
+    check_finite("fit_detector", 0.0, quantile=quantile, factor=factor)
+    memory = as_count("fit_detector: memory", memory, least=0)
+    if quantile > 1.0:
+        raise ValueError(f"fit_detector: quantile is {quantile:g}; it is at most 1, the largest error")
+    n = external.shape[-1]
+    band, rest = _of_joints("band", band, n), _of_joints("rest", rest, n)
+    moves = ~_blind(rest, memory, qdot)
+    if not moves.reshape(-1, n).any(axis=0).all():
+        still = int(np.argmin(moves.reshape(-1, n).any(axis=0)))
+        called = joint_names[still] if len(joint_names) == n else f"joint {still}, counted from 0,"
+        line = f"is never faster than rest, {rest[still]:g}, for {memory} samples; move it, or write rest 0 for it"
+        raise ValueError(f"fit_detector: {called} {line}")
+    errors = [np.quantile(np.abs(external[..., i])[moves[..., i]], quantile) for i in range(n)]
+    return Detector(factor * np.array(errors), band, rest, memory)
+
+
+def _of_joints(name: str, given: Any, n: int) -> np.ndarray:
+    values = numbers(f"fit_detector: {name}", given)
+    if values.shape not in ((), (n,)) or not np.all(values >= 0.0):
+        raise ValueError(
+            f"fit_detector: {name} is {shown(given)}; allowed: one number, or one for each of {n} joints, 0 or more"
+        )
+    return np.broadcast_to(values, n)
+
+
+class Judged(NamedTuple):
+    """How good alarms are: `false_alarms` that begin without a contact, and the time [s] that was without one; of each contact
+    the `delay` [s] until the first alarm, NaN where there is none."""
+
+    false_alarms: int
+    free_time: float
+    delay: Float[np.ndarray, " c"]
+
+
+def judge_alarms(alarms: Any, contact: Any, dt: float, after: float = 0.0) -> Judged:
+    """Alarms (t,) against where there is a contact (t,), `dt` [s] apart; an alarm up to `after` [s] behind a contact's end is
+    still of it. Host. Raises `ValueError` for shapes that do not fit, and for times below 0."""
+    check_finite("judge_alarms", 1e-9, dt=dt)
+    check_finite("judge_alarms", 0.0, after=after)
+    alarms, contact = np.asarray(alarms, bool), np.asarray(contact, bool)
+    if alarms.shape != contact.shape or alarms.ndim != 1:
+        raise ValueError(f"judge_alarms: alarms of shape {alarms.shape}, contact of {contact.shape}; allowed: (t,) both")
+    begins, ends = _edges(contact)
+    late = round(after / dt)
+    of_contact = contact.copy()
+    for end in ends:
+        of_contact[end : end + late] = True
+    raised, _ = _edges(alarms & ~of_contact)
+    spans = [alarms[begin:end] for begin, end in zip(begins, ends, strict=True)]
+    delay = np.array([dt * np.argmax(span) if span.any() else np.nan for span in spans])
+    return Judged(len(raised), dt * float((~of_contact).sum()), delay)
+
+
+def _edges(flags: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Where each run of what is true begins, and the sample behind its end."""
+    steps = np.diff(flags.astype(int), prepend=0, append=0)
+    return np.flatnonzero(steps > 0), np.flatnonzero(steps < 0)
+
+
+def _pair(who: str, external: Any, qdot: Any) -> tuple[np.ndarray, np.ndarray]:
+    external, qdot = numbers(f"{who}: external", external), numbers(f"{who}: qdot", qdot)
+    if external.shape != qdot.shape or external.ndim < 2:
+        raise ValueError(f"{who}: external of shape {external.shape}, qdot of {qdot.shape}; allowed: (..., t, n) both")
+    for name, x in (("external", external), ("qdot", qdot)):
+        if not np.isfinite(x).all():
+            raise ValueError(f"{who}: {name} holds {x[~np.isfinite(x)][0]}; write finite numbers")
+    return external, qdot

@@ -1,0 +1,301 @@
+"""A small plant: MuJoCo moves the arm, made of the robot's own numbers, and shows what a robot's sensors would.
+
+    M(q) qddot + h(q, qdot) = N k current + spring + friction + J'f                                     (3.11)
+
+The bodies, joints and rotors are MuJoCo's, so that the arm that is simulated shares no line with the dynamics that estimators
+use. Friction is MuJoCo's dry friction, which sticks, with the size that the drive's law gives at each step, none where a law
+would drive the joint. The gears' torsion is read off what they carry; they do not swing. A controller asks for a current: what
+a model of the arm says of the trajectory, and proportional and derivative feedback of the joints.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import itertools
+from collections.abc import Callable, Sequence
+from typing import Any, NamedTuple
+
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Float
+
+from jaxik.checks.arrays import numbers, shaped
+from jaxik.checks.optional_modules import optional
+from jaxik.checks.options import as_count, check_finite, check_kind, check_seed, no_such, shown
+from jaxik.dynamics.actuation import friction_torque, motor_current
+from jaxik.dynamics.recursions import GRAVITY, inverse_dynamics, mass_matrix
+from jaxik.estimation.sampled import Sample
+from jaxik.kinematics.drive import Drive
+from jaxik.kinematics.robot import Robot
+from jaxik.planning import Trajectory
+from jaxik.planning.trajectory import JointState
+from jaxik.pytree import Pytree
+from jaxik.spatial.rotations import to_wxyz
+from jaxik.spmd import HostKernel
+
+CREEP = 1e-5  # [rad/s, m/s]: slower is at rest, where friction is what the law tends to
+
+
+class Push(NamedTuple):
+    """A force on a link, at a `point` (3,) [m] of its frame, from `start` to `end` [s]: (3,) [N] in base axes, or a function of
+    the time and of where the point is (3,) [m] in the base frame, which gives it."""
+
+    link: str
+    point: Any
+    force: Any
+    start: float = 0.0
+    end: float = np.inf
+
+
+@dataclasses.dataclass(frozen=True)
+class Instruments:
+    """What the sensors do to what they measure: standard deviations of white noise and steps of quantisation, of current [A],
+    torsion [rad] and joint values [rad, m]; half the width of the gears' hysteresis, `torsion_play` [rad]; rates are
+    differences over `window` samples. Each is one number, or one a joint. Controllers of drives have their own sensors, perfect
+    ones."""
+
+    current_noise: Any = 0.0
+    current_step: Any = 0.0
+    torsion_noise: Any = 0.0
+    torsion_step: Any = 0.0
+    torsion_play: Any = 0.0
+    position_step: Any = 0.0
+    window: int = 1
+
+    def __post_init__(self) -> None:
+        for name, given in vars(self).items():
+            if not np.all((values := numbers(f"instruments: {name}", given)) >= 0.0) or not np.isfinite(values).all():
+                raise ValueError(f"instruments: {name} is {shown(given)}; allowed: finite numbers of at least 0")
+        as_count("instruments: window", self.window)
+
+
+@dataclasses.dataclass(frozen=True)
+class Gains:
+    """The joints' controllers: the frequency [rad/s] and the damping [1] of each joint's error, with the inertia that the
+    model has where the motion begins."""
+
+    frequency: float = 60.0
+    damping: float = 0.7
+
+    def __post_init__(self) -> None:
+        check_finite("gains", 1e-9, frequency=self.frequency)
+        check_finite("gains", 0.0, damping=self.damping)
+
+
+class SimulatedLog(Pytree):
+    """What was asked for, what was measured, and what was true, in time: `t` (k,) [s], all else (k, n).
+
+    Asked for: `q_des`, `qdot_des`, `qddot_des`. Measured: `q`, `qdot`, `current` [A], `torsion` [rad]. True: `external`, what
+    pushes do to the joints, J'f, and `torque`, what the drives do behind their friction [Nm, N].
+    """
+
+    t: Float[np.ndarray, " k"]
+    q_des: Float[np.ndarray, "k n"]
+    qdot_des: Float[np.ndarray, "k n"]
+    qddot_des: Float[np.ndarray, "k n"]
+    q: Float[np.ndarray, "k n"]
+    qdot: Float[np.ndarray, "k n"]
+    current: Float[np.ndarray, "k n"]
+    torsion: Float[np.ndarray, "k n"]
+    external: Float[np.ndarray, "k n"]
+    torque: Float[np.ndarray, "k n"]
+
+    def samples(self, desired: bool = True) -> Sample:
+        """For `estimate`: with the motion that was asked for, as the thesis has it, or with the measured joint values and
+        rates, and the accelerations that were asked for."""
+        motion = (self.q_des, self.qdot_des) if desired else (self.q, self.qdot)
+        return Sample(*motion, self.qddot_des, self.current, self.torsion)
+
+
+def mujoco_model(robot: Robot, dt: float = 1e-3, gravity: Any = GRAVITY) -> Any:
+    """The robot as a compiled `mujoco.MjModel`, a body a joint, without shapes, limits and friction. Host.
+
+    Raises `ValueError` for a robot without bodies, and one that names the extra where MuJoCo is not installed.
+    """
+    mujoco = optional("plant: a simulation", "mujoco", "mjcf")
+    check_kind("plant", "robot", robot, Robot)
+    if len(robot.bodies) != robot.num_joints:
+        raise ValueError(f"plant: {robot.name} has masses for {len(robot.bodies)} of {robot.num_joints} joints; give all")
+    spec = mujoco.MjSpec()
+    spec.option.timestep, spec.option.gravity = dt, gravity
+    spec.option.integrator = mujoco.mjtIntegrator.mjINT_IMPLICITFAST
+    kinds = mujoco.mjtJoint
+    at = lambda frame: {"pos": frame[:3, 3], "quat": to_wxyz(frame[:3, :3])}
+    parent = spec.worldbody.add_body(name="base", **at(np.asarray(robot.world_T_base)))
+    armature = np.broadcast_to(robot.armature, robot.num_joints)
+    for i, (name, slides, body) in enumerate(zip(robot.joint_names, robot.is_prismatic, robot.bodies, strict=True)):
+        tensor = np.asarray(body.inertia)
+        inertial = {"mass": float(body.mass), "ipos": body.com, "fullinertia": tensor[[0, 1, 2, 0, 0, 1], [0, 1, 2, 1, 2, 2]]}
+        parent = parent.add_body(name=f"body{i}", explicitinertial=True, **at(np.asarray(robot.parent_T_joint[i])), **inertial)
+        kind = kinds.mjJNT_SLIDE if slides else kinds.mjJNT_HINGE
+        # friction is stiff, or what sticks would creep
+        stiff = {"solref_friction": [2.0 * dt, 1.0], "solimp_friction": [0.99, 0.999, 0.001, 0.5, 2.0]}
+        parent.add_joint(name=f"{i}/{name}", type=kind, axis=robot.axis[i], armature=float(armature[i]), **stiff)
+    try:
+        return spec.compile()
+    except ValueError as error:
+        raise ValueError(f"plant: MuJoCo refuses {robot.name} ({' '.join(str(error).split())})") from None
+
+
+def play(
+    robot: Robot,
+    motions: Trajectory | Sequence[Trajectory],
+    pushes: Sequence[Push] = (),
+    *,
+    model: Robot | None = None,
+    instruments: Instruments = Instruments(),
+    gains: Gains = Gains(),
+    dt: float = 1e-3,
+    rest: tuple[float, float] = (0.0, 0.0),
+    seed: int = 0,
+) -> SimulatedLog:
+    """The log of an arm, `robot` with its drives, that plays a motion, or several in a row, a sample every `dt` [s]. Host
+    driver.
+
+    The controllers know the arm as `model`, by default as it is. Before and after each motion it stands still for `rest` [s].
+    Raises `ValueError` for a robot without bodies, for a push on a link that it does not have, for numbers out of
+    range, and one that names the extra where MuJoCo is not installed.
+    """
+    mujoco = optional("play: a simulation", "mujoco", "mjcf")
+    model = robot if model is None else model
+    _check(robot, model, dt, rest, seed)
+    arm, on_bodies = mujoco_model(robot, dt), [_on_body(robot, push) for push in pushes]
+    t, desired = _with_rests([motions] if isinstance(motions, Trajectory) else motions, dt, rest)
+    if desired.q.shape[1] != robot.num_joints:
+        raise ValueError(f"play: the motion has {desired.q.shape[1]} joints; {robot.name} has {robot.num_joints}")
+    simulated = _simulated(mujoco, arm, robot, _controller(model, desired, gains), on_bodies, t, desired)
+    q, qdot, current, external, torque, gear = simulated
+    torsion = gear / _of_drives(robot, lambda d: d.stiffness)
+    q, qdot, current, torsion = _measured(instruments, dt, seed, q, current, torsion)
+    asked = {f"{name}_des": np.asarray(x) for name, x in zip(("q", "qdot", "qddot"), desired, strict=True)}
+    return SimulatedLog(t=t, **asked, q=q, qdot=qdot, current=current, torsion=torsion, external=external, torque=torque)
+
+
+class _Controller(NamedTuple):
+    """Currents (k, n) [A] that a model asks for at each moment, and those for an error of the joint values [A/rad, A/m] and of
+    the rates [A s/rad, A s/m], each (n,)."""
+
+    forward: np.ndarray
+    per_error: np.ndarray
+    per_rate: np.ndarray
+
+
+def _check(robot: Robot, model: Robot, dt: float, rest: tuple[float, float], seed: int) -> None:
+    check_finite("play", 1e-6, dt=dt)
+    check_finite("play", 0.0, **{"rest before": rest[0], "rest after": rest[1]})
+    check_seed("play", seed)
+    for name, arm in (("robot", robot), ("model", model)):
+        check_kind("play", name, arm, Robot)
+
+
+def _of_drives(robot: Robot, get: Callable[[Drive], Any]) -> np.ndarray:
+    """A number of every drive (n,). Raises `ValueError` for a robot without drives."""
+    if not robot.drives:
+        raise ValueError(f"play: {robot.name} has no drives; use robot.with_drives")
+    return np.array([get(drive) for drive in robot.drives], float)
+
+
+def _simulated(
+    mujoco: Any, arm: Any, robot: Robot, controller: _Controller, pushes: Sequence[_OnBody], t: np.ndarray, desired: JointState
+) -> np.ndarray:
+    """q, qdot, currents, what pushes do to the joints, what the drives do, and what the gears carry of it, (6, k, n)."""
+    forward, per_error, per_rate = controller
+    gain, spring = _of_drives(robot, lambda d: d.torque_per_current), _of_drives(robot, lambda d: d.spring_force)
+    friction = HostKernel(lambda qdot, torque: friction_torque(robot, qdot, torque), 2)
+    found, data = np.empty((6, len(t), robot.num_joints)), mujoco.MjData(arm)
+    q, qdot, current, external, torque, gear = found
+    data.qpos[:], data.qvel[:], given = desired.q[0], desired.velocity[0], gain * forward[0] + spring
+    for k in range(len(t)):
+        q[k], qdot[k] = data.qpos, data.qvel
+        current[k] = forward[k] + per_error * (desired.q[k] - q[k]) + per_rate * (desired.velocity[k] - qdot[k])
+        external[k] = _pushed(mujoco, arm, data, pushes, t[k])
+        speed = np.copysign(np.maximum(np.abs(qdot[k]), CREEP), qdot[k])
+        (rubs,) = friction.run(speed[None], given[None], double=True)
+        arm.dof_frictionloss[:] = np.maximum(-np.sign(speed) * rubs[0], 0.0)
+        driven = gain * current[k] + spring
+        data.qfrc_applied[:] = driven + external[k]
+        mujoco.mj_step(arm, data)
+        torque[k] = given = driven + data.qfrc_constraint
+        gear[k] = given - arm.dof_armature * data.qacc
+    if not np.isfinite(q).all():
+        off = t[np.argmin(np.isfinite(q).all(axis=1))]
+        raise ValueError(f"play: {robot.name} flies apart after {off:g} s; lower gains or dt")
+    return found
+
+
+def _with_rests(motions: Sequence[Trajectory], dt: float, rest: tuple[float, float]) -> tuple[np.ndarray, JointState]:
+    """Samples of the motions in a row, the arm at rest before and after each."""
+    before, after = (round(x / dt) for x in rest)
+    states = []
+    for motion in motions:
+        _, (q, qdot, qddot) = motion.sample(dt)
+        stays = ((before, after), (0, 0))
+        states.append(JointState(np.pad(q, stays, "edge"), np.pad(qdot, stays), np.pad(qddot, stays)))
+    whole = JointState(*map(np.concatenate, zip(*states, strict=True)))
+    return dt * np.arange(len(whole.q)), whole
+
+
+def _controller(model: Robot, desired: JointState, gains: Gains) -> _Controller:
+    """Of joints that are to move as `desired`, by what the model says of them."""
+    gain = _of_drives(model, lambda d: d.torque_per_current)
+
+    def asked(q: Any, qdot: Any, qddot: Any) -> Any:
+        return motor_current(model, inverse_dynamics(model, q, qdot, qddot), qdot)
+
+    (forward,) = HostKernel(asked, 3).run(*desired, double=True)
+    (inertia,) = HostKernel(lambda q: jnp.diagonal(mass_matrix(model, q)), 1).run(desired.q[:1], double=True)
+    stiff = gains.frequency**2 * inertia[0] / gain
+    return _Controller(forward, stiff, 2.0 * gains.damping / gains.frequency * stiff)
+
+
+class _OnBody(NamedTuple):
+    """A push, by the body of MuJoCo that it acts on."""
+
+    body: int
+    point: np.ndarray
+    push: Push
+
+
+def _on_body(robot: Robot, push: Push) -> _OnBody:
+    if push.link not in robot.link_names:
+        raise ValueError(no_such("push", "link", push.link, robot.link_names))
+    link, point = robot.link_names.index(push.link), shaped("push: point", push.point, (3,))
+    if not callable(push.force):
+        push = push._replace(force=shaped("push: force", push.force, (3,)))
+    # the world, the base and then a body a joint
+    return _OnBody(1 + robot.link_joint[link], (np.asarray(robot.link_offset[link]) @ [*point, 1.0])[:3], push)
+
+
+def _pushed(mujoco: Any, model: Any, data: Any, pushes: Sequence[_OnBody], t: float) -> np.ndarray:
+    """What the pushes do to the joints (n,) now, by MuJoCo's own Jacobian."""
+    total = np.zeros(model.nv)
+    active = [each for each in pushes if each.push.start <= t < each.push.end]
+    if active:
+        mujoco.mj_kinematics(model, data)
+        mujoco.mj_comPos(model, data)
+    turn, origin = data.xmat[1].reshape(3, 3), data.xpos[1]  # the base's
+    for body, point, push in active:
+        at = data.xpos[body] + data.xmat[body].reshape(3, 3) @ point
+        force = push.force(t, turn.T @ (at - origin)) if callable(push.force) else push.force
+        mujoco.mj_applyFT(model, data, turn @ force, np.zeros(3), at, body, total)
+    return total
+
+
+def _measured(instruments: Instruments, dt: float, seed: int, q: Any, current: Any, torsion: Any) -> tuple[np.ndarray, ...]:
+    """q, qdot, current and torsion as the instruments show them."""
+    rng = np.random.default_rng(seed)
+    noisy = lambda x, by: x + by * rng.standard_normal(x.shape)
+    q, window = _stepped(q, instruments.position_step), instruments.window
+    slack = np.broadcast_to(instruments.torsion_play, q.shape[1:])
+    anywhere = torsion[0] + slack * rng.uniform(-1.0, 1.0, slack.shape)
+    before = np.concatenate([np.repeat(q[:1], window, axis=0), q[:-window]])
+    current = _stepped(noisy(current, instruments.current_noise), instruments.current_step)
+    drag = itertools.accumulate(torsion, lambda y, x: np.clip(y, x - slack, x + slack), initial=anywhere)
+    torsion = np.array([*drag])[1:]
+    torsion = _stepped(noisy(torsion, instruments.torsion_noise), instruments.torsion_step)
+    return q, (q - before) / (window * dt), current, torsion
+
+
+def _stepped(x: np.ndarray, step: Any) -> np.ndarray:
+    step = np.broadcast_to(np.asarray(step, float), x.shape)
+    return np.where(step > 0.0, np.round(x / np.where(step > 0.0, step, 1.0)) * step, x)

@@ -1,0 +1,199 @@
+"""The torque that the world exerts on the joints, from motor currents and the torsion of the gears [Schuetz 2017, sec. 3.3.3].
+
+The state is what the drives give, T; its input the change of what a model of the arm needs, T_int; both sensors measure T:
+
+    T_k = T_{k-1} + (T_int,k - T_int,k-1) + w,          w ~ (0, Q)                                       (3.20), (3.21)
+    current = T / (N k) + v,   torsion = T / c + v,     v ~ (0, R_I), (0, R_phi)                         (3.22)
+
+Joints do not mix, so the steady Kalman filter is, joint by joint, a low pass of first order, known in closed form:
+
+    S = (1 / (N k))^2 / R_I + (1 / c)^2 / R_phi         how much a sample of both sensors tells
+    P = Q / 2 + sqrt(Q^2 / 4 + Q / S)                   the variance before a correction
+    kappa = P S / (1 + P S)                             the gain
+    T_ext,k = (1 - kappa) T_ext,k-1 + kappa r_k,        r = T_int - (both sensors' mean, weighted by what they tell)
+
+External is what the world does to the joints, J'f of a force f on the arm, as the `wrenches` of the dynamics are. The thesis'
+(3.19) has the other sign: it counts what the drives give against it.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import functools
+from typing import Any, NamedTuple
+
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Float
+
+from jaxik.checks.arrays import is_known, numbers
+from jaxik.checks.options import check_flag, check_kind
+from jaxik.dynamics.actuation import need_drives, torque_of_current
+from jaxik.dynamics.recursions import inverse_dynamics
+from jaxik.estimation.kalman import KalmanFilter, KalmanState
+from jaxik.estimation.sampled import Sample
+from jaxik.kinematics.robot import Array, Robot
+from jaxik.pytree import Constant
+
+
+class TorqueFilter(Constant):
+    """What the filter knows of n joints, each (n,), in N for Nm and m for rad at a prismatic joint.
+
+    What the sensors show of a unit of torque: `current_per_torque` 1 / (N k) [A/Nm], `torsion_per_torque` 1 / c [rad/Nm], 0 for
+    a stiff gear. And variances: of the external torque's change from sample to sample, `process` Q [Nm2]; of the sensors'
+    noise, `current_noise` R_I [A2] and `torsion_noise` R_phi [rad2], infinite without that sensor. Only their ratios count.
+
+    Raises `ValueError` for other numbers, and for a joint without any sensor.
+    """
+
+    current_per_torque: Float[Array, " n"]
+    torsion_per_torque: Float[Array, " n"]
+    process: Float[Array, " n"]
+    current_noise: Float[Array, " n"]
+    torsion_noise: Float[Array, " n"]
+
+    def __post_init__(self) -> None:
+        fields = {name: numbers(f"torque filter: {name}", x) if is_known(x) else x for name, x in vars(self).items()}
+        vars(self).update(fields)
+        if len({np.shape(x) for x in fields.values()}) > 1 or np.ndim(self.process) != 1:
+            shapes = ", ".join(f"{name} {np.shape(x)}" for name, x in fields.items())
+            raise ValueError(f"torque filter: {shapes}; allowed: one number a joint, (n,) each")
+        for name, x in fields.items():
+            noise, signal = name.endswith("noise"), name.endswith("per_torque")
+            if is_known(x) and not np.all((x > 0.0) & (noise | np.isfinite(x)) | (signal & (x == 0.0))):
+                without = ", or infinite without that sensor" if noise else ", or 0 without that sensor" if signal else ""
+                raise ValueError(f"torque filter: {name} is {x}; allowed: finite numbers above zero{without}")
+        if is_known(self) and not np.all(sum(self.information)):
+            joint = int(np.argmin(sum(self.information)))
+            raise ValueError(f"torque filter: joint {joint} has no sensor; give a finite current_noise or torsion_noise")
+        super().__post_init__()
+
+    @staticmethod
+    def of_drives(robot: Robot, process: Any, current_noise: Any, torsion_noise: Any = np.inf) -> TorqueFilter:
+        """With what the robot's drives say of their sensors; variances of all joints alike, or (n,). Host.
+
+        Raises `ValueError` for a robot without drives.
+        """
+        if not robot.drives:
+            raise ValueError(f"torque filter: {robot.name} has no drives; use robot.with_drives")
+        of = lambda get: np.array([get(drive) for drive in robot.drives], float)
+        given = {"process": process, "current_noise": current_noise, "torsion_noise": torsion_noise}
+        variances = {k: np.broadcast_to(numbers(f"torque filter: {k}", x), robot.num_joints) for k, x in given.items()}
+        return TorqueFilter(of(lambda d: 1 / d.torque_per_current), of(lambda d: 1 / d.stiffness), **variances)
+
+    @property
+    def information(self) -> tuple[Any, Any]:
+        """What a sample of the current, and of the torsion, tells of the torque, each (n,) [1/Nm2]; S is their sum."""
+        return self.current_per_torque**2 / self.current_noise, self.torsion_per_torque**2 / self.torsion_noise
+
+    @property
+    def variance(self) -> Any:
+        """P (n,) [Nm2], before a correction, in the steady state."""
+        return self.process / 2 + (self.process**2 / 4 + self.process / sum(self.information)) ** 0.5
+
+    @property
+    def gain(self) -> Any:
+        """kappa (n,), between 0 and 1: a step of the torque is found to 63 % after about 1 / kappa samples."""
+        told = self.variance * sum(self.information)
+        return told / (1.0 + told)
+
+    def residual(self, current: Any, torsion: Any, internal: Any) -> Any:
+        """r (n,) [Nm] of one sample: current [A], less what friction takes, torsion [rad] and T_int [Nm]. Traced."""
+        told = self.current_per_torque / self.current_noise * current + self.torsion_per_torque / self.torsion_noise * torsion
+        return internal - told / sum(self.information)
+
+    def step(self, external: Any, current: Any, torsion: Any, internal: Any) -> Any:
+        """The next T_ext (n,), of the one before and a sample. Traced."""
+        return external + self.gain * (self.residual(current, torsion, internal) - external)
+
+    def kalman(self) -> KalmanFilter:
+        """The same in matrices, for the full recursion, whose gain changes until it is steady; `x` is T, `u` the change of
+        T_int, `y` the currents and then the torsions. Host."""
+        one, noise = np.eye(len(self.process)), np.concatenate([self.current_noise, self.torsion_noise])
+        there = np.isfinite(noise)  # what is no sensor sees nothing, and any noise will do
+        C = np.concatenate([np.diag(self.current_per_torque), np.diag(self.torsion_per_torque)])
+        return KalmanFilter(one, one, there[:, None] * C, np.diag(self.process), np.diag(np.where(there, noise, 1.0)))
+
+
+class Sensed(NamedTuple):
+    """A sample in the filter's terms, each (n,): currents less what friction takes [A], torsions [rad], T_int [Nm]."""
+
+    current: Float[Array, " n"]
+    torsion: Float[Array, " n"]
+    internal: Float[Array, " n"]
+
+
+class SteadyState(NamedTuple):
+    """T_ext (n,) [Nm]."""
+
+    external: Float[Array, " n"]
+
+
+class RecursiveState(NamedTuple):
+    """The recursion's estimate of T, its covariance and gain, the last T_int (n,), and T_ext (n,) [Nm]."""
+
+    torque: KalmanState
+    internal: Float[Array, " n"]
+    external: Float[Array, " n"]
+
+
+@dataclasses.dataclass(frozen=True, eq=False)
+class TorqueEstimator:
+    """The filter on a robot with drives: T_int by `inverse_dynamics`, friction by the drives' laws. For `estimate` and
+    `EstimationLoop`.
+
+    Where q, qdot and qddot are those that were asked for, they are as smooth as the plan. `width` [rad/s, m/s] is that of
+    `friction_torque`. With `steady` False the gain is the full recursion's, which begins at T_int with the variance `start`
+    [Nm2]. A sample has currents and torsions where the filter has a finite noise of any; raises `ValueError` for one without,
+    for a robot without drives, and for a filter of other joints.
+    """
+
+    robot: Robot
+    filter: TorqueFilter
+    width: float = 0.0
+    steady: bool = True
+    start: float = 1.0
+
+    def __post_init__(self) -> None:
+        need_drives("torque estimator", self.robot)
+        check_kind("torque estimator", "filter", self.filter, TorqueFilter)
+        check_flag("torque estimator", steady=self.steady)
+        if len(self.filter.process) != self.robot.num_joints:
+            joints = f"{self.robot.name} has {self.robot.num_joints} joints"
+            raise ValueError(f"torque estimator: a filter of {len(self.filter.process)} joints; {joints}")
+
+    def sense(self, sample: Sample) -> Sensed:
+        """Traced. The gear does not carry what accelerates the rotor, which is made up for."""
+        robot, filter = self.robot, self.filter
+        qddot = sample.needed("torque estimator", "qddot")
+        current, torsion = self._measured(sample, "current"), self._measured(sample, "torsion")
+        internal = inverse_dynamics(robot, sample.q, sample.qdot, qddot)
+        torque = torque_of_current(robot, jnp.asarray(current), jnp.asarray(sample.qdot), self.width)
+        rotor = robot.armature * qddot
+        return Sensed(torque * filter.current_per_torque, torsion + rotor * filter.torsion_per_torque, internal)
+
+    def _measured(self, sample: Sample, name: str) -> Any:
+        """What a sensor shows; of one that no joint has, which counts for nothing, zeros."""
+        noise = getattr(self.filter, f"{name}_noise")
+        there = not is_known(noise) or np.isfinite(noise).any()
+        return sample.needed("torque estimator", name) if there or getattr(sample, name) is not None else 0.0 * sample.q
+
+    def init(self, sensed: Sensed) -> SteadyState | RecursiveState:
+        """As if nothing touched the arm. Traced."""
+        external = jnp.zeros_like(sensed.internal)
+        if self.steady:
+            return SteadyState(external)
+        n = self.robot.num_joints
+        return RecursiveState(self._kalman.init(sensed.internal, self.start * jnp.eye(n)), sensed.internal, external)
+
+    def advance(self, state: Any, sensed: Sensed, missed: Any = 0) -> SteadyState | RecursiveState:
+        """The next state; each sample tells a torque by itself, so that those `missed` only make it come later. Traced."""
+        if self.steady:
+            return SteadyState(self.filter.step(state.external, *sensed))
+        measured = jnp.concatenate([sensed.current, sensed.torsion])
+        torque = self._kalman.step(state.torque, sensed.internal - state.internal, measured)
+        return RecursiveState(torque, sensed.internal, sensed.internal - torque.x)
+
+    @functools.cached_property
+    def _kalman(self) -> KalmanFilter:
+        return self.filter.kalman()

@@ -1,0 +1,92 @@
+"""Joints that may turn by 2 pi: which turns lie inside the limits, and which is nearest to another posture."""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Bool, Float
+
+from jaxik.checks.arrays import shaped
+from jaxik.kinematics.robot import Array, Robot, finite_limits
+from jaxik.spatial.algebra import Scalar
+from jaxik.spatial.ball import whole
+
+TURN = 2.0 * math.pi
+
+
+def into_limits(robot: Robot, q: Float[Array, "*b n"]) -> tuple[Float[Array, "*b n"], Bool[Array, "*b"]]:
+    """Each joint turned by the multiple of 2 pi that brings it nearest to the middle of its range, and whether all fit.
+
+    A value that rounding puts past a limit is put on it.
+    """
+    lower, upper = jnp.asarray(robot.lower, q.dtype), jnp.asarray(robot.upper, q.dtype)
+    turns = (np.isfinite(robot.lower) | np.isfinite(robot.upper)) & ~np.array(robot.is_prismatic)
+    middle = jnp.asarray(np.where(turns, sum(finite_limits(robot)) / 2.0, 0.0), q.dtype)
+    turned = q + jnp.where(turns, jnp.round((middle - q) / TURN) * TURN, 0.0)
+    clipped = jnp.clip(turned, lower, upper)
+    slack = 16.0 * float(jnp.finfo(q.dtype).eps)
+    fits = jnp.abs(turned - clipped) <= slack * (1.0 + jnp.abs(turned))
+    return jnp.where(fits, clipped, turned), jnp.all(fits, axis=-1)
+
+
+def admissible_turns(robot: Robot, q: Float[Array, " n"], lower: Any = None, upper: Any = None) -> Float[np.ndarray, "m n"]:
+    """Every configuration inside the limits that differs from `q` (n,) by full turns of revolute joints. Host.
+
+    `lower` and `upper` (n,) are narrower limits than the robot's [rad, m]. A joint without both limits keeps its value.
+    Raises `ValueError` for another shape.
+    """
+    shape = (robot.num_joints,)
+    q = shaped("admissible_turns: q", q, shape)
+    lower = robot.lower if lower is None else shaped("admissible_turns: lower", lower, shape)
+    upper = robot.upper if upper is None else shaped("admissible_turns: upper", upper, shape)
+    return all_turns(robot, q[None], lower, upper)[1]
+
+
+def all_turns(robot: Robot, q: Any, lower: Any, upper: Any) -> tuple[np.ndarray, np.ndarray]:
+    """`admissible_turns` of rows `q` (N, n): the row that each is of (m,), and they themselves (m, n). On the host."""
+    turns = ~np.array(robot.is_prismatic) & np.isfinite(upper - lower)
+    stays = np.where((lower <= q) & (q <= upper), 0.0, np.nan)
+    first, last = (np.where(turns, k, stays) for k in _turns(q, lower, upper))
+    counts = np.maximum(np.nan_to_num(last - first + 1.0), 0.0).astype(int)
+    each = counts.prod(axis=1)
+    row = np.repeat(np.arange(len(q)), each)
+    number, digits = np.arange(len(row)) - np.repeat(np.cumsum(each) - each, each), np.empty((len(row), q.shape[1]), int)
+    for i in reversed(range(q.shape[1])):  # the last joint turns first
+        number, digits[:, i] = np.divmod(number, counts[row, i])
+    turned = q[row] + TURN * (first[row] + digits)
+    return row, np.where(turns, np.clip(turned, lower, upper), q[row])
+
+
+def nearest_turns(robot: Robot, q: Any, goal: Any, lower: Any, upper: Any) -> np.ndarray:
+    """`q` (..., n), each revolute joint turned by the multiple of 2 pi that brings it nearest to `goal` (..., n) inside the
+    limits (n,); what has no turn inside them, or a range of 0, keeps its value. On the host."""
+    first, last = _turns(q, lower, upper)
+    turns = np.clip(np.round((goal - q) / TURN), first, last)
+    moves = ~np.array(robot.is_prismatic) & (lower < upper) & (first <= last)
+    return np.where(moves, np.clip(q + np.where(moves, turns, 0.0) * TURN, lower, upper), q)
+
+
+def endless(robot: Robot) -> np.ndarray:
+    """Which joints turn without limits (n,)."""
+    return np.isinf(robot.lower) & np.isinf(robot.upper) & ~np.array(robot.is_prismatic)
+
+
+def whole_turns(endless: np.ndarray, q: np.ndarray) -> Any:
+    """What `endless` joints (n,) have turned by, in whole turns (..., n) [rad]; 0 of others. On the host."""
+    if not endless.any():  # planning asks often, and of a few at a time
+        return 0.0
+    return TURN * np.round(np.where(endless & np.isfinite(q), q, 0.0) / TURN)
+
+
+def _turns(q: Any, lower: Any, upper: Any) -> tuple[Any, Any]:
+    """The first and the last multiple of 2 pi that leave q inside the limits, but for rounding."""
+    slack = 1e-12
+    return np.ceil((lower - q) / TURN - slack), np.floor((upper - q) / TURN + slack)
+
+
+def wrapped(angle: Scalar) -> Scalar:
+    """The angle in [-pi, pi] [rad]."""
+    return angle - whole(angle / TURN) * TURN

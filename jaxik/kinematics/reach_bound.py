@@ -1,0 +1,123 @@
+"""How far a robot can reach at most: a proof that a target is out of reach, where there is one.
+
+Choose a point on each joint's axis. Two points that follow each other ride on one link, so the way from the first to the last
+is no longer than the sum of the distances between them, whatever the joints do; the sum is least for the best choice of points,
+a convex problem. The last joint's point is known from the target's pose. A prismatic joint lengthens the way by its stroke.
+"""
+
+from __future__ import annotations
+
+import functools
+from typing import NamedTuple
+
+import numpy as np
+
+from jaxik.kinematics.robot import Robot
+from jaxik.pytree import read_only
+
+
+class ReachBound(NamedTuple):
+    """`|base_p - origin| <= longest`, and >= `shortest`, for p the point `tip_p` of the tip's frame [m].
+
+    `length` is that of the links without the slides, or of the slides where nothing turns: a finite measure of the robot.
+    """
+
+    origin: np.ndarray
+    tip_p: np.ndarray
+    longest: float
+    shortest: float
+    length: float
+
+    def point(self, pose: np.ndarray) -> np.ndarray:
+        """`tip_p` (N, 3) in the base frame for poses (N, 4, 4); by `einsum`, five times as fast as `@`."""
+        return np.einsum("nij,j->ni", pose[:, :3], np.append(self.tip_p, 1.0))
+
+    def excess(self, pose: np.ndarray) -> np.ndarray:
+        """How far (N,) the poses (N, 4, 4) lie beyond the bounds [m]: a positive one is out of reach."""
+        away = self.point(pose) - self.origin
+        away = np.sqrt(np.einsum("ni,ni->n", away, away))
+        return np.maximum(away - self.longest, self.shortest - away)
+
+
+FAR_OFF = 10.0  # reaches: no use for a target so far away, unless its unit is another
+
+
+def millimetres(robot: Robot, positions: np.ndarray, world: bool = False) -> str | None:
+    """In words, why positions (N, 3) [m] in the base (or the world) look like millimetres, if they do: most of them lie many
+    times beyond the robot's reach, and their thousandth does not."""
+    bound = reach_bound(robot, rotation=False)
+    origin = robot.world_T_base[:3, :3] @ bound.origin + robot.world_T_base[:3, 3] if world else bound.origin
+    far, away = FAR_OFF * bound.longest, positions - origin
+    if 2 * np.count_nonzero(np.einsum("ni,ni->n", away, away) <= far * far) > len(positions):  # quickly, since all calls ask
+        return None
+    known = positions[np.isfinite(positions).all(axis=1)]
+    apart = lambda unit: float(np.median(np.linalg.norm(known * unit - origin, axis=1)))
+    if not len(known) or not np.isfinite(far) or (away := apart(1.0)) <= far or apart(1e-3) > far:
+        return None
+    return f"targets lie about {away:.3g} m from {robot.name}, which reaches {bound.longest:.3g} m: are they millimetres?"
+
+
+class _Way(NamedTuple):
+    """From a point `s a` on one axis to `origin + t d` on the next, both in the first one's link; `stroke` is what slides
+    add."""
+
+    a: np.ndarray
+    origin: np.ndarray
+    d: np.ndarray
+    stroke: float
+
+    def ends(self, s: float, t: float) -> float:
+        return float(np.linalg.norm(self.origin + t * self.d - s * self.a))
+
+
+@functools.lru_cache(maxsize=64)
+def reach_bound(robot: Robot, rotation: bool = True) -> ReachBound:
+    """The bounds of a robot; without `rotation` only the tip's position is known of a target. Reads concrete numbers."""
+    ways, tip = _ways(robot)
+    rotation = rotation and len(ways) > 1  # it tells nothing where no joint turns
+    first, strokes = ways[0], np.array([w.stroke for w in ways])
+    between = ways[1:-1] if rotation else ways[1:]  # with its rotation the tip tells where the last axis is
+    s = _straightest(between)
+    each = np.zeros(len(ways))
+    each[1 : len(between) + 1] = [w.ends(a, b) for w, a, b in zip(between, s, s[1:], strict=False)]
+    origin = first.origin + (s[0] * first.d)
+    tip_p = tip[:3, :3].T @ (s[-1] * ways[-1].a - tip[:3, 3]) if rotation else np.zeros(3)
+    most = each + strokes
+    least = each - strokes
+    shortest = max(0.0, float(np.max(least - (most.sum() - most)))) if np.all(np.isfinite(most)) else 0.0
+    stroke = float(strokes.sum())
+    length = float(each.sum()) or (stroke if 0.0 < stroke < np.inf else 1.0)
+    return read_only(ReachBound(origin, tip_p, float(most.sum()), shortest, length))
+
+
+def _straightest(ways: list[_Way]) -> np.ndarray:
+    """The points (len(ways) + 1,) on the axes that make the way shortest, by reweighted least squares [Weiszfeld 1937].
+    Any points give a bound, these the best."""
+    count = len(ways)
+    slopes = np.zeros((count, 3, count + 1))
+    for i, way in enumerate(ways):
+        slopes[i, :, i], slopes[i, :, i + 1] = -way.a, way.d
+    origins, s = np.array([way.origin for way in ways]).reshape(count, 3), np.zeros(count + 1)
+    for _ in range(100 if count else 0):
+        length = np.linalg.norm(origins + slopes @ s, axis=1)
+        root = (1.0 / np.sqrt(np.maximum(length, 1e-6)))[:, None]
+        s = np.linalg.lstsq((root[..., None] * slopes).reshape(3 * count, -1), -(root * origins).reshape(-1), rcond=None)[0]
+    return s
+
+
+def _ways(robot: Robot) -> tuple[list[_Way], np.ndarray]:
+    """From the base to the first turning axis, from axis to axis, and to the tip; and the tip's frame in the last link."""
+    ways, frame, stroke, last = [], np.eye(4), 0.0, np.zeros(3)
+    for i, prismatic in enumerate(robot.is_prismatic):
+        frame = frame @ robot.parent_T_joint[i]
+        axis = np.asarray(robot.axis[i])
+        if prismatic:
+            low, high = float(robot.lower[i]), float(robot.upper[i])
+            stroke += (high - low) / 2.0
+            frame[:3, 3] += frame[:3, :3] @ axis * ((low + high) / 2.0 if np.isfinite(low + high) else 0.0)
+        else:
+            ways.append(_Way(last, frame[:3, 3].copy(), frame[:3, :3] @ axis, stroke))
+            frame, stroke, last = np.eye(4), 0.0, axis
+    frame = frame @ robot.joint_T_tip
+    ways.append(_Way(last, frame[:3, 3].copy(), np.zeros(3), stroke))
+    return ways, frame

@@ -1,0 +1,438 @@
+"""The serial chain: what a robot arm is to every function of this library.
+
+A robot never changes: its arrays cannot be written. They are the leaves of a pytree, so that any of them may be traced:
+differentiate the reach with respect to a link's length by `dataclasses.replace`. Names and joint types are static. Numbers that
+are concrete while JAX traces fold into the program, so close over a robot (`jax.jit(lambda q: forward_kinematics(robot, q))`)
+rather than pass it through `jit`: both are right, the first is several times faster. Only a robot whose shapes are such
+numbers is judged by its `convex_parts` and `pair_tables`, too; any other by its volumes alone, which are larger than the links.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import functools
+import hashlib
+from collections.abc import Iterable, Sequence
+from typing import Any, Literal
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Bool, Float
+
+from jaxik.checks.arrays import is_known, rigid_frame, shaped
+from jaxik.checks.masses import check_mass
+from jaxik.checks.options import check_kind, shown
+from jaxik.kinematics.drive import Drive
+from jaxik.kinematics.link_distance_table import PairTable
+from jaxik.kinematics.surface import Surface
+from jaxik.pytree import Constant, read_only, static
+
+Array = jax.Array | np.ndarray
+JointType = Literal["revolute", "continuous", "prismatic"]
+UncheckedReason = Literal["fixed", "named", "touches", "neighbours", "never"]
+
+
+class Body(Constant):
+    """Mass [kg], centre of gravity [m] and inertia about it [kg m2] of what moves with one joint, in that joint's frame.
+
+    Raises `ValueError` for other shapes; what no body can be is refused where it is used.
+    """
+
+    mass: Float[Array, ""]
+    com: Float[Array, "3"]
+    inertia: Float[Array, "3 3"]
+
+    def __post_init__(self) -> None:
+        shapes = {"mass": (), "com": (3,), "inertia": (3, 3)}
+        vars(self).update({name: as_given(f"Body: {name}", getattr(self, name), shape) for name, shape in shapes.items()})
+        super().__post_init__()
+
+    def moved(self, a_T_b: Any) -> Body:
+        """The same body in frame a, of one in frame b."""
+        turn = a_T_b[:3, :3]
+        return Body(self.mass, turn @ self.com + a_T_b[:3, 3], turn @ self.inertia @ turn.T)
+
+    @staticmethod
+    def fused(bodies: Sequence[Body]) -> Body:
+        """One body of several in one frame, about their common centre of gravity."""
+        mass = sum((b.mass[None] for b in bodies), np.zeros(1)).reshape(())
+        com = sum((b.mass * b.com for b in bodies), np.zeros(3)) / (mass + (mass == 0.0))
+        inertia = np.zeros((3, 3))
+        for body in bodies:
+            inertia = inertia + body.inertia + steiner(body.mass, body.com - com)
+        return Body(mass, com, inertia)
+
+
+class Box(Constant):
+    """An oriented box around (a part of) a link: its centre's frame in the joint's frame, and half its edges [m]."""
+
+    joint_T_box: Float[Array, "4 4"]
+    half: Float[Array, "3"]
+    link: int = static()
+
+
+class Volume(Constant):
+    """A swept-sphere volume: a ball of `radius` [m] swept over a point, a line or a triangle (1, 2 or 3 `corners` [m], in the
+    frame of the link's joint)."""
+
+    corners: Float[Array, "c 3"]
+    radius: Float[Array, ""]
+    link: int = static()
+
+
+@dataclasses.dataclass(frozen=True, eq=False, repr=False)
+class ConvexPart:
+    """A convex part of a link: the hull of `corners` (c, 3) [m] in the frame of the link's joint, and what is within `radius`
+    [m] of it. All of a link's together hold its shapes, and decide where its volumes are too near to tell; `geometry` says
+    which volumes these are (`link_geometry`): of others the parts know nothing. A value: equal numbers, equal part."""
+
+    link: int
+    corners: np.ndarray
+    radius: float
+    geometry: str
+
+    def __post_init__(self) -> None:
+        corners = shaped("ConvexPart: corners", self.corners, (max(len(self.corners), 1), 3))
+        if not (np.isfinite(corners).all() and 0.0 <= self.radius < np.inf):
+            raise ValueError(
+                f"ConvexPart: radius {shown(self.radius)}, {len(corners)} corners; write finite numbers, radius >= 0"
+            )
+        vars(self).update(read_only({"corners": corners}), radius=float(self.radius))
+
+    @functools.cached_property
+    def digest(self) -> str:
+        """A hash of everything in it."""
+        return hashed((self.link, self.geometry), [self.corners, self.radius])
+
+    def __hash__(self) -> int:
+        return hash(self.digest)
+
+    def __eq__(self, other: object) -> bool:
+        return self is other or (isinstance(other, ConvexPart) and self.digest == other.digest)
+
+    def __repr__(self) -> str:  # by which a robot's digest knows it
+        return f"ConvexPart(link={self.link}, corners={len(self.corners)}, digest={self.digest})"
+
+
+@dataclasses.dataclass(frozen=True)
+class Unchecked:
+    """Two links that are not checked against each other, and why: `fixed` (they do not move against each other), `named` (by
+    the user, an SRDF, an MJCF), `touches` (their surfaces touch in at least half of the random postures: they are meant to),
+    `neighbours` (on either side of one joint), `never` (they do not touch, neither in random postures nor in a search from the
+    nearest). They touch in a `share` of the random postures, by `depth` at most [m], as their convex parts say."""
+
+    links: tuple[str, str]
+    reason: UncheckedReason
+    share: float = 0.0
+    depth: float = 0.0
+
+
+class Robot(Constant):
+    """A serial chain of n movable joints from a base to a tip; fixed joints are fused away.
+
+    `parent_T_joint[i]` is the frame of joint i at q_i = 0 in the (moved) frame of joint i-1, the base frame for i = 0.
+    `link_joint[l]` counts the movable joints between the base and link l: its frame is `link_offset[l]` in that joint's.
+    `self_pairs` are the links to check against each other, `ignored` links with the object of a scene ("*": any) not to check,
+    `pair_tables` what is known of pairs beside their volumes, `unchecked` the pairs that are left out, and why. `convex_parts`
+    are those of fitted meshes, which decide what is near; `surfaces` the links' own, where these do (`load(.., exact=True)`).
+    `armature` is the inertia of each joint's rotor at the joint, behind its gears [kg m2, kg]; 0 unless given. `effort` is the
+    most that its drive gives [Nm, N]; infinite unless given: no function keeps to it unless asked, as by `torque=robot.effort`.
+    `drives` has one a joint, or none at all.
+    """
+
+    # not in the instance's dictionary, which copies and pickles take over
+    __slots__ = ("_digest",)
+
+    name: str = static()
+    joint_names: tuple[str, ...] = static()
+    joint_types: tuple[JointType, ...] = static()
+    link_names: tuple[str, ...] = static()
+    link_joint: tuple[int, ...] = static()
+    parent_T_joint: Float[Array, "n 4 4"]
+    axis: Float[Array, "n 3"]
+    joint_T_tip: Float[Array, "4 4"]
+    link_offset: Float[Array, "l 4 4"]
+    lower: Float[Array, " n"]
+    upper: Float[Array, " n"]
+    velocity: Float[Array, " n"]
+    world_T_base: Float[Array, "4 4"]
+    bodies: tuple[Body, ...] = ()
+    boxes: tuple[Box, ...] = ()
+    volumes: tuple[Volume, ...] = ()
+    self_pairs: tuple[tuple[int, int], ...] = static(default=())
+    spheres_per_box: int = static(default=8)
+    unread_meshes: tuple[str, ...] = static(default=())
+    ignored: tuple[tuple[int, str], ...] = static(default=())
+    pair_tables: tuple[PairTable, ...] = static(default=())
+    armature: Float[Array, " n"] = dataclasses.field(default_factory=lambda: np.zeros(0))
+    drives: tuple[Drive, ...] = ()
+    effort: Float[Array, " n"] = dataclasses.field(default_factory=lambda: np.zeros(0))
+    unchecked: tuple[Unchecked, ...] = static(default=())
+    surfaces: tuple[Surface, ...] = static(default=())
+    convex_parts: tuple[ConvexPart, ...] = static(default=())
+
+    def __post_init__(self) -> None:
+        for name, default in (("armature", 0.0), ("effort", np.inf)):
+            if self.num_joints and np.shape(getattr(self, name)) == (0,):
+                vars(self)[name] = np.full(self.num_joints, default)
+        super().__post_init__()
+
+    @property
+    def num_joints(self) -> int:
+        return len(self.joint_names)
+
+    @property
+    def is_prismatic(self) -> tuple[bool, ...]:
+        return tuple(t == "prismatic" for t in self.joint_types)
+
+    @property
+    def is_limited(self) -> np.ndarray:
+        """(n,): whether a joint has both limits."""
+        return np.isfinite(self.lower) & np.isfinite(self.upper)
+
+    def mounted(self, world_T_base: Any) -> Robot:
+        """The same robot standing elsewhere: `world_T_base` (4, 4) [m]. Poses stay in the base's.
+
+        Raises `ValueError` for what is no rigid frame.
+        """
+        return dataclasses.replace(self, world_T_base=rigid_frame("world_T_base", world_T_base))
+
+    def with_tool(self, tip_T_tool: Any) -> Robot:
+        """The same robot with its tip moved to a tool frame, `tip_T_tool` (4, 4) [m].
+
+        Raises `ValueError` for what is no rigid frame.
+        """
+        return dataclasses.replace(self, joint_T_tip=self.joint_T_tip @ rigid_frame("tip_T_tool", tip_T_tool))
+
+    def with_drives(self, drives: Iterable[Drive]) -> Robot:
+        """The same robot with these drives, one a joint, and their rotors as its armature; or without drives.
+
+        Where a drive has no rotor the joint keeps the armature that its file gives it. Raises `ValueError` for another number
+        of drives.
+        """
+        drives = tuple(drives) if isinstance(drives, Iterable) else (drives,)
+        for drive in drives:
+            check_kind("with_drives", "a drive", drive, Drive)
+        if len(drives) not in (0, self.num_joints):
+            raise ValueError(f"with_drives: {len(drives)} drives; {self.name} has {self.num_joints} joints, write one for each")
+        rotors, before = ([drive.armature for drive in each] for each in (drives, self.drives))
+        if not is_known((rotors, before, self.armature)):
+            return dataclasses.replace(self, drives=drives, armature=jnp.stack(rotors) if drives else self.armature)
+        of_file = np.where(np.array(before) > 0.0, 0.0, self.armature) if before else self.armature
+        armature = np.where(np.array(rotors) > 0.0, rotors, of_file) if drives else self.armature
+        return dataclasses.replace(self, drives=drives, armature=armature)
+
+    def with_load(self, mass: Any, com: Any = (0.0, 0.0, 0.0), inertia: Any = None) -> Robot:
+        """The same robot with a load at its tip: `mass` [kg], `com` (3,) [m] and `inertia` (3, 3) about it [kg m2] in the tip's
+        frame; a point mass unless `inertia` is given.
+
+        Raises `ValueError` for a robot without bodies, and for what no body can be.
+        """
+        if not self.bodies:
+            raise ValueError(f"with_load: {self.name} has no bodies, which a load could be added to; give them first")
+        own = np.zeros((3, 3)) if inertia is None else inertia
+        given = ("mass", mass, ()), ("com", com, (3,)), ("inertia", own, (3, 3))
+        load = Body(*(as_given(f"with_load: {name}", value, shape) for name, value, shape in given))
+        if is_known(load):
+            check_mass("with_load: the load", load.mass, load.com, load.inertia)
+        last = Body.fused([self.bodies[-1], load.moved(self.joint_T_tip)])
+        return dataclasses.replace(self, bodies=(*self.bodies[:-1], last))
+
+    def with_spheres(self, per_box: int) -> Robot:
+        """The same robot, each box covered by 1, 8, 64 or 512 spheres [Van Henten et al. 2010, App. A]."""
+        whole = isinstance(per_box, int | np.integer) and not isinstance(per_box, bool)
+        if not whole or per_box not in (1, 8, 64, 512):
+            raise ValueError(f"with_spheres: {shown(per_box)} spheres a box; allowed: 1, 8, 64, 512")
+        return dataclasses.replace(self, spheres_per_box=int(per_box))
+
+    def part(self, first: int, last: int) -> Robot:
+        """Joints `first` to `last - 1` as a robot of their own, with what moves with them; its base is the parent of the first.
+
+        Its tip is the last joint's frame, or the robot's own tip where it ends there. Raises `ValueError` for joints that the
+        robot does not have.
+        """
+        whole = all(isinstance(i, int | np.integer) and not isinstance(i, bool) for i in (first, last))
+        if not (whole and 0 <= first <= last <= self.num_joints):
+            raise ValueError(
+                f"part: joints {shown(first)} to {shown(last)}; allowed: 0 <= first <= last <= {self.num_joints}, whole numbers"
+            )
+        first, last = int(first), int(last)  # the links' joints are static, and plain
+        kept = [i for i, j in enumerate(self.link_joint) if first < j <= last]
+        link = {old: new for new, old in enumerate(kept)}
+        cut = slice(first, last)
+        own = lambda parts: tuple(dataclasses.replace(part, link=link[part.link]) for part in parts if part.link in link)
+        return dataclasses.replace(
+            self,
+            **{name: getattr(self, name)[cut] for name in _OF_JOINTS},
+            link_names=tuple(self.link_names[i] for i in kept),
+            link_joint=tuple(self.link_joint[i] - first for i in kept),
+            joint_T_tip=self.joint_T_tip if last == self.num_joints else np.eye(4),
+            link_offset=self.link_offset[np.array(kept, int)],
+            boxes=own(self.boxes),
+            volumes=own(self.volumes),
+            surfaces=own(self.surfaces),
+            convex_parts=own(self.convex_parts),
+            self_pairs=tuple((link[a], link[b]) for a, b in self.self_pairs if a in link and b in link),
+            unread_meshes=tuple(n for n in self.unread_meshes if n in (self.link_names[i] for i in kept)),
+            ignored=tuple((link[i], name) for i, name in self.ignored if i in link),
+            unchecked=tuple(u for u in self.unchecked if all(n in (self.link_names[i] for i in kept) for n in u.links)),
+            pair_tables=tuple(
+                dataclasses.replace(t, links=(link[a], link[b]), joints=(i - first, j - first))
+                for t, (a, b), (i, j) in ((t, t.links, t.joints) for t in self.pair_tables)
+                if a in link and b in link
+            ),
+        )
+
+    def __repr__(self) -> str:
+        head = f"Robot {self.name}: {self.num_joints} joints, {len(self.link_names)} links, {len(self.boxes)} boxes, "
+        head += f"{len(self.volumes)} volumes, {len(self.self_pairs)} pairs of links to check, {len(self.pair_tables)} tables"
+        head += f", {len(self.convex_parts)} convex parts" if self.convex_parts else ""
+        head += f"; exact, {sum(len(s.corners) for s in self.surfaces):,} triangles" if self.surfaces else ""
+        head += f"; meshes of {len(self.unread_meshes)} links not read" if self.unread_meshes else ""
+        spans = [""] * self.num_joints
+        if all(isinstance(x, np.ndarray | jax.Array) and is_known(x) for x in (self.lower, self.upper)):
+            limits = zip(self.lower, self.upper, self.is_prismatic, strict=True)
+            spans = [f" {low:.4g} to {high:.4g} {'m' if slides else 'rad'}" for low, high, slides in limits]
+        rows = zip(self.joint_names, self.joint_types, spans, strict=True)
+        return "\n".join([head, *(f"  {name}: {kind}{span}" for name, kind, span in rows)])
+
+    # A concrete robot is a value: equal numbers, equal robot. So it may be a static argument of `jax.jit` and a cache's key.
+
+    @property
+    def digest(self) -> str:
+        """A hash of everything in the robot, to name it in caches and results. Needs concrete numbers."""
+        known = getattr(self, "_digest", None)  # a robot never changes, and asks for this at every call of a cached function
+        if known is None:
+            friction = [drive.friction for drive in self.drives]
+            for each in (self, *self.bodies, *self.boxes, *self.volumes, *self.drives, *friction):
+                each.freeze()  # `jax.tree_util.tree_map` puts arrays in without a constructor
+            known = self._computed_digest()
+            object.__setattr__(self, "_digest", known)
+        return known
+
+    def _computed_digest(self) -> str:
+        leaves, tree = jax.tree_util.tree_flatten(self)
+        return hashed(tree, leaves)
+
+    def __hash__(self) -> int:
+        return hash(self.digest)
+
+    def __eq__(self, other: object) -> bool:
+        return self is other or (isinstance(other, Robot) and self.digest == other.digest)
+
+
+# what a robot has of each joint
+_NUMBERS = ("parent_T_joint", "axis", "lower", "upper", "velocity", "effort", "armature")
+_OF_JOINTS = ("joint_names", "joint_types", *_NUMBERS, "bodies", "drives")
+
+
+def steiner(mass: Any, arm: Any) -> Any:
+    """What a mass [kg] at an arm (3,) [m] adds to an inertia (3, 3) [kg m2]."""
+    return mass * (arm @ arm * np.eye(3) - arm[:, None] * arm)
+
+
+def hashed(words: object, arrays: Iterable[Any]) -> str:
+    """A hash of what `words` are printed as, and of the numbers in `arrays`."""
+    content = hashlib.sha256(str(words).encode())
+    for each in arrays:
+        content.update(np.ascontiguousarray(np.asarray(each, np.float64)).tobytes())
+    return content.hexdigest()
+
+
+def solid_links(robot: Robot) -> list[int]:
+    """The links that have collision geometry, from the base on."""
+    return sorted({box.link for box in robot.boxes} | {volume.link for volume in robot.volumes})
+
+
+def link_geometry(robot: Robot, link: int) -> str:
+    """A hash of a link's volumes and boxes."""
+    shapes = [(v.corners, v.radius) for v in robot.volumes if v.link == link]
+    shapes += [(b.joint_T_box, b.half) for b in robot.boxes if b.link == link]
+    return hashed([[np.shape(x) for x in shape] for shape in shapes], [x for shape in shapes for x in shape])
+
+
+def known_parts(robot: Robot) -> tuple[ConvexPart, ...]:
+    """The convex parts of links whose volumes are those that these parts are known for."""
+    geometry = {link: link_geometry(robot, link) for link in {part.link for part in robot.convex_parts}}
+    return tuple(part for part in robot.convex_parts if part.geometry == geometry[part.link])
+
+
+def geometry_between(robot: Robot, links: tuple[int, int], joints: tuple[int, int]) -> str:
+    """A hash of all that decides how far two links are apart at given values of the joints between, two of which are `joints`:
+    these joints' frames and axes, and the links' shapes."""
+    first, last = sorted(robot.link_joint[link] for link in links)
+    shapes = [(v.link == links[0], v.corners, v.radius) for v in robot.volumes if v.link in links]
+    shapes += [(b.link == links[0], b.joint_T_box, b.half) for b in robot.boxes if b.link in links]
+    words = robot.joint_types[first:last], [j - first for j in joints], len(shapes)
+    return hashed(words, [robot.parent_T_joint[first:last], robot.axis[first:last], *(x for shape in shapes for x in shape)])
+
+
+def finite_range(robot: Robot, lower: Any, upper: Any) -> tuple[np.ndarray, np.ndarray]:
+    """Limits (n,) to sample, draw or scale by: a joint without any ranges over +-pi [rad] or +-1 [m], one with a single limit
+    over as much beside it."""
+    half = np.where(robot.is_prismatic, 1.0, np.pi)
+    below, above = np.isfinite(lower), np.isfinite(upper)
+    low = np.where(below, lower, np.where(above, upper - 2.0 * half, -half))
+    return low, np.where(above, upper, np.where(below, lower + 2.0 * half, half))
+
+
+def finite_limits(robot: Robot) -> tuple[np.ndarray, np.ndarray]:
+    """`finite_range` of the robot's own limits. Host."""
+    check_kind("finite_limits", "robot", robot, Robot)
+    return finite_range(robot, robot.lower, robot.upper)
+
+
+def beyond_limits(robot: Robot, q: np.ndarray, by: float) -> str | None:
+    """In words, which value of q (k, n) is the furthest beyond its joint's limits; None where none is so `by` more [rad, m].
+    Host."""
+    beyond = np.maximum(robot.lower - q, q - robot.upper)
+    row, joint = np.unravel_index(np.argmax(beyond), beyond.shape)
+    if not beyond[row, joint] > by:
+        return None
+    unit, slip = ("m", "millimetres") if robot.is_prismatic[joint] else ("rad", "degrees")
+    limits = f"limits are {robot.lower[joint]:.4g} and {robot.upper[joint]:.4g} [{unit}]; are these {slip}?"
+    return f"{robot.joint_names[joint]} is {q[row, joint]:.6g} in row {row}, and its {limits}"
+
+
+def as_numbers(what: str, given: Any) -> jax.Array:
+    """`given`, traced or not, as an array of integers or floats. Raises `ValueError` for what is none."""
+    try:
+        array = jnp.asarray(given)
+    except (TypeError, ValueError, OverflowError):
+        raise ValueError(f"{what} is {shown(given)}; write an array of numbers") from None
+    if not (jnp.issubdtype(array.dtype, jnp.floating) or jnp.issubdtype(array.dtype, jnp.integer)):
+        raise ValueError(f"{what} is an array of {array.dtype}; write real numbers")
+    return array
+
+
+def as_shaped(what: str, given: Any, shape: tuple[int, ...]) -> jax.Array:
+    """`as_numbers` of one shape. Raises `ValueError` for another."""
+    array = as_numbers(what, given)
+    if array.shape != shape:
+        raise ValueError(f"{what} has the shape {array.shape}; allowed: {shape if shape else 'one number'}")
+    return array
+
+
+def as_given(what: str, given: Any, shape: tuple[int, ...]) -> Array:
+    """Numbers of one shape, in float64 where they are known and as they are where they are traced. Raises `ValueError`
+    likewise."""
+    return shaped(what, given, shape) if is_known(given) else as_shaped(what, given, shape)
+
+
+def as_configuration(robot: Robot, q: Any) -> Float[Array, " n"]:
+    """`q` as a floating-point array of shape (n,), or a `ValueError` that says what was expected."""
+    check_kind("configuration", "robot", robot, Robot)
+    q = as_numbers("q", q)
+    if q.shape != (robot.num_joints,):
+        raise ValueError(
+            f"q has shape {q.shape}; {robot.name} takes one configuration of shape ({robot.num_joints},) "
+            f"[{', '.join(robot.joint_names)}]; for a batch use jax.vmap"
+        )
+    return q if jnp.issubdtype(q.dtype, jnp.floating) else q.astype(jnp.result_type(float))
+
+
+def within_limits(robot: Robot, q: Any) -> Bool[Array, ""]:
+    """Whether `q` (n,) [rad, m] lies inside the joint limits, bounds included. Traced."""
+    q = as_configuration(robot, q)
+    return jnp.all((q >= jnp.asarray(robot.lower, q.dtype)) & (q <= jnp.asarray(robot.upper, q.dtype)))

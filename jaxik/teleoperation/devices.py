@@ -1,0 +1,139 @@
+"""Devices that anyone has: a game pad, the keyboard of a terminal, and a recording. None of them renders forces."""
+
+from __future__ import annotations
+
+import os
+import select
+import struct
+import sys
+import time
+from collections.abc import Callable, Iterable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from jaxik.checks.options import as_count, check_finite
+from jaxik.teleoperation.hand import Hand
+
+_EVENT = struct.Struct("=IhBB")  # of Linux' joystick interface: time [ms], value, kind, number
+_BUTTON, _AXIS = 1, 2
+KEYS = {  # of the keyboard: along, about
+    "d": (0, 1.0), "a": (0, -1.0), "w": (1, 1.0), "s": (1, -1.0), "r": (2, 1.0), "f": (2, -1.0),
+    "l": (3, 1.0), "j": (3, -1.0), "i": (4, 1.0), "k": (4, -1.0), "u": (5, 1.0), "o": (5, -1.0),
+}  # fmt: skip
+
+
+class _Silent:
+    """A device without motors."""
+
+    def render(self, force: np.ndarray) -> None:
+        """Nothing: it cannot."""
+
+    def close(self) -> None:
+        """Lets the device go."""
+
+
+class GamePad(_Silent):
+    """A game pad or joystick of Linux, /dev/input/js0: its sticks, fully out, are `reach` [m] and `turning` [rad/s]. Host.
+
+    `axes` are the numbers of the sticks' axes that are x, y and z and the turns about them, None where there is none; their
+    signs are in `signs`. It takes `RateControl`. Raises `OSError` where there is no such file; `read` does when the pad is
+    gone.
+    """
+
+    def __init__(
+        self,
+        file: str | Path = "/dev/input/js0",
+        reach: float = 0.05,
+        turning: float = 0.5,
+        axes: tuple[int | None, ...] = (0, 1, 4, None, None, 3),
+        signs: tuple[float, ...] = (1.0, -1.0, -1.0, 1.0, 1.0, -1.0),
+        buttons: int = 1,
+    ):
+        check_finite("game pad", 0.0, reach=reach, turning=turning)
+        as_count("game pad: buttons", buttons)
+        if len(axes) != 6 or len(signs) != 6:
+            raise ValueError(
+                f"game pad: {len(axes)} axes and {len(signs)} signs; allowed: 6, of x, y, z and the turns about them"
+            )
+        self._file = os.open(file, os.O_RDONLY | os.O_NONBLOCK)
+        self._scale = np.array(signs) * np.repeat([reach, turning], 3)
+        self._axes, self._sticks, self._buttons = axes, np.zeros(6), np.zeros(buttons)
+
+    def read(self) -> Hand:
+        """Where the sticks are; the kernel tells of changes alone, so that a pad that is there is never silent."""
+        while select.select([self._file], [], [], 0.0)[0] and len(told := os.read(self._file, _EVENT.size)) == _EVENT.size:
+            _, value, kind, number = _EVENT.unpack(told)
+            if kind & _AXIS and number in self._axes:
+                self._sticks[self._axes.index(number)] = value / 32767.0
+            elif kind & _BUTTON and number < len(self._buttons):
+                self._buttons[number] = value
+        moved = self._scale * self._sticks
+        return Hand(moved[:3], moved[3:], self._buttons.copy(), 0.0)
+
+    def close(self) -> None:
+        """Lets the file go."""
+        os.close(self._file)
+
+
+class Keyboard(_Silent):
+    """The keyboard of a terminal, for `PositionControl`: each key d a w s r f goes a `step` [m] along x, y or z, each key
+    l j i k u o turns about them at `turning` [rad/s] for `held` [s], and the space bar presses and lets go the clutch. Host.
+
+    `stream` is where keys come from; a terminal's is set to give each at once, until `close`.
+    """
+
+    def __init__(
+        self,
+        stream: Any = None,
+        step: float = 0.002,
+        turning: float = 0.3,
+        held: float = 0.15,
+        clock: Callable[[], float] = time.monotonic,
+    ):
+        check_finite("keyboard", 0.0, step=step, turning=turning, held=held)
+        self._stream, self._before = sys.stdin if stream is None else stream, None
+        if self._stream.isatty():
+            import termios
+            import tty
+
+            self._before = termios.tcgetattr(self._stream)
+            tty.setcbreak(self._stream)
+        self._step, self._turning, self._held, self._clock = step, turning, held, clock
+        self._position, self._turn, self._until, self._clutch = np.zeros(3), np.zeros(3), -np.inf, 0.0
+
+    def read(self) -> Hand:
+        """What the keys since the last call have made of it."""
+        while select.select([self._stream], [], [], 0.0)[0] and (told := os.read(self._stream.fileno(), 1)):
+            self._pressed(told.decode(errors="ignore"))
+        turn = self._turn if self._clock() < self._until else np.zeros(3)
+        return Hand(self._position.copy(), turn.copy(), np.array([self._clutch]), 0.0)
+
+    def _pressed(self, key: str) -> None:
+        if key == " ":
+            self._clutch = 1.0 - self._clutch
+        elif key in KEYS and KEYS[key][0] < 3:
+            self._position[KEYS[key][0]] += self._step * KEYS[key][1]
+        elif key in KEYS:
+            self._turn = np.where(np.arange(3) == KEYS[key][0] - 3, self._turning * KEYS[key][1], 0.0)
+            self._until = self._clock() + self._held
+
+    def close(self) -> None:
+        """Gives the terminal back as it was."""
+        if self._before is not None:
+            import termios
+
+            termios.tcsetattr(self._stream, termios.TCSADRAIN, self._before)
+            self._before = None
+
+
+class RecordedHand(_Silent):
+    """Hands one after another, as a device: what a recording plays, or a test. None is a moment of silence. Host."""
+
+    def __init__(self, hands: Iterable[Hand | None]):
+        self._hands = iter(hands)
+
+    def read(self) -> Hand | None:
+        """The next, and then nothing."""
+        return next(self._hands, None)

@@ -1,0 +1,247 @@
+"""What goes between a hand and an arm that are apart, so that the delay between them makes no energy.
+
+At the hand's end the loop takes the hand's velocity v_h (the one it asks of the tip) and renders a force f_h on the hand; at
+the arm's end it takes the force f_a on the tip and gives the tip's velocity v_a. Of all that has ever gone in and come out
+
+    E(k) = sum over samples of (-f_h v_h + f_a v_a) dt >= 0                                                (passivity)
+
+says that the loop has made no energy. Sent as they are, velocity and force break it as soon as they come late. Two well-known
+methods keep it, for any delay, any jitter and any loss:
+
+`WaveVariables` [Anderson and Spong 1989; Niemeyer and Slotine 1991] send u and w instead, whose squares are power,
+
+    f v = (u^2 - w^2) / 2,     u = (b v + F) / sqrt(2 b),     w = (b v - F) / sqrt(2 b)
+
+so what is underway is stored energy. Of u and w the integrals travel, and the energy, and an end plays back no more energy than
+has arrived: whatever the network does, and without drift [after Niemeyer and Slotine 1998]. The arm's end is a damper b, so
+that nothing is reflected where the arm is free:  v_a = u / sqrt(2 b) + f_a / (2 b),  w = sqrt(2 b) v_a - u.  The hand feels  -b
+v_h + f_a, late.
+
+`PassivityController` [Hannaford and Ryu 2002; Ryu, Artigas and Preusche 2010] watches. Each end adds up the energy that went in
+there, and tells the other, which gives out no more than that; where it would, a damper that is just large enough acts, on the
+force at the hand's end and on the velocity at the arm's.
+
+Sums are those of the samples: a device holds its force for a sample while the hand moves on, and makes up to f v dt of its own,
+which its friction has to take [Colgate and Schenkel 1997].
+"""
+
+from __future__ import annotations
+
+import dataclasses
+from math import inf
+from typing import Any, NamedTuple, Protocol
+
+import jax.numpy as jnp
+from jaxtyping import Float
+
+from jaxik.checks.options import check_finite
+from jaxik.kinematics.robot import Array
+from jaxik.spatial.algebra import safe_divide
+from jaxik.teleoperation.hand_mapping import bounded
+
+
+class Packet(NamedTuple):
+    """What one end tells the other: `values` (3,), the integral of a velocity or of a wave, or a force; and an energy [J] that
+    never falls."""
+
+    values: Float[Array, "3"]
+    energy: Float[Array, ""]
+
+
+class End(NamedTuple):
+    """One end: the integral (3,) and the energy of what it has sent, those of what it has played back, what it plays now (3,),
+    and how much energy [J] it may give out now."""
+
+    sent: Packet
+    played: Packet
+    now: Float[Array, "3"]
+    spare: Float[Array, ""]
+
+
+def silence() -> Packet:
+    """What is received before anything was sent."""
+    return Packet(jnp.zeros(3), jnp.zeros(()))
+
+
+class Channel(Protocol):
+    """What `Teleoperation` takes: both ends of the way between hand and arm, pure and traced. Forces (3,) [N] are those on the
+    hand and on the arm, velocities (3,) [m/s]."""
+
+    def init(self) -> End:
+        """One end, before anything was sent."""
+        ...
+
+    def release(self, end: End, arrived: Packet) -> End:
+        """The arm's end, without what it has not played yet."""
+        ...
+
+    def hand(self, end: End, arrived: Packet, velocity: Any, dt: float) -> tuple[End, Packet, Any]:
+        """The hand's velocity in; what is sent to the arm, and the force on the hand."""
+        ...
+
+    def arm(
+        self, end: End, arrived: Packet, force: Any, dt: float, smoothing: float = 0.0, fastest: float = inf
+    ) -> tuple[End, Any]:
+        """The force on the arm in; the velocity that its tip is to have, at most `fastest` [m/s]. What has arrived is made up
+        for in the time `smoothing` [s]."""
+        ...
+
+    def share(self, end: End, force: Any, moved: Any, dt: float) -> Any:
+        """What share of the velocity that the arm would have `moved` with, which its limits may make another, it may have."""
+        ...
+
+    def reply(self, end: End, force: Any, velocity: Any, moved: Any, dt: float) -> tuple[End, Packet]:
+        """What is sent to the hand after the arm was told `velocity` and has `moved`."""
+        ...
+
+
+class _Channel:
+    def init(self) -> End:
+        """One end, before anything was sent. Traced."""
+        return End(silence(), silence(), jnp.zeros(3), jnp.zeros(()))
+
+    def release(self, end: End, arrived: Packet) -> End:
+        """The arm's end, without what it has not played yet. Traced."""
+        return end._replace(played=Packet(arrived.values, end.played.energy), now=jnp.zeros(3))
+
+    def share(self, end: End, force: Any, moved: Any, dt: float) -> Any:
+        """All of it: as `Channel` says. Traced."""
+        return 1.0
+
+
+@dataclasses.dataclass(frozen=True)
+class Direct(_Channel):
+    """Velocity and force as they are: no method, what the others are measured against, and enough where nothing is late.
+
+    The velocity's integral travels, so that a lost packet costs no way. The hand feels the arm's force, and its own command as
+    that of a damper, `drag` [Ns/m] (the thesis' k_f).
+    """
+
+    drag: float = 0.0
+
+    def __post_init__(self) -> None:
+        check_finite(type(self).__name__, 0.0, drag=self.drag)
+
+    def hand(self, end: End, arrived: Packet, velocity: Any, dt: float) -> tuple[End, Packet, Any]:
+        """As `Channel` says. Traced."""
+        force = arrived.values - self.drag * velocity
+        over = jnp.maximum(dt * force @ velocity - self._spare(end, arrived), 0.0)
+        force = force - velocity * safe_divide(over, dt * velocity @ velocity)
+        end = _counted(end, -dt * force @ velocity)
+        sent = Packet(end.sent.values + dt * velocity, end.sent.energy)
+        return end._replace(sent=sent), sent, force
+
+    def arm(
+        self, end: End, arrived: Packet, force: Any, dt: float, smoothing: float = 0.0, fastest: float = inf
+    ) -> tuple[End, Any]:
+        """As `Channel` says. Traced."""
+        velocity = (arrived.values - end.played.values) / max(dt, smoothing)
+        over = jnp.maximum(-dt * force @ velocity - self._spare(end, arrived), 0.0)
+        velocity = velocity + force * safe_divide(over, dt * force @ force)
+        return end._replace(spare=self._spare(end, arrived)), bounded(velocity, fastest)
+
+    def reply(self, end: End, force: Any, velocity: Any, moved: Any, dt: float) -> tuple[End, Packet]:
+        """As `Channel` says. Traced."""
+        end = _counted(end, dt * force @ moved)
+        played = Packet(end.played.values + dt * velocity, end.played.energy)
+        sent = Packet(force, end.sent.energy)
+        return end._replace(sent=sent, played=played), sent
+
+    def release(self, end: End, arrived: Packet) -> End:
+        """The arm's end, without what it has not played yet, but with its energy: the arm may still be moving. Traced."""
+        return super().release(end, arrived)._replace(spare=self._spare(end, arrived))
+
+    def _spare(self, end: End, arrived: Packet) -> Any:
+        """How much energy [J] this end may give out."""
+        return jnp.asarray(jnp.inf, arrived.energy.dtype)
+
+
+class PassivityController(Direct):
+    """Time-domain passivity: an observer and a controller at each end, which acts only where energy would be made
+    [Hannaford and Ryu 2002; Ryu, Artigas and Preusche 2010]. What it takes from the way is made up for when energy is there."""
+
+    def _spare(self, end: End, arrived: Packet) -> Any:
+        return jnp.maximum(arrived.energy - end.played.energy, 0.0)
+
+    def share(self, end: End, force: Any, moved: Any, dt: float) -> Any:
+        """As `Channel` says. Traced."""
+        given = -dt * force @ moved
+        return jnp.where(given > end.spare, safe_divide(end.spare, given), 1.0)
+
+
+def _counted(end: End, entered: Any) -> End:
+    """With an energy [J] that went in, or came out where it is below 0."""
+    sent = end.sent._replace(energy=end.sent.energy + jnp.maximum(entered, 0.0))
+    played = end.played._replace(energy=end.played.energy + jnp.maximum(-entered, 0.0))
+    return end._replace(sent=sent, played=played)
+
+
+@dataclasses.dataclass(frozen=True)
+class WaveVariables(_Channel):
+    """Waves of the impedance b, `impedance` [Ns/m]: what the hand feels as the drag of its own motion, and by how much the
+    arm gives way to a force that is new, f_a / (2 b)."""
+
+    impedance: float = 20.0
+
+    def __post_init__(self) -> None:
+        check_finite("wave variables", 1e-9, impedance=self.impedance)
+
+    def hand(self, end: End, arrived: Packet, velocity: Any, dt: float) -> tuple[End, Packet, Any]:
+        """As `Channel` says. Traced."""
+        root = (2.0 * self.impedance) ** 0.5
+        end, w = _played(end, arrived, dt)
+        u = root * velocity - w
+        end = _sent(end, u, dt)
+        return end, end.sent, root * w - self.impedance * velocity
+
+    def arm(
+        self, end: End, arrived: Packet, force: Any, dt: float, smoothing: float = 0.0, fastest: float = inf
+    ) -> tuple[End, Any]:
+        """As `Channel` says. Traced. Of a wave that would be faster it plays what is as fast, and the rest later: thrown back
+        it would be felt as a spring of the impedance over the delay, stiff as a wall."""
+        root = (2.0 * self.impedance) ** 0.5
+        at = lambda wave: (root * wave + force) / root**2
+        whole, wave = _played(end, arrived, dt, smoothing)
+        velocity = at(wave)
+        bound = bounded(velocity, fastest)
+        slower = (root**2 * bound - force) / root
+        plays = ~(slower @ slower > wave @ wave)  # what a force drives that fast takes more than has arrived
+        slower = jnp.where(plays, slower, wave)
+        played = jnp.where(jnp.any(bound != velocity), slower, wave)
+        return whole._replace(played=_added(end.played, played, dt), now=played), bound
+
+    def reply(self, end: End, force: Any, velocity: Any, moved: Any, dt: float) -> tuple[End, Packet]:
+        """As `Channel` says. What the arm could not do is lost, as in a slipping clutch, as long as what the arm's end has
+        dissipated so far pays for it; then the line is matched, and swallows the whole wave. Traced."""
+        root, u = (2.0 * self.impedance) ** 0.5, end.now
+        lost = lambda v: dt * (root * u @ v - self.impedance * v @ v + force @ moved)
+        velocity = jnp.where(end.spare + lost(velocity) >= 0.0, velocity, u / root)
+        end = _sent(end._replace(spare=end.spare + lost(velocity)), root * velocity - u, dt)
+        return end, end.sent
+
+    def share(self, end: End, force: Any, moved: Any, dt: float) -> Any:
+        """As `Channel` says. Traced."""
+        given, most = -dt * force @ moved, end.spare + 0.5 * dt * end.now @ end.now
+        return jnp.where(given > most, safe_divide(most, given), 1.0)
+
+    def release(self, end: End, arrived: Packet) -> End:
+        """The arm's end, without the waves that it has not played yet, and without their energy. Traced."""
+        return end._replace(played=arrived, now=jnp.zeros(3))
+
+
+def _played(end: End, arrived: Packet, dt: float, smoothing: float = 0.0) -> tuple[End, Any]:
+    """The wave (3,) that leads to the integral that has arrived in the time `smoothing`, or as fast as the energy that has
+    arrived lasts: over the time |g|^2 / (2 E) a constant wave makes up for the gap g with the energy E."""
+    gap, spare = arrived.values - end.played.values, jnp.maximum(arrived.energy - end.played.energy, 0.0)
+    square = gap @ gap
+    share = jnp.where(square <= 2.0 * spare * dt, 1.0 / dt, safe_divide(2.0 * spare, square))
+    wave = gap * jnp.minimum(share, 1.0 / max(dt, smoothing))
+    return end._replace(played=_added(end.played, wave, dt), now=wave), wave
+
+
+def _sent(end: End, wave: Any, dt: float) -> End:
+    return end._replace(sent=_added(end.sent, wave, dt))
+
+
+def _added(so_far: Packet, wave: Any, dt: float) -> Packet:
+    return Packet(so_far.values + dt * wave, so_far.energy + 0.5 * dt * wave @ wave)

@@ -1,0 +1,294 @@
+"""A hand steers an arm's tip and feels what the arm feels, from sample to sample [Schuetz 2017, sec. 3.1.4].
+
+    the hand's end    position --mapping--> velocity --channel--> packet            force on the hand <--channel-- packet
+    the network       packets come late, by two `DelayLine`s
+    the arm's end     packet --channel--> velocity of the tip --resolution--> rates of the joints
+                      contacts --reflection--> force at the tip --channel--> packet
+
+`hand_mapping` has the mappings and `passivity` the channels. Below them `resolve_velocity` spends the spare joints on a cost,
+inside the joints' limits, with accelerations that are bounded. Clearance, to itself and to a scene, never falls below `margin`:
+its rate is at least -approach (d - margin) [Faverjon and Tournassoud 1987], for which the null space gives way first, then the
+tip, which slides along; and what would still come too near is not done. What the arm cannot do is not asked for
+later: its target stays within `leash` of the tip.
+
+A device that is silent, or anything that is no number, holds the arm still: it slows down within its accelerations, keeping
+clear all the same, the reason is told, and when all is well again the hand takes its reference anew.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import functools
+from typing import Any, NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Float, Int
+
+from jaxik.checks.arrays import positive
+from jaxik.checks.options import check_choices, check_finite, check_kind, shown
+from jaxik.collision.clearances import check_geometry, clearance
+from jaxik.collision.scene import Scene
+from jaxik.costs import Cost, check_cost
+from jaxik.dynamics.contact import Contact, as_contacts, trusted
+from jaxik.kinematics.forward import forward_kinematics, jacobian
+from jaxik.kinematics.robot import Array, Robot, as_configuration
+from jaxik.kinematics.task import POSE, Task
+from jaxik.motions.nullspace import Box, downhill, resolve_velocity
+from jaxik.motions.path import Motion
+from jaxik.motions.rate_limits import RateLimits
+from jaxik.pytree import Pytree
+from jaxik.reasons import Reason, Reasoned
+from jaxik.spatial.algebra import safe_divide
+from jaxik.spatial.rotations import rotation_exp, rotation_log
+from jaxik.spmd import kernel
+from jaxik.teleoperation.delay_line import DelayLine
+from jaxik.teleoperation.hand import Hand
+from jaxik.teleoperation.hand_mapping import Mapped, PositionControl, RateControl, bounded
+from jaxik.teleoperation.passivity import Channel, Direct, End, Packet, silence
+from jaxik.teleoperation.reflection import Felt, reflect
+
+
+class Asked(NamedTuple):
+    """What the hand's end sends: the channel's packet, the turn (3,) [rad/s], whether the arm is to be held, and whether the
+    hand leads it."""
+
+    packet: Packet
+    turn: Float[Array, "3"]
+    held: Any
+    leads: Any
+
+
+class TeleoperationState(NamedTuple):
+    """Between samples: the mapping's state and the hand's last good position; both ends of the channel and what is underway;
+    the arm's last good q, its rates (n,) and where its tip is to be; whether the hand led it; the passivity sum [J]."""
+
+    mapped: Mapped
+    position: Float[Array, "3"]
+    hand: End
+    arm: End
+    there: Any
+    back: Any
+    arrived: Packet
+    q: Float[Array, " n"]
+    rate: Float[Array, " n"]
+    target: Float[Array, "4 4"]
+    led: Any
+    energy: Float[Array, ""]
+
+
+class TeleoperationCommand(Pytree, Reasoned):
+    """What to do now: the joints' `rate` (n,) [rad/s, m/s] and the `force` (3,) [N] on the hand, along the world's axes. And
+    what is known: where the tip is to be, `target` (4, 4) in the base frame, the force at the tip that stands for the contacts,
+    `felt` (3,) [N] in world axes, the passivity sum, `energy` [J], the `clearance` [m], infinite where it is not measured, and
+    the `reason` for which the arm is held, SOLVED where it is not."""
+
+    rate: Float[Array, "*t n"]
+    force: Float[Array, "*t 3"]
+    target: Float[Array, "*t 4 4"]
+    felt: Float[Array, "*t 3"]
+    energy: Float[Array, "*t"]
+    clearance: Float[Array, "*t"]
+    reason: Int[Array, "*t"]
+
+
+@dataclasses.dataclass(frozen=True, eq=False)
+class Teleoperation:
+    """A hand, an arm, and what is between. `step` is pure and traced; `TeleoperationLoop` makes one kernel of it.
+
+    `mapping` and `channel` are of a kind each; `there` and `back` delay what they send, for simulations: a real network does
+    so itself. `cost` is what the null space goes down, by `alpha`; `gain` [1/s] pulls the tip to its target; `acceleration`
+    [rad/s2, m/s2] is one or one a joint, exceeded only where an arm has to stop that would come too near, or make energy.
+    `margin` [m] is kept to itself and to `scene`, approached at `approach` [1/s]; None measures no clearance. `patience` [s]
+    is how long a device may be silent. `felt` says how contacts are reflected, and `force_ratio` the force on the hand by
+    that at the arm. Raises `ValueError` for numbers out of range.
+    """
+
+    robot: Robot
+    mapping: RateControl | PositionControl = dataclasses.field(default_factory=PositionControl)
+    channel: Channel = dataclasses.field(default_factory=Direct)
+    there: DelayLine = dataclasses.field(default_factory=DelayLine)
+    back: DelayLine = dataclasses.field(default_factory=functools.partial(DelayLine, seed=1))
+    task: Task = POSE
+    cost: Cost | None = None
+    alpha: float = 1.0
+    scene: Scene | None = None
+    margin: float | None = 0.01
+    approach: float = 10.0
+    dt: float = 0.001
+    gain: float = 20.0
+    acceleration: float | tuple[float, ...] = 20.0
+    leash: float = 0.05
+    patience: float = 0.2
+    felt: str = "power"
+    force_ratio: float = 1.0
+
+    def __post_init__(self) -> None:
+        check_kind("teleoperation", "robot", self.robot, Robot)
+        check_kind("teleoperation", "scene", self.scene, Scene, optional=True)
+        check_finite("teleoperation", 1e-6, dt=self.dt, leash=self.leash, patience=self.patience, approach=self.approach)
+        check_finite("teleoperation", 0.0, alpha=self.alpha, gain=self.gain, force_ratio=self.force_ratio)
+        check_kind("teleoperation", "task", self.task, Task)
+        for name in ("there", "back"):
+            check_kind("teleoperation", name, getattr(self, name), DelayLine)
+        for name, kinds in (("mapping", "PositionControl"), ("channel", "Direct")):
+            given = getattr(self, name)
+            if isinstance(given, type) or not hasattr(given, "init"):
+                raise ValueError(f"teleoperation: {name} is {shown(given)}; write one of its kinds, as {kinds}()")
+        check_choices("teleoperation", felt=(self.felt, Felt))
+        if self.cost is not None:
+            check_cost("teleoperation", self.cost, self.robot.num_joints)
+        most = positive("teleoperation: acceleration", self.acceleration, True)
+        object.__setattr__(self, "acceleration", most)
+        if isinstance(most, tuple) and len(most) != self.robot.num_joints:
+            told = f"acceleration has {len(most)} numbers; {self.robot.name} has {self.robot.num_joints} joints"
+            raise ValueError(f"teleoperation: {told}")
+        if max(self.gain, self.approach) * self.dt > 1.0:
+            told = f"gain {self.gain:g} and approach {self.approach:g}"
+            raise ValueError(f"teleoperation: {told} at dt {self.dt:g} s; allowed: at most 1 / dt [1/s]")
+        if self.margin is not None:
+            check_finite("teleoperation", 0.0, margin=self.margin)
+            try:
+                check_geometry(self.robot)
+            except ValueError as error:
+                raise ValueError(f"teleoperation: {error}; or margin=None, which measures no clearance") from None
+
+    def init(self, q: Float[Array, " n"]) -> TeleoperationState:
+        """At rest at q (n,) [rad, m], before the device has said anything; in JAX's precision, whatever q has. Traced."""
+        q = as_configuration(self.robot, q).astype(float)
+        none, no = jnp.zeros(3), jnp.zeros((), bool)
+        asked = Asked(silence(), none, ~no, no)
+        return TeleoperationState(
+            self.mapping.init(),
+            none,
+            self.channel.init(),
+            self.channel.init(),
+            self.there.init(asked, self.dt),
+            self.back.init(silence(), self.dt),
+            silence(),
+            q,
+            jnp.zeros_like(q),
+            forward_kinematics(self.robot, q),
+            no,
+            jnp.zeros(()),
+        )
+
+    def step(
+        self, state: TeleoperationState, q: Float[Array, " n"], hand: Hand, contact: Contact | None = None
+    ) -> tuple[TeleoperationState, TeleoperationCommand]:
+        """What to do in the next `dt` [s] at q (n,), for a hand and what touches the arm, one contact or several. Traced."""
+        told, hand, position = _heard(state.position, hand, self.patience)
+        mapped, end, asked, force, velocity = self._at_hand(state, hand, position, told)
+        there, asked = self.there.step(state.there, asked, self.dt)
+        q, contact, broken = _sound(self.robot, state.q, as_configuration(self.robot, q).astype(state.q.dtype), contact)
+        held = asked.held | broken
+        felt = self._felt(q, contact)
+        arm, wanted, turn = self._at_arm(state, asked, felt, held)
+        rate, target, apart, moved = kernel(self._resolved)(state.rate, state.target, q, wanted, turn, held)
+        share = self.channel.share(arm, felt, moved, self.dt)
+        rate, moved = share * rate, share * moved
+        arm, packet = self.channel.reply(arm, felt, wanted, moved, self.dt)
+        back, packet = self.back.step(state.back, packet, self.dt)
+        energy = state.energy + self.dt * (felt @ moved - force @ velocity)
+        after = TeleoperationState(mapped, position, end, arm, there, back, packet, q, rate, target, asked.leads, energy)
+        reason = jnp.where(broken & (told == Reason.SOLVED), Reason.INVALID, told)
+        return after, TeleoperationCommand(rate, self.force_ratio * force, target, felt, energy, apart, reason)
+
+    # ----------------------------------------------------------------------------------------------------------------
+
+    def _world(self) -> Any:
+        return np.asarray(self.robot.world_T_base)[:3, :3]
+
+    def _at_hand(self, state: TeleoperationState, hand: Hand, position: Any, told: Any) -> tuple[Any, ...]:
+        well = told == Reason.SOLVED
+        active = well & (hand.buttons[0] == 0.0)
+        mapped, velocity = self.mapping.step(state.mapped, position, active, self.dt)
+        end, packet, force = self.channel.hand(state.hand, state.arrived, velocity, self.dt)
+        turn = jnp.where(mapped.moves, bounded(hand.turn, self.mapping.turning), 0.0)
+        felt = jnp.where(active, force, 0.0)  # a hand that does not move the arm would be moved for nothing
+        return mapped, end, Asked(packet, turn, ~well, active), felt, velocity
+
+    def _felt(self, q: Any, contact: Contact | None) -> Any:
+        """The force (3,) at the tip that stands for the contacts, in world axes."""
+        return jnp.zeros(3) if contact is None else self._world() @ reflect(self.robot, q, contact, self.felt)
+
+    def _at_arm(self, state: TeleoperationState, asked: Asked, felt: Any, held: Any) -> tuple[End, Any, Any]:
+        """The velocity and the turn of the tip that are asked for, in world axes."""
+        slow = getattr(self.mapping, "smoothing", 0.0), self.mapping.fastest
+        end, velocity = self.channel.arm(state.arm, asked.packet, felt, self.dt, *slow)
+        dropped = held | (state.led & ~asked.leads)  # the clutch ends the way that is not made up for yet, too
+        let_go = self.channel.release(state.arm, asked.packet)
+        end = jax.tree_util.tree_map(lambda x, y: jnp.where(dropped, x, y), let_go, end)
+        return end, jnp.where(dropped, 0.0, velocity), jnp.where(held, 0.0, asked.turn)
+
+    def _resolved(self, before: Any, target: Any, q: Any, velocity: Any, turn: Any, held: Any) -> tuple[Any, ...]:
+        """The joints' rates, after those `before`, the target after them, the clearance, and the velocity that the tip gets."""
+        dt, tip = self.dt, forward_kinematics(self.robot, q)
+        target = _leashed(tip, target, self.leash)
+        base = self._world().T
+        twist = jnp.concatenate([base @ velocity, base @ turn])
+        limits = RateLimits.of(self.robot, acceleration=self.acceleration)
+        box = limits.rates(q, before, dt)
+        u = downhill(self.robot, q, self.cost, self.alpha)
+        motion = Motion(target, twist, jnp.zeros(6))
+        resolve = lambda u: resolve_velocity(self.robot, q, motion, u, self.task, self.gain, box=box).rate
+        slower = before - jnp.clip(before, -dt * limits.acceleration, dt * limits.acceleration)
+        rate, apart = self._clear(q, u, lambda rate: jnp.where(held, slower, rate), resolve, box)
+        turned = rotation_exp(dt * twist[3:]) @ target[:3, :3]
+        place = target[:3, 3] + dt * twist[:3]
+        moved = jnp.concatenate([jnp.concatenate([turned, place[:, None]], axis=1), target[3:]])
+        return rate, jnp.where(held, tip, moved), apart, self._world() @ (jacobian(self.robot, q)[:3] @ rate)
+
+    def _clear(self, q: Any, u: Any, or_held: Any, resolve: Any, box: Box) -> tuple[Any, Any]:
+        """The rates that keep the clearance, and the clearance. One who is held slows down, and gives way to nothing."""
+        rate = resolve(u)
+        if self.margin is None:
+            return or_held(rate), jnp.asarray(jnp.inf, q.dtype)
+        apart, slope = jax.value_and_grad(functools.partial(clearance, self.robot, self.scene))(q)
+        least = -self.approach * (apart - self.margin)
+        lacks = lambda rate: jnp.maximum(least - slope @ rate, 0.0)
+        still = Motion(forward_kinematics(self.robot, q), jnp.zeros(6), jnp.zeros(6))
+        spare = resolve_velocity(self.robot, q, still, slope, self.task, 0.0).rate
+        able = jnp.maximum(slope @ spare, _ABLE * slope @ slope)
+        rate = resolve(u + spare * safe_divide(lacks(rate), able))
+        rate = or_held(jnp.clip(rate + slope * safe_divide(lacks(rate), slope @ slope), box.low, box.high))
+        least = jnp.minimum(least, 0.0)  # what is too near already leaves as fast as it can
+        rate = jnp.where(slope @ rate < least, safe_divide(least, slope @ rate) * rate, rate)
+        after = clearance(self.robot, self.scene, q + self.dt * rate)
+        return jnp.where(after >= jnp.minimum(self.margin, apart), rate, 0.0), apart
+
+
+_ABLE = 0.01  # the share of a slope that has to lie in the null space for that to give way alone
+
+
+def _heard(last: Any, hand: Hand, patience: float) -> tuple[Any, Hand, Any]:
+    """The reason why a hand cannot be followed, the hand in numbers, and its position, the last good one where it has none."""
+    dtype = last.dtype
+    hand = Hand(*(jnp.asarray(x, dtype) for x in hand))
+    sound = jnp.all(jnp.isfinite(hand.position)) & jnp.all(jnp.isfinite(hand.turn)) & jnp.all(jnp.isfinite(hand.buttons))
+    told = jnp.where(sound, Reason.SOLVED, Reason.INVALID)
+    told = jnp.where(hand.age <= patience, told, Reason.SILENT)
+    position, turn = jnp.where(sound, hand.position, last), jnp.where(sound, hand.turn, 0.0)
+    return told, Hand(position, turn, jnp.where(sound, hand.buttons, 0.0), hand.age), position
+
+
+def _sound(robot: Robot, last: Any, q: Any, contact: Contact | None) -> tuple[Any, Contact | None, Any]:
+    """q, or the last good one, and the contacts, or none; and whether any of it was no number, or a contact of no joint."""
+    broken = ~jnp.all(jnp.isfinite(q))
+    if contact is not None:
+        joint, point, force = contact = as_contacts("teleoperation", contact)
+        felt, sure = trusted(robot, contact)
+        bad = ~jnp.all(sure)
+        none = bad | ~felt
+        point, force = (jnp.where(none[..., None], 0.0, x.astype(q.dtype)) for x in (point, force))
+        return jnp.where(broken, last, q), Contact(jnp.where(none, 0, joint), point, force), broken | bad
+    return jnp.where(broken, last, q), None, broken
+
+
+def _leashed(tip: Any, target: Any, leash: float) -> Any:
+    """The target (4, 4), no further from the tip than `leash`, in metres and in radians."""
+    place = tip[:3, 3] + bounded(target[:3, 3] - tip[:3, 3], leash)
+    turn = rotation_log(target[:3, :3] @ tip[:3, :3].T)
+    rotation = rotation_exp(bounded(turn, leash)) @ tip[:3, :3]
+    return jnp.concatenate([jnp.concatenate([rotation, place[:, None]], axis=1), target[3:]])

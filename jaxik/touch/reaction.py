@@ -1,0 +1,325 @@
+"""An arm that gives way to what touches it, in its null space first, sample by sample [Schuetz 2017, sec. 4.3].
+
+With tau the contacts' torques and F the root of the sum of their squared forces, a = tau' / F is the direction in which the
+force is felt: F changes by -c a qdot, one contact or several of one stiffness c, for c/2 of F^2 is the springs' energy (4.33),
+(4.37). The motion W^-1 a' leads away; the task's null space takes a part of it, and the rest is the task's:
+
+    d_n = N W^-1 a',   d_t = W^-1 a' - d_n,    k_n = a d_n >= 0,   k_t = a d_t >= 0
+
+(the (4.43) that is printed for k_n is another quantity; this one follows from (4.42)). qdot_0 is the scheme without a contact.
+
+    baseline   qdot = qdot_0                                     the automatic supervisory control (4.12)
+    rmrc       qdot = qdot_0 + zeta d_n (F - F_th)               down the gradient of the energy, negative (4.36)
+    rac        the same of accelerations, with damping           (4.16), (4.36)
+    feedback   qdot = qdot_0 + d_n (xdot - a qdot_0) / k_n       xdot of `force_law` (4.47)
+    task       qdot = qdot_0 + d_t (xdot - a qdot_0) / k_t       the task gives way (4.48)
+    joint      qdot = qdot_0 + W^-1 a' (xdot - a qdot_0) / (k_n + k_t)     both do (4.48)
+    multi      feedback; above `relaxation` the task gives way as far as the null space is not enough
+
+What (4.48)'s inputs are is not printed; these are (4.47) with the other two directions. Where k is small beside k_n + k_t, the
+space is used up, and the input fades with it.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+from typing import Any, Literal, NamedTuple
+
+import jax
+import jax.numpy as jnp
+from jaxtyping import Float, Int
+
+from jaxik.checks.arrays import positive
+from jaxik.checks.options import as_count, check_choices, check_finite, check_flag, check_kind, shown
+from jaxik.costs import Cost, check_cost
+from jaxik.dynamics.contact import Contact, as_contacts, contact_jacobian, contact_torque, trusted
+from jaxik.estimation.lowpass import Butterworth
+from jaxik.kinematics.robot import Array, Robot, as_configuration, as_shaped
+from jaxik.kinematics.task import POSITION, Task
+from jaxik.motions.nullspace import FLOOR, TaskAt, downhill, inverse_weights, settles
+from jaxik.motions.path import Motion
+from jaxik.motions.rate_limits import RateLimits
+from jaxik.pytree import Pytree
+from jaxik.reasons import Reason, Reasoned
+from jaxik.spatial.algebra import safe_divide, safe_sqrt
+from jaxik.touch.force_law import ForceLaw, LawState
+from jaxik.touch.stiffness import StiffnessEstimator, StiffnessState
+
+Scheme = Literal["baseline", "rmrc", "rac", "feedback", "task", "joint", "multi"]
+LOST = 0.1  # [s] without a force: a contact that comes back sooner, as after a bounce, is the same one
+SUDDEN = 1.0  # [N] above the threshold: a force that begins with more was there before it was shown
+USED_UP = 0.02  # of k_n + k_t: below it a space's share is not enough to be divided by
+
+
+class ReactionCommand(Pytree, Reasoned):
+    """What the joints are to do next: `rate` (n,) [rad/s, m/s] and the `acceleration` (n,) that leads there [rad/s2, m/s2];
+    with it the filtered `force` F [N], the `stiffness` [N/m] that was believed, the task's `error` (m,) [m, rad], and the
+    reason: "solved", or "invalid" where a number was none and the arm is held still."""
+
+    rate: Float[Array, "*b n"]
+    acceleration: Float[Array, "*b n"]
+    force: Float[Array, "*b"]
+    stiffness: Float[Array, "*b"]
+    error: Float[Array, "*b m"]
+    reason: Int[Array, "*b"]
+
+
+class ReactionState(NamedTuple):
+    """What is kept from sample to sample: of k contacts the link's `joint` count (k,), the `point` (k, 3) and the last
+    `direction` (k, 3) of the forces, as parts of their root of squares; the forces' filter; the depth [m] from where the force
+    passed its threshold, and the filter of that depth and of the force above it; for how long the force has been below [s];
+    the stiffness; the laws of the null space and of the task; the last command's rates (n,)."""
+
+    joint: Float[Array, " k"]
+    point: Float[Array, "k 3"]
+    direction: Float[Array, "k 3"]
+    filter: Float[Array, "s 2 k 3"]
+    depth: Float[Array, ""]
+    depth_filter: Float[Array, "s 2 2"]
+    since: Float[Array, ""]
+    stiffness: StiffnessState
+    law: LawState
+    task_law: LawState
+    rate: Float[Array, " n"]
+
+
+@dataclasses.dataclass(frozen=True, eq=False)
+class Reaction:
+    """How an arm reacts, by table 4.1 unless told otherwise.
+
+    The `task` and its loop's `gain` K [1/s]; secondary objectives down `alpha` times the gradient of `cost`; `weights` W
+    (n,); `scale` zeta of the elastic potential; `threshold` F_th and `relaxation` F_min [N]; the force `law`; the null
+    space's greatest `rate` and `acceleration`; `damping` [1/s] of null-space rates (rac); `stiffness` [N/m], a number or an
+    estimator; `filter` of the forces, at this `dt` whatever its own, or None; `contacts`, how many at once. Limits are the
+    robot's; `most` [rad/s2, m/s2] bounds the accelerations of the whole command.
+
+    Raises `ValueError` for words and numbers out of range.
+    """
+
+    robot: Robot
+    scheme: str = "feedback"
+    task: Task = POSITION
+    cost: Cost | None = None
+    alpha: float = 1.0
+    dt: float = 1e-3
+    gain: float | None = None
+    weights: tuple[float, ...] | None = None
+    scale: float = 1.0
+    threshold: float = 1.3
+    relaxation: float = 5.0
+    law: ForceLaw = dataclasses.field(default_factory=ForceLaw)
+    rate: float = 5.0
+    acceleration: float = 20.0
+    damping: float = 7.0
+    stiffness: float | StiffnessEstimator = 60.0
+    filter: Butterworth | None = dataclasses.field(default_factory=Butterworth)
+    contacts: int = 1
+    limits: bool = True
+    most: float | tuple[float, ...] | None = None
+    floor: float = FLOOR
+
+    def __post_init__(self) -> None:
+        who = "reaction"
+        for name, kind in (("robot", Robot), ("task", Task), ("law", ForceLaw)):
+            check_kind(who, name, getattr(self, name), kind)
+        check_choices(who, scheme=(self.scheme, Scheme))
+        names = ("alpha", "scale", "threshold", "relaxation", "rate", "acceleration", "damping", "floor")
+        check_finite(who, 0.0, **{name: getattr(self, name) for name in names})
+        check_finite(who, 1e-9, dt=self.dt)
+        if not isinstance(self.stiffness, StiffnessEstimator):
+            check_finite(who, 1e-9, stiffness=self.stiffness)
+        check_kind(who, "filter", self.filter, Butterworth, optional=True)
+        if self.filter is not None and self.filter.dt != self.dt:
+            object.__setattr__(self, "filter", dataclasses.replace(self.filter, dt=self.dt))
+        as_count(f"{who}: contacts", self.contacts)
+        check_flag(who, limits=self.limits)
+        if self.gain is not None:
+            check_finite(who, 0.0, gain=self.gain)
+            if not settles(self.gain, self.dt):
+                raise ValueError(f"{who}: gain {self.gain:g} at dt {self.dt:g} s; allowed: below 2 / dt [1/s]")
+        if self.cost is not None:
+            check_cost(who, self.cost, self.robot.num_joints)
+        object.__setattr__(self, "weights", positive(f"{who}: weights", self.weights))
+        object.__setattr__(self, "most", positive(f"{who}: most [rad/s2, m/s2]", self.most, True))
+        for name in ("weights", "most"):
+            given = getattr(self, name)
+            if isinstance(given, tuple) and len(given) != self.robot.num_joints:
+                raise ValueError(
+                    f"{who}: {name} has {len(given)} numbers; {self.robot.name} has {self.robot.num_joints} joints"
+                )
+
+    @property
+    def pull(self) -> float:
+        """K [1/s]: by table 4.1 0.5 / dt for inputs in joint space, 0.005 / dt for all others."""
+        return (0.5 if self.scheme == "joint" else 0.005) / self.dt if self.gain is None else self.gain
+
+    def init(self, q: Any) -> ReactionState:
+        """At rest at q (n,), nothing touched. Traced."""
+        q = as_configuration(self.robot, q)
+        zeros = lambda *shape: jnp.zeros(shape, q.dtype)
+        k, law = self.contacts, self.law.init(q.dtype)
+        of = lambda x: zeros(0, 2, *x.shape) if self.filter is None else self.filter.init(x)
+        return ReactionState(
+            joint=zeros(k),
+            point=zeros(k, 3),
+            direction=zeros(k, 3),
+            filter=of(zeros(k, 3)),
+            depth=zeros(),
+            depth_filter=of(zeros(2)),
+            since=zeros() + LOST,
+            stiffness=self._estimator.init(q.dtype),
+            law=law,
+            task_law=law,
+            rate=zeros(self.robot.num_joints),
+        )
+
+    def step(
+        self, state: ReactionState, q: Any, qdot: Any, motion: Motion, contact: Contact
+    ) -> tuple[ReactionState, ReactionCommand]:
+        """The next command, of joint values and rates (n,), what is asked of the tip, and what is felt: a contact, or as many
+        as `contacts` stacked; where nothing touches its force is 0, and its point does not matter. Traced.
+
+        Where a number is none, a force that has no point among them, or a joint that the robot does not have, the arm is slowed
+        down as fast as `most` lets it and held, with a reason; what it knew stays, and it goes on from there.
+        """
+        q = as_configuration(self.robot, q)
+        qdot = as_shaped("reaction: qdot", qdot, q.shape).astype(q.dtype)
+        if not isinstance(motion, Motion):
+            raise ValueError(f"reaction: motion is {shown(motion)}; write what motions.motion gives")
+        contact = Contact(*(x.astype(q.dtype) for x in as_contacts("reaction", contact, self.contacts)))
+        felt, sure = trusted(self.robot, contact)
+        sound = jnp.all(jnp.stack([jnp.all(sure), *(jnp.all(jnp.isfinite(jnp.asarray(x))) for x in (q, qdot, *motion))]))
+        seen = state._replace(
+            joint=jnp.where(felt, contact.joint, state.joint), point=jnp.where(felt[:, None], contact.point, state.point)
+        )
+        after, command = self._reacted(seen, q, qdot, motion, contact.force)
+        held = self._held(state, command)
+        choose = lambda new, old: jax.tree_util.tree_map(lambda a, b: jnp.where(sound, a, b), new, old)
+        return choose((after, command), (state._replace(rate=held.rate), held))
+
+    def _reacted(
+        self, state: ReactionState, q: Any, qdot: Any, motion: Motion, force: Any
+    ) -> tuple[ReactionState, ReactionCommand]:
+        state = self._pressed(state, q, qdot, force)
+        filtered, force = self._filtered(state.filter, force)
+        felt = safe_sqrt(jnp.sum(force**2))
+        touching = felt > self.threshold
+        direction = jnp.where(touching, safe_divide(force, felt), state.direction)
+        a = contact_torque(self.robot, q, Contact(state.joint, state.point, direction))
+        moved = self.dt * (a @ qdot)
+        stiffness = state.stiffness.stiffness
+        at = TaskAt(self.robot, q, motion, self.task)
+        laws = state.law, state.task_law
+        if self.scheme == "rac":
+            above = jnp.maximum(felt - self.threshold, 0.0)
+            rate = state.rate + self.dt * self._accelerations(at, state.rate, a, above)
+        else:
+            rate, laws = self._rates(at, a, state, felt, stiffness, moved)
+        drift = [contact_jacobian(self.robot, q, *x) @ qdot for x in zip(state.joint, state.point, strict=True)]
+        kept = {"point": state.point + self.dt * jnp.stack(drift), "direction": direction, "filter": filtered}
+        after = state._replace(**kept, law=laws[0], task_law=laws[1], rate=rate)
+        acceleration = (rate - state.rate) / self.dt
+        reason = jnp.asarray(int(Reason.SOLVED), jnp.int32)
+        return after, ReactionCommand(rate, acceleration, felt, stiffness, at.error, reason)
+
+    def _pressed(self, state: ReactionState, q: Any, qdot: Any, force: Any) -> ReactionState:
+        """The state with what a sample tells of the stiffness. Depth and force both count from where the force, as yet
+        unfiltered, passed its threshold, so that their slope is the stiffness from the first touch on: a law that believes in
+        something much softer has left it before a filter settles."""
+        if not isinstance(self.stiffness, StiffnessEstimator):
+            return state
+        size = safe_sqrt(jnp.sum(force**2))
+        above = jnp.maximum(size - self.threshold, 0.0)
+        touching, touched = above > 0.0, state.since == 0.0
+        direction = jnp.where(touching, safe_divide(force, size), state.direction)
+        depth = state.depth - self.dt * (contact_torque(self.robot, q, Contact(state.joint, state.point, direction)) @ qdot)
+        since = jnp.where(touching, 0.0, state.since + self.dt)
+        # a force that has not been seen to begin, or ends deep inside: nobody knows the depth, and it counts anew from here
+        sudden, deep = above > SUDDEN, state.stiffness.stiffness * jnp.abs(depth) > SUDDEN
+        anew = jnp.where(touching, ~touched & sudden, touched & deep)
+        depth = jnp.where((since > LOST) | (anew & ~touching), 0.0, depth)
+        now = jnp.stack([jnp.where(touching, depth, jnp.maximum(depth, 0.0)), above])
+        before = state.depth_filter if self.filter is None else jnp.where(anew, self.filter.init(now), state.depth_filter)
+        filter, (x, f) = self._filtered(before, now)
+        known = self.stiffness.step(state.stiffness, x, f, ~anew)
+        return state._replace(depth=depth, depth_filter=filter, since=since, stiffness=known)
+
+    def _rates(
+        self, at: TaskAt, a: Any, state: ReactionState, felt: Any, stiffness: Any, moved: Any
+    ) -> tuple[Any, tuple[LawState, LawState]]:
+        """Joint rates, and the laws after them."""
+        how = self.weights, self.floor
+        free = at.resolved(at.velocity(self.pull), downhill(self.robot, at.q, self.cost, self.alpha, self.weights), *how).rate
+        away = inverse_weights(self.robot, self.weights, at.dtype) * a
+        null = at.resolved(jnp.zeros(len(at.rows)), away, *how).rate
+        above, law, task_law, total = felt - self.threshold, state.law, state.task_law, free
+
+        def gives_way(law: LawState, force: Any, along: Any, helping: bool = False) -> tuple[Any, LawState]:
+            """`total`, and more `along` (n,) as the law asks, and the law after it; `helping`, or below its threshold, only
+            where the contact does not move so yet."""
+            lacks = self.law.speed(law, force, stiffness, self.dt) - a @ total
+            lacks = jnp.where((force > 0.0) & (not helping), lacks, jnp.maximum(lacks, 0.0))
+            asked = self.law.active(law, force) * lacks
+            more = _bounded(asked * _share(along, a, a @ away), self.rate)
+            done = jnp.where(asked == 0.0, 1.0, jnp.clip(safe_divide(a @ more, asked), 0.0, 1.0))
+            return total + more, self.law.step(law, force, above <= 0.0, done, moved, self.dt)
+
+        if self.scheme == "rmrc":
+            total = free + _bounded(self.scale * jnp.maximum(above, 0.0) * null, self.rate)
+        elif self.scheme != "baseline":
+            total, law = gives_way(law, above, {"task": away - null, "joint": away}.get(self.scheme, null))
+        if self.scheme == "multi":
+            total, task_law = gives_way(task_law, felt - self.relaxation, away - null, helping=True)
+        box = self._limits.rates(at.q, state.rate, self.dt)
+        return self._inside(at, at.rows @ total, total, box), (law, task_law)
+
+    def _accelerations(self, at: TaskAt, rate: Any, a: Any, above: Any) -> Any:
+        """Joint accelerations of the scheme "rac", whose loop is damped critically."""
+        how = self.weights, self.floor
+        slope = downhill(self.robot, at.q, self.cost, self.alpha, self.weights)
+        asked = at.acceleration(rate, (self.pull**2, 2.0 * self.pull))
+        free = at.resolved(asked, slope - self.damping * rate, *how).rate
+        away = inverse_weights(self.robot, self.weights, at.dtype) * a
+        null = at.resolved(jnp.zeros(len(at.rows)), away, *how).rate
+        total = free + _bounded(self.scale * above * null, self.acceleration)
+        return self._inside(at, asked + at.rows @ (total - free), total, self._limits.accelerations(at.q, rate, self.dt))
+
+    def _inside(self, at: TaskAt, wanted: Any, total: Any, box: Any) -> Any:
+        """`total`, or, where a joint's limits do not let it, what comes nearest and does the same to the task."""
+        bounded = self.limits or self.most is not None
+        return at.resolved(wanted, total, self.weights, self.floor, box).rate if bounded else total
+
+    def _held(self, state: ReactionState, like: ReactionCommand) -> ReactionCommand:
+        """Slowed down as fast as may be."""
+        most = self.dt * jnp.asarray(self._limits.acceleration, state.rate.dtype)
+        slower = jnp.clip(state.rate, -most, most)
+        unknown = jnp.full_like(like.error, jnp.nan)
+        reason = jnp.full_like(like.reason, int(Reason.INVALID))
+        rates = state.rate - slower, -slower / self.dt
+        return ReactionCommand(*rates, jnp.full_like(like.force, jnp.nan), state.stiffness.stiffness, unknown, reason)
+
+    def _filtered(self, state: Any, x: Any) -> tuple[Any, Any]:
+        return (state, x) if self.filter is None else self.filter.step(state, x)
+
+    @property
+    def _limits(self) -> RateLimits:
+        return RateLimits.of(self.robot, self.limits, self.most)
+
+    @property
+    def _estimator(self) -> StiffnessEstimator:
+        """Where the stiffness is known, one that stays with it."""
+        known = self.stiffness
+        return known if isinstance(known, StiffnessEstimator) else StiffnessEstimator(known, known, known)
+
+
+def _bounded(x: Any, most: float) -> Any:
+    """x (n,), shortened so that no entry exceeds `most`: its direction stays that of the null space."""
+    largest = jnp.max(jnp.abs(x))
+    return x * jnp.minimum(1.0, most / jnp.maximum(largest, most))
+
+
+def _share(along: Any, a: Any, whole: Any) -> Any:
+    """`d / k` of a direction d (n,) that moves the contact by k = a d, of the `whole` k_n + k_t; it goes to 0 with d where k
+    is a small part of it."""
+    k, least = a @ along, jnp.maximum(USED_UP * whole, 1e-12)
+    return along / (k + jnp.maximum(least - k, 0.0) ** 2 / least)

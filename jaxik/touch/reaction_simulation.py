@@ -1,0 +1,112 @@
+"""An arm that moves as it is told, among obstacles that give way: reactions tried out, in one `lax.scan`.
+
+No dynamics: joints follow their rates exactly, as the drives of a slow arm nearly do. What a material point of a link meets, a
+sensor shows to the reaction a sample later.
+"""
+
+from __future__ import annotations
+
+import functools
+from typing import Any, NamedTuple
+
+import jax
+import jax.numpy as jnp
+from jaxtyping import Float, Int
+
+from jaxik.checks.options import as_count, check_kind
+from jaxik.dynamics.contact import Contact, check_joint, contact_jacobian, material_point
+from jaxik.kinematics.robot import Array, Robot, as_configuration, as_numbers
+from jaxik.motions.path import Path, check_path, motion
+from jaxik.pytree import Pytree
+from jaxik.reasons import Reason, Reasoned
+from jaxik.spatial.algebra import safe_sqrt
+from jaxik.spmd import kernel
+from jaxik.touch.reaction import Reaction
+from jaxik.touch.sensors import TouchSensor
+from jaxik.touch.spring_contact import SpringContact
+
+
+class Reacted(Pytree, Reasoned):
+    """What happened, in time (t, ...): `q` and `rate` (t, n), the true `force` on the arm [N], the one that was `felt`, the
+    `stiffness` [N/m] that was believed, the task's `error` (t, m) [m, rad], and each sample's reason."""
+
+    q: Float[Array, "*t n"]
+    rate: Float[Array, "*t n"]
+    force: Float[Array, "*t"]
+    felt: Float[Array, "*t"]
+    stiffness: Float[Array, "*t"]
+    error: Float[Array, "*t m"]
+    reason: Int[Array, "*t"]
+
+
+class Encounter(NamedTuple):
+    """An obstacle, and what it meets: the `point` (3,) [m] of what moves with the first `joint` joints, in the last of these
+    joints' frame."""
+
+    obstacle: SpringContact
+    joint: Any
+    point: Any
+
+
+def simulate_reaction(
+    reaction: Reaction,
+    path: Path,
+    duration: Any,
+    q: Any,
+    encounters: Encounter | tuple[Encounter, ...],
+    steps: int,
+    sensor: TouchSensor | None = None,
+    noise: Any = None,
+) -> Reacted:
+    """What becomes of an arm that follows `path`, timed over `duration` [s], from q (n,) at rest, for `steps` samples. Traced.
+
+    One encounter for each of the reaction's contacts. Without a `sensor` each true force is shown; `noise` (steps,) is the
+    sensor's, of unit variance. While the arm is held still, so is the path's clock. Raises `ValueError` for another number of
+    encounters, and what `motions.motion` raises.
+    """
+    check_kind("simulate_reaction", "reaction", reaction, Reaction)
+    check_kind("simulate_reaction", "sensor", sensor, TouchSensor, optional=True)
+    check_path("simulate_reaction", path, duration)
+    as_count("simulate_reaction: steps", steps)
+    met = tuple(encounters) if type(encounters) in (tuple, list) else (encounters,)  # one is a tuple, too
+    for each in met:
+        check_kind("simulate_reaction", "encounter", each, Encounter)
+        check_joint("simulate_reaction", reaction.robot, each.joint)
+    if len(met) != reaction.contacts:
+        raise ValueError(f"simulate_reaction: {len(met)} encounters; the reaction is one to {reaction.contacts} contacts")
+    q = as_configuration(reaction.robot, q)
+    shaking = jnp.zeros(steps, q.dtype) if noise is None else as_numbers("simulate_reaction: noise", noise).astype(q.dtype)
+    if shaking.shape != (steps,):
+        raise ValueError(f"simulate_reaction: noise has the shape {shaking.shape}; allowed: ({steps},)")
+    return _simulation(reaction, sensor)(q, path, jnp.asarray(duration, q.dtype), met, shaking)
+
+
+@functools.lru_cache(maxsize=32)
+def _simulation(reaction: Reaction, sensor: TouchSensor | None) -> Any:
+    """A kernel of both, which are known."""
+    robot, dt = reaction.robot, reaction.dt
+
+    def turn(path: Path, duration: Any, met: tuple[Encounter, ...], state: Any, noise: Any) -> Any:
+        q, rate, time, known, shown = state
+        true = Contact(*map(jnp.stack, zip(*(_touched(robot, q, rate, each) for each in met), strict=True)))
+        shown, felt = (shown, true) if sensor is None else sensor.step(shown, robot, q, true, noise)
+        known, command = reaction.step(known, q, rate, motion(path, duration, time), felt)
+        force = safe_sqrt(jnp.sum(true.force**2))
+        sample = Reacted(q, command.rate, force, command.force, command.stiffness, command.error, command.reason)
+        time = time + jnp.where(command.reason == int(Reason.SOLVED), dt, 0.0)
+        return (q + dt * command.rate, command.rate, time, known, shown), sample
+
+    @kernel
+    def run(q: Any, path: Path, duration: Any, met: tuple[Encounter, ...], noise: Any) -> Reacted:
+        shown = () if sensor is None else sensor.init(reaction.contacts, q.dtype)
+        start = (q, jnp.zeros_like(q), jnp.zeros((), q.dtype), reaction.init(q), shown)
+        return jax.lax.scan(functools.partial(turn, path, duration, met), start, noise)[1]
+
+    return run
+
+
+def _touched(robot: Robot, q: Any, rate: Any, met: Encounter) -> Contact:
+    """What an obstacle does to the arm."""
+    point = material_point(robot, q, met.joint, met.point)
+    velocity = contact_jacobian(robot, q, met.joint, point) @ rate
+    return Contact(jnp.asarray(met.joint), point, met.obstacle.force(point, velocity))

@@ -1,0 +1,71 @@
+"""Alarms: thresholds from logs without contact, blindness at rest, false alarms and delays counted."""
+
+import numpy as np
+import pytest
+
+from jaxik.estimation import Detector, detect, fit_detector, judge_alarms
+
+RATES = np.ones((1, 100, 2))
+TWO = Detector(np.ones(2), np.zeros(2), np.zeros(2), 0)
+
+
+def test_thresholds_are_the_largest_errors_or_a_quantile():
+    errors = np.random.default_rng(0).normal(size=(3, 100, 2))
+    rates = np.broadcast_to(RATES, errors.shape)
+    np.testing.assert_allclose(fit_detector(errors, rates, factor=1.5).threshold, 1.5 * np.abs(errors).max(axis=(0, 1)))
+    lower = fit_detector(errors, rates, quantile=0.9, factor=1.0)
+    assert detect(lower, errors, rates).mean() == pytest.approx(0.1, abs=0.01)
+
+
+def test_at_rest_the_band_is_added_and_what_is_seen_there_sets_no_threshold():
+    errors, rates = np.full((100, 2), 0.5), np.ones((100, 2))
+    errors[40:60], rates[40:50] = 4.0, 0.0  # the filter remembers for ten samples
+    found = fit_detector(errors, rates, band=[5.0, 3.0], rest=0.1, memory=10, factor=2.0)
+    np.testing.assert_allclose(found.threshold, 1.0)
+    assert not detect(found, errors, rates)[:, 0].any()
+    np.testing.assert_array_equal(np.flatnonzero(detect(found, errors + 0.1, rates)[:, 1]), np.arange(40, 60))
+
+
+def test_a_loop_is_what_a_log_is():
+    detector = Detector(np.array([1.0]), np.array([2.0]), np.array([0.1]), 3)
+    external, rates = 4.0 * np.random.default_rng(1).normal(size=(2, 50, 1))
+    rates[20:30] = 0.0
+    since, alarms = detector.init(), []
+    for each, rate in zip(external, rates, strict=True):
+        since, alarm = detector.step(since, each, rate)
+        alarms.append(alarm)
+    np.testing.assert_array_equal(detect(detector, external, rates), alarms)
+
+
+def test_alarms_are_judged():
+    alarms, contact = np.zeros((2, 20), bool)
+    contact[5:10] = contact[15:18] = True
+    alarms[[0, 1, 3, 7, 8, 10]] = True  # two false ones, one after 0.2 s and still on just behind its contact, a miss
+    found = judge_alarms(alarms, contact, 0.1, after=0.2)
+    assert found.false_alarms == 2 and found.free_time == pytest.approx(0.1 * (20 - 8 - 4))
+    np.testing.assert_allclose(found.delay, [0.2, np.nan])
+
+
+@pytest.mark.parametrize(
+    ("call", "says"),
+    [
+        (lambda: fit_detector(np.zeros((5, 2)), np.zeros((5, 3))), r"allowed: \(..., t, n\) both"),
+        (lambda: fit_detector(np.zeros((5, 2)), np.zeros((5, 2)), rest=0.1), "joint 0, counted from 0, is never faster"),
+        (lambda: fit_detector(np.ones((5, 1)), np.zeros((5, 1)), rest=0.1, joint_names=["elbow"]), "elbow is never faster"),
+        (lambda: fit_detector(np.ones((5, 2)), np.ones((5, 2)), quantile=2.0), "quantile is 2; it is at most 1"),
+        (lambda: fit_detector(np.ones((5, 2)), np.ones((5, 2)), band=[1.0, 2.0, 3.0]), "band is .* each of 2 joints"),
+        (lambda: fit_detector(np.ones((5, 2)), np.ones((5, 2)), rest=np.nan), "rest is nan; allowed: one number"),
+        (lambda: fit_detector(np.full((5, 2), np.nan), np.ones((5, 2))), "external holds nan"),
+        (lambda: fit_detector(np.ones((5, 2)), np.full((5, 2), np.nan)), "fit_detector: qdot holds nan"),
+        (lambda: detect(TWO, np.ones((5, 2)), np.full((5, 2), np.nan)), "detect: qdot holds nan"),  # in a loop it is at rest
+        (lambda: detect(TWO, np.ones((5, 3)), np.ones((5, 3))), "detect: external of 3 joints, and a detector of 2"),
+        (lambda: detect(None, np.ones((5, 3)), np.ones((5, 3))), "detect: detector is None; write a jaxik.estimation.Detector"),
+        (lambda: judge_alarms(np.zeros(3), np.zeros(4), 0.1), r"alarms of shape \(3,\)"),
+        (lambda: judge_alarms(np.zeros(3), np.zeros(3), 0.0), "judge_alarms: dt is 0.0; it is"),
+        (lambda: judge_alarms(np.zeros(3), np.zeros(3), 0.1, after=np.inf), "judge_alarms: after is inf"),
+    ],
+)
+def test_refusals(call, says):
+    with pytest.raises(ValueError, match=says) as refused:
+        call()
+    assert "\n" not in str(refused.value)

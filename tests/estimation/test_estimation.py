@@ -1,0 +1,155 @@
+"""External torque of a robot: of logs that are known exactly, in a loop as in a log, and what is refused."""
+
+import dataclasses
+
+import jax
+import numpy as np
+import pytest
+
+import jaxik
+from jaxik.dynamics import Drive, Friction, inverse_dynamics, motor_current
+from jaxik.estimation import EstimationLoop, MomentumObserver, Sample, TorqueEstimator, TorqueFilter, estimate
+from jaxik.kinematics.robot import Body
+
+DT, STEPS = 1e-3, 400
+PUSH = np.array([3.0, -2.0])
+DRIVE = Drive(
+    ratio=50.0,
+    torque_constant=0.1,
+    rotor_inertia=1e-4,
+    stiffness=1e4,
+    friction=Friction(coulomb=0.02, load=1e-3, viscous=1e-3, side="motor"),
+)
+
+
+def an_arm(drive=DRIVE):
+    link = Body(np.array(2.0), np.array([-0.5, 0.02, 0.01]), np.diag([0.02, 0.2, 0.2]))
+    planar = dataclasses.replace(jaxik.load("planar2"), bodies=(link, link))
+    return planar.with_drives([drive, drive])
+
+
+ARM = an_arm()
+FILTER = TorqueFilter.of_drives(ARM, 0.01, 0.1, 1e-8)
+
+
+@pytest.fixture(scope="module")
+def log():
+    """Two sine motions under a constant push, whose currents and torsions are exact."""
+    t = DT * np.arange(STEPS)[:, None]
+    rate, phase = np.array([2.0, 3.0]), np.array([[[0.0, 1.0]], [[0.5, 0.2]]])
+    angle = rate * t + phase
+    q, qdot, qddot = np.sin(angle), rate * np.cos(angle), -(rate**2) * np.sin(angle)
+
+    @jax.jit
+    @jax.vmap
+    @jax.vmap
+    def shown(q, qdot, qddot):
+        torque = inverse_dynamics(ARM, q, qdot, qddot) - PUSH
+        return motor_current(ARM, torque, qdot), (torque - ARM.armature * qddot) / 1e4
+
+    return Sample(q, qdot, qddot, *map(np.asarray, shown(q, qdot, qddot)))
+
+
+def test_the_filter_finds_a_push(log):
+    """As a low pass of first order, whatever the arm does meanwhile."""
+    expected = PUSH * (1.0 - (1.0 - FILTER.gain) ** np.arange(1, STEPS + 1)[:, None])
+    found = estimate(TorqueEstimator(ARM, FILTER), log)
+    np.testing.assert_allclose(found, np.broadcast_to(expected, found.shape), rtol=1e-9)
+
+
+def test_the_observer_finds_a_push(log):
+    """Likewise, without accelerations; between samples it integrates by the trapezoidal rule."""
+    gain = np.array([30.0, 60.0])
+    expected = PUSH * (1.0 - (1.0 - gain * DT) ** np.arange(STEPS)[:, None])
+    found = estimate(MomentumObserver(ARM, gain, DT), Sample(log.q, log.qdot, current=log.current))
+    np.testing.assert_allclose(found, np.broadcast_to(expected, found.shape), atol=1e-4)
+
+
+def test_the_full_recursion_becomes_the_closed_form(log):
+    one = Sample(*(x[0] for x in log))
+    steady, full = (estimate(TorqueEstimator(ARM, FILTER, steady=steady, start=1.0), one) for steady in (True, False))
+    np.testing.assert_allclose(full[-1], PUSH, rtol=1e-6)
+    np.testing.assert_allclose(full[-1], steady[-1], rtol=1e-6)
+
+
+def test_a_sensor_that_is_not_there_needs_no_sample(log):
+    """Torsions of noise without bound count for nothing, and may be left out; so may currents."""
+    one = Sample(*(x[0] for x in log))
+    for name, given in (("torsion", dict(torsion_noise=np.inf)), ("current", dict(current_noise=np.inf, torsion_noise=1e-8))):
+        estimator = TorqueEstimator(ARM, TorqueFilter.of_drives(ARM, **(dict(process=0.01, current_noise=0.1) | given)))
+        np.testing.assert_array_equal(estimate(estimator, one._replace(**{name: None})), estimate(estimator, one))
+
+
+ESTIMATORS = {
+    "filter": TorqueEstimator(ARM, FILTER),
+    "recursion": TorqueEstimator(ARM, FILTER, steady=False),
+    "observer": MomentumObserver(ARM, 30.0, DT),
+}
+
+
+@pytest.mark.parametrize("estimator", ESTIMATORS.values(), ids=ESTIMATORS)
+def test_a_loop_is_what_a_log_is(log, estimator, monkeypatch):
+    monkeypatch.setattr(jaxik.spmd.packed_step, "_by_xla", None)  # each has a kernel
+    samples = [Sample(*(x[0, k] for x in log)) for k in range(5)]
+    loop, found = EstimationLoop(estimator), []
+    state = loop.start(samples[0])
+    for sample in samples:
+        state = loop.step(state, sample)
+        found.append(state.external)
+    np.testing.assert_allclose(found, estimate(estimator, log)[0, :5], rtol=1e-12, atol=1e-12)
+    with pytest.raises(ValueError, match="estimation loop: missed is -1; allowed: a count"):
+        loop.step(state, samples[0], missed=-1)
+    bad = samples[0]._replace(current=[0.0, np.nan])
+    for faulty, says in (
+        (bad, "estimation loop: current holds nan, q2; leave this sample out, and count it in `missed`"),
+        (bad._replace(q=[0.0, 0.0, 0.0]), r"q of shape \(3,\); allowed: \(2,\)"),
+        (bad._replace(q=0.0), r"q of shape \(\); allowed: \(2,\)"),
+        (samples[0]._replace(current=None), r"the sample has no current; give Sample\(..., current=\)"),
+        (samples[0]._replace(q=np.zeros(3), qdot=np.zeros(1)), r"q of shape \(3,\)"),  # as many numbers in all
+        (samples[0]._replace(q=["a", "b"]), "q: list that is no array of numbers"),
+        (samples[0]._replace(q=[np.nan, 0.0]), "q holds nan, q1"),  # which turns about gravity, and changes no torque
+        (bad._asdict(), "estimation loop: sample is .*; write a jaxik.estimation.Sample"),
+    ):
+        with pytest.raises(ValueError, match=says):
+            loop.step(state, faulty)
+    assert np.isfinite(state.external).all()
+
+
+def test_what_is_left_out_is_no_contact(log):
+    """An observer that is told how many samples it missed finds the push that it had found; one that is not is alarmed."""
+    loop, gap = EstimationLoop(MomentumObserver(ARM, 100.0, DT)), 3
+    samples = [Sample(x.q, x.qdot, current=x.current) for x in (Sample(*(y[0, k] for y in log)) for k in range(200))]
+    state = loop.start(samples[0])
+    for sample in samples[: -gap - 1]:
+        state = loop.step(state, sample)
+    told, untold = (loop.step(state, samples[-1], missed).external for missed in (gap, 0))
+    np.testing.assert_allclose(told, PUSH, atol=2e-3)
+    assert np.abs(untold - PUSH).max() > 0.1
+
+
+@pytest.mark.parametrize(
+    ("call", "says"),
+    [
+        (lambda log: estimate(TorqueEstimator(ARM, FILTER), log._replace(q=log.q[:1])), r"but q of \(1, 400, 2\); allowed"),
+        (lambda log: estimate(ESTIMATORS["observer"], Sample([1.0], [1.0])), r"q of shape \(1,\); allowed: \(..., t, 2\)"),
+        (lambda log: estimate(ESTIMATORS["filter"], log._asdict()), "log is .*; write a jaxik.estimation.Sample"),
+        (lambda log: estimate(ESTIMATORS["filter"], log._replace(qddot=None)), "torque estimator: the sample has no qddot"),
+        (lambda log: estimate(ESTIMATORS["filter"], log._replace(torsion=None)), "torque estimator: the sample has no torsion"),
+        (lambda log: MomentumObserver(jaxik.load("planar2"), 1.0, DT), "momentum observer: planar2 has no drives"),
+        (lambda log: TorqueEstimator(jaxik.load("planar2"), FILTER), "torque estimator: planar2 has no drives; write"),
+        (
+            lambda log: estimate(TorqueEstimator(ARM, FILTER), log._replace(torsion=np.full_like(log.q, np.inf))),
+            "torsion holds .* at sample 0, q1; interpolate it, or cut the log in two there",
+        ),
+        (lambda log: TorqueFilter.of_drives(jaxik.load("planar2"), 1.0, 1.0), "planar2 has no drives; use robot.with_drives"),
+        (lambda log: TorqueEstimator(jaxik.load("crops_v2"), FILTER), "a filter of 2 joints; crops_v2 has 9 joints"),
+        (lambda log: TorqueEstimator(ARM, None), "filter is None; write a jaxik.estimation.TorqueFilter"),
+        (lambda log: MomentumObserver(ARM, 2000.0, DT), "gain 2000.0 at dt 0.001 s; allowed: above 0, at most 1 / dt"),
+        (lambda log: MomentumObserver(ARM, np.nan, DT), "gain nan at dt"),
+        (lambda log: MomentumObserver(ARM, 1.0, np.inf), "dt is inf"),
+    ],
+)
+def test_refusals(log, call, says):
+    with pytest.raises(ValueError, match=says) as refused:
+        call(log)
+    assert "\n" not in str(refused.value)
