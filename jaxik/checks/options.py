@@ -16,7 +16,7 @@ TOP = ("Robot", "Fit", "IKOptions", "Scene", "Task")  # classes that `jaxik` its
 READERS = {"Robot": "load", "Scene": "load_scene"}  # what reads a file that is given in the place of these
 
 
-def check_choices(who: str, **choices: tuple[str, Any]) -> None:
+def check_choices(who: str, **choices: tuple[Any, Any]) -> None:
     """Raises a `ValueError` of one line, `who` asking, for an option `name=(value, Literal[..])` that is none of these."""
     for name, (value, kinds) in choices.items():
         if not isinstance(value, str) or value not in get_args(kinds):

@@ -13,7 +13,9 @@ FLOORS = [  # what the house is made of, from the ground up
     "spmd",  # the compiler of kernels knows no robot
     "reasons",
     "pytree",
+    "results",
     "checks",
+    "options",
     "spatial",
     "optimise",  # nor do the solvers
     "kinematics",

@@ -1,0 +1,186 @@
+"""One base for options: a field is declared once, with its default, bounds, unit and words.
+
+    class SearchOptions(Options, who="search"):
+        \"\"\"How `search` searches.\"\"\"
+
+        margin: float = number(default=0.0, unit="m", words="least clearance")
+        rounds: int = count(default=500, words="of the search, before it is given up")
+
+From the declaration follow the check of what a caller gives, the class's docstring, the flags of a command (`fields`) and the
+reference. Options are frozen and made by keywords; a driver takes `options=None, **changes` and joins them by `chosen`.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+from collections.abc import Callable
+from typing import Any, ClassVar, Self, dataclass_transform, get_args
+
+import numpy as np
+
+from jaxik.checks.arrays import positive
+from jaxik.checks.options import among, as_count, check_choices, check_finite, check_flag, check_kind, shown
+
+REQUIRED = dataclasses.MISSING
+
+
+@dataclasses.dataclass(frozen=True)
+class Field:
+    """What is declared of a field: its unit, its words, the choices that it has, and how a value is `kept`, given what asks for
+    it, `"solve_ik: margin"`, and the value. `kept` raises `ValueError` for a value that is not allowed."""
+
+    unit: str
+    words: str
+    choices: tuple[Any, ...]
+    kept: Callable[[str, str, Any], Any]
+
+
+def _declared(default: Any, unit: str, words: str, kept: Callable[[str, str, Any], Any], choices: tuple[Any, ...] = ()) -> Any:
+    metadata = {"option": Field(unit, words, choices, kept)}
+    if callable(getattr(default, "__hash__", None)) or default is REQUIRED:
+        return dataclasses.field(default=default, metadata=metadata)
+    return dataclasses.field(default_factory=lambda: type(default)(default), metadata=metadata)  # a dict, a list
+
+
+def number(
+    *,
+    default: Any = REQUIRED,
+    words: str,
+    unit: str = "",
+    least: float = -math.inf,
+    above: float = -math.inf,
+    most: float = math.inf,
+    optional: bool = False,
+) -> Any:
+    """A finite number of at least `least`, above `above`, and at most `most`; or None, where that is `optional`."""
+
+    def kept(who: str, name: str, value: Any) -> Any:
+        if value is None and optional:
+            return None
+        check_finite(who, least, **{name: value})
+        if not above < value <= most:
+            bound = f"above {above:g}" if value <= above else f"at most {most:g}"
+            raise ValueError(f"{who}: {name} is {shown(value)}; allowed: a finite number {bound}")
+        return value
+
+    return _declared(default, unit, words, kept)
+
+
+def count(*, default: Any = REQUIRED, words: str, least: int = 1, most: float = math.inf, also: tuple[Any, ...] = ()) -> Any:
+    """A whole number from `least` to `most`, or one of the words, or None, in `also`."""
+    or_else = "".join(f", or {shown(each)}" if each is None else f', or "{each}"' for each in also)
+
+    def kept(who: str, name: str, value: Any) -> Any:
+        if any(value is each or (isinstance(value, str) and value == each) for each in also):
+            return value
+        whole = as_count(f"{who}: {name}", value, or_else, least)
+        if whole > most:
+            raise ValueError(f"{who}: {name} is {whole}; at most {most:g}")
+        return whole
+
+    return _declared(default, "", words, kept, also)
+
+
+def choice(*, default: Any = REQUIRED, words: str, kinds: Any, also: tuple[Any, ...] = ()) -> Any:
+    """One word of a `Literal`, or one of the other values, True, False or None, in `also`."""
+
+    def kept(who: str, name: str, value: Any) -> Any:
+        if not any(value is each for each in also):
+            check_choices(who, **{name: (value, kinds)})
+        return value
+
+    return _declared(default, "", words, kept, (*get_args(kinds), *also))
+
+
+def flag(*, default: Any = REQUIRED, words: str) -> Any:
+    """True or False."""
+
+    def kept(who: str, name: str, value: Any) -> bool:
+        check_flag(who, **{name: value})
+        return bool(value)
+
+    return _declared(default, "", words, kept)
+
+
+def per_joint(*, default: Any = None, words: str, unit: str = "", lone: bool = True) -> Any:
+    """Positive numbers, one a joint, or where `lone` is allowed one for all; kept as a number or a tuple. None as it is."""
+    told = f" [{unit}]" if unit else ""
+    return _declared(default, unit, words, lambda who, name, value: positive(f"{who}: {name}{told}", value, lone))
+
+
+def instance(*, default: Any = REQUIRED, words: str, kind: type, optional: bool = False) -> Any:
+    """An object of a `kind`; or None, where that is `optional`."""
+
+    def kept(who: str, name: str, value: Any) -> Any:
+        check_kind(who, name, value, kind, optional)
+        return value
+
+    return _declared(default, "", words, kept)
+
+
+def anything(*, default: Any = REQUIRED, words: str, unit: str = "") -> Any:
+    """A value which the class's own `check` judges, or the driver that knows the shapes."""
+    return _declared(default, unit, words, lambda who, name, value: value)
+
+
+@dataclass_transform(
+    frozen_default=True, kw_only_default=True, field_specifiers=(number, count, choice, flag, per_joint, instance, anything)
+)
+class Options:
+    """A subclass is a frozen dataclass, made by keywords, each of whose fields is declared by one of this module's functions.
+    `who` asks in its messages: the function that takes it."""
+
+    who: ClassVar[str] = "options"
+
+    def __init_subclass__(cls, who: str = "", **kwargs: Any) -> None:
+        super().__init_subclass__(**kwargs)
+        cls.who = who or cls.who
+        dataclasses.dataclass(frozen=True, kw_only=True)(cls)
+        cls.__doc__ = "\n\n".join([(vars(cls).get("__doc__") or "").strip(), described(cls)])
+
+    def __post_init__(self) -> None:
+        for name, field in fields(type(self)).items():
+            object.__setattr__(self, name, field.kept(self.who, name, getattr(self, name)))
+        self.check()
+
+    def check(self) -> None:
+        """Raises `ValueError` where fields do not go together. A subclass has its own."""
+
+    def changed(self, changes: dict[str, Any]) -> Self:
+        """The options with fields changed by name. Raises `ValueError` for a name that is no field's."""
+        names = list(fields(type(self)))
+        for name in changes:
+            if name not in names:
+                raise ValueError(f"{self.who}: unknown option '{shown(name)}'; {among(name, names)}")
+        return type(self)(**{name: getattr(self, name) for name in names} | changes) if changes else self
+
+    @classmethod
+    def chosen(cls, options: Self | None, changes: dict[str, Any]) -> Self:
+        """The `options` that a driver was given, or the defaults, with its `changes`. Raises `ValueError` for other objects and
+        other names."""
+        check_kind(cls.who, "options", options, cls, optional=True)
+        return (options or cls()).changed(changes)
+
+
+def fields(options: type[Options]) -> dict[str, Field]:
+    """What is declared of each field, by its name."""
+    every: Any = dataclasses.fields(options)  # type: ignore[arg-type]  # each subclass is a dataclass
+    return {field.name: field.metadata["option"] for field in every}
+
+
+def described(options: type[Options]) -> str:
+    """A line a field: its name, unit and default, and its words."""
+    every: Any = dataclasses.fields(options)  # type: ignore[arg-type]
+    lines = []
+    for field in every:
+        declared, default = field.metadata["option"], field.default
+        if field.default_factory is not dataclasses.MISSING:
+            default = field.default_factory()
+        usual = "" if default is REQUIRED or len(_written(default)) > 40 else f" ({_written(default)} unless given)"
+        lines.append(f"{field.name}{f' [{declared.unit}]' if declared.unit else ''}: {declared.words}{usual}.")
+    return "\n".join(lines)
+
+
+def _written(default: Any) -> str:
+    return f"{default:g}" if isinstance(default, float | np.floating) else repr(default)
