@@ -1,4 +1,4 @@
-"""What mkdocs is told beside `mkdocs.yml`: where the notebooks lie, and that what is public is documented."""
+"""Hooks of mkdocs beside `mkdocs.yml`: where the notebooks lie, and that all public names are documented."""
 
 from __future__ import annotations
 

@@ -27,7 +27,7 @@ plt.rcParams |= {"font.size": 10, "axes.spines.top": False, "axes.spines.right":
 
 
 def harvest() -> None:
-    """What `jaxik harvest` draws."""
+    """The picture of `jaxik harvest`."""
     from jaxik.view.harvest_picture import plot_harvest
 
     result = jaxik.harvest(jaxik.load("p6r"), jaxik.load_scene("cucumber_row"))
@@ -35,7 +35,7 @@ def harvest() -> None:
 
 
 def motions() -> None:
-    """What `jaxik harvest --motions` draws."""
+    """The picture of `jaxik harvest --motions`."""
     from jaxik.view.harvest_plan_picture import plot_harvest_plan
 
     result = jaxik.harvest(jaxik.load("p6r"), jaxik.load_scene("cucumber_row"))
@@ -43,7 +43,7 @@ def motions() -> None:
 
 
 def reach() -> None:
-    """What `jaxik sweep --plot` draws, of the page's study on a finer grid."""
+    """The picture of `jaxik sweep --plot`, of the page's study on a finer grid."""
     from jaxik.view.sweep_picture import plot_sweep
 
     grid = {"kind": "grid", "x": [-0.3, 1.3, 33], "y": [0.2, 0.9, 15], "z": [0.0, 1.0, 21]}

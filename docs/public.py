@@ -1,4 +1,4 @@
-"""What is public in the library, and whether the reference has it."""
+"""Public names of the library, and whether the reference has them."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ def packages() -> list[str]:
 
 
 def names(package: str) -> dict[str, Any]:
-    """What its face shows, without modules."""
+    """The names that the face of a package shows, without modules."""
     face = importlib.import_module(f"jaxik.{package}")
     public = {name: getattr(face, name) for name in getattr(face, "__all__", ())}
     return {name: what for name, what in public.items() if not isinstance(what, types.ModuleType)}

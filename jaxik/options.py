@@ -27,8 +27,8 @@ REQUIRED = dataclasses.MISSING
 
 @dataclasses.dataclass(frozen=True)
 class Field:
-    """What is declared of a field: its unit, its words, the choices that it has, and how a value is `kept`, given what asks for
-    it, `"solve_ik: margin"`, and the value. `kept` raises `ValueError` for a value that is not allowed."""
+    """The declaration of a field: its unit, its words, its choices, and `kept`, which turns who asks, the name and the given
+    value into the value that is kept, or raises `ValueError` for one that is not allowed."""
 
     unit: str
     words: str
@@ -164,7 +164,7 @@ class Options:
 
 
 def fields(options: type[Options]) -> dict[str, Field]:
-    """What is declared of each field, by its name."""
+    """The declarations of all fields, by name."""
     every: Any = dataclasses.fields(options)  # type: ignore[arg-type]  # each subclass is a dataclass
     return {field.name: field.metadata["option"] for field in every}
 

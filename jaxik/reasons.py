@@ -10,7 +10,7 @@ import numpy as np
 
 
 class Reason(IntEnum):
-    """What happened to a target; in a batch each element has its own."""
+    """The end that a target came to; in a batch each element has its own."""
 
     SOLVED = 0
     OUT_OF_REACH = 1  # no configuration at all has the pose

@@ -14,13 +14,13 @@ from jaxik.reasons import Reason
 
 
 class Reasoned:
-    """What has a `reason`: a `Reason`, or an array of their numbers; as a field, or as a property."""
+    """An object with a `reason`: a `Reason`, or an array of their numbers; a field, or a property."""
 
     reason: Any
 
 
 class Result(Reasoned, Pytree):
-    """A pytree whose arrays have the leading axis of what was asked; of a single one they are the entries themselves.
+    """A pytree whose arrays have the leading axis of what was asked; a single result holds the entries themselves.
 
     `reason` holds a `Reason`, or an array of their numbers; `why` says it in words. A tuple as a field has one entry a row, and
     `static` fields belong to all rows. `len`, iteration and indices go by rows, a single result being one row. A single result
@@ -86,7 +86,7 @@ class Result(Reasoned, Pytree):
         return "\n".join([f"{type(self).__name__}: {self._told()}", *lines])
 
     def _told(self) -> str:
-        """What a person asks first."""
+        """The answer to what a person asks first."""
         if self.single:
             return str(self.why)
         others = [f"{count} {words}" for words, count in self.counts().items() if words != Reason.SOLVED.text]
@@ -111,12 +111,12 @@ class Result(Reasoned, Pytree):
 
 
 def by_row(**options: Any) -> Any:
-    """A static field, hashable, that is a tuple of one entry a row: names, places. Of a single result the entry itself."""
+    """A static field, hashable, that is a tuple of one entry a row: names, places. A single result has the entry itself."""
     return dataclasses.field(metadata={"static": True, "by_row": True}, **options)
 
 
 def _picked(value: Any, rows: Any, count: int) -> Any:
-    """Those entries of a field."""
+    """The entries of a field that `rows` picks of its `count`."""
     if isinstance(value, tuple) and type(value) is tuple:
         numbers = np.arange(count)[rows]
         return value[int(numbers)] if numbers.ndim == 0 else tuple(value[i] for i in numbers)

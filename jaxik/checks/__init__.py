@@ -1,1 +1,1 @@
-"""What a caller gives, checked: one line that says what was given, where, and what is allowed."""
+"""Checks of what a caller gives: one line says what was given, where, and what is allowed."""

@@ -1,4 +1,4 @@
-"""What a caller gives, as arrays of numbers; or the one line that says what was given, and what is allowed."""
+"""Arrays of numbers from what a caller gives; or the one line that says what was given, and what is allowed."""
 
 from __future__ import annotations
 
@@ -48,7 +48,7 @@ def is_known(given: Any) -> bool:
 
 
 def check_known(who: str, **given: Any) -> None:
-    """What runs on the host asks. Raises `ValueError` for what is traced."""
+    """Raises `ValueError` for traced values, which a function on the host cannot read."""
     for name, value in given.items():
         if not is_known(value):
             mend = "this runs on the host, outside of jit, vmap and grad, and takes numbers"
@@ -94,7 +94,7 @@ def is_rigid(frames: np.ndarray) -> np.ndarray:
 
 
 def rigid_frame(what: str, given: Any) -> Any:
-    """`given` as a rigid frame (4, 4) [m]: in float64, or as it is where it is JAX's. Of a traced one the shape alone is known.
+    """`given` as a rigid frame (4, 4) [m]: in float64, or as it is where it is JAX's. A traced one is checked by its shape.
 
     Raises `ValueError` for another shape, and for what shears, scales or mirrors.
     """

@@ -71,7 +71,7 @@ def check_seed(who: str, seed: Any) -> None:
 
 
 def shown(value: Any) -> str:
-    """What was given, short enough for the one line that refuses it."""
+    """The given value in words, short enough for the one line that refuses it."""
     line = " ".join(str(value).split())
     return line if len(line) <= 60 else f"{line[:57]}..."
 

@@ -143,7 +143,7 @@ def _bitcast(t: Text, e: Expression) -> str:
 
 
 def _divided(t: Text, e: Expression) -> str:
-    """By 0: -1, or what was divided; of the smallest by -1: itself, or 0. As XLA has it, and without a trap."""
+    """Integer division as XLA defines it: x/0 is -1, x%0 is x, INT_MIN/-1 is INT_MIN and its remainder 0. It never traps."""
     shape, remains = t.shape(e.type, e.wide), e.code == "irem"
     zero, one, ones = (t.constant(k, e.type, e.wide) for k in (0, 1, -1))
     select = lambda truth, yes, no: t.assign(_select(t, e, truth, yes, no))
@@ -161,7 +161,7 @@ def _divided(t: Text, e: Expression) -> str:
 
 
 def _shifted(t: Text, e: Expression) -> str:
-    """By as many bits as there are, or more: what is left of all of them."""
+    """A shift by all bits or more leaves what is left of all of them."""
     shape, bits, by = t.shape(e.type, e.wide), BITS[e.type], e.known[1]
     if by is not None and 0 <= int(by) < bits:
         return f"{e.code} {shape} {e.names[0]}, {e.names[1]}"

@@ -37,7 +37,7 @@ def anew_in_forks(cached: Cached) -> Cached:
 @anew_in_forks
 @functools.cache
 def threads() -> ThreadPoolExecutor:
-    """As many as there are cores."""
+    """The number of cores."""
     return ThreadPoolExecutor(cores(), thread_name_prefix="jaxik")
 
 

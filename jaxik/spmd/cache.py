@@ -1,4 +1,4 @@
-"""What is made once and kept on disk: compiled kernels, fitted collision models. A folder of named objects, bounded in size."""
+"""A folder of named objects that are made once and kept on disk, bounded in size: compiled kernels, fitted collision models."""
 
 from __future__ import annotations
 
@@ -63,7 +63,7 @@ def drop(name: str) -> None:
 
 
 def _read(folder: Path, name: str) -> bytes:
-    """What is judged is what is read: each is opened once, by no link. Raises `OSError`."""
+    """Reads a file and judges the very file that it read: each is opened once, by no link. Raises `OSError`."""
     inside = os.open(folder, os.O_RDONLY | getattr(os, "O_DIRECTORY", 0))
     try:
         file = os.open(name, os.O_RDONLY | getattr(os, "O_NOFOLLOW", 0) | getattr(os, "O_NONBLOCK", 0), dir_fd=inside)

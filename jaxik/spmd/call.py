@@ -97,7 +97,7 @@ def made(traced: Traced, shared: tuple[bool, ...]) -> Made:
 
 
 def _after_fork() -> None:
-    """What another thread was making is nobody's now."""
+    """Drops what another thread was making: in the child nobody goes on with it."""
     global _lock
     _lock = threading.Lock()
     for key in [k for k, promise in _made.items() if not promise.done()]:
@@ -147,7 +147,7 @@ def _linked(stored: bytes, name: str, whole: bool = False) -> tuple[int, int, in
 
 @functools.cache
 def _version() -> str:
-    """What machine code depends on beside its program: this package, LLVM, JAX's calls, the processor."""
+    """The versions that machine code depends on beside its program: this package, LLVM, JAX's calls, the processor."""
     sources = b"".join(p.read_bytes() for p in sorted(Path(__file__).parent.rglob("*.py")))
     versions = [importlib.metadata.version(p) for p in ("llvmlite", "jaxlib")]
     here = machine.llvm().get_host_cpu_name(), machine.features(), machine.llvm().get_default_triple()

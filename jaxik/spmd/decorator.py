@@ -23,7 +23,7 @@ KEPT = 256  # jaxprs of one function, of robots and shapes; their machine code i
 
 
 class _Known(dict[Any, tuple[Traced, Any, list[Any]]]):
-    """What has been traced; a pickled kernel leaves it behind."""
+    """The traces so far; a pickled kernel leaves them behind."""
 
     def __reduce__(self) -> Any:
         return _Known, ()
@@ -43,8 +43,8 @@ def kernel(function: Callable[..., Any] | None = None, *, models: int = 0, order
         jax.jit(jax.vmap(gap, (0, None)))(points, ball)  # (b, 2), (2,) -> (b,)
 
     It takes and returns pytrees of arrays (floats, integers and truth values of up to 64 bits) of one configuration, of any
-    shapes and units, and is pure: what it closes over is read when it is first called with arguments of those shapes. Of the
-    first `models` arguments (a robot) the numbers fold into the program, except those that are traced; they are hashable, and
+    shapes and units, and is pure: what it closes over is read when it is first called with arguments of those shapes. The
+    numbers of the first `models` arguments (a robot) fold into the program, unless they are traced; they are hashable, and
     equal ones of equal types share it. Where some configurations take more work than others, `order` is a function of the same
     arguments that is cheap and gives a number from 0 to 1, or None where it is not worth its while: those of a large batch
     whose numbers are alike are computed side by side, so that fewer wait for others; the results are the same. What a kernel

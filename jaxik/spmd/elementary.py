@@ -47,7 +47,7 @@ def traced(name: str, kind: str) -> ClosedJaxpr:
 
 
 def _polynomial(u: Any, coefficients: Sequence[float]) -> Any:
-    """By Horner's rule, the constant first."""
+    """The polynomial by Horner's rule, the constant first."""
     value = jnp.full_like(u, coefficients[-1])
     for c in reversed(coefficients[:-1]):
         value = value * u + u.dtype.type(c)

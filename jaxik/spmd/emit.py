@@ -184,7 +184,7 @@ class Emitter:
         return running
 
     def _carried(self, loop: Loop, i: int, running: str | None) -> str:
-        """What the next turn begins with; lanes that are done keep what they have."""
+        """The values that the next turn begins with; lanes that are done keep theirs."""
         p = loop.params[i]
         name = self.values.name(loop.results[i], self.values.is_wide(p))
         if running is None:

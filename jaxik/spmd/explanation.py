@@ -1,4 +1,4 @@
-"""What was made of a function: operations, loops, vector width, what had no register; or why it goes to XLA."""
+"""A report of what a kernel became: operations, loops, vector width, what had no register; or why it goes to XLA."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ from jaxik.spmd.trace import trace
 
 @dataclasses.dataclass(frozen=True)
 class Explanation:
-    """What was made of a function; `print` shows it in one line.
+    """A report of what a function became; `print` shows it in one line.
 
     `operations` of one vector of lanes by kind, those of a loop counted once and those of all sides of a branch; `loops`, with
     how often each turns (0: until its lanes are done); `branches`; the `width` of a vector in lanes; `spills`, how often a
@@ -54,7 +54,7 @@ def _many(count: int, what: str, ending: str = "s") -> str:
 
 
 def explain(function: Callable[..., Any], *args: Any) -> Explanation:
-    """What a kernel of `function` is, or why there is none. Host.
+    """Reports what a kernel of `function` is, or why there is none. Host.
 
     `args` are like those of one configuration, pytrees of arrays or numbers: only shapes and types count, in the width that
     JAX is set to. `function` is as it would be given to `kernel`, or came from it; not its `vmap`. Arguments of more than 64

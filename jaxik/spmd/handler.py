@@ -1,4 +1,4 @@
-"""What XLA calls: an FFI handler in LLVM's own language, around the kernel's function of one vector of lanes.
+"""The FFI handler that XLA calls, in LLVM's own language, around the kernel's function of one vector of lanes.
 
 It reads the call frame [xla/ffi/api/c_api.h of jaxlib; a test holds the offsets against that header], so neither Python nor a
 lock takes part. Operands come as (outer, inner, size): a lane is a row of `inner`; `outer` counts tables that lanes share, and
@@ -64,7 +64,7 @@ FLUSHES = {"x86_64": _X86, "amd64": _X86, "aarch64": _ARM, "arm64": _ARM}.get(pl
 
 
 class Row(NamedTuple):
-    """What a lane has of an operand or result: so many numbers of a type; or all lanes share them."""
+    """The part of an operand or result that a lane has: so many numbers of a type; or all lanes share them."""
 
     kind: str
     size: int

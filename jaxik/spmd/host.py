@@ -42,8 +42,8 @@ class HostKernel:
         return HostKernel, (self.function, self.lanes)  # another process makes its own
 
     def __call__(self, *args: Any) -> list[np.ndarray]:
-        """Its results' leaves, each (b, ...), by a kernel, or by XLA where there is none, in the width that JAX is set to
-        here. Raises `ValueError` if the arguments do not have as many rows as each other."""
+        """The results' leaves, each (b, ...), by a kernel, or by XLA where there is none, in the width that JAX is set to here.
+        Raises `ValueError` if the arguments do not have as many rows as each other."""
         try:
             return self.run(*args)
         except Unsupported:
@@ -52,10 +52,10 @@ class HostKernel:
     def run(
         self, *args: Any, double: bool | None = None, threads: ThreadPoolExecutor | None = None, team: int = 1
     ) -> list[np.ndarray]:
-        """Its results' leaves, each (b, ...), by a kernel. `team` threads, those of the pool and this one, share the work.
+        """The results' leaves, each (b, ...), by a kernel. `team` threads, those of the pool and this one, share the work.
         `double` says in which width floats are taken and computed; None is that of the rows, as JAX would take them here.
 
-        Raises `Unsupported`, in one line, where there is no kernel: of such a function, on another platform, without llvmlite;
+        Raises `Unsupported`, in one line, where there is no kernel: for such a function, on another platform, without llvmlite;
         and `ValueError` if the arguments do not have as many rows as each other.
         """
         made, operands, outs, count = self._prepared(args, double)
@@ -108,7 +108,7 @@ class HostKernel:
         return jax.jit(batch)
 
     def _made(self, tree: Any, double: bool, shapes: Any, kinds: str) -> tuple[Traced, call.Made, list[np.ndarray]]:
-        """What is traced, its kernel, and the large arrays that the function closes over, which are operands."""
+        """Returns the trace, its kernel, and the large arrays that the function closes over, which are operands."""
         if jax.default_backend() != "cpu":
             raise Unsupported("other platforms than a CPU")
         with jax.enable_x64(double):
@@ -121,8 +121,8 @@ class HostKernel:
 
 
 def host_kernels(lanes: int, known: int = 64) -> Callable[[Callable[..., Any]], Callable[..., HostKernel]]:
-    """Of a function that takes what is fixed and hashable (a robot), rows of `lanes` arguments, and what all rows share: what
-    makes its kernel of what is fixed, once for each of the last few `known`."""
+    """Decorates f(fixed..., rows..., shared...). The result maps the fixed, hashable arguments (a robot) to a kernel over rows
+    of the `lanes` arguments; the last `known` kernels are kept."""
 
     def factory(function: Callable[..., Any]) -> Callable[..., HostKernel]:
         return functools.lru_cache(known)(lambda *fixed: HostKernel(functools.partial(function, *fixed), lanes))
@@ -167,7 +167,7 @@ def _run(made: call.Made, operands: list[np.ndarray], outs: list[np.ndarray], co
 
 
 def _words(made: call.Made, operands: list[np.ndarray], outs: list[np.ndarray], count: int, team: int) -> array.array[int]:
-    """What the kernel is told of a call."""
+    """The words of a call that the kernel reads."""
     vectors = -(-count // made.width)
     words = array.array("q", bytes(8 * FIRST))
     words[TOTAL], words[INNER], words[VECTORS] = vectors, count, vectors

@@ -48,7 +48,7 @@ def _of_number(value: Any) -> int:
 
 
 def _walked(jaxpr: Jaxpr, kinds: dict[Var, int], given: Sequence[int]) -> list[int]:
-    """What the results are, where the arguments are as `given`."""
+    """Returns what the results are, where the arguments are as `given`."""
     kinds = kinds | dict(zip(jaxpr.invars, given, strict=True))
     of = lambda v: _of_number(v.val) if isinstance(v, Literal) else kinds.get(v, OTHER)
     for eqn in jaxpr.eqns:
@@ -57,7 +57,7 @@ def _walked(jaxpr: Jaxpr, kinds: dict[Var, int], given: Sequence[int]) -> list[i
 
 
 def _through(eqn: Any, given: Sequence[int]) -> list[int]:
-    """What an equation's results are."""
+    """Returns what an equation's results are."""
     name, inner, count = eqn.primitive.name, [body for body, *_ in bodies(eqn)], len(eqn.outvars)
     if name == "cond":
         _independent(given[:1])
@@ -75,7 +75,7 @@ def _through(eqn: Any, given: Sequence[int]) -> list[int]:
 
 
 def _repeated(eqn: Any, body: Jaxpr, given: Sequence[int], consts: int) -> list[int]:
-    """What a loop carries, until it stays the same, and what it stacks."""
+    """Returns what a loop carries, until it stays the same, and what it stacks."""
     count = eqn.params.get("num_carry", len(given) - consts)
     carried = list(given[consts : consts + count])
     while True:
@@ -87,7 +87,7 @@ def _repeated(eqn: Any, body: Jaxpr, given: Sequence[int], consts: int) -> list[
 
 
 def _entries(name: str, given: Sequence[int]) -> int:
-    """What an operation on entries gives."""
+    """Returns what an operation on entries gives."""
     if name in ("mul", "dot_general", "spmd_along"):
         if ZERO in given:
             return ZERO
@@ -109,7 +109,7 @@ def _entries(name: str, given: Sequence[int]) -> int:
 
 
 def _joined(*kinds: int) -> int:
-    """Of values that are added, or stand beside each other."""
+    """Joins the kinds of values that are added, or stand beside each other."""
     if LINEAR in kinds and OTHER in kinds:
         _nonlinear()
     return max(kinds, default=ZERO)

@@ -1,4 +1,4 @@
-"""Which operations the outputs need, and which of them are uniform: the same in every lane."""
+"""Finds the operations that the outputs need, and those of them that are uniform: the same in every lane."""
 
 from __future__ import annotations
 

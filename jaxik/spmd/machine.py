@@ -1,4 +1,4 @@
-"""From text to machine code: this machine's target, LLVM through llvmlite, objects linked into the process."""
+"""Machine code from text: this machine's target, LLVM through llvmlite, objects linked into the process."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ def llvm() -> Any:
 
 @functools.cache
 def features() -> str:
-    """What this processor can do, as LLVM writes it: "+avx2,..."."""
+    """The features of this processor, as LLVM writes them: "+avx2,..."."""
     return str(llvm().get_host_cpu_features().flatten())
 
 
@@ -69,7 +69,7 @@ def _jit() -> Any:
 
 
 def attributes() -> str:
-    """What every function of a kernel says of this processor."""
+    """The attributes of every function of a kernel, which name this processor."""
     return (
         f'attributes #0 = {{ nounwind "target-cpu"="{llvm().get_host_cpu_name()}" "target-features"="{features()}" '
         f'"prefer-vector-width"="{vector_bits()}" "min-legal-vector-width"="{vector_bits()}" }}\n'

@@ -24,7 +24,7 @@ class Packed:
 
     @functools.cached_property
     def tree(self) -> Any:
-        """It, of views of the row."""
+        """The tree, its arrays views of the row."""
         return self._layout.of(self.row)
 
     def __getattr__(self, name: str) -> Any:
@@ -93,7 +93,7 @@ class _Layout:
         self._others = [(k, x.dtype) for k, x in enumerate(leaves) if x.dtype != np.float64]
 
     def leaves(self, tree: Any) -> list[np.ndarray]:
-        """Of such a tree, each flat. Raises `ValueError` for another."""
+        """The leaves of such a tree, each flat. Raises `ValueError` for another tree."""
         flat = [np.asarray(x).ravel() for x in self.structure.flatten_up_to(tree)]
         if [x.size for x in flat] != self.sizes:
             raise ValueError

@@ -68,7 +68,7 @@ def _(*args: Any, traced: Traced, batch: tuple[int, ...], masks: Masks) -> list[
 
 
 def _debugged(traced: Traced, found: list[Any]) -> list[Any]:
-    """What operations found, which say themselves where a NaN began, or else the kernel does: `jax_debug_nans`."""
+    """Raises for a NaN where `jax_debug_nans` asks: the operations say themselves where it began, or else the kernel does."""
     for x in (x for x in found if is_float(x)):
         for name, holds in (("nan", jnp.isnan), ("inf", jnp.isinf)):
             if jax.config.values[f"jax_debug_{name}s"] and np.any(holds(x)):

@@ -1,4 +1,4 @@
-"""What a kernel computes: scalar operations of one lane in static single assignment, with loops and branches that stay.
+"""A kernel as a program: scalar operations of one lane in static single assignment, with loops and branches that stay.
 
 A value is the index of an `Op`. Equal operations are one value, constants fold, and an operation stands in the outermost block
 that knows its arguments, so that what a loop does not change is computed before it; but never outside the branch that asks for

@@ -62,7 +62,7 @@ def _transposed(t: Text, v: Sequence[str], kind: str) -> list[str]:
     n, count = t.width, len(v)
 
     def pick(a: str, b: str, pattern: Sequence[int]) -> str:
-        """In each block the entries of that pattern, of a and then of b."""
+        """Picks the entries of that pattern in each block, of a and then of b."""
         places = [[g + k if k < count else n + g + k - count for k in pattern] for g in range(0, n, count)]
         return t.shuffle(a, b, n, kind, [x for block in places for x in block])
 

@@ -1,4 +1,4 @@
-"""From a jaxpr of one configuration to a `Program`: every array an array of scalars, known while compiling.
+"""Makes a `Program` of a jaxpr of one configuration: every array an array of scalars, known while compiling.
 
 An array is a NumPy array of values, so reshapes, slices, stacks, transposes and gathers at constant indices are NumPy's and
 cost nothing at run time. An operand, a table of constants or what a loop stacks is an array of addresses instead, read where
@@ -34,7 +34,7 @@ class Computed(NamedTuple):
 
 
 class Unsupported(NotImplementedError):  # noqa: N818 - of functions that are in order, and run elsewhere
-    """What a kernel cannot do; one line that names it. `HostKernel.run` raises it, `kernel` warns and goes to XLA."""
+    """The error of what a kernel cannot do; one line names it. `HostKernel.run` raises it, `kernel` warns and goes to XLA."""
 
 
 @dataclasses.dataclass(frozen=True, eq=False)

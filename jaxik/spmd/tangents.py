@@ -1,4 +1,4 @@
-"""Which variables of a derivative's jaxpr are tangents, or cotangents: what depends on the unit vectors that it is taken along.
+"""Finds the tangents and cotangents in a derivative's jaxpr: what depends on the unit vectors that it is taken along.
 
 All others are the function's own, and are computed exactly as the function alone computes them.
 """
@@ -12,7 +12,8 @@ from jax.extend.core import ClosedJaxpr, Jaxpr, Literal, Var
 
 
 def tangents(jaxpr: Jaxpr, seeds: Sequence[Var]) -> set[Var]:
-    """What depends on the `seeds`, in inner jaxprs, too; one that stands in two places is taken for a tangent's in both."""
+    """Returns the variables that depend on the `seeds`, in inner jaxprs, too; one that stands in two places is taken for a
+    tangent's in both."""
     found = set(seeds)
     while _spread(jaxpr, found):
         pass

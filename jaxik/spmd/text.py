@@ -102,8 +102,8 @@ class Lines:
 
 
 class Text(Lines):
-    """Of a function over vectors of `width` lanes. `kind` is a type as a `Program` has it, or as it is `stored`; `wide` says
-    whether a value is a vector, with an entry a lane, or a scalar that all lanes share."""
+    """The text of a function over vectors of `width` lanes. `kind` is a type as a `Program` has it, or as it is `stored`; `wide`
+    says whether a value is a vector, with an entry a lane, or a scalar that all lanes share."""
 
     def __init__(self, width: int):
         super().__init__()
@@ -123,7 +123,7 @@ class Text(Lines):
         return "zeroinitializer" if wide else literal(0, kind)
 
     def align(self, kind: str) -> int:
-        """Of a vector in scratch [bytes]."""
+        """The alignment of a vector in scratch [bytes]."""
         return min(self.width * BYTES[kind], ALIGNED)
 
     def intrinsic(self, name: str, kind: str, wide: bool, args: Sequence[str]) -> str:
@@ -148,7 +148,7 @@ class Text(Lines):
         self.line(f"{name} = shufflevector {shape} {one}, {shape} poison, <{self.width} x i32> zeroinitializer")
 
     def as_truth(self, value: str, kind: str, wide: bool) -> str:
-        """What was stored, as a value."""
+        """A stored number as a value."""
         shape = self.shape(stored(kind), wide)
         return f"icmp ne {shape} {value}, {self.zero('i8', wide)}" if kind == "i1" else self.same(shape, value)
 

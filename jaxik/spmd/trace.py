@@ -26,7 +26,7 @@ def on_one_device() -> Any:
 
 
 class Traced:
-    """A jaxpr whose constants are numbers; what it closed over beside them are its last arguments. Of a derivative the last
+    """A jaxpr whose constants are numbers; what it closed over beside them are its last arguments. A derivative's last
     constants are the unit vectors along which it is one, so many `seeds`, and its first results are the `values` of another.
     Its `order` is a program of the same first arguments: lanes for which it gives like numbers do alike."""
 

@@ -45,7 +45,7 @@ class Values:
         return found.union(*(row for row in self.program.outputs if not isinstance(row, Whole)))
 
     def _asks(self, v: int) -> set[int]:
-        """Which of its operands an operation takes as vectors."""
+        """Returns the operands that an operation takes as vectors."""
         code, _, args = self.program.ops[v]
         if isinstance(args, Loop):
             carried = zip(args.init, args.params, args.results, strict=True)

@@ -96,7 +96,7 @@ def _cond(s: Scalariser, eqn: Any, which: Array, *args: Array) -> list[Array]:
 
 
 class _Carried:
-    """What a loop carries: arrays that change, as flat values; those that its body hands back as they are stay outside."""
+    """The values that a loop carries: arrays that change, flat; those that its body hands back as they are stay outside."""
 
     def __init__(self, s: Scalariser, init: Sequence[Array], body: Jaxpr, first_in: int):
         inputs = body.invars[first_in : first_in + len(init)]

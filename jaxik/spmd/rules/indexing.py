@@ -106,7 +106,7 @@ def _iota(s: Scalariser, eqn: Any) -> Array:
 
 @rule("empty", "empty2")
 def _empty(s: Scalariser, eqn: Any) -> Array:
-    """What nobody reads before it is written: the buffers of a loop's way back."""
+    """An array that nobody reads before it is written: the buffers of a loop's way back."""
     return s.full(eqn.outvars[0].aval.shape, 0, kind_of(eqn))
 
 

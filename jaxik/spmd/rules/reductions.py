@@ -18,7 +18,7 @@ def _along(x: np.ndarray, axes: Sequence[int]) -> np.ndarray:
 
 
 def _neutral(name: str, dtype: np.dtype[Any]) -> Any:
-    """What a reduction of nothing gives."""
+    """The value of a reduction of nothing."""
     if name in ("max", "min"):
         return limits(dtype)[name == "min"]
     return ~dtype.type(0) if name == "and" else int(name == "prod")
