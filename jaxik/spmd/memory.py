@@ -12,7 +12,7 @@ from jaxik.spmd.values import Values
 
 
 class Accesses:
-    """The accesses of one function. `entry` are the lines that read rows, before all others: every block sees what they read."""
+    """The accesses of one function. `entry` are the lines that read rows: before all others, so that every block sees them."""
 
     def __init__(self, values: Values):
         self.values, self.live, self.text = values, values.live, values.text

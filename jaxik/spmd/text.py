@@ -102,8 +102,8 @@ class Lines:
 
 
 class Text(Lines):
-    """The text of a function over vectors of `width` lanes. `kind` is a type as a `Program` has it, or as it is `stored`; `wide`
-    says whether a value is a vector, with an entry a lane, or a scalar that all lanes share."""
+    """The text of a function over vectors of `width` lanes. `kind` is a type as a `Program` has it, or as it is `stored`;
+    `wide` says whether a value is a vector, with an entry a lane, or a scalar that all lanes share."""
 
     def __init__(self, width: int):
         super().__init__()
