@@ -16,13 +16,13 @@ from typing import Any
 import jax
 import matplotlib.pyplot as plt
 import numpy as np
+from papers.grid_planner import plan_on_grid
+from papers.grid_search import Grid, shortest
 from race import clocked, machine
 from scipy.sparse import csr_matrix
 from scipy.sparse.csgraph import dijkstra
 
 import jaxik
-from jaxik.planning import plan_on_grid
-from jaxik.planning.grid_search import Grid, shortest
 
 STEP = np.radians(5.0)  # the paper's
 STEMS = [[0.4 * i - 1.6, 1.0, 0.0, 0.1, 0.1, 1.0] for i in range(9)]
@@ -61,7 +61,7 @@ def figure_7(file: Path) -> dict[str, Any]:
     result: dict[str, Any] = {"nodes": hits.size, "free": int((~hits).sum()), "dijkstra": truth(nodes, hits, START, goal)}
     for direction in ("forward", "backward", "both"):
         for name, how in {"one by one": {"batch": 1, "euclidean": True}, "in batches": {"batch": 256}}.items():
-            run = lambda how=how, direction=direction: plan_on_grid(robot, scene, START, goal, direction=direction, **how)
+            run = lambda how=how, direction=direction: plan_on_grid(robot, START, goal, scene=scene, direction=direction, **how)
             run()
             found, seconds = clocked(run)
             row = {"expanded": found.expanded, "judged": found.judged, "length": found.length, "ms": 1e3 * seconds}
@@ -75,7 +75,8 @@ def draw(file: Path, robot: jaxik.Robot, hits: np.ndarray, start: np.ndarray, go
     """The row from above with the motion, and the space of the joints with what each search looked at."""
     scene = jaxik.make_scene(boxes=STEMS)
     figure, axes = plt.subplots(1, 3, figsize=(13, 4.3), layout="constrained")
-    found = {d: plan_on_grid(robot, scene, start, goal, direction=d, batch=1, euclidean=True) for d in ("forward", "backward")}
+    how = {"scene": scene, "batch": 1, "euclidean": True}
+    found = {d: plan_on_grid(robot, start, goal, direction=d, **how) for d in ("forward", "backward")}
     for box in STEMS:
         axes[0].add_patch(plt.Rectangle((box[0] - 0.05, box[1] - 0.05), 0.1, 0.1, color="0.35"))
     way = found["forward"].waypoints
@@ -127,7 +128,7 @@ def six_joints() -> dict[str, Any]:
     step = np.concatenate([[1.0], np.full(6, np.radians(SIX["degrees"]))])
     for direction in ("forward", "backward", "both"):
         found, seconds = clocked(
-            lambda d=direction: plan_on_grid(robot, around, start, row.q, step=step, direction=d, batch=8192)
+            lambda d=direction: plan_on_grid(robot, start, row.q, scene=around, step=step, direction=d, batch=8192)
         )
         result[direction] = {"solved": bool(found), "expanded": found.expanded, "length": found.length, "s": seconds}
         print(direction, result[direction])

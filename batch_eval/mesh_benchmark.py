@@ -21,6 +21,7 @@ import jax.numpy as jnp
 import numpy as np
 import trimesh
 from panda import ROBOTS, TIP
+from papers.crossing_surfaces import bounding_box, surfaces_cross
 from race import Entry, compiled, machine, race
 from scipy.spatial import ConvexHull
 from scipy.spatial.transform import Rotation
@@ -173,7 +174,7 @@ def surfaces(robot: jaxik.Robot, count: int, rounds: int) -> list[dict[str, Any]
         def cross(q: Any, links: np.ndarray = links, local: np.ndarray = local) -> Any:
             frames = (robot.world_T_base @ jaxik.kinematics.link_frames(robot, q) @ np.linalg.inv(robot.link_offset))[links]
             placed = jnp.einsum("kij,kcj->kci", frames[:, :3, :3], local) + frames[:, None, :3, 3]
-            return jaxik.collision.surfaces_cross(placed, around.astype(q.dtype))
+            return surfaces_cross(placed, around.astype(q.dtype))
 
         run, _ = compiled(lambda q, f=cross: jax.lax.map(f, q), jnp.asarray(q[:LOOPS], jnp.float32))
         entries.append(Entry(f"edges against surfaces, {who}", LOOPS, run))
@@ -198,7 +199,7 @@ def _hull(points: np.ndarray) -> np.ndarray:
 
 def _box(triangles: np.ndarray) -> np.ndarray:
     """The smallest box's twelve."""
-    frame, edges = jaxik.collision.bounding_box(triangles)
+    frame, edges = bounding_box(triangles)
     return np.array(trimesh.creation.box(edges, frame).triangles)
 
 

@@ -6,7 +6,7 @@ from jaxik.collision.contact_report import explain
 from jaxik.collision.continuous_collision import MotionClearance, motion_clearance, motion_collides
 from jaxik.collision.scene import Fruit, Scene
 from jaxik.collision.scene_builder import SceneBuilder, make_scene
-from jaxik.collision.surfaces import bounding_box, polygon_triangles, surfaces_cross
+from jaxik.collision.surfaces import polygon_triangles
 from jaxik.collision.volumes import link_circles, link_spheres
 
 __all__ = [
@@ -16,7 +16,6 @@ __all__ = [
     "Scene",
     "SceneBuilder",
     "attach",
-    "bounding_box",
     "clearance",
     "collides",
     "explain",
@@ -28,5 +27,4 @@ __all__ = [
     "object_clearances",
     "polygon_triangles",
     "self_clearance",
-    "surfaces_cross",
 ]

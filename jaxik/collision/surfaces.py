@@ -1,4 +1,4 @@
-"""Surfaces of triangles: which of them close around a body, polygons as triangles, and what Van Henten et al. do with them.
+"""Surfaces of triangles: which of them close around a body; polygons as triangles.
 
 A triangle is counter-clockwise as seen from outside. Where the edges of a surface pair up, each with its reverse, it closes
 around something, and how often it winds around a point is a whole number: then what is inside is known.
@@ -6,50 +6,16 @@ around something, and how often it winds around a point is a whole number: then 
 
 from __future__ import annotations
 
-import functools
-import operator
 from typing import Any
 
-import jax
-import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Bool, Float
+from jaxtyping import Float
 
 from jaxik.checks.arrays import numbers
-from jaxik.collision.distance import passes_through
-from jaxik.kinematics.robot import Array
-from jaxik.spatial.algebra import Vec3
-from jaxik.spmd import kernel
 
 SAME = 1e-7  # of its size: corners of a surface that are nearer to each other are one; files have them in float32
 NOTHING = 1e-12  # of what its triangles add up to without their signs, that a surface holds of nothing: rounding
 FLAT = 1e-6  # of its size, that a polygon's corners may be out of its plane
-
-
-def surfaces_cross(first: Float[Array, "k 3 3"], second: Float[Array, "m 3 3"]) -> Bool[jax.Array, ""]:
-    """Whether an edge of one of two surfaces of triangles [m] passes through the other: each against each. Traced.
-
-    The test of Van Henten et al. (2003, sec. 4.3.2, after Boyse 1979), to compare with; `collides` does not look at what is
-    far, and sees what is wholly inside.
-    """
-    each = jax.vmap(jax.vmap(_triangles_cross, (None, 0)), (0, None))
-    return jnp.any(each(jnp.asarray(first), jnp.asarray(second)))
-
-
-@kernel
-def _triangles_cross(first: Any, second: Any) -> Any:
-    mine, theirs = ([Vec3(*corner) for corner in triangle] for triangle in (first, second))
-    pairs = (mine, theirs), (theirs, mine)
-    return functools.reduce(operator.or_, (passes_through(a[i - 1], a[i], *b) for a, b in pairs for i in range(3)))
-
-
-def bounding_box(corners: Any) -> tuple[np.ndarray, np.ndarray]:
-    """The frame (4, 4) and edges (3,) [m] of the smallest box around points or surfaces (..., 3) [m]: one of `boxes`, their
-    cheap stand-in. Host."""
-    import trimesh
-
-    box_T_world, edges = trimesh.bounds.oriented_bounds(numbers("bounding_box", corners).reshape(-1, 3))
-    return np.linalg.inv(box_T_world), np.asarray(edges)
 
 
 def as_bodies(triangles: Float[np.ndarray, "k 3 3"]) -> tuple[Float[np.ndarray, "k 3 3"], Float[np.ndarray, " k"]]:

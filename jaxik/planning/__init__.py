@@ -1,6 +1,5 @@
 """From postures to motions: paths through the space of joints, free of collision, and their timing."""
 
-from jaxik.planning.grid_planner import GridOptions, GridPlanned, plan_on_grid
 from jaxik.planning.planner import Planned, PlannedMotions, PlanOptions, plan_motion, plan_motions
 from jaxik.planning.profiles import quintic, s_curve, trapezoidal
 from jaxik.planning.timing import time_optimal
@@ -11,8 +10,6 @@ from jaxik.planning.trajectory_options import TrajectoryOptions
 from jaxik.planning.trajectory_sensitivity import trajectory_cost
 
 __all__ = [
-    "GridOptions",
-    "GridPlanned",
     "JointPath",
     "JointState",
     "OptimisedTrajectory",
@@ -25,7 +22,6 @@ __all__ = [
     "optimise_trajectory",
     "plan_motion",
     "plan_motions",
-    "plan_on_grid",
     "polyline",
     "quintic",
     "s_curve",

@@ -17,7 +17,6 @@ import jaxik
 from jaxik import cli
 from jaxik.cli.harvest import _print_table, write_harvest
 from jaxik.cli.results import print_table
-from jaxik.collision.sphere_levels import hierarchical_clearance
 from jaxik.harvesting.blocking_objects import Blockers
 
 GRID = {"kind": "grid", "x": [0, 1, 2], "y": [0.5, 0.8, 2], "z": [0.3, 0.5, 2]}
@@ -282,7 +281,6 @@ def test_drivers_say_what_is_missing_before_they_compile(monkeypatch):
             lambda robot: jaxik.harvesting.scan(robot, scene, scene.fruits[0]),
             lambda robot: jaxik.harvest(robot, scene),
             lambda robot: jaxik.reach.likely_postures(robot, scene, np.eye(4)[None]),
-            lambda robot: hierarchical_clearance(robot, scene, np.zeros(7)),
             lambda robot, study=study: jaxik.sweeps.Study.of(study | {"targets": GRID}),
         ):
             with pytest.raises(ValueError, match=words) as error:

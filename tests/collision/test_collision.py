@@ -1,4 +1,4 @@
-"""Distances against coal on random primitives, gradients against finite differences, the hierarchy against the flat answer."""
+"""Distances against coal on random primitives, gradients against finite differences."""
 
 import dataclasses
 
@@ -15,7 +15,6 @@ import jaxik
 from jaxik.collision import clearances, distance
 from jaxik.collision.bvh import grouped
 from jaxik.collision.nearest_pair import Space
-from jaxik.collision.sphere_levels import hierarchical_clearance, hierarchical_collision
 from jaxik.spatial.algebra import Rot3, Vec3
 from jaxik.spmd import HostKernel
 
@@ -304,18 +303,6 @@ def test_a_later_link_may_be_nearer_to_the_base(tmp_path):
         np.testing.assert_allclose(slope(q), numeric, atol=1e-8)
 
 
-@pytest.mark.parametrize("per_box", [1, 8, 64, 512])
-def test_the_hierarchy_gives_the_flat_answer(per_box):
-    robot, rng = jaxik.load("p6r").with_spheres(per_box), np.random.default_rng(3)
-    scene = jaxik.make_scene(points=rng.uniform(-1, 1, (60, 3)) + np.array([0.4, 0.4, 0.8]))
-    flat = jax.jit(lambda q: jnp.min(_flat(robot, scene, q)))
-    for q in rng.uniform(robot.lower, robot.upper, (10, 7)):
-        least, looked = hierarchical_clearance(robot, scene, q)
-        assert abs(least - flat(q)) <= 1e-12
-        assert hierarchical_collision(robot, scene, q)[0] == (float(flat(q)) <= 0.0)
-        assert per_box < 64 or looked < 7 * per_box * 60
-
-
 @pytest.mark.parametrize("dtype", [np.float32, np.float64])
 def test_value_and_gradient_where_a_distance_is_zero(dtype):
     robot = jaxik.load("p6r")
@@ -451,18 +438,6 @@ def test_what_is_grouped_belongs_to_a_robot():
     for robot, other in ((arm, apart), (apart, arm)):
         with pytest.raises(ValueError, match=r"^planar2: .* another robot's"):
             jaxik.clearance(robot, grouped(scene, other), np.zeros(2))
-
-
-def test_the_hierarchy_is_one_of_boxes():
-    arm, scene = jaxik.load("pendulum4"), jaxik.make_scene(points=[[1.0, 1.0, 0.0]])
-    for descend in (hierarchical_clearance, hierarchical_collision):
-        with pytest.raises(ValueError, match=r"pendulum4: .*boxes"):
-            descend(arm, scene, np.zeros(4))
-
-
-def _flat(robot, scene, q):
-    centres, radii = jaxik.collision.link_spheres(robot, q)
-    return jnp.linalg.norm(centres[:, None] - scene.points.center, axis=-1) - radii[:, None]
 
 
 def test_the_width_of_a_torch_tensor_is_not_asked():

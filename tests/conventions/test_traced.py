@@ -43,7 +43,6 @@ CALLS = {  # name -> (function of arrays, arrays)
     "collision.motion_collides": (lambda q: collision.motion_collides(ARM, SCENE, q, 1.1 * q), Q),
     "collision.object_clearances": (lambda q: collision.object_clearances(ARM, SCENE, q), Q),
     "collision.self_clearance": (lambda q: collision.self_clearance(ARM, q), Q),
-    "collision.surfaces_cross": (collision.surfaces_cross, jnp.ones((4, 3, 3)), jnp.zeros((5, 3, 3))),
     "touch.locate_contact": (lambda q: touch.locate_contact(ARM, q, 0.1 * q, 6, [[0.0, 0.0, 0.0], [0.0, 0.0, 0.2]]), Q),
     "teleoperation.reflect": (lambda q: teleoperation.reflect(ARM, q, TOUCH), Q),
     "teleoperation.reflect_cost": (lambda q: teleoperation.reflect_cost(ARM, q, HOLD), Q),

@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 
 import jaxik
-from jaxik.planning import GridOptions, plan_motion, plan_motions
+from jaxik.planning import TrajectoryOptions, plan_motion, plan_motions
 
 POLES = jaxik.make_scene(boxes=[[0.65, 0.0, 0.0, 0.3, 0.05, 0.5], [-0.5, 0.5, 0.0, 0.1, 0.3, 0.5]])
 START, GOAL = np.array([-0.6, 0.2, 0.1]), np.array([0.9, -0.3, 0.2])
@@ -212,7 +212,7 @@ def test_an_empty_batch_has_an_empty_answer(arm, empty):
         ({"acceleration": np.nan}, "plan_motion: acceleration is nan; allowed: one number"),
         ({"start": [START, START]}, r"start of shape \(2, 3\).*jaxik.planning.plan_motions takes many"),
         ({"timeout": -1.0}, "plan_motion: timeout is -1.0; it is a finite number of at least 0"),
-        ({"options": GridOptions()}, "options is GridOptions.*; write a jaxik.planning.PlanOptions"),
+        ({"options": TrajectoryOptions()}, "options is TrajectoryOptions.*; write a jaxik.planning.PlanOptions"),
     ],
 )
 def test_mistakes_are_named(arm, change, said):
