@@ -21,6 +21,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pendulum
+from papers.boundary_problem import boundary_value
 from race import machine
 from scipy.interpolate import CubicSpline
 
@@ -132,7 +133,7 @@ def boundary_values(q: np.ndarray, ways: jaxik.motions.Line) -> tuple[np.ndarray
 
     A mesh may grow to 100 nodes; that of `bvp4c`, which the thesis used, ends at 1000 over the number of equations, that is 62.
     """
-    solve = lambda i: jaxik.motions.boundary_value(ARM, way(ways, i), 4.0, q[i], COST, HORIZON, tolerance=1e-2, max_nodes=100)
+    solve = lambda i: boundary_value(ARM, way(ways, i), 4.0, q[i], COST, HORIZON, tolerance=1e-2, max_nodes=100)
     inputs, seconds = np.full((len(q), COUNT, 4), np.nan), np.empty(len(q))
     for i in range(len(q)):
         found, seconds[i] = timed(lambda i=i: solve(i))

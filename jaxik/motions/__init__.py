@@ -1,6 +1,5 @@
 """Paths of the tip, and motions along them with redundancy resolved moment by moment or ahead of time."""
 
-from jaxik.motions.boundary_problem import boundary_value
 from jaxik.motions.following import FollowOptions, follow
 from jaxik.motions.moving_horizon import MovingHorizon, follow_predictively
 from jaxik.motions.nullspace import asc, rac, resolve_acceleration, resolve_velocity, rmrc
@@ -16,7 +15,6 @@ __all__ = [
     "MovingHorizon",
     "RateLimits",
     "asc",
-    "boundary_value",
     "energy_cost",
     "follow",
     "follow_predictively",

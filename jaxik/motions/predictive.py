@@ -248,7 +248,7 @@ def _program(robot: Robot, cost: RunningCost, horizon: Horizon, axes: Axes | Non
 
 
 def outlook(who: str, cost: RunningCost, horizon: Horizon | None, /, given: Any = None, **changes: Any) -> tuple[Horizon, Any]:
-    """The options that `predict`, `multistart` and `boundary_value` share: the horizon with its `changes`, and what is `given`
+    """The options that `predict` and `multistart` share: the horizon with its `changes`, and what is `given`
     to the cost, if anything is. Raises a `ValueError` of one line for a cost that does not take that."""
     more = () if given is None else (given,)
     try:

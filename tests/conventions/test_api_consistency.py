@@ -42,7 +42,7 @@ def test_options_go_by_name():
         lambda: jaxik.follow(ARM, jaxik.motions.Line(TARGETS[0], TARGETS[0]), 1.0, [0.0, 0.0], speed=1.0),
         *(
             lambda look=look: look(ARM, jaxik.motions.Line(TARGETS[0], TARGETS[0]), 1.0, [0.0, 0.0], lambda *_: 0.0, who=1)
-            for look in (jaxik.predict, jaxik.motions.multistart, jaxik.motions.boundary_value)
+            for look in (jaxik.predict, jaxik.motions.multistart)
         ),
     ):
         with pytest.raises(ValueError, match=r"unknown option '\w+'; allowed: "):

@@ -14,7 +14,6 @@ from scipy.optimize import linprog, lsq_linear, minimize
 import jaxik
 from jaxik.dynamics.recursions import inverse_dynamics, mass_matrix
 from jaxik.kinematics.robot import Body
-from jaxik.motions.boundary_problem import _System, boundary_value
 from jaxik.motions.nullspace import Box, asc, rac, resolve_velocity, rmrc
 from jaxik.motions.path import Arc, Line, Motion, motion, via
 from jaxik.motions.predictive import Horizon, energy_cost, future, multistart, objective, predict, problem, quadratic_cost
@@ -170,7 +169,6 @@ def test_a_path_takes_time(duration, pendulum, line):
     """It stood still for a negative one, without a word."""
     horizon = Horizon(0.1, 20, task=IN_PLANE, descend=Descent(iterations=5))
     calls = [lambda: motion(line, duration, 0.5), lambda: predict(pendulum, line, duration, START, quadratic_cost(), horizon)]
-    calls += [lambda: boundary_value(pendulum, line, duration, START, quadratic_cost(), horizon)]
     for call in calls:
         with pytest.raises(ValueError, match=r"duration .*; allowed: a positive number of seconds"):
             call()
@@ -426,7 +424,7 @@ def test_scenarios_in_one_call_are_each_what_they_are_alone(pendulum, line):
 
 
 def test_a_free_start_is_the_best_on_its_manifold(pendulum, line):
-    """(5.4): the tip is where it was, the cost is less, and N lambda(0) = 0; and TPBVP agrees, to the samples' length."""
+    """(5.4): the tip is where it was, the cost is less, and N lambda(0) = 0."""
     cost = quadratic_cost(lambda q: 0.5 * jnp.sum((q - 0.3) ** 2))
     horizon = Horizon(
         0.01, 200, "velocity", "runge_kutta", IN_PLANE, descend=dataclasses.replace(QUASI_NEWTON, tolerance=1e-12)
@@ -442,32 +440,6 @@ def test_a_free_start_is_the_best_on_its_manifold(pendulum, line):
     columns = np.asarray(jaxik.jacobian(pendulum, free.q[0]))[:2]
     across = (np.eye(4) - np.linalg.pinv(columns) @ columns) @ adjoint[0]
     assert np.abs(across).max() < 1e-4 * np.abs(adjoint[0]).max()
-    reference = boundary_value(pendulum, line, 2.0, START, cost, horizon_free, free, tolerance=1e-4)
-    assert reference.success
-    assert abs(reference.total / float(free.total) - 1.0) < 5e-3
-    np.testing.assert_allclose(reference.q[-1], free.q[-1], atol=5e-3)
-
-
-def test_the_reference_knows_other_costs_and_says_what_became_of_the_motion():
-    """The input that costs its fourth power is where SciPy finds the least; off the path, the conditions are met in vain."""
-    robot = jaxik.load("planar2")
-    start = np.array([0.3, 0.9])
-    begin = np.asarray(jaxik.forward_kinematics(robot, start))
-    path = Line(begin, begin + 0.3 * np.outer(np.eye(4)[0], np.eye(4)[3]))
-    horizon = Horizon(0.01, 20, "velocity", task=jaxik.Task.pose(("y", "z", "roll", "pitch", "yaw"), "base"))
-    steep = lambda q, qdot, w, t: jnp.sum((q - 1.0) ** 2) + jnp.sum(qdot**2) + jnp.sum(w**2) + 5.0 * jnp.sum(w**4)
-    system, world, z = _System(robot, steep, horizon), (path, 1.0, ()), np.array([0.4, 0.8, 2.0, -3.0])
-    w, left = jax.jit(lambda z: system.input(world, 0.3, z))(z)
-    least = minimize(jax.jit(lambda w: system.hamiltonian(world, 0.3, z, w)), np.zeros(2), tol=1e-9).x
-    assert left <= 1e-9 and np.abs(w).max() > 0.1
-    np.testing.assert_allclose(w, least, atol=1e-6)
-    off = boundary_value(robot, path, 1.0, start + 0.2, quadratic_cost(), horizon, tolerance=1e-2)
-    assert not off.success and off.reason == jaxik.Reason.NOT_CONVERGED and "of the motion: not converged" in off.message
-    with pytest.raises(ValueError, match=r"boundary value: q is .nan nan.; it has finite numbers"):
-        boundary_value(robot, path, 1.0, start * np.nan, steep, horizon)
-    many = predict(robot, path, 1.0, start[None], quadratic_cost(), horizon)
-    with pytest.raises(ValueError, match=r"the guess has q \(1, 21, 2\); allowed: one motion, \(k, 2\)"):
-        boundary_value(robot, path, 1.0, start, steep, horizon, many)
 
 
 def test_multistart_puts_what_is_solved_first():

@@ -20,16 +20,9 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 from jax import lax
-from jaxtyping import Float
 
-from jaxik.checks.arrays import shaped
-from jaxik.checks.options import as_count, check_finite, shown
-from jaxik.kinematics.robot import Robot
-from jaxik.motions.diagnosis import Course, diagnose
-from jaxik.motions.nullspace import Resolved
-from jaxik.motions.path import Path, check_path, motion
-from jaxik.motions.predictive import Horizon, Prediction, RunningCost, outlook
-from jaxik.reasons import Reason
+from jaxik import Reason, Robot
+from jaxik.motions import Horizon, motion, resolve_velocity
 
 NEWTON = 20  # steps to the input, at most
 STATIONARY = 1e-9  # share of dH/dw and H without an input that may be left of dH/dw
@@ -37,15 +30,15 @@ STATIONARY = 1e-9  # share of dH/dw and H without an input that may be left of d
 
 class Boundary(NamedTuple):
     """The solution at its nodes: time (k,) [s], q (k, n), null-space input u (k, n), the adjoint variables (k, n or 2 n), input
-    w (k, n), the cost per second (k,) and its integral; whether it was found and is a motion that `diagnose` calls solved, the
+    w (k, n), the cost per second (k,) and its integral; whether it was found and is a motion on its path inside the limits, the
     message that says so, and the largest residual; and the `Reason`."""
 
-    time: Float[np.ndarray, " k"]
-    q: Float[np.ndarray, "k n"]
-    u: Float[np.ndarray, "k n"]
-    adjoint: Float[np.ndarray, "k y"]
-    w: Float[np.ndarray, "k n"]
-    costs: Float[np.ndarray, " k"]
+    time: np.ndarray
+    q: np.ndarray
+    u: np.ndarray
+    adjoint: np.ndarray
+    w: np.ndarray
+    costs: np.ndarray
     total: float
     success: bool
     message: str
@@ -55,35 +48,28 @@ class Boundary(NamedTuple):
 
 def boundary_value(
     robot: Robot,
-    path: Path,
+    path: Any,
     duration: float,
     q: Any,
-    cost: RunningCost,
-    horizon: Horizon | None = None,
-    guess: Prediction | None = None,
+    cost: Any,
+    horizon: Horizon,
+    *,
+    guess: Any = None,
     tolerance: float = 1e-6,
     nodes: int = 20,
     max_nodes: int = 20000,
-    **options: Any,
 ) -> Boundary:
-    """Solve it over the horizon from q (n,), beginning with `guess` or, on `nodes` equal steps, with the instantaneous motion's
-    q, and u = lambda = 0. Host driver. `options` are what is `given` to the cost, and fields of `Horizon`, by name, as
-    `predict` takes them.
+    """Solves it over the horizon from q (n,), beginning with `guess`, a `Prediction`, or, on `nodes` equal steps, with the
+    instantaneous motion's q, and u = lambda = 0. The arguments are those of `jaxik.predict`.
 
-    The motion is judged as that of `predict` is; beyond the joints' limits, or off its path, it is no success.
-
-    Raises `ValueError` for a q or a guess of another shape, a q that is no number, a duration that is not positive, a path that
-    `motion` refuses, an option or a cost that `predict` refuses, and counts or a tolerance that are none.
+    Beyond the joints' limits, or off its path, the motion is no success. Raises `ValueError` for a q or a guess of another
+    shape, a q that is no number, a duration that is not positive, and a path that `motion` refuses.
     """
     from scipy.integrate import simpson, solve_bvp
 
-    horizon, given = outlook("boundary value", cost, horizon, **options)
-    check_path("boundary value", path, duration)
-    nodes, max_nodes = as_count("boundary value: nodes", nodes), as_count("boundary value: max_nodes", max_nodes)
-    check_finite("boundary value", np.finfo(float).eps, tolerance=tolerance)
     with jax.enable_x64(True):
-        path.pose(0.0)
-        system, world = _System(robot, cost, horizon), (path, float(duration), given)
+        motion(path, duration, 0.0)  # refuses what is no path, and a duration that is not positive
+        system, world = _System(robot, cost, horizon), (path, float(duration))
         n, start = robot.num_joints, _start(robot, q, guess)
         time, first = _first(system, world, start, nodes, guess)
         free = np.linalg.svd(np.asarray(system.freedom(world, start)).T)[0]  # first the motions that leave the tip in place
@@ -92,25 +78,37 @@ def boundary_value(
         ends = lambda a, b: np.asarray(system.ends(world, a, b, start, basis))
         found = solve_bvp(rates, ends, time, first, tol=tolerance, max_nodes=max_nodes)
         each = _padded(functools.partial(system.judged, world), found.x, found.y)
-        w, costs, left, reasons = (np.asarray(x)[: len(found.x)] for x in each)
+        w, costs, left, rate, error = (np.asarray(x)[: len(found.x)] for x in each)
         y, adjoint = np.split(found.y.T, 2, axis=1)
         total, residual = float(simpson(costs, x=found.x)), float(np.max(found.rms_residuals))
-        reason, message = _verdict(found, Reason(int(reasons[0])), bool((left <= STATIONARY).all()))
+        reason = _judged(robot, horizon, y[:, :n], rate, error, costs)
+        reason, message = _verdict(found, reason, bool((left <= STATIONARY).all()))
         u, solved = y[:, n:] if system.rate_level else w, reason == Reason.SOLVED
         return Boundary(found.x, y[:, :n], u, adjoint, w, costs, total, solved, message, residual, reason)
 
 
-def _start(robot: Robot, q: Any, guess: Prediction | None) -> np.ndarray:
-    start, n = shaped("boundary value: q", q, (robot.num_joints,)), robot.num_joints
-    if not np.isfinite(start).all():
-        raise ValueError(f"boundary value: q is {shown(q)}; it has finite numbers")
+def _start(robot: Robot, q: Any, guess: Any) -> np.ndarray:
+    start, n = np.asarray(q, np.float64), robot.num_joints
+    if start.shape != (n,) or not np.isfinite(start).all():
+        raise ValueError(f"boundary value: q is {q}; allowed: ({n},), finite numbers")
     if guess is not None and (np.ndim(guess.q) != 2 or np.shape(guess.q)[1] != n):
         raise ValueError(f"boundary value: the guess has q {np.shape(guess.q)}; allowed: one motion, (k, {n})")
     return start
 
 
+def _judged(robot: Robot, horizon: Horizon, q: np.ndarray, rate: np.ndarray, error: np.ndarray, costs: np.ndarray) -> Reason:
+    """The reason of a motion's samples, by the limits of position and velocity and by the tip's error."""
+    if not all(np.isfinite(x).all() for x in (q, rate, error, costs)):
+        return Reason.INVALID
+    near = 1e-6 * (1.0 + np.abs(q))
+    inside = (q >= robot.lower - near) & (q <= robot.upper + near) & (np.abs(rate) <= 1.0001 * robot.velocity)
+    if not inside.all():
+        return Reason.LIMITS
+    return Reason.SOLVED if (np.abs(error) <= horizon.tolerance).all() else Reason.NOT_CONVERGED
+
+
 def _verdict(found: Any, reason: Reason, stationary: bool) -> tuple[Reason, str]:
-    """What became of it, and the words for that: of SciPy, or of what the motion does."""
+    """The outcome, and the words for it: SciPy's, or ours of the motion."""
     if not found.success:
         return reason if reason == Reason.INVALID else Reason.NOT_CONVERGED, found.message
     if not stationary:
@@ -123,26 +121,27 @@ _compiled = functools.partial(jax.jit, static_argnums=0)
 
 @dataclasses.dataclass(frozen=True)
 class _System:
-    """The equations of one problem, in worlds of a path, a duration and what is given to the cost; z holds the state and the
-    adjoint variables."""
+    """The equations of one problem, in worlds of a path and a duration; z holds the state and the adjoint variables."""
 
     robot: Robot
-    cost: RunningCost
+    cost: Any
     horizon: Horizon
 
     @property
     def rate_level(self) -> bool:
         return self.horizon.level == "acceleration"
 
-    def resolved(self, world: Any, t: Any, q: Any, u: Any, gain: float | None = None) -> Resolved:
-        path, duration, _ = world
-        return self.horizon.resolve(self.robot, q, motion(path, duration, t), u, gain)
+    def resolved(self, world: Any, t: Any, q: Any, u: Any, gain: float | None = None) -> Any:
+        if gain is None:
+            gain = 1.0 / self.horizon.dt if self.horizon.gain is None else self.horizon.gain
+        how = {"task": self.horizon.task, "gain": gain, "weights": self.horizon.weights, "floor": self.horizon.floor}
+        return resolve_velocity(self.robot, q, motion(*world, t), u, **how)
 
     def running(self, world: Any, t: Any, y: Any, w: Any) -> tuple[Any, Any]:
         """qdot, and the cost per second."""
         q, *u = jnp.split(y, 2) if self.rate_level else (y,)
         qdot = self.resolved(world, t, q, *(u or (w,))).rate
-        return qdot, self.cost(q, qdot, w, t, *world[2])
+        return qdot, self.cost(q, qdot, w, t)
 
     def hamiltonian(self, world: Any, t: Any, z: Any, w: Any) -> Any:
         y, adjoint = jnp.split(z, 2)
@@ -173,19 +172,16 @@ class _System:
         return jax.vmap(at, (0, 1), 1)(t, z)
 
     @_compiled
-    def judged(self, world: Any, t: Any, z: Any) -> tuple[Any, Any, Any, Any]:
-        """At each node the input, the cost per second, and what is left of dH/dw; and the `Reason` of the whole motion."""
+    def judged(self, world: Any, t: Any, z: Any) -> tuple[Any, Any, Any, Any, Any]:
+        """At each node the input, the cost per second, the remainder of dH/dw, the joints' rates and the tip's error."""
 
         def at(t: Any, z: Any) -> Any:
             (w, left), y = self.input(world, t, z), jnp.split(z, 2)[0]
             q, *u = jnp.split(y, 2) if self.rate_level else (y,)
             seen, cost = self.resolved(world, t, q, *(u or (w,))), self.running(world, t, y, w)[1]
-            pose = motion(world[0], world[1], t).pose
-            return w, cost, left, Course(q, seen.rate, seen.error, seen.damping, pose, costs=cost)
+            return w, cost, left, seen.rate, seen.error
 
-        w, costs, left, course = jax.vmap(at, (0, 1), 0)(t, z)
-        reason, _ = diagnose(self.robot, self.horizon.task, course, self.horizon.tolerance, keep=True)
-        return w, costs, left, jnp.full(len(t), reason)
+        return jax.vmap(at, (0, 1), 0)(t, z)
 
     @_compiled
     def ends(self, world: Any, a: Any, b: Any, start: Any, basis: Any) -> Any:
@@ -209,7 +205,7 @@ class _System:
         return jax.lax.scan(turn, q, times)[1]
 
 
-def _first(system: _System, world: Any, q: Any, nodes: int, guess: Prediction | None) -> tuple[Any, Any]:
+def _first(system: _System, world: Any, q: Any, nodes: int, guess: Any) -> tuple[Any, Any]:
     """Times and z to begin with."""
     horizon, n = system.horizon, len(q)
     end = horizon.dt * horizon.count
