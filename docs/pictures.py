@@ -28,7 +28,7 @@ plt.rcParams |= {"font.size": 10, "axes.spines.top": False, "axes.spines.right":
 
 def harvest() -> None:
     """The picture of `jaxik harvest`."""
-    from jaxik.view.harvest_picture import plot_harvest
+    from jaxik.view import plot_harvest
 
     result = jaxik.harvest(jaxik.load("p6r"), jaxik.load_scene("cucumber_row"))
     plot_harvest(result, FOLDER / "harvest.png")
@@ -36,7 +36,7 @@ def harvest() -> None:
 
 def motions() -> None:
     """The picture of `jaxik harvest --motions`."""
-    from jaxik.view.harvest_plan_picture import plot_harvest_plan
+    from jaxik.view import plot_harvest_plan
 
     result = jaxik.harvest(jaxik.load("p6r"), jaxik.load_scene("cucumber_row"))
     plot_harvest_plan(jaxik.harvesting.plan_harvest(result), FOLDER / "motions.png")
@@ -44,7 +44,7 @@ def motions() -> None:
 
 def reach() -> None:
     """The picture of `jaxik sweep --plot`, of the page's study on a finer grid."""
-    from jaxik.view.sweep_picture import plot_sweep
+    from jaxik.view import plot_sweep
 
     grid = {"kind": "grid", "x": [-0.3, 1.3, 33], "y": [0.2, 0.9, 15], "z": [0.0, 1.0, 21]}
     study = {

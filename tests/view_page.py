@@ -23,7 +23,7 @@ from selenium.webdriver.common.action_chains import ActionChains
 from selenium.webdriver.common.by import By
 
 import jaxik
-from jaxik.view.page import Page
+from jaxik.view import Page
 from jaxik.view.solids import frames
 
 STUDY = {
@@ -266,7 +266,7 @@ def main(out):
         done = jaxik.sweep(STUDY, Path(folder) / "view.zarr")
         picked = jaxik.harvest(robot, scene)
         plan = jaxik.harvesting.plan_harvest(picked, order="row", candidates=2)
-        page = Page(robot, scene, done.path, picked, port=8091, plan=plan)
+        page = Page(robot, scene=scene, store=done.path, harvest=picked, port=8091, plan=plan)
         driver = browser()
         try:
             driver.get(page.url)

@@ -88,11 +88,11 @@ class DynamicsArguments(RobotArguments):
         work = np.trapezoid(np.maximum(demand.power, 0.0).sum(axis=1), time)
         print(f"{len(time)} samples, {time[-1] - time[0]:.2f} s, {work:.1f} J into the joints; {wrote}")
         if self.plot is not None:
-            from jaxik.view.torque_picture import torque_picture
+            from jaxik.view import plot_torques
 
             title = f"{robot.name}, {self.load:g} kg at its tip" if self.load else robot.name
             with writing(self.plot, "--plot") as (aside, drew):
-                torque_picture(robot, time, demand.torque, demand.gravity, aside, title)
+                plot_torques(robot, time, demand.torque, demand.gravity, aside, title=title)
             print(drew)
 
     def _doubt(self, robot: Robot, time: np.ndarray, q: np.ndarray) -> None:

@@ -146,8 +146,7 @@ def write_harvest(result: Harvest, out: Path, plan: HarvestPlan | None = None, p
     one, other files stay, and if one cannot be replaced, the old ones come back: only a process that is killed between those
     renames leaves files of two harvests.
     """
-    from jaxik.view.harvest_picture import plot_harvest
-    from jaxik.view.harvest_plan_picture import plot_harvest_plan
+    from jaxik.view import plot_harvest, plot_harvest_plan
 
     there = out.is_dir()
     home = out if there else out.parent

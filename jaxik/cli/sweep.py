@@ -62,7 +62,7 @@ class SweepArguments:
         if set(result.counts) & {"collision", "solved"} == {"collision"}:
             print(offenders(result.colliding(LOOKED)))
         if self.plot:
-            from jaxik.view.sweep_picture import plot_sweep
+            from jaxik.view import plot_sweep
 
             picture = out.with_suffix(".png")
             with naming(picture, "--plot"):

@@ -36,7 +36,7 @@ class ViewArguments(ShapedRobotArguments):
 
     def run(self) -> None:
         """Serve the page until Ctrl-C."""
-        from jaxik.view.page import Page
+        from jaxik.view import Page
 
         if not 1 <= self.port <= 65535:
             raise ValueError(f"--port {self.port}: it is from 1 to 65535")
@@ -52,6 +52,16 @@ class ViewArguments(ShapedRobotArguments):
         plan = plan_harvest(picked) if self.motions and picked is not None else None
         read = self.meshes and not robot.surfaces  # which are what is to be seen
         meshes = link_meshes(self.robot, self.tip, self.base, how["posture"], packages=self.packages) if read else ()
-        page = Page(robot, scene, self.store, picked, self.host, self.port, meshes, plan, self.teleop)
+        page = Page(
+            robot,
+            scene=scene,
+            store=self.store,
+            harvest=picked,
+            plan=plan,
+            meshes=meshes,
+            teleop=self.teleop,
+            host=self.host,
+            port=self.port,
+        )
         print(f"open {page.url} in a browser; Ctrl-C ends", flush=True)
         page.wait()

@@ -1,1 +1,9 @@
-"""Pictures, and a page to look at."""
+"""Pictures, and a page in the browser (extra `[view]`)."""
+
+from jaxik.view.harvest_picture import plot_harvest
+from jaxik.view.harvest_plan_picture import plot_harvest_plan
+from jaxik.view.page import Page
+from jaxik.view.sweep_picture import plot_sweep
+from jaxik.view.torque_picture import plot_torques
+
+__all__ = ["Page", "plot_harvest", "plot_harvest_plan", "plot_sweep", "plot_torques"]

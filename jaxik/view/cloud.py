@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import functools
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
@@ -13,10 +13,8 @@ from jaxik.kinematics.forward import pose_errors
 from jaxik.kinematics.robot import Robot
 from jaxik.sweeps.robot_variants import variant_name
 from jaxik.view.palette import SCALE, bar, rgb, swatches
+from jaxik.view.stage import Stage
 from jaxik.view.sweep_picture import Map, categories, open_store, variant_label, variant_map
-
-if TYPE_CHECKING:
-    from jaxik.view.page import Page
 
 SHOWN = 200_000  # points of a cloud that a browser still turns smoothly
 KINDS = "what became of it"
@@ -30,7 +28,7 @@ class Cloud:
     The robot stands where the variant has it. Of another robot, and of other lengths of its links, only the map is shown.
     """
 
-    def __init__(self, page: Page, group: Any):
+    def __init__(self, page: Stage, group: Any):
         self.page, self.server, self.group = page, page.server, group
         self.turns = int(group.attrs["targets_per_position"])
         self.in_base = group.attrs["frame"].startswith("targets are base")

@@ -2,20 +2,18 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from jaxik.harvesting.driver import Harvest
 from jaxik.view.harvest_picture import fate, posture
 from jaxik.view.palette import marked
-
-if TYPE_CHECKING:
-    from jaxik.view.page import Page
+from jaxik.view.stage import Stage
 
 
 class FruitList:
     """Its controls. The first that can be picked is shown."""
 
-    def __init__(self, page: Page, harvest: Harvest):
+    def __init__(self, page: Stage, harvest: Harvest):
         gui, solved = page.server.gui, int(harvest.success.sum())
         self.page, self.rows = page, {f"{'✓' if row.success else '✗'} {row.fruit}": row for row in harvest.rows}
         gui.add_markdown(f"**{page.robot.name} can pick {solved} of the {len(self.rows)} fruits.** Choose one:")

@@ -78,14 +78,15 @@ class Page:
     def __init__(
         self,
         robot: Robot,
+        *,
         scene: Scene | None = None,
         store: str | Path | None = None,
         harvest: Harvest | None = None,
+        plan: HarvestPlan | None = None,
+        meshes: Sequence[Shape] = (),
+        teleop: bool = False,
         host: str = "127.0.0.1",
         port: int = 8080,
-        meshes: Sequence[Shape] = (),
-        plan: HarvestPlan | None = None,
-        teleop: bool = False,
     ):
         """Serves the page on `host`, `port`; `meshes` are the links' own shapes (`files.link_meshes`). With `teleop` the tip is
         steered by its target.

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
@@ -10,9 +10,7 @@ from jaxik.spatial.rotations import from_wxyz
 from jaxik.teleoperation import Hand
 from jaxik.view.game_pad import PagePad
 from jaxik.view.solids import frames
-
-if TYPE_CHECKING:
-    from jaxik.view.page import Page
+from jaxik.view.stage import Stage
 
 PERIOD = 1.0 / 60.0  # [s] between samples, and pictures
 TURNING = 5.0  # [1/s] by which the tip turns to the target
@@ -21,7 +19,7 @@ TURNING = 5.0  # [1/s] by which the tip turns to the target
 class PageHand:
     """A device. It is silent while no browser is there; while nothing moves it, the clutch is pressed."""
 
-    def __init__(self, page: Page, pad: PagePad):
+    def __init__(self, page: Stage, pad: PagePad):
         self.page, self.pad, self.dragged, self._followed, self._pushed = page, pad, False, False, None
 
         async def moved(event: Any) -> None:  # so that the phases come in their order

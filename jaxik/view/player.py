@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import threading
 import time
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
@@ -12,9 +12,7 @@ from jaxik.harvesting.harvest_plan import HarvestPlan
 from jaxik.spatial.rotations import to_wxyz
 from jaxik.view.palette import PATH, boxed, rgb
 from jaxik.view.solids import frames
-
-if TYPE_CHECKING:
-    from jaxik.view.page import Page
+from jaxik.view.stage import Stage
 
 PERIOD = 0.02  # [s] between the postures that are known
 FRAME = 0.05  # [s] between pictures
@@ -24,7 +22,7 @@ SPEEDS = {"as fast as it is": 1.0, "four times slower": 0.25, "four times faster
 class Player:
     """The controls of a plan in a tab of the page, and what they show."""
 
-    def __init__(self, page: Page, plan: HarvestPlan):
+    def __init__(self, page: Stage, plan: HarvestPlan):
         self.page, self.plan, self.samples = page, plan, plan.sample(PERIOD)
         self.tips = np.array([frames(plan.robot, q)[-1] for q in self.samples.state.q])
         self.grasped = {s.fruit: self._last(i) for i, s in enumerate(plan.stages) if s.kind == "approach"}

@@ -10,7 +10,7 @@ import functools
 import threading
 import time
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import jax
 import jax.numpy as jnp
@@ -31,9 +31,7 @@ from jaxik.view.page_hand import PERIOD, PageHand
 from jaxik.view.palette import CARRIED, PATH, boxed, rgb
 from jaxik.view.recording import recorded
 from jaxik.view.solids import frames
-
-if TYPE_CHECKING:
-    from jaxik.view.page import Page
+from jaxik.view.stage import Stage
 
 LOOKED = 6  # samples between two looks at what is near
 MARGIN, SHELL, STIFFNESS = 0.01, 0.05, 300.0  # [m], [m], [N/m]
@@ -49,7 +47,7 @@ FORCES = (
 class Steering:
     """The controls in a tab of the page, and the loop behind them."""
 
-    def __init__(self, page: Page):
+    def __init__(self, page: Stage):
         self.page, self.robot, self.running = page, page.home, threading.Event()
         self.rows: list[np.ndarray] = []
         self.recording = self.playing = False

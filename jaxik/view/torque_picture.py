@@ -11,9 +11,11 @@ from jaxik.kinematics.robot import Robot
 NEAR = 0.25  # of its limit, from which on a torque is drawn beside it
 
 
-def torque_picture(robot: Robot, time: np.ndarray, torque: np.ndarray, holding: np.ndarray, file: Path, title: str) -> None:
-    """A row a joint: its torque (i, n) [Nm, N] over `time` (i,) [s], what would hold the arm at rest there, and its limit
-    `robot.effort`, as a line where it is near."""
+def plot_torques(
+    robot: Robot, time: np.ndarray, torque: np.ndarray, holding: np.ndarray, path: str | Path, *, title: str = ""
+) -> None:
+    """Draws a row a joint: its torque (i, n) [Nm, N] over `time` (i,) [s], what would hold the arm at rest there (i, n), and
+    its limit `robot.effort`, as a line where it is near. Host."""
     from matplotlib.figure import Figure
 
     n = robot.num_joints
@@ -34,4 +36,4 @@ def torque_picture(robot: Robot, time: np.ndarray, torque: np.ndarray, holding: 
     labels = {label: line for axis in axes for line, label in zip(*axis.get_legend_handles_labels(), strict=True)}
     figure.suptitle(title, fontsize=11)
     figure.legend(labels.values(), labels.keys(), loc="outside lower right", ncols=3, frameon=False, fontsize=9)
-    figure.savefig(file, dpi=120)
+    figure.savefig(path, dpi=120)

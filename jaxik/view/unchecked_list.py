@@ -3,14 +3,12 @@
 from __future__ import annotations
 
 from html import escape
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from jaxik.files.unchecked_pairs import unchecked
 from jaxik.kinematics.robot import Robot, Unchecked
 from jaxik.view.palette import LEFT_OUT
-
-if TYPE_CHECKING:
-    from jaxik.view.page import Page
+from jaxik.view.stage import Stage
 
 NONE = "pair: none"
 WORDS = {  # what stands out first
@@ -38,7 +36,7 @@ if (row && field) {
 class UncheckedList:
     """Its rows, in groups by the reason."""
 
-    def __init__(self, page: Page, robot: Robot):
+    def __init__(self, page: Stage, robot: Robot):
         gui, self.page, groups = page.server.gui, page, unchecked_groups(robot)
         self.rows = [row for group in groups.values() for row in group]
         with gui.add_folder(f"{len(self.rows)} pairs of links are not checked", expand_by_default=False):

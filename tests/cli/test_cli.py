@@ -114,7 +114,7 @@ def test_a_failed_write_leaves_the_old_files(harvested, tmp_path, monkeypatch):
     out = tmp_path / "out"
     out.mkdir()
     (out / "postures.csv").write_text("old")
-    monkeypatch.setattr("jaxik.view.harvest_picture.plot_harvest", fails)
+    monkeypatch.setattr("jaxik.view.plot_harvest", fails)
     with pytest.raises(OSError, match="disk full"):
         write_harvest(harvested, out)
     assert contents(out) == {"postures.csv": b"old"}
@@ -126,7 +126,7 @@ def test_a_failed_write_leaves_the_old_files(harvested, tmp_path, monkeypatch):
 @pytest.mark.parametrize("number", range(3))
 def test_what_cannot_be_replaced_leaves_all_the_old_files(harvested, tmp_path, monkeypatch, number):
     """Whichever of the three it is; one that was not there is not there again, and what else lies in the folder stays."""
-    monkeypatch.setattr("jaxik.view.harvest_picture.plot_harvest", draws)
+    monkeypatch.setattr("jaxik.view.plot_harvest", draws)
     out, replace, calls = tmp_path / "out", os.replace, []
     out.mkdir()
     for name in ("harvest.png", "postures.csv", "notes.txt"):
@@ -152,7 +152,7 @@ def test_what_cannot_be_replaced_leaves_all_the_old_files(harvested, tmp_path, m
 
 
 def test_a_new_folder_has_the_mode_of_others(harvested, tmp_path, monkeypatch):
-    monkeypatch.setattr("jaxik.view.harvest_picture.plot_harvest", draws)
+    monkeypatch.setattr("jaxik.view.plot_harvest", draws)
     (tmp_path / "other").mkdir()
     write_harvest(harvested, tmp_path / "deep" / "out")
     assert (tmp_path / "deep" / "out").stat().st_mode == (tmp_path / "other").stat().st_mode
@@ -181,7 +181,7 @@ def test_what_hides_a_fruit_is_named():
 def test_units_are_said(harvested, tmp_path, monkeypatch, capsys):
     """In the table, where brackets once were taken for a style, and in the header; the arrays keep their names."""
     monkeypatch.setenv("COLUMNS", "240")
-    monkeypatch.setattr("jaxik.view.harvest_picture.plot_harvest", draws)
+    monkeypatch.setattr("jaxik.view.plot_harvest", draws)
     _print_table(dataclasses.replace(harvested, scene=dataclasses.replace(harvested.scene, name="bench [red]")))
     printed = " ".join(capsys.readouterr().out.split())
     assert "clearance [mm]" in printed and "bench [red]" in printed
@@ -302,7 +302,7 @@ def test_a_cell_without_a_fruit(tmp_path, monkeypatch, capsys):
     assert study.scene.counts["boxes"] == 1
     line = refused(monkeypatch, capsys, "harvest", "--scene", cell, "--out", tmp_path / "out")
     assert "scene 'cell' has no fruit" in line
-    monkeypatch.setattr("jaxik.view.page.Page", lambda *_: stopped())
+    monkeypatch.setattr("jaxik.view.Page", lambda *_: stopped())
     assert "far enough" in refused(monkeypatch, capsys, "view", "p6r", "--scene", cell)
     assert "no fruit" in refused(monkeypatch, capsys, "view", "p6r", "--scene", cell, "--harvest")
 

@@ -10,7 +10,7 @@ import jaxik
 from jaxik.cli import main
 from jaxik.harvesting.tour import shortest_tour
 from jaxik.sweeps import Study, Sweep
-from jaxik.view.page import Page
+from jaxik.view import Page
 
 STUDY = {"robot": "p6r", "slides": 2, "targets": {"kind": "grid", "x": [0.5, 0.5, 1], "y": [0.5, 0.5, 1], "z": [0.5, 0.5, 1]}}
 

@@ -15,7 +15,7 @@ from jaxik.collision import SceneBuilder
 from jaxik.harvesting import tour
 from jaxik.harvesting.grasp import Grasp
 from jaxik.harvesting.picks import carrying
-from jaxik.view.page import Page
+from jaxik.view import Page
 
 CRATE = [0.3, -2.0, -0.3, -0.5, 0.0, -0.7, 1.57]
 
@@ -160,7 +160,7 @@ def test_bad_input_is_one_line(harvested, given, words):
 
 
 def test_files_hold_all_stages(plan, harvested, tmp_path, monkeypatch):
-    monkeypatch.setattr("jaxik.view.harvest_picture.plot_harvest", lambda result, path: None)
+    monkeypatch.setattr("jaxik.view.plot_harvest", lambda result, path: None)
     write_harvest(harvested, tmp_path / "out", plan, 0.02)
     out = tmp_path / "out"
     assert {"motions.csv", "motions.json", "motions.npz", "motions.png", "postures.csv"} <= {
@@ -180,7 +180,7 @@ def test_files_hold_all_stages(plan, harvested, tmp_path, monkeypatch):
 
 
 def test_the_page_moves_the_fruit_with_the_gripper(plan, harvested):
-    page = Page(plan.robot, plan.scene, None, harvested, port=0, plan=plan)
+    page = Page(plan.robot, scene=plan.scene, harvest=harvested, port=0, plan=plan)
     player, name = page.player, plan.order[0]
     fruit = player.fruits[name]
     approach, retreat, transport = plan.stages[1:4]

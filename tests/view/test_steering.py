@@ -7,8 +7,8 @@ import pytest
 
 import jaxik
 from jaxik.planning import load_trajectory
+from jaxik.view import Page
 from jaxik.view.game_pad import FAST, SILENT, TURNING
-from jaxik.view.page import Page
 from jaxik.view.page_hand import PERIOD
 from jaxik.view.palette import NEAR_LIMIT, rgb
 from jaxik.view.recording import recorded

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 import jaxik
-from jaxik.view.page import Page
+from jaxik.view import Page
 from jaxik.view.palette import CHOSEN, COLOURS, LEFT_OUT, PARTLY, rgb
 from jaxik.view.solids import Solid, scene_points, scene_solids
 from jaxik.view.sweep_picture import categories, plot_sweep, variant_map
@@ -37,14 +37,14 @@ def test_a_store_of_another_robot_is_refused(store):
         (p6r.with_tool(np.diag([1.0, -1.0, -1.0, 1.0])), "row.zarr: holds another p6r"),
     ):
         with pytest.raises(ValueError, match=words) as error:
-            Page(robot, None, store)
+            Page(robot, store=store)
         assert "\n" not in str(error.value)
 
 
 def test_the_same_robot_is_shown_with_and_without_its_shapes(store):
     """Where the study did not read the meshes that the page shows, the robots differ and the robot does not."""
     for robot in (jaxik.load("p6r"), dataclasses.replace(jaxik.load("p6r"), boxes=())):
-        page = Page(robot, None, store, port=0)
+        page = Page(robot, store=store, port=0)
         assert page.url.startswith("http://127.0.0.1:")
         assert list(page.map.indices) == ["base z=0", "base z=0.1"] and "reachable (" in page.map.legend.content
         page.map.colour.value = "limit margin"
@@ -60,7 +60,7 @@ def test_a_cell_without_a_fruit_is_shown(tmp_path):
         'name = "cell"\n[[object]]\nname = "a"\nboxes = [[0.5, 0, 0, 1, 1, 1]]\ncapsules = [[0, 0, 0, 1, 0, 0, 0.1]]\n'
         '[[object]]\nname = "sheet"\npolygons = [[[1.5, -1, 0], [1.5, 1, 0], [1.6, 1, 0], [1.6, -1, 0]]]\n'
     )
-    page = Page(jaxik.load("planar2"), jaxik.load_scene(path), port=0)
+    page = Page(jaxik.load("planar2"), scene=jaxik.load_scene(path), port=0)
     assert "sheet" in page.near.content and "sheet" in page.hit
     page.close()
 
@@ -129,7 +129,7 @@ def test_a_place_has_its_best_direction(store, tmp_path):
 
 @pytest.fixture(scope="module")
 def page():
-    page = Page(jaxik.load("p6r"), jaxik.load_scene("cucumber_row"), port=0)
+    page = Page(jaxik.load("p6r"), scene=jaxik.load_scene("cucumber_row"), port=0)
     yield page
     page.close()
 
@@ -173,7 +173,7 @@ def test_a_posture_is_exact_and_its_sliders_are_rounded(page):
 def test_a_robot_without_shapes_has_its_joints():
     """What is not known is said, and a target is followed all the same."""
     robot = dataclasses.replace(jaxik.load("p6r"), boxes=())
-    page = Page(robot, jaxik.load_scene("cucumber_row"), port=0)
+    page = Page(robot, scene=jaxik.load_scene("cucumber_row"), port=0)
     assert "Clearance unknown. p6r: has no collision geometry" in page.near.content and not page.drawing.parts
     q = np.array([0.5, 0.1, 0.1, -0.9, 0.2, 0.6, 0.1])
     world_T_tip = np.asarray(robot.world_T_base) @ np.asarray(jaxik.forward_kinematics(robot, q))
