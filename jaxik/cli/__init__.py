@@ -67,14 +67,14 @@ def main() -> None:
 
 
 def _one_line(error: Exception) -> str:
-    """What is wrong, and of a file that the system refused which."""
+    """The fault in one line; where the system refused a file, with its name."""
     refused = isinstance(error, OSError) and error.filename and error.strerror
     return f"{error.filename}: {error.strerror}" if refused else str(error)  # type: ignore[attr-defined]
 
 
 @contextlib.contextmanager
 def _warnings_as_lines() -> Iterator[None]:
-    """What the library warns of, on stderr without the line of code that asked, each once."""
+    """Prints the library's warnings on stderr, without the line of code that asked, each once."""
     told: set[str] = set()
 
     def show(message: Any, *_: Any, **__: Any) -> None:

@@ -30,7 +30,7 @@ PICTURES = ".png", ".pdf", ".svg"
 
 
 class Demand(NamedTuple):
-    """What a motion takes of each joint, (i, n): the drives' torque in total, gravity's share of it [Nm, N], and power [W]; and
+    """The demand of a motion on each joint, (i, n): the drives' torque in total, gravity's share of it [Nm, N], and power [W]; and
     where drives are known, friction at the joints [Nm, N], and where their motors are, the currents [A]."""
 
     torque: np.ndarray
@@ -127,7 +127,7 @@ def demanded(robot: Robot, state: JointState, gravity: tuple[float, float, float
 
 
 def _lines(robot: Robot, demand: Demand) -> Iterable[str]:
-    """Of each joint, what it takes most."""
+    """The largest demand on each joint."""
     most = {kind: np.abs(values).max(axis=0) for kind, values in demand._asdict().items() if values is not None}
     usual = np.sqrt(np.mean(demand.torque**2, axis=0))
     for i, (name, slides) in enumerate(zip(robot.joint_names, robot.is_prismatic, strict=True)):

@@ -90,7 +90,7 @@ class FitArguments(RobotArguments):
 
 
 def _told(robot: jaxik.Robot, to: Path, beyond: float) -> str:
-    """What has to be known of a URDF of spheres."""
+    """The words on a URDF of spheres."""
     lost = f"; without {len(robot.convex_parts)} convex parts, which are closer" if robot.convex_parts else ""
     reach = f", spheres up to {1e3 * beyond:.1f} mm beyond the volumes{lost}; who reads it has to disable "
     return f"{reach}{len(unchecked(robot))} pairs of links: {to.with_suffix('.srdf')}"

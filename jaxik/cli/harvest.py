@@ -93,7 +93,7 @@ class HarvestArguments(ShapedRobotArguments):
         print(f"{len(result.rows)} fruits: {counts}; {took}; {'' if plan is None else _in_motion(plan)}wrote {self.out}/")
 
     def plan_options(self, joints: int) -> HarvestPlanOptions:
-        """What `plan_harvest` takes of these."""
+        """The options of `plan_harvest` among these."""
         for name in ("home", "place"):
             count = len(getattr(self, name))
             if count % joints or (name == "home" and count > joints):

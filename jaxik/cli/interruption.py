@@ -36,7 +36,7 @@ class Patience:
 
 
 def interrupt_surely() -> None:
-    """From now on Ctrl-C raises `KeyboardInterrupt` where somebody hears it: a moment later if it comes where nobody does."""
+    """Lets Ctrl-C raise `KeyboardInterrupt` where somebody hears it: a moment later if it comes where nobody does."""
 
     def raised(number: int, frame: FrameType | None) -> None:
         while frame is not None:

@@ -1,4 +1,4 @@
-"""What commands say of results: tables on the terminal, and in a file with their units in the header; what is in the way."""
+"""Results in print: tables on the terminal, and in a file with their units in the header; what is in the way."""
 
 from __future__ import annotations
 
@@ -83,7 +83,7 @@ def print_table(title: str, headings: Sequence[str], rows: Iterable[Sequence[str
 
 
 def _broken(heading: str, width: int) -> str:
-    """In lines of this width where its words, and what underscores part, are not longer."""
+    """Wraps the text to the width at spaces and underscores; a longer word stays whole."""
     lines = [""]
     for piece in re.findall(r"[^_ ]*[_ ]?", heading):
         if lines[-1] and len((lines[-1] + piece).rstrip()) > width:
@@ -93,7 +93,7 @@ def _broken(heading: str, width: int) -> str:
 
 
 def offenders(result: IKResult) -> str:
-    """Of the first targets that collide, which pairs of names are nearest, in words, the most frequent first; "" of none."""
+    """Names the pairs that are nearest where the first targets collide, the most frequent first; "" if none collides."""
     colliding = result[result.reason == Reason.COLLISION][:LOOKED]
     pairs = collections.Counter(f"{nearest.link} and {nearest.other}" for nearest, *_ in colliding.offenders)
     words = ", ".join(f"{count} by {pair}" for pair, count in pairs.most_common(5))

@@ -1,4 +1,4 @@
-"""What commands ask of a robot: which chain of its file, where the joints beside it are held, what is not checked."""
+"""Arguments that choose a robot: which chain of its file, where the joints beside it are held, what is not checked."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ Checked = Annotated[tuple[str, ...], tyro.conf.arg(metavar="[LINK:LINK|all]...",
 
 @dataclasses.dataclass(kw_only=True)
 class RobotArguments:
-    """Which chain of a robot's file, where the joints beside it are held, and what is not checked."""
+    """The chain of a robot's file, where the joints beside it are held, and what is not checked."""
 
     tip: str | None = None
     """The link at the tip, which goes to the targets; needed where the robot has several."""
@@ -33,7 +33,7 @@ class RobotArguments:
     """Folders of ROS packages, or that hold such, beside those above the file and in ROS' environment."""
 
     def loading(self) -> dict[str, Any]:
-        """What `jaxik.load` takes of these."""
+        """The arguments of `jaxik.load` among these."""
         more = {"posture": read_posture(self.posture), "ignore": ignored_pairs(self.ignore)}
         return {"tip": self.tip, "base": self.base, "srdf": self.srdf, "packages": self.packages, **more}
 
@@ -49,12 +49,12 @@ class ShapedRobotArguments(RobotArguments):
     """Let the meshes' triangles decide what is near: slower, and no free room is given up."""
 
     def loading(self) -> dict[str, Any]:
-        """What `jaxik.load` takes of these."""
+        """The arguments of `jaxik.load` among these."""
         return super().loading() | {"meshes": self.meshes, "pairs": checked_pairs(self.pairs), "exact": self.exact}
 
 
 def read_posture(words: Sequence[str]) -> dict[str, float] | None:
-    """What `jaxik.load(posture=)` takes; None where nothing is given, and what is held is named. Raises `ValueError`."""
+    """The `posture=` of `jaxik.load`; None where nothing is given, and what is held is named. Raises `ValueError`."""
     found = {}
     for word in words:
         name, _, value = word.partition("=")
@@ -66,7 +66,7 @@ def read_posture(words: Sequence[str]) -> dict[str, float] | None:
 
 
 def ignored_pairs(given: Sequence[str]) -> list[Any]:
-    """What `jaxik.load(ignore=)` takes, of words as they stand in a command: "LINK", "LINK:LINK" or "LINK:OBJECT"."""
+    """The `ignore=` of `jaxik.load`, from words as they stand in a command: "LINK", "LINK:LINK" or "LINK:OBJECT"."""
     pairs = [tuple(each.split(":")) for each in given]
     for each, names in zip(given, pairs, strict=True):
         if len(names) > 2 or not all(names):
@@ -76,7 +76,7 @@ def ignored_pairs(given: Sequence[str]) -> list[Any]:
 
 
 def checked_pairs(given: Sequence[str]) -> Any:
-    """What `jaxik.load(pairs=)` takes, of words as they stand in a command: "LINK:LINK", or "all"."""
+    """The `pairs=` of `jaxik.load`, from words as they stand in a command: "LINK:LINK", or "all"."""
     if tuple(given) == ("all",):
         return "all"
     pairs = [tuple(each.split(":")) for each in given]

@@ -25,7 +25,7 @@ FAINT = 0.6  # how large the points are that are not reachable
 class Cloud:
     """The controls of a map and its points, those that are reachable before the others.
 
-    The robot stands where the variant has it. Of another robot, and of other lengths of its links, only the map is shown.
+    The robot stands where the variant has it. A map of another robot, or of other lengths of its links, is shown alone.
     """
 
     def __init__(self, page: Stage, group: Any):

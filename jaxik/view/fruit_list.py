@@ -11,7 +11,7 @@ from jaxik.view.stage import Stage
 
 
 class FruitList:
-    """Its controls. The first that can be picked is shown."""
+    """The controls of the list. The first fruit that can be picked is shown."""
 
     def __init__(self, page: Stage, harvest: Harvest):
         gui, solved = page.server.gui, int(harvest.success.sum())

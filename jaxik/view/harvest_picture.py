@@ -19,7 +19,7 @@ SIDE, GAP, TITLE, HEAD, FOOT = 0.6, 0.12, 0.3, 0.8, 1.25  # [inches]
 
 
 class _Crop(NamedTuple):
-    """What stands in every panel, the frames and volumes of the arm in each, and the box (2, 3) [m] that all of them show."""
+    """The crop in every panel, the frames and volumes of the arm in each, and the box (2, 3) [m] that all of them show."""
 
     solids: list[Solid]
     points: np.ndarray
@@ -59,7 +59,7 @@ def plot_harvest(result: Harvest, path: Path) -> None:
 
 
 def fate(row: Posture) -> str:
-    """What became of a fruit, in a grower's words."""
+    """The fate of a fruit, in a grower's words."""
     if row.success:
         return f"{1000.0 * row.clearance:.0f} mm clear"
     if row.blockers is None:
@@ -125,7 +125,7 @@ def _draw(axis: Any, result: Harvest, crop: _Crop, row: Posture, i: int) -> None
 
 
 def _colour(owner: str, crop: _Crop, fruit: str, blocking: tuple[str, ...]) -> Any:
-    """Of an object in a fruit's panel; other fruits are paler."""
+    """The colour of an object in a fruit's panel; other fruits are paler."""
     if owner in blocking:
         return COLOURS[Reason.COLLISION], 1.0
     return (COLOURS[crop.reasons[owner]], 1.0 if owner == fruit else 0.4) if owner in crop.reasons else (OBSTACLE, 1.0)

@@ -9,7 +9,7 @@ from typing import Any
 
 
 class Latest:
-    """What is asked while another runs waits, and gives way to what is asked later."""
+    """A queue of one: what is asked while another runs waits, and gives way to what is asked later."""
 
     def __init__(self) -> None:
         self._guard, self._newest = threading.Lock(), deque[Callable[[], Any]](maxlen=1)

@@ -185,7 +185,7 @@ class Page:
 
     @property
     def task(self) -> Task:
-        """What of the tip the target binds."""
+        """The task: the components of the tip's pose that the target binds."""
         return POSITION if self.binds.value == "position alone" else POSE
 
     def reach(self, world_T_tip: np.ndarray) -> Reason:
@@ -300,7 +300,7 @@ class Page:
         self.surroundings.draw_nearest(contacts)
 
     def _contacts(self) -> tuple[Contact, ...]:
-        """What is nearest to the robot, or all that it hits; the panel's first line says so."""
+        """The contacts nearest to the robot, or all that it hits; the panel's first line says so."""
         if self.blind:
             self.near.content = boxed(f"Clearance unknown. {self.blind}")
             return ()

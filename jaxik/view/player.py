@@ -53,7 +53,7 @@ class Player:
             self.page.asked(lambda: self.show(self.time.value))
 
     def play(self) -> None:
-        """From where the slider is, or from the beginning if that is the end."""
+        """Plays from where the slider is, or from the beginning if that is the end."""
         self.playing.set()
         self.button.label = "Pause"
         self.thread = threading.Thread(target=self._run, daemon=True)

@@ -105,7 +105,7 @@ def _parts(scene: Any, robot: Robot, meshes: Sequence[Shape]) -> list[tuple[int,
 
 
 def _kept_clear(robot: Robot) -> list[tuple[int, Any]]:
-    """What collides, each with its link's number: convex parts where these decide, or else volumes."""
+    """The shapes that collide, each with its link's number: convex parts where these decide, or else volumes."""
     parts = known_parts(robot)
     fitted = {part.link for part in parts}
     # what stands for a mesh was grown by less than is seen
@@ -115,7 +115,7 @@ def _kept_clear(robot: Robot) -> list[tuple[int, Any]]:
 
 
 def _own(robot: Robot, meshes: Sequence[Shape]) -> list[tuple[int, Any]]:
-    """What the links are, each shape with its link's number: an exact robot's surfaces, or meshes; else boxes and volumes."""
+    """The links' own shapes, each with its link's number: an exact robot's surfaces, or meshes; else boxes and volumes."""
     import trimesh
 
     bare = lambda corners, faces: trimesh.Trimesh(corners, faces, process=False)

@@ -1,4 +1,4 @@
-"""What stands around the robot on the page: leaves as points, obstacles and fruits as solids, and what is hit over them."""
+"""The robot's surroundings on the page: leaves as points, obstacles and fruits as solids, and what is hit over them."""
 
 from __future__ import annotations
 

@@ -24,7 +24,7 @@ class Sliders:
             self.each.append(slider)
 
     def show(self, q: np.ndarray) -> None:
-        """At q (n,) [rad, m]."""
+        """Puts the sliders at q (n,) [rad, m]."""
         for slider, value, digits in zip(self.each, self._factor * q, self._digits, strict=True):
             if slider.value != (now := round(float(value), digits)):
                 slider.value = now

@@ -1,4 +1,4 @@
-"""What robots and scenes are made of, to be drawn: convex solids, each a ball swept over the hull of its corners."""
+"""Robots and scenes as convex solids to draw, each a ball swept over the hull of its corners."""
 
 from __future__ import annotations
 
@@ -29,13 +29,13 @@ class Solid(NamedTuple):
         return self._replace(corners=self.corners @ frame[:3, :3].T + frame[:3, 3])
 
     def outline(self, i: int, j: int) -> np.ndarray:
-        """Its outline (m, 2) [m] as seen along the third axis, where axes `i` and `j` span the picture."""
+        """The outline (m, 2) [m] as seen along the third axis, where axes `i` and `j` span the picture."""
         flat = self.corners[:, [i, j]]
         return _hull(flat if self.radius <= 0.0 else (flat[:, None] + self.radius * _RING).reshape(-1, 2))
 
     @property
     def span(self) -> np.ndarray:
-        """Its least and largest coordinates (2, 3) [m]."""
+        """The least and largest coordinates (2, 3) [m]."""
         return np.array([self.corners.min(axis=0) - self.radius, self.corners.max(axis=0) + self.radius])
 
 
@@ -79,7 +79,7 @@ def scene_points(scene: Scene) -> tuple[np.ndarray, np.ndarray]:
 
 
 def volume_solids(robot: Robot) -> list[tuple[int, Solid]]:
-    """What stands for the robot where clearance is measured, each with its link, in the frame of the link's joint."""
+    """The volumes that stand for the robot where clearance is measured, each with its link, in the frame of the link's joint."""
     return [
         (int(link), Solid(robot.link_names[link], np.asarray(corners, float), float(radius)))
         for local in (local_volumes(robot, count) for count in (1, 2, 3))

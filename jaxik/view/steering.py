@@ -206,7 +206,7 @@ def near_limits(robot: Any, q: np.ndarray) -> frozenset[int]:
 
 
 def ready_posture(robot: Any, scene: Any, count: int = 512) -> np.ndarray:
-    """Of many configurations, the one from which the tip moves best, with room to the joints' limits and to what is around."""
+    """Chooses, among many configurations, the one from which the tip moves best, with room to limits and to what is around."""
 
     def judged(q: Any) -> Any:
         room = costs.joint_limit_margin(robot, q) * manipulability(robot, q)

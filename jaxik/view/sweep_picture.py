@@ -42,12 +42,12 @@ def open_store(path: str | Path) -> Any:
 
 
 def variant_axes(group: Any) -> list[str]:
-    """What varies besides the targets."""
+    """The axes along which variants differ, besides the targets."""
     return [n for n in (group["reason"].metadata.dimension_names or ()) if n != "target"]
 
 
 def variant_label(group: Any, index: tuple[int, ...]) -> str:
-    """What tells a variant from others, in words; none where there is only one."""
+    """The words that tell a variant from others; none where there is only one."""
     named = [(n, _differing([_short(v) for v in group[n][...]])[i]) for n, i in zip(variant_axes(group), index, strict=True)]
     return ", ".join(f"{name} {words}" for name, words in named)
 
@@ -59,7 +59,7 @@ def shares(group: Any) -> np.ndarray:
 
 
 def variant_map(group: Any, index: tuple[int, ...]) -> Map:
-    """What the store says of one variant."""
+    """The store's map of one variant."""
     turns, read = int(group.attrs["targets_per_position"]), lambda name: np.asarray(group[name][(*index, slice(None))])
     positions, axes = np.asarray(group["position"][::turns]), tuple(np.array(a) for a in group.attrs["grid"])
     share = read("reachable").reshape(-1, turns).mean(axis=1)
@@ -97,7 +97,7 @@ def plot_sweep(path: str | Path, out: str | Path, scene: Scene | None = None) ->
 
 
 def categories(shown: Map) -> tuple[np.ndarray, list[tuple[str, str]]]:
-    """What became of each position, (p,) numbers into a list of words and colours: reachable from every direction, from some,
+    """The fate of each position, (p,) numbers into a list of words and colours: reachable from every direction, from some,
     or else the reason that is nearest to an answer; -1 where nothing is known yet."""
     reasons = [r for r in COLOURS if r != Reason.SOLVED]
     found = np.full(len(shown.positions), -1)
@@ -198,7 +198,7 @@ def _draw_missed(axis: Any, audit: dict[str, Any]) -> None:
 
 
 def _effort(found: dict[str, Any]) -> str:
-    """What an audit has more of."""
+    """The further effort of an audit."""
     return "seeds" if found["effort"] == "max_seeds" else f"positions of {' and '.join(found.get('of', ['the slide']))}"
 
 

@@ -34,7 +34,7 @@ if (row && field) {
 
 
 class UncheckedList:
-    """Its rows, in groups by the reason."""
+    """The list's rows, in groups by the reason."""
 
     def __init__(self, page: Stage, robot: Robot):
         gui, self.page, groups = page.server.gui, page, unchecked_groups(robot)
