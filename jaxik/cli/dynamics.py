@@ -30,7 +30,7 @@ PICTURES = ".png", ".pdf", ".svg"
 
 
 class Demand(NamedTuple):
-    """The demand of a motion on each joint, (i, n): the drives' torque in total, gravity's share of it [Nm, N], and power [W]; and
+    """The demand of a motion on each joint, (i, n): the drives' torque, gravity's share of it [Nm, N], and power [W]; and
     where drives are known, friction at the joints [Nm, N], and where their motors are, the currents [A]."""
 
     torque: np.ndarray

@@ -79,7 +79,7 @@ def scene_points(scene: Scene) -> tuple[np.ndarray, np.ndarray]:
 
 
 def volume_solids(robot: Robot) -> list[tuple[int, Solid]]:
-    """The volumes that stand for the robot where clearance is measured, each with its link, in the frame of the link's joint."""
+    """The volumes by which a robot's clearance is measured, each with its link, in the frame of the link's joint."""
     return [
         (int(link), Solid(robot.link_names[link], np.asarray(corners, float), float(radius)))
         for local in (local_volumes(robot, count) for count in (1, 2, 3))
