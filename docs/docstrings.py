@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import importlib
+import inspect
 import re
 import sys
 from pathlib import Path
@@ -35,6 +37,9 @@ class Docstrings(griffe.Extension):
         if obj.is_alias or obj.docstring is None:
             return
         own = {p.name for p in obj.parameters} if obj.is_function else set(obj.members)
+        if _bases(obj) & {"Options"}:  # the fields say what they are themselves
+            made = getattr(importlib.import_module(obj.module.path), obj.name)
+            obj.docstring.value = inspect.cleandoc(made.__doc__)
         blocks = [self._block(text, own) for text in obj.docstring.value.split("\n\n")]
         obj.docstring.value = "\n\n".join([*_made(obj), *blocks])
 
@@ -57,10 +62,10 @@ def _made(obj: griffe.Object) -> list[str]:
     """How a class is made whose fields make its constructor, where Griffe does not see that; the members of an enumeration."""
     if not obj.is_class:
         return []
-    bases = {str(base).split(".")[-1] for base in obj.bases}
+    bases = _bases(obj)
     fields = [m for m in obj.members.values() if not m.is_alias and m.is_attribute and not m.name.startswith("_")]
     fields = [m for m in fields if "property" not in m.labels]
-    if bases & {"NamedTuple", "Module", "Constant"}:
+    if bases & {"NamedTuple", "Module", "Constant", "Pytree", "Result"}:
         each = [
             f"{f.name}: {f.annotation}" + ("" if f.value is None or "field(" in str(f.value) else f" = {f.value}")
             for f in fields
@@ -69,3 +74,7 @@ def _made(obj: griffe.Object) -> list[str]:
     if bases & {"IntEnum", "Enum"}:
         return ["```python\n" + "\n".join(f"{obj.name}.{f.name}" for f in fields) + "\n```"]
     return []
+
+
+def _bases(obj: griffe.Object) -> set[str]:
+    return {str(base).split(".")[-1].split("(")[0] for base in obj.bases} if obj.is_class else set()
