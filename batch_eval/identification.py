@@ -20,9 +20,9 @@ from panda import ROBOTS
 from race import clocked, machine
 
 import jaxik
-from jaxik.dynamics import Drive, Friction, body_parameters, inverse_dynamics, motor_current
+from jaxik.dynamics import Body, Drive, Friction, inverse_dynamics, motor_current
 from jaxik.identification import Identified, IdentifyOptions, MotionLog, excite, identify, pseudo_inertias
-from jaxik.kinematics import Body, Robot
+from jaxik.kinematics import Robot
 
 COUNT, PERIOD, SECONDS, RATE, NOISE = 3, 20.0, 40.0, 100.0, 0.01
 ASKED = {"period": PERIOD, "margin": None}  # the files are read without their meshes
@@ -88,7 +88,7 @@ def judged(name: str, seed: int, motion: Any, other: Any) -> dict[str, Any]:
     log = logged(true, motion, seed)
     found: Identified
     found, seconds = clocked(lambda: identify(robot, log, terms=terms))
-    values = np.concatenate([body_parameters(true), *(coefficients(true, term) for term in terms)])
+    values = np.concatenate([true.parameters, *(coefficients(true, term) for term in terms)])
     truth = found.base.matrix @ values
     off, unknown = np.abs(found.value - truth), set(found.unknown())
     told = np.array([word not in unknown for word in found.base.words])
@@ -105,7 +105,7 @@ def judged(name: str, seed: int, motion: Any, other: Any) -> dict[str, Any]:
         "condition": found.condition,
         "current_before": float(missed[0].max()),
         "current_after": float(missed[1].max()),
-        "physical": bool(np.linalg.eigvalsh(pseudo_inertias(body_parameters(found.robot))).min() > 0.0),
+        "physical": bool(np.linalg.eigvalsh(pseudo_inertias(found.robot.parameters)).min() > 0.0),
     }
 
 

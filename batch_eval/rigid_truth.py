@@ -97,14 +97,14 @@ def jaxiks(robot: jaxik.Robot) -> dict[str, Any]:
     forward = lambda q, v, tau: dynamics.forward_dynamics(robot, q, v, tau)
     by_all = lambda f: lambda *given: jax.numpy.stack(jax.jacfwd(f, (0, 1, 2))(*given))
     return {
-        "inverse_dynamics": lambda q, v, a, tau, w: dynamics.inverse_dynamics(robot, q, v, a, w),
+        "inverse_dynamics": lambda q, v, a, tau, w: dynamics.inverse_dynamics(robot, q, v, a, wrenches=w),
         "mass_matrix": lambda q, v, a, tau, w: dynamics.mass_matrix(robot, q),
-        "forward_dynamics": lambda q, v, a, tau, w: dynamics.forward_dynamics(robot, q, v, tau, w),
+        "forward_dynamics": lambda q, v, a, tau, w: dynamics.forward_dynamics(robot, q, v, tau, wrenches=w),
         "gravity_torque": lambda q, v, a, tau, w: dynamics.gravity_torque(robot, q),
         "bias_torque": lambda q, v, a, tau, w: dynamics.bias_torque(robot, q, v),
         "regressor": lambda q, v, a, tau, w: dynamics.regressor(robot, q, v, a),
-        "kinetic_energy": lambda q, v, a, tau, w: dynamics.kinetic_energy(robot, q, v),
-        "potential_energy": lambda q, v, a, tau, w: dynamics.potential_energy(robot, q),
+        "kinetic_energy": lambda q, v, a, tau, w: dynamics.energy(robot, q, v).kinetic,
+        "potential_energy": lambda q, v, a, tau, w: dynamics.energy(robot, q, v).potential,
         "derivatives of inverse_dynamics": lambda q, v, a, tau, w: by_all(inverse)(q, v, a),
         "derivatives of forward_dynamics": lambda q, v, a, tau, w: by_all(forward)(q, v, tau),
     }

@@ -20,7 +20,7 @@ import numpy as np
 from race import machine
 
 import jaxik
-from jaxik.dynamics import Contact
+from jaxik.dynamics import PointForce
 from jaxik.teleoperation import (
     DelayLine,
     Direct,
@@ -83,7 +83,7 @@ def energies() -> list[dict[str, Any]]:
         def run(delay: Any, jitter: Any, springs: Any, channel: Any = channel) -> Any:
             lines = [DelayLine(delay, jitter, longest=0.121, seed=seed) for seed in (0, 1)]
             steers = teleoperation(channel=channel, there=lines[0], back=lines[1], force_ratio=FORCE, acceleration=FAST)
-            met = lambda q, rate: Contact(9, tip(q), springs * wall.force(tip(q)))
+            met = lambda q, rate: PointForce(9, tip(q), springs * wall.force(tip(q)))
             done = simulate_teleoperation(steers, POSTURE, Hand(jnp.asarray(strokes(3.0))), met, GRIP)
             return done.command.energy, jnp.linalg.norm(done.command.felt, axis=1), jnp.linalg.norm(done.command.force, axis=1)
 
@@ -178,7 +178,7 @@ def step_time(count: int = 20_000) -> dict[str, float]:
     """Of the loop on one core [us]: nine joints, a contact, clearance, a cost, waves."""
     loop = TeleoperationLoop(teleoperation(channel=WaveVariables(DRAG)), contacts=1)
     state, q, hand = loop.start(POSTURE), POSTURE, strokes(1.0)
-    contact = Contact(np.array([4]), np.array([[0.2, 0.1, 0.9]]), np.array([[0.0, 1.0, 0.0]]))
+    contact = PointForce(np.array([4]), np.array([[0.2, 0.1, 0.9]]), np.array([[0.0, 1.0, 0.0]]))
     taken = np.empty(count)
     for k in range(count):
         start = time.perf_counter()

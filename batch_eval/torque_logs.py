@@ -93,4 +93,4 @@ def logs(arm: int, pushed: bool) -> list[SimulatedLog]:
 
 def friction_band(q: np.ndarray) -> np.ndarray:
     """What static friction hides (n,) [Nm, N] where the arm is held at q; it grows with what the gears carry."""
-    return np.asarray(jaxik.dynamics.static_friction(model(), jaxik.dynamics.gravity_torque(model(), q)))
+    return np.asarray(jaxik.dynamics.friction_band(model(), jaxik.dynamics.gravity_torque(model(), q)))

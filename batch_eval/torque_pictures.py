@@ -38,7 +38,7 @@ def _currents(ax: Any) -> None:
     """Joint 6's motor current beside what the model foretells, as torques."""
     log, joint = logs(JUDGED[0], False)[0], 5
     drive = model().drives[joint]
-    inside = jax.jit(jax.vmap(lambda *x: motor_current(model(), inverse_dynamics(model(), *x), x[1], WIDTH)))
+    inside = jax.jit(jax.vmap(lambda *x: motor_current(model(), inverse_dynamics(model(), *x), x[1], width=WIDTH)))
     gain, foretold = float(drive.torque_per_current), inside(log.q_des, log.qdot_des, log.qddot_des)
     ax.plot(log.t, gain * log.current[:, joint], "0.3", linewidth=0.6, label="motor current")
     ax.plot(log.t, gain * np.asarray(foretold)[:, joint], label="model")

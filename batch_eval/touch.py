@@ -25,7 +25,7 @@ import numpy as np
 from race import machine
 
 import jaxik
-from jaxik.dynamics import Contact, material_point
+from jaxik.dynamics import PointForce, material_point
 from jaxik.estimation import Butterworth
 from jaxik.motions import Line, motion
 from jaxik.touch import (
@@ -249,7 +249,7 @@ def step_time(count: int = 20_000) -> dict[str, float]:
     loop, q = ReactionLoop(reaction("multi", most=20.0)), begin()
     asked = motion(path("avoidable"), 6.0, 2.0)
     asked = asked._replace(**{name: np.asarray(x) for name, x in asked._asdict().items()})
-    felt = Contact(np.array(LINK), np.asarray(material_point(model(), q, LINK, MIDDLE)), 6.0 * np.asarray(wall().normal))
+    felt = PointForce(np.array(LINK), np.asarray(material_point(model(), q, LINK, MIDDLE)), 6.0 * np.asarray(wall().normal))
     state, rate, times = loop.start(q), np.zeros(9), []
     for _ in range(count):
         begun = time.perf_counter()

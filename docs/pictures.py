@@ -302,7 +302,7 @@ def external_torque() -> None:
     log = estimation.play(arm, motion, [push], model=model, instruments=sensors, rest=(0.2, 0.2))
     estimator = estimation.TorqueEstimator(model, estimation.TorqueFilter.of_drives(model, 0.05, 0.05), width=0.005)
     found = estimation.estimate(estimator, log.samples())[:, joint]
-    band = float(jaxik.dynamics.static_friction(model, jaxik.dynamics.gravity_torque(model, middle))[joint])
+    band = float(jaxik.dynamics.friction_band(model, jaxik.dynamics.gravity_torque(model, middle))[joint])
     figure, (above, below) = plt.subplots(2, 1, figsize=(8, 4.4), sharex=True, height_ratios=(3, 1))
     slow = np.abs(log.qdot_des[:, joint]) < 0.02
     above.fill_between(log.t, -band, band, where=slow, color=PALE, lw=0, label="friction's band, where the joint nearly rests")

@@ -13,6 +13,7 @@ import numpy as np
 
 Options = TypeVar("Options", bound=Any)
 TOP = ("Robot", "Fit", "IKOptions", "Scene", "Task")  # classes that `jaxik` itself shows
+HOMES = {"Body": "jaxik.dynamics", "Drive": "jaxik.dynamics", "Friction": "jaxik.dynamics"}  # shown elsewhere than defined
 READERS = {"Robot": "load", "Scene": "load_scene"}  # what reads a file that is given in the place of these
 
 
@@ -51,7 +52,8 @@ def check_kind(who: str, name: str, value: Any, kind: type, optional: bool = Fal
     if not isinstance(value, kind) and not (optional and value is None):
         reader = READERS.get(kind.__name__) if isinstance(value, str | Path) else None
         mend = f", e.g. jaxik.{reader}('{shown(value)}')" if reader else ""
-        package = "jaxik" if kind.__name__ in TOP else ".".join(kind.__module__.split(".")[:2])
+        own = HOMES.get(kind.__name__, ".".join(kind.__module__.split(".")[:2]))
+        package = "jaxik" if kind.__name__ in TOP else own
         raise ValueError(f"{who}: {name} is {shown(value)}; write a {package}.{kind.__name__}{mend}")
 
 

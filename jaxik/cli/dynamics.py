@@ -115,7 +115,7 @@ def demanded(robot: Robot, state: JointState, gravity: tuple[float, float, float
     every = lambda of, *x: np.asarray(jax.jit(jax.vmap(of))(*x))
     with jax.enable_x64(True):
         torque = every(lambda *x: inverse_dynamics(robot, *x, gravity=gravity), *state)
-        still = every(lambda q: gravity_torque(robot, q, gravity), state.q)
+        still = every(lambda q: gravity_torque(robot, q, gravity=gravity), state.q)
         found = Demand(torque, still, torque * state.velocity)
         if not robot.drives:
             return found

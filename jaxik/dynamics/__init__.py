@@ -1,43 +1,42 @@
-"""Forces and torques of a robot: the recursions of rigid bodies, drives and their friction, and forces at points of contact."""
+"""Forces and torques of a robot: the recursions of rigid bodies, drives and their friction, and forces at points of a link."""
 
-from jaxik.dynamics.actuation import friction_torque, joint_torsion, motor_current, static_friction, torque_of_current
-from jaxik.dynamics.contact import Contact, contact_jacobian, contact_torque, material_point
+from jaxik.dynamics.actuation import friction_band, friction_torque, motor_current, torque_of_current
+from jaxik.dynamics.point_force import PointForce, material_point, point_jacobian, point_torque
 from jaxik.dynamics.recursions import (
+    GRAVITY,
+    Energy,
     bias_torque,
-    body_parameters,
+    energy,
     forward_dynamics,
     gravity_torque,
     inverse_dynamics,
-    kinetic_energy,
     mass_matrix,
-    potential_energy,
     regressor,
-    with_body_parameters,
     wrench_on,
 )
 from jaxik.kinematics.drive import Drive, Friction
+from jaxik.kinematics.robot import Body
 
 __all__ = [
-    "Contact",
+    "GRAVITY",
+    "Body",
     "Drive",
+    "Energy",
     "Friction",
+    "PointForce",
     "bias_torque",
-    "body_parameters",
-    "contact_jacobian",
-    "contact_torque",
+    "energy",
     "forward_dynamics",
+    "friction_band",
     "friction_torque",
     "gravity_torque",
     "inverse_dynamics",
-    "joint_torsion",
-    "kinetic_energy",
     "mass_matrix",
     "material_point",
     "motor_current",
-    "potential_energy",
+    "point_jacobian",
+    "point_torque",
     "regressor",
-    "static_friction",
     "torque_of_current",
-    "with_body_parameters",
     "wrench_on",
 ]

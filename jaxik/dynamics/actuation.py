@@ -1,4 +1,4 @@
-"""From a joint's torque to its motor's current and back, through gear, friction and spring [Schuetz 2017, sec. 3.2.2, 3.2.3].
+"""Converts a joint's torque to its motor's current and back, by gear, friction and spring [Schuetz 2017, sec. 3.2.2, 3.2.3].
 
 A drive gives its joint in total, with the motor's speed N qdot and its current I,
 
@@ -7,11 +7,11 @@ A drive gives its joint in total, with the motor's speed N qdot and its current 
     F = -r (s (T_0 + mu |T| + (T_S - T_0) / (1 + (v / v_S)^2)) + (b + g |T|) v) - chi       (3.13), (3.14), (3.16)
     v = r qdot,   s = sgn(qdot),   chi = chi_- tanh(N qdot) backward, chi_+ tanh(N qdot) forward               (3.15)
 
-where r is N for friction that is told at the motor's shaft, and 1 for such at the joint.
+where r is N for friction given at the motor's shaft, and 1 for friction given at the joint.
 
 - The load T_l of (3.13) and (3.14) is T, the joint's torque *behind* the gear: then the printed mu costs 1 to 52 % of it, as
   is usual in such gears. With T / N in its place it would cost half a per cent at most.
-- chi is told at the joint, up to 11 Nm; on the motor's shaft it counts chi / N.
+- chi is given at the joint, up to 11 Nm; on the motor's shaft it is chi / N.
 - The spring's force is counted in the direction in which the joint's value grows. As printed it would double the arm's weight.
 - T_S < T_0 in table 3.4: friction is lower at rest than soon after; printed so, and kept.
 
@@ -23,7 +23,6 @@ qdot, and friction still takes energy wherever it did.
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from typing import Any, NamedTuple
 
 import jax
@@ -31,16 +30,15 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float
 
-from jaxik.checks.options import check_kind
-from jaxik.kinematics.drive import Drive
-from jaxik.kinematics.robot import Robot, as_numbers, as_shaped
+from jaxik.kinematics.drive import column
+from jaxik.kinematics.robot import Robot, as_numbers, as_shaped, need_drives
 from jaxik.spmd import kernel
 
 Vector = Float[jax.Array, " n"]
 
 
 class _Law(NamedTuple):
-    """Friction of all joints at their speeds: `-(fixed + share |T|)`, and what else their drives say, each (n,)."""
+    """Friction of all joints at their speeds, `-(fixed + share |T|)`, with their drives' gain and spring, each (n,)."""
 
     fixed: Any
     share: Any
@@ -48,36 +46,18 @@ class _Law(NamedTuple):
     spring: Any
 
 
-def need_drives(who: str, robot: Robot) -> tuple[Drive, ...]:
-    """One a joint. Raises `ValueError` for a robot without drives."""
-    check_kind(who, "robot", robot, Robot)
-    if len(robot.drives) != robot.num_joints:
-        mend = "write [joint.drive] in its TOML file, or use robot.with_drives"
-        raise ValueError(f"{who}: {robot.name} has no drives; {mend}")
-    for drive in robot.drives:
-        drive.judged()
-    return robot.drives
-
-
 def _of_joints(who: str, name: str, robot: Robot, given: Any) -> jax.Array:
-    """One number a joint, as floats."""
+    """Returns one number a joint, as floats."""
     values = as_shaped(f"{who}: {name}", given, (robot.num_joints,))
     return values.astype(jnp.result_type(values, float)) if values.dtype.kind != "f" else values
 
 
 def _one_or_all(what: str, robot: Robot, given: Any) -> jax.Array:
-    """One number for all joints, or one for each."""
+    """Returns one number for all joints, or one for each."""
     values = as_numbers(what, given)
     if values.shape not in ((), (robot.num_joints,)):
         raise ValueError(f"{what} has the shape {values.shape}; allowed: one number, or ({robot.num_joints},)")
     return values
-
-
-def _column(drives: tuple[Drive, ...], of: Callable[[Drive], Any], dtype: Any) -> Any:
-    """A number of every drive; what is known stays so, and folds."""
-    values = [of(drive) for drive in drives]
-    known = not any(isinstance(x, jax.Array) for x in values)
-    return np.array(values, dtype) if known else jnp.stack([jnp.asarray(x, dtype) for x in values])
 
 
 def _sign(x: Any, width: Any) -> Any:
@@ -87,7 +67,7 @@ def _sign(x: Any, width: Any) -> Any:
 def _law(who: str, robot: Robot, qdot: Any, width: Any) -> _Law:
     drives, qdot = need_drives(who, robot), _of_joints(who, "qdot", robot, qdot)
     width = _one_or_all(f"{who}: width", robot, width).astype(qdot.dtype)
-    of = lambda get: _column(drives, get, qdot.dtype)
+    of = lambda get: column(drives, get, qdot.dtype)
     ratio, at_motor = of(lambda d: d.ratio), np.array([d.friction.side == "motor" for d in drives])
     r = jnp.where(at_motor, ratio, 1.0)
     v, s = r * qdot, _sign(qdot, width)
@@ -104,8 +84,8 @@ def _law(who: str, robot: Robot, qdot: Any, width: Any) -> _Law:
 
 
 @kernel(models=1)
-def friction_torque(robot: Robot, qdot: Vector, torque: Vector, width: Any = 0.0) -> Vector:
-    """Friction at the joints, against their motion (n,) [Nm, N], while the drives give `torque` (n,) [Nm, N] in total. Traced.
+def friction_torque(robot: Robot, qdot: Vector, torque: Vector, *, width: Any = 0.0) -> Vector:
+    """Returns friction at the joints, against their motion (n,) [Nm, N], while the drives give `torque` (n,) [Nm, N]. Traced.
 
     `qdot` (n,) [rad/s, m/s]; `width` rounds off its sign (the same units, one for all or one a joint; 0, or less: the printed
     laws). Raises `ValueError` for a robot without drives. Source: Schuetz 2017, (3.13) to (3.16).
@@ -115,22 +95,21 @@ def friction_torque(robot: Robot, qdot: Vector, torque: Vector, width: Any = 0.0
 
 
 @kernel(models=1)
-def motor_current(robot: Robot, torque: Vector, qdot: Vector, width: Any = 0.0) -> Vector:
-    """The motors' currents (n,) [A] with which the drives give `torque` (n,) [Nm, N] in total, as inverse dynamics asks it.
-    Traced.
+def motor_current(robot: Robot, torque: Vector, qdot: Vector, *, width: Any = 0.0) -> Vector:
+    """Returns the motors' currents (n,) [A] with which the drives give `torque` (n,) [Nm, N], that of inverse dynamics. Traced.
 
-    `qdot` and `width` are those of `friction_torque`. Raises `ValueError` likewise. Source: Schuetz 2017, (3.11).
+    `qdot` and `width` are those of `friction_torque`. Raises `ValueError` as that does. Source: Schuetz 2017, (3.11).
     """
     law, torque = _law("motor_current", robot, qdot, width), _of_joints("motor_current", "torque", robot, torque)
     return (torque + law.fixed + law.share * jnp.abs(torque) - law.spring) / law.gain
 
 
 @kernel(models=1)
-def torque_of_current(robot: Robot, current: Vector, qdot: Vector, width: Any = 0.0) -> Vector:
-    """What the drives give in total (n,) [Nm, N] with `current` (n,) [A] in their motors: `motor_current`'s inverse. Traced.
+def torque_of_current(robot: Robot, current: Vector, qdot: Vector, *, width: Any = 0.0) -> Vector:
+    """Returns the torque (n,) [Nm, N] that the drives give with `current` (n,) [A]: the inverse of `motor_current`. Traced.
 
-    NaN where friction takes more of the load than there is of it, so that the current does not decide it: a drive that locks
-    itself. `qdot` and `width` are those of `friction_torque`. Raises `ValueError` likewise.
+    It is NaN for a drive that locks itself: friction takes more of the load than there is, so the current does not decide the
+    torque. `qdot` and `width` are those of `friction_torque`. Raises `ValueError` as that does.
     """
     law, current = _law("torque_of_current", robot, qdot, width), _of_joints("torque_of_current", "current", robot, current)
     moving = law.gain * current + law.spring - law.fixed
@@ -138,23 +117,12 @@ def torque_of_current(robot: Robot, current: Vector, qdot: Vector, width: Any = 
 
 
 @kernel(models=1)
-def static_friction(robot: Robot, torque: Vector) -> Vector:
-    """Half of the band in which friction holds the joints still (n,) [Nm, N], at `torque` (n,) [Nm, N] of the drives. Traced.
+def friction_band(robot: Robot, torque: Vector) -> Vector:
+    """Returns half of the band in which friction holds the joints still (n,) [Nm, N], at `torque` (n,) [Nm, N]. Traced.
 
     Raises `ValueError` for a robot without drives. Source: Schuetz 2017, table 3.9.
     """
-    drives, torque = need_drives("static_friction", robot), _of_joints("static_friction", "torque", robot, torque)
-    of = lambda get: _column(drives, get, torque.dtype)
+    drives, torque = need_drives("friction_band", robot), _of_joints("friction_band", "torque", robot, torque)
+    of = lambda get: column(drives, get, torque.dtype)
     r = of(lambda d: d.ratio if d.friction.side == "motor" else 1.0)
     return r * (of(lambda d: d.friction.breakaway) + of(lambda d: d.friction.load) * jnp.abs(torque))
-
-
-@kernel(models=1)
-def joint_torsion(robot: Robot, torque: Vector) -> Vector:
-    """How far the motors are ahead of the joints, `q_motor / N - q = T / c` (n,) [rad, m], for `torque` (n,) [Nm, N]. Traced.
-
-    Raises `ValueError` for a robot without drives. Source: Schuetz 2017, (3.17), which prints the difference the
-    other way round, and q_motor without its ratio.
-    """
-    drives, torque = need_drives("joint_torsion", robot), _of_joints("joint_torsion", "torque", robot, torque)
-    return torque / _column(drives, lambda d: d.stiffness, torque.dtype)

@@ -20,9 +20,8 @@ numbers that are known while JAX traces (the bodies', of a robot that is closed 
 
 from __future__ import annotations
 
-import dataclasses
 from collections.abc import Sequence
-from typing import Any
+from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -34,7 +33,7 @@ from jaxik.checks.masses import check_mass
 from jaxik.checks.options import check_kind, no_such
 from jaxik.dynamics.rigid_bodies import Moments, Placed, motions, placed
 from jaxik.kinematics.forward import joint_frames
-from jaxik.kinematics.robot import Array, Body, Robot, as_configuration, as_given, as_shaped, steiner
+from jaxik.kinematics.robot import INERTIAL, Array, Robot, as_configuration, as_shaped, need_bodies
 from jaxik.spatial.algebra import ZERO, Frame, Scalar, Vec3, add, constants, mul, stack, sub, traced
 from jaxik.spmd import kernel
 
@@ -51,6 +50,7 @@ def inverse_dynamics(
     q: Float[Array, " n"],
     qdot: Float[Array, " n"],
     qddot: Float[Array, " n"],
+    *,
     wrenches: Float[Array, "n 6"] | None = None,
     gravity: Any = GRAVITY,
 ) -> Float[jax.Array, " n"]:
@@ -68,14 +68,14 @@ def inverse_dynamics(
 
 
 @kernel(models=1)
-def gravity_torque(robot: Robot, q: Float[Array, " n"], gravity: Any = GRAVITY) -> Float[jax.Array, " n"]:
+def gravity_torque(robot: Robot, q: Float[Array, " n"], *, gravity: Any = GRAVITY) -> Float[jax.Array, " n"]:
     """What holds the robot still, `g(q)` [Nm, N]: `inverse_dynamics` at rest. Traced."""
     return _inverse("gravity_torque", robot, q, None, None, None, gravity)
 
 
 @kernel(models=1)
 def bias_torque(
-    robot: Robot, q: Float[Array, " n"], qdot: Float[Array, " n"], gravity: Any = GRAVITY
+    robot: Robot, q: Float[Array, " n"], qdot: Float[Array, " n"], *, gravity: Any = GRAVITY
 ) -> Float[jax.Array, " n"]:
     """What moves it on at constant rates, `b(q, qdot) + g(q)` [Nm, N]: `inverse_dynamics` without acceleration. Traced."""
     return _inverse("bias_torque", robot, q, qdot, None, None, gravity)
@@ -199,6 +199,7 @@ def forward_dynamics(
     q: Float[Array, " n"],
     qdot: Float[Array, " n"],
     torque: Float[Array, " n"],
+    *,
     wrenches: Float[Array, "n 6"] | None = None,
     gravity: Any = GRAVITY,
 ) -> Float[jax.Array, " n"]:
@@ -243,12 +244,23 @@ def _solved(rows: list[list[Scalar]], right: list[Scalar]) -> list[Scalar]:
 # Energies
 
 
+class Energy(NamedTuple):
+    """Energies [J] of a robot's bodies: `kinetic`, and `potential` in the field of gravity."""
+
+    kinetic: Float[jax.Array, ""]
+    potential: Float[jax.Array, ""]
+
+
 @kernel(models=1)
-def kinetic_energy(robot: Robot, q: Float[Array, " n"], qdot: Float[Array, " n"]) -> Float[jax.Array, ""]:
-    """`qdot' M qdot / 2` [J], rotors included. Traced. Raises as `inverse_dynamics` does."""
+def energy(robot: Robot, q: Float[Array, " n"], qdot: Float[Array, " n"], *, gravity: Any = GRAVITY) -> Energy:
+    """Returns `qdot' M qdot / 2`, rotors included, and `-sum of m gravity . p` over the centres of gravity p in the world [J].
+    Traced.
+
+    The gradient of `potential` by q is `gravity_torque`. Raises `ValueError` as `inverse_dynamics` does.
+    """
     q = as_configuration(robot, q)
+    rates, bodies = _rates("qdot", robot, qdot, q.dtype), _bodies("energy", robot)
     velocity, omega, twice = ZERO, ZERO, jnp.zeros((), q.dtype)
-    rates, bodies = _rates("qdot", robot, qdot, q.dtype), _bodies("kinetic_energy", robot)
     for i, joint in enumerate(placed(robot, traced(q), q.dtype)):
         velocity, omega = joint.handed_on(velocity, omega)
         along, about = joint.unit
@@ -256,39 +268,22 @@ def kinetic_energy(robot: Robot, q: Float[Array, " n"], qdot: Float[Array, " n"]
         linear, angular = bodies[i].momentum(velocity, omega)
         rotor = mul(_rotor(robot, i), mul(rates[i], rates[i]))
         twice = add(twice, add(rotor, add(velocity.dot(linear), omega.dot(angular))))
-    return jnp.asarray(twice / 2, q.dtype)
-
-
-@kernel(models=1)
-def potential_energy(robot: Robot, q: Float[Array, " n"], gravity: Any = GRAVITY) -> Float[jax.Array, ""]:
-    """`-sum of m gravity . p` [J], over the centres of gravity p in the world, of what the joints move. Traced.
-
-    Its gradient is `gravity_torque`. Raises as that does.
-    """
-    q = as_configuration(robot, q)
-    base, snap = _base_gravity(robot, gravity, q.dtype), float(np.finfo(q.dtype).eps)
-    energy = jnp.zeros((), q.dtype)
-    root = Frame.of(robot.world_T_base, snap)
-    mount = root.rotation.T @ root.translation
-    for frame, body in zip(
-        joint_frames(robot, traced(q), dtype=q.dtype).joints, _bodies("potential_energy", robot), strict=True
-    ):
-        energy = sub(energy, base.dot((frame.translation + mount) * body.mass + frame.rotation @ body.first))
-    return jnp.asarray(energy, q.dtype)
+    base, root = _base_gravity(robot, gravity, q.dtype), Frame.of(robot.world_T_base, float(np.finfo(q.dtype).eps))
+    mount, height = root.rotation.T @ root.translation, jnp.zeros((), q.dtype)
+    for frame, body in zip(joint_frames(robot, traced(q), dtype=q.dtype).joints, bodies, strict=True):
+        height = sub(height, base.dot((frame.translation + mount) * body.mass + frame.rotation @ body.first))
+    return Energy(jnp.asarray(twice / 2, q.dtype), jnp.asarray(height, q.dtype))
 
 
 # --------------------------------------------------------------------------------------------------------------------
-# Parameters of the bodies
-
-INERTIAL = 10  # parameters of a body
-ENTRIES = ((0, 0), (0, 1), (1, 1), (0, 2), (1, 2), (2, 2))  # of its inertia, in their order
+# Bodies
 
 
 @kernel(models=1)
 def regressor(
-    robot: Robot, q: Float[Array, " n"], qdot: Float[Array, " n"], qddot: Float[Array, " n"], gravity: Any = GRAVITY
+    robot: Robot, q: Float[Array, " n"], qdot: Float[Array, " n"], qddot: Float[Array, " n"], *, gravity: Any = GRAVITY
 ) -> Float[jax.Array, "n 10*n"]:
-    """Y in `inverse_dynamics = Y(q, qdot, qddot) body_parameters + armature qddot`, which is linear in the bodies. Traced.
+    """Y in `inverse_dynamics = Y(q, qdot, qddot) parameters + armature qddot`, which is linear in the bodies. Traced.
 
     It needs no bodies. Raises `ValueError` for other shapes. Source: Atkeson, An, Hollerbach 1986.
     """
@@ -305,56 +300,12 @@ def regressor(
     return stack([e for row in rows for e in row], (n, INERTIAL * n), dtype)
 
 
-def body_parameters(robot: Robot) -> Float[Array, " p"]:
-    """What `regressor` multiplies, (10 n,): of each body m [kg], m c [kg m] and Ixx Ixy Iyy Ixz Iyz Izz [kg m2], the moments
-    about the origin of its joint's frame, in that frame's axes. Traced.
-
-    Raises `ValueError` for a robot without bodies.
-    """
-    need_bodies("body_parameters", robot)
-    every: list[Any] = []
-    for body in robot.bodies:
-        inertia = body.inertia + steiner(body.mass, body.com)
-        every += [body.mass, *(body.mass * body.com), *(inertia[i, j] for i, j in ENTRIES)]
-    return np.array(every) if is_known(every) else jnp.stack(every)
-
-
-def with_body_parameters(robot: Robot, parameters: Any) -> Robot:
-    """The same robot with bodies of other `body_parameters` (10 n,). Traced.
-
-    Raises `ValueError` for another shape, and for first moments without a mass. Of other parameters that no body can have the
-    functions above say so.
-    """
-    check_kind("with_body_parameters", "robot", robot, Robot)
-    rows = as_given("with_body_parameters: parameters", parameters, (INERTIAL * robot.num_joints,)).reshape(-1, INERTIAL)
-    for name, row in zip(robot.joint_names, rows, strict=True) if is_known(rows) else ():
-        if row[0] == 0.0 and np.any(row[1:4]):
-            raise ValueError(f"with_body_parameters: joint '{name}' moves a mass of 0 kg with moments m com; write a mass > 0")
-    bodies = []
-    for row in rows:
-        mass, com = row[:1].reshape(()), row[1:4] / (row[0] + (row[0] == 0.0))
-        inertia = row[np.array([[4, 5, 7], [5, 6, 8], [7, 8, 9]])]
-        bodies.append(Body(mass, com, inertia - steiner(mass, com)))
-    return dataclasses.replace(robot, bodies=tuple(bodies))
-
-
 def _bodies(who: str, robot: Robot) -> list[Moments]:
     """Raises `ValueError` for a robot without bodies, and for what no body can be; what is traced is taken as it is."""
     need_bodies(who, robot)
     if is_known((robot.bodies, robot.armature)):
         _judge(who, robot)
     return [Moments.of(body) for body in robot.bodies]
-
-
-def need_bodies(who: str, robot: Robot) -> None:
-    """Raises `ValueError` of `who` for a robot whose joints have no bodies."""
-    check_kind(who, "robot", robot, Robot)
-    if not robot.bodies:
-        mend = "write mass, com and inertia of its joints in its file, or give them by jaxik.dynamics.with_body_parameters"
-        raise ValueError(f"{who}: {robot.name} has no bodies; {mend}")
-    if len(robot.bodies) != robot.num_joints:
-        raise ValueError(f"{who}: {len(robot.bodies)} bodies; {robot.name} has {robot.num_joints} joints, write one for each")
-    as_given(f"{who}: armature", robot.armature, (robot.num_joints,))
 
 
 def _judge(who: str, robot: Robot) -> None:

@@ -27,10 +27,10 @@ from jaxtyping import Float
 
 from jaxik.checks.arrays import numbers
 from jaxik.checks.options import check_finite
-from jaxik.dynamics.actuation import need_drives, torque_of_current
-from jaxik.dynamics.recursions import kinetic_energy, potential_energy
+from jaxik.dynamics.actuation import torque_of_current
+from jaxik.dynamics.recursions import energy
 from jaxik.estimation.sampled import Sample
-from jaxik.kinematics.robot import Array, Robot
+from jaxik.kinematics.robot import Array, Robot, need_drives
 
 
 class Momentum(NamedTuple):
@@ -73,9 +73,9 @@ class MomentumObserver:
     def sense(self, sample: Sample) -> Momentum:
         """Traced. Raises `ValueError` for a sample without currents."""
         current = sample.needed("momentum observer", "current")
-        lagrangian = lambda q, qdot: kinetic_energy(self.robot, q, qdot) - potential_energy(self.robot, q)
+        lagrangian = lambda q, qdot: jnp.subtract(*energy(self.robot, q, qdot))
         beta, momentum = jax.grad(lagrangian, (0, 1))(sample.q, sample.qdot)
-        torque = torque_of_current(self.robot, jnp.asarray(current), jnp.asarray(sample.qdot), self.width)
+        torque = torque_of_current(self.robot, jnp.asarray(current), jnp.asarray(sample.qdot), width=self.width)
         return Momentum(momentum, torque + beta)
 
     def init(self, sensed: Momentum) -> ObserverState:

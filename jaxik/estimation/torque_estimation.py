@@ -28,11 +28,11 @@ from jaxtyping import Float
 
 from jaxik.checks.arrays import is_known, numbers
 from jaxik.checks.options import check_flag, check_kind
-from jaxik.dynamics.actuation import need_drives, torque_of_current
+from jaxik.dynamics.actuation import torque_of_current
 from jaxik.dynamics.recursions import inverse_dynamics
 from jaxik.estimation.kalman import KalmanFilter, KalmanState
 from jaxik.estimation.sampled import Sample
-from jaxik.kinematics.robot import Array, Robot
+from jaxik.kinematics.robot import Array, Robot, need_drives
 from jaxik.pytree import Constant
 
 
@@ -168,7 +168,7 @@ class TorqueEstimator:
         qddot = sample.needed("torque estimator", "qddot")
         current, torsion = self._measured(sample, "current"), self._measured(sample, "torsion")
         internal = inverse_dynamics(robot, sample.q, sample.qdot, qddot)
-        torque = torque_of_current(robot, jnp.asarray(current), jnp.asarray(sample.qdot), self.width)
+        torque = torque_of_current(robot, jnp.asarray(current), jnp.asarray(sample.qdot), width=self.width)
         rotor = robot.armature * qddot
         return Sensed(torque * filter.current_per_torque, torsion + rotor * filter.torsion_per_torque, internal)
 

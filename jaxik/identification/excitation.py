@@ -21,7 +21,6 @@ from threadpoolctl import threadpool_limits
 from jaxik.checks.arrays import shaped
 from jaxik.checks.options import as_count, changed, check_finite, check_kind, check_seed
 from jaxik.collision.scene import Scene
-from jaxik.dynamics.recursions import body_parameters
 from jaxik.identification.clear_motion import ClearSpace
 from jaxik.identification.columns import Term, body_columns, check_terms, friction_columns, ratios, side_by_side
 from jaxik.identification.identifiable import base_parameters
@@ -99,7 +98,7 @@ class _Search:
         self.base, self.weight = base_parameters(robot, options.terms), WEIGHTS[0]
         fastest = np.minimum(robot.velocity, options.velocity)
         self.limits = np.array([half_range(robot, middle, options.share), fastest, np.full_like(middle, options.acceleration)])
-        self.inertial = np.asarray(body_parameters(robot)) if robot.bodies else np.zeros(10 * robot.num_joints)
+        self.inertial = np.asarray(robot.parameters) if robot.bodies else np.zeros(10 * robot.num_joints)
         self.ratio = ratios(robot)
         self.series = _series(_times(options.period, options.samples), options.period, options.harmonics)
 

@@ -15,7 +15,6 @@ import numpy as np
 from threadpoolctl import threadpool_limits
 
 from jaxik.checks.options import as_count, changed, check_finite, check_kind
-from jaxik.dynamics.recursions import INERTIAL, body_parameters, with_body_parameters
 from jaxik.identification.base_fit import BaseFit, base_fit
 from jaxik.identification.columns import Term, check_terms
 from jaxik.identification.identifiable import BaseParameters, base_parameters
@@ -24,7 +23,7 @@ from jaxik.identification.physical_fit import physical_fit
 from jaxik.identification.problem import Problem, check_alive, posed
 from jaxik.identification.weighted_fit import repeated
 from jaxik.kinematics.drive import Drive, Friction
-from jaxik.kinematics.robot import Robot
+from jaxik.kinematics.robot import INERTIAL, Robot
 from jaxik.reasons import Reason, Reasoned
 
 LEAST_PRIOR = 1e-6  # as a logarithm; with less nothing would be found at all
@@ -104,7 +103,7 @@ def identify(
     check_finite("identify", LEAST_PRIOR, prior=options.prior)
     for name in ("rounds", "steps"):
         as_count(f"identify: {name}", getattr(options, name))
-    known = np.asarray(body_parameters(robot), np.float64)
+    known = np.asarray(robot.parameters, np.float64)
     if not np.isfinite(known).all():
         raise ValueError(f"identify: a body of {robot.name} holds NaN or infinity; write finite mass, com and inertia")
     with threadpool_limits(1, "blas"):  # matrices are narrow, and threads would wait for each other
@@ -125,7 +124,7 @@ def _identified(robot: Robot, problem: Problem, known: np.ndarray, options: Iden
     reason = Reason.UNEXCITED if fit.condition > options.condition else Reason.SOLVED
     reason = Reason.UNEXPLAINED if strange else reason if well else Reason.NOT_CONVERGED
     return Identified(
-        robot=_with_friction(with_body_parameters(robot, found.bodies.ravel()), found.friction, fit.curve.stribeck),
+        robot=_with_friction(robot.with_parameters(found.bodies.ravel()), found.friction, fit.curve.stribeck),
         base=base,
         value=fit.value,
         std=fit.std,

@@ -23,13 +23,13 @@ from threadpoolctl import threadpool_limits
 
 from jaxik.checks.options import as_count, changed, check_finite, check_kind
 from jaxik.dynamics.actuation import torque_of_current
-from jaxik.dynamics.recursions import INERTIAL, inverse_dynamics, regressor
+from jaxik.dynamics.recursions import inverse_dynamics, regressor
 from jaxik.identification.fit import FAR, FRESH, HEAVY, LEAST_PRIOR, MOST, SHARE, SLOW
 from jaxik.identification.log import MotionLog, joined
 from jaxik.identification.physical_fit import nearest_bodies
 from jaxik.identification.pseudo_inertia import FROM_PSEUDO, TO_PSEUDO
 from jaxik.identification.weighted_fit import EXACT, condition, repeated, weighted_fit
-from jaxik.kinematics.robot import Robot, steiner
+from jaxik.kinematics.robot import INERTIAL, Robot, steiner
 from jaxik.reasons import Reason, Reasoned
 from jaxik.spmd.host import host_kernels
 

@@ -9,11 +9,10 @@ from typing import NamedTuple
 
 import numpy as np
 
-from jaxik.dynamics.recursions import INERTIAL
 from jaxik.identification.columns import Term, body_columns, friction_columns, ratios
 from jaxik.identification.identifiable import BaseParameters
 from jaxik.identification.log import MotionLog, joined
-from jaxik.kinematics.robot import Robot
+from jaxik.kinematics.robot import INERTIAL, Robot
 
 
 class Curve(NamedTuple):

@@ -17,7 +17,7 @@ from __future__ import annotations
 import numpy as np
 from jaxtyping import Float
 
-from jaxik.dynamics.recursions import ENTRIES
+from jaxik.kinematics.robot import ENTRIES
 
 LOWER = np.array([(0, 0), (1, 1), (2, 2), (3, 3), (1, 0), (2, 0), (2, 1), (3, 0), (3, 1), (3, 2)])
 GUESSED = 0.01 * np.diag([1e-3, 1e-3, 1e-3, 1.0])  # of a body without a mass: 10 g, 30 mm about its centre
@@ -42,7 +42,7 @@ FROM_PSEUDO = np.linalg.pinv(TO_PSEUDO)  # exact on symmetric matrices
 
 
 def pseudo_inertias(parameters: Float[np.ndarray, "10_n"]) -> Float[np.ndarray, "n 4 4"]:
-    """The pseudo-inertia of each body [kg m2, kg m, kg], of `body_parameters` (10 n,). Host.
+    """The pseudo-inertia of each body [kg m2, kg m, kg], of `robot.parameters` (10 n,). Host.
 
     A body can be where all four eigenvalues are above 0. Source: Wensing, Kim, Slotine 2018.
     """

@@ -3,12 +3,11 @@
 from jaxik.kinematics.forward import bias_acceleration, forward_kinematics, jacobian, link_frames, manipulability
 from jaxik.kinematics.joint_turns import admissible_turns
 from jaxik.kinematics.motion import Motion
-from jaxik.kinematics.robot import Body, Robot, Unchecked, finite_limits, within_limits
+from jaxik.kinematics.robot import Robot, Unchecked, finite_limits, within_limits
 from jaxik.kinematics.surface import Surface
 from jaxik.kinematics.task import Task
 
 __all__ = [
-    "Body",
     "Motion",
     "Robot",
     "Surface",

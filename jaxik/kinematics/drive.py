@@ -1,14 +1,16 @@
-"""What moves a joint: motor, gear, friction, spring and elasticity, as numbers [Schuetz 2017, sec. 3.2.2, 3.2.3].
+"""Drives of joints as numbers: motor, gear, friction, spring and elasticity [Schuetz 2017, sec. 3.2.2, 3.2.3].
 
-The laws that they enter are in `jaxik.dynamics.actuation`.
+Their laws are in `jaxik.dynamics.actuation`.
 """
 
 from __future__ import annotations
 
 import dataclasses
+from collections.abc import Callable, Sequence
 from typing import Any, Literal
 
 import jax
+import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float
 
@@ -25,14 +27,15 @@ UNBOUNDED = ("stribeck_velocity", "stiffness", "nominal_torque")  # these may be
 
 
 class _Numbers(Constant):
-    """Every field that is no other object's is a number, or an array of them."""
+    """A class whose fields are numbers, or arrays of them, but for other objects."""
 
     def __post_init__(self) -> None:
         vars(self).update(self.judged())
         self.freeze()
 
     def judged(self) -> dict[str, Any]:
-        """What is known of its numbers. Raises `ValueError` for those that cannot be, put in without the constructor, too."""
+        """Returns its numbers that are known. Raises `ValueError` for numbers that no drive has, which may have come in
+        without the constructor."""
         fields = [field.name for field in dataclasses.fields(self) if not field.metadata.get("static")]
         given = {name: getattr(self, name) for name in fields if name != "friction"}
         return {name: self._checked(name, value) for name, value in given.items() if is_known(value)}
@@ -54,7 +57,7 @@ class _Numbers(Constant):
 
 
 class Friction(_Numbers):
-    """How a drive rubs: `coulomb` and `breakaway`, at speed and at rest [Nm, N]; `load`, the share of the joint's torque [1];
+    """Friction of a drive: `coulomb` and `breakaway`, at speed and at rest [Nm, N]; `load`, a share of the joint's torque [1];
     `viscous` [Nm s/rad, N s/m] and its share of the joint's torque, `viscous_load` [s/rad, s/m]; `stribeck_velocity`, at which
     half of the way from `breakaway` to `coulomb` is done [rad/s, m/s]; and `correction`, a torque of the joint backward and
     forward, either sign [Nm, N].
@@ -91,7 +94,7 @@ class Friction(_Numbers):
 
 
 class Drive(_Numbers):
-    """What moves one joint: `ratio`, how far the motor turns while the joint moves by 1 [1, rad/m]; `torque_constant` of the
+    """The drive of one joint: `ratio`, how far the motor turns while the joint moves by 1 [1, rad/m]; `torque_constant` of the
     motor [Nm/A]; `rotor_inertia` [kg m2]; `friction`; `stiffness` of the gear at the joint [Nm/rad, N/m]; `spring_force`, what
     constant-force springs add in the joint's positive direction [N, Nm]; `nominal_torque` at the joint [Nm, N].
 
@@ -118,5 +121,12 @@ class Drive(_Numbers):
 
     @property
     def torque_per_current(self) -> Any:
-        """N k, at the joint [Nm/A, N/A]: of the ratio and the motor's constant."""
+        """N k, the joint's torque a current [Nm/A, N/A]: ratio times the motor's constant."""
         return self.ratio * self.torque_constant
+
+
+def column(drives: Sequence[Drive], of: Callable[[Drive], Any], dtype: Any) -> Any:
+    """A number of every drive (n,); numbers that are known stay so, and fold."""
+    values = [of(drive) for drive in drives]
+    known = not any(isinstance(x, jax.Array) for x in values)
+    return np.array(values, dtype) if known else jnp.stack([jnp.asarray(x, dtype) for x in values])

@@ -23,7 +23,7 @@ from jaxtyping import Bool, Float
 from jaxik.checks.arrays import is_known, rigid_frame, shaped
 from jaxik.checks.masses import check_mass
 from jaxik.checks.options import check_kind, shown
-from jaxik.kinematics.drive import Drive
+from jaxik.kinematics.drive import Drive, column
 from jaxik.kinematics.link_distance_table import PairTable
 from jaxik.kinematics.surface import Surface
 from jaxik.pytree import Constant, read_only, static
@@ -239,6 +239,47 @@ class Robot(Constant):
         last = Body.fused([self.bodies[-1], load.moved(self.joint_T_tip)])
         return dataclasses.replace(self, bodies=(*self.bodies[:-1], last))
 
+    @property
+    def parameters(self) -> Float[Array, " p"]:
+        """The bodies as `dynamics.regressor` multiplies them (10 n,): of each m [kg], m c [kg m] and Ixx Ixy Iyy Ixz Iyz Izz
+        [kg m2], the moments about the origin of its joint's frame, in that frame's axes. Traced.
+
+        Raises `ValueError` for a robot without bodies.
+        """
+        need_bodies("parameters", self)
+        every: list[Any] = []
+        for body in self.bodies:
+            inertia = body.inertia + steiner(body.mass, body.com)
+            every += [body.mass, *(body.mass * body.com), *(inertia[i, j] for i, j in ENTRIES)]
+        return np.array(every) if is_known(every) else jnp.stack(every)
+
+    def with_parameters(self, parameters: Any) -> Robot:
+        """The same robot with bodies of other `parameters` (10 n,). Traced.
+
+        Raises `ValueError` for another shape, and for first moments without a mass. Parameters that no body can have are
+        refused where the bodies are used.
+        """
+        rows = as_given("with_parameters: parameters", parameters, (INERTIAL * self.num_joints,)).reshape(-1, INERTIAL)
+        for name, row in zip(self.joint_names, rows, strict=True) if is_known(rows) else ():
+            if row[0] == 0.0 and np.any(row[1:4]):
+                raise ValueError(f"with_parameters: joint '{name}' moves a mass of 0 kg with moments m com; write a mass > 0")
+        bodies = []
+        for row in rows:
+            mass, com = row[:1].reshape(()), row[1:4] / (row[0] + (row[0] == 0.0))
+            inertia = row[np.array([[4, 5, 7], [5, 6, 8], [7, 8, 9]])]
+            bodies.append(Body(mass, com, inertia - steiner(mass, com)))
+        return dataclasses.replace(self, bodies=tuple(bodies))
+
+    def torsion(self, torque: Any) -> Float[Array, " n"]:
+        """How far the motors are ahead of the joints, `q_motor / N - q = T / c` (n,) [rad, m], for `torque` (n,) [Nm, N].
+
+        Traced. Raises `ValueError` for a robot without drives. Source: Schuetz 2017, (3.17), which prints the difference the
+        other way round, and q_motor without its ratio.
+        """
+        drives, torque = need_drives("torsion", self), as_shaped("torsion: torque", torque, (self.num_joints,))
+        torque = torque.astype(jnp.result_type(torque, float)) if torque.dtype.kind != "f" else torque
+        return torque / column(drives, lambda d: d.stiffness, torque.dtype)
+
     def with_spheres(self, per_box: int) -> Robot:
         """The same robot, each box covered by 1, 8, 64 or 512 spheres [Van Henten et al. 2010, App. A]."""
         whole = isinstance(per_box, int | np.integer) and not isinstance(per_box, bool)
@@ -325,6 +366,32 @@ class Robot(Constant):
 # what a robot has of each joint
 _NUMBERS = ("parent_T_joint", "axis", "lower", "upper", "velocity", "effort", "armature")
 _OF_JOINTS = ("joint_names", "joint_types", *_NUMBERS, "bodies", "drives")
+
+
+INERTIAL = 10  # parameters of a body
+ENTRIES = ((0, 0), (0, 1), (1, 1), (0, 2), (1, 2), (2, 2))  # of its inertia, in their order
+
+
+def need_bodies(who: str, robot: Robot) -> None:
+    """Raises `ValueError` of `who` for a robot whose joints have no bodies."""
+    check_kind(who, "robot", robot, Robot)
+    if not robot.bodies:
+        mend = "write mass, com and inertia of its joints in its file, or give them by robot.with_parameters"
+        raise ValueError(f"{who}: {robot.name} has no bodies; {mend}")
+    if len(robot.bodies) != robot.num_joints:
+        raise ValueError(f"{who}: {len(robot.bodies)} bodies; {robot.name} has {robot.num_joints} joints, write one for each")
+    as_given(f"{who}: armature", robot.armature, (robot.num_joints,))
+
+
+def need_drives(who: str, robot: Robot) -> tuple[Drive, ...]:
+    """Returns the drives, one a joint. Raises `ValueError` of `who` for a robot without drives."""
+    check_kind(who, "robot", robot, Robot)
+    if len(robot.drives) != robot.num_joints:
+        mend = "write [joint.drive] in its TOML file, or use robot.with_drives"
+        raise ValueError(f"{who}: {robot.name} has no drives; {mend}")
+    for drive in robot.drives:
+        drive.judged()
+    return robot.drives
 
 
 def steiner(mass: Any, arm: Any) -> Any:

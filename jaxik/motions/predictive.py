@@ -30,7 +30,7 @@ from jaxtyping import Float, Int
 
 from jaxik.checks.arrays import is_known, positive, shaped
 from jaxik.checks.options import as_count, batch_axes, changed, check_choices, check_each, check_finite, check_kind, check_seed
-from jaxik.dynamics.recursions import GRAVITY, gravity_torque, kinetic_energy
+from jaxik.dynamics.recursions import GRAVITY, energy, gravity_torque
 from jaxik.kinematics.robot import Array, Robot, as_numbers
 from jaxik.kinematics.task import POSE, Task
 from jaxik.motions.diagnosis import Course, diagnose
@@ -80,8 +80,8 @@ def energy_cost(
     """
 
     def running(q: Any, qdot: Any, w: Any, t: Any, *given: Any) -> Any:
-        held = jnp.sum((gravity_torque(robot, q, gravity) / jnp.asarray(torque, q.dtype)) ** 2) if holding else 0.0
-        level = kinetic * kinetic_energy(robot, q, qdot) + 0.5 * holding * held + 0.5 * effort * jnp.sum(w**2)
+        held = jnp.sum((gravity_torque(robot, q, gravity=gravity) / jnp.asarray(torque, q.dtype)) ** 2) if holding else 0.0
+        level = kinetic * energy(robot, q, qdot).kinetic + 0.5 * holding * held + 0.5 * effort * jnp.sum(w**2)
         return level if position is None else level + position(q, *given)
 
     return running

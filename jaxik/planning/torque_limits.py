@@ -18,8 +18,8 @@ import jax.numpy as jnp
 import numpy as np
 
 from jaxik.checks.arrays import shaped
-from jaxik.dynamics.recursions import inverse_dynamics, need_bodies
-from jaxik.kinematics.robot import Robot
+from jaxik.dynamics.recursions import inverse_dynamics
+from jaxik.kinematics.robot import Robot, need_bodies
 from jaxik.planning.limits import limit_of
 from jaxik.planning.trajectory import along_pieces
 from jaxik.spmd.batch import in_blocks

@@ -54,20 +54,20 @@ def kernel(function: Callable[..., Any] | None = None, *, models: int = 0, order
     """
     if function is None:
         return functools.partial(kernel, models=models, order=order)
-    known = _Known()
+    known, keywords = _Known(), _keywords(function)
 
     @functools.wraps(function)
     def call(*args: Any, **named: Any) -> Any:
-        if named:
-            args = _by_position(function, args, named)
+        if not named.keys() <= keywords:
+            args, named = _by_position(function, args, named, keywords)
         if jax.config.values["jax_disable_jit"]:
-            return function(*args)
-        fixed, rest = args[:models], args[models:]
+            return function(*args, **named)
+        fixed, rest = args[:models], (args[models:], named)
         numbers, model_tree = jax.tree_util.tree_flatten(fixed)
         moving = [i for i, x in enumerate(numbers) if isinstance(x, jax.core.Tracer)]
         leaves, tree = jax.tree_util.tree_flatten(rest)
         if not all(isinstance(x, jax.Array) or np.asarray(x).dtype.kind in "biuf" for x in leaves):
-            return function(*args)  # what is no number is the function's own to refuse
+            return function(*args, **named)  # what is no number is the function's own to refuse
         leaves = [x if isinstance(x, jax.Array) else jnp.asarray(x) for x in leaves]
         operands = [*(numbers[i] for i in moving), *leaves]
         shapes = [jax.ShapeDtypeStruct(x.shape, x.dtype, weak_type=x.weak_type) for x in operands]
@@ -82,7 +82,8 @@ def kernel(function: Callable[..., Any] | None = None, *, models: int = 0, order
                     for i, x in zip(moving, operands, strict=False):
                         inner[i] = x
                     models = jax.tree_util.tree_unflatten(model_tree, inner) if moving else fixed
-                    return function(*models, *jax.tree_util.tree_unflatten(tree, operands[len(moving) :]))
+                    placed, named = jax.tree_util.tree_unflatten(tree, operands[len(moving) :])
+                    return function(*models, *placed, **named)
 
                 flat.__name__ = name
                 return flat
@@ -93,7 +94,7 @@ def kernel(function: Callable[..., Any] | None = None, *, models: int = 0, order
             if found is not None and order is not None and not moving:
                 found[0].order = ordering(flattened(order, f"the order of {name}"), shapes)
             if found is None:
-                return function(*args)  # says what is wrong in its own words, of what was given
+                return function(*args, **named)  # says what is wrong in its own words, of what was given
             if key is not None and not found[2]:  # what it closes over may be another array in the next call
                 if len(known) >= KEPT:
                     with contextlib.suppress(RuntimeError):  # of another thread that does the same
@@ -105,7 +106,7 @@ def kernel(function: Callable[..., Any] | None = None, *, models: int = 0, order
                 scalarised(traced)
             except Unsupported as error:
                 warn(traced, str(error))
-                return function(*args)
+                return function(*args, **named)
         given = zip([*operands, *more], traced.inputs, strict=True)
         wanted = [x if x.dtype == a.dtype else x.astype(a.dtype) for x, a in given]  # of 64 bits, where JAX has 32 now
         return jax.tree_util.tree_unflatten(results, bind(traced, wanted))
@@ -114,22 +115,21 @@ def kernel(function: Callable[..., Any] | None = None, *, models: int = 0, order
     return call
 
 
-def _by_position(function: Callable[..., Any], args: tuple[Any, ...], named: dict[str, Any]) -> tuple[Any, ...]:
-    """The arguments without names. Raises `TypeError` for one that goes by its name alone."""
+def _keywords(function: Callable[..., Any]) -> frozenset[str]:
+    """The names of the arguments that go by keyword alone."""
+    with contextlib.suppress(TypeError, ValueError):  # a function without a signature
+        parameters = inspect.signature(function).parameters
+        return frozenset(name for name, each in parameters.items() if each.kind is inspect.Parameter.KEYWORD_ONLY)
+    return frozenset()
+
+
+def _by_position(
+    function: Callable[..., Any], args: tuple[Any, ...], named: dict[str, Any], keywords: frozenset[str]
+) -> tuple[tuple[Any, ...], dict[str, Any]]:
+    """The arguments, without names but for `keywords`. Raises `TypeError` as the function would."""
     signature = inspect.signature(function)
     bound = signature.bind(*args, **named)
-    kinds = [parameter.kind for parameter in signature.parameters.values()]
-    alone = [name for name in named if name not in signature.parameters or kinds[_place(signature, name)] not in _PLACED]
-    if alone:
-        who, names = getattr(function, "__name__", "a function"), ", ".join(alone)
-        raise TypeError(f"{who}: a kernel has no arguments that go by name alone, as {names}; drop the * before them")
-    last = max(len(args), 1 + max(_place(signature, name) for name in named))
+    place = {name: number for number, name in enumerate(signature.parameters) if name not in keywords}
+    last = max([len(args), *(1 + place[name] for name in named if name in place)])
     bound.apply_defaults()  # of those before the last that is given; what follows is the function's own
-    return bound.args[:last]
-
-
-_PLACED = (inspect.Parameter.POSITIONAL_ONLY, inspect.Parameter.POSITIONAL_OR_KEYWORD)
-
-
-def _place(signature: inspect.Signature, name: str) -> int:
-    return list(signature.parameters).index(name)
+    return bound.args[:last], {name: value for name, value in named.items() if name not in place}

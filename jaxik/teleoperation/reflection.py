@@ -22,7 +22,7 @@ from jaxtyping import Float
 
 from jaxik.checks.options import check_choices, check_finite
 from jaxik.costs import Cost, check_cost
-from jaxik.dynamics.contact import Contact, as_contacts, check_joint, contact_torque
+from jaxik.dynamics.point_force import PointForce, as_point_forces, check_joint, point_torque
 from jaxik.kinematics.forward import jacobian
 from jaxik.kinematics.robot import Array, Robot, as_configuration
 from jaxik.optimise.linear import least_solve
@@ -33,7 +33,7 @@ Felt = Literal["power", "lever", "magnitude"]
 
 
 def reflect(
-    robot: Robot, q: Float[Array, " n"], contact: Contact, felt: str = "power", length: float = 1.0
+    robot: Robot, q: Float[Array, " n"], contact: PointForce, felt: str = "power", length: float = 1.0
 ) -> Float[jax.Array, "3"]:
     """The force (3,) [N] at the tip that stands for a contact anywhere on the arm, or for several, in base axes. Traced.
 
@@ -42,24 +42,24 @@ def reflect(
     """
     check_choices("reflect", felt=(felt, Felt))
     check_finite("reflect", 1e-9, length=length)
-    contact = as_contacts("reflect", contact)
+    contact = as_point_forces("reflect", contact)
     check_joint("reflect", robot, contact.joint)
     return _reflected(robot, felt, length, q, contact)
 
 
 @kernel(models=3)
-def _reflected(robot: Robot, felt: str, length: float, q: Any, contact: Contact) -> Any:
+def _reflected(robot: Robot, felt: str, length: float, q: Any, contact: PointForce) -> Any:
     q = as_configuration(robot, q)
-    contact = Contact(*(x.astype(q.dtype) for x in contact))
+    contact = PointForce(*(x.astype(q.dtype) for x in contact))
     if felt == "power":
         rows = jacobian(robot, q)[: 6 if robot.num_joints >= 6 else 3]
-        return _pushes(rows, contact_torque(robot, q, contact))
+        return _pushes(rows, point_torque(robot, q, contact))
     towards = _towards(robot, q, length)
     if felt == "lever":
-        return towards @ contact_torque(robot, q, contact)
+        return towards @ point_torque(robot, q, contact)
 
-    def one(each: Contact) -> Any:
-        way, size = towards @ contact_torque(robot, q, each), safe_sqrt(each.force @ each.force)
+    def one(each: PointForce) -> Any:
+        way, size = towards @ point_torque(robot, q, each), safe_sqrt(each.force @ each.force)
         return way * safe_divide(size, safe_sqrt(way @ way))
 
     return one(contact) if contact.force.ndim == 1 else jnp.sum(jax.vmap(one)(contact), axis=0)

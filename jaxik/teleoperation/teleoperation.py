@@ -31,7 +31,7 @@ from jaxik.checks.options import check_choices, check_finite, check_kind, shown
 from jaxik.collision.clearances import check_geometry, clearance
 from jaxik.collision.scene import Scene
 from jaxik.costs import Cost, check_cost
-from jaxik.dynamics.contact import Contact, as_contacts, trusted
+from jaxik.dynamics.point_force import PointForce, as_point_forces, trusted
 from jaxik.kinematics.forward import forward_kinematics, jacobian
 from jaxik.kinematics.robot import Array, Robot, as_configuration
 from jaxik.kinematics.task import POSE, Task
@@ -175,7 +175,7 @@ class Teleoperation:
         )
 
     def step(
-        self, state: TeleoperationState, q: Float[Array, " n"], hand: Hand, contact: Contact | None = None
+        self, state: TeleoperationState, q: Float[Array, " n"], hand: Hand, contact: PointForce | None = None
     ) -> tuple[TeleoperationState, TeleoperationCommand]:
         """What to do in the next `dt` [s] at q (n,), for a hand and what touches the arm, one contact or several. Traced."""
         told, hand, position = _heard(state.position, hand, self.patience)
@@ -209,7 +209,7 @@ class Teleoperation:
         felt = jnp.where(active, force, 0.0)  # a hand that does not move the arm would be moved for nothing
         return mapped, end, Asked(packet, turn, ~well, active), felt, velocity
 
-    def _felt(self, q: Any, contact: Contact | None) -> Any:
+    def _felt(self, q: Any, contact: PointForce | None) -> Any:
         """The force (3,) at the tip that stands for the contacts, in world axes."""
         return jnp.zeros(3) if contact is None else self._world() @ reflect(self.robot, q, contact, self.felt)
 
@@ -273,16 +273,16 @@ def _heard(last: Any, hand: Hand, patience: float) -> tuple[Any, Hand, Any]:
     return told, Hand(position, turn, jnp.where(sound, hand.buttons, 0.0), hand.age), position
 
 
-def _sound(robot: Robot, last: Any, q: Any, contact: Contact | None) -> tuple[Any, Contact | None, Any]:
+def _sound(robot: Robot, last: Any, q: Any, contact: PointForce | None) -> tuple[Any, PointForce | None, Any]:
     """q, or the last good one, and the contacts, or none; and whether any of it was no number, or a contact of no joint."""
     broken = ~jnp.all(jnp.isfinite(q))
     if contact is not None:
-        joint, point, force = contact = as_contacts("teleoperation", contact)
+        joint, point, force = contact = as_point_forces("teleoperation", contact)
         felt, sure = trusted(robot, contact)
         bad = ~jnp.all(sure)
         none = bad | ~felt
         point, force = (jnp.where(none[..., None], 0.0, x.astype(q.dtype)) for x in (point, force))
-        return jnp.where(broken, last, q), Contact(jnp.where(none, 0, joint), point, force), broken | bad
+        return jnp.where(broken, last, q), PointForce(jnp.where(none, 0, joint), point, force), broken | bad
     return jnp.where(broken, last, q), None, broken
 
 

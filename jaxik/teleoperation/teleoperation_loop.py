@@ -9,7 +9,7 @@ import jax
 import numpy as np
 
 from jaxik.checks.options import as_count, check_kind
-from jaxik.dynamics.contact import Contact
+from jaxik.dynamics.point_force import PointForce
 from jaxik.kinematics.forward import as_posture
 from jaxik.spmd.packed_step import Packed, PackedStep
 from jaxik.teleoperation.hand import Hand
@@ -33,7 +33,7 @@ class TeleoperationLoop:
         check_kind("teleoperation loop", "teleoperation", teleoperation, Teleoperation)
         as_count("teleoperation loop: contacts", contacts, least=0)
         self.teleoperation, self._buttons = teleoperation, as_count("teleoperation loop: buttons", buttons)
-        self._free = Contact(np.zeros(contacts), np.zeros((contacts, 3)), np.zeros((contacts, 3))) if contacts else None
+        self._free = PointForce(np.zeros(contacts), np.zeros((contacts, 3)), np.zeros((contacts, 3))) if contacts else None
 
     def start(self, q: Any) -> Packed:
         """The state at rest at q (n,). Raises `ValueError` for a q of another shape, or that is not finite."""
@@ -41,7 +41,9 @@ class TeleoperationLoop:
         with jax.enable_x64(True):
             return self._step.packed(self.teleoperation.init(q))
 
-    def step(self, state: Packed, q: Any, hand: Hand, contacts: Contact | None = None) -> tuple[Packed, TeleoperationCommand]:
+    def step(
+        self, state: Packed, q: Any, hand: Hand, contacts: PointForce | None = None
+    ) -> tuple[Packed, TeleoperationCommand]:
         """The state after a sample, and what to do in the next; the given state stays as it is. Raises `ValueError` for other
         shapes; numbers that are none hold the arm still, with a reason."""
         check_kind("teleoperation loop", "hand", hand, Hand)

@@ -19,7 +19,7 @@ from jaxtyping import Float
 
 from jaxik.checks.arrays import is_known
 from jaxik.checks.options import as_count, check_finite
-from jaxik.dynamics.contact import Contact, check_joint, contact_jacobian, material_point
+from jaxik.dynamics.point_force import PointForce, check_joint, material_point, point_jacobian
 from jaxik.kinematics.robot import Array, Robot, as_configuration, as_shaped
 from jaxik.optimise.linear import damped_solve
 from jaxik.spmd import kernel
@@ -35,7 +35,7 @@ class Located(NamedTuple):
     whether the torques tell `where` it is, to a tenth of the axis; and the least and the largest share (2,) `between` which
     places explain them, within their noise."""
 
-    contact: Contact
+    contact: PointForce
     along: Float[Array, ""]
     residual: Float[Array, ""]
     where: Any
@@ -75,7 +75,7 @@ def _located(robot: Robot, places: int, q: Any, external: Any, joint: Any, axis:
 
     def tried(share: Any) -> tuple[Any, Any, Any]:
         point = material_point(robot, q, joint, ends[0] + share * (ends[1] - ends[0]))
-        rows = contact_jacobian(robot, q, joint, point)
+        rows = point_jacobian(robot, q, joint, point)
         square = rows @ rows.T
         ridge = NOTHING * jnp.trace(square) * jnp.eye(3, dtype=q.dtype)
         solved = lambda rest: jnp.stack(damped_solve([*square + ridge], [*rows @ rest], 0.0)[0])
@@ -89,5 +89,5 @@ def _located(robot: Robot, places: int, q: Any, external: Any, joint: Any, axis:
     explains = left <= left[best] + SURE * noise**2 + NOTHING * jnp.sum((mask * torque) ** 2)
     between = jnp.stack([jnp.min(jnp.where(explains, shares, 1.0)), jnp.max(jnp.where(explains, shares, 0.0))])
     told = jnp.all(jnp.abs(between - shares[best]) <= NEAR)
-    contact = Contact(jnp.asarray(joint), points[best], forces[best])
+    contact = PointForce(jnp.asarray(joint), points[best], forces[best])
     return Located(contact, shares[best], jnp.sqrt(left[best]), told, between)

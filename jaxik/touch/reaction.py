@@ -32,7 +32,7 @@ from jaxtyping import Float, Int
 from jaxik.checks.arrays import positive
 from jaxik.checks.options import as_count, check_choices, check_finite, check_flag, check_kind, shown
 from jaxik.costs import Cost, check_cost
-from jaxik.dynamics.contact import Contact, as_contacts, contact_jacobian, contact_torque, trusted
+from jaxik.dynamics.point_force import PointForce, as_point_forces, point_jacobian, point_torque, trusted
 from jaxik.estimation.lowpass import Butterworth
 from jaxik.kinematics.robot import Array, Robot, as_configuration, as_shaped
 from jaxik.kinematics.task import POSITION, Task
@@ -174,7 +174,7 @@ class Reaction:
         )
 
     def step(
-        self, state: ReactionState, q: Any, qdot: Any, motion: Motion, contact: Contact
+        self, state: ReactionState, q: Any, qdot: Any, motion: Motion, contact: PointForce
     ) -> tuple[ReactionState, ReactionCommand]:
         """The next command, of joint values and rates (n,), what is asked of the tip, and what is felt: a contact, or as many
         as `contacts` stacked; where nothing touches its force is 0, and its point does not matter. Traced.
@@ -186,7 +186,7 @@ class Reaction:
         qdot = as_shaped("reaction: qdot", qdot, q.shape).astype(q.dtype)
         if not isinstance(motion, Motion):
             raise ValueError(f"reaction: motion is {shown(motion)}; write what motions.motion gives")
-        contact = Contact(*(x.astype(q.dtype) for x in as_contacts("reaction", contact, self.contacts)))
+        contact = PointForce(*(x.astype(q.dtype) for x in as_point_forces("reaction", contact, self.contacts)))
         felt, sure = trusted(self.robot, contact)
         sound = jnp.all(jnp.stack([jnp.all(sure), *(jnp.all(jnp.isfinite(jnp.asarray(x))) for x in (q, qdot, *motion))]))
         seen = state._replace(
@@ -205,7 +205,7 @@ class Reaction:
         felt = safe_sqrt(jnp.sum(force**2))
         touching = felt > self.threshold
         direction = jnp.where(touching, safe_divide(force, felt), state.direction)
-        a = contact_torque(self.robot, q, Contact(state.joint, state.point, direction))
+        a = point_torque(self.robot, q, PointForce(state.joint, state.point, direction))
         moved = self.dt * (a @ qdot)
         stiffness = state.stiffness.stiffness
         at = TaskAt(self.robot, q, motion, self.task)
@@ -215,7 +215,7 @@ class Reaction:
             rate = state.rate + self.dt * self._accelerations(at, state.rate, a, above)
         else:
             rate, laws = self._rates(at, a, state, felt, stiffness, moved)
-        drift = [contact_jacobian(self.robot, q, *x) @ qdot for x in zip(state.joint, state.point, strict=True)]
+        drift = [point_jacobian(self.robot, q, *x) @ qdot for x in zip(state.joint, state.point, strict=True)]
         kept = {"point": state.point + self.dt * jnp.stack(drift), "direction": direction, "filter": filtered}
         after = state._replace(**kept, law=laws[0], task_law=laws[1], rate=rate)
         acceleration = (rate - state.rate) / self.dt
@@ -232,7 +232,7 @@ class Reaction:
         above = jnp.maximum(size - self.threshold, 0.0)
         touching, touched = above > 0.0, state.since == 0.0
         direction = jnp.where(touching, safe_divide(force, size), state.direction)
-        depth = state.depth - self.dt * (contact_torque(self.robot, q, Contact(state.joint, state.point, direction)) @ qdot)
+        depth = state.depth - self.dt * (point_torque(self.robot, q, PointForce(state.joint, state.point, direction)) @ qdot)
         since = jnp.where(touching, 0.0, state.since + self.dt)
         # a force that has not been seen to begin, or ends deep inside: nobody knows the depth, and it counts anew from here
         sudden, deep = above > SUDDEN, state.stiffness.stiffness * jnp.abs(depth) > SUDDEN

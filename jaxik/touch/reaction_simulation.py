@@ -14,7 +14,7 @@ import jax.numpy as jnp
 from jaxtyping import Float, Int
 
 from jaxik.checks.options import as_count, check_kind
-from jaxik.dynamics.contact import Contact, check_joint, contact_jacobian, material_point
+from jaxik.dynamics.point_force import PointForce, check_joint, material_point, point_jacobian
 from jaxik.kinematics.robot import Array, Robot, as_configuration, as_numbers
 from jaxik.motions.path import Path, check_path, motion
 from jaxik.pytree import Pytree
@@ -88,7 +88,7 @@ def _simulation(reaction: Reaction, sensor: TouchSensor | None) -> Any:
 
     def turn(path: Path, duration: Any, met: tuple[Encounter, ...], state: Any, noise: Any) -> Any:
         q, rate, time, known, shown = state
-        true = Contact(*map(jnp.stack, zip(*(_touched(robot, q, rate, each) for each in met), strict=True)))
+        true = PointForce(*map(jnp.stack, zip(*(_touched(robot, q, rate, each) for each in met), strict=True)))
         shown, felt = (shown, true) if sensor is None else sensor.step(shown, robot, q, true, noise)
         known, command = reaction.step(known, q, rate, motion(path, duration, time), felt)
         force = safe_sqrt(jnp.sum(true.force**2))
@@ -105,8 +105,8 @@ def _simulation(reaction: Reaction, sensor: TouchSensor | None) -> Any:
     return run
 
 
-def _touched(robot: Robot, q: Any, rate: Any, met: Encounter) -> Contact:
+def _touched(robot: Robot, q: Any, rate: Any, met: Encounter) -> PointForce:
     """What an obstacle does to the arm."""
     point = material_point(robot, q, met.joint, met.point)
-    velocity = contact_jacobian(robot, q, met.joint, point) @ rate
-    return Contact(jnp.asarray(met.joint), point, met.obstacle.force(point, velocity))
+    velocity = point_jacobian(robot, q, met.joint, point) @ rate
+    return PointForce(jnp.asarray(met.joint), point, met.obstacle.force(point, velocity))

@@ -18,7 +18,7 @@ from jaxtyping import Float
 
 from jaxik.checks.arrays import direction, shaped
 from jaxik.checks.options import as_count, check_finite
-from jaxik.dynamics.contact import Contact, as_contacts, check_joint, material_point
+from jaxik.dynamics.point_force import PointForce, as_point_forces, check_joint, material_point
 from jaxik.kinematics.robot import Array, Robot, as_configuration, as_shaped
 from jaxik.pytree import Constant
 from jaxik.spatial.algebra import safe_divide, safe_sqrt
@@ -66,21 +66,23 @@ class TouchSensor:
         zeros = lambda *shape: jnp.zeros(shape, dtype)
         return SensorState(zeros(), zeros(contacts), zeros(contacts, 3), zeros(contacts, 3))
 
-    def step(self, state: SensorState, robot: Robot, q: Any, true: Contact, noise: Any = 0.0) -> tuple[SensorState, Contact]:
+    def step(
+        self, state: SensorState, robot: Robot, q: Any, true: PointForce, noise: Any = 0.0
+    ) -> tuple[SensorState, PointForce]:
         """What it shows of a stack of true contacts at q (n,), or of one; `noise` is a sample of unit variance. Traced. Raises
         `ValueError` for another number of contacts than it began with, and for a joint that the robot does not have."""
-        joints, point, force = as_contacts("touch sensor", true, len(state.force))
+        joints, point, force = as_point_forces("touch sensor", true, len(state.force))
         check_joint("touch sensor", robot, true.joint)
         q = as_configuration(robot, q)
-        shown = [self._shown(robot, q, Contact(*each), noise) for each in zip(joints, point, force, strict=True)]
+        shown = [self._shown(robot, q, PointForce(*each), noise) for each in zip(joints, point, force, strict=True)]
         points, forces = (jnp.stack(x) for x in zip(*shown, strict=True))
         reads = state.wait <= 0.0
         take = lambda new, old: jnp.where(reads, new.astype(old.dtype), old)
         wait = jnp.where(reads, self.hold - 1.0, state.wait - 1.0)
         state = SensorState(wait, take(joints, state.joint), take(points, state.point), take(forces, state.force))
-        return state, Contact(state.joint, state.point, state.force)
+        return state, PointForce(state.joint, state.point, state.force)
 
-    def _shown(self, robot: Robot, q: Any, true: Contact, noise: Any) -> tuple[Any, Any]:
+    def _shown(self, robot: Robot, q: Any, true: PointForce, noise: Any) -> tuple[Any, Any]:
         """The point and the force (3,) of one contact."""
         in_base = lambda local: material_point(robot, q, true.joint, jnp.asarray(local, q.dtype))
         force, size = true.force, safe_sqrt(jnp.sum(true.force**2))
@@ -120,7 +122,7 @@ class Skin(Constant):
             [jnp.maximum(obstacle.force(p) @ n, 0.0) for p, n in zip(self._places(robot, q), normals, strict=True)]
         )
 
-    def contact(self, robot: Robot, q: Any, pressed: Any) -> Contact:
+    def contact(self, robot: Robot, q: Any, pressed: Any) -> PointForce:
         """The resultant of what the cells feel (m,) [N], at the mean of the places of those that are pressed, by it. Traced.
         Where none feels anything the force is 0. Raises `ValueError` for another shape."""
         pressed = as_shaped("skin: pressed", pressed, (len(self.points),))
@@ -128,7 +130,7 @@ class Skin(Constant):
         push = jnp.maximum(pressed, 0.0)  # an offset's pull would lead off the skin
         total = jnp.sum(push)
         point = jnp.where(total > 0.0, safe_divide(push @ places, total), jnp.mean(places, axis=0))
-        return Contact(jnp.asarray(self.joint), point, pressed @ normals)
+        return PointForce(jnp.asarray(self.joint), point, pressed @ normals)
 
     def _places(self, robot: Robot, q: Any) -> jax.Array:
         return self._in_base(robot, q, self.points)

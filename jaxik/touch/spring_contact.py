@@ -18,7 +18,7 @@ from jaxtyping import Float
 
 from jaxik.checks.arrays import direction, is_known
 from jaxik.checks.options import check_finite, shown
-from jaxik.dynamics.contact import material_point
+from jaxik.dynamics.point_force import material_point
 from jaxik.kinematics.robot import Array, Robot, as_given, as_shaped
 from jaxik.pytree import Constant, static
 
@@ -79,6 +79,6 @@ def contact_cost(robot: Robot, obstacle: SpringContact, joint: Any, point: Any) 
     """The energy [J] of an obstacle that a link's material point leans on, as a cost of q. Traced.
 
     Its gradient is `-J_p' F` (4.34): `follow` goes down it where it touches, `predict` before. `joint` and `point` (3,) [m] are
-    those of `robot.material_point`.
+    those of `dynamics.material_point`.
     """
     return lambda q: obstacle.energy(material_point(robot, q, joint, point))

@@ -18,8 +18,8 @@ import numpy as np
 
 from jaxik import costs
 from jaxik.collision.clearances import clearance
-from jaxik.collision.contact_report import Contact as Near
-from jaxik.dynamics.contact import Contact
+from jaxik.collision.contact_report import Contact
+from jaxik.dynamics.point_force import PointForce
 from jaxik.kinematics.forward import manipulability
 from jaxik.kinematics.robot import finite_limits
 from jaxik.planning import save_trajectory
@@ -142,9 +142,9 @@ class Steering:
             since = [*since[1:], time.monotonic()]
             time.sleep(max(due - time.monotonic(), 0.0))
 
-    def _contact(self, near: tuple[Near, ...]) -> tuple[Contact, np.ndarray]:
+    def _contact(self, near: tuple[Contact, ...]) -> tuple[PointForce, np.ndarray]:
         """The nearest obstacle as a spring, in the base frame, and where it is in the world."""
-        none = Contact(np.zeros(1, int), np.zeros((1, 3)), np.zeros((1, 3)))
+        none = PointForce(np.zeros(1, int), np.zeros((1, 3)), np.zeros((1, 3)))
         if not near or not 0.0 < near[0].distance < SHELL:
             return none, np.zeros(3)
         first = near[0]
@@ -152,9 +152,9 @@ class Steering:
         base = np.linalg.inv(np.asarray(self.robot.world_T_base))
         force = base[:3, :3] @ (STIFFNESS * (SHELL - first.distance) * away)
         joint = self.robot.link_joint[self.robot.link_names.index(first.link)]
-        return Contact(np.array([joint]), (base @ [*first.point, 1.0])[None, :3], force[None]), np.asarray(first.point)
+        return PointForce(np.array([joint]), (base @ [*first.point, 1.0])[None, :3], force[None]), np.asarray(first.point)
 
-    def _drawn(self, command: Any, contact: Contact, at: np.ndarray) -> None:
+    def _drawn(self, command: Any, contact: PointForce, at: np.ndarray) -> None:
         """The contact's force on the arm, and what a hand would feel at the tip."""
         turn, tip = np.asarray(self.robot.world_T_base)[:3, :3], frames(self.robot, self.page.q)[-1][:3, 3]
         for arrow, start, force in zip(self.arrows, (at, tip), (turn @ contact.force[0], command.felt), strict=True):

@@ -23,7 +23,7 @@ Q = jnp.linspace(0.1, 0.5, 9)
 POSE = jnp.asarray(jaxik.pose([0.3, 0.2, 0.4]))
 SCENE = jaxik.make_scene(spheres=[[0.5, 0.1, 0.4, 0.1]], boxes=[[0.5, 0.5, 0.5, 0.1, 0.1, 0.1]])
 MOTION = motions.path.Motion(POSE, jnp.zeros(6), jnp.zeros(6))
-TOUCH = dynamics.Contact(3, jnp.array([0.1, 0.0, 0.2]), jnp.array([1.0, 2.0, 3.0]))
+TOUCH = dynamics.PointForce(3, jnp.array([0.1, 0.0, 0.2]), jnp.array([1.0, 2.0, 3.0]))
 V, P2 = jnp.array([0.1, 0.2, 0.3]), jnp.ones((2, 2, 3))
 HOLD = lambda q: jnp.sum(q * q)
 
@@ -58,24 +58,22 @@ CALLS = {  # name -> (function of arrays, arrays)
     "reach.reach_score": (lambda q: reach.reach_score(ARM, SCENE, POSE[None], q[None]), Q),
     "kinematics.bias_acceleration": (lambda q: kinematics.bias_acceleration(ARM, q, q), Q),
     "dynamics.bias_torque": (lambda q: dynamics.bias_torque(ARM, q, q), Q),
-    "dynamics.contact_jacobian": (lambda q: dynamics.contact_jacobian(ARM, q, 3, TOUCH.point), Q),
-    "dynamics.contact_torque": (lambda q: dynamics.contact_torque(ARM, q, TOUCH), Q),
+    "dynamics.point_jacobian": (lambda q: dynamics.point_jacobian(ARM, q, 3, TOUCH.point), Q),
+    "dynamics.point_torque": (lambda q: dynamics.point_torque(ARM, q, TOUCH), Q),
     "dynamics.forward_dynamics": (lambda q: dynamics.forward_dynamics(ARM, q, q, q), Q),
     "kinematics.forward_kinematics": (lambda q: kinematics.forward_kinematics(ARM, q), Q),
     "dynamics.friction_torque": (lambda q: dynamics.friction_torque(ARM, q, q), Q),
     "dynamics.gravity_torque": (lambda q: dynamics.gravity_torque(ARM, q), Q),
     "dynamics.inverse_dynamics": (lambda q: dynamics.inverse_dynamics(ARM, q, q, q), Q),
     "kinematics.jacobian": (lambda q: kinematics.jacobian(ARM, q), Q),
-    "dynamics.joint_torsion": (lambda q: dynamics.joint_torsion(ARM, q), Q),
-    "dynamics.kinetic_energy": (lambda q: dynamics.kinetic_energy(ARM, q, q), Q),
+    "dynamics.energy": (lambda q: dynamics.energy(ARM, q, q), Q),
     "kinematics.link_frames": (lambda q: kinematics.link_frames(ARM, q), Q),
     "kinematics.manipulability": (lambda q: kinematics.manipulability(ARM, q), Q),
     "dynamics.mass_matrix": (lambda q: dynamics.mass_matrix(ARM, q), Q),
     "dynamics.material_point": (lambda q: dynamics.material_point(ARM, q, 3, TOUCH.point), Q),
     "dynamics.motor_current": (lambda q: dynamics.motor_current(ARM, q, q), Q),
-    "dynamics.potential_energy": (lambda q: dynamics.potential_energy(ARM, q), Q),
     "dynamics.regressor": (lambda q: dynamics.regressor(ARM, q, q, q), Q),
-    "dynamics.static_friction": (lambda q: dynamics.static_friction(ARM, q), Q),
+    "dynamics.friction_band": (lambda q: dynamics.friction_band(ARM, q), Q),
     "dynamics.torque_of_current": (lambda q: dynamics.torque_of_current(ARM, q, q), Q),
     "kinematics.within_limits": (lambda q: kinematics.within_limits(ARM, q), Q),
     "dynamics.wrench_on": (lambda q: dynamics.wrench_on(ARM, q, ARM.link_names[-1], [1.0, 0.0, 0.0], [0.0, 0.0, 0.0]), Q),
@@ -93,8 +91,6 @@ LONGER = {
     "motions.predict",
     "motions.quadratic_cost",
     "planning.trajectory_cost",
-    "dynamics.body_parameters",
-    "dynamics.with_body_parameters",
     "spmd.kernel",
 }
 

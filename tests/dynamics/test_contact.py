@@ -9,7 +9,7 @@ import pytest
 from rigid_truth import of_robot
 
 import jaxik
-from jaxik.dynamics import Contact, contact_jacobian, contact_torque, material_point
+from jaxik.dynamics import PointForce, material_point, point_jacobian, point_torque
 from jaxik.estimation import mujoco_model
 
 ROBOT = jaxik.load("crops_v2")
@@ -20,8 +20,8 @@ JOINT = RNG.integers(0, N + 1, 20)
 LOCAL, FORCE = RNG.normal(size=(2, 20, 3))
 every = lambda f, *args: np.asarray(jax.jit(jax.vmap(f))(*args))
 POINT = every(lambda *x: material_point(ROBOT, *x), Q, JOINT, LOCAL)
-ROWS = every(lambda *x: contact_jacobian(ROBOT, *x), Q, JOINT, POINT)
-TORQUE = every(lambda q, *x: contact_torque(ROBOT, q, Contact(*x)), Q, JOINT, POINT, FORCE)
+ROWS = every(lambda *x: point_jacobian(ROBOT, *x), Q, JOINT, POINT)
+TORQUE = every(lambda q, *x: point_torque(ROBOT, q, PointForce(*x)), Q, JOINT, POINT, FORCE)
 
 
 def test_jacobians_are_mujoco_s():
@@ -60,27 +60,27 @@ def test_a_jacobian_is_a_derivative():
 
 
 def test_several_contacts_add_up():
-    stacked = contact_torque(ROBOT, Q[0], Contact(JOINT[:3], POINT[:3], FORCE[:3]))
-    each = [contact_torque(ROBOT, Q[0], Contact(*x)) for x in zip(JOINT[:3], POINT[:3], FORCE[:3], strict=True)]
+    stacked = point_torque(ROBOT, Q[0], PointForce(JOINT[:3], POINT[:3], FORCE[:3]))
+    each = [point_torque(ROBOT, Q[0], PointForce(*x)) for x in zip(JOINT[:3], POINT[:3], FORCE[:3], strict=True)]
     np.testing.assert_allclose(stacked, sum(each), atol=1e-12)
-    assert not np.any(contact_torque(ROBOT, Q[0], Contact(4, POINT[0], jnp.zeros(3))))
+    assert not np.any(point_torque(ROBOT, Q[0], PointForce(4, POINT[0], jnp.zeros(3))))
 
 
 @pytest.mark.parametrize(
     ("call", "says"),
     [
-        (lambda: contact_jacobian(ROBOT, Q[0], 10, POINT[0]), "joint is 10; it is how many of the 9 joints of crops_v2"),
-        (lambda: contact_jacobian(ROBOT, Q[0], 2.5, POINT[0]), "joint is 2.5; it is how many"),
+        (lambda: point_jacobian(ROBOT, Q[0], 10, POINT[0]), "joint is 10; it is how many of the 9 joints of crops_v2"),
+        (lambda: point_jacobian(ROBOT, Q[0], 2.5, POINT[0]), "joint is 2.5; it is how many"),
         (
-            lambda: contact_torque(ROBOT, Q[0], Contact([1, 2, 3], POINT[:2], FORCE[:2])),
+            lambda: point_torque(ROBOT, Q[0], PointForce([1, 2, 3], POINT[:2], FORCE[:2])),
             r"joint has the shape \(3,\); allowed: \(\), or \(2,\)",
         ),
-        (lambda: contact_jacobian(ROBOT, Q[0], [1, 2], POINT[0]), r"joint has the shape \(2,\); allowed: one number"),
+        (lambda: point_jacobian(ROBOT, Q[0], [1, 2], POINT[0]), r"joint has the shape \(2,\); allowed: one number"),
         (
-            lambda: contact_torque(ROBOT, Q[0], Contact(1, POINT[:2], FORCE[0])),
+            lambda: point_torque(ROBOT, Q[0], PointForce(1, POINT[:2], FORCE[0])),
             r"point has the shape \(2, 3\); allowed: \(3,\)",
         ),
-        (lambda: contact_torque(ROBOT, Q[0], Contact(1, POINT[0], 3.0)), r"force has the shape \(\); allowed: \(3,\)"),
+        (lambda: point_torque(ROBOT, Q[0], PointForce(1, POINT[0], 3.0)), r"force has the shape \(\); allowed: \(3,\)"),
         (lambda: material_point(ROBOT, Q[0], 1, [0.0, 0.0]), r"point has the shape \(2,\)"),
     ],
 )

@@ -10,10 +10,10 @@ import pytest
 from robot_files import write
 
 import jaxik
-from jaxik.dynamics import Drive, Friction, friction_torque, joint_torsion, motor_current, static_friction, torque_of_current
+from jaxik.dynamics import Drive, Friction, friction_band, friction_torque, motor_current, torque_of_current
 
 CROPS = jaxik.load("crops_v2")
-batched = lambda f: jax.jit(jax.vmap(lambda a, b, width: f(CROPS, a, b, width), (0, 0, None)))
+batched = lambda f: jax.jit(jax.vmap(lambda a, b, width: f(CROPS, a, b, width=width), (0, 0, None)))
 friction, current_of, torque_of = (batched(f) for f in (friction_torque, motor_current, torque_of_current))
 
 
@@ -41,10 +41,10 @@ def test_each_law_by_hand():
 def test_table_3_9_to_its_last_digit():
     """By tables 3.4 and 3.5 and the ratios: +-8.4, 12.8, 6.03, 4.77, 1.88 Nm, at rest and without a load."""
     printed = np.array([8.4, 12.8, 12.8, 6.03, 4.77, 1.88, 1.88, 1.88])
-    np.testing.assert_allclose(static_friction(CROPS, np.zeros(9))[1:], printed, rtol=1e-14)
+    np.testing.assert_allclose(friction_band(CROPS, np.zeros(9))[1:], printed, rtol=1e-14)
     creeping = friction_torque(CROPS, np.full(9, -1e-12), np.zeros(9))
     np.testing.assert_allclose(creeping[1:], printed, rtol=1e-8)
-    assert abs(static_friction(CROPS, np.full(9, 20.0))[1] - 50 * (0.168 + 0.0021 * 20)) <= 1e-12
+    assert abs(friction_band(CROPS, np.full(9, 20.0))[1] - 50 * (0.168 + 0.0021 * 20)) <= 1e-12
 
 
 @pytest.mark.parametrize("width", [0.0, 0.02])
@@ -60,7 +60,7 @@ def test_current_to_torque_and_back(width):
     qdot, torque = samples()
     current = current_of(torque, qdot, width)
     assert np.max(np.abs(torque_of(current, qdot, width) - torque) / np.maximum(1.0, np.abs(torque))) <= 1e-12
-    np.testing.assert_array_equal(current_of(torque, qdot, width)[7], motor_current(CROPS, torque[7], qdot[7], width))
+    np.testing.assert_array_equal(current_of(torque, qdot, width)[7], motor_current(CROPS, torque[7], qdot[7], width=width))
 
 
 def test_springs_and_torsion():
@@ -68,11 +68,11 @@ def test_springs_and_torsion():
     weight = 9.81 * sum(float(body.mass) for body in CROPS.bodies)
     torque = np.array([weight, 67.3, 0, 0, 0, 0, 0, 0, 0])
     assert abs(motor_current(CROPS, torque, np.zeros(9))[0] - (weight - 8 * 50.8) / (350 * 0.1)) <= 1e-12
-    np.testing.assert_allclose(joint_torsion(CROPS, torque)[:2], [0.0, 1e-3], rtol=1e-14)
+    np.testing.assert_allclose(CROPS.torsion(torque)[:2], [0.0, 1e-3], rtol=1e-14)
 
 
 def test_gradients_are_finite():
-    at_rest = jax.jacfwd(lambda qdot: friction_torque(CROPS, qdot, np.ones(9), 0.01))(np.zeros(9))
+    at_rest = jax.jacfwd(lambda qdot: friction_torque(CROPS, qdot, np.ones(9), width=0.01))(np.zeros(9))
     assert np.all(np.isfinite(at_rest)) and np.all(np.diagonal(at_rest) < 0.0)
     assert np.all(np.isfinite(jax.jacfwd(lambda i: torque_of_current(CROPS, i, np.zeros(9)))(np.zeros(9))))
 
@@ -101,9 +101,15 @@ FAULTS = [
     (lambda: Drive(friction=0.1), "Drive: friction is 0.1; write a jaxik.dynamics.Friction"),
     (lambda: CROPS.with_drives(Drive()), "1 drives; crops_v2 has 9 joints"),
     (lambda: CROPS.with_drives(None), "a drive is None; write a jaxik.dynamics.Drive"),
-    (lambda: motor_current(CROPS, np.zeros(9), np.zeros(9), np.zeros(3)), r"width has the shape \(3,\); allowed: one number"),
-    (lambda: motor_current(CROPS, np.zeros(9), np.zeros(9), "wide"), "motor_current: width is wide; write an array of numbers"),
-    (lambda: static_friction(_with_coulomb(-7.0), np.zeros(9)), "Friction: coulomb = -7.0; write a finite number >= 0"),
+    (
+        lambda: motor_current(CROPS, np.zeros(9), np.zeros(9), width=np.zeros(3)),
+        r"width has the shape \(3,\); allowed: one number",
+    ),
+    (
+        lambda: motor_current(CROPS, np.zeros(9), np.zeros(9), width="wide"),
+        "motor_current: width is wide; write an array of numbers",
+    ),
+    (lambda: friction_band(_with_coulomb(-7.0), np.zeros(9)), "Friction: coulomb = -7.0; write a finite number >= 0"),
 ]
 
 

@@ -86,12 +86,13 @@ def test_an_inertia_without_a_mass_counts(tmp_path):
 
 def test_forward_undoes_inverse():
     q, v, a, _, w = states(ARM, 500, seed=1)
-    torque = jax.vmap(lambda *given: dynamics.inverse_dynamics(ARM, *given))(q, v, a, w)
-    back = jax.vmap(lambda *given: dynamics.forward_dynamics(ARM, *given))(q, v, torque, w)
+    inverse = jax.vmap(lambda *x: dynamics.inverse_dynamics(ARM, *x[:3], wrenches=x[3]))
+    torque = inverse(q, v, a, w)
+    back = jax.vmap(lambda *x: dynamics.forward_dynamics(ARM, *x[:3], wrenches=x[3]))(q, v, torque, w)
     assert np.abs(back - a).max() <= 1e-11
     matrices = np.asarray(jax.vmap(lambda q: dynamics.mass_matrix(ARM, q))(q))
     assert np.array_equal(matrices, matrices.swapaxes(1, 2)) and np.linalg.eigvalsh(matrices).min() > 0.0
-    single = jax.vmap(lambda *given: dynamics.inverse_dynamics(ARM, *given))(*(x.astype(np.float32) for x in (q, v, a, w)))
+    single = inverse(*(x.astype(np.float32) for x in (q, v, a, w)))
     assert single.dtype == jnp.float32 and np.abs(single - torque).max() <= 2e-5 * np.abs(torque).max()
 
 
@@ -112,7 +113,7 @@ def test_energy_of_a_roll_out():
         mean = jax.tree_util.tree_map(lambda a, b, c, d: (a + 2 * b + 2 * c + d) / 6, one, two, three, four)
         return on(mean, dt), None
 
-    energy = lambda q, v: dynamics.kinetic_energy(ARM, q, v) + dynamics.potential_energy(ARM, q)
+    energy = lambda q, v: sum(dynamics.energy(ARM, q, v))
     start = jnp.array([0.3, -1.0, 0.8, 0.2, 0.5, 0.0]), jnp.zeros(6)
     (q, v, work), _ = jax.jit(lambda s: jax.lax.scan(step, s, jnp.arange(500) * 1e-3))((*start, jnp.zeros(())))
     assert abs(float(work)) > 0.5 and abs(float(energy(q, v) - energy(*start) - work)) <= 1e-9 * abs(float(work))
@@ -120,8 +121,8 @@ def test_energy_of_a_roll_out():
 
 def test_energies_give_the_torques():
     (q, *_), (v, *_) = states(ARM, 1)[:2]
-    slope = jax.grad(lambda q: dynamics.potential_energy(ARM, q))(q)
-    momentum = jax.grad(lambda v: dynamics.kinetic_energy(ARM, q, v))(v)
+    slope = jax.grad(lambda q: dynamics.energy(ARM, q, v).potential)(q)
+    momentum = jax.grad(lambda v: dynamics.energy(ARM, q, v).kinetic)(v)
     assert np.abs(slope - dynamics.gravity_torque(ARM, q)).max() <= 1e-12 * np.abs(slope).max()
     assert np.abs(momentum - dynamics.mass_matrix(ARM, q) @ v).max() <= 1e-12 * np.abs(momentum).max()
 
@@ -129,14 +130,14 @@ def test_energies_give_the_torques():
 def test_parameters_of_bodies():
     robot = jaxik.load("crops_v2").part(0, 3)
     given = [x[0] for x in states(robot, 1)[:3]]
-    parameters = dynamics.body_parameters(robot)
-    back = dynamics.with_body_parameters(robot, parameters)
-    assert np.abs(dynamics.body_parameters(back) - parameters).max() <= 1e-13
+    parameters = robot.parameters
+    back = robot.with_parameters(parameters)
+    assert np.abs(back.parameters - parameters).max() <= 1e-13
     for ours, theirs in zip(back.bodies, robot.bodies, strict=True):
         assert np.allclose(ours.inertia, theirs.inertia, atol=1e-13) and np.allclose(ours.com, theirs.com, atol=1e-14)
     bare = dataclasses.replace(robot, bodies=())
     matrix = dynamics.regressor(bare, *given)
-    by_parameters = lambda p: dynamics.inverse_dynamics(dynamics.with_body_parameters(bare, p), *given)
+    by_parameters = lambda p: dynamics.inverse_dynamics(bare.with_parameters(p), *given)
     slopes = jax.jacfwd(by_parameters)(jnp.asarray(parameters))
     assert np.abs(matrix @ parameters + robot.armature * given[2] - dynamics.inverse_dynamics(robot, *given)).max() <= 1e-10
     assert np.abs(slopes - matrix).max() <= 1e-10 * np.abs(matrix).max()
@@ -149,7 +150,7 @@ def test_a_load_is_a_wrench():
     weight = ARM.world_T_base[:3, :3].T @ [0.0, 0.0, -9.81 * 3.0]
     pull = dynamics.wrench_on(ARM, q, "tool0", weight, point)
     heavy = dynamics.gravity_torque(ARM.with_load(3.0, tip), q)
-    assert np.abs(heavy - dynamics.inverse_dynamics(ARM, q, 0 * q, 0 * q, pull)).max() <= 1e-12 * np.abs(heavy).max()
+    assert np.abs(heavy - dynamics.inverse_dynamics(ARM, q, 0 * q, 0 * q, wrenches=pull)).max() <= 1e-12 * np.abs(heavy).max()
     assert not np.any(dynamics.wrench_on(ARM, q, "base_link", weight, point))
     slope = jax.jvp(lambda mass: dynamics.gravity_torque(ARM.with_load(mass, tip), q), (3.0,), (1.0,))[1]
     assert np.abs(3.0 * slope - heavy + dynamics.gravity_torque(ARM, q)).max() <= 1e-12 * np.abs(heavy).max()
@@ -187,23 +188,24 @@ REFUSED = {
         dataclasses.replace(ARM, armature=np.array([0, 0, -1.0, 0, 0, 0])), q
     ),
     "holds NaN": lambda q: dynamics.bias_torque(_with_last(com=np.array([0.0, np.nan, 0.0])), q, q),
-    "not symmetric": lambda q: dynamics.kinetic_energy(_with_last(inertia=np.tri(3)), q, q),
-    "principal moments of -1, 1, 1 kg m2; allowed: none below 0": lambda q: dynamics.potential_energy(
-        _with_last(inertia=np.diag([1.0, -1.0, 1.0])), q
+    "not symmetric": lambda q: dynamics.energy(_with_last(inertia=np.tri(3)), q, q),
+    "principal moments of -1, 1, 1 kg m2; allowed: none below 0": lambda q: dynamics.energy(
+        _with_last(inertia=np.diag([1.0, -1.0, 1.0])), q, q
     ),
     "principal moments of 1, 1, 3 kg m2; the largest": lambda q: dynamics.mass_matrix(
         _with_last(inertia=np.diag([1, 3, 1.0])), q
     ),
-    "gravity has the shape (); allowed: (3,)": lambda q: dynamics.gravity_torque(ARM, q, -9.81),
+    "gravity has the shape (); allowed: (3,)": lambda q: dynamics.gravity_torque(ARM, q, gravity=-9.81),
+    "p6r has no bodies; write mass, com": lambda q: jaxik.load("p6r").parameters,
     "wrench_on: no link 'hook'; allowed: world": lambda q: dynamics.wrench_on(ARM, q, "hook", q[:3], q[:3]),
-    "parameters of shape (6,); allowed: (60,)": lambda q: dynamics.with_body_parameters(ARM, q),
+    "parameters of shape (6,); allowed: (60,)": lambda q: ARM.with_parameters(q),
     "p6r has no bodies, which a load": lambda q: jaxik.load("p6r").with_load(1.0),
     "the load has a mass of -2 kg; write a mass >= 0": lambda q: ARM.with_load(-2.0),
     "com of shape (2,); allowed: (3,)": lambda q: ARM.with_load(2.0, (0.1, 0.2)),
     "5 bodies; ur5 has 6 joints, write one": lambda q: dynamics.mass_matrix(dataclasses.replace(ARM, bodies=ARM.bodies[1:]), q),
     "armature of shape (2,); allowed: (6,)": lambda q: dynamics.mass_matrix(dataclasses.replace(ARM, armature=np.zeros(2)), q),
-    "inertia of shape (6,); allowed: (3, 3)": lambda q: kinematics.Body(np.ones(()), np.zeros(3), np.zeros(6)),
-    "'shoulder_pan_joint' moves a mass of 0 kg with": lambda q: dynamics.with_body_parameters(ARM, np.eye(60)[1]),
+    "inertia of shape (6,); allowed: (3, 3)": lambda q: dynamics.Body(np.ones(()), np.zeros(3), np.zeros(6)),
+    "'shoulder_pan_joint' moves a mass of 0 kg with": lambda q: ARM.with_parameters(np.eye(60)[1]),
 }
 
 

@@ -9,14 +9,13 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 import jaxik
-from jaxik.dynamics import Drive, Friction, body_parameters, friction_torque, inverse_dynamics, with_body_parameters
+from jaxik.dynamics import Body, Drive, Friction, friction_torque, inverse_dynamics
 from jaxik.identification import MotionLog, base_parameters, excite, identify, pseudo_inertias, smoothed
 from jaxik.identification.clear_motion import ClearSpace
 from jaxik.identification.columns import body_columns, side_by_side
 from jaxik.identification.excitation import ExcitationOptions, _Search
 from jaxik.identification.problem import Curve, posed
 from jaxik.identification.pseudo_inertia import Bodies
-from jaxik.kinematics import Body
 from jaxik.reasons import Reason
 
 ARM = jaxik.load("crops_v2").part(0, 3)  # a slide, a vertical and a horizontal axis, with drives
@@ -64,7 +63,7 @@ def test_base_parameters_are_all_that_counts():
 
 def test_bodies_that_can_be():
     """All coordinates, and no others: positive mass, inertia definite and within the triangle inequality."""
-    theta = np.asarray(body_parameters(ARM))
+    theta = np.asarray(ARM.parameters)
     pseudo = pseudo_inertias(theta)
     for body, p in zip(ARM.bodies, pseudo, strict=True):
         second = body.inertia + body.mass * (body.com @ body.com * np.eye(3) - np.outer(body.com, body.com))
@@ -151,7 +150,7 @@ def test_identification_from_noisy_logs(motion):
     ]
     found = identify(ARM, logs, terms=TERMS)
     assert found.reason == Reason.SOLVED and found.success
-    truth = found.base.matrix[:, :30] @ np.asarray(body_parameters(true))
+    truth = found.base.matrix[:, :30] @ np.asarray(true.parameters)
     bodies = slice(0, 9)
     off, told = np.abs(found.value - truth)[bodies], (found.std <= 0.01 * np.abs(found.value))[bodies]
     assert (
@@ -160,7 +159,7 @@ def test_identification_from_noisy_logs(motion):
     assert set(found.unknown()) == {
         w for w, s, v in zip(found.base.words, found.std, found.value, strict=True) if s > 0.01 * abs(v)
     }
-    assert np.linalg.eigvalsh(pseudo_inertias(np.asarray(body_parameters(found.robot)))).min() > 0.0
+    assert np.linalg.eigvalsh(pseudo_inertias(np.asarray(found.robot.parameters))).min() > 0.0
     first, second = found.robot.drives[1].friction, found.robot.drives[2].friction
     assert abs(first.breakaway - (8.4 + 1.125)) <= 0.1 and abs(second.breakaway - (12.8 + 7.0)) <= 0.2  # tables 3.4 and 3.6
     assert abs(second.stribeck_velocity - 81.7 / 100) <= 0.05 and abs(first.load - 50 * 2.1e-3) <= 0.02
@@ -176,10 +175,10 @@ def test_torque_without_friction_is_exact(motion):
     true = another().with_drives(())
     motion = [x[::2] for x in motion]
     found = identify(ARM.with_drives(()), MotionLog(*motion, torque=np.asarray(torques(true, *motion))), terms=())
-    truth = found.base.matrix @ np.asarray(body_parameters(true))
+    truth = found.base.matrix @ np.asarray(true.parameters)
     np.testing.assert_allclose(found.value, truth, rtol=1e-8, atol=1e-8)
     assert not found.unknown() and not found.robot.drives
-    np.testing.assert_allclose(found.base.matrix @ np.asarray(body_parameters(found.robot)), truth, rtol=1e-3, atol=1e-3)
+    np.testing.assert_allclose(found.base.matrix @ np.asarray(found.robot.parameters), truth, rtol=1e-3, atol=1e-3)
 
 
 def test_the_drives_found_rub_as_was_measured(motion):
@@ -216,7 +215,7 @@ def test_a_file_without_masses(motion, share, reason):
     motion = [x[::2] for x in motion]
     torque = share * np.asarray(torques(dataclasses.replace(another(), drives=(), armature=np.zeros(3)), *motion))
     torque += np.random.default_rng(0).normal(size=torque.shape) * 0.003 * torque.std(axis=0)
-    bare = dataclasses.replace(with_body_parameters(ARM, np.zeros(30)), drives=(), armature=np.zeros(3))
+    bare = dataclasses.replace(ARM.with_parameters(np.zeros(30)), drives=(), armature=np.zeros(3))
     found = identify(bare, MotionLog(*motion, torque=torque), terms=())
     assert found.reason == reason
     explained = np.all(np.abs(np.asarray(torques(found.robot, *motion)) - torque) <= 0.03 * torque.std(axis=0))
@@ -245,7 +244,7 @@ FAULTS = [
     (dict(terms="load"), "identify: terms is load; write a tuple of coulomb, breakaway"),
     (dict(terms=("load", "load")), "identify: terms has load 2 times; write it once"),
     (dict(logs=None), "log 1 is a NoneType; write a jaxik.identification.MotionLog"),
-    (dict(robot=with_body_parameters(ARM, np.full(30, np.nan))), "identify: a body of crops_v2 holds NaN or infinity"),
+    (dict(robot=ARM.with_parameters(np.full(30, np.nan))), "identify: a body of crops_v2 holds NaN or infinity"),
     (dict(prior=0.0), "prior is 0.0; it is a finite number of at least 1e-06"),
     (dict(terms=()), "12 values for 9 unknowns; log a longer motion"),
 ]
@@ -309,7 +308,7 @@ def test_filtered_noise_is_counted_once(six):
     """Standard errors are those of the errors, of logs as they are and of those that a low pass has been over."""
     time, wave, torque, heavier = six
     base, known = base_parameters(SIX), dataclasses.replace(SIX, drives=())
-    true, rng = base.matrix[:, : 10 * 6] @ np.asarray(body_parameters(heavier)), np.random.default_rng(8)
+    true, rng = base.matrix[:, : 10 * 6] @ np.asarray(heavier.parameters), np.random.default_rng(8)
     for filtered in (False, True):
         off = []
         for _ in range(4):

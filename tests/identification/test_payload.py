@@ -76,7 +76,7 @@ def test_exact_torques_are_exact():
     assert found.success and abs(found.mass - MASS) <= 1e-4 and np.abs(found.com - COM).max() <= 1e-4
     assert np.isinf(found.inertia_std).all() and np.isfinite(found.com_std).all()
     body = WRIST.with_load(found.mass, found.com, found.inertia)
-    assert np.linalg.eigvalsh(pseudo_inertias(np.asarray(jaxik.dynamics.body_parameters(body)))).min() > 0.0
+    assert np.linalg.eigvalsh(pseudo_inertias(np.asarray(body.parameters))).min() > 0.0
 
 
 def test_of_a_simulated_arm():

@@ -24,7 +24,7 @@ from jaxik.spmd.decorator import __file__ as kernel_file
 pytestmark = pytest.mark.usefixtures("only_kernels")
 ARM, PLANAR, GANTRY = jaxik.load("pendulum4"), jaxik.load("planar2"), jaxik.load("p6r")
 BODY = [2.0, 0.6, 0.1, -0.2, 0.3, 0.02, 0.5, 0.04, 0.01, 0.6]
-HEAVY = jaxik.dynamics.with_body_parameters(PLANAR, 2 * BODY)
+HEAVY = PLANAR.with_parameters(2 * BODY)
 DRIVEN = jaxik.load("crops_v2").part(1, 3)
 SCENE = jaxik.make_scene(
     points=[[1.2, 0.9, 0.1], [-0.6, 1.5, 0.0]], point_radius=0.02, capsules=[[2.5, 0.0, -1.0, 2.5, 0.0, 1.0, 0.1]]
@@ -90,9 +90,9 @@ FUNCTIONS = {
     "jacobian": (lambda q: jaxik.jacobian(ARM, q), ANGLES(4)),
     "bias_acceleration": (lambda q, v: jaxik.kinematics.bias_acceleration(ARM, q, v), lambda u: (2.0 * u[:4], u[4:8])),
     "material_point": (lambda *u: jaxik.dynamics.material_point(PLANAR, u[0], 1, u[1]), lambda u: (2.0 * u[:2], u[2:5])),
-    "contact_jacobian": (lambda *u: jaxik.dynamics.contact_jacobian(PLANAR, u[0], 2, u[1]), lambda u: (2.0 * u[:2], u[2:5])),
-    "contact_torque": (
-        lambda q, p, f: jaxik.dynamics.contact_torque(PLANAR, q, jaxik.dynamics.Contact(1, p, f)),
+    "point_jacobian": (lambda *u: jaxik.dynamics.point_jacobian(PLANAR, u[0], 2, u[1]), lambda u: (2.0 * u[:2], u[2:5])),
+    "point_torque": (
+        lambda q, p, f: jaxik.dynamics.point_torque(PLANAR, q, jaxik.dynamics.PointForce(1, p, f)),
         lambda u: (2.0 * u[:2], u[2:5], u[5:8]),
     ),
     "manipulability": (lambda q: jaxik.kinematics.manipulability(PLANAR, q), ANGLES(2)),
@@ -101,14 +101,13 @@ FUNCTIONS = {
     "bias_torque": (lambda q, v: jaxik.dynamics.bias_torque(HEAVY, q, v), PAIR),
     "mass_matrix": (lambda q: jaxik.dynamics.mass_matrix(HEAVY, q), ANGLES(2)),
     "forward_dynamics": (lambda *u: jaxik.dynamics.forward_dynamics(HEAVY, *u), MOVED),
-    "kinetic_energy": (lambda q, v: jaxik.dynamics.kinetic_energy(HEAVY, q, v), PAIR),
-    "potential_energy": (lambda q, g: jaxik.dynamics.potential_energy(HEAVY, q, g), lambda u: (2.0 * u[:2], u[2:5])),
+    "energy": (lambda q, v, g: jaxik.dynamics.energy(HEAVY, q, v, gravity=g), lambda u: (2.0 * u[:2], u[2:4], u[4:7])),
     "regressor": (lambda *u: jaxik.dynamics.regressor(PLANAR.part(0, 1), *u), lambda u: (2.0 * u[:1], u[1:2], u[2:3])),
-    "friction_torque": (lambda *u: jaxik.dynamics.friction_torque(DRIVEN, *u, 0.3), PAIR),
-    "motor_current": (lambda *u: jaxik.dynamics.motor_current(DRIVEN, *u, 0.3), PAIR),
-    "torque_of_current": (lambda *u: jaxik.dynamics.torque_of_current(DRIVEN, *u, 0.3), PAIR),
-    "static_friction": (lambda t: jaxik.dynamics.static_friction(DRIVEN, t), ANGLES(2)),
-    "joint_torsion": (lambda t: jaxik.dynamics.joint_torsion(DRIVEN, t), ANGLES(2)),
+    "friction_torque": (lambda *u: jaxik.dynamics.friction_torque(DRIVEN, *u, width=0.3), PAIR),
+    "motor_current": (lambda *u: jaxik.dynamics.motor_current(DRIVEN, *u, width=0.3), PAIR),
+    "torque_of_current": (lambda *u: jaxik.dynamics.torque_of_current(DRIVEN, *u, width=0.3), PAIR),
+    "friction_band": (lambda t: jaxik.dynamics.friction_band(DRIVEN, t), ANGLES(2)),
+    "torsion": (lambda t: DRIVEN.torsion(t), ANGLES(2)),
     "pose errors": (_errors, lambda u: (2.0 * u[:4], jaxik.forward_kinematics.__wrapped__(ARM, 2.0 * u[4:8]))),
     "costs": (_costs, ANGLES(4)),
     "closed_form": (

@@ -144,9 +144,14 @@ def test_arguments_by_name():
         KERNEL(lengths=LENGTHS[0])
     shifted = spmd.kernel(lambda q, by=2.0, to=None, less=0.0: q * by - less if to is None else to)
     close(shifted(Q[0], less=1.0), 2.0 * jnp.asarray(Q[0]) - 1.0)
-    scaled = spmd.kernel(lambda q, *, by: q * by)
-    with pytest.raises(TypeError, match="go by name alone, as by;"):
-        scaled(Q[0], by=2.0)
+    scaled = spmd.kernel(lambda q, less=0.0, *, by=2.0, to=None: q * by - less if to is None else to)
+    close(scaled(Q[0]), 2.0 * jnp.asarray(Q[0]))
+    close(jax.jit(jax.vmap(lambda q, by: scaled(q, by=by, less=1.0)))(Q, LENGTHS[:, 0]), Q * LENGTHS[:, :1] - 1.0)
+    close(jax.jit(lambda q: scaled(q=q, to=q, by=3.0))(Q[0]), Q[0])
+    with pytest.raises(TypeError):
+        scaled(Q[0], 1.0, 2.0)
+    with pytest.raises(TypeError, match="unexpected keyword argument 'of'"):
+        scaled(Q[0], of=2.0)
 
 
 def test_shapes_and_ahead_of_time():

@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 import jaxik
-from jaxik.dynamics import Contact
+from jaxik.dynamics import PointForce
 from jaxik.reasons import Reason
 from jaxik.teleoperation import (
     DelayLine,
@@ -138,7 +138,7 @@ def test_tremor_is_smoothed():
 
 # --------------------------------------------------------------------------------------------------------------------
 
-TOUCHED = Contact(4, np.array([0.2, 0.1, 0.9]), np.array([3.0, -2.0, 5.0]))
+TOUCHED = PointForce(4, np.array([0.2, 0.1, 0.9]), np.array([3.0, -2.0, 5.0]))
 
 
 def columns(q, contact):
@@ -156,7 +156,7 @@ def test_power_is_reflected():
     expected = np.linalg.pinv(np.asarray(jaxik.jacobian(NINE, MID))).T @ external
     np.testing.assert_allclose(jax.jit(reflect, static_argnums=0)(NINE, MID, TOUCHED), expected[:3], atol=1e-6)
     tip = np.asarray(jaxik.forward_kinematics(NINE, MID))[:3, 3]
-    np.testing.assert_allclose(reflect(NINE, MID, Contact(9, tip, TOUCHED.force)), TOUCHED.force, atol=1e-9)
+    np.testing.assert_allclose(reflect(NINE, MID, PointForce(9, tip, TOUCHED.force)), TOUCHED.force, atol=1e-9)
 
 
 @pytest.mark.parametrize("tilt", [0.01, 1.5708, 1.56])
@@ -167,7 +167,7 @@ def test_what_an_arm_cannot_do_is_not_felt(tilt):
     q, force = np.array([0.3, 0.6, 0.4, -0.2]), turn[:3, :3] @ [4.0, -3.0, 0.0]
     tip = np.asarray(jaxik.forward_kinematics(arm, q))[:3, 3]
     across = turn[:3, 2]
-    np.testing.assert_allclose(reflect(arm, q, Contact(4, tip, force + 7.0 * across)), force, atol=1e-6)
+    np.testing.assert_allclose(reflect(arm, q, PointForce(4, tip, force + 7.0 * across)), force, atol=1e-6)
 
 
 def test_a_force_at_the_tip_is_felt_at_a_singular_wrist():
@@ -178,7 +178,7 @@ def test_a_force_at_the_tip_is_felt_at_a_singular_wrist():
         jac, tip = np.asarray(jaxik.jacobian(arm, q)), np.asarray(jaxik.forward_kinematics(arm, q))[:3, 3]
         assert np.linalg.svd(jac[:3])[1].min() > 0.2
         for force in 10.0 * np.eye(3):
-            np.testing.assert_allclose(reflected(q, Contact(6, tip, force)), force, atol=1e-3)
+            np.testing.assert_allclose(reflected(q, PointForce(6, tip, force)), force, atol=1e-3)
 
 
 def test_levers_and_magnitudes():
@@ -190,7 +190,7 @@ def test_levers_and_magnitudes():
     np.testing.assert_allclose(lever, expected, atol=1e-5)
     assert np.linalg.norm(size) == pytest.approx(np.linalg.norm(TOUCHED.force))
     np.testing.assert_allclose(np.cross(size, lever), 0.0, atol=1e-9)
-    two = Contact(*(np.stack([x, x]) for x in TOUCHED))
+    two = PointForce(*(np.stack([x, x]) for x in TOUCHED))
     for felt in ("power", "lever", "magnitude"):
         np.testing.assert_allclose(
             reflect(NINE, MID, two, felt), 2.0 * np.asarray(reflect(NINE, MID, TOUCHED, felt)), atol=1e-9
@@ -271,7 +271,7 @@ def test_an_arm_and_a_sensor_that_tell_no_number():
     """NaN of q, of a force, and a force without a point."""
     setup = teleoperation()
     step = jax.jit(setup.step)
-    well = Contact(2, np.array([1.0, 0.5, 0.0]), np.array([1.0, 0.0, 0.0]))
+    well = PointForce(2, np.array([1.0, 0.5, 0.0]), np.array([1.0, 0.0, 0.0]))
     broken = [
         (np.array([np.nan, 0.0]), well),
         (Q, well._replace(force=np.array([0.0, np.nan, 0.0]))),
@@ -332,7 +332,7 @@ def test_the_loop_makes_no_energy(channel):
     def run(delay, jitter, stiffness):
         def wall(q, rate):
             tip = jaxik.forward_kinematics(ARM, q)[:3, 3]
-            return Contact(2, tip, stiffness * jnp.maximum(start - 0.05 - tip[1], 0.0) * jnp.array([0.0, 1.0, 0.0]))
+            return PointForce(2, tip, stiffness * jnp.maximum(start - 0.05 - tip[1], 0.0) * jnp.array([0.0, 1.0, 0.0]))
 
         lines = [DelayLine(delay, jitter, longest=0.12, seed=seed) for seed in (0, 1)]
         setup = teleoperation(mapping=PositionControl(10.0, fastest=2.0), channel=channel, there=lines[0], back=lines[1])
@@ -363,7 +363,7 @@ def test_no_work_comes_out_at_the_hand(channel, smoothing):
     def step(carry, now):
         state, q = carry
         at = jaxik.forward_kinematics(FOUR, q)[:3, 3]
-        push = Contact(4, at, k * (tip - at))
+        push = PointForce(4, at, k * (tip - at))
         state, command = setup.step(state, q, Hand(now[0], jnp.zeros(3), now[1][None], now[2]), push)
         q = q + DT * command.rate
         stored = 0.5 * k * jnp.sum((jaxik.forward_kinematics(FOUR, q)[:3, 3] - tip) ** 2)
@@ -399,7 +399,7 @@ def test_a_loop_is_the_step():
     expected = setup.init(MID)
     for k in range(4):
         hand = Hand(np.array([0.01 * k, 0.0, 0.0]), np.array([0.0, 0.1, 0.0]), np.array([float(k == 2), 1.0]), 0.001)
-        contact = Contact(*(np.asarray(x)[None] for x in TOUCHED))
+        contact = PointForce(*(np.asarray(x)[None] for x in TOUCHED))
         state, command = loop.step(state, q, hand, contact)
         expected, same = step(expected, q, hand, contact)
         for mine, theirs in zip(*map(jax.tree_util.tree_leaves, ((state.tree, command), (expected, same))), strict=True):
@@ -422,7 +422,7 @@ def test_a_contact_is_of_a_joint_and_has_a_force(small):
     """One of no joint holds the arm; what has no force may be anywhere."""
     loop, state = small
     still, at, force = Hand(np.zeros(3)), np.array([0.1, 0.0, 0.0]), np.array([1.0, 0.0, 0.0])
-    reason = lambda *contact: int(loop.step(state, Q, still, Contact(*contact))[1].reason)
+    reason = lambda *contact: int(loop.step(state, Q, still, PointForce(*contact))[1].reason)
     assert reason(2, at, force) == Reason.SOLVED
     assert [reason(joint, at, force) for joint in (3, -1, 0.5, np.nan)] == [Reason.INVALID] * 4
     assert reason(np.nan, at * np.nan, 0.0 * force) == Reason.SOLVED
@@ -487,7 +487,7 @@ def test_one_sample_is_operated():
             r"age of the hands has the shape \(4,\)",
         ),
         (lambda: DelayLine(np.array([0.1, 0.2])), r"delay line: delay, jitter of shape \(2,\); allowed: one number"),
-        (lambda: reflect(NINE, MID, None), "contact is None; write a jaxik.dynamics.Contact"),
+        (lambda: reflect(NINE, MID, None), "contact is None; write a jaxik.dynamics.PointForce"),
         (lambda: reflect_cost(NINE, MID, lambda q: q), "the cost gives float64 of shape"),
         (lambda: Teleoperation(None), "robot is None; write a jaxik.Robot"),
         (lambda: teleoperation(dt=0.0), "dt is 0.0"),

@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 
 import jaxik
-from jaxik.dynamics import Contact, contact_jacobian, contact_torque, material_point
+from jaxik.dynamics import PointForce, material_point, point_jacobian, point_torque
 from jaxik.touch import locate_contact
 
 ARM = jaxik.load("crops_v2")
@@ -22,7 +22,7 @@ def located(joint, axis, torque):
 
 def torques(joint, axis):
     at = lambda q, share: material_point(ARM, q, joint, axis[0] + share * (axis[1] - axis[0]))
-    return np.asarray(jax.jit(jax.vmap(lambda q, s, f: contact_torque(ARM, q, Contact(joint, at(q, s), f))))(Q, SHARE, FORCE))
+    return np.asarray(jax.jit(jax.vmap(lambda q, s, f: point_torque(ARM, q, PointForce(joint, at(q, s), f))))(Q, SHARE, FORCE))
 
 
 def test_many_joints_tell_place_and_force():
@@ -50,7 +50,7 @@ def test_a_place_is_told_only_where_no_other_explains_the_torques(joint, axis, n
     noise, a place that is told is the place."""
     arm, rng, (begin, end) = jaxik.load("ur5e"), np.random.default_rng(3), np.array(axis)
     q, force, share = rng.uniform(-2.0, 2.0, (60, 6)), rng.normal(size=(60, 3)) * 5.0, rng.uniform(size=60)
-    rows = lambda q, s: contact_jacobian(arm, q, joint, material_point(arm, q, joint, begin + s * (end - begin)))
+    rows = lambda q, s: point_jacobian(arm, q, joint, material_point(arm, q, joint, begin + s * (end - begin)))
     true = np.einsum("bkn,bk->bn", np.asarray(jax.vmap(rows)(q, share)), force)
     torque = true + noise * rng.normal(size=true.shape)
     found = jax.jit(jax.vmap(lambda q, t: locate_contact(arm, q, t, joint, axis, noise=noise)))(q, torque)

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 import jaxik
-from jaxik.dynamics import Contact, material_point
+from jaxik.dynamics import PointForce, material_point
 from jaxik.estimation import Butterworth
 from jaxik.motions import Line, motion
 from jaxik.reasons import Reason
@@ -35,7 +35,7 @@ WALL = SpringContact(AT + 0.1 * NORMAL, NORMAL, 60.0)  # 6 N at the start
 BARE = dict(task=TASK, threshold=0.0, filter=None, limits=False, rate=1e6, dt=5e-4, gain=5.0)
 MET = Encounter(WALL, 2, ELBOW)
 ASKED = motion(PATH, 6.0, 0.0)
-FELT = Contact(2, AT, np.array([1.0, 0.0, 0.0]))
+FELT = PointForce(2, AT, np.array([1.0, 0.0, 0.0]))
 
 
 def simulated(reaction, steps, met=MET, sensor=None, duration=6.0):
@@ -107,7 +107,7 @@ def test_the_task_does_not_feel_a_reaction_in_the_null_space(scheme):
     @jax.jit
     @jax.vmap
     def rates(q):
-        contact = lambda force: Contact(2, material_point(ARM, q, 2, ELBOW), force)
+        contact = lambda force: PointForce(2, material_point(ARM, q, 2, ELBOW), force)
         felt = [contact(force) for force in (jnp.zeros(3), 8.0 * jnp.asarray(NORMAL))]
         rate = jnp.stack([reaction.step(reaction.init(q), q, jnp.zeros(4), motion, each)[1].rate for each in felt])
         return rate, rate @ jaxik.jacobian(ARM, q)[:2].T
@@ -120,7 +120,7 @@ def test_the_task_does_not_feel_a_reaction_in_the_null_space(scheme):
 def test_saturation_keeps_the_task():
     reaction = Reaction(ARM, "rmrc", task=TASK, filter=None, limits=False, scale=100.0, rate=0.5)
     point, motion = material_point(ARM, Q, 2, ELBOW), jaxik.motions.motion(PATH, 6.0, 0.0)
-    _, command = jax.jit(reaction.step)(reaction.init(Q), Q, jnp.zeros(4), motion, Contact(2, point, 8.0 * NORMAL))
+    _, command = jax.jit(reaction.step)(reaction.init(Q), Q, jnp.zeros(4), motion, PointForce(2, point, 8.0 * NORMAL))
     assert np.abs(command.rate).max() == pytest.approx(0.5)
     np.testing.assert_allclose(jaxik.jacobian(ARM, Q)[:2] @ command.rate, 0.0, atol=1e-10)
 
@@ -157,7 +157,7 @@ class Broken(TouchSensor):
         count = state.wait + 1.0
         within = lambda first: (count > first) & (count <= first + 100.0)
         force = jnp.where(within(300.0), jnp.nan, true.force)
-        return state._replace(wait=count), Contact(true.joint, jnp.where(within(400.0), jnp.nan, true.point), force)
+        return state._replace(wait=count), PointForce(true.joint, jnp.where(within(400.0), jnp.nan, true.point), force)
 
 
 def test_nothing_moves_on_numbers_that_are_none():
@@ -204,7 +204,7 @@ def test_a_loop_is_what_a_simulation_is(monkeypatch):
     for k in range(4):
         point = np.asarray(material_point(ARM, expected.q[k], 2, ELBOW))
         asked = motions._replace(**{name: np.asarray(x)[k] for name, x in motions._asdict().items()})
-        felt = Contact(2, point, np.asarray(WALL.force(point)))
+        felt = PointForce(2, point, np.asarray(WALL.force(point)))
         for wrong in ({"point": point * np.nan}, {"joint": 5}, {"joint": 1.5}):
             _, held = loop.step(state, expected.q[k], rate, asked, felt._replace(**wrong))
             assert held.reasons == "invalid"
@@ -226,7 +226,7 @@ def test_a_loop_is_what_a_simulation_is(monkeypatch):
         (lambda: Reaction(ARM, dt=0.1), "cutoff 10 Hz at dt 0.1 s; allowed"),
         (lambda: Reaction(ARM, limits="no"), "limits is no; allowed: True, False"),
         (lambda: Reaction(ARM).step(None, Q, Q, None, FELT), "motion is None; write what motions.motion gives"),
-        (lambda: Reaction(ARM).step(None, Q, Q, ASKED, None), "contact is None; write a jaxik.dynamics.Contact"),
+        (lambda: Reaction(ARM).step(None, Q, Q, ASKED, None), "contact is None; write a jaxik.dynamics.PointForce"),
         (lambda: Reaction(ARM, weights=(1.0, 2.0)), "weights has 2 numbers; pendulum4 has 4 joints"),
         (lambda: Reaction(ARM, contacts=0), "contacts is 0; allowed: a count"),
         (lambda: Reaction("arm.urdf"), "robot is arm.urdf; write a jaxik.Robot, e.g. jaxik.load"),

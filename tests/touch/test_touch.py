@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 import jaxik
-from jaxik.dynamics import Contact, contact_torque, material_point
+from jaxik.dynamics import PointForce, material_point, point_torque
 from jaxik.touch import Skin, SpringContact, TouchSensor, contact_cost
 
 ARM = jaxik.load("pendulum4")
@@ -49,13 +49,13 @@ def test_the_cost_of_a_contact_slopes_against_its_torque():
     point = np.asarray(material_point(ARM, Q, 3, local))
     wall = SpringContact(point + 0.03 * NORMAL, NORMAL, 60.0)
     slope = jax.grad(contact_cost(ARM, wall, 3, local))(Q)
-    np.testing.assert_allclose(slope, -contact_torque(ARM, Q, Contact(3, point, wall.force(point))), atol=1e-12)
+    np.testing.assert_allclose(slope, -point_torque(ARM, Q, PointForce(3, point, wall.force(point))), atol=1e-12)
 
 
 def shown(sensor, forces, noise=0.0):
     """What a sensor on link 2 shows of forces (t, 3) at one point."""
     point = material_point(ARM, Q, 2, np.array([0.0, 0.4, 0.0]))
-    step = lambda state, force: sensor.step(state, ARM, Q, Contact(2, point[None], force[None]), noise)
+    step = lambda state, force: sensor.step(state, ARM, Q, PointForce(2, point[None], force[None]), noise)
     return jax.tree_util.tree_map(lambda x: x[:, 0], jax.lax.scan(step, sensor.init(), jnp.asarray(forces))[1])
 
 
@@ -67,7 +67,7 @@ def test_a_sensor_has_a_threshold_a_saturation_and_a_clock():
     held = shown(TouchSensor(hold=4), size[:, None] * NORMAL)
     np.testing.assert_allclose(held.force @ NORMAL, expected[[0, 0, 0, 0, 4, 4, 4, 4, 8]], atol=1e-12)
     sensor, point = TouchSensor(hold=1), np.zeros(3)
-    _, lone = sensor.step(sensor.init(), ARM, Q, Contact(2, point, [1.0, 1.0, 1.0]))  # each entry is below the threshold
+    _, lone = sensor.step(sensor.init(), ARM, Q, PointForce(2, point, [1.0, 1.0, 1.0]))  # each entry is below the threshold
     np.testing.assert_allclose(lone.force, [[1.0, 1.0, 1.0]], atol=1e-12)
     off = shown(TouchSensor(hold=1, offset=0.5, noise=0.1), size[3:4, None] * NORMAL, noise=-2.0)
     np.testing.assert_allclose(off.force @ NORMAL, 1.7, atol=1e-12)
@@ -94,16 +94,14 @@ def test_a_skin_adds_up_its_cells():
     cells = np.asarray(skin.pressed(ARM, Q, wall))
     assert (cells >= 0.0).all() and 0 < (cells > 0.0).sum() < 5
     whole = skin.contact(ARM, Q, cells)
-    each = [Contact(3, material_point(ARM, Q, 3, p), f * normal) for p, f in zip(places, cells, strict=True)]
-    np.testing.assert_allclose(
-        contact_torque(ARM, Q, whole), sum(np.asarray(contact_torque(ARM, Q, x)) for x in each), atol=1e-12
-    )
+    each = [PointForce(3, material_point(ARM, Q, 3, p), f * normal) for p, f in zip(places, cells, strict=True)]
+    np.testing.assert_allclose(point_torque(ARM, Q, whole), sum(np.asarray(point_torque(ARM, Q, x)) for x in each), atol=1e-12)
     assert not np.any(skin.contact(ARM, Q, np.zeros(5)).force)
     pulled = skin.contact(ARM, Q, [1.0, -0.99, 0.0, 0.0, 0.0])  # of cells with offsets
     np.testing.assert_allclose(pulled.point, material_point(ARM, Q, 3, places[0]), atol=1e-12)
 
 
-LEANS = Contact(2, np.zeros(3), np.ones(3))
+LEANS = PointForce(2, np.zeros(3), np.ones(3))
 
 
 @pytest.mark.parametrize(
@@ -120,11 +118,11 @@ LEANS = Contact(2, np.zeros(3), np.ones(3))
         (lambda: TouchSensor(hold=0), "hold is 0; allowed: a count"),
         (lambda: TouchSensor(normal=(0.0, 0.0, 0.0)), "touch sensor: normal is no direction"),
         (
-            lambda: TouchSensor().step(TouchSensor().init(), ARM, Q, Contact(2, np.zeros((2, 3)), np.ones((2, 3)))),
+            lambda: TouchSensor().step(TouchSensor().init(), ARM, Q, PointForce(2, np.zeros((2, 3)), np.ones((2, 3)))),
             r"touch sensor: point has the shape \(2, 3\); allowed: \(1, 3\)",
         ),
         (
-            lambda: TouchSensor().step(TouchSensor().init(), ARM, Q, Contact(2, None, np.ones(3))),
+            lambda: TouchSensor().step(TouchSensor().init(), ARM, Q, PointForce(2, None, np.ones(3))),
             "touch sensor: point is None; write an array of numbers",
         ),
         (lambda: TouchSensor(point=(0.0, 0.0, np.nan)), "touch sensor: point: z is nan"),
@@ -132,7 +130,7 @@ LEANS = Contact(2, np.zeros(3), np.ones(3))
         (lambda: TouchSensor().step(TouchSensor().init(), ARM, Q[:2], LEANS), r"q has shape \(2,\)"),
         (lambda: TouchSensor().step(TouchSensor().init(), ARM, Q, LEANS._replace(joint=9)), "touch sensor: joint is 9; it is"),
         (lambda: TouchSensor().step(TouchSensor().init(), ARM, Q, LEANS._replace(joint=[1, 2])), r"joint has the shape \(2,\)"),
-        (lambda: TouchSensor().step(TouchSensor().init(), ARM, Q, None), "contact is None; write a jaxik.dynamics.Contact"),
+        (lambda: TouchSensor().step(TouchSensor().init(), ARM, Q, None), "contact is None; write a jaxik.dynamics.PointForce"),
         (lambda: SpringContact(np.zeros(3), NORMAL, 1.0).force(np.zeros(2)), r"the point that meets it has the shape \(2,\)"),
         (lambda: Skin(2, np.zeros((3, 3)), np.ones((3, 3))).contact(ARM, Q, np.zeros(2)), r"pressed has the shape \(2,\)"),
         (lambda: Skin(2, np.full((1, 3), np.nan), np.ones((1, 3))), "skin: points hold NaN"),

@@ -1,10 +1,10 @@
-"""Contacts anywhere on an arm: where a material point of a link is, how it moves, and what a force there does to the joints.
+"""Forces at points of a robot: where a material point of a link is, how it moves, and what a force there does to the joints.
 
     p = base_T_joint r,    pdot = J_p qdot,    J_p,i = z_i x (p - p_i)  or  z_i,  0 of joints beyond      (4.34)
-    tau = sum over contacts of J_p' F                                                        (4.36), (4.37)
+    tau = sum over the forces of J_p' F                                                      (4.36), (4.37)
 
-[Schuetz 2017, sec. 4.3.1]. Which link it is may be traced, so that contacts on any links are one `vmap`: the number of joints
-that move it, as `robot.link_joint` counts them, masks the columns.
+[Schuetz 2017, sec. 4.3.1]. The link may be traced, so that forces on any links are one `vmap`: the number of joints that move
+it, as `robot.link_joint` counts them, masks the columns.
 """
 
 from __future__ import annotations
@@ -24,9 +24,9 @@ from jaxik.spatial.algebra import BASE, Vec3, add, mul, stack, traced
 from jaxik.spmd import kernel
 
 
-class Contact(NamedTuple):
-    """A `force` (3,) [N] on the arm at a `point` (3,) [m], both in the base frame, of what moves with the first `joint` joints:
-    `robot.link_joint` of its link, 0 the base. Its normal is the force's direction. Several contacts have a leading axis."""
+class PointForce(NamedTuple):
+    """A `force` (3,) [N] on the robot at a `point` (3,) [m], both in the base frame, of the link that the first `joint` joints
+    move: `robot.link_joint` of that link, 0 for the base. Several forces have a leading axis."""
 
     joint: Any
     point: Any
@@ -34,7 +34,7 @@ class Contact(NamedTuple):
 
 
 def material_point(robot: Robot, q: Float[Array, " n"], joint: Any, point: Any) -> Float[jax.Array, "3"]:
-    """Where a `point` (3,) [m], given in the frame of joint number `joint` counted from 1, is in the base frame. Traced.
+    """Returns where a `point` (3,) [m] of the frame of joint number `joint`, counted from 1, is in the base frame [m]. Traced.
 
     `joint` may be traced; 0 is the base. Raises `ValueError` for one that the robot does not have, and for other shapes.
     """
@@ -52,74 +52,73 @@ def _material_point(robot: Robot, q: Any, joint: Any, point: Any) -> jax.Array:
     return stack(place, (3,), dtype)
 
 
-def contact_jacobian(robot: Robot, q: Float[Array, " n"], joint: Any, point: Any) -> Float[jax.Array, "3 n"]:
-    """How the material point that is at `point` (3,) [m, base] and moves with the first `joint` joints moves,
-    `pdot = J_p qdot`, in base axes [m/rad, 1]. Traced.
+def point_jacobian(robot: Robot, q: Float[Array, " n"], joint: Any, point: Any) -> Float[jax.Array, "3 n"]:
+    """Returns J_p (3, n) of `pdot = J_p qdot`, in base axes [m/rad, 1], for the material point now at `point` (3,) [m] in the
+    base frame, which moves with the first `joint` joints. Traced.
 
     `joint` may be traced. Raises `ValueError` for one that the robot does not have, and for other shapes. Source: Schuetz
     2017, (4.34).
     """
-    check_joint("contact_jacobian", robot, joint)
-    return _contact_jacobian(robot, q, joint, point)
+    check_joint("point_jacobian", robot, joint)
+    return _point_jacobian(robot, q, joint, point)
 
 
 @kernel(models=1)
-def _contact_jacobian(robot: Robot, q: Any, joint: Any, point: Any) -> jax.Array:
-    frames, joint, at, dtype = _placed("contact_jacobian", robot, q, joint, point)
+def _point_jacobian(robot: Robot, q: Any, joint: Any, point: Any) -> jax.Array:
+    frames, joint, at, dtype = _placed("point_jacobian", robot, q, joint, point)
     columns = _columns(robot, frames, joint, at)
     return stack([column[row] for row in range(3) for column in columns], (3, robot.num_joints), dtype)
 
 
-def contact_torque(robot: Robot, q: Float[Array, " n"], contacts: Contact) -> Float[jax.Array, " n"]:
-    """What one contact, or a stack of them, does to the joints: `sum of J_p' F` [Nm, N]. Traced.
+def point_torque(robot: Robot, q: Float[Array, " n"], force: PointForce) -> Float[jax.Array, " n"]:
+    """Returns the joint torques `sum of J_p' F` (n,) [Nm, N] of one force, or of a stack of them. Traced.
 
-    Raises `ValueError` as `contact_jacobian` does. Source: Schuetz 2017, (4.36), (4.37).
+    Raises `ValueError` as `point_jacobian` does. Source: Schuetz 2017, (4.36), (4.37).
     """
-    check_kind("contact_torque", "contact", contacts, Contact)
-    check_joint("contact_torque", robot, contacts.joint)
-    return _contact_torque(robot, q, contacts)
+    check_kind("point_torque", "force", force, PointForce)
+    check_joint("point_torque", robot, force.joint)
+    return _point_torque(robot, q, force)
 
 
 @kernel(models=1)
-def _contact_torque(robot: Robot, q: Any, contacts: Contact) -> jax.Array:
-    joints, points, forces = as_contacts("contact_torque", contacts)
+def _point_torque(robot: Robot, q: Any, force: PointForce) -> jax.Array:
+    joints, points, forces = as_point_forces("point_torque", force)
     q = as_configuration(robot, q)
     frames, torque = joint_frames(robot, traced(q), dtype=q.dtype), [0.0] * robot.num_joints
     for k in np.ndindex(joints.shape):
-        at, force = (Vec3(*traced(x[k].astype(q.dtype))) for x in (points, forces))
-        torque = [add(t, column.dot(force)) for t, column in zip(torque, _columns(robot, frames, joints[k], at), strict=True)]
+        at, pull = (Vec3(*traced(x[k].astype(q.dtype))) for x in (points, forces))
+        torque = [add(t, column.dot(pull)) for t, column in zip(torque, _columns(robot, frames, joints[k], at), strict=True)]
     return stack(torque, (robot.num_joints,), q.dtype)
 
 
-def as_contacts(who: str, contacts: Any, count: int | None = None) -> Contact:
-    """A contact, or a stack of them, in arrays: each `joint` of its own. With a `count` a stack of as many, which one contact
-    without a leading axis is, too. Traced. Raises `ValueError` for other shapes."""
-    check_kind(who, "contact", contacts, Contact)
-    given = zip(Contact._fields, contacts, strict=True)
-    joint, point, force = (as_numbers(f"{who}: {name}", x) for name, x in given)
+def as_point_forces(who: str, given: Any, count: int | None = None) -> PointForce:
+    """Returns a force, or a stack of them, as arrays, each with a `joint` of its own; with a `count`, a stack of so many, for
+    which one force needs no leading axis. Traced. Raises `ValueError` for other shapes."""
+    check_kind(who, "contact", given, PointForce)
+    joint, point, force = (as_numbers(f"{who}: {name}", x) for name, x in zip(PointForce._fields, given, strict=True))
     if count == 1 and force.ndim == 1:
         point, force = point[None], force[None]
     stack = force.shape[:-1] if count is None else (count,)
-    several = "(3,), or (k, 3) of k contacts" if count is None else f"({count}, 3)"
+    several = "(3,), or (k, 3) of k forces" if count is None else f"({count}, 3)"
     for name, x, allowed in (("point", point, f"{(*stack, 3)}"), ("force", force, several)):
         if x.shape != (*stack, 3) or len(stack) > 1:
             raise ValueError(f"{who}: {name} has the shape {x.shape}; allowed: {allowed}")
     if joint.shape not in ((), stack):
         raise ValueError(f"{who}: joint has the shape {joint.shape}; allowed: (), or {stack} as of the forces")
-    return Contact(jnp.broadcast_to(joint, stack), point, force)
+    return PointForce(jnp.broadcast_to(joint, stack), point, force)
 
 
-def trusted(robot: Robot, contacts: Contact) -> tuple[jax.Array, jax.Array]:
-    """Of each contact, in arrays, whether it has a force, and whether that can be: finite, at a finite point of a joint that
-    the robot has. Without a force it does not matter where it is. Traced."""
-    felt = jnp.any(contacts.force != 0.0, axis=-1)  # NaN is felt
-    finite = jnp.all(jnp.isfinite(contacts.force) & jnp.isfinite(contacts.point), axis=-1)
-    joint = contacts.joint
+def trusted(robot: Robot, forces: PointForce) -> tuple[jax.Array, jax.Array]:
+    """Returns for each force whether it is not 0, and whether it can be: finite, at a finite point of a joint that the robot
+    has. A force of 0 may be anywhere. Traced."""
+    felt = jnp.any(forces.force != 0.0, axis=-1)  # NaN is felt
+    finite = jnp.all(jnp.isfinite(forces.force) & jnp.isfinite(forces.point), axis=-1)
+    joint = forces.joint
     return felt, ~felt | finite & (joint >= 0) & (joint <= robot.num_joints) & (joint == jnp.floor(joint))
 
 
 def _columns(robot: Robot, frames: JointFrames, joint: Any, at: Vec3) -> list[Vec3]:
-    """Of the Jacobian of the point `at`."""
+    """The columns of the Jacobian of the point `at`."""
     columns = []
     for i, (prismatic, frame, axis) in enumerate(zip(robot.is_prismatic, frames.joints, frames.axes, strict=True)):
         column = axis if prismatic else axis.cross(at - frame.translation)
