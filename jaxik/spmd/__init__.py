@@ -10,14 +10,14 @@ It knows no robot. In the order in which a function passes through: `trace` (to 
 is needed and what varies by `liveness`, names by `values`, instructions by `arithmetic`, loads and stores by `memory` and by
 `rows`, all written as `text`), `handler` (what XLA calls) and `threads`, `machine` (machine code), `call` (kept in memory and
 on disk), `primitive` (batches, derivatives where there is `linearity`, lowering). `host` calls a kernel on NumPy arrays;
-`explain` says what was made of a function. `docs/kernels.md` tells it from the beginning.
+`describe` says what was made of a function. `docs/kernels.md` tells it from the beginning.
 """
 
 from jaxik.spmd import jax_version as jax_version  # first: it may refuse
-from jaxik.spmd import rules
+from jaxik.spmd import rules as rules  # which register themselves
 from jaxik.spmd.decorator import kernel
-from jaxik.spmd.explanation import Explanation, explain
 from jaxik.spmd.host import HostKernel
+from jaxik.spmd.report import KernelReport, describe
 from jaxik.spmd.scalarise import Unsupported
 
-__all__ = ["Explanation", "HostKernel", "Unsupported", "explain", "kernel", "rules"]
+__all__ = ["HostKernel", "KernelReport", "Unsupported", "describe", "kernel"]

@@ -381,7 +381,7 @@ def test_without_llvmlite(monkeypatch):
     with pytest.warns(UserWarning, match="everything runs by XLA: a kernel cannot do without llvmlite") as told:
         close((one(Q), jax.vmap(other)(Q)), (2.0 * Q - 17.0, 3.0 * Q - 17.0))
     assert len(told) == 1
-    assert spmd.explain(lambda q: q - 17.0, Q[0]).refused == "without llvmlite (pip install llvmlite)"
+    assert spmd.describe(lambda q: q - 17.0, Q[0]).refused == "without llvmlite (pip install llvmlite)"
 
 
 EFFECTS = {

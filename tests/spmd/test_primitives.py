@@ -148,7 +148,7 @@ def test_conversions(to, dtype):
 
 def test_conversions_are_of_whole_vectors():
     """LLVM's own saturating conversion of 16 lanes is 16 scalar ones, 500 bytes, and takes `exp` to a quarter of its speed."""
-    size = lambda f: spmd.explain(f, np.ones(8, np.float32)).bytes
+    size = lambda f: spmd.describe(f, np.ones(8, np.float32)).bytes
     assert size(lambda x: x.astype(jnp.int32)) < size(lambda x: lax.bitcast_convert_type(x, jnp.int32)) + 8 * 200
 
 

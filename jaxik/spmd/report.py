@@ -18,7 +18,7 @@ from jaxik.spmd.trace import trace
 
 
 @dataclasses.dataclass(frozen=True)
-class Explanation:
+class KernelReport:
     """A report of what a function became; `print` shows it in one line.
 
     `operations` of one vector of lanes by kind, those of a loop counted once and those of all sides of a branch; `loops`, with
@@ -53,7 +53,7 @@ def _many(count: int, what: str, ending: str = "s") -> str:
     return f"{count} {what}{'' if count == 1 else ending}"
 
 
-def explain(function: Callable[..., Any], *args: Any) -> Explanation:
+def describe(function: Callable[..., Any], *args: Any) -> KernelReport:
     """Reports what a kernel of `function` is, or why there is none. Host.
 
     `args` are like those of one configuration, pytrees of arrays or numbers: only shapes and types count, in the width that
@@ -61,7 +61,7 @@ def explain(function: Callable[..., Any], *args: Any) -> Explanation:
     entries count as tables that all lanes share, and a kernel's models fold. Compiles, and runs nothing. Raises what the
     function itself raises.
 
-        print(spmd.explain(lambda q: jnp.sum(q**2), jnp.zeros(7)))
+        print(spmd.describe(lambda q: jnp.sum(q**2), jnp.zeros(7)))
     """
     models = args[: getattr(function, "models", 0)]
     leaves, tree = jax.tree_util.tree_flatten(args[len(models) :])
@@ -77,13 +77,13 @@ def explain(function: Callable[..., Any], *args: Any) -> Explanation:
         shared = tuple(int(np.prod(a.shape)) > 64 for a in traced.inputs)
         plan = call.plan(traced, shared, "explained")
     except Unsupported as error:
-        return Explanation(name, {}, (), 0, 0, 0, 0, 0, str(error))
+        return KernelReport(name, {}, (), 0, 0, 0, 0, 0, str(error))
     operations: collections.Counter[str] = collections.Counter()
     loops: list[int] = []
     branches = _count(plan, plan.program.top.body, operations, loops)
     spills, stack = _stack(plan.text)
     size = len(machine.compiled(plan.text, len(plan.needed) > call.QUICK))
-    return Explanation(name, dict(operations), tuple(loops), branches, plan.width, spills, stack, size)
+    return KernelReport(name, dict(operations), tuple(loops), branches, plan.width, spills, stack, size)
 
 
 def _stack(text: str) -> tuple[int, int]:
