@@ -123,7 +123,7 @@ def six_joints() -> dict[str, Any]:
     robot, around = dataclasses.replace(whole, lower=hold(whole.lower), upper=hold(whole.upper)), scene.without(row.fruit)
     rng = np.random.default_rng(0)
     draws = (rng.uniform(robot.lower, robot.upper) for _ in range(1000))
-    start = next(q for q in draws if not jaxik.collides(robot, around, q, 0.03))
+    start = next(q for q in draws if not jaxik.collides(robot, around, q, margin=0.03))
     result: dict[str, Any] = {"fruit": row.fruit, "degrees": SIX["degrees"]}
     step = np.concatenate([[1.0], np.full(6, np.radians(SIX["degrees"]))])
     for direction in ("forward", "backward", "both"):

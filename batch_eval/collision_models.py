@@ -170,13 +170,13 @@ def measure(name: str, fit: jaxik.Fit, exact: bool, count: int, truth: dict[str,
         found = {pair: meshes.touch(*pair) for pair in pairs}
         truth[name] = np.any([hit for hit in found.values() if hit[1:].mean() < MOSTLY], axis=0), len(pairs), meshes
     hit, judged, meshes = truth[name]
-    own = jax.jit(jax.vmap(lambda q: jaxik.collision.self_clearance(robot, q)))
+    own = jax.jit(jax.vmap(lambda q: jaxik.clearance(robot, None, q)))
     first, _ = timed(lambda: own(jnp.asarray(q, jnp.float32)))
     each = min(timed(lambda: own(jnp.asarray(q, jnp.float32)))[0] for _ in range(5))
     asked = jax.jit(jax.vmap(lambda q: jaxik.collides(robot, None, q)))
     timed(lambda: asked(jnp.asarray(q, jnp.float32)))
     soon = min(timed(lambda: asked(jnp.asarray(q, jnp.float32)))[0] for _ in range(5))
-    model = np.asarray(jax.jit(jax.vmap(lambda q: jaxik.collision.self_clearance(robot, q)))(jnp.asarray(q)))
+    model = np.asarray(jax.jit(jax.vmap(lambda q: jaxik.clearance(robot, None, q)))(jnp.asarray(q)))
     protrusion = [row.protrusion for row in told.links]
     left = [u for u in robot.unchecked if u.reason == "touches"]
     return {

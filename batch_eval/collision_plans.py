@@ -68,7 +68,7 @@ def measure(name: str, plans: int) -> dict[str, Any]:
     row: dict[str, Any] = {"robot": name, "keep 5 mm": float(np.mean(keeps(some, checked, MARGIN)))}
     free = q[~hit]
     for kind, each in robots.items():
-        asked = jax.jit(jax.vmap(lambda q, robot=each: jaxik.collides(robot, None, q, MARGIN)))
+        asked = jax.jit(jax.vmap(lambda q, robot=each: jaxik.collides(robot, None, q, margin=MARGIN)))
         row[f"{kind} keep 5 mm"] = float(1.0 - np.mean(np.asarray(asked(jnp.asarray(q[:SHARE])))))
         moves = [jaxik.plan_motion(each, None, free[2 * k], free[2 * k + 1], seed=k) for k in range(plans)]
         found = [move.trajectory for move in moves if move.trajectory is not None]

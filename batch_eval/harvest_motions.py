@@ -80,7 +80,7 @@ def checked(plan: HarvestPlan, step: float = 1e-3) -> dict[str, float]:
 
     What is nearer than the margin to a fruit where it hangs does not count for it until the end of its retreat."""
     robot, scene = plan.robot, plan.scene
-    one = lambda q: (*jaxik.collision.link_spheres(robot, q), robot.world_T_base @ jaxik.forward_kinematics(robot, q))
+    one = lambda q: (*jaxik.collision.robot_spheres(robot, q), robot.world_T_base @ jaxik.forward_kinematics(robot, q))
     each = jax.jit(jax.vmap(one))
     links = np.repeat(sorted(box.link for box in robot.boxes), robot.spheres_per_box)
     pairs = np.array([[(a, b) in robot.self_pairs for b in links] for a in links])

@@ -147,7 +147,7 @@ def motions(robot: jaxik.Robot, count: int) -> dict[str, int]:
         around, judge, rng = scene(triangles), Judge(robot, triangles), np.random.default_rng(seed)
         start = rng.uniform(robot.lower, robot.upper, (MOTIONS, robot.num_joints))
         end = start + rng.uniform(0.0, 0.3, (MOTIONS, 1)) * (rng.uniform(robot.lower, robot.upper, start.shape) - start)
-        collide = jax.vmap(lambda a, b, s=around: jaxik.collision.motion_collides(robot, s, a, b))
+        collide = jax.vmap(lambda a, b, s=around: ~jaxik.motion_clearance(robot, s, a, b, enough=0.0).free)
         free = ~np.asarray(collide(start.astype(np.float32), end.astype(np.float32)))
         found["motions"] += MOTIONS
         found["free"] += int(free.sum())

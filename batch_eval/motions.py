@@ -122,8 +122,9 @@ def dense(robot: jaxik.Robot, scene: jaxik.Scene | None, samples: int = SAMPLES)
 def judged(robot: jaxik.Robot, scene: jaxik.Scene | None, q_from: np.ndarray, q_to: np.ndarray, samples: int) -> dict[str, Any]:
     """Counts of what must not be, and the bound's slack."""
     margin = np.resize(np.float32(MARGINS), len(q_from))
-    bound = jax.jit(jax.vmap(lambda a, b, m: jaxik.motion_clearance(robot, scene, a, b, m, RESOLUTION)))
-    hits = jax.jit(jax.vmap(lambda a, b, m: jaxik.collision.motion_collides(robot, scene, a, b, m, RESOLUTION)))
+    asked = lambda a, b, m, **enough: jaxik.motion_clearance(robot, scene, a, b, margin=m, resolution=RESOLUTION, **enough)
+    bound = jax.jit(jax.vmap(asked))
+    hits = jax.jit(jax.vmap(lambda a, b, m: ~asked(a, b, m, enough=m).free))
     truth = dense(robot, scene, samples)
 
     def timed(f: Any) -> tuple[Any, float]:
@@ -151,7 +152,7 @@ def judged(robot: jaxik.Robot, scene: jaxik.Scene | None, q_from: np.ndarray, q_
         "slack_mm": {k: 1e3 * float(v) for k, v in zip(("mean", "95 %", "most"), _spread(slack[free]), strict=True)},
         "evaluations": {k: float(v) for k, v in zip(("mean", "95 %", "most"), _spread(found.evaluations[free]), strict=True)},
         "motion_clearance_us": bound_us,
-        "motion_collides_us": collides_us,
+        "enough_us": collides_us,
     }
 
 

@@ -71,7 +71,7 @@ def obstacles(name: str, robot: jaxik.Robot) -> jaxik.Scene:
 
 def configurations(robot: jaxik.Robot, scene: jaxik.Scene, count: int) -> dict[str, np.ndarray]:
     """Up to `count` configurations of goals of each kind, (m, n)."""
-    measure = jax.jit(jax.vmap(lambda q: (jaxik.clearance(robot, scene, q), jaxik.collision.self_clearance(robot, q))))
+    measure = jax.jit(jax.vmap(lambda q: (jaxik.clearance(robot, scene, q), jaxik.clearance(robot, None, q))))
     rng, limits = np.random.default_rng(15), jaxik.kinematics.finite_limits(robot)
     kept: dict[str, list[np.ndarray]] = {"scene": [], "self": [], "easy": []}
     for _ in range(20):

@@ -73,7 +73,7 @@ def real_time(seconds: float) -> dict[str, Any]:
 
 def character(robot: jaxik.Robot, q: np.ndarray, qdot: np.ndarray) -> dict[str, float]:
     """Speeds of the revolute joints, the least clearance, what the posture costs, and whether limits are kept."""
-    clearance = jax.jit(jax.vmap(lambda q: jaxik.collision.self_clearance(robot, q)))
+    clearance = jax.jit(jax.vmap(lambda q: jaxik.clearance(robot, None, q)))
     speed = np.sum(qdot[:, 1:] ** 2, axis=1)
     beyond = np.maximum(q - robot.upper, robot.lower - q)
     return {

@@ -165,7 +165,7 @@ def statistics(result: dict[str, Any]) -> Any:
 def speeds(motions: Sequence[Shown]) -> Any:
     """Fig. 5.11: squared velocities of the revolute joints; and how far the arm stays from itself."""
     robot = case.arm()
-    apart = jax.jit(jax.vmap(lambda q: jaxik.collision.self_clearance(robot, q)))
+    apart = jax.jit(jax.vmap(lambda q: jaxik.clearance(robot, None, q)))
     figure, axes = plt.subplots(2, 1, figsize=(8, 6), sharex=True, layout="constrained")
     for motion in motions:
         axes[0].plot(motion.time, motion.speed, color=motion.colour, lw=2, label=motion.name)

@@ -35,7 +35,7 @@ def arm() -> jaxik.Robot:
     robot = jaxik.load("crops_v2")
     q = np.random.default_rng(0).uniform(robot.lower, robot.upper, (300, robot.num_joints))
     only = lambda pair: dataclasses.replace(robot, self_pairs=(pair,))
-    apart = lambda pair: float(jnp.max(jax.vmap(lambda q: jaxik.collision.self_clearance(only(pair), q))(q)))
+    apart = lambda pair: float(jnp.max(jax.vmap(lambda q: jaxik.clearance(only(pair), None, q))(q)))
     return dataclasses.replace(robot, self_pairs=tuple(pair for pair in robot.self_pairs if apart(pair) > NEAR))
 
 

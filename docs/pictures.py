@@ -132,14 +132,14 @@ def collision() -> None:
     robot, scene = jaxik.load("p6r"), jaxik.load_scene("cucumber_row")
     q = jnp.array([0.3, 0.2, -0.5, -0.4, 0.3, 0.5, 0.1]).at[1].add(0.25)
     figure, axes = plt.subplots(1, 2, figsize=(10, 4.2), width_ratios=(1, 1.25))
-    centres, radii = (np.asarray(x) for x in jaxik.collision.link_spheres(robot, q))
+    centres, radii = (np.asarray(x) for x in jaxik.collision.robot_spheres(robot, q))
     for centre, radius in zip(centres, radii, strict=True):
         axes[0].add_patch(plt.Circle(centre[[0, 2]], radius, color=BLUE, alpha=0.15, lw=0))
     points = np.asarray(scene.points.center)
     axes[0].scatter(points[:, 0], points[:, 2], s=5, color=GREEN, label="leaves: points")
     for a, b in zip(np.asarray(scene.capsules.a), np.asarray(scene.capsules.b), strict=True):
         axes[0].plot([a[0], b[0]], [a[2], b[2]], color=GREY, lw=2, alpha=0.6)
-    nearest = jaxik.explain(robot, scene, q, 1).contacts[0]
+    nearest = jaxik.explain(robot, scene, q, count=1).contacts[0]
     pair = np.array([nearest.point, nearest.other_point])
     axes[0].plot(pair[:, 0], pair[:, 2], "-o", color=RED, ms=4, lw=2, label=f"nearest pair: {1e3 * nearest.distance:.0f} mm")
     axes[0].set(xlim=(-0.25, 0.95), ylim=(-0.05, 1.1), aspect="equal", xlabel="x [m]", ylabel="z [m]")

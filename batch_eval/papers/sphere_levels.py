@@ -41,7 +41,7 @@ def _descend(robot: jaxik.Robot, scene: jaxik.Scene, q: Any, detect: bool) -> tu
         if per_box > 1:  # each sphere becomes its eight children
             pairs = np.stack([(pairs[:, :1] * 8 + np.arange(8)).ravel(), np.repeat(pairs[:, 1], 8)], axis=1)
         with jax.enable_x64(True):
-            spheres = jaxik.collision.link_spheres(robot.with_spheres(per_box), np.asarray(q, np.float64))
+            spheres = jaxik.collision.robot_spheres(robot.with_spheres(per_box), np.asarray(q, np.float64))
         centres, size = map(np.asarray, spheres)
         apart = np.linalg.norm(centres[pairs[:, 0]] - obstacles[pairs[:, 1]], axis=1) - radii[pairs[:, 1]]
         gap = apart - size[pairs[:, 0]]

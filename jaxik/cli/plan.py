@@ -82,5 +82,5 @@ class PlanArguments(ShapedRobotArguments):
         """The joint that is beyond its limits most, or the pair that collides, at the start or the goal."""
         if moved.reason not in (Reason.LIMITS, Reason.COLLISION):
             return ""
-        near = jaxik.explain(robot, scene, np.array(self.start if moved.where == "start" else self.goal), 1)
+        near = jaxik.explain(robot, scene, np.array(self.start if moved.where == "start" else self.goal), count=1)
         return f"; {(near.limits if moved.reason == Reason.LIMITS else near.contacts)[0]}"

@@ -1,18 +1,20 @@
 """A scene, and how far a robot is from it and from itself."""
 
 from jaxik.collision.attached import Attached, attach
-from jaxik.collision.clearances import clearance, collides, object_clearances, self_clearance
-from jaxik.collision.contact_report import explain
-from jaxik.collision.continuous_collision import MotionClearance, motion_clearance, motion_collides
+from jaxik.collision.clearances import clearance, collides, object_clearances
+from jaxik.collision.contact_report import Contact, Limit, Nearby, explain
+from jaxik.collision.continuous_collision import MotionClearance, motion_clearance
 from jaxik.collision.scene import Fruit, Scene
 from jaxik.collision.scene_builder import SceneBuilder, make_scene
-from jaxik.collision.surfaces import polygon_triangles
-from jaxik.collision.volumes import link_circles, link_spheres
+from jaxik.collision.volumes import link_circles, robot_spheres
 
 __all__ = [
     "Attached",
+    "Contact",
     "Fruit",
+    "Limit",
     "MotionClearance",
+    "Nearby",
     "Scene",
     "SceneBuilder",
     "attach",
@@ -20,11 +22,8 @@ __all__ = [
     "collides",
     "explain",
     "link_circles",
-    "link_spheres",
     "make_scene",
     "motion_clearance",
-    "motion_collides",
     "object_clearances",
-    "polygon_triangles",
-    "self_clearance",
+    "robot_spheres",
 ]

@@ -61,7 +61,7 @@ def standing(robot: Robot, scene: Scene, margin: float) -> tuple[Contact, ...]:
         return ()
     pairs = tuple(pair for pair in robot.self_pairs if not any(robot.link_joint[link] for link in pair))
     fixed = dataclasses.replace(robot, boxes=boxes, volumes=volumes, self_pairs=pairs, pair_tables=())
-    return explain(fixed, scene, default_pose(robot), sys.maxsize, below=margin).contacts
+    return explain(fixed, scene, default_pose(robot), count=sys.maxsize, below=margin).contacts
 
 
 def _misspelt(robot: Robot, scene: Scene) -> list[str]:

@@ -28,7 +28,7 @@ class Attached(NamedTuple):
     scene: Scene
 
 
-def attach(robot: Robot, scene: Scene, name: str, q: Float[Array, " n"], touches: Iterable[str] = ()) -> Attached:
+def attach(robot: Robot, scene: Scene, name: str, q: Float[Array, " n"], *, touches: Iterable[str] = ()) -> Attached:
     """The object `name`, as it lies when the robot is at `q` (n,) [rad, m], made a link of that name which moves with the last
     joint; and the scene without it (`Scene.without`: its name stays in `object_names`). Host.
 

@@ -53,12 +53,7 @@ def link_clearances(robot: Robot, scene: Scene | Grouped | None, q: Float[Array,
     return _link_clearances(robot, _around("link_clearances", robot, scene, q), q)
 
 
-def self_clearance(robot: Robot, q: Float[Array, " n"]) -> Float[jax.Array, ""]:
-    """The smallest signed distance of the robot to itself, over `robot.self_pairs` [m]. Traced."""
-    return _clearance(robot, _around("self_clearance", robot, None, q), q)
-
-
-def collides(robot: Robot, scene: Scene | Grouped | None, q: Float[Array, " n"], margin: Any = 0.0) -> Bool[jax.Array, ""]:
+def collides(robot: Robot, scene: Scene | Grouped | None, q: Float[Array, " n"], *, margin: Any = 0.0) -> Bool[jax.Array, ""]:
     """Whether the robot comes nearer than `margin` [m] to the scene or to itself: `clearance < margin`, or NaN. What
     decides where volumes are near does so at any margin, also above the 10 or 25 mm at which `clearance` ends. Traced.
 

@@ -67,7 +67,7 @@ class Limit:
 
 
 @dataclasses.dataclass(frozen=True)
-class Surroundings:
+class Nearby:
     """The nearest pairs and the nearest limits, nearest first; and those whose volumes overlap here of the pairs that are not
     checked: of links, but for neighbours, and of links and objects that these ignore."""
 
@@ -84,7 +84,7 @@ class Surroundings:
         return "\n".join(map(str, (*self.contacts, *(f"not checked: {c}" for c in self.unchecked), *self.limits)))
 
 
-def explain(robot: Robot, scene: Scene | None, q: Float[Array, " n"], count: int = 5, below: float = np.inf) -> Surroundings:
+def explain(robot: Robot, scene: Scene | None, q: Float[Array, " n"], *, count: int = 5, below: float = np.inf) -> Nearby:
     """What is nearest to the robot at `q` (n,) [rad, m]: the `count` nearest pairs of a link with an object of the scene or
     with another link, those nearer than `below` [m], and the `count` joints nearest to a limit; and which links overlap that
     are not checked against each other (`robot.unchecked`), but for neighbours, or objects that they ignore. Host.
@@ -116,7 +116,7 @@ def explain(robot: Robot, scene: Scene | None, q: Float[Array, " n"], count: int
         beside = [*_with_itself(robot, volumes, _left_out(robot)), *_with_scene(robot, scene, volumes, ignored=True)]
         overlapping = _overlapping(robot, posture, beside)[:count]
         unchecked = tuple(_contact(robot, scene, beside[number], apart, *row) for apart, number, *row in overlapping)
-    return Surroundings(contacts, _limits(robot, posture)[:count], unchecked)
+    return Nearby(contacts, _limits(robot, posture)[:count], unchecked)
 
 
 def _overlapping(robot: Robot, q: np.ndarray, pairs: list[_Pairs]) -> list[tuple[float, int, int, int]]:

@@ -1,7 +1,7 @@
 """How near a robot comes to the scene and to itself on the whole straight way between two configurations.
 
 Samples alone miss what is thinner than their steps. Here each measured configuration says for how long the motion stays clear
-around it, by conservative advancement [Mirtich 1996; Schwarzer, Saha, Latombe 2005]. With `q(t) = q_from + t dq`, a link whose
+around it, by conservative advancement [Mirtich 1996; Schwarzer, Saha, Latombe 2005]. With `q(t) = start + t dq`, a link whose
 points move at a speed of at most v at t, and are accelerated by at most a anywhere, has moved at t + s by no more than
 
     min(v s + a s^2 / 2, V s),     V = sum_j |dq_j| r_j,     a = sum_j |dq_j| r_j (|dq_j| + 2 sum_{i<j} |dq_i|)
@@ -67,13 +67,14 @@ class MotionClearance(NamedTuple):
 def motion_clearance(
     robot: Robot,
     scene: Scene | None,
-    q_from: Float[Array, " n"],
-    q_to: Float[Array, " n"],
+    start: Float[Array, " n"],
+    goal: Float[Array, " n"],
+    *,
     margin: Any = 0.0,
     resolution: Any = 1e-3,
     enough: Any = np.inf,
 ) -> MotionClearance:
-    """A bound from below of the clearance [m] on the whole motion `q_from + t (q_to - q_from)`, 0 <= t <= 1, not at samples.
+    """A bound from below of the clearance [m] on the whole motion `start + t (goal - start)`, 0 <= t <= 1, not at samples.
     Traced.
 
     Traced: `jit` and `vmap` it; one kernel on a CPU. With `D(t)` the `clearance` of a configuration, told as far as the margin
@@ -95,31 +96,26 @@ def motion_clearance(
     Raises `ValueError` as `clearance` does, and for a resolution that is not above zero. Source: Schwarzer, Saha, Latombe,
     Adaptive dynamic collision checking for single and multiple articulated robots in complex environments, 2005.
     """
-    return _march("motion_clearance", False, robot, scene, q_from, q_to, margin, resolution, enough)
+    who = "motion_clearance"
+    check_kind(who, "robot", robot, Robot)
+    check_kind(who, "scene", scene, Scene, optional=True)
+    check_geometry(robot)
+    start, goal = as_configuration(robot, start), as_configuration(robot, goal)
+    numbers = {"margin": margin, "resolution": resolution, "enough": enough}
+    margin, resolution, enough = (as_shaped(f"{who}: {name}", value, ()) for name, value in numbers.items())
+    if not isinstance(resolution, jax.core.Tracer):
+        check_finite(who, resolution=float(resolution))
+        if not resolution > 0.0:
+            raise ValueError(f"{who}: resolution is {float(resolution):g}; it is above zero [m]")
+    dtype = jnp.result_type(start, goal)  # of all, so that one kernel serves every caller
+    each = (jnp.asarray(x, dtype) for x in (start, goal, margin, resolution, enough, size_of(scene)))
+    return _marched(robot, False, as_wide(grouped(scene, robot), start) or None, *each)
 
 
-def motion_collides(
-    robot: Robot,
-    scene: Scene | None,
-    q_from: Float[Array, " n"],
-    q_to: Float[Array, " n"],
-    margin: Any = 0.0,
-    resolution: Any = 1e-3,
-) -> Bool[Array, ""]:
-    """Whether the motion `q_from + t (q_to - q_from)` is not proven to keep `margin` [m]: `motion_clearance(..).free`, denied,
-    and known sooner. Traced.
-
-    Never false where it comes to `margin`; never true where it keeps more than `margin + resolution`, but for rounding and
-    `MOST`; true for NaN.
-    """
-    return ~_march("motion_collides", True, robot, scene, q_from, q_to, margin, resolution, margin).free
-
-
-def motion_collides_within(
-    robot: Robot, q_from: Any, q_to: Any, margin: Any, resolution: Any, size: Any, obstacles: Any
-) -> Any:
-    """`motion_collides` of obstacles that are grouped, whose scene is of such a `size_of`; nothing is checked. Traced."""
-    return ~_marched(robot, True, obstacles or None, q_from, q_to, margin, resolution, margin, size).free
+def motion_collides(robot: Robot, start: Any, goal: Any, margin: Any, resolution: Any, size: Any, obstacles: Any) -> Any:
+    """Whether a motion is not proven to keep the margin: `~motion_clearance(.., enough=margin).free`, known sooner, since any
+    sample that touches ends it. The obstacles are grouped, their scene is of such a `size_of`; nothing is checked. Traced."""
+    return ~_marched(robot, True, obstacles or None, start, goal, margin, resolution, margin, size).free
 
 
 @functools.lru_cache(maxsize=64)
@@ -131,27 +127,10 @@ def joint_reaches(robot: Robot) -> np.ndarray:
     return np.array([float(np.max(speeds(list(one)))) for one in np.eye(robot.num_joints)])
 
 
-def _march(who: str, first: bool, robot: Any, scene: Any, q_from: Any, q_to: Any, *numbers: Any) -> MotionClearance:
-    check_kind(who, "robot", robot, Robot)
-    check_kind(who, "scene", scene, Scene, optional=True)
-    check_geometry(robot)
-    q_from, q_to = as_configuration(robot, q_from), as_configuration(robot, q_to)
-    margin, resolution, enough = (
-        as_shaped(f"{who}: {name}", value, ()) for name, value in zip(("margin", "resolution", "enough"), numbers, strict=True)
-    )
-    if not isinstance(resolution, jax.core.Tracer):
-        check_finite(who, resolution=float(resolution))
-        if not resolution > 0.0:
-            raise ValueError(f"{who}: resolution is {float(resolution):g}; it is above zero [m]")
-    dtype = jnp.result_type(q_from, q_to)  # of all, so that one kernel serves every caller
-    each = (jnp.asarray(x, dtype) for x in (q_from, q_to, margin, resolution, enough, size_of(scene)))
-    return _marched(robot, first, as_wide(grouped(scene, robot), q_from) or None, *each)
-
-
 @kernel(models=2)
-def _marched(robot: Robot, first: bool, scene: Any, q_from: Any, q_to: Any, *numbers: Any) -> MotionClearance:
-    found = _advanced(first, *map(stop_gradients, (robot, scene, q_from, q_to, *numbers)))
-    nearest = q_from + found.nearest * (q_to - q_from)
+def _marched(robot: Robot, first: bool, scene: Any, start: Any, goal: Any, *numbers: Any) -> MotionClearance:
+    found = _advanced(first, *map(stop_gradients, (robot, scene, start, goal, *numbers)))
+    nearest = start + found.nearest * (goal - start)
     return found._replace(clearance=_sloped(found.clearance, clearance(robot, scene, nearest)))
 
 
@@ -200,21 +179,21 @@ class _State(NamedTuple):
 
 
 def _advanced(
-    first: bool, robot: Robot, scene: Any, q_from: Any, q_to: Any, margin: Any, resolution: Any, enough: Any, extent: Any
+    first: bool, robot: Robot, scene: Any, start: Any, goal: Any, margin: Any, resolution: Any, enough: Any, extent: Any
 ) -> MotionClearance:
     """The march of the links against each other, which is cheap and has the smaller steps, and then that against the scene: as
     far as the first came, and no finer than it needs beside the first."""
-    zero, one, far = (jnp.asarray(x, q_from.dtype) for x in (0.0, 1.0, FAR))
+    zero, one, far = (jnp.asarray(x, start.dtype) for x in (0.0, 1.0, FAR))
     resolution = jnp.where(resolution > 0.0, resolution, jnp.nan)  # a traced one: then nothing is proven
     asked = _Asked(margin, resolution, jnp.clip(enough, margin, FAR / 4.0), first)
     if scene is not None:
         scene = _asked_of(scene, asked)
     end = _State(_Measured(one, 0, 0), one, one, far, zero, far, jnp.zeros((), bool), jnp.zeros((), jnp.int32))
     if robot.self_pairs:
-        end = _marched_on(*_ruler(robot, own_in(scene or ()), q_from, q_to, extent, margin), asked, end)
+        end = _marched_on(*_ruler(robot, own_in(scene or ()), start, goal, extent, margin), asked, end)
     if obstacles_in(scene or ()):
         alone = dataclasses.replace(robot, self_pairs=())
-        end = _marched_on(*_ruler(alone, scene, q_from, q_to, extent, margin), asked, end)
+        end = _marched_on(*_ruler(alone, scene, start, goal, extent, margin), asked, end)
     free = ~end.hit & (end.here.t >= 1.0)
     bound = jnp.where(free, end.bound, jnp.minimum(end.bound, margin))
     found = jnp.where(bound > FAR / 8.0, jnp.inf, bound), jnp.where(free, jnp.inf, end.here.t), end.nearest
@@ -235,15 +214,15 @@ def _asked_of(scene: Any, asked: _Asked) -> Any:
     return decided_within(scene, within)
 
 
-def _ruler(robot: Robot, scene: Any, q_from: Any, q_to: Any, extent: Any, margin: Any) -> tuple[Any, _Bounds]:
+def _ruler(robot: Robot, scene: Any, start: Any, goal: Any, extent: Any, margin: Any) -> tuple[Any, _Bounds]:
     """What measures one configuration of the motion, less what rounding may have added, and the bounds of its rows."""
-    rows, moved = _rows(robot), q_to - q_from
-    bounds, tables = _row_bounds(robot, rows, q_from, q_to), _table_speeds(robot, rows, q_from, q_to, margin)
-    short = ROUNDING * float(jnp.finfo(q_from.dtype).eps) * (extent + _size(robot, bounds.length, q_from, q_to))
+    rows, moved = _rows(robot), goal - start
+    bounds, tables = _row_bounds(robot, rows, start, goal), _table_speeds(robot, rows, start, goal, margin)
+    short = ROUNDING * float(jnp.finfo(start.dtype).eps) * (extent + _size(robot, bounds.length, start, goal))
     columns = np.searchsorted(solid_links(robot), [row.link for row in rows])
 
     def measured(t: Any) -> _Measured:
-        q = q_from + t * moved
+        q = start + t * moved
         apart = jnp.minimum(link_clearances(robot, scene, q)[columns] - short, FAR)  # a number, where there is nothing to hit
         return _Measured(t, apart, jnp.maximum(_speeds(robot, rows, q, moved), tables))
 
@@ -381,33 +360,33 @@ def _bounds(robot: Robot, link: int, other: int, turned: list[Any], travel: list
     return _Bounds(speed, acceleration, ever)
 
 
-def _row_bounds(robot: Robot, rows: list[_Row], q_from: Any, q_to: Any) -> _Bounds:
+def _row_bounds(robot: Robot, rows: list[_Row], start: Any, goal: Any) -> _Bounds:
     """Of each row (k,), the largest of what moves in it."""
-    furthest = jnp.maximum(jnp.abs(q_from), jnp.abs(q_to))
-    turned = traced(jnp.abs(q_to - q_from))
+    furthest = jnp.maximum(jnp.abs(start), jnp.abs(goal))
+    turned = traced(jnp.abs(goal - start))
     travel = [furthest[j] if prismatic else 0.0 for j, prismatic in enumerate(robot.is_prismatic)]
     found = [[_bounds(robot, *each, turned, travel) for each in row.moved] for row in rows]
-    most = lambda i: jnp.stack([jnp.max(jnp.stack([jnp.asarray(b[i], q_from.dtype) for b in each])) for each in found])
+    most = lambda i: jnp.stack([jnp.max(jnp.stack([jnp.asarray(b[i], start.dtype) for b in each])) for each in found])
     return _Bounds(most(0), most(1), most(2))
 
 
-def _table_speeds(robot: Robot, rows: list[_Row], q_from: Any, q_to: Any, margin: Any) -> Any:
+def _table_speeds(robot: Robot, rows: list[_Row], start: Any, goal: Any, margin: Any) -> Any:
     """How fast the bounds of pairs' tables change at most, of each row (k,), 0 without any; those above `-SHALLOW` alone where
     the margin is, since what is deeper is below it, however fast."""
-    tables, moved = pair_tables(robot), jnp.abs(q_to - q_from)
+    tables, moved = pair_tables(robot), jnp.abs(goal - start)
 
     def speed(table: PairTable) -> Any:
         shallow, any_depth = table.slopes(-SHALLOW), table.slopes(-np.inf)
         total: Any = 0.0
         for k, j in enumerate(table.joints):
-            low, high = jnp.minimum(q_from[j], q_to[j]), jnp.maximum(q_from[j], q_to[j])
+            low, high = jnp.minimum(start[j], goal[j]), jnp.maximum(start[j], goal[j])
             beyond = ~((low >= table.low[k]) & (high <= table.high[k])) & ~np.bool_(table.turns[k])
             slope = jnp.where(margin >= -SHALLOW, shallow[k], any_depth[k])
             total = total + moved[j] * jnp.where(beyond, jnp.maximum(slope, table.reach[k]), slope)
         return total
 
     found = [[speed(t) for t in tables if t.links[1] == row.link] for row in rows]
-    return jnp.stack([jnp.max(jnp.stack([jnp.asarray(x, q_from.dtype) for x in (0.0, *each)])) for each in found])
+    return jnp.stack([jnp.max(jnp.stack([jnp.asarray(x, start.dtype) for x in (0.0, *each)])) for each in found])
 
 
 def _speeds(robot: Robot, rows: list[_Row], q: Any, moved: Any) -> Any:
@@ -432,10 +411,10 @@ def _speeds(robot: Robot, rows: list[_Row], q: Any, moved: Any) -> Any:
     return jnp.stack([jnp.max(jnp.stack([jnp.asarray(found[each], q.dtype) for each in row.moved])) for row in rows])
 
 
-def _size(robot: Robot, length: Any, q_from: Any, q_to: Any) -> Any:
+def _size(robot: Robot, length: Any, start: Any, goal: Any) -> Any:
     """What rounding takes its share of, the robot's part [m]: its coordinates, and what a joint's value moves."""
-    base = jnp.max(jnp.abs(jnp.asarray(robot.world_T_base[:3, 3], q_from.dtype)))
-    return base + length * (1.0 + jnp.sum(jnp.maximum(jnp.abs(q_from), jnp.abs(q_to))))
+    base = jnp.max(jnp.abs(jnp.asarray(robot.world_T_base[:3, 3], start.dtype)))
+    return base + length * (1.0 + jnp.sum(jnp.maximum(jnp.abs(start), jnp.abs(goal))))
 
 
 def size_of(scene: Scene | None) -> Any:

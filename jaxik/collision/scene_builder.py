@@ -11,7 +11,7 @@ import numpy as np
 from jaxik.checks.arrays import direction, numbers, rigid_frame, shaped
 from jaxik.checks.options import shown
 from jaxik.collision.scene import KINDS, LIMIT, Boxes, Capsules, Cylinders, Fruit, Points, Scene, Spheres, Triangles, remembered
-from jaxik.collision.surfaces import as_bodies
+from jaxik.collision.surfaces import as_bodies, polygon_triangles
 
 MOST = 2**17  # obstacles of a kind: more are a scan that wants thinning
 
@@ -28,7 +28,7 @@ class SceneBuilder:
     leaves nothing behind.
     """
 
-    def __init__(self, name: str = "scene", point_radius: Any = 0.0):
+    def __init__(self, name: str = "scene", *, point_radius: Any = 0.0):
         self.name = _word("scene", name)
         self.point_radius = size("point_radius", point_radius)
         self.removable: dict[str, bool] = {}  # of each name, in their order
@@ -41,8 +41,8 @@ class SceneBuilder:
         (k, 6) centre and edges along x, y, z, and `cylinders` (k, 5) centre, radius and length along z; one that is turned is a
         pair of a (4, 4) frame and three edges, or a triple of a frame, radius and length.
 
-        `triangles` (k, 3, 3) are surfaces (`files.load_mesh`, `polygon_triangles`). Those that close around a body are a solid:
-        what is wholly inside collides, unless `solid` is false, as of a room."""
+        `triangles` (k, 3, 3) are surfaces (`files.load_mesh`), and so are `polygons`, planar, by their corners (c, 3). Those
+        that close around a body are a solid: what is wholly inside collides, unless `solid` is false, as of a room."""
         who = f"object '{shown(name)}': "
         for what, given in (("removable", removable), ("solid", solid)):
             if not isinstance(given, bool | np.bool_):  # an array in this place were obstacles that never come
@@ -101,7 +101,7 @@ class SceneBuilder:
         return scene
 
 
-def make_scene(point_radius: Any = 0.0, name: str = "scene", **obstacles: Any) -> Scene:
+def make_scene(*, point_radius: Any = 0.0, name: str = "scene", **obstacles: Any) -> Scene:
     """A scene from plain arrays, each obstacle an object of its own; the keywords are those of `SceneBuilder.add` [m]. Host.
 
     So is each triangle, but for those that close around a body: they are one object, a solid, and what is wholly inside
@@ -109,7 +109,7 @@ def make_scene(point_radius: Any = 0.0, name: str = "scene", **obstacles: Any) -
 
     Raises `ValueError` as `SceneBuilder` does.
     """
-    builder = SceneBuilder(name, point_radius)
+    builder = SceneBuilder(name, point_radius=point_radius)
     for kind, rows in _each("", obstacles).items():
         solid = _with_bodies(rows, True)[:, -1] > 0.0 if kind == "triangles" else np.zeros(len(rows), bool)
         for i in np.flatnonzero(~solid | (np.cumsum(solid) == 1)).tolist():
@@ -157,11 +157,16 @@ ROWS = {
 
 
 def _each(who: str, obstacles: dict[str, Any]) -> dict[str, np.ndarray]:
-    """The rows of each kind, checked."""
+    """The rows of each kind, checked; polygons are cut into triangles."""
     for kind in obstacles:
-        if kind not in KINDS:
-            raise ValueError(f"{who}obstacle kind '{kind}'; allowed: {', '.join(KINDS)}")
-    return {kind: _rows(f"{who}{kind}", given, ROWS[kind]) for kind, given in obstacles.items()}
+        if kind not in (*KINDS, "polygons"):
+            raise ValueError(f"{who}obstacle kind '{kind}'; allowed: {', '.join((*KINDS, 'polygons'))}")
+    found = {kind: _rows(f"{who}{kind}", given, ROWS[kind]) for kind, given in obstacles.items() if kind in KINDS}
+    if "polygons" in obstacles:
+        whats = ((f"{who}polygons {i}", corners) for i, corners in enumerate(obstacles["polygons"], 1))
+        cut = [_rows(what, polygon_triangles(what, corners), ROWS["triangles"]) for what, corners in whats]
+        found["triangles"] = np.concatenate([*cut, found.get("triangles", np.zeros((0, 9)))])
+    return found
 
 
 def _rows(what: str, given: Any, row: Row) -> np.ndarray:

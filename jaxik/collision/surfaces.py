@@ -134,25 +134,25 @@ def _alike(faces: np.ndarray) -> np.ndarray:
     return flip
 
 
-def polygon_triangles(corners: Any) -> Float[np.ndarray, "n 3 3"]:
+def polygon_triangles(who: str, corners: Any) -> Float[np.ndarray, "n 3 3"]:
     """A planar polygon, convex or not, as triangles, by cutting off one ear after the other [Meisters 1975]. Host.
 
     `corners` (k, 3) [m] go around once; the triangles are seen counter-clockwise from where the corners are. Raises
     `ValueError` for fewer than three, for corners that lie in no plane, and for a polygon that crosses itself.
     """
-    points = numbers("polygon", corners)
+    points = numbers(who, corners)
     if points.ndim != 2 or points.shape[1] != 3 or len(points) < 3 or not np.isfinite(points).all():
-        raise ValueError(f"polygon of shape {points.shape}; allowed: (k, 3), three finite corners and more [m]")
+        raise ValueError(f"{who} of shape {points.shape}; allowed: (k, 3), three finite corners and more [m]")
     centred = points - points.mean(axis=0)
     size, normal = float(np.abs(centred).max()), np.cross(centred, np.roll(centred, -1, axis=0)).sum(axis=0)  # twice the area
     if not (long := float(np.linalg.norm(normal))) > (SAME * size) ** 2:
-        raise ValueError("polygon without an area; give corners that go around it once")
+        raise ValueError(f"{who} without an area; give corners that go around it once")
     out = float(np.abs(centred @ normal).max()) / long
     if out > FLAT * size:
-        raise ValueError(f"polygon: a corner is {out:g} m out of its plane; split it into triangles")
+        raise ValueError(f"{who}: a corner is {out:g} m out of its plane; split it into triangles")
     found = ears(centred, normal)
     if found is None:
-        raise ValueError("polygon crosses itself; split it into such that do not")
+        raise ValueError(f"{who} crosses itself; split it into such that do not")
     return points[found]
 
 

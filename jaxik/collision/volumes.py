@@ -101,7 +101,7 @@ def _joined(pieces: list[Scalar], sizes: np.ndarray) -> Any:
     return xp.concatenate([xp.broadcast_to(p, (*lead, n)) for p, n in zip(pieces, sizes, strict=True)], axis=-1)
 
 
-def link_spheres(robot: Robot, q: Float[Array, " n"]) -> tuple[Float[Array, "s 3"], Float[Array, " s"]]:
+def robot_spheres(robot: Robot, q: Float[Array, " n"]) -> tuple[Float[Array, "s 3"], Float[Array, " s"]]:
     """Centres in the world [m] and radii [m] of the robot's spheres at `q` (n,); lines and triangles are not among them.
     Traced."""
     q = as_configuration(robot, q)

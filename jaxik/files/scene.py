@@ -14,7 +14,7 @@ import numpy as np
 from jaxik.checks.options import check_kind, shown
 from jaxik.collision.scene import FAR, SHAPES, Fruit, Scene
 from jaxik.collision.scene_builder import SceneBuilder, hanging
-from jaxik.collision.surfaces import as_bodies, polygon_triangles
+from jaxik.collision.surfaces import as_bodies
 from jaxik.files.mesh import load_mesh, resolve
 from jaxik.files.robot_builder import read_bytes
 from jaxik.files.robot_toml import Table, read_toml
@@ -54,7 +54,7 @@ def _from_toml(path: Path) -> Scene:
     table = read_toml(path)
     name = table.text("name")
     table.text("description", "-")
-    builder = SceneBuilder(name, table.number("point_radius", "length", 0.0))
+    builder = SceneBuilder(name, point_radius=table.number("point_radius", "length", 0.0))
     for each in table.tables("object"):
         _object(each, builder)
     for each in table.tables("fruit"):
@@ -93,19 +93,9 @@ def _rows(table: Table) -> dict[str, Any]:
     frames = [frame(r[:3], turn) for r, turn in zip([*rows["boxes"], *rows["cylinders"]], turns, strict=True)]
     rows["boxes"] = [(f, r[3:]) for f, r in zip(frames, rows["boxes"], strict=False)]
     rows["cylinders"] = [(f, *r[3:]) for f, r in zip(frames[len(rows["boxes"]) :], rows["cylinders"], strict=True)]
-    rows["triangles"] = np.concatenate([rows["triangles"], *_polygons(table), *map(_mesh, table.tables("meshes"))])
+    rows["triangles"] = np.concatenate([rows["triangles"], *map(_mesh, table.tables("meshes"))])
+    rows["polygons"] = table.listed("polygons")
     return {kind: values for kind, values in rows.items() if len(values)}
-
-
-def _polygons(table: Table) -> list[np.ndarray]:
-    """The triangles (k, 9) of each polygon, a list of corners."""
-    found = []
-    for i, corners in enumerate(table.listed("polygons"), 1):
-        try:
-            found.append(polygon_triangles(corners).reshape(-1, 9))
-        except ValueError as error:
-            raise table.fail(f"polygons {i}: {error}", "write rows of x, y, z around each") from None
-    return found
 
 
 def _mesh(table: Table) -> np.ndarray:

@@ -10,7 +10,7 @@ import numpy as np
 
 from jaxik.checks.options import check_finite, check_kind, no_such
 from jaxik.collision.bvh import grouped
-from jaxik.collision.clearances import by_object, self_clearance
+from jaxik.collision.clearances import by_object, clearance
 from jaxik.collision.scene import Scene
 from jaxik.harvesting.scanning import Scan, without_fruit
 from jaxik.kinematics.robot import Robot
@@ -22,7 +22,7 @@ MOST = 3  # objects that are named where nothing helps
 
 @functools.lru_cache(maxsize=16)
 def _contacts(robot: Robot, objects: int) -> HostKernel:
-    return HostKernel(lambda q, around: (by_object(robot, objects, around, q), self_clearance(robot, q)), 1)
+    return HostKernel(lambda q, around: (by_object(robot, objects, around, q), clearance(robot, None, q)), 1)
 
 
 class Blockers(NamedTuple):

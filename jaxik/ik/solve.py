@@ -103,8 +103,8 @@ class IKResult(Reasoned):
         if self.reason != Reason.COLLISION or self.solved_in is None:
             return ()
         robot, scene, margin = self.solved_in
-        found = explain(robot, scene, self.q, sys.maxsize, below=margin).contacts
-        return found or explain(robot, scene, self.q, 1).contacts  # rounding may put the nearest on the margin itself
+        found = explain(robot, scene, self.q, count=sys.maxsize, below=margin).contacts
+        return found or explain(robot, scene, self.q, count=1).contacts  # rounding may put the nearest on the margin itself
 
     def __len__(self) -> int:
         """How many targets: 1 for a single one."""

@@ -11,7 +11,7 @@ import numpy as np
 
 from jaxik.collision.bvh import by_volumes, grouped
 from jaxik.collision.clearances import by_object, collides
-from jaxik.collision.continuous_collision import joint_reaches, motion_collides_within, size_of
+from jaxik.collision.continuous_collision import joint_reaches, motion_collides, size_of
 from jaxik.collision.scene import Scene
 from jaxik.kinematics.joint_turns import endless, whole_turns
 from jaxik.kinematics.robot import Robot, Volume
@@ -134,7 +134,7 @@ def _together(robot: Robot, carried: Carried) -> Robot:
 
 @host_kernels(1)
 def _hits(robot: Robot, q: Any, margin: Any, obstacles: Any, carried: Carried) -> Any:
-    return collides(_together(robot, carried), obstacles, q, margin)
+    return collides(_together(robot, carried), obstacles, q, margin=margin)
 
 
 @host_kernels(1)
@@ -146,4 +146,4 @@ def _objects(robot: Robot, count: int, q: Any, obstacles: Any, carried: Carried)
 def _moves(
     robot: Robot, start: Any, end: Any, margin: Any, resolution: Any, size: Any, obstacles: Any, carried: Carried
 ) -> Any:
-    return motion_collides_within(_together(robot, carried), start, end, margin, resolution, size, obstacles)
+    return motion_collides(_together(robot, carried), start, end, margin, resolution, size, obstacles)

@@ -304,7 +304,7 @@ class Page:
         if self.blind:
             self.near.content = boxed(f"Clearance unknown. {self.blind}")
             return ()
-        found = explain(self.robot, self.scene, self._q, 5)
+        found = explain(self.robot, self.scene, self._q, count=5)
         if found.colliding:
             pairs = "; ".join(f"{c.link} and {c.other}, by {-1000.0 * c.distance:.1f} mm" for c in found.colliding)
             self.near.content = marked(False, "Collides:", f" {pairs}")

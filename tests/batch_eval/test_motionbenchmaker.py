@@ -193,6 +193,6 @@ def test_joints_beside_the_robot_stand_where_the_problem_has_them(tmp_path):
     folder = _folder(tmp_path, **others)
     robot = motionbenchmaker.load_robot(folder)
     assert motionbenchmaker.posture(folder, robot) == {"left": 0.5}
-    centers, _ = jaxik.collision.link_spheres(robot, jnp.zeros(2))
+    centers, _ = jaxik.collision.robot_spheres(robot, jnp.zeros(2))
     np.testing.assert_allclose(sorted(centers.tolist())[-1], [np.sin(0.5), 0.0, np.cos(0.5)], atol=1e-6)
     assert [goal.elsewhere for goal in motionbenchmaker.goals(folder, robot)] == [(), ("left",)]

@@ -70,7 +70,7 @@ def apart(scene, name, q):
 
 
 def found(held, name, other):
-    contacts = jaxik.explain(held.robot, held.scene, LATER, 99).contacts
+    contacts = jaxik.explain(held.robot, held.scene, LATER, count=99).contacts
     return next(c.distance for c in contacts if {c.link, c.other} == {name, other})
 
 
@@ -79,7 +79,7 @@ def test_it_is_where_coal_has_it(scene, name):
     held = jaxik.collision.attach(ARM, scene, name, GRASP)
     assert held.robot.link_names == (*ARM.link_names, name)
     assert found(held, name, "wall") == pytest.approx(apart(scene, name, LATER), abs=1e-6)
-    assert not any(c.other == name for c in jaxik.explain(held.robot, held.scene, LATER, 99).contacts)
+    assert not any(c.other == name for c in jaxik.explain(held.robot, held.scene, LATER, count=99).contacts)
 
 
 @pytest.mark.parametrize("name, most", [("can", 0.42 * 0.05), ("plate", 0.42 * 0.2), ("crate", 0.0)])
@@ -99,10 +99,10 @@ def test_it_is_checked_against_the_links_before(scene):
     held = jaxik.collision.attach(ARM, scene, "ball", GRASP)
     assert partners(held.robot) == solid - set(last) != set()
     spared = sorted(partners(held.robot))[0]
-    assert partners(jaxik.collision.attach(ARM, scene, "ball", GRASP, [spared]).robot) == solid - {*last, spared}
+    assert partners(jaxik.collision.attach(ARM, scene, "ball", GRASP, touches=[spared]).robot) == solid - {*last, spared}
     folded = np.array([0.0, 3.0, 3.0, 0.0])
-    nearest = min(c.distance for c in jaxik.explain(held.robot, None, folded, 99).contacts if "ball" in (c.link, c.other))
-    assert float(jaxik.collision.self_clearance(held.robot, folded)) <= nearest + 1e-9
+    nearest = min(c.distance for c in jaxik.explain(held.robot, None, folded, count=99).contacts if "ball" in (c.link, c.other))
+    assert float(jaxik.clearance(held.robot, None, folded)) <= nearest + 1e-9
 
 
 def test_two_objects_and_an_arm_that_is_mounted(scene):

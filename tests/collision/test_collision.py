@@ -296,7 +296,7 @@ def test_a_later_link_may_be_nearer_to_the_base(tmp_path):
     (tmp_path / "arm.urdf").write_text(POST)
     robot = jaxik.load(tmp_path / "arm.urdf", tip="fore")
     assert [robot.link_names[i] for i in robot.self_pairs[0]] == ["fore", "post"]
-    apart, step = jax.jit(lambda q: jaxik.collision.self_clearance(robot, q)), 1e-6
+    apart, step = jax.jit(lambda q: jaxik.clearance(robot, None, q)), 1e-6
     slope, around = jax.jit(jax.grad(apart)), np.eye(2) * step
     for q in np.random.default_rng(0).uniform(-3.0, 3.0, (20, 2)):
         numeric = [(apart(q + e) - apart(q - e)) / (2.0 * step) for e in around]
@@ -307,7 +307,7 @@ def test_a_later_link_may_be_nearer_to_the_base(tmp_path):
 def test_value_and_gradient_where_a_distance_is_zero(dtype):
     robot = jaxik.load("p6r")
     q = jnp.asarray([0.4, 0.3, -0.5, -0.4, 0.7, 0.6, 0.5], dtype)
-    centres, radii = jaxik.collision.link_spheres(robot, q)
+    centres, radii = jaxik.collision.robot_spheres(robot, q)
     scene = jaxik.make_scene(points=[centres[40]], capsules=[[*centres[40], *(centres[40] + 1.0), 1.0]])
     scene = eqx.tree_at(lambda s: s.capsules.radius, scene, np.zeros(1))  # thinner than a scene is made
     value, slope = jax.jit(jax.value_and_grad(lambda q: jaxik.clearance(robot, scene, q)))(q)
@@ -328,7 +328,7 @@ def test_what_is_skipped_changes_no_bit(name, dtype, only_kernels):
     skipped, flat = (each.run(q, scene) for each in kernels)
     assert np.array_equal(skipped[0], flat[0]) and np.array_equal(skipped[-1], flat[-1])
     assert np.array_equal(skipped[-1].min(axis=1), flat[0])
-    touching = HostKernel(lambda q, s, margin: jaxik.collides(robot, s, q, margin), 1)
+    touching = HostKernel(lambda q, s, margin: jaxik.collides(robot, s, q, margin=margin), 1)
     for margin in (0.0, 0.05, float(np.median(flat[0]))):
         (hits,) = touching.run(q, scene, dtype(margin))
         assert np.array_equal(hits, flat[0] < dtype(margin)) and (margin != 0.0 or 0 < hits.sum() < 300)
@@ -346,7 +346,7 @@ def test_a_cloud_of_points_against_a_tree():
         builder.add("near", points=points[: count // 2])
         builder.add("far", points=points[count // 2 :])
         scene = builder.scene()
-        centres, radii = jax.vmap(lambda q: jaxik.collision.link_spheres(robot, q))(q)
+        centres, radii = jax.vmap(lambda q: jaxik.collision.robot_spheres(robot, q))(q)
         away = [cKDTree(part).query(centres)[0] - radii - 0.01 for part in np.split(points, 2)]
         truth = np.stack([each.min(axis=1) for each in away], axis=1)
         assert np.allclose(measure.run(q, grouped(scene, alone))[0], truth.min(axis=1), rtol=0.0, atol=1e-12)
@@ -371,13 +371,13 @@ def test_links_ignore_objects():
     counted = {"floor": to("poles"), "poles": to("floor")}
     counted["floor"][:, [links.index(carriage), links.index(shoulder)]] = np.inf
     counted["poles"][:, links.index(carriage)] = np.inf
-    itself = np.array(jax.vmap(lambda q: jaxik.collision.self_clearance(whole, q))(q))
+    itself = np.array(jax.vmap(lambda q: jaxik.clearance(whole, None, q))(q))
     expected = np.minimum(np.minimum(*(each.min(axis=1) for each in counted.values())), itself)
     assert np.array_equal(jax.vmap(lambda q: jaxik.clearance(robot, scene, q))(q), expected)
     objects = jax.vmap(lambda q: jaxik.collision.object_clearances(robot, scene, q))(q)
     assert np.array_equal(objects, np.stack([counted[name].min(axis=1) for name in scene.object_names], axis=1))
     assert np.any(objects > np.asarray(jax.vmap(lambda q: jaxik.collision.object_clearances(whole, scene, q))(q)))
-    told = [jaxik.explain(robot, scene, x, 1).contacts[0].distance for x in q[:5]]
+    told = [jaxik.explain(robot, scene, x, count=1).contacts[0].distance for x in q[:5]]
     assert np.allclose(told, expected[:5], rtol=0.0, atol=1e-12)
 
 
@@ -454,7 +454,7 @@ def test_padding_and_removal_change_nothing_else():
     q = jnp.asarray(rng.uniform(robot.lower, robot.upper))
     assert jaxik.clearance(robot, scene, q) == jaxik.clearance(robot, scene.padded(), q)
     objects = np.asarray(jaxik.collision.object_clearances(robot, scene, q))
-    least = min(objects.min(), float(jaxik.collision.self_clearance(robot, q)))
+    least = min(objects.min(), float(jaxik.clearance(robot, None, q)))
     assert abs(jaxik.clearance(robot, scene, q) - least) <= 1e-12
     removed = scene.without([int(objects.argmin())])
     assert np.isinf(jaxik.collision.object_clearances(robot, removed, q)[objects.argmin()])

@@ -50,7 +50,7 @@ def test_pairs_are_coals(scene):
     }
     compared = 0
     for q in np.random.default_rng(0).uniform(-2.0, 2.0, (6, 4)):
-        found = jaxik.explain(ARM, scene, q, 30)
+        found = jaxik.explain(ARM, scene, q, count=30)
         assert found.contacts[0].distance == pytest.approx(float(jaxik.clearance(ARM, scene, q)), abs=1e-9)
         assert [c.distance for c in found.contacts] == sorted(c.distance for c in found.contacts)
         assert len({(c.link, c.other) for c in found.contacts}) == len(found.contacts)
@@ -69,7 +69,7 @@ def test_pairs_are_coals(scene):
 
 def test_it_reads_as_sentences(scene):
     q = np.array([3.0, 0.0, 0.0, 0.0])
-    found = jaxik.explain(ARM, scene, q, 3)
+    found = jaxik.explain(ARM, scene, q, count=3)
     lines = str(found).splitlines()
     assert len(lines) == len(found.contacts) + len(found.limits) and all(" mm at (" in line for line in lines[:3])
     assert all(line.endswith("side its limits") or "beyond" in line for line in lines[3:])
@@ -78,14 +78,14 @@ def test_it_reads_as_sentences(scene):
 
 def test_blocks_change_nothing(scene, monkeypatch):
     """A few distances at a time, so that memory does not grow with the scene: blocks of one obstacle, of two, which overlap."""
-    builder = jaxik.collision.SceneBuilder("cloud", 0.01)
+    builder = jaxik.collision.SceneBuilder("cloud", point_radius=0.01)
     for i in range(4):
         builder.add(f"leaf_{i}", points=np.random.default_rng(i).uniform(-3.0, 3.0, (6, 3)))
     asked = [(around, q) for around in (scene, builder.scene()) for q in np.random.default_rng(2).uniform(-2.0, 2.0, (2, 4))]
-    whole = [str(jaxik.explain(ARM, around, q, 99)) for around, q in asked]
+    whole = [str(jaxik.explain(ARM, around, q, count=99)) for around, q in asked]
     for block in (1, 9, 50):
         monkeypatch.setattr("jaxik.collision.contact_report.BLOCK", block)
-        assert [str(jaxik.explain(ARM, around, q, 99)) for around, q in asked] == whole
+        assert [str(jaxik.explain(ARM, around, q, count=99)) for around, q in asked] == whole
 
 
 def test_without_a_scene_and_bad_use(scene):
@@ -93,11 +93,11 @@ def test_without_a_scene_and_bad_use(scene):
     middle = np.add(*jaxik.kinematics.finite_limits(panda)) / 2.0
     found = jaxik.explain(panda, None, middle)
     assert {c.other for c in found.contacts} <= set(panda.link_names)
-    assert found.contacts[0].distance == pytest.approx(float(jaxik.collision.self_clearance(panda, middle)), abs=1e-9)
+    assert found.contacts[0].distance == pytest.approx(float(jaxik.clearance(panda, None, middle)), abs=1e-9)
     for wrong in (
         lambda: jaxik.explain(panda, scene, middle[:3]),
-        lambda: jaxik.explain(panda, scene, middle, 0),
-        lambda: jaxik.explain(panda, scene, middle, 5, np.nan),
+        lambda: jaxik.explain(panda, scene, middle, count=0),
+        lambda: jaxik.explain(panda, scene, middle, below=np.nan),
         lambda: jaxik.explain(panda, scene, middle * np.nan),
         lambda: jax.jit(lambda around: jaxik.explain(panda, around, middle).contacts[0].distance)(scene),
     ):
@@ -118,7 +118,7 @@ def test_a_result_names_offenders(scene):
     result = ended(scene, postures, [Reason.COLLISION] * 6 + [Reason.SOLVED], 0.2)
     assert len(result.offenders) == 7 and result.offenders[6] == () == result[6].offenders
     for q, each, row in zip(postures[:6], result.offenders, result, strict=False):
-        everything = jaxik.explain(ARM, scene, q, 99).contacts
+        everything = jaxik.explain(ARM, scene, q, count=99).contacts
         near = [str(c) for c in everything if c.distance < 0.2] or [str(everything[0])]
         assert [str(c) for c in each] == [str(c) for c in row.offenders] == near
     assert result.offenders is result.offenders  # looked up once

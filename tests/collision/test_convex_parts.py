@@ -107,7 +107,7 @@ def test_where_volumes_are_near_its_parts_decide(arm, bare, scene):
     assert np.all(found >= volumes)
     np.testing.assert_allclose(found[between], np.maximum(np.minimum(true, NEAR), volumes)[between], atol=2e-6)
     assert np.all(found[touching] < 0.0)
-    hits = measured(lambda q: jaxik.collides(arm, scene, q, 0.004), q)
+    hits = measured(lambda q: jaxik.collides(arm, scene, q, margin=0.004), q)
     sure = np.abs(true - 0.004) > 1e-6
     assert np.array_equal(hits[sure], (true < 0.004)[sure])
     single = jax.jit(jax.vmap(lambda q: jaxik.clearance(arm, scene, q)))(jnp.asarray(q, jnp.float32))
@@ -212,7 +212,7 @@ def test_motions_are_proven_by_the_parts(arm):
     last = first + np.random.default_rng(7).normal(size=first.shape) * 0.12
     with jax.enable_x64(True):
         proven = ~np.asarray(
-            jax.vmap(lambda a, b: jaxik.collision.motion_collides(arm, SCENE, a, b))(jnp.asarray(first), jnp.asarray(last))
+            jax.vmap(lambda a, b: ~jaxik.motion_clearance(arm, SCENE, a, b).free)(jnp.asarray(first), jnp.asarray(last))
         )
     share = np.linspace(0.0, 1.0, 61)[:, None, None]
     way = (first + share * (last - first)).reshape(-1, arm.num_joints)
@@ -231,7 +231,7 @@ def test_a_corner_that_turns_about_its_capsule_is_not_missed(arm):
     np.testing.assert_allclose(clear[[0, 2]], 0.0015, atol=1e-6)
     assert clear[1] < 0.0
     with jax.enable_x64(True):
-        assert jaxik.collision.motion_collides(arm, ball, start, end)
+        assert not jaxik.motion_clearance(arm, ball, start, end).free
 
 
 def test_depths_on_a_motion_are_bounded(arm):
@@ -246,9 +246,11 @@ def test_depths_on_a_motion_are_bounded(arm):
     with jax.enable_x64(True):
         ends = jnp.asarray(first), jnp.asarray(last)
         for margin in (-0.005, -0.02):
-            hits = jax.vmap(lambda a, b, m=margin: jaxik.collision.motion_collides(arm, None, a, b, m, 0.01))(*ends)
+            hits = jax.vmap(lambda a, b, m=margin: ~jaxik.motion_clearance(arm, None, a, b, margin=m, resolution=0.01).free)(
+                *ends
+            )
             assert not np.any(~np.asarray(hits) & (least < margin)) and np.any(least < margin)
-        bound = jax.vmap(lambda a, b: jaxik.motion_clearance(arm, None, a, b, -np.inf, 0.01).clearance)(*ends)
+        bound = jax.vmap(lambda a, b: jaxik.motion_clearance(arm, None, a, b, margin=-np.inf, resolution=0.01).clearance)(*ends)
     assert np.all(np.asarray(bound) <= least + 1e-9)
 
 

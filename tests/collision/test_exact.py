@@ -51,7 +51,7 @@ def test_it_is_as_far_from_itself_as_its_meshes_are(arm):
     alone = dataclasses.replace(exact, convex_parts=())  # what rules out triangles takes part in no distance
     slowly = measured(lambda q: jaxik.clearance(alone, None, q), q)
     np.testing.assert_array_equal(found[true > 0.0], slowly[true > 0.0])
-    hits = measured(lambda q: jaxik.collides(exact, None, q, 0.01), q)
+    hits = measured(lambda q: jaxik.collides(exact, None, q, margin=0.01), q)
     assert np.all(hits == (true < 0.01))
 
 
@@ -106,8 +106,8 @@ def test_motions_are_proven_by_the_meshes(arm):
     first = np.concatenate([q[free[::2]], q[hollow]])
     last = np.concatenate([q[free[::2]] + 0.25 * (q[free[1::2]] - q[free[::2]]), q[hollow] + 0.02])
     with jax.enable_x64(True):
-        proven = lambda robot: (
-            ~jax.vmap(lambda a, b: jaxik.collision.motion_collides(robot, SCENE, a, b))(jnp.asarray(first), jnp.asarray(last))
+        proven = lambda robot: jax.vmap(lambda a, b: jaxik.motion_clearance(robot, SCENE, a, b).free)(
+            jnp.asarray(first), jnp.asarray(last)
         )
         free, by_model = np.asarray(proven(exact)), np.asarray(proven(model))
     share = np.linspace(0.0, 1.0, 101)[:, None, None]
@@ -227,7 +227,7 @@ def test_a_large_batch_is_what_its_parts_are(arm, exact):
     scene = SCENE if exact else jaxik.load_scene("cucumber_row")
     q = jnp.asarray(drawn(robot, 400, 10)).at[7, 0].set(jnp.nan)
     for of in (
-        lambda q: jaxik.collides(robot, scene, q, 0.01),
+        lambda q: jaxik.collides(robot, scene, q, margin=0.01),
         jax.value_and_grad(lambda q: jaxik.clearance(robot, scene, q)),
         lambda q: clearances.link_clearances(robot, scene, q),
     ):
@@ -245,13 +245,12 @@ def test_margins_beyond_what_is_shown_are_decided_by_triangles(arm):
     exact = arm[1]
     q = jnp.asarray(drawn(exact, 3000, 11))
     shown = np.asarray(jax.jit(jax.vmap(lambda q: jaxik.clearance(exact, SCENE, q)))(q))
-    tight = np.asarray(jax.jit(jax.vmap(lambda q: jaxik.collides(exact, SCENE, q, 0.03)))(q))
+    tight = np.asarray(jax.jit(jax.vmap(lambda q: jaxik.collides(exact, SCENE, q, margin=0.03)))(q))
     wide = np.flatnonzero(~tight & (shown < WITHIN + 1e-6))[:5]
     assert len(wide) == 5
     for row in wide:
         near = q[row], q[row] + 1e-4
         assert jaxik.motion_clearance(exact, SCENE, *near, margin=0.028).free
-        assert not jaxik.collision.motion_collides(exact, SCENE, *near, margin=0.028)
     poses = jax.vmap(lambda q: jaxik.forward_kinematics(exact, q))(q[wide])
     found = jaxik.solve_ik(exact, poses, scene=SCENE, margin=0.03)
     assert found.success.any() and np.all(found.clearance[found.success] >= 0.03 - 1e-6)

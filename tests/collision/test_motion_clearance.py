@@ -10,6 +10,9 @@ import pytest
 from motions import dense, judged, motions
 
 import jaxik
+from jaxik.collision.bvh import grouped
+from jaxik.collision.clearances import as_wide
+from jaxik.collision.continuous_collision import motion_collides, size_of
 
 WRONG = (  # what a judgement counts that must not be
     "free, but the dense sampling hits",
@@ -63,8 +66,7 @@ def test_no_tunnelling_through_a_thin_stem():
     found = jaxik.motion_clearance(arm, scene, q_from, q_to)
     first = float(dense(arm, scene, 20000)(q_from[None], q_to[None], np.zeros(1))[1][0])
     assert not found.free and found.clearance <= 0.0 and first - 2e-3 < found.contact <= first
-    assert jaxik.collision.motion_collides(arm, scene, q_from, q_to)
-    depth = jaxik.motion_clearance(arm, scene, q_from, q_to, -np.inf)  # on to the end, and no less is proven
+    depth = jaxik.motion_clearance(arm, scene, q_from, q_to, margin=-np.inf)  # on to the end, and no less is proven
     assert depth.free and depth.clearance < 0.0
 
 
@@ -134,14 +136,16 @@ def test_a_batch_is_its_rows_and_enough_is_enough(p6r, march, only_kernels):
     planner = jax.jit(jax.vmap(lambda a, b: jaxik.motion_clearance(robot, scene, a, b, enough=0.0)))(q_from, q_to)
     assert np.array_equal(planner.free, batch.free) and np.all(planner.clearance[planner.free] >= 0.0)
     assert planner.evaluations[planner.free].mean() < 0.5 * batch.evaluations[batch.free].mean()
-    ask = jax.jit(
-        jax.vmap(lambda a, b, *numbers: jaxik.motion_clearance(robot, scene, a, b, *numbers), (0, 0, None, None, None))
-    )
+    numbers = lambda margin, resolution, enough: {"margin": margin, "resolution": resolution, "enough": enough}
+    asked = lambda a, b, *given: jaxik.motion_clearance(robot, scene, a, b, **numbers(*given))
+    ask = jax.jit(jax.vmap(asked, (0, 0, None, None, None)))
     kept = ask(q_from, q_to, 0.005, 1e-3, 0.0)  # enough, and less than the margin
     assert np.all(kept.free <= (batch.clearance >= 0.003)) and np.all(kept.clearance[kept.free] >= 0.005)
     for odd in ((np.nan, 1e-3, 0.0), (0.0, np.nan, 0.0), (0.0, -1e-3, 0.0), (0.0, 1e-3, np.nan)):
         assert not np.any(ask(q_from, q_to, *odd).free)  # traced numbers that prove nothing
-    collides = jax.jit(jax.vmap(lambda a, b: jaxik.collision.motion_collides(robot, scene, a, b)))(q_from, q_to)
+    numbers, around = map(np.float32, (0.0, 1e-3, size_of(scene))), as_wide(grouped(scene, robot), q_from)
+    asked = lambda a, b, numbers=tuple(numbers): motion_collides(robot, a, b, *numbers, around)
+    collides = jax.jit(jax.vmap(asked))(q_from, q_to)
     assert np.array_equal(collides, ~batch.free)
 
 
@@ -174,15 +178,15 @@ def test_nothing_to_hit_fixed_links_and_exhaustion():
         and still.clearance == pytest.approx(float(jaxik.clearance(fixed, scene, q)), abs=1e-9)
     )
     scene = jaxik.make_scene(points=[[0.5, -1.0, 0.0]])
-    short = jaxik.motion_clearance(alone, scene, q, q + 1.0, 0.0, 1e-9)  # a resolution that would take a million
+    short = jaxik.motion_clearance(alone, scene, q, q + 1.0, resolution=1e-9)  # a resolution that would take a million
     assert not short.free and 0.0 < short.contact < 1.0 and short.clearance <= 0.0 and short.evaluations == 4096
 
 
 @pytest.mark.parametrize(
     "change, said",
     [
-        ({"q_to": np.zeros(3)}, "q has shape (3,)"),
-        ({"q_from": "home"}, "q is home"),
+        ({"goal": np.zeros(3)}, "q has shape (3,)"),
+        ({"start": "home"}, "q is home"),
         ({"scene": "crop"}, "scene is crop"),
         ({"robot": None}, "robot is None"),
         ({"margin": [0.0, 1.0]}, "margin has the shape (2,)"),
@@ -193,8 +197,7 @@ def test_nothing_to_hit_fixed_links_and_exhaustion():
 )
 def test_bad_use_is_one_line(change, said, monkeypatch):
     monkeypatch.setattr(jaxtyping.config, "jaxtyping_disable", True)  # the types would refuse it in their words
-    given = {"robot": jaxik.load("planar2"), "scene": None, "q_from": np.zeros(2), "q_to": np.ones(2)} | change
-    for function in (jaxik.motion_clearance, jaxik.collision.motion_collides):
-        with pytest.raises(ValueError) as told:
-            function(**given)
-        assert said in str(told.value) and "\n" not in str(told.value)
+    given = {"robot": jaxik.load("planar2"), "scene": None, "start": np.zeros(2), "goal": np.ones(2)} | change
+    with pytest.raises(ValueError) as told:
+        jaxik.motion_clearance(**given)
+    assert said in str(told.value) and "\n" not in str(told.value)

@@ -327,7 +327,7 @@ rows = st.one_of(anything, st.lists(st.tuples(frames, anything), max_size=3), st
 def test_random_obstacles_are_kept_or_refused(kind, rows, radius):
     """Never reshaped: as many obstacles as rows, each finite, of no negative size."""
     try:
-        scene = jaxik.make_scene(radius, **{kind: rows})
+        scene = jaxik.make_scene(point_radius=radius, **{kind: rows})
     except ValueError as error:
         assert "\n" not in str(error) and (kind in str(error) or "point_radius" in str(error))
         return

@@ -14,7 +14,7 @@ from scipy.spatial.transform import Rotation
 from triangle_truth import in_coal, winding
 
 import jaxik
-from jaxik.collision import distance, polygon_triangles, surface_trees
+from jaxik.collision import distance, surface_trees
 from jaxik.collision.shape_distances import skeleton_gap
 from jaxik.collision.surfaces import as_bodies
 from jaxik.spatial.algebra import Vec3
@@ -89,7 +89,7 @@ def test_surfaces_against_coal(arm, name):
         assert abs(apart - least) <= 1e-9 if not hit else apart <= least + 1e-9
     assert counts[0] > 20 and counts[2] > 5 and (counts[1] > 5 or name != "convex")
     near = np.argsort(ours)[:20]
-    told = [jaxik.explain(arm, scene, x, 1).contacts[0].distance for x in q[near]]
+    told = [jaxik.explain(arm, scene, x, count=1).contacts[0].distance for x in q[near]]
     np.testing.assert_allclose(told, ours[near], atol=1e-12)
 
 
@@ -146,7 +146,7 @@ def test_no_motion_passes_through_a_surface(arm):
     scene, rng = builder.scene(), np.random.default_rng(7)
     start = rng.uniform(arm.lower, arm.upper, (300, 3))
     end = start + rng.uniform(0.2, 1.0, (300, 1)) * (rng.uniform(arm.lower, arm.upper, start.shape) - start)
-    free = ~np.asarray(jax.vmap(lambda a, b: jaxik.collision.motion_collides(robot, scene, a, b))(start, end))
+    free = np.asarray(jax.vmap(lambda a, b: jaxik.motion_clearance(robot, scene, a, b).free)(start, end))
     way = (start + np.linspace(0.0, 1.0, 400)[:, None, None] * (end - start)).reshape(-1, 3)
     least = np.asarray(jax.vmap(lambda q: jaxik.clearance(robot, scene, q))(way)).reshape(400, 300).min(axis=0)
     assert not np.any(free & (least <= 0.0)) and np.all(free | (least < 0.01))
@@ -156,14 +156,14 @@ def test_no_motion_passes_through_a_surface(arm):
     assert free.sum() > 50 and np.sum((least <= 0.0) & (ends > 0.0)) > 10
     inside = np.array([-0.1, 1.1, 0.0]) + 1e-3 * rng.normal(size=(300, 3))
     held, _ = scene_of(20.0 * np.array(MESHES["convex"]))
-    assert jax.vmap(lambda a, b: jaxik.collision.motion_collides(robot, held.padded(), a, b))(inside, inside + 0.1).all()
+    assert not jax.vmap(lambda a, b: jaxik.motion_clearance(robot, held.padded(), a, b).free)(inside, inside + 0.1).any()
 
 
 def test_a_room_is_no_solid(arm):
     room = trimesh.creation.box((4.0, 4.0, 4.0)).triangles
     builder = jaxik.collision.SceneBuilder()
     builder.add("room", triangles=room, solid=False)
-    nearest = lambda scene: jaxik.explain(arm, scene, np.zeros(3), 1).contacts
+    nearest = lambda scene: jaxik.explain(arm, scene, np.zeros(3), count=1).contacts
     assert nearest(builder.scene())[0].distance > 1.0 and nearest(scene_of(room)[0])[0].distance < -1.0
     away = scene_of(room)[0].without("mesh")
     assert not nearest(away) and away.counts["triangles"] == 0
@@ -224,13 +224,19 @@ def test_triangles_that_stand_twice_count_once(more):
         assert wanted < 0.0 and np.isclose(found, wanted, atol=1e-6)
 
 
+def cut(polygon):
+    """Its triangles (k, 3, 3), as a scene holds them."""
+    triangles = jaxik.make_scene(polygons=[polygon]).triangles
+    return np.stack([triangles.a, triangles.b, triangles.c], axis=1)
+
+
 def test_polygons_become_triangles():
     """A star, in any plane, has its area, and no triangle outside of it."""
     turn = 2.0 * np.pi * np.arange(14) / 14
     star = np.where(np.arange(14) % 2, 0.4, 1.0)[:, None] * np.stack([np.cos(turn), np.sin(turn), 0.0 * turn], axis=1)
     area = 7.0 * 0.4 * np.sin(2.0 * np.pi / 14)
     for rotation in Rotation.random(5, random_state=6):
-        triangles = polygon_triangles(rotation.apply(star) + 3.0)
+        triangles = cut(rotation.apply(star) + 3.0)
         normals = np.cross(triangles[:, 1] - triangles[:, 0], triangles[:, 2] - triangles[:, 0]) / 2.0
         assert triangles.shape == (12, 3, 3) and np.allclose(normals.sum(axis=0), area * rotation.apply([0.0, 0.0, 1.0]))
         assert np.isclose(np.linalg.norm(normals, axis=1).sum(), area)
@@ -247,8 +253,8 @@ def test_polygons_become_triangles():
     ],
 )
 def test_what_is_no_polygon(corners, words):
-    with pytest.raises(ValueError, match=f"^polygon.*{words}"):
-        polygon_triangles(corners)
+    with pytest.raises(ValueError, match=f"^polygons 1.*{words}"):
+        jaxik.make_scene(polygons=[corners])
 
 
 def test_a_carried_surface_moves_with_the_tip(arm):
@@ -261,7 +267,7 @@ def test_a_carried_surface_moves_with_the_tip(arm):
     moved = tip(q) @ np.linalg.inv(tip(np.zeros(3)))
     placed = triangles @ moved[:3, :3].T + moved[:3, 3]
     truth = apart_in_coal(in_coal(placed), in_coal(np.full((1, 3, 3), [1.0, 0.6, 0.3]))) - 0.1
-    found = {c.link: c.distance for c in jaxik.explain(held.robot, ball, q, 9).contacts}
+    found = {c.link: c.distance for c in jaxik.explain(held.robot, ball, q, count=9).contacts}
     assert abs(found["sheet"] - truth) <= 1e-9
 
 

@@ -307,7 +307,7 @@ def test_a_tensor_of_torch_is_an_array_of_numbers():
 
     q = np.array([0.3, -0.4])
     asked = [lambda q, f=f, s=s: f(ARM, s, q) for f in (jaxik.clearance, jaxik.collides) for s in (SCENE, None)]
-    asked += [lambda q: jaxik.collision.object_clearances(ARM, SCENE, q), lambda q: jaxik.collision.self_clearance(ARM, q)]
+    asked += [lambda q: jaxik.collision.object_clearances(ARM, SCENE, q), lambda q: jaxik.clearance(ARM, None, q)]
     for ask in asked:
         for wide in (torch.float32, torch.float64):
             np.testing.assert_allclose(np.asarray(ask(torch.tensor(q, dtype=wide))), np.asarray(ask(q)), atol=1e-6)

@@ -269,7 +269,7 @@ def test_what_is_held_is_hit(tmp_path, name):
     beside = lambda pair: max(joint[link] for link in pair) - min(joint[link] for link in pair) == 1 and not pair & HELD
     judged = [i for i, pair in enumerate(pairs) if not fixed(pair) and not beside(pair) and gaps[0, i] > 0.0]
     truth = gaps[1:, judged].min(axis=1)
-    told = np.asarray(jax.jit(jax.vmap(lambda q: jaxik.collision.self_clearance(robot, q)))(q))
+    told = np.asarray(jax.jit(jax.vmap(lambda q: jaxik.clearance(robot, None, q)))(q))
     held = gaps[1:, [i for i in judged if pairs[i] & HELD]].min(axis=1)
     assert np.sum(held < -DEEP) > 5  # the joints held do matter
     assert not np.any((told > DEEP) & (truth < -DEEP))

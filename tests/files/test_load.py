@@ -787,10 +787,10 @@ def test_meshes_of_a_real_robot_lie_in_their_spheres():
 
     file, tip = ROBOTS["panda"]
     with pytest.raises(ValueError, match="meshes=True"):
-        jaxik.collision.self_clearance(jaxik.load(FOLDER / file, tip=tip), np.zeros(7))
+        jaxik.clearance(jaxik.load(FOLDER / file, tip=tip), None, np.zeros(7))
     robot = jaxik.load(FOLDER / file, tip=tip, meshes=True, fit=None, posture={})
     q = np.zeros(robot.num_joints)
-    centres, radii = jaxik.collision.link_spheres(robot, q)
+    centres, radii = jaxik.collision.robot_spheres(robot, q)
     frames = dict(zip(robot.link_names, np.asarray(jaxik.kinematics.link_frames(robot, q)), strict=True))
     for i in range(1, 8):
         mesh = trimesh.load(FOLDER / f"panda_description/meshes/collision/link{i}.stl", force="mesh")

@@ -252,5 +252,5 @@ def test_mjcf_is_fitted_as_a_urdf_is(tmp_path):
 def test_what_is_nearest_is_named(arm):
     """In the model that was fitted, by the links' names."""
     robot = jaxik.load(arm, meshes=True)
-    told = jaxik.explain(robot, None, np.array([0.0, 2.3, 0.0]), 1).contacts[0]
+    told = jaxik.explain(robot, None, np.array([0.0, 2.3, 0.0]), count=1).contacts[0]
     assert (told.link, told.other) == ("arm", "base") and told.distance < 0.0

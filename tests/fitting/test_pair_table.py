@@ -126,7 +126,7 @@ def test_a_fitted_robot_is_as_free_as_its_links(arm, postures):
     """None missed; without its tables the robot collides falsely."""
     assert {tuple(arm.link_names[i] for i in t.links) for t in arm.pair_tables} >= {("base", "beam")}
     true = np.minimum(signed(arm, "base", "beam", postures), signed(arm, "base", "tip", postures))
-    share = lambda robot: np.asarray(jax.vmap(lambda q: jaxik.collision.self_clearance(robot, q))(postures)) <= 0.0
+    share = lambda robot: np.asarray(jax.vmap(lambda q: jaxik.clearance(robot, None, q))(postures)) <= 0.0
     known, bare = share(arm), share(dataclasses.replace(arm, pair_tables=()))
     assert np.all(bare | ~known) and not np.any(~known & (true < -EXACT))
     known, bare = np.mean(known & (true > 0.0)), np.mean(bare & (true > 0.0))
@@ -136,12 +136,12 @@ def test_a_fitted_robot_is_as_free_as_its_links(arm, postures):
 def test_the_search_skips_and_stops_as_without(arm, postures):
     """Flat and hierarchical distances are equal to the last bit, by links, too; so are the answers of `collides`."""
     flat = kernel(lambda q: Space(arm, (), q, skips=False).all().distance)
-    found = np.asarray(jax.vmap(lambda q: jaxik.collision.self_clearance(arm, q))(postures))
+    found = np.asarray(jax.vmap(lambda q: jaxik.clearance(arm, None, q))(postures))
     assert np.array_equal(np.asarray(jax.vmap(flat)(postures)), found)
     assert np.array_equal(np.asarray(jax.vmap(lambda q: link_clearances(arm, None, q))(postures)).min(axis=1), found)
     for margin in (0.0, 0.004):
         assert np.array_equal(
-            np.asarray(jax.vmap(lambda q, m=margin: jaxik.collides(arm, None, q, m))(postures)), found < margin
+            np.asarray(jax.vmap(lambda q, m=margin: jaxik.collides(arm, None, q, margin=m))(postures)), found < margin
         )
     for q, apart in zip(postures[:20], found, strict=False):
         assert jaxik.explain(arm, None, q).contacts[0].distance == pytest.approx(float(apart), abs=1e-12)
@@ -150,7 +150,7 @@ def test_the_search_skips_and_stops_as_without(arm, postures):
 def test_gradients_are_differences(arm, postures):
     """Where the table decides, whether q moves alone or the scene with it."""
     scene = jaxik.make_scene(spheres=[[3.0, 0.0, 0.0, 0.1]])
-    apart = lambda q: jaxik.collision.self_clearance(arm, q)
+    apart = lambda q: jaxik.clearance(arm, None, q)
     beside = lambda q, x: jaxik.clearance(
         arm, dataclasses.replace(scene, spheres=dataclasses.replace(scene.spheres, radius=x)), q
     )
@@ -177,7 +177,7 @@ def test_motions_are_proven_with_tables(arm, postures):
 
 def test_a_table_is_of_the_links_that_were_measured(arm, postures):
     """Of others it says nothing: a link made thicker, moved, or differentiated by."""
-    apart = lambda robot: np.asarray(jax.vmap(lambda q: jaxik.collision.self_clearance(robot, q))(postures[:200]))
+    apart = lambda robot: np.asarray(jax.vmap(lambda q: jaxik.clearance(robot, None, q))(postures[:200]))
     bare = lambda robot: dataclasses.replace(robot, pair_tables=())
     thick = dataclasses.replace(
         arm, volumes=tuple(dataclasses.replace(v, radius=np.asarray(v.radius + 0.02)) for v in arm.volumes)
@@ -194,14 +194,12 @@ def test_a_table_is_of_the_links_that_were_measured(arm, postures):
     for name in ("parent_T_joint", "axis", "lower", "upper", "velocity", "effort", "armature"):
         rail[name] = np.concatenate([getattr(arm, name)[:1], getattr(arm, name)])
     led = dataclasses.replace(arm, bodies=(), **rail)
-    before = lambda robot: np.asarray(
-        jax.vmap(lambda q: jaxik.collision.self_clearance(robot, jnp.append(0.0, q)))(postures[:200])
-    )
+    before = lambda robot: np.asarray(jax.vmap(lambda q: jaxik.clearance(robot, None, jnp.append(0.0, q)))(postures[:200]))
     assert np.array_equal(before(led), apart(bare(arm)))
     assert np.array_equal(apart(arm.mounted(np.diag([1.0, -1.0, -1.0, 1.0]))), apart(arm))
     part = arm.part(0, 3)
     assert part.pair_tables == ()  # its base is none of a part's links
-    grown = lambda x: jaxik.collision.self_clearance(dataclasses.replace(arm, parent_T_joint=frames * x), postures[0])
+    grown = lambda x: jaxik.clearance(dataclasses.replace(arm, parent_T_joint=frames * x), None, postures[0])
     assert np.isfinite(jax.grad(grown)(1.0))
 
 

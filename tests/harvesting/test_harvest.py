@@ -37,7 +37,7 @@ def test_solved_is_solved(harvest):
 
 
 def _contacts(robot, scene, q):
-    return jaxik.collision.object_clearances(robot, scene, q), jaxik.collision.self_clearance(robot, q)
+    return jaxik.collision.object_clearances(robot, scene, q), jaxik.clearance(robot, None, q)
 
 
 def _opened_by_brute_force(harvest, row):

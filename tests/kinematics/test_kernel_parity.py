@@ -124,8 +124,8 @@ FUNCTIONS = {
     "clearance": (lambda q: jaxik.clearance(PLANAR, SCENE, q), ANGLES(2)),
     "link_clearances of traced obstacles": (_moved, lambda u: (2.0 * u[:2], 0.1 * u[2:5])),
     "object_clearances": (lambda q: jaxik.collision.object_clearances(PLANAR, SCENE, q), ANGLES(2)),
-    "self_clearance": (lambda q: jaxik.collision.self_clearance(ARM, q), ANGLES(4)),
-    "collides": (lambda q: jaxik.collides(ARM, SCENE, q, 0.2), ANGLES(4)),
+    "clearance of itself": (lambda q: jaxik.clearance(ARM, None, q), ANGLES(4)),
+    "collides": (lambda q: jaxik.collides(ARM, SCENE, q, margin=0.2), ANGLES(4)),
     "descend": (
         lambda pose, q: jaxik.ik.descend(PLANAR, pose, q, POSITION, iterations=3),
         lambda u: (jaxik.forward_kinematics.__wrapped__(PLANAR, 2.0 * u[:2]), 2.0 * u[2:4]),

@@ -10,7 +10,8 @@ import jaxik
 def test_surfaces_cross_where_an_edge_goes_through():
     turn = 2.0 * np.pi * np.arange(14) / 14
     star = np.where(np.arange(14) % 2, 0.4, 1.0)[:, None] * np.stack([np.cos(turn), np.sin(turn), 0.0 * turn], axis=1)
-    flat, cross = jaxik.collision.polygon_triangles(star), jax.jit(surfaces_cross)
+    triangles, cross = jaxik.make_scene(polygons=[star]).triangles, jax.jit(surfaces_cross)
+    flat = np.stack([triangles.a, triangles.b, triangles.c], axis=1)
     beside, above = np.array([0.9, 0.3, 0.0]), np.array([0, 0, 1.1])
     pin = np.array([[[0.0, 0.0, -1.0], [0.0, 0.01, 1.0], [0.01, 0.0, 1.0]]])
     assert cross(flat, pin) and cross(pin, flat) and not cross(flat, pin + beside) and not cross(flat, pin + above)

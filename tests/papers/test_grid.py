@@ -86,7 +86,7 @@ def test_an_arm_on_a_grid():
     for way in ways:
         assert way and way.length == pytest.approx(ways[0].length, abs=1e-9)
         np.testing.assert_array_equal(way.waypoints[[0, -1]], [START, GOAL])
-        assert min(float(jaxik.explain(ARM, CELL, q, 1).contacts[0].distance) for q in way.waypoints[::4]) >= 0.0
+        assert min(float(jaxik.explain(ARM, CELL, q, count=1).contacts[0].distance) for q in way.waypoints[::4]) >= 0.0
     assert ways[1].expanded >= ways[0].expanded
     wide = plan_on_grid(ARM, START, GOAL, scene=CELL, diagonal=True)
     assert wide.length < ways[0].length

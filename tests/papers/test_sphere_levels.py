@@ -29,5 +29,5 @@ def test_the_hierarchy_is_one_of_boxes():
 
 
 def _flat(robot, scene, q):
-    centres, radii = jaxik.collision.link_spheres(robot, q)
+    centres, radii = jaxik.collision.robot_spheres(robot, q)
     return jnp.linalg.norm(centres[:, None] - scene.points.center, axis=-1) - radii[:, None]
