@@ -72,7 +72,7 @@ def measure(name: str, plans: int) -> dict[str, Any]:
         row[f"{kind} keep 5 mm"] = float(1.0 - np.mean(np.asarray(asked(jnp.asarray(q[:SHARE])))))
         moves = [jaxik.plan_motion(each, None, free[2 * k], free[2 * k + 1], seed=k) for k in range(plans)]
         found = [move.trajectory for move in moves if move.trajectory is not None]
-        at = [np.asarray(way.sample(float(way.duration) / (SAMPLES - 1))[1].q) for way in found]
+        at = [np.asarray(way.sample(float(way.duration) / (SAMPLES - 1)).q) for way in found]
         touching = judged_at(file, robot, np.concatenate(at), pairs) if at else np.zeros(0, bool)
         row |= {f"{kind} plans": len(found), f"{kind} samples that collide": int(touching.sum())}
         row[f"{kind} not found"] = dict(collections.Counter(move.why for move in moves if not move.success))

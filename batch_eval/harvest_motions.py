@@ -95,7 +95,7 @@ def checked(plan: HarvestPlan, step: float = 1e-3) -> dict[str, float]:
             touching = least(scene, gone, body, thick) < MARGIN
 
         def placed(count: int, stage: Any = stage) -> Any:
-            _, state = stage.trajectory.sample(float(stage.trajectory.duration) / count)
+            state = stage.trajectory.sample(float(stage.trajectory.duration) / count)
             blocks = np.resize(state.q, (-(-len(state.q) // BLOCK), BLOCK, robot.num_joints))  # of one size: it compiles once
             parts = [[np.asarray(x) for x in each(block)] for block in blocks]
             return state, *(np.concatenate(x)[: len(state.q)] for x in zip(*parts, strict=True))

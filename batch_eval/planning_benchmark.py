@@ -22,7 +22,7 @@ from collision_peers import Coal
 from race import clocked, machine, percentiles
 
 import jaxik
-from jaxik.planning import JointPath, Planned, plan_motion, spline, time_optimal
+from jaxik.planning import JointPath, Planned, plan_motion, time_optimal
 
 TOUCH = 1e-6  # [m] that float32 does not tell from contact
 APART = 1e-3  # [m] that any point of the robot moves at most between samples that are judged
@@ -35,7 +35,7 @@ def judged(robot: jaxik.Robot, coal: Coal, scene: jaxik.Scene, moved: Planned) -
     """Whether a motion is free, and the greatest shares of the limits that it takes."""
     assert moved.trajectory is not None
     reach = jaxik.collision.continuous_collision.joint_reaches(robot)
-    _, state = moved.trajectory.sample(1e-3)
+    state = moved.trajectory.sample(1e-3)
     way = np.concatenate([[0.0], np.cumsum(np.abs(np.diff(state.q, axis=0)) @ reach)])
     places = np.linspace(0.0, way[-1], int(np.ceil(way[-1] / APART)) + 1)
     q = np.stack([np.interp(places, way, column) for column in state.q.T], axis=1)
@@ -64,7 +64,7 @@ def problems(folder: Path, tip: str | None = None) -> dict[str, Any]:
             coal.scenes.clear()
     p50, p95 = percentiles(times)
     solved = [moved for moved in motions if moved]
-    stops = [time_optimal(jaxik.planning.polyline(m.waypoints), robot.velocity, 4.0 * robot.velocity) for m in solved[::10]]
+    stops = [time_optimal(JointPath.polyline(m.waypoints), robot.velocity, 4.0 * robot.velocity) for m in solved[::10]]
     result = {
         "robot": robot.name,
         "problems": len(goals),
@@ -93,7 +93,7 @@ def timing(rounds: int = 5, theirs: int = 20) -> dict[str, Any]:
     for kind, most in (("Velocity", VELOCITY), ("Acceleration", ACCELERATION)):
         limits.append(getattr(toppra.constraint, f"Joint{kind}Constraint")(np.tile([-most, most], (JOINTS, 1))))
     waypoints = rng.uniform(-2.0, 2.0, (PATHS, WAYPOINTS, JOINTS))
-    paths = [spline(points) for points in waypoints]
+    paths = [JointPath.spline(points) for points in waypoints]
     stacked = JointPath(np.stack([p.lengths for p in paths]), np.stack([p.coefficients for p in paths]))
 
     def peer(i: int) -> float:

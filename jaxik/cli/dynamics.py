@@ -18,8 +18,8 @@ from jaxik.cli.results import check_writable, writing
 from jaxik.cli.robot_arguments import RobotArguments
 from jaxik.dynamics.actuation import friction_torque, motor_current
 from jaxik.dynamics.recursions import gravity_torque, inverse_dynamics
+from jaxik.kinematics.motion import Motion
 from jaxik.kinematics.robot import Robot, beyond_limits
-from jaxik.planning.trajectory import JointState
 from jaxik.planning.trajectory_files import as_states, check_ending
 from jaxik.planning.trajectory_readers import read_motion
 
@@ -77,8 +77,7 @@ class DynamicsArguments(RobotArguments):
         robot = robot.with_load(self.load, np.zeros(3), np.zeros((3, 3))) if self.load else robot
         time, found = read_motion(check_ending("dynamics", self.motion), robot.joint_names)
         self._doubt(robot, time, found["q"])
-        time, state = as_states(time, found, self.smooth)
-        demand = demanded(robot, state, self.gravity)
+        demand = demanded(robot, as_states(time, found, self.smooth), self.gravity)
         with writing(self.out) as (aside, wrote):
             _write(aside, robot, time, demand)
         if "acceleration" not in found:
@@ -110,20 +109,20 @@ class DynamicsArguments(RobotArguments):
         return f"{what}, {noise}"
 
 
-def demanded(robot: Robot, state: JointState, gravity: tuple[float, float, float]) -> Demand:
-    """Along a motion of states (i, n)."""
+def demanded(robot: Robot, motion: Motion, gravity: tuple[float, float, float]) -> Demand:
+    """What a motion (i, n) demands."""
     every = lambda of, *x: np.asarray(jax.jit(jax.vmap(of))(*x))
     with jax.enable_x64(True):
-        torque = every(lambda *x: inverse_dynamics(robot, *x, gravity=gravity), *state)
-        still = every(lambda q: gravity_torque(robot, q, gravity=gravity), state.q)
-        found = Demand(torque, still, torque * state.velocity)
+        torque = every(lambda *x: inverse_dynamics(robot, *x, gravity=gravity), *motion.state)
+        still = every(lambda q: gravity_torque(robot, q, gravity=gravity), motion.q)
+        found = Demand(torque, still, torque * motion.velocity)
         if not robot.drives:
             return found
-        friction = every(lambda v, t: friction_torque(robot, v, t), state.velocity, torque)
+        friction = every(lambda v, t: friction_torque(robot, v, t), motion.velocity, torque)
         found = found._replace(friction=friction)
         if all(drive.torque_per_current == 1.0 for drive in robot.drives):  # a file that tells of friction knows no motors
             return found
-        return found._replace(current=every(lambda t, v: motor_current(robot, t, v), torque, state.velocity))
+        return found._replace(current=every(lambda t, v: motor_current(robot, t, v), torque, motion.velocity))
 
 
 def _lines(robot: Robot, demand: Demand) -> Iterable[str]:

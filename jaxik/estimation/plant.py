@@ -26,9 +26,9 @@ from jaxik.dynamics.actuation import friction_torque, motor_current
 from jaxik.dynamics.recursions import GRAVITY, inverse_dynamics, mass_matrix
 from jaxik.estimation.sampled import Sample
 from jaxik.kinematics.drive import Drive
+from jaxik.kinematics.motion import Motion
 from jaxik.kinematics.robot import Robot
 from jaxik.planning import Trajectory
-from jaxik.planning.trajectory import JointState
 from jaxik.pytree import Pytree
 from jaxik.spatial.rotations import to_wxyz
 from jaxik.spmd import HostKernel
@@ -167,7 +167,7 @@ def play(
     q, qdot, current, external, torque, gear = simulated
     torsion = gear / _of_drives(robot, lambda d: d.stiffness)
     q, qdot, current, torsion = _measured(instruments, dt, seed, q, current, torsion)
-    asked = {f"{name}_des": np.asarray(x) for name, x in zip(("q", "qdot", "qddot"), desired, strict=True)}
+    asked = {f"{name}_des": np.asarray(x) for name, x in zip(("q", "qdot", "qddot"), desired.state, strict=True)}
     return SimulatedLog(t=t, **asked, q=q, qdot=qdot, current=current, torsion=torsion, external=external, torque=torque)
 
 
@@ -196,7 +196,7 @@ def _of_drives(robot: Robot, get: Callable[[Drive], Any]) -> np.ndarray:
 
 
 def _simulated(
-    mujoco: Any, arm: Any, robot: Robot, controller: _Controller, pushes: Sequence[_OnBody], t: np.ndarray, desired: JointState
+    mujoco: Any, arm: Any, robot: Robot, controller: _Controller, pushes: Sequence[_OnBody], t: np.ndarray, desired: Motion
 ) -> np.ndarray:
     """q, qdot, currents, what pushes do to the joints, what the drives do, and what the gears carry of it, (6, k, n)."""
     forward, per_error, per_rate = controller
@@ -223,26 +223,25 @@ def _simulated(
     return found
 
 
-def _with_rests(motions: Sequence[Trajectory], dt: float, rest: tuple[float, float]) -> tuple[np.ndarray, JointState]:
+def _with_rests(motions: Sequence[Trajectory], dt: float, rest: tuple[float, float]) -> tuple[np.ndarray, Motion]:
     """Samples of the motions in a row, the arm at rest before and after each."""
     before, after = (round(x / dt) for x in rest)
     states = []
     for motion in motions:
-        _, (q, qdot, qddot) = motion.sample(dt)
-        stays = ((before, after), (0, 0))
-        states.append(JointState(np.pad(q, stays, "edge"), np.pad(qdot, stays), np.pad(qddot, stays)))
-    whole = JointState(*map(np.concatenate, zip(*states, strict=True)))
+        moved, stays = motion.sample(dt), ((before, after), (0, 0))
+        states.append((np.pad(moved.q, stays, "edge"), np.pad(moved.velocity, stays), np.pad(moved.acceleration, stays)))
+    whole = Motion(*map(np.concatenate, zip(*states, strict=True)))
     return dt * np.arange(len(whole.q)), whole
 
 
-def _controller(model: Robot, desired: JointState, gains: Gains) -> _Controller:
+def _controller(model: Robot, desired: Motion, gains: Gains) -> _Controller:
     """Of joints that are to move as `desired`, by what the model says of them."""
     gain = _of_drives(model, lambda d: d.torque_per_current)
 
     def asked(q: Any, qdot: Any, qddot: Any) -> Any:
         return motor_current(model, inverse_dynamics(model, q, qdot, qddot), qdot)
 
-    (forward,) = HostKernel(asked, 3).run(*desired, double=True)
+    (forward,) = HostKernel(asked, 3).run(*desired.state, double=True)
     (inertia,) = HostKernel(lambda q: jnp.diagonal(mass_matrix(model, q)), 1).run(desired.q[:1], double=True)
     stiff = gains.frequency**2 * inertia[0] / gain
     return _Controller(forward, stiff, 2.0 * gains.damping / gains.frequency * stiff)

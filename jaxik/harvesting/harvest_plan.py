@@ -9,9 +9,10 @@ import numpy as np
 
 from jaxik.checks.options import as_count, check_choices, check_finite, check_kind, shown
 from jaxik.collision.scene import Scene
+from jaxik.kinematics.motion import Motion
 from jaxik.kinematics.robot import Robot
 from jaxik.kinematics.task import POSE, Task
-from jaxik.planning.trajectory import JointState, Trajectory
+from jaxik.planning.trajectory import Trajectory
 from jaxik.reasons import Reason, Reasoned
 
 Order = Literal["shortest", "row"]
@@ -161,14 +162,15 @@ class HarvestPlan(Reasoned):
         """One a `period` [s], each stage from its beginning on (`Trajectory.sample`). Host."""
         parts, start = [], 0.0
         for number, stage in enumerate(self.stages):
-            time, state = stage.trajectory.sample(period)
+            moved = stage.trajectory.sample(period)
             first = min(number, 1)  # where a stage ends the next one begins
-            parts.append((start + time[first:], *(x[first:] for x in state), np.full(len(time) - first, number)))
-            start += time[-1]
+            each = (start + moved.time, *moved.state, np.full(len(moved.time), number))
+            parts.append(tuple(x[first:] for x in each))
+            start += moved.time[-1]
         n = self.robot.num_joints
         columns = zip(*parts, strict=True) if parts else ([np.zeros((0, *shape))] for shape in ((), (n,), (n,), (n,), ()))
         time, q, velocity, acceleration, numbers = (np.concatenate(list(each)) for each in columns)
-        return Samples(time, JointState(q, velocity, acceleration), numbers.astype(int))
+        return Samples(time, Motion(q, velocity, acceleration, time), numbers.astype(int))
 
     def gone(self, number: int) -> tuple[str, ...]:
         """The fruits that are no more where they hung during a stage, the last one in the gripper if the stage carries it."""
@@ -180,5 +182,5 @@ class Samples(NamedTuple):
     """Times (i,) [s], states (i, n) [rad, m and s], and the number (i,) of the stage that each belongs to."""
 
     time: np.ndarray
-    state: JointState
+    state: Motion
     stage: np.ndarray

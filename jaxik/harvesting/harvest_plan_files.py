@@ -9,7 +9,7 @@ import numpy as np
 
 from jaxik.checks.options import check_kind
 from jaxik.harvesting.harvest_plan import HarvestPlan
-from jaxik.planning.trajectory_files import arrays, check_ending, joint_points, table
+from jaxik.planning.trajectory_files import arrays, check_ending, joint_points, known, table
 
 
 def save_harvest_plan(file: str | Path, plan: HarvestPlan, period: float = 0.01) -> Path:
@@ -23,17 +23,17 @@ def save_harvest_plan(file: str | Path, plan: HarvestPlan, period: float = 0.01)
     file, names = check_ending("save_harvest_plan", file), list(plan.robot.joint_names)
     if file.suffix.lower() == ".json":
         stages = [
-            {"fruit": s.fruit, "stage": s.kind, "joint_names": names, "points": joint_points(*s.trajectory.sample(period))}
+            {"fruit": s.fruit, "stage": s.kind, "joint_names": names, "points": joint_points(s.trajectory.sample(period))}
             for s in plan.stages
         ]
         file.write_text(json.dumps(stages))
         return file
-    time, state, number = plan.sample(period)
+    time, motion, number = plan.sample(period)
     words = {key: np.array([getattr(s, kind) for s in plan.stages])[number] for key, kind in _WORDS.items()}
     if file.suffix.lower() == ".npz":
-        arrays(file, time=time, **words, **state._asdict(), joint_names=names)
+        arrays(file, time=time, **words, **known(motion), joint_names=names)
     else:
-        table(file, time, state, names, words)
+        table(file, motion, names, words)
     return file
 
 

@@ -200,7 +200,7 @@ class _Planner:
             return ()
         hit = np.zeros(len(self.around.removable), bool)
         for stage in stages:
-            q = np.asarray(stage.trajectory.sample(PERIOD)[1].q)
+            q = np.asarray(stage.trajectory.sample(PERIOD).q)
             hit |= self.leaves(held if stage.carries else self.robot, q, stage.fruit).any(axis=0)
         return tuple(name for name, one in zip(self.around.scene.object_names, hit, strict=True) if one)
 

@@ -2,12 +2,18 @@
 
 from __future__ import annotations
 
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from jaxtyping import Float
 
 from jaxik.kinematics.robot import Array
 from jaxik.pytree import Pytree
+
+if TYPE_CHECKING:  # a type checker lets what a motion has be used without a question whether it has it
+    Joints = Any
+    Times = Any
+else:
+    Joints, Times = Float[Array, "*log n"] | None, Float[Array, "*log"] | None
 
 
 class Motion(Pytree):
@@ -24,13 +30,18 @@ class Motion(Pytree):
     """
 
     q: Float[Array, "*log n"]
-    velocity: Float[Array, "*log n"] | None = None
-    acceleration: Float[Array, "*log n"] | None = None
-    time: Float[Array, "*log"] | None = None
-    torque: Float[Array, "*log n"] | None = None
-    current: Float[Array, "*log n"] | None = None
-    torsion: Float[Array, "*log n"] | None = None
-    external: Float[Array, "*log n"] | None = None
+    velocity: Joints = None
+    acceleration: Joints = None
+    time: Times = None
+    torque: Joints = None
+    current: Joints = None
+    torsion: Joints = None
+    external: Joints = None
+
+    @property
+    def state(self) -> tuple[Any, Any, Any]:
+        """q, velocity and acceleration, in the order in which `inverse_dynamics` takes them."""
+        return self.q, self.velocity, self.acceleration
 
     def needed(self, who: str, name: str) -> Any:
         """One of its fields. Raises `ValueError`, `who` asking, where it is None."""

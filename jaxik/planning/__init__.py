@@ -3,7 +3,7 @@
 from jaxik.planning.planner import Planned, PlannedMotions, PlanOptions, plan_motion, plan_motions
 from jaxik.planning.profiles import quintic, s_curve, trapezoidal
 from jaxik.planning.timing import time_optimal
-from jaxik.planning.trajectory import JointPath, JointState, Trajectory, polyline, spline
+from jaxik.planning.trajectory import JointPath, Trajectory
 from jaxik.planning.trajectory_files import load_trajectory, save_trajectory
 from jaxik.planning.trajectory_optimiser import OptimisedTrajectory, optimise_trajectory
 from jaxik.planning.trajectory_options import TrajectoryOptions
@@ -11,7 +11,6 @@ from jaxik.planning.trajectory_sensitivity import trajectory_cost
 
 __all__ = [
     "JointPath",
-    "JointState",
     "OptimisedTrajectory",
     "PlanOptions",
     "Planned",
@@ -22,11 +21,9 @@ __all__ = [
     "optimise_trajectory",
     "plan_motion",
     "plan_motions",
-    "polyline",
     "quintic",
     "s_curve",
     "save_trajectory",
-    "spline",
     "time_optimal",
     "trajectory_cost",
     "trapezoidal",

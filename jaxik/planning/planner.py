@@ -23,7 +23,7 @@ from jaxik.planning.goal_postures import postures
 from jaxik.planning.limits import Limits, limits_of
 from jaxik.planning.outcome import Outcome
 from jaxik.planning.timing import time_optimal
-from jaxik.planning.trajectory import JointPath, Trajectory, padded, polyline
+from jaxik.planning.trajectory import JointPath, Trajectory, padded
 from jaxik.planning.tree_search import Budget
 from jaxik.reasons import Reason, Reasoned
 
@@ -267,7 +267,7 @@ def _straight(
 def _rounded(space: CollisionChecker, waypoints: np.ndarray) -> JointPath:
     """Of some power of two of pieces, so that programs are few."""
     moves = space.length(np.diff(waypoints, axis=0)).sum() > 0.0
-    path = blended(space, waypoints) if moves else polyline(waypoints)
+    path = blended(space, waypoints) if moves else JointPath.polyline(waypoints)
     return padded(path, 2 ** max(2, int(np.ceil(np.log2(len(path.lengths))))))
 
 

@@ -10,7 +10,7 @@ is known exactly at every moment. Both are pytrees of arrays, and a batch of the
 
 from __future__ import annotations
 
-from typing import Any, NamedTuple
+from typing import Any
 
 import jax
 import jax.numpy as jnp
@@ -19,6 +19,7 @@ from jaxtyping import Float
 
 from jaxik.checks.arrays import is_known, numbers
 from jaxik.checks.options import check_finite
+from jaxik.kinematics.motion import Motion
 from jaxik.kinematics.robot import Array
 from jaxik.pytree import Pytree
 from jaxik.reasons import Reason, Reasoned
@@ -31,14 +32,6 @@ MOST = 10_000_000  # samples of a motion
 SLOWEST = 0.1  # [s] between samples, that a controller may want of a motion that is over sooner
 
 
-class JointState(NamedTuple):
-    """Joint values, rates and accelerations (..., n) [rad, m and s]."""
-
-    q: Float[Array, "... n"]
-    velocity: Float[Array, "... n"]
-    acceleration: Float[Array, "... n"]
-
-
 class JointPath(Pytree):
     """Pieces of length `lengths` (k,); `coefficients` (k, 4, n) of each, of the highest power first, by the way since its
     beginning. A piece of no length counts for nothing, so that paths of as many pieces as others stack. Quintics have six
@@ -46,6 +39,36 @@ class JointPath(Pytree):
 
     lengths: Float[Array, "*batch k"]
     coefficients: Float[Array, "*batch k c n"]
+
+    @classmethod
+    def polyline(cls, waypoints: Any) -> JointPath:
+        """Straight from each of the waypoints (k, n) [rad, m] to the next, k >= 2, as long as their Euclidean distance. Host.
+
+        A waypoint that is equal to the one before adds a piece of no length. Raises `ValueError` for another shape, and NaN.
+        """
+        points = _waypoints("polyline", waypoints)
+        steps = np.diff(points, axis=0)
+        lengths = np.linalg.norm(steps, axis=1)
+        slope = np.divide(steps, lengths[:, None], out=np.zeros_like(steps), where=lengths[:, None] > 0.0)
+        none = np.zeros_like(steps)
+        return cls(lengths, np.stack([none, none, slope, points[:-1]], axis=1))
+
+    @classmethod
+    def spline(cls, waypoints: Any) -> JointPath:
+        """The cubic spline through waypoints (k, n) [rad, m], k >= 2, with continuous velocity and acceleration, straight at
+        its ends; by SciPy. Host.
+
+        Raises `ValueError` for another shape, NaN, and equal neighbours.
+        """
+        from scipy.interpolate import CubicSpline
+
+        points = _waypoints("spline", waypoints)
+        lengths = np.linalg.norm(np.diff(points, axis=0), axis=1)
+        if not np.all(lengths > 0.0):
+            same = int(np.argmin(lengths))
+            raise ValueError(f"JointPath.spline: waypoints {same} and {same + 1} are equal; leave one out")
+        found = CubicSpline(np.concatenate([[0.0], np.cumsum(lengths)]), points, bc_type="natural")
+        return cls(lengths, np.moveaxis(found.c, 0, 1))
 
     def at(self, s: Any) -> Any:
         """q, q' and q'' (..., n) at s (...), from 0 to the sum of the lengths. Traced; `vmap` it over a stack."""
@@ -86,35 +109,37 @@ class Trajectory(Pytree, Reasoned):
         shown = f"{short} s" if np.ndim(self.duration) == 0 else f"{short} to {long} s"
         return super().__repr__().replace("(", f"(duration={shown}, ", 1)
 
-    def at(self, t: Any) -> JointState:
-        """The state at t (...) [s]; before the start and after the end it stands still there.
+    def at(self, t: Any) -> Motion:
+        """The joints' values, velocity and acceleration (..., n) at t (...) [s]; before the start and after the end it stands
+        still there.
 
         Traced; `vmap` it over a stack. In float32 an acceleration may be a thousandth of its limit off.
         """
         _check_one("Trajectory.at", self.time)
-        return _state(jnp, self, jnp.asarray(t))
+        return Motion(*_state(jnp, self, jnp.asarray(t)))
 
-    def sample(self, period: float) -> tuple[np.ndarray, JointState]:
-        """Times (i,) and states (i, n) as a controller takes them, one a `period` [s], the last at the end. Host.
+    def sample(self, dt: float) -> Motion:
+        """Samples as a controller takes them: `time` (i,), one a `dt` [s], the last at the end; q, velocity and acceleration
+        (i, n). Host.
 
-        The motion is slowed down, by less than a period in all, so that it ends with one: its limits hold for the samples, too.
-        Raises `ValueError` for a batch, for a period that is no positive number, longer than the motion and `SLOWEST`, or so
+        The motion is slowed down, by less than a sample in all, so that it ends with one: its limits hold for the samples, too.
+        Raises `ValueError` for a batch, for a dt that is no positive number, longer than the motion and `SLOWEST`, or so
         short that there are more than `MOST` samples, and for a timing that is NaN.
         """
         _check_one("Trajectory.sample", self.time)
-        check_finite("sample", period=period)
-        if not period > 0.0:
-            raise ValueError(f"sample: period is {period:g}; it is above zero [s]")
+        check_finite("sample", dt=dt)
+        if not dt > 0.0:
+            raise ValueError(f"sample: dt is {dt:g}; it is above zero [s]")
         whole = jax.tree_util.tree_map(lambda x: np.asarray(x, np.float64), self)
         if not np.isfinite(whole.duration):
             raise ValueError(f"sample: the trajectory lasts {whole.duration} s; {_ENDLESS[Reason(int(whole.reason))]}")
-        if period > max(SLOWEST, whole.duration) or whole.duration > MOST * period:
-            raise ValueError(f"sample: period is {period:g} s, and the motion lasts {whole.duration:.3g} s; give seconds")
-        steps = int(np.ceil(whole.duration / period - 1e-9))
-        slower = steps * period / whole.duration if steps else 1.0
-        time = period * np.arange(steps + 1)
+        if dt > max(SLOWEST, whole.duration) or whole.duration > MOST * dt:
+            raise ValueError(f"sample: dt is {dt:g} s, and the motion lasts {whole.duration:.3g} s; give seconds")
+        steps = int(np.ceil(whole.duration / dt - 1e-9))
+        slower = steps * dt / whole.duration if steps else 1.0
+        time = dt * np.arange(steps + 1)
         q, velocity, acceleration = _state(np, whole, np.minimum(time / slower, whole.duration))
-        return time, JointState(q, velocity / slower, acceleration / slower**2)
+        return Motion(q, velocity / slower, acceleration / slower**2, time)
 
 
 def _check_one(who: str, array: Any) -> None:
@@ -149,7 +174,8 @@ def along_pieces(c: Any, x: Any) -> Any:
     return q, slope, 2.0 * half_bend
 
 
-def _state(xp: Any, moved: Any, t: Any) -> JointState:
+def _state(xp: Any, moved: Any, t: Any) -> tuple[Any, Any, Any]:
+    """q, velocity and acceleration (..., n) at t (...)."""
     time, place, speed = xp.asarray(moved.time), xp.asarray(moved.place), xp.asarray(moved.speed)
     last = len(time) - 2
     i = xp.clip(xp.searchsorted(time, t, side="right") - 1, 0, last)
@@ -159,43 +185,13 @@ def _state(xp: Any, moved: Any, t: Any) -> JointState:
     piece = i // ((last + 1) // len(moved.path.lengths))  # by number: at a corner the way itself, rounded, is in either
     q, slope, bend = _within(xp, moved.path, piece, way)
     now, rate = (xp.where((t < time[0]) | (t > time[-1]), 0.0, x)[..., None] for x in (speed[i] + rate * since, rate))
-    return JointState(q, slope * now, bend * now**2 + slope * rate)
+    return q, slope * now, bend * now**2 + slope * rate
 
 
-def polyline(waypoints: Any) -> JointPath:
-    """Straight from each of the waypoints (k, n) [rad, m] to the next, k >= 2, as long as their Euclidean distance. Host.
-
-    A waypoint that is equal to the one before adds a piece of no length. Raises `ValueError` for another shape, and for NaN.
-    """
-    points = _waypoints("polyline", waypoints)
-    steps = np.diff(points, axis=0)
-    lengths = np.linalg.norm(steps, axis=1)
-    slope = np.divide(steps, lengths[:, None], out=np.zeros_like(steps), where=lengths[:, None] > 0.0)
-    none = np.zeros_like(steps)
-    return JointPath(lengths, np.stack([none, none, slope, points[:-1]], axis=1))
-
-
-def spline(waypoints: Any) -> JointPath:
-    """The cubic spline through waypoints (k, n) [rad, m], k >= 2, with continuous velocity and acceleration, straight at its
-    ends; by SciPy. Host.
-
-    Raises `ValueError` as `polyline` does, and for equal neighbours.
-    """
-    from scipy.interpolate import CubicSpline
-
-    points = _waypoints("spline", waypoints)
-    lengths = np.linalg.norm(np.diff(points, axis=0), axis=1)
-    if not np.all(lengths > 0.0):
-        same = int(np.argmin(lengths))
-        raise ValueError(f"spline: waypoints {same} and {same + 1} are equal; leave one out")
-    found = CubicSpline(np.concatenate([[0.0], np.cumsum(lengths)]), points, bc_type="natural")
-    return JointPath(lengths, np.moveaxis(found.c, 0, 1))
-
-
-def _waypoints(who: str, given: Any) -> np.ndarray:
-    points = numbers(f"{who}: waypoints", given)
+def _waypoints(maker: str, given: Any) -> np.ndarray:
+    points = numbers(f"JointPath.{maker}: waypoints", given)
     if points.ndim != 2 or len(points) < 2 or not np.isfinite(points).all():
-        raise ValueError(f"{who}: waypoints of shape {points.shape}; allowed: (k, n), k >= 2, finite")
+        raise ValueError(f"JointPath.{maker}: waypoints of shape {points.shape}; allowed: (k, n), k >= 2, finite")
     return points
 
 

@@ -7,13 +7,15 @@ import itertools
 import json
 from collections.abc import Mapping, Sequence
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
 from jaxik.checks.options import check_kind
+from jaxik.kinematics.motion import Motion
 from jaxik.optimise.smoothing import slope, smoothed
-from jaxik.planning.trajectory import JointState, Trajectory
-from jaxik.planning.trajectory_readers import as_names, read_motion
+from jaxik.planning.trajectory import Trajectory
+from jaxik.planning.trajectory_readers import KINDS, as_names, read_motion
 
 ENDINGS = ".csv", ".npz", ".json"
 
@@ -28,21 +30,21 @@ def save_trajectory(file: str | Path, trajectory: Trajectory, period: float, joi
     """
     check_kind("save_trajectory", "trajectory", trajectory, Trajectory)
     file, names = check_ending("save_trajectory", file), as_names("save_trajectory: joint_names", joint_names)
-    time, state = trajectory.sample(period)
-    if len(names) != state.q.shape[1]:
-        raise ValueError(f"save_trajectory: {len(names)} joint_names of {state.q.shape[1]} joints; give one a joint")
+    motion = trajectory.sample(period)
+    if len(names) != motion.q.shape[1]:
+        raise ValueError(f"save_trajectory: {len(names)} joint_names of {motion.q.shape[1]} joints; give one a joint")
     if file.suffix.lower() == ".npz":
-        arrays(file, time=time, **state._asdict(), joint_names=names)
+        arrays(file, time=motion.time, **known(motion), joint_names=names)
     elif file.suffix.lower() == ".csv":
-        table(file, time, state, names)
+        table(file, motion, names)
     else:
-        file.write_text(json.dumps({"joint_names": names, "points": joint_points(time, state)}))
+        file.write_text(json.dumps({"joint_names": names, "points": joint_points(motion)}))
     return file
 
 
-def load_trajectory(file: str | Path, joint_names: Sequence[str], smooth: float | None = None) -> tuple[np.ndarray, JointState]:
-    """Times (i,) [s] and states (i, n) of a file as `save_trajectory` writes it, or of a log: its joints in the order of
-    `joint_names`. Host.
+def load_trajectory(file: str | Path, joint_names: Sequence[str], smooth: float | None = None) -> Motion:
+    """The motion, `time` (i,) [s], q, velocity and acceleration (i, n), of a file as `save_trajectory` writes it, or of a log:
+    its joints in the order of `joint_names`. Host.
 
     A CSV has the columns `time` and `q_<joint>`, or the joints' names alone, and perhaps `velocity_<joint>` and
     `acceleration_<joint>`, parted by commas, semicolons or tabs. Rates or accelerations that a file lacks are those of a cubic
@@ -56,13 +58,18 @@ def load_trajectory(file: str | Path, joint_names: Sequence[str], smooth: float 
     return as_states(*read_motion(file, names), smooth)
 
 
-def as_states(time: np.ndarray, found: Mapping[str, np.ndarray], smooth: float | None) -> tuple[np.ndarray, JointState]:
-    """Of a motion of which some is known."""
+def as_states(time: np.ndarray, found: Mapping[str, np.ndarray], smooth: float | None) -> Motion:
+    """Completes a motion of which some is known."""
     kinds = {kind: smoothed(time, known, smooth).value if smooth is not None else known for kind, known in found.items()}
-    for before, kind in itertools.pairwise(JointState._fields):
+    for before, kind in itertools.pairwise(KINDS):
         if kind not in kinds:
             kinds[kind] = slope(time, kinds[before])
-    return time, JointState(**kinds)
+    return Motion(**kinds, time=time)
+
+
+def known(motion: Motion) -> dict[str, Any]:
+    """q, velocity and acceleration (i, n) of a motion, by name."""
+    return dict(zip(KINDS, motion.state, strict=True))
 
 
 def check_ending(who: str, file: str | Path) -> Path:
@@ -78,20 +85,19 @@ def arrays(file: Path, **held: np.ndarray | Sequence[str]) -> None:
         np.savez(out, allow_pickle=False, **held)
 
 
-def table(
-    file: Path, time: np.ndarray, state: JointState, names: Sequence[str], words: Mapping[str, np.ndarray] | None = None
-) -> None:
+def table(file: Path, motion: Motion, names: Sequence[str], words: Mapping[str, np.ndarray] | None = None) -> None:
     """A line a sample: its time, `words` (i,) of it, and a column a quantity and joint."""
-    words = words or {}
-    header = ["time", *words, *(f"{kind}_{name}" for kind in state._fields for name in names)]
-    columns = [time.tolist(), *(each.tolist() for each in words.values()), *np.concatenate(state, axis=1).T.tolist()]
+    words, kinds = words or {}, known(motion)
+    header = ["time", *words, *(f"{kind}_{name}" for kind in kinds for name in names)]
+    joints = np.concatenate(motion.state, axis=1).T.tolist()
+    columns = [np.asarray(motion.time).tolist(), *(each.tolist() for each in words.values()), *joints]
     with file.open("w", newline="", encoding="utf-8") as out:
         csv.writer(out, lineterminator="\n").writerows([header, *zip(*columns, strict=True)])
 
 
-def joint_points(time: np.ndarray, state: JointState) -> list[dict[str, object]]:
+def joint_points(motion: Motion) -> list[dict[str, object]]:
     """The `points` of ROS' `trajectory_msgs/JointTrajectory`."""
-    return [_point(*row) for row in zip(time, *state, strict=True)]
+    return [_point(*row) for row in zip(motion.time, *motion.state, strict=True)]
 
 
 def _point(time: float, q: np.ndarray, velocity: np.ndarray, acceleration: np.ndarray) -> dict[str, object]:

@@ -14,10 +14,10 @@ import numpy as np
 
 from jaxik.checks.arrays import numbers
 from jaxik.checks.options import among, shown
-from jaxik.planning.trajectory import JointState
 
 Found = tuple[np.ndarray, dict[str, np.ndarray]]  # times (i,), and what a file has of q, velocity, acceleration (i, n)
-ROS = dict(zip(JointState._fields, ("positions", "velocities", "accelerations"), strict=True))
+KINDS = "q", "velocity", "acceleration"
+ROS = dict(zip(KINDS, ("positions", "velocities", "accelerations"), strict=True))
 UNIT = re.compile(r"\s*\[(s|(rad|m)(/s2?)?)\]$")  # after a column's name; what is in other units has no such name
 COLUMNS = "write the columns time [s], q_<joint> [rad, m], perhaps velocity_<joint>, acceleration_<joint>"
 ARRAYS = "write time (i,) [s], q (i, n) [rad, m], perhaps velocity, acceleration, and joint_names (n,)"
@@ -31,7 +31,7 @@ def read_motion(file: Path, names: Sequence[str]) -> Found:
     Raises `ValueError` of one line: the file, the line or the sample in it, what is wrong there, what is to be written.
     """
     time, found, places = {".npz": _npz, ".csv": _csv, ".json": _json}[file.suffix.lower()](file, names)
-    if len(time) < (1 if len(found) == len(JointState._fields) else 2):  # what stands still is saved as one
+    if len(time) < (1 if len(found) == len(KINDS) else 2):  # what stands still is saved as one
         raise ValueError(f"{file}: {len(time)} samples; a motion has two or more")
     for what, values in {"time": time[:, None], **found}.items():
         if (wrong := ~np.isfinite(values)).any():
@@ -67,7 +67,7 @@ def _columns(file: Path, header: list[str], names: Sequence[str]) -> tuple[list[
     """Where the time and each joint's quantities stand in a header, and which quantities these are. A column of positions may
     have its joint's name alone."""
     plain = not any(f"q_{name}" in header for name in names)
-    kinds = [kind for kind in JointState._fields if kind == "q" or any(f"{kind}_{name}" in header for name in names)]
+    kinds = [kind for kind in KINDS if kind == "q" or any(f"{kind}_{name}" in header for name in names)]
     asked = ["time", *(f"{kind}_{name}" for kind in kinds for name in names)]
     asked[1 : len(names) + 1] = [name if plain and name in header else f"q_{name}" for name in names]
     for name in asked:
@@ -87,7 +87,7 @@ def _number(where: str, cell: str) -> float:
 def _npz(file: Path, names: Sequence[str]) -> tuple[np.ndarray, dict[str, np.ndarray], list[str]]:
     try:
         with file.open("rb") as opened, np.load(opened) as read:
-            held = {key: read[key] for key in ("time", "joint_names", *JointState._fields) if key in read}
+            held = {key: read[key] for key in ("time", "joint_names", *KINDS) if key in read}
             there = ", ".join(read)
     except (ValueError, TypeError, zipfile.BadZipFile, EOFError) as error:
         raise ValueError(f"{file}: cannot be read ({shown(error)}); {ARRAYS}") from None
@@ -142,5 +142,5 @@ def _ordered(
         if arrays[what].shape != shape:
             raise ValueError(f"{file}: {what} of shape {arrays[what].shape}, not {shape}; {mend}")
     order = [joints.index(name) for name in names]
-    found = {kind: arrays[kind][:, order] for kind in JointState._fields if kind in arrays}
+    found = {kind: arrays[kind][:, order] for kind in KINDS if kind in arrays}
     return arrays["time"], found, [f"sample {i}" for i in range(len(arrays["time"]))]

@@ -46,7 +46,7 @@ def plot_harvest_plan(plan: HarvestPlan, path: Path) -> None:
 def _paths(plan: HarvestPlan) -> list[tuple[np.ndarray, bool]]:
     """Each stage's places of the tip in the world (k, 3) [m], and whether it carries a fruit."""
     tip = lambda q: frames(plan.robot, q)[-1, :3, 3]
-    return [(np.array([tip(q) for q in stage.trajectory.sample(PERIOD)[1].q]), stage.carries) for stage in plan.stages]
+    return [(np.array([tip(q) for q in stage.trajectory.sample(PERIOD).q]), stage.carries) for stage in plan.stages]
 
 
 def _draw(axis: Any, plan: HarvestPlan, paths: list[tuple[np.ndarray, bool]], points: np.ndarray, solids: Any, k: int) -> None:

@@ -41,7 +41,7 @@ def test_stages_follow_each_other(plan, harvested):
     assert [stage.kind for stage in plan.stages] == ["transfer", "approach", "retreat", "transport"] * len(plan.order) + [
         "home"
     ]
-    states = [stage.trajectory.sample(0.01)[1] for stage in plan.stages]
+    states = [stage.trajectory.sample(0.01) for stage in plan.stages]
     for before, after in itertools.pairwise(states):
         np.testing.assert_allclose(before.q[-1], after.q[0], atol=1e-9)
     for state in states:
@@ -49,8 +49,8 @@ def test_stages_follow_each_other(plan, harvested):
     np.testing.assert_array_equal(states[0].q[0], states[-1].q[-1].round(9))
     for row in plan.rows:
         if row.stages:
-            np.testing.assert_allclose(row.stages[-1].trajectory.sample(0.01)[1].q[-1], CRATE, atol=1e-9)
-            line = row.stages[1].trajectory.sample(0.01)[1].q
+            np.testing.assert_allclose(row.stages[-1].trajectory.sample(0.01).q[-1], CRATE, atol=1e-9)
+            line = row.stages[1].trajectory.sample(0.01).q
             tips = np.array([jaxik.forward_kinematics(plan.robot, q) for q in line[[0, len(line) // 2, -1]]])
             along = tips[:, :3, 3] - tips[-1, :3, 3]
             np.testing.assert_allclose(np.cross(along, tips[-1, :3, 2]), 0.0, atol=2e-4)
@@ -71,7 +71,7 @@ def test_rows_have_what_those_of_the_harvest_have(plan, harvested):
     assert [row.success for row in plan.rows] == plan.success.tolist() and plan.q.shape == harvested.q.shape
     for row, fruit in zip(plan.rows, plan.scene.fruits, strict=True):
         if row.success:
-            np.testing.assert_allclose(row.q, row.stages[1].trajectory.sample(0.01)[1].q[-1], atol=1e-9)
+            np.testing.assert_allclose(row.q, row.stages[1].trajectory.sample(0.01).q[-1], atol=1e-9)
             tip = plan.robot.world_T_base @ np.asarray(jaxik.forward_kinematics(plan.robot, row.q))
             np.testing.assert_allclose(tip[:3, 3], fruit.position, atol=1e-5)
         else:

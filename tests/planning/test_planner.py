@@ -14,10 +14,10 @@ START, GOAL = np.array([-0.6, 0.2, 0.1]), np.array([0.9, -0.3, 0.2])
 def _judged(moved, coal, scene, margin=0.0):
     """Free, by coal, of what is a millimetre or less apart; inside limits of velocity 2 and acceleration 8."""
     assert moved and moved.why == "solved", moved.why
-    q = moved.trajectory.sample(0.0005)[1].q
+    q = moved.trajectory.sample(0.0005).q
     assert np.abs(np.diff(q, axis=0)).sum(axis=1).max() < 0.006
     assert coal.clearance(scene, q).min() >= margin - 1e-5
-    _, state = moved.trajectory.sample(0.004)
+    state = moved.trajectory.sample(0.004)
     assert np.abs(state.velocity).max() <= 2.0 + 1e-9 and np.abs(state.acceleration).max() <= 8.0 + 1e-9
     assert np.abs(q[:, :2]).max() <= 2.8
 
@@ -28,7 +28,7 @@ def test_around_a_pole(arm, margin):
     moved = plan_motion(robot, POLES, START, GOAL, margin=margin)
     _judged(moved, coal, POLES, margin)
     np.testing.assert_array_equal(moved.waypoints[[0, -1]], [START, GOAL])
-    np.testing.assert_allclose(moved.trajectory.sample(0.01)[1].q[[0, -1]], [START, GOAL], atol=1e-12)
+    np.testing.assert_allclose(moved.trajectory.sample(0.01).q[[0, -1]], [START, GOAL], atol=1e-12)
     again = plan_motion(robot, POLES, START, GOAL, margin=margin)
     np.testing.assert_array_equal(again.waypoints, moved.waypoints)
     corners = len(moved.waypoints)
@@ -37,7 +37,7 @@ def test_around_a_pole(arm, margin):
 
 def _stopping(moved):
     """How long it would take to stop at each corner [s]."""
-    return jaxik.planning.time_optimal(jaxik.planning.polyline(moved.waypoints), 2.0, 8.0).duration
+    return jaxik.planning.time_optimal(jaxik.planning.JointPath.polyline(moved.waypoints), 2.0, 8.0).duration
 
 
 def test_to_a_pose_and_to_the_nearest_of_some(arm):
@@ -120,7 +120,7 @@ def test_already_there(arm):
     robot, _ = arm
     moved = plan_motion(robot, POLES, START, START)
     assert moved and moved.trajectory.duration == 0.0
-    np.testing.assert_array_equal(moved.trajectory.sample(0.01)[1].q, [START])
+    np.testing.assert_array_equal(moved.trajectory.sample(0.01).q, [START])
 
 
 ENCLOSED = jaxik.make_scene(boxes=[[0.0, y, 0.0, 4.0, 0.1, 1.0] for y in (-0.15, 0.15)])

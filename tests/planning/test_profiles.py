@@ -7,7 +7,7 @@ import toppra
 import toppra.algorithm
 import toppra.constraint
 
-from jaxik.planning import polyline, quintic, s_curve, save_trajectory, time_optimal, trapezoidal
+from jaxik.planning import JointPath, quintic, s_curve, save_trajectory, time_optimal, trapezoidal
 
 LIMITS = np.array([1.0, 2.0, 0.5]), np.array([4.0, 2.0, 6.0]), np.array([20.0, 30.0, 10.0])
 PROFILES = pytest.mark.parametrize(("profile", "limits"), [(trapezoidal, 2), (s_curve, 3), (quintic, 2), (quintic, 3)])
@@ -27,7 +27,8 @@ def _dense(moved, count=4000):
 def test_limits_hold_at_every_moment_and_one_is_met(profile, limits, size):
     points = _waypoints(4, size=size)
     moved = profile(points, *LIMITS[:limits])
-    time, (q, velocity, acceleration) = _dense(moved)
+    moved = _dense(moved)
+    time, (q, velocity, acceleration) = moved.time, moved.state
     jerk = np.diff(acceleration, axis=0) / np.diff(time)[:, None]
     shares = [
         np.max(np.abs(rate) / limit) for rate, limit in zip((velocity, acceleration, jerk)[:limits], LIMITS, strict=False)
@@ -45,10 +46,10 @@ def test_a_longer_duration_slows_it_down_evenly(profile, limits):
     points = _waypoints(3)
     moved = profile(points, *LIMITS[:limits])
     longer = profile(points, *LIMITS[:limits], duration=3.0 * moved.duration)
-    (time, state), (later, slow) = _dense(moved, 300), _dense(longer, 300)
-    np.testing.assert_allclose(later, 3.0 * time)
+    state, slow = _dense(moved, 300), _dense(longer, 300)
+    np.testing.assert_allclose(slow.time, 3.0 * state.time)
     for order in range(3):
-        np.testing.assert_allclose(slow[order] * 3.0**order, state[order], atol=1e-9)
+        np.testing.assert_allclose(slow.state[order] * 3.0**order, state.state[order], atol=1e-9)
     with pytest.raises(ValueError, match=rf"{profile.__name__}: duration 0.1 s; these limits take [\d.]+ s or more"):
         profile(points, *LIMITS[:limits], duration=0.1)
 
@@ -63,7 +64,7 @@ def test_stacks_are_as_they_are_alone_and_a_bad_one_spoils_no_other(profile, lim
         for ours, alone in zip(*map(jax.tree_util.tree_leaves, (together, profile(points[i], *LIMITS[:limits]))), strict=True):
             np.testing.assert_array_equal(ours[i], alone)
     still = profile(points[3], *LIMITS[:limits], duration=2.0)
-    assert still.duration == pytest.approx(2.0) and np.all(still.sample(0.1)[1].q == 1.0)
+    assert still.duration == pytest.approx(2.0) and np.all(still.sample(0.1).q == 1.0)
     assert profile(points[:0], *LIMITS[:limits]).time.shape[0] == 0
 
 
@@ -73,7 +74,7 @@ def test_a_trapezoid_is_the_fastest_straight_line(length, velocity):
     known = length / velocity + velocity / 2.0 if length > velocity**2 / 2.0 else 2.0 * np.sqrt(length / 2.0)
     ours = trapezoidal(points, velocity, 2.0).duration
     assert ours == pytest.approx(known, rel=1e-12)
-    assert time_optimal(polyline(points), velocity, 2.0).duration == pytest.approx(ours, rel=1e-4)
+    assert time_optimal(JointPath.polyline(points), velocity, 2.0).duration == pytest.approx(ours, rel=1e-4)
     box = lambda limit: np.tile([-limit, limit], (2, 1))
     limits = [toppra.constraint.JointVelocityConstraint(box(velocity)), toppra.constraint.JointAccelerationConstraint(box(2.0))]
     path = toppra.SplineInterpolator([0.0, 1.0], points, bc_type="natural")
@@ -102,8 +103,8 @@ def test_a_quintic_of_two_points_is_the_text_book_s(limits, known):
     moved = quintic([[0.0], [1.0]], *limits)
     assert moved.duration == pytest.approx(known, rel=1e-9)
     assert quintic([[0.0], [1.0]], 99.0, 99.0, 1.0).duration == pytest.approx(np.cbrt(60.0), rel=1e-9)
-    time, state = _dense(moved, 50)
-    x = time / time[-1]
+    state = _dense(moved, 50)
+    x = state.time / state.time[-1]
     np.testing.assert_allclose(state.q[:, 0], 10.0 * x**3 - 15.0 * x**4 + 6.0 * x**5, atol=1e-12)
 
 
@@ -134,7 +135,7 @@ def test_a_quintic_has_four_continuous_derivatives():
         (lambda: trapezoidal([[0.0], [1.0]], 1.0, 1.0, duration=0.0), "duration is 0.0; allowed: one number .s., above zero"),
         (lambda: trapezoidal([[0.0], [1.0]], 1.0, 1.0, duration=[9.0]), "allowed: one number .s., above zero"),
         (lambda: quintic([[[0.0], [1.0]]] * 2, 1.0, 1.0, duration=[9.0, 1.0]), "duration 1 s of row 1; these limits take"),
-        (lambda: trapezoidal([[0.0], [1.0]], 1.0, 1.0).sample(5.0), "sample: period is 5 s, and the motion lasts 2 s"),
+        (lambda: trapezoidal([[0.0], [1.0]], 1.0, 1.0).sample(5.0), "sample: dt is 5 s, and the motion lasts 2 s"),
         (lambda: time_optimal(quintic([[0.0], [1.0]], 1.0, 1.0).path, 1.0, 1.0), "time_optimal: path of lengths"),
     ],
 )
@@ -145,9 +146,9 @@ def test_mistakes_are_named(call, said):
 
 def test_profiles_are_traced_and_written(tmp_path):
     moved = s_curve(_waypoints(3), *LIMITS)
-    time, state = moved.sample(0.05)
+    state = moved.sample(0.05)
     with jax.enable_x64(True):
-        at = jax.jit(jax.vmap(moved.at))(time[:-1] * moved.duration / time[-1])
+        at = jax.jit(jax.vmap(moved.at))(state.time[:-1] * moved.duration / state.time[-1])
     np.testing.assert_allclose(at.q, state.q[:-1], atol=1e-12)
     table = np.load(save_trajectory(tmp_path / "x.npz", moved, 0.05, list("abc")))
     np.testing.assert_array_equal(table["q"], state.q)

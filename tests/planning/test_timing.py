@@ -13,11 +13,12 @@ from scipy.interpolate import CubicSpline
 
 import jaxik
 from jaxik.dynamics.recursions import gravity_torque, inverse_dynamics
-from jaxik.planning import JointPath, load_trajectory, polyline, save_trajectory, spline, time_optimal
+from jaxik.planning import JointPath, load_trajectory, save_trajectory, time_optimal
 from jaxik.planning.trajectory import padded
 
 VELOCITY = np.array([1.0, 2.0, 0.5, 1.5, 3.0])
 ACCELERATION = np.array([4.0, 2.0, 6.0, 8.0, 3.0])
+LINE = JointPath.polyline([[0.0], [1.0]])
 
 
 def _paths(count, seed=0, waypoints=5, n=5):
@@ -38,7 +39,7 @@ def _dense(moved, between=23):
     time = moved.time
     moments = np.unique((time[:-1, None] + np.linspace(0.0, 1.0, between) * np.diff(time)[:, None]).ravel())
     with jax.enable_x64(True):
-        return moments, jax.tree_util.tree_map(np.asarray, jax.jit(jax.vmap(moved.at))(moments))
+        return moments, jax.tree_util.tree_map(np.asarray, jax.jit(jax.vmap(moved.at))(moments).state)
 
 
 def _toppra(points, velocity, acceleration, places):
@@ -54,7 +55,7 @@ def _toppra(points, velocity, acceleration, places):
 
 def test_as_fast_as_toppra():
     waypoints = _paths(4)
-    ours = time_optimal(_stacked([spline(w) for w in waypoints]), VELOCITY, ACCELERATION, places=800)
+    ours = time_optimal(_stacked([JointPath.spline(w) for w in waypoints]), VELOCITY, ACCELERATION, places=800)
     for i, points in enumerate(waypoints):
         assert -1e-3 < ours.duration[i] / _toppra(points, VELOCITY, ACCELERATION, 800) - 1.0 < 0.01
 
@@ -63,11 +64,11 @@ def test_as_fast_as_toppra():
 def test_as_fast_as_toppra_however_many_the_waypoints(waypoints):
     """Without a word of the places: a grid of as many for every path leaves few to each piece of a long one."""
     (points,) = _paths(1, waypoints=waypoints)
-    ours = time_optimal(spline(points), VELOCITY, ACCELERATION)
+    ours = time_optimal(JointPath.spline(points), VELOCITY, ACCELERATION)
     assert -1e-3 < ours.duration / _toppra(points, VELOCITY, ACCELERATION, 100 * waypoints) - 1.0 < 0.02
 
 
-@pytest.mark.parametrize("make", [spline, polyline])
+@pytest.mark.parametrize("make", [JointPath.spline, JointPath.polyline])
 def test_limits_hold_at_every_moment(make):
     moved = time_optimal(_stacked([make(w) for w in _paths(3, seed=1)]), VELOCITY, ACCELERATION, places=60)
     for i in range(3):
@@ -81,7 +82,7 @@ def test_limits_hold_at_every_moment(make):
 
 def test_a_path_goes_through_its_waypoints():
     points = _paths(1, seed=2)[0]
-    path = spline(points)
+    path = JointPath.spline(points)
     theirs = CubicSpline(np.concatenate([[0.0], np.cumsum(path.lengths)]), points, bc_type="natural")
     s = np.linspace(0.0, path.lengths.sum(), 50)
     with jax.enable_x64(True):
@@ -93,38 +94,41 @@ def test_a_path_goes_through_its_waypoints():
 @pytest.mark.parametrize(("length", "known"), [(1.0, 1.0 / 1.0 + 1.0 / 2.0), (0.125, 2.0 * np.sqrt(0.125 / 2.0))])
 def test_a_line_is_driven_as_everybody_knows(length, known):
     """A trapezoid of velocity, or a triangle where it is too short for that."""
-    moved = time_optimal(polyline([[0.0, 0.0], [length, 0.5 * length]]), 1.0, 2.0)
+    moved = time_optimal(JointPath.polyline([[0.0, 0.0], [length, 0.5 * length]]), 1.0, 2.0)
     assert moved.duration == pytest.approx(known, rel=1e-5)
 
 
 def test_corners_are_stopped_at():
-    moved = time_optimal(polyline([[0.0, 0.0], [1.0, 0.0], [1.0, 1.0]]), 1.0, 2.0)
+    moved = time_optimal(JointPath.polyline([[0.0, 0.0], [1.0, 0.0], [1.0, 1.0]]), 1.0, 2.0)
     assert moved.duration == pytest.approx(3.0, rel=1e-5)
     corner = np.argmin(np.abs(moved.place - 1.0))
     assert moved.speed[corner] == 0.0
 
 
 def test_what_has_no_length_takes_no_time():
-    path = spline(_paths(1)[0])
+    path = JointPath.spline(_paths(1)[0])
     assert time_optimal(padded(path, 8), 1.0, 2.0, places=800).duration == pytest.approx(
         float(time_optimal(path, 1.0, 2.0, places=400).duration), rel=1e-12
     )
-    still = time_optimal(polyline([[1.0, 2.0], [1.0, 2.0]]), 1.0, 2.0)
+    still = time_optimal(JointPath.polyline([[1.0, 2.0], [1.0, 2.0]]), 1.0, 2.0)
     assert still.duration == 0.0
-    np.testing.assert_array_equal(still.sample(0.01)[1].q, [[1.0, 2.0]])
+    np.testing.assert_array_equal(still.sample(0.01).q, [[1.0, 2.0]])
 
 
 @pytest.mark.parametrize(("pieces", "places"), [(1, 1), (2, 1), (30, 20)])
 def test_every_line_takes_its_time_however_few_the_places(pieces, places):
     """Between two stops a line needs places to speed up at, or it would be over in no time."""
     moved = time_optimal(
-        polyline(np.arange(pieces + 1.0)[:, None] * [1.0, 0.0] + [[0.0, i % 2] for i in range(pieces + 1)]), 9.0, 2.0, places
+        JointPath.polyline(np.arange(pieces + 1.0)[:, None] * [1.0, 0.0] + [[0.0, i % 2] for i in range(pieces + 1)]),
+        9.0,
+        2.0,
+        places,
     )
     assert moved.duration == pytest.approx(pieces * 2.0 * np.sqrt(1.0 / 2.0), rel=1e-5)
 
 
 def test_a_corner_is_stopped_at_where_a_piece_of_no_length_lies_on_it():
-    path = polyline([[0.0, 0.0], [1.0, 0.0], [1.0, 0.0], [1.0, 1.0]])
+    path = JointPath.polyline([[0.0, 0.0], [1.0, 0.0], [1.0, 0.0], [1.0, 1.0]])
     curve = path.coefficients.copy()
     curve[1, 2] = curve[0, 2]  # its direction counts for nothing either
     for each in (path, JointPath(path.lengths, curve)):
@@ -132,7 +136,7 @@ def test_a_corner_is_stopped_at_where_a_piece_of_no_length_lies_on_it():
 
 
 def test_rows_are_as_they_are_alone_and_a_bad_one_spoils_no_other():
-    paths = [spline(w) for w in _paths(3, seed=3)]
+    paths = [JointPath.spline(w) for w in _paths(3, seed=3)]
     paths[1] = JointPath(paths[1].lengths * np.nan, paths[1].coefficients)
     together = time_optimal(_stacked(paths), np.array([VELOCITY] * 3), ACCELERATION, places=40)
     assert np.isnan(together.duration[1])
@@ -144,10 +148,10 @@ def test_rows_are_as_they_are_alone_and_a_bad_one_spoils_no_other():
 
 
 def test_samples_end_with_the_motion_and_keep_the_limits():
-    moved = time_optimal(spline(_paths(1, seed=4)[0]), VELOCITY, ACCELERATION)
-    time, state = moved.sample(0.008)
-    assert moved.duration <= time[-1] < moved.duration + 0.008
-    np.testing.assert_allclose(np.diff(time), 0.008)
+    moved = time_optimal(JointPath.spline(_paths(1, seed=4)[0]), VELOCITY, ACCELERATION)
+    state = moved.sample(0.008)
+    assert moved.duration <= state.time[-1] < moved.duration + 0.008
+    np.testing.assert_allclose(np.diff(state.time), 0.008)
     np.testing.assert_allclose(state.q[[0, -1]], [moved.at(0.0).q, moved.at(1e9).q], atol=1e-5)
     assert np.all(np.abs(state.velocity) <= VELOCITY * (1 + 1e-9)) and np.all(
         np.abs(state.acceleration) <= ACCELERATION * (1 + 1e-9)
@@ -158,20 +162,23 @@ def test_samples_end_with_the_motion_and_keep_the_limits():
     ("call", "said"),
     [
         (
-            lambda: time_optimal(polyline([[0.0], [1.0]]), 0.0, 1.0),
+            lambda: time_optimal(LINE, 0.0, 1.0),
             "velocity is 0.0; allowed: one number or",
         ),
-        (lambda: time_optimal(polyline([[0.0], [1.0]]), 1.0, np.inf), "acceleration is infinite"),
+        (lambda: time_optimal(LINE, 1.0, np.inf), "acceleration is infinite"),
         (
-            lambda: time_optimal(polyline([[0.0], [1.0]]), [1.0, 1.0], 1.0),
+            lambda: time_optimal(LINE, [1.0, 1.0], 1.0),
             r"velocity of shape \(2,\) is",
         ),
         (lambda: time_optimal("path", 1.0, 1.0), "path is path; write a jaxik.planning.JointPath"),
-        (lambda: polyline([[0.0, np.nan], [1.0, 0.0]]), "waypoints of shape"),
-        (lambda: spline([[0.0], [0.0], [1.0]]), "waypoints 0 and 1 are equal"),
-        (lambda: time_optimal(polyline([[0.0], [1.0]]), 1.0, 1.0).sample(0.0), "period is 0; it is above zero"),
-        (lambda: _stacked([polyline([[0.0], [1.0]])] * 2).at(0.1), r"JointPath.at: a stack of shape \(2,\)"),
-        (lambda: time_optimal(_stacked([polyline([[0.0], [1.0]])] * 2), 1.0, 1.0).at(0.1), "Trajectory.at: a stack of shape"),
+        (lambda: JointPath.polyline([[0.0, np.nan], [1.0, 0.0]]), "waypoints of shape"),
+        (lambda: JointPath.spline([[0.0], [0.0], [1.0]]), "waypoints 0 and 1 are equal"),
+        (lambda: time_optimal(LINE, 1.0, 1.0).sample(0.0), "dt is 0; it is above zero"),
+        (lambda: _stacked([LINE] * 2).at(0.1), r"JointPath.at: a stack of shape \(2,\)"),
+        (
+            lambda: time_optimal(_stacked([LINE] * 2), 1.0, 1.0).at(0.1),
+            "Trajectory.at: a stack of shape",
+        ),
         (lambda: time_optimal(JointPath(np.ones(2), np.ones((2, 3, 4))), 1.0, 1.0), r"coefficients \(2, 3, 4\); allowed"),
         (lambda: time_optimal(JointPath(np.ones(0), np.ones((0, 4, 3))), 1.0, 1.0), r"lengths \(0,\)"),
         (lambda: time_optimal(JointPath(-np.ones(1), np.ones((1, 4, 3))), 1.0, 1.0), "length -1"),
@@ -184,25 +191,26 @@ def test_mistakes_are_named(call, said):
 
 
 def test_files_hold_what_was_sampled(tmp_path):
-    moved, names = time_optimal(spline(_paths(1, n=3)[0]), 1.0, 2.0), ["a", "b", "c"]
-    time, state = moved.sample(0.03)
+    moved, names = time_optimal(JointPath.spline(_paths(1, n=3)[0]), 1.0, 2.0), ["a", "b", "c"]
+    state = moved.sample(0.03)
     table = np.genfromtxt(save_trajectory(tmp_path / "x.csv", moved, 0.03, names), delimiter=",", names=True)
-    np.testing.assert_array_equal(table["time"], time)
+    np.testing.assert_array_equal(table["time"], state.time)
     np.testing.assert_array_equal(table["velocity_b"], state.velocity[:, 1])
     held = np.load(save_trajectory(tmp_path / "x.npz", moved, 0.03, names))
     np.testing.assert_array_equal(held["acceleration"], state.acceleration)
     message = json.loads(save_trajectory(tmp_path / "x.json", moved, 0.03, names).read_text())
-    assert message["joint_names"] == names and len(message["points"]) == len(time)
+    assert message["joint_names"] == names and len(message["points"]) == len(state.time)
     last = message["points"][-1]
     assert last["positions"] == state.q[-1].tolist()
-    assert last["time_from_start"]["sec"] + 1e-9 * last["time_from_start"]["nanosec"] == pytest.approx(time[-1], abs=1e-9)
+    assert last["time_from_start"]["sec"] + 1e-9 * last["time_from_start"]["nanosec"] == pytest.approx(state.time[-1], abs=1e-9)
     for file, given, said in (("x.txt", names, "allowed endings"), ("x.csv", names[:2], "2 joint_names of 3 joints")):
         with pytest.raises(ValueError, match=said):
             save_trajectory(tmp_path / file, moved, 0.03, given)
     for file in ("x.csv", "x.npz", "x.json"):
-        time, state = load_trajectory(tmp_path / file, names[::-1])
-        for ours, theirs in zip((time, *state), (held["time"], *(held[k][:, ::-1] for k in state._fields)), strict=True):
-            np.testing.assert_allclose(ours, theirs, atol=1e-9)
+        found = load_trajectory(tmp_path / file, names[::-1])
+        np.testing.assert_allclose(found.time, held["time"], atol=1e-9)
+        for kind in ("q", "velocity", "acceleration"):
+            np.testing.assert_allclose(getattr(found, kind), held[kind][:, ::-1], atol=1e-9)
         with pytest.raises(ValueError, match=f"{file}: no (column q_z; write the|joint 'z'; its joint_names: a, b, c)"):
             load_trajectory(tmp_path / file, ["z"])
 
@@ -210,12 +218,12 @@ def test_files_hold_what_was_sampled(tmp_path):
 @pytest.mark.parametrize("file", ["x.csv", "x.NPZ", "x.Json"])
 def test_files_hold_a_motion_that_stands_still(tmp_path, file):
     """Whatever the ending's case; no file of another name is left beside it."""
-    still = time_optimal(polyline([[1.0, 2.0], [1.0, 2.0]]), 1.0, 2.0)
+    still = time_optimal(JointPath.polyline([[1.0, 2.0], [1.0, 2.0]]), 1.0, 2.0)
     assert save_trajectory(tmp_path / file, still, 0.01, ["a", "b"]) == tmp_path / file
     assert [each.name for each in tmp_path.iterdir()] == [file]
-    time, state = load_trajectory(tmp_path / file, ["b", "a"])
-    np.testing.assert_array_equal(time, [0.0])
-    np.testing.assert_array_equal(np.concatenate(state), [[2.0, 1.0], [0.0, 0.0], [0.0, 0.0]])
+    found = load_trajectory(tmp_path / file, ["b", "a"])
+    np.testing.assert_array_equal(found.time, [0.0])
+    np.testing.assert_array_equal(np.concatenate(found.state), [[2.0, 1.0], [0.0, 0.0], [0.0, 0.0]])
     for names, said in ((["a", "a"], ": 'a' stands twice"), ("ab", " is ab; write one name"), ([1, 2], " is .1, 2.; write")):
         with pytest.raises(ValueError, match=f"save_trajectory: joint_names{said}"):
             save_trajectory(tmp_path / file, still, 0.01, names)
@@ -226,7 +234,7 @@ def test_files_hold_a_motion_that_stands_still(tmp_path, file):
 def _torques(robot, moved):
     _, state = _dense(moved, between=7)
     with jax.enable_x64(True):
-        return np.asarray(jax.jit(jax.vmap(lambda *x: inverse_dynamics(robot, *x)))(*state)), state.velocity
+        return np.asarray(jax.jit(jax.vmap(lambda *x: inverse_dynamics(robot, *x)))(*state)), state[1]
 
 
 def test_within_torque_as_fast_as_toppra():
@@ -234,8 +242,8 @@ def test_within_torque_as_fast_as_toppra():
     robot, torque = jaxik.load("crops_v2"), np.array([700.0, 120.0, 120.0, 60.0, 30.0, 20.0, 8.0, 8.0, 4.0])
     points = np.random.default_rng(0).uniform(-0.8, 0.8, (2, 5, 9)) + 0.4 * np.eye(9)[0]
     velocity = np.full(9, 5.0)
-    moved = time_optimal(_stacked([spline(w) for w in points]), velocity, np.inf, robot=robot, torque=torque)
-    weak = time_optimal(spline(points[0]), velocity, 4.0, robot=robot, torque=torque, power=0.5 * torque)
+    moved = time_optimal(_stacked([JointPath.spline(w) for w in points]), velocity, np.inf, robot=robot, torque=torque)
+    weak = time_optimal(JointPath.spline(points[0]), velocity, 4.0, robot=robot, torque=torque, power=0.5 * torque)
     with jax.enable_x64(True):
         inverse = jax.jit(lambda q, v, a: inverse_dynamics(robot, q, v, a))
         for i, waypoints in enumerate(points):
@@ -265,14 +273,16 @@ def test_constant_power_on_a_slide():
     level[:3, :3] = [[0.0, 0.0, 1.0], [1.0, 0.0, 0.0], [0.0, 1.0, 0.0]]  # the slide's z is the world's x
     half = (0.75 * length / np.sqrt(2.0 * power / mass)) ** (2.0 / 3.0)
     for fastest in (10.0, np.inf):
-        moved = time_optimal(polyline([[0.1], [0.1 + length]]), fastest, np.inf, 2000, robot=robot.mounted(level), power=power)
+        moved = time_optimal(
+            JointPath.polyline([[0.1], [0.1 + length]]), fastest, np.inf, 2000, robot=robot.mounted(level), power=power
+        )
         assert 1.0 <= moved.duration / (2.0 * half) < 1.012  # the force is without end at first
 
 
 def test_drives_that_cannot_hold_the_arm_are_named(tmp_path):
     """With the joint and the place where it is the heaviest; in a stack the others go on."""
     robot = jaxik.load("crops_v2").part(1, 3)
-    path = polyline([[0.0, -1.2], [0.0, -0.9], [0.0, 1.2]])  # a link that comes down, and goes up again
+    path = JointPath.polyline([[0.0, -1.2], [0.0, -0.9], [0.0, 1.2]])  # a link that comes down, and goes up again
     with jax.enable_x64(True):
         places = np.linspace(0.0, 2.0, 4001)
         q = np.stack([np.interp(places, [0.0, 1.0, 2.0], column) for column in ([0.0, 0.0, 0.0], [-1.2, -0.9, 1.2])], axis=1)
@@ -286,7 +296,7 @@ def test_drives_that_cannot_hold_the_arm_are_named(tmp_path):
     assert float(words[7]) == pytest.approx(places[at], abs=0.01) and float(words[-1]) == pytest.approx(
         0.9 * most[joint], rel=1e-3
     )
-    high = polyline([[0.0, -1.3], [0.0, -1.25], [0.0, -1.2]])
+    high = JointPath.polyline([[0.0, -1.3], [0.0, -1.25], [0.0, -1.2]])
     unknown = JointPath(path.lengths * np.nan, path.coefficients)
     moved = time_optimal(_stacked([path, high, unknown]), robot=robot, torque=0.95 * most)
     assert moved.reasons.tolist() == ["limits", "solved", "invalid"] and np.isfinite(moved.duration).tolist() == [
@@ -304,7 +314,7 @@ def test_drives_that_cannot_hold_the_arm_are_named(tmp_path):
 def test_what_is_not_given_is_the_robots(tmp_path):
     robot = jaxik.load("crops_v2").part(1, 3)
     robot = dataclasses.replace(robot, velocity=np.array([0.4, 3.0]), effort=np.array([20.0, 90.0]))
-    path = polyline([[0.0, -1.3], [0.2, -1.2]])
+    path = JointPath.polyline([[0.0, -1.3], [0.2, -1.2]])
     own = time_optimal(path, robot=robot, torque=robot.effort)
     assert own.duration == time_optimal(path, robot.velocity, np.inf, robot=robot, torque=robot.effort).duration
     assert own.speed.max() / np.hypot(0.2, 0.1) * 0.2 == pytest.approx(0.4)  # its velocity's limit is met
@@ -320,9 +330,8 @@ def test_what_is_not_given_is_the_robots(tmp_path):
 
 
 def test_a_trajectory_is_shown_with_its_duration():
-    line = polyline([[0.0], [1.0]])
-    assert repr(time_optimal(line, 1.0, 2.0)).startswith("Trajectory(duration=1.5 s, path=JointPath(lengths=float64[1], ")
-    both = time_optimal(_stacked([line, line, JointPath(line.lengths * np.nan, line.coefficients)]), [[1.0], [0.5], [1.0]], 2.0)
+    assert repr(time_optimal(LINE, 1.0, 2.0)).startswith("Trajectory(duration=1.5 s, path=JointPath(lengths=float64[1], ")
+    both = time_optimal(_stacked([LINE, LINE, JointPath(LINE.lengths * np.nan, LINE.coefficients)]), [[1.0], [0.5], [1.0]], 2.0)
     assert repr(both).startswith("Trajectory(duration=1.5 to 2.25 s, path=")
     shown = []
     jax.jit(lambda moved: shown.append(repr(moved)) or moved.duration)(both)
@@ -334,13 +343,13 @@ def test_a_weight_is_lifted_at_constant_power(power):
     """It rises by P / (m g), and nearly all the time is spent at that; there is little to speed up."""
     robot = jaxik.load("crops_v2").part(0, 1).mounted(np.eye(4))
     steady = 0.8 * 9.81 * float(robot.bodies[0].mass) / power
-    moved = time_optimal(polyline([[0.1], [0.9]]), np.inf, np.inf, 60, robot=robot, power=power)
+    moved = time_optimal(JointPath.polyline([[0.1], [0.9]]), np.inf, np.inf, 60, robot=robot, power=power)
     assert 1.0 <= moved.duration / steady < 1.05
 
 
 def test_power_sets_the_pace_however_few_the_places():
     """Arms that are this weak do not feel their inertia: a tenth of the power takes ten times as long."""
-    robot, path = jaxik.load("crops_v2").part(0, 3), polyline([[0.1, 0.0, 0.5], [0.9, -0.5, 0.1], [0.3, 0.8, -0.9]])
+    robot, path = jaxik.load("crops_v2").part(0, 3), JointPath.polyline([[0.1, 0.0, 0.5], [0.9, -0.5, 0.1], [0.3, 0.8, -0.9]])
     weak, weaker = (time_optimal(path, np.inf, np.inf, 60, robot=robot, power=power) for power in (20.0, 2.0))
     assert weaker.duration / weak.duration == pytest.approx(10.0, rel=0.01)
     for moved, power in ((weak, 20.0), (weaker, 2.0)):
@@ -350,7 +359,7 @@ def test_power_sets_the_pace_however_few_the_places():
 
 def test_drives_that_hardly_hold_take_no_age():
     """With a ten-millionth more than the most that holds the arm still, which is between two moments: none."""
-    robot, path = jaxik.load("crops_v2").part(2, 3), polyline([[-1.5], [1.5]])
+    robot, path = jaxik.load("crops_v2").part(2, 3), JointPath.polyline([[-1.5], [1.5]])
     with jax.enable_x64(True):
         held = jax.jit(jax.vmap(lambda q: inverse_dynamics(robot, q, np.zeros(1), np.zeros(1))))(
             np.linspace(-1.5, 1.5, 9999)[:, None]
@@ -363,7 +372,7 @@ def test_drives_that_hardly_hold_take_no_age():
 
 
 def test_torque_limits_that_are_none():
-    robot, path = jaxik.load("crops_v2"), polyline(np.eye(9)[:2])
+    robot, path = jaxik.load("crops_v2"), JointPath.polyline(np.eye(9)[:2])
     with pytest.raises(ValueError, match=r"time_optimal: torque of shape \(3,\) is .*; allowed: one number or \(9,\), above"):
         time_optimal(path, 1.0, 1.0, robot=robot, torque=np.ones(3))
     with pytest.raises(ValueError, match="time_optimal: gravity of shape \\(\\); allowed: \\(3,\\)"):
@@ -378,8 +387,8 @@ def test_torque_limits_that_are_none():
         time_optimal(path, 1.0, 1.0, power=3.0)
     without, way = jaxik.load("ur5e"), np.eye(6)[:2]
     with pytest.raises(ValueError, match=r"^time_optimal: ur5e has no bodies; write mass, com and inertia"):
-        time_optimal(polyline(way), 1.0, 1.0, robot=without, torque=1.0)
+        time_optimal(JointPath.polyline(way), 1.0, 1.0, robot=without, torque=1.0)
     with pytest.raises(ValueError, match=r"^optimise_trajectory: ur5e has no bodies; write mass, com and inertia"):
         jaxik.planning.optimise_trajectory(without, None, *way, margin=None, torque=1.0)
     with pytest.raises(ValueError, match="time_optimal: a path of 2 joints, and crops_v2 has 9"):
-        time_optimal(polyline([[0.0, 0.0], [1.0, 1.0]]), 1.0, 1.0, robot=robot, torque=1.0)
+        time_optimal(JointPath.polyline([[0.0, 0.0], [1.0, 1.0]]), 1.0, 1.0, robot=robot, torque=1.0)

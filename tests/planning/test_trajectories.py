@@ -195,7 +195,8 @@ def test_within_torque_and_power_as_good_as_scipy():
     for more in ({}, {"duration": None}):
         moved = optimise_trajectory(robot, None, start, end, **options | more)
         state = sampled(moved.trajectory, np.linspace(0.0, moved.trajectory.duration, 1001))
-        most = np.abs(drives(*state)).max(axis=0) / torque, np.abs(drives(*state) * state.velocity).max(axis=0) / power
+        used = drives(*state.state)
+        most = np.abs(used).max(axis=0) / torque, np.abs(used * state.velocity).max(axis=0) / power
         assert moved.reasons == "solved" and 0.95 < np.max(most) <= 1.0 + 1e-6
     weak = optimise_trajectory(robot, None, start, end, torque=100.0, margin=None)
     assert weak.reasons == "limits" and np.isnan(weak.trajectory.duration)  # 300 N hold the arm: told before any search
@@ -234,7 +235,7 @@ def test_cost_by_the_way_does_not_know_of_time(arm):
     )
     assert fast.cost == pytest.approx(found.cost, rel=1e-3) and fast.parts[3] == pytest.approx(found.parts[3], rel=1e-3)
     moments = np.linspace(0.0, 2.0, 2001)
-    q, rate, _ = sampled(found.trajectory, moments)
+    q, rate, _ = sampled(found.trajectory, moments).state
     near = np.asarray(jax.vmap(lambda q: link_clearances(robot, POLES, q))(q))
     level = np.sum(np.maximum(0.25 - near, 0.0) ** 3 / 0.25**3, axis=1)
     way = np.linalg.norm(rate * joint_reaches(robot), axis=1)

@@ -25,8 +25,8 @@ PLAIN = "time,a,b\n0,0.5,-0.5\n0.1,0.6,-0.4\n0.3,0.7,-0.2\n"
     ],
 )
 def test_tables_of_others(tmp_path, text):
-    time, state = load_trajectory(write(tmp_path, "mine.csv", text), ["b", "a"])
-    np.testing.assert_array_equal(time, [0.0, 0.1, 0.3])
+    state = load_trajectory(write(tmp_path, "mine.csv", text), ["b", "a"])
+    np.testing.assert_array_equal(state.time, [0.0, 0.1, 0.3])
     np.testing.assert_array_equal(state.q, [[-0.5, 0.5], [-0.4, 0.6], [-0.2, 0.7]])
     np.testing.assert_allclose(state.velocity[:, 0], 1.0)
 
@@ -86,7 +86,7 @@ def test_what_is_wrong_in_arrays_is_named(tmp_path):
 def test_what_is_wrong_in_a_message_is_named(tmp_path):
     points = [{"positions": [k, 2.0 * k], "velocities": [], "time_from_start": {"sec": k, "nanosec": 0}} for k in range(3)]
     message = {"joint_names": ["a", "b"], "points": points}
-    _, state = load_trajectory(write(tmp_path, "x.json", json.dumps(message)), ["a", "b"])  # no velocities, as ROS says it
+    state = load_trajectory(write(tmp_path, "x.json", json.dumps(message)), ["a", "b"])  # no velocities, as ROS says it
     np.testing.assert_allclose(state.velocity, [[1.0, 2.0]] * 3)
     for old, new, said in (
         ('"joint_names"', '"names"', "no joint_names; write joint_names, and points with"),
