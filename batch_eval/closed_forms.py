@@ -56,7 +56,7 @@ def robots() -> dict[str, jaxik.Robot]:
 def configurations(robot: jaxik.Robot, count: int, seed: int) -> np.ndarray:
     """Random ones (count, n), a tenth of them with some joints at quarter turns."""
     rng = np.random.default_rng(seed)
-    low, high = jaxik.kinematics.finite_limits(robot)
+    low, high = robot.finite_limits
     slides = np.array(robot.is_prismatic)
     q = rng.uniform(np.where(slides, low, -np.pi), np.where(slides, high, np.pi), (count, robot.num_joints))
     quarter = (rng.random(q.shape) < 0.5) & ~slides & (np.arange(count) % 10 == 0)[:, None]

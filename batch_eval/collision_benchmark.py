@@ -42,7 +42,7 @@ class Work:
         self.posture = motionbenchmaker.posture(folder, self.robot)
         self.scenes = [goal.scene for goal in motionbenchmaker.goals(folder, self.robot)]
         shape = (len(self.scenes), OURS, self.robot.num_joints)
-        self.q = np.random.default_rng(0).uniform(*jaxik.kinematics.finite_limits(self.robot), shape).astype(np.float32)
+        self.q = np.random.default_rng(0).uniform(*self.robot.finite_limits, shape).astype(np.float32)
         self.padded = [jax.device_put(scene.geometry()) for scene in self.scenes]
 
     @functools.cached_property

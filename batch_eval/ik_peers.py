@@ -19,7 +19,6 @@ from panda import TIP
 from problems import POSITION, ROTATION
 
 from jaxik import Robot
-from jaxik.kinematics import finite_limits
 
 Solver = Callable[[np.ndarray], np.ndarray]
 RESTARTS, STEPS = 10, 100  # of solvers that follow one start at a time
@@ -65,7 +64,7 @@ def pyroki_solver(urdf: Path, hard_limits: bool) -> Solver:
 def eaik_solver(robot: Robot) -> Solver:
     """EAIK on an arm of six joints whose geometry it knows: of all branches the one that leaves the limits least."""
     peer, tip_R = eaik_robot(robot)
-    low, high = finite_limits(robot)
+    low, high = robot.finite_limits
 
     def run(poses: np.ndarray) -> np.ndarray:
         batch = poses.copy()

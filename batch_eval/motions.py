@@ -52,7 +52,7 @@ def load_robot(name: str) -> jaxik.Robot:
 def obstacles(robot: jaxik.Robot) -> jaxik.Scene:
     """Thin ones and thick ones about where the robot's parts come, by a fixed seed; none that is nearly always
     in the way."""
-    rng, limits = np.random.default_rng(16), jaxik.kinematics.finite_limits(robot)
+    rng, limits = np.random.default_rng(16), robot.finite_limits
     frames = jax.jit(jax.vmap(lambda q: jaxik.forward_kinematics(robot, q)))(rng.uniform(*limits, (500, robot.num_joints)))
     places = np.asarray(frames)[:, :3, 3] @ robot.world_T_base[:3, :3].T + robot.world_T_base[:3, 3]
     reach = float(np.linalg.norm(places - places.mean(axis=0), axis=1).max())
@@ -87,7 +87,7 @@ def obstacles(robot: jaxik.Robot) -> jaxik.Scene:
 
 def motions(robot: jaxik.Robot, scene: jaxik.Scene, count: int, seed: int = 17) -> tuple[np.ndarray, np.ndarray]:
     """`count` of them: (count, n) twice, in float32; the first ends are free."""
-    rng, limits = np.random.default_rng(seed), jaxik.kinematics.finite_limits(robot)
+    rng, limits = np.random.default_rng(seed), robot.finite_limits
     measure = jax.jit(jax.vmap(lambda q: jaxik.clearance(robot, scene, q)))
     kept: list[np.ndarray] = []
     while sum(map(len, kept)) < count:

@@ -81,7 +81,7 @@ def tips(robot: jaxik.Robot, q: np.ndarray) -> np.ndarray:
 
 def targets(robot: jaxik.Robot, count: int) -> np.ndarray:
     """Poses of configurations uniform inside the limits (+-pi, +-1 m where there are none), seed 0."""
-    low, high = jaxik.kinematics.finite_limits(robot)
+    low, high = robot.finite_limits
     return tips(robot, np.random.default_rng(0).uniform(low, high, (count, robot.num_joints)))
 
 

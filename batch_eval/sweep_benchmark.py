@@ -28,7 +28,6 @@ from race import machine
 from scipy.spatial.transform import Rotation
 
 import jaxik
-from jaxik.kinematics.robot import finite_limits
 from jaxik.reach.certify import beyond, certify
 from jaxik.reach.leading_joints import freest, leading_grid
 
@@ -137,7 +136,7 @@ def _between(robot: jaxik.Robot, count: int = 4000, refine: int = 5) -> dict[str
 
 def _around(robot: jaxik.Robot, rng: np.random.Generator, count: int) -> np.ndarray:
     """Poses `base_T_tip` (count, 4, 4) in the box of where the tip can be, turned anyhow."""
-    q = rng.uniform(*finite_limits(robot), (400, robot.num_joints))
+    q = rng.uniform(*robot.finite_limits, (400, robot.num_joints))
     tips = np.asarray(jax.jit(jax.vmap(lambda q: jaxik.forward_kinematics(robot, q)))(q))[:, :3, 3]
     poses = np.tile(np.eye(4), (count, 1, 1))
     poses[:, :3, 3] = rng.uniform(tips.min(axis=0), tips.max(axis=0), (count, 3))

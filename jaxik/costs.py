@@ -15,8 +15,9 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float
 
+from jaxik.checks.arrays import Array
 from jaxik.checks.options import shown
-from jaxik.kinematics.robot import Array, Robot, as_configuration, finite_limits
+from jaxik.kinematics.robot import Robot, as_configuration
 
 Cost = Callable[[Any], Any]
 
@@ -138,5 +139,5 @@ def joint_limit_margin(robot: Robot, q: Float[Array, " n"]) -> Float[Array, ""]:
 
 def _range(robot: Robot) -> tuple[np.ndarray, np.ndarray]:
     """Limits, with +-pi (+-1 m) for those that are not, and a locked joint's range of 0 opened to keep quotients finite."""
-    lower, upper = finite_limits(robot)
+    lower, upper = robot.finite_limits
     return lower, np.maximum(upper, lower + 1e-9)

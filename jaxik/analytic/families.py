@@ -25,7 +25,7 @@ from jaxik.homotopy.general import general_arm, general_solutions
 from jaxik.kinematics.axes import TOLERANCE, Axes, named_from
 from jaxik.kinematics.forward import joint_frames
 from jaxik.kinematics.reach_bound import reach_bound
-from jaxik.kinematics.robot import Robot, finite_limits
+from jaxik.kinematics.robot import Robot
 from jaxik.spatial.algebra import BASE, Frame, Scalar, stack, traced
 from jaxik.spatial.ball import Ball, ball
 
@@ -123,7 +123,7 @@ class Solver(NamedTuple):
 
     def limits(self) -> tuple[np.ndarray, np.ndarray]:
         """The finite range (k,), (k,) of what is given [m, rad]: a whole turn where there are no limits."""
-        return self.given_range(*finite_limits(self.robot))
+        return self.given_range(*self.robot.finite_limits)
 
     def given_range(self, low: Any, high: Any) -> tuple[np.ndarray, np.ndarray]:
         """The range (k,), (k,) of what is given, from bounds of all joints (n,), (n,) [m, rad]."""

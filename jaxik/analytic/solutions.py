@@ -11,8 +11,9 @@ from jaxtyping import Bool, Float
 
 from jaxik.analytic.families import any_solver_of, solver_of
 from jaxik.analytic.polishing import polished
+from jaxik.checks.arrays import Array, as_numbers
 from jaxik.kinematics.joint_turns import into_limits
-from jaxik.kinematics.robot import Array, Robot, as_numbers
+from jaxik.kinematics.robot import Robot
 from jaxik.spatial.algebra import stack
 from jaxik.spmd import kernel
 from jaxik.spmd.batch import in_blocks
@@ -26,7 +27,7 @@ class ClosedForm(NamedTuple):
     `4 shoulder + 2 elbow + wrist`.
 
     `valid` says that the branch has the pose; `within_limits` that it also has a turn of 2 pi for each joint inside its
-    limits. `q` holds the admissible turn nearest to the middle of each joint's range (`admissible_turns` lists all).
+    limits. `q` holds the admissible turn nearest to the middle of each joint's range (`turns` lists all).
     """
 
     q: Float[Array, "m n"]

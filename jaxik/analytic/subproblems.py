@@ -36,7 +36,7 @@ from jaxik.analytic.turns import (
     turns_to_meet,
     turns_to_plane,
 )
-from jaxik.kinematics.robot import Array, as_shaped
+from jaxik.checks.arrays import Array, as_shaped
 from jaxik.spatial.algebra import Scalar, Vec3, safe_sqrt, stack, traced
 from jaxik.spatial.ball import minimum
 from jaxik.spmd import kernel

@@ -10,6 +10,7 @@ import numpy as np
 
 from jaxik.checks.options import shown
 
+Array = jax.Array | np.ndarray
 RIGID = 1e-4  # how far R'R may be from 1 in a frame that is still one: rotations in files are rounded
 
 
@@ -35,6 +36,31 @@ def shaped(what: str, given: Any, shape: tuple[int, ...]) -> np.ndarray:
     if array.shape != shape:
         raise ValueError(f"{what} of shape {array.shape}; allowed: {shape if shape else 'one number'}")
     return array
+
+
+def as_numbers(what: str, given: Any) -> jax.Array:
+    """`given`, traced or not, as an array of integers or floats. Raises `ValueError` for what is none."""
+    try:
+        array = jnp.asarray(given)
+    except (TypeError, ValueError, OverflowError):
+        raise ValueError(f"{what} is {shown(given)}; write an array of numbers") from None
+    if not (jnp.issubdtype(array.dtype, jnp.floating) or jnp.issubdtype(array.dtype, jnp.integer)):
+        raise ValueError(f"{what} is an array of {array.dtype}; write real numbers")
+    return array
+
+
+def as_shaped(what: str, given: Any, shape: tuple[int, ...]) -> jax.Array:
+    """`as_numbers` of one shape. Raises `ValueError` for another."""
+    array = as_numbers(what, given)
+    if array.shape != shape:
+        raise ValueError(f"{what} has the shape {array.shape}; allowed: {shape if shape else 'one number'}")
+    return array
+
+
+def as_given(what: str, given: Any, shape: tuple[int, ...]) -> Array:
+    """Numbers of one shape, in float64 where they are known and as they are where they are traced. Raises `ValueError`
+    likewise."""
+    return shaped(what, given, shape) if is_known(given) else as_shaped(what, given, shape)
 
 
 def stop_gradients(tree: Any) -> Any:

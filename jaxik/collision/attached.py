@@ -9,13 +9,13 @@ from typing import Any, NamedTuple
 import numpy as np
 from jaxtyping import Float
 
-from jaxik.checks.arrays import check_known
+from jaxik.checks.arrays import Array, check_known
 from jaxik.checks.options import check_kind, no_such, shown
 from jaxik.collision.scene import Scene, check_scene
 from jaxik.collision.surface_trees import surface_of
 from jaxik.kinematics.forward import as_posture, joint_frames
-from jaxik.kinematics.robot import Array, Box, Robot, Volume, solid_links
-from jaxik.kinematics.surface import Surface, brick, fan, prism
+from jaxik.kinematics.robot import Robot, solid_links
+from jaxik.kinematics.shapes import Box, Surface, Volume, brick, fan, prism
 from jaxik.spatial.algebra import Frame
 
 MOST = 1000  # volumes that an arm carries: each is measured against all obstacles

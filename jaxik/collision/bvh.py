@@ -23,8 +23,8 @@ from jaxik.collision.scene import FAR, SHAPES, SIZES_OF, Scene, check_scene, rem
 from jaxik.collision.surface_trees import Trees, forest, tree_of
 from jaxik.collision.volumes import local_volumes
 from jaxik.kinematics.link_distance_table import PairTable
-from jaxik.kinematics.robot import Robot, geometry_between, hashed, known_parts, solid_links
-from jaxik.kinematics.surface import Surface
+from jaxik.kinematics.robot import Robot, geometry_between, known_parts, solid_links
+from jaxik.kinematics.shapes import Surface, hashed
 from jaxik.pytree import static
 
 # obstacles a leaf, where there are a few

@@ -17,13 +17,13 @@ import numpy as np
 from jax import lax
 from jaxtyping import Bool, Float
 
-from jaxik.checks.arrays import is_known, stop_gradients
+from jaxik.checks.arrays import Array, is_known, stop_gradients
 from jaxik.checks.options import check_kind
 from jaxik.collision import bvh
 from jaxik.collision.bvh import Grouped, at_margin, grouped, obstacles_in
 from jaxik.collision.nearest_pair import Space
 from jaxik.collision.scene import FAR, Scene
-from jaxik.kinematics.robot import Array, Robot, as_configuration, finite_limits
+from jaxik.kinematics.robot import Robot, as_configuration
 from jaxik.spmd import kernel
 
 
@@ -136,7 +136,7 @@ def _order(robot: Robot, around: Grouped, q: Any, *_: Any) -> Any:
     trees = bvh.robot_trees(robot)
     if not robot.surfaces and _pairs_of_leaves(trees, around) < MANY:
         return None
-    q, (low, high) = as_configuration(robot, q), finite_limits(robot)
+    q, (low, high) = as_configuration(robot, q), robot.finite_limits
     place, first = jnp.int32(0), range(min(3, robot.num_joints))
     for j in first:
         step = jnp.clip((q[j] - low[j]) * (2**BITS / max(high[j] - low[j], 1e-9)), 0, 2**BITS - 1).astype(jnp.int32)

@@ -18,7 +18,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float
 
-from jaxik.checks.arrays import check_known
+from jaxik.checks.arrays import Array, check_known
 from jaxik.checks.options import as_count, check_finite, check_kind
 from jaxik.collision import distance
 from jaxik.collision.bvh import Grouped, decided_within, grouped, own_in, pair_tables, robot_trees
@@ -29,7 +29,7 @@ from jaxik.collision.shape_distances import Gap, along, columns_of, depth_gap, o
 from jaxik.collision.solids import SAMPLES
 from jaxik.collision.volumes import Skeleton, skeletons
 from jaxik.kinematics.forward import as_posture
-from jaxik.kinematics.robot import Array, Robot
+from jaxik.kinematics.robot import Robot
 from jaxik.spatial.algebra import Vec3
 from jaxik.spmd import HostKernel
 

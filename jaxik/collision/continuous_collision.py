@@ -28,7 +28,7 @@ import numpy as np
 from jax import lax
 from jaxtyping import Bool, Float, Int
 
-from jaxik.checks.arrays import is_known, stop_gradients
+from jaxik.checks.arrays import Array, as_shaped, is_known, stop_gradients
 from jaxik.checks.options import check_finite, check_kind
 from jaxik.collision.bvh import CLOSE, balls_of, decided_within, grouped, obstacles_in, own_in, pair_tables
 from jaxik.collision.clearances import as_wide, check_geometry, clearance, link_clearances
@@ -36,7 +36,7 @@ from jaxik.collision.scene import FAR, KINDS, Scene
 from jaxik.collision.volumes import box_spheres, xp_of
 from jaxik.kinematics.forward import joint_frames
 from jaxik.kinematics.link_distance_table import PairTable
-from jaxik.kinematics.robot import Array, Robot, as_configuration, as_shaped, finite_limits, solid_links
+from jaxik.kinematics.robot import Robot, as_configuration, solid_links
 from jaxik.spatial.algebra import ZERO, Frame, Vec3, traced
 from jaxik.spmd import kernel
 
@@ -121,7 +121,7 @@ def motion_collides(robot: Robot, start: Any, goal: Any, margin: Any, resolution
 @functools.lru_cache(maxsize=64)
 def joint_reaches(robot: Robot) -> np.ndarray:
     """How far a unit of each joint moves a point of the shapes' skeletons at most, inside the limits (n,) [m/rad, 1]. Host."""
-    furthest = np.max(np.abs(finite_limits(robot)), axis=0)
+    furthest = np.max(np.abs(robot.finite_limits), axis=0)
     travel = [furthest[j] if prismatic else 0.0 for j, prismatic in enumerate(robot.is_prismatic)]
     speeds = lambda turned: [_bounds(robot, link, 0, turned, travel).speed for link in solid_links(robot)]
     return np.array([float(np.max(speeds(list(one)))) for one in np.eye(robot.num_joints)])

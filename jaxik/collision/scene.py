@@ -17,9 +17,8 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float
 
-from jaxik.checks.arrays import is_known, is_rigid, rigid_frame
+from jaxik.checks.arrays import Array, is_known, is_rigid, rigid_frame
 from jaxik.checks.options import no_such, shown
-from jaxik.kinematics.robot import Array
 from jaxik.pytree import Constant, static
 from jaxik.spatial.rotations import frame
 

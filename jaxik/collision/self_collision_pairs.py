@@ -9,7 +9,7 @@ from typing import NamedTuple
 import numpy as np
 
 from jaxik.collision.volumes import skeletons
-from jaxik.kinematics.robot import Robot, finite_limits, solid_links
+from jaxik.kinematics.robot import Robot, solid_links
 from jaxik.spatial.algebra import BASE
 
 STILL = 1e-9  # [m] by which a distance that no joint changes changes all the same
@@ -48,7 +48,7 @@ def self_collisions(
     if not pairs:
         return SelfCollisions((), (), 0.0)
     rng = np.random.default_rng(0)
-    q = np.vstack([rng.uniform(*finite_limits(robot), (samples, robot.num_joints)), default_pose(robot)])
+    q = np.vstack([rng.uniform(*robot.finite_limits, (samples, robot.num_joints)), default_pose(robot)])
     columns = [q[:, i, None] for i in range(robot.num_joints)]
     balls = []
     for count, skeleton in skeletons(robot, columns, np.float64, BASE).items():
@@ -67,7 +67,7 @@ def self_collisions(
 
 def default_pose(robot: Robot) -> np.ndarray:
     """0 for each joint, or the middle of its limits where they leave 0 out [rad, m]."""
-    lower, upper = finite_limits(robot)
+    lower, upper = robot.finite_limits
     return np.where((lower <= 0.0) & (upper >= 0.0), 0.0, (lower + upper) / 2.0)
 
 

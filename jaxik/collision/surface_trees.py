@@ -18,7 +18,7 @@ from jax import lax
 
 from jaxik.collision import distance, surfaces
 from jaxik.collision.leaf_rows import Found, entry, nearest_of
-from jaxik.kinematics.surface import Surface
+from jaxik.kinematics.shapes import Surface
 from jaxik.spatial.algebra import Frame, Vec3, traced
 
 STEPS = 6  # of a walk through boxes, before triangles are measured

@@ -15,9 +15,11 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float
 
+from jaxik.checks.arrays import Array
 from jaxik.checks.options import as_count
 from jaxik.kinematics.forward import joint_frames
-from jaxik.kinematics.robot import Array, Box, Robot, Volume, as_configuration
+from jaxik.kinematics.robot import Robot, as_configuration
+from jaxik.kinematics.shapes import Box, Volume
 from jaxik.spatial.algebra import Frame, Scalar, Vec3, traced
 from jaxik.spmd import kernel
 

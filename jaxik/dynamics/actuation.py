@@ -30,8 +30,9 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float
 
+from jaxik.checks.arrays import as_numbers, as_shaped
 from jaxik.kinematics.drive import column
-from jaxik.kinematics.robot import Robot, as_numbers, as_shaped, need_drives
+from jaxik.kinematics.robot import Robot, need_drives
 from jaxik.spmd import kernel
 
 Vector = Float[jax.Array, " n"]

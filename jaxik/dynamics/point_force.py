@@ -16,10 +16,10 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float
 
-from jaxik.checks.arrays import is_known, numbers
+from jaxik.checks.arrays import Array, as_numbers, as_shaped, is_known, numbers
 from jaxik.checks.options import check_kind, shown
 from jaxik.kinematics.forward import JointFrames, joint_frames
-from jaxik.kinematics.robot import Array, Robot, as_configuration, as_numbers, as_shaped
+from jaxik.kinematics.robot import Robot, as_configuration
 from jaxik.spatial.algebra import BASE, Vec3, add, mul, stack, traced
 from jaxik.spmd import kernel
 

@@ -28,12 +28,12 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float
 
-from jaxik.checks.arrays import is_known
+from jaxik.checks.arrays import Array, as_shaped, is_known
 from jaxik.checks.masses import check_mass
 from jaxik.checks.options import check_kind, no_such
 from jaxik.dynamics.rigid_bodies import Moments, Placed, motions, placed
 from jaxik.kinematics.forward import joint_frames
-from jaxik.kinematics.robot import INERTIAL, Array, Robot, as_configuration, as_shaped, need_bodies
+from jaxik.kinematics.robot import INERTIAL, Robot, as_configuration, need_bodies
 from jaxik.spatial.algebra import ZERO, Frame, Scalar, Vec3, add, constants, mul, stack, sub, traced
 from jaxik.spmd import kernel
 

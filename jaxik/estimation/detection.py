@@ -13,9 +13,8 @@ from typing import Any, NamedTuple
 import numpy as np
 from jaxtyping import Bool, Float
 
-from jaxik.checks.arrays import numbers
+from jaxik.checks.arrays import Array, numbers
 from jaxik.checks.options import as_count, check_finite, check_kind, shown
-from jaxik.kinematics.robot import Array
 from jaxik.pytree import Pytree
 
 

@@ -16,8 +16,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float
 
-from jaxik.checks.arrays import is_known
-from jaxik.kinematics.robot import Array
+from jaxik.checks.arrays import Array, is_known
 from jaxik.pytree import Pytree
 
 

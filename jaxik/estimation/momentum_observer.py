@@ -25,12 +25,12 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float
 
-from jaxik.checks.arrays import numbers
+from jaxik.checks.arrays import Array, numbers
 from jaxik.checks.options import check_finite
 from jaxik.dynamics.actuation import torque_of_current
 from jaxik.dynamics.recursions import energy
 from jaxik.estimation.sampled import Sample
-from jaxik.kinematics.robot import Array, Robot, need_drives
+from jaxik.kinematics.robot import Robot, need_drives
 
 
 class Momentum(NamedTuple):

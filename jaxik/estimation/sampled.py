@@ -16,9 +16,9 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float
 
-from jaxik.checks.arrays import numbers
+from jaxik.checks.arrays import Array, numbers
 from jaxik.checks.options import as_count, check_kind
-from jaxik.kinematics.robot import Array, Robot
+from jaxik.kinematics.robot import Robot
 from jaxik.spmd import HostKernel
 from jaxik.spmd.packed_step import Packed, PackedStep
 

@@ -26,13 +26,13 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float
 
-from jaxik.checks.arrays import is_known, numbers
+from jaxik.checks.arrays import Array, is_known, numbers
 from jaxik.checks.options import check_flag, check_kind
 from jaxik.dynamics.actuation import torque_of_current
 from jaxik.dynamics.recursions import inverse_dynamics
 from jaxik.estimation.kalman import KalmanFilter, KalmanState
 from jaxik.estimation.sampled import Sample
-from jaxik.kinematics.robot import Array, Robot, need_drives
+from jaxik.kinematics.robot import Robot, need_drives
 from jaxik.pytree import Constant
 
 

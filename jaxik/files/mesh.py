@@ -22,7 +22,7 @@ from jaxik.files.robot_builder import MAX_BYTES, Link
 from jaxik.fitting.link_distance_tables import SECTIONS
 from jaxik.fitting.links import Shape
 from jaxik.kinematics.robot import Robot
-from jaxik.kinematics.surface import ROUND, prism
+from jaxik.kinematics.shapes import ROUND, prism
 from jaxik.reasons import LoadError
 
 # A ROS package keeps its model in urdf/ and its meshes beside that folder, so the model's folder is then the package's.

@@ -15,7 +15,8 @@ from numpy.polynomial import Polynomial
 from jaxik.checks.options import among
 from jaxik.files.notes import listed
 from jaxik.kinematics.drive import Drive, Friction
-from jaxik.kinematics.robot import Body, Box, JointType, Robot, Volume
+from jaxik.kinematics.robot import Body, JointType, Robot
+from jaxik.kinematics.shapes import Box, Volume
 from jaxik.reasons import LoadError
 from jaxik.spatial.rotations import about, frame
 

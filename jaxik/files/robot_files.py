@@ -18,8 +18,8 @@ from jaxik.files.spherized import spherized
 from jaxik.files.unchecked_pairs import check_ours, write_disabled
 from jaxik.files.writing import toml, write_text
 from jaxik.kinematics.link_distance_table import PairTable, packed, unpacked
-from jaxik.kinematics.robot import Body, Box, ConvexPart, JointType, Robot, Unchecked, UncheckedReason, Volume
-from jaxik.kinematics.surface import Surface
+from jaxik.kinematics.robot import Body, JointType, Robot
+from jaxik.kinematics.shapes import Box, ConvexPart, Surface, Unchecked, UncheckedReason, Volume
 
 # what a file calls the fields of a robot that have a row a joint, or a row a link
 JOINT = {"name": "joint_names", "type": "joint_types", "frame": "parent_T_joint", "axis": "axis"}

@@ -23,8 +23,8 @@ from jaxik.fitting.convex import Body, apart_at_least, depths, gaps, hull_of, se
 from jaxik.fitting.link_distance_tables import Places, between, frames
 from jaxik.fitting.parts import best_cut, divided, divisions
 from jaxik.fitting.surfaces import touching
-from jaxik.kinematics.robot import Robot, Unchecked, UncheckedReason, finite_limits
-from jaxik.kinematics.surface import Surface, fan
+from jaxik.kinematics.robot import Robot
+from jaxik.kinematics.shapes import Surface, Unchecked, UncheckedReason, fan
 from jaxik.spmd.batch import threads
 
 SAMPLES = 2000  # random configurations
@@ -106,7 +106,7 @@ class Links:
         found = [*threads().map(lambda s: divisions(s.corners, s.triangles, min(fit.parts, PARTS)), shapes)]
         self.few = [[pieces for pieces in each if len(pieces) <= max(FEW, len(each[0]))][-1] for each in found]  # of each shape
         self.pieces = [(i, piece) for i, each in enumerate(found) for piece in each[-1]]
-        self.limits = finite_limits(robot)
+        self.limits = robot.finite_limits
         rng = np.random.default_rng(0)
         self.q = np.vstack([default_pose(robot), rng.uniform(*self.limits, (SAMPLES, robot.num_joints))])
         self.frames = frames(robot, self.q)

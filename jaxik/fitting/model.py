@@ -27,7 +27,8 @@ from jaxik.fitting.link_distance_tables import between, side_of, table_of
 from jaxik.fitting.links import NEAR, NOTHING_ASKED, Asked, Hits, Links, Pair, Pass, Shape
 from jaxik.fitting.parts import few_corners
 from jaxik.kinematics.link_distance_table import PairTable
-from jaxik.kinematics.robot import ConvexPart, Robot, Unchecked, Volume, finite_limits, geometry_between, hashed, link_geometry
+from jaxik.kinematics.robot import Robot, geometry_between, link_geometry
+from jaxik.kinematics.shapes import ConvexPart, Unchecked, Volume, hashed
 from jaxik.spatial.algebra import Vec3
 from jaxik.spmd import HostKernel
 from jaxik.spmd.batch import in_blocks
@@ -88,7 +89,7 @@ def modelled(
     links = (robot.link_joint, robot.link_names, [v.link for v in robot.volumes], [s.link for s in shapes], sorted(aside))
     exact = [part for v in robot.volumes for part in (v.corners, v.radius)]
     surfaces = [part for s in shapes for part in (s.corners, s.triangles)]
-    arrays = [robot.parent_T_joint, robot.axis, *finite_limits(robot), *exact, *surfaces]
+    arrays = [robot.parent_T_joint, robot.axis, *robot.finite_limits, *exact, *surfaces]
     said = [sorted(map(sorted, asked.apart)), sorted(map(sorted, asked.checked)), asked.all]
     words = _VERSION, fit, said, robot.joint_types, links, [np.shape(x) for x in arrays]
     name = f"jaxik_fit_{hashed(words, arrays)[:32]}"

@@ -13,7 +13,7 @@ from jaxik.collision import distance
 from jaxik.collision.leaf_rows import Found, entry
 from jaxik.collision.surface_trees import Trees, order_of, roomy, surface_gap, tree_of, winds_around
 from jaxik.fitting.convex import rows_of
-from jaxik.kinematics.surface import Surface
+from jaxik.kinematics.shapes import Surface
 from jaxik.spatial.algebra import Frame, Vec3, traced
 from jaxik.spmd import HostKernel
 from jaxik.spmd.batch import in_blocks

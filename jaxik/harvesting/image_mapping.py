@@ -10,9 +10,8 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Float
 
-from jaxik.checks.arrays import numbers
+from jaxik.checks.arrays import Array, numbers
 from jaxik.checks.options import as_count
-from jaxik.kinematics.robot import Array
 
 
 class Mapping(NamedTuple):

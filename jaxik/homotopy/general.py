@@ -30,6 +30,7 @@ import numpy as np
 from jax import lax
 from jaxtyping import Bool, Float
 
+from jaxik.checks.arrays import as_shaped
 from jaxik.checks.options import check_kind
 from jaxik.homotopy.axis_line import (
     AXIS,
@@ -51,7 +52,7 @@ from jaxik.homotopy.axis_line import (
 from jaxik.homotopy.path_tracking import ARRIVED, GOAL, GONE, LOST, NEAR, SINGULAR, STEEP
 from jaxik.kinematics.axes import Axes
 from jaxik.kinematics.joint_turns import wrapped
-from jaxik.kinematics.robot import Robot, as_shaped
+from jaxik.kinematics.robot import Robot
 from jaxik.optimise.linear import definite_solve
 from jaxik.spatial.algebra import Frame, Vec3, atan2, stack, sub
 from jaxik.spmd import kernel

@@ -25,7 +25,7 @@ from jaxik.identification.clear_motion import ClearSpace
 from jaxik.identification.columns import Term, body_columns, check_terms, friction_columns, ratios, side_by_side
 from jaxik.identification.identifiable import base_parameters
 from jaxik.identification.weighted_fit import condition
-from jaxik.kinematics.robot import Robot, finite_limits
+from jaxik.kinematics.robot import Robot
 
 STEP = 1e-6  # of finite differences, in units of the limits
 LEAST = 1e-12  # of the largest singular value
@@ -171,7 +171,7 @@ class _Search:
 
 def half_range(robot: Robot, middle: np.ndarray, share: float) -> np.ndarray:
     """How far a motion may go about its middle (n,) within a share of the joints' range."""
-    lower, upper = finite_limits(robot)
+    lower, upper = robot.finite_limits
     return np.asarray(np.minimum(middle - lower, upper - middle) - 0.5 * (1.0 - share) * (upper - lower))
 
 
@@ -202,7 +202,7 @@ def excite(
 
 def _middle(robot: Robot, space: ClearSpace | None, options: ExcitationOptions) -> np.ndarray:
     """That of the limits, one that is given, or where that of the limits has no room the roomiest of many."""
-    lower, upper = finite_limits(robot)
+    lower, upper = robot.finite_limits
     middle = 0.5 * (lower + upper)
     if options.middle is not None:
         middle = shaped("excite: middle", options.middle, middle.shape)
@@ -273,7 +273,7 @@ def _check(robot: Robot, options: ExcitationOptions) -> None:
         raise ValueError(
             f"excite: {counts['samples']} samples of {counts['harmonics']} harmonics; allowed: at least 4 for each"
         )
-    for name, low, high, fastest in zip(robot.joint_names, *finite_limits(robot), robot.velocity, strict=True):
+    for name, low, high, fastest in zip(robot.joint_names, *robot.finite_limits, robot.velocity, strict=True):
         if not (low < high and fastest > 0.0):
             mend = "give it room, or excite the part of the chain that moves"
             raise ValueError(f"excite: {name} cannot move: {low:g} to {high:g}, velocity {fastest:g}; {mend}")

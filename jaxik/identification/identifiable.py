@@ -13,7 +13,7 @@ import numpy as np
 
 from jaxik.checks.options import check_kind, check_seed
 from jaxik.identification.columns import Term, body_columns, check_terms, friction_columns, names, ratios, side_by_side
-from jaxik.kinematics.robot import Robot, finite_limits
+from jaxik.kinematics.robot import Robot
 
 ROWS = 4  # random motions a column, at least
 DEPENDENT = 1e-9  # of the longest column: what is shorter than that, once the columns kept are taken away, is rounding
@@ -48,7 +48,7 @@ def base_parameters(robot: Robot, terms: Sequence[Term] = (), seed: int = 0) -> 
     check_seed("base_parameters", seed)
     n, rng = robot.num_joints, np.random.default_rng(seed)
     rows = ROWS * (10 + len(terms)) + 10
-    q = rng.uniform(*finite_limits(robot), (rows, n))
+    q = rng.uniform(*robot.finite_limits, (rows, n))
     qdot, qddot, load = rng.normal(size=(3, rows, n))
     friction = friction_columns(terms, ratios(robot), qdot, qddot, load, np.ones(n))
     columns = side_by_side(body_columns(robot, q, qdot, qddot), friction)

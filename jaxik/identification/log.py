@@ -7,8 +7,8 @@ from collections.abc import Iterable, Sequence
 import numpy as np
 from jaxtyping import Float
 
-from jaxik.checks.arrays import numbers
-from jaxik.kinematics.robot import Array, Robot, beyond_limits
+from jaxik.checks.arrays import Array, numbers
+from jaxik.kinematics.robot import Robot, beyond_limits
 from jaxik.pytree import Constant
 
 FAR = 0.1  # [rad, m] beyond its limits, where no robot is that is measured in radians and metres

@@ -13,12 +13,13 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float
 
+from jaxik.checks.arrays import Array
 from jaxik.collision.clearances import clearance
 from jaxik.collision.scene import Scene
 from jaxik.collision.volumes import link_circles
 from jaxik.costs import box_penalty, proximity_penalty
 from jaxik.kinematics.forward import joint_frames
-from jaxik.kinematics.robot import Array, Robot, as_configuration, finite_limits
+from jaxik.kinematics.robot import Robot, as_configuration
 from jaxik.kinematics.task import POSE, Task
 from jaxik.optimise.newton import Root, damped_least_squares, newton_raphson
 from jaxik.spatial.algebra import Frame, traced
@@ -100,7 +101,7 @@ def global_search(
         looked += columns.shape[1]
         return in_blocks(each, columns.T, double=True)[0]
 
-    bounds, rng = np.stack(finite_limits(robot), axis=1), np.random.default_rng(seed)
+    bounds, rng = np.stack(robot.finite_limits, axis=1), np.random.default_rng(seed)
     plain = {"vectorized": True, "updating": "deferred", "polish": False, "tol": 0.0, "atol": 0.0}
     found = differential_evolution(evaluate, bounds, rng=rng, maxiter=generations, popsize=population, **plain)
     return Searched(found.x, float(found.fun), looked)

@@ -9,11 +9,12 @@ import jax.numpy as jnp
 from jax import lax
 from jaxtyping import Float
 
+from jaxik.checks.arrays import Array, as_shaped
 from jaxik.collision.clearances import link_clearances
 from jaxik.collision.scene import Scene
 from jaxik.costs import Cost
 from jaxik.ik.baselines import residual
-from jaxik.kinematics.robot import Array, Robot, as_configuration, as_shaped
+from jaxik.kinematics.robot import Robot, as_configuration
 from jaxik.kinematics.task import POSE, Task
 from jaxik.optimise.implicit import Implicit, Program, implicit
 from jaxik.spmd import kernel

@@ -16,12 +16,13 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float
 
+from jaxik.checks.arrays import Array
 from jaxik.checks.options import as_count
 from jaxik.collision.clearances import clearance, link_contacts
 from jaxik.costs import Cost, collision_cost
 from jaxik.kinematics.forward import jacobian_columns, joint_frames
 from jaxik.kinematics.reach_bound import reach_bound
-from jaxik.kinematics.robot import Array, Robot, as_configuration
+from jaxik.kinematics.robot import Robot, as_configuration
 from jaxik.kinematics.task import POSE, Task
 from jaxik.optimise import sqp
 from jaxik.optimise.linear import column, dot

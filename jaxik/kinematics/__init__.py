@@ -1,24 +1,27 @@
 """A robot and where its joints put it: the model, the frames of its links, Jacobians, and what a task asks of its tip."""
 
 from jaxik.kinematics.forward import bias_acceleration, forward_kinematics, jacobian, link_frames, manipulability
-from jaxik.kinematics.joint_turns import admissible_turns
+from jaxik.kinematics.joint_turns import turns
+from jaxik.kinematics.link_distance_table import PairTable
 from jaxik.kinematics.motion import Motion
-from jaxik.kinematics.robot import Robot, Unchecked, finite_limits, within_limits
-from jaxik.kinematics.surface import Surface
+from jaxik.kinematics.robot import Robot
+from jaxik.kinematics.shapes import Box, ConvexPart, Surface, Unchecked, Volume
 from jaxik.kinematics.task import Task
 
 __all__ = [
+    "Box",
+    "ConvexPart",
     "Motion",
+    "PairTable",
     "Robot",
     "Surface",
     "Task",
     "Unchecked",
-    "admissible_turns",
+    "Volume",
     "bias_acceleration",
-    "finite_limits",
     "forward_kinematics",
     "jacobian",
     "link_frames",
     "manipulability",
-    "within_limits",
+    "turns",
 ]

@@ -25,8 +25,8 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float
 
-from jaxik.checks.arrays import numbers
-from jaxik.kinematics.robot import Array, Robot, as_configuration
+from jaxik.checks.arrays import Array, numbers
+from jaxik.kinematics.robot import Robot, as_configuration
 from jaxik.spatial.algebra import (
     BASE,
     Frame,

@@ -9,8 +9,9 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Bool, Float
 
-from jaxik.checks.arrays import shaped
-from jaxik.kinematics.robot import Array, Robot, finite_limits
+from jaxik.checks.arrays import Array, shaped
+from jaxik.checks.options import check_kind
+from jaxik.kinematics.robot import Robot
 from jaxik.spatial.algebra import Scalar
 from jaxik.spatial.ball import whole
 
@@ -24,7 +25,7 @@ def into_limits(robot: Robot, q: Float[Array, "*b n"]) -> tuple[Float[Array, "*b
     """
     lower, upper = jnp.asarray(robot.lower, q.dtype), jnp.asarray(robot.upper, q.dtype)
     turns = (np.isfinite(robot.lower) | np.isfinite(robot.upper)) & ~np.array(robot.is_prismatic)
-    middle = jnp.asarray(np.where(turns, sum(finite_limits(robot)) / 2.0, 0.0), q.dtype)
+    middle = jnp.asarray(np.where(turns, sum(robot.finite_limits) / 2.0, 0.0), q.dtype)
     turned = q + jnp.where(turns, jnp.round((middle - q) / TURN) * TURN, 0.0)
     clipped = jnp.clip(turned, lower, upper)
     slack = 16.0 * float(jnp.finfo(q.dtype).eps)
@@ -32,21 +33,22 @@ def into_limits(robot: Robot, q: Float[Array, "*b n"]) -> tuple[Float[Array, "*b
     return jnp.where(fits, clipped, turned), jnp.all(fits, axis=-1)
 
 
-def admissible_turns(robot: Robot, q: Float[Array, " n"], lower: Any = None, upper: Any = None) -> Float[np.ndarray, "m n"]:
+def turns(robot: Robot, q: Float[Array, " n"], *, lower: Any = None, upper: Any = None) -> Float[np.ndarray, "m n"]:
     """Every configuration inside the limits that differs from `q` (n,) by full turns of revolute joints. Host.
 
     `lower` and `upper` (n,) are narrower limits than the robot's [rad, m]. A joint without both limits keeps its value.
     Raises `ValueError` for another shape.
     """
+    check_kind("turns", "robot", robot, Robot)
     shape = (robot.num_joints,)
-    q = shaped("admissible_turns: q", q, shape)
-    lower = robot.lower if lower is None else shaped("admissible_turns: lower", lower, shape)
-    upper = robot.upper if upper is None else shaped("admissible_turns: upper", upper, shape)
+    q = shaped("turns: q", q, shape)
+    lower = robot.lower if lower is None else shaped("turns: lower", lower, shape)
+    upper = robot.upper if upper is None else shaped("turns: upper", upper, shape)
     return all_turns(robot, q[None], lower, upper)[1]
 
 
 def all_turns(robot: Robot, q: Any, lower: Any, upper: Any) -> tuple[np.ndarray, np.ndarray]:
-    """`admissible_turns` of rows `q` (N, n): the row that each is of (m,), and they themselves (m, n). On the host."""
+    """`turns` of rows `q` (N, n): the row that each is of (m,), and they themselves (m, n). On the host."""
     turns = ~np.array(robot.is_prismatic) & np.isfinite(upper - lower)
     stays = np.where((lower <= q) & (q <= upper), 0.0, np.nan)
     first, last = (np.where(turns, k, stays) for k in _turns(q, lower, upper))

@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, Any
 
 from jaxtyping import Float
 
-from jaxik.kinematics.robot import Array
+from jaxik.checks.arrays import Array
 from jaxik.pytree import Pytree
 
 if TYPE_CHECKING:  # a type checker lets what a motion has be used without a question whether it has it

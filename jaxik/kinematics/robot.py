@@ -10,8 +10,6 @@ numbers is judged by its `convex_parts` and `pair_tables`, too; any other by its
 from __future__ import annotations
 
 import dataclasses
-import functools
-import hashlib
 from collections.abc import Iterable, Sequence
 from typing import Any, Literal
 
@@ -20,17 +18,15 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Bool, Float
 
-from jaxik.checks.arrays import is_known, rigid_frame, shaped
+from jaxik.checks.arrays import Array, as_given, as_numbers, as_shaped, is_known, rigid_frame
 from jaxik.checks.masses import check_mass
 from jaxik.checks.options import check_kind, shown
 from jaxik.kinematics.drive import Drive, column
 from jaxik.kinematics.link_distance_table import PairTable
-from jaxik.kinematics.surface import Surface
-from jaxik.pytree import Constant, read_only, static
+from jaxik.kinematics.shapes import Box, ConvexPart, Surface, Unchecked, Volume, hashed
+from jaxik.pytree import Constant, static
 
-Array = jax.Array | np.ndarray
 JointType = Literal["revolute", "continuous", "prismatic"]
-UncheckedReason = Literal["fixed", "named", "touches", "neighbours", "never"]
 
 
 class Body(Constant):
@@ -62,70 +58,6 @@ class Body(Constant):
         for body in bodies:
             inertia = inertia + body.inertia + steiner(body.mass, body.com - com)
         return Body(mass, com, inertia)
-
-
-class Box(Constant):
-    """An oriented box around (a part of) a link: its centre's frame in the joint's frame, and half its edges [m]."""
-
-    joint_T_box: Float[Array, "4 4"]
-    half: Float[Array, "3"]
-    link: int = static()
-
-
-class Volume(Constant):
-    """A swept-sphere volume: a ball of `radius` [m] swept over a point, a line or a triangle (1, 2 or 3 `corners` [m], in the
-    frame of the link's joint)."""
-
-    corners: Float[Array, "c 3"]
-    radius: Float[Array, ""]
-    link: int = static()
-
-
-@dataclasses.dataclass(frozen=True, eq=False, repr=False)
-class ConvexPart:
-    """A convex part of a link: the hull of `corners` (c, 3) [m] in the frame of the link's joint, and what is within `radius`
-    [m] of it. All of a link's together hold its shapes, and decide where its volumes are too near to tell; `geometry` says
-    which volumes these are (`link_geometry`): of others the parts know nothing. A value: equal numbers, equal part."""
-
-    link: int
-    corners: np.ndarray
-    radius: float
-    geometry: str
-
-    def __post_init__(self) -> None:
-        corners = shaped("ConvexPart: corners", self.corners, (max(len(self.corners), 1), 3))
-        if not (np.isfinite(corners).all() and 0.0 <= self.radius < np.inf):
-            raise ValueError(
-                f"ConvexPart: radius {shown(self.radius)}, {len(corners)} corners; write finite numbers, radius >= 0"
-            )
-        vars(self).update(read_only({"corners": corners}), radius=float(self.radius))
-
-    @functools.cached_property
-    def digest(self) -> str:
-        """A hash of everything in it."""
-        return hashed((self.link, self.geometry), [self.corners, self.radius])
-
-    def __hash__(self) -> int:
-        return hash(self.digest)
-
-    def __eq__(self, other: object) -> bool:
-        return self is other or (isinstance(other, ConvexPart) and self.digest == other.digest)
-
-    def __repr__(self) -> str:  # by which a robot's digest knows it
-        return f"ConvexPart(link={self.link}, corners={len(self.corners)}, digest={self.digest})"
-
-
-@dataclasses.dataclass(frozen=True)
-class Unchecked:
-    """Two links that are not checked against each other, and why: `fixed` (they do not move against each other), `named` (by
-    the user, an SRDF, an MJCF), `touches` (their surfaces touch in at least half of the random postures: they are meant to),
-    `neighbours` (on either side of one joint), `never` (they do not touch, neither in random postures nor in a search from the
-    nearest). They touch in a `share` of the random postures, by `depth` at most [m], as their convex parts say."""
-
-    links: tuple[str, str]
-    reason: UncheckedReason
-    share: float = 0.0
-    depth: float = 0.0
 
 
 class Robot(Constant):
@@ -190,6 +122,17 @@ class Robot(Constant):
     def is_limited(self) -> np.ndarray:
         """(n,): whether a joint has both limits."""
         return np.isfinite(self.lower) & np.isfinite(self.upper)
+
+    @property
+    def finite_limits(self) -> tuple[np.ndarray, np.ndarray]:
+        """Limits (n,), (n,) to sample, draw or scale by: a joint without any ranges over +-pi [rad] or +-1 [m], a joint with a
+        single limit over as much beside it."""
+        return finite_range(self, self.lower, self.upper)
+
+    def within_limits(self, q: Any) -> Bool[Array, ""]:
+        """Whether `q` (n,) [rad, m] lies inside the joint limits, bounds included. Traced."""
+        q = as_configuration(self, q)
+        return jnp.all((q >= jnp.asarray(self.lower, q.dtype)) & (q <= jnp.asarray(self.upper, q.dtype)))
 
     def mounted(self, world_T_base: Any) -> Robot:
         """The same robot standing elsewhere: `world_T_base` (4, 4) [m]. Poses stay in the base's.
@@ -399,14 +342,6 @@ def steiner(mass: Any, arm: Any) -> Any:
     return mass * (arm @ arm * np.eye(3) - arm[:, None] * arm)
 
 
-def hashed(words: object, arrays: Iterable[Any]) -> str:
-    """A hash of what `words` are printed as, and of the numbers in `arrays`."""
-    content = hashlib.sha256(str(words).encode())
-    for each in arrays:
-        content.update(np.ascontiguousarray(np.asarray(each, np.float64)).tobytes())
-    return content.hexdigest()
-
-
 def solid_links(robot: Robot) -> list[int]:
     """The links that have collision geometry, from the base on."""
     return sorted({box.link for box in robot.boxes} | {volume.link for volume in robot.volumes})
@@ -436,18 +371,11 @@ def geometry_between(robot: Robot, links: tuple[int, int], joints: tuple[int, in
 
 
 def finite_range(robot: Robot, lower: Any, upper: Any) -> tuple[np.ndarray, np.ndarray]:
-    """Limits (n,) to sample, draw or scale by: a joint without any ranges over +-pi [rad] or +-1 [m], one with a single limit
-    over as much beside it."""
+    """Returns bounds (n,), (n,) [rad, m] completed as `Robot.finite_limits`."""
     half = np.where(robot.is_prismatic, 1.0, np.pi)
     below, above = np.isfinite(lower), np.isfinite(upper)
     low = np.where(below, lower, np.where(above, upper - 2.0 * half, -half))
     return low, np.where(above, upper, np.where(below, lower + 2.0 * half, half))
-
-
-def finite_limits(robot: Robot) -> tuple[np.ndarray, np.ndarray]:
-    """`finite_range` of the robot's own limits. Host."""
-    check_kind("finite_limits", "robot", robot, Robot)
-    return finite_range(robot, robot.lower, robot.upper)
 
 
 def beyond_limits(robot: Robot, q: np.ndarray, by: float) -> str | None:
@@ -462,31 +390,6 @@ def beyond_limits(robot: Robot, q: np.ndarray, by: float) -> str | None:
     return f"{robot.joint_names[joint]} is {q[row, joint]:.6g} in row {row}, and its {limits}"
 
 
-def as_numbers(what: str, given: Any) -> jax.Array:
-    """`given`, traced or not, as an array of integers or floats. Raises `ValueError` for what is none."""
-    try:
-        array = jnp.asarray(given)
-    except (TypeError, ValueError, OverflowError):
-        raise ValueError(f"{what} is {shown(given)}; write an array of numbers") from None
-    if not (jnp.issubdtype(array.dtype, jnp.floating) or jnp.issubdtype(array.dtype, jnp.integer)):
-        raise ValueError(f"{what} is an array of {array.dtype}; write real numbers")
-    return array
-
-
-def as_shaped(what: str, given: Any, shape: tuple[int, ...]) -> jax.Array:
-    """`as_numbers` of one shape. Raises `ValueError` for another."""
-    array = as_numbers(what, given)
-    if array.shape != shape:
-        raise ValueError(f"{what} has the shape {array.shape}; allowed: {shape if shape else 'one number'}")
-    return array
-
-
-def as_given(what: str, given: Any, shape: tuple[int, ...]) -> Array:
-    """Numbers of one shape, in float64 where they are known and as they are where they are traced. Raises `ValueError`
-    likewise."""
-    return shaped(what, given, shape) if is_known(given) else as_shaped(what, given, shape)
-
-
 def as_configuration(robot: Robot, q: Any) -> Float[Array, " n"]:
     """`q` as a floating-point array of shape (n,), or a `ValueError` that says what was expected."""
     check_kind("configuration", "robot", robot, Robot)
@@ -497,9 +400,3 @@ def as_configuration(robot: Robot, q: Any) -> Float[Array, " n"]:
             f"[{', '.join(robot.joint_names)}]; for a batch use jax.vmap"
         )
     return q if jnp.issubdtype(q.dtype, jnp.floating) else q.astype(jnp.result_type(float))
-
-
-def within_limits(robot: Robot, q: Any) -> Bool[Array, ""]:
-    """Whether `q` (n,) [rad, m] lies inside the joint limits, bounds included. Traced."""
-    q = as_configuration(robot, q)
-    return jnp.all((q >= jnp.asarray(robot.lower, q.dtype)) & (q <= jnp.asarray(robot.upper, q.dtype)))

@@ -21,8 +21,9 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float, Int
 
+from jaxik.checks.arrays import Array, as_shaped
 from jaxik.checks.options import as_count, check_finite
-from jaxik.kinematics.robot import Array, Robot, as_shaped
+from jaxik.kinematics.robot import Robot
 from jaxik.motions.diagnosis import Course, diagnose
 from jaxik.motions.following import Followed, samples
 from jaxik.motions.path import Path, check_path, motion

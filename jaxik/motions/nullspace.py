@@ -26,11 +26,11 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float
 
-from jaxik.checks.arrays import is_known
+from jaxik.checks.arrays import Array, as_shaped, is_known
 from jaxik.checks.options import shown
 from jaxik.costs import Cost
 from jaxik.kinematics.forward import bias_acceleration, jacobian_columns, joint_frames
-from jaxik.kinematics.robot import Array, Robot, as_configuration, as_shaped
+from jaxik.kinematics.robot import Robot, as_configuration
 from jaxik.kinematics.task import POSE, Task
 from jaxik.motions.path import Motion
 from jaxik.optimise.linear import damped_solve

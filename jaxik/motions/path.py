@@ -18,9 +18,8 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float
 
-from jaxik.checks.arrays import RIGID, direction, is_known, is_rigid, numbers, rigid_frame
+from jaxik.checks.arrays import RIGID, Array, as_numbers, direction, is_known, is_rigid, numbers, rigid_frame
 from jaxik.checks.options import shown
-from jaxik.kinematics.robot import Array, as_numbers
 from jaxik.pytree import Pytree, static
 from jaxik.spatial.rotations import frame, rotation_exp, rotation_log
 from jaxik.spmd import kernel

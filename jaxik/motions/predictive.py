@@ -28,10 +28,10 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float, Int
 
-from jaxik.checks.arrays import is_known, positive, shaped
+from jaxik.checks.arrays import Array, as_numbers, is_known, positive, shaped
 from jaxik.checks.options import as_count, batch_axes, changed, check_choices, check_each, check_finite, check_kind, check_seed
 from jaxik.dynamics.recursions import GRAVITY, energy, gravity_torque
-from jaxik.kinematics.robot import Array, Robot, as_numbers
+from jaxik.kinematics.robot import Robot
 from jaxik.kinematics.task import POSE, Task
 from jaxik.motions.diagnosis import Course, diagnose
 from jaxik.motions.nullspace import FLOOR, Resolved, loop_gain, resolved_velocity, settles

@@ -18,7 +18,8 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float
 
-from jaxik.kinematics.robot import Array, Robot
+from jaxik.checks.arrays import Array
+from jaxik.kinematics.robot import Robot
 from jaxik.motions.nullspace import Box
 
 

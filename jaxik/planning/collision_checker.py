@@ -14,7 +14,8 @@ from jaxik.collision.clearances import by_object, collides
 from jaxik.collision.continuous_collision import joint_reaches, motion_collides, size_of
 from jaxik.collision.scene import Scene
 from jaxik.kinematics.joint_turns import endless, whole_turns
-from jaxik.kinematics.robot import Robot, Volume
+from jaxik.kinematics.robot import Robot
+from jaxik.kinematics.shapes import Volume
 from jaxik.reasons import Reason
 from jaxik.spmd.batch import in_blocks
 from jaxik.spmd.host import host_kernels

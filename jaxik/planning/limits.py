@@ -8,7 +8,7 @@ import numpy as np
 
 from jaxik.checks.arrays import numbers
 from jaxik.checks.options import shown
-from jaxik.kinematics.robot import Robot, finite_limits
+from jaxik.kinematics.robot import Robot
 
 UNITS = {  # of a joint that turns, and of one that slides
     "velocity": "[rad/s, m/s]",
@@ -36,9 +36,9 @@ class Limits(NamedTuple):
 
 
 def search_range(robot: Robot, start: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """`finite_limits`; those of a joint that lacks one are moved as far towards the start (n,) as its other one allows: how
-    often it has turned before makes no difference to a search."""
-    lower, upper = finite_limits(robot)
+    """The robot's `finite_limits`; those of a joint that lacks one are moved as far towards the start (n,) as its other one
+    allows: how often it has turned before makes no difference to a search."""
+    lower, upper = robot.finite_limits
     least, most = (np.where(np.isfinite(limit), 0.0, end) for limit, end in ((robot.lower, -np.inf), (robot.upper, np.inf)))
     moved = np.clip(start - 0.5 * (lower + upper), least, most)
     return lower + moved, upper + moved

@@ -17,10 +17,9 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float
 
-from jaxik.checks.arrays import is_known, numbers
+from jaxik.checks.arrays import Array, is_known, numbers
 from jaxik.checks.options import check_finite
 from jaxik.kinematics.motion import Motion
-from jaxik.kinematics.robot import Array
 from jaxik.pytree import Pytree
 from jaxik.reasons import Reason, Reasoned
 

@@ -21,7 +21,7 @@ from jaxik.checks.options import as_count
 from jaxik.kinematics.forward import joint_frames
 from jaxik.kinematics.joint_turns import TURN
 from jaxik.kinematics.reach_bound import ReachBound, reach_bound
-from jaxik.kinematics.robot import Robot, finite_limits
+from jaxik.kinematics.robot import Robot
 from jaxik.reach.leading_joints import arm_of, grid, may_be_inside, whole_turns
 from jaxik.spatial.algebra import Frame
 from jaxik.spatial.ball import Ball, ball, possible, whole
@@ -159,7 +159,7 @@ def _enclosed(robot: Robot, pose: Any, centre: Any, signs: Any, half: Any) -> tu
 
 def _inside(solver: Solver, angles: Any, margin: Any) -> tuple[Any, Any]:
     """Whether the solved joints, at these balls of angles, can be inside their limits, and whether they are in the middle."""
-    low, high = (x[solver.solved] for x in finite_limits(solver.robot))
+    low, high = (x[solver.solved] for x in solver.robot.finite_limits)
     middle, reach_ = (low + high) / 2.0, (high - low) / 2.0
     margin = ball(margin)  # what no given joint moves is a number
     may, is_ = possible(margin >= -SLACK), margin.mid >= 0.0

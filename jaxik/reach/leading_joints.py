@@ -21,7 +21,7 @@ from jaxik.analytic.families import solver_of
 from jaxik.analytic.half_branches import HalfBranch
 from jaxik.checks.options import as_count_or_values
 from jaxik.kinematics.joint_turns import TURN
-from jaxik.kinematics.robot import Robot, finite_limits
+from jaxik.kinematics.robot import Robot
 from jaxik.spatial.ball import possible
 from jaxik.spmd.batch import in_blocks
 from jaxik.spmd.host import host_kernels
@@ -146,7 +146,7 @@ def _freer(robot: Robot, leading: Any, lead: Any, number: int, way: HalfBranch, 
 def may_be_inside(robot: Robot, turns: Any, slack: float) -> Any:
     """Whether the joints whose sines and cosines are known (of balls: any in them) are inside their limits or past them by no
     more than `slack` of a cosine: `cos(q - middle) >= cos(half)`, which needs no angle."""
-    low, high = finite_limits(robot)
+    low, high = robot.finite_limits
     inside: Any = True
     for i, (sin, cos) in turns.items():
         middle, half = (low[i] + high[i]) / 2.0, (high[i] - low[i]) / 2.0
@@ -157,7 +157,7 @@ def may_be_inside(robot: Robot, turns: Any, slack: float) -> Any:
 
 def _freedom(robot: Robot, leading: Any, angles: Any, margin: Any) -> Any:
     """`joint_limit_margin` of a branch, its angles turned to the middle of their ranges; `NOTHING` where it lacks the pose."""
-    low, high = finite_limits(robot)
+    low, high = robot.finite_limits
     middle, half = (low + high) / 2.0, np.maximum((high - low) / 2.0, 1e-9)
     solver = solver_of(robot)
     joints = solver.joints(leading, angles)

@@ -16,13 +16,13 @@ import numpy as np
 from jaxtyping import Float
 
 from jaxik.analytic.solutions import BRANCHES, closed_forms
-from jaxik.checks.arrays import numbers
+from jaxik.checks.arrays import Array, as_numbers, as_shaped, numbers
 from jaxik.checks.options import as_count, check_finite
 from jaxik.collision.bvh import Grouped, grouped
 from jaxik.collision.clearances import check_geometry, clearance
 from jaxik.collision.scene import Scene
 from jaxik.kinematics.forward import forward_kinematics, jacobian
-from jaxik.kinematics.robot import Array, Robot, as_numbers, as_shaped, finite_limits
+from jaxik.kinematics.robot import Robot
 from jaxik.optimise.linear import definite_solve
 from jaxik.reach.leading_joints import arm_of, leading_grid
 from jaxik.spmd import kernel
@@ -85,7 +85,7 @@ def log_reach_score(
 def _worth(robot: Robot, around: Grouped | None, pose: Any, q: Any, margin: Any, temperature: Any) -> Any:
     """The least margin of a posture that follows its target."""
     q, short = _following(robot, pose, jax.lax.stop_gradient(q))
-    low, high = (jnp.asarray(x, q.dtype) for x in finite_limits(robot))
+    low, high = (jnp.asarray(x, q.dtype) for x in robot.finite_limits)
     share = jnp.minimum(q - low, high - q) / jnp.maximum((high - low) / 2.0, 1e-9)
     margins = [jnp.where(robot.is_limited, share, 1.0)]
     if around is not None:

@@ -9,7 +9,8 @@ from typing import Any
 import numpy as np
 
 from jaxik.files.robot_toml import Table
-from jaxik.kinematics.robot import Box, Robot
+from jaxik.kinematics.robot import Robot
+from jaxik.kinematics.shapes import Box
 
 LENGTHS = ("length", "x", "y", "z")
 

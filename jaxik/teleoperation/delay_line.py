@@ -10,9 +10,8 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float, Int
 
-from jaxik.checks.arrays import is_known, shaped
+from jaxik.checks.arrays import Array, is_known, shaped
 from jaxik.checks.options import check_finite, check_seed
-from jaxik.kinematics.robot import Array
 from jaxik.pytree import Pytree, static
 
 

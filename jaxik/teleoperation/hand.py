@@ -11,7 +11,7 @@ from typing import Any, NamedTuple, Protocol
 import numpy as np
 from jaxtyping import Float
 
-from jaxik.kinematics.robot import Array
+from jaxik.checks.arrays import Array
 
 
 class Hand(NamedTuple):

@@ -25,8 +25,8 @@ from typing import Any, NamedTuple
 import jax.numpy as jnp
 from jaxtyping import Bool, Float
 
+from jaxik.checks.arrays import Array
 from jaxik.checks.options import check_finite
-from jaxik.kinematics.robot import Array
 from jaxik.spatial.algebra import safe_divide, safe_sqrt
 
 _FASTEST_HAND = 5.0  # [m/s]; beyond it is a device that jumps, and begins anew where it is

@@ -34,8 +34,8 @@ from typing import Any, NamedTuple, Protocol
 import jax.numpy as jnp
 from jaxtyping import Float
 
+from jaxik.checks.arrays import Array
 from jaxik.checks.options import check_finite
-from jaxik.kinematics.robot import Array
 from jaxik.spatial.algebra import safe_divide
 from jaxik.teleoperation.hand_mapping import bounded
 

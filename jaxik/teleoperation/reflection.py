@@ -20,11 +20,12 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float
 
+from jaxik.checks.arrays import Array
 from jaxik.checks.options import check_choices, check_finite
 from jaxik.costs import Cost, check_cost
 from jaxik.dynamics.point_force import PointForce, as_point_forces, check_joint, point_torque
 from jaxik.kinematics.forward import jacobian
-from jaxik.kinematics.robot import Array, Robot, as_configuration
+from jaxik.kinematics.robot import Robot, as_configuration
 from jaxik.optimise.linear import least_solve
 from jaxik.spatial.algebra import safe_divide, safe_sqrt
 from jaxik.spmd import kernel

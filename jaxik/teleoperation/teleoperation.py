@@ -26,14 +26,14 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float, Int
 
-from jaxik.checks.arrays import positive
+from jaxik.checks.arrays import Array, positive
 from jaxik.checks.options import check_choices, check_finite, check_kind, shown
 from jaxik.collision.clearances import check_geometry, clearance
 from jaxik.collision.scene import Scene
 from jaxik.costs import Cost, check_cost
 from jaxik.dynamics.point_force import PointForce, as_point_forces, trusted
 from jaxik.kinematics.forward import forward_kinematics, jacobian
-from jaxik.kinematics.robot import Array, Robot, as_configuration
+from jaxik.kinematics.robot import Robot, as_configuration
 from jaxik.kinematics.task import POSE, Task
 from jaxik.motions.nullspace import Box, downhill, resolve_velocity
 from jaxik.motions.path import Motion

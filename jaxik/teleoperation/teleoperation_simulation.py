@@ -9,9 +9,10 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Float
 
+from jaxik.checks.arrays import Array, as_numbers
 from jaxik.checks.options import check_kind
 from jaxik.kinematics.forward import forward_kinematics
-from jaxik.kinematics.robot import Array, as_configuration, as_numbers
+from jaxik.kinematics.robot import as_configuration
 from jaxik.teleoperation.hand import Hand
 from jaxik.teleoperation.teleoperation import Teleoperation, TeleoperationCommand
 

@@ -17,10 +17,10 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Float
 
-from jaxik.checks.arrays import is_known
+from jaxik.checks.arrays import Array, as_shaped, is_known
 from jaxik.checks.options import as_count, check_finite
 from jaxik.dynamics.point_force import PointForce, check_joint, material_point, point_jacobian
-from jaxik.kinematics.robot import Array, Robot, as_configuration, as_shaped
+from jaxik.kinematics.robot import Robot, as_configuration
 from jaxik.optimise.linear import damped_solve
 from jaxik.spmd import kernel
 

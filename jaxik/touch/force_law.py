@@ -22,8 +22,8 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float
 
+from jaxik.checks.arrays import Array
 from jaxik.checks.options import check_finite
-from jaxik.kinematics.robot import Array
 
 
 class LawState(NamedTuple):

@@ -29,12 +29,12 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Float, Int
 
-from jaxik.checks.arrays import positive
+from jaxik.checks.arrays import Array, as_shaped, positive
 from jaxik.checks.options import as_count, check_choices, check_finite, check_flag, check_kind, shown
 from jaxik.costs import Cost, check_cost
 from jaxik.dynamics.point_force import PointForce, as_point_forces, point_jacobian, point_torque, trusted
 from jaxik.estimation.lowpass import Butterworth
-from jaxik.kinematics.robot import Array, Robot, as_configuration, as_shaped
+from jaxik.kinematics.robot import Robot, as_configuration
 from jaxik.kinematics.task import POSITION, Task
 from jaxik.motions.nullspace import FLOOR, TaskAt, downhill, inverse_weights, settles
 from jaxik.motions.path import Motion

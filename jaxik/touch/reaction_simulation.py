@@ -13,9 +13,10 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Float, Int
 
+from jaxik.checks.arrays import Array, as_numbers
 from jaxik.checks.options import as_count, check_kind
 from jaxik.dynamics.point_force import PointForce, check_joint, material_point, point_jacobian
-from jaxik.kinematics.robot import Array, Robot, as_configuration, as_numbers
+from jaxik.kinematics.robot import Robot, as_configuration
 from jaxik.motions.path import Path, check_path, motion
 from jaxik.pytree import Pytree
 from jaxik.reasons import Reason, Reasoned

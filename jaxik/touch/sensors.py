@@ -16,10 +16,10 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float
 
-from jaxik.checks.arrays import direction, shaped
+from jaxik.checks.arrays import Array, as_shaped, direction, shaped
 from jaxik.checks.options import as_count, check_finite
 from jaxik.dynamics.point_force import PointForce, as_point_forces, check_joint, material_point
-from jaxik.kinematics.robot import Array, Robot, as_configuration, as_shaped
+from jaxik.kinematics.robot import Robot, as_configuration
 from jaxik.pytree import Constant
 from jaxik.spatial.algebra import safe_divide, safe_sqrt
 

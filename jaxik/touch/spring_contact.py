@@ -16,10 +16,10 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float
 
-from jaxik.checks.arrays import direction, is_known
+from jaxik.checks.arrays import Array, as_given, as_shaped, direction, is_known
 from jaxik.checks.options import check_finite, shown
 from jaxik.dynamics.point_force import material_point
-from jaxik.kinematics.robot import Array, Robot, as_given, as_shaped
+from jaxik.kinematics.robot import Robot
 from jaxik.pytree import Constant, static
 
 

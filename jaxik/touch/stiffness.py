@@ -14,8 +14,8 @@ from typing import Any, NamedTuple
 import jax.numpy as jnp
 from jaxtyping import Float
 
+from jaxik.checks.arrays import Array
 from jaxik.checks.options import check_finite
-from jaxik.kinematics.robot import Array
 
 
 class StiffnessState(NamedTuple):

@@ -7,14 +7,14 @@ from typing import Any
 
 import numpy as np
 
-from jaxik.kinematics.robot import Robot, finite_limits
+from jaxik.kinematics.robot import Robot
 
 
 class Sliders:
     """They show rounded numbers; `moved(joint, value)` is told, [rad, m], when a person moves one."""
 
     def __init__(self, gui: Any, robot: Robot, q: np.ndarray, moved: Callable[[int, float], Any]):
-        self.limits, self.moved, slides = np.array(finite_limits(robot)), moved, np.array(robot.is_prismatic)
+        self.limits, self.moved, slides = np.array(robot.finite_limits), moved, np.array(robot.is_prismatic)
         self._factor, self._digits = np.where(slides, 1.0, np.degrees(1.0)), np.where(slides, 3, 1).tolist()
         self.each = []
         for i, (name, digits) in enumerate(zip(robot.joint_names, self._digits, strict=True)):

@@ -21,7 +21,6 @@ from jaxik.collision.clearances import clearance
 from jaxik.collision.contact_report import Contact
 from jaxik.dynamics.point_force import PointForce
 from jaxik.kinematics.forward import manipulability
-from jaxik.kinematics.robot import finite_limits
 from jaxik.planning import save_trajectory
 from jaxik.reasons import Reason
 from jaxik.spmd import HostKernel
@@ -215,7 +214,7 @@ def ready_posture(robot: Any, scene: Any, count: int = 512) -> np.ndarray:
         except ValueError:  # it has no shapes
             return room
 
-    lower, upper = finite_limits(robot)
+    lower, upper = robot.finite_limits
     q = lower + (upper - lower) * (0.5 + 0.35 * (2.0 * np.random.default_rng(0).random((count, robot.num_joints)) - 1.0))
     with jax.enable_x64(True):
         (room,) = HostKernel(judged, 1)(q)

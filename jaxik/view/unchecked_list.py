@@ -6,7 +6,8 @@ from html import escape
 from typing import Any
 
 from jaxik.files.unchecked_pairs import unchecked
-from jaxik.kinematics.robot import Robot, Unchecked
+from jaxik.kinematics.robot import Robot
+from jaxik.kinematics.shapes import Unchecked
 from jaxik.view.palette import LEFT_OUT
 from jaxik.view.stage import Stage
 

@@ -100,7 +100,7 @@ def test_limits_and_turns():
     found = jaxik.closed_form(robot, jaxik.forward_kinematics(robot, q), q[0])
     inside = np.asarray(found.q)[np.asarray(found.within_limits)]
     assert len(inside) and np.all((inside >= robot.lower) & (inside <= robot.upper))
-    turns = [t for s in inside for t in jaxik.kinematics.admissible_turns(robot, s)]
+    turns = [t for s in inside for t in jaxik.kinematics.turns(robot, s)]
     assert len(turns) > len(inside) and min(np.max(np.abs(t - q)) for t in turns) <= 1e-10
 
 
@@ -113,9 +113,7 @@ def test_no_pose_has_no_branch():
 def test_an_endless_joint_keeps_its_turn():
     """Without a sum of infinities, which NumPy warns of."""
     file, tip = bare("kinova")
-    np.testing.assert_array_equal(
-        jaxik.kinematics.admissible_turns(jaxik.load(file, tip=tip), np.full(6, 2.0)), [np.full(6, 2.0)]
-    )
+    np.testing.assert_array_equal(jaxik.kinematics.turns(jaxik.load(file, tip=tip), np.full(6, 2.0)), [np.full(6, 2.0)])
 
 
 @pytest.mark.parametrize("name, words", [("planar2", "2 joints"), ("pendulum4", "4 joints")])

@@ -90,7 +90,7 @@ def test_blocks_change_nothing(scene, monkeypatch):
 
 def test_without_a_scene_and_bad_use(scene):
     panda = jaxik.load("p6r")
-    middle = np.add(*jaxik.kinematics.finite_limits(panda)) / 2.0
+    middle = np.add(*panda.finite_limits) / 2.0
     found = jaxik.explain(panda, None, middle)
     assert {c.other for c in found.contacts} <= set(panda.link_names)
     assert found.contacts[0].distance == pytest.approx(float(jaxik.clearance(panda, None, middle)), abs=1e-9)

@@ -16,7 +16,7 @@ import jaxik
 from jaxik.collision.bvh import NEAR, grouped
 from jaxik.collision.gjk import separation
 from jaxik.kinematics import link_frames
-from jaxik.kinematics.surface import brick
+from jaxik.kinematics.shapes import brick
 from jaxik.spatial.algebra import Vec3
 
 TURN = Rotation.from_euler("xyz", [0.4, 0.7, -0.3]).as_matrix()

@@ -87,7 +87,7 @@ def test_bounds_of_speed_hold():
     links = np.concatenate([s.link for s in skeletons(robot, list(np.zeros(9)), np.float64).values() for _ in s.corners])
     rng, near = np.random.default_rng(1), []
     for _ in range(20):
-        q_from, q_to = rng.uniform(*jaxik.kinematics.finite_limits(robot), (2, 9))
+        q_from, q_to = rng.uniform(*robot.finite_limits, (2, 9))
         bounds = _row_bounds(robot, rows, q_from, q_to)
         t = rng.uniform()
         before, here, after = (np.concatenate(places(q_from + s * (q_to - q_from)), axis=1) for s in (t - step, t, t + step))
@@ -117,7 +117,7 @@ def test_motions_that_do_not_move_or_are_no_numbers(p6r, march):
 
 def test_what_begins_in_contact_ends_there(p6r, march):
     robot, scene = p6r
-    q = np.random.default_rng(2).uniform(*jaxik.kinematics.finite_limits(robot), (200, 7)).astype(np.float32)
+    q = np.random.default_rng(2).uniform(*robot.finite_limits, (200, 7)).astype(np.float32)
     apart = np.asarray(jax.jit(jax.vmap(lambda q: jaxik.clearance(robot, scene, q)))(q))
     touching = apart < 0.0
     found = march(q, q + np.float32(0.1))

@@ -239,7 +239,7 @@ def test_other_arrays_and_counts(value):
     calls = {
         (4,): [lambda: jaxik.harvesting.fit_mapping(value, pairs), lambda: jaxik.harvesting.fit_mapping(pairs, value)],
         (2,): [
-            lambda: jaxik.kinematics.admissible_turns(ARM, value),
+            lambda: jaxik.kinematics.turns(ARM, value),
             lambda: jaxik.motions.MovingHorizon(ARM, COST, HORIZON).start(value),
         ],
         (2, 7): [lambda: jaxik.reach.reach_score(P6R, None, poses, value)],
@@ -267,7 +267,7 @@ def test_what_is_of_another_kind():
     refused("fruit is 3", jaxik.harvesting.scan, P6R, SCENE, 3)
     refused("scene is 3", jaxik.harvest, P6R, 3)
     refused("robot is 3", jaxik.forward_kinematics, 3, ZEROS)
-    refused("robot is 3", jaxik.kinematics.finite_limits, 3)
+    refused("robot is 3", jaxik.kinematics.turns, 3, ZEROS)
     refused("robot is 3", jaxik.analytic.closed_form_obstacle, 3)
     refused("scene is 3", jaxik.clearance, ARM, 3, ZEROS)
     refused(r"weights has shape \(\)", jaxik.solve_ik, ARM, np.eye(4), task=XY, weights=44)

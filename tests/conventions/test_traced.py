@@ -73,7 +73,6 @@ CALLS = {  # name -> (function of arrays, arrays)
     "dynamics.regressor": (lambda q: dynamics.regressor(ARM, q, q, q), Q),
     "dynamics.friction_band": (lambda q: dynamics.friction_band(ARM, q), Q),
     "dynamics.torque_of_current": (lambda q: dynamics.torque_of_current(ARM, q, q), Q),
-    "kinematics.within_limits": (lambda q: kinematics.within_limits(ARM, q), Q),
     "dynamics.wrench_on": (lambda q: dynamics.wrench_on(ARM, q, ARM.link_names[-1], [1.0, 0.0, 0.0], [0.0, 0.0, 0.0]), Q),
     "spatial.rotation_exp": (spatial.rotation_exp, V),
     "spatial.rotation_log": (spatial.rotation_log, POSE[:3, :3]),

@@ -46,7 +46,7 @@ def test_is_read_as_pinocchio_reads_it(file):
     assert all(re.search(TOLD, str(warning.message)) for warning in told)
     model = pin.buildModelFromUrdf(str(file))
     data, full = model.createData(), pin.neutral(model)
-    low, high = jaxik.kinematics.finite_limits(robot)
+    low, high = robot.finite_limits
     q = np.random.default_rng(0).uniform(np.maximum(low, -3.0), np.minimum(high, 3.0))
     joints = [model.joints[model.getJointId(name)] for name in robot.joint_names]
     for joint, value in zip(joints, q, strict=True):

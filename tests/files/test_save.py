@@ -9,7 +9,7 @@ from robots import FOLDER, ROBOTS
 
 import jaxik
 from jaxik.files.spherized import _covering
-from jaxik.kinematics.robot import Volume
+from jaxik.kinematics.shapes import Volume
 
 SHIPPED = ("p6r", "crops_v2", "chembuly9", "pendulum4", "planar2")
 
@@ -69,7 +69,7 @@ def test_spheres_hold_the_model(tmp_path):
     assert 0.0 < told <= 0.004 and f"at most {1e3 * told:.1f} mm" in (tmp_path / "spheres.urdf").read_text()
     other = jaxik.load(tmp_path / "spheres.urdf", tip="tool")
     assert {len(v.corners) for v in other.volumes} == {1} and not other.boxes
-    q = np.random.default_rng(0).uniform(*jaxik.kinematics.finite_limits(robot))
+    q = np.random.default_rng(0).uniform(*robot.finite_limits)
     pose = jaxik.forward_kinematics(robot.mounted(np.eye(4)), q)
     np.testing.assert_allclose(jaxik.forward_kinematics(other, q), pose, atol=2e-6)
     rng = np.random.default_rng(1)

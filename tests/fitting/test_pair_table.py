@@ -16,7 +16,6 @@ from jaxik.collision.clearances import link_clearances
 from jaxik.collision.nearest_pair import Space
 from jaxik.fitting.convex import Body
 from jaxik.fitting.link_distance_tables import table_of
-from jaxik.kinematics.robot import finite_limits
 from jaxik.spmd import kernel
 
 BASE, BEAM, TIP = (0.2, 0.16, 0.3), (0.5, 0.05, 0.05), (0.3, 0.03, 0.03)
@@ -71,7 +70,7 @@ def test_a_table_bounds_coals_distance(kinematics, kind, other):
     robot, rng = kinematics[kind], np.random.default_rng(0)
     links = {name: robot.link_names.index(name) for name in ("base", other)}
     bodies = {links[name]: [Body(corners(name))] for name in links}
-    limits = finite_limits(robot)
+    limits = robot.finite_limits
     inside = rng.uniform(*limits, (3000, 3))
     true = signed(robot, "base", other, inside)
     free = (true > 0.0) & (true < 0.01)
@@ -101,7 +100,7 @@ def test_nothing_slips_between_the_nodes(kinematics, kind):
     places = {"base": np.array([0.6, 0.0, 0.1]), "beam": np.array([0.6, 0.0, 0.0])}
     links = {name: robot.link_names.index(name) for name in sizes}
     bodies = {links[name]: [Body(corners(name, sizes, places))] for name in sizes}
-    limits = finite_limits(robot)
+    limits = robot.finite_limits
     inside = rng.uniform(*limits, (3000, 3))
     inside[:2000, 0] = rng.choice([0.0, np.pi, -np.pi], 2000) + 0.01 * rng.normal(size=2000)
     true = signed(robot, "base", "beam", inside, sizes, places)
@@ -119,7 +118,7 @@ def arm(tmp_path_factory):
 
 @pytest.fixture(scope="module")
 def postures(arm):
-    return np.random.default_rng(1).uniform(*finite_limits(arm), (2000, 3))
+    return np.random.default_rng(1).uniform(*arm.finite_limits, (2000, 3))
 
 
 def test_a_fitted_robot_is_as_free_as_its_links(arm, postures):

@@ -15,7 +15,6 @@ from jaxik.harvesting.grasp import grasp_poses
 from jaxik.harvesting.grid_refinement import _climb, _misses, _self_motion, recover
 from jaxik.harvesting.scanning import Weights, approach_angles, scan_two_step
 from jaxik.kinematics.forward import joint_frames
-from jaxik.kinematics.robot import within_limits
 from jaxik.reasons import Reason
 
 ROBOT = jaxik.load("p6r")
@@ -70,7 +69,7 @@ def test_the_table_is_what_one_by_one_gives(found):
     others = OPEN.without([0])
     for row in range(0, len(found.table.q), 17):
         q = jnp.asarray(found.table.q[row], jnp.float64)
-        assert within_limits(ROBOT, np.clip(q, ROBOT.lower, ROBOT.upper)) and np.allclose(
+        assert ROBOT.within_limits(np.clip(q, ROBOT.lower, ROBOT.upper)) and np.allclose(
             q, np.clip(q, ROBOT.lower, ROBOT.upper)
         )
         assert abs(jaxik.clearance(ROBOT, others, q) - found.table.clearance[row]) <= 1e-5

@@ -88,7 +88,7 @@ def test_bodies_that_can_be():
 
 def test_excitation_keeps_the_limits(excitation):
     q, qdot, qddot = excitation.at(np.linspace(0.0, 20.0, 5001))
-    lower, upper = jaxik.kinematics.finite_limits(ARM)
+    lower, upper = ARM.finite_limits
     assert np.all((q > lower) & (q < upper)) and np.abs(qdot).max() <= 2.001 and np.abs(qddot).max() <= 4.001
     assert excitation.gain > 1.0 and excitation.condition < 500.0
     np.testing.assert_allclose(np.gradient(q, 0.004, axis=0)[1:-1], qdot[1:-1], atol=1e-3)

@@ -17,8 +17,8 @@ from robots import ROBOTS, bare, joint_range, pinocchio, pose_errors
 import jaxik
 from jaxik import Reason
 from jaxik.ik import sqp_programs
-from jaxik.kinematics import admissible_turns
-from jaxik.kinematics.robot import Volume
+from jaxik.kinematics import turns
+from jaxik.kinematics.shapes import Volume
 from jaxik.optimise import sqp
 from jaxik.spmd import call as kernels
 
@@ -478,7 +478,7 @@ def test_endless_joints_end_on_the_turn_of_the_reference():
     robot = robot_of("kinova")
     endless = ~np.isfinite(robot.lower)
     targets = reachable(robot, 20, seed=16)
-    reference = np.where(endless, 9.0, 0.5 * sum(jaxik.kinematics.finite_limits(robot)))
+    reference = np.where(endless, 9.0, 0.5 * sum(robot.finite_limits))
     result = jaxik.solve_ik(robot, targets, reference=reference)
     assert result.success.mean() > 0.9
     assert np.all(np.abs(result.q[:, endless] - 9.0) <= np.pi + 1e-9)
@@ -487,7 +487,7 @@ def test_endless_joints_end_on_the_turn_of_the_reference():
 
 def test_a_reference_is_a_seed_whatever_turns_it_has_made():
     robot = jaxik.load("gen3")
-    q = np.random.default_rng(5).uniform(*jaxik.kinematics.finite_limits(robot), (10, robot.num_joints))
+    q = np.random.default_rng(5).uniform(*robot.finite_limits, (10, robot.num_joints))
     targets = jax.vmap(lambda q: jaxik.forward_kinematics(robot, q))(q)
     reference = q + 200.0 * np.pi * ~np.isfinite(robot.lower)
     found = jaxik.solve_ik(robot, targets, reference=reference, max_seeds=16)
@@ -680,7 +680,7 @@ def test_a_scene_asks_nothing_of_what_none_collides_with():
 def test_the_closest_answer_to_one_that_is_right_is_it(name):
     """With the closed form and without it: the reference is a seed."""
     robot = jaxik.load(name)
-    q = np.random.default_rng(7).uniform(*jaxik.kinematics.finite_limits(robot), (20, robot.num_joints))
+    q = np.random.default_rng(7).uniform(*robot.finite_limits, (20, robot.num_joints))
     targets = jax.vmap(lambda q: jaxik.forward_kinematics(robot, q))(q)
     found = jaxik.solve_ik(robot, targets, choice="closest", reference=q, max_seeds=16, collision=False)
     np.testing.assert_allclose(found.q, q, atol=1e-4)
@@ -700,7 +700,7 @@ def test_six_joints_have_all_their_answers():
     for target, found, count in zip(targets, result.solutions, result.num_solutions, strict=True):
         found = found[:count]
         assert all(max(pose_errors(pose(q), target)) < 1e-9 for q in found)
-        wanted = np.concatenate([admissible_turns(robot, q) for q in eaik(target)])
+        wanted = np.concatenate([turns(robot, q) for q in eaik(target)])
         apart = np.abs(found[:, None] - wanted).max(axis=2)
         assert len(found) == len(wanted) and apart.min(axis=0).max() < 1e-6 and apart.min(axis=1).max() < 1e-6
 

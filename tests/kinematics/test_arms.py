@@ -9,7 +9,6 @@ from robots import FOLDER
 
 import jaxik
 from jaxik.collision.self_collision_pairs import self_collisions
-from jaxik.kinematics.robot import finite_limits
 
 UR, PANDA = "ur_description/urdf/{}_robot.urdf", "panda_description/urdf/panda.urdf"
 DESCRIBED = {  # the file, the frames of its base and of its tip
@@ -109,7 +108,7 @@ def test_postures_collide_where_meshes_do(name):
             if other.parentJoint - one.parentJoint >= 2:
                 meshes.addCollisionPair(pin.CollisionPair(meshes.getGeometryId(one.name), meshes.getGeometryId(other.name)))
     data, seen = model.createData(), meshes.createData()
-    q = np.random.default_rng(1).uniform(*finite_limits(robot), (300, robot.num_joints))
+    q = np.random.default_rng(1).uniform(*robot.finite_limits, (300, robot.num_joints))
     truth = np.array([pin.computeCollisions(model, data, meshes, seen, full(row), True) for row in q])
     told = np.asarray(jax.jit(jax.vmap(lambda q: jaxik.clearance(robot, None, q)))(q)) <= 0.0
     assert np.mean(told & ~truth) <= 0.08 and np.mean(truth & ~told) <= 0.03 and truth.any()

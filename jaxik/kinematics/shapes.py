@@ -1,4 +1,4 @@
-"""A link's own surface: the triangles of its meshes, which decide where its fitted volumes are too near to tell."""
+"""Shapes of links: boxes, swept-sphere volumes, convex parts, and a link's own surface, and which pairs are not checked."""
 
 from __future__ import annotations
 
@@ -11,13 +11,84 @@ import itertools
 import math
 import zlib
 from collections.abc import Iterable
+from typing import Any, Literal
 
 import numpy as np
+from jaxtyping import Float
 
-from jaxik.pytree import read_only
+from jaxik.checks.arrays import Array, shaped
+from jaxik.checks.options import shown
+from jaxik.pytree import Constant, read_only, static
 
 MOST = 2**30  # bytes of a packed surface
 ROUND = 4e-6  # [m] by which the surface of a round shape may stand out of it
+
+
+UncheckedReason = Literal["fixed", "named", "touches", "neighbours", "never"]
+
+
+class Box(Constant):
+    """An oriented box around (a part of) a link: its centre's frame in the joint's frame, and half its edges [m]."""
+
+    joint_T_box: Float[Array, "4 4"]
+    half: Float[Array, "3"]
+    link: int = static()
+
+
+class Volume(Constant):
+    """A swept-sphere volume: a ball of `radius` [m] swept over a point, a line or a triangle (1, 2 or 3 `corners` [m], in the
+    frame of the link's joint)."""
+
+    corners: Float[Array, "c 3"]
+    radius: Float[Array, ""]
+    link: int = static()
+
+
+@dataclasses.dataclass(frozen=True, eq=False, repr=False)
+class ConvexPart:
+    """A convex part of a link: the hull of `corners` (c, 3) [m] in the frame of the link's joint, and what is within `radius`
+    [m] of it. All of a link's together hold its shapes, and decide where its volumes are too near to tell; `geometry` says
+    which volumes these are (`link_geometry`): of others the parts know nothing. A value: equal numbers, equal part."""
+
+    link: int
+    corners: np.ndarray
+    radius: float
+    geometry: str
+
+    def __post_init__(self) -> None:
+        corners = shaped("ConvexPart: corners", self.corners, (max(len(self.corners), 1), 3))
+        if not (np.isfinite(corners).all() and 0.0 <= self.radius < np.inf):
+            raise ValueError(
+                f"ConvexPart: radius {shown(self.radius)}, {len(corners)} corners; write finite numbers, radius >= 0"
+            )
+        vars(self).update(read_only({"corners": corners}), radius=float(self.radius))
+
+    @functools.cached_property
+    def digest(self) -> str:
+        """A hash of everything in it."""
+        return hashed((self.link, self.geometry), [self.corners, self.radius])
+
+    def __hash__(self) -> int:
+        return hash(self.digest)
+
+    def __eq__(self, other: object) -> bool:
+        return self is other or (isinstance(other, ConvexPart) and self.digest == other.digest)
+
+    def __repr__(self) -> str:  # by which a robot's digest knows it
+        return f"ConvexPart(link={self.link}, corners={len(self.corners)}, digest={self.digest})"
+
+
+@dataclasses.dataclass(frozen=True)
+class Unchecked:
+    """Two links that are not checked against each other, and why: `fixed` (they do not move against each other), `named` (by
+    the user, an SRDF, an MJCF), `touches` (their surfaces touch in at least half of the random postures: they are meant to),
+    `neighbours` (on either side of one joint), `never` (they do not touch, neither in random postures nor in a search from the
+    nearest). They touch in a `share` of the random postures, by `depth` at most [m], as their convex parts say."""
+
+    links: tuple[str, str]
+    reason: UncheckedReason
+    share: float = 0.0
+    depth: float = 0.0
 
 
 @dataclasses.dataclass(frozen=True, eq=False, repr=False)
@@ -104,6 +175,14 @@ class Surface:
         if not (np.isfinite(places).all() and np.isfinite(radius).all() and 0 <= number.min() <= number.max() < corners):
             raise ValueError("no packed surface")
         return Surface(link, places.reshape(-1, 3)[number].reshape(-1, 3, 3), radius, solid, shape)
+
+
+def hashed(words: object, arrays: Iterable[Any]) -> str:
+    """A hash of what `words` are printed as, and of the numbers in `arrays`."""
+    content = hashlib.sha256(str(words).encode())
+    for each in arrays:
+        content.update(np.ascontiguousarray(np.asarray(each, np.float64)).tobytes())
+    return content.hexdigest()
 
 
 def fan(corners: np.ndarray) -> np.ndarray:
